@@ -1,0 +1,140 @@
+"""Conversion and checks of input (floor 0): errors that name the argument, its value and a remedy.
+
+The checks look at concrete numbers only. A traced value passes silently, so that a law or a chain
+can be built under `jit`, `vmap` and `grad`; shapes are known even there and are always checked.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, ArrayLike, Float
+
+
+def to_float(value: ArrayLike) -> Float[Array, "..."]:
+    """`value` as a floating-point JAX array: the converter of every numeric field.
+
+    Integers become floats, because only floats have tangents; and the result is never weakly
+    typed, because a weakly typed leaf would compile everything once more.
+    """
+    return jnp.asarray(value, dtype=float)
+
+
+def require_x64() -> None:
+    """Raises `RuntimeError` unless JAX computes with 64-bit floats."""
+    if jnp.zeros((), dtype=float).dtype != jnp.float64:
+        raise RuntimeError(
+            "jaxchain needs 64-bit floats, but JAX computes with 32 bits here: call "
+            'jax.config.update("jax_enable_x64", True) at the start of the program, or set the '
+            "environment variable JAX_ENABLE_X64=1."
+        )
+
+
+def _concrete(value: ArrayLike) -> np.ndarray | None:
+    return None if is_traced(value) else np.asarray(value)
+
+
+def _check_each(
+    name: str, value: ArrayLike, good: np.ndarray | np.bool, demand: str, remedy: str
+) -> None:
+    if np.all(good):
+        return
+    numbers = np.asarray(value)
+    if numbers.ndim == 0:
+        found = f"is {numbers}"
+    else:
+        first = tuple(int(i) for i in np.argwhere(~good)[0])
+        found = f"is {numbers[first]} at index {first}"
+    end = f": {remedy}" if remedy else "."
+    raise ValueError(f"Argument `{name}` must be {demand}, but {found}{end}")
+
+
+def check_finite(name: str, value: ArrayLike, remedy: str = "") -> None:
+    """Raises `ValueError` if a concrete `value` holds NaN or infinity."""
+    if (numbers := _concrete(value)) is not None:
+        _check_each(name, value, np.isfinite(numbers), "finite", remedy)
+
+
+def check_positive(name: str, value: ArrayLike, remedy: str = "") -> None:
+    """Raises `ValueError` if a concrete `value` is anywhere zero, negative or not finite.
+
+    >>> check_positive("width", 0.01, "choose 1e-3, say.")
+    >>> check_positive("width", -0.1, "choose 1e-3, say.")
+    Traceback (most recent call last):
+        ...
+    ValueError: Argument `width` must be positive and finite, but is -0.1: choose 1e-3, say.
+    """
+    if (numbers := _concrete(value)) is not None:
+        good = np.isfinite(numbers) & (numbers > 0)
+        _check_each(name, value, good, "positive and finite", remedy)
+
+
+def check_nonnegative(name: str, value: ArrayLike, remedy: str = "") -> None:
+    """Raises `ValueError` if a concrete `value` is anywhere negative or not finite."""
+    if (numbers := _concrete(value)) is not None:
+        good = np.isfinite(numbers) & (numbers >= 0)
+        _check_each(name, value, good, "zero or positive, and finite", remedy)
+
+
+def check_at_least(
+    name: str, value: ArrayLike, floor_name: str, floor: ArrayLike, remedy: str = ""
+) -> None:
+    """Raises `ValueError` if a concrete `value` is anywhere below a concrete `floor`."""
+    numbers, bounds = _concrete(value), _concrete(floor)
+    if numbers is None or bounds is None:
+        return
+    numbers, bounds = np.broadcast_arrays(numbers, bounds)
+    _check_each(name, numbers, numbers >= bounds, f"at least `{floor_name}` = {floor}", remedy)
+
+
+def check_per_mass(**arguments: ArrayLike) -> None:
+    """Raises `ValueError` unless each argument is one number or one per mass, all of one length.
+
+    >>> check_per_mass(mu_static=1.0, v_ref=jnp.array([0.5, 0.6]))
+    >>> check_per_mass(mu_static=jnp.ones(3), v_ref=jnp.ones(2))  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+        ...
+    ValueError: Arguments given per mass must agree in length, but `mu_static` has shape (3,)...
+    """
+    shapes = {name: jnp.shape(value) for name, value in arguments.items() if jnp.ndim(value) > 0}
+    for name, shape in shapes.items():
+        if len(shape) != 1:
+            raise ValueError(
+                f"Argument `{name}` must be one number or one per mass, of shape (n,), but has "
+                f"shape {shape}: use `jax.vmap` to run many chains at once."
+            )
+    if len(set(shapes.values())) > 1:
+        listed = " and ".join(f"`{name}` has shape {shape}" for name, shape in shapes.items())
+        raise ValueError(f"Arguments given per mass must agree in length, but {listed}.")
+
+
+def is_traced(*values: object) -> bool:
+    """Whether any of the values, or any leaf of them, is being traced."""
+    return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(values))
+
+
+def check_count(name: str, value: int | None) -> None:
+    """Raises `ValueError` unless `value` is None (no limit) or an integer of at least 1."""
+    if value is not None and (not isinstance(value, int | np.integer) or value < 1):
+        raise ValueError(
+            f"Argument `{name}` must be None or an integer of at least 1, but is {value!r}."
+        )
+
+
+def check_span(t0: ArrayLike, t1: ArrayLike) -> None:
+    """Raises `ValueError` unless concrete times t0 <= t1 are finite."""
+    check_finite("t0", t0, "it is a dimensionless time.")
+    check_finite("t1", t1, "it is a dimensionless time.")
+    if not is_traced(t0, t1) and float(np.asarray(t1)) < float(np.asarray(t0)):
+        raise ValueError(
+            f"Argument `t1` = {t1} lies before `t0` = {t0}: dry friction cannot be integrated "
+            "backward in time. Exchange them."
+        )
+
+
+def check_tolerances(rtol: ArrayLike, atol: ArrayLike | None, max_step: ArrayLike) -> None:
+    """Raises `ValueError` unless what is given of the step-size control is positive and finite."""
+    check_positive("rtol", rtol, "1e-6 is usual.")
+    check_positive("max_step", max_step, "0.5 is usual, where a period is about 2 pi.")
+    if atol is not None:
+        check_positive("atol", atol, "a tenth of `rtol` is usual.")

@@ -1,0 +1,12 @@
+"""Shape aliases used throughout (floor 0)."""
+
+from typing import TypeAlias
+
+from jaxtyping import Array, Float, Int
+
+# One number, from Python or traced.
+ScalarLike: TypeAlias = float | int | Float[Array, ""] | Int[Array, ""]
+# One number for the whole chain, or one per mass, shape (n,).
+PerMass: TypeAlias = Float[Array, ""] | Float[Array, " n"]
+# (displacement, velocity), both of shape (n,).
+State: TypeAlias = tuple[Float[Array, " n"], Float[Array, " n"]]

@@ -1,0 +1,229 @@
+"""The chain of friction-excited oscillators: parameters, vector field, steady sliding."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ._checks import check_finite, check_nonnegative, check_positive, to_float
+from ._types import PerMass, ScalarLike, State
+from .friction import ExponentialDecay, TanhFriction
+from .structure import AbstractOscillators, Ends, Springs, exact_solver
+
+
+class Chain(AbstractOscillators):
+    """N masses on a moving belt, coupled to their nearest neighbours (dimensionless).
+
+    x_n'' + 2 xi_n x_n' + k_n x_n + c_{n-1/2} (x_n - x_{n-1}) + c_{n+1/2} (x_n - x_{n+1})
+        = p_n F(x_n' - v_d)
+
+    with the friction force F of `friction`.  For the homogeneous ring this is eq. (5) of Papangelo
+    et al., Multiple spatially localized dynamical states in friction-excited oscillator chains.
+
+    **Arguments** (all dimensionless; see `jaxchain.Scales` for SI input):
+
+    - `n`: number of masses.
+    - `friction`: a regularized friction law, e.g. `TanhFriction(ExponentialDecay(...), width)`.
+    - `belt_speed`: v_d; negative for a belt that runs the other way.
+    - `damping_ratio`: xi, one number or shape (n,).
+    - `coupling`: eta_c; None compiles no coupling at all, a number is the same spring everywhere,
+      an array gives one constant per spring (n springs in a ring, n - 1 with free ends; spring i
+      joins masses i and i + 1).
+    - `stiffness`: k_n, one number or shape (n,), 1 for the nominal mass.
+    - `normal_load`: p_n relative to the nominal load, one number or shape (n,); None is 1.
+    - `ends`: "cyclic" (a ring) or "free".
+
+    Every number is a leaf: `jit`, `vmap`, `grad` and `jvp` go through a chain, and
+    `chain.with_(belt_speed=...)` makes a changed copy.
+
+    **Raises:** `ValueError` for a wrong shape or a non-finite or impossible value.
+
+    !!! example
+
+        >>> from jaxchain import Chain, ExponentialDecay, TanhFriction
+        >>> law = ExponentialDecay(mu_static=1.0, mu_dynamic=0.5, v_ref=0.5)
+        >>> chain = Chain(3, TanhFriction(law, 1e-3), belt_speed=1.5, coupling=0.01)
+        >>> chain.coupling.shape
+        ()
+    """
+
+    friction: TanhFriction
+    belt_speed: Float[Array, ""]
+    damping_ratio: PerMass
+    stiffness: PerMass
+    normal_load: PerMass | None
+    springs: Springs | None
+    n: int = eqx.field(static=True)
+
+    def __init__(
+        self,
+        n: int,
+        friction: TanhFriction,
+        belt_speed: ScalarLike,
+        damping_ratio: ScalarLike | Float[Array, " n"] = 0.05,
+        coupling: ScalarLike | Float[Array, " springs"] | None = None,
+        stiffness: ScalarLike | Float[Array, " n"] = 1.0,
+        normal_load: ScalarLike | Float[Array, " n"] | None = None,
+        ends: Ends = "cyclic",
+    ):
+        if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 1:
+            raise ValueError(f"Argument `n` must be a positive integer, but is {n!r}.")
+        if ends not in ("cyclic", "free"):
+            raise ValueError(f'Argument `ends` must be "cyclic" or "free", but is {ends!r}.')
+        self.n = int(n)
+        self.friction = friction
+        self.belt_speed = to_float(belt_speed)
+        self.damping_ratio = to_float(damping_ratio)
+        self.stiffness = to_float(stiffness)
+        self.normal_load = None if normal_load is None else to_float(normal_load)
+        self.springs = None if coupling is None else Springs(to_float(coupling), ends)
+        self._check_shapes(ends)
+        self._check_values()
+
+    def _check_shapes(self, ends: Ends) -> None:
+        if self.belt_speed.ndim != 0:
+            raise ValueError(
+                "Argument `belt_speed` must be one number, but has shape "
+                f"{self.belt_speed.shape}: "
+                "use `jax.vmap` or `sweep` for several belt speeds."
+            )
+        per_mass = {
+            "damping_ratio": self.damping_ratio,
+            "stiffness": self.stiffness,
+            "normal_load": self.normal_load,
+        }
+        for name, value in per_mass.items():
+            if value is not None and value.shape not in ((), (self.n,)):
+                raise ValueError(
+                    f"Argument `{name}` must be one number or have shape ({self.n},), but has "
+                    f"shape {value.shape}."
+                )
+        springs = self.n if ends == "cyclic" else self.n - 1
+        if self.springs is not None and self.springs.constant.shape not in ((), (springs,)):
+            raise ValueError(
+                f"Argument `coupling` must be one number or have one entry per spring, shape "
+                f"({springs},) for {self.n} masses with {ends} ends, but has shape "
+                f"{self.springs.constant.shape}."
+            )
+
+    def _check_values(self) -> None:
+        check_finite("belt_speed", self.belt_speed, "it is a speed, such as 1.5.")
+        check_finite("damping_ratio", self.damping_ratio, "it is a ratio, such as 0.05.")
+        check_positive("stiffness", self.stiffness, "1 is the nominal spring to ground.")
+        if self.normal_load is not None:
+            check_nonnegative("normal_load", self.normal_load, "a mass cannot pull at the belt.")
+        if self.springs is not None:
+            check_nonnegative(
+                "coupling", self.springs.constant, "it is a spring constant, such as 0.01."
+            )
+
+    @property
+    def coupling(self) -> Float[Array, "*springs"] | None:
+        """eta_c: None, one number, or one per spring."""
+        return None if self.springs is None else self.springs.constant
+
+    @property
+    def ends(self) -> Ends:
+        """ "cyclic" or "free"; without coupling there is no difference."""
+        return "cyclic" if self.springs is None else self.springs.ends
+
+    def velocity_force(self, t: ScalarLike, v: Float[Array, " n"]) -> Float[Array, " n"]:
+        """p_n F(v_n - v_d) - 2 xi_n v_n."""
+        del t
+        force = self.friction.force(v - self.belt_speed)
+        if self.normal_load is not None:
+            force = self.normal_load * force
+        return force - 2.0 * self.damping_ratio * v
+
+    def time_slope(self, t: ScalarLike, v: Float[Array, " n"]) -> None:
+        """None: the chain is autonomous."""
+        del t, v
+
+    def stiffness_diagonal(self, n: int) -> PerMass:
+        """k_n + the constants of the springs at mass n."""
+        if self.springs is None:
+            return self.stiffness
+        return self.stiffness + self.springs.row_sum(n)
+
+    def with_(self, **changes: Any) -> Chain:
+        """A copy with other numbers; shapes may change, values may be traced.
+
+        Takes the names of the constructor, and `width`, `mu_static`, `mu_dynamic`, `v_ref` (or any
+        other field of the friction law) for the friction.
+
+        >>> from jaxchain import paper_chain
+        >>> float(paper_chain().with_(belt_speed=1.2, width=1e-4).friction.width)
+        0.0001
+        """
+        own = {
+            "n": self.n,
+            "friction": self.friction,
+            "belt_speed": self.belt_speed,
+            "damping_ratio": self.damping_ratio,
+            "coupling": self.coupling,
+            "stiffness": self.stiffness,
+            "normal_load": self.normal_load,
+            "ends": self.ends,
+        }
+        law = dict(vars(self.friction.law))
+        unknown = [k for k in changes if k not in own and k not in law and k != "width"]
+        if unknown:
+            raise ValueError(
+                f"`Chain.with_` does not know {unknown}; it takes {sorted([*own, 'width', *law])}."
+            )
+        friction_changes = {k: changes.pop(k) for k in list(changes) if k not in own}
+        own.update(changes)
+        if friction_changes:
+            friction = own["friction"]
+            width = friction_changes.pop("width", friction.width)
+            new_law = type(friction.law)(**{**dict(vars(friction.law)), **friction_changes})
+            own["friction"] = TanhFriction(new_law, width)
+        return Chain(**own)
+
+
+def paper_chain(n: int = 20, belt_speed: ScalarLike = 1.5, width: ScalarLike = 1e-3) -> Chain:
+    """The parameter set of the paper, eq. (7): xi 0.05, mu_d 0.5, mu_st 1, v_0 0.5, eta_c 0.01.
+
+    **Arguments:** number of masses, dimensionless belt speed v_d, and the regularization width
+    of the friction law.  One mass has no neighbours and gets no coupling.
+
+    >>> import jax
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> from jaxchain import paper_chain
+    >>> paper_chain().n
+    20
+    """
+    law = ExponentialDecay(mu_static=1.0, mu_dynamic=0.5, v_ref=0.5)
+    return Chain(
+        n,
+        TanhFriction(law, width),
+        belt_speed=belt_speed,
+        damping_ratio=0.05,
+        coupling=0.01 if n > 1 else None,
+    )
+
+
+def steady_sliding(chain: Chain) -> State:
+    """The equilibrium in which every mass slides at the belt's speed: K x = p F(-v_d), v = 0.
+
+    **Returns:** (x, v), both of shape (n,).  Exact for any chain; for a homogeneous one it is
+    x_n = F(-v_d) / k.
+    """
+    zero = jnp.zeros(chain.n, dtype=chain.belt_speed.dtype)
+    force = chain.velocity_force(0.0, zero)
+    uniform = all(
+        jnp.ndim(a) == 0
+        for a in (chain.stiffness, chain.normal_load, chain.friction.force(-chain.belt_speed))
+        if a is not None
+    )
+    # Equal displacements stretch no spring.
+    if chain.springs is None or uniform:
+        return force / chain.stiffness, zero
+    solve = exact_solver(
+        jnp.broadcast_to(chain.stiffness_diagonal(chain.n), zero.shape), chain.springs, 1.0
+    )
+    return solve(force), zero
