@@ -1,0 +1,305 @@
+"""The engine: the only place where `diffeqsolve` is called.
+
+    begin -> advance (as often as one likes) -> diffeqsolve(ObservingSolver(solver))
+
+`advance` moves a `Progress` forward in time and can be called again with what it returned; that is
+how a long run is cut into segments and how an ensemble refills its lanes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import diffrax as dfx
+import equinox as eqx
+import jax.numpy as jnp
+import jax.tree_util as jtu
+import numpy as np
+from jaxtyping import Array, Float, Int, PyTree
+
+from ._checks import is_traced, to_float
+from ._types import State
+from .observe import AbstractObserver, Step
+from .result import Result
+from .rosenbrock import AbstractStructuredRosenbrock, Rodas4, Rodas5P, RosenbrockInterpolation
+from .structure import SWEEP_TOLERANCE, AbstractOscillators
+
+# Steps beyond this length would gain nothing for a vibration of period about 2 pi, and the
+# truncated linear solve is proven for steps up to here.
+MAX_STEP = 0.5
+MOST_SWEEPS = 3
+
+
+class _ObservingState(eqx.Module):
+    inner: Any
+    accumulators: list
+    acceleration: Float[Array, " n"] | None  # at the start of the step; stock solvers only
+    step_size: Float[Array, ""]  # of the last accepted step, to resume with
+
+
+class ObservingSolver(dfx.AbstractWrappedSolver, dfx.AbstractAdaptiveSolver):
+    """A diffrax solver whose state also carries observers' accumulators.
+
+    diffeqsolve keeps a solver's state only for accepted steps, so observers see accepted steps
+    only.  When every observer is settled the step reports an event and the run ends.
+    """
+
+    solver: dfx.AbstractSolver
+    observers: list[AbstractObserver]
+
+    @property
+    def term_structure(self):
+        return self.solver.term_structure
+
+    @property
+    def interpolation_cls(self):  # pyright: ignore[reportIncompatibleMethodOverride]
+        return self.solver.interpolation_cls
+
+    @property
+    def term_compatible_contr_kwargs(self):
+        return self.solver.term_compatible_contr_kwargs
+
+    @property
+    def scan_kind(self):  # diffrax asks every Runge-Kutta solver for it, wrapped or not
+        return self.solver.scan_kind  # pyright: ignore[reportAttributeAccessIssue]
+
+    def order(self, terms):
+        return self.solver.order(terms)
+
+    def error_order(self, terms):
+        return self.solver.error_order(terms)
+
+    def func(self, terms, t0, y0, args):
+        return self.solver.func(terms, t0, y0, args)
+
+    def init(self, terms, t0, t1, y0, args):
+        raise NotImplementedError("`advance` passes the solver's state explicitly.")
+
+    def start(self, field, terms, t0, t1, dt0, y0) -> _ObservingState:
+        """The solver state at the start of a run over [t0, t1] with first step dt0."""
+        structured = isinstance(self.solver, AbstractStructuredRosenbrock)
+        watched = bool(self.observers) and not structured
+        return _ObservingState(
+            inner=jtu.tree_map(jnp.asarray, self.solver.init(terms, t0, t0 + dt0, y0, None)),
+            accumulators=[o.init(t0, t1, y0) for o in self.observers],
+            acceleration=field(t0, y0, None)[1] if watched else None,
+            step_size=jnp.asarray(dt0),
+        )
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+        y1, error, dense, inner, result = self.solver.step(
+            terms, t0, t1, y0, args, solver_state.inner, made_jump
+        )
+        accumulators = solver_state.accumulators
+        acceleration = solver_state.acceleration
+        if self.observers:
+            field = terms.term.vector_field
+            interpolation = self.solver.interpolation_cls(t0=t0, t1=t1, **dense)
+            if isinstance(interpolation, RosenbrockInterpolation):
+                displacement = lambda theta: interpolation.at(theta, 0)  # noqa: E731
+                velocity = lambda theta: interpolation.at(theta, 1)  # noqa: E731
+            else:
+                end = field(t1, y1, None)[1]
+                displacement, velocity = _quintic(t1 - t0, y0, y1, acceleration, end)
+                acceleration = end
+            step = Step(field, t0, t1, y0, y1, displacement, velocity)
+            accumulators = [
+                o.update(a, step) for o, a in zip(self.observers, accumulators, strict=True)
+            ]
+            votes = [o.settled(a) for o, a in zip(self.observers, accumulators, strict=True)]
+            if all(v is not None for v in votes):
+                settled = jnp.all(jnp.stack([v for v in votes if v is not None]))
+                result = dfx.RESULTS.where(
+                    settled & (result == dfx.RESULTS.successful),
+                    dfx.RESULTS.event_occurred,
+                    result,
+                )
+        # A last step that was clipped to the end of the run says little about the next one.
+        step_size = jnp.maximum(t1 - t0, 0.5 * solver_state.step_size)
+        state = _ObservingState(inner, accumulators, acceleration, step_size)
+        return y1, error, dense, state, result
+
+
+def _quintic(
+    h: Any, y0: State, y1: State, a0: Any, a1: Array
+) -> tuple[Callable[[Any], Array], Callable[[Any], Array]]:
+    """Displacement and velocity from the quintic Hermite interpolant through x, v, a at both ends.
+
+    diffrax interpolates at one time for all masses; turning points need one theta per mass.
+    """
+    (x0, v0), (x1, v1) = y0, y1
+    c0, c1, c2 = x0, h * v0, 0.5 * h**2 * a0
+    d0 = x1 - c0 - c1 - c2
+    d1 = h * v1 - c1 - 2 * c2
+    d2 = h**2 * a1 - 2 * c2
+    c3 = 10 * d0 - 4 * d1 + 0.5 * d2
+    c4 = -15 * d0 + 7 * d1 - d2
+    c5 = 6 * d0 - 3 * d1 + 0.5 * d2
+
+    def displacement(th: Any) -> Array:
+        return c0 + th * (c1 + th * (c2 + th * (c3 + th * (c4 + th * c5))))
+
+    def velocity(th: Any) -> Array:
+        return (c1 + th * (2 * c2 + th * (3 * c3 + th * (4 * c4 + th * 5 * c5)))) / h
+
+    return displacement, velocity
+
+
+class Progress(eqx.Module):
+    """A run under way: everything that `advance` needs to go on."""
+
+    t: Float[Array, ""]
+    state: State
+    solver_state: _ObservingState
+    controller_state: PyTree
+    result: Result
+    steps: Int[Array, ""]
+    rejected: Int[Array, ""]
+
+    @property
+    def running(self) -> Any:
+        return self.result == Result.successful
+
+
+class Plan(eqx.Module):
+    """How a run is computed: solver, tolerances, observers.  Static but for the tolerances."""
+
+    solver: dfx.AbstractSolver
+    observers: list[AbstractObserver]
+    rtol: Float[Array, ""] = eqx.field(converter=to_float)
+    atol: Float[Array, ""] = eqx.field(converter=to_float)
+    max_step: Float[Array, ""] = eqx.field(converter=to_float)
+    t1: Float[Array, ""] = eqx.field(converter=to_float)
+
+    def controller(self) -> dfx.PIDController:
+        return dfx.PIDController(
+            rtol=self.rtol,
+            atol=self.atol,
+            dtmax=self.max_step,
+            # Below this a step no longer moves the time.
+            dtmin=8 * jnp.finfo(float).eps * jnp.maximum(jnp.abs(self.t1), 1e-2),
+            force_dtmin=False,
+        )
+
+
+def begin(plan: Plan, field: AbstractOscillators, initial: State, t0: Any, t1: Any) -> Progress:
+    """A run over [t0, t1] before its first step; ended already if nothing can be computed."""
+    t0 = to_float(t0)
+    terms: Any = dfx.ODETerm(field)  # pyright: ignore[reportArgumentType]
+    solver = ObservingSolver(plan.solver, plan.observers)
+    tnext, controller_state = plan.controller().init(
+        terms, t0, t1, initial, None, None, solver.func, solver.error_order(terms)
+    )
+    # A NaN step would be repeated for ever: the controller cannot shrink it.
+    sound = jnp.isfinite(tnext) & jnp.all(jnp.isfinite(initial[0] + initial[1]))
+    return Progress(
+        t=t0,
+        state=initial,
+        solver_state=solver.start(field, terms, t0, t1, tnext - t0, initial),
+        controller_state=jtu.tree_map(jnp.asarray, controller_state),
+        result=Result.where(sound, Result.successful, Result.nonfinite),
+        steps=jnp.zeros((), int),
+        rejected=jnp.zeros((), int),
+    )
+
+
+def advance(
+    plan: Plan,
+    field: AbstractOscillators,
+    progress: Progress,
+    t1: Any,
+    *,
+    max_steps: int | None,
+    saveat: dfx.SaveAt | None = None,
+    adjoint: dfx.AbstractAdjoint | None = None,
+) -> tuple[Progress, Any]:
+    """Moves on to t1, or by `max_steps`, whichever comes first.
+
+    **Returns:** the new progress (whose result is `max_steps_reached` if t1 was not reached) and
+    the values asked for by `saveat`.
+    """
+    adjoint = dfx.ForwardMode() if adjoint is None else adjoint
+    solver = plan.solver
+    if isinstance(solver, dfx.AbstractRungeKutta) and isinstance(adjoint, dfx.ForwardMode):
+        # diffrax does this itself, but cannot reach into a wrapped solver.
+        solver = eqx.tree_at(
+            lambda s: s.scan_kind, solver, "lax", is_leaf=lambda leaf: leaf is None
+        )
+    terms: Any = dfx.ODETerm(field)  # pyright: ignore[reportArgumentType]
+    solution: Any = dfx.diffeqsolve(
+        terms,
+        ObservingSolver(solver, plan.observers),
+        t0=progress.t,
+        # A lane that has ended stays where it is.
+        t1=jnp.where(progress.running, t1, progress.t),
+        dt0=progress.solver_state.step_size,
+        y0=progress.state,
+        saveat=dfx.SaveAt(
+            subs=(dfx.SubSaveAt(t1=True), None if saveat is None else saveat.subs),
+            solver_state=True,
+            controller_state=True,
+        ),
+        stepsize_controller=plan.controller(),
+        adjoint=adjoint,
+        max_steps=max_steps,
+        solver_state=progress.solver_state,
+        controller_state=progress.controller_state,
+        throw=False,
+    )
+    ys, saved = solution.ys
+    state = jtu.tree_map(lambda y: y[-1], ys)
+    stopped = solution.result == dfx.RESULTS.event_occurred
+    quiet = jnp.asarray(False)
+    for accumulator in solution.solver_state.accumulators:
+        quiet = quiet | getattr(accumulator, "quiet", False)
+    result = _translate(solution.result, stopped & quiet, state)
+    new = Progress(
+        t=solution.ts[0][-1],
+        state=state,
+        solver_state=solution.solver_state,
+        controller_state=solution.controller_state,
+        result=Result.where(progress.running, result, progress.result),
+        steps=progress.steps + solution.stats["num_accepted_steps"],
+        rejected=progress.rejected + solution.stats["num_rejected_steps"],
+    )
+    return new, saved
+
+
+def _translate(outcome: Any, quiet: Any, state: State) -> Result:
+    finite = jnp.all(jnp.isfinite(state[0])) & jnp.all(jnp.isfinite(state[1]))
+    result = Result.solver_failed
+    pairs = {
+        "successful": Result.successful,
+        "event_occurred": Result.steady,
+        "max_steps_reached": Result.max_steps_reached,
+        "dt_min_reached": Result.step_too_small,
+        "nonlinear_divergence": Result.untrusted_linear_solve,
+    }
+    for name, ours in pairs.items():
+        result = Result.where(outcome == getattr(dfx.RESULTS, name), ours, result)
+    result = Result.where(quiet, Result.quiet, result)
+    return Result.where(finite, result, Result.nonfinite)
+
+
+def choose_solver(
+    field: AbstractOscillators, rtol: float, max_step: float = MAX_STEP
+) -> AbstractStructuredRosenbrock:
+    """Rodas4 down to rtol 1e-7 and Rodas5P below, with sweeps where they are proven to suffice.
+
+    For steps up to h the Jacobi iteration contracts at least by
+    rho = (gamma h)^2 2 max|c| / (1 - gamma h s), with s the greatest velocity-weakening slope
+    in excess of the damping; s <= 1 is assumed here, and every step checks the bound with its own
+    numbers.  Springs whose numbers are traced are taken for weak, which that check makes safe.
+    """
+    solver = Rodas4() if rtol >= 1e-7 else Rodas5P()
+    if field.springs is None:
+        return solver
+    gamma_h = solver.tableau.gamma * max_step
+    if is_traced(field.springs.constant):
+        return solver.with_sweeps(MOST_SWEEPS)
+    rho = gamma_h**2 * 2.0 * float(np.max(np.abs(field.springs.constant))) / (1.0 - gamma_h)
+    for sweeps in range(1, MOST_SWEEPS + 1):
+        if rho < 1.0 and rho ** (sweeps + 1) <= SWEEP_TOLERANCE * (1.0 - rho):
+            return solver.with_sweeps(sweeps)
+    return solver

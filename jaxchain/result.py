@@ -1,0 +1,67 @@
+"""How a run ended, with advice in every message (floor 0)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+
+
+class Result(eqx.Enumeration):
+    """The outcome of one run or of one lane of an ensemble."""
+
+    successful = ""
+    quiet = (
+        "Stopped early: every mass rests in steady sliding, which attracts, and nothing that is "
+        "observed can change any more."
+    )
+    steady = (
+        "Stopped early: everything that is observed repeats itself within the tolerance asked."
+    )
+    max_steps_reached = (
+        "The run used up its steps before it reached its end. Allow more (`max_steps`), loosen "
+        "`rtol`, or use a larger regularization width."
+    )
+    step_too_small = (
+        "The step size fell below what the time can resolve: the state ran away or became NaN, or "
+        "the regularization width is too small for these tolerances. Check the parameters, "
+        "and loosen `rtol` or enlarge the width."
+    )
+    untrusted_linear_solve = (
+        "The truncated linear solve of the structured solver is not proven accurate for this step "
+        "and coupling. Use the exact solve (`Rodas4(sweeps=None)`), a smaller constant step, or "
+        "an adaptive controller."
+    )
+    nonfinite = (
+        "The state is NaN or infinite. Check the initial state and the parameters of this lane; "
+        "a negative damping ratio lets the vibration grow without bound."
+    )
+    solver_failed = (
+        "The diffrax solver reported a failure. Loosen `rtol` or choose another solver."
+    )
+    interrupted = "The ensemble was interrupted before this lane ended. Run it again."
+
+
+# In the order of the enumeration's integer values, for labels and reports.
+NAMES = (
+    "successful",
+    "quiet",
+    "steady",
+    "max_steps_reached",
+    "step_too_small",
+    "untrusted_linear_solve",
+    "nonfinite",
+    "solver_failed",
+    "interrupted",
+)
+STOPPED_WELL = ("successful", "quiet", "steady")
+
+
+def code(result: Result) -> Any:
+    """The integer behind a (possibly traced or batched) `Result`: an index into `NAMES`."""
+    return result._value  # pyright: ignore  # equinox offers no public accessor
+
+
+def message(name: str) -> str:
+    """The advice that goes with an outcome, by its name."""
+    return Result[getattr(Result, name)]

@@ -1,0 +1,246 @@
+"""One run of a chain."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import diffrax as dfx
+import equinox as eqx
+import jax.numpy as jnp
+import jax.tree_util as jtu
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float, Int, PyTree
+
+from ._checks import (
+    check_count,
+    check_finite,
+    check_span,
+    check_tolerances,
+    is_traced,
+    require_x64,
+    to_float,
+)
+from ._types import ScalarLike, State
+from .engine import MAX_STEP, Plan, Progress, advance, begin, choose_solver
+from .observe import AbstractObserver, Trajectory
+from .result import NAMES, STOPPED_WELL, Result, code, message
+from .structure import AbstractOscillators
+
+
+def _is_observer(x: Any) -> bool:
+    return isinstance(x, AbstractObserver | Trajectory)
+
+
+class Simulation(eqx.Module):
+    """What a run returned.
+
+    - `t`: the time at which it ended; earlier than asked if it stopped early or failed.
+    - `state`: (x, v) at that time.
+    - `observed`: the values of what was asked for in `observe`, in the same structure.
+    - `result`: see `Result`.
+    - `steps`, `rejected`: accepted and rejected steps.
+    """
+
+    t: Float[Array, ""]
+    state: State
+    observed: Any
+    result: Result
+    steps: Int[Array, ""]
+    rejected: Int[Array, ""]
+
+
+def simulate(
+    chain: AbstractOscillators,
+    initial: State,
+    t1: ScalarLike,
+    *,
+    t0: ScalarLike = 0.0,
+    observe: PyTree = None,
+    solver: dfx.AbstractSolver | None = None,
+    rtol: ScalarLike = 1e-6,
+    atol: ScalarLike | None = None,
+    max_step: ScalarLike = MAX_STEP,
+    max_steps: int | None = None,
+    segments: int | None = None,
+    adjoint: dfx.AbstractAdjoint | None = None,
+    throw: bool = True,
+) -> Simulation:
+    """Integrates a chain from (x, v) = `initial` at t0 to t1 and observes what is asked for.
+
+    **Arguments:**
+
+    - `chain`: a `Chain` (or any other `AbstractOscillators`).
+    - `initial`: the pair (x, v), both of shape (n,); see `excited_state`, `equation_8`.
+    - `t1`, `t0`: dimensionless times, t1 >= t0.
+    - `observe`: an observer (`Amplitude`, `PeakTimes`, `Section`, `Trajectory`) or any nested
+      tuple, list or dict of them.  Nothing else is computed or stored.
+    - `solver`: a structured solver (default, see `choose_solver`) or any diffrax solver.
+    - `rtol`, `atol`: tolerances of the step-size control (default atol = rtol / 10).
+    - `max_step`: no step is longer (dimensionless time; a period is about 2 pi).
+    - `max_steps`: steps allowed for the run (each segment); None is no limit.
+    - `segments`: cut the run into this many parts of equal length and return the observed values
+      of each, stacked in front; observers start anew in each part.
+    - `adjoint`: None is `diffrax.ForwardMode()` (for `jvp`, `jacfwd`, monodromy);
+      `diffrax.RecursiveCheckpointAdjoint()` with a finite `max_steps` serves `grad`.
+    - `throw`: raise an error if the run fails; otherwise read `result`.
+
+    **Raises:** `ValueError` for bad input before anything is compiled; `RuntimeError` with advice
+    if the run fails and `throw` is set.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import Amplitude, equation_8, paper_chain, simulate
+        >>> chain = paper_chain(n=20, belt_speed=1.5)
+        >>> run = simulate(chain, equation_8(chain, 1), 200.0, observe=Amplitude(window=50.0))
+        >>> int((run.observed > 0.3).sum())
+        1
+    """
+    require_x64()
+    initial = _check_input(initial, t0, t1, rtol, atol, max_step, max_steps, segments)
+    atol = 0.1 * rtol if atol is None else atol
+    if solver is None:
+        solver = choose_solver(chain, _concrete(rtol, 1e-6), _concrete(max_step, MAX_STEP))
+    leaves, treedef = jtu.tree_flatten(observe, is_leaf=_is_observer)
+    for leaf in leaves:
+        if not _is_observer(leaf):
+            raise ValueError(
+                "Argument `observe` must hold observers (`Amplitude`, `PeakTimes`, `Section`, "
+                f"`Trajectory`), but holds {leaf!r}."
+            )
+        if isinstance(leaf, Trajectory):
+            _check_trajectory(leaf, t0, t1, segments)
+    plan = Plan(
+        solver,
+        [o for o in leaves if isinstance(o, AbstractObserver)],
+        rtol=rtol,
+        atol=atol,
+        max_step=max_step,
+        t1=t1,
+    )
+    trajectories = [o for o in leaves if isinstance(o, Trajectory)]
+    out, values = _run(
+        plan, chain, initial, to_float(t0), to_float(t1), trajectories,
+        max_steps, segments, adjoint,
+    )  # fmt: skip
+    if throw:
+        out = _raise_on_failure(out)
+    observed_values = iter(values[0])
+    trajectory_values = iter(values[1])
+    observed = jtu.tree_unflatten(
+        treedef,
+        [
+            next(trajectory_values) if isinstance(o, Trajectory) else next(observed_values)
+            for o in leaves
+        ],
+    )
+    return Simulation(out.t, out.state, observed, out.result, out.steps, out.rejected)
+
+
+@eqx.filter_jit
+def _run(
+    plan: Plan,
+    chain: AbstractOscillators,
+    initial: State,
+    t0: Array,
+    t1: Array,
+    trajectories: list[Trajectory],
+    max_steps: int | None,
+    segments: int | None,
+    adjoint: dfx.AbstractAdjoint | None,
+) -> tuple[Progress, tuple[list, list]]:
+    def read(progress: Progress) -> list:
+        accumulators = progress.solver_state.accumulators
+        return [o.read(a) for o, a in zip(plan.observers, accumulators, strict=True)]
+
+    if segments is None:
+        saveat = dfx.SaveAt(subs=[dfx.SubSaveAt(ts=o.times) for o in trajectories])
+        progress = begin(plan, chain, initial, t0, t1)
+        progress, saved = advance(
+            plan, chain, progress, t1, max_steps=max_steps, saveat=saveat, adjoint=adjoint
+        )
+        return progress, (read(progress), saved)
+
+    def segment(progress: Progress, ends: tuple[Array, Array]) -> tuple[Progress, list]:
+        start, end = ends
+        fresh = [o.init(start, end, progress.state) for o in plan.observers]
+        progress = eqx.tree_at(lambda p: p.solver_state.accumulators, progress, fresh)
+        progress, _ = advance(plan, chain, progress, end, max_steps=max_steps, adjoint=adjoint)
+        return progress, read(progress)
+
+    edges = t0 + (t1 - t0) * jnp.arange(segments + 1) / segments
+    progress = begin(plan, chain, initial, t0, edges[1])
+    progress, values = lax.scan(segment, progress, (edges[:-1], edges[1:]))
+    return progress, (values, [])
+
+
+def _concrete(value: Any, default: float) -> float:
+    """A number to choose a method by; a traced one is taken for the default."""
+    return default if is_traced(value) else float(value)
+
+
+def _check_input(
+    initial: Any,
+    t0: Any,
+    t1: Any,
+    rtol: Any,
+    atol: Any,
+    max_step: Any,
+    max_steps: int | None,
+    segments: int | None,
+) -> State:
+    if not isinstance(initial, tuple | list) or len(initial) != 2:
+        raise ValueError(
+            "Argument `initial` must be the pair (displacement, velocity), but is "
+            f"{type(initial).__name__}."
+        )
+    x, v = (jnp.asarray(part, float) for part in initial)
+    if x.ndim != 1 or x.shape != v.shape:
+        raise ValueError(
+            "Argument `initial` must hold a displacement and a velocity of the same shape (n,), "
+            f"but they have shapes {x.shape} and {v.shape}. Use `jax.vmap` or `sweep` for several."
+        )
+    check_finite("initial displacement", x, "see `excited_state` for initial states.")
+    check_finite("initial velocity", v, "see `excited_state` for initial states.")
+    check_span(t0, t1)
+    check_tolerances(rtol, atol, max_step)
+    check_count("max_steps", max_steps)
+    check_count("segments", segments)
+    return x, v
+
+
+def _check_trajectory(trajectory: Trajectory, t0: Any, t1: Any, segments: int | None) -> None:
+    times = trajectory.times
+    if segments is not None:
+        raise ValueError(
+            "A `Trajectory` cannot be observed together with `segments`: its times lie in several "
+            "of them. Leave out `segments`."
+        )
+    if times.ndim != 1 or times.shape[0] == 0:
+        raise ValueError(
+            f"`Trajectory` needs a non-empty one-dimensional array of times, but has shape "
+            f"{times.shape}."
+        )
+    if is_traced(times, t0, t1):
+        return
+    ts = np.asarray(times)
+    if np.any(np.diff(ts) < 0) or ts[0] < float(t0) or ts[-1] > float(t1):
+        raise ValueError(
+            f"The times of a `Trajectory` must increase and lie within [{float(t0)}, "
+            f"{float(t1)}], but they run from {ts[0]} to {ts[-1]}."
+        )
+
+
+def _raise_on_failure(progress: Progress) -> Progress:
+    value = code(progress.result)
+    if is_traced(value):
+        well = jnp.stack([progress.result == getattr(Result, name) for name in STOPPED_WELL])
+        return progress.result.error_if(progress, ~jnp.any(well))
+    name = NAMES[int(value)]
+    if name not in STOPPED_WELL:
+        raise RuntimeError(
+            f"The run ended at t = {float(progress.t):.6g} with `{name}`: {message(name)}"
+        )
+    return progress
