@@ -1,0 +1,84 @@
+"""What may be swept: the input of an ensemble, checked before anything is compiled."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from jaxtyping import ArrayLike
+
+from ._checks import check_finite
+from .chain import Chain
+from .lanes import chain_names, initial_names
+from .observe import AbstractObserver, Amplitude, Trajectory
+
+MOST_LANES = 10_000_000
+
+
+def check_axes(chain: Chain, initial: Any, over: Mapping[str, ArrayLike]) -> dict[str, np.ndarray]:
+    own = initial_names(initial) if callable(initial) else []
+    allowed = [*chain_names(chain), *own]
+    if not over:
+        raise ValueError(
+            "Argument `over` must name at least one quantity to sweep; use `simulate` for one run."
+        )
+    axes = {}
+    for name, given in over.items():
+        if name not in allowed:
+            raise ValueError(
+                f"Argument `over` names {name!r}, which is neither a number of the chain nor a "
+                f"parameter of `initial`; allowed are {sorted(set(allowed))}."
+            )
+        values = np.asarray(given)
+        if values.ndim != 1 or values.size == 0:
+            raise ValueError(
+                f"Argument `over[{name!r}]` must be a non-empty one-dimensional array, but has "
+                f"shape {values.shape}."
+            )
+        check_finite(f"over[{name!r}]", values, "leave out such values.")
+        if name in chain_names(chain):
+            for extreme in (values.min(), values.max()):
+                chain.with_(**{name: extreme})  # raises for impossible numbers
+            values = values.astype(float)
+        axes[name] = values
+    missing = [name for name in own if name not in axes and not _has_default(initial, name)]
+    if missing:
+        raise ValueError(f"`initial` needs {missing}: give their values in `over`.")
+    total = int(np.prod([float(v.size) for v in axes.values()]))
+    if total > MOST_LANES:
+        raise ValueError(
+            f"Argument `over` asks for {total} lanes; at most {MOST_LANES} run in one sweep. "
+            "Sweep over fewer values, or split the sweep."
+        )
+    return axes
+
+
+def _has_default(function: Callable, name: str) -> bool:
+    parameter = inspect.signature(function).parameters[name]
+    return parameter.default is not inspect.Parameter.empty
+
+
+def check_observers(observe: Any, length: float) -> list[AbstractObserver]:
+    if observe is None:
+        return [Amplitude(window=0.1 * length if length > 0 else None)]
+    observers = list(observe) if isinstance(observe, list | tuple) else [observe]
+    for observer in observers:
+        if isinstance(observer, Trajectory):
+            raise ValueError(
+                "Argument `observe` holds a `Trajectory`, which lanes that come and go cannot "
+                "store. Use `jax.vmap(simulate)` for trajectories of a few lanes."
+            )
+        if not isinstance(observer, AbstractObserver):
+            raise ValueError(
+                "Argument `observe` must be an observer (`Amplitude`, `PeakTimes`, `Section`) or "
+                f"a list of them, but holds {observer!r}."
+            )
+    kinds = [type(o) for o in observers]
+    if len(set(kinds)) < len(kinds):
+        raise ValueError(
+            "Argument `observe` holds two observers of the same kind, whose results would share "
+            "their names. Run two sweeps."
+        )
+    return observers

@@ -1,0 +1,282 @@
+"""Sweeps: one compiled program, many lanes, every device busy until the last lane is done.
+
+`vmap` of a whole integration runs until its slowest lane ends, and quiet lanes cost as much as
+vibrating ones.  Here a fixed number of lanes on every device is advanced by a fixed number of
+steps at a time (a *round*); lanes that have ended hand over their results and take the next job.
+A lane sees nothing of its neighbours: its steps and rounds are the same whoever runs beside it.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import diffrax as dfx
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jax.tree_util as jtu
+import numpy as np
+from jax.sharding import Mesh, NamedSharding
+from jax.sharding import PartitionSpec as P
+from jaxtyping import ArrayLike
+from tqdm import tqdm
+
+from ._checks import check_count, check_span, check_tolerances, require_x64, to_float
+from ._types import ScalarLike, State
+from .axes import check_axes, check_observers
+from .chain import Chain
+from .engine import MAX_STEP, Plan, choose_solver
+from .lanes import (
+    Lane,
+    Task,
+    advance_lane,
+    departures,
+    on_all_lanes,
+    read_lane,
+    restart_lane,
+    start_lane,
+)
+from .observe import AbstractObserver
+from .result import NAMES, STOPPED_WELL, message
+
+if TYPE_CHECKING:
+    from xarray import Dataset
+
+# Numbers per array of one device's lanes: what keeps the arrays of a step within a core's cache.
+_NUMBERS_PER_DEVICE = {"cpu": 1280, "gpu": 1 << 20}
+# Share of the free memory that results and lanes may take.
+_MEMORY_SHARE = 0.8
+
+
+class SweepInterrupted(KeyboardInterrupt):
+    """Ctrl-C during a sweep; `dataset` holds every lane that had ended."""
+
+    def __init__(self, dataset: Dataset):
+        super().__init__("The sweep was interrupted; `.dataset` holds the lanes that had ended.")
+        self.dataset = dataset
+
+
+def sweep(
+    chain: Chain,
+    initial: State | Callable[..., State],
+    t1: ScalarLike,
+    *,
+    over: Mapping[str, ArrayLike],
+    observe: AbstractObserver | Sequence[AbstractObserver] | None = None,
+    t0: ScalarLike = 0.0,
+    solver: dfx.AbstractSolver | None = None,
+    rtol: ScalarLike = 1e-6,
+    atol: ScalarLike | None = None,
+    max_step: ScalarLike = MAX_STEP,
+    max_steps: int | None = None,
+    lanes: int | None = None,
+    devices: Sequence[jax.Device] | None = None,
+    progress: bool = False,
+    description: str = "sweep",
+) -> Dataset:
+    """Runs a chain for every combination of the values in `over`.
+
+    **Arguments:**
+
+    - `initial`: the pair (x, v), or a function (chain, **own) -> (x, v) that JAX can trace; its
+      parameters beyond the chain are taken from `over`.
+    - `t1`, `t0`: dimensionless times.
+    - `over`: ordered mapping from a name to a one-dimensional array: any number of the chain or of
+      its friction law (`belt_speed`, `damping_ratio`, `coupling`, `width`, `mu_static`, ...), or a
+      parameter of `initial` (`excited`, a seed, ...).
+    - `observe`: one observer or several of different kinds (default: `Amplitude` over the last
+      tenth of the run).  A `Trajectory` does not fit into lanes; use `jax.vmap(simulate)`.
+    - `solver`, `rtol`, `atol`, `max_step`, `max_steps`: as for `simulate`, the same for all lanes.
+    - `lanes`: lanes at a time on each device (default: what fits its cache).
+    - `devices`: default all local devices.
+    - `progress`: show a progress bar.
+
+    **Returns:** an `xarray.Dataset` with the dimensions of `over` and `oscillator` (1 ... n), see
+    `jaxchain.dataset`.  Failed lanes are NaN and carry their reason in `result`; they leave the
+    others untouched.
+
+    **Raises:** `ValueError` for bad input before anything is compiled; `MemoryError` if the
+    results cannot fit; `SweepInterrupted` on Ctrl-C, with what was finished.
+
+    !!! example
+
+        >>> import jax, numpy as np
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import Amplitude, equation_8, paper_chain, sweep
+        >>> result = sweep(
+        ...     paper_chain(n=4), lambda chain, excited: equation_8(chain, excited), 100.0,
+        ...     over={"belt_speed": [1.4, 1.5], "excited": [0, 1]}, observe=Amplitude(window=20.0),
+        ... )
+        >>> result.active_count.dims
+        ('belt_speed', 'excited')
+    """
+    # pandas comes with xarray, and would double the time of `import jaxchain`.
+    from .dataset import describe, to_dataset
+
+    require_x64()
+    axes = check_axes(chain, initial, over)
+    observers = check_observers(observe, float(t1) - float(t0))
+    check_span(t0, t1)
+    check_tolerances(rtol, atol, max_step)
+    check_count("max_steps", max_steps)
+    check_count("lanes", lanes)
+    grid = np.meshgrid(*axes.values(), indexing="ij")
+    jobs = {name: g.ravel() for name, g in zip(axes, grid, strict=True)}
+    atol = 0.1 * rtol if atol is None else atol
+    if solver is None:
+        solver = choose_solver(_strongest(chain, axes), float(rtol), float(max_step))
+    plan = Plan(solver, observers, rtol=rtol, atol=atol, max_step=max_step, t1=t1)
+    most = np.iinfo(np.int64).max if max_steps is None else max_steps
+    task = Task(plan, chain, initial, to_float(t0), to_float(t1), jnp.asarray(most))
+    runner = _Runner(task, jobs, devices, lanes)
+    started = time.perf_counter()
+    interrupted = False
+    try:
+        runner.run(progress, description)
+    except KeyboardInterrupt:
+        interrupted = True
+    attrs = describe(chain, plan, t0=float(t0), t1=float(t1), swept=list(axes))
+    attrs |= {
+        "wall_time_s": round(time.perf_counter() - started, 3),
+        "devices": ", ".join(str(d) for d in runner.devices),
+        "lanes_per_device": runner.lanes,
+    }
+    dataset = to_dataset(runner.records, axes, chain, observers, attrs)
+    if interrupted:
+        raise SweepInterrupted(dataset)
+    _warn_of_failures(dataset)
+    return dataset
+
+
+class _Runner:
+    """The host's side of a sweep: hands jobs to lanes and collects what they return."""
+
+    def __init__(
+        self,
+        task: Task,
+        jobs: dict[str, np.ndarray],
+        devices: Sequence[jax.Device] | None,
+        lanes: int | None,
+    ):
+        self.task, self.jobs = task, jobs
+        self.total = next(iter(jobs.values())).shape[0]
+        self.devices = list(jax.local_devices() if devices is None else devices)[: self.total]
+        self.lanes = _lane_count(task.chain.n, self.total, self.devices, lanes)
+        self.width = self.lanes * len(self.devices)
+        self.mesh = Mesh(np.array(self.devices), ("lanes",))
+        self.sharding = NamedSharding(self.mesh, P("lanes"))
+        self.owner = np.full(self.width, -1)  # job of each lane; -1 is idle
+        first = {k: jnp.asarray(v[0]) for k, v in jobs.items()}
+        self.lane_shape = eqx.filter_eval_shape(start_lane, task, first)
+        self.records = self._allocate()
+
+    def _allocate(self) -> dict[str, Any]:
+        """Host arrays for every job; raises before anything is compiled if they cannot fit."""
+        shapes = eqx.filter_eval_shape(read_lane, self.task, self.lane_shape)
+        leaves = jtu.tree_leaves(shapes)
+        need = self.total * sum(int(np.prod(s.shape)) * s.dtype.itemsize for s in leaves)
+        free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+        if need > _MEMORY_SHARE * free:
+            raise MemoryError(
+                f"The results of {self.total} lanes need {need / 2**30:.1f} GiB, but "
+                f"{free / 2**30:.1f} GiB are free. Sweep over fewer values, or observe less."
+            )
+
+        def blank(s: jax.ShapeDtypeStruct) -> np.ndarray:
+            fill = np.nan if np.issubdtype(s.dtype, np.floating) else NAMES.index("interrupted")
+            return np.full((self.total, *s.shape), fill, s.dtype)
+
+        return jtu.tree_map(blank, shapes)
+
+    def _empty_pool(self) -> Lane:
+        def empty(s: Any) -> Any:
+            if not isinstance(s, jax.ShapeDtypeStruct):
+                return s
+            return jax.device_put(np.zeros((self.width, *s.shape), s.dtype), self.sharding)
+
+        return jtu.tree_map(empty, self.lane_shape)
+
+    def run(self, show: bool, description: str) -> None:
+        waiting = self._order()
+        pool, waiting = self._refill(self._empty_pool(), waiting)
+        with tqdm(
+            total=self.total,
+            desc=description,
+            unit="lane",
+            disable=not show,
+            bar_format="{desc}: {percentage:3.0f}%|{bar}| {n:.1f}/{total} lanes "
+            "[{elapsed}<{remaining}]",
+        ) as bar:
+            finished = 0
+            while np.any(self.owner >= 0):
+                pool, ended = on_all_lanes(advance_lane, self.mesh, self.task, pool)
+                done = np.asarray(ended) & (self.owner >= 0)
+                if done.any():
+                    self._store(on_all_lanes(read_lane, self.mesh, self.task, pool), done)
+                    finished += int(done.sum())
+                    self.owner[done] = -1
+                    if waiting.size:
+                        pool, waiting = self._refill(pool, waiting)
+                if show:
+                    bar.n = finished + self._fraction_under_way(pool)
+                    bar.refresh()
+
+    def _order(self) -> np.ndarray:
+        """Jobs that start farthest from rest first: they take longest, and must not come last."""
+        jobs = {k: jnp.asarray(v) for k, v in self.jobs.items()}
+        return np.argsort(-np.asarray(departures(self.task, jobs)), kind="stable")
+
+    def _refill(self, pool: Lane, waiting: np.ndarray) -> tuple[Lane, np.ndarray]:
+        """Idle lanes take the first jobs of `waiting`; returns the pool and the rest."""
+        slots = np.flatnonzero(self.owner < 0)[: waiting.size]
+        batch, rest = waiting[: slots.size], waiting[slots.size :]
+        index = np.full(self.width, batch[0])
+        index[slots] = self.owner[slots] = batch
+        take = np.zeros(self.width, bool)
+        take[slots] = True
+        values = {k: jax.device_put(v[index], self.sharding) for k, v in self.jobs.items()}
+        take = jax.device_put(take, self.sharding)
+        return on_all_lanes(restart_lane, self.mesh, self.task, pool, take, values), rest
+
+    def _store(self, values: dict[str, Any], done: np.ndarray) -> None:
+        rows = self.owner[done]
+        jtu.tree_map(
+            lambda record, value: record.__setitem__(rows, np.asarray(value)[done]),
+            self.records,
+            values,
+        )
+
+    def _fraction_under_way(self, pool: Lane) -> float:
+        t0, t1 = float(self.task.t0), float(self.task.t1)
+        gone = (np.asarray(pool.progress.t) - t0) / max(t1 - t0, 1e-300)
+        return float(np.sum(gone[self.owner >= 0]))
+
+
+def _lane_count(n: int, total: int, devices: Sequence[jax.Device], lanes: int | None) -> int:
+    share = -(-total // len(devices))
+    if lanes is None:
+        platform = "cpu" if devices[0].platform == "cpu" else "gpu"
+        lanes = max(1, _NUMBERS_PER_DEVICE[platform] // n)
+    return min(lanes, share)
+
+
+def _strongest(chain: Chain, axes: Mapping[str, np.ndarray]) -> Chain:
+    """The chain with the strongest coupling of the sweep, for the choice of the linear solve."""
+    if "coupling" in axes:
+        return chain.with_(coupling=float(np.max(axes["coupling"])))
+    return chain
+
+
+def _warn_of_failures(dataset: Dataset) -> None:
+    codes = dataset["result"].values
+    for value, name in enumerate(NAMES):
+        count = int(np.sum(codes == value))
+        if count and name not in STOPPED_WELL:
+            warnings.warn(
+                f"{count} of {codes.size} lanes ended with `{name}`: {message(name)}",
+                stacklevel=3,
+            )
