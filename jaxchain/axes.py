@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from jaxtyping import ArrayLike
 
 from ._checks import check_finite
 from .chain import Chain
@@ -17,7 +16,7 @@ from .observe import AbstractObserver, Amplitude, Trajectory
 MOST_LANES = 10_000_000
 
 
-def check_axes(chain: Chain, initial: Any, over: Mapping[str, ArrayLike]) -> dict[str, np.ndarray]:
+def check_axes(chain: Chain, initial: Any, over: Mapping[str, Any]) -> dict[str, np.ndarray]:
     own = initial_names(initial) if callable(initial) else []
     allowed = [*chain_names(chain), *own]
     if not over:

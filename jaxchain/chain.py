@@ -7,7 +7,7 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from ._checks import check_finite, check_nonnegative, check_positive, to_float
 from ._types import PerMass, ScalarLike, State
@@ -52,10 +52,10 @@ class Chain(AbstractOscillators):
     """
 
     friction: TanhFriction
-    belt_speed: Float[Array, ""]
-    damping_ratio: PerMass
-    stiffness: PerMass
-    normal_load: PerMass | None
+    belt_speed: Array
+    damping_ratio: Array
+    stiffness: Array
+    normal_load: Array | None
     springs: Springs | None
     n: int = eqx.field(static=True)
 
@@ -63,12 +63,12 @@ class Chain(AbstractOscillators):
         self,
         n: int,
         friction: TanhFriction,
-        belt_speed: ScalarLike,
-        damping_ratio: ScalarLike | Float[Array, " n"] = 0.05,
-        coupling: ScalarLike | Float[Array, " springs"] | None = None,
-        stiffness: ScalarLike | Float[Array, " n"] = 1.0,
-        normal_load: ScalarLike | Float[Array, " n"] | None = None,
-        ends: Ends = "cyclic",
+        belt_speed: ArrayLike,
+        damping_ratio: ArrayLike = 0.05,
+        coupling: ArrayLike | None = None,
+        stiffness: ArrayLike = 1.0,
+        normal_load: ArrayLike | None = None,
+        ends: str = "cyclic",
     ):
         if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 1:
             raise ValueError(f"Argument `n` must be a positive integer, but is {n!r}.")
@@ -80,8 +80,9 @@ class Chain(AbstractOscillators):
         self.damping_ratio = to_float(damping_ratio)
         self.stiffness = to_float(stiffness)
         self.normal_load = None if normal_load is None else to_float(normal_load)
-        self.springs = None if coupling is None else Springs(to_float(coupling), ends)
-        self._check_shapes(ends)
+        kind: Ends = "cyclic" if ends == "cyclic" else "free"
+        self.springs = None if coupling is None else Springs(to_float(coupling), kind)
+        self._check_shapes(kind)
         self._check_values()
 
     def _check_shapes(self, ends: Ends) -> None:
@@ -122,7 +123,7 @@ class Chain(AbstractOscillators):
             )
 
     @property
-    def coupling(self) -> Float[Array, "*springs"] | None:
+    def coupling(self) -> Array | None:
         """eta_c: None, one number, or one per spring."""
         return None if self.springs is None else self.springs.constant
 
@@ -185,7 +186,7 @@ class Chain(AbstractOscillators):
         return Chain(**own)
 
 
-def paper_chain(n: int = 20, belt_speed: ScalarLike = 1.5, width: ScalarLike = 1e-3) -> Chain:
+def paper_chain(n: int = 20, belt_speed: ArrayLike = 1.5, width: ArrayLike = 1e-3) -> Chain:
     """The parameter set of the paper, eq. (7): xi 0.05, mu_d 0.5, mu_st 1, v_0 0.5, eta_c 0.01.
 
     **Arguments:** number of masses, dimensionless belt speed v_d, and the regularization width

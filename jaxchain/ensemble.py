@@ -22,7 +22,7 @@ import jax.tree_util as jtu
 import numpy as np
 from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
-from jaxtyping import ArrayLike
+from jaxtyping import Array
 from tqdm import tqdm
 
 from ._checks import check_count, check_span, check_tolerances, require_x64, to_float
@@ -65,7 +65,7 @@ def sweep(
     initial: State | Callable[..., State],
     t1: ScalarLike,
     *,
-    over: Mapping[str, ArrayLike],
+    over: Mapping[str, Sequence[float] | np.ndarray | Array],
     observe: AbstractObserver | Sequence[AbstractObserver] | None = None,
     t0: ScalarLike = 0.0,
     solver: dfx.AbstractSolver | None = None,
@@ -74,7 +74,7 @@ def sweep(
     max_step: ScalarLike = MAX_STEP,
     max_steps: int | None = None,
     lanes: int | None = None,
-    devices: Sequence[jax.Device] | None = None,
+    devices: Sequence[Any] | None = None,
     progress: bool = False,
     description: str = "sweep",
 ) -> Dataset:
@@ -159,7 +159,7 @@ class _Runner:
         self,
         task: Task,
         jobs: dict[str, np.ndarray],
-        devices: Sequence[jax.Device] | None,
+        devices: Sequence[Any] | None,
         lanes: int | None,
     ):
         self.task, self.jobs = task, jobs
@@ -256,7 +256,7 @@ class _Runner:
         return float(np.sum(gone[self.owner >= 0]))
 
 
-def _lane_count(n: int, total: int, devices: Sequence[jax.Device], lanes: int | None) -> int:
+def _lane_count(n: int, total: int, devices: Sequence[Any], lanes: int | None) -> int:
     share = -(-total // len(devices))
     if lanes is None:
         platform = "cpu" if devices[0].platform == "cpu" else "gpu"

@@ -8,8 +8,6 @@ evaluation of the friction force and one (cyclic) tridiagonal solve.  No Newton 
 dense matrix.
 """
 
-from __future__ import annotations
-
 import abc
 from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, TypeAlias
@@ -106,7 +104,7 @@ class AbstractStructuredRosenbrock(dfx.AbstractAdaptiveSolver):
     interpolation_cls: ClassVar[Callable[..., RosenbrockInterpolation]] = RosenbrockInterpolation
 
     @abc.abstractmethod
-    def with_sweeps(self, sweeps: int | None) -> AbstractStructuredRosenbrock:
+    def with_sweeps(self, sweeps: int | None) -> "AbstractStructuredRosenbrock":
         """The same method with another linear solve."""
 
     def order(self, terms: Any) -> int:
@@ -218,7 +216,7 @@ class Rodas4(AbstractStructuredRosenbrock):
     method_order: ClassVar[int] = 4
     sweeps: int | None = eqx.field(static=True, default=None)
 
-    def with_sweeps(self, sweeps: int | None) -> Rodas4:
+    def with_sweeps(self, sweeps: int | None) -> "Rodas4":
         return Rodas4(sweeps)
 
 
@@ -234,5 +232,5 @@ class Rodas5P(AbstractStructuredRosenbrock):
     method_order: ClassVar[int] = 5
     sweeps: int | None = eqx.field(static=True, default=None)
 
-    def with_sweeps(self, sweeps: int | None) -> Rodas5P:
+    def with_sweeps(self, sweeps: int | None) -> "Rodas5P":
         return Rodas5P(sweeps)

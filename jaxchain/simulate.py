@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import jax.tree_util as jtu
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float, Int, PyTree
+from jaxtyping import Array, ArrayLike, Float, Int, PyTree
 
 from ._checks import (
     check_count,
@@ -52,15 +52,15 @@ class Simulation(eqx.Module):
 
 def simulate(
     chain: AbstractOscillators,
-    initial: State,
+    initial: Any,
     t1: ScalarLike,
     *,
     t0: ScalarLike = 0.0,
     observe: PyTree = None,
     solver: dfx.AbstractSolver | None = None,
-    rtol: ScalarLike = 1e-6,
-    atol: ScalarLike | None = None,
-    max_step: ScalarLike = MAX_STEP,
+    rtol: ArrayLike = 1e-6,
+    atol: ArrayLike | None = None,
+    max_step: ArrayLike = MAX_STEP,
     max_steps: int | None = None,
     segments: int | None = None,
     adjoint: dfx.AbstractAdjoint | None = None,
@@ -92,15 +92,14 @@ def simulate(
 
         >>> import jax
         >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import Amplitude, equation_8, paper_chain, simulate
+        >>> from jaxchain import Amplitude, active, equation_8, paper_chain, simulate
         >>> chain = paper_chain(n=20, belt_speed=1.5)
         >>> run = simulate(chain, equation_8(chain, 1), 200.0, observe=Amplitude(window=50.0))
-        >>> int((run.observed > 0.3).sum())
+        >>> int(active(run.observed, 1.5).sum())
         1
     """
     require_x64()
     initial = _check_input(initial, t0, t1, rtol, atol, max_step, max_steps, segments)
-    atol = 0.1 * rtol if atol is None else atol
     if solver is None:
         solver = choose_solver(chain, _concrete(rtol, 1e-6), _concrete(max_step, MAX_STEP))
     leaves, treedef = jtu.tree_flatten(observe, is_leaf=_is_observer)
@@ -116,7 +115,7 @@ def simulate(
         solver,
         [o for o in leaves if isinstance(o, AbstractObserver)],
         rtol=rtol,
-        atol=atol,
+        atol=0.1 * rtol if atol is None else atol,
         max_step=max_step,
         t1=t1,
     )

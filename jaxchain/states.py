@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int
@@ -12,8 +10,6 @@ from ._checks import to_float
 from ._types import ScalarLike, State
 from .chain import Chain, steady_sliding
 
-Block = Literal["forward", "centred"]
-
 
 def reference_site(n: int) -> int:
     """Index (from 0) of the mass that every excited block contains: oscillator 11 of 20."""
@@ -21,7 +17,7 @@ def reference_site(n: int) -> int:
 
 
 def excited_block(
-    n: int, excited: int | Int[Array, ""], block: Block = "forward"
+    n: int, excited: int | Int[Array, ""], block: str = "forward"
 ) -> Bool[Array, " n"]:
     """Which masses a contiguous block of `excited` masses holds, shape (n,).
 
@@ -42,12 +38,12 @@ def alternating(n: int) -> Int[Array, " n"]:
 
 def excited_state(
     chain: Chain,
-    excited: int | Int[Array, ""] | Bool[Array, " n"],
+    excited: int | Array,
     *,
     amplitude: ScalarLike = 2.0,
     velocity: ScalarLike = 0.0,
-    block: Block = "forward",
-    pattern: Literal["alternating", "in-phase"] = "alternating",
+    block: str = "forward",
+    pattern: str = "alternating",
     mirrored: bool = False,
 ) -> State:
     """Steady sliding with some masses pulled away: eq. (8) of the paper by default.
@@ -94,7 +90,7 @@ def _pull_away(
     return offset + jnp.where(mask, amplitude * sign, 0.0), v + velocity
 
 
-def equation_8(chain: Chain, excited: int | Int[Array, ""], block: Block = "forward") -> State:
+def equation_8(chain: Chain, excited: int | Int[Array, ""], block: str = "forward") -> State:
     """Initial state of the paper's eq. (8): alternating displacements of 2, at rest."""
     return excited_state(chain, excited, block=block)
 
@@ -102,8 +98,8 @@ def equation_8(chain: Chain, excited: int | Int[Array, ""], block: Block = "forw
 def equation_10(
     chain: Chain,
     excited: int | Int[Array, ""],
-    block: Block = "forward",
-    reading: Literal["as_printed", "as_equation_8"] = "as_equation_8",
+    block: str = "forward",
+    reading: str = "as_equation_8",
 ) -> State:
     """Initial state of the paper's eq. (10): alternating displacements of 2, all velocities 0.56.
 

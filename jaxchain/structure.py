@@ -9,8 +9,6 @@ where g acts mass by mass and C holds the couplings between nearest neighbours. 
 (cyclic) tridiagonal system per stage, and this module solves it.
 """
 
-from __future__ import annotations
-
 import abc
 import functools as ft
 from collections.abc import Callable
@@ -32,7 +30,7 @@ Ends = Literal["cyclic", "free"]
 SWEEP_TOLERANCE = 1e-10
 
 
-def _pad(x: Float[Array, " n"], ends: Ends) -> Float[Array, " n+2"]:
+def _pad(x: Float[Array, " n"], ends: Ends) -> Float[Array, " padded"]:
     if ends == "cyclic":
         return jnp.concatenate([x[-1:], x, x[:1]])
     zero = jnp.zeros_like(x[:1])
@@ -89,7 +87,7 @@ class Springs(eqx.Module):
     - `ends`: "cyclic" or "free".
     """
 
-    constant: Float[Array, "*springs"]
+    constant: Array
     ends: Ends = eqx.field(static=True)
 
     def _left_right(self) -> tuple[Array, Array]:
@@ -175,7 +173,7 @@ class AbstractOscillators(eqx.Module):
         x, v = y
         return v, self.velocity_force(t, v) + self.restoring_force(x)
 
-    def jacobian(self, t: ScalarLike, y: State) -> Float[Array, "2n 2n"]:
+    def jacobian(self, t: ScalarLike, y: State) -> Float[Array, "two_n two_n"]:
         """[[0, I], [-K, diag(dg/dv)]] as a dense matrix, in the order (x_1..x_n, v_1..v_n)."""
         _, v = y
         n = v.shape[0]

@@ -1,0 +1,77 @@
+"""Oscillator systems with exact solutions, for the structured solvers."""
+
+import abc
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from jaxchain.structure import AbstractOscillators, Springs
+
+
+class AbstractExactOscillators(AbstractOscillators):
+    """A system that knows its own solution (x, v) at any time."""
+
+    @abc.abstractmethod
+    def exact(self, t):
+        """(x, v) at time t from the state `exact(0)`."""
+
+
+class LinearRing(AbstractExactOscillators):
+    """x'' = -2 xi x' - k x + C x with one damping and one stiffness per mass: exp(J t) y_0."""
+
+    damping: jax.Array
+    stiffness: jax.Array
+    springs: Springs | None
+    x0: jax.Array
+    v0: jax.Array
+
+    def velocity_force(self, t, v):
+        return -2 * self.damping * v
+
+    def time_slope(self, t, v):
+        return None
+
+    def stiffness_diagonal(self, n):
+        return self.stiffness if self.springs is None else self.stiffness + self.springs.row_sum(n)
+
+    def exact(self, t):
+        n = self.x0.shape[0]
+        flow = jax.scipy.linalg.expm(t * self.jacobian(0.0, (self.x0, self.v0)))
+        y = flow @ jnp.concatenate([self.x0, self.v0])
+        return y[:n], y[n:]
+
+
+class Driven(AbstractExactOscillators):
+    """Prothero and Robinson's problem for an oscillator: x = s(t) = sin(t + phase) whatever rate is.
+
+    v' = -rate (v - s') + s'' + K (s - x) + nonlinear (v^3 - s'^3), with K the whole stiffness;
+    the greater `rate`, the stiffer.
+    """
+
+    rate: jax.Array
+    phase: jax.Array
+    nonlinear: jax.Array
+    springs: Springs | None
+    stiffness: float = eqx.field(static=True, default=1.0)
+
+    def _force(self, t, v):
+        s, ds = jnp.sin(t + self.phase), jnp.cos(t + self.phase)
+        return (
+            -self.rate * (v - ds) - s - self.restoring_force(s)
+            - self.nonlinear * (v**3 - ds**3)
+        )  # fmt: skip
+
+    def velocity_force(self, t, v):
+        return self._force(t, v)
+
+    def time_slope(self, t, v):
+        return jax.jvp(lambda t: self._force(t, v), (jnp.asarray(t),), (jnp.ones(()),))[1]
+
+    def stiffness_diagonal(self, n):
+        if self.springs is None:
+            return jnp.asarray(self.stiffness)
+        return self.stiffness + self.springs.row_sum(n)
+
+    def exact(self, t):
+        return jnp.sin(t + self.phase), jnp.cos(t + self.phase)
