@@ -14,6 +14,18 @@ from .lanes import chain_names, initial_names
 from .observe import AbstractObserver, Amplitude, Trajectory
 
 MOST_LANES = 10_000_000
+RESULT_NAMES = (
+    "amplitude",
+    "energy",
+    "active_count",
+    "oscillator",
+    "peak",
+    "point",
+    "result",
+    "end_time",
+    "steps",
+    "rejected",
+)
 
 
 def check_axes(chain: Chain, initial: Any, over: Mapping[str, Any]) -> dict[str, np.ndarray]:
@@ -29,6 +41,11 @@ def check_axes(chain: Chain, initial: Any, over: Mapping[str, Any]) -> dict[str,
             raise ValueError(
                 f"Argument `over` names {name!r}, which is neither a number of the chain nor a "
                 f"parameter of `initial`; allowed are {sorted(set(allowed))}."
+            )
+        if name in RESULT_NAMES:
+            raise ValueError(
+                f"Argument `over` names {name!r}, which is also the name of a result: give that "
+                "parameter of `initial` another name."
             )
         values = np.asarray(given)
         if values.ndim != 1 or values.size == 0:

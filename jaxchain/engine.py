@@ -30,6 +30,10 @@ from .structure import SWEEP_TOLERANCE, AbstractOscillators
 MAX_STEP = 0.5
 MOST_SWEEPS = 3
 
+# How the observers' wish to stop leaves diffrax's loop: it overwrites an event that a solver
+# reports, and only a step-size controller that is not used here ever returns this one.
+_SETTLED: Any = dfx.RESULTS.max_steps_rejected
+
 
 class _ObservingState(eqx.Module):
     inner: Any
@@ -42,7 +46,7 @@ class ObservingSolver(dfx.AbstractWrappedSolver, dfx.AbstractAdaptiveSolver):
     """A diffrax solver whose state also carries observers' accumulators.
 
     diffeqsolve keeps a solver's state only for accepted steps, so observers see accepted steps
-    only.  When every observer is settled the step reports an event and the run ends.
+    only.  When every observer is settled the step says so and the run ends.
     """
 
     solver: dfx.AbstractSolver
@@ -63,6 +67,14 @@ class ObservingSolver(dfx.AbstractWrappedSolver, dfx.AbstractAdaptiveSolver):
     @property
     def scan_kind(self):  # diffrax asks every Runge-Kutta solver for it, wrapped or not
         return self.solver.scan_kind  # pyright: ignore[reportAttributeAccessIssue]
+
+    @property
+    def root_finder(self):  # and every implicit solver for these two
+        return self.solver.root_finder  # pyright: ignore[reportAttributeAccessIssue]
+
+    @property
+    def root_find_max_steps(self):
+        return self.solver.root_find_max_steps  # pyright: ignore[reportAttributeAccessIssue]
 
     def order(self, terms):
         return self.solver.order(terms)
@@ -112,7 +124,7 @@ class ObservingSolver(dfx.AbstractWrappedSolver, dfx.AbstractAdaptiveSolver):
                 settled = jnp.all(jnp.stack([v for v in votes if v is not None]))
                 result = dfx.RESULTS.where(
                     settled & (result == dfx.RESULTS.successful),
-                    dfx.RESULTS.event_occurred,
+                    _SETTLED,
                     result,
                 )
         # A last step that was clipped to the end of the run says little about the next one.
@@ -249,7 +261,7 @@ def advance(
     )
     ys, saved = solution.ys
     state = jtu.tree_map(lambda y: y[-1], ys)
-    stopped = solution.result == dfx.RESULTS.event_occurred
+    stopped = solution.result == _SETTLED
     quiet = jnp.asarray(False)
     for accumulator in solution.solver_state.accumulators:
         quiet = quiet | getattr(accumulator, "quiet", False)
@@ -271,7 +283,7 @@ def _translate(outcome: Any, quiet: Any, state: State) -> Result:
     result = Result.solver_failed
     pairs = {
         "successful": Result.successful,
-        "event_occurred": Result.steady,
+        "max_steps_rejected": Result.steady,  # `_SETTLED`
         "max_steps_reached": Result.max_steps_reached,
         "dt_min_reached": Result.step_too_small,
         "nonlinear_divergence": Result.untrusted_linear_solve,

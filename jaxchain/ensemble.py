@@ -22,7 +22,6 @@ import jax.tree_util as jtu
 import numpy as np
 from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
-from jaxtyping import Array
 from tqdm import tqdm
 
 from ._checks import check_count, check_span, check_tolerances, require_x64, to_float
@@ -40,7 +39,6 @@ from .lanes import (
     restart_lane,
     start_lane,
 )
-from .observe import AbstractObserver
 from .result import NAMES, STOPPED_WELL, message
 
 if TYPE_CHECKING:
@@ -65,8 +63,8 @@ def sweep(
     initial: State | Callable[..., State],
     t1: ScalarLike,
     *,
-    over: Mapping[str, Sequence[float] | np.ndarray | Array],
-    observe: AbstractObserver | Sequence[AbstractObserver] | None = None,
+    over: Mapping[str, Any],
+    observe: Any = None,
     t0: ScalarLike = 0.0,
     solver: dfx.AbstractSolver | None = None,
     rtol: ScalarLike = 1e-6,

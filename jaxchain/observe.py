@@ -304,7 +304,7 @@ def active(
     for each state of a batch.
     """
     threshold = jnp.maximum(jnp.abs(jnp.asarray(belt_speed)) / 2, LEAST_ACTIVE)
-    return amplitude > threshold[..., None]
+    return amplitude > (threshold[..., None] if threshold.ndim else threshold)
 
 
 def delays(

@@ -22,6 +22,7 @@ from ._checks import (
     to_float,
 )
 from ._types import ScalarLike, State
+from .chain import Chain
 from .engine import MAX_STEP, Plan, Progress, advance, begin, choose_solver
 from .observe import AbstractObserver, Trajectory
 from .result import NAMES, STOPPED_WELL, Result, code, message
@@ -38,7 +39,7 @@ class Simulation(eqx.Module):
     - `t`: the time at which it ended; earlier than asked if it stopped early or failed.
     - `state`: (x, v) at that time.
     - `observed`: the values of what was asked for in `observe`, in the same structure.
-    - `result`: see `Result`.
+    - `result`: see `Result`; `outcome` is its name, such as "successful".
     - `steps`, `rejected`: accepted and rejected steps.
     """
 
@@ -48,6 +49,11 @@ class Simulation(eqx.Module):
     result: Result
     steps: Int[Array, ""]
     rejected: Int[Array, ""]
+
+    @property
+    def outcome(self) -> str:
+        """The name of the result of one run (not of a batch), see `jaxchain.Result`."""
+        return NAMES[int(code(self.result))]
 
 
 def simulate(
@@ -99,7 +105,7 @@ def simulate(
         1
     """
     require_x64()
-    initial = _check_input(initial, t0, t1, rtol, atol, max_step, max_steps, segments)
+    initial = _check_input(chain, initial, t0, t1, rtol, atol, max_step, max_steps, segments)
     if solver is None:
         solver = choose_solver(chain, _concrete(rtol, 1e-6), _concrete(max_step, MAX_STEP))
     leaves, treedef = jtu.tree_flatten(observe, is_leaf=_is_observer)
@@ -181,6 +187,7 @@ def _concrete(value: Any, default: float) -> float:
 
 
 def _check_input(
+    chain: AbstractOscillators,
     initial: Any,
     t0: Any,
     t1: Any,
@@ -196,6 +203,11 @@ def _check_input(
             f"{type(initial).__name__}."
         )
     x, v = (jnp.asarray(part, float) for part in initial)
+    if isinstance(chain, Chain) and x.shape != (chain.n,):
+        raise ValueError(
+            f"Argument `initial` has a displacement of shape {x.shape}, but the chain has "
+            f"{chain.n} masses."
+        )
     if x.ndim != 1 or x.shape != v.shape:
         raise ValueError(
             "Argument `initial` must hold a displacement and a velocity of the same shape (n,), "

@@ -1,0 +1,161 @@
+"""Sweeps: the same numbers as single runs, whoever runs beside them; labels, failures, input."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import xarray as xr
+from jaxchain import (
+    Amplitude,
+    PeakTimes,
+    SweepInterrupted,
+    Trajectory,
+    equation_8,
+    excited_state,
+    paper_chain,
+    simulate,
+    sweep,
+)
+from jaxchain.result import NAMES
+
+CHAIN = paper_chain(4, belt_speed=1.4)
+OVER = {"belt_speed": [1.0, 1.4, 1.9], "excited": [0, 1, 4]}
+
+
+@pytest.fixture(scope="module")
+def small():
+    return sweep(CHAIN, equation_8, 60.0, over=OVER, observe=Amplitude(window=20.0))
+
+
+def test_every_lane_is_the_single_run(small):
+    for speed in OVER["belt_speed"]:
+        chain = CHAIN.with_(belt_speed=speed)
+        for excited in OVER["excited"]:
+            run = simulate(chain, equation_8(chain, excited), 60.0, observe=Amplitude(window=20.0))
+            lane = small.sel(belt_speed=speed, excited=excited)
+            np.testing.assert_allclose(lane.amplitude, run.observed, atol=1e-4)
+
+
+def test_the_dataset_is_labelled_and_tells_its_origin(small, tmp_path):
+    assert small.amplitude.dims == ("belt_speed", "excited", "oscillator")
+    assert small.oscillator.values.tolist() == [1, 2, 3, 4]
+    np.testing.assert_allclose(small.energy, 0.5 * (small.amplitude**2).sum("oscillator"))
+    assert small.active_count.sel(belt_speed=1.4).values.tolist() == [0, 1, 4]
+    assert (small.result == 0).all()
+    assert small.result.attrs["flag_meanings"].split() == list(NAMES)
+    for key in ("parameters", "solver", "rtol", "versions", "observers", "t1"):
+        assert key in small.attrs
+    for variable in small.variables.values():
+        assert "units" in variable.attrs
+    small.to_netcdf(tmp_path / "s.nc", engine="h5netcdf")
+    small.to_zarr(tmp_path / "s.zarr", consolidated=False)
+    with xr.open_dataset(tmp_path / "s.nc", engine="h5netcdf") as back:
+        xr.testing.assert_identical(back.load(), small)
+    again = xr.open_zarr(tmp_path / "s.zarr", consolidated=False).load()
+    xr.testing.assert_identical(again, small)
+
+
+def test_neither_the_number_of_lanes_nor_of_devices_changes_a_bit(small):
+    # Three lanes on one device are refilled twice; the fixture runs five lanes on two devices.
+    refilled = sweep(
+        CHAIN, equation_8, 60.0, over=OVER, observe=Amplitude(window=20.0),
+        lanes=3, devices=jax.devices()[:1],
+    )  # fmt: skip
+    assert len(jax.devices()) == 2
+    assert small.attrs["devices"] != refilled.attrs["devices"]
+    np.testing.assert_array_equal(refilled.amplitude, small.amplitude)
+    np.testing.assert_array_equal(refilled.steps, small.steps)
+
+
+def failing_start(chain, excited):
+    """Excited = 3 starts at infinity."""
+    x, v = equation_8(chain, excited)
+    return jnp.where(excited == 3, jnp.inf, x), v
+
+
+def test_a_failing_lane_is_marked_with_its_reason_and_harms_nobody():
+    arguments = {"over": {"excited": [0, 1, 2, 3, 4]}, "observe": Amplitude(window=20.0)}
+    with pytest.warns(UserWarning, match="1 of 5 lanes ended with `nonfinite`.*NaN or infinite"):
+        broken = sweep(CHAIN, failing_start, 60.0, **arguments)
+    whole = sweep(CHAIN, equation_8, 60.0, **arguments)
+    assert NAMES[int(broken.result[3])] == "nonfinite"
+    assert np.isnan(broken.amplitude[3]).all()
+    assert int(broken.active_count[3]) == -1
+    others = [0, 1, 2, 4]
+    np.testing.assert_array_equal(broken.amplitude[others], whole.amplitude[others])
+    assert (broken.result[others] == 0).all()
+
+
+def test_a_lane_that_needs_too_many_steps_is_marked():
+    with pytest.warns(UserWarning, match="max_steps_reached"):
+        result = sweep(
+            CHAIN, equation_8, 60.0, over={"excited": [0, 4]}, max_steps=300,
+            observe=Amplitude(window=20.0),
+        )  # fmt: skip
+    assert [NAMES[int(r)] for r in result.result] == ["successful", "max_steps_reached"]
+    assert float(result.end_time[1]) < 60.0
+
+
+def test_any_number_of_the_chain_and_of_the_start_can_be_swept():
+    result = sweep(
+        CHAIN,
+        lambda chain, pull: excited_state(chain, 4, amplitude=pull),
+        20.0,
+        over={"width": [1e-2, 1e-3], "mu_static": [0.9, 1.0], "pull": [0.0, 2.0]},
+        observe=[Amplitude(window=10.0), PeakTimes(capacity=4)],
+    )
+    assert result.amplitude.shape == (2, 2, 2, 4)
+    assert result.peak_time.dims == ("width", "mu_static", "pull", "peak", "oscillator")
+    chain = CHAIN.with_(width=1e-2, mu_static=0.9)
+    run = simulate(
+        chain, excited_state(chain, 4), 20.0, observe=[Amplitude(window=10.0), PeakTimes(4)]
+    )
+    lane = result.isel(width=0, mu_static=0, pull=1)
+    np.testing.assert_allclose(lane.amplitude, run.observed[0], atol=1e-4)
+    np.testing.assert_allclose(lane.peak_time, run.observed[1], atol=1e-3)
+
+
+def test_an_interrupted_sweep_hands_over_what_had_ended(monkeypatch):
+    from jaxchain import ensemble
+
+    calls = []
+    original = ensemble.on_all_lanes
+
+    def interrupt(function, *arguments):
+        calls.append(function.__name__)
+        if calls.count("read_lane") == 2:
+            raise KeyboardInterrupt
+        return original(function, *arguments)
+
+    monkeypatch.setattr(ensemble, "on_all_lanes", interrupt)
+    with pytest.raises(SweepInterrupted) as caught:
+        sweep(
+            CHAIN, equation_8, 60.0, over={"excited": [0, 1, 2, 3, 4]},
+            observe=Amplitude(window=20.0), lanes=2, devices=jax.devices()[:1],
+        )  # fmt: skip
+    result = caught.value.dataset
+    states = [NAMES[int(r)] for r in result.result]
+    assert 1 <= states.count("successful") <= 2
+    assert states.count("interrupted") == 5 - states.count("successful")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"over": {}}, "must name at least one quantity"),
+        ({"over": {"excited": [1], "speed": [1.0]}}, "names 'speed', which is neither"),
+        ({"over": {"excited": []}}, "non-empty one-dimensional"),
+        ({"over": {"excited": [1], "belt_speed": [1.0, float("nan")]}}, "must be finite"),
+        ({"over": {"excited": [1], "width": [1e-3, -1.0]}}, "`width` must be positive"),
+        ({"over": {"belt_speed": [1.0]}}, r"`initial` needs \['excited'\]"),
+        ({"over": {"excited": np.zeros(20_000), "belt_speed": np.ones(1000)}}, "20000000 lanes"),
+        ({"t1": -1.0}, "`t1` = -1.0 lies before"),
+        ({"lanes": 0}, "`lanes` must be None or an integer"),
+        ({"observe": [Amplitude(), Amplitude(window=5.0)]}, "two observers of the same kind"),
+        ({"observe": Trajectory(jnp.ones(1))}, r"Use `jax.vmap\(simulate\)`"),
+    ],
+)
+def test_bad_input_is_named_before_anything_runs(change, message):
+    arguments = {"t1": 60.0, "over": {"excited": [0]}, **change}
+    with pytest.raises(ValueError, match=message):
+        sweep(CHAIN, equation_8, arguments.pop("t1"), **arguments)

@@ -1,0 +1,158 @@
+"""Observers against runs whose answer is known, and against each other."""
+
+import diffrax as dfx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxchain import (
+    Amplitude,
+    PeakTimes,
+    Rodas4,
+    Rodas5P,
+    Section,
+    Trajectory,
+    active,
+    delays,
+    energy,
+    equation_8,
+    paper_chain,
+    simulate,
+)
+from systems.oscillators import LinearRing
+
+# Two undamped masses that know nothing of each other: x_n = X_n cos(omega_n t).
+OMEGA = np.array([1.0, 1.5])
+FREE = LinearRing(
+    damping=jnp.zeros(2),
+    stiffness=jnp.asarray(OMEGA**2),
+    springs=None,
+    x0=jnp.array([0.7, -0.4]),
+    v0=jnp.zeros(2),
+)
+START = (FREE.x0, FREE.v0)
+
+
+@pytest.mark.parametrize("solver", [Rodas4(), Rodas5P(), dfx.Tsit5()])
+def test_amplitude_of_a_cosine_is_found_between_steps(solver):
+    # Steps of 0.5 straddle the peaks; the greatest value at a step would be off by one per cent.
+    run = simulate(FREE, START, 40.0, observe=Amplitude(window=15.0), solver=solver, rtol=1e-6)
+    np.testing.assert_allclose(run.observed, [0.7, 0.4], rtol=2e-5)
+
+
+def test_amplitude_looks_at_its_window_only():
+    damped = LinearRing(
+        damping=jnp.array([0.1]), stiffness=jnp.array([1.0]), springs=None,
+        x0=jnp.array([1.0]), v0=jnp.array([0.0]),
+    )  # fmt: skip
+    run = simulate(damped, damped.exact(0.0), 40.0, observe=Amplitude(window=10.0), rtol=1e-8)
+    times = jnp.linspace(30.0, 40.0, 4001)
+    x = jax.vmap(damped.exact)(times)[0]
+    expected = (x.max() - x.min()) / 2
+    # What lies in the step on the window's edge may count.
+    np.testing.assert_allclose(run.observed, expected, rtol=0.03)
+
+
+def test_peak_times_of_a_cosine():
+    run = simulate(FREE, START, 40.0, observe=PeakTimes(capacity=16), solver=Rodas5P(), rtol=1e-9)
+    for n, omega in enumerate(OMEGA):
+        first = 0.0 if float(START[0][n]) < 0 else np.pi / omega  # of a minus-cosine, a cosine
+        peaks = np.arange(first + np.pi / omega, 40.0, 2 * np.pi / omega)
+        found = np.asarray(run.observed[:, n])
+        np.testing.assert_allclose(found[~np.isnan(found)], peaks, atol=1e-6)
+
+
+def test_peak_times_keep_the_first_and_say_nothing_before_the_start():
+    run = simulate(FREE, START, 40.0, observe=PeakTimes(capacity=2, start=10.0), rtol=1e-8)
+    np.testing.assert_allclose(run.observed[:, 0], [4 * np.pi, 6 * np.pi], atol=1e-5)
+
+
+def test_section_points_lie_on_the_section_and_on_the_solution():
+    section = Section(oscillator=0, capacity=5)
+    times, x, v = simulate(
+        FREE, START, 40.0, observe=section, solver=Rodas5P(), rtol=1e-9
+    ).observed
+    np.testing.assert_allclose(times, 2 * np.pi * np.arange(1, 6), atol=1e-6)
+    np.testing.assert_allclose(v[:, 0], 0.0, atol=1e-6)
+    exact = jax.vmap(FREE.exact)(times)
+    np.testing.assert_allclose(x, exact[0], atol=1e-6)
+    np.testing.assert_allclose(v, exact[1], atol=1e-6)
+
+
+def test_observers_agree_with_a_stored_trajectory_of_the_stick_slip_chain():
+    chain = paper_chain(4, belt_speed=1.4)
+    times = jnp.linspace(60.0, 80.0, 20001)
+    run = simulate(
+        chain,
+        equation_8(chain, 2),
+        80.0,
+        observe={"A": Amplitude(window=20.0), "peaks": PeakTimes(4, 60.0), "y": Trajectory(times)},
+    )
+    x = np.asarray(run.observed["y"][0])
+    np.testing.assert_allclose(run.observed["A"], np.ptp(x, axis=0) / 2, rtol=1e-4)
+    inside = np.flatnonzero((x[1:-1, 2] > x[:-2, 2]) & (x[1:-1, 2] >= x[2:, 2])) + 1
+    np.testing.assert_allclose(run.observed["peaks"][:3, 2], times[inside[:3]], atol=1e-3)
+
+
+def test_stock_and_structured_solvers_observe_the_same():
+    chain = paper_chain(3, belt_speed=1.4, width=1e-2)
+    observe = (Amplitude(window=10.0), PeakTimes(3, 20.0))
+    runs = [
+        simulate(chain, equation_8(chain, 1), 30.0, observe=observe, solver=solver, rtol=1e-8)
+        for solver in (None, dfx.Tsit5(), dfx.Kvaerno5())
+    ]
+    for run in runs[1:]:
+        np.testing.assert_allclose(run.observed[0], runs[0].observed[0], atol=1e-5)
+        np.testing.assert_allclose(run.observed[1], runs[0].observed[1], atol=1e-4)
+
+
+def test_a_quiet_chain_stops_early_and_says_so():
+    chain = paper_chain(5, belt_speed=1.9)
+    observe = Amplitude(window=50.0, stop="quiet")
+    run = simulate(chain, equation_8(chain, 1), 1e5, observe=observe)
+    assert run.outcome == "quiet"
+    assert float(run.t) < 5000
+    assert float(run.observed.max()) < 1e-6
+
+
+def test_rest_that_does_not_attract_is_no_reason_to_stop():
+    chain = paper_chain(2, belt_speed=1.0)  # below the Hopf speed
+    run = simulate(
+        chain, equation_8(chain, 0), 300.0, observe=Amplitude(window=50.0, stop="quiet")
+    )
+    assert float(run.t) == 300.0
+
+
+def test_a_steady_vibration_stops_early_only_if_allowed():
+    chain = paper_chain(1, belt_speed=1.4)
+    start = equation_8(chain, 1)
+    stopped = simulate(chain, start, 2000.0, observe=Amplitude(20.0, "steady", tolerance=1e-4))
+    went_on = simulate(chain, start, 2000.0, observe=Amplitude(20.0, "quiet"))
+    assert float(stopped.t) < 500 < float(went_on.t)
+    np.testing.assert_allclose(stopped.observed, went_on.observed, rtol=1e-3)
+
+
+def test_energy_and_activity_of_known_amplitudes():
+    amplitude = jnp.array([[1.5, 0.3, 0.0], [1.6, 1.4, 0.8]])
+    np.testing.assert_allclose(energy(amplitude), [1.17, 2.58], rtol=1e-14)
+    assert active(amplitude, 1.5).sum(axis=1).tolist() == [1, 3]
+    assert active(amplitude, jnp.array([1.5, 1.7])).sum(axis=1).tolist() == [1, 2]
+    assert not active(jnp.array([1e-9]), 0.0).any()
+
+
+def test_delays_to_the_nearest_peak_of_the_reference():
+    reference = 6.3 * np.arange(1, 6)
+    peaks = jnp.asarray(np.stack([reference + 1.0, reference, reference - 2.0], axis=1))
+    np.testing.assert_allclose(delays(peaks, 1, 6.3)[:, 0], 1.0, atol=1e-12)
+    np.testing.assert_allclose(delays(peaks, 1, 6.3)[:, 2], -2.0, atol=1e-12)
+    with_gap = peaks.at[-1, 0].set(jnp.nan)
+    assert np.isnan(delays(with_gap, 1, 6.3)[-1, 0])
+
+
+def test_bad_input_is_named():
+    with pytest.raises(ValueError, match="`window` must be positive"):
+        Amplitude(window=-1.0)
+    with pytest.raises(ValueError, match="needs a `window`"):
+        Amplitude(stop="quiet")
+    with pytest.raises(ValueError, match=r"`oscillator` must lie in 0 ... 1, but is 5"):
+        simulate(FREE, START, 1.0, observe=Section(oscillator=5))
