@@ -94,7 +94,7 @@ class ObservingSolver(dfx.AbstractWrappedSolver, dfx.AbstractAdaptiveSolver):
         watched = bool(self.observers) and not structured
         return _ObservingState(
             inner=jtu.tree_map(jnp.asarray, self.solver.init(terms, t0, t0 + dt0, y0, None)),
-            accumulators=[o.init(t0, t1, y0) for o in self.observers],
+            accumulators=[o.init(field, t0, t1, y0) for o in self.observers],
             acceleration=field(t0, y0, None)[1] if watched else None,
             step_size=jnp.asarray(dt0),
         )
@@ -174,6 +174,45 @@ class Progress(eqx.Module):
         return self.result == Result.successful
 
 
+class _Resumed(dfx.AbstractAdaptiveStepSizeController):
+    """A controller that goes on where another call of `advance` left it.
+
+    diffeqsolve takes a first step only together with a check of its sign on the host, and a
+    program that calls the host cannot be kept in JAX's compilation cache.
+    """
+
+    controller: dfx.PIDController
+    step_size: Float[Array, ""]
+    state: PyTree
+
+    @property
+    def rtol(self):
+        return self.controller.rtol
+
+    @property
+    def atol(self):
+        return self.controller.atol
+
+    @property
+    def norm(self):
+        return self.controller.norm
+
+    def wrap(self, direction):
+        del direction
+        return self
+
+    def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
+        del terms, t1, y0, dt0, args, func, error_order
+        return t0 + self.step_size, self.state
+
+    def adapt_step_size(
+        self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
+    ):
+        return self.controller.adapt_step_size(
+            t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
+        )
+
+
 class Plan(eqx.Module):
     """How a run is computed: solver, tolerances, observers.  Static but for the tolerances."""
 
@@ -245,26 +284,29 @@ def advance(
         t0=progress.t,
         # A lane that has ended stays where it is.
         t1=jnp.where(progress.running, t1, progress.t),
-        dt0=progress.solver_state.step_size,
+        dt0=None,
         y0=progress.state,
         saveat=dfx.SaveAt(
             subs=(dfx.SubSaveAt(t1=True), None if saveat is None else saveat.subs),
             solver_state=True,
             controller_state=True,
         ),
-        stepsize_controller=plan.controller(),
+        stepsize_controller=_Resumed(
+            plan.controller(), progress.solver_state.step_size, progress.controller_state
+        ),
         adjoint=adjoint,
         max_steps=max_steps,
         solver_state=progress.solver_state,
-        controller_state=progress.controller_state,
         throw=False,
     )
     ys, saved = solution.ys
     state = jtu.tree_map(lambda y: y[-1], ys)
     stopped = solution.result == _SETTLED
     quiet = jnp.asarray(False)
-    for accumulator in solution.solver_state.accumulators:
-        quiet = quiet | getattr(accumulator, "quiet", False)
+    for observer, accumulator in zip(
+        plan.observers, solution.solver_state.accumulators, strict=True
+    ):
+        quiet = quiet | observer.rests(accumulator)
     result = _translate(solution.result, stopped & quiet, state)
     new = Progress(
         t=solution.ts[0][-1],

@@ -45,7 +45,9 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
 # Numbers per array of one device's lanes: what keeps the arrays of a step within a core's cache.
-_NUMBERS_PER_DEVICE = {"cpu": 1280, "gpu": 1 << 20}
+_NUMBERS_PER_DEVICE = {"cpu": 640, "gpu": 1 << 20}
+# Seconds of work left that are worth another compilation, for fewer lanes.
+_WORTH_COMPILING = 15.0
 # Share of the free memory that results and lanes may take.
 _MEMORY_SHARE = 0.8
 
@@ -131,7 +133,7 @@ def sweep(
     most = np.iinfo(np.int64).max if max_steps is None else max_steps
     task = Task(plan, chain, initial, to_float(t0), to_float(t1), jnp.asarray(most))
     runner = _Runner(task, jobs, devices, lanes)
-    started = time.perf_counter()
+    lane_count, started = runner.lanes, time.perf_counter()
     interrupted = False
     try:
         runner.run(progress, description)
@@ -141,7 +143,7 @@ def sweep(
     attrs |= {
         "wall_time_s": round(time.perf_counter() - started, 3),
         "devices": ", ".join(str(d) for d in runner.devices),
-        "lanes_per_device": runner.lanes,
+        "lanes_per_device": lane_count,
     }
     dataset = to_dataset(runner.records, axes, chain, observers, attrs)
     if interrupted:
@@ -168,6 +170,7 @@ class _Runner:
         self.mesh = Mesh(np.array(self.devices), ("lanes",))
         self.sharding = NamedSharding(self.mesh, P("lanes"))
         self.owner = np.full(self.width, -1)  # job of each lane; -1 is idle
+        self.last_look: tuple[float, np.ndarray] | None = None  # (wall time, times of the lanes)
         first = {k: jnp.asarray(v[0]) for k, v in jobs.items()}
         self.lane_shape = eqx.filter_eval_shape(start_lane, task, first)
         self.records = self._allocate()
@@ -219,6 +222,8 @@ class _Runner:
                     self.owner[done] = -1
                     if waiting.size:
                         pool, waiting = self._refill(pool, waiting)
+                if not waiting.size:
+                    pool = self._shrink(pool)
                 if show:
                     bar.n = finished + self._fraction_under_way(pool)
                     bar.refresh()
@@ -239,6 +244,29 @@ class _Runner:
         values = {k: jax.device_put(v[index], self.sharding) for k, v in self.jobs.items()}
         take = jax.device_put(take, self.sharding)
         return on_all_lanes(restart_lane, self.mesh, self.task, pool, take, values), rest
+
+    def _shrink(self, pool: Lane) -> Lane:
+        """Once few lanes are left, and long ones, a pool of a quarter of the width goes on.
+
+        A step of the whole pool costs nearly the same however few of its lanes still run.
+        """
+        now, before = time.perf_counter(), self.last_look
+        t = np.asarray(pool.progress.t)
+        self.last_look = (now, t)
+        busy = np.flatnonzero(self.owner >= 0)
+        small = self.lanes // 4
+        if before is None or small == 0 or not 0 < busy.size <= small * len(self.devices):
+            return pool
+        rate = np.maximum((t - before[1])[busy] / (now - before[0]), 1e-300)
+        if np.max((float(self.task.t1) - t[busy]) / rate) < _WORTH_COMPILING:
+            return pool
+        idle = np.flatnonzero(self.owner < 0)
+        keep = np.concatenate([busy, idle])[: small * len(self.devices)]
+        # Deal the busy lanes out evenly: the device with the most of them sets the pace.
+        keep = keep.reshape(small, len(self.devices)).T.ravel()
+        self.lanes, self.width, self.last_look = small, keep.size, None
+        self.owner = self.owner[keep]
+        return jtu.tree_map(lambda a: jax.device_put(np.asarray(a)[keep], self.sharding), pool)
 
     def _store(self, values: dict[str, Any], done: np.ndarray) -> None:
         rows = self.owner[done]

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
-from ._checks import check_positive
+from ._checks import check_positive, to_float
 from ._types import ScalarLike, State
 from .structure import AbstractOscillators
 
@@ -62,8 +62,8 @@ class AbstractObserver(eqx.Module):
     """
 
     @abc.abstractmethod
-    def init(self, t0: ScalarLike, t1: ScalarLike, y0: State) -> Any:
-        """The accumulator at the start of a run over [t0, t1]."""
+    def init(self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State) -> Any:
+        """The accumulator at the start of a run of `field` over [t0, t1]."""
 
     @abc.abstractmethod
     def update(self, accumulator: Any, step: Step) -> Any:
@@ -73,6 +73,11 @@ class AbstractObserver(eqx.Module):
     def settled(self, accumulator: Any) -> Bool[Array, ""] | None:
         """Whether the value is final; None if it never is before the end."""
 
+    def rests(self, accumulator: Any) -> Bool[Array, ""]:
+        """Whether it is final because every mass rests."""
+        del accumulator
+        return jnp.asarray(False)
+
     @abc.abstractmethod
     def read(self, accumulator: Any) -> Any:
         """The observed value."""
@@ -81,10 +86,24 @@ class AbstractObserver(eqx.Module):
 class _AmplitudeState(eqx.Module):
     low: Float[Array, " n"]
     high: Float[Array, " n"]
-    boundary: Float[Array, ""]
+    last_window: Float[Array, ""]  # its start
+    rest: _Rest | None  # unless stop == "never"
+    history: _History | None  # if stop == "steady"
+
+
+class _Rest(eqx.Module):
+    """Whether every mass rests: a few numbers for a lane, no array."""
+
+    boundary: Float[Array, ""]  # end of the present window
+    attracts: Bool[Array, ""]
+    quiet: Bool[Array, ""]
+
+
+class _History(eqx.Module):
+    """The amplitudes of the window before, and how often they came back."""
+
     last: Float[Array, " n"]
     repeats: Int[Array, ""]
-    quiet: Bool[Array, ""]
 
 
 class Amplitude(AbstractObserver):
@@ -96,11 +115,12 @@ class Amplitude(AbstractObserver):
     **Arguments:**
 
     - `window`: its length in dimensionless time, at least one period (2 pi) to mean anything.
-    - `stop`: "never" runs to the end.  "quiet" lets the run stop when every mass rests (amplitude
-      over a window below `quiet_below`) *and* steady sliding attracts there, i.e. every mass is
-      damped, dF/dv < 2 xi; that cannot change the answer.  "steady" also lets it stop when the
-      amplitudes of `repeats` windows in succession agree within `tolerance`; slow drifts of the
-      phases, and instabilities that rounding has not yet found, can then go unseen.
+    - `stop`: "never" runs to the end.  "quiet" lets the run stop when every mass rests (speed
+      and acceleration below `quiet_below`; the amplitude is then reported as 0) *and* steady
+      sliding attracts, i.e. every mass is damped, dF/dv < 2 xi; that cannot change the answer.
+      "steady" also lets it stop when the amplitudes of `repeats` windows in succession agree
+      within `tolerance`; slow drifts of the phases, and instabilities that rounding has not yet
+      found, can then go unseen.
     """
 
     window: float | None = eqx.field(static=True, default=None)
@@ -122,81 +142,90 @@ class Amplitude(AbstractObserver):
                 "windows are compared."
             )
 
-    def init(self, t0: ScalarLike, t1: ScalarLike, y0: State) -> _AmplitudeState:
+    def init(
+        self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State
+    ) -> _AmplitudeState:
         x, _ = y0
-        if self.window is None:
-            boundary = t0
-        elif self.stop == "never":
-            boundary = t1 - self.window
-        else:  # windows end at t1, t1 - window, t1 - 2 window, ...
-            boundary = t1 - self.window * jnp.floor((t1 - t0) / self.window)
-        return _AmplitudeState(
-            low=x,
-            high=x,
-            boundary=jnp.asarray(boundary, x.dtype),
-            last=jnp.full_like(x, jnp.nan),
-            repeats=jnp.zeros((), int),
+        window = t1 - t0 if self.window is None else self.window
+        state = _AmplitudeState(x, x, to_float(t1 - window), None, None)
+        if self.stop == "never":
+            return state
+        # Windows end at t1, t1 - window, ...; the first takes what is left over at the start,
+        # because a shorter one would see less than it must.
+        complete = jnp.maximum(jnp.floor((t1 - t0) / jnp.maximum(window, 1e-300)), 1.0)
+        # With a positive definite stiffness, damping of every mass makes sliding attract.
+        _, slope = field.velocity_force_and_slope(t0, jnp.zeros_like(x))
+        rest = _Rest(
+            boundary=to_float(t1 - window * (complete - 1.0)),
+            attracts=jnp.all(slope < 0),
             quiet=jnp.zeros((), bool),
         )
+        history = None
+        if self.stop == "steady":
+            history = _History(jnp.full_like(x, jnp.nan), jnp.zeros((), int))
+        return _AmplitudeState(x, x, state.last_window, rest, history)
 
     def update(self, accumulator: _AmplitudeState, step: Step) -> _AmplitudeState:
-        acc = accumulator
-        watching = (step.t1 > acc.boundary) | (self.stop != "never")
+        acc, end = accumulator, step.y1[0]
+        low, high = jnp.minimum(acc.low, end), jnp.maximum(acc.high, end)
+        # Peaks before the last window are only looked for if its amplitudes are to be compared.
+        always = acc.history is not None
+        watching = jnp.asarray(True) if always else step.t1 > acc.last_window
 
-        def observe() -> tuple[Array, Array]:
+        def with_peaks() -> tuple[Array, Array]:
             turns, theta = step.turning_points()
-            end = step.y1[0]
             extreme = jnp.where(turns, step.displacement(theta), end)
-            # Nothing is kept from before the window.
-            fresh = (step.t0 <= acc.boundary) & (self.stop == "never")
-            low = jnp.where(fresh, end, acc.low)
-            high = jnp.where(fresh, end, acc.high)
-            return (
-                jnp.minimum(low, jnp.minimum(extreme, end)),
-                jnp.maximum(high, jnp.maximum(extreme, end)),
+            return jnp.minimum(low, extreme), jnp.maximum(high, extreme)
+
+        # One branch for the whole batch: what it adds to a lane that does not watch is forgotten.
+        seen = lax.cond(eqxi.unvmap_any(watching), with_peaks, lambda: (low, high))
+        low, high = jnp.where(watching, seen[0], low), jnp.where(watching, seen[1], high)
+        rest = None if acc.rest is None else self._rest(acc.rest, step)
+        if acc.rest is None or acc.history is None:
+            forget, history = step.t0 < acc.last_window, None
+        else:
+            forget = step.t1 >= acc.rest.boundary
+            amplitude = (high - low) / 2
+            same = jnp.max(jnp.abs(amplitude - acc.history.last)) <= self.tolerance
+            repeats = jnp.where(same, acc.history.repeats + 1, 0)
+            history = _History(
+                jnp.where(forget, amplitude, acc.history.last),
+                jnp.where(forget, repeats, acc.history.repeats),
             )
+        low, high = jnp.where(forget, end, low), jnp.where(forget, end, high)
+        return _AmplitudeState(low, high, acc.last_window, rest, history)
 
-        # One branch for the whole batch; each lane still decides for itself what it keeps.
-        seen = lax.cond(eqxi.unvmap_any(watching), observe, lambda: (acc.low, acc.high))
-        low = jnp.where(watching, seen[0], acc.low)
-        high = jnp.where(watching, seen[1], acc.high)
-        acc = eqx.tree_at(lambda a: (a.low, a.high), acc, (low, high))
-        if self.stop == "never":
-            return acc
-        over = step.t1 >= acc.boundary
-        closed = lax.cond(eqxi.unvmap_any(over), lambda: self._close(acc, step), lambda: acc)
-        return jax.tree.map(lambda a, b: jnp.where(over, a, b), closed, acc)
+    def _rest(self, rest: _Rest, step: Step) -> _Rest:
+        """Looks once in a window: a state whose velocity and acceleration vanish is at rest."""
+        over = step.t1 >= rest.boundary
 
-    def _close(self, acc: _AmplitudeState, step: Step) -> _AmplitudeState:
-        """The end of a window: compare it with the one before, and begin the next."""
-        amplitude = (acc.high - acc.low) / 2
-        change = jnp.max(jnp.abs(amplitude - acc.last))
-        repeats = jnp.where(change <= self.tolerance, acc.repeats + 1, 0)
-        # With a positive definite stiffness, damping of every mass makes sliding attract.
-        _, slope = step.field.velocity_force_and_slope(step.t1, jnp.zeros_like(amplitude))
-        quiet = (jnp.max(amplitude) < self.quiet_below) & jnp.all(slope < 0)
-        x = step.y1[0]
+        def look() -> Array:
+            velocity, acceleration = step.field(step.t1, step.y1)
+            return jnp.max(jnp.maximum(jnp.abs(velocity), jnp.abs(acceleration)))
+
+        motion = lax.cond(eqxi.unvmap_any(over), look, lambda: jnp.asarray(jnp.inf))
         window = 0.0 if self.window is None else self.window
-        return _AmplitudeState(
-            low=x,
-            high=x,
-            boundary=acc.boundary + window,
-            last=amplitude,
-            repeats=repeats,
-            quiet=quiet,
+        return _Rest(
+            boundary=jnp.where(over, rest.boundary + window, rest.boundary),
+            attracts=rest.attracts,
+            quiet=over & rest.attracts & (motion < self.quiet_below),
         )
 
     def settled(self, accumulator: _AmplitudeState) -> Bool[Array, ""] | None:
-        if self.stop == "never":
+        if accumulator.rest is None:
             return None
-        if self.stop == "quiet":
-            return accumulator.quiet
-        return accumulator.quiet | (accumulator.repeats >= self.repeats)
+        if accumulator.history is None:
+            return accumulator.rest.quiet
+        return accumulator.rest.quiet | (accumulator.history.repeats >= self.repeats)
+
+    def rests(self, accumulator: _AmplitudeState) -> Bool[Array, ""]:
+        return jnp.asarray(False) if accumulator.rest is None else accumulator.rest.quiet
 
     def read(self, accumulator: _AmplitudeState) -> Float[Array, " n"]:
-        if self.stop == "never":
-            return (accumulator.high - accumulator.low) / 2
-        return accumulator.last
+        if accumulator.history is not None:
+            return accumulator.history.last
+        amplitude = (accumulator.high - accumulator.low) / 2
+        return jnp.where(self.rests(accumulator), 0.0, amplitude)
 
 
 class PeakTimes(AbstractObserver):
@@ -212,8 +241,10 @@ class PeakTimes(AbstractObserver):
     capacity: int = eqx.field(static=True, default=64)
     start: float = eqx.field(static=True, default=0.0)
 
-    def init(self, t0: ScalarLike, t1: ScalarLike, y0: State) -> tuple[Array, Array]:
-        del t0, t1
+    def init(
+        self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State
+    ) -> tuple[Array, Array]:
+        del field, t0, t1
         x, _ = y0
         return jnp.full((self.capacity, *x.shape), jnp.nan), jnp.zeros(x.shape, int)
 
@@ -243,8 +274,10 @@ class Section(AbstractObserver):
     capacity: int = eqx.field(static=True, default=64)
     start: float = eqx.field(static=True, default=0.0)
 
-    def init(self, t0: ScalarLike, t1: ScalarLike, y0: State) -> tuple[Array, ...]:
-        del t0, t1
+    def init(
+        self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State
+    ) -> tuple[Array, ...]:
+        del field, t0, t1
         n = y0[0].shape[0]
         if not -n <= self.oscillator < n:
             raise ValueError(

@@ -9,6 +9,7 @@ dense matrix.
 """
 
 import abc
+import functools as ft
 from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, TypeAlias
 
@@ -32,20 +33,39 @@ from .tableaus import RODAS4, RODAS5P, RosenbrockTableau
 _Arrays: TypeAlias = Sequence[Float[Array, " n"]]
 
 
+def _combine(weights: np.ndarray, arrays: _Arrays) -> Any:
+    """sum_m weights_m arrays_m, without the zeros; the scalar 0 when nothing is left."""
+    total: Any = 0.0
+    for w, array in zip(weights, arrays, strict=False):
+        if w != 0.0:
+            total = w * array if isinstance(total, float) else total + w * array
+    return total
+
+
 class RosenbrockInterpolation(dfx.AbstractLocalInterpolation):
-    """The method's own dense output between t0 and t1 (see `RosenbrockTableau`)."""
+    """The method's own dense output between t0 and t1 (see `RosenbrockTableau`).
+
+    It keeps the stages and combines them when it is asked, which most steps never are.
+    """
 
     t0: Any
     t1: Any
     y0: Any
     y1: Any
-    k: Any  # tuple of states
+    h: Any  # signed step
+    b: Any  # velocity parts of the stages
+    tableau: RosenbrockTableau = eqx.field(static=True)
 
     def at(self, theta: ScalarLike | Array, part: int) -> Array:
         """Component `part` (0 displacement, 1 velocity) at theta in [0, 1] (one or per mass)."""
+        tab = self.tableau
         poly: Any = 0.0
-        for k in reversed(self.k):
-            poly = k[part] + theta * poly
+        for i in reversed(range(tab.H.shape[0])):
+            if part == 0:
+                k = self.h * (tab.dense_v[i] * self.y0[1] + _combine(tab.dense_b[i], self.b))
+            else:
+                k = _combine(tab.H[i], self.b)
+            poly = k + theta * poly
         rest = 1.0 - theta
         return rest * self.y0[part] + theta * (self.y1[part] + rest * poly)
 
@@ -56,15 +76,6 @@ class RosenbrockInterpolation(dfx.AbstractLocalInterpolation):
         length = self.t1 - self.t0
         theta = jnp.where(length == 0, 0.0, (t0 - self.t0) / jnp.where(length == 0, 1.0, length))
         return self.at(theta, 0), self.at(theta, 1)
-
-
-def _combine(weights: np.ndarray, arrays: _Arrays) -> Any:
-    """sum_m weights_m arrays_m, without the zeros; the scalar 0 when nothing is left."""
-    total: Any = 0.0
-    for w, array in zip(weights, arrays, strict=False):
-        if w != 0.0:
-            total = w * array if isinstance(total, float) else total + w * array
-    return total
 
 
 def _vector_field(terms: dfx.AbstractTerm) -> AbstractOscillators:
@@ -101,7 +112,10 @@ class AbstractStructuredRosenbrock(dfx.AbstractAdaptiveSolver):
     sweeps: eqx.AbstractVar[int | None]
 
     term_structure: ClassVar = dfx.ODETerm
-    interpolation_cls: ClassVar[Callable[..., RosenbrockInterpolation]] = RosenbrockInterpolation
+
+    @property
+    def interpolation_cls(self) -> Callable[..., RosenbrockInterpolation]:  # pyright: ignore
+        return ft.partial(RosenbrockInterpolation, tableau=self.tableau)
 
     @abc.abstractmethod
     def with_sweeps(self, sweeps: int | None) -> "AbstractStructuredRosenbrock":
@@ -165,14 +179,8 @@ class AbstractStructuredRosenbrock(dfx.AbstractAdaptiveSolver):
             error = jtu.tree_map(lambda e: jnp.where(trusted, e, jnp.inf), error)
             untrusted: Any = dfx.RESULTS.nonlinear_divergence
             result = dfx.RESULTS.where(trusted, dfx.RESULTS.successful, untrusted)
-        k = tuple(
-            (
-                h * (tab.dense_v[i] * v + _combine(tab.dense_b[i], b)),
-                _combine(tab.H[i], b),
-            )
-            for i in range(tab.H.shape[0])
-        )
-        return y1, error, {"y0": y0, "y1": y1, "k": k}, None, result
+        dense = {"y0": y0, "y1": y1, "h": h, "b": tuple(b)}
+        return y1, error, dense, None, result
 
     def _linear_solver(
         self, field: AbstractOscillators, diagonal: Array, hg: Array

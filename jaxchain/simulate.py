@@ -170,7 +170,7 @@ def _run(
 
     def segment(progress: Progress, ends: tuple[Array, Array]) -> tuple[Progress, list]:
         start, end = ends
-        fresh = [o.init(start, end, progress.state) for o in plan.observers]
+        fresh = [o.init(chain, start, end, progress.state) for o in plan.observers]
         progress = eqx.tree_at(lambda p: p.solver_state.accumulators, progress, fresh)
         progress, _ = advance(plan, chain, progress, end, max_steps=max_steps, adjoint=adjoint)
         return progress, read(progress)
