@@ -1,0 +1,141 @@
+"""The `jaxchain` command."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import sys
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+
+from .scenefile import SceneError, builtin_scenes, load_scene, schema
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs a subcommand. Returns the exit status: 0 done, 1 failed, 2 misused, 130 interrupted."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    if arguments[:1] == ["bench"]:  # has options of its own, also --help
+        from .bench import main as bench
+
+        return bench(arguments[1:]) or 0
+    options = _parser().parse_args(arguments)
+    try:
+        return options.command(options)
+    except SceneError as error:
+        print(f"jaxchain: {error}", file=sys.stderr)
+        return 2
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="jaxchain", description="Simulates chains of friction-excited oscillators."
+    )
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    run = commands.add_parser(
+        "run", help="run a scene and draw its figure", description="Runs a scene."
+    )
+    run.add_argument("scene", help="name of a built-in scene, or a TOML file")
+    run.add_argument(
+        "--output", metavar="DIR", type=Path, help="folder for the results (results/SCENE)"
+    )
+    run.add_argument(
+        "--set", metavar="KEY=VALUE", action="append", default=[], dest="overrides",
+        help="change a key of the scene, e.g. experiment.ladder.chain.n=40 (repeatable)",
+    )  # fmt: skip
+    run.add_argument("--no-plot", action="store_true", help="compute and save only")
+    run.add_argument("--quiet", action="store_true", help="print errors only")
+    run.set_defaults(command=_run)
+
+    scenes = commands.add_parser(
+        "scenes", help="list the built-in scenes", description="Shows the built-in scenes."
+    )
+    scenes.add_argument("scene", nargs="?", help="print this scene file, to start one's own from")
+    scenes.add_argument(
+        "--schema", action="store_true", help="print the JSON schema of scene files, for editors"
+    )
+    scenes.set_defaults(command=_scenes)
+
+    commands.add_parser("bench", help="measure the speed on this machine", add_help=False)
+    return parser
+
+
+def _scenes(options: argparse.Namespace) -> int:
+    builtin = builtin_scenes()
+    if options.schema:
+        print(json.dumps(schema(), indent=2))
+    elif options.scene is None:
+        for name in builtin:
+            print(f"{name:<12} {load_scene(name).scene.title}")
+    else:
+        load_scene(options.scene)
+        file = builtin.get(options.scene, Path(options.scene))
+        print(file.read_text(encoding="utf-8"), end="")
+    return 0
+
+
+def _run(options: argparse.Namespace) -> int:
+    # Before jax is imported, so that a wrong scene is reported at once.
+    loaded = load_scene(options.scene, options.overrides)
+    _configure_jax()
+    from .run import FigureError, new_folder, run_scene
+
+    wanted = options.output or Path("results") / loaded.name
+    try:
+        folder = new_folder(wanted)
+    except OSError as error:
+        print(f"jaxchain: cannot create {wanted}: {error.strerror}", file=sys.stderr)
+        return 2
+    if folder != wanted:
+        print(f"jaxchain: {wanted} is in use, the results go to {folder}", file=sys.stderr)
+
+    def report(text: str) -> None:
+        if not options.quiet:
+            print(text, flush=True)
+
+    if options.quiet:
+        warnings.simplefilter("ignore")
+    try:
+        run_scene(
+            loaded, folder, plot=not options.no_plot, progress=not options.quiet, report=report
+        )
+    except (FigureError, MemoryError) as error:
+        print(f"jaxchain: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        kept = f"; what was finished is in {folder}" if any(folder.iterdir()) else ""
+        print(f"jaxchain: interrupted{kept}", file=sys.stderr)
+        return 130
+    finally:
+        # Nothing is left behind by a run that saved nothing.
+        if not any(folder.iterdir()):
+            folder.rmdir()
+    report(f"\nresults in {folder}: {', '.join(sorted(f.name for f in folder.iterdir()))}")
+    return 0
+
+
+def _configure_jax() -> None:
+    """64 bits; every core a device and compiled programs kept, unless the user chose otherwise."""
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+        cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxchain"
+        jax.config.update("jax_compilation_cache_dir", str(cache))
+    chosen = os.environ.get("XLA_FLAGS", "") + "".join(os.environ)
+    if "xla_force_host_platform_device_count" in chosen or "JAX_NUM_CPU_DEVICES" in chosen:
+        return
+    if hasattr(os, "sched_getaffinity"):  # what a container or a job scheduler leaves to us
+        cores = len(os.sched_getaffinity(0))
+    else:
+        cores = os.cpu_count() or 1
+    # JAX takes this only before its first computation; after that, its devices are what they are.
+    with contextlib.suppress(RuntimeError):
+        jax.config.update("jax_num_cpu_devices", cores)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

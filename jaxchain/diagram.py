@@ -1,0 +1,117 @@
+"""What a bifurcation diagram shows beside its points, read off a dataset.
+
+All functions take a dataset as `jaxchain.sweep` returns it or as a results file holds it.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from .result import NAMES, STOPPED_WELL
+
+
+def parameters(data: xr.Dataset) -> dict[str, Any]:
+    """The numbers of chain and friction; "swept" where they are a dimension."""
+    return json.loads(data.attrs["parameters"])
+
+
+def masses(data: xr.Dataset) -> int:
+    """N, also where nothing is kept of each mass."""
+    return parameters(data)["n"]
+
+
+def swept(data: xr.Dataset) -> list[str]:
+    """The swept dimensions, in their order."""
+    return [str(name) for name in data["result"].dims]
+
+
+def hopf_belt_speed(data: xr.Dataset) -> float | None:
+    """v_H = v_0 ln[p (mu_st - mu_d) / (2 xi v_0)]: above it, steady sliding is stable.
+
+    None if the law of friction is another one, if one of these numbers is swept or given per mass,
+    or if steady sliding is stable at every speed.
+    """
+    own = parameters(data)
+    if own["friction_law"] != "ExponentialDecay":
+        return None
+    load = 1.0 if own["normal_load"] is None else own["normal_load"]
+    numbers = (own["mu_static"], own["mu_dynamic"], own["v_ref"], own["damping_ratio"], load)
+    if not all(isinstance(number, float) for number in numbers):
+        return None
+    static, dynamic, v_ref, damping, load = numbers
+    if damping <= 0 or load * (static - dynamic) <= 2 * damping * v_ref:
+        return None
+    return v_ref * math.log(load * (static - dynamic) / (2 * damping * v_ref))
+
+
+def failed(data: xr.Dataset) -> xr.DataArray:
+    """Which runs have no answer."""
+    return ~data["result"].isin([NAMES.index(name) for name in STOPPED_WELL])
+
+
+def energy(data: xr.Dataset) -> xr.DataArray | None:
+    """E, from the amplitudes if only those were kept; None if neither was."""
+    if "energy" in data:
+        return data["energy"]
+    if "amplitude" not in data:
+        return None
+    return 0.5 * (data["amplitude"] ** 2).sum("oscillator", skipna=False)
+
+
+def moving_fronts(data: xr.Dataset) -> xr.DataArray | None:
+    """Where fronts move: the number of vibrating masses at the end is not that at the start.
+
+    Looks at starts with at least two masses on either side of a front, because a lone mass between
+    two neighbours of the other kind has no front; and at speeds where vibration of the whole chain
+    survives, because beyond it dies everywhere at once.
+
+    **Returns:** booleans over `belt_speed`; None if `belt_speed` and `excited` are not both swept.
+    """
+    if "active_count" not in data or not {"belt_speed", "excited"} <= set(swept(data)):
+        return None
+    excited = data["excited"]
+    other = [name for name in swept(data) if name != "belt_speed"]
+    two_sided = (excited >= 2) & (excited <= masses(data) - 2)
+    changed = two_sided & ~failed(data) & (data["active_count"] != excited)
+    dies = (data["active_count"] == 0) & (excited == excited.max())
+    return changed.any(other) & ~dies.any(other)
+
+
+def intervals(positions: np.ndarray, inside: np.ndarray) -> list[tuple[float, float]]:
+    """The stretches in which `inside` holds, each with edges midway to the next position outside.
+
+    >>> intervals(np.array([1.0, 2.0, 3.0, 4.0]), np.array([False, True, True, False]))
+    [(1.5, 3.5)]
+    """
+    order = np.argsort(positions)
+    positions, inside = positions[order], inside[order]
+    middle = 0.5 * (positions[1:] + positions[:-1])
+    edges = np.concatenate([positions[:1], middle, positions[-1:]])
+    steps = np.diff(np.concatenate([[0], inside.astype(int), [0]]))
+    starts, stops = np.flatnonzero(steps == 1), np.flatnonzero(steps == -1)
+    return [(float(edges[i]), float(edges[j])) for i, j in zip(starts, stops, strict=True)]
+
+
+def basin_brackets(data: xr.Dataset) -> list[tuple[float, float, float]]:
+    """(belt speed, largest start that comes to rest, smallest that does not), one oscillator.
+
+    The unstable cycle is the boundary between the two basins in the phase plane of one oscillator,
+    so that a start at rest, `displacement` away from steady sliding, lies within it or outside.
+    Speeds at which all starts end alike are left out.
+    """
+    two = set(swept(data)) == {"belt_speed", "displacement"}
+    if masses(data) != 1 or "active_count" not in data or not two:
+        return []
+    start = np.abs(data["displacement"].values)
+    brackets = []
+    for speed in data["belt_speed"].values:
+        count = data["active_count"].sel(belt_speed=speed).values
+        inside, outside = start[count == 0], start[count == 1]
+        if inside.size and outside.size and inside.max() < outside.min():
+            brackets.append((float(speed), float(inside.max()), float(outside.min())))
+    return brackets

@@ -1,0 +1,74 @@
+"""Made-up results that look like those of `sweep`, for everything that comes after it."""
+
+import json
+
+import numpy as np
+import xarray as xr
+
+from jaxchain.result import NAMES
+
+PAPER = {
+    "ends": "cyclic",
+    "belt_speed": "swept",
+    "damping_ratio": 0.05,
+    "coupling": 0.01,
+    "stiffness": 1.0,
+    "normal_load": None,
+    "friction_law": "ExponentialDecay",
+    "mu_static": 1.0,
+    "mu_dynamic": 0.5,
+    "v_ref": 0.5,
+    "width": 1e-3,
+}
+
+
+def results(axes, vibrating, n, **parameters):
+    """Runs over `axes` in which the first `vibrating` masses vibrate at the speed of the belt.
+
+    `vibrating` has the shape of the runs, with -1 for a run that failed.
+    """
+    dims = tuple(axes)
+    vibrating = np.asarray(vibrating)
+    active = np.arange(1, n + 1) <= vibrating[..., None]
+    amplitude = np.where(active, 1.5, 0.0)
+    amplitude[vibrating < 0] = np.nan
+    code = np.where(vibrating < 0, NAMES.index("nonfinite"), NAMES.index("successful"))
+    return xr.Dataset(
+        {
+            "amplitude": ((*dims, "oscillator"), amplitude),
+            "energy": (dims, 0.5 * (amplitude**2).sum(-1)),
+            "active_count": (dims, vibrating),
+            "result": (dims, code),
+            "end_time": (dims, np.full(vibrating.shape, 100.0)),
+            "steps": (dims, np.full(vibrating.shape, 1000)),
+        },
+        coords={**axes, "oscillator": np.arange(1, n + 1)},
+        attrs={
+            "parameters": json.dumps(PAPER | {"n": n} | parameters),
+            "solver": "Rodas4()",
+            "rtol": 1e-6,
+            "t1": 100.0,
+            "devices": "cpu:0",
+            "wall_time_s": 1.0,
+        },
+    )
+
+
+def ladder():
+    """Six masses at belt speeds 1.0 ... 1.9: fronts move at 1.0 ... 1.2 and at 1.7; none later."""
+    speeds, excited = np.round(np.arange(1.0, 1.95, 0.1), 1), np.arange(7)
+    rows = {1.7: [0, 1, 1, 2, 3, 5, 6], 1.8: [0] * 7, 1.9: [0] * 7}
+    grows = [0, 6, 6, 6, 6, 6, 6]
+    # A gap of one mass between vibrating neighbours closes, but that is no front.
+    stays = [0, 1, 2, 3, 4, 6, 6]
+    vibrating = [rows.get(v, grows if v < 1.25 else stays) for v in speeds.tolist()]
+    return results({"belt_speed": speeds, "excited": excited}, vibrating, 6)
+
+
+def single():
+    """One mass: vibrates below 1.15 and, from a start of more than 1, up to 1.8."""
+    speeds, start = np.array([0.5, 1.0, 1.3, 1.6, 1.9]), np.array([0.5, 0.9, 1.1, 2.0])
+    vibrating = (speeds[:, None] < 1.15) | ((start > 1) & (speeds[:, None] < 1.8))
+    return results(
+        {"belt_speed": speeds, "displacement": start}, vibrating.astype(int), 1, coupling=None
+    )
