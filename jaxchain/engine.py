@@ -339,21 +339,28 @@ def _translate(outcome: Any, quiet: Any, state: State) -> Result:
 def choose_solver(
     field: AbstractOscillators, rtol: float, max_step: float = MAX_STEP
 ) -> AbstractStructuredRosenbrock:
-    """Rodas4 down to rtol 1e-7 and Rodas5P below, with sweeps where they are proven to suffice.
+    """Rodas4 down to rtol 1e-7 and Rodas5P below, with the linear solve that fits the coupling."""
+    return fit_linear_solve(Rodas4() if rtol >= 1e-7 else Rodas5P(), field, max_step)
+
+
+def fit_linear_solve(
+    solver: AbstractStructuredRosenbrock, field: AbstractOscillators, max_step: float = MAX_STEP
+) -> AbstractStructuredRosenbrock:
+    """The solver with sweeps where they are proven to suffice, and with the exact solve otherwise.
 
     For steps up to h the Jacobi iteration contracts at least by
     rho = (gamma h)^2 2 max|c| / (1 - gamma h s), with s the greatest velocity-weakening slope
     in excess of the damping; s <= 1 is assumed here, and every step checks the bound with its own
     numbers.  Springs whose numbers are traced are taken for weak, which that check makes safe.
     """
-    solver = Rodas4() if rtol >= 1e-7 else Rodas5P()
     if field.springs is None:
         return solver
     gamma_h = solver.tableau.gamma * max_step
     if is_traced(field.springs.constant):
         return solver.with_sweeps(MOST_SWEEPS)
-    rho = gamma_h**2 * 2.0 * float(np.max(np.abs(field.springs.constant))) / (1.0 - gamma_h)
+    rho = gamma_h**2 * 2.0 * float(np.max(np.abs(field.springs.constant)))
+    rho = rho / (1.0 - gamma_h) if gamma_h < 1.0 else 1.0
     for sweeps in range(1, MOST_SWEEPS + 1):
         if rho < 1.0 and rho ** (sweeps + 1) <= SWEEP_TOLERANCE * (1.0 - rho):
             return solver.with_sweeps(sweeps)
-    return solver
+    return solver.with_sweeps(None)

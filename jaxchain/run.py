@@ -21,6 +21,7 @@ import xarray as xr
 from . import friction, states
 from ._types import ScalarLike, State
 from .chain import Chain
+from .engine import fit_linear_solve
 from .ensemble import SweepInterrupted, sweep
 from .observe import Amplitude
 from .plot import figure, save_figure
@@ -94,12 +95,14 @@ def build_initial(experiment: Experiment) -> Callable[..., State]:
     return pulled_away
 
 
-def build_solver(name: str) -> dfx.AbstractSolver | None:
+def build_solver(name: str, chain: Chain, max_step: float) -> dfx.AbstractSolver | None:
     """A solver by its name in a scene; None leaves the choice to `sweep`."""
     if name == "auto":
         return None
     own = {"Rodas4": Rodas4, "Rodas5P": Rodas5P}
-    return own[name]() if name in own else getattr(dfx, name)()
+    if name in own:
+        return fit_linear_solve(own[name](), chain, max_step)
+    return getattr(dfx, name)()
 
 
 def run_experiment(
@@ -110,11 +113,12 @@ def run_experiment(
     **Raises:** `SweepInterrupted` on Ctrl-C, with the runs that had ended.
     """
     numerics, observe, time = experiment.numerics, experiment.observe, experiment.time
+    chain = build_chain(experiment)
     with warnings.catch_warnings():
         # The summary says it better.
         warnings.filterwarnings("ignore", message=r"\d+ of \d+ lanes ended with")
         return sweep(
-            build_chain(experiment),
+            chain,
             build_initial(experiment),
             time.transient + time.window,
             over=experiment.grid(),
@@ -125,7 +129,7 @@ def run_experiment(
                 repeats=observe.repeats,
                 quiet_below=observe.quiet_below,
             ),
-            solver=build_solver(numerics.solver),
+            solver=build_solver(numerics.solver, chain, numerics.max_step),
             rtol=numerics.rtol,
             atol=numerics.atol,
             max_step=numerics.max_step,

@@ -13,7 +13,7 @@ import zarr
 from synthetic import results
 
 import jaxchain.run
-from jaxchain import SweepInterrupted, steady_sliding
+from jaxchain import SweepInterrupted, paper_chain, steady_sliding
 from jaxchain.__main__ import main
 from jaxchain.scenefile import LAWS, builtin_scenes, load_scene
 from jaxchain.tables import Solver
@@ -242,7 +242,7 @@ def test_scenes_lists_shows_and_describes(workplace, capsys):
 
 def test_every_solver_of_a_scene_exists():
     for name in get_args(Solver):
-        assert (jaxchain.run.build_solver(name) is None) == (name == "auto")
+        assert (jaxchain.run.build_solver(name, paper_chain(), 0.5) is None) == (name == "auto")
 
 
 def test_every_law_of_a_scene_takes_the_numbers_of_its_class():
