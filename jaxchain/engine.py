@@ -185,6 +185,9 @@ class _Resumed(dfx.AbstractAdaptiveStepSizeController):
     step_size: Float[Array, ""]
     state: PyTree
 
+    def __init__(self, controller: dfx.PIDController, step_size: Array, state: PyTree):
+        self.controller, self.step_size, self.state = controller, step_size, state
+
     @property
     def rtol(self):
         return self.controller.rtol
@@ -194,7 +197,7 @@ class _Resumed(dfx.AbstractAdaptiveStepSizeController):
         return self.controller.atol
 
     @property
-    def norm(self):
+    def norm(self):  # pyright: ignore[reportIncompatibleMethodOverride]
         return self.controller.norm
 
     def wrap(self, direction):
@@ -292,7 +295,9 @@ def advance(
             controller_state=True,
         ),
         stepsize_controller=_Resumed(
-            plan.controller(), progress.solver_state.step_size, progress.controller_state
+            controller=plan.controller(),
+            step_size=progress.solver_state.step_size,
+            state=progress.controller_state,
         ),
         adjoint=adjoint,
         max_steps=max_steps,

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray as xr
+
 from jaxchain import (
     Amplitude,
     PeakTimes,

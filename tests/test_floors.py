@@ -17,9 +17,10 @@ FLOORS = [
     {"axes"},
     {"ensemble", "tables"},
     {"floquet", "lyapunov", "basin", "front", "hopf", "scene"},
-    {"fold", "extrapolate", "bench", "diagram", "scenefile"},
-    {"plot", "summary"},
-    {"run"},
+    {"fold", "extrapolate", "diagram", "scenefile", "bench.peers", "bench.timing"},
+    {"plot", "summary", "bench.cstep", "bench.ensembles", "bench.solvers"},
+    {"run", "bench.steps"},
+    {"bench", "bench.__init__"},
     {"__main__"},
 ]
 FLOOR = {module: floor for floor, modules in enumerate(FLOORS) for module in modules}

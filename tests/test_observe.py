@@ -5,6 +5,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from systems.oscillators import LinearRing
+
 from jaxchain import (
     Amplitude,
     PeakTimes,
@@ -19,7 +21,6 @@ from jaxchain import (
     paper_chain,
     simulate,
 )
-from systems.oscillators import LinearRing
 
 # Two undamped masses that know nothing of each other: x_n = X_n cos(omega_n t).
 OMEGA = np.array([1.0, 1.5])

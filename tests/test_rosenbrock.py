@@ -1,6 +1,7 @@
 """The structured solvers: order, stiffness, dense output, linear solve, and life in diffrax."""
 
 import functools as ft
+from typing import Any
 
 import diffrax as dfx
 import jax
@@ -29,12 +30,13 @@ def driven(rate):
     return Driven(rate=jnp.asarray(rate), phase=phase, nonlinear=jnp.asarray(0.3), springs=SPRINGS)
 
 
-def solve(field, solver, y0, t1, dt=None, rtol=None, t0=0.0, **kwargs):
+def solve(field, solver, y0, t1, dt=None, rtol=None, t0=0.0, **kwargs) -> Any:
     controller = (
         dfx.ConstantStepSize() if rtol is None else dfx.PIDController(rtol=rtol, atol=0.1 * rtol)
     )
+    terms: Any = dfx.ODETerm(field)
     return dfx.diffeqsolve(
-        dfx.ODETerm(field),
+        terms,
         solver,
         t0,
         t1,
@@ -145,11 +147,8 @@ def test_forward_and_reverse_derivatives_agree_with_differences():
     def end(speed, adjoint):
         chain = paper_chain(4, belt_speed=speed, width=0.05)
         y0 = equation_8(paper_chain(4), 2)
-        controller = dfx.PIDController(rtol=1e-8, atol=1e-9)
-        return dfx.diffeqsolve(
-            dfx.ODETerm(chain), Rodas4(3), 0.0, 3.0, 1e-2, y0, stepsize_controller=controller,
-            adjoint=adjoint, max_steps=1024,
-        ).ys[0][0, 1]  # fmt: skip
+        out = solve(chain, Rodas4(3), y0, 3.0, dt=1e-2, rtol=1e-8, adjoint=adjoint, max_steps=1024)
+        return out.ys[0][0, 1]
 
     h = 1e-4
     forward = dfx.ForwardMode()

@@ -1,11 +1,14 @@
 """simulate: exactness, segments, derivatives, compilation and input."""
 
+from typing import Any
+
 import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+
 from jaxchain import (
     Amplitude,
     Chain,
@@ -86,21 +89,23 @@ def test_the_amplitude_is_differentiable():
 
 
 def test_one_compilation_serves_every_number():
+    program: Any = _run
+
     def run(speed, width, t1, rtol):
         chain = CHAIN.with_(belt_speed=speed, width=width)
         simulate(chain, START, t1, observe=Amplitude(window=5.0), rtol=rtol)
 
     run(1.4, 1e-3, 10.0, 1e-6)
-    before = _run._cached._cache_size()
+    before = program._cached._cache_size()
     run(1.2, 1e-2, 20.0, 1e-5)
-    assert _run._cached._cache_size() == before
+    assert program._cached._cache_size() == before
 
 
 def compiled_text(chain, **kwargs):
     """The optimized program of a run of 100 time units."""
     start = equation_8(chain, 1)
     program = jax.jit(lambda c, y: simulate(c, y, 100.0, throw=False, **kwargs))
-    return program.lower(chain, start).compile().as_text()
+    return str(program.lower(chain, start).compile().as_text())
 
 
 def test_what_a_scene_leaves_out_is_not_in_the_compiled_program():
@@ -134,7 +139,7 @@ def test_the_linear_solve_is_chosen_by_the_strength_of_the_coupling():
 
 
 def test_a_run_that_fails_says_why_and_what_to_do():
-    with pytest.raises(RuntimeError, match="max_steps_reached.*Allow more"):
+    with pytest.raises(RuntimeError, match=r"max_steps_reached.*Allow more"):
         simulate(CHAIN, START, 50.0, max_steps=20)
     run = simulate(CHAIN, START, 50.0, max_steps=20, throw=False)
     assert run.outcome == "max_steps_reached"

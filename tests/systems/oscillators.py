@@ -1,11 +1,13 @@
 """Oscillator systems with exact solutions, for the structured solvers."""
 
 import abc
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from jaxchain._types import State
 from jaxchain.structure import AbstractOscillators, Springs
 
 
@@ -13,7 +15,7 @@ class AbstractExactOscillators(AbstractOscillators):
     """A system that knows its own solution (x, v) at any time."""
 
     @abc.abstractmethod
-    def exact(self, t):
+    def exact(self, t: Any) -> State:
         """(x, v) at time t from the state `exact(0)`."""
 
 
@@ -35,7 +37,7 @@ class LinearRing(AbstractExactOscillators):
     def stiffness_diagonal(self, n):
         return self.stiffness if self.springs is None else self.stiffness + self.springs.row_sum(n)
 
-    def exact(self, t):
+    def exact(self, t: Any) -> State:
         n = self.x0.shape[0]
         flow = jax.scipy.linalg.expm(t * self.jacobian(0.0, (self.x0, self.v0)))
         y = flow @ jnp.concatenate([self.x0, self.v0])
@@ -43,10 +45,10 @@ class LinearRing(AbstractExactOscillators):
 
 
 class Driven(AbstractExactOscillators):
-    """Prothero and Robinson's problem for an oscillator: x = s(t) = sin(t + phase) whatever rate is.
+    """Prothero and Robinson's problem for an oscillator: x = s(t) = sin(t + phase).
 
     v' = -rate (v - s') + s'' + K (s - x) + nonlinear (v^3 - s'^3), with K the whole stiffness;
-    the greater `rate`, the stiffer.
+    whatever `rate` is; the greater, the stiffer.
     """
 
     rate: jax.Array
@@ -73,5 +75,5 @@ class Driven(AbstractExactOscillators):
             return jnp.asarray(self.stiffness)
         return self.stiffness + self.springs.row_sum(n)
 
-    def exact(self, t):
+    def exact(self, t: Any) -> State:
         return jnp.sin(t + self.phase), jnp.cos(t + self.phase)
