@@ -202,6 +202,8 @@ def stock_row(repeats: int) -> list[Row]:
             {str(peer): times["stock"], str(own): times["jaxchain"]},
             times["stock"].over(times["jaxchain"]),
             bar=Bar("at least", 40.0),
+            note=f"compiled in {peer.compile_seconds:.1f} s (stock) and "
+            f"{own.compile_seconds:.1f} s",
         )
     ]
 
@@ -219,13 +221,13 @@ def lsoda_row(repeats: int) -> list[Row]:
     peer = cheapest(scan("LSODA", lsoda(ring, chain, initial, SPAN), reference, bar))
     own = cheapest(_own_settings(chain, chain.belt_speed, reference, bar))
     sides = {"LSODA": peer.run, "jaxchain": own.run}
-    note = ""
+    note = f"compiled in {own.compile_seconds:.1f} s (jaxchain)"
     other = None
     try:
         other = cheapest(scan("CVODE", cvode(ring, chain, initial, SPAN), reference, bar))
         sides["CVODE"] = other.run
     except PeerMissingError as missing:
-        note = f"CVODE: {missing}"
+        note += f"\nCVODE: {missing}"
     times = in_turn(sides, repeats)
     measured = {str(peer): times["LSODA"], str(own): times["jaxchain"]}
     rows = [
@@ -272,6 +274,7 @@ def _lsoda_lanes(ring: CompiledRing, repeats: int, bar: float, title: str, lanes
         {str(peer): per_lane["LSODA"], str(own) + ", vmap": per_lane["jaxchain"]},
         times["LSODA"].over(times["jaxchain"]),
         bar=Bar("at least", 10.0),
+        note=f"compiled in {own.compile_seconds:.1f} s (jaxchain)",
     )
 
 

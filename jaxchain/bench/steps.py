@@ -19,12 +19,11 @@ from jaxchain.bench.peers import PeerMissingError
 from jaxchain.bench.solvers import BELT_SPEED, EXCITED, SPAN, WIDTH, N
 from jaxchain.bench.timing import Bar, Row, Sample, compiled, in_turn, show_seconds
 from jaxchain.chain import paper_chain
-from jaxchain.rosenbrock import Rodas4
+from jaxchain.engine import choose_solver
 from jaxchain.simulate import simulate
 from jaxchain.states import equation_8
 from jaxchain.structure import AbstractOscillators
 
-_SWEEPS = 2
 _STEP = 0.02
 _IMPORT = """
 import time, diffrax, jax
@@ -80,12 +79,9 @@ def friction_alone(stages: int) -> Callable[..., Any]:
 
     def run(field: AbstractOscillators, state: Any, h: Any, count: Any) -> Any:
         def body(_: Any, v: Any) -> Any:
-            g, slope = field.velocity_force_and_slope(0.0, v)
-            for _ in range(stages - 1):  # one after the other, as in a step
-                g = field.velocity_force(0.0, v + h * g)
-            return v + h * (g + h * slope)
+            return v + h * field.velocity_force(0.0, v)
 
-        return lax.fori_loop(0, count, body, state[1])
+        return lax.fori_loop(0, count * stages, body, state[1])
 
     return run
 
@@ -112,7 +108,8 @@ def profile_row(repeats: int) -> list[Row]:
 def _profile(repeats: int, lanes: int) -> Row:
     belt_speeds = jnp.linspace(BELT_SPEED, BELT_SPEED + 0.1, lanes)
     chain = paper_chain(N, BELT_SPEED, WIDTH)
-    solver = Rodas4(sweeps=_SWEEPS)
+    solver = choose_solver(chain, 1e-6)
+    assert solver.sweeps is not None, "the paper's coupling is weak"
     many = eqx.filter_vmap(lambda speed: chain.with_(belt_speed=speed))(belt_speeds)
     states = jax.vmap(lambda c: equation_8(c, EXCITED))(many)
 
@@ -149,7 +146,7 @@ def _profile(repeats: int, lanes: int) -> Row:
     try:
         chains = [chain.with_(belt_speed=speed) for speed in belt_speeds.tolist()]
         for name, fast in (("the step in C", False), ("the step in C, -ffast-math", True)):
-            loop = compiled_steps(chains, solver.tableau, _SWEEPS, fast)
+            loop = compiled_steps(chains, solver.tableau, solver.sweeps, fast)
             sides[name] = lambda loop=loop: loop(count, _STEP, *states)
             counts[name] = count
     except PeerMissingError as missing:
