@@ -95,13 +95,15 @@ def build_initial(experiment: Experiment) -> Callable[..., State]:
     return pulled_away
 
 
-def build_solver(name: str, chain: Chain, max_step: float) -> dfx.AbstractSolver | None:
+def build_solver(
+    name: str, chain: Chain, rtol: float, max_step: float
+) -> dfx.AbstractSolver | None:
     """A solver by its name in a scene; None leaves the choice to `sweep`."""
     if name == "auto":
         return None
     own = {"Rodas4": Rodas4, "Rodas5P": Rodas5P}
     if name in own:
-        return fit_linear_solve(own[name](), chain, max_step)
+        return fit_linear_solve(own[name](), chain, rtol, max_step)
     return getattr(dfx, name)()
 
 
@@ -129,7 +131,7 @@ def run_experiment(
                 repeats=observe.repeats,
                 quiet_below=observe.quiet_below,
             ),
-            solver=build_solver(numerics.solver, chain, numerics.max_step),
+            solver=build_solver(numerics.solver, chain, numerics.rtol, numerics.max_step),
             rtol=numerics.rtol,
             atol=numerics.atol,
             max_step=numerics.max_step,

@@ -25,10 +25,6 @@ from ._types import PerMass, ScalarLike, State
 
 Ends = Literal["cyclic", "free"]
 
-# The relative error that a truncated (swept) solve may leave: far below every tolerance
-# that a float64 integration of a stiff chain can meet.
-SWEEP_TOLERANCE = 1e-10
-
 
 def _pad(x: Float[Array, " n"], ends: Ends) -> Float[Array, " padded"]:
     if ends == "cyclic":
@@ -59,6 +55,20 @@ def neighbour_sum(x: Float[Array, " n"], ends: Ends) -> Float[Array, " n"]:
         return p[:-2] + p[2:]
 
     return lax.platform_dependent(x, cpu=convolve, default=shift)
+
+
+def materialize(x: Float[Array, " n"]) -> Float[Array, " n"]:
+    """x itself, computed once.
+
+    XLA's CPU backend fuses an array into each of its consumers and computes it once for every one
+    of them, stage within stage; a convolution ends that (an optimization barrier does not).
+    """
+
+    def convolve(x: Array) -> Array:
+        kernel = jnp.asarray([[[1.0, 0.0]]], x.dtype)
+        return lax.conv_general_dilated(x.reshape(1, 1, -1), kernel, (1,), ((0, 1),))[0, 0]
+
+    return lax.platform_dependent(x, cpu=convolve, default=lambda x: x)
 
 
 def neighbours(x: Float[Array, " n"], ends: Ends) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
@@ -199,16 +209,21 @@ def contraction(
 
 def swept_solver(
     diagonal: Float[Array, " n"], springs: Springs, scale: ScalarLike, sweeps: int
-) -> Callable[[Float[Array, " n"]], Float[Array, " n"]]:
-    """Solves (diag(diagonal) - scale C) b = rhs by `sweeps` Jacobi sweeps (see `contraction`)."""
+) -> Callable[[Float[Array, " n"]], tuple[Float[Array, " n"], Float[Array, " n"]]]:
+    """Solves (diag(diagonal) - scale C) b = rhs by `sweeps` Jacobi sweeps (see `contraction`).
+
+    The solver returns b and the product C b of the last sweep, which lags one sweep behind.
+    """
     inverse = 1.0 / diagonal
     weight = scale * inverse
 
-    def solve(rhs: Float[Array, " n"]) -> Float[Array, " n"]:
+    def solve(rhs: Float[Array, " n"]) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
         start = b = inverse * rhs
+        product = jnp.zeros_like(b)
         for _ in range(sweeps):
-            b = start + weight * springs.product(b)
-        return b
+            product = springs.product(b)
+            b = start + weight * product
+        return b, product
 
     return solve
 

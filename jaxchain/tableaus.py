@@ -42,6 +42,8 @@ class RosenbrockTableau:
         # Stage displacement plus h gamma (first right-hand side): what the stiffness acts upon.
         self.stage_v = self.a @ self.alpha + self.alpha
         self.stage_b = self.a @ self.beta + self.beta - gamma * np.eye(s)
+        # How much the products C b may magnify what the sweeps leave out.
+        self.lag = 100.0 * (1.0 + np.max(np.sum(np.abs(self.stage_b), axis=1)) / gamma)
         # End of the step, and the dense output, in the same weights.
         self.end_v = self.stage_v[-1]
         self.end_b = self.a[-1] @ self.beta + self.beta[-1]

@@ -242,7 +242,9 @@ def test_scenes_lists_shows_and_describes(workplace, capsys):
 
 def test_every_solver_of_a_scene_exists():
     for name in get_args(Solver):
-        assert (jaxchain.run.build_solver(name, paper_chain(), 0.5) is None) == (name == "auto")
+        assert (jaxchain.run.build_solver(name, paper_chain(), 1e-6, 0.5) is None) == (
+            name == "auto"
+        )
 
 
 def test_every_law_of_a_scene_takes_the_numbers_of_its_class():

@@ -106,10 +106,11 @@ def compiled_text(chain, **kwargs):
 def test_what_a_scene_leaves_out_is_not_in_the_compiled_program():
     n = 23  # a number that occurs nowhere else in the program
     coupled = compiled_text(paper_chain(n), observe=Amplitude(window=10.0))
-    assert "convolution" in coupled
+    neighbours = "window={size=3"  # of the convolution that looks at both
+    assert neighbours in coupled
     # No coupling: no neighbour is ever looked at.
     alone = compiled_text(paper_chain(n).with_(coupling=None), observe=Amplitude(window=10.0))
-    assert "convolution" not in alone
+    assert neighbours not in alone
     # No trajectory buffer when only amplitudes are asked; one when a trajectory is.
     assert f"f64[1009,{n}]" not in coupled
     stored = compiled_text(paper_chain(n), observe=Trajectory(jnp.linspace(0.0, 100.0, 1009)))
@@ -125,10 +126,23 @@ def test_what_a_scene_leaves_out_is_not_in_the_compiled_program():
     assert entry.count(f"f64[{n}]") == 3 + 3
 
 
+def test_sweeps_do_not_lengthen_a_run():
+    chain = paper_chain(20, belt_speed=1.3)
+    for rtol in (1e-5, 1e-6, 1e-7):
+        chosen = choose_solver(chain, rtol)
+        runs = [
+            simulate(chain, equation_8(chain, 9), 30.0, solver=s, rtol=rtol)
+            for s in (chosen, chosen.with_sweeps(None))
+        ]
+        swept, exact = (int(run.steps + run.rejected) for run in runs)
+        assert swept <= 1.1 * exact
+
+
 def test_the_linear_solve_is_chosen_by_the_strength_of_the_coupling():
     assert choose_solver(paper_chain(1), 1e-6).sweeps is None  # nothing to solve
-    assert choose_solver(paper_chain(20), 1e-6).sweeps == 2
-    assert choose_solver(paper_chain(20).with_(coupling=1.0), 1e-6).sweeps is None
+    assert choose_solver(paper_chain(20), 1e-6).sweeps == 1
+    assert choose_solver(paper_chain(20).with_(coupling=1.0), 1e-6).sweeps == 3
+    assert choose_solver(paper_chain(20).with_(coupling=100.0), 1e-6).sweeps is None
     assert isinstance(choose_solver(paper_chain(20), 1e-6), Rodas4)
     assert choose_solver(paper_chain(20), 1e-9).method_order == 5
 

@@ -88,12 +88,16 @@ def test_sweeps_keep_their_bound_on_both_sides(scale, sweeps):
     springs, _ = make_springs("each its own", 20, "cyclic")
     diagonal, matrix, rhs = system(springs, 20, scale)
     exact = np.linalg.solve(matrix, np.asarray(rhs))
-    error = np.max(np.abs(swept_solver(diagonal, springs, scale, sweeps)(rhs) - exact))
+    b, product = swept_solver(diagonal, springs, scale, sweeps)(rhs)
+    error = np.max(np.abs(b - exact))
     rho = float(contraction(diagonal, springs, scale))
     start = np.max(np.abs(rhs / diagonal))
     assert error <= rho ** (sweeps + 1) / (1 - rho) * start + 1e-15
     # The bound is not idle: the error is of its order of magnitude.
     assert error >= 1e-3 * rho ** (sweeps + 1) * start
+    # The product C b comes from the sweep before, and errs by one power of rho more.
+    lag = np.max(np.abs(scale / diagonal * (product - springs.product(jnp.asarray(exact)))))
+    assert lag <= rho ** (sweeps + 1) / (1 - rho) * start + 1e-15
 
 
 def test_solvers_are_differentiable():
