@@ -9,13 +9,13 @@ from .friction import Coulomb as Coulomb
 from .friction import ExponentialDecay as ExponentialDecay
 from .friction import TanhFriction as TanhFriction
 from .friction import WeakeningStrengthening as WeakeningStrengthening
+from .measures import active as active
+from .measures import delays as delays
+from .measures import energy as energy
 from .observe import Amplitude as Amplitude
 from .observe import PeakTimes as PeakTimes
 from .observe import Section as Section
 from .observe import Trajectory as Trajectory
-from .observe import active as active
-from .observe import delays as delays
-from .observe import energy as energy
 from .result import Result as Result
 from .rosenbrock import Rodas4 as Rodas4
 from .rosenbrock import Rodas5P as Rodas5P

@@ -28,6 +28,7 @@ import xarray as xr
 
 from .chain import Chain
 from .engine import Plan
+from .measures import LEAST_ACTIVE
 from .observe import AbstractObserver, Amplitude, PeakTimes, Section
 from .result import NAMES
 
@@ -144,7 +145,7 @@ def _variables(
             speed = axes["belt_speed"].reshape(place)
         failed = np.isnan(value).any(axis=-1)
         # The rule of `jaxchain.active`, on the host.
-        count = (value > np.maximum(np.abs(speed) / 2, 1e-3)[..., None]).sum(axis=-1)
+        count = (value > np.maximum(np.abs(speed) / 2, LEAST_ACTIVE)[..., None]).sum(axis=-1)
         return {
             "amplitude": ((*dims, "oscillator"), value),
             "energy": (dims, 0.5 * (value**2).sum(axis=-1)),

@@ -28,7 +28,8 @@ from ._checks import check_count, check_span, check_tolerances, require_x64, to_
 from ._types import ScalarLike, State
 from .axes import check_axes, check_observers
 from .chain import Chain
-from .engine import MAX_STEP, Plan, choose_solver
+from .choice import MAX_STEP, choose_solver
+from .engine import Plan
 from .lanes import (
     Lane,
     Task,

@@ -21,7 +21,7 @@ import xarray as xr
 from . import friction, states
 from ._types import ScalarLike, State
 from .chain import Chain
-from .engine import fit_linear_solve
+from .choice import fit_linear_solve
 from .ensemble import SweepInterrupted, sweep
 from .observe import Amplitude
 from .plot import figure, save_figure

@@ -23,7 +23,8 @@ from ._checks import (
 )
 from ._types import ScalarLike, State
 from .chain import Chain
-from .engine import MAX_STEP, Plan, Progress, advance, begin, choose_solver
+from .choice import MAX_STEP, choose_solver
+from .engine import Plan, Progress, advance, begin
 from .observe import AbstractObserver, Trajectory
 from .result import NAMES, STOPPED_WELL, Result, code, message
 from .structure import AbstractOscillators

@@ -9,9 +9,9 @@ import jaxchain
 
 FLOORS = [
     {"_types", "_checks", "result"},
-    {"friction", "structure", "tableaus", "units", "continuation"},
+    {"friction", "structure", "tableaus", "units", "measures", "continuation"},
     {"chain", "rosenbrock"},
-    {"observe", "states"},
+    {"observe", "states", "choice"},
     {"engine", "filippov"},
     {"simulate", "lanes", "dataset", "shooting"},
     {"axes"},

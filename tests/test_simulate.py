@@ -21,7 +21,7 @@ from jaxchain import (
     simulate,
     steady_sliding,
 )
-from jaxchain.engine import choose_solver
+from jaxchain.choice import choose_solver
 from jaxchain.simulate import _run
 
 CHAIN = paper_chain(4, belt_speed=1.4)

@@ -12,9 +12,10 @@ import numpy as np
 from jaxchain._types import State
 from jaxchain.bench.timing import Bar, Row, compiled, in_turn
 from jaxchain.chain import Chain, paper_chain
-from jaxchain.engine import choose_solver
+from jaxchain.choice import choose_solver
 from jaxchain.ensemble import sweep
-from jaxchain.observe import Amplitude, active
+from jaxchain.measures import active
+from jaxchain.observe import Amplitude
 from jaxchain.simulate import simulate
 from jaxchain.states import equation_8
 

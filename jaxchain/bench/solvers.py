@@ -16,7 +16,7 @@ import numpy as np
 from jaxchain.bench.peers import CompiledRing, PeerMissingError, cvode, lsoda
 from jaxchain.bench.timing import Bar, Row, Sample, compiled, in_turn
 from jaxchain.chain import Chain, paper_chain
-from jaxchain.engine import choose_solver
+from jaxchain.choice import choose_solver
 from jaxchain.rosenbrock import Rodas5P
 from jaxchain.simulate import simulate
 from jaxchain.states import equation_8

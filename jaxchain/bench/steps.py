@@ -19,7 +19,7 @@ from jaxchain.bench.peers import PeerMissingError
 from jaxchain.bench.solvers import BELT_SPEED, EXCITED, SPAN, WIDTH, N
 from jaxchain.bench.timing import Bar, Row, Sample, compiled, in_turn, show_seconds
 from jaxchain.chain import paper_chain
-from jaxchain.engine import choose_solver
+from jaxchain.choice import choose_solver
 from jaxchain.simulate import simulate
 from jaxchain.states import equation_8
 from jaxchain.structure import AbstractOscillators
