@@ -11,7 +11,9 @@ import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
+from .scene import Scene
 from .scenefile import SceneError, builtin_scenes, load_scene, schema
+from .studies import StudyFailedError
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -36,9 +38,11 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
     run = commands.add_parser(
-        "run", help="run a scene and draw its figure", description="Runs a scene."
+        "run",
+        help="run a scene or study and draw its figure",
+        description="Runs a scene or a study.",
     )
-    run.add_argument("scene", help="name of a built-in scene, or a TOML file")
+    run.add_argument("scene", help="name of a built-in scene or study, or a TOML file")
     run.add_argument(
         "--output", metavar="DIR", type=Path, help="folder for the results (results/SCENE)"
     )
@@ -51,11 +55,15 @@ def _parser() -> argparse.ArgumentParser:
     run.set_defaults(command=_run)
 
     scenes = commands.add_parser(
-        "scenes", help="list the built-in scenes", description="Shows the built-in scenes."
+        "scenes",
+        help="list the built-in scenes and studies",
+        description="Shows the built-in scenes and studies.",
     )
     scenes.add_argument("scene", nargs="?", help="print this scene file, to start one's own from")
     scenes.add_argument(
-        "--schema", action="store_true", help="print the JSON schema of scene files, for editors"
+        "--schema",
+        action="store_true",
+        help="print the JSON schema of scene files, or of the files of a study, for editors",
     )
     scenes.set_defaults(command=_scenes)
 
@@ -66,7 +74,8 @@ def _parser() -> argparse.ArgumentParser:
 def _scenes(options: argparse.Namespace) -> int:
     builtin = builtin_scenes()
     if options.schema:
-        print(json.dumps(schema(), indent=2))
+        model = Scene if options.scene is None else type(load_scene(options.scene).scene)
+        print(json.dumps(schema(model), indent=2))
     elif options.scene is None:
         for name in builtin:
             print(f"{name:<12} {load_scene(name).scene.title}")
@@ -102,7 +111,7 @@ def _run(options: argparse.Namespace) -> int:
         run_scene(
             loaded, folder, plot=not options.no_plot, progress=not options.quiet, report=report
         )
-    except (FigureError, MemoryError) as error:
+    except (FigureError, StudyFailedError, MemoryError) as error:
         print(f"jaxchain: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:

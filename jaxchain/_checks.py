@@ -10,13 +10,22 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float
 
+# Below this a step is judged by rounding errors alone, or by squares that underflow.
+LEAST_RTOL, LEAST_ATOL = 1e-15, 1e-30
+# See `check_resolved`.
+_LAYER, _NORM_MASSES = 10.0, 20
+
 
 def to_float(value: ArrayLike) -> Float[Array, "..."]:
     """`value` as a floating-point JAX array: the converter of every numeric field.
 
     Integers become floats, because only floats have tangents; and the result is never weakly
     typed, because a weakly typed leaf would compile everything once more.
+
+    **Raises:** `ValueError` for complex numbers, whose imaginary part would be lost.
     """
+    if np.iscomplexobj(value):
+        raise ValueError(f"Numbers must be real here, but one is complex: {value}.")
     return jnp.asarray(value, dtype=float)
 
 
@@ -30,8 +39,28 @@ def require_x64() -> None:
         )
 
 
-def _concrete(value: ArrayLike) -> np.ndarray | None:
-    return None if is_traced(value) else np.asarray(value)
+def require_64_bits(name: str, tree: object) -> None:
+    """Raises `ValueError` if a floating-point array in `tree` has fewer than 64 bits.
+
+    Such numbers come from before JAX was told to use 64 bits: 0.05 is 0.0500000007 there.
+    """
+    for leaf in jax.tree.leaves(tree):
+        dtype = getattr(leaf, "dtype", None)
+        if dtype is not None and jnp.issubdtype(dtype, jnp.floating) and dtype.itemsize < 8:
+            raise ValueError(
+                f"Argument `{name}` holds {dtype} numbers: it was made before JAX was told to use "
+                "64-bit floats, or from an array of 32 bits. Make it again from 64-bit numbers."
+            )
+
+
+def _concrete(name: str, value: object) -> np.ndarray | None:
+    """`value` as real numbers, or None if it is traced."""
+    if is_traced(value):
+        return None
+    numbers = np.asarray(value)
+    if not any(jnp.issubdtype(numbers.dtype, kind) for kind in (bool, jnp.integer, jnp.floating)):
+        raise ValueError(f"Argument `{name}` must be made of real numbers, but is {value!r}.")
+    return numbers
 
 
 def _check_each(
@@ -51,7 +80,7 @@ def _check_each(
 
 def check_finite(name: str, value: ArrayLike, remedy: str = "") -> None:
     """Raises `ValueError` if a concrete `value` holds NaN or infinity."""
-    if (numbers := _concrete(value)) is not None:
+    if (numbers := _concrete(name, value)) is not None:
         _check_each(name, value, np.isfinite(numbers), "finite", remedy)
 
 
@@ -64,14 +93,14 @@ def check_positive(name: str, value: ArrayLike, remedy: str = "") -> None:
         ...
     ValueError: Argument `width` must be positive and finite, but is -0.1: choose 1e-3, say.
     """
-    if (numbers := _concrete(value)) is not None:
+    if (numbers := _concrete(name, value)) is not None:
         good = np.isfinite(numbers) & (numbers > 0)
         _check_each(name, value, good, "positive and finite", remedy)
 
 
 def check_nonnegative(name: str, value: ArrayLike, remedy: str = "") -> None:
     """Raises `ValueError` if a concrete `value` is anywhere negative or not finite."""
-    if (numbers := _concrete(value)) is not None:
+    if (numbers := _concrete(name, value)) is not None:
         good = np.isfinite(numbers) & (numbers >= 0)
         _check_each(name, value, good, "zero or positive, and finite", remedy)
 
@@ -80,7 +109,7 @@ def check_at_least(
     name: str, value: ArrayLike, floor_name: str, floor: ArrayLike, remedy: str = ""
 ) -> None:
     """Raises `ValueError` if a concrete `value` is anywhere below a concrete `floor`."""
-    numbers, bounds = _concrete(value), _concrete(floor)
+    numbers, bounds = _concrete(name, value), _concrete(floor_name, floor)
     if numbers is None or bounds is None:
         return
     numbers, bounds = np.broadcast_arrays(numbers, bounds)
@@ -113,18 +142,34 @@ def is_traced(*values: object) -> bool:
     return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(values))
 
 
-def check_count(name: str, value: int | None) -> None:
+def check_count(name: str, value: object) -> None:
     """Raises `ValueError` unless `value` is None (no limit) or an integer of at least 1."""
-    if value is not None and (not isinstance(value, int | np.integer) or value < 1):
+    if value is None:
+        return
+    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if not whole or value < 1:  # pyright: ignore[reportOperatorIssue]
         raise ValueError(
             f"Argument `{name}` must be None or an integer of at least 1, but is {value!r}."
         )
 
 
+def check_number(name: str, value: object, remedy: str = "") -> None:
+    """Raises `ValueError` unless `value` is one real number, finite if it is concrete."""
+    numbers = _concrete(name, value)
+    shape = jnp.shape(value) if numbers is None else numbers.shape  # pyright: ignore
+    if shape != ():
+        raise ValueError(
+            f"Argument `{name}` must be one number, but has shape {shape}: use `jax.vmap` for "
+            "several runs."
+        )
+    if numbers is not None:
+        _check_each(name, numbers, np.isfinite(numbers), "finite", remedy)
+
+
 def check_span(t0: ArrayLike, t1: ArrayLike) -> None:
     """Raises `ValueError` unless concrete times t0 <= t1 are finite."""
-    check_finite("t0", t0, "it is a dimensionless time.")
-    check_finite("t1", t1, "it is a dimensionless time.")
+    check_number("t0", t0, "it is a dimensionless time.")
+    check_number("t1", t1, "it is a dimensionless time.")
     if not is_traced(t0, t1) and float(np.asarray(t1)) < float(np.asarray(t0)):
         raise ValueError(
             f"Argument `t1` = {t1} lies before `t0` = {t0}: dry friction cannot be integrated "
@@ -133,8 +178,49 @@ def check_span(t0: ArrayLike, t1: ArrayLike) -> None:
 
 
 def check_tolerances(rtol: ArrayLike, atol: ArrayLike | None, max_step: ArrayLike) -> None:
-    """Raises `ValueError` unless what is given of the step-size control is positive and finite."""
+    """Raises `ValueError` unless what is given of the step-size control can control a step."""
+    check_number("rtol", rtol, "1e-6 is usual.")
+    check_number("max_step", max_step, "0.5 is usual, where a period is about 2 pi.")
     check_positive("rtol", rtol, "1e-6 is usual.")
     check_positive("max_step", max_step, "0.5 is usual, where a period is about 2 pi.")
+    if (numbers := _concrete("rtol", rtol)) is not None:
+        sensible = (numbers >= LEAST_RTOL) & (numbers < 1)
+        remedy = "64-bit floats hold 16 digits; 1e-6 is usual."
+        _check_each("rtol", rtol, sensible, f"at least {LEAST_RTOL:g} and below 1", remedy)
     if atol is not None:
+        check_number("atol", atol, "a tenth of `rtol` is usual.")
         check_positive("atol", atol, "a tenth of `rtol` is usual.")
+        if (numbers := _concrete("atol", atol)) is not None:
+            remedy = "a tenth of `rtol` is usual."
+            _check_each("atol", atol, numbers >= LEAST_ATOL, f"at least {LEAST_ATOL:g}", remedy)
+
+
+def check_resolved(
+    n: int, width: ArrayLike, belt_speed: ArrayLike, rtol: ArrayLike, atol: ArrayLike | None
+) -> None:
+    """Raises `ValueError` if the tolerance on velocities is too coarse for the width.
+
+    Where a mass sticks, |w| < eps, about.  With an error of that order in its velocity,
+    atol + rtol |v_d|, a mass leaves the belt, or does not reach it, and no error estimate tells:
+    a single mass is off by 5e-3 after 50 time units at eps = 10 (atol + rtol |v_d|) and by what
+    the tolerance promises from 30 on.  The norm of the error is a mean over masses, and what one
+    of n may have is sqrt(n) times that; the norm lets no mass have more than one of 20.
+    """
+    if is_traced(width, belt_speed, rtol, atol):
+        return
+    per_speed = np.max(np.abs(np.asarray(belt_speed)))
+    least, rtol = float(np.min(np.asarray(width))), float(np.asarray(rtol))
+    allowed = least / (_LAYER * min(n, _NORM_MASSES) ** 0.5)
+    given = 0.1 * rtol if atol is None else float(np.asarray(atol))
+    if given + rtol * per_speed <= allowed:
+        return
+    tighter = allowed / (per_speed + 0.1) / 3
+    remedies = [f"a width of {3 * (given + rtol * per_speed) / allowed * least:.0e}"]
+    if tighter >= LEAST_RTOL:
+        remedies.insert(0, f"`rtol` = {tighter:.0e} (`atol` a tenth of it)")
+    raise ValueError(
+        f"Arguments `rtol` = {rtol:g} and `atol` = {given:g} are too loose for a regularization "
+        f"width of {least:g} at a belt speed of {per_speed:g}: errors of that size in a velocity "
+        f"tear sticking masses off the belt. Use {', or '.join(remedies)}, or a solver for the "
+        "non-smooth law."
+    )

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from ._checks import check_finite
+from .amplitude import Amplitude
 from .chain import Chain
 from .lanes import chain_names, initial_names
-from .observe import AbstractObserver, Amplitude, Trajectory
+from .observe import AbstractObserver, Trajectory
 
 MOST_LANES = 10_000_000
 RESULT_NAMES = (

@@ -140,6 +140,17 @@ class Chain(AbstractOscillators):
             force = self.normal_load * force
         return force - 2.0 * self.damping_ratio * v
 
+    def switching(
+        self, t: ScalarLike, v: Float[Array, " n"]
+    ) -> tuple[Float[Array, " n"], PerMass]:
+        """(v - v_d, eps): friction turns round as a mass passes the belt's speed."""
+        del t
+        return v - self.belt_speed, self.friction.width
+
+    def stick_speed(self) -> PerMass:
+        """The speed of greatest friction, below which a mass sticks: `TanhFriction.stick_speed`."""
+        return self.friction.stick_speed()
+
     def time_slope(self, t: ScalarLike, v: Float[Array, " n"]) -> None:
         """None: the chain is autonomous."""
         del t, v

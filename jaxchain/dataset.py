@@ -5,6 +5,7 @@ Variables (… stands for the swept dimensions):
     amplitude (…, oscillator)    A_n, half peak-to-peak of x_n            in P/k
     energy (…)                   E = 1/2 sum A_n^2, eq. (9)               in (P/k)^2
     active_count (…)             masses with A_n > |v_d| / 2
+    stick_time (…, oscillator)   for how long a mass sticks in the window
     peak_time (…, peak, oscillator)
     section_time (…, point), section_displacement, section_velocity (…, point, oscillator)
     result (…)                   how the lane ended, see its flag_meanings
@@ -26,10 +27,11 @@ import jax.tree_util as jtu
 import numpy as np
 import xarray as xr
 
+from .amplitude import Amplitude
 from .chain import Chain
-from .engine import Plan
 from .measures import LEAST_ACTIVE
-from .observe import AbstractObserver, Amplitude, PeakTimes, Section
+from .observe import AbstractObserver, PeakTimes, Section, StickTime
+from .progress import AbstractPlan
 from .result import NAMES
 
 UNITS = {
@@ -41,6 +43,7 @@ UNITS = {
     "end_time": "1 / omega_n",
     "peak_time": "1 / omega_n",
     "section_time": "1 / omega_n",
+    "stick_time": "1 / omega_n",
     "section_displacement": "x0",
     "section_velocity": "x0 omega_n",
 }
@@ -55,11 +58,12 @@ LONG_NAMES = {
     "end_time": "time at which the lane ended",
     "steps": "accepted steps",
     "rejected": "rejected steps",
+    "stick_time": "time for which a mass sticks during the window",
 }
 
 
 def describe(
-    chain: Chain, plan: Plan, *, t0: float, t1: float, swept: Sequence[str]
+    chain: Chain, plan: AbstractPlan, *, t0: float, t1: float, swept: Sequence[str]
 ) -> dict[str, Any]:
     """Provenance: everything needed to repeat the computation, as NetCDF-safe attributes."""
     law = chain.friction.law
@@ -87,7 +91,7 @@ def describe(
         "parameters": json.dumps(
             {k: np.asarray(v).tolist() if eqx.is_array(v) else v for k, v in parameters.items()}
         ),
-        "solver": repr(plan.solver),
+        "solver": plan.method,
         "rtol": float(plan.rtol),
         "atol": float(plan.atol),
         "max_step": float(plan.max_step),
@@ -152,6 +156,8 @@ def _variables(
             # -1 where the lane has no amplitude: a count of zero would read as quiet.
             "active_count": (dims, np.where(failed, -1, count)),
         }
+    if isinstance(observer, StickTime):
+        return {"stick_time": ((*dims, "oscillator"), value)}
     if isinstance(observer, PeakTimes):
         return {"peak_time": ((*dims, "peak", "oscillator"), value)}
     if isinstance(observer, Section):

@@ -1,25 +1,24 @@
-"""The engine: the only place where `diffeqsolve` is called.
+"""Runs of a chain with smoothed friction: the only place where `diffeqsolve` is called.
 
-    begin -> advance (as often as one likes) -> diffeqsolve(ObservingSolver(solver))
-
-`advance` moves a `Progress` forward in time and can be called again with what it returned; that is
-how a long run is cut into segments and how an ensemble refills its lanes.
+begin -> advance (as often as one likes) -> diffeqsolve(ObservingSolver(solver))
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import diffrax as dfx
 import equinox as eqx
 import jax.numpy as jnp
 import jax.tree_util as jtu
-from jaxtyping import Array, Float, Int, PyTree
+from jaxtyping import Array, Float, PyTree
 
 from ._checks import to_float
 from ._types import State
+from .control import SwitchingController
 from .observe import AbstractObserver, Step
+from .progress import AbstractPlan, Progress
 from .result import Result
 from .rosenbrock import AbstractStructuredRosenbrock, RosenbrockInterpolation
 from .structure import AbstractOscillators
@@ -80,7 +79,7 @@ class ObservingSolver(dfx.AbstractWrappedSolver, dfx.AbstractAdaptiveSolver):
         return self.solver.func(terms, t0, y0, args)
 
     def init(self, terms, t0, t1, y0, args):
-        raise NotImplementedError("`advance` passes the solver's state explicitly.")
+        raise NotImplementedError("`SmoothedPlan.advance` passes the solver's state explicitly.")
 
     def start(self, field, terms, t0, t1, dt0, y0) -> _ObservingState:
         """The solver state at the start of a run over [t0, t1] with first step dt0."""
@@ -152,22 +151,6 @@ def _quintic(
     return displacement, velocity
 
 
-class Progress(eqx.Module):
-    """A run under way: everything that `advance` needs to go on."""
-
-    t: Float[Array, ""]
-    state: State
-    solver_state: _ObservingState
-    controller_state: PyTree
-    result: Result
-    steps: Int[Array, ""]
-    rejected: Int[Array, ""]
-
-    @property
-    def running(self) -> Any:
-        return self.result == Result.successful
-
-
 class _Resumed(dfx.AbstractAdaptiveStepSizeController):
     """A controller that goes on where another call of `advance` left it.
 
@@ -175,11 +158,11 @@ class _Resumed(dfx.AbstractAdaptiveStepSizeController):
     program that calls the host cannot be kept in JAX's compilation cache.
     """
 
-    controller: dfx.PIDController
+    controller: SwitchingController
     step_size: Float[Array, ""]
     state: PyTree
 
-    def __init__(self, controller: dfx.PIDController, step_size: Array, state: PyTree):
+    def __init__(self, controller: SwitchingController, step_size: Array, state: PyTree):
         self.controller, self.step_size, self.state = controller, step_size, state
 
     @property
@@ -210,8 +193,17 @@ class _Resumed(dfx.AbstractAdaptiveStepSizeController):
         )
 
 
-class Plan(eqx.Module):
-    """How a run is computed: solver, tolerances, observers.  Static but for the tolerances."""
+class _Memory(eqx.Module):
+    """What a run keeps besides its state and its observers."""
+
+    solver: Any
+    acceleration: Float[Array, " n"] | None
+    step_size: Float[Array, ""]
+    controller: PyTree
+
+
+class SmoothedPlan(AbstractPlan):
+    """Integration of the smoothed chain by diffrax: solver, tolerances, observers."""
 
     solver: dfx.AbstractSolver
     observers: list[AbstractObserver]
@@ -220,8 +212,13 @@ class Plan(eqx.Module):
     max_step: Float[Array, ""] = eqx.field(converter=to_float)
     t1: Float[Array, ""] = eqx.field(converter=to_float)
 
-    def controller(self) -> dfx.PIDController:
-        return dfx.PIDController(
+    @property
+    def method(self) -> str:
+        return repr(self.solver)
+
+    def controller(self, field: AbstractOscillators) -> SwitchingController:
+        """The step-size control of a run; plain PID control where no force of `field` switches."""
+        pid = dfx.PIDController(
             rtol=self.rtol,
             atol=self.atol,
             dtmax=self.max_step,
@@ -229,94 +226,90 @@ class Plan(eqx.Module):
             dtmin=8 * jnp.finfo(float).eps * jnp.maximum(jnp.abs(self.t1), 1e-2),
             force_dtmin=False,
         )
+        return SwitchingController(pid, field)
 
-
-def begin(plan: Plan, field: AbstractOscillators, initial: State, t0: Any, t1: Any) -> Progress:
-    """A run over [t0, t1] before its first step; ended already if nothing can be computed."""
-    t0 = to_float(t0)
-    terms: Any = dfx.ODETerm(field)  # pyright: ignore[reportArgumentType]
-    solver = ObservingSolver(plan.solver, plan.observers)
-    tnext, controller_state = plan.controller().init(
-        terms, t0, t1, initial, None, None, solver.func, solver.error_order(terms)
-    )
-    # A NaN step would be repeated for ever: the controller cannot shrink it.
-    sound = jnp.isfinite(tnext) & jnp.all(jnp.isfinite(initial[0] + initial[1]))
-    return Progress(
-        t=t0,
-        state=initial,
-        solver_state=solver.start(field, terms, t0, t1, tnext - t0, initial),
-        controller_state=jtu.tree_map(jnp.asarray, controller_state),
-        result=Result.where(sound, Result.successful, Result.nonfinite),
-        steps=jnp.zeros((), int),
-        rejected=jnp.zeros((), int),
-    )
-
-
-def advance(
-    plan: Plan,
-    field: AbstractOscillators,
-    progress: Progress,
-    t1: Any,
-    *,
-    max_steps: int | None,
-    saveat: dfx.SaveAt | None = None,
-    adjoint: dfx.AbstractAdjoint | None = None,
-) -> tuple[Progress, Any]:
-    """Moves on to t1, or by `max_steps`, whichever comes first.
-
-    **Returns:** the new progress (whose result is `max_steps_reached` if t1 was not reached) and
-    the values asked for by `saveat`.
-    """
-    adjoint = dfx.ForwardMode() if adjoint is None else adjoint
-    solver = plan.solver
-    if isinstance(solver, dfx.AbstractRungeKutta) and isinstance(adjoint, dfx.ForwardMode):
-        # diffrax does this itself, but cannot reach into a wrapped solver.
-        solver = eqx.tree_at(
-            lambda s: s.scan_kind, solver, "lax", is_leaf=lambda leaf: leaf is None
+    def begin(self, field: AbstractOscillators, initial: State, t0: Any, t1: Any) -> Progress:
+        t0 = to_float(t0)
+        terms: Any = dfx.ODETerm(field)  # pyright: ignore[reportArgumentType]
+        solver = ObservingSolver(self.solver, self.observers)
+        tnext, controller_state = self.controller(field).init(
+            terms, t0, t1, initial, None, None, solver.func, solver.error_order(terms)
         )
-    terms: Any = dfx.ODETerm(field)  # pyright: ignore[reportArgumentType]
-    solution: Any = dfx.diffeqsolve(
-        terms,
-        ObservingSolver(solver, plan.observers),
-        t0=progress.t,
-        # A lane that has ended stays where it is.
-        t1=jnp.where(progress.running, t1, progress.t),
-        dt0=None,
-        y0=progress.state,
-        saveat=dfx.SaveAt(
-            subs=(dfx.SubSaveAt(t1=True), None if saveat is None else saveat.subs),
-            solver_state=True,
-            controller_state=True,
-        ),
-        stepsize_controller=_Resumed(
-            controller=plan.controller(),
-            step_size=progress.solver_state.step_size,
-            state=progress.controller_state,
-        ),
-        adjoint=adjoint,
-        max_steps=max_steps,
-        solver_state=progress.solver_state,
-        throw=False,
-    )
-    ys, saved = solution.ys
-    state = jtu.tree_map(lambda y: y[-1], ys)
-    stopped = solution.result == _SETTLED
-    quiet = jnp.asarray(False)
-    for observer, accumulator in zip(
-        plan.observers, solution.solver_state.accumulators, strict=True
-    ):
-        quiet = quiet | observer.rests(accumulator)
-    result = _translate(solution.result, stopped & quiet, state)
-    new = Progress(
-        t=solution.ts[0][-1],
-        state=state,
-        solver_state=solution.solver_state,
-        controller_state=solution.controller_state,
-        result=Result.where(progress.running, result, progress.result),
-        steps=progress.steps + solution.stats["num_accepted_steps"],
-        rejected=progress.rejected + solution.stats["num_rejected_steps"],
-    )
-    return new, saved
+        # A NaN step would be repeated for ever: the controller cannot shrink it.
+        sound = jnp.isfinite(tnext) & jnp.all(jnp.isfinite(initial[0] + initial[1]))
+        state = solver.start(field, terms, t0, t1, tnext - t0, initial)
+        controller = jtu.tree_map(jnp.asarray, controller_state)
+        return Progress(
+            t=t0,
+            state=initial,
+            accumulators=state.accumulators,
+            memory=_Memory(state.inner, state.acceleration, state.step_size, controller),
+            result=Result.where(sound, Result.successful, Result.nonfinite),
+            steps=jnp.zeros((), int),
+            rejected=jnp.zeros((), int),
+        )
+
+    def advance(
+        self,
+        field: AbstractOscillators,
+        progress: Progress,
+        t1: Any,
+        *,
+        max_steps: int | None,
+        times: Sequence[Array] = (),
+        adjoint: dfx.AbstractAdjoint | None = None,
+    ) -> tuple[Progress, list[tuple[Array, Array]]]:
+        adjoint = dfx.ForwardMode() if adjoint is None else adjoint
+        solver = self.solver
+        if isinstance(solver, dfx.AbstractRungeKutta) and isinstance(adjoint, dfx.ForwardMode):
+            # diffrax does this itself, but cannot reach into a wrapped solver.
+            solver = eqx.tree_at(
+                lambda s: s.scan_kind, solver, "lax", is_leaf=lambda leaf: leaf is None
+            )
+        terms: Any = dfx.ODETerm(field)  # pyright: ignore[reportArgumentType]
+        memory = progress.memory
+        solution: Any = dfx.diffeqsolve(
+            terms,
+            ObservingSolver(solver, self.observers),
+            t0=progress.t,
+            # A lane that has ended stays where it is.
+            t1=jnp.where(progress.running, t1, progress.t),
+            dt0=None,
+            y0=progress.state,
+            saveat=dfx.SaveAt(
+                subs=(dfx.SubSaveAt(t1=True), [dfx.SubSaveAt(ts=ts) for ts in times]),
+                solver_state=True,
+                controller_state=True,
+            ),
+            stepsize_controller=_Resumed(
+                self.controller(field), memory.step_size, memory.controller
+            ),
+            adjoint=adjoint,
+            max_steps=max_steps,
+            solver_state=_ObservingState(
+                memory.solver, progress.accumulators, memory.acceleration, memory.step_size
+            ),
+            throw=False,
+        )
+        ys, saved = solution.ys
+        state, last = jtu.tree_map(lambda y: y[-1], ys), solution.solver_state
+        stopped = solution.result == _SETTLED
+        quiet = jnp.asarray(False)
+        for observer, accumulator in zip(self.observers, last.accumulators, strict=True):
+            quiet = quiet | observer.rests(accumulator)
+        result = _translate(solution.result, stopped & quiet, state)
+        new = Progress(
+            t=solution.ts[0][-1],
+            state=state,
+            accumulators=last.accumulators,
+            memory=_Memory(
+                last.inner, last.acceleration, last.step_size, solution.controller_state
+            ),
+            result=Result.where(progress.running, result, progress.result),
+            steps=progress.steps + solution.stats["num_accepted_steps"],
+            rejected=progress.rejected + solution.stats["num_rejected_steps"],
+        )
+        return new, saved
 
 
 def _translate(outcome: Any, quiet: Any, state: State) -> Result:

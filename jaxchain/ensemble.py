@@ -8,49 +8,47 @@ A lane sees nothing of its neighbours: its steps and rounds are the same whoever
 
 from __future__ import annotations
 
-import os
+import functools
 import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import diffrax as dfx
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.tree_util as jtu
 import numpy as np
-from jax.sharding import Mesh, NamedSharding
-from jax.sharding import PartitionSpec as P
-from tqdm import tqdm
 
-from ._checks import check_count, check_span, check_tolerances, require_x64, to_float
+from ._checks import (
+    check_count,
+    check_finite,
+    check_resolved,
+    check_span,
+    check_tolerances,
+    require_64_bits,
+    require_x64,
+    to_float,
+)
 from ._types import ScalarLike, State
 from .axes import check_axes, check_observers
 from .chain import Chain
-from .choice import MAX_STEP, choose_solver
-from .engine import Plan
+from .choice import MAX_STEP, choose_numerics, choose_solver
+from .filippov import EventDriven
 from .lanes import (
-    Lane,
     Task,
-    advance_lane,
-    departures,
-    on_all_lanes,
-    read_lane,
-    restart_lane,
-    start_lane,
+    chain_names,
+    initial_names,
 )
+from .pool import Pool
 from .result import NAMES, STOPPED_WELL, message
+from .simulate import build_plan
 
 if TYPE_CHECKING:
     from xarray import Dataset
 
-# Numbers per array of one device's lanes: what keeps the arrays of a step within a core's cache.
-_NUMBERS_PER_DEVICE = {"cpu": 640, "gpu": 1 << 20}
-# Seconds of work left that are worth another compilation, for fewer lanes.
-_WORTH_COMPILING = 15.0
-# Share of the free memory that results and lanes may take.
-_MEMORY_SHARE = 0.8
+# Values of a parameter of `initial` that are tried one by one before a sweep.
+_MOST_TRIED = 64
 
 
 class SweepInterrupted(KeyboardInterrupt):
@@ -69,8 +67,9 @@ def sweep(
     over: Mapping[str, Any],
     observe: Any = None,
     t0: ScalarLike = 0.0,
-    solver: dfx.AbstractSolver | None = None,
-    rtol: ScalarLike = 1e-6,
+    solver: dfx.AbstractSolver | EventDriven | None = None,
+    accuracy: float | None = None,
+    rtol: ScalarLike | None = None,
     atol: ScalarLike | None = None,
     max_step: ScalarLike = MAX_STEP,
     max_steps: int | None = None,
@@ -91,6 +90,8 @@ def sweep(
       parameter of `initial` (`excited`, a seed, ...).
     - `observe`: one observer or several of different kinds (default: `Amplitude` over the last
       tenth of the run).  A `Trajectory` does not fit into lanes; use `jax.vmap(simulate)`.
+    - `accuracy`: as for `simulate`; every lane has a width of its own, `width` of the dataset, and
+      all have the least of their `rtol`.
     - `solver`, `rtol`, `atol`, `max_step`, `max_steps`: as for `simulate`, the same for all lanes.
     - `lanes`: lanes at a time on each device (default: what fits its cache).
     - `devices`: default all local devices.
@@ -119,21 +120,42 @@ def sweep(
     from .dataset import describe, to_dataset
 
     require_x64()
-    axes = check_axes(chain, initial, over)
-    observers = check_observers(observe, float(t1) - float(t0))
+    require_64_bits("chain", chain)
     check_span(t0, t1)
-    check_tolerances(rtol, atol, max_step)
-    check_count("max_steps", max_steps)
-    check_count("lanes", lanes)
+    axes = check_axes(chain, initial, over)
+    _check_initial(chain, initial, axes)
+    _check_together(chain, axes)
     grid = np.meshgrid(*axes.values(), indexing="ij")
     jobs = {name: g.ravel() for name, g in zip(axes, grid, strict=True)}
+    smoothed = not isinstance(solver, EventDriven)
+    widths = None
+    if accuracy is not None:
+        if rtol is not None or "width" in axes:
+            raise ValueError(
+                "Argument `accuracy` picks the width and `rtol`: leave out `rtol`, and `width` of "
+                "`over`."
+            )
+        widths, rtol = _numerics(chain, jobs, accuracy)
+    rtol = 1e-6 if rtol is None else rtol
+    check_tolerances(rtol, atol, max_step)
+    if not smoothed:
+        widths = None
+    elif widths is not None:
+        jobs["width"] = widths
+    else:
+        width = axes.get("width", chain.friction.width)
+        speed = axes.get("belt_speed", chain.belt_speed)
+        check_resolved(chain.n, width, speed, rtol, atol)
+    observers = check_observers(observe, float(t1) - float(t0))
+    check_count("max_steps", max_steps)
+    check_count("lanes", lanes)
     atol = 0.1 * rtol if atol is None else atol
     if solver is None:
         solver = choose_solver(_strongest(chain, axes), float(rtol), float(max_step))
-    plan = Plan(solver, observers, rtol=rtol, atol=atol, max_step=max_step, t1=t1)
+    plan = build_plan(solver, observers, rtol, atol, max_step, t1)
     most = np.iinfo(np.int64).max if max_steps is None else max_steps
     task = Task(plan, chain, initial, to_float(t0), to_float(t1), jnp.asarray(most))
-    runner = _Runner(task, jobs, devices, lanes)
+    runner = Pool(task, jobs, devices, lanes)
     lane_count, started = runner.lanes, time.perf_counter()
     interrupted = False
     try:
@@ -146,149 +168,83 @@ def sweep(
         "devices": ", ".join(str(d) for d in runner.devices),
         "lanes_per_device": lane_count,
     }
+    _blank_failures(runner.records)
     dataset = to_dataset(runner.records, axes, chain, observers, attrs)
+    if widths is not None:
+        shape = tuple(values.size for values in axes.values())
+        about = {"long_name": "regularization width that `accuracy` picked", "units": "x0 omega_n"}
+        dataset["width"] = (tuple(axes), widths.reshape(shape), about)
+        dataset.attrs["accuracy"] = accuracy
     if interrupted:
         raise SweepInterrupted(dataset)
     _warn_of_failures(dataset)
     return dataset
 
 
-class _Runner:
-    """The host's side of a sweep: hands jobs to lanes and collects what they return."""
+def _numerics(
+    chain: Chain, jobs: Mapping[str, np.ndarray], accuracy: float
+) -> tuple[np.ndarray, float]:
+    """The width of every job, and one rtol for all."""
+    own = {name: jnp.asarray(v) for name, v in jobs.items() if name in chain_names(chain)}
 
-    def __init__(
-        self,
-        task: Task,
-        jobs: dict[str, np.ndarray],
-        devices: Sequence[Any] | None,
-        lanes: int | None,
-    ):
-        self.task, self.jobs = task, jobs
-        self.total = next(iter(jobs.values())).shape[0]
-        self.devices = list(jax.local_devices() if devices is None else devices)[: self.total]
-        self.lanes = _lane_count(task.chain.n, self.total, self.devices, lanes)
-        self.width = self.lanes * len(self.devices)
-        self.mesh = Mesh(np.array(self.devices), ("lanes",))
-        self.sharding = NamedSharding(self.mesh, P("lanes"))
-        self.owner = np.full(self.width, -1)  # job of each lane; -1 is idle
-        self.last_look: tuple[float, np.ndarray] | None = None  # (wall time, times of the lanes)
-        first = {k: jnp.asarray(v[0]) for k, v in jobs.items()}
-        self.lane_shape = eqx.filter_eval_shape(start_lane, task, first)
-        self.records = self._allocate()
+    def of_one(values: dict[str, Any]) -> tuple[Any, Any]:
+        chosen = choose_numerics(chain.with_(**values), accuracy)
+        return chosen.width, chosen.rtol
 
-    def _allocate(self) -> dict[str, Any]:
-        """Host arrays for every job; raises before anything is compiled if they cannot fit."""
-        shapes = eqx.filter_eval_shape(read_lane, self.task, self.lane_shape)
-        leaves = jtu.tree_leaves(shapes)
-        need = self.total * sum(int(np.prod(s.shape)) * s.dtype.itemsize for s in leaves)
-        free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-        if need > _MEMORY_SHARE * free:
-            raise MemoryError(
-                f"The results of {self.total} lanes need {need / 2**30:.1f} GiB, but "
-                f"{free / 2**30:.1f} GiB are free. Sweep over fewer values, or observe less."
+    count = next(iter(jobs.values())).size
+    if own:
+        widths, rtols = jax.vmap(of_one)(own)
+    else:
+        widths, rtols = (jnp.full(count, a) for a in of_one({}))
+    return np.asarray(widths), float(jnp.min(rtols))
+
+
+def _check_initial(
+    chain: Chain, initial: State | Callable[..., State], axes: Mapping[str, np.ndarray]
+) -> None:
+    """Raises what `initial` raises for a value of its own, and for a state that does not fit.
+
+    In a compiled program all values are traced, and 30 excited masses of 20 would pass for 20.
+    """
+    states: list[Any] = [initial]
+    if callable(initial):
+        own = {name: v for name, v in axes.items() if name in initial_names(initial)}
+        first = {name: jnp.asarray(values[0]) for name, values in own.items()}
+        rows = [first]
+        for name, values in own.items():
+            different = np.unique(values)
+            kept = different if different.size <= _MOST_TRIED else different[[0, -1]]
+            rows += [first | {name: jnp.asarray(value)} for value in kept]
+        states = [jax.eval_shape(functools.partial(initial, chain, **row)) for row in rows]
+    for state in states:
+        if not isinstance(state, tuple | list) or len(state) != 2:
+            raise ValueError(
+                "Argument `initial` must be the pair (displacement, velocity) or return it, but "
+                f"that is {type(state).__name__}."
             )
-
-        def blank(s: jax.ShapeDtypeStruct) -> np.ndarray:
-            fill = np.nan if np.issubdtype(s.dtype, np.floating) else NAMES.index("interrupted")
-            return np.full((self.total, *s.shape), fill, s.dtype)
-
-        return jtu.tree_map(blank, shapes)
-
-    def _empty_pool(self) -> Lane:
-        def empty(s: Any) -> Any:
-            if not isinstance(s, jax.ShapeDtypeStruct):
-                return s
-            return jax.device_put(np.zeros((self.width, *s.shape), s.dtype), self.sharding)
-
-        return jtu.tree_map(empty, self.lane_shape)
-
-    def run(self, show: bool, description: str) -> None:
-        waiting = self._order()
-        pool, waiting = self._refill(self._empty_pool(), waiting)
-        with tqdm(
-            total=self.total,
-            desc=description,
-            unit="lane",
-            disable=not show,
-            bar_format="{desc}: {percentage:3.0f}%|{bar}| {n:.1f}/{total} lanes "
-            "[{elapsed}<{remaining}]",
-        ) as bar:
-            finished = 0
-            while np.any(self.owner >= 0):
-                pool, ended = on_all_lanes(advance_lane, self.mesh, self.task, pool)
-                done = np.asarray(ended) & (self.owner >= 0)
-                if done.any():
-                    self._store(on_all_lanes(read_lane, self.mesh, self.task, pool), done)
-                    finished += int(done.sum())
-                    self.owner[done] = -1
-                    if waiting.size:
-                        pool, waiting = self._refill(pool, waiting)
-                if not waiting.size:
-                    pool = self._shrink(pool)
-                if show:
-                    bar.n = finished + self._fraction_under_way(pool)
-                    bar.refresh()
-
-    def _order(self) -> np.ndarray:
-        """Jobs that start farthest from rest first: they take longest, and must not come last."""
-        jobs = {k: jnp.asarray(v) for k, v in self.jobs.items()}
-        return np.argsort(-np.asarray(departures(self.task, jobs)), kind="stable")
-
-    def _refill(self, pool: Lane, waiting: np.ndarray) -> tuple[Lane, np.ndarray]:
-        """Idle lanes take the first jobs of `waiting`; returns the pool and the rest."""
-        slots = np.flatnonzero(self.owner < 0)[: waiting.size]
-        batch, rest = waiting[: slots.size], waiting[slots.size :]
-        index = np.full(self.width, batch[0])
-        index[slots] = self.owner[slots] = batch
-        take = np.zeros(self.width, bool)
-        take[slots] = True
-        values = {k: jax.device_put(v[index], self.sharding) for k, v in self.jobs.items()}
-        take = jax.device_put(take, self.sharding)
-        return on_all_lanes(restart_lane, self.mesh, self.task, pool, take, values), rest
-
-    def _shrink(self, pool: Lane) -> Lane:
-        """Once few lanes are left, and long ones, a pool of a quarter of the width goes on.
-
-        A step of the whole pool costs nearly the same however few of its lanes still run.
-        """
-        now, before = time.perf_counter(), self.last_look
-        t = np.asarray(pool.progress.t)
-        self.last_look = (now, t)
-        busy = np.flatnonzero(self.owner >= 0)
-        small = self.lanes // 4
-        if before is None or small == 0 or not 0 < busy.size <= small * len(self.devices):
-            return pool
-        rate = np.maximum((t - before[1])[busy] / (now - before[0]), 1e-300)
-        if np.max((float(self.task.t1) - t[busy]) / rate) < _WORTH_COMPILING:
-            return pool
-        idle = np.flatnonzero(self.owner < 0)
-        keep = np.concatenate([busy, idle])[: small * len(self.devices)]
-        # Deal the busy lanes out evenly: the device with the most of them sets the pace.
-        keep = keep.reshape(small, len(self.devices)).T.ravel()
-        self.lanes, self.width, self.last_look = small, keep.size, None
-        self.owner = self.owner[keep]
-        return jtu.tree_map(lambda a: jax.device_put(np.asarray(a)[keep], self.sharding), pool)
-
-    def _store(self, values: dict[str, Any], done: np.ndarray) -> None:
-        rows = self.owner[done]
-        jtu.tree_map(
-            lambda record, value: record.__setitem__(rows, np.asarray(value)[done]),
-            self.records,
-            values,
-        )
-
-    def _fraction_under_way(self, pool: Lane) -> float:
-        t0, t1 = float(self.task.t0), float(self.task.t1)
-        gone = (np.asarray(pool.progress.t) - t0) / max(t1 - t0, 1e-300)
-        return float(np.sum(gone[self.owner >= 0]))
+        for name, part in zip(("displacement", "velocity"), state, strict=True):
+            if jnp.shape(part) not in ((), (chain.n,)):
+                raise ValueError(
+                    f"Argument `initial` has a {name} of shape {jnp.shape(part)}, but the chain "
+                    f"has {chain.n} masses."
+                )
+            if not callable(initial):
+                check_finite(f"initial {name}", part, "see `excited_state` for initial states.")
 
 
-def _lane_count(n: int, total: int, devices: Sequence[Any], lanes: int | None) -> int:
-    share = -(-total // len(devices))
-    if lanes is None:
-        platform = "cpu" if devices[0].platform == "cpu" else "gpu"
-        lanes = max(1, _NUMBERS_PER_DEVICE[platform] // n)
-    return min(lanes, share)
+def _check_together(chain: Chain, axes: Mapping[str, np.ndarray]) -> None:
+    """Raises if two swept numbers contradict each other somewhere on the grid."""
+    if "mu_static" in axes and "mu_dynamic" in axes:
+        chain.with_(mu_static=axes["mu_static"].min(), mu_dynamic=axes["mu_dynamic"].max())
+
+
+def _blank_failures(records: dict[str, Any]) -> None:
+    """What a failed lane had observed by then is no answer: NaN."""
+    well = [NAMES.index(name) for name in STOPPED_WELL]
+    failed = ~np.isin(records["result"], well)
+    for observed in jtu.tree_leaves(records["observed"]):
+        if np.issubdtype(observed.dtype, np.floating):
+            observed[failed] = np.nan
 
 
 def _strongest(chain: Chain, axes: Mapping[str, np.ndarray]) -> Chain:

@@ -8,10 +8,14 @@ and `jvp` go through it.
 """
 
 import abc
+import math
+from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.experimental.jet import jet
 from jaxtyping import Array, ArrayLike, Float
 
 from ._checks import check_at_least, check_nonnegative, check_per_mass, check_positive, to_float
@@ -36,6 +40,22 @@ class AbstractFrictionLaw(eqx.Module):
         **Arguments:** `speed` = |w| >= 0, of any shape; of shape (n,) or () if a parameter is
         given per mass.
         """
+
+    def taylor_coefficient(self, speed: Sequence[Any], before: Sequence[Any]) -> Any:
+        """The next Taylor coefficient in time of mu(s(t)), for Taylor integrators.
+
+        **Arguments:** `speed` = s_0 ... s_k, the coefficients of s(t) = s_0 + s_1 t + ...;
+        `before` = m_0 ... m_{k-1}, those of mu(s(t)) that are known.
+
+        **Returns:** m_k.  Right for every smooth law by Taylor-mode differentiation; a law with a
+        recurrence overrides it, because k of them cost as much as one of these.
+        """
+        k = len(before)
+        if k == 0:
+            return self.coefficient(speed[0])
+        derivatives = [math.factorial(j) * speed[j] for j in range(1, k + 1)]
+        _, series = jet(self.coefficient, (speed[0],), (derivatives,))
+        return series[k - 1] / math.factorial(k)
 
 
 class ExponentialDecay(AbstractFrictionLaw):
@@ -66,6 +86,12 @@ class ExponentialDecay(AbstractFrictionLaw):
         drop = self.mu_static - self.mu_dynamic
         scaled = speed * (1.0 / self.v_ref)  # a product costs less than a division per mass
         return self.mu_dynamic + drop * jnp.exp(-scaled)
+
+    def taylor_coefficient(self, speed: Sequence[Any], before: Sequence[Any]) -> Any:
+        """As in the base class; from mu' = -(mu - mu_d) s' / v0."""
+        if not before:
+            return self.coefficient(speed[0])
+        return _decaying(speed, [before[0] - self.mu_dynamic, *before[1:]], 1.0 / self.v_ref)
 
 
 class WeakeningStrengthening(AbstractFrictionLaw):
@@ -115,6 +141,16 @@ class WeakeningStrengthening(AbstractFrictionLaw):
         scaled = speed * (1.0 / self.v_ref)  # a product costs less than a division per mass
         return self.mu_dynamic + drop * jnp.exp(-scaled) + self.mu_viscous * scaled
 
+    def taylor_coefficient(self, speed: Sequence[Any], before: Sequence[Any]) -> Any:
+        """As in the base class; the decaying part as in `ExponentialDecay`."""
+        if not before:
+            return self.coefficient(speed[0])
+        per_v0 = 1.0 / self.v_ref
+        growth = [self.mu_viscous * per_v0 * s for s in speed]
+        decaying = [m - g for m, g in zip(before, growth, strict=False)]
+        decaying[0] = decaying[0] - self.mu_dynamic
+        return _decaying(speed, decaying, per_v0) + growth[-1]
+
 
 class Coulomb(AbstractFrictionLaw):
     """mu(s) = mu_d: the same friction at every speed, and at rest.
@@ -148,6 +184,10 @@ class Coulomb(AbstractFrictionLaw):
 
     def coefficient(self, speed: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
         return self.mu_dynamic * jnp.ones_like(speed)
+
+    def taylor_coefficient(self, speed: Sequence[Any], before: Sequence[Any]) -> Any:
+        """As in the base class: the coefficients of a constant."""
+        return jnp.zeros_like(speed[0]) if before else self.coefficient(speed[0])
 
 
 class TanhFriction(eqx.Module):
@@ -194,9 +234,33 @@ class TanhFriction(eqx.Module):
         w = jnp.asarray(relative_velocity)
         return jax.jvp(self.force, (w,), (jnp.ones_like(w),))
 
+    def stick_speed(self) -> PerMass:
+        """The |w| of greatest friction, the end of the branch on which a mass sticks.
+
+        (eps / 2) ln [4 mu_st / (eps |mu'(0)|)] to leading order in eps; with friction that does
+        not weaken, which has no maximum, the speed at which it is all but 1e-3 of mu_st.
+        """
+        zero = jnp.zeros_like(self.width + self.law.mu_static)
+        _, slope = jax.jvp(self.law.coefficient, (zero,), (jnp.ones_like(zero),))
+        weakening = jnp.maximum(-slope, 1e-3 * self.law.mu_static / self.width)
+        ratio = 4.0 * self.law.mu_static / jnp.maximum(self.width * weakening, 1e-300)
+        return 0.5 * self.width * jnp.log(jnp.maximum(ratio, jnp.e))
+
 
 def _check_weakening(mu_static: PerMass, mu_dynamic: PerMass, v_ref: PerMass) -> None:
     check_nonnegative("mu_dynamic", mu_dynamic, _MU_REMEDY)
     check_nonnegative("mu_static", mu_static, _MU_REMEDY)
     check_at_least("mu_static", mu_static, "mu_dynamic", mu_dynamic, _ORDER_REMEDY)
     check_positive("v_ref", v_ref, _V_REF_REMEDY)
+
+
+def _decaying(speed: Sequence[Any], before: Sequence[Any], rate: Any) -> Any:
+    """e_k of e(t) = c exp(-rate s(t)) from s_0 ... s_k and e_0 ... e_{k-1}.
+
+    k e_k = -rate sum_{j=1..k} j s_j e_{k-j}, the coefficients of e' = -rate s' e.
+    """
+    k = len(before)
+    total = speed[1] * before[k - 1]
+    for j in range(2, k + 1):
+        total = total + (j * speed[j]) * before[k - j]
+    return (-rate / k) * total

@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool
 
 from ._types import State
 from .chain import Chain
-from .engine import Plan, Progress, advance, begin
+from .progress import AbstractPlan, Progress
 from .result import Result, code
 
 # Steps per round: long enough that the host's share vanishes, short enough that a lane which has
@@ -38,7 +38,7 @@ def initial_names(initial: Callable) -> list[str]:
 class Task(eqx.Module):
     """What is the same for every lane of a sweep."""
 
-    plan: Plan
+    plan: AbstractPlan
     chain: Chain
     initial: State | Callable[..., State]
     t0: Array
@@ -68,7 +68,7 @@ class Lane(eqx.Module):
 
 def start_lane(task: Task, values: dict[str, Array]) -> Lane:
     initial = task.own_initial(values)
-    return Lane(values, begin(task.plan, task.own_chain(values), initial, task.t0, task.t1))
+    return Lane(values, task.plan.begin(task.own_chain(values), initial, task.t0, task.t1))
 
 
 def restart_lane(task: Task, lane: Lane, take: Bool[Array, ""], values: dict[str, Array]) -> Lane:
@@ -79,7 +79,7 @@ def restart_lane(task: Task, lane: Lane, take: Bool[Array, ""], values: dict[str
 def advance_lane(task: Task, lane: Lane) -> tuple[Lane, Bool[Array, ""]]:
     """The lane after one more round, and whether it has ended."""
     chain = task.own_chain(lane.values)
-    progress, _ = advance(task.plan, chain, lane.progress, task.t1, max_steps=ROUND)
+    progress, _ = task.plan.advance(chain, lane.progress, task.t1, max_steps=ROUND)
     spent = progress.steps + progress.rejected >= task.max_steps
     goes_on = (progress.result == Result.max_steps_reached) & ~spent
     result = Result.where(goes_on, Result.successful, progress.result)
@@ -89,13 +89,12 @@ def advance_lane(task: Task, lane: Lane) -> tuple[Lane, Bool[Array, ""]]:
 
 def read_lane(task: Task, lane: Lane) -> dict[str, Any]:
     progress = lane.progress
-    pairs = zip(task.plan.observers, progress.solver_state.accumulators, strict=True)
     return {
         "result": code(progress.result),
         "end_time": progress.t,
         "steps": progress.steps,
         "rejected": progress.rejected,
-        "observed": [o.read(a) for o, a in pairs],
+        "observed": task.plan.read(progress),
     }
 
 

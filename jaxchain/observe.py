@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Any
 
 import equinox as eqx
 import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from ._checks import check_positive, to_float
 from ._types import ScalarLike, State
@@ -81,151 +81,6 @@ class AbstractObserver(eqx.Module):
     @abc.abstractmethod
     def read(self, accumulator: Any) -> Any:
         """The observed value."""
-
-
-class _AmplitudeState(eqx.Module):
-    low: Float[Array, " n"]
-    high: Float[Array, " n"]
-    last_window: Float[Array, ""]  # its start
-    rest: _Rest | None  # unless stop == "never"
-    history: _History | None  # if stop == "steady"
-
-
-class _Rest(eqx.Module):
-    """Whether every mass rests: a few numbers for a lane, no array."""
-
-    boundary: Float[Array, ""]  # end of the present window
-    attracts: Bool[Array, ""]
-    quiet: Bool[Array, ""]
-
-
-class _History(eqx.Module):
-    """The amplitudes of the window before, and how often they came back."""
-
-    last: Float[Array, " n"]
-    repeats: Int[Array, ""]
-
-
-class Amplitude(AbstractObserver):
-    """Half peak-to-peak of every displacement, A_n = (max x_n - min x_n) / 2, over a window.
-
-    The window is the last `window` time units of the run (None: the whole run); peaks are found
-    between steps.  Value: shape (n,), in the unit of displacement (P/k).
-
-    **Arguments:**
-
-    - `window`: its length in dimensionless time, at least one period (2 pi) to mean anything.
-    - `stop`: "never" runs to the end.  "quiet" lets the run stop when every mass rests (speed
-      and acceleration below `quiet_below`; the amplitude is then reported as 0) *and* steady
-      sliding attracts, i.e. every mass is damped, dF/dv < 2 xi; that cannot change the answer.
-      "steady" also lets it stop when the amplitudes of `repeats` windows in succession agree
-      within `tolerance`; slow drifts of the phases, and instabilities that rounding has not yet
-      found, can then go unseen.
-    """
-
-    window: float | None = eqx.field(static=True, default=None)
-    stop: Literal["never", "quiet", "steady"] = eqx.field(static=True, default="never")
-    tolerance: float = eqx.field(static=True, default=1e-6)
-    repeats: int = eqx.field(static=True, default=5)
-    quiet_below: float = eqx.field(static=True, default=1e-6)
-
-    def __check_init__(self) -> None:
-        if self.window is not None:
-            check_positive("window", self.window, "a period is about 2 pi; 100 is usual.")
-        if self.stop not in ("never", "quiet", "steady"):
-            raise ValueError(
-                f'Argument `stop` must be "never", "quiet" or "steady", but is {self.stop!r}.'
-            )
-        if self.stop != "never" and self.window is None:
-            raise ValueError(
-                f"Argument `stop` = {self.stop!r} needs a `window`: the amplitudes of successive "
-                "windows are compared."
-            )
-
-    def init(
-        self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State
-    ) -> _AmplitudeState:
-        x, _ = y0
-        window = t1 - t0 if self.window is None else self.window
-        state = _AmplitudeState(x, x, to_float(t1 - window), None, None)
-        if self.stop == "never":
-            return state
-        # Windows end at t1, t1 - window, ...; the first takes what is left over at the start,
-        # because a shorter one would see less than it must.
-        complete = jnp.maximum(jnp.floor((t1 - t0) / jnp.maximum(window, 1e-300)), 1.0)
-        # With a positive definite stiffness, damping of every mass makes sliding attract.
-        _, slope = field.velocity_force_and_slope(t0, jnp.zeros_like(x))
-        rest = _Rest(
-            boundary=to_float(t1 - window * (complete - 1.0)),
-            attracts=jnp.all(slope < 0),
-            quiet=jnp.zeros((), bool),
-        )
-        history = None
-        if self.stop == "steady":
-            history = _History(jnp.full_like(x, jnp.nan), jnp.zeros((), int))
-        return _AmplitudeState(x, x, state.last_window, rest, history)
-
-    def update(self, accumulator: _AmplitudeState, step: Step) -> _AmplitudeState:
-        acc, end = accumulator, step.y1[0]
-        low, high = jnp.minimum(acc.low, end), jnp.maximum(acc.high, end)
-        # Peaks before the last window are only looked for if its amplitudes are to be compared.
-        always = acc.history is not None
-        watching = jnp.asarray(True) if always else step.t1 > acc.last_window
-
-        def with_peaks() -> tuple[Array, Array]:
-            turns, theta = step.turning_points()
-            extreme = jnp.where(turns, step.displacement(theta), end)
-            return jnp.minimum(low, extreme), jnp.maximum(high, extreme)
-
-        # One branch for the whole batch: what it adds to a lane that does not watch is forgotten.
-        seen = lax.cond(eqxi.unvmap_any(watching), with_peaks, lambda: (low, high))
-        low, high = jnp.where(watching, seen[0], low), jnp.where(watching, seen[1], high)
-        rest = None if acc.rest is None else self._rest(acc.rest, step)
-        if acc.rest is None or acc.history is None:
-            forget, history = step.t0 < acc.last_window, None
-        else:
-            forget = step.t1 >= acc.rest.boundary
-            amplitude = (high - low) / 2
-            same = jnp.max(jnp.abs(amplitude - acc.history.last)) <= self.tolerance
-            repeats = jnp.where(same, acc.history.repeats + 1, 0)
-            history = _History(
-                jnp.where(forget, amplitude, acc.history.last),
-                jnp.where(forget, repeats, acc.history.repeats),
-            )
-        low, high = jnp.where(forget, end, low), jnp.where(forget, end, high)
-        return _AmplitudeState(low, high, acc.last_window, rest, history)
-
-    def _rest(self, rest: _Rest, step: Step) -> _Rest:
-        """Looks once in a window: a state whose velocity and acceleration vanish is at rest."""
-        over = step.t1 >= rest.boundary
-
-        def look() -> Array:
-            velocity, acceleration = step.field(step.t1, step.y1)
-            return jnp.max(jnp.maximum(jnp.abs(velocity), jnp.abs(acceleration)))
-
-        motion = lax.cond(eqxi.unvmap_any(over), look, lambda: jnp.asarray(jnp.inf))
-        window = 0.0 if self.window is None else self.window
-        return _Rest(
-            boundary=jnp.where(over, rest.boundary + window, rest.boundary),
-            attracts=rest.attracts,
-            quiet=over & rest.attracts & (motion < self.quiet_below),
-        )
-
-    def settled(self, accumulator: _AmplitudeState) -> Bool[Array, ""] | None:
-        if accumulator.rest is None:
-            return None
-        if accumulator.history is None:
-            return accumulator.rest.quiet
-        return accumulator.rest.quiet | (accumulator.history.repeats >= self.repeats)
-
-    def rests(self, accumulator: _AmplitudeState) -> Bool[Array, ""]:
-        return jnp.asarray(False) if accumulator.rest is None else accumulator.rest.quiet
-
-    def read(self, accumulator: _AmplitudeState) -> Float[Array, " n"]:
-        if accumulator.history is not None:
-            return accumulator.history.last
-        amplitude = (accumulator.high - accumulator.low) / 2
-        return jnp.where(self.rests(accumulator), 0.0, amplitude)
 
 
 class PeakTimes(AbstractObserver):
@@ -305,6 +160,74 @@ class Section(AbstractObserver):
 
     def read(self, accumulator: tuple[Array, ...]) -> tuple[Array, ...]:
         return accumulator[:3]
+
+
+class StickTime(AbstractObserver):
+    """For how long each mass sticks to the belt during a window.
+
+    The window is the last `window` time units of the run (None: the whole run); the ends of
+    sticking are found between steps.  Value: shape (n,), a dimensionless time.  With true dry
+    friction a mass sticks while w = v - v_d is 0; with a smoothed law while |w| is below the speed
+    of greatest friction, `TanhFriction.stick_speed`, which goes to 0 with the width.
+
+    **Arguments:** `window`, its length in dimensionless time.
+    """
+
+    window: float | None = eqx.field(static=True, default=None)
+
+    def __check_init__(self) -> None:
+        if self.window is not None:
+            check_positive("window", self.window, "some periods, about 2 pi each, are usual.")
+
+    def init(
+        self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State
+    ) -> tuple[Array, Array]:
+        if field.stick_speed() is None:
+            raise ValueError("`StickTime` needs masses that can stick to a belt, a `Chain`.")
+        window = t1 - t0 if self.window is None else self.window
+        return jnp.zeros_like(y0[0]), to_float(t1 - window)
+
+    def update(self, accumulator: tuple[Array, Array], step: Step) -> tuple[Array, Array]:
+        total, start = accumulator
+        watching = step.t1 > start
+
+        def time() -> Array:
+            begin, end = self._interval(step)
+            clipped = jnp.clip(
+                (start - step.t0) / jnp.maximum(step.t1 - step.t0, 1e-300), 0.0, 1.0
+            )
+            return jnp.maximum(end - jnp.maximum(begin, clipped), 0.0) * (step.t1 - step.t0)
+
+        gained = lax.cond(eqxi.unvmap_any(watching), time, lambda: jnp.zeros_like(total))
+        return jnp.where(watching, total + gained, total), start
+
+    def _interval(self, step: Step) -> tuple[Array, Array]:
+        """The part of a step during which each mass sticks, as thetas from and to."""
+        limit: Any = step.field.stick_speed()
+
+        def gap(theta: Any) -> Array:  # positive beyond the limit
+            found = step.field.switching(step.t0, step.velocity(theta))
+            assert found is not None  # what can stick switches
+            return jnp.abs(found[0]) - limit
+
+        half = jnp.full_like(step.y0[0], 0.5)
+        g0, middle, g1 = gap(jnp.zeros_like(half)), gap(half), gap(jnp.ones_like(half))
+        crosses = (g0 > 0) != (g1 > 0)
+        theta = jnp.where(crosses, g0 / jnp.where(crosses, g0 - g1, 1.0), 0.0)
+        for _ in range(2):
+            g, slope = jax.jvp(gap, (theta,), (jnp.ones_like(theta),))
+            slope = jnp.where(slope == 0, 1.0, slope)
+            theta = jnp.clip(theta - jnp.where(crosses, g / slope, 0.0), 0.0, 1.0)
+        sticks = (g0 <= 0) & (g1 <= 0) & (middle <= 0)
+        begin = jnp.where(crosses & (g0 > 0), theta, 0.0)
+        end = jnp.where(crosses, jnp.where(g0 > 0, 1.0, theta), jnp.where(sticks, 1.0, 0.0))
+        return begin, end
+
+    def settled(self, accumulator: Any) -> None:
+        del accumulator
+
+    def read(self, accumulator: tuple[Array, Array]) -> Float[Array, " n"]:
+        return accumulator[0]
 
 
 class Trajectory(eqx.Module):

@@ -28,6 +28,7 @@ from .diagram import (
     moving_fronts,
     swept,
 )
+from .scene import NONSMOOTH
 
 PAGE_WIDTH = 7.0  # inches
 PANEL_HEIGHT = 2.9
@@ -76,15 +77,26 @@ def figure_3(ladder: xr.Dataset, single: xr.Dataset, hopf: float | None = None) 
 
 
 def figure(datasets: Mapping[str, xr.Dataset], hopf: float | None = None) -> Figure:
-    """One panel for each dataset: amplitude for one oscillator, energy for a chain."""
+    """One panel for each dataset: amplitude for one oscillator, energy for a chain.
+
+    What is called `NAME_nonsmooth` shares the panel of NAME, if there is one.
+    """
+    truths = {
+        name: datasets[name + NONSMOOTH] for name in datasets if name + NONSMOOTH in datasets
+    }
+    datasets = {
+        name: data
+        for name, data in datasets.items()
+        if name.removesuffix(NONSMOOTH) not in truths or name in truths
+    }
     columns = min(2, len(datasets))
     rows = -(-len(datasets) // columns)
     width = PAGE_WIDTH if columns > 1 else 0.65 * PAGE_WIDTH
     with matplotlib.rc_context(STYLE):
         page = Figure(figsize=(width, PANEL_HEIGHT * rows), layout="constrained")
         panels = page.subplots(rows, columns, squeeze=False).ravel()
-        for index, (axes, data) in enumerate(zip(panels, datasets.values(), strict=False)):
-            draw(axes, data, hopf)
+        for index, (axes, name) in enumerate(zip(panels, datasets, strict=False)):
+            draw(axes, datasets[name], hopf, truths.get(name))
             if len(datasets) > 1:
                 axes.set_title(f"({chr(ord('a') + index)})", loc="left", fontweight="bold")
         for axes in panels[len(datasets) :]:
@@ -101,8 +113,13 @@ def save_figure(page: Figure, path: Path) -> list[Path]:
     return files
 
 
-def draw(axes: Axes, data: xr.Dataset, hopf: float | None = None) -> None:
-    """Every run of a sweep as a point over the belt speed, or over the first swept number."""
+def draw(
+    axes: Axes, data: xr.Dataset, hopf: float | None = None, truth: xr.Dataset | None = None
+) -> None:
+    """Every run of a sweep as a point over the belt speed, or over the first swept number.
+
+    `truth`: the same sweep with true dry friction, drawn as rings around the points.
+    """
     names = swept(data)
     across = "belt_speed" if "belt_speed" in names else names[0]
     if across == "belt_speed":
@@ -116,6 +133,13 @@ def draw(axes: Axes, data: xr.Dataset, hopf: float | None = None) -> None:
     bad = failed(data).values
     good = ~bad & np.isfinite(y)
     _draw_runs(axes, data, x[good], y[good], good, hopf)
+    if truth is not None:
+        heights, _ = _heights(truth)
+        shown = ~failed(truth).values & np.isfinite(heights)
+        axes.plot(
+            x[shown], heights[shown], "o", color="black", markersize=4.6, markerfacecolor="none",
+            markeredgewidth=0.35, zorder=4, label="true dry friction",
+        )  # fmt: skip
     axes.set_xlabel(SYMBOLS.get(across, across))
     axes.set_ylabel(label)
     positions = data[across].values

@@ -39,6 +39,10 @@ class Result(eqx.Enumeration):
     solver_failed = (
         "The diffrax solver reported a failure. Loosen `rtol` or choose another solver."
     )
+    events_accumulate = (
+        "Sticking and sliding alternate without time going on. Please report the parameters and "
+        "the state; a change of either in the last digits may help."
+    )
     interrupted = "The ensemble was interrupted before this lane ended. Run it again."
 
 
@@ -52,6 +56,7 @@ NAMES = (
     "untrusted_linear_solve",
     "nonfinite",
     "solver_failed",
+    "events_accumulate",
     "interrupted",
 )
 STOPPED_WELL = ("successful", "quiet", "steady")

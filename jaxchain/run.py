@@ -17,17 +17,20 @@ import diffrax as dfx
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
+from matplotlib.figure import Figure
 
 from . import friction, states
 from ._types import ScalarLike, State
+from .amplitude import Amplitude
 from .chain import Chain
 from .choice import fit_linear_solve
 from .ensemble import SweepInterrupted, sweep
-from .observe import Amplitude
+from .filippov import EventDriven
 from .plot import figure, save_figure
 from .rosenbrock import Rodas4, Rodas5P
-from .scene import CHAIN_NUMBERS, Experiment
+from .scene import CHAIN_NUMBERS, NONSMOOTH, Experiment
 from .scenefile import LoadedScene
+from .studies import StudyTable, study_module
 from .summary import summary
 from .tables import Equation8Table, Equation10Table
 
@@ -107,15 +110,31 @@ def build_solver(
     return getattr(dfx, name)()
 
 
+def models(experiment: Experiment) -> tuple[str, ...]:
+    """ "smoothed", "nonsmooth" or both, in the order in which they are run."""
+    model = experiment.numerics.model
+    return ("smoothed", "nonsmooth") if model == "both" else (model,)
+
+
 def run_experiment(
-    experiment: Experiment, *, name: str = "sweep", progress: bool = False
+    experiment: Experiment,
+    *,
+    name: str = "sweep",
+    model: str = "smoothed",
+    progress: bool = False,
 ) -> xr.Dataset:
-    """Runs one experiment; failed runs are marked in `result` and warn of nothing.
+    """Runs one experiment with smoothed or with true dry friction.
+
+    Failed runs are marked in `result` and warn of nothing.
 
     **Raises:** `SweepInterrupted` on Ctrl-C, with the runs that had ended.
     """
     numerics, observe, time = experiment.numerics, experiment.observe, experiment.time
     chain = build_chain(experiment)
+    if model == "nonsmooth":
+        solver = EventDriven()
+    else:
+        solver = build_solver(numerics.solver, chain, numerics.rtol, numerics.max_step)
     with warnings.catch_warnings():
         # The summary says it better.
         warnings.filterwarnings("ignore", message=r"\d+ of \d+ lanes ended with")
@@ -131,7 +150,7 @@ def run_experiment(
                 repeats=observe.repeats,
                 quiet_below=observe.quiet_below,
             ),
-            solver=build_solver(numerics.solver, chain, numerics.rtol, numerics.max_step),
+            solver=solver,
             rtol=numerics.rtol,
             atol=numerics.atol,
             max_step=numerics.max_step,
@@ -170,6 +189,19 @@ def save(data: xr.Dataset, path: Path, group: str | None) -> None:
     )
 
 
+def save_drawing(draw: Callable[[], Figure], path: Path) -> None:
+    """Draws and writes `path`.png and `path`.pdf, once everything else is written.
+
+    **Raises:** `FigureError` if that fails.
+    """
+    try:
+        save_figure(draw(), path)
+    except Exception as error:
+        raise FigureError(
+            f"the results are in {path.parent}, but drawing them failed: {error!r}"
+        ) from error
+
+
 def run_scene(
     loaded: LoadedScene,
     folder: Path,
@@ -178,9 +210,11 @@ def run_scene(
     progress: bool = False,
     report: Callable[[str], object] = print,
 ) -> dict[str, xr.Dataset]:
-    """Runs every experiment of a scene and fills `folder` with results.
+    """Runs every experiment of a scene, or a study, and fills `folder` with results.
 
     `<scene>.zarr` and `<scene>.nc` hold the main experiment at the root and the others as groups;
+    of an experiment with both models the runs with true dry friction are the group
+    `<experiment>_nonsmooth`.
     `<scene>.png` and `<scene>.pdf` show all of them.
 
     **Arguments:** `folder` exists and is empty (see `new_folder`); `plot`, draw the figure;
@@ -189,34 +223,40 @@ def run_scene(
     **Returns:** the datasets by experiment.
 
     **Raises:** `KeyboardInterrupt` on Ctrl-C, once the runs that had ended are written;
-    `FigureError` if everything is written but the figure.
+    `FigureError` if everything is written but the figure; `StudyFailedError` if everything is
+    written but a study found what must not be.
     """
+    if isinstance(loaded.scene, StudyTable):
+        return study_module(loaded.scene.study).run(
+            loaded.scene, folder, name=loaded.name, plot=plot, progress=progress, report=report
+        )
     path = folder / loaded.name
     datasets = {}
     for name, experiment in loaded.scene.experiment.items():
-        try:
-            data, interrupt = run_experiment(experiment, name=name, progress=progress), None
-        except SweepInterrupted as stopped:
-            data, interrupt = stopped.dataset, stopped
-        unwanted = {"amplitude", "energy", "active_count"} - set(experiment.observe.quantities)
-        kept = data.drop_vars(unwanted & set(data.data_vars))
-        kept.attrs |= {
-            "title": loaded.scene.title,
-            "description": experiment.description,
-            "scene": loaded.name,
-            "experiment": name,
-            "definition": experiment.model_dump_json(exclude_none=True),
-        }
-        save(kept, path, None if name == loaded.scene.main else name)
-        report(summary(name, kept))
-        if interrupt is not None:
-            raise interrupt
-        datasets[name] = kept
+        for model in models(experiment):
+            # Of two models the smoothed one goes by the name of the experiment.
+            second = model == "nonsmooth" and experiment.numerics.model == "both"
+            group = f"{name}{NONSMOOTH}" if second else name
+            try:
+                data = run_experiment(experiment, name=group, model=model, progress=progress)
+                interrupt = None
+            except SweepInterrupted as stopped:
+                data, interrupt = stopped.dataset, stopped
+            unwanted = {"amplitude", "energy", "active_count"} - set(experiment.observe.quantities)
+            kept = data.drop_vars(unwanted & set(data.data_vars))
+            kept.attrs |= {
+                "title": loaded.scene.title,
+                "description": experiment.description,
+                "scene": loaded.name,
+                "experiment": name,
+                "model": model,
+                "definition": experiment.model_dump_json(exclude_none=True),
+            }
+            save(kept, path, None if group == loaded.scene.main else group)
+            report(summary(group, kept))
+            if interrupt is not None:
+                raise interrupt
+            datasets[group] = kept
     if plot:
-        try:
-            save_figure(figure(datasets), path)
-        except Exception as error:
-            raise FigureError(
-                f"the results are in {folder}, but drawing them failed: {error!r}"
-            ) from error
+        save_drawing(lambda: figure(datasets), path)
     return datasets

@@ -40,6 +40,8 @@ MOST_AMPLITUDES = 10**8
 CHAIN_NUMBERS = ("belt_speed", "damping_ratio", "coupling", "stiffness", "normal_load")
 POSITIVE = {"width", "v_ref", "stiffness"}
 NONNEGATIVE = {"mu_static", "mu_dynamic", "mu_viscous", "coupling", "normal_load"}
+# Ending of the group with true dry friction, of an experiment with both models.
+NONSMOOTH = "_nonsmooth"
 # Variables of a results file, beside which its groups stand.
 VARIABLES = {"amplitude", "energy", "active_count", "result", "end_time", "steps", "oscillator"}
 
@@ -246,6 +248,14 @@ class Scene(Table):
             elif name in VARIABLES or name in experiment.sweepable():
                 problems.append(
                     (("experiment", name), "is the name of a variable of the results: rename it")
+                )
+            elif name.endswith(NONSMOOTH) and name.removesuffix(NONSMOOTH) in self.experiment:
+                problems.append(
+                    (
+                        ("experiment", name),
+                        "is where the runs of the other model of "
+                        f"`{name.removesuffix(NONSMOOTH)}` may go: rename it",
+                    )
                 )
         marked = [name for name, experiment in self.experiment.items() if experiment.main]
         for name in marked[1:]:

@@ -9,12 +9,13 @@ from dataclasses import dataclass
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Any, cast, get_args
+from typing import Any, Literal, get_args, get_origin
 
 from pydantic import ValidationError
 
-from .scene import Experiment, Scene, did_you_mean
-from .tables import FrictionTable, InitialTable, Range, Table
+from .scene import Scene, did_you_mean
+from .studies import STUDIES, StudyTable, study_module
+from .tables import FrictionTable, InitialTable, Table
 
 
 def _by_tag(union: Any, key: str) -> dict[str, type[Table]]:
@@ -59,10 +60,10 @@ class SceneError(Exception):
 
 @dataclass(frozen=True)
 class LoadedScene:
-    """A scene with the name under which its results are stored."""
+    """A scene or a study with the name under which its results are stored."""
 
     name: str
-    scene: Scene
+    scene: Any  # a `Scene`, or the `StudyTable` of its study
 
 
 def builtin_scenes() -> dict[str, Traversable]:
@@ -73,7 +74,7 @@ def builtin_scenes() -> dict[str, Traversable]:
 
 
 def load_scene(scene: str, overrides: Sequence[str] = ()) -> LoadedScene:
-    """Reads and checks a scene.
+    """Reads and checks a scene, or a study: a file with the key `study`.
 
     **Arguments:** `scene`, the name of a built-in scene or the path of a TOML file; `overrides`,
     assignments such as "experiment.ladder.chain.n=40", applied before the check.
@@ -95,15 +96,28 @@ def load_scene(scene: str, overrides: Sequence[str] = ()) -> LoadedScene:
         raise SceneError(scene, [f"is not valid TOML: {error}"]) from None
     for override in overrides:
         _override(data, override, scene)
+    model = _model(data, scene)
     try:
-        checked = Scene.model_validate(data)
+        checked = model.model_validate(data)
     except ValidationError as error:
-        raise SceneError(scene, _explain(error, data)) from None
+        raise SceneError(scene, _explain(error, data, model)) from None
     return LoadedScene(file.name.removesuffix(".toml"), checked)
 
 
-def schema() -> dict[str, Any]:
-    """The JSON schema of scene files, for editors.
+def _model(data: dict[str, Any], scene: str) -> type[Scene] | type[StudyTable]:
+    """What a file must be, by its key `study`."""
+    if "study" not in data:
+        return Scene
+    name = data["study"]
+    if name not in STUDIES:
+        near = did_you_mean(str(name), STUDIES)
+        must = f"study: must be one of {_listed(STUDIES)}, but is {_shown(name)}{near}"
+        raise SceneError(scene, [f"{must}; without it the file is a scene"])
+    return study_module(name).Study
+
+
+def schema(model: type[Scene] | type[StudyTable] = Scene) -> dict[str, Any]:
+    """The JSON schema of scene files, or of the files of a study, for editors.
 
     A key that may be left out is optional there, not null: TOML has no null.
     """
@@ -120,7 +134,7 @@ def schema() -> dict[str, Any]:
             part |= part.pop("anyOf")[0]
         return part
 
-    return without_null(Scene.model_json_schema())
+    return without_null(model.model_json_schema())
 
 
 def _unreadable(scene: str, builtin: dict[str, Traversable], error: Exception) -> str:
@@ -159,7 +173,7 @@ def _override(data: dict[str, Any], override: str, scene: str) -> None:
     table[keys[-1]] = value
 
 
-def _explain(error: ValidationError, data: dict[str, Any]) -> list[str]:
+def _explain(error: ValidationError, data: dict[str, Any], model: type[Table]) -> list[str]:
     lines = []
     for detail in error.errors(include_url=False):
         kind, context = detail["type"], detail.get("ctx", {})
@@ -171,7 +185,11 @@ def _explain(error: ValidationError, data: dict[str, Any]) -> list[str]:
         key = context.get("discriminator", "").strip("'")
         if key in ("law", "kind"):
             path = [*path, key]
-        lines.append(f"{'.'.join(path)}: {_message(kind, detail['input'], context, path, data)}")
+        if kind == "extra_forbidden":
+            message = _unknown(path[-1], _table_at(path[:-1], data, model).model_fields)
+        else:
+            message = _message(kind, detail["input"], context, path)
+        lines.append(f"{'.'.join(path)}: {message}")
     return lines
 
 
@@ -191,19 +209,16 @@ def _path(location: Sequence[int | str], data: Any) -> list[str]:
     return path
 
 
-def _message(
-    kind: str, value: Any, context: dict[str, Any], path: list[str], data: dict[str, Any]
-) -> str:
+def _unknown(key: str, allowed: Iterable[str]) -> str:
+    return f"is not a known key{did_you_mean(key, allowed)}; allowed: {', '.join(allowed)}"
+
+
+def _message(kind: str, value: Any, context: dict[str, Any], path: list[str]) -> str:
     """What is wrong with the value at `path`, and what is allowed there."""
     shown = _shown(value)
     if kind == "missing" or kind == "union_tag_not_found":
         options = {"law": LAWS, "kind": KINDS}.get(path[-1])
         return "is missing" if options is None else f"is missing; allowed: {_listed(options)}"
-    if kind == "extra_forbidden":
-        allowed = _table_at(path[:-1], data).model_fields
-        return (
-            f"is not a known key{did_you_mean(path[-1], allowed)}; allowed: {', '.join(allowed)}"
-        )
     if kind == "literal_error" or (kind == "union_tag_invalid" and path[-1] in ("law", "kind")):
         if kind == "union_tag_invalid":
             value, shown = context["tag"], _shown(context["tag"])
@@ -219,6 +234,8 @@ def _message(
     if kind in _BOUNDS:
         bound, words = _BOUNDS[kind]
         return f"must be {words} {context[bound]:g}, but is {shown}"
+    if kind == "multiple_of":
+        return f"must be a multiple of {context['multiple_of']:g}, but is {shown}"
     if kind == "finite_number":
         return f"must be a finite number, but is {shown}"
     if kind in ("too_short", "string_too_short"):
@@ -246,19 +263,31 @@ def _shown(value: Any) -> str:
     return f'"{value}"' if isinstance(value, str) else str(value)
 
 
-def _table_at(path: Sequence[str], data: dict[str, Any]) -> type[Table]:
+def _table_at(path: Sequence[str], data: Any, model: Any) -> type[Table]:
     """The model of the table at `path`, to tell which keys it knows."""
-    if not path:
-        return Scene
-    match path[2:]:
-        case []:
-            return Experiment
-        case ["sweep", _]:
-            return Range
-        case ["chain", "friction"]:
-            return LAWS[data["experiment"][path[1]]["chain"]["friction"]["law"]]
-        case ["initial"]:
-            return KINDS[data["experiment"][path[1]]["initial"]["kind"]]
-        case [name]:
-            return cast(type[Table], Experiment.model_fields[name].annotation)
-    raise AssertionError(f"no table at {path}")
+    for part in path:
+        key, *places = re.findall(r"[^][]+", part)
+        # A table of tables has the same kind of table under every key.
+        named = isinstance(model, type) and issubclass(model, Table)
+        model = model.model_fields[key].annotation if named else get_args(model)[-1]
+        data = data[key]
+        for place in places:
+            data = data[int(place)]
+        model = _chosen(model, data)
+    return model
+
+
+def _chosen(annotation: Any, data: Any) -> Any:
+    """The table among the types of `annotation` whose tags are those of `data`; or its dict."""
+    if isinstance(annotation, type) and issubclass(annotation, Table):
+        tags = {
+            key: get_args(field.annotation)
+            for key, field in annotation.model_fields.items()
+            if get_origin(field.annotation) is Literal and field.is_required()
+        }
+        fits = all(data.get(key) in allowed for key, allowed in tags.items())
+        return annotation if fits else None
+    if get_origin(annotation) is dict:
+        return annotation
+    found = (_chosen(kind, data) for kind in get_args(annotation))
+    return next((kind for kind in found if kind is not None), None)

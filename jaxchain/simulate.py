@@ -15,17 +15,21 @@ from jaxtyping import Array, ArrayLike, Float, Int, PyTree
 from ._checks import (
     check_count,
     check_finite,
+    check_resolved,
     check_span,
     check_tolerances,
     is_traced,
+    require_64_bits,
     require_x64,
     to_float,
 )
 from ._types import ScalarLike, State
 from .chain import Chain
-from .choice import MAX_STEP, choose_solver
-from .engine import Plan, Progress, advance, begin
+from .choice import MAX_STEP, Numerics, choose_numerics, choose_solver
+from .engine import SmoothedPlan
+from .filippov import EventDriven
 from .observe import AbstractObserver, Trajectory
+from .progress import AbstractPlan, Progress
 from .result import NAMES, STOPPED_WELL, Result, code, message
 from .structure import AbstractOscillators
 
@@ -42,6 +46,7 @@ class Simulation(eqx.Module):
     - `observed`: the values of what was asked for in `observe`, in the same structure.
     - `result`: see `Result`; `outcome` is its name, such as "successful".
     - `steps`, `rejected`: accepted and rejected steps.
+    - `numerics`: the width, tolerance and solver that `accuracy` picked, or None.
     """
 
     t: Float[Array, ""]
@@ -50,6 +55,7 @@ class Simulation(eqx.Module):
     result: Result
     steps: Int[Array, ""]
     rejected: Int[Array, ""]
+    numerics: Numerics | None = None
 
     @property
     def outcome(self) -> str:
@@ -64,8 +70,9 @@ def simulate(
     *,
     t0: ScalarLike = 0.0,
     observe: PyTree = None,
-    solver: dfx.AbstractSolver | None = None,
-    rtol: ArrayLike = 1e-6,
+    solver: dfx.AbstractSolver | EventDriven | None = None,
+    accuracy: ArrayLike | None = None,
+    rtol: ArrayLike | None = None,
     atol: ArrayLike | None = None,
     max_step: ArrayLike = MAX_STEP,
     max_steps: int | None = None,
@@ -82,8 +89,12 @@ def simulate(
     - `t1`, `t0`: dimensionless times, t1 >= t0.
     - `observe`: an observer (`Amplitude`, `PeakTimes`, `Section`, `Trajectory`) or any nested
       tuple, list or dict of them.  Nothing else is computed or stored.
-    - `solver`: a structured solver (default, see `choose_solver`) or any diffrax solver.
-    - `rtol`, `atol`: tolerances of the step-size control (default atol = rtol / 10).
+    - `solver`: a structured solver (default, see `choose_solver`) or any diffrax solver, for the
+      smoothed friction; or `EventDriven()` for true dry friction, whatever the width.
+    - `accuracy`: the error that is allowed against true dry friction, relative to the greatest
+      amplitude; it picks the width, `rtol` and, if none is given, the solver, and says so in
+      `numerics` (see `choose_numerics` for what is promised).
+    - `rtol`, `atol`: tolerances of the step-size control (default 1e-6 and rtol / 10).
     - `max_step`: no step is longer (dimensionless time; a period is about 2 pi).
     - `max_steps`: steps allowed for the run (each segment); None is no limit.
     - `segments`: cut the run into this many parts of equal length and return the observed values
@@ -106,7 +117,23 @@ def simulate(
         1
     """
     require_x64()
-    initial = _check_input(chain, initial, t0, t1, rtol, atol, max_step, max_steps, segments)
+    smoothed = not isinstance(solver, EventDriven)
+    numerics = None
+    if accuracy is not None:
+        if rtol is not None or not isinstance(chain, Chain):
+            raise ValueError(
+                "Argument `accuracy` picks the width and `rtol` for a `Chain`: give either it or "
+                f"`rtol`, but `rtol` is {rtol!r} and the chain a {type(chain).__name__}."
+            )
+        numerics = choose_numerics(chain, accuracy)
+        rtol = numerics.rtol
+        if smoothed:
+            chain = chain.with_(width=numerics.width)
+            solver = numerics.solver if solver is None else solver
+    rtol = 1e-6 if rtol is None else rtol
+    initial = _check_input(
+        chain, initial, t0, t1, rtol, atol, max_step, max_steps, segments, smoothed
+    )
     if solver is None:
         solver = choose_solver(chain, _concrete(rtol, 1e-6), _concrete(max_step, MAX_STEP))
     leaves, treedef = jtu.tree_flatten(observe, is_leaf=_is_observer)
@@ -118,13 +145,13 @@ def simulate(
             )
         if isinstance(leaf, Trajectory):
             _check_trajectory(leaf, t0, t1, segments)
-    plan = Plan(
+    plan = build_plan(
         solver,
         [o for o in leaves if isinstance(o, AbstractObserver)],
-        rtol=rtol,
-        atol=0.1 * rtol if atol is None else atol,
-        max_step=max_step,
-        t1=t1,
+        rtol,
+        0.1 * rtol if atol is None else atol,
+        max_step,
+        t1,
     )
     trajectories = [o for o in leaves if isinstance(o, Trajectory)]
     out, values = _run(
@@ -142,12 +169,31 @@ def simulate(
             for o in leaves
         ],
     )
-    return Simulation(out.t, out.state, observed, out.result, out.steps, out.rejected)
+    return Simulation(
+        out.t, out.state, observed, out.result, out.steps, out.rejected,
+        numerics if smoothed else None,
+    )  # fmt: skip
+
+
+def build_plan(
+    solver: dfx.AbstractSolver | EventDriven,
+    observers: list[AbstractObserver],
+    rtol: ArrayLike,
+    atol: ArrayLike,
+    max_step: ArrayLike,
+    t1: ScalarLike,
+) -> AbstractPlan:
+    """How a run to t1 is computed: by diffrax, or event by event."""
+    if isinstance(solver, EventDriven):
+        return solver.plan(observers, rtol, atol, max_step, _concrete(rtol, 1e-6))
+    return SmoothedPlan(
+        solver=solver, observers=observers, rtol=rtol, atol=atol, max_step=max_step, t1=t1
+    )
 
 
 @eqx.filter_jit
 def _run(
-    plan: Plan,
+    plan: AbstractPlan,
     chain: AbstractOscillators,
     initial: State,
     t0: Array,
@@ -157,27 +203,23 @@ def _run(
     segments: int | None,
     adjoint: dfx.AbstractAdjoint | None,
 ) -> tuple[Progress, tuple[list, list]]:
-    def read(progress: Progress) -> list:
-        accumulators = progress.solver_state.accumulators
-        return [o.read(a) for o, a in zip(plan.observers, accumulators, strict=True)]
-
     if segments is None:
-        saveat = dfx.SaveAt(subs=[dfx.SubSaveAt(ts=o.times) for o in trajectories])
-        progress = begin(plan, chain, initial, t0, t1)
-        progress, saved = advance(
-            plan, chain, progress, t1, max_steps=max_steps, saveat=saveat, adjoint=adjoint
-        )
-        return progress, (read(progress), saved)
+        progress = plan.begin(chain, initial, t0, t1)
+        progress, saved = plan.advance(
+            chain, progress, t1, max_steps=max_steps, times=[o.times for o in trajectories],
+            adjoint=adjoint,
+        )  # fmt: skip
+        return progress, (plan.read(progress), saved)
 
     def segment(progress: Progress, ends: tuple[Array, Array]) -> tuple[Progress, list]:
         start, end = ends
         fresh = [o.init(chain, start, end, progress.state) for o in plan.observers]
-        progress = eqx.tree_at(lambda p: p.solver_state.accumulators, progress, fresh)
-        progress, _ = advance(plan, chain, progress, end, max_steps=max_steps, adjoint=adjoint)
-        return progress, read(progress)
+        progress = eqx.tree_at(lambda p: p.accumulators, progress, fresh)
+        progress, _ = plan.advance(chain, progress, end, max_steps=max_steps, adjoint=adjoint)
+        return progress, plan.read(progress)
 
     edges = t0 + (t1 - t0) * jnp.arange(segments + 1) / segments
-    progress = begin(plan, chain, initial, t0, edges[1])
+    progress = plan.begin(chain, initial, t0, edges[1])
     progress, values = lax.scan(segment, progress, (edges[:-1], edges[1:]))
     return progress, (values, [])
 
@@ -197,13 +239,15 @@ def _check_input(
     max_step: Any,
     max_steps: int | None,
     segments: int | None,
+    smoothed: bool,
 ) -> State:
     if not isinstance(initial, tuple | list) or len(initial) != 2:
         raise ValueError(
             "Argument `initial` must be the pair (displacement, velocity), but is "
             f"{type(initial).__name__}."
         )
-    x, v = (jnp.asarray(part, float) for part in initial)
+    require_64_bits("chain", chain)
+    x, v = (to_float(part) for part in initial)
     if isinstance(chain, Chain) and x.shape != (chain.n,):
         raise ValueError(
             f"Argument `initial` has a displacement of shape {x.shape}, but the chain has "
@@ -218,6 +262,8 @@ def _check_input(
     check_finite("initial velocity", v, "see `excited_state` for initial states.")
     check_span(t0, t1)
     check_tolerances(rtol, atol, max_step)
+    if isinstance(chain, Chain) and smoothed:
+        check_resolved(chain.n, chain.friction.width, chain.belt_speed, rtol, atol)
     check_count("max_steps", max_steps)
     check_count("segments", segments)
     return x, v
@@ -237,6 +283,7 @@ def _check_trajectory(trajectory: Trajectory, t0: Any, t1: Any, segments: int | 
         )
     if is_traced(times, t0, t1):
         return
+    check_finite("times of a `Trajectory`", times, "leave out such times.")
     ts = np.asarray(times)
     if np.any(np.diff(ts) < 0) or ts[0] < float(t0) or ts[-1] > float(t1):
         raise ValueError(

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Int
+import numpy as np
+from jaxtyping import Array, ArrayLike, Bool, Int
 
-from ._checks import to_float
-from ._types import ScalarLike, State
+from ._checks import check_finite, is_traced, to_float
+from ._types import State
 from .chain import Chain, steady_sliding
 
 
@@ -38,10 +41,10 @@ def alternating(n: int) -> Int[Array, " n"]:
 
 def excited_state(
     chain: Chain,
-    excited: int | Array,
+    excited: ArrayLike,
     *,
-    amplitude: ScalarLike = 2.0,
-    velocity: ScalarLike = 0.0,
+    amplitude: ArrayLike = 2.0,
+    velocity: ArrayLike = 0.0,
     block: str = "forward",
     pattern: str = "alternating",
     mirrored: bool = False,
@@ -60,24 +63,37 @@ def excited_state(
       force obeys F(+v_d) = -F(-v_d), and eq. (10) has F(+v_d) where eq. (8) has F(-v_d).
 
     **Returns:** (x, v), both of shape (n,).
+
+    **Raises:** `ValueError` for a count that is not whole or not in 0 ... n, and for NaN.
     """
     if pattern not in ("alternating", "in-phase"):
         raise ValueError(
             f'Argument `pattern` must be "alternating" or "in-phase", but is {pattern!r}.'
         )
-    n = chain.n
-    if isinstance(excited, int) and not 0 <= excited <= n:
-        raise ValueError(f"Argument `excited` must lie in 0 ... {n}, but is {excited}.")
-    if jnp.ndim(excited) == 1:
-        mask = jnp.asarray(excited)
-        if mask.shape != (n,):
-            raise ValueError(
-                f"Argument `excited` must be a count or have shape ({n},), but has shape "
-                f"{mask.shape}."
-            )
-    else:
-        mask = excited_block(n, excited, block)
+    check_finite("amplitude", amplitude, "2 is that of eq. (8).")
+    check_finite("velocity", velocity, "eq. (8) has 0, eq. (10) 0.56.")
+    mask = _mask(chain.n, excited, block)
     return _pull_away(chain, mask, to_float(amplitude), to_float(velocity), pattern, mirrored)
+
+
+def _mask(n: int, excited: Any, block: str) -> Array:
+    """Who is excited, as booleans of shape (n,)."""
+    given: Any = excited if is_traced(excited) else np.asarray(excited)
+    if given.ndim == 1 and given.shape == (n,) and given.dtype == bool:
+        return jnp.asarray(given)
+    if given.ndim == 1:
+        raise ValueError(
+            f"Argument `excited` must be a count or have shape ({n},), but has shape "
+            f"{given.shape} and holds {given.dtype}; a shape takes booleans."
+        )
+    if not is_traced(given):
+        real = given.ndim == 0 and given.dtype.kind in "iuf"
+        if not (real and 0 <= given <= n):
+            raise ValueError(f"Argument `excited` must lie in 0 ... {n}, but is {excited}.")
+        if given != np.round(given):
+            raise ValueError(f"Argument `excited` must be a whole number, but is {excited}.")
+        given = int(given)
+    return excited_block(n, given, block)
 
 
 @eqx.filter_jit  # one small program instead of a dozen
@@ -90,14 +106,14 @@ def _pull_away(
     return offset + jnp.where(mask, amplitude * sign, 0.0), v + velocity
 
 
-def equation_8(chain: Chain, excited: int | Int[Array, ""], block: str = "forward") -> State:
+def equation_8(chain: Chain, excited: ArrayLike, block: str = "forward") -> State:
     """Initial state of the paper's eq. (8): alternating displacements of 2, at rest."""
     return excited_state(chain, excited, block=block)
 
 
 def equation_10(
     chain: Chain,
-    excited: int | Int[Array, ""],
+    excited: ArrayLike,
     block: str = "forward",
     reading: str = "as_equation_8",
 ) -> State:

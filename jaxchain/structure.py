@@ -85,6 +85,22 @@ def neighbours(x: Float[Array, " n"], ends: Ends) -> tuple[Float[Array, " n"], F
     return lax.platform_dependent(x, cpu=convolve, default=shift)
 
 
+def with_neighbours(
+    x: Float[Array, " n"], ends: Ends
+) -> tuple[Float[Array, " n"], Float[Array, " n"], Float[Array, " n"]]:
+    """(x_{n-1}, x, x_{n+1}): `neighbours`, with x itself computed once (see `materialize`)."""
+
+    def convolve(x: Array) -> tuple[Array, Array, Array]:
+        before, same, after = _correlate(x, np.eye(3)[:, None, :], ends)
+        return before, same, after
+
+    def shift(x: Array) -> tuple[Array, Array, Array]:
+        p = _pad(x, ends)
+        return p[:-2], x, p[2:]
+
+    return lax.platform_dependent(x, cpu=convolve, default=shift)
+
+
 class Springs(eqx.Module):
     """Nearest-neighbour springs: the off-diagonal part C of the stiffness matrix.
 
@@ -113,6 +129,16 @@ class Springs(eqx.Module):
         left, right = self._left_right()
         before, after = neighbours(x, self.ends)
         return left * before + right * after
+
+    def product_and_self(
+        self, x: Float[Array, " n"]
+    ) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
+        """(C x, x), with x computed once (see `materialize`)."""
+        before, same, after = with_neighbours(x, self.ends)
+        if self.constant.ndim == 0:
+            return self.constant * (before + after), same
+        left, right = self._left_right()
+        return left * before + right * after, same
 
     def row_sum(self, n: int) -> PerMass:
         """Sum of the constants of the springs at each mass: what they add to the diagonal of K.
@@ -166,6 +192,20 @@ class AbstractOscillators(eqx.Module):
     @abc.abstractmethod
     def stiffness_diagonal(self, n: int) -> PerMass:
         """The diagonal k of K, the springs' part included; a scalar or of shape (n,)."""
+
+    def switching(
+        self, t: ScalarLike, v: Float[Array, " n"]
+    ) -> tuple[Float[Array, " n"], PerMass] | None:
+        """(w, width): velocities w whose sign a force follows within |w| < width, mass by mass.
+
+        None if no force switches.  `SwitchingController` steps by it.
+        """
+        del t, v
+        return None
+
+    def stick_speed(self) -> PerMass | None:
+        """Up to which |w| (see `switching`) a mass sticks; None if no mass can."""
+        return None
 
     def velocity_force_and_slope(
         self, t: ScalarLike, v: Float[Array, " n"]

@@ -243,9 +243,11 @@ Solver: TypeAlias = Literal[
 class NumericsTable(Table):
     """How a run is computed."""
 
-    model: Literal["smoothed"] = "smoothed"
+    model: Literal["smoothed", "nonsmooth", "both"] = "smoothed"
+    """Friction smoothed by its width, true dry friction, or one run of each."""
     solver: Solver = "auto"
-    """A structured Rosenbrock solver, a stock diffrax solver, or the choice left to jaxchain."""
+    """For smoothed friction: a structured Rosenbrock solver, a stock diffrax solver, or the choice
+    left to jaxchain.  True dry friction is integrated event by event."""
     rtol: Annotated[float, Field(gt=0, lt=1)] = 1e-6
     atol: Positive | None = None
     """Absent: rtol / 10."""

@@ -15,7 +15,7 @@ from jaxchain.chain import Chain, paper_chain
 from jaxchain.choice import choose_solver
 from jaxchain.ensemble import sweep
 from jaxchain.measures import active
-from jaxchain.observe import Amplitude
+from jaxchain.amplitude import Amplitude
 from jaxchain.simulate import simulate
 from jaxchain.states import equation_8
 

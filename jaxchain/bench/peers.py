@@ -165,6 +165,27 @@ def lsoda(ring: CompiledRing, chain: Chain, initial: Any, t1: float) -> Callable
     return run
 
 
+def radau(ring: CompiledRing, chain: Chain, initial: Any, t1: float) -> Callable:
+    """As `lsoda`, by SciPy's Radau IIA, whose loop is Python and whose linear algebra is dense."""
+    from scipy.integrate import solve_ivp
+
+    y, p = ring.fold(initial), ring.parameters(chain)
+    jacobian = np.empty((y.size, y.size))
+
+    def full(t: float, y: np.ndarray, p: np.ndarray) -> np.ndarray:
+        ring.full_jacobian_into(t, y, y, jacobian, p)
+        return jacobian.copy()
+
+    def run(rtol: float) -> np.ndarray:
+        path = solve_ivp(
+            ring.force, (0.0, t1), y, method="Radau", args=(p,), jac=full, rtol=rtol,
+            atol=0.1 * rtol, t_eval=(t1,),
+        )  # fmt: skip
+        return ring.unfold(path.y[:, -1]) if path.success else np.full((2, y.size // 2), np.nan)
+
+    return run
+
+
 def cvode(ring: CompiledRing, chain: Chain, initial: Any, t1: float) -> Callable:
     """As `lsoda`, by the BDF method of CVODE."""
     try:

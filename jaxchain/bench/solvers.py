@@ -17,6 +17,7 @@ from jaxchain.bench.peers import CompiledRing, PeerMissingError, cvode, lsoda
 from jaxchain.bench.timing import Bar, Row, Sample, compiled, in_turn
 from jaxchain.chain import Chain, paper_chain
 from jaxchain.choice import choose_solver
+from jaxchain.control import SwitchingController
 from jaxchain.rosenbrock import Rodas5P
 from jaxchain.simulate import simulate
 from jaxchain.states import equation_8
@@ -64,8 +65,11 @@ def structured(chain: Chain, solver: Any) -> Callable[[Any, Any], Any]:
     return solve
 
 
-def stock(solver: dfx.AbstractSolver) -> Callable[..., Any]:
-    """The same by diffrax alone, also of the gains (p, i) of the step-size controller."""
+def stock(solver: dfx.AbstractSolver, *, switching: bool = False) -> Callable[..., Any]:
+    """The same by diffrax, also of the gains (p, i) of the step-size controller.
+
+    By diffrax alone, or with `SwitchingController` around its controller.
+    """
 
     def field(t: Any, y: Any, chain: Chain) -> Any:
         return chain(t, y)
@@ -86,9 +90,11 @@ def stock(solver: dfx.AbstractSolver) -> Callable[..., Any]:
         terms = dfx.MultiTerm(dfx.ODETerm(linear), dfx.ODETerm(friction))
 
     def solve(chain: Chain, initial: Any, rtol: Any, gains: tuple[Any, Any]) -> Any:
-        controller = dfx.PIDController(
+        controller: Any = dfx.PIDController(
             rtol=rtol, atol=0.1 * rtol, pcoeff=gains[0], icoeff=gains[1]
         )
+        if switching:
+            controller = SwitchingController(controller, chain)
         solution: Any = dfx.diffeqsolve(
             terms, solver, 0.0, SPAN, None, initial, chain,
             stepsize_controller=controller, adjoint=dfx.ForwardMode(), max_steps=None, throw=False,
@@ -175,37 +181,52 @@ def _reference(chain: Chain, belt_speeds: Any) -> Any:
     return program(belt_speeds, 1e-12)
 
 
-def stock_row(repeats: int) -> list[Row]:
-    """Against the fastest stock diffrax solver at equal error."""
-    bar = 1e-4
+def _stock_settings(reference: Any, bar: float, *, switching: bool) -> list[Setting]:
+    """Settings of the stock diffrax solvers, with and without memory in the step-size control."""
     chain, initial = problem()
-    belt_speed = chain.belt_speed
-    reference = _reference(chain, belt_speed)
-    own = cheapest(_own_settings(chain, belt_speed, reference, bar))
     settings: list[Setting] = []
     solvers = (dfx.Tsit5(), dfx.Dopri8(), dfx.Kvaerno3(), dfx.Kvaerno5(), dfx.KenCarp4())
     for solver in solvers:
-        program, seconds = compiled(stock(solver), chain, initial, 1e-6, (0.0, 1.0))
+        solve = stock(solver, switching=switching)
+        program, seconds = compiled(solve, chain, initial, 1e-6, (0.0, 1.0))
         for gains, name in (((0.0, 1.0), "I"), ((0.4, 0.3), "PI")):
             best = min((s.seconds for s in settings), default=np.inf)
+            control = f"{name} and switching control" if switching else f"{name} control"
             settings += scan(
-                f"{type(solver).__name__} ({name} control)",
+                f"{type(solver).__name__} ({control})",
                 lambda rtol, p=program, g=gains: p(chain, initial, rtol, g), reference, bar,
                 give_up=_HOPELESS * best, compile_seconds=seconds,
             )  # fmt: skip
-    peer = cheapest(settings)
-    times = in_turn({"stock": peer.run, "jaxchain": own.run}, repeats)
-    return [
-        Row(
-            "stock",
-            "fastest stock diffrax solver / jaxchain, error <= 1e-4",
-            {str(peer): times["stock"], str(own): times["jaxchain"]},
-            times["stock"].over(times["jaxchain"]),
-            bar=Bar("at least", 40.0),
-            note=f"compiled in {peer.compile_seconds:.1f} s (stock) and "
-            f"{own.compile_seconds:.1f} s",
+    return settings
+
+
+def stock_row(repeats: int) -> list[Row]:
+    """Against the fastest stock diffrax solver at equal error: as it is, and with our control."""
+    bar = 1e-4
+    chain, _ = problem()
+    reference = _reference(chain, chain.belt_speed)
+    own = cheapest(_own_settings(chain, chain.belt_speed, reference, bar))
+    plain = cheapest(_stock_settings(reference, bar, switching=False))
+    helped = cheapest(_stock_settings(reference, bar, switching=True))
+    times = in_turn({"plain": plain.run, "helped": helped.run, "jaxchain": own.run}, repeats)
+    title = "fastest stock diffrax solver"
+    rows = []
+    for side, peer, name, least in (
+        ("plain", plain, title, Bar("at least", 40.0)),
+        ("helped", helped, title + " with SwitchingController", None),
+    ):
+        rows.append(
+            Row(
+                "stock",
+                name + " / jaxchain, error <= 1e-4",
+                {str(peer): times[side], str(own): times["jaxchain"]},
+                times[side].over(times["jaxchain"]),
+                bar=least,
+                note=f"compiled in {peer.compile_seconds:.1f} s (stock) and "
+                f"{own.compile_seconds:.1f} s",
+            )
         )
-    ]
+    return rows
 
 
 def lsoda_row(repeats: int) -> list[Row]:

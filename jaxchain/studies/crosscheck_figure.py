@@ -1,0 +1,3 @@
+"""The picture of the study `crosscheck`."""
+from __future__ import annotations
+def figure(cycles, states): raise NotImplementedError

@@ -1,0 +1,185 @@
+"""The vibrating cycle of one oscillator, measured: amplitude, period, and time on the belt."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+from jaxtyping import Array
+
+from jaxchain._types import ScalarLike, State
+from jaxchain.amplitude import Amplitude
+from jaxchain.chain import Chain
+from jaxchain.ensemble import sweep
+from jaxchain.filippov import EventDriven
+from jaxchain.measures import LEAST_ACTIVE
+from jaxchain.observe import Section, Step, StickTime
+from jaxchain.result import NAMES, STOPPED_WELL
+from jaxchain.simulate import simulate
+from jaxchain.structure import AbstractOscillators
+
+QUANTITIES = ("amplitude", "period", "stick_time")
+# How a run of an oscillator ended.
+VIBRATES, RESTS, UNSETTLED, FAILED = range(4)
+OUTCOMES = ("vibrates", "rests", "unsettled", "failed")
+# Two successive maxima of a cycle, and the periods before them, agree as well as this.
+_SETTLED = 1e-8
+# A small step off the belt, for a derivative: relative to the belt speed.
+_OFF = 1e-4
+
+
+class CycleStickTime(StickTime):
+    """For how long each mass sticks in one period, from one of its maxima to the next.
+
+    The last period that is complete counts.  No mass sticks at a maximum, where v = 0, so that no
+    stretch of sticking is cut.
+
+    With smoothed friction a mass sticks while |w| is below the speed of greatest friction *and*
+    the force on it, without friction, does not exceed p mu_st.  By the speed alone it would stick
+    sqrt(eps ln(1 / eps)) too long: a mass that is let go leaves the belt as t^2.
+    """
+
+    def init(
+        self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State
+    ) -> tuple[Array, Array]:
+        total, _ = super().init(field, t0, t1, y0)
+        return total, jnp.full_like(total, jnp.nan)
+
+    def update(self, accumulator: tuple[Array, Array], step: Step) -> tuple[Array, Array]:
+        since_maximum, last = accumulator
+        begin, end = self._interval(step)
+        since_maximum = since_maximum + jnp.maximum(end - begin, 0.0) * (step.t1 - step.t0)
+        turns, _ = step.turning_points()
+        maximum = turns & (step.y0[1] > 0)
+        return jnp.where(maximum, 0.0, since_maximum), jnp.where(maximum, since_maximum, last)
+
+    def read(self, accumulator: tuple[Array, Array]) -> Array:
+        return accumulator[1]
+
+    def _interval(self, step: Step) -> tuple[Array, Array]:
+        begin, end = super()._interval(step)
+        chain = step.field
+        if not isinstance(chain, Chain):
+            return begin, end
+        hold = _hold(chain)
+
+        def excess(theta: Any) -> Array:
+            x, v = step.displacement(theta), step.velocity(theta)
+            return jnp.abs(chain.restoring_force(x) - 2.0 * chain.damping_ratio * v) - hold
+
+        e0, e1 = excess(jnp.zeros_like(begin)), excess(jnp.ones_like(begin))
+        crosses = (e0 > 0) != (e1 > 0)
+        theta = jnp.where(crosses, e0 / jnp.where(crosses, e0 - e1, 1.0), 0.0)
+        for _ in range(2):
+            e, slope = jax.jvp(excess, (theta,), (jnp.ones_like(theta),))
+            slope = jnp.where(slope == 0, 1.0, slope)
+            theta = jnp.clip(theta - jnp.where(crosses, e / slope, 0.0), 0.0, 1.0)
+        held_from = jnp.where(e0 > 0, jnp.where(crosses, theta, 1.0), 0.0)
+        held_to = jnp.where(e1 > 0, theta, 1.0)
+        return jnp.maximum(begin, held_from), jnp.minimum(end, held_to)
+
+
+def _hold(chain: Chain) -> Any:
+    """p mu_st, the greatest friction force on a sticking mass."""
+    load = 1.0 if chain.normal_load is None else chain.normal_load
+    return load * chain.friction.law.mu_static
+
+
+def on_the_belt(chain: Chain) -> State:
+    """Relaxed spring, speed of the belt: it carries the mass to its release."""
+    return jnp.zeros(chain.n), jnp.broadcast_to(chain.belt_speed, (chain.n,))
+
+
+def measure_cycles(
+    chain: Chain, over: Mapping[str, Any], transient: float, window: float, **options: Any
+) -> xr.Dataset:
+    """The vibrating cycles of one mass over a grid, measured in the last `window` time units.
+
+    **Arguments:** `over` and `options` as for `sweep`.
+
+    **Returns:** `amplitude`, `period`, `stick_time` and `outcome`, a number of `OUTCOMES`, over
+    the axes of `over`; NaN where there is no cycle.  Its attributes are those of the sweep.
+    """
+    # A maximum every half period of a free mass would be many.
+    capacity = math.ceil(window / math.pi) + 2
+    observe = [
+        Amplitude(window=window),
+        Section(0, capacity=capacity, start=transient),
+        CycleStickTime(),
+    ]
+    data = sweep(chain, on_the_belt, transient + window, over=over, observe=observe, **options)
+    data = data.squeeze("oscillator", drop=True)
+    time, top = _last(data["section_time"], 3), _last(data["section_displacement"], 3)
+    periods = time.diff("point")
+    period = periods.isel(point=-1, drop=True)
+    amplitude = data["amplitude"]
+    apart = abs(periods.isel(point=0, drop=True) / period - 1)
+    apart = np.maximum(apart, abs(top.isel(point=1) - top.isel(point=2)) / amplitude)
+    speed = data["belt_speed"] if "belt_speed" in data.coords else float(chain.belt_speed)
+    outcome = xr.where(apart <= _SETTLED, VIBRATES, UNSETTLED)  # NaN is not settled
+    outcome = xr.where(amplitude > np.maximum(abs(speed) / 2, LEAST_ACTIVE), outcome, RESTS)
+    well = data["result"].isin([NAMES.index(name) for name in STOPPED_WELL])
+    outcome = xr.where(well, outcome, FAILED).astype(np.int8)
+    found = xr.Dataset(
+        {"amplitude": amplitude, "period": period, "stick_time": data["stick_time"]}
+    ).where(outcome == VIBRATES)
+    found["outcome"] = outcome
+    return found.assign_attrs(data.attrs)
+
+
+def _last(points: xr.DataArray, count: int) -> xr.DataArray:
+    """The last `count` of the points that there are, NaN in front where there are fewer."""
+    values = np.moveaxis(points.values, points.dims.index("point"), -1)
+    number = np.isfinite(values).sum(-1)[..., None]
+    place = number - count + np.arange(count)
+    taken = np.take_along_axis(values, np.maximum(place, 0), axis=-1)
+    dims = [dim for dim in points.dims if dim != "point"]
+    coords = {dim: points[dim] for dim in dims if dim in points.coords}
+    return xr.DataArray(np.where(place < 0, np.nan, taken), coords, [*dims, "point"])
+
+
+def release_response(chain: Chain, cycles: xr.Dataset) -> xr.Dataset:
+    """How the dry cycles would change if the mass left the belt at a relative speed u > 0.
+
+    **Arguments:** `cycles` over `belt_speed`, from `measure_cycles` with `EventDriven()`.
+
+    **Returns:** d ln A / du and d ln T / du at u = 0 as `amplitude` and `period`.
+    """
+    rows = np.stack([cycles[name].values for name in ("belt_speed", *QUANTITIES)])
+    response = np.full((2, rows.shape[1]), np.nan)
+    vibrating = np.isfinite(rows).all(axis=0)
+    if vibrating.any():
+        response[:, vibrating] = _response(chain, *rows[:, vibrating])
+    return xr.Dataset(
+        {"amplitude": ("belt_speed", response[0]), "period": ("belt_speed", response[1])},
+        coords={"belt_speed": cycles["belt_speed"]},
+    )
+
+
+def _response(
+    chain: Chain, speed: np.ndarray, amplitude: np.ndarray, period: np.ndarray, stick: np.ndarray
+) -> np.ndarray:
+    def left_at(speed: Array, u: Array, duration: Array) -> tuple[Array, Array]:
+        own = chain.with_(belt_speed=speed)
+        release = jnp.sign(speed) * _hold(own) - 2.0 * own.damping_ratio * speed
+        x = jnp.broadcast_to(release / own.stiffness, (1,))
+        v = jnp.broadcast_to(speed - jnp.sign(speed) * u, (1,))
+        run = simulate(
+            own, (x, v), duration, observe=Amplitude(), solver=EventDriven(), rtol=1e-12,
+            throw=False,
+        )  # fmt: skip
+        # The belt has the rest of the way to go to the next release.
+        return run.observed[0], duration + (x - run.state[0])[0] / speed
+
+    # Until the mass is on the belt again.
+    duration = period - 0.5 * stick
+    both = jax.jit(jax.vmap(left_at))
+    small = _OFF * np.abs(speed)
+    base = np.stack([amplitude, period])
+    once, twice = (np.stack(both(speed, k * small, duration)) - base for k in (1.0, 2.0))
+    return (2.0 * once - 0.5 * twice) / small / base
