@@ -238,11 +238,11 @@ class TanhFriction(eqx.Module):
         """The |w| of greatest friction, the end of the branch on which a mass sticks.
 
         (eps / 2) ln [4 mu_st / (eps |mu'(0)|)] to leading order in eps; with friction that does
-        not weaken, which has no maximum, the speed at which it is all but 1e-3 of mu_st.
+        not weaken, which has no maximum, as if it weakened by 1e-3 of mu_st per unit of speed.
         """
         zero = jnp.zeros_like(self.width + self.law.mu_static)
         _, slope = jax.jvp(self.law.coefficient, (zero,), (jnp.ones_like(zero),))
-        weakening = jnp.maximum(-slope, 1e-3 * self.law.mu_static / self.width)
+        weakening = jnp.maximum(-slope, 1e-3 * self.law.mu_static)
         ratio = 4.0 * self.law.mu_static / jnp.maximum(self.width * weakening, 1e-300)
         return 0.5 * self.width * jnp.log(jnp.maximum(ratio, jnp.e))
 

@@ -29,7 +29,7 @@ from .filippov import EventDriven
 from .plot import figure, save_figure
 from .rosenbrock import Rodas4, Rodas5P
 from .scene import CHAIN_NUMBERS, NONSMOOTH, Experiment
-from .scenefile import LoadedScene
+from .scenefile import LoadedScene, SceneError
 from .studies import StudyTable, study_module
 from .summary import summary
 from .tables import Equation8Table, Equation10Table
@@ -224,7 +224,7 @@ def run_scene(
 
     **Raises:** `KeyboardInterrupt` on Ctrl-C, once the runs that had ended are written;
     `FigureError` if everything is written but the figure; `StudyFailedError` if everything is
-    written but a study found what must not be.
+    written but a study found what must not be; `SceneError` for numbers that do not go together.
     """
     if isinstance(loaded.scene, StudyTable):
         return study_module(loaded.scene.study).run(

@@ -71,7 +71,7 @@ def simulate(
     t0: ScalarLike = 0.0,
     observe: PyTree = None,
     solver: dfx.AbstractSolver | EventDriven | None = None,
-    accuracy: ArrayLike | None = None,
+    accuracy: Any = None,
     rtol: ArrayLike | None = None,
     atol: ArrayLike | None = None,
     max_step: ArrayLike = MAX_STEP,

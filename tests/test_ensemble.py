@@ -8,6 +8,7 @@ import xarray as xr
 
 from jaxchain import (
     Amplitude,
+    EventDriven,
     PeakTimes,
     SweepInterrupted,
     Trajectory,
@@ -87,6 +88,30 @@ def test_a_failing_lane_is_marked_with_its_reason_and_harms_nobody():
     assert (broken.result[others] == 0).all()
 
 
+@pytest.mark.parametrize("solver", [None, EventDriven()], ids=["smoothed", "nonsmooth"])
+def test_of_a_thousand_lanes_one_fails_and_999_do_not_notice(solver):
+    """Bit for bit what they are without it."""
+    damping = np.linspace(0.03, 0.08, 1000)
+    spoiled = damping.copy()
+    spoiled[500] = -30.0
+
+    def run(values):
+        return sweep(
+            paper_chain(2, 1.4), lambda chain: equation_8(chain, 1), 30.0, solver=solver,
+            over={"damping_ratio": values}, observe=Amplitude(window=10.0), rtol=1e-5,
+        )  # fmt: skip
+
+    whole = run(damping)
+    with pytest.warns(UserWarning, match="1 of 1000 lanes"):
+        broken = run(spoiled)
+    assert NAMES[int(broken["result"][500])] in ("nonfinite", "step_too_small")
+    assert np.all(np.isnan(broken["amplitude"][500]))
+    others = np.arange(1000) != 500
+    assert np.all(broken["result"].values[others] == 0)
+    for name in ("amplitude", "steps", "end_time"):
+        assert np.array_equal(whole[name].values[others], broken[name].values[others])
+
+
 def test_a_lane_that_needs_too_many_steps_is_marked():
     with pytest.warns(UserWarning, match="max_steps_reached"):
         result = sweep(
@@ -117,10 +142,10 @@ def test_any_number_of_the_chain_and_of_the_start_can_be_swept():
 
 
 def test_an_interrupted_sweep_hands_over_what_had_ended(monkeypatch):
-    from jaxchain import ensemble
+    from jaxchain import pool
 
     calls = []
-    original = ensemble.on_all_lanes
+    original = pool.on_all_lanes
 
     def interrupt(function, *arguments):
         calls.append(function.__name__)
@@ -128,7 +153,7 @@ def test_an_interrupted_sweep_hands_over_what_had_ended(monkeypatch):
             raise KeyboardInterrupt
         return original(function, *arguments)
 
-    monkeypatch.setattr(ensemble, "on_all_lanes", interrupt)
+    monkeypatch.setattr(pool, "on_all_lanes", interrupt)
     with pytest.raises(SweepInterrupted) as caught:
         sweep(
             CHAIN, equation_8, 60.0, over={"excited": [0, 1, 2, 3, 4]},

@@ -19,6 +19,7 @@ ROWS = {
     "lsoda": "against LSODA and CVODE with compiled right side and Jacobian, one lane and 64",
     "size": "cost of one oscillator and step from N = 200 to N = 200,000",
     "devices": "two CPU devices against one, 512 lanes",
+    "dry": "smoothed friction against true dry friction, 64 lanes",
     "mixed": "a sweep of quiet and stick-slip lanes against plain vmap(diffeqsolve)",
     "import": "import jaxchain beyond jax and diffrax",
     "profile": "what a step is made of, and how far it is from a C loop",
@@ -77,7 +78,7 @@ def _positive(text: str) -> int:
 
 
 def _functions() -> dict[str, Callable[[int], list[Row]]]:
-    from jaxchain.bench.ensembles import devices_row, mixed_row
+    from jaxchain.bench.ensembles import devices_row, dry_row, mixed_row
     from jaxchain.bench.solvers import lsoda_row, size_row, stock_row
     from jaxchain.bench.steps import import_row, profile_row
 
@@ -86,6 +87,7 @@ def _functions() -> dict[str, Callable[[int], list[Row]]]:
         "lsoda": lsoda_row,
         "size": size_row,
         "devices": devices_row,
+        "dry": dry_row,
         "mixed": mixed_row,
         "import": import_row,
         "profile": profile_row,

@@ -1,4 +1,4 @@
-"""Rows about many lanes: a mixed sweep against plain vmap, and two devices against one."""
+"""Rows about many lanes: a mixed sweep against plain vmap, two devices, true dry friction."""
 
 from __future__ import annotations
 
@@ -10,12 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxchain._types import State
+from jaxchain.amplitude import Amplitude
 from jaxchain.bench.timing import Bar, Row, compiled, in_turn
 from jaxchain.chain import Chain, paper_chain
 from jaxchain.choice import choose_solver
 from jaxchain.ensemble import sweep
+from jaxchain.filippov import EventDriven
 from jaxchain.measures import active
-from jaxchain.amplitude import Amplitude
+from jaxchain.result import NAMES
 from jaxchain.simulate import simulate
 from jaxchain.states import equation_8
 
@@ -29,12 +31,16 @@ def mixed_start(chain: Chain, start: Any) -> State:
     return x, v + jnp.where(start < 8, 0.01 * (1 + start), 0.0)
 
 
-def mixed_row(repeats: int, speeds: int = 32, span: float = 100.0) -> list[Row]:
-    """`sweep` against one `vmap` of the same solver: a mix of quiet and stick-slip lanes."""
+def mixed_row(repeats: int, speeds: int = 32, span: float = 600.0) -> list[Row]:
+    """`sweep` against one `vmap` of the same solver: a mix of quiet and stick-slip lanes.
+
+    The sweep ends lanes that have come to rest, which a `vmap` cannot.
+    """
     chain = paper_chain(N, 1.5, WIDTH)
     belt_speeds = np.linspace(0.8, 2.2, speeds)
     solver = choose_solver(chain, RTOL)
     observe = Amplitude(window=30.0)
+    settling = Amplitude(window=30.0, stop="quiet")
     grid = jnp.meshgrid(jnp.asarray(belt_speeds), jnp.arange(16), indexing="ij")
     flat = [g.ravel() for g in grid]
     lanes = flat[0].size
@@ -53,7 +59,7 @@ def mixed_row(repeats: int, speeds: int = 32, span: float = 100.0) -> list[Row]:
     def swept() -> Any:
         return sweep(
             chain, mixed_start, span, over={"belt_speed": belt_speeds, "start": np.arange(16)},
-            observe=observe, rtol=RTOL, devices=device,
+            observe=settling, rtol=RTOL, devices=device,
         )  # fmt: skip
 
     start = time.perf_counter()
@@ -62,6 +68,7 @@ def mixed_row(repeats: int, speeds: int = 32, span: float = 100.0) -> list[Row]:
     labels, steps = plain(*flat)
     different = int(np.sum(dataset["active_count"].values.ravel() != np.asarray(labels)))
     uneven = lanes * float(jnp.max(steps)) / float((dataset["steps"] + dataset["rejected"]).sum())
+    quiet = int(np.sum(dataset["result"].values == NAMES.index("quiet")))
     times = in_turn({"vmap": lambda: plain(*flat), "sweep": swept}, repeats)
     return [
         Row(
@@ -70,8 +77,9 @@ def mixed_row(repeats: int, speeds: int = 32, span: float = 100.0) -> list[Row]:
             {f"{name}, a lane": sample.per(lanes) for name, sample in times.items()},
             times["vmap"].over(times["sweep"]),
             bar=Bar("at least", 3.0),
-            note=f"tau {span:g}, belt speeds 0.8 to 2.2; labels (active counts) that differ: "
-            f"{different}; slowest lane / mean lane, in steps: {uneven:.3g}\n"
+            note=f"tau {span:g}, belt speeds 0.8 to 2.2; labels (active counts) that "
+            f"differ: {different}; {quiet} lanes came to rest early; slowest lane / mean "
+            f"lane, in steps: {uneven:.3g}\n"
             f"compiled in {seconds:.1f} s (vmap) and "
             f"{max(0.0, first - times['sweep'].median):.1f} s",
         )
@@ -111,5 +119,46 @@ def devices_row(repeats: int, lanes: int = 512, span: float = 50.0) -> list[Row]
             bar=Bar("at least", 1.7),
             note=f"tau {span:g}, width {WIDTH:g}; compiled in {compile_seconds[0]:.1f} s and "
             f"{compile_seconds[1]:.1f} s",
+        )
+    ]
+
+
+def dry_row(repeats: int, lanes: int = 64, span: float = 1000.0) -> list[Row]:
+    """True dry friction, event by event, against smoothed friction on the same lanes."""
+    chain = paper_chain(N, 1.5, WIDTH)
+    belt_speeds = jnp.linspace(1.4, 1.6, lanes)
+
+    def integrate(solver: Any, rtol: float) -> tuple[Any, float]:
+        def one(belt_speed: Any) -> Any:
+            own = chain.with_(belt_speed=belt_speed)
+            run = simulate(
+                own, equation_8(own, 10), span, observe=Amplitude(window=100.0), solver=solver,
+                rtol=rtol, throw=False,
+            )  # fmt: skip
+            return run.observed, run.steps + run.rejected
+
+        return compiled(jax.vmap(one), belt_speeds)
+
+    # The loosest tolerance that is right at this width, and one that errs a thousand times less.
+    sides = {
+        "smoothed, rtol 1e-5": integrate(choose_solver(chain, 1e-5), 1e-5),
+        "event-driven, rtol 1e-6": integrate(EventDriven(), 1e-6),
+    }
+    smoothed, dry = sides
+    results = {name: program(belt_speeds) for name, (program, _) in sides.items()}
+    times = in_turn({k: lambda p=p: p(belt_speeds) for k, (p, _) in sides.items()}, repeats)
+    apart = jnp.max(jnp.abs(results[smoothed][0] - results[dry][0]), axis=-1)
+    steps = " and ".join(f"{float(jnp.mean(n)) / span:.1f}" for _, n in results.values())
+    seconds = " and ".join(f"{seconds:.1f}" for _, seconds in sides.values())
+    return [
+        Row(
+            "dry",
+            f"smoothed, width {WIDTH:g} / true dry friction, {lanes} lanes, tau {span:g}",
+            {f"{name}, a lane": sample.per(lanes) for name, sample in times.items()},
+            times[smoothed].over(times[dry]),
+            bar=Bar("at least", 1.0),
+            note=f"N {N}, ten excited; steps a time unit {steps}; amplitudes differ by "
+            f"{float(jnp.median(apart)):.1e} (median lane), {float(jnp.max(apart)):.1e} (worst)\n"
+            f"compiled in {seconds} s",
         )
     ]

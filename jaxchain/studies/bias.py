@@ -28,9 +28,11 @@ from scipy.special import lambertw
 # The part of eps ln(1 / eps) in the head start of a mass that leaves the belt.
 HEAD_START = 0.25
 # A law is taken to hold over the widths at which it is off by no more than this share.
-WORST = 0.01
+WORST = 0.003
 # Two numbers are fitted: fewer points than this say nothing about the law.
 LEAST_POINTS = 3
+# Beyond this b / a there is no logarithm to speak of, and exp(b / a) is no number.
+_MOST_RATIO = 500.0
 
 
 @dataclass(frozen=True)
@@ -52,8 +54,8 @@ class Law:
     def width_for(self, accuracy: float) -> float:
         """The width up to which |error| <= accuracy > 0.
 
-        |error| grows from 0 to |a| exp(b / a - 1) and falls again to change its sign; NaN if it
-        does not come to `accuracy` before.
+        |error| grows from 0 to |a| exp(b / a - 1), falls to 0 at exp(b / a), where it changes its
+        sign, and grows again.
 
         >>> law = Law(a=-0.5, b=2.0)
         >>> float(abs(law.error(law.width_for(1e-3))).round(12))
@@ -61,14 +63,13 @@ class Law:
         """
         if not np.isfinite(self.a + self.b) or self.a == self.b == 0:
             return np.nan
-        if self.a == 0:
+        if abs(self.b) > _MOST_RATIO * abs(self.a):
             return accuracy / abs(self.b)
-        # With u = ln(1 / eps) + b / a the law is |a| exp(b / a) u exp(-u).
-        with np.errstate(over="ignore"):
-            z = -accuracy / abs(self.a) * np.exp(-self.b / self.a)
-        if z < -np.exp(-1.0):
-            return np.nan
-        return float(np.exp(self.b / self.a + np.real(lambertw(z, -1))))
+        # With y = ln(eps) - b / a the law is -a exp(b / a) y exp(y): Lambert's function.
+        ratio = self.b / self.a
+        z = accuracy / abs(self.a) * np.exp(-ratio)
+        y = lambertw(-z, -1) if z <= np.exp(-1.0) else lambertw(z)
+        return float(np.exp(ratio + np.real(y)))
 
 
 NOTHING = Law(np.nan, np.nan, np.nan, np.nan)

@@ -34,10 +34,11 @@ def summarize_cycles(data: xr.Dataset) -> str:
                 f"{float(row['log_coefficient']):9.4f}{shown}{_rest(row)}"
             )
     lines += _without_cycle(data)
-    lines.append(
-        "  expected: the mass leaves the belt at a relative speed of\n"
-        "  (eps/4) ln[16 pi (p mu_st)^2 / (k v_d eps)], and slips on as a dry one does"
-    )
+    lines += [
+        "  expected: a mass leaves the belt like a dry one that starts at a relative speed of",
+        "  (eps/4) ln[16 pi (p mu_st)^2 / (k v_d eps)].  It does not wait for the greatest",
+        "  friction, (eps/2) [ln(4/eps) + 1] below mu_st for the paper's set: twice the log.",
+    ]
     return "\n".join(lines)
 
 

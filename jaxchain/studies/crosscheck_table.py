@@ -87,9 +87,7 @@ class Study(StudyTable):
     """Smoothed friction against true dry friction: one oscillator, and states of a chain."""
 
     study: Literal["crosscheck"]
-    accuracy: Annotated[list[Annotated[float, Field(gt=0, lt=1)]], Field(min_length=1)] = [
-        1e-2, 1e-3, 1e-4,
-    ]  # fmt: skip
+    accuracy: Annotated[list[Annotated[float, Field(gt=0, lt=1)]], Field(min_length=1)]
     """Relative errors; which width buys each?"""
     oscillator: OscillatorPart
     states: StatesPart

@@ -22,6 +22,7 @@ from jaxchain.observe import Section, Step, StickTime
 from jaxchain.result import NAMES, STOPPED_WELL
 from jaxchain.simulate import simulate
 from jaxchain.structure import AbstractOscillators
+from jaxchain.studies.bias import HEAD_START
 
 QUANTITIES = ("amplitude", "period", "stick_time")
 # How a run of an oscillator ended.
@@ -143,43 +144,58 @@ def _last(points: xr.DataArray, count: int) -> xr.DataArray:
     return xr.DataArray(np.where(place < 0, np.nan, taken), coords, [*dims, "point"])
 
 
-def release_response(chain: Chain, cycles: xr.Dataset) -> xr.Dataset:
-    """How the dry cycles would change if the mass left the belt at a relative speed u > 0.
+def expected_factors(chain: Chain, cycles: xr.Dataset) -> xr.Dataset:
+    """The factor `a` of the error that smoothing a dry cycle is to cause, see `bias.py`.
+
+    Every quantity Q changes by d ln Q / 4 per relative speed at the release.  And a mass that
+    lands counts as sticking from `stick_speed` on, (eps / 2) ln(1 / eps) to leading order: by as
+    much earlier as it takes to lose this speed.
 
     **Arguments:** `cycles` over `belt_speed`, from `measure_cycles` with `EventDriven()`.
 
-    **Returns:** d ln A / du and d ln T / du at u = 0 as `amplitude` and `period`.
+    **Returns:** amplitude, period and stick time over `belt_speed`, NaN where there is no cycle.
     """
     rows = np.stack([cycles[name].values for name in ("belt_speed", *QUANTITIES)])
-    response = np.full((2, rows.shape[1]), np.nan)
+    expected = np.full((len(QUANTITIES), rows.shape[1]), np.nan)
     vibrating = np.isfinite(rows).all(axis=0)
     if vibrating.any():
-        response[:, vibrating] = _response(chain, *rows[:, vibrating])
+        speed, *base = rows[:, vibrating]
+        factors = HEAD_START * _response(chain, speed, np.stack(base))
+        stick = base[QUANTITIES.index("stick_time")]
+        # At the release friction and spring balance; at the landing, with the same friction, the
+        # spring is shorter by the way on the belt.
+        deceleration = float(np.ravel(chain.stiffness)[0]) * np.abs(speed) * stick
+        factors[QUANTITIES.index("stick_time")] += 0.5 / (deceleration * stick)
+        expected[:, vibrating] = factors
     return xr.Dataset(
-        {"amplitude": ("belt_speed", response[0]), "period": ("belt_speed", response[1])},
+        {name: ("belt_speed", row) for name, row in zip(QUANTITIES, expected, strict=True)},
         coords={"belt_speed": cycles["belt_speed"]},
     )
 
 
-def _response(
-    chain: Chain, speed: np.ndarray, amplitude: np.ndarray, period: np.ndarray, stick: np.ndarray
-) -> np.ndarray:
-    def left_at(speed: Array, u: Array, duration: Array) -> tuple[Array, Array]:
+def _response(chain: Chain, speed: np.ndarray, base: np.ndarray) -> np.ndarray:
+    """d ln Q / du of amplitude, period and stick time, of values `base`.
+
+    u > 0: the relative speed at which the mass leaves the belt.
+    """
+
+    def left_at(speed: Array, u: Array, duration: Array) -> Array:
         own = chain.with_(belt_speed=speed)
         release = jnp.sign(speed) * _hold(own) - 2.0 * own.damping_ratio * speed
         x = jnp.broadcast_to(release / own.stiffness, (1,))
         v = jnp.broadcast_to(speed - jnp.sign(speed) * u, (1,))
         run = simulate(
-            own, (x, v), duration, observe=Amplitude(), solver=EventDriven(), rtol=1e-12,
-            throw=False,
+            own, (x, v), duration, observe=(Amplitude(), StickTime()), solver=EventDriven(),
+            rtol=1e-12, throw=False,
         )  # fmt: skip
+        amplitude, stick = run.observed
         # The belt has the rest of the way to go to the next release.
-        return run.observed[0], duration + (x - run.state[0])[0] / speed
+        rest = (x - run.state[0]) / speed
+        return jnp.concatenate([amplitude, duration + rest, stick + rest])
 
-    # Until the mass is on the belt again.
-    duration = period - 0.5 * stick
+    _, period, stick = base
+    duration = period - 0.5 * stick  # the mass is on the belt again
     both = jax.jit(jax.vmap(left_at))
     small = _OFF * np.abs(speed)
-    base = np.stack([amplitude, period])
-    once, twice = (np.stack(both(speed, k * small, duration)) - base for k in (1.0, 2.0))
+    once, twice = (np.asarray(both(speed, k * small, duration)).T - base for k in (1.0, 2.0))
     return (2.0 * once - 0.5 * twice) / small / base

@@ -50,8 +50,8 @@ class Study(StudyTable):
     rtol: Annotated[list[Positive], Field(min_length=1)]
     accuracy: list[Positive] = Field(default_factory=list)
     """Accuracies that `simulate(..., accuracy=)` is asked for."""
-    patience: Positive = 1.0
-    """Seconds a lane after which a setting's neighbours, slower still, are left out."""
+    patience: Positive = 2.0
+    """Seconds that a setting may take; its neighbours, slower still, are then left out."""
 
     @model_validator(mode="after")
     def _check(self) -> Study:
@@ -141,18 +141,18 @@ def _scan(
 
     lanes = exact.shape[1]
     widths = [np.nan] if approach == EVENTS else sorted(study.width, reverse=True)
-    slow_rtol = 0.0  # tolerances below were too slow at a greater width
+    slow_rtol = 0.0  # from here on it was too slow at a greater width
     for width in widths:
         before = np.inf
         for rtol in sorted(study.rtol, reverse=True):
-            if rtol < slow_rtol:
+            if rtol <= slow_rtol:
                 break
             given = 1e-3 if np.isnan(width) else width
             state, seconds = _timed(partial(solve, given, rtol))
             error = _error(state, exact)
             if np.isfinite(error):
                 yield Setting(approach, lanes, width, rtol, error, seconds / lanes)
-            if seconds / lanes > study.patience:
+            if seconds > study.patience:
                 slow_rtol = rtol
                 break
             if _SATURATED * before < error < np.inf and error < 0.5:

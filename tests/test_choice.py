@@ -1,0 +1,129 @@
+"""`accuracy=`: what it picks, and that the promise is kept on parameters it was not fitted to."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxchain import (
+    Amplitude,
+    Chain,
+    Coulomb,
+    EventDriven,
+    Rodas4,
+    TanhFriction,
+    choose_numerics,
+    equation_8,
+    paper_chain,
+    simulate,
+    sweep,
+)
+
+SETS, N = 20, 5
+
+
+@pytest.fixture(scope="module")
+def random_sets():
+    """Twenty chains: numbers by name, masses excited, end states and amplitudes in truth."""
+    rng = np.random.default_rng(20261121)
+    numbers = {
+        "belt_speed": rng.uniform(0.2, 1.7, SETS),
+        "damping_ratio": rng.uniform(0.02, 0.1, SETS),
+        "coupling": rng.uniform(0.0, 0.05, SETS),
+        "mu_dynamic": rng.uniform(0.3, 0.7, SETS),
+        "v_ref": rng.uniform(0.2, 1.0, SETS),
+    }
+    numbers["mu_static"] = numbers["mu_dynamic"] * rng.uniform(1.3, 3.0, SETS)
+    excited = jnp.asarray(rng.integers(1, N + 1, SETS))
+    return {k: jnp.asarray(v) for k, v in numbers.items()}, excited
+
+
+def end(numbers, excited, **how):
+    chain = paper_chain(N).with_(**numbers)
+    run = simulate(
+        chain, equation_8(chain, excited), 30.0, observe=Amplitude(13.0), throw=False, **how
+    )
+    return jnp.stack([*run.state]), run.observed, run.numerics
+
+
+@pytest.fixture(scope="module")
+def truth(random_sets):
+    solve = jax.jit(jax.vmap(lambda *p: end(*p, solver=EventDriven(), rtol=1e-10)[:2]))
+    return solve(*random_sets)
+
+
+@pytest.mark.parametrize("accuracy", [3e-2, 1e-3])
+def test_the_promise_is_kept_on_random_chains(random_sets, truth, accuracy):
+    solve = jax.jit(jax.vmap(lambda *p: end(*p, accuracy=accuracy)))
+    state, amplitude, numerics = solve(*random_sets)
+    greatest = jnp.max(truth[1], axis=-1)
+    assert np.all(greatest > 0.1)  # all of them vibrate
+    error = jnp.max(jnp.abs(state - truth[0]), axis=(-2, -1)) / greatest
+    assert np.sum(error <= accuracy) >= 19
+    assert np.all(error <= 2 * accuracy)
+    wrong = jnp.max(jnp.abs(amplitude - truth[1]), axis=-1) / greatest
+    assert np.sum(wrong <= accuracy) >= 19
+    assert np.all(wrong <= 2 * accuracy)
+    # It does not keep it by being wasteful: the best of them are not a hundred times too good.
+    assert np.max(error) > 0.1 * accuracy
+    assert numerics.width.shape == (SETS,)
+
+
+def test_what_was_picked_is_said_and_used():
+    chain = paper_chain(3, 1.4)
+    initial = equation_8(chain, 1)
+    run = simulate(chain, initial, 20.0, accuracy=1e-2)
+    assert run.numerics is not None
+    width, rtol = run.numerics.width, run.numerics.rtol
+    again = simulate(
+        chain.with_(width=width), initial, 20.0, rtol=rtol, solver=run.numerics.solver
+    )
+    assert np.array_equal(run.state[0], again.state[0])
+    assert again.numerics is None
+    other = simulate(chain, initial, 20.0, accuracy=1e-2, solver=Rodas4())
+    assert not np.array_equal(run.state[0], other.state[0])
+
+
+def test_more_accuracy_takes_less_width():
+    widths = [float(choose_numerics(paper_chain(), a).width) for a in (1e-1, 1e-3, 1e-5)]
+    assert widths[0] > 50 * widths[1] > 2500 * widths[2]
+
+
+def test_friction_that_does_not_weaken_has_a_width_too():
+    chain = Chain(2, TanhFriction(Coulomb(0.4), 1e-3), belt_speed=1.0, coupling=0.1)
+    assert 1e-5 < float(choose_numerics(chain, 1e-2).width) < 1e-1
+
+
+def test_every_lane_of_a_sweep_has_a_width_of_its_own():
+    speeds = [0.5, 1.5]
+    data = sweep(
+        paper_chain(3), lambda chain: equation_8(chain, 1), 30.0, over={"belt_speed": speeds},
+        accuracy=1e-2, observe=Amplitude(10.0),
+    )  # fmt: skip
+    expected = [float(choose_numerics(paper_chain(3, v), 1e-2).width) for v in speeds]
+    np.testing.assert_allclose(data["width"], expected)
+    assert data.attrs["accuracy"] == 1e-2
+
+
+def test_true_dry_friction_takes_a_tolerance_for_the_accuracy():
+    chain = paper_chain(2, 1.4)
+    run = simulate(chain, equation_8(chain, 1), 20.0, accuracy=1e-3, solver=EventDriven())
+    exact = simulate(chain, equation_8(chain, 1), 20.0, rtol=1e-12, solver=EventDriven())
+    assert run.numerics is None
+    assert np.max(np.abs(run.state[0] - exact.state[0])) < 1e-3
+
+
+@pytest.mark.parametrize("bad", [0.0, -1e-3, 1.0, 1e-12, np.nan, "1 %"])
+def test_an_impossible_accuracy_is_refused(bad):
+    with pytest.raises(ValueError, match="accuracy"):
+        simulate(paper_chain(2), equation_8(paper_chain(2), 1), 1.0, accuracy=bad)
+
+
+def test_accuracy_and_tolerance_exclude_each_other():
+    chain = paper_chain(2)
+    with pytest.raises(ValueError, match="rtol"):
+        simulate(chain, equation_8(chain, 1), 1.0, accuracy=1e-2, rtol=1e-6)
+    with pytest.raises(ValueError, match="width"):
+        sweep(
+            chain, equation_8, 1.0, over={"width": [1e-3], "excited": [1]}, accuracy=1e-2,
+        )  # fmt: skip
