@@ -1,5 +1,6 @@
 """jaxchain: differentiable simulation of friction-excited oscillator chains on JAX."""
 
+from .amplitude import Amplitude as Amplitude
 from .chain import Chain as Chain
 from .chain import paper_chain as paper_chain
 from .chain import steady_sliding as steady_sliding
@@ -16,7 +17,6 @@ from .friction import WeakeningStrengthening as WeakeningStrengthening
 from .measures import active as active
 from .measures import delays as delays
 from .measures import energy as energy
-from .amplitude import Amplitude as Amplitude
 from .observe import PeakTimes as PeakTimes
 from .observe import Section as Section
 from .observe import StickTime as StickTime

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from ._checks import check_positive, to_float
+from ._checks import check_count, check_positive, to_float
 from ._types import ScalarLike, State
 from .observe import AbstractObserver, Step
 from .structure import AbstractOscillators
@@ -65,6 +65,9 @@ class Amplitude(AbstractObserver):
     def __check_init__(self) -> None:
         if self.window is not None:
             check_positive("window", self.window, "a period is about 2 pi; 100 is usual.")
+        check_positive("tolerance", self.tolerance, "1e-6 is usual.")
+        check_positive("quiet_below", self.quiet_below, "1e-6 is usual.")
+        check_count("repeats", self.repeats)
         if self.stop not in ("never", "quiet", "steady"):
             raise ValueError(
                 f'Argument `stop` must be "never", "quiet" or "steady", but is {self.stop!r}.'

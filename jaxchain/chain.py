@@ -7,6 +7,7 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array, ArrayLike, Float
 
 from ._checks import check_finite, check_nonnegative, check_positive, to_float
@@ -62,7 +63,7 @@ class Chain(AbstractOscillators):
     def __init__(
         self,
         n: int,
-        friction: TanhFriction,
+        friction: Any,
         belt_speed: ArrayLike,
         damping_ratio: ArrayLike = 0.05,
         coupling: ArrayLike | None = None,
@@ -74,6 +75,11 @@ class Chain(AbstractOscillators):
             raise ValueError(f"Argument `n` must be a positive integer, but is {n!r}.")
         if ends not in ("cyclic", "free"):
             raise ValueError(f'Argument `ends` must be "cyclic" or "free", but is {ends!r}.')
+        if not isinstance(friction, TanhFriction):
+            raise ValueError(
+                "Argument `friction` must be a regularized law, TanhFriction(law, width), but is "
+                f"{friction!r}."
+            )
         self.n = int(n)
         self.friction = friction
         self.belt_speed = to_float(belt_speed)
@@ -102,6 +108,13 @@ class Chain(AbstractOscillators):
                 raise ValueError(
                     f"Argument `{name}` must be one number or have shape ({self.n},), but has "
                     f"shape {value.shape}."
+                )
+        friction = {**vars(self.friction.law), "width": self.friction.width}
+        for name, value in friction.items():
+            if jnp.shape(value) not in ((), (self.n,)):
+                raise ValueError(
+                    f"Argument `friction` has `{name}` of shape {jnp.shape(value)}, but the chain "
+                    f"has {self.n} masses: give one number or one per mass."
                 )
         springs = self.n if ends == "cyclic" else self.n - 1
         if self.springs is not None and self.springs.constant.shape not in ((), (springs,)):
@@ -148,8 +161,13 @@ class Chain(AbstractOscillators):
         return v - self.belt_speed, self.friction.width
 
     def stick_speed(self) -> PerMass:
-        """The speed of greatest friction, below which a mass sticks: `TanhFriction.stick_speed`."""
+        """That of greatest friction, below which a mass sticks: `TanhFriction.stick_speed`."""
         return self.friction.stick_speed()
+
+    def growth_time(self) -> ScalarLike:
+        """1 / (2 |xi|) where damping is negative, infinite elsewhere."""
+        rate = -2.0 * jnp.min(lax.stop_gradient(self.damping_ratio))
+        return jnp.where(rate > 0, 1.0 / jnp.where(rate > 0, rate, 1.0), jnp.inf)
 
     def time_slope(self, t: ScalarLike, v: Float[Array, " n"]) -> None:
         """None: the chain is autonomous."""

@@ -32,6 +32,7 @@ from .structure import AbstractOscillators
 
 # Steps in succession that may leave the time where it is: an event of every mass, and some more.
 _STALLED_PER_MASS, _STALLED = 8, 64
+_RAN_AWAY = 1e8
 
 
 def _step_length(plan: EventDrivenPlan, series: Series) -> Array:
@@ -128,7 +129,8 @@ class EventDrivenPlan(AbstractPlan):
         shift = self._shift(field, series, modes, length, hits, v, acceleration)
         x, v, length = x + shift * speed, v + shift * acceleration, length + shift
         state, new = after(field, (x, v), modes, hits, length > 0)
-        t1 = jnp.where(early | ~last, t0 + length, end)
+        finite = jnp.all(jnp.isfinite(x) & jnp.isfinite(v))
+        t1 = jnp.where(finite, jnp.where(early | ~last, t0 + length, end), t0)
         stalled = jnp.where(t1 > t0, 0, progress.memory.stalled + 1)
 
         accumulators, result = progress.accumulators, progress.result
@@ -142,10 +144,11 @@ class EventDrivenPlan(AbstractPlan):
             pairs = zip(self.observers, accumulators, strict=True)
             accumulators = [o.update(a, step) for o, a in pairs]
             result = self._stop(accumulators, result)
-        result = Result.where(
-            stalled > _STALLED_PER_MASS * x.shape[0] + _STALLED, Result.events_accumulate, result
-        )
-        finite = jnp.all(jnp.isfinite(x) & jnp.isfinite(v))
+        # Of a state this large the events lie closer than times that can be told apart.
+        large = jnp.maximum(jnp.max(jnp.abs(x)), jnp.max(jnp.abs(v))) > _RAN_AWAY
+        why = Result.where(large, Result.step_too_small, Result.events_accumulate)
+        stuck = stalled > _STALLED_PER_MASS * x.shape[0] + _STALLED
+        result = Result.where(stuck, why, result)
         result = Result.where(finite, result, Result.nonfinite)
         return Progress(
             t=t1,

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from ._checks import check_positive, to_float
+from ._checks import check_count, check_finite, check_positive, to_float
 from ._types import ScalarLike, State
 from .structure import AbstractOscillators
 
@@ -96,6 +96,10 @@ class PeakTimes(AbstractObserver):
     capacity: int = eqx.field(static=True, default=64)
     start: float = eqx.field(static=True, default=0.0)
 
+    def __check_init__(self) -> None:
+        check_count("capacity", self.capacity)
+        check_finite("start", self.start, "nothing is kept before this time; 0 is usual.")
+
     def init(
         self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State
     ) -> tuple[Array, Array]:
@@ -128,6 +132,10 @@ class Section(AbstractObserver):
     oscillator: int = eqx.field(static=True)
     capacity: int = eqx.field(static=True, default=64)
     start: float = eqx.field(static=True, default=0.0)
+
+    def __check_init__(self) -> None:
+        check_count("capacity", self.capacity)
+        check_finite("start", self.start, "nothing is kept before this time; 0 is usual.")
 
     def init(
         self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State

@@ -18,6 +18,8 @@ from .structure import materialize
 # last are Newton's, allowed only where convergence is certain.
 _SAFE_ROUNDS = 4
 _NEWTON_ROUNDS = 2
+# Of the sum of the absolute terms of a polynomial, what its value may err by.
+_ROUNDING = 1e-15
 # Newton's method is trusted when it moves less than this share of |q'| / max|q''|.
 _NEWTON_REACH = 0.1
 
@@ -60,7 +62,7 @@ def first_exit(
     geometrically and, if it was one, left behind.
 
     **Arguments:** coefficients, each of shape (n,), with at least three of them; `resolution`,
-    the distance from an edge that counts as none.
+    the distance from an edge that counts as none (or what rounding makes of the terms, if more).
 
     **Returns:** `t` and `exits`, both of shape (n,).  Where `exits`, q leaves the band at t.
     Elsewhere it is in the band throughout [0, t]; t < end then only says that the search was not
@@ -83,7 +85,8 @@ def first_exit(
         step = jnp.where(close, distance, 0.0) / jnp.where(close & (rate > 0), rate, 1.0)
         t = materialize(jnp.clip(t + step, 0.0, end))
     distance, slope = _to_edge_ahead(coefficients, lower, upper, t)
-    return t, (distance <= resolution) & (slope <= 0)
+    rounding = _ROUNDING * value([jnp.abs(c) for c in coefficients], end)
+    return t, (distance <= resolution + rounding) & (slope <= 0)
 
 
 def _time_to_cover(distance: Any, speed: Any, curvature: Any) -> Any:

@@ -25,7 +25,7 @@ class Result(eqx.Enumeration):
     step_too_small = (
         "The step size fell below what the time can resolve: the state ran away or became NaN, or "
         "the regularization width is too small for these tolerances. Check the parameters, "
-        "and loosen `rtol` or enlarge the width."
+        "a negative damping ratio above all, and loosen `rtol` or enlarge the width."
     )
     untrusted_linear_solve = (
         "The truncated linear solve of the structured solver is not proven accurate for this step "

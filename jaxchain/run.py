@@ -242,6 +242,10 @@ def run_scene(
                 interrupt = None
             except SweepInterrupted as stopped:
                 data, interrupt = stopped.dataset, stopped
+            except ValueError as error:
+                # What only the numbers together show: a width too small for the tolerance.
+                problem = f"experiment.{name}: {error}"
+                raise SceneError(loaded.name, [problem]) from error
             unwanted = {"amplitude", "energy", "active_count"} - set(experiment.observe.quantities)
             kept = data.drop_vars(unwanted & set(data.data_vars))
             kept.attrs |= {

@@ -218,6 +218,14 @@ class AbstractOscillators(eqx.Module):
         force = -self.stiffness_diagonal(x.shape[0]) * x
         return force if self.springs is None else force + self.springs.product(x)
 
+    def growth_time(self) -> ScalarLike:
+        """No step should be longer: velocities grow e-fold in it.  Infinite where none grows so.
+
+        A stiff solver takes a growth by more than e^2 within a step for a decay, and its error
+        estimate agrees.
+        """
+        return jnp.inf
+
     def __call__(self, t: ScalarLike, y: State, args: object = None) -> State:
         """The time derivative of the state (x, v); both of shape (n,)."""
         x, v = y

@@ -9,7 +9,7 @@ import jaxchain
 
 FLOORS = [
     {"_types", "_checks", "result"},
-    {"friction", "structure", "tableaus", "units", "measures", "continuation"},
+    {"friction", "structure", "tableaus", "units", "measures", "continuation"} | {"studies.bias"},
     {"chain", "control", "polynomial", "rosenbrock"},
     {"dry", "observe", "states", "choice"},
     {"amplitude", "progress", "studies.balance", "studies.witnesses"},
@@ -17,12 +17,15 @@ FLOORS = [
     {"simulate", "shooting"},
     {"axes", "pool"},
     {"ensemble", "tables"},
-    {"floquet", "lyapunov", "basin", "front", "hopf", "scene", "studies", "studies.__init__"},
+    {"floquet", "lyapunov", "basin", "front", "hopf", "scene", "studies", "studies.__init__"}
+    | {"studies.cycles"},
     {"fold", "extrapolate", "diagram", "scenefile", "bench.peers", "bench.timing"}
-    | {"studies.extreme_table"},
+    | {"studies.crosscheck_summary", "studies.crosscheck_table", "studies.extreme_table"},
     {"plot", "summary", "bench.cstep", "bench.ensembles", "bench.solvers", "studies.judge"},
-    {"run", "bench.steps", "studies.extreme_cases", "studies.extremes_figure"},
-    {"bench", "bench.__init__", "studies.extreme_chains", "studies.extreme_inputs"},
+    {"run", "bench.steps", "studies.extreme_cases", "studies.extremes_figure"}
+    | {"studies.crosscheck_figure"},
+    {"bench", "bench.__init__", "studies.extreme_chains", "studies.extreme_inputs"}
+    | {"studies.crosscheck"},
     {"studies.extremes"},
     {"__main__"},
 ]

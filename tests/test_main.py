@@ -15,6 +15,7 @@ from synthetic import results
 import jaxchain.run
 from jaxchain import SweepInterrupted, paper_chain, steady_sliding
 from jaxchain.__main__ import main
+from jaxchain.result import NAMES
 from jaxchain.scenefile import LAWS, builtin_scenes, load_scene
 from jaxchain.tables import Solver
 
@@ -173,6 +174,16 @@ def test_a_wrong_scene_ends_with_2_and_no_traceback(workplace, capsys):
     assert not Path("results").exists()
 
 
+def test_a_width_that_the_tolerance_cannot_see_ends_with_2_and_the_remedy(workplace, capsys):
+    assert main(["run", "two.toml", "--set", "experiment.first.chain.friction.width=1e-7"]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(
+        "jaxchain: scene two has an error:\n  experiment.first: Arguments `rtol`"
+    )
+    assert "Use `rtol` = " in said
+    assert not Path("results/two").exists()
+
+
 def test_quiet_prints_nothing(workplace, made_up_sweep, capsys):
     assert main(["run", "two.toml", "--quiet"]) == 0
     assert capsys.readouterr() == ("", "")
@@ -195,7 +206,7 @@ def test_ctrl_c_keeps_what_was_finished(workplace, made_up_sweep, monkeypatch, c
     def stopped(chain, initial, t1, *, over, **options):
         data = whole(chain, initial, t1, over=over, **options)
         if chain.n == 3:
-            data["result"][1, 1] = 8
+            data["result"][1, 1] = NAMES.index("interrupted")
             data["energy"][1, 1] = np.nan
             raise SweepInterrupted(data)
         return data

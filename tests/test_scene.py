@@ -222,7 +222,8 @@ def test_two_main_experiments_and_names_of_variables_are_refused(scene_file):
 
 def test_a_file_that_is_not_there_or_not_toml_is_a_readable_error(tmp_path):
     assert problems("fig4") == [
-        "is neither a file nor built in (did you mean `fig3`?); built in: fig3, quickstart"
+        "is neither a file nor built in (did you mean `fig3`?); built in: "
+        + ", ".join(builtin_scenes())
     ]
     assert problems(str(tmp_path)) == ["cannot be read: Is a directory"]
     broken = tmp_path / "broken.toml"
@@ -268,8 +269,8 @@ def test_a_scene_is_checked_without_jax():
         ]
         assert set(imports) <= {
             "__future__", "collections", "dataclasses", "decimal", "difflib", "importlib", "math",
-            "numpy", "pathlib", "pydantic", "pydantic_core", "re", "scene", "tables", "tomllib",
-            "typing",
+            "numpy", "pathlib", "pydantic", "pydantic_core", "re", "scene", "studies", "tables",
+            "tomllib", "typing",
         }  # fmt: skip
 
 

@@ -21,6 +21,7 @@ waits for it.)
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.special import lambertw
@@ -47,8 +48,8 @@ class Law:
     worst: float = 0.0
     widest: float = np.inf
 
-    def error(self, width: np.ndarray) -> np.ndarray:
-        """The relative error at these widths, with its sign."""
+    def error(self, width: Any) -> Any:
+        """The relative error at a width, or at an array of them, with its sign."""
         return width * (self.a * np.log(1 / width) + self.b)
 
     def width_for(self, accuracy: float) -> float:

@@ -27,9 +27,7 @@ DRY_RTOL = 1e-12
 # An error of the size of this many tolerances says something of the tolerance.
 FLOOR = 1e3
 LONG_NAMES = {
-    "amplitude": "amplitude A (half peak-to-peak)",
-    "period": "period T",
-    "stick_time": "time on the belt in one period",
+    "quantity": "amplitude A (half peak-to-peak), period T, and time on the belt in one period",
     "smoothed": "value with smoothed friction",
     "nonsmooth": "value with true dry friction",
     "energy": "vibration energy E = 1/2 sum A_n^2, smoothed friction",
@@ -53,6 +51,7 @@ LONG_NAMES = {
 SPEEDS = ("width", "belt_speed", "widest_fitted", "width_for")
 UNITS: dict[str, str] = dict.fromkeys(SPEEDS, "x0 omega_n")
 UNITS |= dict.fromkeys(("energy", "energy_nonsmooth"), "x0^2")
+UNITS |= dict.fromkeys(("smoothed", "nonsmooth"), "x0 (amplitude), 1 / omega_n (times)")
 
 
 def cross_check_cycles(
@@ -175,9 +174,10 @@ def _label(data: Dataset, smoothed: Dataset, dry: Dataset) -> Dataset:
     """Names, units, and how each of the two models was computed."""
     for name in data.variables:
         key = str(name)
-        if key in LONG_NAMES:
-            data[key].attrs["long_name"] = LONG_NAMES[key]
-        data[key].attrs.setdefault("units", UNITS.get(key, "1"))
+        # What is computed from labelled numbers may carry their labels.
+        flags = {k: v for k, v in data[key].attrs.items() if k.startswith("flag_")}
+        names = {"long_name": LONG_NAMES[key]} if key in LONG_NAMES else {}
+        data[key].attrs = names | {"units": UNITS.get(key, "1")} | flags
     numerics = ("solver", "rtol", "atol", "wall_time_s")
     data.attrs = dict(smoothed.attrs) | {f"nonsmooth_{key}": dry.attrs[key] for key in numerics}
     return data

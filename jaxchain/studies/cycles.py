@@ -30,8 +30,8 @@ VIBRATES, RESTS, UNSETTLED, FAILED = range(4)
 OUTCOMES = ("vibrates", "rests", "unsettled", "failed")
 # Two successive maxima of a cycle, and the periods before them, agree as well as this.
 _SETTLED = 1e-8
-# A small step off the belt, for a derivative: relative to the belt speed.
-_OFF = 1e-4
+# A small step off the belt, for a derivative: relative to the belt speed; and its tolerance.
+_OFF, _OFF_RTOL = 1e-4, 1e-9
 
 
 class CycleStickTime(StickTime):
@@ -186,7 +186,7 @@ def _response(chain: Chain, speed: np.ndarray, base: np.ndarray) -> np.ndarray:
         v = jnp.broadcast_to(speed - jnp.sign(speed) * u, (1,))
         run = simulate(
             own, (x, v), duration, observe=(Amplitude(), StickTime()), solver=EventDriven(),
-            rtol=1e-12, throw=False,
+            rtol=_OFF_RTOL, throw=False,
         )  # fmt: skip
         amplitude, stick = run.observed
         # The belt has the rest of the way to go to the next release.
