@@ -164,6 +164,15 @@ class Chain(AbstractOscillators):
         """That of greatest friction, below which a mass sticks: `TanhFriction.stick_speed`."""
         return self.friction.stick_speed()
 
+    def greatest_hold(self) -> PerMass:
+        """p mu_st, the greatest friction force on a sticking mass."""
+        load = jnp.ones(()) if self.normal_load is None else self.normal_load
+        return load * self.friction.law.mu_static
+
+    def unheld_force(self, x: Float[Array, " n"], v: Float[Array, " n"]) -> Float[Array, " n"]:
+        """|r| - p mu_st with r = -2 xi v - K x, the force on a mass without friction."""
+        return jnp.abs(self.restoring_force(x) - 2.0 * self.damping_ratio * v) - self.greatest_hold()
+
     def growth_time(self) -> ScalarLike:
         """1 / (2 |xi|) where damping is negative, infinite elsewhere."""
         rate = -2.0 * jnp.min(lax.stop_gradient(self.damping_ratio))

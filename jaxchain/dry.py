@@ -47,17 +47,13 @@ class DryField(AbstractOscillators):
         load = self.chain.normal_load
         return jnp.ones(()) if load is None else load
 
-    def hold(self) -> PerMass:
-        """p mu_st, the greatest friction force on a sticking mass."""
-        return self.load() * self.chain.friction.law.mu_static
-
     def can_hold(self, force: Float[Array, " n"]) -> Bool[Array, " n"]:
         """Whether friction can keep masses on the belt against this force."""
         return jnp.abs(force) <= self.greatest_hold()
 
     def greatest_hold(self) -> PerMass:
-        """`hold`, and a little more: see `_SLACK`."""
-        return self.hold() * (1.0 + _SLACK)
+        """p mu_st, and a little more: see `_SLACK`."""
+        return self.chain.greatest_hold() * (1.0 + _SLACK)
 
     def velocity_force(self, t: ScalarLike, v: Float[Array, " n"]) -> Float[Array, " n"]:
         """-sign(w) p mu(|w|) - 2 xi v."""

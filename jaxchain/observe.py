@@ -175,8 +175,10 @@ class StickTime(AbstractObserver):
 
     The window is the last `window` time units of the run (None: the whole run); the ends of
     sticking are found between steps.  Value: shape (n,), a dimensionless time.  With true dry
-    friction a mass sticks while w = v - v_d is 0; with a smoothed law while |w| is below the speed
-    of greatest friction, `TanhFriction.stick_speed`, which goes to 0 with the width.
+    friction a mass sticks while w = v - v_d is 0.  With a smoothed law it does while |w| is below
+    the speed of greatest friction, `TanhFriction.stick_speed`, which goes to 0 with the width,
+    *and* the force on it, without friction, does not exceed p mu_st: by the speed alone it would
+    stick sqrt[eps ln(1 / eps)] too long, because a mass that is let go leaves the belt as t^2.
 
     **Arguments:** `window`, its length in dimensionless time.
     """
@@ -211,31 +213,44 @@ class StickTime(AbstractObserver):
 
     def _interval(self, step: Step) -> tuple[Array, Array]:
         """The part of a step during which each mass sticks, as thetas from and to."""
-        limit: Any = step.field.stick_speed()
+        field = step.field
+        limit: Any = field.stick_speed()
 
-        def gap(theta: Any) -> Array:  # positive beyond the limit
-            found = step.field.switching(step.t0, step.velocity(theta))
+        def too_fast(theta: Any) -> Array:
+            found = field.switching(step.t0, step.velocity(theta))
             assert found is not None  # what can stick switches
             return jnp.abs(found[0]) - limit
 
-        half = jnp.full_like(step.y0[0], 0.5)
-        g0, middle, g1 = gap(jnp.zeros_like(half)), gap(half), gap(jnp.ones_like(half))
-        crosses = (g0 > 0) != (g1 > 0)
-        theta = jnp.where(crosses, g0 / jnp.where(crosses, g0 - g1, 1.0), 0.0)
-        for _ in range(2):
-            g, slope = jax.jvp(gap, (theta,), (jnp.ones_like(theta),))
-            slope = jnp.where(slope == 0, 1.0, slope)
-            theta = jnp.clip(theta - jnp.where(crosses, g / slope, 0.0), 0.0, 1.0)
-        sticks = (g0 <= 0) & (g1 <= 0) & (middle <= 0)
-        begin = jnp.where(crosses & (g0 > 0), theta, 0.0)
-        end = jnp.where(crosses, jnp.where(g0 > 0, 1.0, theta), jnp.where(sticks, 1.0, 0.0))
-        return begin, end
+        def let_go(theta: Any) -> Array:
+            return field.unheld_force(step.displacement(theta), step.velocity(theta))
+
+        begin, end = _where_negative(too_fast, step.y0[0])
+        held, released = _where_negative(let_go, step.y0[0])
+        return jnp.maximum(begin, held), jnp.minimum(end, released)
 
     def settled(self, accumulator: Any) -> None:
         del accumulator
 
     def read(self, accumulator: tuple[Array, Array]) -> Float[Array, " n"]:
         return accumulator[0]
+
+
+def _where_negative(
+    gap: Callable[[Any], Array], like: Float[Array, " n"]
+) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
+    """From and to which theta in [0, 1] gap(theta) <= 0, if it changes its sign at most once."""
+    half = jnp.full_like(like, 0.5)
+    g0, middle, g1 = gap(jnp.zeros_like(half)), gap(half), gap(jnp.ones_like(half))
+    crosses = (g0 > 0) != (g1 > 0)
+    theta = jnp.where(crosses, g0 / jnp.where(crosses, g0 - g1, 1.0), 0.0)
+    for _ in range(2):
+        g, slope = jax.jvp(gap, (theta,), (jnp.ones_like(theta),))
+        slope = jnp.where(slope == 0, 1.0, slope)
+        theta = jnp.clip(theta - jnp.where(crosses, g / slope, 0.0), 0.0, 1.0)
+    throughout = (g0 <= 0) & (g1 <= 0) & (middle <= 0)
+    begin = jnp.where(crosses & (g0 > 0), theta, 0.0)
+    end = jnp.where(crosses, jnp.where(g0 > 0, 1.0, theta), jnp.where(throughout, 1.0, 0.0))
+    return begin, end
 
 
 class Trajectory(eqx.Module):

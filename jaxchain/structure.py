@@ -207,6 +207,14 @@ class AbstractOscillators(eqx.Module):
         """Up to which |w| (see `switching`) a mass sticks; None if no mass can."""
         return None
 
+    def unheld_force(self, x: Float[Array, " n"], v: Float[Array, " n"]) -> Float[Array, " n"]:
+        """By how much the force on a mass exceeds what friction can hold; negative: it holds.
+
+        No mass sticks where this is positive.
+        """
+        del v
+        return jnp.full_like(x, -jnp.inf)
+
     def velocity_force_and_slope(
         self, t: ScalarLike, v: Float[Array, " n"]
     ) -> tuple[Float[Array, " n"], Float[Array, " n"]]:

@@ -9,7 +9,7 @@ import jaxchain
 
 FLOORS = [
     {"_types", "_checks", "result"},
-    {"friction", "structure", "tableaus", "units", "measures", "continuation"} | {"studies.bias"},
+    {"friction", "structure", "tableaus", "units", "measures", "continuation", "studies.bias"},
     {"chain", "control", "polynomial", "rosenbrock"},
     {"dry", "observe", "states", "choice"},
     {"amplitude", "progress", "studies.balance", "studies.witnesses"},
@@ -21,11 +21,12 @@ FLOORS = [
     | {"studies.cycles"},
     {"fold", "extrapolate", "diagram", "scenefile", "bench.peers", "bench.timing"}
     | {"studies.crosscheck_summary", "studies.crosscheck_table", "studies.extreme_table"},
-    {"plot", "summary", "bench.cstep", "bench.ensembles", "bench.solvers", "studies.judge"},
+    {"plot", "summary", "bench.cstep", "bench.ensembles", "bench.solvers"}
+    | {"studies.approaches", "studies.judge"},
     {"run", "bench.steps", "studies.extreme_cases", "studies.extremes_figure"}
-    | {"studies.crosscheck_figure"},
+    | {"studies.crosscheck_figure", "studies.work_precision_figure"},
     {"bench", "bench.__init__", "studies.extreme_chains", "studies.extreme_inputs"}
-    | {"studies.crosscheck"},
+    | {"studies.crosscheck", "studies.work_precision"},
     {"studies.extremes"},
     {"__main__"},
 ]

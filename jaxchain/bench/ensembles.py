@@ -31,7 +31,7 @@ def mixed_start(chain: Chain, start: Any) -> State:
     return x, v + jnp.where(start < 8, 0.01 * (1 + start), 0.0)
 
 
-def mixed_row(repeats: int, speeds: int = 32, span: float = 600.0) -> list[Row]:
+def mixed_row(repeats: int, speeds: int = 16, span: float = 1000.0) -> list[Row]:
     """`sweep` against one `vmap` of the same solver: a mix of quiet and stick-slip lanes.
 
     The sweep ends lanes that have come to rest, which a `vmap` cannot.

@@ -24,6 +24,8 @@ from jaxchain.states import equation_8
 
 N, EXCITED, BELT_SPEED, WIDTH, SPAN = 20, 9, 1.3, 1e-4, 30.0
 TOLERANCES = tuple(10.0 ** (-k / 2) for k in range(7, 23))  # 10^-3.5 ... 10^-11
+# For rows of cheap runs, so that neither side pays for half a decade that it did not need.
+FINE = tuple(10.0 ** (-k / 4) for k in range(14, 47))
 # A setting this many times slower than the best one is not worth its measurement.
 _HOPELESS = 5.0
 
@@ -159,7 +161,13 @@ def _own_solvers(chain: Chain) -> list[Any]:
     return [choose_solver(chain, 1e-6), choose_solver(chain, 1e-9)]
 
 
-def _own_settings(chain: Chain, belt_speeds: Any, reference: Any, bar: float) -> list[Setting]:
+def _own_settings(
+    chain: Chain,
+    belt_speeds: Any,
+    reference: Any,
+    bar: float,
+    tolerances: Sequence[float] = TOLERANCES,
+) -> list[Setting]:
     """Settings of the structured solvers, for one belt speed or, by vmap, for several."""
     settings = []
     for solver in _own_solvers(chain):
@@ -169,7 +177,7 @@ def _own_settings(chain: Chain, belt_speeds: Any, reference: Any, bar: float) ->
         program, seconds = compiled(solve, belt_speeds, 1e-6)
         settings += scan(
             type(solver).__name__, lambda rtol, p=program: p(belt_speeds, rtol), reference, bar,
-            compile_seconds=seconds,
+            compile_seconds=seconds, tolerances=tolerances,
         )  # fmt: skip
     return settings
 
@@ -239,13 +247,17 @@ def lsoda_row(repeats: int) -> list[Row]:
     except PeerMissingError as missing:
         return [Row("lsoda", title + "1 and 64 lanes", note=str(missing))]
     reference = _reference(chain, chain.belt_speed)
-    peer = cheapest(scan("LSODA", lsoda(ring, chain, initial, SPAN), reference, bar))
-    own = cheapest(_own_settings(chain, chain.belt_speed, reference, bar))
+    peer = cheapest(
+        scan("LSODA", lsoda(ring, chain, initial, SPAN), reference, bar, tolerances=FINE)
+    )
+    own = cheapest(_own_settings(chain, chain.belt_speed, reference, bar, FINE))
     sides = {"LSODA": peer.run, "jaxchain": own.run}
     note = f"compiled in {own.compile_seconds:.1f} s (jaxchain)"
     other = None
     try:
-        other = cheapest(scan("CVODE", cvode(ring, chain, initial, SPAN), reference, bar))
+        other = cheapest(
+            scan("CVODE", cvode(ring, chain, initial, SPAN), reference, bar, tolerances=FINE)
+        )
         sides["CVODE"] = other.run
     except PeerMissingError as missing:
         note += f"\nCVODE: {missing}"
@@ -278,14 +290,14 @@ def _lsoda_lanes(ring: CompiledRing, repeats: int, bar: float, title: str, lanes
     belt_speeds = jnp.linspace(1.2, 1.4, lanes)
     chain, _ = problem()
     reference = _reference(chain, belt_speeds)
-    own = cheapest(_own_settings(chain, belt_speeds, reference, bar))
+    own = cheapest(_own_settings(chain, belt_speeds, reference, bar, FINE))
     runs = [lsoda(ring, *problem(speed), SPAN) for speed in belt_speeds.tolist()]
 
     def loop(rtol: float) -> np.ndarray:
         return np.stack([run(rtol) for run in runs], axis=1)
 
     # The scan starts where a single lane passes at the earliest.
-    tight = [rtol for rtol in TOLERANCES if rtol < 1e-7]
+    tight = [rtol for rtol in FINE if rtol < 1e-7]
     peer = cheapest(scan("LSODA in a loop", loop, reference, bar, tolerances=tight))
     times = in_turn({"LSODA": peer.run, "jaxchain": own.run}, repeats)
     per_lane = {name: sample.per(lanes) for name, sample in times.items()}

@@ -16,13 +16,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..bench.peers import CompiledRing, cvode, lsoda, radau
-from ..chain import Chain
-from ..choice import Numerics, fit_linear_solve
-from ..filippov import EventDriven
-from ..rosenbrock import Rodas4, Rodas5P
-from ..simulate import simulate
-from ..states import equation_8
+from jaxchain.bench.peers import CompiledRing, cvode, lsoda, radau
+from jaxchain.chain import Chain
+from jaxchain.choice import Numerics, fit_linear_solve
+from jaxchain.filippov import EventDriven
+from jaxchain.rosenbrock import Rodas4, Rodas5P
+from jaxchain.simulate import simulate
+from jaxchain.states import equation_8
 
 EVENTS = "event-driven"
 OWN = {"Rodas4": Rodas4(), "Rodas5P": Rodas5P()}

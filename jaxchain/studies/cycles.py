@@ -39,10 +39,6 @@ class CycleStickTime(StickTime):
 
     The last period that is complete counts.  No mass sticks at a maximum, where v = 0, so that no
     stretch of sticking is cut.
-
-    With smoothed friction a mass sticks while |w| is below the speed of greatest friction *and*
-    the force on it, without friction, does not exceed p mu_st.  By the speed alone it would stick
-    sqrt(eps ln(1 / eps)) too long: a mass that is let go leaves the belt as t^2.
     """
 
     def init(
@@ -61,34 +57,6 @@ class CycleStickTime(StickTime):
 
     def read(self, accumulator: tuple[Array, Array]) -> Array:
         return accumulator[1]
-
-    def _interval(self, step: Step) -> tuple[Array, Array]:
-        begin, end = super()._interval(step)
-        chain = step.field
-        if not isinstance(chain, Chain):
-            return begin, end
-        hold = _hold(chain)
-
-        def excess(theta: Any) -> Array:
-            x, v = step.displacement(theta), step.velocity(theta)
-            return jnp.abs(chain.restoring_force(x) - 2.0 * chain.damping_ratio * v) - hold
-
-        e0, e1 = excess(jnp.zeros_like(begin)), excess(jnp.ones_like(begin))
-        crosses = (e0 > 0) != (e1 > 0)
-        theta = jnp.where(crosses, e0 / jnp.where(crosses, e0 - e1, 1.0), 0.0)
-        for _ in range(2):
-            e, slope = jax.jvp(excess, (theta,), (jnp.ones_like(theta),))
-            slope = jnp.where(slope == 0, 1.0, slope)
-            theta = jnp.clip(theta - jnp.where(crosses, e / slope, 0.0), 0.0, 1.0)
-        held_from = jnp.where(e0 > 0, jnp.where(crosses, theta, 1.0), 0.0)
-        held_to = jnp.where(e1 > 0, theta, 1.0)
-        return jnp.maximum(begin, held_from), jnp.minimum(end, held_to)
-
-
-def _hold(chain: Chain) -> Any:
-    """p mu_st, the greatest friction force on a sticking mass."""
-    load = 1.0 if chain.normal_load is None else chain.normal_load
-    return load * chain.friction.law.mu_static
 
 
 def on_the_belt(chain: Chain) -> State:
@@ -181,7 +149,7 @@ def _response(chain: Chain, speed: np.ndarray, base: np.ndarray) -> np.ndarray:
 
     def left_at(speed: Array, u: Array, duration: Array) -> Array:
         own = chain.with_(belt_speed=speed)
-        release = jnp.sign(speed) * _hold(own) - 2.0 * own.damping_ratio * speed
+        release = jnp.sign(speed) * own.greatest_hold() - 2.0 * own.damping_ratio * speed
         x = jnp.broadcast_to(release / own.stiffness, (1,))
         v = jnp.broadcast_to(speed - jnp.sign(speed) * u, (1,))
         run = simulate(

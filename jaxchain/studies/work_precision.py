@@ -21,8 +21,8 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 from tqdm import tqdm
 
-from ..tables import Positive
-from . import StudyTable
+from jaxchain.tables import Positive
+from jaxchain.studies import StudyTable
 
 # A tolerance that no longer lowers the error by more than this meets that of the width.
 _SATURATED = 0.95
@@ -85,8 +85,8 @@ def run(
     report: Callable[[str], object],
 ) -> dict[str, xr.Dataset]:
     """Measures, saves `folder`/`name`, and reports who wins at which error."""
-    from ..run import save, save_drawing
-    from .work_precision_figure import figure
+    from jaxchain.run import save, save_drawing
+    from jaxchain.studies.work_precision_figure import figure
 
     settings: list[Setting] = []
     notes: list[str] = []
@@ -104,9 +104,9 @@ def run(
 
 
 def _measure(study: Study, notes: list[str]) -> Iterable[list[Setting]]:
-    from ..bench.peers import PeerMissingError
-    from ..chain import paper_chain
-    from .approaches import Problem, by_accuracy, prepare, truth
+    from jaxchain.bench.peers import PeerMissingError
+    from jaxchain.chain import paper_chain
+    from jaxchain.studies.approaches import Problem, by_accuracy, prepare, truth
 
     chain = paper_chain(study.masses, study.belt_speed)
     for lanes in study.lanes:
@@ -137,7 +137,7 @@ def _scan(
     study: Study, approach: str, solve: Callable[[float, float], np.ndarray], exact: np.ndarray
 ) -> Iterable[Setting]:
     """From loose to tight and from wide to narrow, leaving out what cannot be worth its time."""
-    from .approaches import EVENTS
+    from jaxchain.studies.approaches import EVENTS
 
     lanes = exact.shape[1]
     widths = [np.nan] if approach == EVENTS else sorted(study.width, reverse=True)

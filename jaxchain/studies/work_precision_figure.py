@@ -8,7 +8,7 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ..plot import PAGE_WIDTH, STYLE
+from jaxchain.plot import PAGE_WIDTH, STYLE
 
 # Colour of Okabe and Ito, marker, line: own solvers bold, the others thin.
 LOOKS = {
