@@ -171,7 +171,8 @@ class Chain(AbstractOscillators):
 
     def unheld_force(self, x: Float[Array, " n"], v: Float[Array, " n"]) -> Float[Array, " n"]:
         """|r| - p mu_st with r = -2 xi v - K x, the force on a mass without friction."""
-        return jnp.abs(self.restoring_force(x) - 2.0 * self.damping_ratio * v) - self.greatest_hold()
+        force = self.restoring_force(x) - 2.0 * self.damping_ratio * v
+        return jnp.abs(force) - self.greatest_hold()
 
     def growth_time(self) -> ScalarLike:
         """1 / (2 |xi|) where damping is negative, infinite elsewhere."""

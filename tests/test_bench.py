@@ -204,6 +204,7 @@ def test_the_step_in_c_does_the_arithmetic_of_the_step(solver):
         np.testing.assert_allclose(np.stack([x[i], v[i]]), np.stack(expected), atol=1e-10)
 
 
+@pytest.mark.long
 def test_the_stock_solvers_solve_the_same_problem(monkeypatch):
     monkeypatch.setattr(solvers, "SPAN", 2.0)
     chain = paper_chain(4, belt_speed=1.3, width=0.1)

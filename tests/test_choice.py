@@ -94,6 +94,7 @@ def test_friction_that_does_not_weaken_has_a_width_too():
     assert 1e-5 < float(choose_numerics(chain, 1e-2).width) < 1e-1
 
 
+@pytest.mark.long
 def test_every_lane_of_a_sweep_has_a_width_of_its_own():
     speeds = [0.5, 1.5]
     data = sweep(

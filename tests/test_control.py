@@ -81,6 +81,7 @@ def test_fewer_steps_at_no_greater_error_on_the_stiff_chain(solver, saved, exact
     assert np.exp(np.median(growth)) <= 1.2
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("solver", [Rodas4(3), dfx.Kvaerno5(scan_kind="lax"), dfx.Dopri8()])
 def test_any_solver_finds_the_same_answer_with_fewer_rejections(solver):
     chain = paper_chain(4, belt_speed=1.3, width=1e-3)

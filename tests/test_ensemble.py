@@ -88,7 +88,13 @@ def test_a_failing_lane_is_marked_with_its_reason_and_harms_nobody():
     assert (broken.result[others] == 0).all()
 
 
-@pytest.mark.parametrize("solver", [None, EventDriven()], ids=["smoothed", "nonsmooth"])
+@pytest.mark.parametrize(
+    "solver",
+    [
+        pytest.param(None, id="smoothed"),
+        pytest.param(EventDriven(), id="nonsmooth", marks=pytest.mark.long),
+    ],
+)
 def test_of_a_thousand_lanes_one_fails_and_999_do_not_notice(solver):
     """Bit for bit what they are without it."""
     damping = np.linspace(0.03, 0.08, 1000)

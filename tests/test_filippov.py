@@ -1,5 +1,6 @@
 """The event-driven solver against an independent one, closed forms and finite differences."""
 
+import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -76,6 +77,7 @@ def test_the_chain_of_twenty_follows_the_witness():
     assert len(witness.events) > 300
 
 
+@pytest.mark.long
 def test_tolerance_is_kept():
     chain = paper_chain(20, 1.3)
     initial = equation_8(chain, 9)
@@ -109,6 +111,7 @@ def test_two_masses_and_a_ring_with_springs_of_its_own():
     against_witness(chain, (jnp.array([1.0, -0.5]), jnp.array([0.1, 1.2])), 20.0)
 
 
+@pytest.mark.long
 def test_a_law_of_ones_own():
     """Without a recurrence of its own a law is expanded by automatic differentiation."""
 
@@ -212,7 +215,17 @@ def test_lanes_are_what_they_are_alone():
         np.testing.assert_allclose(together[0][i], alone[0], atol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["belt_speed", "mu_static", "damping_ratio", "coupling", "v_ref"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "belt_speed",
+        "mu_static",
+        *(
+            pytest.param(name, marks=pytest.mark.long)
+            for name in ("damping_ratio", "coupling", "v_ref")
+        ),
+    ],
+)
 def test_derivatives_pass_through_events(name):
     """Sticking and release move with the parameters; the state after them feels that."""
     chain = paper_chain(3, 1.2)
@@ -284,3 +297,10 @@ def test_failures_are_marked():
 def test_order_must_be_sensible(order):
     with pytest.raises(ValueError, match="order"):
         EventDriven(order)
+
+
+def test_reverse_mode_is_refused_with_a_way_out():
+    chain = paper_chain(2, 1.3)
+    adjoint = dfx.RecursiveCheckpointAdjoint()
+    with pytest.raises(ValueError, match="jacfwd"):
+        run(chain, equation_8(chain, 1), 5.0, adjoint=adjoint)

@@ -80,6 +80,7 @@ def test_section_points_lie_on_the_section_and_on_the_solution():
     np.testing.assert_allclose(v, exact[1], atol=1e-6)
 
 
+@pytest.mark.long
 def test_observers_agree_with_a_stored_trajectory_of_the_stick_slip_chain():
     chain = paper_chain(4, belt_speed=1.4)
     times = jnp.linspace(60.0, 80.0, 20001)
@@ -95,6 +96,7 @@ def test_observers_agree_with_a_stored_trajectory_of_the_stick_slip_chain():
     np.testing.assert_allclose(run.observed["peaks"][:3, 2], times[inside[:3]], atol=1e-3)
 
 
+@pytest.mark.long
 def test_stock_and_structured_solvers_observe_the_same():
     chain = paper_chain(3, belt_speed=1.4, width=1e-2)
     observe = (Amplitude(window=10.0), PeakTimes(3, 20.0))

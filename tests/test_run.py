@@ -75,6 +75,7 @@ def test_true_dry_friction_alone_goes_by_the_name_of_the_experiment(tmp_path):
     assert data["ladder"].attrs["model"] == "nonsmooth"
 
 
+@pytest.mark.long
 def test_the_width_has_no_part_in_true_dry_friction(tmp_path):
     scene(tmp_path, "nonsmooth")
     found = []

@@ -139,7 +139,10 @@ PAIR = "experiment.pair."
         ("time.transient=-1", "time.transient: must be at least 0, but is -1"),
         ("observe.stop=early", 'observe.stop: must be one of "never", "quiet", "steady", but is'),
         ('observe.quantities=["speed"]', "observe.quantities[0]: must be one of"),
-        ("numerics.model=nonsmooth", 'numerics.model: must be "smoothed", but is "nonsmooth"'),
+        (
+            "numerics.model=rough",
+            'numerics.model: must be one of "smoothed", "nonsmooth", "both", but is "rough"',
+        ),
         ("numerics.solver=tsit5", "numerics.solver: must be one of"),
         ("numerics.rtol=1", "numerics.rtol: must be less than 1, but is 1"),
         ("main=1", "main: must be true or false, but is 1"),

@@ -58,7 +58,7 @@ def test_segments_continue_the_run_and_report_each_part():
     assert np.all(np.asarray(parts.observed).max(axis=0) <= np.asarray(whole.observed) + 1e-5)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_forward_and_reverse_derivatives_of_a_run_agree():
     def end(chain, adjoint=None):
         return simulate(chain, START, 4.0, adjoint=adjoint, max_steps=4096, rtol=1e-9).state[0][1]
@@ -126,6 +126,7 @@ def test_what_a_scene_leaves_out_is_not_in_the_compiled_program():
     assert entry.count(f"f64[{n}]") == 3 + 3
 
 
+@pytest.mark.long
 def test_sweeps_do_not_lengthen_a_run():
     chain = paper_chain(20, belt_speed=1.3)
     for rtol in (1e-5, 1e-6, 1e-7):

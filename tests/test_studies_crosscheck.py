@@ -92,7 +92,7 @@ def test_states_of_the_chain(outcome):
     assert states["width_for"].sel(accuracy=1e-3).values == pytest.approx(LAW.width_for(1e-3))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_energies_of_a_true_chain():
     study = load_scene("crosscheck", SMALL).scene
     states = crosscheck.cross_check_states(study.states, study.accuracy)

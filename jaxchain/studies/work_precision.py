@@ -21,8 +21,8 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 from tqdm import tqdm
 
-from jaxchain.tables import Positive
 from jaxchain.studies import StudyTable
+from jaxchain.tables import Positive
 
 # A tolerance that no longer lowers the error by more than this meets that of the width.
 _SATURATED = 0.95
@@ -210,7 +210,7 @@ def fastest(data: xr.Dataset, lanes: int, error: float, *, smoothed: bool = Fals
 def summary(data: xr.Dataset) -> str:
     """Who wins at which error, and what `accuracy` gives."""
     lines = []
-    for lanes in np.unique(data["lanes"].values):
+    for lanes in np.unique(data["lanes"].values).tolist():
         lines.append(f"{lanes} lane{'s' if lanes > 1 else ''}: the fastest for each error")
         for k in range(1, 9):
             row = [f"  {10.0**-k:.0e}"]
