@@ -269,7 +269,7 @@ def test_one_program_for_all_numbers():
             return super().coefficient(speed)
 
     for mu, speed, t1, excited in ((0.4, 1.3, 5.0, 1), (0.5, 0.9, 7.0, 2)):
-        own = eqx.tree_at(lambda c: c.friction.law, chain, Counting(mu_dynamic=mu)).with_(
+        own = eqx.tree_at(lambda c: c.friction.law, chain, Counting(mu)).with_(
             belt_speed=speed
         )
         initial = equation_8(chain, excited)

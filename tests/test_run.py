@@ -61,7 +61,9 @@ def test_the_two_differ_by_the_width_and_by_no_more(both):
 def test_the_truth_is_drawn_around_the_points_of_its_own_panel(both):
     _, data, _ = both
     page = figure(data)
-    labels = [text.get_text() for text in page.axes[0].get_legend().get_texts()]
+    legend = page.axes[0].get_legend()
+    assert legend is not None
+    labels = [text.get_text() for text in legend.get_texts()]
     assert "true dry friction" in labels
     ring = next(a for a in page.axes[0].lines if a.get_label() == "true dry friction")
     heights = data["ladder_nonsmooth"]["energy"].values.ravel()
