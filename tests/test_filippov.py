@@ -1,5 +1,7 @@
 """The event-driven solver against an independent one, closed forms and finite differences."""
 
+from typing import Any
+
 import diffrax as dfx
 import equinox as eqx
 import jax
@@ -269,9 +271,8 @@ def test_one_program_for_all_numbers():
             return super().coefficient(speed)
 
     for mu, speed, t1, excited in ((0.4, 1.3, 5.0, 1), (0.5, 0.9, 7.0, 2)):
-        own = eqx.tree_at(lambda c: c.friction.law, chain, Counting(mu)).with_(
-            belt_speed=speed
-        )
+        law: Any = Counting
+        own = eqx.tree_at(lambda c: c.friction.law, chain, law(mu)).with_(belt_speed=speed)
         initial = equation_8(chain, excited)
         before = compiled
         run(own, initial, t1)
