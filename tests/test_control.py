@@ -124,6 +124,7 @@ def test_vmap_over_belt_speeds_is_a_loop():
         assert steps[i] == count
 
 
+@pytest.mark.long
 def test_derivatives_are_those_of_differences():
     chain = paper_chain(4, belt_speed=1.3, width=0.05)
     x, v = equation_8(chain, 2)

@@ -75,6 +75,7 @@ def failing_start(chain, excited):
     return jnp.where(excited == 3, jnp.inf, x), v
 
 
+@pytest.mark.long
 def test_a_failing_lane_is_marked_with_its_reason_and_harms_nobody():
     arguments = {"over": {"excited": [0, 1, 2, 3, 4]}, "observe": Amplitude(window=20.0)}
     with pytest.warns(UserWarning, match="1 of 5 lanes ended with `nonfinite`.*NaN or infinite"):

@@ -75,7 +75,7 @@ def test_vibrating_cycle(belt_speed):
 
 def test_the_chain_of_twenty_follows_the_witness():
     chain = paper_chain(20, 1.3)
-    witness = against_witness(chain, equation_8(chain, 9), 120.0, tolerance=1e-8)
+    witness = against_witness(chain, equation_8(chain, 9), 120.0, tolerance=1e-10)
     assert len(witness.events) > 300
 
 
