@@ -52,6 +52,26 @@ def fit_linear_solve(
     return solver.with_sweeps(None)
 
 
+USUAL_RTOL = 1e-6
+# A tolerance this many times below what tears a sticking mass off the belt is right to what it
+# promises (see `jaxchain._checks.check_resolved`).
+_CLEAN = 30.0
+
+
+def default_rtol(n: int, width: Any, belt_speed: Any) -> Any:
+    """1e-6, or less where a width is so narrow that a sticking mass needs it.
+
+    width / [30 sqrt(min(n, 20)) (|v_d| + 0.1)], for the least width and the greatest speed.
+    """
+    traced = is_traced(width, belt_speed)
+    xp: Any = jnp if traced else np
+    width, belt_speed = (a if traced else np.asarray(a) for a in (width, belt_speed))
+    speed = xp.max(xp.abs(belt_speed)) + 0.1
+    needed = xp.min(width) / (_CLEAN * min(n, 20) ** 0.5 * speed)
+    rtol = xp.minimum(USUAL_RTOL, needed)
+    return lax.stop_gradient(rtol) if traced else float(rtol)
+
+
 # Greatest factor but for one in fifty between the error that smoothing makes and `_bias`; measured
 # on 160 random chains of six masses, widths 0.03 to 1e-5, against true dry friction.
 _WORST = 6.0

@@ -33,7 +33,7 @@ from ._checks import (
 from ._types import ScalarLike, State
 from .axes import check_axes, check_observers
 from .chain import Chain
-from .choice import MAX_STEP, choose_numerics, choose_solver
+from .choice import MAX_STEP, USUAL_RTOL, choose_numerics, choose_solver, default_rtol
 from .filippov import EventDriven
 from .lanes import (
     Task,
@@ -136,23 +136,25 @@ def sweep(
                 "`over`."
             )
         widths, rtol = _numerics(chain, jobs, accuracy)
-    rtol = 1e-6 if rtol is None else rtol
-    check_tolerances(rtol, atol, max_step)
+    width = axes.get("width", chain.friction.width)
+    speed = axes.get("belt_speed", chain.belt_speed)
+    tolerance: Any = rtol
+    if rtol is None:
+        tolerance = default_rtol(chain.n, width, speed) if smoothed else USUAL_RTOL
+    check_tolerances(tolerance, atol, max_step)
     if not smoothed:
         widths = None
     elif widths is not None:
         jobs["width"] = widths
     else:
-        width = axes.get("width", chain.friction.width)
-        speed = axes.get("belt_speed", chain.belt_speed)
-        check_resolved(chain.n, width, speed, rtol, atol)
+        check_resolved(chain.n, width, speed, tolerance, atol)
     observers = check_observers(observe, float(t1) - float(t0))
     check_count("max_steps", max_steps)
     check_count("lanes", lanes)
-    atol = 0.1 * rtol if atol is None else atol
+    absolute: Any = 0.1 * tolerance if atol is None else atol
     if solver is None:
-        solver = choose_solver(_strongest(chain, axes), float(rtol), float(max_step))
-    plan = build_plan(solver, observers, rtol, atol, max_step, t1)
+        solver = choose_solver(_strongest(chain, axes), float(tolerance), float(max_step))
+    plan = build_plan(solver, observers, tolerance, absolute, max_step, t1)
     most = np.iinfo(np.int64).max if max_steps is None else max_steps
     task = Task(plan, chain, initial, to_float(t0), to_float(t1), jnp.asarray(most))
     runner = Pool(task, jobs, devices, lanes)

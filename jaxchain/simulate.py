@@ -25,7 +25,14 @@ from ._checks import (
 )
 from ._types import ScalarLike, State
 from .chain import Chain
-from .choice import MAX_STEP, Numerics, choose_numerics, choose_solver
+from .choice import (
+    MAX_STEP,
+    USUAL_RTOL,
+    Numerics,
+    choose_numerics,
+    choose_solver,
+    default_rtol,
+)
 from .engine import SmoothedPlan
 from .filippov import EventDriven
 from .observe import AbstractObserver, Trajectory
@@ -94,7 +101,8 @@ def simulate(
     - `accuracy`: the error that is allowed against true dry friction, relative to the greatest
       amplitude; it picks the width, `rtol` and, if none is given, the solver, and says so in
       `numerics` (see `choose_numerics` for what is promised).
-    - `rtol`, `atol`: tolerances of the step-size control (default 1e-6 and rtol / 10).
+    - `rtol`, `atol`: tolerances of the step-size control (default 1e-6, or less where the width
+      is so narrow that sticking needs it; and rtol / 10).
     - `max_step`: no step is longer (dimensionless time; a period is about 2 pi).
     - `max_steps`: steps allowed for the run (each segment); None is no limit.
     - `segments`: cut the run into this many parts of equal length and return the observed values
@@ -130,12 +138,16 @@ def simulate(
         if smoothed:
             chain = chain.with_(width=numerics.width)
             solver = numerics.solver if solver is None else solver
-    rtol = 1e-6 if rtol is None else rtol
+    tolerance: Any = rtol
+    if rtol is None:
+        tolerance = USUAL_RTOL
+        if smoothed and isinstance(chain, Chain):
+            tolerance = default_rtol(chain.n, chain.friction.width, chain.belt_speed)
     initial = _check_input(
-        chain, initial, t0, t1, rtol, atol, max_step, max_steps, segments, smoothed
+        chain, initial, t0, t1, tolerance, atol, max_step, max_steps, segments, smoothed
     )
     if solver is None:
-        solver = choose_solver(chain, _concrete(rtol, 1e-6), _concrete(max_step, MAX_STEP))
+        solver = choose_solver(chain, _concrete(tolerance, 1e-6), _concrete(max_step, MAX_STEP))
     leaves, treedef = jtu.tree_flatten(observe, is_leaf=_is_observer)
     for leaf in leaves:
         if not _is_observer(leaf):
@@ -148,8 +160,8 @@ def simulate(
     plan = build_plan(
         solver,
         [o for o in leaves if isinstance(o, AbstractObserver)],
-        rtol,
-        0.1 * rtol if atol is None else atol,
+        tolerance,
+        0.1 * tolerance if atol is None else atol,
         max_step,
         t1,
     )

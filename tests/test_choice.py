@@ -128,3 +128,14 @@ def test_accuracy_and_tolerance_exclude_each_other():
         sweep(
             chain, equation_8, 1.0, over={"width": [1e-3], "excited": [1]}, accuracy=1e-2,
         )  # fmt: skip
+
+
+def test_a_narrow_width_has_a_tolerance_that_fits_it_by_default():
+    """At 1e-6 a sticking mass would be torn off the belt; then the answer is far off."""
+    chain = paper_chain(1, 1.2).with_(width=1e-6)
+    initial = (jnp.array([0.0]), jnp.array([1.2]))
+    dry = simulate(chain, initial, 20.0, solver=EventDriven(), rtol=1e-10)
+    run = simulate(chain, initial, 20.0)
+    assert abs(float(run.state[0][0] - dry.state[0][0])) < 1e-4
+    with pytest.raises(ValueError, match="too loose"):
+        simulate(chain, initial, 20.0, rtol=1e-6)

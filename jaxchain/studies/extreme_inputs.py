@@ -166,8 +166,8 @@ def _impossible() -> Iterator[Refusal]:
     state = (jnp.full(1, 3.0), jnp.zeros(1))
     yield refused(
         "a width that the tolerance cannot see", "too loose for a regularization width",
-        partial(simulate, coarse, state, 50.0),
-        partial(sweep, coarse, state, 50.0, over={"width": [1e-2, 1e-7]}),
+        partial(simulate, coarse, state, 50.0, rtol=1e-6),
+        partial(sweep, coarse, state, 50.0, over={"width": [1e-2, 1e-7]}, rtol=1e-6),
         partial(simulate, chain_of(replace(own, width=1e-14)), state, 50.0, rtol=1e-15),
         partial(simulate, chain, start, 50.0, atol=1e3),
     )  # fmt: skip
