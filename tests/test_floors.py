@@ -23,7 +23,7 @@ FLOORS = [
     | {"studies.crosscheck_summary", "studies.crosscheck_table", "studies.extreme_table"},
     {"plot", "summary", "bench.cstep", "bench.ensembles", "bench.solvers"}
     | {"studies.approaches", "studies.judge"},
-    {"run", "bench.steps", "studies.extreme_cases", "studies.extremes_figure"}
+    {"run", "bench.size", "bench.steps", "studies.extreme_cases", "studies.extremes_figure"}
     | {"studies.crosscheck_figure", "studies.work_precision_figure"},
     {"bench", "bench.__init__", "studies.extreme_chains", "studies.extreme_inputs"}
     | {"studies.crosscheck", "studies.work_precision"},

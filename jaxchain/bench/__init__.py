@@ -79,7 +79,8 @@ def _positive(text: str) -> int:
 
 def _functions() -> dict[str, Callable[[int], list[Row]]]:
     from jaxchain.bench.ensembles import devices_row, dry_row, mixed_row
-    from jaxchain.bench.solvers import lsoda_row, size_row, stock_row
+    from jaxchain.bench.size import size_row
+    from jaxchain.bench.solvers import lsoda_row, stock_row
     from jaxchain.bench.steps import import_row, profile_row
 
     return {
