@@ -1,19 +1,35 @@
 """jaxchain: differentiable simulation of friction-excited oscillator chains on JAX."""
 
 from .amplitude import Amplitude as Amplitude
+from .augmented import FoldPoint as FoldPoint
+from .augmented import fold_point as fold_point
+from .augmented import fold_residual as fold_residual
+from .branch import Branch as Branch
 from .chain import Chain as Chain
 from .chain import paper_chain as paper_chain
 from .chain import steady_sliding as steady_sliding
 from .choice import Numerics as Numerics
 from .choice import choose_numerics as choose_numerics
+from .continuation import continue_branch as continue_branch
+from .continuation import switch_branch as switch_branch
 from .control import SwitchingController as SwitchingController
+from .descent import descend as descend
 from .ensemble import SweepInterrupted as SweepInterrupted
 from .ensemble import sweep as sweep
 from .filippov import EventDriven as EventDriven
+from .fold import Fold as Fold
+from .fold import find_fold as find_fold
+from .fold import fold_belt_speed as fold_belt_speed
 from .friction import Coulomb as Coulomb
 from .friction import ExponentialDecay as ExponentialDecay
 from .friction import TanhFriction as TanhFriction
 from .friction import WeakeningStrengthening as WeakeningStrengthening
+from .hopf import hopf_belt_speed as hopf_belt_speed
+from .hopf import hopf_by_descent as hopf_by_descent
+from .hopf_points import HopfPoints as HopfPoints
+from .hopf_points import hopf_points as hopf_points
+from .implicit import attach_derivative as attach_derivative
+from .lyapunov_coefficient import first_lyapunov_coefficient as first_lyapunov_coefficient
 from .measures import active as active
 from .measures import delays as delays
 from .measures import energy as energy
@@ -22,6 +38,7 @@ from .observe import Section as Section
 from .observe import StickTime as StickTime
 from .observe import Trajectory as Trajectory
 from .result import Result as Result
+from .roots import newton as newton
 from .rosenbrock import Rodas4 as Rodas4
 from .rosenbrock import Rodas5P as Rodas5P
 from .simulate import Simulation as Simulation
