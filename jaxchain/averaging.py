@@ -8,6 +8,8 @@ which is exact for weak friction and weak damping (averaging; Nayfeh and Mook, N
 Oscillations, section 3.3).  The frequency is that of the mass on its springs, sqrt(K_jj).
 """
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -54,7 +56,7 @@ def cycle_speed(chain: Chain, ratio: ScalarLike, highest: ScalarLike) -> Float[A
     crosses = (values[:-1] > 0) & (values[1:] <= 0)
     last = jnp.max(jnp.where(crosses, jnp.arange(_SPEEDS - 1), -1))
 
-    def halve(_: int, ends: tuple[Array, Array]) -> tuple[Array, Array]:
+    def halve(_: Any, ends: tuple[Array, Array]) -> tuple[Array, Array]:
         low, high = ends
         middle = 0.5 * (low + high)
         inside = gain(chain, ratio, middle) > 0

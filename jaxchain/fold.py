@@ -6,11 +6,9 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from ._checks import require_64_bits, require_x64
 from ._types import State
 from .augmented import fold_residual
 from .averaging import cycle_speed, fold_guess, greatest_speed, one_mass
@@ -23,14 +21,13 @@ from .fold_search import (
     as_place,
     search,
     unknowns,
-    value_and_jacobian,
 )
 from .grazing import find_touch
 from .implicit import attach_derivative
 from .rosenbrock import Rodas5P
 from .shooting import Shooting
 from .shooting import residual as closure
-from .states import reference_site
+from .states import check_vibrating
 
 _LOOSE, _LOOSE_PER_WIDTH = 1e-6, 1e-3
 
@@ -43,6 +40,9 @@ class Fold(eqx.Module):
     - `closeness`: s = max w / eps of that mass; a mass with s < 0 never reaches the belt's speed.
     - `residual`: the gap after a period over the amplitude of velocity.
     - `found`: whether it is a fold of a closed cycle.
+    - `expected`: whether averaging has a fold.  Where this is false there is none, and steady
+      sliding is lost supercritically or not at all; where it is true and `found` is not, the
+      search failed.
     - `evaluations`: shooting Jacobians it took.
     """
 
@@ -52,11 +52,12 @@ class Fold(eqx.Module):
     closeness: Float[Array, ""]
     residual: Float[Array, ""]
     found: Bool[Array, ""]
+    expected: Bool[Array, ""]
     evaluations: Int[Array, ""]
     mass: int = eqx.field(static=True)
 
 
-def fold_belt_speed(chain: Chain, vibrating: Any = None) -> Float[Array, ""]:
+def fold_belt_speed(chain: Any, vibrating: Any = None) -> Float[Array, ""]:
     """The greatest belt speed at which the vibration of one mass survives, for smoothed friction.
 
     The saddle-node of cycles at which the stick-slip cycle of mass `vibrating` (the others slide,
@@ -85,10 +86,10 @@ def fold_belt_speed(chain: Chain, vibrating: Any = None) -> Float[Array, ""]:
         -24.051
     """
     mass = check_vibrating(chain, vibrating)
-    shooting, found = _find(lax.stop_gradient(chain), mass)
+    shooting, found, _ = _find(lax.stop_gradient(chain), mass)
     held = eqx.tree_at(lambda s: s.field, shooting, chain)
     q = attach_derivative(
-        _held_residual, found.here.q, (held, lax.stop_gradient(found.here.z)), once=_ONCE
+        held_residual, found.here.q, (held, lax.stop_gradient(found.here.z)), once=_ONCE
     )
     return jnp.where(found.found, q[shooting.place], jnp.nan)
 
@@ -99,12 +100,13 @@ _ONCE = (
 )
 
 
-def _held_residual(q: Float[Array, " m"], held: tuple[Shooting, Array]) -> Float[Array, " m"]:
+def held_residual(q: Float[Array, " m"], held: tuple[Shooting, Array]) -> Float[Array, " m"]:
+    """The equations of the cycle whose mass j has max w / eps = sinh z."""
     shooting, z = held
     return shooting.residual(*unknowns(shooting, Place(q, z)))
 
 
-def find_fold(chain: Chain, vibrating: Any = None) -> Fold:
+def find_fold(chain: Any, vibrating: Any = None) -> Fold:
     """The fold of `fold_belt_speed` with its cycle, all of it differentiable.
 
     Arguments, errors and transformations as there; derivatives of any order, which cost more, of
@@ -118,7 +120,7 @@ def find_fold(chain: Chain, vibrating: Any = None) -> Fold:
     (True, 6.3028, -2.142)
     """
     mass = check_vibrating(chain, vibrating)
-    shooting, found = _find(lax.stop_gradient(chain), mass)
+    shooting, found, expected = _find(lax.stop_gradient(chain), mass)
     u, speed = unknowns(shooting, found.here)
     borders = _borders(shooting, found)
     held = eqx.tree_at(lambda s: s.field, shooting, chain)
@@ -131,6 +133,7 @@ def find_fold(chain: Chain, vibrating: Any = None) -> Fold:
         closeness=jnp.sinh(both[shooting.place]),
         residual=found.residual,
         found=found.found,
+        expected=expected,
         evaluations=found.count,
         mass=mass,
     )
@@ -141,35 +144,26 @@ _FOLD_RESIDUAL = fold_residual(closure)
 
 def _borders(shooting: Shooting, found: Search) -> tuple[Array, Array]:
     """(left, right) null vectors of dR/du at the fold."""
-    _, jacobian = value_and_jacobian(shooting, found.here)
-    index = shooting.place
-    by_speed, by_z = jacobian[:, index], jacobian[:, -1]
-    slope = jacobian[:, :-1].at[:, index].set(by_z)
-    del by_speed
+    slope = found.jacobian[:, :-1].at[:, shooting.place].set(found.jacobian[:, -1])
     left, _, right = jnp.linalg.svd(jnp.where(found.found, slope, jnp.eye(slope.shape[0])))
     return left[:, -1], right[-1]
 
 
-def check_vibrating(chain: Any, vibrating: Any) -> int:
-    """The index of the vibrating mass, or `ValueError`."""
-    require_x64()
-    if not isinstance(chain, Chain):
-        raise ValueError(f"Argument `chain` must be a `Chain`, but is a {type(chain).__name__}.")
-    require_64_bits("chain", chain)
-    if vibrating is None:
-        return reference_site(chain.n)
-    whole = isinstance(vibrating, int | np.integer) and not isinstance(vibrating, bool)
-    if not whole or not 0 <= vibrating < chain.n:
-        raise ValueError(
-            f"Argument `vibrating` must be the index of a mass, 0 ... {chain.n - 1}, but is "
-            f"{vibrating!r}. For several vibrating masses follow the branch of their cycle."
-        )
-    return int(vibrating)
-
-
 @eqx.filter_jit
-def _find(chain: Chain, mass: int) -> tuple[Shooting, Search]:
-    """The fold, from that of dry friction; nothing in here is to be differentiated."""
+def _find(chain: Chain, mass: int) -> tuple[Shooting, Search, Bool[Array, ""]]:
+    """The fold, and whether there should be one; nothing in here is to be differentiated."""
+    shooting, place, expected = first_guess(chain, mass)
+    loose = loose_rtol(chain)
+    return shooting, search(shooting, place, loose, expected), expected
+
+
+def loose_rtol(chain: Chain) -> Array:
+    """The tolerance of integration that does on the way to a fold."""
+    return jnp.clip(_LOOSE_PER_WIDTH * jnp.min(chain.friction.width), 1e-9, _LOOSE)
+
+
+def first_guess(chain: Chain, mass: int) -> tuple[Shooting, Place, Bool[Array, ""]]:
+    """(equations, a place near the fold, whether there should be a fold), from dry friction."""
     alone = one_mass(chain, mass)
     width = alone.friction.width
     smooth, s, exists = fold_guess(alone)
@@ -185,5 +179,4 @@ def _find(chain: Chain, mass: int) -> tuple[Shooting, Search]:
         mass=mass, images=tuple(range(chain.n)), parameter="belt_speed",
     )  # fmt: skip
     place = as_place(shooting, shooting.pack((x, v), period, new_speed), new_speed)
-    loose = jnp.clip(_LOOSE_PER_WIDTH * jnp.min(chain.friction.width), 1e-9, _LOOSE)
-    return shooting, search(shooting, place, loose, exists & jnp.all(jnp.isfinite(q)))
+    return shooting, place, exists & jnp.all(jnp.isfinite(q))

@@ -71,6 +71,7 @@ class Search(eqx.Module):
     newton: _Newton
     secant: _Secant
     residual: Float[Array, ""]
+    jacobian: Float[Array, "m columns"]  # of the last entry, in (q, z)
     count: Int[Array, ""]
     found: Bool[Array, ""]
 
@@ -105,7 +106,9 @@ def search(shooting: Shooting, guess: Place, loose: Array, wanted: Array) -> Sea
     """
     nan = jnp.asarray(jnp.nan)
     secant = _Secant(nan, nan, nan, -jnp.asarray(jnp.inf), jnp.asarray(jnp.inf))
-    start = Search(guess, _fresh(guess), secant, nan, jnp.zeros((), int), wanted)
+    m = guess.q.shape[0]
+    unknown = jnp.full((m, m + 1), jnp.nan)
+    start = Search(guess, _fresh(guess), secant, nan, unknown, jnp.zeros((), int), wanted)
 
     def stage(before: Search, rtol: Array) -> tuple[Search, None]:
         # At another tolerance the fold may lie outside the bracket, by a little.
@@ -141,8 +144,7 @@ def _entry(shooting: Shooting, now: Search, tight: Array) -> Search:
     new_s, secant = _towards_fold(now.secant, s, slope, s - shooting.rest(q[index]))
     # V misses its maximum by about half of this.
     missed = jnp.abs(slope * (new_s - s)) / speed
-    known = ~jnp.isnan(secant.curvature)
-    folds = closed & known & (missed < jnp.where(tight, _STATIONARY, _NEAR))
+    folds = closed & (secant.curvature < 0) & (missed < jnp.where(tight, _STATIONARY, _NEAR))
     new_z = jnp.where(folds & tight, z, jnp.arcsinh(new_s))
     moved = Place(q + step + tangent * (new_z - z), new_z)
 
@@ -163,6 +165,7 @@ def _entry(shooting: Shooting, now: Search, tight: Array) -> Search:
         newton=_where(closed, _fresh(here), newton),
         secant=_where(closed, secant, now.secant),
         residual=norm,
+        jacobian=jacobian,
         count=now.count + 1,
         found=folds,
     )
@@ -180,11 +183,11 @@ def _towards_fold(before: _Secant, s: Array, slope: Array, room: Array) -> tuple
     curvature = jnp.where(
         apart, (slope - before.slope) / jnp.where(apart, gap, 1.0), before.curvature
     )
-    secant = _abscissa(ordinate - slope / curvature)
-    probe = s + jnp.sign(slope) * jnp.minimum(0.15, 0.03 * room)
+    probe = s + jnp.sign(slope) * jnp.minimum(0.03 * room, jnp.maximum(0.15, -0.5 * (s + 3.0)))
     # Not far up into the layer, where V falls steeply, and not all the way down to rest.
     highest = jnp.maximum(s + 0.7, jnp.minimum(s + 0.3 * room, -2.5))
-    target = jnp.clip(secant, s - jnp.minimum(0.3 * room, 2.5 + 0.1 * room), highest)
+    lowest = s - jnp.minimum(0.3 * room, 2.5 + 0.1 * room)
+    target = _abscissa(ordinate - slope / curvature, lowest, highest)
     middle = 0.5 * (low + high)
     target = jnp.where((target > low) & (target < high) & (curvature < 0), target, middle)
     target = jnp.where(jnp.isfinite(target), target, probe)
@@ -195,14 +198,17 @@ def _ordinate(s: Array) -> Array:
     return jnp.exp(2.0 * s) + _TAU * s
 
 
-def _abscissa(ordinate: Array) -> Array:
-    """s of Y, by Newton's method from where one of the two terms prevails."""
-    thin = ordinate <= 2.0 * _TAU
-    s = jnp.where(thin, ordinate / _TAU, 0.5 * jnp.log(jnp.where(thin, 1.0, ordinate)))
-    for _ in range(8):
-        grown = jnp.exp(2.0 * s)
-        s = s - (grown + _TAU * s - ordinate) / (2.0 * grown + _TAU)
-    return s
+def _abscissa(ordinate: Array, low: Array, high: Array) -> Array:
+    """s of Y between `low` and `high`, or the nearer of them; NaN for NaN."""
+
+    def halve(_: Any, ends: tuple[Array, Array]) -> tuple[Array, Array]:
+        low, high = ends
+        middle = 0.5 * (low + high)
+        above = _ordinate(middle) > ordinate
+        return jnp.where(above, low, middle), jnp.where(above, middle, high)
+
+    low, high = lax.fori_loop(0, 40, halve, (low, high))
+    return jnp.where(jnp.isnan(ordinate), jnp.nan, 0.5 * (low + high))
 
 
 def _fresh(place: Place) -> _Newton:

@@ -9,6 +9,15 @@ and this is where the branch of unstable slip cycles meets that of stick-slip cy
 grazing-sliding fold (di Bernardo, Budd, Champneys, Kowalczyk, Piecewise-smooth Dynamical Systems,
 Springer 2008, section 8.6).  The equations of the cycle at the touch are smooth and regular, for
 one mass that grazes while all others slide.
+
+Near the touch let a cycle leave with the greatest velocity v_d + w_+ and come back, if nothing
+held it, with v_d + w_-.  The chain gives one relation of them,
+
+    v_d = V + V_+ w_+ + V_- w_-,
+
+and what happens at the belt the other: dry friction w_+ = min(w_-, 0).  So slip cycles lie along
+v_d = V + (V_+ + V_-) w, w < 0, sticking ones along v_d = V + V_- w_-, w_- > 0, and V is a fold,
+the greatest belt speed of both, where V_+ + V_- > 0 > V_-.
 """
 
 from __future__ import annotations
@@ -17,52 +26,87 @@ from typing import Any
 
 import diffrax as dfx
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from ._types import State
+from ._types import ScalarLike, State
 from .averaging import cycle_speed, greatest_speed, one_mass
 from .chain import Chain, steady_sliding
+from .implicit import attach_derivative
 from .roots import newton
+from .states import check_vibrating
 
-# Steps of one length in a period.  Errors of the paper's fold: 1e-13, and 1e-7 for a guess at an
-# eighth of the cost.
-_EXACT = dfx.Dopri8(scan_kind="lax"), 64
-_QUICK = dfx.Tsit5(scan_kind="lax"), 40
-_CLOSED = 1e-9
-_ATTEMPTS, _LEAST_STRIDE = 12, 0.02
+_SOLVER = dfx.Dopri8(scan_kind="lax")
+# Steps of one length in a period. Of the paper's fold, 16 err by 1e-9, and 64 by rounding; they
+# are doubled until the fold moves by no more than `_SETTLED` of itself.
+_QUICK, _FIRST, _MOST = 16, 64, 1024
+_CLOSED, _SETTLED = 1e-9, 1e-11
+_ATTEMPTS, _LEAST_STRIDE = 24, 0.02
+# A velocity above the belt's by this share of it is one that passes it.
+_PASSES = 1e-9
 
 
 class Grazing(eqx.Module):
-    """A cycle that touches the belt's speed.
+    """A cycle that touches the belt's speed: the fold of cycles for dry friction.
 
-    - `belt_speed`: v_d, NaN if none was found; `period`, and `state` at the touch.
-    - `residual`: the greatest gap after a period.
-    - `found`: whether the cycle closes, and no mass passes the belt's speed elsewhere.
+    - `belt_speed`: V, NaN if none was found; `period`, and `state` at the touch.
+    - `by_leaving`, `by_arriving`: V_+ and V_-, see the head of this module.  Their ratio
+      -V_+ / V_- is, for one mass, the multiplier of the slip cycle, about 2.
+    - `fall`: kappa = -v_j'', how fast the mass loses its acceleration at the touch; `hold`: the
+      greatest friction force on it, p mu_st.
+    - `residual`: the greatest gap after a period over the belt speed.
+    - `found`: whether the cycle closes, no mass passes the belt's speed anywhere on it, and it is
+      a fold.
+
+    `belt_speed`, `period` and `state` are differentiable; the rest is not.
     """
 
     belt_speed: Float[Array, ""]
     period: Float[Array, ""]
     state: State
+    by_leaving: Float[Array, ""]
+    by_arriving: Float[Array, ""]
+    fall: Float[Array, ""]
+    hold: Float[Array, ""]
     residual: Float[Array, ""]
     found: Bool[Array, ""]
     mass: int = eqx.field(static=True)
+
+    def smoothed(self, width: ScalarLike) -> Float[Array, ""]:
+        """About where the fold of smoothed friction is, to O(width^(3/2)); NaN if not `found`.
+
+        At the touch tanh(w / eps) lacks 2 exp(2 w / eps), and w' = -kappa t - 2 p mu_st exp(2 w /
+        eps) is solved by exp(-2 w_+ / eps) = exp(-2 w_- / eps) + Q with Q = 4 p mu_st
+        sqrt(pi / (kappa eps)).  The greatest v_d on V + V_+ w_+ + V_- w_- is then at
+
+            w_- = (eps / 2) ln[(rho - 1) / Q],  w_+ = -(eps / 2) ln[Q rho / (rho - 1)],
+
+        rho = -V_+ / V_-, that is v_d = V - (V_+ + V_-) / 4 eps ln(1 / eps) + O(eps).
+
+        **Arguments:** `width` = eps of the mass that grazes.
+        """
+        rho = -self.by_leaving / self.by_arriving
+        log_q = jnp.log(4.0 * self.hold * jnp.sqrt(jnp.pi / (self.fall * width)))
+        arriving = 0.5 * width * (jnp.log(rho - 1.0) - log_q)
+        leaving = -0.5 * width * (log_q + jnp.log(rho / (rho - 1.0)))
+        return self.belt_speed + self.by_leaving * leaving + self.by_arriving * arriving
 
 
 class Touch(eqx.Module):
     """The equations: unknowns q = (x_n, v_n for n != j, ln T, v_d), 2n of them."""
 
     chain: Chain
+    steps: Int[Array, ""]
     mass: int = eqx.field(static=True)
-    method: tuple[dfx.AbstractSolver, int] = eqx.field(static=True, default=_QUICK)
 
-    def unpack(self, q: Float[Array, " m"]) -> tuple[State, Array, Array]:
-        """(state at the touch, period, belt speed)."""
+    def unpack(self, q: Float[Array, " m"], leaving: Any = 0.0) -> tuple[State, Array, Array]:
+        """(state at the touch, period, belt speed); `leaving` = w_+."""
         chain, j = self.chain, self.mass
         speed = q[-1]
         x = jnp.insert(q[: chain.n - 1], j, 0.0)
-        v = jnp.insert(q[chain.n - 1 : -2], j, speed)
+        v = jnp.insert(q[chain.n - 1 : -2], j, speed + leaving)
         unit = jnp.zeros(chain.n).at[j].set(1.0)
         force = slip_force(chain, speed, v) + chain.restoring_force(x)
         stiffness = -chain.restoring_force(unit)[j]
@@ -73,11 +117,10 @@ class Touch(eqx.Module):
         x, v = (jnp.delete(part, self.mass, assume_unique_indices=True) for part in state)
         return jnp.concatenate([x, v, jnp.stack([jnp.log(period), speed])])
 
-    def orbit(self, q: Float[Array, " m"]) -> tuple[State, Float[Array, " n"]]:
-        """(state after a period, greatest velocity of each mass at the ends of inner steps)."""
-        start, period, speed = self.unpack(q)
-        chain, (solver, steps) = self.chain, self.method
-        h = period / steps
+    def orbit(self, q: Float[Array, " m"], leaving: Any = 0.0) -> tuple[State, Array]:
+        """(state after a period, greatest velocity of each mass, shape (n,))."""
+        start, period, speed = self.unpack(q, leaving)
+        chain, h = self.chain, period / self.steps
 
         def field(t: Any, y: State, args: Any) -> State:
             del t, args
@@ -86,14 +129,29 @@ class Touch(eqx.Module):
 
         terms: Any = dfx.ODETerm(field)  # pyright: ignore[reportArgumentType]
 
-        def step(carry: Any, k: Array) -> tuple[Any, Array]:
-            y, memory = carry
-            y, _, _, memory, _ = solver.step(terms, k * h, (k + 1) * h, y, None, memory, False)
-            return (y, memory), y[1]
+        def step(k: Array, carry: Any) -> Any:
+            y, slope, highest = carry
+            new, _, _, _, _ = _SOLVER.step(terms, k * h, (k + 1) * h, y, None, memory, False)
+            new_slope = field(None, new, None)[1]
+            peak = _peak(y[1], new[1], h * slope, h * new_slope)
+            return new, new_slope, jnp.maximum(highest, peak)
 
-        memory = solver.init(terms, 0.0, h, start, None)
-        (end, _), velocities = lax.scan(step, (start, memory), jnp.arange(steps))
-        return end, jnp.max(velocities[:-1], axis=0)
+        memory = _SOLVER.init(terms, 0.0, h, start, None)
+        carry = start, field(None, start, None)[1], start[1]
+        end, _, highest = lax.fori_loop(0, self.steps, step, carry)
+        return end, lax.stop_gradient(highest)
+
+
+def _peak(v0: Array, v1: Array, slope0: Array, slope1: Array) -> Array:
+    """The greatest value of the cubic with these values and slopes at 0 and 1."""
+    a = 2.0 * (v0 - v1) + slope0 + slope1
+    b = 3.0 * (v1 - v0) - 2.0 * slope0 - slope1
+    # The root of 3 a t^2 + 2 b t + slope0 where the slope falls; without cancellation.
+    root = jnp.sqrt(jnp.maximum(b * b - 3.0 * a * slope0, 0.0))
+    sound = b - root != 0.0
+    t = jnp.where(sound, -slope0 / jnp.where(sound, b - root, 1.0), 0.0)
+    t = jnp.clip(t, 0.0, 1.0)
+    return jnp.maximum(jnp.maximum(v0, v1), v0 + t * (slope0 + t * (b + t * a)))
 
 
 def slip_force(chain: Chain, speed: Any, v: Float[Array, " n"]) -> Float[Array, " n"]:
@@ -104,11 +162,16 @@ def slip_force(chain: Chain, speed: Any, v: Float[Array, " n"]) -> Float[Array, 
     return force - 2.0 * chain.damping_ratio * v
 
 
-def touch_residual(q: Float[Array, " m"], touch: Touch) -> Float[Array, " m"]:
-    """The gap after a period over the belt speed, so that rest (v_d = 0) is no solution."""
-    (x, v), _, speed = touch.unpack(q)
-    (x1, v1), _ = touch.orbit(q)
-    return jnp.concatenate([x1 - x, v1 - v]) / speed
+def touch_residual(
+    q: Float[Array, " m"], touch: Touch, leaving: Any = 0.0, arriving: Any = 0.0
+) -> Float[Array, " m"]:
+    """The gap after a period over the belt speed, so that rest (v_d = 0) is no solution.
+
+    `leaving` and `arriving` are w_+ and w_-.
+    """
+    (x, v), _, speed = touch.unpack(q, leaving)
+    (x1, v1), _ = touch.orbit(q, leaving)
+    return jnp.concatenate([x1 - x, (v1 - v).at[touch.mass].add(leaving - arriving)]) / speed
 
 
 class _Homotopy(eqx.Module):
@@ -117,46 +180,126 @@ class _Homotopy(eqx.Module):
     goal: Float[Array, ""]
     residual: Float[Array, ""]
     count: Int[Array, ""]
+    steps: Int[Array, ""]
+    settled: Bool[Array, ""]
 
 
-def find_touch(chain: Chain, mass: int) -> tuple[Touch, Array, Array]:
+def find_touch(chain: Chain, mass: int, exact: bool = False) -> tuple[Touch, Array, Array]:
     """(equations, q, residual) of the grazing cycle; q is NaN where none was found.
 
     From averaging, which is exact for weak friction and damping, in one leap where that goes, else
-    by way of chains with weaker friction, damping and coupling.  Nothing in here is to be
-    differentiated.
+    by way of chains with weaker friction, damping and coupling.  An exact one is then polished
+    with more and more steps.  Nothing in here is to be differentiated.
     """
     alone = one_mass(chain, mass)
     dry = eqx.tree_at(lambda c: c.friction.width, alone, 1e-9 * jnp.ones(()))
     speed = cycle_speed(dry, 1.0, greatest_speed(alone))
     x, v = steady_sliding(eqx.tree_at(lambda c: c.belt_speed, chain, speed))
-    touch = Touch(chain, mass)
-    q = touch.pack((x, v), 2 * jnp.pi / jnp.sqrt(alone.stiffness), speed)
+    first = Touch(chain, jnp.asarray(_QUICK), mass)
+    q = first.pack((x, v), 2 * jnp.pi / jnp.sqrt(alone.stiffness), speed)
     start = _Homotopy(
-        q, jnp.zeros(()), jnp.ones(()), jnp.asarray(jnp.nan), jnp.zeros((), int)
+        q, jnp.zeros(()), jnp.ones(()), jnp.asarray(jnp.nan), jnp.zeros((), int), first.steps,
+        jnp.asarray(False),
     )  # fmt: skip
 
     def goes_on(now: _Homotopy) -> Array:
-        hopeful = now.goal - now.reached > _LEAST_STRIDE
-        return hopeful & (now.count < _ATTEMPTS) & jnp.isfinite(speed)
+        hopeful = (now.goal - now.reached > _LEAST_STRIDE) | (now.reached >= 1.0)
+        return ~now.settled & hopeful & (now.count < _ATTEMPTS) & jnp.isfinite(speed)
 
     def body(now: _Homotopy) -> _Homotopy:
-        part = Touch(weakened(chain, now.goal), mass)
+        part = Touch(weakened(chain, now.goal), now.steps, mass)
         root = newton(touch_residual, now.q, part, tolerance=1e-9, max_steps=15)
         good = root.converged & (root.residual < _CLOSED) & (root.value[-1] > 0)
         stride = now.goal - now.reached
         reached = jnp.where(good, now.goal, now.reached)
         ahead = jnp.where(good, now.goal + stride, now.reached + 0.25 * stride)
+        # There: once for a guess, and with ever more steps for an exact one.
+        there = reached >= 1.0
+        lost = there & ~good & (now.steps > _QUICK)
+        moved = jnp.abs(root.value[-1] - now.q[-1])
+        still = (now.steps > _QUICK) & (moved <= _SETTLED * root.value[-1])
+        enough = still | lost | (now.steps >= _MOST) if exact else there
+        more = jnp.where(now.steps > _QUICK, 2 * now.steps, _FIRST)
         return _Homotopy(
-            q=jnp.where(good, root.value, now.q),
+            q=jnp.where(good, root.value, jnp.where(lost, jnp.nan, now.q)),
             reached=reached,
             goal=jnp.minimum(ahead, 1.0),
             residual=jnp.where(good, root.residual, now.residual),
             count=now.count + 1,
+            steps=jnp.where(there & ~enough, more, now.steps),
+            settled=there & enough,
         )
 
     last = lax.while_loop(goes_on, body, start)
-    return touch, jnp.where(last.reached >= 1.0, last.q, jnp.nan), last.residual
+    touch = Touch(chain, last.steps, mass)
+    return touch, jnp.where(last.settled, last.q, jnp.nan), last.residual
+
+
+def nonsmooth_fold_belt_speed(chain: Chain, vibrating: Any = None) -> Float[Array, ""]:
+    """The greatest belt speed at which the vibration of one mass survives, for true dry friction.
+
+    The limit of `fold_belt_speed` as the width vanishes, found directly: the grazing-sliding fold
+    of the head of this module.  Mass `vibrating` grazes the belt's speed, the others slide.
+
+    **Arguments:** `chain`, whose own `belt_speed` and width have no part in it; `vibrating`, the
+    index (from 0) of the mass, by default n // 2, oscillator 11 of 20.
+
+    **Returns:** the dimensionless v_d, relative error about 1e-11; NaN where there is none or none
+    is found: `find_grazing` tells.  Works under `jit`, `vmap`, `grad` and `jvp`, in every number
+    of the chain and repeatedly.
+
+    **Raises:** `ValueError` for anything but a `Chain`, or a mass it does not have.
+
+    >>> import jax
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> from jaxchain import paper_chain
+    >>> round(float(nonsmooth_fold_belt_speed(paper_chain(n=1))), 9)
+    1.836600972
+    """
+    return find_grazing(chain, vibrating).belt_speed
+
+
+def find_grazing(chain: Chain, vibrating: Any = None) -> Grazing:
+    """The fold of `nonsmooth_fold_belt_speed` with its cycle.
+
+    Arguments, errors and transformations as there.  Cycles on which other masses reach the belt's
+    speed are not looked for: `found` is False then, and `belt_speed` NaN.
+
+    >>> import jax
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> from jaxchain import paper_chain
+    >>> grazing = find_grazing(paper_chain(n=1))
+    >>> bool(grazing.found), round(float(grazing.smoothed(1e-3)), 4)  # 1.8311 in truth
+    (True, 1.8313)
+    """
+    mass = check_vibrating(chain, vibrating)
+    return _find(chain, mass)
+
+
+@eqx.filter_jit
+def _find(chain: Chain, mass: int) -> Grazing:
+    frozen = lax.stop_gradient(chain)
+    touch, q, residual = find_touch(frozen, mass, exact=True)
+
+    def along(unknown: Array) -> tuple[Array, Array]:
+        _, highest = touch.orbit(unknown[:-2])
+        return touch_residual(unknown[:-2], touch, unknown[-2], unknown[-1]), highest
+
+    slopes, highest = jax.jacfwd(along, has_aux=True)(jnp.append(q, jnp.zeros(2)))
+    by_leaving, by_arriving = -jnp.linalg.solve(slopes[:, :-2], slopes[:, -2:])[-1]
+    (_, v), _, speed = touch.unpack(q)
+    fall = -frozen.restoring_force(v)[mass]
+    slides = jnp.all(highest <= (1.0 + _PASSES) * speed)
+    folds = (by_leaving + by_arriving > 0) & (by_arriving < 0) & (fall > 0)
+    found = jnp.isfinite(speed) & slides & folds
+    held = eqx.tree_at(lambda t: t.chain, touch, chain)
+    q = jnp.where(found, attach_derivative(touch_residual, q, held), jnp.nan)
+    state, period, speed = held.unpack(q)
+    hold = jnp.broadcast_to(frozen.greatest_hold(), (chain.n,))[mass]
+    return Grazing(
+        belt_speed=speed, period=period, state=state, by_leaving=by_leaving,
+        by_arriving=by_arriving, fall=fall, hold=hold, residual=residual, found=found, mass=mass,
+    )  # fmt: skip
 
 
 def weakened(chain: Chain, share: Any) -> Chain:

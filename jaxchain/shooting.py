@@ -143,8 +143,14 @@ class Shooting(eqx.Module):
 
         Rest solves the equations, too; a Newton iteration in the divided ones does not end there.
         """
-        field, (x, v), period = self.unpack(u, parameter)
-        x1, v1 = flow(field, (x, v), period, rtol=self.rtol, solver=self.solver)
+        field, state, period = self.unpack(u, parameter)
+        end = flow(field, state, period, rtol=self.rtol, solver=self.solver)
+        return self.gap(u, end, parameter)
+
+    def gap(self, u: Float[Array, " m"], end: State, parameter: Any = None) -> Float[Array, " m"]:
+        """The residual, given the state after a period."""
+        field, (x, v), _ = self.unpack(u, parameter)
+        x1, v1 = end
         belt, width = _layer(field, v)
         rows = jnp.asarray(self.solved, int)
         gap = v1 - v

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Int
 
-from ._checks import check_finite, is_traced, to_float
+from ._checks import check_finite, is_traced, require_64_bits, require_x64, to_float
 from ._types import State
 from .chain import Chain, steady_sliding
 
@@ -17,6 +17,23 @@ from .chain import Chain, steady_sliding
 def reference_site(n: int) -> int:
     """Index (from 0) of the mass that every excited block contains: oscillator 11 of 20."""
     return n // 2
+
+
+def check_vibrating(chain: Any, vibrating: Any) -> int:
+    """The index of the vibrating mass (None: oscillator 11 of 20), or `ValueError`."""
+    require_x64()
+    if not isinstance(chain, Chain):
+        raise ValueError(f"Argument `chain` must be a `Chain`, but is a {type(chain).__name__}.")
+    require_64_bits("chain", chain)
+    if vibrating is None:
+        return reference_site(chain.n)
+    whole = isinstance(vibrating, int | np.integer) and not isinstance(vibrating, bool)
+    if not whole or not 0 <= vibrating < chain.n:
+        raise ValueError(
+            f"Argument `vibrating` must be the index of a mass, 0 ... {chain.n - 1}, but is "
+            f"{vibrating!r}. For several vibrating masses follow the branch of their cycle."
+        )
+    return int(vibrating)
 
 
 def excited_block(

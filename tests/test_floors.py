@@ -20,7 +20,7 @@ FLOORS = [
     {"axes", "pool", "fold_search", "cycle"},
     {"ensemble", "tables", "fold", "floquet", "cycle_guesses"},
     {"lyapunov", "basin", "front", "scene", "studies", "studies.__init__", "studies.cycles"}
-    | {"cycle_branch", "extrapolate"},
+    | {"cycle_branch", "extrapolate", "fold_descent"},
     {"diagram", "scenefile", "bench.peers", "bench.timing", "boundary"}
     | {"studies.crosscheck_summary", "studies.crosscheck_table", "studies.extreme_table"},
     {"plot", "summary", "bench.cstep", "bench.ensembles", "bench.solvers"}

@@ -1,0 +1,215 @@
+import functools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.optimize import minimize_scalar
+from witnesses.smoothed import OneMass
+
+from jaxchain import (
+    Amplitude,
+    Chain,
+    Coulomb,
+    TanhFriction,
+    excited_state,
+    find_fold,
+    fold_belt_speed,
+    hopf_belt_speed,
+    paper_chain,
+    simulate,
+)
+
+NAMES = ("damping_ratio", "mu_dynamic", "mu_static", "v_ref", "width")
+
+
+@pytest.fixture(scope="module")
+def folds():
+    """The folds of the paper's oscillator at two widths."""
+    return {width: find_fold(paper_chain(1, width=width)) for width in (0.05, 0.01)}
+
+
+@pytest.mark.parametrize("width", [0.05, 0.01])
+def test_the_fold_is_a_closed_cycle_with_two_multipliers_of_one(folds, width):
+    fold = folds[width]
+    assert bool(fold.found)
+    assert bool(fold.expected)
+    (x,), (v,) = (np.asarray(part) for part in fold.state)
+    end, monodromy = OneMass(width).after(x, v, float(fold.period), float(fold.belt_speed))
+    np.testing.assert_allclose(end, [x, v], atol=1e-8)
+    # One is trivial, so the other is the determinant.
+    np.testing.assert_allclose(np.linalg.det(monodromy), 1.0, atol=3e-4)
+    assert abs(np.trace(monodromy) - 1.0 - np.linalg.det(monodromy)) < 1e-6
+
+
+def test_the_vibration_survives_below_the_fold_and_not_above(folds):
+    fold = folds[0.05]
+    chain = paper_chain(1, width=0.05)
+    amplitude = Amplitude(window=50.0)
+    for shift, survives in ((-5e-3, True), (5e-3, False)):
+        moved = chain.with_(belt_speed=fold.belt_speed + shift)
+        run = simulate(moved, excited_state(moved, 1), 1500.0, observe=amplitude)
+        assert bool(run.observed[0] > 1.0) is survives
+
+
+def test_the_belt_speed_of_the_chain_has_no_part_in_its_fold(folds):
+    width = 0.05
+    value = fold_belt_speed(paper_chain(1, belt_speed=0.3, width=width))
+    np.testing.assert_allclose(value, folds[width].belt_speed, rtol=1e-10)
+
+
+@pytest.mark.long
+def test_gradients_are_central_differences():
+    chain = paper_chain(1, width=0.02)
+
+    def speed(values):
+        return fold_belt_speed(chain.with_(**dict(zip(NAMES, values, strict=True))))
+
+    at = jnp.asarray([0.05, 0.5, 1.0, 0.5, 0.02])
+    gradient = jax.jit(jax.grad(speed))(at)
+    batch = jax.jit(jax.vmap(speed))
+    h = 1e-4 * at
+    shifts = jnp.diag(h)
+    differences = (batch(at[None, :] + shifts) - batch(at[None, :] - shifts)) / (2 * h)
+    np.testing.assert_allclose(gradient, differences, rtol=1e-5)
+
+
+@pytest.mark.long
+def test_a_lane_without_a_fold_is_marked_and_harms_no_other(folds):
+    # At width 0.6 no belt speed makes steady sliding unstable; at 0.35 it is lost supercritically.
+    widths = jnp.asarray([0.05, 0.6, 0.01, 0.35])
+    speeds = jax.vmap(lambda width: fold_belt_speed(paper_chain(1, width=width)))(widths)
+    assert np.isnan(speeds[1])
+    assert np.isnan(speeds[3])
+    expected = [folds[0.05].belt_speed, folds[0.01].belt_speed]
+    np.testing.assert_allclose(speeds[jnp.asarray([0, 2])], expected, rtol=3e-9)
+    assert not bool(find_fold(paper_chain(1, width=0.35)).expected)
+
+
+@pytest.mark.long
+def test_friction_that_does_not_weaken_has_no_fold():
+    chain = Chain(1, TanhFriction(Coulomb(0.5), 0.01), belt_speed=1.0)
+    fold = find_fold(chain)
+    assert np.isnan(fold.belt_speed)
+    assert not bool(fold.found)
+    assert not bool(fold.expected)
+
+
+@pytest.mark.long
+def test_a_second_derivative_of_the_speed_alone_says_where_to_get_it():
+    chain = paper_chain(1, width=0.02)
+    slope = jax.grad(lambda xi: fold_belt_speed(chain.with_(damping_ratio=xi)))
+    with pytest.raises(RuntimeError, match="find_fold"):
+        jax.jvp(slope, (0.05,), (1.0,))
+
+
+@pytest.mark.parametrize(
+    ("vibrating", "message"),
+    [(3, "`vibrating` must be the index of a mass, 0 ... 2, but is 3"), ((0, 1), "several")],
+)
+def test_a_mass_that_is_not_there_is_refused(vibrating, message):
+    with pytest.raises(ValueError, match=message):
+        fold_belt_speed(paper_chain(3), vibrating)
+
+
+def test_anything_but_a_chain_is_refused():
+    with pytest.raises(ValueError, match="`chain` must be a `Chain`"):
+        fold_belt_speed(1.5)  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.long
+def test_the_fold_is_the_summit_of_scipys_branch():
+    """V(s) near the summit by SciPy's own shooting: no cycle near it has a greater speed."""
+    for width in (0.2, 0.05):
+        fold = find_fold(paper_chain(1, width=width))
+        mass = OneMass(width)
+
+        def speed(s, guess, mass=mass, width=width):
+            q = np.array(guess)
+            for _ in range(8):
+                v = q[0] + width * s
+                x = mass.force_and_slope(width * s)[0] - 2 * mass.xi * v
+
+                def gap(q, x=x, v=v):
+                    w = width * s
+                    v = q[0] + w
+                    x = mass.force_and_slope(w)[0] - 2 * mass.xi * v
+                    return (mass.after(x, v, q[1], q[0])[0] - [x, v]) / width
+
+                r = gap(q)
+                columns = [(gap(q + h) - r) / 1e-6 for h in 1e-6 * np.eye(2)]
+                step = np.linalg.solve(np.stack(columns, axis=1), r)
+                q = q - step
+                if np.max(np.abs(step)) < 1e-12:
+                    break
+            return -q[0]
+
+        guess = [float(fold.belt_speed), float(fold.period)]
+        s = float(fold.closeness)
+        below = functools.partial(speed, guess=guess)
+        summit = minimize_scalar(below, bracket=(s - 0.05, s, s + 0.05), options={"xtol": 1e-4})
+        np.testing.assert_allclose(fold.belt_speed, -summit.fun, rtol=3e-9)
+
+
+@pytest.mark.long
+def test_narrower_widths_approach_dry_friction():
+    widths = jnp.asarray([0.1, 0.02, 5e-3, 1e-3, 2e-4, 1e-5])
+    speeds = jax.vmap(lambda width: fold_belt_speed(paper_chain(1, width=width)))(widths)
+    gaps = 1.836600972208 - speeds
+    assert bool(jnp.all(gaps > 0) & jnp.all(jnp.diff(gaps) < 0))
+    assert float(gaps[-1]) < 1e-4
+
+
+@pytest.mark.long
+def test_a_thousand_parameter_sets_in_one_call():
+    rng = np.random.default_rng(5)
+    xi = jnp.asarray(rng.uniform(0.02, 0.1, 1000))
+    ratio = jnp.asarray(rng.uniform(0.3, 0.8, 1000))
+    v_ref = jnp.asarray(rng.uniform(0.2, 1.0, 1000))
+    width = jnp.asarray(10 ** rng.uniform(-3.5, -1.0, 1000))
+
+    def both(xi, ratio, v_ref, width):
+        chain = paper_chain(1, width=width).with_(damping_ratio=xi, mu_dynamic=ratio, v_ref=v_ref)
+        fold = find_fold(chain)
+        return fold.belt_speed, fold.found, fold.expected, hopf_belt_speed(chain)
+
+    speed, found, expected, hopf = eqx.filter_jit(jax.vmap(both))(xi, ratio, v_ref, width)
+    assert int(jnp.sum(expected & ~found)) <= 5
+    assert bool(jnp.all(jnp.isnan(speed) == ~found))
+    assert bool(jnp.all(jnp.where(found, speed > hopf, True)))
+
+
+@pytest.mark.long
+def test_the_whole_orbit_is_differentiable_and_twice():
+    chain = paper_chain(1, width=0.02)
+
+    def quantities(xi):
+        fold = find_fold(chain.with_(damping_ratio=xi))
+        return jnp.stack([fold.belt_speed, fold.period, fold.closeness, fold.state[0][0]])
+
+    compiled = jax.jit(quantities)
+    tangent = jax.jit(lambda xi: jax.jvp(quantities, (xi,), (1.0,))[1])
+    h = 1e-5
+    differences = (compiled(0.05 + h) - compiled(0.05 - h)) / (2 * h)
+    np.testing.assert_allclose(tangent(0.05), differences, rtol=2e-4)
+
+
+@pytest.mark.long
+def test_the_localized_fold_of_three_masses_differentiates_in_every_number():
+    chain = paper_chain(3, width=0.05)
+
+    def speed(numbers):
+        coupling, stiffness = numbers
+        return fold_belt_speed(chain.with_(coupling=coupling, stiffness=stiffness), 1)
+
+    at = (jnp.asarray(0.01), jnp.asarray([1.0, 1.02, 0.99]))
+    slopes = jax.jit(jax.grad(speed))(at)
+    compiled = jax.jit(speed)
+    for direction in ((1.0, jnp.zeros(3)), (0.0, jnp.asarray([0.3, 1.0, -0.5]))):
+        h = 1e-5
+        plus, minus = (
+            compiled((at[0] + k * direction[0], at[1] + k * direction[1])) for k in (h, -h)
+        )
+        slope = slopes[0] * direction[0] + jnp.sum(slopes[1] * direction[1])
+        np.testing.assert_allclose(slope, (plus - minus) / (2 * h), rtol=1e-5)
