@@ -245,8 +245,8 @@ def nonsmooth_fold_belt_speed(chain: Chain, vibrating: Any = None) -> Float[Arra
     index (from 0) of the mass, by default n // 2, oscillator 11 of 20.
 
     **Returns:** the dimensionless v_d, relative error about 1e-11; NaN where there is none or none
-    is found: `find_grazing` tells.  Works under `jit`, `vmap`, `grad` and `jvp`, in every number
-    of the chain and repeatedly.
+    is found: `find_grazing` tells.  Works under `jit`, `vmap`, `grad`, `jvp` and `jax.hessian`, in
+    every number of the chain.
 
     **Raises:** `ValueError` for anything but a `Chain`, or a mass it does not have.
 

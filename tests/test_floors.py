@@ -16,19 +16,21 @@ FLOORS = [
     {"amplitude", "progress", "studies.balance", "studies.witnesses"}
     | {"walk", "lyapunov_coefficient", "crossings", "grazing"},
     {"engine", "filippov", "lanes", "dataset", "continuation", "hopf", "hopf_points"},
-    {"simulate", "shooting"},
-    {"axes", "pool", "fold_search", "cycle"},
-    {"ensemble", "tables", "fold", "floquet", "cycle_guesses"},
+    {"simulate", "shooting", "generalised_hopf", "linearised"},
+    {"axes", "pool", "fold_search", "floquet", "cycle_equations"},
+    {"ensemble", "tables", "fold", "cycle_guesses", "cycle_search", "cycle_points"},
     {"lyapunov", "basin", "front", "scene", "studies", "studies.__init__", "studies.cycles"}
-    | {"cycle_branch", "extrapolate", "fold_descent"},
+    | {"one_mass", "extrapolate", "fold_descent", "bistable", "cycle", "cycle_special"},
     {"diagram", "scenefile", "bench.peers", "bench.timing", "boundary"}
-    | {"studies.crosscheck_summary", "studies.crosscheck_table", "studies.extreme_table"},
-    {"plot", "summary", "bench.cstep", "bench.ensembles", "bench.solvers"}
-    | {"studies.approaches", "studies.judge"},
+    | {"cycle_branch", "measurements", "design"}
+    | {"studies.crosscheck_summary", "studies.crosscheck_table", "studies.extreme_table"}
+    | {"studies.boundaries_table"},
+    {"plot", "summary", "bench.cstep", "bench.ensembles", "bench.solvers", "identification"}
+    | {"studies.approaches", "studies.judge", "studies.boundaries_curves"},
     {"run", "bench.size", "bench.steps", "studies.extreme_cases", "studies.extremes_figure"}
-    | {"studies.crosscheck_figure", "studies.work_precision_figure"},
+    | {"studies.crosscheck_figure", "studies.work_precision_figure", "studies.boundaries_figure"},
     {"bench", "bench.__init__", "studies.extreme_chains", "studies.extreme_inputs"}
-    | {"studies.crosscheck", "studies.work_precision"},
+    | {"studies.crosscheck", "studies.work_precision", "studies.boundaries"},
     {"studies.extremes"},
     {"__main__"},
 ]
