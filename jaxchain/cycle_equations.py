@@ -1,0 +1,99 @@
+"""What a branch of cycles starts from, checked: equations, unknowns, lengths, directions."""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from ._checks import check_number, check_positive, require_64_bits, require_x64
+from .chain import Chain
+from .choice import fit_linear_solve
+from .rosenbrock import Rodas5P
+from .shooting import Shooting
+from .states import check_vibrating
+
+
+def cycle_equations(
+    chain: Any, state: Any, period: Any, parameter: str, vibrating: Any, images: Any, rtol: Any
+) -> tuple[Shooting, np.ndarray, float]:
+    """The shooting equations, and u and p of the cycle that is given."""
+    require_x64()
+    if state is None and period is None:
+        chain, state, period, mass = _parts(chain)
+        vibrating = mass if vibrating is None else vibrating
+    if not isinstance(chain, Chain):
+        raise ValueError(f"Argument `chain` must be a `Chain`, but is a {type(chain).__name__}.")
+    require_64_bits("chain", chain)
+    n = chain.n
+    x, v = (np.asarray(part, float) for part in (state or (None, None)))
+    if x.shape != (n,) or v.shape != (n,):
+        raise ValueError(
+            f"Argument `state` must be (x, v), both of shape ({n},), but has shapes {x.shape} and "
+            f"{v.shape}."
+        )
+    check_number("period", period, "about 2 pi is usual.")
+    check_positive("period", period, "about 2 pi is usual.")
+    check_positive("rtol", rtol, "3e-11 is usual.")
+    mass = int(np.argmax(v)) if vibrating is None else check_vibrating(chain, vibrating)
+    value = {**vars(chain.friction.law), **vars(chain), "coupling": chain.coupling}
+    value["width"] = chain.friction.width
+    p = value.get(parameter)
+    if p is None or isinstance(p, int) or np.shape(p) != ():
+        raise ValueError(
+            f"Argument `parameter` must name a number of the chain, but is {parameter!r}: "
+            '"belt_speed", "coupling", "width" or "damping_ratio" are usual.'
+        )
+    shooting = Shooting(
+        field=chain,
+        rtol=rtol,
+        solver=fit_linear_solve(Rodas5P(), chain, float(rtol)),
+        mass=mass,
+        images=_checked_images(images, mass, n),
+        parameter=parameter,
+    )
+    u = np.asarray(shooting.pack((jnp.asarray(x), jnp.asarray(v)), period, p))
+    return shooting, u, float(p)
+
+
+def _parts(cycle: Any) -> tuple[Any, Any, Any, Any]:
+    try:
+        return cycle.chain, cycle.state, cycle.period, cycle.mass
+    except AttributeError:
+        raise ValueError(
+            "Give a `LimitCycle`, or `chain`, `state` and `period`; the first argument is a "
+            f"{type(cycle).__name__}."
+        ) from None
+
+
+def _checked_images(images: Any, mass: int, n: int) -> tuple[int, ...]:
+    if images is None:
+        return tuple(range(n))
+    given = tuple(int(i) for i in images)
+    good = len(given) == n and all(0 <= i < n and given[i] == i for i in given)
+    if not good or given[mass] != mass:
+        raise ValueError(
+            f"Argument `images` must have {n} entries, entry i the index of the mass that i does "
+            f"the same as, which is its own image, as mass {mass} is, but is {images!r}."
+        )
+    return given
+
+
+def cycle_weights(shooting: Shooting, p: float) -> np.ndarray:
+    """The masses but j share one unit; z_j, ln T and p / p_start have one each."""
+    m = len(shooting.others) + len(shooting.solved) + 1
+    weights = np.full(m + 1, len(shooting.solved) ** -0.5)
+    weights[[shooting.place, m - 1]] = 1.0
+    weights[m] = 1.0 / (abs(p) or 1.0)
+    return weights
+
+
+def as_heading(direction: Any, shooting: Shooting, m: int) -> Any:
+    if not isinstance(direction, str):
+        return direction
+    if direction not in ("stick", "slip"):
+        raise ValueError(
+            f'Argument `direction` must be 1, -1, "stick" or "slip", but is {direction!r}.'
+        )
+    heading = np.zeros(m + 1)
+    heading[shooting.place] = 1.0 if direction == "stick" else -1.0
+    return heading
