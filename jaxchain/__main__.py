@@ -15,6 +15,17 @@ from .scene import Scene
 from .scenefile import SceneError, builtin_scenes, load_scene, schema
 from .studies import StudyFailedError
 
+# Type, default and meaning of each option of `boundary`.
+_BOUNDARY_OPTIONS: dict[str, tuple[type, float | None, str]] = {
+    "n": (int, 1, "number of masses in the ring"),
+    "width": (float, 1e-3, "regularization width of the friction force"),
+    "damping-ratio": (float, 0.05, "xi"),
+    "coupling": (float, None, "eta_c, spring between neighbours (0.01 for several masses)"),
+    "mu-static": (float, 1.0, "friction coefficient at rest"),
+    "mu-dynamic": (float, 0.5, "friction coefficient at high speed"),
+    "v-ref": (float, 0.5, "speed over which friction decays"),
+}
+
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs a subcommand. Returns the exit status: 0 done, 1 failed, 2 misused, 130 interrupted."""
@@ -66,6 +77,18 @@ def _parser() -> argparse.ArgumentParser:
         help="print the JSON schema of scene files, or of the files of a study, for editors",
     )
     scenes.set_defaults(command=_scenes)
+
+    boundary = commands.add_parser(
+        "boundary",
+        help="at which belt speeds vibration starts by itself, and up to which it survives",
+        description="Finds the Hopf speed and the fold of a chain: at the width asked and for dry "
+        "friction, with error bars. Without options: one mass with the paper's parameters.",
+    )
+    for name, (kind, default, meaning) in _BOUNDARY_OPTIONS.items():
+        shown = "" if default is None else f" ({default})"
+        boundary.add_argument(f"--{name}", type=kind, default=default, help=meaning + shown)
+    boundary.add_argument("--json", action="store_true", help="print one JSON object")
+    boundary.set_defaults(command=_boundary)
 
     commands.add_parser("bench", help="measure the speed on this machine", add_help=False)
     return parser
@@ -123,6 +146,36 @@ def _run(options: argparse.Namespace) -> int:
         if not any(folder.iterdir()):
             folder.rmdir()
     report(f"\nresults in {folder}: {', '.join(sorted(f.name for f in folder.iterdir()))}")
+    return 0
+
+
+def _boundary(options: argparse.Namespace) -> int:
+    _configure_jax()
+    from .boundary import boundaries, in_words, report
+    from .chain import Chain
+    from .friction import ExponentialDecay, TanhFriction
+
+    try:
+        if options.n == 1 and options.coupling is not None:
+            raise ValueError(
+                f"Argument `coupling` is {options.coupling:g}, but one mass has no neighbours: "
+                "leave it out, or raise `n`."
+            )
+        law = ExponentialDecay(options.mu_static, options.mu_dynamic, options.v_ref)
+        coupling = 0.01 if options.coupling is None and options.n > 1 else options.coupling
+        # The belt speed has no part in it.
+        chain = Chain(
+            options.n, TanhFriction(law, options.width), 1.0, options.damping_ratio, coupling
+        )
+    except ValueError as error:
+        print(f"jaxchain: {error}", file=sys.stderr)
+        return 2
+    try:
+        found = boundaries(chain)
+    except KeyboardInterrupt:
+        print("jaxchain: interrupted", file=sys.stderr)
+        return 130
+    print(json.dumps(report(chain, found)) if options.json else in_words(chain, found))
     return 0
 
 

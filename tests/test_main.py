@@ -6,12 +6,14 @@ import sys
 from pathlib import Path
 from typing import get_args
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray as xr
 import zarr
 from synthetic import results
 
+import jaxchain.boundary
 import jaxchain.run
 from jaxchain import SweepInterrupted, paper_chain, steady_sliding
 from jaxchain.__main__ import main
@@ -265,7 +267,73 @@ def test_every_law_of_a_scene_takes_the_numbers_of_its_class():
         assert set(table.model_fields) - {"law", "width"} == set(fields)
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["run", "--help"], ["scenes", "--help"]])
+@pytest.fixture
+def found(monkeypatch):
+    """Replaces the search of `jaxchain boundary`; a list of the chains that were asked for."""
+    asked = []
+    values = (1.2, 1.2, 1e-12, np.nan, 1.85, 1e-10, np.nan, np.nan)
+
+    def search(chain):
+        asked.append(chain)
+        return jaxchain.boundary.Boundaries(*map(jnp.asarray, values), mass=chain.n // 2)
+
+    monkeypatch.setattr(jaxchain.boundary, "boundaries", search)
+    return asked
+
+
+def test_boundary_prints_one_object_with_null_for_what_is_missing(workplace, found, capsys):
+    assert main(["boundary", "--json", "--n", "3", "--width", "0.02", "--v-ref=0.4"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["hopf"], told["fold"], told["fold_nonsmooth"]) == (1.2, None, 1.85)
+    assert told["fold_nonsmooth_error"] == 1e-10
+    assert set(told["missing"]) == {"fold", "fold_limit"}
+    assert told["parameters"] == {
+        "n": 3, "width": 0.02, "damping_ratio": 0.05, "coupling": 0.01, "mu_static": 1.0,
+        "mu_dynamic": 0.5, "v_ref": 0.4,
+    }  # fmt: skip
+    (chain,) = found
+    assert (chain.n, float(chain.friction.law.v_ref)) == (3, 0.4)
+
+
+def test_boundary_without_options_is_one_mass_of_the_paper(workplace, found, capsys):
+    assert main(["boundary"]) == 0
+    (chain,) = found
+    assert (chain.n, chain.coupling, float(chain.friction.width)) == (1, None, 1e-3)
+    assert "1.850000000 ± 1e-10" in capsys.readouterr().out
+
+
+def test_ctrl_c_ends_boundary_without_a_traceback(workplace, monkeypatch, capsys):
+    def stopped(chain):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(jaxchain.boundary, "boundaries", stopped)
+    assert main(["boundary"]) == 130
+    assert capsys.readouterr() == ("", "jaxchain: interrupted\n")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--width", "-1"], "`width` must be positive"),
+        (["--damping-ratio", "nan"], "`damping_ratio` must be finite"),
+        (["--n", "0"], "`n` must be a positive integer"),
+        (["--coupling", "0.1"], "one mass has no neighbours"),
+        (["--mu-static", "0.1"], "`mu_static` must be at least"),
+    ],
+)
+def test_a_bad_number_of_boundary_ends_with_2_and_names_it(
+    workplace, found, capsys, arguments, said
+):
+    assert main(["boundary", *arguments]) == 2
+    printed = capsys.readouterr()
+    assert said in printed.err
+    assert printed.out == ""
+    assert found == []
+
+
+@pytest.mark.parametrize(
+    "arguments", [["--help"], ["run", "--help"], ["scenes", "--help"], ["boundary", "--help"]]
+)
 def test_help_is_there(arguments, capsys):
     with pytest.raises(SystemExit) as done:
         main(arguments)

@@ -20,7 +20,7 @@ from pydantic import Field
 from jaxchain.tables import Table
 
 # Each is imported when it is asked for.
-STUDIES = ("extremes", "crosscheck", "work_precision")
+STUDIES = ("extremes", "crosscheck", "work_precision", "boundaries")
 
 
 class StudyTable(Table):
