@@ -17,8 +17,10 @@ SETS = np.array([PAPER, [0.12, 0.7, 0.3, 0.3], [0.02, 1.3, 0.6, 0.9], [0.05, 1.0
 EXISTS = np.array([True, True, True, False])  # friction of the last one does not weaken
 
 
-def shoot(n, mass, mu_static, mu_dynamic, v_ref, matrix, damping, period, speed):
+def shoot(n, mass, law, matrix, damping, period, speed):
     """(v_d, T, multiplier) of the touching slip cycle, and its greatest velocities, by SciPy."""
+
+    mu_static, mu_dynamic, v_ref = law
 
     def flow(q, dense=False):
         speed, period = q[-1], q[-2]
@@ -74,7 +76,7 @@ def test_it_agrees_with_shooting_by_scipy(folds):
     np.testing.assert_array_equal(np.isfinite(speeds), EXISTS)
     for parameters, speed in zip(SETS[:3], speeds[:3], strict=True):
         xi, *law = parameters
-        expected, _, _ = shoot(1, 0, *law, np.eye(1), np.full(1, xi), 6.3, float(speed) * 1.01)
+        expected, _, _ = shoot(1, 0, law, np.eye(1), np.full(1, xi), 6.3, float(speed) * 1.01)
         np.testing.assert_allclose(speed, expected, rtol=1e-10)
 
 
@@ -92,7 +94,7 @@ def test_the_cycle_of_the_paper(paper):
     assert paper.found
     assert paper.residual < 1e-12
     chain = paper_chain(n=1)
-    expected, period, run = shoot(1, 0, 1.0, 0.5, 0.5, np.eye(1), np.full(1, 0.05), 6.3, 1.8)
+    expected, period, run = shoot(1, 0, PAPER[1:], np.eye(1), np.full(1, 0.05), 6.3, 1.8)
     np.testing.assert_allclose(paper.belt_speed, expected, rtol=1e-11)
     np.testing.assert_allclose(paper.period, period, rtol=1e-10)
     x, v = paper.state
@@ -157,7 +159,7 @@ def test_three_masses_that_differ_agree_with_shooting_by_scipy():
     grazing = find_grazing(chain, 0)
     assert grazing.found
     matrix = spring_matrix(stiffness, 0.01)
-    expected, period, run = shoot(3, 0, 1.0, 0.5, 0.5, matrix, xi, 6.25, 1.8)
+    expected, period, run = shoot(3, 0, PAPER[1:], matrix, xi, 6.25, 1.8)
     np.testing.assert_allclose(grazing.belt_speed, expected, rtol=1e-10)
     np.testing.assert_allclose(grazing.period, period, rtol=1e-10)
     v = run.sol(np.linspace(0, period, 2000))[3:]

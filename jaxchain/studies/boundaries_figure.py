@@ -15,6 +15,7 @@ from matplotlib.ticker import NullFormatter
 from jaxchain.plot import AMPLITUDE, BLUE, GREY, ORANGE, PAGE_WIDTH, RED, STYLE, SYMBOLS
 
 HEIGHT = 5.0  # inches
+_DASHES: Any = (0, (4, 1.5))
 _SMOOTHED, _DRY = {"color": BLUE, "linewidth": 1.3}, {"color": ORANGE, "linewidth": 1.3}
 _COLOURS = (BLUE, "#009E73", "#CC79A7", "#56B4E9")
 
@@ -36,12 +37,13 @@ def figure(datasets: Mapping[str, xr.Dataset]) -> Figure:
         _draw_cycles(panels[1, 1], datasets["cycles"], rest=True)
         _draw_cycles(panels[1, 2], datasets["cycles"], rest=False)
         _zoom(panels[1, 2], datasets["cycles"])
+        panels[1, 1].plot([], [], color=GREY, linestyle=_DASHES, linewidth=1.1, label="unstable")
         panels[1, 1].legend(**_CORNER, loc="upper left")
         for letter, axes in zip("abcdef", panels.flat, strict=True):
             axes.set_title(f"({letter})", loc="left", fontweight="bold")
             axes.tick_params(which="both", top=True, right=True)
         handles, labels = panels[0, 0].get_legend_handles_labels()
-        page.legend(handles, labels, loc="outside lower center", ncols=5, frameon=False)
+        page.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
     return page
 
 
@@ -70,7 +72,7 @@ def _draw_plane(axes: Axes, data: xr.Dataset, name: str) -> None:
     )
     axes.plot(hopf, y, color="black", linewidth=1.1, label=r"Hopf $\tilde v_H$")
     axes.plot(x_fold, y_fold, **_SMOOTHED, label="fold, smoothed")
-    axes.plot(dry, y, **_DRY, linestyle=(0, (4, 1.5)), label="fold, dry friction")
+    axes.plot(dry, y, **_DRY, linestyle=_DASHES, label="fold, dry friction")
     if np.isfinite(meeting[0]):
         axes.plot(
             *meeting, "*", color=RED, markersize=8, markeredgecolor="white", markeredgewidth=0.5,
@@ -93,7 +95,7 @@ def _label_regions(axes: Axes) -> None:
         "transform": axes.transAxes, "fontsize": 7.0, "ha": "center", "va": "center"
     }  # fmt: skip
     axes.text(0.22, 0.62, "vibration\nstarts\nby itself", **box)
-    axes.text(0.57, 0.8, "depends\non the\nstart", **box)
+    axes.text(0.65, 0.84, "depends\non the\nstart", **box)
     axes.text(0.76, 0.2, "comes\nto rest", **box)
 
 
@@ -103,7 +105,7 @@ def _draw_cycles(axes: Axes, data: xr.Dataset, rest: bool) -> None:
     for width, colour in zip(data["width"].values[::-1], ("black", *_COLOURS), strict=False):
         own = data.sel(width=width)
         label = "dry friction" if width == 0 else rf"$\varepsilon = {width:g}$"
-        for part, line in ((slice(0, place + 1), (0, (4, 1.5))), (slice(place, None), "-")):
+        for part, line in ((slice(0, place + 1), _DASHES), (slice(place, None), "-")):
             x, y = own["belt_speed"].values[part], own["amplitude"].values[part]
             known = np.isfinite(x) & np.isfinite(y)
             axes.plot(
@@ -122,7 +124,7 @@ def _draw_cycles(axes: Axes, data: xr.Dataset, rest: bool) -> None:
     speeds = data["belt_speed"].values
     axes.set_xlim(0.0, 1.1 * np.nanmax(speeds))
     axes.set_ylim(bottom=-0.04 * np.nanmax(data["amplitude"].values))
-    axes.plot([0.0, hopf], [0.0, 0.0], color=GREY, linestyle=(0, (4, 1.5)), linewidth=1.1)
+    axes.plot([0.0, hopf], [0.0, 0.0], color=GREY, linestyle=_DASHES, linewidth=1.1)
     axes.plot([hopf, 1.1 * np.nanmax(speeds)], [0.0, 0.0], color=GREY, linewidth=1.1)
     axes.plot(hopf, 0.0, "s", color="black", markersize=3.4, clip_on=False, zorder=4)
     axes.annotate(
