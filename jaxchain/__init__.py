@@ -4,6 +4,9 @@ from .amplitude import Amplitude as Amplitude
 from .augmented import FoldPoint as FoldPoint
 from .augmented import fold_point as fold_point
 from .augmented import fold_residual as fold_residual
+from .bistable import BistableRange as BistableRange
+from .bistable import bistable_range as bistable_range
+from .bistable import try_boundary as try_boundary
 from .boundary import Boundaries as Boundaries
 from .boundary import boundaries as boundaries
 from .branch import Branch as Branch
@@ -24,6 +27,8 @@ from .cycle_guesses import guess_from_simulation as guess_from_simulation
 from .cycle_search import LimitCycle as LimitCycle
 from .cycle_special import CyclePoint as CyclePoint
 from .descent import descend as descend
+from .design import Design as Design
+from .design import design as design
 from .ensemble import SweepInterrupted as SweepInterrupted
 from .ensemble import sweep as sweep
 from .extrapolate import Extrapolated as Extrapolated
@@ -53,8 +58,11 @@ from .hopf import hopf_belt_speed as hopf_belt_speed
 from .hopf import hopf_by_descent as hopf_by_descent
 from .hopf_points import HopfPoints as HopfPoints
 from .hopf_points import hopf_points as hopf_points
+from .identification import Identification as Identification
+from .identification import identify as identify
 from .implicit import attach_derivative as attach_derivative
 from .lyapunov_coefficient import first_lyapunov_coefficient as first_lyapunov_coefficient
+from .measurements import Measurements as Measurements
 from .measures import active as active
 from .measures import delays as delays
 from .measures import energy as energy
