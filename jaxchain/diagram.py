@@ -12,6 +12,9 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from .chain import Chain
+from .friction import ExponentialDecay, TanhFriction
+from .one_mass import OneMassBranch, one_mass_branch
 from .result import NAMES, STOPPED_WELL
 
 
@@ -47,6 +50,31 @@ def hopf_belt_speed(data: xr.Dataset) -> float | None:
     if damping <= 0 or load * (static - dynamic) <= 2 * damping * v_ref:
         return None
     return v_ref * math.log(load * (static - dynamic) / (2 * damping * v_ref))
+
+
+def cycles(data: xr.Dataset) -> OneMassBranch | None:
+    """All cycles of one oscillator with smoothed friction, stable and unstable, over belt speed.
+
+    None if `data` is a sweep of anything else, or has fewer than ten belt speeds, or but one start
+    at each, which shows no more than where the runs end; or if these cycles do not fold.
+    """
+    own = parameters(data)
+    names = swept(data)
+    if own["n"] != 1 or own["friction_law"] != "ExponentialDecay" or len(names) < 2:
+        return None
+    if "belt_speed" not in names or data.sizes["belt_speed"] < 10:
+        return None
+    law = [own[name] for name in ("mu_static", "mu_dynamic", "v_ref")]
+    others = [own[name] for name in ("width", "damping_ratio", "stiffness")]
+    load = own["normal_load"]
+    if not all(isinstance(number, float) for number in [*law, *others, load or 1.0]):
+        return None
+    width, damping, stiffness = others
+    friction = TanhFriction(ExponentialDecay(*law), width)
+    chain = Chain(1, friction, 1.0, damping, None, stiffness, load)
+    lowest = max(float(data["belt_speed"].min()), 0.05)
+    branch = one_mass_branch(chain, lowest)
+    return branch if np.isfinite(branch.belt_speed[branch.fold]) else None
 
 
 def failed(data: xr.Dataset) -> xr.DataArray:

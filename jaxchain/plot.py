@@ -20,6 +20,7 @@ from matplotlib.figure import Figure
 
 from .diagram import (
     basin_brackets,
+    cycles,
     energy,
     failed,
     hopf_belt_speed,
@@ -188,7 +189,8 @@ def _draw_runs(
     vibrating = count > 0
     if masses(data) == 1:
         axes.plot(x[vibrating], y[vibrating], "o", color=BLUE, markersize=3.2, label="vibrating")
-        _draw_brackets(axes, data)
+        if not _draw_cycles(axes, data):
+            _draw_brackets(axes, data)
     else:
         _draw_counts(axes, x[vibrating], y[vibrating], count[vibrating], masses(data))
     axes.plot(x[resting], y[resting], "s", color=ORANGE, markersize=2.8, label="at rest")
@@ -197,6 +199,21 @@ def _draw_runs(
             x[unstable], y[unstable], "s", color=ORANGE, markersize=2.8, markerfacecolor="white",
             markeredgewidth=0.8, label="at rest, unstable",
         )  # fmt: skip
+
+
+def _draw_cycles(axes: Axes, data: xr.Dataset) -> bool:
+    """The branch of cycles through its fold, which no run from a start can show, if it is known."""
+    branch = cycles(data)
+    if branch is None:
+        return False
+    x, y, top = branch.belt_speed, branch.amplitude, branch.fold
+    axes.plot(x[top:], y[top:], color=BLUE, linewidth=0.9, zorder=2)
+    axes.plot(
+        x[: top + 1], y[: top + 1], color="black", linewidth=0.9, linestyle="--", zorder=2,
+        label="unstable cycle",
+    )  # fmt: skip
+    axes.plot(x[top], y[top], "*", color=RED, markersize=7, zorder=5, label="fold")
+    return True
 
 
 def _draw_brackets(axes: Axes, data: xr.Dataset) -> None:
