@@ -41,6 +41,7 @@ def test_a_thousand_lanes_with_and_without_a_fold():
     np.testing.assert_allclose(height, 2 * (there / 3) ** 1.5, rtol=1e-12)
 
 
+@pytest.mark.long
 def test_the_null_vector_and_the_scale_of_rows():
     m = 30
     u = np.sin(np.pi * np.arange(1, m + 1) / (m + 1))

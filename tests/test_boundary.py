@@ -33,6 +33,7 @@ def found():
     return boundaries(paper_chain(1, width=WIDTH))
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_the_boundaries_of_the_paper(found):
     np.testing.assert_allclose(found.hopf, np.log(10.0) / 2, rtol=1e-13)
@@ -85,6 +86,7 @@ def friction(v, eps, static=1.0, drop=0.5, v0=0.5):
     return [sum(c * m[k - i] * d[i] for i, c in enumerate(binomial[k])) for k in range(4)]
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("width", [0.1, 1e-2, 1e-3])
 def test_hopf_and_fold_meet_where_the_third_derivative_of_friction_vanishes(width):

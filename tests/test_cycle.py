@@ -69,6 +69,7 @@ CASES = [
 ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("width", "branch"), CASES)
 def test_one_mass_agrees_with_scipy(width, branch):
     chain = paper_chain(1, belt_speed=1.5, width=width)
@@ -168,6 +169,7 @@ def test_period_and_amplitude_have_derivatives(slip):
         np.testing.assert_allclose(forward[name], (up - down) / (2 * h), rtol=2e-6, atol=4e-6)
 
 
+@pytest.mark.long
 def test_derivatives_also_go_in_reverse(slip):
     def amplitude(damping):
         chain = slip.chain.with_(damping_ratio=damping)

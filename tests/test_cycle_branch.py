@@ -20,6 +20,9 @@ from jaxchain.cycle_points import (
 from jaxchain.fold import find_fold
 from jaxchain.shooting import residual
 
+# Second looks, or minutes of compilation: not in every run of the tests.
+pytestmark = pytest.mark.long
+
 HOPF = np.log(10) / 2
 # Of one mass, found by another program.
 FOLDS = {0.05: 1.659307374, 1e-2: 1.792455775, 1e-3: 1.831129820}

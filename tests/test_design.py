@@ -12,6 +12,9 @@ from jaxchain.chain import paper_chain
 from jaxchain.design import design
 from jaxchain.grazing import nonsmooth_fold_belt_speed
 
+# Second looks, or minutes of compilation: not in every run of the tests.
+pytestmark = pytest.mark.long
+
 ONE = paper_chain(n=1)
 START = jnp.array([0.05, 0.5])
 PAPER_FOLD, PAPER_HOPF = 1.836600972208, np.log(10.0) / 2

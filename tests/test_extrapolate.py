@@ -9,6 +9,9 @@ from jaxchain import fold_belt_speed, paper_chain
 from jaxchain.extrapolate import extrapolate, fold_boundary, fold_in_the_limit
 from jaxchain.grazing import find_grazing
 
+# Second looks, or minutes of compilation: not in every run of the tests.
+pytestmark = pytest.mark.long
+
 WIDTHS = 1e-3 * 2.0 ** np.arange(6)
 NAMES = ("damping_ratio", "mu_static", "mu_dynamic", "v_ref")
 PAPER = [0.05, 1.0, 0.5, 0.5]

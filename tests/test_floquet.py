@@ -41,6 +41,7 @@ def variational(chain, state, period):
     return end[:2], end[2:6].reshape(2, 2), end[6]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("width", "excited"), [(0.05, 1), (0.01, 1), (0.05, 0)])
 def test_one_mass_agrees_with_scipy(width, excited):
     chain = paper_chain(1, belt_speed=1.4, width=width)
@@ -60,6 +61,7 @@ def test_one_mass_agrees_with_scipy(width, excited):
     assert float(liouville_defect(found + 1e-4 * jnp.eye(2), integral)) > 2e-5
 
 
+@pytest.mark.long
 def test_a_linear_chain_has_the_matrix_exponential():
     rng = np.random.default_rng(3)
     n = 4

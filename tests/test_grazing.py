@@ -71,6 +71,7 @@ def paper():
     return find_grazing(paper_chain(n=1))
 
 
+@pytest.mark.long
 def test_it_agrees_with_shooting_by_scipy(folds):
     speeds, _ = folds(jnp.asarray(SETS))
     np.testing.assert_array_equal(np.isfinite(speeds), EXISTS)

@@ -102,6 +102,7 @@ def test_it_holds_for_random_parameters_in_one_batch():
     assert (ratio < 1).sum() > 5
 
 
+@pytest.mark.long
 def test_every_derivative_is_that_of_the_closed_form():
     def exact(p):
         return p[3] * jnp.log(p[4] * (p[1] - p[2]) / (2 * p[0] * p[3]))
@@ -133,6 +134,7 @@ def test_friction_that_strengthens_again_has_its_own_closed_form(viscous):
     assert float(hopf_belt_speed(chain)) == pytest.approx(exact, abs=1e-13)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("per_mass", [np.ones(()), np.array([1.0, 1.1, 0.9])])
 def test_where_there_is_none_value_and_derivative_are_nan(per_mass):
     def found(xi):
@@ -161,6 +163,7 @@ def test_the_two_hopf_points_are_followed_to_where_they_meet():
     assert np.isnan(float(hopf_belt_speed(above)))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("n", [3, 20])
 def test_a_mistuned_chain_loses_stability_there_and_is_stable_above(n):
     chain = mistuned(n)
@@ -189,6 +192,7 @@ MISTUNED = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "name", [name if k < 2 else pytest.param(name, marks=LONG) for k, name in enumerate(MISTUNED)]
 )
@@ -200,6 +204,7 @@ def test_every_kind_of_mistuning_is_covered(name):
     assert abscissa(chain, found * (1 - 1e-6)) > 0
 
 
+@pytest.mark.long
 def test_derivatives_of_a_mistuned_chain_are_finite_differences():
     chain = mistuned(3, seed=3, coupling=0.05, width=0.05)
     slopes = eqx.filter_grad(hopf_belt_speed)(chain)
@@ -228,6 +233,7 @@ def test_second_and_forward_derivatives_of_a_mistuned_chain():
     np.testing.assert_allclose(jax.hessian(found)(xi) @ direction, by_difference, rtol=1e-6)
 
 
+@pytest.mark.long
 def test_equal_numbers_per_mass_are_the_uniform_chain():
     # All modes cross together: the value is that of the uniform chain, and so is the derivative
     # when all numbers change together.
@@ -239,6 +245,7 @@ def test_equal_numbers_per_mass_are_the_uniform_chain():
     assert float(slope) == pytest.approx(-0.5 / 0.05, rel=1e-10)
 
 
+@pytest.mark.long
 def test_a_symmetric_pattern_has_double_eigenvalues_and_still_a_derivative():
     pattern = jnp.array([1.0, 1.5] * 3)
 
@@ -252,6 +259,7 @@ def test_a_symmetric_pattern_has_double_eigenvalues_and_still_a_derivative():
     assert float(slope) == pytest.approx(float(by_difference), rel=1e-6)
 
 
+@pytest.mark.long
 def test_mistuned_chains_go_through_vmap_and_lanes_without_a_boundary_are_nan():
     scale = jnp.array([0.5, 1.0, 2.0, 20.0])
     base = mistuned(3)
@@ -283,6 +291,7 @@ def newton(chain, speed, tolerance):
     return speed, 50
 
 
+@pytest.mark.long
 def test_descent_arrives_where_newton_does_after_many_more_steps():
     chain = paper_chain(4, belt_speed=1.5)
     speed, steps = newton(chain, 1.5, 2e-10)

@@ -11,6 +11,9 @@ from jaxchain.hopf import hopf_belt_speed
 from jaxchain.hopf_points import hopf_points
 from jaxchain.sliding import sliding_damping, stiffness_matrix
 
+# Second looks, or minutes of compilation: not in every run of the tests.
+pytestmark = pytest.mark.long
+
 EXACT = np.log(10.0) / 2
 
 

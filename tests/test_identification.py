@@ -17,6 +17,9 @@ from jaxchain.descent import descend
 from jaxchain.identification import identify
 from jaxchain.measurements import Measurements, predict
 
+# Second looks, or minutes of compilation: not in every run of the tests.
+pytestmark = pytest.mark.long
+
 ONE = paper_chain(n=1)
 TRUE = jnp.array([1.0, 0.5, 0.5, 0.05])
 START = jnp.array([1.2, 0.6, 0.7, 0.07])

@@ -42,6 +42,7 @@ def test_forward_and_reverse_derivatives_are_those_of_the_closed_form():
     np.testing.assert_allclose(tangent, -exact(NUMBERS) / 4.0, rtol=1e-12)
 
 
+@pytest.mark.long
 def test_second_derivatives_and_batches():
     def f(a):
         return solved({**NUMBERS, "a": a})[0]

@@ -15,6 +15,9 @@ from jaxchain.hopf import hopf_belt_speed
 from jaxchain.hopf_points import hopf_points
 from jaxchain.lyapunov_coefficient import first_lyapunov_coefficient
 
+# Second looks, or minutes of compilation: not in every run of the tests.
+pytestmark = pytest.mark.long
+
 SPEED, POINTS = 1.0, 15
 
 

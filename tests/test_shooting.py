@@ -45,6 +45,7 @@ def test_a_symmetric_orbit_has_fewer_unknowns():
     assert whole.place == 3
 
 
+@pytest.mark.long
 def test_rest_is_no_solution():
     problem = shooting(n=1, mass=0)
     s = problem.rest(jnp.asarray(1.4))

@@ -15,6 +15,9 @@ from jaxchain.sliding import (
     stiffness_matrix,
 )
 
+# Second looks, or minutes of compilation: not in every run of the tests.
+pytestmark = pytest.mark.long
+
 LAW = ExponentialDecay(1.0, 0.5, 0.5)
 
 

@@ -8,6 +8,9 @@ from systems.normal_forms import brusselator, cycles, hyperbola, logistic, pitch
 from jaxchain.continuation import make_corrector
 from jaxchain.special_points import changes, crossing, dips, locate, other_direction, segment
 
+# Second looks, or minutes of compilation: not in every run of the tests.
+pytestmark = pytest.mark.long
+
 
 def piece_of(residual, args, start, end):
     """A segment between the branch's points near two guesses (u, p)."""
