@@ -70,7 +70,7 @@ def test_the_derivative_of_a_fold_is_attached():
     np.testing.assert_allclose(slope, (1.3 / 3) ** 0.5, rtol=1e-12)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_the_second_derivative_of_a_fold_is_attached():
     second = jax.jit(jax.grad(jax.grad(cubic_height)))(1.3)
     np.testing.assert_allclose(second, 0.5 / (3 * 1.3) ** 0.5, rtol=1e-11)

@@ -104,7 +104,7 @@ def test_hopf_and_fold_meet_where_the_third_derivative_of_friction_vanishes(widt
     assert abs(meeting.value - 0.5) < 1.1 * estimate
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_the_width_beyond_which_vibration_sets_in_gently():
     def equations(u):
         f = friction(u[1], u[0])
@@ -155,7 +155,7 @@ def test_branches_are_of_one_mass():
         one_mass_branch(paper_chain(1), -1.0)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_the_fold_ends_on_the_hopf_curve_tangentially():
     chain = paper_chain(1, width=0.1)
     meeting = generalised_hopf(chain, "damping_ratio", 0.01, 1.0)
@@ -179,7 +179,7 @@ def branch():
     return one_mass_branch(paper_chain(1, width=WIDTH), 0.3)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_the_branch_turns_at_the_fold_and_starts_at_the_hopf_point(branch):
     fold = find_fold(paper_chain(1, width=WIDTH))
     speed = branch.belt_speed
@@ -198,7 +198,7 @@ def test_the_branch_turns_at_the_fold_and_starts_at_the_hopf_point(branch):
     assert 0.3 <= speed[stick[-1]] < 0.4
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_the_stable_side_is_what_time_integration_comes_to(branch):
     at = np.flatnonzero(np.isfinite(branch.belt_speed))
     at = at[at > branch.fold + 5][::9]
@@ -213,7 +213,7 @@ def test_the_stable_side_is_what_time_integration_comes_to(branch):
     np.testing.assert_allclose(settled(branch.belt_speed[at]), branch.amplitude[at], rtol=1e-6)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_the_dry_slip_branch_is_the_limit_of_the_smoothed_one(branch):
     dry = dry_slip_branch(paper_chain(1))
     np.testing.assert_allclose(dry.belt_speed[-1], DRY_FOLD, rtol=1e-9)

@@ -63,7 +63,7 @@ def witness(chain, x, period):
 
 
 CASES = [
-    pytest.param(width, branch, marks=[pytest.mark.long] if width < 1e-2 else [])
+    pytest.param(width, branch, marks=[pytest.mark.exhaustive] if width < 1e-2 else [])
     for width in (0.05, 1e-2, 1e-3)
     for branch in ("stable", "unstable")
 ]
@@ -98,7 +98,7 @@ def test_one_mass_agrees_with_scipy(width, branch):
             assert low < float(jnp.hypot(end[0] - sliding, end[1])[0]) < high
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_the_exact_cycle_is_found():
     exact = exact_cycle(0.3, 0.5)
     field = PiecewiseLinear(feed=jnp.asarray(0.3), damping=jnp.asarray(0.5))
@@ -149,7 +149,7 @@ def test_guesses_of_every_kind_lead_to_the_same_cycle(slip):
     assert bool(slip.amplitude[0] > small.amplitude[0])
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_period_and_amplitude_have_derivatives(slip):
     chain = slip.chain
 
@@ -181,7 +181,7 @@ def test_derivatives_also_go_in_reverse(slip):
     assert float(backward) == pytest.approx(slope, rel=2e-6)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_chains_are_searched_in_one_batch_and_do_not_harm_each_other(slip):
     speeds = jnp.asarray([1.3, 1.5, 1.7, 2.5])
 
@@ -250,7 +250,7 @@ def test_bad_input_is_named(slip):
         guess_from_hopf(one, points, 5)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_twenty_masses_have_a_localized_cycle():
     chain = paper_chain(20, belt_speed=1.5, width=1e-3)
     cycle = find_limit_cycle(chain)
@@ -276,7 +276,7 @@ def test_twenty_masses_have_a_localized_cycle():
     assert float(slipping.liouville_defect) < 1e-8
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_a_guess_from_a_run_finds_the_period_of_all_masses():
     chain = paper_chain(3, belt_speed=1.4, width=0.05)
     guess = guess_from_simulation(chain, excited_state(chain, 1), transient=100.0)

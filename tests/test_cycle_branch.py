@@ -78,7 +78,7 @@ def test_stability_changes_at_the_fold_alone(branch):
     assert np.all(branch.trivial_defect < 1e-6)
 
 
-@pytest.mark.parametrize("share", [pytest.param(0.3, marks=pytest.mark.long), 0.8])
+@pytest.mark.parametrize("share", [pytest.param(0.3, marks=pytest.mark.exhaustive), 0.8])
 def test_a_point_is_a_cycle_with_these_numbers_for_scipy_too(branch, share):
     k = int(share * branch.parameter.size)
     after = scipy_flow(branch.parameter[k], 0.05)
@@ -103,7 +103,7 @@ def test_the_closeness_is_the_greatest_velocity_in_units_of_the_layer(branch):
     )
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_the_jacobian_is_that_of_the_residual(branch):
     shooting, u, p = branch.shooting, branch.branch.u[3], branch.branch.p[3]
     value = jax.jit(residual)
@@ -256,7 +256,7 @@ def symmetric(fold_of_three):
     )  # fmt: skip
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_one_of_three_folds_where_the_search_for_folds_says(fold_of_three, symmetric):
     chain, fold = fold_of_three
     k = 3
@@ -274,7 +274,7 @@ def test_one_of_three_folds_where_the_search_for_folds_says(fold_of_three, symme
     assert np.sum(np.abs(modulus - 1.0) < 1e-8) == 2
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_the_symmetry_breaks_where_the_whole_equations_have_a_branch_point(symmetric):
     point = symmetric.of_kind("symmetry breaking")[0]
     assert np.min(np.abs(point.multipliers - 1.0)) < 1e-8
@@ -288,7 +288,7 @@ def test_the_symmetry_breaks_where_the_whole_equations_have_a_branch_point(symme
     assert abs(branch_point.parameter - point.parameter) < 1e-7
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_an_asymmetric_branch_leaves_from_there(symmetric):
     point = symmetric.of_kind("symmetry breaking")[0]
     halves = [switch_cycle(symmetric, point, side=side, max_points=5) for side in (1, -1)]
@@ -305,7 +305,7 @@ def test_an_asymmetric_branch_leaves_from_there(symmetric):
     assert float(jnp.max(jnp.abs(r))) < 1e-8
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_other_numbers_of_the_chain_are_parameters_too(branch):
     k = branch.of_kind("fold")[0].index - 2
     speed = branch.parameter[k]

@@ -49,7 +49,7 @@ def test_it_meets_the_aim_where_the_gradients_of_cost_and_aim_are_parallel(halve
     assert halved.path.shape == (200, 2)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_scipy_finds_the_same_without_derivatives_of_ours(halved):
     fold = jax.jit(lambda theta: nonsmooth_fold_belt_speed(change(ONE, theta)))
 
@@ -152,7 +152,7 @@ def test_a_trial_names_bad_input(name):
         try_boundary(ONE, **{"belt_speed": 1.0, name: -1.0})
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_adam_and_a_cost_of_ones_own_and_the_example(halved):
     def cost(theta):
         return 0.5 * jnp.sum((theta / START - 1.0) ** 2)
@@ -167,7 +167,7 @@ def test_adam_and_a_cost_of_ones_own_and_the_example(halved):
     assert float(damped.range.fold) == pytest.approx(1.7, abs=1e-6)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_one_program_designs_for_many_aims(halved):
     widths = jnp.array([0.3, 0.5, 0.9])
     many = jax.jit(jax.vmap(improve))(widths)
@@ -177,7 +177,7 @@ def test_one_program_designs_for_many_aims(halved):
     assert float(many.cost[2]) == 0.0
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_a_design_with_smoothed_friction_is_off_by_what_the_width_costs():
     """The bias of the boundary goes into the design; dry friction still vibrates there."""
     smooth = ONE.with_(width=1e-2)
@@ -191,7 +191,7 @@ def test_a_design_with_smoothed_friction_is_off_by_what_the_width_costs():
     assert try_boundary(found.chain, dry).holds
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_mistuned_neighbours_lower_the_fold_of_the_mass_between_them():
     """Three masses: the fold of the second, moved by stiffness and damping of all."""
     three = paper_chain(n=3).with_(

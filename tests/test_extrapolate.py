@@ -137,13 +137,13 @@ def test_the_bar_holds_for_random_sets(boundaries):
     np.testing.assert_allclose(found.value[0], 1.831129820, rtol=1e-8)  # by continuation
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("wild", "least"), [(False, 0.99), (True, 0.97)])
 def test_the_bar_holds_for_a_hundred_random_sets(boundaries, wild, least):
     check_bars(boundaries(jnp.asarray(random_sets(12, 100, wild))), least)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_four_widths_and_the_theory_of_the_leading_term():
     chain = paper_chain(n=1)
     grazing = find_grazing(chain)
@@ -157,7 +157,7 @@ def test_four_widths_and_the_theory_of_the_leading_term():
     np.testing.assert_allclose(six.coefficients[1], leading * scale, rtol=0.02)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_gradients_are_those_of_the_folds():
     """Linear in the folds; and, up to what extrapolation misses, those of the dry fold."""
     widths = jnp.asarray([8e-3, 4e-3, 2e-3, 1e-3])
@@ -177,7 +177,7 @@ def test_gradients_are_those_of_the_folds():
     np.testing.assert_allclose(slope, extrapolate(differences, widths).value, rtol=1e-5)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_widths_of_every_mass():
     """A chain with a width per mass has its value there; the limit does not depend on it."""
     chain = paper_chain(n=2).with_(width=jnp.array([1e-3, 2e-3]), coupling=0.002)

@@ -82,7 +82,7 @@ def test_a_linear_chain_has_the_matrix_exponential():
     assert floquet_multipliers(found, direction).multipliers.shape == (2 * n - 1,)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_finite_differences_of_a_run_agree():
     chain = paper_chain(3, belt_speed=1.4, width=0.05)
     x, v = excited_state(chain, 2)

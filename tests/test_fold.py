@@ -87,7 +87,7 @@ def test_a_lane_without_a_fold_is_marked_and_harms_no_other(folds):
     assert not bool(find_fold(paper_chain(1, width=0.35)).expected)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_friction_that_does_not_weaken_has_no_fold():
     chain = Chain(1, TanhFriction(Coulomb(0.5), 0.01), belt_speed=1.0)
     fold = find_fold(chain)
@@ -96,7 +96,7 @@ def test_friction_that_does_not_weaken_has_no_fold():
     assert not bool(fold.expected)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_a_second_derivative_of_the_speed_alone_says_where_to_get_it():
     chain = paper_chain(1, width=0.02)
     slope = jax.grad(lambda xi: fold_belt_speed(chain.with_(damping_ratio=xi)))
@@ -118,7 +118,7 @@ def test_anything_but_a_chain_is_refused():
         fold_belt_speed(1.5)  # pyright: ignore[reportArgumentType]
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_the_fold_is_the_summit_of_scipys_branch():
     """V(s) near the summit by SciPy's own shooting: no cycle near it has a greater speed."""
     for width in (0.2, 0.05):
@@ -152,7 +152,7 @@ def test_the_fold_is_the_summit_of_scipys_branch():
         np.testing.assert_allclose(fold.belt_speed, -summit.fun, rtol=3e-9)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_narrower_widths_approach_dry_friction():
     widths = jnp.asarray([0.1, 0.02, 5e-3, 1e-3, 2e-4, 1e-5])
     speeds = jax.vmap(lambda width: fold_belt_speed(paper_chain(1, width=width)))(widths)
@@ -161,7 +161,7 @@ def test_narrower_widths_approach_dry_friction():
     assert float(gaps[-1]) < 1e-4
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_a_thousand_parameter_sets_in_one_call():
     rng = np.random.default_rng(5)
     xi = jnp.asarray(rng.uniform(0.02, 0.1, 1000))
@@ -180,7 +180,7 @@ def test_a_thousand_parameter_sets_in_one_call():
     assert bool(jnp.all(jnp.where(found, speed > hopf, True)))
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_the_whole_orbit_is_differentiable_and_twice():
     chain = paper_chain(1, width=0.02)
 
@@ -195,7 +195,7 @@ def test_the_whole_orbit_is_differentiable_and_twice():
     np.testing.assert_allclose(tangent(0.05), differences, rtol=2e-4)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_the_localized_fold_of_three_masses_differentiates_in_every_number():
     chain = paper_chain(3, width=0.05)
 

@@ -17,7 +17,7 @@ def test_ascent_and_secant_find_the_same_fold():
     assert np.nanmin(speeds) < float(found.belt_speed) - 1e-3
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_any_optimiser_will_do_from_either_side():
     chain = paper_chain(1, width=0.02)
     sgd = optax.sgd(0.3)

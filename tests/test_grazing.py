@@ -153,7 +153,7 @@ def test_bad_input_is_named(chain, vibrating, message):
         check_vibrating(chain, vibrating)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_three_masses_that_differ_agree_with_shooting_by_scipy():
     xi, stiffness = np.array([0.05, 0.08, 0.1]), np.array([1.0, 1.2, 1.5])
     chain = paper_chain(n=3).with_(damping_ratio=jnp.asarray(xi), stiffness=jnp.asarray(stiffness))
@@ -167,7 +167,7 @@ def test_three_masses_that_differ_agree_with_shooting_by_scipy():
     assert np.max(v) <= expected * (1 + 1e-9)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_the_cycle_of_twenty_masses_closes_in_scipy():
     grazing = find_grazing(paper_chain())
     assert grazing.found
@@ -189,7 +189,7 @@ def test_the_cycle_of_twenty_masses_closes_in_scipy():
     assert np.max(run.y[20:]) <= speed * (1 + 1e-9)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_a_chain_in_which_another_mass_passes_is_refused():
     """The second mass, hardly damped and hardly loaded, resonates."""
     chain = paper_chain(n=2).with_(
@@ -201,7 +201,7 @@ def test_a_chain_in_which_another_mass_passes_is_refused():
     assert jnp.isnan(grazing.belt_speed)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_vibration_survives_below_and_dies_above(paper):
     """True dry friction, simulated by events from the cycle."""
     x, v = paper.state
@@ -218,7 +218,7 @@ def test_vibration_survives_below_and_dies_above(paper):
     assert amplitude[1] < 1e-3
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_derivatives_of_all_of_it():
     """Forward, in reverse and twice; of period and state, too; none in the width."""
     chain = paper_chain(n=1)
@@ -244,7 +244,7 @@ def test_derivatives_of_all_of_it():
     np.testing.assert_allclose(slopes, differences, rtol=1e-5)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_friction_of_coulomb_has_none():
     chain = Chain(1, TanhFriction(Coulomb(0.5), 1e-3), belt_speed=1.0)
     assert jnp.isnan(nonsmooth_fold_belt_speed(chain))

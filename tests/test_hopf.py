@@ -173,7 +173,7 @@ def test_a_mistuned_chain_loses_stability_there_and_is_stable_above(n):
     assert all(abscissa(chain, v) < 0 for v in found + np.geomspace(1e-6, 10.0, 50))
 
 
-LONG = pytest.mark.long
+LONG = pytest.mark.exhaustive
 MISTUNED = {
     "one mass without damping": paper_chain(3).with_(
         damping_ratio=jnp.array([0.0, 0.1, 0.1]), coupling=0.5

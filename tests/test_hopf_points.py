@@ -101,8 +101,10 @@ def test_coulomb_friction_has_none():
     [
         mistuned(6),
         mistuned(4, coupling=2.0, normal_load=jnp.array([1.0, 0.0, 1.5, 0.7])),
-        pytest.param(mistuned(20), marks=pytest.mark.long),
-        pytest.param(mistuned(4, width=jnp.array([0.1, 0.2, 0.01, 0.05])), marks=pytest.mark.long),
+        pytest.param(mistuned(20), marks=pytest.mark.exhaustive),
+        pytest.param(
+            mistuned(4, width=jnp.array([0.1, 0.2, 0.01, 0.05])), marks=pytest.mark.exhaustive
+        ),
     ],
 )
 def test_what_is_listed_explains_every_change_in_the_number_of_growing_modes(chain):
@@ -177,7 +179,7 @@ def test_a_pair_outside_a_homogeneous_ring_is_counted_twice_and_left_undetermine
     assert 2 in points.multiplicity
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_a_mode_that_nothing_damps_is_named():
     # Masses 1 and 3 move against each other, and neither has damping nor friction.
     chain = paper_chain(3).with_(

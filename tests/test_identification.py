@@ -175,7 +175,7 @@ def test_a_confidence_beyond_one_is_refused(found):
         found.interval(95)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_optax_and_optimistix_find_the_same(found):
     values = noisy(0)
 
@@ -197,7 +197,7 @@ def test_optax_and_optimistix_find_the_same(found):
     np.testing.assert_allclose(found.theta, descent.solution * TRUE, rtol=2e-3)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_intervals_cover_the_truth_as_often_as_they_promise():
     """300 noisy copies of measurements that event-driven runs with true dry friction made."""
     # The fold as a laboratory finds it: the last belt speed at which a vibration survives.
@@ -231,7 +231,7 @@ def test_intervals_cover_the_truth_as_often_as_they_promise():
     assert float(jnp.mean(fits.chi_squared)) == pytest.approx(4.0, abs=0.6)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_a_smoothed_model_of_dry_data_is_wrong_by_more_than_its_intervals_say():
     """At width 0.02 the bias of the model exceeds noise of 0.002, and chi^2 says so."""
     exact = measured(prediction(TRUE), noise=0.002)

@@ -31,7 +31,7 @@ def test_the_section_is_where_the_mass_has_its_greatest_velocity():
     np.testing.assert_allclose(state[1][1], 1.4 + 0.05 * np.sinh(-1.2), rtol=1e-14)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_a_symmetric_orbit_has_fewer_unknowns():
     whole, half = shooting(), shooting(images=(0, 1, 0))
     u = jnp.asarray([0.4, -1.1, -1.2, jnp.log(6.2)])  # x_0, z_0, z_1, ln T
@@ -53,7 +53,7 @@ def test_rest_is_no_solution():
     assert float(jnp.max(jnp.abs(problem.residual(u, jnp.asarray(1.4))))) > 1e-2
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_a_parameter_by_name_moves_the_same_equations():
     fold = find_fold(paper_chain(1, width=0.05))
     by_speed = shooting(n=1, mass=0)

@@ -106,7 +106,7 @@ def study():
     return load_scene("boundaries", SMALL).scene
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_a_small_study(study, tmp_path, monkeypatch):
     """With a made-up ring and made-up cycles, which have tests of their own."""
     monkeypatch.setattr(boundaries_curves, "ring_curve", lambda study: made_up()["coupling"])
@@ -135,7 +135,7 @@ def test_a_small_study(study, tmp_path, monkeypatch):
     assert "the fold ends on the Hopf curve" in said[0]
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_the_ring_of_a_study(study):
     data = boundaries_curves.ring_curve(study)
     assert data.attrs["masses"] == 3
@@ -147,7 +147,7 @@ def test_the_ring_of_a_study(study):
     assert np.all(own < dry)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_the_cycles_of_a_study(study):
     chain = boundaries_curves.base_chain(study)
     folds = jax.vmap(lambda width: find_fold(chain.with_(width=width)))(jnp.array([0.01]))

@@ -218,7 +218,7 @@ def _bracket(
         left, right = max(j - 1, 0), min(j + 1, tau.size - 1)
         if value <= min(values[left], values[right]) and -TOUCH <= value <= bend:
             # Without this, a gap that closes and opens between two points would be missed.
-            lowest = minimize_scalar(
+            lowest: Any = minimize_scalar(
                 gap, bounds=(tau[left], tau[right]), method="bounded", options={"xatol": 1e-10}
             )
             points[float(lowest.x)] = float(lowest.fun)
