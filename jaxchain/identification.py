@@ -122,7 +122,7 @@ def identify(
     >>> law = lambda chain, theta: chain.with_(mu_dynamic=theta[0], v_ref=theta[1])
     >>> found = identify(paper_chain(n=1), law, jnp.array([0.4, 0.6]), lab)
     >>> found.theta.round(3).tolist(), found.standard_errors.round(3).tolist()
-    ([0.486, 0.54], [0.007, 0.016])
+    ([0.5, 0.539], [0.005, 0.008])
     """
     mass = check_vibrating(chain, vibrating)
     check_friction(friction)

@@ -12,9 +12,29 @@ MODULES = [
     "jaxchain",
     *(module.name for module in pkgutil.walk_packages(jaxchain.__path__, "jaxchain.")),
 ]
+# Their examples compile the integration of a period and its tangents, each for some ten seconds.
+COSTLY = {
+    *(
+        "bistable",
+        "boundary",
+        "cycle",
+        "cycle_guesses",
+        "design",
+        "extrapolate",
+        "floquet",
+        "fold",
+    ),
+    *("fold_descent", "generalised_hopf", "grazing", "hopf", "hopf_points", "identification"),
+    *("lyapunov_coefficient", "measurements", "one_mass", "sliding"),
+}
 
 
-@pytest.mark.parametrize("name", MODULES)
+def _cost(name: str):
+    costly = name.removeprefix("jaxchain.") in COSTLY
+    return pytest.param(name, marks=pytest.mark.long) if costly else name
+
+
+@pytest.mark.parametrize("name", [_cost(name) for name in MODULES])
 def test_the_examples_of_a_module_print_what_they_say(name):
     outcome = doctest.testmod(importlib.import_module(name))
     assert outcome.failed == 0
