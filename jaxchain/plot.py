@@ -202,7 +202,7 @@ def _draw_runs(
 
 
 def _draw_cycles(axes: Axes, data: xr.Dataset) -> bool:
-    """The branch of cycles through its fold, which no run from a start can show, if it is known."""
+    """The branch of cycles through its fold, which no run can show, if it is known."""
     branch = cycles(data)
     if branch is None:
         return False

@@ -29,7 +29,7 @@ COSTLY = {
 }
 
 
-def _cost(name: str):
+def _cost(name: str) -> object:
     costly = name.removeprefix("jaxchain.") in COSTLY
     return pytest.param(name, marks=pytest.mark.long) if costly else name
 
