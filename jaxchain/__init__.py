@@ -55,7 +55,8 @@ from .grazing import Grazing as Grazing
 from .grazing import find_grazing as find_grazing
 from .grazing import nonsmooth_fold_belt_speed as nonsmooth_fold_belt_speed
 from .hopf import hopf_belt_speed as hopf_belt_speed
-from .hopf import hopf_by_descent as hopf_by_descent
+from .hopf_descent import HopfDescent as HopfDescent
+from .hopf_descent import hopf_by_descent as hopf_by_descent
 from .hopf_points import HopfPoints as HopfPoints
 from .hopf_points import hopf_points as hopf_points
 from .identification import Identification as Identification

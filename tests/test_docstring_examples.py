@@ -24,7 +24,15 @@ COSTLY = {
         "floquet",
         "fold",
     ),
-    *("fold_descent", "generalised_hopf", "grazing", "hopf", "hopf_points", "identification"),
+    *(
+        "fold_descent",
+        "generalised_hopf",
+        "grazing",
+        "hopf",
+        "hopf_descent",
+        "hopf_points",
+        "identification",
+    ),
     *("lyapunov_coefficient", "measurements", "one_mass", "sliding"),
 }
 

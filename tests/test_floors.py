@@ -15,7 +15,8 @@ FLOORS = [
     {"dry", "observe", "states", "choice", "special_points", "sliding", "averaging"},
     {"amplitude", "progress", "studies.balance", "studies.witnesses"}
     | {"walk", "lyapunov_coefficient", "crossings", "grazing"},
-    {"engine", "filippov", "lanes", "dataset", "continuation", "hopf", "hopf_points"},
+    {"engine", "filippov", "lanes", "dataset", "continuation", "hopf", "hopf_points"}
+    | {"hopf_descent"},
     {"simulate", "shooting", "generalised_hopf", "linearised"},
     {"axes", "pool", "fold_search", "floquet", "cycle_equations"},
     {"ensemble", "tables", "fold", "cycle_guesses", "cycle_search", "cycle_points"},

@@ -1,0 +1,85 @@
+"""Gradient descent to the Hopf speed, beside Newton's method and the closed form."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pytest
+
+from jaxchain import hopf_belt_speed, hopf_by_descent, paper_chain
+
+EXACT = np.log(10.0) / 2
+
+
+def newton(chain, speed, tolerance):
+    """(speed, steps) of the textbook's Newton method on the damping d."""
+    for steps in range(50):
+        at = chain.with_(belt_speed=speed)
+        d, step = -at.velocity_force_and_slope(0.0, jnp.zeros(chain.n))[1][0], 1e-6
+        up, down = (
+            -at.with_(belt_speed=speed + h).velocity_force_and_slope(0.0, jnp.zeros(chain.n))[1][0]
+            for h in (step, -step)
+        )
+        if abs(d) <= tolerance:
+            return speed, steps
+        speed = float(speed - d / ((up - down) / (2 * step)))
+    return speed, 50
+
+
+@pytest.mark.long
+def test_descent_arrives_where_newton_does_after_many_more_steps():
+    chain = paper_chain(4, belt_speed=1.5)
+    speed, steps = newton(chain, 1.5, 2e-10)
+    found = jax.jit(lambda start: hopf_by_descent(chain, start))(1.5)
+    assert found.converged
+    assert abs(float(found.belt_speed) - speed) < 1e-8
+    assert abs(float(found.belt_speed) - EXACT) < 1e-8
+    assert steps < 10
+    assert 100 < int(found.steps) < 500
+    # The history starts at the start, ends at the solution, and is NaN afterwards.
+    assert float(found.speeds[0]) == 1.5
+    assert float(found.speeds[found.steps]) == float(found.belt_speed)
+    assert np.isnan(found.speeds[found.steps + 1 :]).all()
+    np.testing.assert_allclose(
+        found.growth_rates[: found.steps + 1],
+        [-0.5 * (0.1 - np.exp(-2 * v)) for v in found.speeds[: found.steps + 1]],
+        atol=1e-12,
+    )
+
+
+@pytest.mark.exhaustive
+def test_descent_by_lbfgs_needs_few_steps_from_nearby_and_stalls_from_far_away():
+    found = jax.jit(
+        jax.vmap(lambda start: hopf_by_descent(paper_chain(4), start, optax.lbfgs(), 100))
+    )(jnp.array([0.05, 0.6, 1.5, 3.0, 6.0]))
+    assert found.converged.tolist() == [True] * 4 + [False]
+    assert int(found.steps[:4].max()) <= 12
+
+
+def test_plain_gradient_descent_stalls_far_above_the_boundary_and_says_so():
+    found = hopf_by_descent(paper_chain(1), 6.0, optax.sgd(10.0), steps=50)
+    assert not found.converged
+    assert int(found.steps) == 50
+    assert float(found.belt_speed) > 5.9
+
+
+def test_descent_of_mistuned_chains_goes_through_vmap():
+    chain = paper_chain(3).with_(damping_ratio=jnp.array([0.04, 0.05, 0.07]))
+    search = jax.jit(jax.vmap(lambda start: hopf_by_descent(chain, start)))
+    found = search(jnp.array([0.8, 1.5, 2.0]))
+    assert found.converged.all()
+    np.testing.assert_allclose(found.belt_speed, float(hopf_belt_speed(chain)), atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"start": -1.0}, "`start` must be positive"),
+        ({"tolerance": 0.0}, "`tolerance` must be positive"),
+        ({"steps": 0}, "`steps` must be"),
+        ({"steps": None}, "`steps` must be an integer"),
+    ],
+)
+def test_bad_input_is_named(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        hopf_by_descent(paper_chain(1), **arguments)
