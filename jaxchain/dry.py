@@ -17,6 +17,7 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from ._types import PerMass, ScalarLike, State
@@ -125,8 +126,11 @@ def expand(field: DryField, state: State, modes: Modes, order: int) -> Series:
     for k in range(order):
         r.append(pull - damping * v[k] - stiffness * x[k])
         friction.append(materialize(law.taylor_coefficient(speed, friction)))
-        moves = slides if k else slides & (modes.contact != 2)
-        change = jnp.where(moves, (r[k] - direction * load * friction[k]) / (k + 1), 0.0)
+        change = jnp.where(slides, (r[k] - direction * load * friction[k]) / (k + 1), 0.0)
+        if k == 0:
+            # What has just been let go has no acceleration yet; disturbed, it may have been let go
+            # earlier than the others whose events fall together with its own.
+            change = change - jnp.where(modes.contact == 2, lax.stop_gradient(change), 0.0)
         x.append(v[k] / (k + 1))
         if springs is None:
             v.append(materialize(change))

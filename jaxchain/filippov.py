@@ -132,9 +132,10 @@ class EventDrivenPlan(AbstractPlan):
 
         x, speed = value_and_slope(series.x, length)
         v, acceleration = value_and_slope(series.v, length)
-        shift = self._shift(field, series, modes, length, hits, v, acceleration)
+        own, shift = self._shifts(field, series, modes, length, hits, v, acceleration)
         x, v, length = x + shift * speed, v + shift * acceleration, length + shift
         state, new = after(field, (x, v), modes, hits, length > 0)
+        state = state[0], state[1] + _head_start(field, state, modes, new, hits, shift - own)
         finite = jnp.all(jnp.isfinite(x) & jnp.isfinite(v))
         t1 = jnp.where(finite, jnp.where(early | ~last, t0 + length, end), t0)
         stalled = jnp.where(t1 > t0, 0, progress.memory.stalled + 1)
@@ -166,13 +167,15 @@ class EventDrivenPlan(AbstractPlan):
             rejected=progress.rejected,
         )
 
-    def _shift(
+    def _shifts(
         self, field: DryField, series: Series, modes: Modes, t: Array, hits: Array,
         v: Array, acceleration: Array,
-    ) -> Array:  # fmt: skip
-        """One more Newton step to the event: nothing but rounding, and its whole derivative.
+    ) -> tuple[Array, Array]:  # fmt: skip
+        """One more Newton step to the events: nothing but rounding, and their whole derivative.
 
-        The search itself is not differentiated; this is the implicit function theorem.
+        (the shift of each mass's event, of shape (n,); their mean over those that have one, by
+        which the step is made longer.)  The search itself is not differentiated; this is the
+        implicit function theorem.
         """
         r, drift = value_and_slope(series.r, t)
         w = v - field.chain.belt_speed
@@ -181,7 +184,8 @@ class EventDrivenPlan(AbstractPlan):
         rate = lax.stop_gradient(jnp.where(slides, acceleration, drift))
         usable = hits & (rate != 0)
         shifts = jnp.where(usable, -excess, 0.0) / jnp.where(usable, rate, 1.0)
-        return jnp.sum(shifts) / jnp.maximum(jnp.sum(usable), 1)
+        mean = jnp.sum(shifts) / jnp.maximum(jnp.sum(usable), 1)
+        return jnp.where(usable, shifts, mean), mean
 
     def _stop(self, accumulators: list, result: Result) -> Result:
         votes = [o.settled(a) for o, a in zip(self.observers, accumulators, strict=True)]
@@ -193,6 +197,22 @@ class EventDrivenPlan(AbstractPlan):
         settled = jnp.all(jnp.stack(votes))  # pyright: ignore[reportArgumentType]
         how = Result.where(quiet, Result.quiet, Result.steady)
         return Result.where(settled & (result == Result.successful), how, result)
+
+
+def _head_start(
+    field: DryField, state: State, modes: Modes, new: Modes, hits: Array, since: Array
+) -> Array:
+    """What masses that slide on through w = 0 have gained in speed `since` their own events.
+
+    Of masses whose events fall together each is disturbed in its own way, and the step ends at
+    their mean.  Zero but for rounding, which is left out, and its derivative.  One that comes to
+    stick, or is let go, has no acceleration then.
+    """
+    through = hits & (modes.direction != STICK) & (new.direction != STICK)
+    speed = jnp.zeros_like(state[1])
+    friction = new.direction * field.load() * field.chain.friction.law.coefficient(speed)
+    gain = jnp.where(through, since * (field.free_force(*state) - friction), 0.0)
+    return gain - lax.stop_gradient(gain)
 
 
 class _Record(eqx.Module):
