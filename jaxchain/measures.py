@@ -1,7 +1,7 @@
-"""What amplitudes and peak times say about a state: its energy, who vibrates, the delays."""
+"""What amplitudes and peak times say about a state: energy, who vibrates, how many, delays."""
 
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Bool, Float
+from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from ._types import ScalarLike
 
@@ -9,6 +9,29 @@ from ._types import ScalarLike
 def energy(amplitude: Float[Array, "*batch n"]) -> Float[Array, "*batch"]:
     """E = 1/2 sum_n A_n^2, eq. (9) of the paper."""
     return 0.5 * jnp.sum(amplitude**2, axis=-1)
+
+
+def participation_ratio(amplitude: Float[Array, "*batch n"]) -> Float[Array, "*batch"]:
+    """PR = (sum_n A_n^2)^2 / sum_n A_n^4, over how many masses the energy A_n^2 / 2 is spread.
+
+    From 1, one mass alone, to N, all alike; k equal amplitudes beside zeros give k.
+
+    **Arguments:** amplitudes, or a mode shape (its sign does not count), of shape (..., n).
+
+    **Returns:** shape (...); 0 where every amplitude is zero.
+
+    Source: Bell and Dean, Discuss. Faraday Soc. 50, 55 (1970).
+
+    >>> import jax.numpy as jnp
+    >>> float(participation_ratio(jnp.array([1.5, 0.0, -1.5, 0.0])))
+    2.0
+    """
+    largest = jnp.max(jnp.abs(amplitude), axis=-1, keepdims=True)
+    moves = largest > 0
+    # Relative amplitudes: fourth powers of small ones would underflow.
+    share = jnp.where(moves, amplitude / jnp.where(moves, largest, 1.0), 0.0) ** 2
+    fourth = jnp.sum(share**2, axis=-1)
+    return jnp.sum(share, axis=-1) ** 2 / jnp.where(fourth > 0, fourth, 1.0)
 
 
 # An amplitude that rounding and solver tolerances cannot fake at vanishing belt speed.
@@ -30,21 +53,47 @@ def active(
     return amplitude > (threshold[..., None] if threshold.ndim else threshold)
 
 
+def mean_period(peak_times: Float[Array, " peaks"]) -> Float[Array, ""]:
+    """T = (last peak - first peak) / (peaks - 1) of one mass, NaN with fewer than two peaks.
+
+    **Arguments:** peak times of one mass in any order, NaN where none.
+
+    >>> import jax.numpy as jnp
+    >>> float(mean_period(jnp.array([1.0, 7.5, jnp.nan, 14.0])))
+    6.5
+    """
+    count = jnp.sum(~jnp.isnan(peak_times))
+    length = jnp.nanmax(peak_times) - jnp.nanmin(peak_times)
+    return jnp.where(count > 1, length / jnp.maximum(count - 1, 1), jnp.nan)
+
+
 def delays(
-    peak_times: Float[Array, "peaks n"], reference: int, period: ScalarLike
+    peak_times: Float[Array, "peaks n"],
+    reference: int | Int[Array, ""],
+    period: ScalarLike,
+    centre: ScalarLike = 0.0,
 ) -> Float[Array, "peaks n"]:
     """phi_i = tau_peak,i - tau_peak,reference of each peak to the nearest one of the reference.
 
-    **Arguments:** peak times as `PeakTimes` gives them (NaN where none), index of the reference
-    mass (10 for the paper's 11th), and the period used to bring delays of the first and last
-    peaks into [-period/2, period/2).
+    **Arguments:** peak times as `PeakTimes` gives them (NaN where none, also in between), index of
+    the reference mass (10 for the paper's 11th), and the period used to bring delays into
+    [centre - period/2, centre + period/2): those of the first and last peaks, and with a `centre`
+    of period/4, say, all, so that neither motion in phase (0) nor out of phase (period/2) lies on
+    an edge.
 
     **Returns:** shape (peaks, n), NaN where there is no peak.
+
+    >>> import jax.numpy as jnp
+    >>> peaks = jnp.array([[0.0, 3.5], [6.0, 9.5]])
+    >>> delays(peaks, 0, 6.0)[:, 1].tolist(), delays(peaks, 0, 6.0, 1.5)[:, 1].tolist()
+    ([-2.5, -2.5], [3.5, 3.5])
     """
-    ref = peak_times[:, reference]
-    gap = peak_times[:, :, None] - ref[None, None, :]
-    nearest = jnp.nanargmin(
-        jnp.where(jnp.isnan(gap), jnp.inf, jnp.abs(gap)), axis=-1, keepdims=True
-    )
-    delay = jnp.take_along_axis(gap, nearest, axis=-1)[..., 0]
-    return (delay + period / 2) % period - period / 2
+    ref = jnp.sort(jnp.take(peak_times, jnp.asarray(reference), axis=1))  # NaN last
+    after = jnp.searchsorted(ref, peak_times)
+    later = ref[jnp.minimum(after, ref.shape[0] - 1)]
+    earlier = ref[jnp.maximum(after - 1, 0)]
+    # A peak beyond the last of the reference has NaN behind it, or itself.
+    to_later = jnp.where(jnp.isnan(later), jnp.inf, jnp.abs(later - peak_times))
+    nearer = jnp.where(to_later < jnp.abs(peak_times - earlier), later, earlier)
+    lowest = centre - period / 2
+    return (peak_times - nearer - lowest) % period + lowest
