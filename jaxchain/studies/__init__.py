@@ -20,7 +20,10 @@ from pydantic import Field
 from jaxchain.tables import Table
 
 # Each is imported when it is asked for.
-STUDIES = ("extremes", "crosscheck", "work_precision", "boundaries")
+STUDIES = (
+    "extremes", "crosscheck", "work_precision", "boundaries", "states", "verdicts", "ladder",
+    "fronts", "mistuning",
+)  # fmt: skip
 
 
 class StudyTable(Table):

@@ -1,0 +1,97 @@
+"""What was observed stretch by stretch, joined; and from peak times to delays."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+
+from jaxchain.measures import active, delays, mean_period
+from jaxchain.states import reference_site
+from jaxchain.studies.states.table import PhasePlots
+
+
+def join_peaks(data: xr.Dataset, parts: list[list[np.ndarray]], failed: np.ndarray) -> None:
+    """Adds `peak_time`, from the peaks of each stretch: in order, NaN behind the last."""
+    times = np.sort(np.concatenate([part[0] for part in parts], axis=1), axis=1)
+    kept = max(int(np.isfinite(times).sum(axis=1).max()), 1)
+    times[failed] = np.nan
+    about = {"long_name": "time of a maximum of the displacement", "units": "1 / omega_n"}
+    data["peak_time"] = (("excited", "peak", "oscillator"), times[:, :kept], about)
+
+
+def join_samples(
+    data: xr.Dataset, parts: list[list[np.ndarray]], table: PhasePlots, failed: np.ndarray
+) -> None:
+    """Adds `displacement`, from the samples of each stretch; one on an edge belongs to both."""
+    times, x = (np.concatenate([part[i] for part in parts], axis=1) for i in (0, 1))
+    known = np.isfinite(times) & ~failed[:, None]
+    first = times[known].min() if known.any() else 0.0
+    index = np.round((times - first) / table.interval)
+    count = int(index[known].max()) + 1 if known.any() else 0
+    kept = np.full((x.shape[0], count, x.shape[2]), np.nan, np.float32)
+    for row, here in enumerate(known):
+        kept[row, index[row, here].astype(int)] = x[row, here]
+    about = {"long_name": "displacement x_n", "units": "x0"}
+    data["displacement"] = (("excited", "time", "mass"), kept, about)
+    data["time"] = ("time", first + table.interval * np.arange(count), {"units": "1 / omega_n"})
+    data["mass"] = ("mass", np.array(table.oscillators), {"long_name": "oscillator n"})
+
+
+def add_delays(data: xr.Dataset) -> xr.Dataset:
+    """With `delay`, `period`, `reference` and `delay_spread`, from `peak_time` and `amplitude`.
+
+    phi_i = tau_peak,i - tau_peak,reference of the vibrating masses, in [-T/4, 3T/4) with the mean
+    period T of the reference in the window, so that motion in phase (0) and out of phase (T/2)
+    both lie inside.  The reference is oscillator 11 of 20; where that does not vibrate, the first
+    one after it that does.  `delay_spread` is the greatest range of the delays of one mass within
+    the window, followed continuously: it grows beyond T where a phase slips.
+    """
+    speed = data.attrs["belt_speed"]
+    vibrates = np.asarray(active(jnp.asarray(data["amplitude"].values), speed))
+    n = vibrates.shape[1]
+    around = (reference_site(n) + np.arange(n)) % n
+    reference = around[np.argmax(vibrates[:, around], axis=1)]
+    none = ~vibrates.any(axis=1)
+    times = np.where(vibrates[:, None, :], data["peak_time"].values, np.nan)
+    in_window = np.where(times >= data.attrs["transient"], times, np.nan)
+    own = np.take_along_axis(in_window, reference[:, None, None], axis=2)[:, :, 0]
+    # Quiet states have no peaks, of which NumPy would not be as forgiving.
+    period = np.array(jax.vmap(mean_period)(jnp.asarray(own)))
+
+    def of_state(times: jax.Array, reference: jax.Array, period: jax.Array) -> jax.Array:
+        return delays(times, reference, period, period / 4)
+
+    delay = np.array(
+        jax.jit(jax.vmap(of_state))(
+            jnp.asarray(times), jnp.asarray(reference), jnp.asarray(period)
+        )
+    )
+    windowed = np.where(np.isfinite(in_window), delay, np.nan)
+    spread = np.array([_spread(own, t) for own, t in zip(windowed, period, strict=True)])
+    peak = ("excited", "peak", "oscillator")
+    time = {"units": "1 / omega_n"}
+    return data.assign(
+        peak_time=(peak, times, data["peak_time"].attrs),
+        delay=(peak, delay, time | {"long_name": "delay phi_n of a peak to the reference's"}),
+        period=("excited", period, time | {"long_name": "mean period T of the reference"}),
+        reference=(
+            "excited", np.where(none, 0, reference + 1),
+            {"long_name": "oscillator to which delays refer (0: none vibrates)", "units": "1"},
+        ),
+        delay_spread=(
+            "excited", spread,
+            time | {"long_name": "greatest range of one mass's delays in the window"},
+        ),
+    )  # fmt: skip
+
+
+def _spread(delay: np.ndarray, period: float) -> float:
+    """Greatest range, over masses, of delays (peak, oscillator) without their jumps by T."""
+    ranges = [0.0]
+    for column in delay.T:
+        known = column[np.isfinite(column)]
+        if known.size:
+            ranges.append(float(np.ptp(np.unwrap(known, period=period))))
+    return max(ranges) if np.isfinite(period) else float("nan")

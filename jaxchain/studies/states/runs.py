@@ -1,0 +1,233 @@
+"""The runs of the study `states`: from their starts to the end, a stretch of time at a go.
+
+All states go on together, on every device a share.  What an observer keeps is read after each
+stretch of a few periods and begun anew, so that its store, which every step touches, stays small;
+amplitudes are of the whole window.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import time
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+from jax.sharding import Mesh, NamedSharding
+from jax.sharding import PartitionSpec as P
+from jaxtyping import Array
+from tqdm import tqdm
+
+from jaxchain._checks import check_resolved, require_x64, to_float
+from jaxchain.amplitude import Amplitude
+from jaxchain.chain import Chain
+from jaxchain.choice import choose_solver
+from jaxchain.dataset import describe, to_dataset
+from jaxchain.ensemble import SweepInterrupted
+from jaxchain.filippov import EventDriven
+from jaxchain.lanes import Lane, Task, on_all_lanes, read_lane, start_lane
+from jaxchain.observe import AbstractObserver, PeakTimes
+from jaxchain.result import NAMES, STOPPED_WELL
+from jaxchain.run import build_chain, build_initial, build_solver
+from jaxchain.sampling import Samples
+from jaxchain.simulate import build_plan, simulate
+from jaxchain.studies.states.phases import join_peaks, join_samples
+from jaxchain.studies.states.table import PhasePlots, States, TimeSeries
+
+# Of the fastest mode.  A vibrating mass has one maximum in a period, which is longer than this.
+STRETCH_PERIODS, CAPACITY = 10, 16
+
+
+def run_states(
+    part: States,
+    model: str,
+    *,
+    peaks_from: float | None = None,
+    phase_plots: PhasePlots | None = None,
+    progress: bool = False,
+    description: str = "states",
+) -> xr.Dataset:
+    """Runs all states to the end of the window.
+
+    **Arguments:** `model`, "smoothed" or "nonsmooth"; `peaks_from`, the time from which peaks are
+    kept (None: none are); `phase_plots`, which displacements are kept (None: none).
+
+    **Returns:** over `excited`: what `sweep` returns with an `Amplitude` of the window, and, where
+    asked for, `peak_time` (excited, peak, oscillator) in order, NaN behind the last, and
+    `displacement` (excited, time, mass) in single precision.
+
+    **Raises:** `ValueError` for a width too small for the tolerance; `SweepInterrupted` on Ctrl-C,
+    with the peaks and samples by then.
+    """
+    require_x64()
+    begun = time.perf_counter()
+    chain, counts = build_chain(part), part.grid()["excited"]
+    end = part.time.transient + part.time.window
+    numerics, solver, initial = part.numerics, _solver(part, model, chain), build_initial(part)
+    stretch = STRETCH_PERIODS * _shortest_period(chain)
+    stages = _stages(part, stretch, peaks_from, phase_plots)
+
+    def task(observers: list[AbstractObserver]) -> Task:
+        atol = 0.1 * numerics.rtol if numerics.atol is None else numerics.atol
+        plan = build_plan(solver, observers, numerics.rtol, atol, numerics.max_step, end)
+        return Task(plan, chain, initial, to_float(0.0), to_float(end), jnp.asarray(0))
+
+    mesh, order = _deal(len(counts))
+    mine = np.array([np.flatnonzero(order == i)[0] for i in range(len(counts))])
+    sharding = NamedSharding(mesh, P("lanes"))
+
+    def everywhere(value: float) -> Array:
+        return jax.device_put(np.full(order.size, value), sharding)
+
+    amplitude = stages[0][2][0]
+    own = task([amplitude])
+    values = {"excited": jax.device_put(counts[order], sharding)}
+    lanes = on_all_lanes(start_lane, mesh, own, values)
+    found: dict[type, list] = {PeakTimes: [], Samples: []}
+    interrupted = False
+    with tqdm(
+        total=round(end), desc=description, disable=not progress,
+        bar_format="{desc}: {percentage:3.0f}%|{bar}| [{elapsed}<{remaining}]",
+    ) as bar:  # fmt: skip
+        try:
+            for start, stop, observers in stages:
+                own = task(observers)
+                lanes = on_all_lanes(_watch, mesh, own, lanes, everywhere(start))
+                for until in _ends(start, stop, stretch):
+                    lanes, seen = on_all_lanes(_advance, mesh, own, lanes, everywhere(until))
+                    for observer, value in zip(observers[1:], seen[1:], strict=True):
+                        kept = [np.asarray(a)[mine] for a in jax.tree.leaves(value)]
+                        found[type(observer)].append(kept)
+                    bar.update(round(until) - bar.n)
+        except KeyboardInterrupt:
+            interrupted = True
+    records = on_all_lanes(read_lane, mesh, own, lanes)
+    # The amplitude is the first observer of every stage.
+    records["observed"] = records["observed"][:1]
+    records = jax.tree.map(lambda a: np.array(a)[mine], records)
+    failed = ~np.isin(records["result"], [NAMES.index(name) for name in STOPPED_WELL])
+    if interrupted:
+        records["result"][~failed] = NAMES.index("interrupted")
+    records["observed"][0][failed | interrupted] = np.nan
+    attrs = describe(chain, own.plan, t0=0.0, t1=end, swept=["excited"])
+    attrs |= {
+        "wall_time_s": round(time.perf_counter() - begun, 3),
+        "devices": ", ".join(str(device) for device in mesh.devices),
+        "belt_speed": float(chain.belt_speed),
+        "transient": part.time.transient,
+        "window": part.time.window,
+    }
+    data = to_dataset(records, {"excited": counts}, chain, [amplitude], attrs)
+    if found[PeakTimes]:
+        join_peaks(data, found[PeakTimes], failed)
+    if found[Samples] and phase_plots is not None:
+        join_samples(data, found[Samples], phase_plots, failed)
+    if interrupted:
+        raise SweepInterrupted(data)
+    return data
+
+
+def time_series(part: States, model: str, table: TimeSeries) -> xr.Dataset:
+    """One state, every mass: `displacement`, `velocity` and `sticking` (time, oscillator)."""
+    chain, count = build_chain(part), int(part.grid()["excited"][0])
+    capacity = math.floor((table.stop - table.start) / table.interval + 1e-6) + 1
+    run = simulate(
+        chain,
+        build_initial(part)(chain, excited=count),
+        table.stop,
+        observe=Samples(table.interval, capacity, start=table.start),
+        solver=_solver(part, model, chain),
+        rtol=part.numerics.rtol,
+        atol=part.numerics.atol,
+        max_step=part.numerics.max_step,
+    )
+    times, x, v = (np.asarray(a) for a in run.observed)
+    # True dry friction holds a mass at the belt's speed to rounding; otherwise as `StickTime`.
+    slowest = 1e-9 if model == "nonsmooth" else np.asarray(chain.stick_speed())
+    holds = np.asarray(jax.vmap(chain.unheld_force)(*run.observed[1:])) <= 1e-9
+    sticking = (np.abs(v - float(chain.belt_speed)) <= slowest) & holds
+    dims = ("time", "oscillator")
+    return xr.Dataset(
+        {
+            "displacement": (dims, x, {"long_name": "displacement x_n", "units": "x0"}),
+            "velocity": (dims, v, {"long_name": "velocity v_n", "units": "x0 omega_n"}),
+            "sticking": (dims, sticking, {"long_name": "whether a mass sticks to the belt"}),
+        },
+        coords={"time": times, "oscillator": np.arange(1, chain.n + 1)},
+        attrs={"excited": count, "belt_speed": float(chain.belt_speed)},
+    )
+
+
+def _solver(part: States, model: str, chain: Chain) -> Any:
+    numerics = part.numerics
+    if model == "nonsmooth":
+        return EventDriven()
+    check_resolved(chain.n, chain.friction.width, chain.belt_speed, numerics.rtol, numerics.atol)
+    named = build_solver(numerics.solver, chain, numerics.rtol, numerics.max_step)
+    return choose_solver(chain, numerics.rtol, numerics.max_step) if named is None else named
+
+
+def _shortest_period(chain: Chain) -> float:
+    """2 pi / omega of the fastest mode that the chain may have (Gershgorin)."""
+    coupling = 0.0 if chain.coupling is None else float(np.max(np.asarray(chain.coupling)))
+    stiffest = float(np.max(np.asarray(chain.stiffness))) + 4.0 * coupling
+    return 2.0 * math.pi / math.sqrt(stiffest)
+
+
+def _deal(count: int) -> tuple[Mesh, np.ndarray]:
+    """Devices, and which state each lane runs: neighbours, of equal cost, on different devices."""
+    devices = jax.local_devices()[:count]
+    each = -(-count // len(devices))
+    order = np.arange(each * len(devices)) % count
+    return Mesh(np.array(devices), ("lanes",)), order.reshape(each, len(devices)).T.ravel()
+
+
+def _stages(
+    part: States, stretch: float, peaks_from: float | None, phase_plots: PhasePlots | None
+) -> list[tuple[float, float, list[AbstractObserver]]]:
+    """From when to when what is observed: nothing before somebody asks for it."""
+    end = part.time.transient + part.time.window
+    samples_from = None
+    edges = {0.0, end}
+    if peaks_from is not None:
+        edges.add(peaks_from)
+    if phase_plots is not None:
+        samples_from = end - (phase_plots.duration or part.time.window)
+        edges.add(samples_from)
+    stages = []
+    for start, stop in itertools.pairwise(sorted(edges)):
+        observers: list[AbstractObserver] = [Amplitude(window=part.time.window)]
+        if peaks_from is not None and start >= peaks_from:
+            observers.append(PeakTimes(CAPACITY))
+        if phase_plots is not None and samples_from is not None and start >= samples_from:
+            room = math.ceil(stretch / phase_plots.interval) + 2
+            masses = tuple(number - 1 for number in phase_plots.oscillators)
+            observers.append(Samples(phase_plots.interval, room, masses, samples_from))
+        stages.append((start, stop, observers))
+    return stages
+
+
+def _ends(start: float, stop: float, length: float) -> list[float]:
+    """The ends of stretches of at most this length that fill a stage."""
+    count = math.ceil((stop - start) / length - 1e-9)
+    return (start + (stop - start) * np.arange(1, count + 1) / count).tolist()
+
+
+def _watch(task: Task, lane: Lane, now: Array) -> Lane:
+    """The lane with fresh stores for all that is observed but amplitudes."""
+    chain, progress = task.own_chain(lane.values), lane.progress
+    fresh = [o.init(chain, now, task.t1, progress.state) for o in task.plan.observers[1:]]
+    accumulators = [progress.accumulators[0], *fresh]
+    return Lane(lane.values, eqx.tree_at(lambda p: p.accumulators, progress, accumulators))
+
+
+def _advance(task: Task, lane: Lane, until: Array) -> tuple[Lane, list]:
+    """The lane at the end of a stretch, and what was observed in it."""
+    chain = task.own_chain(lane.values)
+    progress, _ = task.plan.advance(chain, lane.progress, until, max_steps=None)
+    seen = task.plan.read(progress)
+    return _watch(task, Lane(lane.values, progress), until), seen
