@@ -29,8 +29,11 @@ RESULT_NAMES = (
 )
 
 
-def check_axes(chain: Chain, initial: Any, over: Mapping[str, Any]) -> dict[str, np.ndarray]:
-    own = initial_names(initial) if callable(initial) else []
+def check_axes(
+    chain: Chain, initial: Any, over: Mapping[str, Any], vary: Callable[..., Chain] | None = None
+) -> dict[str, np.ndarray]:
+    functions = {title: f for title, f in (("initial", initial), ("vary", vary)) if callable(f)}
+    own = [name for f in functions.values() for name in initial_names(f)]
     allowed = [*chain_names(chain), *own]
     if not over:
         raise ValueError(
@@ -41,12 +44,12 @@ def check_axes(chain: Chain, initial: Any, over: Mapping[str, Any]) -> dict[str,
         if name not in allowed:
             raise ValueError(
                 f"Argument `over` names {name!r}, which is neither a number of the chain nor a "
-                f"parameter of `initial`; allowed are {sorted(set(allowed))}."
+                f"parameter of `initial` or `vary`; allowed are {sorted(set(allowed))}."
             )
         if name in RESULT_NAMES:
             raise ValueError(
                 f"Argument `over` names {name!r}, which is also the name of a result: give that "
-                "parameter of `initial` another name."
+                "parameter another name."
             )
         values = np.asarray(given)
         if values.ndim != 1 or values.size == 0:
@@ -60,9 +63,10 @@ def check_axes(chain: Chain, initial: Any, over: Mapping[str, Any]) -> dict[str,
                 chain.with_(**{name: extreme})  # raises for impossible numbers
             values = values.astype(float)
         axes[name] = values
-    missing = [name for name in own if name not in axes and not _has_default(initial, name)]
-    if missing:
-        raise ValueError(f"`initial` needs {missing}: give their values in `over`.")
+    for title, f in functions.items():
+        missing = [k for k in initial_names(f) if k not in axes and not _has_default(f, k)]
+        if missing:
+            raise ValueError(f"`{title}` needs {missing}: give their values in `over`.")
     total = int(np.prod([float(v.size) for v in axes.values()]))
     if total > MOST_LANES:
         raise ValueError(
@@ -70,6 +74,22 @@ def check_axes(chain: Chain, initial: Any, over: Mapping[str, Any]) -> dict[str,
             "Sweep over fewer values, or split the sweep."
         )
     return axes
+
+
+def check_vary(
+    chain: Chain, vary: Callable[..., Chain] | None, axes: Mapping[str, np.ndarray]
+) -> None:
+    """Raises what `vary` raises at the extremes of its parameters, and if it makes no chain."""
+    if vary is None:
+        return
+    own = {name: values for name, values in axes.items() if name in initial_names(vary)}
+    for extreme in (np.min, np.max):
+        varied: Any = vary(chain, **{name: extreme(values) for name, values in own.items()})
+        if not isinstance(varied, Chain) or varied.n != chain.n:
+            raise ValueError(
+                f"Argument `vary` must return a `Chain` of {chain.n} masses, but returns "
+                f"{varied!r}."
+            )
 
 
 def _has_default(function: Callable, name: str) -> bool:

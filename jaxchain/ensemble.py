@@ -31,7 +31,7 @@ from ._checks import (
     to_float,
 )
 from ._types import ScalarLike, State
-from .axes import check_axes, check_observers
+from .axes import check_axes, check_observers, check_vary
 from .chain import Chain
 from .choice import MAX_STEP, USUAL_RTOL, choose_numerics, choose_solver, default_rtol
 from .filippov import EventDriven
@@ -39,6 +39,7 @@ from .lanes import (
     Task,
     chain_names,
     initial_names,
+    own_chain,
 )
 from .pool import Pool
 from .result import NAMES, STOPPED_WELL, message
@@ -65,6 +66,7 @@ def sweep(
     t1: ScalarLike,
     *,
     over: Mapping[str, Any],
+    vary: Callable[..., Chain] | None = None,
     observe: Any = None,
     t0: ScalarLike = 0.0,
     solver: dfx.AbstractSolver | EventDriven | None = None,
@@ -87,7 +89,10 @@ def sweep(
     - `t1`, `t0`: dimensionless times.
     - `over`: ordered mapping from a name to a one-dimensional array: any number of the chain or of
       its friction law (`belt_speed`, `damping_ratio`, `coupling`, `width`, `mu_static`, ...), or a
-      parameter of `initial` (`excited`, a seed, ...).
+      parameter of `initial` or `vary` (`excited`, a seed, ...).
+    - `vary`: a function (chain, **own) -> chain that JAX can trace, for what no single number of
+      the chain says, such as one random stiffness per mass (`jaxchain.mistuned_chain`); its
+      parameters beyond the chain are taken from `over`, too, and `initial` sees the new chain.
     - `observe`: one observer or several of different kinds (default: `Amplitude` over the last
       tenth of the run).  A `Trajectory` does not fit into lanes; use `jax.vmap(simulate)`.
     - `accuracy`: as for `simulate`; every lane has a width of its own, `width` of the dataset, and
@@ -122,8 +127,9 @@ def sweep(
     require_x64()
     require_64_bits("chain", chain)
     check_span(t0, t1)
-    axes = check_axes(chain, initial, over)
+    axes = check_axes(chain, initial, over, vary)
     _check_initial(chain, initial, axes)
+    check_vary(chain, vary, axes)
     _check_together(chain, axes)
     grid = np.meshgrid(*axes.values(), indexing="ij")
     jobs = {name: g.ravel() for name, g in zip(axes, grid, strict=True)}
@@ -135,7 +141,7 @@ def sweep(
                 "Argument `accuracy` picks the width and `rtol`: leave out `rtol`, and `width` of "
                 "`over`."
             )
-        widths, rtol = _numerics(chain, jobs, accuracy)
+        widths, rtol = _numerics(chain, vary, jobs, accuracy)
     width = axes.get("width", chain.friction.width)
     speed = axes.get("belt_speed", chain.belt_speed)
     tolerance: Any = rtol
@@ -156,7 +162,7 @@ def sweep(
         solver = choose_solver(_strongest(chain, axes), float(tolerance), float(max_step))
     plan = build_plan(solver, observers, tolerance, absolute, max_step, t1)
     most = np.iinfo(np.int64).max if max_steps is None else max_steps
-    task = Task(plan, chain, initial, to_float(t0), to_float(t1), jnp.asarray(most))
+    task = Task(plan, chain, initial, to_float(t0), to_float(t1), jnp.asarray(most), vary)
     runner = Pool(task, jobs, devices, lanes)
     lane_count, started = runner.lanes, time.perf_counter()
     interrupted = False
@@ -184,13 +190,17 @@ def sweep(
 
 
 def _numerics(
-    chain: Chain, jobs: Mapping[str, np.ndarray], accuracy: float
+    chain: Chain,
+    vary: Callable[..., Chain] | None,
+    jobs: Mapping[str, np.ndarray],
+    accuracy: float,
 ) -> tuple[np.ndarray, float]:
     """The width of every job, and one rtol for all."""
-    own = {name: jnp.asarray(v) for name, v in jobs.items() if name in chain_names(chain)}
+    names = [*chain_names(chain), *([] if vary is None else initial_names(vary))]
+    own = {name: jnp.asarray(v) for name, v in jobs.items() if name in names}
 
     def of_one(values: dict[str, Any]) -> tuple[Any, Any]:
-        chosen = choose_numerics(chain.with_(**values), accuracy)
+        chosen = choose_numerics(own_chain(chain, vary, values), accuracy)
         return chosen.width, chosen.rtol
 
     count = next(iter(jobs.values())).size

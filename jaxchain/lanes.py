@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import equinox as eqx
@@ -32,7 +32,18 @@ def chain_names(chain: Chain) -> list[str]:
 
 
 def initial_names(initial: Callable) -> list[str]:
+    """What `initial`, or `vary`, takes beyond the chain."""
     return list(inspect.signature(initial).parameters)[1:]
+
+
+def own_chain(chain: Chain, vary: Callable[..., Chain] | None, values: Mapping[str, Any]) -> Chain:
+    """The chain with the numbers of one job: those that it has, then what `vary` makes of them."""
+    own = {k: v for k, v in values.items() if k in chain_names(chain)}
+    chain = chain.with_(**own) if own else chain
+    if vary is None:
+        return chain
+    names = initial_names(vary)
+    return vary(chain, **{k: v for k, v in values.items() if k in names})
 
 
 class Task(eqx.Module):
@@ -44,10 +55,10 @@ class Task(eqx.Module):
     t0: Array
     t1: Array
     max_steps: Array
+    vary: Callable[..., Chain] | None = None
 
     def own_chain(self, values: dict[str, Array]) -> Chain:
-        own = {k: v for k, v in values.items() if k in chain_names(self.chain)}
-        return self.chain.with_(**own) if own else self.chain
+        return own_chain(self.chain, self.vary, values)
 
     def own_initial(self, values: dict[str, Array]) -> State:
         initial = self.initial

@@ -1,0 +1,141 @@
+"""What the study `mistuning` found, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from jaxchain.result import NAMES, STOPPED_WELL
+
+# A change of the participation ratio by less than this share of it is called none.
+_SLIGHT = 0.1
+
+
+def summary(datasets: Mapping[str, xr.Dataset]) -> str:
+    """For each start, coupling and speed: what disorder does to the participation ratio."""
+    lines = []
+    for key, data in datasets.items():
+        if key == "locking":
+            lines += _of_locking(data)
+            continue
+        lines.append(f"{key}: {data.sizes['seed']} chains in every point{_failures(data)}")
+        for coupling in data["coupling"].values:
+            for speed in data["belt_speed"].values:
+                lines += _of_row(data.sel(coupling=coupling, belt_speed=speed))
+    return "\n".join(lines)
+
+
+def _of_row(row: xr.Dataset) -> list[str]:
+    """One coupling and belt speed, over the disorder."""
+    disorder = row["disorder"].values
+    mean, ends = row["participation_mean"].values, row["participation_interval"].values
+    modes = row["mode_participation"].mean("seed").values
+    head = f"  coupling {float(row['coupling']):g}, belt speed {float(row['belt_speed']):g}: "
+    lines = [head + verdict(row)]
+    lines.append(
+        "    disorder     PR (95 %)            vibrating     E   PR of modes  drift of PR"
+    )
+    columns = (row["count_mean"].values, row["energy_mean"].values, modes, row["drift"].values)
+    for d, m, (low, high), *others in zip(disorder, mean, ends, *columns, strict=True):
+        count, energy, linear, drift = others
+        lines.append(
+            f"    {100 * d:6g} %  {m:5.2f} ({low:5.2f} ... {high:5.2f})  {count:9.2f}  "
+            f"{energy:7.3f}  {linear:6.2f}       {drift:+.2f}"
+        )
+    for fate in row["fate"].values:
+        own = row["stiffness_correlation"].sel(fate=fate).values
+        linear = row["return_correlation"].sel(fate=fate).values
+        if np.isfinite(own).any():
+            lines.append(
+                f"    whether a mass {fate} goes with its stiffness by {_range(own)}, with its "
+                f"return probability by {_range(linear)}"
+            )
+    if "capture" in row and np.nansum(row["drawn_in"].values) > 0:
+        low, high = half_width(row["detuning"].values, row["drawn_in"].values)
+        theory = row["capture"].values
+        lines.append(
+            f"    a neighbour is drawn in at detunings {low:+.3f} ... {high:+.3f} (theory "
+            f"{theory[0]:+.3f} ... {theory[1]:+.3f})"
+        )
+    return lines
+
+
+def verdict(row: xr.Dataset) -> str:
+    """What decides the participation ratio at one coupling and belt speed."""
+    disorder, mean = row["disorder"].values, row["participation_mean"].values
+    ends = row["participation_interval"].values
+    modes = row["mode_participation"].mean("seed").values
+    first = int(np.argmin(disorder))
+    most, least = int(np.argmax(mean)), int(np.argmin(mean))
+    apart = ends[most, 0] > ends[least, 1]
+    if not apart or mean[most] - mean[least] <= _SLIGHT * max(mean[most], 1.0):
+        return (
+            f"friction decides, disorder changes nothing ({mean[least]:.2f} ... "
+            f"{mean[most]:.2f}, modes {modes.max():.1f} ... {modes.min():.1f})"
+        )
+    text = (
+        f"disorder takes part, from {mean[first]:.2f} without to {mean[-1]:.2f} at "
+        f"{100 * disorder[-1]:g} %"
+    )
+    if most not in (first, disorder.size - 1):
+        text += f" with a maximum of {mean[most]:.2f} at {100 * disorder[most]:g} %"
+    elif least not in (first, disorder.size - 1):
+        text += f" with a minimum of {mean[least]:.2f} at {100 * disorder[least]:g} %"
+    halves = [halving(disorder, values) for values in (mean, modes)]
+    if np.isfinite(halves[0]):
+        text += f"; half the way down at {100 * halves[0]:.2g} %, modes at {100 * halves[1]:.2g} %"
+    return text
+
+
+def halving(disorder: np.ndarray, values: np.ndarray) -> float:
+    """The disorder at which falling `values` first pass the middle of their ends; NaN if none."""
+    middle = 0.5 * (values[0] + values[-1])
+    below = np.flatnonzero(values <= middle)
+    if values[0] <= values[-1] or below[0] == 0:
+        return float("nan")
+    j = below[0]
+    share = (values[j - 1] - middle) / (values[j - 1] - values[j])
+    return float(disorder[j - 1] + share * (disorder[j] - disorder[j - 1]))
+
+
+def half_width(detuning: np.ndarray, share: np.ndarray) -> tuple[float, float]:
+    """The outermost detunings at which `share` passes 1/2; infinite at the end of the bins."""
+    known = np.isfinite(share)
+    x, y = detuning[known], share[known]
+    inside = np.flatnonzero(y >= 0.5)
+    if inside.size == 0:
+        return float("nan"), float("nan")
+    first, last = inside[0], inside[-1]
+
+    def between(i: Any, j: Any) -> float:
+        return float(x[i] + (0.5 - y[i]) / (y[j] - y[i]) * (x[j] - x[i]))
+
+    low = -np.inf if first == 0 else between(first - 1, first)
+    high = np.inf if last == x.size - 1 else between(last, last + 1)
+    return low, high
+
+
+def _of_locking(data: xr.Dataset) -> list[str]:
+    lines = [f"locking: {data.sizes['seed']} chains at every disorder, all masses start"]
+    for d in data["disorder"].values:
+        own = data.sel(disorder=d)
+        lines.append(
+            f"  {100 * d:g} %: frequencies spread by {float(own['frequency_spread'].mean()):.5f} "
+            f"(linear masses alone {0.5 * d:.5f}), "
+            f"{100 * float(own['locked_share'].mean()):.0f} % of the neighbours agree"
+        )
+    return lines
+
+
+def _range(values: Any) -> str:
+    low, high = np.nanmin(values), np.nanmax(values)
+    return f"{low:+.2f} ... {high:+.2f}"
+
+
+def _failures(data: xr.Dataset) -> str:
+    well = [NAMES.index(name) for name in STOPPED_WELL]
+    bad = int((~np.isin(data["result"].values, well)).sum())
+    return f", {bad} of {data['result'].size} FAILED" if bad else ""

@@ -1,0 +1,97 @@
+"""What may stand in the file of the study `mistuning`."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, TypeAlias
+
+from pydantic import Field, model_validator
+
+from jaxchain.studies import StudyTable
+from jaxchain.tables import NonNegative, Positive, Table
+
+Disorder: TypeAlias = Annotated[float, Field(ge=0, le=0.24)]
+Start: TypeAlias = Literal["disturbed", "all", "half", "one"]
+
+
+class Base(Table):
+    """The ring of which the stiffnesses vary."""
+
+    masses: Annotated[int, Field(ge=3)]
+    damping_ratio: Positive
+    mu_static: Positive
+    mu_dynamic: NonNegative
+    v_ref: Positive
+
+    @model_validator(mode="after")
+    def _check(self) -> Base:
+        if self.mu_dynamic > self.mu_static:
+            raise ValueError("must have a `mu_static` of at least `mu_dynamic`")
+        return self
+
+
+class Ensemble(Table):
+    """Many chains at every coupling, belt speed and disorder, all from the same kind of start."""
+
+    start: Start
+    """Steady sliding, with all masses a little "disturbed" at random; or with masses pulled away
+    as in eq. (8) of the paper: "all", a random "half" of them, or "one"."""
+    belt_speed: Annotated[list[Positive], Field(min_length=1)]
+    coupling: Annotated[list[Positive], Field(min_length=1)]
+    disorder: Annotated[list[Disorder], Field(min_length=1)]
+    """Standard deviation of the stiffness relative to its mean."""
+    chains: Annotated[int, Field(ge=2, le=100_000)]
+    """In every point; the same ones (scaled to its disorder) in each."""
+    transient: NonNegative
+    """What is waited for before amplitudes are measured."""
+    window: Positive
+    """How long they are measured."""
+    disturbance: Positive = 0.01
+    """Standard deviation of the displacements, for "disturbed"."""
+
+    @model_validator(mode="after")
+    def _check(self) -> Ensemble:
+        for name in ("belt_speed", "coupling", "disorder"):
+            values = getattr(self, name)
+            if sorted(set(values)) != values:
+                raise ValueError(f"must have a `{name}` that increases")
+        return self
+
+
+class Longer(Table):
+    """The first chains of each ensemble once more, for longer: has anything still moved?"""
+
+    chains: Annotated[int, Field(ge=2)]
+    factor: Annotated[float, Field(gt=1)]
+    """By how much the transient is longer."""
+
+
+class Locking(Table):
+    """Frequencies of the masses, all of which start to vibrate: do they agree?"""
+
+    belt_speed: Positive
+    coupling: Positive
+    disorder: Annotated[list[Disorder], Field(min_length=1)]
+    chains: Annotated[int, Field(ge=2)]
+    transient: NonNegative
+    window: Annotated[float, Field(ge=50)]
+    """Over which frequencies are counted."""
+
+
+class Study(StudyTable):
+    """Random stiffnesses and friction: which of them localizes the vibration?"""
+
+    study: Literal["mistuning"]
+    base: Base
+    distribution: Literal["uniform", "normal"] = "uniform"
+    """Of the stiffness."""
+    ensemble: Annotated[dict[str, Ensemble], Field(min_length=1)]
+    longer: Longer
+    locking: Locking
+    rtol: Annotated[float, Field(gt=0, lt=1)] = 1e-6
+
+    @model_validator(mode="after")
+    def _check_study(self) -> Study:
+        for name in self.ensemble:
+            if name == "locking":
+                raise ValueError("must not have an `ensemble` called `locking`")
+        return self
