@@ -1,0 +1,105 @@
+"""What may stand in the file of the study `fronts`."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, TypeAlias
+
+from pydantic import Field, model_validator
+
+from jaxchain.studies import StudyTable
+from jaxchain.tables import NonNegative, Positive, Table, Values
+
+Several: TypeAlias = Annotated[list[Positive], Field(min_length=1, max_length=40)]
+
+
+class Base(Table):
+    """A ring of equal masses; each number stands where it does not vary."""
+
+    damping_ratio: Positive
+    mu_static: Positive
+    mu_dynamic: NonNegative
+    v_ref: Positive
+    coupling: Positive
+
+    @model_validator(mode="after")
+    def _check(self) -> Base:
+        if self.mu_dynamic >= self.mu_static:
+            raise ValueError("must have a `mu_static` above `mu_dynamic`")
+        return self
+
+
+class Ring(Table):
+    """How many masses, how many of them vibrate at the start, and for how long they run."""
+
+    masses: Annotated[int, Field(ge=20, le=1000)]
+    block: Annotated[int, Field(ge=8)]
+    time: Annotated[float, Field(ge=100)]
+
+    @model_validator(mode="after")
+    def _check(self) -> Ring:
+        if self.block > self.masses - 8:
+            raise ValueError("must leave 8 quiet masses: lower `block`")
+        return self
+
+
+class Speed(Ring):
+    """Speed of fronts over the belt speed."""
+
+    belt_speed: Values
+    seeds: Annotated[int, Field(ge=1, le=100)] = 2
+    """Runs with different noise, of each pattern."""
+
+
+class Coupling(Ring):
+    """Speed of fronts over the coupling; a run lasts `per_coupling` / coupling at most."""
+
+    belt_speed: Several
+    coupling: Annotated[list[Positive], Field(min_length=3, max_length=40)]
+    per_coupling: Positive = 20.0
+
+
+class Pinning(Ring):
+    """The two belt speeds between which fronts stand, over the coupling."""
+
+    coupling: Several
+    lowest: Positive
+    """A belt speed at which blocks grow."""
+    stands: Positive
+    """One at which they stand."""
+    highest: Positive
+    """One at which they shrink."""
+    halvings: Annotated[int, Field(ge=1, le=20)] = 6
+
+    @model_validator(mode="after")
+    def _check_order(self) -> Pinning:
+        if not self.lowest < self.stands < self.highest:
+            raise ValueError("must have `lowest` < `stands` < `highest`")
+        return self
+
+
+class Convergence(Ring):
+    """The same speeds on other rings (block and room in proportion) and with other widths."""
+
+    belt_speed: Several
+    other_masses: Annotated[list[Annotated[int, Field(ge=20, le=1000)]], Field(min_length=1)]
+    width: Several
+
+
+class Pictures(Ring):
+    """Amplitude over mass and time."""
+
+    belt_speed: Annotated[list[Positive], Field(min_length=1, max_length=3)]
+    windows: Annotated[int, Field(ge=10, le=2000)] = 200
+
+
+class Study(StudyTable):
+    """Fronts between vibrating and quiet masses, with true dry friction."""
+
+    study: Literal["fronts"]
+    base: Base
+    pictures: Pictures
+    speed: Speed
+    coupling: Coupling
+    pinning: Pinning
+    convergence: Convergence
+    rtol: Annotated[float, Field(gt=0, lt=1e-3)] = 1e-6
