@@ -1,0 +1,92 @@
+"""What is known of the runs of an ensemble, and the verdict on it, as plain data."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+KINDS = ("rest", "cycle", "unstable", "chaos", "torus", "open")
+VERDICTS = ("at rest", "periodic", "quasi-periodic", "chaotic", "transient")
+# The verdict that each kind stands for.
+MEANINGS = {"rest": "at rest", "cycle": "periodic", "torus": "quasi-periodic", "chaos": "chaotic"}
+
+
+@dataclass
+class Evidence:
+    """What is known of one run of an ensemble; NaN, or empty, is not known.
+
+    - `noise`: standard deviation of what was added to the start; `seed`.
+    - `kind`: one of `KINDS`, or the name of a failure; `time`: how long the run was; `locked_at`:
+      by when it was found on, or bound for, its orbit.
+    - `active`: who vibrates; `energy`, `energy_deviation`: mean and deviation over the windows of
+      the last record; `drift`: relative difference of the means of its halves; `novelty`: see
+      `recurrence.novelty`.
+    - `period`, `returns`: of the orbit and of its maxima; `spread`: see `Recurrence`.
+    - `exponents`, `low`, `high`: the leading ones with 95 % intervals, descending; of a closed
+      orbit those of its multipliers, the first being the zero of the flow.
+    - `smooth`: the same exponents by smoothly weighted averages, see `LyapunovSpectrum`.
+    - `slips`: most cycles that a vibrating mass gained on another in the second half of the last
+      record; `delays`: of each vibrating mass at the end, in periods.
+    - `symmetry_time`, `symmetry`: see `symmetry_defect`.
+    - `state`: (x, v) at the end.
+    """
+
+    noise: float
+    seed: int
+    kind: str = "open"
+    time: float = 0.0
+    locked_at: float = math.nan
+    active: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
+    energy: float = math.nan
+    energy_deviation: float = math.nan
+    drift: float = math.nan
+    novelty: float = math.nan
+    period: float = math.nan
+    returns: int = 0
+    spread: float = math.nan
+    exponents: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    low: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    high: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    smooth: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    exponent_time: float = 0.0
+    slips: float = math.nan
+    delays: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    symmetry_time: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    symmetry: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    state: tuple[np.ndarray, np.ndarray] | None = None
+
+    @property
+    def relaxation_time(self) -> float:
+        """1 / |slowest exponent| of an attracting orbit: in so long the distance falls by e."""
+        known = self.kind == "cycle" and len(self.exponents) > 1
+        return -1.0 / float(self.exponents[1]) if known else math.nan
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What an ensemble of runs from one start says.
+
+    - `verdict`: one of `VERDICTS`; `reason`, a sentence with the numbers; `remedy`: what would
+      decide a transient, else empty.
+    - `undisturbed`: the verdict on the start itself; `depends_on_noise`: whether that differs.
+    - `runs`: all the evidence; `longest`: the longest time that was simulated.
+    """
+
+    verdict: str
+    reason: str
+    remedy: str
+    undisturbed: str
+    depends_on_noise: bool
+    longest: float
+    runs: tuple[Evidence, ...]
+
+    @property
+    def lead(self) -> Evidence:
+        """The run of most exponents among those that the verdict is about."""
+        own = [run for run in self.runs if MEANINGS.get(run.kind) == self.verdict]
+        worst = max(run.noise for run in self.runs)
+        noisiest = [run for run in self.runs if run.noise == worst]
+        chosen = [r for r in own if r.noise == worst] or own or noisiest
+        return max(chosen, key=lambda run: len(run.exponents))

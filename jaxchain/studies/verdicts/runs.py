@@ -1,0 +1,134 @@
+"""The numbers of the study `verdicts`: runs, and a dataset for each case."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+from jaxtyping import Array
+
+from jaxchain._types import State
+from jaxchain.chain import Chain, paper_chain
+from jaxchain.evidence import KINDS, VERDICTS, Evidence, Verdict
+from jaxchain.filippov import EventDriven
+from jaxchain.result import NAMES
+from jaxchain.states import equation_8, equation_10
+from jaxchain.studies.verdicts.paper import claim
+from jaxchain.studies.verdicts.reasons import why
+from jaxchain.studies.verdicts.table import Case, Study
+from jaxchain.trial import Ensemble, Numerics, Trial, exponents_of
+from jaxchain.verdict import verdicts
+
+ALL_KINDS = (*KINDS, *NAMES)
+
+
+def run_case(study: Study, name: str, progress: bool) -> xr.Dataset:
+    """The verdicts of one case, with everything they rest on."""
+    case = study.case[name]
+    chain = paper_chain(study.n, case.belt_speed, study.smoothed.width)
+    found = verdicts(
+        chain, initial_states(chain, case), noise=study.noise.levels, seeds=study.noise.seeds,
+        first=study.times.first, longest=study.times.longest,
+        exponent_time=study.times.exponents, exponent_runs=study.exponent_runs,
+        count=study.exponents, window=study.window, solver=EventDriven(), rtol=study.rtol,
+        lanes=study.lanes, progress=progress, description=name,
+    )  # fmt: skip
+    data = to_dataset(case, found, study.exponents)
+    if study.smoothed.time > 0:
+        _add_smoothed(study, chain, found, data)
+    return data
+
+
+def initial_states(chain: Chain, case: Case) -> tuple[Array, Array]:
+    """(x, v), both of shape (states, n)."""
+
+    def one(excited: Array) -> State:
+        if case.equation == "equation_8":
+            return equation_8(chain, excited)
+        return equation_10(chain, excited, reading=case.reading)
+
+    return jax.vmap(one)(jnp.asarray(case.excited))
+
+
+def _add_smoothed(study: Study, chain: Chain, found: list[Verdict], data: xr.Dataset) -> None:
+    """Exponents of smoothed friction from where one run of each vibrating state ended."""
+    own = study.smoothed
+    rows, trials = [], []
+    for row, verdict in enumerate(found):
+        lead = verdict.lead
+        if lead.kind == "rest" or lead.kind in NAMES or lead.state is None:
+            continue
+        rows.append(row)
+        trials.append(Trial(row, *lead.state, Evidence(0.0, 0)))
+    numbers = np.full((3, len(found), study.exponents), np.nan)
+    if trials:
+        numerics = Numerics(None, own.rtol, study.window)
+        share = -(-len(trials) // len(jax.local_devices()))
+        ensemble = Ensemble(chain, numerics, min(study.lanes, share))
+        exponents_of(chain, numerics, ensemble, trials, own.time, study.exponents)
+        for row, trial in zip(rows, trials, strict=True):
+            for k, key in enumerate(("exponents", "low", "high")):
+                numbers[k, row] = getattr(trial.evidence, key)
+    for k, key in enumerate(("", "_low", "_high")):
+        data[f"smoothed_exponent{key}"] = (("excited", "order"), numbers[k])
+    data.attrs |= {"smoothed_width": own.width, "smoothed_time": own.time}
+
+
+def to_dataset(case: Case, found: list[Verdict], count: int) -> xr.Dataset:
+    """Dimensions: `excited` (the states), `run`, `order` of exponents, `oscillator`, `window`."""
+    runs = [v.runs for v in found]
+    each: dict[str, Any] = {
+        "time": "length of the run", "locked_at": "when it was bound for its orbit",
+        "energy": "E, mean over windows", "energy_deviation": "deviation of E over windows",
+        "period": "period, or mean time between maxima", "spread": "of section points",
+        "slips": "cycles gained on each other by vibrating masses", "returns": "maxima per period",
+        "exponent_time": "time over which exponents are averaged",
+    }  # fmt: skip
+    data = xr.Dataset(coords={"excited": case.excited})
+    both = ("excited", "run")
+    for key, text in each.items():
+        values = [[float(getattr(run, key)) for run in row] for row in runs]
+        data[key] = (both, np.array(values), {"long_name": text})
+    data["noise"] = ("run", [run.noise for run in runs[0]])
+    data["kind"] = (
+        both, np.array([[ALL_KINDS.index(run.kind) for run in row] for row in runs]),
+        {"flag_values": list(range(len(ALL_KINDS))), "flag_meanings": " ".join(ALL_KINDS)},
+    )  # fmt: skip
+    for key, name in (
+        ("exponents", "exponent"),
+        ("low", "exponent_low"),
+        ("high", "exponent_high"),
+    ):
+        values = [[_padded(getattr(run, key), count) for run in row] for row in runs]
+        data[name] = ((*both, "order"), np.array(values))
+    length = max(len(run.symmetry) for row in runs for run in row) or 1
+    for key in ("symmetry_time", "symmetry"):
+        values = [[_padded(getattr(run, key), length) for run in row] for row in runs]
+        data[key] = ((*both, "window"), np.array(values))
+    data["active"] = (("excited", "oscillator"), np.array([v.lead.active for v in found]))
+    for key in ("verdict", "undisturbed"):
+        values = np.array([VERDICTS.index(getattr(v, key)) for v in found])
+        flags: dict[str, Any] = {"flag_values": list(range(len(VERDICTS)))}
+        flags["flag_meanings"] = " ".join(name.replace(" ", "_") for name in VERDICTS)
+        data[key] = ("excited", values, flags)
+    data["depends_on_noise"] = ("excited", np.array([v.depends_on_noise for v in found]))
+    claims = [claim(case.paper, k) for k in case.excited]
+    texts = {
+        "paper_text": [text for text, _ in claims],
+        "paper_caption": [caption for _, caption in claims],
+        "reason": [v.reason for v in found], "remedy": [v.remedy for v in found],
+        "why": [why(v, *said) for v, said in zip(found, claims, strict=True)],
+    }  # fmt: skip
+    for key, values in texts.items():
+        data[key] = ("excited", np.array(values, dtype=str))
+    data.attrs |= {"belt_speed": case.belt_speed, "equation": case.equation}
+    return data
+
+
+def _padded(values: np.ndarray, length: int) -> np.ndarray:
+    out = np.full(length, np.nan)
+    out[: min(length, len(values))] = values[:length]
+    return out
