@@ -1,6 +1,18 @@
 """Strict numerics for every test: 64 bits, no silent rank promotion, shapes and types checked."""
 
+import atexit
 import os
+import shutil
+import tempfile
+
+# Compiling is most of the time. What one worker, or a process that a test starts, has compiled
+# serves the others; nothing is kept, unless JAX_COMPILATION_CACHE_DIR names a folder for it. JAX
+# reads this when it is imported, and workers take it over from the process that starts them.
+if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+    _programs = tempfile.mkdtemp(prefix="jaxchain-tests-")
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = _programs
+    atexit.register(shutil.rmtree, _programs, ignore_errors=True)
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.05")
 
 import jax
 import matplotlib

@@ -31,12 +31,12 @@ from jaxchain import (
 from jaxchain.friction import AbstractFrictionLaw
 
 
-def run(chain, initial, t1, rtol=1e-12, order=10, **options):
-    """A series shorter than the one that suits the tolerance takes more steps, but compiles fast."""
+def run(chain, initial, t1, rtol=1e-12, order: int | None = 10, **options):
+    """A series shorter than what suits the tolerance takes more steps, but compiles fast."""
     return simulate(chain, initial, t1, solver=EventDriven(order), rtol=rtol, **options)
 
 
-def against_witness(chain, initial, t1, rtol=1e-12, tolerance=1e-10, order=10):
+def against_witness(chain, initial, t1, rtol=1e-12, tolerance=1e-10, order: int | None = 10):
     """Greatest difference of x and v at t1 from the witness."""
     x, v = (np.asarray(part) for part in initial)
     witness = integrate(numbers_of(chain), x, v, t1)
@@ -236,7 +236,7 @@ def test_derivatives_pass_through_events(name):
 
     def end(value):
         own = chain.with_(**{name: value})
-        result = simulate(own, initial, 15.0, solver=EventDriven(), rtol=1e-12, throw=False)
+        result = simulate(own, initial, 15.0, solver=EventDriven(10), rtol=1e-12, throw=False)
         return jnp.concatenate(result.state)
 
     at = {"belt_speed": 1.2, "mu_static": 1.0, "damping_ratio": 0.05, "coupling": 0.01,
@@ -260,7 +260,7 @@ def test_derivatives_pass_through_events_that_fall_together(coupling, x, t1):
     chain = paper_chain(3, 0.7).with_(coupling=coupling)
 
     def end(y):
-        result = simulate(chain, (y[:3], y[3:]), t1, solver=EventDriven(), rtol=1e-12)
+        result = simulate(chain, (y[:3], y[3:]), t1, solver=EventDriven(10), rtol=1e-12)
         return jnp.concatenate(result.state)
 
     y = jnp.array([*x, 0.0, 0.0, 0.0])
@@ -277,7 +277,7 @@ def test_a_perturbation_that_sticks_is_forgotten():
     chain = paper_chain(1, 1.0)
 
     def end(y):
-        state = simulate(chain, (y[:1], y[1:]), 9.0, solver=EventDriven(), rtol=1e-12,
+        state = simulate(chain, (y[:1], y[1:]), 9.0, solver=EventDriven(10), rtol=1e-12,
                          throw=False).state  # fmt: skip
         return jnp.concatenate(state)
 
