@@ -8,31 +8,47 @@ import pytest
 import jaxchain
 
 FLOORS = [
-    {"_types", "_checks", "result", "branch"},
-    {"friction", "structure", "tableaus", "units", "measures", "studies.bias"}
-    | {"roots", "implicit", "descent"},
-    {"chain", "control", "polynomial", "rosenbrock", "augmented", "corrector"},
+    {"_types", "_checks", "result", "branch", "evidence"},
+    {"friction", "structure", "tableaus", "units", "measures", "studies.bias", "spectrum"}
+    | {"roots", "implicit", "descent", "criteria"}
+    | {"studies.mistuning.statistics", "studies.mistuning.summary", "studies.states.summary"}
+    | {"studies.ladder.summary", "studies.verdicts.paper"},
+    {"chain", "control", "polynomial", "rosenbrock", "augmented", "corrector"}
+    | {"studies.verdicts.reasons"},
     {"dry", "observe", "states", "choice", "special_points", "sliding", "averaging"},
-    {"amplitude", "progress", "studies.balance", "studies.witnesses"}
-    | {"walk", "lyapunov_coefficient", "crossings", "grazing"},
+    {"amplitude", "sampling", "progress", "studies.balance", "studies.witnesses"}
+    | {"walk", "lyapunov_coefficient", "crossings", "grazing", "front_track", "mistuning"},
     {"engine", "filippov", "lanes", "dataset", "continuation", "hopf", "hopf_points"}
     | {"hopf_descent"},
-    {"simulate", "shooting", "generalised_hopf", "linearised"},
-    {"axes", "pool", "fold_search", "floquet", "cycle_equations"},
-    {"ensemble", "tables", "fold", "cycle_guesses", "cycle_search", "cycle_points"},
-    {"lyapunov", "basin", "front", "scene", "studies", "studies.__init__", "studies.cycles"}
+    {"simulate", "shooting", "generalised_hopf", "linearised", "tangent"},
+    {"axes", "pool", "fold_search", "floquet", "cycle_equations", "recurrence"}
+    | {"studies.mistuning.capture", "studies.fronts.prediction"},
+    {"ensemble", "tables", "fold", "cycle_guesses", "cycle_search", "cycle_points", "return_map"},
+    {"lyapunov", "front", "film", "scene", "studies", "studies.__init__", "studies.cycles"}
     | {"one_mass", "extrapolate", "fold_descent", "bistable", "cycle", "cycle_special"},
     {"diagram", "scenefile", "bench.peers", "bench.timing", "boundary"}
-    | {"cycle_branch", "measurements", "design"}
+    | {"cycle_branch", "measurements", "design", "patterns", "trial"}
     | {"studies.crosscheck_summary", "studies.crosscheck_table", "studies.extreme_table"}
-    | {"studies.boundaries_table"},
+    | {"studies.boundaries_table", "studies.states.table", "studies.verdicts.table"}
+    | {"studies.ladder.table", "studies.mistuning.table"}
+    | {"studies.fronts.table", "studies.fronts.runs", "studies.fronts.report"},
     {"plot", "summary", "bench.cstep", "bench.ensembles", "bench.solvers", "identification"}
-    | {"studies.approaches", "studies.judge", "studies.boundaries_curves"},
-    {"run", "bench.size", "bench.steps", "studies.extreme_cases", "studies.extremes_figure"}
-    | {"studies.crosscheck_figure", "studies.work_precision_figure", "studies.boundaries_figure"},
-    {"bench", "bench.__init__", "studies.extreme_chains", "studies.extreme_inputs"}
-    | {"studies.crosscheck", "studies.work_precision", "studies.boundaries"},
-    {"studies.extremes"},
+    | {"orbit_judge", "studies.approaches", "studies.judge", "studies.boundaries_curves"}
+    | {"studies.states.phases", "studies.ladder.branches", "studies.ladder.checks"}
+    | {"studies.fronts.measure", "studies.mistuning.ensembles"},
+    {"run", "verdict", "friction_drawing", "bench.size", "bench.steps"}
+    | {"studies.extreme_cases", "studies.extremes_figure"}
+    | {"studies.crosscheck_figure", "studies.work_precision_figure", "studies.boundaries_figure"}
+    | {"studies.states.delay_plots", "studies.states.motion_plots", "studies.ladder.ends"}
+    | {"studies.ladder.figure", "studies.fronts", "studies.fronts.figure"}
+    | {"studies.mistuning.analysis", "studies.mistuning.figure"}
+    | {"studies.verdicts.figure"},
+    {"drawing", "bench", "bench.__init__", "studies.extreme_chains", "studies.extreme_inputs"}
+    | {"studies.crosscheck", "studies.work_precision", "studies.boundaries"}
+    | {"studies.states.runs", "studies.states.figure", "studies.ladder.__init__"}
+    | {"studies.fronts.__init__", "studies.mistuning.__init__", "studies.verdicts.runs"},
+    {"film_scene", "studies.extremes", "studies.states.__init__"} | {"studies.verdicts.__init__"},
+    {"animation"},
     {"__main__"},
 ]
 FLOOR = {module: floor for floor, modules in enumerate(FLOORS) for module in modules}
