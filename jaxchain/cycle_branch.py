@@ -10,7 +10,7 @@ from jaxtyping import Complex, Float
 from .branch import Branch, Point
 from .continuation import Switched, continue_branch, make_corrector, switch_branch
 from .cycle_equations import as_heading, cycle_equations, cycle_weights
-from .cycle_points import linearise, on_the_circle, special_tests
+from .cycle_points import linearise, on_the_circle, orbit, special_tests
 from .cycle_special import CyclePoint, as_cycle_point, at_rest, refine, without_symmetry
 from .shooting import Shooting, residual
 
@@ -234,13 +234,17 @@ def _follow(
     extra, k = branch.extra, len(branch.p)
     if k and extra.v[-1, mass] <= 0:  # the last point, in its own mirror image
         k -= 1
+    if not k:
+        raise RuntimeError("The branch ends in rest at its first point: begin farther from it.")
+    points = [orbit(u, p, shooting) for u, p in zip(branch.u[:k], branch.p[:k], strict=True)]
+    x, v, period, amplitude = (np.stack(column) for column in zip(*points, strict=True))
     return CycleBranch(
         name=shooting.parameter or "",
         parameter=branch.p[:k],
-        x=extra.x[:k],
-        v=extra.v[:k],
-        period=extra.period[:k],
-        amplitude=extra.amplitude[:k],
+        x=x,
+        v=v,
+        period=period,
+        amplitude=amplitude,
         closeness=np.sinh(branch.u[:k, shooting.place]),
         multipliers=extra.multipliers[:k],
         trivial_defect=extra.trivial_defect[:k],

@@ -92,6 +92,19 @@ def linearise(
     return r, jacobian, extra
 
 
+@eqx.filter_jit
+def orbit(
+    u: Float[Array, " m"], parameter: Float[Array, ""], shooting: Shooting
+) -> tuple[Float[Array, " n"], Float[Array, " n"], Float[Array, ""], Float[Array, " n"]]:
+    """(x, v, period, amplitude) of a solution, which `linearise` has of the iterate before it."""
+    field, (x, v), period = shooting.unpack(u, parameter)
+    _, _, ((amplitude, _, _),) = watched_flow(
+        field, (x, v), period, rtol=shooting.rtol, solver=shooting.solver,
+        observers=[FrozenAlong()],
+    )  # fmt: skip
+    return x, v, period, amplitude
+
+
 def symmetry_breaking_basis(images: tuple[int, ...]) -> Float[np.ndarray, "two_n k"]:
     """An orthonormal basis of the disturbances (x, v) that break the symmetry of `images`."""
     own = np.asarray(images)[:, None] == np.unique(images)[None, :]

@@ -84,9 +84,9 @@ def test_a_point_is_a_cycle_with_these_numbers_for_scipy_too(branch, share):
     after = scipy_flow(branch.parameter[k], 0.05)
     y, period = np.array([branch.x[k, 0], branch.v[k, 0]]), branch.period[k]
     run = after(y, period, dense=True)
-    np.testing.assert_allclose(run.y[:, -1], y, atol=2e-8)
+    np.testing.assert_allclose(run.y[:, -1], y, atol=4e-9)
     x = run.sol(np.linspace(0.0, period, 20001))[0]
-    assert abs((x.max() - x.min()) / 2 - branch.amplitude[k, 0]) < 1e-7
+    assert abs((x.max() - x.min()) / 2 - branch.amplitude[k, 0]) < 1e-8
     assert abs(branch.energy[k] - branch.amplitude[k, 0] ** 2 / 2) < 1e-14
     # The trace of M by differences; one multiplier is 1.
     h = 1e-5

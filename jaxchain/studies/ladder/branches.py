@@ -1,0 +1,249 @@
+"""The branches of the study `ladder`: from locked patterns of phases to cycles, and on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from jaxchain.chain import Chain, paper_chain
+from jaxchain.cycle import find_limit_cycle
+from jaxchain.cycle_branch import CycleBranch, continue_cycle, switch_cycle
+from jaxchain.patterns import (
+    LockedPattern,
+    PhaseModel,
+    block_sites,
+    locked_patterns,
+    pattern_guess,
+    phase_model,
+    rotating_wave,
+)
+from jaxchain.studies.ladder.table import Study, Walk
+
+_NEWTON_RTOL = 1e-9
+
+
+@dataclass(frozen=True)
+class Rung:
+    """One locked pattern: `count` neighbours, what it is called, and it."""
+
+    count: int
+    name: str
+    pattern: LockedPattern
+
+    @property
+    def key(self) -> str:
+        return f"k{self.count}_{self.name.replace('-', '_')}"
+
+
+def ring(study: Study, **changes: Any) -> Chain:
+    """The chain at the belt speed from which branches are followed."""
+    chain = paper_chain(study.ring.masses, study.walk.start, study.ring.width)
+    return chain.with_(**{"coupling": study.ring.coupling, **changes})
+
+
+def named(model: PhaseModel, count: int, names: Sequence[str]) -> list[Rung]:
+    """The patterns of `count` neighbours that go by these names, each once.
+
+    "in-phase" is the one with the greatest `order`, "alternating" that with the least, "calmest"
+    the one whose phases keep together best.
+    """
+    n = model.chain.n
+    if count == n:
+        waves = [rotating_wave(model, turns) for turns in range(n // 2 + 1)]
+        found = tuple(sorted(waves, key=lambda wave: wave.growth))
+    else:
+        found = locked_patterns(model, count)
+    choose = {
+        "in-phase": lambda: max(found, key=lambda p: p.order),
+        "alternating": lambda: min(found, key=lambda p: p.order),
+        "calmest": lambda: found[0],
+    }
+    rungs: list[Rung] = []
+    for name in names:
+        pattern = choose[name]()
+        if not any(pattern is rung.pattern for rung in rungs):
+            rungs.append(Rung(count, "single" if count == 1 else name, pattern))
+    return rungs
+
+
+def rungs_of(study: Study) -> tuple[PhaseModel, list[Rung]]:
+    """The phase model of the ring, and every pattern that is to be followed."""
+    model = phase_model(ring(study))
+    names = study.rungs.pattern
+    return model, [rung for count in study.rungs.count for rung in named(model, count, names)]
+
+
+def symmetry(n: int, pattern: LockedPattern) -> tuple[int, list[int] | None]:
+    """(the mass at which the orbit is cut, its `images`) of a centred block.
+
+    Of a mirrored block the left half does as the right half; of a ring in which every second mass
+    does the same, two masses differ, or one.
+    """
+    k = pattern.phases.size
+    sites = block_sites(n, k)
+    mass = int(sites[k // 2])
+    if k == n:
+        steps = np.cos(np.diff(pattern.phases))
+        if np.allclose(steps, 1.0):
+            return mass, [mass] * n
+        if np.allclose(steps, -1.0) and n % 2 == 0:
+            return mass, [mass + (i - mass) % 2 for i in range(n)]
+        return mass, None
+    if not pattern.mirrored:
+        return mass, None
+    total = int(sites[0] + sites[-1])
+    images = [max(i, (total - i) % n) if i != mass else i for i in range(n)]
+    return mass, images
+
+
+def start(model: PhaseModel, rung: Rung, rtol: float = _NEWTON_RTOL) -> Any:
+    """The `LimitCycle` of the whole ring near a locked pattern; it may not have converged."""
+    mass, images = symmetry(model.chain.n, rung.pattern)
+    state, period = pattern_guess(model, rung.pattern.phases, first=mass)
+    return find_limit_cycle(
+        model.chain, state, period=period, vibrating=mass, images=images, rtol=rtol, throw=False
+    )
+
+
+def follow(
+    cycle: Any, walk: Walk, images: list[int] | None, progress: Any = None, stop: Any = None
+) -> tuple[CycleBranch, CycleBranch]:
+    """The branch through a cycle, towards greater and towards smaller belt speeds."""
+    up, down = (
+        continue_cycle(
+            cycle, direction=direction, bounds=(walk.slowest, walk.fastest), images=images,
+            max_points=walk.points, rtol=walk.rtol, tolerance=walk.tolerance, min_step=1e-5,
+            progress=progress, stop=stop,
+        )
+        for direction in (1, -1)
+    )  # fmt: skip
+    return up, down
+
+
+def switched(branch: CycleBranch, walk: Walk, progress: Any = None) -> CycleBranch | None:
+    """The branch that crosses at the first symmetry breaking beyond the fold, if there is one."""
+    folds = [point.index for point in branch.of_kind("fold")]
+    for point in branch.of_kind("symmetry breaking"):
+        if not folds or point.index < folds[0]:
+            continue
+        try:
+            return switch_cycle(
+                branch, point, bounds=(walk.slowest, walk.fastest), max_points=walk.points,
+                tolerance=walk.tolerance, min_step=1e-5, progress=progress,
+            )  # fmt: skip
+        except RuntimeError:
+            continue
+    return None
+
+
+def follow_rung(
+    study: Study, rung: Rung, cycle: Any, progress: Any
+) -> Iterator[tuple[str, xr.Dataset]]:
+    """The branch of a pattern, and the one that crosses it if that is asked for, as datasets."""
+    images = symmetry(study.ring.masses, rung.pattern)[1]
+    up, down = follow(cycle, study.walk, images, progress)
+    yield rung.key, to_dataset(rung, up, down)
+    if rung.count in study.rungs.switch:
+        other = switched(up, study.walk, progress)
+        if other is not None:
+            yield f"{rung.key}_switched", to_dataset(rung, other)
+
+
+def catalogue(model: PhaseModel, rungs: list[Rung]) -> tuple[list[Any], xr.Dataset]:
+    """The cycle near each pattern, and a table of what the phase model and the cycle say.
+
+    `growth` is ln |mu| / T of the greatest multiplier, `phase_growth` that of phases alone;
+    `order` and `phase_order` do not differ by more than the coupling moves phases.
+    """
+    n = model.chain.n
+    cycles = [start(model, rung) for rung in rungs]
+    columns: dict[str, Any] = {
+        "key": ("pattern", np.array([rung.key for rung in rungs])),
+        "count": ("pattern", np.array([rung.count for rung in rungs])),
+        "phase_order": ("pattern", np.array([rung.pattern.order for rung in rungs])),
+        "phase_growth": ("pattern", np.array([rung.pattern.growth for rung in rungs])),
+        "phases": (
+            ("pattern", "oscillator"),
+            np.stack([_spread(n, rung.pattern.phases) for rung in rungs]),
+        ),
+        "converged": ("pattern", np.array([int(c.converged) for c in cycles], dtype=np.int8)),
+        "residual": ("pattern", np.array([float(c.residual) for c in cycles])),
+        "period": ("pattern", np.array([float(c.period) for c in cycles])),
+        "energy": ("pattern", np.array([float(c.energy) for c in cycles])),
+        "growth": (
+            "pattern",
+            np.array([np.log(np.abs(c.multipliers[0])) / float(c.period) for c in cycles]),
+        ),
+    }
+    data = xr.Dataset(columns, coords={"oscillator": np.arange(1, n + 1)})
+    data.attrs |= {
+        "belt_speed": float(model.chain.belt_speed),
+        "reactive": float(model.interaction[1].real),
+        "dissipative": float(model.interaction[1].imag),
+    }
+    return cycles, data
+
+
+def _spread(n: int, phases: np.ndarray) -> np.ndarray:
+    """Phases of a centred block on the ring, NaN for the quiet masses."""
+    every = np.full(n, np.nan)
+    every[block_sites(n, phases.size)] = phases
+    return every
+
+
+def to_dataset(rung: Rung, up: CycleBranch, down: CycleBranch | None = None) -> xr.Dataset:
+    """Both ways as one branch, from the end of `down` to the end of `up`."""
+    pieces = [(up, slice(None))]
+    if down is not None:
+        pieces.insert(0, (down, slice(None, 0, -1)))  # its first point is that of `up`
+
+    def joined(read: Any) -> np.ndarray:
+        return np.concatenate([np.asarray(read(branch))[part] for branch, part in pieces])
+
+    first = 0 if down is None else down.parameter.size - 1
+    special = sorted(
+        [(first + point.index, point) for point in up.special]
+        + [(first - point.index - 1, point) for point in (down.special if down else ())],
+        key=lambda item: item[0],
+    )
+    after, points = [i for i, _ in special], [point for _, point in special]
+    n = up.x.shape[1]
+    leading = joined(lambda b: b.multipliers[:, 0])
+    data = xr.Dataset(
+        {
+            "belt_speed": ("point", joined(lambda b: b.parameter)),
+            "energy": ("point", joined(lambda b: b.energy)),
+            "period": ("point", joined(lambda b: b.period)),
+            "unstable": ("point", joined(lambda b: b.unstable)),
+            "multiplier": ("point", np.abs(leading)),
+            "turn": ("point", np.abs(np.angle(leading))),
+            "closeness": ("point", joined(lambda b: b.closeness)),
+            "amplitude": (("point", "oscillator"), joined(lambda b: b.amplitude)),
+            "x": (("point", "oscillator"), joined(lambda b: b.x)),
+            "v": (("point", "oscillator"), joined(lambda b: b.v)),
+            "special_kind": ("special", np.array([p.kind for p in points], dtype="U24")),
+            "special_belt_speed": ("special", np.array([p.parameter for p in points], float)),
+            "special_amplitude": (
+                ("special", "oscillator"),
+                np.reshape([p.amplitude for p in points], (-1, n)),
+            ),
+            "special_refined": ("special", np.array([p.refined for p in points], dtype=np.int8)),
+            # It lies between this point and the next.
+            "special_after": ("special", np.array(after, dtype=int)),
+        },
+        coords={"oscillator": np.arange(1, n + 1)},
+        attrs={
+            "count": rung.count, "pattern": rung.name, "phases": rung.pattern.phases,
+            "phase_growth": rung.pattern.growth, "phase_order": rung.pattern.order,
+            "mass": up.shooting.mass, "solved_for": len(up.shooting.solved),
+            "rtol": float(up.shooting.rtol),
+            "ended_up": up.ended, "ended_down": "" if down is None else down.ended,
+            "start": first,
+        },
+    )  # fmt: skip
+    data["special_energy"] = 0.5 * (data["special_amplitude"] ** 2).sum("oscillator")
+    return data

@@ -1,0 +1,155 @@
+"""The picture of the study `ladder`."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from typing import Any
+
+import matplotlib
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from jaxchain.plot import BLUE, ENERGY, GREY, ORANGE, PAGE_WIDTH, STYLE, SYMBOLS
+from jaxchain.studies.ladder.summary import branches_of
+
+HEIGHT = 6.2  # inches
+# What happens at a special point: marker and colour, in the order of the legend.
+MARKS: dict[str, tuple[str, str]] = {
+    "fold": ("o", "black"),
+    "symmetry breaking": ("^", "#CC79A7"),
+    "branch point": ("^", "#CC79A7"),
+    "torus": ("s", ORANGE),
+    "period doubling": ("D", "#009E73"),
+}
+_DASHES: Any = (0, (3, 1.5))
+_SPECIAL_SIZE, _ZOOMED = 3.2, 3
+_COLOURS = (BLUE, "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "black")
+_ENDS = {"upper": "v", "lower": "^"}
+
+
+def figure(datasets: Mapping[str, xr.Dataset]) -> Figure:
+    """Three panels.
+
+    (a) E of all branches over the belt speed, stable solid and unstable dashed, the ensemble's
+    runs upon them.  (b) The lowest rungs, larger.  (c) Between which belt speeds the calmest
+    pattern of each count is stable, over the coupling.
+    """
+    with matplotlib.rc_context(STYLE):
+        page = Figure(figsize=(PAGE_WIDTH, HEIGHT), layout="constrained")
+        whole, zoom, ends = page.subplot_mosaic("AA;BC", height_ratios=(1.1, 1.0)).values()
+        branches = branches_of(datasets)
+        _draw_ensemble(whole, datasets["ensemble"], 3.0)
+        _draw_branches(whole, branches, marks=False)
+        low = {key: own for key, own in branches.items() if own.attrs["count"] <= _ZOOMED}
+        _draw_ensemble(zoom, datasets["ensemble"], 6.0)
+        _draw_branches(zoom, low or branches, marks=True)
+        _zoom(zoom, low or branches)
+        _draw_ends(ends, datasets["couplings"])
+        for letter, axes in zip("abc", (whole, zoom, ends), strict=True):
+            axes.set_title(f"({letter})", loc="left", fontweight="bold")
+            axes.tick_params(which="both", top=True, right=True)
+        page.legend(handles=_handles(branches), loc="outside lower center", ncols=4, frameon=False)
+    return page
+
+
+def line_width(pattern: str) -> float:
+    """In-phase patterns are thin, all others thick."""
+    return 0.8 if pattern == "in-phase" else 1.3
+
+
+def colour(data: xr.Dataset) -> str:
+    """By pattern: in phase, alternating or a single mass, and twisted."""
+    return {"in-phase": BLUE, "calmest": "#009E73"}.get(str(data.attrs["pattern"]), "black")
+
+
+def pieces(own: xr.Dataset) -> list[tuple[bool, np.ndarray, np.ndarray]]:
+    """(whether stable, belt speeds, E) of each piece of a branch, special points in between.
+
+    What is between a stable and an unstable point, and not cut by a special one, is unstable.
+    """
+    at = own["special_after"].values + 1
+    speed = np.insert(own["belt_speed"].values, at, own["special_belt_speed"].values)
+    height = np.insert(own["energy"].values, at, own["special_energy"].values)
+    bad = np.insert((own["unstable"].values > 0).astype(float), at, np.nan)
+    ends = np.stack([bad[:-1], bad[1:]])
+    stable = np.max(np.where(np.isnan(ends), -1.0, ends), axis=0) == 0
+    edges = [0, *(np.flatnonzero(np.diff(stable)) + 1), stable.size]
+    return [
+        (bool(stable[a]), speed[a : b + 1], height[a : b + 1])
+        for a, b in itertools.pairwise(edges)
+    ]
+
+
+def _draw_ensemble(axes: Axes, data: xr.Dataset, size: float) -> None:
+    x = data["belt_speed"].broadcast_like(data["energy"]).values
+    axes.scatter(
+        x.ravel(), data["energy"].values.ravel(), s=size, color=GREY, linewidths=0, alpha=0.7,
+        zorder=1,
+    )  # fmt: skip
+
+
+def _draw_branches(axes: Axes, branches: Mapping[str, xr.Dataset], marks: bool) -> None:
+    for own in branches.values():
+        width = line_width(str(own.attrs["pattern"]))
+        for stable, speed, height in pieces(own):
+            style: dict[str, Any] = (
+                {"linewidth": width} if stable else {"linewidth": 0.7, "linestyle": _DASHES}
+            )
+            axes.plot(speed, height, color=colour(own), zorder=2, **style)
+        for kind, p, E in zip(
+            own["special_kind"].values, own["special_belt_speed"].values,
+            own["special_energy"].values, strict=True,
+        ):  # fmt: skip
+            marker, shade = MARKS.get(str(kind), ("x", GREY))
+            if marks or kind == "fold":
+                axes.plot(
+                    p, E, marker, color=shade, markersize=_SPECIAL_SIZE if marks else 1.8,
+                    markeredgecolor="white", markeredgewidth=0.3, zorder=4,
+                )  # fmt: skip
+    axes.set_xlabel(SYMBOLS["belt_speed"])
+    axes.set_ylabel(ENERGY)
+
+
+def _zoom(axes: Axes, branches: Mapping[str, xr.Dataset]) -> None:
+    highest = max(float(own["energy"].max()) for own in branches.values())
+    axes.set_ylim(0.0, 1.05 * highest)
+
+
+def _draw_ends(axes: Axes, rows: xr.Dataset) -> None:
+    for shade, count in zip(_COLOURS, np.unique(rows["count"].values), strict=False):
+        own = rows.isel(pattern=np.flatnonzero(rows["count"].values == count))
+        own = own.sortby("coupling")
+        for name, marker in _ENDS.items():
+            axes.plot(
+                own["coupling"], own[name], color=shade, marker=marker, markersize=3.5,
+                linewidth=0.9, linestyle="-" if name == "upper" else _DASHES,
+                label=f"$k = {count}$" if name == "upper" else None,
+            )  # fmt: skip
+    axes.set_xscale("log")
+    axes.set_xlabel(SYMBOLS["coupling"])
+    axes.set_ylabel(SYMBOLS["belt_speed"] + ", ends of stability")
+    axes.legend(ncols=2, loc="best", handlelength=1.5, framealpha=0.8, edgecolor="none")
+
+
+def _handles(branches: Mapping[str, xr.Dataset]) -> list[Line2D]:
+    lines = [
+        Line2D([], [], color="black", linewidth=1.3, label="one mass, alternating"),
+        Line2D([], [], color=BLUE, linewidth=1.0, label="in phase"),
+        Line2D([], [], color="#009E73", linewidth=1.3, label="twisted, calmest"),
+        Line2D([], [], color="black", linewidth=0.7, linestyle=_DASHES, label="unstable"),
+        Line2D([], [], color=GREY, marker=".", linestyle="", label="runs, dry friction"),
+    ]
+    seen = {str(kind) for own in branches.values() for kind in own["special_kind"].values}
+    dots = {
+        mark: "branch point" if kind == "symmetry breaking" else kind
+        for kind, mark in MARKS.items()
+        if kind in seen
+    }
+    return lines + [
+        Line2D([], [], color=shade, marker=marker, linestyle="", markersize=4, label=kind)
+        for (marker, shade), kind in dots.items()
+    ]
