@@ -81,7 +81,9 @@ def test_along_the_crossing_branch_its_extremum_is_the_branch_point():
     assert branch.u[-1, 0] < -1.0
 
 
-@pytest.mark.parametrize("start", [-0.5, -0.53, -0.57])
+@pytest.mark.parametrize(
+    "start", [-0.53, *(pytest.param(start, marks=pytest.mark.long) for start in (-0.5, -0.57))]
+)
 @pytest.mark.parametrize("d", [0.1, 1e-2, 1e-3])
 def test_a_narrow_kink_is_not_stepped_over(d, start):
     branch = continue_branch(kink, [start], start, jnp.array(d), bounds=(-1, 0.5))
@@ -90,14 +92,18 @@ def test_a_narrow_kink_is_not_stepped_over(d, start):
     np.testing.assert_allclose(fold_values(branch), [height, -height], rtol=1e-10)
 
 
-@pytest.mark.parametrize("e", [0.1, 1e-2, 1e-3, 5e-4])
+@pytest.mark.parametrize(
+    "e", [*(pytest.param(e, marks=pytest.mark.long) for e in (0.1, 1e-2, 1e-3)), 5e-4]
+)
 def test_two_folds_that_are_about_to_vanish_are_both_found(e):
     branch = continue_branch(unfolded, [-0.8], -0.5, jnp.array(e), bounds=(-1, 0.5))
     np.testing.assert_allclose(fold_values(branch), [2 * e**3, -2 * e**3], rtol=1e-7)
     np.testing.assert_allclose([s.u[0] for s in branch.special], [-e, e], rtol=0.05)
 
 
-@pytest.mark.parametrize("gap", [1e-1, 1e-2, 1e-3, 1e-4])
+@pytest.mark.parametrize(
+    "gap", [*(pytest.param(gap, marks=pytest.mark.long) for gap in (1e-1, 1e-2, 1e-3)), 1e-4]
+)
 def test_it_stays_on_its_side_of_a_near_miss(gap):
     branch = continue_branch(hyperbola, [1.0], -1.0, jnp.array(gap), bounds=(-2, 1))
     assert branch.special == ()
@@ -105,7 +111,9 @@ def test_it_stays_on_its_side_of_a_near_miss(gap):
     np.testing.assert_allclose(branch.u[:, 0], np.hypot(branch.p, gap), rtol=1e-9)
 
 
-@pytest.mark.parametrize("gap", [1e-1, 1e-2, 1e-3])
+@pytest.mark.parametrize(
+    "gap", [*(pytest.param(gap, marks=pytest.mark.long) for gap in (1e-1, 1e-2)), 1e-3]
+)
 def test_it_stays_on_its_sheet(gap):
     branch = continue_branch(sheets, [0.0], 0.0, jnp.array(gap), bounds=(-2, 7))
     assert branch.ended == "left_bounds"

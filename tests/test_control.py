@@ -63,7 +63,7 @@ def exact():
     ("solver", "saved"),
     [
         (Rodas4(1), {1e-5: 0.3, 1e-6: 0.2, 1e-7: 0.1}),
-        (Rodas5P(1), {1e-6: 0.25, 1e-7: 0.15, 1e-8: 0.1}),
+        pytest.param(Rodas5P(1), {1e-6: 0.25, 1e-7: 0.15, 1e-8: 0.1}, marks=pytest.mark.long),
     ],
 )
 def test_fewer_steps_at_no_greater_error_on_the_stiff_chain(solver, saved, exact):

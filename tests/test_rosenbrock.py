@@ -63,13 +63,16 @@ def slopes(field, solver, counts, t1=3.0):
     return -fit[0], -fit[1]
 
 
-@pytest.mark.parametrize(("solver", "order"), [(Rodas4(), 4), (Rodas5P(), 5)])
+@pytest.mark.parametrize(
+    ("solver", "order"), [(Rodas4(), 4), pytest.param(Rodas5P(), 5, marks=pytest.mark.long)]
+)
 def test_order_on_a_smooth_problem_at_the_steps_and_between(solver, order):
     end, dense = slopes(driven(1.0), solver, [20, 40, 80])
     assert end == pytest.approx(order, abs=0.2)
     assert dense == pytest.approx(order, abs=0.25)
 
 
+@pytest.mark.long
 def test_order_on_a_linear_ring_against_the_matrix_exponential():
     assert slopes(LINEAR, Rodas4(), [20, 40, 80])[0] == pytest.approx(4, abs=0.2)
 
@@ -93,7 +96,7 @@ def test_rodas4_keeps_order_4_while_the_whole_chain_sticks():
     assert -np.polyfit(np.log(counts), np.log(errors), 1)[0] == pytest.approx(4, abs=0.2)
 
 
-@pytest.mark.parametrize("solver", [Rodas4(), Rodas5P()])
+@pytest.mark.parametrize("solver", [Rodas4(), pytest.param(Rodas5P(), marks=pytest.mark.long)])
 def test_agrees_with_a_stock_solver_on_the_stick_slip_chain(solver):
     chain = paper_chain(20, belt_speed=1.3, width=1e-2)
     y0 = equation_8(chain, 9)
@@ -109,7 +112,9 @@ def test_time_may_run_backward():
 
 
 @pytest.mark.parametrize("coupling", [0.01, 1.0, 100.0])
-@pytest.mark.parametrize("sweeps", [0, 1, 3])
+@pytest.mark.parametrize(
+    "sweeps", [1, *(pytest.param(sweeps, marks=pytest.mark.long) for sweeps in (0, 3))]
+)
 def test_adaptive_solution_is_right_for_any_coupling_and_any_number_of_sweeps(coupling, sweeps):
     chain = paper_chain(6, belt_speed=1.3, width=1e-2).with_(coupling=coupling)
     y0 = equation_8(chain, 2)

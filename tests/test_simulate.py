@@ -120,6 +120,11 @@ def test_what_a_scene_leaves_out_is_not_in_the_compiled_program():
     # No per-mass parameters in a homogeneous chain: its inputs are scalars and the state.
     entry = coupled[coupled.index("ENTRY") :].splitlines()[0]
     assert entry.count(f"f64[{n}]") == 2 + 3  # state in; state and amplitude out
+
+
+@pytest.mark.long
+def test_numbers_per_mass_are_an_input_of_their_own():
+    n = 23
     per_mass = paper_chain(n).with_(damping_ratio=jnp.full(n, 0.05))
     mistuned = compiled_text(per_mass, observe=Amplitude(window=10.0))
     entry = mistuned[mistuned.index("ENTRY") :].splitlines()[0]

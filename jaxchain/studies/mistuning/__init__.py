@@ -28,7 +28,7 @@ def run(
     """Computes, saves, reports and draws; each ensemble is saved as soon as it is computed.
 
     **Returns:** a dataset for each ensemble, and `locking`; in the results files the first is the
-    root and the others are groups.
+    root and the others are the groups `start_NAME`.
 
     **Raises:** `jaxchain.run.FigureError`; `KeyboardInterrupt` on Ctrl-C, with all ensembles
     written that had ended.
@@ -45,7 +45,8 @@ def run(
         data.attrs |= {
             "title": study.title, "scene": name, "definition": study.model_dump_json()
         }  # fmt: skip
-        save(data, folder / name, key if datasets else None)
+        # Beside the variables of the root there is no room for a group of the same name.
+        save(data, folder / name, f"start_{key}" if datasets else None)
         datasets[key] = data
 
     longer = study.longer
