@@ -98,6 +98,8 @@ def _has_default(function: Callable, name: str) -> bool:
 
 
 def check_observers(observe: Any, length: float) -> list[AbstractObserver]:
+    from .dataset import OBSERVERS  # with pandas: see `sweep`
+
     if observe is None:
         return [Amplitude(window=0.1 * length if length > 0 else None)]
     observers = list(observe) if isinstance(observe, list | tuple) else [observe]
@@ -107,10 +109,11 @@ def check_observers(observe: Any, length: float) -> list[AbstractObserver]:
                 "Argument `observe` holds a `Trajectory`, which lanes that come and go cannot "
                 "store. Use `jax.vmap(simulate)` for trajectories of a few lanes."
             )
-        if not isinstance(observer, AbstractObserver):
+        if not isinstance(observer, OBSERVERS):
+            names = ", ".join(f"`{kind.__name__}`" for kind in OBSERVERS)
             raise ValueError(
-                "Argument `observe` must be an observer (`Amplitude`, `PeakTimes`, `Section`) or "
-                f"a list of them, but holds {observer!r}."
+                f"Argument `observe` must be an observer of a sweep ({names}) or a list of them, "
+                f"but holds {observer!r}. Any other goes into `jax.vmap(simulate)`."
             )
     kinds = [type(o) for o in observers]
     if len(set(kinds)) < len(kinds):

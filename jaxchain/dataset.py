@@ -8,6 +8,8 @@ Variables (… stands for the swept dimensions):
     stick_time (…, oscillator)   for how long a mass sticks in the window
     peak_time (…, peak, oscillator)
     section_time (…, point), section_displacement, section_velocity (…, point, oscillator)
+    sample_time (…, sample), sample_displacement, sample_velocity (…, sample, sampled_oscillator)
+    front_right, front_left, front_count (…, window)
     result (…)                   how the lane ended, see its flag_meanings
     end_time, steps, rejected (…)
 """
@@ -29,10 +31,15 @@ import xarray as xr
 
 from .amplitude import Amplitude
 from .chain import Chain
+from .front_track import FrontTrack
 from .measures import LEAST_ACTIVE
 from .observe import AbstractObserver, PeakTimes, Section, StickTime
 from .progress import AbstractPlan
 from .result import NAMES
+from .sampling import Samples
+
+# What has names in a dataset.
+OBSERVERS = (Amplitude, PeakTimes, Section, StickTime, Samples, FrontTrack)
 
 UNITS = {
     "belt_speed": "x0 omega_n",
@@ -44,6 +51,9 @@ UNITS = {
     "peak_time": "1 / omega_n",
     "section_time": "1 / omega_n",
     "stick_time": "1 / omega_n",
+    "sample_time": "1 / omega_n",
+    "sample_displacement": "x0",
+    "sample_velocity": "x0 omega_n",
     "section_displacement": "x0",
     "section_velocity": "x0 omega_n",
 }
@@ -166,5 +176,18 @@ def _variables(
             "section_time": ((*dims, "point"), time),
             "section_displacement": ((*dims, "point", "oscillator"), x),
             "section_velocity": ((*dims, "point", "oscillator"), v),
+        }
+    if isinstance(observer, Samples):
+        time, x, v = value
+        return {
+            "sample_time": ((*dims, "sample"), time),
+            "sample_displacement": ((*dims, "sample", "sampled_oscillator"), x),
+            "sample_velocity": ((*dims, "sample", "sampled_oscillator"), v),
+        }
+    if isinstance(observer, FrontTrack):
+        return {
+            "front_right": ((*dims, "window"), value.right),
+            "front_left": ((*dims, "window"), value.left),
+            "front_count": ((*dims, "window"), value.count),
         }
     raise TypeError(f"No dataset names for {type(observer).__name__}.")

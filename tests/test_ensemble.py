@@ -9,7 +9,9 @@ import xarray as xr
 from jaxchain import (
     Amplitude,
     EventDriven,
+    FrontTrack,
     PeakTimes,
+    Samples,
     SweepInterrupted,
     Trajectory,
     equation_8,
@@ -18,6 +20,7 @@ from jaxchain import (
     simulate,
     sweep,
 )
+from jaxchain.recurrence import ReturnPoints
 from jaxchain.result import NAMES
 
 CHAIN = paper_chain(4, belt_speed=1.4)
@@ -129,6 +132,19 @@ def test_a_lane_that_needs_too_many_steps_is_marked():
     assert float(result.end_time[1]) < 60.0
 
 
+@pytest.mark.long
+def test_samples_and_fronts_have_names_in_a_sweep():
+    watch = [Samples(2.0, 6, oscillators=(1,)), FrontTrack(3, 2)]
+    result = sweep(CHAIN, equation_8, 10.0, over={"excited": [0, 2]}, observe=watch)
+    assert result.sample_displacement.dims == ("excited", "sample", "sampled_oscillator")
+    np.testing.assert_allclose(result.sample_time[1], np.arange(0.0, 11.0, 2.0))
+    assert result.front_right.dims == ("excited", "window")
+    assert result.front_count[1].max() == 2
+    run = simulate(CHAIN, equation_8(CHAIN, 2), 10.0, observe=watch)
+    np.testing.assert_allclose(result.sample_velocity[1], run.observed[0][2], atol=1e-4)
+    np.testing.assert_allclose(result.front_left[1], run.observed[1].left, atol=1e-3)
+
+
 def test_any_number_of_the_chain_and_of_the_start_can_be_swept():
     result = sweep(
         CHAIN,
@@ -186,6 +202,7 @@ def test_an_interrupted_sweep_hands_over_what_had_ended(monkeypatch):
         ({"lanes": 0}, "`lanes` must be None or an integer"),
         ({"observe": [Amplitude(), Amplitude(window=5.0)]}, "two observers of the same kind"),
         ({"observe": Trajectory(jnp.ones(1))}, r"Use `jax.vmap\(simulate\)`"),
+        ({"observe": ReturnPoints(jnp.array(0))}, "must be an observer of a sweep"),
     ],
 )
 def test_bad_input_is_named_before_anything_runs(change, message):
