@@ -31,6 +31,7 @@ def test_folds_of_closed_form(residual, args, start, fold):
     np.testing.assert_allclose(found.p, fold[1], atol=1e-14)
 
 
+@pytest.mark.long
 def test_a_thousand_lanes_with_and_without_a_fold():
     a = jnp.linspace(-1.0, 3.0, 1000)
     found = jax.jit(jax.vmap(lambda a: fold_point(cubic, jnp.array([0.5]), 0.4, a)))(a)

@@ -108,6 +108,7 @@ def test_every_lane_of_a_sweep_has_a_width_of_its_own():
     assert data.attrs["accuracy"] == 1e-2
 
 
+@pytest.mark.long
 def test_true_dry_friction_takes_a_tolerance_for_the_accuracy():
     chain = paper_chain(2, 1.4)
     run = simulate(chain, equation_8(chain, 1), 20.0, accuracy=1e-3, solver=EventDriven())
@@ -132,6 +133,7 @@ def test_accuracy_and_tolerance_exclude_each_other():
         )  # fmt: skip
 
 
+@pytest.mark.long
 def test_a_narrow_width_has_a_tolerance_that_fits_it_by_default():
     """At 1e-6 a sticking mass would be torn off the belt; then the answer is far off."""
     chain = paper_chain(1, 1.2).with_(width=1e-6)

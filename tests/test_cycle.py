@@ -119,6 +119,7 @@ def slip():
     return find_limit_cycle(paper_chain(1, belt_speed=1.5, width=0.05), branch="unstable")
 
 
+@pytest.mark.long
 def test_guesses_of_every_kind_lead_to_the_same_cycle(slip):
     chain = paper_chain(1, belt_speed=1.5, width=0.05)
     simulated = simulate(chain, excited_state(chain, 1), 60.0)

@@ -16,6 +16,9 @@ MODULES = [
 COSTLY = {
     *(
         "bistable",
+        "control",
+        "ensemble",
+        "filippov",
         "boundary",
         "cycle",
         "cycle_guesses",

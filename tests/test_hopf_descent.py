@@ -63,6 +63,7 @@ def test_plain_gradient_descent_stalls_far_above_the_boundary_and_says_so():
     assert float(found.belt_speed) > 5.9
 
 
+@pytest.mark.long
 def test_descent_of_mistuned_chains_goes_through_vmap():
     chain = paper_chain(3).with_(damping_ratio=jnp.array([0.04, 0.05, 0.07]))
     search = jax.jit(jax.vmap(lambda start: hopf_by_descent(chain, start)))

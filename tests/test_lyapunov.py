@@ -46,6 +46,7 @@ def resting_rate(chain):
     return float(-chain.damping_ratio + 0.5 * drop)
 
 
+@pytest.mark.long
 def test_a_linear_chain_that_swings():
     """All real parts are -xi; the plain averages get there like 1 / t, the smooth ones do not."""
     chain, exact = linear_chain(3, 0.05, np.array([0.20, 0.22, 0.43]))

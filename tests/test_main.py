@@ -341,6 +341,7 @@ def test_help_is_there(arguments, capsys):
     assert "usage: jaxchain" in capsys.readouterr().out
 
 
+@pytest.mark.long
 def test_the_package_can_be_run_as_a_module():
     command = [sys.executable, "-m", "jaxchain", "scenes"]
     done = subprocess.run(command, capture_output=True, text=True, check=True)

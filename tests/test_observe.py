@@ -34,7 +34,10 @@ FREE = LinearRing(
 START = (FREE.x0, FREE.v0)
 
 
-@pytest.mark.parametrize("solver", [Rodas4(), Rodas5P(), dfx.Tsit5()])
+@pytest.mark.parametrize(
+    "solver",
+    [Rodas4(), *(pytest.param(s, marks=pytest.mark.long) for s in (Rodas5P(), dfx.Tsit5()))],
+)
 def test_amplitude_of_a_cosine_is_found_between_steps(solver):
     # Steps of 0.5 straddle the peaks; the greatest value at a step would be off by one per cent.
     run = simulate(FREE, START, 40.0, observe=Amplitude(window=15.0), solver=solver, rtol=1e-6)

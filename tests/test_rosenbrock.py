@@ -147,6 +147,7 @@ def test_works_under_vmap_with_every_lane_at_its_own_step():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_forward_and_reverse_derivatives_agree_with_differences():
     @ft.partial(jax.jit, static_argnums=1)
     def end(speed, adjoint):
@@ -164,6 +165,7 @@ def test_forward_and_reverse_derivatives_agree_with_differences():
     np.testing.assert_allclose(gradient, tangent, rtol=1e-10)
 
 
+@pytest.mark.long
 def test_monodromy_of_a_linear_ring_is_the_matrix_exponential():
     def flow(y):
         out = solve(LINEAR, Rodas5P(), (y[:N], y[N:]), 2.0, rtol=1e-11).ys

@@ -224,7 +224,7 @@ def test_two_main_experiments_and_names_of_variables_are_refused(scene_file):
 
 
 def test_a_file_that_is_not_there_or_not_toml_is_a_readable_error(tmp_path):
-    assert problems("fig4") == [
+    assert problems("fig33") == [
         "is neither a file nor built in (did you mean `fig3`?); built in: "
         + ", ".join(builtin_scenes())
     ]

@@ -58,6 +58,7 @@ def outcome(tmp_path_factory):
     return datasets, said, folder
 
 
+@pytest.mark.long
 def test_dry_cycles_are_those_of_the_witness(outcome):
     cycles = outcome[0]["oscillator"]
     assert cycles["outcome_nonsmooth"].values.tolist() == [VIBRATES, VIBRATES, RESTS]
@@ -68,6 +69,7 @@ def test_dry_cycles_are_those_of_the_witness(outcome):
     assert np.isnan(cycles["nonsmooth"].sel(belt_speed=3.0)).all()
 
 
+@pytest.mark.long
 def test_errors_shrink_with_the_width_as_the_theory_says(outcome):
     cycles = outcome[0]["oscillator"].sel(belt_speed=[0.6, 1.5])
     error = cycles["error"].sel(width=[1e-3, 1e-4, 1e-5])
@@ -83,6 +85,7 @@ def test_errors_shrink_with_the_width_as_the_theory_says(outcome):
     assert abs(error / full - 1).sel(quantity="amplitude", width=1e-5).max() < 0.01
 
 
+@pytest.mark.long
 def test_states_of_the_chain(outcome):
     states = outcome[0]["states"]
     assert states["active_count_nonsmooth"].values.tolist() == [1, 2]
@@ -106,6 +109,7 @@ def test_energies_of_a_true_chain():
     assert (states["worst_residual"] < 0.01).all()
 
 
+@pytest.mark.long
 def test_what_was_promised_is_in_the_files(outcome):
     datasets, _, folder = outcome
     kinds = ("nc", "pdf", "png", "zarr")
@@ -132,6 +136,7 @@ def test_what_was_promised_is_in_the_files(outcome):
     assert ((ratio > 8) & (ratio < 20)).all()
 
 
+@pytest.mark.long
 def test_the_summary_says_where_there_is_nothing(outcome):
     cycles, states = outcome[1]
     assert "no dry cycle (rests) at belt speeds 3\n" in cycles

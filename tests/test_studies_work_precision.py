@@ -38,6 +38,7 @@ def select(data, **values):
     return data.isel(setting=fits)
 
 
+@pytest.mark.long
 def test_error_falls_with_the_width_and_vanishes_without_one(small):
     _, data, _ = small
     wide = select(data, approach="Rodas4", width=1e-1)["error"].min()
@@ -48,6 +49,7 @@ def test_error_falls_with_the_width_and_vanishes_without_one(small):
     assert dry.max() < 1e-6
 
 
+@pytest.mark.long
 def test_approaches_agree_on_what_the_width_costs(small):
     """Tightly integrated, the error is that of the width, whoever integrates."""
     _, data, _ = small
@@ -56,6 +58,7 @@ def test_approaches_agree_on_what_the_width_costs(small):
     np.testing.assert_allclose(own, stock, rtol=1e-2)
 
 
+@pytest.mark.long
 def test_the_promise_of_accuracy_is_kept_here(small):
     _, data, _ = small
     asked = data.isel(setting=data["approach"].values == "accuracy")
@@ -64,6 +67,7 @@ def test_the_promise_of_accuracy_is_kept_here(small):
     assert np.all(np.isfinite(asked["width"]))
 
 
+@pytest.mark.long
 def test_results_and_picture_are_written(small):
     folder, data, report = small
     for ending in (".nc", ".zarr", ".png", ".pdf"):
@@ -101,7 +105,8 @@ def test_the_fastest_is_the_fastest_of_those_that_meet_the_error():
         ("lanes=[]", "lanes"),
     ],
 )
-def test_a_bad_table_is_refused_with_its_key(small, change, key):
-    folder, _, _ = small
+def test_a_bad_table_is_refused_with_its_key(tmp_path, change, key):
+    file = tmp_path / "small.toml"
+    file.write_text(SMALL, encoding="utf-8")
     with pytest.raises(SceneError, match=key):
-        load_scene(str(folder / "small.toml"), [change])
+        load_scene(str(file), [change])
