@@ -160,6 +160,10 @@ class Chain(AbstractOscillators):
         del t
         return v - self.belt_speed, self.friction.width
 
+    def belt_direction(self) -> ScalarLike:
+        """The sign of v_d, 1 for a belt that rests."""
+        return jnp.where(self.belt_speed < 0, -1.0, 1.0)
+
     def stick_speed(self) -> PerMass:
         """That of greatest friction, below which a mass sticks: `TanhFriction.stick_speed`."""
         return self.friction.stick_speed()

@@ -28,7 +28,8 @@ class CycleBranch:
     """A branch of cycles, k points in order, as plain data on the host.
 
     - `parameter` (k,): its values; `name`: which argument of `Chain.with_` it is.
-    - `x`, `v` (k, n): the states at the greatest velocity of mass `shooting.mass`; `period` (k,).
+    - `x`, `v` (k, n): the states at the greatest velocity of mass `shooting.mass` in the direction
+      of the belt; `period` (k,).
     - `amplitude` (k, n): half peak-to-peak of each displacement; `energy` (k,): half the sum of
       squares of these.
     - `closeness` (k,): max w / eps of that mass, negative for a slip cycle.
@@ -112,7 +113,8 @@ def continue_cycle(
     **Arguments:**
 
     - `chain`, `state` = (x, v), `period`: a cycle, or near one, at the greatest velocity of mass
-      `vibrating` (by default the fastest); or all three in one `LimitCycle`.
+      `vibrating` (by default the fastest) in the direction of the belt; or all three in one
+      `LimitCycle`.  Of a period that is a multiple of the least one, the least is followed.
     - `parameter`: a scalar argument of `Chain.with_`; `bounds`: of it, where the branch ends;
       `direction`: 1 or -1, with which sign it begins to change.  At a fold nothing does:
       "stick" or "slip" sets out towards greater or smaller closeness of that mass.
@@ -198,14 +200,20 @@ def _follow(
     stop: Callable[[float, Any], Any] | None,
     options: dict[str, Any],
 ) -> CycleBranch:
-    mass, weights, tests = shooting.mass, cycle_weights(shooting, p), special_tests(shooting)
+    weights, tests = cycle_weights(shooting, p), special_tests(shooting)
+    times = None  # how often the first orbit is gone round within its period
 
     def ends(u: np.ndarray, p: float, tangent: np.ndarray, extra: Any) -> Any:
+        nonlocal times
         del u, tangent
-        if extra.v[mass] <= 0:
+        if times is None:
+            times = int(extra.times_round)
+            if times > 1:
+                return True
+        if extra.speed <= 0:
             return "the amplitude vanishes"
-        if extra.v[mass] < _HARDLY * np.max(extra.v):
-            return f"mass {mass} hardly vibrates any more: cut the orbit at another"
+        if extra.speed < _HARDLY * np.max(np.abs(extra.v)):
+            return f"mass {shooting.mass} hardly vibrates any more: cut the orbit at another"
         return stop is not None and stop(p, extra)
 
     branch = continue_branch(
@@ -215,6 +223,9 @@ def _follow(
     )  # fmt: skip
     if branch.extra is None:
         raise RuntimeError(branch.message)
+    if times is not None and times > 1:
+        once = branch.u[0] - np.append(np.zeros(u.size - 1), np.log(times))
+        return _follow(shooting, once, float(branch.p[0]), heading, bounds, stop, options)
     corrector = make_corrector(
         residual, linearise, shooting, u.size, weights, options["tolerance"]
     )
@@ -226,13 +237,13 @@ def _follow(
             continue
         point = raw
         if raw.kind == "hopf":
-            point = replace(raw, p=at_rest(corrector, raw, mass))
+            point = replace(raw, p=at_rest(corrector, raw))
         elif raw.kind in tests:
             point = refine(corrector, branch, raw, tests[raw.kind])
         if point is not None and (raw.kind != "torus" or on_the_circle(point.extra)):
             special.append(as_cycle_point(point))
     extra, k = branch.extra, len(branch.p)
-    if k and extra.v[-1, mass] <= 0:  # the last point, in its own mirror image
+    if k and extra.speed[-1] <= 0:  # the last point, in its own mirror image
         k -= 1
     if not k:
         raise RuntimeError("The branch ends in rest at its first point: begin farther from it.")

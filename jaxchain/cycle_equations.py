@@ -34,7 +34,8 @@ def cycle_equations(
     check_number("period", period, "about 2 pi is usual.")
     check_positive("period", period, "about 2 pi is usual.")
     check_positive("rtol", rtol, "3e-11 is usual.")
-    mass = int(np.argmax(v)) if vibrating is None else check_vibrating(chain, vibrating)
+    fastest = int(np.argmax(float(chain.belt_direction()) * v))
+    mass = fastest if vibrating is None else check_vibrating(chain, vibrating)
     value = {**vars(chain.friction.law), **vars(chain), "coupling": chain.coupling}
     value["width"] = chain.friction.width
     p = value.get(parameter)

@@ -12,9 +12,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Complex, Float
+from jaxtyping import Array, Complex, Float, Int
 
 from .floquet import floquet_multipliers
+from .least_period import Returned, Returns
 from .linearised import FrozenAlong, watched_flow
 from .shooting import Shooting
 
@@ -28,6 +29,8 @@ class CycleLinearisation(eqx.Module):
     """What `linearise` finds besides.
 
     - `x`, `v` (n,): the state on the section; `period`.
+    - `speed`: of the mass where the orbit is cut, its greatest in the direction of the belt.
+    - `times_round`: 2, 3, ... if the orbit closes after such a share of the period, else 1.
     - `amplitude` (n,): half peak-to-peak of each displacement over a period.
     - `monodromy` M = d(state after a period)/d(state), (2n, 2n), in the order (x, v).
     - `multipliers` (2n - 1,): the nontrivial ones, the greatest modulus first; `trivial_defect`
@@ -37,6 +40,8 @@ class CycleLinearisation(eqx.Module):
     x: Float[Array, " n"]
     v: Float[Array, " n"]
     period: Float[Array, ""]
+    speed: Float[Array, ""]
+    times_round: Int[Array, ""]
     amplitude: Float[Array, " n"]
     monodromy: Float[Array, "two_n two_n"]
     multipliers: Complex[Array, " others"]
@@ -58,17 +63,17 @@ def linearise(
         _, (x, v), period = shooting.unpack(z[:-1], z[-1])
         return jnp.concatenate([x, v, z[-1:], period[None]])
 
-    def end(y: Array) -> tuple[Array, tuple[Array, Array]]:
-        after, _, ((amplitude, _, _),) = watched_flow(
+    def end(y: Array) -> tuple[Array, tuple[Array, Array, Returned]]:
+        after, _, ((amplitude, _, _), returned) = watched_flow(
             shooting.at(y[-1]),
             (y[:n], y[n:-1]),
             period,
             rtol=shooting.rtol,
             solver=shooting.solver,
-            observers=[FrozenAlong()],
+            observers=[FrozenAlong(), Returns()],
         )
         flat = jnp.concatenate(after)
-        return flat, (flat, amplitude)
+        return flat, (flat, amplitude, returned)
 
     def gap(both: Array) -> tuple[Array, Array]:
         u, p, y1 = both[:m], both[m], both[m + 1 :]
@@ -80,15 +85,17 @@ def linearise(
 
     y, inner = start(z), jax.jacfwd(start)(z)
     state, period = y[: 2 * n], y[-1]
-    outer, (y1, amplitude) = jax.jacfwd(end, has_aux=True)(y[:-1])
+    outer, (y1, amplitude, returned) = jax.jacfwd(end, has_aux=True)(y[:-1])
     outer = jnp.concatenate([outer, rate(y1)[:, None]], axis=1)
     slope, r = jax.jacfwd(gap, has_aux=True)(jnp.concatenate([z, y1]))
     jacobian = slope[:, : m + 1] + slope[:, m + 1 :] @ (outer @ inner)
     monodromy = outer[:, : 2 * n]
     found = floquet_multipliers(monodromy, rate(state))
+    speed = shooting.at(parameter).belt_direction() * state[n + shooting.mass]
     extra = CycleLinearisation(
-        state[:n], state[n:], period, amplitude, monodromy, found.multipliers, found.defect
-    )
+        state[:n], state[n:], period, speed, returned.times_round, amplitude, monodromy,
+        found.multipliers, found.defect,
+    )  # fmt: skip
     return r, jacobian, extra
 
 
@@ -162,10 +169,10 @@ def special_tests(shooting: Shooting) -> dict[str, Callable[..., float]]:
     """
 
     def vanishing(extra: CycleLinearisation) -> float:
-        speed = float(extra.v[mass])
+        speed = float(extra.speed)
         return 0.0 if abs(speed) < _VANISHED else speed
 
-    mass, images = shooting.mass, shooting.images
+    images = shooting.images
     of: dict[str, Callable[[Any], float]] = {"hopf": vanishing}
     if len(images) > 1:  # one mass has one multiplier besides the trivial one, never negative
         of |= {"period doubling": doubling, "torus": encircling}

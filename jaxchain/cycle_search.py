@@ -1,6 +1,6 @@
 """A limit cycle: its equations solved, its multipliers, its derivatives.
 
-Newton's method, one linearised integration a step.
+Newton's method, one linearised integration a step, and of what it finds the least period.
 """
 
 from __future__ import annotations
@@ -31,13 +31,15 @@ _WORST_DEFECT = 1e-3
 class LimitCycle(eqx.Module):
     """A periodic orbit.
 
-    - `state`, `period`: the orbit is cut where mass `mass` moves fastest.
+    - `state`, `period`: the orbit is cut where mass `mass` moves fastest in the direction of the
+      belt; the period is the least one.
     - `residual`: the gap after a period over the greatest velocity of that mass; in the layer in
       which it sticks, of velocity over the width.  `converged`: whether it is a cycle.
     - `multipliers`: the 2n - 1 Floquet multipliers other than 1, the greatest modulus first.
     - `trivial_defect`: |M f - f| / |f| for f = (x', v'), which must be 0; `liouville_defect`: see
       there; both were measured on this orbit.
-    - `amplitude`: half peak-to-peak of each displacement; `fastest`: each greatest velocity.
+    - `amplitude`: half peak-to-peak of each displacement; `fastest`: each greatest velocity in the
+      direction of the belt.
     - `evaluations`: integrations of the linearised system it took.
     """
 
@@ -57,10 +59,11 @@ class LimitCycle(eqx.Module):
     @property
     def closeness(self) -> Float[Array, " n"]:
         """max w / eps of each mass: one that never reaches the belt's speed has it below zero."""
-        switching = self.chain.switching(0.0, self.fastest)
+        along = self.chain.belt_direction()
+        switching = self.chain.switching(0.0, along * self.fastest)
         if switching is None:
             return jnp.full_like(self.fastest, jnp.nan)
-        return switching[0] / switching[1]
+        return along * switching[0] / switching[1]
 
     @property
     def energy(self) -> Float[Array, ""]:
@@ -98,7 +101,8 @@ def solve_cycle(
     flow = found.period
     direction = jnp.concatenate(field(0.0, state))
     floquet = floquet_multipliers(flow.monodromy, direction)
-    moves = (flow.fastest[shooting.mass] > _LEAST_VELOCITY) & (state[1][shooting.mass] > 0)
+    speed = field.belt_direction() * state[1][shooting.mass]
+    moves = (flow.fastest[shooting.mass] > _LEAST_VELOCITY) & (speed > 0)
     cycle = LimitCycle(
         chain=field,
         state=state,
@@ -154,10 +158,18 @@ class Search(eqx.Module):
     count: Int[Array, ""]
 
 
+class _Round(eqx.Module):
+    best: Search
+    start: Float[Array, " m"]  # of the next search
+    goes_on: Bool[Array, ""]
+
+
 def search_cycle(shooting: Shooting, start: Array, tolerance: Array, limit: Array) -> Search:
     """Newton's method as in `jaxchain.newton`, with one integration in one place to compile.
 
-    It goes on within the tolerance, until a step helps no more.
+    It goes on within the tolerance, until a step helps no more.  An orbit that has come back after
+    a share of its period is then searched for with this share (of `limit` integrations, too), and
+    kept if it is the same one: it was gone round more than once.
     """
     weights = jnp.full(start.shape, start.shape[0] ** -0.5)
 
@@ -207,8 +219,25 @@ def search_cycle(shooting: Shooting, start: Array, tolerance: Array, limit: Arra
     nothing = eqx.filter_eval_shape(linearised, start)[0]
     nothing = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), nothing)
     infinite = jnp.asarray(jnp.inf)
-    before = Search(
-        start, jnp.zeros_like(start), infinite, factorise(jnp.eye(start.shape[0]), weights),
-        jnp.ones(()), nothing, infinite, jnp.asarray(False), jnp.zeros((), int),
-    )  # fmt: skip
-    return lax.while_loop(going, body, before)
+
+    def from_guess(start: Array) -> Search:
+        return Search(
+            start, jnp.zeros_like(start), infinite, factorise(jnp.eye(start.shape[0]), weights),
+            jnp.ones(()), nothing, infinite, jnp.asarray(False), jnp.zeros((), int),
+        )  # fmt: skip
+
+    def round_(now: _Round) -> _Round:
+        found = lax.while_loop(going, body, from_guess(now.start))
+        count = now.best.count + found.count
+        returned = found.period.returned
+        states = (shooting.unpack(u)[1] for u in (now.best.u, found.u))
+        closed = found.residual <= tolerance
+        good = (now.best.count == 0) | (closed & returned.same(*states))
+        best = jax.tree.map(lambda a, b: jnp.where(good, a, b), found, now.best)
+        best = eqx.tree_at(lambda s: s.count, best, count)
+        times = returned.times_round
+        shorter = found.u.at[-1].add(-jnp.log(times))
+        return _Round(best, shorter, good & closed & (times > 1))
+
+    first = _Round(from_guess(start), start, jnp.asarray(True))
+    return lax.while_loop(lambda now: now.goes_on, round_, first).best

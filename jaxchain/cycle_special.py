@@ -95,14 +95,14 @@ def refine(
     return best
 
 
-def at_rest(corrector: Corrector, raw: SpecialPoint, mass: int) -> float:
+def at_rest(corrector: Corrector, raw: SpecialPoint) -> float:
     """p in the limit of no amplitude a, from p = p_H + c a^2 + O(a^4) at two small ones."""
     z, found = np.append(raw.u, raw.p), []
     for length in (-_NEAR_REST, -2.0 * _NEAR_REST):
         point = corrector(z + length * raw.tangent, raw.tangent)
         if point is None:
             return raw.p
-        found.append((float(point.extra.v[mass]) ** 2, point.p))
+        found.append((float(point.extra.speed) ** 2, point.p))
     (a, p), (b, q) = found
     return (b * p - a * q) / (b - a) if b != a else raw.p
 

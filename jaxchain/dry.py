@@ -74,6 +74,9 @@ class DryField(AbstractOscillators):
         del t
         return v - self.chain.belt_speed, jnp.zeros(())
 
+    def belt_direction(self) -> ScalarLike:
+        return self.chain.belt_direction()
+
     def stick_speed(self) -> PerMass:
         """0: a mass sticks or it does not."""
         return jnp.zeros(())

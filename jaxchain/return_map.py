@@ -13,21 +13,26 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Complex, Float
+from jaxtyping import Array, Bool, Complex, Float
 
+from ._checks import to_float
 from ._types import State
-from .floquet import floquet_multipliers
+from .floquet import check_orbit, floquet_multipliers
+from .least_period import Returned, Returns
 from .simulate import simulate
 from .structure import AbstractOscillators
 
 _NEWTON_STEPS = 4
+# What may be left of the return, compared with the size of the orbit, where it is closed.
+_CLOSED = 1e-6
 
 
 class ClosedOrbit(NamedTuple):
     """A periodic orbit, or the attempt at one.
 
-    - `state` and `period`; `gap`, the greatest component of what is left of the return;
-      `distance`, of how far the iteration went from where it began.
+    - `state` and `period`, the least one; `gap`, the greatest component of what is left of the
+      return; `distance`, of how far the iteration went from where it began (of the period, that of
+      one time round).
     - `multipliers`: the Floquet multipliers but the trivial one, greatest modulus first;
       `defect`: |M f - f| / |f|, what the trivial one's vector misses.
     """
@@ -59,12 +64,16 @@ def close_orbit(
 
         [[M - 1, f], [f^T, 0]] (dy, dT) = (y - flow(y, T), 0),    f = d flow / dT,
 
-    with 4 steps.  A mass that sticks at the start does so afterwards.
+    with 4 steps.  A mass that sticks at the start does so afterwards.  An orbit that has come back
+    after a share of `period` (up to 16 times round) is closed again with this share.
 
-    **Arguments:** `state` = (x, v), both of shape (n,); `solver` and `rtol` as for `simulate`.
+    **Arguments:** `state` = (x, v), both of shape (n,); `period` > 0; `solver` and `rtol` as for
+    `simulate`.
 
     **Returns:** `ClosedOrbit`; look at its `gap` and `distance` before anything else.  Works
     under `jit` and `vmap`.
+
+    **Raises:** `ValueError` for bad input.
 
     !!! example
 
@@ -77,7 +86,24 @@ def close_orbit(
         orbit.multipliers  # 0: it sticks
         ```
     """
-    return _close(chain, state, jnp.asarray(period, float), solver, rtol)
+    x, v = check_orbit(chain, state, period, rtol)
+    return _close(chain, (x, v), to_float(period), solver, rtol)
+
+
+class _Attempt(NamedTuple):
+    """An orbit as far as it is closed, and the next of Newton's iterates."""
+
+    u: Float[Array, " m"]  # (x, v, T)
+    slopes: Float[Array, "two_n m"]  # of the state at the end
+    end: Float[Array, " two_n"]
+    returned: Returned
+    better: Float[Array, " m"]
+
+
+class _Round(NamedTuple):
+    best: _Attempt
+    start: Float[Array, " m"]  # of the next attempts
+    goes_on: Bool[Array, ""]
 
 
 @eqx.filter_jit
@@ -87,26 +113,46 @@ def _close(
     start = jnp.concatenate([*state, period[None]])
     n = state[0].shape[0]
 
-    def flow(u: Array) -> tuple[Array, Array]:
-        run = simulate(chain, (u[:n], u[n:-1]), u[-1], solver=solver, rtol=rtol, throw=False)
+    def flow(u: Array) -> tuple[Array, tuple[Array, Returned]]:
+        run = simulate(
+            chain, (u[:n], u[n:-1]), u[-1], observe=Returns(), solver=solver, rtol=rtol,
+            throw=False,
+        )  # fmt: skip
         end = jnp.concatenate(run.state)
-        return end, end
+        return end, (end, run.observed)
 
-    derivative = jax.jacfwd(flow, has_aux=True)
-
-    def newton(u: Array, _: None) -> tuple[Array, None]:
-        slopes, end = derivative(u)
+    def attempt(u: Array) -> _Attempt:
+        slopes, (end, returned) = jax.jacfwd(flow, has_aux=True)(u)
         f = slopes[:, -1]
         matrix = jnp.block(
             [[slopes[:, :-1] - jnp.eye(2 * n), f[:, None]], [f[None], jnp.zeros((1, 1))]]
         )
         right = jnp.append(u[:-1] - end, 0.0)
-        return u + jnp.linalg.solve(matrix, right), None
+        return _Attempt(u, slopes, end, returned, u + jnp.linalg.solve(matrix, right))
 
-    u, _ = lax.scan(newton, start, None, length=_NEWTON_STEPS)
-    slopes, end = derivative(u)
+    def gap(orbit: _Attempt) -> Array:
+        return jnp.max(jnp.abs(orbit.end - orbit.u[:-1]))
+
+    def round_(now: _Round) -> _Round:
+        # One attempt more than steps: what the last step found is looked at, too.
+        first = now.best._replace(better=now.start)
+        found = lax.fori_loop(0, _NEWTON_STEPS + 1, lambda _, orbit: attempt(orbit.better), first)
+        closed = gap(found) <= _CLOSED * found.returned.farthest
+        states = ((orbit.u[:n], orbit.u[n:-1]) for orbit in (now.best, found))
+        good = jnp.isnan(now.best.u[-1]) | (closed & found.returned.same(*states))
+        best = jax.tree.map(lambda a, b: jnp.where(good, a, b), found, now.best)
+        times = found.returned.times_round
+        return _Round(best, found.u.at[-1].divide(times), good & closed & (times > 1))
+
+    unknown = eqx.filter_eval_shape(attempt, start)
+    unknown = jax.tree.map(lambda s: jnp.full(s.shape, jnp.nan, s.dtype), unknown)
+    best = lax.while_loop(
+        lambda now: now.goes_on, round_, _Round(unknown, start, jnp.asarray(True))
+    ).best
+    u, slopes = best.u, best.slopes
     found = floquet_multipliers(slopes[:, :-1], slopes[:, -1])
+    once = start.at[-1].divide(jnp.maximum(jnp.round(period / u[-1]), 1.0))
     return ClosedOrbit(
-        (u[:n], u[n:-1]), u[-1], jnp.max(jnp.abs(end - u[:-1])),
-        jnp.max(jnp.abs(u - start)), found.multipliers, found.defect,
+        (u[:n], u[n:-1]), u[-1], gap(best), jnp.max(jnp.abs(u - once)), found.multipliers,
+        found.defect,
     )  # fmt: skip

@@ -3,12 +3,13 @@
 Shooting asks that a state comes back after a period.  Two choices keep it well conditioned at
 every width of the smoothed friction:
 
-- *Where the orbit is cut.* At the greatest velocity of one vibrating mass j.  There its
-  acceleration vanishes, which gives x_j from everything else: no phase condition is left to solve.
-- *In which coordinates.* Relative to the belt, w_n = v_n - v_d = eps sinh z_n.  Within |w| < eps,
-  where a mass sticks, z is w / eps; outside it is a logarithm.  The layer in which a smoothed fold
-  happens, of thickness O(eps) in v, has thickness O(1) in z_j, which is the "greatest w / eps
-  along the orbit".
+- *Where the orbit is cut.* At the greatest velocity of one vibrating mass j in the direction of
+  the belt.  There its acceleration vanishes, which gives x_j from everything else: no phase
+  condition is left to solve.
+- *In which coordinates.* Relative to the belt, w_n = v_n - v_d = sign(v_d) eps sinh z_n.  Within
+  |w| < eps, where a mass sticks, z is |w| / eps; outside it is a logarithm.  The layer in which a
+  smoothed fold happens, of thickness O(eps) in v, has thickness O(1) in z_j, which is the
+  "greatest w / eps along the orbit".
 
 Unknowns u = (x_n for n != j, z_n for all n, ln T): 2n numbers, for 2n equations (return of x and
 of z).
@@ -124,13 +125,8 @@ class Shooting(eqx.Module):
         stiffness = -field.restoring_force(slopes)[self.mass]
         return field, (x + slopes * (force[self.mass] / stiffness), v), jnp.exp(u[-1])
 
-    def amplitude(self, u: Float[Array, " m"], parameter: Any = None) -> Array:
-        """The velocity of mass j at the cut, its greatest."""
-        _, (_, v), _ = self.unpack(u, parameter)
-        return v[self.mass]
-
     def rest(self, parameter: Any = None) -> Array:
-        """The sinh z_j of vanishing velocity: -v_d / eps."""
+        """The sinh z_j of vanishing velocity: -|v_d| / eps."""
         field = self.at(parameter)
         belt, width = _layer(field, jnp.zeros(len(self.images)))
         if width is None:
@@ -168,11 +164,11 @@ def residual(u: Float[Array, " m"], parameter: Any, shooting: Shooting) -> Float
 
 
 def _layer(field: AbstractOscillators, v: Array) -> tuple[Any, Any]:
-    """(the velocity at which friction switches, its width); (None, None) for no such force."""
+    """(the velocity v_d at which friction switches, sign(v_d) eps); (None, None) if none does."""
     switching = field.switching(0.0, jnp.zeros_like(v))
     if switching is None:
         return None, None
-    return -switching[0], switching[1]
+    return -switching[0], field.belt_direction() * switching[1]
 
 
 def _image_mask(images: tuple[int, ...], mass: int) -> Array:

@@ -203,6 +203,13 @@ class AbstractOscillators(eqx.Module):
         del t, v
         return None
 
+    def belt_direction(self) -> ScalarLike:
+        """The sign of the velocity at which forces switch, 1 or -1: which way the belt runs.
+
+        1 where no force switches.
+        """
+        return 1.0
+
     def stick_speed(self) -> PerMass | None:
         """Up to which |w| (see `switching`) a mass sticks; None if no mass can."""
         return None
