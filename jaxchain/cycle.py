@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -20,13 +21,14 @@ from ._types import State
 from .chain import Chain
 from .choice import fit_linear_solve
 from .cycle_guesses import (
+    TRANSIENT,
     carried,
     guess_from_point,
     guess_from_simulation,
+    guess_of_kind,
     most_lively,
-    release_state,
-    slip_guess,
 )
+from .cycle_reach import is_of_kind, reach
 from .cycle_search import LimitCycle, solve_cycle, with_derivatives
 from .floquet import CYCLE_RTOL, check_orbit
 from .roots import check_tolerance
@@ -35,8 +37,6 @@ from .shooting import MAX_STEP, Shooting
 from .simulate import Simulation
 from .states import reference_site
 from .structure import AbstractOscillators
-
-_TRANSIENT = 200.0
 
 
 def find_limit_cycle(
@@ -61,8 +61,9 @@ def find_limit_cycle(
     **Arguments:**
 
     - `chain`: a `Chain`, or with a guess any autonomous `AbstractOscillators`.
-    - `guess`: None, the vibration of one mass on which a simulation settles, or the unstable one
-      in which it slides throughout (`branch` = "unstable"); a state (x, v), from which a
+    - `guess`: None, the vibration of one mass in which it sticks and slips (on which a simulation
+      settles), or the unstable one in which it slides throughout (`branch` = "unstable"), reached
+      from another belt speed if it is not found at once; a state (x, v), from which a
       simulation starts, or with `period` a point near the orbit; a pair (state, period); a
       `Simulation` (its last state); a `LimitCycle` of another chain.
     - `vibrating`: index of the mass at whose greatest velocity the orbit is cut, by default n // 2
@@ -71,9 +72,11 @@ def find_limit_cycle(
     - `rtol`: of the integration; `tolerance`: of the residual; `max_steps`: integrations allowed.
     - `throw`: raise an error where no cycle is found; otherwise `converged` is False.
 
-    **Returns:** a `LimitCycle`.  Its state, period, amplitude and energy have derivatives in every
-    number of the chain, forward and in reverse (the rest of it is constant); it works under
-    `vmap` and `jit`, with a guess that is not None and `throw` without effect.
+    **Returns:** a `LimitCycle`, of the least period: an orbit gone round up to 16 times is told by
+    its state after shares of the period, and solved for again.  Its state, period, amplitude and
+    energy have derivatives in every number of the chain, forward and in reverse (the rest of it is
+    constant); it works under `vmap` and `jit`, `throw` without effect; without a guess nothing is
+    tried there but the belt speed asked for.
 
     **Raises:** `ValueError` for bad input; `RuntimeError`, with advice, if no cycle is found.
     Rest is never taken for a cycle.
@@ -99,11 +102,25 @@ def find_limit_cycle(
         field=frozen, rtol=rtol, mass=mass, images=_checked_images(images, n, mass),
         solver=fit_linear_solve(Rodas5P(), frozen, 1e-9 if is_traced(rtol) else float(rtol)),
     )  # fmt: skip
+    numbers = to_float(tolerance), jnp.asarray(limit)
     start = shooting.pack(lax.stop_gradient(state), lax.stop_gradient(period))
-    cycle, u = solve_cycle(shooting, start, to_float(tolerance), jnp.asarray(limit))
+    cycle, u = solve_cycle(shooting, start, *numbers)
+    reason = ""
+    if guess is None:
+        cycle = _keep_kind(cycle, branch)
+        if not is_traced(cycle.converged) and not cycle.converged:
+            found, reason = reach(shooting, branch, *numbers)
+            if found is not None:
+                cycle, u = solve_cycle(shooting, shooting.pack(*found), *numbers)
     if throw and not is_traced(cycle.converged) and not cycle.converged:
-        raise RuntimeError(_failure(cycle))
+        raise RuntimeError(_failure(cycle) if guess is not None else _missing(branch, reason))
     return with_derivatives(shooting, chain, cycle, u)
+
+
+def _keep_kind(cycle: LimitCycle, kind: str) -> LimitCycle:
+    """Not `converged` unless it is on the side of its fold that was asked for."""
+    converged = cycle.converged & is_of_kind(cycle, kind)
+    return eqx.tree_at(lambda c: c.converged, cycle, converged)
 
 
 def resolve_guess(
@@ -118,16 +135,12 @@ def resolve_guess(
                 "Argument `guess` is None, which is for a `Chain`: give a state and a period."
             )
         mass = _checked_mass(vibrating, chain.n, reference_site(chain.n))
-        if branch == "unstable":
-            state, period = slip_guess(chain, mass)
-        else:
-            released = release_state(chain, mass)
-            state, period = guess_from_simulation(chain, released, mass, transient=_TRANSIENT)
-        return mass, *_sound(state, period, throw)
+        state, period = guess_of_kind(chain, mass, branch)
+        return mass, state, period
     if isinstance(guess, LimitCycle):
         mass = _checked_mass(vibrating, guess.state[0].shape[0], guess.mass)
         return mass, *_sound(carried(guess.state, guess.chain, chain), guess.period, throw)
-    transient = _TRANSIENT
+    transient = TRANSIENT
     if isinstance(guess, Simulation):
         guess, transient = guess.state, 0.0
     pair = isinstance(guess, tuple | list) and len(guess) == 2
@@ -173,12 +186,21 @@ def _sound(state: State, period: Any, throw: bool) -> tuple[State, Any]:
     known = is_traced(state, period) or bool(jnp.isfinite(jnp.sum(state[1]) + period))
     if throw and not known:
         raise RuntimeError(
-            "No vibration was found to start from: at this belt speed the mass comes to rest, or "
-            "has no cycle of the kind asked for. See `fold_belt_speed` for the greatest belt "
-            "speed of vibration and `hopf_belt_speed` for the least of the unstable cycle, or "
-            "give a `guess`."
+            "No vibration was found to start from: the state that was given comes to rest. See "
+            "`fold_belt_speed` for the greatest belt speed of vibration, or give another `guess`."
         )
     return state, period
+
+
+def _missing(kind: str, reason: str) -> str:
+    wanted = "stick-slip cycle" if kind == "stable" else "slip cycle"
+    if reason:
+        return f"There is no {wanted} at this belt speed on the branch that was found: {reason}."
+    return (
+        f"A {wanted} was not found: neither at this belt speed nor at others, to follow it from. "
+        "There may be none. See `fold_belt_speed` for the greatest belt speed of vibration and "
+        "`hopf_belt_speed` for the least of the slip cycle, or give a `guess`."
+    )
 
 
 def _failure(cycle: LimitCycle) -> str:

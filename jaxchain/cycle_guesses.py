@@ -1,7 +1,7 @@
 """Where to begin the search for a limit cycle.
 
-Every guess is (state, period) with the state at the greatest velocity of the vibrating mass, where
-`Shooting` cuts the orbit.
+Every guess is (state, period) with the state at the greatest velocity of the vibrating mass in the
+direction of the belt, where `Shooting` cuts the orbit.
 """
 
 from __future__ import annotations
@@ -27,17 +27,21 @@ from .states import reference_site
 from .structure import AbstractOscillators
 
 Guess = tuple[State, Array]
+# For which a simulation runs before it is looked at.
+TRANSIENT = 200.0
 _PEAKS = 12
+# Trials to locate one: regula falsi gains a digit or two with each.
+_TRIALS = 6
 # Of the returns to the section, the first is taken that is nearly as good as the best.
 _AS_GOOD, _GOOD = 2.0, 1e-3
 _RATIOS = np.concatenate([np.geomspace(1e-3, 0.3, 24), np.linspace(0.32, 1.0, 35)])
 
 
 class VelocityPeaks(AbstractObserver):
-    """States in which mass `oscillator` reaches a maximum of its velocity, from time `start` on.
+    """States in which mass `oscillator` is fastest in the belt's direction, from time `start` on.
 
-    Located by a secant on its acceleration.  **Value:** (times, x, v) of shapes (capacity,),
-    (capacity, n), (capacity, n); NaN where there is none.
+    Zeros of its acceleration, located by regula falsi on the interpolated state.  **Value:**
+    (times, x, v) of shapes (capacity,), (capacity, n), (capacity, n); NaN where there is none.
     """
 
     oscillator: int = eqx.field(static=True)
@@ -47,13 +51,32 @@ class VelocityPeaks(AbstractObserver):
     def init(self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State) -> Any:
         del t1
         empty = jnp.full((self.capacity, y0[0].shape[0]), jnp.nan)
-        return empty[:, 0], empty, empty, jnp.zeros((), int), field(t0, y0)[1][self.oscillator]
+        return empty[:, 0], empty, empty, jnp.zeros((), int), self._acceleration(field, t0, y0)
+
+    def _acceleration(self, field: AbstractOscillators, t: Any, y: State) -> Array:
+        return field.belt_direction() * field(t, y)[1][self.oscillator]
 
     def update(self, accumulator: Any, step: Step) -> Any:
         times, xs, vs, count, before = accumulator
-        after = step.field(step.t1, step.y1)[1][self.oscillator]
+        after = self._acceleration(step.field, step.t1, step.y1)
         peak = (before > 0) & (after <= 0)
-        theta = jnp.where(peak, before / jnp.where(peak, before - after, 1.0), 1.0)
+
+        def nearer(_: Any, bracket: tuple[Array, ...]) -> tuple[Array, ...]:
+            # The Illinois rule: the value at an end that stays twice is halved.
+            a, fa, b, fb, side = bracket
+            theta = a + (b - a) * fa / jnp.where(peak, fa - fb, 1.0)
+            t = step.t0 + theta * (step.t1 - step.t0)
+            f = self._acceleration(step.field, t, (step.displacement(theta), step.velocity(theta)))
+            rises = f > 0
+            fa = jnp.where(rises, f, jnp.where(side < 0, 0.5 * fa, fa))
+            fb = jnp.where(rises, jnp.where(side > 0, 0.5 * fb, fb), f)
+            side = jnp.where(rises, 1, -1)
+            return jnp.where(rises, theta, a), fa, jnp.where(rises, b, theta), fb, side
+
+        whole = jnp.zeros(()), before, jnp.ones(()), after, jnp.zeros((), int)
+        trials = jnp.where(peak, _TRIALS, 0)
+        a, fa, b, fb, _ = lax.fori_loop(0, trials, nearer, whole)
+        theta = jnp.where(peak, a + (b - a) * fa / jnp.where(peak, fa - fb, 1.0), 1.0)
         time = step.t0 + theta * (step.t1 - step.t0)
         hit = peak & (time >= self.start)
         here = hit & (jnp.arange(self.capacity) == count)
@@ -112,8 +135,9 @@ def guess_from_simulation(
     """A point of the orbit on which `state` settles, and its period.
 
     Integrates for `transient`, then for `duration`, and looks at the states in which mass
-    `vibrating` (by default the one farthest from sliding) moves fastest: the period is the time
-    since the one that is most like the last of them, as a whole.
+    `vibrating` (by default the one farthest from sliding) is fastest in the direction of the belt:
+    the period is the time since the one that is most like the last of them, as a whole.  Of an
+    orbit that is not yet settled it may be a multiple; `find_limit_cycle` looks for the least.
 
     **Returns:** (state, period), NaN where the mass has not two such maxima: it rests, or moves
     too slowly for `duration`.  Works under `jit` and `vmap`, `vibrating` being given.
@@ -143,12 +167,13 @@ def guess_from_simulation(
 def guess_from_point(
     chain: AbstractOscillators, state: State, period: Any, vibrating: int
 ) -> State:
-    """The point of an orbit of known period at which mass `vibrating` moves fastest.
+    """The point of an orbit of known period at which mass `vibrating` is fastest along the belt.
 
     Nothing is integrated if `state` is such a point; NaN if there is none.
     """
     if not is_traced(chain, state):
-        acceleration, velocity = chain(0.0, state)[1][vibrating], state[1][vibrating]
+        along = chain.belt_direction()
+        acceleration, velocity = chain(0.0, state)[1][vibrating], along * state[1][vibrating]
         # A mass that sticks is accelerated by little, but by more than this.
         if velocity > 0 and abs(acceleration) < 1e-9 * velocity:
             return state
@@ -156,18 +181,23 @@ def guess_from_point(
     watch = VelocityPeaks(vibrating, _PEAKS, 0.0)
     run = _watched(chain, state, 1.05 * to_float(period), watch)
     _, xs, vs = lax.stop_gradient(run.observed)
-    fastest = jnp.argmax(jnp.where(jnp.isnan(vs[:, vibrating]), -jnp.inf, vs[:, vibrating]))
+    speeds = chain.belt_direction() * vs[:, vibrating]
+    fastest = jnp.argmax(jnp.where(jnp.isnan(speeds), -jnp.inf, speeds))
     return xs[fastest], vs[fastest]
 
 
 def carried(state: State, before: AbstractOscillators, after: AbstractOscillators) -> State:
-    """A state of the field `before`, for `after`: a mass that sticks goes with the belt."""
-    x, v = state
-    old, new = before.switching(0.0, v), after.switching(0.0, v)
+    """A state of the field `before`, for `after`: a mass that sticks goes with the belt.
+
+    Where the belt runs the other way it is the mirror image.
+    """
+    turned = before.belt_direction() * after.belt_direction()
+    x, v = (turned * part for part in state)
+    old, new = before.switching(0.0, turned * v), after.switching(0.0, v)
     if old is None or new is None:
-        return state
+        return x, v
     sticks = jnp.abs(old[0]) < 10.0 * old[1]
-    return x, jnp.where(sticks, v - new[0] + old[0] * (new[1] / old[1]), v)
+    return x, jnp.where(sticks, v - new[0] + turned * old[0] * (new[1] / old[1]), v)
 
 
 def slip_guess(chain: Chain, vibrating: int) -> Guess:
@@ -177,15 +207,14 @@ def slip_guess(chain: Chain, vibrating: int) -> Guess:
     `averaging.py`); the other masses move as its springs shake them, linearised about sliding:
     (K - omega^2 + i omega D) u = 0 in their rows.
     """
-    alone = one_mass(chain, vibrating)
-    speed = chain.belt_speed
+    alone, speed = one_mass(chain, vibrating), jnp.abs(chain.belt_speed)
     ratios = jnp.asarray(_RATIOS)
     values = lax.map(lambda ratio: gain(alone, ratio, speed), ratios)
     rises = (values[:-1] <= 0) & (values[1:] > 0)
     at = jnp.argmax(rises)
     share = -values[at] / (values[at + 1] - values[at])
     ratio = ratios[at] + share * (ratios[at + 1] - ratios[at])
-    amplitude = jnp.where(jnp.any(rises), ratio * jnp.abs(speed), jnp.nan)
+    amplitude = jnp.where(jnp.any(rises), ratio * speed, jnp.nan) * chain.belt_direction()
     omega = jnp.sqrt(alone.stiffness)
     x, _ = steady_sliding(chain)
     damping = jnp.broadcast_to(sliding_damping(chain, speed), (chain.n,))
@@ -199,6 +228,14 @@ def slip_guess(chain: Chain, vibrating: int) -> Guess:
     return (x + moved, amplitude * jnp.real(shape)), 2 * jnp.pi / omega
 
 
+def guess_of_kind(chain: Chain, vibrating: int, kind: str) -> Guess:
+    """A guess of the stick-slip cycle ("stable") or of the slip cycle ("unstable") of one mass."""
+    if kind == "unstable":
+        return slip_guess(chain, vibrating)
+    released = release_state(chain, vibrating)
+    return guess_from_simulation(chain, released, vibrating, transient=TRANSIENT)
+
+
 def guess_from_hopf(
     chain: Chain,
     points: HopfPoints,
@@ -209,7 +246,7 @@ def guess_from_hopf(
     """The small cycle that branches off Hopf point `index` of `points`, at the chain's belt speed.
 
     x = x_s + A Re[u exp(i omega t)], when mass `vibrating` (by default the one that moves most)
-    is fastest.
+    is fastest in the direction of the belt.
 
     **Arguments:** `points` from `hopf_points(chain, ...)`; `amplitude` = A > 0 of displacement, of
     the mass that moves most, by default what `square_amplitude_slope` predicts.
@@ -246,7 +283,7 @@ def guess_from_hopf(
     check_positive("amplitude", amplitude, "0.1 is usual.")
     mass = int(jnp.argmax(jnp.abs(shape))) if vibrating is None else vibrating
     moving = 1j * omega * shape
-    phase = jnp.conj(moving[mass]) / jnp.abs(moving[mass])
+    phase = chain.belt_direction() * jnp.conj(moving[mass]) / jnp.abs(moving[mass])
     x, _ = steady_sliding(chain)
     disturbed = x + amplitude * jnp.real(shape * phase)
     return (disturbed, amplitude * jnp.real(moving * phase)), 2 * jnp.pi / omega

@@ -199,10 +199,15 @@ def test_chains_are_searched_in_one_batch_and_do_not_harm_each_other(slip):
 
 def test_rest_and_failure_are_told():
     fast = paper_chain(1, belt_speed=2.5, width=0.05)
+    for branch in ("stable", "unstable"):
+        with pytest.raises(RuntimeError, match=r"There is no .* turn at a fold at 1.65931"):
+            find_limit_cycle(fast, branch=branch)
     with pytest.raises(RuntimeError, match="comes to rest"):
-        find_limit_cycle(fast, branch="unstable")
-    with pytest.raises(RuntimeError, match="fold"):
-        find_limit_cycle(fast)
+        find_limit_cycle(fast, excited_state(fast, 1))
+    with pytest.raises(RuntimeError, match=r"end in a Hopf point at 1.15129"):
+        find_limit_cycle(fast.with_(belt_speed=1.1), branch="unstable")
+    with pytest.raises(RuntimeError, match="was not found"):
+        find_limit_cycle(fast.with_(mu_dynamic=1.0))  # Coulomb friction feeds no vibration
     lost = find_limit_cycle(fast, throw=False)
     assert not bool(lost.converged)
     assert lost.stable is None
@@ -211,6 +216,32 @@ def test_rest_and_failure_are_told():
         fast, ((jnp.full(1, 0.5), jnp.full(1, 1e-4)), 6.28), vibrating=0, throw=False
     )
     assert not bool(resting.converged)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("speed", [1.7892, 1.792, -1.792])
+def test_cycles_near_the_fold_are_found_on_their_own_side(speed):
+    chain = paper_chain(1, width=0.01, belt_speed=speed)
+    slip = find_limit_cycle(chain, branch="unstable")
+    stick = find_limit_cycle(chain)
+    assert (slip.stable, stick.stable) == (False, True)
+    # Closeness at the fold: -2.142.
+    assert float(slip.closeness[0]) < -2.142 < float(stick.closeness[0])
+    assert max(float(slip.residual), float(stick.residual)) < 1e-9
+    assert float(slip.chain.belt_speed) == speed
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("branch", ["stable", "unstable"])
+def test_a_belt_that_runs_the_other_way_has_the_mirrored_cycle(branch):
+    chain = paper_chain(1, width=0.01)
+    ahead = find_limit_cycle(chain, branch=branch)
+    back = find_limit_cycle(chain.with_(belt_speed=-1.5), branch=branch)
+    carried = find_limit_cycle(chain, back)
+    for cycle, sign in ((back, -1.0), (carried, 1.0)):
+        np.testing.assert_allclose(cycle.state, sign * jnp.stack(ahead.state), atol=1e-9)
+        for name in ("period", "multipliers", "amplitude", "fastest", "closeness"):
+            np.testing.assert_allclose(getattr(cycle, name), getattr(ahead, name), atol=1e-8)
 
 
 def test_a_cycle_is_not_called_stable_without_proof(slip):

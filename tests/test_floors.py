@@ -16,7 +16,7 @@ FLOORS = [
     {"chain", "control", "polynomial", "rosenbrock", "augmented", "corrector"}
     | {"studies.verdicts.reasons"},
     {"dry", "observe", "states", "choice", "special_points", "sliding", "averaging"},
-    {"amplitude", "sampling", "progress", "studies.balance", "studies.witnesses"}
+    {"amplitude", "least_period", "sampling", "progress", "studies.balance", "studies.witnesses"}
     | {"walk", "lyapunov_coefficient", "crossings", "grazing", "front_track", "mistuning"},
     {"engine", "filippov", "lanes", "dataset", "continuation", "hopf", "hopf_points"}
     | {"hopf_descent"},
@@ -25,13 +25,16 @@ FLOORS = [
     | {"studies.mistuning.capture", "studies.fronts.prediction"},
     {"ensemble", "tables", "fold", "cycle_guesses", "cycle_search", "cycle_points", "return_map"},
     {"lyapunov", "front", "film", "scene", "studies", "studies.__init__", "studies.cycles"}
-    | {"one_mass", "extrapolate", "fold_descent", "bistable", "cycle", "cycle_special"},
+    | {"one_mass", "extrapolate", "fold_descent", "bistable", "cycle_special"},
     {"diagram", "scenefile", "bench.peers", "bench.timing", "boundary"}
-    | {"cycle_branch", "measurements", "design", "patterns", "trial"}
+    | {"cycle_branch", "measurements", "design", "trial"}
     | {"studies.crosscheck_summary", "studies.crosscheck_table", "studies.extreme_table"}
     | {"studies.boundaries_table", "studies.states.table", "studies.verdicts.table"}
     | {"studies.ladder.table", "studies.mistuning.table"}
     | {"studies.fronts.table", "studies.fronts.runs", "studies.fronts.report"},
+    {"cycle_reach"},
+    {"cycle"},
+    {"patterns"},
     {"plot", "summary", "bench.cstep", "bench.ensembles", "bench.solvers", "identification"}
     | {"orbit_judge", "studies.approaches", "studies.judge", "studies.boundaries_curves"}
     | {"studies.states.phases", "studies.ladder.branches", "studies.ladder.checks"}

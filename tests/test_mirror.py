@@ -1,0 +1,273 @@
+"""A belt that runs the other way: x -> -x, v -> -v, v_d -> -v_d changes nothing.
+
+Every public function that takes a chain is asked about random chains and their mirror images.
+"""
+
+import inspect
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxchain as jc
+from jaxchain.patterns import phase_model
+
+COUNT, N = 20, 3
+DRY = jc.EventDriven()
+
+
+def random_chains(n=N, count=COUNT, seed=0, speeds=(1.2, 1.6)):
+    """Chains whose single mass may vibrate, most of them, stacked along axis 0."""
+    rng = np.random.default_rng(seed)
+
+    def draw(low, high):
+        return jnp.asarray(rng.uniform(low, high, count))
+
+    numbers = {
+        "belt_speed": draw(*speeds), "damping_ratio": draw(0.03, 0.07), "width": draw(0.02, 0.05),
+        "mu_static": draw(0.9, 1.2), "mu_dynamic": draw(0.4, 0.6), "v_ref": draw(0.4, 0.6),
+        "stiffness": draw(0.8, 1.2),
+    }  # fmt: skip
+    if n > 1:
+        numbers["coupling"] = draw(0.003, 0.03)
+    return jax.vmap(lambda own: jc.paper_chain(n).with_(**own))(numbers)
+
+
+def mirrored(chains):
+    return eqx.tree_at(lambda c: c.belt_speed, chains, -chains.belt_speed)
+
+
+def one(chains, k):
+    return jax.tree.map(lambda leaf: leaf[k], chains)
+
+
+def excited(chain, sign):
+    return jc.excited_state(chain, 2, amplitude=sign * 2.0, velocity=sign * 0.3)
+
+
+def start(chain, sign):
+    """On the belt and released, so that the middle mass vibrates."""
+    x, v = jc.steady_sliding(chain)
+    mass = chain.n // 2
+    return x.at[mass].set(0.0), v.at[mass].set(sign * jnp.abs(chain.belt_speed))
+
+
+def turned(sign, state):
+    return jnp.stack(state) * sign
+
+
+def run(solver):
+    def case(chain, sign):
+        observe = {
+            "amplitude": jc.Amplitude(window=20.0), "stick": jc.StickTime(),
+            "path": jc.Trajectory(jnp.linspace(1.0, 59.0, 8)),
+        }  # fmt: skip
+        found = jc.simulate(chain, excited(chain, sign), 60.0, observe=observe, solver=solver)
+        x, v = found.observed["path"]
+        return (
+            turned(sign, found.state), turned(sign, (x, v)), found.observed["amplitude"],
+            found.observed["stick"], found.steps,
+        )  # fmt: skip
+
+    return case
+
+
+def spectrum(solver):
+    def case(chain, sign):
+        found = jc.lyapunov_spectrum(
+            chain, excited(chain, sign), 60.0, count=3, blocks=4, solver=solver, throw=False
+        )
+        return found.exponents, found.mean_divergence
+
+    return case
+
+
+def cycle(chain, sign):
+    state, period = jc.guess_from_simulation(chain, start(chain, sign), 0, transient=100.0)
+    found = jc.find_limit_cycle(chain, (state, period), vibrating=0)
+    parts = found.period, found.amplitude, found.fastest, found.closeness, found.multipliers
+    return (turned(sign, state), period, turned(sign, found.state), *parts)
+
+
+def dry_orbit(chain, sign):
+    state = jc.simulate(chain, start(chain, sign), 200.0, solver=DRY, rtol=1e-9).state
+    orbit = jc.close_orbit(chain, state, 6.3 / jnp.sqrt(chain.stiffness), solver=DRY)
+    return turned(sign, orbit.state), orbit.period, jnp.abs(orbit.multipliers) > 1e-12
+
+
+def linear(chain, sign):
+    state = excited(chain, sign)
+    return jc.monodromy_matrix(chain, state, 6.0), jc.liouville_determinant(chain, state, 6.0)
+
+
+def design(chain):
+    changed = jc.design(
+        chain, lambda chain, xi: chain.with_(damping_ratio=xi), 0.05, highest_below=1.7, steps=3
+    )
+    return changed.theta, changed.costs
+
+
+QUICK = {
+    "steady_sliding": lambda chain, sign: turned(sign, jc.steady_sliding(chain)),
+    "excited_state": lambda chain, sign: turned(sign, excited(chain, sign)),
+    "hopf_belt_speed": lambda chain, sign: jc.hopf_belt_speed(chain),
+    "choose_numerics": lambda chain, sign: jc.choose_numerics(chain, 1e-2).width,
+    "mistuned_chain": lambda chain, sign: jc.mistuned_chain(chain, 3, 0.1).stiffness,
+    "linear_modes": lambda chain, sign: eqx.filter(jc.linear_modes(chain), eqx.is_array),
+    "simulate": run(None),
+    "simulate dry": run(DRY),
+}  # fmt: skip
+LONG = {
+    "lyapunov_spectrum": spectrum(None),
+    "lyapunov_spectrum dry": spectrum(DRY),
+    "monodromy_matrix": linear,
+}
+# The chain's own belt speed has no part in these.
+SPEEDLESS = {
+    "fold_belt_speed": jc.fold_belt_speed,
+    "nonsmooth_fold_belt_speed": jc.nonsmooth_fold_belt_speed,
+    "find_fold": lambda chain: eqx.filter(jc.find_fold(chain), eqx.is_array),
+    "find_grazing": lambda chain: eqx.filter(jc.find_grazing(chain), eqx.is_array),
+    "fold_in_the_limit": jc.fold_in_the_limit,
+    "fold_boundary": jc.fold_boundary,
+    "bistable_range": jc.bistable_range,
+    "try_boundary": lambda chain: jc.try_boundary(chain, 1.7, time=50.0),
+    "hopf_by_descent": lambda chain: jc.hopf_by_descent(chain, steps=20).belt_speed,
+    "fold_by_descent": lambda chain: jc.fold_by_descent(chain, steps=3).belt_speed,
+    "one_mass_branch": lambda chain: eqx.filter(jc.one_mass_branch(chain), eqx.is_array),
+    "design": design,
+}
+# Of chains one by one, on the host.
+SINGLE = (
+    "boundaries", "continue_cycle", "depinning_belt_speed", "equation_8", "equation_10",
+    "find_limit_cycle", "first_lyapunov_coefficient", "front_speed", "generalised_hopf",
+    "guess_from_hopf", "hopf_points", "identify", "phase_model", "sweep", "verdict", "verdicts",
+    "close_orbit", "guess_from_simulation", "liouville_determinant",
+)  # fmt: skip
+
+
+def compare(case, chains, tolerance):
+    each = eqx.filter_jit(lambda chains, sign: jax.vmap(lambda c: case(c, sign))(chains))
+    ahead, back = each(chains, jnp.asarray(1.0)), each(mirrored(chains), jnp.asarray(-1.0))
+    leaves = jax.tree.leaves(ahead)
+    assert leaves
+    for a, b in zip(leaves, jax.tree.leaves(back), strict=True):
+        assert np.mean(np.isfinite(a)) > 0.5
+        np.testing.assert_allclose(a, b, rtol=tolerance, atol=tolerance)
+
+
+def test_no_public_function_of_a_chain_is_forgotten():
+    cases = {name.split()[0] for name in (*QUICK, *LONG, *SPEEDLESS, *SINGLE)}
+    public = [getattr(jc, name) for name in dir(jc) if not name.startswith("_")]
+    functions = [f for f in public if inspect.isfunction(f) or hasattr(f, "__wrapped__")]
+    taking = {f.__name__ for f in functions if "chain" in inspect.signature(f).parameters}
+    assert taking <= cases
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_the_mirror_image_does_the_same(name):
+    compare(QUICK[name], random_chains(), 1e-9)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", LONG)
+def test_the_mirror_image_is_as_stable(name):
+    compare(LONG[name], random_chains(), 1e-9)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", SPEEDLESS)
+def test_boundaries_do_not_depend_on_the_belt_speed_of_the_chain(name):
+    compare(lambda chain, sign: SPEEDLESS[name](chain), random_chains(n=1), 1e-12)
+
+
+@pytest.mark.long
+def test_the_mirror_image_has_the_same_cycles():
+    compare(cycle, random_chains(n=1), 1e-8)
+
+
+@pytest.mark.long
+def test_the_mirror_image_has_the_same_dry_cycles():
+    compare(dry_orbit, random_chains(n=1), 1e-9)
+
+
+@pytest.mark.long
+def test_the_mirror_image_has_the_same_branch():
+    chain = one(random_chains(n=1), 0)
+    branches = [
+        jc.continue_cycle(jc.find_limit_cycle(own), direction=way)
+        for own, way in ((chain, 1), (mirrored(chain), -1))
+    ]
+    ahead, back = branches
+    assert [point.kind for point in ahead.special] == ["fold", "hopf"]
+    assert [point.kind for point in back.special] == ["fold", "hopf"]
+    for a, b in zip(ahead.special, back.special, strict=True):
+        assert b.parameter == pytest.approx(-a.parameter, abs=1e-9)
+        np.testing.assert_allclose(b.x, -a.x, atol=1e-7)
+    for name, sign in (("parameter", -1), ("x", -1), ("v", -1), ("period", 1), ("closeness", 1)):
+        np.testing.assert_allclose(
+            getattr(back, name), sign * getattr(ahead, name), rtol=1e-6, atol=1e-6
+        )
+
+
+@pytest.mark.long
+def test_the_mirror_image_has_the_same_hopf_points_and_what_begins_there():
+    for k in range(3):
+        chain = one(random_chains(n=1, speeds=(1.25, 1.3)), k)
+        found = []
+        for own in (chain, mirrored(chain)):
+            points = jc.hopf_points(own, (0.5, 3.0))
+            speed = 1.01 * points.belt_speed[-1]
+            near = own.with_(belt_speed=float(own.belt_direction()) * speed)
+            guess = jc.guess_from_hopf(near, points, len(points.kind) - 1)
+            found.append((points, jc.find_limit_cycle(near, guess)))
+        (points, small), (same, back) = found
+        for name in ("belt_speed", "frequency", "lyapunov_coefficient"):
+            np.testing.assert_array_equal(getattr(points, name), getattr(same, name))
+        np.testing.assert_allclose(back.state, -jnp.stack(small.state), atol=1e-9)
+        assert small.stable is back.stable is False
+
+
+@pytest.mark.long
+def test_sweeps_take_belt_speeds_of_either_sign():
+    chain = jc.paper_chain(3)
+    speeds = np.array([1.3, 1.5, 1.7])
+    found = jc.sweep(
+        chain, lambda chain, side: jc.excited_state(chain, 2, amplitude=side * 2.0), 60.0,
+        over={"belt_speed": [*speeds, *-speeds], "side": [1.0, -1.0]},
+        observe=jc.Amplitude(window=20.0),
+    )  # fmt: skip
+    ahead = found.sel(belt_speed=speeds)
+    back = found.sel(belt_speed=-speeds)
+    for side in (1.0, -1.0):
+        for name in ("amplitude", "energy", "active_count", "steps"):
+            np.testing.assert_array_equal(
+                ahead.sel(side=side)[name], back.sel(side=-side)[name], err_msg=name
+            )
+
+
+@pytest.mark.long
+def test_fronts_patterns_and_verdicts_are_mirrored():
+    chain = jc.paper_chain(12, belt_speed=1.1)
+    block = jc.excited_state(chain, 4, block="centred")
+    fronts = [
+        jc.front_speed(own, tuple(sign * part for part in block), 200.0)
+        for own, sign in ((chain, 1.0), (mirrored(chain), -1.0))
+    ]
+    assert float(fronts[0].speed) == float(fronts[1].speed) != 0
+    assert fronts[0].outcome == fronts[1].outcome
+    ring = jc.paper_chain(4, width=0.02)
+    models = [phase_model(own) for own in (ring, mirrored(ring))]
+    np.testing.assert_allclose(models[0].interaction, models[1].interaction, atol=1e-8)
+    assert float(models[0].period) == pytest.approx(float(models[1].period), abs=1e-9)
+    verdicts = [
+        jc.verdict(
+            own, tuple(sign * part for part in jc.equation_8(jc.paper_chain(2), 1)),
+            solver=DRY, seeds=1, noise=(1e-6,), first=500.0, longest=500.0, exponent_time=100.0,
+        )
+        for own, sign in ((jc.paper_chain(2), 1.0), (mirrored(jc.paper_chain(2)), -1.0))
+    ]  # fmt: skip
+    assert verdicts[0].verdict == verdicts[1].verdict == "periodic"
+    assert verdicts[0].runs[0].period == pytest.approx(verdicts[1].runs[0].period, abs=1e-8)
