@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from systems.piecewise import PiecewiseLinear, exact_cycle
 
-from jaxchain import excited_state, hopf_points, paper_chain, simulate
+from jaxchain import excited_state, hopf_points, paper_chain, simulate, steady_sliding
 from jaxchain.cycle import find_limit_cycle
 from jaxchain.cycle_guesses import guess_from_hopf, guess_from_simulation
 
@@ -203,7 +203,7 @@ def test_rest_and_failure_are_told():
         with pytest.raises(RuntimeError, match=r"There is no .* turn at a fold at 1.65931"):
             find_limit_cycle(fast, branch=branch)
     with pytest.raises(RuntimeError, match="comes to rest"):
-        find_limit_cycle(fast, excited_state(fast, 1))
+        find_limit_cycle(fast, steady_sliding(fast))
     with pytest.raises(RuntimeError, match=r"end in a Hopf point at 1.15129"):
         find_limit_cycle(fast.with_(belt_speed=1.1), branch="unstable")
     with pytest.raises(RuntimeError, match="was not found"):
