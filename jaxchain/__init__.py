@@ -79,6 +79,7 @@ from .measures import delays as delays
 from .measures import energy as energy
 from .measures import mean_period as mean_period
 from .measures import participation_ratio as participation_ratio
+from .measures import settled as settled
 from .mistuning import LinearModes as LinearModes
 from .mistuning import linear_modes as linear_modes
 from .mistuning import localization_length as localization_length

@@ -95,8 +95,10 @@ def sweep(
       parameters beyond the chain are taken from `over`, too, and `initial` sees the new chain.
     - `observe`: one observer or several of different kinds (default: `Amplitude` over the last
       tenth of the run).  A `Trajectory` does not fit into lanes; use `jax.vmap(simulate)`.
-    - `accuracy`: as for `simulate`; every lane has a width of its own, `width` of the dataset, and
-      all have the least of their `rtol`.
+    - `accuracy`: as for `simulate`: kept for 30 time units and by amplitudes that have settled.
+      Lanes in which it may not be kept differ from those of a second sweep with four times the
+      accuracy by more than it (see `choose_numerics`).  Every lane has a width of its own, `width`
+      of the dataset, and all have the least of their `rtol`.
     - `solver`, `rtol`, `atol`, `max_step`, `max_steps`: as for `simulate`, the same for all lanes.
     - `lanes`: lanes at a time on each device (default: what fits its cache).
     - `devices`: default all local devices.

@@ -1,4 +1,4 @@
-"""What amplitudes and peak times say about a state: energy, who vibrates, how many, delays."""
+"""What amplitudes and peak times say: energy, who vibrates, whether it has settled, delays."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
@@ -51,6 +51,43 @@ def active(
     """
     threshold = jnp.maximum(jnp.abs(jnp.asarray(belt_speed)) / 2, LEAST_ACTIVE)
     return amplitude > (threshold[..., None] if threshold.ndim else threshold)
+
+
+# Windows that must agree.  With two, three times as many wrong ones pass at an accuracy of 0.1.
+_AGREEING = 4
+
+
+def settled(
+    amplitude: Float[Array, "*batch windows n"], accuracy: ScalarLike
+) -> Bool[Array, "*batch"]:
+    """Whether amplitudes have settled: those of the last four windows agree within `accuracy`.
+
+    max over n of (greatest - least of the last four windows) <= accuracy * greatest amplitude.
+    Of such amplitudes `accuracy=` of `simulate` holds its promise at any time (see
+    `choose_numerics`).  It does not say that nothing will start later.
+
+    **Arguments:** amplitudes of successive windows, such as `simulate(..., segments=20,
+    observe=Amplitude())` observes, of at least 20 time units (three periods) each; `accuracy` is
+    relative to the greatest of all that are given.
+
+    **Returns:** shape (...); False where NaN is among the amplitudes.
+
+    **Raises:** `ValueError` for fewer than four windows.
+
+    >>> import jax.numpy as jnp
+    >>> grows = jnp.array([[1.5, 0.01], [1.5, 0.02], [1.5, 0.04], [1.5, 0.08], [1.5, 0.16]])
+    >>> bool(settled(grows, 1e-2)), bool(settled(grows, 0.1))
+    (False, True)
+    """
+    windows = jnp.shape(amplitude)[-2]
+    if windows < _AGREEING:
+        raise ValueError(
+            f"Argument `amplitude` must hold at least {_AGREEING} windows, but holds {windows}: "
+            f"run with `segments` = {_AGREEING} or more."
+        )
+    last = amplitude[..., -_AGREEING:, :]
+    change = jnp.max(jnp.max(last, axis=-2) - jnp.min(last, axis=-2), axis=-1)
+    return change <= accuracy * jnp.max(amplitude, axis=(-2, -1))
 
 
 def mean_period(peak_times: Float[Array, " peaks"]) -> Float[Array, ""]:

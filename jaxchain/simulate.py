@@ -99,8 +99,10 @@ def simulate(
     - `solver`: a structured solver (default, see `choose_solver`) or any diffrax solver, for the
       smoothed friction; or `EventDriven()` for true dry friction, whatever the width.
     - `accuracy`: the error that is allowed against true dry friction, relative to the greatest
-      amplitude; it picks the width, `rtol` and, if none is given, the solver, and says so in
-      `numerics` (see `choose_numerics` for what is promised).
+      amplitude, for 30 time units from the start, and later of amplitudes that have `settled`
+      (while masses start or stop to vibrate it may be a hundred times greater, see
+      `choose_numerics`).  It picks the width, `rtol` and, if none is given, the solver, and says
+      so in `numerics`.
     - `rtol`, `atol`: tolerances of the step-size control (default 1e-6, or less where the width
       is so narrow that sticking needs it; and rtol / 10).
     - `max_step`: no step is longer (dimensionless time; a period is about 2 pi).

@@ -12,9 +12,11 @@ from jaxchain import (
     EventDriven,
     Rodas4,
     TanhFriction,
+    Trajectory,
     choose_numerics,
     equation_8,
     paper_chain,
+    settled,
     simulate,
     sweep,
 )
@@ -40,27 +42,31 @@ def random_sets():
     return {k: jnp.asarray(v) for k, v in numbers.items()}, excited
 
 
-def end(numbers, excited, **how):
+# Five periods; every displacement and velocity is looked at three times in each of them.
+TIMES = jnp.arange(1.0, 16.0) * 2.0
+
+
+def path(numbers, excited, **how):
     chain = paper_chain(N).with_(**numbers)
-    run = simulate(
-        chain, equation_8(chain, excited), 30.0, observe=Amplitude(13.0), throw=False, **how
-    )
-    return jnp.stack([*run.state]), run.observed, run.numerics
+    watch = Trajectory(TIMES), Amplitude(13.0)
+    run = simulate(chain, equation_8(chain, excited), 30.0, observe=watch, throw=False, **how)
+    states, amplitude = run.observed
+    return jnp.stack([*states], axis=1), amplitude, run.numerics
 
 
 @pytest.fixture(scope="module")
 def truth(random_sets):
-    solve = jax.jit(jax.vmap(lambda *p: end(*p, solver=EXACT, rtol=1e-10)[:2]))
+    solve = jax.jit(jax.vmap(lambda *p: path(*p, solver=EXACT, rtol=1e-10)[:2]))
     return solve(*random_sets)
 
 
 @pytest.mark.parametrize("accuracy", [pytest.param(3e-2, marks=pytest.mark.long), 1e-3])
-def test_the_promise_is_kept_on_random_chains(random_sets, truth, accuracy):
-    solve = jax.jit(jax.vmap(lambda *p: end(*p, accuracy=accuracy)))
-    state, amplitude, numerics = solve(*random_sets)
+def test_for_five_periods_the_promise_is_kept_by_everything(random_sets, truth, accuracy):
+    solve = jax.jit(jax.vmap(lambda *p: path(*p, accuracy=accuracy)))
+    states, amplitude, numerics = solve(*random_sets)
     greatest = jnp.max(truth[1], axis=-1)
     assert np.all(greatest > 0.1)  # all of them vibrate
-    error = jnp.max(jnp.abs(state - truth[0]), axis=(-2, -1)) / greatest
+    error = jnp.max(jnp.abs(states - truth[0]), axis=(-3, -2, -1)) / greatest
     assert np.sum(error <= accuracy) >= 19
     assert np.all(error <= 2 * accuracy)
     wrong = jnp.max(jnp.abs(amplitude - truth[1]), axis=-1) / greatest
@@ -69,6 +75,51 @@ def test_the_promise_is_kept_on_random_chains(random_sets, truth, accuracy):
     # It does not keep it by being wasteful: the best of them are not a hundred times too good.
     assert np.max(error) > 0.1 * accuracy
     assert numerics.width.shape == (SETS,)
+
+
+LANES, LATE, WINDOWS = 12, 500.0, 25
+# Belt speed, coupling, masses excited, windows in which the promise is not kept.  Below the Hopf
+# speed (1.151): from 380 to 440 a third mass is drawn in at a rate of 0.01, and by then the chain
+# has multiplied any disturbance by forty.  Above it: amplitudes that beat for ever, out of step.
+HARD = [(1.055429, 0.0368024, 2, (20, 21)), (1.4463925, 0.0437191, 3, (19, 20, 21))]
+
+
+def late_amplitudes(speed, coupling, excited, **how):
+    chain = paper_chain(3, speed).with_(coupling=coupling)
+    start = equation_8(chain, excited)
+    run = simulate(chain, start, LATE, observe=Amplitude(), segments=WINDOWS, throw=False, **how)
+    return run.observed
+
+
+@pytest.mark.slow
+def test_later_the_promise_is_kept_by_amplitudes_that_have_settled_and_not_by_others():
+    rng = np.random.default_rng(7)
+    numbers = rng.uniform([0.3, 0.001], [1.8, 0.05], (LANES, 2))
+    excited = rng.integers(1, 4, LANES)
+    for lane, (speed, coupling, count, _) in enumerate(HARD):
+        numbers[lane], excited[lane] = (speed, coupling), count
+    lanes = [jnp.asarray(a) for a in (*numbers.T, excited)]
+    exact = jax.vmap(lambda *lane: late_amplitudes(*lane, solver=EXACT, rtol=1e-10))
+    smooth = jax.vmap(lambda a, *lane: late_amplitudes(*lane, accuracy=a), (None, 0, 0, 0))
+    exact, smooth = jax.jit(exact), jax.jit(smooth)
+
+    accuracy = 1e-3
+    truth, found = exact(*lanes), smooth(accuracy, *lanes)
+    scale = np.max(truth, axis=(1, 2), keepdims=True)
+    ends = np.arange(4, WINDOWS + 1)
+    still = np.stack([settled(found[:, :end], accuracy) for end in ends], axis=1)
+    error = np.max(np.abs(found - truth) / scale, axis=-1)[:, ends - 1]
+    assert 0.2 < np.mean(still) < 0.8
+    assert np.all(error[still] <= accuracy)
+    # Of amplitudes at any time it could not be promised.
+    for lane, (*_, windows) in enumerate(HARD):
+        moving = np.isin(ends, windows)
+        assert np.all(error[lane, moving] > 3 * accuracy)
+        assert not np.any(still[lane, moving])
+    # Whether it is kept is seen without the truth: by a run with four times the accuracy.
+    apart = np.max(np.abs(found - smooth(4 * accuracy, *lanes)) / scale, axis=-1)[:, ends - 1]
+    assert np.all(apart[error > accuracy] > accuracy)
+    assert np.mean(apart > accuracy) < 0.2
 
 
 def test_what_was_picked_is_said_and_used():

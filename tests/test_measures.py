@@ -1,11 +1,11 @@
-"""Periods and delays from peak times."""
+"""Periods and delays from peak times; whether amplitudes have settled."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxchain.measures import delays, mean_period
+from jaxchain.measures import delays, mean_period, settled
 
 PERIOD = 6.3
 
@@ -65,3 +65,29 @@ def test_the_mean_period_is_that_of_all_peaks():
     np.testing.assert_allclose(mean_period(jnp.asarray(times)), np.diff(known).mean(), rtol=1e-14)
     assert np.isnan(mean_period(jnp.array([1.0, jnp.nan])))
     assert np.isnan(mean_period(jnp.full(3, jnp.nan)))
+
+
+def test_amplitudes_have_settled_when_the_last_four_windows_agree():
+    early = np.array([[2.0, 0.3], [0.1, 0.2]])
+    last = np.array([[1.5, 0.5], [1.49, 0.5], [1.5, 0.51], [1.5, 0.5]])
+    amplitude = jnp.asarray(np.concatenate([early, last]))
+    # 0.01 of a greatest amplitude of 2; without the first window, of 1.5.
+    assert settled(amplitude, 5.1e-3)
+    assert not settled(amplitude, 4.9e-3)
+    assert not settled(amplitude[1:], 5.1e-3)
+    assert not settled(amplitude[:-1], 0.1)
+    # Any of the masses may be the one that changes, and none of a small step in every window.
+    creeping = jnp.stack([jnp.full(4, 1.0), jnp.array([0.0, 0.004, 0.008, 0.012])], axis=1)
+    assert not settled(creeping, 0.01)
+    assert settled(creeping, 0.0121)
+
+
+def test_whether_it_has_settled_is_known_of_batches_and_not_of_failed_lanes():
+    steady = jnp.ones((5, 2))
+    batch = jnp.stack([steady, steady.at[3, 1].set(jnp.nan), steady.at[3, 1].set(0.5), 0 * steady])
+    assert jax.jit(settled)(batch, 1e-3).tolist() == [True, False, False, True]
+
+
+def test_too_few_windows_to_tell_are_refused():
+    with pytest.raises(ValueError, match="segments"):
+        settled(jnp.ones((3, 2)), 1e-3)
