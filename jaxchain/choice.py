@@ -110,8 +110,8 @@ def choose_numerics(chain: Chain, accuracy: Any) -> Numerics:
     still change: while a mass is being drawn into vibration or is coming to rest, when they beat,
     or of irregular motion.  There the chain itself multiplies every disturbance, and smoothing
     moves the time at which a mass starts or stops.  8 % of the same runs had such a window (15 %
-    above the Hopf speed, 2 % below), with errors of up to a hundred times `accuracy`, and 2 % (4 %
-    at 0.1) ended in one.  A tenth of the accuracy takes 40 % more steps and leaves 1 %.  A second
+    above the Hopf speed, 2 % below), with errors of up to 110 times `accuracy`, and 2 % (4 % at
+    0.1) ended in one.  A tenth of the accuracy takes 40 % more steps and leaves 1 %.  A second
     run with four times the accuracy shows them without windows: where the two differ by more than
     `accuracy`, the error may be greater (of 1000 last windows that missed 0 at 1e-3 and 2 at
     1e-2).  `EventDriven()` has no width at all.

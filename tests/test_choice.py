@@ -1,5 +1,8 @@
 """`accuracy=`: what it picks, and that the promise is kept on parameters it was not fitted to."""
 
+import re
+from pathlib import Path
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -194,3 +197,22 @@ def test_a_narrow_width_has_a_tolerance_that_fits_it_by_default():
     assert abs(float(run.state[0][0] - dry.state[0][0])) < 1e-4
     with pytest.raises(ValueError, match="too loose"):
         simulate(chain, initial, 20.0, rtol=1e-6)
+
+
+@pytest.mark.long
+def test_what_the_readme_says_of_a_width_of_1e_3():
+    text = (Path(__file__).parent.parent / "README.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (?:belt speed|amplitude too small by) \|.*$", text, re.MULTILINE)
+    speeds, said = np.array([re.findall(r"\d+\.\d+", row) for row in rows], dtype=float)
+
+    def amplitude(speed, **how):
+        start = jnp.zeros(1), speed[None]  # on the belt
+        chain = paper_chain(1, speed, width=1e-3)
+        return simulate(chain, start, 400.0, observe=Amplitude(100.0), **how).observed[0]
+
+    truth = jax.jit(jax.vmap(lambda v: amplitude(v, solver=EXACT, rtol=1e-10)))(speeds)
+    found = jax.jit(jax.vmap(lambda v: amplitude(v, rtol=1e-8)))(speeds)
+    percent = 100 * (1 - np.asarray(found / truth))
+    print(dict(zip(speeds.tolist(), percent.round(3).tolist(), strict=True)))
+    np.testing.assert_allclose(said, percent, atol=0.006)
+    np.testing.assert_allclose(percent * speeds, 0.32, atol=0.035)  # "some 0.3 %"
