@@ -102,9 +102,9 @@ def choose_numerics(chain: Chain, accuracy: Any) -> Numerics:
       succession, of 20 time units or more each, agree within `accuracy` (`settled` tells).
 
     Of 1000 random chains of two to six masses with couplings up to 0.05, run for 400 time units at
-    accuracies of 0.1, 1e-2 and 1e-3, four broke the first promise, by a factor of up to 6: those
-    with a mass that only just reaches the belt's speed, or just not.  The second one was broken
-    where the smoothed chain had settled upon another state than the true one: by 21, 1 and 0.
+    accuracies of 0.1, 1e-2 and 1e-3, no more than four at each broke the first promise, by a
+    factor of up to 6.4.  The second one was broken, by 21, 1 and 0 of them, where the smoothed
+    chain had settled upon another state than the true one.
 
     **Not promised:** later states, because errors of the period add up; and later amplitudes that
     still change: while a mass is being drawn into vibration or is coming to rest, when they beat,
