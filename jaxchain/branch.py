@@ -35,7 +35,8 @@ class Point:
 
     `tangent` = dz/ds has length 1 in the weighted norm and looks ahead; `sign` and `logdet` belong
     to det [F_z; tangent^T], which is zero where branches cross; `residual` = max |F|
-    before the last Newton step, which leaves much less.
+    before the last Newton step, which leaves much less.  `last_step` is the weighted length of
+    that step: z errs by less, and the Jacobian and the tangent are those of a place so far away.
     """
 
     z: Float[np.ndarray, " m_plus_1"]
@@ -44,6 +45,7 @@ class Point:
     sign: float
     logdet: float
     residual: float
+    last_step: float
     extra: Any = None
 
     @property
@@ -62,7 +64,9 @@ class SpecialPoint:
     `kind` is "fold", "branch point" or the name of the test; it lies between the points `index`
     and `index` + 1 at `arclength`.  `left_over` is what the test function is there, as a share of
     its values at these two points, and `refined` whether that is zero to the search's precision
-    (a test that jumps, for example, has no zero).  `other` is the direction in which another
+    (a test that jumps, for example, has no zero).  `error` bounds the error of `p` as a solution
+    of the equations that were given, whatever the branch's tolerance: the greatest of what the
+    last steps of the search still changed.  `other` is the direction in which another
     branch leaves a branch point, square to `tangent`.
     """
 
@@ -75,6 +79,7 @@ class SpecialPoint:
     residual: float
     left_over: float
     refined: bool
+    error: float
     extra: Any = None
     other: Float[np.ndarray, " m_plus_1"] | None = None
 

@@ -63,9 +63,10 @@ def continue_branch(
     A step is halved or more if Newton's method fails on it, if the tangent turns by more than
     `max_turn`, if the tangents' mean and the chord differ by more than `max_bend` (a feature that
     both ends do not show), or if det [F_z; tangent^T] changes its sign without going through zero
-    (a jump to another branch); it grows where all these are small.  Special points are refined:
+    (a jump to another branch); it grows where all these are small.  Special points are solved
+    for tightly whatever `tolerance` the points have, and say how far p may be off (`error`):
 
-    - "fold": dp/ds = 0, also where two of them lie between two points;
+    - "fold": p turns, by more than it errs; also where two of them lie between two points;
     - "branch point": det [F_z; tangent^T] changes its sign, once for a simple crossing (an even
       number of branches that cross at one point, as for modes in pairs, does not show);
     - the name of each test whose value changes its sign.
@@ -85,7 +86,8 @@ def continue_branch(
     - `progress(number of points, point)` is called after each point.
     - `value_and_jacobian(u, p, args)` -> (F, [F_u F_p]) or (F, [F_u F_p], extra), if there is a
       cheaper way than one jvp for each unknown.
-    - `tolerance`: the greatest error of a point, compared with 1 + |z|.
+    - `tolerance`: the greatest error of a point, compared with 1 + |z|; where such an error would
+      hide a turn, a point is solved to 1e-10.
 
     **Returns:** a `Branch`, however it ended (`ended`, `message`), also after Ctrl-C.
 

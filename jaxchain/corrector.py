@@ -6,6 +6,7 @@ the end, where it gives the tangent, the test functions, and the start of the ne
 """
 
 from collections.abc import Callable
+from copy import copy
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -22,6 +23,8 @@ from .roots import Factors, arrays, factorise, size
 _CHORD_STEPS = 8
 _LEAST_DAMPING = 1 / 16
 _MAX_EVALUATIONS = 40
+# What is found on a branch does not depend on how loosely its points are solved.
+_SHARP = 1e-10
 
 
 class _Search(NamedTuple):
@@ -247,5 +250,31 @@ class Corrector:
         self.counts.solves += 1
         if not end.good:
             return None
-        residual = float(end.residual)
-        return Point(end.z, tangent, end.jacobian, float(sign), float(logdet), residual, end.extra)
+        return Point(
+            z=end.z,
+            tangent=tangent,
+            jacobian=end.jacobian,
+            sign=float(sign),
+            logdet=float(logdet),
+            residual=float(end.residual),
+            last_step=float(end.length),
+            extra=end.extra,
+        )
+
+    @property
+    def sharp(self) -> "Corrector":
+        """This corrector at a tight tolerance, with the same counts; it compiles nothing."""
+        tight = copy(self)
+        tight.tolerance = min(self.tolerance, _SHARP)
+        return tight
+
+    def rounding(self, point: Point) -> float:
+        """The length by which the representation of a point's numbers errs."""
+        return float(np.finfo(float).eps) * (1.0 + self.norm(point.z))
+
+    def sharpen(self, point: Point) -> Point:
+        """The point again, solved from itself to the tight tolerance; unchanged if that fails."""
+        if point.last_step <= 4.0 * self.rounding(point):
+            return point
+        again = self.sharp(point.z, point.tangent, point, radius=2.0 * point.last_step)
+        return point if again is None or again.last_step > point.last_step else again

@@ -8,13 +8,21 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from .branch import Branch, Point
-from .continuation import Switched, continue_branch, make_corrector, switch_branch
+from .continuation import Switched, continue_branch, switch_branch
 from .cycle_equations import as_heading, cycle_equations, cycle_weights
 from .cycle_points import linearise, on_the_circle, orbit, special_tests
-from .cycle_special import CyclePoint, as_cycle_point, at_rest, refine, without_symmetry
+from .cycle_special import (
+    RTOL,
+    CyclePoint,
+    as_cycle_point,
+    at_rest,
+    hardly_felt,
+    refine,
+    sharply,
+    without_symmetry,
+)
 from .shooting import Shooting, residual
 
-RTOL = 3e-11
 # A multiplier is beyond the unit circle if it is by more than the integration may err.
 _MARGIN = 1e-7
 # Share of the greatest velocity below which that of the mass where the orbit is cut is too little.
@@ -126,8 +134,9 @@ def continue_cycle(
       vanishes, in a Hopf point.
     - `rtol`: tolerance of the integration.
 
-    **Returns:** a `CycleBranch`, however it ended, also after Ctrl-C.  Folds agree with
-    `find_fold` to the error of the integration, some ten times `rtol`.
+    **Returns:** a `CycleBranch`, however it ended, also after Ctrl-C.  Its points err by some ten
+    times `rtol`; its special points are those of an `rtol` of at most 3e-11, and each says its
+    `error`.
 
     **Raises:** `ValueError` for arguments that cannot be; `RuntimeError`, with a remedy, if no
     cycle is found near the start.
@@ -226,21 +235,21 @@ def _follow(
     if times is not None and times > 1:
         once = branch.u[0] - np.append(np.zeros(u.size - 1), np.log(times))
         return _follow(shooting, once, float(branch.p[0]), heading, bounds, stop, options)
-    corrector = make_corrector(
-        residual, linearise, shooting, u.size, weights, options["tolerance"]
-    )
+    correctors = sharply(shooting, weights, options["tolerance"])
     hopf = {point.index for point in branch.special if point.kind == "hopf"}
     special = []
     for raw in branch.special:
         # Where the amplitude vanishes the branch meets its own mirror image, smoothly: no fold.
         if raw.kind in ("fold", "branch point") and raw.index in hopf:
             continue
-        point = raw
         if raw.kind == "hopf":
-            point = replace(raw, p=at_rest(corrector, raw))
-        elif raw.kind in tests:
-            point = refine(corrector, branch, raw, tests[raw.kind])
-        if point is not None and (raw.kind != "torus" or on_the_circle(point.extra)):
+            p, error = at_rest(correctors, raw)
+            point = replace(raw, p=p, error=error)
+        elif raw.kind in tests and hardly_felt(branch, raw, tests[raw.kind]):
+            continue
+        else:
+            point = refine(correctors, raw, tests) if raw.refined else raw
+        if raw.kind != "torus" or on_the_circle(point.extra):
             special.append(as_cycle_point(point))
     extra, k = branch.extra, len(branch.p)
     if k and extra.speed[-1] <= 0:  # the last point, in its own mirror image

@@ -1,6 +1,6 @@
 """Special points of a branch of cycles: made sharp, and what leaves from them."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -8,17 +8,23 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Complex, Float
+from scipy.interpolate import BarycentricInterpolator
 
 from .branch import Branch, Point, SpecialPoint
+from .continuation import make_corrector
 from .corrector import Corrector
-from .cycle_points import symmetry_breaking_basis
-from .shooting import Shooting
+from .cycle_points import linearise, symmetry_breaking_basis
+from .shooting import Shooting, residual
+from .special_points import Located, Test, polish
 
-_SECANTS, _EXACT = 6, 1e-10
+# Of the integration and of Newton's method, at special points: no branch need be looser there.
+RTOL, _TOLERANCE = 3e-11, 1e-9
+# Arclengths: for the slope of a test, and from a loose place to the sharp one.
+_PROBE, _REACH = 1e-4, 0.1
 # Of multipliers.
 _NOISE = 1e-8
-# Distance from the Hopf point at which the branch is solved for to find that point by a limit.
-_NEAR_REST = 5e-3
+# Distances from the Hopf point at which the branch is solved for to find that point by a limit.
+_NEAR_REST = (5e-3, 1e-2, 1.5e-2)
 
 
 @dataclass(frozen=True)
@@ -30,7 +36,9 @@ class CyclePoint:
     branch of less symmetric cycles crosses); "branch point" (the same without a symmetry);
     "period doubling" (-1); "torus" (a pair leaves the unit circle).  `parameter`, `x`, `v` (n,),
     `period`, `amplitude` (n,), `multipliers` (2n - 1,) belong to the cycle there; `refined`:
-    whether it is one to the search's precision; `raw`: the point of the shooting equations.
+    whether it is one to the search's precision; `error`: of `parameter`, from the search and from
+    the integration, which is tight here whatever `rtol` and `tolerance` the branch has; `raw`: the
+    point of the shooting equations.
     """
 
     kind: str
@@ -41,6 +49,7 @@ class CyclePoint:
     amplitude: Float[np.ndarray, " n"]
     multipliers: Complex[np.ndarray, " others"]
     refined: bool
+    error: float
     raw: SpecialPoint
 
     @property
@@ -52,59 +61,102 @@ class CyclePoint:
 def as_cycle_point(raw: SpecialPoint) -> CyclePoint:
     e = raw.extra
     return CyclePoint(
-        raw.kind, raw.p, e.x, e.v, float(e.period), e.amplitude, e.multipliers, raw.refined, raw
-    )
+        raw.kind, raw.p, e.x, e.v, float(e.period), e.amplitude, e.multipliers, raw.refined,
+        float(raw.error), raw,
+    )  # fmt: skip
 
 
-def refine(
-    corrector: Corrector, branch: Branch, raw: SpecialPoint, test: Callable[..., float]
-) -> SpecialPoint | None:
-    """The zero of `test` by secants, as sharply as the integration allows.
+def sharply(
+    shooting: Shooting, weights: Float[np.ndarray, " m_plus_1"], tolerance: float
+) -> tuple[Corrector, Corrector]:
+    """Correctors of a tight integration and of one with ten times its tolerance."""
+    rtol = min(float(shooting.rtol), RTOL)
+    return tuple(  # pyright: ignore
+        make_corrector(
+            residual, linearise, replace(shooting, rtol=share * rtol), weights.size - 1, weights,
+            min(tolerance, _TOLERANCE),
+        )
+        for share in (1.0, 10.0)
+    )  # fmt: skip
 
-    None where `test` changes its sign by no more than the multipliers err: a localized vibration
-    of many masses hardly feels where it sits on the chain, and to shift it is a disturbance with a
-    multiplier that is 1 to rounding, all along the branch.
+
+def test_of(kind: str, tests: Mapping[str, Test], near: Point) -> Callable[[Point], float]:
+    """The function of a point that vanishes at a special point of this kind."""
+    if kind == "fold":
+        return lambda point: float(point.tangent[-1])
+    if kind == "branch point":
+        return lambda point: point.sign * float(np.exp(min(point.logdet - near.logdet, 300.0)))
+    return lambda point: float(tests[kind](point.u, point.p, point.tangent, point.extra))
+
+
+def hardly_felt(branch: Branch, raw: SpecialPoint, test: Test) -> bool:
+    """Whether `test` changes its sign by no more than the multipliers err.
+
+    A localized vibration of many masses hardly feels where it sits on the chain, and to shift it
+    is a disturbance with a multiplier that is 1 to rounding, all along the branch.
     """
     for k in (raw.index, min(raw.index + 1, branch.p.size - 1)):
         extra = jax.tree.map(lambda leaf, k=k: leaf[k], branch.extra)
         if abs(test(raw.u, raw.p, raw.tangent, extra)) < _NOISE:
-            return None
-
-    def at(length: float) -> tuple[Point | None, float]:
-        z = np.append(raw.u, raw.p) + length * raw.tangent
-        found = corrector(z, raw.tangent)
-        if found is None:
-            return None, np.nan
-        return found, test(found.u, found.p, found.tangent, found.extra)
-
-    if not raw.refined:
-        return raw
-    (a, (_, f)), b = (0.0, at(0.0)), 1e-4
-    best = raw
-    for _ in range(_SECANTS):
-        found, g = at(b)
-        if found is None or not np.isfinite(g):
-            break
-        best = replace(
-            raw, u=found.u, p=found.p, tangent=found.tangent, extra=found.extra,
-            residual=found.residual, left_over=abs(g),
-        )  # fmt: skip
-        if g == f or abs(b - a) < _EXACT:
-            break
-        a, b, f = b, b - g * (b - a) / (g - f), g
-    return best
+            return True
+    return False
 
 
-def at_rest(corrector: Corrector, raw: SpecialPoint) -> float:
-    """p in the limit of no amplitude a, from p = p_H + c a^2 + O(a^4) at two small ones."""
-    z, found = np.append(raw.u, raw.p), []
-    for length in (-_NEAR_REST, -2.0 * _NEAR_REST):
-        point = corrector(z + length * raw.tangent, raw.tangent)
+def refine(
+    correctors: tuple[Corrector, Corrector], raw: SpecialPoint, tests: Mapping[str, Test]
+) -> SpecialPoint:
+    """The special point of tightly integrated equations, however loose those of the branch are.
+
+    Its error is what a tolerance ten times as great changes, and what the search leaves.
+    """
+    tight, loose = (_refined(corrector, raw, tests) for corrector in correctors)
+    if tight is None:
+        return replace(raw, refined=False, error=np.inf)
+    integration = np.inf if loose is None else abs(tight.p - loose.p)
+    return replace(tight, error=tight.error + integration)
+
+
+def _refined(
+    corrector: Corrector, raw: SpecialPoint, tests: Mapping[str, Test]
+) -> SpecialPoint | None:
+    start = corrector(np.append(raw.u, raw.p), raw.tangent)
+    if start is None:
+        return None
+    beside = corrector(start.z + _PROBE * start.tangent, start.tangent, start)
+    if beside is None:
+        return None
+    test = test_of(raw.kind, tests, beside)
+    slope = (test(beside) - test(start)) / _PROBE
+    found = polish(corrector, Located(start, 0.0, 1.0, True, slope, np.inf), test, _REACH)
+    point = found.point
+    return replace(
+        raw, u=point.u, p=point.p, tangent=point.tangent, extra=point.extra,
+        residual=point.residual, left_over=abs(test(point)), error=found.error,
+    )  # fmt: skip
+
+
+def at_rest(correctors: tuple[Corrector, Corrector], raw: SpecialPoint) -> tuple[float, float]:
+    """p in the limit of no amplitude a, and its error, from p = p_H + c a^2 + d a^4 + O(a^6).
+
+    Three small amplitudes give it; the error is what the third one changes, and what a tolerance
+    of the integration ten times as great does.
+    """
+    (p, change), (other, _) = (_at_rest(corrector, raw) for corrector in correctors)
+    return p, change + abs(p - other)
+
+
+def _at_rest(corrector: Corrector, raw: SpecialPoint) -> tuple[float, float]:
+    z, squares, found = np.append(raw.u, raw.p), [], []
+    for length in _NEAR_REST:
+        point = corrector(z - length * raw.tangent, raw.tangent)
         if point is None:
-            return raw.p
-        found.append((float(point.extra.speed) ** 2, point.p))
-    (a, p), (b, q) = found
-    return (b * p - a * q) / (b - a) if b != a else raw.p
+            return raw.p, np.inf
+        squares.append(float(point.extra.speed) ** 2)
+        found.append(point.p)
+    if len(set(squares)) < len(squares):
+        return raw.p, np.inf
+    two, three = (float(BarycentricInterpolator(squares[:k], found[:k])(0.0)) for k in (2, 3))
+    return three, abs(three - two)
 
 
 def without_symmetry(shooting: Shooting, point: CyclePoint) -> tuple[Shooting, SpecialPoint]:

@@ -18,6 +18,10 @@ _ZERO, _NOT_ZERO = 1e-7, 1e-3
 # A function that is still this great, as a share, after so many trials has no zero: it jumps.
 _PATIENCE, _JUMP = 10, 1e-2
 _MAX_DIPS = 12
+# Steps of `polish`, and by how much each must lessen the test at least.
+_POLISHING, _LESS = 6, 0.5
+# How much farther than its points a tangent may err: by the last Newton step times the curvature.
+_CURVATURE = 100.0
 
 
 class Segment(NamedTuple):
@@ -40,12 +44,17 @@ class Segment(NamedTuple):
 
 
 class Located(NamedTuple):
-    """A zero of a test function: where, the share of it that is left, and whether it is one."""
+    """A zero of a test function: where, the share of it that is left, and whether it is one.
+
+    `slope`: d(test)/d(arclength) there; `error`: of p.
+    """
 
     point: Point
     fraction: float
     left_over: float
     refined: bool
+    slope: float
+    error: float
 
 
 def segment(corrector: Corrector, left: Point, right: Point) -> Segment:
@@ -55,10 +64,27 @@ def segment(corrector: Corrector, left: Point, right: Point) -> Segment:
 
 
 def point_at(corrector: Corrector, piece: Segment, fraction: float) -> Point | None:
-    """The branch's point on the plane across the segment's cubic at `fraction`."""
+    """The branch's point on the plane across the segment's cubic at `fraction`, as a sharp one."""
     guess, slope = piece.at(fraction)
     near = piece.left if fraction < 0.5 else piece.right
-    return corrector(guess, slope, near, radius=piece.length)
+    point = corrector.sharp(guess, slope, near, radius=piece.length)
+    return corrector(guess, slope, near, radius=piece.length) if point is None else point
+
+
+def slope_noise(corrector: Corrector, point: Point) -> float:
+    """The weighted dp/ds of which a point's own error leaves the sign open."""
+    return _CURVATURE * (point.last_step + corrector.rounding(point))
+
+
+def surely(corrector: Corrector, point: Point, share: float) -> Point:
+    """The point, solved sharply where its error may hide a turn.
+
+    That is where it leaves the sign of dp/ds open, or is not small beside a length `share`.
+    """
+    slope = abs(point.tangent[-1]) * corrector.weights[-1]
+    if slope > slope_noise(corrector, point) and point.last_step <= share:
+        return point
+    return corrector.sharpen(point)
 
 
 def locate(corrector: Corrector, piece: Segment, test: Callable[[Point], float]) -> Located:
@@ -83,10 +109,54 @@ def locate(corrector: Corrector, piece: Segment, test: Callable[[Point], float])
 
     with suppress(ArithmeticError):
         brentq(value_at, 0.0, 1.0, xtol=1e-13, maxiter=60, disp=False)
-    fraction = min(tried, key=lambda x: abs(tried[x][1]))
-    point, value = tried[fraction]
+    fraction, beside = sorted(tried, key=lambda x: abs(tried[x][1]))[:2]
+    (point, value), (_, other) = tried[fraction], tried[beside]
     share = float(abs(value) / scale)
-    return Located(point, fraction, share, share <= _NOT_ZERO)
+    slope = (other - value) / ((beside - fraction) * piece.length)
+    # To the zero, and once more as far, for what curves.
+    off = abs(2.0 * point.tangent[-1] * value / slope) if slope else np.inf
+    error = off + _error(corrector, point)
+    return Located(point, fraction, share, share <= _NOT_ZERO, float(slope), float(error))
+
+
+def _error(corrector: Corrector, point: Point) -> float:
+    """Of p, as Newton's method leaves it."""
+    return (point.last_step + 8.0 * corrector.rounding(point)) / float(corrector.weights[-1])
+
+
+def polish(
+    corrector: Corrector, at: Located, test: Callable[[Point], float], reach: float
+) -> Located:
+    """The zero of `test` from near, by Newton's method along the tangent, and the error of p.
+
+    The slope is followed only by steps that are long enough to tell it.  No step goes farther
+    than `reach`.
+    """
+    point, slope, change = corrector.sharpen(at.point), at.slope, at.error
+    value = first = test(point)
+    for _ in range(_POLISHING):
+        length = -value / slope if slope else np.inf
+        if not abs(length) <= reach:
+            break
+        moved = corrector.sharp(point.z + length * point.tangent, point.tangent, point, reach)
+        if moved is None:
+            break
+        left = test(moved)
+        change = abs(moved.p - point.p)
+        if not abs(left) < max(_LESS * abs(value), np.finfo(float).tiny):
+            break  # no more is to be had; what it moved is what is not known
+        if abs(length) > 1e-6 * reach and left != value:
+            slope = (left - value) / length
+        point, value = moved, left
+        if change <= 4.0 * corrector.rounding(point):
+            break
+    point = corrector.sharpen(point)
+    return at._replace(
+        point=point,
+        slope=slope,
+        left_over=at.left_over * abs(value / first) if first else 0.0,
+        error=change + _error(corrector, point),
+    )
 
 
 def crossing(corrector: Corrector, piece: Segment) -> Located | None:
@@ -113,7 +183,8 @@ def dips(corrector: Corrector, piece: Segment, doubt: float = 0.0, depth: int = 
     """
     a, b = piece.left.tangent[-1], piece.right.tangent[-1]
     least = min(abs(a), abs(b))
-    noise = corrector.tolerance * (1.0 + corrector.norm(piece.left.z)) / piece.length
+    noise = sum(p.last_step + corrector.rounding(p) for p in (piece.left, piece.right))
+    noise /= piece.length * corrector.weights[-1]
     if (a < 0) != (b < 0) or least <= 10 * noise or depth == _MAX_DIPS:
         return []
     # |dp/ds| of the cubic is least where its quadratic |a| + x d + x^2 e has its minimum, if any.
@@ -154,13 +225,23 @@ def other_direction(
 def changes(
     corrector: Corrector, piece: Segment, tests: Mapping[str, Test]
 ) -> list[tuple[str, Located]]:
-    """Folds (dp/ds = 0) and zeros of `tests` between two points, in order."""
+    """Folds (dp/ds = 0) and zeros of `tests` between two points, in order.
+
+    A fold is one where p turns by more than it errs: on a branch with p constant, the sign of
+    dp/ds is rounding's.
+    """
     found = []
     ends = (piece.left, piece.right)
-    noise = 100 * corrector.tolerance * (1.0 + corrector.norm(piece.left.z))
+
+    def zero(test: Callable[[Point], float]) -> Located:
+        return polish(corrector, locate(corrector, piece, test), test, piece.length)
+
     slopes = [point.tangent[-1] * corrector.weights[-1] for point in ends]
+    noise = max(slope_noise(corrector, point) for point in ends)
     if (slopes[0] < 0) != (slopes[1] < 0) and max(map(abs, slopes)) > noise:
-        found.append(("fold", locate(corrector, piece, lambda point: point.tangent[-1])))
+        fold = zero(lambda point: float(point.tangent[-1]))
+        if max(abs(fold.point.p - point.p) for point in ends) > fold.error:
+            found.append(("fold", fold))
     for name, test in tests.items():
 
         def value(point: Point, test: Test = test) -> float:
@@ -168,5 +249,5 @@ def changes(
 
         a, b = map(value, ends)
         if np.isfinite(a) and np.isfinite(b) and (a < 0) != (b < 0):
-            found.append((name, locate(corrector, piece, value)))
+            found.append((name, zero(value)))
     return sorted(found, key=lambda item: item[1].fraction)

@@ -18,10 +18,13 @@ from .special_points import (
     locate,
     other_direction,
     segment,
+    surely,
 )
 
 # A fold that lies so close to a branch point, compared with 1 + |z|, is the branch point.
 _SAME_PLACE = 1e-5
+# What a point may err by, as a share of the length of its step: far below the greatest bend.
+_SURE = 1e-4
 # Steps grow and shrink by no more than this, and aim at this share of what is allowed.
 _GROWTH, _SHRINK, _AIM = 2.0, 0.2, 0.7
 
@@ -63,6 +66,7 @@ class Walk:
         last = self.corrector(z, heading)
         if last is None:
             return "no_start", ""
+        last = surely(self.corrector, last, _SURE * self.steps.first)
         self._append(last, 0.0)
         bend, step = np.zeros_like(z), self.steps.first
         while True:
@@ -92,6 +96,7 @@ class Walk:
             guess = left.z + step * left.tangent + 0.5 * step**2 * bend
             right = corrector(guess, left.tangent, left, radius=step)
             if right is not None:
+                right = surely(corrector, right, _SURE * step)
                 piece = segment(corrector, left, right)
                 load = self._load(piece, guess)
                 if load <= 1.0:
@@ -114,7 +119,7 @@ class Walk:
         drift = norm(right.z - guess) / piece.length / self.steps.max_turn
         # A parabola's chord lies along the mean of its tangents: the difference is of third order.
         bend = self.corrector.angle(right.z - left.z, left.tangent + right.tangent)
-        rounding = 4 * self.corrector.tolerance * (1 + norm(right.z)) / piece.length
+        rounding = 4 * (left.last_step + right.last_step) / piece.length
         return max(turn, drift, (bend / (self.steps.max_bend + rounding)) ** 0.5)
 
     def _end(
@@ -141,7 +146,7 @@ class Walk:
         # On the plane p = bound a Newton step keeps p to rounding.
         upright = np.append(np.zeros_like(cut.u), np.sign(bound - piece.left.p))
         exact = self.corrector(np.append(cut.u, bound), upright, cut, piece.length)
-        return cut if exact is None else exact
+        return surely(self.corrector, cut if exact is None else exact, _SURE * piece.length)
 
     def _passes_start(self, piece: Segment) -> bool:
         """Whether the branch comes through its first point within the segment, the same way."""
@@ -154,8 +159,11 @@ class Walk:
             return False
         guess = first.z + guess - corrector.dot(guess, first.tangent) * first.tangent
         again = corrector(guess, first.tangent, piece.right, piece.length)
-        near = 1e3 * corrector.tolerance * (1.0 + corrector.norm(first.z))
-        return again is not None and corrector.norm(again.z - first.z) <= near
+        if again is None:
+            return False
+        again = corrector.sharpen(again)
+        near = max(corrector.sharp.tolerance * (1.0 + corrector.norm(first.z)), again.last_step)
+        return corrector.norm(again.z - first.z) <= 1e3 * near
 
     def _add(self, piece: Segment, met: Located | None) -> None:
         """Records a segment: its right end, points where dp/ds dips, and the special points."""
@@ -191,6 +199,7 @@ class Walk:
                 residual=point.residual,
                 left_over=where.left_over,
                 refined=where.refined,
+                error=where.error,
                 extra=point.extra,
                 other=other,
             )

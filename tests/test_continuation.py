@@ -17,6 +17,7 @@ from systems.normal_forms import (
     pitchfork,
     sheets,
     unfolded,
+    upright,
 )
 
 from jaxchain.augmented import fold_point
@@ -57,6 +58,68 @@ def test_the_fold_of_cycles(a):
         cycles, [1e-3 * a], -1e-3 * a**2, jnp.array(a), direction=-1, bounds=(-1, 0.5)
     )
     np.testing.assert_allclose(fold_values(branch), [-(a**2) / 4], rtol=1e-12)
+
+
+LOOSE_AND_TIGHT = [
+    1e-3, *(pytest.param(t, marks=pytest.mark.long) for t in (1e-4, 1e-6, 1e-8)), 1e-5, 1e-10
+]  # fmt: skip
+
+
+def hits(branch, folds):
+    """Whether these are the folds of a branch, each within its stated error, a small one."""
+    found = branch.of_kind("fold")
+    assert len(found) == len(folds)
+    assert all(abs(at.p - p) <= at.error <= 1e-14 for at, p in zip(found, folds, strict=True))
+
+
+@pytest.mark.parametrize("tolerance", LOOSE_AND_TIGHT)
+def test_a_turn_is_a_fold_however_loose_the_tolerance(tolerance):
+    for a in (1.0, 0.1, 1e-2, 1e-4):
+        branch = continue_branch(
+            cycles, [1e-3 * a], -1e-3 * a**2, jnp.array(a), direction=-1, bounds=(-1, 0.5),
+            tolerance=tolerance,
+        )  # fmt: skip
+        hits(branch, [-(a**2) / 4])
+
+
+@pytest.mark.parametrize("tolerance", LOOSE_AND_TIGHT)
+def test_two_turns_within_a_step_are_folds_however_loose_the_tolerance(tolerance):
+    for d in (1e-2, 5e-4):
+        branch = continue_branch(
+            unfolded, [-0.8], -0.5, jnp.array(d), bounds=(-1, 0.5), tolerance=tolerance
+        )
+        hits(branch, [2 * d**3, -2 * d**3])
+        branch = continue_branch(
+            kink, [-0.53], -0.53, jnp.array(d), bounds=(-1, 0.5), tolerance=tolerance
+        )
+        at = d * np.arccosh(1.5**0.5)
+        height = 1.5 * d * np.tanh(at / d) - at
+        hits(branch, [height, -height])
+
+
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-8, 1e-12])
+def test_where_p_is_constant_to_rounding_nothing_folds(tolerance):
+    branch = continue_branch(
+        upright, [0.0, 0.0], 0.3, direction=[1.0, 3.0, 0.0], tolerance=tolerance
+    )
+    assert len(branch.p) == 200
+    assert branch.special == ()
+    np.testing.assert_allclose(branch.p, 0.3, atol=1e-8)
+
+
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-6, 1e-10])
+def test_tests_and_branch_points_say_their_error_and_keep_it(tolerance):
+    doubling = continue_branch(
+        logistic, [0.5], 2.0, bounds=(1.5, 3.5), tolerance=tolerance,
+        tests={"doubling": lambda u, p, tangent, multiplier: multiplier[0] + 1.0},
+    ).of_kind("doubling")  # fmt: skip
+    crossed = continue_branch(
+        pair, [0.0, 0.0], -0.31, jnp.array(0.2), bounds=(-1, 1), tolerance=tolerance
+    ).of_kind("branch point")
+    for points, truths, bound in ((doubling, [3.0], 1e-12), (crossed, [0.0, 0.4], 1e-7)):
+        assert len(points) == len(truths)
+        for point, truth in zip(points, truths, strict=True):
+            assert abs(point.p - truth) <= point.error <= bound
 
 
 def test_a_pitchfork_and_its_imperfection():

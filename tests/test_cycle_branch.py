@@ -130,6 +130,15 @@ def test_no_fold_is_stepped_over(width, options):
     np.testing.assert_array_equal(np.diff(found.unstable)[np.diff(found.unstable) != 0], [1])
 
 
+@pytest.mark.parametrize("rtol", [1e-5, 1e-8, 3e-11])
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-4, 1e-6, 1e-10])
+def test_the_fold_and_its_error_do_not_depend_on_how_loose_the_branch_is(tolerance, rtol):
+    found = one_mass_branch(1e-2, tolerance=tolerance, rtol=rtol)
+    assert [point.kind for point in found.special] == ["fold", "hopf"]
+    for point, truth in zip(found.special, (1.79245577505, HOPF), strict=True):
+        assert abs(point.parameter - truth) <= point.error < 1e-8
+
+
 def test_bounds_and_a_stop_of_ones_own_end_a_branch():
     found = one_mass_branch(0.05, direction=-1, bounds=(0.9, 2.0))
     assert found.ended == "left_bounds"

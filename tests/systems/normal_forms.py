@@ -60,6 +60,12 @@ def bratu(u, p, rows):
     return rows * ((v[2:] - 2 * u + v[:-2]) / h**2 + p * jnp.exp(u))
 
 
+def upright(u, p, args):
+    """p = 0.3 all along x2 = sin 3 x1, in two equations that mix both."""
+    off, g = p - 0.3, u[1] - jnp.sin(3 * u[0])
+    return jnp.stack([g * jnp.exp(u[1]) + off * (1 + u[0] ** 2), 2 * g - off / 3 + g * off])
+
+
 def brusselator(u, b, a):
     """Equilibrium (a, b/a), whose Jacobian, the extra, has trace 0 at b = 1 + a^2."""
 
