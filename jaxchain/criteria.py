@@ -75,10 +75,12 @@ def judge_exponents(run: Evidence, criteria: Criteria) -> str:
         return "open"
     if run.low[0] > 0:
         return "chaos"
-    neutral = (np.abs(run.low) < criteria.zero) & (np.abs(run.high) < criteria.zero)
+    # What is too small to be told from rounding, NaN, is below everything else.
+    low, high = (np.where(np.isnan(run.exponents), -np.inf, a) for a in (run.low, run.high))
+    neutral = (np.abs(low) < criteria.zero) & (np.abs(high) < criteria.zero)
     if len(neutral) < 2 or not neutral[0]:
         return "open"
-    if run.high[1] < -criteria.zero:
+    if high[1] < -criteria.zero:
         return "cycle"
     return "torus" if neutral[1] and _comes_back(run, criteria) else "open"
 
@@ -163,10 +165,13 @@ def _numbers(runs: Sequence[Evidence], verdict: str) -> list[str]:
     told = []
     closed = [run for run in runs if run.kind == "cycle"]
     if closed:
-        slow = max(run.relaxation_time for run in closed)
+        times = [run.relaxation_time for run in closed]
+        resolved = not any(map(math.isnan, times))
+        slow = max(times) if resolved else max(run.longest_relaxation_time for run in closed)
         told.append(
             f"locked by {min(r.locked_at for r in closed):.0f} to "
-            f"{max(r.locked_at for r in closed):.0f}, slowest relaxation time {slow:.3g}"
+            f"{max(r.locked_at for r in closed):.0f}, slowest relaxation time "
+            + (f"{slow:.3g}" if resolved else f"below {slow:.3g} (not resolved)")
         )
     unstable = [run for run in runs if run.kind == "unstable" and len(run.exponents)]
     if unstable:

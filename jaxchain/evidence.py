@@ -25,7 +25,9 @@ class Evidence:
       `recurrence.novelty`.
     - `period`, `returns`: of the orbit and of its maxima; `spread`: see `Recurrence`.
     - `exponents`, `low`, `high`: the leading ones with 95 % intervals, descending; of a closed
-      orbit those of its multipliers, the first being the zero of the flow.
+      orbit those of its multipliers, the first being the zero of the flow.  -inf is a direction
+      that sticking annihilates, NaN one that is too small to be told from rounding: of a closed
+      orbit, anything below `high`.
     - `smooth`: the same exponents by smoothly weighted averages, see `LyapunovSpectrum`.
     - `slips`: most cycles that a vibrating mass gained on another in the second half of the last
       record; `delays`: of each vibrating mass at the end, in periods.
@@ -59,9 +61,21 @@ class Evidence:
 
     @property
     def relaxation_time(self) -> float:
-        """1 / |slowest exponent| of an attracting orbit: in so long the distance falls by e."""
-        known = self.kind == "cycle" and len(self.exponents) > 1
-        return -1.0 / float(self.exponents[1]) if known else math.nan
+        """1 / |slowest exponent| of an attracting orbit: in so long the distance falls by e.
+
+        0 where sticking annihilates every distance, NaN where the exponent is not resolved; then
+        it is below `longest_relaxation_time`.
+        """
+        return self._time(self.exponents)
+
+    @property
+    def longest_relaxation_time(self) -> float:
+        """The relaxation time of the greatest exponent that there may be."""
+        return self._time(self.high)
+
+    def _time(self, exponents: np.ndarray) -> float:
+        known = self.kind == "cycle" and len(exponents) > 1
+        return abs(1.0 / float(exponents[1])) if known else math.nan
 
 
 @dataclass(frozen=True)

@@ -29,6 +29,9 @@ from .rosenbrock import Rodas5P
 from .structure import AbstractOscillators
 
 CYCLE_RTOL = 1e-10
+# Roundings between a monodromy matrix and its eigenvalues: those of some hundred steps, and of a
+# condition of some ten.
+_ROUNDINGS = 1e3
 
 
 _linearised = eqx.filter_jit(linearised_period)
@@ -148,6 +151,17 @@ def floquet_multipliers(monodromy: Float[Array, "two_n two_n"], flow_direction: 
     values = jnp.linalg.eigvals(reduced[1:, 1:])
     values = values[jnp.argsort(-jnp.abs(values))]
     return Floquet(values, f @ image / length**2, jnp.linalg.norm(image - f) / length)
+
+
+def multiplier_resolution(monodromy: Float[Array, "two_n two_n"]) -> Float[Array, ""]:
+    """The modulus below which a computed multiplier is rounding: 1e3 times that of |M|.
+
+    >>> import jax.numpy as jnp
+    >>> bool(multiplier_resolution(jnp.eye(2)) < 1e-12)
+    True
+    """
+    size = jnp.linalg.norm(monodromy)
+    return _ROUNDINGS * jnp.finfo(monodromy.dtype).eps * size
 
 
 def _period(chain: Any, state: Any, period: Any, rtol: Any) -> Period:

@@ -97,13 +97,18 @@ def _known(known: list, trial: Trial, point: np.ndarray, near: float) -> ClosedO
 
 def _enter_orbit(own: Evidence, orbit: ClosedOrbit, sits: bool) -> None:
     period = float(orbit.period)
-    rates = np.append(0.0, np.sort(np.asarray(orbit.exponents))[::-1])
-    # What the trivial multiplier is off by, any other may be.
+    # Of an exponent that is not resolved, NaN, it is known below what it lies.
+    rates, highest = (np.append(0.0, a) for a in (orbit.exponents, orbit.highest_exponents))
+    # What the trivial multiplier is off by, any other may be; rates of small ones feel it more.
     error = max(float(orbit.defect), 1e-9) / period
-    stable = rates[1] < -error
-    if not stable and not (sits and rates[1] > error):
+    finite = np.isfinite(rates)
+    errors = np.where(finite, error * np.exp(-np.where(finite, rates, 0.0) * period), 0.0)
+    greatest = np.argmax(highest[1:]) + 1
+    stable = highest[greatest] < -errors[greatest]
+    if not stable and not (sits and highest[greatest] > errors[greatest]):
         return
     own.kind = "cycle" if stable else "unstable"
-    rates = rates if stable else np.sort(rates)[::-1]
+    order = np.argsort(-highest, kind="stable")
     own.period, own.locked_at = period, own.time
-    own.exponents, own.low, own.high = rates, rates - error, rates + error
+    own.exponents, own.high = rates[order], (highest + errors)[order]
+    own.low = np.where(np.isnan(rates), -np.inf, rates - errors)[order]

@@ -13,14 +13,16 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Complex, Float
+from jaxtyping import Array, Bool, Complex, Float, Int
 
 from ._checks import to_float
 from ._types import State
-from .floquet import check_orbit, floquet_multipliers
+from .filippov import EventDriven
+from .floquet import check_orbit, floquet_multipliers, multiplier_resolution
 from .least_period import Returned, Returns
 from .simulate import simulate
 from .structure import AbstractOscillators
+from .tangent import MostSticking
 
 _NEWTON_STEPS = 4
 # What may be left of the return, compared with the size of the orbit, where it is closed.
@@ -33,8 +35,12 @@ class ClosedOrbit(NamedTuple):
     - `state` and `period`, the least one; `gap`, the greatest component of what is left of the
       return; `distance`, of how far the iteration went from where it began (of the period, that of
       one time round).
-    - `multipliers`: the Floquet multipliers but the trivial one, greatest modulus first;
-      `defect`: |M f - f| / |f|, what the trivial one's vector misses.
+    - `multipliers`: the Floquet multipliers but the trivial one, greatest modulus first.  With
+      true dry friction as many, the last ones, are exactly 0 as masses ever stick together; NaN
+      are others that are not told from zero, of a modulus below `resolution`, as sticking makes
+      them in smoothed friction.
+    - `defect`: |M f - f| / |f|, what the trivial one's vector misses, and any other may;
+      `resolution`: that, or rounding.
     """
 
     state: State
@@ -43,11 +49,18 @@ class ClosedOrbit(NamedTuple):
     distance: Float[Array, ""]
     multipliers: Complex[Array, " others"]
     defect: Float[Array, ""]
+    resolution: Float[Array, ""]
 
     @property
     def exponents(self) -> Float[Array, " others"]:
-        """ln |multiplier| / period; -inf for what sticking annihilates."""
+        """ln |multiplier| / period; -inf for what sticking annihilates, NaN if not resolved."""
         return jnp.log(jnp.abs(self.multipliers)) / self.period
+
+    @property
+    def highest_exponents(self) -> Float[Array, " others"]:
+        """`exponents`, and what those that are not resolved lie below."""
+        below = jnp.log(self.resolution) / self.period
+        return jnp.where(jnp.isnan(self.multipliers), below, self.exponents)
 
 
 def close_orbit(
@@ -97,6 +110,7 @@ class _Attempt(NamedTuple):
     slopes: Float[Array, "two_n m"]  # of the state at the end
     end: Float[Array, " two_n"]
     returned: Returned
+    sticking: Int[Array, ""]  # how many masses ever stick together, dry
     better: Float[Array, " m"]
 
 
@@ -113,22 +127,26 @@ def _close(
     start = jnp.concatenate([*state, period[None]])
     n = state[0].shape[0]
 
-    def flow(u: Array) -> tuple[Array, tuple[Array, Returned]]:
+    observe: dict[str, Any] = {"returned": Returns()}
+    if isinstance(solver, EventDriven):
+        observe["sticking"] = MostSticking()
+
+    def flow(u: Array) -> tuple[Array, tuple[Array, Returned, Array]]:
         run = simulate(
-            chain, (u[:n], u[n:-1]), u[-1], observe=Returns(), solver=solver, rtol=rtol,
+            chain, (u[:n], u[n:-1]), u[-1], observe=observe, solver=solver, rtol=rtol,
             throw=False,
         )  # fmt: skip
-        end = jnp.concatenate(run.state)
-        return end, (end, run.observed)
+        end, seen = jnp.concatenate(run.state), run.observed
+        return end, (end, seen["returned"], seen.get("sticking", jnp.zeros((), int)))
 
     def attempt(u: Array) -> _Attempt:
-        slopes, (end, returned) = jax.jacfwd(flow, has_aux=True)(u)
+        slopes, (end, returned, sticking) = jax.jacfwd(flow, has_aux=True)(u)
         f = slopes[:, -1]
         matrix = jnp.block(
             [[slopes[:, :-1] - jnp.eye(2 * n), f[:, None]], [f[None], jnp.zeros((1, 1))]]
         )
         right = jnp.append(u[:-1] - end, 0.0)
-        return _Attempt(u, slopes, end, returned, u + jnp.linalg.solve(matrix, right))
+        return _Attempt(u, slopes, end, returned, sticking, u + jnp.linalg.solve(matrix, right))
 
     def gap(orbit: _Attempt) -> Array:
         return jnp.max(jnp.abs(orbit.end - orbit.u[:-1]))
@@ -145,14 +163,20 @@ def _close(
         return _Round(best, found.u.at[-1].divide(times), good & closed & (times > 1))
 
     unknown = eqx.filter_eval_shape(attempt, start)
-    unknown = jax.tree.map(lambda s: jnp.full(s.shape, jnp.nan, s.dtype), unknown)
+    unknown = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), unknown)
+    unknown = unknown._replace(u=start.at[-1].set(jnp.nan))
     best = lax.while_loop(
         lambda now: now.goes_on, round_, _Round(unknown, start, jnp.asarray(True))
     ).best
     u, slopes = best.u, best.slopes
-    found = floquet_multipliers(slopes[:, :-1], slopes[:, -1])
     once = start.at[-1].divide(jnp.maximum(jnp.round(period / u[-1]), 1.0))
+    found = floquet_multipliers(slopes[:, :-1], slopes[:, -1])
+    resolution = jnp.maximum(found.defect, multiplier_resolution(slopes[:, :-1]))
+    multipliers = jnp.where(jnp.abs(found.multipliers) < resolution, jnp.nan, found.multipliers)
+    # Velocities of masses that stick together are all that of the belt.
+    kept = jnp.arange(2 * n - 1) < 2 * n - 1 - best.sticking
+    multipliers = jnp.where(kept | ~jnp.isfinite(found.multipliers), multipliers, 0.0)
     return ClosedOrbit(
-        (u[:n], u[n:-1]), u[-1], gap(best), jnp.max(jnp.abs(u - once)), found.multipliers,
-        found.defect,
+        (u[:n], u[n:-1]), u[-1], gap(best), jnp.max(jnp.abs(u - once)), multipliers,
+        found.defect, resolution,
     )  # fmt: skip

@@ -11,6 +11,7 @@ from jaxchain.scenefile import SceneError, load_scene
 from jaxchain.studies.verdicts import run, summary
 from jaxchain.studies.verdicts.figure import (
     LOOKS,
+    LOWEST,
     decisive,
     figure,
     trap_example,
@@ -109,6 +110,17 @@ def test_the_dataset_holds_every_run_and_can_be_read_again(datasets, tmp_path):
         assert again["active"].sum("oscillator").values.tolist() == [3] * 5
         assert KINDS[int(again["kind"][2, 0])] == "unstable"
         again.close()
+
+
+def test_what_is_annihilated_is_written_and_drawn_as_that():
+    cycle = (0.0, -np.inf, -np.inf)
+    found = [state(made_up_run("cycle", 0.0, cycle, 50.0), [("cycle", 1e-3, cycle, 60.0)] * 2)]
+    data = to_dataset(Case(belt_speed=1.5, excited=[1], paper="figures 6 to 8"), found, 3)
+    assert decisive(data)["value"][0] == -np.inf
+    assert "-inf  [-inf, -inf]" in summary({"slow": data})
+    axes = figure({"slow": data}).axes[0]
+    below = [line for line in axes.lines if line.get_marker() == "v"]
+    assert [line.get_ydata().tolist() for line in below if len(line.get_xdata())] == [[LOWEST]]
 
 
 def test_what_is_drawn_is_what_decides(datasets):

@@ -229,6 +229,45 @@ def test_the_verdict_is_that_of_the_strongest_noise(kinds, noisy, verdict, undis
         assert found.lead.kind == "chaos"
 
 
+def test_what_sticking_annihilates_relaxes_at_once():
+    gone = run_of("cycle", exponents=(0.0, -np.inf), locked_at=500.0)
+    assert gone.relaxation_time == gone.longest_relaxation_time == 0.0
+    assert "relaxation time 0;" in classify([gone]).reason + ";"
+
+
+def test_what_is_not_resolved_is_told_as_a_bound():
+    unseen = run_of(
+        "cycle", exponents=(0.0, np.nan), low=np.array([0.0, -np.inf]),
+        high=np.array([0.0, -4.0]), locked_at=500.0,
+    )  # fmt: skip
+    assert np.isnan(unseen.relaxation_time)
+    assert unseen.longest_relaxation_time == 0.25
+    assert "relaxation time below 0.25 (not resolved)" in classify([unseen]).reason
+    # Of a run that locks while exponents are measured it is below everything else.
+    late = run_of(exponents=(0.0, np.nan), width=1e-6)
+    assert judge_exponents(late, Criteria()) == "cycle"
+
+
+@pytest.mark.slow
+def test_the_multiplier_of_a_single_sticking_mass_is_zero():
+    chain, start = paper_chain(n=1, belt_speed=1.5), (jnp.array([2.2]), jnp.zeros(1))
+    orbit = close_orbit(chain, start, 6.26, solver=EventDriven())
+    assert float(orbit.gap) < 1e-10
+    assert complex(orbit.multipliers[0]) == 0
+    assert float(orbit.exponents[0]) == float(orbit.highest_exponents[0]) == -np.inf
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("solver", "told"), [(EventDriven(), "time 0;"), (None, "time below 0.")])
+def test_the_verdict_on_a_single_sticking_mass_has_no_number_of_rounding(solver, told):
+    chain, start = paper_chain(n=1, width=1e-2), (jnp.array([2.2]), jnp.zeros(1))
+    found = verdict(chain, start, solver=solver, first=500.0, longest=1000.0, seeds=1)
+    assert found.verdict == "periodic"
+    assert told in found.reason + ";"
+    assert not np.isfinite(found.lead.exponents[1])
+    assert found.lead.high[1] < -1.0
+
+
 def test_runs_without_exponents_go_with_those_that_have_them():
     measured = run_of("chaos", 1e-3, (2e-3, 0.0), width=1e-4)
     assert classify([run_of("open"), measured, run_of("open", 1e-3)]).verdict == "chaotic"

@@ -67,7 +67,7 @@ def summary(datasets: Mapping[str, Dataset]) -> str:
         for row in range(data.sizes["excited"]):
             own = data.isel(excited=row)
             low, high = (found[name][row] for name in ("low", "high"))
-            known = np.isfinite(low)
+            known = not np.isnan(low)
             lines.append(
                 f"{int(own['excited']):>4} {int(own['active'].sum()):>7} "
                 f"{str(own['paper_text'].values) or '-':<12}"

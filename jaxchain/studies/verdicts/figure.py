@@ -27,6 +27,7 @@ LOOKS: dict[str, tuple[str, str]] = {
 _WORDS = {"transient": "transient, or undecided"}
 # Exponents below are drawn on a straight scale, those above on a logarithmic one.
 LINEAR = 1e-4
+LOWEST = -1e-1
 _EXPONENT = r"exponent $\lambda$ (–)"
 
 
@@ -35,7 +36,8 @@ def figure(datasets: Mapping[str, xr.Dataset]) -> Figure:
 
     Of a periodic state the slowest exponent of its orbit, by which it attracts, of any other the
     greatest there is, with 95 % intervals; crosses: the exponent of the orbit on which the start
-    without noise ends, where that is unstable; rings: smoothed friction.
+    without noise ends, where that is unstable; rings: smoothed friction; triangles on the lower
+    edge: what lies below it, such as -inf where sticking annihilates every disturbance.
     """
     with matplotlib.rc_context(STYLE):
         rows = len(datasets) + 1
@@ -74,7 +76,7 @@ def decisive(data: xr.Dataset) -> dict[str, np.ndarray]:
         own = own if own.any() else measured
         for key, name in names.items():
             values = data[name].values[row][strongest][own][:, 1 if periodic else 0]
-            if np.any(np.isfinite(values)):
+            if not np.all(np.isnan(values)):
                 merge = {"value": np.nanmean, "low": np.nanmin, "high": np.nanmax}[key]
                 out[key][row] = merge(values)
     return out
@@ -95,8 +97,11 @@ def _draw_exponents(axes: Axes, data: xr.Dataset) -> None:
         colour, marker = LOOKS[verdict]
         own = data["verdict"].values == index
         y = np.where(verdict == "at rest", 0.0, found["value"])[own]
-        bars = np.stack([found["value"] - found["low"], found["high"] - found["value"]])[:, own]
-        bars = np.clip(np.nan_to_num(bars), 0.0, None)
+        y = np.where(np.isfinite(y), y, np.nan)
+        known = np.where(np.isfinite(found["value"]), found["value"], np.nan)
+        bars = np.stack([known - found["low"], found["high"] - known])[:, own]
+        bars = np.where(np.isfinite(bars), np.maximum(bars, 0.0), 0.0)
+        _draw_below(axes, k[own] - 0.12, found["high"][own], colour)
         axes.errorbar(
             k[own] - 0.12, y, bars, fmt=marker, color=colour, markersize=4.2, elinewidth=1.0,
             capsize=1.6, zorder=3,
@@ -112,12 +117,20 @@ def _draw_exponents(axes: Axes, data: xr.Dataset) -> None:
         )  # fmt: skip
     axes.set_yscale("symlog", linthresh=LINEAR, linscale=0.8)
     axes.set_yticks([-1e-2, -1e-3, -1e-4, 0, 1e-4, 1e-3, 1e-2])
-    axes.set_ylim(-1e-1, 2e-2)
+    axes.set_ylim(LOWEST, 2e-2)
     axes.set_xlim(k.min() - 0.7, k.max() + 0.7)
     axes.set_xticks(k[:: max(1, len(k) // 20)])
     axes.set_ylabel(_EXPONENT)
     name = "eq. (8)" if data.attrs["equation"] == "equation_8" else "eq. (10)"
     axes.set_title(rf"$\tilde v_d = {data.attrs['belt_speed']:g}$, {name}")
+
+
+def _draw_below(axes: Axes, k: np.ndarray, high: np.ndarray, colour: str) -> None:
+    """A triangle on the lower edge for what lies below it, -inf and all that is not resolved."""
+    own = high < LOWEST
+    if own.any():  # an empty line that is not clipped has no bounds for the layout
+        at = np.full(own.sum(), LOWEST)
+        axes.plot(k[own], at, "v", color=colour, markersize=4.2, clip_on=False)
 
 
 def _smoothed(data: xr.Dataset) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
