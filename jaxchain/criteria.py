@@ -34,6 +34,7 @@ import numpy as np
 import scipy.special
 
 from .evidence import KINDS, MEANINGS, Evidence, Verdict
+from .result import message
 
 
 @dataclass(frozen=True)
@@ -122,7 +123,7 @@ def classify(runs: Sequence[Evidence]) -> Verdict:
     The verdict is that of the strongest noise, because a state that survives exact symmetry only
     is seen by nobody; what the start itself does without noise is `undisturbed`.  Runs on
     unstable orbits have no say where others have left them.  If the runs of the strongest noise
-    disagree, or any of them is open, the verdict is "transient".
+    disagree, or any of them is open, the verdict is "transient"; if any of them failed, "failed".
 
     >>> still = [Evidence(noise, 0, kind="cycle") for noise in (0.0, 1e-3)]
     >>> classify(still).verdict
@@ -137,13 +138,14 @@ def classify(runs: Sequence[Evidence]) -> Verdict:
     undisturbed = "periodic" if own[0].kind == "unstable" else _common(own)
     counted = {kind: sum(run.kind == kind for run in runs) for kind in KINDS}
     told = ", ".join(f"{count} {kind}" for kind, count in counted.items() if count)
-    failed = sorted({run.kind for run in runs} - set(KINDS))
-    reason = f"{len(runs)} runs: {told}" + "".join(f"; failed: {name}" for name in failed)
+    lost = [run.kind for run in runs if _failed(run)]
+    failures = [f"{lost.count(name)} failed ({name})" for name in sorted(set(lost))]
+    reason = f"{len(runs)} runs: {', '.join([told] * bool(told) + failures)}"
     reason += "".join(f"; {text}" for text in _numbers(runs, verdict))
     return Verdict(
         verdict=verdict,
         reason=reason,
-        remedy=_remedy(voters) if verdict == "transient" else "",
+        remedy=_remedy(voters) if verdict in ("transient", "failed") else "",
         undisturbed=undisturbed,
         depends_on_noise=verdict != undisturbed or any(run.kind == "unstable" for run in own),
         longest=max(run.time for run in runs),
@@ -151,7 +153,13 @@ def classify(runs: Sequence[Evidence]) -> Verdict:
     )
 
 
+def _failed(run: Evidence) -> bool:
+    return run.kind not in KINDS
+
+
 def _common(runs: Sequence[Evidence]) -> str:
+    if any(map(_failed, runs)):
+        return "failed"
     # Not every run of an ensemble need have exponents: what else has not closed goes with those.
     kinds = {run.kind for run in runs if len(run.exponents) or run.kind != "open"}
     if any(run.kind in ("cycle", "rest") for run in runs):
@@ -194,8 +202,9 @@ def _numbers(runs: Sequence[Evidence], verdict: str) -> list[str]:
 def _remedy(runs: Sequence[Evidence]) -> str:
     kinds = {run.kind for run in runs}
     longest = max(run.time for run in runs)
-    if kinds - set(KINDS):
-        return "Runs failed: see their kind."
+    failures = sorted(kinds - set(KINDS))
+    if failures:
+        return " ".join(f"Runs failed with `{name}`: {message(name)}" for name in failures)
     if kinds & {"cycle", "rest"} and len(kinds) > 1:
         ended = sum(run.kind in ("cycle", "rest") for run in runs)
         total = sum(r.locked_at if np.isfinite(r.locked_at) else r.time for r in runs)

@@ -13,6 +13,7 @@ import numpy as np
 import xarray as xr
 
 from .chain import Chain
+from .fold import find_fold
 from .friction import ExponentialDecay, TanhFriction
 from .one_mass import OneMassBranch, one_mass_branch
 from .result import NAMES, STOPPED_WELL
@@ -72,8 +73,10 @@ def cycles(data: xr.Dataset) -> OneMassBranch | None:
     width, damping, stiffness = others
     friction = TanhFriction(ExponentialDecay(*law), width)
     chain = Chain(1, friction, 1.0, damping, None, stiffness, load)
-    lowest = max(float(data["belt_speed"].min()), 0.05)
-    branch = one_mass_branch(chain, lowest)
+    fold = find_fold(chain)
+    # A sweep may lie above the fold altogether.
+    lowest = min(max(float(data["belt_speed"].min()), 0.05), 0.5 * float(fold.belt_speed))
+    branch = one_mass_branch(chain, 0.05 if np.isnan(lowest) else lowest, fold)
     return branch if np.isfinite(branch.belt_speed[branch.fold]) else None
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 KINDS = ("rest", "cycle", "unstable", "chaos", "torus", "open")
-VERDICTS = ("at rest", "periodic", "quasi-periodic", "chaotic", "transient")
+VERDICTS = ("at rest", "periodic", "quasi-periodic", "chaotic", "transient", "failed")
 # The verdict that each kind stands for.
 MEANINGS = {"rest": "at rest", "cycle": "periodic", "torus": "quasi-periodic", "chaos": "chaotic"}
 
@@ -83,7 +83,7 @@ class Verdict:
     """What an ensemble of runs from one start says.
 
     - `verdict`: one of `VERDICTS`; `reason`, a sentence with the numbers; `remedy`: what would
-      decide a transient, else empty.
+      decide a transient, or what to do about a run that failed, else empty.
     - `undisturbed`: the verdict on the start itself; `depends_on_noise`: whether that differs.
     - `runs`: all the evidence; `longest`: the longest time that was simulated.
     """

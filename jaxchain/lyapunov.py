@@ -87,7 +87,8 @@ def lyapunov_spectrum(
     - `count`: how many exponents; None is all 2n.
     - `transient`: left out of the averages; in its second half disturbances are carried, too, so
       that they find their directions.
-    - `interval`: greatest time between two QR decompositions.  What has become smaller than 1e-10
+    - `interval`: greatest time between two QR decompositions, at most a block (in a traced call
+      a longer one is cut to it).  What has become smaller than 1e-10
       of the rest meanwhile is lost to rounding, and its exponent NaN.  None is 2 pi for at most n
       exponents, which no stiff direction is among; for more it is 1 for dry friction, and
       10 eps / (p mu_st) for smoothed, in which nothing contracts by more than e^-10: costly for
@@ -135,6 +136,7 @@ def lyapunov_spectrum(
     if isinstance(chain, Chain) and not dry:
         check_resolved(chain.n, chain.friction.width, chain.belt_speed, rtol, atol)
     count = _check_numbers(t1, transient, count, blocks, 2 * state[0].shape[0], max_steps)
+    _check_interval(interval, t1, transient, blocks)
     interval = _interval(chain, interval, count, dry)
     if solver is None:
         known = 1e-6 if is_traced(rtol) else float(rtol)
@@ -262,8 +264,6 @@ def _read(frame: Frame, growths: tuple[Growth, Array], spans: Span) -> LyapunovS
 
 def _interval(chain: Any, interval: Any, count: int, dry: bool) -> Any:
     if interval is not None:
-        check_number("interval", interval, "a period is about 2 pi.")
-        check_positive("interval", interval, "a period is about 2 pi.")
         return interval
     if not isinstance(chain, Chain):
         return 1.0
@@ -274,6 +274,22 @@ def _interval(chain: Any, interval: Any, count: int, dry: bool) -> Any:
     load = 1.0 if chain.normal_load is None else jnp.max(chain.normal_load)
     rate = load * jnp.max(chain.friction.law.mu_static) / jnp.min(chain.friction.width)
     return jnp.minimum(_PERIOD, _LEAST_LOG / (rate + 2.0 * jnp.max(chain.damping_ratio)))
+
+
+def _check_interval(interval: Any, t1: Any, transient: Any, blocks: int) -> None:
+    if interval is None:
+        return
+    check_number("interval", interval, "a period is about 2 pi.")
+    check_positive("interval", interval, "a period is about 2 pi.")
+    if is_traced(interval, t1, transient):
+        return
+    block = (float(t1) - float(transient)) / blocks
+    if float(interval) > block * (1.0 + 1e-9):
+        raise ValueError(
+            f"Argument `interval` = {interval} is longer than a block, (t1 - transient) / `blocks`"
+            f" = {block:g}, at whose end disturbances are made orthonormal, too: lower `interval` "
+            "or `blocks`, or raise `t1`."
+        )
 
 
 def _check_state(chain: Any, initial: Any) -> State:

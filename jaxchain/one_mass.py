@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from ._checks import check_number, check_positive
+from ._checks import check_number, check_positive, is_traced
 from .amplitude import Amplitude
 from .averaging import cycle_speed, greatest_speed
 from .chain import Chain
@@ -73,22 +73,37 @@ def one_mass_branch(chain: Chain, lowest: Any = 0.1, fold: Fold | None = None) -
     """Every cycle of one mass, stable or not, with smoothed friction.
 
     **Arguments:** `chain` of one mass, whose `belt_speed` has no part in it; `lowest`, the belt
-    speed at which the stick-slip branch is left; `fold`, what `find_fold(chain)` returned, if it
-    is known.
+    speed at which the stick-slip branch is left, below that of the fold (near it only a few
+    places have a point); `fold`, what `find_fold(chain)` returned, if it is known.
 
     **Returns:** 146 places, of which 73 are slip cycles; for the paper's set at width 1e-2 the
     fold is at v_d = 1.7925, A = 1.7808.  Works under `jit` and `vmap`; not to be differentiated.
     All NaN where there is no fold: then cycles, if any, are stable and grow out of the Hopf point
-    as the belt slows down.
+    as the belt slows down.  Under a transformation the places of stick-slip are NaN if `lowest` is
+    not below the fold.
 
-    **Raises:** `ValueError` for a chain of several masses or a `lowest` that is not positive.
+    **Raises:** `ValueError` for a chain of several masses or a `lowest` that is not positive, or
+    not below the fold.
     """
     _check_single(chain)
     check_number("lowest", lowest, "0.1 is usual.")
     check_positive("lowest", lowest, "the cycles are lost as the belt comes to rest.")
     frozen = jax.tree.map(lax.stop_gradient, chain)
     known = find_fold(frozen) if fold is None else jax.tree.map(lax.stop_gradient, fold)
+    check_below_fold(lowest, known)
     return _branch(frozen, known, jnp.asarray(lowest, float))
+
+
+def check_below_fold(lowest: Any, fold: Fold) -> None:
+    """Raises `ValueError` if a `lowest` is at or above a fold that was found."""
+    if is_traced(lowest, fold):
+        return
+    speed = float(jnp.min(jnp.where(fold.found, fold.belt_speed, jnp.inf)))
+    if float(lowest) >= speed:
+        raise ValueError(
+            f"Argument `lowest` must be below the fold, at a belt speed of {speed:.6g}, but is "
+            f"{lowest}: no mass sticks and slips above it. 0.1 is usual."
+        )
 
 
 @eqx.filter_jit

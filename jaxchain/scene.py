@@ -30,6 +30,7 @@ from .tables import (
     Table,
     TimeTable,
     Values,
+    short_of_a_period,
 )
 
 # (path of a key within the table, what is wrong with it).
@@ -167,11 +168,8 @@ class Experiment(Table):
                     f"must lie in 1 ... {n} (`chain.n`), but holds {last}",
                 )
         softest = self._extreme("stiffness", min)
-        if softest is not None and self.time.window < (period := 2 * math.pi / softest**0.5):
-            yield (
-                ("time", "window"),
-                f"must hold at least one period, {period:.4g}, but is {self.time.window:g}",
-            )
+        if softest is not None and (problem := short_of_a_period(self.time.window, softest)):
+            yield ("time", "window"), problem
 
     def _chain_misfits(self) -> Iterator[Problem]:
         chain = self.chain

@@ -12,7 +12,15 @@ from decimal import Decimal
 from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Tag,
+    model_validator,
+)
 
 MOST_LANES = 10**6
 MOST_LANES_REMEDY = "take fewer values, or share them out over several experiments or scene files"
@@ -36,7 +44,27 @@ def _form(value: Any) -> str:
     return "list" if isinstance(value, list) else "number"
 
 
+def short_of_a_period(time: float, stiffness: float = 1.0) -> str | None:
+    """What is wrong with a time that holds no period of a free mass; None if it does.
+
+    >>> short_of_a_period(1.0)
+    'must hold at least one period, 6.283, but is 1'
+    """
+    period = 2 * math.pi / stiffness**0.5
+    if time >= period:
+        return None
+    return f"must hold at least one period, {period:.4g}, but is {time:g}"
+
+
+def _holds_a_period(time: float) -> float:
+    if problem := short_of_a_period(time):
+        raise ValueError(problem)
+    return time
+
+
 Positive: TypeAlias = Annotated[float, Field(gt=0)]
+# A time over which vibrations are measured.
+Window: TypeAlias = Annotated[Positive, AfterValidator(_holds_a_period)]
 NonNegative: TypeAlias = Annotated[float, Field(ge=0)]
 # One number for the whole chain, or one per mass (for coupling: per spring).
 PerMass: TypeAlias = Annotated[
@@ -76,6 +104,11 @@ class Range(Table):
                 raise ValueError(
                     f"is empty: a step of {self.step:g} does not lead from {self.start:g} to "
                     f"{self.stop:g}"
+                )
+            if self._length() < 2 and self.start != self.stop:
+                raise ValueError(
+                    f"has a step of {self.step:g} beyond its range: only {self.start:g} would be "
+                    f"left. A `step` of at most {abs(self.stop - self.start):g} reaches further"
                 )
         elif self.count == 1 and self.start != self.stop:
             raise ValueError("cannot hold both ends in one value: raise `count`")

@@ -12,10 +12,21 @@ import numpy as np
 from jaxtyping import Array
 from tqdm import tqdm
 
-from ._checks import check_count, check_nonnegative, check_positive, require_64_bits, require_x64
+from ._checks import (
+    check_count,
+    check_finite,
+    check_nonnegative,
+    check_positive,
+    check_resolved,
+    check_tolerances,
+    require_64_bits,
+    require_x64,
+)
 from .chain import Chain
+from .choice import MAX_STEP
 from .criteria import Criteria, classify, judge_exponents, judge_torus
 from .evidence import Evidence, Verdict
+from .filippov import EventDriven
 from .orbit_judge import judge_orbit
 from .structure import AbstractOscillators
 from .trial import Ensemble, Numerics, Trial, exponents_of
@@ -36,6 +47,11 @@ def verdict(chain: AbstractOscillators, initial: Any, **settings: Any) -> Verdic
         print(found.reason)
         ```
     """
+    if not isinstance(initial, tuple | list) or len(initial) != 2:
+        raise ValueError(
+            "Argument `initial` must be the pair (x, v), both of shape (n,), but is a "
+            f"{type(initial).__name__}."
+        )
     x, v = initial
     states = jnp.asarray(x)[None], jnp.asarray(v)[None]
     return verdicts(chain, states, **settings)[0]
@@ -91,11 +107,17 @@ def verdicts(
     require_x64()
     require_64_bits("chain", chain)
     criteria = Criteria() if criteria is None else criteria
-    x, v = _checked(initials)
+    x, v = _checked(chain, initials)
     for name, value in {"seeds": seeds, "exponent_runs": exponent_runs, "count": count}.items():
         check_count(name, value)
-    for name, value in {"first": first, "exponent_time": exponent_time, "window": window}.items():
+    times = {
+        "first": first, "longest": longest, "exponent_time": exponent_time, "window": window
+    }  # fmt: skip
+    for name, value in times.items():
         check_positive(name, value, "a period is about 2 pi; see the defaults.")
+    check_tolerances(rtol, None, MAX_STEP)
+    if isinstance(chain, Chain) and not isinstance(solver, EventDriven):
+        check_resolved(chain.n, chain.friction.width, chain.belt_speed, rtol, None)
     check_nonnegative("noise", np.asarray(noise, float), "it is a standard deviation.")
     if longest < first:
         raise ValueError(f"Argument `longest` = {longest} must be at least `first` = {first}.")
@@ -142,7 +164,7 @@ def verdicts(
     return [classify(group) for group in groups]
 
 
-def _checked(initials: Any) -> tuple[Array, Array]:
+def _checked(chain: AbstractOscillators, initials: Any) -> tuple[Array, Array]:
     if not isinstance(initials, tuple | list) or len(initials) != 2:
         raise ValueError(
             "Argument `initials` must be the pair (x, v), both of shape (states, n), but is a "
@@ -154,6 +176,13 @@ def _checked(initials: Any) -> tuple[Array, Array]:
             "Argument `initials` must hold x and v of shape (states, n), but they have shapes "
             f"{x.shape} and {v.shape}: use `verdict` for one state."
         )
+    if isinstance(chain, Chain) and x.shape[1] != chain.n:
+        raise ValueError(
+            f"Argument `initials` holds states of {x.shape[1]} masses, but the chain has "
+            f"{chain.n}."
+        )
+    check_finite("initial displacement", x, "see `excited_state` for initial states.")
+    check_finite("initial velocity", v, "see `excited_state` for initial states.")
     return x, v
 
 

@@ -155,6 +155,25 @@ def test_branches_are_of_one_mass():
         one_mass_branch(paper_chain(1), -1.0)
 
 
+def test_a_branch_is_not_left_above_its_fold():
+    chain = paper_chain(1, width=1e-2)
+    fold = find_fold(chain)
+    for lowest in (100.0, float(fold.belt_speed)):
+        with pytest.raises(ValueError, match=r"`lowest` must be below the fold.*1\.79246"):
+            one_mass_branch(chain, lowest, fold)
+
+
+@pytest.mark.long
+def test_a_branch_that_is_left_near_its_fold_has_what_lies_above():
+    chain = paper_chain(1, width=1e-2)
+    fold = find_fold(chain)
+    branch = one_mass_branch(chain, 0.999 * float(fold.belt_speed), fold)
+    stick = np.asarray(branch.belt_speed[branch.fold + 1 :])
+    assert np.isfinite(stick).sum() >= 1
+    assert np.nanmin(stick) >= 0.999 * float(fold.belt_speed)
+    assert np.all(np.isfinite(branch.belt_speed[branch.fold - 20 : branch.fold + 1]))
+
+
 @pytest.mark.exhaustive
 def test_the_fold_ends_on_the_hopf_curve_tangentially():
     chain = paper_chain(1, width=0.1)

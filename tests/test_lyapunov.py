@@ -163,6 +163,8 @@ def test_kaplan_yorke_dimension(exponents, complete, dimension):
         ({"t1": np.nan}, "t1"),
         ({"transient": -1.0}, "transient"),
         ({"interval": 0.0}, "interval"),
+        ({"interval": 200.0}, "interval` = 200.0 is longer than a block"),
+        ({"t1": 100.0, "interval": 5.1}, "interval"),
         ({"blocks": 1}, "blocks"),
         ({"blocks": 2.5}, "blocks"),
         ({"rtol": -1.0}, "rtol"),

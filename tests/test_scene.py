@@ -177,6 +177,13 @@ def test_a_billion_runs_are_refused_at_once_and_with_a_remedy(scene_file):
     assert "take fewer values" in found
 
 
+@pytest.mark.parametrize(("stop", "step"), [(1.6, 1e9), (1.6, 0.7), (0.4, -0.7)])
+def test_a_step_beyond_its_range_is_refused(scene_file, stop, step):
+    speed = f"sweep.belt_speed={{start=1.0,stop={stop},step={step}}}"
+    (found,) = problems(scene_file, PAIR + speed)
+    assert found.startswith(f"{PAIR}sweep.belt_speed: has a step of")
+
+
 @pytest.mark.parametrize("step", ["1e-9", "1e-300"])
 def test_a_range_of_a_billion_values_is_refused_before_it_is_made(scene_file, step):
     (found,) = problems(scene_file, f"{PAIR}sweep.belt_speed.step={step}")

@@ -176,6 +176,8 @@ def test_the_rate_is_that_of_what_can_be_seen():
         ("ring.masses=3", "ring.masses"),
         ("ring.width=0.0", "ring.width"),
         ("checks.periods=2", "checks.periods"),
+        ("checks.dry_time=5e-324", "checks.dry_time: must hold at least one period"),
+        ("ensemble.window=6.2", "ensemble.window: must hold at least one period"),
         ("colour=1", "colour"),
     ],
 )

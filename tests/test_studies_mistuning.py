@@ -120,6 +120,7 @@ def peaks():
         ("ensemble.one.disorder=[0.1, 0.0]", "disorder"),
         ("longer.factor=1.0", "factor"),
         ("locking.window=5.0", "window"),
+        ("ensemble.one.window=5e-324", "ensemble.one.window: must hold at least one period"),
         ("distribution='cauchy'", "distribution"),
         ("colour=1", "colour"),
     ],

@@ -181,6 +181,7 @@ def test_the_scenes_are_the_figures_of_the_paper(name):
         ("fig7", "phase_plots.oscillators=[1,2,21]", "phase_plots.oscillators: must lie in"),
         ("fig7", "phase_plots.duration=6e3", "phase_plots.duration: must not exceed the window"),
         ("fig7", "phase_plots.interval=1e-5", "states.time: would have"),
+        ("fig7", "phase_plots.interval=1e9", "phase_plots.interval: must not exceed"),
         ("fig6", "states.time.window=1e9", "states.time: would have"),
     ],
 )

@@ -164,6 +164,9 @@ def test_the_summary_is_the_table_state_by_state(datasets):
         ("case.slow.excited=[21]", "must have no more than `n` = 20 masses excited"),
         ("case.slow.paper='figure 11'", "case.slow.paper"),
         ("exponents=1", "exponents"),
+        ("window=5e-324", "window: must hold at least one period, 6.283"),
+        ("times.exponents=1e-3", "times.exponents: must hold at least one period"),
+        ("smoothed.time=1.0", "has a `time` that must hold at least one period"),
     ],
 )
 def test_a_wrong_table_is_named(override, problem):

@@ -207,7 +207,10 @@ def test_a_torus_is_seen_by_an_ensemble_of_smooth_averages():
         ("unstable", ["cycle", "cycle"], "periodic", "periodic", True),
         ("cycle", ["cycle", "chaos"], "transient", "periodic", True),
         ("chaos", ["chaos", "open"], "transient", "chaotic", True),
-        ("nonfinite", ["nonfinite", "nonfinite"], "transient", "transient", False),
+        ("nonfinite", ["nonfinite", "nonfinite"], "failed", "failed", False),
+        ("cycle", ["cycle", "nonfinite"], "failed", "periodic", True),
+        ("nonfinite", ["cycle", "cycle"], "periodic", "failed", True),
+        ("open", ["open", "nonfinite"], "failed", "transient", True),
     ],
 )
 def test_the_verdict_is_that_of_the_strongest_noise(kinds, noisy, verdict, undisturbed, depends):
@@ -221,7 +224,11 @@ def test_the_verdict_is_that_of_the_strongest_noise(kinds, noisy, verdict, undis
     assert (found.verdict, found.undisturbed, found.depends_on_noise) == (
         verdict, undisturbed, depends
     )  # fmt: skip
-    assert bool(found.remedy) == (verdict == "transient")
+    assert bool(found.remedy) == (verdict in ("transient", "failed"))
+    if "nonfinite" in (kinds, *noisy):
+        assert "failed (nonfinite)" in found.reason
+    if verdict == "failed":
+        assert "`nonfinite`: The state is NaN" in found.remedy
     assert found.longest == 1e4
     assert "3 runs" in found.reason
     if verdict == "chaotic":
@@ -289,6 +296,10 @@ def test_runs_without_exponents_go_with_those_that_have_them():
         ({"count": 1.5}, "`count`"),
         ({"initials": jnp.ones(3)}, "the pair"),
         ({"initials": (jnp.ones(3), jnp.ones(3))}, "(states, n)"),
+        ({"initials": (jnp.ones((1, 2)), jnp.full((1, 2), jnp.nan))}, "initial velocity"),
+        ({"initials": (jnp.full((1, 2), jnp.inf), jnp.ones((1, 2)))}, "initial displacement"),
+        ({"longest": np.nan}, "`longest`"),
+        ({"rtol": 0.0}, "`rtol`"),
     ],
 )
 def test_bad_input_is_named(wrong, match):
@@ -296,6 +307,19 @@ def test_bad_input_is_named(wrong, match):
     with pytest.raises(ValueError) as error:
         verdicts(pair(), initials, **wrong)
     assert match in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("initial", "match"),
+    [
+        ((jnp.full(1, jnp.nan), jnp.zeros(1)), "initial displacement"),
+        ((jnp.ones(2), jnp.zeros(2)), "2 masses, but the chain has 1"),
+        (jnp.ones(3), "the pair"),
+    ],
+)
+def test_a_state_that_is_none_gets_no_verdict(initial, match):
+    with pytest.raises(ValueError, match=match):
+        verdict(paper_chain(n=1), initial)
 
 
 @pytest.mark.long

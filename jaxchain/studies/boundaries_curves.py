@@ -18,7 +18,12 @@ from jaxchain.friction import ExponentialDecay, TanhFriction
 from jaxchain.generalised_hopf import generalised_hopf
 from jaxchain.grazing import nonsmooth_fold_belt_speed
 from jaxchain.hopf import hopf_belt_speed
-from jaxchain.one_mass import OneMassBranch, dry_slip_branch, one_mass_branch
+from jaxchain.one_mass import (
+    OneMassBranch,
+    check_below_fold,
+    dry_slip_branch,
+    one_mass_branch,
+)
 from jaxchain.simulate import simulate
 from jaxchain.studies.boundaries_table import Study
 from jaxchain.studies.cycles import on_the_belt
@@ -115,6 +120,7 @@ def cycles(study: Study, folds: Fold) -> xr.Dataset:
     def smoothed(width: Array, fold: Fold) -> OneMassBranch:
         return one_mass_branch(chain.with_(width=width), part.lowest, fold)
 
+    check_below_fold(part.lowest, folds)
     branches = smoothed(jnp.asarray(part.width), folds)
     slip = dry_slip_branch(chain)
     top = slip.belt_speed[-1]

@@ -7,7 +7,7 @@ from typing import Annotated, Literal, TypeAlias
 from pydantic import Field
 
 from jaxchain.studies import StudyTable
-from jaxchain.tables import NonNegative, Positive
+from jaxchain.tables import NonNegative, Positive, Window
 
 Model: TypeAlias = Literal["smoothed", "nonsmooth"]
 Group: TypeAlias = Literal[
@@ -41,5 +41,5 @@ class Study(StudyTable):
     """Springs between five masses."""
     masses: Annotated[int, Field(ge=20, multiple_of=20)] = 100_000
     """Number of masses of the largest chain, a multiple of 20."""
-    duration: Positive = 1e6
+    duration: Window = 1e6
     """Length of the longest run."""

@@ -42,7 +42,7 @@ class Study(StudyTable):
     excited: Annotated[int, Field(ge=0)] = 9
     belt_speed: float = 1.3
     """Of a single lane; the lanes of an ensemble lie within 0.1 of it."""
-    duration: Positive = 30.0
+    duration: Annotated[float, Field(ge=1)] = 30.0
     lanes: Annotated[list[Annotated[int, Field(ge=1)]], Field(min_length=1)]
     """How many runs at once, one panel for each."""
     approaches: Annotated[list[Approach], Field(min_length=1)]

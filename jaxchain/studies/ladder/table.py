@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from jaxchain.studies import StudyTable
-from jaxchain.tables import Positive, Range, Table
+from jaxchain.tables import Positive, Range, Table, Window
 
 Count = Annotated[int, Field(ge=1)]
 PatternName = Literal["in-phase", "alternating", "calmest"]
@@ -53,7 +53,7 @@ class Ensemble(Table):
 
     belt_speed: Range
     transient: Positive
-    window: Positive
+    window: Window
 
 
 class Checks(Table):
@@ -65,7 +65,7 @@ class Checks(Table):
     """For so long."""
     dry: Count
     """Stable ones at which a run with true dry friction starts."""
-    dry_time: Positive
+    dry_time: Window
 
 
 class Couplings(Table):

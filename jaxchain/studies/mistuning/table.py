@@ -7,7 +7,7 @@ from typing import Annotated, Literal, TypeAlias
 from pydantic import Field, model_validator
 
 from jaxchain.studies import StudyTable
-from jaxchain.tables import NonNegative, Positive, Table
+from jaxchain.tables import NonNegative, Positive, Table, Window
 
 Disorder: TypeAlias = Annotated[float, Field(ge=0, le=0.24)]
 Start: TypeAlias = Literal["disturbed", "all", "half", "one"]
@@ -43,7 +43,7 @@ class Ensemble(Table):
     """In every point; the same ones (scaled to its disorder) in each."""
     transient: NonNegative
     """What is waited for before amplitudes are measured."""
-    window: Positive
+    window: Window
     """How long they are measured."""
     disturbance: Positive = 0.01
     """Standard deviation of the displacements, for "disturbed"."""

@@ -105,6 +105,11 @@ class Study(StudyTable):
                 problems.append(
                     (("phase_plots", "oscillators"), f"must lie in 1 ... {n} (`chain.n`)")
                 )
+            if plots.interval > (plots.duration or time.window):
+                problems.append(
+                    (("phase_plots", "interval"), "must not exceed what is shown, "
+                     f"{plots.duration or time.window:g}, but is {plots.interval:g}")
+                )  # fmt: skip
             if plots.duration is not None and plots.duration > time.window:
                 problems.append(
                     (("phase_plots", "duration"), f"must not exceed the window, {time.window:g}")

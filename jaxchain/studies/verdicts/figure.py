@@ -23,6 +23,7 @@ LOOKS: dict[str, tuple[str, str]] = {
     "quasi-periodic": ("#009E73", "D"),
     "chaotic": (RED, "s"),
     "transient": (ORANGE, "^"),
+    "failed": (GREY, "P"),
 }
 _WORDS = {"transient": "transient, or undecided"}
 # Exponents below are drawn on a straight scale, those above on a logarithmic one.

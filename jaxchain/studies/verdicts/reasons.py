@@ -13,7 +13,7 @@ PAPER_TRANSIENT, PAPER_END = 1e4, 1.5e4
 
 def agrees(verdict: str, claim: str) -> bool | None:
     """Whether a verdict fits a claim; None where there is none, or nothing is decided."""
-    if not claim or verdict == "transient" or claim not in (REGULAR, "irregular"):
+    if not claim or verdict in ("transient", "failed") or claim not in (REGULAR, "irregular"):
         return None
     return (verdict in ("periodic", "at rest")) == (claim == REGULAR)
 

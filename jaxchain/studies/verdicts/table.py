@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from jaxchain.studies import StudyTable
-from jaxchain.tables import NonNegative, Positive, Table
+from jaxchain.tables import NonNegative, Positive, Table, Window, short_of_a_period
 
 Count = Annotated[int, Field(ge=1)]
 
@@ -36,11 +36,11 @@ class Noise(Table):
 class Times(Table):
     """How long is simulated (a period is about 2 pi)."""
 
-    first: Positive
+    first: Window
     """When runs are judged for the first time; then whenever their time has doubled."""
-    longest: Positive
+    longest: Window
     """When those that are still undecided end."""
-    exponents: Positive
+    exponents: Window
     """Over how long exponents are averaged."""
 
     @model_validator(mode="after")
@@ -58,6 +58,12 @@ class Smoothed(Table):
     time: NonNegative = 0.0
     """Over how long they are averaged; 0: no second witness."""
 
+    @model_validator(mode="after")
+    def _check(self) -> Smoothed:
+        if self.time > 0 and (problem := short_of_a_period(self.time)):
+            raise ValueError(f"has a `time` that {problem}; 0 leaves the second witness out")
+        return self
+
 
 class Study(StudyTable):
     """Whether localized states are periodic, quasi-periodic, chaotic or transient."""
@@ -74,7 +80,7 @@ class Study(StudyTable):
     exponent_runs: Count = 3
     """Of how many runs of a state, that without noise and then the noisiest first."""
     rtol: Annotated[float, Field(gt=0, lt=1)] = 1e-6
-    window: Positive = 50.0
+    window: Window = 50.0
     lanes: Count = 24
     """Runs at a time on each device."""
 
