@@ -7,7 +7,8 @@ verdict is on an ensemble: the start itself, and starts with noise.  For each ru
     rest        every amplitude is below `rest`
     cycle       the states at the maxima of one mass fall upon each other (or creep towards a
                 point), Newton's method closes the orbit nearby, and all its exponents but the
-                zero of the flow are negative: ln |multiplier| / period < -defect / period; or,
+                zero of the flow are negative: ln |multiplier| / period < -defect / period (-inf
+                for what sticking annihilates); or,
                 of a run that locks only while exponents are measured, the greatest exponent is
                 0 within `zero` and the next one below -`zero`, intervals included
     unstable    the same with a positive exponent, while the run sits on the orbit to rounding:

@@ -40,11 +40,15 @@ def verdict(chain: AbstractOscillators, initial: Any, **settings: Any) -> Verdic
     !!! example
 
         ```python
+        import jax.numpy as jnp
         from jaxchain import EventDriven, equation_8, paper_chain
         chain = paper_chain(n=20, belt_speed=1.5)
         found = verdict(chain, equation_8(chain, 3), solver=EventDriven())
         found.verdict, found.undisturbed  # ("quasi-periodic", "periodic")
         print(found.reason)
+        one = verdict(paper_chain(n=1), (jnp.array([2.2]), jnp.zeros(1)), solver=EventDriven())
+        print(one.reason)  # a mass that sticks forgets everything
+        # 7 runs: 7 cycle; locked by 2000 to 2000, slowest relaxation time 0
         ```
     """
     if not isinstance(initial, tuple | list) or len(initial) != 2:
