@@ -12,6 +12,10 @@ Variables (… stands for the swept dimensions):
     front_right, front_left, front_count (…, window)
     result (…)                   how the lane ended, see its flag_meanings
     end_time, steps, rejected (…)
+
+What a lane does not know is missing, NaN, and xarray leaves it out of means: all that a failed
+lane observed, and the windows of a `FrontTrack` that a run did not reach.  Counts are therefore
+floats; in NetCDF and Zarr they are integers, with a `_FillValue`.
 """
 
 from __future__ import annotations
@@ -25,6 +29,7 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import jax.tree_util as jtu
 import numpy as np
 import xarray as xr
@@ -32,7 +37,7 @@ import xarray as xr
 from .amplitude import Amplitude
 from .chain import Chain
 from .front_track import FrontTrack
-from .measures import LEAST_ACTIVE
+from .measures import active
 from .observe import AbstractObserver, PeakTimes, Section, StickTime
 from .progress import AbstractPlan
 from .result import NAMES
@@ -41,6 +46,8 @@ from .sampling import Samples
 # What has names in a dataset.
 OBSERVERS = (Amplitude, PeakTimes, Section, StickTime, Samples, FrontTrack)
 
+# How a count is written: an integer, and this one where it is missing.
+COUNT_ENCODING = {"dtype": "int64", "_FillValue": -1}
 UNITS = {
     "belt_speed": "x0 omega_n",
     "v_ref": "x0 omega_n",
@@ -128,8 +135,12 @@ def to_dataset(
     variables: dict[str, tuple] = {}
     for observer, value in zip(observers, records["observed"], strict=True):
         variables |= _variables(observer, value, dims, axes, chain)
-    for name in ("result", "end_time", "steps", "rejected"):
+    for name in ("result", "end_time"):
         variables[name] = (dims, records[name])
+    # Of a lane that was interrupted, none is known.
+    known = records["result"] != NAMES.index("interrupted")
+    for name in ("steps", "rejected"):
+        variables[name] = _count(dims, records[name], known)
     coords = {**axes, "oscillator": np.arange(1, chain.n + 1)}
     dataset = xr.Dataset(variables, coords=coords, attrs=dict(attrs))
     for name in dataset.variables:
@@ -157,14 +168,12 @@ def _variables(
             place = [1] * len(dims)
             place[dims.index("belt_speed")] = -1
             speed = axes["belt_speed"].reshape(place)
-        failed = np.isnan(value).any(axis=-1)
-        # The rule of `jaxchain.active`, on the host.
-        count = (value > np.maximum(np.abs(speed) / 2, LEAST_ACTIVE)[..., None]).sum(axis=-1)
+        known = ~np.isnan(value).any(axis=-1)
+        vibrates = np.asarray(active(jnp.asarray(value), jnp.asarray(speed)))
         return {
             "amplitude": ((*dims, "oscillator"), value),
             "energy": (dims, 0.5 * (value**2).sum(axis=-1)),
-            # -1 where the lane has no amplitude: a count of zero would read as quiet.
-            "active_count": (dims, np.where(failed, -1, count)),
+            "active_count": _count(dims, vibrates.sum(axis=-1), known),
         }
     if isinstance(observer, StickTime):
         return {"stick_time": ((*dims, "oscillator"), value)}
@@ -188,6 +197,11 @@ def _variables(
         return {
             "front_right": ((*dims, "window"), value.right),
             "front_left": ((*dims, "window"), value.left),
-            "front_count": ((*dims, "window"), value.count),
+            "front_count": _count((*dims, "window"), value.count, ~np.isnan(value.count)),
         }
     raise TypeError(f"No dataset names for {type(observer).__name__}.")
+
+
+def _count(dims: tuple[str, ...], values: Any, known: np.ndarray) -> tuple:
+    """A variable of counts, missing where none is known."""
+    return dims, np.where(known, values, np.nan), {}, COUNT_ENCODING

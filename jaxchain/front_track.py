@@ -18,7 +18,7 @@ from scipy.special import stdtrit
 
 from ._checks import check_count, to_float
 from ._types import ScalarLike, State
-from .measures import LEAST_ACTIVE
+from .measures import active_above
 from .observe import AbstractObserver, Step
 from .structure import AbstractOscillators
 
@@ -31,13 +31,13 @@ class Fronts(eqx.Module):
     """Both fronts of a block, window after window: arrays of shape (windows,).
 
     `right`, `left`: how far from the middle mass vibration reaches, in masses, along the chain
-    and against it (both grow when the block grows); `count`, the masses that vibrate; -1 in all
+    and against it (both grow when the block grows); `count`, the masses that vibrate; NaN in all
     three where the run did not get so far.
     """
 
     right: Float[Array, "*windows"]
     left: Float[Array, "*windows"]
-    count: Int[Array, "*windows"]
+    count: Float[Array, "*windows"]
 
 
 @eqx.filter_jit
@@ -124,8 +124,8 @@ class FrontTrack(AbstractObserver):
         del field
         x, _ = y0
         length = to_float((t1 - t0) / self.windows)
-        nowhere = jnp.full(self.windows, -1.0)
-        fronts = Fronts(nowhere, nowhere, jnp.full(self.windows, -1))
+        nowhere = jnp.full(self.windows, jnp.nan)
+        fronts = Fronts(nowhere, nowhere, nowhere)
         return _Watch(x, x, t0 + length, jnp.zeros((), int), length, fronts)
 
     def update(self, accumulator: _Watch, step: Step) -> _Watch:
@@ -137,10 +137,10 @@ class FrontTrack(AbstractObserver):
         def closed() -> Fronts:
             speed = step.field.switching(step.t1, jnp.zeros_like(end))
             assert speed is not None  # what can stick switches
-            threshold = jnp.maximum(jnp.abs(speed[0]) / 2, LEAST_ACTIVE)
+            threshold = active_above(speed[0])
             amplitude = (high - low) / 2
             right, left = front_positions(amplitude, threshold, self.middle)
-            found = Fronts(right, left, jnp.sum(amplitude > threshold))
+            found = Fronts(right, left, jnp.sum(amplitude > threshold).astype(float))
             here = over & (jnp.arange(self.windows) == acc.index)
             return jax.tree.map(lambda all, now: jnp.where(here, now, all), acc.fronts, found)
 

@@ -34,8 +34,19 @@ def participation_ratio(amplitude: Float[Array, "*batch n"]) -> Float[Array, "*b
     return jnp.sum(share, axis=-1) ** 2 / jnp.where(fourth > 0, fourth, 1.0)
 
 
-# An amplitude that rounding and solver tolerances cannot fake at vanishing belt speed.
+# An amplitude (x0) that rounding and solver tolerances cannot fake.
 LEAST_ACTIVE = 1e-3
+
+
+def active_above(belt_speed: ArrayLike) -> Float[Array, "..."]:
+    """The amplitude above which a mass vibrates on its own: |v_d| / 2, but 1e-3 at least.
+
+    Elementwise, of any shape; dimensionless, as all amplitudes here.
+
+    >>> active_above(1.5).item(), active_above(0.0).item()
+    (0.75, 0.001)
+    """
+    return jnp.maximum(jnp.abs(jnp.asarray(belt_speed)) / 2, LEAST_ACTIVE)
 
 
 def active(
@@ -50,7 +61,7 @@ def active(
     **Arguments:** amplitudes, in the unit of displacement P/k, and the belt speed, a number or one
     for each state of a batch.
     """
-    threshold = jnp.maximum(jnp.abs(jnp.asarray(belt_speed)) / 2, LEAST_ACTIVE)
+    threshold = active_above(belt_speed)
     return amplitude > (threshold[..., None] if threshold.ndim else threshold)
 
 
@@ -89,6 +100,19 @@ def settled(
     last = amplitude[..., -_AGREEING:, :]
     change = jnp.max(jnp.max(last, axis=-2) - jnp.min(last, axis=-2), axis=-1)
     return change <= accuracy * jnp.max(amplitude, axis=(-2, -1))
+
+
+def at_rest(amplitude: Float[Array, "*batch n"]) -> Bool[Array, "*batch"]:
+    """Whether no mass moves: every A_n <= 1e-3, what rounding and tolerances can fake.
+
+    A state in which no mass is `active` need not be at rest: a vibration that dies down still
+    moves, and so do masses that are shaken.  NaN, of a run that failed, is not at rest.
+
+    >>> import jax.numpy as jnp
+    >>> at_rest(jnp.array([[1e-5, 0.0], [0.3, 0.0]])).tolist()
+    [True, False]
+    """
+    return jnp.all(amplitude <= LEAST_ACTIVE, axis=-1)
 
 
 def mean_period(peak_times: Float[Array, " peaks"]) -> Float[Array, ""]:

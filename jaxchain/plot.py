@@ -165,7 +165,7 @@ def _heights(data: xr.Dataset) -> tuple[np.ndarray, str]:
     """What the points show, of the shape of the runs, and its name."""
     values = energy(data)
     if values is None:
-        return data["active_count"].values.astype(float), "vibrating oscillators"
+        return data["active_count"].values, "vibrating oscillators"
     if masses(data) == 1:
         return (2 * values.values) ** 0.5, AMPLITUDE
     return values.values, ENERGY

@@ -72,10 +72,12 @@ class Pool:
             )
 
         def blank(s: jax.ShapeDtypeStruct) -> np.ndarray:
-            fill = np.nan if np.issubdtype(s.dtype, np.floating) else NAMES.index("interrupted")
+            fill = np.nan if np.issubdtype(s.dtype, np.floating) else 0
             return np.full((self.total, *s.shape), fill, s.dtype)
 
-        return jtu.tree_map(blank, shapes)
+        records = jtu.tree_map(blank, shapes)
+        records["result"][:] = NAMES.index("interrupted")
+        return records
 
     def _empty_pool(self) -> Lane:
         def empty(s: Any) -> Any:

@@ -114,7 +114,7 @@ def test_a_front_that_stands_has_the_interval_of_three_over_time():
 def test_verdicts(rate, verdict, outcome):
     times = 5.0 + 10.0 * jnp.arange(50)
     place = 15.0 + rate * times
-    fronts = Fronts(place, place, jnp.zeros(50, int))
+    fronts = Fronts(place, place, jnp.zeros(50))
     found = read_speed(fronts, 60, 0.0, 500.0, 100.0, Result.successful)
     assert (int(found.verdict), found.outcome) == (verdict, outcome)
     np.testing.assert_allclose(found.speed, rate, atol=1e-14)
@@ -126,7 +126,7 @@ def test_verdicts(rate, verdict, outcome):
 
 def test_one_jump_of_a_mass_or_more_without_a_trend_is_unknown():
     place = jnp.where(jnp.arange(50) < 25, 10.0, 12.0)
-    fronts = Fronts(place, place, jnp.zeros(50, int))
+    fronts = Fronts(place, place, jnp.zeros(50))
     assert read_speed(fronts, 60, 0.0, 500.0, 0.0, Result.successful).outcome == "unknown"
 
 
@@ -170,7 +170,7 @@ def test_a_block_grows_on_a_slow_belt_and_one_that_fails_spoils_no_other(measure
     )
     assert 0.75 * u < float(measured.speed[0]) < 1.05 * u
     counts = np.asarray(measured.fronts.count)
-    assert counts[0].max() > 12
+    assert np.nanmax(counts[0]) > 12
     assert set(counts[2]) == {BLOCK}
 
 

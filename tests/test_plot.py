@@ -122,9 +122,9 @@ def test_fronts_move_where_the_active_count_changes():
 def test_a_failed_run_is_neither_a_front_nor_the_death_of_all():
     data = ladder()
     data["result"][5, :] = 6
-    data["active_count"][5, :] = -1
+    data["active_count"][5, :] = np.nan
     data["result"][7, 6] = 6  # the fully excited run at 1.7
-    data["active_count"][7, 6] = -1
+    data["active_count"][7, 6] = np.nan
     moving = moving_fronts(data)
     assert moving is not None
     assert data.belt_speed.values[moving.values].tolist() == [1.0, 1.1, 1.2, 1.7]
@@ -149,7 +149,7 @@ def test_the_unstable_cycle_lies_between_starts_that_end_differently():
 def test_failed_runs_are_crosses_and_are_listed_with_advice():
     data = single()
     data["result"][1, 2] = 6
-    data["active_count"][1, 2] = -1
+    data["active_count"][1, 2] = np.nan
     data["energy"][1, 2] = np.nan
     (axes,) = panels(figure({"single": data}))
     (crosses,) = lines(axes, "failed")

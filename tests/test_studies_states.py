@@ -44,7 +44,7 @@ def made_up():
         {
             "amplitude": (("excited", "oscillator"), amplitude),
             "energy": ("excited", [2.58, 3.855, np.nan]),
-            "active_count": ("excited", [2, 3, -1]),
+            "active_count": ("excited", [2, 3, np.nan]),
             "result": ("excited", [0, 0, 6]),
             "end_time": ("excited", [250.0, 250.0, 17.5]),
             "peak_time": (("excited", "peak", "oscillator"), peaks),

@@ -58,18 +58,21 @@ def summarize_states(data: xr.Dataset) -> str:
             f"  {label:<20}{float(row['energy_nonsmooth']):9.5f}"
             f"{float(row['log_coefficient']):9.4f}{'':10}{_rest(row)}"
         )
-        truth = int(row["active_count_nonsmooth"])
+        truth = float(row["active_count_nonsmooth"])
+        if np.isnan(truth):
+            lines.append("    the run with true dry friction failed")
+            continue
         if truth != excited:
-            lines.append(f"    {truth} vibrate in the end with true dry friction")
+            lines.append(f"    {truth:.0f} vibrate in the end with true dry friction")
         other = row["active_count"].values != truth
         if other.any():
             counts = ", ".join(
-                f"{count} at {width:g}"
+                ("the run failed" if np.isnan(count) else f"{count:.0f}") + f" at {width:g}"
                 for count, width in zip(
                     row["active_count"].values[other], row["width"].values[other], strict=True
                 )
             )
-            lines.append(f"    another state, left out: {truth} vibrate, but {counts}")
+            lines.append(f"    another state, left out: {truth:.0f} vibrate, but {counts}")
     return "\n".join(lines)
 
 

@@ -17,7 +17,7 @@ from jaxchain.amplitude import Amplitude
 from jaxchain.chain import Chain
 from jaxchain.ensemble import sweep
 from jaxchain.filippov import EventDriven
-from jaxchain.measures import LEAST_ACTIVE
+from jaxchain.measures import active_above
 from jaxchain.observe import Section, Step, StickTime
 from jaxchain.result import NAMES, STOPPED_WELL
 from jaxchain.simulate import simulate
@@ -91,7 +91,8 @@ def measure_cycles(
     apart = np.maximum(apart, abs(top.isel(point=1) - top.isel(point=2)) / amplitude)
     speed = data["belt_speed"] if "belt_speed" in data.coords else float(chain.belt_speed)
     outcome = xr.where(apart <= _SETTLED, VIBRATES, UNSETTLED)  # NaN is not settled
-    outcome = xr.where(amplitude > np.maximum(abs(speed) / 2, LEAST_ACTIVE), outcome, RESTS)
+    threshold = xr.apply_ufunc(lambda v: np.asarray(active_above(v)), speed)
+    outcome = xr.where(amplitude > threshold, outcome, RESTS)
     well = data["result"].isin([NAMES.index(name) for name in STOPPED_WELL])
     outcome = xr.where(well, outcome, FAILED).astype(np.int8)
     found = xr.Dataset(

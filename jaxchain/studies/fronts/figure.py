@@ -11,6 +11,7 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from jaxchain.measures import active_above
 from jaxchain.plot import AMPLITUDE, BLUE, GREY, ORANGE, PAGE_WIDTH, RED, STYLE, SYMBOLS
 from jaxchain.studies.fronts.report import windows
 
@@ -57,7 +58,7 @@ def _draw_pictures(part: Any, data: xr.Dataset) -> None:
             own["time"], own["oscillator"], own.values.T, vmin=0.0, vmax=most, cmap="viridis",
             rasterized=True,
         )  # fmt: skip
-        count = (own > speed / 2).sum("oscillator").values
+        count = (own > float(active_above(speed))).sum("oscillator").values
         word = _WORDS[int(np.sign(count[-1] - count[0]))]
         axes.set_title(rf"$\tilde v_d = {speed:g}$: {word}")
         axes.set_xlabel(r"time $\tau$ (–)")

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from jaxchain.measures import participation_ratio
+from jaxchain.measures import active, participation_ratio
 from jaxchain.mistuning import LinearModes, linear_modes
 from jaxchain.states import reference_site
 from jaxchain.studies.mistuning.capture import capture_interval, count_captures, vibrating
@@ -61,14 +61,14 @@ def analyse(study: Study, part: Ensemble, data: xr.Dataset) -> xr.Dataset:
     data["participation_ratio"] = ((*POINT, "seed"), _ratio(data))
     for name, values in (
         ("participation", data["participation_ratio"].values),
-        ("count", data["active_count"].where(data["active_count"] >= 0).values),
+        ("count", data["active_count"].values),
         ("energy", data["energy"].values),
     ):
         mean, low, high = bootstrap_mean(values)
         data[f"{name}_mean"] = (POINT, mean)
         data[f"{name}_interval"] = ((*POINT, "bound"), np.stack([low, high], -1))
     some = (data["active_count"] > 0).sum("seed").values
-    finished = (data["active_count"] >= 0).sum("seed").values
+    finished = data["active_count"].count("seed").values
     with np.errstate(invalid="ignore"):
         data["vibrating_share"] = (POINT, some / finished)
         data["vibrating_interval"] = ((*POINT, "bound"), np.stack(wilson(some, finished), -1))
@@ -154,7 +154,8 @@ def frequencies(data: xr.Dataset, belt_speed: float) -> xr.Dataset:
     count = np.isfinite(peaks).sum(-2)
     first = np.min(peaks, -2, where=np.isfinite(peaks), initial=np.inf)
     last = np.max(peaks, -2, where=np.isfinite(peaks), initial=-np.inf)
-    moves = (data["amplitude"].values > belt_speed / 2.0) & (count > 2)
+    vibrates = np.asarray(active(jnp.asarray(data["amplitude"].values), belt_speed))
+    moves = vibrates & (count > 2)
     length = np.subtract(last, first, where=moves, out=np.ones_like(last))
     omega = np.where(moves, 2.0 * np.pi * (count - 1) / length, np.nan)
     agree = np.abs(omega - np.roll(omega, -1, -1)) * length < np.pi

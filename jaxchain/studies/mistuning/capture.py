@@ -16,7 +16,7 @@ from jaxchain.amplitude import Amplitude
 from jaxchain.averaging import gain, one_mass
 from jaxchain.chain import Chain
 from jaxchain.filippov import EventDriven
-from jaxchain.measures import LEAST_ACTIVE
+from jaxchain.measures import active_above
 from jaxchain.observe import PeakTimes
 from jaxchain.simulate import simulate
 from jaxchain.states import excited_state, reference_site
@@ -102,5 +102,5 @@ def count_captures(
 
 def vibrating(data: xr.Dataset) -> np.ndarray:
     """Which masses vibrate at the end, by the rule of `jaxchain.active`; booleans."""
-    threshold = np.maximum(data["belt_speed"] / 2.0, LEAST_ACTIVE)
+    threshold = xr.apply_ufunc(lambda v: np.asarray(active_above(v)), data["belt_speed"])
     return (data["amplitude"] > threshold).transpose(*data["amplitude"].dims).values

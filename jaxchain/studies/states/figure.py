@@ -13,6 +13,7 @@ from matplotlib.collections import EllipseCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from jaxchain.measures import active_above
 from jaxchain.plot import BLUE, GREY, ORANGE, PAGE_WIDTH, STYLE
 from jaxchain.scene import NONSMOOTH
 from jaxchain.studies.states.delay_plots import draw_delays, draw_orbit_diagram
@@ -94,7 +95,7 @@ def draw_circles(axes: Axes, data: xr.Dataset, truth: xr.Dataset | None = None) 
     axes.plot(across[~moves], up[~moves], ".", color=GREY, markersize=1.0, markeredgewidth=0)
     if truth is not None:
         dry = 0.88 * np.nan_to_num(truth["amplitude"].values) / greatest
-        level = 0.88 * abs(data.attrs["belt_speed"]) / 2 / greatest
+        level = 0.88 * float(active_above(data.attrs["belt_speed"])) / greatest
         seen = dry > level
         axes.add_collection(
             EllipseCollection(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
+from jaxchain.measures import active_above
 from jaxchain.result import NAMES, STOPPED_WELL, message
 
 
@@ -43,15 +44,15 @@ def _line(state: xr.Dataset, count: int) -> str:
 
 def vibrating(state: xr.Dataset) -> np.ndarray:
     """Numbers of the oscillators that vibrate, in order."""
-    level = max(abs(state.attrs["belt_speed"]) / 2, 1e-3)
+    level = float(active_above(state.attrs["belt_speed"]))
     return state["oscillator"].values[state["amplitude"].values > level]
 
 
 def state_name(state: xr.Dataset) -> str:
     """Its number, and how many vibrate if those are others than were excited."""
-    excited, alive = int(state["excited"]), int(state["active_count"])
+    excited, alive = int(state["excited"]), float(state["active_count"])
     failed = NAMES[int(state["result"])] not in STOPPED_WELL
-    other = "failed" if failed else f"{alive} vibrate"
+    other = "failed" if failed else f"{alive:.0f} vibrate"
     return f"solution {excited}" + ("" if alive == excited else f" ({other})")
 
 
