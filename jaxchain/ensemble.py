@@ -4,6 +4,9 @@
 vibrating ones.  Here a fixed number of lanes on every device is advanced by a fixed number of
 steps at a time (a *round*); lanes that have ended hand over their results and take the next job.
 A lane sees nothing of its neighbours: its steps and rounds are the same whoever runs beside it.
+How many run beside it does matter, in the last bits: XLA compiles another program for another
+number of lanes, or of devices, and a chaotic lane makes another motion of them.  `lanes` fixes the
+program.
 """
 
 from __future__ import annotations
@@ -100,13 +103,20 @@ def sweep(
       accuracy by more than it (see `choose_numerics`).  Every lane has a width of its own, `width`
       of the dataset, and all have the least of their `rtol`.
     - `solver`, `rtol`, `atol`, `max_step`, `max_steps`: as for `simulate`, the same for all lanes.
-    - `lanes`: lanes at a time on each device (default: what fits its cache).
+    - `lanes`: lanes at a time on each device, for the same bits again: every device runs one
+      program, for just so many lanes, whatever the number of devices and of jobs.  By default as
+      many as fit its cache, no more than there are jobs, and fewer near the end of a long sweep;
+      that is fastest, but the last bits then depend on jobs, devices and the clock.
     - `devices`: default all local devices.
     - `progress`: show a progress bar.
 
     **Returns:** an `xarray.Dataset` with the dimensions of `over` and `oscillator` (1 ... n), see
-    `jaxchain.dataset`.  Failed lanes are NaN and carry their reason in `result`; they leave the
-    others untouched.
+    `jaxchain.dataset`.  Failed lanes are NaN and carry their reason in `result`.  Bit for bit, no
+    lane depends on *which* others run beside it, failed ones or not.  It does on *how many* do:
+    results with other `lanes`, or without, agree within the tolerances while the motion is
+    regular, and chaotic motions part.  The same `lanes`, on devices of the same kind and with the
+    same versions of JAX and jaxchain, give the same bits.  The attributes `devices`,
+    `device_kind`, `lanes_per_device` and `lanes_per_device_at_end` record them.
 
     **Raises:** `ValueError` for bad input before anything is compiled; `MemoryError` if the
     results cannot fit; `SweepInterrupted` on Ctrl-C, with what was finished.
@@ -166,7 +176,7 @@ def sweep(
     most = np.iinfo(np.int64).max if max_steps is None else max_steps
     task = Task(plan, chain, initial, to_float(t0), to_float(t1), jnp.asarray(most), vary)
     runner = Pool(task, jobs, devices, lanes)
-    lane_count, started = runner.lanes, time.perf_counter()
+    lanes_at_start, started = runner.lanes, time.perf_counter()
     interrupted = False
     try:
         runner.run(progress, description)
@@ -176,7 +186,9 @@ def sweep(
     attrs |= {
         "wall_time_s": round(time.perf_counter() - started, 3),
         "devices": ", ".join(str(d) for d in runner.devices),
-        "lanes_per_device": lane_count,
+        "device_kind": ", ".join(sorted({d.device_kind for d in runner.devices})),
+        "lanes_per_device": lanes_at_start,
+        "lanes_per_device_at_end": runner.lanes,
     }
     _blank_failures(runner.records)
     dataset = to_dataset(runner.records, axes, chain, observers, attrs)

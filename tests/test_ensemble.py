@@ -60,7 +60,8 @@ def test_the_dataset_is_labelled_and_tells_its_origin(small, tmp_path):
     xr.testing.assert_identical(again, small)
 
 
-def test_neither_the_number_of_lanes_nor_of_devices_changes_a_bit(small):
+def test_lanes_that_are_refilled_agree_with_those_that_are_not(small):
+    """Within the tolerances: another number of lanes is another program."""
     # Three lanes on one device are refilled twice; the fixture runs five lanes on two devices.
     refilled = sweep(
         CHAIN, equation_8, 60.0, over=OVER, observe=Amplitude(window=20.0),
@@ -68,8 +69,58 @@ def test_neither_the_number_of_lanes_nor_of_devices_changes_a_bit(small):
     )  # fmt: skip
     assert len(jax.devices()) == 2
     assert small.attrs["devices"] != refilled.attrs["devices"]
-    np.testing.assert_array_equal(refilled.amplitude, small.amplitude)
-    np.testing.assert_array_equal(refilled.steps, small.steps)
+    assert (small.attrs["lanes_per_device"], refilled.attrs["lanes_per_device"]) == (5, 3)
+    assert refilled.attrs["device_kind"] == jax.devices()[0].device_kind
+    np.testing.assert_allclose(refilled.amplitude, small.amplitude, atol=1e-9)
+
+
+def bits(jobs, devices, lanes=4, solver=None):
+    """Amplitudes and steps of the first jobs of seven."""
+    speeds = np.linspace(0.9, 1.45, 7)[:jobs]
+    found = sweep(
+        CHAIN, lambda chain: equation_8(chain, 2), 60.0, over={"belt_speed": speeds},
+        observe=Amplitude(window=20.0), lanes=lanes, devices=jax.devices()[:devices],
+        solver=solver,
+    )  # fmt: skip
+    assert (found.result == 0).all()
+    assert found.attrs["lanes_per_device"] == found.attrs["lanes_per_device_at_end"] == lanes
+    return np.concatenate([found.amplitude.values, found.steps.values[:, None]], axis=1)
+
+
+@pytest.mark.parametrize(
+    "solver",
+    [
+        pytest.param(None, id="smoothed"),
+        pytest.param(EventDriven(), id="nonsmooth", marks=pytest.mark.long),
+    ],
+)
+def test_the_same_lanes_give_the_same_bits_for_any_number_of_jobs_and_devices(solver):
+    seven = bits(7, 2, solver=solver)
+    for jobs, devices in ((1, 1), (2, 2), (3, 1), (3, 2), (4, 1), (4, 2), (7, 1)):
+        assert np.array_equal(bits(jobs, devices, solver=solver), seven[:jobs])
+
+
+def test_given_lanes_stay_so_many_however_long_the_last_ones_take(monkeypatch):
+    """Without `lanes`, a pool of a quarter goes on, as soon as that is worth compiling."""
+    from jaxchain import pool
+
+    monkeypatch.setattr(pool, "_WORTH_COMPILING", 0.0)
+
+    def ends(**more):
+        # One lane in four goes on: the others rest, and stop.
+        found = sweep(
+            CHAIN, equation_8, 200.0, over={"excited": [0, 0, 0, 1]}, devices=jax.devices()[:1],
+            observe=Amplitude(window=20.0, stop="quiet"), **more,
+        )  # fmt: skip
+        return found.attrs["lanes_per_device"], found.attrs["lanes_per_device_at_end"]
+
+    assert ends(lanes=4) == (4, 4)
+    assert ends() == (4, 1)
+
+
+def test_lanes_that_no_memory_holds_are_refused():
+    with pytest.raises(MemoryError, match=r"1000000000 lanes on each device.*fewer `lanes`"):
+        sweep(CHAIN, equation_8, 60.0, over={"excited": [1]}, lanes=10**9)
 
 
 def failing_start(chain, excited):
