@@ -12,14 +12,14 @@ import diffrax as dfx
 import equinox as eqx
 import jax.numpy as jnp
 import jax.tree_util as jtu
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float, Int, PyTree
 from optimistix import rms_norm
 
 from ._checks import to_float
 from ._types import State
 from .control import SwitchingController
 from .observe import AbstractObserver, Step
-from .progress import AbstractPlan, Progress
+from .progress import AbstractPlan, Progress, first_result
 from .result import Result
 from .rosenbrock import AbstractStructuredRosenbrock, RosenbrockInterpolation
 from .structure import AbstractOscillators
@@ -157,14 +157,25 @@ class _Resumed(dfx.AbstractAdaptiveStepSizeController):
 
     diffeqsolve takes a first step only together with a check of its sign on the host, and a
     program that calls the host cannot be kept in JAX's compilation cache.
+
+    It also ends a run after `allowed` steps (None: no limit), because diffrax's own `max_steps`
+    belongs to the program.  Its state is (that of the controller, steps still allowed).
     """
 
     controller: SwitchingController
     step_size: Float[Array, ""]
     state: PyTree
+    allowed: Int[Array, ""] | None
 
-    def __init__(self, controller: SwitchingController, step_size: Array, state: PyTree):
+    def __init__(
+        self,
+        controller: SwitchingController,
+        step_size: Array,
+        state: PyTree,
+        allowed: Array | None,
+    ):
         self.controller, self.step_size, self.state = controller, step_size, state
+        self.allowed = allowed
 
     @property
     def rtol(self):
@@ -184,14 +195,20 @@ class _Resumed(dfx.AbstractAdaptiveStepSizeController):
 
     def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
         del terms, t1, y0, dt0, args, func, error_order
-        return t0 + self.step_size, self.state
+        return t0 + self.step_size, (self.state, self.allowed)
 
     def adapt_step_size(
         self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
     ):
-        return self.controller.adapt_step_size(
-            t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
+        inner, left = controller_state
+        *step, inner, result = self.controller.adapt_step_size(
+            t0, t1, y0, y1_candidate, args, y_error, error_order, inner
         )
+        if left is not None:
+            left = left - 1
+            spent = (left <= 0) & (result == dfx.RESULTS.successful)
+            result = dfx.RESULTS.where(spent, dfx.RESULTS.max_steps_reached, result)
+        return (*step, (inner, left), result)
 
 
 class _Memory(eqx.Module):
@@ -252,7 +269,8 @@ class SmoothedPlan(AbstractPlan):
             terms, t0, t1, initial, None, None, solver.func, solver.error_order(terms)
         )
         # A NaN step would be repeated for ever: the controller cannot shrink it.
-        sound = jnp.isfinite(tnext) & jnp.all(jnp.isfinite(initial[0] + initial[1]))
+        result = first_result(initial, t0, t1)
+        stuck = (result == Result.successful) & ~jnp.isfinite(tnext)
         state = solver.start(field, terms, t0, t1, tnext - t0, initial)
         controller = jtu.tree_map(jnp.asarray, controller_state)
         return Progress(
@@ -260,7 +278,7 @@ class SmoothedPlan(AbstractPlan):
             state=initial,
             accumulators=state.accumulators,
             memory=_Memory(state.inner, state.acceleration, state.step_size, controller),
-            result=Result.where(sound, Result.successful, Result.nonfinite),
+            result=Result.where(stuck, Result.nonfinite, result),
             steps=jnp.zeros((), int),
             rejected=jnp.zeros((), int),
         )
@@ -272,6 +290,7 @@ class SmoothedPlan(AbstractPlan):
         t1: Any,
         *,
         max_steps: int | None,
+        allowed: Int[Array, ""] | None = None,
         times: Sequence[Array] = (),
         adjoint: dfx.AbstractAdjoint | None = None,
     ) -> tuple[Progress, list[tuple[Array, Array]]]:
@@ -298,7 +317,7 @@ class SmoothedPlan(AbstractPlan):
                 controller_state=True,
             ),
             stepsize_controller=_Resumed(
-                self.controller(field), memory.step_size, memory.controller
+                self.controller(field), memory.step_size, memory.controller, allowed
             ),
             adjoint=adjoint,
             max_steps=max_steps,
@@ -309,17 +328,22 @@ class SmoothedPlan(AbstractPlan):
         )
         ys, saved = solution.ys
         state, last = jtu.tree_map(lambda y: y[-1], ys), solution.solver_state
-        stopped = solution.result == _SETTLED
+        outcome = solution.result
+        if allowed is not None:
+            # The last step that was allowed may have been the last one of the run.
+            complete = (outcome == dfx.RESULTS.max_steps_reached) & (solution.ts[0][-1] >= t1)
+            outcome = dfx.RESULTS.where(complete, dfx.RESULTS.successful, outcome)
+        stopped = outcome == _SETTLED
         quiet = jnp.asarray(False)
         for observer, accumulator in zip(self.observers, last.accumulators, strict=True):
             quiet = quiet | observer.rests(accumulator)
-        result = _translate(solution.result, stopped & quiet, state)
+        result = _translate(outcome, stopped & quiet, state)
         new = Progress(
             t=solution.ts[0][-1],
             state=state,
             accumulators=last.accumulators,
             memory=_Memory(
-                last.inner, last.acceleration, last.step_size, solution.controller_state
+                last.inner, last.acceleration, last.step_size, solution.controller_state[0]
             ),
             result=Result.where(progress.running, result, progress.result),
             steps=progress.steps + solution.stats["num_accepted_steps"],

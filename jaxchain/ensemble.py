@@ -173,8 +173,8 @@ def sweep(
     if solver is None:
         solver = choose_solver(_strongest(chain, axes), float(tolerance), float(max_step))
     plan = build_plan(solver, observers, tolerance, absolute, max_step, t1)
-    most = np.iinfo(np.int64).max if max_steps is None else max_steps
-    task = Task(plan, chain, initial, to_float(t0), to_float(t1), jnp.asarray(most), vary)
+    most = None if max_steps is None else jnp.asarray(max_steps)
+    task = Task(plan, chain, initial, to_float(t0), to_float(t1), most, vary)
     runner = Pool(task, jobs, devices, lanes)
     lanes_at_start, started = runner.lanes, time.perf_counter()
     interrupted = False

@@ -27,7 +27,7 @@ from .chain import Chain
 from .dry import STICK, DryField, Modes, Series, after, expand, next_event, start
 from .observe import AbstractObserver, Step
 from .polynomial import value, value_and_slope
-from .progress import AbstractPlan, Progress
+from .progress import AbstractPlan, Progress, first_result
 from .result import Result
 from .structure import AbstractOscillators
 
@@ -67,13 +67,12 @@ class EventDrivenPlan(AbstractPlan):
     def begin(self, field: AbstractOscillators, initial: State, t0: Any, t1: Any) -> Progress:
         dry = _dry(field)
         state, modes = start(dry, initial)
-        sound = jnp.all(jnp.isfinite(state[0] + state[1]))
         return Progress(
             t=to_float(t0),
             state=state,
             accumulators=[o.init(dry, t0, t1, state) for o in self.observers],
             memory=_Memory(modes, jnp.zeros((), int)),
-            result=Result.where(sound, Result.successful, Result.nonfinite),
+            result=first_result(state, t0, t1),
             steps=jnp.zeros((), int),
             rejected=jnp.zeros((), int),
         )
@@ -85,6 +84,7 @@ class EventDrivenPlan(AbstractPlan):
         t1: Any,
         *,
         max_steps: int | None,
+        allowed: Int[Array, ""] | None = None,
         times: Sequence[Array] = (),
         adjoint: Any = None,
     ) -> tuple[Progress, list[tuple[Array, Array]]]:
@@ -95,7 +95,10 @@ class EventDrivenPlan(AbstractPlan):
                 "Use `jax.jvp` or `jax.jacfwd`."
             )
         dry = _dry(field)
+        # No step is rejected here.
         most = progress.steps + (jnp.iinfo(int).max // 2 if max_steps is None else max_steps)
+        if allowed is not None:
+            most = jnp.minimum(most, progress.steps + allowed)
         n = progress.state[0].shape[0]
         records = [_Record.blank(ts, n).keep(progress.t, progress.state) for ts in times]
 

@@ -54,7 +54,7 @@ class Task(eqx.Module):
     initial: State | Callable[..., State]
     t0: Array
     t1: Array
-    max_steps: Array
+    max_steps: Array | None = None  # of a lane, accepted or rejected
     vary: Callable[..., Chain] | None = None
 
     def own_chain(self, values: dict[str, Array]) -> Chain:
@@ -90,9 +90,13 @@ def restart_lane(task: Task, lane: Lane, take: Bool[Array, ""], values: dict[str
 def advance_lane(task: Task, lane: Lane) -> tuple[Lane, Bool[Array, ""]]:
     """The lane after one more round, and whether it has ended."""
     chain = task.own_chain(lane.values)
-    progress, _ = task.plan.advance(chain, lane.progress, task.t1, max_steps=ROUND)
-    spent = progress.steps + progress.rejected >= task.max_steps
-    goes_on = (progress.result == Result.max_steps_reached) & ~spent
+    progress, left = lane.progress, None
+    if task.max_steps is not None:
+        left = task.max_steps - progress.steps - progress.rejected
+    progress, _ = task.plan.advance(chain, progress, task.t1, max_steps=ROUND, allowed=left)
+    goes_on = progress.result == Result.max_steps_reached
+    if task.max_steps is not None:
+        goes_on &= progress.steps + progress.rejected < task.max_steps
     result = Result.where(goes_on, Result.successful, progress.result)
     progress = eqx.tree_at(lambda p: p.result, progress, result)
     return Lane(lane.values, progress), ~goes_on

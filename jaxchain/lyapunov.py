@@ -35,7 +35,7 @@ from .chain import Chain
 from .choice import MAX_STEP, USUAL_RTOL, choose_solver, default_rtol
 from .filippov import EventDriven, EventDrivenPlan
 from .progress import AbstractPlan
-from .result import STOPPED_WELL, message
+from .result import STOPPED_WELL, Result, message
 from .simulate import build_plan
 from .spectrum import ZERO, LyapunovSpectrum, batch_error, kaplan_yorke_dimension, student
 from .structure import AbstractOscillators
@@ -200,6 +200,9 @@ def _begin(
     max_steps: int | None,
 ) -> tuple[Frame, Span]:
     progress = plan.begin(chain, state, 0.0, window.end)
+    forward = (window.start >= 0) & (window.end > window.start)  # false for NaN
+    result = Result.where(forward | ~progress.running, progress.result, Result.bad_span)
+    progress = eqx.tree_at(lambda p: p.result, progress, result)
     if waits:
         progress, _ = plan.advance(chain, progress, 0.5 * window.start, max_steps=max_steps)
     basis = random_basis(seed, 2 * state[0].shape[0], count)

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
+import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PyTree
 
 from ._types import State
@@ -31,6 +32,14 @@ class Progress(eqx.Module):
     @property
     def running(self) -> Any:
         return self.result == Result.successful
+
+
+def first_result(state: State, t0: Any, t1: Any) -> Result:
+    """How a run over [t0, t1] stands before its first step: at its end if it has no sense."""
+    finite = jnp.all(jnp.isfinite(state[0]) & jnp.isfinite(state[1]))
+    result = Result.where(finite, Result.successful, Result.nonfinite)
+    forward = jnp.isfinite(t0) & jnp.isfinite(t1) & (t1 >= t0)  # false for NaN
+    return Result.where(forward, result, Result.bad_span)
 
 
 class AbstractPlan(eqx.Module):
@@ -58,10 +67,14 @@ class AbstractPlan(eqx.Module):
         t1: Any,
         *,
         max_steps: int | None,
+        allowed: Int[Array, ""] | None = None,
         times: Sequence[Array] = (),
         adjoint: Any = None,
     ) -> tuple[Progress, list[tuple[Array, Array]]]:
-        """Moves on to t1, or by `max_steps`, whichever comes first.
+        """Moves on to t1, or by `max_steps`, or by `allowed`, whichever comes first.
+
+        Both count every step that is tried, accepted or rejected, and None is no limit; `allowed`,
+        of at least 1, may be traced: one program serves any number.
 
         **Returns:** the new progress (whose result is `max_steps_reached` if t1 was not reached)
         and the states at each array of `times`.

@@ -44,21 +44,14 @@ class Result(eqx.Enumeration):
         "the state; a change of either in the last digits may help."
     )
     interrupted = "The ensemble was interrupted before this lane ended. Run it again."
+    bad_span = (
+        "The end of the run, or of its transient, is NaN, infinite, or lies before its start. Give "
+        "finite times in their order: dry friction cannot be integrated backward in time."
+    )
 
 
 # In the order of the enumeration's integer values, for labels and reports.
-NAMES = (
-    "successful",
-    "quiet",
-    "steady",
-    "max_steps_reached",
-    "step_too_small",
-    "untrusted_linear_solve",
-    "nonfinite",
-    "solver_failed",
-    "events_accumulate",
-    "interrupted",
-)
+NAMES = tuple(Result._name_to_item)  # pyright: ignore  # equinox offers no public way
 STOPPED_WELL = ("successful", "quiet", "steady")
 
 

@@ -106,7 +106,8 @@ def simulate(
     - `rtol`, `atol`: tolerances of the step-size control (default 1e-6, or less where the width
       is so narrow that sticking needs it; and rtol / 10).
     - `max_step`: no step is longer (dimensionless time; a period is about 2 pi).
-    - `max_steps`: steps allowed for the run (each segment); None is no limit.
+    - `max_steps`: steps allowed for the run (each segment), accepted or rejected; None is no
+      limit.
     - `segments`: cut the run into this many parts of equal length and return the observed values
       of each, stacked in front; observers start anew in each part.
     - `adjoint`: None is `diffrax.ForwardMode()` (for `jvp`, `jacfwd`, monodromy);

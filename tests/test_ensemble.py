@@ -184,6 +184,40 @@ def test_a_lane_that_needs_too_many_steps_is_marked():
     assert float(result.end_time[1]) < 60.0
 
 
+@pytest.mark.parametrize("solver", [None, EventDriven()], ids=["smoothed", "nonsmooth"])
+def test_a_lane_takes_as_many_steps_as_it_may_and_no_more(solver):
+    """As in `simulate`, accepted or rejected; in one program for any number."""
+    from jaxchain.lanes import on_all_lanes
+
+    def steps(most):
+        with pytest.warns(UserWarning, match="max_steps_reached"):
+            found = sweep(
+                CHAIN, equation_8, 600.0, over={"excited": [0, 4]}, max_steps=most, solver=solver,
+                observe=Amplitude(window=20.0), lanes=2, devices=jax.devices()[:1],
+            )  # fmt: skip
+        assert NAMES[int(found.result[1])] == "max_steps_reached"
+        return int(found.steps[1] + found.rejected[1]), float(found.end_time[1])
+
+    assert steps(300)[0] == 300
+    programs = on_all_lanes._cached._cache_size()  # pyright: ignore
+    taken, time = steps(2)
+    assert on_all_lanes._cached._cache_size() == programs  # pyright: ignore
+    run = simulate(CHAIN, equation_8(CHAIN, 4), 600.0, max_steps=2, solver=solver, throw=False)
+    assert taken == int(run.steps + run.rejected) == 2
+    assert time == pytest.approx(float(run.t), rel=1e-9)
+
+
+def test_a_run_that_ends_with_its_last_step_has_its_answer():
+    arguments = {"over": {"excited": [1]}, "observe": Amplitude(window=5.0)}
+    free = sweep(CHAIN, equation_8, 10.0, **arguments)
+    needed = int(free.steps[0] + free.rejected[0])
+    just = sweep(CHAIN, equation_8, 10.0, **arguments, max_steps=needed)
+    assert int(just.result[0]) == 0
+    np.testing.assert_allclose(just.amplitude, free.amplitude, rtol=1e-9)
+    with pytest.warns(UserWarning, match="max_steps_reached"):
+        sweep(CHAIN, equation_8, 10.0, **arguments, max_steps=needed - 1)
+
+
 @pytest.mark.long
 def test_samples_and_fronts_have_names_in_a_sweep():
     watch = [Samples(2.0, 6, oscillators=(1,)), FrontTrack(3, 2)]

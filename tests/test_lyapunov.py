@@ -291,3 +291,24 @@ def test_a_linear_chain_of_twenty():
     # The period of a linear chain is any time: exponents of the matrix exponential.
     M = linearised_period(chain, steady_sliding(chain), 1.0, rtol=1e-10, solver=Rodas5P())
     np.testing.assert_allclose(np.log(np.abs(np.linalg.eigvals(M.monodromy))), -0.05, atol=1e-6)
+
+
+def test_a_traced_window_that_is_none_is_a_failure():
+    chain = paper_chain(1)
+
+    @jax.jit
+    @jax.vmap
+    def measure(t1, transient):
+        found = lyapunov_spectrum(
+            chain, equation_8(chain, 1), t1, transient=transient, count=1, blocks=2,
+            solver=EventDriven(), throw=False,
+        )  # fmt: skip
+        return code(found.result), found.exponents, found.low
+
+    t1 = jnp.array([20.0, 10.0, 5.0, jnp.nan, 20.0, 20.0])
+    transient = jnp.array([10.0, 10.0, 10.0, 10.0, jnp.nan, -1.0])
+    results, exponents, low = measure(t1, transient)
+    assert [NAMES[i] for i in results.tolist()] == ["successful", *5 * ["bad_span"]]
+    assert np.isfinite(exponents[0]).all()
+    assert np.isnan(exponents[1:]).all()
+    assert np.isnan(low[1:]).all()

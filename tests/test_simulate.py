@@ -13,6 +13,7 @@ from jaxchain import (
     Amplitude,
     Chain,
     Coulomb,
+    EventDriven,
     Rodas4,
     TanhFriction,
     Trajectory,
@@ -22,6 +23,7 @@ from jaxchain import (
     steady_sliding,
 )
 from jaxchain.choice import choose_solver
+from jaxchain.result import NAMES, code, message
 from jaxchain.simulate import _run
 
 CHAIN = paper_chain(4, belt_speed=1.4)
@@ -199,3 +201,41 @@ def test_without_64_bits_there_is_a_clear_error():
             simulate(CHAIN, START, 1.0)
     finally:
         jax.config.update("jax_enable_x64", True)
+
+
+@pytest.mark.parametrize("solver", [None, EventDriven()], ids=["smoothed", "nonsmooth"])
+def test_a_traced_end_that_is_no_time_after_the_start_is_a_failure(solver):
+    chain = paper_chain(1)
+
+    @jax.jit
+    @jax.vmap
+    def end(t0, t1):
+        run = simulate(
+            chain, equation_8(chain, 1), t1, t0=t0, solver=solver, throw=False,
+            observe=Amplitude(),
+        )  # fmt: skip
+        return code(run.result), run.t, run.steps
+
+    t0 = jnp.array([0.0, 0.0, 2.0, 0.0, jnp.nan, 1.0, 1.0])
+    t1 = jnp.array([jnp.nan, -1.0, 1.0, jnp.inf, 1.0, 1.0, 3.0])
+    results, times, steps = end(t0, t1)
+    names = [NAMES[i] for i in results.tolist()]
+    assert names == [*5 * ["bad_span"], "successful", "successful"]
+    assert steps[:6].tolist() == 6 * [0]
+    np.testing.assert_array_equal(times, [*t0[:6].tolist(), 3.0])
+    assert "finite times in their order" in message("bad_span")
+
+
+def test_every_part_of_a_run_to_no_time_fails():
+    chain = paper_chain(1)
+
+    @jax.jit
+    def end(t1):
+        run = simulate(
+            chain, equation_8(chain, 1), t1, segments=3, solver=EventDriven(), throw=False
+        )
+        return code(run.result)
+
+    assert [NAMES[int(end(t1))] for t1 in (jnp.nan, -3.0, 3.0)] == [
+        "bad_span", "bad_span", "successful",
+    ]  # fmt: skip

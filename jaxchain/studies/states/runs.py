@@ -74,7 +74,7 @@ def run_states(
     def task(observers: list[AbstractObserver]) -> Task:
         atol = 0.1 * numerics.rtol if numerics.atol is None else numerics.atol
         plan = build_plan(solver, observers, numerics.rtol, atol, numerics.max_step, end)
-        return Task(plan, chain, initial, to_float(0.0), to_float(end), jnp.asarray(0))
+        return Task(plan, chain, initial, to_float(0.0), to_float(end))
 
     mesh, order = _deal(len(counts))
     mine = np.array([np.flatnonzero(order == i)[0] for i in range(len(counts))])
