@@ -9,12 +9,15 @@ import json
 import math
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
+from . import measures
 from .chain import Chain
 from .fold import find_fold
 from .friction import ExponentialDecay, TanhFriction
+from .measures import LEAST_ACTIVE
 from .one_mass import OneMassBranch, one_mass_branch
 from .result import NAMES, STOPPED_WELL
 
@@ -94,6 +97,20 @@ def energy(data: xr.Dataset) -> xr.DataArray | None:
     return 0.5 * (data["amplitude"] ** 2).sum("oscillator", skipna=False)
 
 
+def at_rest(data: xr.Dataset) -> xr.DataArray | None:
+    """Which runs ended at rest, see `jaxchain.measures.at_rest`; None if no amplitude was kept.
+
+    Where only energies were kept, rest is E <= 1e-6 / 2, what one mass at the limit has.
+    """
+    if "amplitude" in data:
+        amplitude = data["amplitude"].transpose(..., "oscillator")
+        rests = np.asarray(measures.at_rest(jnp.asarray(amplitude.values)))
+        return xr.DataArray(rests, dims=amplitude.dims[:-1]).transpose(*swept(data))
+    if "energy" in data:
+        return data["energy"] <= 0.5 * LEAST_ACTIVE**2
+    return None
+
+
 def moving_fronts(data: xr.Dataset) -> xr.DataArray | None:
     """Where fronts move: the number of vibrating masses at the end is not that at the start.
 
@@ -129,18 +146,22 @@ def intervals(positions: np.ndarray, inside: np.ndarray) -> list[tuple[float, fl
 
 
 def basin_brackets(data: xr.Dataset) -> list[tuple[float, float, float]]:
-    """(belt speed, largest start that comes to rest, smallest that does not), one oscillator.
+    """(belt speed, largest start that ends without vibration, smallest that vibrates), one mass.
 
     The unstable cycle is the boundary between the two basins in the phase plane of one oscillator,
     so that a start at rest, `displacement` away from steady sliding, lies within it or outside.
-    Speeds at which all starts end alike are left out.
+    Speeds at which all starts end alike are left out, and those below the Hopf speed, where steady
+    sliding does not attract and a start without vibration has not gone far enough yet.
     """
     two = set(swept(data)) == {"belt_speed", "displacement"}
     if masses(data) != 1 or "active_count" not in data or not two:
         return []
     start = np.abs(data["displacement"].values)
     brackets = []
+    hopf = hopf_belt_speed(data)
     for speed in data["belt_speed"].values:
+        if hopf is not None and speed < hopf:
+            continue
         count = data["active_count"].sel(belt_speed=speed).values
         inside, outside = start[count == 0], start[count == 1]
         if inside.size and outside.size and inside.max() < outside.min():

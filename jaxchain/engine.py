@@ -201,14 +201,14 @@ class _Resumed(dfx.AbstractAdaptiveStepSizeController):
         self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
     ):
         inner, left = controller_state
-        *step, inner, result = self.controller.adapt_step_size(
+        kept, start, end, jumped, inner, result = self.controller.adapt_step_size(
             t0, t1, y0, y1_candidate, args, y_error, error_order, inner
         )
         if left is not None:
             left = left - 1
             spent = (left <= 0) & (result == dfx.RESULTS.successful)
             result = dfx.RESULTS.where(spent, dfx.RESULTS.max_steps_reached, result)
-        return (*step, (inner, left), result)
+        return kept, start, end, jumped, (inner, left), result
 
 
 class _Memory(eqx.Module):

@@ -19,6 +19,7 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 
 from .diagram import (
+    at_rest,
     basin_brackets,
     cycles,
     energy,
@@ -34,6 +35,7 @@ from .scene import NONSMOOTH
 PAGE_WIDTH = 7.0  # inches
 PANEL_HEIGHT = 2.9
 BLUE, ORANGE, GREY, RED = "#0072B2", "#E69F00", "#777777", "#C8102E"
+PURPLE = "#CC79A7"
 STYLE: dict[Any, Any] = {
     "font.size": 8.0,
     "axes.labelsize": 9.0,
@@ -63,6 +65,8 @@ SYMBOLS = {
     "velocity": "velocity at the start (–)",
 }
 AMPLITUDE = r"vibration amplitude $\tilde A$ (–)"
+NONE_VIBRATES = r"no $\tilde A_n > \tilde v_d/2$"
+NOT_VIBRATING = f"moves, {NONE_VIBRATES}"
 ENERGY = r"vibration energy $\tilde E = \frac{1}{2}\sum \tilde A_i^2$ (–)"
 
 
@@ -179,13 +183,20 @@ def _draw_runs(
     good: np.ndarray,
     hopf: float | None,
 ) -> None:
-    """Vibrating, at rest, and at rest where that is unstable: told apart by colour and marker."""
+    """Vibrating, at rest, unstable rest, and neither: told apart by colour and marker.
+
+    Neither is what moves without a mass that vibrates: a vibration that dies down or has just
+    begun, or masses that are shaken.
+    """
     if "active_count" not in data:
         axes.plot(x, y, "o", color=BLUE, markersize=3)
         return
     count = data["active_count"].values[good]
-    unstable = (count == 0) & (x < (-np.inf if hopf is None else hopf))
-    resting = (count == 0) & ~unstable
+    found = at_rest(data)
+    still = np.zeros_like(good) if found is None else found.values
+    moving = (count == 0) & ~still[good]
+    unstable = (count == 0) & ~moving & (x < (-np.inf if hopf is None else hopf))
+    resting = (count == 0) & ~moving & ~unstable
     vibrating = count > 0
     if masses(data) == 1:
         axes.plot(x[vibrating], y[vibrating], "o", color=BLUE, markersize=3.2, label="vibrating")
@@ -193,12 +204,18 @@ def _draw_runs(
             _draw_brackets(axes, data)
     else:
         _draw_counts(axes, x[vibrating], y[vibrating], count[vibrating], masses(data))
-    axes.plot(x[resting], y[resting], "s", color=ORANGE, markersize=2.8, label="at rest")
+    if resting.any():
+        axes.plot(x[resting], y[resting], "s", color=ORANGE, markersize=2.8, label="at rest")
     if unstable.any():
         axes.plot(
             x[unstable], y[unstable], "s", color=ORANGE, markersize=2.8, markerfacecolor="white",
             markeredgewidth=0.8, label="at rest, unstable",
         )  # fmt: skip
+    if moving.any():
+        word = NOT_VIBRATING if found is not None else NONE_VIBRATES
+        axes.plot(
+            x[moving], y[moving], "^", color=PURPLE, markersize=3.6, markeredgewidth=0, label=word
+        )
 
 
 def _draw_cycles(axes: Axes, data: xr.Dataset) -> bool:

@@ -45,8 +45,8 @@ class Result(eqx.Enumeration):
     )
     interrupted = "The ensemble was interrupted before this lane ended. Run it again."
     bad_span = (
-        "The end of the run, or of its transient, is NaN, infinite, or lies before its start. Give "
-        "finite times in their order: dry friction cannot be integrated backward in time."
+        "The end of the run, or of its transient, is NaN, infinite, or lies before its start. "
+        "Give finite times in their order: dry friction cannot be integrated backward in time."
     )
 
 

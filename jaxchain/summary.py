@@ -8,7 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 import xarray as xr
 
-from .diagram import energy, failed, hopf_belt_speed, moving_fronts, parameters, swept
+from .diagram import at_rest, energy, failed, hopf_belt_speed, moving_fronts, parameters, swept
 from .result import NAMES, message
 
 MOST_FAILURES = 5
@@ -81,10 +81,17 @@ def _states(data: xr.Dataset) -> Iterable[tuple[str, str]]:
     if "active_count" in data:
         other = [dim for dim in swept(data) if dim != "belt_speed"]
         vibrating = (good & (data["active_count"] > 0)).any(other).values
-        resting = (good & (data["active_count"] == 0)).any(other).values
-        resting &= speeds > (-np.inf if hopf is None else hopf)
         yield "vibrating", f"at belt speeds {_listed(speeds, vibrating)}"
-        yield "at rest", f"at belt speeds {_listed(speeds, resting)}"
+        none, still = good & (data["active_count"] == 0), at_rest(data)
+        if still is not None:
+            resting = (none & still).any(other).values
+            resting &= speeds > (-np.inf if hopf is None else hopf)
+            yield "at rest", f"at belt speeds {_listed(speeds, resting)}"
+            none = none & ~still
+        weak = none.any(other).values
+        if weak.any():
+            word = "no mass" if still is None else "moves, but no mass"
+            yield "weak", f"at belt speeds {_listed(speeds, weak)}: {word} above v_d / 2"
     moving = moving_fronts(data)
     if moving is not None:
         yield "moving fronts", f"at belt speeds {_listed(speeds, moving.values)}"

@@ -1,5 +1,7 @@
 """Labelled results: what a lane does not know is missing, in memory and on disk."""
 
+from typing import Any
+
 import h5py
 import jax
 import jax.numpy as jnp
@@ -50,8 +52,9 @@ def test_counts_are_integers_on_disk_and_missing_again_when_read(three, tmp_path
     three.to_zarr(tmp_path / "r3.zarr", zarr_format=3, consolidated=False)
     with h5py.File(tmp_path / "r.nc") as file:
         for name in COUNTS:
-            assert np.issubdtype(file[name].dtype, np.integer)
-            assert file[name].attrs["_FillValue"] == -1
+            stored: Any = file[name]
+            assert np.issubdtype(stored.dtype, np.integer)
+            assert stored.attrs["_FillValue"] == -1
     for name in ("r2.zarr", "r3.zarr"):
         raw = xr.open_zarr(tmp_path / name, consolidated=False, mask_and_scale=False)
         assert all(np.issubdtype(raw[count].dtype, np.integer) for count in COUNTS)

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxchain.measures import delays, mean_period, settled
+from jaxchain.measures import active, at_rest, delays, mean_period, settled
 
 PERIOD = 6.3
 
@@ -91,3 +91,9 @@ def test_whether_it_has_settled_is_known_of_batches_and_not_of_failed_lanes():
 def test_too_few_windows_to_tell_are_refused():
     with pytest.raises(ValueError, match="segments"):
         settled(jnp.ones((3, 2)), 1e-3)
+
+
+def test_what_is_shaken_neither_vibrates_nor_rests():
+    amplitude = jnp.array([[1.6, 0.2], [0.6, 0.2], [1e-4, 0.0], [jnp.nan, 0.0]])
+    assert active(amplitude, 1.5).any(-1).tolist() == [True, False, False, False]
+    assert at_rest(amplitude).tolist() == [False, False, True, False]

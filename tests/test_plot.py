@@ -71,6 +71,47 @@ def test_rest_below_the_hopf_speed_is_drawn_hollow():
     assert to_hex(unstable.get_markerfacecolor()) == "#ffffff"
 
 
+def shaken():
+    """One mass that has not come to rest at 1.3 ... 1.9, for its two smaller starts."""
+    data = single()
+    quiet = data.active_count == 0
+    data["amplitude"] = data.amplitude.where(~quiet | (data.displacement > 1), 0.3)
+    data["energy"] = 0.5 * (data.amplitude**2).sum("oscillator")
+    return data
+
+
+@pytest.mark.parametrize("left_out", ["energy", "amplitude"])
+def test_only_what_does_not_move_is_at_rest(left_out):
+    data = shaken().drop_vars(left_out)
+    (axes,) = panels(figure({"single": data}))
+    (resting,), (moving,) = lines(axes, "at rest"), lines(axes, plot.NOT_VIBRATING)
+    (vibrating,) = lines(axes, "vibrating")
+    assert across(resting) == [1.9, 1.9]
+    assert across(moving) == [1.3, 1.3, 1.6, 1.6, 1.9, 1.9]
+    np.testing.assert_allclose(np.asarray(moving.get_ydata()), 0.3)
+    three = (resting, moving, vibrating)
+    assert len({str(line.get_marker()) for line in three}) == 3
+    assert len({to_hex(line.get_color()) for line in three}) == 3
+    text = summary("single", data)
+    assert "at rest       at belt speeds 1.9\n" in text
+    assert "weak          at belt speeds 1.3 to 1.9: moves, but no mass above v_d / 2" in text
+
+
+def test_without_amplitudes_nobody_is_called_at_rest():
+    data = shaken()[["active_count", "result", "steps"]]
+    (axes,) = panels(figure({"single": data}))
+    assert not lines(axes, "at rest")
+    assert len(across(*lines(axes, plot.NONE_VIBRATES))) == 8
+    assert "at rest" not in summary("single", data)
+    assert "weak          at belt speeds 1.3 to 1.9: no mass above" in summary("single", data)
+
+
+def test_a_slow_start_below_the_hopf_speed_makes_no_unstable_cycle():
+    data = single()
+    data["active_count"][1, 0] = 0  # belt speed 1.0: not gone far enough yet
+    assert basin_brackets(data) == [(1.3, 0.9, 1.1), (1.6, 0.9, 1.1)]
+
+
 def test_the_hopf_speed_is_that_of_the_formula():
     assert hopf_belt_speed(single()) == pytest.approx(0.5 * np.log(10), rel=1e-15)
     for axes in panels(figure_3(ladder(), single())):
