@@ -45,7 +45,8 @@ def hopf_by_descent(
     part of a greater optimisation.  It has no derivatives of its own: take those of
     `hopf_belt_speed`.
 
-    **Arguments:** `chain`; `start`, a belt speed (default: the chain's own); `optimiser`, any
+    **Arguments:** `chain`; `start`, a belt speed > 0 (default: the chain's own,
+    whichever way it runs); `optimiser`, any
     optax transformation (default `optax.adam(0.1)`); `steps` at most, until |g| <= `tolerance`.
 
     **Raises:** `ValueError` for a start, a number of steps or a tolerance that is not positive.
@@ -59,7 +60,7 @@ def hopf_by_descent(
     """
     require_x64()
     require_64_bits("chain", chain)
-    start = chain.belt_speed if start is None else start
+    start = jnp.abs(chain.belt_speed) if start is None else start
     check_positive("start", start, "it is a belt speed, such as 1.5.")
     check_positive("tolerance", tolerance, "it is a growth rate, such as 1e-10.")
     optimiser = _ADAM if optimiser is None else optimiser

@@ -79,7 +79,8 @@ def spectrum(solver):
         found = jc.lyapunov_spectrum(
             chain, excited(chain, sign), 60.0, count=3, blocks=4, solver=solver, throw=False
         )
-        return found.exponents, found.mean_divergence
+        # Volumes of dry friction have no rate.
+        return found.exponents, *([] if solver is DRY else [found.mean_divergence])
 
     return case
 
@@ -243,17 +244,16 @@ def test_sweeps_take_belt_speeds_of_either_sign():
     back = found.sel(belt_speed=-speeds)
     for side in (1.0, -1.0):
         for name in ("amplitude", "energy", "active_count", "steps"):
-            np.testing.assert_array_equal(
-                ahead.sel(side=side)[name], back.sel(side=-side)[name], err_msg=name
-            )
+            a, b = ahead.sel(side=side)[name], back.sel(side=-side)[name]
+            np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9, err_msg=name)
 
 
 @pytest.mark.long
 def test_fronts_patterns_and_verdicts_are_mirrored():
-    chain = jc.paper_chain(12, belt_speed=1.1)
-    block = jc.excited_state(chain, 4, block="centred")
+    chain = jc.paper_chain(24, belt_speed=1.1)
+    block = jc.excited_state(chain, 8, block="centred")
     fronts = [
-        jc.front_speed(own, tuple(sign * part for part in block), 200.0)
+        jc.front_speed(own, tuple(sign * part for part in block), 300.0)
         for own, sign in ((chain, 1.0), (mirrored(chain), -1.0))
     ]
     assert float(fronts[0].speed) == float(fronts[1].speed) != 0
