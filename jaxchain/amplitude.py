@@ -28,7 +28,6 @@ class _Rest(eqx.Module):
     """Whether every mass rests: a few numbers for a lane, no array."""
 
     boundary: Float[Array, ""]  # end of the present window
-    attracts: Bool[Array, ""]
     quiet: Bool[Array, ""]
 
 
@@ -49,8 +48,9 @@ class Amplitude(AbstractObserver):
 
     - `window`: its length in dimensionless time, at least one period (2 pi) to mean anything.
     - `stop`: "never" runs to the end.  "quiet" lets the run stop when every mass rests (speed
-      and acceleration below `quiet_below`; the amplitude is then reported as 0) *and* steady
-      sliding attracts, i.e. every mass is damped, dF/dv < 2 xi; that cannot change the answer.
+      and acceleration below `quiet_below`; the amplitude is then reported as 0) *and* that rest
+      attracts, i.e. every mass is damped, dF/dv < 2 xi, and held, and no force depends on time
+      (`AbstractOscillators.attracts`); that cannot change the answer.
       "steady" also lets it stop when the amplitudes of `repeats` windows in succession agree
       within `tolerance`; slow drifts of the phases, and instabilities that rounding has not yet
       found, can then go unseen.
@@ -89,13 +89,7 @@ class Amplitude(AbstractObserver):
         # Windows end at t1, t1 - window, ...; the first takes what is left over at the start,
         # because a shorter one would see less than it must.
         complete = jnp.maximum(jnp.floor((t1 - t0) / jnp.maximum(window, 1e-300)), 1.0)
-        # With a positive definite stiffness, damping of every mass makes sliding attract.
-        _, slope = field.velocity_force_and_slope(t0, jnp.zeros_like(x))
-        rest = _Rest(
-            boundary=to_float(t1 - window * (complete - 1.0)),
-            attracts=jnp.all(slope < 0),
-            quiet=jnp.zeros((), bool),
-        )
+        rest = _Rest(boundary=to_float(t1 - window * (complete - 1.0)), quiet=jnp.zeros((), bool))
         history = None
         if self.stop == "steady":
             history = _History(jnp.full_like(x, jnp.nan), jnp.zeros((), int))
@@ -149,14 +143,15 @@ class Amplitude(AbstractObserver):
 
         def look() -> Array:
             velocity, acceleration = step.field(step.t1, step.y1)
-            return jnp.max(jnp.maximum(jnp.abs(velocity), jnp.abs(acceleration)))
+            motion = jnp.max(jnp.maximum(jnp.abs(velocity), jnp.abs(acceleration)))
+            attracts = step.field.attracts(step.t1, step.y1[0])
+            return attracts & (motion < self.quiet_below)
 
-        motion = lax.cond(eqxi.unvmap_any(over), look, lambda: jnp.asarray(jnp.inf))
+        quiet = lax.cond(eqxi.unvmap_any(over), look, lambda: jnp.asarray(False))
         window = 0.0 if self.window is None else self.window
         return _Rest(
             boundary=jnp.where(over, rest.boundary + window, rest.boundary),
-            attracts=rest.attracts,
-            quiet=over & rest.attracts & (motion < self.quiet_below),
+            quiet=over & quiet,
         )
 
     def settled(self, accumulator: _AmplitudeState) -> Bool[Array, ""] | None:

@@ -13,7 +13,8 @@ from jaxtyping import Array, ArrayLike, Float
 from ._checks import check_finite, check_nonnegative, check_positive, to_float
 from ._types import PerMass, ScalarLike, State
 from .friction import ExponentialDecay, TanhFriction
-from .structure import AbstractOscillators, Ends, Springs, exact_solver
+from .structure import AbstractOscillators, Ends, Springs
+from .tridiagonal import exact_solver
 
 
 class Chain(AbstractOscillators):
@@ -145,9 +146,11 @@ class Chain(AbstractOscillators):
         """ "cyclic" or "free"; without coupling there is no difference."""
         return "cyclic" if self.springs is None else self.springs.ends
 
-    def velocity_force(self, t: ScalarLike, v: Float[Array, " n"]) -> Float[Array, " n"]:
+    def local_force(
+        self, t: ScalarLike, x: Float[Array, " n"], v: Float[Array, " n"]
+    ) -> Float[Array, " n"]:
         """p_n F(v_n - v_d) - 2 xi_n v_n."""
-        del t
+        del t, x
         force = self.friction.force(v - self.belt_speed)
         if self.normal_load is not None:
             force = self.normal_load * force
@@ -182,10 +185,6 @@ class Chain(AbstractOscillators):
         """1 / (2 |xi|) where damping is negative, infinite elsewhere."""
         rate = -2.0 * jnp.min(lax.stop_gradient(self.damping_ratio))
         return jnp.where(rate > 0, 1.0 / jnp.where(rate > 0, rate, 1.0), jnp.inf)
-
-    def time_slope(self, t: ScalarLike, v: Float[Array, " n"]) -> None:
-        """None: the chain is autonomous."""
-        del t, v
 
     def stiffness_diagonal(self, n: int) -> PerMass:
         """k_n + the constants of the springs at mass n."""
@@ -258,7 +257,7 @@ def steady_sliding(chain: Chain) -> State:
     x_n = F(-v_d) / k.
     """
     zero = jnp.zeros(chain.n, dtype=chain.belt_speed.dtype)
-    force = chain.velocity_force(0.0, zero)
+    force = chain.local_force(0.0, zero, zero)
     uniform = all(
         jnp.ndim(a) == 0
         for a in (chain.stiffness, chain.normal_load, chain.friction.force(-chain.belt_speed))

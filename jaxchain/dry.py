@@ -56,15 +56,14 @@ class DryField(AbstractOscillators):
         """p mu_st, and a little more: see `_SLACK`."""
         return self.chain.greatest_hold() * (1.0 + _SLACK)
 
-    def velocity_force(self, t: ScalarLike, v: Float[Array, " n"]) -> Float[Array, " n"]:
+    def local_force(
+        self, t: ScalarLike, x: Float[Array, " n"], v: Float[Array, " n"]
+    ) -> Float[Array, " n"]:
         """-sign(w) p mu(|w|) - 2 xi v."""
-        del t
+        del t, x
         w = v - self.chain.belt_speed
         friction = jnp.sign(w) * self.load() * self.chain.friction.law.coefficient(jnp.abs(w))
         return -friction - 2.0 * self.chain.damping_ratio * v
-
-    def time_slope(self, t: ScalarLike, v: Float[Array, " n"]) -> None:
-        del t, v
 
     def stiffness_diagonal(self, n: int) -> PerMass:
         return self.chain.stiffness_diagonal(n)

@@ -250,10 +250,12 @@ class SmoothedPlan(AbstractPlan):
 
     def controller(self, field: AbstractOscillators) -> SwitchingController:
         """The step-size control of a run; plain PID control where no force of `field` switches."""
+        growth_time = field.growth_time()
+        longest = self.max_step
         pid = dfx.PIDController(
             rtol=self.rtol,
             atol=self.atol,
-            dtmax=jnp.minimum(self.max_step, field.growth_time()),
+            dtmax=longest if growth_time is None else jnp.minimum(longest, growth_time),
             # Below this a step no longer moves the time.
             dtmin=8 * jnp.finfo(float).eps * jnp.maximum(jnp.abs(self.t1), 1e-2),
             force_dtmin=False,

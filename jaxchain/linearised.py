@@ -53,8 +53,8 @@ class Period(NamedTuple):
 class Along(AbstractObserver):
     """The numbers of `Period` that are gathered along the way; value (amplitude, fastest, trace).
 
-    Turning points are located between steps, and the trace, of an autonomous system, is integrated
-    by Gauss's rule of five points in every step.
+    Turning points are located between steps, and the trace is integrated by Gauss's rule of five
+    points in every step.
     """
 
     def init(self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State) -> Any:
@@ -69,13 +69,15 @@ class Along(AbstractObserver):
         low = jnp.minimum(low, jnp.minimum(extreme, step.y1[0]))
         high = jnp.maximum(high, jnp.maximum(extreme, step.y1[0]))
         # In one batch, which compiles in a fifth of the time of five.
-        velocities = jax.vmap(step.velocity)(jnp.asarray(_NODES))
+        nodes = jnp.asarray(_NODES)
+        velocities = jax.vmap(step.velocity)(nodes)
         along = step.field.belt_direction()
         highest = jnp.max(along * velocities, axis=0)
         fastest = jnp.maximum(fastest, jnp.maximum(highest, along * step.y1[1]))
-        _, slopes = jax.vmap(lambda v: step.field.velocity_force_and_slope(step.t0, v))(velocities)
-        gained = jnp.asarray(_WEIGHTS) @ jnp.sum(slopes, axis=1)
-        trace = trace + (step.t1 - step.t0) * gained
+        length = step.t1 - step.t0
+        states = jax.vmap(step.displacement)(nodes), velocities
+        rates = jax.vmap(step.field.divergence)(step.t0 + nodes * length, states)
+        trace = trace + length * (jnp.asarray(_WEIGHTS) @ rates)
         return low, high, fastest, trace
 
     def settled(self, accumulator: Any) -> None:

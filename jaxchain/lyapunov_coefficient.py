@@ -82,7 +82,7 @@ def _terms(
     def derivative(f: Callable[[Array], Array]) -> Callable[[Array], Array]:
         return lambda v: jax.jvp(f, (v,), (jnp.ones_like(v),))[1]
 
-    second = derivative(derivative(lambda v: moving.velocity_force(0.0, v)))
+    second = derivative(derivative(lambda v: moving.local_force(0.0, zero, v)))
     B, C = second(zero), derivative(second)(zero)
     D = jnp.broadcast_to(sliding_damping(chain, jnp.asarray(belt_speed)), (chain.n,))
     K = stiffness_matrix(chain).astype(shape.dtype)

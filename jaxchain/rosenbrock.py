@@ -1,11 +1,16 @@
 """Structured Rosenbrock solvers for chains, for use with `diffrax.diffeqsolve`.
 
-A Rosenbrock stage solves (I/(h gamma) - J) U_j = r_j.  With J = [[0, I], [-K, -D]] the
-displacement part of U_j can be eliminated, and because x' = v is linear it can be eliminated
-*for good*: every displacement-like quantity of a step is a fixed linear combination of v and of
-the velocity parts b_1 .. b_s.  A step then carries s arrays of N numbers, and a stage is one
-evaluation of the friction force and one (cyclic) tridiagonal solve.  No Newton iteration, no
-dense matrix.
+A Rosenbrock stage solves (I/(h gamma) - J) U_j = r_j.  With J = [[0, I], [h_x - K, h_v]], where
+h_x and h_v are diagonal, the displacement part of U_j can be eliminated, and because x' = v is
+linear it can be eliminated *for good*: every displacement-like quantity of a step is a fixed
+linear combination of v and of the velocity parts b_1 .. b_s.  With i = 1 / (h gamma) and the
+stage's displacement X_j, velocity V_j and first right-hand side r_j / (h gamma), stage j is
+
+    (i - h_v + (K - h_x) / i) b_j = h(t_j, X_j, V_j) - K (X_j + r_j) + h_x r_j + ...
+
+A step then carries s arrays of N numbers, and a stage is one evaluation of the local force and
+one (cyclic) tridiagonal solve.  No Newton iteration, no dense matrix.  X_j and r_j are needed
+apart only where h depends on x.
 """
 
 import abc
@@ -21,17 +26,14 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ._types import ScalarLike, State
-from .structure import (
-    AbstractOscillators,
-    contraction,
-    exact_solver,
-    materialize,
-    swept_solver,
-)
+from .structure import AbstractOscillators, materialize
 from .tableaus import RODAS4, RODAS5P, RosenbrockTableau
+from .tridiagonal import contraction, exact_solver, swept_solver
 
 # A step that truncates more is not believed at any tolerance.
 MOST_TRUNCATION = 1e-3
+# Nor is one in which a disturbance grows by more than e to this: an L-stable method would damp it.
+_MOST_GROWTH = 2.0
 
 _Arrays: TypeAlias = Sequence[Float[Array, " n"]]
 
@@ -43,6 +45,19 @@ def _combine(weights: np.ndarray, arrays: _Arrays) -> Any:
         if w != 0.0:
             total = w * array if isinstance(total, float) else total + w * array
     return total
+
+
+def _growth(field: AbstractOscillators, h: Array, held: Any, slope: Array) -> Array:
+    """The greatest h Re(lambda) of single masses, lambda^2 - slope lambda + held = 0.
+
+    Their neighbours' springs are taken to push as hard as they can.
+    """
+    if field.springs is not None:
+        held = held - field.springs.strength(slope.shape[0])
+    half = 0.5 * slope
+    oscillates = half**2 <= held
+    root = jnp.sqrt(jnp.where(oscillates, 1.0, half**2 - held))
+    return jnp.max(h * half + jnp.where(oscillates, 0.0, jnp.abs(h) * root))
 
 
 class RosenbrockInterpolation(dfx.AbstractLocalInterpolation):
@@ -154,29 +169,35 @@ class AbstractStructuredRosenbrock(dfx.AbstractAdaptiveSolver):
         n = x.shape[0]
         per_h = 1.0 / h
         hg = h * tab.gamma
-        g, slope = field.velocity_force_and_slope(t, v)
-        g_t = field.time_slope(t, v)
+        force, slopes = field.local_force_and_slopes(t, x, v)
+        h_t, h_x = slopes.time, slopes.displacement
         stiffness = field.stiffness_diagonal(n)
-        diagonal = per_h / tab.gamma - slope + hg * stiffness
+        held = stiffness if h_x is None else stiffness - h_x
+        diagonal = per_h / tab.gamma - slopes.velocity + hg * held
         solve, truncation = self._linear_solver(field, diagonal, hg)
         springs = field.springs
         pulls = None if springs is None else (springs.product(x), springs.product(v))
 
         b: list[Array] = []
         pull: list[Array] = []  # C b
-        velocity = v
+        position, velocity = x, v
         for j in range(len(tab.c)):
             # z_j: the stage's displacement plus h gamma times its first right-hand side.
             z = x + h * (tab.stage_v[j] * v + _combine(tab.stage_b[j], b))
             if j > 0:
                 velocity = v + _combine(tab.a[j], b)
-                g = field.velocity_force(t if g_t is None else t + float(tab.c[j]) * h, velocity)
-            rhs = g - stiffness * z + per_h * _combine(tab.C[j], b)
+                if h_x is not None:
+                    position = x + h * (tab.place_v[j] * v + _combine(tab.place_b[j], b))
+                time = t if h_t is None else t + float(tab.c[j]) * h
+                force = field.local_force(time, position, velocity)
+            rhs = force - stiffness * z + per_h * _combine(tab.C[j], b)
+            if h_x is not None:
+                rhs = rhs + h_x * (z - position)
             if pulls is not None:  # C z, from the products of its parts
                 stages = tab.stage_v[j] * pulls[1] + _combine(tab.stage_b[j], pull)
                 rhs = rhs + pulls[0] + h * stages
-            if g_t is not None and tab.d[j] != 0.0:
-                rhs = rhs + (float(tab.d[j]) * h) * g_t
+            if h_t is not None and tab.d[j] != 0.0:
+                rhs = rhs + (float(tab.d[j]) * h) * h_t
             u, u_pull = solve(rhs)
             b.append(u)
             if u_pull is not None:
@@ -185,10 +206,15 @@ class AbstractStructuredRosenbrock(dfx.AbstractAdaptiveSolver):
         y1 = (x + h * (tab.end_v * v + _combine(tab.end_b, b)), velocity + b[-1])
         error = (h * (tab.alpha[-1] * v + _combine(tab.beta[-1], b)), b[-1])
         result = dfx.RESULTS.successful
+        trusted = None
         if truncation is not None:
             trusted = truncation <= MOST_TRUNCATION
             truncated = truncation * sum(jnp.abs(u) for u in b)
             error = (error[0], jnp.abs(error[1]) + truncated)
+        if field.growth_time() is None:
+            slow = _growth(field, h, held, slopes.velocity) <= _MOST_GROWTH
+            trusted = slow if trusted is None else trusted & slow
+        if trusted is not None:
             error = jtu.tree_map(lambda e: jnp.where(trusted, e, jnp.inf), error)
             untrusted: Any = dfx.RESULTS.nonlinear_divergence
             result = dfx.RESULTS.where(trusted, dfx.RESULTS.successful, untrusted)

@@ -121,7 +121,7 @@ class Shooting(eqx.Module):
         at = jnp.asarray([spread.get(i, count) for i in self.images])
         x = jnp.concatenate([u[:count], jnp.zeros(1)])[at]
         slopes = _image_mask(self.images, self.mass)
-        force = field.velocity_force(0.0, v) + field.restoring_force(x)
+        force = field.local_force(0.0, x, v) + field.restoring_force(x)
         stiffness = -field.restoring_force(slopes)[self.mass]
         return field, (x + slopes * (force[self.mass] / stiffness), v), jnp.exp(u[-1])
 

@@ -1,27 +1,28 @@
-"""The algebra shared by every chain: neighbours, springs and the cyclic tridiagonal solve.
+"""What every chain shares: neighbours, springs, and the structure of its equations.
 
 A chain of N masses is the second-order system
 
-    x' = v,        v' = g(t, v) - K x,        K = diag(k) - C,
+    x' = v,        v' = h(t, x, v) - K x,        K = diag(k) - C,
 
-where g acts mass by mass and C holds the couplings between nearest neighbours.  Its Jacobian is
-[[0, I], [-K, diag(dg/dv)]]; everything a Rosenbrock step has to solve is therefore one
-(cyclic) tridiagonal system per stage, and this module solves it.
+where h acts mass by mass and C holds the couplings between nearest neighbours.  Its Jacobian is
+[[0, I], [diag(dh/dx) - K, diag(dh/dv)]]; everything a Rosenbrock step has to solve is therefore
+one (cyclic) tridiagonal system per stage, which `tridiagonal.py` solves.
 """
 
 import abc
-import functools as ft
-from collections.abc import Callable
-from typing import Literal
+import operator
+from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
+from ._checks import to_float
 from ._types import PerMass, ScalarLike, State
+from .locality import FINAL, depends_on, refuse_overrides
 
 Ends = Literal["cyclic", "free"]
 
@@ -155,6 +156,10 @@ class Springs(eqx.Module):
         count[-1] -= 1.0
         return self.constant * jnp.asarray(count)
 
+    def strength(self, n: int) -> PerMass:
+        """Sum of the magnitudes of each row of C."""
+        return Springs(jnp.abs(self.constant), self.ends).row_sum(n)
+
     def off_diagonals(self, n: int) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
         """(lower, upper): lower[i] couples mass i to i-1 and upper[i] to i+1, both cyclically."""
         if self.constant.ndim != 0:
@@ -170,28 +175,65 @@ class Springs(eqx.Module):
         return jax.vmap(self.product, in_axes=1, out_axes=1)(jnp.eye(n))
 
 
-class AbstractOscillators(eqx.Module):
-    """Masses whose velocities feel any force of their own and whose displacements are linear.
+class LocalSlopes(NamedTuple):
+    """Derivatives of the local force, mass by mass; None where it does not depend on that."""
 
-    x' = v,   v_n' = g_n(t, v_n) - k_n x_n + (C x)_n.
+    time: Float[Array, " n"] | None
+    displacement: Float[Array, " n"] | None
+    velocity: Float[Array, " n"]
+
+
+class AbstractOscillators(eqx.Module):
+    """Masses with any force of their own, coupled by linear springs.
+
+    x' = v,   v_n' = h_n(t, x_n, v_n) - k_n x_n + (C x)_n.
 
     A vector field in the sense of `diffrax.ODETerm`: call it with (t, (x, v), args).  Subclass it
     to give other systems to the structured solvers; `jaxchain.Chain` is the one for friction.
+    A subclass says `springs`, `local_force` and `stiffness_diagonal`, and may say `switching`,
+    `stick_speed`, `unheld_force` and `growth_time`.  Everything else follows from these and is
+    final: defining it is a `TypeError`.  Derivatives are found by JAX, and whether the system is
+    autonomous, or h depends on x, is read off its trace.
+
+    A field for stock diffrax solvers alone may override `__call__`, and `divergence` with it; the
+    structured solvers refuse it.
+
+    !!! example
+
+        Van der Pol's oscillators in a ring, x'' - mu (1 - x^2) x' + x + springs = 0:
+
+        >>> import jax, jax.numpy as jnp
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import find_limit_cycle
+        >>> from jaxchain.structure import AbstractOscillators, Springs
+        >>> class VanDerPol(AbstractOscillators):
+        ...     mu: jax.Array
+        ...     springs: Springs
+        ...     def local_force(self, t, x, v):
+        ...         return self.mu * (1.0 - x**2) * v
+        ...     def stiffness_diagonal(self, n):
+        ...         return 1.0 + self.springs.row_sum(n)
+        >>> ring = VanDerPol(jnp.asarray(1.0), Springs(jnp.asarray(0.1), "cyclic"))
+        >>> start = jnp.array([2.0, 2.0, 2.0]), jnp.zeros(3)
+        >>> round(float(find_limit_cycle(ring, start).period), 8)
+        6.66328686
     """
 
     springs: eqx.AbstractVar[Springs | None]
 
-    @abc.abstractmethod
-    def velocity_force(self, t: ScalarLike, v: Float[Array, " n"]) -> Float[Array, " n"]:
-        """g(t, v): everything that is not linear in the displacements, mass by mass."""
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        refuse_overrides(cls, AbstractOscillators, FINAL)
 
     @abc.abstractmethod
-    def time_slope(self, t: ScalarLike, v: Float[Array, " n"]) -> Float[Array, " n"] | None:
-        """dg/dt, or None for an autonomous system."""
+    def local_force(
+        self, t: ScalarLike, x: Float[Array, " n"], v: Float[Array, " n"]
+    ) -> Float[Array, " n"]:
+        """h(t, x, v), mass by mass: all forces but those linear in the displacements."""
 
     @abc.abstractmethod
     def stiffness_diagonal(self, n: int) -> PerMass:
-        """The diagonal k of K, the springs' part included; a scalar or of shape (n,)."""
+        """The diagonal k of K, a scalar or of shape (n,); add the springs' `row_sum(n)` to it."""
 
     def switching(
         self, t: ScalarLike, v: Float[Array, " n"]
@@ -222,115 +264,102 @@ class AbstractOscillators(eqx.Module):
         del v
         return jnp.full_like(x, -jnp.inf)
 
-    def velocity_force_and_slope(
-        self, t: ScalarLike, v: Float[Array, " n"]
-    ) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
-        """(g, dg/dv).  g acts mass by mass, so one tangent of ones carries the whole diagonal."""
-        return jax.jvp(lambda v: self.velocity_force(t, v), (v,), (jnp.ones_like(v),))
+    def growth_time(self) -> ScalarLike | None:
+        """No step should be longer: velocities grow e-fold in it.  Infinite where none grows so.
+
+        A stiff solver takes a growth by more than e^2 within a step for a decay, and its error
+        estimate agrees.  None: structured solvers judge each step by the Jacobian at its start.
+        """
+        return None
+
+    def local_force_and_slopes(
+        self, t: ScalarLike, x: Float[Array, " n"], v: Float[Array, " n"]
+    ) -> tuple[Float[Array, " n"], LocalSlopes]:
+        """(h, its derivatives).  h acts mass by mass: a tangent of ones carries the diagonal."""
+        timed, placed, _ = self.uses(x.shape[0])
+        one, ones = jnp.ones(()), jnp.ones_like(v)
+        force, by_velocity = jax.jvp(lambda v: self.local_force(t, x, v), (v,), (ones,))
+        by_time = by_place = None
+        if timed:
+            now = jnp.asarray(t, float)
+            by_time = jax.jvp(lambda t: self.local_force(t, x, v), (now,), (one,))[1]
+        if placed:
+            by_place = jax.jvp(lambda x: self.local_force(t, x, v), (x,), (ones,))[1]
+        return force, LocalSlopes(by_time, by_place, by_velocity)
+
+    def uses(self, n: int) -> tuple[bool, bool, bool]:
+        """Whether h depends on (time, displacement, velocity); see `depends_on`."""
+        if type(self).__call__ is not AbstractOscillators.__call__:
+            raise ValueError(
+                f"{type(self).__name__} overrides `__call__`, which a structured solver does not "
+                "see: give its forces in `local_force` and `springs`, or use a stock diffrax "
+                "solver, `solver=diffrax.Tsit5()`."
+            )
+        time, part = jnp.zeros(()), jnp.zeros(n)
+        timed, placed, moved = depends_on(self.local_force, time, part, part)
+        return timed, placed, moved
 
     def restoring_force(self, x: Float[Array, " n"]) -> Float[Array, " n"]:
         """-K x."""
         force = -self.stiffness_diagonal(x.shape[0]) * x
         return force if self.springs is None else force + self.springs.product(x)
 
-    def growth_time(self) -> ScalarLike:
-        """No step should be longer: velocities grow e-fold in it.  Infinite where none grows so.
-
-        A stiff solver takes a growth by more than e^2 within a step for a decay, and its error
-        estimate agrees.
-        """
-        return jnp.inf
-
     def __call__(self, t: ScalarLike, y: State, args: object = None) -> State:
         """The time derivative of the state (x, v); both of shape (n,)."""
         x, v = y
-        return v, self.velocity_force(t, v) + self.restoring_force(x)
+        return v, self.local_force(t, x, v) + self.restoring_force(x)
+
+    def attracts(self, t: ScalarLike, x: Float[Array, " n"]) -> Bool[Array, ""]:
+        """Whether rest at x, if the forces balance there, is sure to attract for all time.
+
+        It is if the system is autonomous, each mass is damped, dh/dv < 0, and K - diag(dh/dx) is
+        diagonally dominant, hence positive definite.
+        """
+        timed, _, _ = self.uses(x.shape[0])
+        if timed:
+            return jnp.asarray(False)
+        _, slopes = self.local_force_and_slopes(t, x, jnp.zeros_like(x))
+        held = self.stiffness_diagonal(x.shape[0])
+        if slopes.displacement is not None:
+            held = held - slopes.displacement
+        if self.springs is not None:
+            held = held - self.springs.strength(x.shape[0])
+        return jnp.all(slopes.velocity < 0) & jnp.all(held > 0)
+
+    def divergence(self, t: ScalarLike, y: State) -> Float[Array, ""]:
+        """tr J = sum of dh_n/dv_n."""
+        return jnp.sum(self.local_force_and_slopes(t, *y)[1].velocity)
 
     def jacobian(self, t: ScalarLike, y: State) -> Float[Array, "two_n two_n"]:
-        """[[0, I], [-K, diag(dg/dv)]] as a dense matrix, in the order (x_1..x_n, v_1..v_n)."""
-        _, v = y
-        n = v.shape[0]
-        _, slope = self.velocity_force_and_slope(t, v)
-        stiffness = jnp.diag(jnp.broadcast_to(self.stiffness_diagonal(n), (n,)))
+        """[[0, I], [diag(dh/dx) - K, diag(dh/dv)]], dense, in the order (x_1..x_n, v_1..v_n)."""
+        n = y[1].shape[0]
+        _, slopes = self.local_force_and_slopes(t, *y)
+        diagonal = jnp.broadcast_to(-self.stiffness_diagonal(n), (n,))
+        if slopes.displacement is not None:
+            diagonal = diagonal + slopes.displacement
+        by_place = jnp.diag(diagonal)
         if self.springs is not None:
-            stiffness = stiffness - self.springs.dense(n)
-        eye = jnp.eye(n)
-        return jnp.block([[jnp.zeros((n, n)), eye], [-stiffness, jnp.diag(slope)]])
+            by_place = by_place + self.springs.dense(n)
+        return jnp.block([[jnp.zeros((n, n)), jnp.eye(n)], [by_place, jnp.diag(slopes.velocity)]])
+
+    def with_(self, **changes: Any) -> Any:
+        """A copy with other numbers, by the names of fields; `coupling` is that of the springs."""
+        field = self
+        for name, value in changes.items():
+            if name not in self.numbers():
+                raise ValueError(
+                    f"`{type(self).__name__}.with_` does not know {name!r}; it takes "
+                    f"{sorted(self.numbers())}."
+                )
+            at = _coupling if name == "coupling" else operator.attrgetter(name)
+            field = eqx.tree_at(at, field, to_float(value))
+        return field
+
+    def numbers(self) -> dict[str, Array]:
+        """The arrays among the fields by name, and the springs' constant as `coupling`."""
+        own = {name: value for name, value in vars(self).items() if eqx.is_array(value)}
+        return own if self.springs is None else {"coupling": self.springs.constant, **own}
 
 
-def contraction(
-    diagonal: Float[Array, " n"], springs: Springs, scale: ScalarLike
-) -> Float[Array, ""]:
-    """rho = max_n scale (|c_{n-1/2}| + |c_{n+1/2}|) / |diagonal_n|.
-
-    The Jacobi iteration for diag(diagonal) - scale C contracts by rho in the maximum norm, so m
-    sweeps from b_0 = rhs / diagonal leave at most rho^(m+1) / (1 - rho) max|b_0|.
-    """
-    positive = Springs(jnp.abs(springs.constant), springs.ends)
-    return jnp.max(jnp.abs(scale / diagonal) * positive.row_sum(diagonal.shape[0]))
-
-
-def swept_solver(
-    diagonal: Float[Array, " n"], springs: Springs, scale: ScalarLike, sweeps: int
-) -> Callable[[Float[Array, " n"]], tuple[Float[Array, " n"], Float[Array, " n"]]]:
-    """Solves (diag(diagonal) - scale C) b = rhs by `sweeps` Jacobi sweeps (see `contraction`).
-
-    The solver returns b and the product C b of the last sweep, which lags one sweep behind.
-    """
-    inverse = 1.0 / diagonal
-    weight = scale * inverse
-
-    def solve(rhs: Float[Array, " n"]) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
-        start = b = inverse * rhs
-        product = jnp.zeros_like(b)
-        for _ in range(sweeps):
-            product = springs.product(b)
-            b = start + weight * product
-        return b, product
-
-    return solve
-
-
-def exact_solver(
-    diagonal: Float[Array, " n"], springs: Springs, scale: ScalarLike
-) -> Callable[[Float[Array, " n"]], Float[Array, " n"]]:
-    """Solves (diag(diagonal) - scale C) b = rhs in O(N), whatever the strength of the springs.
-
-    A ring is a tridiagonal matrix plus the rank-one corner term u w^T (Sherman-Morrison; Golub
-    and Van Loan, section 2.1.4), so its solve is a tridiagonal one and one dot product.
-    """
-    n = diagonal.shape[0]
-    lower, upper = springs.off_diagonals(n)
-    lower, upper = -scale * lower, -scale * upper
-    if n == 1:
-        return lambda rhs: rhs / (diagonal + lower + upper)
-    if n == 2:  # both springs join the same two masses
-        a, b = upper[0] + lower[0], upper[1] + lower[1]
-        determinant = diagonal[0] * diagonal[1] - a * b
-        return lambda rhs: (
-            jnp.stack([diagonal[1] * rhs[0] - a * rhs[1], diagonal[0] * rhs[1] - b * rhs[0]])
-            / determinant
-        )
-
-    edge_lower = lower.at[0].set(0.0)
-    edge_upper = upper.at[-1].set(0.0)
-
-    def tridiagonal(diagonal: Array, rhs: Array) -> Array:
-        return lax.linalg.tridiagonal_solve(edge_lower, diagonal, edge_upper, rhs[:, None])[:, 0]
-
-    if springs.ends == "free":
-        return ft.partial(tridiagonal, diagonal)
-
-    # Corners lower[0] at (0, n-1) and upper[-1] at (n-1, 0) are u w^T with
-    # u = (g, 0, .., 0, upper[-1]) and w = (1, 0, .., 0, lower[0] / g).
-    g = -diagonal[0]
-    reduced = diagonal.at[0].add(-g).at[-1].add(-upper[-1] * lower[0] / g)
-    u = jnp.zeros_like(diagonal).at[0].set(g).at[-1].set(upper[-1])
-    q = tridiagonal(reduced, u)
-    denominator = 1.0 + q[0] + lower[0] / g * q[-1]
-
-    def solve(rhs: Float[Array, " n"]) -> Float[Array, " n"]:
-        b = tridiagonal(reduced, rhs)
-        return b - (b[0] + lower[0] / g * b[-1]) / denominator * q
-
-    return solve
+def _coupling(field: AbstractOscillators) -> Any:
+    return None if field.springs is None else field.springs.constant

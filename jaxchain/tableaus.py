@@ -39,6 +39,9 @@ class RosenbrockTableau:
         for j in range(s):
             self.alpha[j] = gamma * (1.0 + self.C[j] @ self.alpha)
             self.beta[j] = gamma * (self.a[j] + np.eye(s)[j] + self.C[j] @ self.beta)
+        # Stage displacement alone.
+        self.place_v = self.a @ self.alpha
+        self.place_b = self.a @ self.beta
         # Stage displacement plus h gamma (first right-hand side): what the stiffness acts upon.
         self.stage_v = self.a @ self.alpha + self.alpha
         self.stage_b = self.a @ self.beta + self.beta - gamma * np.eye(s)

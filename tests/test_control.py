@@ -158,11 +158,8 @@ class MovingBelt(AbstractOscillators):
     def _friction(self, t, v):
         return -jnp.tanh((v - self.acceleration * t) / self.width)
 
-    def velocity_force(self, t, v):
+    def local_force(self, t, x, v):
         return self._friction(t, v) - 0.1 * v
-
-    def time_slope(self, t, v):
-        return self.acceleration * (1.0 - self._friction(t, v) ** 2) / self.width
 
     def stiffness_diagonal(self, n):
         del n

@@ -9,10 +9,12 @@ import jaxchain
 
 FLOORS = [
     {"_types", "_checks", "result", "branch", "evidence"},
+    {"locality"},
     {"friction", "structure", "tableaus", "units", "measures", "studies.bias", "spectrum"}
     | {"roots", "implicit", "descent", "criteria"}
     | {"studies.mistuning.statistics", "studies.mistuning.summary", "studies.states.summary"}
     | {"studies.ladder.summary", "studies.verdicts.paper"},
+    {"tridiagonal"},
     {"chain", "control", "polynomial", "rosenbrock", "augmented", "corrector"}
     | {"studies.verdicts.reasons"},
     {"dry", "observe", "states", "choice", "special_points", "sliding", "averaging"},

@@ -11,15 +11,18 @@ from jaxchain import hopf_belt_speed, hopf_by_descent, paper_chain
 EXACT = np.log(10.0) / 2
 
 
+def damping(chain, speed):
+    zero = jnp.zeros(chain.n)
+    slopes = chain.with_(belt_speed=speed).local_force_and_slopes(0.0, zero, zero)[1]
+    return -slopes.velocity[0]
+
+
 def newton(chain, speed, tolerance):
     """(speed, steps) of the textbook's Newton method on the damping d."""
+    step = 1e-6
     for steps in range(50):
-        at = chain.with_(belt_speed=speed)
-        d, step = -at.velocity_force_and_slope(0.0, jnp.zeros(chain.n))[1][0], 1e-6
-        up, down = (
-            -at.with_(belt_speed=speed + h).velocity_force_and_slope(0.0, jnp.zeros(chain.n))[1][0]
-            for h in (step, -step)
-        )
+        d = damping(chain, speed)
+        up, down = (damping(chain, speed + h) for h in (step, -step))
         if abs(d) <= tolerance:
             return speed, steps
         speed = float(speed - d / ((up - down) / (2 * step)))

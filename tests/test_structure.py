@@ -5,14 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxchain.structure import (
-    Springs,
-    contraction,
-    exact_solver,
-    neighbour_sum,
-    neighbours,
-    swept_solver,
-)
+from jaxchain.structure import Springs, neighbour_sum, neighbours
+from jaxchain.tridiagonal import contraction, exact_solver, swept_solver
 
 
 def dense_stiffness(n, constants, ends):

@@ -45,15 +45,19 @@ class Rayleigh(AbstractOscillators):
     springs: Springs
     repel: jax.Array
 
-    def velocity_force(self, t, v):
-        own = self.gain * (v - v**3 / (3.0 * self.top**2))
-        return own + self.repel * (v - v[::-1])
-
-    def time_slope(self, t, v):
-        return None
+    def local_force(self, t, x, v):
+        return self.gain * (v - v**3 / (3.0 * self.top**2))
 
     def stiffness_diagonal(self, n):
         return self.stiffness + self.springs.row_sum(n)
+
+    def __call__(self, t, y, args=None):
+        x, v = y
+        force = self.local_force(t, x, v) + self.repel * (v - v[::-1])
+        return v, force + self.restoring_force(x)
+
+    def divergence(self, t, y):
+        return jnp.sum(self.gain * (1.0 - (y[1] / self.top) ** 2) + self.repel)
 
 
 def pair(gain: Any = 0.3, top: Any = 1.0, stiffness=(1.0, 1.0), repel=0.0, spring=0.0):

@@ -82,7 +82,7 @@ def stock(solver: dfx.AbstractSolver, *, switching: bool = False) -> Callable[..
 
     def friction(t: Any, y: Any, chain: Chain) -> Any:
         x, v = y
-        return jnp.zeros_like(x), chain.velocity_force(t, v)
+        return jnp.zeros_like(x), chain.local_force(t, x, v)
 
     split = isinstance(solver, dfx.AbstractImplicitSolver) and isinstance(
         solver.term_structure, type(dfx.MultiTerm[tuple[dfx.AbstractTerm, dfx.AbstractTerm]])

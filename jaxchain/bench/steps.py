@@ -78,10 +78,12 @@ def friction_alone(stages: int) -> Callable[..., Any]:
     """(field, state, h, count) -> all friction that `count` steps evaluate, and nothing else."""
 
     def run(field: AbstractOscillators, state: Any, h: Any, count: Any) -> Any:
-        def body(_: Any, v: Any) -> Any:
-            return v + h * field.velocity_force(0.0, v)
+        x, v = state
 
-        return lax.fori_loop(0, count * stages, body, state[1])
+        def body(_: Any, v: Any) -> Any:
+            return v + h * field.local_force(0.0, x, v)
+
+        return lax.fori_loop(0, count * stages, body, v)
 
     return run
 

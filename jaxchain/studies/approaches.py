@@ -123,7 +123,7 @@ def _stock(problem: Problem, solver: dfx.AbstractSolver) -> Solve:
 
     def friction(t: Any, y: Any, chain: Chain) -> Any:
         x, v = y
-        return jnp.zeros_like(x), chain.velocity_force(t, v)
+        return jnp.zeros_like(x), chain.local_force(t, x, v)
 
     terms: Any = dfx.ODETerm(field)
     if solver.term_structure is not dfx.ODETerm and isinstance(solver, dfx.KenCarp4):

@@ -19,21 +19,17 @@ LORENZ_DIVERGENCE = -(10.0 + 1.0 + 8.0 / 3.0)
 class Lorenz63(AbstractOscillators):
     """Lorenz's three equations as displacements, and three velocities that only decay.
 
-    v' = -rate v adds three exponents -rate; for stock solvers only.
+    v' = -rate v adds three exponents -rate; for stock solvers only, as x' is not v.
     """
 
     rate: jax.Array
     springs: None = eqx.field(static=True, default=None)
 
-    def velocity_force(self, t, v):
+    def local_force(self, t, x, v):
         return -self.rate * v
 
-    def velocity_force_and_slope(self, t, v):
-        # The slopes are read for their sum, the divergence.
-        return -self.rate * v, jnp.full_like(v, LORENZ_DIVERGENCE / 3.0) - self.rate
-
-    def time_slope(self, t, v):
-        return None
+    def divergence(self, t, y):
+        return LORENZ_DIVERGENCE - 3.0 * self.rate
 
     def stiffness_diagonal(self, n):
         return jnp.zeros(())

@@ -28,11 +28,8 @@ class LinearRing(AbstractExactOscillators):
     x0: jax.Array
     v0: jax.Array
 
-    def velocity_force(self, t, v):
+    def local_force(self, t, x, v):
         return -2 * self.damping * v
-
-    def time_slope(self, t, v):
-        return None
 
     def stiffness_diagonal(self, n):
         return self.stiffness if self.springs is None else self.stiffness + self.springs.row_sum(n)
@@ -57,18 +54,12 @@ class Driven(AbstractExactOscillators):
     springs: Springs | None
     stiffness: float = eqx.field(static=True, default=1.0)
 
-    def _force(self, t, v):
+    def local_force(self, t, x, v):
         s, ds = jnp.sin(t + self.phase), jnp.cos(t + self.phase)
         return (
             -self.rate * (v - ds) - s - self.restoring_force(s)
             - self.nonlinear * (v**3 - ds**3)
         )  # fmt: skip
-
-    def velocity_force(self, t, v):
-        return self._force(t, v)
-
-    def time_slope(self, t, v):
-        return jax.jvp(lambda t: self._force(t, v), (jnp.asarray(t),), (jnp.ones(()),))[1]
 
     def stiffness_diagonal(self, n):
         if self.springs is None:

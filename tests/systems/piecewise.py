@@ -20,12 +20,9 @@ class PiecewiseLinear(AbstractOscillators):
     damping: jax.Array
     springs: None = eqx.field(static=True, default=None)
 
-    def velocity_force(self, t, v):
+    def local_force(self, t, x, v):
         inner = jnp.clip(v, -1.0, 1.0)
         return self.feed * inner - self.damping * (v - inner)
-
-    def time_slope(self, t, v):
-        return None
 
     def stiffness_diagonal(self, n):
         return jnp.ones(())

@@ -74,8 +74,9 @@ def spreading_speed(coupling: Any, growth: Any) -> Float[Array, "*batch"]:
 
 def growth_rate(chain: Chain) -> Float[Array, ""]:
     """Of a small vibration about steady sliding, (dF/dv - 2 xi) / 2; chain of equal masses."""
-    _, slope = chain.velocity_force_and_slope(0.0, jnp.zeros(chain.n))
-    return 0.5 * slope[0]
+    zero = jnp.zeros(chain.n)
+    _, slopes = chain.local_force_and_slopes(0.0, zero, zero)
+    return 0.5 * slopes.velocity[0]
 
 
 def single_cycle(chain: Chain) -> tuple[Float[Array, ""], Float[Array, ""]]:
