@@ -227,6 +227,10 @@ class Chain(AbstractOscillators):
             own["friction"] = TanhFriction(new_law, width)
         return Chain(**own)
 
+    def numbers(self) -> dict[str, Array]:
+        """The numbers that `with_` takes by name, those of the friction law among them."""
+        return {**vars(self.friction.law), "width": self.friction.width, **super().numbers()}
+
 
 def paper_chain(n: int = 20, belt_speed: ArrayLike = 1.5, width: ArrayLike = 1e-3) -> Chain:
     """The parameter set of the paper, eq. (7): xi 0.05, mu_d 0.5, mu_st 1, v_0 0.5, eta_c 0.01.

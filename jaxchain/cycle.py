@@ -138,6 +138,7 @@ def resolve_guess(
         state, period = guess_of_kind(chain, mass, branch)
         return mass, state, period
     if isinstance(guess, LimitCycle):
+        check_orbit(chain, guess.state, guess.period, CYCLE_RTOL)
         mass = _checked_mass(vibrating, guess.state[0].shape[0], guess.mass)
         return mass, *_sound(carried(guess.state, guess.chain, chain), guess.period, throw)
     transient = TRANSIENT

@@ -40,7 +40,7 @@ class CycleBranch:
       of the belt; `period` (k,).
     - `amplitude` (k, n): half peak-to-peak of each displacement; `energy` (k,): half the sum of
       squares of these.
-    - `closeness` (k,): max w / eps of that mass, negative for a slip cycle.
+    - `closeness` (k,): max w / eps of that mass, negative for a slip cycle; NaN without friction.
     - `multipliers` (k, 2n - 1): but for the trivial one, whose error is `trivial_defect` (k,), the
       greatest modulus first; `unstable` (k,): how many lie beyond the unit circle.
     - `special`: tuple of `CyclePoint`, in order; `ended`, `message`: why the branch ends.
@@ -122,8 +122,10 @@ def continue_cycle(
 
     - `chain`, `state` = (x, v), `period`: a cycle, or near one, at the greatest velocity of mass
       `vibrating` (by default the fastest) in the direction of the belt; or all three in one
-      `LimitCycle`.  Of a period that is a multiple of the least one, the least is followed.
-    - `parameter`: a scalar argument of `Chain.with_`; `bounds`: of it, where the branch ends;
+      `LimitCycle`.  Of a period that is a multiple of the least one, the least is followed.  The
+      chain may be any autonomous `AbstractOscillators`.
+    - `parameter`: a scalar argument of `Chain.with_`, or a field of other oscillators that is a
+      scalar array (`coupling` is their springs' constant); `bounds`: of it, where the branch ends;
       `direction`: 1 or -1, with which sign it begins to change.  At a fold nothing does:
       "stick" or "slip" sets out towards greater or smaller closeness of that mass.
     - `images`: a symmetry of the cycle, entry i the index of the mass that i does the same as.
@@ -258,6 +260,8 @@ def _follow(
         raise RuntimeError("The branch ends in rest at its first point: begin farther from it.")
     points = [orbit(u, p, shooting) for u, p in zip(branch.u[:k], branch.p[:k], strict=True)]
     x, v, period, amplitude = (np.stack(column) for column in zip(*points, strict=True))
+    switches = shooting.field.switching(0.0, points[0][1]) is not None
+    closeness = np.sinh(branch.u[:k, shooting.place]) if switches else np.full(k, np.nan)
     return CycleBranch(
         name=shooting.parameter or "",
         parameter=branch.p[:k],
@@ -265,7 +269,7 @@ def _follow(
         v=v,
         period=period,
         amplitude=amplitude,
-        closeness=np.sinh(branch.u[:k, shooting.place]),
+        closeness=closeness,
         multipliers=extra.multipliers[:k],
         trivial_defect=extra.trivial_defect[:k],
         special=tuple(special),

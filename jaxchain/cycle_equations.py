@@ -8,9 +8,11 @@ import numpy as np
 from ._checks import check_number, check_positive, require_64_bits, require_x64
 from .chain import Chain
 from .choice import fit_linear_solve
+from .locality import check_autonomous, check_local
 from .rosenbrock import Rodas5P
 from .shooting import Shooting
-from .states import check_vibrating
+from .states import check_mass
+from .structure import AbstractOscillators
 
 
 def cycle_equations(
@@ -21,11 +23,14 @@ def cycle_equations(
     if state is None and period is None:
         chain, state, period, mass = _parts(chain)
         vibrating = mass if vibrating is None else vibrating
-    if not isinstance(chain, Chain):
-        raise ValueError(f"Argument `chain` must be a `Chain`, but is a {type(chain).__name__}.")
+    if not isinstance(chain, AbstractOscillators):
+        raise ValueError(
+            "Argument `chain` must be a `Chain` or another `AbstractOscillators`, but is a "
+            f"{type(chain).__name__}."
+        )
     require_64_bits("chain", chain)
-    n = chain.n
     x, v = (np.asarray(part, float) for part in (state or (None, None)))
+    n = chain.n if isinstance(chain, Chain) else x.size
     if x.shape != (n,) or v.shape != (n,):
         raise ValueError(
             f"Argument `state` must be (x, v), both of shape ({n},), but has shapes {x.shape} and "
@@ -34,15 +39,18 @@ def cycle_equations(
     check_number("period", period, "about 2 pi is usual.")
     check_positive("period", period, "about 2 pi is usual.")
     check_positive("rtol", rtol, "3e-11 is usual.")
+    if not isinstance(chain, Chain):
+        check_autonomous(chain, n)
+        check_local(chain, 0.0, (jnp.asarray(x), jnp.asarray(v)))
     fastest = int(np.argmax(float(chain.belt_direction()) * v))
-    mass = fastest if vibrating is None else check_vibrating(chain, vibrating)
-    value = {**vars(chain.friction.law), **vars(chain), "coupling": chain.coupling}
-    value["width"] = chain.friction.width
+    mass = fastest if vibrating is None else check_mass(n, vibrating)
+    value = chain.numbers()
     p = value.get(parameter)
-    if p is None or isinstance(p, int) or np.shape(p) != ():
+    if p is None or np.shape(p) != ():
+        single = sorted(name for name, number in value.items() if np.shape(number) == ())
         raise ValueError(
-            f"Argument `parameter` must name a number of the chain, but is {parameter!r}: "
-            '"belt_speed", "coupling", "width" or "damping_ratio" are usual.'
+            f"Argument `parameter` must name a number of the chain, but is {parameter!r}: it may "
+            f"be one of {single}."
         )
     shooting = Shooting(
         field=chain,

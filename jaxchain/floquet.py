@@ -23,8 +23,10 @@ from ._checks import (
     to_float,
 )
 from ._types import State
+from .chain import Chain
 from .choice import MAX_STEP, fit_linear_solve
 from .linearised import Period, linearised_period
+from .locality import check_autonomous, check_local
 from .rosenbrock import Rodas5P
 from .structure import AbstractOscillators
 
@@ -193,4 +195,7 @@ def check_orbit(chain: Any, state: Any, period: Any, rtol: Any) -> State:
     check_number("period", period, "about 2 pi is usual.")
     check_positive("period", period, "about 2 pi is usual.")
     check_tolerances(rtol, None, MAX_STEP)
+    if not isinstance(chain, Chain):
+        check_autonomous(chain, x.shape[0])
+        check_local(chain, 0.0, (x, v))
     return x, v

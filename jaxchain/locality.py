@@ -71,14 +71,26 @@ def refuse_overrides(cls: type, base: type, remedies: Mapping[str, str]) -> None
             )
 
 
+def check_autonomous(field: Any, n: int) -> None:
+    """Raises `ValueError` if the vector field of an `AbstractOscillators` depends on time."""
+    part = jnp.zeros(n)
+    if depends_on(lambda t, x, v: field(t, (x, v)), jnp.zeros(()), part, part)[0]:
+        raise ValueError(
+            f"Argument `chain` is a {type(field).__name__} whose forces depend on time, and has "
+            "no cycle of a period of its own: this needs an autonomous system. Let one more mass "
+            "drive the others, or use `simulate` over periods of the drive."
+        )
+
+
 def check_local(field: Any, t: Any, state: Any) -> None:
     """Raises `ValueError` if the local force on a mass depends on the motion of another one.
 
     `field` is an `AbstractOscillators`.  Its derivatives near the state (x, v), in a direction
-    that differs from mass to mass, must be those of a diagonal matrix.  What is traced passes.
+    that differs from mass to mass, must be those of a diagonal matrix.  What is traced passes, and
+    what overrides `__call__`, whose structure nobody relies on.
     """
     x, v = state
-    if x.shape[0] < 2 or is_traced(field, t, state):
+    if x.shape[0] < 2 or not field.structured or is_traced(field, t, state):
         return
     if bool(_is_local(field, jnp.asarray(t, float), x, v)):
         return

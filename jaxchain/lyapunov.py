@@ -34,6 +34,7 @@ from ._types import State
 from .chain import Chain
 from .choice import MAX_STEP, USUAL_RTOL, choose_solver, default_rtol
 from .filippov import EventDriven, EventDrivenPlan
+from .locality import check_local
 from .progress import AbstractPlan
 from .result import STOPPED_WELL, Result, message
 from .simulate import build_plan
@@ -313,6 +314,8 @@ def _check_state(chain: Any, initial: Any) -> State:
         )
     check_finite("initial displacement", x, "see `excited_state` for initial states.")
     check_finite("initial velocity", v, "see `excited_state` for initial states.")
+    if not isinstance(chain, Chain):
+        check_local(chain, 0.0, (x, v))
     return x, v
 
 

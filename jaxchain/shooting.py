@@ -12,7 +12,8 @@ every width of the smoothed friction:
   "greatest w / eps along the orbit".
 
 Unknowns u = (x_n for n != j, z_n for all n, ln T): 2n numbers, for 2n equations (return of x and
-of z).
+of z).  Where forces depend on displacement by more than -K x, x_j is not explicit: it is one more
+unknown, in its place among the x_n, and its acceleration at the cut one more equation.
 """
 
 from __future__ import annotations
@@ -83,8 +84,15 @@ class Shooting(eqx.Module):
         return sorted(set(self.images))
 
     @property
+    def balanced(self) -> bool:
+        """Whether x_j is explicit, from the balance of forces at the cut."""
+        _, placed = self.field.uses(len(self.images))
+        return not placed
+
+    @property
     def others(self) -> list[int]:
-        return [n for n in self.solved if n != self.mass]
+        """The masses whose displacements are unknowns: not j where its own is explicit."""
+        return [n for n in self.solved if n != self.mass or not self.balanced]
 
     @property
     def place(self) -> int:
@@ -100,7 +108,7 @@ class Shooting(eqx.Module):
         return self.field.with_(**{self.parameter: parameter})  # pyright: ignore
 
     def pack(self, state: State, period: Any, parameter: Any = None) -> Float[Array, " m"]:
-        """u of a state on the section (its x_j is left out)."""
+        """u of a state on the section (its x_j is left out where it is explicit)."""
         x, v = state
         belt, width = _layer(self.at(parameter), v)
         z = v if width is None else jnp.arcsinh((v - belt) / width)
@@ -113,9 +121,12 @@ class Shooting(eqx.Module):
         """(field, state on the section, period)."""
         field = self.at(parameter)
         count, position = len(self.others), {n: i for i, n in enumerate(self.solved)}
+        period = jnp.exp(u[-1])
         z = u[count:-1][jnp.asarray([position[i] for i in self.images])]
         belt, width = _layer(field, z)
         v = z if width is None else belt + width * jnp.sinh(z)
+        if not self.balanced:
+            return field, (u[:count][jnp.asarray([position[i] for i in self.images])], v), period
         # x_j = 0 for the moment: the force on j is then what K_jj x_j has to balance.
         spread = {n: i for i, n in enumerate(self.others)}
         at = jnp.asarray([spread.get(i, count) for i in self.images])
@@ -123,7 +134,7 @@ class Shooting(eqx.Module):
         slopes = _image_mask(self.images, self.mass)
         force = field.local_force(0.0, x, v) + field.restoring_force(x)
         stiffness = -field.restoring_force(slopes)[self.mass]
-        return field, (x + slopes * (force[self.mass] / stiffness), v), jnp.exp(u[-1])
+        return field, (x + slopes * (force[self.mass] / stiffness), v), period
 
     def rest(self, parameter: Any = None) -> Array:
         """The sinh z_j of vanishing velocity: -|v_d| / eps."""
@@ -136,6 +147,8 @@ class Shooting(eqx.Module):
 
     def residual(self, u: Float[Array, " m"], parameter: Any = None) -> Float[Array, " m"]:
         """The gap of x and of z after a period, divided by the velocity amplitude of mass j.
+
+        Where x_j is not explicit, its acceleration at the cut is one more, divided so as well.
 
         Rest solves the equations, too; a Newton iteration in the divided ones does not end there.
         """
@@ -155,6 +168,8 @@ class Shooting(eqx.Module):
             # needs.
             gap = gap / jnp.hypot(v - belt, width)
         gaps = jnp.concatenate([(x1 - x)[rows], gap[rows]])
+        if not self.balanced:
+            gaps = jnp.append(gaps, field(0.0, (x, v))[1][self.mass])
         return gaps / v[self.mass]
 
 

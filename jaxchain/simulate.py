@@ -35,6 +35,7 @@ from .choice import (
 )
 from .engine import SmoothedPlan
 from .filippov import EventDriven
+from .locality import check_local
 from .observe import AbstractObserver, Trajectory
 from .progress import AbstractPlan, Progress
 from .result import NAMES, STOPPED_WELL, Result, code, message
@@ -281,6 +282,8 @@ def _check_input(
         check_resolved(chain.n, chain.friction.width, chain.belt_speed, rtol, atol)
     check_count("max_steps", max_steps)
     check_count("segments", segments)
+    if not isinstance(chain, Chain):
+        check_local(chain, t0, (x, v))
     return x, v
 
 

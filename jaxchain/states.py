@@ -27,10 +27,15 @@ def check_vibrating(chain: Any, vibrating: Any) -> int:
     require_64_bits("chain", chain)
     if vibrating is None:
         return reference_site(chain.n)
+    return check_mass(chain.n, vibrating)
+
+
+def check_mass(n: int, vibrating: Any) -> int:
+    """The index of one of n masses, or `ValueError`."""
     whole = isinstance(vibrating, int | np.integer) and not isinstance(vibrating, bool)
-    if not whole or not 0 <= vibrating < chain.n:
+    if not whole or not 0 <= vibrating < n:
         raise ValueError(
-            f"Argument `vibrating` must be the index of a mass, 0 ... {chain.n - 1}, but is "
+            f"Argument `vibrating` must be the index of a mass, 0 ... {n - 1}, but is "
             f"{vibrating!r}. For several vibrating masses follow the branch of their cycle."
         )
     return int(vibrating)

@@ -188,12 +188,10 @@ class AbstractOscillators(eqx.Module):
 
     x' = v,   v_n' = h_n(t, x_n, v_n) - k_n x_n + (C x)_n.
 
-    A vector field in the sense of `diffrax.ODETerm`: call it with (t, (x, v), args).  Subclass it
-    to give other systems to the structured solvers; `jaxchain.Chain` is the one for friction.
-    A subclass says `springs`, `local_force` and `stiffness_diagonal`, and may say `switching`,
-    `stick_speed`, `unheld_force` and `growth_time`.  Everything else follows from these and is
-    final: defining it is a `TypeError`.  Derivatives are found by JAX, and whether the system is
-    autonomous, or h depends on x, is read off its trace.
+    A vector field in the sense of `diffrax.ODETerm`: call it with (t, (x, v), args).  A subclass
+    gives `springs`, `local_force` and `stiffness_diagonal`, and may give `switching`,
+    `stick_speed`, `unheld_force` and `growth_time`.  What follows from these is final, and to
+    define it a `TypeError`.  JAX finds the derivatives, and whether h depends on t or x at all.
 
     A field for stock diffrax solvers alone may override `__call__`, and `divergence` with it; the
     structured solvers refuse it.
@@ -276,7 +274,7 @@ class AbstractOscillators(eqx.Module):
         self, t: ScalarLike, x: Float[Array, " n"], v: Float[Array, " n"]
     ) -> tuple[Float[Array, " n"], LocalSlopes]:
         """(h, its derivatives).  h acts mass by mass: a tangent of ones carries the diagonal."""
-        timed, placed, _ = self.uses(x.shape[0])
+        timed, placed = self.uses(x.shape[0])
         one, ones = jnp.ones(()), jnp.ones_like(v)
         force, by_velocity = jax.jvp(lambda v: self.local_force(t, x, v), (v,), (ones,))
         by_time = by_place = None
@@ -287,17 +285,21 @@ class AbstractOscillators(eqx.Module):
             by_place = jax.jvp(lambda x: self.local_force(t, x, v), (x,), (ones,))[1]
         return force, LocalSlopes(by_time, by_place, by_velocity)
 
-    def uses(self, n: int) -> tuple[bool, bool, bool]:
-        """Whether h depends on (time, displacement, velocity); see `depends_on`."""
-        if type(self).__call__ is not AbstractOscillators.__call__:
+    @property
+    def structured(self) -> bool:
+        """Whether the structured solvers see all of it: `__call__` is that of this class."""
+        return type(self).__call__ is AbstractOscillators.__call__
+
+    def uses(self, n: int) -> tuple[bool, bool]:
+        """Whether h depends on (time, displacement); see `depends_on`."""
+        if not self.structured:
             raise ValueError(
                 f"{type(self).__name__} overrides `__call__`, which a structured solver does not "
                 "see: give its forces in `local_force` and `springs`, or use a stock diffrax "
                 "solver, `solver=diffrax.Tsit5()`."
             )
         time, part = jnp.zeros(()), jnp.zeros(n)
-        timed, placed, moved = depends_on(self.local_force, time, part, part)
-        return timed, placed, moved
+        return depends_on(self.local_force, time, part, part)[:2]
 
     def restoring_force(self, x: Float[Array, " n"]) -> Float[Array, " n"]:
         """-K x."""
@@ -315,10 +317,9 @@ class AbstractOscillators(eqx.Module):
         It is if the system is autonomous, each mass is damped, dh/dv < 0, and K - diag(dh/dx) is
         diagonally dominant, hence positive definite.
         """
-        timed, _, _ = self.uses(x.shape[0])
-        if timed:
-            return jnp.asarray(False)
         _, slopes = self.local_force_and_slopes(t, x, jnp.zeros_like(x))
+        if slopes.time is not None:
+            return jnp.asarray(False)
         held = self.stiffness_diagonal(x.shape[0])
         if slopes.displacement is not None:
             held = held - slopes.displacement
@@ -333,14 +334,11 @@ class AbstractOscillators(eqx.Module):
     def jacobian(self, t: ScalarLike, y: State) -> Float[Array, "two_n two_n"]:
         """[[0, I], [diag(dh/dx) - K, diag(dh/dv)]], dense, in the order (x_1..x_n, v_1..v_n)."""
         n = y[1].shape[0]
-        _, slopes = self.local_force_and_slopes(t, *y)
-        diagonal = jnp.broadcast_to(-self.stiffness_diagonal(n), (n,))
-        if slopes.displacement is not None:
-            diagonal = diagonal + slopes.displacement
-        by_place = jnp.diag(diagonal)
-        if self.springs is not None:
-            by_place = by_place + self.springs.dense(n)
-        return jnp.block([[jnp.zeros((n, n)), jnp.eye(n)], [by_place, jnp.diag(slopes.velocity)]])
+
+        def rate(flat: Array) -> Array:
+            return jnp.concatenate(self(t, (flat[:n], flat[n:])))
+
+        return jax.jacfwd(rate)(jnp.concatenate(y))
 
     def with_(self, **changes: Any) -> Any:
         """A copy with other numbers, by the names of fields; `coupling` is that of the springs."""
@@ -351,7 +349,7 @@ class AbstractOscillators(eqx.Module):
                     f"`{type(self).__name__}.with_` does not know {name!r}; it takes "
                     f"{sorted(self.numbers())}."
                 )
-            at = _coupling if name == "coupling" else operator.attrgetter(name)
+            at = operator.attrgetter("springs.constant" if name == "coupling" else name)
             field = eqx.tree_at(at, field, to_float(value))
         return field
 
@@ -359,7 +357,3 @@ class AbstractOscillators(eqx.Module):
         """The arrays among the fields by name, and the springs' constant as `coupling`."""
         own = {name: value for name, value in vars(self).items() if eqx.is_array(value)}
         return own if self.springs is None else {"coupling": self.springs.constant, **own}
-
-
-def _coupling(field: AbstractOscillators) -> Any:
-    return None if field.springs is None else field.springs.constant

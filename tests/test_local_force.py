@@ -1,0 +1,287 @@
+"""Forces that depend on displacement, mass by mass: structured solvers, cycles and exponents."""
+
+import diffrax as dfx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from systems.oscillators import Cubic, DrivenInPlace, Rayleigh, Swinging, VanDerPol
+
+from jaxchain import (
+    Amplitude,
+    Rodas4,
+    Rodas5P,
+    continue_cycle,
+    find_limit_cycle,
+    lyapunov_spectrum,
+    monodromy_matrix,
+    paper_chain,
+    simulate,
+)
+from jaxchain.floquet import liouville_defect, trace_integral
+from jaxchain.structure import AbstractOscillators, Springs
+
+PERIOD, AMPLITUDE = 6.6632868593, 2.0086198609
+SPRINGS = Springs(jnp.asarray(0.1), "cyclic")
+ONE = VanDerPol(strength=jnp.asarray(1.0), springs=None)
+START = jnp.array([2.0]), jnp.zeros(1)
+
+
+def ring(kind, n=20, coupling=0.1):
+    rng = np.random.default_rng(1)
+    field = kind(strength=jnp.asarray(1.0), springs=Springs(jnp.asarray(coupling), "cyclic"))
+    return field, tuple(jnp.asarray(part) for part in rng.uniform(-1.5, 1.5, (2, n)))
+
+
+def by_scipy(kind, initial, t1, coupling=0.1):
+    """The same ring, written out in NumPy."""
+
+    def rate(t, y):
+        x, v = np.split(y, 2)
+        h = {
+            VanDerPol: (1 - x**2) * v, Cubic: -(x**3), Rayleigh: (1 - v**2 / 3) * v,
+            Swinging: -np.cos(2 * t) * x,
+        }[kind]  # fmt: skip
+        springs = coupling * (np.roll(x, 1) + np.roll(x, -1) - 2 * x)
+        return np.concatenate([v, h - x + springs])
+
+    start = np.concatenate(initial)
+    found = solve_ivp(rate, (0.0, t1), start, method="DOP853", rtol=1e-13, atol=1e-13)
+    return found.y[:, -1]
+
+
+@pytest.mark.parametrize("kind", [VanDerPol, Cubic, Rayleigh, Swinging])
+@pytest.mark.parametrize(
+    ("solver", "rtol"),
+    [(Rodas5P(2), 1e-12), pytest.param(Rodas4(), 1e-11, marks=pytest.mark.long)],
+)
+def test_rings_of_twenty_agree_with_scipy_to_1e_9(kind, solver, rtol):
+    field, initial = ring(kind)
+    run = simulate(field, initial, 10.0, solver=solver, rtol=rtol)
+    expected = by_scipy(kind, initial, 10.0)
+    np.testing.assert_allclose(np.concatenate(run.state), expected, atol=1e-9, rtol=0)
+
+
+def test_a_cubic_spring_is_no_linear_one():
+    # x'' = -x - (x^3 - x): the linear chain ends at 0.4554 where this one ends at -0.8697.
+    class OnlyCubic(AbstractOscillators):
+        springs: None = None
+
+        def local_force(self, t, x, v):
+            return x - x**3
+
+        def stiffness_diagonal(self, n):
+            return jnp.ones(())
+
+    initial = jnp.array([1.0]), jnp.zeros(1)
+    ends = [
+        simulate(OnlyCubic(), initial, 5.19, solver=solver, rtol=1e-11).state[0][0]
+        for solver in (Rodas4(), Rodas5P(), dfx.Tsit5())
+    ]
+    exact = solve_ivp(
+        lambda t, y: [y[1], -(y[0] ** 3)], (0.0, 5.19), [1.0, 0.0], rtol=1e-13, atol=1e-13
+    ).y[0, -1]
+    np.testing.assert_allclose(ends, exact, atol=1e-9)
+    assert abs(exact - np.cos(5.19)) > 0.1
+
+
+@pytest.mark.parametrize(("solver", "order"), [(Rodas4, 4), (Rodas5P, 5)])
+@pytest.mark.parametrize("sweeps", [None, pytest.param(3, marks=pytest.mark.long)])
+def test_order_with_forces_that_depend_on_time_and_displacement(solver, order, sweeps):
+    field = DrivenInPlace(
+        rate=jnp.asarray(0.5), cubic=jnp.asarray(0.7), mixed=jnp.asarray(0.4),
+        phase=jnp.linspace(0.0, 1.0, 5), springs=Springs(jnp.asarray(0.02), "cyclic"),
+    )  # fmt: skip
+    between = jnp.linspace(0.1, 2.9, 37)
+    terms = dfx.ODETerm(field)
+
+    @jax.jit
+    def errors(h):
+        solution = dfx.diffeqsolve(
+            terms, solver(sweeps), 0.0, 3.0, h, field.exact(0.0),
+            saveat=dfx.SaveAt(ts=between, t1=True), max_steps=None, adjoint=dfx.ForwardMode(),
+        )  # fmt: skip
+        exact = jax.vmap(field.exact)(solution.ts)
+        gaps = jnp.stack([jnp.abs(a - b) for a, b in zip(solution.ys, exact, strict=True)])
+        return jnp.max(gaps[:, -1]), jnp.max(gaps[:, :-1])
+
+    counts = np.array([20, 40, 80])
+    found = np.array([errors(3.0 / n) for n in counts])
+    slopes = -np.polyfit(np.log(counts), np.log(found), 1)[0]
+    np.testing.assert_allclose(slopes, order, atol=0.25)
+
+
+def test_the_monodromy_matrix_has_the_determinant_of_liouville():
+    field, initial = ring(VanDerPol, n=3)
+    found = monodromy_matrix(field, initial, 3.0)
+    assert float(liouville_defect(found, trace_integral(field, initial, 3.0))) < 1e-8
+    h = 1e-6
+    for j in (1, 4):
+        step = np.zeros(6)
+        step[j] = h
+        ends = [
+            by_scipy(VanDerPol, np.split(np.concatenate(initial) + s * step, 2), 3.0)
+            for s in (1, -1)
+        ]
+        np.testing.assert_allclose(found[:, j], (ends[0] - ends[1]) / (2 * h), atol=1e-7)
+
+
+def test_the_cycle_of_van_der_pol_is_the_known_one():
+    cycle = find_limit_cycle(ONE, START, rtol=1e-12)
+    np.testing.assert_allclose(cycle.period, PERIOD, atol=1e-10)
+    np.testing.assert_allclose(cycle.amplitude, AMPLITUDE, atol=2e-10)
+    assert cycle.stable
+    assert abs(float(ONE(0.0, cycle.state)[1][0])) < 1e-8  # it is cut where v is greatest
+    # ln(multiplier) is the integral of the divergence 1 - x^2.
+    trace = trace_integral(ONE, cycle.state, cycle.period)
+    np.testing.assert_allclose(jnp.log(cycle.multipliers[0].real), trace, atol=1e-6)
+
+
+@pytest.mark.long
+def test_the_period_has_its_derivative():
+    cycle = find_limit_cycle(ONE, START)
+
+    def period(mu):
+        return find_limit_cycle(VanDerPol(mu, None), cycle, vibrating=0).period
+
+    h = 1e-4
+    ends = [period(jnp.asarray(1.0 + s * h)) for s in (1, -1)]
+    slope = (ends[0] - ends[1]) / (2 * h)
+    np.testing.assert_allclose(jax.grad(period)(jnp.asarray(1.0)), slope, rtol=1e-7)
+
+
+@pytest.mark.slow
+def test_a_branch_follows_a_number_of_other_oscillators():
+    cycle = find_limit_cycle(ONE, START)
+    branch = continue_cycle(cycle, parameter="strength", bounds=(0.5, 3.0), max_step=1.0)
+    assert branch.parameter[-1] == 3.0
+    # Period and amplitude at mu = 3 by SciPy: DOP853 at 1e-13.
+    x, v = branch.x[-1], branch.v[-1]
+    end = solve_ivp(
+        lambda t, y: [y[1], 3.0 * (1 - y[0] ** 2) * y[1] - y[0]],
+        (0.0, branch.period[-1]), [x[0], v[0]], method="DOP853", rtol=1e-13, atol=1e-13,
+    ).y[:, -1]  # fmt: skip
+    np.testing.assert_allclose(end, [x[0], v[0]], atol=1e-7)
+    assert np.all(np.isnan(branch.closeness))
+    with pytest.raises(ValueError, match=r"may be one of \['strength'\]"):
+        continue_cycle(cycle)
+
+
+@pytest.mark.slow
+def test_the_exponents_of_van_der_pol_are_0_and_that_of_the_multiplier():
+    found = lyapunov_spectrum(
+        ONE, START, 40 * PERIOD, transient=10 * PERIOD, interval=PERIOD / 4, rtol=1e-9, blocks=15
+    )
+    multiplier = float(trace_integral(ONE, find_limit_cycle(ONE, START).state, PERIOD))
+    np.testing.assert_allclose(found.exponents, [0.0, multiplier / PERIOD], atol=2e-4)
+    np.testing.assert_allclose(found.sum, found.mean_divergence, atol=1e-7)
+
+
+# What cannot be seen by the structure is refused.
+
+
+@pytest.mark.parametrize(
+    "name", ["restoring_force", "velocity_force", "velocity_force_and_slope", "time_slope"]
+)
+def test_a_method_that_would_be_ignored_cannot_be_defined(name):
+    with pytest.raises(TypeError, match=f"Class `Own` defines `{name}`"):
+        type("Own", (VanDerPol,), {name: lambda self, *arguments: arguments[-1]})
+
+
+def test_a_field_cannot_take_the_place_of_a_method():
+    with pytest.raises(TypeError, match="defines `restoring_force`"):
+
+        class Own(VanDerPol):
+            restoring_force: jax.Array
+
+
+class Called(VanDerPol):
+    def __call__(self, t, y, args=None):
+        return y[1], -y[0]
+
+
+def test_another_vector_field_goes_to_stock_solvers_only():
+    field = Called(strength=jnp.asarray(1.0), springs=None)
+    run = simulate(field, START, 1.0, solver=dfx.Tsit5(), rtol=1e-9)
+    np.testing.assert_allclose(run.state[0], 2.0 * np.cos(1.0), atol=1e-7)
+    for use in (
+        lambda: simulate(field, START, 1.0),
+        lambda: monodromy_matrix(field, START, 1.0),
+        lambda: simulate(
+            field, START, 9.0, solver=dfx.Tsit5(), observe=Amplitude(3.0, stop="quiet")
+        ),
+    ):
+        with pytest.raises(ValueError, match="overrides `__call__`, which a structured solver"):
+            use()
+
+
+class Pushing(VanDerPol):
+    def local_force(self, t, x, v):
+        return self.strength * (v - jnp.roll(v, 1)) * x**2
+
+
+def test_a_force_between_masses_is_no_local_one():
+    field = Pushing(strength=jnp.asarray(1.0), springs=None)
+    at_rest = jnp.zeros(3), jnp.zeros(3)
+    for use in (
+        lambda: simulate(field, at_rest, 1.0),
+        lambda: find_limit_cycle(field, at_rest, period=6.0, vibrating=0),
+        lambda: lyapunov_spectrum(field, at_rest, 10.0),
+    ):
+        with pytest.raises(ValueError, match="depends on the motion of another mass"):
+            use()
+
+
+def test_what_depends_on_time_has_no_cycle():
+    field, initial = ring(Swinging, n=2)
+    with pytest.raises(ValueError, match="forces depend on time"):
+        find_limit_cycle(field, initial)
+    with pytest.raises(ValueError, match="forces depend on time"):
+        continue_cycle(field, initial, 6.0, parameter="strength")
+
+
+def test_dependence_is_read_off_the_trace():
+    assert paper_chain(3).uses(3) == (False, False)
+    assert ONE.uses(3) == (False, True)
+    assert ring(Swinging)[0].uses(20) == (True, True)
+    assert ring(Rayleigh)[0].uses(20) == (False, False)
+
+
+class Well(VanDerPol):
+    """Two wells: rest between them does not attract."""
+
+    def local_force(self, t, x, v):
+        return -0.1 * v + 2.0 * x - x**3
+
+
+class Late(VanDerPol):
+    """Nothing happens before t = 40."""
+
+    def local_force(self, t, x, v):
+        return -0.1 * v + jnp.where(t > 40.0, jnp.sin(t), 0.0)
+
+
+@pytest.mark.parametrize("kind", [Well, Late])
+def test_a_rest_that_does_not_last_is_not_quiet(kind):
+    field = kind(strength=jnp.asarray(1.0), springs=None)
+    start = jnp.array([1e-9]), jnp.zeros(1)
+    run = simulate(field, start, 100.0, observe=Amplitude(window=10.0, stop="quiet"))
+    assert run.outcome == "successful"
+    assert float(run.t) == 100.0
+    assert float(run.observed[0]) > 1e-2
+
+
+def test_a_rest_in_a_well_is_quiet():
+    field = Well(strength=jnp.asarray(1.0), springs=None)
+    start = jnp.array([1.1]), jnp.zeros(1)
+    run = simulate(field, start, 2000.0, observe=Amplitude(window=10.0, stop="quiet"))
+    assert run.outcome == "quiet"
+
+
+def test_a_disturbance_of_rest_grows_and_is_not_damped_away():
+    # At rtol 1e-6 a disturbance of 1e-9 is below every tolerance, and steps are as long as may be.
+    field = VanDerPol(strength=jnp.asarray(20.0), springs=None)
+    start = jnp.array([1e-9]), jnp.zeros(1)
+    run = simulate(field, start, 40.0, observe=Amplitude())
+    assert float(run.observed[0]) > 1.9
