@@ -193,8 +193,7 @@ class AbstractOscillators(eqx.Module):
     `stick_speed`, `unheld_force` and `growth_time`.  What follows from these is final, and to
     define it a `TypeError`.  JAX finds the derivatives, and whether h depends on t or x at all.
 
-    A field for stock diffrax solvers alone may override `__call__`, and `divergence` with it; the
-    structured solvers refuse it.
+    For stock diffrax solvers alone it may override `__call__`, and `divergence` with it.
 
     !!! example
 
@@ -202,7 +201,7 @@ class AbstractOscillators(eqx.Module):
 
         >>> import jax, jax.numpy as jnp
         >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import find_limit_cycle
+        >>> from jaxchain import Amplitude, simulate
         >>> from jaxchain.structure import AbstractOscillators, Springs
         >>> class VanDerPol(AbstractOscillators):
         ...     mu: jax.Array
@@ -212,9 +211,9 @@ class AbstractOscillators(eqx.Module):
         ...     def stiffness_diagonal(self, n):
         ...         return 1.0 + self.springs.row_sum(n)
         >>> ring = VanDerPol(jnp.asarray(1.0), Springs(jnp.asarray(0.1), "cyclic"))
-        >>> start = jnp.array([2.0, 2.0, 2.0]), jnp.zeros(3)
-        >>> round(float(find_limit_cycle(ring, start).period), 8)
-        6.66328686
+        >>> run = simulate(ring, (jnp.full(3, 2.0), jnp.zeros(3)), 8.0, observe=Amplitude())
+        >>> [round(float(a), 4) for a in run.observed]
+        [2.0085, 2.0085, 2.0085]
     """
 
     springs: eqx.AbstractVar[Springs | None]
@@ -290,7 +289,7 @@ class AbstractOscillators(eqx.Module):
         """Whether the structured solvers see all of it: `__call__` is that of this class."""
         return type(self).__call__ is AbstractOscillators.__call__
 
-    def uses(self, n: int) -> tuple[bool, bool]:
+    def uses(self, n: int) -> tuple[bool, ...]:
         """Whether h depends on (time, displacement); see `depends_on`."""
         if not self.structured:
             raise ValueError(
@@ -314,8 +313,7 @@ class AbstractOscillators(eqx.Module):
     def attracts(self, t: ScalarLike, x: Float[Array, " n"]) -> Bool[Array, ""]:
         """Whether rest at x, if the forces balance there, is sure to attract for all time.
 
-        It is if the system is autonomous, each mass is damped, dh/dv < 0, and K - diag(dh/dx) is
-        diagonally dominant, hence positive definite.
+        So it is if nothing depends on time, dh/dv < 0, and K - diag(dh/dx) > 0 by dominance.
         """
         _, slopes = self.local_force_and_slopes(t, x, jnp.zeros_like(x))
         if slopes.time is not None:

@@ -1,5 +1,7 @@
 """Forces that depend on displacement, mass by mass: structured solvers, cycles and exponents."""
 
+from typing import Any
+
 import diffrax as dfx
 import jax
 import jax.numpy as jnp
@@ -94,11 +96,11 @@ def test_order_with_forces_that_depend_on_time_and_displacement(solver, order, s
         phase=jnp.linspace(0.0, 1.0, 5), springs=Springs(jnp.asarray(0.02), "cyclic"),
     )  # fmt: skip
     between = jnp.linspace(0.1, 2.9, 37)
-    terms = dfx.ODETerm(field)
+    terms: Any = dfx.ODETerm(field)  # pyright: ignore[reportArgumentType]
 
     @jax.jit
     def errors(h):
-        solution = dfx.diffeqsolve(
+        solution: Any = dfx.diffeqsolve(
             terms, solver(sweeps), 0.0, 3.0, h, field.exact(0.0),
             saveat=dfx.SaveAt(ts=between, t1=True), max_steps=None, adjoint=dfx.ForwardMode(),
         )  # fmt: skip
@@ -143,7 +145,8 @@ def test_the_period_has_its_derivative():
     cycle = find_limit_cycle(ONE, START)
 
     def period(mu):
-        return find_limit_cycle(VanDerPol(mu, None), cycle, vibrating=0).period
+        field = VanDerPol(strength=mu, springs=None)
+        return find_limit_cycle(field, cycle, vibrating=0).period
 
     h = 1e-4
     ends = [period(jnp.asarray(1.0 + s * h)) for s in (1, -1)]
@@ -193,7 +196,7 @@ def test_a_field_cannot_take_the_place_of_a_method():
     with pytest.raises(TypeError, match="defines `restoring_force`"):
 
         class Own(VanDerPol):
-            restoring_force: jax.Array
+            restoring_force: jax.Array  # pyright: ignore[reportIncompatibleMethodOverride]
 
 
 class Called(VanDerPol):
