@@ -268,7 +268,7 @@ class Late(VanDerPol):
 @pytest.mark.parametrize("kind", [Well, Late])
 def test_a_rest_that_does_not_last_is_not_quiet(kind):
     field = kind(strength=jnp.asarray(1.0), springs=None)
-    start = jnp.array([1e-9]), jnp.zeros(1)
+    start = jnp.array([1e-12]), jnp.zeros(1)
     run = simulate(field, start, 100.0, observe=Amplitude(window=10.0, stop="quiet"))
     assert run.outcome == "successful"
     assert float(run.t) == 100.0
@@ -284,7 +284,7 @@ def test_a_rest_in_a_well_is_quiet():
 
 def test_a_disturbance_of_rest_grows_and_is_not_damped_away():
     # At rtol 1e-6 a disturbance of 1e-9 is below every tolerance, and steps are as long as may be.
-    field = VanDerPol(strength=jnp.asarray(20.0), springs=None)
+    field = VanDerPol(strength=jnp.asarray(100.0), springs=None)
     start = jnp.array([1e-9]), jnp.zeros(1)
     run = simulate(field, start, 40.0, observe=Amplitude())
-    assert float(run.observed[0]) > 1.9
+    assert float(run.observed[0]) > 0.5  # it grows by e^100 in a time unit
