@@ -64,7 +64,7 @@ class SweepInterrupted(KeyboardInterrupt):
 
 
 def sweep(
-    chain: Chain,
+    chain: Any,
     initial: State | Callable[..., State],
     t1: ScalarLike,
     *,
@@ -87,6 +87,7 @@ def sweep(
 
     **Arguments:**
 
+    - `chain`: a `Chain`.
     - `initial`: the pair (x, v), or a function (chain, **own) -> (x, v) that JAX can trace; its
       parameters beyond the chain are taken from `over`.
     - `t1`, `t0`: dimensionless times.
@@ -137,6 +138,11 @@ def sweep(
     from .dataset import describe, to_dataset
 
     require_x64()
+    if not isinstance(chain, Chain):
+        raise ValueError(
+            f"Argument `chain` must be a `Chain`, but is a {type(chain).__name__}: for other "
+            "oscillators use `jax.vmap` of `simulate`, with `throw=False`."
+        )
     require_64_bits("chain", chain)
     check_span(t0, t1)
     axes = check_axes(chain, initial, over, vary)

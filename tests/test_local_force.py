@@ -20,6 +20,7 @@ from jaxchain import (
     monodromy_matrix,
     paper_chain,
     simulate,
+    sweep,
 )
 from jaxchain.floquet import liouville_defect, trace_integral
 from jaxchain.structure import AbstractOscillators, Springs
@@ -234,6 +235,23 @@ def test_a_force_between_masses_is_no_local_one():
     ):
         with pytest.raises(ValueError, match="depends on the motion of another mass"):
             use()
+
+
+def test_a_sweep_of_other_oscillators_is_refused_and_vmap_serves():
+    with pytest.raises(ValueError, match=r"must be a `Chain`, but is a VanDerPol: .*`jax.vmap`"):
+        sweep(ONE, START, 1.0, over={"strength": [0.5, 1.0]})
+
+    def end(strength):
+        field = VanDerPol(strength=strength, springs=None)
+        return simulate(field, START, 3.0, rtol=1e-9, throw=False).state[0][0]
+
+    ends = jax.vmap(end)(jnp.array([0.5, 1.0]))
+    for found, mu in zip(ends, (0.5, 1.0), strict=True):
+        exact = solve_ivp(
+            lambda t, y, mu=mu: [y[1], mu * (1 - y[0] ** 2) * y[1] - y[0]],
+            (0.0, 3.0), [2.0, 0.0], rtol=1e-12, atol=1e-12,
+        ).y[0, -1]  # fmt: skip
+        np.testing.assert_allclose(found, exact, atol=1e-7)
 
 
 def test_what_depends_on_time_has_no_cycle():
