@@ -67,7 +67,7 @@ def test_rings_of_twenty_agree_with_scipy_to_1e_9(kind, solver, rtol):
 
 
 def test_a_cubic_spring_is_no_linear_one():
-    # x'' = -x - (x^3 - x): the linear chain ends at 0.4554 where this one ends at -0.8697.
+    # x'' = -x^3 in all: -K x with K = 1 is given back by the local force.
     class OnlyCubic(AbstractOscillators):
         springs: None = None
 
