@@ -19,6 +19,7 @@ from ._checks import is_traced
 
 # Relative to the greatest of a slope: what two ways of computing it may differ by.
 _ROUNDING = 1e-9
+_KNOWN: dict[Any, tuple[bool, ...]] = {}
 
 # What `AbstractOscillators` makes of a subclass's own methods, with the way to say it instead.
 FINAL = {
@@ -58,6 +59,20 @@ def _reaching(jaxpr: Any) -> list[bool]:
             v for v, u in zip(inputs, used, strict=True) if u and not isinstance(v, Literal)
         }
     return [v in needed for v in jaxpr.invars]
+
+
+def local_dependence(field: Any, n: int) -> tuple[bool, ...]:
+    """Whether the local force of n masses depends on (time, displacement, velocity).
+
+    Only the shapes of the numbers in `field` matter, so that one trace serves every call.
+    """
+    leaves, structure = jax.tree.flatten(field)
+    shapes = [(a.shape, a.dtype) if eqx.is_array(a) else a for a in leaves]
+    key = (n, structure, *shapes)
+    if key not in _KNOWN:
+        part = jnp.zeros(n)
+        _KNOWN[key] = depends_on(field.local_force, jnp.zeros(()), part, part)
+    return _KNOWN[key]
 
 
 def refuse_overrides(cls: type, base: type, remedies: Mapping[str, str]) -> None:

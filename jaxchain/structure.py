@@ -22,7 +22,7 @@ from jaxtyping import Array, Bool, Float
 
 from ._checks import to_float
 from ._types import PerMass, ScalarLike, State
-from .locality import FINAL, depends_on, refuse_overrides
+from .locality import FINAL, local_dependence, refuse_overrides
 
 Ends = Literal["cyclic", "free"]
 
@@ -290,15 +290,14 @@ class AbstractOscillators(eqx.Module):
         return type(self).__call__ is AbstractOscillators.__call__
 
     def uses(self, n: int) -> tuple[bool, ...]:
-        """Whether h depends on (time, displacement); see `depends_on`."""
+        """Whether h depends on (time, displacement); see `local_dependence`."""
         if not self.structured:
             raise ValueError(
                 f"{type(self).__name__} overrides `__call__`, which a structured solver does not "
                 "see: give its forces in `local_force` and `springs`, or use a stock diffrax "
                 "solver, `solver=diffrax.Tsit5()`."
             )
-        time, part = jnp.zeros(()), jnp.zeros(n)
-        return depends_on(self.local_force, time, part, part)[:2]
+        return local_dependence(self, n)[:2]
 
     def restoring_force(self, x: Float[Array, " n"]) -> Float[Array, " n"]:
         """-K x."""
