@@ -12,11 +12,11 @@ FLOORS = [
     {"locality"},
     {"friction", "structure", "tableaus", "units", "measures", "studies.bias", "spectrum"}
     | {"roots", "implicit", "descent", "criteria"}
-    | {"studies.mistuning.statistics", "studies.mistuning.summary", "studies.states.summary"}
+    | {"studies.mistuning.statistics", "studies.mistuning.summary"}
     | {"studies.ladder.summary", "studies.verdicts.paper"},
     {"tridiagonal"},
     {"chain", "control", "polynomial", "rosenbrock", "augmented", "corrector"}
-    | {"studies.verdicts.reasons"},
+    | {"studies.verdicts.reasons", "studies.states.summary"},
     {"dry", "observe", "states", "choice", "special_points", "sliding", "averaging"},
     {"amplitude", "least_period", "sampling", "progress", "studies.balance", "studies.witnesses"}
     | {"walk", "lyapunov_coefficient", "crossings", "grazing", "front_track", "mistuning"},
