@@ -22,7 +22,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from ._checks import check_number, check_positive, is_traced, require_x64, to_float
-from .averaging import cycle_speed, greatest_speed, one_mass
+from .averaging import cycle_speed, greatest_speed, one_mass, speed_scale
 from .chain import Chain
 from .fold import fold_belt_speed
 from .grazing import nonsmooth_fold_belt_speed
@@ -143,19 +143,11 @@ def check_widths(widths: Any) -> Float[Array, " widths"]:
     return found
 
 
-def speed_scale(chain: Chain, mass: int) -> Float[Array, ""]:
-    """The speed that widths are to be compared with when one mass vibrates.
-
-    The belt speed of the dry fold by averaging, or twice the speed over which friction weakens,
-    mu_st / |mu'(0)|, if that is less.
-    """
+def _scale(chain: Chain, mass: int) -> Float[Array, ""]:
+    """The speed that widths are to be compared with when mass `mass` vibrates."""
     alone = one_mass(lax.stop_gradient(chain), mass)
     dry = eqx.tree_at(lambda c: c.friction.width, alone, 1e-9 * jnp.ones(()))
-    speed = cycle_speed(dry, 1.0, greatest_speed(alone))
-    law = alone.friction.law
-    _, slope = jax.jvp(law.coefficient, (jnp.zeros(()),), (jnp.ones(()),))
-    weakens = 2.0 * law.mu_static / jnp.maximum(jnp.abs(slope), 1e-12)
-    return jnp.fmin(speed, weakens)  # without a fold there is no speed
+    return speed_scale(alone, cycle_speed(dry, 1.0, greatest_speed(alone)))
 
 
 def fold_in_the_limit(chain: Chain, vibrating: Any = None, widths: Any = None) -> Extrapolated:
@@ -187,14 +179,14 @@ def fold_boundary(chain: Chain, vibrating: Any = None) -> FoldBoundary:
 
 @eqx.filter_jit
 def _limit(chain: Chain, mass: int, widths: Array | None) -> Extrapolated:
-    scale = speed_scale(chain, mass)
+    scale = _scale(chain, mass)
     widths = scale * jnp.asarray(_WIDTHS) if widths is None else widths
     return _extrapolate(_folds(chain, mass, widths), widths, scale, _ACCURACY)
 
 
 @eqx.filter_jit
 def _boundary(chain: Chain, mass: int) -> FoldBoundary:
-    scale = speed_scale(chain, mass)
+    scale = _scale(chain, mass)
     widths = scale * jnp.asarray(_WIDTHS)
     own = chain.friction.width
     each = jnp.broadcast_to(widths.reshape((-1,) + (1,) * own.ndim), (len(_WIDTHS), *own.shape))

@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ._types import State
 from .augmented import fold_residual
-from .averaging import cycle_speed, fold_guess, greatest_speed, one_mass
+from .averaging import cycle_speed, fold_guess, greatest_speed, one_mass, speed_scale
 from .chain import Chain
 from .choice import fit_linear_solve
 from .fold_search import (
@@ -22,14 +22,16 @@ from .fold_search import (
     search,
     unknowns,
 )
-from .grazing import find_touch
+from .grazing import find_touch, touch_slopes
 from .implicit import attach_derivative
+from .layer import layer
 from .rosenbrock import Rodas5P
 from .shooting import Shooting
 from .shooting import residual as closure
 from .states import check_vibrating
 
 _LOOSE, _LOOSE_PER_WIDTH = 1e-6, 1e-3
+_POLISH, _THIN, _THICK = 1e-3, 1e-2, 0.1
 
 
 class Fold(eqx.Module):
@@ -152,8 +154,8 @@ def _borders(shooting: Shooting, found: Search) -> tuple[Array, Array]:
 @eqx.filter_jit
 def _find(chain: Chain, mass: int) -> tuple[Shooting, Search, Bool[Array, ""]]:
     """The fold, and whether there should be one; nothing in here is to be differentiated."""
-    shooting, place, expected = first_guess(chain, mass)
-    loose = loose_rtol(chain)
+    shooting, place, expected, thin = first_guess(chain, mass)
+    loose = jnp.where(thin, FOLD_RTOL, loose_rtol(chain))
     return shooting, search(shooting, place, loose, expected), expected
 
 
@@ -166,17 +168,26 @@ def first_guess(chain: Chain, mass: int) -> tuple[Shooting, Place, Bool[Array, "
     """(equations, a place near the fold, whether there should be a fold), from dry friction."""
     alone = one_mass(chain, mass)
     width = alone.friction.width
-    smooth, s, exists = fold_guess(alone)
+    averaged, averaged_s, exists = fold_guess(alone)
     # Averaging errs by the same factor for smoothed as for dry friction, or nearly so.
     dry = eqx.tree_at(lambda c: c.friction.width, alone, jnp.asarray(1e-9))
-    averaged = cycle_speed(dry, 1.0, greatest_speed(dry))
-    touch, q, _ = find_touch(chain, mass)
-    (x, v), period, speed = touch.unpack(q)
-    new_speed = smooth * speed / averaged
-    v = v.at[mass].set(new_speed + width * s)
+    dry_averaged = cycle_speed(dry, 1.0, greatest_speed(dry))
+    scale = speed_scale(alone, dry_averaged)
+    touch, q, _ = find_touch(chain, mass, exact=width < _POLISH * scale)
+    slopes, _ = touch_slopes(touch, q)
+    (_, v), _, touch_speed = touch.unpack(q)
+    here = layer(*slopes[-1], touch.fall(v), touch.hold, width)
+    moved = q + slopes @ jnp.stack([here.leaving, here.arriving])
+    # The layer is thin, or else averaging knows better where it is, and what belt speed it has.
+    thin, thick = width < _THIN * scale, width > _THICK * scale
+    moved = jnp.where(thick, q, moved)
+    speed = jnp.where(thin, moved[-1], averaged * touch_speed / dry_averaged)
+    s = jnp.where(thick | ~jnp.isfinite(here.closeness), averaged_s, here.closeness)
+    (x, v), period, _ = touch.unpack(moved)
+    v = v.at[mass].set(speed + width * s)
     shooting = Shooting(
         field=chain, rtol=FOLD_RTOL, solver=fit_linear_solve(Rodas5P(), chain, FOLD_RTOL),
         mass=mass, images=tuple(range(chain.n)), parameter="belt_speed",
     )  # fmt: skip
-    place = as_place(shooting, shooting.pack((x, v), period, new_speed), new_speed)
-    return shooting, place, exists & jnp.all(jnp.isfinite(q))
+    place = as_place(shooting, shooting.pack((x, v), period, speed), speed)
+    return shooting, place, exists & jnp.all(jnp.isfinite(q)), thin

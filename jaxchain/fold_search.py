@@ -27,6 +27,7 @@ FOLD_RTOL = 3e-11
 CLOSED = 1e-9
 _NEAR, _STATIONARY = 1e-7, 1e-10
 _MOST = 60
+_SMALL = 1e-10
 # Newton's first step, in the unknowns and relative in the belt speed; what it may grow by after a
 # success, shrinks by after a failure, and how often in succession it may.
 _FIRST, _GROWTH, _SHRINKAGE, _MOST_REFUSED = 0.1, 4.0, 0.3, 8
@@ -112,10 +113,11 @@ def search(shooting: Shooting, guess: Place, loose: Array, wanted: Array) -> Sea
 
     def stage(before: Search, rtol: Array) -> tuple[Search, None]:
         # At another tolerance the fold may lie outside the bracket, by a little.
+        done = (rtol == loose) & (before.count > 0)
         again = eqx.tree_at(
             lambda k: (k.newton, k.secant.low, k.secant.high, k.found),
             before,
-            (_fresh(before.here), secant.low, secant.high, jnp.asarray(False)),
+            (_fresh(before.here), secant.low, secant.high, done & before.found),
         )
         exact = eqx.tree_at(lambda k: k.rtol, shooting, rtol)
         tight = rtol <= FOLD_RTOL
@@ -137,7 +139,9 @@ def _entry(shooting: Shooting, now: Search, tight: Array) -> Search:
     good = norm < now.newton.norm  # false for NaN
     both = jnp.linalg.solve(jacobian[:, :-1], jnp.stack([r, jacobian[:, -1]], axis=1))
     step, tangent = -both[:, 0], -both[:, 1]
+    size = jnp.max(jnp.abs(step) / jnp.ones_like(step).at[index].set(jnp.abs(q[index])))
     closed = good & (norm < jnp.maximum(CLOSED, 10.0 * shooting.rtol))
+    closed = closed | (size < jnp.where(tight, _SMALL, 0.0))
 
     # A closed cycle: where does V'(s) vanish?
     s, slope, speed = jnp.sinh(z), tangent[index] / jnp.cosh(z), jnp.abs(q[index])
@@ -149,7 +153,6 @@ def _entry(shooting: Shooting, now: Search, tight: Array) -> Search:
     moved = Place(q + step + tangent * (new_z - z), new_z)
 
     # Not closed: Newton's method, its steps shortened where they made things worse.
-    size = jnp.max(jnp.abs(step) / jnp.ones_like(step).at[index].set(speed))
     longest = jnp.where(jnp.isinf(now.newton.norm), _FIRST, _GROWTH * now.newton.length)
     newton = _Newton(
         best=jnp.where(good, q, now.newton.best),

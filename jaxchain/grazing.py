@@ -32,18 +32,19 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from ._types import ScalarLike, State
-from .averaging import cycle_speed, greatest_speed, one_mass
+from .averaging import cycle_speed, graded, greatest_speed, one_mass
 from .chain import Chain, steady_sliding
 from .implicit import attach_derivative
+from .layer import layer
 from .roots import newton
 from .states import check_vibrating
 
 _SOLVER = dfx.Dopri8(scan_kind="lax")
 # Steps of one length in a period. Of the paper's fold, 16 err by 1e-9, and 64 by rounding; they
 # are doubled until the fold moves by no more than `_SETTLED` of itself.
-_QUICK, _FIRST, _MOST = 16, 64, 1024
+_QUICK, _FIRST, _MOST = 32, 64, 1024
 _CLOSED, _SETTLED = 1e-9, 1e-11
-_ATTEMPTS, _LEAST_STRIDE = 24, 0.02
+_ATTEMPTS, _LEAST_STRIDE = 60, 1e-3
 # A velocity above the belt's by this share of it is one that passes it.
 _PASSES = 1e-9
 
@@ -77,21 +78,13 @@ class Grazing(eqx.Module):
     def smoothed(self, width: ScalarLike) -> Float[Array, ""]:
         """About where the fold of smoothed friction is, to O(width^(3/2)); NaN if not `found`.
 
-        At the touch tanh(w / eps) lacks 2 exp(2 w / eps), and w' = -kappa t - 2 p mu_st exp(2 w /
-        eps) is solved by exp(-2 w_+ / eps) = exp(-2 w_- / eps) + Q with Q = 4 p mu_st
-        sqrt(pi / (kappa eps)).  The greatest v_d on V + V_+ w_+ + V_- w_- is then at
-
-            w_- = (eps / 2) ln[(rho - 1) / Q],  w_+ = -(eps / 2) ln[Q rho / (rho - 1)],
-
-        rho = -V_+ / V_-, that is v_d = V - (V_+ + V_-) / 4 eps ln(1 / eps) + O(eps).
+        v_d = V - (V_+ + V_-) / 4 eps ln(1 / eps) + O(eps), the summit of the layer in `layer.py`.
 
         **Arguments:** `width` = eps of the mass that grazes.
         """
-        rho = -self.by_leaving / self.by_arriving
-        log_q = jnp.log(4.0 * self.hold * jnp.sqrt(jnp.pi / (self.fall * width)))
-        arriving = 0.5 * width * (jnp.log(rho - 1.0) - log_q)
-        leaving = -0.5 * width * (log_q + jnp.log(rho / (rho - 1.0)))
-        return self.belt_speed + self.by_leaving * leaving + self.by_arriving * arriving
+        here = layer(self.by_leaving, self.by_arriving, self.fall, self.hold, width)
+        shift = self.by_leaving * here.leaving + self.by_arriving * here.arriving
+        return self.belt_speed + shift
 
 
 class Touch(eqx.Module):
@@ -112,15 +105,34 @@ class Touch(eqx.Module):
         stiffness = -chain.restoring_force(unit)[j]
         return (x + unit * (force[j] / stiffness), v), jnp.exp(q[-2]), speed
 
+    @property
+    def hold(self) -> Array:
+        """p mu_st of mass j."""
+        return jnp.broadcast_to(self.chain.greatest_hold(), (self.chain.n,))[self.mass]
+
+    def fall(self, v: Float[Array, " n"]) -> Array:
+        """kappa = -v_j'' at the touch."""
+        return -self.chain.restoring_force(v)[self.mass]
+
     def pack(self, state: State, period: Any, speed: Any) -> Float[Array, " m"]:
         """The inverse of `unpack`."""
         x, v = (jnp.delete(part, self.mass, assume_unique_indices=True) for part in state)
         return jnp.concatenate([x, v, jnp.stack([jnp.log(period), speed])])
 
-    def orbit(self, q: Float[Array, " m"], leaving: Any = 0.0) -> tuple[State, Array]:
-        """(state after a period, greatest velocity of each mass, shape (n,))."""
-        start, period, speed = self.unpack(q, leaving)
-        chain, h = self.chain, period / self.steps
+    def orbit(
+        self, q: Float[Array, " m"], leaving: Any = 0.0, arriving: Any = 0.0
+    ) -> tuple[State, Array]:
+        """(gap of the state half a period from the touch, greatest velocity of each mass).
+
+        From the touch forward and backward at once, to where they should meet.  Near the belt's
+        speed weakening friction drives motions apart, by rho = -V_+ / V_- in all and up to 1e4 for
+        a law that weakens fast: half of it on the way there, which going backward undoes.
+        """
+        (x, v), period, speed = self.unpack(q, leaving)
+        chain = self.chain
+        arrival = v.at[self.mass].add(arriving - leaving)
+        start = jnp.stack([x, x]), jnp.stack([v, arrival])
+        ways = jnp.asarray([1.0, -1.0])
 
         def field(t: Any, y: State, args: Any) -> State:
             del t, args
@@ -129,17 +141,28 @@ class Touch(eqx.Module):
 
         terms: Any = dfx.ODETerm(field)  # pyright: ignore[reportArgumentType]
 
-        def step(k: Array, carry: Any) -> Any:
-            y, slope, highest = carry
-            new, _, _, _, _ = _SOLVER.step(terms, k * h, (k + 1) * h, y, None, memory, False)
-            new_slope = field(None, new, None)[1]
-            peak = _peak(y[1], new[1], h * slope, h * new_slope)
-            return new, new_slope, jnp.maximum(highest, peak)
+        def time(k: Any) -> Array:
+            return period / (2.0 * jnp.pi) * graded(k * (2.0 * jnp.pi / self.steps))
 
-        memory = _SOLVER.init(terms, 0.0, h, start, None)
-        carry = start, field(None, start, None)[1], start[1]
-        end, _, highest = lax.fori_loop(0, self.steps, step, carry)
-        return end, lax.stop_gradient(highest)
+        def step(k: Array, carry: Any) -> Any:
+            begin, end = time(k), time(k + 1)
+
+            def one(way: Array, y: State, slope: Array, highest: Array) -> Any:
+                h = way * (end - begin)
+                memory = _SOLVER.init(terms, 0.0, h, y, None)
+                new, _, _, _, _ = _SOLVER.step(
+                    terms, way * begin, way * end, y, None, memory, False
+                )
+                new_slope = field(None, new, None)[1]
+                peak = _peak(y[1], new[1], h * slope, h * new_slope)
+                return new, new_slope, jnp.maximum(highest, peak)
+
+            return jax.vmap(one)(ways, *carry)
+
+        slopes = jax.vmap(lambda x, v: field(None, (x, v), None)[1])(*start)
+        end, _, highest = lax.fori_loop(0, self.steps // 2, step, (start, slopes, start[1]))
+        gap = end[0][0] - end[0][1], end[1][0] - end[1][1]
+        return gap, lax.stop_gradient(jnp.max(highest, axis=0))
 
 
 def _peak(v0: Array, v1: Array, slope0: Array, slope1: Array) -> Array:
@@ -169,13 +192,13 @@ def touch_residual(
 
     `leaving` and `arriving` are w_+ and w_-.
     """
-    (x, v), _, speed = touch.unpack(q, leaving)
-    (x1, v1), _ = touch.orbit(q, leaving)
-    return jnp.concatenate([x1 - x, (v1 - v).at[touch.mass].add(leaving - arriving)]) / speed
+    (x, v), _ = touch.orbit(q, leaving, arriving)
+    return jnp.concatenate([x, v]) / q[-1]
 
 
 class _Homotopy(eqx.Module):
     q: Float[Array, " m"]  # at `reached`
+    slope: Float[Array, " m"]  # dq / d share from there to where it was before
     reached: Float[Array, ""]
     goal: Float[Array, ""]
     residual: Float[Array, ""]
@@ -184,12 +207,12 @@ class _Homotopy(eqx.Module):
     settled: Bool[Array, ""]
 
 
-def find_touch(chain: Chain, mass: int, exact: bool = False) -> tuple[Touch, Array, Array]:
+def find_touch(chain: Chain, mass: int, exact: Any = True) -> tuple[Touch, Array, Array]:
     """(equations, q, residual) of the grazing cycle; q is NaN where none was found.
 
     From averaging, which is exact for weak friction and damping, in one leap where that goes, else
-    by way of chains with weaker friction, damping and coupling.  An exact one is then polished
-    with more and more steps.  Nothing in here is to be differentiated.
+    by way of chains with weaker friction, damping and coupling.  If `exact`, which may be traced, it
+    is then polished with more and more steps.  Nothing in here is to be differentiated.
     """
     alone = one_mass(chain, mass)
     dry = eqx.tree_at(lambda c: c.friction.width, alone, 1e-9 * jnp.ones(()))
@@ -198,7 +221,7 @@ def find_touch(chain: Chain, mass: int, exact: bool = False) -> tuple[Touch, Arr
     first = Touch(chain, jnp.asarray(_QUICK), mass)
     q = first.pack((x, v), 2 * jnp.pi / jnp.sqrt(alone.stiffness), speed)
     start = _Homotopy(
-        q, jnp.zeros(()), jnp.ones(()), jnp.asarray(jnp.nan), jnp.zeros((), int), first.steps,
+        q, jnp.zeros_like(q), jnp.zeros(()), jnp.ones(()), jnp.asarray(jnp.nan), jnp.zeros((), int), first.steps,
         jnp.asarray(False),
     )  # fmt: skip
 
@@ -208,9 +231,10 @@ def find_touch(chain: Chain, mass: int, exact: bool = False) -> tuple[Touch, Arr
 
     def body(now: _Homotopy) -> _Homotopy:
         part = Touch(weakened(chain, now.goal), now.steps, mass)
-        root = newton(touch_residual, now.q, part, tolerance=1e-9, max_steps=15)
-        good = root.converged & (root.residual < _CLOSED) & (root.value[-1] > 0)
         stride = now.goal - now.reached
+        guess = now.q + stride * now.slope
+        root = newton(touch_residual, guess, part, tolerance=1e-9, max_steps=15)
+        good = root.converged & (root.residual < _CLOSED) & (root.value[-1] > 0)
         reached = jnp.where(good, now.goal, now.reached)
         ahead = jnp.where(good, now.goal + stride, now.reached + 0.25 * stride)
         # There: once for a guess, and with ever more steps for an exact one.
@@ -218,10 +242,13 @@ def find_touch(chain: Chain, mass: int, exact: bool = False) -> tuple[Touch, Arr
         lost = there & ~good & (now.steps > _QUICK)
         moved = jnp.abs(root.value[-1] - now.q[-1])
         still = (now.steps > _QUICK) & (moved <= _SETTLED * root.value[-1])
-        enough = still | lost | (now.steps >= _MOST) if exact else there
+        enough = still | lost | (now.steps >= _MOST) | ~jnp.asarray(exact)
         more = jnp.where(now.steps > _QUICK, 2 * now.steps, _FIRST)
         return _Homotopy(
             q=jnp.where(good, root.value, jnp.where(lost, jnp.nan, now.q)),
+            slope=jnp.where(
+                good & (stride > 0), (root.value - now.q) / jnp.maximum(stride, 1e-9), now.slope
+            ),
             reached=reached,
             goal=jnp.minimum(ahead, 1.0),
             residual=jnp.where(good, root.residual, now.residual),
@@ -233,6 +260,22 @@ def find_touch(chain: Chain, mass: int, exact: bool = False) -> tuple[Touch, Arr
     last = lax.while_loop(goes_on, body, start)
     touch = Touch(chain, last.steps, mass)
     return touch, jnp.where(last.settled, last.q, jnp.nan), last.residual
+
+
+def touch_slopes(
+    touch: Touch, q: Float[Array, " m"]
+) -> tuple[Float[Array, "m two"], Float[Array, " n"]]:
+    """(dq / d(w_+, w_-), greatest velocity of each mass); the last row holds V_+ and V_-."""
+
+    def along(unknown: Array) -> tuple[Array, Array]:
+        (x, v), highest = touch.orbit(*unpacked(unknown))
+        return jnp.concatenate([x, v]) / unknown[-3], highest
+
+    def unpacked(unknown: Array) -> tuple[Array, Array, Array]:
+        return unknown[:-2], unknown[-2], unknown[-1]
+
+    slopes, highest = jax.jacfwd(along, has_aux=True)(jnp.append(q, jnp.zeros(2)))
+    return -jnp.linalg.solve(slopes[:, :-2], slopes[:, -2:]), highest
 
 
 def nonsmooth_fold_belt_speed(chain: Chain, vibrating: Any = None) -> Float[Array, ""]:
@@ -279,26 +322,20 @@ def find_grazing(chain: Chain, vibrating: Any = None) -> Grazing:
 @eqx.filter_jit
 def _find(chain: Chain, mass: int) -> Grazing:
     frozen = lax.stop_gradient(chain)
-    touch, q, residual = find_touch(frozen, mass, exact=True)
-
-    def along(unknown: Array) -> tuple[Array, Array]:
-        _, highest = touch.orbit(unknown[:-2])
-        return touch_residual(unknown[:-2], touch, unknown[-2], unknown[-1]), highest
-
-    slopes, highest = jax.jacfwd(along, has_aux=True)(jnp.append(q, jnp.zeros(2)))
-    by_leaving, by_arriving = -jnp.linalg.solve(slopes[:, :-2], slopes[:, -2:])[-1]
+    touch, q, residual = find_touch(frozen, mass)
+    slopes, highest = touch_slopes(touch, q)
+    by_leaving, by_arriving = slopes[-1]
     (_, v), _, speed = touch.unpack(q)
-    fall = -frozen.restoring_force(v)[mass]
+    fall = touch.fall(v)
     slides = jnp.all(highest <= (1.0 + _PASSES) * speed)
     folds = (by_leaving + by_arriving > 0) & (by_arriving < 0) & (fall > 0)
     found = jnp.isfinite(speed) & slides & folds
     held = eqx.tree_at(lambda t: t.chain, touch, chain)
     q = jnp.where(found, attach_derivative(touch_residual, q, held), jnp.nan)
     state, period, speed = held.unpack(q)
-    hold = jnp.broadcast_to(frozen.greatest_hold(), (chain.n,))[mass]
     return Grazing(
         belt_speed=speed, period=period, state=state, by_leaving=by_leaving,
-        by_arriving=by_arriving, fall=fall, hold=hold, residual=residual, found=found, mass=mass,
+        by_arriving=by_arriving, fall=fall, hold=touch.hold, residual=residual, found=found, mass=mass,
     )  # fmt: skip
 
 
