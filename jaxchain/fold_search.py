@@ -26,11 +26,12 @@ FOLD_RTOL = 3e-11
 # Residual of a closed cycle; relative distance of V from its maximum, loosely and in the end.
 CLOSED = 1e-9
 _NEAR, _STATIONARY = 1e-7, 1e-10
-_MOST = 60
+_MOST = 250
 _SMALL = 1e-10
+_FEW_WIDTHS = 30.0
 # Newton's first step, in the unknowns and relative in the belt speed; what it may grow by after a
 # success, shrinks by after a failure, and how often in succession it may.
-_FIRST, _GROWTH, _SHRINKAGE, _MOST_REFUSED = 0.1, 4.0, 0.3, 8
+_FIRST, _GROWTH, _SHRINKAGE, _MOST_REFUSED = 0.1, 4.0, 0.3, 14
 # Y(s) = exp(2 s) + tau s, in which V'(s) is nearly linear: the friction lost to smoothing, or,
 # where that is nothing, the amplitude.
 _TAU = 1e-5
@@ -48,10 +49,10 @@ class Place(eqx.Module):
 class _Newton(eqx.Module):
     """Newton's method at fixed s."""
 
-    best: Float[Array, " m"]  # the last accepted q
+    best: Place  # the last accepted one
     norm: Float[Array, ""]  # its residual; infinite before the first
-    step: Float[Array, " m"]  # the direction from there, its greatest entry 1
-    length: Float[Array, ""]  # how far q went in it
+    step: Place  # the direction from there, its greatest entry 1
+    length: Float[Array, ""]  # how far it went in it
     refused: Int[Array, ""]  # steps in succession that made things worse
 
 
@@ -138,10 +139,18 @@ def _entry(shooting: Shooting, now: Search, tight: Array) -> Search:
     norm = jnp.max(jnp.abs(r))
     good = norm < now.newton.norm  # false for NaN
     both = jnp.linalg.solve(jacobian[:, :-1], jnp.stack([r, jacobian[:, -1]], axis=1))
-    step, tangent = -both[:, 0], -both[:, 1]
-    size = jnp.max(jnp.abs(step) / jnp.ones_like(step).at[index].set(jnp.abs(q[index])))
+    tangent = -both[:, 1]
+    # Of the corrections that close the cycle the one that moves s and the belt speed least: where a
+    # mass sticks for long before the cut, what is left of the approach tells nothing of the speed.
+    few = _FEW_WIDTHS * jnp.min(shooting.field.friction.width)
+    per_width, sideways = tangent[index] / few, -both[:, 0][index] / few
+    aside = -sideways * per_width / (1.0 + per_width**2)
+    step = tangent * aside - both[:, 0]
+    scale = jnp.ones_like(step).at[index].set(jnp.abs(q[index]))
+    size = jnp.maximum(jnp.max(jnp.abs(step) / scale), jnp.abs(aside))
+    misses = jnp.max(jnp.abs(both[:, 0]) / scale)
     closed = good & (norm < jnp.maximum(CLOSED, 10.0 * shooting.rtol))
-    closed = closed | (size < jnp.where(tight, _SMALL, 0.0))
+    closed = closed | (misses < jnp.where(tight, _SMALL, 0.0))
 
     # A closed cycle: where does V'(s) vanish?
     s, slope, speed = jnp.sinh(z), tangent[index] / jnp.cosh(z), jnp.abs(q[index])
@@ -150,18 +159,18 @@ def _entry(shooting: Shooting, now: Search, tight: Array) -> Search:
     missed = jnp.abs(slope * (new_s - s)) / speed
     folds = closed & (secant.curvature < 0) & (missed < jnp.where(tight, _STATIONARY, _NEAR))
     new_z = jnp.where(folds & tight, z, jnp.arcsinh(new_s))
-    moved = Place(q + step + tangent * (new_z - z), new_z)
+    moved = Place(q - both[:, 0] + tangent * (new_z - z), new_z)
 
     # Not closed: Newton's method, its steps shortened where they made things worse.
     longest = jnp.where(jnp.isinf(now.newton.norm), _FIRST, _GROWTH * now.newton.length)
     newton = _Newton(
-        best=jnp.where(good, q, now.newton.best),
+        best=_where(good, now.here, now.newton.best),
         norm=jnp.where(good, norm, now.newton.norm),
-        step=jnp.where(good, step / size, now.newton.step),
+        step=_where(good, Place(step / size, aside / size), now.newton.step),
         length=jnp.where(good, jnp.minimum(size, longest), _SHRINKAGE * now.newton.length),
         refused=jnp.where(good, 0, now.newton.refused + 1),
     )
-    onward = Place(newton.best + newton.length * newton.step, z)
+    onward = jax.tree.map(lambda a, b: a + newton.length * b, newton.best, newton.step)
     here = _where(closed, moved, onward)
     return Search(
         here=here,
@@ -216,7 +225,7 @@ def _abscissa(ordinate: Array, low: Array, high: Array) -> Array:
 
 def _fresh(place: Place) -> _Newton:
     infinite, none = jnp.asarray(jnp.inf), jnp.zeros((), int)
-    return _Newton(place.q, infinite, jnp.zeros_like(place.q), jnp.asarray(_FIRST), none)
+    return _Newton(place, infinite, jax.tree.map(jnp.zeros_like, place), jnp.asarray(_FIRST), none)
 
 
 def _where(condition: Array, a: Any, b: Any) -> Any:
