@@ -21,6 +21,7 @@ from .grazing import nonsmooth_fold_belt_speed
 from .hopf import hopf_belt_speed
 from .measures import active
 from .simulate import simulate
+from .sliding import damping_outweighs
 from .states import check_vibrating
 
 # Dry friction, for what takes its width from the chain.
@@ -37,7 +38,9 @@ class BistableRange(eqx.Module):
     - `highest`: the greatest speed at which there is vibration at all, max(hopf, fold); 0 if there
       is none at any speed.
     - `width`: highest - hopf >= 0; 0 where there is no fold.
-    - `known`: false where a search failed, and `highest` and `width` mean nothing.
+    - `known`: false where a search failed, and `highest` and `width` mean nothing.  Without a fold
+      it is true where none is proved to be (`FoldResult.none`), or to first harmonic (averaging)
+      vibration sets in gently, which is no proof.
     """
 
     hopf: Float[Array, ""]
@@ -54,8 +57,7 @@ def bistable_range(chain: Chain, vibrating: Any = None, friction: Any = "dry") -
     mass, as in `fold_belt_speed`; `friction`: "dry" (its width has no part in it either) or
     "smoothed".
 
-    A fold that vanishes takes the bistable range with it and is no failure: `known` stays true
-    where averaging, too, has no fold.  Works under `jit`, `vmap`, `jvp`, and, where there is a
+    A fold that vanishes takes the bistable range with it and is no failure.  Works under `jit`, `vmap`, `jvp`, and, where there is a
     fold, `grad`.
 
     **Raises:** `ValueError` for anything but a chain, a mass it has, and one of the two words.
@@ -88,7 +90,9 @@ def _range(chain: Chain, mass: int, friction: str) -> BistableRange:
         fold = fold_belt_speed(chain, mass)
     hopf = hopf_belt_speed(chain)
     none = jnp.isnan(fold)
-    _, _, expected = fold_guess(one_mass(lax.stop_gradient(chain), mass))
+    frozen = lax.stop_gradient(chain)
+    _, _, expected = fold_guess(one_mass(frozen, mass))
+    expected = expected & ~damping_outweighs(frozen)
     # Masses without damping vibrate at every speed, which has no fold, either.
     damped = jnp.min(chain.damping_ratio) > 0
     lowest = jnp.where(jnp.isnan(hopf), 0.0, hopf)

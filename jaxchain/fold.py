@@ -9,29 +9,17 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from ._types import State
+from ._types import PerMass, State
 from .augmented import fold_residual
-from .averaging import cycle_speed, fold_guess, greatest_speed, one_mass, speed_scale
 from .chain import Chain
-from .choice import fit_linear_solve
-from .fold_search import (
-    FOLD_RTOL,
-    Place,
-    Search,
-    as_place,
-    search,
-    unknowns,
-)
-from .grazing import find_touch, touch_slopes
+from .fold_result import FoldResult
+from .fold_search import Place, Search, search, unknowns
+from .fold_start import Start, at_least_wide, first_guess, narrowed
 from .implicit import attach_derivative
-from .layer import layer
-from .rosenbrock import Rodas5P
 from .shooting import Shooting
 from .shooting import residual as closure
 from .states import check_vibrating
 
-_LOOSE, _LOOSE_PER_WIDTH = 1e-6, 1e-3
-_POLISH, _THIN, _THICK = 1e-3, 1e-2, 0.1
 
 
 class Fold(eqx.Module):
@@ -42,9 +30,10 @@ class Fold(eqx.Module):
     - `closeness`: s = max w / eps of that mass; a mass with s < 0 never reaches the belt's speed.
     - `residual`: the gap after a period over the amplitude of velocity.
     - `found`: whether it is a fold of a closed cycle.
-    - `expected`: whether averaging has a fold.  Where this is false there is none, and steady
-      sliding is lost supercritically or not at all; where it is true and `found` is not, the
-      search failed.
+    - `result`: a `FoldResult`: found; none, which is proved; or why the search failed, which says
+      nothing about whether there is a fold.  `message` puts it into words.
+    - `width`: of the friction with which the cycle was closed, that of the chain or a little more:
+      see `fold_belt_speed`.
     - `evaluations`: shooting Jacobians it took.
     """
 
@@ -54,9 +43,15 @@ class Fold(eqx.Module):
     closeness: Float[Array, ""]
     residual: Float[Array, ""]
     found: Bool[Array, ""]
-    expected: Bool[Array, ""]
+    result: FoldResult
+    width: PerMass
     evaluations: Int[Array, ""]
     mass: int = eqx.field(static=True)
+
+    @property
+    def message(self) -> str:
+        """Why there is no fold, or none was found, and what to do; empty where there is one."""
+        return FoldResult[self.result]
 
 
 def fold_belt_speed(chain: Any, vibrating: Any = None) -> Float[Array, ""]:
@@ -88,12 +83,11 @@ def fold_belt_speed(chain: Any, vibrating: Any = None) -> Float[Array, ""]:
         -26.456
     """
     mass = check_vibrating(chain, vibrating)
-    shooting, found, _ = _find(lax.stop_gradient(chain), mass)
-    held = eqx.tree_at(lambda s: s.field, shooting, chain)
+    held, found, _, gained = _parts(chain, mass)
     q = attach_derivative(
         held_residual, found.here.q, (held, lax.stop_gradient(found.here.z)), once=_ONCE
     )
-    return jnp.where(found.found, q[shooting.place], jnp.nan)
+    return jnp.where(found.found, q[held.place] + gained, jnp.nan)
 
 
 _ONCE = (
@@ -122,20 +116,20 @@ def find_fold(chain: Any, vibrating: Any = None) -> Fold:
     (True, 6.3028, -2.142)
     """
     mass = check_vibrating(chain, vibrating)
-    shooting, found, expected = _find(lax.stop_gradient(chain), mass)
-    u, speed = unknowns(shooting, found.here)
-    borders = _borders(shooting, found)
-    held = eqx.tree_at(lambda s: s.field, shooting, chain)
+    held, found, start, gained = _parts(chain, mass)
+    u, speed = unknowns(start.shooting, found.here)
+    borders = _borders(start.shooting, found)
     both = attach_derivative(_FOLD_RESIDUAL, jnp.append(u, speed), (held, borders))
     _, state, period = held.unpack(both[:-1], both[-1])
     return Fold(
-        belt_speed=jnp.where(found.found, both[-1], jnp.nan),
+        belt_speed=jnp.where(found.found, both[-1] + gained, jnp.nan),
         period=period,
         state=state,
-        closeness=jnp.sinh(both[shooting.place]),
+        closeness=jnp.sinh(both[held.place]),
         residual=found.residual,
         found=found.found,
-        expected=expected,
+        result=FoldResult.where(found.found, FoldResult.found, start.result),
+        width=held.field.friction.width,
         evaluations=found.count,
         mass=mass,
     )
@@ -152,42 +146,16 @@ def _borders(shooting: Shooting, found: Search) -> tuple[Array, Array]:
 
 
 @eqx.filter_jit
-def _find(chain: Chain, mass: int) -> tuple[Shooting, Search, Bool[Array, ""]]:
-    """The fold, and whether there should be one; nothing in here is to be differentiated."""
-    shooting, place, expected, thin = first_guess(chain, mass)
-    loose = jnp.where(thin, FOLD_RTOL, loose_rtol(chain))
-    return shooting, search(shooting, place, loose, expected), expected
+def _find(chain: Chain, mass: int) -> tuple[Start, Search]:
+    """The start, and the fold; nothing in here is to be differentiated."""
+    start = first_guess(chain, mass)
+    return start, search(start.shooting, start.place, start.loose, start.hopeful)
 
 
-def loose_rtol(chain: Chain) -> Array:
-    """The tolerance of integration that does on the way to a fold."""
-    return jnp.clip(_LOOSE_PER_WIDTH * jnp.min(chain.friction.width), 1e-9, _LOOSE)
-
-
-def first_guess(chain: Chain, mass: int) -> tuple[Shooting, Place, Bool[Array, ""]]:
-    """(equations, a place near the fold, whether there should be a fold), from dry friction."""
-    alone = one_mass(chain, mass)
-    width = alone.friction.width
-    averaged, averaged_s, exists = fold_guess(alone)
-    # Averaging errs by the same factor for smoothed as for dry friction, or nearly so.
-    dry = eqx.tree_at(lambda c: c.friction.width, alone, jnp.asarray(1e-9))
-    dry_averaged = cycle_speed(dry, 1.0, greatest_speed(dry))
-    scale = speed_scale(alone, dry_averaged)
-    touch, q, _ = find_touch(chain, mass, exact=width < _POLISH * scale)
-    slopes, _ = touch_slopes(touch, q)
-    (_, v), _, touch_speed = touch.unpack(q)
-    here = layer(*slopes[-1], touch.fall(v), touch.hold, width)
-    moved = q + slopes @ jnp.stack([here.leaving, here.arriving])
-    # The layer is thin, or else averaging knows better where it is, and what belt speed it has.
-    thin, thick = width < _THIN * scale, width > _THICK * scale
-    moved = jnp.where(thick, q, moved)
-    speed = jnp.where(thin, moved[-1], averaged * touch_speed / dry_averaged)
-    s = jnp.where(thick | ~jnp.isfinite(here.closeness), averaged_s, here.closeness)
-    (x, v), period, _ = touch.unpack(moved)
-    v = v.at[mass].set(speed + width * s)
-    shooting = Shooting(
-        field=chain, rtol=FOLD_RTOL, solver=fit_linear_solve(Rodas5P(), chain, FOLD_RTOL),
-        mass=mass, images=tuple(range(chain.n)), parameter="belt_speed",
-    )  # fmt: skip
-    place = as_place(shooting, shooting.pack((x, v), period, speed), speed)
-    return shooting, place, exists & jnp.all(jnp.isfinite(q)), thin
+def _parts(chain: Chain, mass: int) -> tuple[Shooting, Search, Start, Array]:
+    """(equations that hold `chain`, the fold, its start, what the belt speed still gains)."""
+    start, found = _find(lax.stop_gradient(chain), mass)
+    wide = at_least_wide(chain, lax.stop_gradient(start.width))
+    held = eqx.tree_at(lambda s: s.field, start.shooting, wide)
+    width = chain.friction.width
+    return held, found, start, narrowed(start, width[mass] if width.ndim else width)

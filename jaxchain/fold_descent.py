@@ -14,8 +14,8 @@ from jaxtyping import Array, Bool, Float
 
 from ._checks import check_count, check_positive
 from .chain import Chain
-from .fold import first_guess, loose_rtol
 from .fold_search import Place, value_and_jacobian
+from .fold_start import first_guess, loose_rtol
 from .states import check_vibrating
 
 _CLOSED = 1e-4
@@ -96,8 +96,9 @@ def _ascend(
     steps: int,
     tolerance: Array,
 ) -> FoldDescent:
-    shooting, guess, _ = first_guess(chain, mass)
-    shooting = eqx.tree_at(lambda s: s.rtol, shooting, 1e-3 * loose_rtol(chain))
+    began = first_guess(chain, mass)
+    guess = began.place
+    shooting = eqx.tree_at(lambda s: s.rtol, began.shooting, 1e-3 * loose_rtol(chain))
     width, index = jnp.min(chain.friction.width), shooting.place
     first = jnp.sinh(guess.z) - 0.7 if start is None else start
 

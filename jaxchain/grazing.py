@@ -35,7 +35,7 @@ from ._types import ScalarLike, State
 from .averaging import cycle_speed, graded, greatest_speed, one_mass
 from .chain import Chain, steady_sliding
 from .implicit import attach_derivative
-from .layer import layer
+from .layer import sides
 from .roots import newton
 from .states import check_vibrating
 
@@ -82,9 +82,9 @@ class Grazing(eqx.Module):
 
         **Arguments:** `width` = eps of the mass that grazes.
         """
-        here = layer(self.by_leaving, self.by_arriving, self.fall, self.hold, width)
-        shift = self.by_leaving * here.leaving + self.by_arriving * here.arriving
-        return self.belt_speed + shift
+        slopes = self.by_leaving, self.by_arriving
+        leaving, arriving, _ = sides(*slopes, self.fall, self.hold, width)
+        return self.belt_speed + self.by_leaving * leaving + self.by_arriving * arriving
 
 
 class Touch(eqx.Module):

@@ -14,6 +14,7 @@ from .chain import Chain
 from .friction import ExponentialDecay
 from .implicit import attach_derivative
 from .sliding import (
+    belt_speed_grid,
     crossing_residual,
     growth_rate,
     has_uniform_damping,
@@ -22,8 +23,6 @@ from .sliding import (
     sliding_eigenvalues,
 )
 
-# Belt speeds tried: from well inside the smoothed layer to where friction no longer changes.
-_LEAST_WIDTHS, _GREATEST_SPEED, _SPEEDS = 1e-2, 1e6, 1024
 _EIGENVALUE_SPEEDS = 64  # between two belt speeds that are known to enclose the boundary
 _SETTLED = 1e-13  # change of the damping, relative, that no eigenvalue notices
 _BISECTIONS, _NEWTON_STEPS = 26, 3
@@ -89,7 +88,7 @@ def _uniform(chain: Chain) -> Array:
     def stability(speed: Array) -> Array:
         return jnp.reshape(sliding_damping(chain, speed), ())
 
-    grid = _all_speeds(chain)
+    grid = belt_speed_grid(chain)
     low, high, found = _last_rise(stability, grid)
     low, high = _bisect(stability, low, high)
     (speed,) = _polish(_damping_residual, jnp.stack([low]), chain, low, high)
@@ -111,7 +110,7 @@ def _mistuned(chain: Chain) -> tuple[Array, Array, Array]:
     def stability(speed: Array) -> Array:
         return -growth_rate(chain, speed)
 
-    grid = _all_speeds(chain)
+    grid = belt_speed_grid(chain)
     d = jax.vmap(damping)(grid)
     # Sliding is stable above `high`, where all d_n are positive; if one never is, because only
     # its neighbours damp that mass, then nothing happens above the speed where d_n has settled.
@@ -135,11 +134,6 @@ def _mistuned(chain: Chain) -> tuple[Array, Array, Array]:
     shape, together = null_shape(start, chain)
     crossing = _polish(crossing_residual, start, (chain, shape, together), low, high)
     return jnp.where(found, crossing, jnp.nan), shape, together
-
-
-def _all_speeds(chain: Chain) -> Array:
-    least = jnp.log(_LEAST_WIDTHS * jnp.min(chain.friction.width))
-    return jnp.exp(jnp.linspace(least, jnp.log(_GREATEST_SPEED), _SPEEDS))
 
 
 def _last_rise(

@@ -1,4 +1,4 @@
-"""What smoothing makes of a touch of the belt's speed: asymptotics of a small width (floor 3).
+"""What smoothing makes of a touch of the belt's speed: asymptotics of a small width (floor 1).
 
 At the touch of dry friction, w' = -kappa t, smoothed friction lacks 2 exp(2 w / eps) of itself:
 
@@ -38,8 +38,10 @@ class Layer(NamedTuple):
     time: Float[Array, ""]
 
 
-def layer(by_leaving: Any, by_arriving: Any, fall: Any, hold: Any, width: ScalarLike) -> Layer:
-    """The layer of a fold: V_+, V_-, kappa, h and eps in, NaN unless V_+ + V_- > 0 > V_-.
+def sides(
+    by_leaving: Any, by_arriving: Any, fall: Any, hold: Any, width: ScalarLike
+) -> tuple[Array, Array, Array]:
+    """(w_+, w_-, ln Q) at the fold from V_+, V_-, kappa, h, eps; NaN unless V_+ + V_- > 0 > V_-.
 
     Errors: O(eps^(3/2)) in v_d.
     """
@@ -47,8 +49,14 @@ def layer(by_leaving: Any, by_arriving: Any, fall: Any, hold: Any, width: Scalar
     log_q = jnp.log(4.0 * hold * jnp.sqrt(jnp.pi / (fall * width)))
     arriving = 0.5 * width * (jnp.log(rho - 1.0) - log_q)
     leaving = -0.5 * width * (log_q + jnp.log(rho / (rho - 1.0)))
+    return leaving, arriving, log_q
+
+
+def layer(by_leaving: Any, by_arriving: Any, fall: Any, hold: Any, width: ScalarLike) -> Layer:
+    """The whole of the layer at the fold; arguments and errors as in `sides`."""
+    leaving, arriving, log_q = sides(by_leaving, by_arriving, fall, hold, width)
     # exp(-2 w / eps) / Q = m, least where 2 tau m + 1 / pi^(1/2) = 0.
-    start = 1.0 / (rho - 1.0)
+    start = 1.0 / (-by_leaving / by_arriving - 1.0)
 
     def least(tau: Array) -> Array:
         return start * jnp.exp(tau**2) + jnp.exp(tau**2 + log_ndtr(jnp.sqrt(2.0) * tau))

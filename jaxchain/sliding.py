@@ -20,8 +20,12 @@ from jaxtyping import Array, Bool, Complex, Float
 from ._types import PerMass
 from .chain import Chain
 
+# Belt speeds tried: from well inside the smoothed layer to where friction no longer changes.
+_LEAST_WIDTHS, _GREATEST_SPEED, _SPEEDS = 1e-2, 1e6, 1024
 # Singular values below this, relative to the greatest, belong to modes that cross together.
 _TOGETHER = 1e-8
+# What rounding may make of a sum of damping and weakening, relative to these.
+_ROUNDING = 1e-12
 
 
 def has_uniform_damping(chain: Chain) -> bool:
@@ -61,6 +65,47 @@ def dry_damping(chain: Chain, belt_speed: Float[Array, ""]) -> PerMass:
 
 def _load(chain: Chain) -> Any:
     return 1.0 if chain.normal_load is None else chain.normal_load
+
+
+def belt_speed_grid(chain: Chain) -> Float[Array, " speeds"]:
+    """1024 belt speeds, equally far apart in the logarithm, at which to look for changes."""
+    least = jnp.log(_LEAST_WIDTHS * jnp.min(chain.friction.width))
+    return jnp.exp(jnp.linspace(least, jnp.log(_GREATEST_SPEED), _SPEEDS))
+
+
+def damping_outweighs(chain: Chain) -> Bool[Array, ""]:
+    """Whether 2 xi_n > p_n F'(w) for every mass at every relative velocity w.
+
+    Then any two motions approach each other: of their difference (x, v) the energy
+    (v^T v + x^T K x) / 2 falls at the rate sum_n v_n^2 (2 xi_n - p_n F'(w_n)) > 0, w_n some value
+    between theirs.  So no motion but steady sliding goes on, whatever the belt speed is.
+
+    F' = -mu'(s) tanh(s / eps) - mu(s) sech^2(s / eps) / eps is bounded over each of the intervals
+    between 1024 speeds s, which takes for granted that mu and mu' rise or fall, not both, within
+    one, as they do for every law of this package but one: twice in all for
+    `WeakeningStrengthening`, whose mu falls first and rises then, mu' rising.
+
+    >>> from jaxchain import paper_chain
+    >>> [bool(damping_outweighs(paper_chain(1).with_(damping_ratio=xi))) for xi in (0.4, 0.6)]
+    [False, True]
+    """
+    friction, load = chain.friction, _load(chain)
+    speeds = jnp.concatenate([jnp.zeros(1), belt_speed_grid(chain)])
+
+    def sample(speed: Array) -> tuple[Array, Array, Array, Array]:
+        own = jnp.full(chain.n, speed)
+        mu, slope = jax.jvp(friction.law.coefficient, (own,), (jnp.ones_like(own),))
+        ratio = own / friction.width
+        # 1 - tanh^2 would lose its digits, and cosh overflow.
+        half = jnp.exp(-ratio)
+        return mu, slope, jnp.tanh(ratio), (2.0 * half / (1.0 + half**2)) ** 2 / friction.width
+
+    mu, slope, rise, peak = jax.vmap(sample)(speeds)
+    least = jnp.minimum(slope[:-1], slope[1:])
+    weakening = least * jnp.where(least < 0, rise[1:], rise[:-1])
+    change = weakening + jnp.minimum(mu[:-1], mu[1:]) * peak[1:]
+    damping = 2.0 * chain.damping_ratio
+    return jnp.all(damping + load * change > _ROUNDING * (damping + load * jnp.abs(least)))
 
 
 def stiffness_matrix(chain: Chain) -> Float[Array, "n n"]:

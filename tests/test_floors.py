@@ -8,10 +8,10 @@ import pytest
 import jaxchain
 
 FLOORS = [
-    {"_types", "_checks", "result", "branch", "evidence"},
+    {"_types", "_checks", "result", "fold_result", "branch", "evidence"},
     {"locality"},
     {"friction", "structure", "tableaus", "units", "measures", "studies.bias", "spectrum"}
-    | {"roots", "implicit", "descent", "criteria"}
+    | {"roots", "implicit", "descent", "criteria", "layer"}
     | {"studies.mistuning.statistics", "studies.mistuning.summary"}
     | {"studies.ladder.summary", "studies.verdicts.paper"},
     {"tridiagonal"},
@@ -25,6 +25,7 @@ FLOORS = [
     {"simulate", "shooting", "generalised_hopf", "linearised", "tangent"},
     {"axes", "pool", "fold_search", "floquet", "cycle_equations", "recurrence"}
     | {"studies.mistuning.capture", "studies.fronts.prediction"},
+    {"fold_start"},
     {"ensemble", "tables", "fold", "cycle_guesses", "cycle_search", "cycle_points", "return_map"},
     {"lyapunov", "front", "film", "scene", "studies", "studies.__init__", "studies.cycles"}
     | {"one_mass", "extrapolate", "fold_descent", "bistable", "cycle_special"},
