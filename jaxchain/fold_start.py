@@ -15,7 +15,7 @@ from .chain import Chain
 from .choice import fit_linear_solve
 from .fold_result import FoldResult
 from .fold_search import FOLD_RTOL, Place, as_place
-from .grazing import find_touch, slip_force, touch_slopes
+from .grazing import find_touch, slip_force
 from .layer import layer, sides
 from .rosenbrock import Rodas5P
 from .shooting import Shooting
@@ -23,11 +23,13 @@ from .sliding import damping_outweighs
 
 # Widths over the speed of the problem: below the first two the dry cycle is wanted exactly, and the
 # asymptotics of a thin layer are the better guess; above the last they are none.
-_POLISH, _THIN, _THICK = 1e-2, 1e-2, 0.1
+_POLISH, _THIN, _THICK = 1e-3, 1e-2, 0.1
 # Below this a fold is searched for here, and moved on by the asymptotics, to an error of
 # 200 (3e-8)^(3/2) < 1.1e-9 of the speed of the problem: 200 is above all measured in random sets.
 _LEAST_WIDTH = 3e-8
 _LOOSE, _LOOSE_PER_WIDTH = 1e-6, 1e-3
+# Multiplier of the dry slip cycle, and width, from which on a loose integration is no help.
+_UNSTABLE, _NARROW = 30.0, 1e-5
 
 
 class Start(NamedTuple):
@@ -58,8 +60,7 @@ def first_guess(chain: Chain, mass: int) -> Start:
     width = alone.friction.width
     averaged, averaged_s, exists = fold_guess(alone)
 
-    touch, q, _ = find_touch(chain, mass, exact=width < _POLISH * scale)
-    slopes, _ = touch_slopes(touch, q)
+    touch, q, slopes = find_touch(chain, mass, exact=width < _POLISH * scale)
     (_, v), _, touch_speed = touch.unpack(q)
     known = *slopes[-1], touch.fall(v), touch.hold
     here = layer(*known, width)
@@ -89,7 +90,10 @@ def first_guess(chain: Chain, mass: int) -> Start:
     result = FoldResult.where(exists, result, FoldResult.gentle)
     result = FoldResult.where(damped, result, FoldResult.undamped)
     result = FoldResult.where(none, FoldResult.none, result)
-    loose = jnp.where(thin, FOLD_RTOL, loose_rtol(chain))
+    # A loose integration would spoil a guess that is better than it.
+    unstable = -known[0] / known[1] > _UNSTABLE
+    good = thin & (unstable | (width < _NARROW * scale))
+    loose = jnp.where(good, FOLD_RTOL, loose_rtol(chain))
     hopeful = ~none & damped & exists & touches
     return Start(shooting, place, least, loose, hopeful, result, known)
 

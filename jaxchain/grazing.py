@@ -36,7 +36,6 @@ from .averaging import cycle_speed, graded, greatest_speed, one_mass
 from .chain import Chain, steady_sliding
 from .implicit import attach_derivative
 from .layer import sides
-from .roots import newton
 from .states import check_vibrating
 
 _SOLVER = dfx.Dopri8(scan_kind="lax")
@@ -44,7 +43,8 @@ _SOLVER = dfx.Dopri8(scan_kind="lax")
 # are doubled until the fold moves by no more than `_SETTLED` of itself.
 _QUICK, _FIRST, _MOST = 32, 64, 1024
 _CLOSED, _SETTLED = 1e-9, 1e-11
-_ATTEMPTS, _LEAST_STRIDE = 60, 1e-3
+_ENTRIES, _LEAST_STRIDE = 600, 1e-3
+_JACOBIANS, _LEAST_SHARE = 16, 2.0**-12
 # A velocity above the belt's by this share of it is one that passes it.
 _PASSES = 1e-9
 
@@ -199,20 +199,38 @@ def touch_residual(
 class _Homotopy(eqx.Module):
     q: Float[Array, " m"]  # at `reached`
     slope: Float[Array, " m"]  # dq / d share from there to where it was before
+    sides: Float[Array, "m two"]  # dq / d(w_+, w_-) there
     reached: Float[Array, ""]
     goal: Float[Array, ""]
-    residual: Float[Array, ""]
-    count: Int[Array, ""]
     steps: Int[Array, ""]
+    newton: _Newton
+    count: Int[Array, ""]
     settled: Bool[Array, ""]
 
 
+class _Newton(eqx.Module):
+    best: Float[Array, " m"]  # the last accepted q
+    step: Float[Array, " m"]  # Newton's from there
+    size: Float[Array, ""]  # of it; infinite before the first
+    share: Float[Array, ""]  # of it that is tried
+    matrix: Float[Array, "m m"]  # the Jacobian there
+    count: Int[Array, ""]
+
+
+def _fresh(q: Array) -> _Newton:
+    m, zero = q.shape[0], jnp.zeros((), int)
+    return _Newton(q, jnp.zeros(m), jnp.asarray(jnp.inf), jnp.ones(()), jnp.eye(m), zero)
+
+
 def find_touch(chain: Chain, mass: int, exact: Any = True) -> tuple[Touch, Array, Array]:
-    """(equations, q, residual) of the grazing cycle; q is NaN where none was found.
+    """(equations, q, dq / d(w_+, w_-)) of the grazing cycle; NaN where none was found.
 
     From averaging, which is exact for weak friction and damping, in one leap where that goes, else
-    by way of chains with weaker friction, damping and coupling.  If `exact`, which may be traced, it
-    is then polished with more and more steps.  Nothing in here is to be differentiated.
+    by way of chains with weaker friction, damping and coupling.  If `exact`, which may be traced,
+    it is then polished with more and more steps.  Nothing in here is to be differentiated.
+
+    Newton's method is that of `roots.newton`; it and the way are one loop, so that the lanes of a
+    batch need not wait for each other, and the orbit is compiled once.
     """
     alone = one_mass(chain, mass)
     dry = eqx.tree_at(lambda c: c.friction.width, alone, 1e-9 * jnp.ones(()))
@@ -220,62 +238,93 @@ def find_touch(chain: Chain, mass: int, exact: Any = True) -> tuple[Touch, Array
     x, v = steady_sliding(eqx.tree_at(lambda c: c.belt_speed, chain, speed))
     first = Touch(chain, jnp.asarray(_QUICK), mass)
     q = first.pack((x, v), 2 * jnp.pi / jnp.sqrt(alone.stiffness), speed)
+    zero, none = jnp.zeros(()), jnp.zeros((), int)
     start = _Homotopy(
-        q, jnp.zeros_like(q), jnp.zeros(()), jnp.ones(()), jnp.asarray(jnp.nan), jnp.zeros((), int), first.steps,
-        jnp.asarray(False),
+        q, jnp.zeros_like(q), jnp.full((q.shape[0], 2), jnp.nan), zero, jnp.ones(()), first.steps,
+        _fresh(q), none, jnp.asarray(False),
     )  # fmt: skip
 
     def goes_on(now: _Homotopy) -> Array:
         hopeful = (now.goal - now.reached > _LEAST_STRIDE) | (now.reached >= 1.0)
-        return ~now.settled & hopeful & (now.count < _ATTEMPTS) & jnp.isfinite(speed)
+        return ~now.settled & hopeful & (now.count < _ENTRIES) & jnp.isfinite(speed)
 
     def body(now: _Homotopy) -> _Homotopy:
+        before = now.newton
+        trial = before.best + before.share * before.step
         part = Touch(weakened(chain, now.goal), now.steps, mass)
+        value, slopes, _ = touch_slopes(part, trial)
+        solved = jnp.linalg.solve(slopes[:, :-2], jnp.column_stack([value, slopes[:, -2:]]))
+        step, size = -solved[:, 0], jnp.linalg.norm(solved[:, 0])
+        simplified = jnp.linalg.norm(jnp.linalg.solve(before.matrix, value))
+        enters = jnp.isinf(before.size)
+        # NaN compares false.
+        better = enters | (simplified < (1.0 - before.share / 4.0) * before.size)
+        better = better & jnp.isfinite(size)
+        count = before.count + 1
+        taken = _Newton(
+            trial, step, size, jnp.minimum(1.0, 4.0 * before.share), slopes[:, :-2], count
+        )
+        halved = eqx.tree_at(lambda k: (k.share, k.count), before, (before.share / 2.0, count))
+        newton = _where(better, taken, halved)
+
+        root = trial + step
+        ended = better & (size <= _CLOSED * (1.0 + jnp.linalg.norm(trial)))
+        good = ended & (root[-1] > 0)
+        hopeless = (enters & ~better) | (newton.share < _LEAST_SHARE) | (count >= _JACOBIANS)
+        over = ended | hopeless
+
         stride = now.goal - now.reached
-        guess = now.q + stride * now.slope
-        root = newton(touch_residual, guess, part, tolerance=1e-9, max_steps=15)
-        good = root.converged & (root.residual < _CLOSED) & (root.value[-1] > 0)
         reached = jnp.where(good, now.goal, now.reached)
         ahead = jnp.where(good, now.goal + stride, now.reached + 0.25 * stride)
         # There: once for a guess, and with ever more steps for an exact one.
         there = reached >= 1.0
         lost = there & ~good & (now.steps > _QUICK)
-        moved = jnp.abs(root.value[-1] - now.q[-1])
-        still = (now.steps > _QUICK) & (moved <= _SETTLED * root.value[-1])
+        moved = jnp.abs(root[-1] - now.q[-1])
+        still = (now.steps > _QUICK) & (moved <= _SETTLED * root[-1])
         enough = still | lost | (now.steps >= _MOST) | ~jnp.asarray(exact)
         more = jnp.where(now.steps > _QUICK, 2 * now.steps, _FIRST)
-        return _Homotopy(
-            q=jnp.where(good, root.value, jnp.where(lost, jnp.nan, now.q)),
-            slope=jnp.where(
-                good & (stride > 0), (root.value - now.q) / jnp.maximum(stride, 1e-9), now.slope
-            ),
+        q = jnp.where(good, root, jnp.where(lost, jnp.nan, now.q))
+        slope = jnp.where(
+            good & (stride > 0), (root - now.q) / jnp.maximum(stride, 1e-9), now.slope
+        )
+        goal = jnp.minimum(ahead, 1.0)
+        onward = _Homotopy(
+            q=q,
+            slope=slope,
+            sides=jnp.where(good, -solved[:, 1:], now.sides),
             reached=reached,
-            goal=jnp.minimum(ahead, 1.0),
-            residual=jnp.where(good, root.residual, now.residual),
-            count=now.count + 1,
+            goal=goal,
             steps=jnp.where(there & ~enough, more, now.steps),
+            newton=_fresh(q + (goal - reached) * slope),
+            count=now.count + 1,
             settled=there & enough,
         )
+        same = eqx.tree_at(lambda k: (k.newton, k.count), now, (newton, now.count + 1))
+        return _where(over, onward, same)
 
     last = lax.while_loop(goes_on, body, start)
     touch = Touch(chain, last.steps, mass)
-    return touch, jnp.where(last.settled, last.q, jnp.nan), last.residual
+    q, sides = (jnp.where(last.settled, part, jnp.nan) for part in (last.q, last.sides))
+    return touch, q, sides
+
+
+def _where(condition: Array, a: Any, b: Any) -> Any:
+    return jax.tree.map(lambda x, y: jnp.where(condition, x, y), a, b)
 
 
 def touch_slopes(
     touch: Touch, q: Float[Array, " m"]
-) -> tuple[Float[Array, "m two"], Float[Array, " n"]]:
-    """(dq / d(w_+, w_-), greatest velocity of each mass); the last row holds V_+ and V_-."""
+) -> tuple[Float[Array, " m"], Float[Array, "m columns"], Float[Array, " n"]]:
+    """(residual, its derivatives in (q, w_+, w_-), greatest velocity of each mass)."""
 
-    def along(unknown: Array) -> tuple[Array, Array]:
-        (x, v), highest = touch.orbit(*unpacked(unknown))
-        return jnp.concatenate([x, v]) / unknown[-3], highest
+    def along(unknown: Array) -> tuple[Array, tuple[Array, Array]]:
+        q, leaving, arriving = unknown[:-2], unknown[-2], unknown[-1]
+        (x, v), highest = touch.orbit(q, leaving, arriving)
+        gap = jnp.concatenate([x, v]) / q[-1]
+        return gap, (gap, highest)
 
-    def unpacked(unknown: Array) -> tuple[Array, Array, Array]:
-        return unknown[:-2], unknown[-2], unknown[-1]
-
-    slopes, highest = jax.jacfwd(along, has_aux=True)(jnp.append(q, jnp.zeros(2)))
-    return -jnp.linalg.solve(slopes[:, :-2], slopes[:, -2:]), highest
+    slopes, (gap, highest) = jax.jacfwd(along, has_aux=True)(jnp.append(q, jnp.zeros(2)))
+    return gap, slopes, highest
 
 
 def nonsmooth_fold_belt_speed(chain: Chain, vibrating: Any = None) -> Float[Array, ""]:
@@ -322,9 +371,9 @@ def find_grazing(chain: Chain, vibrating: Any = None) -> Grazing:
 @eqx.filter_jit
 def _find(chain: Chain, mass: int) -> Grazing:
     frozen = lax.stop_gradient(chain)
-    touch, q, residual = find_touch(frozen, mass)
-    slopes, highest = touch_slopes(touch, q)
-    by_leaving, by_arriving = slopes[-1]
+    touch, q, _ = find_touch(frozen, mass)
+    gap, slopes, highest = touch_slopes(touch, q)
+    by_leaving, by_arriving = -jnp.linalg.solve(slopes[:, :-2], slopes[:, -2:])[-1]
     (_, v), _, speed = touch.unpack(q)
     fall = touch.fall(v)
     slides = jnp.all(highest <= (1.0 + _PASSES) * speed)
@@ -335,7 +384,8 @@ def _find(chain: Chain, mass: int) -> Grazing:
     state, period, speed = held.unpack(q)
     return Grazing(
         belt_speed=speed, period=period, state=state, by_leaving=by_leaving,
-        by_arriving=by_arriving, fall=fall, hold=touch.hold, residual=residual, found=found, mass=mass,
+        by_arriving=by_arriving, fall=fall, hold=touch.hold,
+        residual=jnp.max(jnp.abs(gap)), found=found, mass=mass,
     )  # fmt: skip
 
 
