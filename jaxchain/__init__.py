@@ -49,6 +49,7 @@ from .fold import find_fold as find_fold
 from .fold import fold_belt_speed as fold_belt_speed
 from .fold_descent import FoldDescent as FoldDescent
 from .fold_descent import fold_by_descent as fold_by_descent
+from .fold_result import FoldResult as FoldResult
 from .friction import Coulomb as Coulomb
 from .friction import ExponentialDecay as ExponentialDecay
 from .friction import TanhFriction as TanhFriction

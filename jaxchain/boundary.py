@@ -1,7 +1,8 @@
 """The two boundaries of vibration of one chain, with what smoothing does to each.
 
-Below the Hopf speed steady sliding is unstable, so vibration starts by itself; up to the fold a
-vibration survives; between the two it depends on the start.
+Just below the Hopf speed, the greatest where there are several, steady sliding is unstable, so
+vibration starts by itself; up to the fold a vibration survives; between the two it depends on the
+start.
 """
 
 from __future__ import annotations
@@ -27,7 +28,8 @@ _HOPF_ERROR, _DRY_ERROR = 1e-12, 1e-10
 class Boundaries(eqx.Module):
     """Belt speeds, dimensionless; NaN for what does not exist or was not found.
 
-    - `hopf`: below it sliding is unstable, at the chain's width; `hopf_nonsmooth`: dry friction.
+    - `hopf`: above it sliding is stable, just below it is not, at the chain's width;
+      `hopf_nonsmooth`: for dry friction.
     - `fold`: up to it the vibration of one mass survives, at the chain's width.
     - `fold_nonsmooth`: the same for dry friction: found directly, else extrapolated to width 0.
     - `fold_limit`: extrapolated, a second opinion.
@@ -101,7 +103,8 @@ def missing(found: Boundaries) -> dict[str, str]:
     )
     no_fold = (
         "no fold was found: a vibration of one mass does not exist, or sets in gently at the Hopf "
-        "speed, or does not end at any belt speed for want of damping"
+        "speed, or does not end at any belt speed for want of damping, or the search failed "
+        "(`find_fold(chain).message` tells)"
     )
     joined = "; for several masses, also where the neighbours reach the speed of the belt"
     reasons = {
@@ -156,7 +159,7 @@ def in_words(chain: Chain, found: Boundaries) -> str:
 
     lines = [
         f"{'belt speed':<12} {f'width {width:g}':<14} {'dry friction':<24} what it says",
-        row("Hopf", "hopf", "below it vibration starts by itself"),
+        row("Hopf", "hopf", "just below it vibration starts by itself"),
         row("fold", "fold", f"up to it {who} survives"),
     ]
     if "fold_limit" not in reasons:

@@ -23,7 +23,7 @@ from .sliding import damping_outweighs
 
 # Widths over the speed of the problem: below the first two the dry cycle is wanted exactly, and the
 # asymptotics of a thin layer are the better guess; above the last they are none.
-_POLISH, _THIN, _THICK = 1e-3, 1e-2, 0.1
+_POLISH, _THIN, _THICK = 1e-4, 1e-2, 0.1
 # Below this a fold is searched for here, and moved on by the asymptotics, to an error of
 # 200 (3e-8)^(3/2) < 1.1e-9 of the speed of the problem: 200 is above all measured in random sets.
 _LEAST_WIDTH = 3e-8

@@ -1,4 +1,4 @@
-"""The Hopf boundary: below which belt speed steady sliding gives way to vibration (floor 5)."""
+"""The Hopf boundary: the belt speed above which steady sliding stays stable (floor 5)."""
 
 from collections.abc import Callable
 from typing import Any
@@ -31,9 +31,13 @@ _SATURATED = 30.0
 
 
 def hopf_belt_speed(chain: Chain) -> Float[Array, ""]:
-    """The belt speed v_H above which steady sliding is stable, and below which it is not.
+    """The greatest belt speed v_H at which steady sliding loses its stability as the belt slows.
 
-    There a pair of eigenvalues +-i omega crosses the imaginary axis.  When damping, friction and
+    Above it sliding is stable, and just below it is not.  Far below it may be stable again, under a
+    second Hopf speed, where friction rises with speed: within a few widths of rest for smoothed
+    friction, and wherever else a law has a rising part.  `hopf_points` lists all of them.
+
+    At v_H a pair of eigenvalues +-i omega crosses the imaginary axis.  When damping, friction and
     load are the same for all masses, all modes cross together where
 
         d(v_H) = 2 xi - p F'(-v_H) = 0,

@@ -1,12 +1,22 @@
 """Every Hopf point is listed, and described rightly."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.optimize import root_scalar
 
-from jaxchain import Chain, Coulomb, TanhFriction, WeakeningStrengthening, paper_chain
+from jaxchain import (
+    Chain,
+    Coulomb,
+    ExponentialDecay,
+    TanhFriction,
+    WeakeningStrengthening,
+    paper_chain,
+)
+from jaxchain.friction import AbstractFrictionLaw
 from jaxchain.hopf import hopf_belt_speed
 from jaxchain.hopf_points import hopf_points
 from jaxchain.sliding import sliding_damping, stiffness_matrix
@@ -208,3 +218,23 @@ def test_bad_input_is_named(belt_speeds, message):
 def test_it_says_that_it_is_not_for_tracing():
     with pytest.raises(ValueError, match="is traced"):
         jax.jit(lambda xi: hopf_points(paper_chain(1).with_(damping_ratio=xi)).belt_speed)(0.05)
+
+
+class RisingFirst(AbstractFrictionLaw):
+    """mu(s) = 0.5 + (0.3 + 2 s) exp(-s / 0.3): greatest at s = 0.15, not at rest."""
+
+    mu_static: Any = 0.8
+
+    def coefficient(self, speed):
+        return 0.5 + (0.3 + 2.0 * speed) * jnp.exp(-speed / 0.3)
+
+
+def test_sliding_is_stable_again_below_a_second_hopf_speed_where_friction_rises():
+    for law, width in ((RisingFirst(), 1e-3), (ExponentialDecay(1.0, 0.5, 0.5), 0.1)):
+        chain = Chain(1, TanhFriction(law, width), belt_speed=1.0)
+        points = hopf_points(chain, (0.05, 5.0))
+        low, high = (float(speed) for speed in points.belt_speed)
+        assert points.direction == ("growing speed", "falling speed")
+        np.testing.assert_allclose(hopf_belt_speed(chain), high, rtol=1e-9)
+        unstable = growing(chain, jnp.array([0.99 * low, 1.01 * low, 0.99 * high, 1.01 * high]))
+        np.testing.assert_array_equal(unstable, [0, 1, 1, 0])
