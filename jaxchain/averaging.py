@@ -92,8 +92,8 @@ def greatest_speed(chain: Chain) -> Float[Array, ""]:
 def speed_scale(chain: Chain, dry_speed: ScalarLike) -> Float[Array, ""]:
     """The speed that widths are to be compared with when one mass vibrates.
 
-    `dry_speed`, the belt speed of the dry fold by averaging, or twice the speed over which friction
-    weakens, mu_st / |mu'(0)|, if that is less.
+    `dry_speed`, the belt speed of the dry fold by averaging, or twice the speed over which
+    friction weakens, mu_st / |mu'(0)|, if that is less.
     """
     law = chain.friction.law
     _, slope = jax.jvp(law.coefficient, (jnp.zeros(()),), (jnp.ones(()),))

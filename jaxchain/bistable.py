@@ -57,8 +57,8 @@ def bistable_range(chain: Chain, vibrating: Any = None, friction: Any = "dry") -
     mass, as in `fold_belt_speed`; `friction`: "dry" (its width has no part in it either) or
     "smoothed".
 
-    A fold that vanishes takes the bistable range with it and is no failure.  Works under `jit`, `vmap`, `jvp`, and, where there is a
-    fold, `grad`.
+    A fold that vanishes takes the bistable range with it and is no failure.  Works under `jit`,
+    `vmap`, `jvp`, and, where there is a fold, `grad`.
 
     **Raises:** `ValueError` for anything but a chain, a mass it has, and one of the two words.
 

@@ -19,9 +19,9 @@ class FoldResult(eqx.Enumeration):
     )
     gentle = (
         "No fold was found: to first harmonic the belt is fastest for the least vibration of all, "
-        "so that vibration seems to set in gently (supercritically), at the Hopf speed. This is no "
-        "proof: see `hopf_points` for the criticality, and run `simulate` from a vibration above "
-        "`hopf_belt_speed`."
+        "so that vibration seems to set in gently (supercritically), at the Hopf speed. That is "
+        "no proof: see `hopf_points` for the criticality, and run `simulate` from a vibration "
+        "above `hopf_belt_speed`."
     )
     no_touch = (
         "No fold was found, though averaging has one: the search for the dry cycle that touches "

@@ -6,7 +6,9 @@ slip cycles have s << 0, stick-slip cycles s ~ 0, and the fold is the greatest V
 it well conditioned at every width: s stretches the layer of thickness O(eps), and V'(s), which
 implicit differentiation of the shooting equations gives, is nearly linear in exp(2 s) there, since
 at s < 0 the smoothed friction lacks the share 2 exp(2 s).  So the search is a secant for V'(s) = 0
-around Newton's method at fixed s.
+around Newton's method, each step of which is the least, in s and in 30 widths of v_d, of those
+that close the linearised cycle: at fixed s alone the slip cycle's multiplier, up to 1e10 where friction
+weakens over a small part of v_d, would leave it no room to converge.
 """
 
 from __future__ import annotations
@@ -27,6 +29,8 @@ FOLD_RTOL = 3e-11
 CLOSED = 1e-9
 _NEAR, _STATIONARY = 1e-7, 1e-10
 _MOST = 250
+# A cycle is closed, too, where Newton's correction at fixed s is less: at small widths rounding in
+# the layer keeps the residual, which is measured in widths, above `CLOSED`.
 _SMALL = 1e-10
 _FEW_WIDTHS = 30.0
 # Newton's first step, in the unknowns and relative in the belt speed; what it may grow by after a
@@ -47,7 +51,7 @@ class Place(eqx.Module):
 
 
 class _Newton(eqx.Module):
-    """Newton's method at fixed s."""
+    """Newton's method for a closed cycle."""
 
     best: Place  # the last accepted one
     norm: Float[Array, ""]  # its residual; infinite before the first
@@ -112,20 +116,25 @@ def search(shooting: Shooting, guess: Place, loose: Array, wanted: Array) -> Sea
     unknown = jnp.full((m, m + 1), jnp.nan)
     start = Search(guess, _fresh(guess), secant, nan, unknown, jnp.zeros((), int), wanted)
 
+    def unbound(known: _Secant) -> _Secant:
+        return eqx.tree_at(lambda k: (k.low, k.high), known, (secant.low, secant.high))
+
     def stage(before: Search, rtol: Array) -> tuple[Search, None]:
         # At another tolerance the fold may lie outside the bracket, by a little.
-        done = (rtol == loose) & (before.count > 0)
+        done = (rtol == loose) & before.found & (before.count > 0)
+        # What failed loosely starts anew.
+        begin = _where(before.found, before.here, guess)
         again = eqx.tree_at(
-            lambda k: (k.newton, k.secant.low, k.secant.high, k.found),
+            lambda k: (k.here, k.newton, k.secant, k.found),
             before,
-            (_fresh(before.here), secant.low, secant.high, done & before.found),
+            (begin, _fresh(begin), _where(before.found, unbound(before.secant), secant), done),
         )
         exact = eqx.tree_at(lambda k: k.rtol, shooting, rtol)
         tight = rtol <= FOLD_RTOL
 
         def goes_on(now: Search) -> Array:
             hopeful = (now.newton.refused < _MOST_REFUSED) & (now.count < _MOST)
-            return before.found & ~now.found & hopeful
+            return wanted & ~now.found & hopeful
 
         return lax.while_loop(goes_on, lambda now: _entry(exact, now, tight), again), None
 
@@ -140,8 +149,8 @@ def _entry(shooting: Shooting, now: Search, tight: Array) -> Search:
     good = norm < now.newton.norm  # false for NaN
     both = jnp.linalg.solve(jacobian[:, :-1], jnp.stack([r, jacobian[:, -1]], axis=1))
     tangent = -both[:, 1]
-    # Of the corrections that close the cycle the one that moves s and the belt speed least: where a
-    # mass sticks for long before the cut, what is left of the approach tells nothing of the speed.
+    # Of the corrections that close the cycle the one that moves s and the belt speed least: where
+    # a mass sticks long before the cut, what is left of its approach tells nothing of the speed.
     few = _FEW_WIDTHS * jnp.min(shooting.field.friction.width)
     per_width, sideways = tangent[index] / few, -both[:, 0][index] / few
     aside = -sideways * per_width / (1.0 + per_width**2)

@@ -1,4 +1,4 @@
-"""Where the search for a fold of cycles starts: averaging, the dry cycle, and its layer (floor 7)."""
+"""Where the search for a fold of cycles starts: averaging, the dry cycle, and its layer."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from .rosenbrock import Rodas5P
 from .shooting import Shooting
 from .sliding import damping_outweighs
 
-# Widths over the speed of the problem: below the first two the dry cycle is wanted exactly, and the
-# asymptotics of a thin layer are the better guess; above the last they are none.
+# Widths over the speed of the problem: below the first two the dry cycle is wanted exactly, and
+# the asymptotics of a thin layer are the better guess; above the last they are none.
 _POLISH, _THIN, _THICK = 1e-4, 1e-2, 0.1
 # Below this a fold is searched for here, and moved on by the asymptotics, to an error of
 # 200 (3e-8)^(3/2) < 1.1e-9 of the speed of the problem: 200 is above all measured in random sets.

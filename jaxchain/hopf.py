@@ -33,8 +33,8 @@ _SATURATED = 30.0
 def hopf_belt_speed(chain: Chain) -> Float[Array, ""]:
     """The greatest belt speed v_H at which steady sliding loses its stability as the belt slows.
 
-    Above it sliding is stable, and just below it is not.  Far below it may be stable again, under a
-    second Hopf speed, where friction rises with speed: within a few widths of rest for smoothed
+    Above it sliding is stable, and just below it is not.  Far below it may be stable again, under
+    a second Hopf speed, where friction rises with speed: within a few widths of rest for smoothed
     friction, and wherever else a law has a rising part.  `hopf_points` lists all of them.
 
     At v_H a pair of eigenvalues +-i omega crosses the imaginary axis.  When damping, friction and
