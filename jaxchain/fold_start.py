@@ -24,9 +24,10 @@ from .sliding import damping_outweighs
 # Widths over the speed of the problem: below the first two the dry cycle is wanted exactly, and
 # the asymptotics of a thin layer are the better guess; above the last they are none.
 _POLISH, _THIN, _THICK = 1e-4, 1e-2, 0.1
-# Below this a fold is searched for here, and moved on by the asymptotics, to an error of
-# 200 (3e-8)^(3/2) < 1.1e-9 of the speed of the problem: 200 is above all measured in random sets.
-_LEAST_WIDTH = 3e-8
+# Below this a fold is searched for here, and moved on by the asymptotics.  Over the speed of the
+# problem these err by 20 (3e-8)^(3/2) = 1e-10 and, where the slip cycle is very unstable, by
+# 200 (3e-7)^(3/2) = 3e-8: 200 is above all that was measured in 300 random sets, 20 above most.
+_LEAST_WIDTH, _LEAST_UNSTABLE = 3e-8, 3e-7
 _LOOSE, _LOOSE_PER_WIDTH = 1e-6, 1e-3
 # Multiplier of the dry slip cycle, and width, from which on a loose integration is no help.
 _UNSTABLE, _NARROW = 30.0, 1e-5
@@ -55,14 +56,15 @@ def first_guess(chain: Chain, mass: int) -> Start:
     dry = eqx.tree_at(lambda c: c.friction.width, alone, jnp.asarray(1e-9))
     dry_averaged = cycle_speed(dry, 1.0, greatest_speed(dry))
     scale = speed_scale(alone, dry_averaged)
-    least = jnp.where(jnp.isfinite(dry_averaged), _LEAST_WIDTH * scale, 0.0)
+    touch, q, slopes = find_touch(chain, mass, exact=alone.friction.width < _POLISH * scale)
+    (_, v), _, touch_speed = touch.unpack(q)
+    known = *slopes[-1], touch.fall(v), touch.hold
+    unstable = -known[0] / known[1] > _UNSTABLE
+    least = scale * jnp.where(unstable, _LEAST_UNSTABLE, _LEAST_WIDTH)
+    least = jnp.where(jnp.isfinite(least), least, 0.0)
     chain, alone = at_least_wide(chain, least), at_least_wide(alone, least)
     width = alone.friction.width
     averaged, averaged_s, exists = fold_guess(alone)
-
-    touch, q, slopes = find_touch(chain, mass, exact=width < _POLISH * scale)
-    (_, v), _, touch_speed = touch.unpack(q)
-    known = *slopes[-1], touch.fall(v), touch.hold
     here = layer(*known, width)
     # The layer is thin, or else averaging knows better where it is, and what belt speed it has.
     layered = jnp.isfinite(here.closeness) & (width < _THICK * scale)
@@ -91,7 +93,6 @@ def first_guess(chain: Chain, mass: int) -> Start:
     result = FoldResult.where(damped, result, FoldResult.undamped)
     result = FoldResult.where(none, FoldResult.none, result)
     # A loose integration would spoil a guess that is better than it.
-    unstable = -known[0] / known[1] > _UNSTABLE
     good = thin & (unstable | (width < _NARROW * scale))
     loose = jnp.where(good, FOLD_RTOL, loose_rtol(chain))
     hopeful = ~none & damped & exists & touches

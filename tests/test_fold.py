@@ -53,22 +53,26 @@ def wild_folds(numbers):
 
 
 def vibrates(numbers, speeds, dry):
-    """Whether runs from sticking go on, at one row of belt speeds for each set, after a time.
+    """Whether runs from sticking go on, at one row of belt speeds for each set.
 
-    Near a fold what dies out does so within a time of some (margin)^(-1/2) periods and 1 / xi; to
-    go on is to have an amplitude above a third of the belt's speed, or one that does not fall.
+    To go on is to have an amplitude above a third of the belt's speed which does not fall: near a
+    fold what dies out takes its time, but it loses more than 1e-3 in the second half.
     """
 
     def one(numbers, speed):
         chain = eqx.tree_at(lambda c: c.belt_speed, wild_chain(numbers), speed)
-        time = 400.0 + 20.0 / numbers[0]
-        return simulate(
-            chain, on_the_belt(chain), time, observe=Amplitude(window=20.0), throw=False,
-            solver=EventDriven(7) if dry else None, rtol=1e-8 if dry else 1e-7,
-        ).observed[0]  # fmt: skip
+        time, state, amplitudes = 300.0 + 10.0 / numbers[0], on_the_belt(chain), []
+        for _ in range(2):
+            run = simulate(
+                chain, state, time, observe=Amplitude(window=20.0), throw=False,
+                solver=EventDriven(7) if dry else None, rtol=1e-8 if dry else 1e-7,
+            )  # fmt: skip
+            state = run.state
+            amplitudes.append(run.observed[0])
+        return (amplitudes[1] > 0.3 * speed) & (amplitudes[1] > 0.999 * amplitudes[0])
 
     run = jax.jit(jax.vmap(jax.vmap(one, (None, 0))))
-    return np.asarray(run(jnp.asarray(numbers), jnp.asarray(speeds))) > 0.3 * speeds
+    return np.asarray(run(jnp.asarray(numbers), jnp.asarray(speeds)))
 
 
 def claims(seed, count, margin=0.01):
@@ -337,14 +341,13 @@ def test_below_the_least_width_gradients_are_those_of_dry_friction():
     np.testing.assert_allclose(slopes[1], jax.grad(grazing.smoothed)(1e-9), rtol=1e-6)
 
 
-def test_what_is_not_found_says_why():
-    chains = [
-        (paper_chain(2).with_(coupling=0.3), {FoldResult.no_touch, FoldResult.no_cycle}),
-    ]
-    for chain, reasons in chains:
-        fold = find_fold(chain)
-        assert any(bool(fold.result == reason) for reason in reasons) or bool(fold.found)
-        assert bool(fold.found) or "No fold was found, though" in fold.message
+@pytest.mark.slow
+def test_a_search_that_fails_says_so_and_claims_nothing():
+    """Two masses so strongly coupled that they vibrate together."""
+    fold = find_fold(paper_chain(2).with_(coupling=0.3))
+    assert not bool(fold.found)
+    assert fold.result == FoldResult.no_touch
+    assert fold.message.startswith("No fold was found, though averaging has one")
 
 
 @pytest.mark.long
