@@ -23,7 +23,7 @@ from .sliding import damping_outweighs
 
 # Widths over the speed of the problem: below the first two the dry cycle is wanted exactly, and
 # the asymptotics of a thin layer are the better guess; above the last they are none.
-_POLISH, _THIN, _THICK = 1e-4, 1e-2, 0.1
+_POLISH, _THIN, _THICK = 1e-4, 3e-2, 0.1
 # Below this a fold is searched for here, and moved on by the asymptotics.  Over the speed of the
 # problem these err by 20 (3e-8)^(3/2) = 1e-10 and, where the slip cycle is very unstable, by
 # 200 (3e-7)^(3/2) = 3e-8: 200 is above all that was measured in 300 random sets, 20 above most.

@@ -325,7 +325,7 @@ def test_any_width_has_its_fold():
     folds, _ = wild_folds(jnp.asarray([[0.05, 0.5, 0.5, w] for w in around]))
     np.testing.assert_allclose(folds.belt_speed[0], folds.belt_speed[1], rtol=1e-9)
     # The formula that is used below, tried above, where the search knows better.
-    asymptotic = find_grazing(paper_chain(1)).smoothed(jnp.asarray(around[2:]))
+    asymptotic = jax.vmap(find_grazing(paper_chain(1)).smoothed)(jnp.asarray(around[2:]))
     np.testing.assert_allclose(asymptotic, folds.belt_speed[2:], rtol=2e-9)
 
 
