@@ -134,7 +134,7 @@ def find_fold(chain: Any, vibrating: Any = None) -> Fold:
         residual=found.residual,
         found=found.found,
         result=FoldResult.where(found.found, FoldResult.found, start.result),
-        width=held.field.friction.width,
+        width=held.field.friction.width,  # pyright: ignore[reportAttributeAccessIssue]
         evaluations=found.count,
         mass=mass,
     )

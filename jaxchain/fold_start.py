@@ -65,7 +65,8 @@ def first_guess(chain: Chain, mass: int) -> Start:
     chain, alone = at_least_wide(chain, least), at_least_wide(alone, least)
     width = alone.friction.width
     averaged, averaged_s, exists = fold_guess(alone)
-    here = layer(*known, width)
+    by_leaving, by_arriving, fall, hold = known
+    here = layer(by_leaving, by_arriving, fall, hold, width)
     # The layer is thin, or else averaging knows better where it is, and what belt speed it has.
     layered = jnp.isfinite(here.closeness) & (width < _THICK * scale)
     thin = layered & (width < _THIN * scale)
@@ -120,8 +121,9 @@ def narrowed(start: Start, width: Array) -> Array:
     )]  # fmt: skip
 
     def shift(width: Array) -> Array:
-        leaving, arriving, _ = sides(*known, width)
-        return known[0] * leaving + known[1] * arriving
+        first, second, kappa, held = known
+        leaving, arriving, _ = sides(first, second, kappa, held, width)
+        return first * leaving + second * arriving
 
     wide = jnp.where(sound, start.width, 1.0)
     gained = shift(jnp.where(sound, width, 1.0)) - shift(wide)
