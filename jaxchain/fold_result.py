@@ -25,13 +25,13 @@ class FoldResult(eqx.Enumeration):
     )
     no_touch = (
         "No fold was found, though averaging has one: the search for the dry cycle that touches "
-        "the belt's speed failed. With strong coupling the neighbours may reach the belt's speed, "
-        "too. Weaken the coupling, or follow the branch from a cycle: `find_limit_cycle`, "
-        "`cycle_branch`."
+        "the belt's speed failed. With strong coupling one mass may not vibrate alone at any belt "
+        "speed: try a run. Weaken the coupling, or follow the cycle in which several vibrate: "
+        "`find_limit_cycle` from the end of a run, then `continue_cycle`."
     )
     no_cycle = (
         "No fold was found, though averaging has one: the search for a closed cycle failed. Where "
         "friction weakens over speeds far below the belt's, the cycle is very unstable: "
         "`find_grazing(chain).smoothed(width)` tells about where the fold is. Otherwise another "
-        "width may help, or `cycle_branch` from a cycle of `find_limit_cycle`."
+        "width may help, or `continue_cycle` from a cycle of `find_limit_cycle`."
     )
