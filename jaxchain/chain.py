@@ -13,7 +13,8 @@ from jaxtyping import Array, ArrayLike, Float
 from ._checks import check_finite, check_nonnegative, check_positive, to_float
 from ._types import PerMass, ScalarLike, State
 from .friction import ExponentialDecay, TanhFriction
-from .structure import AbstractOscillators, Ends, Springs
+from .springs import Ends, Springs
+from .structure import AbstractOscillators
 from .tridiagonal import exact_solver
 
 

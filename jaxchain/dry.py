@@ -23,7 +23,8 @@ from jaxtyping import Array, Bool, Float, Int
 from ._types import PerMass, ScalarLike, State
 from .chain import Chain
 from .polynomial import first_exit
-from .structure import AbstractOscillators, Springs, materialize
+from .springs import Springs, materialize
+from .structure import AbstractOscillators
 
 STICK, FORWARD, BACKWARD = 0.0, 1.0, -1.0
 # Shares of the natural scale below which a speed or a force is nothing but rounding.

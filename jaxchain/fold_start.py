@@ -15,11 +15,12 @@ from .chain import Chain
 from .choice import fit_linear_solve
 from .fold_result import FoldResult
 from .fold_search import FOLD_RTOL, Place, as_place
-from .grazing import find_touch, slip_force
 from .layer import layer, sides
 from .rosenbrock import Rodas5P
 from .shooting import Shooting
 from .sliding import damping_outweighs
+from .touch import slip_force
+from .touch_search import find_touch
 
 # Widths over the speed of the problem: below the first two the dry cycle is wanted exactly, and
 # the asymptotics of a thin layer are the better guess; above the last they are none.

@@ -24,13 +24,13 @@ from .chain import Chain
 from .choice import fit_linear_solve
 from .fold import Fold, find_fold
 from .fold_search import Place, unknowns, value_and_jacobian
-from .grazing import Touch, touch_residual
 from .hopf import hopf_belt_speed
 from .roots import newton
 from .rosenbrock import Rodas5P
 from .shooting import Shooting
 from .simulate import simulate
 from .states import check_vibrating
+from .touch import Touch, touch_residual
 
 # Where a mass sticks, z of the integrated cycle is uncertain by about rtol / eps.
 _RTOL, _CLOSED = 1e-9, 1e-5

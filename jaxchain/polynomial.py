@@ -12,7 +12,7 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from .structure import materialize
+from .springs import materialize
 
 # Rounds of the search.  The first ones never pass an exit and close in on it quadratically; the
 # last are Newton's, allowed only where convergence is certain.

@@ -27,7 +27,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ._types import ScalarLike, State
-from .structure import AbstractOscillators, materialize
+from .springs import materialize
+from .structure import AbstractOscillators
 from .tableaus import RODAS4, RODAS5P, RosenbrockTableau
 from .tridiagonal import contraction, exact_solver, swept_solver
 

@@ -8,7 +8,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from ._types import ScalarLike
-from .structure import Springs
+from .springs import Springs
 
 
 def contraction(

@@ -21,7 +21,8 @@ from jaxchain import (
     paper_chain,
     simulate,
 )
-from jaxchain.structure import AbstractOscillators, Springs
+from jaxchain.springs import Springs
+from jaxchain.structure import AbstractOscillators
 
 
 def pid(rtol: Any = 1e-6, **kwargs: Any) -> dfx.PIDController:

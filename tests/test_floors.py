@@ -10,18 +10,19 @@ import jaxchain
 FLOORS = [
     {"_types", "_checks", "result", "fold_result", "branch", "evidence"},
     {"locality"},
-    {"friction", "structure", "tableaus", "units", "measures", "studies.bias", "spectrum"}
+    {"springs", "friction", "tableaus", "units", "measures", "studies.bias", "spectrum"}
     | {"roots", "implicit", "descent", "criteria", "layer"}
     | {"studies.mistuning.statistics", "studies.mistuning.summary"}
     | {"studies.ladder.summary", "studies.verdicts.paper"},
-    {"tridiagonal"},
+    {"structure", "tridiagonal"},
     {"chain", "control", "polynomial", "rosenbrock", "augmented", "corrector"}
     | {"studies.verdicts.reasons", "studies.states.summary"},
     {"dry", "observe", "states", "choice", "special_points", "sliding", "averaging"},
     {"amplitude", "least_period", "sampling", "progress", "studies.balance", "studies.witnesses"}
-    | {"walk", "lyapunov_coefficient", "crossings", "grazing", "front_track", "mistuning"},
-    {"engine", "filippov", "lanes", "dataset", "continuation", "hopf", "hopf_points"}
+    | {"walk", "lyapunov_coefficient", "crossings", "touch", "front_track", "mistuning"},
+    {"touch_search", "observing_solver", "lanes", "dataset", "continuation", "hopf", "hopf_points"}
     | {"hopf_descent"},
+    {"grazing", "engine", "filippov"},
     {"simulate", "shooting", "generalised_hopf", "linearised", "tangent"},
     {"axes", "pool", "fold_search", "floquet", "cycle_equations", "recurrence"}
     | {"studies.mistuning.capture", "studies.fronts.prediction"},

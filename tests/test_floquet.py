@@ -16,7 +16,7 @@ from jaxchain.floquet import (
     monodromy_matrix,
     trace_integral,
 )
-from jaxchain.structure import Springs
+from jaxchain.springs import Springs
 
 
 def variational(chain, state, period):

@@ -8,8 +8,9 @@ import scipy.integrate
 import scipy.optimize
 
 from jaxchain import Chain, Coulomb, EventDriven, TanhFriction, paper_chain, simulate
-from jaxchain.grazing import _peak, find_grazing, nonsmooth_fold_belt_speed
+from jaxchain.grazing import find_grazing, nonsmooth_fold_belt_speed
 from jaxchain.states import check_vibrating
+from jaxchain.touch import _peak
 
 NAMES = ("damping_ratio", "mu_static", "mu_dynamic", "v_ref")
 PAPER = np.array([0.05, 1.0, 0.5, 0.5])

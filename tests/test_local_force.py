@@ -23,7 +23,8 @@ from jaxchain import (
     sweep,
 )
 from jaxchain.floquet import liouville_defect, trace_integral
-from jaxchain.structure import AbstractOscillators, Springs
+from jaxchain.springs import Springs
+from jaxchain.structure import AbstractOscillators
 
 PERIOD, AMPLITUDE = 6.6632868593, 2.0086198609
 SPRINGS = Springs(jnp.asarray(0.1), "cyclic")

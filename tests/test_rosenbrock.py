@@ -11,7 +11,7 @@ import pytest
 from systems.oscillators import Driven, LinearRing
 
 from jaxchain import Rodas4, Rodas5P, equation_8, paper_chain
-from jaxchain.structure import Springs
+from jaxchain.springs import Springs
 
 N = 5
 SPRINGS = Springs(jnp.asarray(0.3), "cyclic")

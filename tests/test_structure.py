@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxchain.structure import Springs, neighbour_sum, neighbours
+from jaxchain.springs import Springs, neighbour_sum, neighbours
 from jaxchain.tridiagonal import contraction, exact_solver, swept_solver
 
 

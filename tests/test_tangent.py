@@ -12,7 +12,7 @@ from systems.oscillators import LinearRing
 from jaxchain import EventDriven, Rodas5P, excited_state, monodromy_matrix, paper_chain, simulate
 from jaxchain.floquet import trace_integral
 from jaxchain.simulate import build_plan
-from jaxchain.structure import Springs
+from jaxchain.springs import Springs
 from jaxchain.tangent import (
     Divergence,
     Frame,

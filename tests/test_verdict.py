@@ -29,7 +29,8 @@ from jaxchain.recurrence import (
 )
 from jaxchain.result import Result
 from jaxchain.return_map import close_orbit
-from jaxchain.structure import AbstractOscillators, Springs
+from jaxchain.springs import Springs
+from jaxchain.structure import AbstractOscillators
 from jaxchain.verdict import verdict, verdicts
 
 

@@ -8,7 +8,8 @@ import jax
 import jax.numpy as jnp
 
 from jaxchain._types import State
-from jaxchain.structure import AbstractOscillators, Springs
+from jaxchain.springs import Springs
+from jaxchain.structure import AbstractOscillators
 
 
 class AbstractExactOscillators(AbstractOscillators):
