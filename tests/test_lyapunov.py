@@ -105,7 +105,7 @@ def test_masses_that_stick_together_lose_as_many_directions():
 
 def test_a_run_goes_on_where_it_ended():
     chain, exact = linear_chain(3, 1.5, np.array([0.20, 0.22, 0.43]))
-    found = dry(chain, (jnp.array([1.0, -0.5, 0.3]), jnp.zeros(3)), 4.0, 2.0)
+    found = dry(chain, (jnp.array([1.0, -0.5, 0.3]), jnp.zeros(3)), 22.0, 2.0)
     on = dry(chain, found.state, 300.0, 200.0, max_step=0.05)
     np.testing.assert_allclose(on.exponents, exact, atol=1e-10, rtol=0)
 

@@ -119,8 +119,8 @@ def test_what_is_annihilated_is_written_and_drawn_as_that():
     assert decisive(data)["value"][0] == -np.inf
     assert "-inf  [-inf, -inf]" in summary({"slow": data})
     axes = figure({"slow": data}).axes[0]
-    below = [line for line in axes.lines if line.get_marker() == "v"]
-    assert [line.get_ydata().tolist() for line in below if len(line.get_xdata())] == [[LOWEST]]
+    below = [np.asarray(line.get_ydata()) for line in axes.lines if line.get_marker() == "v"]
+    assert [values.tolist() for values in below if values.size] == [[LOWEST]]
 
 
 def test_what_is_drawn_is_what_decides(datasets):
