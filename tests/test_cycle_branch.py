@@ -177,7 +177,10 @@ def synthetic(*multipliers, monodromy=None):
     zero = jnp.zeros(())
     n = (mu.size + 1) // 2
     monodromy = jnp.eye(2 * n) if monodromy is None else jnp.asarray(monodromy)
-    return CycleLinearisation(jnp.zeros(n), jnp.zeros(n), zero, jnp.zeros(n), monodromy, mu, zero)
+    return CycleLinearisation(
+        x=jnp.zeros(n), v=jnp.zeros(n), period=zero, speed=zero, times_round=jnp.asarray(1),
+        amplitude=jnp.zeros(n), monodromy=monodromy, multipliers=mu, trivial_defect=zero,
+    )  # fmt: skip
 
 
 def test_the_torus_test_changes_its_sign_at_the_unit_circle_alone():

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -223,7 +224,7 @@ def test_it_says_that_it_is_not_for_tracing():
 class RisingFirst(AbstractFrictionLaw):
     """mu(s) = 0.5 + (0.3 + 2 s) exp(-s / 0.3): greatest at s = 0.15, not at rest."""
 
-    mu_static: Any = 0.8
+    mu_static: Any = eqx.field(default=0.8, converter=jnp.asarray)
 
     def coefficient(self, speed):
         return 0.5 + (0.3 + 2.0 * speed) * jnp.exp(-speed / 0.3)

@@ -150,7 +150,7 @@ def test_the_summary_says_where_there_is_nothing(outcome):
     assert "3 vibrate in the end with true dry friction" in summarize_states(data)
     data["active_count"].loc[{"excited": 1, "width": 1e-4}] = np.nan
     data["active_count_nonsmooth"].loc[{"excited": 2}] = np.nan
-    assert "1 vibrate, but the run failed at 0.0001" in summarize_states(data)
+    assert "1 vibrate, but 0 at 0.2, the run failed at 0.0001" in summarize_states(data)
     assert "the run with true dry friction failed" in summarize_states(data)
     assert spread(3, 5).tolist() == [0, 1, 2]
 
