@@ -68,10 +68,9 @@ def fold_belt_speed(chain: Any, vibrating: Any = None) -> Float[Array, ""]:
     and moved on by the asymptotics of `Grazing.smoothed`, which err by less than 1e-9 of that
     speed there; below 3e-7, and by less than 3e-8, where friction weakens so fast that the slip
     cycle multiplies disturbances by more than 30.  Of its derivatives only that in the width knows
-    of the move, so that the others err by about 1e-6.  Works under `jit`, `vmap` (no lane
-    harms another),
-    `grad` and `jvp`, in every number of the chain, once: as v_d is stationary along the branch,
-    its first derivatives are those of a cycle with the closeness max w / eps held.
+    of the move, so that the others err by about 1e-6.  Works under `jit`, `vmap` (no lane harms
+    another), `grad` and `jvp`, in every number of the chain, once: as v_d is stationary along the
+    branch, its first derivatives are those of a cycle with the closeness max w / eps held.
 
     **Raises:** `ValueError` for anything but a `Chain`, or a mass it does not have.
 
