@@ -55,21 +55,24 @@ def wild_folds(numbers):
 def vibrates(numbers, speeds, dry):
     """Whether runs from sticking go on, at one row of belt speeds for each set.
 
-    To go on is to have an amplitude above a third of the belt's speed which does not fall: near a
-    fold what dies out takes its time, but it loses more than 1e-3 in the second half.
+    To go on is to have an amplitude above a third of the belt's speed which does not fall, or less
+    and less.  Near a fold what dies out takes its time, but it loses more than 1e-3 in the last
+    quarter, and about the same share as in the third; what nears a cycle loses ever less.
     """
 
     def one(numbers, speed):
         chain = eqx.tree_at(lambda c: c.belt_speed, wild_chain(numbers), speed)
         time, state, amplitudes = 300.0 + 10.0 / numbers[0], on_the_belt(chain), []
-        for _ in range(2):
+        for _ in range(4):
             run = simulate(
                 chain, state, time, observe=Amplitude(window=20.0), throw=False,
                 solver=EventDriven(7) if dry else None, rtol=1e-8 if dry else 1e-7,
             )  # fmt: skip
             state = run.state
             amplitudes.append(run.observed[0])
-        return (amplitudes[1] > 0.3 * speed) & (amplitudes[1] > 0.999 * amplitudes[0])
+        _, *late = jnp.log(jnp.stack(amplitudes))
+        before, last = late[0] - late[1], late[1] - late[2]
+        return (amplitudes[-1] > 0.3 * speed) & ((last < 1e-3) | (last < 0.5 * before))
 
     run = jax.jit(jax.vmap(jax.vmap(one, (None, 0))))
     return np.asarray(run(jnp.asarray(numbers), jnp.asarray(speeds)))
