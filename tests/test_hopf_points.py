@@ -226,7 +226,7 @@ class RisingFirst(AbstractFrictionLaw):
 
     mu_static: Any = eqx.field(default=0.8, converter=jnp.asarray)
 
-    def coefficient(self, speed):
+    def coefficient(self, speed: Any) -> Any:
         return 0.5 + (0.3 + 2.0 * speed) * jnp.exp(-speed / 0.3)
 
 
