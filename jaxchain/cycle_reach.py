@@ -20,12 +20,13 @@ from .chain import Chain
 from .cycle_branch import continue_cycle
 from .cycle_guesses import guess_of_kind
 from .cycle_search import LimitCycle, solve_cycle
+from .measures import active
 from .shooting import Shooting
 
 # Belt speeds to begin at: of slip cycles those at which averaging has amplitudes of such shares of
 # the belt speed, of stick-slip cycles such shares of the one that is asked for.
 _RATIOS = (0.95, 0.85, 0.7, 0.5, 0.3)
-_SHARES = (0.97, 0.9, 0.75, 0.5)
+_SHARES = (0.97, 0.9, 0.8, 0.7, 0.6, 0.5)
 # By how much the closeness at a fold may differ from what is known of it.
 _DOUBT = 0.3
 
@@ -59,7 +60,7 @@ def is_of_kind(cycle: LimitCycle, kind: str) -> Bool[Array, ""]:
 
 
 def reach(shooting: Shooting, kind: str, tolerance: Array, limit: Array) -> Reached:
-    """The cycle of `kind` at the belt speed of `shooting.field`, a chain, followed from elsewhere.
+    """The cycle of one mass, of `kind`, at the belt speed of `shooting.field`, from elsewhere.
 
     On the host.  The reason says where the branch turns or ends if it does not get there.
     """
@@ -76,7 +77,9 @@ def reach(shooting: Shooting, kind: str, tolerance: Array, limit: Array) -> Reac
             images=shooting.images,
         )  # fmt: skip
         cycle, _ = solve_cycle(own, own.pack(state, period), tolerance, limit)
-        if not bool(cycle.converged & is_of_kind(cycle, kind)):
+        # Where vibration spreads, a run from one mass ends with several.
+        alone = jnp.sum(active(cycle.amplitude, speed)) <= 1
+        if not bool(cycle.converged & is_of_kind(cycle, kind) & alone):
             continue
         found, ended = _follow(cycle, shooting, goal, along)
         if found is not None:
