@@ -118,7 +118,7 @@ def find_limit_cycle(
 
 
 def _keep_kind(cycle: LimitCycle, kind: str) -> LimitCycle:
-    """Not `converged` unless it is on the side of its fold that was asked for."""
+    """Not `converged` unless it is of the kind that was asked for."""
     converged = cycle.converged & is_of_kind(cycle, kind)
     return eqx.tree_at(lambda c: c.converged, cycle, converged)
 

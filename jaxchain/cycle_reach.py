@@ -26,7 +26,7 @@ from .shooting import Shooting
 # Belt speeds to begin at: of slip cycles those at which averaging has amplitudes of such shares of
 # the belt speed, of stick-slip cycles such shares of the one that is asked for.
 _RATIOS = (0.95, 0.85, 0.7, 0.5, 0.3)
-_SHARES = (0.97, 0.9, 0.8, 0.7, 0.6, 0.5)
+_SHARES = (0.97, 0.9, 1.1, 0.8, 1.2, 1.3, 0.7, 0.6, 0.5)
 # By how much the closeness at a fold may differ from what is known of it.
 _DOUBT = 0.3
 
@@ -39,8 +39,9 @@ class Reached(NamedTuple):
 
 
 def is_of_kind(cycle: LimitCycle, kind: str) -> Bool[Array, ""]:
-    """Whether a cycle is on the side of its fold that was asked for, as far as it shows.
+    """Whether one mass vibrates, on the side of the fold that was asked for, as far as it shows.
 
+    Where vibration spreads, a run from one mass ends with several.
     Slip cycles ("unstable") have a real multiplier beyond 1, which passes through 1 at the fold.
     A stick-slip cycle ("stable") of a chain may have one, too, with the symmetry of its neighbours
     lost, but its mass comes closer to the belt's speed than that of a fold, s = max w / eps =
@@ -48,15 +49,16 @@ def is_of_kind(cycle: LimitCycle, kind: str) -> Bool[Array, ""]:
     """
     multipliers = cycle.multipliers
     beyond = (jnp.imag(multipliers) == 0) & (jnp.real(multipliers) > 1.0 + cycle.uncertainty)
-    grows = jnp.any(beyond)
+    grows, n = jnp.any(beyond), cycle.fastest.shape[0]
+    chain: Any = cycle.chain
+    alone = jnp.sum(active(cycle.amplitude, chain.belt_speed)) <= 1
     if kind == "unstable":
-        return grows
-    n = cycle.fastest.shape[0]
-    if n == 1 or not isinstance(cycle.chain, Chain):
+        return alone & grows
+    if n == 1:
         return ~grows
-    eps = jnp.broadcast_to(cycle.chain.friction.width, (n,))[cycle.mass]
-    fold = 0.25 * jnp.log(eps / jnp.maximum(jnp.abs(cycle.chain.belt_speed), eps)) - 1.0
-    return ~(grows & (cycle.closeness[cycle.mass] < fold + _DOUBT))
+    eps = jnp.broadcast_to(chain.friction.width, (n,))[cycle.mass]
+    fold = 0.25 * jnp.log(eps / jnp.maximum(jnp.abs(chain.belt_speed), eps)) - 1.0
+    return alone & ~(grows & (cycle.closeness[cycle.mass] < fold + _DOUBT))
 
 
 def reach(shooting: Shooting, kind: str, tolerance: Array, limit: Array) -> Reached:
@@ -77,9 +79,7 @@ def reach(shooting: Shooting, kind: str, tolerance: Array, limit: Array) -> Reac
             images=shooting.images,
         )  # fmt: skip
         cycle, _ = solve_cycle(own, own.pack(state, period), tolerance, limit)
-        # Where vibration spreads, a run from one mass ends with several.
-        alone = jnp.sum(active(cycle.amplitude, speed)) <= 1
-        if not bool(cycle.converged & is_of_kind(cycle, kind) & alone):
+        if not bool(cycle.converged & is_of_kind(cycle, kind)):
             continue
         found, ended = _follow(cycle, shooting, goal, along)
         if found is not None:

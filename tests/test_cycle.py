@@ -8,9 +8,17 @@ import pytest
 from scipy.integrate import solve_ivp
 from systems.piecewise import PiecewiseLinear, exact_cycle
 
-from jaxchain import excited_state, hopf_points, paper_chain, simulate, steady_sliding
+from jaxchain import (
+    Amplitude,
+    active,
+    excited_state,
+    hopf_points,
+    paper_chain,
+    simulate,
+    steady_sliding,
+)
 from jaxchain.cycle import find_limit_cycle
-from jaxchain.cycle_guesses import guess_from_hopf, guess_from_simulation
+from jaxchain.cycle_guesses import guess_from_hopf, guess_from_simulation, release_state
 
 
 def right_side(chain):
@@ -229,6 +237,20 @@ def test_cycles_near_the_fold_are_found_on_their_own_side(speed):
     assert float(slip.closeness[0]) < -2.142 < float(stick.closeness[0])
     assert max(float(slip.residual), float(stick.residual)) < 1e-9
     assert float(slip.chain.belt_speed) == speed
+
+
+@pytest.mark.long
+def test_one_mass_vibrates_where_a_run_from_it_ends_with_several():
+    chain = paper_chain(6, belt_speed=1.2)
+    spread = simulate(chain, release_state(chain, 3), 400.0, observe=Amplitude(window=40.0))
+    assert int(active(spread.observed, 1.2).sum()) > 1
+    cycle = find_limit_cycle(chain)
+    assert active(cycle.amplitude, 1.2).tolist() == [n == 3 for n in range(6)]
+    assert float(cycle.residual) < 1e-9
+    assert cycle.stable is False
+    # It is on the branch of the one at which a run does settle.
+    beside = find_limit_cycle(chain.with_(belt_speed=1.21), cycle)
+    assert beside.energy == pytest.approx(float(cycle.energy), rel=0.03)
 
 
 @pytest.mark.slow
