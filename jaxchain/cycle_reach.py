@@ -7,7 +7,7 @@ other one.  Along the branch there is no such doubt.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax.numpy as jnp
 import numpy as np
@@ -49,8 +49,7 @@ def is_of_kind(cycle: LimitCycle, kind: str) -> Bool[Array, ""]:
     """
     multipliers = cycle.multipliers
     beyond = (jnp.imag(multipliers) == 0) & (jnp.real(multipliers) > 1.0 + cycle.uncertainty)
-    grows, n = jnp.any(beyond), cycle.fastest.shape[0]
-    chain: Any = cycle.chain
+    grows, n, chain = jnp.any(beyond), cycle.fastest.shape[0], cast(Chain, cycle.chain)
     alone = jnp.sum(active(cycle.amplitude, chain.belt_speed)) <= 1
     if kind == "unstable":
         return alone & grows
@@ -105,7 +104,7 @@ def _follow(
     cycle: LimitCycle, shooting: Shooting, goal: float, along: float
 ) -> tuple[tuple[State, Array] | None, str]:
     """The cycle at the belt speed `goal`; if the branch does not get there, why."""
-    begin = abs(float(cycle.chain.belt_speed))  # pyright: ignore[reportAttributeAccessIssue]
+    begin = abs(float(cast(Chain, cycle.chain).belt_speed))
     ahead = 1.0 if goal > begin else -1.0
     bounds = sorted((along * goal, along * (goal - 2.0 * ahead * abs(goal - begin) - ahead)))
     farthest = begin

@@ -10,6 +10,7 @@ from systems.piecewise import PiecewiseLinear, exact_cycle
 
 from jaxchain import (
     Amplitude,
+    Chain,
     active,
     excited_state,
     hopf_points,
@@ -236,6 +237,7 @@ def test_cycles_near_the_fold_are_found_on_their_own_side(speed):
     # Closeness at the fold: -2.142.
     assert float(slip.closeness[0]) < -2.142 < float(stick.closeness[0])
     assert max(float(slip.residual), float(stick.residual)) < 1e-9
+    assert isinstance(slip.chain, Chain)
     assert float(slip.chain.belt_speed) == speed
 
 
