@@ -1,4 +1,4 @@
-"""Conversion and checks of input (floor 0): errors that name the argument, its value and a remedy.
+"""Conversion and checks of input: errors that name the argument, its value and a remedy.
 
 The checks look at concrete numbers only. A traced value passes silently, so that a law or a chain
 can be built under `jit`, `vmap` and `grad`; shapes are known even there and are always checked.

@@ -1,4 +1,4 @@
-"""Shape aliases used throughout (floor 0)."""
+"""Shape aliases used throughout."""
 
 from typing import TypeAlias
 

@@ -1,4 +1,4 @@
-"""How a run ended, with advice in every message (floor 0)."""
+"""How a run ended, with advice in every message."""
 
 from __future__ import annotations
 

@@ -22,9 +22,9 @@ from jaxchain import (
     simulate,
     sweep,
 )
-from jaxchain.floquet import liouville_defect, trace_integral
-from jaxchain.springs import Springs
-from jaxchain.structure import AbstractOscillators
+from jaxchain.cycles.floquet import liouville_defect, trace_integral
+from jaxchain.model.oscillators import AbstractOscillators
+from jaxchain.model.springs import Springs
 
 PERIOD, AMPLITUDE = 6.6632868593, 2.0086198609
 SPRINGS = Springs(jnp.asarray(0.1), "cyclic")

@@ -13,8 +13,8 @@ from typing import Any, no_type_check
 
 import numpy as np
 
-from jaxchain.chain import Chain
-from jaxchain.friction import ExponentialDecay
+from jaxchain.model.chain import Chain
+from jaxchain.model.friction import ExponentialDecay
 
 HALF_BANDWIDTH = 5
 _MOST_STEPS = 10**7

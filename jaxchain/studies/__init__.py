@@ -1,13 +1,14 @@
 """Studies: questions that are no single sweep, run by `jaxchain run NAME` like scenes.
 
-A study is a module here that offers
+A study is a folder here whose module `study` offers
 
     Study    a pydantic table, a `StudyTable`: what may stand in the study's TOML file
     run(study, folder, *, name, plot, progress, report) -> {name: dataset}
 
-`run` saves what it found in `folder` (`jaxchain.run.save`, `jaxchain.plot.save_figure`), reports a
+`run` saves what it found in `folder` (`scenes/running.py`, `plotting/sweeps.py`), reports a
 summary, and raises `StudyFailedError` if, all that done, what it found is bad.  Its file is
-`scenes/NAME.toml`, marked by `study = "NAME"`; so a copy of the file is a study of one's own.
+`scenes/library/NAME.toml`, marked by `study = "NAME"`; so a copy of the file is a study of
+one's own.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from jaxchain.tables import Table
+from jaxchain.scenes.tables import Table
 
 # Each is imported when it is asked for.
 STUDIES = (
@@ -45,4 +46,4 @@ def study_module(name: str) -> Any:
     """
     if name not in STUDIES:
         raise KeyError(name)
-    return importlib.import_module(f"{__name__}.{name}")
+    return importlib.import_module(f"{__name__}.{name}.study")

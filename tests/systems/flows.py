@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from jaxchain import Chain, ExponentialDecay, TanhFriction
 from jaxchain._types import State
-from jaxchain.structure import AbstractOscillators
+from jaxchain.model.oscillators import AbstractOscillators
 
 # J. C. Sprott, Chaos and Time-Series Analysis, Oxford 2003, appendix A.
 LORENZ = (0.9056, 0.0, -14.5723)

@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 
 from jaxchain._types import State
-from jaxchain.springs import Springs
-from jaxchain.structure import AbstractOscillators
+from jaxchain.model.oscillators import AbstractOscillators
+from jaxchain.model.springs import Springs
 
 
 class AbstractExactOscillators(AbstractOscillators):

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import expm
 from scipy.optimize import root
 
-from jaxchain.structure import AbstractOscillators
+from jaxchain.model.oscillators import AbstractOscillators
 
 
 class PiecewiseLinear(AbstractOscillators):

@@ -11,8 +11,8 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxchain.measures import active_above
-from jaxchain.plot import AMPLITUDE, BLUE, GREY, ORANGE, PAGE_WIDTH, RED, STYLE, SYMBOLS
+from jaxchain.observers.quantities import active_above
+from jaxchain.plotting.sweeps import AMPLITUDE, BLUE, GREY, ORANGE, PAGE_WIDTH, RED, STYLE, SYMBOLS
 from jaxchain.studies.fronts.report import windows
 
 HEIGHT = 7.4  # inches

@@ -10,13 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from jaxchain.amplitude import Amplitude
-from jaxchain.chain import Chain
-from jaxchain.filippov import EventDriven
-from jaxchain.friction import ExponentialDecay, TanhFriction
-from jaxchain.hopf import hopf_belt_speed
+from jaxchain.boundaries.hopf import hopf_belt_speed
+from jaxchain.model.chain import Chain
+from jaxchain.model.friction import ExponentialDecay, TanhFriction
+from jaxchain.observers.amplitude import Amplitude
 from jaxchain.result import NAMES, STOPPED_WELL
-from jaxchain.simulate import simulate
+from jaxchain.scenes.tables import Range
+from jaxchain.simulation.event_driven import EventDriven
+from jaxchain.simulation.run import simulate
 from jaxchain.studies.fronts.prediction import growth_rate, predicted, spreading_speed
 from jaxchain.studies.fronts.runs import (
     PATTERNS,
@@ -27,7 +28,6 @@ from jaxchain.studies.fronts.runs import (
     follow_jobs,
 )
 from jaxchain.studies.fronts.table import Study
-from jaxchain.tables import Range
 
 # Sliding beyond the width of the friction law: dry friction, for what takes it from the chain.
 _WIDTH = 1e-3

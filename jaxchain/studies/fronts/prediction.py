@@ -19,15 +19,15 @@ import xarray as xr
 from jax import lax
 from jaxtyping import Array, Float
 
-from jaxchain.amplitude import Amplitude
-from jaxchain.averaging import gain
-from jaxchain.chain import Chain
-from jaxchain.filippov import EventDriven
-from jaxchain.grazing import nonsmooth_fold_belt_speed
-from jaxchain.hopf import hopf_belt_speed
-from jaxchain.observe import PeakTimes
-from jaxchain.simulate import simulate
-from jaxchain.states import excited_state
+from jaxchain.boundaries.grazing import nonsmooth_fold_belt_speed
+from jaxchain.boundaries.hopf import hopf_belt_speed
+from jaxchain.cycles.averaging import gain
+from jaxchain.model.chain import Chain
+from jaxchain.model.initial_states import excited_state
+from jaxchain.observers.amplitude import Amplitude
+from jaxchain.observers.base import PeakTimes
+from jaxchain.simulation.event_driven import EventDriven
+from jaxchain.simulation.run import simulate
 
 _HALVINGS = 40
 # Quiet masses that the response is computed for, and its time: some multiples of 1 / damping.

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 import xarray as xr
 
-from jaxchain.front import VERDICTS
+from jaxchain.localization.fronts import VERDICTS
 from jaxchain.result import NAMES, STOPPED_WELL
 
 _ABOUT = {

@@ -13,16 +13,16 @@ from jaxtyping import Array, ArrayLike
 from scipy.special import stdtrit
 
 from jaxchain._types import State
-from jaxchain.chain import Chain
-from jaxchain.choice import MAX_STEP, choose_solver
-from jaxchain.filippov import EventDriven
-from jaxchain.front import FrontSpeed, read_speed
-from jaxchain.front_track import Fronts, FrontTrack
-from jaxchain.lanes import Task
-from jaxchain.pool import Pool
+from jaxchain.localization.fronts import FrontSpeed, read_speed
+from jaxchain.model.chain import Chain
+from jaxchain.model.initial_states import excited_block, excited_state
+from jaxchain.observers.fronts import Fronts, FrontTrack
 from jaxchain.result import Result
-from jaxchain.simulate import build_plan
-from jaxchain.states import excited_block, excited_state
+from jaxchain.simulation.accuracy import MAX_STEP, choose_solver
+from jaxchain.simulation.event_driven import EventDriven
+from jaxchain.simulation.run import build_plan
+from jaxchain.sweeps.lanes import Task
+from jaxchain.sweeps.scheduler import Pool
 
 # Uniform noise on displacement and velocity of the masses that are excited.
 NOISE = 0.1

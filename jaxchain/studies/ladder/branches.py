@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from jaxchain.chain import Chain, paper_chain
-from jaxchain.cycle import find_limit_cycle
-from jaxchain.cycle_branch import CycleBranch, continue_cycle, switch_cycle
-from jaxchain.patterns import (
+from jaxchain.cycles.branches import CycleBranch, continue_cycle, switch_cycle
+from jaxchain.cycles.search import find_limit_cycle
+from jaxchain.localization.patterns import (
     LockedPattern,
     PhaseModel,
     block_sites,
@@ -21,6 +20,7 @@ from jaxchain.patterns import (
     phase_model,
     rotating_wave,
 )
+from jaxchain.model.chain import Chain, paper_chain
 from jaxchain.studies.ladder.table import Study, Walk
 
 _NEWTON_RTOL = 1e-9

@@ -11,17 +11,17 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Array, Complex, Float
 
-from jaxchain.amplitude import Amplitude
-from jaxchain.chain import Chain
-from jaxchain.choice import fit_linear_solve
-from jaxchain.cycle import find_limit_cycle
-from jaxchain.filippov import EventDriven
-from jaxchain.floquet import monodromy_matrix
-from jaxchain.measures import active, energy
-from jaxchain.observe import PeakTimes
-from jaxchain.rosenbrock import Rodas5P
-from jaxchain.shooting import flow
-from jaxchain.simulate import simulate
+from jaxchain.cycles.floquet import monodromy_matrix
+from jaxchain.cycles.search import find_limit_cycle
+from jaxchain.cycles.shooting import flow
+from jaxchain.model.chain import Chain
+from jaxchain.observers.amplitude import Amplitude
+from jaxchain.observers.base import PeakTimes
+from jaxchain.observers.quantities import active, energy
+from jaxchain.simulation.accuracy import fit_linear_solve
+from jaxchain.simulation.event_driven import EventDriven
+from jaxchain.simulation.run import simulate
+from jaxchain.solvers.rosenbrock import Rodas5P
 from jaxchain.studies.ladder.table import Checks
 
 # Ten times finer than branches are followed with.

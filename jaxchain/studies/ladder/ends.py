@@ -7,15 +7,15 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from jaxchain.amplitude import Amplitude
-from jaxchain.chain import Chain, paper_chain
-from jaxchain.cycle_branch import CycleBranch
-from jaxchain.ensemble import sweep
-from jaxchain.filippov import EventDriven
-from jaxchain.patterns import phase_model
-from jaxchain.states import equation_8
+from jaxchain.cycles.branches import CycleBranch
+from jaxchain.localization.patterns import phase_model
+from jaxchain.model.chain import Chain, paper_chain
+from jaxchain.model.initial_states import equation_8
+from jaxchain.observers.amplitude import Amplitude
+from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.studies.ladder.branches import Rung, follow, named, start, symmetry
 from jaxchain.studies.ladder.table import Ensemble, Study
+from jaxchain.sweeps.sweeping import sweep
 
 _BEYOND = 1e-7
 

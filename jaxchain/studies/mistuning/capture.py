@@ -12,14 +12,14 @@ import xarray as xr
 from jaxtyping import Array, Float
 
 from jaxchain._types import ScalarLike
-from jaxchain.amplitude import Amplitude
-from jaxchain.averaging import gain, one_mass
-from jaxchain.chain import Chain
-from jaxchain.filippov import EventDriven
-from jaxchain.measures import active_above
-from jaxchain.observe import PeakTimes
-from jaxchain.simulate import simulate
-from jaxchain.states import excited_state, reference_site
+from jaxchain.cycles.averaging import gain, one_mass
+from jaxchain.model.chain import Chain
+from jaxchain.model.initial_states import excited_state, reference_site
+from jaxchain.observers.amplitude import Amplitude
+from jaxchain.observers.base import PeakTimes
+from jaxchain.observers.quantities import active_above
+from jaxchain.simulation.event_driven import EventDriven
+from jaxchain.simulation.run import simulate
 from jaxchain.studies.mistuning.statistics import wilson
 
 _AMPLITUDES = 400

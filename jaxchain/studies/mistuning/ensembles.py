@@ -11,15 +11,15 @@ import jax.numpy as jnp
 import xarray as xr
 
 from jaxchain._types import State
-from jaxchain.amplitude import Amplitude
-from jaxchain.chain import Chain, steady_sliding
-from jaxchain.ensemble import sweep
-from jaxchain.filippov import EventDriven
-from jaxchain.friction import ExponentialDecay, TanhFriction
-from jaxchain.mistuning import mistuned_chain, mistuned_stiffness
-from jaxchain.observe import PeakTimes
-from jaxchain.states import equation_8, excited_state
+from jaxchain.localization.mistuning import mistuned_chain, mistuned_stiffness
+from jaxchain.model.chain import Chain, steady_sliding
+from jaxchain.model.friction import ExponentialDecay, TanhFriction
+from jaxchain.model.initial_states import equation_8, excited_state
+from jaxchain.observers.amplitude import Amplitude
+from jaxchain.observers.base import PeakTimes
+from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.studies.mistuning.table import Ensemble, Locking, Study
+from jaxchain.sweeps.sweeping import sweep
 
 # Has no part in dry friction.
 _NO_WIDTH = 1e-9

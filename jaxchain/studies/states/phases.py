@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from jaxchain.measures import active, delays, mean_period
-from jaxchain.states import reference_site
+from jaxchain.model.initial_states import reference_site
+from jaxchain.observers.quantities import active, delays, mean_period
 from jaxchain.studies.states.table import PhasePlots
 
 

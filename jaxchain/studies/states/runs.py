@@ -22,20 +22,20 @@ from jaxtyping import Array
 from tqdm import tqdm
 
 from jaxchain._checks import check_resolved, require_x64, to_float
-from jaxchain.amplitude import Amplitude
-from jaxchain.chain import Chain
-from jaxchain.choice import choose_solver
-from jaxchain.dataset import describe, to_dataset
-from jaxchain.ensemble import SweepInterrupted
-from jaxchain.filippov import EventDriven
-from jaxchain.lanes import Lane, Task, on_all_lanes, read_lane, start_lane
-from jaxchain.observe import AbstractObserver, PeakTimes
+from jaxchain.model.chain import Chain
+from jaxchain.observers.amplitude import Amplitude
+from jaxchain.observers.base import AbstractObserver, PeakTimes
+from jaxchain.observers.samples import Samples
 from jaxchain.result import NAMES, STOPPED_WELL
-from jaxchain.run import build_chain, build_initial, build_solver
-from jaxchain.sampling import Samples
-from jaxchain.simulate import build_plan, simulate
+from jaxchain.scenes.running import build_chain, build_initial, build_solver
+from jaxchain.simulation.accuracy import choose_solver
+from jaxchain.simulation.event_driven import EventDriven
+from jaxchain.simulation.run import build_plan, simulate
 from jaxchain.studies.states.phases import join_peaks, join_samples
 from jaxchain.studies.states.table import PhasePlots, States, TimeSeries
+from jaxchain.sweeps.dataset import describe, to_dataset
+from jaxchain.sweeps.lanes import Lane, Task, on_all_lanes, read_lane, start_lane
+from jaxchain.sweeps.sweeping import SweepInterrupted
 
 # Of the fastest mode.  A vibrating mass has one maximum in a period, which is longer than this.
 STRETCH_PERIODS, CAPACITY = 10, 16

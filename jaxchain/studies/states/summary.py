@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
-from jaxchain.measures import active_above
+from jaxchain.observers.quantities import active_above
 from jaxchain.result import NAMES, STOPPED_WELL, message
 
 

@@ -12,8 +12,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from jaxchain.evidence import KINDS, VERDICTS
-from jaxchain.plot import BLUE, GREY, ORANGE, PAGE_WIDTH, RED, STYLE
+from jaxchain.chaos.records import KINDS, VERDICTS
+from jaxchain.plotting.sweeps import BLUE, GREY, ORANGE, PAGE_WIDTH, RED, STYLE
 
 PANEL_HEIGHT = 1.75  # inches
 # Colour and marker of each verdict: told apart without colours, too.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from jaxchain.evidence import Verdict
+from jaxchain.chaos.records import Verdict
 from jaxchain.studies.verdicts.paper import REGULAR
 
 # Before this time the paper regards everything as transient, and from it on it looks.

@@ -11,16 +11,16 @@ import xarray as xr
 from jaxtyping import Array
 
 from jaxchain._types import State
-from jaxchain.chain import Chain, paper_chain
-from jaxchain.evidence import KINDS, VERDICTS, Evidence, Verdict
-from jaxchain.filippov import EventDriven
+from jaxchain.chaos.classification import verdicts
+from jaxchain.chaos.records import KINDS, VERDICTS, Evidence, Verdict
+from jaxchain.chaos.runs import Ensemble, Numerics, Trial, exponents_of
+from jaxchain.model.chain import Chain, paper_chain
+from jaxchain.model.initial_states import equation_8, equation_10
 from jaxchain.result import NAMES
-from jaxchain.states import equation_8, equation_10
+from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.studies.verdicts.paper import claim
 from jaxchain.studies.verdicts.reasons import why
 from jaxchain.studies.verdicts.table import Case, Study
-from jaxchain.trial import Ensemble, Numerics, Trial, exponents_of
-from jaxchain.verdict import verdicts
 
 ALL_KINDS = (*KINDS, *NAMES)
 

@@ -1,0 +1,1 @@
+"""Where vibration starts (Hopf) and up to where it can survive (fold)."""

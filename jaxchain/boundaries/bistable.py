@@ -1,0 +1,169 @@
+"""The belt speeds at which a mass slides or vibrates, as it started: computed, and tried out."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float
+
+from .._checks import check_number, check_positive, to_float
+from .._types import State
+from ..cycles.averaging import fold_guess, one_mass
+from ..model.chain import Chain, steady_sliding
+from ..model.initial_states import check_vibrating
+from ..model.sliding import damping_outweighs
+from ..observers.amplitude import Amplitude
+from ..observers.quantities import active
+from ..simulation.event_driven import EventDriven
+from ..simulation.run import simulate
+from .fold import fold_belt_speed
+from .grazing import nonsmooth_fold_belt_speed
+from .hopf import hopf_belt_speed
+
+# Dry friction, for what takes its width from the chain.
+_NO_WIDTH = 1e-9
+_WINDOW = 20.0
+_ORDER, _RTOL = 7, 1e-8
+
+
+class BistableRange(eqx.Module):
+    """The belt speeds at which a mass may slide or vibrate, depending on its start.
+
+    - `hopf`: sliding is stable above it; NaN if it is at every speed.
+    - `fold`: one mass can vibrate up to it; NaN if there is no fold.
+    - `highest`: the greatest speed at which there is vibration at all, max(hopf, fold); 0 if there
+      is none at any speed.
+    - `width`: highest - hopf >= 0; 0 where there is no fold.
+    - `known`: false where a search failed, and `highest` and `width` mean nothing.  Without a fold
+      it is true where none is proved to be (`FoldResult.none`), or to first harmonic (averaging)
+      vibration sets in gently, which is no proof.
+    """
+
+    hopf: Float[Array, ""]
+    fold: Float[Array, ""]
+    highest: Float[Array, ""]
+    width: Float[Array, ""]
+    known: Bool[Array, ""]
+
+
+def bistable_range(chain: Chain, vibrating: Any = None, friction: Any = "dry") -> BistableRange:
+    """Hopf and fold of one vibrating mass, and what lies between, dimensionless.
+
+    **Arguments:** `chain`, whose own belt speed has no part in it; `vibrating`, the index of the
+    mass, as in `fold_belt_speed`; `friction`: "dry" (its width has no part in it either) or
+    "smoothed".
+
+    A fold that vanishes takes the bistable range with it and is no failure.  Works under `jit`,
+    `vmap`, `jvp`, and, where there is a fold, `grad`.
+
+    **Raises:** `ValueError` for anything but a chain, a mass it has, and one of the two words.
+
+    >>> import jax
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> from jaxchain import paper_chain
+    >>> both = bistable_range(paper_chain(n=1))
+    >>> round(float(both.hopf), 6), round(float(both.fold), 6), round(float(both.width), 6)
+    (1.151293, 1.836601, 0.685308)
+    """
+    mass = check_vibrating(chain, vibrating)
+    check_friction(friction)
+    return _range(chain, mass, friction)
+
+
+def check_friction(friction: Any) -> None:
+    """Raises `ValueError` unless it is "dry" or "smoothed"."""
+    if friction not in ("dry", "smoothed"):
+        raise ValueError(f'Argument `friction` must be "dry" or "smoothed", but is {friction!r}.')
+
+
+@eqx.filter_jit
+def _range(chain: Chain, mass: int, friction: str) -> BistableRange:
+    if friction == "dry":
+        width = jnp.full_like(chain.friction.width, _NO_WIDTH)
+        chain = eqx.tree_at(lambda c: c.friction.width, chain, width)
+        fold = nonsmooth_fold_belt_speed(chain, mass)
+    else:
+        fold = fold_belt_speed(chain, mass)
+    hopf = hopf_belt_speed(chain)
+    none = jnp.isnan(fold)
+    frozen = lax.stop_gradient(chain)
+    _, _, expected = fold_guess(one_mass(frozen, mass))
+    expected = expected & ~damping_outweighs(frozen)
+    # Masses without damping vibrate at every speed, which has no fold, either.
+    damped = jnp.min(chain.damping_ratio) > 0
+    lowest = jnp.where(jnp.isnan(hopf), 0.0, hopf)
+    highest = jnp.where(none, lowest, jnp.maximum(fold, lowest))
+    return BistableRange(hopf, fold, highest, highest - lowest, damped & (~none | ~expected))
+
+
+def on_the_belt(chain: Chain, vibrating: Any = None) -> State:
+    """(x, v) with one mass carried by the belt past x = 0, and the others sliding.
+
+    With one mass and dry friction it lies on the stick-slip cycle.
+    """
+    mass = check_vibrating(chain, vibrating)
+    x, v = steady_sliding(chain)
+    return x.at[mass].set(0.0), v.at[mass].set(chain.belt_speed)
+
+
+class Trial(eqx.Module):
+    """What became of one vibrating mass a little below and a little above a belt speed.
+
+    `speeds`; `amplitudes` at the end, one row of n for each; `vibrates`: whether the mass still
+    did; `holds`: whether it did below and rested above.
+    """
+
+    speeds: Float[Array, " two"]
+    amplitudes: Float[Array, "two n"]
+    vibrates: Bool[Array, " two"]
+    holds: Bool[Array, ""]
+
+
+def try_boundary(
+    chain: Chain,
+    belt_speed: Any,
+    vibrating: Any = None,
+    *,
+    margin: Any = 0.01,
+    time: Any = 400.0,
+) -> Trial:
+    """Two event-driven runs with true dry friction: does the vibration of one mass end there?
+
+    One mass starts on the belt, which carries it along, at belt speeds v (1 - margin) and
+    v (1 + margin), and runs for `time`.  At true boundaries it survives below and dies above;
+    but with neighbours that are strongly coupled (0.05 for three equal masses) this start may
+    come to rest where another would not.  Under `jit` and `vmap`.
+
+    **Arguments:** dimensionless; `time` long enough to die out: some multiples of 1 / xi.
+
+    **Raises:** `ValueError` for a speed, margin or time that is not positive.
+    """
+    mass = check_vibrating(chain, vibrating)
+    for name, value, remedy in (
+        ("belt_speed", belt_speed, "1.8 is usual."),
+        ("margin", margin, "it is a share of the belt speed, such as 0.01."),
+        ("time", time, "400 is usual."),
+    ):
+        check_number(name, value, remedy)
+        check_positive(name, value, remedy)
+    return _try(chain, to_float(belt_speed), mass, to_float(margin), to_float(time))
+
+
+@eqx.filter_jit
+def _try(chain: Chain, belt_speed: Array, mass: int, margin: Array, time: Array) -> Trial:
+    speeds = belt_speed * (1.0 + margin * jnp.array([-1.0, 1.0]))
+
+    def amplitude(speed: Array) -> Array:
+        own = eqx.tree_at(lambda c: c.belt_speed, chain, speed)
+        return simulate(
+            own, on_the_belt(own, mass), time, observe=Amplitude(window=_WINDOW),
+            solver=EventDriven(_ORDER), rtol=_RTOL, throw=False,
+        ).observed  # fmt: skip
+
+    amplitudes = jax.vmap(amplitude)(speeds)
+    vibrates = active(amplitudes, speeds)[:, mass]
+    return Trial(speeds, amplitudes, vibrates, vibrates[0] & ~vibrates[1])

@@ -1,0 +1,165 @@
+"""The greatest belt speed at which a vibration can survive: the fold of cycles."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from .._types import PerMass, State
+from ..continuation.fold_points import fold_residual
+from ..continuation.implicit import attach_derivative
+from ..cycles.shooting import Shooting
+from ..cycles.shooting import residual as closure
+from ..model.chain import Chain
+from ..model.initial_states import check_vibrating
+from .fold_result import FoldResult
+from .fold_search import Place, Search, search, unknowns
+from .fold_start import Start, at_least_wide, first_guess, narrowed
+
+
+class Fold(eqx.Module):
+    """A fold of cycles: the greatest belt speed of one branch of vibrations.
+
+    - `belt_speed`: v_d, NaN if no fold was found.
+    - `period` and `state`: of the cycle there, cut at the greatest velocity of mass `mass`.
+    - `closeness`: s = max w / eps of that mass; a mass with s < 0 never reaches the belt's speed.
+    - `residual`: the gap after a period over the amplitude of velocity.
+    - `found`: whether it is a fold of a closed cycle.
+    - `result`: a `FoldResult`: found; none, which is proved; or why the search failed, which says
+      nothing about whether there is a fold.  `message` puts it into words.
+    - `width`: of the friction with which the cycle was closed, that of the chain or a little more:
+      see `fold_belt_speed`.
+    - `evaluations`: shooting Jacobians it took.
+    """
+
+    belt_speed: Float[Array, ""]
+    period: Float[Array, ""]
+    state: State
+    closeness: Float[Array, ""]
+    residual: Float[Array, ""]
+    found: Bool[Array, ""]
+    result: FoldResult
+    width: PerMass
+    evaluations: Int[Array, ""]
+    mass: int = eqx.field(static=True)
+
+    @property
+    def message(self) -> str:
+        """Why there is no fold, or none was found, and what to do; empty where there is one."""
+        return FoldResult[self.result]
+
+
+def fold_belt_speed(chain: Any, vibrating: Any = None) -> Float[Array, ""]:
+    """The greatest belt speed at which the vibration of one mass survives, for smoothed friction.
+
+    The saddle-node of cycles at which the stick-slip cycle of mass `vibrating` (the others slide,
+    shaken by it) and the unstable slip cycle meet: at a greater speed every vibration dies out.
+
+    **Arguments:** `chain`, whose own `belt_speed` has no part in it; `vibrating`, the index (from
+    0) of the mass, by default n // 2, oscillator 11 of 20.
+
+    **Returns:** the dimensionless v_d, relative error about 1e-9; NaN where there is no fold or
+    none is found: `find_fold` tells which, and why.  Below a width of 3e-8 of the speed of the
+    problem (v_d, or twice that over which friction weakens) the fold is searched for at that width
+    and moved on by the asymptotics of `Grazing.smoothed`, which err by less than 1e-9 of that
+    speed there; below 3e-7, and by less than 3e-8, where friction weakens so fast that the slip
+    cycle multiplies disturbances by more than 30.  Of its derivatives only that in the width knows
+    of the move, so that the others err by about 1e-6.  Works under `jit`, `vmap` (no lane harms
+    another), `grad` and `jvp`, in every number of the chain, once: as v_d is stationary along the
+    branch, its first derivatives are those of a cycle with the closeness max w / eps held.
+
+    **Raises:** `ValueError` for anything but a `Chain`, or a mass it does not have.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import fold_belt_speed, paper_chain
+        >>> chain = paper_chain(n=1, width=1e-2)
+        >>> round(float(fold_belt_speed(chain)), 6)
+        1.792456
+        >>> slope = jax.grad(lambda xi: fold_belt_speed(chain.with_(damping_ratio=xi)))(0.05)
+        >>> round(float(slope), 3)  # more damping, less vibration
+        -26.456
+    """
+    mass = check_vibrating(chain, vibrating)
+    held, found, _, gained = _parts(chain, mass)
+    q = attach_derivative(
+        held_residual, found.here.q, (held, lax.stop_gradient(found.here.z)), once=_ONCE
+    )
+    return jnp.where(found.found, q[held.place] + gained, jnp.nan)
+
+
+_ONCE = (
+    "`fold_belt_speed` can be differentiated once only. For second derivatives take "
+    "`find_fold(chain).belt_speed`."
+)
+
+
+def held_residual(q: Float[Array, " m"], held: tuple[Shooting, Array]) -> Float[Array, " m"]:
+    """The equations of the cycle whose mass j has max w / eps = sinh z."""
+    shooting, z = held
+    return shooting.residual(*unknowns(shooting, Place(q, z)))
+
+
+def find_fold(chain: Any, vibrating: Any = None) -> Fold:
+    """The fold of `fold_belt_speed` with its cycle, all of it differentiable.
+
+    Arguments, errors and transformations as there; derivatives of any order, which cost more, of
+    the whole orbit: they come from the bordered system [closure; singularity] = 0.
+
+    >>> import jax
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> from jaxchain import find_fold, paper_chain
+    >>> fold = find_fold(paper_chain(n=1, width=1e-2))
+    >>> bool(fold.found), round(float(fold.period), 4), round(float(fold.closeness), 3)
+    (True, 6.3028, -2.142)
+    """
+    mass = check_vibrating(chain, vibrating)
+    held, found, start, gained = _parts(chain, mass)
+    u, speed = unknowns(start.shooting, found.here)
+    borders = _borders(start.shooting, found)
+    both = attach_derivative(_FOLD_RESIDUAL, jnp.append(u, speed), (held, borders))
+    _, state, period = held.unpack(both[:-1], both[-1])
+    return Fold(
+        belt_speed=jnp.where(found.found, both[-1] + gained, jnp.nan),
+        period=period,
+        state=state,
+        closeness=jnp.sinh(both[held.place]),
+        residual=found.residual,
+        found=found.found,
+        result=FoldResult.where(found.found, FoldResult.found, start.result),
+        width=held.field.friction.width,  # pyright: ignore[reportAttributeAccessIssue]
+        evaluations=found.count,
+        mass=mass,
+    )
+
+
+_FOLD_RESIDUAL = fold_residual(closure)
+
+
+def _borders(shooting: Shooting, found: Search) -> tuple[Array, Array]:
+    """(left, right) null vectors of dR/du at the fold."""
+    slope = found.jacobian[:, :-1].at[:, shooting.place].set(found.jacobian[:, -1])
+    left, _, right = jnp.linalg.svd(jnp.where(found.found, slope, jnp.eye(slope.shape[0])))
+    return left[:, -1], right[-1]
+
+
+@eqx.filter_jit
+def _find(chain: Chain, mass: int) -> tuple[Start, Search]:
+    """The start, and the fold; nothing in here is to be differentiated."""
+    start = first_guess(chain, mass)
+    return start, search(start.shooting, start.place, start.loose, start.hopeful)
+
+
+def _parts(chain: Chain, mass: int) -> tuple[Shooting, Search, Start, Array]:
+    """(equations that hold `chain`, the fold, its start, what the belt speed still gains)."""
+    start, found = _find(lax.stop_gradient(chain), mass)
+    wide = at_least_wide(chain, lax.stop_gradient(start.width))
+    held = eqx.tree_at(lambda s: s.field, start.shooting, wide)
+    width = chain.friction.width
+    return held, found, start, narrowed(start, width[mass] if width.ndim else width)

@@ -1,0 +1,136 @@
+"""Where the search for a fold of cycles starts: averaging, the dry cycle, and its layer."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float
+
+from ..cycles.averaging import cycle_speed, fold_guess, greatest_speed, one_mass, speed_scale
+from ..cycles.shooting import Shooting
+from ..model.chain import Chain
+from ..model.sliding import damping_outweighs
+from ..simulation.accuracy import fit_linear_solve
+from ..solvers.rosenbrock import Rodas5P
+from .fold_result import FoldResult
+from .fold_search import FOLD_RTOL, Place, as_place
+from .layer import layer, sides
+from .touch import slip_force
+from .touch_search import find_touch
+
+# Widths over the speed of the problem: below the first two the dry cycle is wanted exactly, and
+# the asymptotics of a thin layer are the better guess; above the last they are none.
+_POLISH, _THIN, _THICK = 1e-4, 3e-2, 0.1
+# Below this a fold is searched for here, and moved on by the asymptotics.  Over the speed of the
+# problem these err by 20 (3e-8)^(3/2) = 1e-10 and, where the slip cycle is very unstable, by
+# 200 (3e-7)^(3/2) = 3e-8: 200 is above all that was measured in 300 random sets, 20 above most.
+_LEAST_WIDTH, _LEAST_UNSTABLE = 3e-8, 3e-7
+_LOOSE, _LOOSE_PER_WIDTH = 1e-6, 1e-3
+# Multiplier of the dry slip cycle, and width, from which on a loose integration is no help.
+_UNSTABLE, _NARROW = 30.0, 1e-5
+
+
+class Start(NamedTuple):
+    """Equations and a first guess of a fold.
+
+    `width`: the least width that the search is for; `loose`: the tolerance on the way; `hopeful`:
+    whether there is something to search for, and if not, `result`: why not; `sides`: V_+, V_-,
+    kappa and h of the touch.
+    """
+
+    shooting: Shooting
+    place: Place
+    width: Float[Array, ""]
+    loose: Float[Array, ""]
+    hopeful: Bool[Array, ""]
+    result: FoldResult
+    sides: tuple[Array, Array, Array, Array]
+
+
+def first_guess(chain: Chain, mass: int) -> Start:
+    """Equations and a place near the fold; nothing in here is to be differentiated."""
+    alone = one_mass(chain, mass)
+    dry = eqx.tree_at(lambda c: c.friction.width, alone, jnp.asarray(1e-9))
+    dry_averaged = cycle_speed(dry, 1.0, greatest_speed(dry))
+    scale = speed_scale(alone, dry_averaged)
+    touch, q, slopes = find_touch(chain, mass, exact=alone.friction.width < _POLISH * scale)
+    (_, v), _, touch_speed = touch.unpack(q)
+    known = *slopes[-1], touch.fall(v), touch.hold
+    unstable = -known[0] / known[1] > _UNSTABLE
+    least = scale * jnp.where(unstable, _LEAST_UNSTABLE, _LEAST_WIDTH)
+    least = jnp.where(jnp.isfinite(least), least, 0.0)
+    chain, alone = at_least_wide(chain, least), at_least_wide(alone, least)
+    width = alone.friction.width
+    averaged, averaged_s, exists = fold_guess(alone)
+    by_leaving, by_arriving, fall, hold = known
+    here = layer(by_leaving, by_arriving, fall, hold, width)
+    # The layer is thin, or else averaging knows better where it is, and what belt speed it has.
+    layered = jnp.isfinite(here.closeness) & (width < _THICK * scale)
+    thin = layered & (width < _THIN * scale)
+    moved = q + slopes @ jnp.stack([here.leaving, here.arriving])
+    moved = jnp.where(layered, moved, q)
+    # Averaging errs by the same factor for smoothed as for dry friction, or nearly so.
+    speed = jnp.where(thin, moved[-1], averaged * touch_speed / dry_averaged)
+    s = jnp.where(layered, here.closeness, averaged_s)
+    (x, v), period, _ = touch.unpack(moved)
+    # The velocity of mass j is greatest a little before the touch.
+    early = jnp.where(layered, here.time, 0.0)
+    force = slip_force(chain, moved[-1], v) + chain.restoring_force(x)
+    x, v = x + early * v, (v + early * force).at[mass].set(speed + width * s)
+
+    shooting = Shooting(
+        field=chain, rtol=FOLD_RTOL, solver=fit_linear_solve(Rodas5P(), chain, FOLD_RTOL),
+        mass=mass, images=tuple(range(chain.n)), parameter="belt_speed",
+    )  # fmt: skip
+    place = as_place(shooting, shooting.pack((x, v), period, speed), speed)
+    damped = alone.damping_ratio > 0
+    touches = jnp.all(jnp.isfinite(place.q)) & jnp.isfinite(place.z)
+    none = damping_outweighs(chain)
+    result = FoldResult.where(touches, FoldResult.no_cycle, FoldResult.no_touch)
+    result = FoldResult.where(exists, result, FoldResult.gentle)
+    result = FoldResult.where(damped, result, FoldResult.undamped)
+    result = FoldResult.where(none, FoldResult.none, result)
+    # A loose integration would spoil a guess that is better than it.
+    good = thin & (unstable | (width < _NARROW * scale))
+    loose = jnp.where(good, FOLD_RTOL, loose_rtol(chain))
+    hopeful = ~none & damped & exists & touches
+    return Start(shooting, place, least, loose, hopeful, result, known)
+
+
+def at_least_wide(chain: Chain, least: Array) -> Chain:
+    """`chain` with no width below `least`."""
+    width = jnp.maximum(chain.friction.width, least)
+    return eqx.tree_at(lambda c: c.friction.width, chain, width)
+
+
+@eqx.filter_jit
+def narrowed(start: Start, width: Array) -> Array:
+    """What the fold gains from the width of the search to a smaller `width`, else 0.
+
+    By the asymptotics of `boundaries/layer.py`; differentiable in `width`.
+    """
+    by_leaving, by_arriving, fall, hold = jax.tree.map(lax.stop_gradient, start.sides)
+    tiny = width < start.width
+    # Where nothing is gained, NaN must not reach the derivative.
+    sound = tiny & (by_leaving + by_arriving > 0) & (by_arriving < 0)
+    known = [jnp.where(sound, a, b) for a, b in zip(
+        (by_leaving, by_arriving, fall, hold), (2.0, -1.0, 1.0, 1.0), strict=True
+    )]  # fmt: skip
+
+    def shift(width: Array) -> Array:
+        first, second, kappa, held = known
+        leaving, arriving, _ = sides(first, second, kappa, held, width)
+        return first * leaving + second * arriving
+
+    wide = jnp.where(sound, start.width, 1.0)
+    gained = shift(jnp.where(sound, width, 1.0)) - shift(wide)
+    return jnp.where(tiny & ~sound, jnp.nan, gained)
+
+
+def loose_rtol(chain: Chain) -> Array:
+    """The tolerance of integration that does on the way to a fold."""
+    return jnp.clip(_LOOSE_PER_WIDTH * jnp.min(chain.friction.width), 1e-9, _LOOSE)

@@ -1,0 +1,142 @@
+"""The fold of true dry friction: a vibration whose greatest velocity just reaches the belt's.
+
+While a mass slides behind the belt, F = p mu(v_d - v), smooth up to v = v_d and beyond.  A slip
+cycle that touches the belt's speed has, at the touch,
+
+    v_j = v_d,        v_j' = 0,        so        K_jj x_j = p_j mu_st - 2 xi_j v_d + (C x)_j,
+
+and this is where the branch of unstable slip cycles meets that of stick-slip cycles: the
+grazing-sliding fold (di Bernardo, Budd, Champneys, Kowalczyk, Piecewise-smooth Dynamical Systems,
+Springer 2008, section 8.6).  The equations of the cycle at the touch are smooth and regular, for
+one mass that grazes while all others slide.
+
+Near the touch let a cycle leave with the greatest velocity v_d + w_+ and come back, if nothing
+held it, with v_d + w_-.  The chain gives one relation of them,
+
+    v_d = V + V_+ w_+ + V_- w_-,
+
+and what happens at the belt the other: dry friction w_+ = min(w_-, 0).  So slip cycles lie along
+v_d = V + (V_+ + V_-) w, w < 0, sticking ones along v_d = V + V_- w_-, w_- > 0, and V is a fold,
+the greatest belt speed of both, where V_+ + V_- > 0 > V_-.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float
+
+from .._types import ScalarLike, State
+from ..continuation.implicit import attach_derivative
+from ..model.chain import Chain
+from ..model.initial_states import check_vibrating
+from .layer import sides
+from .touch import touch_residual, touch_slopes
+from .touch_search import find_touch
+
+# A velocity above the belt's by this share of it is one that passes it.
+_PASSES = 1e-9
+
+
+class Grazing(eqx.Module):
+    """A cycle that touches the belt's speed: the fold of cycles for dry friction.
+
+    - `belt_speed`: V, NaN if none was found; `period`, and `state` at the touch.
+    - `by_leaving`, `by_arriving`: V_+ and V_-, see the head of this module.  Their ratio
+      -V_+ / V_- is, for one mass, the multiplier of the slip cycle, about 2.
+    - `fall`: kappa = -v_j'', how fast the mass loses its acceleration at the touch; `hold`: the
+      greatest friction force on it, p mu_st.
+    - `residual`: the greatest gap after a period over the belt speed.
+    - `found`: whether the cycle closes, no mass passes the belt's speed anywhere on it, and it is
+      a fold.
+
+    `belt_speed`, `period` and `state` are differentiable; the rest is not.
+    """
+
+    belt_speed: Float[Array, ""]
+    period: Float[Array, ""]
+    state: State
+    by_leaving: Float[Array, ""]
+    by_arriving: Float[Array, ""]
+    fall: Float[Array, ""]
+    hold: Float[Array, ""]
+    residual: Float[Array, ""]
+    found: Bool[Array, ""]
+    mass: int = eqx.field(static=True)
+
+    def smoothed(self, width: ScalarLike) -> Float[Array, ""]:
+        """About where the fold of smoothed friction is, to O(width^(3/2)); NaN if not `found`.
+
+        v_d = V - (V_+ + V_-) / 4 eps ln(1 / eps) + O(eps), the summit of the layer in
+        `boundaries/layer.py`.
+
+        **Arguments:** `width` = eps of the mass that grazes.
+        """
+        slopes = self.by_leaving, self.by_arriving
+        leaving, arriving, _ = sides(*slopes, self.fall, self.hold, width)
+        return self.belt_speed + self.by_leaving * leaving + self.by_arriving * arriving
+
+
+def nonsmooth_fold_belt_speed(chain: Chain, vibrating: Any = None) -> Float[Array, ""]:
+    """The greatest belt speed at which the vibration of one mass survives, for true dry friction.
+
+    The limit of `fold_belt_speed` as the width vanishes, found directly: the grazing-sliding fold
+    of the head of this module.  Mass `vibrating` grazes the belt's speed, the others slide.
+
+    **Arguments:** `chain`, whose own `belt_speed` and width have no part in it; `vibrating`, the
+    index (from 0) of the mass, by default n // 2, oscillator 11 of 20.
+
+    **Returns:** the dimensionless v_d, relative error about 1e-11; NaN where there is none or none
+    is found: `find_grazing` tells.  Works under `jit`, `vmap`, `grad`, `jvp` and `jax.hessian`, in
+    every number of the chain.
+
+    **Raises:** `ValueError` for anything but a `Chain`, or a mass it does not have.
+
+    >>> import jax
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> from jaxchain import paper_chain
+    >>> round(float(nonsmooth_fold_belt_speed(paper_chain(n=1))), 9)
+    1.836600972
+    """
+    return find_grazing(chain, vibrating).belt_speed
+
+
+def find_grazing(chain: Chain, vibrating: Any = None) -> Grazing:
+    """The fold of `nonsmooth_fold_belt_speed` with its cycle.
+
+    Arguments, errors and transformations as there.  Cycles on which other masses reach the belt's
+    speed are not looked for: `found` is False then, and `belt_speed` NaN.
+
+    >>> import jax
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> from jaxchain import paper_chain
+    >>> grazing = find_grazing(paper_chain(n=1))
+    >>> bool(grazing.found), round(float(grazing.smoothed(1e-3)), 4)
+    (True, 1.8311)
+    """
+    mass = check_vibrating(chain, vibrating)
+    return _find(chain, mass)
+
+
+@eqx.filter_jit
+def _find(chain: Chain, mass: int) -> Grazing:
+    frozen = lax.stop_gradient(chain)
+    touch, q, _ = find_touch(frozen, mass)
+    gap, slopes, highest = touch_slopes(touch, q)
+    by_leaving, by_arriving = -jnp.linalg.solve(slopes[:, :-2], slopes[:, -2:])[-1]
+    (_, v), _, speed = touch.unpack(q)
+    fall = touch.fall(v)
+    slides = jnp.all(highest <= (1.0 + _PASSES) * speed)
+    folds = (by_leaving + by_arriving > 0) & (by_arriving < 0) & (fall > 0)
+    found = jnp.isfinite(speed) & slides & folds
+    held = eqx.tree_at(lambda t: t.chain, touch, chain)
+    q = jnp.where(found, attach_derivative(touch_residual, q, held), jnp.nan)
+    state, period, speed = held.unpack(q)
+    return Grazing(
+        belt_speed=speed, period=period, state=state, by_leaving=by_leaving,
+        by_arriving=by_arriving, fall=fall, hold=touch.hold,
+        residual=jnp.max(jnp.abs(gap)), found=found, mass=mass,
+    )  # fmt: skip

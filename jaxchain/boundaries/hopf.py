@@ -1,0 +1,203 @@
+"""The Hopf boundary: the belt speed above which steady sliding stays stable."""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float
+
+from .._checks import require_64_bits, require_x64
+from ..continuation.implicit import attach_derivative
+from ..model.chain import Chain
+from ..model.friction import ExponentialDecay
+from ..model.sliding import (
+    belt_speed_grid,
+    crossing_residual,
+    growth_rate,
+    has_uniform_damping,
+    null_shape,
+    sliding_damping,
+    sliding_eigenvalues,
+)
+
+_EIGENVALUE_SPEEDS = 64  # between two belt speeds that are known to enclose the boundary
+_SETTLED = 1e-13  # change of the damping, relative, that no eigenvalue notices
+_BISECTIONS, _NEWTON_STEPS = 26, 3
+# v_d / eps from which on tanh is 1 and sech^2 / eps is nothing, for any width above 1e-9.
+_SATURATED = 30.0
+
+
+def hopf_belt_speed(chain: Chain) -> Float[Array, ""]:
+    """The greatest belt speed v_H at which steady sliding loses its stability as the belt slows.
+
+    Above it sliding is stable, and just below it is not.  Far below it may be stable again, under
+    a second Hopf speed, where friction rises with speed: within a few widths of rest for smoothed
+    friction, and wherever else a law has a rising part.  `hopf_points` lists all of them.
+
+    At v_H a pair of eigenvalues +-i omega crosses the imaginary axis.  When damping, friction and
+    load are the same for all masses, all modes cross together where
+
+        d(v_H) = 2 xi - p F'(-v_H) = 0,
+
+    whatever stiffness and coupling are; with exponential weakening and negligible smoothing this
+    is v_H = v0 ln[p (mu_st - mu_d) / (2 xi v0)].  Otherwise (a number is given per mass) it is the
+    greatest speed at which an eigenvalue of the 2n x 2n Jacobian crosses.
+
+    **How:** a scan over 1024 speeds up to 1e6 encloses the last change of sign (of d; or of the
+    greatest real part, between the last zero of trace D, where sliding cannot be stable, and the
+    last of min d_n, above which it must be, at 64 speeds), looks closer there and where a dip
+    nearly reaches zero, bisects, and polishes by Newton's method; for numbers per mass on the
+    singularity of K - omega^2 + i omega D.  `hopf_points` lists every Hopf point and proves that
+    none is missing.  For numbers per mass it needs `jnp.linalg.eigvals`, which JAX has for CPU
+    and GPU; for uniform ones nothing but elementary functions.
+
+    **Returns:** v_H > 0, dimensionless, whatever `chain.belt_speed` is; NaN if there is none:
+    friction weakens too little, or (negative or no damping) sliding is not stable at any high
+    speed.  Works under `jit` and `vmap` and has derivatives of every order in every number of the
+    chain.  Where several modes of a chain with numbers per mass cross together (all numbers the
+    same, say, or a symmetric pattern), v_H has a corner, and the derivative is that of one of
+    these modes, to first order only.
+
+    **Raises:** `RuntimeError` without 64-bit floats; `ValueError` for a chain of 32 bits.
+
+    >>> import jax
+    >>> from jaxchain import paper_chain
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> float(hopf_belt_speed(paper_chain()))  # ln(10) / 2
+    1.151292546497023
+    """
+    require_x64()
+    require_64_bits("chain", chain)
+    return _speed(chain)
+
+
+@eqx.filter_jit
+def _speed(chain: Chain) -> Array:
+    frozen = jax.tree.map(lax.stop_gradient, chain)  # nothing is differentiated through a search
+    if has_uniform_damping(chain):
+        found = _uniform(frozen)
+        return attach_derivative(_damping_residual, jnp.reshape(found, (1,)), chain)[0]
+    crossing, shape, together = _mistuned(frozen)
+    return attach_derivative(crossing_residual, crossing, (chain, shape, together))[0]
+
+
+def _damping_residual(u: Array, chain: Chain) -> Array:
+    return jnp.reshape(sliding_damping(chain, u[0]), (1,))
+
+
+def _uniform(chain: Chain) -> Array:
+    def stability(speed: Array) -> Array:
+        return jnp.reshape(sliding_damping(chain, speed), ())
+
+    grid = belt_speed_grid(chain)
+    low, high, found = _last_rise(stability, grid)
+    low, high = _bisect(stability, low, high)
+    (speed,) = _polish(_damping_residual, jnp.stack([low]), chain, low, high)
+    law = chain.friction.law
+    if isinstance(law, ExponentialDecay):
+        load = 1.0 if chain.normal_load is None else chain.normal_load
+        drop = load * (law.mu_static - law.mu_dynamic)
+        closed = law.v_ref * jnp.log(drop / (2.0 * chain.damping_ratio * law.v_ref))
+        speed = jnp.where(closed > _SATURATED * chain.friction.width, closed, speed)
+    return jnp.where(found, speed, jnp.nan)
+
+
+def _mistuned(chain: Chain) -> tuple[Array, Array, Array]:
+    """((v_H, omega), mode shape, whether other modes cross with it)."""
+
+    def damping(speed: Array) -> Array:
+        return jnp.broadcast_to(sliding_damping(chain, speed), (chain.n,))
+
+    def stability(speed: Array) -> Array:
+        return -growth_rate(chain, speed)
+
+    grid = belt_speed_grid(chain)
+    d = jax.vmap(damping)(grid)
+    # Sliding is stable above `high`, where all d_n are positive; if one never is, because only
+    # its neighbours damp that mass, then nothing happens above the speed where d_n has settled.
+    least = jnp.min(d, axis=1)
+    maybe = (least <= 0) | _dips(least)
+    high = jnp.max(jnp.where(maybe[:-1], grid[1:], grid[0]))
+    moved = jnp.max(jnp.abs(d - d[-1:]), axis=1)
+    settled = jnp.min(jnp.where(moved <= _SETTLED * jnp.max(jnp.abs(d[-1])), grid, jnp.inf))
+    high = jnp.where(least[-1] > 0, high, settled)
+    # It is unstable, or all eigenvalues are on the axis, at `low`, if ever trace D <= 0.
+    last = jnp.max(jnp.where(jnp.sum(d, axis=1) <= 0, grid, 0.0))
+    first = jnp.min(jnp.where(maybe, grid, jnp.inf))
+    low = jnp.minimum(jnp.where(last > 0, last, first), 0.97 * high)
+    inner = jnp.exp(jnp.linspace(jnp.log(low), jnp.log(high), _EIGENVALUE_SPEEDS))
+    low, high, found = _last_rise(stability, inner)
+    low, high = _bisect(stability, low, high)
+
+    values = sliding_eigenvalues(chain, low)
+    frequency = jnp.abs(jnp.imag(values[jnp.argmax(jnp.real(values))]))
+    start = jnp.stack([low, frequency])
+    shape, together = null_shape(start, chain)
+    crossing = _polish(crossing_residual, start, (chain, shape, together), low, high)
+    return jnp.where(found, crossing, jnp.nan), shape, together
+
+
+def _last_rise(
+    function: Callable[[Array], Array], grid: Array
+) -> tuple[Array, Array, Bool[Array, ""]]:
+    """(a, b, found): the last, small interval in which `function` rises through zero.
+
+    Not found unless the function is positive at the end of the grid.  Also looked at closely is
+    the last dip that a parabola through three points, or half its depth more, takes below zero.
+    """
+    value = jax.vmap(function)(grid)
+    index = jnp.arange(grid.size)
+    rises = (value[:-1] <= 0) & (value[1:] > 0)
+    rise = jnp.max(jnp.where(rises, index[:-1], -1))
+    dip = jnp.max(jnp.where(_dips(value), index, -1))
+
+    def closer(low: Array, high: Array) -> tuple[Array, Array, Array]:
+        points = low + (high - low) * jnp.linspace(0.0, 1.0, 65)
+        fine = jax.vmap(function)(points)
+        inside = (fine[:-1] <= 0) & (fine[1:] > 0)
+        at = jnp.max(jnp.where(inside, jnp.arange(64), -1))
+        return points[at], points[at + 1], at >= 0
+
+    low, high, dipped = closer(grid[jnp.maximum(dip - 1, 0)], grid[dip + 1])
+    dipped = dipped & (dip > rise)
+    low = jnp.where(dipped, low, grid[jnp.maximum(rise, 0)])
+    high = jnp.where(dipped, high, grid[rise + 1])
+    return low, high, ((rise >= 0) | dipped) & (value[-1] > 0)
+
+
+def _dips(value: Array) -> Array:
+    """Whether a positive value is a minimum that a finer grid may find to reach zero."""
+    left, middle, right = value[:-2], value[1:-1], value[2:]
+    bend = jnp.maximum(left - 2.0 * middle + right, 1e-300)
+    least = middle - (right - left) ** 2 / (8.0 * bend)
+    dips = (middle > 0) & (middle <= left) & (middle <= right) & (least <= 0.5 * middle)
+    return jnp.pad(dips, 1)
+
+
+def _bisect(function: Callable[[Array], Array], low: Array, high: Array) -> tuple[Array, Array]:
+    """The interval, in which `function` rises through zero, shortened by 2^-26."""
+
+    def halve(_: Any, ends: tuple[Array, Array]) -> tuple[Array, Array]:
+        low, high = ends
+        middle = 0.5 * (low + high)
+        below = function(middle) <= 0
+        return jnp.where(below, middle, low), jnp.where(below, high, middle)
+
+    return lax.fori_loop(0, _BISECTIONS, halve, (low, high))
+
+
+def _polish(residual: Any, start: Array, parameters: Any, low: Array, high: Array) -> Array:
+    """Newton's method on `residual`, the belt speed (its first unknown) kept in the interval."""
+    # A little beyond: the ends come from eigenvalues, with their rounding errors.
+    margin = (high - low) + 1e-9 * high
+
+    def step(_: Any, u: Array) -> Array:
+        slope = jax.jacfwd(residual)(u, parameters)
+        new = u - jnp.linalg.solve(slope, residual(u, parameters))
+        new = new.at[0].set(jnp.clip(new[0], low - margin, high + margin))
+        return jnp.where(jnp.all(jnp.isfinite(new)), new, u)
+
+    return lax.fori_loop(0, _NEWTON_STEPS, step, start)

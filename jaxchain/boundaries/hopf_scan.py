@@ -1,0 +1,213 @@
+"""Every Hopf point of steady sliding in a range of belt speeds, and none missed."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Complex, Float, Int
+
+from .._checks import check_finite, is_traced, require_64_bits, require_x64
+from ..model.chain import Chain
+from .axis_crossings import Crossing, find_crossings
+from .criticality import (
+    first_lyapunov_coefficient,
+    growth_slopes,
+    relative_coefficient,
+    square_amplitude_slope,
+)
+
+FLANK, WEAKENING = "rising flank of the smoothed law", "weakening friction"
+_TEXTS = ("direction", "criticality", "standing_criticality", "kind")
+_VANISHING = 1e-9  # of the terms that make it up: then l1 is zero up to rounding
+
+
+class HopfPoints(eqx.Module):
+    """Hopf points, sorted by belt speed, then frequency; one entry of every field for each.
+
+    - `belt_speed`, `frequency` = omega; `mode_shape` = u, complex, greatest entry 1: a
+      disturbance moves as Re[u exp(i omega t)].
+    - `wavenumber`: q = 2 pi m / n, m = 0 ... n // 2, of the wave u_n = exp(i q n) in a homogeneous
+      ring; NaN elsewhere.
+    - `multiplicity`: how many modes cross at this speed with this frequency: 2 for a pair q, -q.
+    - `growth_slope`: d Re(lambda) / d|v_d|.
+    - `direction`: "falling speed" if the mode begins to grow as |v_d| falls, else "growing speed".
+    - `lyapunov_coefficient` = l1 as in `first_lyapunov_coefficient`, of the travelling wave where
+      there is a pair q, -q; `standing_lyapunov_coefficient`, that of the standing wave cos(q n),
+      and the same as l1 where there is no pair.  NaN, and `criticality` "undetermined", where
+      several modes cross together at one frequency in a chain that is not a homogeneous ring.
+    - `criticality`, `standing_criticality`: "supercritical" (stable cycles grow out of the point,
+      small at first), "subcritical" (unstable ones, and a jump) or "degenerate" (l1 = 0).
+    - `square_amplitude_slope`, `standing_square_amplitude_slope`: d(A^2) / d|v_d| of the cycles
+      that branch off, A the greatest amplitude of a mass.
+    - `kind`: "weakening friction", the physical one; or "rising flank of the smoothed law", an
+      artefact of smoothing at a speed of a few widths, below which the belt drags the masses along
+      in a creep that stands for sticking.
+
+    In a homogeneous chain all n modes cross at one belt speed; each coefficient then is that of
+    one wave alone, and its cycles are those of the full chain while their growth is slow compared
+    with the differences of the frequencies.  If 4 q is a multiple of 2 pi there is a second
+    standing wave, cos(q (n + 1/2)), with another coefficient.
+    """
+
+    belt_speed: Float[Array, " points"]
+    frequency: Float[Array, " points"]
+    mode_shape: Complex[Array, "points n"]
+    wavenumber: Float[Array, " points"]
+    multiplicity: Int[Array, " points"]
+    growth_slope: Float[Array, " points"]
+    lyapunov_coefficient: Float[Array, " points"]
+    standing_lyapunov_coefficient: Float[Array, " points"]
+    square_amplitude_slope: Float[Array, " points"]
+    standing_square_amplitude_slope: Float[Array, " points"]
+    direction: tuple[str, ...] = eqx.field(static=True)
+    criticality: tuple[str, ...] = eqx.field(static=True)
+    standing_criticality: tuple[str, ...] = eqx.field(static=True)
+    kind: tuple[str, ...] = eqx.field(static=True)
+
+
+def hopf_points(chain: Chain, belt_speeds: Any = (0.0, 5.0)) -> HopfPoints:
+    """Every Hopf point of steady sliding at belt speeds between `belt_speeds` = (low, high).
+
+    **Why none is missed:** in an interval of belt speeds over which no d_n changes by more than
+    delta from its value in the middle, no eigenvalue crosses the imaginary axis if the least
+    singular value of D + (K - omega^2) / (i omega) in the middle exceeds delta for every omega;
+    that is |d| > delta for uniform damping, and otherwise holds if and only if a Hamiltonian
+    matrix of order 4 n has no imaginary eigenvalue (Boyd, Balakrishnan, Kabamba, Math. Control
+    Signals Systems 2 (1989)).  Intervals without this proof are halved down to 1e-5 of the speed,
+    searched by Newton's method from every eigenvalue near the axis, and the number of unstable
+    eigenvalues on either side is compared.  Two assumptions remain: d_n is sampled 17 times in
+    intervals of at most a tenth of the speed, so a law must not hide anything between; and two
+    points in opposite directions that are within 1e-5 of meeting may be taken for none.
+
+    **Returns:** `HopfPoints`; at negative belt speeds the mirror image of those at positive ones.
+    Concrete numbers only: not for use under `jit` (`hopf_belt_speed` is).
+
+    **Raises:** `ValueError` for a traced chain or an impossible range; `RuntimeError` without
+    64-bit floats, or if the number of unstable eigenvalues contradicts the points found.
+
+    >>> from jaxchain import paper_chain
+    >>> import jax
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> points = hopf_points(paper_chain(4), (0.1, 5.0))
+    >>> [round(float(v), 4) for v in points.belt_speed]
+    [1.1513, 1.1513, 1.1513]
+    >>> points.criticality[0], points.direction[0], points.kind[0]
+    ('subcritical', 'falling speed', 'weakening friction')
+    """
+    require_x64()
+    if is_traced(chain, belt_speeds):
+        raise ValueError(
+            "Argument `chain` or `belt_speeds` is traced, but Hopf points are listed on the host: "
+            "call `hopf_points` outside `jit`, `vmap` and `grad`, or use `hopf_belt_speed`."
+        )
+    require_64_bits("chain", chain)
+    if np.shape(belt_speeds) != (2,):
+        raise ValueError(
+            f"Argument `belt_speeds` must be (low, high), but is {belt_speeds!r}: "
+            "(0.0, 5.0) is usual."
+        )
+    check_finite("belt_speeds", np.asarray(belt_speeds), "(0.0, 5.0) is usual.")
+    low, high = (float(speed) for speed in belt_speeds)
+    if not low < high:
+        raise ValueError(
+            f"Argument `belt_speeds` must be (low, high) with low < high, but is ({low}, {high})."
+        )
+    simple = _simplified(chain)
+    least = 0.0 if low <= 0 <= high else min(abs(low), abs(high))
+    entries = []
+    for crossing in find_crossings(simple, least, max(abs(low), abs(high))):
+        entry = _described(simple, crossing)
+        signed = (crossing.speed, -crossing.speed)
+        entries += [{**entry, "belt_speed": v} for v in signed if low <= v <= high]
+    entries.sort(key=lambda entry: (entry["belt_speed"], entry["frequency"]))
+
+    def column(name: str) -> Any:
+        values = [entry[name] for entry in entries]
+        if name in _TEXTS:
+            return tuple(values)
+        if name == "mode_shape":
+            return jnp.asarray(np.reshape(values, (len(values), chain.n)).astype(complex))
+        return jnp.asarray(np.array(values, dtype=int if name == "multiplicity" else float))
+
+    return HopfPoints(**{name: column(name) for name in HopfPoints.__dataclass_fields__})
+
+
+def _simplified(chain: Chain) -> Chain:
+    """The same chain with one number where all masses have the same, and no springs of zero."""
+
+    def one(value: Array | None) -> Array | None:
+        if value is None or value.ndim == 0 or not bool(jnp.all(value == value[0])):
+            return value
+        return value[0]
+
+    coupling = one(chain.coupling)
+    if coupling is not None and (chain.n == 1 or not bool(jnp.any(coupling))):
+        coupling = None
+    friction = jax.tree.map(one, chain.friction)
+    return chain.with_(
+        friction=friction,
+        damping_ratio=one(chain.damping_ratio),
+        stiffness=one(chain.stiffness),
+        normal_load=one(chain.normal_load),
+        coupling=coupling,
+    )
+
+
+def _described(chain: Chain, crossing: Crossing) -> dict[str, Any]:
+    speed, frequency, shape, wavenumber, multiplicity = crossing
+    size = np.abs(shape)
+    shape = shape / shape[np.argmax(size > (1.0 - 1e-9) * size.max())]  # the first of equals
+    pair = multiplicity == 2 and not np.isnan(wavenumber)
+    shapes = [(shape, np.conj(shape) if pair else shape)]
+    if pair:
+        standing = np.cos(wavenumber * np.arange(chain.n))
+        shapes.append((standing, standing))
+    at = (jnp.asarray(speed), jnp.asarray(frequency))
+    results = [
+        _numbers(chain, *at, jnp.asarray(u, complex), jnp.asarray(left, complex))
+        for u, left in shapes
+    ]
+    if multiplicity > 1 and not pair:  # which combination of the modes, nothing tells
+        slope, dry = results[0][2:4]
+        results = [(np.nan, np.nan, slope, dry, np.nan)]
+    (wave, size, slope, dry, rise), (standing, standing_size, _, _, standing_rise) = (
+        results[0],
+        results[-1],
+    )
+    return {
+        "frequency": frequency,
+        "mode_shape": shape,
+        "wavenumber": wavenumber,
+        "multiplicity": multiplicity,
+        "growth_slope": float(slope),
+        "lyapunov_coefficient": float(wave),
+        "standing_lyapunov_coefficient": float(standing),
+        "square_amplitude_slope": float(rise),
+        "standing_square_amplitude_slope": float(standing_rise),
+        "direction": "falling speed" if slope < 0 else "growing speed",
+        "criticality": _criticality(float(size)),
+        "standing_criticality": _criticality(float(standing_size)),
+        # Without smoothing the mode would not begin to grow as the speed grows.
+        "kind": FLANK if slope > 0 >= dry else WEAKENING,
+    }
+
+
+@eqx.filter_jit
+def _numbers(
+    chain: Chain, speed: Array, frequency: Array, u: Array, left: Array
+) -> tuple[Array, ...]:
+    point = (chain, speed, frequency, u, left)
+    wave = first_lyapunov_coefficient(*point)
+    slope, dry = growth_slopes(*point)
+    rise = square_amplitude_slope(wave, slope, frequency, u)
+    return wave, relative_coefficient(*point), slope, dry, rise
+
+
+def _criticality(relative: float) -> str:
+    if np.isnan(relative):
+        return "undetermined"
+    if abs(relative) <= _VANISHING:
+        return "degenerate"
+    return "supercritical" if relative < 0 else "subcritical"

@@ -1,0 +1,177 @@
+"""The two boundaries of vibration of one chain, with what smoothing does to each.
+
+Just below the Hopf speed, the greatest where there are several, steady sliding is unstable, so
+vibration starts by itself; up to the fold a vibration survives; between the two it depends on the
+start.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..model.chain import Chain
+from ..model.initial_states import check_vibrating
+from .hopf import hopf_belt_speed
+from .zero_width import fold_boundary
+
+# A width at which smoothed friction is dry at every belt speed but the lowest.
+_NO_WIDTH = 1e-9
+# Relative errors of a Hopf speed, and of a fold of dry friction.
+_HOPF_ERROR, _DRY_ERROR = 1e-12, 1e-10
+
+
+class Boundaries(eqx.Module):
+    """Belt speeds, dimensionless; NaN for what does not exist or was not found.
+
+    - `hopf`: above it sliding is stable, just below it is not, at the chain's width;
+      `hopf_nonsmooth`: for dry friction.
+    - `fold`: up to it the vibration of one mass survives, at the chain's width.
+    - `fold_nonsmooth`: the same for dry friction: found directly, else extrapolated to width 0.
+    - `fold_limit`: extrapolated, a second opinion.
+    - `..._error`: the bars of the values for dry friction.
+    """
+
+    hopf: Float[Array, ""]
+    hopf_nonsmooth: Float[Array, ""]
+    hopf_nonsmooth_error: Float[Array, ""]
+    fold: Float[Array, ""]
+    fold_nonsmooth: Float[Array, ""]
+    fold_nonsmooth_error: Float[Array, ""]
+    fold_limit: Float[Array, ""]
+    fold_limit_error: Float[Array, ""]
+    mass: int = eqx.field(static=True)
+
+
+def boundaries(chain: Chain, vibrating: Any = None) -> Boundaries:
+    """Both boundaries of a chain at its width, for dry friction, and the bars of the latter.
+
+    The bar of the fold is that of the direct method, and more if the extrapolation from smoothed
+    friction contradicts it: by as much as the two differ beyond the bar of the extrapolation.
+
+    **Arguments:** `chain`, whose own `belt_speed` has no part in it; `vibrating`, the index of the
+    mass whose vibration folds, by default n // 2.
+
+    **Returns:** a `Boundaries`; works under `jit` and `vmap`, and is differentiable as
+    `fold_boundary` is.
+
+    **Raises:** `ValueError` as `fold_belt_speed` does.
+
+    For the paper's set at width 1e-3, one mass: `hopf` 1.151293, `fold` 1.831130,
+    `fold_nonsmooth` 1.836600972.
+    """
+    mass = check_vibrating(chain, vibrating)
+    return _boundaries(chain, mass)
+
+
+@eqx.filter_jit
+def _boundaries(chain: Chain, mass: int) -> Boundaries:
+    width = chain.friction.width
+    widths = jnp.stack([width, jnp.full_like(width, _NO_WIDTH)])
+
+    def hopf_at(width: Array) -> Array:
+        return hopf_belt_speed(eqx.tree_at(lambda c: c.friction.width, chain, width))
+
+    hopf, hopf_dry = jax.vmap(hopf_at)(widths)
+    fold = fold_boundary(chain, mass)
+    direct = jnp.isfinite(fold.dry)
+    apart = jnp.nan_to_num(jnp.abs(fold.dry - fold.limit))  # no second opinion, no contradiction
+    contradicts = apart > jnp.nan_to_num(fold.error)
+    bar = jnp.where(contradicts, apart, _DRY_ERROR * jnp.abs(fold.dry))
+    return Boundaries(
+        hopf=hopf,
+        hopf_nonsmooth=hopf_dry,
+        hopf_nonsmooth_error=_HOPF_ERROR * hopf_dry,
+        fold=fold.value,
+        fold_nonsmooth=jnp.where(direct, fold.dry, fold.limit),
+        fold_nonsmooth_error=jnp.where(direct, bar, fold.error),
+        fold_limit=fold.limit,
+        fold_limit_error=fold.error,
+        mass=mass,
+    )
+
+
+def missing(found: Boundaries) -> dict[str, str]:
+    """Why each value that is NaN is not there, in words; for one chain, not a batch."""
+    no_hopf = (
+        "steady sliding is stable at every belt speed, or at no high one: friction weakens too "
+        "little for the damping, or damping does not exceed 0"
+    )
+    no_fold = (
+        "no fold was found: a vibration of one mass does not exist, or sets in gently at the Hopf "
+        "speed, or does not end at any belt speed for want of damping, or the search failed "
+        "(`find_fold(chain).message` tells)"
+    )
+    joined = "; for several masses, also where the neighbours reach the speed of the belt"
+    reasons = {
+        "hopf": no_hopf,
+        "hopf_nonsmooth": no_hopf + ", for dry friction",
+        "fold": no_fold + ", at this width",
+        "fold_nonsmooth": no_fold + ", for dry friction" + joined,
+        "fold_limit": "a fold is not found at one of the widths that are extrapolated from",
+    }
+    return {k: why for k, why in reasons.items() if not bool(jnp.isfinite(getattr(found, k)))}
+
+
+def report(chain: Chain, found: Boundaries) -> dict[str, Any]:
+    """What `jaxchain boundary --json` prints: numbers, null with a reason in `missing`."""
+
+    def number(value: Any) -> float | None:
+        return float(value) if bool(jnp.isfinite(value)) else None
+
+    names = [name for name in vars(found) if name != "mass"]
+    values = {name: number(getattr(found, name)) for name in names}
+    law, friction = chain.friction.law, chain.friction
+    parameters: dict[str, Any] = {
+        "n": chain.n,
+        "width": float(friction.width),
+        "damping_ratio": float(chain.damping_ratio),
+        "coupling": None if chain.coupling is None else float(chain.coupling),
+        **{name: float(value) for name, value in vars(law).items()},
+    }
+    # From 1, as the paper counts.
+    return {
+        **values,
+        "missing": missing(found),
+        "vibrating_oscillator": found.mass + 1,
+        "parameters": parameters,
+    }
+
+
+def in_words(chain: Chain, found: Boundaries) -> str:
+    """Both boundaries in words: at the width asked, for dry friction, with the bar."""
+    width = float(chain.friction.width)
+    who = (
+        "its vibration" if chain.n == 1 else f"the vibration of oscillator {found.mass + 1} alone"
+    )
+    reasons = missing(found)
+
+    def row(title: str, name: str, more: str) -> str:
+        own, dry = (float(getattr(found, key)) for key in (name, name + "_nonsmooth"))
+        bar = float(getattr(found, name + "_nonsmooth_error"))
+        at_width = "none" if jnp.isnan(own) else f"{own:.9f}"
+        limit = "none" if jnp.isnan(dry) else f"{dry:.9f} ± {bar:.0e}"
+        return f"{title:<12} {at_width:<14} {limit:<24} {more}"
+
+    lines = [
+        f"{'belt speed':<12} {f'width {width:g}':<14} {'dry friction':<24} what it says",
+        row("Hopf", "hopf", "just below it vibration starts by itself"),
+        row("fold", "fold", f"up to it {who} survives"),
+    ]
+    if "fold_limit" not in reasons:
+        lines.append(
+            f"{'':<12} {'':<14} {float(found.fold_limit):.9f} ± "
+            f"{float(found.fold_limit_error):<9.0e} the same, extrapolated from smoothed friction"
+        )
+    hopf, fold = float(found.hopf_nonsmooth), float(found.fold_nonsmooth)
+    if hopf < fold:  # false for NaN
+        lines.append(f"From {hopf:.4f} to {fold:.4f} it depends on the start: rest or vibration.")
+    if "fold" not in reasons and "fold_nonsmooth" not in reasons:
+        share = float(found.fold) / fold - 1.0
+        lines.append(f"The width moves the fold by {100 * share:+.3g} %.")
+    lines += [f"{name}: {why}." for name, why in reasons.items()]
+    return "\n".join(lines)

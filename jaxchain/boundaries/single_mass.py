@@ -1,0 +1,264 @@
+"""All vibrations of one mass over the belt speed, from rest to stick-slip.
+
+The cycles of one mass form one branch: it leaves steady sliding at the Hopf speed, runs up as
+unstable slip cycles to the fold, and comes back as the stable stick-slip cycle.  Over
+z = asinh(max w / eps) it is smooth at every width, round the fold, too.  It is no graph over z:
+on the stick-slip cycles of the paper's set z has a maximum near v_d = 0.75.  So the branch is
+followed in both directions from its fold, by arclength in (2 v_d / v_fold, ln T, z).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float
+
+from .._checks import check_number, check_positive, is_traced
+from ..continuation.damped_newton import newton
+from ..cycles.averaging import cycle_speed, greatest_speed
+from ..cycles.shooting import Shooting
+from ..model.chain import Chain
+from ..model.initial_states import check_vibrating
+from ..observers.amplitude import Amplitude
+from ..simulation.accuracy import fit_linear_solve
+from ..simulation.run import simulate
+from ..solvers.rosenbrock import Rodas5P
+from .fold import Fold, find_fold
+from .fold_search import Place, unknowns, value_and_jacobian
+from .hopf import hopf_belt_speed
+from .touch import Touch, touch_residual
+
+# Where a mass sticks, z of the integrated cycle is uncertain by about rtol / eps.
+_RTOL, _CLOSED = 1e-9, 1e-5
+# Points on each side of the fold; Newton steps at most for each; cosine of the turn of a step.
+_POINTS, _NEWTON, _STRAIGHT = 72, 16, 0.9
+# Lengths of the sides: of the slip cycles z runs over asinh(v_d / eps), about.
+_STICKING, _SLACK = 5.0, 3.0
+# Amplitude over belt speed below which the branch is at rest.
+_AT_REST = 5e-3
+# Dry slip cycles: steps in a period, and the width of a simulation that never reaches the belt.
+_DRY_STEPS, _DRY_WIDTH = 64, 1e-9
+
+
+class OneMassBranch(eqx.Module):
+    """The cycles of one mass in order: rest, unstable slip cycles, fold, stick-slip.
+
+    - `belt_speed` v_d, `amplitude` A (half peak-to-peak of x), `period` T; dimensionless, NaN in
+      places where there is no point, so drop these before drawing a line.
+    - `closeness`: s = max w / eps; -inf for dry friction.
+
+    The first entry is the Hopf point, of amplitude 0; `fold` is the index of the fold, which is
+    the last one of a dry slip branch.
+    """
+
+    belt_speed: Float[Array, " points"]
+    amplitude: Float[Array, " points"]
+    closeness: Float[Array, " points"]
+    period: Float[Array, " points"]
+    fold: int = eqx.field(static=True)
+
+
+class _Walk(eqx.Module):
+    y: Float[Array, "3"]  # (2 v_d / v_fold, ln T, z)
+    tangent: Float[Array, "3"]
+    step: Float[Array, ""]
+    alive: Any
+
+
+def one_mass_branch(chain: Chain, lowest: Any = 0.1, fold: Fold | None = None) -> OneMassBranch:
+    """Every cycle of one mass, stable or not, with smoothed friction.
+
+    **Arguments:** `chain` of one mass, whose `belt_speed` has no part in it; `lowest`, the belt
+    speed at which the stick-slip branch is left, below that of the fold (near it only a few
+    places have a point); `fold`, what `find_fold(chain)` returned, if it is known.
+
+    **Returns:** 146 places, of which 73 are slip cycles; for the paper's set at width 1e-2 the
+    fold is at v_d = 1.7925, A = 1.7808.  Works under `jit` and `vmap`; not to be differentiated.
+    All NaN where there is no fold: then cycles, if any, are stable and grow out of the Hopf point
+    as the belt slows down.  Under a transformation the places of stick-slip are NaN if `lowest` is
+    not below the fold.
+
+    **Raises:** `ValueError` for a chain of several masses or a `lowest` that is not positive, or
+    not below the fold.
+    """
+    _check_single(chain)
+    check_number("lowest", lowest, "0.1 is usual.")
+    check_positive("lowest", lowest, "the cycles are lost as the belt comes to rest.")
+    frozen = jax.tree.map(lax.stop_gradient, chain)
+    known = find_fold(frozen) if fold is None else jax.tree.map(lax.stop_gradient, fold)
+    check_below_fold(lowest, known)
+    return _branch(frozen, known, jnp.asarray(lowest, float))
+
+
+def check_below_fold(lowest: Any, fold: Fold) -> None:
+    """Raises `ValueError` if a `lowest` is at or above a fold that was found."""
+    if is_traced(lowest, fold):
+        return
+    speed = float(jnp.min(jnp.where(fold.found, fold.belt_speed, jnp.inf)))
+    if float(lowest) >= speed:
+        raise ValueError(
+            f"Argument `lowest` must be below the fold, at a belt speed of {speed:.6g}, but is "
+            f"{lowest}: no mass sticks and slips above it. 0.1 is usual."
+        )
+
+
+@eqx.filter_jit
+def _branch(chain: Chain, fold: Fold, lowest: Array) -> OneMassBranch:
+    top, width = fold.belt_speed, chain.friction.width
+    shooting = Shooting(
+        field=chain, rtol=_RTOL, solver=fit_linear_solve(Rodas5P(), chain, _RTOL), mass=0,
+        images=(0,), parameter="belt_speed",
+    )  # fmt: skip
+    scale = jnp.stack([0.5 * top, jnp.ones(()), jnp.ones(())])
+    packed = shooting.pack(fold.state, fold.period, top)
+    start = jnp.stack([jnp.asarray(2.0), packed[1], packed[0]])
+
+    def linearised(y: Array) -> tuple[Array, Array]:
+        p = scale * y
+        r, jacobian = value_and_jacobian(shooting, Place(p[:2], p[2]))
+        return r, jacobian * scale[None, :]
+
+    def inside(y: Array, sticking: Array) -> Array:
+        speed = scale[0] * y[0]
+        moves = speed + width * jnp.sinh(y[2]) > _AT_REST * speed
+        return moves & (~sticking | (speed >= lowest))
+
+    def side(direction: Array) -> Array:
+        """Points of shape (_POINTS, 3), with z rising at first for direction 1."""
+        sticking = direction > 0
+        slipping = jnp.arcsinh(top / width) + _SLACK
+        longest = jnp.where(sticking, _STICKING, slipping) / _POINTS
+
+        def correct(now: _Walk) -> tuple[Array, Array, Array]:
+            guess = now.y + now.step * now.tangent
+
+            def body(state: Any) -> Any:
+                k, y, _, _ = state
+                r, jacobian = linearised(y)
+                rows = jnp.concatenate([jacobian, now.tangent[None]])
+                change = jnp.linalg.solve(rows, -jnp.append(r, now.tangent @ (y - guess)))
+                tangent = jnp.cross(jacobian[0], jacobian[1])
+                tangent = tangent / jnp.linalg.norm(tangent)
+                tangent = tangent * jnp.sign(tangent @ now.tangent)
+                return k + 1, y + change, tangent, jnp.max(jnp.abs(change))
+
+            def going(state: Any) -> Array:
+                k, _, _, size = state
+                return now.alive & (k < _NEWTON) & (size > _CLOSED)
+
+            first = (jnp.asarray(0), guess, now.tangent, jnp.asarray(jnp.inf))
+            return lax.while_loop(going, body, first)[1:]
+
+        def advance(now: _Walk, _: Any) -> tuple[_Walk, Array]:
+            y, tangent, size = correct(now)
+            good = (size <= _CLOSED) & (tangent @ now.tangent > _STRAIGHT)
+            alive = now.alive & (~good | inside(y, sticking))
+            point = jnp.where(good & alive, y, jnp.nan)
+            return _Walk(
+                jnp.where(good, y, now.y),
+                jnp.where(good, tangent, now.tangent),
+                jnp.where(good, jnp.minimum(2.0 * now.step, longest), 0.25 * now.step),
+                alive,
+            ), point
+
+        # At the fold v_d stands still, and the rest of the null vector follows.
+        _, jacobian = linearised(start)
+        tangent = jnp.cross(jacobian[0], jacobian[1])
+        tangent = tangent / jnp.linalg.norm(tangent) * direction * jnp.sign(tangent[2])
+        begin = _Walk(start, tangent, longest, fold.found)
+        return lax.scan(advance, begin, None, length=_POINTS)[1]
+
+    slip, stick = jax.vmap(side)(jnp.asarray([-1.0, 1.0]))
+    y = jnp.concatenate([slip[::-1], start[None], stick])
+    speeds, periods = scale[0] * y[:, 0], jnp.exp(y[:, 1])
+
+    def state_at(y: Array) -> Any:
+        p = scale * y
+        return shooting.unpack(*unknowns(shooting, Place(p[:2], p[2])))[1]
+
+    x, v = jax.vmap(state_at)(y)
+    amplitudes = jax.vmap(lambda *orbit: _amplitude(chain, *orbit))(x, v, speeds, periods)
+    hopf = jnp.where(fold.found, hopf_belt_speed(chain), jnp.nan)
+    at_rest = -hopf / width
+    # The period of the smallest cycle found, which is near that of the Hopf point.
+    first = periods[jnp.argmax(jnp.isfinite(periods))]
+    return OneMassBranch(
+        belt_speed=jnp.append(hopf, speeds),
+        amplitude=jnp.append(0.0 * hopf, amplitudes),
+        closeness=jnp.append(at_rest, jnp.sinh(y[:, 2])),
+        period=jnp.append(first, periods),
+        fold=_POINTS + 1,
+    )
+
+
+def dry_slip_branch(chain: Chain, points: int = 24) -> OneMassBranch:
+    """The unstable slip cycles of one mass with dry friction, from rest to the touch of the belt.
+
+    The equations of `boundaries/grazing.py` with the greatest velocity r v_d, 0 < r <= 1; r = 1 is
+    the fold.
+
+    **Arguments:** `chain` of one mass, whose `belt_speed` and width have no part in it; `points`,
+    how many cycles, besides the Hopf point.
+
+    **Returns:** `points` + 1 places; NaN where no cycle was found.  Works under `jit`.
+
+    **Raises:** `ValueError` for a chain of several masses.
+    """
+    _check_single(chain)
+    return _dry_branch(jax.tree.map(lax.stop_gradient, chain), points)
+
+
+@eqx.filter_jit
+def _dry_branch(chain: Chain, points: int) -> OneMassBranch:
+    dry = eqx.tree_at(lambda c: c.friction.width, chain, jnp.asarray(_DRY_WIDTH))
+    touch = Touch(chain, jnp.asarray(_DRY_STEPS), 0)
+    highest = greatest_speed(dry)
+
+    def residual(q: Array, ratio: Array) -> Array:
+        w = (ratio - 1.0) * q[-1]
+        return touch_residual(q, touch, w, w) / ratio
+
+    def cycle(ratio: Array) -> tuple[Array, Array, Array]:
+        speed = cycle_speed(dry, ratio, highest)
+        guess = jnp.stack([jnp.log(2.0 * jnp.pi / jnp.sqrt(dry.stiffness)), speed])
+        root = newton(residual, jnp.where(jnp.isnan(guess), 1.0, guess), ratio, max_steps=20)
+        (x, v), period, speed = touch.unpack(root.value, (ratio - 1.0) * root.value[-1])
+        amplitude = _amplitude(dry, x, v, speed, period)
+        found = jnp.where(root.converged, jnp.stack([speed, amplitude, period]), jnp.nan)
+        return found[0], found[1], found[2]
+
+    ratios = jnp.linspace(0.0, 1.0, points + 1)[1:]
+    speeds, amplitudes, periods = jax.vmap(cycle)(ratios)
+    hopf = hopf_belt_speed(dry)
+    return OneMassBranch(
+        belt_speed=jnp.append(hopf, speeds),
+        amplitude=jnp.append(0.0, amplitudes),
+        closeness=jnp.full(points + 1, -jnp.inf),
+        period=jnp.append(periods[0], periods),
+        fold=points,
+    )
+
+
+def _amplitude(chain: Chain, x: Array, v: Array, belt_speed: Array, period: Array) -> Array:
+    """Half peak-to-peak of x on the cycle through (x, v)."""
+    known = jnp.isfinite(period)
+    moving = eqx.tree_at(lambda c: c.belt_speed, chain, jnp.where(known, belt_speed, 1.0))
+    start = tuple(jnp.where(known, part, 0.0) for part in (x, v))
+    run = simulate(
+        moving, start, jnp.where(known, period, 1e-3), observe=Amplitude(), solver=Rodas5P(),
+        rtol=_RTOL, throw=False,
+    )  # fmt: skip
+    return jnp.where(known, run.observed[0], jnp.nan)
+
+
+def _check_single(chain: Any) -> None:
+    check_vibrating(chain, 0)
+    if chain.n != 1:
+        raise ValueError(
+            f"Argument `chain` must have one mass, but has {chain.n}. For the cycles of several "
+            "masses use `continue_branch`."
+        )

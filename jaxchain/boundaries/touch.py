@@ -1,0 +1,142 @@
+"""The equations of a slip cycle that touches the belt's speed; see `boundaries/grazing.py`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import diffrax as dfx
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float, Int
+
+from .._types import State
+from ..cycles.averaging import graded
+from ..model.chain import Chain
+
+_SOLVER = dfx.Dopri8(scan_kind="lax")
+
+
+class Touch(eqx.Module):
+    """The equations: unknowns q = (x_n, v_n for n != j, ln T, v_d), 2n of them."""
+
+    chain: Chain
+    steps: Int[Array, ""]
+    mass: int = eqx.field(static=True)
+
+    def unpack(self, q: Float[Array, " m"], leaving: Any = 0.0) -> tuple[State, Array, Array]:
+        """(state at the touch, period, belt speed); `leaving` = w_+."""
+        chain, j = self.chain, self.mass
+        speed = q[-1]
+        x = jnp.insert(q[: chain.n - 1], j, 0.0)
+        v = jnp.insert(q[chain.n - 1 : -2], j, speed + leaving)
+        unit = jnp.zeros(chain.n).at[j].set(1.0)
+        force = slip_force(chain, speed, v) + chain.restoring_force(x)
+        stiffness = -chain.restoring_force(unit)[j]
+        return (x + unit * (force[j] / stiffness), v), jnp.exp(q[-2]), speed
+
+    @property
+    def hold(self) -> Array:
+        """p mu_st of mass j."""
+        return jnp.broadcast_to(self.chain.greatest_hold(), (self.chain.n,))[self.mass]
+
+    def fall(self, v: Float[Array, " n"]) -> Array:
+        """kappa = -v_j'' at the touch."""
+        return -self.chain.restoring_force(v)[self.mass]
+
+    def pack(self, state: State, period: Any, speed: Any) -> Float[Array, " m"]:
+        """The inverse of `unpack`."""
+        x, v = (jnp.delete(part, self.mass, assume_unique_indices=True) for part in state)
+        return jnp.concatenate([x, v, jnp.stack([jnp.log(period), speed])])
+
+    def orbit(
+        self, q: Float[Array, " m"], leaving: Any = 0.0, arriving: Any = 0.0
+    ) -> tuple[State, Array]:
+        """(gap of the state half a period from the touch, greatest velocity of each mass).
+
+        From the touch forward and backward at once, to where they should meet.  Near the belt's
+        speed weakening friction drives motions apart, by rho = -V_+ / V_- in all and up to 1e4 for
+        a law that weakens fast: half of it on the way there, which going backward undoes.
+        """
+        (x, v), period, speed = self.unpack(q, leaving)
+        chain = self.chain
+        arrival = v.at[self.mass].add(arriving - leaving)
+        start = jnp.stack([x, x]), jnp.stack([v, arrival])
+        ways = jnp.asarray([1.0, -1.0])
+
+        def field(t: Any, y: State, args: Any) -> State:
+            del t, args
+            x, v = y
+            return v, slip_force(chain, speed, v) + chain.restoring_force(x)
+
+        terms: Any = dfx.ODETerm(field)  # pyright: ignore[reportArgumentType]
+
+        def time(k: Any) -> Array:
+            return period / (2.0 * jnp.pi) * graded(k * (2.0 * jnp.pi / self.steps))
+
+        def step(k: Array, carry: Any) -> Any:
+            begin, end = time(k), time(k + 1)
+
+            def one(way: Array, y: State, slope: Array, highest: Array) -> Any:
+                h = way * (end - begin)
+                memory = _SOLVER.init(terms, 0.0, h, y, None)
+                new, _, _, _, _ = _SOLVER.step(
+                    terms, way * begin, way * end, y, None, memory, False
+                )
+                new_slope = field(None, new, None)[1]
+                peak = _peak(y[1], new[1], h * slope, h * new_slope)
+                return new, new_slope, jnp.maximum(highest, peak)
+
+            return jax.vmap(one)(ways, *carry)
+
+        slopes = jax.vmap(lambda x, v: field(None, (x, v), None)[1])(*start)
+        end, _, highest = lax.fori_loop(0, self.steps // 2, step, (start, slopes, start[1]))
+        gap = end[0][0] - end[0][1], end[1][0] - end[1][1]
+        return gap, lax.stop_gradient(jnp.max(highest, axis=0))
+
+
+def _peak(v0: Array, v1: Array, slope0: Array, slope1: Array) -> Array:
+    """The greatest value of the cubic with these values and slopes at 0 and 1."""
+    a = 2.0 * (v0 - v1) + slope0 + slope1
+    b = 3.0 * (v1 - v0) - 2.0 * slope0 - slope1
+    # The root of 3 a t^2 + 2 b t + slope0 where the slope falls; without cancellation.
+    root = jnp.sqrt(jnp.maximum(b * b - 3.0 * a * slope0, 0.0))
+    sound = b - root != 0.0
+    t = jnp.where(sound, -slope0 / jnp.where(sound, b - root, 1.0), 0.0)
+    t = jnp.clip(t, 0.0, 1.0)
+    return jnp.maximum(jnp.maximum(v0, v1), v0 + t * (slope0 + t * (b + t * a)))
+
+
+def slip_force(chain: Chain, speed: Any, v: Float[Array, " n"]) -> Float[Array, " n"]:
+    """p mu(v_d - v) - 2 xi v, the force on masses that slide behind the belt."""
+    force = chain.friction.law.coefficient(speed - v) * jnp.ones_like(v)
+    if chain.normal_load is not None:
+        force = chain.normal_load * force
+    return force - 2.0 * chain.damping_ratio * v
+
+
+def touch_residual(
+    q: Float[Array, " m"], touch: Touch, leaving: Any = 0.0, arriving: Any = 0.0
+) -> Float[Array, " m"]:
+    """The gap after a period over the belt speed, so that rest (v_d = 0) is no solution.
+
+    `leaving` and `arriving` are w_+ and w_-.
+    """
+    (x, v), _ = touch.orbit(q, leaving, arriving)
+    return jnp.concatenate([x, v]) / q[-1]
+
+
+def touch_slopes(
+    touch: Touch, q: Float[Array, " m"]
+) -> tuple[Float[Array, " m"], Float[Array, "m columns"], Float[Array, " n"]]:
+    """(residual, its derivatives in (q, w_+, w_-), greatest velocity of each mass)."""
+
+    def along(unknown: Array) -> tuple[Array, tuple[Array, Array]]:
+        q, leaving, arriving = unknown[:-2], unknown[-2], unknown[-1]
+        (x, v), highest = touch.orbit(q, leaving, arriving)
+        gap = jnp.concatenate([x, v]) / q[-1]
+        return gap, (gap, highest)
+
+    slopes, (gap, highest) = jax.jacfwd(along, has_aux=True)(jnp.append(q, jnp.zeros(2)))
+    return gap, slopes, highest

@@ -1,0 +1,161 @@
+"""The search for the cycle that touches the belt's speed, by way of weaker friction."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from ..cycles.averaging import cycle_speed, greatest_speed, one_mass
+from ..model.chain import Chain, steady_sliding
+from .touch import Touch, touch_slopes
+
+# Steps of one length in a period. Of the paper's fold, 16 err by 1e-9, and 64 by rounding; they
+# are doubled until the fold moves by no more than `_SETTLED` of itself.
+_QUICK, _FIRST, _MOST = 32, 64, 1024
+_CLOSED, _SETTLED = 1e-9, 1e-11
+_ENTRIES, _LEAST_STRIDE = 600, 1e-3
+_JACOBIANS, _LEAST_SHARE = 16, 2.0**-12
+
+
+class _Homotopy(eqx.Module):
+    q: Float[Array, " m"]  # at `reached`
+    slope: Float[Array, " m"]  # dq / d share from there to where it was before
+    sides: Float[Array, "m two"]  # dq / d(w_+, w_-) there
+    reached: Float[Array, ""]
+    goal: Float[Array, ""]
+    steps: Int[Array, ""]
+    newton: _Newton
+    count: Int[Array, ""]
+    settled: Bool[Array, ""]
+
+
+class _Newton(eqx.Module):
+    best: Float[Array, " m"]  # the last accepted q
+    step: Float[Array, " m"]  # Newton's from there
+    size: Float[Array, ""]  # of it; infinite before the first
+    share: Float[Array, ""]  # of it that is tried
+    matrix: Float[Array, "m m"]  # the Jacobian there
+    count: Int[Array, ""]
+
+
+def _fresh(q: Array) -> _Newton:
+    m, zero = q.shape[0], jnp.zeros((), int)
+    return _Newton(q, jnp.zeros(m), jnp.asarray(jnp.inf), jnp.ones(()), jnp.eye(m), zero)
+
+
+def find_touch(chain: Chain, mass: int, exact: Any = True) -> tuple[Touch, Array, Array]:
+    """(equations, q, dq / d(w_+, w_-)) of the grazing cycle; NaN where none was found.
+
+    From averaging, which is exact for weak friction and damping, in one leap where that goes, else
+    by way of chains with weaker friction, damping and coupling.  If `exact`, which may be traced,
+    it is then polished with more and more steps.  Nothing in here is to be differentiated.
+
+    Newton's method is that of `roots.newton`; it and the way are one loop, so that the lanes of a
+    batch need not wait for each other, and the orbit is compiled once.
+    """
+    alone = one_mass(chain, mass)
+    dry = eqx.tree_at(lambda c: c.friction.width, alone, 1e-9 * jnp.ones(()))
+    speed = cycle_speed(dry, 1.0, greatest_speed(alone))
+    x, v = steady_sliding(eqx.tree_at(lambda c: c.belt_speed, chain, speed))
+    first = Touch(chain, jnp.asarray(_QUICK), mass)
+    q = first.pack((x, v), 2 * jnp.pi / jnp.sqrt(alone.stiffness), speed)
+    zero, none = jnp.zeros(()), jnp.zeros((), int)
+    start = _Homotopy(
+        q, jnp.zeros_like(q), jnp.full((q.shape[0], 2), jnp.nan), zero, jnp.ones(()), first.steps,
+        _fresh(q), none, jnp.asarray(False),
+    )  # fmt: skip
+
+    def goes_on(now: _Homotopy) -> Array:
+        hopeful = (now.goal - now.reached > _LEAST_STRIDE) | (now.reached >= 1.0)
+        return ~now.settled & hopeful & (now.count < _ENTRIES) & jnp.isfinite(speed)
+
+    def body(now: _Homotopy) -> _Homotopy:
+        before = now.newton
+        trial = before.best + before.share * before.step
+        part = Touch(weakened(chain, now.goal), now.steps, mass)
+        value, slopes, _ = touch_slopes(part, trial)
+        solved = jnp.linalg.solve(slopes[:, :-2], jnp.column_stack([value, slopes[:, -2:]]))
+        step, size = -solved[:, 0], jnp.linalg.norm(solved[:, 0])
+        simplified = jnp.linalg.norm(jnp.linalg.solve(before.matrix, value))
+        enters = jnp.isinf(before.size)
+        # NaN compares false.
+        better = enters | (simplified < (1.0 - before.share / 4.0) * before.size)
+        better = better & jnp.isfinite(size)
+        count = before.count + 1
+        taken = _Newton(
+            trial, step, size, jnp.minimum(1.0, 4.0 * before.share), slopes[:, :-2], count
+        )
+        halved = eqx.tree_at(lambda k: (k.share, k.count), before, (before.share / 2.0, count))
+        newton = _where(better, taken, halved)
+
+        root = trial + step
+        ended = better & (size <= _CLOSED * (1.0 + jnp.linalg.norm(trial)))
+        good = ended & (root[-1] > 0)
+        hopeless = (enters & ~better) | (newton.share < _LEAST_SHARE) | (count >= _JACOBIANS)
+        over = ended | hopeless
+
+        stride = now.goal - now.reached
+        reached = jnp.where(good, now.goal, now.reached)
+        ahead = jnp.where(good, now.goal + stride, now.reached + 0.25 * stride)
+        # There: once for a guess, and with ever more steps for an exact one.
+        there = reached >= 1.0
+        lost = there & ~good & (now.steps > _QUICK)
+        moved = jnp.abs(root[-1] - now.q[-1])
+        still = (now.steps > _QUICK) & (moved <= _SETTLED * root[-1])
+        enough = still | lost | (now.steps >= _MOST) | ~jnp.asarray(exact)
+        more = jnp.where(now.steps > _QUICK, 2 * now.steps, _FIRST)
+        q = jnp.where(good, root, jnp.where(lost, jnp.nan, now.q))
+        slope = jnp.where(
+            good & (stride > 0), (root - now.q) / jnp.maximum(stride, 1e-9), now.slope
+        )
+        goal = jnp.minimum(ahead, 1.0)
+        onward = _Homotopy(
+            q=q,
+            slope=slope,
+            sides=jnp.where(good, -solved[:, 1:], now.sides),
+            reached=reached,
+            goal=goal,
+            steps=jnp.where(there & ~enough, more, now.steps),
+            newton=_fresh(q + (goal - reached) * slope),
+            count=now.count + 1,
+            settled=there & enough,
+        )
+        same = eqx.tree_at(lambda k: (k.newton, k.count), now, (newton, now.count + 1))
+        return _where(over, onward, same)
+
+    last = lax.while_loop(goes_on, body, start)
+    touch = Touch(chain, last.steps, mass)
+    q, sides = (jnp.where(last.settled, part, jnp.nan) for part in (last.q, last.sides))
+    return touch, q, sides
+
+
+def _where(condition: Array, a: Any, b: Any) -> Any:
+    return jax.tree.map(lambda x, y: jnp.where(condition, x, y), a, b)
+
+
+def weakened(chain: Chain, share: Any) -> Chain:
+    """`chain` with friction, damping and coupling weaker in proportion.
+
+    Averaging describes one mass of it exactly as the share vanishes.  What the springs lose
+    between the masses they gain to the ground.
+    """
+    load = jnp.ones(()) if chain.normal_load is None else chain.normal_load
+    weak = eqx.tree_at(
+        lambda c: (c.damping_ratio, c.normal_load),
+        chain,
+        (share * chain.damping_ratio, share * load),
+        is_leaf=lambda leaf: leaf is None,
+    )
+    if chain.springs is None:
+        return weak
+    held = (1.0 - share) * chain.springs.row_sum(chain.n)
+    return eqx.tree_at(
+        lambda c: (c.stiffness, c.springs.constant),
+        weak,
+        (chain.stiffness + held, share * chain.springs.constant),
+    )

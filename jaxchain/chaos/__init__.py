@@ -1,0 +1,1 @@
+"""Lyapunov exponents, and the verdict on a motion: regular, chaotic or undecided."""

@@ -1,0 +1,210 @@
+"""The verdict on a motion from an ensemble of long runs; `chaos/criteria.py` says what decides."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+from tqdm import tqdm
+
+from .._checks import (
+    check_count,
+    check_finite,
+    check_nonnegative,
+    check_positive,
+    check_resolved,
+    check_tolerances,
+    require_64_bits,
+    require_x64,
+)
+from ..model.chain import Chain
+from ..model.oscillators import AbstractOscillators
+from ..simulation.accuracy import MAX_STEP
+from ..simulation.event_driven import EventDriven
+from .criteria import Criteria, classify, judge_exponents, judge_torus
+from .orbits import judge_orbit
+from .records import Evidence, Verdict
+from .runs import Ensemble, Numerics, Trial, exponents_of
+
+
+def verdict(chain: AbstractOscillators, initial: Any, **settings: Any) -> Verdict:
+    """Whether the motion from `initial` comes to rest, is periodic, quasi-periodic or chaotic.
+
+    `verdicts` for one initial state: the same settings.
+
+    !!! example
+
+        ```python
+        import jax.numpy as jnp
+        from jaxchain import EventDriven, equation_8, paper_chain
+        chain = paper_chain(n=20, belt_speed=1.5)
+        found = verdict(chain, equation_8(chain, 3), solver=EventDriven())
+        found.verdict, found.undisturbed  # ("quasi-periodic", "periodic")
+        print(found.reason)
+        one = verdict(paper_chain(n=1), (jnp.array([2.2]), jnp.zeros(1)), solver=EventDriven())
+        print(one.reason)  # a mass that sticks forgets everything
+        # 7 runs: 7 cycle; locked by 2000 to 2000, slowest relaxation time 0
+        ```
+    """
+    if not isinstance(initial, tuple | list) or len(initial) != 2:
+        raise ValueError(
+            "Argument `initial` must be the pair (x, v), both of shape (n,), but is a "
+            f"{type(initial).__name__}."
+        )
+    x, v = initial
+    states = jnp.asarray(x)[None], jnp.asarray(v)[None]
+    return verdicts(chain, states, **settings)[0]
+
+
+def verdicts(
+    chain: AbstractOscillators,
+    initials: Any,
+    *,
+    noise: Sequence[float] = (1e-8, 1e-3),
+    seeds: Any = 3,
+    first: Any = 2000.0,
+    longest: Any = 32000.0,
+    exponent_time: Any = 10000.0,
+    exponent_runs: Any = 3,
+    count: Any = 3,
+    window: Any = 50.0,
+    solver: Any = None,
+    rtol: Any = 1e-6,
+    criteria: Criteria | None = None,
+    lanes: Any = 16,
+    key: int = 0,
+    progress: bool = False,
+    description: str = "verdicts",
+) -> list[Verdict]:
+    """A verdict for each of several initial states of a chain, with all their runs at once.
+
+    Every state is run as it is, and `seeds` times with each of the `noise` added to displacements
+    and velocities.  A run goes on, doubling its time, until it rests or is bound for a periodic
+    orbit that Newton's method has closed, at most to `longest`.  Of runs that never close
+    the leading exponents are measured.
+
+    **Arguments:**
+
+    - `chain`: a `Chain` or other autonomous `AbstractOscillators`; `initials`: (x, v), both of
+      shape (states, n).
+    - `noise`: standard deviations, ascending; () runs each state once.
+    - `first`, `longest`: the run is judged after `first` time units, and whenever its time has
+      doubled, up to `longest`; rounded up to whole chunks of 20 windows.
+    - `exponent_time`: window for exponents, after a fifth of it for directions to settle;
+      `exponent_runs`: of how many runs of a state, that without noise and then the noisiest
+      first; `count`: how many of them.
+    - `window`: time over which amplitudes are taken, some periods.
+    - `solver`, `rtol`: as for `simulate`; `EventDriven()` for true dry friction.
+    - `criteria`: the thresholds; `lanes`: runs at a time on each device; `key`: of the noise.
+    - `progress`, `description`: a progress bar and its name.
+
+    **Returns:** `Verdict` for each state.  A run that fails says so in its `kind` and leaves the
+    others alone.
+
+    **Raises:** `ValueError` for bad input.
+    """
+    require_x64()
+    require_64_bits("chain", chain)
+    criteria = Criteria() if criteria is None else criteria
+    x, v = _checked(chain, initials)
+    for name, value in {"seeds": seeds, "exponent_runs": exponent_runs, "count": count}.items():
+        check_count(name, value)
+    times = {
+        "first": first, "longest": longest, "exponent_time": exponent_time, "window": window
+    }  # fmt: skip
+    for name, value in times.items():
+        check_positive(name, value, "a period is about 2 pi; see the defaults.")
+    check_tolerances(rtol, None, MAX_STEP)
+    if isinstance(chain, Chain) and not isinstance(solver, EventDriven):
+        check_resolved(chain.n, chain.friction.width, chain.belt_speed, rtol, None)
+    check_nonnegative("noise", np.asarray(noise, float), "it is a standard deviation.")
+    if longest < first:
+        raise ValueError(f"Argument `longest` = {longest} must be at least `first` = {first}.")
+    numerics = Numerics(solver, float(rtol), float(window))
+    trials = _starts(x, v, noise, seeds, key)
+    ensemble = Ensemble(chain, numerics, min(lanes, -(-len(trials) // len(jax.local_devices()))))
+    ends = chain.ends if isinstance(chain, Chain) else "free"
+    orbits: dict[int, list] = {}
+
+    def judge(trial: Trial, record: Any) -> None:
+        judge_orbit(chain, numerics, criteria, ends, trial, record, orbits)
+
+    def judge_again(trial: Trial, record: Any) -> None:
+        before = trial.evidence
+        trial.evidence = replace(before)
+        judge(trial, record)
+        # Of a run that has not locked the longer record tells more.
+        trial.evidence = trial.evidence if trial.decided else before
+
+    with tqdm(total=len(trials), desc=description, unit="run", disable=not progress) as bar:
+        stage = first
+        while True:
+            going = [trial for trial in trials if not trial.decided]
+            ensemble.advance(going, stage, judge)
+            bar.update(sum(trial.decided for trial in going))
+            if stage >= longest or all(trial.decided for trial in trials):
+                break
+            stage = min(2.0 * stage, longest)
+        measured = _for_exponents(trials, exponent_runs)
+        bar.update(sum(not trial.decided for trial in trials) - len(measured))
+        exponents_of(
+            chain, numerics, ensemble, measured, float(exponent_time), int(count), bar.update
+        )
+        # What has locked meanwhile is closed, too.
+        end = max((trial.evidence.time for trial in measured), default=0.0)
+        ensemble.advance(measured, end + 1.0, judge_again)
+    groups = [[t.evidence for t in trials if t.state_index == i] for i in range(x.shape[0])]
+    for group in groups:
+        torus = judge_torus(group, criteria)
+        for run in group:
+            if run.kind == "open" and len(run.exponents):
+                run.kind = "torus" if torus else judge_exponents(run, criteria)
+                run.locked_at = run.time if run.kind == "cycle" else run.locked_at
+    return [classify(group) for group in groups]
+
+
+def _checked(chain: AbstractOscillators, initials: Any) -> tuple[Array, Array]:
+    if not isinstance(initials, tuple | list) or len(initials) != 2:
+        raise ValueError(
+            "Argument `initials` must be the pair (x, v), both of shape (states, n), but is a "
+            f"{type(initials).__name__}."
+        )
+    x, v = (jnp.asarray(part, float) for part in initials)
+    if x.ndim != 2 or x.shape != v.shape or not x.size:
+        raise ValueError(
+            "Argument `initials` must hold x and v of shape (states, n), but they have shapes "
+            f"{x.shape} and {v.shape}: use `verdict` for one state."
+        )
+    if isinstance(chain, Chain) and x.shape[1] != chain.n:
+        raise ValueError(
+            f"Argument `initials` holds states of {x.shape[1]} masses, but the chain has "
+            f"{chain.n}."
+        )
+    check_finite("initial displacement", x, "see `excited_state` for initial states.")
+    check_finite("initial velocity", v, "see `excited_state` for initial states.")
+    return x, v
+
+
+def _starts(x: Array, v: Array, noise: Sequence[float], seeds: int, key: int) -> list[Trial]:
+    trials = []
+    rng = np.random.default_rng(key)
+    for i in range(x.shape[0]):
+        levels = [(0.0, 0)] + [(float(a), s) for a in noise for s in range(seeds)]
+        for level, seed in levels:
+            own = [np.asarray(a[i]) + level * rng.normal(size=x.shape[1]) for a in (x, v)]
+            trials.append(Trial(i, own[0], own[1], Evidence(level, seed)))
+    return trials
+
+
+def _for_exponents(trials: list[Trial], most: int) -> list[Trial]:
+    """`most` of the open runs of each state: the one without noise, and then the noisiest."""
+    chosen = []
+    for i in {trial.state_index for trial in trials}:
+        own = [t for t in trials if t.state_index == i and t.evidence.kind == "open"]
+        chosen += sorted(own, key=lambda t: -(t.evidence.noise or np.inf))[:most]
+    return chosen

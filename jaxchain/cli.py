@@ -1,0 +1,199 @@
+"""The `jaxchain` command."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import sys
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+
+from .scenes.reading import SceneError, builtin_scenes, load_scene, schema
+from .scenes.scene import Scene
+from .studies import StudyFailedError
+
+# Type, default and meaning of each option of `boundary`.
+_BOUNDARY_OPTIONS: dict[str, tuple[type, float | None, str]] = {
+    "n": (int, 1, "number of masses in the ring"),
+    "width": (float, 1e-3, "regularization width of the friction force"),
+    "damping-ratio": (float, 0.05, "xi"),
+    "coupling": (float, None, "eta_c, spring between neighbours (0.01 for several masses)"),
+    "mu-static": (float, 1.0, "friction coefficient at rest"),
+    "mu-dynamic": (float, 0.5, "friction coefficient at high speed"),
+    "v-ref": (float, 0.5, "speed over which friction decays"),
+}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs a subcommand. Returns the exit status: 0 done, 1 failed, 2 misused, 130 interrupted."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    if arguments[:1] == ["bench"]:  # has options of its own, also --help
+        from .bench.command import main as bench
+
+        return bench(arguments[1:]) or 0
+    options = _parser().parse_args(arguments)
+    try:
+        return options.command(options)
+    except SceneError as error:
+        print(f"jaxchain: {error}", file=sys.stderr)
+        return 2
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="jaxchain", description="Simulates chains of friction-excited oscillators."
+    )
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    run = commands.add_parser(
+        "run",
+        help="run a scene or study and draw its figure",
+        description="Runs a scene or a study.",
+    )
+    run.add_argument("scene", help="name of a built-in scene or study, or a TOML file")
+    run.add_argument(
+        "--output", metavar="DIR", type=Path, help="folder for the results (results/SCENE)"
+    )
+    run.add_argument(
+        "--set", metavar="KEY=VALUE", action="append", default=[], dest="overrides",
+        help="change a key of the scene, e.g. experiment.ladder.chain.n=40 (repeatable)",
+    )  # fmt: skip
+    run.add_argument("--no-plot", action="store_true", help="compute and save only")
+    run.add_argument("--quiet", action="store_true", help="print errors only")
+    run.set_defaults(command=_run)
+
+    scenes = commands.add_parser(
+        "scenes",
+        help="list the built-in scenes and studies",
+        description="Shows the built-in scenes and studies.",
+    )
+    scenes.add_argument("scene", nargs="?", help="print this scene file, to start one's own from")
+    scenes.add_argument(
+        "--schema",
+        action="store_true",
+        help="print the JSON schema of scene files, or of the files of a study, for editors",
+    )
+    scenes.set_defaults(command=_scenes)
+
+    boundary = commands.add_parser(
+        "boundary",
+        help="at which belt speeds vibration starts by itself, and up to which it survives",
+        description="Finds the Hopf speed and the fold of a chain: at the width asked and for dry "
+        "friction, with error bars. Without options: one mass with the paper's parameters.",
+    )
+    for name, (kind, default, meaning) in _BOUNDARY_OPTIONS.items():
+        shown = "" if default is None else f" ({default})"
+        boundary.add_argument(f"--{name}", type=kind, default=default, help=meaning + shown)
+    boundary.add_argument("--json", action="store_true", help="print one JSON object")
+    boundary.set_defaults(command=_boundary)
+
+    commands.add_parser("bench", help="measure the speed on this machine", add_help=False)
+    return parser
+
+
+def _scenes(options: argparse.Namespace) -> int:
+    builtin = builtin_scenes()
+    if options.schema:
+        model = Scene if options.scene is None else type(load_scene(options.scene).scene)
+        print(json.dumps(schema(model), indent=2))
+    elif options.scene is None:
+        for name in builtin:
+            print(f"{name:<12} {load_scene(name).scene.title}")
+    else:
+        load_scene(options.scene)
+        file = builtin.get(options.scene, Path(options.scene))
+        print(file.read_text(encoding="utf-8"), end="")
+    return 0
+
+
+def _run(options: argparse.Namespace) -> int:
+    # Before jax is imported, so that a wrong scene is reported at once.
+    loaded = load_scene(options.scene, options.overrides)
+    _configure_jax()
+    from .scenes.running import FigureError, new_folder, run_scene
+
+    wanted = options.output or Path("results") / loaded.name
+    try:
+        folder = new_folder(wanted)
+    except OSError as error:
+        print(f"jaxchain: cannot create {wanted}: {error.strerror}", file=sys.stderr)
+        return 2
+    if folder != wanted:
+        print(f"jaxchain: {wanted} is in use, the results go to {folder}", file=sys.stderr)
+
+    def report(text: str) -> None:
+        if not options.quiet:
+            print(text, flush=True)
+
+    if options.quiet:
+        warnings.simplefilter("ignore")
+    try:
+        run_scene(
+            loaded, folder, plot=not options.no_plot, progress=not options.quiet, report=report
+        )
+    except (FigureError, StudyFailedError, MemoryError) as error:
+        print(f"jaxchain: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        kept = f"; what was finished is in {folder}" if any(folder.iterdir()) else ""
+        print(f"jaxchain: interrupted{kept}", file=sys.stderr)
+        return 130
+    finally:
+        # Nothing is left behind by a run that saved nothing.
+        if not any(folder.iterdir()):
+            folder.rmdir()
+    report(f"\nresults in {folder}: {', '.join(sorted(f.name for f in folder.iterdir()))}")
+    return 0
+
+
+def _boundary(options: argparse.Namespace) -> int:
+    _configure_jax()
+    from .boundaries.overview import boundaries, in_words, report
+    from .model.chain import Chain
+    from .model.friction import ExponentialDecay, TanhFriction
+
+    try:
+        if options.n == 1 and options.coupling is not None:
+            raise ValueError(
+                f"Argument `coupling` is {options.coupling:g}, but one mass has no neighbours: "
+                "leave it out, or raise `n`."
+            )
+        law = ExponentialDecay(options.mu_static, options.mu_dynamic, options.v_ref)
+        coupling = 0.01 if options.coupling is None and options.n > 1 else options.coupling
+        # The belt speed has no part in it.
+        chain = Chain(
+            options.n, TanhFriction(law, options.width), 1.0, options.damping_ratio, coupling
+        )
+    except ValueError as error:
+        print(f"jaxchain: {error}", file=sys.stderr)
+        return 2
+    try:
+        found = boundaries(chain)
+    except KeyboardInterrupt:
+        print("jaxchain: interrupted", file=sys.stderr)
+        return 130
+    print(json.dumps(report(chain, found)) if options.json else in_words(chain, found))
+    return 0
+
+
+def _configure_jax() -> None:
+    """64 bits; every core a device and compiled programs kept, unless the user chose otherwise."""
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+        cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxchain"
+        jax.config.update("jax_compilation_cache_dir", str(cache))
+    chosen = os.environ.get("XLA_FLAGS", "") + "".join(os.environ)
+    if "xla_force_host_platform_device_count" in chosen or "JAX_NUM_CPU_DEVICES" in chosen:
+        return
+    if hasattr(os, "sched_getaffinity"):  # what a container or a job scheduler leaves to us
+        cores = len(os.sched_getaffinity(0))
+    else:
+        cores = os.cpu_count() or 1
+    # JAX takes this only before its first computation; after that, its devices are what they are.
+    with contextlib.suppress(RuntimeError):
+        jax.config.update("jax_num_cpu_devices", cores)

@@ -1,0 +1,1 @@
+"""Equations of any kind: roots, their derivatives, branches of solutions."""

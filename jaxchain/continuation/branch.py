@@ -1,0 +1,159 @@
+"""What continuation returns: a branch, its special points, and why it ended.
+
+Everything here is plain data on the host, in NumPy.
+"""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+ENDINGS = {
+    "max_points": "The branch has as many points as asked. Allow more (`max_points`).",
+    "stopped": "`stop` asked for the end.",
+    "left_bounds": "The parameter reached `bounds`; the last point lies on them.",
+    "closed": "The branch came back to its first point.",
+    "no_start": (
+        "No point of the branch was found near the start. Start closer to a solution; at a fold, "
+        "or with a vertical branch, give `direction` as a vector."
+    ),
+    "step_too_small": (
+        "No step of at least `min_step` was both solved and smooth: the branch ends, has a corner "
+        "or leaves where the residual is finite, or `tolerance` is below the residual's noise. "
+        "Loosen `tolerance`, or lower `min_step`."
+    ),
+    "interrupted": "Interrupted from the keyboard; the points up to there are kept.",
+}
+"""The reasons for which a branch ends, each with its explanation and a remedy."""
+
+
+@dataclass(frozen=True)
+class Point:
+    """One solved point z = [u; p], with what its Jacobian tells.
+
+    `tangent` = dz/ds has length 1 in the weighted norm and looks ahead; `sign` and `logdet` belong
+    to det [F_z; tangent^T], which is zero where branches cross; `residual` = max |F|
+    before the last Newton step, which leaves much less.  `last_step` is the weighted length of
+    that step: z errs by less, and the Jacobian and the tangent are those of a place so far away.
+    """
+
+    z: Float[np.ndarray, " m_plus_1"]
+    tangent: Float[np.ndarray, " m_plus_1"]
+    jacobian: Float[np.ndarray, "m m_plus_1"]
+    sign: float
+    logdet: float
+    residual: float
+    last_step: float
+    extra: Any = None
+
+    @property
+    def u(self) -> Float[np.ndarray, " m"]:
+        return self.z[:-1]
+
+    @property
+    def p(self) -> float:
+        return float(self.z[-1])
+
+
+@dataclass(frozen=True)
+class SpecialPoint:
+    """A fold, a branch point, or a zero of one of the caller's tests, on a branch.
+
+    `kind` is "fold", "branch point" or the name of the test; it lies between the points `index`
+    and `index` + 1 at `arclength`.  `left_over` is what the test function is there, as a share of
+    its values at these two points, and `refined` whether that is zero to the search's precision
+    (a test that jumps, for example, has no zero).  `error` bounds the error of `p` as a solution
+    of the equations that were given, whatever the branch's tolerance: the greatest of what the
+    last steps of the search still changed.  `other` is the direction in which another
+    branch leaves a branch point, square to `tangent`.
+    """
+
+    kind: str
+    index: int
+    arclength: float
+    u: Float[np.ndarray, " m"]
+    p: float
+    tangent: Float[np.ndarray, " m_plus_1"]
+    residual: float
+    left_over: float
+    refined: bool
+    error: float
+    extra: Any = None
+    other: Float[np.ndarray, " m_plus_1"] | None = None
+
+
+@dataclass
+class Counts:
+    """The price of a branch: evaluations of F alone, of F with its Jacobian, and the steps."""
+
+    values: int = 0
+    jacobians: int = 0
+    solves: int = 0
+    rejected: int = 0
+
+
+@dataclass(frozen=True)
+class Branch:
+    """A branch of solutions of F(u, p) = 0, k points in order.
+
+    `u` (k, m), `p` (k,), `arclength` (k,) from the first point in the weighted norm, `tangents`
+    (k, m + 1) = d[u; p]/ds, `residuals` (k,) = max |F| before the
+    last Newton step, which leaves much less; `extra`, what the residual gave besides,
+    stacked along a first axis; `special`, in order of arclength; `ended`, a key of `ENDINGS`, and
+    `reason`, what `stop` returned.
+    """
+
+    u: Float[np.ndarray, "k m"]
+    p: Float[np.ndarray, " k"]
+    arclength: Float[np.ndarray, " k"]
+    tangents: Float[np.ndarray, "k m_plus_1"]
+    residuals: Float[np.ndarray, " k"]
+    extra: Any
+    special: tuple[SpecialPoint, ...]
+    ended: str
+    reason: str = ""
+    counts: Counts = field(default_factory=Counts)
+
+    @property
+    def message(self) -> str:
+        """Why the branch ended, with a remedy."""
+        return ENDINGS[self.ended] + (f" ({self.reason})" if self.reason else "")
+
+    def of_kind(self, kind: str) -> tuple[SpecialPoint, ...]:
+        """The special points of one kind: "fold", "branch point", or the name of a test."""
+        return tuple(point for point in self.special if point.kind == kind)
+
+
+class Record:
+    """A branch as it grows: plain lists, so that nothing is lost when it is interrupted."""
+
+    def __init__(self, m: int) -> None:
+        self.m = m
+        self.points: list[Point] = []
+        self.arclengths: list[float] = []
+        self.special: list[SpecialPoint] = []
+
+    def append(self, point: Point, length: float) -> None:
+        """Adds a point that lies `length` beyond the last one."""
+        self.arclengths.append(self.arclengths[-1] + length if self.arclengths else 0.0)
+        self.points.append(point)
+
+    def branch(self, ended: str, reason: str, counts: Counts) -> Branch:
+        """What is there, as arrays."""
+        points = self.points[: len(self.arclengths)]
+        z = np.reshape([point.z for point in points], (-1, self.m + 1))
+        extra = [point.extra for point in points]
+        return Branch(
+            u=z[:, :-1],
+            p=z[:, -1],
+            arclength=np.array(self.arclengths[: len(points)], dtype=float),
+            tangents=np.reshape([point.tangent for point in points], (-1, self.m + 1)),
+            residuals=np.array([point.residual for point in points], dtype=float),
+            extra=jax.tree.map(lambda *leaves: np.stack(leaves), *extra) if points else None,
+            special=tuple(self.special),
+            ended=ended,
+            reason=reason,
+            counts=counts,
+        )

@@ -1,0 +1,208 @@
+"""Damped Newton search for a root, traceable, with forward derivatives only."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.scipy.linalg import lu_factor, lu_solve
+from jaxtyping import Array, Bool, Float, Int, PyTree
+
+from .._checks import (
+    check_count,
+    check_finite,
+    check_number,
+    check_positive,
+    require_x64,
+    to_float,
+)
+
+_LEAST_DAMPING = 2.0**-12
+
+
+class Factors(NamedTuple):
+    """LU of diag(1/rows) A diag(1/weights): rows and columns brought to one scale."""
+
+    lu: Float[Array, "m m"]
+    pivots: Int[Array, " m"]
+    rows: Float[Array, " m"]
+    weights: Float[Array, " m"]
+
+    def solve(self, right: Float[Array, " m"]) -> Float[Array, " m"]:
+        """A^{-1} right."""
+        return lu_solve((self.lu, self.pivots), right / self.rows) / self.weights
+
+    def determinant(self) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        """(sign, log|.|) of det A / prod(weights)."""
+        diagonal = jnp.diagonal(self.lu)
+        swaps = jnp.sum(self.pivots != jnp.arange(self.pivots.shape[0], dtype=self.pivots.dtype))
+        sign = jnp.prod(jnp.sign(diagonal)) * (1.0 - 2.0 * (swaps % 2))
+        return sign, jnp.sum(jnp.log(jnp.abs(diagonal))) + jnp.sum(jnp.log(self.rows))
+
+
+def factorise(matrix: Float[Array, "m m"], weights: Float[Array, " m"]) -> Factors:
+    """LU with partial pivoting, which a row that is 1e6 times its neighbours would mislead."""
+    scaled = matrix / weights[None, :]
+    rows = jnp.max(jnp.abs(scaled), axis=1)
+    rows = jnp.where(rows > 0, rows, 1.0)
+    lu, pivots = lu_factor(scaled / rows[:, None])
+    return Factors(lu, pivots, rows, weights)
+
+
+def size(step: Float[Array, " m"], weights: Float[Array, " m"]) -> Float[Array, ""]:
+    """[sum_i (weights_i step_i)^2]^(1/2)."""
+    return jnp.sqrt(jnp.sum((weights * step) ** 2))
+
+
+def check_weights(weights: Any, count: int, what: str) -> Float[Array, " m"]:
+    """`weights` as an array, or raises `ValueError` unless they are `count` positive numbers."""
+    weights = to_float(jnp.asarray(weights))
+    if weights.shape != (count,):
+        raise ValueError(
+            f"Argument `weights` must have shape ({count},), one number per {what}, but has shape "
+            f"{weights.shape}."
+        )
+    check_positive("weights", weights, "1 / (the usual size of each unknown) is sensible.")
+    return weights
+
+
+def check_vector(name: str, value: Any) -> Float[Array, " m"]:
+    """`value` as a vector, or raises `ValueError` unless it is a finite one with entries."""
+    vector = to_float(jnp.asarray(value))
+    if vector.ndim != 1 or vector.size == 0:
+        raise ValueError(
+            f"Argument `{name}` must be a vector of shape (m,), but has shape {vector.shape}: use "
+            "`jax.vmap` for several searches."
+        )
+    check_finite(name, vector, "a search needs numbers to start from.")
+    return vector
+
+
+def check_tolerance(tolerance: Any, max_steps: Any) -> int:
+    """The greatest number of steps, or raises `ValueError` if a search cannot go by these."""
+    check_number("tolerance", tolerance, "1e-10 is usual.")
+    check_positive("tolerance", tolerance, "1e-10 is usual.")
+    check_count("max_steps", max_steps)
+    return np.iinfo(np.int32).max if max_steps is None else int(max_steps)
+
+
+def arrays(tree: PyTree) -> PyTree:
+    """`tree` with its floats as arrays: a float would be compiled in, and each value anew."""
+    return jax.tree.map(lambda x: np.asarray(x) if isinstance(x, float) else x, tree)
+
+
+class Root(NamedTuple):
+    """What `newton` found: u, max |F(u)|, whether u is a root, and the Jacobians it took."""
+
+    value: Float[Array, " m"]
+    residual: Float[Array, ""]
+    converged: Bool[Array, ""]
+    steps: Int[Array, ""]
+
+
+class _Search(NamedTuple):
+    u: Float[Array, " m"]
+    step: Float[Array, " m"]  # the Newton step at u
+    length: Float[Array, ""]
+    factors: Factors  # of F_u(u)
+    damping: Float[Array, ""]
+    steps: Int[Array, ""]
+
+
+def newton(
+    residual: Callable[[Float[Array, " m"], PyTree], Float[Array, " m"]],
+    start: Any,
+    args: PyTree = None,
+    *,
+    tolerance: Any = 1e-10,
+    max_steps: Any = 30,
+    weights: Any = None,
+) -> Root:
+    """Solves F(u) = 0 by Newton's method, damped where a full step would not help.
+
+    A step s = -l F_u^{-1} F is taken if |F_u(u)^{-1} F(u + s)| < (1 - l/4) |F_u^{-1} F(u)|, and
+    l is halved if not: the test does not change when rows of F are scaled (Deuflhard, Newton
+    Methods for Nonlinear Problems, Springer 2004, section 3.3).  The search ends when a full step
+    is at most `tolerance` (1 + |u|), takes that step, and then errs by about its square.
+
+    **Arguments:** `residual` = F(u, args), of shape (m,); `start`, shape (m,); `weights` w, shape
+    (m,), make |s|^2 = sum (w_i s_i)^2 and are 1/sqrt(m) without; `max_steps` bounds the Jacobians.
+
+    **Returns:** a `Root`.  A search that fails, meets NaN or a singular Jacobian says so in
+    `converged` and raises nothing, so that lanes under `jax.vmap` do not harm each other.
+
+    **Raises:** `ValueError` for a start, tolerance, count or weights that cannot be;
+    `RuntimeError` without 64-bit floats.
+
+    F is differentiated forward only.  optimistix does not serve here: its `Dogleg` transposes the
+    Jacobian even with `jac="fwd"`, which fails for an F with a `while_loop`, its `Newton` is not
+    damped, and its `LevenbergMarquardt` stalls when rows differ in scale by 1e6.
+
+    >>> import jax.numpy as jnp
+    >>> root = newton(lambda u, a: u**2 - a, jnp.ones(1), 2.0)
+    >>> bool(root.converged), round(float(root.value[0]), 12)
+    (True, 1.414213562373)
+    """
+    require_x64()
+    u = check_vector("start", start)
+    limit = check_tolerance(tolerance, max_steps)
+    count = u.shape[0]
+    w = (
+        jnp.full(count, count**-0.5)
+        if weights is None
+        else check_weights(weights, count, "unknown")
+    )
+    return search(residual, u, arrays(args), to_float(tolerance), jnp.asarray(limit), w)
+
+
+@eqx.filter_jit
+def search(
+    residual: Any, u: Array, args: PyTree, tolerance: Array, limit: Array, w: Array
+) -> Root:
+    """`newton` without its checks."""
+
+    def linearised(u: Array) -> tuple[Array, Factors]:
+        def twice(u: Array) -> tuple[Array, Array]:
+            value = residual(u, args)
+            if value.shape != u.shape:
+                raise ValueError(
+                    f"Argument `residual` must return shape {u.shape} like its first argument, "
+                    f"but returns shape {value.shape}."
+                )
+            return value, value
+
+        slope, value = jax.jacfwd(twice, has_aux=True)(u)
+        return value, factorise(slope, w)
+
+    def small(now: _Search) -> Array:
+        return now.length <= tolerance * (1.0 + size(now.u, w))
+
+    def going(now: _Search) -> Array:
+        alive = jnp.isfinite(now.length) & (now.damping >= _LEAST_DAMPING)
+        return alive & ~small(now) & (now.steps < limit)
+
+    def body(now: _Search) -> _Search:
+        trial = now.u + now.damping * now.step
+        value, factors = linearised(trial)
+        step = -factors.solve(value)
+        length = size(step, w)
+        simplified = size(now.factors.solve(value), w)
+        # NaN compares false: a step out of where F is defined is halved.
+        better = (simplified < (1.0 - now.damping / 4.0) * now.length) & jnp.isfinite(length)
+        steps = now.steps + 1
+        taken = _Search(trial, step, length, factors, jnp.minimum(1.0, 4 * now.damping), steps)
+        halved = now._replace(damping=now.damping / 2.0, steps=steps)
+        return jax.tree.map(lambda a, b: jnp.where(better, a, b), taken, halved)
+
+    value, factors = linearised(u)
+    step = -factors.solve(value)
+    one = jnp.ones((), dtype=u.dtype)
+    now = _Search(u, step, size(step, w), factors, one, jnp.asarray(1))
+    now = lax.while_loop(going, body, now)
+    ended = small(now)
+    root = now.u + jnp.where(ended, now.step, 0.0)
+    left = jnp.max(jnp.abs(residual(root, args)))
+    return Root(root, left, ended & jnp.isfinite(left), now.steps)

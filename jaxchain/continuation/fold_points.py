@@ -1,0 +1,171 @@
+"""Folds as roots of a system bordered by one equation: traceable, for any residual.
+
+Source: Govaerts, Numerical Methods for Bifurcations of Dynamical Equilibria, SIAM 2000, chapters 3
+and 4 (minimally augmented systems).
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int, PyTree
+
+from .._checks import check_number, to_float
+from .damped_newton import arrays, check_tolerance, check_vector, search
+
+Borders = tuple[Float[Array, " m"], Float[Array, " m"]]
+# Below this share of its row, psi^T F_p is zero: branches cross, and nothing turns round.
+_LEAST_SLOPE = 1e-6
+
+
+class FoldPoint(NamedTuple):
+    """A fold: F(u, p) = 0 with F_u(u, p) `null` = 0 and |null| = 1.
+
+    `slope` is psi^T F_p with psi the left null vector, in units of the rows of [F_u F_p] where the
+    search began: not zero at a fold.  With `borders`, `fold_residual` is zero at (u, p).
+    """
+
+    u: Float[Array, " m"]
+    p: Float[Array, ""]
+    null: Float[Array, " m"]
+    slope: Float[Array, ""]
+    residual: Float[Array, ""]
+    converged: Bool[Array, ""]
+    steps: Int[Array, ""]
+    borders: Borders
+
+
+def _value(output: Any) -> Array:
+    return output[0] if isinstance(output, tuple) else output
+
+
+def _bordered(slope: Array, borders: Borders) -> tuple[Array, Array, Array]:
+    """(phi, psi, g): [F_u b; c^T 0] [phi; g] = [0; 1], and psi likewise from the transpose."""
+    b, c = borders
+    zero = jnp.zeros((1, 1), dtype=slope.dtype)
+    matrix = jnp.block([[slope, b[:, None]], [c[None, :], zero]])
+    last = jnp.zeros(b.shape[0] + 1, dtype=slope.dtype).at[-1].set(1.0)
+    right, left = jnp.linalg.solve(matrix, last), jnp.linalg.solve(matrix.T, last)
+    return right[:-1], left[:-1], right[-1]
+
+
+def _state_slope(residual: Any, z: Array, args: Any) -> Array:
+    return jax.jacfwd(lambda u: _value(residual(u, z[-1], args)))(z[:-1])
+
+
+@eqx.filter_custom_jvp
+def _singularity(z: Array, args: Any, borders: Borders, *, residual: Any) -> Array:
+    """g(u, p), zero where F_u is singular, as det(F_u) is, but of order one elsewhere."""
+    return _bordered(_state_slope(residual, z, args), borders)[2]
+
+
+@_singularity.def_jvp
+def _singularity_jvp(primals: Any, tangents: Any, *, residual: Any) -> tuple[Array, Array]:
+    # g' = -psi^T (F_u)' phi: a nested jvp for each direction, instead of one for each direction
+    # and each column of F_u.
+    z, args, borders = primals
+    phi, psi, _ = _bordered(_state_slope(residual, z, args), borders)
+
+    def frozen(z: Array, args: Any) -> Array:
+        along = jax.jvp(lambda u: _value(residual(u, z[-1], args)), (z[:-1],), (phi,))[1]
+        return -jnp.sum(psi * along)
+
+    _, tangent = eqx.filter_jvp(frozen, (z, args), tangents[:2])
+    return _singularity(z, args, borders, residual=residual), tangent
+
+
+class fold_residual(eqx.Module):  # noqa: N801 - it is used as a function that makes one
+    """R(z, (args, borders)) = [F(u, p, args); g(u, p, args)] with z = [u; p], zero at a fold.
+
+    g comes from [F_u b; c^T 0] [phi; g] = [0; 1] with the borders (b, c) = `borders`, any vectors
+    that make the matrix regular.  They do not move the fold: R is constant in them as far as
+    derivatives go.
+
+    **Arguments:** `residual` = F(u, p, args), of shape (m,).
+
+    **Returns:** R, a pure function: `attach_derivative(R, z, (args, borders))` gives the fold
+    derivatives in everything that `args` holds.  Its own derivatives cost one nested jvp each.
+    Two made from one residual are equal, so that nothing is compiled twice.
+
+    >>> import jax.numpy as jnp
+    >>> R = fold_residual(lambda u, p, args: p + u**2)
+    >>> z, borders = jnp.zeros(2), (jnp.ones(1), jnp.ones(1))
+    >>> R(z, (None, borders)).tolist()
+    [0.0, 0.0]
+    """
+
+    residual: Callable[..., Any] = eqx.field(static=True)
+
+    def __call__(
+        self, z: Float[Array, " m_plus_1"], parameters: tuple[PyTree, Borders]
+    ) -> Float[Array, " m_plus_1"]:
+        args, borders = parameters
+        g = _singularity(z, args, lax.stop_gradient(borders), residual=self.residual)
+        return jnp.append(_value(self.residual(z[:-1], z[-1], args)), g)
+
+
+def fold_point(
+    residual: Callable[..., Any],
+    u: Any,
+    p: Any,
+    args: PyTree = None,
+    *,
+    tolerance: Any = 1e-10,
+    max_steps: Any = 30,
+) -> FoldPoint:
+    """The fold of F(u, p) = 0 near (u, p), by damped Newton steps on `fold_residual`.
+
+    **Arguments:** `residual` = F(u, p, args), of shape (m,), differentiated forward only; u of
+    shape (m,) and p near the fold, for example from `continue_branch`; `tolerance` and
+    `max_steps` as in `newton`.
+
+    **Returns:** a `FoldPoint`, of which `converged` is false where there is no fold, or where
+    branches cross instead (psi^T F_p = 0).  Traceable: a thousand folds are one `jax.vmap`.  Its
+    derivatives come from `attach_derivative` with `fold_residual`.
+
+    **Raises:** `ValueError` for numbers that cannot be; `RuntimeError` without 64-bit floats.
+
+    >>> import jax.numpy as jnp
+    >>> fold = fold_point(lambda u, p, args: u**3 - u + p, jnp.array([0.5]), 0.4)
+    >>> bool(fold.converged), round(float(fold.p), 9)
+    (True, 0.384900179)
+    """
+    check_number("p", p, "it is the parameter at which the search starts.")
+    z = jnp.append(check_vector("u", u), to_float(p))
+    count = check_tolerance(tolerance, max_steps)
+    return _fold_point(residual, z, arrays(args), to_float(tolerance), jnp.asarray(count))
+
+
+@eqx.filter_jit
+def _fold_point(
+    residual: Any, z: Array, args: PyTree, tolerance: Array, limit: Array
+) -> FoldPoint:
+    def slope(z: Array) -> Array:
+        """[F_u F_p]"""
+        return jax.jacfwd(lambda z: _value(residual(z[:-1], z[-1], args)))(z)
+
+    full = slope(z)
+    rows = jnp.max(jnp.abs(full), axis=1)
+    rows = jnp.where(rows > 0, rows, 1.0)
+    left, _, right = jnp.linalg.svd(full[:, :-1] / rows[:, None])
+    borders = (rows * left[:, -1], right[-1])
+    weights = jnp.full(z.shape, z.shape[0] ** -0.5)
+    root = search(fold_residual(residual), z, (args, borders), tolerance, limit, weights)
+
+    full = slope(root.value)
+    phi, psi, _ = _bordered(full[:, :-1], borders)
+    psi = rows * psi
+    share = jnp.sum(psi * full[:, -1] / rows) / jnp.sqrt(jnp.sum(psi**2))
+    return FoldPoint(
+        root.value[:-1],
+        root.value[-1],
+        phi / jnp.sqrt(jnp.sum(phi**2)),
+        share,
+        root.residual,
+        root.converged & (jnp.abs(share) > _LEAST_SLOPE),
+        root.steps,
+        borders,
+    )

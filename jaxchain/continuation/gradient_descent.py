@@ -1,0 +1,111 @@
+"""Gradient descent with any optax optimiser in one compiled loop."""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optax
+from jax import lax
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Bool, Float, Int, PyTree
+
+from .._checks import check_count, check_nonnegative, require_x64
+from .._types import ScalarLike
+
+
+class Descent(eqx.Module):
+    """What a descent found, and the way there.
+
+    - `solution`: the last iterate, a pytree as `start`; `loss` there.
+    - `steps`: how many updates were made.
+    - `converged`: whether `loss` <= the tolerance.
+    - `path`, `losses`: every iterate from the start on, stacked, and its loss; entry `steps` is
+      the solution, and what follows it is NaN.
+    """
+
+    solution: PyTree
+    loss: Float[Array, ""]
+    steps: Int[Array, ""]
+    converged: Bool[Array, ""]
+    path: PyTree
+    losses: Float[Array, " entries"]
+
+
+def descend(
+    loss: Callable[[Any], ScalarLike],
+    start: PyTree,
+    optimiser: optax.GradientTransformation,
+    steps: Any = 500,
+    tolerance: Any = 1e-20,
+) -> Descent:
+    """Minimises `loss` from `start` until it is at most `tolerance`, or for `steps` updates.
+
+    The loop is one `lax.while_loop`: nothing returns to the host between steps, and under `vmap`
+    each lane stops by itself.  It also stops at the first loss or iterate that is not finite.
+    The loss is differentiated *forward*, in one direction for each number in `start`, so it may
+    contain time integrations and other loops without a fixed length; optimisers with a line
+    search, such as `optax.lbfgs`, evaluate it as often as they like.
+
+    **Arguments:** `loss`, from a pytree as `start` to a scalar; what it closes over may be traced
+    by `jit` and `vmap`, but not be differentiated: a derivative of a minimiser is the business of
+    `attach_derivative`.  `start`, a pytree of floats.  `optimiser`, any optax transformation.
+
+    **Raises:** `ValueError` if `steps` is not a positive integer, `tolerance` is negative, or
+    `start` holds no number.
+
+    >>> import jax, optax
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> found = descend(lambda x: (x - 3.0) ** 2, 0.0, optax.sgd(0.25), tolerance=1e-20)
+    >>> round(float(found.solution), 8), int(found.steps), bool(found.converged)
+    (3.0, 35, True)
+    """
+    require_x64()
+    if steps is None:
+        raise ValueError("Argument `steps` must be an integer of at least 1, but is None.")
+    check_count("steps", steps)
+    check_nonnegative("tolerance", tolerance, "1e-20 is usual for a squared residual.")
+    start = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=float), start)
+    flat, unravel = ravel_pytree(start)
+    if flat.size == 0:
+        raise ValueError("Argument `start` must hold at least one number, but is empty.")
+
+    value = _forward(lambda x: jnp.asarray(loss(unravel(x)), dtype=float))
+    transform = optax.with_extra_args_support(optimiser)
+    gradient = jax.value_and_grad(value)
+
+    # (x, loss, gradient, optimiser's state, updates made, path, losses)
+    def going(carry: Any) -> Any:
+        x, now, _, _, k, _, _ = carry
+        finite = jnp.isfinite(now) & jnp.all(jnp.isfinite(x))
+        return (k < steps) & (now > tolerance) & finite
+
+    def update(carry: Any) -> Any:
+        x, now, slope, state, k, path, losses = carry
+        change, state = transform.update(slope, state, x, value=now, grad=slope, value_fn=value)
+        x = jnp.asarray(optax.apply_updates(x, change))
+        now, slope = gradient(x)
+        return x, now, slope, state, k + 1, path.at[k + 1].set(x), losses.at[k + 1].set(now)
+
+    now, slope = gradient(flat)
+    path = jnp.full((steps + 1, flat.size), jnp.nan).at[0].set(flat)
+    losses = jnp.full(steps + 1, jnp.nan).at[0].set(now)
+    first = (flat, now, slope, transform.init(flat), jnp.asarray(0), path, losses)
+    x, now, _, _, k, path, losses = lax.while_loop(going, update, first)
+    return Descent(unravel(x), now, k, now <= tolerance, jax.vmap(unravel)(path), losses)
+
+
+def _forward(function: Callable[[Array], Array]) -> Callable[[Array], Array]:
+    """`function` of shape (m,) -> (), with a reverse rule made of m forward derivatives."""
+    wrapped = jax.custom_vjp(function)
+
+    def forth(x: Array) -> tuple[Array, Array]:
+        def tangent(direction: Array) -> tuple[Array, Array]:
+            return jax.jvp(function, (x,), (direction,))
+
+        values, slopes = jax.vmap(tangent)(jnp.eye(x.size))
+        return values[0], slopes
+
+    wrapped.defvjp(forth, lambda slopes, cotangent: (cotangent * slopes,))
+    return wrapped

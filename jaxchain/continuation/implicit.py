@@ -1,0 +1,78 @@
+"""Derivatives of what solves an equation, by the implicit function theorem.
+
+A boundary is found by a search, and to differentiate the search would be slow and needless: from
+R(u, theta) = 0 follows du = -R_u^{-1} R_theta dtheta, whatever found u.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import equinox.internal as eqxi
+import jax
+import jax.numpy as jnp
+import jax.tree_util as jtu
+from jax import lax
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float, PyTree
+
+Residual = Callable[[Float[Array, " m"], PyTree], Float[Array, " m"]]
+
+
+def attach_derivative(
+    residual: Residual,
+    solution: Float[Array, " m"],
+    parameters: PyTree,
+    *,
+    once: str | None = None,
+) -> Float[Array, " m"]:
+    """`solution` itself, with the derivatives in `parameters` of the u that solves R = 0.
+
+    **Arguments:** `residual` = R(u, theta), without anything traced in its closure; `solution`,
+    a u with R(u, theta) = 0 found by any means; `parameters` = theta, any pytree; `once`: where R
+    knows the first derivatives only, why, for the error that a second one raises.
+
+    **Returns:** u of shape (m,), to be differentiated in `parameters`, forward, in reverse, under
+    `vmap` and repeatedly.  R itself is differentiated forward only, in one direction for each
+    number in the leaves that are differentiated: the flow of a chain is a loop without a fixed
+    length, which nothing can go back through.  NaN in R_u (no solution) gives NaN.
+
+    >>> import jax, jax.numpy as jnp
+    >>> root = lambda a: attach_derivative(lambda u, a: u**2 - a, jnp.full(1, 2.0), a)[0]
+    >>> float(jax.grad(root)(4.0))
+    0.25
+    """
+    return _attach(lax.stop_gradient(solution), parameters, residual=residual, once=once)
+
+
+@eqx.filter_custom_jvp
+def _attach(solution: Array, parameters: PyTree, *, residual: Residual, once: Any) -> Array:
+    del parameters, residual, once
+    return solution
+
+
+@_attach.def_jvp
+def _attach_jvp(
+    primals: Any, tangents: Any, *, residual: Residual, once: Any
+) -> tuple[Array, Array]:
+    solution, parameters = primals
+    _, directions = tangents
+    if once is None:
+        u = _attach(solution, parameters, residual=residual, once=once)
+    else:
+        u, parameters = eqxi.nondifferentiable((solution, parameters), msg=once)
+    leaves, treedef = jtu.tree_flatten(parameters)
+    moved = treedef.flatten_up_to(directions)
+    which = [k for k, direction in enumerate(moved) if direction is not None]
+    point, unravel = ravel_pytree([u, *(jnp.asarray(leaves[k]) for k in which)])
+
+    def along(point: Array) -> Array:
+        solved, *values = unravel(point)
+        new = dict(zip(which, values, strict=True))
+        return residual(solved, treedef.unflatten([new.get(k, a) for k, a in enumerate(leaves)]))
+
+    # All directions at once, so that a loop in R is traced and run once.
+    slopes = jax.jacfwd(along)(point)
+    m = u.shape[0]
+    right, _ = ravel_pytree([jnp.zeros_like(u), *(moved[k] for k in which)])
+    return u, -jnp.linalg.solve(slopes[:, :m], slopes[:, m:] @ right[m:])

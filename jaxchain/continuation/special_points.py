@@ -1,0 +1,253 @@
+"""Folds, branch points and zeros of test functions between two points of a branch."""
+
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import brentq
+
+from .branch import Point
+from .corrector import Corrector
+
+Test = Callable[[np.ndarray, float, np.ndarray, Any], Any]
+# Shares of the greater value at the two ends: what is called zero, and what is certainly not. A
+# determinant is known less well near its zero, where the corrector's own matrix is singular.
+_ZERO, _NOT_ZERO = 1e-7, 1e-3
+# A function that is still this great, as a share, after so many trials has no zero: it jumps.
+_PATIENCE, _JUMP = 10, 1e-2
+_MAX_DIPS = 12
+# Steps of `polish`, and by how much each must lessen the test at least.
+_POLISHING, _LESS = 6, 0.5
+# How much farther than its points a tangent may err: by the last Newton step times the curvature.
+_CURVATURE = 100.0
+
+
+class Segment(NamedTuple):
+    """Two neighbouring points and the arclength between them."""
+
+    left: Point
+    right: Point
+    length: float
+
+    def at(self, fraction: float) -> tuple[np.ndarray, np.ndarray]:
+        """(z, dz/dfraction) of the cubic with the points and tangents of both ends."""
+        x, h = fraction, self.length
+        (a, da), (b, db) = (
+            (self.left.z, h * self.left.tangent),
+            (self.right.z, h * self.right.tangent),
+        )
+        z = a + x * da + x**2 * (3 * (b - a) - 2 * da - db) + x**3 * (2 * (a - b) + da + db)
+        slope = da + 2 * x * (3 * (b - a) - 2 * da - db) + 3 * x**2 * (2 * (a - b) + da + db)
+        return z, slope
+
+
+class Located(NamedTuple):
+    """A zero of a test function: where, the share of it that is left, and whether it is one.
+
+    `slope`: d(test)/d(arclength) there; `error`: of p.
+    """
+
+    point: Point
+    fraction: float
+    left_over: float
+    refined: bool
+    slope: float
+    error: float
+
+
+def segment(corrector: Corrector, left: Point, right: Point) -> Segment:
+    """The two points with the arclength of the arc that turns as their tangents do."""
+    turn = corrector.angle(left.tangent, right.tangent)
+    return Segment(left, right, corrector.norm(right.z - left.z) * (1.0 + turn**2 / 24.0))
+
+
+def point_at(corrector: Corrector, piece: Segment, fraction: float) -> Point | None:
+    """The branch's point on the plane across the segment's cubic at `fraction`, as a sharp one."""
+    guess, slope = piece.at(fraction)
+    near = piece.left if fraction < 0.5 else piece.right
+    point = corrector.sharp(guess, slope, near, radius=piece.length)
+    return corrector(guess, slope, near, radius=piece.length) if point is None else point
+
+
+def slope_noise(corrector: Corrector, point: Point) -> float:
+    """The weighted dp/ds of which a point's own error leaves the sign open."""
+    return _CURVATURE * (point.last_step + corrector.rounding(point))
+
+
+def surely(corrector: Corrector, point: Point, share: float) -> Point:
+    """The point, solved sharply where its error may hide a turn.
+
+    That is where it leaves the sign of dp/ds open, or is not small beside a length `share`.
+    """
+    slope = abs(point.tangent[-1]) * corrector.weights[-1]
+    if slope > slope_noise(corrector, point) and point.last_step <= share:
+        return point
+    return corrector.sharpen(point)
+
+
+def locate(corrector: Corrector, piece: Segment, test: Callable[[Point], float]) -> Located:
+    """The zero of `test` between two points at which its signs differ (Brent's method).
+
+    The best point that was reached is returned even if no point can be solved closer to the zero.
+    """
+    tried = {0.0: (piece.left, test(piece.left)), 1.0: (piece.right, test(piece.right))}
+    scale = max(abs(value) for _, value in tried.values())
+
+    def value_at(fraction: float) -> float:
+        if fraction not in tried:
+            best = min(abs(value) for _, value in tried.values())
+            if len(tried) > _PATIENCE and best > _JUMP * scale:
+                raise ArithmeticError
+            point = point_at(corrector, piece, fraction)
+            if point is None:  # near a branch point the corrector's own matrix is singular
+                raise ArithmeticError
+            tried[fraction] = (point, test(point))
+        value = tried[fraction][1]
+        return 0.0 if abs(value) <= _ZERO * scale else value
+
+    with suppress(ArithmeticError):
+        brentq(value_at, 0.0, 1.0, xtol=1e-13, maxiter=60, disp=False)
+    fraction, beside = sorted(tried, key=lambda x: abs(tried[x][1]))[:2]
+    (point, value), (_, other) = tried[fraction], tried[beside]
+    share = float(abs(value) / scale)
+    slope = (other - value) / ((beside - fraction) * piece.length)
+    # To the zero, and once more as far, for what curves.
+    off = abs(2.0 * point.tangent[-1] * value / slope) if slope else np.inf
+    error = off + _error(corrector, point)
+    return Located(point, fraction, share, share <= _NOT_ZERO, float(slope), float(error))
+
+
+def _error(corrector: Corrector, point: Point) -> float:
+    """Of p, as Newton's method leaves it."""
+    return (point.last_step + 8.0 * corrector.rounding(point)) / float(corrector.weights[-1])
+
+
+def polish(
+    corrector: Corrector, at: Located, test: Callable[[Point], float], reach: float
+) -> Located:
+    """The zero of `test` from near, by Newton's method along the tangent, and the error of p.
+
+    The slope is followed only by steps that are long enough to tell it.  No step goes farther
+    than `reach`.
+    """
+    point, slope, change = corrector.sharpen(at.point), at.slope, at.error
+    value = first = test(point)
+    for _ in range(_POLISHING):
+        length = -value / slope if slope else np.inf
+        if not abs(length) <= reach:
+            break
+        moved = corrector.sharp(point.z + length * point.tangent, point.tangent, point, reach)
+        if moved is None:
+            break
+        left = test(moved)
+        change = abs(moved.p - point.p)
+        if not abs(left) < max(_LESS * abs(value), np.finfo(float).tiny):
+            break  # no more is to be had; what it moved is what is not known
+        if abs(length) > 1e-6 * reach and left != value:
+            slope = (left - value) / length
+        point, value = moved, left
+        if change <= 4.0 * corrector.rounding(point):
+            break
+    point = corrector.sharpen(point)
+    return at._replace(
+        point=point,
+        slope=slope,
+        left_over=at.left_over * abs(value / first) if first else 0.0,
+        error=change + _error(corrector, point),
+    )
+
+
+def crossing(corrector: Corrector, piece: Segment) -> Located | None:
+    """The branch point between two points with different signs of det [F_z; tangent^T].
+
+    None if nothing crosses.  Where the determinant changes its sign without going through zero
+    (`refined` is false), the two points lie on different branches.
+    """
+    if piece.left.sign == piece.right.sign:
+        return None
+
+    def determinant(point: Point) -> float:
+        return point.sign * float(np.exp(min(point.logdet - piece.left.logdet, 300.0)))
+
+    return locate(corrector, piece, determinant)
+
+
+def dips(corrector: Corrector, piece: Segment, doubt: float = 0.0, depth: int = 0) -> list[Point]:
+    """Points between two others where dp/ds has one sign at both ends and nearly loses it between.
+
+    The cubic through the ends predicts how dp/ds goes.  Where it comes near zero, the branch is
+    solved for, and so again on both sides with the error of the prediction (`doubt`) in mind,
+    until each part has a fold or keeps well away: two folds between two points are found so.
+    """
+    a, b = piece.left.tangent[-1], piece.right.tangent[-1]
+    least = min(abs(a), abs(b))
+    noise = sum(p.last_step + corrector.rounding(p) for p in (piece.left, piece.right))
+    noise /= piece.length * corrector.weights[-1]
+    if (a < 0) != (b < 0) or least <= 10 * noise or depth == _MAX_DIPS:
+        return []
+    # |dp/ds| of the cubic is least where its quadratic |a| + x d + x^2 e has its minimum, if any.
+    sign = np.sign(a)
+    mean = sign * (piece.right.p - piece.left.p) / piece.length
+    d, e = 6 * mean - 4 * abs(a) - 2 * abs(b), 3 * abs(a) + 3 * abs(b) - 6 * mean
+    where = -d / (2 * e) if e > 0 else float(abs(b) < abs(a))
+    where = min(max(where, 0.02), 0.98)
+    predicted = abs(a) + where * d + where**2 * e
+    if predicted - doubt >= 0.5 * least:
+        return []
+    middle = point_at(corrector, piece, where)
+    if middle is None:
+        return []
+    doubt = abs(sign * middle.tangent[-1] - predicted)
+    before, after = (
+        # The cubic's slope errs with the square of the length, or a higher power.
+        dips(corrector, segment(corrector, *ends), doubt * share**2, depth + 1)
+        for share, ends in ((where, (piece.left, middle)), (1 - where, (middle, piece.right)))
+    )
+    return [*before, middle, *after]
+
+
+def other_direction(
+    corrector: Corrector, piece: Segment, at: Point
+) -> Float[np.ndarray, " m_plus_1"]:
+    """The null vector of F_z at a branch point that is square to the branch's own tangent.
+
+    Rows are scaled by their size beside the branch point: at it, a row may be zero.
+    """
+    w = corrector.weights
+    rows = np.maximum(np.abs(piece.left.jacobian / w), np.abs(piece.right.jacobian / w)).max(1)
+    own = w * at.tangent
+    matrix = np.vstack([at.jacobian / w / np.where(rows > 0, rows, 1.0)[:, None], own])
+    return np.linalg.svd(matrix)[2][-1] / w
+
+
+def changes(
+    corrector: Corrector, piece: Segment, tests: Mapping[str, Test]
+) -> list[tuple[str, Located]]:
+    """Folds (dp/ds = 0) and zeros of `tests` between two points, in order.
+
+    A fold is one where p turns by more than it errs: on a branch with p constant, the sign of
+    dp/ds is rounding's.
+    """
+    found = []
+    ends = (piece.left, piece.right)
+
+    def zero(test: Callable[[Point], float]) -> Located:
+        return polish(corrector, locate(corrector, piece, test), test, piece.length)
+
+    slopes = [point.tangent[-1] * corrector.weights[-1] for point in ends]
+    noise = max(slope_noise(corrector, point) for point in ends)
+    if (slopes[0] < 0) != (slopes[1] < 0) and max(map(abs, slopes)) > noise:
+        fold = zero(lambda point: float(point.tangent[-1]))
+        if max(abs(fold.point.p - point.p) for point in ends) > fold.error:
+            found.append(("fold", fold))
+    for name, test in tests.items():
+
+        def value(point: Point, test: Test = test) -> float:
+            return float(test(point.u, point.p, point.tangent, point.extra))
+
+        a, b = map(value, ends)
+        if np.isfinite(a) and np.isfinite(b) and (a < 0) != (b < 0):
+            found.append((name, zero(value)))
+    return sorted(found, key=lambda item: item[1].fraction)

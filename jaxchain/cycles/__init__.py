@@ -1,0 +1,1 @@
+"""Limit cycles: found, followed, with their multipliers and special points."""

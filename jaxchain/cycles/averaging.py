@@ -1,0 +1,122 @@
+"""One vibrating mass to first harmonic: the first guess of every search for a cycle.
+
+With v = A cos(theta) the work of friction balances that of damping where
+
+    p <F(A cos theta - v_d) cos theta> = xi A,        <.> the mean over a period,
+
+which is exact for weak friction and weak damping (averaging; Nayfeh and Mook, Nonlinear
+Oscillations, section 3.3).  The frequency is that of the mass on its springs, sqrt(K_jj).
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._types import ScalarLike
+from ..model.chain import Chain
+
+_NODES, _SPEEDS, _HALVINGS = 32, 64, 24
+_GRADING = 0.9
+# Amplitudes in units of the belt speed; folds with a smaller one are taken for none.
+_RATIOS = np.concatenate([np.geomspace(3e-3, 0.3, 9), np.linspace(0.35, 1.02, 16)])
+# A smoothed fold: max w = eps s with s = ln(eps / v_d) / 4 - 1, from folds at widths 0.2 ... 1e-5.
+
+
+def graded(phase: Any) -> Any:
+    """theta = u - 0.9 sin u: equal steps of u are ten times as fine near theta = 0, 2 pi, ...
+
+    There a mass comes closest to the belt's speed, and a law that weakens over v0 << v_d gives all
+    its work within a time of about (v0 / v_d)^(1/2).  Being smooth and odd it leaves sums over a
+    period as exact as equal steps do.
+    """
+    return phase - _GRADING * jnp.sin(phase)
+
+
+def one_mass(chain: Chain, mass: int) -> Chain:
+    """Mass `mass` alone, its neighbours held: K_jj is its stiffness."""
+
+    def own(value: Array) -> Array:
+        return value[mass] if jnp.ndim(value) else value
+
+    friction = jax.tree.map(own, chain.friction)
+    stiffness = own(jnp.asarray(chain.stiffness_diagonal(chain.n)))
+    load = None if chain.normal_load is None else own(chain.normal_load)
+    return Chain(1, friction, chain.belt_speed, own(chain.damping_ratio), None, stiffness, load)
+
+
+def gain(chain: Chain, ratio: ScalarLike, belt_speed: ScalarLike) -> Float[Array, ""]:
+    """What friction puts into a vibration of amplitude ratio v_d, less what damping takes out."""
+    amplitude = ratio * belt_speed
+    phase = (jnp.arange(_NODES) + 0.5) * (jnp.pi / _NODES)
+    cosine, weight = jnp.cos(graded(phase)), 1.0 - _GRADING * jnp.cos(phase)
+    load = 1.0 if chain.normal_load is None else chain.normal_load
+    force = load * chain.friction.force(amplitude * cosine - belt_speed)
+    return jnp.mean(weight * force * cosine) - chain.damping_ratio * amplitude
+
+
+def cycle_speed(chain: Chain, ratio: ScalarLike, highest: ScalarLike) -> Float[Array, ""]:
+    """The greatest belt speed at which a vibration of amplitude ratio v_d exists; NaN for none.
+
+    Looked for below `highest`; `chain` is one mass.
+    """
+    speeds = highest * jnp.geomspace(1e-4, 1.0, _SPEEDS)
+    values = jax.vmap(lambda speed: gain(chain, ratio, speed))(speeds)
+    crosses = (values[:-1] > 0) & (values[1:] <= 0)
+    last = jnp.max(jnp.where(crosses, jnp.arange(_SPEEDS - 1), -1))
+
+    def halve(_: Any, ends: tuple[Array, Array]) -> tuple[Array, Array]:
+        low, high = ends
+        middle = 0.5 * (low + high)
+        inside = gain(chain, ratio, middle) > 0
+        return jnp.where(inside, middle, low), jnp.where(inside, high, middle)
+
+    ends = speeds[last], speeds[last + 1]
+    low, _ = jax.lax.fori_loop(0, _HALVINGS, halve, ends)
+    return jnp.where(last >= 0, low, jnp.nan)
+
+
+def greatest_speed(chain: Chain) -> Float[Array, ""]:
+    """A bound on the belt speeds at which one mass can vibrate: damping outweighs friction beyond.
+
+    A vibration of amplitude A = c v_d gains at most 2 p mu_st / pi and loses xi A; with no damping
+    there is none.
+    """
+    load = 1.0 if chain.normal_load is None else chain.normal_load
+    damping = jnp.maximum(chain.damping_ratio, 1e-6)
+    return 2.0 * load * chain.friction.law.mu_static / damping
+
+
+def speed_scale(chain: Chain, dry_speed: ScalarLike) -> Float[Array, ""]:
+    """The speed that widths are to be compared with when one mass vibrates.
+
+    `dry_speed`, the belt speed of the dry fold by averaging, or twice the speed over which
+    friction weakens, mu_st / |mu'(0)|, if that is less.
+    """
+    law = chain.friction.law
+    _, slope = jax.jvp(law.coefficient, (jnp.zeros(()),), (jnp.ones(()),))
+    weakens = 2.0 * law.mu_static / jnp.maximum(jnp.abs(slope), 1e-12)
+    return jnp.fmin(dry_speed, weakens)  # without a fold there is no speed
+
+
+def fold_guess(chain: Chain) -> tuple[Array, Array, Array]:
+    """(v_d, s = max w / eps, whether there is one) of the fold of one vibrating mass.
+
+    The greatest of `cycle_speed` over the amplitudes.  Where it is that at which a mass would
+    begin to stick, the layer is too thin for the grid, and s is taken from its known size.
+    """
+    highest = greatest_speed(chain)
+    speeds = jax.vmap(lambda ratio: cycle_speed(chain, ratio, highest))(jnp.asarray(_RATIOS))
+    known = jnp.where(jnp.isnan(speeds), -jnp.inf, speeds)
+    at = jnp.argmax(known)
+    exists = (at > 0) & jnp.isfinite(known[at]) & (known[at] > known[0])
+    speed = jnp.where(exists, known[at], 1.0)
+    width = chain.friction.width
+    layer = 1.0 + width / speed * (0.25 * jnp.log(jnp.minimum(width / speed, 1.0)) - 1.0)
+    next_ratio = jnp.asarray([*_RATIOS[1:], 2.0])[at]
+    ratio = jnp.where(next_ratio < layer, jnp.asarray(_RATIOS)[at], layer)
+    better = cycle_speed(chain, ratio, highest)
+    speed = jnp.where(jnp.isfinite(better), better, speed)
+    return speed, (ratio - 1.0) * speed / width, exists

@@ -1,0 +1,278 @@
+"""Branches of cycles: where a localized vibration begins, folds, loses its symmetry, and ends."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Complex, Float
+
+from ..continuation.arclength import Switched, continue_branch, switch_branch
+from ..continuation.branch import Branch, Point
+from .bifurcation_tests import linearise, on_the_circle, orbit, special_tests
+from .equations import as_heading, cycle_equations, cycle_weights
+from .shooting import Shooting, residual
+from .special_points import (
+    RTOL,
+    CyclePoint,
+    as_cycle_point,
+    at_rest,
+    hardly_felt,
+    refine,
+    sharply,
+    without_symmetry,
+)
+
+# A multiplier is beyond the unit circle if it is by more than the integration may err.
+_MARGIN = 1e-7
+# Share of the greatest velocity below which that of the mass where the orbit is cut is too little.
+_HARDLY = 1e-2
+# Of `continue_branch`, for these unknowns.
+_DEFAULTS: dict[str, Any] = {"min_step": 1e-6, "max_step": 0.3, "max_points": 300}
+
+
+@dataclass(frozen=True)
+class CycleBranch:
+    """A branch of cycles, k points in order, as plain data on the host.
+
+    - `parameter` (k,): its values; `name`: which argument of `Chain.with_` it is.
+    - `x`, `v` (k, n): the states at the greatest velocity of mass `shooting.mass` in the direction
+      of the belt; `period` (k,).
+    - `amplitude` (k, n): half peak-to-peak of each displacement; `energy` (k,): half the sum of
+      squares of these.
+    - `closeness` (k,): max w / eps of that mass, negative for a slip cycle; NaN without friction.
+    - `multipliers` (k, 2n - 1): but for the trivial one, whose error is `trivial_defect` (k,), the
+      greatest modulus first; `unstable` (k,): how many lie beyond the unit circle.
+    - `special`: tuple of `CyclePoint`, in order; `ended`, `message`: why the branch ends.
+    - `shooting`, `branch`: the equations, and the branch as their solution (with `counts`).
+    """
+
+    name: str
+    parameter: Float[np.ndarray, " k"]
+    x: Float[np.ndarray, "k n"]
+    v: Float[np.ndarray, "k n"]
+    period: Float[np.ndarray, " k"]
+    amplitude: Float[np.ndarray, "k n"]
+    closeness: Float[np.ndarray, " k"]
+    multipliers: Complex[np.ndarray, "k others"]
+    trivial_defect: Float[np.ndarray, " k"]
+    special: tuple[CyclePoint, ...]
+    shooting: Shooting
+    branch: Branch
+
+    @property
+    def energy(self) -> Float[np.ndarray, " k"]:
+        return 0.5 * np.sum(self.amplitude**2, axis=1)
+
+    @property
+    def unstable(self) -> Any:
+        return np.sum(np.abs(self.multipliers) > 1.0 + _MARGIN, axis=1)
+
+    @property
+    def ended(self) -> str:
+        return self.branch.ended
+
+    @property
+    def message(self) -> str:
+        return self.branch.message
+
+    def of_kind(self, kind: str) -> tuple[CyclePoint, ...]:
+        """The special points of one kind."""
+        return tuple(point for point in self.special if point.kind == kind)
+
+    def table(self) -> dict[str, np.ndarray]:
+        """Columns for plots and files: name -> array of k rows."""
+        return {
+            self.name: self.parameter,
+            "period": self.period,
+            "amplitude": self.amplitude,
+            "energy": self.energy,
+            "closeness": self.closeness,
+            "greatest_multiplier": np.abs(self.multipliers[:, 0]),
+            "unstable": self.unstable,
+        }
+
+
+def continue_cycle(
+    chain: Any,
+    state: Any = None,
+    period: Any = None,
+    *,
+    parameter: Any = "belt_speed",
+    direction: Any = 1,
+    bounds: tuple[Any, Any] | None = None,
+    vibrating: Any = None,
+    images: Any = None,
+    step: Any = 0.05,
+    min_step: Any = 1e-6,
+    max_step: Any = 0.3,
+    max_points: Any = 300,
+    stop: Callable[[float, Any], Any] | None = None,
+    progress: Callable[[int, Point], Any] | None = None,
+    rtol: Any = RTOL,
+    tolerance: Any = 1e-9,
+) -> CycleBranch:
+    """Follows a cycle as a number of the chain changes, round folds, with stability and crossings.
+
+    Pseudo-arclength continuation (`continue_branch`) of the shooting equations, cut at the
+    greatest velocity of one mass and measured by u = (x_n, z_n = asinh(w_n / eps), ln T): the
+    layer in which a smoothed fold happens, of thickness O(eps), is as wide there as for any width.
+
+    **Arguments:**
+
+    - `chain`, `state` = (x, v), `period`: a cycle, or near one, at the greatest velocity of mass
+      `vibrating` (by default the fastest) in the direction of the belt; or all three in one
+      `LimitCycle`.  Of a period that is a multiple of the least one, the least is followed.  The
+      chain may be any autonomous `AbstractOscillators`.
+    - `parameter`: a scalar argument of `Chain.with_`, or a field of other oscillators that is a
+      scalar array (`coupling` is their springs' constant); `bounds`: of it, where the branch ends;
+      `direction`: 1 or -1, with which sign it begins to change.  At a fold nothing does:
+      "stick" or "slip" sets out towards greater or smaller closeness of that mass.
+    - `images`: a symmetry of the cycle, entry i the index of the mass that i does the same as.
+      The orbit is followed within it; multipliers are those of all disturbances.
+    - `step`, `min_step`, `max_step`, `max_points`, `progress`, `tolerance`: see `continue_branch`;
+      lengths are (mean of x^2 and z^2 of the others + z_j^2 + ln^2 T + p^2)^(1/2).
+    - `stop(p, linearisation)`: ends the branch where it is true.  It also ends where the amplitude
+      vanishes, in a Hopf point.
+    - `rtol`: tolerance of the integration.
+
+    **Returns:** a `CycleBranch`, however it ended, also after Ctrl-C.  Its points err by some ten
+    times `rtol`; its special points are those of an `rtol` of at most 3e-11, and each says its
+    `error`.
+
+    **Raises:** `ValueError` for arguments that cannot be; `RuntimeError`, with a remedy, if no
+    cycle is found near the start.
+
+    !!! example
+
+        ```python
+        cycle = find_limit_cycle(paper_chain(1, belt_speed=1.5, width=1e-2))
+        branch = continue_cycle(cycle)  # up, round the fold, and down to the Hopf point
+        [(point.kind, point.parameter) for point in branch.special]
+        # [('fold', 1.792455775...), ('hopf', 1.151292546...)]
+        ```
+    """
+    shooting, u, p = cycle_equations(chain, state, period, parameter, vibrating, images, rtol)
+    heading = as_heading(direction, shooting, u.size)
+    return _follow(
+        shooting, u, p, heading, bounds, stop,
+        {"step": step, "min_step": min_step, "max_step": max_step, "max_points": max_points,
+         "progress": progress, "tolerance": tolerance},
+    )  # fmt: skip
+
+
+def switch_cycle(
+    branch: CycleBranch,
+    point: CyclePoint,
+    *,
+    side: Any = 1,
+    step: Any = 0.02,
+    bounds: tuple[Any, Any] | None = None,
+    stop: Callable[[float, Any], Any] | None = None,
+    **options: Any,
+) -> CycleBranch:
+    """The other branch of cycles through a "symmetry breaking" or "branch point" of `branch`.
+
+    At a symmetry-breaking point it leaves along the disturbance with multiplier +1, and is
+    followed without the symmetry; the half of `side` = -1 is then the mirror image of that of 1.
+
+    **Arguments:** `step`, the distance of its first point; all others as in `continue_cycle`.
+
+    **Returns:** a `CycleBranch` that begins at that first point.
+
+    **Raises:** `ValueError` for a point of another kind; `RuntimeError` if no other branch is
+    found.
+    """
+    shooting, raw = branch.shooting, point.raw
+    if point.kind == "symmetry breaking":
+        shooting, raw = without_symmetry(shooting, point)
+    elif point.kind != "branch point":
+        raise ValueError(
+            'Argument `point` must be of kind "symmetry breaking" or "branch point", but is a '
+            f'"{point.kind}": no other branch of cycles of this period crosses there.'
+        )
+    tolerance = options.setdefault("tolerance", 1e-9)
+    found: Switched = switch_branch(
+        residual, raw, shooting, side=side, step=step, tolerance=tolerance,
+        weights=cycle_weights(shooting, raw.p), value_and_jacobian=linearise,
+    )  # fmt: skip
+    if found.u is None or found.p is None:
+        raise RuntimeError(found.reason)
+    options = {"step": step, **_DEFAULTS, **options}
+    return _follow(shooting, found.u, found.p, found.direction, bounds, stop, options)
+
+
+def _follow(
+    shooting: Shooting,
+    u: np.ndarray,
+    p: float,
+    heading: Any,
+    bounds: tuple[Any, Any] | None,
+    stop: Callable[[float, Any], Any] | None,
+    options: dict[str, Any],
+) -> CycleBranch:
+    weights, tests = cycle_weights(shooting, p), special_tests(shooting)
+    times = None  # how often the first orbit is gone round within its period
+
+    def ends(u: np.ndarray, p: float, tangent: np.ndarray, extra: Any) -> Any:
+        nonlocal times
+        del u, tangent
+        if times is None:
+            times = int(extra.times_round)
+            if times > 1:
+                return True
+        if extra.speed <= 0:
+            return "the amplitude vanishes"
+        if extra.speed < _HARDLY * np.max(np.abs(extra.v)):
+            return f"mass {shooting.mass} hardly vibrates any more: cut the orbit at another"
+        return stop is not None and stop(p, extra)
+
+    branch = continue_branch(
+        residual, u, p, shooting, direction=heading, weights=weights, tests=tests, stop=ends,
+        bounds=(-np.inf, np.inf) if bounds is None else bounds, value_and_jacobian=linearise,
+        **options,
+    )  # fmt: skip
+    if branch.extra is None:
+        raise RuntimeError(branch.message)
+    if times is not None and times > 1:
+        once = branch.u[0] - np.append(np.zeros(u.size - 1), np.log(times))
+        return _follow(shooting, once, float(branch.p[0]), heading, bounds, stop, options)
+    correctors = sharply(shooting, weights, options["tolerance"])
+    hopf = {point.index for point in branch.special if point.kind == "hopf"}
+    special = []
+    for raw in branch.special:
+        # Where the amplitude vanishes the branch meets its own mirror image, smoothly: no fold.
+        if raw.kind in ("fold", "branch point") and raw.index in hopf:
+            continue
+        if raw.kind == "hopf":
+            p, error = at_rest(correctors, raw)
+            point = replace(raw, p=p, error=error)
+        elif raw.kind in tests and hardly_felt(branch, raw, tests[raw.kind]):
+            continue
+        else:
+            point = refine(correctors, raw, tests) if raw.refined else raw
+        if raw.kind != "torus" or on_the_circle(point.extra):
+            special.append(as_cycle_point(point))
+    extra, k = branch.extra, len(branch.p)
+    if k and extra.speed[-1] <= 0:  # the last point, in its own mirror image
+        k -= 1
+    if not k:
+        raise RuntimeError("The branch ends in rest at its first point: begin farther from it.")
+    points = [orbit(u, p, shooting) for u, p in zip(branch.u[:k], branch.p[:k], strict=True)]
+    x, v, period, amplitude = (np.stack(column) for column in zip(*points, strict=True))
+    switches = shooting.field.switching(0.0, points[0][1]) is not None
+    closeness = np.sinh(branch.u[:k, shooting.place]) if switches else np.full(k, np.nan)
+    return CycleBranch(
+        name=shooting.parameter or "",
+        parameter=branch.p[:k],
+        x=x,
+        v=v,
+        period=period,
+        amplitude=amplitude,
+        closeness=closeness,
+        multipliers=extra.multipliers[:k],
+        trivial_defect=extra.trivial_defect[:k],
+        special=tuple(special),
+        shooting=shooting,
+        branch=branch,
+    )

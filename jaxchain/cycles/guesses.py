@@ -1,0 +1,289 @@
+"""Where to begin the search for a limit cycle.
+
+Every guess is (state, period) with the state at the greatest velocity of the vibrating mass in the
+direction of the belt, where `Shooting` cuts the orbit.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float
+
+from .._checks import check_number, check_positive, is_traced, to_float
+from .._types import ScalarLike, State
+from ..boundaries.hopf_scan import HopfPoints
+from ..model.chain import Chain, steady_sliding
+from ..model.initial_states import reference_site
+from ..model.oscillators import AbstractOscillators
+from ..model.sliding import sliding_damping, stiffness_matrix
+from ..observers.base import AbstractObserver, Step
+from ..simulation.accuracy import choose_solver
+from ..simulation.run import Simulation, simulate
+from .averaging import gain, one_mass
+
+Guess = tuple[State, Array]
+# For which a simulation runs before it is looked at.
+TRANSIENT = 200.0
+_PEAKS = 12
+# Trials to locate one: regula falsi gains a digit or two with each.
+_TRIALS = 6
+# Of the returns to the section, the first is taken that is nearly as good as the best.
+_AS_GOOD, _GOOD = 2.0, 1e-3
+_RATIOS = np.concatenate([np.geomspace(1e-3, 0.3, 24), np.linspace(0.32, 1.0, 35)])
+
+
+class VelocityPeaks(AbstractObserver):
+    """States in which mass `oscillator` is fastest in the belt's direction, from time `start` on.
+
+    Zeros of its acceleration, located by regula falsi on the interpolated state.  **Value:**
+    (times, x, v) of shapes (capacity,), (capacity, n), (capacity, n); NaN where there is none.
+    """
+
+    oscillator: int = eqx.field(static=True)
+    capacity: int = eqx.field(static=True)
+    start: Float[Array, ""] = eqx.field(converter=to_float)
+
+    def init(self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State) -> Any:
+        del t1
+        empty = jnp.full((self.capacity, y0[0].shape[0]), jnp.nan)
+        return empty[:, 0], empty, empty, jnp.zeros((), int), self._acceleration(field, t0, y0)
+
+    def _acceleration(self, field: AbstractOscillators, t: Any, y: State) -> Array:
+        return field.belt_direction() * field(t, y)[1][self.oscillator]
+
+    def update(self, accumulator: Any, step: Step) -> Any:
+        times, xs, vs, count, before = accumulator
+        after = self._acceleration(step.field, step.t1, step.y1)
+        peak = (before > 0) & (after <= 0)
+
+        def nearer(_: Any, bracket: tuple[Array, ...]) -> tuple[Array, ...]:
+            # The Illinois rule: the value at an end that stays twice is halved.
+            a, fa, b, fb, side = bracket
+            theta = a + (b - a) * fa / jnp.where(peak, fa - fb, 1.0)
+            t = step.t0 + theta * (step.t1 - step.t0)
+            f = self._acceleration(step.field, t, (step.displacement(theta), step.velocity(theta)))
+            rises = f > 0
+            fa = jnp.where(rises, f, jnp.where(side < 0, 0.5 * fa, fa))
+            fb = jnp.where(rises, jnp.where(side > 0, 0.5 * fb, fb), f)
+            side = jnp.where(rises, 1, -1)
+            return jnp.where(rises, theta, a), fa, jnp.where(rises, b, theta), fb, side
+
+        whole = jnp.zeros(()), before, jnp.ones(()), after, jnp.zeros((), int)
+        trials = jnp.where(peak, _TRIALS, 0)
+        a, fa, b, fb, _ = lax.fori_loop(0, trials, nearer, whole)
+        theta = jnp.where(peak, a + (b - a) * fa / jnp.where(peak, fa - fb, 1.0), 1.0)
+        time = step.t0 + theta * (step.t1 - step.t0)
+        hit = peak & (time >= self.start)
+        here = hit & (jnp.arange(self.capacity) == count)
+        return (
+            jnp.where(here, time, times),
+            jnp.where(here[:, None], step.displacement(theta)[None, :], xs),
+            jnp.where(here[:, None], step.velocity(theta)[None, :], vs),
+            count + hit,
+            after,
+        )
+
+    def settled(self, accumulator: Any) -> None:
+        del accumulator
+
+    def read(self, accumulator: Any) -> Any:
+        return accumulator[:3]
+
+
+def _watched(chain: Any, state: State, t1: Any, watch: VelocityPeaks) -> Simulation:
+    """A run in which a sticking mass errs by little in units of the width, as Newton needs."""
+    rtol: Any = 1e-8
+    if isinstance(chain, Chain):
+        width = lax.stop_gradient(jnp.min(chain.friction.width))
+        rtol = jnp.clip(1e-4 * width, 1e-11, 1e-7)
+    solver = choose_solver(chain, 1e-8)
+    return simulate(chain, state, t1, observe=watch, solver=solver, rtol=rtol, throw=False)
+
+
+def most_lively(chain: AbstractOscillators, state: State) -> int:
+    """The mass farthest from sliding, which is taken for the vibrating one; n // 2 if traced."""
+    x, v = state
+    if is_traced(chain, state):
+        return reference_site(x.shape[0])
+    rest = steady_sliding(chain)[0] if isinstance(chain, Chain) else jnp.zeros_like(x)
+    return int(jnp.argmax((x - rest) ** 2 + v**2))
+
+
+def release_state(chain: Chain, mass: int) -> State:
+    """Steady sliding, but mass `mass` is carried by the belt, half way to where it is let go."""
+    x, v = steady_sliding(chain)
+    unit = jnp.zeros(chain.n).at[mass].set(1.0)
+    stiffness = -chain.restoring_force(unit)[mass]
+    hold = jnp.broadcast_to(chain.greatest_hold(), (chain.n,))[mass]
+    reach = 0.5 * jnp.sign(chain.belt_speed) * hold / stiffness
+    return x + unit * (reach - x[mass]), v.at[mass].set(chain.belt_speed)
+
+
+def guess_from_simulation(
+    chain: AbstractOscillators,
+    state: State,
+    vibrating: int | None = None,
+    *,
+    transient: Any = 0.0,
+    duration: Any = 40.0,
+) -> Guess:
+    """A point of the orbit on which `state` settles, and its period.
+
+    Integrates for `transient`, then for `duration`, and looks at the states in which mass
+    `vibrating` (by default the one farthest from sliding) is fastest in the direction of the belt:
+    the period is the time since the one that is most like the last of them, as a whole.  Of an
+    orbit that is not yet settled it may be a multiple; `find_limit_cycle` looks for the least.
+
+    **Returns:** (state, period), NaN where the mass has not two such maxima: it rests, or moves
+    too slowly for `duration`.  Works under `jit` and `vmap`, `vibrating` being given.
+
+    >>> import jax
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> from jaxchain import excited_state, paper_chain
+    >>> chain = paper_chain(1, width=0.05)
+    >>> _, period = guess_from_simulation(chain, excited_state(chain, 1))
+    >>> round(float(period), 2)
+    6.3
+    """
+    mass = most_lively(chain, state) if vibrating is None else vibrating
+    watch = VelocityPeaks(mass, _PEAKS, transient)
+    run = _watched(chain, state, transient + duration, watch)
+    times, xs, vs = lax.stop_gradient(run.observed)
+    last = jnp.sum(jnp.isfinite(times)) - 1
+    before = last - 1 - jnp.arange(_PEAKS - 1)  # one return ago, two, ...
+    gaps = [jnp.linalg.norm(part[before] - part[last][None], axis=1) for part in (xs, vs)]
+    distance = jnp.where(before >= 0, gaps[0] + gaps[1], jnp.inf)
+    size = jnp.linalg.norm(vs[last])
+    at = before[jnp.argmax(distance <= _AS_GOOD * jnp.min(distance) + _GOOD * size)]
+    period = jnp.where(last >= 1, times[last] - times[at], jnp.nan)
+    return (xs[last], vs[last]), period
+
+
+def guess_from_point(
+    chain: AbstractOscillators, state: State, period: Any, vibrating: int
+) -> State:
+    """The point of an orbit of known period at which mass `vibrating` is fastest along the belt.
+
+    Nothing is integrated if `state` is such a point; NaN if there is none.
+    """
+    if not is_traced(chain, state):
+        along = chain.belt_direction()
+        acceleration, velocity = chain(0.0, state)[1][vibrating], along * state[1][vibrating]
+        # A mass that sticks is accelerated by little, but by more than this.
+        if velocity > 0 and abs(acceleration) < 1e-9 * velocity:
+            return state
+    # A little more, for an orbit that begins at the maximum.
+    watch = VelocityPeaks(vibrating, _PEAKS, 0.0)
+    run = _watched(chain, state, 1.05 * to_float(period), watch)
+    _, xs, vs = lax.stop_gradient(run.observed)
+    speeds = chain.belt_direction() * vs[:, vibrating]
+    fastest = jnp.argmax(jnp.where(jnp.isnan(speeds), -jnp.inf, speeds))
+    return xs[fastest], vs[fastest]
+
+
+def carried(state: State, before: AbstractOscillators, after: AbstractOscillators) -> State:
+    """A state of the field `before`, for `after`: a mass that sticks goes with the belt.
+
+    Where the belt runs the other way it is the mirror image.
+    """
+    turned = before.belt_direction() * after.belt_direction()
+    x, v = (turned * part for part in state)
+    old, new = before.switching(0.0, turned * v), after.switching(0.0, v)
+    if old is None or new is None:
+        return x, v
+    sticks = jnp.abs(old[0]) < 10.0 * old[1]
+    return x, jnp.where(sticks, v - new[0] + turned * old[0] * (new[1] / old[1]), v)
+
+
+def slip_guess(chain: Chain, vibrating: int) -> Guess:
+    """The unstable cycle of a mass that slides throughout, to first harmonic; NaN for none.
+
+    Its amplitude A < v_d is where averaged friction begins to feed more than damping takes (see
+    `cycles/averaging.py`); the other masses move as its springs shake them, linearised about
+    sliding: (K - omega^2 + i omega D) u = 0 in their rows.
+    """
+    alone, speed = one_mass(chain, vibrating), jnp.abs(chain.belt_speed)
+    ratios = jnp.asarray(_RATIOS)
+    values = lax.map(lambda ratio: gain(alone, ratio, speed), ratios)
+    rises = (values[:-1] <= 0) & (values[1:] > 0)
+    at = jnp.argmax(rises)
+    share = -values[at] / (values[at + 1] - values[at])
+    ratio = ratios[at] + share * (ratios[at + 1] - ratios[at])
+    amplitude = jnp.where(jnp.any(rises), ratio * speed, jnp.nan) * chain.belt_direction()
+    omega = jnp.sqrt(alone.stiffness)
+    x, _ = steady_sliding(chain)
+    damping = jnp.broadcast_to(sliding_damping(chain, speed), (chain.n,))
+    A = stiffness_matrix(chain) - jnp.diag(omega**2 - 1j * omega * damping)
+    unit = jnp.zeros(chain.n).at[vibrating].set(1.0)
+    own = unit[:, None] > 0
+    right = jnp.where(unit > 0, 1.0, -A[:, vibrating])
+    shape = jnp.linalg.solve(jnp.where(own, jnp.diag(unit), jnp.where(own.T, 0.0, A)), right)
+    # v_j = A cos(omega t), hence x_n = Re[-i u_n exp(i omega t)] A / omega.
+    moved = amplitude / omega * jnp.real(-1j * shape)
+    return (x + moved, amplitude * jnp.real(shape)), 2 * jnp.pi / omega
+
+
+def guess_of_kind(chain: Chain, vibrating: int, kind: str) -> Guess:
+    """A guess of the stick-slip cycle ("stable") or of the slip cycle ("unstable") of one mass."""
+    if kind == "unstable":
+        return slip_guess(chain, vibrating)
+    released = release_state(chain, vibrating)
+    return guess_from_simulation(chain, released, vibrating, transient=TRANSIENT)
+
+
+def guess_from_hopf(
+    chain: Chain,
+    points: HopfPoints,
+    index: int = 0,
+    amplitude: Any = None,
+    vibrating: int | None = None,
+) -> Guess:
+    """The small cycle that branches off Hopf point `index` of `points`, at the chain's belt speed.
+
+    x = x_s + A Re[u exp(i omega t)], when mass `vibrating` (by default the one that moves most)
+    is fastest in the direction of the belt.
+
+    **Arguments:** `points` from `hopf_points(chain, ...)`; `amplitude` = A > 0 of displacement, of
+    the mass that moves most, by default what `square_amplitude_slope` predicts.
+
+    **Raises:** `ValueError` if there is no such point, or no small cycle at this belt speed: a
+    subcritical one lies on the stable side of its point.
+
+    >>> import jax
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> from jaxchain import hopf_points, paper_chain
+    >>> chain = paper_chain(1, belt_speed=1.2)
+    >>> (x, v), period = guess_from_hopf(chain, hopf_points(chain, (1.0, 2.0)))
+    >>> round(float(v[0]), 3), round(float(period), 3)
+    (0.441, 6.283)
+    """
+    count = len(points.kind)
+    if not isinstance(index, int | np.integer) or not 0 <= index < count:
+        raise ValueError(
+            f"Argument `index` must be that of one of {count} Hopf points, but is {index!r}."
+        )
+    shape, omega = points.mode_shape[index], points.frequency[index]
+    if amplitude is None:
+        past = jnp.abs(chain.belt_speed) - jnp.abs(points.belt_speed[index])
+        square = points.square_amplitude_slope[index] * past
+        if not is_traced(square) and not square > 0:
+            raise ValueError(
+                f"Argument `chain` has belt speed {float(chain.belt_speed):g}, but the small "
+                f"cycles at the Hopf point of {float(points.belt_speed[index]):g} lie on its "
+                "other side, or its Lyapunov coefficient is not known. Change `belt_speed`, or "
+                "give an `amplitude`."
+            )
+        amplitude = jnp.sqrt(square)
+    check_number("amplitude", amplitude, "0.1 is usual.")
+    check_positive("amplitude", amplitude, "0.1 is usual.")
+    mass = int(jnp.argmax(jnp.abs(shape))) if vibrating is None else vibrating
+    moving = 1j * omega * shape
+    phase = chain.belt_direction() * jnp.conj(moving[mass]) / jnp.abs(moving[mass])
+    x, _ = steady_sliding(chain)
+    disturbed = x + amplitude * jnp.real(shape * phase)
+    return (disturbed, amplitude * jnp.real(moving * phase)), 2 * jnp.pi / omega

@@ -1,0 +1,222 @@
+"""Limit cycles from guesses of every kind, stable or not."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array
+
+from .._checks import (
+    check_tolerances,
+    is_traced,
+    require_64_bits,
+    require_x64,
+    to_float,
+)
+from .._types import State
+from ..continuation.damped_newton import check_tolerance
+from ..model.chain import Chain
+from ..model.initial_states import reference_site
+from ..model.oscillators import AbstractOscillators
+from ..simulation.accuracy import fit_linear_solve
+from ..simulation.run import Simulation
+from ..solvers.rosenbrock import Rodas5P
+from .floquet import CYCLE_RTOL, check_orbit
+from .guesses import (
+    TRANSIENT,
+    carried,
+    guess_from_point,
+    guess_from_simulation,
+    guess_of_kind,
+    most_lively,
+)
+from .limit_cycle import LimitCycle, solve_cycle, with_derivatives
+from .reach import is_of_kind, reach
+from .shooting import MAX_STEP, Shooting
+
+
+def find_limit_cycle(
+    chain: Any,
+    guess: Any = None,
+    *,
+    period: Any = None,
+    vibrating: Any = None,
+    branch: Any = "stable",
+    images: Any = None,
+    rtol: Any = CYCLE_RTOL,
+    tolerance: Any = 1e-9,
+    max_steps: Any = 30,
+    throw: bool = True,
+) -> LimitCycle:
+    """The limit cycle near a guess, stable or not, by Newton's method at fixed belt speed.
+
+    Unknowns and equations are those of `cycles/shooting.py`, the steps are damped by Deuflhard's
+    natural monotonicity test, and one linearised integration gives each Jacobian and, in the end,
+    the monodromy matrix.
+
+    **Arguments:**
+
+    - `chain`: a `Chain`, or with a guess any autonomous `AbstractOscillators`.
+    - `guess`: None, the vibration of one mass in which it sticks and slips (on which a simulation
+      settles), or the unstable one in which it slides throughout (`branch` = "unstable"), reached
+      from another belt speed if it is not found at once; a state (x, v), from which a
+      simulation starts, or with `period` a point near the orbit; a pair (state, period); a
+      `Simulation` (its last state); a `LimitCycle` of another chain.
+    - `vibrating`: index of the mass at whose greatest velocity the orbit is cut, by default n // 2
+      without a guess and else the one farthest from sliding.  Must be given under `jit`.
+    - `images`: for an orbit with a symmetry, see `jaxchain.cycles.shooting.Shooting`.
+    - `rtol`: of the integration; `tolerance`: of the residual; `max_steps`: integrations allowed.
+    - `throw`: raise an error where no cycle is found; otherwise `converged` is False.
+
+    **Returns:** a `LimitCycle`, of the least period: an orbit gone round up to 16 times is told by
+    its state after shares of the period, and solved for again.  Its state, period, amplitude and
+    energy have derivatives in every number of the chain, forward and in reverse (the rest of it is
+    constant); it works under `vmap` and `jit`, `throw` without effect; without a guess nothing is
+    tried there but the belt speed asked for.
+
+    **Raises:** `ValueError` for bad input; `RuntimeError`, with advice, if no cycle is found.
+    Rest is never taken for a cycle.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import paper_chain
+        >>> cycle = find_limit_cycle(paper_chain(1, width=0.05))
+        >>> cycle.stable, round(float(cycle.period), 6)
+        (True, 6.297326)
+        >>> slipping = find_limit_cycle(paper_chain(1, width=0.05), branch="unstable")
+        >>> slipping.stable, bool(slipping.closeness[0] < 0)
+        (False, True)
+    """
+    _check(chain, rtol)
+    limit = check_tolerance(tolerance, max_steps)
+    frozen = lax.stop_gradient(chain)
+    mass, state, period = resolve_guess(frozen, guess, period, vibrating, branch, throw)
+    n = state[0].shape[0]
+    shooting = Shooting(
+        field=frozen, rtol=rtol, mass=mass, images=_checked_images(images, n, mass),
+        solver=fit_linear_solve(Rodas5P(), frozen, 1e-9 if is_traced(rtol) else float(rtol)),
+    )  # fmt: skip
+    numbers = to_float(tolerance), jnp.asarray(limit)
+    start = shooting.pack(lax.stop_gradient(state), lax.stop_gradient(period))
+    cycle, u = solve_cycle(shooting, start, *numbers)
+    reason = ""
+    if guess is None:
+        cycle = _keep_kind(cycle, branch)
+        if not is_traced(cycle.converged) and not cycle.converged:
+            found, reason = reach(shooting, branch, *numbers)
+            if found is not None:
+                cycle, u = solve_cycle(shooting, shooting.pack(*found), *numbers)
+    if throw and not is_traced(cycle.converged) and not cycle.converged:
+        raise RuntimeError(_failure(cycle) if guess is not None else _missing(branch, reason))
+    return with_derivatives(shooting, chain, cycle, u)
+
+
+def _keep_kind(cycle: LimitCycle, kind: str) -> LimitCycle:
+    """Not `converged` unless it is of the kind that was asked for."""
+    converged = cycle.converged & is_of_kind(cycle, kind)
+    return eqx.tree_at(lambda c: c.converged, cycle, converged)
+
+
+def resolve_guess(
+    chain: AbstractOscillators, guess: Any, period: Any, vibrating: Any, branch: Any, throw: bool
+) -> tuple[int, State, Array]:
+    """(mass, state on the section, period) of whatever was given."""
+    if branch not in ("stable", "unstable"):
+        raise ValueError(f'Argument `branch` must be "stable" or "unstable", but is {branch!r}.')
+    if guess is None:
+        if not isinstance(chain, Chain):
+            raise ValueError(
+                "Argument `guess` is None, which is for a `Chain`: give a state and a period."
+            )
+        mass = _checked_mass(vibrating, chain.n, reference_site(chain.n))
+        state, period = guess_of_kind(chain, mass, branch)
+        return mass, state, period
+    if isinstance(guess, LimitCycle):
+        check_orbit(chain, guess.state, guess.period, CYCLE_RTOL)
+        mass = _checked_mass(vibrating, guess.state[0].shape[0], guess.mass)
+        return mass, *_sound(carried(guess.state, guess.chain, chain), guess.period, throw)
+    transient = TRANSIENT
+    if isinstance(guess, Simulation):
+        guess, transient = guess.state, 0.0
+    pair = isinstance(guess, tuple | list) and len(guess) == 2
+    if pair and isinstance(guess[0], tuple | list):
+        guess, period = guess
+    state = check_orbit(chain, guess, 1.0 if period is None else period, CYCLE_RTOL)
+    n = state[0].shape[0]
+    mass = _checked_mass(vibrating, n, None)
+    if mass is None:
+        mass = most_lively(chain, state)
+    if period is None:
+        state, period = guess_from_simulation(chain, state, mass, transient=transient)
+    else:
+        state = guess_from_point(chain, state, period, mass)
+    return mass, *_sound(state, to_float(period), throw)
+
+
+def _checked_mass(vibrating: Any, n: int, default: Any) -> Any:
+    if vibrating is None:
+        return default
+    whole = isinstance(vibrating, int | np.integer) and not isinstance(vibrating, bool)
+    if not whole or not 0 <= vibrating < n:
+        raise ValueError(
+            f"Argument `vibrating` must be the index of a mass, 0 ... {n - 1}, but is "
+            f"{vibrating!r}."
+        )
+    return int(vibrating)
+
+
+def _checked_images(images: Any, n: int, mass: int) -> tuple[int, ...]:
+    if images is None:
+        return tuple(range(n))
+    whole = len(images) == n and all(0 <= i < n and images[i] == i for i in images)
+    if not whole or images[mass] != mass:
+        raise ValueError(
+            f"Argument `images` must name for each of {n} masses the one it does the same as, and "
+            f"for that one itself, mass {mass} (`vibrating`) among them, but is {images!r}."
+        )
+    return tuple(images)
+
+
+def _sound(state: State, period: Any, throw: bool) -> tuple[State, Any]:
+    known = is_traced(state, period) or bool(jnp.isfinite(jnp.sum(state[1]) + period))
+    if throw and not known:
+        raise RuntimeError(
+            "No vibration was found to start from: the state that was given comes to rest. See "
+            "`fold_belt_speed` for the greatest belt speed of vibration, or give another `guess`."
+        )
+    return state, period
+
+
+def _missing(kind: str, reason: str) -> str:
+    wanted = "stick-slip cycle" if kind == "stable" else "slip cycle"
+    if reason:
+        return f"There is no {wanted} at this belt speed on the branch that was found: {reason}."
+    return (
+        f"A {wanted} was not found: neither at this belt speed nor at others, to follow it from. "
+        "There may be none. See `fold_belt_speed` for the greatest belt speed of vibration and "
+        "`hopf_belt_speed` for the least of the slip cycle, or give a `guess`."
+    )
+
+
+def _failure(cycle: LimitCycle) -> str:
+    return (
+        f"No limit cycle was found near the guess: the residual is {float(cycle.residual):.1e} "
+        f"after {int(cycle.evaluations)} integrations, the greatest velocity "
+        f"{float(cycle.fastest[cycle.mass]):.1e}. Start closer (a longer simulation, a "
+        "`LimitCycle` at a belt speed nearby), or loosen `tolerance`; beyond a fold there is no "
+        "cycle."
+    )
+
+
+def _check(chain: Any, rtol: Any) -> None:
+    require_x64()
+    if not isinstance(chain, AbstractOscillators):
+        raise ValueError(f"Argument `chain` must be a `Chain`, but is a {type(chain).__name__}.")
+    require_64_bits("chain", chain)
+    check_tolerances(rtol, None, MAX_STEP)

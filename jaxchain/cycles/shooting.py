@@ -1,0 +1,190 @@
+"""Periodic orbits as solutions of equations: flow, section, coordinates.
+
+Shooting asks that a state comes back after a period.  Two choices keep it well conditioned at
+every width of the smoothed friction:
+
+- *Where the orbit is cut.* At the greatest velocity of one vibrating mass j in the direction of
+  the belt.  There its acceleration vanishes, which gives x_j from everything else: no phase
+  condition is left to solve.
+- *In which coordinates.* Relative to the belt, w_n = v_n - v_d = sign(v_d) eps sinh z_n.  Within
+  |w| < eps, where a mass sticks, z is |w| / eps; outside it is a logarithm.  The layer in which a
+  smoothed fold happens, of thickness O(eps) in v, has thickness O(1) in z_j, which is the
+  "greatest w / eps along the orbit".
+
+Unknowns u = (x_n for n != j, z_n for all n, ln T): 2n numbers, for 2n equations (return of x and
+of z).  Where forces depend on displacement by more than -K x, x_j is not explicit: it is one more
+unknown, in its place among the x_n, and its acceleration at the cut one more equation.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import diffrax as dfx
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._checks import to_float
+from .._types import State
+from ..model.oscillators import AbstractOscillators
+from ..result import Result
+from ..simulation.smoothed import SmoothedPlan
+
+MAX_STEP = 0.5
+# A period takes some hundreds; an orbit that is lost must not keep the others waiting.
+_MOST_STEPS = 50_000
+
+
+def flow(
+    field: AbstractOscillators,
+    state: State,
+    period: Any,
+    *,
+    rtol: Any,
+    solver: dfx.AbstractSolver,
+) -> State:
+    """The state after `period`, NaN if the integration failed; for forward-mode derivatives.
+
+    The derivative is that of the discrete steps with their sizes held fixed.
+    """
+    plan = SmoothedPlan(
+        solver=solver, observers=[], rtol=rtol, atol=0.1 * rtol, max_step=MAX_STEP, t1=period
+    )
+    progress = plan.begin(field, state, 0.0, period)
+    progress, _ = plan.advance(field, progress, period, max_steps=_MOST_STEPS)
+    good = progress.result == Result.successful
+    x, v = progress.state
+    return jnp.where(good, x, jnp.nan), jnp.where(good, v, jnp.nan)
+
+
+class Shooting(eqx.Module):
+    """The equations of a periodic orbit of `field`, cut at the greatest velocity of one mass.
+
+    **Arguments:**
+
+    - `field`: a `Chain`, or other `AbstractOscillators` that do not depend on time.
+    - `mass`: index j of the mass at whose greatest velocity the orbit is cut.
+    - `images`: orbits with a symmetry have as few unknowns as masses that differ: entry n is the
+      index of the mass that n does the same as, `images[i] = i` for those solved for.  None: no
+      symmetry.
+    - `parameter`: which argument of `Chain.with_` the residual's parameter is; None for none.
+    """
+
+    field: AbstractOscillators
+    rtol: Float[Array, ""] = eqx.field(converter=to_float)
+    solver: dfx.AbstractSolver = eqx.field(static=True)
+    mass: int = eqx.field(static=True)
+    images: tuple[int, ...] = eqx.field(static=True)
+    parameter: str | None = eqx.field(static=True, default=None)
+
+    @property
+    def solved(self) -> list[int]:
+        """The masses that are solved for."""
+        return sorted(set(self.images))
+
+    @property
+    def balanced(self) -> bool:
+        """Whether x_j is explicit, from the balance of forces at the cut."""
+        _, placed = self.field.uses(len(self.images))
+        return not placed
+
+    @property
+    def others(self) -> list[int]:
+        """The masses whose displacements are unknowns: not j where its own is explicit."""
+        return [n for n in self.solved if n != self.mass or not self.balanced]
+
+    @property
+    def place(self) -> int:
+        """Where z_j stands in u."""
+        return len(self.others) + self.solved.index(self.mass)
+
+    def at(self, parameter: Any) -> AbstractOscillators:
+        """The field with the parameter set."""
+        if self.parameter is None:
+            return self.field
+        if self.parameter == "belt_speed":  # the usual one, without the checks of a new chain
+            return eqx.tree_at(lambda f: f.belt_speed, self.field, parameter)
+        return self.field.with_(**{self.parameter: parameter})  # pyright: ignore
+
+    def pack(self, state: State, period: Any, parameter: Any = None) -> Float[Array, " m"]:
+        """u of a state on the section (its x_j is left out where it is explicit)."""
+        x, v = state
+        belt, width = _layer(self.at(parameter), v)
+        z = v if width is None else jnp.arcsinh((v - belt) / width)
+        take = jnp.asarray(self.others, int), jnp.asarray(self.solved, int)
+        return jnp.concatenate([x[take[0]], z[take[1]], jnp.log(to_float(period))[None]])
+
+    def unpack(
+        self, u: Float[Array, " m"], parameter: Any = None
+    ) -> tuple[AbstractOscillators, State, Array]:
+        """(field, state on the section, period)."""
+        field = self.at(parameter)
+        count, position = len(self.others), {n: i for i, n in enumerate(self.solved)}
+        period = jnp.exp(u[-1])
+        z = u[count:-1][jnp.asarray([position[i] for i in self.images])]
+        belt, width = _layer(field, z)
+        v = z if width is None else belt + width * jnp.sinh(z)
+        if not self.balanced:
+            return field, (u[:count][jnp.asarray([position[i] for i in self.images])], v), period
+        # x_j = 0 for the moment: the force on j is then what K_jj x_j has to balance.
+        spread = {n: i for i, n in enumerate(self.others)}
+        at = jnp.asarray([spread.get(i, count) for i in self.images])
+        x = jnp.concatenate([u[:count], jnp.zeros(1)])[at]
+        slopes = _image_mask(self.images, self.mass)
+        force = field.local_force(0.0, x, v) + field.restoring_force(x)
+        stiffness = -field.restoring_force(slopes)[self.mass]
+        return field, (x + slopes * (force[self.mass] / stiffness), v), period
+
+    def rest(self, parameter: Any = None) -> Array:
+        """The sinh z_j of vanishing velocity: -|v_d| / eps."""
+        field = self.at(parameter)
+        belt, width = _layer(field, jnp.zeros(len(self.images)))
+        if width is None:
+            return jnp.zeros(())
+        s = -belt / width
+        return s[self.mass]
+
+    def residual(self, u: Float[Array, " m"], parameter: Any = None) -> Float[Array, " m"]:
+        """The gap of x and of z after a period, divided by the velocity amplitude of mass j.
+
+        Where x_j is not explicit, its acceleration at the cut is one more, divided so as well.
+
+        Rest solves the equations, too; a Newton iteration in the divided ones does not end there.
+        """
+        field, state, period = self.unpack(u, parameter)
+        end = flow(field, state, period, rtol=self.rtol, solver=self.solver)
+        return self.gap(u, end, parameter)
+
+    def gap(self, u: Float[Array, " m"], end: State, parameter: Any = None) -> Float[Array, " m"]:
+        """The residual, given the state after a period."""
+        field, (x, v), _ = self.unpack(u, parameter)
+        x1, v1 = end
+        belt, width = _layer(field, v)
+        rows = jnp.asarray(self.solved, int)
+        gap = v1 - v
+        if width is not None:
+            # To first order a gap of z; linear in v, which Newton's method far from the orbit
+            # needs.
+            gap = gap / jnp.hypot(v - belt, width)
+        gaps = jnp.concatenate([(x1 - x)[rows], gap[rows]])
+        if not self.balanced:
+            gaps = jnp.append(gaps, field(0.0, (x, v))[1][self.mass])
+        return gaps / v[self.mass]
+
+
+def residual(u: Float[Array, " m"], parameter: Any, shooting: Shooting) -> Float[Array, " m"]:
+    """`Shooting.residual` as a plain function, which keeps its identity from call to call."""
+    return shooting.residual(u, parameter)
+
+
+def _layer(field: AbstractOscillators, v: Array) -> tuple[Any, Any]:
+    """(the velocity v_d at which friction switches, sign(v_d) eps); (None, None) if none does."""
+    switching = field.switching(0.0, jnp.zeros_like(v))
+    if switching is None:
+        return None, None
+    return -switching[0], field.belt_direction() * switching[1]
+
+
+def _image_mask(images: tuple[int, ...], mass: int) -> Array:
+    return jnp.asarray([float(i == images[mass]) for i in images])

@@ -1,0 +1,1 @@
+"""From the wanted or the measured to the chain: design and identification."""

@@ -1,0 +1,271 @@
+"""Friction and damping from measured boundary speeds and amplitudes, and how far to trust them."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jax.tree_util as jtu
+import numpy as np
+from jax import lax
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Bool, Float, Int, PyTree
+
+from .._checks import (
+    check_count,
+    check_finite,
+    check_number,
+    is_traced,
+    to_float,
+)
+from ..boundaries.bistable import check_friction
+from ..model.chain import Chain
+from ..model.initial_states import check_vibrating
+from .measurements import Measurements, predict
+
+# Levenberg-Marquardt: damping at first, its factors after success and failure, and its bounds.
+_FIRST, _LESS, _MORE, _LEAST, _GREATEST = 1e-3, 0.2, 5.0, 1e-8, 1e8
+# A gain of chi^2 that no interval notices.
+_GAIN = 1e-9
+# Singular values of the scaled Jacobian below this share of the greatest are errors of the
+# integration, and so are entries of a singular vector below the other.
+_SINGULAR, _PART = 1e-6, 1e-3
+
+
+class Identification(eqx.Module):
+    """What `identify` found; p parameters from m measurements.
+
+    - `theta`, `chain`: the parameters of best fit, and the chain with them.
+    - `standard_errors`: a pytree as theta; infinite where the data do not tell.
+    - `covariance`, `correlation`: shape (p, p), of theta flattened, from the curvature:
+      (J^T J)^-1 with J = d(prediction / noise)/d theta; NaN where the data do not tell.
+    - `determined`: shape (p,), false for what another parameter can make up for.
+    - `condition`: of J with its columns scaled to one length; errors of the data grow by as much.
+    - `residuals`: (measured - predicted) / noise, shape (m,); `chi_squared`, the sum of their
+      squares, is about m - p if the model is right and much more if it is not.
+    - `converged`; `evaluations`: predictions with derivatives that it took.
+    """
+
+    theta: PyTree
+    chain: Chain
+    standard_errors: PyTree
+    covariance: Float[Array, "p p"]
+    correlation: Float[Array, "p p"]
+    determined: Bool[Array, " p"]
+    condition: Float[Array, ""]
+    residuals: Float[Array, " m"]
+    chi_squared: Float[Array, ""]
+    converged: Bool[Array, ""]
+    evaluations: Int[Array, ""]
+
+    def interval(self, confidence: Any = 0.95) -> tuple[PyTree, PyTree]:
+        """(lower, upper) bounds of each parameter by itself, pytrees as theta."""
+        check_number("confidence", confidence, "0.95 is usual.")
+        if not is_traced(confidence) and not 0 < float(confidence) < 1:
+            raise ValueError(
+                f"Argument `confidence` must lie between 0 and 1, but is {confidence}: 0.95 is "
+                "usual."
+            )
+        times = jax.scipy.stats.norm.ppf(0.5 + 0.5 * to_float(confidence))
+        lower = jax.tree.map(lambda t, e: t - times * e, self.theta, self.standard_errors)
+        upper = jax.tree.map(lambda t, e: t + times * e, self.theta, self.standard_errors)
+        return lower, upper
+
+
+class _Fit(eqx.Module):
+    z: Float[Array, " p"]
+    residuals: Float[Array, " m"]
+    slopes: Float[Array, "m p"]
+    damping: Float[Array, ""]
+    gain: Float[Array, ""]  # of chi^2, expected of the next step
+    count: Int[Array, ""]
+
+
+def identify(
+    chain: Chain,
+    change: Callable[[Chain, Any], Chain],
+    start: PyTree,
+    measurements: Any,
+    *,
+    friction: Any = "dry",
+    vibrating: Any = None,
+    steps: Any = 60,
+) -> Identification:
+    """The parameters theta with which a chain comes closest to what was measured.
+
+    minimise chi^2(theta) = sum_i [(measured_i - predict_i(change(chain, theta))) / noise_i]^2
+
+    by Levenberg-Marquardt (More, The Levenberg-Marquardt algorithm, Lecture Notes in Mathematics
+    630, 1978) in one compiled loop, with confidence intervals from the curvature there: right for
+    Gaussian noise that is small enough for predictions to be linear in it.
+
+    **Arguments:** `chain` for all that theta does not change; `change(chain, theta)`, the chain of
+    theta; `start`, the first theta, any pytree: it must vibrate where vibrations were measured;
+    `friction`, `vibrating` as in `predict`; `steps`: predictions with derivatives allowed.
+
+    Works under `jit` and `vmap` (over noisy copies of the measurements, say).  optimistix, whose
+    `LevenbergMarquardt` finds the same, compiles every prediction three times.
+
+    **Raises:** `ValueError` for bad input, and if the start predicts no vibration or fold where
+    one was measured.  **Warns** if the data do not determine every parameter.
+
+    >>> import jax
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> from jaxchain import paper_chain
+    >>> from jaxchain.inverse.measurements import Measurements
+    >>> speeds = [1.3, 1.5, 1.7, 2.5]
+    >>> lab = Measurements(hopf=(1.2, 0.01), displacements=(speeds, [0.55, 0.53, 0.52, 0.5], 0.01))
+    >>> law = lambda chain, theta: chain.with_(mu_dynamic=theta[0], v_ref=theta[1])
+    >>> found = identify(paper_chain(n=1), law, jnp.array([0.4, 0.6]), lab)
+    >>> found.theta.round(3).tolist(), found.standard_errors.round(3).tolist()
+    ([0.5, 0.539], [0.005, 0.008])
+    """
+    mass = check_vibrating(chain, vibrating)
+    check_friction(friction)
+    if not isinstance(measurements, Measurements):
+        raise ValueError(
+            "Argument `measurements` must be a `Measurements`, but is a "
+            f"{type(measurements).__name__}."
+        )
+    if steps is None:
+        raise ValueError("Argument `steps` must be an integer of at least 1, but is None.")
+    check_count("steps", steps)
+    start = jax.tree.map(to_float, start)
+    flat, unravel = ravel_pytree(start)
+    if flat.size == 0:
+        raise ValueError("Argument `start` must hold at least one number, but is empty.")
+    check_finite("start", flat, "a search needs numbers to start from.")
+    problem = _Problem(chain, measurements, change, mass, friction, unravel)
+    found = _fit(problem, flat, steps)
+    if not is_traced(found):
+        _complain(problem, found, start)
+    return found
+
+
+class _Problem(eqx.Module):
+    chain: Chain
+    measurements: Measurements
+    change: Callable[[Chain, Any], Chain]
+    mass: int = eqx.field(static=True)
+    friction: str = eqx.field(static=True)
+    unravel: Callable[[Array], Any] = eqx.field(static=True)
+
+    def linearised(self, flat: Array) -> tuple[Array, Array]:
+        """((measured - predicted) / noise, d(predicted / noise)/d theta), the latter forward."""
+
+        def twice(flat: Array) -> tuple[Array, Array]:
+            chain = self.change(self.chain, self.unravel(flat))
+            found = predict(chain, self.measurements, self.mass, self.friction)
+            found = found / self.measurements.noise
+            return found, found
+
+        slopes, found = jax.jacfwd(twice, has_aux=True)(flat)
+        return self.measurements.values / self.measurements.noise - found, slopes
+
+
+@eqx.filter_jit
+def _fit(problem: _Problem, start: Array, steps: int) -> Identification:
+    infinite = jnp.asarray(jnp.inf)
+    m, p = problem.measurements.count, start.size
+
+    def step(now: _Fit) -> tuple[Array, Array]:
+        """(step, the fall of chi^2 that a linear model expects of it)."""
+        lengths = _lengths(now.slopes)
+        scaled = now.slopes / lengths[None, :]
+        matrix = scaled.T @ scaled + now.damping * jnp.eye(p)
+        slope = scaled.T @ now.residuals
+        move = jnp.linalg.solve(matrix, slope)
+        return move / lengths, jnp.sum(move * (slope + now.damping * move))
+
+    def going(now: _Fit) -> Array:
+        # The start itself has no gain yet; a start that predicts nothing ends the search.
+        sound = jnp.all(jnp.isfinite(now.residuals)) | (now.count == 0)
+        return sound & (now.count < steps) & (now.gain > _GAIN) & (now.damping < _GREATEST)
+
+    def body(now: _Fit) -> _Fit:
+        first = now.count == 0
+        move, _ = step(now)
+        trial = now.z + jnp.where(first, 0.0, move)
+        residuals, slopes = problem.linearised(trial)
+        sound = jnp.all(jnp.isfinite(residuals)) & jnp.all(jnp.isfinite(slopes))
+        good = first | (sound & (jnp.sum(residuals**2) < jnp.sum(now.residuals**2)))
+        damping = jnp.where(good, jnp.maximum(_LESS * now.damping, _LEAST), _MORE * now.damping)
+        damping = jnp.where(first, _FIRST, damping)
+        new = _Fit(trial, residuals, slopes, damping, infinite, now.count + 1)
+        old = _Fit(now.z, now.residuals, now.slopes, damping, infinite, now.count + 1)
+        taken = jax.tree.map(lambda a, b: jnp.where(good, a, b), new, old)
+        # Judged with little damping, so that short steps are not taken for the end.
+        _, gain = step(eqx.tree_at(lambda f: f.damping, taken, jnp.asarray(_LEAST)))
+        return eqx.tree_at(lambda f: f.gain, taken, gain)
+
+    blank = _Fit(
+        start, jnp.zeros(m), jnp.zeros((m, p)), jnp.asarray(_FIRST), infinite, jnp.zeros((), int)
+    )  # fmt: skip
+    last = lax.while_loop(going, body, blank)
+
+    covariance, correlation, determined, condition = _curvature(last.slopes)
+    errors = jnp.where(determined, jnp.sqrt(jnp.diagonal(covariance)), jnp.inf)
+    return Identification(
+        theta=problem.unravel(last.z),
+        chain=problem.change(problem.chain, problem.unravel(last.z)),
+        standard_errors=problem.unravel(errors),
+        covariance=covariance,
+        correlation=correlation,
+        determined=determined,
+        condition=condition,
+        residuals=last.residuals,
+        chi_squared=jnp.sum(last.residuals**2),
+        converged=last.gain <= _GAIN,
+        evaluations=last.count,
+    )
+
+
+def _lengths(slopes: Array) -> Array:
+    lengths = jnp.sqrt(jnp.sum(slopes**2, axis=0))
+    return jnp.where(lengths > 0, lengths, 1.0)
+
+
+def _curvature(slopes: Array) -> tuple[Array, Array, Array, Array]:
+    """(covariance, correlation, determined, condition) of J^T J, from the SVD of scaled J."""
+    lengths = _lengths(slopes)
+    sound = jnp.all(jnp.isfinite(slopes))
+    scaled = jnp.where(sound, slopes / lengths[None, :], 0.0)
+    # As many rows as columns at least, for all right singular vectors.
+    scaled = jnp.pad(scaled, ((0, slopes.shape[1]), (0, 0)))
+    _, size, right = jnp.linalg.svd(scaled, full_matrices=False)
+    null = size <= _SINGULAR * size[0]
+    inverse = jnp.where(null, 0.0, 1.0 / jnp.where(null, 1.0, size))
+    root = right.T * inverse[None, :] / lengths[:, None]
+    determined = sound & ~jnp.any(null[:, None] & (jnp.abs(right) > _PART), axis=0)
+    known = determined[:, None] & determined[None, :]
+    covariance = jnp.where(known, root @ root.T, jnp.nan)
+    deviation = jnp.sqrt(jnp.diagonal(covariance))
+    correlation = covariance / (deviation[:, None] * deviation[None, :])
+    condition = jnp.where(sound & (size[-1] > 0), size[0] / size[-1], jnp.inf)
+    return covariance, correlation, determined, condition
+
+
+def _complain(problem: _Problem, found: Identification, start: PyTree) -> None:
+    if not np.all(np.isfinite(found.residuals)):
+        raise ValueError(
+            "Argument `start` predicts no vibration, fold or Hopf point where one was measured: "
+            "start from more friction at rest, or less damping."
+        )
+    if np.all(found.determined):
+        return
+    names = [
+        "theta" + jtu.keystr(path) + (f"[{i}]" if jnp.ndim(leaf) else "")
+        for path, leaf in jtu.tree_leaves_with_path(start)
+        for i in range(jnp.size(leaf))
+    ]
+    which = [n for n, known in zip(names, np.asarray(found.determined), strict=True) if not known]
+    warnings.warn(
+        f"The measurements do not determine {', '.join(which)}: a change of these together goes "
+        "unnoticed. Fix one of them, or measure something else, such as a displacement in steady "
+        "sliding.",
+        stacklevel=3,
+    )

@@ -1,0 +1,150 @@
+"""What is measured of a chain, and what a chain would have shown instead."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._checks import check_finite, check_positive, require_x64, to_float
+from ..boundaries.bistable import check_friction, on_the_belt
+from ..boundaries.fold import fold_belt_speed
+from ..boundaries.grazing import nonsmooth_fold_belt_speed
+from ..boundaries.hopf import hopf_belt_speed
+from ..model.chain import Chain, steady_sliding
+from ..model.initial_states import check_vibrating
+from ..observers.amplitude import Amplitude
+from ..observers.quantities import active
+from ..simulation.event_driven import EventDriven
+from ..simulation.run import simulate
+
+# Some periods: from the belt a stick-slip cycle is reached within one or two.
+_SPAN, _WINDOW = 40.0, 14.0
+# Errors of amplitudes about 1e-9; a series of low order is compiled in half the time.
+_ORDER, _RTOL = 7, 1e-8
+
+
+class Measurements(eqx.Module):
+    """What was measured of a chain, with the standard deviation of its noise (dimensionless).
+
+    **Arguments:** what was not measured is None.
+
+    - `hopf`, `fold`: (belt speed, noise).
+    - `amplitudes`: (belt speeds, amplitudes of the vibrating mass, noise), shapes (k,); the noise
+      may be one number.
+    - `displacements`: (belt speeds, displacements of that mass in steady sliding, noise), alike.
+      Nothing else tells mu_static from mu_dynamic for one mass: both, moved by the same amount,
+      move its rest position alone.
+
+    **Raises:** `ValueError` for numbers that are not finite, noise that is not positive, shapes
+    that do not agree, and for no measurement at all.
+
+    >>> import jax
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> Measurements(hopf=(1.15, 0.01), amplitudes=([1.0, 1.5], [1.4, 1.6], 0.01)).count
+    3
+    """
+
+    hopf: tuple[Array, Array] | None
+    fold: tuple[Array, Array] | None
+    amplitudes: tuple[Array, Array, Array] | None
+    displacements: tuple[Array, Array, Array] | None
+
+    def __init__(
+        self, hopf: Any = None, fold: Any = None, amplitudes: Any = None, displacements: Any = None
+    ):
+        require_x64()
+        self.hopf = None if hopf is None else _reading("hopf", hopf, 0)
+        self.fold = None if fold is None else _reading("fold", fold, 0)
+        self.amplitudes = None if amplitudes is None else _reading("amplitudes", amplitudes, 1)
+        self.displacements = (
+            None if displacements is None else _reading("displacements", displacements, 1)
+        )
+        if not self._all():
+            raise ValueError("`Measurements` must hold at least one measurement, but has none.")
+
+    def _all(self) -> list:
+        every = (self.hopf, self.fold, self.amplitudes, self.displacements)
+        return [reading for reading in every if reading is not None]
+
+    @property
+    def values(self) -> Float[Array, " m"]:
+        """Everything that was measured: Hopf, fold, amplitudes, displacements."""
+        return jnp.concatenate([jnp.atleast_1d(reading[-2]) for reading in self._all()])
+
+    @property
+    def noise(self) -> Float[Array, " m"]:
+        return jnp.concatenate([jnp.atleast_1d(reading[-1]) for reading in self._all()])
+
+    @property
+    def count(self) -> int:
+        return self.values.size
+
+
+def _reading(name: str, given: Any, ndim: int) -> Any:
+    length = 2 + ndim
+    if not isinstance(given, tuple) or len(given) != length:
+        wanted = "(belt speed, noise)" if ndim == 0 else "(belt speeds, values, noise)"
+        raise ValueError(f"Argument `{name}` must be a tuple {wanted}, but is {given!r}.")
+    parts = [to_float(jnp.asarray(part)) for part in given]
+    shape = parts[0].shape
+    fits = len(shape) == ndim and parts[-2].shape == shape and parts[-1].shape in ((), shape)
+    if not fits or parts[0].size == 0:
+        raise ValueError(
+            f"Argument `{name}` must hold {'numbers' if ndim == 0 else 'arrays of one length'}, "
+            f"but has shapes {[part.shape for part in parts]}."
+        )
+    for part in parts[:-1]:
+        check_finite(name, part, "leave out what could not be measured.")
+    check_positive(f"noise of `{name}`", parts[-1], "it is a standard deviation, such as 0.01.")
+    return (*parts[:-1], jnp.broadcast_to(parts[-1], shape))
+
+
+def predict(
+    chain: Chain, measurements: Measurements, vibrating: Any = None, friction: Any = "dry"
+) -> Float[Array, " m"]:
+    """What `chain` would have shown in the place of `measurements.values`.
+
+    With dry friction: the Hopf speed, the grazing-sliding fold, and amplitudes half peak-to-peak
+    of event-driven runs that start on the belt (`on_the_belt`); with smoothed friction their
+    counterparts at the width of the chain.  NaN where there is no such fold or vibration.  Forward
+    derivatives, which hold across sticking and release; `jit`; `vmap`.
+
+    >>> import jax
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> from jaxchain import paper_chain
+    >>> lab = Measurements(hopf=(1.15, 0.01), displacements=([1.5], [0.5], 0.01))
+    >>> predict(paper_chain(n=1), lab).round(4).tolist()
+    [1.1513, 0.5249]
+    """
+    mass = check_vibrating(chain, vibrating)
+    check_friction(friction)
+    dry = friction == "dry"
+    parts = []
+
+    def at(speed: Array) -> Chain:
+        return eqx.tree_at(lambda c: c.belt_speed, chain, speed)
+
+    def amplitude(speed: Array) -> Array:
+        found = simulate(
+            at(speed), on_the_belt(at(speed), mass), _SPAN, observe=Amplitude(window=_WINDOW),
+            solver=EventDriven(_ORDER) if dry else None, rtol=_RTOL, throw=False,
+        ).observed  # fmt: skip
+        return jnp.where(active(found, speed)[mass], found[mass], jnp.nan)
+
+    def displacement(speed: Array) -> Array:
+        return steady_sliding(at(speed))[0][mass]
+
+    if measurements.hopf is not None:
+        parts.append(hopf_belt_speed(chain)[None])
+    if measurements.fold is not None:
+        fold = nonsmooth_fold_belt_speed if dry else fold_belt_speed
+        parts.append(fold(chain, mass)[None])
+    if measurements.amplitudes is not None:
+        parts.append(jax.vmap(amplitude)(measurements.amplitudes[0]))
+    if measurements.displacements is not None:
+        parts.append(jax.vmap(displacement)(measurements.displacements[0]))
+    return jnp.concatenate(parts)

@@ -1,0 +1,295 @@
+"""Designing vibration away: the least change of a chain that makes it quiet enough."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optax
+from jax import lax
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Bool, Float, Int, PyTree
+
+from .._checks import check_count, check_number, check_positive, to_float
+from ..boundaries.bistable import BistableRange, bistable_range, check_friction
+from ..model.chain import Chain
+from ..model.initial_states import check_vibrating
+
+# Longest step, in units of `scale`; what a step shrinks by if refused, and how often it may.
+_LONGEST, _SHRINKAGE, _MOST_REFUSED = 0.3, 0.3, 12
+_ARMIJO, _ROUNDING = 1e-4, 1e-10
+# The penalty in units of 1 / |grad g|^2, and its growth where g does not fall to a quarter.
+_PENALTY, _GROWTH, _ENOUGH = 10.0, 4.0, 0.25
+_LBFGS = optax.chain(optax.scale_by_lbfgs(), optax.scale(-1.0))
+
+
+class Design(eqx.Module):
+    """What `design` found.
+
+    - `theta`, `chain`: the design and its chain; `cost` of it; `range`, its `BistableRange`.
+    - `multiplier`: lambda of grad cost = -lambda grad g, what a further unit of g would cost;
+      0 if the aim costs nothing.
+    - `angle`: between grad cost and -grad g, in radians, 0 at an optimum; NaN if either vanishes.
+    - `residual`: the greater of |grad cost + lambda grad g| and what is missing of g <= 0.
+    - `converged`: whether it is at most the tolerance (a local optimum).
+    - `evaluations`: boundaries with derivatives that it took.
+    - `path`, `costs`, `aims`: every design tried, its cost, and the speed that was to fall; NaN
+      from entry `evaluations` on.
+    """
+
+    theta: PyTree
+    chain: Chain
+    cost: Float[Array, ""]
+    range: BistableRange
+    multiplier: Float[Array, ""]
+    angle: Float[Array, ""]
+    residual: Float[Array, ""]
+    converged: Bool[Array, ""]
+    evaluations: Int[Array, ""]
+    path: PyTree
+    costs: Float[Array, " steps"]
+    aims: Float[Array, " steps"]
+
+
+class _Point(eqx.Module):
+    """A design in units of `scale`, and everything that is known there."""
+
+    z: Float[Array, " m"]
+    cost: Float[Array, ""]
+    g: Float[Array, ""]  # aim - target
+    cost_slope: Float[Array, " m"]
+    g_slope: Float[Array, " m"]
+    range: BistableRange
+
+    def multiplier(self, held: Array, penalty: Array) -> Array:
+        return jnp.maximum(0.0, held + penalty * self.g)
+
+    def lagrangian(self, held: Array, penalty: Array) -> tuple[Array, Array]:
+        """c + (m^2 - lambda^2) / (2 rho), with m = max(0, lambda + rho g), and its gradient."""
+        m = self.multiplier(held, penalty)
+        value = self.cost + (m**2 - held**2) / (2.0 * penalty)
+        return value, self.cost_slope + m * self.g_slope
+
+
+class _Search(eqx.Module):
+    best: _Point
+    step: Float[Array, " m"]  # from there
+    length: Float[Array, ""]
+    state: PyTree  # of the optimiser
+    held: Float[Array, ""]  # lambda
+    penalty: Float[Array, ""]  # rho; NaN before the first point
+    missing: Float[Array, ""]  # |m - lambda| / rho when lambda was last set
+    residual: Float[Array, ""]
+    refused: Int[Array, ""]
+    count: Int[Array, ""]
+    path: Float[Array, "steps m"]
+    costs: Float[Array, " steps"]
+    aims: Float[Array, " steps"]
+
+
+def design(
+    chain: Chain,
+    change: Callable[[Chain, Any], Chain],
+    start: PyTree,
+    *,
+    width_below: Any = None,
+    highest_below: Any = None,
+    cost: Callable[[Any], Any] | None = None,
+    scale: Any = None,
+    friction: str = "dry",
+    vibrating: Any = None,
+    optimiser: optax.GradientTransformation | None = None,
+    steps: Any = 200,
+    tolerance: Any = 1e-6,
+) -> Design:
+    """The cheapest design theta whose vibration ends at a low enough belt speed.
+
+    minimise cost(theta)   subject to   g(theta) = aim(change(chain, theta)) - target <= 0
+
+    where the aim is the `width` of the `bistable_range` or its `highest` speed.  By the augmented
+    Lagrangian (Nocedal and Wright, Numerical Optimization, chapter 17) in one compiled loop, which
+    evaluates one boundary with its derivatives per round.  A design whose vibration vanishes
+    altogether has reached the aim; one whose boundary is not found is drawn back from.
+
+    **Arguments:**
+
+    - `change(chain, theta)`, the chain of a design, for instance
+      `lambda chain, xi: chain.with_(damping_ratio=xi)`; `start`, the first theta, any pytree.
+      What must stay positive is best given by its logarithm.
+    - `width_below` or `highest_below`: the target, a dimensionless speed; one of the two.
+    - `cost(theta)`: by default 1/2 |(theta - start) / scale|^2.
+    - `scale`: a change of theta that counts, one number or a pytree as `start`; by default |start|
+      and 1 where that is 0.
+    - `friction`, `vibrating`: as in `bistable_range`.
+    - `optimiser`: an optax transformation without a line search, `optax.adam(0.01)` say, for
+      theta in units of `scale`; L-BFGS by default.  Steps that make things worse are shortened.
+    - `steps`: boundaries that may be computed.
+
+    **Raises:** `ValueError` for bad input.  What does not converge says so in `converged`.
+
+    >>> import jax
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> from jaxchain import paper_chain
+    >>> damped = lambda chain, xi: chain.with_(damping_ratio=xi)
+    >>> chain = paper_chain(n=1)
+    >>> found = design(chain, damped, 0.05, highest_below=1.7)  # doctest: +SKIP
+    >>> round(float(found.theta), 4), round(float(found.range.fold), 4)  # doctest: +SKIP
+    (0.0553, 1.7)
+    """
+    mass = check_vibrating(chain, vibrating)
+    check_friction(friction)
+    if (width_below is None) == (highest_below is None):
+        raise ValueError(
+            "One of the arguments `width_below` and `highest_below` must be given, but they are "
+            f"{width_below} and {highest_below}: a bistable range or a belt speed is to fall."
+        )
+    name = "highest_below" if width_below is None else "width_below"
+    target = highest_below if width_below is None else width_below
+    check_number(name, target, "it is a speed, such as 0.3.")
+    check_positive(name, target, "it is a speed, such as 0.3.")
+    if steps is None:
+        raise ValueError("Argument `steps` must be an integer of at least 1, but is None.")
+    check_count("steps", steps)
+    check_positive("tolerance", tolerance, "1e-6 is usual.")
+    start = jax.tree.map(to_float, start)
+    flat, unravel = ravel_pytree(start)
+    if flat.size == 0:
+        raise ValueError("Argument `start` must hold at least one number, but is empty.")
+    if scale is None:
+        units = jnp.where(flat == 0, 1.0, jnp.abs(flat))
+    else:
+        check_positive("scale", ravel_pytree(scale)[0], "it is a change that counts.")
+        units = jnp.broadcast_to(ravel_pytree(scale)[0], flat.shape)
+    problem = _Problem(chain, flat, units, to_float(target), change, cost, friction, mass,
+                       name, unravel)  # fmt: skip
+    return _solve(problem, _LBFGS if optimiser is None else optimiser, steps, to_float(tolerance))
+
+
+class _Problem(eqx.Module):
+    chain: Chain
+    start: Float[Array, " m"]
+    scale: Float[Array, " m"]
+    target: Float[Array, ""]
+    change: Callable[[Chain, Any], Chain]
+    own_cost: Callable[[Any], Any] | None
+    friction: str = eqx.field(static=True)
+    mass: int = eqx.field(static=True)
+    name: str = eqx.field(static=True)
+    unravel: Callable[[Array], Any] = eqx.field(static=True)
+
+    def theta(self, z: Array) -> Array:
+        return self.start + self.scale * z
+
+    def chain_at(self, z: Array) -> Chain:
+        return self.change(self.chain, self.unravel(self.theta(z)))
+
+    def point(self, z: Array) -> _Point:
+        """Forward in every direction at once: the searches within have no reverse."""
+
+        def both(z: Array) -> tuple[Array, tuple[Array, BistableRange]]:
+            found = bistable_range(self.chain_at(z), self.mass, self.friction)
+            aim = found.width if self.name == "width_below" else found.highest
+            cost = 0.5 * jnp.sum(z**2)
+            if self.own_cost is not None:
+                cost = to_float(self.own_cost(self.unravel(self.theta(z))))
+            values = jnp.stack([cost, jnp.where(found.known, aim - self.target, jnp.nan)])
+            return values, (values, found)
+
+        slopes, (values, found) = jax.jacfwd(both, has_aux=True)(z)
+        return _Point(z, values[0], values[1], slopes[0], slopes[1], found)
+
+
+@eqx.filter_jit
+def _solve(problem: _Problem, optimiser: Any, steps: int, tolerance: Array) -> Design:
+    transform: Any = optax.with_extra_args_support(optimiser)
+    size = problem.start.size
+    zero, infinite = jnp.zeros(size), jnp.asarray(jnp.inf)
+    nothing = jnp.zeros((), int)
+    unknown = BistableRange(infinite, infinite, infinite, infinite, jnp.asarray(False))
+    blank = _Point(zero, infinite, infinite, zero, zero, unknown)
+
+    def going(now: _Search) -> Array:
+        hopeful = (now.refused < _MOST_REFUSED) & (now.count < steps)
+        return hopeful & (now.residual > tolerance)
+
+    def round_(now: _Search) -> _Search:
+        trial = problem.point(now.best.z + now.length * now.step)
+        first = jnp.isinf(now.best.cost)
+        steepness = jnp.sum(trial.g_slope**2)
+        scaled = _PENALTY / jnp.where(steepness > 0, steepness, 1.0)
+        penalty = jnp.where(first, scaled, now.penalty)
+        value, slope = trial.lagrangian(now.held, penalty)
+        before, before_slope = now.best.lagrangian(now.held, penalty)
+        # A step of an optimiser with momentum may lead uphill: it need not do better.
+        descent = jnp.minimum(now.length * jnp.sum(before_slope * now.step), 0.0)
+        limit = before + _ARMIJO * descent + _ROUNDING * (1.0 + jnp.abs(before))
+        uphill = jnp.sum(before_slope * now.step) >= 0
+        sound = jnp.isfinite(value) & jnp.all(jnp.isfinite(slope))
+        good = sound & (first | uphill | (value <= limit))
+
+        best = _where(good, trial, now.best)
+        m = best.multiplier(now.held, penalty)
+        _, slope = best.lagrangian(now.held, penalty)
+        missing, off = jnp.abs(m - now.held) / penalty, jnp.sqrt(jnp.sum(slope**2))
+        # Exact minima of early Lagrangians are of no use.
+        renew = good & (off <= jnp.maximum(0.3 * missing, 0.3 * tolerance))
+        slow = renew & (missing > _ENOUGH * now.missing)
+        held = jnp.where(renew, m, now.held)
+        new_penalty = jnp.where(slow, _GROWTH * penalty, penalty)
+        value, slope = best.lagrangian(held, new_penalty)
+        # Another Lagrangian, of which the optimiser knows nothing.
+        memory = _where(renew, transform.init(zero), now.state)
+        step, memory = transform.update(slope, memory, best.z, value=value, grad=slope)
+        longest = jnp.max(jnp.abs(step))
+        step = step * jnp.minimum(1.0, _LONGEST / jnp.where(longest > 0, longest, 1.0))
+        return _Search(
+            best=best,
+            step=jnp.where(good, step, now.step),
+            length=jnp.where(good, 1.0, _SHRINKAGE * now.length),
+            state=_where(good, memory, now.state),
+            held=held,
+            penalty=new_penalty,
+            missing=jnp.where(renew, missing, now.missing),
+            residual=jnp.where(good, jnp.maximum(off, missing), now.residual),
+            refused=jnp.where(good, 0, now.refused + 1),
+            count=now.count + 1,
+            path=now.path.at[now.count].set(problem.theta(trial.z)),
+            costs=now.costs.at[now.count].set(trial.cost),
+            aims=now.aims.at[now.count].set(trial.g + problem.target),
+        )
+
+    path, record = jnp.full((steps, size), jnp.nan), jnp.full(steps, jnp.nan)
+    last = lax.while_loop(
+        going,
+        round_,
+        _Search(blank, zero, jnp.ones(()), transform.init(zero), jnp.zeros(()), jnp.ones(()),
+                infinite, infinite, nothing, nothing, path, record, record),
+    )  # fmt: skip
+    best = last.best
+    return Design(
+        theta=problem.unravel(problem.theta(best.z)),
+        chain=problem.chain_at(best.z),
+        cost=best.cost,
+        range=best.range,
+        multiplier=best.multiplier(last.held, last.penalty),
+        angle=_angle(best.cost_slope, -best.g_slope),
+        residual=last.residual,
+        converged=last.residual <= tolerance,
+        evaluations=last.count,
+        path=jax.vmap(problem.unravel)(last.path),
+        costs=last.costs,
+        aims=last.aims,
+    )
+
+
+def _angle(a: Array, b: Array) -> Array:
+    """In [0, pi], exact for small ones, too."""
+    a, b = a / jnp.sqrt(jnp.sum(a**2)), b / jnp.sqrt(jnp.sum(b**2))
+    return 2.0 * jnp.arctan2(jnp.sqrt(jnp.sum((a - b) ** 2)), jnp.sqrt(jnp.sum((a + b) ** 2)))
+
+
+def _where(condition: Array, a: Any, b: Any) -> Any:
+    return jax.tree.map(lambda x, y: jnp.where(condition, x, y), a, b)

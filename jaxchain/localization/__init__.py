@@ -1,0 +1,1 @@
+"""Localized states: patterns, fronts, mistuning."""

@@ -1,0 +1,259 @@
+"""How fast the fronts of a vibrating block move, and at which belt speed they come unstuck.
+
+A front that moves does so in hops, from mass to mass; one that is pinned does not move at all.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from .._checks import check_count, check_number, check_positive, is_traced, require_x64, to_float
+from .._types import ScalarLike
+from ..model.chain import Chain
+from ..model.initial_states import check_vibrating
+from ..observers.fronts import Fronts, FrontTrack, apart, mean_speed
+from ..result import STOPPED_WELL, Result
+from ..simulation.event_driven import EventDriven
+from ..simulation.run import simulate
+
+_SMALLEST = 12
+VERDICTS = ("shrinks", "stands", "grows", "unknown")
+
+
+class FrontSpeed(eqx.Module):
+    """How fast the fronts of a block move, in masses per dimensionless time; > 0 where it grows.
+
+    - `speed`, `error`: mean of both fronts, and half-width of its confidence interval (both fronts
+      of a symmetric block hop together, so it is no less than that of one).
+    - `right`, `left`, `right_error`, `left_error`: each front.
+    - `moved`: how far the fronts got, in masses, mean of both.
+    - `verdict`: +1 grows, -1 shrinks: the interval lies above or below 0; 0 stands: it holds 0 and
+      the front moved by less than a mass; 2 unknown.  `outcome` is its name.
+    - `times`, `fronts`: middles of the windows, and `Fronts`.
+    - `result`: how the run ended.  A run that failed has NaN for numbers and verdict 2.
+    """
+
+    speed: Float[Array, ""]
+    error: Float[Array, ""]
+    right: Float[Array, ""]
+    left: Float[Array, ""]
+    right_error: Float[Array, ""]
+    left_error: Float[Array, ""]
+    moved: Float[Array, ""]
+    verdict: Int[Array, ""]
+    times: Float[Array, " windows"]
+    fronts: Fronts
+    result: Result
+
+    @property
+    def outcome(self) -> str:
+        """ "grows", "stands", "shrinks" or "unknown", of one run (not of a batch)."""
+        return VERDICTS[int(self.verdict) + 1]
+
+
+def ended_well(result: Result) -> Bool[Array, ""]:
+    """Whether a run has an answer."""
+    return jnp.any(jnp.stack([result == getattr(Result, name) for name in STOPPED_WELL]))
+
+
+@eqx.filter_jit
+def read_speed(
+    fronts: Fronts, n: int, t0: ScalarLike, t1: ScalarLike, transient: ScalarLike,
+    result: Result, level: Any = 0.95,
+) -> FrontSpeed:  # fmt: skip
+    """The speeds behind the record of a `FrontTrack` over [t0, t1] on a ring of n masses.
+
+    What lies before t0 + transient, or after a front first came within two masses of the middle of
+    its block or three of the far side of the ring, is left out.
+    """
+    windows = fronts.right.shape[-1]
+    length = (t1 - t0) / windows
+    times = t0 + (jnp.arange(windows) + 0.5) * length
+    late = times - 0.5 * length >= t0 + transient
+
+    def one(place: Array) -> tuple[Array, Array, Array]:
+        valid = late & jnp.cumprod(apart(place, n)).astype(bool)
+        speed, error = mean_speed(times, place, valid, level=level)
+        last = jnp.max(jnp.where(valid, jnp.arange(windows), 0))
+        moved = place[last] - place[jnp.argmax(valid)]
+        return speed, error, jnp.where(jnp.any(valid), moved, jnp.nan)
+
+    right, left = one(fronts.right), one(fronts.left)
+    # Fronts of a symmetric block hop at the same time: their errors do not average out.
+    speed, error, moved = (0.5 * (a + b) for a, b in zip(right, left, strict=True))
+    well = ended_well(result)
+    verdict = jnp.where(jnp.abs(moved) < 1.0, 0, 2)
+    verdict = jnp.where(jnp.abs(speed) > error, jnp.sign(speed).astype(int), verdict)
+    verdict = jnp.where(jnp.isfinite(speed) & well, verdict, 2)
+
+    def known(value: Array) -> Array:
+        return jnp.where(well, value, jnp.nan)
+
+    return FrontSpeed(
+        speed=known(speed), error=known(error), right=known(right[0]), left=known(left[0]),
+        right_error=known(right[1]), left_error=known(left[1]), moved=known(moved),
+        verdict=verdict, times=times, fronts=fronts, result=result,
+    )  # fmt: skip
+
+
+def front_speed(
+    chain: Chain,
+    initial: Any,
+    t1: ScalarLike,
+    *,
+    t0: ScalarLike = 0.0,
+    transient: Any = None,
+    windows: Any = None,
+    middle: Any = None,
+    level: Any = 0.95,
+    solver: Any = None,
+    rtol: Any = 1e-6,
+) -> FrontSpeed:
+    """Runs a block of vibrating masses and measures how fast its fronts move.
+
+    **Arguments:** (dimensionless)
+
+    - `initial`: (x, v), such as `excited_state(chain, n // 2, block="centred")`.
+    - `t1`, `t0`: end and start of the run.
+    - `transient`: what is left out at its start (None: a fifth of it).
+    - `windows`: see `FrontTrack` (None: as many as last 20 time units; needed where t1 or t0 is
+      traced).
+    - `middle`: a mass inside the block (None: n // 2).
+    - `level`: confidence level of errors and verdict, see `mean_speed`.
+    - `solver`, `rtol`: as for `simulate`; None is `EventDriven()`, true dry friction.
+
+    Works under `jit` and `vmap`; a run that fails is marked, not raised.
+
+    **Raises:** `ValueError` for bad input before anything is compiled.
+
+    ```python
+    chain = paper_chain(n=40, belt_speed=1.1)
+    found = front_speed(chain, excited_state(chain, 14, block="centred"), 800.0)
+    found.outcome, float(found.speed)  # "grows", 0.016
+    ```
+    """
+    require_x64()
+    middle = check_vibrating(chain, middle)
+    _check_ring(chain)
+    windows = _window_count(windows, t0, t1)
+    if transient is None:
+        transient = 0.2 * (t1 - t0)
+    check_number("transient", transient, "a fifth of the run is usual.")
+    run = simulate(
+        chain, initial, t1, t0=t0, observe=FrontTrack(windows, middle), rtol=rtol,
+        solver=EventDriven() if solver is None else solver, throw=False,
+    )  # fmt: skip
+    return read_speed(run.observed, chain.n, t0, t1, transient, run.result, level)
+
+
+def _check_ring(chain: Chain) -> None:
+    if chain.springs is None or chain.ends != "cyclic" or chain.n < _SMALLEST:
+        raise ValueError(
+            f"Argument `chain` must be a coupled ring of at least {_SMALLEST} masses for two "
+            f"fronts to move on, but has n = {chain.n} and ends {chain.ends!r}."
+        )
+
+
+def _window_count(windows: Any, t0: Any, t1: Any) -> int:
+    if windows is None:
+        if is_traced(t0, t1):
+            raise ValueError("Argument `windows` must be given where `t1` or `t0` is traced.")
+        return max(int((float(t1) - float(t0)) / 20.0), 1)
+    check_count("windows", windows)
+    return int(windows)
+
+
+class Depinning(eqx.Module):
+    """Where fronts begin to move: they stand at `stands` and move at `moves`, two belt speeds.
+
+    `middle` lies between them and `error` is half their distance; NaN if the two ends of the
+    search did not do what was said of them, or a run failed.
+    """
+
+    stands: Float[Array, ""]
+    moves: Float[Array, ""]
+
+    @property
+    def middle(self) -> Array:
+        return 0.5 * (self.stands + self.moves)
+
+    @property
+    def error(self) -> Array:
+        return 0.5 * jnp.abs(self.stands - self.moves)
+
+
+def depinning_belt_speed(
+    chain: Chain,
+    initial: Any,
+    t1: ScalarLike,
+    *,
+    stands: Any,
+    moves: Any,
+    halvings: Any = 6,
+    transient: Any = None,
+    windows: Any = None,
+    solver: Any = None,
+    rtol: Any = 1e-6,
+) -> Depinning:
+    """The belt speed at which the fronts of a block come unstuck, by bisection.
+
+    Fronts move if the block gained or lost a mass at each front, on average, between the transient
+    and t1: so speeds below 1 / (t1 - transient) count as standing, and a longer run moves the
+    answer towards `stands` (by the square of the time where depinning is a saddle-node).
+
+    **Arguments:** `initial`, a function chain -> (x, v); `stands` and `moves`, belt speeds at
+    which fronts are known to do so, in either order; `halvings` of the distance between them; the
+    rest as in `front_speed`.
+
+    Works under `jit` and `vmap`.  **Raises:** `ValueError` for bad input.
+
+    ```python
+    chain = paper_chain(n=40)
+    block = lambda chain: excited_state(chain, 14, block="centred")
+    found = depinning_belt_speed(chain, block, 2000.0, stands=1.5, moves=1.25)
+    ```
+    """
+    require_x64()
+    check_vibrating(chain, None)
+    _check_ring(chain)
+    if not callable(initial):
+        raise ValueError(
+            "Argument `initial` must be a function chain -> (x, v), because steady sliding moves "
+            f"with the belt speed, but is {initial!r}."
+        )
+    for name, value in (("stands", stands), ("moves", moves)):
+        check_number(name, value, "it is a belt speed, such as 1.5.")
+        check_positive(name, value, "it is a belt speed, such as 1.5.")
+    check_count("halvings", halvings)
+    count = _window_count(windows, 0.0, t1)
+
+    def moved(speed: Array) -> tuple[Array, Array]:
+        own = chain.with_(belt_speed=speed)
+        run = front_speed(
+            own, initial(own), t1, transient=transient, windows=count, solver=solver, rtol=rtol
+        )
+        # Fronts that met before their speed could be measured have moved.
+        went = (jnp.abs(run.moved) >= 1.0) | jnp.isnan(run.speed)
+        return went, ended_well(run.result)
+
+    first = to_float(stands), to_float(moves)
+
+    def look(ends: tuple[Array, Array], index: Array) -> tuple[Any, tuple[Array, Array]]:
+        """Both ends in turn, then the middle of what is left."""
+        still, moving = ends
+        speed = jnp.where(index == 0, still, jnp.where(index == 1, moving, 0.5 * (still + moving)))
+        went, well = moved(speed)
+        halves = index >= 2
+        new = (
+            jnp.where(halves & ~went, speed, still), jnp.where(halves & went, speed, moving)
+        )  # fmt: skip
+        return new, (went, well)
+
+    (low, high), (went, well) = lax.scan(look, first, jnp.arange(halvings + 2))
+    known = ~went[0] & went[1] & jnp.all(well)
+    return Depinning(jnp.where(known, low, jnp.nan), jnp.where(known, high, jnp.nan))

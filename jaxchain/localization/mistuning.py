@@ -1,0 +1,234 @@
+"""Mistuning: chains of unequal masses, and how it localizes the modes of the linear chain."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float
+
+from .._checks import (
+    check_count,
+    check_nonnegative,
+    check_number,
+    check_positive,
+    is_traced,
+    require_64_bits,
+    require_x64,
+)
+from .._types import ScalarLike
+from ..model.chain import Chain
+from ..observers.quantities import participation_ratio
+
+# Draws of a normal distribution end at so many standard deviations: no stiffness is negative.
+_NORMAL_END = 4.0
+# The greatest departure of a stiffness from its mean, in standard deviations.
+FARTHEST = {"uniform": math.sqrt(3.0), "normal": _NORMAL_END}
+
+
+def mistuned_stiffness(
+    seed: Any, n: Any, disorder: Any, distribution: str = "uniform"
+) -> Float[Array, " n"]:
+    """Random stiffnesses k_n = 1 + disorder u_n, u_n independent, of mean 0 and variance 1.
+
+    **Arguments:**
+
+    - `seed`: a whole number, or a key of `jax.random`.  The u_n depend on nothing else (but n and
+      the distribution), so that one seed is one chain, whatever the disorder.
+    - `n`: number of masses.
+    - `disorder`: the standard deviation of the stiffness relative to its mean: 0.05 is what the
+      literature on mistuning calls 5 % (of natural frequencies half of it).
+    - `distribution`: "uniform", within 1 +- sqrt(3) disorder (Anderson's box, of full width
+      W = sqrt(12) disorder), or "normal", cut off at 4 standard deviations.
+
+    **Returns:** shape (n,).  Seed and disorder may be traced.
+
+    **Raises:** `ValueError` for a negative disorder, one that lets a stiffness be zero (0.577 and
+    0.25), a distribution or a seed that is none.
+
+    >>> import jax
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> from jaxchain import paper_chain
+    >>> from jaxchain.localization.mistuning import mistuned_stiffness
+    >>> chain = paper_chain(20).with_(stiffness=mistuned_stiffness(7, 20, 0.05))
+    >>> bool(abs(chain.stiffness - 1.0).max() < 0.087)
+    True
+    """
+    require_x64()
+    masses: Any = 0 if n is None else n  # None would be no limit
+    check_count("n", masses)
+    _check_disorder(disorder, distribution)
+    return 1.0 + disorder * _draw(_key(seed), int(masses), distribution)
+
+
+def mistuned_chain(chain: Chain, seed: Any, disorder: Any, distribution: str = "uniform") -> Chain:
+    """The chain with each stiffness multiplied by one of `mistuned_stiffness`.
+
+    Made for `sweep(..., vary=mistuned_chain, over={"disorder": ..., "seed": ...})`.
+
+    **Raises:** `ValueError` as `mistuned_stiffness`.
+
+    ```python
+    states = sweep(
+        paper_chain(), lambda chain: equation_8(chain, 1), 600.0, solver=EventDriven(),
+        vary=mistuned_chain, over={"disorder": [0.0, 0.05], "seed": range(100)},
+    )
+    ```
+
+    >>> import jax
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> from jaxchain import paper_chain
+    >>> from jaxchain.localization.mistuning import mistuned_chain
+    >>> mistuned_chain(paper_chain(4), seed=1, disorder=0.05).stiffness.shape
+    (4,)
+    """
+    factor = mistuned_stiffness(seed, chain.n, disorder, distribution)
+    return chain.with_(stiffness=chain.stiffness * factor)
+
+
+def _key(seed: Any) -> Array:
+    if isinstance(seed, jax.Array) and jnp.issubdtype(seed.dtype, jax.dtypes.prng_key):
+        return seed
+    value = seed if is_traced(seed) else np.asarray(seed)
+    if value.shape != () or not jnp.issubdtype(value.dtype, jnp.integer):
+        raise ValueError(
+            f"Argument `seed` must be a whole number or a key of `jax.random`, but is {seed!r}."
+        )
+    return jax.random.key(seed)
+
+
+def _check_disorder(disorder: Any, distribution: str) -> None:
+    if distribution not in FARTHEST:
+        raise ValueError(
+            f"Argument `distribution` must be one of {list(FARTHEST)}, but is {distribution!r}."
+        )
+    check_number("disorder", disorder, "0.05 is a mistuning of 5 %.")
+    check_nonnegative("disorder", disorder, "0.05 is a mistuning of 5 %.")
+    if not is_traced(disorder) and FARTHEST[distribution] * float(disorder) >= 1.0:
+        raise ValueError(
+            f"Argument `disorder` = {disorder} lets a stiffness be zero: a {distribution} "
+            f"distribution needs less than {1.0 / FARTHEST[distribution]:.3g}."
+        )
+
+
+def _draw(key: Array, count: int, distribution: str) -> Float[Array, " count"]:
+    """Independent numbers of mean 0 and variance 1."""
+    if distribution == "uniform":
+        end = FARTHEST["uniform"]
+        return jax.random.uniform(key, (count,), float, -end, end)
+    end = _NORMAL_END
+    density = math.exp(-0.5 * end**2) / math.sqrt(2.0 * math.pi)
+    variance = 1.0 - 2.0 * end * density / math.erf(end / math.sqrt(2.0))
+    return jax.random.truncated_normal(key, -end, end, (count,), float) / variance**0.5
+
+
+class LinearModes(eqx.Module):
+    """Modes of the chain without friction and damping: K u = omega^2 u, lowest first.
+
+    - `frequency`: omega, shape (n,).
+    - `shape`: shape (mode, mass), orthonormal rows.
+    - `participation_ratio`: of each mode, from 1 (one mass alone) to n; shape (n,).
+    - `return_probability`: p_n = sum_j u_jn^4 of each mass, shape (n,): the share of the energy
+      given to mass n that stays there in the long run, 1 for a mass that moves alone in a mode of
+      its own (Anderson's measure of localization).
+    """
+
+    frequency: Float[Array, " n"]
+    shape: Float[Array, "n n"]
+    participation_ratio: Float[Array, " n"]
+    return_probability: Float[Array, " n"]
+
+
+def linear_modes(chain: Any) -> LinearModes:
+    """Natural frequencies and mode shapes of a chain.
+
+    In a tuned ring omega_q^2 = k + 2 eta_c (1 - cos q), q = 2 pi m / n: a band of width 4 eta_c.
+    Pairs q, -q are degenerate there, and only their plane has a meaning; any wave cos(q n + phase)
+    of it has the participation ratio 2 n / 3 (but for multiples of pi / 2).  Random stiffnesses
+    localize every mode of a long chain; what counts is disorder / eta_c.
+
+    **Raises:** `ValueError` for anything but a `Chain`.
+
+    >>> import jax
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> from jaxchain import paper_chain
+    >>> from jaxchain.localization.mistuning import linear_modes, mistuned_chain
+    >>> tuned, mistuned = paper_chain(), mistuned_chain(paper_chain(), 0, 0.05)
+    >>> [round(float(linear_modes(c).participation_ratio.mean())) for c in (tuned, mistuned)]
+    [14, 1]
+    """
+    require_x64()
+    if not isinstance(chain, Chain):
+        raise ValueError(f"Argument `chain` must be a `Chain`, but is a {type(chain).__name__}.")
+    require_64_bits("chain", chain)
+    return _modes(chain)
+
+
+@eqx.filter_jit  # one small program instead of a dozen
+def _modes(chain: Chain) -> LinearModes:
+    n = chain.n
+    stiffness = jnp.diag(jnp.broadcast_to(chain.stiffness_diagonal(n), (n,)))
+    if chain.springs is not None:
+        stiffness = stiffness - chain.springs.dense(n)
+    square, columns = jnp.linalg.eigh(stiffness)
+    shape = columns.T
+    return LinearModes(
+        jnp.sqrt(square), shape, participation_ratio(shape), jnp.sum(shape**4, axis=0)
+    )
+
+
+def localization_length(
+    disorder: Any,
+    coupling: Any,
+    position: ScalarLike = 0.0,
+    *,
+    seed: Any = 0,
+    length: int = 100_000,
+    distribution: str = "uniform",
+) -> Float[Array, ""]:
+    """Over how many masses the modes of a long mistuned chain decay e-fold: 1 / gamma.
+
+    gamma is the mean of ln |r_n|, r_n = u_{n+1} / u_n, along a random chain (Lyapunov exponent of
+    the transfer matrix), with r_n = (k_n + 2 eta_c - omega^2) / eta_c - 1 / r_{n-1}.  For little
+    disorder 1 / gamma = 8 eta_c^2 sin^2 q / disorder^2, and 105 / 96 of it in the middle of the
+    band; the ratio of the two matters, nothing else.
+
+    **Arguments:** `disorder`, the standard deviation of the stiffness; `coupling` eta_c > 0;
+    `position` in the band, (1 + 2 eta_c - omega^2) / (2 eta_c) = cos q: -1 ... 1, 0 its middle;
+    `length` of the random chain: the relative error is about sqrt(1 / (gamma length)).
+
+    **Returns:** a number of masses; infinite without disorder.
+
+    **Raises:** `ValueError` as `mistuned_stiffness`, and for a coupling that is not positive.
+
+    Source: Thouless, in Ill-Condensed Matter (1979); Kappus and Wegner, Z. Phys. B 45, 15 (1981).
+
+    >>> import jax
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> from jaxchain.localization.mistuning import localization_length
+    >>> round(float(localization_length(0.005, 0.01)))
+    34
+    """
+    require_x64()
+    check_number("coupling", coupling, "the paper's chain has 0.01.")
+    check_positive("coupling", coupling, "the paper's chain has 0.01.")
+    check_number("position", position, "0 is the middle of the band.")
+    check_count("length", length)
+    _check_disorder(disorder, distribution)
+    ratios = disorder / coupling * _draw(_key(seed), int(length), distribution)
+
+    def pass_on(ratio: Array, departure: Array) -> tuple[Array, Array]:
+        following = departure + 2.0 * position - 1.0 / ratio
+        # A node: the mode goes on as if it were a little beside it.
+        following = jnp.where(jnp.abs(following) < 1e-12, 1e-12, following)
+        return following, jnp.log(jnp.abs(following))
+
+    _, growth = lax.scan(pass_on, jnp.ones(()), ratios)
+    exponent = jnp.mean(growth)
+    has = jnp.asarray(disorder) > 0
+    return jnp.where(has, 1.0 / jnp.where(has, exponent, 1.0), jnp.inf)

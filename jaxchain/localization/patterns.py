@@ -1,0 +1,320 @@
+"""Localized vibrations of a few neighbours, to first order in the coupling: guesses for cycles.
+
+Weakly coupled, each vibrating mass goes round the cycle of one mass alone, and only its phase
+theta_n is free.  Averaged over a period (Kuramoto, Chemical Oscillations, Waves, and Turbulence,
+Springer 1984, chapter 5),
+
+    theta_n' = omega [1 + eta_c (sum of H(theta_m - theta_n) over vibrating neighbours + b_n H_q)]
+    H(s) = (1 / 2 pi) integral of Z(theta) x(theta + s) over theta
+
+with Z = d(time gained)/d(velocity given) of the cycle, x its displacement, and b_n the number of
+neighbours that do not vibrate on their own: H_q is the same mean with their response to it.  A
+pattern in which all phases grow alike is *locked*; a cycle of the chain is near it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Complex, Float
+
+from .._checks import check_finite, require_64_bits, require_x64
+from .._types import State
+from ..cycles.averaging import one_mass
+from ..cycles.floquet import monodromy_matrix
+from ..cycles.search import find_limit_cycle
+from ..model.chain import Chain, steady_sliding
+from ..model.initial_states import reference_site
+from ..model.sliding import has_uniform_damping, sliding_damping, stiffness_matrix
+from ..observers.base import Trajectory
+from ..simulation.run import simulate
+
+_SAMPLES, _HARMONICS = 256, 8
+# Of the search for locked patterns: starts, Newton steps, and what counts as solved and as same.
+_STARTS, _NEWTON, _SOLVED, _SAME = 300, 40, 1e-10, 1e-5
+
+
+class PhaseModel(eqx.Module):
+    """Phases of vibrating neighbours on a homogeneous ring.
+
+    - `state` = (x, v), shape (1,), and `period`: the cycle of one mass, its neighbours held, at
+      its greatest velocity, where theta = 0.
+    - `interaction` (h,): H(s) = Re sum_h c_h exp(i h s), h = 0, 1, ...; `quiet`: H_q.
+    - `displacement` (h,): x(theta) in the same way; `chain`: whose masses these are.
+    """
+
+    chain: Chain
+    state: State
+    period: Float[Array, ""]
+    displacement: Complex[Array, " h"]
+    interaction: Complex[Array, " h"]
+    quiet: Float[Array, ""]
+
+    def pull(self, difference: Float[Array, "*any"]) -> Float[Array, "*any"]:
+        """H, of the phase of a neighbour less one's own."""
+        h = jnp.arange(self.interaction.shape[0])
+        turned = jnp.exp(1j * jnp.multiply.outer(difference, h))
+        return jnp.real(turned @ self.interaction)
+
+    def rates(self, phases: Float[Array, " k"]) -> Float[Array, " k"]:
+        """(theta_n' / omega - 1) / eta_c of k neighbours, or of the whole ring for k = n."""
+        own, ring = phases, phases.shape[0] == self.chain.n
+        forth = self.pull(jnp.roll(own, -1) - own)
+        back = self.pull(jnp.roll(own, 1) - own)
+        if not ring:
+            forth = forth.at[-1].set(self.quiet)
+            back = back.at[0].set(self.quiet)
+        return forth + back
+
+
+def phase_model(chain: Any) -> PhaseModel:
+    """The phase model of a weakly coupled homogeneous ring at its belt speed.
+
+    **Raises:** `ValueError` for a chain of another kind; `RuntimeError` if one mass has no
+    stick-slip cycle there.
+
+    !!! example
+
+        ```python
+        chain = paper_chain(20, belt_speed=1.5)
+        model = phase_model(chain)
+        calmest, *_ = locked_patterns(model, 4)
+        state, period = pattern_guess(model, calmest.phases, first=10)
+        cycle = find_limit_cycle(chain, state, period=period, vibrating=10)
+        calmest.growth, float(cycle.energy)  # (-0.00093..., 4.9056...)
+        ```
+    """
+    require_x64()
+    _check_ring(chain)
+    alone = one_mass(chain, 0)
+    cycle = find_limit_cycle(alone)
+    state, period = cycle.state, cycle.period
+    times = period * jnp.arange(_SAMPLES) / _SAMPLES
+    xs, vs = simulate(alone, state, period, observe=Trajectory(times), rtol=_rtol(chain)).observed
+    z = (jnp.fft.fft(_velocity_response(alone, xs, vs, period)) / _SAMPLES)[:_HARMONICS]
+    twice = jnp.where(jnp.arange(_HARMONICS) == 0, 1.0, 2.0)
+    displacement = twice * (jnp.fft.fft(xs[:, 0]) / _SAMPLES)[:_HARMONICS]
+    one = jnp.arange(chain.n) == 0
+    answer = _shaken(chain, period, jnp.where(one[None, :], displacement[:, None], 0.0), one)[:, 1]
+    return PhaseModel(
+        chain=chain, state=state, period=period, displacement=displacement,
+        interaction=jnp.conj(z) * displacement, quiet=jnp.real(jnp.vdot(z, answer)),
+    )  # fmt: skip
+
+
+def _check_ring(chain: Any) -> None:
+    if not isinstance(chain, Chain):
+        raise ValueError(f"Argument `chain` must be a `Chain`, but is a {type(chain).__name__}.")
+    require_64_bits("chain", chain)
+    same = has_uniform_damping(chain) and jnp.ndim(chain.stiffness) == 0
+    ring = chain.coupling is not None and jnp.ndim(chain.coupling) == 0 and chain.ends == "cyclic"
+    if not (same and ring and chain.n > 2):
+        raise ValueError(
+            "Argument `chain` must be a ring of three masses or more, all alike, with a number "
+            f"for `coupling`, but is one of {chain.n} that is not: phases of unlike masses drift."
+        )
+
+
+def _rtol(chain: Chain) -> Array:
+    """A sticking mass errs by little in units of the width."""
+    return jnp.clip(1e-4 * chain.friction.width, 1e-11, 1e-7)
+
+
+@eqx.filter_jit
+def _velocity_response(
+    alone: Chain, xs: Float[Array, "m 1"], vs: Float[Array, "m 1"], period: Float[Array, ""]
+) -> Float[Array, " m"]:
+    """d(time gained)/d(velocity given) along a cycle: of each left eigenvector l, l . f = 1."""
+
+    def at(x: Array, v: Array) -> Array:
+        # M - 1 has rank one, and l is square to its columns.
+        columns = monodromy_matrix(alone, (x, v), period) - jnp.eye(2)
+        greater = jnp.argmax(jnp.sum(columns**2, axis=0))
+        left = jnp.array([-columns[1, greater], columns[0, greater]])
+        return left[1] / (left @ jnp.concatenate(alone(0.0, (x, v))))
+
+    return jax.vmap(at)(xs, vs)
+
+
+def _shaken(
+    chain: Chain,
+    period: Any,
+    shapes: Complex[Array, "h n"],
+    vibrating: Bool[Array, " n"],
+) -> Complex[Array, "h n"]:
+    """`shapes`, harmonics of x_n, with those of the other masses filled in.
+
+    These slide, and their neighbours shake them: (K - (h omega)^2 + i h omega d) x = 0 in their
+    rows, for x less that of steady sliding.
+    """
+    rest = jnp.zeros_like(shapes).at[0].set(steady_sliding(chain)[0])
+    damping = sliding_damping(chain, chain.belt_speed)
+    stiffness = stiffness_matrix(chain)
+
+    def harmonic(h: Array, shape: Array) -> Array:
+        omega = 2.0 * jnp.pi * h / period
+        eye = jnp.eye(chain.n)
+        A = stiffness - (omega**2 - 1j * omega * damping) * eye
+        return jnp.linalg.solve(
+            jnp.where(vibrating[:, None], eye, A), jnp.where(vibrating, shape, 0.0)
+        )
+
+    return rest + jax.vmap(harmonic)(jnp.arange(shapes.shape[0]), shapes - rest)
+
+
+def pattern_guess(
+    model: PhaseModel, phases: Any, *, block: str = "centred", first: Any = None
+) -> tuple[State, Float[Array, ""]]:
+    """(state, period) near the locked cycle of k neighbours with the given phases.
+
+    Each is on the cycle of one mass; the masses that slide are shaken by them.  The state is that
+    at the greatest velocity of mass `first`, for `find_limit_cycle(chain, state, period=period,
+    vibrating=first)`.
+
+    **Arguments:** `phases`, shape (k,), k <= n, as in `LockedPattern`; `block`, where these
+    masses are, see `excited_block`; `first`, the index of one of them, by default the middle one.
+
+    **Raises:** `ValueError` for phases that cannot be and a mass that does not vibrate.
+    """
+    chain, n = model.chain, model.chain.n
+    theta = jnp.asarray(phases, float)
+    if theta.ndim != 1 or not 1 <= theta.shape[0] <= n:
+        raise ValueError(
+            f"Argument `phases` must have shape (k,) with 1 <= k <= {n}, but has {theta.shape}."
+        )
+    check_finite("phases", theta, "one for each vibrating mass, in radians.")
+    k = theta.shape[0]
+    sites = block_sites(n, k, block)
+    mass = int(sites[k // 2]) if first is None else first
+    if mass not in sites:
+        raise ValueError(
+            f"Argument `first` must be one of the vibrating masses {sites.tolist()}, but is "
+            f"{mass!r}."
+        )
+    theta = (theta - theta[int(np.flatnonzero(sites == mass)[0])]) % (2.0 * jnp.pi)
+    order = jnp.argsort(theta)
+    times = model.period * theta[order] / (2.0 * jnp.pi)
+    alone = one_mass(chain, 0)
+    run = simulate(alone, model.state, model.period, observe=Trajectory(times), rtol=_rtol(chain))
+    h = jnp.arange(model.displacement.shape[0])
+    own = model.displacement[:, None] * jnp.exp(1j * jnp.multiply.outer(h, theta))
+    vibrating = jnp.zeros(n, bool).at[sites].set(True)
+    shapes = jnp.zeros((h.shape[0], n), complex).at[:, sites].set(own)
+    shapes = _shaken(chain, model.period, shapes, vibrating)
+    omega = 2.0 * jnp.pi / model.period
+    x = jnp.real(jnp.sum(shapes, axis=0))
+    v = jnp.real(jnp.sum(1j * omega * h[:, None] * shapes, axis=0))
+    x = x.at[sites[order]].set(run.observed[0][:, 0])
+    v = v.at[sites[order]].set(run.observed[1][:, 0])
+    rate, coupling = jnp.mean(model.rates(theta)), jnp.asarray(chain.coupling)
+    return (x, v), model.period / (1.0 + coupling * rate)
+
+
+def block_sites(n: int, k: int, block: str = "centred") -> np.ndarray:
+    """Indices of k neighbours, in order along the ring; see `excited_block`."""
+    start = reference_site(n) - (0 if block == "forward" else k // 2)
+    return (start + np.arange(k)) % n
+
+
+@dataclass(frozen=True)
+class LockedPattern:
+    """Phases of k neighbours that stay as they are.
+
+    `phases` (k,), radians, theta = 0 of the first; `rate`, how fast all of them grow, as in
+    `PhaseModel.rates`; `growth` of the disturbance of phases that grows fastest, in units of
+    1 / time: negative for a stable pattern.
+    """
+
+    phases: Float[np.ndarray, " k"]
+    rate: float
+    growth: float
+
+    @property
+    def order(self) -> float:
+        """Mean cosine of the steps of phase between neighbours: 1 in phase, -1 alternating."""
+        return float(np.mean(np.cos(np.diff(self.phases)))) if self.phases.size > 1 else 1.0
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether it is its own mirror image."""
+        return bool(np.all(np.abs(_wrap(self.phases - self.phases[::-1])) < _SAME))
+
+
+def locked_patterns(model: PhaseModel, count: Any) -> tuple[LockedPattern, ...]:
+    """The locked patterns of `count` neighbours, the most stable one first.
+
+    Newton's method from a few hundred spread starts, the same in every call: for more than about
+    eight masses some will be missed.  Of a pattern and its mirror image one is returned.
+
+    **Raises:** `ValueError` for a count that is no whole number in 1 ... n.
+    """
+    whole = isinstance(count, int | np.integer) and not isinstance(count, bool)
+    if not whole or not 1 <= count <= model.chain.n:
+        raise ValueError(
+            f"Argument `count` must be a whole number in 1 ... {model.chain.n}, but is {count!r}."
+        )
+    k = int(count)
+    if k == 1:
+        rate = float(model.rates(jnp.zeros(1))[0])
+        return (LockedPattern(np.zeros(1), rate, -np.inf),)
+    starts = np.random.default_rng(0).uniform(-np.pi, np.pi, (_STARTS, k - 1))
+    found, gaps, rates, slopes = map(np.asarray, _lock(model, jnp.asarray(starts)))
+    patterns: list[LockedPattern] = []
+    kept: list[np.ndarray] = []
+    for step, gap, rate, slope in zip(found, gaps, rates, slopes, strict=True):
+        known = (np.max(np.abs(_wrap(step - old))) < _SAME for old in kept)
+        if not gap < _SOLVED or any(known):
+            continue
+        kept += [step, -step[::-1]]
+        phases = np.append(0.0, np.cumsum(_wrap(step)))
+        patterns.append(LockedPattern(phases, float(rate), _growth(model, slope)))
+    return tuple(sorted(patterns, key=lambda pattern: pattern.growth))
+
+
+def rotating_wave(model: PhaseModel, turns: Any) -> LockedPattern:
+    """The whole ring vibrates, each mass ahead of the one before by 2 pi `turns` / n.
+
+    0 is in phase, n / 2 alternating; every such pattern is locked.
+    """
+    n = model.chain.n
+    phases = 2.0 * np.pi * turns * np.arange(n) / n
+    *_, rate, slope = _lock(model, jnp.diff(jnp.asarray(phases))[None], steps=0)
+    return LockedPattern(phases, float(rate[0]), _growth(model, slope[0]))
+
+
+def _growth(model: PhaseModel, slope: Any) -> float:
+    speed = 2.0 * np.pi / float(model.period) * float(model.chain.coupling)  # pyright: ignore
+    return speed * float(np.max(np.linalg.eigvals(np.asarray(slope)).real))
+
+
+@eqx.filter_jit
+def _lock(
+    model: PhaseModel, starts: Float[Array, "s m"], steps: int = _NEWTON
+) -> tuple[Array, Array, Array, Array]:
+    """(steps of phase, how far from locked, rate, slope), for each of the starts."""
+
+    def phases(step: Array) -> Array:
+        return jnp.concatenate([jnp.zeros(1), jnp.cumsum(step)])
+
+    def drift(step: Array) -> Array:
+        return jnp.diff(model.rates(phases(step)))
+
+    def newton(_: Any, step: Array) -> Array:
+        return step - jnp.linalg.solve(jax.jacfwd(drift)(step), drift(step))
+
+    def one(start: Array) -> tuple[Array, Array, Array, Array]:
+        step = jax.lax.fori_loop(0, steps, newton, start)
+        gap = jnp.max(jnp.abs(drift(step)))
+        return step, gap, model.rates(phases(step))[0], jax.jacfwd(drift)(step)
+
+    return jax.vmap(one)(starts)
+
+
+def _wrap(angle: Any) -> Any:
+    """Into [-pi, pi)."""
+    return (angle + np.pi) % (2.0 * np.pi) - np.pi

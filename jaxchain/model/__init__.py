@@ -1,0 +1,1 @@
+"""The chain: its masses, springs and friction, its equilibrium, its initial states."""

@@ -1,0 +1,277 @@
+"""The chain of friction-excited oscillators: parameters, vector field, steady sliding."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, ArrayLike, Float
+
+from .._checks import check_finite, check_nonnegative, check_positive, to_float
+from .._types import PerMass, ScalarLike, State
+from .friction import ExponentialDecay, TanhFriction
+from .oscillators import AbstractOscillators
+from .springs import Ends, Springs
+from .tridiagonal import exact_solver
+
+
+class Chain(AbstractOscillators):
+    """N masses on a moving belt, coupled to their nearest neighbours (dimensionless).
+
+    x_n'' + 2 xi_n x_n' + k_n x_n + c_{n-1/2} (x_n - x_{n-1}) + c_{n+1/2} (x_n - x_{n+1})
+        = p_n F(x_n' - v_d)
+
+    with the friction force F of `friction`.  For the homogeneous ring this is eq. (5) of Papangelo
+    et al., Multiple spatially localized dynamical states in friction-excited oscillator chains.
+
+    **Arguments** (all dimensionless; see `jaxchain.Scales` for SI input):
+
+    - `n`: number of masses.
+    - `friction`: a regularized friction law, e.g. `TanhFriction(ExponentialDecay(...), width)`.
+    - `belt_speed`: v_d; negative for a belt that runs the other way.
+    - `damping_ratio`: xi, one number or shape (n,).
+    - `coupling`: eta_c; None compiles no coupling at all, a number is the same spring everywhere,
+      an array gives one constant per spring (n springs in a ring, n - 1 with free ends; spring i
+      joins masses i and i + 1).
+    - `stiffness`: k_n, one number or shape (n,), 1 for the nominal mass.
+    - `normal_load`: p_n relative to the nominal load, one number or shape (n,); None is 1.
+    - `ends`: "cyclic" (a ring) or "free".
+
+    Every number is a leaf: `jit`, `vmap`, `grad` and `jvp` go through a chain, and
+    `chain.with_(belt_speed=...)` makes a changed copy.
+
+    **Raises:** `ValueError` for a wrong shape or a non-finite or impossible value.
+
+    !!! example
+
+        >>> from jaxchain import Chain, ExponentialDecay, TanhFriction
+        >>> law = ExponentialDecay(mu_static=1.0, mu_dynamic=0.5, v_ref=0.5)
+        >>> chain = Chain(3, TanhFriction(law, 1e-3), belt_speed=1.5, coupling=0.01)
+        >>> chain.coupling.shape
+        ()
+    """
+
+    friction: TanhFriction
+    belt_speed: Array
+    damping_ratio: Array
+    stiffness: Array
+    normal_load: Array | None
+    springs: Springs | None
+    n: int = eqx.field(static=True)
+
+    def __init__(
+        self,
+        n: int,
+        friction: Any,
+        belt_speed: ArrayLike,
+        damping_ratio: ArrayLike = 0.05,
+        coupling: ArrayLike | None = None,
+        stiffness: ArrayLike = 1.0,
+        normal_load: ArrayLike | None = None,
+        ends: str = "cyclic",
+    ):
+        if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 1:
+            raise ValueError(f"Argument `n` must be a positive integer, but is {n!r}.")
+        if ends not in ("cyclic", "free"):
+            raise ValueError(f'Argument `ends` must be "cyclic" or "free", but is {ends!r}.')
+        if not isinstance(friction, TanhFriction):
+            raise ValueError(
+                "Argument `friction` must be a regularized law, TanhFriction(law, width), but is "
+                f"{friction!r}."
+            )
+        self.n = int(n)
+        self.friction = friction
+        self.belt_speed = to_float(belt_speed)
+        self.damping_ratio = to_float(damping_ratio)
+        self.stiffness = to_float(stiffness)
+        self.normal_load = None if normal_load is None else to_float(normal_load)
+        kind: Ends = "cyclic" if ends == "cyclic" else "free"
+        self.springs = None if coupling is None else Springs(to_float(coupling), kind)
+        self._check_shapes(kind)
+        self._check_values()
+
+    def _check_shapes(self, ends: Ends) -> None:
+        if self.belt_speed.ndim != 0:
+            raise ValueError(
+                "Argument `belt_speed` must be one number, but has shape "
+                f"{self.belt_speed.shape}: "
+                "use `jax.vmap` or `sweep` for several belt speeds."
+            )
+        per_mass = {
+            "damping_ratio": self.damping_ratio,
+            "stiffness": self.stiffness,
+            "normal_load": self.normal_load,
+        }
+        for name, value in per_mass.items():
+            if value is not None and value.shape not in ((), (self.n,)):
+                raise ValueError(
+                    f"Argument `{name}` must be one number or have shape ({self.n},), but has "
+                    f"shape {value.shape}."
+                )
+        friction = {**vars(self.friction.law), "width": self.friction.width}
+        for name, value in friction.items():
+            if jnp.shape(value) not in ((), (self.n,)):
+                raise ValueError(
+                    f"Argument `friction` has `{name}` of shape {jnp.shape(value)}, but the chain "
+                    f"has {self.n} masses: give one number or one per mass."
+                )
+        springs = self.n if ends == "cyclic" else self.n - 1
+        if self.springs is not None and self.springs.constant.shape not in ((), (springs,)):
+            raise ValueError(
+                f"Argument `coupling` must be one number or have one entry per spring, shape "
+                f"({springs},) for {self.n} masses with {ends} ends, but has shape "
+                f"{self.springs.constant.shape}."
+            )
+
+    def _check_values(self) -> None:
+        check_finite("belt_speed", self.belt_speed, "it is a speed, such as 1.5.")
+        check_finite("damping_ratio", self.damping_ratio, "it is a ratio, such as 0.05.")
+        check_positive("stiffness", self.stiffness, "1 is the nominal spring to ground.")
+        if self.normal_load is not None:
+            check_nonnegative("normal_load", self.normal_load, "a mass cannot pull at the belt.")
+        if self.springs is not None:
+            check_nonnegative(
+                "coupling", self.springs.constant, "it is a spring constant, such as 0.01."
+            )
+
+    @property
+    def coupling(self) -> Array | None:
+        """eta_c: None, one number, or one per spring."""
+        return None if self.springs is None else self.springs.constant
+
+    @property
+    def ends(self) -> Ends:
+        """ "cyclic" or "free"; without coupling there is no difference."""
+        return "cyclic" if self.springs is None else self.springs.ends
+
+    def local_force(
+        self, t: ScalarLike, x: Float[Array, " n"], v: Float[Array, " n"]
+    ) -> Float[Array, " n"]:
+        """p_n F(v_n - v_d) - 2 xi_n v_n."""
+        del t, x
+        force = self.friction.force(v - self.belt_speed)
+        if self.normal_load is not None:
+            force = self.normal_load * force
+        return force - 2.0 * self.damping_ratio * v
+
+    def switching(
+        self, t: ScalarLike, v: Float[Array, " n"]
+    ) -> tuple[Float[Array, " n"], PerMass]:
+        """(v - v_d, eps): friction turns round as a mass passes the belt's speed."""
+        del t
+        return v - self.belt_speed, self.friction.width
+
+    def belt_direction(self) -> ScalarLike:
+        """The sign of v_d, 1 for a belt that rests."""
+        return jnp.where(self.belt_speed < 0, -1.0, 1.0)
+
+    def stick_speed(self) -> PerMass:
+        """That of greatest friction, below which a mass sticks: `TanhFriction.stick_speed`."""
+        return self.friction.stick_speed()
+
+    def greatest_hold(self) -> PerMass:
+        """p mu_st, the greatest friction force on a sticking mass."""
+        load = jnp.ones(()) if self.normal_load is None else self.normal_load
+        return load * self.friction.law.mu_static
+
+    def unheld_force(self, x: Float[Array, " n"], v: Float[Array, " n"]) -> Float[Array, " n"]:
+        """|r| - p mu_st with r = -2 xi v - K x, the force on a mass without friction."""
+        force = self.restoring_force(x) - 2.0 * self.damping_ratio * v
+        return jnp.abs(force) - self.greatest_hold()
+
+    def growth_time(self) -> ScalarLike:
+        """1 / (2 |xi|) where damping is negative, infinite elsewhere."""
+        rate = -2.0 * jnp.min(lax.stop_gradient(self.damping_ratio))
+        return jnp.where(rate > 0, 1.0 / jnp.where(rate > 0, rate, 1.0), jnp.inf)
+
+    def stiffness_diagonal(self, n: int) -> PerMass:
+        """k_n + the constants of the springs at mass n."""
+        if self.springs is None:
+            return self.stiffness
+        return self.stiffness + self.springs.row_sum(n)
+
+    def with_(self, **changes: Any) -> Chain:
+        """A copy with other numbers; shapes may change, values may be traced.
+
+        Takes the names of the constructor, and `width`, `mu_static`, `mu_dynamic`, `v_ref` (or any
+        other field of the friction law) for the friction.
+
+        >>> from jaxchain import paper_chain
+        >>> float(paper_chain().with_(belt_speed=1.2, width=1e-4).friction.width)
+        0.0001
+        """
+        own = {
+            "n": self.n,
+            "friction": self.friction,
+            "belt_speed": self.belt_speed,
+            "damping_ratio": self.damping_ratio,
+            "coupling": self.coupling,
+            "stiffness": self.stiffness,
+            "normal_load": self.normal_load,
+            "ends": self.ends,
+        }
+        law = dict(vars(self.friction.law))
+        unknown = [k for k in changes if k not in own and k not in law and k != "width"]
+        if unknown:
+            raise ValueError(
+                f"`Chain.with_` does not know {unknown}; it takes {sorted([*own, 'width', *law])}."
+            )
+        friction_changes = {k: changes.pop(k) for k in list(changes) if k not in own}
+        own.update(changes)
+        if friction_changes:
+            friction = own["friction"]
+            width = friction_changes.pop("width", friction.width)
+            new_law = type(friction.law)(**{**dict(vars(friction.law)), **friction_changes})
+            own["friction"] = TanhFriction(new_law, width)
+        return Chain(**own)
+
+    def numbers(self) -> dict[str, Array]:
+        """The numbers that `with_` takes by name, those of the friction law among them."""
+        return {**vars(self.friction.law), "width": self.friction.width, **super().numbers()}
+
+
+def paper_chain(n: int = 20, belt_speed: ArrayLike = 1.5, width: ArrayLike = 1e-3) -> Chain:
+    """The parameter set of the paper, eq. (7): xi 0.05, mu_d 0.5, mu_st 1, v_0 0.5, eta_c 0.01.
+
+    **Arguments:** number of masses, dimensionless belt speed v_d, and the regularization width
+    of the friction law.  One mass has no neighbours and gets no coupling.
+
+    >>> import jax
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> from jaxchain import paper_chain
+    >>> paper_chain().n
+    20
+    """
+    law = ExponentialDecay(mu_static=1.0, mu_dynamic=0.5, v_ref=0.5)
+    return Chain(
+        n,
+        TanhFriction(law, width),
+        belt_speed=belt_speed,
+        damping_ratio=0.05,
+        coupling=0.01 if n > 1 else None,
+    )
+
+
+def steady_sliding(chain: Chain) -> State:
+    """The equilibrium in which every mass slides at the belt's speed: K x = p F(-v_d), v = 0.
+
+    **Returns:** (x, v), both of shape (n,).  Exact for any chain; for a homogeneous one it is
+    x_n = F(-v_d) / k.
+    """
+    zero = jnp.zeros(chain.n, dtype=chain.belt_speed.dtype)
+    force = chain.local_force(0.0, zero, zero)
+    uniform = all(
+        jnp.ndim(a) == 0
+        for a in (chain.stiffness, chain.normal_load, chain.friction.force(-chain.belt_speed))
+        if a is not None
+    )
+    # Equal displacements stretch no spring.
+    if chain.springs is None or uniform:
+        return force / chain.stiffness, zero
+    solve = exact_solver(
+        jnp.broadcast_to(chain.stiffness_diagonal(chain.n), zero.shape), chain.springs, 1.0
+    )
+    return solve(force), zero

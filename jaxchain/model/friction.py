@@ -1,0 +1,266 @@
+"""Friction laws mu(s), one small class each, and their smoothing.
+
+A law gives the friction coefficient at the sliding speed s = |w| >= 0, where w = v - v_d is the
+velocity of a mass relative to the belt. Everything is dimensionless: mu is friction force per
+normal load, and speeds are in units of x0 omega_n (`jaxchain.model.units`). Every parameter is one
+number, or one number per mass (shape (n,), for mistuned chains), and a leaf: `jit`, `vmap`, `grad`
+and `jvp` go through it.
+"""
+
+import abc
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.experimental.jet import jet
+from jaxtyping import Array, ArrayLike, Float
+
+from .._checks import check_at_least, check_nonnegative, check_per_mass, check_positive, to_float
+from .._types import PerMass
+
+_MU_REMEDY = "a friction coefficient is a force ratio, such as 0.5."
+_V_REF_REMEDY = "it is the speed over which friction decays, such as 0.5."
+_ORDER_REMEDY = "friction at rest exceeds friction in motion; raise `mu_static`."
+_WIDTH_REMEDY = "1e-3 is usual; the non-smooth limit is the business of an event-driven solver."
+
+
+class AbstractFrictionLaw(eqx.Module):
+    """The friction coefficient as a function of the sliding speed alone."""
+
+    mu_static: eqx.AbstractVar[PerMass]
+    """Friction at rest, mu(0): a sticking mass holds while |force| <= mu_static."""
+
+    @abc.abstractmethod
+    def coefficient(self, speed: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
+        """mu(speed), element by element.
+
+        **Arguments:** `speed` = |w| >= 0, of any shape; of shape (n,) or () if a parameter is
+        given per mass.
+        """
+
+    def taylor_coefficient(self, speed: Sequence[Any], before: Sequence[Any]) -> Any:
+        """The next Taylor coefficient in time of mu(s(t)), for Taylor integrators.
+
+        **Arguments:** `speed` = s_0 ... s_k, the coefficients of s(t) = s_0 + s_1 t + ...;
+        `before` = m_0 ... m_{k-1}, those of mu(s(t)) that are known.
+
+        **Returns:** m_k.  Right for every smooth law by Taylor-mode differentiation; a law with a
+        recurrence overrides it, because k of them cost as much as one of these.
+        """
+        k = len(before)
+        if k == 0:
+            return self.coefficient(speed[0])
+        derivatives = [math.factorial(j) * speed[j] for j in range(1, k + 1)]
+        _, series = jet(self.coefficient, (speed[0],), (derivatives,))
+        return series[k - 1] / math.factorial(k)
+
+
+class ExponentialDecay(AbstractFrictionLaw):
+    """mu(s) = mu_d + (mu_st - mu_d) exp(-s / v0): friction that weakens with speed.
+
+    Source: eq. (1) of "Multiple spatially localized dynamical states in friction-excited
+    oscillator chains"; the example has its parameters, eq. (7).
+
+    **Arguments:** `mu_static` = mu_st and `mu_dynamic` = mu_d, friction coefficients at rest and
+    at high speed, 0 <= mu_d <= mu_st; `v_ref` = v0 > 0, a speed in units of x0 omega_n.
+
+    **Raises:** `ValueError` for anything else.
+
+    >>> law = ExponentialDecay(mu_static=1.0, mu_dynamic=0.5, v_ref=0.5)
+    >>> float(law.coefficient(0.0)), round(float(law.coefficient(0.5)), 6)
+    (1.0, 0.68394)
+    """
+
+    mu_static: PerMass = eqx.field(converter=to_float)
+    mu_dynamic: PerMass = eqx.field(converter=to_float)
+    v_ref: PerMass = eqx.field(converter=to_float)
+
+    def __check_init__(self) -> None:
+        check_per_mass(mu_static=self.mu_static, mu_dynamic=self.mu_dynamic, v_ref=self.v_ref)
+        _check_weakening(self.mu_static, self.mu_dynamic, self.v_ref)
+
+    def coefficient(self, speed: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
+        drop = self.mu_static - self.mu_dynamic
+        scaled = speed * (1.0 / self.v_ref)  # a product costs less than a division per mass
+        return self.mu_dynamic + drop * jnp.exp(-scaled)
+
+    def taylor_coefficient(self, speed: Sequence[Any], before: Sequence[Any]) -> Any:
+        """As in the base class; from mu' = -(mu - mu_d) s' / v0."""
+        if not before:
+            return self.coefficient(speed[0])
+        return _decaying(speed, [before[0] - self.mu_dynamic, *before[1:]], 1.0 / self.v_ref)
+
+
+class WeakeningStrengthening(AbstractFrictionLaw):
+    """mu(s) = mu_d + (mu_st - mu_d) exp(-s / v0) + mu_v s / v0: weakens, then strengthens.
+
+    The exponential decay plus viscous friction. For 0 < mu_v < mu_st - mu_d friction is least at
+    s = v0 ln[(mu_st - mu_d) / mu_v]; for a greater mu_v it only grows; mu_v = 0 is
+    `ExponentialDecay`.
+
+    Source: the Stribeck curve with an exponential and a linear term, in the same form
+    F_Coulomb + F_prop s + F_Stribeck exp(-f_exp s) in the Modelica Standard Library,
+    `Mechanics.Translational.Components.MassWithStopAndFriction`. A law of this kind on one mass is
+    the subject of Papangelo, Ciavarella, Hoffmann, "Subcritical bifurcation in a self-excited
+    single-degree-of-freedom system with velocity weakening-strengthening friction law", Nonlinear
+    Dynamics 90 (2017). How that paper writes and scales its terms was not compared: when
+    reproducing it, check its parameters against the formula above.
+
+    **Arguments:** `mu_static` = mu_st, `mu_dynamic` = mu_d and `v_ref` = v0 as in
+    `ExponentialDecay`; `mu_viscous` = mu_v >= 0, the growth of friction per v0 of speed.
+
+    **Raises:** `ValueError` for anything else.
+
+    >>> law = WeakeningStrengthening(mu_static=1.0, mu_dynamic=0.5, v_ref=0.5, mu_viscous=0.1)
+    >>> [round(float(law.coefficient(s)), 4) for s in (0.0, 0.8, 5.0)]
+    [1.0, 0.7609, 1.5]
+    """
+
+    mu_static: PerMass = eqx.field(converter=to_float)
+    mu_dynamic: PerMass = eqx.field(converter=to_float)
+    v_ref: PerMass = eqx.field(converter=to_float)
+    mu_viscous: PerMass = eqx.field(converter=to_float)
+
+    def __check_init__(self) -> None:
+        check_per_mass(
+            mu_static=self.mu_static,
+            mu_dynamic=self.mu_dynamic,
+            v_ref=self.v_ref,
+            mu_viscous=self.mu_viscous,
+        )
+        _check_weakening(self.mu_static, self.mu_dynamic, self.v_ref)
+        check_nonnegative(
+            "mu_viscous", self.mu_viscous, "it is how fast friction grows with speed."
+        )
+
+    def coefficient(self, speed: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
+        drop = self.mu_static - self.mu_dynamic
+        scaled = speed * (1.0 / self.v_ref)  # a product costs less than a division per mass
+        return self.mu_dynamic + drop * jnp.exp(-scaled) + self.mu_viscous * scaled
+
+    def taylor_coefficient(self, speed: Sequence[Any], before: Sequence[Any]) -> Any:
+        """As in the base class; the decaying part as in `ExponentialDecay`."""
+        if not before:
+            return self.coefficient(speed[0])
+        per_v0 = 1.0 / self.v_ref
+        growth = [self.mu_viscous * per_v0 * s for s in speed]
+        decaying = [m - g for m, g in zip(before, growth, strict=False)]
+        decaying[0] = decaying[0] - self.mu_dynamic
+        return _decaying(speed, decaying, per_v0) + growth[-1]
+
+
+class Coulomb(AbstractFrictionLaw):
+    """mu(s) = mu_d: the same friction at every speed, and at rest.
+
+    It never feeds energy into a mass, so steady sliding is stable at every belt speed.
+
+    Source: Coulomb (1785); the limit v0 -> infinity or mu_st -> mu_d of `ExponentialDecay`.
+
+    **Arguments:** `mu_dynamic` = mu_d >= 0.
+
+    **Raises:** `ValueError` if it is negative or not finite.
+
+    >>> law = Coulomb(mu_dynamic=0.5)
+    >>> float(law.coefficient(3.0)), float(law.mu_static)
+    (0.5, 0.5)
+    """
+
+    mu_dynamic: PerMass
+
+    # Written out, because a type checker takes the abstract `mu_static` for a first argument.
+    def __init__(self, mu_dynamic: ArrayLike) -> None:
+        self.mu_dynamic = to_float(mu_dynamic)
+
+    def __check_init__(self) -> None:
+        check_per_mass(mu_dynamic=self.mu_dynamic)
+        check_nonnegative("mu_dynamic", self.mu_dynamic, _MU_REMEDY)
+
+    @property
+    def mu_static(self) -> PerMass:
+        return self.mu_dynamic
+
+    def coefficient(self, speed: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
+        return self.mu_dynamic * jnp.ones_like(speed)
+
+    def taylor_coefficient(self, speed: Sequence[Any], before: Sequence[Any]) -> Any:
+        """As in the base class: the coefficients of a constant."""
+        return jnp.zeros_like(speed[0]) if before else self.coefficient(speed[0])
+
+
+class TanhFriction(eqx.Module):
+    """F(w) = -mu(|w|) tanh(w / eps): a law made smooth across w = 0.
+
+    The force on a mass per unit of its normal load, against its velocity w relative to the belt.
+    eps is the regularization width: within |w| < eps, about, the jump of dry friction from +mu_st
+    to -mu_st becomes a steep slope -mu_st / eps, and a sticking mass creeps. F is once
+    continuously differentiable; its second derivative jumps at w = 0, because mu depends on |w|.
+    The greatest force falls short of mu_st by O(eps ln 1/eps): for `ExponentialDecay` with
+    mu_st = 1 and mu_d = v0 = 0.5 it is mu_st - (eps / 2) [ln(4 / eps) + 1] + O(eps^2 ln^2 eps).
+
+    **Arguments:** `law`, any `AbstractFrictionLaw`; `width` = eps > 0, a speed in units of
+    x0 omega_n, one number or one per mass.
+
+    **Raises:** `ValueError` if `width` is not positive and finite.
+
+    >>> friction = TanhFriction(ExponentialDecay(1.0, 0.5, 0.5), width=0.01)
+    >>> force, slope = friction.force_and_slope(0.0)
+    >>> float(force), float(slope)
+    (-0.0, -100.0)
+    """
+
+    law: AbstractFrictionLaw
+    width: PerMass = eqx.field(converter=to_float)
+
+    def __check_init__(self) -> None:
+        check_per_mass(mu_static=self.law.mu_static, width=self.width)
+        check_positive("width", self.width, _WIDTH_REMEDY)
+
+    def force(self, relative_velocity: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
+        """F(w), element by element; w of any shape, or (n,) if a parameter is given per mass."""
+        # One division for the chain, products for the masses: a twentieth of a step's time.
+        direction = jnp.tanh(relative_velocity * (1.0 / self.width))
+        return -self.law.coefficient(jnp.abs(relative_velocity)) * direction
+
+    def force_and_slope(
+        self, relative_velocity: Float[ArrayLike, "..."]
+    ) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+        """(F, dF/dw) at the price of one exp and one tanh, which value and derivative share.
+
+        F acts element by element, so one tangent of ones carries every slope.
+        """
+        w = jnp.asarray(relative_velocity)
+        return jax.jvp(self.force, (w,), (jnp.ones_like(w),))
+
+    def stick_speed(self) -> PerMass:
+        """The |w| of greatest friction, the end of the branch on which a mass sticks.
+
+        (eps / 2) ln [4 mu_st / (eps |mu'(0)|)] to leading order in eps; with friction that does
+        not weaken, which has no maximum, as if it weakened by 1e-3 of mu_st per unit of speed.
+        """
+        zero = jnp.zeros_like(self.width + self.law.mu_static)
+        _, slope = jax.jvp(self.law.coefficient, (zero,), (jnp.ones_like(zero),))
+        weakening = jnp.maximum(-slope, 1e-3 * self.law.mu_static)
+        ratio = 4.0 * self.law.mu_static / jnp.maximum(self.width * weakening, 1e-300)
+        return 0.5 * self.width * jnp.log(jnp.maximum(ratio, jnp.e))
+
+
+def _check_weakening(mu_static: PerMass, mu_dynamic: PerMass, v_ref: PerMass) -> None:
+    check_nonnegative("mu_dynamic", mu_dynamic, _MU_REMEDY)
+    check_nonnegative("mu_static", mu_static, _MU_REMEDY)
+    check_at_least("mu_static", mu_static, "mu_dynamic", mu_dynamic, _ORDER_REMEDY)
+    check_positive("v_ref", v_ref, _V_REF_REMEDY)
+
+
+def _decaying(speed: Sequence[Any], before: Sequence[Any], rate: Any) -> Any:
+    """e_k of e(t) = c exp(-rate s(t)) from s_0 ... s_k and e_0 ... e_{k-1}.
+
+    k e_k = -rate sum_{j=1..k} j s_j e_{k-j}, the coefficients of e' = -rate s' e.
+    """
+    k = len(before)
+    total = speed[1] * before[k - 1]
+    for j in range(2, k + 1):
+        total = total + (j * speed[j]) * before[k - j]
+    return (-rate / k) * total

@@ -1,0 +1,153 @@
+"""Initial states: the paper's eq. (8) and eq. (10), and free choices of who is excited."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Bool, Int
+
+from .._checks import check_finite, is_traced, require_64_bits, require_x64, to_float
+from .._types import State
+from .chain import Chain, steady_sliding
+
+
+def reference_site(n: int) -> int:
+    """Index (from 0) of the mass that every excited block contains: oscillator 11 of 20."""
+    return n // 2
+
+
+def check_vibrating(chain: Any, vibrating: Any) -> int:
+    """The index of the vibrating mass (None: oscillator 11 of 20), or `ValueError`."""
+    require_x64()
+    if not isinstance(chain, Chain):
+        raise ValueError(f"Argument `chain` must be a `Chain`, but is a {type(chain).__name__}.")
+    require_64_bits("chain", chain)
+    if vibrating is None:
+        return reference_site(chain.n)
+    return check_mass(chain.n, vibrating)
+
+
+def check_mass(n: int, vibrating: Any) -> int:
+    """The index of one of n masses, or `ValueError`."""
+    whole = isinstance(vibrating, int | np.integer) and not isinstance(vibrating, bool)
+    if not whole or not 0 <= vibrating < n:
+        raise ValueError(
+            f"Argument `vibrating` must be the index of a mass, 0 ... {n - 1}, but is "
+            f"{vibrating!r}. For several vibrating masses follow the branch of their cycle."
+        )
+    return int(vibrating)
+
+
+def excited_block(
+    n: int, excited: int | Int[Array, ""], block: str = "forward"
+) -> Bool[Array, " n"]:
+    """Which masses a contiguous block of `excited` masses holds, shape (n,).
+
+    The block always holds oscillator 11 of 20 (index `n // 2`).  The paper does not say which one
+    it is: "forward" is 11 ... 10 + k, going round the ring past N; "centred" is
+    11 - floor(k / 2) ... 10 + ceil(k / 2).
+    """
+    if block not in ("forward", "centred"):
+        raise ValueError(f'Argument `block` must be "forward" or "centred", but is {block!r}.')
+    start = reference_site(n) - (0 if block == "forward" else excited // 2)
+    return (jnp.arange(n) - start) % n < excited
+
+
+def alternating(n: int) -> Int[Array, " n"]:
+    """(-1)^n for oscillators counted from 1: -1, 1, -1, ..."""
+    return jnp.where(jnp.arange(n) % 2 == 0, -1, 1)
+
+
+def excited_state(
+    chain: Chain,
+    excited: ArrayLike,
+    *,
+    amplitude: ArrayLike = 2.0,
+    velocity: ArrayLike = 0.0,
+    block: str = "forward",
+    pattern: str = "alternating",
+    mirrored: bool = False,
+) -> State:
+    """Steady sliding with some masses pulled away: eq. (8) of the paper by default.
+
+    x_n = x^s_n                          for a mass that is not excited,
+    x_n = amplitude (-1)^n + x^s_n       for one that is (n counted from 1),   v_n = velocity.
+
+    **Arguments:**
+
+    - `excited`: how many masses, as a contiguous block (see `excited_block`; may be traced), or a
+      boolean array of shape (n,).
+    - `pattern`: "alternating" signs as in the paper, or "in-phase".
+    - `mirrored`: x^s is taken with the opposite sign, -x^s: with eq. (2) of the paper the friction
+      force obeys F(+v_d) = -F(-v_d), and eq. (10) has F(+v_d) where eq. (8) has F(-v_d).
+
+    **Returns:** (x, v), both of shape (n,).
+
+    **Raises:** `ValueError` for a count that is not whole or not in 0 ... n, and for NaN.
+    """
+    if pattern not in ("alternating", "in-phase"):
+        raise ValueError(
+            f'Argument `pattern` must be "alternating" or "in-phase", but is {pattern!r}.'
+        )
+    check_finite("amplitude", amplitude, "2 is that of eq. (8).")
+    check_finite("velocity", velocity, "eq. (8) has 0, eq. (10) 0.56.")
+    mask = _mask(chain.n, excited, block)
+    return _pull_away(chain, mask, to_float(amplitude), to_float(velocity), pattern, mirrored)
+
+
+def _mask(n: int, excited: Any, block: str) -> Array:
+    """Who is excited, as booleans of shape (n,)."""
+    given: Any = excited if is_traced(excited) else np.asarray(excited)
+    if given.ndim == 1 and given.shape == (n,) and given.dtype == bool:
+        return jnp.asarray(given)
+    if given.ndim == 1:
+        raise ValueError(
+            f"Argument `excited` must be a count or have shape ({n},), but has shape "
+            f"{given.shape} and holds {given.dtype}; a shape takes booleans."
+        )
+    if not is_traced(given):
+        real = given.ndim == 0 and given.dtype.kind in "iuf"
+        if not (real and 0 <= given <= n):
+            raise ValueError(f"Argument `excited` must lie in 0 ... {n}, but is {excited}.")
+        if given != np.round(given):
+            raise ValueError(f"Argument `excited` must be a whole number, but is {excited}.")
+        given = int(given)
+    return excited_block(n, given, block)
+
+
+@eqx.filter_jit  # one small program instead of a dozen
+def _pull_away(
+    chain: Chain, mask: Array, amplitude: Array, velocity: Array, pattern: str, mirrored: bool
+) -> State:
+    x, v = steady_sliding(chain)
+    sign = alternating(chain.n) if pattern == "alternating" else jnp.ones(chain.n, dtype=int)
+    offset = -x if mirrored else x
+    return offset + jnp.where(mask, amplitude * sign, 0.0), v + velocity
+
+
+def equation_8(chain: Chain, excited: ArrayLike, block: str = "forward") -> State:
+    """Initial state of the paper's eq. (8): alternating displacements of 2, at rest."""
+    return excited_state(chain, excited, block=block)
+
+
+def equation_10(
+    chain: Chain,
+    excited: ArrayLike,
+    block: str = "forward",
+    reading: str = "as_equation_8",
+) -> State:
+    """Initial state of the paper's eq. (10): alternating displacements of 2, all velocities 0.56.
+
+    `reading` settles F(+v_d): "as_printed" takes it literally, F(+v_d) = -F(-v_d), so that the
+    masses start on the wrong side of steady sliding; "as_equation_8" takes it for F(-v_d).
+    """
+    if reading not in ("as_printed", "as_equation_8"):
+        raise ValueError(
+            f'Argument `reading` must be "as_printed" or "as_equation_8", but is {reading!r}.'
+        )
+    return excited_state(
+        chain, excited, velocity=0.56, block=block, mirrored=reading == "as_printed"
+    )

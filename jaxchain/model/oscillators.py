@@ -1,0 +1,206 @@
+"""What every chain shares: the structure of its equations.
+
+A chain of N masses is the second-order system
+
+    x' = v,        v' = h(t, x, v) - K x,        K = diag(k) - C,
+
+where h acts mass by mass and C holds the couplings between nearest neighbours.  Its Jacobian is
+[[0, I], [diag(dh/dx) - K, diag(dh/dv)]]; everything a Rosenbrock step has to solve is therefore
+one (cyclic) tridiagonal system per stage, which `model/tridiagonal.py` solves.
+"""
+
+import abc
+import operator
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from .._checks import to_float
+from .._types import PerMass, ScalarLike, State
+from .locality import FINAL, local_dependence, refuse_overrides
+from .springs import Springs
+
+
+class LocalSlopes(NamedTuple):
+    """Derivatives of the local force, mass by mass; None where it does not depend on that."""
+
+    time: Float[Array, " n"] | None
+    displacement: Float[Array, " n"] | None
+    velocity: Float[Array, " n"]
+
+
+class AbstractOscillators(eqx.Module):
+    """Masses with any force of their own, coupled by linear springs.
+
+    x' = v,   v_n' = h_n(t, x_n, v_n) - k_n x_n + (C x)_n.
+
+    A vector field in the sense of `diffrax.ODETerm`: call it with (t, (x, v), args).  A subclass
+    gives `springs`, `local_force` and `stiffness_diagonal`, and may give `switching`,
+    `stick_speed`, `unheld_force` and `growth_time`.  What follows from these is final, and to
+    define it a `TypeError`.  JAX finds the derivatives, and whether h depends on t or x at all.
+
+    For stock diffrax solvers alone it may override `__call__`, and `divergence` with it.
+
+    !!! example
+
+        Van der Pol's oscillators in a ring, x'' - mu (1 - x^2) x' + x + springs = 0:
+
+        >>> import jax, jax.numpy as jnp
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import Amplitude, simulate
+        >>> from jaxchain.model.springs import Springs
+        >>> from jaxchain.model.oscillators import AbstractOscillators
+        >>> class VanDerPol(AbstractOscillators):
+        ...     mu: jax.Array
+        ...     springs: Springs
+        ...     def local_force(self, t, x, v):
+        ...         return self.mu * (1.0 - x**2) * v
+        ...     def stiffness_diagonal(self, n):
+        ...         return 1.0 + self.springs.row_sum(n)
+        >>> ring = VanDerPol(jnp.asarray(1.0), Springs(jnp.asarray(0.1), "cyclic"))
+        >>> run = simulate(ring, (jnp.full(3, 2.0), jnp.zeros(3)), 8.0, observe=Amplitude())
+        >>> [round(float(a), 4) for a in run.observed]
+        [2.0085, 2.0085, 2.0085]
+    """
+
+    springs: eqx.AbstractVar[Springs | None]
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        refuse_overrides(cls, AbstractOscillators, FINAL)
+
+    @abc.abstractmethod
+    def local_force(
+        self, t: ScalarLike, x: Float[Array, " n"], v: Float[Array, " n"]
+    ) -> Float[Array, " n"]:
+        """h(t, x, v), mass by mass: all forces but those linear in the displacements."""
+
+    @abc.abstractmethod
+    def stiffness_diagonal(self, n: int) -> PerMass:
+        """The diagonal k of K, a scalar or of shape (n,); add the springs' `row_sum(n)` to it."""
+
+    def switching(
+        self, t: ScalarLike, v: Float[Array, " n"]
+    ) -> tuple[Float[Array, " n"], PerMass] | None:
+        """(w, width): velocities w whose sign a force follows within |w| < width, mass by mass.
+
+        None if no force switches.  `SwitchingController` steps by it.
+        """
+        del t, v
+        return None
+
+    def belt_direction(self) -> ScalarLike:
+        """The sign of the velocity at which forces switch, 1 or -1: which way the belt runs.
+
+        1 where no force switches.
+        """
+        return 1.0
+
+    def stick_speed(self) -> PerMass | None:
+        """Up to which |w| (see `switching`) a mass sticks; None if no mass can."""
+        return None
+
+    def unheld_force(self, x: Float[Array, " n"], v: Float[Array, " n"]) -> Float[Array, " n"]:
+        """By how much the force on a mass exceeds what friction can hold; negative: it holds.
+
+        No mass sticks where this is positive.
+        """
+        del v
+        return jnp.full_like(x, -jnp.inf)
+
+    def growth_time(self) -> ScalarLike | None:
+        """No step should be longer: velocities grow e-fold in it.  Infinite where none grows so.
+
+        A stiff solver takes a growth by more than e^2 within a step for a decay, and its error
+        estimate agrees.  None: structured solvers judge each step by the Jacobian at its start.
+        """
+        return None
+
+    def local_force_and_slopes(
+        self, t: ScalarLike, x: Float[Array, " n"], v: Float[Array, " n"]
+    ) -> tuple[Float[Array, " n"], LocalSlopes]:
+        """(h, its derivatives).  h acts mass by mass: a tangent of ones carries the diagonal."""
+        timed, placed = self.uses(x.shape[0])
+        one, ones = jnp.ones(()), jnp.ones_like(v)
+        force, by_velocity = jax.jvp(lambda v: self.local_force(t, x, v), (v,), (ones,))
+        by_time = by_place = None
+        if timed:
+            now = jnp.asarray(t, float)
+            by_time = jax.jvp(lambda t: self.local_force(t, x, v), (now,), (one,))[1]
+        if placed:
+            by_place = jax.jvp(lambda x: self.local_force(t, x, v), (x,), (ones,))[1]
+        return force, LocalSlopes(by_time, by_place, by_velocity)
+
+    @property
+    def structured(self) -> bool:
+        """Whether the structured solvers see all of it: `__call__` is that of this class."""
+        return type(self).__call__ is AbstractOscillators.__call__
+
+    def uses(self, n: int) -> tuple[bool, ...]:
+        """Whether h depends on (time, displacement); see `local_dependence`."""
+        if not self.structured:
+            raise ValueError(
+                f"{type(self).__name__} overrides `__call__`, which a structured solver does not "
+                "see: give its forces in `local_force` and `springs`, or use a stock diffrax "
+                "solver, `solver=diffrax.Tsit5()`."
+            )
+        return local_dependence(self, n)[:2]
+
+    def restoring_force(self, x: Float[Array, " n"]) -> Float[Array, " n"]:
+        """-K x."""
+        force = -self.stiffness_diagonal(x.shape[0]) * x
+        return force if self.springs is None else force + self.springs.product(x)
+
+    def __call__(self, t: ScalarLike, y: State, args: object = None) -> State:
+        """The time derivative of the state (x, v); both of shape (n,)."""
+        x, v = y
+        return v, self.local_force(t, x, v) + self.restoring_force(x)
+
+    def attracts(self, t: ScalarLike, x: Float[Array, " n"]) -> Bool[Array, ""]:
+        """Whether rest at x, if the forces balance there, is sure to attract for all time.
+
+        So it is if nothing depends on time, dh/dv < 0, and K - diag(dh/dx) > 0 by dominance.
+        """
+        _, slopes = self.local_force_and_slopes(t, x, jnp.zeros_like(x))
+        if slopes.time is not None:
+            return jnp.asarray(False)
+        held = self.stiffness_diagonal(x.shape[0])
+        if slopes.displacement is not None:
+            held = held - slopes.displacement
+        if self.springs is not None:
+            held = held - self.springs.strength(x.shape[0])
+        return jnp.all(slopes.velocity < 0) & jnp.all(held > 0)
+
+    def divergence(self, t: ScalarLike, y: State) -> Float[Array, ""]:
+        """tr J = sum of dh_n/dv_n."""
+        return jnp.sum(self.local_force_and_slopes(t, *y)[1].velocity)
+
+    def jacobian(self, t: ScalarLike, y: State) -> Float[Array, "two_n two_n"]:
+        """[[0, I], [diag(dh/dx) - K, diag(dh/dv)]], dense, in the order (x_1..x_n, v_1..v_n)."""
+        n = y[1].shape[0]
+
+        def rate(flat: Array) -> Array:
+            return jnp.concatenate(self(t, (flat[:n], flat[n:])))
+
+        return jax.jacfwd(rate)(jnp.concatenate(y))
+
+    def with_(self, **changes: Any) -> Any:
+        """A copy with other numbers, by the names of fields; `coupling` is that of the springs."""
+        field = self
+        for name, value in changes.items():
+            if name not in self.numbers():
+                raise ValueError(
+                    f"`{type(self).__name__}.with_` does not know {name!r}; it takes "
+                    f"{sorted(self.numbers())}."
+                )
+            at = operator.attrgetter("springs.constant" if name == "coupling" else name)
+            field = eqx.tree_at(at, field, to_float(value))
+        return field
+
+    def numbers(self) -> dict[str, Array]:
+        """The arrays among the fields by name, and the springs' constant as `coupling`."""
+        own = {name: value for name, value in vars(self).items() if eqx.is_array(value)}
+        return own if self.springs is None else {"coupling": self.springs.constant, **own}

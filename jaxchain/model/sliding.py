@@ -1,0 +1,196 @@
+"""Linear stability of steady sliding: damping, stiffness, eigenvalues.
+
+A disturbance x = u exp(lambda t) of steady sliding obeys the quadratic eigenvalue problem
+
+    (lambda^2 + lambda D + K) u = 0,        D = diag(d_n),  d_n = 2 xi_n - p_n F'(-v_d),
+
+with K symmetric and positive definite.  Nothing depends on the sign of v_d, because F' is even.
+lambda = 0 is never an eigenvalue, so stability changes by pairs +-i omega only: by Hopf
+bifurcations.  If all d_n are positive, sliding is stable; if all are negative, all modes grow.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool, Complex, Float
+
+from .._types import PerMass
+from .chain import Chain
+
+# Belt speeds tried: from well inside the smoothed layer to where friction no longer changes.
+_LEAST_WIDTHS, _GREATEST_SPEED, _SPEEDS = 1e-2, 1e6, 1024
+# Singular values below this, relative to the greatest, belong to modes that cross together.
+_TOGETHER = 1e-8
+# What rounding may make of a sum of damping and weakening, relative to these.
+_ROUNDING = 1e-12
+
+
+def has_uniform_damping(chain: Chain) -> bool:
+    """Whether damping, friction and load are one number each, so that D = d I.
+
+    Told by the shapes alone: numbers that are given per mass count as different.
+    """
+    numbers = [
+        chain.damping_ratio,
+        chain.normal_load,
+        chain.friction.width,
+        *vars(chain.friction.law).values(),
+    ]
+    return all(jnp.ndim(number) == 0 for number in numbers if number is not None)
+
+
+def sliding_damping(chain: Chain, belt_speed: Float[Array, ""]) -> PerMass:
+    """d = 2 xi - p F'(-v_d) of one mass, or of shape (n,): what damps steady sliding.
+
+    With F' = dF/dw of the smoothed law, d = 2 xi + p [mu'(v_d) tanh(v_d / eps) + mu(v_d)
+    sech^2(v_d / eps) / eps]: weakening friction makes it negative.
+
+    >>> from jaxchain import paper_chain
+    >>> round(float(sliding_damping(paper_chain(), jnp.asarray(0.5))), 6)  # 0.1 - 1/e
+    -0.267879
+    """
+    _, slope = chain.friction.force_and_slope(-jnp.abs(belt_speed))
+    return 2.0 * chain.damping_ratio - _load(chain) * slope
+
+
+def dry_damping(chain: Chain, belt_speed: Float[Array, ""]) -> PerMass:
+    """2 xi + p mu'(v_d), what `sliding_damping` would be without smoothing."""
+    speed = jnp.abs(belt_speed)
+    _, slope = jax.jvp(chain.friction.law.coefficient, (speed,), (jnp.ones_like(speed),))
+    return 2.0 * chain.damping_ratio + _load(chain) * slope
+
+
+def _load(chain: Chain) -> Any:
+    return 1.0 if chain.normal_load is None else chain.normal_load
+
+
+def belt_speed_grid(chain: Chain) -> Float[Array, " speeds"]:
+    """1024 belt speeds, equally far apart in the logarithm, at which to look for changes."""
+    least = jnp.log(_LEAST_WIDTHS * jnp.min(chain.friction.width))
+    return jnp.exp(jnp.linspace(least, jnp.log(_GREATEST_SPEED), _SPEEDS))
+
+
+def damping_outweighs(chain: Chain) -> Bool[Array, ""]:
+    """Whether 2 xi_n > p_n F'(w) for every mass at every relative velocity w.
+
+    Then any two motions approach each other: of their difference (x, v) the energy
+    (v^T v + x^T K x) / 2 falls at the rate sum_n v_n^2 (2 xi_n - p_n F'(w_n)) > 0, w_n some value
+    between theirs.  So no motion but steady sliding goes on, whatever the belt speed is.
+
+    F' = -mu'(s) tanh(s / eps) - mu(s) sech^2(s / eps) / eps is bounded over each of the intervals
+    between 1024 speeds s, which takes for granted that mu and mu' rise or fall, not both, within
+    one, as they do for every law of this package but one: twice in all for
+    `WeakeningStrengthening`, whose mu falls first and rises then, mu' rising.
+
+    >>> from jaxchain import paper_chain
+    >>> [bool(damping_outweighs(paper_chain(1).with_(damping_ratio=xi))) for xi in (0.4, 0.6)]
+    [False, True]
+    """
+    friction, load = chain.friction, _load(chain)
+    speeds = jnp.concatenate([jnp.zeros(1), belt_speed_grid(chain)])
+
+    def sample(speed: Array) -> tuple[Array, Array, Array, Array]:
+        own = jnp.full(chain.n, speed)
+        mu, slope = jax.jvp(friction.law.coefficient, (own,), (jnp.ones_like(own),))
+        ratio = own / friction.width
+        # 1 - tanh^2 would lose its digits, and cosh overflow.
+        half = jnp.exp(-ratio)
+        return mu, slope, jnp.tanh(ratio), (2.0 * half / (1.0 + half**2)) ** 2 / friction.width
+
+    mu, slope, rise, peak = jax.vmap(sample)(speeds)
+    least = jnp.minimum(slope[:-1], slope[1:])
+    weakening = least * jnp.where(least < 0, rise[1:], rise[:-1])
+    change = weakening + jnp.minimum(mu[:-1], mu[1:]) * peak[1:]
+    damping = 2.0 * chain.damping_ratio
+    return jnp.all(damping + load * change > _ROUNDING * (damping + load * jnp.abs(least)))
+
+
+def stiffness_matrix(chain: Chain) -> Float[Array, "n n"]:
+    """K, springs included: symmetric and positive definite."""
+    n = chain.n
+    K = jnp.diag(jnp.broadcast_to(chain.stiffness_diagonal(n), (n,)))
+    if chain.springs is None:
+        return K
+    # By products with constants, which compile in no time, where the convolutions of
+    # `Springs.dense` take seconds in programs that need K in many places.
+    before, after = np.roll(np.eye(n), -1, axis=1), np.roll(np.eye(n), 1, axis=1)
+    lower, upper = chain.springs.off_diagonals(n)
+    return K - lower[:, None] * before - upper[:, None] * after
+
+
+def sliding_eigenvalues(chain: Chain, belt_speed: Float[Array, ""]) -> Array:
+    """All 2n eigenvalues lambda of steady sliding, complex, in no particular order.
+
+    By `jnp.linalg.eigvals`, which JAX has for CPU and GPU, not for TPU.
+    """
+    n = chain.n
+    damping = jnp.broadcast_to(sliding_damping(chain, belt_speed), (n,))
+    top = jnp.concatenate([jnp.zeros((n, n)), jnp.eye(n)], axis=1)
+    bottom = jnp.concatenate([-stiffness_matrix(chain), -jnp.diag(damping)], axis=1)
+    return jnp.linalg.eigvals(jnp.concatenate([top, bottom]))
+
+
+def growth_rate(chain: Chain, belt_speed: Float[Array, ""]) -> Float[Array, ""]:
+    """The rate at which a disturbance of steady sliding grows; negative where sliding is stable.
+
+    With uniform damping it is -d / 2, that of every mode that oscillates (of all of them near a
+    Hopf point), which is smooth in v_d where the greatest real part of 2n equal ones is not.
+    Otherwise it is the greatest real part of all eigenvalues.
+
+    >>> from jaxchain import paper_chain
+    >>> round(float(growth_rate(paper_chain(), jnp.asarray(0.5))), 6)
+    0.13394
+    """
+    if has_uniform_damping(chain):
+        return -0.5 * jnp.reshape(sliding_damping(chain, belt_speed), ())
+    return jnp.max(jnp.real(sliding_eigenvalues(chain, belt_speed)))
+
+
+def crossing_matrix(
+    crossing: Float[Array, " 2"], chain: Chain
+) -> Complex[Array, "{chain.n} {chain.n}"]:
+    """A = K - omega^2 + i omega D(v_d) at `crossing` = (v_d, omega): singular at a Hopf point."""
+    speed, frequency = crossing
+    damping = jnp.broadcast_to(sliding_damping(chain, speed), (chain.n,))
+    real = stiffness_matrix(chain) - jnp.diag(jnp.full(chain.n, frequency**2))
+    return lax.complex(real, frequency * jnp.diag(damping))
+
+
+def null_shape(
+    crossing: Float[Array, " 2"], chain: Chain
+) -> tuple[Complex[Array, " {chain.n}"], Bool[Array, ""]]:
+    """A unit null vector u of the crossing matrix, and whether there are several.
+
+    Of several (modes that cross together) it is the projection of an arbitrary real vector: real
+    if the null space has real vectors, so that u^T u, which is 0 for a travelling wave, is not.
+    """
+    _, sizes, right = jnp.linalg.svd(crossing_matrix(crossing, chain))
+    null = sizes <= _TOGETHER * sizes[0]
+    together = jnp.sum(null) > 1
+    seed = jnp.cos(1.0 + 1.7 * jnp.arange(chain.n)).astype(right.dtype)
+    projected = jnp.conj(right).T @ jnp.where(null, right @ seed, 0.0)
+    shape = jnp.where(together, projected, jnp.conj(right[-1]))
+    return shape / jnp.linalg.norm(shape), together
+
+
+def crossing_residual(
+    crossing: Float[Array, " 2"], parameters: tuple[Chain, Array, Array]
+) -> Float[Array, " 2"]:
+    """(Re g, Im g), which vanish exactly where A of `crossing_matrix` is singular.
+
+    `parameters` = (chain, u, whether other modes cross with it).  g is the last unknown of the
+    bordered system [[A, conj u], [u^H, 0]] [y; g] = [0; 1], which is regular at a simple crossing
+    (Govaerts, Numerical Methods for Bifurcations of Dynamical Equilibria, section 3.3: A is
+    complex symmetric, so conj u is its left null vector).  Where several modes cross together it
+    is not, and g = -u^T A u, which is right to first order in the parameters.
+    """
+    chain, shape, together = parameters
+    A = crossing_matrix(crossing, chain)
+    corner = jnp.zeros((1, 1), A.dtype)
+    bordered = jnp.block([[A, jnp.conj(shape)[:, None]], [jnp.conj(shape)[None, :], corner]])
+    unit = jnp.zeros(chain.n + 1, A.dtype).at[-1].set(1.0)
+    g = jnp.where(together, -shape @ A @ shape, jnp.linalg.solve(bordered, unit)[-1])
+    return jnp.stack([jnp.real(g), jnp.imag(g)])

@@ -1,0 +1,171 @@
+"""The amplitude of vibration, and when a run need not go on for its sake."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import equinox as eqx
+import equinox.internal as eqxi
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from .._checks import check_count, check_positive, to_float
+from .._types import ScalarLike, State
+from ..model.oscillators import AbstractOscillators
+from .base import AbstractObserver, Step
+
+
+class _AmplitudeState(eqx.Module):
+    low: Float[Array, " n"]
+    high: Float[Array, " n"]
+    last_window: Float[Array, ""]  # its start
+    rest: _Rest | None  # unless stop == "never"
+    history: _History | None  # if stop == "steady"
+
+
+class _Rest(eqx.Module):
+    """Whether every mass rests: a few numbers for a lane, no array."""
+
+    boundary: Float[Array, ""]  # end of the present window
+    quiet: Bool[Array, ""]
+
+
+class _History(eqx.Module):
+    """The amplitudes of the window before, and how often they came back."""
+
+    last: Float[Array, " n"]
+    repeats: Int[Array, ""]
+
+
+class Amplitude(AbstractObserver):
+    """Half peak-to-peak of every displacement, A_n = (max x_n - min x_n) / 2, over a window.
+
+    The window is the last `window` time units of the run (None: the whole run); peaks are found
+    between steps.  Value: shape (n,), in the unit of displacement (P/k).
+
+    **Arguments:**
+
+    - `window`: its length in dimensionless time, at least one period (2 pi) to mean anything.
+    - `stop`: "never" runs to the end.  "quiet" lets the run stop when every mass rests (speed
+      and acceleration below `quiet_below`; the amplitude is then reported as 0) *and* that rest
+      attracts, i.e. every mass is damped, dF/dv < 2 xi, and held, and no force depends on time
+      (`AbstractOscillators.attracts`); that cannot change the answer.
+      "steady" also lets it stop when the amplitudes of `repeats` windows in succession agree
+      within `tolerance`; slow drifts of the phases, and instabilities that rounding has not yet
+      found, can then go unseen.
+    """
+
+    window: float | None = eqx.field(static=True, default=None)
+    stop: Literal["never", "quiet", "steady"] = eqx.field(static=True, default="never")
+    tolerance: float = eqx.field(static=True, default=1e-6)
+    repeats: int = eqx.field(static=True, default=5)
+    quiet_below: float = eqx.field(static=True, default=1e-6)
+
+    def __check_init__(self) -> None:
+        if self.window is not None:
+            check_positive("window", self.window, "a period is about 2 pi; 100 is usual.")
+        check_positive("tolerance", self.tolerance, "1e-6 is usual.")
+        check_positive("quiet_below", self.quiet_below, "1e-6 is usual.")
+        check_count("repeats", self.repeats)
+        if self.stop not in ("never", "quiet", "steady"):
+            raise ValueError(
+                f'Argument `stop` must be "never", "quiet" or "steady", but is {self.stop!r}.'
+            )
+        if self.stop != "never" and self.window is None:
+            raise ValueError(
+                f"Argument `stop` = {self.stop!r} needs a `window`: the amplitudes of successive "
+                "windows are compared."
+            )
+
+    def init(
+        self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State
+    ) -> _AmplitudeState:
+        x, _ = y0
+        window = t1 - t0 if self.window is None else self.window
+        state = _AmplitudeState(x, x, to_float(t1 - window), None, None)
+        if self.stop == "never":
+            return state
+        # Windows end at t1, t1 - window, ...; the first takes what is left over at the start,
+        # because a shorter one would see less than it must.
+        complete = jnp.maximum(jnp.floor((t1 - t0) / jnp.maximum(window, 1e-300)), 1.0)
+        rest = _Rest(boundary=to_float(t1 - window * (complete - 1.0)), quiet=jnp.zeros((), bool))
+        history = None
+        if self.stop == "steady":
+            history = _History(jnp.full_like(x, jnp.nan), jnp.zeros((), int))
+        return _AmplitudeState(x, x, state.last_window, rest, history)
+
+    def update(self, accumulator: _AmplitudeState, step: Step) -> _AmplitudeState:
+        acc, end = accumulator, step.y1[0]
+        low, high = jnp.minimum(acc.low, end), jnp.maximum(acc.high, end)
+        # Peaks before the last window are only looked for if its amplitudes are to be compared.
+        always = acc.history is not None
+        watching = jnp.asarray(True) if always else step.t1 > acc.last_window
+
+        def with_peaks() -> tuple[Array, Array]:
+            turns, theta = step.turning_points()
+            if always:
+                extreme = jnp.where(turns, step.displacement(theta), end)
+                return jnp.minimum(low, extreme), jnp.maximum(high, extreme)
+            # The step in which the window begins counts from there on.
+            opens = step.t0 < acc.last_window
+            length = jnp.maximum(step.t1 - step.t0, 1e-300)
+            start = jnp.where(opens, (acc.last_window - step.t0) / length, 0.0)
+            first = step.displacement(start)
+            extreme = jnp.where(turns & (theta >= start), step.displacement(theta), end)
+            least, most = jnp.minimum(extreme, end), jnp.maximum(extreme, end)
+            return (
+                jnp.minimum(jnp.where(opens, first, acc.low), least),
+                jnp.maximum(jnp.where(opens, first, acc.high), most),
+            )
+
+        # One branch for the whole batch: what it adds to a lane that does not watch is forgotten.
+        seen = lax.cond(eqxi.unvmap_any(watching), with_peaks, lambda: (low, high))
+        low, high = jnp.where(watching, seen[0], low), jnp.where(watching, seen[1], high)
+        rest = None if acc.rest is None else self._rest(acc.rest, step)
+        if acc.rest is None or acc.history is None:
+            forget, history = ~watching, None
+        else:
+            forget = step.t1 >= acc.rest.boundary
+            amplitude = (high - low) / 2
+            same = jnp.max(jnp.abs(amplitude - acc.history.last)) <= self.tolerance
+            repeats = jnp.where(same, acc.history.repeats + 1, 0)
+            history = _History(
+                jnp.where(forget, amplitude, acc.history.last),
+                jnp.where(forget, repeats, acc.history.repeats),
+            )
+        low, high = jnp.where(forget, end, low), jnp.where(forget, end, high)
+        return _AmplitudeState(low, high, acc.last_window, rest, history)
+
+    def _rest(self, rest: _Rest, step: Step) -> _Rest:
+        """Looks once in a window: a state whose velocity and acceleration vanish is at rest."""
+        over = step.t1 >= rest.boundary
+
+        def look() -> Array:
+            velocity, acceleration = step.field(step.t1, step.y1)
+            motion = jnp.max(jnp.maximum(jnp.abs(velocity), jnp.abs(acceleration)))
+            attracts = step.field.attracts(step.t1, step.y1[0])
+            return attracts & (motion < self.quiet_below)
+
+        quiet = lax.cond(eqxi.unvmap_any(over), look, lambda: jnp.asarray(False))
+        window = 0.0 if self.window is None else self.window
+        return _Rest(
+            boundary=jnp.where(over, rest.boundary + window, rest.boundary),
+            quiet=over & quiet,
+        )
+
+    def settled(self, accumulator: _AmplitudeState) -> Bool[Array, ""] | None:
+        if accumulator.rest is None:
+            return None
+        if accumulator.history is None:
+            return accumulator.rest.quiet
+        return accumulator.rest.quiet | (accumulator.history.repeats >= self.repeats)
+
+    def rests(self, accumulator: _AmplitudeState) -> Bool[Array, ""]:
+        return jnp.asarray(False) if accumulator.rest is None else accumulator.rest.quiet
+
+    def read(self, accumulator: _AmplitudeState) -> Float[Array, " n"]:
+        if accumulator.history is not None:
+            return accumulator.history.last
+        amplitude = (accumulator.high - accumulator.low) / 2
+        return jnp.where(self.rests(accumulator), 0.0, amplitude)

@@ -1,0 +1,218 @@
+"""Where the two fronts of a vibrating block are, and the mean speed of what moves in hops.
+
+Both fronts of one block are followed from a mass inside it, outward to the far side of the ring.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import equinox.internal as eqxi
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+from scipy.special import stdtrit
+
+from .._checks import check_count, to_float
+from .._types import ScalarLike, State
+from ..model.oscillators import AbstractOscillators
+from .base import AbstractObserver, Step
+from .quantities import active_above
+
+# Masses that a front keeps from the middle of its block and from the far side of the ring: closer,
+# it feels the other front.
+_INNER, _OUTER = 2, 3
+
+
+class Fronts(eqx.Module):
+    """Both fronts of a block, window after window: arrays of shape (windows,).
+
+    `right`, `left`: how far from the middle mass vibration reaches, in masses, along the chain
+    and against it (both grow when the block grows); `count`, the masses that vibrate; NaN in all
+    three where the run did not get so far.
+    """
+
+    right: Float[Array, "*windows"]
+    left: Float[Array, "*windows"]
+    count: Float[Array, "*windows"]
+
+
+@eqx.filter_jit
+def front_positions(
+    amplitude: Float[Array, "*batch n"], threshold: Any, middle: Any = None
+) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+    """(right, left): how far from mass `middle` vibration reaches on a ring, in masses.
+
+    Of the masses at the distances d = 0, 1, ... n // 2 on one side, let d be the last one with
+    A_d > c, the threshold.  The front is where the amplitude, linear in between, falls to c:
+
+        d + (A_d - c) / (A_d - A_{d+1}),      0 if no mass on this side vibrates.
+
+    **Arguments:** amplitudes of shape (..., n); the threshold c, v_d / 2 for instance, one number
+    or one for each mass; `middle`, an index (None: n // 2).
+
+    >>> import jax.numpy as jnp
+    >>> from jaxchain.observers.fronts import front_positions
+    >>> amplitude = jnp.array([0.0, 0.0, 0.2, 1.2, 1.2, 1.2, 0.0, 0.0])
+    >>> right, left = front_positions(amplitude, 0.6, middle=4)
+    >>> float(right), round(float(left), 3)
+    (1.5, 1.6)
+    """
+    n = amplitude.shape[-1]
+    middle = n // 2 if middle is None else middle
+    scaled = amplitude - jnp.broadcast_to(threshold, amplitude.shape)
+    # Over both ways: (..., n), from the middle mass outward.
+    right = jnp.roll(scaled, -middle, axis=-1)
+    left = jnp.flip(jnp.roll(scaled, -middle - 1, axis=-1), axis=-1)
+    return _reach(right), _reach(left)
+
+
+def _reach(excess: Float[Array, "*batch n"]) -> Float[Array, "*batch"]:
+    half = excess.shape[-1] // 2
+    inside, outside = excess[..., : half + 1], excess[..., 1 : half + 2]
+    if outside.shape[-1] <= half:  # fewer than four masses: the ring closes
+        outside = jnp.concatenate([outside, excess[..., :1]], axis=-1)
+    vibrates = inside > 0
+    place = jnp.broadcast_to(jnp.arange(half + 1), inside.shape)
+    last = jnp.max(jnp.where(vibrates, place, -1), axis=-1)
+    # The last one that vibrates is followed by one that does not, or is the farthest.
+    falls = inside > outside
+    share = jnp.where(falls, inside, 1.0) / jnp.where(falls, inside - outside, 1.0)
+    between = place + jnp.clip(share, 0.0, 1.0)
+    here = place == last[..., None]
+    return jnp.where(last < 0, 0.0, jnp.sum(jnp.where(here, between, 0.0), axis=-1))
+
+
+def apart(place: Float[Array, "*batch"], n: int) -> Bool[Array, "*batch"]:
+    """Whether a front feels nothing of the other one."""
+    return (place >= _INNER) & (place <= n // 2 - _OUTER)
+
+
+class _Watch(eqx.Module):
+    low: Float[Array, " n"]
+    high: Float[Array, " n"]
+    boundary: Float[Array, ""]  # end of the present window
+    index: Int[Array, ""]
+    length: Float[Array, ""]
+    fronts: Fronts
+
+
+class FrontTrack(AbstractObserver):
+    """Where the two fronts of a vibrating block are, in each of `windows` equal parts of a run.
+
+    A mass vibrates if its half peak-to-peak within the part exceeds |v_d| / 2, as in
+    `jaxchain.active`; displacements are looked at after every step.  The run may end early, once
+    both fronts have come within two masses of `middle` or three of the far side of the ring.
+    Value: `Fronts`.
+
+    **Arguments:** `windows`, each of which should last two periods (4 pi) at least; `middle`, the
+    index of a mass inside the block (None: n // 2, the middle of a centred `excited_block`).
+    """
+
+    windows: int = eqx.field(static=True)
+    middle: int | None = eqx.field(static=True, default=None)
+
+    def __check_init__(self) -> None:
+        check_count("windows", self.windows)
+
+    def init(
+        self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State
+    ) -> _Watch:
+        del field
+        x, _ = y0
+        length = to_float((t1 - t0) / self.windows)
+        nowhere = jnp.full(self.windows, jnp.nan)
+        fronts = Fronts(nowhere, nowhere, nowhere)
+        return _Watch(x, x, t0 + length, jnp.zeros((), int), length, fronts)
+
+    def update(self, accumulator: _Watch, step: Step) -> _Watch:
+        acc, end = accumulator, step.y1[0]
+        low, high = jnp.minimum(acc.low, end), jnp.maximum(acc.high, end)
+        # Rounding must not lose the last window.
+        over = step.t1 >= acc.boundary - 1e-9 * acc.length
+
+        def closed() -> Fronts:
+            speed = step.field.switching(step.t1, jnp.zeros_like(end))
+            assert speed is not None  # what can stick switches
+            threshold = active_above(speed[0])
+            amplitude = (high - low) / 2
+            right, left = front_positions(amplitude, threshold, self.middle)
+            found = Fronts(right, left, jnp.sum(amplitude > threshold).astype(float))
+            here = over & (jnp.arange(self.windows) == acc.index)
+            return jax.tree.map(lambda all, now: jnp.where(here, now, all), acc.fronts, found)
+
+        fronts = lax.cond(eqxi.unvmap_any(over), closed, lambda: acc.fronts)
+        return _Watch(
+            jnp.where(over, end, low), jnp.where(over, end, high),
+            jnp.where(over, acc.boundary + acc.length, acc.boundary),
+            acc.index + over, acc.length, fronts,
+        )  # fmt: skip
+
+    def settled(self, accumulator: _Watch) -> Bool[Array, ""]:
+        """Once both fronts have met, or the block is gone, no speed is left to measure."""
+        acc = accumulator
+        n = acc.low.shape[0]
+        out = ~(apart(acc.fronts.right, n) | apart(acc.fronts.left, n))
+        return jnp.any(out & (jnp.arange(self.windows) < acc.index))
+
+    def read(self, accumulator: _Watch) -> Fronts:
+        return accumulator.fronts
+
+
+@eqx.filter_jit
+def mean_speed(
+    times: Float[Array, " windows"],
+    positions: Float[Array, " windows"],
+    valid: Bool[Array, " windows"],
+    *,
+    batches: Any = 8,
+    level: Any = 0.95,
+) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """(mean speed, half-width of its interval at confidence `level`) of one front.
+
+    The mean is displacement over time, between the first and the last valid position.  Its error
+    comes from batch means: the record is cut into `batches` equal parts, whose own mean speeds
+    v_b are nearly independent where a part is longer than the front's memory, and
+
+        half-width = t_{batches - 1} s(v_b) / sqrt(batches),
+
+    which is right for a front that walks at random and too wide for regular hops.  Where the front
+    did not get as far as half a mass, no rate of hops below -ln(1 - level) / time can be excluded,
+    3 / time at 95 %, and the half-width is at least that.
+
+    **Arguments:** equally spaced times and positions; `valid`, the positions to use, which stand
+    in succession.  NaN for both where there are not more of them than batches.
+
+    Source: G. S. Fishman, Grouping observations in digital simulation, Management Science 24,
+    510 (1978).
+
+    >>> import jax, jax.numpy as jnp
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> from jaxchain.observers.fronts import mean_speed
+    >>> times = jnp.arange(100.0)
+    >>> speed, error = mean_speed(times, 0.5 * times, times >= 20)
+    >>> float(speed), float(error)
+    (0.5, 0.0)
+    """
+    check_count("batches", batches)
+    if batches < 2 or not 0 < level < 1:
+        raise ValueError(
+            "Arguments `batches` and `level` must be at least 2 and between 0 and 1, but are "
+            f"{batches} and {level}: 8 and 0.95 are usual."
+        )
+    first, count = jnp.argmax(valid), jnp.sum(valid)
+    edges = first + (jnp.arange(batches + 1) * (count - 1)) // batches
+    edges = jnp.clip(edges, 0, len(times) - 1)
+    moved, lasted = jnp.diff(positions[edges]), jnp.diff(times[edges])
+    enough = count > batches
+    rates = moved / jnp.where(enough, lasted, 1.0)
+    far = positions[edges[-1]] - positions[edges[0]]
+    time = jnp.where(enough, times[edges[-1]] - times[edges[0]], 1.0)
+    quantile = float(stdtrit(batches - 1, 0.5 + level / 2))
+    error = quantile * jnp.std(rates, ddof=1) / batches**0.5
+    silent = -np.log1p(-level) / time
+    error = jnp.where(jnp.abs(far) < 0.5, jnp.maximum(error, silent), error)
+    return jnp.where(enough, far / time, jnp.nan), jnp.where(enough, error, jnp.nan)

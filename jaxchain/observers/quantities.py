@@ -1,0 +1,161 @@
+"""What amplitudes and peak times say: energy, who vibrates, whether it has settled, delays."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Bool, Float, Int
+
+from .._types import ScalarLike
+
+
+def energy(amplitude: Float[Array, "*batch n"]) -> Float[Array, "*batch"]:
+    """E = 1/2 sum_n A_n^2, eq. (9) of the paper."""
+    return 0.5 * jnp.sum(amplitude**2, axis=-1)
+
+
+def participation_ratio(amplitude: Float[Array, "*batch n"]) -> Float[Array, "*batch"]:
+    """PR = (sum_n A_n^2)^2 / sum_n A_n^4, over how many masses the energy A_n^2 / 2 is spread.
+
+    From 1, one mass alone, to N, all alike; k equal amplitudes beside zeros give k.
+
+    **Arguments:** amplitudes, or a mode shape (its sign does not count), of shape (..., n).
+
+    **Returns:** shape (...); 0 where every amplitude is zero.
+
+    Source: Bell and Dean, Discuss. Faraday Soc. 50, 55 (1970).
+
+    >>> import jax.numpy as jnp
+    >>> float(participation_ratio(jnp.array([1.5, 0.0, -1.5, 0.0])))
+    2.0
+    """
+    largest = jnp.max(jnp.abs(amplitude), axis=-1, keepdims=True)
+    moves = largest > 0
+    # Relative amplitudes: fourth powers of small ones would underflow.
+    share = jnp.where(moves, amplitude / jnp.where(moves, largest, 1.0), 0.0) ** 2
+    fourth = jnp.sum(share**2, axis=-1)
+    return jnp.sum(share, axis=-1) ** 2 / jnp.where(fourth > 0, fourth, 1.0)
+
+
+# An amplitude (x0) that rounding and solver tolerances cannot fake.
+LEAST_ACTIVE = 1e-3
+
+
+def active_above(belt_speed: ArrayLike) -> Float[Array, "..."]:
+    """The amplitude above which a mass vibrates on its own: |v_d| / 2, but 1e-3 at least.
+
+    Elementwise, of any shape; dimensionless, as all amplitudes here.
+
+    >>> active_above(1.5).item(), active_above(0.0).item()
+    (0.75, 0.001)
+    """
+    return jnp.maximum(jnp.abs(jnp.asarray(belt_speed)) / 2, LEAST_ACTIVE)
+
+
+def active(
+    amplitude: Float[Array, "*batch n"], belt_speed: Float[ArrayLike, "*#batch"]
+) -> Bool[Array, "*batch n"]:
+    """Which masses vibrate on their own: A_n > |v_d| / 2.
+
+    A mass that sticks moves at the belt's speed, so its amplitude is at least about v_d.  One that
+    is only shaken by its neighbours in the paper's chain reaches 0.21 of that at a belt speed of
+    1.5 and 0.37 at 1.36, near the end of the range in which it is not drawn in.
+
+    **Arguments:** amplitudes, in the unit of displacement P/k, and the belt speed, a number or one
+    for each state of a batch.
+    """
+    threshold = active_above(belt_speed)
+    return amplitude > (threshold[..., None] if threshold.ndim else threshold)
+
+
+# Windows that must agree.  With two, three times as many wrong ones pass at an accuracy of 0.1.
+_AGREEING = 4
+
+
+def settled(
+    amplitude: Float[Array, "*batch windows n"], accuracy: ScalarLike
+) -> Bool[Array, "*batch"]:
+    """Whether amplitudes have settled: those of the last four windows agree within `accuracy`.
+
+    max over n of (greatest - least of the last four windows) <= accuracy * greatest amplitude.
+    Of such amplitudes `accuracy=` of `simulate` holds its promise at any time (see
+    `choose_numerics`).  It does not say that nothing will start later.
+
+    **Arguments:** amplitudes of successive windows, such as `simulate(..., segments=20,
+    observe=Amplitude())` observes, of at least 20 time units (three periods) each; `accuracy` is
+    relative to the greatest of all that are given.
+
+    **Returns:** shape (...); False where NaN is among the amplitudes.
+
+    **Raises:** `ValueError` for fewer than four windows.
+
+    >>> import jax.numpy as jnp
+    >>> grows = jnp.array([[1.5, 0.01], [1.5, 0.02], [1.5, 0.04], [1.5, 0.08], [1.5, 0.16]])
+    >>> bool(settled(grows, 1e-2)), bool(settled(grows, 0.1))
+    (False, True)
+    """
+    windows = jnp.shape(amplitude)[-2]
+    if windows < _AGREEING:
+        raise ValueError(
+            f"Argument `amplitude` must hold at least {_AGREEING} windows, but holds {windows}: "
+            f"run with `segments` = {_AGREEING} or more."
+        )
+    last = amplitude[..., -_AGREEING:, :]
+    change = jnp.max(jnp.max(last, axis=-2) - jnp.min(last, axis=-2), axis=-1)
+    return change <= accuracy * jnp.max(amplitude, axis=(-2, -1))
+
+
+def at_rest(amplitude: Float[Array, "*batch n"]) -> Bool[Array, "*batch"]:
+    """Whether no mass moves: every A_n <= 1e-3, what rounding and tolerances can fake.
+
+    A state in which no mass is `active` need not be at rest: a vibration that dies down still
+    moves, and so do masses that are shaken.  NaN, of a run that failed, is not at rest.
+
+    >>> import jax.numpy as jnp
+    >>> at_rest(jnp.array([[1e-5, 0.0], [0.3, 0.0]])).tolist()
+    [True, False]
+    """
+    return jnp.all(amplitude <= LEAST_ACTIVE, axis=-1)
+
+
+def mean_period(peak_times: Float[Array, " peaks"]) -> Float[Array, ""]:
+    """T = (last peak - first peak) / (peaks - 1) of one mass, NaN with fewer than two peaks.
+
+    **Arguments:** peak times of one mass in any order, NaN where none.
+
+    >>> import jax.numpy as jnp
+    >>> float(mean_period(jnp.array([1.0, 7.5, jnp.nan, 14.0])))
+    6.5
+    """
+    count = jnp.sum(~jnp.isnan(peak_times))
+    length = jnp.nanmax(peak_times) - jnp.nanmin(peak_times)
+    return jnp.where(count > 1, length / jnp.maximum(count - 1, 1), jnp.nan)
+
+
+def delays(
+    peak_times: Float[Array, "peaks n"],
+    reference: int | Int[Array, ""],
+    period: ScalarLike,
+    centre: ScalarLike = 0.0,
+) -> Float[Array, "peaks n"]:
+    """phi_i = tau_peak,i - tau_peak,reference of each peak to the nearest one of the reference.
+
+    **Arguments:** peak times as `PeakTimes` gives them (NaN where none, also in between), index of
+    the reference mass (10 for the paper's 11th), and the period used to bring delays into
+    [centre - period/2, centre + period/2): those of the first and last peaks, and with a `centre`
+    of period/4, say, all, so that neither motion in phase (0) nor out of phase (period/2) lies on
+    an edge.
+
+    **Returns:** shape (peaks, n), NaN where there is no peak.
+
+    >>> import jax.numpy as jnp
+    >>> peaks = jnp.array([[0.0, 3.5], [6.0, 9.5]])
+    >>> delays(peaks, 0, 6.0)[:, 1].tolist(), delays(peaks, 0, 6.0, 1.5)[:, 1].tolist()
+    ([-2.5, -2.5], [3.5, 3.5])
+    """
+    ref = jnp.sort(jnp.take(peak_times, jnp.asarray(reference), axis=1))  # NaN last
+    after = jnp.searchsorted(ref, peak_times)
+    later = ref[jnp.minimum(after, ref.shape[0] - 1)]
+    earlier = ref[jnp.maximum(after - 1, 0)]
+    # A peak beyond the last of the reference has NaN behind it, or itself.
+    to_later = jnp.where(jnp.isnan(later), jnp.inf, jnp.abs(later - peak_times))
+    nearer = jnp.where(to_later < jnp.abs(peak_times - earlier), later, earlier)
+    lowest = centre - period / 2
+    return (peak_times - nearer - lowest) % period + lowest

@@ -1,0 +1,121 @@
+"""Some masses at regular times along a run, from the dense output of its steps."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float, Int
+
+from .._checks import check_count, check_nonnegative, check_positive, to_float
+from .._types import ScalarLike, State
+from ..model.oscillators import AbstractOscillators
+from .base import AbstractObserver, Step
+
+# Share of an interval, or of a step, by which rounding may move a time.
+_ROUNDING = 1e-9
+
+
+class _Samples(eqx.Module):
+    first: Float[Array, ""]  # time of sample 0
+    count: Int[Array, ""]  # of those that are known
+    x: Float[Array, "capacity masses"]
+    v: Float[Array, "capacity masses"]
+
+
+class Samples(AbstractObserver):
+    """Displacement and velocity of chosen masses at start, start + interval, ...
+
+    A run that begins later begins with the first of these times that lies within it.  The steps
+    are not cut to meet them, as a `Trajectory` makes true dry friction do, and the length of the
+    run has no part in the cost: with `segments`, or with the window's start and a `capacity` to
+    match, a long run stores no more than it shows.
+
+    **Arguments:** `interval` between samples; `capacity`, the greatest number kept (the first
+    ones); `oscillators`, indices of the masses from 0 (None: all); `start`.
+
+    **Value:** (times, x, v) of shapes (capacity,), (capacity, masses), (capacity, masses); NaN
+    where none.
+
+    **Raises:** `ValueError` for an index that the chain does not have, and for bad numbers.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import EventDriven, equation_8, paper_chain, simulate
+        >>> from jaxchain.observers.samples import Samples
+        >>> chain = paper_chain(2)
+        >>> watch = Samples(0.5, 4, oscillators=(1,), start=3.0)
+        >>> run = simulate(chain, equation_8(chain, 1), 10.0, observe=watch, solver=EventDriven())
+        >>> run.observed[0].tolist(), run.observed[1].shape
+        ([3.0, 3.5, 4.0, 4.5], (4, 1))
+    """
+
+    interval: float = eqx.field(static=True)
+    capacity: int = eqx.field(static=True)
+    oscillators: tuple[int, ...] | None = eqx.field(static=True, default=None)
+    start: float = eqx.field(static=True, default=0.0)
+
+    def __check_init__(self) -> None:
+        check_positive("interval", self.interval, "0.1 is a sixtieth of a period.")
+        check_count("capacity", self.capacity)
+        check_nonnegative("start", self.start, "the first time; 0 is usual.")
+
+    def _masses(self, n: int) -> np.ndarray:
+        if self.oscillators is None:
+            return np.arange(n)
+        for index in self.oscillators:
+            if not 0 <= index < n:
+                raise ValueError(
+                    f"Argument `oscillators` must hold indices from 0 to {n - 1}, but holds "
+                    f"{index}: the chain has {n} masses."
+                )
+        return np.array(self.oscillators, int)
+
+    def init(
+        self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State
+    ) -> _Samples:
+        del field, t1
+        masses = self._masses(y0[0].shape[0])
+        gone = jnp.ceil((to_float(t0) - self.start) / self.interval - _ROUNDING)
+        first = self.start + self.interval * jnp.maximum(gone, 0.0)
+        none = jnp.full((self.capacity, masses.size), jnp.nan)
+        # The initial state itself, which ends no step.
+        x, v = (none.at[0].set(jnp.where(first <= t0, part[masses], jnp.nan)) for part in y0)
+        return _Samples(first, jnp.where(first <= t0, 1, 0), x, v)
+
+    def update(self, accumulator: _Samples, step: Step) -> _Samples:
+        masses = self._masses(step.y0[0].shape[0])
+        length = jnp.maximum(step.t1 - step.t0, 1e-300)
+
+        def theta(count: Array) -> Array:
+            return (accumulator.first + count * self.interval - step.t0) / length
+
+        def within(carry: tuple[Array, Array, Array]) -> Array:
+            count = carry[0]
+            return (theta(count) <= 1.0 + _ROUNDING) & (count < self.capacity)
+
+        def keep(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+            count, x, v = carry
+            here = (jnp.arange(self.capacity) == count)[:, None]
+            place = jnp.clip(theta(count), 0.0, 1.0)
+            now = step.displacement(place)[masses], step.velocity(place)[masses]
+            x, v = (
+                jnp.where(here, new[None, :], old) for new, old in zip(now, (x, v), strict=True)
+            )
+            return count + 1, x, v
+
+        count, x, v = lax.while_loop(
+            within, keep, (accumulator.count, accumulator.x, accumulator.v)
+        )
+        return _Samples(accumulator.first, count, x, v)
+
+    def settled(self, accumulator: _Samples) -> None:
+        del accumulator
+
+    def read(self, accumulator: _Samples) -> tuple[Array, Array, Array]:
+        index = jnp.arange(self.capacity)
+        times = accumulator.first + index * self.interval
+        return jnp.where(index < accumulator.count, times, jnp.nan), accumulator.x, accumulator.v

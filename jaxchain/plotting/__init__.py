@@ -1,0 +1,1 @@
+"""Pictures: sweeps, the model, films."""

@@ -1,0 +1,169 @@
+"""What a bifurcation diagram shows beside its points, read off a dataset.
+
+All functions take a dataset as `jaxchain.sweep` returns it or as a results file holds it.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+
+from ..boundaries.fold import find_fold
+from ..boundaries.single_mass import OneMassBranch, one_mass_branch
+from ..model.chain import Chain
+from ..model.friction import ExponentialDecay, TanhFriction
+from ..observers import quantities
+from ..observers.quantities import LEAST_ACTIVE
+from ..result import NAMES, STOPPED_WELL
+
+
+def parameters(data: xr.Dataset) -> dict[str, Any]:
+    """The numbers of chain and friction; "swept" where they are a dimension."""
+    return json.loads(data.attrs["parameters"])
+
+
+def masses(data: xr.Dataset) -> int:
+    """N, also where nothing is kept of each mass."""
+    return parameters(data)["n"]
+
+
+def swept(data: xr.Dataset) -> list[str]:
+    """The swept dimensions, in their order."""
+    return [str(name) for name in data["result"].dims]
+
+
+def hopf_belt_speed(data: xr.Dataset) -> float | None:
+    """v_H = v_0 ln[p (mu_st - mu_d) / (2 xi v_0)]: above it, steady sliding is stable.
+
+    None if the law of friction is another one, if one of these numbers is swept or given per mass,
+    or if steady sliding is stable at every speed.
+    """
+    own = parameters(data)
+    if own["friction_law"] != "ExponentialDecay":
+        return None
+    load = 1.0 if own["normal_load"] is None else own["normal_load"]
+    numbers = (own["mu_static"], own["mu_dynamic"], own["v_ref"], own["damping_ratio"], load)
+    if not all(isinstance(number, float) for number in numbers):
+        return None
+    static, dynamic, v_ref, damping, load = numbers
+    if damping <= 0 or load * (static - dynamic) <= 2 * damping * v_ref:
+        return None
+    return v_ref * math.log(load * (static - dynamic) / (2 * damping * v_ref))
+
+
+def cycles(data: xr.Dataset) -> OneMassBranch | None:
+    """All cycles of one oscillator with smoothed friction, stable and unstable, over belt speed.
+
+    None if `data` is a sweep of anything else, or has fewer than ten belt speeds, or but one start
+    at each, which shows no more than where the runs end; or if these cycles do not fold.
+    """
+    own = parameters(data)
+    names = swept(data)
+    if own["n"] != 1 or own["friction_law"] != "ExponentialDecay" or len(names) < 2:
+        return None
+    if "belt_speed" not in names or data.sizes["belt_speed"] < 10:
+        return None
+    law = [own[name] for name in ("mu_static", "mu_dynamic", "v_ref")]
+    others = [own[name] for name in ("width", "damping_ratio", "stiffness")]
+    load = own["normal_load"]
+    if not all(isinstance(number, float) for number in [*law, *others, load or 1.0]):
+        return None
+    width, damping, stiffness = others
+    friction = TanhFriction(ExponentialDecay(*law), width)
+    chain = Chain(1, friction, 1.0, damping, None, stiffness, load)
+    fold = find_fold(chain)
+    # A sweep may lie above the fold altogether.
+    lowest = min(max(float(data["belt_speed"].min()), 0.05), 0.5 * float(fold.belt_speed))
+    branch = one_mass_branch(chain, 0.05 if np.isnan(lowest) else lowest, fold)
+    return branch if np.isfinite(branch.belt_speed[branch.fold]) else None
+
+
+def failed(data: xr.Dataset) -> xr.DataArray:
+    """Which runs have no answer."""
+    return ~data["result"].isin([NAMES.index(name) for name in STOPPED_WELL])
+
+
+def energy(data: xr.Dataset) -> xr.DataArray | None:
+    """E, from the amplitudes if only those were kept; None if neither was."""
+    if "energy" in data:
+        return data["energy"]
+    if "amplitude" not in data:
+        return None
+    return 0.5 * (data["amplitude"] ** 2).sum("oscillator", skipna=False)
+
+
+def at_rest(data: xr.Dataset) -> xr.DataArray | None:
+    """Which runs ended at rest, see `quantities.at_rest`; None if no amplitude was kept.
+
+    Where only energies were kept, rest is E <= 1e-6 / 2, what one mass at the limit has.
+    """
+    if "amplitude" in data:
+        amplitude = data["amplitude"].transpose(..., "oscillator")
+        rests = np.asarray(quantities.at_rest(jnp.asarray(amplitude.values)))
+        return xr.DataArray(rests, dims=amplitude.dims[:-1]).transpose(*swept(data))
+    if "energy" in data:
+        return data["energy"] <= 0.5 * LEAST_ACTIVE**2
+    return None
+
+
+def moving_fronts(data: xr.Dataset) -> xr.DataArray | None:
+    """Where fronts move: the number of vibrating masses at the end is not that at the start.
+
+    Looks at starts with at least two masses on either side of a front, because a lone mass between
+    two neighbours of the other kind has no front; and at speeds where vibration of the whole chain
+    survives, because beyond it dies everywhere at once.
+
+    **Returns:** booleans over `belt_speed`; None if `belt_speed` and `excited` are not both swept.
+    """
+    if "active_count" not in data or not {"belt_speed", "excited"} <= set(swept(data)):
+        return None
+    excited = data["excited"]
+    other = [name for name in swept(data) if name != "belt_speed"]
+    two_sided = (excited >= 2) & (excited <= masses(data) - 2)
+    changed = two_sided & ~failed(data) & (data["active_count"] != excited)
+    dies = (data["active_count"] == 0) & (excited == excited.max())
+    return changed.any(other) & ~dies.any(other)
+
+
+def intervals(positions: np.ndarray, inside: np.ndarray) -> list[tuple[float, float]]:
+    """The stretches in which `inside` holds, each with edges midway to the next position outside.
+
+    >>> intervals(np.array([1.0, 2.0, 3.0, 4.0]), np.array([False, True, True, False]))
+    [(1.5, 3.5)]
+    """
+    order = np.argsort(positions)
+    positions, inside = positions[order], inside[order]
+    middle = 0.5 * (positions[1:] + positions[:-1])
+    edges = np.concatenate([positions[:1], middle, positions[-1:]])
+    steps = np.diff(np.concatenate([[0], inside.astype(int), [0]]))
+    starts, stops = np.flatnonzero(steps == 1), np.flatnonzero(steps == -1)
+    return [(float(edges[i]), float(edges[j])) for i, j in zip(starts, stops, strict=True)]
+
+
+def basin_brackets(data: xr.Dataset) -> list[tuple[float, float, float]]:
+    """(belt speed, largest start that ends without vibration, smallest that vibrates), one mass.
+
+    The unstable cycle is the boundary between the two basins in the phase plane of one oscillator,
+    so that a start at rest, `displacement` away from steady sliding, lies within it or outside.
+    Speeds at which all starts end alike are left out, and those below the Hopf speed, where steady
+    sliding does not attract and a start without vibration has not gone far enough yet.
+    """
+    two = set(swept(data)) == {"belt_speed", "displacement"}
+    if masses(data) != 1 or "active_count" not in data or not two:
+        return []
+    start = np.abs(data["displacement"].values)
+    brackets = []
+    hopf = hopf_belt_speed(data)
+    for speed in data["belt_speed"].values:
+        if hopf is not None and speed < hopf:
+            continue
+        count = data["active_count"].sel(belt_speed=speed).values
+        inside, outside = start[count == 0], start[count == 1]
+        if inside.size and outside.size and inside.max() < outside.min():
+            brackets.append((float(speed), float(inside.max()), float(outside.min())))
+    return brackets

@@ -1,0 +1,138 @@
+"""Films of a chain in motion: who sticks when, and loops that close."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .._checks import check_count, check_finite, check_positive, require_64_bits, require_x64
+from ..cycles.guesses import most_lively
+from ..model.chain import Chain
+from ..observers.base import Section, Trajectory
+from ..simulation.run import Simulation, simulate
+from ..solvers.dry_friction import RESOLUTION, DryField
+
+LEAST_FRAMES = 2
+
+
+def sticking(chain: Chain, states: Any, dry: bool = False) -> np.ndarray:
+    """Which masses stick, of the shape (times, n) of x and v: what `StickTime` adds up.
+
+    `dry`: the states are those of true dry friction (`EventDriven`), in which a mass sticks while
+    v = v_d; else of the smoothed law, where it sticks while |v - v_d| is below the speed of
+    greatest friction and the force on it, without friction, does not exceed p mu_st.
+    """
+    field = DryField(chain) if dry else chain
+    limit = field.stick_speed() + (RESOLUTION * (1.0 + jnp.abs(chain.belt_speed)) if dry else 0.0)
+
+    @eqx.filter_jit
+    def held(x: Any, v: Any) -> Any:
+        w, _ = field.switching(0.0, v)
+        return (jnp.abs(w) <= limit) & (field.unheld_force(x, v) <= 0)
+
+    x, v = (jnp.asarray(part) for part in states)
+    return np.asarray(jax.vmap(held)(x, v))
+
+
+def loop(
+    chain: Any,
+    state: Any,
+    *,
+    frames: Any = 60,
+    solver: Any = None,
+    longest: Any = 100.0,
+    tolerance: Any = 1e-2,
+) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    """A whole number of periods of the vibration that goes through `state`, for a film in a loop.
+
+    The motion is cut where the liveliest mass turns, and closed at the first of these turns (after
+    up to `longest` time units) that comes back nearly as well as any: the greatest difference in a
+    displacement or velocity from the first turn is then at most `tolerance`.
+
+    **Arguments:** `state` = (x, v) after the transient; `frames`, how many; `solver` as for
+    `simulate`.
+
+    **Returns:** (times, (x, v)) of shapes (frames,) and (frames, n), from time 0; the next frame
+    would be the first again.
+
+    **Raises:** `ValueError` for bad input; `RuntimeError` where nothing vibrates or nothing comes
+    back.
+
+    ```python
+    chain = paper_chain(n=20, belt_speed=1.5)
+    last = simulate(chain, equation_8(chain, 3), 4000.0, solver=EventDriven()).state
+    times, states = loop(chain, last, solver=EventDriven())
+    save_gif(animate(chain, times, states, dry=True), "chain.gif")
+    ```
+    """
+    _check_chain(chain)
+    check_frames("frames", frames)
+    check_positive("longest", longest, "100 is some sixteen periods.")
+    check_positive("tolerance", tolerance, "1e-2 cannot be seen.")
+    turns = Section(most_lively(chain, state), capacity=256)
+    run = simulate(chain, state, longest, observe=turns, solver=solver)
+    at, x, v = (np.asarray(part) for part in run.observed)
+    if np.count_nonzero(np.isfinite(at)) < 2:
+        raise RuntimeError(
+            f"No loop was found: the liveliest mass does not turn twice within {longest} time "
+            "units. Start from a state that vibrates, or raise `longest`."
+        )
+    apart = np.maximum(np.abs(x[1:] - x[0]).max(1), np.abs(v[1:] - v[0]).max(1))
+    apart = np.where(np.isfinite(apart), apart, np.inf)
+    if apart.min() > tolerance:
+        raise RuntimeError(
+            f"No loop was found: within {longest} time units no turn of the liveliest mass comes "
+            f"closer than {apart.min():.1e} to the first. Let the transient pass, raise `longest` "
+            "or `tolerance`, or make a film that does not close: `animate` takes any times."
+        )
+    back = 1 + int(np.argmax(apart <= max(2.0 * apart.min(), 0.1 * tolerance)))
+    period = float(at[back] - at[0])
+    times = period * np.arange(frames) / frames
+    begin = (jnp.asarray(x[0]), jnp.asarray(v[0]))
+    film = simulate(chain, begin, period, observe=Trajectory(times), solver=solver)
+    return times, (np.asarray(film.observed[0]), np.asarray(film.observed[1]))
+
+
+def checked_film(chain: Any, times: Any, states: Any) -> tuple[np.ndarray, tuple[Any, Any]]:
+    """Times and (x, v) as arrays of fitting shapes, or `ValueError`."""
+    _check_chain(chain)
+    times = np.asarray(times, dtype=float)
+    check_finite("times", times, "leave out such times.")
+    if times.ndim != 1 or len(times) < LEAST_FRAMES or not np.all(np.diff(times) > 0):
+        raise ValueError(
+            f"Argument `times` must hold at least {LEAST_FRAMES} increasing times, one for each "
+            f"frame, but has shape {times.shape}: observe `Trajectory(jnp.linspace(t0, t1, 60))`."
+        )
+    if isinstance(states, Simulation):
+        states = states.observed
+    if not isinstance(states, tuple | list) or len(states) != 2:
+        raise ValueError(
+            "Argument `states` must be the pair (x, v), or a `Simulation` that observed one "
+            f"`Trajectory` and nothing else, but is {type(states).__name__}."
+        )
+    x, v = (np.asarray(part) for part in states)
+    for name, part in (("displacements", x), ("velocities", v)):
+        if part.shape != (len(times), chain.n):
+            raise ValueError(
+                f"Argument `states` has {name} of shape {part.shape}, but {len(times)} times and "
+                f"{chain.n} masses need {(len(times), chain.n)}."
+            )
+        check_finite(name, part, "a run that failed ends with NaN; see its `result`.")
+    return times, (x, v)
+
+
+def _check_chain(chain: Any) -> None:
+    require_x64()
+    if not isinstance(chain, Chain):
+        raise ValueError(f"Argument `chain` must be a `Chain`, but is a {type(chain).__name__}.")
+    require_64_bits("chain", chain)
+
+
+def check_frames(name: str, value: Any) -> None:
+    if value is None:
+        raise ValueError(f"Argument `{name}` must be an integer, but is None.")
+    check_count(name, value)

@@ -1,0 +1,286 @@
+"""Figures of sweeps, at the width of a journal page.
+
+Only matplotlib's object-oriented interface is used: a figure is returned, and nothing global is
+changed.  Colours are those of Okabe and Ito and of viridis, which colour-blind readers can tell
+apart; states differ by marker, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.figure import Figure
+
+from ..scenes.scene import NONSMOOTH
+from .diagram import (
+    at_rest,
+    basin_brackets,
+    cycles,
+    energy,
+    failed,
+    hopf_belt_speed,
+    intervals,
+    masses,
+    moving_fronts,
+    swept,
+)
+
+PAGE_WIDTH = 7.0  # inches
+PANEL_HEIGHT = 2.9
+BLUE, ORANGE, GREY, RED = "#0072B2", "#E69F00", "#777777", "#C8102E"
+PURPLE = "#CC79A7"
+STYLE: dict[Any, Any] = {
+    "font.size": 8.0,
+    "axes.labelsize": 9.0,
+    "axes.titlesize": 8.5,
+    "legend.fontsize": 7.0,
+    "axes.linewidth": 0.6,
+    "xtick.direction": "in",
+    "ytick.direction": "in",
+    "mathtext.fontset": "dejavusans",
+    "pdf.fonttype": 42,  # text stays text
+}
+MOST_SHADES = 60  # more cannot be told apart
+MOST_VECTORS = 10_000  # points that a PDF viewer still draws without delay
+SYMBOLS = {
+    "belt_speed": r"belt speed $\tilde v_d$ (–)",
+    "damping_ratio": r"damping ratio $\xi$ (–)",
+    "coupling": r"coupling $\eta_c$ (–)",
+    "stiffness": r"relative stiffness (–)",
+    "normal_load": r"relative normal load (–)",
+    "width": r"regularization width $\varepsilon$ (–)",
+    "mu_static": r"static friction coefficient $\mu_{st}$ (–)",
+    "mu_dynamic": r"dynamic friction coefficient $\mu_d$ (–)",
+    "mu_viscous": r"viscous friction coefficient $\mu_v$ (–)",
+    "v_ref": r"reference speed $\tilde v_0$ (–)",
+    "excited": "oscillators excited at the start",
+    "displacement": "displacement at the start (–)",
+    "velocity": "velocity at the start (–)",
+}
+AMPLITUDE = r"vibration amplitude $\tilde A$ (–)"
+NONE_VIBRATES = r"no $\tilde A_n > \tilde v_d/2$"
+NOT_VIBRATING = f"moves, {NONE_VIBRATES}"
+ENERGY = r"vibration energy $\tilde E = \frac{1}{2}\sum \tilde A_i^2$ (–)"
+
+
+def figure_3(ladder: xr.Dataset, single: xr.Dataset, hopf: float | None = None) -> Figure:
+    """The bifurcation diagram of one oscillator and of the chain, side by side.
+
+    **Arguments:** `ladder`, a sweep of a chain over `belt_speed` and `excited`; `single`, one of
+    a single oscillator over `belt_speed` and anything else, such as its `displacement` at the
+    start; `hopf`, the belt speed at which steady sliding loses its stability (default: from the
+    parameters of each dataset).
+    """
+    return figure({"single": single, "ladder": ladder}, hopf=hopf)
+
+
+def figure(datasets: Mapping[str, xr.Dataset], hopf: float | None = None) -> Figure:
+    """One panel for each dataset: amplitude for one oscillator, energy for a chain.
+
+    What is called `NAME_nonsmooth` shares the panel of NAME, if there is one.
+    """
+    truths = {
+        name: datasets[name + NONSMOOTH] for name in datasets if name + NONSMOOTH in datasets
+    }
+    datasets = {
+        name: data
+        for name, data in datasets.items()
+        if name.removesuffix(NONSMOOTH) not in truths or name in truths
+    }
+    columns = min(2, len(datasets))
+    rows = -(-len(datasets) // columns)
+    width = PAGE_WIDTH if columns > 1 else 0.65 * PAGE_WIDTH
+    with matplotlib.rc_context(STYLE):
+        page = Figure(figsize=(width, PANEL_HEIGHT * rows), layout="constrained")
+        panels = page.subplots(rows, columns, squeeze=False).ravel()
+        for index, (axes, name) in enumerate(zip(panels, datasets, strict=False)):
+            draw(axes, datasets[name], hopf, truths.get(name))
+            if len(datasets) > 1:
+                axes.set_title(f"({chr(ord('a') + index)})", loc="left", fontweight="bold")
+        for axes in panels[len(datasets) :]:
+            axes.set_axis_off()
+    return page
+
+
+def save_figure(page: Figure, path: Path) -> list[Path]:
+    """Writes `path` with the endings .png and .pdf."""
+    files = [path.with_name(path.name + ending) for ending in (".png", ".pdf")]
+    with matplotlib.rc_context(STYLE):
+        for file in files:
+            page.savefig(file, dpi=300)
+    return files
+
+
+def draw(
+    axes: Axes, data: xr.Dataset, hopf: float | None = None, truth: xr.Dataset | None = None
+) -> None:
+    """Every run of a sweep as a point over the belt speed, or over the first swept number.
+
+    `truth`: the same sweep with true dry friction, drawn as rings around the points.
+    """
+    names = swept(data)
+    across = "belt_speed" if "belt_speed" in names else names[0]
+    if across == "belt_speed":
+        hopf = hopf_belt_speed(data) if hopf is None else hopf
+        _draw_fronts(axes, data)
+        _draw_hopf(axes, data, hopf)
+    else:
+        hopf = None
+    x = data[across].broadcast_like(data["result"]).transpose(*names).values
+    y, label = _heights(data)
+    bad = failed(data).values
+    good = ~bad & np.isfinite(y)
+    _draw_runs(axes, data, x[good], y[good], good, hopf)
+    if truth is not None:
+        heights, _ = _heights(truth)
+        shown = ~failed(truth).values & np.isfinite(heights)
+        axes.plot(
+            x[shown], heights[shown], "o", color="black", markersize=4.6, markerfacecolor="none",
+            markeredgewidth=0.35, zorder=4, label="true dry friction",
+        )  # fmt: skip
+    axes.set_xlabel(SYMBOLS.get(across, across))
+    axes.set_ylabel(label)
+    positions = data[across].values
+    if positions.min() > 0 and positions.max() > 30 * positions.min():
+        axes.set_xscale("log")
+    # Rest stands clear of the axis, failures below it, and rounding errors do not fill the panel.
+    top = max(float(np.max(y[good], initial=0.0)), 1e-3)
+    axes.set_ylim(-0.14 * top if bad.any() else -0.05 * top, 1.08 * top)
+    if bad.any():
+        axes.plot(
+            x[bad], np.full(bad.sum(), -0.08 * top), "x", color=RED, markersize=4, label="failed"
+        )
+    axes.tick_params(which="both", top=True, right=True)
+    handles, labels = axes.get_legend_handles_labels()
+    if handles:
+        axes.legend(
+            handles, labels, loc="upper left", handlelength=1.6, framealpha=0.75, edgecolor="none"
+        )
+
+
+def _heights(data: xr.Dataset) -> tuple[np.ndarray, str]:
+    """What the points show, of the shape of the runs, and its name."""
+    values = energy(data)
+    if values is None:
+        return data["active_count"].values, "vibrating oscillators"
+    if masses(data) == 1:
+        return (2 * values.values) ** 0.5, AMPLITUDE
+    return values.values, ENERGY
+
+
+def _draw_runs(
+    axes: Axes,
+    data: xr.Dataset,
+    x: np.ndarray,
+    y: np.ndarray,
+    good: np.ndarray,
+    hopf: float | None,
+) -> None:
+    """Vibrating, at rest, unstable rest, and neither: told apart by colour and marker.
+
+    Neither is what moves without a mass that vibrates: a vibration that dies down or has just
+    begun, or masses that are shaken.
+    """
+    if "active_count" not in data:
+        axes.plot(x, y, "o", color=BLUE, markersize=3)
+        return
+    count = data["active_count"].values[good]
+    found = at_rest(data)
+    still = np.zeros_like(good) if found is None else found.values
+    moving = (count == 0) & ~still[good]
+    unstable = (count == 0) & ~moving & (x < (-np.inf if hopf is None else hopf))
+    resting = (count == 0) & ~moving & ~unstable
+    vibrating = count > 0
+    if masses(data) == 1:
+        axes.plot(x[vibrating], y[vibrating], "o", color=BLUE, markersize=3.2, label="vibrating")
+        if not _draw_cycles(axes, data):
+            _draw_brackets(axes, data)
+    else:
+        _draw_counts(axes, x[vibrating], y[vibrating], count[vibrating], masses(data))
+    if resting.any():
+        axes.plot(x[resting], y[resting], "s", color=ORANGE, markersize=2.8, label="at rest")
+    if unstable.any():
+        axes.plot(
+            x[unstable], y[unstable], "s", color=ORANGE, markersize=2.8, markerfacecolor="white",
+            markeredgewidth=0.8, label="at rest, unstable",
+        )  # fmt: skip
+    if moving.any():
+        word = NOT_VIBRATING if found is not None else NONE_VIBRATES
+        axes.plot(
+            x[moving], y[moving], "^", color=PURPLE, markersize=3.6, markeredgewidth=0, label=word
+        )
+
+
+def _draw_cycles(axes: Axes, data: xr.Dataset) -> bool:
+    """The branch of cycles through its fold, which no run can show, if it is known."""
+    branch = cycles(data)
+    if branch is None:
+        return False
+    x, y, top = branch.belt_speed, branch.amplitude, branch.fold
+    axes.plot(x[top:], y[top:], color=BLUE, linewidth=0.9, zorder=2)
+    axes.plot(
+        x[: top + 1], y[: top + 1], color="black", linewidth=0.9, linestyle="--", zorder=2,
+        label="unstable cycle",
+    )  # fmt: skip
+    axes.plot(x[top], y[top], "*", color=RED, markersize=7, zorder=5, label="fold")
+    return True
+
+
+def _draw_brackets(axes: Axes, data: xr.Dataset) -> None:
+    """The unstable cycle of one oscillator lies between two neighbouring starts."""
+    brackets = np.array(basin_brackets(data)).reshape(-1, 3)
+    if len(brackets):
+        speed, low, high = brackets.T
+        axes.errorbar(
+            speed, 0.5 * (low + high), 0.5 * (high - low), color=GREY, linewidth=0.9,
+            linestyle="--", elinewidth=1.8, zorder=1, label="unstable cycle",
+        )  # fmt: skip
+
+
+def _draw_counts(axes: Axes, x: np.ndarray, y: np.ndarray, count: np.ndarray, n: int) -> None:
+    shades = min(n, MOST_SHADES)
+    colours = ListedColormap(matplotlib.colormaps["viridis"](np.linspace(0.0, 0.95, shades)))
+    norm = BoundaryNorm(np.linspace(0.5, n + 0.5, shades + 1), shades)
+    points = axes.scatter(x, y, c=count, cmap=colours, norm=norm, s=9, linewidths=0, zorder=3)
+    points.set_rasterized(len(x) > MOST_VECTORS)
+    step = max(1, n // 5)
+    bar = axes.figure.colorbar(
+        points, ax=axes, ticks=range(step, n + 1, step), pad=0.02, aspect=30
+    )
+    bar.set_label("vibrating oscillators")
+    bar.ax.tick_params(length=0)
+    bar.ax.minorticks_off()
+    bar.outline.set_linewidth(0.6)
+
+
+def _draw_hopf(axes: Axes, data: xr.Dataset, hopf: float | None) -> None:
+    speeds = data["belt_speed"].values
+    if hopf is None or not speeds.min() <= hopf <= speeds.max():
+        return
+    axes.axvline(hopf, color="black", linewidth=0.8, linestyle=(0, (6, 2, 1, 2)), zorder=1)
+    axes.annotate(
+        r"$\tilde v_H$", (hopf, 1.0), xycoords=axes.get_xaxis_transform(), xytext=(0, 2),
+        textcoords="offset points", horizontalalignment="center",
+    )  # fmt: skip
+
+
+def _draw_fronts(axes: Axes, data: xr.Dataset) -> None:
+    moving = moving_fronts(data)
+    if moving is None or not moving.any():
+        return
+    for low, high in intervals(data["belt_speed"].values, moving.values):
+        axes.axvspan(low, high, color=RED, alpha=0.08, linewidth=0, zorder=0)
+        for edge in (low, high):
+            axes.axvline(edge, color=RED, linewidth=0.8, linestyle="--", zorder=1)
+    # In the legend only: a patch with the edges of a band.
+    axes.fill_between(
+        [], [], facecolor=(RED, 0.08), edgecolor=RED, linewidth=0.8, linestyle="--",
+        label="moving fronts",
+    )  # fmt: skip

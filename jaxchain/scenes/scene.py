@@ -1,0 +1,264 @@
+"""Scenes: experiments described as data, checked as a whole before anything is compiled.
+
+The tables check each key by itself; here stands what concerns several keys at once: numbers that
+are neither given nor swept, lists that do not fit the chain, more excited masses than there are,
+sweeps that are too large.  Nothing here needs JAX.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+from collections.abc import Callable, Iterable, Iterator
+from typing import Annotated, TypeAlias
+
+import numpy as np
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
+
+from .tables import (
+    MOST_LANES,
+    MOST_LANES_REMEDY,
+    ChainTable,
+    CoulombTable,
+    ExcitedTable,
+    InitialTable,
+    NumericsTable,
+    ObserveTable,
+    Range,
+    Table,
+    TimeTable,
+    Values,
+    short_of_a_period,
+)
+
+# (path of a key within the table, what is wrong with it).
+Problem: TypeAlias = tuple[tuple[str, ...], str]
+
+# Amplitudes of one experiment: 0.8 GB, which a workstation holds while it writes them.
+MOST_AMPLITUDES = 10**8
+CHAIN_NUMBERS = ("belt_speed", "damping_ratio", "coupling", "stiffness", "normal_load")
+POSITIVE = {"width", "v_ref", "stiffness"}
+NONNEGATIVE = {"mu_static", "mu_dynamic", "mu_viscous", "coupling", "normal_load"}
+# Ending of the group with true dry friction, of an experiment with both models.
+NONSMOOTH = "_nonsmooth"
+# Variables of a results file, beside which its groups stand.
+VARIABLES = {"amplitude", "energy", "active_count", "result", "end_time", "steps", "oscillator"}
+
+
+def did_you_mean(word: str, allowed: Iterable[str]) -> str:
+    """ " (did you mean `...`?)", or nothing if no allowed word is near."""
+    near = difflib.get_close_matches(word, list(allowed), n=1)
+    return f" (did you mean `{near[0]}`?)" if near else ""
+
+
+def _raise(problems: list[Problem]) -> None:
+    """All at once; `jaxchain.scenes.reading` unpacks them again."""
+    if problems:
+        text = "; ".join(f"{'.'.join(path)}: {message}" for path, message in problems)
+        raise PydanticCustomError("problems", "{text}", {"text": text, "problems": problems})
+
+
+class Experiment(Table):
+    """One sweep: what jaxchain computes in one go and stores as one dataset."""
+
+    description: str = ""
+    main: bool = False
+    """Stored at the root of the results; the others are groups beside it.  Default: the first."""
+    chain: ChainTable
+    initial: InitialTable
+    time: TimeTable
+    sweep: dict[str, Values] = Field(default_factory=dict)
+    """Numbers of the chain, its friction or the initial state, with the values they take; they
+    replace the single number given there."""
+    observe: ObserveTable = Field(default_factory=ObserveTable)
+    numerics: NumericsTable = Field(default_factory=NumericsTable)
+
+    def friction_numbers(self) -> tuple[str, ...]:
+        """Names of the numbers of the friction law, width last."""
+        fields = type(self.chain.friction).model_fields
+        names = [name for name in fields if name not in ("law", "width")]
+        return (*names, "width")
+
+    def initial_numbers(self) -> tuple[str, ...]:
+        """Names of the numbers of the initial state that can be swept."""
+        if not isinstance(self.initial, ExcitedTable):
+            return ("excited",)
+        own = ("displacement", "velocity")
+        return own if self.initial.oscillators is not None else ("excited", *own)
+
+    def sweepable(self) -> tuple[str, ...]:
+        """Every name that may stand in `sweep`."""
+        return (*CHAIN_NUMBERS, *self.friction_numbers(), *self.initial_numbers())
+
+    def grid(self) -> dict[str, np.ndarray]:
+        """The swept values by name, in the order of the file, each of shape (values,).
+
+        Without a sweep this is one run, at the belt speed of the chain.
+        """
+        if not self.sweep:
+            return {"belt_speed": np.array([self.chain.belt_speed])}
+        grid = {}
+        for name, values in self.sweep.items():
+            array = values.array() if isinstance(values, Range) else np.array(values)
+            grid[name] = array.astype(int) if name == "excited" else array
+        return grid
+
+    def lanes(self) -> int:
+        """Number of runs."""
+        return math.prod(map(len, self.grid().values()))
+
+    @model_validator(mode="after")
+    def _check(self) -> Experiment:
+        _raise([(("sweep", name), message) for name, message in self._sweep_problems()])
+        _raise([*self._missing(), *self._misfits(), *self._too_large()])
+        return self
+
+    def _sweep_problems(self) -> Iterator[tuple[str, str]]:
+        for name, values in self.sweep.items():
+            if name not in self.sweepable():
+                near = did_you_mean(name, self.sweepable())
+                yield name, f"cannot be swept{near}; allowed: {', '.join(self.sweepable())}"
+                continue
+            array = values.array() if isinstance(values, Range) else np.array(values)
+            least = np.min(array)
+            if name in POSITIVE and least <= 0:
+                yield name, f"must be greater than 0 throughout, but holds {least:g}"
+            if name in NONNEGATIVE and least < 0:
+                yield name, f"must not be negative, but holds {least:g}"
+            different, times = np.unique(array, return_counts=True)
+            if different.size < array.size:
+                yield name, f"holds {different[times > 1][0]:g} more than once"
+            if name == "excited":
+                n = self.chain.n
+                bad = array[(array != np.round(array)) | (array < 0) | (array > n)]
+                if bad.size:
+                    must = f"must be whole numbers from 0 to {n} (`chain.n`)"
+                    yield name, f"{must}, but holds {bad[0]:g}"
+            elif name == "coupling" and self.chain.n == 1:
+                yield name, "cannot be swept: a single mass (`chain.n` = 1) has no neighbours"
+
+    def _missing(self) -> Iterator[Problem]:
+        for name in ("belt_speed", "damping_ratio"):
+            if getattr(self.chain, name) is None and name not in self.sweep:
+                yield ("chain", name), "is missing: give it here or in `sweep`"
+        for name in self.friction_numbers():
+            if getattr(self.chain.friction, name) is None and name not in self.sweep:
+                yield ("chain", "friction", name), "is missing: give it here or in `sweep`"
+        initial = self.initial
+        chosen = isinstance(initial, ExcitedTable) and initial.oscillators is not None
+        if initial.excited is None and "excited" not in self.sweep and not chosen:
+            yield ("initial", "excited"), "is missing: give it here or in `sweep`"
+
+    def _misfits(self) -> Iterator[Problem]:
+        yield from ((("chain", *path), message) for path, message in self._chain_misfits())
+        n, initial = self.chain.n, self.initial
+        if initial.excited is not None and initial.excited > n:
+            yield (
+                ("initial", "excited"),
+                f"must not exceed {n} (`chain.n`), but is {initial.excited}",
+            )
+        if isinstance(initial, ExcitedTable) and initial.oscillators is not None:
+            if initial.excited is not None:
+                yield ("initial", "oscillators"), "cannot stand beside `excited`: leave one out"
+            if (last := max(initial.oscillators)) > n:
+                yield (
+                    ("initial", "oscillators"),
+                    f"must lie in 1 ... {n} (`chain.n`), but holds {last}",
+                )
+        softest = self._extreme("stiffness", min)
+        if softest is not None and (problem := short_of_a_period(self.time.window, softest)):
+            yield ("time", "window"), problem
+
+    def _chain_misfits(self) -> Iterator[Problem]:
+        chain = self.chain
+        springs = chain.n if chain.ends == "cyclic" else chain.n - 1
+        wanted = {"coupling": (springs, f"one per spring with {chain.ends} ends")}
+        wanted |= {k: (chain.n, "one per mass") for k in CHAIN_NUMBERS if k not in wanted}
+        for name, (count, which) in wanted.items():
+            value = getattr(chain, name)
+            if isinstance(value, list) and len(value) != count:
+                yield (
+                    (name,),
+                    f"must be one number or {count} in a list ({which}), but has {len(value)}",
+                )
+        if chain.coupling is not None and chain.n == 1:
+            yield ("coupling",), "must be left out: a single mass (`n` = 1) has no neighbours"
+        if not isinstance(chain.friction, CoulombTable):
+            static, dynamic = self._extreme("mu_static", min), self._extreme("mu_dynamic", max)
+            if static is not None and dynamic is not None and static < dynamic:
+                yield (
+                    ("friction", "mu_static"),
+                    f"must be at least `mu_dynamic` = {dynamic:g}, but is {static:g}",
+                )
+
+    def _extreme(self, name: str, choose: Callable[..., float]) -> float | None:
+        """The least or greatest value that a number of chain or friction takes."""
+        if name in self.sweep:
+            return float(choose(self.grid()[name]))
+        table = self.chain if name in CHAIN_NUMBERS else self.chain.friction
+        value = getattr(table, name)
+        return choose(value) if isinstance(value, list) else value
+
+    def _too_large(self) -> Iterator[Problem]:
+        lanes, n = self.lanes(), self.chain.n
+        if lanes > MOST_LANES:
+            product = " x ".join(f"{len(v)} {k}" for k, v in self.grid().items())
+            yield (
+                ("sweep",),
+                f"is {lanes:.3g} runs ({product}), and {MOST_LANES} are the most: "
+                f"{MOST_LANES_REMEDY}",
+            )
+        elif lanes * n > MOST_AMPLITUDES:
+            yield (
+                ("sweep",),
+                f"is {lanes} runs of {n} masses, {lanes * n:.3g} amplitudes, and "
+                f"{MOST_AMPLITUDES:.0e} are the most: {MOST_LANES_REMEDY}, or shorten the chain",
+            )
+
+
+class Scene(Table):
+    """A scene file: a title and the experiments, each a table `[experiment.NAME]`."""
+
+    title: Annotated[str, Field(min_length=1)]
+    description: str = ""
+    experiment: Annotated[dict[str, Experiment], Field(min_length=1)]
+
+    @property
+    def main(self) -> str:
+        """Name of the experiment at the root of the results."""
+        marked = (name for name, experiment in self.experiment.items() if experiment.main)
+        return next(marked, next(iter(self.experiment)))
+
+    @model_validator(mode="after")
+    def _check(self) -> Scene:
+        problems: list[Problem] = []
+        for name, experiment in self.experiment.items():
+            if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", name):
+                problems.append(
+                    (
+                        ("experiment", name),
+                        "must be named by letters, digits, `-` and `_`: it names a group of the "
+                        "results",
+                    )
+                )
+            elif name in VARIABLES or name in experiment.sweepable():
+                problems.append(
+                    (("experiment", name), "is the name of a variable of the results: rename it")
+                )
+            elif name.endswith(NONSMOOTH) and name.removesuffix(NONSMOOTH) in self.experiment:
+                problems.append(
+                    (
+                        ("experiment", name),
+                        "is where the runs of the other model of "
+                        f"`{name.removesuffix(NONSMOOTH)}` may go: rename it",
+                    )
+                )
+        marked = [name for name, experiment in self.experiment.items() if experiment.main]
+        for name in marked[1:]:
+            problems.append(
+                (("experiment", name, "main"), f"must be marked once, but `{marked[0]}` is too")
+            )
+        _raise(problems)
+        return self

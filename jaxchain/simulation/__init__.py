@@ -1,0 +1,1 @@
+"""One run of a chain, smoothed or event by event, and the accuracy it is given."""

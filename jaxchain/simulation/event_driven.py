@@ -1,0 +1,304 @@
+"""Event-driven integration of a chain with true dry friction.
+
+The equations are in `solvers/dry_friction.py`.
+
+A step expands the motion in a Taylor series, as long as the tolerance allows, and ends at the
+first event of any mass, which is a root of the series itself: no step is repeated to land on an
+event, and none is stepped over (`solvers/taylor.py`).  It is one loop in JAX; under `vmap`
+every lane goes to its own next event.
+
+Method: A. Jorba and M. Zou, A software package for the numerical integration of ODEs by means of
+high-order Taylor methods, Experimental Mathematics 14, 99 (2005).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import diffrax as dfx
+import equinox as eqx
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float, Int
+
+from .._checks import to_float
+from .._types import State
+from ..model.chain import Chain
+from ..model.oscillators import AbstractOscillators
+from ..observers.base import AbstractObserver, Step
+from ..result import Result
+from ..solvers.dry_friction import STICK, DryField, Modes, Series, after, expand, next_event, start
+from ..solvers.taylor import value, value_and_slope
+from .plan import AbstractPlan, Progress, first_result
+
+# Steps in succession that may leave the time where it is: an event of every mass, and some more.
+_STALLED_PER_MASS, _STALLED = 8, 64
+_RAN_AWAY = 1e8
+
+
+def _step_length(plan: EventDrivenPlan, series: Series) -> Array:
+    """The step whose last two terms stay within the tolerance (Jorba and Zou)."""
+    scale = plan.atol + plan.rtol * jnp.maximum(jnp.abs(series.x[0]), jnp.abs(series.v[0]))
+    lengths = [plan.max_step]
+    for k in (plan.order - 1, plan.order):
+        term = jnp.max(jnp.abs(series.v[k]) / scale)
+        lengths.append(jnp.maximum(term, 1e-300) ** (-1.0 / k))
+    return jnp.minimum(jnp.minimum(lengths[0], lengths[1]), lengths[2])
+
+
+class _Memory(eqx.Module):
+    modes: Modes
+    stalled: Int[Array, ""]  # steps in succession that did not move the time
+
+
+class EventDrivenPlan(AbstractPlan):
+    """An event-driven Taylor integration: order, tolerances, observers."""
+
+    order: int = eqx.field(static=True)
+    observers: list[AbstractObserver]
+    rtol: Float[Array, ""] = eqx.field(converter=to_float)
+    atol: Float[Array, ""] = eqx.field(converter=to_float)
+    max_step: Float[Array, ""] = eqx.field(converter=to_float)
+
+    @property
+    def method(self) -> str:
+        return f"EventDriven(order={self.order})"
+
+    def begin(self, field: AbstractOscillators, initial: State, t0: Any, t1: Any) -> Progress:
+        dry = _dry(field)
+        state, modes = start(dry, initial)
+        return Progress(
+            t=to_float(t0),
+            state=state,
+            accumulators=[o.init(dry, t0, t1, state) for o in self.observers],
+            memory=_Memory(modes, jnp.zeros((), int)),
+            result=first_result(state, t0, t1),
+            steps=jnp.zeros((), int),
+            rejected=jnp.zeros((), int),
+        )
+
+    def advance(
+        self,
+        field: AbstractOscillators,
+        progress: Progress,
+        t1: Any,
+        *,
+        max_steps: int | None,
+        allowed: Int[Array, ""] | None = None,
+        times: Sequence[Array] = (),
+        adjoint: Any = None,
+    ) -> tuple[Progress, list[tuple[Array, Array]]]:
+        if adjoint is not None and not isinstance(adjoint, dfx.ForwardMode):
+            raise ValueError(
+                "Argument `adjoint` must be None or `diffrax.ForwardMode()` for the event-driven "
+                f"solver, whose loop has no fixed length to go back through, but is {adjoint!r}. "
+                "Use `jax.jvp` or `jax.jacfwd`."
+            )
+        dry = _dry(field)
+        # No step is rejected here.
+        most = progress.steps + (jnp.iinfo(int).max // 2 if max_steps is None else max_steps)
+        if allowed is not None:
+            most = jnp.minimum(most, progress.steps + allowed)
+        n = progress.state[0].shape[0]
+        records = [_Record.blank(ts, n).keep(progress.t, progress.state) for ts in times]
+
+        def goes_on(carry: tuple[Progress, list[_Record]]) -> Array:
+            now, _ = carry
+            return now.running & (now.t < t1) & (now.steps < most)
+
+        def body(carry: tuple[Progress, list[_Record]]) -> tuple[Progress, list[_Record]]:
+            now, records = carry
+            end = t1
+            for record in records:
+                end = jnp.minimum(end, record.next_time())
+            now = self._step(dry, now, end)
+            return now, [record.keep(now.t, now.state) for record in records]
+
+        progress, records = lax.while_loop(goes_on, body, (progress, records))
+        unfinished = progress.running & (progress.t < t1)
+        result = Result.where(unfinished, Result.max_steps_reached, progress.result)
+        progress = eqx.tree_at(lambda p: p.result, progress, result)
+        return progress, [record.states for record in records]
+
+    def _step(self, field: DryField, progress: Progress, end: Any) -> Progress:
+        """One step: to the next event, to the end of what the series can bear, or to `end`."""
+        frozen = lax.stop_gradient
+        modes, t0 = progress.memory.modes, progress.t
+        series = expand(field, progress.state, modes, self.order)
+        left = end - t0
+        bearable = frozen(_step_length(self, series))
+        last = left <= bearable
+        length = jnp.where(last, left, bearable)
+        until, hits = next_event(*frozen((field, series, modes, length)))
+        early = until < length
+        length = jnp.where(early, until, length)
+
+        x, speed = value_and_slope(series.x, length)
+        v, acceleration = value_and_slope(series.v, length)
+        own, shift = self._shifts(field, series, modes, length, hits, v, acceleration)
+        x, v, length = x + shift * speed, v + shift * acceleration, length + shift
+        state, new = after(field, (x, v), modes, hits, length > 0)
+        state = state[0], state[1] + _head_start(field, state, modes, new, hits, shift - own)
+        finite = jnp.all(jnp.isfinite(x) & jnp.isfinite(v))
+        t1 = jnp.where(finite, jnp.where(early | ~last, t0 + length, end), t0)
+        stalled = jnp.where(t1 > t0, 0, progress.memory.stalled + 1)
+
+        accumulators, result = progress.accumulators, progress.result
+        if self.observers:
+            xs = [c * length**k for k, c in enumerate(series.x)]
+            vs = [c * length**k for k, c in enumerate(series.v)]
+            step = Step(
+                field, t0, t1, progress.state, state,
+                lambda theta: value(xs, theta), lambda theta: value(vs, theta),
+            )  # fmt: skip
+            pairs = zip(self.observers, accumulators, strict=True)
+            accumulators = [o.update(a, step) for o, a in pairs]
+            result = self._stop(accumulators, result)
+        # Of a state this large the events lie closer than times that can be told apart.
+        large = jnp.maximum(jnp.max(jnp.abs(x)), jnp.max(jnp.abs(v))) > _RAN_AWAY
+        why = Result.where(large, Result.step_too_small, Result.events_accumulate)
+        stuck = stalled > _STALLED_PER_MASS * x.shape[0] + _STALLED
+        result = Result.where(stuck, why, result)
+        result = Result.where(finite, result, Result.nonfinite)
+        return Progress(
+            t=t1,
+            state=state,
+            accumulators=accumulators,
+            memory=_Memory(new, stalled),
+            result=result,
+            steps=progress.steps + 1,
+            rejected=progress.rejected,
+        )
+
+    def _shifts(
+        self, field: DryField, series: Series, modes: Modes, t: Array, hits: Array,
+        v: Array, acceleration: Array,
+    ) -> tuple[Array, Array]:  # fmt: skip
+        """One more Newton step to the events: nothing but rounding, and their whole derivative.
+
+        (the shift of each mass's event, of shape (n,); their mean over those that have one, by
+        which the step is made longer.)  The search itself is not differentiated; this is the
+        implicit function theorem.
+        """
+        r, drift = value_and_slope(series.r, t)
+        w = v - field.chain.belt_speed
+        slides = modes.direction != STICK
+        excess = jnp.where(slides, w, r - jnp.sign(r) * field.greatest_hold())
+        rate = lax.stop_gradient(jnp.where(slides, acceleration, drift))
+        usable = hits & (rate != 0)
+        shifts = jnp.where(usable, -excess, 0.0) / jnp.where(usable, rate, 1.0)
+        mean = jnp.sum(shifts) / jnp.maximum(jnp.sum(usable), 1)
+        return jnp.where(usable, shifts, mean), mean
+
+    def _stop(self, accumulators: list, result: Result) -> Result:
+        votes = [o.settled(a) for o, a in zip(self.observers, accumulators, strict=True)]
+        if any(vote is None for vote in votes):
+            return result
+        quiet = jnp.asarray(False)
+        for observer, accumulator in zip(self.observers, accumulators, strict=True):
+            quiet = quiet | observer.rests(accumulator)
+        settled = jnp.all(jnp.stack(votes))  # pyright: ignore[reportArgumentType]
+        how = Result.where(quiet, Result.quiet, Result.steady)
+        return Result.where(settled & (result == Result.successful), how, result)
+
+
+def _head_start(
+    field: DryField, state: State, modes: Modes, new: Modes, hits: Array, since: Array
+) -> Array:
+    """What masses that slide on through w = 0 have gained in speed `since` their own events.
+
+    Of masses whose events fall together each is disturbed in its own way, and the step ends at
+    their mean.  Zero but for rounding, which is left out, and its derivative.  One that comes to
+    stick, or is let go, has no acceleration then.
+    """
+    through = hits & (modes.direction != STICK) & (new.direction != STICK)
+    speed = jnp.zeros_like(state[1])
+    friction = new.direction * field.load() * field.chain.friction.law.coefficient(speed)
+    gain = jnp.where(through, since * (field.free_force(*state) - friction), 0.0)
+    return gain - lax.stop_gradient(gain)
+
+
+class _Record(eqx.Module):
+    """The states at given times, which the steps meet exactly."""
+
+    times: Float[Array, " times"]
+    states: tuple[Array, Array]  # shapes (times, n)
+    count: Int[Array, ""]  # of those that are known
+
+    @classmethod
+    def blank(cls, times: Array, n: int) -> _Record:
+        nothing = jnp.full((*times.shape, n), jnp.nan)
+        return cls(times, (nothing, nothing), jnp.zeros((), int))
+
+    def next_time(self) -> Array:
+        last = self.times.shape[0] - 1
+        ahead = self.times[jnp.minimum(self.count, last)]
+        return jnp.where(self.count <= last, ahead, jnp.inf)
+
+    def keep(self, t: Array, state: State) -> _Record:
+        """With the state, if the time is one of those asked for."""
+        here = (jnp.arange(self.times.shape[0]) >= self.count) & (self.times <= t)
+        xs, vs = (
+            jnp.where(here[:, None], now[None, :], before)
+            for now, before in zip(state, self.states, strict=True)
+        )
+        return _Record(self.times, (xs, vs), self.count + jnp.sum(here))
+
+
+class EventDriven(eqx.Module):
+    """The solver for true dry friction: `simulate(chain, initial, t1, solver=EventDriven())`.
+
+    It integrates the set-valued equations themselves; the width of the chain's friction has no
+    part in them.  Any number of masses may stick at once:
+
+        slip (w != 0):   x'' + 2 xi x' + K x = -p mu(|w|) sign(w),      w = x' - v_d
+        stick (w = 0):   |2 xi v_d + K x| <= p mu_st
+
+    Between events the motion is a Taylor series, whose error is controlled by `rtol` and `atol`;
+    events are roots of the series, found to rounding, and neither a touch nor two crossings
+    within a step are missed.  Under `jit`, `vmap`, `sweep` and forward-mode derivatives (`jvp`,
+    `jacfwd`), which hold across sticking and release, that is with their saltation.
+
+    **Arguments:** `order` of the series, 3 ... 40; None suits it to `rtol` (9 at 1e-6, say).
+
+    **Raises:** `ValueError` for another order, or from `simulate` for anything but a `Chain`.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import EventDriven, StickTime, equation_8, paper_chain, simulate
+        >>> chain = paper_chain(n=1, belt_speed=1.0)
+        >>> cycle = simulate(chain, equation_8(chain, 1), 50.0, solver=EventDriven()).state
+        >>> period = simulate(chain, cycle, 6.4325, solver=EventDriven(), observe=StickTime())
+        >>> round(float(period.observed[0]), 3)  # so long of a period it sticks
+        1.007
+    """
+
+    order: int | None = eqx.field(static=True, default=None)
+
+    def __check_init__(self) -> None:
+        if self.order is not None and not 3 <= self.order <= 40:
+            raise ValueError(f"Argument `order` must lie in 3 ... 40, but is {self.order}.")
+
+    def plan(
+        self, observers: list[AbstractObserver], rtol: Any, atol: Any, max_step: Any, tight: float
+    ) -> EventDrivenPlan:
+        """`tight` is rtol as a number, to choose an order by."""
+        order = self.order
+        if order is None:
+            order = int(min(max(math.ceil(2.0 - 0.5 * math.log(tight)), 6), 20))
+        return EventDrivenPlan(
+            order=order, observers=observers, rtol=rtol, atol=atol, max_step=max_step
+        )
+
+
+def _dry(field: AbstractOscillators) -> DryField:
+    if not isinstance(field, Chain):
+        raise ValueError(
+            f"The event-driven solver needs a `Chain`, but has {type(field).__name__}. Use a "
+            "structured or a stock solver for any other system."
+        )
+    return DryField(field)

@@ -1,0 +1,86 @@
+"""How a run goes forward, whatever integrates it: begin, advance, advance, ...
+
+A plan says how a run is computed.  What it returns can be advanced again: that is how a long run
+is cut into segments and how an ensemble refills its lanes.
+"""
+
+import abc
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, PyTree
+
+from .._types import State
+from ..model.oscillators import AbstractOscillators
+from ..observers.base import AbstractObserver
+from ..result import Result
+
+
+class Progress(eqx.Module):
+    """A run under way: everything needed to go on."""
+
+    t: Float[Array, ""]
+    state: State
+    accumulators: list  # of the observers
+    memory: PyTree  # of the integrator
+    result: Result
+    steps: Int[Array, ""]
+    rejected: Int[Array, ""]
+
+    @property
+    def running(self) -> Any:
+        return self.result == Result.successful
+
+
+def first_result(state: State, t0: Any, t1: Any) -> Result:
+    """How a run over [t0, t1] stands before its first step: at its end if it has no sense."""
+    finite = jnp.all(jnp.isfinite(state[0]) & jnp.isfinite(state[1]))
+    result = Result.where(finite, Result.successful, Result.nonfinite)
+    forward = jnp.isfinite(t0) & jnp.isfinite(t1) & (t1 >= t0)  # false for NaN
+    return Result.where(forward, result, Result.bad_span)
+
+
+class AbstractPlan(eqx.Module):
+    """Integrator, tolerances, observers.  Static but for the numbers."""
+
+    observers: eqx.AbstractVar[list[AbstractObserver]]
+    rtol: eqx.AbstractVar[Array]
+    atol: eqx.AbstractVar[Array]
+    max_step: eqx.AbstractVar[Array]
+
+    @property
+    @abc.abstractmethod
+    def method(self) -> str:
+        """The integrator in words, for the records."""
+
+    @abc.abstractmethod
+    def begin(self, field: AbstractOscillators, initial: State, t0: Any, t1: Any) -> Progress:
+        """A run over [t0, t1] before its first step; ended already if nothing can be computed."""
+
+    @abc.abstractmethod
+    def advance(
+        self,
+        field: AbstractOscillators,
+        progress: Progress,
+        t1: Any,
+        *,
+        max_steps: int | None,
+        allowed: Int[Array, ""] | None = None,
+        times: Sequence[Array] = (),
+        adjoint: Any = None,
+    ) -> tuple[Progress, list[tuple[Array, Array]]]:
+        """Moves on to t1, or by `max_steps`, or by `allowed`, whichever comes first.
+
+        Both count every step that is tried, accepted or rejected, and None is no limit; `allowed`,
+        of at least 1, may be traced: one program serves any number.
+
+        **Returns:** the new progress (whose result is `max_steps_reached` if t1 was not reached)
+        and the states at each array of `times`.
+        """
+
+    def read(self, progress: Progress) -> list:
+        """The observed values."""
+        pairs = zip(self.observers, progress.accumulators, strict=True)
+        return [observer.read(accumulator) for observer, accumulator in pairs]

@@ -1,0 +1,323 @@
+"""One run of a chain."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import diffrax as dfx
+import equinox as eqx
+import jax.numpy as jnp
+import jax.tree_util as jtu
+import numpy as np
+from jax import lax
+from jaxtyping import Array, ArrayLike, Float, Int, PyTree
+
+from .._checks import (
+    check_count,
+    check_finite,
+    check_resolved,
+    check_span,
+    check_tolerances,
+    is_traced,
+    require_64_bits,
+    require_x64,
+    to_float,
+)
+from .._types import ScalarLike, State
+from ..model.chain import Chain
+from ..model.locality import check_local
+from ..model.oscillators import AbstractOscillators
+from ..observers.base import AbstractObserver, Trajectory
+from ..result import NAMES, STOPPED_WELL, Result, code, message
+from .accuracy import (
+    MAX_STEP,
+    USUAL_RTOL,
+    Numerics,
+    choose_numerics,
+    choose_solver,
+    default_rtol,
+)
+from .event_driven import EventDriven
+from .plan import AbstractPlan, Progress
+from .smoothed import SmoothedPlan
+
+
+def _is_observer(x: Any) -> bool:
+    return isinstance(x, AbstractObserver | Trajectory)
+
+
+class Simulation(eqx.Module):
+    """What a run returned.
+
+    - `t`: the time at which it ended; earlier than asked if it stopped early or failed.
+    - `state`: (x, v) at that time.
+    - `observed`: the values of what was asked for in `observe`, in the same structure.
+    - `result`: see `Result`; `outcome` is its name, such as "successful".
+    - `steps`, `rejected`: accepted and rejected steps.
+    - `numerics`: the width, tolerance and solver that `accuracy` picked, or None.
+    """
+
+    t: Float[Array, ""]
+    state: State
+    observed: Any
+    result: Result
+    steps: Int[Array, ""]
+    rejected: Int[Array, ""]
+    numerics: Numerics | None = None
+
+    @property
+    def outcome(self) -> str:
+        """The name of the result of one run (not of a batch), see `jaxchain.Result`."""
+        return NAMES[int(code(self.result))]
+
+
+def simulate(
+    chain: AbstractOscillators,
+    initial: Any,
+    t1: ScalarLike,
+    *,
+    t0: ScalarLike = 0.0,
+    observe: PyTree = None,
+    solver: dfx.AbstractSolver | EventDriven | None = None,
+    accuracy: Any = None,
+    rtol: ArrayLike | None = None,
+    atol: ArrayLike | None = None,
+    max_step: ArrayLike = MAX_STEP,
+    max_steps: int | None = None,
+    segments: int | None = None,
+    adjoint: dfx.AbstractAdjoint | None = None,
+    throw: bool = True,
+) -> Simulation:
+    """Integrates a chain from (x, v) = `initial` at t0 to t1 and observes what is asked for.
+
+    **Arguments:**
+
+    - `chain`: a `Chain` (or any other `AbstractOscillators`).
+    - `initial`: the pair (x, v), both of shape (n,); see `excited_state`, `equation_8`.
+    - `t1`, `t0`: dimensionless times, t1 >= t0.
+    - `observe`: an observer (`Amplitude`, `PeakTimes`, `Section`, `Trajectory`) or any nested
+      tuple, list or dict of them.  Nothing else is computed or stored.
+    - `solver`: a structured solver (default, see `choose_solver`) or any diffrax solver, for the
+      smoothed friction; or `EventDriven()` for true dry friction, whatever the width.
+    - `accuracy`: the error that is allowed against true dry friction, relative to the greatest
+      amplitude, for 30 time units from the start, and later of amplitudes that have `settled`
+      (while masses start or stop to vibrate it may be a hundred times greater, see
+      `choose_numerics`).  It picks the width, `rtol` and, if none is given, the solver, and says
+      so in `numerics`.
+    - `rtol`, `atol`: tolerances of the step-size control (default 1e-6, or less where the width
+      is so narrow that sticking needs it; and rtol / 10).
+    - `max_step`: no step is longer (dimensionless time; a period is about 2 pi).
+    - `max_steps`: steps allowed for the run (each segment), accepted or rejected; None is no
+      limit.
+    - `segments`: cut the run into this many parts of equal length and return the observed values
+      of each, stacked in front; observers start anew in each part.
+    - `adjoint`: None is `diffrax.ForwardMode()` (for `jvp`, `jacfwd`, monodromy);
+      `diffrax.RecursiveCheckpointAdjoint()` with a finite `max_steps` serves `grad`.
+    - `throw`: raise an error if the run fails; otherwise read `result`.
+
+    **Raises:** `ValueError` for bad input before anything is compiled; `RuntimeError` with advice
+    if the run fails and `throw` is set.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import Amplitude, active, equation_8, paper_chain, simulate
+        >>> chain = paper_chain(n=20, belt_speed=1.5)
+        >>> run = simulate(chain, equation_8(chain, 1), 200.0, observe=Amplitude(window=50.0))
+        >>> int(active(run.observed, 1.5).sum())
+        1
+    """
+    require_x64()
+    smoothed = not isinstance(solver, EventDriven)
+    numerics = None
+    if accuracy is not None:
+        if rtol is not None or not isinstance(chain, Chain):
+            raise ValueError(
+                "Argument `accuracy` picks the width and `rtol` for a `Chain`: give either it or "
+                f"`rtol`, but `rtol` is {rtol!r} and the chain a {type(chain).__name__}."
+            )
+        numerics = choose_numerics(chain, accuracy)
+        rtol = numerics.rtol
+        if smoothed:
+            chain = chain.with_(width=numerics.width)
+            solver = numerics.solver if solver is None else solver
+    tolerance: Any = rtol
+    if rtol is None:
+        tolerance = USUAL_RTOL
+        if smoothed and isinstance(chain, Chain):
+            tolerance = default_rtol(chain.n, chain.friction.width, chain.belt_speed)
+    initial = _check_input(
+        chain, initial, t0, t1, tolerance, atol, max_step, max_steps, segments, smoothed
+    )
+    if solver is None:
+        solver = choose_solver(chain, _concrete(tolerance, 1e-6), _concrete(max_step, MAX_STEP))
+    leaves, treedef = jtu.tree_flatten(observe, is_leaf=_is_observer)
+    for leaf in leaves:
+        if not _is_observer(leaf):
+            raise ValueError(
+                "Argument `observe` must hold observers (`Amplitude`, `PeakTimes`, `Section`, "
+                f"`Trajectory`), but holds {leaf!r}."
+            )
+        if isinstance(leaf, Trajectory):
+            _check_trajectory(leaf, t0, t1, segments)
+    plan = build_plan(
+        solver,
+        [o for o in leaves if isinstance(o, AbstractObserver)],
+        tolerance,
+        0.1 * tolerance if atol is None else atol,
+        max_step,
+        t1,
+    )
+    trajectories = [o for o in leaves if isinstance(o, Trajectory)]
+    out, values = _run(
+        plan, chain, initial, to_float(t0), to_float(t1), trajectories,
+        max_steps, segments, adjoint,
+    )  # fmt: skip
+    if throw:
+        out = _raise_on_failure(out)
+    observed_values = iter(values[0])
+    trajectory_values = iter(values[1])
+    observed = jtu.tree_unflatten(
+        treedef,
+        [
+            next(trajectory_values) if isinstance(o, Trajectory) else next(observed_values)
+            for o in leaves
+        ],
+    )
+    return Simulation(
+        out.t, out.state, observed, out.result, out.steps, out.rejected,
+        numerics if smoothed else None,
+    )  # fmt: skip
+
+
+def build_plan(
+    solver: dfx.AbstractSolver | EventDriven,
+    observers: list[AbstractObserver],
+    rtol: ArrayLike,
+    atol: ArrayLike,
+    max_step: ArrayLike,
+    t1: ScalarLike,
+) -> AbstractPlan:
+    """How a run to t1 is computed: by diffrax, or event by event."""
+    if isinstance(solver, EventDriven):
+        return solver.plan(observers, rtol, atol, max_step, _concrete(rtol, 1e-6))
+    return SmoothedPlan(
+        solver=solver, observers=observers, rtol=rtol, atol=atol, max_step=max_step, t1=t1
+    )
+
+
+@eqx.filter_jit
+def _run(
+    plan: AbstractPlan,
+    chain: AbstractOscillators,
+    initial: State,
+    t0: Array,
+    t1: Array,
+    trajectories: list[Trajectory],
+    max_steps: int | None,
+    segments: int | None,
+    adjoint: dfx.AbstractAdjoint | None,
+) -> tuple[Progress, tuple[list, list]]:
+    if segments is None:
+        progress = plan.begin(chain, initial, t0, t1)
+        progress, saved = plan.advance(
+            chain, progress, t1, max_steps=max_steps, times=[o.times for o in trajectories],
+            adjoint=adjoint,
+        )  # fmt: skip
+        return progress, (plan.read(progress), saved)
+
+    def segment(progress: Progress, ends: tuple[Array, Array]) -> tuple[Progress, list]:
+        start, end = ends
+        fresh = [o.init(chain, start, end, progress.state) for o in plan.observers]
+        progress = eqx.tree_at(lambda p: p.accumulators, progress, fresh)
+        progress, _ = plan.advance(chain, progress, end, max_steps=max_steps, adjoint=adjoint)
+        return progress, plan.read(progress)
+
+    edges = t0 + (t1 - t0) * jnp.arange(segments + 1) / segments
+    progress = plan.begin(chain, initial, t0, edges[1])
+    progress, values = lax.scan(segment, progress, (edges[:-1], edges[1:]))
+    return progress, (values, [])
+
+
+def _concrete(value: Any, default: float) -> float:
+    """A number to choose a method by; a traced one is taken for the default."""
+    return default if is_traced(value) else float(value)
+
+
+def _check_input(
+    chain: AbstractOscillators,
+    initial: Any,
+    t0: Any,
+    t1: Any,
+    rtol: Any,
+    atol: Any,
+    max_step: Any,
+    max_steps: int | None,
+    segments: int | None,
+    smoothed: bool,
+) -> State:
+    if not isinstance(initial, tuple | list) or len(initial) != 2:
+        raise ValueError(
+            "Argument `initial` must be the pair (displacement, velocity), but is "
+            f"{type(initial).__name__}."
+        )
+    require_64_bits("chain", chain)
+    x, v = (to_float(part) for part in initial)
+    if isinstance(chain, Chain) and x.shape != (chain.n,):
+        raise ValueError(
+            f"Argument `initial` has a displacement of shape {x.shape}, but the chain has "
+            f"{chain.n} masses."
+        )
+    if x.ndim != 1 or x.shape != v.shape:
+        raise ValueError(
+            "Argument `initial` must hold a displacement and a velocity of the same shape (n,), "
+            f"but they have shapes {x.shape} and {v.shape}. Use `jax.vmap` or `sweep` for several."
+        )
+    check_finite("initial displacement", x, "see `excited_state` for initial states.")
+    check_finite("initial velocity", v, "see `excited_state` for initial states.")
+    check_span(t0, t1)
+    check_tolerances(rtol, atol, max_step)
+    if isinstance(chain, Chain) and smoothed:
+        check_resolved(chain.n, chain.friction.width, chain.belt_speed, rtol, atol)
+    check_count("max_steps", max_steps)
+    check_count("segments", segments)
+    if not isinstance(chain, Chain):
+        check_local(chain, t0, (x, v))
+    return x, v
+
+
+def _check_trajectory(trajectory: Trajectory, t0: Any, t1: Any, segments: int | None) -> None:
+    times = trajectory.times
+    if segments is not None:
+        raise ValueError(
+            "A `Trajectory` cannot be observed together with `segments`: its times lie in several "
+            "of them. Leave out `segments`."
+        )
+    if times.ndim != 1 or times.shape[0] == 0:
+        raise ValueError(
+            f"`Trajectory` needs a non-empty one-dimensional array of times, but has shape "
+            f"{times.shape}."
+        )
+    if is_traced(times, t0, t1):
+        return
+    check_finite("times of a `Trajectory`", times, "leave out such times.")
+    ts = np.asarray(times)
+    if np.any(np.diff(ts) < 0) or ts[0] < float(t0) or ts[-1] > float(t1):
+        raise ValueError(
+            f"The times of a `Trajectory` must increase and lie within [{float(t0)}, "
+            f"{float(t1)}], but they run from {ts[0]} to {ts[-1]}."
+        )
+
+
+def _raise_on_failure(progress: Progress) -> Progress:
+    value = code(progress.result)
+    if is_traced(value):
+        well = jnp.stack([progress.result == getattr(Result, name) for name in STOPPED_WELL])
+        return progress.result.error_if(progress, ~jnp.any(well))
+    name = NAMES[int(value)]
+    if name not in STOPPED_WELL:
+        raise RuntimeError(
+            f"The run ended at t = {float(progress.t):.6g} with `{name}`: {message(name)}"
+        )
+    return progress

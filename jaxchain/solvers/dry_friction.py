@@ -1,0 +1,207 @@
+"""The chain with true dry friction: sticking and sliding as they are, nothing smoothed.
+
+A mass sticks to the belt, slides forward (w = v - v_d > 0) or slides backward (w < 0):
+
+    sliding   v' = r - sign(w) p mu(|w|),    until w = 0
+    sticking  v  = v_d,                      until |r| = p mu_st
+
+with r = -2 xi v - k x + C x, the force on the mass without friction.  Where w reaches 0 the mass
+sticks if |r| <= p mu_st and slides on in the direction of r otherwise (Filippov's solution of the
+set-valued equations; it is unique forward in time).  Between two such events the motion is
+analytic, and given here as a Taylor series.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from .._types import PerMass, ScalarLike, State
+from ..model.chain import Chain
+from ..model.oscillators import AbstractOscillators
+from ..model.springs import Springs, materialize
+from .taylor import first_exit
+
+STICK, FORWARD, BACKWARD = 0.0, 1.0, -1.0
+# Shares of the natural scale below which a speed or a force is nothing but rounding.
+RESOLUTION = 1e-13
+# No edge on this side.
+_FAR = 1e100
+# A sticking mass holds this share more than p mu_st, so that one that comes to stick exactly at
+# the limit does not leave again within rounding.
+_SLACK = 1e-13
+
+
+class DryField(AbstractOscillators):
+    """The vector field of a chain with dry friction, for masses that slide."""
+
+    chain: Chain
+    springs: Springs | None
+
+    def __init__(self, chain: Chain):
+        self.chain, self.springs = chain, chain.springs
+
+    def load(self) -> PerMass:
+        load = self.chain.normal_load
+        return jnp.ones(()) if load is None else load
+
+    def can_hold(self, force: Float[Array, " n"]) -> Bool[Array, " n"]:
+        """Whether friction can keep masses on the belt against this force."""
+        return jnp.abs(force) <= self.greatest_hold()
+
+    def greatest_hold(self) -> PerMass:
+        """p mu_st, and a little more: see `_SLACK`."""
+        return self.chain.greatest_hold() * (1.0 + _SLACK)
+
+    def local_force(
+        self, t: ScalarLike, x: Float[Array, " n"], v: Float[Array, " n"]
+    ) -> Float[Array, " n"]:
+        """-sign(w) p mu(|w|) - 2 xi v."""
+        del t, x
+        w = v - self.chain.belt_speed
+        friction = jnp.sign(w) * self.load() * self.chain.friction.law.coefficient(jnp.abs(w))
+        return -friction - 2.0 * self.chain.damping_ratio * v
+
+    def stiffness_diagonal(self, n: int) -> PerMass:
+        return self.chain.stiffness_diagonal(n)
+
+    def switching(self, t: ScalarLike, v: Float[Array, " n"]) -> tuple[Array, PerMass]:
+        """(v - v_d, 0)."""
+        del t
+        return v - self.chain.belt_speed, jnp.zeros(())
+
+    def belt_direction(self) -> ScalarLike:
+        return self.chain.belt_direction()
+
+    def stick_speed(self) -> PerMass:
+        """0: a mass sticks or it does not."""
+        return jnp.zeros(())
+
+    def free_force(self, x: Float[Array, " n"], v: Float[Array, " n"]) -> Float[Array, " n"]:
+        """r = -2 xi v - k x + C x."""
+        return self.restoring_force(x) - 2.0 * self.chain.damping_ratio * v
+
+
+class Modes(eqx.Module):
+    """What every mass does.
+
+    `direction`: STICK, FORWARD or BACKWARD.  `contact`: the power of time with which w leaves 0
+    now: 0 where w is not 0, 1 after passing through w = 0, 2 after sticking.
+    """
+
+    direction: Float[Array, " n"]
+    contact: Int[Array, " n"]
+
+
+class Series(eqx.Module):
+    """Taylor coefficients of x, v and r about the present time: lists of arrays of shape (n,)."""
+
+    x: list[Array]
+    v: list[Array]
+    r: list[Array]
+
+
+def expand(field: DryField, state: State, modes: Modes, order: int) -> Series:
+    """The motion as a Taylor series up to `order`, every mass in its mode.
+
+    v_{k+1} = (r_k - direction p m_k) / (k + 1),   x_{k+1} = v_k / (k + 1),
+
+    with m_k the coefficients of mu(direction (v - v_d)).
+    """
+    chain = field.chain
+    law, load = chain.friction.law, field.load()
+    direction = modes.direction
+    slides = direction != STICK
+    n = direction.shape[0]
+    damping, stiffness = 2.0 * chain.damping_ratio, field.stiffness_diagonal(n)
+    x, v = [state[0]], [state[1]]
+    speed = [direction * (v[0] - chain.belt_speed)]
+    # What the next terms are made of is computed once: see `materialize`.
+    springs = field.springs
+    pull: Any = 0.0 if springs is None else springs.product(x[0])  # C x_k
+    pull_of_v: Any = 0.0 if springs is None else springs.product(v[0])  # C v_k
+    friction: list[Array] = []
+    r: list[Array] = []
+    for k in range(order):
+        r.append(pull - damping * v[k] - stiffness * x[k])
+        friction.append(materialize(law.taylor_coefficient(speed, friction)))
+        change = jnp.where(slides, (r[k] - direction * load * friction[k]) / (k + 1), 0.0)
+        if k == 0:
+            # What has just been let go has no acceleration yet; disturbed, it may have been let go
+            # earlier than the others whose events fall together with its own.
+            change = change - jnp.where(modes.contact == 2, lax.stop_gradient(change), 0.0)
+        x.append(v[k] / (k + 1))
+        if springs is None:
+            v.append(materialize(change))
+        else:
+            pull = pull_of_v / (k + 1)
+            pull_of_v, same = springs.product_and_self(change)
+            v.append(same)
+        speed.append(direction * v[k + 1])
+    r.append(pull - damping * v[order] - stiffness * x[order])
+    return Series(x, v, r)
+
+
+def start(field: DryField, state: State) -> tuple[State, Modes]:
+    """The state, with masses at the belt's speed exactly there, and what every mass does in it."""
+    x, v = state
+    speed = field.chain.belt_speed
+    w = v - speed
+    touching = jnp.abs(w) <= RESOLUTION * (1.0 + jnp.abs(speed))
+    state = (x, jnp.where(touching, speed, v))
+    resting = Modes(jnp.sign(w), jnp.zeros(x.shape, int))
+    return state, _met(field, state, resting, touching, jnp.zeros_like(touching))
+
+
+def _met(field: DryField, state: State, modes: Modes, lands: Array, releases: Array) -> Modes:
+    """The modes after some masses have come to w = 0 and others have been released from it."""
+    r = field.free_force(*state)
+    sticks = lands & field.can_hold(r)
+    direction = jnp.where(lands | releases, jnp.sign(r), modes.direction)
+    contact = jnp.where(lands, 1, jnp.where(releases, 2, modes.contact))
+    return Modes(jnp.where(sticks, STICK, direction), jnp.where(sticks, 0, contact))
+
+
+def after(
+    field: DryField, state: State, modes: Modes, hits: Bool[Array, " n"], moved: Bool[Array, ""]
+) -> tuple[State, Modes]:
+    """State and modes after a step at whose end the masses in `hits` have their events.
+
+    `moved`: whether time went on; if so, the others have left w = 0 behind.
+    """
+    lands = hits & (modes.direction != STICK)
+    x, v = state
+    state = (x, jnp.where(lands, field.chain.belt_speed, v))
+    modes = Modes(modes.direction, jnp.where(moved, 0, modes.contact))
+    return state, _met(field, state, modes, lands, hits & ~lands)
+
+
+def next_event(
+    field: DryField, series: Series, modes: Modes, length: Array
+) -> tuple[Array, Array]:
+    """(time for which all masses keep their modes, which of them have an event then)."""
+    direction, contact = modes.direction, modes.contact
+    slides = direction != STICK
+    w = [direction * c for c in (series.v[0] - field.chain.belt_speed, *series.v[1:])]
+    # A mass that has just left w = 0 returns to it where w / t or w / t^2 vanishes.
+    padded = [*w, jnp.zeros_like(w[0]), jnp.zeros_like(w[0])]
+    left = [
+        jnp.where(contact == 0, a, jnp.where(contact == 1, b, c))
+        for a, b, c in zip(w, padded[1:], padded[2:], strict=False)
+    ]
+    watched = [jnp.where(slides, a, b) for a, b in zip(left, series.r, strict=True)]
+    hold = field.greatest_hold()
+    speed = 1.0 + jnp.abs(field.chain.belt_speed)
+    until, exits = first_exit(
+        watched,
+        jnp.where(slides, 0.0, -hold),
+        jnp.where(slides, _FAR, hold),
+        length,
+        RESOLUTION * jnp.where(slides, speed, 1.0 + hold),
+    )
+    first = jnp.min(until)
+    return first, exits & (until <= first)

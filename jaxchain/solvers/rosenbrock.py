@@ -1,0 +1,296 @@
+"""Structured Rosenbrock solvers for chains, for use with `diffrax.diffeqsolve`.
+
+A Rosenbrock stage solves (I/(h gamma) - J) U_j = r_j.  With J = [[0, I], [h_x - K, h_v]], where
+h_x and h_v are diagonal, the displacement part of U_j can be eliminated, and because x' = v is
+linear it can be eliminated *for good*: every displacement-like quantity of a step is a fixed
+linear combination of v and of the velocity parts b_1 .. b_s.  With i = 1 / (h gamma) and the
+stage's displacement X_j, velocity V_j and first right-hand side r_j / (h gamma), stage j is
+
+    (i - h_v + (K - h_x) / i) b_j = h(t_j, X_j, V_j) - K (X_j + r_j) + h_x r_j + ...
+
+A step then carries s arrays of N numbers, and a stage is one evaluation of the local force and
+one (cyclic) tridiagonal solve.  No Newton iteration, no dense matrix.  X_j and r_j are needed
+apart only where h depends on x.
+"""
+
+import abc
+import functools as ft
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar, TypeAlias
+
+import diffrax as dfx
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jax.tree_util as jtu
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._types import ScalarLike, State
+from ..model.oscillators import AbstractOscillators
+from ..model.springs import materialize
+from ..model.tridiagonal import contraction, exact_solver, swept_solver
+from .tableaus import RODAS4, RODAS5P, RosenbrockTableau
+
+# A step that truncates more is not believed at any tolerance.
+MOST_TRUNCATION = 1e-3
+# Nor is one in which a disturbance grows by more than e to this: an L-stable method would damp it.
+_MOST_GROWTH = 2.0
+
+_Arrays: TypeAlias = Sequence[Float[Array, " n"]]
+
+
+def _combine(weights: np.ndarray, arrays: _Arrays) -> Any:
+    """sum_m weights_m arrays_m, without the zeros; the scalar 0 when nothing is left."""
+    total: Any = 0.0
+    for w, array in zip(weights, arrays, strict=False):
+        if w != 0.0:
+            total = w * array if isinstance(total, float) else total + w * array
+    return total
+
+
+def _growth(field: AbstractOscillators, h: Array, held: Any, slope: Array) -> Array:
+    """The greatest h Re(lambda) of single masses, lambda^2 - slope lambda + held = 0.
+
+    Their neighbours' springs are taken to push as hard as they can.
+    """
+    if field.springs is not None:
+        held = held - field.springs.strength(slope.shape[0])
+    half = 0.5 * slope
+    oscillates = half**2 <= held
+    root = jnp.sqrt(jnp.where(oscillates, 1.0, half**2 - held))
+    return jnp.max(h * half + jnp.where(oscillates, 0.0, jnp.abs(h) * root))
+
+
+class RosenbrockInterpolation(dfx.AbstractLocalInterpolation):
+    """The method's own dense output between t0 and t1 (see `RosenbrockTableau`).
+
+    It keeps the stages and combines them when it is asked, which most steps never are.
+    """
+
+    t0: Any
+    t1: Any
+    y0: Any
+    y1: Any
+    h: Any  # signed step
+    b: Any  # velocity parts of the stages
+    tableau: RosenbrockTableau = eqx.field(static=True)
+
+    def at(self, theta: ScalarLike | Array, part: int) -> Array:
+        """Component `part` (0 displacement, 1 velocity) at theta in [0, 1] (one or per mass)."""
+        tab = self.tableau
+        poly: Any = 0.0
+        for i in reversed(range(tab.H.shape[0])):
+            if part == 0:
+                k = self.h * (tab.dense_v[i] * self.y0[1] + _combine(tab.dense_b[i], self.b))
+            else:
+                k = _combine(tab.H[i], self.b)
+            poly = k + theta * poly
+        rest = 1.0 - theta
+        return rest * self.y0[part] + theta * (self.y1[part] + rest * poly)
+
+    def evaluate(self, t0: Any, t1: Any | None = None, left: bool = True) -> State:
+        del left
+        if t1 is not None:
+            return jtu.tree_map(jnp.subtract, self.evaluate(t1), self.evaluate(t0))
+        length = self.t1 - self.t0
+        theta = jnp.where(length == 0, 0.0, (t0 - self.t0) / jnp.where(length == 0, 1.0, length))
+        return self.at(theta, 0), self.at(theta, 1)
+
+
+def _vector_field(terms: dfx.AbstractTerm) -> AbstractOscillators:
+    # diffeqsolve wraps the term to handle reversed time; the field sits below.
+    inner = terms if isinstance(terms, dfx.ODETerm) else getattr(terms, "term", None)
+    field = inner.vector_field if isinstance(inner, dfx.ODETerm) else None
+    if not isinstance(field, AbstractOscillators):
+        raise ValueError(
+            "A structured Rosenbrock solver needs `terms = ODETerm(chain)` with a `Chain` (or "
+            f"another `AbstractOscillators`) as its vector field, but has {field!r}. Use a stock "
+            "diffrax solver such as `Kvaerno5` for any other vector field."
+        )
+    return field
+
+
+class AbstractStructuredRosenbrock(dfx.AbstractAdaptiveSolver):
+    """A Rosenbrock method whose linear algebra is that of a chain.
+
+    **Arguments:**
+
+    - `sweeps`: None solves the (cyclic) tridiagonal system of each stage exactly, in O(N).
+      An integer solves it by that many Jacobi sweeps, several times faster for weak coupling.
+      What they leave out is bounded in every step, by rho^(sweeps+1) / (1-rho) of a stage with
+      rho <= 2 eta_c (h gamma)^2 to leading order, and the bound is part of the error estimate; a
+      step in which it exceeds 1e-3 is rejected, and is a failure with a constant step.
+      `simulate` makes the choice from the chain's numbers.
+
+    Serves `diffeqsolve` with any controller, `SaveAt`, `vmap` and forward- or reverse-mode
+    differentiation; y0 is the pair (displacement, velocity).  Steps may run backward in time.
+    """
+
+    tableau: eqx.AbstractClassVar[RosenbrockTableau]
+    method_order: eqx.AbstractClassVar[int]
+    sweeps: eqx.AbstractVar[int | None]
+
+    term_structure: ClassVar = dfx.ODETerm
+
+    @property
+    def interpolation_cls(self) -> Callable[..., RosenbrockInterpolation]:  # pyright: ignore
+        return ft.partial(RosenbrockInterpolation, tableau=self.tableau)
+
+    @abc.abstractmethod
+    def with_sweeps(self, sweeps: int | None) -> "AbstractStructuredRosenbrock":
+        """The same method with another linear solve."""
+
+    def order(self, terms: Any) -> int:
+        del terms
+        return self.method_order
+
+    def init(self, terms: Any, t0: Any, t1: Any, y0: State, args: Any) -> None:
+        del terms, t0, t1, y0, args
+
+    def func(self, terms: Any, t0: Any, y0: State, args: Any) -> State:
+        return terms.vf(t0, y0, args)
+
+    def step(
+        self,
+        terms: Any,
+        t0: Any,
+        t1: Any,
+        y0: State,
+        args: Any,
+        solver_state: None,
+        made_jump: Any,
+    ) -> tuple[State, State, dict, None, dfx.RESULTS]:
+        del solver_state, made_jump, args
+        tab = self.tableau
+        field = _vector_field(terms)
+        h = terms.contr(t0, t1)  # signed: negative when time runs backward
+        # diffrax counts wrapped time upward; the field's own time is direction * t.
+        t = jnp.where(h * (t1 - t0) < 0, -t0, t0)
+        x, v = y0
+        n = x.shape[0]
+        per_h = 1.0 / h
+        hg = h * tab.gamma
+        force, slopes = field.local_force_and_slopes(t, x, v)
+        h_t, h_x = slopes.time, slopes.displacement
+        stiffness = field.stiffness_diagonal(n)
+        held = stiffness if h_x is None else stiffness - h_x
+        diagonal = per_h / tab.gamma - slopes.velocity + hg * held
+        solve, truncation = self._linear_solver(field, diagonal, hg)
+        springs = field.springs
+        pulls = None if springs is None else (springs.product(x), springs.product(v))
+
+        b: list[Array] = []
+        pull: list[Array] = []  # C b
+        position, velocity = x, v
+        for j in range(len(tab.c)):
+            # z_j: the stage's displacement plus h gamma times its first right-hand side.
+            z = x + h * (tab.stage_v[j] * v + _combine(tab.stage_b[j], b))
+            if j > 0:
+                velocity = v + _combine(tab.a[j], b)
+                if h_x is not None:
+                    position = x + h * (tab.place_v[j] * v + _combine(tab.place_b[j], b))
+                time = t if h_t is None else t + float(tab.c[j]) * h
+                force = field.local_force(time, position, velocity)
+            rhs = force - stiffness * z + per_h * _combine(tab.C[j], b)
+            if h_x is not None:
+                rhs = rhs + h_x * (z - position)
+            if pulls is not None:  # C z, from the products of its parts
+                stages = tab.stage_v[j] * pulls[1] + _combine(tab.stage_b[j], pull)
+                rhs = rhs + pulls[0] + h * stages
+            if h_t is not None and tab.d[j] != 0.0:
+                rhs = rhs + (float(tab.d[j]) * h) * h_t
+            u, u_pull = solve(rhs)
+            b.append(u)
+            if u_pull is not None:
+                pull.append(u_pull)
+
+        y1 = (x + h * (tab.end_v * v + _combine(tab.end_b, b)), velocity + b[-1])
+        error = (h * (tab.alpha[-1] * v + _combine(tab.beta[-1], b)), b[-1])
+        result = dfx.RESULTS.successful
+        trusted = None
+        if truncation is not None:
+            trusted = truncation <= MOST_TRUNCATION
+            truncated = truncation * sum(jnp.abs(u) for u in b)
+            error = (error[0], jnp.abs(error[1]) + truncated)
+        if jax.eval_shape(field.growth_time) is None:  # computes nothing
+            slow = _growth(field, h, held, slopes.velocity) <= _MOST_GROWTH
+            trusted = slow if trusted is None else trusted & slow
+        if trusted is not None:
+            error = jtu.tree_map(lambda e: jnp.where(trusted, e, jnp.inf), error)
+            untrusted: Any = dfx.RESULTS.nonlinear_divergence
+            result = dfx.RESULTS.where(trusted, dfx.RESULTS.successful, untrusted)
+        dense = {"y0": y0, "y1": y1, "h": h, "b": tuple(b)}
+        return y1, error, dense, None, result
+
+    def _linear_solver(
+        self, field: AbstractOscillators, diagonal: Array, hg: Array
+    ) -> tuple[Callable[[Array], tuple[Array, Array | None]], Array | None]:
+        """(solve, truncation): `truncation` is None where nothing was truncated.
+
+        `solve` returns b and C b; the truncation bounds the relative error of a step by both: that
+        of b, and that of later stages, which take over C b from the sweep before the last one.
+        """
+        springs = field.springs
+        if springs is None:
+            inverse = 1.0 / diagonal
+            return (lambda rhs: (materialize(inverse * rhs), None)), None
+        if self.sweeps is None:
+            exact = exact_solver(diagonal, springs, hg)
+
+            def solve(rhs: Array) -> tuple[Array, Array]:
+                b = exact(rhs)
+                return b, springs.product(b)
+
+            return solve, None
+        rho = contraction(diagonal, springs, hg)
+        truncation = self.tableau.lag * rho ** (self.sweeps + 1) / jnp.maximum(1.0 - rho, 1e-3)
+        return swept_solver(diagonal, springs, hg, self.sweeps), truncation
+
+
+class Rodas4(AbstractStructuredRosenbrock):
+    """Rodas4: order 4(3), 6 stages, stiffly accurate and L-stable; dense output of order 3.
+
+    E. Hairer and G. Wanner, Solving Ordinary Differential Equations II, 2nd ed., Springer 1996,
+    section VI.4.  The workhorse at tolerances of 1e-4 to 1e-7.
+
+    !!! example
+
+        ```python
+        import diffrax
+        import jax
+        jax.config.update("jax_enable_x64", True)
+        from jaxchain import Rodas4, paper_chain, excited_state
+
+        chain = paper_chain(n=20, belt_speed=1.5)
+        solution = diffrax.diffeqsolve(
+            diffrax.ODETerm(chain), Rodas4(), t0=0.0, t1=10.0, dt0=None,
+            y0=excited_state(chain, 9),
+            stepsize_controller=diffrax.PIDController(rtol=1e-6, atol=1e-7),
+        )
+        displacement, velocity = solution.ys
+        ```
+    """
+
+    tableau: ClassVar[RosenbrockTableau] = RODAS4
+    method_order: ClassVar[int] = 4
+    sweeps: int | None = eqx.field(static=True, default=None)
+
+    def with_sweeps(self, sweeps: int | None) -> "Rodas4":
+        return Rodas4(sweeps)
+
+
+class Rodas5P(AbstractStructuredRosenbrock):
+    """Rodas5P: order 5(4), 8 stages, stiffly accurate and L-stable; dense output of order 4.
+
+    G. Steinebach, Construction of Rosenbrock-Wanner method Rodas5P and numerical benchmarks
+    within the Julia Differential Equations package, BIT Numerical Mathematics 63, 27 (2023).
+    The better choice below tolerances of 1e-7.
+    """
+
+    tableau: ClassVar[RosenbrockTableau] = RODAS5P
+    method_order: ClassVar[int] = 5
+    sweeps: int | None = eqx.field(static=True, default=None)
+
+    def with_sweeps(self, sweeps: int | None) -> "Rodas5P":
+        return Rodas5P(sweeps)

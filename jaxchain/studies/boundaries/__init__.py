@@ -1,0 +1,1 @@
+"""Both boundaries over damping, friction, coupling and width."""

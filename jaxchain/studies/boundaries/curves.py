@@ -1,0 +1,170 @@
+"""The numbers of the study `boundaries`: curves of one mass, of a ring, and cycles."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+from jaxtyping import Array
+
+from jaxchain.boundaries.bautin import generalised_hopf
+from jaxchain.boundaries.fold import Fold, find_fold, fold_belt_speed
+from jaxchain.boundaries.grazing import nonsmooth_fold_belt_speed
+from jaxchain.boundaries.hopf import hopf_belt_speed
+from jaxchain.boundaries.single_mass import (
+    OneMassBranch,
+    check_below_fold,
+    dry_slip_branch,
+    one_mass_branch,
+)
+from jaxchain.model.chain import Chain
+from jaxchain.model.friction import ExponentialDecay, TanhFriction
+from jaxchain.observers.amplitude import Amplitude
+from jaxchain.simulation.event_driven import EventDriven
+from jaxchain.simulation.run import simulate
+from jaxchain.studies.boundaries.table import Study
+from jaxchain.studies.crosscheck.cycles import on_the_belt
+
+VARIED = ("damping_ratio", "mu_static", "width")
+# A width without effect on a boundary, and belt speeds of the dry stick-slip branch.
+_NO_WIDTH, _DRY_SPEEDS = 1e-9, 40
+# The sticking cycle attracts within a period, and one is measured.
+_TRANSIENT, _WINDOW = 60.0, 20.0
+
+
+def base_chain(study: Study, n: int = 1) -> Chain:
+    """The chain of which numbers vary."""
+    base = study.base
+    law = ExponentialDecay(base.mu_static, base.mu_dynamic, base.v_ref)
+    coupling = None if n == 1 else study.coupling.start
+    return Chain(n, TanhFriction(law, base.width), 1.0, base.damping_ratio, coupling)
+
+
+def one_mass_curves(study: Study) -> tuple[dict[str, xr.Dataset], Fold]:
+    """Both boundaries of one mass over each of `VARIED`, all in one call.
+
+    **Returns:** a dataset for each, and the folds at the widths of `study.cycles`.
+    """
+    chain = base_chain(study)
+    spans = {name: getattr(study, name).array() for name in VARIED}
+    spans["cycles"] = np.asarray(study.cycles.width)
+    count = sum(map(len, spans.values()))
+    lanes = {name: np.full(count, getattr(study.base, name)) for name in VARIED}
+    places, begin = {}, 0
+    for name, values in spans.items():
+        places[name] = slice(begin, begin + len(values))
+        lanes["width" if name == "cycles" else name][places[name]] = values
+        begin += len(values)
+
+    @jax.jit
+    @jax.vmap
+    def both(lane: dict[str, Array]) -> tuple[dict[str, Array], Fold]:
+        own = chain.with_(**lane)
+        fold = find_fold(own)
+        return _boundaries(own, fold.belt_speed), fold
+
+    found, folds = both({name: jnp.asarray(values) for name, values in lanes.items()})
+    datasets = {}
+    for name in VARIED:
+        own = {key: np.asarray(values[places[name]]) for key, values in found.items()}
+        datasets[name] = _to_dataset(name, spans[name], own)
+        low, high = float(spans[name][0]), float(spans[name][-1])
+        # Also a little beyond what is drawn, where the Hopf curve ends.
+        meeting = generalised_hopf(chain, name, 0.9 * low, 1.1 * high)
+        datasets[name].attrs |= {
+            "meeting_value": float(meeting.value),
+            "meeting_belt_speed": float(meeting.belt_speed),
+        }
+    return datasets, jax.tree.map(lambda a: a[places["cycles"]], folds)
+
+
+def ring_curve(study: Study) -> xr.Dataset:
+    """Both boundaries over the coupling, one mass of a ring vibrating."""
+    chain = base_chain(study, study.coupling.masses)
+    values = study.coupling.array()
+
+    @jax.jit
+    @jax.vmap
+    def both(coupling: Array) -> dict[str, Array]:
+        own = chain.with_(coupling=coupling)
+        return _boundaries(own, fold_belt_speed(own))
+
+    found = {key: np.asarray(a) for key, a in both(jnp.asarray(values)).items()}
+    data = _to_dataset("coupling", values, found)
+    data.attrs |= {"masses": chain.n, "meeting_value": np.nan, "meeting_belt_speed": np.nan}
+    return data
+
+
+def _boundaries(chain: Chain, fold: Array) -> dict[str, Array]:
+    return {
+        "hopf": hopf_belt_speed(chain),
+        "hopf_nonsmooth": hopf_belt_speed(chain.with_(width=_NO_WIDTH)),
+        "fold": fold,
+        "fold_nonsmooth": nonsmooth_fold_belt_speed(chain),
+    }
+
+
+def cycles(study: Study, folds: Fold) -> xr.Dataset:
+    """The cycles of one mass: each width, and dry friction.
+
+    **Returns:** `belt_speed` and `amplitude` over (`width`, `point`), NaN for places without a
+    point, width 0 for dry friction; `stable` over `point`.
+    """
+    chain, part = base_chain(study), study.cycles
+
+    @jax.jit
+    @jax.vmap
+    def smoothed(width: Array, fold: Fold) -> OneMassBranch:
+        return one_mass_branch(chain.with_(width=width), part.lowest, fold)
+
+    check_below_fold(part.lowest, folds)
+    branches = smoothed(jnp.asarray(part.width), folds)
+    slip = dry_slip_branch(chain)
+    top = slip.belt_speed[-1]
+    speeds = jnp.linspace(top, part.lowest, _DRY_SPEEDS + 1)[1:]
+
+    @jax.jit
+    @jax.vmap
+    def sticking(speed: Array) -> Array:
+        own = chain.with_(belt_speed=speed)
+        run = simulate(
+            own, on_the_belt(own), _TRANSIENT + _WINDOW, observe=Amplitude(window=_WINDOW),
+            solver=EventDriven(), throw=False,
+        )  # fmt: skip
+        return run.observed[0]
+
+    place = branches.fold
+    count = branches.belt_speed.shape[1]
+    dry = np.full((2, count), np.nan)
+    dry[:, place - slip.fold : place + 1] = [slip.belt_speed, slip.amplitude]
+    dry[:, place + 1 : place + 1 + _DRY_SPEEDS] = [speeds, sticking(speeds)]
+    rows = [np.concatenate([np.asarray(a), b[None]]) for a, b in zip(
+        (branches.belt_speed, branches.amplitude), dry, strict=True
+    )]  # fmt: skip
+    data = xr.Dataset(
+        {"belt_speed": (("width", "point"), rows[0]), "amplitude": (("width", "point"), rows[1])},
+        coords={"width": [*part.width, 0.0], "stable": ("point", np.arange(count) > place)},
+        attrs={"fold": place, "hopf_nonsmooth": float(slip.belt_speed[0])},
+    )
+    data["belt_speed"].attrs = {"long_name": "belt speed v_d", "units": "x0 omega_n"}
+    data["amplitude"].attrs = {"long_name": "half peak-to-peak of displacement", "units": "x0"}
+    data["width"].attrs = {
+        "long_name": "regularization width eps; 0: dry friction", "units": "x0 omega_n"
+    }  # fmt: skip
+    return data
+
+
+def _to_dataset(name: str, values: np.ndarray, found: dict[str, Any]) -> xr.Dataset:
+    about = {
+        "hopf": "below it vibration starts by itself, smoothed friction",
+        "hopf_nonsmooth": "below it vibration starts by itself, dry friction",
+        "fold": "up to it the vibration of one mass survives, smoothed friction",
+        "fold_nonsmooth": "up to it the vibration of one mass survives, dry friction",
+    }
+    data = xr.Dataset({key: (name, a) for key, a in found.items()}, coords={name: values})
+    for key, text in about.items():
+        data[key].attrs = {"long_name": f"belt speed: {text}", "units": "x0 omega_n"}
+    return data

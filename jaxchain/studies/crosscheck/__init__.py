@@ -1,0 +1,1 @@
+"""Smoothed against true dry friction: the error over the width."""

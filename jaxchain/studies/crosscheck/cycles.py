@@ -1,0 +1,170 @@
+"""The vibrating cycle of one oscillator, measured: amplitude, period, and time on the belt."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+from jaxtyping import Array
+
+from jaxchain._types import ScalarLike, State
+from jaxchain.model.chain import Chain
+from jaxchain.model.oscillators import AbstractOscillators
+from jaxchain.observers.amplitude import Amplitude
+from jaxchain.observers.base import Section, Step, StickTime
+from jaxchain.observers.quantities import active_above
+from jaxchain.result import NAMES, STOPPED_WELL
+from jaxchain.simulation.event_driven import EventDriven
+from jaxchain.simulation.run import simulate
+from jaxchain.studies.crosscheck.bias import HEAD_START
+from jaxchain.sweeps.sweeping import sweep
+
+QUANTITIES = ("amplitude", "period", "stick_time")
+# How a run of an oscillator ended.
+VIBRATES, RESTS, UNSETTLED, FAILED = range(4)
+OUTCOMES = ("vibrates", "rests", "unsettled", "failed")
+# Two successive maxima of a cycle, and the periods before them, agree as well as this.
+_SETTLED = 1e-8
+# A small step off the belt, for a derivative: relative to the belt speed; and its tolerance.
+_OFF, _OFF_RTOL = 1e-4, 1e-9
+
+
+class CycleStickTime(StickTime):
+    """For how long each mass sticks in one period, from one of its maxima to the next.
+
+    The last period that is complete counts.  No mass sticks at a maximum, where v = 0, so that no
+    stretch of sticking is cut.
+    """
+
+    def init(
+        self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State
+    ) -> tuple[Array, Array]:
+        total, _ = super().init(field, t0, t1, y0)
+        return total, jnp.full_like(total, jnp.nan)
+
+    def update(self, accumulator: tuple[Array, Array], step: Step) -> tuple[Array, Array]:
+        since_maximum, last = accumulator
+        begin, end = self._interval(step)
+        since_maximum = since_maximum + jnp.maximum(end - begin, 0.0) * (step.t1 - step.t0)
+        turns, _ = step.turning_points()
+        maximum = turns & (step.y0[1] > 0)
+        return jnp.where(maximum, 0.0, since_maximum), jnp.where(maximum, since_maximum, last)
+
+    def read(self, accumulator: tuple[Array, Array]) -> Array:
+        return accumulator[1]
+
+
+def on_the_belt(chain: Chain) -> State:
+    """Relaxed spring, speed of the belt: it carries the mass to its release."""
+    return jnp.zeros(chain.n), jnp.broadcast_to(chain.belt_speed, (chain.n,))
+
+
+def measure_cycles(
+    chain: Chain, over: Mapping[str, Any], transient: float, window: float, **options: Any
+) -> xr.Dataset:
+    """The vibrating cycles of one mass over a grid, measured in the last `window` time units.
+
+    **Arguments:** `over` and `options` as for `sweep`.
+
+    **Returns:** `amplitude`, `period`, `stick_time` and `outcome`, a number of `OUTCOMES`, over
+    the axes of `over`; NaN where there is no cycle.  Its attributes are those of the sweep.
+    """
+    # A maximum every half period of a free mass would be many.
+    capacity = math.ceil(window / math.pi) + 2
+    observe = [
+        Amplitude(window=window),
+        Section(0, capacity=capacity, start=transient),
+        CycleStickTime(),
+    ]
+    data = sweep(chain, on_the_belt, transient + window, over=over, observe=observe, **options)
+    data = data.squeeze("oscillator", drop=True)
+    time, top = _last(data["section_time"], 3), _last(data["section_displacement"], 3)
+    periods = time.diff("point")
+    period = periods.isel(point=-1, drop=True)
+    amplitude = data["amplitude"]
+    apart = abs(periods.isel(point=0, drop=True) / period - 1)
+    apart = np.maximum(apart, abs(top.isel(point=1) - top.isel(point=2)) / amplitude)
+    speed = data["belt_speed"] if "belt_speed" in data.coords else float(chain.belt_speed)
+    outcome = xr.where(apart <= _SETTLED, VIBRATES, UNSETTLED)  # NaN is not settled
+    threshold = xr.apply_ufunc(lambda v: np.asarray(active_above(v)), speed)
+    outcome = xr.where(amplitude > threshold, outcome, RESTS)
+    well = data["result"].isin([NAMES.index(name) for name in STOPPED_WELL])
+    outcome = xr.where(well, outcome, FAILED).astype(np.int8)
+    found = xr.Dataset(
+        {"amplitude": amplitude, "period": period, "stick_time": data["stick_time"]}
+    ).where(outcome == VIBRATES)
+    found["outcome"] = outcome
+    return found.assign_attrs(data.attrs)
+
+
+def _last(points: xr.DataArray, count: int) -> xr.DataArray:
+    """The last `count` of the points that there are, NaN in front where there are fewer."""
+    values = np.moveaxis(points.values, points.dims.index("point"), -1)
+    number = np.isfinite(values).sum(-1)[..., None]
+    place = number - count + np.arange(count)
+    taken = np.take_along_axis(values, np.maximum(place, 0), axis=-1)
+    dims = [dim for dim in points.dims if dim != "point"]
+    coords = {dim: points[dim] for dim in dims if dim in points.coords}
+    return xr.DataArray(np.where(place < 0, np.nan, taken), coords, [*dims, "point"])
+
+
+def expected_factors(chain: Chain, cycles: xr.Dataset) -> xr.Dataset:
+    """The factor `a` of the error that smoothing a dry cycle is to cause, see `bias.py`.
+
+    Every quantity Q changes by d ln Q / 4 per relative speed at the release.  And a mass that
+    lands counts as sticking from `stick_speed` on, (eps / 2) ln(1 / eps) to leading order: by as
+    much earlier as it takes to lose this speed.
+
+    **Arguments:** `cycles` over `belt_speed`, from `measure_cycles` with `EventDriven()`.
+
+    **Returns:** amplitude, period and stick time over `belt_speed`, NaN where there is no cycle.
+    """
+    rows = np.stack([cycles[name].values for name in ("belt_speed", *QUANTITIES)])
+    expected = np.full((len(QUANTITIES), rows.shape[1]), np.nan)
+    vibrating = np.isfinite(rows).all(axis=0)
+    if vibrating.any():
+        speed, *base = rows[:, vibrating]
+        factors = HEAD_START * _response(chain, speed, np.stack(base))
+        stick = base[QUANTITIES.index("stick_time")]
+        # At the release friction and spring balance; at the landing, with the same friction, the
+        # spring is shorter by the way on the belt.
+        deceleration = float(np.ravel(chain.stiffness)[0]) * np.abs(speed) * stick
+        factors[QUANTITIES.index("stick_time")] += 0.5 / (deceleration * stick)
+        expected[:, vibrating] = factors
+    return xr.Dataset(
+        {name: ("belt_speed", row) for name, row in zip(QUANTITIES, expected, strict=True)},
+        coords={"belt_speed": cycles["belt_speed"]},
+    )
+
+
+def _response(chain: Chain, speed: np.ndarray, base: np.ndarray) -> np.ndarray:
+    """d ln Q / du of amplitude, period and stick time, of values `base`.
+
+    u > 0: the relative speed at which the mass leaves the belt.
+    """
+
+    def left_at(speed: Array, u: Array, duration: Array) -> Array:
+        own = chain.with_(belt_speed=speed)
+        release = jnp.sign(speed) * own.greatest_hold() - 2.0 * own.damping_ratio * speed
+        x = jnp.broadcast_to(release / own.stiffness, (1,))
+        v = jnp.broadcast_to(speed - jnp.sign(speed) * u, (1,))
+        run = simulate(
+            own, (x, v), duration, observe=(Amplitude(), StickTime()), solver=EventDriven(),
+            rtol=_OFF_RTOL, throw=False,
+        )  # fmt: skip
+        amplitude, stick = run.observed
+        # The belt has the rest of the way to go to the next release.
+        rest = (x - run.state[0]) / speed
+        return jnp.concatenate([amplitude, duration + rest, stick + rest])
+
+    _, period, stick = base
+    duration = period - 0.5 * stick  # the mass is on the belt again
+    both = jax.jit(jax.vmap(left_at))
+    small = _OFF * np.abs(speed)
+    once, twice = (np.asarray(both(speed, k * small, duration)).T - base for k in (1.0, 2.0))
+    return (2.0 * once - 0.5 * twice) / small / base

@@ -1,0 +1,252 @@
+"""The cases of the study `extremes` that are to be refused: every one by an error that helps."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxchain.model.chain import Chain, steady_sliding
+from jaxchain.model.friction import Coulomb, ExponentialDecay, TanhFriction, WeakeningStrengthening
+from jaxchain.model.initial_states import excited_state
+from jaxchain.model.units import Scales
+from jaxchain.observers.amplitude import Amplitude
+from jaxchain.observers.base import PeakTimes, Section, Trajectory
+from jaxchain.scenes.reading import SceneError, load_scene
+from jaxchain.simulation.event_driven import EventDriven
+from jaxchain.simulation.run import simulate
+from jaxchain.studies.extremes.cases import chain_of, solve
+from jaxchain.studies.extremes.judge import Refusal
+from jaxchain.studies.extremes.table import Model
+from jaxchain.studies.extremes.witnesses import Oscillator
+from jaxchain.sweeps.sweeping import sweep
+
+NOT_NUMBERS = (math.nan, math.inf, -math.inf)
+FINITE = "finite|integer|whole|lie in"
+# Every number of a scene, in the built-in one that is tried.
+SCENE = "quickstart"
+SCENE_NUMBERS = (
+    "chain.damping_ratio", "chain.coupling", "chain.stiffness", "chain.normal_load",
+    "chain.belt_speed", "chain.friction.width", "chain.friction.mu_static",
+    "chain.friction.mu_dynamic", "chain.friction.v_ref", "time.transient", "time.window",
+    "observe.tolerance", "observe.quiet_below", "observe.repeats", "numerics.rtol",
+    "numerics.atol", "numerics.max_step", "numerics.max_steps", "numerics.lanes", "chain.n",
+)  # fmt: skip
+
+
+def refusals() -> list[Refusal]:
+    """Every case that is to be refused."""
+    return [*_not_numbers(), *_impossible(), *_runs()]
+
+
+def _tried(
+    make: Callable[..., object], good: Mapping[str, Any], bad: Any = NOT_NUMBERS
+) -> list[Callable[[], object]]:
+    """`make` with each of its numbers replaced by each bad value."""
+    return [partial(make, **{**good, name: value}) for name in good for value in bad]
+
+
+def _small() -> tuple[Chain, Any]:
+    chain = chain_of(Oscillator(width=1e-2), 3, coupling=0.01)
+    return chain, (steady_sliding(chain)[0] + 1.0, jnp.zeros(3))
+
+
+def _not_numbers() -> Iterator[Refusal]:
+    chain, start = _small()
+    friction = chain.friction
+    numbers = {
+        "n": 3, "belt_speed": 1.0, "damping_ratio": 0.05, "coupling": 0.01, "stiffness": 1.0,
+        "normal_load": 1.0,
+    }  # fmt: skip
+
+    def refused(name: str, attempts: list[Callable[[], object]], names: str = FINITE) -> Refusal:
+        return Refusal("refused", f"NaN, inf in {name}", names, attempts)
+
+    yield refused("every number of Chain", _tried(partial(Chain, friction=friction), numbers))
+    yield refused(
+        "one entry of an array",
+        [
+            partial(
+                Chain, **{"n": 3, "friction": friction, "belt_speed": 1.0, name: [1.0, v, 1.0]}
+            )
+            for name in ("damping_ratio", "coupling", "stiffness", "normal_load")
+            for v in NOT_NUMBERS
+        ],
+        r"index \(1,\)",
+    )
+    yield refused("`Chain.with_`", _tried(chain.with_, {"width": 1e-2, "mu_static": 1.0}))
+    laws = {"mu_static": 1.0, "mu_dynamic": 0.5, "v_ref": 0.5}
+    yield refused(
+        "every number of friction",
+        [
+            *_tried(ExponentialDecay, laws),
+            *_tried(WeakeningStrengthening, {**laws, "mu_viscous": 0.1}),
+            *_tried(Coulomb, {"mu_dynamic": 0.5}),
+            *_tried(partial(TanhFriction, friction.law), {"width": 1e-2}),
+        ],
+    )
+    yield refused(
+        "initial states",
+        [
+            *_tried(
+                partial(excited_state, chain), {"excited": 1, "amplitude": 2.0, "velocity": 0.0}
+            ),
+            *(partial(simulate, chain, (start[0] + bad, start[1]), 1.0) for bad in NOT_NUMBERS),
+            *(partial(simulate, chain, (start[0], start[1] + bad), 1.0) for bad in NOT_NUMBERS),
+        ],
+    )
+    control = {
+        "t1": 1.0, "t0": 0.0, "rtol": 1e-6, "atol": 1e-7, "max_step": 0.5, "max_steps": 100,
+    }  # fmt: skip
+    yield refused(
+        "every number of simulate",
+        _tried(partial(simulate, chain, start), {**control, "segments": 2}),
+    )
+    yield refused(
+        "observers",
+        [
+            *_tried(Amplitude, {"window": 1.0, "tolerance": 1e-6, "quiet_below": 1e-6}),
+            *_tried(Amplitude, {"repeats": 5}),
+            *_tried(PeakTimes, {"capacity": 4, "start": 0.0}),
+            *_tried(partial(Section, 0), {"capacity": 4, "start": 0.0}),
+            *(
+                partial(simulate, chain, start, 1.0, observe=Trajectory(jnp.array([0.5, bad])))
+                for bad in NOT_NUMBERS
+            ),
+        ],
+        FINITE + "|within",
+    )
+    over = {"belt_speed": [1.0, 1.1]}
+    yield refused(
+        "every number of sweep",
+        [
+            *_tried(partial(sweep, chain, start, over=over), {**control, "lanes": 2}),
+            *(
+                partial(sweep, chain, start, 1.0, over={name: [1.0, bad]})
+                for name in ("belt_speed", "damping_ratio", "coupling", "stiffness", "width",
+                             "normal_load", "mu_static", "mu_dynamic", "v_ref")
+                for bad in NOT_NUMBERS
+            ),
+            *(partial(sweep, chain, (start[0] + bad, start[1]), 1.0, over=over)
+              for bad in NOT_NUMBERS),
+        ],
+    )  # fmt: skip
+    yield Refusal(
+        "refused", "NaN, inf in every number of a scene", "finite|whole number|at least|Out of",
+        [
+            partial(load_scene, SCENE, [f"experiment.ladder.{key}={value}"])
+            for key, value in itertools.product(SCENE_NUMBERS, ("nan", "inf", "-inf", "1e400"))
+        ],
+        (SceneError,),
+    )  # fmt: skip
+    si = {
+        "mass": 1.0, "damping": 0.1, "stiffness": 1.0, "coupling_stiffness": 0.1,
+        "normal_load": 1.0,
+    }  # fmt: skip
+    yield refused("SI units", _tried(Scales.from_dimensional, si))
+
+
+def _impossible() -> Iterator[Refusal]:
+    """Finite, but not to be computed."""
+    chain, start = _small()
+    friction, run = chain.friction, partial(simulate, chain, start)
+
+    def refused(name: str, names: str, *attempts: Callable[[], object]) -> Refusal:
+        return Refusal("refused", name, names, attempts)
+
+    own = Oscillator()
+    coarse = chain_of(replace(own, width=1e-6))
+    state = (jnp.full(1, 3.0), jnp.zeros(1))
+    yield refused(
+        "a width that the tolerance cannot see", "too loose for a regularization width",
+        partial(simulate, coarse, state, 50.0, rtol=1e-6),
+        partial(sweep, coarse, state, 50.0, over={"width": [1e-2, 1e-7]}, rtol=1e-6),
+        partial(simulate, chain_of(replace(own, width=1e-14)), state, 50.0, rtol=1e-15),
+        partial(simulate, chain, start, 50.0, atol=1e3),
+    )  # fmt: skip
+    yield refused(
+        "a time span in reverse", "backward", partial(run, -1.0), partial(run, 1.0, t0=2)
+    )
+    yield refused("a tolerance of 1", "below 1", partial(run, 1.0, rtol=1.0))
+    yield refused(
+        "complex numbers", "real", partial(simulate, chain, (start[0] + 1j, start[1]), 1)
+    )
+    yield refused(
+        "a negative width, load or spring", "positive",
+        partial(TanhFriction, friction.law, -1e-3), partial(TanhFriction, friction.law, 0.0),
+        partial(chain.with_, normal_load=-1.0), partial(chain.with_, coupling=-1.0),
+        partial(chain.with_, mu_dynamic=-0.1), partial(chain.with_, stiffness=0.0),
+    )  # fmt: skip
+    yield refused(
+        "less friction at rest than in motion", "mu_static",
+        partial(chain.with_, mu_static=0.4),
+        partial(sweep, chain, start, 1.0, over={"mu_static": [0.6, 1], "mu_dynamic": [0.5, 0.8]}),
+    )  # fmt: skip
+    yield refused(
+        "too many masses excited, or a half", "excited",
+        *(partial(excited_state, chain, count) for count in (4, -1, 1.5, np.int64(4))),
+        partial(sweep, chain, excited_state, 1.0, over={"excited": [1, 4]}),
+    )  # fmt: skip
+    yield refused(
+        "a state of another length", "shape",
+        partial(simulate, chain, (jnp.ones(4), jnp.ones(4)), 1.0),
+        partial(sweep, chain, (jnp.ones(4), jnp.ones(4)), 1.0, over={"belt_speed": [1.0]}),
+    )  # fmt: skip
+    wrong_length = TanhFriction(ExponentialDecay(jnp.ones(2), 0.5, 0.5), 1e-3)
+    yield refused(
+        "friction of another length", "mu_static|friction", partial(Chain, 3, wrong_length, 1.0)
+    )
+    yield refused(
+        "a friction law that is not regularized", "TanhFriction",
+        partial(Chain, 3, friction.law, 1.0),  # pyright: ignore[reportArgumentType]
+    )  # fmt: skip
+
+
+def _runs() -> Iterator[Refusal]:
+    """Found out on the way."""
+    failure = (RuntimeError,)
+    both: tuple[Model, ...] = ("smoothed", "nonsmooth")
+    chain, start = _small()
+
+    def spent(solver: Any) -> object:
+        return simulate(chain, start, 50.0, max_steps=20, solver=solver)
+
+    yield Refusal(
+        "time", "max_steps used up", "max_steps_reached", [partial(spent, None)], failure
+    )
+    yield Refusal(
+        "time", "max_steps used up", "max_steps_reached",
+        [lambda: spent(EventDriven())], failure, ("nonsmooth",),
+    )  # fmt: skip
+    for ratio, end in [(-0.5, 1e4), (-10.0, 1e3), (-1e6, 5.0)]:
+        mass = Oscillator(width=1e-2, damping_ratio=ratio)
+        for model in both:
+            run = partial(solve, model, chain_of(mass), 3.0, 0.0, end, rtol=1e-6)
+            yield Refusal(
+                "damping", f"ratio {ratio:g}, to t = {end:g}", "step_too_small|nonfinite", [run],
+                failure, (model,),
+            )  # fmt: skip
+    yield Refusal(
+        "numbers", "a state too large to square", "nonfinite|finite",
+        [partial(solve, "smoothed", chain, 1e200, 0.0, 1.0)], (RuntimeError, ValueError),
+    )  # fmt: skip
+
+    def in_32_bits() -> object:
+        with jax.enable_x64(False):
+            own, (x, v) = _small()
+            return simulate(own, (x, v), 1.0)
+
+    def made_in_32_bits() -> object:
+        with jax.enable_x64(False):
+            own = _small()[0]
+        return simulate(own, start, 1.0)
+
+    yield Refusal("numbers", "float32 throughout", "64-bit floats", [in_32_bits], (RuntimeError,))
+    yield Refusal("numbers", "a float32 chain", "64-bit floats", [made_in_32_bits])

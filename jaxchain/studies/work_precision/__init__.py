@@ -1,0 +1,1 @@
+"""Error over run time, for the solvers here and for others."""

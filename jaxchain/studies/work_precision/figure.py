@@ -1,0 +1,80 @@
+"""The picture of the study of work and precision."""
+
+from __future__ import annotations
+
+import matplotlib
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from jaxchain.plotting.sweeps import PAGE_WIDTH, STYLE
+
+# Colour of Okabe and Ito, marker, line: own solvers bold, the others thin.
+LOOKS = {
+    "event-driven": ("#000000", "o", "-"),
+    "Rodas5P": ("#0072B2", "s", "-"),
+    "Rodas4": ("#56B4E9", "D", "-"),
+    "Tsit5": ("#E69F00", "^", "--"),
+    "Dopri8": ("#E69F00", "v", ":"),
+    "Kvaerno3": ("#009E73", "^", "--"),
+    "Kvaerno5": ("#009E73", "v", ":"),
+    "KenCarp4": ("#009E73", "<", "-."),
+    "LSODA": ("#CC79A7", "P", "--"),
+    "CVODE": ("#CC79A7", "X", ":"),
+    "Radau": ("#D55E00", "d", "-."),
+}
+OWN = ("event-driven", "Rodas5P", "Rodas4")
+
+
+def figure(data: xr.Dataset) -> Figure:
+    """Run time of a lane over the error, one panel for each number of lanes.
+
+    Of each approach only the settings are drawn that no other of its own settings beats.
+    """
+    lanes = np.unique(data["lanes"].values)
+    with matplotlib.rc_context(STYLE):
+        page = Figure(figsize=(PAGE_WIDTH, 3.9), layout="constrained")
+        panels = page.subplots(1, len(lanes), sharey=True, squeeze=False)[0]
+        for index, (axes, count) in enumerate(zip(panels, lanes, strict=True)):
+            _panel(axes, data.isel(setting=data["lanes"].values == count))
+            what = "one lane" if count == 1 else f"{count} lanes at once"
+            axes.set_title(f"({chr(ord('a') + index)}) {what}", loc="left")
+        panels[0].set_ylabel("run time of a lane (s)")
+        handles, labels = panels[0].get_legend_handles_labels()
+        page.legend(handles, labels, loc="outside lower center", ncols=6, frameon=False)
+    return page
+
+
+def _panel(axes: Axes, data: xr.Dataset) -> None:
+    names = data["approach"].values
+    for name, (colour, marker, line) in LOOKS.items():
+        error, seconds = _front(data.isel(setting=names == name))
+        if error.size:
+            bold = name in OWN
+            axes.plot(
+                error, seconds, line, color=colour, marker=marker, label=name,
+                markersize=4 if bold else 3, linewidth=1.4 if bold else 0.8,
+                markerfacecolor=colour if bold else "white", markeredgewidth=0.8,
+                zorder=3 if bold else 2,
+            )  # fmt: skip
+    asked = data.isel(setting=names == "accuracy")
+    if asked.sizes["setting"]:
+        axes.plot(
+            asked["error"], asked["seconds"], "*", color="#D55E00", markersize=8,
+            markeredgecolor="white", markeredgewidth=0.5, zorder=4, label="accuracy = …",
+        )  # fmt: skip
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.set_xlim(2.0, 1e-12 if data["error"].min() < 1e-9 else 1e-9)
+    axes.set_xlabel(r"error of the end state, $\max\,(|\delta\tilde x|, |\delta\tilde v|)$ (–)")
+    axes.grid(alpha=0.25, linewidth=0.5)
+    axes.tick_params(which="both", top=True, right=True)
+
+
+def _front(data: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
+    """Errors, falling, and times of the settings that are the fastest for their error."""
+    order = np.argsort(data["seconds"].values)
+    error, seconds = data["error"].values[order], data["seconds"].values[order]
+    best = error < np.minimum.accumulate(np.concatenate([[np.inf], error[:-1]]))
+    return error[best], seconds[best]

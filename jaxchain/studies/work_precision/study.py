@@ -1,0 +1,242 @@
+"""The study `work_precision`: error against true dry friction over run time, and who wins.
+
+Every approach is run with every sensible pair of width and tolerance.  Its error is that of the
+end state against the event-driven solution; what the width costs and what the tolerance costs
+are not told apart, because a user pays for both.
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeAlias
+
+import numpy as np
+import xarray as xr
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
+from tqdm import tqdm
+
+from jaxchain.scenes.tables import Positive
+from jaxchain.studies import StudyTable
+
+# A tolerance that no longer lowers the error by more than this meets that of the width.
+_SATURATED = 0.95
+
+
+Approach: TypeAlias = Literal[
+    "event-driven", "Rodas4", "Rodas5P", "Tsit5", "Dopri8", "Kvaerno3", "Kvaerno5", "KenCarp4",
+    "LSODA", "Radau", "CVODE",
+]  # fmt: skip
+
+
+class Study(StudyTable):
+    """What is compared, and how long it may take."""
+
+    study: Literal["work_precision"]
+    masses: Annotated[int, Field(ge=3)] = 20
+    excited: Annotated[int, Field(ge=0)] = 9
+    belt_speed: float = 1.3
+    """Of a single lane; the lanes of an ensemble lie within 0.1 of it."""
+    duration: Annotated[float, Field(ge=1)] = 30.0
+    lanes: Annotated[list[Annotated[int, Field(ge=1)]], Field(min_length=1)]
+    """How many runs at once, one panel for each."""
+    approaches: Annotated[list[Approach], Field(min_length=1)]
+    width: Annotated[list[Positive], Field(min_length=1)]
+    rtol: Annotated[list[Positive], Field(min_length=1)]
+    accuracy: list[Positive] = Field(default_factory=list)
+    """Accuracies that `simulate(..., accuracy=)` is asked for."""
+    patience: Positive = 2.0
+    """Seconds that a setting may take; its neighbours, slower still, are then left out."""
+
+    @model_validator(mode="after")
+    def _check(self) -> Study:
+        if self.excited > self.masses:
+            text = f"must lie in 0 ... {self.masses}, but is {self.excited}"
+            problems = [(("excited",), text)]
+            raise PydanticCustomError("problems", "{text}", {"text": text, "problems": problems})
+        return self
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One approach with its numbers, its error, and the seconds it takes for one lane."""
+
+    approach: str
+    lanes: int
+    width: float  # NaN for true dry friction
+    rtol: float
+    error: float
+    seconds: float
+    accuracy: float = np.nan  # what was asked for, if it was
+
+
+def run(
+    study: Study,
+    folder: Path,
+    *,
+    name: str,
+    plot: bool,
+    progress: bool,
+    report: Callable[[str], object],
+) -> dict[str, xr.Dataset]:
+    """Measures, saves `folder`/`name`, and reports who wins at which error."""
+    from jaxchain.scenes.running import save, save_drawing
+    from jaxchain.studies.work_precision.figure import figure
+
+    settings: list[Setting] = []
+    notes: list[str] = []
+    total = len(study.lanes) * (len(study.approaches) + bool(study.accuracy))
+    with tqdm(total=total, desc=name, unit="approach", disable=not progress) as bar:
+        for found in _measure(study, notes):
+            settings += found
+            bar.update()
+    data = to_dataset(settings, study)
+    save(data, folder / name, None)
+    report("\n".join([summary(data), *notes]))
+    if plot:
+        save_drawing(lambda: figure(data), folder / name)
+    return {name: data}
+
+
+def _measure(study: Study, notes: list[str]) -> Iterable[list[Setting]]:
+    from jaxchain.bench.peers import PeerMissingError
+    from jaxchain.model.chain import paper_chain
+    from jaxchain.studies.work_precision.approaches import Problem, by_accuracy, prepare, truth
+
+    chain = paper_chain(study.masses, study.belt_speed)
+    for lanes in study.lanes:
+        half = 0.1 if lanes > 1 else 0.0
+        speeds = np.linspace(study.belt_speed - half, study.belt_speed + half, lanes)
+        problem = Problem(chain, study.excited, tuple(speeds.tolist()), study.duration)
+        exact = truth(problem)
+        for approach in study.approaches:
+            try:
+                yield list(_scan(study, approach, prepare(approach, problem), exact))
+            except PeerMissingError as missing:
+                notes.append(f"{approach}: {missing}")
+                yield []
+        if study.accuracy:
+            solve = by_accuracy(problem)
+            found = []
+            for accuracy in study.accuracy:
+                (state, numerics), seconds = _timed(partial(solve, accuracy))
+                width, rtol = float(np.max(numerics.width)), float(np.max(numerics.rtol))
+                error = _error(state, exact)
+                found.append(
+                    Setting("accuracy", lanes, width, rtol, error, seconds / lanes, accuracy)
+                )
+            yield found
+
+
+def _scan(
+    study: Study, approach: str, solve: Callable[[float, float], np.ndarray], exact: np.ndarray
+) -> Iterable[Setting]:
+    """From loose to tight and from wide to narrow, leaving out what cannot be worth its time."""
+    from jaxchain.studies.work_precision.approaches import EVENTS
+
+    lanes = exact.shape[1]
+    widths = [np.nan] if approach == EVENTS else sorted(study.width, reverse=True)
+    slow_rtol = 0.0  # from here on it was too slow at a greater width
+    for width in widths:
+        before = np.inf
+        for rtol in sorted(study.rtol, reverse=True):
+            if rtol <= slow_rtol:
+                break
+            given = 1e-3 if np.isnan(width) else width
+            state, seconds = _timed(partial(solve, given, rtol))
+            error = _error(state, exact)
+            if np.isfinite(error):
+                yield Setting(approach, lanes, width, rtol, error, seconds / lanes)
+            if seconds > study.patience:
+                slow_rtol = rtol
+                break
+            if _SATURATED * before < error < np.inf and error < 0.5:
+                break
+            before = error
+
+
+def _error(state: np.ndarray, exact: np.ndarray) -> float:
+    """Greatest error of any displacement or velocity of any lane; infinite for a failed run."""
+    error = float(np.max(np.abs(state - exact)))
+    return error if np.isfinite(error) else np.inf
+
+
+def _timed(solve: Callable[[], Any]) -> tuple[Any, float]:
+    """What it returns, and the median seconds of some calls after the first."""
+    result = solve()  # compiles, or warms up
+    times: list[float] = []
+    while len(times) < 5 and (len(times) < 1 or sum(times) < 0.3):
+        start = time.perf_counter()
+        solve()
+        times.append(time.perf_counter() - start)
+    return result, statistics.median(times)
+
+
+def to_dataset(settings: list[Setting], study: Study) -> xr.Dataset:
+    """All settings in a row, dimension `setting`."""
+    about = {
+        "lanes": ("lanes integrated at once", "1"),
+        "width": ("regularization width; NaN: true dry friction", "x0 omega_n"),
+        "rtol": ("relative tolerance", "1"),
+        "error": ("greatest error of the end state against true dry friction", "x0, x0 omega_n"),
+        "seconds": ("run time of one lane", "s"),
+        "accuracy": ("asked of simulate(accuracy=)", "1"),
+    }
+    data = xr.Dataset(attrs={"title": study.title, "definition": study.model_dump_json()})
+    data["approach"] = ("setting", np.array([s.approach for s in settings], dtype=object))
+    for key, (long_name, units) in about.items():
+        values = np.array([getattr(s, key) for s in settings])
+        data[key] = ("setting", values, {"long_name": long_name, "units": units})
+    return data
+
+
+def fastest(data: xr.Dataset, lanes: int, error: float, *, smoothed: bool = False) -> int | None:
+    """Index of the setting that meets an error in the least time; by `accuracy` does not count."""
+    approach = data["approach"].values
+    fits = (data["lanes"].values == lanes) & (data["error"].values <= error)
+    fits &= approach != "accuracy"
+    if smoothed:
+        fits &= np.isfinite(data["width"].values)
+    if not fits.any():
+        return None
+    return int(np.argmin(np.where(fits, data["seconds"].values, np.inf)))
+
+
+def summary(data: xr.Dataset) -> str:
+    """Who wins at which error, and what `accuracy` gives."""
+    lines = []
+    for lanes in np.unique(data["lanes"].values).tolist():
+        lines.append(f"{lanes} lane{'s' if lanes > 1 else ''}: the fastest for each error")
+        for k in range(1, 9):
+            row = [f"  {10.0**-k:.0e}"]
+            for smoothed in (False, True):
+                best = fastest(data, lanes, 10.0**-k, smoothed=smoothed)
+                row.append("none" if best is None else _shown(data, best))
+            lines.append(f"{row[0]}   {row[1]:<58} smoothed: {row[2]}")
+        asked = np.flatnonzero((data["approach"] == "accuracy") & (data["lanes"] == lanes))
+        for i in asked:
+            one = data.isel(setting=int(i))
+            best = fastest(data, lanes, float(one["error"]), smoothed=True)
+            ratio = np.nan if best is None else float(one["seconds"] / data["seconds"][best])
+            lines.append(
+                f"  accuracy={float(one['accuracy']):.0e}: error {float(one['error']):.1e}, width "
+                f"{float(one['width']):.1e}, rtol {float(one['rtol']):.1e}, "
+                f"{1e3 * float(one['seconds']):.3g} ms; the fastest smoothed setting of no more "
+                f"error takes 1/{ratio:.2f} of that"
+            )
+    return "\n".join(lines)
+
+
+def _shown(data: xr.Dataset, index: int) -> str:
+    one = data.isel(setting=index)
+    width = float(one["width"])
+    friction = "" if np.isnan(width) else f", width {width:.0e}"
+    return (
+        f"{one['approach'].values!s}{friction}, rtol {float(one['rtol']):.0e}: "
+        f"{1e3 * float(one['seconds']):.3g} ms"
+    )

@@ -1,0 +1,1 @@
+"""Ensembles: lanes, who runs when, and the labelled dataset that comes of it."""

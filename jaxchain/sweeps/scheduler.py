@@ -1,0 +1,237 @@
+"""The host's side of a sweep: a pool of lanes on every device, and the jobs that wait for them."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jax.tree_util as jtu
+import numpy as np
+from jax.sharding import Mesh, NamedSharding
+from jax.sharding import PartitionSpec as P
+from tqdm import tqdm
+
+from ..result import NAMES, code
+from .lanes import (
+    Lane,
+    Task,
+    advance_lane,
+    departures,
+    on_all_lanes,
+    read_lane,
+    restart_lane,
+    start_lane,
+)
+
+# Numbers per array of one device's lanes: what keeps the arrays of a step within a core's cache.
+_NUMBERS_PER_DEVICE = {"cpu": 640, "gpu": 1 << 20}
+# Seconds of work left that are worth another compilation, for fewer lanes.
+_WORTH_COMPILING = 15.0
+# Share of the free memory that results and lanes may take.
+_MEMORY_SHARE = 0.8
+
+
+class Pool:
+    """Hands jobs to lanes and collects what they return, in `records`.
+
+    XLA compiles another program for another number of lanes, and for several devices another one
+    than for one; the last bits of a lane depend on the program.  With `lanes` given, every device
+    runs a program of its own for that many lanes from first to last, idle ones among them.
+    Without, their number is whatever is fastest, and follows jobs, devices and the clock.
+
+    What is stacked over lanes is a list of parts, one for each mesh of devices with one program.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        jobs: dict[str, np.ndarray],
+        devices: Sequence[Any] | None,
+        lanes: int | None,
+    ):
+        self.task, self.jobs = task, jobs
+        self.total = next(iter(jobs.values())).shape[0]
+        self.devices = list(jax.local_devices() if devices is None else devices)[: self.total]
+        self.fixed = lanes is not None
+        self.lanes = _lane_count(task.chain.n, self.total, self.devices, lanes)
+        self.width = self.lanes * len(self.devices)
+        together = [[d] for d in self.devices] if self.fixed else [self.devices]
+        self.meshes = [Mesh(np.array(own), ("lanes",)) for own in together]
+        self.last_look: tuple[float, np.ndarray] | None = None  # (wall time, times of the lanes)
+        self.tasks = [_placed(task, NamedSharding(mesh, P())) for mesh in self.meshes]
+        first = {k: jnp.asarray(v[0]) for k, v in jobs.items()}
+        self.lane_shape = eqx.filter_eval_shape(start_lane, task, first)
+        self.records = self._allocate()
+        self.owner = np.full(self.width, -1)  # job of each lane; -1 is idle
+
+    def _allocate(self) -> dict[str, Any]:
+        """Host arrays for every job; raises before anything is compiled if they cannot fit."""
+        shapes = eqx.filter_eval_shape(read_lane, self.task, self.lane_shape)
+        need = self.total * _bytes(shapes) + self.width * _bytes(self.lane_shape)
+        free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+        if need > _MEMORY_SHARE * free:
+            raise MemoryError(
+                f"The results of {self.total} runs and {self.lanes} lanes on each device need "
+                f"{need / 2**30:.1f} GiB, but {free / 2**30:.1f} GiB are free. Sweep over fewer "
+                "values, observe less, or give fewer `lanes`."
+            )
+
+        def blank(s: jax.ShapeDtypeStruct) -> np.ndarray:
+            fill = np.nan if np.issubdtype(s.dtype, np.floating) else 0
+            return np.full((self.total, *s.shape), fill, s.dtype)
+
+        records = jtu.tree_map(blank, shapes)
+        records["result"][:] = NAMES.index("interrupted")
+        return records
+
+    def _deal(self, arrays: Any) -> list:
+        """Host arrays over all lanes, cut into parts and put on their devices."""
+        size = self.width // len(self.meshes)
+        return [
+            jtu.tree_map(
+                lambda a, i=i, mesh=mesh: jax.device_put(
+                    a[i * size : (i + 1) * size], NamedSharding(mesh, P("lanes"))
+                ),
+                arrays,
+            )
+            for i, mesh in enumerate(self.meshes)
+        ]
+
+    def _on_all(self, function: Callable, *parts: list) -> list:
+        """`function(task, *lane)` for every lane; no part waits for another."""
+        return [
+            on_all_lanes(function, mesh, task, *own)
+            for mesh, task, *own in zip(self.meshes, self.tasks, *parts, strict=True)
+        ]
+
+    def _empty_pool(self) -> list[Lane]:
+        def empty(s: Any) -> Any:
+            return np.zeros((self.width, *s.shape), s.dtype)
+
+        shapes, static = eqx.partition(self.lane_shape, _is_shape)
+        # Lanes that no job takes have ended already, or they would be run on zeros.
+        pool = jtu.tree_map(empty, shapes)
+        code(pool.progress.result)[:] = NAMES.index("interrupted")
+        return [eqx.combine(part, static) for part in self._deal(pool)]
+
+    def run(self, show: bool, description: str) -> None:
+        waiting = self._order()
+        pool, waiting = self._refill(self._empty_pool(), waiting)
+        with tqdm(
+            total=self.total,
+            desc=description,
+            unit="lane",
+            disable=not show,
+            bar_format="{desc}: {percentage:3.0f}%|{bar}| {n:.1f}/{total} lanes "
+            "[{elapsed}<{remaining}]",
+        ) as bar:
+            finished = 0
+            while np.any(self.owner >= 0):
+                pool, ended = zip(*self._on_all(advance_lane, pool), strict=True)
+                pool, done = list(pool), _joined(list(ended)) & (self.owner >= 0)
+                if done.any():
+                    self._store(_joined(self._on_all(read_lane, pool)), done)
+                    finished += int(done.sum())
+                    self.owner[done] = -1
+                    if waiting.size:
+                        pool, waiting = self._refill(pool, waiting)
+                if not waiting.size and not self.fixed:
+                    pool = self._shrink(pool)
+                if show:
+                    bar.n = finished + self._fraction_under_way(pool)
+                    bar.refresh()
+
+    def _order(self) -> np.ndarray:
+        """Jobs that start farthest from rest first: they take longest, and must not come last."""
+        jobs = {k: jnp.asarray(v) for k, v in self.jobs.items()}
+        return np.argsort(-np.asarray(departures(self.task, jobs)), kind="stable")
+
+    def _refill(self, pool: list[Lane], waiting: np.ndarray) -> tuple[list[Lane], np.ndarray]:
+        """Idle lanes take the first jobs of `waiting`; returns the pool and the rest."""
+        slots = np.flatnonzero(self.owner < 0)[: waiting.size]
+        batch, rest = waiting[: slots.size], waiting[slots.size :]
+        index = np.full(self.width, batch[0])
+        index[slots] = self.owner[slots] = batch
+        take = np.zeros(self.width, bool)
+        take[slots] = True
+        values = self._deal({k: v[index] for k, v in self.jobs.items()})
+        return self._on_all(restart_lane, pool, self._deal(take), values), rest
+
+    def _shrink(self, pool: list[Lane]) -> list[Lane]:
+        """Once few lanes are left, and long ones, a pool of a quarter of the width goes on.
+
+        A step of the whole pool costs nearly the same however few of its lanes still run.
+        """
+        now, before = time.perf_counter(), self.last_look
+        t = _times(pool)
+        self.last_look = (now, t)
+        busy = np.flatnonzero(self.owner >= 0)
+        small = self.lanes // 4
+        if before is None or small == 0 or not 0 < busy.size <= small * len(self.devices):
+            return pool
+        rate = np.maximum((t - before[1])[busy] / (now - before[0]), 1e-300)
+        if np.max((float(self.task.t1) - t[busy]) / rate) < _WORTH_COMPILING:
+            return pool
+        idle = np.flatnonzero(self.owner < 0)
+        keep = np.concatenate([busy, idle])[: small * len(self.devices)]
+        # Deal the busy lanes out evenly: the device with the most of them sets the pace.
+        keep = keep.reshape(small, len(self.devices)).T.ravel()
+        self.lanes, self.width, self.last_look = small, keep.size, None
+        self.owner = self.owner[keep]
+        arrays, static = eqx.partition(_joined(pool), lambda leaf: isinstance(leaf, np.ndarray))
+        kept = self._deal(jtu.tree_map(lambda a: a[keep], arrays))
+        return [eqx.combine(part, static) for part in kept]
+
+    def _store(self, values: dict[str, Any], done: np.ndarray) -> None:
+        rows = self.owner[done]
+        jtu.tree_map(
+            lambda record, value: record.__setitem__(rows, value[done]),
+            self.records,
+            values,
+        )
+
+    def _fraction_under_way(self, pool: list[Lane]) -> float:
+        t0, t1 = float(self.task.t0), float(self.task.t1)
+        gone = (_times(pool) - t0) / max(t1 - t0, 1e-300)
+        return float(np.sum(gone[self.owner >= 0]))
+
+
+def _lane_count(n: int, total: int, devices: Sequence[Any], lanes: int | None) -> int:
+    if lanes is not None:
+        return lanes
+    platform = "cpu" if devices[0].platform == "cpu" else "gpu"
+    share = -(-total // len(devices))
+    return min(max(1, _NUMBERS_PER_DEVICE[platform] // n), share)
+
+
+def _joined(parts: list) -> Any:
+    """The parts of what is stacked over lanes as one, on the host."""
+
+    def join(*own: Any) -> Any:
+        return np.concatenate(own) if isinstance(own[0], jax.Array) else own[0]
+
+    return jtu.tree_map(join, *parts)
+
+
+def _times(pool: list[Lane]) -> np.ndarray:
+    return _joined([part.progress.t for part in pool])
+
+
+def _placed(task: Task, sharding: NamedSharding) -> Task:
+    arrays, static = eqx.partition(task, eqx.is_array)
+    return eqx.combine(jax.device_put(arrays, sharding), static)
+
+
+def _is_shape(leaf: Any) -> bool:
+    return isinstance(leaf, jax.ShapeDtypeStruct)
+
+
+def _bytes(shapes: Any) -> int:
+    """The memory of arrays of these shapes."""
+    leaves = [s for s in jtu.tree_leaves(shapes) if _is_shape(s)]
+    return sum(int(np.prod(s.shape)) * s.dtype.itemsize for s in leaves)

@@ -1,0 +1,303 @@
+"""Sweeps: one compiled program, many lanes, every device busy until the last lane is done.
+
+`vmap` of a whole integration runs until its slowest lane ends, and quiet lanes cost as much as
+vibrating ones.  Here a fixed number of lanes on every device is advanced by a fixed number of
+steps at a time (a *round*); lanes that have ended hand over their results and take the next job.
+A lane sees nothing of its neighbours: its steps and rounds are the same whoever runs beside it.
+How many run beside it does matter, in the last bits: XLA compiles another program for another
+number of lanes, or of devices, and a chaotic lane makes another motion of them.  `lanes` fixes the
+program.
+"""
+
+from __future__ import annotations
+
+import functools
+import time
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import diffrax as dfx
+import jax
+import jax.numpy as jnp
+import jax.tree_util as jtu
+import numpy as np
+
+from .._checks import (
+    check_count,
+    check_finite,
+    check_resolved,
+    check_span,
+    check_tolerances,
+    require_64_bits,
+    require_x64,
+    to_float,
+)
+from .._types import ScalarLike, State
+from ..model.chain import Chain
+from ..result import NAMES, STOPPED_WELL, message
+from ..simulation.accuracy import (
+    MAX_STEP,
+    USUAL_RTOL,
+    choose_numerics,
+    choose_solver,
+    default_rtol,
+)
+from ..simulation.event_driven import EventDriven
+from ..simulation.run import build_plan
+from .axes import check_axes, check_observers, check_vary
+from .lanes import (
+    Task,
+    chain_names,
+    initial_names,
+    own_chain,
+)
+from .scheduler import Pool
+
+if TYPE_CHECKING:
+    from xarray import Dataset
+
+# Values of a parameter of `initial` that are tried one by one before a sweep.
+_MOST_TRIED = 64
+
+
+class SweepInterrupted(KeyboardInterrupt):
+    """Ctrl-C during a sweep; `dataset` holds every lane that had ended."""
+
+    def __init__(self, dataset: Dataset):
+        super().__init__("The sweep was interrupted; `.dataset` holds the lanes that had ended.")
+        self.dataset = dataset
+
+
+def sweep(
+    chain: Any,
+    initial: State | Callable[..., State],
+    t1: ScalarLike,
+    *,
+    over: Mapping[str, Any],
+    vary: Callable[..., Chain] | None = None,
+    observe: Any = None,
+    t0: ScalarLike = 0.0,
+    solver: dfx.AbstractSolver | EventDriven | None = None,
+    accuracy: float | None = None,
+    rtol: ScalarLike | None = None,
+    atol: ScalarLike | None = None,
+    max_step: ScalarLike = MAX_STEP,
+    max_steps: int | None = None,
+    lanes: int | None = None,
+    devices: Sequence[Any] | None = None,
+    progress: bool = False,
+    description: str = "sweep",
+) -> Dataset:
+    """Runs a chain for every combination of the values in `over`.
+
+    **Arguments:**
+
+    - `chain`: a `Chain`.
+    - `initial`: the pair (x, v), or a function (chain, **own) -> (x, v) that JAX can trace; its
+      parameters beyond the chain are taken from `over`.
+    - `t1`, `t0`: dimensionless times.
+    - `over`: ordered mapping from a name to a one-dimensional array: any number of the chain or of
+      its friction law (`belt_speed`, `damping_ratio`, `coupling`, `width`, `mu_static`, ...), or a
+      parameter of `initial` or `vary` (`excited`, a seed, ...).
+    - `vary`: a function (chain, **own) -> chain that JAX can trace, for what no single number of
+      the chain says, such as one random stiffness per mass (`jaxchain.mistuned_chain`); its
+      parameters beyond the chain are taken from `over`, too, and `initial` sees the new chain.
+    - `observe`: one observer or several of different kinds (default: `Amplitude` over the last
+      tenth of the run).  A `Trajectory` does not fit into lanes; use `jax.vmap(simulate)`.
+    - `accuracy`: as for `simulate`: kept for 30 time units and by amplitudes that have settled.
+      Lanes in which it may not be kept differ from those of a second sweep with four times the
+      accuracy by more than it (see `choose_numerics`).  Every lane has a width of its own, `width`
+      of the dataset, and all have the least of their `rtol`.
+    - `solver`, `rtol`, `atol`, `max_step`, `max_steps`: as for `simulate`, the same for all lanes.
+    - `lanes`: lanes at a time on each device, for the same bits again: every device runs one
+      program, for just so many lanes, whatever the number of devices and of jobs.  By default as
+      many as fit its cache, no more than there are jobs, and fewer near the end of a long sweep;
+      that is fastest, but the last bits then depend on jobs, devices and the clock.
+    - `devices`: default all local devices.
+    - `progress`: show a progress bar.
+
+    **Returns:** an `xarray.Dataset` with the dimensions of `over` and `oscillator` (1 ... n), see
+    `sweeps/dataset.py`.  Failed lanes are NaN and carry their reason in `result`.  Bit for bit, no
+    lane depends on *which* others run beside it, failed ones or not.  It does on *how many* do:
+    results with other `lanes`, or without, agree within the tolerances while the motion is
+    regular, and chaotic motions part.  The same `lanes`, on devices of the same kind and with the
+    same versions of JAX and jaxchain, give the same bits.  The attributes `devices`,
+    `device_kind`, `lanes_per_device` and `lanes_per_device_at_end` record them.
+
+    **Raises:** `ValueError` for bad input before anything is compiled; `MemoryError` if the
+    results cannot fit; `SweepInterrupted` on Ctrl-C, with what was finished.
+
+    !!! example
+
+        >>> import jax, numpy as np
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import Amplitude, equation_8, paper_chain, sweep
+        >>> result = sweep(
+        ...     paper_chain(n=4), lambda chain, excited: equation_8(chain, excited), 100.0,
+        ...     over={"belt_speed": [1.4, 1.5], "excited": [0, 1]}, observe=Amplitude(window=20.0),
+        ... )
+        >>> result.active_count.dims
+        ('belt_speed', 'excited')
+    """
+    # pandas comes with xarray, and would double the time of `import jaxchain`.
+    from .dataset import describe, to_dataset
+
+    require_x64()
+    if not isinstance(chain, Chain):
+        raise ValueError(
+            f"Argument `chain` must be a `Chain`, but is a {type(chain).__name__}: for other "
+            "oscillators use `jax.vmap` of `simulate`, with `throw=False`."
+        )
+    require_64_bits("chain", chain)
+    check_span(t0, t1)
+    axes = check_axes(chain, initial, over, vary)
+    _check_initial(chain, initial, axes)
+    check_vary(chain, vary, axes)
+    _check_together(chain, axes)
+    grid = np.meshgrid(*axes.values(), indexing="ij")
+    jobs = {name: g.ravel() for name, g in zip(axes, grid, strict=True)}
+    smoothed = not isinstance(solver, EventDriven)
+    widths = None
+    if accuracy is not None:
+        if rtol is not None or "width" in axes:
+            raise ValueError(
+                "Argument `accuracy` picks the width and `rtol`: leave out `rtol`, and `width` of "
+                "`over`."
+            )
+        widths, rtol = _numerics(chain, vary, jobs, accuracy)
+    width = axes.get("width", chain.friction.width)
+    speed = axes.get("belt_speed", chain.belt_speed)
+    tolerance: Any = rtol
+    if rtol is None:
+        tolerance = default_rtol(chain.n, width, speed) if smoothed else USUAL_RTOL
+    check_tolerances(tolerance, atol, max_step)
+    if not smoothed:
+        widths = None
+    elif widths is not None:
+        jobs["width"] = widths
+    else:
+        check_resolved(chain.n, width, speed, tolerance, atol)
+    observers = check_observers(observe, float(t1) - float(t0))
+    check_count("max_steps", max_steps)
+    check_count("lanes", lanes)
+    absolute: Any = 0.1 * tolerance if atol is None else atol
+    if solver is None:
+        solver = choose_solver(_strongest(chain, axes), float(tolerance), float(max_step))
+    plan = build_plan(solver, observers, tolerance, absolute, max_step, t1)
+    most = None if max_steps is None else jnp.asarray(max_steps)
+    task = Task(plan, chain, initial, to_float(t0), to_float(t1), most, vary)
+    runner = Pool(task, jobs, devices, lanes)
+    lanes_at_start, started = runner.lanes, time.perf_counter()
+    interrupted = False
+    try:
+        runner.run(progress, description)
+    except KeyboardInterrupt:
+        interrupted = True
+    attrs = describe(chain, plan, t0=float(t0), t1=float(t1), swept=list(axes))
+    attrs |= {
+        "wall_time_s": round(time.perf_counter() - started, 3),
+        "devices": ", ".join(str(d) for d in runner.devices),
+        "device_kind": ", ".join(sorted({d.device_kind for d in runner.devices})),
+        "lanes_per_device": lanes_at_start,
+        "lanes_per_device_at_end": runner.lanes,
+    }
+    _blank_failures(runner.records)
+    dataset = to_dataset(runner.records, axes, chain, observers, attrs)
+    if widths is not None:
+        shape = tuple(values.size for values in axes.values())
+        about = {"long_name": "regularization width that `accuracy` picked", "units": "x0 omega_n"}
+        dataset["width"] = (tuple(axes), widths.reshape(shape), about)
+        dataset.attrs["accuracy"] = accuracy
+    if interrupted:
+        raise SweepInterrupted(dataset)
+    _warn_of_failures(dataset)
+    return dataset
+
+
+def _numerics(
+    chain: Chain,
+    vary: Callable[..., Chain] | None,
+    jobs: Mapping[str, np.ndarray],
+    accuracy: float,
+) -> tuple[np.ndarray, float]:
+    """The width of every job, and one rtol for all."""
+    names = [*chain_names(chain), *([] if vary is None else initial_names(vary))]
+    own = {name: jnp.asarray(v) for name, v in jobs.items() if name in names}
+
+    def of_one(values: dict[str, Any]) -> tuple[Any, Any]:
+        chosen = choose_numerics(own_chain(chain, vary, values), accuracy)
+        return chosen.width, chosen.rtol
+
+    count = next(iter(jobs.values())).size
+    if own:
+        widths, rtols = jax.vmap(of_one)(own)
+    else:
+        widths, rtols = (jnp.full(count, a) for a in of_one({}))
+    return np.asarray(widths), float(jnp.min(rtols))
+
+
+def _check_initial(
+    chain: Chain, initial: State | Callable[..., State], axes: Mapping[str, np.ndarray]
+) -> None:
+    """Raises what `initial` raises for a value of its own, and for a state that does not fit.
+
+    In a compiled program all values are traced, and 30 excited masses of 20 would pass for 20.
+    """
+    states: list[Any] = [initial]
+    if callable(initial):
+        own = {name: v for name, v in axes.items() if name in initial_names(initial)}
+        first = {name: jnp.asarray(values[0]) for name, values in own.items()}
+        rows = [first]
+        for name, values in own.items():
+            different = np.unique(values)
+            kept = different if different.size <= _MOST_TRIED else different[[0, -1]]
+            rows += [first | {name: jnp.asarray(value)} for value in kept]
+        states = [jax.eval_shape(functools.partial(initial, chain, **row)) for row in rows]
+    for state in states:
+        if not isinstance(state, tuple | list) or len(state) != 2:
+            raise ValueError(
+                "Argument `initial` must be the pair (displacement, velocity) or return it, but "
+                f"that is {type(state).__name__}."
+            )
+        for name, part in zip(("displacement", "velocity"), state, strict=True):
+            if jnp.shape(part) not in ((), (chain.n,)):
+                raise ValueError(
+                    f"Argument `initial` has a {name} of shape {jnp.shape(part)}, but the chain "
+                    f"has {chain.n} masses."
+                )
+            if not callable(initial):
+                check_finite(f"initial {name}", part, "see `excited_state` for initial states.")
+
+
+def _check_together(chain: Chain, axes: Mapping[str, np.ndarray]) -> None:
+    """Raises if two swept numbers contradict each other somewhere on the grid."""
+    if "mu_static" in axes and "mu_dynamic" in axes:
+        chain.with_(mu_static=axes["mu_static"].min(), mu_dynamic=axes["mu_dynamic"].max())
+
+
+def _blank_failures(records: dict[str, Any]) -> None:
+    """What a failed lane had observed by then is no answer: NaN."""
+    well = [NAMES.index(name) for name in STOPPED_WELL]
+    failed = ~np.isin(records["result"], well)
+    for observed in jtu.tree_leaves(records["observed"]):
+        if np.issubdtype(observed.dtype, np.floating):
+            observed[failed] = np.nan
+
+
+def _strongest(chain: Chain, axes: Mapping[str, np.ndarray]) -> Chain:
+    """The chain with the strongest coupling of the sweep, for the choice of the linear solve."""
+    if "coupling" in axes:
+        return chain.with_(coupling=float(np.max(axes["coupling"])))
+    return chain
+
+
+def _warn_of_failures(dataset: Dataset) -> None:
+    codes = dataset["result"].values
+    for value, name in enumerate(NAMES):
+        count = int(np.sum(codes == value))
+        if count and name not in STOPPED_WELL:
+            warnings.warn(
+                f"{count} of {codes.size} lanes ended with `{name}`: {message(name)}",
+                stacklevel=3,
+            )

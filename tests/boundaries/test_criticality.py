@@ -1,0 +1,208 @@
+"""The first Lyapunov coefficient against a closed form and against cycles by harmonic balance."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxtyping import Array
+from scipy.integrate import solve_ivp
+from scipy.optimize import root_scalar
+
+from jaxchain import Chain, TanhFriction, paper_chain
+from jaxchain.boundaries.criticality import first_lyapunov_coefficient
+from jaxchain.boundaries.hopf import hopf_belt_speed
+from jaxchain.boundaries.hopf_scan import hopf_points
+from jaxchain.model.friction import AbstractFrictionLaw
+
+# Second looks, or minutes of compilation: not in every run of the tests.
+pytestmark = pytest.mark.long
+
+SPEED, POINTS = 1.0, 15
+
+
+class Polynomial(AbstractFrictionLaw):
+    """mu(s) = 1 - a1 (s - 1) - a2 (s - 1)^2 - a3 (s - 1)^3, so that Taylor terms are known."""
+
+    mu_static: Array = eqx.field(converter=jnp.asarray)
+    a1: Array = eqx.field(converter=jnp.asarray)
+    a2: Array = eqx.field(converter=jnp.asarray)
+    a3: Array = eqx.field(converter=jnp.asarray)
+
+    def coefficient(self, speed):
+        s = jnp.asarray(speed) - SPEED
+        return 1.0 - self.a1 * s - self.a2 * s**2 - self.a3 * s**3
+
+
+def polynomial_oscillator(a2, a3, stiffness):
+    """x'' + 2 xi x' + k x = mu(v_d - x'): at v_d = 1 it is 0.1 x' - a2 x'^2 + a3 x'^3 + 1."""
+    law = Polynomial(2.0, 0.1, a2, a3)
+    return Chain(1, TanhFriction(law, 1e-3), SPEED, 0.05, stiffness=stiffness)
+
+
+def coefficient(chain, frequency):
+    one = jnp.ones(1, dtype=complex)
+    return float(first_lyapunov_coefficient(chain, SPEED, frequency, one))
+
+
+@pytest.mark.parametrize(("a2", "a3"), [(0.0, 0.3), (0.7, -0.3), (-2.0, 0.1), (1.5, 0.0)])
+def test_one_mass_has_the_closed_form(a2, a3):
+    # Averaging x'' + k x = a2 v^2 + a3 v^3 over x = A cos(omega t): A' = (3/8) a3 omega^2 A^3, and
+    # a2 drops out.  With A = 2 |w| / sqrt(1 + omega^2) that is |w|' = omega l1 |w|^3.
+    for stiffness in (0.5, 1.0, 3.0):
+        omega = np.sqrt(stiffness)
+        exact = 1.5 * a3 * omega / (1.0 + stiffness)
+        found = coefficient(polynomial_oscillator(a2, a3, stiffness), omega)
+        assert found == pytest.approx(exact, rel=1e-13, abs=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("a3", "kind"), [(0.3, "subcritical"), (-0.3, "supercritical"), (0.0, "degenerate")]
+)
+def test_the_sign_has_its_name(a3, kind):
+    points = hopf_points(polynomial_oscillator(0.7, a3, 1.3), (0.5, 1.5))
+    assert points.criticality == (kind,)
+
+
+def test_a_shape_of_any_length_and_phase_will_do():
+    chain = polynomial_oscillator(0.7, 0.3, 1.0)
+    other = jnp.full(1, 3.0 - 4.0j)
+    found = first_lyapunov_coefficient(chain, -SPEED, 1.0, other)
+    assert float(found) == pytest.approx(coefficient(chain, 1.0), rel=1e-13)
+
+
+def test_it_goes_through_jit_and_grad():
+    one = jnp.ones(1, dtype=complex)
+
+    def found(a3):
+        law = Polynomial(2.0, 0.1, 0.4, a3)
+        return first_lyapunov_coefficient(
+            Chain(1, TanhFriction(law, 1e-3), SPEED, 0.05), SPEED, 1.0, one
+        )
+
+    assert float(jax.jit(jax.grad(found))(0.2)) == pytest.approx(0.75, rel=1e-13)
+
+
+def balanced(chain, speed, omega, shape, amplitude):
+    """(belt speed, frequency, amplitudes) of a cycle by collocation in time; NumPy only.
+
+    Solves omega^2 X'' + 2 xi omega X' + K X = p F(omega X' - v_d) at 15 phases, with the first
+    harmonic of mass 0 given: `amplitude`, at phase 0.
+    """
+    n, m = chain.n, POINTS
+    xi = np.broadcast_to(chain.damping_ratio, n)
+    load = np.broadcast_to(1.0 if chain.normal_load is None else chain.normal_load, n)
+    law, width = chain.friction.law, float(chain.friction.width)
+    K = np.diag(np.broadcast_to(chain.stiffness, n))
+    for i in range(n if n > 1 else 0):
+        stretch = np.eye(n)[i] - np.eye(n)[(i + 1) % n]
+        K = K + float(chain.coupling) * np.outer(stretch, stretch)
+    phase = 2 * np.pi * np.arange(m) / m
+    # Differentiation of trigonometric polynomials on an odd number of points.
+    j = np.arange(m)[:, None] - np.arange(m)
+    with np.errstate(divide="ignore"):
+        derivative = np.where(j == 0, 0.0, 0.5 * (-1.0) ** j / np.sin(np.pi * j / m))
+
+    def force(w):
+        drop = float(law.mu_static - law.mu_dynamic)
+        mu = float(law.mu_dynamic) + drop * np.exp(-np.abs(w) / float(law.v_ref))
+        return -mu * np.tanh(w / width)
+
+    def residual(z):
+        X, omega, speed = z[:-2].reshape(m, n), z[-2], z[-1]
+        V = omega * derivative @ X
+        balance = omega * derivative @ V + 2 * xi * V + X @ K - load * force(V - speed)
+        first = 2.0 / m * X[:, 0]
+        fixed = [first @ np.cos(phase) - amplitude, first @ np.sin(phase)]
+        return np.concatenate([balance.ravel(), fixed])
+
+    rest = np.linalg.solve(K, load * force(np.full(n, -speed)))
+    shape = np.asarray(shape) / shape[0]
+    X = rest + amplitude * np.real(np.exp(1j * phase)[:, None] * shape)
+    z = np.concatenate([X.ravel(), [omega, speed]])
+    for _ in range(8):
+        steps = 1e-7 * np.eye(z.size)
+        J = np.stack([(residual(z + s) - residual(z - s)) / 2e-7 for s in steps], axis=1)
+        # Least squares: a standing wave may be turned round the ring, almost for nothing.
+        z = z - np.linalg.lstsq(J, residual(z), rcond=1e-7)[0]
+    assert np.abs(residual(z)).max() < 1e-12
+    harmonic = 2.0 / m * np.exp(-1j * phase) @ z[:-2].reshape(m, n)
+    return z[-1], z[-2], np.abs(harmonic)
+
+
+def slope_by_balance(chain, points, k, shape, amplitude):
+    speed, omega = float(points.belt_speed[k]), float(points.frequency[k])
+    found, _, amplitudes = balanced(chain, speed, omega, shape, amplitude)
+    np.testing.assert_allclose(amplitudes / amplitudes[0], np.abs(shape / shape[0]), rtol=0.02)
+    return amplitudes.max() ** 2 / (found - speed)
+
+
+@pytest.mark.parametrize(
+    ("chain", "amplitude"),
+    [
+        (paper_chain(1), 0.01),
+        (paper_chain(1, width=0.2), 0.003),
+        (
+            paper_chain(3, width=0.1).with_(
+                damping_ratio=jnp.array([0.05, 0.02, 0.06]),
+                stiffness=jnp.array([1.0, 1.2, 0.9]),
+                normal_load=jnp.array([1.0, 0.8, 1.1]),
+                coupling=0.3,
+            ),
+            0.003,
+        ),
+    ],
+    ids=["one mass", "one mass, wide smoothing", "mistuned"],
+)
+def test_cycles_branch_off_with_the_slope_that_the_coefficient_says(chain, amplitude):
+    points = hopf_points(chain, (0.0, 3.0))
+    assert set(points.kind) == {"weakening friction", "rising flank of the smoothed law"}
+    for k in range(len(points.kind)):
+        # On the flank of a narrow law a cycle must be smaller than the layer.
+        size = min(amplitude, 0.02 * float(points.belt_speed[k]))
+        found = slope_by_balance(chain, points, k, np.asarray(points.mode_shape[k]), size)
+        assert float(points.square_amplitude_slope[k]) == pytest.approx(found, rel=5e-3)
+
+
+@pytest.mark.parametrize(("n", "m"), [(3, 1), (4, 1), (5, 2)])
+def test_travelling_and_standing_waves_of_a_ring_branch_off_as_they_should(n, m):
+    chain = paper_chain(n).with_(coupling=0.3)
+    points = hopf_points(chain, (0.5, 2.0))
+    (k,) = np.flatnonzero(np.isclose(points.wavenumber, 2 * np.pi * m / n))
+    q = float(points.wavenumber[k])
+    travelling = slope_by_balance(chain, points, k, np.exp(1j * q * np.arange(n)), 0.01)
+    assert float(points.square_amplitude_slope[k]) == pytest.approx(travelling, rel=1e-3)
+    standing = np.cos(q * np.arange(n)) + 0j
+    speed, omega = float(points.belt_speed[k]), float(points.frequency[k])
+    found, _, amplitudes = balanced(chain, speed, omega, standing, 0.01)
+    slope = amplitudes.max() ** 2 / (found - speed)
+    assert float(points.standing_square_amplitude_slope[k]) == pytest.approx(slope, rel=1e-3)
+    # For n = 4 the standing wave leaves every other mass at rest, and the two agree.
+    assert np.isclose(slope, travelling, rtol=0.05) == (n == 4)
+
+
+def test_the_small_cycle_of_the_paper_repels_and_is_where_scipy_finds_it():
+    chain = paper_chain(1)
+    hopf = float(hopf_belt_speed(chain))
+    points = hopf_points(chain, (0.5, 2.0))
+    speed = hopf + 0.01
+
+    def fed_back(a):
+        """By how much the next maximum of the displacement exceeds this one, a above rest."""
+
+        def slipping(t, y):
+            return [y[1], -0.1 * y[1] - y[0] + 0.5 + 0.5 * np.exp(-2 * (speed - y[1]))]
+
+        def turn(t, y):
+            return y[1]
+
+        turn.direction = -1  # pyright: ignore[reportFunctionMemberAccess]  # as SciPy wants it
+        rest = 0.5 + 0.5 * np.exp(-2 * speed)
+        run = solve_ivp(slipping, (0, 10), [rest + a, -1e-14], events=turn, rtol=1e-12, atol=1e-13)
+        return run.y_events[0][-1][0] - rest - a
+
+    amplitude = root_scalar(fed_back, bracket=(0.1, 0.5), xtol=1e-10).root
+    assert amplitude**2 / 0.01 == pytest.approx(float(points.square_amplitude_slope[0]), rel=0.05)
+    # A repelling cycle: subcritical.
+    assert fed_back(0.95 * amplitude) < 0 < fed_back(1.05 * amplitude)
+    assert points.criticality == ("subcritical",)

@@ -1,0 +1,375 @@
+import functools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.optimize import minimize_scalar
+from witnesses.smoothed import OneMass
+
+from jaxchain import (
+    Amplitude,
+    Chain,
+    Coulomb,
+    EventDriven,
+    FoldResult,
+    TanhFriction,
+    excited_state,
+    find_fold,
+    find_grazing,
+    fold_belt_speed,
+    hopf_belt_speed,
+    nonsmooth_fold_belt_speed,
+    paper_chain,
+    simulate,
+)
+from jaxchain.studies.crosscheck.cycles import on_the_belt
+
+NAMES = ("damping_ratio", "mu_dynamic", "mu_static", "v_ref", "width")
+WILD = ("damping_ratio", "mu_dynamic", "v_ref", "width")
+
+
+def wild_sets(seed, count):
+    """Random (xi, mu_d / mu_st, v_ref, width) from far apart, shape (count, 4)."""
+    rng = np.random.default_rng(seed)
+
+    def logarithmic(low, high):
+        return np.exp(rng.uniform(np.log(low), np.log(high), count))
+
+    xi, ratio, v_ref = logarithmic(0.01, 0.3), rng.uniform(0.2, 0.9, count), logarithmic(0.02, 1.5)
+    return np.stack([xi, ratio, v_ref, logarithmic(1e-9, 0.2)], axis=1)
+
+
+def wild_chain(numbers):
+    return paper_chain(1).with_(**dict(zip(WILD, numbers, strict=True)))
+
+
+@jax.jit
+@jax.vmap
+def wild_folds(numbers):
+    chain = wild_chain(numbers)
+    return find_fold(chain), hopf_belt_speed(chain)
+
+
+def vibrates(numbers, speeds, dry):
+    """Whether runs from sticking go on, at one row of belt speeds for each set.
+
+    To go on is to have an amplitude above a third of the belt's speed which does not fall, or less
+    and less.  Near a fold what dies out takes its time, but it loses more than 1e-3 in the last
+    quarter, and about the same share as in the third; what nears a cycle loses ever less.
+    """
+
+    def one(numbers, speed):
+        chain = eqx.tree_at(lambda c: c.belt_speed, wild_chain(numbers), speed)
+        time, state, amplitudes = 300.0 + 10.0 / numbers[0], on_the_belt(chain), []
+        for _ in range(4):
+            run = simulate(
+                chain, state, time, observe=Amplitude(window=20.0), throw=False,
+                solver=EventDriven(7) if dry else None, rtol=1e-8 if dry else 1e-7,
+            )  # fmt: skip
+            state = run.state
+            amplitudes.append(run.observed[0])
+        _, *late = jnp.log(jnp.stack(amplitudes))
+        before, last = late[0] - late[1], late[1] - late[2]
+        return (amplitudes[-1] > 0.3 * speed) & ((last < 1e-3) | (last < 0.5 * before))
+
+    run = jax.jit(jax.vmap(jax.vmap(one, (None, 0))))
+    return np.asarray(run(jnp.asarray(numbers), jnp.asarray(speeds)))
+
+
+def claims(seed, count, margin=0.01):
+    """(results, speeds, hopf, sets that a run contradicts, sets not found that vibrate).
+
+    A fold found: runs from sticking go on `margin` below and die out `margin` above.  None: they
+    die out at all speeds.  Not found: does one go on above the Hopf speed?
+    """
+    numbers = wild_sets(seed, count)
+    folds, hopf = jax.tree.map(np.asarray, wild_folds(jnp.asarray(numbers)))
+    found, none = np.asarray(folds.found), np.asarray(folds.result == FoldResult.none)
+    top = np.where(np.isfinite(hopf), hopf, 1.0)
+    base = np.where(found, folds.belt_speed, top)
+    # Below a fold it may be less than the Hopf speed, where all vibrates, so well below it too.
+    shares = np.where(found[:, None], [1.0 - margin, 1.0 + margin, 1.05], [0.3, 1.05, 1.3])
+    speeds = base[:, None] * shares
+    goes_on = np.zeros(speeds.shape, bool)
+    # A width far below every margin changes nothing, and dry friction is run exactly.
+    for dry in (True, False):
+        lanes = np.flatnonzero((numbers[:, 3] < 1e-5) == dry)
+        if lanes.size:
+            goes_on[lanes] = vibrates(numbers[lanes], speeds[lanes], dry)
+    held = goes_on[:, 0] & ~goes_on[:, 1] & ~goes_on[:, 2]
+    wrong = np.where(found, ~held, none & goes_on.any(axis=1))
+    missed = ~found & ~none & goes_on[:, 1:].any(axis=1)
+    return folds, base, hopf, np.flatnonzero(wrong), np.flatnonzero(missed)
+
+
+@pytest.fixture(scope="module")
+def folds():
+    """The folds of the paper's oscillator at two widths."""
+    return {width: find_fold(paper_chain(1, width=width)) for width in (0.05, 0.01)}
+
+
+@pytest.mark.parametrize("width", [0.05, 0.01])
+def test_the_fold_is_a_closed_cycle_with_two_multipliers_of_one(folds, width):
+    fold = folds[width]
+    assert bool(fold.found)
+    assert fold.result == FoldResult.found
+    assert fold.message == ""
+    (x,), (v,) = (np.asarray(part) for part in fold.state)
+    end, monodromy = OneMass(width).after(x, v, float(fold.period), float(fold.belt_speed))
+    np.testing.assert_allclose(end, [x, v], atol=1e-8)
+    # One is trivial, so the other is the determinant.
+    np.testing.assert_allclose(np.linalg.det(monodromy), 1.0, atol=3e-4)
+    assert abs(np.trace(monodromy) - 1.0 - np.linalg.det(monodromy)) < 1e-6
+
+
+def test_the_vibration_survives_below_the_fold_and_not_above(folds):
+    fold = folds[0.05]
+    chain = paper_chain(1, width=0.05)
+    amplitude = Amplitude(window=50.0)
+    for shift, survives in ((-5e-3, True), (5e-3, False)):
+        moved = chain.with_(belt_speed=fold.belt_speed + shift)
+        run = simulate(moved, excited_state(moved, 1), 1500.0, observe=amplitude)
+        assert bool(run.observed[0] > 1.0) is survives
+
+
+def test_the_belt_speed_of_the_chain_has_no_part_in_its_fold(folds):
+    width = 0.05
+    value = fold_belt_speed(paper_chain(1, belt_speed=0.3, width=width))
+    np.testing.assert_allclose(value, folds[width].belt_speed, rtol=1e-10)
+
+
+@pytest.mark.long
+def test_gradients_are_central_differences():
+    chain = paper_chain(1, width=0.02)
+
+    def speed(values):
+        return fold_belt_speed(chain.with_(**dict(zip(NAMES, values, strict=True))))
+
+    at = jnp.asarray([0.05, 0.5, 1.0, 0.5, 0.02])
+    gradient = jax.jit(jax.grad(speed))(at)
+    batch = jax.jit(jax.vmap(speed))
+    h = 1e-4 * at
+    shifts = jnp.diag(h)
+    differences = (batch(at[None, :] + shifts) - batch(at[None, :] - shifts)) / (2 * h)
+    np.testing.assert_allclose(gradient, differences, rtol=1e-5)
+
+
+@pytest.mark.long
+def test_a_lane_without_a_fold_is_marked_and_harms_no_other(folds):
+    # At width 0.6 no belt speed makes steady sliding unstable; at 0.35 it is lost supercritically.
+    widths = jnp.asarray([0.05, 0.6, 0.01, 0.35])
+    speeds = jax.vmap(lambda width: fold_belt_speed(paper_chain(1, width=width)))(widths)
+    assert np.isnan(speeds[1])
+    assert np.isnan(speeds[3])
+    expected = [folds[0.05].belt_speed, folds[0.01].belt_speed]
+    np.testing.assert_allclose(speeds[jnp.asarray([0, 2])], expected, rtol=3e-9)
+    outcomes = [find_fold(paper_chain(1, width=width)) for width in (0.6, 0.35)]
+    assert [fold.result for fold in outcomes] == [FoldResult.none, FoldResult.gentle]
+    assert [fold.message.split(":")[0] for fold in outcomes] == [
+        "There is no fold", "No fold was found"
+    ]  # fmt: skip
+
+
+@pytest.mark.exhaustive
+def test_friction_that_does_not_weaken_has_no_fold():
+    chain = Chain(1, TanhFriction(Coulomb(0.5), 0.01), belt_speed=1.0)
+    fold = find_fold(chain)
+    assert np.isnan(fold.belt_speed)
+    assert not bool(fold.found)
+    assert fold.result == FoldResult.none
+
+
+@pytest.mark.exhaustive
+def test_a_second_derivative_of_the_speed_alone_says_where_to_get_it():
+    chain = paper_chain(1, width=0.02)
+    slope = jax.grad(lambda xi: fold_belt_speed(chain.with_(damping_ratio=xi)))
+    with pytest.raises(RuntimeError, match="find_fold"):
+        jax.jvp(slope, (0.05,), (1.0,))
+
+
+@pytest.mark.parametrize(
+    ("vibrating", "message"),
+    [(3, "`vibrating` must be the index of a mass, 0 ... 2, but is 3"), ((0, 1), "several")],
+)
+def test_a_mass_that_is_not_there_is_refused(vibrating, message):
+    with pytest.raises(ValueError, match=message):
+        fold_belt_speed(paper_chain(3), vibrating)
+
+
+def test_anything_but_a_chain_is_refused():
+    with pytest.raises(ValueError, match="`chain` must be a `Chain`"):
+        fold_belt_speed(1.5)  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.exhaustive
+def test_the_fold_is_the_summit_of_scipys_branch():
+    """V(s) near the summit by SciPy's own shooting: no cycle near it has a greater speed."""
+    for width in (0.2, 0.05):
+        fold = find_fold(paper_chain(1, width=width))
+        mass = OneMass(width)
+
+        def speed(s, guess, mass=mass, width=width):
+            q = np.array(guess)
+            for _ in range(8):
+                v = q[0] + width * s
+                x = mass.force_and_slope(width * s)[0] - 2 * mass.xi * v
+
+                def gap(q, x=x, v=v):
+                    w = width * s
+                    v = q[0] + w
+                    x = mass.force_and_slope(w)[0] - 2 * mass.xi * v
+                    return (mass.after(x, v, q[1], q[0])[0] - [x, v]) / width
+
+                r = gap(q)
+                columns = [(gap(q + h) - r) / 1e-6 for h in 1e-6 * np.eye(2)]
+                step = np.linalg.solve(np.stack(columns, axis=1), r)
+                q = q - step
+                if np.max(np.abs(step)) < 1e-12:
+                    break
+            return -q[0]
+
+        guess = [float(fold.belt_speed), float(fold.period)]
+        s = float(fold.closeness)
+        below = functools.partial(speed, guess=guess)
+        summit = minimize_scalar(below, bracket=(s - 0.05, s, s + 0.05), options={"xtol": 1e-4})
+        np.testing.assert_allclose(fold.belt_speed, -summit.fun, rtol=3e-9)
+
+
+@pytest.mark.exhaustive
+def test_narrower_widths_approach_dry_friction():
+    widths = jnp.asarray([0.1, 0.02, 5e-3, 1e-3, 2e-4, 1e-5])
+    speeds = jax.vmap(lambda width: fold_belt_speed(paper_chain(1, width=width)))(widths)
+    gaps = 1.836600972208 - speeds
+    assert bool(jnp.all(gaps > 0) & jnp.all(jnp.diff(gaps) < 0))
+    assert float(gaps[-1]) < 1e-4
+
+
+@pytest.mark.exhaustive
+def test_a_thousand_parameter_sets_in_one_call():
+    rng = np.random.default_rng(5)
+    xi = jnp.asarray(rng.uniform(0.02, 0.1, 1000))
+    ratio = jnp.asarray(rng.uniform(0.3, 0.8, 1000))
+    v_ref = jnp.asarray(rng.uniform(0.2, 1.0, 1000))
+    width = jnp.asarray(10 ** rng.uniform(-3.5, -1.0, 1000))
+
+    def both(xi, ratio, v_ref, width):
+        chain = paper_chain(1, width=width).with_(damping_ratio=xi, mu_dynamic=ratio, v_ref=v_ref)
+        fold = find_fold(chain)
+        failed = (fold.result == FoldResult.no_touch) | (fold.result == FoldResult.no_cycle)
+        return fold.belt_speed, fold.found, failed, hopf_belt_speed(chain)
+
+    speed, found, failed, hopf = eqx.filter_jit(jax.vmap(both))(xi, ratio, v_ref, width)
+    assert int(jnp.sum(failed)) <= 5
+    assert bool(jnp.all(jnp.isnan(speed) == ~found))
+    assert bool(jnp.all(jnp.where(found, speed > hopf, True)))
+
+
+@pytest.mark.exhaustive
+def test_the_whole_orbit_is_differentiable_and_twice():
+    chain = paper_chain(1, width=0.02)
+
+    def quantities(xi):
+        fold = find_fold(chain.with_(damping_ratio=xi))
+        return jnp.stack([fold.belt_speed, fold.period, fold.closeness, fold.state[0][0]])
+
+    compiled = jax.jit(quantities)
+    tangent = jax.jit(lambda xi: jax.jvp(quantities, (xi,), (1.0,))[1])
+    h = 1e-5
+    differences = (compiled(0.05 + h) - compiled(0.05 - h)) / (2 * h)
+    np.testing.assert_allclose(tangent(0.05), differences, rtol=2e-4)
+
+
+@pytest.mark.exhaustive
+def test_the_localized_fold_of_three_masses_differentiates_in_every_number():
+    chain = paper_chain(3, width=0.05)
+
+    def speed(numbers):
+        coupling, stiffness = numbers
+        return fold_belt_speed(chain.with_(coupling=coupling, stiffness=stiffness), 1)
+
+    at = (jnp.asarray(0.01), jnp.asarray([1.0, 1.02, 0.99]))
+    slopes = jax.jit(jax.grad(speed))(at)
+    compiled = jax.jit(speed)
+    for direction in ((1.0, jnp.zeros(3)), (0.0, jnp.asarray([0.3, 1.0, -0.5]))):
+        h = 1e-5
+        plus, minus = (
+            compiled((at[0] + k * direction[0], at[1] + k * direction[1])) for k in (h, -h)
+        )
+        slope = slopes[0] * direction[0] + jnp.sum(slopes[1] * direction[1])
+        np.testing.assert_allclose(slope, (plus - minus) / (2 * h), rtol=1e-5)
+
+
+@pytest.mark.slow
+def test_folds_are_found_where_friction_weakens_over_a_small_speed():
+    """Each vibrates from the belt's speed 1 % below its fold, and rests 1 % above."""
+    numbers = np.array([[0.05, 0.5, v_ref, 1e-3] for v_ref in (0.02, 0.03, 0.05)])
+    folds, _ = wild_folds(jnp.asarray(numbers))
+    assert bool(jnp.all(folds.found))
+    speeds = np.asarray(folds.belt_speed)[:, None] * [0.99, 1.01]
+    np.testing.assert_array_equal(vibrates(numbers, speeds, False), [[True, False]] * 3)
+
+
+@pytest.mark.slow
+def test_any_width_has_its_fold():
+    """Down to widths that no integration resolves; without a step where the asymptotics begin."""
+    dry = float(nonsmooth_fold_belt_speed(paper_chain(1)))
+    numbers = np.array([[0.05, 0.5, 0.5, w] for w in (1e-7, 3e-8, 3e-9, 1e-12, 1e-30)])
+    folds, _ = wild_folds(jnp.asarray(numbers))
+    assert bool(jnp.all(folds.found))
+    gaps = dry - folds.belt_speed
+    assert bool(jnp.all(jnp.diff(gaps) < 1e-9))
+    np.testing.assert_allclose(folds.belt_speed[2:], dry, rtol=2e-8)
+    np.testing.assert_allclose(folds.belt_speed[-1], dry, rtol=1e-9)
+    least = float(folds.width[-1])
+    assert 1e-8 < least < 1e-7
+    around = least * np.array([0.999, 1.001, 3.0, 10.0])
+    folds, _ = wild_folds(jnp.asarray([[0.05, 0.5, 0.5, w] for w in around]))
+    np.testing.assert_allclose(folds.belt_speed[0], folds.belt_speed[1], rtol=1e-9)
+    # The formula that is used below, tried above, where the search knows better.
+    asymptotic = jax.vmap(find_grazing(paper_chain(1)).smoothed)(jnp.asarray(around[2:]))
+    np.testing.assert_allclose(asymptotic, folds.belt_speed[2:], rtol=2e-9)
+
+
+@pytest.mark.long
+def test_below_the_least_width_gradients_are_those_of_dry_friction():
+    def speed(xi, width):
+        return fold_belt_speed(paper_chain(1).with_(damping_ratio=xi, width=width))
+
+    slopes = jax.jit(jax.grad(speed, (0, 1)))(0.05, 1e-9)
+    dry = jax.grad(lambda xi: nonsmooth_fold_belt_speed(paper_chain(1).with_(damping_ratio=xi)))
+    np.testing.assert_allclose(slopes[0], dry(0.05), rtol=1e-5)
+    grazing = find_grazing(paper_chain(1))
+    np.testing.assert_allclose(slopes[1], jax.grad(grazing.smoothed)(1e-9), rtol=1e-6)
+
+
+@pytest.mark.slow
+def test_a_search_that_fails_says_so_and_claims_nothing():
+    """Two masses so strongly coupled that they vibrate together."""
+    fold = find_fold(paper_chain(2).with_(coupling=0.3))
+    assert not bool(fold.found)
+    assert fold.result == FoldResult.no_touch
+    assert fold.message.startswith("No fold was found, though averaging has one")
+
+
+@pytest.mark.long
+def test_no_claim_about_a_wild_set_is_contradicted_by_a_run():
+    folds, _, _, wrong, missed = claims(7, 30)
+    assert wrong.size == 0
+    assert missed.size <= 1
+    assert int(jnp.sum(folds.found)) >= 25
+
+
+@pytest.mark.exhaustive
+def test_no_claim_about_a_thousand_wild_sets_is_contradicted_by_a_run():
+    for seed in range(10):
+        _, _, _, wrong, missed = claims(100 + seed, 100)
+        assert wrong.size == 0
+        assert missed.size <= 5
+
+
+@pytest.mark.parametrize("speed", [-1.5, 0.3])
+def test_the_direction_of_the_belt_has_no_part_in_a_fold(folds, speed):
+    value = fold_belt_speed(paper_chain(1, belt_speed=speed, width=0.05))
+    np.testing.assert_allclose(value, folds[0.05].belt_speed, rtol=1e-10)

@@ -1,0 +1,251 @@
+"""The fold of dry friction: against shooting with SciPy, differences and simulation."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.integrate
+import scipy.optimize
+
+from jaxchain import Chain, Coulomb, EventDriven, TanhFriction, paper_chain, simulate
+from jaxchain.boundaries.grazing import find_grazing, nonsmooth_fold_belt_speed
+from jaxchain.boundaries.touch import _peak
+from jaxchain.model.initial_states import check_vibrating
+
+NAMES = ("damping_ratio", "mu_static", "mu_dynamic", "v_ref")
+PAPER = np.array([0.05, 1.0, 0.5, 0.5])
+SETS = np.array([PAPER, [0.12, 0.7, 0.3, 0.3], [0.02, 1.3, 0.6, 0.9], [0.05, 1.0, 1.0, 0.5]])
+EXISTS = np.array([True, True, True, False])  # friction of the last one does not weaken
+
+
+def shoot(n, mass, law, matrix, damping, period, speed):
+    """(v_d, T, multiplier) of the touching slip cycle, and its greatest velocities, by SciPy."""
+
+    mu_static, mu_dynamic, v_ref = law
+
+    def flow(q, dense=False):
+        speed, period = q[-1], q[-2]
+
+        def field(_, y):
+            v = y[n:]
+            mu = mu_dynamic + (mu_static - mu_dynamic) * np.exp((v - speed) / v_ref)
+            return np.concatenate([v, mu - 2 * damping * v - matrix @ y[:n]])
+
+        x, v = np.zeros(n), np.zeros(n)
+        others = np.arange(n) != mass
+        x[others], v[others], v[mass] = q[: n - 1], q[n - 1 : -2], speed
+        # The mass has no acceleration where it touches.
+        x[mass] = (mu_static - 2 * damping[mass] * speed - matrix[mass] @ x) / matrix[mass, mass]
+        start = np.concatenate([x, v])
+        run = scipy.integrate.solve_ivp(
+            field, (0, period), start, method="DOP853", rtol=1e-13, atol=1e-13, dense_output=dense
+        )
+        return (run.y[:, -1] - start) / speed, run
+
+    rest = np.linalg.solve(matrix, mu_dynamic + 0.0 * damping)
+    guess = np.concatenate([np.delete(rest, mass), np.zeros(n - 1), [period, speed]])
+    root = scipy.optimize.root(lambda q: flow(q)[0], guess, tol=1e-13)
+    gap, run = flow(root.x, dense=True)
+    assert np.max(np.abs(gap)) < 1e-11
+    return root.x[-1], root.x[-2], run
+
+
+def spring_matrix(stiffness, coupling):
+    n = len(stiffness)
+    unit = np.eye(n)
+    ring = 2 * unit - np.roll(unit, 1, axis=0) - np.roll(unit, -1, axis=0)
+    return np.diag(stiffness) + (coupling * ring if n > 1 else 0.0)
+
+
+def of(parameters):
+    return paper_chain(n=1).with_(**dict(zip(NAMES, parameters, strict=True)))
+
+
+@pytest.fixture(scope="module")
+def folds():
+    """(v_d, its gradient) of many sets of parameters: one program for most tests."""
+    return jax.jit(jax.vmap(jax.value_and_grad(lambda p: nonsmooth_fold_belt_speed(of(p)))))
+
+
+@pytest.fixture(scope="module")
+def paper():
+    return find_grazing(paper_chain(n=1))
+
+
+@pytest.mark.long
+def test_it_agrees_with_shooting_by_scipy(folds):
+    speeds, _ = folds(jnp.asarray(SETS))
+    np.testing.assert_array_equal(np.isfinite(speeds), EXISTS)
+    for parameters, speed in zip(SETS[:3], speeds[:3], strict=True):
+        xi, *law = parameters
+        expected, _, _ = shoot(1, 0, law, np.eye(1), np.full(1, xi), 6.3, float(speed) * 1.01)
+        np.testing.assert_allclose(speed, expected, rtol=1e-10)
+
+
+def test_gradients_are_those_of_differences(folds):
+    _, slopes = folds(jnp.asarray(SETS))
+    h = 1e-5
+    for i in range(len(NAMES)):
+        shift = h * np.eye(len(NAMES))[i]
+        above, below = (folds(jnp.asarray(SETS + s))[0][:3] for s in (shift, -shift))
+        np.testing.assert_allclose(slopes[:3, i], (above - below) / (2 * h), rtol=1e-6, atol=1e-6)
+
+
+def test_the_cycle_of_the_paper(paper):
+    """Its period, its touch, and the multiplier, which Liouville's theorem gives for one mass."""
+    assert paper.found
+    assert paper.residual < 1e-12
+    chain = paper_chain(n=1)
+    expected, period, run = shoot(1, 0, PAPER[1:], np.eye(1), np.full(1, 0.05), 6.3, 1.8)
+    np.testing.assert_allclose(paper.belt_speed, expected, rtol=1e-11)
+    np.testing.assert_allclose(paper.period, period, rtol=1e-10)
+    x, v = paper.state
+    np.testing.assert_allclose(v[0], paper.belt_speed, rtol=1e-15)
+    np.testing.assert_allclose(x[0], chain.greatest_hold() - 0.1 * v[0], rtol=1e-14)
+
+    def trace(t):
+        return np.exp((run.sol(t)[1] - expected) / 0.5) - 0.1
+
+    multiplier = np.exp(scipy.integrate.quad(trace, 0, period, epsabs=1e-11, limit=200)[0])
+    np.testing.assert_allclose(-paper.by_leaving / paper.by_arriving, multiplier, rtol=1e-8)
+    # A fold seen from below: slip cycles and sticking ones both have lower belt speeds.
+    assert paper.by_leaving + paper.by_arriving > 0 > paper.by_arriving
+    np.testing.assert_allclose(paper.fall, expected, rtol=1e-12)  # k v_d for k = 1
+
+
+def test_what_it_says_of_smoothed_folds(paper):
+    """Found by continuation with another integrator; what is left is O(width^(3/2))."""
+    for width, fold in ((2e-4, 1.835367012), (1e-3, 1.831129820), (1e-2, 1.792455775)):
+        assert abs(paper.smoothed(width) - fold) < width**1.5
+
+
+def test_nothing_is_found_where_friction_does_not_weaken():
+    chain = paper_chain(n=1).with_(mu_dynamic=1.0)
+    grazing = find_grazing(chain)
+    assert not grazing.found
+    assert jnp.isnan(grazing.belt_speed)
+    assert jnp.isnan(grazing.smoothed(1e-3))
+
+
+def test_the_peak_of_a_cubic():
+    rng = np.random.default_rng(3)
+    v0, v1, a, b = rng.normal(size=(4, 200))
+    a[:3], b[:3] = [0.0, 1.0, -1.0], [0.0, 1.0, -1.0]
+    v1[1:3] = v0[1:3] + a[1:3]  # straight lines
+    t = np.linspace(0, 1, 2001)[:, None]
+    # Hermite's polynomials.
+    rise, start, end = t * t * (3 - 2 * t), t * (1 - t) ** 2, t * t * (t - 1)
+    dense = np.max(v0 * (1 - rise) + v1 * rise + a * start + b * end, axis=0)
+    peak = _peak(*(jnp.asarray(z) for z in (v0, v1, a, b)))
+    np.testing.assert_allclose(peak, dense, atol=2e-6)
+
+
+@pytest.mark.parametrize(
+    ("chain", "vibrating", "message"),
+    [
+        ("chain", None, "`chain` must be a `Chain`"),
+        (paper_chain(n=3), 3, "`vibrating` must be the index of a mass, 0 ... 2, but is 3"),
+        (paper_chain(n=3), 1.0, "`vibrating` must be the index"),
+        (paper_chain(n=3), True, "`vibrating` must be the index"),
+    ],
+)
+def test_bad_input_is_named(chain, vibrating, message):
+    with pytest.raises(ValueError, match=message):
+        check_vibrating(chain, vibrating)
+
+
+@pytest.mark.exhaustive
+def test_three_masses_that_differ_agree_with_shooting_by_scipy():
+    xi, stiffness = np.array([0.05, 0.08, 0.1]), np.array([1.0, 1.2, 1.5])
+    chain = paper_chain(n=3).with_(damping_ratio=jnp.asarray(xi), stiffness=jnp.asarray(stiffness))
+    grazing = find_grazing(chain, 0)
+    assert grazing.found
+    matrix = spring_matrix(stiffness, 0.01)
+    expected, period, run = shoot(3, 0, PAPER[1:], matrix, xi, 6.25, 1.8)
+    np.testing.assert_allclose(grazing.belt_speed, expected, rtol=1e-10)
+    np.testing.assert_allclose(grazing.period, period, rtol=1e-10)
+    v = run.sol(np.linspace(0, period, 2000))[3:]
+    assert np.max(v) <= expected * (1 + 1e-9)
+
+
+@pytest.mark.exhaustive
+def test_the_cycle_of_twenty_masses_closes_in_scipy():
+    grazing = find_grazing(paper_chain())
+    assert grazing.found
+    assert abs(grazing.belt_speed - find_grazing(paper_chain(n=1)).belt_speed) < 0.05
+    matrix, speed = spring_matrix(np.ones(20), 0.01), float(grazing.belt_speed)
+
+    def field(_, y):
+        mu = 0.5 + 0.5 * np.exp((y[20:] - speed) / 0.5)
+        return np.concatenate([y[20:], mu - 0.1 * y[20:] - matrix @ y[:20]])
+
+    start = np.concatenate(grazing.state)
+    times = np.linspace(0, float(grazing.period), 400)
+    run = scipy.integrate.solve_ivp(
+        field, times[[0, -1]], start, t_eval=times, method="DOP853", rtol=1e-13, atol=1e-13
+    )
+    np.testing.assert_allclose(run.y[:, -1], start, atol=1e-11)
+    assert start[20 + 10] == speed
+    assert abs(field(0, start)[20 + 10]) < 1e-12  # a touch
+    assert np.max(run.y[20:]) <= speed * (1 + 1e-9)
+
+
+@pytest.mark.exhaustive
+def test_a_chain_in_which_another_mass_passes_is_refused():
+    """The second mass, hardly damped and hardly loaded, resonates."""
+    chain = paper_chain(n=2).with_(
+        damping_ratio=jnp.array([0.05, 0.01]), normal_load=jnp.array([1.0, 1e-3]), coupling=0.02
+    )
+    grazing = find_grazing(chain, 0)
+    assert grazing.residual < 1e-9  # a closed orbit, though
+    assert not grazing.found
+    assert jnp.isnan(grazing.belt_speed)
+
+
+@pytest.mark.exhaustive
+def test_vibration_survives_below_and_dies_above(paper):
+    """True dry friction, simulated by events from the cycle."""
+    x, v = paper.state
+
+    @jax.jit
+    @jax.vmap
+    def later(shift):
+        chain = paper_chain(n=1, belt_speed=1.5).with_(belt_speed=paper.belt_speed + shift)
+        end = simulate(chain, (x, v + shift), 600.0, solver=EventDriven()).state
+        return jnp.hypot(end[1][0], end[0][0] - chain.friction.law.coefficient(chain.belt_speed))
+
+    amplitude = later(jnp.array([-1e-4, 1e-4]))
+    assert amplitude[0] > 0.9 * paper.belt_speed
+    assert amplitude[1] < 1e-3
+
+
+@pytest.mark.exhaustive
+def test_derivatives_of_all_of_it():
+    """Forward, in reverse and twice; of period and state, too; none in the width."""
+    chain = paper_chain(n=1)
+
+    def speed(p):
+        return nonsmooth_fold_belt_speed(of(p))
+
+    point = jnp.asarray(PAPER)
+    forward, reverse = jax.jacfwd(speed)(point), jax.grad(speed)(point)
+    np.testing.assert_allclose(forward, reverse, rtol=1e-12)
+    assert jax.grad(lambda w: nonsmooth_fold_belt_speed(chain.with_(width=w)))(1e-3) == 0.0
+    h = 1e-4
+    slope = jax.jit(jax.grad(lambda xi: nonsmooth_fold_belt_speed(chain.with_(damping_ratio=xi))))
+    second = jax.jacfwd(slope)(0.05)
+    np.testing.assert_allclose(second, (slope(0.05 + h) - slope(0.05 - h)) / (2 * h), rtol=1e-4)
+
+    def cycle(xi):
+        grazing = find_grazing(chain.with_(damping_ratio=xi))
+        return jnp.stack([grazing.period, grazing.state[0][0]])
+
+    slopes = jax.jacfwd(cycle)(0.05)
+    differences = (cycle(0.05 + h) - cycle(0.05 - h)) / (2 * h)
+    np.testing.assert_allclose(slopes, differences, rtol=1e-5)
+
+
+@pytest.mark.exhaustive
+def test_friction_of_coulomb_has_none():
+    chain = Chain(1, TanhFriction(Coulomb(0.5), 1e-3), belt_speed=1.0)
+    assert jnp.isnan(nonsmooth_fold_belt_speed(chain))

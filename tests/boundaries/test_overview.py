@@ -1,0 +1,255 @@
+"""Both boundaries of a chain, where they meet, and the cycles in between, against witnesses."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.optimize import brentq, fsolve
+
+from jaxchain import Amplitude, EventDriven, find_fold, hopf_belt_speed, paper_chain, simulate
+from jaxchain.boundaries.bautin import generalised_hopf
+from jaxchain.boundaries.overview import Boundaries, boundaries, in_words, missing, report
+from jaxchain.boundaries.single_mass import dry_slip_branch, one_mass_branch
+from jaxchain.studies.crosscheck.cycles import on_the_belt
+
+WIDTH = 1e-2
+# The grazing fold of the paper's set, from an independent continuation of slip cycles.
+DRY_FOLD = 1.836600972208
+
+
+def made_up(**changes):
+    values = {
+        "hopf": 1.2, "hopf_nonsmooth": 1.2, "hopf_nonsmooth_error": 1e-12, "fold": 1.8,
+        "fold_nonsmooth": 1.85, "fold_nonsmooth_error": 1e-10, "fold_limit": 1.8501,
+        "fold_limit_error": 1e-3,
+    }  # fmt: skip
+    return Boundaries(**{k: jnp.asarray(v) for k, v in (values | changes).items()}, mass=0)
+
+
+@pytest.fixture(scope="module")
+def found():
+    return boundaries(paper_chain(1, width=WIDTH))
+
+
+@pytest.mark.long
+@pytest.mark.slow
+def test_the_boundaries_of_the_paper(found):
+    np.testing.assert_allclose(found.hopf, np.log(10.0) / 2, rtol=1e-13)
+    np.testing.assert_allclose(found.hopf_nonsmooth, np.log(10.0) / 2, rtol=1e-13)
+    np.testing.assert_allclose(found.fold, 1.792455775, rtol=1e-9)
+    assert abs(found.fold_nonsmooth - DRY_FOLD) <= found.fold_nonsmooth_error < 1e-9
+    assert abs(found.fold_limit - DRY_FOLD) <= found.fold_limit_error < 1e-3
+    assert missing(found) == {}
+
+
+def test_what_is_missing_is_null_and_has_a_reason():
+    nan = jnp.asarray(jnp.nan)
+    found = made_up(fold=nan, fold_limit=nan, fold_limit_error=nan)
+    chain = paper_chain(20)
+    told = report(chain, found)
+    assert told["fold"] is told["fold_limit"] is told["fold_limit_error"] is None
+    assert set(told["missing"]) == {"fold", "fold_limit"}
+    assert "at this width" in told["missing"]["fold"]
+    assert told["fold_nonsmooth"] == 1.85
+    assert told["parameters"]["coupling"] == 0.01
+    words = in_words(chain, found)
+    assert "fold: no fold was found" in words
+    assert "moves the fold" not in words
+
+
+def test_in_words_every_boundary_has_its_value_its_limit_and_its_bar():
+    lines = in_words(paper_chain(1), made_up()).splitlines()
+    hopf, fold = (next(line for line in lines if line.startswith(k)) for k in ("Hopf", "fold"))
+    assert "1.200000000" in hopf
+    assert "± 1e-12" in hopf
+    assert "1.800000000" in fold
+    assert "1.850000000 ± 1e-10" in fold
+    assert "From 1.2000 to 1.8500 it depends on the start" in lines[4]
+    assert "-2.7 %" in lines[5]
+
+
+def test_a_mass_that_is_none_of_the_chain_is_refused():
+    with pytest.raises(ValueError, match="vibrating"):
+        boundaries(paper_chain(3), 3)
+
+
+def friction(v, eps, static=1.0, drop=0.5, v0=0.5):
+    """f = mu(v) tanh(v / eps) and its first three derivatives, written out."""
+    e = drop * np.exp(-v / v0)
+    m = [static - drop + e, -e / v0, e / v0**2, -e / v0**3]
+    t = np.tanh(v / eps)
+    s = 1.0 - t * t
+    d = [t, s / eps, -2 * t * s / eps**2, (4 * t * t - 2 * s) * s / eps**3]
+    binomial = [[1], [1, 1], [1, 2, 1], [1, 3, 3, 1]]
+    return [sum(c * m[k - i] * d[i] for i, c in enumerate(binomial[k])) for k in range(4)]
+
+
+@pytest.mark.long
+@pytest.mark.slow
+@pytest.mark.parametrize("width", [0.1, 1e-2, 1e-3])
+def test_hopf_and_fold_meet_where_the_third_derivative_of_friction_vanishes(width):
+    low, high = width, 20.0 * width
+    speed: Any = brentq(lambda v: friction(v, width)[3], low, high, xtol=1e-15)
+    damping = -0.5 * friction(speed, width)[1]
+    chain = paper_chain(1).with_(width=jnp.asarray(width))  # one compiled program for all
+    meeting = generalised_hopf(chain, "damping_ratio", 0.01, 1.0)
+    assert meeting.found
+    np.testing.assert_allclose(meeting.belt_speed, speed, rtol=1e-7)
+    np.testing.assert_allclose(meeting.value, damping, rtol=1e-8)
+    # As the width vanishes: a few widths, the damping of dry friction at rest.
+    estimate = 0.5 * width * np.log(16 * 0.5**3 / 0.5 / width**3)
+    assert abs(meeting.belt_speed / estimate - 1) < 0.08
+    assert abs(meeting.value - 0.5) < 1.1 * estimate
+
+
+@pytest.mark.exhaustive
+def test_the_width_beyond_which_vibration_sets_in_gently():
+    def equations(u):
+        f = friction(u[1], u[0])
+        return [f[1] + 0.1, f[3]]
+
+    width, speed = np.asarray(fsolve(equations, [0.3, 1.1], xtol=1e-14))
+    chain = paper_chain(1)
+    meeting = generalised_hopf(chain, "width", 0.05, 1.0)
+    np.testing.assert_allclose([meeting.value, meeting.belt_speed], [width, speed], rtol=1e-9)
+    assert 0.3 < width < 0.35  # a fold exists at the one and not at the other
+
+    def value(xi):
+        return generalised_hopf(chain.with_(damping_ratio=xi), "width", 0.05, 1.0).value
+
+    def solved(xi):
+        def equations(u):
+            f = friction(u[1], u[0])
+            return [f[1] + 2 * xi, f[3]]
+
+        return np.asarray(fsolve(equations, [width, speed], xtol=1e-14))[0]
+
+    slope = (solved(0.0501) - solved(0.0499)) / 2e-4
+    np.testing.assert_allclose(jax.grad(value)(0.05), slope, rtol=1e-4)
+
+
+@pytest.mark.slow
+def test_where_no_meeting_is_there_is_none():
+    chain = paper_chain(1).with_(width=jnp.asarray(WIDTH))
+    meeting = generalised_hopf(chain, "damping_ratio", 0.02, 0.2)
+    assert not meeting.found
+    assert np.isnan(meeting.value)
+
+
+def test_a_meeting_in_something_else_is_refused():
+    wrong: list = [("belt_speed", 0.1, 1.0), ("n", 1, 2), ("width", 0.0, 1.0), ("width", 1, -1)]
+    for parameter, low, high in wrong:
+        with pytest.raises(ValueError, match=r"parameter|low|high"):
+            generalised_hopf(paper_chain(1), parameter, low, high)
+    with pytest.raises(ValueError, match="one mass"):
+        generalised_hopf(paper_chain(3), "width", 0.1, 1.0)
+
+
+def test_branches_are_of_one_mass():
+    for branch in (one_mass_branch, dry_slip_branch):
+        with pytest.raises(ValueError, match="one mass, but has 3"):
+            branch(paper_chain(3))
+    with pytest.raises(ValueError, match="lowest"):
+        one_mass_branch(paper_chain(1), -1.0)
+
+
+def test_a_branch_is_not_left_above_its_fold():
+    chain = paper_chain(1, width=1e-2)
+    fold = find_fold(chain)
+    for lowest in (100.0, float(fold.belt_speed)):
+        with pytest.raises(ValueError, match=r"`lowest` must be below the fold.*1\.79246"):
+            one_mass_branch(chain, lowest, fold)
+
+
+@pytest.mark.long
+def test_a_branch_that_is_left_near_its_fold_has_what_lies_above():
+    chain = paper_chain(1, width=1e-2)
+    fold = find_fold(chain)
+    branch = one_mass_branch(chain, 0.999 * float(fold.belt_speed), fold)
+    stick = np.asarray(branch.belt_speed[branch.fold + 1 :])
+    assert np.isfinite(stick).sum() >= 1
+    assert np.nanmin(stick) >= 0.999 * float(fold.belt_speed)
+    assert np.all(np.isfinite(branch.belt_speed[branch.fold - 20 : branch.fold + 1]))
+
+
+@pytest.mark.exhaustive
+def test_the_fold_ends_on_the_hopf_curve_tangentially():
+    chain = paper_chain(1, width=0.1)
+    meeting = generalised_hopf(chain, "damping_ratio", 0.01, 1.0)
+    apart = jnp.array([0.02, 0.01, 0.005])
+
+    @jax.jit
+    @jax.vmap
+    def gap(xi):
+        own = chain.with_(damping_ratio=xi)
+        return find_fold(own).belt_speed - hopf_belt_speed(own)
+
+    gaps = gap(meeting.value * (1 - apart))
+    order = np.log2(gaps[:-1] / gaps[1:])
+    assert np.all(gaps > 0)
+    np.testing.assert_allclose(order, 2.0, atol=0.05)
+    assert abs(order[1] - 2) < abs(order[0] - 2)
+
+
+@pytest.fixture(scope="module")
+def branch():
+    return one_mass_branch(paper_chain(1, width=WIDTH), 0.3)
+
+
+@pytest.mark.exhaustive
+def test_the_branch_turns_at_the_fold_and_starts_at_the_hopf_point(branch):
+    fold = find_fold(paper_chain(1, width=WIDTH))
+    speed = branch.belt_speed
+    assert int(np.nanargmax(speed)) == branch.fold
+    np.testing.assert_allclose(speed[branch.fold], fold.belt_speed, rtol=1e-9)
+    np.testing.assert_allclose(speed[0], np.log(10) / 2, rtol=1e-12)
+    assert branch.amplitude[0] == 0
+    known = np.isfinite(speed)
+    slip = np.flatnonzero(known[: branch.fold + 1])
+    stick = np.flatnonzero(known[branch.fold :]) + branch.fold
+    assert len(slip) > 20
+    assert len(stick) > 20
+    assert np.all(np.diff(speed[slip]) > 0)
+    assert np.all(np.diff(branch.amplitude[slip]) > 0)
+    assert np.all(np.diff(speed[stick]) < 0)
+    assert 0.3 <= speed[stick[-1]] < 0.4
+
+
+@pytest.mark.exhaustive
+def test_the_stable_side_is_what_time_integration_comes_to(branch):
+    at = np.flatnonzero(np.isfinite(branch.belt_speed))
+    at = at[at > branch.fold + 5][::9]
+    chain = paper_chain(1, width=WIDTH)
+
+    @jax.vmap
+    def settled(speed):
+        own = chain.with_(belt_speed=speed)
+        watch = Amplitude(window=20.0)
+        return simulate(own, on_the_belt(own), 200.0, observe=watch, rtol=1e-9).observed[0]
+
+    np.testing.assert_allclose(settled(branch.belt_speed[at]), branch.amplitude[at], rtol=1e-6)
+
+
+@pytest.mark.exhaustive
+def test_the_dry_slip_branch_is_the_limit_of_the_smoothed_one(branch):
+    dry = dry_slip_branch(paper_chain(1))
+    np.testing.assert_allclose(dry.belt_speed[-1], DRY_FOLD, rtol=1e-9)
+    assert np.all(np.diff(dry.belt_speed) > 0)
+    # Far below the belt's speed smoothing is nothing.
+    known = np.isfinite(branch.belt_speed[: branch.fold]) & (branch.closeness[: branch.fold] < -40)
+    speed, amplitude = (a[: branch.fold][known] for a in (branch.belt_speed, branch.amplitude))
+    inside = amplitude > dry.amplitude[1]
+    expected = np.interp(amplitude[inside], dry.amplitude, dry.belt_speed)
+    np.testing.assert_allclose(speed[inside], expected, atol=3e-4)  # of the interpolation
+    # It separates what comes to rest from what goes on to vibrate.
+    middle = 12
+    chain = paper_chain(1, dry.belt_speed[middle])
+    x0 = chain.friction.law.coefficient(chain.belt_speed)
+    for share, survives in ((0.9, False), (1.1, True)):  # its centre is not quite x0
+        start = jnp.reshape(x0 - share * dry.amplitude[middle], (1,)), jnp.zeros(1)
+        end = simulate(
+            chain, start, 400.0, observe=Amplitude(window=20.0), solver=EventDriven()
+        ).observed[0]
+        assert (end > dry.amplitude[middle]) == survives

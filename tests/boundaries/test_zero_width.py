@@ -1,0 +1,186 @@
+"""The limit of width 0 and its error bar: exact series, and the direct dry fold as a witness."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxchain import fold_belt_speed, paper_chain
+from jaxchain.boundaries.grazing import find_grazing
+from jaxchain.boundaries.zero_width import extrapolate, fold_boundary, fold_in_the_limit
+
+# Second looks, or minutes of compilation: not in every run of the tests.
+pytestmark = pytest.mark.long
+
+WIDTHS = 1e-3 * 2.0 ** np.arange(6)
+NAMES = ("damping_ratio", "mu_static", "mu_dynamic", "v_ref")
+PAPER = [0.05, 1.0, 0.5, 0.5]
+
+
+def of(parameters):
+    return paper_chain(n=1).with_(**dict(zip(NAMES, parameters, strict=True)))
+
+
+def random_sets(seed, count, wild=False):
+    rng = np.random.default_rng(seed)
+    ranges = [(0.02, 0.15), (0.6, 1.4), (0.3, 0.8), (0.2, 1.0)]
+    if wild:
+        ranges = [(0.01, 0.3), (0.3, 2.0), (0.1, 0.95), (0.1, 2.0)]
+    xi, static, share, v_ref = (
+        np.exp(rng.uniform(np.log(low), np.log(high), count)) for low, high in ranges
+    )
+    return np.stack([xi, static, share * static, v_ref], axis=1)
+
+
+def series(e, coefficients):
+    log = np.log(1 / e)
+    terms = [np.ones_like(e), e * log, e, e**1.5, (e * log) ** 2, e**2 * log]
+    return sum(c * t for c, t in zip(coefficients, terms, strict=False))
+
+
+@pytest.mark.parametrize("count", [4, 5, 6])
+@pytest.mark.parametrize("scale", [1.0, 0.3])
+def test_an_exact_series_is_found_again(count, scale):
+    expected = np.array([1.8, -0.4, -4.0, 3.0, 1.0, -2.0])[:count]
+    widths = WIDTHS[:count][::-1].copy()  # in any order
+    found = extrapolate(series(widths / scale, expected), widths, scale=scale)
+    np.testing.assert_allclose(found.coefficients, expected, rtol=1e-5)
+    np.testing.assert_allclose(found.value, expected[0], rtol=1e-12)
+
+
+@pytest.mark.parametrize("count", [4, 5, 6, 8])
+def test_the_bar_holds_for_other_functions(count):
+    """Functions of eps ln(eps) and eps^(1/2) that are no finite series."""
+    widths = 5e-4 * 2.0 ** np.arange(count)
+    shift = 0.25 * widths * np.log(30 / widths)
+    for values, truth in (
+        (np.sqrt(2.0 - shift), np.sqrt(2.0)),
+        (np.exp(-3.0 * shift + widths**1.5), 1.0),
+        (1.0 / (1.0 + shift + 2.0 * widths), 1.0),
+    ):
+        found = extrapolate(values, widths)
+        wrong = abs(found.value - truth)
+        assert 1e-13 < wrong < found.error < 1e-3
+        assert found.error < 1e3 * wrong
+        assert found.error < 0.1 * abs(values[0] - truth)
+
+
+def test_what_does_not_depend_on_the_width_has_the_bar_of_its_values():
+    found = extrapolate(jnp.full(4, 1.15), WIDTHS[:4], accuracy=1e-12)
+    np.testing.assert_allclose(found.value, 1.15, rtol=1e-12)
+    assert found.error < 1e-10
+
+
+def test_it_is_linear_in_the_values_and_transforms():
+    values = jnp.asarray(series(WIDTHS, [1.8, -0.4, -4.0, 3.0, 1.0, -2.0]))
+    limit = jax.jit(lambda y: extrapolate(y, WIDTHS).value)
+    slope = jax.grad(limit)(values)
+    np.testing.assert_allclose(slope @ values, limit(values), rtol=1e-10)
+    np.testing.assert_allclose(jnp.sum(slope), 1.0, rtol=1e-9)
+    # Lanes of their own widths; one that is not known harms no other.
+    both = jax.vmap(extrapolate)(
+        jnp.stack([values, values.at[2].set(jnp.nan)]), jnp.stack([jnp.asarray(WIDTHS)] * 2)
+    )
+    np.testing.assert_allclose(both.value[0], 1.8, rtol=1e-12)
+    assert jnp.isnan(both.value[1])
+    assert jnp.isnan(both.error[1])
+
+
+@pytest.mark.parametrize(
+    ("values", "widths", "change", "message"),
+    [
+        (np.ones(3), WIDTHS[:3], {}, "`widths` must be at least 4"),
+        (np.ones(4), [1e-3, 2e-3, 4e-3, -8e-3], {}, "`widths` must be positive and finite, but"),
+        (np.ones(4), [1e-3, 2e-3, 4e-3, 2e-3], {}, "`widths` must differ"),
+        (np.ones((4, 2)), WIDTHS[:4], {}, r"`values` must have one value per width, shape \(4,\)"),
+        (np.ones(4), WIDTHS[:4], {"scale": 0.0}, "`scale` must be positive"),
+        (np.ones(4), WIDTHS[:4], {"accuracy": -1.0}, "`accuracy` must be positive"),
+    ],
+)
+def test_bad_input_is_named(values, widths, change, message):
+    with pytest.raises(ValueError, match=message):
+        extrapolate(values, widths, **change)
+
+
+def test_bad_widths_are_named_before_anything_long_starts():
+    with pytest.raises(ValueError, match="`widths` must be at least 4"):
+        fold_in_the_limit(paper_chain(n=1), widths=[1e-3])
+
+
+@pytest.fixture(scope="module")
+def boundaries():
+    return jax.jit(jax.vmap(lambda p: fold_boundary(of(p))))
+
+
+def check_bars(found, least):
+    """The bar holds the direct dry fold, and is not absurdly wide."""
+    known = np.isfinite(found.limit) & np.isfinite(found.dry)
+    wrong, bar = np.abs(found.limit - found.dry)[known], found.error[known]
+    assert np.sum(known) >= 0.9 * np.sum(np.isfinite(found.dry)) > 0.7 * known.size
+    assert np.mean(wrong <= bar) >= least
+    assert np.median(bar / found.dry[known]) < 1e-5
+    assert np.median(wrong / found.dry[known]) < 1e-6
+    return known
+
+
+@pytest.mark.slow
+def test_the_bar_holds_for_random_sets(boundaries):
+    """Eleven sets, that of the paper, and one whose friction does not weaken."""
+    sets = np.concatenate([[PAPER, [0.05, 1.0, 1.0, 0.5]], random_sets(11, 11)])
+    found = boundaries(jnp.asarray(sets))
+    known = check_bars(found, 1.0)
+    np.testing.assert_array_equal(known, [True, False, *[True] * 11])
+    assert jnp.isnan(found.value[1])
+    assert jnp.isnan(found.error[1])
+    # At the chain's own width, 1e-3, all are biased, by far more than the bar.
+    assert np.all((found.limit - found.value)[known] > 100 * found.error[known])
+    np.testing.assert_allclose(found.value[0], 1.831129820, rtol=1e-8)  # by continuation
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize(("wild", "least"), [(False, 0.99), (True, 0.97)])
+def test_the_bar_holds_for_a_hundred_random_sets(boundaries, wild, least):
+    check_bars(boundaries(jnp.asarray(random_sets(12, 100, wild))), least)
+
+
+@pytest.mark.exhaustive
+def test_four_widths_and_the_theory_of_the_leading_term():
+    chain = paper_chain(n=1)
+    grazing = find_grazing(chain)
+    four = fold_in_the_limit(chain, widths=[8e-3, 4e-3, 2e-3, 1e-3])
+    wrong = abs(four.value - grazing.belt_speed)
+    assert wrong < 3e-5
+    assert wrong < four.error < 1e-4
+    six = fold_in_the_limit(chain, widths=1e-3 * 0.5 ** np.arange(6))
+    scale = grazing.belt_speed  # what e is measured in, up to averaging
+    leading = -0.25 * (grazing.by_leaving + grazing.by_arriving)
+    np.testing.assert_allclose(six.coefficients[1], leading * scale, rtol=0.02)
+
+
+@pytest.mark.exhaustive
+def test_gradients_are_those_of_the_folds():
+    """Linear in the folds; and, up to what extrapolation misses, those of the dry fold."""
+    widths = jnp.asarray([8e-3, 4e-3, 2e-3, 1e-3])
+
+    def limit(xi):
+        return fold_in_the_limit(paper_chain(n=1).with_(damping_ratio=xi), widths=widths).value
+
+    value, slope = jax.jit(jax.value_and_grad(limit))(0.05)
+    np.testing.assert_allclose(value, 1.8366, atol=3e-5)
+
+    def fold(xi, width):
+        return fold_belt_speed(paper_chain(n=1).with_(damping_ratio=xi, width=width))
+
+    folds = jax.jit(jax.vmap(fold, (None, 0)))
+    h = 1e-5
+    differences = (folds(0.05 + h, widths) - folds(0.05 - h, widths)) / (2 * h)
+    np.testing.assert_allclose(slope, extrapolate(differences, widths).value, rtol=1e-5)
+
+
+@pytest.mark.exhaustive
+def test_widths_of_every_mass():
+    """A chain with a width per mass has its value there; the limit does not depend on it."""
+    chain = paper_chain(n=2).with_(width=jnp.array([1e-3, 2e-3]), coupling=0.002)
+    found = fold_boundary(chain, 0)
+    np.testing.assert_allclose(found.value, fold_belt_speed(chain, 0), rtol=1e-9)
+    assert abs(found.limit - found.dry) <= found.error

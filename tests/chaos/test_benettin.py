@@ -1,0 +1,171 @@
+"""Disturbances carried along an orbit, against finite differences and exact flows."""
+
+import diffrax as dfx
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from systems.oscillators import LinearRing
+
+from jaxchain import EventDriven, Rodas5P, excited_state, monodromy_matrix, paper_chain, simulate
+from jaxchain.chaos.benettin import (
+    Divergence,
+    Frame,
+    MostSticking,
+    Span,
+    advance_frame,
+    advance_span,
+    bump,
+    orthonormalise,
+    random_basis,
+)
+from jaxchain.cycles.floquet import trace_integral
+from jaxchain.model.springs import Springs
+from jaxchain.simulation.run import build_plan
+
+
+def start(solver, observer, field, state, t1, rtol, basis):
+    plan = build_plan(solver, [observer], rtol, 0.1 * rtol, 0.5, t1)
+    return plan, Frame(plan.begin(field, state, 0.0, t1), basis)
+
+
+@eqx.filter_jit
+def images_after(solver, observer, field, state, ends, rtol, basis):
+    """The images of `basis` at the last of `ends`, carried from one to the next as they are."""
+    plan, frame = start(solver, observer, field, state, ends[-1], rtol, basis)
+    for end in ends:
+        frame, images = advance_frame(plan, field, frame, end, None)
+        frame = Frame(frame.progress, images)
+    return frame.progress, frame.basis
+
+
+def spans(start, end, number):
+    step = (end - start) / number
+    return Span(
+        start=jnp.asarray(start, float),
+        interval=jnp.asarray(step, float),
+        number=jnp.asarray(number),
+        phase=jnp.asarray(0.5 / number),
+        phase_step=jnp.asarray(1.0 / number),
+    )
+
+
+@pytest.mark.long
+def test_dry_tangents_are_finite_differences_across_events():
+    """Sticking and release of three masses, ten periods of it: 1e-6 of the greatest entry."""
+    chain = paper_chain(3, 1.2)
+    state = excited_state(chain, 2, velocity=0.1)
+    basis = random_basis(1, 6, 3)
+    flat = jnp.concatenate(state)
+
+    @jax.jit
+    @jax.vmap
+    def end(flat):
+        run = simulate(
+            chain, (flat[:3], flat[3:]), 30.0, solver=EventDriven(), rtol=1e-13, throw=False
+        )
+        return jnp.concatenate(run.state)
+
+    progress, images = images_after(
+        EventDriven(), MostSticking(), chain, state, (8.0, 21.0, 30.0), 1e-13, basis
+    )
+    h = 1e-5
+    moves = h * jnp.concatenate([basis.T, -basis.T, jnp.zeros((1, 6))])
+    shifted = end(flat[None] + moves)
+    differences = (shifted[:3] - shifted[3:6]).T / (2 * h)
+    np.testing.assert_allclose(jnp.concatenate(progress.state), shifted[6], atol=1e-11)
+    scale = float(jnp.max(jnp.abs(images)))
+    assert scale > 0.1
+    np.testing.assert_allclose(images, differences, atol=1e-6 * scale)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("solver", [Rodas5P(), dfx.Tsit5()], ids=["structured", "stock"])
+def test_smoothed_tangents_are_the_flow_of_a_linear_ring(solver):
+    """Tsit5 keeps a slope from one interval to the next, which must know of the disturbance."""
+    rng = np.random.default_rng(3)
+    x, v = jnp.asarray(rng.normal(size=(2, 3)))
+    ring = LinearRing(
+        damping=jnp.asarray(rng.uniform(0.0, 0.1, 3)), stiffness=jnp.asarray([0.8, 1.0, 1.3]),
+        springs=Springs(jnp.asarray(0.2), "cyclic"), x0=x, v0=v,
+    )  # fmt: skip
+    J = ring.jacobian(0.0, (x, v))
+    ends = (0.7, 2.0, 3.1)
+    progress, images = images_after(solver, Divergence(), ring, (x, v), ends, 1e-10, jnp.eye(6))
+    np.testing.assert_allclose(images, jax.scipy.linalg.expm(3.1 * J), atol=1e-8)
+    np.testing.assert_allclose(jnp.concatenate(progress.state), jnp.concatenate(ring.exact(3.1)),
+                               atol=1e-8)  # fmt: skip
+    assert float(progress.accumulators[0]) == pytest.approx(3.1 * float(jnp.trace(J)), rel=1e-12)
+
+
+@pytest.mark.long
+def test_a_span_multiplies_up_to_the_monodromy_matrix():
+    """|det M| from the logs, the first column's growth, and the integral of tr J."""
+    chain = paper_chain(2, 1.4, width=0.1)
+    state = excited_state(chain, 1, velocity=0.3)
+    basis = random_basis(0, 4, 4)
+    M = monodromy_matrix(chain, state, 6.3)
+
+    @eqx.filter_jit
+    def run():
+        plan, frame = start(Rodas5P(), Divergence(), chain, state, 6.3, 1e-10, basis)
+        return advance_span(plan, chain, frame, spans(0.0, 6.3, 9), None)
+
+    frame, growth = run()
+    np.testing.assert_allclose(jnp.sum(growth.logs), jnp.linalg.slogdet(M)[1], rtol=1e-6)
+    np.testing.assert_allclose(
+        growth.logs[0], jnp.log(jnp.linalg.norm(M @ basis[:, 0])), atol=1e-7
+    )
+    integral = float(trace_integral(chain, state, 6.3))
+    assert float(frame.progress.accumulators[0]) == pytest.approx(integral, abs=1e-6)
+    np.testing.assert_allclose(frame.basis.T @ frame.basis, jnp.eye(4), atol=1e-14)
+
+
+def test_orthonormalise_does_not_mind_what_is_annihilated():
+    rng = np.random.default_rng(0)
+    whole = rng.normal(size=(6, 4))
+    full, logs = orthonormalise(jnp.asarray(whole))
+    np.testing.assert_allclose(full.T @ full, jnp.eye(4), atol=1e-14)
+    volume = 0.5 * np.linalg.slogdet(whole.T @ whole)[1]
+    assert float(jnp.sum(logs)) == pytest.approx(volume, rel=1e-12)
+    # The last two lie in the plane of the first two, or nowhere.
+    flat = whole.copy()
+    flat[:, 2] = flat[:, :2] @ [2.0, -3.0]
+    flat[:, 3] = 0.0
+    basis, reduced = orthonormalise(jnp.asarray(flat))
+    np.testing.assert_allclose(basis.T @ basis, jnp.eye(4), atol=1e-14)
+    np.testing.assert_allclose(reduced[:2], logs[:2], rtol=1e-12)
+    assert np.all(np.isnan(reduced[2:]))
+
+
+def test_the_weight_is_smooth_and_integrable():
+    area = quad(bump, 0.0, 1.0)[0]
+    assert area == pytest.approx(0.00702986, rel=1e-5)
+    shares = jnp.array([-0.1, 0.0, 0.2, 0.8, 1.0])
+    np.testing.assert_allclose(
+        bump(shares), [0.0, 0.0, np.exp(-6.25), np.exp(-6.25), 0.0], rtol=1e-14
+    )
+    assert np.all(np.isfinite(jax.vmap(jax.grad(bump))(shares)))
+
+
+@pytest.mark.long
+def test_sticking_masses_are_counted():
+    """Equal masses stick together, and the one that rests does not."""
+    chain = paper_chain(3, 1.0).with_(coupling=None)
+    x, v = excited_state(chain, np.array([True, True, False]), pattern="in-phase")
+    count = simulate(chain, (x, v), 15.0, solver=EventDriven(), observe=MostSticking()).observed
+    assert int(count) == 2
+    ring = LinearRing(
+        damping=jnp.ones(3), stiffness=jnp.ones(3), springs=None, x0=jnp.ones(3), v0=jnp.ones(3)
+    )
+    with pytest.raises(ValueError, match="Chain"):
+        MostSticking().init(ring, 0.0, 1.0, (x, v))
+
+
+def test_random_bases_are_orthonormal_and_repeatable():
+    one, same, other = (random_basis(seed, 8, 3) for seed in (4, 4, 5))
+    np.testing.assert_allclose(one.T @ one, jnp.eye(3), atol=1e-14)
+    assert np.array_equal(one, same)
+    assert not np.allclose(one, other)

@@ -1,0 +1,314 @@
+"""Lyapunov exponents against closed forms, multipliers, Lorenz's system and a second method."""
+
+import diffrax as dfx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from systems.flows import LORENZ, LORENZ_DIVERGENCE, Lorenz63, linear_chain
+from witnesses import numbers_of
+from witnesses.event_driven import vibrating_cycle
+
+from jaxchain import (
+    EventDriven,
+    Rodas5P,
+    equation_8,
+    find_limit_cycle,
+    paper_chain,
+    simulate,
+    steady_sliding,
+)
+from jaxchain.chaos.benettin import MostSticking
+from jaxchain.chaos.lyapunov import lyapunov_spectrum
+from jaxchain.chaos.spectrum import batch_error, kaplan_yorke_dimension
+from jaxchain.cycles.floquet import trace_integral
+from jaxchain.cycles.variational import linearised_period
+from jaxchain.result import NAMES, code
+
+
+def dry(chain, initial, t1, transient, interval=1.0, max_step=0.1):
+    """All exponents; one program serves every chain of three masses with springs of its own."""
+    return lyapunov_spectrum(
+        chain, initial, t1, transient=transient, interval=interval, solver=EventDriven(order=8),
+        rtol=1e-9, max_step=max_step,
+    )  # fmt: skip
+
+
+def apart(belt_speed):
+    """Three masses of the paper without coupling."""
+    return paper_chain(3, belt_speed).with_(coupling=np.zeros(3))
+
+
+def resting_rate(chain):
+    """Real part of the eigenvalues of one mass that slides: -xi + mu-slope / 2."""
+    law, speed = chain.friction.law, chain.belt_speed
+    drop = (law.mu_static - law.mu_dynamic) / law.v_ref * jnp.exp(-speed / law.v_ref)
+    return float(-chain.damping_ratio + 0.5 * drop)
+
+
+@pytest.mark.long
+def test_a_linear_chain_that_swings():
+    """All real parts are -xi; the plain averages get there like 1 / t, the smooth ones do not."""
+    chain, exact = linear_chain(3, 0.05, np.array([0.20, 0.22, 0.43]))
+    np.testing.assert_allclose(exact, -0.05, atol=1e-14)
+    found = dry(chain, (jnp.array([1.0, -0.5, 0.3]), jnp.zeros(3)), 5000.0, 50.0)
+    np.testing.assert_allclose(found.smooth, exact, atol=1e-10, rtol=0)
+    error = np.abs(found.exponents - exact)
+    assert 1e-7 < np.max(error) < 1e-4
+    assert np.all(error <= found.high - found.exponents)
+    assert float(found.sum) == pytest.approx(-0.3, abs=1e-4)
+    assert np.isnan(found.mean_divergence)
+
+
+def test_a_linear_chain_that_creeps():
+    """Overdamped: six real exponents, all different."""
+    chain, exact = linear_chain(3, 1.5, np.array([0.20, 0.22, 0.43]))
+    assert float(jnp.min(-jnp.diff(exact))) > 0.3
+    found = dry(chain, (jnp.array([1.0, -0.5, 0.3]), jnp.zeros(3)), 300.0, 200.0, max_step=0.05)
+    np.testing.assert_allclose(found.exponents, exact, atol=1e-10, rtol=0)
+    np.testing.assert_allclose(found.smooth, exact, atol=1e-10, rtol=0)
+    assert found.chaotic() is False
+
+
+def test_one_dry_mass_vibrates_and_two_rest():
+    """0 and -inf of the cycle, and the damping of the others; the last step back to the start."""
+    chain = apart(1.5)
+    cycle = vibrating_cycle(numbers_of(paper_chain(1, 1.5)))
+    assert cycle is not None
+    found = dry(chain, equation_8(chain, 1), 350 * cycle.period, 150 * cycle.period, cycle.period)
+    rate = resting_rate(chain)
+    assert rate < 0
+    np.testing.assert_allclose(found.exponents[0], 0.0, atol=1e-8)
+    np.testing.assert_allclose(found.smooth[1:5], rate, atol=1e-4)
+    assert np.all(np.isneginf(found.block_exponents[:, 5]))
+    assert float(found.low[5]) == float(found.high[5]) == float(found.sum) == -np.inf
+    assert float(found.kaplan_yorke) == pytest.approx(1.0, abs=1e-6)
+    assert found.chaotic() is None
+    assert float(found.t) == pytest.approx(350 * cycle.period)
+
+
+def test_masses_that_stick_together_lose_as_many_directions():
+    """Two nearly in step lose two; all exponents are those of one mass, twice."""
+    chain = apart(1.5)
+    cycle = vibrating_cycle(numbers_of(paper_chain(1, 1.5)))
+    assert cycle is not None
+    period = cycle.period
+    x, v = steady_sliding(chain)
+    # On the belt, and released one soon after the other.
+    start = (x.at[:2].set(jnp.array([0.7, 0.75])), v.at[:2].set(1.5))
+    found = dry(chain, start, 300 * period, 150 * period, period)
+    np.testing.assert_allclose(found.exponents[:2], 0.0, atol=1e-8)
+    np.testing.assert_allclose(found.smooth[2:4], resting_rate(chain), atol=1e-3)
+    assert np.all(np.isneginf(found.exponents[4:]))
+    assert float(found.kaplan_yorke) == pytest.approx(2.0, abs=1e-6)
+
+
+def test_a_run_goes_on_where_it_ended():
+    chain, exact = linear_chain(3, 1.5, np.array([0.20, 0.22, 0.43]))
+    found = dry(chain, (jnp.array([1.0, -0.5, 0.3]), jnp.zeros(3)), 22.0, 2.0)
+    on = dry(chain, found.state, 300.0, 200.0, max_step=0.05)
+    np.testing.assert_allclose(on.exponents, exact, atol=1e-10, rtol=0)
+
+
+def test_a_run_that_fails_says_why():
+    chain = apart(1.5).with_(damping_ratio=-5.0)
+    with pytest.raises(RuntimeError, match="nonfinite"):
+        dry(chain, equation_8(chain, 1), 1000.0, 10.0)
+
+
+def test_errors_of_means_over_blocks():
+    """The 95 % interval of independent and of remembering blocks covers the truth as it should."""
+    rng = np.random.default_rng(0)
+    trials, blocks = 2000, 20
+    for memory, least in ((0.0, 0.93), (0.5, 0.85)):
+        noise = rng.normal(size=(blocks + 30, trials))
+        series = np.zeros_like(noise)
+        for k in range(1, blocks + 30):
+            series[k] = memory * series[k - 1] + noise[k]
+        error, repeats = batch_error(jnp.asarray(series[30:]))
+        covered = np.abs(series[30:].mean(axis=0)) < 2.093 * np.asarray(error)
+        assert least < covered.mean() <= 0.99
+        assert float(jnp.mean(repeats)) == pytest.approx(memory - 0.1, abs=0.1)
+    one = jnp.array([[1.0, -jnp.inf, 2.0], [2.0, -jnp.inf, 2.0], [4.0, 1.0, 2.0]])
+    error, repeats = batch_error(one)
+    expected = np.array([np.std([1, 2, 4], ddof=1) / 3**0.5, 0.0, 0.0])
+    np.testing.assert_allclose(error, expected, rtol=1e-12)
+    assert np.all(np.isfinite(repeats))
+
+
+@pytest.mark.parametrize(
+    ("exponents", "complete", "dimension"),
+    [
+        ((0.5, 0.0, -1.0, -4.0), True, 2.5),
+        ((0.0, -1.0), True, 1.0),
+        ((0.0, 0.0, -1.0), True, 2.0),
+        ((-0.2, -1.0), True, 0.0),
+        ((0.3, 0.0, -np.inf), True, 2.0),
+        ((0.3, -0.1), True, 2.0),  # volumes grow: all there is
+        ((0.3, -0.1), False, np.nan),  # more exponents are needed
+        ((0.3, -0.5, np.nan), True, np.nan),
+    ],
+)
+def test_kaplan_yorke_dimension(exponents, complete, dimension):
+    found = float(kaplan_yorke_dimension(jnp.asarray(exponents), complete))
+    assert found == pytest.approx(dimension, nan_ok=True)
+
+
+@pytest.mark.parametrize(
+    ("changes", "name"),
+    [
+        ({"count": 0}, "count"),
+        ({"count": 5}, "count"),
+        ({"t1": 5.0, "transient": 5.0}, "transient"),
+        ({"t1": np.nan}, "t1"),
+        ({"transient": -1.0}, "transient"),
+        ({"interval": 0.0}, "interval"),
+        ({"interval": 200.0}, "interval` = 200.0 is longer than a block"),
+        ({"t1": 100.0, "interval": 5.1}, "interval"),
+        ({"blocks": 1}, "blocks"),
+        ({"blocks": 2.5}, "blocks"),
+        ({"rtol": -1.0}, "rtol"),
+        ({"rtol": 1e-2}, "rtol"),
+        ({"initial": (jnp.zeros(3), jnp.zeros(3))}, "initial"),
+        ({"initial": jnp.zeros(2)}, "initial"),
+        ({"initial": (jnp.full(2, jnp.nan), jnp.zeros(2))}, "initial"),
+        ({"chain": None}, "chain"),
+        ({"max_steps": 0}, "max_steps"),
+    ],
+)
+def test_bad_input(changes, name):
+    chain = paper_chain(2)
+    arguments = {"chain": chain, "initial": (jnp.zeros(2), jnp.zeros(2)), "t1": 10.0} | changes
+    with pytest.raises(ValueError, match=f"`{name}"):
+        lyapunov_spectrum(**arguments)
+
+
+@pytest.mark.long
+def test_a_smoothed_cycle_has_the_exponents_of_its_multipliers():
+    """Width 0.1: log |multiplier| / T; width 1e-2, where that is below rounding: Liouville's."""
+    for width, rtol, steps in ((0.1, 1e-9, 1.0), (0.01, 1e-10, 0.02)):
+        chain = paper_chain(1, 1.5, width=width)
+        cycle = find_limit_cycle(chain)
+        period = float(cycle.period)
+        second = float(trace_integral(chain, cycle.state, period)) / period
+        if width == 0.1:
+            multiplier = abs(complex(cycle.multipliers[0]))
+            assert second == pytest.approx(np.log(multiplier) / period, rel=1e-6)
+        found = lyapunov_spectrum(
+            chain, cycle.state, 108 * period, transient=100 * period, blocks=4, rtol=rtol,
+            interval=period / round(period / steps), max_step=steps, solver=Rodas5P(),
+        )  # fmt: skip
+        np.testing.assert_allclose(found.exponents, [0.0, second], atol=1e-6, rtol=1e-6)
+        assert float(found.mean_divergence) == pytest.approx(second, rel=1e-6)
+        assert float(found.sum) == pytest.approx(float(found.mean_divergence), rel=2e-6)
+
+
+@pytest.mark.long
+def test_the_sum_is_the_mean_divergence_and_lanes_do_not_mind_each_other():
+    """A smoothed chain of moderate width; three lanes, one of which cannot even start."""
+    chain = paper_chain(2, 1.5, width=0.1)
+    x, v = equation_8(chain, 1)
+    starts = jnp.stack([x, x * jnp.nan, x + 0.1])
+
+    @jax.jit
+    @jax.vmap
+    def spectra(x):
+        return lyapunov_spectrum(chain, (x, v), 100.0, transient=20.0, blocks=5, rtol=1e-9)
+
+    found = spectra(starts)
+    np.testing.assert_allclose(found.sum[::2], found.mean_divergence[::2], atol=1e-6)
+    assert np.all(np.isnan(found.exponents[1]))
+    assert np.isnan(found.sum[1])
+    assert np.isnan(found.mean_divergence[1])
+    assert np.isnan(found.kaplan_yorke[1])
+    assert [NAMES[k] for k in code(found.result)] == ["successful", "nonfinite", "successful"]
+    alone = lyapunov_spectrum(chain, (x, v), 100.0, transient=20.0, blocks=5, rtol=1e-9)
+    np.testing.assert_allclose(found.exponents[0], alone.exponents, atol=1e-9)
+    np.testing.assert_allclose(found.state[0][0], alone.state[0], atol=1e-9)
+
+
+@pytest.mark.long
+def test_lorenz():
+    """The intervals hold the truth, the values are right to 1 % of the greatest."""
+    found = lyapunov_spectrum(
+        Lorenz63(rate=jnp.asarray(20.0), springs=None),
+        (jnp.array([1.0, 2.0, 20.0]), jnp.zeros(3)), 1500.0,
+        count=3, transient=20.0, solver=dfx.Tsit5(), rtol=1e-7, interval=0.4,
+    )  # fmt: skip
+    np.testing.assert_allclose(found.exponents, LORENZ, atol=0.0146, rtol=0.01)
+    assert float(found.exponents[0]) == pytest.approx(LORENZ[0], rel=0.01)
+    assert np.all((found.low < np.array(LORENZ)) & (np.array(LORENZ) < found.high))
+    assert found.chaotic() is True
+    assert float(found.sum) == pytest.approx(LORENZ_DIVERGENCE, abs=1e-4)
+    assert float(found.kaplan_yorke) == pytest.approx(2.062, abs=2e-3)
+
+
+@pytest.mark.exhaustive
+def test_smoothed_exponents_go_over_into_dry_ones():
+    """Two masses that never stick together: only one direction is lost, the third is finite."""
+    chain = paper_chain(2, 1.0).with_(coupling=0.05)
+    start = (jnp.array([-0.5, 1.2]), jnp.array([0.3, -0.4]))
+    truth = lyapunov_spectrum(chain, start, 1500.0, transient=500.0, solver=EventDriven())
+    watch = simulate(
+        chain, truth.state, 50.0, solver=EventDriven(), observe=MostSticking()
+    ).observed
+    assert int(watch) == 1
+    assert int(np.isneginf(truth.exponents).sum()) == 1
+    gaps = []
+    for width in (1e-2, 3e-3):
+        found = lyapunov_spectrum(
+            chain.with_(width=width), start, 1500.0, transient=500.0, count=3, interval=1.0
+        )
+        gaps.append(np.abs(found.smooth - truth.smooth[:3]))
+    assert np.all(gaps[0] < [1e-5, 0.01, 0.05])
+    assert np.all(gaps[1][1:] < 0.5 * gaps[0][1:])
+    assert gaps[1][0] < 1e-5
+
+
+@pytest.mark.long
+def test_fewer_exponents_are_the_leading_ones_and_seeds_do_not_matter():
+    chain = apart(1.5)
+    start = equation_8(chain, 1)
+    rate = resting_rate(chain)
+    for seed in (1, 2):
+        found = lyapunov_spectrum(
+            chain, start, 1500.0, count=2, transient=500.0, solver=EventDriven(), seed=seed,
+            progress=seed == 1,
+        )  # fmt: skip
+        np.testing.assert_allclose(found.smooth, [0.0, rate], atol=1e-3)
+        assert np.isfinite(found.sum)
+
+
+@pytest.mark.exhaustive
+def test_a_linear_chain_of_twenty():
+    rng = np.random.default_rng(1)
+    chain, exact = linear_chain(20, 0.05, rng.uniform(0.1, 0.5, 20))
+    start = (jnp.asarray(rng.normal(size=20)), jnp.zeros(20))
+    found = lyapunov_spectrum(
+        chain, start, 40000.0, transient=200.0, interval=2.0, solver=EventDriven(), rtol=1e-12
+    )
+    np.testing.assert_allclose(found.smooth, exact, atol=1e-10, rtol=0)
+    # The period of a linear chain is any time: exponents of the matrix exponential.
+    M = linearised_period(chain, steady_sliding(chain), 1.0, rtol=1e-10, solver=Rodas5P())
+    np.testing.assert_allclose(np.log(np.abs(np.linalg.eigvals(M.monodromy))), -0.05, atol=1e-6)
+
+
+def test_a_traced_window_that_is_none_is_a_failure():
+    chain = paper_chain(1)
+
+    @jax.jit
+    @jax.vmap
+    def measure(t1, transient):
+        found = lyapunov_spectrum(
+            chain, equation_8(chain, 1), t1, transient=transient, count=1, blocks=2,
+            solver=EventDriven(), throw=False,
+        )  # fmt: skip
+        return code(found.result), found.exponents, found.low
+
+    t1 = jnp.array([20.0, 10.0, 5.0, jnp.nan, 20.0, 20.0])
+    transient = jnp.array([10.0, 10.0, 10.0, 10.0, jnp.nan, -1.0])
+    results, exponents, low = measure(t1, transient)
+    assert [NAMES[i] for i in results.tolist()] == ["successful", *5 * ["bad_span"]]
+    assert np.isfinite(exponents[0]).all()
+    assert np.isnan(exponents[1:]).all()
+    assert np.isnan(low[1:]).all()

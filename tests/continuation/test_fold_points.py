@@ -1,0 +1,117 @@
+"""Folds as roots: closed forms, a thousand lanes, derivatives, and what is no fold."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from systems.normal_forms import bratu, circle, cycles, hysteresis, looped, pitchfork
+
+from jaxchain.continuation.fold_points import fold_point, fold_residual
+from jaxchain.continuation.implicit import attach_derivative
+
+
+def cubic(u, p, a):
+    """Folds at u^2 = a/3, p = (2 a / 3) u, for a > 0."""
+    return u**3 - a * u + p
+
+
+@pytest.mark.parametrize(
+    ("residual", "args", "start", "fold"),
+    [
+        (circle, None, (0.1, 0.9), (0.0, 1.0)),
+        (hysteresis, None, (-0.5, -0.4), (-(3**-0.5), -2 / 27**0.5)),
+        (cycles, 0.8, (0.5, -0.1), (0.4, -0.16)),
+        (pitchfork, 1e-3, (-0.1, 0.03), (-(5e-4 ** (1 / 3)), 3 * 5e-4 ** (2 / 3))),
+    ],
+)
+def test_folds_of_closed_form(residual, args, start, fold):
+    found = fold_point(residual, [start[0]], start[1], args)
+    assert found.converged
+    np.testing.assert_allclose(found.u, fold[0], atol=1e-11)
+    np.testing.assert_allclose(found.p, fold[1], atol=1e-14)
+
+
+@pytest.mark.long
+def test_a_thousand_lanes_with_and_without_a_fold():
+    a = jnp.linspace(-1.0, 3.0, 1000)
+    found = jax.jit(jax.vmap(lambda a: fold_point(cubic, jnp.array([0.5]), 0.4, a)))(a)
+    exists = np.asarray(a) > 0
+    np.testing.assert_array_equal(found.converged, exists)
+    there = np.asarray(a)[exists]
+    height = np.abs(np.asarray(found.p)[exists])
+    np.testing.assert_allclose(height, 2 * (there / 3) ** 1.5, rtol=1e-12)
+
+
+@pytest.mark.long
+def test_the_null_vector_and_the_scale_of_rows():
+    m = 30
+    u = np.sin(np.pi * np.arange(1, m + 1) / (m + 1))
+    rows = 10.0 ** np.random.default_rng(0).uniform(-3, 3, m)
+    plain, scaled = (fold_point(bratu, u, 3.5, r) for r in (np.ones(m), rows))
+    assert plain.converged
+    assert scaled.converged
+    np.testing.assert_allclose(scaled.p, plain.p, rtol=1e-12)
+    slope = jax.jacfwd(bratu)(plain.u, plain.p, np.ones(m))
+    assert np.max(np.abs(slope @ plain.null)) < 1e-9 * np.max(np.abs(slope))
+    np.testing.assert_allclose(np.linalg.norm(plain.null), 1.0)
+    # The second singular value, the witness: F_u is singular there and nowhere near.
+    singular = np.linalg.svd(slope, compute_uv=False)
+    assert singular[-1] < 1e-9 * singular[0] < singular[-2]
+
+
+def cubic_height(a):
+    fold = fold_point(cubic, jnp.array([0.5]), 0.4, a)
+    z = jnp.append(fold.u, fold.p)
+    return attach_derivative(fold_residual(cubic), z, (a, fold.borders))[1]
+
+
+def test_the_derivative_of_a_fold_is_attached():
+    value, slope = jax.jit(jax.value_and_grad(cubic_height))(1.3)
+    np.testing.assert_allclose(value, 2 * (1.3 / 3) ** 1.5, rtol=1e-12)
+    np.testing.assert_allclose(slope, (1.3 / 3) ** 0.5, rtol=1e-12)
+
+
+@pytest.mark.exhaustive
+def test_the_second_derivative_of_a_fold_is_attached():
+    second = jax.jit(jax.grad(jax.grad(cubic_height)))(1.3)
+    np.testing.assert_allclose(second, 0.5 / (3 * 1.3) ** 0.5, rtol=1e-11)
+
+
+def test_the_short_derivative_of_g_is_the_long_one():
+    u = jnp.array([0.3, -0.2, 0.5])
+    b, c = jnp.array([1.0, 0.2, -0.3]), jnp.array([0.4, 1.0, 0.1])
+
+    def residual(u, p, args):
+        return jnp.roll(u, 1) * u**2 - p * u + jnp.sin(args * u)
+
+    def singularity(z, args):
+        slope = jax.jacfwd(residual)(z[:-1], z[-1], args)
+        matrix = jnp.block([[slope, b[:, None]], [c[None, :], jnp.zeros((1, 1))]])
+        return jnp.linalg.solve(matrix, jnp.array([0.0, 0.0, 0.0, 1.0]))[-1]
+
+    z = jnp.append(u, 0.7)
+
+    def short(z, args):
+        return fold_residual(residual)(z, (args, (b, c)))[-1]
+
+    found, expected = (jax.jit(jax.jacfwd(g, (0, 1)))(z, 1.1) for g in (short, singularity))
+    np.testing.assert_allclose(found[0], expected[0], rtol=1e-11)
+    np.testing.assert_allclose(found[1], expected[1], rtol=1e-11)
+
+
+def test_a_residual_that_only_goes_forward():
+    found = fold_point(looped(hysteresis), [0.5], 0.4)
+    assert found.converged
+    np.testing.assert_allclose(found.p, 2 / 27**0.5, rtol=1e-13)
+
+
+@pytest.mark.parametrize("start", [0.1, 1e-3, 0.0])
+def test_a_crossing_of_branches_is_no_fold(start):
+    assert not fold_point(pitchfork, [start], start, 0.0).converged
+
+
+def test_bad_input_is_named():
+    with pytest.raises(ValueError, match="`u` must be a vector"):
+        fold_point(hysteresis, 0.5, 0.4)
+    with pytest.raises(ValueError, match="`p` must be one number"):
+        fold_point(hysteresis, [0.5], [0.4])

@@ -1,0 +1,82 @@
+"""Descent on functions whose minimum and whose iterates are known."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pytest
+from jax import lax
+
+from jaxchain.continuation.gradient_descent import descend
+
+
+def test_plain_descent_on_a_parabola_halves_the_distance_in_every_step():
+    found = descend(lambda x: x**2, 1.0, optax.sgd(0.25), steps=40, tolerance=1e-8)
+    # x_k = 2^-k: the loss falls below 1e-8 at k = 14.
+    assert (int(found.steps), bool(found.converged)) == (14, True)
+    np.testing.assert_allclose(found.path[:15], 0.5 ** np.arange(15), rtol=1e-15)
+    np.testing.assert_allclose(found.losses[:15], 0.25 ** np.arange(15), rtol=1e-15)
+    assert np.isnan(found.path[15:]).all()
+    assert np.isnan(found.losses[15:]).all()
+    assert float(found.solution) == 0.5**14
+
+
+@pytest.mark.parametrize("optimiser", [optax.adam(0.05), optax.lbfgs()], ids=["adam", "lbfgs"])
+def test_any_optimiser_and_any_pytree(optimiser):
+    def rosenbrock(point):
+        return (1.0 - point["a"]) ** 2 + 10.0 * (point["b"][0] - point["a"] ** 2) ** 2
+
+    start = {"a": jnp.asarray(-0.5), "b": jnp.array([0.5])}
+    found = descend(rosenbrock, start, optimiser, steps=3000, tolerance=1e-16)
+    assert found.converged
+    assert float(found.solution["a"]) == pytest.approx(1.0, abs=1e-6)
+    assert found.path["b"].shape == (3001, 1)
+
+
+def test_a_loss_with_a_loop_that_nothing_can_go_back_through():
+    def root_by_iteration(x):  # sqrt(x) by Heron's method, as long as it takes
+        return lax.while_loop(
+            lambda y: jnp.abs(y * y - x) > 1e-12 * x, lambda y: 0.5 * (y + x / y), 0.5 * (1.0 + x)
+        )
+
+    def loss(x):
+        return (root_by_iteration(x) - 3.0) ** 2
+
+    with pytest.raises(ValueError, match="Reverse-mode"):
+        jax.grad(loss)(4.0)
+    found = descend(loss, 4.0, optax.lbfgs(), tolerance=1e-18)
+    assert float(found.solution) == pytest.approx(9.0, abs=1e-7)
+
+
+def test_lanes_stop_by_themselves_and_may_close_over_what_is_traced():
+    @jax.jit
+    @jax.vmap
+    def batch(target, start):
+        return descend(lambda x: (x - target) ** 2, start, optax.sgd(0.25), 30, 1e-8)
+
+    found = batch(jnp.array([0.0, 3.0]), jnp.array([1.0, 3.0]))
+    assert found.steps.tolist() == [14, 0]
+    assert found.converged.all()
+
+
+def test_it_stops_where_the_loss_is_not_finite_and_keeps_the_way_there():
+    found = descend(lambda x: -jnp.log(x), 0.5, optax.sgd(-1.0), steps=20, tolerance=0.0)
+    # x_1 = 0.5 - 2 < 0, where the logarithm is NaN.
+    assert int(found.steps) == 1
+    assert not found.converged
+    assert float(found.path[1]) == -1.5
+    assert np.isnan(found.losses[1])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"steps": 0}, "`steps` must be"),
+        ({"steps": None}, "`steps` must be an integer"),
+        ({"tolerance": -1.0}, "`tolerance` must be zero or positive"),
+        ({"start": ()}, "`start` must hold"),
+    ],
+)
+def test_bad_input_is_named(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        descend(lambda x: x**2, arguments.pop("start", 1.0), optax.sgd(0.1), **arguments)

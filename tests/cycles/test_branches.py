@@ -1,0 +1,332 @@
+"""Branches of cycles against SciPy, closed forms, and other ways to the same points."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from jaxchain import paper_chain
+from jaxchain.boundaries.fold import find_fold
+from jaxchain.cycles.bifurcation_tests import (
+    CycleLinearisation,
+    breaking,
+    doubling,
+    encircling,
+    linearise,
+    on_the_circle,
+    symmetry_breaking_basis,
+)
+from jaxchain.cycles.branches import continue_cycle, switch_cycle
+from jaxchain.cycles.shooting import residual
+
+# Second looks, or minutes of compilation: not in every run of the tests.
+pytestmark = pytest.mark.long
+
+HOPF = np.log(10) / 2
+# Of one mass, found by another program.
+FOLDS = {0.05: 1.659307374, 1e-2: 1.792455775, 1e-3: 1.831129820}
+MIRRORED = (0, 1, 0)
+
+
+def one_mass_branch(width, **options):
+    """From stick-slip at v_d = 1 round the fold to the Hopf point; the guess is a rough one."""
+    chain = paper_chain(1, belt_speed=1.0, width=width)
+    start = (jnp.zeros(1), jnp.full(1, 1.0 - 8.0 * width**2))
+    return continue_cycle(chain, start, 6.42, **options)
+
+
+@pytest.fixture(scope="module")
+def branch():
+    return one_mass_branch(0.05)
+
+
+def scipy_flow(speed, width):
+    """(x, v)' of the paper's single mass, written anew."""
+
+    def field(t, y):
+        w = y[1] - speed
+        mu = 0.5 + 0.5 * np.exp(-abs(w) / 0.5)
+        return [y[1], -mu * np.tanh(w / width) - 0.1 * y[1] - y[0]]
+
+    def after(y, period, dense=False):
+        return solve_ivp(
+            field, (0.0, period), y, method="Radau", rtol=1e-11, atol=1e-12, dense_output=dense
+        )
+
+    return after
+
+
+def test_a_branch_goes_round_its_fold_and_ends_in_the_hopf_point(branch):
+    assert [point.kind for point in branch.special] == ["fold", "hopf"]
+    fold, hopf = branch.special
+    assert fold.refined
+    assert abs(fold.parameter - FOLDS[0.05]) < 1e-9
+    assert np.all(branch.parameter <= fold.parameter + 1e-12)
+    assert abs(hopf.parameter - HOPF) < 1e-8
+    assert abs(hopf.period - 2 * np.pi) < 1e-6
+    assert branch.ended == "stopped"
+    assert "vanishes" in branch.message
+    assert np.all(branch.v[:, 0] > 0)
+
+
+def test_stability_changes_at_the_fold_alone(branch):
+    fold = branch.of_kind("fold")[0]
+    before = np.arange(branch.parameter.size) <= fold.index
+    np.testing.assert_array_equal(branch.unstable, np.where(before, 0, 1))
+    assert abs(fold.multipliers[0] - 1.0) < 1e-6
+    assert np.all(branch.trivial_defect < 1e-6)
+
+
+@pytest.mark.parametrize("share", [pytest.param(0.3, marks=pytest.mark.exhaustive), 0.8])
+def test_a_point_is_a_cycle_with_these_numbers_for_scipy_too(branch, share):
+    k = int(share * branch.parameter.size)
+    after = scipy_flow(branch.parameter[k], 0.05)
+    y, period = np.array([branch.x[k, 0], branch.v[k, 0]]), branch.period[k]
+    run = after(y, period, dense=True)
+    np.testing.assert_allclose(run.y[:, -1], y, atol=4e-9)
+    x = run.sol(np.linspace(0.0, period, 20001))[0]
+    assert abs((x.max() - x.min()) / 2 - branch.amplitude[k, 0]) < 1e-8
+    assert abs(branch.energy[k] - branch.amplitude[k, 0] ** 2 / 2) < 1e-14
+    # The trace of M by differences; one multiplier is 1.
+    h = 1e-5
+    columns = [
+        (after(y + d, period).y[:, -1] - after(y - d, period).y[:, -1]) / (2 * h)
+        for d in h * np.eye(2)
+    ]
+    assert abs(np.trace(columns) - 1.0 - branch.multipliers[k, 0].real) < 1e-5
+
+
+def test_the_closeness_is_the_greatest_velocity_in_units_of_the_layer(branch):
+    np.testing.assert_allclose(
+        branch.closeness, (branch.v[:, 0] - branch.parameter) / 0.05, rtol=1e-7, atol=1e-7
+    )
+
+
+@pytest.mark.exhaustive
+def test_the_jacobian_is_that_of_the_residual(branch):
+    shooting, u, p = branch.shooting, branch.branch.u[3], branch.branch.p[3]
+    value = jax.jit(residual)
+    r, slope, extra = jax.jit(linearise)(jnp.asarray(u), jnp.asarray(p), shooting)
+    np.testing.assert_allclose(r, value(u, p, shooting), atol=1e-9)
+    h = 1e-5
+    for i, d in enumerate(h * np.eye(3)):
+        up, down = (
+            value(*((z := np.append(u, p) + s * d)[:-1], z[-1]), shooting) for s in (1, -1)
+        )
+        np.testing.assert_allclose(slope[:, i], (up - down) / (2 * h), atol=1e-5)
+    assert float(extra.amplitude[0]) == pytest.approx(branch.amplitude[3, 0], abs=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("width", "options"),
+    [(1e-2, {}), (1e-3, {}), (1e-2, {"step": 0.3, "max_step": 1.5}), (1e-3, {"step": 0.01})],
+)
+def test_no_fold_is_stepped_over(width, options):
+    found = one_mass_branch(width, **options)
+    assert [point.kind for point in found.special] == ["fold", "hopf"]
+    assert abs(found.special[0].parameter - FOLDS[width]) < 1e-9
+    assert abs(found.special[1].parameter - HOPF) < 1e-8
+    np.testing.assert_array_equal(np.diff(found.unstable)[np.diff(found.unstable) != 0], [1])
+
+
+@pytest.mark.parametrize("rtol", [1e-5, 1e-8, 3e-11])
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-4, 1e-6, 1e-10])
+def test_the_fold_and_its_error_do_not_depend_on_how_loose_the_branch_is(tolerance, rtol):
+    found = one_mass_branch(1e-2, tolerance=tolerance, rtol=rtol)
+    assert [point.kind for point in found.special] == ["fold", "hopf"]
+    for point, truth in zip(found.special, (1.79245577505, HOPF), strict=True):
+        assert abs(point.parameter - truth) <= point.error < 1e-8
+
+
+def test_bounds_and_a_stop_of_ones_own_end_a_branch():
+    found = one_mass_branch(0.05, direction=-1, bounds=(0.9, 2.0))
+    assert found.ended == "left_bounds"
+    assert found.parameter[-1] == pytest.approx(0.9, abs=1e-9)
+    seen = []
+    found = one_mass_branch(
+        0.05,
+        stop=lambda p, extra: bool(extra.amplitude[0] > 1.4),
+        progress=lambda k, point: seen.append(k),
+    )
+    assert found.ended == "stopped"
+    assert found.special == ()
+    assert found.amplitude[-1, 0] > 1.4 >= found.amplitude[-2, 0]
+    assert seen == list(range(1, found.parameter.size + 1))
+
+
+def test_at_a_fold_a_side_is_named(branch):
+    fold = branch.of_kind("fold")[0]
+    chain = paper_chain(1, belt_speed=fold.parameter, width=0.05)
+    for side, sign in (("stick", 1), ("slip", -1)):
+        found = continue_cycle(chain, (fold.x, fold.v), fold.period, direction=side, max_points=4)
+        assert np.all(sign * np.diff(found.closeness) > 0)
+        assert np.all(np.diff(found.parameter) < 0)
+
+
+def test_a_table_has_one_row_for_each_point(branch):
+    table = branch.table()
+    assert {"belt_speed", "period", "energy", "unstable"} <= set(table)
+    rows = branch.parameter.size
+    assert all(column.shape[0] == rows for column in table.values())
+    assert table["amplitude"].shape == (rows, 1)
+
+
+def synthetic(*multipliers, monodromy=None):
+    mu = jnp.asarray(multipliers, complex)
+    zero = jnp.zeros(())
+    n = (mu.size + 1) // 2
+    monodromy = jnp.eye(2 * n) if monodromy is None else jnp.asarray(monodromy)
+    return CycleLinearisation(
+        x=jnp.zeros(n), v=jnp.zeros(n), period=zero, speed=zero, times_round=jnp.asarray(1),
+        amplitude=jnp.zeros(n), monodromy=monodromy, multipliers=mu, trivial_defect=zero,
+    )  # fmt: skip
+
+
+def test_the_torus_test_changes_its_sign_at_the_unit_circle_alone():
+    inside, outside = 0.9 * np.exp(0.3j), 1.1 * np.exp(0.3j)
+    a = encircling(synthetic(inside, np.conj(inside), 0.2))
+    b = encircling(synthetic(outside, np.conj(outside), 0.2))
+    assert a * b < 0
+    # A pair outside or inside becomes real: the same sign.
+    for pair, real in (((0.9 + 1e-9j), (0.91, 0.89)), ((1.2 + 1e-9j), (1.21, 1.19))):
+        before = encircling(synthetic(pair, np.conj(pair), 0.2))
+        assert before * encircling(synthetic(*real, 0.2)) > 0
+    on = np.exp(0.3j)
+    assert on_the_circle(synthetic(on, np.conj(on), 0.2))
+    # mu_1 mu_2 = 1 for real ones is no torus, though the product vanishes there.
+    assert not on_the_circle(synthetic(2.0, 0.5, 0.2))
+    assert encircling(synthetic(2.0, 0.5, 0.2)) == 0
+
+
+def test_the_doubling_test_vanishes_at_minus_one():
+    assert doubling(synthetic(-0.9, 0.3, 0.1)) * doubling(synthetic(-1.1, 0.3, 0.1)) < 0
+    assert doubling(synthetic(-1.0, 0.3, 0.1)) == 0
+
+
+def test_the_symmetry_test_sees_what_breaks_the_symmetry_alone():
+    basis = symmetry_breaking_basis(MIRRORED)
+    assert basis.shape == (6, 2)
+    np.testing.assert_allclose(basis.T @ basis, np.eye(2), atol=1e-15)
+    np.testing.assert_allclose(basis[[0, 3]], -basis[[2, 5]], atol=1e-15)
+    np.testing.assert_allclose(basis[[1, 4]], 0.0, atol=1e-15)
+    growth = np.diag([0.5, 0.4])
+    M = np.eye(6) + basis @ (growth - np.eye(2)) @ basis.T  # 1 for symmetric disturbances
+    assert breaking(synthetic(*np.ones(5), monodromy=M), MIRRORED) == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(
+    ("changed", "named"),
+    [
+        ({"chain": 3.0}, "`chain`"),
+        ({"state": (jnp.zeros(2), jnp.zeros(2))}, "`state`"),
+        ({"period": -1.0}, "`period`"),
+        ({"parameter": "colour"}, "`parameter`"),
+        ({"parameter": "n"}, "`parameter`"),
+        ({"direction": "up"}, "`direction`"),
+        ({"images": (1,)}, "`images`"),
+        ({"vibrating": 4}, "`vibrating`"),
+        ({"rtol": 0.0}, "`rtol`"),
+        ({"bounds": (2.0, 3.0)}, "`bounds`"),
+    ],
+)
+def test_what_cannot_be_is_named(changed, named):
+    given = {
+        "chain": paper_chain(1, belt_speed=1.0, width=0.05),
+        "state": (jnp.zeros(1), jnp.ones(1)),
+        "period": 6.4,
+        **changed,
+    }
+    with pytest.raises(ValueError, match=named):
+        continue_cycle(**given)
+
+
+def test_something_that_is_no_cycle_is_named():
+    with pytest.raises(ValueError, match="LimitCycle"):
+        continue_cycle(3.0)
+
+
+def test_no_other_branch_begins_at_a_fold(branch):
+    with pytest.raises(ValueError, match="symmetry breaking"):
+        switch_cycle(branch, branch.of_kind("fold")[0])
+
+
+@pytest.fixture(scope="module")
+def fold_of_three():
+    chain = paper_chain(3, width=0.05)
+    fold = find_fold(chain, 1)
+    return chain.with_(belt_speed=fold.belt_speed), fold
+
+
+@pytest.fixture(scope="module")
+def symmetric(fold_of_three):
+    """One mass of three vibrates, stick-slip, down to where its neighbours join in."""
+    chain, fold = fold_of_three
+    return continue_cycle(
+        chain, fold.state, fold.period, direction="stick", images=MIRRORED, vibrating=1,
+        bounds=(1.345, 2.0),
+    )  # fmt: skip
+
+
+@pytest.mark.exhaustive
+def test_one_of_three_folds_where_the_search_for_folds_says(fold_of_three, symmetric):
+    chain, fold = fold_of_three
+    k = 3
+    found = continue_cycle(
+        chain.with_(belt_speed=symmetric.parameter[k]), (symmetric.x[k], symmetric.v[k]),
+        symmetric.period[k], direction="slip", images=MIRRORED, vibrating=1,
+    )  # fmt: skip
+    kinds = [point.kind for point in found.special]
+    assert kinds == ["fold", "torus", "symmetry breaking", "hopf"]
+    assert abs(found.special[0].parameter - float(fold.belt_speed)) < 1e-9
+    # It ends in the modes of wavenumber 1, of frequency sqrt(1 + 3 eta_c).
+    assert abs(found.special[-1].parameter - HOPF) < 1e-7
+    assert abs(found.special[-1].period - 2 * np.pi / 1.03**0.5) < 1e-5
+    modulus = np.abs(found.special[1].multipliers)
+    assert np.sum(np.abs(modulus - 1.0) < 1e-8) == 2
+
+
+@pytest.mark.exhaustive
+def test_the_symmetry_breaks_where_the_whole_equations_have_a_branch_point(symmetric):
+    point = symmetric.of_kind("symmetry breaking")[0]
+    assert np.min(np.abs(point.multipliers - 1.0)) < 1e-8
+    k = point.index - 1
+    chain = symmetric.shooting.field.with_(belt_speed=symmetric.parameter[k])
+    whole = continue_cycle(
+        chain, (symmetric.x[k], symmetric.v[k]), symmetric.period[k], direction=-1, vibrating=1,
+        max_points=8, step=0.02, max_step=0.05,
+    )  # fmt: skip
+    branch_point = whole.of_kind("branch point")[0]
+    assert abs(branch_point.parameter - point.parameter) < 1e-7
+
+
+@pytest.mark.exhaustive
+def test_an_asymmetric_branch_leaves_from_there(symmetric):
+    point = symmetric.of_kind("symmetry breaking")[0]
+    halves = [switch_cycle(symmetric, point, side=side, max_points=5) for side in (1, -1)]
+    a, b = halves
+    assert np.min(np.abs(a.amplitude[:, 0] - a.amplitude[:, 2])) > 1e-4
+    np.testing.assert_allclose(a.amplitude, b.amplitude[:, ::-1], atol=1e-6)
+    np.testing.assert_allclose(a.parameter, b.parameter, atol=1e-7)
+    # As in a pitchfork: the square of what breaks the symmetry grows with the parameter.
+    gap = (a.amplitude[:3, 0] - a.amplitude[:3, 2]) ** 2
+    off = a.parameter[:3] - point.parameter
+    np.testing.assert_allclose(gap / off, (gap / off)[0], rtol=0.2)
+    # It closes, for the other equations too.
+    r = residual(jnp.asarray(a.branch.u[3]), jnp.asarray(a.branch.p[3]), a.shooting)
+    assert float(jnp.max(jnp.abs(r))) < 1e-8
+
+
+@pytest.mark.exhaustive
+def test_other_numbers_of_the_chain_are_parameters_too(branch):
+    k = branch.of_kind("fold")[0].index - 2
+    speed = branch.parameter[k]
+    chain = paper_chain(1, belt_speed=speed, width=0.05)
+    found = continue_cycle(
+        chain, (branch.x[k], branch.v[k]), branch.period[k], parameter="damping_ratio"
+    )
+    fold = found.of_kind("fold")[0]
+    assert found.name == "damping_ratio"
+    assert fold.parameter > 0.05
+    direct = find_fold(chain.with_(damping_ratio=fold.parameter))
+    assert abs(float(direct.belt_speed) - speed) < 1e-8

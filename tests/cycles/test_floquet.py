@@ -1,0 +1,154 @@
+"""Monodromy matrices, multipliers and Liouville's formula, against other methods."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+from systems.oscillators import LinearRing
+
+from jaxchain import excited_state, paper_chain, simulate
+from jaxchain.cycles.floquet import (
+    floquet_multipliers,
+    liouville_defect,
+    liouville_determinant,
+    monodromy_matrix,
+    trace_integral,
+)
+from jaxchain.model.springs import Springs
+
+
+def variational(chain, state, period):
+    """(end, M, integral of tr J) by DOP853 from scratch, one mass."""
+    law = chain.friction.law
+    high, low, v0 = (float(a) for a in (law.mu_static, law.mu_dynamic, law.v_ref))
+    xi, belt, eps = (
+        float(a) for a in (chain.damping_ratio, chain.belt_speed, chain.friction.width)
+    )
+
+    def field(t, y):
+        x, v, a, b, c, d, _ = y
+        w = v - belt
+        mu, th = low + (high - low) * np.exp(-abs(w) / v0), np.tanh(w / eps)
+        slope = (mu - low) / v0 * np.sign(w) * th - mu * (1 - th**2) / eps - 2 * xi
+        force = -mu * th - 2 * xi * v - x
+        return [v, force, c, d, slope * c - a, slope * d - b, slope]
+
+    y = [float(state[0][0]), float(state[1][0]), 1.0, 0.0, 0.0, 1.0, 0.0]
+    found = solve_ivp(field, (0.0, period), y, method="DOP853", rtol=1e-12, atol=1e-14)
+    end = found.y[:, -1]
+    return end[:2], end[2:6].reshape(2, 2), end[6]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("width", "excited"), [(0.05, 1), (0.01, 1), (0.05, 0)])
+def test_one_mass_agrees_with_scipy(width, excited):
+    chain = paper_chain(1, belt_speed=1.4, width=width)
+    state = excited_state(chain, excited, velocity=0.3)
+    _, M, trace = variational(chain, state, 6.3)
+    found = monodromy_matrix(chain, state, 6.3)
+    np.testing.assert_allclose(found, M, atol=2e-8)
+    integral = float(trace_integral(chain, state, 6.3))
+    assert integral == pytest.approx(trace, rel=1e-7, abs=1e-7)
+    if not excited:  # nothing sticks: the determinant is a number to be compared
+        det = float(liouville_determinant(chain, state, 6.3))
+        assert det == pytest.approx(float(jnp.linalg.det(found)), rel=1e-8)
+    else:
+        assert trace < -20
+    # What the check says of a matrix that is right, and of one that is not.
+    assert float(liouville_defect(found, integral)) < 1e-8
+    assert float(liouville_defect(found + 1e-4 * jnp.eye(2), integral)) > 2e-5
+
+
+@pytest.mark.long
+def test_a_linear_chain_has_the_matrix_exponential():
+    rng = np.random.default_rng(3)
+    n = 4
+    springs = Springs(jnp.asarray(0.1), "cyclic")
+    x, v = jnp.asarray(rng.normal(size=(2, n)))
+    damping, stiffness = rng.uniform(0.0, 0.1, n), rng.uniform(0.8, 1.2, n)
+    ring = LinearRing(
+        damping=jnp.asarray(damping), stiffness=jnp.asarray(stiffness), springs=springs, x0=x, v0=v
+    )
+    J = np.asarray(ring.jacobian(0.0, (x, v)))
+    found = monodromy_matrix(ring, (x, v), 5.0)
+    np.testing.assert_allclose(found, expm(5.0 * J), atol=1e-9)
+    assert float(trace_integral(ring, (x, v), 5.0)) == pytest.approx(5.0 * np.trace(J), rel=1e-12)
+    defect = liouville_defect(found, trace_integral(ring, (x, v), 5.0))
+    assert float(defect) < 1e-9
+    # All multipliers, against those of the exponential; a linear flow has no trivial one.
+    direction = jnp.linalg.eigh(found @ found.T)[1][:, 0]
+    assert floquet_multipliers(found, direction).multipliers.shape == (2 * n - 1,)
+
+
+@pytest.mark.exhaustive
+def test_finite_differences_of_a_run_agree():
+    chain = paper_chain(3, belt_speed=1.4, width=0.05)
+    x, v = excited_state(chain, 2)
+    M = monodromy_matrix(chain, (x, v), 7.0)
+
+    def end(y):
+        run = simulate(chain, (y[:3], y[3:]), 7.0, rtol=1e-12)
+        return np.concatenate(run.state)
+
+    y, h = jnp.concatenate([x, v]), 1e-5
+    columns = [(end(y + h * e) - end(y - h * e)) / (2 * h) for e in np.eye(6)]
+    np.testing.assert_allclose(M, np.array(columns).T, atol=2e-7)
+    many = jax.jit(jax.vmap(lambda y: monodromy_matrix(chain, (y[:3], y[3:]), 7.0)))
+    batch = many(jnp.stack([y, 0.9 * y]))
+    np.testing.assert_allclose(batch[0], M, atol=1e-9)
+    other = monodromy_matrix(chain, (0.9 * x, 0.9 * v), 7.0)
+    np.testing.assert_allclose(batch[1], other, atol=1e-9)
+
+
+def like_a_monodromy(multipliers, coupling, seed=0):
+    """(M, f), M f = f, with these other multipliers; `coupling` makes a pair 1, 1 defective."""
+    rng = np.random.default_rng(seed)
+    size = len(multipliers) + 1
+    triangle = np.diag([1.0, *multipliers]) + np.triu(0.3 * rng.normal(size=(size, size)), 1)
+    triangle[0, 1] = coupling
+    basis = rng.normal(size=(size, size)) + 3 * np.eye(size)
+    return jnp.asarray(basis @ triangle @ np.linalg.inv(basis)), jnp.asarray(basis[:, 0])
+
+
+def test_the_trivial_multiplier_is_known_by_its_vector():
+    given = np.array([1.0, -0.5, 0.25, 1e-3, 0.0])
+    M, f = like_a_monodromy(given, 5.0)
+    found = floquet_multipliers(M, 7.0 * f)
+    np.testing.assert_allclose(found.multipliers.real, given, atol=1e-12)
+    assert float(found.trivial) == pytest.approx(1.0, abs=1e-13)
+    assert float(found.defect) < 1e-13
+    # At a fold the eigenvalues of M itself are off by the root of the rounding.
+    values = np.linalg.eigvals(np.asarray(M))
+    assert np.sort(np.abs(values - 1.0))[1] > 1e-9
+    # With a wrong vector the defect tells.
+    assert float(floquet_multipliers(M, jnp.ones(6)).defect) > 1e-2
+
+
+def test_multipliers_come_sorted_and_in_batches():
+    matrices = [like_a_monodromy([0.1, -2.0, 0.7], 1.0, seed) for seed in range(3)]
+    M, f = (jnp.stack(part) for part in zip(*matrices, strict=True))
+    found = jax.jit(jax.vmap(floquet_multipliers))(M, f)
+    expected = np.tile([-2.0, 0.7, 0.1], (3, 1))
+    np.testing.assert_allclose(found.multipliers.real, expected, atol=1e-10)
+    pair = floquet_multipliers(M[0], (f[0][:2], f[0][2:]))
+    np.testing.assert_allclose(pair.multipliers, found.multipliers[0], atol=1e-12)
+
+
+def test_bad_input_is_named():
+    chain = paper_chain(2)
+    state = excited_state(chain, 1)
+    for arguments, words in [
+        ((None, state, 1.0), "`chain` must be a `Chain`"),
+        ((chain, state[0], 1.0), "`state` must be the pair"),
+        ((chain, (jnp.ones(3), jnp.ones(3)), 1.0), r"shape \(2,\)"),
+        ((chain, (jnp.ones(2) * jnp.nan, jnp.ones(2)), 1.0), "finite"),
+        ((chain, state, -1.0), "`period` must be positive"),
+    ]:
+        with pytest.raises(ValueError, match=words):
+            monodromy_matrix(*arguments)
+    with pytest.raises(ValueError, match="`rtol`"):
+        monodromy_matrix(chain, state, 1.0, rtol=0.0)
+    with pytest.raises(ValueError, match="`flow_direction` must have shape"):
+        floquet_multipliers(jnp.eye(4), jnp.ones(3))

@@ -1,0 +1,151 @@
+"""Every closed orbit has its least period, however often it was gone round."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from systems.piecewise import PiecewiseLinear, exact_cycle
+
+from jaxchain import (
+    EventDriven,
+    PeakTimes,
+    continue_cycle,
+    equation_8,
+    find_limit_cycle,
+    fold_belt_speed,
+    hopf_points,
+    paper_chain,
+    simulate,
+)
+from jaxchain.cycles.closing import close_orbit
+from jaxchain.cycles.least_period import FACTORS, Returned, Returns
+from jaxchain.localization.patterns import locked_patterns, phase_model
+
+SMOOTH = paper_chain(1, width=0.05, belt_speed=0.5)
+PERIOD = 6.686743645  # by SciPy, from one crossing of the velocity to the next
+
+
+def test_a_state_is_seen_to_come_back_after_shares_of_a_run():
+    field = PiecewiseLinear(feed=jnp.asarray(0.0), damping=jnp.asarray(0.0))  # x'' = -x
+    start = jnp.ones(1), jnp.zeros(1)
+    for k in (1, 2, 3, 6, 7, 13, 17):
+        seen = simulate(field, start, 2 * np.pi * k, observe=Returns(), rtol=1e-9).observed
+        # After T / m it has turned by 2 pi k / m: the distance of x, and of v.
+        angle = 2 * np.pi * k / np.asarray(FACTORS)
+        expected = np.maximum(1 - np.cos(angle), np.abs(np.sin(angle)))
+        np.testing.assert_allclose(seen.apart, expected, atol=1e-6)
+        assert int(seen.times_round) == max([m for m in FACTORS if k % m == 0], default=1)
+    assert float(seen.farthest) == pytest.approx(2.0, abs=0.05)
+
+
+def test_orbits_that_part_in_a_period_doubling_are_not_the_same():
+    seen = Returned(jnp.full(len(FACTORS), 1e-5), jnp.ones(()))
+    one = jnp.ones(1), jnp.zeros(1)
+    assert int(seen.times_round) == max(FACTORS)
+    assert bool(seen.same(one, (jnp.ones(1) + 1e-8, jnp.zeros(1))))
+    assert not bool(seen.same(one, (jnp.ones(1), jnp.full(1, 1e-5))))
+
+
+@pytest.mark.slow
+def test_a_simulation_whose_best_return_is_a_later_one_gives_the_least_period():
+    found = find_limit_cycle(SMOOTH)
+    assert float(found.period) == pytest.approx(PERIOD, abs=1e-8)
+    for width, speed in ((0.1, 0.55), (0.1, 1.1), (0.02, 1.35), (0.01, 1.4), (1e-3, 1.68)):
+        cycle = find_limit_cycle(paper_chain(1, width=width, belt_speed=speed))
+        assert 6.2 < float(cycle.period) < 6.8
+        assert bool(cycle.converged)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("times", [2, 3, 4, 7, 12])
+def test_a_multiple_of_the_period_that_is_given_is_divided(times):
+    found = find_limit_cycle(SMOOTH)
+    again = find_limit_cycle(SMOOTH, (found.state, times * found.period))
+    assert float(again.period) == pytest.approx(PERIOD, abs=1e-8)
+    # The multipliers are those of once round, and not their powers.
+    np.testing.assert_allclose(again.multipliers, found.multipliers, rtol=1e-3)
+    np.testing.assert_allclose(again.state, found.state, atol=1e-8)
+
+
+@pytest.mark.long
+def test_an_orbit_that_is_no_chain_has_its_least_period():
+    exact = exact_cycle(0.3, 0.5)
+    field = PiecewiseLinear(feed=jnp.asarray(0.3), damping=jnp.asarray(0.5))
+    start = jnp.full(1, exact["displacement"]), jnp.full(1, exact["fastest"])
+    cycle = find_limit_cycle(field, start, period=3 * exact["period"])
+    assert float(cycle.period) == pytest.approx(exact["period"], abs=1e-7)
+    assert complex(cycle.multipliers[0]) == pytest.approx(exact["multiplier"], abs=1e-5)
+
+
+@pytest.mark.slow
+def test_dry_orbits_are_closed_with_the_least_period():
+    chain = paper_chain(1)
+    state = simulate(chain, equation_8(chain, 1), 100.0, solver=EventDriven(), rtol=1e-9).state
+    once = close_orbit(chain, state, 6.31, solver=EventDriven())
+    peaks = simulate(
+        chain, once.state, 20.0, solver=EventDriven(), rtol=1e-9, observe=PeakTimes(4)
+    ).observed
+    assert float(once.period) == pytest.approx(float(peaks[1, 0] - peaks[0, 0]), abs=1e-9)
+    for times in (2, 3, 6):
+        orbit = close_orbit(chain, state, 6.31 * times, solver=EventDriven())
+        assert float(orbit.period) == pytest.approx(float(once.period), abs=1e-10)
+        assert float(orbit.gap) < 1e-12
+        assert float(orbit.distance) == pytest.approx(float(once.distance), abs=1e-3)
+    for period, words in ((-1.0, "`period` must be positive"), (np.nan, "`period` must be fin")):
+        with pytest.raises(ValueError, match=words):
+            close_orbit(chain, state, period, solver=EventDriven())
+
+
+@pytest.mark.long
+def test_a_branch_is_followed_with_the_least_period():
+    cycle = find_limit_cycle(paper_chain(1, width=0.01))
+    branch = continue_cycle(cycle.chain, cycle.state, 3 * cycle.period, max_points=4)
+    assert branch.period[0] == pytest.approx(float(cycle.period), abs=1e-8)
+    assert np.all(branch.period < 7.0)
+
+
+@pytest.mark.long
+def test_phases_are_those_of_one_period():
+    growths = []
+    for speed in (1.25, 1.26):
+        model = phase_model(paper_chain(20, belt_speed=speed, width=0.02))
+        assert float(model.period) == pytest.approx(6.27, abs=0.1)
+        antiphase = min(locked_patterns(model, 2), key=lambda pattern: pattern.order)
+        assert antiphase.order == pytest.approx(-1.0, abs=1e-9)
+        growths.append(antiphase.growth)
+    assert growths[0] == pytest.approx(growths[1], rel=0.05)
+    assert max(growths) < 0
+
+
+def seen(width, speeds):
+    """What is wrong with cycles at some belt speeds: (belt speed, branch, what)."""
+    chain = paper_chain(1, width=width)
+    fold = float(fold_belt_speed(chain))
+    low, hopf = hopf_points(chain, (1e-3, 3.0)).belt_speed
+    for speed in speeds:
+        own = chain.with_(belt_speed=speed)
+        for branch, least in (("stable", low), ("unstable", hopf)):
+            try:
+                cycle = find_limit_cycle(own, branch=branch)
+            except RuntimeError as error:
+                if least < speed < fold or not str(error).startswith(("There is no", "A s")):
+                    yield speed, branch, str(error)
+                continue
+            peaks = simulate(
+                own, cycle.state, cycle.period, observe=PeakTimes(16), rtol=1e-9
+            ).observed
+            once = int(np.sum(np.isfinite(peaks))) == 1
+            sound = float(cycle.residual) < 1e-9 and cycle.stable is (branch == "stable")
+            if not (once and sound and least < speed < fold):
+                yield speed, branch, (float(cycle.period), cycle.multipliers, cycle.closeness)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("width", [0.1, 0.003])
+def test_every_cycle_is_found_once_round(width):
+    assert list(seen(width, [0.3, 0.55, 1.1, 1.2, 1.4, 1.526, 1.68, 1.82, 1.9])) == []
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("width", [0.1, 0.03, 0.01, 0.003, 0.001])
+def test_every_cycle_is_found_once_round_over_thirty_belt_speeds(width):
+    assert list(seen(width, np.linspace(0.05, 1.85, 31)[1:])) == []

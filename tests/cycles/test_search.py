@@ -1,0 +1,344 @@
+"""Limit cycles, stable or not, against SciPy's own shooting, exact ones and finite differences."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from systems.piecewise import PiecewiseLinear, exact_cycle
+
+from jaxchain import (
+    Amplitude,
+    Chain,
+    active,
+    excited_state,
+    hopf_points,
+    paper_chain,
+    simulate,
+    steady_sliding,
+)
+from jaxchain.cycles.guesses import guess_from_hopf, guess_from_simulation, release_state
+from jaxchain.cycles.search import find_limit_cycle
+
+
+def right_side(chain):
+    """(x, v, columns of M) of one mass, in plain floats."""
+    law = chain.friction.law
+    high, low, v0 = (float(a) for a in (law.mu_static, law.mu_dynamic, law.v_ref))
+    xi, belt, eps = (
+        float(a) for a in (chain.damping_ratio, chain.belt_speed, chain.friction.width)
+    )
+
+    def field(t, y):
+        x, v, a, b, c, d = y
+        w = v - belt
+        mu, th = low + (high - low) * np.exp(-abs(w) / v0), np.tanh(w / eps)
+        slope = (mu - low) / v0 * np.sign(w) * th - mu * (1 - th**2) / eps - 2 * xi
+        return [v, -mu * th - 2 * xi * v - x, c, d, slope * c - a, slope * d - b]
+
+    return field
+
+
+def turning(t, y):
+    return y[1]
+
+
+def witness(chain, x, period):
+    """(period, amplitude, multiplier) by DOP853, Newton on (x, T) of the orbit cut at v = 0.
+
+    `x` is a guess of the greatest displacement.  M f = f, so its trace is 1 + the multiplier.
+    """
+    field = right_side(chain)
+
+    def run(x, t, **options):
+        y = [x, 0.0, 1.0, 0.0, 0.0, 1.0]
+        return solve_ivp(field, (0, t), y, method="DOP853", rtol=1e-12, atol=1e-14, **options)
+
+    for _ in range(6):
+        y = run(x, period).y[:, -1]
+        slope = np.array([[y[2] - 1.0, y[1]], [y[4], field(0, y)[1]]])
+        dx, dt = np.linalg.solve(slope, -np.array([y[0] - x, y[1]]))
+        x, period = x + dx, period + dt
+        if max(abs(dx), abs(dt)) < 1e-11:
+            break
+    else:
+        raise AssertionError("the witness found no cycle")
+    whole = run(x, period, events=turning)
+    middle = min(whole.t_events[0], key=lambda t: abs(t - 0.5 * period))
+    low = run(x, middle).y[0, -1]  # stationary there
+    y = whole.y[:, -1]
+    return period, (x - low) / 2, y[2] + y[5] - 1.0
+
+
+CASES = [
+    pytest.param(width, branch, marks=[pytest.mark.exhaustive] if width < 1e-2 else [])
+    for width in (0.05, 1e-2, 1e-3)
+    for branch in ("stable", "unstable")
+]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("width", "branch"), CASES)
+def test_one_mass_agrees_with_scipy(width, branch):
+    chain = paper_chain(1, belt_speed=1.5, width=width)
+    cycle = find_limit_cycle(chain, branch=branch)
+    assert cycle.stable is (branch == "stable")
+    assert float(cycle.residual) < 1e-9
+    highest = float(cycle.amplitude[0]) - float(chain.friction.force(jnp.asarray(1.5)))
+    period, amplitude, multiplier = witness(chain, highest, float(cycle.period))
+    assert float(cycle.period) == pytest.approx(period, abs=1e-8)
+    assert float(cycle.amplitude[0]) == pytest.approx(amplitude, abs=1e-8)
+    assert cycle.multipliers.shape == (1,)
+    assert complex(cycle.multipliers[0]) == pytest.approx(multiplier, abs=1e-6)
+    assert float(cycle.trivial_defect) < 1e-7
+    assert float(cycle.liouville_defect) < 1e-7
+    assert float(cycle.energy) == pytest.approx(amplitude**2 / 2, rel=1e-7)
+    # Cut where it is fastest: there z = asinh(w / eps) of the mass is its closeness.
+    closeness = (float(cycle.state[1][0]) - 1.5) / width
+    assert float(cycle.closeness[0]) == pytest.approx(closeness, abs=1e-5)
+    if branch == "unstable":
+        assert closeness < -1
+        # It separates what comes to rest from what ends on the stable cycle.
+        x, v = cycle.state
+        sliding = chain.friction.force(jnp.asarray(-1.5))
+        for factor, low, high in [(0.98, 0.0, 0.2), (1.02, 1.35, 1.65)]:
+            end = simulate(chain, (x, factor * v), 250.0).state
+            assert low < float(jnp.hypot(end[0] - sliding, end[1])[0]) < high
+
+
+@pytest.mark.exhaustive
+def test_the_exact_cycle_is_found():
+    exact = exact_cycle(0.3, 0.5)
+    field = PiecewiseLinear(feed=jnp.asarray(0.3), damping=jnp.asarray(0.5))
+    cycle = find_limit_cycle(field, (jnp.zeros(1), jnp.full(1, 2.0)), period=6.0)
+    assert float(cycle.period) == pytest.approx(exact["period"], abs=1e-8)
+    assert float(cycle.amplitude[0]) == pytest.approx(exact["amplitude"], abs=1e-8)
+    assert float(cycle.state[1][0]) == pytest.approx(exact["fastest"], abs=1e-8)
+    assert float(cycle.state[0][0]) == pytest.approx(exact["displacement"], abs=1e-8)
+    assert complex(cycle.multipliers[0]) == pytest.approx(
+        exact["multiplier"], abs=1e-6
+    )  # the kinks cost
+    assert cycle.stable is True
+    assert np.isnan(cycle.closeness[0])
+
+
+@pytest.fixture(scope="module")
+def slip():
+    return find_limit_cycle(paper_chain(1, belt_speed=1.5, width=0.05), branch="unstable")
+
+
+@pytest.mark.long
+def test_guesses_of_every_kind_lead_to_the_same_cycle(slip):
+    chain = paper_chain(1, belt_speed=1.5, width=0.05)
+    simulated = simulate(chain, excited_state(chain, 1), 60.0)
+    stable = find_limit_cycle(chain, simulated)
+    again = [
+        find_limit_cycle(chain, excited_state(chain, 1)),
+        find_limit_cycle(chain, (stable.state, stable.period)),
+        find_limit_cycle(chain, simulated.state, period=6.3),
+        find_limit_cycle(chain, stable),
+    ]
+    for cycle in again:
+        assert cycle.stable is True
+        assert float(cycle.period) == pytest.approx(float(stable.period), abs=1e-9)
+        np.testing.assert_allclose(cycle.state, stable.state, atol=1e-8)
+    # From a neighbour, without a simulation.
+    other = find_limit_cycle(chain.with_(belt_speed=1.45, width=0.04), stable)
+    fresh = find_limit_cycle(chain.with_(belt_speed=1.45, width=0.04))
+    assert float(other.period) == pytest.approx(float(fresh.period), abs=1e-9)
+    # The unstable cycle near its Hopf point, which it branches off.
+    near = chain.with_(belt_speed=1.16)
+    guess = guess_from_hopf(near, hopf_points(near, (0.5, 3.0)))
+    small = find_limit_cycle(near, guess)
+    assert small.stable is False
+    # A^2 = 8 (v_d - v_H) to leading order: d = 2 xi - p F' grows by 0.2 per speed, F''' = 0.4.
+    predicted = np.sqrt(4.0 * (1.16 - np.log(10) / 2))
+    assert float(small.amplitude[0]) == pytest.approx(predicted, rel=0.02)
+    assert float(small.multipliers[0].real) > 1.0
+    assert bool(slip.amplitude[0] > small.amplitude[0])
+
+
+@pytest.mark.exhaustive
+def test_period_and_amplitude_have_derivatives(slip):
+    chain = slip.chain
+
+    def measured(changes):
+        cycle = find_limit_cycle(chain.with_(**changes), slip, vibrating=0, rtol=1e-12)
+        return jnp.stack([cycle.period, cycle.amplitude[0], cycle.state[1][0], cycle.energy])
+
+    point = {
+        "damping_ratio": 0.05, "belt_speed": 1.5, "width": 0.05, "mu_static": 1.0,
+        "mu_dynamic": 0.5, "v_ref": 0.5, "stiffness": 1.0,
+    }  # fmt: skip
+    point = {name: jnp.asarray(value) for name, value in point.items()}
+    forward = jax.jit(jax.jacfwd(measured))(point)
+    h = 2e-5
+    for name in point:
+        up, down = (measured({**point, name: point[name] + s * h}) for s in (1, -1))
+        np.testing.assert_allclose(forward[name], (up - down) / (2 * h), rtol=2e-6, atol=4e-6)
+
+
+@pytest.mark.long
+def test_derivatives_also_go_in_reverse(slip):
+    def amplitude(damping):
+        chain = slip.chain.with_(damping_ratio=damping)
+        return find_limit_cycle(chain, slip, vibrating=0).amplitude[0]
+
+    backward = jax.jit(jax.grad(amplitude))(0.05)
+    h = 2e-5
+    slope = (float(amplitude(0.05 + h)) - float(amplitude(0.05 - h))) / (2 * h)
+    assert float(backward) == pytest.approx(slope, rel=2e-6)
+
+
+@pytest.mark.exhaustive
+def test_chains_are_searched_in_one_batch_and_do_not_harm_each_other(slip):
+    speeds = jnp.asarray([1.3, 1.5, 1.7, 2.5])
+
+    def search(speed):
+        return find_limit_cycle(slip.chain.with_(belt_speed=speed), slip, vibrating=0)
+
+    batch = jax.jit(jax.vmap(search))(speeds)
+    assert list(np.asarray(batch.converged)) == [True, True, False, False]  # fold at 1.659307
+    for k in range(2):
+        alone = search(speeds[k])
+        assert float(batch.period[k]) == pytest.approx(float(alone.period), abs=1e-10)
+        np.testing.assert_allclose(batch.multipliers[k], alone.multipliers, atol=1e-8)
+
+
+def test_rest_and_failure_are_told():
+    fast = paper_chain(1, belt_speed=2.5, width=0.05)
+    for branch in ("stable", "unstable"):
+        with pytest.raises(RuntimeError, match=r"There is no .* turn at a fold at 1.65931"):
+            find_limit_cycle(fast, branch=branch)
+    with pytest.raises(RuntimeError, match="comes to rest"):
+        find_limit_cycle(fast, steady_sliding(fast))
+    with pytest.raises(RuntimeError, match=r"end in a Hopf point at 1.15129"):
+        find_limit_cycle(fast.with_(belt_speed=1.1), branch="unstable")
+    with pytest.raises(RuntimeError, match="was not found"):
+        find_limit_cycle(fast.with_(mu_dynamic=1.0))  # Coulomb friction feeds no vibration
+    lost = find_limit_cycle(fast, throw=False)
+    assert not bool(lost.converged)
+    assert lost.stable is None
+    # Rest solves the equations of a closed orbit for any period.
+    resting = find_limit_cycle(
+        fast, ((jnp.full(1, 0.5), jnp.full(1, 1e-4)), 6.28), vibrating=0, throw=False
+    )
+    assert not bool(resting.converged)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("speed", [1.7892, 1.792, -1.792])
+def test_cycles_near_the_fold_are_found_on_their_own_side(speed):
+    chain = paper_chain(1, width=0.01, belt_speed=speed)
+    slip = find_limit_cycle(chain, branch="unstable")
+    stick = find_limit_cycle(chain)
+    assert (slip.stable, stick.stable) == (False, True)
+    # Closeness at the fold: -2.142.
+    assert float(slip.closeness[0]) < -2.142 < float(stick.closeness[0])
+    assert max(float(slip.residual), float(stick.residual)) < 1e-9
+    assert isinstance(slip.chain, Chain)
+    assert float(slip.chain.belt_speed) == speed
+
+
+@pytest.mark.long
+def test_one_mass_vibrates_where_a_run_from_it_ends_with_several():
+    chain = paper_chain(6, belt_speed=1.2)
+    spread = simulate(chain, release_state(chain, 3), 400.0, observe=Amplitude(window=40.0))
+    assert int(active(spread.observed, 1.2).sum()) > 1
+    cycle = find_limit_cycle(chain)
+    assert active(cycle.amplitude, 1.2).tolist() == [n == 3 for n in range(6)]
+    assert float(cycle.residual) < 1e-9
+    assert cycle.stable is False
+    # It is on the branch of the one at which a run does settle.
+    beside = find_limit_cycle(chain.with_(belt_speed=1.21), cycle)
+    assert beside.energy == pytest.approx(float(cycle.energy), rel=0.03)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("branch", ["stable", "unstable"])
+def test_a_belt_that_runs_the_other_way_has_the_mirrored_cycle(branch):
+    chain = paper_chain(1, width=0.01)
+    ahead = find_limit_cycle(chain, branch=branch)
+    back = find_limit_cycle(chain.with_(belt_speed=-1.5), branch=branch)
+    carried = find_limit_cycle(chain, back)
+    for cycle, sign in ((back, -1.0), (carried, 1.0)):
+        np.testing.assert_allclose(cycle.state, sign * jnp.stack(ahead.state), atol=1e-9)
+        for name in ("period", "multipliers", "amplitude", "fastest", "closeness"):
+            np.testing.assert_allclose(getattr(cycle, name), getattr(ahead, name), atol=1e-8)
+
+
+def test_a_cycle_is_not_called_stable_without_proof(slip):
+    assert slip.stable is False
+    at_one = eqx.tree_at(lambda c: c.multipliers, slip, jnp.asarray([1.0 + 1e-9 + 0j]))
+    assert at_one.stable is None
+    defective = eqx.tree_at(lambda c: c.liouville_defect, slip, jnp.asarray(0.1))
+    assert defective.stable is None
+    unknown = eqx.tree_at(lambda c: c.multipliers, slip, jnp.asarray([jnp.nan + 0j]))
+    assert unknown.stable is None
+
+
+def test_bad_input_is_named(slip):
+    chain = paper_chain(1)
+    state = excited_state(chain, 1)
+    for arguments, words in [
+        ({"chain": None}, "`chain` must be a `Chain`"),
+        ({"guess": 3.0}, "`state` must be the pair"),
+        ({"guess": (state, -1.0)}, "`period` must be positive"),
+        ({"vibrating": 2}, "`vibrating` must be the index"),
+        ({"branch": "upper"}, "`branch` must be"),
+        ({"rtol": 0.0}, "`rtol`"),
+        ({"tolerance": -1.0}, "`tolerance`"),
+        ({"max_steps": 0}, "`max_steps`"),
+        ({"guess": (state, 6.0), "vibrating": 0, "images": (1,)}, "`images` must name"),
+        ({"guess": (jnp.ones(3), jnp.ones(3))}, r"shape \(1,\)"),
+    ]:
+        with pytest.raises(ValueError, match=words):
+            find_limit_cycle(**{"chain": chain, **arguments})
+    field = PiecewiseLinear(feed=jnp.asarray(0.3), damping=jnp.asarray(0.5))
+    with pytest.raises(ValueError, match="`guess` is None"):
+        find_limit_cycle(field)
+    one = paper_chain(1, belt_speed=1.0)
+    points = hopf_points(one, (0.5, 3.0))
+    with pytest.raises(ValueError, match="other side"):
+        guess_from_hopf(one, points)
+    with pytest.raises(ValueError, match="`index`"):
+        guess_from_hopf(one, points, 5)
+
+
+@pytest.mark.exhaustive
+def test_twenty_masses_have_a_localized_cycle():
+    chain = paper_chain(20, belt_speed=1.5, width=1e-3)
+    cycle = find_limit_cycle(chain)
+    assert cycle.stable is True
+    assert cycle.mass == 10
+    assert float(cycle.residual) <= 1e-9
+    assert float(cycle.trivial_defect) < 1e-6
+    assert cycle.multipliers.shape == (39,)
+    # The same orbit comes back in a run that knows nothing of shooting.
+    end = simulate(chain, cycle.state, cycle.period, rtol=1e-11).state
+    np.testing.assert_allclose(end, cycle.state, atol=1e-7)
+    # One vibrates, and its neighbours less and less; the chain is symmetric about it.
+    left, right = cycle.amplitude[1:10][::-1], cycle.amplitude[11:]
+    np.testing.assert_allclose(left, right, rtol=1e-5)
+    assert np.all(np.diff(np.asarray(right)) < 0)
+    # With the symmetry used, half the unknowns give the same.
+    images = tuple((10 + min((i - 10) % 20, (10 - i) % 20)) % 20 for i in range(20))
+    halved = find_limit_cycle(chain, cycle, images=images)
+    assert float(halved.period) == pytest.approx(float(cycle.period), abs=1e-9)
+    slipping = find_limit_cycle(chain, branch="unstable")
+    assert slipping.stable is False
+    assert float(jnp.abs(slipping.multipliers[1])) < 1.0
+    assert float(slipping.liouville_defect) < 1e-8
+
+
+@pytest.mark.exhaustive
+def test_a_guess_from_a_run_finds_the_period_of_all_masses():
+    chain = paper_chain(3, belt_speed=1.4, width=0.05)
+    guess = guess_from_simulation(chain, excited_state(chain, 1), transient=100.0)
+    cycle = find_limit_cycle(chain, guess)
+    assert float(guess[1]) == pytest.approx(float(cycle.period), abs=1e-2)
+    batch = jax.jit(
+        jax.vmap(lambda v: guess_from_simulation(chain.with_(belt_speed=v), guess[0], 1)[1])
+    )(jnp.asarray([1.3, 1.4]))
+    assert float(batch[1]) == pytest.approx(float(cycle.period), abs=1e-2)

@@ -1,0 +1,67 @@
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxchain import Rodas5P, find_fold, paper_chain
+from jaxchain.cycles.shooting import Shooting
+
+
+def shooting(n=3, mass=1, images=None, parameter="belt_speed", width=0.05):
+    images = tuple(range(n)) if images is None else images
+    return Shooting(
+        field=paper_chain(n, width=width), rtol=1e-9, solver=Rodas5P(), mass=mass,
+        images=images, parameter=parameter,
+    )  # fmt: skip
+
+
+def test_unpack_undoes_pack_on_the_section():
+    problem = shooting()
+    u = jnp.asarray([0.4, 0.5, 1.3, -1.2, 1.1, jnp.log(6.2)])
+    _, state, period = problem.unpack(u, jnp.asarray(1.4))
+    np.testing.assert_allclose(problem.pack(state, period, jnp.asarray(1.4)), u, rtol=1e-12)
+
+
+def test_the_section_is_where_the_mass_has_its_greatest_velocity():
+    problem = shooting()
+    u = jnp.asarray([0.4, 0.5, 1.3, -1.2, 1.1, jnp.log(6.2)])
+    field, state, period = problem.unpack(u, jnp.asarray(1.4))
+    _, acceleration = field(0.0, state)
+    assert abs(float(acceleration[1])) < 1e-14
+    np.testing.assert_allclose(period, 6.2, rtol=1e-14)
+    np.testing.assert_allclose(state[1][1], 1.4 + 0.05 * np.sinh(-1.2), rtol=1e-14)
+
+
+@pytest.mark.exhaustive
+def test_a_symmetric_orbit_has_fewer_unknowns():
+    whole, half = shooting(), shooting(images=(0, 1, 0))
+    u = jnp.asarray([0.4, -1.1, -1.2, jnp.log(6.2)])  # x_0, z_0, z_1, ln T
+    _, state, period = half.unpack(u, jnp.asarray(1.4))
+    assert float(state[0][0]) == float(state[0][2])
+    assert float(state[1][0]) == float(state[1][2])
+    gaps = whole.residual(whole.pack(state, period, jnp.asarray(1.4)), jnp.asarray(1.4))
+    reduced = half.residual(u, jnp.asarray(1.4))
+    np.testing.assert_allclose(reduced, gaps[jnp.asarray([0, 1, 3, 4])], atol=1e-9)
+    assert half.place == 2
+    assert whole.place == 3
+
+
+@pytest.mark.long
+def test_rest_is_no_solution():
+    problem = shooting(n=1, mass=0)
+    s = problem.rest(jnp.asarray(1.4))
+    u = jnp.asarray([jnp.arcsinh(0.999 * s), jnp.log(2 * jnp.pi)])
+    assert float(jnp.max(jnp.abs(problem.residual(u, jnp.asarray(1.4))))) > 1e-2
+
+
+@pytest.mark.exhaustive
+def test_a_parameter_by_name_moves_the_same_equations():
+    fold = find_fold(paper_chain(1, width=0.05))
+    by_speed = shooting(n=1, mass=0)
+    chain = paper_chain(1, width=0.05).with_(belt_speed=fold.belt_speed)
+    by_damping = Shooting(
+        field=chain, rtol=1e-9, solver=Rodas5P(), mass=0, images=(0,), parameter="damping_ratio"
+    )
+    u = by_speed.pack(fold.state, fold.period, fold.belt_speed)
+    np.testing.assert_allclose(
+        by_speed.residual(u, fold.belt_speed), by_damping.residual(u, jnp.asarray(0.05)), atol=1e-9
+    )

@@ -1,0 +1,221 @@
+"""Least-cost designs: optimality by three witnesses, and event-driven runs that confirm them."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pytest
+from scipy.optimize import minimize
+
+from jaxchain.boundaries.bistable import bistable_range, try_boundary
+from jaxchain.boundaries.grazing import nonsmooth_fold_belt_speed
+from jaxchain.inverse.optimal_design import design
+from jaxchain.model.chain import paper_chain
+
+# Second looks, or minutes of compilation: not in every run of the tests.
+pytestmark = pytest.mark.long
+
+ONE = paper_chain(n=1)
+START = jnp.array([0.05, 0.5])
+PAPER_FOLD, PAPER_HOPF = 1.836600972208, np.log(10.0) / 2
+
+
+def change(chain, theta):
+    return chain.with_(damping_ratio=theta[0], mu_dynamic=theta[1])
+
+
+def improve(width, **options):
+    return design(ONE, change, START, width_below=width, **options)
+
+
+@pytest.fixture(scope="module")
+def halved():
+    return improve(0.3)
+
+
+def hopf_of(theta):
+    return 0.5 * np.log((1.0 - theta[1]) / theta[0])
+
+
+def test_it_meets_the_aim_where_the_gradients_of_cost_and_aim_are_parallel(halved):
+    assert halved.converged
+    assert float(halved.range.width) == pytest.approx(0.3, abs=1e-6)
+    assert float(halved.range.hopf) == pytest.approx(hopf_of(halved.theta), abs=1e-12)
+    assert float(halved.multiplier) > 0.1
+    assert float(halved.angle) < 1e-5
+    taken = int(halved.evaluations)
+    assert np.isfinite(halved.costs[:taken]).all()
+    assert np.isnan(halved.costs[taken:]).all()
+    assert halved.path.shape == (200, 2)
+
+
+@pytest.mark.exhaustive
+def test_scipy_finds_the_same_without_derivatives_of_ours(halved):
+    fold = jax.jit(lambda theta: nonsmooth_fold_belt_speed(change(ONE, theta)))
+
+    def room(z):
+        theta = START * (1.0 + z)
+        return 0.3 - (float(fold(theta)) - hopf_of(theta))
+
+    found = minimize(
+        lambda z: 0.5 * np.sum(z**2),
+        np.zeros(2),
+        method="SLSQP",
+        constraints={"type": "ineq", "fun": room},
+        options={"ftol": 1e-12},
+    )
+    assert found.success
+    np.testing.assert_allclose(halved.theta, START * (1.0 + found.x), rtol=1e-5)
+    assert float(halved.cost) == pytest.approx(found.fun, rel=1e-5)
+
+
+def test_the_multiplier_is_what_a_little_more_of_the_aim_would_cost(halved):
+    tighter, looser = improve(0.299), improve(0.301)
+    slope = (tighter.cost - looser.cost) / 0.002
+    assert float(halved.multiplier) == pytest.approx(float(slope), rel=1e-4)
+
+
+def test_vibration_dies_above_the_new_fold_and_survives_below_it(halved):
+    fold = halved.range.fold
+    assert float(fold) < PAPER_FOLD - 0.5
+    assert try_boundary(halved.chain, fold).holds
+    # Where the old chain vibrates and the new one does not.
+    before = try_boundary(ONE, 1.5)
+    after = try_boundary(halved.chain, 1.5)
+    assert before.vibrates.tolist() == [True, True]
+    assert after.vibrates.tolist() == [False, False]
+    assert float(abs(after.amplitudes).max()) < 1e-4
+
+
+def test_a_chain_that_is_good_enough_stays_as_it_is():
+    found = improve(0.9)
+    assert (int(found.evaluations), float(found.cost), float(found.multiplier)) == (1, 0.0, 0.0)
+    assert found.converged
+    assert np.isnan(found.angle)
+    assert found.theta.tolist() == START.tolist()
+
+
+def test_designs_without_any_vibration_on_the_way_do_no_harm():
+    found = improve(0.01)
+    tried = found.aims[: int(found.evaluations)]
+    assert (tried == 0.0).any()
+    assert found.converged
+    assert float(found.range.width) == pytest.approx(0.01, abs=1e-6)
+    assert float(found.angle) < 1e-4
+
+
+def test_the_range_of_the_paper_and_of_chains_without_a_fold():
+    paper = bistable_range(ONE)
+    assert float(paper.hopf) == pytest.approx(PAPER_HOPF, abs=1e-12)
+    assert float(paper.width) == pytest.approx(PAPER_FOLD - PAPER_HOPF, abs=1e-9)
+    # Weakening (mu_st - mu_d) / v0 = 1 never outweighs damping 2 xi = 1.2: there is no vibration.
+    quiet = bistable_range(ONE.with_(damping_ratio=0.6))
+    assert np.isnan(quiet.hopf)
+    assert np.isnan(quiet.fold)
+    assert (bool(quiet.known), float(quiet.highest), float(quiet.width)) == (True, 0.0, 0.0)
+    assert not try_boundary(ONE.with_(damping_ratio=0.6), 0.5).vibrates.any()
+    # Without damping vibration has no end, which is no fold, either, but no success.
+    assert not bistable_range(ONE.with_(damping_ratio=0.0)).known
+
+
+def test_a_start_whose_boundary_is_not_known_does_not_pretend_to_converge():
+    found = design(ONE, change, jnp.array([0.0, 0.5]), width_below=0.3, scale=START)
+    assert not found.converged
+    assert int(found.evaluations) < 20
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({}, "One of the arguments `width_below` and `highest_below`"),
+        ({"width_below": 0.3, "highest_below": 1.0}, "One of the arguments"),
+        ({"width_below": -0.3}, "`width_below` must be positive"),
+        ({"highest_below": [1.0, 2.0]}, "`highest_below` must be one number"),
+        ({"width_below": 0.3, "friction": "wet"}, '"dry" or "smoothed"'),
+        ({"width_below": 0.3, "vibrating": 1}, "`vibrating` must be the index"),
+        ({"width_below": 0.3, "steps": 0}, "`steps` must be"),
+        ({"width_below": 0.3, "steps": None}, "`steps` must be an integer"),
+        ({"width_below": 0.3, "scale": 0.0}, "`scale` must be positive"),
+        ({"width_below": 0.3, "tolerance": 0.0}, "`tolerance` must be positive"),
+        ({"width_below": 0.3, "start": ()}, "`start` must hold"),
+    ],
+)
+def test_bad_input_is_named(options, message):
+    start = options.pop("start", START)
+    with pytest.raises(ValueError, match=message):
+        design(ONE, change, start, **options)
+
+
+@pytest.mark.parametrize("name", ["belt_speed", "margin", "time"])
+def test_a_trial_names_bad_input(name):
+    with pytest.raises(ValueError, match=f"`{name}` must be positive"):
+        try_boundary(ONE, **{"belt_speed": 1.0, name: -1.0})
+
+
+@pytest.mark.exhaustive
+def test_adam_and_a_cost_of_ones_own_and_the_example(halved):
+    def cost(theta):
+        return 0.5 * jnp.sum((theta / START - 1.0) ** 2)
+
+    found = improve(0.3, cost=cost, optimiser=optax.adam(0.01), steps=2000)
+    assert found.converged
+    np.testing.assert_allclose(found.theta, halved.theta, rtol=1e-5)
+    # The example of the docstring: one parameter and an active aim leave no choice.
+    damped = design(ONE, lambda chain, xi: chain.with_(damping_ratio=xi), 0.05, highest_below=1.7)
+    assert damped.converged
+    assert float(damped.theta) == pytest.approx(0.0553, abs=5e-5)
+    assert float(damped.range.fold) == pytest.approx(1.7, abs=1e-6)
+
+
+@pytest.mark.exhaustive
+def test_one_program_designs_for_many_aims(halved):
+    widths = jnp.array([0.3, 0.5, 0.9])
+    many = jax.jit(jax.vmap(improve))(widths)
+    assert many.converged.all()
+    np.testing.assert_allclose(many.range.width[:2], widths[:2], atol=1e-6)
+    np.testing.assert_allclose(many.theta[0], halved.theta, rtol=1e-5)
+    assert float(many.cost[2]) == 0.0
+
+
+@pytest.mark.exhaustive
+def test_a_design_with_smoothed_friction_is_off_by_what_the_width_costs():
+    """The bias of the boundary goes into the design; dry friction still vibrates there."""
+    smooth = ONE.with_(width=1e-2)
+    found = design(smooth, change, START, highest_below=1.5, friction="smoothed")
+    assert found.converged
+    assert float(found.range.fold) == pytest.approx(1.5, abs=1e-6)
+    assert float(found.angle) < 1e-4
+    dry = float(bistable_range(found.chain).fold)
+    assert 0.02 < dry - 1.5 < 0.06
+    assert try_boundary(found.chain, 1.5).vibrates.all()
+    assert try_boundary(found.chain, dry).holds
+
+
+@pytest.mark.exhaustive
+def test_mistuned_neighbours_lower_the_fold_of_the_mass_between_them():
+    """Three masses: the fold of the second, moved by stiffness and damping of all."""
+    three = paper_chain(n=3).with_(
+        coupling=0.02, damping_ratio=jnp.full(3, 0.05), stiffness=jnp.ones(3)
+    )
+
+    def mistuned(chain, theta):
+        return chain.with_(
+            damping_ratio=0.05 * jnp.exp(theta["damping"]), stiffness=jnp.exp(theta["stiffness"])
+        )
+
+    start = {"damping": jnp.zeros(3), "stiffness": jnp.zeros(3)}
+    old = bistable_range(three)
+    found = design(three, mistuned, start, highest_below=1.6)
+    assert found.converged
+    assert float(found.range.highest) == pytest.approx(1.6, abs=1e-6)
+    assert float(found.angle) < 1e-4
+    # A ring of three: what the neighbours of the second get is the same.
+    for moved in found.theta.values():
+        assert float(moved[0]) == pytest.approx(float(moved[2]), abs=1e-5)
+    assert try_boundary(three, old.fold).holds
+    assert try_boundary(found.chain, found.range.fold).holds
+    # The gradient of the fold against differences, in the damping of a neighbour.
+    raised = [three.with_(damping_ratio=jnp.array([0.05 + h, 0.05, 0.05])) for h in (1e-5, -1e-5)]
+    slope = (bistable_range(raised[0]).fold - bistable_range(raised[1]).fold) / 2e-5
+    gradient = jax.grad(lambda xi: bistable_range(three.with_(damping_ratio=xi)).fold)
+    assert float(gradient(jnp.full(3, 0.05))[0]) == pytest.approx(float(slope), rel=1e-4)

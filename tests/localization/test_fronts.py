@@ -1,0 +1,258 @@
+"""Fronts: their places, the mean speed of what moves in hops, growing and standing blocks."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxchain.localization.fronts import depinning_belt_speed, front_speed, read_speed
+from jaxchain.model.chain import paper_chain
+from jaxchain.model.initial_states import excited_state
+from jaxchain.observers.amplitude import Amplitude
+from jaxchain.observers.fronts import Fronts, FrontTrack, front_positions, mean_speed
+from jaxchain.observers.quantities import active
+from jaxchain.result import Result
+from jaxchain.simulation.event_driven import EventDriven
+from jaxchain.simulation.run import simulate
+from jaxchain.solvers.rosenbrock import Rodas4
+
+
+def by_hand(amplitude, threshold, middle):
+    """Walk outward, remember the last mass above the threshold, interpolate."""
+    n, reach = len(amplitude), []
+    for way in (1, -1):
+        last = -1
+        for d in range(n // 2 + 1):
+            if amplitude[(middle + way * d) % n] > threshold:
+                last = d
+        here = amplitude[(middle + way * last) % n]
+        there = amplitude[(middle + way * (last + 1)) % n]
+        share = (here - threshold) / (here - there) if here > there else 1.0
+        reach.append(0.0 if last < 0 else last + min(share, 1.0))
+    return reach
+
+
+@pytest.mark.parametrize("n", [2, 3, 4, 9, 20])
+def test_fronts_are_where_a_walk_by_hand_finds_them(n):
+    rng = np.random.default_rng(n)
+    amplitude = rng.uniform(0.0, 2.0, (50, n)) * (rng.uniform(size=(50, n)) < 0.6)
+    for middle in (0, n // 2, n - 1):
+        right, left = front_positions(jnp.asarray(amplitude), 0.75, middle)
+        expected = [by_hand(row, 0.75, middle) for row in amplitude]
+        np.testing.assert_allclose(np.stack([right, left], 1), expected, rtol=1e-13)
+
+
+def test_nobody_vibrates_or_all_do():
+    right, left = front_positions(jnp.stack([jnp.zeros(10), jnp.ones(10)]), 0.5)
+    assert right.tolist() == left.tolist() == [0.0, 6.0]
+
+
+def test_mirrored_amplitudes_exchange_the_fronts():
+    amplitude = jnp.array([0.1, 0.2, 0.9, 1.0, 1.1, 1.0, 0.7, 0.1, 0.0])
+    right, left = front_positions(amplitude, 0.5, middle=4)
+    assert float(right) != float(left)
+    again = front_positions(jnp.flip(amplitude), 0.5, middle=4)
+    np.testing.assert_allclose(again, (left, right))
+
+
+def synthetic(rng, speed, kind, count=200):
+    """A profile that travels at a known mean speed, as amplitudes of 120 masses over time."""
+    times = 10.0 * np.arange(count)
+    place = 10.0 + speed * times
+    if kind == "smooth":
+        place = place + rng.normal(0.0, 0.2, count)
+    elif kind == "hops":
+        place = 10.0 + np.floor(speed * times + rng.uniform())
+    elif kind == "walk":
+        place = place + np.cumsum(rng.normal(0.0, 0.05, count))
+    else:  # hops at random
+        place = 10.0 + rng.poisson(speed * 10.0, count).cumsum()
+    distance = np.abs(np.arange(120) - 60)
+    return times, 1.5 / (1.0 + np.exp(4.0 * (distance - place[:, None])))
+
+
+@jax.jit
+@jax.vmap
+def speed_of(times, amplitude):
+    place, _ = front_positions(amplitude, 0.75)
+    return mean_speed(times, place, place > 0.0)
+
+
+@pytest.mark.parametrize("kind", ["smooth", "hops", "walk", "random hops"])
+def test_the_interval_holds_a_known_speed_in_95_of_100_cases(kind):
+    rng, speed = np.random.default_rng(1), 0.02
+    records = [synthetic(rng, speed, kind) for _ in range(100)]
+    times, amplitudes = (jnp.asarray(np.stack(part)) for part in zip(*records, strict=True))
+    found, error = speed_of(times, amplitudes)
+    inside = np.mean(np.abs(found - speed) <= error)
+    # Of 100 cases with a chance of 0.95 each, fewer than 90 are a chance of 1 in 100.
+    assert inside >= 0.9
+    # An interval that holds all would be no use: it must tell from standing still.
+    assert np.median(error) < 0.5 * speed
+
+
+def test_only_valid_positions_count_and_there_must_be_enough():
+    times = jnp.arange(100.0)
+    place = jnp.where(times < 20, 5.0, jnp.where(times < 80, 0.1 * times, -1.0))
+    speed, error = mean_speed(times, place, (times >= 20) & (times < 80))
+    np.testing.assert_allclose([speed, error], [0.1, 0.0], atol=1e-14)
+    assert np.isnan(mean_speed(times, place, (times >= 20) & (times < 28))).all()
+    assert np.isfinite(mean_speed(times, place, (times >= 20) & (times < 29))).all()
+
+
+def test_a_front_that_stands_has_the_interval_of_three_over_time():
+    times = jnp.arange(101.0)
+    speed, error = mean_speed(times, jnp.full(101, 7.3), times >= 0)
+    assert float(speed) == 0.0
+    np.testing.assert_allclose(error, -np.log(0.05) / 100.0)
+
+
+@pytest.mark.parametrize(
+    ("rate", "verdict", "outcome"),
+    [(0.02, 1, "grows"), (-0.02, -1, "shrinks"), (0.0, 0, "stands")],
+)
+def test_verdicts(rate, verdict, outcome):
+    times = 5.0 + 10.0 * jnp.arange(50)
+    place = 15.0 + rate * times
+    fronts = Fronts(place, place, jnp.zeros(50))
+    found = read_speed(fronts, 60, 0.0, 500.0, 100.0, Result.successful)
+    assert (int(found.verdict), found.outcome) == (verdict, outcome)
+    np.testing.assert_allclose(found.speed, rate, atol=1e-14)
+    np.testing.assert_allclose(found.moved, 39 * 10 * rate, atol=1e-12)
+    lost = read_speed(fronts, 60, 0.0, 500.0, 100.0, Result.nonfinite)
+    assert lost.outcome == "unknown"
+    assert np.isnan([lost.speed, lost.right, lost.error, lost.moved]).all()
+
+
+def test_one_jump_of_a_mass_or_more_without_a_trend_is_unknown():
+    place = jnp.where(jnp.arange(50) < 25, 10.0, 12.0)
+    fronts = Fronts(place, place, jnp.zeros(50))
+    assert read_speed(fronts, 60, 0.0, 500.0, 0.0, Result.successful).outcome == "unknown"
+
+
+N, BLOCK, TIME, WINDOWS = 20, 7, 256.0, 32
+
+
+def crooked_block(chain):
+    """A block about mass 10 that is no mirror image of itself."""
+    x, v = excited_state(chain, BLOCK, block="centred")
+    return x.at[8].add(0.3), v
+
+
+@pytest.fixture(scope="module")
+def measured():
+    """Four rings at once: slow belt, its mirror image, faster belt, and one that fails."""
+    chain = paper_chain(n=N)
+
+    @jax.jit
+    @jax.vmap
+    def measure(speed, mirrored, spoil):
+        own = chain.with_(belt_speed=speed)
+        x, v = crooked_block(own)
+        # About mass 10: n -> 20 - n.
+        x = jnp.where(mirrored, jnp.roll(jnp.flip(x), 1), x) + spoil
+        return front_speed(own, (x, v), TIME, transient=40.0, windows=WINDOWS)
+
+    speeds, spoil = jnp.array([1.05, 1.05, 1.5, 1.05]), jnp.array([0.0, 0.0, 0.0, jnp.nan])
+    return measure(speeds, jnp.array([False, True, False, False]), spoil)
+
+
+def test_a_block_grows_on_a_slow_belt_and_one_that_fails_spoils_no_other(measured):
+    assert measured.verdict.tolist() == [1, 1, 0, 2]
+    assert np.isnan(measured.speed[3])
+    assert np.isfinite(measured.speed[:3]).all()
+    # Linear spreading: u [arcosh(u / eta) - sqrt(1 - eta^2 / u^2)] = s, here u = 0.0216; a front
+    # comes close to it from below, as 3 / (2 t arcosh(u / eta)).
+    growth = 0.5 * (np.exp(-2 * 1.05) - 0.1)
+    u, eta = 0.0216, 0.01
+    np.testing.assert_allclose(
+        u * (np.arccosh(u / eta) - np.sqrt(1 - eta**2 / u**2)), growth, rtol=0.01
+    )
+    assert 0.75 * u < float(measured.speed[0]) < 1.05 * u
+    counts = np.asarray(measured.fronts.count)
+    assert np.nanmax(counts[0]) > 12
+    assert set(counts[2]) == {BLOCK}
+
+
+def test_the_mirror_image_exchanges_right_and_left(measured):
+    np.testing.assert_allclose(measured.right[0], measured.left[1], rtol=1e-6)
+    np.testing.assert_allclose(measured.left[0], measured.right[1], rtol=1e-6)
+
+
+@pytest.mark.long
+def test_a_track_agrees_with_amplitudes_of_its_windows(measured):
+    """`Amplitude` per segment, with peaks between steps, is the witness."""
+    chain = paper_chain(n=N, belt_speed=1.5)
+    run = simulate(
+        chain, crooked_block(chain), TIME, observe=Amplitude(), segments=WINDOWS,
+        solver=EventDriven(), rtol=1e-6,
+    )  # fmt: skip
+    right, left = front_positions(run.observed, 0.75)
+    np.testing.assert_allclose(right, measured.fronts.right[2], atol=0.05)
+    np.testing.assert_allclose(left, measured.fronts.left[2], atol=0.05)
+    assert set(np.asarray(active(run.observed, 1.5).sum(-1))) == {BLOCK}
+
+
+@pytest.mark.long
+def test_smoothed_friction_takes_the_fronts_the_same_way(measured):
+    chain = paper_chain(n=N, belt_speed=1.05)
+    found = front_speed(
+        chain, crooked_block(chain), TIME, transient=40.0, windows=WINDOWS, solver=Rodas4()
+    )
+    assert found.outcome == "grows"
+    np.testing.assert_allclose(found.speed, measured.speed[0], rtol=0.05)
+
+
+@pytest.mark.long
+def test_fronts_come_unstuck_between_two_belt_speeds(measured):
+    """With the couple of speeds that the fixture tried, and their like."""
+
+    def block(chain):
+        return excited_state(chain, BLOCK, block="centred")
+
+    chain = paper_chain(n=N)
+    both = jnp.array([[1.5, 1.05], [1.05, 1.5]])
+    found = jax.jit(
+        jax.vmap(
+            lambda ends: depinning_belt_speed(
+                chain, block, TIME, stands=ends[0], moves=ends[1], halvings=2, transient=40.0,
+                windows=WINDOWS,
+            )
+        )
+    )(both)  # fmt: skip
+    # In so short a run a front must be as fast as 1 / 216; in a long one it goes up to 1.35.
+    assert 1.15 < float(found.middle[0]) < 1.35
+    np.testing.assert_allclose(found.error[0], 0.45 / 8)
+    assert float(found.stands[0]) > float(found.moves[0])
+    # Ends that do not do what was said of them.
+    assert np.isnan(found.middle[1])
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ({"chain": paper_chain(n=8)}, "ring of at least 12"),
+        ({"chain": paper_chain(n=16).with_(coupling=None)}, "coupled ring"),
+        ({"middle": 16}, "vibrating"),
+        ({"windows": 0}, "windows"),
+        ({"transient": np.nan}, "transient"),
+        ({"t1": -1.0}, "t1"),
+    ],
+)
+def test_bad_input_is_refused(change, match):
+    chain = change.pop("chain", paper_chain(n=16))
+    initial = excited_state(chain, 6, block="centred")
+    t1 = change.pop("t1", 100.0)
+    with pytest.raises(ValueError, match=match):
+        front_speed(chain, initial, t1, **change)
+
+
+def test_bad_input_of_the_bisection_is_refused():
+    chain = paper_chain(n=16)
+    state = excited_state(chain, 6)
+    with pytest.raises(ValueError, match="`initial` must be a function"):
+        depinning_belt_speed(chain, state, 10.0, stands=1.5, moves=1.2)
+    with pytest.raises(ValueError, match="`moves` must be positive"):
+        depinning_belt_speed(chain, lambda c: state, 10.0, stands=1.5, moves=-1.2)
+    with pytest.raises(ValueError, match="windows"):
+        FrontTrack(0)

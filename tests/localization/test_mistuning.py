@@ -1,0 +1,291 @@
+"""Mistuned chains and their linear modes: closed forms, NumPy, perturbation theory, one lane."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxchain import Amplitude, Chain, EventDriven, equation_8, paper_chain, simulate, sweep
+from jaxchain.boundaries.hopf import hopf_belt_speed
+from jaxchain.boundaries.hopf_scan import hopf_points
+from jaxchain.localization.mistuning import (
+    linear_modes,
+    localization_length,
+    mistuned_chain,
+    mistuned_stiffness,
+)
+from jaxchain.observers.quantities import participation_ratio
+from jaxchain.sweeps.lanes import own_chain
+
+
+def test_participation_ratio_in_closed_form():
+    """Masses at rest do not count, so that all are padded with zeros."""
+    expected = [
+        ([0.0, 1.7, 0.0, 0.0], 1.0),
+        ([0.3] * 7, 7.0),
+        ([0.0, -2.0, 2.0], 2.0),
+        ([0.0, 0.0], 0.0),
+        ([1e-160, 1e-160, 0.0], 2.0),  # the fourth powers underflow
+        ([2.0, 1.0], 25.0 / 17.0),
+    ]
+    amplitude = np.array([a + [0.0] * (7 - len(a)) for a, _ in expected])
+    found = participation_ratio(jnp.asarray(amplitude))
+    np.testing.assert_allclose(found, [ratio for _, ratio in expected], rtol=1e-14)
+
+
+def test_participation_ratio_of_a_batch_and_its_derivative():
+    amplitude = jnp.array([[1.0, 2.0, 0.5], [0.0, 0.0, 0.0], [3.0, 0.0, 0.0]])
+    batch = jax.jit(participation_ratio)(amplitude)
+    np.testing.assert_allclose(batch, [5.25**2 / 17.0625, 0.0, 1.0], rtol=1e-14)
+    slope = jax.jit(jax.vmap(jax.grad(participation_ratio)))(amplitude)
+    a, h = np.asarray(amplitude[0]), 1e-6 * np.eye(3)
+
+    def ratio(x):
+        return np.sum(x**2, -1) ** 2 / np.sum(x**4, -1)
+
+    np.testing.assert_allclose(slope[0], (ratio(a + h) - ratio(a - h)) / 2e-6, atol=1e-8)
+    assert np.all(np.isfinite(slope))
+
+
+@pytest.mark.parametrize("distribution", ["uniform", "normal"])
+def test_disorder_is_a_standard_deviation(distribution):
+    k = np.asarray(mistuned_stiffness(3, 200_000, 0.1, distribution))
+    assert abs(k.mean() - 1.0) < 4 * 0.1 / 200_000**0.5
+    # The error of a standard deviation is at most sigma / sqrt(2 n) for these.
+    assert abs(k.std() - 0.1) < 4 * 0.1 / 400_000**0.5
+    kurtosis = np.mean((k - 1.0) ** 4) / 0.1**4
+    assert abs(kurtosis - {"uniform": 1.8, "normal": 3.0}[distribution]) < 0.05
+    farthest = {"uniform": 3.0**0.5, "normal": 4.0}[distribution] * 0.1
+    assert np.abs(k - 1.0).max() <= farthest * (1 + 1e-2)
+    assert np.abs(k - 1.0).max() > 0.98 * farthest
+
+
+def test_a_seed_is_one_chain_whatever_the_disorder_and_the_neighbours():
+    seeds = jnp.arange(50)
+    many = jax.jit(jax.vmap(lambda s: mistuned_stiffness(s, 20, 0.05)))(seeds)
+    np.testing.assert_allclose(many[17], mistuned_stiffness(17, 20, 0.05), rtol=1e-15)
+    np.testing.assert_allclose(
+        many[17], mistuned_stiffness(jax.random.key(17), 20, 0.05), rtol=1e-15
+    )
+    np.testing.assert_allclose(
+        (mistuned_stiffness(17, 20, 0.1) - 1.0) / 0.1, (many[17] - 1.0) / 0.05, rtol=1e-12
+    )
+    assert len({float(k[0]) for k in many}) == 50
+    slope = jax.jacfwd(lambda d: mistuned_stiffness(1, 4, d))(0.02)
+    np.testing.assert_allclose(slope, (mistuned_stiffness(1, 4, 0.1) - 1.0) / 0.1, rtol=1e-12)
+
+
+def test_without_disorder_the_chain_is_the_tuned_one():
+    chain = mistuned_chain(paper_chain(5), 3, 0.0)
+    np.testing.assert_array_equal(chain.stiffness, np.ones(5))
+    own = paper_chain(3).with_(stiffness=np.array([1.0, 2.0, 3.0]))
+    factor = mistuned_stiffness(3, 3, 0.1)
+    np.testing.assert_array_equal(
+        mistuned_chain(own, 3, 0.1).stiffness, np.array([1.0, 2.0, 3.0]) * factor
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ((0, 5, -0.1), "disorder"),
+        ((0, 5, 0.6), "lets a stiffness be zero"),
+        ((0, 5, 0.3, "normal"), "less than 0.25"),
+        ((0, 5, np.nan), "disorder"),
+        ((0, 5, 0.1, "cauchy"), "distribution"),
+        ((0.5, 5, 0.1), "seed"),
+        (([1, 2], 5, 0.1), "seed"),
+        ((0, 0, 0.1), "`n`"),
+        ((0, 5, [0.1, 0.2]), "disorder"),
+    ],
+)
+def test_impossible_mistuning_is_refused(arguments, text):
+    with pytest.raises(ValueError, match=text):
+        mistuned_stiffness(*arguments)
+
+
+def test_modes_of_the_tuned_ring_in_closed_form():
+    modes = linear_modes(paper_chain(20))
+    q = 2 * np.pi * np.arange(20) / 20
+    np.testing.assert_allclose(
+        modes.frequency**2, np.sort(1.0 + 0.02 * (1 - np.cos(q))), rtol=1e-13
+    )
+    ratio = np.asarray(modes.participation_ratio)
+    np.testing.assert_allclose(ratio[[0, -1]], 20.0, rtol=1e-9)  # uniform, and alternating
+    generic = [1, 2, 3, 4, 5, 6, 7, 8, 11, 12, 13, 14, 15, 16, 17, 18]  # without q = pi / 2
+    np.testing.assert_allclose(ratio[generic], 2 * 20 / 3, rtol=1e-6)
+
+
+@pytest.mark.parametrize("ends", ["cyclic", "free"])
+def test_modes_of_a_mistuned_chain_by_numpy(ends):
+    law = paper_chain().friction
+    k = np.asarray(mistuned_stiffness(5, 8, 0.03))
+    c = np.linspace(0.01, 0.03, 8 if ends == "cyclic" else 7)
+    chain = Chain(8, law, 1.0, coupling=c, stiffness=k, ends=ends)
+    matrix = np.diag(k)
+    for i, spring in enumerate(c):
+        j = (i + 1) % 8
+        matrix[[i, j], [i, j]] += spring
+        matrix[[i, j], [j, i]] -= spring
+    square, columns = np.linalg.eigh(matrix)
+    modes = jax.jit(linear_modes)(chain)
+    np.testing.assert_allclose(modes.frequency, np.sqrt(square), rtol=1e-12)
+    np.testing.assert_allclose(np.abs(modes.shape), np.abs(columns.T), atol=1e-10)
+    np.testing.assert_allclose(modes.participation_ratio, 1 / np.sum(columns**4, 0), rtol=1e-9)
+    np.testing.assert_allclose(modes.return_probability, np.sum(columns**4, 1), rtol=1e-9)
+
+
+def test_modes_without_springs_and_of_something_else():
+    chain = paper_chain(3).with_(coupling=None, stiffness=np.array([1.0, 1.21, 1.44]))
+    modes = linear_modes(chain)
+    np.testing.assert_allclose(modes.frequency, [1.0, 1.1, 1.2], rtol=1e-14)
+    np.testing.assert_allclose(modes.participation_ratio, 1.0)
+    with pytest.raises(ValueError, match="must be a `Chain`"):
+        linear_modes("chain")
+
+
+def test_strongly_mistuned_modes_by_perturbation_theory():
+    # To first order in eta_c, u_j = e_j - sum eta_c / (k_j - k_n) e_n over both neighbours n.
+    k = np.array([1.0, 1.3, 0.8, 1.5, 0.6, 1.15])
+    modes = linear_modes(paper_chain(6).with_(stiffness=k, coupling=1e-4))
+    to_neighbours = 1 / (k - np.roll(k, 1)) ** 2 + 1 / (k - np.roll(k, -1)) ** 2
+    expected = 1 + 2 * 1e-8 * to_neighbours[np.argsort(k)]
+    np.testing.assert_allclose(modes.participation_ratio - 1, expected - 1, rtol=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("position", "sine_squared", "anomaly"), [(0.0, 1.0, 105.045 / 96), (0.3, 0.91, 1.0)]
+)
+def test_localization_length_for_little_disorder(position, sine_squared, anomaly):
+    # Anderson's box of width W: 96 V^2 sin^2 q / W^2, in the middle 105.045 V^2 / W^2.
+    found = jax.jit(lambda d: localization_length(d, 0.01, position, length=400_000))(0.002)
+    expected = anomaly * 8 * 0.01**2 * sine_squared / 0.002**2
+    np.testing.assert_allclose(found, expected, rtol=0.06)
+
+
+def test_localization_length_for_great_disorder_and_none():
+    # Sites on their own: gamma = <ln |sigma u / eta_c|>, here ln(sqrt(3) sigma / eta_c) - 1.
+    found = localization_length(0.1, 1e-5, length=200_000)
+    np.testing.assert_allclose(1 / found, np.log(3**0.5 * 1e4) - 1, rtol=2e-3)
+    # Only the ratio of the two counts.
+    np.testing.assert_allclose(
+        localization_length(0.02, 0.02), localization_length(0.005, 0.005), rtol=1e-12
+    )
+    assert localization_length(0.0, 0.01, length=100) == np.inf
+    with pytest.raises(ValueError, match="coupling"):
+        localization_length(0.1, 0.0)
+
+
+def test_mistuned_stiffness_moves_no_hopf_speed():
+    """Uniform damping leaves (D + s) s + K = 0: all modes cross where D does, whatever K."""
+    chain = mistuned_chain(paper_chain(5), 1, 0.1)
+    np.testing.assert_allclose(hopf_belt_speed(chain), np.log(10) / 2, rtol=1e-9)
+
+
+@pytest.mark.long
+def test_all_modes_of_a_mistuned_chain_cross_together():
+    chain = mistuned_chain(paper_chain(4), 2, 0.1)
+    points = hopf_points(chain, (0.5, 2.0))
+    np.testing.assert_allclose(points.belt_speed, np.log(10) / 2, rtol=1e-9)
+    np.testing.assert_allclose(points.frequency, linear_modes(chain).frequency, rtol=1e-9)
+
+
+def ladder(chain):
+    return equation_8(chain, 2)
+
+
+RUN = {"observe": Amplitude(window=10.0), "solver": EventDriven(), "rtol": 1e-5}
+
+
+@pytest.fixture(scope="module")
+def thousand():
+    """A thousand chains of four, in one sweep."""
+    return sweep(
+        paper_chain(4, 1.3), ladder, 20.0, vary=mistuned_chain,
+        over={"disorder": [0.0, 0.08], "seed": range(500)}, **RUN,
+    )  # fmt: skip
+
+
+@pytest.mark.long
+def test_a_chain_is_the_same_among_a_thousand_among_others_and_alone(thousand):
+    """Bit for bit in a pool of the same width; one lane by itself is compiled without vectors."""
+    arguments: dict = {"vary": mistuned_chain, **RUN}
+    others = sweep(
+        paper_chain(4, 1.3), ladder, 20.0, **arguments,
+        over={"seed": np.r_[900:1219, 333], "disorder": [0.08]},
+    )  # fmt: skip
+    for name in ("amplitude", "energy", "steps", "result"):
+        np.testing.assert_array_equal(others[name][-1, 0], thousand[name][1, 333])
+    alone = sweep(
+        paper_chain(4, 1.3), ladder, 20.0, **arguments, over={"disorder": [0.08], "seed": [333]}
+    )
+    np.testing.assert_array_equal(alone["steps"][0, 0], thousand["steps"][1, 333])
+    np.testing.assert_allclose(alone["amplitude"][0, 0], thousand["amplitude"][1, 333], rtol=1e-13)
+    assert thousand["active_count"].dims == ("disorder", "seed")
+
+
+@pytest.mark.long
+def test_a_varied_lane_is_the_run_of_its_chain(thousand):
+    chain = mistuned_chain(paper_chain(4, 1.3), 7, 0.08)
+    run = simulate(chain, ladder(chain), 20.0, **RUN)
+    np.testing.assert_allclose(thousand["amplitude"][1, 7], run.observed, rtol=1e-9)
+    # Without disorder all are the tuned chain.
+    tuned = paper_chain(4, 1.3)
+    run = simulate(tuned, ladder(tuned), 20.0, **RUN)
+    np.testing.assert_allclose(thousand["amplitude"][0, [0, 499]], [run.observed] * 2, rtol=1e-9)
+    assert np.ptp(thousand["amplitude"][1].values, axis=0).max() > 1e-3
+
+
+def test_the_chain_of_a_lane_has_its_own_numbers_first_and_is_varied_then():
+    values = {"seed": jnp.asarray(3), "disorder": 0.1, "belt_speed": 1.2, "excited": 2}
+    chain = own_chain(paper_chain(4), mistuned_chain, values | {"stiffness": 2.0})
+    assert float(chain.belt_speed) == 1.2
+    np.testing.assert_array_equal(chain.stiffness, 2.0 * mistuned_stiffness(3, 4, 0.1))
+    assert own_chain(chain, None, {"excited": 2}) is chain
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"over": {"seed": [1]}}, r"`vary` needs \['disorder'\]"),
+        ({"over": {"seed": [1], "disorder": [0.1, 0.6]}}, "lets a stiffness be zero"),
+        ({"over": {"seed": [1], "disorder": [0.1], "age": [3]}}, "`initial` or `vary`"),
+        ({"vary": lambda chain, seed: chain.n, "over": {"seed": [1]}}, "must return a `Chain`"),
+        ({"vary": lambda chain: paper_chain(5), "over": {"belt_speed": [1]}}, "of 4 masses"),
+    ],
+)
+def test_a_sweep_that_cannot_vary_so_is_refused(changes, text):
+    arguments = {"vary": mistuned_chain, "over": {"seed": [1], "disorder": [0.1]}} | changes
+    with pytest.raises(ValueError, match=text):
+        sweep(paper_chain(4), ladder, 5.0, **arguments)
+
+
+@pytest.mark.long
+def test_vary_goes_with_the_numbers_of_the_chain_and_with_accuracy():
+    result = sweep(
+        paper_chain(2), ladder, 30.0, vary=mistuned_chain, accuracy=1e-2,
+        over={"disorder": [0.05], "seed": [0, 1], "belt_speed": [1.2, 1.4]},
+        observe=Amplitude(window=10.0),
+    )  # fmt: skip
+    assert result["width"].dims == ("disorder", "seed", "belt_speed")
+    chain = mistuned_chain(paper_chain(2, 1.4), 1, 0.05)
+    run = simulate(chain, ladder(chain), 30.0, accuracy=1e-2, observe=Amplitude(window=10.0))
+    np.testing.assert_allclose(result["amplitude"][0, 1, 1], run.observed, rtol=1e-3)
+
+
+@pytest.mark.long
+def test_the_participation_ratio_with_smoothed_friction_is_nearly_the_dry_one():
+    over = {"disorder": [0.02], "seed": range(3)}
+    ratios = [
+        participation_ratio(
+            jnp.asarray(
+                sweep(
+                    paper_chain(6, 1.5, 1e-3), ladder, 150.0, vary=mistuned_chain, over=over,
+                    observe=Amplitude(window=60.0), solver=solver,
+                )["amplitude"].values
+            )
+        )
+        for solver in (None, EventDriven())
+    ]  # fmt: skip
+    np.testing.assert_allclose(ratios[0], ratios[1], rtol=5e-3)
+    assert np.all(ratios[1] < 3.0)

@@ -1,0 +1,153 @@
+"""The chain's equations against the paper's, written out mass by mass."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxchain import (
+    Chain,
+    Coulomb,
+    ExponentialDecay,
+    TanhFriction,
+    WeakeningStrengthening,
+    paper_chain,
+    steady_sliding,
+)
+from jaxchain.model.friction import AbstractFrictionLaw
+
+LAW = ExponentialDecay(mu_static=1.0, mu_dynamic=0.5, v_ref=0.5)
+
+
+def random_state(n, seed=0):
+    rng = np.random.default_rng(seed)
+    return jnp.asarray(rng.normal(size=n)), jnp.asarray(rng.normal(size=n))
+
+
+def mistuned(ends="cyclic", law: AbstractFrictionLaw = LAW):
+    n = 6
+    springs = n if ends == "cyclic" else n - 1
+    return Chain(
+        n,
+        TanhFriction(law, 0.05),
+        belt_speed=0.7,
+        damping_ratio=jnp.linspace(0.01, 0.1, n),
+        coupling=jnp.linspace(0.1, 0.5, springs),
+        stiffness=jnp.linspace(0.9, 1.1, n),
+        normal_load=jnp.linspace(0.5, 1.5, n),
+        ends=ends,
+    )
+
+
+CHAINS = {
+    "one": paper_chain(1),
+    "two": paper_chain(2),
+    "ring": paper_chain(20),
+    "mistuned ring": mistuned(),
+    "mistuned, free ends": mistuned("free"),
+    "uniform, free ends": Chain(4, TanhFriction(LAW, 0.1), 1.5, coupling=0.2, ends="free"),
+    "strengthening": mistuned(law=WeakeningStrengthening(1.0, 0.5, 0.5, 0.1)),
+    "Coulomb": mistuned(law=Coulomb(0.5)),
+}
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 20])
+def test_vector_field_is_equation_5_of_the_paper(n):
+    chain = paper_chain(n, belt_speed=1.3, width=0.01)
+    x, v = random_state(n)
+    x_, v_ = np.asarray(x), np.asarray(v)
+    w = v_ - 1.3
+    force = -(0.5 + 0.5 * np.exp(-np.abs(w) / 0.5)) * np.tanh(w / 0.01)
+    acceleration = [
+        force[i] - 0.1 * v_[i] - x_[i] - 0.01 * (2 * x_[i] - x_[(i + 1) % n] - x_[i - 1])
+        for i in range(n)
+    ]
+    dx, dv = chain(0.0, (x, v))
+    np.testing.assert_allclose(dx, v_, atol=0)
+    np.testing.assert_allclose(dv, acceleration, atol=1e-14)
+
+
+@pytest.mark.parametrize("name", CHAINS)
+def test_structured_jacobian_is_the_automatic_one(name):
+    chain = CHAINS[name]
+    n = chain.n
+    x, v = random_state(n)
+
+    @jax.jit
+    def both(y):
+        state = y[:n], y[n:]
+        automatic = jax.jacfwd(lambda y: jnp.concatenate(chain(0.0, (y[:n], y[n:]))))
+        return chain.jacobian(0.0, state), automatic(y)
+
+    structured, automatic = both(jnp.concatenate([x, v]))
+    np.testing.assert_allclose(structured, automatic, atol=1e-13)
+
+
+@pytest.mark.parametrize("name", CHAINS)
+def test_steady_sliding_is_an_equilibrium(name):
+    chain = CHAINS[name]
+    derivative = chain(0.0, steady_sliding(chain))
+    np.testing.assert_allclose(np.stack(derivative), 0.0, atol=1e-14)
+
+
+def test_steady_sliding_of_the_paper_is_the_friction_force():
+    x, v = steady_sliding(paper_chain(20, belt_speed=1.5, width=1e-3))
+    np.testing.assert_allclose(x, 0.5 + 0.5 * np.exp(-3.0), rtol=1e-15)
+    assert not v.any()
+
+
+def test_one_mass_has_no_coupling_and_none_is_not_zero():
+    assert paper_chain(1).springs is None
+    assert Chain(3, TanhFriction(LAW, 0.1), 1.0).coupling is None
+    zero = Chain(3, TanhFriction(LAW, 0.1), 1.0, coupling=0.0).coupling
+    assert zero is not None
+    assert float(zero) == 0.0
+
+
+def test_every_number_of_a_chain_is_differentiable_and_vmappable():
+    def acceleration(chain):
+        return chain(0.0, random_state(chain.n))[1].sum()
+
+    for name in ("ring", "mistuned ring"):
+        gradient = jax.jit(jax.grad(acceleration))(CHAINS[name])
+        leaves = jax.tree.leaves(gradient)
+        assert len(leaves) == len(jax.tree.leaves(CHAINS[name]))
+        assert all(np.all(np.isfinite(leaf)) for leaf in leaves)
+    speeds = jnp.linspace(0.5, 2.0, 4)
+    batch = jax.jit(jax.vmap(lambda v: acceleration(paper_chain(4, belt_speed=v))))(speeds)
+    single = [acceleration(paper_chain(4, belt_speed=v)) for v in speeds]
+    np.testing.assert_allclose(batch, single, rtol=1e-13)
+
+
+def test_with_changes_numbers_of_chain_and_friction():
+    chain = paper_chain(3).with_(belt_speed=0.4, width=0.2, mu_static=1.5, coupling=None)
+    assert float(chain.belt_speed) == 0.4
+    assert float(chain.friction.width) == 0.2
+    law = chain.friction.law
+    assert isinstance(law, ExponentialDecay)
+    assert (float(law.mu_static), float(law.mu_dynamic)) == (1.5, 0.5)
+    assert chain.coupling is None
+    with pytest.raises(ValueError, match=r"does not know \['speed'\]"):
+        chain.with_(speed=1.0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"n": 0}, "`n` must be a positive integer"),
+        ({"ends": "loose"}, '`ends` must be "cyclic" or "free"'),
+        ({"belt_speed": jnp.ones(2)}, r"`belt_speed` must be one number, but has shape \(2,\)"),
+        (
+            {"damping_ratio": jnp.ones(3)},
+            r"`damping_ratio` must be one number or have shape \(20,",
+        ),
+        ({"coupling": jnp.ones(19)}, r"one entry per spring, shape \(20,\)"),
+        ({"coupling": -0.1}, "`coupling` must be zero or positive"),
+        ({"belt_speed": float("nan")}, "`belt_speed` must be finite"),
+        ({"stiffness": 0.0}, "`stiffness` must be positive"),
+        ({"normal_load": -1.0}, "`normal_load` must be zero or positive"),
+    ],
+)
+def test_bad_input_is_named(changes, message):
+    with pytest.raises(ValueError, match=message):
+        paper_chain(20).with_(**changes)

@@ -1,0 +1,81 @@
+"""The linear stability of steady sliding against the chain's own Jacobian."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxchain import Chain, ExponentialDecay, TanhFriction, paper_chain, steady_sliding
+from jaxchain.model.sliding import (
+    dry_damping,
+    growth_rate,
+    has_uniform_damping,
+    sliding_damping,
+    sliding_eigenvalues,
+    stiffness_matrix,
+)
+
+# Second looks, or minutes of compilation: not in every run of the tests.
+pytestmark = pytest.mark.long
+
+LAW = ExponentialDecay(1.0, 0.5, 0.5)
+
+
+def mistuned(n, ends="cyclic"):
+    return Chain(
+        n,
+        TanhFriction(LAW, 0.1),
+        belt_speed=0.3,
+        damping_ratio=np.linspace(0.03, 0.08, n),
+        coupling=np.linspace(0.1, 0.3, n if ends == "cyclic" else n - 1),
+        stiffness=np.linspace(1.0, 2.0, n),
+        normal_load=np.linspace(1.0, 1.4, n),
+        ends=ends,
+    )
+
+
+@pytest.mark.parametrize(("n", "ends"), [(1, "cyclic"), (2, "cyclic"), (2, "free"), (5, "free")])
+def test_the_parts_make_up_the_jacobian(n, ends):
+    chain = mistuned(n, ends)
+    jacobian = np.asarray(chain.jacobian(0.0, steady_sliding(chain)))
+    for speed in (0.3, -0.3):
+        damping = sliding_damping(chain, jnp.asarray(speed))
+        np.testing.assert_allclose(-np.diag(damping), jacobian[n:, n:], atol=1e-15)
+    np.testing.assert_allclose(-stiffness_matrix(chain), jacobian[n:, :n], atol=1e-15)
+    wanted = np.sort_complex(np.linalg.eigvals(jacobian))
+    found = np.sort_complex(np.asarray(sliding_eigenvalues(chain, chain.belt_speed)))
+    np.testing.assert_allclose(found, wanted, atol=1e-13)
+    rate = growth_rate(chain, chain.belt_speed)
+    assert float(rate) == pytest.approx(np.real(wanted).max(), abs=1e-13)
+
+
+def test_growth_of_a_uniform_chain_is_that_of_each_of_its_modes():
+    chain = paper_chain(5)
+    for speed in (0.5, 1.5):
+        values = np.asarray(sliding_eigenvalues(chain, jnp.asarray(speed)))
+        rate = float(growth_rate(chain, jnp.asarray(speed)))
+        np.testing.assert_allclose(np.real(values), rate, atol=1e-12)
+        slope = jax.grad(lambda v: growth_rate(chain, v))(speed)
+        assert float(slope) == pytest.approx(-np.exp(-2 * speed), rel=1e-12)
+
+
+def test_dry_friction_has_no_layer():
+    chain = paper_chain(2, width=0.2)
+    for speed in (0.01, 0.5):
+        dry = float(dry_damping(chain, jnp.asarray(speed)))
+        assert dry == pytest.approx(0.1 - np.exp(-2 * speed), rel=1e-13)
+    assert float(sliding_damping(chain, jnp.asarray(0.01))) > 4.0
+
+
+@pytest.mark.parametrize(
+    ("changes", "uniform"),
+    [
+        ({"stiffness": np.ones(3), "coupling": np.ones(3)}, True),
+        ({"damping_ratio": np.full(3, 0.05)}, False),
+        ({"normal_load": np.ones(3)}, False),
+        ({"width": np.full(3, 0.1)}, False),
+        ({"v_ref": np.full(3, 0.5)}, False),
+    ],
+)
+def test_numbers_per_mass_count_as_different(changes, uniform):
+    assert has_uniform_damping(paper_chain(3).with_(**changes)) == uniform

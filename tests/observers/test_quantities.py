@@ -1,0 +1,99 @@
+"""Periods and delays from peak times; whether amplitudes have settled."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxchain.observers.quantities import active, at_rest, delays, mean_period, settled
+
+PERIOD = 6.3
+
+
+def peaks_with_gaps():
+    """Peaks of three masses in stretches, unused rows NaN; mass 1 is the reference."""
+    rng = np.random.default_rng(3)
+    times = PERIOD * np.arange(12)[:, None] + np.array([1.0, 0.0, 5.0]) + 0.1 * rng.random((12, 3))
+    gaps = np.full((2, 3), np.nan)
+    return np.concatenate([times[:5], gaps, times[5:], gaps])
+
+
+def nearest_by_search(times, reference, centre):
+    """The definition itself: every gap to every peak of the reference."""
+    gaps = times[:, :, None] - times[None, None, :, reference]
+    gaps = np.where(np.isnan(gaps), np.inf, gaps)
+    best = np.take_along_axis(gaps, np.argmin(np.abs(gaps), axis=-1)[..., None], -1)[..., 0]
+    lowest = centre - PERIOD / 2
+    known = np.where(np.isnan(times), 0.0, best)
+    return np.where(np.isnan(times), np.nan, (known - lowest) % PERIOD + lowest)
+
+
+@pytest.mark.parametrize("centre", [0.0, PERIOD / 4])
+def test_delays_are_those_to_the_nearest_peak_of_the_reference(centre):
+    times = peaks_with_gaps()
+    found = delays(jnp.asarray(times), 1, PERIOD, centre)
+    np.testing.assert_allclose(found, nearest_by_search(times, 1, centre), atol=1e-12)
+    assert np.nanmin(found) >= centre - PERIOD / 2
+    assert np.nanmax(found) < centre + PERIOD / 2
+
+
+def test_a_centre_moves_the_edge_away_from_motion_out_of_phase():
+    reference = PERIOD * jnp.arange(6)
+    jitter = 0.01 * (-1.0) ** jnp.arange(6)
+    times = jnp.stack([reference, reference + PERIOD / 2 + jitter], axis=1)
+    torn = delays(times, 0, PERIOD)[:, 1]
+    whole = delays(times, 0, PERIOD, PERIOD / 4)[:, 1]
+    assert float(jnp.ptp(torn)) > 6.0
+    np.testing.assert_allclose(whole, PERIOD / 2 + jitter, atol=1e-12)
+
+
+def test_delays_go_through_jit_and_vmap_with_a_reference_of_each_state():
+    times = jnp.asarray(peaks_with_gaps())
+    both = jax.jit(jax.vmap(delays, (None, 0, None)))(times, jnp.array([0, 1]), PERIOD)
+    for own, reference in zip(both, (0, 1), strict=True):
+        np.testing.assert_array_equal(own, delays(times, reference, PERIOD))
+
+
+def test_a_reference_that_never_peaks_gives_no_delays():
+    times = jnp.asarray(peaks_with_gaps()).at[:, 1].set(jnp.nan)
+    assert np.isnan(delays(times, 1, PERIOD)).all()
+
+
+def test_the_mean_period_is_that_of_all_peaks():
+    times = peaks_with_gaps()[:, 1]
+    known = times[np.isfinite(times)]
+    np.testing.assert_allclose(mean_period(jnp.asarray(times)), np.diff(known).mean(), rtol=1e-14)
+    assert np.isnan(mean_period(jnp.array([1.0, jnp.nan])))
+    assert np.isnan(mean_period(jnp.full(3, jnp.nan)))
+
+
+def test_amplitudes_have_settled_when_the_last_four_windows_agree():
+    early = np.array([[2.0, 0.3], [0.1, 0.2]])
+    last = np.array([[1.5, 0.5], [1.49, 0.5], [1.5, 0.51], [1.5, 0.5]])
+    amplitude = jnp.asarray(np.concatenate([early, last]))
+    # 0.01 of a greatest amplitude of 2; without the first window, of 1.5.
+    assert settled(amplitude, 5.1e-3)
+    assert not settled(amplitude, 4.9e-3)
+    assert not settled(amplitude[1:], 5.1e-3)
+    assert not settled(amplitude[:-1], 0.1)
+    # Any of the masses may be the one that changes, and none of a small step in every window.
+    creeping = jnp.stack([jnp.full(4, 1.0), jnp.array([0.0, 0.004, 0.008, 0.012])], axis=1)
+    assert not settled(creeping, 0.01)
+    assert settled(creeping, 0.0121)
+
+
+def test_whether_it_has_settled_is_known_of_batches_and_not_of_failed_lanes():
+    steady = jnp.ones((5, 2))
+    batch = jnp.stack([steady, steady.at[3, 1].set(jnp.nan), steady.at[3, 1].set(0.5), 0 * steady])
+    assert jax.jit(settled)(batch, 1e-3).tolist() == [True, False, False, True]
+
+
+def test_too_few_windows_to_tell_are_refused():
+    with pytest.raises(ValueError, match="segments"):
+        settled(jnp.ones((3, 2)), 1e-3)
+
+
+def test_what_is_shaken_neither_vibrates_nor_rests():
+    amplitude = jnp.array([[1.6, 0.2], [0.6, 0.2], [1e-4, 0.0], [jnp.nan, 0.0]])
+    assert active(amplitude, 1.5).any(-1).tolist() == [True, False, False, False]
+    assert at_rest(amplitude).tolist() == [False, False, True, False]

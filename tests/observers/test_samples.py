@@ -1,0 +1,114 @@
+"""Samples: what a trajectory says, without its store and without cutting a step."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from systems.oscillators import LinearRing
+
+from jaxchain import EventDriven, Rodas5P, equation_8, paper_chain, simulate
+from jaxchain.observers.base import Step
+from jaxchain.observers.samples import Samples
+
+CHAIN = paper_chain(3)
+START = equation_8(CHAIN, 2)
+
+
+# Two undamped masses that know nothing of each other: x_n = X_n cos(omega_n t).
+FREE = LinearRing(
+    damping=jnp.zeros(2), stiffness=jnp.array([1.0, 2.25]), springs=None,
+    x0=jnp.array([0.7, -0.4]), v0=jnp.zeros(2),
+)  # fmt: skip
+
+
+def motion(t: Any, xp: Any = jnp) -> Any:
+    """The exact motion of `FREE`, in JAX or NumPy."""
+    height, omega = xp.asarray([0.7, -0.4]), xp.asarray([1.0, 1.5])
+    return height * xp.cos(omega * t), -height * omega * xp.sin(omega * t)
+
+
+def test_samples_lie_on_the_dense_output_of_steps_of_any_length():
+    """Steps by hand, with the exact motion for their dense output; of one, three samples."""
+    watch = Samples(0.3, 30, oscillators=(1, 0), start=6.5)
+
+    @jax.jit
+    def follow(edges):
+        def take(store, ends):
+            t0, t1 = ends
+            step = Step(
+                FREE, t0, t1, motion(t0), motion(t1),
+                lambda theta: motion(t0 + theta * (t1 - t0))[0],
+                lambda theta: motion(t0 + theta * (t1 - t0))[1],
+            )  # fmt: skip
+            return watch.update(store, step), None
+
+        store = watch.init(FREE, edges[0], edges[-1], motion(edges[0]))
+        return watch.read(jax.lax.scan(take, store, (edges[:-1], edges[1:]))[0])
+
+    edges = np.array([0.0, 4.0, 6.5, 6.6, 6.7, 6.71, 7.7, 7.7, 8.0, 9.0, 12.0])
+    for first in (0, 3):  # a run that begins before the first sample, and one that begins later
+        own = np.append(edges[first:], np.full(first, edges[-1]))
+        found, displacement, velocity = (np.asarray(a) for a in follow(own))
+        times = 6.5 + 0.3 * np.arange(19)
+        times = times[times >= own[0]]
+        x, v = motion(times[:, None], np)
+        np.testing.assert_allclose(found[: times.size], times, rtol=1e-14)
+        np.testing.assert_allclose(displacement[: times.size], x[:, ::-1], atol=1e-12)
+        np.testing.assert_allclose(velocity[: times.size], v[:, ::-1], atol=1e-12)
+        # Not a sample more than the run has.
+        for rest in (found, displacement, velocity):
+            assert np.isnan(rest[times.size :]).all()
+
+
+@pytest.mark.long
+def test_samples_are_the_states_at_regular_times():
+    watch = Samples(0.3, 30, oscillators=(1, 0), start=6.5)
+    run = simulate(FREE, (FREE.x0, FREE.v0), 12.0, observe=watch, solver=Rodas5P(), rtol=1e-9)
+    found, displacement, velocity = (np.asarray(a) for a in run.observed)
+    times = 6.5 + 0.3 * np.arange(19)
+    x, v = jax.vmap(FREE.exact)(jnp.asarray(times))
+    np.testing.assert_allclose(found[:19], times, rtol=1e-14)
+    np.testing.assert_allclose(displacement[:19], x[:, [1, 0]], atol=1e-6)
+    np.testing.assert_allclose(velocity[:19], v[:, [1, 0]], atol=1e-6)
+    # Not a sample more than the run has.
+    for rest in (found, displacement, velocity):
+        assert np.isnan(rest[19:]).all()
+
+
+@pytest.mark.long
+def test_samples_of_all_segments_are_those_of_the_whole():
+    options = {"solver": EventDriven(), "rtol": 1e-8}
+    whole = simulate(CHAIN, START, 12.0, observe=Samples(0.5, 30), **options).observed
+    parts = simulate(CHAIN, START, 12.0, observe=Samples(0.5, 9), segments=3, **options).observed
+    times = np.asarray(parts[0]).ravel()
+    known = np.isfinite(times)
+    # The end of a segment is the start of the next, too.
+    assert known.sum() == 25 + 2
+    _, once = np.unique(np.round(times[known], 9), return_index=True)
+    for part, complete in zip(parts, whole, strict=True):
+        joined = np.asarray(part).reshape(27, *part.shape[2:])[known][once]
+        np.testing.assert_allclose(joined, complete[:25], atol=1e-6)
+
+
+@pytest.mark.long
+def test_samples_go_through_vmap():
+    def one(count):
+        return simulate(
+            CHAIN, equation_8(CHAIN, count), 3.0, observe=Samples(0.5, 7), solver=EventDriven()
+        ).observed[1]
+
+    both = jax.vmap(one)(np.arange(1, 3))
+    np.testing.assert_allclose(both[1], one(2), atol=1e-6)
+
+
+def test_bad_input_is_named():
+    with pytest.raises(ValueError, match="`interval` must be positive"):
+        Samples(0.0, 4)
+    with pytest.raises(ValueError, match="`capacity` must be"):
+        Samples(0.1, 0)
+    with pytest.raises(ValueError, match="`start` must be"):
+        Samples(0.1, 4, start=-1.0)
+    with pytest.raises(ValueError, match="indices from 0 to 2, but holds 3"):
+        simulate(CHAIN, START, 1.0, observe=Samples(0.1, 4, oscillators=(3,)))

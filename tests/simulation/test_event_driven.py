@@ -1,0 +1,333 @@
+"""The event-driven solver against an independent one, closed forms and finite differences."""
+
+from typing import Any
+
+import diffrax as dfx
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from witnesses import numbers, numbers_of
+from witnesses.event_driven import integrate, vibrating_cycle
+
+from jaxchain import (
+    Amplitude,
+    Chain,
+    Coulomb,
+    EventDriven,
+    ExponentialDecay,
+    PeakTimes,
+    StickTime,
+    TanhFriction,
+    Trajectory,
+    WeakeningStrengthening,
+    equation_8,
+    excited_state,
+    paper_chain,
+    simulate,
+    steady_sliding,
+)
+from jaxchain.model.friction import AbstractFrictionLaw
+
+
+def run(chain, initial, t1, rtol=1e-12, order: int | None = 10, **options):
+    """A series shorter than what suits the tolerance takes more steps, but compiles fast."""
+    return simulate(chain, initial, t1, solver=EventDriven(order), rtol=rtol, **options)
+
+
+def against_witness(chain, initial, t1, rtol=1e-12, tolerance=1e-10, order: int | None = 10):
+    """Greatest difference of x and v at t1 from the witness."""
+    x, v = (np.asarray(part) for part in initial)
+    witness = integrate(numbers_of(chain), x, v, t1)
+    state = run(chain, initial, t1, rtol, order).state
+    np.testing.assert_allclose(state[0], witness.x, atol=tolerance, rtol=0)
+    np.testing.assert_allclose(state[1], witness.v, atol=tolerance, rtol=0)
+    return witness
+
+
+def coulomb(n=1, belt_speed=0.0, mu=0.1, damping_ratio=0.0, **more):
+    friction = TanhFriction(Coulomb(mu), 1e-3)
+    return Chain(n, friction, belt_speed=belt_speed, damping_ratio=damping_ratio, **more)
+
+
+@pytest.mark.parametrize("belt_speed", [-1.0, 0.0, 0.3, 1.0, 1.5])
+def test_one_oscillator_follows_the_witness(belt_speed):
+    chain = paper_chain(1, belt_speed)
+    against_witness(chain, (jnp.array([1.3]), jnp.array([0.4])), 25.0)
+
+
+@pytest.mark.parametrize("belt_speed", np.linspace(0.2, 1.75, 9))
+def test_vibrating_cycle(belt_speed):
+    """Amplitude, period and stick time to 1e-9, nine belt speeds."""
+    chain = paper_chain(1, belt_speed)
+    expected = vibrating_cycle(numbers_of(chain))
+    assert expected is not None
+    on_the_belt = (jnp.zeros(1), jnp.array([belt_speed]))  # which takes the mass to its release
+    cycle = run(chain, on_the_belt, 60.0, 1e-13).state
+    watch = {"amplitude": Amplitude(), "peaks": PeakTimes(16), "stick": StickTime()}
+    result = run(chain, cycle, 6 * expected.period, 1e-13, observe=watch)
+    times = np.asarray(result.observed["peaks"])[:, 0]
+    times = times[np.isfinite(times)]
+    assert abs(float(result.observed["amplitude"][0]) - expected.amplitude) < 1e-9
+    np.testing.assert_allclose(np.diff(times)[-4:], expected.period, atol=1e-9)
+    assert abs(float(result.observed["stick"][0]) / 6 - expected.stick_time) < 1e-9
+
+
+def test_the_chain_of_twenty_follows_the_witness():
+    chain = paper_chain(20, 1.3)
+    witness = against_witness(chain, equation_8(chain, 9), 120.0, order=None)
+    assert len(witness.events) > 300
+
+
+@pytest.mark.long
+def test_tolerance_is_kept():
+    chain = paper_chain(20, 1.3)
+    initial = equation_8(chain, 9)
+    truth = run(chain, initial, 30.0, 1e-13, None).state
+    for rtol in (1e-5, 1e-8, 1e-11):
+        state = run(chain, initial, 30.0, rtol, None).state
+        assert max(float(jnp.max(jnp.abs(a - b))) for a, b in zip(state, truth, strict=True)) < (
+            100 * rtol
+        )
+
+
+def test_any_chain_follows_the_witness():
+    """Mistuned, loaded unevenly, springs of their own, free ends, another law."""
+    rng = np.random.default_rng(5)
+    n = 5
+    law = WeakeningStrengthening(1.0, rng.uniform(0.4, 0.6, n), 0.4, 0.05)
+    chain = Chain(
+        n, TanhFriction(law, 1e-3), belt_speed=-0.8,
+        damping_ratio=rng.uniform(0.0, 0.1, n), coupling=rng.uniform(0.0, 0.5, n - 1),
+        stiffness=rng.uniform(0.8, 1.2, n), normal_load=rng.uniform(0.5, 1.5, n), ends="free",
+    )  # fmt: skip
+    initial = (jnp.asarray(rng.normal(size=n)), jnp.asarray(rng.normal(size=n)))
+    against_witness(chain, initial, 20.0)
+
+
+def test_two_masses_and_a_ring_with_springs_of_its_own():
+    chain = Chain(
+        2, TanhFriction(ExponentialDecay(1.0, 0.5, 0.5), 1e-3), belt_speed=1.2,
+        damping_ratio=0.05, coupling=np.array([0.1, 0.3]),
+    )  # fmt: skip
+    against_witness(chain, (jnp.array([1.0, -0.5]), jnp.array([0.1, 1.2])), 20.0)
+
+
+@pytest.mark.long
+def test_a_law_of_ones_own():
+    """Without a recurrence of its own a law is expanded by automatic differentiation."""
+
+    class Rational(AbstractFrictionLaw):
+        mu_static: jax.Array = eqx.field(converter=jnp.asarray)
+
+        def coefficient(self, speed):
+            return self.mu_static / (1.0 + speed**2)
+
+    chain = Chain(1, TanhFriction(Rational(1.0), 1e-3), belt_speed=0.7)
+    x, v = np.array([1.2]), np.array([0.0])
+    own = numbers(1, belt_speed=0.7, friction=lambda s: 1.0 / (1.0 + s**2))
+    witness = integrate(own, x, v, 15.0)
+    state = run(chain, (jnp.asarray(x), jnp.asarray(v)), 15.0).state
+    np.testing.assert_allclose(state[0], witness.x, atol=1e-10)
+    assert len(witness.events) > 2
+
+
+def test_coulomb_friction_stops_a_mass_where_it_must():
+    """On a resting belt the amplitude falls by 2 mu every half period, until |x| <= mu."""
+    chain = coulomb(mu=0.1)
+    times = jnp.pi * jnp.arange(1, 5)
+    result = run(chain, (jnp.array([0.73]), jnp.array([0.0])), 30.0, observe=Trajectory(times))
+    np.testing.assert_allclose(result.observed[0][:3, 0], [-0.53, 0.33, -0.13], atol=1e-12)
+    assert abs(float(result.state[0][0]) + 0.07) < 1e-12
+    assert float(result.state[1][0]) == 0.0
+
+
+@pytest.mark.parametrize(("excess", "sticks"), [(1e-4, True), (1e-8, True), (-1e-8, False)])
+def test_a_short_touch_is_not_missed(excess, sticks):
+    """v = A sin t exceeds the belt speed A - excess for 2 sqrt(2 excess / A), inside one step."""
+    amplitude = 1.0
+    chain = coulomb(belt_speed=amplitude - excess, mu=0.2)
+    # About x = mu the motion is free: the friction of a mass that lags the belt is +mu.
+    initial = (jnp.array([0.2 - amplitude]), jnp.array([0.0]))
+    observe = StickTime(3.0)
+    result = run(chain, initial, 3.0, 1e-12, observe=observe)
+    # It sticks until its spring has as much force as friction, at x = mu.
+    held = np.sqrt(2 * excess) if sticks else 0.0
+    assert abs(float(result.observed[0]) - held) < 1e-3 * held + 1e-12
+    free = 0.2 - amplitude * np.cos(3.0)
+    moved = abs(float(result.state[0][0]) - free)
+    assert moved > 0.1 * excess if sticks else moved < 1e-11
+    against_witness(chain, initial, 3.0)
+
+
+@pytest.mark.parametrize("belt_speed", [1.5, -0.4, 0.0])
+def test_all_sticking_at_once(belt_speed):
+    chain = paper_chain(6, belt_speed)
+    initial = (jnp.linspace(-0.5, 0.5, 6), jnp.full(6, belt_speed))
+    against_witness(chain, initial, 20.0)
+
+
+def test_starting_on_the_switching_surface_beyond_the_limit():
+    """w = 0 but more force than friction can hold: the mass passes through at once."""
+    chain = paper_chain(1, 0.5)
+    for x in (1.7, -1.7):
+        against_witness(chain, (jnp.array([x]), jnp.array([0.5])), 10.0)
+
+
+def test_identical_masses_stay_identical():
+    """Twenty events at one time are twenty, and nothing but the symmetric motion follows."""
+    chain = paper_chain(20, 1.3)
+    x, v = steady_sliding(chain)
+    state = run(chain, (x - 1.6, v), 50.0).state
+    single = paper_chain(1, 1.3)
+    alone = run(single, (x[:1] - 1.6, v[:1]), 50.0).state
+    np.testing.assert_allclose(state[0], np.broadcast_to(alone[0], (20,)), atol=1e-11)
+    np.testing.assert_allclose(state[1], np.broadcast_to(alone[1], (20,)), atol=1e-11)
+
+
+def test_steady_sliding_stays():
+    chain = paper_chain(5, 1.5)
+    initial = steady_sliding(chain)
+    state = run(chain, initial, 100.0).state
+    np.testing.assert_allclose(state[0], initial[0], atol=1e-11)
+
+
+def test_mirror_image():
+    chain = paper_chain(4, 1.2)
+    x, v = equation_8(chain, 2)
+    there = run(chain, (x, v), 40.0).state
+    back = run(chain.with_(belt_speed=-1.2), (-x, -v), 40.0).state
+    np.testing.assert_allclose(there[0], -back[0], atol=1e-14)
+    np.testing.assert_allclose(there[1], -back[1], atol=1e-14)
+
+
+def test_lanes_are_what_they_are_alone():
+    chain = paper_chain(20, 1.3)
+    speeds = jnp.array([0.5, 1.2, 1.6])
+
+    def end(belt_speed):
+        own = chain.with_(belt_speed=belt_speed)
+        result = simulate(own, equation_8(own, 9), 20.0, solver=EventDriven(), throw=False)
+        return result.state, result.steps
+
+    together, steps = jax.jit(jax.vmap(end))(speeds)
+    for i, speed in enumerate(speeds):
+        alone, count = end(speed)
+        assert int(count) == int(steps[i])
+        np.testing.assert_allclose(together[0][i], alone[0], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "belt_speed",
+        "mu_static",
+        *(
+            pytest.param(name, marks=pytest.mark.long)
+            for name in ("damping_ratio", "coupling", "v_ref")
+        ),
+    ],
+)
+def test_derivatives_pass_through_events(name):
+    """Sticking and release move with the parameters; the state after them feels that."""
+    chain = paper_chain(3, 1.2)
+    initial = excited_state(chain, 1)
+
+    def end(value):
+        own = chain.with_(**{name: value})
+        result = simulate(own, initial, 15.0, solver=EventDriven(10), rtol=1e-12, throw=False)
+        return jnp.concatenate(result.state)
+
+    at = {"belt_speed": 1.2, "mu_static": 1.0, "damping_ratio": 0.05, "coupling": 0.01,
+          "v_ref": 0.5}[name]  # fmt: skip
+    _, tangent = jax.jvp(end, (jnp.asarray(at),), (jnp.ones(()),))
+    h = 1e-5
+    difference = (end(jnp.asarray(at + h)) - end(jnp.asarray(at - h))) / (2 * h)
+    np.testing.assert_allclose(tangent, difference, atol=2e-6, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("coupling", "x", "t1"),
+    [
+        pytest.param(0.0, [2.0, 2.0, 2.0], 20.0, id="stick-and-release"),
+        pytest.param(0.1, [9.0, 9.0, 9.0], 9.0, id="pass-through", marks=pytest.mark.long),
+        pytest.param(0.1, [2.0, 2.0, -1.0], 20.0, id="a-pair", marks=pytest.mark.long),
+    ],
+)
+def test_derivatives_pass_through_events_that_fall_together(coupling, x, t1):
+    """Masses in step stick and are let go at the same time, disturbed ones each at its own."""
+    chain = paper_chain(3, 0.7).with_(coupling=coupling)
+
+    def end(y):
+        result = simulate(chain, (y[:3], y[3:]), t1, solver=EventDriven(10), rtol=1e-12)
+        return jnp.concatenate(result.state)
+
+    y = jnp.array([*x, 0.0, 0.0, 0.0])
+    jacobian = jax.jit(jax.jacfwd(end))(y)
+    h = 1e-6
+    for i in range(6):
+        side = jnp.zeros(6).at[i].set(h)
+        difference = (end(y + side) - end(y - side)) / (2 * h)
+        np.testing.assert_allclose(jacobian[:, i], difference, atol=1e-5)
+
+
+def test_a_perturbation_that_sticks_is_forgotten():
+    """The monodromy matrix of a sticking cycle is singular: the velocity is that of the belt."""
+    chain = paper_chain(1, 1.0)
+
+    def end(y):
+        state = simulate(chain, (y[:1], y[1:]), 9.0, solver=EventDriven(10), rtol=1e-12,
+                         throw=False).state  # fmt: skip
+        return jnp.concatenate(state)
+
+    jacobian = jax.jacfwd(end)(jnp.array([1.5, 0.2]))
+    assert float(jnp.abs(jnp.linalg.det(jacobian))) < 1e-10
+    assert float(jnp.max(jnp.abs(jacobian))) > 0.1
+
+
+def test_one_program_for_all_numbers():
+    chain = paper_chain(3, 1.3)
+    compiled = 0
+
+    class Counting(Coulomb):
+        def coefficient(self, speed):
+            nonlocal compiled
+            compiled += 1  # only when the program is traced
+            return super().coefficient(speed)
+
+    for mu, speed, t1, excited in ((0.4, 1.3, 5.0, 1), (0.5, 0.9, 7.0, 2)):
+        law: Any = Counting
+        own = eqx.tree_at(lambda c: c.friction.law, chain, law(mu)).with_(belt_speed=speed)
+        initial = equation_8(chain, excited)
+        before = compiled
+        run(own, initial, t1)
+        traced = compiled - before
+    assert before > 0
+    assert traced == 0
+
+
+def test_failures_are_marked():
+    chain = paper_chain(2, 1.3)
+    initial = equation_8(chain, 1)
+    result = run(chain, initial, 50.0, max_steps=20, throw=False)
+    assert result.outcome == "max_steps_reached"
+    assert int(result.steps) == 20
+    for damping_ratio, outcome in ((-5.0, "nonfinite"), (-0.5, "step_too_small")):
+        growing = chain.with_(damping_ratio=damping_ratio)
+        result = run(growing, initial, 1e4, throw=False)
+        assert result.outcome == outcome
+        assert 0 < float(result.t) < 1e3
+
+
+@pytest.mark.parametrize("order", [2, 41])
+def test_order_must_be_sensible(order):
+    with pytest.raises(ValueError, match="order"):
+        EventDriven(order)
+
+
+def test_reverse_mode_is_refused_with_a_way_out():
+    chain = paper_chain(2, 1.3)
+    adjoint = dfx.RecursiveCheckpointAdjoint()
+    with pytest.raises(ValueError, match="jacfwd"):
+        run(chain, equation_8(chain, 1), 5.0, adjoint=adjoint)

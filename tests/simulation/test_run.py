@@ -1,0 +1,241 @@
+"""simulate: exactness, segments, derivatives, compilation and input."""
+
+from typing import Any
+
+import diffrax as dfx
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxchain import (
+    Amplitude,
+    Chain,
+    Coulomb,
+    EventDriven,
+    Rodas4,
+    TanhFriction,
+    Trajectory,
+    equation_8,
+    paper_chain,
+    simulate,
+    steady_sliding,
+)
+from jaxchain.result import NAMES, code, message
+from jaxchain.simulation.accuracy import choose_solver
+from jaxchain.simulation.run import _run
+
+CHAIN = paper_chain(4, belt_speed=1.4)
+START = equation_8(CHAIN, 2)
+
+
+def test_coulomb_friction_far_above_the_vibration_is_a_damped_oscillator():
+    # Constant friction only shifts the equilibrium: x = x_s + a decaying cosine.
+    chain = Chain(1, TanhFriction(Coulomb(0.5), 1e-3), belt_speed=10.0, damping_ratio=0.05)
+    x_s, _ = steady_sliding(chain)
+    run = simulate(chain, (x_s + 1.0, jnp.zeros(1)), 7.0, rtol=1e-10)
+    w = np.sqrt(1 - 0.05**2)
+    expected = 0.5 + np.exp(-0.35) * (np.cos(7 * w) + 0.05 / w * np.sin(7 * w))
+    np.testing.assert_allclose(run.state[0], expected, atol=1e-9)
+    assert float(run.t) == 7.0
+
+
+def test_energy_balance_of_the_belt():
+    # Work of friction = dissipation + change of stored energy, by quadrature along the run.
+    times = jnp.linspace(0.0, 20.0, 40001)
+    x, v = simulate(CHAIN, START, 20.0, observe=Trajectory(times), rtol=1e-9).observed
+    force = CHAIN.friction.force(v - CHAIN.belt_speed)
+    stretch = x - jnp.roll(x, 1, axis=1)
+    stored = 0.5 * (v**2 + x**2 + 0.01 * stretch**2).sum(axis=1)
+    work = jnp.trapezoid((force * v - 0.1 * v**2).sum(axis=1), times)
+    np.testing.assert_allclose(stored[-1] - stored[0], work, atol=2e-4)
+
+
+def test_segments_continue_the_run_and_report_each_part():
+    whole = simulate(CHAIN, START, 60.0, observe=Amplitude(), rtol=1e-8)
+    parts = simulate(CHAIN, START, 60.0, observe=Amplitude(), segments=3, rtol=1e-8)
+    assert parts.observed.shape == (3, 4)
+    np.testing.assert_allclose(np.stack(parts.state), np.stack(whole.state), atol=2e-5)
+    assert np.all(np.asarray(parts.observed).max(axis=0) <= np.asarray(whole.observed) + 1e-5)
+
+
+@pytest.mark.long
+def test_forward_and_reverse_derivatives_of_a_run_agree():
+    def end(chain, adjoint=None):
+        return simulate(chain, START, 4.0, adjoint=adjoint, max_steps=4096, rtol=1e-9).state[0][1]
+
+    chain = paper_chain(4, belt_speed=1.4, width=0.05)
+    speed = jnp.asarray(1.4)
+    tangent = jax.jvp(lambda v: end(chain.with_(belt_speed=v)), (speed,), (jnp.ones(()),))[1]
+    gradient = eqx.filter_grad(lambda c: end(c, dfx.RecursiveCheckpointAdjoint()))(chain)
+    np.testing.assert_allclose(gradient.belt_speed, tangent, rtol=1e-8)
+    assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(gradient))
+
+
+def test_the_amplitude_is_differentiable():
+    def amplitude(speed):
+        chain = paper_chain(1, belt_speed=speed, width=0.05)
+        run = simulate(chain, equation_8(chain, 1), 100.0, observe=Amplitude(20.0), rtol=1e-9)
+        return run.observed[0]
+
+    h = 1e-4
+    by_differences = (amplitude(1.3 + h) - amplitude(1.3 - h)) / (2 * h)
+    tangent = jax.jvp(amplitude, (1.3,), (1.0,))[1]
+    np.testing.assert_allclose(tangent, by_differences, rtol=1e-3)
+
+
+def test_one_compilation_serves_every_number():
+    program: Any = _run
+
+    def run(speed, width, t1, rtol):
+        chain = CHAIN.with_(belt_speed=speed, width=width)
+        simulate(chain, START, t1, observe=Amplitude(window=5.0), rtol=rtol)
+
+    run(1.4, 1e-3, 10.0, 1e-6)
+    before = program._cached._cache_size()
+    run(1.2, 1e-2, 20.0, 1e-5)
+    assert program._cached._cache_size() == before
+
+
+def compiled_text(chain, **kwargs):
+    """The optimized program of a run of 100 time units."""
+    start = equation_8(chain, 1)
+    program = jax.jit(lambda c, y: simulate(c, y, 100.0, throw=False, **kwargs))
+    return str(program.lower(chain, start).compile().as_text())
+
+
+def test_what_a_scene_leaves_out_is_not_in_the_compiled_program():
+    n = 23  # a number that occurs nowhere else in the program
+    coupled = compiled_text(paper_chain(n), observe=Amplitude(window=10.0))
+    neighbours = "window={size=3"  # of the convolution that looks at both
+    assert neighbours in coupled
+    # No coupling: no neighbour is ever looked at.
+    alone = compiled_text(paper_chain(n).with_(coupling=None), observe=Amplitude(window=10.0))
+    assert neighbours not in alone
+    # No trajectory buffer when only amplitudes are asked; one when a trajectory is.
+    assert f"f64[1009,{n}]" not in coupled
+    stored = compiled_text(paper_chain(n), observe=Trajectory(jnp.linspace(0.0, 100.0, 1009)))
+    assert f"f64[1009,{n}]" in stored
+    # No tangent: the matrix of a full Jacobian appears only if it is asked for.
+    assert f"f64[{n},{n}]" not in coupled
+    # No per-mass parameters in a homogeneous chain: its inputs are scalars and the state.
+    entry = coupled[coupled.index("ENTRY") :].splitlines()[0]
+    assert entry.count(f"f64[{n}]") == 2 + 3  # state in; state and amplitude out
+
+
+@pytest.mark.long
+def test_numbers_per_mass_are_an_input_of_their_own():
+    n = 23
+    per_mass = paper_chain(n).with_(damping_ratio=jnp.full(n, 0.05))
+    mistuned = compiled_text(per_mass, observe=Amplitude(window=10.0))
+    entry = mistuned[mistuned.index("ENTRY") :].splitlines()[0]
+    assert entry.count(f"f64[{n}]") == 3 + 3
+
+
+@pytest.mark.long
+def test_sweeps_do_not_lengthen_a_run():
+    chain = paper_chain(20, belt_speed=1.3)
+    for rtol in (1e-5, 1e-6, 1e-7):
+        chosen = choose_solver(chain, rtol)
+        runs = [
+            simulate(chain, equation_8(chain, 9), 30.0, solver=s, rtol=rtol)
+            for s in (chosen, chosen.with_sweeps(None))
+        ]
+        swept, exact = (int(run.steps + run.rejected) for run in runs)
+        assert swept <= 1.1 * exact
+
+
+def test_the_linear_solve_is_chosen_by_the_strength_of_the_coupling():
+    assert choose_solver(paper_chain(1), 1e-6).sweeps is None  # nothing to solve
+    assert choose_solver(paper_chain(20), 1e-6).sweeps == 1
+    assert choose_solver(paper_chain(20).with_(coupling=1.0), 1e-6).sweeps == 3
+    assert choose_solver(paper_chain(20).with_(coupling=100.0), 1e-6).sweeps is None
+    assert isinstance(choose_solver(paper_chain(20), 1e-6), Rodas4)
+    assert choose_solver(paper_chain(20), 1e-9).method_order == 5
+
+
+def test_a_run_that_fails_says_why_and_what_to_do():
+    with pytest.raises(RuntimeError, match=r"max_steps_reached.*Allow more"):
+        simulate(CHAIN, START, 50.0, max_steps=20)
+    run = simulate(CHAIN, START, 50.0, max_steps=20, throw=False)
+    assert run.outcome == "max_steps_reached"
+    assert 0 < float(run.t) < 50
+
+
+def test_an_empty_time_span_returns_the_initial_state():
+    run = simulate(CHAIN, START, 0.0)
+    np.testing.assert_array_equal(run.state[0], START[0])
+    assert int(run.steps) == 0
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"t1": -1.0}, "`t1` = -1.0 lies before `t0` = 0.0"),
+        ({"t1": float("inf")}, "`t1` must be finite"),
+        ({"rtol": 0.0}, "`rtol` must be positive"),
+        ({"atol": -1.0}, "`atol` must be positive"),
+        ({"max_step": 0.0}, "`max_step` must be positive"),
+        ({"max_steps": 0}, "`max_steps` must be None or an integer of at least 1"),
+        ({"segments": 0}, "`segments` must be None or an integer"),
+        ({"initial": jnp.ones(4)}, "must be the pair"),
+        ({"initial": (jnp.ones(4), jnp.ones(3))}, r"shapes \(4,\) and \(3,\)"),
+        ({"initial": (jnp.ones(4), jnp.full(4, jnp.nan))}, "`initial velocity` must be finite"),
+        ({"initial": (jnp.ones(3), jnp.ones(3))}, "has 4 masses"),
+        ({"observe": "amplitude"}, "must hold observers"),
+        ({"observe": Trajectory(jnp.array([1.0, 99.0]))}, r"lie within \[0.0, 1.0\]"),
+        ({"observe": Trajectory(jnp.ones(2)), "segments": 2}, "Leave out `segments`"),
+    ],
+)
+def test_bad_input_is_named(change, message):
+    arguments = {"initial": START, "t1": 1.0, **change}
+    with pytest.raises(ValueError, match=message):
+        simulate(CHAIN, arguments.pop("initial"), arguments.pop("t1"), **arguments)
+
+
+def test_without_64_bits_there_is_a_clear_error():
+    jax.config.update("jax_enable_x64", False)
+    try:
+        with pytest.raises(RuntimeError, match="jaxchain needs 64-bit floats"):
+            simulate(CHAIN, START, 1.0)
+    finally:
+        jax.config.update("jax_enable_x64", True)
+
+
+@pytest.mark.parametrize("solver", [None, EventDriven()], ids=["smoothed", "nonsmooth"])
+def test_a_traced_end_that_is_no_time_after_the_start_is_a_failure(solver):
+    chain = paper_chain(1)
+
+    @jax.jit
+    @jax.vmap
+    def end(t0, t1):
+        run = simulate(
+            chain, equation_8(chain, 1), t1, t0=t0, solver=solver, throw=False,
+            observe=Amplitude(),
+        )  # fmt: skip
+        return code(run.result), run.t, run.steps
+
+    t0 = jnp.array([0.0, 0.0, 2.0, 0.0, jnp.nan, 1.0, 1.0])
+    t1 = jnp.array([jnp.nan, -1.0, 1.0, jnp.inf, 1.0, 1.0, 3.0])
+    results, times, steps = end(t0, t1)
+    names = [NAMES[i] for i in results.tolist()]
+    assert names == [*5 * ["bad_span"], "successful", "successful"]
+    assert steps[:6].tolist() == 6 * [0]
+    np.testing.assert_array_equal(times, [*t0[:6].tolist(), 3.0])
+    assert "finite times in their order" in message("bad_span")
+
+
+def test_every_part_of_a_run_to_no_time_fails():
+    chain = paper_chain(1)
+
+    @jax.jit
+    def end(t1):
+        run = simulate(
+            chain, equation_8(chain, 1), t1, segments=3, solver=EventDriven(), throw=False
+        )
+        return code(run.result)
+
+    assert [NAMES[int(end(t1))] for t1 in (jnp.nan, -3.0, 3.0)] == [
+        "bad_span", "bad_span", "successful",
+    ]  # fmt: skip

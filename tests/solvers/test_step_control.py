@@ -1,0 +1,322 @@
+"""SwitchingController: fewer steps at no greater error, with any solver, and never in the way."""
+
+from typing import Any
+
+import diffrax as dfx
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from systems.oscillators import LinearRing
+
+from jaxchain import (
+    Chain,
+    ExponentialDecay,
+    Rodas4,
+    Rodas5P,
+    SwitchingController,
+    TanhFriction,
+    equation_8,
+    paper_chain,
+    simulate,
+)
+from jaxchain.model.oscillators import AbstractOscillators
+from jaxchain.model.springs import Springs
+
+
+def pid(rtol: Any = 1e-6, **kwargs: Any) -> dfx.PIDController:
+    return dfx.PIDController(rtol=rtol, atol=0.1 * rtol, **kwargs)
+
+
+def solve(field, solver, controller, y0, t1, t0=0.0, **kwargs) -> Any:
+    terms: Any = dfx.ODETerm(field)
+    options = {"max_steps": None, "adjoint": dfx.ForwardMode(), **kwargs}
+    return dfx.diffeqsolve(
+        terms, solver, t0, t1, None, y0, stepsize_controller=controller, **options
+    )
+
+
+def stiff_run(solver, switching, span=30.0):
+    """(state, steps, rejected steps) of the ring of twenty, of belt speeds and a tolerance."""
+
+    def run(belt_speed, rtol):
+        chain = paper_chain(20, belt_speed, width=1e-4)
+        controller: Any = pid(rtol, dtmax=0.5)
+        controller = SwitchingController(controller, chain) if switching else controller
+        out = solve(chain, solver, controller, equation_8(chain, 9), span)
+        stats = out.stats
+        return jnp.stack(out.ys)[:, 0], stats["num_steps"], stats["num_rejected_steps"]
+
+    return jax.jit(jax.vmap(run, in_axes=(0, None)))
+
+
+SPEEDS = jnp.linspace(1.2, 1.4, 8)
+
+
+@pytest.fixture(scope="module")
+def exact():
+    return stiff_run(Rodas5P(1), False)(SPEEDS, 1e-11)[0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("solver", "saved"),
+    [
+        (Rodas4(1), {1e-5: 0.3, 1e-6: 0.2, 1e-7: 0.1}),
+        pytest.param(Rodas5P(1), {1e-6: 0.25, 1e-7: 0.15, 1e-8: 0.1}, marks=pytest.mark.long),
+    ],
+)
+def test_fewer_steps_at_no_greater_error_on_the_stiff_chain(solver, saved, exact):
+    plain, switching = stiff_run(solver, False), stiff_run(solver, True)
+    growth = []
+    for rtol, share in saved.items():
+        (y, steps, rejected), (own, own_steps, own_rejected) = (
+            run(SPEEDS, rtol) for run in (plain, switching)
+        )
+        assert own_steps.sum() <= (1 - share) * steps.sum()
+        assert own_rejected.sum() <= 0.8 * rejected.sum()
+        error, own_error = (np.max(np.abs(s - exact), axis=(1, 2)) for s in (y, own))
+        growth.append(np.log(own_error / error))
+    # A lane near a change of its motion errs by anything, so that a mean would say nothing.
+    assert np.exp(np.median(growth)) <= 1.2
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("solver", [Rodas4(3), dfx.Kvaerno5(scan_kind="lax"), dfx.Dopri8()])
+def test_any_solver_finds_the_same_answer_with_fewer_rejections(solver):
+    chain = paper_chain(4, belt_speed=1.3, width=1e-3)
+    y0 = equation_8(chain, 2)
+    expected = solve(chain, Rodas5P(), pid(1e-10), y0, 8.0).ys
+    control = pid(1e-6, pcoeff=0.4, icoeff=0.3)  # without them Kvaerno5 wavers
+    plain, own = (
+        solve(chain, solver, controller, y0, 8.0)
+        for controller in (control, SwitchingController(control, chain))
+    )
+    np.testing.assert_allclose(np.stack(own.ys), np.stack(expected), atol=2e-4)
+    assert own.stats["num_rejected_steps"] < plain.stats["num_rejected_steps"]
+
+
+def test_simulate_uses_it():
+    chain = paper_chain(4, belt_speed=1.3, width=1e-4)
+    y0 = equation_8(chain, 2)
+    own = simulate(chain, y0, 30.0, solver=Rodas4(1))
+    plain, switching = (
+        int(solve(chain, Rodas4(1), controller, y0, 30.0).stats["num_steps"])
+        for controller in (pid(dtmax=0.5), SwitchingController(pid(dtmax=0.5), chain))
+    )
+    assert int(own.steps + own.rejected) == pytest.approx(switching, rel=0.02)
+    assert switching < 0.85 * plain
+
+
+def test_vmap_over_belt_speeds_is_a_loop():
+    def run(speed):
+        chain = paper_chain(4, belt_speed=speed, width=1e-2)
+        controller = SwitchingController(pid(), chain)
+        out = solve(chain, Rodas4(3), controller, equation_8(chain, 2), 5.0)
+        return jnp.stack(out.ys), out.stats["num_steps"]
+
+    speeds = jnp.linspace(0.8, 1.6, 4)
+    states, steps = jax.jit(jax.vmap(run))(speeds)
+    one = jax.jit(run)
+    for i, speed in enumerate(speeds):
+        state, count = one(speed)
+        np.testing.assert_allclose(states[i], state, atol=1e-11)
+        assert steps[i] == count
+
+
+@pytest.mark.long
+def test_derivatives_are_those_of_differences():
+    chain = paper_chain(4, belt_speed=1.3, width=0.05)
+    x, v = equation_8(chain, 2)
+    y0 = x, v.at[0].set(1.3)  # one mass starts at the belt's speed, where a bound is 0 / 0
+
+    @eqx.filter_jit
+    def end(parameters, adjoint):
+        speed, width = parameters
+        own = chain.with_(belt_speed=speed, width=width)
+        controller = SwitchingController(pid(1e-9), own)
+        run = solve(own, Rodas4(3), controller, y0, 3.0, adjoint=adjoint, max_steps=2048)
+        return run.ys[0][0, 1]
+
+    at = jnp.array([1.3, 0.05])
+    forward = jax.jacfwd(lambda p: end(p, dfx.ForwardMode()))(at)
+    backward = jax.grad(lambda p: end(p, dfx.RecursiveCheckpointAdjoint()))(at)
+    for i, h in enumerate((1e-4, 1e-5)):
+        step = jnp.zeros(2).at[i].set(h)
+        ends = [end(at + s * step, dfx.ForwardMode()) for s in (1, -1)]
+        np.testing.assert_allclose(forward[i], (ends[0] - ends[1]) / (2 * h), rtol=2e-4)
+    np.testing.assert_allclose(backward, forward, rtol=1e-9)
+
+
+class MovingBelt(AbstractOscillators):
+    """v' = -0.1 v - x - tanh((v - acceleration t) / width): masses on a belt that gains speed."""
+
+    acceleration: jax.Array
+    width: jax.Array
+    springs: None = None
+
+    def _friction(self, t, v):
+        return -jnp.tanh((v - self.acceleration * t) / self.width)
+
+    def local_force(self, t, x, v):
+        return self._friction(t, v) - 0.1 * v
+
+    def stiffness_diagonal(self, n):
+        del n
+        return jnp.asarray(1.0)
+
+    def switching(self, t, v):
+        return v - self.acceleration * t, self.width
+
+
+def moving_belt(acceleration) -> MovingBelt:
+    return MovingBelt(acceleration=jnp.asarray(acceleration), width=jnp.asarray(0.01))
+
+
+@pytest.mark.parametrize("acceleration", [0.0, 0.5])
+def test_time_may_run_backward(acceleration):
+    # Both masses are pulled through the layer so fast that the way back is well conditioned.
+    field = moving_belt(acceleration)
+    y0 = jnp.array([3.0, 4.0]), jnp.array([2.5, 3.0])
+    there = solve(field, Rodas5P(), SwitchingController(pid(1e-11), field), y0, 3.0, t0=1.0)
+    end = there.ys[0][0], there.ys[1][0]
+    counts = []
+    for controller in (pid(1e-8), SwitchingController(pid(1e-8), field)):
+        back = solve(field, Rodas5P(), controller, end, 1.0, t0=3.0)
+        np.testing.assert_allclose(np.stack(back.ys)[:, 0], np.stack(y0), atol=1e-5)
+        counts.append(int(back.stats["num_rejected_steps"]))
+    assert counts[1] < counts[0]
+
+
+def next_step(field, w0, w1, *, t=1.0, h=0.1, error=0.0, **constants: Any):
+    """The step after one of length h from w0 to w1; PID control alone would take ten times h."""
+    controller = SwitchingController(pid(), field, **constants).wrap(1)
+    speed = field.belt_speed
+    x = jnp.zeros(2)
+    y0, y1 = (x, speed + jnp.asarray(w0)), (x, speed + jnp.asarray(w1))
+    one = jnp.asarray(1.0)
+    kept, start, end, *_ = controller.adapt_step_size(
+        jnp.asarray(t), jnp.asarray(t + h), y0, y1, None, (x, x + error), 4.0,
+        (one, one, jnp.asarray(False)),
+    )  # fmt: skip
+    assert bool(kept) == (error == 0.0)
+    return float(end - start)
+
+
+def test_the_next_step_is_bounded_by_the_first_mass_to_switch():
+    chain = paper_chain(2, belt_speed=1.3, width=1e-2)
+    # a = 1 and 4: the layer's edge is 0.446 and 0.0615 away.
+    assert next_step(chain, [-0.6, -0.7], [-0.5, -0.3]) == pytest.approx((0.3 - 0.054) / 4)
+    # Within the layer, at a = 0.5.
+    assert next_step(chain, [0.09, 9.0], [0.04, 9.0]) == pytest.approx(0.03 / 0.5)
+    own: Any = {"near": 2.0, "landing": 1.0, "crossing": 0.5}
+    assert next_step(chain, [0.09, 9.0], [0.04, 9.0], **own) == pytest.approx(0.03 / 0.5)
+    assert next_step(chain, [0.06, 9.0], [0.01, 9.0], **own) == pytest.approx(0.005 / 0.5)
+
+
+def test_a_width_per_mass_counts_mass_by_mass():
+    law = ExponentialDecay(1.0, 0.5, 0.5)
+    chain = Chain(2, TanhFriction(law, jnp.array([1e-3, 1e-2])), belt_speed=1.3)
+    assert next_step(chain, [0.2, 0.2], [0.1, 0.1]) == pytest.approx(0.1 - 0.054)
+
+
+@pytest.mark.parametrize(
+    ("w0", "w1"),
+    [
+        ([-0.2, 0.3], [-0.3, 0.4]),  # both move away
+        ([0.0, 0.0], [0.0, 0.0]),  # both rest on the belt
+        ([-1e-6, 0.0], [-1e-6 - 1e-18, 0.0]),  # creeping under a growing force
+        ([-1e-6, -1e-200], [-1e-6 + 1e-18, -1e-250]),  # under a falling one: no bound in reach
+        ([-0.3, 0.1], [0.2, -0.3]),  # both have just passed
+    ],
+)
+def test_all_other_motions_are_left_alone(w0, w1):
+    chain = paper_chain(2, belt_speed=0.0, width=1e-2)
+    assert next_step(chain, w0, w1) == pytest.approx(1.0)
+
+
+def test_a_rejected_step_is_left_to_the_other_controller():
+    chain = paper_chain(2, belt_speed=1.3, width=1e-2)
+    assert next_step(chain, [0.2, 0.2], [0.07, 0.1], error=1.0) == pytest.approx(0.02)
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_a_surface_that_moves_is_met_where_it_will_be(direction):
+    # The masses keep their velocity; the belt, gaining speed 0.5 in a time unit, comes to meet
+    # them, and backward in time leaves them.
+    field = moving_belt(0.5)
+    controller = SwitchingController(pid(), field).wrap(direction)
+    t0, t1 = 1.0, 1.1
+    start = field.switching(direction * t0, jnp.zeros(2))[0]
+    y = jnp.zeros(2), 0.3 * direction - start  # w = 0.3 direction at t0
+    one = jnp.asarray(1.0)
+    _, begin, end, *_ = controller.adapt_step_size(
+        jnp.asarray(t0), jnp.asarray(t1), y, y, None, (one * jnp.zeros(2),) * 2, 4.0,
+        (one, one, jnp.asarray(False)),
+    )  # fmt: skip
+    # In either direction |w| shrinks at 0.5 from 0.25 after the step.
+    assert float(end - begin) == pytest.approx((0.25 - 0.054) / 0.5)
+
+
+def test_no_bound_goes_below_what_moves_the_time_or_the_other_controllers_least_step():
+    chain = paper_chain(2, belt_speed=0.0, width=1e-13)
+    w0, w1 = [0.2, 1.0], [1e-14, 1.0]
+    late = next_step(chain, w0, w1, t=1e6)
+    assert 1e-10 < late < 1e-8
+    assert next_step(chain, w0, w1) < 1e-12
+    controller = SwitchingController(pid(dtmin=1e-5), chain)
+    x, one = jnp.zeros(2), jnp.asarray(1.0)
+    _, begin, end, *_ = controller.adapt_step_size(
+        jnp.asarray(1.0), jnp.asarray(1.1), (x, jnp.asarray(w0)), (x, jnp.asarray(w1)), None,
+        (x, x), 4.0, (one, one, jnp.asarray(False)),
+    )  # fmt: skip
+    assert float(end - begin) == pytest.approx(1e-5)
+
+
+def test_a_field_without_a_switching_force_takes_the_same_steps_bit_for_bit():
+    full, start = jnp.full(3, 0.05), jnp.array([1.0, 0.0, -0.5])
+    springs = Springs(jnp.asarray(0.3), "cyclic")
+    ring = LinearRing(damping=full, stiffness=jnp.ones(3), springs=springs, x0=start, v0=start)
+    times = [
+        solve(
+            ring, Rodas4(), controller, (start, start), 10.0,
+            saveat=dfx.SaveAt(steps=True), max_steps=512,
+        ).ts
+        for controller in (pid(), SwitchingController(pid(), ring))
+    ]  # fmt: skip
+    np.testing.assert_array_equal(*times)
+
+
+@pytest.mark.parametrize("belt_speed", [1e-3, 0.1, 1.3])
+@pytest.mark.parametrize("width", [1e-2, 1e-5, 1e-8])
+def test_a_sticking_mass_does_not_stall_the_run(belt_speed, width):
+    # It starts exactly at the belt's speed, sticks until its spring pulls it off, and comes back.
+    chain = paper_chain(1, belt_speed, width)
+    y0 = jnp.array([-0.9]), jnp.asarray([belt_speed])
+    span = 30.0 if belt_speed > 0.01 else 1800.0
+    plain, own = (
+        solve(chain, Rodas4(), controller, y0, span, max_steps=100_000)
+        for controller in (pid(dtmax=0.5), SwitchingController(pid(dtmax=0.5), chain))
+    )
+    assert int(own.stats["num_steps"]) <= 1.05 * int(plain.stats["num_steps"])
+
+
+def test_wrong_input_is_named():
+    chain = paper_chain(2)
+    wrong: Any = dfx.ConstantStepSize()
+    with pytest.raises(ValueError, match="`controller` must be an adaptive"):
+        SwitchingController(wrong, chain)
+    wrong = lambda t, y, args: y  # noqa: E731
+    with pytest.raises(ValueError, match="`field` must be the `Chain`"):
+        SwitchingController(pid(), wrong)
+    with pytest.raises(ValueError, match="`near` must be at least `landing`"):
+        SwitchingController(pid(), chain, near=3.0)
+    with pytest.raises(ValueError, match="`crossing` must be positive"):
+        SwitchingController(pid(), chain, crossing=0.0)
+    controller = SwitchingController(pid(), chain)
+    with pytest.raises(ValueError, match="pair"):
+        dfx.diffeqsolve(
+            dfx.ODETerm(lambda t, y, args: -y), dfx.Tsit5(), 0.0, 1.0, None, jnp.ones(2),
+            stepsize_controller=controller,
+        )  # fmt: skip

@@ -1,0 +1,316 @@
+"""The study `fronts`: its table, its predictions, its summary, its picture, and a small one."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import xarray as xr
+from scipy.integrate import solve_ivp
+from scipy.special import i1, jv
+
+from jaxchain.model.chain import paper_chain
+from jaxchain.scenes.reading import SceneError, load_scene
+from jaxchain.studies.fronts.figure import figure
+from jaxchain.studies.fronts.prediction import (
+    death_belt_speed,
+    growth_coupling,
+    growth_rate,
+    single_cycle,
+    spreading_speed,
+)
+from jaxchain.studies.fronts.report import predicted_edges, summary, windows
+from jaxchain.studies.fronts.runs import BlockStart, averaged, exponents
+from jaxchain.studies.fronts.study import run
+
+SPEEDS = np.array([0.9, 1.0, 1.1, 1.4, 1.5, 1.7, 1.8])
+PATTERNS = ["alternating", "in-phase"]
+
+
+def made_up():
+    """Datasets of the shape that the study has."""
+    true = np.array([0.03, 0.02, 0.01, 0.0, 0.0, -0.01, -0.02])
+    verdict = np.sign(true).astype(int)[:, None, None] + np.zeros((7, 2, 2), int)
+    verdict[5, 0, 0] = 2
+    lanes = ("belt_speed", "pattern", "seed")
+    speed = true[:, None, None] + np.array([-1e-4, 1e-4])[:, None]
+    first = xr.Dataset(
+        {
+            "speed": (lanes, speed + np.zeros((7, 2, 2))),
+            "error": (lanes, np.full((7, 2, 2), 2e-4)),
+            "verdict": (lanes, verdict), "result": (lanes, np.zeros((7, 2, 2), int)),
+            "mean_speed": ("belt_speed", true), "mean_error": ("belt_speed", np.full(7, 1e-4)),
+            "spreading": ("curve", np.array([0.03, 0.01])),
+        },
+        coords={
+            "belt_speed": SPEEDS, "pattern": PATTERNS, "seed": [0, 1], "curve": [0.9, 1.15],
+        },
+    )  # fmt: skip
+    amplitude = np.ones((3, 5, 12)) * (np.abs(np.arange(12) - 6) < 3)
+    amplitude[0, -1], amplitude[2, -1] = 2.0, 0.0
+    amplitude = 2.0 * amplitude
+    pictures = xr.Dataset(
+        {"amplitude": (("belt_speed", "time", "oscillator"), amplitude)},
+        coords={
+            "belt_speed": [1.1, 1.5, 1.75], "time": np.arange(5.0), "oscillator": np.arange(1, 13),
+        },
+    )  # fmt: skip
+    eta = np.array([0.005, 0.01, 0.02])
+    stands = np.empty((3, 2, 2))
+    stands[:, 0], stands[:, 1] = 1.35, 1.69
+    moves = np.empty((3, 2, 2))
+    moves[:, 0], moves[:, 1] = 1.33, 1.71
+    pinning = xr.Dataset(
+        {
+            "stands": (("coupling", "edge", "pattern"), stands),
+            "moves": (("coupling", "edge", "pattern"), moves),
+            "growth_coupling": (("curve", "cosine"), np.array([[0.004, 0.003], [0.03, 0.02]])),
+            "death_belt_speed": ("death_coupling", np.array([1.8, 1.4])),
+        },
+        coords={
+            "coupling": eta, "edge": ["grows", "shrinks"], "pattern": PATTERNS,
+            "curve": [1.2, 1.5], "cosine": [0.0, -1.0], "death_coupling": [0.001, 0.041],
+        },
+    )  # fmt: skip
+    law = np.stack([eta**0.5, eta])
+    coupling = xr.Dataset(
+        {
+            "mean_speed": (("belt_speed", "coupling"), law),
+            "mean_error": (("belt_speed", "coupling"), 0.05 * law),
+            "verdict": (("coupling", "belt_speed", "pattern"), np.ones((3, 2, 2), int)),
+            "exponent": ("belt_speed", [0.5, 1.0]), "exponent_error": ("belt_speed", [0.01, 0.02]),
+            "points": ("belt_speed", [3.0, 3.0]),
+            "spreading": (("belt_speed", "curve"), np.array([[0.1, 0.2], [np.nan, np.nan]])),
+        },
+        coords={
+            "belt_speed": [0.95, 1.2], "coupling": eta, "pattern": PATTERNS, "curve": [5e-3, 2e-2],
+        },
+    )  # fmt: skip
+    convergence = xr.Dataset(
+        {
+            "mean_speed": (("case", "belt_speed"), np.array([[0.02, -0.01], [0.021, -0.01]])),
+            "mean_error": (("case", "belt_speed"), np.full((2, 2), 1e-3)),
+            "masses": ("case", [40, 80]), "width": ("case", [0.0, 1e-3]),
+        },
+        coords={"belt_speed": [1.0, 1.75]},
+    )  # fmt: skip
+    return {
+        "belt_speed": first, "pictures": pictures, "pinning": pinning, "coupling": coupling,
+        "convergence": convergence,
+    }  # fmt: skip
+
+
+def test_windows_hold_speeds_at_which_all_runs_agree():
+    assert windows(made_up()["belt_speed"]) == [
+        ("grows", 0.9, 1.1), ("stands", 1.4, 1.5), ("mixed", 1.7, 1.7), ("shrinks", 1.8, 1.8)
+    ]  # fmt: skip
+
+
+def test_the_summary_names_windows_edges_and_exponents():
+    said = summary(made_up())
+    for part in (
+        "28 of 28 runs ended well", "grows from 0.9 to 1.1", "+0.02000 +- 0.00010",
+        "coupling 0.01: grows 1.3500..1.3300; 1.3500..1.3300, shrinks 1.6900..1.7100",
+        "at 0.95: p = 0.500 +- 0.010, 3 couplings", "80 masses, width 0.001: 1: +0.02100",
+    ):  # fmt: skip
+        assert part in said
+    # In between, 0.01 is (0.01 - 0.003) / 0.017 of the way from 1.2 to 1.5.
+    low, high = predicted_edges(made_up()["pinning"], 0.01)
+    np.testing.assert_allclose([low, high], [1.2 + 0.3 * 7 / 17, 1.8 - 0.4 * 9 / 40])
+
+
+def test_the_picture():
+    page = figure(made_up())
+    top, lower = page.subfigs
+    assert [axes.get_title() for axes in top.axes[:3]] == [
+        r"$\tilde v_d = 1.1$: grows", r"$\tilde v_d = 1.5$: stands",
+        r"$\tilde v_d = 1.75$: shrinks",
+    ]  # fmt: skip
+    speed, _, coupling, _ = lower.axes
+    lines = {line.get_label(): line for line in speed.get_lines()}
+    np.testing.assert_allclose(np.asarray(lines["linear spreading"].get_ydata()), [30.0, 10.0])
+    words = [text.get_text() for text in speed.texts]
+    assert words == ["grows", "stands", "shrinks"]
+    labels = coupling.get_legend_handles_labels()[1]
+    assert r"$\tilde v_d = 0.95$: $p = 0.50 \pm 0.01$" in labels
+
+
+def test_exponents_of_exact_and_of_noisy_power_laws():
+    eta = np.geomspace(1e-3, 0.1, 9)
+    p, error, points = exponents(eta, -0.3 * eta**0.7, np.zeros(9))
+    np.testing.assert_allclose([p, error, points], [0.7, 0.0, 9], atol=1e-12)
+    # What stands is left out.
+    speed = np.where(eta < 5e-3, 0.0, eta)
+    p, _, points = exponents(eta, speed, np.full(9, 1e-4))
+    np.testing.assert_allclose([p, points], [1.0, 6.0])
+    assert np.isnan(exponents(eta, np.zeros(9), np.full(9, 1e-4))[0])
+    rng = np.random.default_rng(0)
+    inside = 0
+    for _ in range(200):
+        p, error, _ = exponents(eta, eta * np.exp(rng.normal(0.0, 0.1, 9)), np.zeros(9))
+        inside += abs(p - 1.0) <= error
+    assert 183 <= inside <= 198
+
+
+def test_means_have_the_greater_of_two_errors():
+    lanes = np.array([[0.1, 0.1, 0.1, 0.1], [0.1, 0.2, 0.3, 0.4], [0.1, np.nan, np.nan, 0.3]])
+    data = xr.Dataset(
+        {"speed": (("belt_speed", "seed"), lanes), "error": (("belt_speed", "seed"),
+         np.where(np.isnan(lanes), np.nan, 0.02))}
+    )  # fmt: skip
+    mean = averaged(data, ("seed",))
+    np.testing.assert_allclose(mean["speed"], [0.1, 0.25, 0.2])
+    scatter = [3.182446 * np.std(lanes[1], ddof=1) / 2, 12.706205 * 0.1 * 2**0.5 / 2**0.5]
+    np.testing.assert_allclose(mean["error"], [0.01, *scatter], rtol=1e-6)
+
+
+def test_linear_spreading_against_bessel_functions():
+    """The exact solution of x_n' = s x_n - (i eta / 2) (x_{n-1} + x_{n+1}) from one mass."""
+    eta, growth = 0.01, 0.012
+    u = float(spreading_speed(eta, growth))
+    times = np.array([4000.0, 8000.0])
+    places = []
+    for t in times:
+        n = np.arange(int(eta * t), int(2 * u * t))
+        # Logarithms, because the growth alone overflows; jv of a large order underflows late.
+        size = growth * t + np.log(np.maximum(np.abs(jv(n, eta * t)), 1e-300))
+        known = np.abs(jv(n, eta * t)) > 1e-290
+        last = np.flatnonzero(known & (size > 0))[-1]
+        share = size[last] / (size[last] - size[last + 1])
+        places.append(n[last] + share)
+    # t^(-1/2) of the front's tail: u t - ln t / (2 arcosh(u / eta)).
+    slope = (places[1] - places[0] + 0.5 * np.log(2.0) / np.arccosh(u / eta)) / 4000.0
+    np.testing.assert_allclose(slope, u, rtol=1e-3)
+    assert np.isnan(spreading_speed(eta, -1e-3))
+
+
+def test_growth_is_that_of_the_hopf_bifurcation():
+    """s = [(mu_st - mu_d) / v_0 exp(-v_d / v_0) - 2 xi] / 2."""
+    found = [growth_rate(paper_chain(1, speed)) for speed in (1.0, 0.5 * np.log(10.0))]
+    np.testing.assert_allclose(found, [0.5 * (np.exp(-2.0) - 0.1), 0.0], atol=1e-12)
+
+
+@pytest.mark.long
+def test_the_last_mass_of_a_block_dies_where_its_springs_take_too_much():
+    one = paper_chain(1)
+    both = jax.jit(jax.vmap(lambda eta: death_belt_speed(one, eta, -0.0034)))
+    alone, coupled = both(jnp.array([1e-9, 0.01]))
+    np.testing.assert_allclose(alone, 1.836600972, rtol=1e-6)
+    # What quiet masses take: driven at one end, 60 of them, by a linear solve.
+    eta, speed = 0.01, float(coupled)
+    damping = 0.5 * (0.1 - np.exp(-speed / 0.5))
+    matrix = np.diag(np.full(60, damping - 0.0034j)) + 0.5j * eta * (
+        np.eye(60, k=1) + np.eye(60, k=-1)
+    )
+    first = np.linalg.solve(matrix, -0.5j * eta * np.eye(60)[0])[0]
+    leak = -np.real(-0.5j * eta * first)
+    # Of a damping that much greater averaging, without higher harmonics, gives the fold to 1 %.
+    ratio = np.linspace(0.3, 1.0, 50)
+    slow = np.linspace(1.5, 1.9, 400)[:, None]
+    gain = 0.5 * np.exp(-slow / 0.5) * i1(ratio * slow / 0.5) / (ratio * slow)
+    fold = slow[(gain > 0.05 + 0.5 * eta + leak).any(1)].max()
+    np.testing.assert_allclose(speed, fold, rtol=0.01)
+    assert 1.68 < speed < 1.71
+
+
+@pytest.mark.long
+def test_a_quiet_neighbour_is_drawn_in_where_its_low_response_ends():
+    chain = paper_chain(1, 1.3)
+    detuning, amplitude, cosine = -0.0096, 1.42, -1.0
+    threshold = float(growth_coupling(chain, detuning, amplitude, cosine))
+
+    def most(eta):
+        def slope(_, u):
+            a = u[:6] + 1j * u[6:]
+            r = np.maximum(np.abs(a), 1e-9)
+            damping = 0.05 - 0.5 * np.exp(-1.3 / 0.5) * i1(r / 0.5) / r
+            padded = np.concatenate([[amplitude], a, [0.0]])
+            rate = -(damping + 1j * (detuning - 0.5 * eta * cosine)) * a
+            rate = rate - 0.5j * eta * (padded[:-2] + padded[2:])
+            return np.concatenate([rate.real, rate.imag])
+
+        out = solve_ivp(slope, (0, 1500), np.zeros(12), rtol=1e-7, max_step=5.0,
+                        events=_at_belt)  # fmt: skip
+        return out.status == 1
+
+    def _at_belt(_, u):
+        return np.hypot(u[0], u[6]) - 1.3
+
+    _at_belt.terminal = True  # pyright: ignore[reportFunctionMemberAccess]
+    assert not most(0.97 * threshold)
+    assert most(1.03 * threshold)
+
+
+@pytest.mark.long
+def test_the_period_of_a_single_cycle():
+    """It repeats itself after 2 pi / w, which no other number would do."""
+    from jaxchain.model.initial_states import excited_state
+    from jaxchain.simulation.event_driven import EventDriven
+    from jaxchain.simulation.run import simulate
+
+    chain = paper_chain(1, 1.5)
+    detuning, amplitude = jax.jit(lambda: single_cycle(chain))()
+    assert 1.5 < float(amplitude) < 1.65
+    late = simulate(chain, excited_state(chain, 1), 100.0, solver=EventDriven()).state
+    period = 2 * np.pi / (1.0 + float(detuning))
+    again = simulate(chain, late, 3 * period, solver=EventDriven()).state
+    np.testing.assert_allclose(again, late, atol=2e-4)
+
+
+def test_a_block_starts_with_noise_inside_and_sliding_outside():
+    chain = paper_chain(30)
+    sliding = float(-chain.friction.force(chain.belt_speed))
+    starts = jax.jit(jax.vmap(lambda seed, alike: BlockStart(10)(chain, seed, alike)))
+    xs, vs = starts(jnp.array([3, 4, 3]), jnp.array([False, False, True]))
+    (x, other, alike), v = xs, vs[0]
+    inside = np.zeros(30, bool)
+    inside[10:20] = True
+    assert np.all(np.asarray(x)[~inside] == np.asarray(x)[0])
+    assert np.all(np.asarray(v)[~inside] == 0.0)
+    np.testing.assert_allclose(np.abs(x - sliding)[inside], 2.0, atol=0.1)
+    assert np.all(np.asarray(alike - sliding)[inside] > 1.8)
+    assert np.all(np.asarray(x != other) == inside)
+
+
+@pytest.mark.parametrize(
+    ("override", "key"),
+    [
+        ("base.mu_dynamic=1.0", "mu_static"),
+        ("speed.block=60", "lower `block`"),
+        ("speed.seeds=0", "speed.seeds"),
+        ("coupling.coupling=[0.01]", "coupling.coupling"),
+        ("pinning.stands=1.0", "lowest"),
+        ("pictures.windows=1", "pictures.windows"),
+        ("rtol=0.1", "rtol"),
+        ("colour=1", "colour"),
+    ],
+)
+def test_a_bad_table_is_refused_with_its_key(override, key):
+    with pytest.raises(SceneError, match=key):
+        load_scene("fronts", [override])
+
+
+SMALL = [
+    "pictures={masses=20,block=8,time=100.0,belt_speed=[1.1],windows=10}",
+    "speed={masses=20,block=8,time=200.0,belt_speed=[1.05,1.5],seeds=1}",
+    "coupling={masses=20,block=8,time=200.0,belt_speed=[1.05],coupling=[0.01,0.02,0.03]}",
+    "pinning={masses=20,block=8,time=200.0,coupling=[0.02],lowest=1.1,stands=1.5,highest=1.82,"
+    "halvings=1}",
+    "convergence={masses=20,block=8,time=200.0,belt_speed=[1.05],other_masses=[24],width=[1e-2]}",
+]
+
+
+@pytest.mark.exhaustive
+def test_a_small_study(tmp_path):
+    said = []
+    data = run(load_scene("fronts", SMALL).scene, tmp_path, name="small", report=said.append)
+    files = {file.name for file in tmp_path.iterdir()}
+    assert files == {"small.zarr", "small.nc", "small.png", "small.pdf"}
+    assert list(data) == ["belt_speed", "pictures", "pinning", "coupling", "convergence"]
+    stored = xr.load_dataset(tmp_path / "small.nc", group="pinning", engine="h5netcdf")
+    assert stored.identical(data["pinning"])
+    assert windows(data["belt_speed"]) == [("grows", 1.05, 1.05), ("stands", 1.5, 1.5)]
+    assert "grows from 1.05 to 1.05" in said[0]
+    # The same ring, once more.
+    first = data["belt_speed"]["speed"].sel(belt_speed=1.05, seed=0)
+    again = data["convergence"]["speed"].isel(case=0).sel(belt_speed=1.05)
+    np.testing.assert_allclose(first, again)

@@ -1,0 +1,185 @@
+"""Studies: found, checked and listed like scenes, run into a folder like scenes."""
+
+import json
+import tomllib
+from pathlib import Path
+from typing import Literal
+
+import matplotlib.figure
+import numpy as np
+import pytest
+import xarray as xr
+from pydantic import Field
+
+import jaxchain.scenes.running
+from jaxchain import studies
+from jaxchain.cli import main
+from jaxchain.scenes.reading import SceneError, builtin_scenes, load_scene, schema
+from jaxchain.scenes.tables import FrictionTable, Table
+from jaxchain.studies import STUDIES, StudyFailedError, StudyTable, study_module
+from jaxchain.studies.extremes.study import Study
+
+
+@pytest.fixture
+def workplace(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path / "cache"))
+    return tmp_path
+
+
+class Part(Table):
+    size: float
+
+
+class MadeUp(StudyTable):
+    study: Literal["made_up"]
+    part: Part
+    parts: dict[str, Part] = Field(default_factory=dict)
+    several: list[Part] = Field(default_factory=list)
+    friction: FrictionTable | None = None
+
+
+class MadeUpModule:
+    """What a study's module offers."""
+
+    Study = MadeUp
+    fails = False
+
+    @classmethod
+    def run(cls, study, folder, *, name, plot, progress, report):
+        data = xr.Dataset({"size": ("part", [study.part.size])})
+        jaxchain.scenes.running.save(data, folder / name, None)
+        report(f"size {study.part.size}")
+        if plot:
+            jaxchain.scenes.running.save_drawing(matplotlib.figure.Figure, folder / name)
+        if cls.fails:
+            raise StudyFailedError("1 of 1 sizes is WRONG")
+        return {name: data}
+
+
+@pytest.fixture
+def made_up(workplace, monkeypatch):
+    """A study of the name `made_up`, and a file of it."""
+    monkeypatch.setattr("jaxchain.scenes.reading.STUDIES", ("made_up", "extremes"))
+    for place in ("jaxchain.scenes.reading.study_module", "jaxchain.scenes.running.study_module"):
+        monkeypatch.setattr(place, lambda name: MadeUpModule)
+    text = 'study = "made_up"\ntitle = "A test"\npart = { size = 2.5 }\n'
+    Path("mine.toml").write_text(text, encoding="utf-8")
+    return "mine.toml"
+
+
+def scenes_of_studies():
+    """Which study each built-in scene asks for (None: it is a sweep); one may have several."""
+    return {
+        name: tomllib.loads(file.read_text(encoding="utf-8")).get("study")
+        for name, file in builtin_scenes().items()
+    }
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_every_study_has_its_file_its_table_and_its_run(name):
+    module = study_module(name)
+    own = [load_scene(scene) for scene, study in scenes_of_studies().items() if study == name]
+    assert own, f"the study {name} has no built-in scene"
+    assert all(type(loaded.scene) is module.Study for loaded in own)
+    assert callable(module.run)
+
+
+def test_an_unknown_study_has_no_module():
+    with pytest.raises(KeyError):
+        study_module("nothing")
+    assert set(STUDIES) <= set(scenes_of_studies().values())
+    assert studies.__doc__
+
+
+def test_a_study_runs_into_its_folder(made_up, capsys):
+    assert main(["run", made_up, "--set", "part.size=3"]) == 0
+    files = {file.name for file in Path("results/mine").iterdir()}
+    assert files == {"mine.zarr", "mine.nc", "mine.png", "mine.pdf"}
+    assert xr.open_zarr("results/mine/mine.zarr")["size"].values.tolist() == [3.0]
+    assert "size 3.0" in capsys.readouterr().out
+    assert main(["run", made_up, "--no-plot", "--quiet"]) == 0
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert "the results go to results/mine-2" in said.err
+    assert not Path("results/mine-2/mine.png").exists()
+
+
+def test_a_study_that_fails_ends_with_1_and_keeps_its_results(made_up, monkeypatch, capsys):
+    monkeypatch.setattr(MadeUpModule, "fails", True)
+    assert main(["run", made_up, "--no-plot"]) == 1
+    assert capsys.readouterr().err == "jaxchain: 1 of 1 sizes is WRONG\n"
+    assert Path("results/mine/mine.zarr").exists()
+
+
+def test_a_drawing_that_fails_costs_no_data(made_up, monkeypatch, capsys):
+    def broken(page, path):
+        raise RuntimeError("no ink")
+
+    monkeypatch.setattr(jaxchain.scenes.running, "save_figure", broken)
+    assert main(["run", made_up]) == 1
+    assert "the results are in results/mine, but drawing" in capsys.readouterr().err
+    assert Path("results/mine/mine.nc").exists()
+
+
+@pytest.mark.parametrize(
+    ("override", "problem"),
+    [
+        ("part.size=x", 'part.size: must be a number, but is "x"'),
+        ("part.size=nan", "part.size: must be a finite number, but is nan"),
+        (
+            "part.sice=1",
+            "part.sice: is not a known key (did you mean `size`?); allowed: size",
+        ),
+        (
+            "titel=x",
+            "titel: is not a known key (did you mean `title`?); allowed: study, title, "
+            "description, part, parts, several, friction",
+        ),
+        ("title=''", "title: must not be empty"),
+        ("part=1", "part: must be a table, but is 1"),
+        ("parts.one.weight=1", "parts.one.weight: is not a known key; allowed: size"),
+        (
+            "several=[{size=1},{size=1,weight=1}]",
+            "several[1].weight: is not a known key; allowed: size",
+        ),
+        (
+            "friction={law='coulomb',mu_static=1}",
+            "friction.mu_static: is not a known key (did you mean `mu_dynamic`?); allowed: law, "
+            "width, mu_dynamic",
+        ),
+        (
+            "study=made_upp",
+            'study: must be one of "made_up", "extremes", but is "made_upp" (did you mean '
+            "`made_up`?); without it the file is a scene",
+        ),
+        ("study=[1]", 'study: must be one of "made_up", "extremes", but is a list'),
+    ],
+)
+def test_a_wrong_key_is_named_with_value_and_remedy(made_up, override, problem):
+    with pytest.raises(SceneError) as error:
+        load_scene(made_up, [override, *(["parts.one.size=1"] if "parts." in override else [])])
+    assert any(found.startswith(problem) for found in error.value.problems), error.value.problems
+
+
+def test_a_wrong_study_ends_with_2_before_anything_is_made(made_up, capsys):
+    assert main(["run", made_up, "--set", "part.size=x"]) == 2
+    assert (
+        "scene mine.toml has an error:\n  part.size: must be a number" in capsys.readouterr().err
+    )
+    assert not Path("results").exists()
+
+
+def test_studies_are_listed_shown_and_described(workplace, capsys):
+    assert main(["scenes"]) == 0
+    lines = {line.split()[0]: line for line in capsys.readouterr().out.splitlines()}
+    assert load_scene("extremes").scene.title in lines["extremes"]
+    assert main(["scenes", "extremes"]) == 0
+    shown = capsys.readouterr().out
+    Path("own.toml").write_text(shown.replace("1e6", "1e5"), encoding="utf-8")
+    assert load_scene("own.toml").scene.duration == 1e5
+    assert main(["scenes", "extremes", "--schema"]) == 0
+    described = json.loads(capsys.readouterr().out)
+    assert set(described["properties"]) == set(Study.model_fields)
+    assert schema(Study) == described
+    assert np.all(["description" in described["properties"][key] for key in ("width", "duration")])

@@ -1,0 +1,300 @@
+"""Sweeps: the same numbers as single runs, whoever runs beside them; labels, failures, input."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import xarray as xr
+
+from jaxchain import (
+    Amplitude,
+    EventDriven,
+    FrontTrack,
+    PeakTimes,
+    Samples,
+    SweepInterrupted,
+    Trajectory,
+    equation_8,
+    excited_state,
+    paper_chain,
+    simulate,
+    sweep,
+)
+from jaxchain.chaos.poincare import ReturnPoints
+from jaxchain.result import NAMES
+
+CHAIN = paper_chain(4, belt_speed=1.4)
+OVER = {"belt_speed": [1.0, 1.4, 1.9], "excited": [0, 1, 4]}
+
+
+@pytest.fixture(scope="module")
+def small():
+    return sweep(CHAIN, equation_8, 60.0, over=OVER, observe=Amplitude(window=20.0))
+
+
+def test_every_lane_is_the_single_run(small):
+    for speed in OVER["belt_speed"]:
+        chain = CHAIN.with_(belt_speed=speed)
+        for excited in OVER["excited"]:
+            run = simulate(chain, equation_8(chain, excited), 60.0, observe=Amplitude(window=20.0))
+            lane = small.sel(belt_speed=speed, excited=excited)
+            np.testing.assert_allclose(lane.amplitude, run.observed, atol=1e-4)
+
+
+def test_the_dataset_is_labelled_and_tells_its_origin(small, tmp_path):
+    assert small.amplitude.dims == ("belt_speed", "excited", "oscillator")
+    assert small.oscillator.values.tolist() == [1, 2, 3, 4]
+    np.testing.assert_allclose(small.energy, 0.5 * (small.amplitude**2).sum("oscillator"))
+    assert small.active_count.sel(belt_speed=1.4).values.tolist() == [0, 1, 4]
+    assert (small.result == 0).all()
+    assert small.result.attrs["flag_meanings"].split() == list(NAMES)
+    for key in ("parameters", "solver", "rtol", "versions", "observers", "t1"):
+        assert key in small.attrs
+    for variable in small.variables.values():
+        assert "units" in variable.attrs
+    small.to_netcdf(tmp_path / "s.nc", engine="h5netcdf")
+    small.to_zarr(tmp_path / "s.zarr", consolidated=False)
+    with xr.open_dataset(tmp_path / "s.nc", engine="h5netcdf") as back:
+        xr.testing.assert_identical(back.load(), small)
+    again = xr.open_zarr(tmp_path / "s.zarr", consolidated=False).load()
+    xr.testing.assert_identical(again, small)
+
+
+def test_lanes_that_are_refilled_agree_with_those_that_are_not(small):
+    """Within the tolerances: another number of lanes is another program."""
+    # Three lanes on one device are refilled twice; the fixture runs five lanes on two devices.
+    refilled = sweep(
+        CHAIN, equation_8, 60.0, over=OVER, observe=Amplitude(window=20.0),
+        lanes=3, devices=jax.devices()[:1],
+    )  # fmt: skip
+    assert len(jax.devices()) == 2
+    assert small.attrs["devices"] != refilled.attrs["devices"]
+    assert (small.attrs["lanes_per_device"], refilled.attrs["lanes_per_device"]) == (5, 3)
+    assert refilled.attrs["device_kind"] == jax.devices()[0].device_kind
+    np.testing.assert_allclose(refilled.amplitude, small.amplitude, atol=1e-9)
+
+
+def bits(jobs, devices, lanes=4, solver=None):
+    """Amplitudes and steps of the first jobs of seven."""
+    speeds = np.linspace(0.9, 1.45, 7)[:jobs]
+    found = sweep(
+        CHAIN, lambda chain: equation_8(chain, 2), 60.0, over={"belt_speed": speeds},
+        observe=Amplitude(window=20.0), lanes=lanes, devices=jax.devices()[:devices],
+        solver=solver,
+    )  # fmt: skip
+    assert (found.result == 0).all()
+    assert found.attrs["lanes_per_device"] == found.attrs["lanes_per_device_at_end"] == lanes
+    return np.concatenate([found.amplitude.values, found.steps.values[:, None]], axis=1)
+
+
+@pytest.mark.parametrize(
+    "solver",
+    [
+        pytest.param(None, id="smoothed"),
+        pytest.param(EventDriven(), id="nonsmooth", marks=pytest.mark.long),
+    ],
+)
+def test_the_same_lanes_give_the_same_bits_for_any_number_of_jobs_and_devices(solver):
+    seven = bits(7, 2, solver=solver)
+    for jobs, devices in ((1, 1), (2, 2), (3, 1), (3, 2), (4, 1), (4, 2), (7, 1)):
+        assert np.array_equal(bits(jobs, devices, solver=solver), seven[:jobs])
+
+
+def test_given_lanes_stay_so_many_however_long_the_last_ones_take(monkeypatch):
+    """Without `lanes`, a pool of a quarter goes on, as soon as that is worth compiling."""
+    from jaxchain import pool
+
+    monkeypatch.setattr(pool, "_WORTH_COMPILING", 0.0)
+
+    def ends(**more):
+        # One lane in four goes on: the others rest, and stop.
+        found = sweep(
+            CHAIN, equation_8, 200.0, over={"excited": [0, 0, 0, 1]}, devices=jax.devices()[:1],
+            observe=Amplitude(window=20.0, stop="quiet"), **more,
+        )  # fmt: skip
+        return found.attrs["lanes_per_device"], found.attrs["lanes_per_device_at_end"]
+
+    assert ends(lanes=4) == (4, 4)
+    assert ends() == (4, 1)
+
+
+def test_lanes_that_no_memory_holds_are_refused():
+    with pytest.raises(MemoryError, match=r"1000000000 lanes on each device.*fewer `lanes`"):
+        sweep(CHAIN, equation_8, 60.0, over={"excited": [1]}, lanes=10**9)
+
+
+def failing_start(chain, excited):
+    """Excited = 3 starts at infinity."""
+    x, v = equation_8(chain, excited)
+    return jnp.where(excited == 3, jnp.inf, x), v
+
+
+@pytest.mark.long
+def test_a_failing_lane_is_marked_with_its_reason_and_harms_nobody():
+    arguments = {"over": {"excited": [0, 1, 2, 3, 4]}, "observe": Amplitude(window=20.0)}
+    with pytest.warns(UserWarning, match="1 of 5 lanes ended with `nonfinite`.*NaN or infinite"):
+        broken = sweep(CHAIN, failing_start, 60.0, **arguments)
+    whole = sweep(CHAIN, equation_8, 60.0, **arguments)
+    assert NAMES[int(broken.result[3])] == "nonfinite"
+    assert np.isnan(broken.amplitude[3]).all()
+    assert np.isnan(broken.active_count[3])
+    assert float(broken.active_count.mean()) == pytest.approx((0 + 1 + 2 + 4) / 4)
+    others = [0, 1, 2, 4]
+    np.testing.assert_array_equal(broken.amplitude[others], whole.amplitude[others])
+    assert (broken.result[others] == 0).all()
+
+
+@pytest.mark.parametrize(
+    "solver",
+    [
+        pytest.param(None, id="smoothed"),
+        pytest.param(EventDriven(), id="nonsmooth", marks=pytest.mark.long),
+    ],
+)
+def test_of_a_thousand_lanes_one_fails_and_999_do_not_notice(solver):
+    """Bit for bit what they are without it."""
+    damping = np.linspace(0.03, 0.08, 1000)
+    spoiled = damping.copy()
+    spoiled[500] = -30.0
+
+    def run(values):
+        return sweep(
+            paper_chain(2, 1.4), lambda chain: equation_8(chain, 1), 30.0, solver=solver,
+            over={"damping_ratio": values}, observe=Amplitude(window=10.0), rtol=1e-5,
+        )  # fmt: skip
+
+    whole = run(damping)
+    with pytest.warns(UserWarning, match="1 of 1000 lanes"):
+        broken = run(spoiled)
+    assert NAMES[int(broken["result"][500])] in ("nonfinite", "step_too_small")
+    assert np.all(np.isnan(broken["amplitude"][500]))
+    others = np.arange(1000) != 500
+    assert np.all(broken["result"].values[others] == 0)
+    for name in ("amplitude", "steps", "end_time"):
+        assert np.array_equal(whole[name].values[others], broken[name].values[others])
+
+
+def test_a_lane_that_needs_too_many_steps_is_marked():
+    with pytest.warns(UserWarning, match="max_steps_reached"):
+        result = sweep(
+            CHAIN, equation_8, 60.0, over={"excited": [0, 4]}, max_steps=300,
+            observe=Amplitude(window=20.0),
+        )  # fmt: skip
+    assert [NAMES[int(r)] for r in result.result] == ["successful", "max_steps_reached"]
+    assert float(result.end_time[1]) < 60.0
+
+
+@pytest.mark.parametrize("solver", [None, EventDriven()], ids=["smoothed", "nonsmooth"])
+def test_a_lane_takes_as_many_steps_as_it_may_and_no_more(solver):
+    """As in `simulate`, accepted or rejected; in one program for any number."""
+    from jaxchain.sweeps.lanes import on_all_lanes
+
+    def steps(most):
+        with pytest.warns(UserWarning, match="max_steps_reached"):
+            found = sweep(
+                CHAIN, equation_8, 600.0, over={"excited": [0, 4]}, max_steps=most, solver=solver,
+                observe=Amplitude(window=20.0), lanes=2, devices=jax.devices()[:1],
+            )  # fmt: skip
+        assert NAMES[int(found.result[1])] == "max_steps_reached"
+        return int(found.steps[1] + found.rejected[1]), float(found.end_time[1])
+
+    assert steps(300)[0] == 300
+    programs = on_all_lanes._cached._cache_size()  # pyright: ignore
+    taken, time = steps(2)
+    assert on_all_lanes._cached._cache_size() == programs  # pyright: ignore
+    run = simulate(CHAIN, equation_8(CHAIN, 4), 600.0, max_steps=2, solver=solver, throw=False)
+    assert taken == int(run.steps + run.rejected) == 2
+    assert time == pytest.approx(float(run.t), rel=1e-9)
+
+
+def test_a_run_that_ends_with_its_last_step_has_its_answer():
+    arguments = {"over": {"excited": [1]}, "observe": Amplitude(window=5.0)}
+    free = sweep(CHAIN, equation_8, 10.0, **arguments)
+    needed = int(free.steps[0] + free.rejected[0])
+    just = sweep(CHAIN, equation_8, 10.0, **arguments, max_steps=needed)
+    assert int(just.result[0]) == 0
+    np.testing.assert_allclose(just.amplitude, free.amplitude, rtol=1e-9)
+    with pytest.warns(UserWarning, match="max_steps_reached"):
+        sweep(CHAIN, equation_8, 10.0, **arguments, max_steps=needed - 1)
+
+
+@pytest.mark.long
+def test_samples_and_fronts_have_names_in_a_sweep():
+    watch = [Samples(2.0, 6, oscillators=(1,)), FrontTrack(3, 2)]
+    result = sweep(CHAIN, equation_8, 10.0, over={"excited": [0, 2]}, observe=watch)
+    assert result.sample_displacement.dims == ("excited", "sample", "sampled_oscillator")
+    np.testing.assert_allclose(result.sample_time[1], np.arange(0.0, 11.0, 2.0))
+    assert result.front_right.dims == ("excited", "window")
+    assert result.front_count[1].max() == 2
+    run = simulate(CHAIN, equation_8(CHAIN, 2), 10.0, observe=watch)
+    np.testing.assert_allclose(result.sample_velocity[1], run.observed[0][2], atol=1e-4)
+    np.testing.assert_allclose(result.front_left[1], run.observed[1].left, atol=1e-3)
+
+
+def test_any_number_of_the_chain_and_of_the_start_can_be_swept():
+    result = sweep(
+        CHAIN,
+        lambda chain, pull: excited_state(chain, 4, amplitude=pull),
+        20.0,
+        over={"width": [1e-2, 1e-3], "mu_static": [0.9, 1.0], "pull": [0.0, 2.0]},
+        observe=[Amplitude(window=10.0), PeakTimes(capacity=4)],
+    )
+    assert result.amplitude.shape == (2, 2, 2, 4)
+    assert result.peak_time.dims == ("width", "mu_static", "pull", "peak", "oscillator")
+    chain = CHAIN.with_(width=1e-2, mu_static=0.9)
+    run = simulate(
+        chain, excited_state(chain, 4), 20.0, observe=[Amplitude(window=10.0), PeakTimes(4)]
+    )
+    lane = result.isel(width=0, mu_static=0, pull=1)
+    np.testing.assert_allclose(lane.amplitude, run.observed[0], atol=1e-4)
+    np.testing.assert_allclose(lane.peak_time, run.observed[1], atol=1e-3)
+
+
+def test_an_interrupted_sweep_hands_over_what_had_ended(monkeypatch):
+    from jaxchain import pool
+
+    calls = []
+    original = pool.on_all_lanes
+
+    def interrupt(function, *arguments):
+        calls.append(function.__name__)
+        if calls.count("read_lane") == 2:
+            raise KeyboardInterrupt
+        return original(function, *arguments)
+
+    monkeypatch.setattr(pool, "on_all_lanes", interrupt)
+    with pytest.raises(SweepInterrupted) as caught:
+        sweep(
+            CHAIN, equation_8, 60.0, over={"excited": [0, 1, 2, 3, 4]},
+            observe=Amplitude(window=20.0), lanes=2, devices=jax.devices()[:1],
+        )  # fmt: skip
+    result = caught.value.dataset
+    states = [NAMES[int(r)] for r in result.result]
+    assert 1 <= states.count("successful") <= 2
+    assert states.count("interrupted") == 5 - states.count("successful")
+    unknown = [state == "interrupted" for state in states]
+    for name in ("active_count", "steps", "rejected", "end_time"):
+        assert np.isnan(result[name].values).tolist() == unknown
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"over": {}}, "must name at least one quantity"),
+        ({"over": {"excited": [1], "speed": [1.0]}}, "names 'speed', which is neither"),
+        ({"over": {"excited": []}}, "non-empty one-dimensional"),
+        ({"over": {"excited": [1], "belt_speed": [1.0, float("nan")]}}, "must be finite"),
+        ({"over": {"excited": [1], "width": [1e-3, -1.0]}}, "`width` must be positive"),
+        ({"over": {"belt_speed": [1.0]}}, r"`initial` needs \['excited'\]"),
+        ({"over": {"excited": np.zeros(20_000), "belt_speed": np.ones(1000)}}, "20000000 lanes"),
+        ({"t1": -1.0}, "`t1` = -1.0 lies before"),
+        ({"lanes": 0}, "`lanes` must be None or an integer"),
+        ({"observe": [Amplitude(), Amplitude(window=5.0)]}, "two observers of the same kind"),
+        ({"observe": Trajectory(jnp.ones(1))}, r"Use `jax.vmap\(simulate\)`"),
+        ({"observe": ReturnPoints(jnp.array(0))}, "must be an observer of a sweep"),
+    ],
+)
+def test_bad_input_is_named_before_anything_runs(change, message):
+    arguments = {"t1": 60.0, "over": {"excited": [0]}, **change}
+    with pytest.raises(ValueError, match=message):
+        sweep(CHAIN, equation_8, arguments.pop("t1"), **arguments)

@@ -1,0 +1,350 @@
+"""The `jaxchain` command: what it prints, what it writes, and that it loses nothing."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import get_args
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import xarray as xr
+import zarr
+from synthetic import results
+
+import jaxchain.boundaries.overview
+import jaxchain.scenes.running
+from jaxchain import SweepInterrupted, paper_chain, steady_sliding
+from jaxchain.cli import main
+from jaxchain.result import NAMES
+from jaxchain.scenes.reading import LAWS, builtin_scenes, load_scene
+from jaxchain.scenes.tables import Solver
+
+SCENE = """
+title = "Two experiments"
+
+[experiment.first]
+chain = { n = 1, damping_ratio = 0.05, friction = { law = "coulomb", mu_dynamic = 0.5, \
+width = 0.1 } }
+initial = { kind = "excited", excited = 1 }
+sweep = { belt_speed = [1.0, 1.5], displacement = [0.5, 1.0] }
+time = { transient = 10.0, window = 10.0 }
+
+[experiment.second]
+main = true
+description = "A ring of three"
+chain = { n = 3, damping_ratio = 0.05, coupling = 0.01, friction = { law = "exponential_decay", \
+mu_static = 1.0, mu_dynamic = 0.5, v_ref = 0.5, width = 0.1 } }
+initial = { kind = "equation_8" }
+sweep = { belt_speed = [1.0, 1.5], excited = [0, 1, 3] }
+time = { transient = 10.0, window = 10.0 }
+observe = { quantities = ["energy", "active_count"] }
+"""
+
+
+@pytest.fixture
+def workplace(tmp_path, monkeypatch):
+    """A folder with a scene file, as the current one; no cache is written to the user's."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path / "cache"))
+    (tmp_path / "two.toml").write_text(SCENE, encoding="utf-8")
+    return tmp_path
+
+
+@pytest.fixture
+def made_up_sweep(monkeypatch):
+    """Replaces the computation; returns a list of the arguments of every call."""
+    calls = []
+
+    def sweep(chain, initial, t1, *, over, **options):
+        calls.append({"chain": chain, "initial": initial, "t1": t1, "over": over, **options})
+        axes = {name: np.asarray(values) for name, values in over.items()}
+        shape = tuple(map(len, axes.values()))
+        return results(axes, np.ones(shape, int), chain.n)
+
+    monkeypatch.setattr(jaxchain.scenes.running, "sweep", sweep)
+    return calls
+
+
+@pytest.mark.slow
+def test_a_scene_becomes_datasets_a_figure_and_a_summary(workplace, capsys):
+    assert main(["run", "two.toml", "--output", "out"]) == 0
+    files = {file.name for file in Path("out").iterdir()}
+    assert files == {"two.zarr", "two.nc", "two.png", "two.pdf"}
+    ring = xr.open_zarr("out/two.zarr").load()
+    assert ring.energy.dims == ("belt_speed", "excited")
+    assert ring.excited.values.tolist() == [0, 1, 3]
+    assert "amplitude" not in ring
+    assert ring.energy.sel(belt_speed=1.5, excited=0) < 1e-9 < ring.energy.sel(excited=3).min()
+    assert ring.attrs["title"] == "Two experiments"
+    assert json.loads(ring.attrs["definition"])["chain"]["n"] == 3
+    one = xr.open_zarr("out/two.zarr", group="first").load()
+    assert one.amplitude.dims == ("belt_speed", "displacement", "oscillator")
+    # Without weakening the vibration dies, slower than it is measured here.
+    assert np.all(one.amplitude.sel(displacement=1.0) > one.amplitude.sel(displacement=0.5))
+    for group, data in ((None, ring), ("first", one)):
+        assert data.identical(xr.load_dataset("out/two.nc", group=group, engine="h5netcdf"))
+    printed = capsys.readouterr()
+    assert "second: A ring of three" in printed.out
+    assert "6 (2 belt_speed x 3 excited)" in printed.out
+    assert "results in out: two.nc, two.pdf, two.png, two.zarr" in printed.out
+
+
+def test_results_are_never_overwritten(workplace, made_up_sweep, capsys):
+    for folder in ("two", "two-2", "two-3"):
+        assert main(["run", "two.toml"]) == 0
+        assert Path("results", folder, "two.zarr").exists()
+    said = capsys.readouterr().err.splitlines()
+    assert said == [
+        "jaxchain: results/two is in use, the results go to results/two-2",
+        "jaxchain: results/two is in use, the results go to results/two-3",
+    ]
+
+
+def test_an_empty_folder_is_used_and_a_file_in_the_way_is_not_touched(workplace, made_up_sweep):
+    Path("empty").mkdir()
+    Path("file").write_text("mine", encoding="utf-8")
+    assert main(["run", "two.toml", "--output", "empty", "--no-plot"]) == 0
+    assert main(["run", "two.toml", "--output", "file", "--no-plot"]) == 0
+    assert {file.name for file in Path("empty").iterdir()} == {"two.zarr", "two.nc"}
+    assert {file.name for file in Path("file-2").iterdir()} == {"two.zarr", "two.nc"}
+    assert Path("file").read_text(encoding="utf-8") == "mine"
+
+
+@pytest.mark.parametrize("main_one", ["first", "second"])
+def test_every_experiment_is_found_whichever_is_the_main_one(workplace, made_up_sweep, main_one):
+    switch = f"--set=experiment.second.main={str(main_one == 'second').lower()}"
+    assert main(["run", "two.toml", "--no-plot", switch]) == 0
+    root = zarr.open_consolidated("results/two/two.zarr")
+    assert root.attrs["experiment"] == main_one
+    (other,) = root.group_keys()
+    assert {main_one, other} == {"first", "second"}
+    assert xr.open_dataset("results/two/two.nc", group=other).attrs["experiment"] == other
+
+
+def test_what_the_scene_says_reaches_the_sweep(workplace, made_up_sweep):
+    arguments = [
+        "experiment.second.numerics.rtol=1e-8",
+        "experiment.second.numerics.max_steps=99",
+        "experiment.second.observe.stop=steady",
+        "experiment.second.chain.ends=free",
+        "experiment.second.chain.coupling=[0.01,0.02]",
+        "experiment.second.sweep.width=[0.2,0.1]",
+    ]
+    assert main(["run", "two.toml", "--no-plot", *(f"--set={a}" for a in arguments)]) == 0
+    call = made_up_sweep[1]
+    assert (call["rtol"], call["atol"], call["max_steps"], call["t1"]) == (1e-8, None, 99, 20.0)
+    assert (call["observe"].stop, call["observe"].window) == ("steady", 10.0)
+    chain = call["chain"]
+    assert (chain.n, chain.ends, float(chain.friction.width)) == (3, "free", 0.2)
+    np.testing.assert_array_equal(chain.coupling, [0.01, 0.02])
+    assert call["over"]["width"].tolist() == [0.2, 0.1]
+
+
+@pytest.mark.parametrize(
+    ("initial", "displacements", "velocity"),
+    [
+        ('{ kind = "equation_8", excited = 2 }', [0, 2, -2], 0),
+        ('{ kind = "equation_10", excited = 2, block = "centred" }', [-2, 2, 0], 0.56),
+        ('{ kind = "excited", oscillators = [1, 3], displacement = 0.5 }', [-0.5, 0, -0.5], 0),
+        (
+            '{ kind = "excited", excited = 3, pattern = "in-phase", velocity = 0.1 }',
+            [2, 2, 2],
+            0.1,
+        ),
+    ],
+)
+def test_initial_states_are_those_asked_for(workplace, initial, displacements, velocity):
+    overrides = [f"initial={initial}", "sweep={belt_speed=[1.0]}"]
+    loaded = load_scene("two.toml", [f"experiment.second.{text}" for text in overrides])
+    experiment = loaded.scene.experiment["second"]
+    chain = jaxchain.scenes.running.build_chain(experiment)
+    x, v = jaxchain.scenes.running.build_initial(experiment)(chain)
+    np.testing.assert_allclose(x - steady_sliding(chain)[0], displacements, atol=1e-15)
+    np.testing.assert_array_equal(v, np.full(3, velocity))
+
+
+def test_a_wrong_scene_ends_with_2_and_no_traceback(workplace, capsys):
+    assert main(["run", "two.toml", "--set", "experiment.first.chain.n=-1"]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err == (
+        "jaxchain: scene two.toml has an error:\n"
+        "  experiment.first.chain.n: must be at least 1, but is -1\n"
+    )
+    assert not Path("results").exists()
+
+
+def test_a_width_that_the_tolerance_cannot_see_ends_with_2_and_the_remedy(workplace, capsys):
+    assert main(["run", "two.toml", "--set", "experiment.first.chain.friction.width=1e-7"]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(
+        "jaxchain: scene two has an error:\n  experiment.first: Arguments `rtol`"
+    )
+    assert "Use `rtol` = " in said
+    assert not Path("results/two").exists()
+
+
+def test_quiet_prints_nothing(workplace, made_up_sweep, capsys):
+    assert main(["run", "two.toml", "--quiet"]) == 0
+    assert capsys.readouterr() == ("", "")
+
+
+def test_a_figure_that_fails_costs_no_data(workplace, made_up_sweep, monkeypatch, capsys):
+    def broken(datasets):
+        raise RuntimeError("no ink")
+
+    monkeypatch.setattr(jaxchain.scenes.running, "figure", broken)
+    assert main(["run", "two.toml"]) == 1
+    assert "the results are in results/two, but" in capsys.readouterr().err
+    assert xr.open_zarr("results/two/two.zarr").sizes["belt_speed"] == 2
+    assert xr.open_zarr("results/two/two.zarr", group="first").sizes["displacement"] == 2
+
+
+def test_ctrl_c_keeps_what_was_finished(workplace, made_up_sweep, monkeypatch, capsys):
+    whole = jaxchain.scenes.running.sweep
+
+    def stopped(chain, initial, t1, *, over, **options):
+        data = whole(chain, initial, t1, over=over, **options)
+        if chain.n == 3:
+            data["result"][1, 1] = NAMES.index("interrupted")
+            data["energy"][1, 1] = np.nan
+            raise SweepInterrupted(data)
+        return data
+
+    monkeypatch.setattr(jaxchain.scenes.running, "sweep", stopped)
+    assert main(["run", "two.toml"]) == 130
+    said = capsys.readouterr()
+    assert "Traceback" not in said.err
+    assert said.err == "jaxchain: interrupted; what was finished is in results/two\n"
+    assert "5 successful, 1 interrupted" in said.out
+    assert "failed" not in said.out
+    assert xr.open_zarr("results/two/two.zarr", group="first").result.sum() == 0
+    assert int(xr.open_zarr("results/two/two.zarr").energy.isnull().sum()) == 1
+
+
+def test_ctrl_c_before_anything_is_finished_leaves_no_folder(workplace, monkeypatch):
+    def stopped(*arguments, **options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(jaxchain.scenes.running, "sweep", stopped)
+    assert main(["run", "two.toml"]) == 130
+    assert not Path("results/two").exists()
+
+
+def test_a_folder_that_cannot_be_made_is_a_readable_error(workplace, made_up_sweep, capsys):
+    Path("file").write_text("", encoding="utf-8")
+    assert main(["run", "two.toml", "--output", "file/below"]) == 2
+    assert "cannot create file/below: Not a directory" in capsys.readouterr().err
+
+
+def test_scenes_lists_shows_and_describes(workplace, capsys):
+    assert main(["scenes"]) == 0
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == [
+        *builtin_scenes()
+    ]
+    assert main(["scenes", "quickstart"]) == 0
+    shown = capsys.readouterr().out
+    Path("mine.toml").write_text(shown, encoding="utf-8")
+    assert load_scene("mine.toml").scene == load_scene("quickstart").scene
+    assert main(["scenes", "--schema"]) == 0
+    assert json.loads(capsys.readouterr().out)["title"] == "Scene"
+    assert main(["scenes", "nothing"]) == 2
+
+
+def test_every_solver_of_a_scene_exists():
+    for name in get_args(Solver):
+        assert (jaxchain.scenes.running.build_solver(name, paper_chain(), 1e-6, 0.5) is None) == (
+            name == "auto"
+        )
+
+
+def test_every_law_of_a_scene_takes_the_numbers_of_its_class():
+    assert set(LAWS) == set(jaxchain.scenes.running.LAWS)
+    for name, table in LAWS.items():
+        fields = jaxchain.scenes.running.LAWS[name].__dataclass_fields__
+        assert set(table.model_fields) - {"law", "width"} == set(fields)
+
+
+@pytest.fixture
+def found(monkeypatch):
+    """Replaces the search of `jaxchain boundary`; a list of the chains that were asked for."""
+    asked = []
+    values = (1.2, 1.2, 1e-12, np.nan, 1.85, 1e-10, np.nan, np.nan)
+
+    def search(chain):
+        asked.append(chain)
+        return jaxchain.boundaries.overview.Boundaries(
+            *map(jnp.asarray, values), mass=chain.n // 2
+        )
+
+    monkeypatch.setattr(jaxchain.boundaries.overview, "boundaries", search)
+    return asked
+
+
+def test_boundary_prints_one_object_with_null_for_what_is_missing(workplace, found, capsys):
+    assert main(["boundary", "--json", "--n", "3", "--width", "0.02", "--v-ref=0.4"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["hopf"], told["fold"], told["fold_nonsmooth"]) == (1.2, None, 1.85)
+    assert told["fold_nonsmooth_error"] == 1e-10
+    assert set(told["missing"]) == {"fold", "fold_limit"}
+    assert told["parameters"] == {
+        "n": 3, "width": 0.02, "damping_ratio": 0.05, "coupling": 0.01, "mu_static": 1.0,
+        "mu_dynamic": 0.5, "v_ref": 0.4,
+    }  # fmt: skip
+    (chain,) = found
+    assert (chain.n, float(chain.friction.law.v_ref)) == (3, 0.4)
+
+
+def test_boundary_without_options_is_one_mass_of_the_paper(workplace, found, capsys):
+    assert main(["boundary"]) == 0
+    (chain,) = found
+    assert (chain.n, chain.coupling, float(chain.friction.width)) == (1, None, 1e-3)
+    assert "1.850000000 ± 1e-10" in capsys.readouterr().out
+
+
+def test_ctrl_c_ends_boundary_without_a_traceback(workplace, monkeypatch, capsys):
+    def stopped(chain):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(jaxchain.boundaries.overview, "boundaries", stopped)
+    assert main(["boundary"]) == 130
+    assert capsys.readouterr() == ("", "jaxchain: interrupted\n")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--width", "-1"], "`width` must be positive"),
+        (["--damping-ratio", "nan"], "`damping_ratio` must be finite"),
+        (["--n", "0"], "`n` must be a positive integer"),
+        (["--coupling", "0.1"], "one mass has no neighbours"),
+        (["--mu-static", "0.1"], "`mu_static` must be at least"),
+    ],
+)
+def test_a_bad_number_of_boundary_ends_with_2_and_names_it(
+    workplace, found, capsys, arguments, said
+):
+    assert main(["boundary", *arguments]) == 2
+    printed = capsys.readouterr()
+    assert said in printed.err
+    assert printed.out == ""
+    assert found == []
+
+
+@pytest.mark.parametrize(
+    "arguments", [["--help"], ["run", "--help"], ["scenes", "--help"], ["boundary", "--help"]]
+)
+def test_help_is_there(arguments, capsys):
+    with pytest.raises(SystemExit) as done:
+        main(arguments)
+    assert done.value.code == 0
+    assert "usage: jaxchain" in capsys.readouterr().out
+
+
+@pytest.mark.long
+def test_the_package_can_be_run_as_a_module():
+    command = [sys.executable, "-m", "jaxchain", "scenes"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert "fig3" in done.stdout
