@@ -18,6 +18,7 @@ from .boundaries.hopf import hopf_belt_speed as hopf_belt_speed
 from .boundaries.hopf_descent import HopfDescent as HopfDescent
 from .boundaries.hopf_descent import hopf_by_descent as hopf_by_descent
 from .boundaries.hopf_scan import HopfPoints as HopfPoints
+from .boundaries.hopf_scan import guess_from_hopf as guess_from_hopf
 from .boundaries.hopf_scan import hopf_points as hopf_points
 from .boundaries.overview import Boundaries as Boundaries
 from .boundaries.overview import boundaries as boundaries
@@ -53,7 +54,6 @@ from .cycles.floquet import floquet_multipliers as floquet_multipliers
 from .cycles.floquet import liouville_defect as liouville_defect
 from .cycles.floquet import liouville_determinant as liouville_determinant
 from .cycles.floquet import monodromy_matrix as monodromy_matrix
-from .cycles.guesses import guess_from_hopf as guess_from_hopf
 from .cycles.guesses import guess_from_simulation as guess_from_simulation
 from .cycles.limit_cycle import LimitCycle as LimitCycle
 from .cycles.search import find_limit_cycle as find_limit_cycle

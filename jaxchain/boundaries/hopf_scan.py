@@ -8,8 +8,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float, Int
 
-from .._checks import check_finite, is_traced, require_64_bits, require_x64
-from ..model.chain import Chain
+from .._checks import (
+    check_finite,
+    check_number,
+    check_positive,
+    is_traced,
+    require_64_bits,
+    require_x64,
+)
+from ..cycles.guesses import Guess
+from ..model.chain import Chain, steady_sliding
 from .axis_crossings import Crossing, find_crossings
 from .criticality import (
     first_lyapunov_coefficient,
@@ -211,3 +219,56 @@ def _criticality(relative: float) -> str:
     if abs(relative) <= _VANISHING:
         return "degenerate"
     return "supercritical" if relative < 0 else "subcritical"
+
+
+def guess_from_hopf(
+    chain: Chain,
+    points: HopfPoints,
+    index: int = 0,
+    amplitude: Any = None,
+    vibrating: int | None = None,
+) -> Guess:
+    """The small cycle that branches off Hopf point `index` of `points`, at the chain's belt speed.
+
+    x = x_s + A Re[u exp(i omega t)], when mass `vibrating` (by default the one that moves most)
+    is fastest in the direction of the belt.
+
+    **Arguments:** `points` from `hopf_points(chain, ...)`; `amplitude` = A > 0 of displacement, of
+    the mass that moves most, by default what `square_amplitude_slope` predicts.
+
+    **Raises:** `ValueError` if there is no such point, or no small cycle at this belt speed: a
+    subcritical one lies on the stable side of its point.
+
+    >>> import jax
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> from jaxchain import hopf_points, paper_chain
+    >>> chain = paper_chain(1, belt_speed=1.2)
+    >>> (x, v), period = guess_from_hopf(chain, hopf_points(chain, (1.0, 2.0)))
+    >>> round(float(v[0]), 3), round(float(period), 3)
+    (0.441, 6.283)
+    """
+    count = len(points.kind)
+    if not isinstance(index, int | np.integer) or not 0 <= index < count:
+        raise ValueError(
+            f"Argument `index` must be that of one of {count} Hopf points, but is {index!r}."
+        )
+    shape, omega = points.mode_shape[index], points.frequency[index]
+    if amplitude is None:
+        past = jnp.abs(chain.belt_speed) - jnp.abs(points.belt_speed[index])
+        square = points.square_amplitude_slope[index] * past
+        if not is_traced(square) and not square > 0:
+            raise ValueError(
+                f"Argument `chain` has belt speed {float(chain.belt_speed):g}, but the small "
+                f"cycles at the Hopf point of {float(points.belt_speed[index]):g} lie on its "
+                "other side, or its Lyapunov coefficient is not known. Change `belt_speed`, or "
+                "give an `amplitude`."
+            )
+        amplitude = jnp.sqrt(square)
+    check_number("amplitude", amplitude, "0.1 is usual.")
+    check_positive("amplitude", amplitude, "0.1 is usual.")
+    mass = int(jnp.argmax(jnp.abs(shape))) if vibrating is None else vibrating
+    moving = 1j * omega * shape
+    phase = chain.belt_direction() * jnp.conj(moving[mass]) / jnp.abs(moving[mass])
+    x, _ = steady_sliding(chain)
+    disturbed = x + amplitude * jnp.real(shape * phase)
+    return (disturbed, amplitude * jnp.real(moving * phase)), 2 * jnp.pi / omega

@@ -18,7 +18,8 @@ from jaxchain import (
     simulate,
     steady_sliding,
 )
-from jaxchain.cycles.guesses import guess_from_hopf, guess_from_simulation, release_state
+from jaxchain.boundaries.hopf_scan import guess_from_hopf
+from jaxchain.cycles.guesses import guess_from_simulation, release_state
 from jaxchain.cycles.search import find_limit_cycle
 
 
