@@ -84,12 +84,9 @@ from .model.initial_states import equation_10 as equation_10
 from .model.initial_states import excited_state as excited_state
 from .model.units import Scales as Scales
 from .observers.amplitude import Amplitude as Amplitude
-from .observers.base import PeakTimes as PeakTimes
-from .observers.base import Section as Section
-from .observers.base import StickTime as StickTime
-from .observers.base import Trajectory as Trajectory
 from .observers.fronts import FrontTrack as FrontTrack
 from .observers.fronts import front_positions as front_positions
+from .observers.peaks import PeakTimes as PeakTimes
 from .observers.quantities import active as active
 from .observers.quantities import delays as delays
 from .observers.quantities import energy as energy
@@ -97,6 +94,9 @@ from .observers.quantities import mean_period as mean_period
 from .observers.quantities import participation_ratio as participation_ratio
 from .observers.quantities import settled as settled
 from .observers.samples import Samples as Samples
+from .observers.section import Section as Section
+from .observers.stick_time import StickTime as StickTime
+from .observers.trajectory import Trajectory as Trajectory
 from .result import Result as Result
 from .simulation.accuracy import Numerics as Numerics
 from .simulation.accuracy import choose_numerics as choose_numerics

@@ -13,72 +13,18 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from .._types import ScalarLike, State
-from ..model.chain import Chain
+from .._types import State
 from ..model.oscillators import AbstractOscillators
-from ..observers.base import AbstractObserver, Step
 from ..result import Result
 from ..simulation.plan import AbstractPlan, Progress
 from ..simulation.smoothed import SmoothedPlan
-from ..solvers.dry_friction import DryField
 
 # What is left of a column after the ones before it have been taken out of it, relative to its
 # length: below this it is rounding, that of some hundred steps times a condition of some thousand.
 RESOLVED = 1e-10
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
-_NODES, _WEIGHTS = 0.5 * (_NODES + 1.0), 0.5 * _WEIGHTS
-
-
-class Divergence(AbstractObserver):
-    """Integral of tr J along a run, by Gauss's rule of five points in every step.
-
-    It is a number without derivatives.
-    """
-
-    def init(self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State) -> Any:
-        del field, t0, t1, y0
-        return jnp.zeros(())
-
-    def update(self, accumulator: Any, step: Step) -> Any:
-        frozen = lax.stop_gradient
-        field = frozen(step.field)
-        nodes, length = jnp.asarray(_NODES), frozen(step.t1 - step.t0)
-        states = jax.vmap(step.displacement)(nodes), jax.vmap(step.velocity)(nodes)
-        rates = jax.vmap(field.divergence)(frozen(step.t0) + nodes * length, frozen(states))
-        return frozen(accumulator + length * (jnp.asarray(_WEIGHTS) @ rates))
-
-    def settled(self, accumulator: Any) -> None:
-        del accumulator
-
-    def read(self, accumulator: Any) -> Float[Array, ""]:
-        return accumulator
-
-
-class MostSticking(AbstractObserver):
-    """The greatest number of masses that stick at the same time, with true dry friction."""
-
-    def init(self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State) -> Any:
-        del t0, t1, y0
-        if not isinstance(field, Chain | DryField):
-            raise ValueError("`MostSticking` needs masses on a belt, a `Chain`.")
-        return jnp.zeros((), int)
-
-    def update(self, accumulator: Any, step: Step) -> Any:
-        # A mass that sticks has the velocity of the belt to the last digit, all the time.
-        speed = step.field.chain.belt_speed  # pyright: ignore[reportAttributeAccessIssue]
-        middle = step.velocity(jnp.asarray(0.5))
-        stick = (step.y0[1] == speed) & (step.y1[1] == speed) & (middle == speed)
-        return jnp.maximum(accumulator, jnp.sum(stick))
-
-    def settled(self, accumulator: Any) -> None:
-        del accumulator
-
-    def read(self, accumulator: Any) -> Int[Array, ""]:
-        return accumulator
 
 
 class Frame(eqx.Module):

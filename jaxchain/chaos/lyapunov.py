@@ -34,12 +34,14 @@ from .._types import State
 from ..model.chain import Chain
 from ..model.locality import check_local
 from ..model.oscillators import AbstractOscillators
+from ..observers.divergence import Divergence
+from ..observers.stick_time import MostSticking
 from ..result import STOPPED_WELL, Result, message
 from ..simulation.accuracy import MAX_STEP, USUAL_RTOL, choose_solver, default_rtol
 from ..simulation.event_driven import EventDriven, EventDrivenPlan
 from ..simulation.plan import AbstractPlan
 from ..simulation.run import build_plan
-from .benettin import Divergence, Frame, Growth, MostSticking, Span, advance_span, random_basis
+from .benettin import Frame, Growth, Span, advance_span, random_basis
 from .spectrum import ZERO, LyapunovSpectrum, batch_error, kaplan_yorke_dimension, student
 
 _PERIOD = 2 * np.pi

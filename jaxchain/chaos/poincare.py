@@ -13,12 +13,13 @@ from typing import Any, NamedTuple, TypeAlias
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from .._types import ScalarLike, State
 from ..model.oscillators import AbstractOscillators
 from ..observers.amplitude import Amplitude
-from ..observers.base import AbstractObserver, PeakTimes, Step
+from ..observers.peaks import PeakTimes
+from ..observers.section import ReturnPoints
 from ..simulation.run import simulate
 
 # Returns of which an orbit may be made, and points of the section kept of a window, at least.
@@ -26,42 +27,6 @@ MOST_RETURNS = 4
 _SPIRAL = 5.0
 # A record may be one of many runs, and on the host.
 _Numbers: TypeAlias = Array | np.ndarray
-
-
-class ReturnPoints(AbstractObserver):
-    """The first states at which mass `oscillator` reaches a maximum of its displacement.
-
-    Like `Section`, with a mass that is a number of the program and not part of it.
-
-    **Value:** (times, x, v) of shapes (capacity,), (capacity, n), (capacity, n); NaN where none.
-    """
-
-    oscillator: Int[Array, ""]
-    capacity: int = eqx.field(static=True, default=MOST_RETURNS + 1)
-
-    def init(self, field: Any, t0: ScalarLike, t1: ScalarLike, y0: State) -> tuple[Array, ...]:
-        del field, t0, t1
-        empty = jnp.full((self.capacity, y0[0].shape[0]), jnp.nan)
-        return empty[:, 0], empty, empty, jnp.zeros((), int)
-
-    def update(self, accumulator: tuple[Array, ...], step: Step) -> tuple[Array, ...]:
-        times, xs, vs, count = accumulator
-        turns, thetas = step.turning_points()
-        theta = thetas[self.oscillator]
-        hit = turns[self.oscillator] & (step.y0[1][self.oscillator] > 0)
-        here = hit & (jnp.arange(self.capacity) == count)
-        return (
-            jnp.where(here, step.t0 + theta * (step.t1 - step.t0), times),
-            jnp.where(here[:, None], step.displacement(theta)[None, :], xs),
-            jnp.where(here[:, None], step.velocity(theta)[None, :], vs),
-            count + hit,
-        )
-
-    def settled(self, accumulator: Any) -> None:
-        del accumulator
-
-    def read(self, accumulator: tuple[Array, ...]) -> tuple[Array, ...]:
-        return accumulator[:3]
 
 
 class Record(eqx.Module):
@@ -118,7 +83,7 @@ def watch(
         observe={
             "amplitude": Amplitude(),
             "peaks": PeakTimes(capacity=peaks),
-            "points": ReturnPoints(jnp.asarray(reference)),
+            "points": ReturnPoints(jnp.asarray(reference), MOST_RETURNS + 1),
         },
         solver=solver, rtol=rtol, segments=windows, throw=False,
     )  # fmt: skip

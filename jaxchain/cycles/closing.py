@@ -17,8 +17,8 @@ from jaxtyping import Array, Bool, Complex, Float, Int
 
 from .._checks import to_float
 from .._types import State
-from ..chaos.benettin import MostSticking
 from ..model.oscillators import AbstractOscillators
+from ..observers.stick_time import MostSticking
 from ..simulation.event_driven import EventDriven
 from ..simulation.run import simulate
 from .floquet import check_orbit, floquet_multipliers, multiplier_resolution

@@ -8,19 +8,18 @@ from __future__ import annotations
 
 from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from .._checks import is_traced, to_float
-from .._types import ScalarLike, State
+from .._types import State
 from ..model.chain import Chain, steady_sliding
 from ..model.initial_states import reference_site
 from ..model.oscillators import AbstractOscillators
 from ..model.sliding import sliding_damping, stiffness_matrix
-from ..observers.base import AbstractObserver, Step
+from ..observers.section import VelocityPeaks
 from ..simulation.accuracy import choose_solver
 from ..simulation.run import Simulation, simulate
 from .averaging import gain, one_mass
@@ -29,69 +28,9 @@ Guess = tuple[State, Array]
 # For which a simulation runs before it is looked at.
 TRANSIENT = 200.0
 _PEAKS = 12
-# Trials to locate one: regula falsi gains a digit or two with each.
-_TRIALS = 6
 # Of the returns to the section, the first is taken that is nearly as good as the best.
 _AS_GOOD, _GOOD = 2.0, 1e-3
 _RATIOS = np.concatenate([np.geomspace(1e-3, 0.3, 24), np.linspace(0.32, 1.0, 35)])
-
-
-class VelocityPeaks(AbstractObserver):
-    """States in which mass `oscillator` is fastest in the belt's direction, from time `start` on.
-
-    Zeros of its acceleration, located by regula falsi on the interpolated state.  **Value:**
-    (times, x, v) of shapes (capacity,), (capacity, n), (capacity, n); NaN where there is none.
-    """
-
-    oscillator: int = eqx.field(static=True)
-    capacity: int = eqx.field(static=True)
-    start: Float[Array, ""] = eqx.field(converter=to_float)
-
-    def init(self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State) -> Any:
-        del t1
-        empty = jnp.full((self.capacity, y0[0].shape[0]), jnp.nan)
-        return empty[:, 0], empty, empty, jnp.zeros((), int), self._acceleration(field, t0, y0)
-
-    def _acceleration(self, field: AbstractOscillators, t: Any, y: State) -> Array:
-        return field.belt_direction() * field(t, y)[1][self.oscillator]
-
-    def update(self, accumulator: Any, step: Step) -> Any:
-        times, xs, vs, count, before = accumulator
-        after = self._acceleration(step.field, step.t1, step.y1)
-        peak = (before > 0) & (after <= 0)
-
-        def nearer(_: Any, bracket: tuple[Array, ...]) -> tuple[Array, ...]:
-            # The Illinois rule: the value at an end that stays twice is halved.
-            a, fa, b, fb, side = bracket
-            theta = a + (b - a) * fa / jnp.where(peak, fa - fb, 1.0)
-            t = step.t0 + theta * (step.t1 - step.t0)
-            f = self._acceleration(step.field, t, (step.displacement(theta), step.velocity(theta)))
-            rises = f > 0
-            fa = jnp.where(rises, f, jnp.where(side < 0, 0.5 * fa, fa))
-            fb = jnp.where(rises, jnp.where(side > 0, 0.5 * fb, fb), f)
-            side = jnp.where(rises, 1, -1)
-            return jnp.where(rises, theta, a), fa, jnp.where(rises, b, theta), fb, side
-
-        whole = jnp.zeros(()), before, jnp.ones(()), after, jnp.zeros((), int)
-        trials = jnp.where(peak, _TRIALS, 0)
-        a, fa, b, fb, _ = lax.fori_loop(0, trials, nearer, whole)
-        theta = jnp.where(peak, a + (b - a) * fa / jnp.where(peak, fa - fb, 1.0), 1.0)
-        time = step.t0 + theta * (step.t1 - step.t0)
-        hit = peak & (time >= self.start)
-        here = hit & (jnp.arange(self.capacity) == count)
-        return (
-            jnp.where(here, time, times),
-            jnp.where(here[:, None], step.displacement(theta)[None, :], xs),
-            jnp.where(here[:, None], step.velocity(theta)[None, :], vs),
-            count + hit,
-            after,
-        )
-
-    def settled(self, accumulator: Any) -> None:
-        del accumulator
-
-    def read(self, accumulator: Any) -> Any:
-        return accumulator[:3]
 
 
 def _watched(chain: Any, state: State, t1: Any, watch: VelocityPeaks) -> Simulation:

@@ -31,7 +31,7 @@ from ..cycles.search import find_limit_cycle
 from ..model.chain import Chain, steady_sliding
 from ..model.initial_states import reference_site
 from ..model.sliding import has_uniform_damping, sliding_damping, stiffness_matrix
-from ..observers.base import Trajectory
+from ..observers.trajectory import Trajectory
 from ..simulation.run import simulate
 
 _SAMPLES, _HARMONICS = 256, 8

@@ -12,7 +12,8 @@ import numpy as np
 from .._checks import check_count, check_finite, check_positive, require_64_bits, require_x64
 from ..cycles.guesses import most_lively
 from ..model.chain import Chain
-from ..observers.base import Section, Trajectory
+from ..observers.section import Section
+from ..observers.trajectory import Trajectory
 from ..simulation.run import Simulation, simulate
 from ..solvers.dry_friction import RESOLUTION, DryField
 

@@ -27,7 +27,8 @@ from .._types import ScalarLike, State
 from ..model.chain import Chain
 from ..model.locality import check_local
 from ..model.oscillators import AbstractOscillators
-from ..observers.base import AbstractObserver, Trajectory
+from ..observers.base import AbstractObserver
+from ..observers.trajectory import Trajectory
 from ..result import NAMES, STOPPED_WELL, Result, code, message
 from .accuracy import (
     MAX_STEP,

@@ -11,7 +11,8 @@ import numpy as np
 from .._checks import check_finite
 from ..model.chain import Chain
 from ..observers.amplitude import Amplitude
-from ..observers.base import AbstractObserver, Trajectory
+from ..observers.base import AbstractObserver
+from ..observers.trajectory import Trajectory
 from .lanes import chain_names, initial_names
 
 MOST_LANES = 10_000_000

@@ -36,10 +36,13 @@ import xarray as xr
 
 from ..model.chain import Chain
 from ..observers.amplitude import Amplitude
-from ..observers.base import AbstractObserver, PeakTimes, Section, StickTime
+from ..observers.base import AbstractObserver
 from ..observers.fronts import FrontTrack
+from ..observers.peaks import PeakTimes
 from ..observers.quantities import active
 from ..observers.samples import Samples
+from ..observers.section import Section
+from ..observers.stick_time import StickTime
 from ..result import NAMES
 from ..simulation.plan import AbstractPlan
 

@@ -11,9 +11,7 @@ from systems.oscillators import LinearRing
 
 from jaxchain import EventDriven, Rodas5P, excited_state, monodromy_matrix, paper_chain, simulate
 from jaxchain.chaos.benettin import (
-    Divergence,
     Frame,
-    MostSticking,
     Span,
     advance_frame,
     advance_span,
@@ -23,6 +21,8 @@ from jaxchain.chaos.benettin import (
 )
 from jaxchain.cycles.floquet import trace_integral
 from jaxchain.model.springs import Springs
+from jaxchain.observers.divergence import Divergence
+from jaxchain.observers.stick_time import MostSticking
 from jaxchain.simulation.run import build_plan
 
 

@@ -18,11 +18,11 @@ from jaxchain import (
     simulate,
     steady_sliding,
 )
-from jaxchain.chaos.benettin import MostSticking
 from jaxchain.chaos.lyapunov import lyapunov_spectrum
 from jaxchain.chaos.spectrum import batch_error, kaplan_yorke_dimension
 from jaxchain.cycles.floquet import trace_integral
 from jaxchain.cycles.variational import linearised_period
+from jaxchain.observers.stick_time import MostSticking
 from jaxchain.result import NAMES, code
 
 

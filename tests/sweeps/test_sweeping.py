@@ -20,7 +20,7 @@ from jaxchain import (
     simulate,
     sweep,
 )
-from jaxchain.chaos.poincare import ReturnPoints
+from jaxchain.observers.section import ReturnPoints
 from jaxchain.result import NAMES
 
 CHAIN = paper_chain(4, belt_speed=1.4)
@@ -102,7 +102,7 @@ def test_the_same_lanes_give_the_same_bits_for_any_number_of_jobs_and_devices(so
 
 def test_given_lanes_stay_so_many_however_long_the_last_ones_take(monkeypatch):
     """Without `lanes`, a pool of a quarter goes on, as soon as that is worth compiling."""
-    from jaxchain import pool
+    from jaxchain.sweeps import scheduler as pool
 
     monkeypatch.setattr(pool, "_WORTH_COMPILING", 0.0)
 
@@ -251,7 +251,7 @@ def test_any_number_of_the_chain_and_of_the_start_can_be_swept():
 
 
 def test_an_interrupted_sweep_hands_over_what_had_ended(monkeypatch):
-    from jaxchain import pool
+    from jaxchain.sweeps import scheduler as pool
 
     calls = []
     original = pool.on_all_lanes
@@ -291,7 +291,7 @@ def test_an_interrupted_sweep_hands_over_what_had_ended(monkeypatch):
         ({"lanes": 0}, "`lanes` must be None or an integer"),
         ({"observe": [Amplitude(), Amplitude(window=5.0)]}, "two observers of the same kind"),
         ({"observe": Trajectory(jnp.ones(1))}, r"Use `jax.vmap\(simulate\)`"),
-        ({"observe": ReturnPoints(jnp.array(0))}, "must be an observer of a sweep"),
+        ({"observe": ReturnPoints(jnp.array(0), 5)}, "must be an observer of a sweep"),
     ],
 )
 def test_bad_input_is_named_before_anything_runs(change, message):

@@ -16,8 +16,10 @@ from jaxchain._types import ScalarLike, State
 from jaxchain.model.chain import Chain
 from jaxchain.model.oscillators import AbstractOscillators
 from jaxchain.observers.amplitude import Amplitude
-from jaxchain.observers.base import Section, Step, StickTime
+from jaxchain.observers.base import Step
 from jaxchain.observers.quantities import active_above
+from jaxchain.observers.section import Section
+from jaxchain.observers.stick_time import StickTime
 from jaxchain.result import NAMES, STOPPED_WELL
 from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.simulation.run import simulate

@@ -18,7 +18,9 @@ from jaxchain.model.friction import Coulomb, ExponentialDecay, TanhFriction, Wea
 from jaxchain.model.initial_states import excited_state
 from jaxchain.model.units import Scales
 from jaxchain.observers.amplitude import Amplitude
-from jaxchain.observers.base import PeakTimes, Section, Trajectory
+from jaxchain.observers.peaks import PeakTimes
+from jaxchain.observers.section import Section
+from jaxchain.observers.trajectory import Trajectory
 from jaxchain.scenes.reading import SceneError, load_scene
 from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.simulation.run import simulate

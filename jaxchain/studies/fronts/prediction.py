@@ -25,7 +25,7 @@ from jaxchain.cycles.averaging import gain
 from jaxchain.model.chain import Chain
 from jaxchain.model.initial_states import excited_state
 from jaxchain.observers.amplitude import Amplitude
-from jaxchain.observers.base import PeakTimes
+from jaxchain.observers.peaks import PeakTimes
 from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.simulation.run import simulate
 

@@ -16,7 +16,7 @@ from jaxchain.cycles.search import find_limit_cycle
 from jaxchain.cycles.shooting import flow
 from jaxchain.model.chain import Chain
 from jaxchain.observers.amplitude import Amplitude
-from jaxchain.observers.base import PeakTimes
+from jaxchain.observers.peaks import PeakTimes
 from jaxchain.observers.quantities import active, energy
 from jaxchain.simulation.accuracy import fit_linear_solve
 from jaxchain.simulation.event_driven import EventDriven

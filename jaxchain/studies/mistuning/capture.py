@@ -16,7 +16,7 @@ from jaxchain.cycles.averaging import gain, one_mass
 from jaxchain.model.chain import Chain
 from jaxchain.model.initial_states import excited_state, reference_site
 from jaxchain.observers.amplitude import Amplitude
-from jaxchain.observers.base import PeakTimes
+from jaxchain.observers.peaks import PeakTimes
 from jaxchain.observers.quantities import active_above
 from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.simulation.run import simulate

@@ -16,7 +16,7 @@ from jaxchain.model.chain import Chain, steady_sliding
 from jaxchain.model.friction import ExponentialDecay, TanhFriction
 from jaxchain.model.initial_states import equation_8, excited_state
 from jaxchain.observers.amplitude import Amplitude
-from jaxchain.observers.base import PeakTimes
+from jaxchain.observers.peaks import PeakTimes
 from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.studies.mistuning.table import Ensemble, Locking, Study
 from jaxchain.sweeps.sweeping import sweep

@@ -24,7 +24,8 @@ from tqdm import tqdm
 from jaxchain._checks import check_resolved, require_x64, to_float
 from jaxchain.model.chain import Chain
 from jaxchain.observers.amplitude import Amplitude
-from jaxchain.observers.base import AbstractObserver, PeakTimes
+from jaxchain.observers.base import AbstractObserver
+from jaxchain.observers.peaks import PeakTimes
 from jaxchain.observers.samples import Samples
 from jaxchain.result import NAMES, STOPPED_WELL
 from jaxchain.scenes.running import build_chain, build_initial, build_solver

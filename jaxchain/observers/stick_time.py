@@ -1,0 +1,124 @@
+"""For how long each mass sticks to the belt, and how many at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import equinox.internal as eqxi
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float, Int
+
+from .._checks import check_positive, to_float
+from .._types import ScalarLike, State
+from ..model.oscillators import AbstractOscillators
+from .base import AbstractObserver, Step
+
+
+class StickTime(AbstractObserver):
+    """For how long each mass sticks to the belt during a window.
+
+    The window is the last `window` time units of the run (None: the whole run); the ends of
+    sticking are found between steps.  Value: shape (n,), a dimensionless time.  With true dry
+    friction a mass sticks while w = v - v_d is 0.  With a smoothed law it does while |w| is below
+    the speed of greatest friction, `TanhFriction.stick_speed`, which goes to 0 with the width,
+    *and* the force on it, without friction, does not exceed p mu_st: by the speed alone it would
+    stick sqrt[eps ln(1 / eps)] too long, because a mass that is let go leaves the belt as t^2.
+
+    **Arguments:** `window`, its length in dimensionless time.
+    """
+
+    window: float | None = eqx.field(static=True, default=None)
+
+    def __check_init__(self) -> None:
+        if self.window is not None:
+            check_positive("window", self.window, "some periods, about 2 pi each, are usual.")
+
+    def init(
+        self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State
+    ) -> tuple[Array, Array]:
+        if field.stick_speed() is None:
+            raise ValueError("`StickTime` needs masses that can stick to a belt, a `Chain`.")
+        window = t1 - t0 if self.window is None else self.window
+        return jnp.zeros_like(y0[0]), to_float(t1 - window)
+
+    def update(self, accumulator: tuple[Array, Array], step: Step) -> tuple[Array, Array]:
+        total, start = accumulator
+        watching = step.t1 > start
+
+        def time() -> Array:
+            begin, end = self._interval(step)
+            clipped = jnp.clip(
+                (start - step.t0) / jnp.maximum(step.t1 - step.t0, 1e-300), 0.0, 1.0
+            )
+            return jnp.maximum(end - jnp.maximum(begin, clipped), 0.0) * (step.t1 - step.t0)
+
+        gained = lax.cond(eqxi.unvmap_any(watching), time, lambda: jnp.zeros_like(total))
+        return jnp.where(watching, total + gained, total), start
+
+    def _interval(self, step: Step) -> tuple[Array, Array]:
+        """The part of a step during which each mass sticks, as thetas from and to."""
+        field = step.field
+        limit: Any = field.stick_speed()
+
+        def too_fast(theta: Any) -> Array:
+            found = field.switching(step.t0, step.velocity(theta))
+            assert found is not None  # what can stick switches
+            return jnp.abs(found[0]) - limit
+
+        def let_go(theta: Any) -> Array:
+            return field.unheld_force(step.displacement(theta), step.velocity(theta))
+
+        begin, end = _where_negative(too_fast, step.y0[0])
+        held, released = _where_negative(let_go, step.y0[0])
+        return jnp.maximum(begin, held), jnp.minimum(end, released)
+
+    def settled(self, accumulator: Any) -> None:
+        del accumulator
+
+    def read(self, accumulator: tuple[Array, Array]) -> Float[Array, " n"]:
+        return accumulator[0]
+
+
+def _where_negative(
+    gap: Callable[[Any], Array], like: Float[Array, " n"]
+) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
+    """From and to which theta in [0, 1] gap(theta) <= 0, if it changes its sign at most once."""
+    half = jnp.full_like(like, 0.5)
+    g0, middle, g1 = gap(jnp.zeros_like(half)), gap(half), gap(jnp.ones_like(half))
+    crosses = (g0 > 0) != (g1 > 0)
+    theta = jnp.where(crosses, g0 / jnp.where(crosses, g0 - g1, 1.0), 0.0)
+    for _ in range(2):
+        g, slope = jax.jvp(gap, (theta,), (jnp.ones_like(theta),))
+        slope = jnp.where(slope == 0, 1.0, slope)
+        theta = jnp.clip(theta - jnp.where(crosses, g / slope, 0.0), 0.0, 1.0)
+    throughout = (g0 <= 0) & (g1 <= 0) & (middle <= 0)
+    begin = jnp.where(crosses & (g0 > 0), theta, 0.0)
+    end = jnp.where(crosses, jnp.where(g0 > 0, 1.0, theta), jnp.where(throughout, 1.0, 0.0))
+    return begin, end
+
+
+class MostSticking(AbstractObserver):
+    """The greatest number of masses that stick at the same time, with true dry friction."""
+
+    def init(self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State) -> Any:
+        del t0, t1, y0
+        if field.stick_speed() is None:
+            raise ValueError("`MostSticking` needs masses on a belt, a `Chain`.")
+        return jnp.zeros((), int)
+
+    def update(self, accumulator: Any, step: Step) -> Any:
+        # A mass that sticks has the velocity of the belt to the last digit, all the time.
+        speed = step.field.chain.belt_speed  # pyright: ignore[reportAttributeAccessIssue]
+        middle = step.velocity(jnp.asarray(0.5))
+        stick = (step.y0[1] == speed) & (step.y1[1] == speed) & (middle == speed)
+        return jnp.maximum(accumulator, jnp.sum(stick))
+
+    def settled(self, accumulator: Any) -> None:
+        del accumulator
+
+    def read(self, accumulator: Any) -> Int[Array, ""]:
+        return accumulator
