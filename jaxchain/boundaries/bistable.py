@@ -11,10 +11,9 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from .._checks import check_number, check_positive, to_float
-from .._types import State
 from ..cycles.averaging import fold_guess, one_mass
-from ..model.chain import Chain, steady_sliding
-from ..model.initial_states import check_vibrating
+from ..model.chain import Chain
+from ..model.initial_states import check_vibrating, on_the_belt
 from ..model.sliding import damping_outweighs
 from ..observers.amplitude import Amplitude
 from ..observers.quantities import active
@@ -98,16 +97,6 @@ def _range(chain: Chain, mass: int, friction: str) -> BistableRange:
     lowest = jnp.where(jnp.isnan(hopf), 0.0, hopf)
     highest = jnp.where(none, lowest, jnp.maximum(fold, lowest))
     return BistableRange(hopf, fold, highest, highest - lowest, damped & (~none | ~expected))
-
-
-def on_the_belt(chain: Chain, vibrating: Any = None) -> State:
-    """(x, v) with one mass carried by the belt past x = 0, and the others sliding.
-
-    With one mass and dry friction it lies on the stick-slip cycle.
-    """
-    mass = check_vibrating(chain, vibrating)
-    x, v = steady_sliding(chain)
-    return x.at[mass].set(0.0), v.at[mass].set(chain.belt_speed)
 
 
 class Trial(eqx.Module):

@@ -16,7 +16,7 @@ from jaxtyping import Array
 from .._checks import is_traced, to_float
 from .._types import State
 from ..model.chain import Chain, steady_sliding
-from ..model.initial_states import reference_site
+from ..model.initial_states import reference_site, release_state
 from ..model.oscillators import AbstractOscillators
 from ..model.sliding import sliding_damping, stiffness_matrix
 from ..observers.section import VelocityPeaks
@@ -50,16 +50,6 @@ def most_lively(chain: AbstractOscillators, state: State) -> int:
         return reference_site(x.shape[0])
     rest = steady_sliding(chain)[0] if isinstance(chain, Chain) else jnp.zeros_like(x)
     return int(jnp.argmax((x - rest) ** 2 + v**2))
-
-
-def release_state(chain: Chain, mass: int) -> State:
-    """Steady sliding, but mass `mass` is carried by the belt, half way to where it is let go."""
-    x, v = steady_sliding(chain)
-    unit = jnp.zeros(chain.n).at[mass].set(1.0)
-    stiffness = -chain.restoring_force(unit)[mass]
-    hold = jnp.broadcast_to(chain.greatest_hold(), (chain.n,))[mass]
-    reach = 0.5 * jnp.sign(chain.belt_speed) * hold / stiffness
-    return x + unit * (reach - x[mass]), v.at[mass].set(chain.belt_speed)
 
 
 def guess_from_simulation(

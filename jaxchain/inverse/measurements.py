@@ -10,12 +10,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import check_finite, check_positive, require_x64, to_float
-from ..boundaries.bistable import check_friction, on_the_belt
+from ..boundaries.bistable import check_friction
 from ..boundaries.fold import fold_belt_speed
 from ..boundaries.grazing import nonsmooth_fold_belt_speed
 from ..boundaries.hopf import hopf_belt_speed
 from ..model.chain import Chain, steady_sliding
-from ..model.initial_states import check_vibrating
+from ..model.initial_states import check_vibrating, on_the_belt
 from ..observers.amplitude import Amplitude
 from ..observers.quantities import active
 from ..simulation.event_driven import EventDriven

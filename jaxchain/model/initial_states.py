@@ -1,4 +1,4 @@
-"""Initial states: the paper's eq. (8) and eq. (10), and free choices of who is excited."""
+"""Initial states: eq. (8) and eq. (10) of the paper, who is excited, and masses on the belt."""
 
 from __future__ import annotations
 
@@ -9,7 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Int
 
-from .._checks import check_finite, is_traced, require_64_bits, require_x64, to_float
+from .._checks import (
+    check_finite,
+    is_traced,
+    require_64_bits,
+    require_x64,
+    to_float,
+)
 from .._types import State
 from .chain import Chain, steady_sliding
 
@@ -151,3 +157,23 @@ def equation_10(
     return excited_state(
         chain, excited, velocity=0.56, block=block, mirrored=reading == "as_printed"
     )
+
+
+def on_the_belt(chain: Chain, vibrating: Any = None) -> State:
+    """(x, v) with one mass carried by the belt past x = 0, and the others sliding.
+
+    With one mass and dry friction it lies on the stick-slip cycle.
+    """
+    mass = check_vibrating(chain, vibrating)
+    x, v = steady_sliding(chain)
+    return x.at[mass].set(0.0), v.at[mass].set(chain.belt_speed)
+
+
+def release_state(chain: Chain, mass: int) -> State:
+    """Steady sliding, but mass `mass` is carried by the belt, half way to where it is let go."""
+    x, v = steady_sliding(chain)
+    unit = jnp.zeros(chain.n).at[mass].set(1.0)
+    stiffness = -chain.restoring_force(unit)[mass]
+    hold = jnp.broadcast_to(chain.greatest_hold(), (chain.n,))[mass]
+    reach = 0.5 * jnp.sign(chain.belt_speed) * hold / stiffness
+    return x + unit * (reach - x[mass]), v.at[mass].set(chain.belt_speed)

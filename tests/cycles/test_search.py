@@ -19,8 +19,9 @@ from jaxchain import (
     steady_sliding,
 )
 from jaxchain.boundaries.hopf_scan import guess_from_hopf
-from jaxchain.cycles.guesses import guess_from_simulation, release_state
+from jaxchain.cycles.guesses import guess_from_simulation
 from jaxchain.cycles.search import find_limit_cycle
+from jaxchain.model.initial_states import release_state
 
 
 def right_side(chain):
