@@ -12,8 +12,6 @@ from jaxtyping import Array, ArrayLike, Float
 
 # Below this a step is judged by rounding errors alone, or by squares that underflow.
 LEAST_RTOL, LEAST_ATOL = 1e-15, 1e-30
-# See `check_resolved`.
-_LAYER, _NORM_MASSES = 10.0, 20
 
 
 def to_float(value: ArrayLike) -> Float[Array, "..."]:
@@ -193,34 +191,3 @@ def check_tolerances(rtol: ArrayLike, atol: ArrayLike | None, max_step: ArrayLik
         if (numbers := _concrete("atol", atol)) is not None:
             remedy = "a tenth of `rtol` is usual."
             _check_each("atol", atol, numbers >= LEAST_ATOL, f"at least {LEAST_ATOL:g}", remedy)
-
-
-def check_resolved(
-    n: int, width: ArrayLike, belt_speed: ArrayLike, rtol: ArrayLike, atol: ArrayLike | None
-) -> None:
-    """Raises `ValueError` if the tolerance on velocities is too coarse for the width.
-
-    Where a mass sticks, |w| < eps, about.  With an error of that order in its velocity,
-    atol + rtol |v_d|, a mass leaves the belt, or does not reach it, and no error estimate tells:
-    a single mass is off by 5e-3 after 50 time units at eps = 10 (atol + rtol |v_d|) and by what
-    the tolerance promises from 30 on.  The norm of the error is a mean over masses, and what one
-    of n may have is sqrt(n) times that; the norm lets no mass have more than one of 20.
-    """
-    if is_traced(width, belt_speed, rtol, atol):
-        return
-    per_speed = np.max(np.abs(np.asarray(belt_speed)))
-    least, rtol = float(np.min(np.asarray(width))), float(np.asarray(rtol))
-    allowed = least / (_LAYER * min(n, _NORM_MASSES) ** 0.5)
-    given = 0.1 * rtol if atol is None else float(np.asarray(atol))
-    if given + rtol * per_speed <= allowed:
-        return
-    tighter = allowed / (per_speed + 0.1) / 3
-    remedies = [f"a width of {3 * (given + rtol * per_speed) / allowed * least:.0e}"]
-    if tighter >= LEAST_RTOL:
-        remedies.insert(0, f"`rtol` = {tighter:.0e} (`atol` a tenth of it)")
-    raise ValueError(
-        f"Arguments `rtol` = {rtol:g} and `atol` = {given:g} are too loose for a regularization "
-        f"width of {least:g} at a belt speed of {per_speed:g}: errors of that size in a velocity "
-        f"tear sticking masses off the belt. Use {', or '.join(remedies)}, or a solver for the "
-        "non-smooth law."
-    )

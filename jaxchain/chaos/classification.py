@@ -17,14 +17,13 @@ from .._checks import (
     check_finite,
     check_nonnegative,
     check_positive,
-    check_resolved,
     check_tolerances,
     require_64_bits,
     require_x64,
 )
 from ..model.chain import Chain
 from ..model.oscillators import AbstractOscillators
-from ..simulation.accuracy import MAX_STEP
+from ..simulation.accuracy import MAX_STEP, check_resolved
 from ..simulation.event_driven import EventDriven
 from .criteria import Criteria, classify, judge_exponents, judge_torus
 from .orbits import judge_orbit

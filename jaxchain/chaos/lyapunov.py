@@ -23,7 +23,6 @@ from .._checks import (
     check_nonnegative,
     check_number,
     check_positive,
-    check_resolved,
     check_tolerances,
     is_traced,
     require_64_bits,
@@ -37,7 +36,7 @@ from ..model.oscillators import AbstractOscillators
 from ..observers.divergence import Divergence
 from ..observers.stick_time import MostSticking
 from ..result import STOPPED_WELL, Result, message
-from ..simulation.accuracy import MAX_STEP, USUAL_RTOL, choose_solver, default_rtol
+from ..simulation.accuracy import MAX_STEP, USUAL_RTOL, check_resolved, choose_solver, default_rtol
 from ..simulation.event_driven import EventDriven, EventDrivenPlan
 from ..simulation.plan import AbstractPlan
 from ..simulation.run import build_plan

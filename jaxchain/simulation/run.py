@@ -15,7 +15,6 @@ from jaxtyping import Array, ArrayLike, Float, Int, PyTree
 from .._checks import (
     check_count,
     check_finite,
-    check_resolved,
     check_span,
     check_tolerances,
     is_traced,
@@ -34,6 +33,7 @@ from .accuracy import (
     MAX_STEP,
     USUAL_RTOL,
     Numerics,
+    check_resolved,
     choose_numerics,
     choose_solver,
     default_rtol,

@@ -26,7 +26,6 @@ import numpy as np
 from .._checks import (
     check_count,
     check_finite,
-    check_resolved,
     check_span,
     check_tolerances,
     require_64_bits,
@@ -39,6 +38,7 @@ from ..result import NAMES, STOPPED_WELL, message
 from ..simulation.accuracy import (
     MAX_STEP,
     USUAL_RTOL,
+    check_resolved,
     choose_numerics,
     choose_solver,
     default_rtol,

@@ -21,7 +21,7 @@ from jax.sharding import PartitionSpec as P
 from jaxtyping import Array
 from tqdm import tqdm
 
-from jaxchain._checks import check_resolved, require_x64, to_float
+from jaxchain._checks import require_x64, to_float
 from jaxchain.model.chain import Chain
 from jaxchain.observers.amplitude import Amplitude
 from jaxchain.observers.base import AbstractObserver
@@ -29,7 +29,7 @@ from jaxchain.observers.peaks import PeakTimes
 from jaxchain.observers.samples import Samples
 from jaxchain.result import NAMES, STOPPED_WELL
 from jaxchain.scenes.running import build_chain, build_initial, build_solver
-from jaxchain.simulation.accuracy import choose_solver
+from jaxchain.simulation.accuracy import check_resolved, choose_solver
 from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.simulation.run import build_plan, simulate
 from jaxchain.studies.states.phases import join_peaks, join_samples
