@@ -10,7 +10,7 @@ from .boundaries.fold import find_fold as find_fold
 from .boundaries.fold import fold_belt_speed as fold_belt_speed
 from .boundaries.fold_descent import FoldDescent as FoldDescent
 from .boundaries.fold_descent import fold_by_descent as fold_by_descent
-from .boundaries.fold_result import FoldResult as FoldResult
+from .boundaries.fold_search import FoldResult as FoldResult
 from .boundaries.grazing import Grazing as Grazing
 from .boundaries.grazing import find_grazing as find_grazing
 from .boundaries.grazing import nonsmooth_fold_belt_speed as nonsmooth_fold_belt_speed

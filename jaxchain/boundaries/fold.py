@@ -16,8 +16,7 @@ from ..cycles.shooting import Shooting
 from ..cycles.shooting import residual as closure
 from ..model.chain import Chain
 from ..model.initial_states import check_vibrating
-from .fold_result import FoldResult
-from .fold_search import Place, Search, search, unknowns
+from .fold_search import FoldResult, Place, Search, search, unknowns
 from .fold_start import Start, at_least_wide, first_guess, narrowed
 
 

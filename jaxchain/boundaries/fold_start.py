@@ -16,8 +16,7 @@ from ..model.chain import Chain
 from ..model.sliding import damping_outweighs
 from ..simulation.accuracy import fit_linear_solve
 from ..solvers.rosenbrock import Rodas5P
-from .fold_result import FoldResult
-from .fold_search import FOLD_RTOL, Place, as_place
+from .fold_search import FOLD_RTOL, FoldResult, Place, as_place
 from .layer import layer, sides
 from .touch import slip_force
 from .touch_search import find_touch
