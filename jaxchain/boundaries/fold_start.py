@@ -17,8 +17,7 @@ from ..model.sliding import damping_outweighs
 from ..simulation.accuracy import fit_linear_solve
 from ..solvers.rosenbrock import Rodas5P
 from .fold_search import FOLD_RTOL, FoldResult, Place, as_place
-from .layer import layer, sides
-from .touch import slip_force
+from .touch import layer, sides, slip_force
 from .touch_search import find_touch
 
 # Widths over the speed of the problem: below the first two the dry cycle is wanted exactly, and

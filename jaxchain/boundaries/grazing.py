@@ -33,8 +33,7 @@ from .._types import ScalarLike, State
 from ..continuation.implicit import attach_derivative
 from ..model.chain import Chain
 from ..model.initial_states import check_vibrating
-from .layer import sides
-from .touch import touch_residual, touch_slopes
+from .touch import sides, touch_residual, touch_slopes
 from .touch_search import find_touch
 
 # A velocity above the belt's by this share of it is one that passes it.
