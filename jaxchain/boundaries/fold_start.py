@@ -109,7 +109,7 @@ def at_least_wide(chain: Chain, least: Array) -> Chain:
 def narrowed(start: Start, width: Array) -> Array:
     """What the fold gains from the width of the search to a smaller `width`, else 0.
 
-    By the asymptotics of `boundaries/layer.py`; differentiable in `width`.
+    By the asymptotics of `boundaries/touch.py`; differentiable in `width`.
     """
     by_leaving, by_arriving, fall, hold = jax.tree.map(lax.stop_gradient, start.sides)
     tiny = width < start.width

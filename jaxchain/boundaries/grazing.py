@@ -70,7 +70,7 @@ class Grazing(eqx.Module):
         """About where the fold of smoothed friction is, to O(width^(3/2)); NaN if not `found`.
 
         v_d = V - (V_+ + V_-) / 4 eps ln(1 / eps) + O(eps), the summit of the layer in
-        `boundaries/layer.py`.
+        `boundaries/touch.py`.
 
         **Arguments:** `width` = eps of the mass that grazes.
         """

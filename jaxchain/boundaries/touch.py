@@ -1,21 +1,22 @@
 """Slip cycles that touch the belt's speed: their equations, and what smoothing makes of the touch.
 
-The touch is the fold of dry friction, see `boundaries/grazing.py`.  For a small width:
-
-
-At the touch of dry friction, w' = -kappa t, smoothed friction lacks 2 exp(2 w / eps) of itself:
+The touch is the fold of dry friction, see `boundaries/grazing.py`.  There w' = -kappa t, and
+smoothed friction lacks 2 exp(2 w / eps) of itself:
 
     w' = -kappa t - 2 h exp(2 w / eps),        h = p mu_st.
 
 With tau = t (kappa / eps)^(1/2) this is linear in exp(-2 w / eps):
 
-    exp(-2 w / eps) = exp(tau^2) [exp(-2 w_- / eps) + Q Phi(tau)],        Q = 4 h [pi / (kappa eps)]^(1/2),
+    exp(-2 w / eps) = exp(tau^2) [exp(-2 w_- / eps) + Q Phi(tau)]
+    Q = 4 h [pi / (kappa eps)]^(1/2)
 
 Phi the normal distribution's, from 0 to 1, of variance 1/2: a cycle that would come back with w_-
-leaves as if with w_+.  Along v_d = V + V_+ w_+ + V_- w_- (see `boundaries/grazing.py`) the belt is fastest at
+leaves as if with w_+.  Along v_d = V + V_+ w_+ + V_- w_- the belt is fastest at
 
-    w_- = (eps / 2) ln[(rho - 1) / Q],    w_+ = -(eps / 2) ln[Q rho / (rho - 1)],    rho = -V_+ / V_-.
-"""  # noqa: E501
+    w_- = (eps / 2) ln[(rho - 1) / Q],    w_+ = -(eps / 2) ln[Q rho / (rho - 1)]
+
+with rho = -V_+ / V_-.
+"""
 
 from __future__ import annotations
 
