@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from jaxchain.cycles.branches import CycleBranch
-from jaxchain.localization.patterns import phase_model
+from jaxchain.localization.phases import phase_model
 from jaxchain.model.chain import Chain, paper_chain
 from jaxchain.model.initial_states import equation_8
 from jaxchain.observers.amplitude import Amplitude
