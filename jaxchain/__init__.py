@@ -1,112 +1,54 @@
-"""jaxchain: differentiable simulation of friction-excited oscillator chains on JAX."""
+"""jaxchain: differentiable simulation of friction-excited oscillator chains on JAX.
 
-from .boundaries.bautin import generalised_hopf as generalised_hopf
-from .boundaries.bistable import BistableRange as BistableRange
-from .boundaries.bistable import bistable_range as bistable_range
-from .boundaries.bistable import try_boundary as try_boundary
-from .boundaries.criticality import first_lyapunov_coefficient as first_lyapunov_coefficient
-from .boundaries.descent import FoldDescent as FoldDescent
-from .boundaries.descent import HopfDescent as HopfDescent
-from .boundaries.descent import fold_by_descent as fold_by_descent
-from .boundaries.descent import hopf_by_descent as hopf_by_descent
-from .boundaries.fold import Fold as Fold
-from .boundaries.fold import find_fold as find_fold
-from .boundaries.fold import fold_belt_speed as fold_belt_speed
-from .boundaries.fold_search import FoldResult as FoldResult
-from .boundaries.grazing import Grazing as Grazing
-from .boundaries.grazing import find_grazing as find_grazing
-from .boundaries.grazing import nonsmooth_fold_belt_speed as nonsmooth_fold_belt_speed
-from .boundaries.hopf import hopf_belt_speed as hopf_belt_speed
-from .boundaries.hopf_scan import HopfPoints as HopfPoints
-from .boundaries.hopf_scan import guess_from_hopf as guess_from_hopf
-from .boundaries.hopf_scan import hopf_points as hopf_points
-from .boundaries.overview import Boundaries as Boundaries
-from .boundaries.overview import boundaries as boundaries
-from .boundaries.single_mass import one_mass_branch as one_mass_branch
-from .boundaries.zero_width import Extrapolated as Extrapolated
-from .boundaries.zero_width import FoldBoundary as FoldBoundary
-from .boundaries.zero_width import extrapolate as extrapolate
-from .boundaries.zero_width import fold_boundary as fold_boundary
-from .boundaries.zero_width import fold_in_the_limit as fold_in_the_limit
-from .chaos.classification import verdict as verdict
-from .chaos.classification import verdicts as verdicts
-from .chaos.criteria import Criteria as Criteria
-from .chaos.lyapunov import lyapunov_spectrum as lyapunov_spectrum
-from .chaos.records import Evidence as Evidence
-from .chaos.records import Verdict as Verdict
-from .chaos.spectrum import LyapunovSpectrum as LyapunovSpectrum
-from .chaos.spectrum import kaplan_yorke_dimension as kaplan_yorke_dimension
-from .continuation.arclength import continue_branch as continue_branch
-from .continuation.arclength import switch_branch as switch_branch
-from .continuation.branch import Branch as Branch
-from .continuation.damped_newton import newton as newton
-from .continuation.fold_points import FoldPoint as FoldPoint
-from .continuation.fold_points import fold_point as fold_point
-from .continuation.fold_points import fold_residual as fold_residual
-from .continuation.gradient_descent import descend as descend
-from .continuation.implicit import attach_derivative as attach_derivative
-from .cycles.branches import CycleBranch as CycleBranch
-from .cycles.branches import continue_cycle as continue_cycle
-from .cycles.branches import switch_cycle as switch_cycle
-from .cycles.closing import ClosedOrbit as ClosedOrbit
-from .cycles.closing import close_orbit as close_orbit
-from .cycles.floquet import floquet_multipliers as floquet_multipliers
-from .cycles.floquet import liouville_defect as liouville_defect
-from .cycles.floquet import liouville_determinant as liouville_determinant
-from .cycles.floquet import monodromy_matrix as monodromy_matrix
-from .cycles.guesses import guess_from_simulation as guess_from_simulation
-from .cycles.limit_cycle import LimitCycle as LimitCycle
-from .cycles.search import find_limit_cycle as find_limit_cycle
-from .cycles.special_points import CyclePoint as CyclePoint
-from .inverse.identification import Identification as Identification
-from .inverse.identification import identify as identify
-from .inverse.measurements import Measurements as Measurements
-from .inverse.optimal_design import Design as Design
-from .inverse.optimal_design import design as design
-from .localization.fronts import Depinning as Depinning
-from .localization.fronts import FrontSpeed as FrontSpeed
-from .localization.fronts import depinning_belt_speed as depinning_belt_speed
-from .localization.fronts import front_speed as front_speed
-from .localization.mistuning import LinearModes as LinearModes
-from .localization.mistuning import linear_modes as linear_modes
-from .localization.mistuning import localization_length as localization_length
-from .localization.mistuning import mistuned_chain as mistuned_chain
-from .localization.mistuning import mistuned_stiffness as mistuned_stiffness
-from .model.chain import Chain as Chain
-from .model.chain import paper_chain as paper_chain
-from .model.chain import steady_sliding as steady_sliding
-from .model.friction import Coulomb as Coulomb
-from .model.friction import ExponentialDecay as ExponentialDecay
-from .model.friction import TanhFriction as TanhFriction
-from .model.friction import WeakeningStrengthening as WeakeningStrengthening
-from .model.initial_states import equation_8 as equation_8
-from .model.initial_states import equation_10 as equation_10
-from .model.initial_states import excited_state as excited_state
-from .model.units import Scales as Scales
-from .observers.amplitude import Amplitude as Amplitude
-from .observers.fronts import FrontTrack as FrontTrack
-from .observers.fronts import front_positions as front_positions
-from .observers.peaks import PeakTimes as PeakTimes
-from .observers.quantities import active as active
-from .observers.quantities import delays as delays
-from .observers.quantities import energy as energy
-from .observers.quantities import mean_period as mean_period
-from .observers.quantities import participation_ratio as participation_ratio
-from .observers.quantities import settled as settled
-from .observers.samples import Samples as Samples
-from .observers.section import Section as Section
-from .observers.stick_time import StickTime as StickTime
-from .observers.trajectory import Trajectory as Trajectory
-from .result import Result as Result
-from .simulation.accuracy import Numerics as Numerics
-from .simulation.accuracy import choose_numerics as choose_numerics
-from .simulation.event_driven import EventDriven as EventDriven
-from .simulation.run import Simulation as Simulation
-from .simulation.run import simulate as simulate
-from .solvers.rosenbrock import Rodas4 as Rodas4
-from .solvers.rosenbrock import Rodas5P as Rodas5P
-from .solvers.step_control import SwitchingController as SwitchingController
-from .sweeps.sweeping import SweepInterrupted as SweepInterrupted
-from .sweeps.sweeping import sweep as sweep
+What most scripts need stands here.  Everything else stands in its room:
+
+- `model`: the chain: masses on a moving belt, springs, friction, initial states
+- `continuation`: equations of any kind: roots, derivatives, branches of solutions
+- `observers`: what is watched along a run
+- `solvers`: how a step is made
+- `simulation`: one run, smoothed or with true dry friction
+- `sweeps`: ensembles, as labelled datasets
+- `cycles`: limit cycles, Floquet multipliers, branches of cycles
+- `boundaries`: where vibration starts (Hopf) and where it can survive (fold)
+- `chaos`: Lyapunov exponents and verdicts
+- `localization`: patterns, fronts, mistuning
+- `inverse`: design and identification
+- `plotting`: figures, drawings, films
+- `scenes`: experiments as TOML files
+- `bench`: the speed of this machine
+- `studies`: questions that take more than one sweep
+
+`help(jaxchain.boundaries)` lists a room's files and names.  Nothing is imported before it is
+asked for.
+"""
+
+import sys
+from typing import Any
+
+import lazy_loader
 
 __version__ = "0.1.0"
+
+ROOMS = (
+    "model", "continuation", "observers", "solvers", "simulation", "sweeps", "cycles",
+    "boundaries", "chaos", "localization", "inverse", "plotting", "scenes", "bench", "studies",
+)  # fmt: skip
+
+_show, __dir__, _shown = lazy_loader.attach_stub(__name__, __file__)
+__all__ = [name for name in _shown if name not in ROOMS]  # pyright: ignore[reportUnsupportedDunderAll]
+
+
+def __getattr__(name: str) -> Any:
+    """A name of this door, or where else it stands."""
+    if name in _shown:
+        return _show(name)
+    if not name.startswith("_"):
+        for room in ROOMS:
+            if name in getattr(_show(room), "__all__", ()):
+                told = f"{__name__}.{name} moved to {__name__}.{room}.{name}"
+                # `from jaxchain import name` asks whether it is there, and would hide the words of
+                # an AttributeError.
+                if sys._getframe(1).f_globals.get("__name__") == "importlib._bootstrap":
+                    raise ImportError(told)
+                raise AttributeError(told)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

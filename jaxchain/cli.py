@@ -151,7 +151,7 @@ def _run(options: argparse.Namespace) -> int:
 
 def _boundary(options: argparse.Namespace) -> int:
     _configure_jax()
-    from .boundaries.overview import boundaries, in_words, report
+    from .boundaries.overview import hopf_and_fold, in_words, report
     from .model.chain import Chain
     from .model.friction import ExponentialDecay, TanhFriction
 
@@ -171,7 +171,7 @@ def _boundary(options: argparse.Namespace) -> int:
         print(f"jaxchain: {error}", file=sys.stderr)
         return 2
     try:
-        found = boundaries(chain)
+        found = hopf_and_fold(chain)
     except KeyboardInterrupt:
         print("jaxchain: interrupted", file=sys.stderr)
         return 130

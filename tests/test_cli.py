@@ -15,11 +15,12 @@ from synthetic import results
 
 import jaxchain.boundaries.overview
 import jaxchain.scenes.running
-from jaxchain import SweepInterrupted, paper_chain, steady_sliding
+from jaxchain import paper_chain, steady_sliding
 from jaxchain.cli import main
 from jaxchain.result import NAMES
 from jaxchain.scenes.reading import LAWS, builtin_scenes, load_scene
 from jaxchain.scenes.tables import Solver
+from jaxchain.sweeps import SweepInterrupted
 
 SCENE = """
 title = "Two experiments"
@@ -279,7 +280,7 @@ def found(monkeypatch):
             *map(jnp.asarray, values), mass=chain.n // 2
         )
 
-    monkeypatch.setattr(jaxchain.boundaries.overview, "boundaries", search)
+    monkeypatch.setattr(jaxchain.boundaries.overview, "hopf_and_fold", search)
     return asked
 
 
@@ -308,7 +309,7 @@ def test_ctrl_c_ends_boundary_without_a_traceback(workplace, monkeypatch, capsys
     def stopped(chain):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(jaxchain.boundaries.overview, "boundaries", stopped)
+    monkeypatch.setattr(jaxchain.boundaries.overview, "hopf_and_fold", stopped)
     assert main(["boundary"]) == 130
     assert capsys.readouterr() == ("", "jaxchain: interrupted\n")
 

@@ -54,6 +54,10 @@ def start(chain, sign):
     return x.at[mass].set(0.0), v.at[mass].set(sign * jnp.abs(chain.belt_speed))
 
 
+def arrays(found):
+    return eqx.filter(found, eqx.is_array)
+
+
 def turned(sign, state):
     return jnp.stack(state) * sign
 
@@ -86,7 +90,7 @@ def spectrum(solver):
 
 
 def cycle(chain, sign):
-    state, period = jc.guess_from_simulation(chain, start(chain, sign), 0, transient=100.0)
+    state, period = jc.cycles.guess_from_simulation(chain, start(chain, sign), 0, transient=100.0)
     found = jc.find_limit_cycle(chain, (state, period), vibrating=0)
     parts = found.period, found.amplitude, found.fastest, found.closeness, found.multipliers
     return (turned(sign, state), period, turned(sign, found.state), *parts)
@@ -94,17 +98,18 @@ def cycle(chain, sign):
 
 def dry_orbit(chain, sign):
     state = jc.simulate(chain, start(chain, sign), 200.0, solver=DRY, rtol=1e-9).state
-    orbit = jc.close_orbit(chain, state, 6.3 / jnp.sqrt(chain.stiffness), solver=DRY)
+    orbit = jc.cycles.close_orbit(chain, state, 6.3 / jnp.sqrt(chain.stiffness), solver=DRY)
     return turned(sign, orbit.state), orbit.period, jnp.abs(orbit.multipliers) > 1e-12
 
 
 def linear(chain, sign):
     state = excited(chain, sign)
-    return jc.monodromy_matrix(chain, state, 6.0), jc.liouville_determinant(chain, state, 6.0)
+    determinant = jc.cycles.liouville_determinant(chain, state, 6.0)
+    return jc.monodromy_matrix(chain, state, 6.0), determinant
 
 
 def design(chain):
-    changed = jc.design(
+    changed = jc.inverse.design(
         chain, lambda chain, xi: chain.with_(damping_ratio=xi), 0.05, highest_below=1.7, steps=3
     )
     return changed.theta, changed.costs
@@ -113,10 +118,18 @@ def design(chain):
 QUICK = {
     "steady_sliding": lambda chain, sign: turned(sign, jc.steady_sliding(chain)),
     "excited_state": lambda chain, sign: turned(sign, excited(chain, sign)),
+    "on_the_belt": lambda chain, sign: turned(sign, jc.model.on_the_belt(chain)),
+    "release_state": lambda chain, sign: turned(sign, jc.model.release_state(chain, 2)),
+    "stiffness_matrix": lambda chain, sign: jc.model.stiffness_matrix(chain),
+    "sliding_damping": lambda chain, sign: jc.model.sliding_damping(chain, chain.belt_speed),
+    "sliding_eigenvalues": lambda chain, sign: jnp.sort(
+        jc.model.sliding_eigenvalues(chain, chain.belt_speed).real
+    ),
+    "growth_rate": lambda chain, sign: jc.model.growth_rate(chain, chain.belt_speed),
     "hopf_belt_speed": lambda chain, sign: jc.hopf_belt_speed(chain),
-    "choose_numerics": lambda chain, sign: jc.choose_numerics(chain, 1e-2).width,
-    "mistuned_chain": lambda chain, sign: jc.mistuned_chain(chain, 3, 0.1).stiffness,
-    "linear_modes": lambda chain, sign: eqx.filter(jc.linear_modes(chain), eqx.is_array),
+    "choose_numerics": lambda chain, sign: jc.simulation.choose_numerics(chain, 1e-2).width,
+    "mistuned_chain": lambda chain, sign: jc.localization.mistuned_chain(chain, 3, 0.1).stiffness,
+    "linear_modes": lambda chain, sign: arrays(jc.localization.linear_modes(chain)),
     "simulate": run(None),
     "simulate dry": run(DRY),
 }  # fmt: skip
@@ -129,20 +142,22 @@ LONG = {
 SPEEDLESS = {
     "fold_belt_speed": jc.fold_belt_speed,
     "nonsmooth_fold_belt_speed": jc.nonsmooth_fold_belt_speed,
-    "find_fold": lambda chain: eqx.filter(jc.find_fold(chain), eqx.is_array),
-    "find_grazing": lambda chain: eqx.filter(jc.find_grazing(chain), eqx.is_array),
-    "fold_in_the_limit": jc.fold_in_the_limit,
-    "fold_boundary": jc.fold_boundary,
-    "bistable_range": jc.bistable_range,
-    "try_boundary": lambda chain: jc.try_boundary(chain, 1.7, time=50.0),
-    "hopf_by_descent": lambda chain: jc.hopf_by_descent(chain, steps=20).belt_speed,
-    "fold_by_descent": lambda chain: jc.fold_by_descent(chain, steps=3).belt_speed,
-    "one_mass_branch": lambda chain: eqx.filter(jc.one_mass_branch(chain), eqx.is_array),
+    "find_fold": lambda chain: arrays(jc.boundaries.find_fold(chain)),
+    "find_grazing": lambda chain: arrays(jc.boundaries.find_grazing(chain)),
+    "fold_in_the_limit": jc.boundaries.fold_in_the_limit,
+    "fold_boundary": jc.boundaries.fold_boundary,
+    "bistable_range": jc.boundaries.bistable_range,
+    "try_boundary": lambda chain: jc.boundaries.try_boundary(chain, 1.7, time=50.0),
+    "hopf_by_descent": lambda chain: jc.boundaries.hopf_by_descent(chain, steps=20).belt_speed,
+    "fold_by_descent": lambda chain: jc.boundaries.fold_by_descent(chain, steps=3).belt_speed,
+    "one_mass_branch": lambda chain: eqx.filter(
+        jc.boundaries.one_mass_branch(chain), eqx.is_array
+    ),
     "design": design,
 }
 # Of chains one by one, on the host.
 SINGLE = (
-    "boundaries", "continue_cycle", "depinning_belt_speed", "equation_8", "equation_10",
+    "hopf_and_fold", "continue_cycle", "depinning_belt_speed", "equation_8", "equation_10",
     "find_limit_cycle", "first_lyapunov_coefficient", "front_speed", "generalised_hopf",
     "guess_from_hopf", "hopf_points", "identify", "phase_model", "sweep", "verdict", "verdicts",
     "close_orbit", "guess_from_simulation", "liouville_determinant",
@@ -161,7 +176,8 @@ def compare(case, chains, tolerance):
 
 def test_no_public_function_of_a_chain_is_forgotten():
     cases = {name.split()[0] for name in (*QUICK, *LONG, *SPEEDLESS, *SINGLE)}
-    public = [getattr(jc, name) for name in dir(jc) if not name.startswith("_")]
+    rooms = [jc, *(getattr(jc, room) for room in jc.ROOMS)]
+    public = [getattr(room, name) for room in rooms for name in getattr(room, "__all__", ())]
     functions = [f for f in public if inspect.isfunction(f) or hasattr(f, "__wrapped__")]
     taking = {f.__name__ for f in functions if "chain" in inspect.signature(f).parameters}
     assert taking <= cases
@@ -219,10 +235,10 @@ def test_the_mirror_image_has_the_same_hopf_points_and_what_begins_there():
         chain = one(random_chains(n=1, speeds=(1.25, 1.3)), k)
         found = []
         for own in (chain, mirrored(chain)):
-            points = jc.hopf_points(own, (0.5, 3.0))
+            points = jc.boundaries.hopf_points(own, (0.5, 3.0))
             speed = 1.01 * points.belt_speed[-1]
             near = own.with_(belt_speed=float(own.belt_direction()) * speed)
-            guess = jc.guess_from_hopf(near, points, len(points.kind) - 1)
+            guess = jc.boundaries.guess_from_hopf(near, points, len(points.kind) - 1)
             found.append((points, jc.find_limit_cycle(near, guess)))
         (points, small), (same, back) = found
         for name in ("belt_speed", "frequency", "lyapunov_coefficient"):
@@ -253,7 +269,7 @@ def test_fronts_patterns_and_verdicts_are_mirrored():
     chain = jc.paper_chain(24, belt_speed=1.1)
     block = jc.excited_state(chain, 8, block="centred")
     fronts = [
-        jc.front_speed(own, tuple(sign * part for part in block), 300.0)
+        jc.localization.front_speed(own, tuple(sign * part for part in block), 300.0)
         for own, sign in ((chain, 1.0), (mirrored(chain), -1.0))
     ]
     assert float(fronts[0].speed) == float(fronts[1].speed) != 0

@@ -58,7 +58,8 @@ def hopf_by_descent(
 
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
-    >>> from jaxchain import hopf_by_descent, paper_chain
+    >>> from jaxchain import paper_chain
+    >>> from jaxchain.boundaries import hopf_by_descent
     >>> found = hopf_by_descent(paper_chain(n=1))
     >>> bool(found.converged), round(float(found.belt_speed), 6)
     (True, 1.151293)
@@ -144,7 +145,8 @@ def fold_by_descent(
 
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
-    >>> from jaxchain import fold_by_descent, paper_chain
+    >>> from jaxchain import paper_chain
+    >>> from jaxchain.boundaries import fold_by_descent
     >>> found = fold_by_descent(paper_chain(n=1, width=1e-2))
     >>> round(float(found.belt_speed), 5)
     1.79246

@@ -113,7 +113,8 @@ def find_fold(chain: Any, vibrating: Any = None) -> Fold:
 
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
-    >>> from jaxchain import find_fold, paper_chain
+    >>> from jaxchain import paper_chain
+    >>> from jaxchain.boundaries import find_fold
     >>> fold = find_fold(paper_chain(n=1, width=1e-2))
     >>> bool(fold.found), round(float(fold.period), 4), round(float(fold.closeness), 3)
     (True, 6.3028, -2.142)

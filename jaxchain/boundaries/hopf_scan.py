@@ -241,7 +241,8 @@ def guess_from_hopf(
 
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
-    >>> from jaxchain import hopf_points, paper_chain
+    >>> from jaxchain import paper_chain
+    >>> from jaxchain.boundaries import hopf_points
     >>> chain = paper_chain(1, belt_speed=1.2)
     >>> (x, v), period = guess_from_hopf(chain, hopf_points(chain, (1.0, 2.0)))
     >>> round(float(v[0]), 3), round(float(period), 3)

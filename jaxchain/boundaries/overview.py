@@ -47,7 +47,7 @@ class Boundaries(eqx.Module):
     mass: int = eqx.field(static=True)
 
 
-def boundaries(chain: Chain, vibrating: Any = None) -> Boundaries:
+def hopf_and_fold(chain: Chain, vibrating: Any = None) -> Boundaries:
     """Both boundaries of a chain at its width, for dry friction, and the bars of the latter.
 
     The bar of the fold is that of the direct method, and more if the extrapolation from smoothed

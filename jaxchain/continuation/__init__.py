@@ -1,1 +1,16 @@
-"""Equations of any kind: roots, their derivatives, branches of solutions."""
+"""Equations of any kind: their roots, the derivatives of these, and branches of solutions.
+
+- `arclength`: branches of F(u, p) = 0 by pseudo-arclength continuation
+- `branch`: what continuation returns: points, special points, why it ended
+- `corrector`: one point of a branch from a guess
+- `damped_newton`: a root from a guess
+- `fold_points`: folds as roots of a system bordered by one equation
+- `gradient_descent`: descent with any optax optimiser, in one compiled loop
+- `implicit`: derivatives by the implicit function theorem
+- `special_points`: folds, branch points and zeros between two points of a branch
+- `stepper`: how far to step, what to keep, where to end
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

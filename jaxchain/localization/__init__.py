@@ -1,1 +1,11 @@
-"""Localized states: patterns, fronts, mistuning."""
+"""Localized states: patterns of phases, fronts, and what mistuning does.
+
+- `fronts`: how fast fronts of a vibrating block move, and where they come unstuck
+- `mistuning`: chains of unequal masses, and their linear modes
+- `patterns`: the patterns in which phases lock: guesses for cycles
+- `phases`: the phase model of vibrating neighbours
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,1 +1,16 @@
-"""The chain: its masses, springs and friction, its equilibrium, its initial states."""
+"""The chain: masses on a moving belt, their springs and friction, sliding, initial states.
+
+- `chain`: the equations, the paper's chain, steady sliding
+- `friction`: laws mu(s), one class each, and their smoothing by a width
+- `initial_states`: eq. (8) and eq. (10) of the paper, and who is excited
+- `locality`: checks that forces act mass by mass
+- `oscillators`: what every chain shares; base class for oscillators of one's own
+- `sliding`: linear stability of steady sliding: damping, stiffness, eigenvalues
+- `springs`: neighbours of a mass, and the springs between them
+- `tridiagonal`: the springs' linear systems, solved in O(N)
+- `units`: between SI units and the dimensionless chain
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

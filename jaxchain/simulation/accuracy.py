@@ -130,7 +130,8 @@ def choose_numerics(chain: Chain, accuracy: Any) -> Numerics:
 
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
-    >>> from jaxchain import choose_numerics, paper_chain
+    >>> from jaxchain import paper_chain
+    >>> from jaxchain.simulation import choose_numerics
     >>> chosen = choose_numerics(paper_chain(), accuracy=1e-2)
     >>> print(f"width {float(chosen.width):.1e}, rtol {float(chosen.rtol):.1e}, {chosen.solver}")
     width 4.2e-04, rtol 2.8e-06, Rodas4(sweeps=1)

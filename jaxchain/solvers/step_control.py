@@ -61,7 +61,8 @@ class SwitchingController(dfx.AbstractAdaptiveStepSizeController):
 
         >>> import diffrax as dfx, jax
         >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import Rodas4, SwitchingController, equation_8, paper_chain
+        >>> from jaxchain import Rodas4, equation_8, paper_chain
+        >>> from jaxchain.solvers import SwitchingController
         >>> chain = paper_chain(n=20, belt_speed=1.3, width=1e-4)
         >>> def steps(controller):
         ...     return dfx.diffeqsolve(

@@ -1,1 +1,12 @@
-"""Ensembles: lanes, who runs when, and the labelled dataset that comes of it."""
+"""Ensembles: every combination of parameters and starts, as one labelled dataset.
+
+- `axes`: checks of what is swept, before anything is compiled
+- `dataset`: labels, units and provenance of results
+- `lanes`: what a lane does, and what all do together
+- `scheduler`: lanes on every device, and the jobs that wait for them
+- `sweeping`: `sweep`
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

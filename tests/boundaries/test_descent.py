@@ -6,13 +6,8 @@ import numpy as np
 import optax
 import pytest
 
-from jaxchain import (
-    fold_belt_speed,
-    fold_by_descent,
-    hopf_belt_speed,
-    hopf_by_descent,
-    paper_chain,
-)
+from jaxchain import fold_belt_speed, hopf_belt_speed, paper_chain
+from jaxchain.boundaries import fold_by_descent, hopf_by_descent
 
 EXACT = np.log(10.0) / 2
 

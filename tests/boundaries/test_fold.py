@@ -13,17 +13,15 @@ from jaxchain import (
     Chain,
     Coulomb,
     EventDriven,
-    FoldResult,
     TanhFriction,
     excited_state,
-    find_fold,
-    find_grazing,
     fold_belt_speed,
     hopf_belt_speed,
     nonsmooth_fold_belt_speed,
     paper_chain,
     simulate,
 )
+from jaxchain.boundaries import FoldResult, find_fold, find_grazing
 from jaxchain.studies.crosscheck.cycles import on_the_belt
 
 NAMES = ("damping_ratio", "mu_dynamic", "mu_static", "v_ref", "width")

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq, fsolve
 
-from jaxchain import Amplitude, EventDriven, find_fold, hopf_belt_speed, paper_chain, simulate
+from jaxchain import Amplitude, EventDriven, hopf_belt_speed, paper_chain, simulate
+from jaxchain.boundaries import find_fold
 from jaxchain.boundaries.bautin import generalised_hopf
-from jaxchain.boundaries.overview import Boundaries, boundaries, in_words, missing, report
+from jaxchain.boundaries.overview import Boundaries, hopf_and_fold, in_words, missing, report
 from jaxchain.boundaries.single_mass import dry_slip_branch, one_mass_branch
 from jaxchain.studies.crosscheck.cycles import on_the_belt
 
@@ -30,7 +31,7 @@ def made_up(**changes):
 
 @pytest.fixture(scope="module")
 def found():
-    return boundaries(paper_chain(1, width=WIDTH))
+    return hopf_and_fold(paper_chain(1, width=WIDTH))
 
 
 @pytest.mark.long
@@ -72,7 +73,7 @@ def test_in_words_every_boundary_has_its_value_its_limit_and_its_bar():
 
 def test_a_mass_that_is_none_of_the_chain_is_refused():
     with pytest.raises(ValueError, match="vibrating"):
-        boundaries(paper_chain(3), 3)
+        hopf_and_fold(paper_chain(3), 3)
 
 
 def friction(v, eps, static=1.0, drop=0.5, v0=0.5):

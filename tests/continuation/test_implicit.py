@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from jax import lax
 
-from jaxchain import attach_derivative
+from jaxchain.continuation import attach_derivative
 
 
 def residual(u, numbers):

@@ -12,10 +12,10 @@ from jaxchain import (
     equation_8,
     find_limit_cycle,
     fold_belt_speed,
-    hopf_points,
     paper_chain,
     simulate,
 )
+from jaxchain.boundaries import hopf_points
 from jaxchain.cycles.closing import close_orbit
 from jaxchain.cycles.least_period import FACTORS, Returned, Returns
 from jaxchain.localization.patterns import locked_patterns

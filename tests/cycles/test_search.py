@@ -8,16 +8,8 @@ import pytest
 from scipy.integrate import solve_ivp
 from systems.piecewise import PiecewiseLinear, exact_cycle
 
-from jaxchain import (
-    Amplitude,
-    Chain,
-    active,
-    excited_state,
-    hopf_points,
-    paper_chain,
-    simulate,
-    steady_sliding,
-)
+from jaxchain import Amplitude, Chain, active, excited_state, paper_chain, simulate, steady_sliding
+from jaxchain.boundaries import hopf_points
 from jaxchain.boundaries.hopf_scan import guess_from_hopf
 from jaxchain.cycles.guesses import guess_from_simulation
 from jaxchain.cycles.search import find_limit_cycle

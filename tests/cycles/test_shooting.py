@@ -2,7 +2,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxchain import Rodas5P, find_fold, paper_chain
+from jaxchain import Rodas5P, paper_chain
+from jaxchain.boundaries import find_fold
 from jaxchain.cycles.shooting import Shooting
 
 

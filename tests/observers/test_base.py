@@ -15,12 +15,12 @@ from jaxchain import (
     Section,
     Trajectory,
     active,
-    delays,
     energy,
     equation_8,
     paper_chain,
     simulate,
 )
+from jaxchain.observers import delays
 
 # Two undamped masses that know nothing of each other: x_n = X_n cos(omega_n t).
 OMEGA = np.array([1.0, 1.5])

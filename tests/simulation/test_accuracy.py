@@ -16,13 +16,13 @@ from jaxchain import (
     Rodas4,
     TanhFriction,
     Trajectory,
-    choose_numerics,
     equation_8,
     paper_chain,
-    settled,
     simulate,
     sweep,
 )
+from jaxchain.observers import settled
+from jaxchain.simulation import choose_numerics
 
 SETS, N = 20, 5
 # A series shorter than what suits a tight tolerance takes more steps, but compiles fast.

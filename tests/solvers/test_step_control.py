@@ -15,7 +15,6 @@ from jaxchain import (
     ExponentialDecay,
     Rodas4,
     Rodas5P,
-    SwitchingController,
     TanhFriction,
     equation_8,
     paper_chain,
@@ -23,6 +22,7 @@ from jaxchain import (
 )
 from jaxchain.model.oscillators import AbstractOscillators
 from jaxchain.model.springs import Springs
+from jaxchain.solvers import SwitchingController
 
 
 def pid(rtol: Any = 1e-6, **kwargs: Any) -> dfx.PIDController:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from jaxchain import find_fold
+from jaxchain.boundaries import find_fold
 from jaxchain.scenes.reading import SceneError, load_scene
 from jaxchain.studies.boundaries import curves as boundaries_curves
 from jaxchain.studies.boundaries.figure import figure

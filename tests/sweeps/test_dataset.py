@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from jaxchain import Amplitude, FrontTrack, paper_chain
+from jaxchain import Amplitude, paper_chain
+from jaxchain.observers import FrontTrack
 from jaxchain.observers.fronts import Fronts
 from jaxchain.result import NAMES
 from jaxchain.sweeps.dataset import to_dataset

@@ -9,10 +9,8 @@ import xarray as xr
 from jaxchain import (
     Amplitude,
     EventDriven,
-    FrontTrack,
     PeakTimes,
     Samples,
-    SweepInterrupted,
     Trajectory,
     equation_8,
     excited_state,
@@ -20,8 +18,10 @@ from jaxchain import (
     simulate,
     sweep,
 )
+from jaxchain.observers import FrontTrack
 from jaxchain.observers.section import ReturnPoints
 from jaxchain.result import NAMES
+from jaxchain.sweeps import SweepInterrupted
 
 CHAIN = paper_chain(4, belt_speed=1.4)
 OVER = {"belt_speed": [1.0, 1.4, 1.9], "excited": [0, 1, 4]}

@@ -1,0 +1,10 @@
+from .arclength import continue_branch as continue_branch
+from .arclength import switch_branch as switch_branch
+from .branch import Branch as Branch
+from .branch import SpecialPoint as SpecialPoint
+from .damped_newton import newton as newton
+from .fold_points import FoldPoint as FoldPoint
+from .fold_points import fold_point as fold_point
+from .fold_points import fold_residual as fold_residual
+from .gradient_descent import descend as descend
+from .implicit import attach_derivative as attach_derivative

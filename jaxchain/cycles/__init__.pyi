@@ -1,0 +1,13 @@
+from .branches import CycleBranch as CycleBranch
+from .branches import continue_cycle as continue_cycle
+from .branches import switch_cycle as switch_cycle
+from .closing import ClosedOrbit as ClosedOrbit
+from .closing import close_orbit as close_orbit
+from .floquet import floquet_multipliers as floquet_multipliers
+from .floquet import liouville_defect as liouville_defect
+from .floquet import liouville_determinant as liouville_determinant
+from .floquet import monodromy_matrix as monodromy_matrix
+from .guesses import guess_from_simulation as guess_from_simulation
+from .limit_cycle import LimitCycle as LimitCycle
+from .search import find_limit_cycle as find_limit_cycle
+from .special_points import CyclePoint as CyclePoint

@@ -1,0 +1,5 @@
+from .identification import Identification as Identification
+from .identification import identify as identify
+from .measurements import Measurements as Measurements
+from .optimal_design import Design as Design
+from .optimal_design import design as design

@@ -1,0 +1,16 @@
+from .fronts import Depinning as Depinning
+from .fronts import FrontSpeed as FrontSpeed
+from .fronts import depinning_belt_speed as depinning_belt_speed
+from .fronts import front_speed as front_speed
+from .mistuning import LinearModes as LinearModes
+from .mistuning import linear_modes as linear_modes
+from .mistuning import localization_length as localization_length
+from .mistuning import mistuned_chain as mistuned_chain
+from .mistuning import mistuned_stiffness as mistuned_stiffness
+from .patterns import LockedPattern as LockedPattern
+from .patterns import block_sites as block_sites
+from .patterns import locked_patterns as locked_patterns
+from .patterns import pattern_guess as pattern_guess
+from .patterns import rotating_wave as rotating_wave
+from .phases import PhaseModel as PhaseModel
+from .phases import phase_model as phase_model

@@ -1,0 +1,5 @@
+from .accuracy import Numerics as Numerics
+from .accuracy import choose_numerics as choose_numerics
+from .event_driven import EventDriven as EventDriven
+from .run import Simulation as Simulation
+from .run import simulate as simulate

@@ -1,0 +1,4 @@
+from .rosenbrock import AbstractStructuredRosenbrock as AbstractStructuredRosenbrock
+from .rosenbrock import Rodas4 as Rodas4
+from .rosenbrock import Rodas5P as Rodas5P
+from .step_control import SwitchingController as SwitchingController

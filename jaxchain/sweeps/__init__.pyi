@@ -1,0 +1,2 @@
+from .sweeping import SweepInterrupted as SweepInterrupted
+from .sweeping import sweep as sweep
