@@ -60,7 +60,7 @@ def is_of_kind(cycle: LimitCycle, kind: str) -> Bool[Array, ""]:
     return alone & ~(grows & (cycle.closeness[cycle.mass] < fold + _DOUBT))
 
 
-def reach(shooting: Shooting, kind: str, tolerance: Array, limit: Array) -> Reached:
+def reach_cycle(shooting: Shooting, kind: str, tolerance: Array, limit: Array) -> Reached:
     """The cycle of one mass, of `kind`, at the belt speed of `shooting.field`, from elsewhere.
 
     On the host.  The reason says where the branch turns or ends if it does not get there.

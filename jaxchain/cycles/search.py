@@ -35,7 +35,7 @@ from .guesses import (
     most_lively,
 )
 from .limit_cycle import LimitCycle, solve_cycle, with_derivatives
-from .reach import is_of_kind, reach
+from .reach import is_of_kind, reach_cycle
 from .shooting import MAX_STEP, Shooting
 
 
@@ -109,7 +109,7 @@ def find_limit_cycle(
     if guess is None:
         cycle = _keep_kind(cycle, branch)
         if not is_traced(cycle.converged) and not cycle.converged:
-            found, reason = reach(shooting, branch, *numbers)
+            found, reason = reach_cycle(shooting, branch, *numbers)
             if found is not None:
                 cycle, u = solve_cycle(shooting, shooting.pack(*found), *numbers)
     if throw and not is_traced(cycle.converged) and not cycle.converged:
