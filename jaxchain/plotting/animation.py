@@ -16,7 +16,7 @@ from .._checks import check_positive
 from ..model.chain import Chain
 from .chain_artist import Curves, Scene, explain
 from .films import check_frames, checked_film
-from .sweeps import PAGE_WIDTH, STYLE
+from .style import PAGE_WIDTH, STYLE
 
 HEIGHT = 2.9  # inches
 MOST_SHOWN = 8  # masses of a long chain

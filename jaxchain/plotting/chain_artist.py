@@ -13,7 +13,7 @@ from matplotlib.patches import Patch, Rectangle
 from ..model.chain import Chain
 from .films import sticking
 from .model import zigzag
-from .sweeps import BLUE, GREY, ORANGE
+from .style import BLUE, GREY, ORANGE
 
 _STICKS: dict[str, Any] = {"facecolor": ORANGE, "hatch": "/////"}
 _SLIDES: dict[str, Any] = {"facecolor": BLUE, "hatch": ""}

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 
 from ..model.chain import Chain
 from ..model.friction import TanhFriction
-from .sweeps import BLUE, GREY, ORANGE
+from .style import BLUE, GREY, ORANGE
 
 
 def draw_friction(axes: Axes, chain: Chain) -> None:

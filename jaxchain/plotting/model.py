@@ -16,7 +16,7 @@ from matplotlib.patches import FancyArrowPatch, FancyBboxPatch, Rectangle
 from .._checks import require_x64
 from ..model.chain import Chain, paper_chain
 from .friction import draw_friction
-from .sweeps import BLUE, GREY, PAGE_WIDTH, RED, STYLE
+from .style import BLUE, GREY, PAGE_WIDTH, RED, STYLE
 
 HEIGHT = 2.45  # inches
 # Of the mechanism, in widths of a mass: pitch of the masses, their height, the rows of the links.
@@ -43,7 +43,7 @@ def draw_model(chain: Any = None, masses: Any = 4, axes: Any = None) -> Figure:
     drawn, 1 ... 6 (no more than it has); `axes`, a pair of matplotlib axes to draw on instead of
     a new figure of the width of a page.
 
-    **Returns:** the figure; see `jaxchain.plotting.sweeps.save_figure`.
+    **Returns:** the figure; see `jaxchain.plotting.style.save_figure`.
 
     **Raises:** `ValueError` for another chain, number or axes.
 

@@ -1,15 +1,8 @@
-"""Figures of sweeps, at the width of a journal page.
-
-Only matplotlib's object-oriented interface is used: a figure is returned, and nothing global is
-changed.  Colours are those of Okabe and Ito and of viridis, which colour-blind readers can tell
-apart; states differ by marker, too.
-"""
+"""Figures of sweeps: amplitude or energy over what was swept."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
-from typing import Any
 
 import matplotlib
 import numpy as np
@@ -31,43 +24,13 @@ from .diagram import (
     moving_fronts,
     swept,
 )
+from .style import AMPLITUDE, BLUE, ENERGY, GREY, ORANGE, PAGE_WIDTH, PURPLE, RED, STYLE, SYMBOLS
 
-PAGE_WIDTH = 7.0  # inches
 PANEL_HEIGHT = 2.9
-BLUE, ORANGE, GREY, RED = "#0072B2", "#E69F00", "#777777", "#C8102E"
-PURPLE = "#CC79A7"
-STYLE: dict[Any, Any] = {
-    "font.size": 8.0,
-    "axes.labelsize": 9.0,
-    "axes.titlesize": 8.5,
-    "legend.fontsize": 7.0,
-    "axes.linewidth": 0.6,
-    "xtick.direction": "in",
-    "ytick.direction": "in",
-    "mathtext.fontset": "dejavusans",
-    "pdf.fonttype": 42,  # text stays text
-}
 MOST_SHADES = 60  # more cannot be told apart
 MOST_VECTORS = 10_000  # points that a PDF viewer still draws without delay
-SYMBOLS = {
-    "belt_speed": r"belt speed $\tilde v_d$ (–)",
-    "damping_ratio": r"damping ratio $\xi$ (–)",
-    "coupling": r"coupling $\eta_c$ (–)",
-    "stiffness": r"relative stiffness (–)",
-    "normal_load": r"relative normal load (–)",
-    "width": r"regularization width $\varepsilon$ (–)",
-    "mu_static": r"static friction coefficient $\mu_{st}$ (–)",
-    "mu_dynamic": r"dynamic friction coefficient $\mu_d$ (–)",
-    "mu_viscous": r"viscous friction coefficient $\mu_v$ (–)",
-    "v_ref": r"reference speed $\tilde v_0$ (–)",
-    "excited": "oscillators excited at the start",
-    "displacement": "displacement at the start (–)",
-    "velocity": "velocity at the start (–)",
-}
-AMPLITUDE = r"vibration amplitude $\tilde A$ (–)"
 NONE_VIBRATES = r"no $\tilde A_n > \tilde v_d/2$"
 NOT_VIBRATING = f"moves, {NONE_VIBRATES}"
-ENERGY = r"vibration energy $\tilde E = \frac{1}{2}\sum \tilde A_i^2$ (–)"
 
 
 def figure_3(ladder: xr.Dataset, single: xr.Dataset, hopf: float | None = None) -> Figure:
@@ -107,15 +70,6 @@ def figure(datasets: Mapping[str, xr.Dataset], hopf: float | None = None) -> Fig
         for axes in panels[len(datasets) :]:
             axes.set_axis_off()
     return page
-
-
-def save_figure(page: Figure, path: Path) -> list[Path]:
-    """Writes `path` with the endings .png and .pdf."""
-    files = [path.with_name(path.name + ending) for ending in (".png", ".pdf")]
-    with matplotlib.rc_context(STYLE):
-        for file in files:
-            page.savefig(file, dpi=300)
-    return files
 
 
 def draw(

@@ -23,7 +23,8 @@ from .._types import ScalarLike, State
 from ..model import friction, initial_states
 from ..model.chain import Chain
 from ..observers.amplitude import Amplitude
-from ..plotting.sweeps import figure, save_figure
+from ..plotting.style import save_figure
+from ..plotting.sweeps import figure
 from ..simulation.accuracy import fit_linear_solve
 from ..simulation.event_driven import EventDriven
 from ..solvers.rosenbrock import Rodas4, Rodas5P

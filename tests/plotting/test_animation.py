@@ -16,7 +16,7 @@ from jaxchain.observers.trajectory import Trajectory
 from jaxchain.plotting.animation import animate, film_strip, save_gif
 from jaxchain.plotting.chain_artist import Curves, Scene
 from jaxchain.plotting.films import loop, sticking
-from jaxchain.plotting.sweeps import BLUE, ORANGE
+from jaxchain.plotting.style import BLUE, ORANGE
 from jaxchain.result import Result
 from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.simulation.run import Simulation, simulate

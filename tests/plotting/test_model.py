@@ -11,7 +11,7 @@ from matplotlib.patches import FancyArrowPatch, Rectangle
 from jaxchain.model.chain import paper_chain
 from jaxchain.model.friction import Coulomb, TanhFriction
 from jaxchain.plotting.model import draw_model, zigzag
-from jaxchain.plotting.sweeps import BLUE, ORANGE, STYLE
+from jaxchain.plotting.style import BLUE, ORANGE, STYLE
 
 
 def texts(axes):

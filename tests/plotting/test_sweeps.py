@@ -12,7 +12,8 @@ from synthetic import ladder, results, single
 
 from jaxchain.plotting import sweeps as plot
 from jaxchain.plotting.diagram import basin_brackets, hopf_belt_speed, intervals, moving_fronts
-from jaxchain.plotting.sweeps import figure, figure_3, save_figure
+from jaxchain.plotting.style import RED, save_figure
+from jaxchain.plotting.sweeps import figure, figure_3
 from jaxchain.scenes.summary import summary
 
 
@@ -156,7 +157,7 @@ def test_fronts_move_where_the_active_count_changes():
         (pytest.approx(1.65), pytest.approx(1.75)),
     ]
     axes = panels(figure({"ladder": data}))[0]
-    dashed = [line for line in axes.get_lines() if to_hex(line.get_color()) == plot.RED.lower()]
+    dashed = [line for line in axes.get_lines() if to_hex(line.get_color()) == RED.lower()]
     assert [across(line)[0] for line in dashed] == pytest.approx([1.0, 1.25, 1.65, 1.75])
 
 

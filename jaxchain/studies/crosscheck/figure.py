@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from jaxchain.plotting.sweeps import BLUE, GREY, ORANGE, PAGE_WIDTH, STYLE, SYMBOLS
+from jaxchain.plotting.style import BLUE, GREY, ORANGE, PAGE_WIDTH, STYLE, SYMBOLS
 from jaxchain.studies.crosscheck.bias import Law
 from jaxchain.studies.crosscheck.summary import spread
 

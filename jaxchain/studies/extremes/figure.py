@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.transforms import blended_transform_factory
 
-from jaxchain.plotting.sweeps import BLUE, GREY, ORANGE, PAGE_WIDTH, RED, STYLE
+from jaxchain.plotting.style import BLUE, GREY, ORANGE, PAGE_WIDTH, RED, STYLE
 from jaxchain.studies.extremes.judge import REFUSED, RIGHT, WRONG
 
 ROW_HEIGHT, MARGIN = 0.105, 0.9  # inches

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxchain.observers.quantities import active_above
-from jaxchain.plotting.sweeps import AMPLITUDE, BLUE, GREY, ORANGE, PAGE_WIDTH, RED, STYLE, SYMBOLS
+from jaxchain.plotting.style import AMPLITUDE, BLUE, GREY, ORANGE, PAGE_WIDTH, RED, STYLE, SYMBOLS
 from jaxchain.studies.fronts.report import windows
 
 HEIGHT = 7.4  # inches

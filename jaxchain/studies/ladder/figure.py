@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from jaxchain.plotting.sweeps import BLUE, ENERGY, GREY, ORANGE, PAGE_WIDTH, STYLE, SYMBOLS
+from jaxchain.plotting.style import BLUE, ENERGY, GREY, ORANGE, PAGE_WIDTH, STYLE, SYMBOLS
 from jaxchain.studies.ladder.summary import branches_of
 
 HEIGHT = 6.2  # inches

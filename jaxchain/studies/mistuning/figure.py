@@ -16,7 +16,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from jaxchain.plotting.sweeps import PAGE_WIDTH, STYLE
+from jaxchain.plotting.style import PAGE_WIDTH, STYLE
 
 HEIGHT = 5.3  # inches
 _COLOURS = ("#0072B2", "#56B4E9", "#D55E00", "#E69F00", "#009E73", "#CC79A7", "#7F4FA3", "#777777")

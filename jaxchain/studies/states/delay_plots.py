@@ -13,7 +13,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.ticker import MaxNLocator
 
-from jaxchain.plotting.sweeps import GREY, ORANGE
+from jaxchain.plotting.style import GREY, ORANGE
 from jaxchain.studies.states.summary import state_name
 
 DELAY = r"delay $\phi_n$ (1/$\omega_n$)"

@@ -14,7 +14,7 @@ from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
-from jaxchain.plotting.sweeps import GREY, RED
+from jaxchain.plotting.style import GREY, RED
 from jaxchain.studies.states.summary import state_name, vibrating
 
 DISPLACEMENT, VELOCITY = r"displacement $\tilde x_n$ (–)", r"velocity $\dot{\tilde x}_n$ (–)"

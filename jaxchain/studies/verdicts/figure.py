@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from jaxchain.chaos.records import KINDS, VERDICTS
-from jaxchain.plotting.sweeps import BLUE, GREY, ORANGE, PAGE_WIDTH, RED, STYLE
+from jaxchain.plotting.style import BLUE, GREY, ORANGE, PAGE_WIDTH, RED, STYLE
 
 PANEL_HEIGHT = 1.75  # inches
 # Colour and marker of each verdict: told apart without colours, too.

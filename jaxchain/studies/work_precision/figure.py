@@ -8,7 +8,7 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxchain.plotting.sweeps import PAGE_WIDTH, STYLE
+from jaxchain.plotting.style import PAGE_WIDTH, STYLE
 
 # Colour of Okabe and Ito, marker, line: own solvers bold, the others thin.
 LOOKS = {
