@@ -11,7 +11,6 @@ from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 
-from ..scenes.scene import NONSMOOTH
 from .diagram import (
     at_rest,
     basin_brackets,
@@ -24,6 +23,7 @@ from .diagram import (
     moving_fronts,
     swept,
 )
+from .groups import paired
 from .style import AMPLITUDE, BLUE, ENERGY, GREY, ORANGE, PAGE_WIDTH, PURPLE, RED, STYLE, SYMBOLS
 
 PANEL_HEIGHT = 2.9
@@ -49,25 +49,18 @@ def figure(datasets: Mapping[str, xr.Dataset], hopf: float | None = None) -> Fig
 
     What is called `NAME_nonsmooth` shares the panel of NAME, if there is one.
     """
-    truths = {
-        name: datasets[name + NONSMOOTH] for name in datasets if name + NONSMOOTH in datasets
-    }
-    datasets = {
-        name: data
-        for name, data in datasets.items()
-        if name.removesuffix(NONSMOOTH) not in truths or name in truths
-    }
-    columns = min(2, len(datasets))
-    rows = -(-len(datasets) // columns)
+    pairs = paired(datasets)
+    columns = min(2, len(pairs))
+    rows = -(-len(pairs) // columns)
     width = PAGE_WIDTH if columns > 1 else 0.65 * PAGE_WIDTH
     with matplotlib.rc_context(STYLE):
         page = Figure(figsize=(width, PANEL_HEIGHT * rows), layout="constrained")
         panels = page.subplots(rows, columns, squeeze=False).ravel()
-        for index, (axes, name) in enumerate(zip(panels, datasets, strict=False)):
-            draw(axes, datasets[name], hopf, truths.get(name))
-            if len(datasets) > 1:
+        for index, (axes, (data, truth)) in enumerate(zip(panels, pairs.values(), strict=False)):
+            draw(axes, data, hopf, truth)
+            if len(pairs) > 1:
                 axes.set_title(f"({chr(ord('a') + index)})", loc="left", fontweight="bold")
-        for axes in panels[len(datasets) :]:
+        for axes in panels[len(pairs) :]:
             axes.set_axis_off()
     return page
 

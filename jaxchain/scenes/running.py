@@ -23,6 +23,7 @@ from .._types import ScalarLike, State
 from ..model import friction, initial_states
 from ..model.chain import Chain
 from ..observers.amplitude import Amplitude
+from ..plotting.groups import NONSMOOTH
 from ..plotting.style import save_figure
 from ..plotting.sweeps import figure
 from ..simulation.accuracy import fit_linear_solve
@@ -31,7 +32,7 @@ from ..solvers.rosenbrock import Rodas4, Rodas5P
 from ..studies import StudyTable, study_module
 from ..sweeps.sweeping import SweepInterrupted, sweep
 from .reading import LoadedScene, SceneError
-from .scene import CHAIN_NUMBERS, NONSMOOTH, Experiment
+from .scene import CHAIN_NUMBERS, Experiment
 from .summary import summary
 from .tables import Equation8Table, Equation10Table
 

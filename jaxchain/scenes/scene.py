@@ -17,6 +17,7 @@ import numpy as np
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
+from ..plotting.groups import NONSMOOTH
 from .tables import (
     MOST_LANES,
     MOST_LANES_REMEDY,
@@ -41,8 +42,6 @@ MOST_AMPLITUDES = 10**8
 CHAIN_NUMBERS = ("belt_speed", "damping_ratio", "coupling", "stiffness", "normal_load")
 POSITIVE = {"width", "v_ref", "stiffness"}
 NONNEGATIVE = {"mu_static", "mu_dynamic", "mu_viscous", "coupling", "normal_load"}
-# Ending of the group with true dry friction, of an experiment with both models.
-NONSMOOTH = "_nonsmooth"
 # Variables of a results file, beside which its groups stand.
 VARIABLES = {"amplitude", "energy", "active_count", "result", "end_time", "steps", "oscillator"}
 

@@ -14,8 +14,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from jaxchain.observers.quantities import active_above
+from jaxchain.plotting.groups import NONSMOOTH
 from jaxchain.plotting.style import BLUE, GREY, ORANGE, PAGE_WIDTH, STYLE
-from jaxchain.scenes.scene import NONSMOOTH
 from jaxchain.studies.states.delay_plots import draw_delays, draw_orbit_diagram
 from jaxchain.studies.states.motion_plots import draw_phase_plots, draw_time_series
 from jaxchain.studies.states.summary import vibrating

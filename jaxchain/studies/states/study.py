@@ -30,9 +30,9 @@ def run(
     **Raises:** `SceneError` for numbers that do not go together; `SweepInterrupted` on Ctrl-C,
     once what there is by then is saved; `jaxchain.scenes.running.FigureError`.
     """
+    from jaxchain.plotting.groups import NONSMOOTH
     from jaxchain.scenes.reading import SceneError
     from jaxchain.scenes.running import models, save, save_drawing
-    from jaxchain.scenes.scene import NONSMOOTH
     from jaxchain.studies.states.figure import figure
     from jaxchain.studies.states.phases import add_delays
     from jaxchain.studies.states.runs import run_states, time_series
