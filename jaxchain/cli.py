@@ -11,9 +11,10 @@ import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
-from .scenes.reading import SceneError, builtin_scenes, load_scene, schema
+from .scenes.errors import SceneError, StudyFailedError
+from .scenes.files import builtin_scenes
+from .scenes.reading import load_scene, schema
 from .scenes.scene import Scene
-from .studies import StudyFailedError
 
 # Type, default and meaning of each option of `boundary`.
 _BOUNDARY_OPTIONS: dict[str, tuple[type, float | None, str]] = {
@@ -113,7 +114,8 @@ def _run(options: argparse.Namespace) -> int:
     # Before jax is imported, so that a wrong scene is reported at once.
     loaded = load_scene(options.scene, options.overrides)
     _configure_jax()
-    from .scenes.running import FigureError, new_folder, run_scene
+    from .scenes.errors import FigureError
+    from .scenes.running import new_folder, run_scene
 
     wanted = options.output or Path("results") / loaded.name
     try:

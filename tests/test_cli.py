@@ -13,13 +13,15 @@ import xarray as xr
 import zarr
 from synthetic import results
 
-import jaxchain.boundaries.overview
 import jaxchain.scenes.running
 from jaxchain import paper_chain, steady_sliding
+from jaxchain.boundaries import overview
 from jaxchain.cli import main
 from jaxchain.result import NAMES
-from jaxchain.scenes.reading import LAWS, builtin_scenes, load_scene
+from jaxchain.scenes.files import builtin_scenes
+from jaxchain.scenes.reading import load_scene
 from jaxchain.scenes.tables import Solver
+from jaxchain.scenes.wording import LAWS
 from jaxchain.sweeps import SweepInterrupted
 
 SCENE = """
@@ -276,11 +278,9 @@ def found(monkeypatch):
 
     def search(chain):
         asked.append(chain)
-        return jaxchain.boundaries.overview.Boundaries(
-            *map(jnp.asarray, values), mass=chain.n // 2
-        )
+        return overview.Boundaries(*map(jnp.asarray, values), mass=chain.n // 2)
 
-    monkeypatch.setattr(jaxchain.boundaries.overview, "hopf_and_fold", search)
+    monkeypatch.setattr(overview, "hopf_and_fold", search)
     return asked
 
 
@@ -309,7 +309,7 @@ def test_ctrl_c_ends_boundary_without_a_traceback(workplace, monkeypatch, capsys
     def stopped(chain):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(jaxchain.boundaries.overview, "hopf_and_fold", stopped)
+    monkeypatch.setattr(overview, "hopf_and_fold", stopped)
     assert main(["boundary"]) == 130
     assert capsys.readouterr() == ("", "jaxchain: interrupted\n")
 

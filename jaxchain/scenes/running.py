@@ -29,17 +29,13 @@ from ..plotting.sweeps import figure
 from ..simulation.accuracy import fit_linear_solve
 from ..simulation.event_driven import EventDriven
 from ..solvers.rosenbrock import Rodas4, Rodas5P
-from ..studies import StudyTable, study_module
 from ..sweeps.sweeping import SweepInterrupted, sweep
-from .reading import LoadedScene, SceneError
+from .errors import FigureError, SceneError
+from .reading import LoadedScene
+from .registry import StudyTable, study_run
 from .scene import CHAIN_NUMBERS, Experiment
 from .summary import summary
 from .tables import Equation8Table, Equation10Table
-
-
-class FigureError(Exception):
-    """The figure could not be drawn; the results are saved."""
-
 
 LAWS = {
     "exponential_decay": friction.ExponentialDecay,
@@ -229,7 +225,7 @@ def run_scene(
     written but a study found what must not be; `SceneError` for numbers that do not go together.
     """
     if isinstance(loaded.scene, StudyTable):
-        return study_module(loaded.scene.study).run(
+        return study_run(loaded.scene.study)(
             loaded.scene, folder, name=loaded.name, plot=plot, progress=progress, report=report
         )
     path = folder / loaded.name

@@ -7,10 +7,9 @@ sweeps that are too large.  Nothing here needs JAX.
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from typing import Annotated, TypeAlias
 
 import numpy as np
@@ -18,6 +17,7 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from ..plotting.groups import NONSMOOTH
+from .errors import did_you_mean
 from .tables import (
     MOST_LANES,
     MOST_LANES_REMEDY,
@@ -46,14 +46,8 @@ NONNEGATIVE = {"mu_static", "mu_dynamic", "mu_viscous", "coupling", "normal_load
 VARIABLES = {"amplitude", "energy", "active_count", "result", "end_time", "steps", "oscillator"}
 
 
-def did_you_mean(word: str, allowed: Iterable[str]) -> str:
-    """ " (did you mean `...`?)", or nothing if no allowed word is near."""
-    near = difflib.get_close_matches(word, list(allowed), n=1)
-    return f" (did you mean `{near[0]}`?)" if near else ""
-
-
 def _raise(problems: list[Problem]) -> None:
-    """All at once; `jaxchain.scenes.reading` unpacks them again."""
+    """All at once; `jaxchain.scenes.wording` unpacks them again."""
     if problems:
         text = "; ".join(f"{'.'.join(path)}: {message}" for path, message in problems)
         raise PydanticCustomError("problems", "{text}", {"text": text, "problems": problems})

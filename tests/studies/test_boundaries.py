@@ -7,7 +7,8 @@ import pytest
 import xarray as xr
 
 from jaxchain.boundaries import find_fold
-from jaxchain.scenes.reading import SceneError, load_scene
+from jaxchain.scenes.errors import SceneError
+from jaxchain.scenes.reading import load_scene
 from jaxchain.studies.boundaries import curves as boundaries_curves
 from jaxchain.studies.boundaries.figure import figure
 from jaxchain.studies.boundaries.study import run, summary

@@ -10,7 +10,9 @@ from synthetic import results
 from witnesses import event_driven, numbers
 
 from jaxchain import paper_chain
-from jaxchain.scenes.reading import SceneError, builtin_scenes, load_scene
+from jaxchain.scenes.errors import SceneError
+from jaxchain.scenes.files import builtin_scenes
+from jaxchain.scenes.reading import load_scene
 from jaxchain.studies.crosscheck import study as crosscheck
 from jaxchain.studies.crosscheck.bias import Law
 from jaxchain.studies.crosscheck.cycles import (

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from jaxchain.studies import StudyFailedError
+from jaxchain.scenes.errors import StudyFailedError
 from jaxchain.studies.extremes import cases as extreme_cases
 from jaxchain.studies.extremes import study as extremes
 from jaxchain.studies.extremes.cases import cases, single

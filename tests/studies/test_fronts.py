@@ -9,7 +9,8 @@ from scipy.integrate import solve_ivp
 from scipy.special import i1, jv
 
 from jaxchain.model.chain import paper_chain
-from jaxchain.scenes.reading import SceneError, load_scene
+from jaxchain.scenes.errors import SceneError
+from jaxchain.scenes.reading import load_scene
 from jaxchain.studies.fronts.figure import figure
 from jaxchain.studies.fronts.prediction import (
     death_belt_speed,

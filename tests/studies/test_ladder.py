@@ -5,7 +5,8 @@ import pytest
 import xarray as xr
 
 from jaxchain.localization.patterns import LockedPattern
-from jaxchain.scenes.reading import SceneError, load_scene
+from jaxchain.scenes.errors import SceneError
+from jaxchain.scenes.reading import load_scene
 from jaxchain.studies.ladder.branches import symmetry
 from jaxchain.studies.ladder.checks import (
     _rate,

@@ -9,7 +9,8 @@ import xarray as xr
 
 from jaxchain import equation_8, paper_chain
 from jaxchain.localization.mistuning import mistuned_stiffness
-from jaxchain.scenes.reading import SceneError, load_scene
+from jaxchain.scenes.errors import SceneError
+from jaxchain.scenes.reading import load_scene
 from jaxchain.studies.mistuning import analysis
 from jaxchain.studies.mistuning.analysis import add_drift, analyse, frequencies
 from jaxchain.studies.mistuning.capture import capture_interval, count_captures, vibrating

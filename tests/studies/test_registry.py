@@ -12,12 +12,13 @@ import xarray as xr
 from pydantic import Field
 
 import jaxchain.scenes.running
-from jaxchain import studies
 from jaxchain.cli import main
-from jaxchain.scenes.reading import SceneError, builtin_scenes, load_scene, schema
+from jaxchain.scenes.errors import SceneError, StudyFailedError
+from jaxchain.scenes.files import builtin_scenes
+from jaxchain.scenes.reading import load_scene, schema
+from jaxchain.scenes.registry import StudyTable, studies, study_run, study_table
 from jaxchain.scenes.tables import FrictionTable, Table
-from jaxchain.studies import STUDIES, StudyFailedError, StudyTable, study_module
-from jaxchain.studies.extremes.study import Study
+from jaxchain.studies.extremes.table import Study
 
 
 @pytest.fixture
@@ -40,9 +41,8 @@ class MadeUp(StudyTable):
 
 
 class MadeUpModule:
-    """What a study's module offers."""
+    """What a module `study` offers."""
 
-    Study = MadeUp
     fails = False
 
     @classmethod
@@ -60,9 +60,9 @@ class MadeUpModule:
 @pytest.fixture
 def made_up(workplace, monkeypatch):
     """A study of the name `made_up`, and a file of it."""
-    monkeypatch.setattr("jaxchain.scenes.reading.STUDIES", ("made_up", "extremes"))
-    for place in ("jaxchain.scenes.reading.study_module", "jaxchain.scenes.running.study_module"):
-        monkeypatch.setattr(place, lambda name: MadeUpModule)
+    monkeypatch.setattr("jaxchain.scenes.reading.studies", lambda: ["made_up", "extremes"])
+    monkeypatch.setattr("jaxchain.scenes.reading.study_table", lambda name: MadeUp)
+    monkeypatch.setattr("jaxchain.scenes.running.study_run", lambda name: MadeUpModule.run)
     text = 'study = "made_up"\ntitle = "A test"\npart = { size = 2.5 }\n'
     Path("mine.toml").write_text(text, encoding="utf-8")
     return "mine.toml"
@@ -76,20 +76,23 @@ def scenes_of_studies():
     }
 
 
-@pytest.mark.parametrize("name", STUDIES)
+@pytest.mark.parametrize("name", studies())
 def test_every_study_has_its_file_its_table_and_its_run(name):
-    module = study_module(name)
     own = [load_scene(scene) for scene, study in scenes_of_studies().items() if study == name]
     assert own, f"the study {name} has no built-in scene"
-    assert all(type(loaded.scene) is module.Study for loaded in own)
-    assert callable(module.run)
+    assert all(type(loaded.scene) is study_table(name) for loaded in own)
+    assert study_table(name).model_fields["study"].annotation == Literal[name]
+    assert callable(study_run(name))
 
 
-def test_an_unknown_study_has_no_module():
-    with pytest.raises(KeyError):
-        study_module("nothing")
-    assert set(STUDIES) <= set(scenes_of_studies().values())
-    assert studies.__doc__
+def test_every_scene_of_a_study_has_its_study():
+    assert set(scenes_of_studies().values()) - {None} == set(studies())
+
+
+def test_an_unknown_study_has_neither_table_nor_run():
+    for look_up in (study_table, study_run):
+        with pytest.raises(ModuleNotFoundError, match="nothing"):
+            look_up("nothing")
 
 
 def test_a_study_runs_into_its_folder(made_up, capsys):

@@ -10,7 +10,8 @@ import xarray as xr
 
 from jaxchain import Amplitude, EventDriven, PeakTimes, Trajectory, simulate
 from jaxchain.result import NAMES
-from jaxchain.scenes.reading import SceneError, load_scene
+from jaxchain.scenes.errors import SceneError
+from jaxchain.scenes.reading import load_scene
 from jaxchain.scenes.running import build_chain, build_initial
 from jaxchain.studies.states import runs
 from jaxchain.studies.states.figure import figure

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from jaxchain.scenes.reading import SceneError, load_scene
+from jaxchain.scenes.errors import SceneError
+from jaxchain.scenes.reading import load_scene
 from jaxchain.scenes.running import run_scene
-from jaxchain.studies.work_precision.study import Setting, Study, fastest, summary, to_dataset
+from jaxchain.studies.work_precision.study import Setting, fastest, summary, to_dataset
+from jaxchain.studies.work_precision.table import Study
 
 SMALL = """
 study = "work_precision"

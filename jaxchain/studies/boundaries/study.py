@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxchain.studies.boundaries.table import Study as Study
+from jaxchain.studies.boundaries.table import Study
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -31,7 +31,7 @@ def run(
     **Returns:** datasets by what varies, `damping_ratio`, `mu_static`, `width` and `coupling`, and
     `cycles`; in the results files the first is the root and the others are groups.
 
-    **Raises:** `jaxchain.scenes.running.FigureError`.
+    **Raises:** `jaxchain.scenes.errors.FigureError`.
     """
     from tqdm import tqdm
 

@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
+from jaxchain.scenes.registry import StudyTable
 from jaxchain.scenes.tables import NonNegative, Positive, Table
-from jaxchain.studies import StudyTable
 
 
 class Span(Table):

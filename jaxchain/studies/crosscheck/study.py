@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxchain.studies.crosscheck.table import OscillatorPart, StatesPart
-from jaxchain.studies.crosscheck.table import Study as Study
+from jaxchain.studies.crosscheck.table import OscillatorPart, StatesPart, Study
 
 if TYPE_CHECKING:
     from xarray import DataArray, Dataset
@@ -202,7 +201,7 @@ def run(
     **Returns:** {"oscillator": ..., "states": ...}, see `cross_check_cycles` and
     `cross_check_states`; in the results files the second is the group `states`.
 
-    **Raises:** `SweepInterrupted` on Ctrl-C; `jaxchain.scenes.running.FigureError`.
+    **Raises:** `SweepInterrupted` on Ctrl-C; `jaxchain.scenes.errors.FigureError`.
     """
     from jaxchain.scenes.running import save, save_drawing
     from jaxchain.studies.crosscheck.figure import figure

@@ -7,9 +7,9 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
+from jaxchain.scenes.registry import StudyTable
 from jaxchain.scenes.scene import Experiment
 from jaxchain.scenes.tables import Equation8Table, ExcitedTable, InitialTable, NumericsTable
-from jaxchain.studies import StudyTable
 
 # Below this the layer in which friction turns round is lost in the rounding of velocities.
 NARROWEST = 1e-9

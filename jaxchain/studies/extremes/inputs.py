@@ -21,7 +21,8 @@ from jaxchain.observers.amplitude import Amplitude
 from jaxchain.observers.peaks import PeakTimes
 from jaxchain.observers.section import Section
 from jaxchain.observers.trajectory import Trajectory
-from jaxchain.scenes.reading import SceneError, load_scene
+from jaxchain.scenes.errors import SceneError
+from jaxchain.scenes.reading import load_scene
 from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.simulation.run import simulate
 from jaxchain.studies.extremes.cases import chain_of, solve

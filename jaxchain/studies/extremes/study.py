@@ -13,10 +13,9 @@ from typing import TYPE_CHECKING, get_args
 import numpy as np
 from tqdm import tqdm
 
-from jaxchain.studies import StudyFailedError
+from jaxchain.scenes.errors import StudyFailedError
 from jaxchain.studies.extremes.judge import REFUSED, RIGHT, WRONG, Case, Refusal, Row, judge
-from jaxchain.studies.extremes.table import Group, Model
-from jaxchain.studies.extremes.table import Study as Study
+from jaxchain.studies.extremes.table import Group, Model, Study
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -73,7 +72,7 @@ def run(
 
     **Returns:** {"extremes": a dataset over the dimension `case`}.
 
-    **Raises:** `StudyFailedError` if a case is WRONG; `jaxchain.scenes.running.FigureError`.
+    **Raises:** `StudyFailedError` if a case is WRONG; `jaxchain.scenes.errors.FigureError`.
     """
     from jaxchain.scenes.running import save, save_drawing
     from jaxchain.studies.extremes.cases import cases

@@ -6,8 +6,8 @@ from typing import Annotated, Literal, TypeAlias
 
 from pydantic import Field
 
+from jaxchain.scenes.registry import StudyTable
 from jaxchain.scenes.tables import NonNegative, Positive, Window
-from jaxchain.studies import StudyTable
 
 Model: TypeAlias = Literal["smoothed", "nonsmooth"]
 Group: TypeAlias = Literal[

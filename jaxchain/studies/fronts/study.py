@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jaxchain.studies.fronts.table import Study as Study
+from jaxchain.studies.fronts.table import Study
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -26,7 +26,7 @@ def run(
     **Returns:** the datasets `belt_speed`, `pictures`, `pinning`, `coupling` and `convergence`; in
     the results files the first is the root and the others are groups.
 
-    **Raises:** `jaxchain.scenes.running.FigureError`.
+    **Raises:** `jaxchain.scenes.errors.FigureError`.
     """
     from jaxchain.scenes.running import save, save_drawing
     from jaxchain.studies.fronts import measure

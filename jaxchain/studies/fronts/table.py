@@ -6,8 +6,8 @@ from typing import Annotated, Literal, TypeAlias
 
 from pydantic import Field, model_validator
 
+from jaxchain.scenes.registry import StudyTable
 from jaxchain.scenes.tables import NonNegative, Positive, Table, Values
-from jaxchain.studies import StudyTable
 
 Several: TypeAlias = Annotated[list[Positive], Field(min_length=1, max_length=40)]
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jaxchain.studies.ladder.table import Study as Study
+from jaxchain.studies.ladder.table import Study
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -28,7 +28,7 @@ def run(
     `disturbed` and `dry`, the checks.  In the results files the first is the root.
 
     **Raises:** `KeyboardInterrupt` on Ctrl-C, with all parts that were done, and the branch under
-    way, saved; `jaxchain.scenes.running.FigureError`.
+    way, saved; `jaxchain.scenes.errors.FigureError`.
     """
     from tqdm import tqdm
 

@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from jaxchain.scenes.registry import StudyTable
 from jaxchain.scenes.tables import Positive, Range, Table, Window
-from jaxchain.studies import StudyTable
 
 Count = Annotated[int, Field(ge=1)]
 PatternName = Literal["in-phase", "alternating", "calmest"]

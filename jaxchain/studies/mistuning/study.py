@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jaxchain.studies.mistuning.table import Study as Study
+from jaxchain.studies.mistuning.table import Study
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -30,7 +30,7 @@ def run(
     **Returns:** a dataset for each ensemble, and `locking`; in the results files the first is the
     root and the others are the groups `start_NAME`.
 
-    **Raises:** `jaxchain.scenes.running.FigureError`; `KeyboardInterrupt` on Ctrl-C, with all
+    **Raises:** `jaxchain.scenes.errors.FigureError`; `KeyboardInterrupt` on Ctrl-C, with all
     ensembles written that had ended.
     """
     from jaxchain.scenes.running import save, save_drawing

@@ -6,8 +6,8 @@ from typing import Annotated, Literal, TypeAlias
 
 from pydantic import Field, model_validator
 
+from jaxchain.scenes.registry import StudyTable
 from jaxchain.scenes.tables import NonNegative, Positive, Table, Window
-from jaxchain.studies import StudyTable
 
 Disorder: TypeAlias = Annotated[float, Field(ge=0, le=0.24)]
 Start: TypeAlias = Literal["disturbed", "all", "half", "one"]

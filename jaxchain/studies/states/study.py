@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jaxchain.studies.states.table import Study as Study
+from jaxchain.studies.states.table import Study
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -28,10 +28,10 @@ def run(
     with smoothed friction, and `states_nonsmooth`, `time_series_nonsmooth` with true dry friction.
 
     **Raises:** `SceneError` for numbers that do not go together; `SweepInterrupted` on Ctrl-C,
-    once what there is by then is saved; `jaxchain.scenes.running.FigureError`.
+    once what there is by then is saved; `jaxchain.scenes.errors.FigureError`.
     """
     from jaxchain.plotting.groups import NONSMOOTH
-    from jaxchain.scenes.reading import SceneError
+    from jaxchain.scenes.errors import SceneError
     from jaxchain.scenes.running import models, save, save_drawing
     from jaxchain.studies.states.figure import figure
     from jaxchain.studies.states.phases import add_delays

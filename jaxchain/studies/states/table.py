@@ -7,9 +7,9 @@ from typing import Annotated, Literal, TypeAlias
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
+from jaxchain.scenes.registry import StudyTable
 from jaxchain.scenes.scene import Experiment, Problem
 from jaxchain.scenes.tables import NonNegative, Positive, Table
-from jaxchain.studies import StudyTable
 
 Panel: TypeAlias = Literal["circles", "orbit_diagram", "delays", "phase_plots", "time_series"]
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxchain.studies.verdicts.table import Study as Study
+from jaxchain.studies.verdicts.table import Study
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -31,7 +31,7 @@ def run(
     **Returns:** a dataset for each case; in the results files the first is the root and the
     others are groups.
 
-    **Raises:** `jaxchain.scenes.running.FigureError`.
+    **Raises:** `jaxchain.scenes.errors.FigureError`.
     """
     from jaxchain.scenes.running import save, save_drawing
     from jaxchain.studies.verdicts.figure import figure

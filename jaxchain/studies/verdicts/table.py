@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from jaxchain.scenes.registry import StudyTable
 from jaxchain.scenes.tables import NonNegative, Positive, Table, Window, short_of_a_period
-from jaxchain.studies import StudyTable
 
 Count = Annotated[int, Field(ge=1)]
 

@@ -13,53 +13,16 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Any
 
 import numpy as np
 import xarray as xr
-from pydantic import Field, model_validator
-from pydantic_core import PydanticCustomError
 from tqdm import tqdm
 
-from jaxchain.scenes.tables import Positive
-from jaxchain.studies import StudyTable
+from jaxchain.studies.work_precision.table import Study
 
 # A tolerance that no longer lowers the error by more than this meets that of the width.
 _SATURATED = 0.95
-
-
-Approach: TypeAlias = Literal[
-    "event-driven", "Rodas4", "Rodas5P", "Tsit5", "Dopri8", "Kvaerno3", "Kvaerno5", "KenCarp4",
-    "LSODA", "Radau", "CVODE",
-]  # fmt: skip
-
-
-class Study(StudyTable):
-    """What is compared, and how long it may take."""
-
-    study: Literal["work_precision"]
-    masses: Annotated[int, Field(ge=3)] = 20
-    excited: Annotated[int, Field(ge=0)] = 9
-    belt_speed: float = 1.3
-    """Of a single lane; the lanes of an ensemble lie within 0.1 of it."""
-    duration: Annotated[float, Field(ge=1)] = 30.0
-    lanes: Annotated[list[Annotated[int, Field(ge=1)]], Field(min_length=1)]
-    """How many runs at once, one panel for each."""
-    approaches: Annotated[list[Approach], Field(min_length=1)]
-    width: Annotated[list[Positive], Field(min_length=1)]
-    rtol: Annotated[list[Positive], Field(min_length=1)]
-    accuracy: list[Positive] = Field(default_factory=list)
-    """Accuracies that `simulate(..., accuracy=)` is asked for."""
-    patience: Positive = 2.0
-    """Seconds that a setting may take; its neighbours, slower still, are then left out."""
-
-    @model_validator(mode="after")
-    def _check(self) -> Study:
-        if self.excited > self.masses:
-            text = f"must lie in 0 ... {self.masses}, but is {self.excited}"
-            problems = [(("excited",), text)]
-            raise PydanticCustomError("problems", "{text}", {"text": text, "problems": problems})
-        return self
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,59 @@
+"""Studies: questions that are no single sweep, run by `jaxchain run NAME` like scenes.
+
+A study is a folder NAME of `jaxchain.studies` with two modules:
+
+    table    Study, a `StudyTable`: what may stand in the study's TOML file; needs no JAX
+    study    run(study, folder, *, name, plot, progress, report) -> {name: dataset}
+
+`run` saves what it found in `folder` (`scenes/storage.py`), reports a summary, and raises
+`StudyFailedError` if, all that done, what it found is bad.  The study's file is
+`scenes/library/NAME.toml`, marked by `study = "NAME"`; so a copy of the file is a study of one's
+own.  Each module is imported when it is asked for: studies stand above scenes.
+"""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from collections.abc import Callable
+from typing import Annotated
+
+from pydantic import Field
+
+from .tables import Table
+
+_STUDIES = "jaxchain.studies"
+
+
+class StudyTable(Table):
+    """What every study's file has; a study narrows `study` to its own name."""
+
+    study: str
+    title: Annotated[str, Field(min_length=1)]
+    description: str = ""
+
+
+def studies() -> list[str]:
+    """Names of all studies.
+
+    >>> studies()[:2]
+    ['boundaries', 'crosscheck']
+    """
+    room = importlib.import_module(_STUDIES)
+    return sorted(module.name for module in pkgutil.iter_modules(room.__path__) if module.ispkg)
+
+
+def study_table(name: str) -> type[StudyTable]:
+    """What may stand in the file of a study.
+
+    **Raises:** `ModuleNotFoundError` if there is no such study.
+    """
+    return importlib.import_module(f"{_STUDIES}.{name}.table").Study
+
+
+def study_run(name: str) -> Callable[..., dict]:
+    """The function that runs a study.
+
+    **Raises:** `ModuleNotFoundError` if there is no such study.
+    """
+    return importlib.import_module(f"{_STUDIES}.{name}.study").run
