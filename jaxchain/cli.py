@@ -115,7 +115,8 @@ def _run(options: argparse.Namespace) -> int:
     loaded = load_scene(options.scene, options.overrides)
     _configure_jax()
     from .scenes.errors import FigureError
-    from .scenes.running import new_folder, run_scene
+    from .scenes.running import run_scene
+    from .scenes.storage import new_folder
 
     wanted = options.output or Path("results") / loaded.name
     try:

@@ -13,11 +13,11 @@ import xarray as xr
 import zarr
 from synthetic import results
 
-import jaxchain.scenes.running
 from jaxchain import paper_chain, steady_sliding
 from jaxchain.boundaries import overview
 from jaxchain.cli import main
 from jaxchain.result import NAMES
+from jaxchain.scenes import building, running
 from jaxchain.scenes.files import builtin_scenes
 from jaxchain.scenes.reading import load_scene
 from jaxchain.scenes.tables import Solver
@@ -66,7 +66,7 @@ def made_up_sweep(monkeypatch):
         shape = tuple(map(len, axes.values()))
         return results(axes, np.ones(shape, int), chain.n)
 
-    monkeypatch.setattr(jaxchain.scenes.running, "sweep", sweep)
+    monkeypatch.setattr(running, "sweep", sweep)
     return calls
 
 
@@ -162,8 +162,8 @@ def test_initial_states_are_those_asked_for(workplace, initial, displacements, v
     overrides = [f"initial={initial}", "sweep={belt_speed=[1.0]}"]
     loaded = load_scene("two.toml", [f"experiment.second.{text}" for text in overrides])
     experiment = loaded.scene.experiment["second"]
-    chain = jaxchain.scenes.running.build_chain(experiment)
-    x, v = jaxchain.scenes.running.build_initial(experiment)(chain)
+    chain = building.build_chain(experiment)
+    x, v = building.build_initial(experiment)(chain)
     np.testing.assert_allclose(x - steady_sliding(chain)[0], displacements, atol=1e-15)
     np.testing.assert_array_equal(v, np.full(3, velocity))
 
@@ -198,7 +198,7 @@ def test_a_figure_that_fails_costs_no_data(workplace, made_up_sweep, monkeypatch
     def broken(datasets):
         raise RuntimeError("no ink")
 
-    monkeypatch.setattr(jaxchain.scenes.running, "figure", broken)
+    monkeypatch.setattr(running, "figure", broken)
     assert main(["run", "two.toml"]) == 1
     assert "the results are in results/two, but" in capsys.readouterr().err
     assert xr.open_zarr("results/two/two.zarr").sizes["belt_speed"] == 2
@@ -206,7 +206,7 @@ def test_a_figure_that_fails_costs_no_data(workplace, made_up_sweep, monkeypatch
 
 
 def test_ctrl_c_keeps_what_was_finished(workplace, made_up_sweep, monkeypatch, capsys):
-    whole = jaxchain.scenes.running.sweep
+    whole = running.sweep
 
     def stopped(chain, initial, t1, *, over, **options):
         data = whole(chain, initial, t1, over=over, **options)
@@ -216,7 +216,7 @@ def test_ctrl_c_keeps_what_was_finished(workplace, made_up_sweep, monkeypatch, c
             raise SweepInterrupted(data)
         return data
 
-    monkeypatch.setattr(jaxchain.scenes.running, "sweep", stopped)
+    monkeypatch.setattr(running, "sweep", stopped)
     assert main(["run", "two.toml"]) == 130
     said = capsys.readouterr()
     assert "Traceback" not in said.err
@@ -231,7 +231,7 @@ def test_ctrl_c_before_anything_is_finished_leaves_no_folder(workplace, monkeypa
     def stopped(*arguments, **options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(jaxchain.scenes.running, "sweep", stopped)
+    monkeypatch.setattr(running, "sweep", stopped)
     assert main(["run", "two.toml"]) == 130
     assert not Path("results/two").exists()
 
@@ -258,15 +258,13 @@ def test_scenes_lists_shows_and_describes(workplace, capsys):
 
 def test_every_solver_of_a_scene_exists():
     for name in get_args(Solver):
-        assert (jaxchain.scenes.running.build_solver(name, paper_chain(), 1e-6, 0.5) is None) == (
-            name == "auto"
-        )
+        assert (building.build_solver(name, paper_chain(), 1e-6, 0.5) is None) == (name == "auto")
 
 
 def test_every_law_of_a_scene_takes_the_numbers_of_its_class():
-    assert set(LAWS) == set(jaxchain.scenes.running.LAWS)
+    assert set(LAWS) == set(building.LAWS)
     for name, table in LAWS.items():
-        fields = jaxchain.scenes.running.LAWS[name].__dataclass_fields__
+        fields = building.LAWS[name].__dataclass_fields__
         assert set(table.model_fields) - {"law", "width"} == set(fields)
 
 

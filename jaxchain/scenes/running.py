@@ -6,106 +6,24 @@ neither a later failure nor an interruption loses what was computed.
 
 from __future__ import annotations
 
-import functools
-import itertools
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
-import diffrax as dfx
-import jax.numpy as jnp
-import numpy as np
 import xarray as xr
-from matplotlib.figure import Figure
 
-from .._types import ScalarLike, State
-from ..model import friction, initial_states
-from ..model.chain import Chain
 from ..observers.amplitude import Amplitude
 from ..plotting.groups import NONSMOOTH
-from ..plotting.style import save_figure
 from ..plotting.sweeps import figure
-from ..simulation.accuracy import fit_linear_solve
 from ..simulation.event_driven import EventDriven
-from ..solvers.rosenbrock import Rodas4, Rodas5P
 from ..sweeps.sweeping import SweepInterrupted, sweep
-from .errors import FigureError, SceneError
+from .building import build_chain, build_initial, build_solver
+from .errors import SceneError
 from .reading import LoadedScene
 from .registry import StudyTable, study_run
-from .scene import CHAIN_NUMBERS, Experiment
-from .summary import summary
-from .tables import Equation8Table, Equation10Table
-
-LAWS = {
-    "exponential_decay": friction.ExponentialDecay,
-    "weakening_strengthening": friction.WeakeningStrengthening,
-    "coulomb": friction.Coulomb,
-}
-
-
-def build_chain(experiment: Experiment) -> Chain:
-    """The chain of an experiment, with the first value of everything that is swept."""
-    table, grid = experiment.chain, experiment.grid()
-
-    def number(name: str, given: float | list[float] | None) -> Any:
-        if name in grid:
-            return float(grid[name][0])
-        return np.array(given, float) if isinstance(given, list) else given
-
-    law = {k: number(k, getattr(table.friction, k)) for k in experiment.friction_numbers()}
-    width = law.pop("width")
-    return Chain(
-        table.n,
-        friction.TanhFriction(LAWS[table.friction.law](**law), width),
-        ends=table.ends,
-        **{name: number(name, getattr(table, name)) for name in CHAIN_NUMBERS},
-    )
-
-
-def build_initial(experiment: Experiment) -> Callable[..., State]:
-    """The initial state as a function of the chain; what is swept are parameters of it."""
-    table = experiment.initial
-    excited: dict[str, Any] = {} if table.excited is None else {"excited": table.excited}
-    if isinstance(table, Equation8Table):
-        return functools.partial(initial_states.equation_8, block=table.block, **excited)
-    if isinstance(table, Equation10Table):
-        return functools.partial(
-            initial_states.equation_10, block=table.block, reading=table.reading, **excited
-        )
-    who: Any = table.excited
-    if table.oscillators is not None:
-        mask = np.isin(np.arange(1, experiment.chain.n + 1), table.oscillators)
-        who = jnp.asarray(mask)
-
-    def pulled_away(
-        chain: Chain,
-        excited: Any = who,
-        displacement: ScalarLike = table.displacement,
-        velocity: ScalarLike = table.velocity,
-    ) -> State:
-        return initial_states.excited_state(
-            chain,
-            excited,
-            amplitude=displacement,
-            velocity=velocity,
-            block=table.block,
-            pattern=table.pattern,
-        )
-
-    return pulled_away
-
-
-def build_solver(
-    name: str, chain: Chain, rtol: float, max_step: float
-) -> dfx.AbstractSolver | None:
-    """A solver by its name in a scene; None leaves the choice to `sweep`."""
-    if name == "auto":
-        return None
-    own = {"Rodas4": Rodas4, "Rodas5P": Rodas5P}
-    if name in own:
-        return fit_linear_solve(own[name](), chain, rtol, max_step)
-    return getattr(dfx, name)()
+from .report import summary
+from .scene import Experiment
+from .storage import save, save_drawing
 
 
 def models(experiment: Experiment) -> tuple[str, ...]:
@@ -157,47 +75,6 @@ def run_experiment(
             progress=progress,
             description=name,
         )
-
-
-def new_folder(path: Path) -> Path:
-    """Creates a folder for results that nothing else has used: `path`, or `path`-2, `path`-3, ...
-
-    An empty folder counts as unused.
-
-    **Raises:** `OSError` if no folder can be made there.
-    """
-    for count in itertools.count(1):
-        folder = path if count == 1 else path.with_name(f"{path.name}-{count}")
-        try:
-            folder.mkdir(parents=True)
-        except FileExistsError:
-            if not folder.is_dir() or any(folder.iterdir()):
-                continue
-        return folder
-    raise AssertionError  # the count never ends
-
-
-def save(data: xr.Dataset, path: Path, group: str | None) -> None:
-    """Writes `data` into `path`.zarr and `path`.nc, at the root (None) or as a group."""
-    zarr_file, netcdf_file = path.with_name(path.name + ".zarr"), path.with_name(path.name + ".nc")
-    # Format 2 is what other tools read, and what has consolidated metadata.
-    data.to_zarr(zarr_file, group=group, mode="a", zarr_format=2, consolidated=True)
-    data.to_netcdf(
-        netcdf_file, group=group, mode="a" if netcdf_file.exists() else "w", engine="h5netcdf"
-    )
-
-
-def save_drawing(draw: Callable[[], Figure], path: Path) -> None:
-    """Draws and writes `path`.png and `path`.pdf, once everything else is written.
-
-    **Raises:** `FigureError` if that fails.
-    """
-    try:
-        save_figure(draw(), path)
-    except Exception as error:
-        raise FigureError(
-            f"the results are in {path.parent}, but drawing them failed: {error!r}"
-        ) from error
 
 
 def run_scene(

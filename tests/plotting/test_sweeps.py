@@ -14,7 +14,7 @@ from jaxchain.plotting import sweeps as plot
 from jaxchain.plotting.diagram import basin_brackets, hopf_belt_speed, intervals, moving_fronts
 from jaxchain.plotting.style import RED, save_figure
 from jaxchain.plotting.sweeps import figure, figure_3
-from jaxchain.scenes.summary import summary
+from jaxchain.scenes.report import summary
 
 
 def lines(axes, label):

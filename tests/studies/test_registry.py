@@ -11,8 +11,8 @@ import pytest
 import xarray as xr
 from pydantic import Field
 
-import jaxchain.scenes.running
 from jaxchain.cli import main
+from jaxchain.scenes import storage
 from jaxchain.scenes.errors import SceneError, StudyFailedError
 from jaxchain.scenes.files import builtin_scenes
 from jaxchain.scenes.reading import load_scene, schema
@@ -48,10 +48,10 @@ class MadeUpModule:
     @classmethod
     def run(cls, study, folder, *, name, plot, progress, report):
         data = xr.Dataset({"size": ("part", [study.part.size])})
-        jaxchain.scenes.running.save(data, folder / name, None)
+        storage.save(data, folder / name, None)
         report(f"size {study.part.size}")
         if plot:
-            jaxchain.scenes.running.save_drawing(matplotlib.figure.Figure, folder / name)
+            storage.save_drawing(matplotlib.figure.Figure, folder / name)
         if cls.fails:
             raise StudyFailedError("1 of 1 sizes is WRONG")
         return {name: data}
@@ -119,7 +119,7 @@ def test_a_drawing_that_fails_costs_no_data(made_up, monkeypatch, capsys):
     def broken(page, path):
         raise RuntimeError("no ink")
 
-    monkeypatch.setattr(jaxchain.scenes.running, "save_figure", broken)
+    monkeypatch.setattr(storage, "save_figure", broken)
     assert main(["run", made_up]) == 1
     assert "the results are in results/mine, but drawing" in capsys.readouterr().err
     assert Path("results/mine/mine.nc").exists()

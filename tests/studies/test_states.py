@@ -10,9 +10,9 @@ import xarray as xr
 
 from jaxchain import Amplitude, EventDriven, PeakTimes, Trajectory, simulate
 from jaxchain.result import NAMES
+from jaxchain.scenes.building import build_chain, build_initial
 from jaxchain.scenes.errors import SceneError
 from jaxchain.scenes.reading import load_scene
-from jaxchain.scenes.running import build_chain, build_initial
 from jaxchain.studies.states import runs
 from jaxchain.studies.states.figure import figure
 from jaxchain.studies.states.phases import add_delays

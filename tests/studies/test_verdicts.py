@@ -8,7 +8,7 @@ from jaxchain.chaos.criteria import classify
 from jaxchain.chaos.records import KINDS, VERDICTS, Evidence
 from jaxchain.scenes.errors import SceneError
 from jaxchain.scenes.reading import load_scene
-from jaxchain.scenes.running import save
+from jaxchain.scenes.storage import save
 from jaxchain.studies.verdicts.figure import (
     LOOKS,
     LOWEST,

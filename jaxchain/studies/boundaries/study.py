@@ -35,7 +35,7 @@ def run(
     """
     from tqdm import tqdm
 
-    from jaxchain.scenes.running import save, save_drawing
+    from jaxchain.scenes.storage import save, save_drawing
     from jaxchain.studies.boundaries.curves import cycles, one_mass_curves, ring_curve
     from jaxchain.studies.boundaries.figure import figure
 

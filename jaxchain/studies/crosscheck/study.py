@@ -63,7 +63,7 @@ def cross_check_cycles(
     """
     import xarray as xr
 
-    from jaxchain.scenes.running import build_chain, build_solver
+    from jaxchain.scenes.building import build_chain, build_solver
     from jaxchain.simulation.event_driven import EventDriven
     from jaxchain.studies.crosscheck.cycles import (
         OUTCOMES,
@@ -203,7 +203,7 @@ def run(
 
     **Raises:** `SweepInterrupted` on Ctrl-C; `jaxchain.scenes.errors.FigureError`.
     """
-    from jaxchain.scenes.running import save, save_drawing
+    from jaxchain.scenes.storage import save, save_drawing
     from jaxchain.studies.crosscheck.figure import figure
     from jaxchain.studies.crosscheck.summary import summarize_cycles, summarize_states
 

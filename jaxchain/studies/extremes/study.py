@@ -74,7 +74,7 @@ def run(
 
     **Raises:** `StudyFailedError` if a case is WRONG; `jaxchain.scenes.errors.FigureError`.
     """
-    from jaxchain.scenes.running import save, save_drawing
+    from jaxchain.scenes.storage import save, save_drawing
     from jaxchain.studies.extremes.cases import cases
     from jaxchain.studies.extremes.chains import chain_cases
     from jaxchain.studies.extremes.figure import figure

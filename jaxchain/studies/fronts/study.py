@@ -28,7 +28,7 @@ def run(
 
     **Raises:** `jaxchain.scenes.errors.FigureError`.
     """
-    from jaxchain.scenes.running import save, save_drawing
+    from jaxchain.scenes.storage import save, save_drawing
     from jaxchain.studies.fronts import measure
     from jaxchain.studies.fronts.figure import figure
     from jaxchain.studies.fronts.report import describe, summary

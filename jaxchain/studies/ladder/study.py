@@ -32,7 +32,7 @@ def run(
     """
     from tqdm import tqdm
 
-    from jaxchain.scenes.running import save, save_drawing
+    from jaxchain.scenes.storage import save, save_drawing
     from jaxchain.studies.ladder.figure import figure
     from jaxchain.studies.ladder.summary import summary
 

@@ -33,7 +33,7 @@ def run(
     **Raises:** `jaxchain.scenes.errors.FigureError`; `KeyboardInterrupt` on Ctrl-C, with all
     ensembles written that had ended.
     """
-    from jaxchain.scenes.running import save, save_drawing
+    from jaxchain.scenes.storage import save, save_drawing
     from jaxchain.studies.mistuning.analysis import add_drift, analyse, frequencies
     from jaxchain.studies.mistuning.ensembles import run_ensemble, run_locking
     from jaxchain.studies.mistuning.figure import figure

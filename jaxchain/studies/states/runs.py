@@ -28,7 +28,7 @@ from jaxchain.observers.base import AbstractObserver
 from jaxchain.observers.peaks import PeakTimes
 from jaxchain.observers.samples import Samples
 from jaxchain.result import NAMES, STOPPED_WELL
-from jaxchain.scenes.running import build_chain, build_initial, build_solver
+from jaxchain.scenes.building import build_chain, build_initial, build_solver
 from jaxchain.simulation.accuracy import check_resolved, choose_solver
 from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.simulation.run import build_plan, simulate

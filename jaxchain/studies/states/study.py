@@ -32,7 +32,8 @@ def run(
     """
     from jaxchain.plotting.groups import NONSMOOTH
     from jaxchain.scenes.errors import SceneError
-    from jaxchain.scenes.running import models, save, save_drawing
+    from jaxchain.scenes.running import models
+    from jaxchain.scenes.storage import save, save_drawing
     from jaxchain.studies.states.figure import figure
     from jaxchain.studies.states.phases import add_delays
     from jaxchain.studies.states.runs import run_states, time_series

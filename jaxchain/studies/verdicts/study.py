@@ -33,7 +33,7 @@ def run(
 
     **Raises:** `jaxchain.scenes.errors.FigureError`.
     """
-    from jaxchain.scenes.running import save, save_drawing
+    from jaxchain.scenes.storage import save, save_drawing
     from jaxchain.studies.verdicts.figure import figure
     from jaxchain.studies.verdicts.runs import run_case
 

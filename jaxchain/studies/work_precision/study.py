@@ -48,7 +48,7 @@ def run(
     report: Callable[[str], object],
 ) -> dict[str, xr.Dataset]:
     """Measures, saves `folder`/`name`, and reports who wins at which error."""
-    from jaxchain.scenes.running import save, save_drawing
+    from jaxchain.scenes.storage import save, save_drawing
     from jaxchain.studies.work_precision.figure import figure
 
     settings: list[Setting] = []

@@ -1,0 +1,89 @@
+"""What an experiment is computed with: chain, initial state and solver, from its tables."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import diffrax as dfx
+import jax.numpy as jnp
+import numpy as np
+
+from .._types import ScalarLike, State
+from ..model import friction, initial_states
+from ..model.chain import Chain
+from ..simulation.accuracy import fit_linear_solve
+from ..solvers.rosenbrock import Rodas4, Rodas5P
+from .scene import CHAIN_NUMBERS, Experiment
+from .tables import Equation8Table, Equation10Table
+
+LAWS = {
+    "exponential_decay": friction.ExponentialDecay,
+    "weakening_strengthening": friction.WeakeningStrengthening,
+    "coulomb": friction.Coulomb,
+}
+
+
+def build_chain(experiment: Experiment) -> Chain:
+    """The chain of an experiment, with the first value of everything that is swept."""
+    table, grid = experiment.chain, experiment.grid()
+
+    def number(name: str, given: float | list[float] | None) -> Any:
+        if name in grid:
+            return float(grid[name][0])
+        return np.array(given, float) if isinstance(given, list) else given
+
+    law = {k: number(k, getattr(table.friction, k)) for k in experiment.friction_numbers()}
+    width = law.pop("width")
+    return Chain(
+        table.n,
+        friction.TanhFriction(LAWS[table.friction.law](**law), width),
+        ends=table.ends,
+        **{name: number(name, getattr(table, name)) for name in CHAIN_NUMBERS},
+    )
+
+
+def build_initial(experiment: Experiment) -> Callable[..., State]:
+    """The initial state as a function of the chain; what is swept are parameters of it."""
+    table = experiment.initial
+    excited: dict[str, Any] = {} if table.excited is None else {"excited": table.excited}
+    if isinstance(table, Equation8Table):
+        return functools.partial(initial_states.equation_8, block=table.block, **excited)
+    if isinstance(table, Equation10Table):
+        return functools.partial(
+            initial_states.equation_10, block=table.block, reading=table.reading, **excited
+        )
+    who: Any = table.excited
+    if table.oscillators is not None:
+        mask = np.isin(np.arange(1, experiment.chain.n + 1), table.oscillators)
+        who = jnp.asarray(mask)
+
+    def pulled_away(
+        chain: Chain,
+        excited: Any = who,
+        displacement: ScalarLike = table.displacement,
+        velocity: ScalarLike = table.velocity,
+    ) -> State:
+        return initial_states.excited_state(
+            chain,
+            excited,
+            amplitude=displacement,
+            velocity=velocity,
+            block=table.block,
+            pattern=table.pattern,
+        )
+
+    return pulled_away
+
+
+def build_solver(
+    name: str, chain: Chain, rtol: float, max_step: float
+) -> dfx.AbstractSolver | None:
+    """A solver by its name in a scene; None leaves the choice to `sweep`."""
+    if name == "auto":
+        return None
+    own = {"Rodas4": Rodas4, "Rodas5P": Rodas5P}
+    if name in own:
+        return fit_linear_solve(own[name](), chain, rtol, max_step)
+    return getattr(dfx, name)()
