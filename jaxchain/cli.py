@@ -1,4 +1,7 @@
-"""The `jaxchain` command."""
+"""The `jaxchain` command.
+
+A subcommand imports what it needs: help, and the list of scenes, are there at once.
+"""
 
 from __future__ import annotations
 
@@ -11,10 +14,7 @@ import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
-from .scenes.errors import SceneError, StudyFailedError
-from .scenes.files import builtin_scenes
-from .scenes.reading import load_scene, schema
-from .scenes.scene import Scene
+from .scenes.errors import FigureError, SceneError, StudyFailedError
 
 # Type, default and meaning of each option of `boundary`.
 _BOUNDARY_OPTIONS: dict[str, tuple[type, float | None, str]] = {
@@ -96,25 +96,33 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _scenes(options: argparse.Namespace) -> int:
-    builtin = builtin_scenes()
-    if options.schema:
-        model = Scene if options.scene is None else type(load_scene(options.scene).scene)
-        print(json.dumps(schema(model), indent=2))
-    elif options.scene is None:
+    from .scenes.files import builtin_scenes, read_scene
+
+    wanted, builtin = options.scene, builtin_scenes()
+    if not options.schema and wanted is None:
         for name in builtin:
-            print(f"{name:<12} {load_scene(name).scene.title}")
+            _, data = read_scene(name)
+            print(f"{name:<12} {data['title']}")
+        return 0
+    # Here, as it takes longer than all of the list.
+    from .scenes.reading import load_scene, schema
+    from .scenes.scene import Scene
+
+    if options.schema:
+        model = Scene if wanted is None else type(load_scene(wanted).scene)
+        print(json.dumps(schema(model), indent=2))
     else:
-        load_scene(options.scene)
-        file = builtin.get(options.scene, Path(options.scene))
-        print(file.read_text(encoding="utf-8"), end="")
+        load_scene(wanted)
+        print(builtin.get(wanted, Path(wanted)).read_text(encoding="utf-8"), end="")
     return 0
 
 
 def _run(options: argparse.Namespace) -> int:
+    from .scenes.reading import load_scene
+
     # Before jax is imported, so that a wrong scene is reported at once.
     loaded = load_scene(options.scene, options.overrides)
     _configure_jax()
-    from .scenes.errors import FigureError
     from .scenes.running import run_scene
     from .scenes.storage import new_folder
 

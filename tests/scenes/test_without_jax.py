@@ -1,0 +1,72 @@
+"""What needs no computation starts no JAX: seen in the modules that a fresh process has loaded."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from jaxchain.scenes.files import builtin_scenes
+
+HEAVY = {
+    "jax", "jaxlib", "diffrax", "equinox", "scipy", "pandas", "xarray", "matplotlib", "zarr",
+    "h5netcdf", "tqdm",
+}  # fmt: skip
+# Runs commands one after the other; its last line says how each ended and what is loaded by then.
+PROGRAM = """
+import json, sys
+from jaxchain.cli import main
+ended = []
+for arguments in json.loads(sys.argv[1]):
+    try:
+        status = main(arguments)
+    except SystemExit as done:
+        status = done.code
+    ended.append([status, sorted({name.partition(".")[0] for name in sys.modules})])
+print()
+print(json.dumps(ended))
+"""
+
+
+def loaded_by(*commands):
+    """Exit status of each of some `jaxchain` commands, and the packages loaded by then."""
+    program = [sys.executable, "-c", PROGRAM, json.dumps(commands)]
+    done = subprocess.run(program, capture_output=True, text=True, check=True)
+    return [(status, set(found)) for status, found in json.loads(done.stdout.splitlines()[-1])]
+
+
+def test_help_and_the_list_of_scenes_do_not_even_check():
+    for status, packages in loaded_by(["--help"], ["run", "--help"], ["scenes"]):
+        assert status == 0
+        assert not packages & {*HEAVY, "numpy", "pydantic"}
+
+
+def test_scenes_and_studies_are_checked_and_described_without_jax():
+    commands = [["scenes", name] for name in builtin_scenes()]
+    commands += [["scenes", "--schema"], ["scenes", "fronts", "--schema"]]
+    for command, (status, packages) in zip(commands, loaded_by(*commands), strict=True):
+        assert status == 0, command
+        assert not packages & HEAVY, command
+        assert "pydantic" in packages
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        ["fig3", "--set", "experiment.single.chain.n=-1"],
+        ["fronts", "--set", "nothing=1"],
+        ["fig3", "--set", "study=fig3"],
+        ["no_such_scene"],
+    ],
+)
+def test_what_is_wrong_is_refused_without_jax(wrong, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    ((status, packages),) = loaded_by(["run", *wrong])
+    assert status == 2
+    assert not packages & HEAVY
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_computes_would_be_seen():
+    ((_, packages),) = loaded_by(["boundary", "--n", "0"])
+    assert {"jax", "jaxlib", "diffrax", "equinox"} <= packages
