@@ -10,7 +10,7 @@ from jaxchain.boundaries import find_fold
 from jaxchain.scenes.errors import SceneError
 from jaxchain.scenes.reading import load_scene
 from jaxchain.studies.boundaries import curves as boundaries_curves
-from jaxchain.studies.boundaries.figure import figure
+from jaxchain.studies.boundaries.figure import draw
 from jaxchain.studies.boundaries.study import run, summary
 
 SMALL = [
@@ -52,7 +52,7 @@ def made_up():
 
 
 def test_the_picture_shows_curves_their_meeting_and_the_cycles():
-    page = figure(made_up())
+    page = draw(made_up())
     panels = page.axes
     assert len(panels) == 6
     for axes, name in zip(

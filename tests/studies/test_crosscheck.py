@@ -23,7 +23,7 @@ from jaxchain.studies.crosscheck.cycles import (
     VIBRATES,
     measure_cycles,
 )
-from jaxchain.studies.crosscheck.summary import spread, summarize_cycles, summarize_states
+from jaxchain.studies.crosscheck.report import spread, summarize_cycles, summarize_states
 
 SMALL = [
     "oscillator.sweep.belt_speed=[0.6,1.5,3.0]",

@@ -9,13 +9,13 @@ import pytest
 import xarray as xr
 
 from jaxchain.scenes.errors import StudyFailedError
-from jaxchain.studies.extremes import cases as extreme_cases
+from jaxchain.studies.extremes import masses
 from jaxchain.studies.extremes import study as extremes
-from jaxchain.studies.extremes.cases import cases, single
 from jaxchain.studies.extremes.chains import chain_cases
-from jaxchain.studies.extremes.figure import figure
+from jaxchain.studies.extremes.figure import draw
 from jaxchain.studies.extremes.inputs import refusals
-from jaxchain.studies.extremes.judge import REFUSED, RIGHT, WRONG, Answer, Case, Refusal, judge
+from jaxchain.studies.extremes.judging import REFUSED, RIGHT, WRONG, Answer, Case, Refusal, judge
+from jaxchain.studies.extremes.masses import mass_cases, single
 from jaxchain.studies.extremes.table import Study
 from jaxchain.studies.extremes.witnesses import Oscillator, linear_chain, ring, smoothed_chain
 
@@ -119,7 +119,7 @@ def test_the_witness_of_linear_chains_is_a_damped_oscillation_and_that_of_smooth
 
 def test_the_study_has_cases_enough_and_no_two_of_one_name():
     study = extremes_of_the_file()
-    all_cases = [*cases(study), *chain_cases(study), *refusals()]
+    all_cases = [*mass_cases(study), *chain_cases(study), *refusals()]
     names = [(c.group, c.name, model) for c in all_cases for model in c.models]
     assert len(set(names)) == len(names) >= 45
 
@@ -147,7 +147,7 @@ def test_a_run_saves_draws_and_reports_and_fails_if_a_case_does(tmp_path, monkey
         good, bad = case(1.0, 1.0 + 1e-9), case(1.0, 2.0)
         return [replace(good, name="good"), replace(bad, name="bad")][: 1 if study.width else 2]
 
-    monkeypatch.setattr(extreme_cases, "cases", made_up)
+    monkeypatch.setattr(masses, "mass_cases", made_up)
     said = []
     study = STUDY.model_copy(update={"groups": ["numbers"], "models": ["smoothed"]})
     monkeypatch.setattr("jaxchain.studies.extremes.inputs.refusals", list)
@@ -172,7 +172,7 @@ def test_the_picture_shows_every_case_once():
         judge(replace(case(1.0, 3.0), group="width"), "smoothed"),
         judge(Refusal("refused", "b", "", [lambda: 1 / 0], (ZeroDivisionError,)), "smoothed"),
     ]
-    page = figure(extremes.to_dataset(rows, STUDY, "a"))
+    page = draw(extremes.to_dataset(rows, STUDY, "a"))
     left, right = page.axes
     assert [label.get_text() for label in left.get_yticklabels()] == [
         "numbers: a case", "width: a case", "refused: b",

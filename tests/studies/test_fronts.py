@@ -11,7 +11,7 @@ from scipy.special import i1, jv
 from jaxchain.model.chain import paper_chain
 from jaxchain.scenes.errors import SceneError
 from jaxchain.scenes.reading import load_scene
-from jaxchain.studies.fronts.figure import figure
+from jaxchain.studies.fronts.figure import draw
 from jaxchain.studies.fronts.prediction import (
     death_belt_speed,
     growth_coupling,
@@ -120,7 +120,7 @@ def test_the_summary_names_windows_edges_and_exponents():
 
 
 def test_the_picture():
-    page = figure(made_up())
+    page = draw(made_up())
     top, lower = page.subfigs
     assert [axes.get_title() for axes in top.axes[:3]] == [
         r"$\tilde v_d = 1.1$: grows", r"$\tilde v_d = 1.5$: stands",

@@ -10,12 +10,12 @@ from jaxchain.scenes.reading import load_scene
 from jaxchain.studies.ladder.branches import symmetry
 from jaxchain.studies.ladder.checks import (
     _rate,
-    draw,
+    draw_lots,
     table,
 )
-from jaxchain.studies.ladder.figure import figure
+from jaxchain.studies.ladder.figure import draw
+from jaxchain.studies.ladder.report import branches_of, stable_ranges, summary
 from jaxchain.studies.ladder.study import run
-from jaxchain.studies.ladder.summary import branches_of, stable_ranges, summary
 
 SMALL = [
     "ring={masses=4,coupling=0.01,width=0.05}",
@@ -94,7 +94,7 @@ def made_up():
 
 
 def test_the_picture_has_stable_and_unstable_pieces_of_each_branch(made_up):
-    page = figure(made_up)
+    page = draw(made_up)
     whole, _, ends = page.axes
     lines = [np.asarray(line.get_xydata()) for line in whole.get_lines()]
     solid, dashed = [line for line in lines if len(line) > 1][:2]
@@ -149,10 +149,10 @@ def test_the_symmetry_of_a_block_is_that_of_its_pattern():
 
 def test_every_point_can_be_drawn_and_none_twice(made_up):
     branches = branches_of(made_up)
-    lot = draw(branches, 1000)
+    lot = draw_lots(branches, 1000)
     assert len(set(lot)) == len(lot) == 42
-    assert draw(branches, 5) == draw(branches, 5)
-    assert len({key for key, _ in draw(branches, 10)}) == 2
+    assert draw_lots(branches, 5) == draw_lots(branches, 5)
+    assert len({key for key, _ in draw_lots(branches, 10)}) == 2
 
 
 def test_the_rate_is_that_of_what_can_be_seen():

@@ -20,10 +20,10 @@ from jaxchain.studies.mistuning.ensembles import (
     random_half,
     stiffness_pattern,
 )
-from jaxchain.studies.mistuning.figure import figure, rows
+from jaxchain.studies.mistuning.figure import draw, rows
+from jaxchain.studies.mistuning.report import half_width, halving, summary, verdict
 from jaxchain.studies.mistuning.statistics import bootstrap_mean, correlation, wilson
 from jaxchain.studies.mistuning.study import run
-from jaxchain.studies.mistuning.summary import half_width, halving, summary, verdict
 
 DISORDER = [0.0, 0.02, 0.1]
 POINT = ("coupling", "belt_speed", "disorder")
@@ -261,7 +261,7 @@ def test_the_summary_says_who_decides(analysed):
 
 
 def test_the_picture_shows_every_row(analysed):
-    page = figure(analysed)
+    page = draw(analysed)
     found = [row for row in rows(analysed) if row.coupling == 0.01]
     assert [(row.start, row.speed) for row in found] == [("one", 1.2), ("one", 1.3), ("all", 1.75)]
     first, second = page.axes[:2]

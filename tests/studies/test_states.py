@@ -14,11 +14,11 @@ from jaxchain.scenes.building import build_chain, build_initial
 from jaxchain.scenes.errors import SceneError
 from jaxchain.scenes.reading import load_scene
 from jaxchain.studies.states import runs
-from jaxchain.studies.states.figure import figure
+from jaxchain.studies.states.figure import draw
 from jaxchain.studies.states.phases import add_delays
+from jaxchain.studies.states.report import ranges, summary
 from jaxchain.studies.states.runs import run_states, time_series
 from jaxchain.studies.states.study import run
-from jaxchain.studies.states.summary import ranges, summary
 from jaxchain.studies.states.table import PhasePlots
 
 FIGURES = [f"fig{i}" for i in range(4, 11)]
@@ -109,7 +109,7 @@ def test_the_summary_says_who_vibrates_and_what_failed(with_delays):
 
 def test_circles_have_radii_in_proportion_to_amplitudes(with_delays):
     data = with_delays.isel(excited=[0, 1])
-    page = figure({"states": data, "states_nonsmooth": data}, ["circles"])
+    page = draw({"states": data, "states_nonsmooth": data}, ["circles"])
     drawn: Any = page.axes[0].collections
     quiet, alive, dry = drawn
     ratio = alive.get_widths()[0] / quiet.get_widths()[0]
@@ -122,14 +122,14 @@ def test_circles_have_radii_in_proportion_to_amplitudes(with_delays):
 
 
 def test_a_failed_state_is_said_to_have_failed(with_delays):
-    page = figure({"states": with_delays}, ["circles", "orbit_diagram", "delays", "phase_plots"])
+    page = draw({"states": with_delays}, ["circles", "orbit_diagram", "delays", "phase_plots"])
     assert "failed" in {text.get_text() for text in page.axes[0].texts}
     # Circles, orbit diagram, three panels of delays, three orbits; but for the first, a bar each.
     assert len(page.axes) == 1 + 2 + 4 + 4
 
 
 def test_the_orbit_diagram_shows_each_delay_of_the_window_beside_its_solution(with_delays):
-    page = figure({"states": with_delays.isel(excited=[0, 1])}, ["orbit_diagram"])
+    page = draw({"states": with_delays.isel(excited=[0, 1])}, ["orbit_diagram"])
     drawn: Any = page.axes[0].collections
     first, second = drawn[:2]
     x, y = first.get_offsets().T
@@ -147,7 +147,7 @@ def test_the_time_series_draw_sticking_apart(with_delays):
         {"displacement": (dims, v), "velocity": (dims, v), "sticking": (dims, v == SPEED)},
         coords={"time": t, "oscillator": np.arange(1, 7)}, attrs={"belt_speed": SPEED},
     )  # fmt: skip
-    page = figure({"states": with_delays, "time_series": series}, ["time_series"])
+    page = draw({"states": with_delays, "time_series": series}, ["time_series"])
     assert len(page.axes) == 3
     thick = [line for line in page.axes[0].get_lines() if line.get_linewidth() == 1.8]
     stuck = np.asarray(thick[0].get_ydata(), float)

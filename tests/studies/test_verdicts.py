@@ -13,7 +13,7 @@ from jaxchain.studies.verdicts.figure import (
     LOOKS,
     LOWEST,
     decisive,
-    figure,
+    draw,
     trap_example,
     unstable_growth,
 )
@@ -119,7 +119,7 @@ def test_what_is_annihilated_is_written_and_drawn_as_that():
     data = to_dataset(Case(belt_speed=1.5, excited=[1], paper="figures 6 to 8"), found, 3)
     assert decisive(data)["value"][0] == -np.inf
     assert "-inf  [-inf, -inf]" in summary({"slow": data})
-    axes = figure({"slow": data}).axes[0]
+    axes = draw({"slow": data}).axes[0]
     below = [np.asarray(line.get_ydata()) for line in axes.lines if line.get_marker() == "v"]
     assert [values.tolist() for values in below if values.size] == [[LOWEST]]
 
@@ -136,7 +136,7 @@ def test_what_is_drawn_is_what_decides(datasets):
 
 
 def test_the_picture_shows_every_state_once(datasets):
-    page = figure(datasets)
+    page = draw(datasets)
     exponents, symmetry = page.axes
     assert len(page.legends[0].get_texts()) == len(LOOKS) + 2
     points = [line for line in exponents.get_lines() if line.get_marker() in ("o", "s", "D", "^")]
@@ -146,7 +146,7 @@ def test_the_picture_shows_every_state_once(datasets):
     assert len(symmetry.get_lines()) == 3 + 1  # the runs, and the slope of the unstable orbit
     del datasets["slow"]["smoothed_exponent"]
     datasets["slow"] = datasets["slow"].isel(excited=[0, 1])
-    calm = figure(datasets)
+    calm = draw(datasets)
     assert "no state is lost" in calm.axes[-1].texts[0].get_text()
 
 

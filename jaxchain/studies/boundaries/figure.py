@@ -20,7 +20,7 @@ _SMOOTHED, _DRY = {"color": BLUE, "linewidth": 1.3}, {"color": ORANGE, "linewidt
 _COLOURS = (BLUE, "#009E73", "#CC79A7", "#56B4E9")
 
 
-def figure(datasets: Mapping[str, xr.Dataset]) -> Figure:
+def draw(datasets: Mapping[str, xr.Dataset]) -> Figure:
     """Six panels.
 
     (a) - (d) Hopf curve and fold of cycles in the planes of the belt speed and damping, static

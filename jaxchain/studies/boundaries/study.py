@@ -37,7 +37,7 @@ def run(
 
     from jaxchain.scenes.storage import save, save_drawing
     from jaxchain.studies.boundaries.curves import cycles, one_mass_curves, ring_curve
-    from jaxchain.studies.boundaries.figure import figure
+    from jaxchain.studies.boundaries.figure import draw
 
     def parts() -> Iterator[dict[str, Dataset]]:
         curves, folds = one_mass_curves(study)
@@ -55,7 +55,7 @@ def run(
             datasets[key] = data
     report(summary(datasets))
     if plot:
-        save_drawing(lambda: figure(datasets), folder / name)
+        save_drawing(lambda: draw(datasets), folder / name)
     return datasets
 
 

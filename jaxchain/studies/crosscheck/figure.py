@@ -14,7 +14,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from jaxchain.plotting.style import BLUE, GREY, ORANGE, PAGE_WIDTH, STYLE, SYMBOLS
 from jaxchain.studies.crosscheck.bias import Law
-from jaxchain.studies.crosscheck.summary import spread
+from jaxchain.studies.crosscheck.report import spread
 
 HEIGHT = 4.9  # inches
 MOST_CURVES = 5  # more cannot be told apart
@@ -30,7 +30,7 @@ NAMES = {
 DASHES: tuple[Any, ...] = ("-", "--", ":", "-.")
 
 
-def figure(cycles: xr.Dataset, states: xr.Dataset) -> Figure:
+def draw(cycles: xr.Dataset, states: xr.Dataset) -> Figure:
     """Six panels.
 
     (a) - (c) Error of amplitude, period and stick time of one oscillator over the width, at some

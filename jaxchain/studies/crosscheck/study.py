@@ -204,8 +204,8 @@ def run(
     **Raises:** `SweepInterrupted` on Ctrl-C; `jaxchain.scenes.errors.FigureError`.
     """
     from jaxchain.scenes.storage import save, save_drawing
-    from jaxchain.studies.crosscheck.figure import figure
-    from jaxchain.studies.crosscheck.summary import summarize_cycles, summarize_states
+    from jaxchain.studies.crosscheck.figure import draw
+    from jaxchain.studies.crosscheck.report import summarize_cycles, summarize_states
 
     cycles = partial(cross_check_cycles, study.oscillator)
     states = partial(cross_check_states, study.states)
@@ -226,5 +226,5 @@ def run(
         report(summarize(data))
         datasets[key] = data
     if plot:
-        save_drawing(lambda: figure(datasets["oscillator"], datasets["states"]), folder / name)
+        save_drawing(lambda: draw(datasets["oscillator"], datasets["states"]), folder / name)
     return datasets

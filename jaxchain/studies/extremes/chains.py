@@ -14,8 +14,8 @@ from jaxchain.model.chain import Chain, steady_sliding
 from jaxchain.model.friction import Coulomb, TanhFriction
 from jaxchain.model.initial_states import excited_state
 from jaxchain.observers.energy_balance import EnergyBalance
-from jaxchain.studies.extremes.cases import chain_of, end, solve
-from jaxchain.studies.extremes.judge import Answer, Case
+from jaxchain.studies.extremes.judging import Answer, Case
+from jaxchain.studies.extremes.masses import chain_of, end, solve
 from jaxchain.studies.extremes.table import Model, Study
 from jaxchain.studies.extremes.witnesses import Oscillator, linear_chain, ring, smoothed_chain
 

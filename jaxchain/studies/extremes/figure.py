@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.transforms import blended_transform_factory
 
 from jaxchain.plotting.style import BLUE, GREY, ORANGE, PAGE_WIDTH, RED, STYLE
-from jaxchain.studies.extremes.judge import REFUSED, RIGHT, WRONG
+from jaxchain.studies.extremes.judging import REFUSED, RIGHT, WRONG
 
 ROW_HEIGHT, MARGIN = 0.105, 0.9  # inches
 # Exact agreement stands at the edge.
@@ -20,7 +20,7 @@ LEAST, MOST = 1e-16, 1.0
 MARKERS = {"smoothed": ("o", BLUE), "nonsmooth": ("s", ORANGE)}
 
 
-def figure(data: xr.Dataset) -> Figure:
+def draw(data: xr.Dataset) -> Figure:
     """One line for each case: deviation beside what is allowed, and seconds with compiling.
 
     **Arguments:** `data`, the dataset of the study (see `extremes.to_dataset`).

@@ -25,8 +25,8 @@ from jaxchain.scenes.errors import SceneError
 from jaxchain.scenes.reading import load_scene
 from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.simulation.run import simulate
-from jaxchain.studies.extremes.cases import chain_of, solve
-from jaxchain.studies.extremes.judge import Refusal
+from jaxchain.studies.extremes.judging import Refusal
+from jaxchain.studies.extremes.masses import chain_of, solve
 from jaxchain.studies.extremes.table import Model
 from jaxchain.studies.extremes.witnesses import Oscillator
 from jaxchain.sweeps.sweeping import sweep

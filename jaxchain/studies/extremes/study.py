@@ -14,7 +14,7 @@ import numpy as np
 from tqdm import tqdm
 
 from jaxchain.scenes.errors import StudyFailedError
-from jaxchain.studies.extremes.judge import REFUSED, RIGHT, WRONG, Case, Refusal, Row, judge
+from jaxchain.studies.extremes.judging import REFUSED, RIGHT, WRONG, Case, Refusal, Row, judge
 from jaxchain.studies.extremes.table import Group, Model, Study
 
 if TYPE_CHECKING:
@@ -75,14 +75,14 @@ def run(
     **Raises:** `StudyFailedError` if a case is WRONG; `jaxchain.scenes.errors.FigureError`.
     """
     from jaxchain.scenes.storage import save, save_drawing
-    from jaxchain.studies.extremes.cases import cases
     from jaxchain.studies.extremes.chains import chain_cases
-    from jaxchain.studies.extremes.figure import figure
+    from jaxchain.studies.extremes.figure import draw
     from jaxchain.studies.extremes.inputs import refusals
+    from jaxchain.studies.extremes.masses import mass_cases
 
     chosen: list[tuple[Case | Refusal, Model]] = [
         (case, model)
-        for case in [*cases(study), *chain_cases(study), *refusals()]
+        for case in [*mass_cases(study), *chain_cases(study), *refusals()]
         if study.groups is None or case.group in study.groups
         for model in study.models
         if model in case.models
@@ -101,7 +101,7 @@ def run(
         f"{max((r.seconds for r in rows), default=0.0):.1f} s"
     )
     if plot and rows:
-        save_drawing(lambda: figure(data), folder / name)
+        save_drawing(lambda: draw(data), folder / name)
     if wrong:
         some = [f"{row.group}: {row.name} ({row.model})" for row in wrong[:MOST_NAMED]]
         listed = "; ".join(some + ["..."] * (len(wrong) > MOST_NAMED))

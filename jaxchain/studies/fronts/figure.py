@@ -26,7 +26,7 @@ _SMALL: dict[str, Any] = {
 }  # fmt: skip
 
 
-def figure(datasets: Mapping[str, xr.Dataset]) -> Figure:
+def draw(datasets: Mapping[str, xr.Dataset]) -> Figure:
     """(a) Blocks in space and time; front speed over (b) belt speed and (d) coupling; (c) where
 
     blocks grow, stand and shrink in the plane of both; (e) how far the speeds have converged.

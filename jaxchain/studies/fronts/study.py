@@ -30,7 +30,7 @@ def run(
     """
     from jaxchain.scenes.storage import save, save_drawing
     from jaxchain.studies.fronts import measure
-    from jaxchain.studies.fronts.figure import figure
+    from jaxchain.studies.fronts.figure import draw
     from jaxchain.studies.fronts.report import describe, summary
 
     def parts() -> Iterator[tuple[str, Dataset]]:
@@ -50,5 +50,5 @@ def run(
         datasets[key] = data
     report(summary(datasets))
     if plot:
-        save_drawing(lambda: figure(datasets), folder / name)
+        save_drawing(lambda: draw(datasets), folder / name)
     return datasets

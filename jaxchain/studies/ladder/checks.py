@@ -63,7 +63,7 @@ def _after(chain: Chain, state: Any, period: Array, rtol: Any = _FINE_RTOL) -> A
     return flow(chain, state, period, rtol=jnp.asarray(rtol), solver=solver)
 
 
-def draw(branches: dict[str, xr.Dataset], count: int) -> list[tuple[str, int]]:
+def draw_lots(branches: dict[str, xr.Dataset], count: int) -> list[tuple[str, int]]:
     """`count` of all points of all branches, by a lot that is the same each time."""
     every = [(key, i) for key, data in branches.items() for i in range(data.sizes["point"])]
     lot = np.random.default_rng(11).permutation(len(every))[:count]
@@ -81,7 +81,7 @@ def disturbed(chain: Chain, branches: dict[str, xr.Dataset], checks: Checks) -> 
     leaves the range of a linear disturbance at once), `periods`, from how many, and `shift`, by
     how much the period changed as the orbit was closed with the finer tolerance.
     """
-    lot = draw(branches, checks.orbits)
+    lot = draw_lots(branches, checks.orbits)
     rows = []
     kicks = np.random.default_rng(7).normal(size=(len(lot), 2 * chain.n))
     for (key, i), kick in zip(lot, kicks, strict=True):
@@ -159,7 +159,7 @@ def dry_runs(chain: Chain, branches: dict[str, xr.Dataset], checks: Checks) -> x
         key: data.isel(point=np.flatnonzero(data["unstable"].values == 0))
         for key, data in branches.items()
     }
-    lot = draw(stable, checks.dry)
+    lot = draw_lots(stable, checks.dry)
     picked = [stable[key].isel(point=i) for key, i in lot]
     speeds, x, v = (
         jnp.asarray(np.reshape([p[name].values for p in picked], (-1, *shape)))

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from jaxchain.plotting.style import BLUE, ENERGY, GREY, ORANGE, PAGE_WIDTH, STYLE, SYMBOLS
-from jaxchain.studies.ladder.summary import branches_of
+from jaxchain.studies.ladder.report import branches_of
 
 HEIGHT = 6.2  # inches
 # What happens at a special point: marker and colour, in the order of the legend.
@@ -31,7 +31,7 @@ _COLOURS = (BLUE, "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "black")
 _ENDS = {"upper": "v", "lower": "^"}
 
 
-def figure(datasets: Mapping[str, xr.Dataset]) -> Figure:
+def draw(datasets: Mapping[str, xr.Dataset]) -> Figure:
     """Three panels.
 
     (a) E of all branches over the belt speed, stable solid and unstable dashed, the ensemble's

@@ -33,8 +33,8 @@ def run(
     from tqdm import tqdm
 
     from jaxchain.scenes.storage import save, save_drawing
-    from jaxchain.studies.ladder.figure import figure
-    from jaxchain.studies.ladder.summary import summary
+    from jaxchain.studies.ladder.figure import draw
+    from jaxchain.studies.ladder.report import summary
 
     datasets: dict[str, Dataset] = {}
     with tqdm(desc=name, unit="point", disable=not progress) as bar:
@@ -48,7 +48,7 @@ def run(
                 raise KeyboardInterrupt
     report(summary(datasets))
     if plot:
-        save_drawing(lambda: figure(datasets), folder / name)
+        save_drawing(lambda: draw(datasets), folder / name)
     return datasets
 
 

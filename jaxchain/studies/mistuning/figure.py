@@ -49,7 +49,7 @@ def rows(datasets: Mapping[str, xr.Dataset]) -> list[Row]:
     return sorted(found, key=lambda row: (row.speed, row.coupling))
 
 
-def figure(datasets: Mapping[str, xr.Dataset]) -> Figure:
+def draw(datasets: Mapping[str, xr.Dataset]) -> Figure:
     """Six panels.
 
     (a) Participation ratio over the disorder, and that of the linear modes.  (b) The same for

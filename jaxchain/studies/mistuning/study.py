@@ -36,8 +36,8 @@ def run(
     from jaxchain.scenes.storage import save, save_drawing
     from jaxchain.studies.mistuning.analysis import add_drift, analyse, frequencies
     from jaxchain.studies.mistuning.ensembles import run_ensemble, run_locking
-    from jaxchain.studies.mistuning.figure import figure
-    from jaxchain.studies.mistuning.summary import summary
+    from jaxchain.studies.mistuning.figure import draw
+    from jaxchain.studies.mistuning.report import summary
 
     datasets: dict[str, Dataset] = {}
 
@@ -62,5 +62,5 @@ def run(
     keep("locking", frequencies(found, study.locking.belt_speed))
     report(summary(datasets))
     if plot:
-        save_drawing(lambda: figure(datasets), folder / name)
+        save_drawing(lambda: draw(datasets), folder / name)
     return datasets

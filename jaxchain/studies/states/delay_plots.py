@@ -14,7 +14,7 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.ticker import MaxNLocator
 
 from jaxchain.plotting.style import GREY, ORANGE
-from jaxchain.studies.states.summary import state_name
+from jaxchain.studies.states.report import state_name
 
 DELAY = r"delay $\phi_n$ (1/$\omega_n$)"
 # As many delays of one mass in a picture say no less than all of them.

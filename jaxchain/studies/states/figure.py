@@ -18,13 +18,13 @@ from jaxchain.plotting.groups import NONSMOOTH
 from jaxchain.plotting.style import BLUE, GREY, ORANGE, PAGE_WIDTH, STYLE
 from jaxchain.studies.states.delay_plots import draw_delays, draw_orbit_diagram
 from jaxchain.studies.states.motion_plots import draw_phase_plots, draw_time_series
-from jaxchain.studies.states.summary import vibrating
+from jaxchain.studies.states.report import vibrating
 
 # Inches; of a page that shows one panel only, and of one beside another.
 _CIRCLES_ALONE = 5.4
 
 
-def figure(datasets: Mapping[str, xr.Dataset], panels: Sequence[str]) -> Figure:
+def draw(datasets: Mapping[str, xr.Dataset], panels: Sequence[str]) -> Figure:
     """All panels; circles and orbit diagram share a row, everything else has its own."""
     data, truth = datasets["states"], datasets.get("states" + NONSMOOTH)
     rows = _rows(panels)
@@ -45,8 +45,8 @@ def figure(datasets: Mapping[str, xr.Dataset], panels: Sequence[str]) -> Figure:
                 shares = {"width_ratios": [1.2, 1.0]} if len(row) > 1 else {}
                 axes = np.ravel(part.subplots(1, len(row), **shares))
                 for own, panel in zip(axes, row, strict=True):
-                    draw = draw_circles if panel == "circles" else draw_orbit_diagram
-                    draw(own, data, truth)
+                    draw_panel = draw_circles if panel == "circles" else draw_orbit_diagram
+                    draw_panel(own, data, truth)
                     if len(row) > 1 or len(rows) > 1:
                         own.set_title(f"({next(letters)})", loc="left", fontweight="bold")
     return page

@@ -15,7 +15,7 @@ from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
 from jaxchain.plotting.style import GREY, RED
-from jaxchain.studies.states.summary import state_name, vibrating
+from jaxchain.studies.states.report import state_name, vibrating
 
 DISPLACEMENT, VELOCITY = r"displacement $\tilde x_n$ (–)", r"velocity $\dot{\tilde x}_n$ (–)"
 _TIME = ListedColormap(matplotlib.colormaps["viridis"](np.linspace(0.0, 0.8, 64)))

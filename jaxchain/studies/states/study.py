@@ -34,10 +34,10 @@ def run(
     from jaxchain.scenes.errors import SceneError
     from jaxchain.scenes.running import models
     from jaxchain.scenes.storage import save, save_drawing
-    from jaxchain.studies.states.figure import figure
+    from jaxchain.studies.states.figure import draw
     from jaxchain.studies.states.phases import add_delays
+    from jaxchain.studies.states.report import summary
     from jaxchain.studies.states.runs import run_states, time_series
-    from jaxchain.studies.states.summary import summary
     from jaxchain.sweeps.sweeping import SweepInterrupted
 
     part, panels = study.states, study.panels
@@ -81,5 +81,5 @@ def run(
         if interrupt is not None:
             raise interrupt
     if plot:
-        save_drawing(lambda: figure(datasets, panels), folder / name)
+        save_drawing(lambda: draw(datasets, panels), folder / name)
     return datasets

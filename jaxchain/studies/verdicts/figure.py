@@ -32,7 +32,7 @@ LOWEST = -1e-1
 _EXPONENT = r"exponent $\lambda$ (–)"
 
 
-def figure(datasets: Mapping[str, xr.Dataset]) -> Figure:
+def draw(datasets: Mapping[str, xr.Dataset]) -> Figure:
     """A panel of exponents for each case, and one of how a symmetry is lost.
 
     Of a periodic state the slowest exponent of its orbit, by which it attracts, of any other the

@@ -34,7 +34,7 @@ def run(
     **Raises:** `jaxchain.scenes.errors.FigureError`.
     """
     from jaxchain.scenes.storage import save, save_drawing
-    from jaxchain.studies.verdicts.figure import figure
+    from jaxchain.studies.verdicts.figure import draw
     from jaxchain.studies.verdicts.runs import run_case
 
     datasets: dict[str, Dataset] = {}
@@ -47,7 +47,7 @@ def run(
         datasets[key] = data
         report(summary({key: data}))
     if plot:
-        save_drawing(lambda: figure(datasets), folder / name)
+        save_drawing(lambda: draw(datasets), folder / name)
     return datasets
 
 

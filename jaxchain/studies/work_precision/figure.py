@@ -27,7 +27,7 @@ LOOKS = {
 OWN = ("event-driven", "Rodas5P", "Rodas4")
 
 
-def figure(data: xr.Dataset) -> Figure:
+def draw(data: xr.Dataset) -> Figure:
     """Run time of a lane over the error, one panel for each number of lanes.
 
     Of each approach only the settings are drawn that no other of its own settings beats.

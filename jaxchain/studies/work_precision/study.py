@@ -49,7 +49,7 @@ def run(
 ) -> dict[str, xr.Dataset]:
     """Measures, saves `folder`/`name`, and reports who wins at which error."""
     from jaxchain.scenes.storage import save, save_drawing
-    from jaxchain.studies.work_precision.figure import figure
+    from jaxchain.studies.work_precision.figure import draw
 
     settings: list[Setting] = []
     notes: list[str] = []
@@ -62,7 +62,7 @@ def run(
     save(data, folder / name, None)
     report("\n".join([summary(data), *notes]))
     if plot:
-        save_drawing(lambda: figure(data), folder / name)
+        save_drawing(lambda: draw(data), folder / name)
     return {name: data}
 
 

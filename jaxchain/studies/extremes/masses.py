@@ -19,7 +19,7 @@ from jaxchain.observers.amplitude import Amplitude
 from jaxchain.result import NAMES, STOPPED_WELL
 from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.simulation.run import Simulation, simulate
-from jaxchain.studies.extremes.judge import Answer, Case
+from jaxchain.studies.extremes.judging import Answer, Case
 from jaxchain.studies.extremes.table import Group, Model, Study
 from jaxchain.studies.extremes.witnesses import Oscillator, linear_chain
 from jaxchain.sweeps.sweeping import sweep
@@ -33,8 +33,8 @@ BIAS = 6.0
 NARROWEST_WITNESS = 1e-6
 
 
-def cases(study: Study) -> list[Case]:
-    """Every case of the study, in the order of its table."""
+def mass_cases(study: Study) -> list[Case]:
+    """Every case of the study with one or two masses, in the order of its table."""
     return [
         *_families(study), *_single(), *_starts(), *_times(study), *_numbers(), *_ensembles(),
     ]  # fmt: skip
