@@ -11,7 +11,8 @@ from jaxchain.scenes.errors import SceneError
 from jaxchain.scenes.reading import load_scene
 from jaxchain.studies.boundaries import curves as boundaries_curves
 from jaxchain.studies.boundaries.figure import draw
-from jaxchain.studies.boundaries.study import run, summary
+from jaxchain.studies.boundaries.report import summary
+from jaxchain.studies.boundaries.study import run
 
 SMALL = [
     "damping_ratio={start=0.05,stop=0.3,count=2}",

@@ -19,8 +19,9 @@ from jaxchain.studies.verdicts.figure import (
 )
 from jaxchain.studies.verdicts.paper import CLAIMS, claim
 from jaxchain.studies.verdicts.reasons import agrees, why
+from jaxchain.studies.verdicts.report import summary
 from jaxchain.studies.verdicts.runs import to_dataset
-from jaxchain.studies.verdicts.study import run, summary
+from jaxchain.studies.verdicts.study import run
 from jaxchain.studies.verdicts.table import Case
 
 

@@ -9,7 +9,8 @@ import xarray as xr
 from jaxchain.scenes.errors import SceneError
 from jaxchain.scenes.reading import load_scene
 from jaxchain.scenes.running import run_scene
-from jaxchain.studies.work_precision.study import Setting, fastest, summary, to_dataset
+from jaxchain.studies.work_precision.report import fastest, summary
+from jaxchain.studies.work_precision.study import Setting, to_dataset
 from jaxchain.studies.work_precision.table import Study
 
 SMALL = """
