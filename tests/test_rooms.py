@@ -1,0 +1,39 @@
+"""The rooms of the package: none is too full, and no function hides the module it stands in."""
+
+import ast
+from collections import Counter
+from pathlib import Path
+
+import jaxchain
+
+PACKAGE = Path(jaxchain.__file__).parent
+MODULES = [
+    path
+    for path in sorted(PACKAGE.rglob("*.py"))
+    if path.name not in ("__init__.py", "__main__.py")
+]
+
+
+def names_of(tree):
+    """What a module defines at its top level."""
+    for node in tree.body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            yield node.name
+        elif isinstance(node, ast.Assign | ast.AnnAssign):
+            for part in ast.walk(node):
+                if isinstance(part, ast.Name) and isinstance(part.ctx, ast.Store):
+                    yield part.id
+
+
+def test_no_module_bears_the_name_of_a_name_in_it():
+    hidden = [
+        str(path.relative_to(PACKAGE))
+        for path in MODULES
+        if path.stem in names_of(ast.parse(path.read_text(encoding="utf-8")))
+    ]
+    assert not hidden
+
+
+def test_no_folder_holds_more_than_16_modules():
+    folder, count = Counter(path.parent for path in MODULES).most_common(1)[0]
+    assert count <= 16, folder
