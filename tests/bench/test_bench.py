@@ -16,6 +16,7 @@ from jaxchain.bench import peers
 from jaxchain.bench import rows_ensembles as ensembles
 from jaxchain.bench import rows_solvers as solvers
 from jaxchain.bench.compiled_step import compiled_steps
+from jaxchain.bench.equal_error import error_of, scan
 from jaxchain.bench.rows_steps import plain_steps
 from jaxchain.bench.timing import Bar, Row, Sample, format_row, format_table, in_turn
 
@@ -118,14 +119,12 @@ def test_a_setting_counts_only_if_the_next_tighter_one_holds_too():
     def solve(rtol):
         return np.full((2, 3), errors[rtol])
 
-    settings = solvers.scan(
-        "lucky at 1e-3", solve, np.zeros((2, 3)), 1e-5, tolerances=list(errors)
-    )
+    settings = scan("lucky at 1e-3", solve, np.zeros((2, 3)), 1e-5, tolerances=list(errors))
     assert [s.rtol for s in settings] == [1e-5, 1e-6]
 
 
 def test_a_failed_run_has_an_infinite_error():
-    assert solvers.error_of(np.array([[np.nan, 0.0]]), np.zeros((1, 2))) == np.inf
+    assert error_of(np.array([[np.nan, 0.0]]), np.zeros((1, 2))) == np.inf
 
 
 @pytest.fixture(scope="module")
@@ -215,7 +214,7 @@ def test_the_stock_solvers_solve_the_same_problem(monkeypatch):
         jax.jit(solvers.stock(solver))(chain, initial, 1e-6, (0.4, 0.3))
         for solver in (diffrax.Tsit5(), diffrax.KenCarp3())
     )
-    assert solvers.error_of(explicit, split) < 1e-4
+    assert error_of(explicit, split) < 1e-4
 
 
 def test_half_of_the_mixed_starts_rest_but_for_a_kick():
