@@ -1,165 +1,18 @@
-"""What the speed of fronts and the belt speeds at which they come unstuck should be.
-
-With x_n = Re a_n exp(i w t), weak coupling and slow amplitudes,
-
-    a_n' = -g(|a_n|) a_n - i D a_n - (i eta / 2) (a_{n-1} + a_{n+1}),      D = w - (1 + eta),
-
-where g(r) = xi - (1 / r) <F cos> is the damping of a vibration of amplitude r (`averaging.gain`).
-"""
+"""The edges that the theory of fronts predicts, as curves over belt speed and coupling."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
-from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from jaxchain.boundaries.grazing import nonsmooth_fold_belt_speed
 from jaxchain.boundaries.hopf import hopf_belt_speed
-from jaxchain.cycles.averaging import gain
+from jaxchain.localization.front_theory import death_belt_speed, growth_coupling, single_cycle
 from jaxchain.model.chain import Chain
-from jaxchain.model.initial_states import excited_state
-from jaxchain.observers.amplitude import Amplitude
-from jaxchain.observers.peaks import PeakTimes
-from jaxchain.simulation.event_driven import EventDriven
-from jaxchain.simulation.run import simulate
-
-_HALVINGS = 40
-# Quiet masses that the response is computed for, and its time: some multiples of 1 / damping.
-_QUIET, _STEPS, _STEP = 4, 1500, 1.0
-
-
-def spreading_speed(coupling: Any, growth: Any) -> Float[Array, "*batch"]:
-    """u of the front of a small vibration that grows at rate s: linear spreading, s >= 0.
-
-    Sliding amplifies at the same rate at all wavenumbers, so the amplitude at distance n is
-    exp(s t) J_n(eta t); at n = u t it neither grows nor decays if
-
-        u [arcosh(u / eta) - sqrt(1 - eta^2 / u^2)] = s,      u >= eta,
-
-    which is u = eta, the greatest group velocity, at the Hopf speed, and s / ln(2 u / (e eta)) for
-    vanishing coupling: nearly independent of it.  A front that starts from a block reaches it as
-    u - 3 / (2 t arcosh(u / eta)).
-
-    Source: W. van Saarloos, Front propagation into unstable states, Physics Reports 386, 29
-    (2003).
-
-    >>> import jax
-    >>> jax.config.update("jax_enable_x64", True)
-    >>> from jaxchain.studies.fronts.prediction import spreading_speed
-    >>> round(float(spreading_speed(0.01, 0.0)), 6), round(float(spreading_speed(0.01, 0.01)), 5)
-    (0.01, 0.02073)
-    """
-    eta, s = jnp.asarray(coupling, float), jnp.asarray(growth, float)
-
-    def rate(u: Array) -> Array:
-        ratio = jnp.maximum(u / eta, 1.0)
-        return u * (jnp.arccosh(ratio) - jnp.sqrt(1.0 - 1.0 / ratio**2))
-
-    def halve(_: Any, ends: tuple[Array, Array]) -> tuple[Array, Array]:
-        low, high = ends
-        middle = 0.5 * (low + high)
-        below = rate(middle) < s
-        return jnp.where(below, middle, low), jnp.where(below, high, middle)
-
-    # At u = 4 eta + s the bracket is more than 1.
-    low, high = lax.fori_loop(0, 60, halve, (eta, 4.0 * eta + s))
-    return jnp.where(s < 0, jnp.nan, 0.5 * (low + high))
-
-
-def growth_rate(chain: Chain) -> Float[Array, ""]:
-    """Of a small vibration about steady sliding, (dF/dv - 2 xi) / 2; chain of equal masses."""
-    zero = jnp.zeros(chain.n)
-    _, slopes = chain.local_force_and_slopes(0.0, zero, zero)
-    return 0.5 * slopes.velocity[0]
-
-
-def single_cycle(chain: Chain) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """(w - 1, A) of the stick-slip cycle of one mass with dry friction; `chain` is one mass."""
-    first = simulate(
-        chain, excited_state(chain, 1), 200.0, solver=EventDriven(), rtol=1e-7, throw=False
-    )
-    observe = PeakTimes(40), Amplitude()
-    run = simulate(
-        chain, first.state, 220.0, solver=EventDriven(), rtol=1e-7, observe=observe, throw=False
-    )
-    peaks, amplitude = run.observed
-    return 2.0 * jnp.pi * 30 / (peaks[31, 0] - peaks[1, 0]) - 1.0, amplitude[0]
-
-
-def growth_coupling(
-    chain: Chain, detuning: Any, amplitude: Any, cosine: Any, highest: Any = 0.2
-) -> Float[Array, ""]:
-    """The coupling above which the quiet neighbour of a block is drawn in.
-
-    The last mass of the block vibrates with its `amplitude` at 1 + detuning + eta (1 - cosine/2),
-    `cosine` that of its phase to the next mass of the block: 0 where phases drift past each other,
-    -1 for the worst.  From rest, the response of the quiet masses stays low as long as there is a
-    low one; where it folds, they reach the belt speed.  `chain` is one mass.
-    """
-    speed = chain.belt_speed
-    ratios = jnp.linspace(1e-3, 1.0, 200)
-    dampings = -jax.vmap(lambda r: gain(chain, r, speed))(ratios) / (ratios * speed)
-
-    def slope(a: Array, eta: Array) -> Array:
-        damping = jnp.interp(jnp.abs(a) / speed, ratios, dampings)
-        padded = jnp.concatenate([jnp.full(1, amplitude, complex), a, jnp.zeros(1, complex)])
-        drive = 0.5j * eta * (padded[:-2] + padded[2:])
-        return -(damping + 1j * (detuning - 0.5 * eta * cosine)) * a - drive
-
-    def drawn_in(eta: Array) -> Array:
-        def step(carry: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], None]:
-            a, most = carry
-            k1 = slope(a, eta)
-            k2 = slope(a + 0.5 * _STEP * k1, eta)
-            k3 = slope(a + 0.5 * _STEP * k2, eta)
-            k4 = slope(a + _STEP * k3, eta)
-            a = a + _STEP / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-            # Beyond the belt speed a mass sticks, and the damping here means nothing.
-            most = jnp.maximum(most, jnp.abs(a[0]))
-            return (jnp.where(most > speed, 0.0, a), most), None
-
-        start = jnp.zeros(_QUIET, complex), jnp.zeros(())
-        (_, most), _ = lax.scan(step, start, None, length=_STEPS)
-        return most > speed
-
-    def halve(_: Any, ends: tuple[Array, Array]) -> tuple[Array, Array]:
-        low, high = ends
-        middle = jnp.sqrt(low * high)
-        drawn = drawn_in(middle)
-        return jnp.where(drawn, low, middle), jnp.where(drawn, middle, high)
-
-    low, high = lax.fori_loop(0, 12, halve, (jnp.asarray(1e-4), jnp.asarray(highest, float)))
-    return jnp.sqrt(low * high)
-
-
-def death_belt_speed(chain: Chain, coupling: Any, detuning: Any) -> Float[Array, ""]:
-    """The belt speed above which the last mass of a block dies when its phase is at its worst.
-
-    Where it leads the next mass of the block by a quarter of a period, the spring between them
-    takes from it what a damping of eta / 2 would; the quiet chain on its other side takes
-
-        Re [sqrt(z^2 + eta^2) - z] / 2,      z = g(0) + i detuning;
-
-    vibration of one mass with that much more damping ends at the fold.  `chain` is one mass.
-    """
-    eta = jnp.asarray(coupling, float)
-
-    def of(speed: Array) -> Array:
-        z = -growth_rate(chain.with_(belt_speed=speed)) + 1j * detuning
-        leak = 0.5 * jnp.real(jnp.sqrt(z**2 + eta**2) - z)
-        return nonsmooth_fold_belt_speed(
-            chain.with_(damping_ratio=chain.damping_ratio + 0.5 * eta + leak)
-        )
-
-    # The leak hardly depends on the belt speed: a few repetitions settle it.
-    speed = of(jnp.asarray(1.7))
-    return of(of(speed))
 
 
 def predicted(chain: Chain, highest: float, points: int = 41) -> xr.Dataset:
@@ -182,7 +35,9 @@ def predicted(chain: Chain, highest: float, points: int = 41) -> xr.Dataset:
     couplings = np.geomspace(1e-3, 0.05, points)
     # Where masses die the detuning hardly depends on the belt speed.
     late = float(np.interp(0.93 * highest, speeds, np.asarray(detuning)))
-    death = jax.jit(jax.vmap(lambda eta: death_belt_speed(chain, eta, late)))
+    death = jax.jit(
+        jax.vmap(lambda eta: death_belt_speed(chain, eta, late, nonsmooth_fold_belt_speed))
+    )
     return xr.Dataset(
         {
             "growth_coupling": (("curve", "cosine"), np.asarray(threshold)),
