@@ -7,10 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
+from jaxchain.localization.capture_theory import capture_interval
 from jaxchain.localization.mistuning import LinearModes, linear_modes
 from jaxchain.model.initial_states import reference_site
 from jaxchain.observers.quantities import active, participation_ratio
-from jaxchain.studies.mistuning.capture import capture_interval, count_captures, vibrating
+from jaxchain.studies.mistuning.capture import count_captures, vibrating
 from jaxchain.studies.mistuning.ensembles import base_chain, random_half, stiffness_pattern
 from jaxchain.studies.mistuning.statistics import bootstrap_mean, correlation, wilson
 from jaxchain.studies.mistuning.table import Ensemble, Study
