@@ -52,8 +52,13 @@ def test_a_scene_is_named_after_its_file_and_swept_in_its_order(scene_file):
 
 
 @pytest.mark.parametrize("name", builtin_scenes())
-def test_every_built_in_scene_is_valid(name):
-    assert load_scene(name).name == name
+def test_every_built_in_scene_is_valid_and_so_is_a_copy_of_it(name, tmp_path):
+    loaded = load_scene(name)
+    assert loaded.name == name
+    copy = tmp_path / "my.own.toml"
+    copy.write_text(builtin_scenes()[name].read_text(encoding="utf-8"), encoding="utf-8")
+    assert load_scene(str(copy)).scene == loaded.scene
+    assert load_scene(str(copy)).name == "my.own"
 
 
 def test_fig3_holds_the_experiment_of_the_paper():
