@@ -1,1 +1,12 @@
-"""`jaxchain bench`: the speed promises as a table."""
+"""The speed of this machine: the performance promises as a table.
+
+- `command`: `jaxchain bench`
+- `compiled_step`: one Rosenbrock step in C, to see how far the step is from it
+- `equal_error`: solvers at equal error, each with its best tolerance
+- `peers`: LSODA and CVODE with compiled right side and Jacobian
+- `rows_ensembles`: rows about many lanes
+- `rows_size`: the row about long chains
+- `rows_solvers`: rows about one integration
+- `rows_steps`: rows about what a step is made of, and what an import costs
+- `timing`: measuring in turn, and tables of it
+"""

@@ -1,5 +1,7 @@
 """Localized states: patterns of phases, fronts, and what mistuning does.
 
+- `capture_theory`: which quiet neighbour a vibrating mass draws in
+- `front_theory`: what the speed of fronts should be, with no fitted number
 - `fronts`: how fast fronts of a vibrating block move, and where they come unstuck
 - `mistuning`: chains of unequal masses, and their linear modes
 - `patterns`: the patterns in which phases lock: guesses for cycles

@@ -1,1 +1,16 @@
-"""Pictures: sweeps, the model, films."""
+"""Pictures: figures of sweeps, drawings of the model, films.
+
+- `animation`: a chain in motion: animations, GIFs, strips of stills
+- `chain_artist`: what moves in an animation
+- `diagram`: what a bifurcation diagram shows beside its points
+- `films`: who sticks when, and loops that close
+- `friction`: the friction law as a drawing
+- `groups`: which datasets of a scene are the same sweep, smoothed and dry
+- `model`: the chain on its belt as a drawing
+- `style`: page width, colours, symbols, files of figures
+- `sweeps`: figures of sweeps: amplitude or energy over what was swept
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

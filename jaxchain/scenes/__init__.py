@@ -1,1 +1,18 @@
-"""Experiments as TOML files: checked, run, saved."""
+"""Experiments as TOML files: read, checked, run, saved.  Reading and checking needs no JAX.
+
+- `building`: chain, initial state and solver from the tables of an experiment
+- `errors`: what may go wrong with a scene or a study
+- `files`: the TOML files: found and read
+- `reading`: `load_scene`: a file read and checked
+- `registry`: studies: what one is, and how one is found
+- `report`: what a run found, in a few lines
+- `running`: `run_scene`: experiments to datasets to a folder
+- `scene`: what an experiment is, as data
+- `storage`: the folder of results
+- `tables`: the tables a scene file is made of
+- `wording`: words for what is wrong in a scene file
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,1 +1,12 @@
-"""Studies: questions that are no single sweep; each is a folder, see `scenes/registry.py`."""
+"""Questions that take more than one sweep; each is a folder, as `scenes/registry.py` says.
+
+- `boundaries`: both boundaries over damping, friction, coupling and width
+- `crosscheck`: smoothed against true dry friction: the error over the width
+- `extremes`: stiff and extreme cases, each right by its own witness or refused
+- `fronts`: when a vibrating block grows, stands or shrinks, and how fast
+- `ladder`: the branches of cycles behind the ladder of states
+- `mistuning`: rings of random stiffness
+- `states`: the paper's Figures 4 to 10
+- `verdicts`: which of the paper's states are regular, which chaotic
+- `work_precision`: error over run time, for the solvers here and for others
+"""

@@ -1,0 +1,11 @@
+from .animation import animate as animate
+from .animation import film_strip as film_strip
+from .animation import save_gif as save_gif
+from .films import loop as loop
+from .films import sticking as sticking
+from .friction import draw_friction as draw_friction
+from .model import draw_mechanism as draw_mechanism
+from .model import draw_model as draw_model
+from .style import save_figure as save_figure
+from .sweeps import figure as figure
+from .sweeps import figure_3 as figure_3

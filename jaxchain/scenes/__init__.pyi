@@ -1,0 +1,13 @@
+from .errors import FigureError as FigureError
+from .errors import SceneError as SceneError
+from .errors import StudyFailedError as StudyFailedError
+from .files import builtin_scenes as builtin_scenes
+from .reading import LoadedScene as LoadedScene
+from .reading import load_scene as load_scene
+from .reading import schema as schema
+from .registry import StudyTable as StudyTable
+from .running import run_experiment as run_experiment
+from .running import run_scene as run_scene
+from .scene import Experiment as Experiment
+from .scene import Scene as Scene
+from .storage import new_folder as new_folder
