@@ -268,11 +268,10 @@ def test_every_law_of_a_scene_takes_the_numbers_of_its_class():
         assert set(table.model_fields) - {"law", "width"} == set(fields)
 
 
-@pytest.fixture
-def found(monkeypatch):
+def replace_search(monkeypatch, fold, fold_limit, fold_limit_error):
     """Replaces the search of `jaxchain boundary`; a list of the chains that were asked for."""
     asked = []
-    values = (1.2, 1.2, 1e-12, np.nan, 1.85, 1e-10, np.nan, np.nan)
+    values = (1.2, 1.2, 1e-12, fold, 1.85, 1e-10, fold_limit, fold_limit_error)
 
     def search(chain):
         asked.append(chain)
@@ -282,12 +281,19 @@ def found(monkeypatch):
     return asked
 
 
+@pytest.fixture
+def found(monkeypatch):
+    return replace_search(monkeypatch, np.nan, np.nan, np.nan)
+
+
 def test_boundary_prints_one_object_with_null_for_what_is_missing(workplace, found, capsys):
     assert main(["boundary", "--json", "--n", "3", "--width", "0.02", "--v-ref=0.4"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert (told["hopf"], told["fold"], told["fold_nonsmooth"]) == (1.2, None, 1.85)
     assert told["fold_nonsmooth_error"] == 1e-10
+    assert told["fold_limit"] is told["fold_limit_error"] is None
     assert set(told["missing"]) == {"fold", "fold_limit"}
+    assert "at this width" in told["missing"]["fold"]
     assert told["parameters"] == {
         "n": 3, "width": 0.02, "damping_ratio": 0.05, "coupling": 0.01, "mu_static": 1.0,
         "mu_dynamic": 0.5, "v_ref": 0.4,
@@ -300,7 +306,25 @@ def test_boundary_without_options_is_one_mass_of_the_paper(workplace, found, cap
     assert main(["boundary"]) == 0
     (chain,) = found
     assert (chain.n, chain.coupling, float(chain.friction.width)) == (1, None, 1e-3)
-    assert "1.850000000 ± 1e-10" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "1.850000000 ± 1e-10" in said
+    assert "fold: no fold was found" in said
+    assert "moves the fold" not in said
+
+
+def test_in_words_every_boundary_has_its_value_its_limit_and_its_bar(
+    workplace, monkeypatch, capsys
+):
+    replace_search(monkeypatch, 1.8, 1.8501, 1e-3)
+    assert main(["boundary"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    hopf, fold = (next(line for line in lines if line.startswith(k)) for k in ("Hopf", "fold"))
+    assert "1.200000000" in hopf
+    assert "± 1e-12" in hopf
+    assert "1.800000000" in fold
+    assert "1.850000000 ± 1e-10" in fold
+    assert "From 1.2000 to 1.8500 it depends on the start" in lines[4]
+    assert "-2.7 %" in lines[5]
 
 
 def test_ctrl_c_ends_boundary_without_a_traceback(workplace, monkeypatch, capsys):

@@ -11,22 +11,13 @@ from scipy.optimize import brentq, fsolve
 from jaxchain import Amplitude, EventDriven, hopf_belt_speed, paper_chain, simulate
 from jaxchain.boundaries import find_fold
 from jaxchain.boundaries.bautin import generalised_hopf
-from jaxchain.boundaries.overview import Boundaries, hopf_and_fold, in_words, missing, report
+from jaxchain.boundaries.overview import hopf_and_fold
 from jaxchain.boundaries.single_mass import dry_slip_branch, one_mass_branch
 from jaxchain.studies.crosscheck.cycles import on_the_belt
 
 WIDTH = 1e-2
 # The grazing fold of the paper's set, from an independent continuation of slip cycles.
 DRY_FOLD = 1.836600972208
-
-
-def made_up(**changes):
-    values = {
-        "hopf": 1.2, "hopf_nonsmooth": 1.2, "hopf_nonsmooth_error": 1e-12, "fold": 1.8,
-        "fold_nonsmooth": 1.85, "fold_nonsmooth_error": 1e-10, "fold_limit": 1.8501,
-        "fold_limit_error": 1e-3,
-    }  # fmt: skip
-    return Boundaries(**{k: jnp.asarray(v) for k, v in (values | changes).items()}, mass=0)
 
 
 @pytest.fixture(scope="module")
@@ -42,33 +33,7 @@ def test_the_boundaries_of_the_paper(found):
     np.testing.assert_allclose(found.fold, 1.792455775, rtol=1e-9)
     assert abs(found.fold_nonsmooth - DRY_FOLD) <= found.fold_nonsmooth_error < 1e-9
     assert abs(found.fold_limit - DRY_FOLD) <= found.fold_limit_error < 1e-3
-    assert missing(found) == {}
-
-
-def test_what_is_missing_is_null_and_has_a_reason():
-    nan = jnp.asarray(jnp.nan)
-    found = made_up(fold=nan, fold_limit=nan, fold_limit_error=nan)
-    chain = paper_chain(20)
-    told = report(chain, found)
-    assert told["fold"] is told["fold_limit"] is told["fold_limit_error"] is None
-    assert set(told["missing"]) == {"fold", "fold_limit"}
-    assert "at this width" in told["missing"]["fold"]
-    assert told["fold_nonsmooth"] == 1.85
-    assert told["parameters"]["coupling"] == 0.01
-    words = in_words(chain, found)
-    assert "fold: no fold was found" in words
-    assert "moves the fold" not in words
-
-
-def test_in_words_every_boundary_has_its_value_its_limit_and_its_bar():
-    lines = in_words(paper_chain(1), made_up()).splitlines()
-    hopf, fold = (next(line for line in lines if line.startswith(k)) for k in ("Hopf", "fold"))
-    assert "1.200000000" in hopf
-    assert "± 1e-12" in hopf
-    assert "1.800000000" in fold
-    assert "1.850000000 ± 1e-10" in fold
-    assert "From 1.2000 to 1.8500 it depends on the start" in lines[4]
-    assert "-2.7 %" in lines[5]
+    assert all(np.isfinite(jax.tree.leaves(found)))
 
 
 def test_a_mass_that_is_none_of_the_chain_is_refused():
