@@ -21,7 +21,7 @@ ROWS = {
     "devices": "two CPU devices against one, 512 lanes",
     "dry": "smoothed friction against true dry friction, 64 lanes",
     "mixed": "a sweep of quiet and stick-slip lanes against plain vmap(diffeqsolve)",
-    "import": "import jaxchain beyond jax and diffrax",
+    "import": "import jaxchain beyond jax and diffrax, and the command without JAX",
     "profile": "what a step is made of, and how far it is from a C loop",
 }
 

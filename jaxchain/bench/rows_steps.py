@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -25,36 +26,59 @@ from jaxchain.simulation.accuracy import choose_solver
 from jaxchain.simulation.run import simulate
 
 _STEP = 0.02
+# What an import costs an interpreter that has imported jax and diffrax.
 _IMPORT = """
 import time, diffrax, jax
 start = time.perf_counter()
-import jaxchain
+{}
 print(time.perf_counter() - start)
 """
 
 
 def import_row(repeats: int) -> list[Row]:
-    """`import jaxchain` in a fresh interpreter that has imported jax and diffrax."""
+    """What stands before the first result: imports, and the command that needs no JAX."""
 
-    def once() -> float:
-        command = [sys.executable, "-c", _IMPORT]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        if done.returncode != 0:
-            raise PeerMissingError(f"failed: {done.stderr.strip().splitlines()[-1]}")
-        return float(done.stdout.split()[-1])
+    def seconds(code: str) -> float:
+        return float(_run("-c", _IMPORT.format(code)).split()[-1])
 
-    once()  # the first one may have to compile the package's files
-    sample = Sample(tuple(once() for _ in range(repeats)))
+    def whole(argument: str) -> float:
+        start = time.perf_counter()
+        _run("-m", "jaxchain", argument)
+        return time.perf_counter() - start
+
+    def sample(measure: Callable[[str], float], what: str) -> Sample:
+        measure(what)  # the first one may have to compile the package's files
+        return Sample(tuple(measure(what) for _ in range(repeats)))
+
+    door, one = (sample(seconds, c) for c in ("import jaxchain", "from jaxchain import simulate"))
+    usage, scenes = (sample(whole, argument) for argument in ("--help", "scenes"))
     return [
         Row(
             "import",
             "import jaxchain beyond jax and diffrax",
-            {"import jaxchain": sample},
-            sample,
+            {"import jaxchain": door, "from jaxchain import simulate": one},
+            door,
+            unit="s",
+            bar=Bar("at most", 0.05),
+        ),
+        Row(
+            "import",
+            "the command without JAX: jaxchain --help, jaxchain scenes",
+            {"jaxchain --help": usage, "jaxchain scenes": scenes},
+            max(usage, scenes, key=lambda found: found.median),
             unit="s",
             bar=Bar("at most", 0.3),
-        )
+        ),
     ]
+
+
+def _run(*arguments: str) -> str:
+    done = subprocess.run(
+        [sys.executable, *arguments], capture_output=True, text=True, check=False
+    )
+    if done.returncode != 0:
+        raise PeerMissingError(f"failed: {done.stderr.strip().splitlines()[-1]}")
+    return done.stdout
 
 
 def plain_steps(solver: Any) -> Callable[..., Any]:
