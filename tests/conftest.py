@@ -3,19 +3,26 @@
 import atexit
 import os
 import shutil
+import subprocess
+import sys
 import tempfile
+from pathlib import Path
 
-# Compiling is most of the time. What one worker, or a process that a test starts, has compiled
-# serves the others; nothing is kept, unless JAX_COMPILATION_CACHE_DIR names a folder for it. JAX
-# reads this when it is imported, and workers take it over from the process that starts them.
-if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-    _programs = tempfile.mkdtemp(prefix="jaxchain-tests-")
-    os.environ["JAX_COMPILATION_CACHE_DIR"] = _programs
-    atexit.register(shutil.rmtree, _programs, ignore_errors=True)
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.05")
+# Compiling is most of the time, and most programs run for a moment only: a compiler that does not
+# optimize takes a quarter of the time, and the numbers differ in the last digits. Whoever sets
+# XLA_FLAGS decides: with `XLA_FLAGS= pytest` the tests see what users see. A jaxlib that does not
+# know a flag ends the process, so another one asks. Workers, and the processes that tests start,
+# take over what the first process has found.
+if "XLA_FLAGS" not in os.environ and "JAX_PLATFORMS" not in os.environ:
+    flags = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
+    asked = subprocess.run(
+        [sys.executable, "-c", "from jaxlib import xla_client; xla_client.make_cpu_client()"],
+        env=os.environ | {"XLA_FLAGS": flags}, capture_output=True,
+    )  # fmt: skip
+    os.environ["XLA_FLAGS"] = flags if asked.returncode == 0 else ""
 
 import jax
-import matplotlib
+import matplotlib as mpl
 import pytest
 from jaxtyping import install_import_hook
 
@@ -27,10 +34,44 @@ if "JAX_PLATFORMS" not in os.environ:
 jax.config.update("jax_num_cpu_devices", 2)
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
-matplotlib.use("Agg")
+mpl.use("Agg")
+# No test looks at how fine a picture is, unless it says so.
+mpl.rcParams["figure.dpi"] = mpl.rcParams["savefig.dpi"] = 50
 
 # Only modules imported after this line are checked, so no test file may come before it.
 install_import_hook("jaxchain", "beartype.beartype")
+
+# What compiled programs may take: some fifteen times what all tests leave.
+MOST_BYTES = 2**29
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """What one run has compiled serves the next one."""
+    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+        os.environ["JAX_COMPILATION_CACHE_DIR"] = str(_programs(config))
+    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+    # JAX has read the variables when it was imported.
+    jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
+    least = float(os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"])
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", least)
+
+
+def _programs(config: pytest.Config) -> Path:
+    """A folder of pytest's cache, or one for this run only if there is none."""
+    cache = getattr(config, "cache", None)
+    try:
+        folder = cache.mkdir("programs") if cache else None
+        # JAX bounds a folder with another package only. Programs of old code are never asked for.
+        if folder and sum(file.stat().st_size for file in folder.iterdir()) > MOST_BYTES:
+            shutil.rmtree(folder)
+            folder.mkdir()
+    except OSError:
+        folder = None
+    if folder and os.access(folder, os.W_OK):
+        return folder
+    folder = tempfile.mkdtemp(prefix="jaxchain-tests-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return Path(folder)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
