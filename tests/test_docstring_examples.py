@@ -1,49 +1,81 @@
-"""Every example in a docstring runs and prints what it says."""
+"""Every example in a docstring or in the README runs, and prints what it says.
 
+Examples with prompts say what they print, and run with the quick tests.  One in a fence takes too
+long to wait for, and says nothing that could be compared: it runs with the long tests.
+"""
+
+import ast
 import doctest
 import importlib
 import pkgutil
+import re
+from importlib.util import find_spec
+from pathlib import Path
 
 import pytest
 
 import jaxchain
 
-MODULES = [
-    "jaxchain",
-    *(module.name for module in pkgutil.walk_packages(jaxchain.__path__, "jaxchain.")),
-]
-# Their examples compile the integration of a period and its tangents, each for some ten seconds.
-COSTLY = {
-    "boundaries.bistable",
-    "solvers.step_control",
-    "sweeps.sweeping",
-    "simulation.event_driven",
-    "boundaries.overview",
-    "cycles.search",
-    "cycles.guesses",
-    "inverse.optimal_design",
-    "boundaries.zero_width",
-    "cycles.floquet",
-    "boundaries.fold",
-    "boundaries.bautin",
-    "boundaries.grazing",
-    "boundaries.hopf",
-    "boundaries.descent",
-    "boundaries.hopf_scan",
-    "inverse.identification",
-    "boundaries.criticality",
-    "inverse.measurements",
-    "boundaries.single_mass",
-    "model.sliding",
+FENCE = re.compile(r"^( *)```python\n(.*?)^\1```", re.MULTILINE | re.DOTALL)
+README = Path(__file__).parents[1] / "README.md"
+
+
+def docstrings():
+    """(module, name, docstring) of all that has an example; read from the files.
+
+    A function that is compiled, or wrapped otherwise, hides its docstring from the interpreter.
+    """
+    for info in pkgutil.walk_packages(jaxchain.__path__, "jaxchain."):
+        spec = find_spec(info.name)
+        assert spec is not None
+        assert spec.origin is not None
+        text = Path(spec.origin).read_text(encoding="utf-8")
+        if ">>>" not in text and "```python" not in text:
+            continue
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
+                found = ast.get_docstring(node)
+                if found:
+                    yield info.name, getattr(node, "name", "module"), found
+
+
+def fenced(text):
+    """The code of each fence, without its indentation."""
+    for indent, code in FENCE.findall(text):
+        yield "".join(line.removeprefix(indent) for line in code.splitlines(keepends=True))
+
+
+DOCSTRINGS = list(docstrings())
+PROMPTS = {
+    f"{module.removeprefix('jaxchain.')}.{name}": (module, test)
+    for module, name, text in DOCSTRINGS
+    if (test := doctest.DocTestParser().get_doctest(text, {}, name, module, 0)).examples
 }
+FENCES = {
+    f"{module.removeprefix('jaxchain.')}.{name}-{k}": (module, code)
+    for module, name, text in DOCSTRINGS
+    for k, code in enumerate(fenced(text))
+}
+README_FENCES = list(fenced(README.read_text(encoding="utf-8")))
 
 
-def _cost(name: str) -> object:
-    costly = name.removeprefix("jaxchain.") in COSTLY
-    return pytest.param(name, marks=pytest.mark.long) if costly else name
+@pytest.mark.parametrize("name", PROMPTS)
+def test_an_example_prints_what_it_says(name):
+    module, test = PROMPTS[name]
+    test.globs = vars(importlib.import_module(module)).copy()
+    assert doctest.DocTestRunner().run(test, clear_globs=False).failed == 0
 
 
-@pytest.mark.parametrize("name", [_cost(name) for name in MODULES])
-def test_the_examples_of_a_module_print_what_they_say(name):
-    outcome = doctest.testmod(importlib.import_module(name))
-    assert outcome.failed == 0
+@pytest.mark.long
+@pytest.mark.parametrize("name", FENCES)
+def test_an_example_in_a_fence_runs(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    module, code = FENCES[name]
+    exec(compile(code, name, "exec"), vars(importlib.import_module(module)).copy())
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("k", range(len(README_FENCES)))
+def test_an_example_of_the_readme_runs(k, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    exec(compile(README_FENCES[k], "README.md", "exec"), {})
