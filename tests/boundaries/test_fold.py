@@ -43,11 +43,22 @@ def wild_chain(numbers):
     return paper_chain(1).with_(**dict(zip(WILD, numbers, strict=True)))
 
 
+# Sets in one call of the compiled search: one program serves all tests.
+AT_ONCE = 5
+
+
 @jax.jit
 @jax.vmap
-def wild_folds(numbers):
+def _folds(numbers):
     chain = wild_chain(numbers)
     return find_fold(chain), hopf_belt_speed(chain)
+
+
+def wild_folds(numbers):
+    numbers = np.asarray(numbers)
+    filled = np.concatenate([numbers, np.repeat(numbers[:1], -len(numbers) % AT_ONCE, axis=0)])
+    found = [_folds(jnp.asarray(part)) for part in np.split(filled, len(filled) // AT_ONCE)]
+    return jax.tree.map(lambda *parts: jnp.concatenate(parts)[: len(numbers)], *found)
 
 
 def vibrates(numbers, speeds, dry):
@@ -83,7 +94,7 @@ def claims(seed, count, margin=0.01):
     die out at all speeds.  Not found: does one go on above the Hopf speed?
     """
     numbers = wild_sets(seed, count)
-    folds, hopf = jax.tree.map(np.asarray, wild_folds(jnp.asarray(numbers)))
+    folds, hopf = jax.tree.map(np.asarray, wild_folds(numbers))
     found, none = np.asarray(folds.found), np.asarray(folds.result == FoldResult.none)
     top = np.where(np.isfinite(hopf), hopf, 1.0)
     base = np.where(found, folds.belt_speed, top)
@@ -303,7 +314,7 @@ def test_the_localized_fold_of_three_masses_differentiates_in_every_number():
 def test_folds_are_found_where_friction_weakens_over_a_small_speed():
     """Each vibrates from the belt's speed 1 % below its fold, and rests 1 % above."""
     numbers = np.array([[0.05, 0.5, v_ref, 1e-3] for v_ref in (0.02, 0.03, 0.05)])
-    folds, _ = wild_folds(jnp.asarray(numbers))
+    folds, _ = wild_folds(numbers)
     assert bool(jnp.all(folds.found))
     speeds = np.asarray(folds.belt_speed)[:, None] * [0.99, 1.01]
     np.testing.assert_array_equal(vibrates(numbers, speeds, False), [[True, False]] * 3)
@@ -314,7 +325,7 @@ def test_any_width_has_its_fold():
     """Down to widths that no integration resolves; without a step where the asymptotics begin."""
     dry = float(nonsmooth_fold_belt_speed(paper_chain(1)))
     numbers = np.array([[0.05, 0.5, 0.5, w] for w in (1e-7, 3e-8, 3e-9, 1e-12, 1e-30)])
-    folds, _ = wild_folds(jnp.asarray(numbers))
+    folds, _ = wild_folds(numbers)
     assert bool(jnp.all(folds.found))
     gaps = dry - folds.belt_speed
     assert bool(jnp.all(jnp.diff(gaps) < 1e-9))
@@ -323,7 +334,7 @@ def test_any_width_has_its_fold():
     least = float(folds.width[-1])
     assert 1e-8 < least < 1e-7
     around = least * np.array([0.999, 1.001, 3.0, 10.0])
-    folds, _ = wild_folds(jnp.asarray([[0.05, 0.5, 0.5, w] for w in around]))
+    folds, _ = wild_folds([[0.05, 0.5, 0.5, w] for w in around])
     np.testing.assert_allclose(folds.belt_speed[0], folds.belt_speed[1], rtol=1e-9)
     # The formula that is used below, tried above, where the search knows better.
     asymptotic = jax.vmap(find_grazing(paper_chain(1)).smoothed)(jnp.asarray(around[2:]))
