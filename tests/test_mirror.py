@@ -272,7 +272,8 @@ def test_fronts_patterns_and_verdicts_are_mirrored():
         jc.localization.front_speed(own, tuple(sign * part for part in block), 300.0)
         for own, sign in ((chain, 1.0), (mirrored(chain), -1.0))
     ]
-    assert float(fronts[0].speed) == float(fronts[1].speed) != 0
+    assert float(fronts[0].speed) == pytest.approx(float(fronts[1].speed), rel=1e-12)
+    assert float(fronts[0].speed) != 0
     assert fronts[0].outcome == fronts[1].outcome
     ring = jc.paper_chain(4, width=0.02)
     models = [phase_model(own) for own in (ring, mirrored(ring))]
