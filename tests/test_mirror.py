@@ -160,7 +160,7 @@ SINGLE = (
     "hopf_and_fold", "continue_cycle", "depinning_belt_speed", "equation_8", "equation_10",
     "find_limit_cycle", "first_lyapunov_coefficient", "front_speed", "generalised_hopf",
     "guess_from_hopf", "hopf_points", "identify", "phase_model", "sweep", "verdict", "verdicts",
-    "close_orbit", "guess_from_simulation", "liouville_determinant",
+    "close_orbit", "guess_from_simulation", "liouville_determinant", "predict",
 )  # fmt: skip
 
 
@@ -176,7 +176,8 @@ def compare(case, chains, tolerance):
 
 def test_no_public_function_of_a_chain_is_forgotten():
     cases = {name.split()[0] for name in (*QUICK, *LONG, *SPEEDLESS, *SINGLE)}
-    rooms = [jc, *(getattr(jc, room) for room in jc.ROOMS)]
+    # Pictures are of runs, and these are compared.
+    rooms = [jc, *(getattr(jc, room) for room in jc.ROOMS if room != "plotting")]
     public = [getattr(room, name) for room in rooms for name in getattr(room, "__all__", ())]
     functions = [f for f in public if inspect.isfunction(f) or hasattr(f, "__wrapped__")]
     taking = {f.__name__ for f in functions if "chain" in inspect.signature(f).parameters}
@@ -272,8 +273,7 @@ def test_fronts_patterns_and_verdicts_are_mirrored():
         jc.localization.front_speed(own, tuple(sign * part for part in block), 300.0)
         for own, sign in ((chain, 1.0), (mirrored(chain), -1.0))
     ]
-    assert float(fronts[0].speed) == pytest.approx(float(fronts[1].speed), rel=1e-12)
-    assert float(fronts[0].speed) != 0
+    assert float(fronts[0].speed) == float(fronts[1].speed) != 0
     assert fronts[0].outcome == fronts[1].outcome
     ring = jc.paper_chain(4, width=0.02)
     models = [phase_model(own) for own in (ring, mirrored(ring))]

@@ -185,19 +185,17 @@ def test_it_stays_on_its_sheet(gap):
 
 
 def test_bratu_converges_to_the_known_fold_with_second_order():
-    known, errors, steps, solves = 3.513830719, [], [], []
+    known, errors, counts = 3.513830719, [], []
     for m in (19, 39):
         branch = continue_branch(
             bratu, np.zeros(m), 0.0, np.ones(m), bounds=(-1, 4), max_points=30
         )
         errors.append(fold_values(branch)[0] - known)
-        steps.append((np.argmax(branch.p), branch.counts.rejected))
-        solves.append(branch.counts.solves)
+        counts.append(branch.counts)
     np.testing.assert_allclose(errors[0] / errors[1], 4.0, rtol=5e-3)
     assert abs((4 * errors[1] - errors[0]) / 3) < 1e-6
-    # Steps do not know how fine the mesh is; rounding may ask for one more correction of a point.
-    assert steps[0] == steps[1]
-    assert abs(solves[0] - solves[1]) <= 2
+    # Steps do not know how fine the mesh is.
+    assert counts[0].solves == counts[1].solves
 
 
 def test_rows_of_very_different_scale_change_nothing():
