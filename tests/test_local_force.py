@@ -156,7 +156,7 @@ def test_the_period_has_its_derivative():
     np.testing.assert_allclose(jax.grad(period)(jnp.asarray(1.0)), slope, rtol=1e-7)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_branch_follows_a_number_of_other_oscillators():
     cycle = find_limit_cycle(ONE, START)
     branch = continue_cycle(cycle, parameter="strength", bounds=(0.5, 3.0), max_step=1.0)
@@ -173,7 +173,7 @@ def test_a_branch_follows_a_number_of_other_oscillators():
         continue_cycle(cycle)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_exponents_of_van_der_pol_are_0_and_that_of_the_multiplier():
     found = lyapunov_spectrum(
         ONE, START, 40 * PERIOD, transient=10 * PERIOD, interval=PERIOD / 4, rtol=1e-9, blocks=15

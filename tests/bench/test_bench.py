@@ -255,7 +255,7 @@ def test_a_misused_command_ends_with_status_2(arguments, capsys):
     assert "jaxchain bench" in capsys.readouterr().err
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_import_row_measures_a_fresh_interpreter():
     imports, command = bench._functions()["import"](1)
     for row in (imports, command):

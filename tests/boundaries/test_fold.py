@@ -310,7 +310,7 @@ def test_the_localized_fold_of_three_masses_differentiates_in_every_number():
         np.testing.assert_allclose(slope, (plus - minus) / (2 * h), rtol=1e-5)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_folds_are_found_where_friction_weakens_over_a_small_speed():
     """Each vibrates from the belt's speed 1 % below its fold, and rests 1 % above."""
     numbers = np.array([[0.05, 0.5, v_ref, 1e-3] for v_ref in (0.02, 0.03, 0.05)])
@@ -353,7 +353,7 @@ def test_below_the_least_width_gradients_are_those_of_dry_friction():
     np.testing.assert_allclose(slopes[1], jax.grad(grazing.smoothed)(1e-9), rtol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_search_that_fails_says_so_and_claims_nothing():
     """Two masses so strongly coupled that they vibrate together."""
     fold = find_fold(paper_chain(2).with_(coupling=0.3))

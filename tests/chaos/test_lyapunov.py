@@ -60,6 +60,7 @@ def test_a_linear_chain_that_swings():
     assert np.isnan(found.mean_divergence)
 
 
+@pytest.mark.long
 def test_a_linear_chain_that_creeps():
     """Overdamped: six real exponents, all different."""
     chain, exact = linear_chain(3, 1.5, np.array([0.20, 0.22, 0.43]))

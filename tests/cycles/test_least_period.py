@@ -77,7 +77,7 @@ def test_an_orbit_that_is_no_chain_has_its_least_period():
     assert complex(cycle.multipliers[0]) == pytest.approx(exact["multiplier"], abs=1e-5)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_dry_orbits_are_closed_with_the_least_period():
     chain = paper_chain(1)
     state = simulate(chain, equation_8(chain, 1), 100.0, solver=EventDriven(), rtol=1e-9).state

@@ -200,6 +200,7 @@ def test_chains_are_searched_in_one_batch_and_do_not_harm_each_other(slip):
         np.testing.assert_allclose(batch.multipliers[k], alone.multipliers, atol=1e-8)
 
 
+@pytest.mark.long
 def test_rest_and_failure_are_told():
     fast = paper_chain(1, belt_speed=2.5, width=0.05)
     for branch in ("stable", "unstable"):

@@ -94,7 +94,7 @@ def late_amplitudes(speed, coupling, excited, **how):
     return run.observed
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_later_the_promise_is_kept_by_amplitudes_that_have_settled_and_not_by_others():
     rng = np.random.default_rng(7)
     numbers = rng.uniform([0.3, 0.001], [1.8, 0.05], (LANES, 2))

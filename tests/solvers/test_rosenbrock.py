@@ -77,11 +77,13 @@ def test_order_on_a_linear_ring_against_the_matrix_exponential():
     assert slopes(LINEAR, Rodas4(), [20, 40, 80])[0] == pytest.approx(4, abs=0.2)
 
 
+@pytest.mark.long
 def test_rodas5p_keeps_order_5_where_steps_are_ten_thousand_times_too_long():
     end, _ = slopes(driven(1e6), Rodas5P(), [20, 40, 80])
     assert end == pytest.approx(5, abs=0.2)
 
 
+@pytest.mark.long
 def test_rodas4_keeps_order_4_while_the_whole_chain_sticks():
     # On the slow manifold of the sticking chain h / width is 1000.
     chain = paper_chain(5, belt_speed=0.5, width=1e-4).with_(coupling=0.05)

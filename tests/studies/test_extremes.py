@@ -182,7 +182,7 @@ def test_the_picture_shows_every_case_once():
     assert right.get_xlabel() == "time (s)"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_every_bad_input_is_refused_by_the_command(tmp_path):
     # In a process of its own: here every annotation is checked, and refuses before jaxchain does.
     command = [

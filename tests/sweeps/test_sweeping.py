@@ -60,6 +60,7 @@ def test_the_dataset_is_labelled_and_tells_its_origin(small, tmp_path):
     xr.testing.assert_identical(again, small)
 
 
+@pytest.mark.long
 def test_lanes_that_are_refilled_agree_with_those_that_are_not(small):
     """Within the tolerances: another number of lanes is another program."""
     # Three lanes on one device are refilled twice; the fixture runs five lanes on two devices.
@@ -90,8 +91,8 @@ def bits(jobs, devices, lanes=4, solver=None):
 @pytest.mark.parametrize(
     "solver",
     [
-        pytest.param(None, id="smoothed"),
-        pytest.param(EventDriven(), id="nonsmooth", marks=pytest.mark.long),
+        pytest.param(None, id="smoothed", marks=pytest.mark.long),
+        pytest.param(EventDriven(), id="nonsmooth"),
     ],
 )
 def test_the_same_lanes_give_the_same_bits_for_any_number_of_jobs_and_devices(solver):
@@ -100,6 +101,7 @@ def test_the_same_lanes_give_the_same_bits_for_any_number_of_jobs_and_devices(so
         assert np.array_equal(bits(jobs, devices, solver=solver), seven[:jobs])
 
 
+@pytest.mark.long
 def test_given_lanes_stay_so_many_however_long_the_last_ones_take(monkeypatch):
     """Without `lanes`, a pool of a quarter goes on, as soon as that is worth compiling."""
     from jaxchain.sweeps import scheduler as pool
@@ -184,7 +186,13 @@ def test_a_lane_that_needs_too_many_steps_is_marked():
     assert float(result.end_time[1]) < 60.0
 
 
-@pytest.mark.parametrize("solver", [None, EventDriven()], ids=["smoothed", "nonsmooth"])
+@pytest.mark.parametrize(
+    "solver",
+    [
+        pytest.param(None, id="smoothed", marks=pytest.mark.long),
+        pytest.param(EventDriven(), id="nonsmooth"),
+    ],
+)
 def test_a_lane_takes_as_many_steps_as_it_may_and_no_more(solver):
     """As in `simulate`, accepted or rejected; in one program for any number."""
     from jaxchain.sweeps.lanes import on_all_lanes
