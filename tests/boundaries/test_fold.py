@@ -320,7 +320,7 @@ def test_folds_are_found_where_friction_weakens_over_a_small_speed():
     np.testing.assert_array_equal(vibrates(numbers, speeds, False), [[True, False]] * 3)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_any_width_has_its_fold():
     """Down to widths that no integration resolves; without a step where the asymptotics begin."""
     dry = float(nonsmooth_fold_belt_speed(paper_chain(1)))

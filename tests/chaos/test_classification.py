@@ -260,7 +260,7 @@ def test_what_is_not_resolved_is_told_as_a_bound():
     assert judge_exponents(late, Criteria()) == "cycle"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_multiplier_of_a_single_sticking_mass_is_zero():
     chain, start = paper_chain(n=1, belt_speed=1.5), (jnp.array([2.2]), jnp.zeros(1))
     orbit = close_orbit(chain, start, 6.26, solver=EventDriven())

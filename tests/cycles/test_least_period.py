@@ -46,7 +46,7 @@ def test_orbits_that_part_in_a_period_doubling_are_not_the_same():
     assert not bool(seen.same(one, (jnp.ones(1), jnp.full(1, 1e-5))))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_simulation_whose_best_return_is_a_later_one_gives_the_least_period():
     found = find_limit_cycle(SMOOTH)
     assert float(found.period) == pytest.approx(PERIOD, abs=1e-8)

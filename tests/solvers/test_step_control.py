@@ -109,6 +109,7 @@ def test_simulate_uses_it():
     assert switching < 0.85 * plain
 
 
+@pytest.mark.long
 def test_vmap_over_belt_speeds_is_a_loop():
     def run(speed):
         chain = paper_chain(4, belt_speed=speed, width=1e-2)
@@ -174,6 +175,7 @@ def moving_belt(acceleration) -> MovingBelt:
     return MovingBelt(acceleration=jnp.asarray(acceleration), width=jnp.asarray(0.01))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("acceleration", [0.0, 0.5])
 def test_time_may_run_backward(acceleration):
     # Both masses are pulled through the layer so fast that the way back is well conditioned.

@@ -130,6 +130,7 @@ def extremes_of_the_file():
     return load_scene("extremes").scene
 
 
+@pytest.mark.long
 def test_stick_slip_is_right_down_to_a_width_of_1e_10_and_a_false_witness_is_found_out():
     for mass in (Oscillator(width=1e-3), Oscillator(width=1e-10)):
         row = judge(Case("width", "", "", lambda model, m=mass: single(m, model)), "smoothed")

@@ -88,10 +88,11 @@ def bits(jobs, devices, lanes=4, solver=None):
     return np.concatenate([found.amplitude.values, found.steps.values[:, None]], axis=1)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "solver",
     [
-        pytest.param(None, id="smoothed", marks=pytest.mark.long),
+        pytest.param(None, id="smoothed"),
         pytest.param(EventDriven(), id="nonsmooth"),
     ],
 )
