@@ -116,6 +116,7 @@ def test_order_with_forces_that_depend_on_time_and_displacement(solver, order, s
     np.testing.assert_allclose(slopes, order, atol=0.25)
 
 
+@pytest.mark.long
 def test_the_monodromy_matrix_has_the_determinant_of_liouville():
     field, initial = ring(VanDerPol, n=3)
     found = monodromy_matrix(field, initial, 3.0)

@@ -130,10 +130,10 @@ QUICK = {
     "choose_numerics": lambda chain, sign: jc.simulation.choose_numerics(chain, 1e-2).width,
     "mistuned_chain": lambda chain, sign: jc.localization.mistuned_chain(chain, 3, 0.1).stiffness,
     "linear_modes": lambda chain, sign: arrays(jc.localization.linear_modes(chain)),
-    "simulate dry": run(DRY),
 }  # fmt: skip
 LONG = {
     "simulate": run(None),
+    "simulate dry": run(DRY),
     "lyapunov_spectrum": spectrum(None),
     "lyapunov_spectrum dry": spectrum(DRY),
     "monodromy_matrix": linear,

@@ -134,7 +134,7 @@ def test_an_unproven_truncation_with_a_constant_step_is_a_failure_not_a_wrong_nu
     assert good.result == dfx.RESULTS.successful
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_works_under_vmap_with_every_lane_at_its_own_step():
     speeds = jnp.linspace(0.8, 1.6, 5)
 

@@ -279,6 +279,7 @@ def test_no_bound_goes_below_what_moves_the_time_or_the_other_controllers_least_
     assert float(end - begin) == pytest.approx(1e-5)
 
 
+@pytest.mark.long
 def test_a_field_without_a_switching_force_takes_the_same_steps_bit_for_bit():
     full, start = jnp.full(3, 0.05), jnp.array([1.0, 0.0, -0.5])
     springs = Springs(jnp.asarray(0.3), "cyclic")
