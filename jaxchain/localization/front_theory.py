@@ -20,6 +20,7 @@ from jaxtyping import Array, Float
 from ..cycles.averaging import gain
 from ..model.chain import Chain
 from ..model.initial_states import excited_state
+from ..model.sliding import growth_rate
 from ..observers.amplitude import Amplitude
 from ..observers.peaks import PeakTimes
 from ..simulation.event_driven import EventDriven
@@ -65,13 +66,6 @@ def spreading_speed(coupling: Any, growth: Any) -> Float[Array, "*batch"]:
     # At u = 4 eta + s the bracket is more than 1.
     low, high = lax.fori_loop(0, 60, halve, (eta, 4.0 * eta + s))
     return jnp.where(s < 0, jnp.nan, 0.5 * (low + high))
-
-
-def amplification_rate(chain: Chain) -> Float[Array, ""]:
-    """Of a small vibration about steady sliding, (dF/dv - 2 xi) / 2; chain of equal masses."""
-    zero = jnp.zeros(chain.n)
-    _, slopes = chain.local_force_and_slopes(0.0, zero, zero)
-    return 0.5 * slopes.velocity[0]
 
 
 def single_cycle(chain: Chain) -> tuple[Float[Array, ""], Float[Array, ""]]:
@@ -150,7 +144,7 @@ def death_belt_speed(
     eta = jnp.asarray(coupling, float)
 
     def of(speed: Array) -> Array:
-        z = -amplification_rate(chain.with_(belt_speed=speed)) + 1j * detuning
+        z = -growth_rate(chain, speed) + 1j * detuning
         leak = 0.5 * jnp.real(jnp.sqrt(z**2 + eta**2) - z)
         return fold(chain.with_(damping_ratio=chain.damping_ratio + 0.5 * eta + leak))
 

@@ -22,7 +22,7 @@ from jaxchain import (
     simulate,
 )
 from jaxchain.boundaries import FoldResult, find_fold, find_grazing
-from jaxchain.studies.crosscheck.cycles import on_the_belt
+from jaxchain.model.initial_states import on_the_belt
 
 NAMES = ("damping_ratio", "mu_dynamic", "mu_static", "v_ref", "width")
 WILD = ("damping_ratio", "mu_dynamic", "v_ref", "width")

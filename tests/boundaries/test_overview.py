@@ -13,7 +13,7 @@ from jaxchain.boundaries import find_fold
 from jaxchain.boundaries.bautin import generalised_hopf
 from jaxchain.boundaries.overview import hopf_and_fold
 from jaxchain.boundaries.single_mass import dry_slip_branch, one_mass_branch
-from jaxchain.studies.crosscheck.cycles import on_the_belt
+from jaxchain.model.initial_states import on_the_belt
 
 WIDTH = 1e-2
 # The grazing fold of the paper's set, from an independent continuation of slip cycles.

@@ -9,12 +9,12 @@ from scipy.special import i1, jv
 
 from jaxchain.boundaries.grazing import nonsmooth_fold_belt_speed
 from jaxchain.localization.front_theory import (
-    amplification_rate,
     death_belt_speed,
     growth_coupling,
     single_cycle,
     spreading_speed,
 )
+from jaxchain.model import growth_rate
 from jaxchain.model.chain import paper_chain
 from jaxchain.model.initial_states import excited_state
 from jaxchain.simulation.event_driven import EventDriven
@@ -43,7 +43,9 @@ def test_linear_spreading_against_bessel_functions():
 
 def test_growth_is_that_of_the_hopf_bifurcation():
     """s = [(mu_st - mu_d) / v_0 exp(-v_d / v_0) - 2 xi] / 2."""
-    found = [amplification_rate(paper_chain(1, speed)) for speed in (1.0, 0.5 * np.log(10.0))]
+    found = [
+        growth_rate(paper_chain(1), jnp.asarray(speed)) for speed in (1.0, 0.5 * np.log(10.0))
+    ]
     np.testing.assert_allclose(found, [0.5 * (np.exp(-2.0) - 0.1), 0.0], atol=1e-12)
 
 

@@ -22,11 +22,11 @@ from jaxchain.boundaries.single_mass import (
 )
 from jaxchain.model.chain import Chain
 from jaxchain.model.friction import ExponentialDecay, TanhFriction
+from jaxchain.model.initial_states import on_the_belt
 from jaxchain.observers.amplitude import Amplitude
 from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.simulation.run import simulate
 from jaxchain.studies.boundaries.table import Study
-from jaxchain.studies.crosscheck.cycles import on_the_belt
 
 VARIED = ("damping_ratio", "mu_static", "width")
 # A width without effect on a boundary, and belt speeds of the dry stick-slip branch.

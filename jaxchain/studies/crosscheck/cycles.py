@@ -14,6 +14,7 @@ from jaxtyping import Array
 
 from jaxchain._types import ScalarLike, State
 from jaxchain.model.chain import Chain
+from jaxchain.model.initial_states import on_the_belt
 from jaxchain.model.oscillators import AbstractOscillators
 from jaxchain.observers.amplitude import Amplitude
 from jaxchain.observers.base import Step
@@ -59,11 +60,6 @@ class CycleStickTime(StickTime):
 
     def read(self, accumulator: tuple[Array, Array]) -> Array:
         return accumulator[1]
-
-
-def on_the_belt(chain: Chain) -> State:
-    """Relaxed spring, speed of the belt: it carries the mass to its release."""
-    return jnp.zeros(chain.n), jnp.broadcast_to(chain.belt_speed, (chain.n,))
 
 
 def measure_cycles(

@@ -11,9 +11,10 @@ import numpy as np
 import xarray as xr
 
 from jaxchain.boundaries.hopf import hopf_belt_speed
-from jaxchain.localization.front_theory import amplification_rate, spreading_speed
+from jaxchain.localization.front_theory import spreading_speed
 from jaxchain.model.chain import Chain
 from jaxchain.model.friction import ExponentialDecay, TanhFriction
+from jaxchain.model.sliding import growth_rate
 from jaxchain.observers.amplitude import Amplitude
 from jaxchain.result import NAMES, STOPPED_WELL
 from jaxchain.scenes.tables import Range
@@ -46,9 +47,7 @@ def base_chain(study: Study, n: int, width: float = _WIDTH) -> Chain:
 
 def transients(chain: Chain, speeds: Any, couplings: Any, time: float) -> np.ndarray:
     """How long fronts are left to settle: what `_PASSED` masses take at the greatest speed."""
-    growth = jax.vmap(lambda speed: amplification_rate(chain.with_(belt_speed=speed)))(
-        jnp.asarray(speeds, float)
-    )
+    growth = jax.vmap(lambda speed: growth_rate(chain, speed))(jnp.asarray(speeds, float))
     fastest = spreading_speed(jnp.asarray(couplings, float), jnp.maximum(growth, 0.0))
     return np.minimum(np.asarray(_PASSED / fastest), _SHARE * time)
 
@@ -97,7 +96,7 @@ def over_belt_speed(study: Study, progress: bool) -> xr.Dataset:
     )  # fmt: skip
     mean = averaged(data, ("pattern", "seed"))
     data["mean_speed"], data["mean_error"] = mean["speed"], mean["error"]
-    growth = jax.vmap(lambda speed: amplification_rate(chain.with_(belt_speed=speed)))
+    growth = jax.vmap(lambda speed: growth_rate(chain, speed))
     curve = np.linspace(speeds.min(), float(hopf_belt_speed(chain)), _CURVE)
     spread = spreading_speed(
         jnp.full(_CURVE, study.base.coupling), jnp.maximum(growth(jnp.asarray(curve)), 0.0)
@@ -142,7 +141,7 @@ def over_coupling(study: Study, progress: bool) -> xr.Dataset:
     ):
         data[name] = ("belt_speed", np.asarray(column))
     curve = np.geomspace(min(part.coupling), max(part.coupling), _CURVE)
-    growth = np.array([float(amplification_rate(chain.with_(belt_speed=v))) for v in speeds])
+    growth = np.array([float(growth_rate(chain, jnp.asarray(v))) for v in speeds])
     spread = [spreading_speed(jnp.asarray(curve), jnp.full(_CURVE, g)) for g in growth]
     data["spreading"] = (("belt_speed", "curve"), np.asarray(spread))
     return data.assign_coords(curve=curve)
