@@ -1,4 +1,4 @@
-"""Verdicts on systems whose motion is known, the two traps among them, and their parts."""
+"""Verdicts on systems whose motion is known, the two traps among them."""
 
 from typing import Any
 
@@ -10,28 +10,9 @@ import pytest
 
 from jaxchain import EventDriven, equation_8, paper_chain, simulate
 from jaxchain.chaos.classification import verdict, verdicts
-from jaxchain.chaos.criteria import (
-    Criteria,
-    classify,
-    judge_exponents,
-    judge_torus,
-    pooled,
-)
-from jaxchain.chaos.poincare import (
-    Record,
-    join,
-    mean_periods,
-    novelty,
-    phases,
-    recurrence,
-    reflections,
-    symmetry_defect,
-)
-from jaxchain.chaos.records import Evidence
 from jaxchain.cycles.closing import close_orbit
 from jaxchain.model.oscillators import AbstractOscillators
 from jaxchain.model.springs import Springs
-from jaxchain.result import Result
 
 
 class Rayleigh(AbstractOscillators):
@@ -81,185 +62,6 @@ def start(x=(2.0, -1.0), v=(0.0, 0.0)):
     return jnp.asarray(x), jnp.asarray(v)
 
 
-def made_up(delays, periods, windows=20, length=50.0, wander=0.0):
-    """A record of cosines with given delays and periods of their maxima."""
-    delays, periods = np.asarray(delays, float), np.asarray(periods, float)
-    n = len(delays)
-    peaks = np.full((windows, 16, n), np.nan)
-    points, times = np.full((windows, 5, 2 * n), np.nan), np.full((windows, 5), np.nan)
-    for w in range(windows):
-        for i in range(n):
-            first = np.ceil((w * length - delays[i]) / periods[i])
-            own = delays[i] + periods[i] * np.arange(first, first + 20)
-            own = own[own < (w + 1) * length][:16]
-            peaks[w, : len(own), i] = own
-        times[w] = peaks[w, :5, 0]
-        angle = 2 * np.pi * (times[w][:, None] - delays) / periods
-        points[w] = np.concatenate([np.cos(angle), -np.sin(angle)], axis=1)
-        points[w] += wander * w
-    return Record(
-        t=length * (1.0 + np.arange(windows)), amplitude=np.ones((windows, n)), peaks=peaks,
-        point_times=times, points=points, state=(np.zeros(n), np.zeros(n)),
-        result=Result.successful,
-    )  # fmt: skip
-
-
-def test_a_section_that_comes_back_is_told_from_one_that_creeps_or_drifts():
-    still = recurrence(made_up([0.0, 1.0], [6.25, 6.25]), scale=1.0)
-    assert still.returns == 1
-    assert still.spread < 1e-12
-    np.testing.assert_allclose(still.period, 6.25)
-    # The second mass needs two maxima of the first.
-    double = recurrence(made_up([0.0, 1.0], [6.25, 12.5]), scale=1.0)
-    assert (double.returns, round(double.period, 9)) == (2, 12.5)
-    assert double.spread < 1e-12
-    drifting = recurrence(made_up([0.0, 1.0], [6.25, 6.25 * 1.017]), scale=1.0)
-    assert drifting.spread > 0.5
-    creeping = recurrence(made_up([0.0, 1.0], [6.25, 6.25], wander=1e-3), scale=1.0)
-    np.testing.assert_allclose(creeping.spread, 9e-3, rtol=1e-6)
-
-
-def test_a_torus_comes_back_and_a_drift_does_not():
-    torus = made_up([0.0, 1.0], [6.25, 6.25 * 1.017], windows=80)
-    assert novelty(torus) < 0.1
-    # A seventh of a cycle in all.
-    drift = made_up([0.0, 1.0], [6.25, 6.25 * (1 + 2e-4)], windows=80)
-    assert novelty(drift) > 0.4
-    assert novelty(made_up([0.0, 1.0], [6.25, 6.25])) < 1.0
-
-
-def test_phases_count_cycles_and_slips():
-    record = made_up([0.0, 1.0, 2.0], [6.25, 6.25, 6.2])
-    turned = phases(record, [0, 1, 2])
-    np.testing.assert_allclose(turned[:, 1] - turned[0, 1], 0.0, atol=1e-12)
-    gained = turned[-1, 2] - turned[0, 2]
-    # 950 time units later it is ahead by 950 (1 / 6.2 - 1 / 6.25) cycles.
-    np.testing.assert_allclose(gained, 950 * (1 / 6.2 - 1 / 6.25), atol=0.01)
-    np.testing.assert_allclose(mean_periods(record, [0, 1, 2]), [6.25, 6.25, 6.2], rtol=1e-12)
-    twice = join([record, record])
-    assert twice.amplitude.shape == (40, 3)
-    assert twice.t.shape == (40,)
-
-
-def test_reflections_keep_the_block():
-    block = np.zeros(6, bool)
-    block[[5, 0, 1]] = True
-    (image,) = reflections(block, "cyclic")
-    assert image.tolist() == [0, 5, 4, 3, 2, 1]
-    assert reflections(block, "free") == []
-    assert len(reflections(np.ones(6, bool), "cyclic")) == 6
-
-
-def test_the_defect_of_a_symmetry_is_the_delay_of_mirror_images():
-    active = np.array([False, True, True, True, False])
-    delays = np.array([0.0, 1.0, 0.0, 1.0, 0.0])
-    same = symmetry_defect(made_up(delays, np.full(5, 6.25)), active, 6.25)
-    np.testing.assert_allclose(same, 0.0, atol=1e-12)
-    delays[1] += 0.05
-    off = symmetry_defect(made_up(delays, np.full(5, 6.25)), active, 6.25)
-    np.testing.assert_allclose(off, 0.05 / 6.25, rtol=1e-9)
-    # Two masses half a period apart are mirror images half a period later.
-    pair_of_masses = np.array([True, True, False, False, False])
-    record = made_up([0.1, 3.225, 0, 0, 0], np.full(5, 6.25))
-    shifted = symmetry_defect(record, pair_of_masses, 6.25)
-    np.testing.assert_allclose(shifted, 0.0, atol=1e-12)
-
-
-def run_of(kind="open", noise=0.0, exponents=(), width=1e-3, **more):
-    values = np.asarray(exponents, float)
-    bounds = {"low": values - width, "high": values + width, "smooth": values}
-    return Evidence(noise, 0, kind=kind, time=1e4, exponents=values, **(bounds | more))
-
-
-def test_exponents_decide_only_with_their_whole_interval():
-    limits = Criteria()
-    assert judge_exponents(run_of(exponents=(2e-3, 0.0)), limits) == "chaos"
-    assert judge_exponents(run_of(exponents=(5e-4, 0.0)), limits) == "open"
-    assert judge_exponents(run_of(exponents=(1e-5, 0.0), width=5e-5), limits) == "torus"
-    # One zero exponent belongs to any flow.
-    assert judge_exponents(run_of(exponents=(0.0, -1e-4), width=5e-5), limits) == "open"
-    assert judge_exponents(run_of(exponents=(0.0, -5e-4), width=5e-5), limits) == "cycle"
-    drifting = run_of(exponents=(1e-5, 0.0), width=5e-5, drift=0.1)
-    assert judge_exponents(drifting, limits) == "open"
-    new = run_of(exponents=(1e-5, 0.0), width=5e-5, novelty=0.5)
-    assert judge_exponents(new, limits) == "open"
-    assert judge_exponents(run_of(), limits) == "open"
-    assert judge_exponents(run_of(exponents=(np.nan, np.nan)), limits) == "open"
-
-
-def test_a_torus_is_seen_by_an_ensemble_of_smooth_averages():
-    runs = [run_of(exponents=(e, -e)) for e in (1e-5, 2e-5, 3e-5)]
-    assert judge_torus(runs, Criteria())
-    assert not judge_torus(runs[:1], Criteria())
-    scattered = [run_of(exponents=(e, 0.0)) for e in (1e-5, 9e-5, 3e-4)]
-    assert not judge_torus(scattered, Criteria())
-    third = [run_of(exponents=(1e-5, -3e-4)) for _ in range(3)]
-    assert not judge_torus(third, Criteria())
-    # The interval of a mean holds the truth in 95 % of cases.
-    draws = np.random.default_rng(1).normal(1.0, 2.0, (4, 4000))
-    low, high = pooled(draws)
-    assert 0.94 < np.mean((low < 1.0) & (high > 1.0)) < 0.96
-
-
-@pytest.mark.parametrize(
-    ("kinds", "noisy", "verdict", "undisturbed", "depends"),
-    [
-        ("cycle", ["cycle", "cycle"], "periodic", "periodic", False),
-        ("rest", ["rest", "rest"], "at rest", "at rest", False),
-        ("chaos", ["chaos", "chaos"], "chaotic", "chaotic", False),
-        ("torus", ["torus", "torus"], "quasi-periodic", "quasi-periodic", False),
-        ("unstable", ["chaos", "chaos"], "chaotic", "periodic", True),
-        ("unstable", ["cycle", "cycle"], "periodic", "periodic", True),
-        ("cycle", ["cycle", "chaos"], "transient", "periodic", True),
-        ("chaos", ["chaos", "open"], "transient", "chaotic", True),
-        ("nonfinite", ["nonfinite", "nonfinite"], "failed", "failed", False),
-        ("cycle", ["cycle", "nonfinite"], "failed", "periodic", True),
-        ("nonfinite", ["cycle", "cycle"], "periodic", "failed", True),
-        ("open", ["open", "nonfinite"], "failed", "transient", True),
-    ],
-)
-def test_the_verdict_is_that_of_the_strongest_noise(kinds, noisy, verdict, undisturbed, depends):
-    values = {"unstable": (2e-3, 0.0), "cycle": (0.0, -1e-3)}
-
-    def make(kind, noise):
-        exponents = () if kind == "rest" else values.get(kind, (2e-3, 0.0))
-        return run_of(kind, noise, exponents, width=1e-6, locked_at=500.0)
-
-    found = classify([make(kinds, 0.0), *(make(kind, 1e-3) for kind in noisy)])
-    assert (found.verdict, found.undisturbed, found.depends_on_noise) == (
-        verdict, undisturbed, depends
-    )  # fmt: skip
-    assert bool(found.remedy) == (verdict in ("transient", "failed"))
-    if "nonfinite" in (kinds, *noisy):
-        assert "failed (nonfinite)" in found.reason
-    if verdict == "failed":
-        assert "`nonfinite`: The state is NaN" in found.remedy
-    assert found.longest == 1e4
-    assert "3 runs" in found.reason
-    if verdict == "chaotic":
-        assert "mean life" in found.reason
-        assert found.lead.kind == "chaos"
-
-
-def test_what_sticking_annihilates_relaxes_at_once():
-    gone = run_of("cycle", exponents=(0.0, -np.inf), locked_at=500.0)
-    assert gone.relaxation_time == gone.longest_relaxation_time == 0.0
-    assert "relaxation time 0;" in classify([gone]).reason + ";"
-
-
-def test_what_is_not_resolved_is_told_as_a_bound():
-    unseen = run_of(
-        "cycle", exponents=(0.0, np.nan), low=np.array([0.0, -np.inf]),
-        high=np.array([0.0, -4.0]), locked_at=500.0,
-    )  # fmt: skip
-    assert np.isnan(unseen.relaxation_time)
-    assert unseen.longest_relaxation_time == 0.25
-    assert "relaxation time below 0.25 (not resolved)" in classify([unseen]).reason
-    # Of a run that locks while exponents are measured it is below everything else.
-    late = run_of(exponents=(0.0, np.nan), width=1e-6)
-    assert judge_exponents(late, Criteria()) == "cycle"
-
-
 @pytest.mark.long
 def test_the_multiplier_of_a_single_sticking_mass_is_zero():
     chain, start = paper_chain(n=1, belt_speed=1.5), (jnp.array([2.2]), jnp.zeros(1))
@@ -278,17 +80,6 @@ def test_the_verdict_on_a_single_sticking_mass_has_no_number_of_rounding(solver,
     assert told in found.reason + ";"
     assert not np.isfinite(found.lead.exponents[1])
     assert found.lead.high[1] < -1.0
-
-
-def test_runs_without_exponents_go_with_those_that_have_them():
-    measured = run_of("chaos", 1e-3, (2e-3, 0.0), width=1e-4)
-    assert classify([run_of("open"), measured, run_of("open", 1e-3)]).verdict == "chaotic"
-    # But not with those that have locked.
-    locked = run_of("cycle", 1e-3, (0.0, -1e-3), locked_at=500.0)
-    found = classify([run_of("open"), locked, run_of("open", 1e-3)])
-    assert found.verdict == "transient"
-    assert "1 of 2 runs have ended" in found.remedy
-    assert locked.relaxation_time == 1e3
 
 
 @pytest.mark.parametrize(

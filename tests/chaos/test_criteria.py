@@ -1,0 +1,119 @@
+"""What decides on a motion: exponents, tori, and ensembles with noise."""
+
+import numpy as np
+import pytest
+
+from jaxchain.chaos.criteria import (
+    Criteria,
+    classify,
+    judge_exponents,
+    judge_torus,
+    pooled,
+)
+from jaxchain.chaos.records import Evidence
+
+
+def run_of(kind="open", noise=0.0, exponents=(), width=1e-3, **more):
+    values = np.asarray(exponents, float)
+    bounds = {"low": values - width, "high": values + width, "smooth": values}
+    return Evidence(noise, 0, kind=kind, time=1e4, exponents=values, **(bounds | more))
+
+
+def test_exponents_decide_only_with_their_whole_interval():
+    limits = Criteria()
+    assert judge_exponents(run_of(exponents=(2e-3, 0.0)), limits) == "chaos"
+    assert judge_exponents(run_of(exponents=(5e-4, 0.0)), limits) == "open"
+    assert judge_exponents(run_of(exponents=(1e-5, 0.0), width=5e-5), limits) == "torus"
+    # One zero exponent belongs to any flow.
+    assert judge_exponents(run_of(exponents=(0.0, -1e-4), width=5e-5), limits) == "open"
+    assert judge_exponents(run_of(exponents=(0.0, -5e-4), width=5e-5), limits) == "cycle"
+    drifting = run_of(exponents=(1e-5, 0.0), width=5e-5, drift=0.1)
+    assert judge_exponents(drifting, limits) == "open"
+    new = run_of(exponents=(1e-5, 0.0), width=5e-5, novelty=0.5)
+    assert judge_exponents(new, limits) == "open"
+    assert judge_exponents(run_of(), limits) == "open"
+    assert judge_exponents(run_of(exponents=(np.nan, np.nan)), limits) == "open"
+
+
+def test_a_torus_is_seen_by_an_ensemble_of_smooth_averages():
+    runs = [run_of(exponents=(e, -e)) for e in (1e-5, 2e-5, 3e-5)]
+    assert judge_torus(runs, Criteria())
+    assert not judge_torus(runs[:1], Criteria())
+    scattered = [run_of(exponents=(e, 0.0)) for e in (1e-5, 9e-5, 3e-4)]
+    assert not judge_torus(scattered, Criteria())
+    third = [run_of(exponents=(1e-5, -3e-4)) for _ in range(3)]
+    assert not judge_torus(third, Criteria())
+    # The interval of a mean holds the truth in 95 % of cases.
+    draws = np.random.default_rng(1).normal(1.0, 2.0, (4, 4000))
+    low, high = pooled(draws)
+    assert 0.94 < np.mean((low < 1.0) & (high > 1.0)) < 0.96
+
+
+@pytest.mark.parametrize(
+    ("kinds", "noisy", "verdict", "undisturbed", "depends"),
+    [
+        ("cycle", ["cycle", "cycle"], "periodic", "periodic", False),
+        ("rest", ["rest", "rest"], "at rest", "at rest", False),
+        ("chaos", ["chaos", "chaos"], "chaotic", "chaotic", False),
+        ("torus", ["torus", "torus"], "quasi-periodic", "quasi-periodic", False),
+        ("unstable", ["chaos", "chaos"], "chaotic", "periodic", True),
+        ("unstable", ["cycle", "cycle"], "periodic", "periodic", True),
+        ("cycle", ["cycle", "chaos"], "transient", "periodic", True),
+        ("chaos", ["chaos", "open"], "transient", "chaotic", True),
+        ("nonfinite", ["nonfinite", "nonfinite"], "failed", "failed", False),
+        ("cycle", ["cycle", "nonfinite"], "failed", "periodic", True),
+        ("nonfinite", ["cycle", "cycle"], "periodic", "failed", True),
+        ("open", ["open", "nonfinite"], "failed", "transient", True),
+    ],
+)
+def test_the_verdict_is_that_of_the_strongest_noise(kinds, noisy, verdict, undisturbed, depends):
+    values = {"unstable": (2e-3, 0.0), "cycle": (0.0, -1e-3)}
+
+    def make(kind, noise):
+        exponents = () if kind == "rest" else values.get(kind, (2e-3, 0.0))
+        return run_of(kind, noise, exponents, width=1e-6, locked_at=500.0)
+
+    found = classify([make(kinds, 0.0), *(make(kind, 1e-3) for kind in noisy)])
+    assert (found.verdict, found.undisturbed, found.depends_on_noise) == (
+        verdict, undisturbed, depends
+    )  # fmt: skip
+    assert bool(found.remedy) == (verdict in ("transient", "failed"))
+    if "nonfinite" in (kinds, *noisy):
+        assert "failed (nonfinite)" in found.reason
+    if verdict == "failed":
+        assert "`nonfinite`: The state is NaN" in found.remedy
+    assert found.longest == 1e4
+    assert "3 runs" in found.reason
+    if verdict == "chaotic":
+        assert "mean life" in found.reason
+        assert found.lead.kind == "chaos"
+
+
+def test_what_sticking_annihilates_relaxes_at_once():
+    gone = run_of("cycle", exponents=(0.0, -np.inf), locked_at=500.0)
+    assert gone.relaxation_time == gone.longest_relaxation_time == 0.0
+    assert "relaxation time 0;" in classify([gone]).reason + ";"
+
+
+def test_what_is_not_resolved_is_told_as_a_bound():
+    unseen = run_of(
+        "cycle", exponents=(0.0, np.nan), low=np.array([0.0, -np.inf]),
+        high=np.array([0.0, -4.0]), locked_at=500.0,
+    )  # fmt: skip
+    assert np.isnan(unseen.relaxation_time)
+    assert unseen.longest_relaxation_time == 0.25
+    assert "relaxation time below 0.25 (not resolved)" in classify([unseen]).reason
+    # Of a run that locks while exponents are measured it is below everything else.
+    late = run_of(exponents=(0.0, np.nan), width=1e-6)
+    assert judge_exponents(late, Criteria()) == "cycle"
+
+
+def test_runs_without_exponents_go_with_those_that_have_them():
+    measured = run_of("chaos", 1e-3, (2e-3, 0.0), width=1e-4)
+    assert classify([run_of("open"), measured, run_of("open", 1e-3)]).verdict == "chaotic"
+    # But not with those that have locked.
+    locked = run_of("cycle", 1e-3, (0.0, -1e-3), locked_at=500.0)
+    found = classify([run_of("open"), locked, run_of("open", 1e-3)])
+    assert found.verdict == "transient"
+    assert "1 of 2 runs have ended" in found.remedy
+    assert locked.relaxation_time == 1e3
