@@ -25,6 +25,8 @@ PAPER = {
 def results(axes, vibrating, n, **parameters):
     """Runs over `axes` in which the first `vibrating` masses vibrate at the speed of the belt.
 
+    With the Hopf speed of the paper's chain, as scenes save it.
+
     `vibrating` has the shape of the runs, with -1 for a run that failed.
     """
     dims = tuple(axes)
@@ -41,6 +43,7 @@ def results(axes, vibrating, n, **parameters):
             "result": (dims, code),
             "end_time": (dims, np.full(vibrating.shape, 100.0)),
             "steps": (dims, np.full(vibrating.shape, 1000)),
+            "hopf_belt_speed": ((), 0.5 * np.log(10)),
         },
         coords={**axes, "oscillator": np.arange(1, n + 1)},
         attrs={

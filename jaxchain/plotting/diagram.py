@@ -1,22 +1,18 @@
 """What a bifurcation diagram shows beside its points, read off a dataset.
 
-All functions take a dataset as `jaxchain.sweep` returns it or as a results file holds it.
+All functions take a dataset as `jaxchain.sweep` returns it or as a results file holds it, which
+also has the Hopf speed.
 """
 
 from __future__ import annotations
 
 import json
-import math
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from ..boundaries.fold import find_fold
-from ..boundaries.single_mass import OneMassBranch, one_mass_branch
-from ..model.chain import Chain
-from ..model.friction import ExponentialDecay, TanhFriction
 from ..observers import quantities
 from ..observers.quantities import LEAST_ACTIVE
 from ..result import NAMES, STOPPED_WELL
@@ -38,49 +34,14 @@ def swept(data: xr.Dataset) -> list[str]:
 
 
 def hopf_belt_speed(data: xr.Dataset) -> float | None:
-    """v_H = v_0 ln[p (mu_st - mu_d) / (2 xi v_0)]: above it, steady sliding is stable.
+    """v_H of all runs: above it, steady sliding is stable.
 
-    None if the law of friction is another one, if one of these numbers is swept or given per mass,
-    or if steady sliding is stable at every speed.
+    None if `data` does not hold it, if it is another one for other runs, or if there is none.
     """
-    own = parameters(data)
-    if own["friction_law"] != "ExponentialDecay":
+    if "hopf_belt_speed" not in data:
         return None
-    load = 1.0 if own["normal_load"] is None else own["normal_load"]
-    numbers = (own["mu_static"], own["mu_dynamic"], own["v_ref"], own["damping_ratio"], load)
-    if not all(isinstance(number, float) for number in numbers):
-        return None
-    static, dynamic, v_ref, damping, load = numbers
-    if damping <= 0 or load * (static - dynamic) <= 2 * damping * v_ref:
-        return None
-    return v_ref * math.log(load * (static - dynamic) / (2 * damping * v_ref))
-
-
-def cycles(data: xr.Dataset) -> OneMassBranch | None:
-    """All cycles of one oscillator with smoothed friction, stable and unstable, over belt speed.
-
-    None if `data` is a sweep of anything else, or has fewer than ten belt speeds, or but one start
-    at each, which shows no more than where the runs end; or if these cycles do not fold.
-    """
-    own = parameters(data)
-    names = swept(data)
-    if own["n"] != 1 or own["friction_law"] != "ExponentialDecay" or len(names) < 2:
-        return None
-    if "belt_speed" not in names or data.sizes["belt_speed"] < 10:
-        return None
-    law = [own[name] for name in ("mu_static", "mu_dynamic", "v_ref")]
-    others = [own[name] for name in ("width", "damping_ratio", "stiffness")]
-    load = own["normal_load"]
-    if not all(isinstance(number, float) for number in [*law, *others, load or 1.0]):
-        return None
-    width, damping, stiffness = others
-    friction = TanhFriction(ExponentialDecay(*law), width)
-    chain = Chain(1, friction, 1.0, damping, None, stiffness, load)
-    fold = find_fold(chain)
-    # A sweep may lie above the fold altogether.
-    lowest = min(max(float(data["belt_speed"].min()), 0.05), 0.5 * float(fold.belt_speed))
-    branch = one_mass_branch(chain, 0.05 if np.isnan(lowest) else lowest, fold)
-    return branch if np.isfinite(branch.belt_speed[branch.fold]) else None
+    values = np.unique(data["hopf_belt_speed"].values)
+    return float(values[0]) if values.size == 1 and np.isfinite(values[0]) else None
 
 
 def failed(data: xr.Dataset) -> xr.DataArray:

@@ -1,4 +1,4 @@
-"""What the datasets of one scene are called, where two of them are the same sweep.
+"""What the datasets of one scene are called, where several of them belong to one sweep.
 
 Nothing here needs JAX or matplotlib: scene files are checked against it.
 """
@@ -6,22 +6,35 @@ Nothing here needs JAX or matplotlib: scene files are checked against it.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TypeVar
+from dataclasses import dataclass
+from typing import Generic, TypeVar
 
-# Ending of the group with true dry friction, of an experiment with both models.
-NONSMOOTH = "_nonsmooth"
+# Endings of the groups beside that of an experiment: its runs with true dry friction, if it has
+# both models, and the cycles of its one oscillator.
+NONSMOOTH, CYCLES = "_nonsmooth", "_cycles"
 
 Data = TypeVar("Data")
 
 
-def paired(datasets: Mapping[str, Data]) -> dict[str, tuple[Data, Data | None]]:
-    """Each dataset with that of its dry runs, called `NAME_nonsmooth`, or None.
+@dataclass(frozen=True)
+class Panel(Generic[Data]):
+    """What one panel shows: the runs, the same with dry friction, and the branch of cycles."""
 
-    >>> paired({"ring": 1, "ring_nonsmooth": 2, "other_nonsmooth": 3})
-    {'ring': (1, 2), 'other_nonsmooth': (3, None)}
+    runs: Data
+    nonsmooth: Data | None
+    cycles: Data | None
+
+
+def panels(datasets: Mapping[str, Data]) -> dict[str, Panel[Data]]:
+    """Each sweep with what is called `NAME_nonsmooth` and `NAME_cycles`, or None.
+
+    >>> found = panels({"one": 1, "one_nonsmooth": 2, "one_cycles": 3, "other_nonsmooth": 4})
+    >>> found["one"], list(found)
+    (Panel(runs=1, nonsmooth=2, cycles=3), ['one', 'other_nonsmooth'])
     """
+    beside = {name + ending for name in datasets for ending in (NONSMOOTH, CYCLES)}
     return {
-        name: (data, datasets.get(name + NONSMOOTH))
+        name: Panel(data, datasets.get(name + NONSMOOTH), datasets.get(name + CYCLES))
         for name, data in datasets.items()
-        if not (name.endswith(NONSMOOTH) and name.removesuffix(NONSMOOTH) in datasets)
+        if name not in beside
     }

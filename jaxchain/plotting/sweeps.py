@@ -14,7 +14,6 @@ from matplotlib.figure import Figure
 from .diagram import (
     at_rest,
     basin_brackets,
-    cycles,
     energy,
     failed,
     hopf_belt_speed,
@@ -23,7 +22,7 @@ from .diagram import (
     moving_fronts,
     swept,
 )
-from .groups import paired
+from .groups import Panel, panels
 from .style import AMPLITUDE, BLUE, ENERGY, GREY, ORANGE, PAGE_WIDTH, PURPLE, RED, STYLE, SYMBOLS
 
 PANEL_HEIGHT = 2.9
@@ -38,8 +37,8 @@ def figure_3(ladder: xr.Dataset, single: xr.Dataset, hopf: float | None = None) 
 
     **Arguments:** `ladder`, a sweep of a chain over `belt_speed` and `excited`; `single`, one of
     a single oscillator over `belt_speed` and anything else, such as its `displacement` at the
-    start; `hopf`, the belt speed at which steady sliding loses its stability (default: from the
-    parameters of each dataset).
+    start; `hopf`, the belt speed at which steady sliding loses its stability (default:
+    `hopf_belt_speed` of each dataset, which scenes save).
     """
     return figure({"single": single, "ladder": ladder}, hopf=hopf)
 
@@ -47,31 +46,31 @@ def figure_3(ladder: xr.Dataset, single: xr.Dataset, hopf: float | None = None) 
 def figure(datasets: Mapping[str, xr.Dataset], hopf: float | None = None) -> Figure:
     """One panel for each dataset: amplitude for one oscillator, energy for a chain.
 
-    What is called `NAME_nonsmooth` shares the panel of NAME, if there is one.
+    What is called `NAME_nonsmooth` (the same runs with true dry friction) and `NAME_cycles` (the
+    branch of cycles) shares the panel of NAME, if there is one.
     """
-    pairs = paired(datasets)
-    columns = min(2, len(pairs))
-    rows = -(-len(pairs) // columns)
+    shown = panels(datasets)
+    columns = min(2, len(shown))
+    rows = -(-len(shown) // columns)
     width = PAGE_WIDTH if columns > 1 else 0.65 * PAGE_WIDTH
     with matplotlib.rc_context(STYLE):
         page = Figure(figsize=(width, PANEL_HEIGHT * rows), layout="constrained")
-        panels = page.subplots(rows, columns, squeeze=False).ravel()
-        for index, (axes, (data, truth)) in enumerate(zip(panels, pairs.values(), strict=False)):
-            draw(axes, data, hopf, truth)
-            if len(pairs) > 1:
+        places = page.subplots(rows, columns, squeeze=False).ravel()
+        for index, (axes, panel) in enumerate(zip(places, shown.values(), strict=False)):
+            draw(axes, panel, hopf)
+            if len(shown) > 1:
                 axes.set_title(f"({chr(ord('a') + index)})", loc="left", fontweight="bold")
-        for axes in panels[len(pairs) :]:
+        for axes in places[len(shown) :]:
             axes.set_axis_off()
     return page
 
 
-def draw(
-    axes: Axes, data: xr.Dataset, hopf: float | None = None, truth: xr.Dataset | None = None
-) -> None:
+def draw(axes: Axes, panel: Panel[xr.Dataset], hopf: float | None = None) -> None:
     """Every run of a sweep as a point over the belt speed, or over the first swept number.
 
-    `truth`: the same sweep with true dry friction, drawn as rings around the points.
+    Those with true dry friction are rings around the points.
     """
+    data, truth = panel.runs, panel.nonsmooth
     names = swept(data)
     across = "belt_speed" if "belt_speed" in names else names[0]
     if across == "belt_speed":
@@ -85,6 +84,10 @@ def draw(
     bad = failed(data).values
     good = ~bad & np.isfinite(y)
     _draw_runs(axes, data, x[good], y[good], good, hopf)
+    if panel.cycles is not None:
+        _draw_cycles(axes, panel.cycles)
+    elif masses(data) == 1:
+        _draw_brackets(axes, data)
     if truth is not None:
         heights, _ = _heights(truth)
         shown = ~failed(truth).values & np.isfinite(heights)
@@ -147,8 +150,6 @@ def _draw_runs(
     vibrating = count > 0
     if masses(data) == 1:
         axes.plot(x[vibrating], y[vibrating], "o", color=BLUE, markersize=3.2, label="vibrating")
-        if not _draw_cycles(axes, data):
-            _draw_brackets(axes, data)
     else:
         _draw_counts(axes, x[vibrating], y[vibrating], count[vibrating], masses(data))
     if resting.any():
@@ -165,19 +166,17 @@ def _draw_runs(
         )
 
 
-def _draw_cycles(axes: Axes, data: xr.Dataset) -> bool:
-    """The branch of cycles through its fold, which no run can show, if it is known."""
-    branch = cycles(data)
-    if branch is None:
-        return False
-    x, y, top = branch.belt_speed, branch.amplitude, branch.fold
-    axes.plot(x[top:], y[top:], color=BLUE, linewidth=0.9, zorder=2)
+def _draw_cycles(axes: Axes, cycles: xr.Dataset) -> None:
+    """The branch of cycles through its fold, which no run can show."""
+    x, y, stable = (cycles[name].values for name in ("belt_speed", "amplitude", "stable"))
+    top = int(np.argmax(stable))  # the first stable cycle, next to the fold
+    axes.plot(x[top - 1 :], y[top - 1 :], color=BLUE, linewidth=0.9, zorder=2)
     axes.plot(
-        x[: top + 1], y[: top + 1], color="black", linewidth=0.9, linestyle="--", zorder=2,
+        x[:top], y[:top], color="black", linewidth=0.9, linestyle="--", zorder=2,
         label="unstable cycle",
     )  # fmt: skip
-    axes.plot(x[top], y[top], "*", color=RED, markersize=7, zorder=5, label="fold")
-    return True
+    fold = cycles["fold_belt_speed"], cycles["fold_amplitude"]
+    axes.plot(*fold, "*", color=RED, markersize=7, zorder=5, label="fold")
 
 
 def _draw_brackets(axes: Axes, data: xr.Dataset) -> None:

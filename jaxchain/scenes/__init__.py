@@ -1,5 +1,6 @@
 """Experiments as TOML files: read, checked, run, saved.  Reading and checking needs no JAX.
 
+- `boundaries`: the Hopf speed and the cycles that belong to an experiment, saved as data
 - `building`: chain, initial state and solver from the tables of an experiment
 - `errors`: what may go wrong with a scene or a study
 - `files`: the TOML files: found and read

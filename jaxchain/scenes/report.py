@@ -36,6 +36,14 @@ def summary(name: str, data: xr.Dataset) -> str:
     return "\n".join([head, *(_line(label, text) for label, text in lines)])
 
 
+def cycles_summary(name: str, branch: xr.Dataset) -> str:
+    """Where the branch of cycles folds."""
+    speed, amplitude = float(branch["fold_belt_speed"]), float(branch["fold_amplitude"])
+    found = f"at belt speed {speed:.5g}, amplitude {amplitude:.4g} (no cycle above)"
+    head = f"{name}: cycles of one oscillator, stable and unstable"
+    return "\n".join([head, _line("fold", found)])
+
+
 def _line(label: str, text: str) -> str:
     return textwrap.fill(
         text, 98, initial_indent=f"  {label:<14}", subsequent_indent=" " * 16,

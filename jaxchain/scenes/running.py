@@ -13,15 +13,16 @@ from pathlib import Path
 import xarray as xr
 
 from ..observers.amplitude import Amplitude
-from ..plotting.groups import NONSMOOTH
+from ..plotting.groups import CYCLES, NONSMOOTH
 from ..plotting.sweeps import figure
 from ..simulation.event_driven import EventDriven
 from ..sweeps.sweeping import SweepInterrupted, sweep
+from .boundaries import cycles, hopf_speed
 from .building import build_chain, build_initial, build_solver
 from .errors import SceneError
 from .reading import LoadedScene
 from .registry import StudyTable, study_run
-from .report import summary
+from .report import cycles_summary, summary
 from .scene import Experiment
 from .storage import save, save_drawing
 
@@ -89,7 +90,8 @@ def run_scene(
 
     `<scene>.zarr` and `<scene>.nc` hold the main experiment at the root and the others as groups;
     of an experiment with both models the runs with true dry friction are the group
-    `<experiment>_nonsmooth`.
+    `<experiment>_nonsmooth`.  Of one oscillator from several starts over belt speed, the branch of
+    cycles with its fold is the group `<experiment>_cycles`.
     `<scene>.png` and `<scene>.pdf` show all of them.
 
     **Arguments:** `folder` exists and is empty (see `new_folder`); `plot`, draw the figure;
@@ -108,6 +110,8 @@ def run_scene(
     path = folder / loaded.name
     datasets = {}
     for name, experiment in loaded.scene.experiment.items():
+        chain, grid = build_chain(experiment), experiment.grid()
+        hopf = hopf_speed(chain, grid)
         for model in models(experiment):
             # Of two models the smoothed one goes by the name of the experiment.
             second = model == "nonsmooth" and experiment.numerics.model == "both"
@@ -123,7 +127,7 @@ def run_scene(
                 raise SceneError(loaded.name, [problem]) from error
             unwanted = {"amplitude", "energy", "active_count"} - set(experiment.observe.quantities)
             kept = data.drop_vars(unwanted & set(data.data_vars))
-            kept.attrs |= {
+            about = {
                 "title": loaded.scene.title,
                 "description": experiment.description,
                 "scene": loaded.name,
@@ -131,11 +135,18 @@ def run_scene(
                 "model": model,
                 "definition": experiment.model_dump_json(exclude_none=True),
             }
+            kept.attrs |= about
+            if hopf is not None:
+                kept["hopf_belt_speed"] = hopf
             save(kept, path, None if group == loaded.scene.main else group)
             report(summary(group, kept))
             if interrupt is not None:
                 raise interrupt
             datasets[group] = kept
+            if model == "smoothed" and (branch := cycles(chain, grid)) is not None:
+                datasets[name + CYCLES] = branch = branch.assign_attrs(about)
+                save(branch, path, name + CYCLES)
+                report(cycles_summary(name + CYCLES, branch))
     if plot:
         save_drawing(lambda: figure(datasets), path)
     return datasets

@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from ..plotting.groups import NONSMOOTH
+from ..plotting.groups import CYCLES, NONSMOOTH
 from .errors import did_you_mean
 from .tables import (
     MOST_LANES,
@@ -43,7 +43,10 @@ CHAIN_NUMBERS = ("belt_speed", "damping_ratio", "coupling", "stiffness", "normal
 POSITIVE = {"width", "v_ref", "stiffness"}
 NONNEGATIVE = {"mu_static", "mu_dynamic", "mu_viscous", "coupling", "normal_load"}
 # Variables of a results file, beside which its groups stand.
-VARIABLES = {"amplitude", "energy", "active_count", "result", "end_time", "steps", "oscillator"}
+VARIABLES = {
+    "amplitude", "energy", "active_count", "result", "end_time", "steps", "oscillator",
+    "hopf_belt_speed",
+}  # fmt: skip
 
 
 def _raise(problems: list[Problem]) -> None:
@@ -227,6 +230,7 @@ class Scene(Table):
     @model_validator(mode="after")
     def _check(self) -> Scene:
         problems: list[Problem] = []
+        names = set(self.experiment)
         for name, experiment in self.experiment.items():
             if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", name):
                 problems.append(
@@ -240,14 +244,10 @@ class Scene(Table):
                 problems.append(
                     (("experiment", name), "is the name of a variable of the results: rename it")
                 )
-            elif name.endswith(NONSMOOTH) and name.removesuffix(NONSMOOTH) in self.experiment:
-                problems.append(
-                    (
-                        ("experiment", name),
-                        "is where the runs of the other model of "
-                        f"`{name.removesuffix(NONSMOOTH)}` may go: rename it",
-                    )
-                )
+            for ending, what in ((NONSMOOTH, "runs of the other model"), (CYCLES, "cycles")):
+                if name.endswith(ending) and (other := name.removesuffix(ending)) in names:
+                    problem = f"is where the {what} of `{other}` may go: rename it"
+                    problems.append((("experiment", name), problem))
         marked = [name for name, experiment in self.experiment.items() if experiment.main]
         for name in marked[1:]:
             problems.append(

@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from jaxchain import find_limit_cycle, fold_belt_speed, paper_chain
 from jaxchain.plotting.sweeps import figure
+from jaxchain.scenes.boundaries import cycles, hopf_speed
+from jaxchain.scenes.building import build_chain
 from jaxchain.scenes.errors import SceneError
 from jaxchain.scenes.reading import load_scene
 from jaxchain.scenes.running import run_experiment, run_scene
@@ -92,6 +95,68 @@ def test_the_width_has_no_part_in_true_dry_friction(tmp_path):
 def test_names_must_not_meet(tmp_path):
     second = SCENE.split("\n\n")[1].replace("MODEL", "both").replace("ladder", "ladder_nonsmooth")
     with pytest.raises(SceneError, match="ladder_nonsmooth"):
+        scene(tmp_path, "both", "\n" + second)
+
+
+def one_oscillator(tmp_path, count, model="smoothed"):
+    text = SCENE.replace("MODEL", model).replace("n = 3", "n = 1").replace("coupling = 0.01, ", "")
+    text = text.replace('"equation_8"', '"excited", excited = 1')
+    speeds = f"{{ start = 1.0, stop = 1.9, count = {count} }}"
+    text = text.replace("[1.4, 1.6], excited = [0, 1, 3]", f"{speeds}, displacement = [0.5, 2.0]")
+    file = tmp_path / "one.toml"
+    file.write_text(text, encoding="utf-8")
+    return load_scene(str(file))
+
+
+def test_the_branch_of_cycles_is_saved_before_it_is_drawn(tmp_path):
+    run_scene(one_oscillator(tmp_path, 10), tmp_path, plot=False, report=lambda text: None)
+    with xr.open_dataset(tmp_path / "one.nc", engine="h5netcdf", group="ladder_cycles") as cycles:
+        chain = paper_chain(1, width=1e-2)
+        fold = cycles["fold_belt_speed"].item()
+        assert fold == pytest.approx(float(fold_belt_speed(chain)), rel=1e-12)
+        assert cycles["belt_speed"].max() <= fold + 1e-9
+        # A stable and an unstable cycle of speed 1.5, and a run that reaches the stable one.
+        stable = cycles["stable"].values
+        below = [np.interp(1.5, *ordered(cycles, side)) for side in (stable, ~stable)]
+        assert below[0] > below[1] > 0
+        found = find_limit_cycle(chain.with_(belt_speed=1.5))
+        assert below[0] == pytest.approx(float(found.amplitude[0]), rel=1e-3)
+    with xr.open_dataset(tmp_path / "one.nc", engine="h5netcdf") as runs:
+        assert runs["hopf_belt_speed"].item() == pytest.approx(0.5 * np.log(10), rel=1e-12)
+
+
+def ordered(cycles, which):
+    speed, amplitude = (cycles[name].values[which] for name in ("belt_speed", "amplitude"))
+    order = np.argsort(speed)
+    return speed[order], amplitude[order]
+
+
+def test_a_few_belt_speeds_or_dry_friction_have_no_branch(tmp_path):
+    for count, model in ((3, "smoothed"), (10, "nonsmooth")):
+        loaded = one_oscillator(tmp_path, count, model)
+        experiment = loaded.scene.experiment["ladder"]
+        if model == "smoothed":
+            assert cycles(build_chain(experiment), experiment.grid()) is None
+        else:
+            data = run_scene(loaded, tmp_path, plot=False, report=lambda text: None)
+            assert list(data) == ["ladder"]
+
+
+def test_the_hopf_speed_follows_what_is_swept():
+    chain, damping = paper_chain(4), np.array([0.05, 0.1])
+    grid = {"belt_speed": np.array([1.0, 1.5]), "damping_ratio": damping, "excited": np.arange(2)}
+    found = hopf_speed(chain, grid)
+    assert found is not None
+    assert found.dims == ("damping_ratio",)
+    np.testing.assert_allclose(found, 0.5 * np.log(0.5 / damping), rtol=1e-12)
+    assert hopf_speed(chain, {"damping_ratio": damping}) is None
+    uneven = chain.with_(damping_ratio=np.array([0.05, 0.05, 0.06, 0.05]))
+    assert hopf_speed(uneven, {"belt_speed": np.array([1.0, 1.5])}) is None
+
+
+def test_no_experiment_is_named_like_the_cycles_of_another(tmp_path):
+    second = SCENE.split("\n\n")[1].replace("MODEL", "both").replace("ladder", "ladder_cycles")
+    with pytest.raises(SceneError, match="the cycles of `ladder`"):
         scene(tmp_path, "both", "\n" + second)
 
 
