@@ -16,18 +16,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from .model.parameters import parameter
 from .scenes.errors import FigureError, SceneError, StudyFailedError
 
-# Type, default and meaning of each option of `boundary`.
-_BOUNDARY_OPTIONS: dict[str, tuple[type, float | None, str]] = {
-    "n": (int, 1, "number of masses in the ring"),
-    "width": (float, 1e-3, "regularization width of the friction force"),
-    "damping-ratio": (float, 0.05, "xi"),
-    "coupling": (float, None, "eta_c, spring between neighbours (0.01 for several masses)"),
-    "mu-static": (float, 1.0, "friction coefficient at rest"),
-    "mu-dynamic": (float, 0.5, "friction coefficient at high speed"),
-    "v-ref": (float, 0.5, "speed over which friction decays"),
-}
+# The numbers that `boundary` takes, those of the paper by default.
+_BOUNDARY_OPTIONS = ("width", "damping_ratio", "coupling", "mu_static", "mu_dynamic", "v_ref")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -87,9 +80,13 @@ def _parser() -> argparse.ArgumentParser:
         description="Finds the Hopf speed and the fold of a chain: at the width asked and for dry "
         "friction, with error bars. Without options: one mass with the paper's parameters.",
     )
-    for name, (kind, default, meaning) in _BOUNDARY_OPTIONS.items():
-        shown = "" if default is None else f" ({default})"
-        boundary.add_argument(f"--{name}", type=kind, default=default, help=meaning + shown)
+    boundary.add_argument("--n", type=int, default=1, help="number of masses in the ring (1)")
+    for row in map(parameter, _BOUNDARY_OPTIONS):
+        alone = row.per != "spring"
+        boundary.add_argument(
+            f"--{row.name.replace('_', '-')}", type=float, default=row.usual if alone else None,
+            help=f"{row.long_name} ({row.usual}{'' if alone else ' for several masses'})",
+        )  # fmt: skip
     boundary.add_argument("--json", action="store_true", help="print one JSON object")
     boundary.set_defaults(command=_boundary)
 
@@ -222,20 +219,14 @@ def _report(chain: Any, found: Any) -> dict[str, Any]:
 
     names = [name for name in vars(found) if name != "mass"]
     values = {name: number(getattr(found, name)) for name in names}
-    law, friction = chain.friction.law, chain.friction
-    parameters: dict[str, Any] = {
-        "n": chain.n,
-        "width": float(friction.width),
-        "damping_ratio": float(chain.damping_ratio),
-        "coupling": None if chain.coupling is None else float(chain.coupling),
-        **{name: float(value) for name, value in vars(law).items()},
-    }
+    given = {name: chain.numbers().get(name) for name in _BOUNDARY_OPTIONS}
+    parameters = {k: None if value is None else float(value) for k, value in given.items()}
     # From 1, as the paper counts.
     return {
         **values,
         "missing": _missing(found),
         "vibrating_oscillator": found.mass + 1,
-        "parameters": parameters,
+        "parameters": {"n": chain.n, **parameters},
     }
 
 

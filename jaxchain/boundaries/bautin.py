@@ -29,6 +29,7 @@ from ..continuation.damped_newton import newton
 from ..continuation.implicit import attach_derivative
 from ..model.chain import Chain
 from ..model.initial_states import check_vibrating
+from ..model.parameters import CHAIN
 from ..model.sliding import sliding_damping
 from .criticality import first_lyapunov_coefficient
 from .hopf import hopf_belt_speed
@@ -37,8 +38,6 @@ from .hopf import hopf_belt_speed
 _GRID, _ZOOMS = 48, 5
 # Third derivatives at a width eps err by rounding over eps^3.
 _TOLERANCE = 1e-8
-_NUMBERS = ("damping_ratio", "stiffness", "normal_load", "width", "mu_static", "mu_dynamic")
-_NUMBERS += ("v_ref", "mu_viscous")
 
 
 class GeneralisedHopf(eqx.Module):
@@ -74,8 +73,8 @@ def generalised_hopf(chain: Chain, parameter: Any, low: Any, high: Any) -> Gener
     check_vibrating(chain, 0)
     if chain.n != 1:
         raise ValueError(f"Argument `chain` must have one mass, but has {chain.n}.")
-    known = [name for name in _NUMBERS if name in {**vars(chain), **vars(chain.friction.law)}]
-    known.append("width")
+    own = [name for name, row in CHAIN.items() if row.per == "mass"]
+    known = [*own, *chain.friction.numbers()]
     if parameter not in known:
         raise ValueError(
             f"Argument `parameter` must be one of {sorted(known)}, but is {parameter!r}."

@@ -98,8 +98,7 @@ def _uniform(chain: Chain) -> Array:
     (speed,) = _polish(_damping_residual, jnp.stack([low]), chain, low, high)
     law = chain.friction.law
     if isinstance(law, ExponentialDecay):
-        load = 1.0 if chain.normal_load is None else chain.normal_load
-        drop = load * (law.mu_static - law.mu_dynamic)
+        drop = chain.load * (law.mu_static - law.mu_dynamic)
         closed = law.v_ref * jnp.log(drop / (2.0 * chain.damping_ratio * law.v_ref))
         speed = jnp.where(closed > _SATURATED * chain.friction.width, closed, speed)
     return jnp.where(found, speed, jnp.nan)

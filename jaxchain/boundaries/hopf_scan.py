@@ -145,22 +145,15 @@ def hopf_points(chain: Chain, belt_speeds: Any = (0.0, 5.0)) -> HopfPoints:
 def _simplified(chain: Chain) -> Chain:
     """The same chain with one number where all masses have the same, and no springs of zero."""
 
-    def one(value: Array | None) -> Array | None:
-        if value is None or value.ndim == 0 or not bool(jnp.all(value == value[0])):
+    def one(value: Array) -> Array:
+        if jnp.ndim(value) == 0 or not bool(jnp.all(value == value[0])):
             return value
         return value[0]
 
-    coupling = one(chain.coupling)
-    if coupling is not None and (chain.n == 1 or not bool(jnp.any(coupling))):
-        coupling = None
-    friction = jax.tree.map(one, chain.friction)
-    return chain.with_(
-        friction=friction,
-        damping_ratio=one(chain.damping_ratio),
-        stiffness=one(chain.stiffness),
-        normal_load=one(chain.normal_load),
-        coupling=coupling,
-    )
+    chain = jax.tree.map(one, chain)
+    if chain.coupling is not None and (chain.n == 1 or not bool(jnp.any(chain.coupling))):
+        chain = chain.with_(coupling=None)
+    return chain
 
 
 def _described(chain: Chain, crossing: Crossing) -> dict[str, Any]:

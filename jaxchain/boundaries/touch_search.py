@@ -144,13 +144,7 @@ def weakened(chain: Chain, share: Any) -> Chain:
     Averaging describes one mass of it exactly as the share vanishes.  What the springs lose
     between the masses they gain to the ground.
     """
-    load = jnp.ones(()) if chain.normal_load is None else chain.normal_load
-    weak = eqx.tree_at(
-        lambda c: (c.damping_ratio, c.normal_load),
-        chain,
-        (share * chain.damping_ratio, share * load),
-        is_leaf=lambda leaf: leaf is None,
-    )
+    weak = chain.with_(damping_ratio=share * chain.damping_ratio, normal_load=share * chain.load)
     if chain.springs is None:
         return weak
     held = (1.0 - share) * chain.springs.row_sum(chain.n)

@@ -276,8 +276,9 @@ def _interval(chain: Any, interval: Any, count: int, dry: bool) -> Any:
         return _PERIOD
     if dry:
         return 1.0
-    load = 1.0 if chain.normal_load is None else jnp.max(chain.normal_load)
-    rate = load * jnp.max(chain.friction.law.mu_static) / jnp.min(chain.friction.width)
+    rate = (
+        jnp.max(chain.load) * jnp.max(chain.friction.law.mu_static) / jnp.min(chain.friction.width)
+    )
     return jnp.minimum(_PERIOD, _LEAST_LOG / (rate + 2.0 * jnp.max(chain.damping_ratio)))
 
 

@@ -41,10 +41,8 @@ def one_mass(chain: Chain, mass: int) -> Chain:
     def own(value: Array) -> Array:
         return value[mass] if jnp.ndim(value) else value
 
-    friction = jax.tree.map(own, chain.friction)
-    stiffness = own(jnp.asarray(chain.stiffness_diagonal(chain.n)))
-    load = None if chain.normal_load is None else own(chain.normal_load)
-    return Chain(1, friction, chain.belt_speed, own(chain.damping_ratio), None, stiffness, load)
+    held = chain.with_(stiffness=chain.stiffness_diagonal(chain.n), coupling=None)
+    return jax.tree.map(own, held).with_(n=1)
 
 
 def gain(chain: Chain, ratio: ScalarLike, belt_speed: ScalarLike) -> Float[Array, ""]:
@@ -52,8 +50,7 @@ def gain(chain: Chain, ratio: ScalarLike, belt_speed: ScalarLike) -> Float[Array
     amplitude = ratio * belt_speed
     phase = (jnp.arange(_NODES) + 0.5) * (jnp.pi / _NODES)
     cosine, weight = jnp.cos(graded(phase)), 1.0 - _GRADING * jnp.cos(phase)
-    load = 1.0 if chain.normal_load is None else chain.normal_load
-    force = load * chain.friction.force(amplitude * cosine - belt_speed)
+    force = chain.load * chain.friction.force(amplitude * cosine - belt_speed)
     return jnp.mean(weight * force * cosine) - chain.damping_ratio * amplitude
 
 
@@ -84,9 +81,8 @@ def greatest_speed(chain: Chain) -> Float[Array, ""]:
     A vibration of amplitude A = c v_d gains at most 2 p mu_st / pi and loses xi A; with no damping
     there is none.
     """
-    load = 1.0 if chain.normal_load is None else chain.normal_load
     damping = jnp.maximum(chain.damping_ratio, 1e-6)
-    return 2.0 * load * chain.friction.law.mu_static / damping
+    return 2.0 * chain.load * chain.friction.law.mu_static / damping
 
 
 def speed_scale(chain: Chain, dry_speed: ScalarLike) -> Float[Array, ""]:

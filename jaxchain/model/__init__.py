@@ -5,6 +5,7 @@
 - `initial_states`: eq. (8) and eq. (10) of the paper, and who is excited
 - `locality`: checks that forces act mass by mass
 - `oscillators`: what every chain shares; base class for oscillators of one's own
+- `parameters`: the numbers of a chain and of friction: symbol, unit, sign, words for each
 - `sliding`: linear stability of steady sliding: damping, stiffness, eigenvalues
 - `springs`: neighbours of a mass, and the springs between them
 - `tridiagonal`: the springs' linear systems, solved in O(N)

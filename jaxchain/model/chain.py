@@ -10,10 +10,11 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float
 
-from .._checks import check_finite, check_nonnegative, check_positive, to_float
+from .._checks import to_float
 from .._types import PerMass, ScalarLike, State
-from .friction import ExponentialDecay, TanhFriction
+from .friction import ExponentialDecay, TanhFriction, check_numbers
 from .oscillators import AbstractOscillators
+from .parameters import CHAIN
 from .springs import Ends, Springs
 from .tridiagonal import exact_solver
 
@@ -91,51 +92,37 @@ class Chain(AbstractOscillators):
         kind: Ends = "cyclic" if ends == "cyclic" else "free"
         self.springs = None if coupling is None else Springs(to_float(coupling), kind)
         self._check_shapes(kind)
-        self._check_values()
+        check_numbers({name: value for name, value in self._own().items() if value is not None})
 
     def _check_shapes(self, ends: Ends) -> None:
-        if self.belt_speed.ndim != 0:
-            raise ValueError(
-                "Argument `belt_speed` must be one number, but has shape "
-                f"{self.belt_speed.shape}: "
-                "use `jax.vmap` or `sweep` for several belt speeds."
-            )
-        per_mass = {
-            "damping_ratio": self.damping_ratio,
-            "stiffness": self.stiffness,
-            "normal_load": self.normal_load,
+        n, springs = self.n, self.n if ends == "cyclic" else self.n - 1
+        # How many numbers, what the error calls that, and its remedy.
+        allowed = {
+            "chain": (None, "be one number", ": use `jax.vmap` or `sweep` for several."),
+            "mass": (n, f"be one number or have shape ({n},)", "."),
+            "spring": (
+                springs,
+                f"be one number or have one entry per spring, shape ({springs},) for {n} masses "
+                f"with {ends} ends",
+                ".",
+            ),
         }
-        for name, value in per_mass.items():
-            if value is not None and value.shape not in ((), (self.n,)):
+        for name, value in self._own().items():
+            count, must, remedy = allowed[CHAIN[name].per]
+            if value is not None and value.shape not in ((), (count,)):
                 raise ValueError(
-                    f"Argument `{name}` must be one number or have shape ({self.n},), but has "
-                    f"shape {value.shape}."
+                    f"Argument `{name}` must {must}, but has shape {value.shape}{remedy}"
                 )
-        friction = {**vars(self.friction.law), "width": self.friction.width}
-        for name, value in friction.items():
+        for name, value in self.friction.numbers().items():
             if jnp.shape(value) not in ((), (self.n,)):
                 raise ValueError(
                     f"Argument `friction` has `{name}` of shape {jnp.shape(value)}, but the chain "
                     f"has {self.n} masses: give one number or one per mass."
                 )
-        springs = self.n if ends == "cyclic" else self.n - 1
-        if self.springs is not None and self.springs.constant.shape not in ((), (springs,)):
-            raise ValueError(
-                f"Argument `coupling` must be one number or have one entry per spring, shape "
-                f"({springs},) for {self.n} masses with {ends} ends, but has shape "
-                f"{self.springs.constant.shape}."
-            )
 
-    def _check_values(self) -> None:
-        check_finite("belt_speed", self.belt_speed, "it is a speed, such as 1.5.")
-        check_finite("damping_ratio", self.damping_ratio, "it is a ratio, such as 0.05.")
-        check_positive("stiffness", self.stiffness, "1 is the nominal spring to ground.")
-        if self.normal_load is not None:
-            check_nonnegative("normal_load", self.normal_load, "a mass cannot pull at the belt.")
-        if self.springs is not None:
-            check_nonnegative(
-                "coupling", self.springs.constant, "it is a spring constant, such as 0.01."
-            )
+    def _own(self) -> dict[str, Array | None]:
+        """Its numbers without those of friction, by name."""
+        return {name: getattr(self, name) for name in CHAIN}
 
     @property
     def coupling(self) -> Array | None:
@@ -147,15 +134,17 @@ class Chain(AbstractOscillators):
         """ "cyclic" or "free"; without coupling there is no difference."""
         return "cyclic" if self.springs is None else self.springs.ends
 
+    @property
+    def load(self) -> PerMass:
+        """p: one number or one per mass, 1 where none is given."""
+        return jnp.ones(()) if self.normal_load is None else self.normal_load
+
     def local_force(
         self, t: ScalarLike, x: Float[Array, " n"], v: Float[Array, " n"]
     ) -> Float[Array, " n"]:
         """p_n F(v_n - v_d) - 2 xi_n v_n."""
         del t, x
-        force = self.friction.force(v - self.belt_speed)
-        if self.normal_load is not None:
-            force = self.normal_load * force
-        return force - 2.0 * self.damping_ratio * v
+        return self.load * self.friction.force(v - self.belt_speed) - 2.0 * self.damping_ratio * v
 
     def switching(
         self, t: ScalarLike, v: Float[Array, " n"]
@@ -174,8 +163,7 @@ class Chain(AbstractOscillators):
 
     def greatest_hold(self) -> PerMass:
         """p mu_st, the greatest friction force on a sticking mass."""
-        load = jnp.ones(()) if self.normal_load is None else self.normal_load
-        return load * self.friction.law.mu_static
+        return self.load * self.friction.law.mu_static
 
     def unheld_force(self, x: Float[Array, " n"], v: Float[Array, " n"]) -> Float[Array, " n"]:
         """|r| - p mu_st with r = -2 xi v - K x, the force on a mass without friction."""
@@ -203,34 +191,22 @@ class Chain(AbstractOscillators):
         >>> float(paper_chain().with_(belt_speed=1.2, width=1e-4).friction.width)
         0.0001
         """
-        own = {
-            "n": self.n,
-            "friction": self.friction,
-            "belt_speed": self.belt_speed,
-            "damping_ratio": self.damping_ratio,
-            "coupling": self.coupling,
-            "stiffness": self.stiffness,
-            "normal_load": self.normal_load,
-            "ends": self.ends,
-        }
-        law = dict(vars(self.friction.law))
-        unknown = [k for k in changes if k not in own and k not in law and k != "width"]
+        own = {"n": self.n, "friction": self.friction, "ends": self.ends, **self._own()}
+        friction = self.friction.numbers()
+        unknown = [name for name in changes if name not in own and name not in friction]
         if unknown:
             raise ValueError(
-                f"`Chain.with_` does not know {unknown}; it takes {sorted([*own, 'width', *law])}."
+                f"`Chain.with_` does not know {unknown}; it takes {sorted([*own, *friction])}."
             )
-        friction_changes = {k: changes.pop(k) for k in list(changes) if k not in own}
-        own.update(changes)
-        if friction_changes:
-            friction = own["friction"]
-            width = friction_changes.pop("width", friction.width)
-            new_law = type(friction.law)(**{**dict(vars(friction.law)), **friction_changes})
-            own["friction"] = TanhFriction(new_law, width)
+        of_friction = {name: changes.pop(name) for name in friction if name in changes}
+        own |= changes
+        if of_friction:
+            own["friction"] = own["friction"].with_(**of_friction)
         return Chain(**own)
 
     def numbers(self) -> dict[str, Array]:
         """The numbers that `with_` takes by name, those of the friction law among them."""
-        return {**vars(self.friction.law), "width": self.friction.width, **super().numbers()}
+        return {**self.friction.numbers(), **super().numbers()}
 
 
 def paper_chain(n: int = 20, belt_speed: ArrayLike = 1.5, width: ArrayLike = 1e-3) -> Chain:
@@ -265,8 +241,7 @@ def steady_sliding(chain: Chain) -> State:
     force = chain.local_force(0.0, zero, zero)
     uniform = all(
         jnp.ndim(a) == 0
-        for a in (chain.stiffness, chain.normal_load, chain.friction.force(-chain.belt_speed))
-        if a is not None
+        for a in (chain.stiffness, chain.load, chain.friction.force(-chain.belt_speed))
     )
     # Equal displacements stretch no spring.
     if chain.springs is None or uniform:

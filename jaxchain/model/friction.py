@@ -9,7 +9,7 @@ and `jvp` go through it.
 
 import abc
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -18,13 +18,11 @@ import jax.numpy as jnp
 from jax.experimental.jet import jet
 from jaxtyping import Array, ArrayLike, Float
 
-from .._checks import check_at_least, check_nonnegative, check_per_mass, check_positive, to_float
+from .._checks import check_at_least, check_per_mass, check_sign, to_float
 from .._types import PerMass
+from .parameters import parameter
 
-_MU_REMEDY = "a friction coefficient is a force ratio, such as 0.5."
-_V_REF_REMEDY = "it is the speed over which friction decays, such as 0.5."
 _ORDER_REMEDY = "friction at rest exceeds friction in motion; raise `mu_static`."
-_WIDTH_REMEDY = "1e-3 is usual; the non-smooth limit is the business of an event-driven solver."
 
 
 class AbstractFrictionLaw(eqx.Module):
@@ -57,6 +55,14 @@ class AbstractFrictionLaw(eqx.Module):
         _, series = jet(self.coefficient, (speed[0],), (derivatives,))
         return series[k - 1] / math.factorial(k)
 
+    def numbers(self) -> dict[str, Any]:
+        """The fields by name: what `with_`, of a chain too, takes."""
+        return dict(vars(self))
+
+    def with_(self, **changes: Any) -> Any:
+        """A copy with other numbers."""
+        return type(self)(**{**self.numbers(), **changes})
+
 
 class ExponentialDecay(AbstractFrictionLaw):
     """mu(s) = mu_d + (mu_st - mu_d) exp(-s / v0): friction that weakens with speed.
@@ -79,8 +85,7 @@ class ExponentialDecay(AbstractFrictionLaw):
     v_ref: PerMass = eqx.field(converter=to_float)
 
     def __check_init__(self) -> None:
-        check_per_mass(mu_static=self.mu_static, mu_dynamic=self.mu_dynamic, v_ref=self.v_ref)
-        _check_weakening(self.mu_static, self.mu_dynamic, self.v_ref)
+        _check_weakening(self)
 
     def coefficient(self, speed: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
         drop = self.mu_static - self.mu_dynamic
@@ -125,16 +130,7 @@ class WeakeningStrengthening(AbstractFrictionLaw):
     mu_viscous: PerMass = eqx.field(converter=to_float)
 
     def __check_init__(self) -> None:
-        check_per_mass(
-            mu_static=self.mu_static,
-            mu_dynamic=self.mu_dynamic,
-            v_ref=self.v_ref,
-            mu_viscous=self.mu_viscous,
-        )
-        _check_weakening(self.mu_static, self.mu_dynamic, self.v_ref)
-        check_nonnegative(
-            "mu_viscous", self.mu_viscous, "it is how fast friction grows with speed."
-        )
+        _check_weakening(self)
 
     def coefficient(self, speed: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
         drop = self.mu_static - self.mu_dynamic
@@ -175,8 +171,8 @@ class Coulomb(AbstractFrictionLaw):
         self.mu_dynamic = to_float(mu_dynamic)
 
     def __check_init__(self) -> None:
-        check_per_mass(mu_dynamic=self.mu_dynamic)
-        check_nonnegative("mu_dynamic", self.mu_dynamic, _MU_REMEDY)
+        check_per_mass(**vars(self))
+        check_numbers(vars(self))
 
     @property
     def mu_static(self) -> PerMass:
@@ -216,7 +212,7 @@ class TanhFriction(eqx.Module):
 
     def __check_init__(self) -> None:
         check_per_mass(mu_static=self.law.mu_static, width=self.width)
-        check_positive("width", self.width, _WIDTH_REMEDY)
+        check_numbers({"width": self.width})
 
     def force(self, relative_velocity: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
         """F(w), element by element; w of any shape, or (n,) if a parameter is given per mass."""
@@ -246,12 +242,27 @@ class TanhFriction(eqx.Module):
         ratio = 4.0 * self.law.mu_static / jnp.maximum(self.width * weakening, 1e-300)
         return 0.5 * self.width * jnp.log(jnp.maximum(ratio, jnp.e))
 
+    def numbers(self) -> dict[str, Any]:
+        """Those of the law by name, and `width`."""
+        return {**self.law.numbers(), "width": self.width}
 
-def _check_weakening(mu_static: PerMass, mu_dynamic: PerMass, v_ref: PerMass) -> None:
-    check_nonnegative("mu_dynamic", mu_dynamic, _MU_REMEDY)
-    check_nonnegative("mu_static", mu_static, _MU_REMEDY)
-    check_at_least("mu_static", mu_static, "mu_dynamic", mu_dynamic, _ORDER_REMEDY)
-    check_positive("v_ref", v_ref, _V_REF_REMEDY)
+    def with_(self, **changes: Any) -> Any:
+        """A copy with other numbers, of the law or its width."""
+        width = changes.pop("width", self.width)
+        return TanhFriction(self.law.with_(**changes), width)
+
+
+def check_numbers(numbers: Mapping[str, Any]) -> None:
+    """Raises `ValueError` where one lacks the sign that `model/parameters.py` gives its name."""
+    for name, value in numbers.items():
+        row = parameter(name)
+        check_sign(name, value, row.sign, row.remedy)
+
+
+def _check_weakening(law: ExponentialDecay | WeakeningStrengthening) -> None:
+    check_per_mass(**vars(law))
+    check_numbers(vars(law))
+    check_at_least("mu_static", law.mu_static, "mu_dynamic", law.mu_dynamic, _ORDER_REMEDY)
 
 
 def _decaying(speed: Sequence[Any], before: Sequence[Any], rate: Any) -> Any:

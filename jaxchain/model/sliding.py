@@ -9,8 +9,6 @@ lambda = 0 is never an eigenvalue, so stability changes by pairs +-i omega only:
 bifurcations.  If all d_n are positive, sliding is stable; if all are negative, all modes grow.
 """
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -33,13 +31,8 @@ def has_uniform_damping(chain: Chain) -> bool:
 
     Told by the shapes alone: numbers that are given per mass count as different.
     """
-    numbers = [
-        chain.damping_ratio,
-        chain.normal_load,
-        chain.friction.width,
-        *vars(chain.friction.law).values(),
-    ]
-    return all(jnp.ndim(number) == 0 for number in numbers if number is not None)
+    numbers = [chain.damping_ratio, chain.load, *chain.friction.numbers().values()]
+    return all(jnp.ndim(number) == 0 for number in numbers)
 
 
 def sliding_damping(chain: Chain, belt_speed: Float[Array, ""]) -> PerMass:
@@ -53,18 +46,14 @@ def sliding_damping(chain: Chain, belt_speed: Float[Array, ""]) -> PerMass:
     -0.267879
     """
     _, slope = chain.friction.force_and_slope(-jnp.abs(belt_speed))
-    return 2.0 * chain.damping_ratio - _load(chain) * slope
+    return 2.0 * chain.damping_ratio - chain.load * slope
 
 
 def dry_damping(chain: Chain, belt_speed: Float[Array, ""]) -> PerMass:
     """2 xi + p mu'(v_d), what `sliding_damping` would be without smoothing."""
     speed = jnp.abs(belt_speed)
     _, slope = jax.jvp(chain.friction.law.coefficient, (speed,), (jnp.ones_like(speed),))
-    return 2.0 * chain.damping_ratio + _load(chain) * slope
-
-
-def _load(chain: Chain) -> Any:
-    return 1.0 if chain.normal_load is None else chain.normal_load
+    return 2.0 * chain.damping_ratio + chain.load * slope
 
 
 def belt_speed_grid(chain: Chain) -> Float[Array, " speeds"]:
@@ -89,7 +78,7 @@ def damping_outweighs(chain: Chain) -> Bool[Array, ""]:
     >>> [bool(damping_outweighs(paper_chain(1).with_(damping_ratio=xi))) for xi in (0.4, 0.6)]
     [False, True]
     """
-    friction, load = chain.friction, _load(chain)
+    friction, load = chain.friction, chain.load
     speeds = jnp.concatenate([jnp.zeros(1), belt_speed_grid(chain)])
 
     def sample(speed: Array) -> tuple[Array, Array, Array, Array]:

@@ -60,10 +60,9 @@ class EnergyBalance(AbstractObserver):
 
     def _friction(self, x: Array, v: Array) -> Array:
         chain = self.chain
-        load = 1.0 if chain.normal_load is None else chain.normal_load
         w = v - chain.belt_speed
         if not self.dry:
-            return load * chain.friction.force(w)
-        sliding = -load * chain.friction.law.coefficient(jnp.abs(w)) * jnp.sign(w)
+            return chain.load * chain.friction.force(w)
+        sliding = -chain.load * chain.friction.law.coefficient(jnp.abs(w)) * jnp.sign(w)
         holding = 2.0 * chain.damping_ratio * v - chain.restoring_force(x)
         return jnp.where(jnp.abs(w) < _STUCK, holding, sliding)

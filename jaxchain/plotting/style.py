@@ -13,6 +13,8 @@ from typing import Any
 import matplotlib
 from matplotlib.figure import Figure
 
+from ..model.parameters import PARAMETERS
+
 PAGE_WIDTH = 7.0  # inches
 BLUE, ORANGE, GREY, RED = "#0072B2", "#E69F00", "#777777", "#C8102E"
 PURPLE = "#CC79A7"
@@ -28,16 +30,7 @@ STYLE: dict[Any, Any] = {
     "pdf.fonttype": 42,  # text stays text
 }
 SYMBOLS = {
-    "belt_speed": r"belt speed $\tilde v_d$ (–)",
-    "damping_ratio": r"damping ratio $\xi$ (–)",
-    "coupling": r"coupling $\eta_c$ (–)",
-    "stiffness": r"relative stiffness (–)",
-    "normal_load": r"relative normal load (–)",
-    "width": r"regularization width $\varepsilon$ (–)",
-    "mu_static": r"static friction coefficient $\mu_{st}$ (–)",
-    "mu_dynamic": r"dynamic friction coefficient $\mu_d$ (–)",
-    "mu_viscous": r"viscous friction coefficient $\mu_v$ (–)",
-    "v_ref": r"reference speed $\tilde v_0$ (–)",
+    **{name: row.label for name, row in PARAMETERS.items()},
     "excited": "oscillators excited at the start",
     "displacement": "displacement at the start (–)",
     "velocity": "velocity at the start (–)",

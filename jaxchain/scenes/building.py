@@ -13,9 +13,10 @@ import numpy as np
 from .._types import ScalarLike, State
 from ..model import friction, initial_states
 from ..model.chain import Chain
+from ..model.parameters import CHAIN
 from ..simulation.accuracy import fit_linear_solve
 from ..solvers.rosenbrock import Rodas4, Rodas5P
-from .scene import CHAIN_NUMBERS, Experiment
+from .scene import Experiment
 from .tables import Equation8Table, Equation10Table
 
 LAWS = {
@@ -29,18 +30,19 @@ def build_chain(experiment: Experiment) -> Chain:
     """The chain of an experiment, with the first value of everything that is swept."""
     table, grid = experiment.chain, experiment.grid()
 
-    def number(name: str, given: float | list[float] | None) -> Any:
+    def number(name: str) -> Any:
         if name in grid:
             return float(grid[name][0])
+        given = experiment.given(name)
         return np.array(given, float) if isinstance(given, list) else given
 
-    law = {k: number(k, getattr(table.friction, k)) for k in experiment.friction_numbers()}
+    law = {name: number(name) for name in experiment.friction_numbers()}
     width = law.pop("width")
     return Chain(
         table.n,
         friction.TanhFriction(LAWS[table.friction.law](**law), width),
         ends=table.ends,
-        **{name: number(name, getattr(table, name)) for name in CHAIN_NUMBERS},
+        **{name: number(name) for name in CHAIN},
     )
 
 

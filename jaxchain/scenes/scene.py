@@ -10,12 +10,13 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterator
-from typing import Annotated, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
+from ..model.parameters import CHAIN, FRICTION, parameter
 from ..plotting.groups import CYCLES, NONSMOOTH
 from .errors import did_you_mean
 from .tables import (
@@ -39,9 +40,6 @@ Problem: TypeAlias = tuple[tuple[str, ...], str]
 
 # Amplitudes of one experiment: 0.8 GB, which a workstation holds while it writes them.
 MOST_AMPLITUDES = 10**8
-CHAIN_NUMBERS = ("belt_speed", "damping_ratio", "coupling", "stiffness", "normal_load")
-POSITIVE = {"width", "v_ref", "stiffness"}
-NONNEGATIVE = {"mu_static", "mu_dynamic", "mu_viscous", "coupling", "normal_load"}
 # Variables of a results file, beside which its groups stand.
 VARIABLES = {
     "amplitude", "energy", "active_count", "result", "end_time", "steps", "oscillator",
@@ -74,8 +72,11 @@ class Experiment(Table):
     def friction_numbers(self) -> tuple[str, ...]:
         """Names of the numbers of the friction law, width last."""
         fields = type(self.chain.friction).model_fields
-        names = [name for name in fields if name not in ("law", "width")]
-        return (*names, "width")
+        return tuple(name for name in FRICTION if name in fields)
+
+    def given(self, name: str) -> Any:
+        """A number of the chain or its friction as it stands in their tables."""
+        return getattr(self.chain if name in CHAIN else self.chain.friction, name)
 
     def initial_numbers(self) -> tuple[str, ...]:
         """Names of the numbers of the initial state that can be swept."""
@@ -86,7 +87,7 @@ class Experiment(Table):
 
     def sweepable(self) -> tuple[str, ...]:
         """Every name that may stand in `sweep`."""
-        return (*CHAIN_NUMBERS, *self.friction_numbers(), *self.initial_numbers())
+        return (*CHAIN, *self.friction_numbers(), *self.initial_numbers())
 
     def grid(self) -> dict[str, np.ndarray]:
         """The swept values by name, in the order of the file, each of shape (values,).
@@ -94,7 +95,7 @@ class Experiment(Table):
         Without a sweep this is one run, at the belt speed of the chain.
         """
         if not self.sweep:
-            return {"belt_speed": np.array([self.chain.belt_speed])}
+            return {"belt_speed": np.array([self.given("belt_speed")])}
         grid = {}
         for name, values in self.sweep.items():
             array = values.array() if isinstance(values, Range) else np.array(values)
@@ -118,10 +119,10 @@ class Experiment(Table):
                 yield name, f"cannot be swept{near}; allowed: {', '.join(self.sweepable())}"
                 continue
             array = values.array() if isinstance(values, Range) else np.array(values)
-            least = np.min(array)
-            if name in POSITIVE and least <= 0:
+            least, sign = np.min(array), parameter(name).sign
+            if sign == "positive" and least <= 0:
                 yield name, f"must be greater than 0 throughout, but holds {least:g}"
-            if name in NONNEGATIVE and least < 0:
+            if sign == "nonnegative" and least < 0:
                 yield name, f"must not be negative, but holds {least:g}"
             different, times = np.unique(array, return_counts=True)
             if different.size < array.size:
@@ -136,12 +137,11 @@ class Experiment(Table):
                 yield name, "cannot be swept: a single mass (`chain.n` = 1) has no neighbours"
 
     def _missing(self) -> Iterator[Problem]:
-        for name in ("belt_speed", "damping_ratio"):
-            if getattr(self.chain, name) is None and name not in self.sweep:
-                yield ("chain", name), "is missing: give it here or in `sweep`"
-        for name in self.friction_numbers():
-            if getattr(self.chain.friction, name) is None and name not in self.sweep:
-                yield ("chain", "friction", name), "is missing: give it here or in `sweep`"
+        required = {name: ("chain",) for name, row in CHAIN.items() if row.required}
+        required |= dict.fromkeys(self.friction_numbers(), ("chain", "friction"))
+        for name, table in required.items():
+            if self.given(name) is None and name not in self.sweep:
+                yield (*table, name), "is missing: give it here or in `sweep`"
         initial = self.initial
         chosen = isinstance(initial, ExcitedTable) and initial.oscillators is not None
         if initial.excited is None and "excited" not in self.sweep and not chosen:
@@ -170,16 +170,19 @@ class Experiment(Table):
     def _chain_misfits(self) -> Iterator[Problem]:
         chain = self.chain
         springs = chain.n if chain.ends == "cyclic" else chain.n - 1
-        wanted = {"coupling": (springs, f"one per spring with {chain.ends} ends")}
-        wanted |= {k: (chain.n, "one per mass") for k in CHAIN_NUMBERS if k not in wanted}
-        for name, (count, which) in wanted.items():
-            value = getattr(chain, name)
-            if isinstance(value, list) and len(value) != count:
+        wanted = {
+            "mass": (chain.n, "one per mass"),
+            "spring": (springs, f"one per spring with {chain.ends} ends"),
+        }
+        for name, row in CHAIN.items():
+            value = self.given(name)
+            if isinstance(value, list) and len(value) != wanted[row.per][0]:
+                count, which = wanted[row.per]
                 yield (
                     (name,),
                     f"must be one number or {count} in a list ({which}), but has {len(value)}",
                 )
-        if chain.coupling is not None and chain.n == 1:
+        if self.given("coupling") is not None and chain.n == 1:
             yield ("coupling",), "must be left out: a single mass (`n` = 1) has no neighbours"
         if not isinstance(chain.friction, CoulombTable):
             static, dynamic = self._extreme("mu_static", min), self._extreme("mu_dynamic", max)
@@ -193,8 +196,7 @@ class Experiment(Table):
         """The least or greatest value that a number of chain or friction takes."""
         if name in self.sweep:
             return float(choose(self.grid()[name]))
-        table = self.chain if name in CHAIN_NUMBERS else self.chain.friction
-        value = getattr(table, name)
+        value = self.given(name)
         return choose(value) if isinstance(value, list) else value
 
     def _too_large(self) -> Iterator[Problem]:

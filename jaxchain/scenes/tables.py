@@ -8,8 +8,9 @@ missing is for the experiment to say (`jaxchain.scenes.scene`).
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from decimal import Decimal
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias, TypeVar
 
 import numpy as np
 from pydantic import (
@@ -19,9 +20,13 @@ from pydantic import (
     Discriminator,
     Field,
     Tag,
+    create_model,
     model_validator,
 )
 
+from ..model.parameters import CHAIN, Parameter, parameter
+
+T = TypeVar("T", bound=BaseModel)
 MOST_LANES = 10**6
 MOST_LANES_REMEDY = "take fewer values, or share them out over several experiments or scene files"
 
@@ -66,21 +71,27 @@ Positive: TypeAlias = Annotated[float, Field(gt=0)]
 # A time over which vibrations are measured.
 Window: TypeAlias = Annotated[Positive, AfterValidator(_holds_a_period)]
 NonNegative: TypeAlias = Annotated[float, Field(ge=0)]
-# One number for the whole chain, or one per mass (for coupling: per spring).
-PerMass: TypeAlias = Annotated[
-    Annotated[float, Tag("number")] | Annotated[list[float], Field(min_length=1), Tag("list")],
-    Discriminator(_form),
-]
-PositivePerMass: TypeAlias = Annotated[
-    Annotated[Positive, Tag("number")]
-    | Annotated[list[Positive], Field(min_length=1), Tag("list")],
-    Discriminator(_form),
-]
-NonNegativePerMass: TypeAlias = Annotated[
-    Annotated[NonNegative, Tag("number")]
-    | Annotated[list[NonNegative], Field(min_length=1), Tag("list")],
-    Discriminator(_form),
-]
+_SIGNS: dict[str, Any] = {"any": float, "nonnegative": NonNegative, "positive": Positive}
+
+
+def _key(row: Parameter, several: bool) -> Any:
+    """Type and default of the key of a number; `several`: also one for each mass or spring."""
+    kind: Any = _SIGNS[row.sign]
+    if several and row.per != "chain":
+        many = Annotated[list[kind], Field(min_length=1), Tag("list")]
+        kind = Annotated[Annotated[kind, Tag("number")] | many, Discriminator(_form)]
+    kind = kind | None if row.default is None else kind
+    return Annotated[kind, Field(description=row.meaning or None)], row.default
+
+
+def _numbers(*names: str, several: bool = False) -> Callable[[type[T]], type[T]]:
+    """Gives a table the keys of these numbers, after its own."""
+
+    def with_keys(table: type[T]) -> type[T]:
+        keys: Any = {name: _key(parameter(name), several) for name in names}
+        return create_model(table.__name__, __base__=table, __doc__=table.__doc__, **keys)
+
+    return with_keys
 
 
 class Range(Table):
@@ -143,36 +154,28 @@ Values: TypeAlias = Annotated[
 ]
 
 
-class _WeakeningTable(Table):
-    width: Positive | None = None
-    """Regularization width of the friction force, a speed."""
-    mu_static: NonNegative | None = None
-    mu_dynamic: NonNegative | None = None
-    v_ref: Positive | None = None
-    """Speed over which friction decays."""
+_WEAKENING = ("width", "mu_static", "mu_dynamic", "v_ref")
 
 
-class ExponentialDecayTable(_WeakeningTable):
+@_numbers(*_WEAKENING)
+class ExponentialDecayTable(Table):
     """mu(s) = mu_dynamic + (mu_static - mu_dynamic) exp(-s / v_ref)."""
 
     law: Literal["exponential_decay"]
 
 
-class WeakeningStrengtheningTable(_WeakeningTable):
+@_numbers(*_WEAKENING, "mu_viscous")
+class WeakeningStrengtheningTable(Table):
     """mu(s) = mu_dynamic + (mu_static - mu_dynamic) exp(-s / v_ref) + mu_viscous s / v_ref."""
 
     law: Literal["weakening_strengthening"]
-    mu_viscous: NonNegative | None = None
-    """Growth of friction per `v_ref` of speed."""
 
 
+@_numbers("width", "mu_dynamic")
 class CoulombTable(Table):
     """mu(s) = mu_dynamic."""
 
     law: Literal["coulomb"]
-    width: Positive | None = None
-    """Regularization width of the friction force, a speed."""
-    mu_dynamic: NonNegative | None = None
 
 
 FrictionTable: TypeAlias = Annotated[
@@ -180,21 +183,13 @@ FrictionTable: TypeAlias = Annotated[
 ]
 
 
+@_numbers(*CHAIN, several=True)
 class ChainTable(Table):
     """A chain of masses on a belt: x'' + 2 xi x' + k x + coupling = p F(x' - v_d)."""
 
     n: Annotated[int, Field(ge=1)]
     """Number of masses."""
     friction: FrictionTable
-    belt_speed: float | None = None
-    damping_ratio: PerMass | None = None
-    """xi, one number or one per mass."""
-    coupling: NonNegativePerMass | None = None
-    """Of the springs between neighbours, one number or one per spring; absent: no springs."""
-    stiffness: PositivePerMass = 1.0
-    """Relative to the nominal spring, one number or one per mass."""
-    normal_load: NonNegativePerMass | None = None
-    """Relative to the nominal load, one number or one per mass; absent: 1 everywhere."""
     ends: Literal["cyclic", "free"] = "cyclic"
 
 

@@ -144,7 +144,7 @@ def choose_numerics(chain: Chain, accuracy: Any) -> Numerics:
             "has no width."
         )
     law = chain.friction.law
-    load = 1.0 if chain.normal_load is None else jnp.max(chain.normal_load)
+    load = jnp.max(chain.load)
     zero = jnp.zeros_like(jnp.asarray(law.mu_static, float))
     _, slope = jax.jvp(law.coefficient, (zero,), (jnp.ones_like(zero),))
     slope = load * jnp.maximum(jnp.max(jnp.abs(slope)), 1e-12)

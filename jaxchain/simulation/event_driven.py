@@ -215,7 +215,7 @@ def _head_start(
     """
     through = hits & (modes.direction != STICK) & (new.direction != STICK)
     speed = jnp.zeros_like(state[1])
-    friction = new.direction * field.load() * field.chain.friction.law.coefficient(speed)
+    friction = new.direction * field.chain.load * field.chain.friction.law.coefficient(speed)
     gain = jnp.where(through, since * (field.free_force(*state) - friction), 0.0)
     return gain - lax.stop_gradient(gain)
 

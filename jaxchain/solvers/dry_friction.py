@@ -45,10 +45,6 @@ class DryField(AbstractOscillators):
     def __init__(self, chain: Chain):
         self.chain, self.springs = chain, chain.springs
 
-    def load(self) -> PerMass:
-        load = self.chain.normal_load
-        return jnp.ones(()) if load is None else load
-
     def can_hold(self, force: Float[Array, " n"]) -> Bool[Array, " n"]:
         """Whether friction can keep masses on the belt against this force."""
         return jnp.abs(force) <= self.greatest_hold()
@@ -63,7 +59,7 @@ class DryField(AbstractOscillators):
         """-sign(w) p mu(|w|) - 2 xi v."""
         del t, x
         w = v - self.chain.belt_speed
-        friction = jnp.sign(w) * self.load() * self.chain.friction.law.coefficient(jnp.abs(w))
+        friction = jnp.sign(w) * self.chain.load * self.chain.friction.law.coefficient(jnp.abs(w))
         return -friction - 2.0 * self.chain.damping_ratio * v
 
     def stiffness_diagonal(self, n: int) -> PerMass:
@@ -113,7 +109,7 @@ def expand(field: DryField, state: State, modes: Modes, order: int) -> Series:
     with m_k the coefficients of mu(direction (v - v_d)).
     """
     chain = field.chain
-    law, load = chain.friction.law, field.load()
+    law, load = chain.friction.law, chain.load
     direction = modes.direction
     slides = direction != STICK
     n = direction.shape[0]

@@ -35,6 +35,7 @@ import numpy as np
 import xarray as xr
 
 from ..model.chain import Chain
+from ..model.parameters import CHAIN, parameter
 from ..observers.amplitude import Amplitude
 from ..observers.base import AbstractObserver
 from ..observers.fronts import FrontTrack
@@ -45,6 +46,7 @@ from ..observers.section import Section
 from ..observers.stick_time import StickTime
 from ..result import NAMES
 from ..simulation.plan import AbstractPlan
+from .lanes import chain_names
 
 # What has names in a dataset.
 OBSERVERS = (Amplitude, PeakTimes, Section, StickTime, Samples, FrontTrack)
@@ -52,9 +54,6 @@ OBSERVERS = (Amplitude, PeakTimes, Section, StickTime, Samples, FrontTrack)
 # How a count is written: an integer, and this one where it is missing.
 COUNT_ENCODING = {"dtype": "int64", "_FillValue": -1}
 UNITS = {
-    "belt_speed": "x0 omega_n",
-    "v_ref": "x0 omega_n",
-    "width": "x0 omega_n",
     "amplitude": "x0",
     "energy": "x0^2",
     "end_time": "1 / omega_n",
@@ -68,7 +67,6 @@ UNITS = {
     "section_velocity": "x0 omega_n",
 }
 LONG_NAMES = {
-    "belt_speed": "belt speed v_d",
     "excited": "masses excited at the start",
     "amplitude": "vibration amplitude A_n (half peak-to-peak)",
     "energy": "vibration energy E = 1/2 sum A_n^2",
@@ -86,18 +84,12 @@ def describe(
     chain: Chain, plan: AbstractPlan, *, t0: float, t1: float, swept: Sequence[str]
 ) -> dict[str, Any]:
     """Provenance: everything needed to repeat the computation, as NetCDF-safe attributes."""
-    law = chain.friction.law
     parameters = {
         "n": chain.n,
         "ends": chain.ends,
-        "belt_speed": chain.belt_speed,
-        "damping_ratio": chain.damping_ratio,
-        "coupling": chain.coupling,
-        "stiffness": chain.stiffness,
-        "normal_load": chain.normal_load,
-        "friction_law": type(law).__name__,
-        **vars(law),
-        "width": chain.friction.width,
+        **{name: getattr(chain, name) for name in CHAIN},
+        "friction_law": type(chain.friction.law).__name__,
+        **chain.friction.numbers(),
     }
     for name in swept:
         if name in parameters:
@@ -151,6 +143,8 @@ def to_dataset(
         if key in LONG_NAMES:
             dataset[key].attrs["long_name"] = LONG_NAMES[key]
         dataset[key].attrs["units"] = UNITS.get(key, "1")
+    for name in set(axes) & set(chain_names(chain)):
+        dataset[name].attrs |= parameter(name).attrs
     dataset["result"].attrs |= {
         "flag_values": np.arange(len(NAMES), dtype=records["result"].dtype),
         "flag_meanings": " ".join(NAMES),

@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool
 
 from .._types import State
 from ..model.chain import Chain
+from ..model.parameters import CHAIN
 from ..result import Result, code
 from ..simulation.plan import AbstractPlan, Progress
 
@@ -25,10 +26,9 @@ ROUND = 256
 
 
 def chain_names(chain: Chain) -> list[str]:
-    names = ["belt_speed", "damping_ratio", "stiffness", "normal_load", "width"]
-    if chain.coupling is not None:
-        names.append("coupling")
-    return [*names, *vars(chain.friction.law)]
+    """What may differ from lane to lane: every number but the constant of springs that lack."""
+    own = [name for name in CHAIN if name != "coupling" or chain.coupling is not None]
+    return [*own, *chain.friction.numbers()]
 
 
 def initial_names(initial: Callable) -> list[str]:

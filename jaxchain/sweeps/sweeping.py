@@ -34,6 +34,7 @@ from .._checks import (
 )
 from .._types import ScalarLike, State
 from ..model.chain import Chain
+from ..model.parameters import parameter
 from ..result import NAMES, STOPPED_WELL, message
 from ..simulation.accuracy import (
     MAX_STEP,
@@ -206,7 +207,8 @@ def sweep(
     dataset = to_dataset(runner.records, axes, chain, observers, attrs)
     if widths is not None:
         shape = tuple(values.size for values in axes.values())
-        about = {"long_name": "regularization width that `accuracy` picked", "units": "x0 omega_n"}
+        about = parameter("width").attrs
+        about["long_name"] += " that `accuracy` picked"
         dataset["width"] = (tuple(axes), widths.reshape(shape), about)
         dataset.attrs["accuracy"] = accuracy
     if interrupted:

@@ -23,6 +23,7 @@ from jaxchain.boundaries.single_mass import (
 from jaxchain.model.chain import Chain
 from jaxchain.model.friction import ExponentialDecay, TanhFriction
 from jaxchain.model.initial_states import on_the_belt
+from jaxchain.model.parameters import parameter
 from jaxchain.observers.amplitude import Amplitude
 from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.simulation.run import simulate
@@ -149,11 +150,10 @@ def cycles(study: Study, folds: Fold) -> xr.Dataset:
         coords={"width": [*part.width, 0.0], "stable": ("point", np.arange(count) > place)},
         attrs={"fold": place, "hopf_nonsmooth": float(slip.belt_speed[0])},
     )
-    data["belt_speed"].attrs = {"long_name": "belt speed v_d", "units": "x0 omega_n"}
+    data["belt_speed"].attrs = parameter("belt_speed").attrs
     data["amplitude"].attrs = {"long_name": "half peak-to-peak of displacement", "units": "x0"}
-    data["width"].attrs = {
-        "long_name": "regularization width eps; 0: dry friction", "units": "x0 omega_n"
-    }  # fmt: skip
+    data["width"].attrs = parameter("width").attrs
+    data["width"].attrs["long_name"] += "; 0: dry friction"
     return data
 
 

@@ -162,7 +162,7 @@ def assess(error: DataArray, accuracy: list[float], floor: float) -> Dataset:
 def _tolerance(part: Experiment) -> float:
     """The relative tolerance of a part, and less where the narrowest width asks for it."""
     grid = part.grid()
-    speeds = grid["belt_speed"] if "belt_speed" in grid else np.array([part.chain.belt_speed])
+    speeds = grid["belt_speed"] if "belt_speed" in grid else np.array([part.given("belt_speed")])
     speed = np.max(np.abs(speeds))
     # See `check_resolved`.
     fit = grid["width"].min() / (60.0 * min(part.chain.n, 20) ** 0.5 * (speed + 0.1))

@@ -16,6 +16,7 @@ import numpy as np
 from jaxchain.model.chain import Chain, steady_sliding
 from jaxchain.model.friction import Coulomb, ExponentialDecay, TanhFriction, WeakeningStrengthening
 from jaxchain.model.initial_states import excited_state
+from jaxchain.model.parameters import CHAIN
 from jaxchain.model.units import Scales
 from jaxchain.observers.amplitude import Amplitude
 from jaxchain.observers.peaks import PeakTimes
@@ -36,8 +37,7 @@ FINITE = "finite|integer|whole|lie in"
 # Every number of a scene, in the built-in one that is tried.
 SCENE = "quickstart"
 SCENE_NUMBERS = (
-    "chain.damping_ratio", "chain.coupling", "chain.stiffness", "chain.normal_load",
-    "chain.belt_speed", "chain.friction.width", "chain.friction.mu_static",
+    *(f"chain.{name}" for name in CHAIN), "chain.friction.width", "chain.friction.mu_static",
     "chain.friction.mu_dynamic", "chain.friction.v_ref", "time.transient", "time.window",
     "observe.tolerance", "observe.quiet_below", "observe.repeats", "numerics.rtol",
     "numerics.atol", "numerics.max_step", "numerics.max_steps", "numerics.lanes", "chain.n",
@@ -64,10 +64,7 @@ def _small() -> tuple[Chain, Any]:
 def _not_numbers() -> Iterator[Refusal]:
     chain, start = _small()
     friction = chain.friction
-    numbers = {
-        "n": 3, "belt_speed": 1.0, "damping_ratio": 0.05, "coupling": 0.01, "stiffness": 1.0,
-        "normal_load": 1.0,
-    }  # fmt: skip
+    numbers = {"n": 3, **{name: row.usual for name, row in CHAIN.items()}}
 
     def refused(name: str, attempts: list[Callable[[], object]], names: str = FINITE) -> Refusal:
         return Refusal("refused", f"NaN, inf in {name}", names, attempts)
@@ -79,7 +76,8 @@ def _not_numbers() -> Iterator[Refusal]:
             partial(
                 Chain, **{"n": 3, "friction": friction, "belt_speed": 1.0, name: [1.0, v, 1.0]}
             )
-            for name in ("damping_ratio", "coupling", "stiffness", "normal_load")
+            for name, row in CHAIN.items()
+            if row.per != "chain"
             for v in NOT_NUMBERS
         ],
         r"index \(1,\)",
@@ -133,8 +131,7 @@ def _not_numbers() -> Iterator[Refusal]:
             *_tried(partial(sweep, chain, start, over=over), {**control, "lanes": 2}),
             *(
                 partial(sweep, chain, start, 1.0, over={name: [1.0, bad]})
-                for name in ("belt_speed", "damping_ratio", "coupling", "stiffness", "width",
-                             "normal_load", "mu_static", "mu_dynamic", "v_ref")
+                for name in (*CHAIN, *chain.friction.numbers())
                 for bad in NOT_NUMBERS
             ),
             *(partial(sweep, chain, (start[0] + bad, start[1]), 1.0, over=over)

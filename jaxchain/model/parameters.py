@@ -1,0 +1,123 @@
+"""The numbers of a chain and of the friction laws, each described once.
+
+Everything that lists them reads these tables: `Chain.with_` and its checks, sweeps, datasets with
+their units, the tables of scene files, the labels of axes.  A new number of the chain is one line
+here, and its physics in `model/chain.py`.  Nothing here needs JAX.
+"""
+
+import re
+from typing import Literal, NamedTuple
+
+SPEED = "x0 omega_n"
+
+
+class Parameter(NamedTuple):
+    """One number: what it is called, which values it may take, for how many things it stands.
+
+    A `symbol` is LaTeX without its dollars, empty if there is none; `meaning` is a sentence for
+    scene files and `remedy` the end of an error message.  `per` says for what it may be given one
+    by one; a `required` number has no value of its own in a scene, which `default` is otherwise.
+    `usual` is its value in the paper, eq. (7).
+
+    >>> PARAMETERS["belt_speed"].label
+    'belt speed $\\\\tilde v_d$ (–)'
+    >>> PARAMETERS["belt_speed"].attrs
+    {'long_name': 'belt speed v_d', 'units': 'x0 omega_n'}
+    """
+
+    name: str
+    words: str
+    symbol: str = ""
+    unit: str = "1"
+    sign: Literal["any", "nonnegative", "positive"] = "any"
+    per: Literal["chain", "mass", "spring"] = "mass"
+    required: bool = False
+    default: float | None = None
+    usual: float | None = None
+    meaning: str = ""
+    remedy: str = ""
+
+    @property
+    def label(self) -> str:
+        """Of an axis."""
+        return f"{self.words} ${self.symbol}$ (–)" if self.symbol else f"{self.words} (–)"
+
+    @property
+    def long_name(self) -> str:
+        """In plain letters, for datasets and help."""
+        plain = re.sub(r"\\tilde |\\(var)?|[{}]", "", self.symbol)
+        return f"{self.words} {plain}".strip()
+
+    @property
+    def attrs(self) -> dict[str, str]:
+        """Of a variable in a dataset."""
+        return {"long_name": self.long_name, "units": self.unit}
+
+
+_MU = "a friction coefficient is a force ratio, such as 0.5."
+_ROWS = (
+    Parameter(
+        "belt_speed", "belt speed", r"\tilde v_d", SPEED, per="chain", required=True, usual=1.5,
+        meaning="Negative for a belt that runs the other way.",
+        remedy="it is a speed, such as 1.5.",
+    ),
+    Parameter(
+        "damping_ratio", "damping ratio", r"\xi", required=True, usual=0.05,
+        meaning="xi, one number or one per mass.", remedy="it is a ratio, such as 0.05.",
+    ),
+    Parameter(
+        "coupling", "coupling", r"\eta_c", sign="nonnegative", per="spring", usual=0.01,
+        meaning="Of the springs between neighbours, one number or one per spring; absent: no "
+        "springs.",
+        remedy="it is a spring constant, such as 0.01.",
+    ),
+    Parameter(
+        "stiffness", "relative stiffness", sign="positive", default=1.0, usual=1.0,
+        meaning="Relative to the nominal spring, one number or one per mass.",
+        remedy="1 is the nominal spring to ground.",
+    ),
+    Parameter(
+        "normal_load", "relative normal load", sign="nonnegative", usual=1.0,
+        meaning="Relative to the nominal load, one number or one per mass; absent: 1 everywhere.",
+        remedy="a mass cannot pull at the belt.",
+    ),
+)  # fmt: skip
+_FRICTION_ROWS = (
+    Parameter(
+        "mu_static", "static friction coefficient", r"\mu_{st}", sign="nonnegative",
+        required=True, usual=1.0, meaning="Friction at rest.", remedy=_MU,
+    ),
+    Parameter(
+        "mu_dynamic", "dynamic friction coefficient", r"\mu_d", sign="nonnegative",
+        required=True, usual=0.5, meaning="Friction at high speed.", remedy=_MU,
+    ),
+    Parameter(
+        "v_ref", "reference speed", r"\tilde v_0", SPEED, sign="positive", required=True,
+        usual=0.5, meaning="Speed over which friction decays.",
+        remedy="it is the speed over which friction decays, such as 0.5.",
+    ),
+    Parameter(
+        "mu_viscous", "viscous friction coefficient", r"\mu_v", sign="nonnegative",
+        required=True, meaning="Growth of friction per `v_ref` of speed.",
+        remedy="it is how fast friction grows with speed.",
+    ),
+    Parameter(
+        "width", "regularization width", r"\varepsilon", SPEED, sign="positive", required=True,
+        usual=1e-3, meaning="Regularization width of the friction force, a speed.",
+        remedy="1e-3 is usual; the non-smooth limit is the business of an event-driven solver.",
+    ),
+)  # fmt: skip
+
+# By name, in the order of errors and datasets.
+CHAIN = {row.name: row for row in _ROWS}
+FRICTION = {row.name: row for row in _FRICTION_ROWS}
+PARAMETERS = CHAIN | FRICTION
+
+
+def parameter(name: str) -> Parameter:
+    """The row of a number; one of a friction law that is not shipped is called by its name.
+
+    >>> parameter("mu_peak").label, parameter("mu_peak").sign
+    ('mu_peak (–)', 'any')
+    """
+    return PARAMETERS.get(name, Parameter(name, name, required=True))

@@ -1,0 +1,137 @@
+"""One table of the numbers: whatever lists them reads it, and a number that it lacks is seen."""
+
+import dataclasses
+import inspect
+import json
+import subprocess
+import sys
+
+import jax.numpy as jnp
+import pytest
+
+from jaxchain import Chain, TanhFriction, WeakeningStrengthening, steady_sliding, sweep
+from jaxchain.model import friction
+from jaxchain.model.parameters import CHAIN, FRICTION, PARAMETERS, parameter
+from jaxchain.plotting.style import SYMBOLS
+from jaxchain.scenes.reading import schema
+
+N = 3
+LAW = friction.AbstractFrictionLaw
+USUAL = {name: row.usual or 0.1 for name, row in PARAMETERS.items()}
+
+
+def chain_of(**changes):
+    law = WeakeningStrengthening(**{k: USUAL[k] for k in FRICTION if k != "width"})
+    own = {name: USUAL[name] for name in CHAIN}
+    return Chain(N, TanhFriction(law, USUAL["width"]), **own).with_(**changes)
+
+
+def fields(kind):
+    return {field.name for field in dataclasses.fields(kind)}
+
+
+def test_every_number_of_a_chain_stands_in_the_table_and_every_row_is_one():
+    arguments = set(inspect.signature(Chain.__init__).parameters)
+    assert arguments - {"self", "n", "friction", "ends"} == set(CHAIN)
+    assert fields(Chain) - {"n", "friction", "springs"} | {"coupling"} == set(CHAIN)
+
+
+def test_every_number_of_a_shipped_law_stands_in_the_table_and_every_row_is_one():
+    found = [kind for _, kind in inspect.getmembers(friction, inspect.isclass)]
+    laws = [k for k in found if issubclass(k, LAW) and not inspect.isabstract(k)]
+    assert len(laws) >= 3
+    assert set.union(*map(fields, laws)) | {"width"} == set(FRICTION)
+
+
+@pytest.mark.parametrize("name", PARAMETERS)
+def test_every_number_is_changed_by_its_name(name):
+    chain = chain_of()
+    changed = chain.with_(**{name: 0.9 * USUAL[name]})
+    assert {k for k, v in changed.numbers().items() if v != chain.numbers()[k]} == {name}
+    assert set(changed.numbers()) == set(PARAMETERS)
+
+
+@pytest.mark.parametrize("row", PARAMETERS.values(), ids=PARAMETERS)
+def test_signs_are_checked_with_a_remedy(row):
+    least = {"any": -0.1, "nonnegative": 0.0, "positive": 1e-9}[row.sign]
+    # Friction at rest is no less than in motion.
+    others = {"mu_dynamic": 0.0} if row.name == "mu_static" else {}
+    chain_of(**others, **{row.name: least})
+    bad = {"any": float("inf"), "nonnegative": -1e-9, "positive": 0.0}[row.sign]
+    with pytest.raises(ValueError, match=f"`{row.name}` must be .*: ") as error:
+        chain_of(**{row.name: bad})
+    assert row.remedy
+    assert str(error.value).endswith(row.remedy)
+
+
+@pytest.mark.parametrize("row", CHAIN.values(), ids=CHAIN)
+@pytest.mark.parametrize("ends", ["cyclic", "free"])
+def test_there_are_as_many_numbers_as_masses_or_springs(row, ends):
+    springs = N if ends == "cyclic" else N - 1
+    count = {"chain": None, "mass": N, "spring": springs}[row.per]
+    for length in (N - 1, N, N + 1):
+        changes = {"ends": ends, row.name: jnp.full(length, USUAL[row.name])}
+        if length == count:
+            assert chain_of(**changes).numbers()[row.name].shape == (length,)
+        else:
+            with pytest.raises(ValueError, match=rf"`{row.name}` must .* shape \({length},\)"):
+                chain_of(**changes)
+
+
+def test_every_number_is_a_key_of_scenes():
+    parts = schema()["$defs"]
+    table = parts["ChainTable"]
+    assert set(table["properties"]) == {"n", "friction", "ends", *CHAIN}
+    assert set(parts["WeakeningStrengtheningTable"]["properties"]) == {"law", *FRICTION}
+    assert set(parts["CoulombTable"]["properties"]) == {"law", "width", "mu_dynamic"}
+    for row in CHAIN.values():
+        assert table["properties"][row.name]["description"] == row.meaning
+    number, several = table["properties"]["coupling"]["oneOf"]
+    assert number["minimum"] == several["items"]["minimum"] == 0
+    assert "exclusiveMinimum" in table["properties"]["stiffness"]["oneOf"][0]
+    assert table["properties"]["stiffness"]["default"] == 1
+    assert table["properties"]["belt_speed"]["type"] == "number"
+
+
+def test_every_number_may_be_swept_and_has_words_and_a_unit_in_the_dataset():
+    chain = chain_of()
+    over = {name: [USUAL[name]] for name in PARAMETERS} | {"belt_speed": [1.4, 1.5]}
+    data = sweep(chain, steady_sliding(chain), 0.0, over=over, rtol=1e-6)
+    for name, row in PARAMETERS.items():
+        assert data[name].attrs == {"long_name": row.long_name, "units": row.unit}
+    parameters = json.loads(data.attrs["parameters"])
+    assert {name for name, value in parameters.items() if value == "swept"} == set(PARAMETERS)
+    assert data["belt_speed"].attrs == {"long_name": "belt speed v_d", "units": "x0 omega_n"}
+    assert data["mu_static"].attrs["units"] == "1"
+
+
+def test_words_letters_and_units():
+    assert SYMBOLS["belt_speed"] == r"belt speed $\tilde v_d$ (–)"
+    assert SYMBOLS["stiffness"] == "relative stiffness (–)"
+    assert PARAMETERS["mu_static"].long_name == "static friction coefficient mu_st"
+    assert PARAMETERS["width"].long_name == "regularization width epsilon"
+    assert set(PARAMETERS) <= set(SYMBOLS)
+    speeds = {name for name, row in PARAMETERS.items() if row.unit == "x0 omega_n"}
+    assert speeds == {"belt_speed", "v_ref", "width"}
+
+
+def test_a_number_of_a_law_of_ones_own_is_called_by_its_name():
+    row = parameter("mu_peak")
+    assert row.attrs == {"long_name": "mu_peak", "units": "1"}
+    assert row.sign == "any"
+    assert parameter("width") is FRICTION["width"]
+
+
+def test_the_load_is_one_where_none_is_given():
+    law = friction.Coulomb(0.5)
+    loads = jnp.array([0.0, 1.0, 2.0])
+    assert float(Chain(N, TanhFriction(law, 0.1), 1.0).load) == 1.0
+    chain = Chain(N, TanhFriction(law, 0.1), 1.0, normal_load=loads)
+    assert chain.load is chain.normal_load
+    assert chain.greatest_hold().tolist() == [0.0, 0.5, 1.0]
+
+
+def test_no_jax_is_needed():
+    code = "import sys, jaxchain.model.parameters; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not set(done.stdout.split()) & {"jax", "numpy", "equinox", "pydantic"}
