@@ -22,7 +22,7 @@ USUAL = {name: row.usual or 0.1 for name, row in PARAMETERS.items()}
 
 def chain_of(**changes):
     law = WeakeningStrengthening(**{k: USUAL[k] for k in FRICTION if k != "width"})
-    own = {name: USUAL[name] for name in CHAIN}
+    own: dict = {name: USUAL[name] for name in CHAIN}
     return Chain(N, TanhFriction(law, USUAL["width"]), **own).with_(**changes)
 
 
