@@ -103,12 +103,6 @@ def check_nonnegative(name: str, value: ArrayLike, remedy: str = "") -> None:
         _check_each(name, value, good, "zero or positive, and finite", remedy)
 
 
-def check_sign(name: str, value: ArrayLike, sign: str, remedy: str = "") -> None:
-    """Raises `ValueError` unless a concrete `value` is finite and "any", "nonnegative", ..."""
-    check = {"any": check_finite, "nonnegative": check_nonnegative, "positive": check_positive}
-    check[sign](name, value, remedy)
-
-
 def check_at_least(
     name: str, value: ArrayLike, floor_name: str, floor: ArrayLike, remedy: str = ""
 ) -> None:

@@ -14,7 +14,7 @@ from .._checks import to_float
 from .._types import PerMass, ScalarLike, State
 from .friction import ExponentialDecay, TanhFriction, check_numbers
 from .oscillators import AbstractOscillators
-from .parameters import CHAIN
+from .parameters import CHAIN, parameter
 from .springs import Ends, Springs
 from .tridiagonal import exact_solver
 
@@ -95,29 +95,15 @@ class Chain(AbstractOscillators):
         check_numbers({name: value for name, value in self._own().items() if value is not None})
 
     def _check_shapes(self, ends: Ends) -> None:
-        n, springs = self.n, self.n if ends == "cyclic" else self.n - 1
-        # How many numbers, what the error calls that, and its remedy.
-        allowed = {
-            "chain": (None, "be one number", ": use `jax.vmap` or `sweep` for several."),
-            "mass": (n, f"be one number or have shape ({n},)", "."),
-            "spring": (
-                springs,
-                f"be one number or have one entry per spring, shape ({springs},) for {n} masses "
-                f"with {ends} ends",
-                ".",
-            ),
-        }
-        for name, value in self._own().items():
-            count, must, remedy = allowed[CHAIN[name].per]
-            if value is not None and value.shape not in ((), (count,)):
+        springs = self.n if ends == "cyclic" else self.n - 1
+        counts = {"chain": None, "mass": self.n, "spring": springs}
+        for name, value in {**self._own(), **self.friction.numbers()}.items():
+            per, shape = parameter(name).per, np.shape(value)  # () for None
+            if shape not in ((), (counts[per],)):
+                several = "" if per == "chain" else f" or one per {per}, of shape ({counts[per]},)"
                 raise ValueError(
-                    f"Argument `{name}` must {must}, but has shape {value.shape}{remedy}"
-                )
-        for name, value in self.friction.numbers().items():
-            if jnp.shape(value) not in ((), (self.n,)):
-                raise ValueError(
-                    f"Argument `friction` has `{name}` of shape {jnp.shape(value)}, but the chain "
-                    f"has {self.n} masses: give one number or one per mass."
+                    f"Argument `{name}` must be one number{several}, but has shape {shape}: the "
+                    f"chain has {self.n} masses and {ends} ends; `jax.vmap` or `sweep` run many."
                 )
 
     def _own(self) -> dict[str, Array | None]:

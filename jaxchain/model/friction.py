@@ -18,10 +18,18 @@ import jax.numpy as jnp
 from jax.experimental.jet import jet
 from jaxtyping import Array, ArrayLike, Float
 
-from .._checks import check_at_least, check_per_mass, check_sign, to_float
+from .._checks import (
+    check_at_least,
+    check_finite,
+    check_nonnegative,
+    check_per_mass,
+    check_positive,
+    to_float,
+)
 from .._types import PerMass
 from .parameters import parameter
 
+_SIGNS = {"any": check_finite, "nonnegative": check_nonnegative, "positive": check_positive}
 _ORDER_REMEDY = "friction at rest exceeds friction in motion; raise `mu_static`."
 
 
@@ -256,7 +264,7 @@ def check_numbers(numbers: Mapping[str, Any]) -> None:
     """Raises `ValueError` where one lacks the sign that `model/parameters.py` gives its name."""
     for name, value in numbers.items():
         row = parameter(name)
-        check_sign(name, value, row.sign, row.remedy)
+        _SIGNS[row.sign](name, value, row.remedy)
 
 
 def _check_weakening(law: ExponentialDecay | WeakeningStrengthening) -> None:

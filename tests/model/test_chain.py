@@ -139,9 +139,9 @@ def test_with_changes_numbers_of_chain_and_friction():
         ({"belt_speed": jnp.ones(2)}, r"`belt_speed` must be one number, but has shape \(2,\)"),
         (
             {"damping_ratio": jnp.ones(3)},
-            r"`damping_ratio` must be one number or have shape \(20,",
+            r"`damping_ratio` must be one number or one per mass, of shape \(20,",
         ),
-        ({"coupling": jnp.ones(19)}, r"one entry per spring, shape \(20,\)"),
+        ({"coupling": jnp.ones(19)}, r"one per spring, of shape \(20,\)"),
         ({"coupling": -0.1}, "`coupling` must be zero or positive"),
         ({"belt_speed": float("nan")}, "`belt_speed` must be finite"),
         ({"stiffness": 0.0}, "`stiffness` must be positive"),
