@@ -11,7 +11,7 @@ from jaxchain.scenes.errors import SceneError
 from jaxchain.scenes.reading import load_scene
 from jaxchain.studies.fronts.figure import draw
 from jaxchain.studies.fronts.report import predicted_edges, summary, windows
-from jaxchain.studies.fronts.runs import BlockStart, averaged, exponents
+from jaxchain.studies.fronts.runs import BlockStart, add_mean, exponents
 from jaxchain.studies.fronts.study import run
 
 SPEEDS = np.array([0.9, 1.0, 1.1, 1.4, 1.5, 1.7, 1.8])
@@ -98,13 +98,15 @@ def test_windows_hold_speeds_at_which_all_runs_agree():
 
 
 def test_the_summary_names_windows_edges_and_exponents():
-    said = summary(made_up())
-    for part in (
-        "28 of 28 runs ended well", "grows from 0.9 to 1.1", "+0.02000 +- 0.00010",
-        "coupling 0.01: grows 1.3500..1.3300; 1.3500..1.3300, shrinks 1.6900..1.7100",
-        "at 0.95: p = 0.500 +- 0.010, 3 couplings", "80 masses, width 0.001: 1: +0.02100",
+    said = "\n".join(summary(key, data) for key, data in made_up().items())
+    assert "all 28 runs ended well\n  grows from 0.9 to 1.1\n  stands from 1.4" in said
+    found = [" ".join(line.split()) for line in said.splitlines()]
+    for row in (
+        "1 +0.02000 +- 0.00010",
+        "0.01" + 2 * " 1.3500 ... 1.3300" + 2 * " 1.6900 ... 1.7100" + " 1.324, 1.710",
+        "0.95 0.500 +- 0.010 3", "80 0.001 +0.02100 +- 0.00100 -0.01000 +- 0.00100",
     ):  # fmt: skip
-        assert part in said
+        assert row in found
     # In between, 0.01 is (0.01 - 0.003) / 0.017 of the way from 1.2 to 1.5.
     low, high = predicted_edges(made_up()["pinning"], 0.01)
     np.testing.assert_allclose([low, high], [1.2 + 0.3 * 7 / 17, 1.8 - 0.4 * 9 / 40])
@@ -149,10 +151,10 @@ def test_means_have_the_greater_of_two_errors():
         {"speed": (("belt_speed", "seed"), lanes), "error": (("belt_speed", "seed"),
          np.where(np.isnan(lanes), np.nan, 0.02))}
     )  # fmt: skip
-    mean = averaged(data, ("seed",))
-    np.testing.assert_allclose(mean["speed"], [0.1, 0.25, 0.2])
+    mean = add_mean(data, ("seed",))
+    np.testing.assert_allclose(mean["mean_speed"], [0.1, 0.25, 0.2])
     scatter = [3.182446 * np.std(lanes[1], ddof=1) / 2, 12.706205 * 0.1 * 2**0.5 / 2**0.5]
-    np.testing.assert_allclose(mean["error"], [0.01, *scatter], rtol=1e-6)
+    np.testing.assert_allclose(mean["mean_error"], [0.01, *scatter], rtol=1e-6)
 
 
 def test_a_block_starts_with_noise_inside_and_sliding_outside():
@@ -209,6 +211,7 @@ def test_a_small_study(tmp_path):
     assert stored.identical(data["pinning"])
     assert windows(data["belt_speed"]) == [("grows", 1.05, 1.05), ("stands", 1.5, 1.5)]
     assert "grows from 1.05 to 1.05" in said[0]
+    assert len(said) == 4  # the pictures speak for themselves
     # The same ring, once more.
     first = data["belt_speed"]["speed"].sel(belt_speed=1.05, seed=0)
     again = data["convergence"]["speed"].isel(case=0).sel(belt_speed=1.05)

@@ -5,46 +5,43 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import matplotlib
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxchain.observers.quantities import active_above
-from jaxchain.plotting.style import AMPLITUDE, BLUE, GREY, ORANGE, PAGE_WIDTH, RED, STYLE, SYMBOLS
+from jaxchain.plotting.style import AMPLITUDE, BLUE, GREY, ORANGE, RED, SYMBOLS
+from jaxchain.studies._pages import (
+    COLOURS,
+    DASHES,
+    GREEN,
+    MARKERS,
+    SMALL,
+    letter,
+    letters,
+    on_page,
+)
 from jaxchain.studies.fronts.report import windows
 
-HEIGHT = 7.4  # inches
-_COLOURS = (BLUE, "#56B4E9", "#009E73", "#F0E442", ORANGE, "#D55E00", "#CC79A7", "black")
-_MARKERS = "osD^v<>P"
-_DASHES: Any = (0, (4, 1.5))
 _WORDS = {1: "grows", 0: "stands", -1: "shrinks"}
-_SMALL: dict[str, Any] = {
-    "handlelength": 1.4, "handletextpad": 0.4, "labelspacing": 0.25, "borderpad": 0.2,
-    "framealpha": 0.85, "edgecolor": "none",
-}  # fmt: skip
 
 
-def draw(datasets: Mapping[str, xr.Dataset]) -> Figure:
+@on_page(7.4)
+def draw(page: Figure, datasets: Mapping[str, xr.Dataset]) -> None:
     """(a) Blocks in space and time; front speed over (b) belt speed and (d) coupling; (c) where
 
     blocks grow, stand and shrink in the plane of both; (e) how far the speeds have converged.
     """
-    with matplotlib.rc_context(STYLE):
-        page = Figure(figsize=(PAGE_WIDTH, HEIGHT), layout="constrained")
-        parts: Any = page.subfigures(2, 1, height_ratios=[1.0, 2.3])
-        top, lower = parts
-        _draw_pictures(top, datasets["pictures"])
-        panels = lower.subplots(2, 2)
-        _draw_belt_speed(panels[0, 0], datasets["belt_speed"])
-        _draw_plane(panels[0, 1], datasets["pinning"], datasets["coupling"])
-        _draw_coupling(panels[1, 0], datasets["coupling"])
-        _draw_convergence(panels[1, 1], datasets["convergence"])
-        for letter, axes in zip("bcde", panels.flat, strict=True):
-            axes.set_title(f"({letter})", loc="left", fontweight="bold")
-            axes.tick_params(which="both", top=True, right=True)
-    return page
+    parts: Any = page.subfigures(2, 1, height_ratios=[1.0, 2.3])
+    top, lower = parts
+    _draw_pictures(top, datasets["pictures"])
+    panels = lower.subplots(2, 2)
+    _draw_belt_speed(panels[0, 0], datasets["belt_speed"])
+    _draw_plane(panels[0, 1], datasets["pinning"], datasets["coupling"])
+    _draw_coupling(panels[1, 0], datasets["coupling"])
+    _draw_convergence(panels[1, 1], datasets["convergence"])
+    letters(panels, "b")
 
 
 def _draw_pictures(part: Any, data: xr.Dataset) -> None:
@@ -64,7 +61,7 @@ def _draw_pictures(part: Any, data: xr.Dataset) -> None:
         axes.set_xlabel(r"time $\tau$ (–)")
         if index == 0:
             axes.set_ylabel("oscillator")
-            axes.set_title("(a)", loc="left", fontweight="bold")
+            letter(axes, "a")
     bar = part.colorbar(image, ax=list(panels), pad=0.01, aspect=18)
     bar.set_label(AMPLITUDE)
     bar.outline.set_linewidth(0.6)
@@ -88,7 +85,7 @@ def _draw_belt_speed(axes: Axes, data: xr.Dataset) -> None:
     # Where whole blocks die a front has no speed.
     sure = data["verdict"].isin([-1, 0, 1])
     axes.plot(
-        data["curve"], scale * data["spreading"], color=RED, linewidth=1.2, linestyle=_DASHES,
+        data["curve"], scale * data["spreading"], color=RED, linewidth=1.2, linestyle=DASHES,
         label="linear spreading",
     )  # fmt: skip
     for pattern, marker, colour in zip(data["pattern"].values, "os", (BLUE, ORANGE), strict=True):
@@ -104,11 +101,11 @@ def _draw_belt_speed(axes: Axes, data: xr.Dataset) -> None:
     certain = scale * data["speed"].where(sure)
     low, high = float(certain.min()), float(certain.max())
     axes.set_ylim(low - 0.35 * (high - low), high + 0.2 * (high - low))
-    axes.legend(loc="lower left", **_SMALL)
+    axes.legend(loc="lower left", **SMALL)
 
 
 def _draw_plane(axes: Axes, data: xr.Dataset, runs: xr.Dataset) -> None:
-    for cosine, line in ((-1.0, "-"), (0.0, _DASHES)):
+    for cosine, line in ((-1.0, "-"), (0.0, DASHES)):
         threshold = data["growth_coupling"].sel(cosine=cosine)
         text = "worst phase" if cosine < 0 else "drifting phase"
         axes.plot(
@@ -144,7 +141,7 @@ def _draw_plane(axes: Axes, data: xr.Dataset, runs: xr.Dataset) -> None:
     axes.set_ylim(1.2e-4, 0.13)  # room for the legend
     axes.legend(
         loc="lower center", ncols=2, fontsize=5.6,
-        **(_SMALL | {"labelspacing": 0.15}),
+        **(SMALL | {"labelspacing": 0.15}),
     )  # fmt: skip
 
 
@@ -152,7 +149,7 @@ def _draw_coupling(axes: Axes, data: xr.Dataset) -> None:
     couplings = data["coupling"].values
     line = np.array([couplings.min(), couplings.max()])
     axes.plot(line, line, color=GREY, linewidth=1.0, linestyle=":", label=r"$|c| = \eta_c$")
-    for speed, colour, marker in zip(data["belt_speed"].values, _COLOURS, _MARKERS, strict=False):
+    for speed, colour, marker in zip(data["belt_speed"].values, COLOURS, MARKERS, strict=False):
         own = data.sel(belt_speed=speed)
         size, error = np.abs(own["mean_speed"].values), own["mean_error"].values
         use = size > error
@@ -169,14 +166,14 @@ def _draw_coupling(axes: Axes, data: xr.Dataset) -> None:
     axes.set_ylim(bottom=0.06 * line[0])  # room for the legend
     axes.set_xlabel(SYMBOLS["coupling"])
     axes.set_ylabel(r"$|c|$ (masses per time)")
-    axes.legend(loc="lower right", **_SMALL, fontsize=6)
+    axes.legend(loc="lower right", **SMALL, fontsize=6)
 
 
 def _draw_convergence(axes: Axes, data: xr.Dataset) -> None:
     place = np.arange(data.sizes["case"])
     speeds = data["belt_speed"].values
     for index, (speed, colour, marker) in enumerate(
-        zip(speeds, (BLUE, "#009E73", ORANGE, RED), "osDv", strict=False)
+        zip(speeds, (BLUE, GREEN, ORANGE, RED), "osDv", strict=False)
     ):
         own = data.sel(belt_speed=speed)
         first = np.abs(float(own["mean_speed"].isel(case=0)))
@@ -194,4 +191,4 @@ def _draw_convergence(axes: Axes, data: xr.Dataset) -> None:
     axes.set_xticks(place, labels, fontsize=6.5)
     axes.set_xlabel(r"ring, and dry friction or width $\varepsilon$")
     axes.set_ylabel("front speed / that of the first")
-    axes.legend(loc="upper left", **_SMALL)
+    axes.legend(loc="upper left", **SMALL)

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from jaxchain.localization.fronts import VERDICTS
-from jaxchain.result import NAMES, STOPPED_WELL
+from jaxchain.studies._reports import ended_well, pairs, table
+from jaxchain.studies._study import RESULT, flags
 
-_ABOUT = {
+LABELS = {
     "speed": ("front speed, mean of both fronts; positive where the block grows", "omega_n"),
     "error": ("half-width of the 95 % interval of `speed`", "omega_n"),
     "right": ("speed of the front along the chain", "omega_n"),
@@ -25,22 +26,10 @@ _ABOUT = {
     "moves": ("belt speed nearest the edge at which fronts move", "x0 omega_n"),
     "growth_coupling": ("predicted coupling above which blocks grow", "1"),
     "death_belt_speed": ("predicted belt speed above which blocks shrink", "x0 omega_n"),
+    "amplitude": ("half peak-to-peak of displacement", "x0"),
+    "verdict": flags(VERDICTS, -1),
+    "result": RESULT,
 }
-
-
-def describe(data: xr.Dataset) -> None:
-    """Names and units, in place."""
-    for name, (text, units) in _ABOUT.items():
-        if name in data:
-            data[name].attrs |= {"long_name": text, "units": units}
-    if "verdict" in data:
-        data["verdict"].attrs |= {
-            "flag_values": np.arange(-1, 3), "flag_meanings": " ".join(VERDICTS)
-        }  # fmt: skip
-    if "result" in data:
-        data["result"].attrs |= {
-            "flag_values": np.arange(len(NAMES)), "flag_meanings": " ".join(NAMES)
-        }  # fmt: skip
 
 
 def windows(data: xr.Dataset) -> list[tuple[str, float, float]]:
@@ -58,53 +47,58 @@ def windows(data: xr.Dataset) -> list[tuple[str, float, float]]:
     return found
 
 
-def summary(datasets: Mapping[str, xr.Dataset]) -> str:
+def summary(key: str, data: xr.Dataset) -> str:
     """Windows, edges, exponents and how far the speeds have converged."""
-    lines = []
-    data = datasets["belt_speed"]
-    well = np.isin(data["result"].values, [NAMES.index(name) for name in STOPPED_WELL])
-    lines.append(f"fronts over the belt speed: {well.sum()} of {well.size} runs ended well")
-    for word, low, high in windows(data):
-        lines.append(f"  {word} from {low:g} to {high:g}")
-    lines.append("  front speed at belt speed:")
+    return _SUMMARIES[key](data) if key in _SUMMARIES else ""
+
+
+def _of_belt_speed(data: xr.Dataset) -> str:
+    lines = [f"fronts over the belt speed: {ended_well(data)}"]
+    lines += [f"  {word} from {low:g} to {high:g}" for word, low, high in windows(data)]
+    speed = pairs("{:+.5f} +- {:.5f}", data["mean_speed"], data["mean_error"])
+    columns = {"belt speed": (data["belt_speed"], "g"), "front speed": (speed, "")}
+    return "\n".join([*lines, table(columns)])
+
+
+def _of_pinning(data: xr.Dataset) -> str:
+    columns: dict[str, Any] = {"coupling": (data["coupling"], "g")}
+    for edge in data["edge"].values:
+        for pattern in data["pattern"].values:
+            own = data.sel(edge=edge, pattern=pattern)
+            places = pairs("{:.4f} ... {:.4f}", own["stands"], own["moves"])
+            columns[f"{edge}, {pattern}"] = (places, "")
+    edges = np.transpose([predicted_edges(data, float(c)) for c in data["coupling"].values])
+    columns["predicted"] = (pairs("{:.3f}, {:.3f}", *edges), "")
+    return f"fronts come unstuck between these belt speeds:\n{table(columns)}"
+
+
+def _of_coupling(data: xr.Dataset) -> str:
+    power = pairs("{:.3f} +- {:.3f}", data["exponent"], data["exponent_error"])
+    columns = {
+        "belt speed": (data["belt_speed"], "g"), "p": (power, ""),
+        "couplings": (data["points"], ".0f"),
+    }  # fmt: skip
+    return f"speed ~ coupling^p, where fronts move (linear: p = 1):\n{table(columns)}"
+
+
+def _of_convergence(data: xr.Dataset) -> str:
+    columns: dict[str, Any] = {
+        "masses": (data["masses"], "d"), "width (0: dry)": (data["width"], "g"),
+    }  # fmt: skip
     for speed in data["belt_speed"].values:
-        row = data.sel(belt_speed=speed)
-        mean, error = float(row["mean_speed"]), float(row["mean_error"])
-        lines.append(f"    {speed:<8g} {mean:+.5f} +- {error:.5f}")
-    lines.append("fronts come unstuck between (alternating; in-phase), predicted:")
-    data = datasets["pinning"]
-    for coupling in data["coupling"].values:
-        own = data.sel(coupling=coupling)
-        texts = []
-        for edge in data["edge"].values:
-            both = [
-                f"{float(own[k].sel(edge=edge, pattern=p)):.4f}"
-                for p in data["pattern"].values for k in ("stands", "moves")
-            ]  # fmt: skip
-            texts.append(f"{edge} {both[0]}..{both[1]}; {both[2]}..{both[3]}")
-        low, high = predicted_edges(data, float(coupling))
-        lines.append(
-            f"  coupling {coupling:g}: {', '.join(texts)}; predicted {low:.3f} and {high:.3f}"
-        )
-    data = datasets["coupling"]
-    lines.append("speed ~ coupling^p, where fronts move (linear: p = 1):")
-    for speed in data["belt_speed"].values:
-        row = data.sel(belt_speed=speed)
-        p, error, points = (float(row[k]) for k in ("exponent", "exponent_error", "points"))
-        lines.append(f"  at {speed:g}: p = {p:.3f} +- {error:.3f}, {points:.0f} couplings")
-    lines.append("convergence:")
-    data = datasets["convergence"]
-    for index in range(data.sizes["case"]):
-        row = data.isel(case=index)
-        width = float(row["width"])
-        kind = f"width {width:g}" if width else "dry"
-        values = ", ".join(
-            f"{float(v):g}: {float(row['mean_speed'].sel(belt_speed=v)):+.5f} +- "
-            f"{float(row['mean_error'].sel(belt_speed=v)):.5f}"
-            for v in row["belt_speed"].values
-        )
-        lines.append(f"  {int(row['masses'])} masses, {kind}: {values}")
-    return "\n".join(lines)
+        own = data.sel(belt_speed=speed)
+        columns[f"at belt speed {speed:g}"] = (
+            pairs("{:+.5f} +- {:.5f}", own["mean_speed"], own["mean_error"]), ""
+        )  # fmt: skip
+    return f"convergence of the front speed:\n{table(columns)}"
+
+
+_SUMMARIES = {
+    "belt_speed": _of_belt_speed,
+    "pinning": _of_pinning,
+    "coupling": _of_coupling,
+    "convergence": _of_convergence,
+}
 
 
 def predicted_edges(data: xr.Dataset, coupling: float) -> tuple[float, float]:

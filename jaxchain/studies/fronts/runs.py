@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -18,18 +19,15 @@ from jaxchain.model.chain import Chain
 from jaxchain.model.initial_states import excited_block, excited_state
 from jaxchain.observers.fronts import Fronts, FrontTrack
 from jaxchain.result import Result
-from jaxchain.simulation.accuracy import MAX_STEP, choose_solver
 from jaxchain.simulation.event_driven import EventDriven
-from jaxchain.simulation.run import build_plan
-from jaxchain.sweeps.lanes import Task
-from jaxchain.sweeps.scheduler import Pool
+from jaxchain.sweeps.sweeping import sweep
 
 # Uniform noise on displacement and velocity of the masses that are excited.
 NOISE = 0.1
 # Where a window would be shorter, it would not hold a period.
 _WINDOW, _WINDOWS = 6.6, 150
 NUMBERS = ("speed", "error", "right", "left", "moved", "verdict")
-PATTERNS = ("alternating", "in-phase")
+PATTERNS = ["alternating", "in-phase"]
 
 
 class BlockStart(eqx.Module):
@@ -57,69 +55,50 @@ def follow(
     over: dict[str, Any],
     *,
     transient: Any,
-    rtol: float = 1e-6,
+    seeds: int = 1,
+    vary: Callable[..., Chain] | None = None,
     dry: bool = True,
-    progress: bool = False,
-    description: str = "fronts",
+    **more: Any,
 ) -> xr.Dataset:
-    """Speeds of the fronts of a block for every combination of the values in `over`.
+    """Speeds of the fronts of a block over the numbers in `over`, `pattern` and `seed`.
 
-    `over` holds numbers of the chain, `pattern` (names) and `seed`; `transient` is one number or
-    one for each lane.  **Returns:** `NUMBERS` and `result` over the dimensions of `over`.
+    **Arguments:** `transient`, a number or a data array over some of these; `vary` and `more`, as
+    for `sweep`.  **Returns:** `NUMBERS` and `result`.
     """
-    grid = np.meshgrid(*(np.asarray(a) for a in over.values()), indexing="ij")
-    jobs = {name: values.ravel() for name, values in zip(over, grid, strict=True)}
-    found = follow_jobs(
-        chain, block, time, jobs, transient=transient, rtol=rtol, dry=dry, progress=progress,
-        description=description,
+    data = sweep(
+        chain, BlockStart(block), time, over={**over, "in_phase": [0, 1], "seed": range(seeds)},
+        vary=vary, observe=FrontTrack(min(int(time / _WINDOW), _WINDOWS)),
+        solver=EventDriven() if dry else None, **more,
     )  # fmt: skip
-    shape = grid[0].shape
-    return xr.Dataset(
-        {name: (tuple(over), values.reshape(shape)) for name, values in found.items()},
-        coords={name: np.asarray(values) for name, values in over.items()},
-    )
+    data = data.rename(in_phase="pattern").assign_coords(pattern=PATTERNS)
+    codes = data["result"]
+    fronts = [data[f"front_{name}"].values for name in ("right", "left", "count")]
+    waits = (xr.zeros_like(codes, float) + transient).values
+    read = jnp.vectorize(_read, signature="(w),(w),(w),(),(),(),()->(),(),(),(),(),()")
+    n, t1 = jnp.asarray(chain.n), jnp.asarray(float(time))
+    numbers = jax.jit(read)(*fronts, codes.values, waits, n, t1)
+    found = {
+        name: (codes.dims, np.asarray(own)) for name, own in zip(NUMBERS, numbers, strict=True)
+    }
+    return data[["result"]].assign(found).drop_vars("oscillator", errors="ignore")
 
 
-def follow_jobs(
-    chain: Chain,
-    block: int,
-    time: float,
-    jobs: dict[str, np.ndarray],
-    *,
-    transient: Any,
-    rtol: float = 1e-6,
-    dry: bool = True,
-    progress: bool = False,
-    description: str = "fronts",
-) -> dict[str, np.ndarray]:
-    """As `follow`, for jobs given one by one as arrays of equal length."""
-    jobs = dict(jobs)
-    jobs["in_phase"] = jobs.pop("pattern") == PATTERNS[1]
-    windows = min(int(time / _WINDOW), _WINDOWS)
-    solver = EventDriven() if dry else choose_solver(chain, rtol, MAX_STEP)
-    plan = build_plan(solver, [FrontTrack(windows)], rtol, 0.1 * rtol, MAX_STEP, time)
-    t1 = jnp.asarray(float(time))
-    pool = Pool(Task(plan, chain, BlockStart(block), jnp.zeros(()), t1), jobs, None, None)
-    pool.run(progress, description)
-    fronts = jax.tree.map(jnp.asarray, pool.records["observed"][0])
-    codes = jnp.asarray(pool.records["result"])
-    waits = jnp.broadcast_to(jnp.asarray(transient, float), codes.shape)
-    found = _speeds(fronts, codes, waits, t1, chain.n)
-    numbers = {name: np.asarray(getattr(found, name)) for name in NUMBERS}
-    return numbers | {"result": pool.records["result"]}
+def _read(
+    right: Array, left: Array, count: Array, code: Array, wait: Array, n: Any, t1: Array
+) -> tuple[Array, ...]:
+    result = eqx.tree_at(lambda r: r._value, Result.successful, code)
+    found: FrontSpeed = read_speed(Fronts(right, left, count), n, 0.0, t1, wait, result)
+    return tuple(getattr(found, name) for name in NUMBERS)
 
 
-@eqx.filter_jit
-def _speeds(fronts: Fronts, codes: Array, waits: Array, t1: Array, n: int) -> FrontSpeed:
-    def one(fronts: Fronts, code: Array, wait: Array) -> FrontSpeed:
-        result = eqx.tree_at(lambda r: r._value, Result.successful, code)
-        return read_speed(fronts, n, 0.0, t1, wait, result)
-
-    return jax.vmap(one)(fronts, codes, waits)
+def joined(parts: Sequence[xr.Dataset], dim: str) -> xr.Dataset:
+    """Runs of one seed each, in a row; attributes that differ are left out."""
+    data: Any = xr.concat(parts, dim, combine_attrs="drop_conflicts")
+    return data.isel(seed=0)
 
 
-def averaged(data: xr.Dataset, over: tuple[str, ...]) -> xr.Dataset:
-    """`speed` and `error` of runs that differ in `over` only: their mean and its interval.
+def add_mean(data: xr.Dataset, over: tuple[str, ...]) -> xr.Dataset:
+    """`data` with `mean_speed` of runs that differ in `over` only, and `mean_error`, its interval.
 
     The half-width is the greater of what the runs' own errors and what their scatter (Student's t
     at 95 %) say of the mean.
@@ -130,7 +109,7 @@ def averaged(data: xr.Dataset, over: tuple[str, ...]) -> xr.Dataset:
     quantile = xr.apply_ufunc(lambda m: stdtrit(np.maximum(m - 1, 1), 0.975), count)
     scatter = xr.where(count > 1, quantile * speed.std(over, ddof=1) / np.sqrt(count), 0.0)
     error = xr.where(scatter > own, scatter, own)
-    return xr.Dataset({"speed": speed.mean(over), "error": error})
+    return data.assign(mean_speed=speed.mean(over), mean_error=error)
 
 
 def exponents(coupling: np.ndarray, speed: np.ndarray, error: np.ndarray) -> tuple[float, ...]:

@@ -2,30 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, TypeAlias
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
 from jaxchain.scenes.registry import StudyTable
-from jaxchain.scenes.tables import NonNegative, Positive, Table, Values
+from jaxchain.scenes.tables import Positive, Table, Values
+from jaxchain.studies._tables import BaseTable, Several
 
-Several: TypeAlias = Annotated[list[Positive], Field(min_length=1, max_length=40)]
 
+class Base(BaseTable):
+    """A ring of equal masses."""
 
-class Base(Table):
-    """A ring of equal masses; each number stands where it does not vary."""
-
-    damping_ratio: Positive
-    mu_static: Positive
-    mu_dynamic: NonNegative
-    v_ref: Positive
     coupling: Positive
-
-    @model_validator(mode="after")
-    def _check(self) -> Base:
-        if self.mu_dynamic >= self.mu_static:
-            raise ValueError("must have a `mu_static` above `mu_dynamic`")
-        return self
 
 
 class Ring(Table):

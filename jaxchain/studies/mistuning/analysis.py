@@ -20,7 +20,7 @@ FATES = ("joined", "survived")
 POINT = ("coupling", "belt_speed", "disorder")
 # Bins of k_neighbour - k_driver.
 EDGES = np.linspace(-0.3, 0.3, 81)
-LONG_NAMES = {
+LABELS = {
     "participation_ratio": "participation ratio of the amplitudes, 0 if no mass vibrates",
     "participation_mean": "mean participation ratio over chains",
     "count_mean": "mean number of vibrating masses",
@@ -81,8 +81,6 @@ def analyse(study: Study, part: Ensemble, data: xr.Dataset) -> xr.Dataset:
     _correlate(data, _start(part, data), np.asarray(modes.return_probability))
     if part.start == "one":
         _add_captures(study, data)
-    for name in LONG_NAMES.keys() & set(map(str, data.variables)):
-        data[name].attrs["long_name"] = LONG_NAMES[name]
     return data
 
 
@@ -91,7 +89,6 @@ def add_drift(data: xr.Dataset, longer: xr.Dataset) -> None:
     before = data["participation_ratio"].isel(seed=slice(longer.sizes["seed"]))
     change = _ratio(longer) - before.values
     data["drift"] = (POINT, np.nanmean(change, axis=-1))
-    data["drift"].attrs["long_name"] = LONG_NAMES["drift"]
 
 
 def _ratio(data: xr.Dataset) -> np.ndarray:
@@ -162,7 +159,7 @@ def frequencies(data: xr.Dataset, belt_speed: float) -> xr.Dataset:
     agree = np.abs(omega - np.roll(omega, -1, -1)) * length < np.pi
     pairs = moves & np.roll(moves, -1, -1)
     rows = ("disorder", "seed")
-    found = xr.Dataset(
+    return xr.Dataset(
         {
             "frequency": ((*rows, "oscillator"), omega),
             "frequency_spread": (rows, _spread(omega, moves)),
@@ -173,9 +170,6 @@ def frequencies(data: xr.Dataset, belt_speed: float) -> xr.Dataset:
         coords=data.coords,
         attrs=data.attrs | {"belt_speed": belt_speed},
     )
-    for name in LONG_NAMES.keys() & set(map(str, found.variables)):
-        found[name].attrs["long_name"] = LONG_NAMES[name]
-    return found
 
 
 def _spread(omega: np.ndarray, moves: np.ndarray) -> np.ndarray:

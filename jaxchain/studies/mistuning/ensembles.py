@@ -13,12 +13,11 @@ import xarray as xr
 from jaxchain._types import State
 from jaxchain.localization.mistuning import mistuned_chain, mistuned_stiffness
 from jaxchain.model.chain import Chain, steady_sliding
-from jaxchain.model.friction import ExponentialDecay, TanhFriction
 from jaxchain.model.initial_states import equation_8, excited_state
 from jaxchain.observers.amplitude import Amplitude
 from jaxchain.observers.peaks import PeakTimes
 from jaxchain.simulation.event_driven import EventDriven
-from jaxchain.studies.mistuning.table import Ensemble, Locking, Study
+from jaxchain.studies.mistuning.table import Ensemble, Study
 from jaxchain.sweeps.sweeping import sweep
 
 # Has no part in dry friction.
@@ -31,9 +30,7 @@ _SHORTEST_PERIOD = 4.0
 
 def base_chain(study: Study) -> Chain:
     """The tuned ring."""
-    base = study.base
-    law = ExponentialDecay(base.mu_static, base.mu_dynamic, base.v_ref)
-    return Chain(base.masses, TanhFriction(law, _NO_WIDTH), 1.0, base.damping_ratio, coupling=0.01)
+    return study.base.chain(study.base.masses, width=_NO_WIDTH, coupling=0.01)
 
 
 def initial_state(kind: str, disturbance: float) -> Callable[..., State]:
@@ -92,13 +89,13 @@ def run_ensemble(
     )
 
 
-def run_locking(study: Study, part: Locking, progress: bool = False) -> xr.Dataset:
+def run_locking(study: Study, progress: bool = False) -> xr.Dataset:
     """Amplitudes, and peak times within the window, over (disorder, seed, oscillator)."""
-    end = part.transient + part.window
+    part = study.locking
     return sweep(
         base_chain(study).with_(coupling=part.coupling, belt_speed=part.belt_speed),
         initial_state("all", 1.0),
-        end,
+        part.transient + part.window,
         over={"disorder": part.disorder, "seed": range(part.chains)},
         vary=partial(mistuned_chain, distribution=study.distribution),
         observe=[

@@ -16,10 +16,10 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from jaxchain.plotting.style import PAGE_WIDTH, STYLE
+from jaxchain.plotting.style import BLUE, GREY, ORANGE, PURPLE
+from jaxchain.studies._pages import GREEN, SKY, SMALL, VERMILION, letters, on_page
 
-HEIGHT = 5.3  # inches
-_COLOURS = ("#0072B2", "#56B4E9", "#D55E00", "#E69F00", "#009E73", "#CC79A7", "#7F4FA3", "#777777")
+_COLOURS = (BLUE, SKY, VERMILION, ORANGE, GREEN, PURPLE, "#7F4FA3", GREY)
 _MARKERS = "osD^vP<>"
 _DISORDER = r"disorder of stiffness $\sigma_k$ (%)"
 # Below this percentage the axis is linear, so that 0 has a place.
@@ -49,7 +49,8 @@ def rows(datasets: Mapping[str, xr.Dataset]) -> list[Row]:
     return sorted(found, key=lambda row: (row.speed, row.coupling))
 
 
-def draw(datasets: Mapping[str, xr.Dataset]) -> Figure:
+@on_page(5.3)
+def draw(page: Figure, datasets: Mapping[str, xr.Dataset]) -> None:
     """Six panels.
 
     (a) Participation ratio over the disorder, and that of the linear modes.  (b) The same for
@@ -59,18 +60,14 @@ def draw(datasets: Mapping[str, xr.Dataset]) -> Figure:
     every = rows(datasets)
     usual = Counter(row.coupling for row in every).most_common(1)[0][0]
     usual_rows = [row for row in every if row.coupling == usual]
-    with matplotlib.rc_context(STYLE):
-        page = Figure(figsize=(PAGE_WIDTH, HEIGHT), layout="constrained")
-        panels = page.subplots(2, 3, width_ratios=[1.15, 1.0, 1.0])
-        _draw_participation(panels[0, 0], usual_rows)
-        _draw_couplings(panels[0, 1], every)
-        _draw_captures(panels[0, 2], usual_rows)
-        _draw_counts(panels[1, 0], usual_rows)
-        _draw_locking(panels[1, 1], datasets["locking"], usual_rows)
-        _draw_states(panels[1, 2], usual_rows)
-        for letter, axes in zip("abcdef", panels.flat, strict=True):
-            axes.set_title(f"({letter})", loc="left", fontweight="bold")
-    return page
+    panels = page.subplots(2, 3, width_ratios=[1.15, 1.0, 1.0])
+    _draw_participation(panels[0, 0], usual_rows)
+    _draw_couplings(panels[0, 1], every)
+    _draw_captures(panels[0, 2], usual_rows)
+    _draw_counts(panels[1, 0], usual_rows)
+    _draw_locking(panels[1, 1], datasets["locking"], usual_rows)
+    _draw_states(panels[1, 2], usual_rows)
+    letters(panels)
 
 
 def _percent(row: Row | xr.Dataset) -> np.ndarray:
@@ -87,7 +84,6 @@ def _disorder_axis(axes: Axes, values: np.ndarray) -> None:
     axes.minorticks_off()
     axes.set_xlim(-0.2 * linear, 1.12 * values.max())
     axes.set_xlabel(_DISORDER)
-    axes.tick_params(which="both", top=True, right=True)
 
 
 def _draw_line(axes: Axes, row: Row, index: int, label: str) -> None:
@@ -100,11 +96,18 @@ def _draw_line(axes: Axes, row: Row, index: int, label: str) -> None:
     )  # fmt: skip
 
 
-_SMALL: dict[str, Any] = {
-    "fontsize": 6.2, "handlelength": 1.7, "handletextpad": 0.4, "labelspacing": 0.25,
-    "borderpad": 0.2, "framealpha": 0.85, "edgecolor": "none", "title_fontsize": 6.4,
-    "columnspacing": 0.9, "markerscale": 0.85,
+_SMALL: dict[str, Any] = SMALL | {
+    "fontsize": 6.2, "handlelength": 1.7, "title_fontsize": 6.4, "columnspacing": 0.9,
+    "markerscale": 0.85,
 }  # fmt: skip
+
+
+def _participation_axis(axes: Axes, chosen: list[Row]) -> None:
+    axes.set_yscale("log")
+    axes.set_ylim(0.9, 4.2 * chosen[0].data.sizes["oscillator"])
+    axes.set_yticks([1, 2, 5, 10, 20], ["1", "2", "5", "10", "20"])
+    _disorder_axis(axes, _percent(chosen[0]))
+    axes.set_ylabel("participation ratio (masses)")
 
 
 def _draw_participation(axes: Axes, chosen: list[Row]) -> None:
@@ -112,14 +115,7 @@ def _draw_participation(axes: Axes, chosen: list[Row]) -> None:
         _draw_line(axes, row, index, f"{row.speed:g}, {row.start}")
     modes = chosen[0].data["mode_participation"].mean("seed").values
     axes.plot(_percent(chosen[0]), modes, "k--", linewidth=1.2, label="linear modes", zorder=5)
-    n = chosen[0].data.sizes["oscillator"]
-    axes.set_yscale("log")
-    axes.set_ylim(0.9, 4.2 * n)
-    axes.set_yticks([1, 2, 5, 10, 20], ["1", "2", "5", "10", "20"])
-    axes.yaxis.minorticks_off()
-    _disorder_axis(axes, _percent(chosen[0]))
-    axes.yaxis.minorticks_off()
-    axes.set_ylabel("participation ratio (masses)")
+    _participation_axis(axes, chosen)
     axes.legend(**_SMALL, ncols=2, loc="upper right", title=r"belt speed $\tilde v_d$, start")
 
 
@@ -132,13 +128,7 @@ def _draw_couplings(axes: Axes, every: list[Row]) -> None:
         modes = row.data["mode_participation"].mean("seed").values
         axes.plot(_percent(row), modes, "--", color=_COLOURS[index], linewidth=1.0)
     axes.plot([], [], "--", color="black", linewidth=1.0, label="linear modes")
-    n = chosen[0].data.sizes["oscillator"]
-    axes.set_yscale("log")
-    axes.set_ylim(0.9, 4.2 * n)
-    axes.set_yticks([1, 2, 5, 10, 20], ["1", "2", "5", "10", "20"])
-    _disorder_axis(axes, _percent(chosen[0]))
-    axes.yaxis.minorticks_off()
-    axes.set_ylabel("participation ratio (masses)")
+    _participation_axis(axes, chosen)
     title = rf"$\tilde v_d = {speed:g}$, start: {start}"
     axes.legend(**_SMALL, ncols=2, loc="upper right", title=title)
 
@@ -171,7 +161,6 @@ def _draw_captures(axes: Axes, chosen: list[Row]) -> None:
     axes.set_xlim(-1.35 * widest, 1.35 * widest)
     axes.set_ylim(-0.03, 1.52)
     axes.set_yticks([0, 0.25, 0.5, 0.75, 1])
-    axes.tick_params(which="both", top=True, right=True)
     axes.legend(**_SMALL, ncols=3, loc="upper center", title=r"belt speed $\tilde v_d$")
 
 

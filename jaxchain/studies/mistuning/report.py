@@ -2,62 +2,56 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from jaxchain.result import NAMES, STOPPED_WELL
+from jaxchain.studies._reports import ended_well, pairs, table
 
 # A change of the participation ratio by less than this share of it is called none.
 _SLIGHT = 0.1
 
 
-def summary(datasets: Mapping[str, xr.Dataset]) -> str:
-    """For each start, coupling and speed: what disorder does to the participation ratio."""
-    lines = []
-    for key, data in datasets.items():
-        if key == "locking":
-            lines += _of_locking(data)
-            continue
-        lines.append(f"{key}: {data.sizes['seed']} chains in every point{_failures(data)}")
-        for coupling in data["coupling"].values:
-            for speed in data["belt_speed"].values:
-                lines += _of_row(data.sel(coupling=coupling, belt_speed=speed))
+def summary(key: str, data: xr.Dataset) -> str:
+    """For each coupling and speed: what disorder does to the participation ratio."""
+    if key == "locking":
+        return _of_locking(data)
+    lines = [f"{key}: {data.sizes['seed']} chains in every point, {ended_well(data)}"]
+    for coupling in data["coupling"].values:
+        for speed in data["belt_speed"].values:
+            lines += _of_row(data.sel(coupling=coupling, belt_speed=speed))
     return "\n".join(lines)
 
 
 def _of_row(row: xr.Dataset) -> list[str]:
     """One coupling and belt speed, over the disorder."""
-    disorder = row["disorder"].values
-    mean, ends = row["participation_mean"].values, row["participation_interval"].values
-    modes = row["mode_participation"].mean("seed").values
-    head = f"  coupling {float(row['coupling']):g}, belt speed {float(row['belt_speed']):g}: "
-    lines = [head + verdict(row)]
-    lines.append(
-        "    disorder     PR (95 %)            vibrating     E   PR of modes  drift of PR"
-    )
-    columns = (row["count_mean"].values, row["energy_mean"].values, modes, row["drift"].values)
-    for d, m, (low, high), *others in zip(disorder, mean, ends, *columns, strict=True):
-        count, energy, linear, drift = others
-        lines.append(
-            f"    {100 * d:6g} %  {m:5.2f} ({low:5.2f} ... {high:5.2f})  {count:9.2f}  "
-            f"{energy:7.3f}  {linear:6.2f}       {drift:+.2f}"
-        )
+    lines = [
+        f"coupling {float(row['coupling']):g}, belt speed {float(row['belt_speed']):g}: "
+        f"{verdict(row)}"
+    ]
+    interval = pairs("{:.2f} ... {:.2f}", *row["participation_interval"].values.T)
+    columns = {
+        "disorder (%)": (100 * row["disorder"], "g"), "PR": (row["participation_mean"], ".2f"),
+        "95 %": (interval, ""), "vibrating": (row["count_mean"], ".2f"),
+        "E": (row["energy_mean"], ".3f"),
+        "PR of modes": (row["mode_participation"].mean("seed"), ".2f"),
+        "drift of PR": (row["drift"], "+.2f"),
+    }  # fmt: skip
+    lines.append(table(columns))
     for fate in row["fate"].values:
         own = row["stiffness_correlation"].sel(fate=fate).values
         linear = row["return_correlation"].sel(fate=fate).values
         if np.isfinite(own).any():
             lines.append(
-                f"    whether a mass {fate} goes with its stiffness by {_range(own)}, with its "
+                f"  whether a mass {fate} goes with its stiffness by {_range(own)}, with its "
                 f"return probability by {_range(linear)}"
             )
     if "capture" in row and np.nansum(row["drawn_in"].values) > 0:
         low, high = half_width(row["detuning"].values, row["drawn_in"].values)
         theory = row["capture"].values
         lines.append(
-            f"    a neighbour is drawn in at detunings {low:+.3f} ... {high:+.3f} (theory "
+            f"  a neighbour is drawn in at detunings {low:+.3f} ... {high:+.3f} (theory "
             f"{theory[0]:+.3f} ... {theory[1]:+.3f})"
         )
     return lines
@@ -118,24 +112,17 @@ def half_width(detuning: np.ndarray, share: np.ndarray) -> tuple[float, float]:
     return low, high
 
 
-def _of_locking(data: xr.Dataset) -> list[str]:
-    lines = [f"locking: {data.sizes['seed']} chains at every disorder, all masses start"]
-    for d in data["disorder"].values:
-        own = data.sel(disorder=d)
-        lines.append(
-            f"  {100 * d:g} %: frequencies spread by {float(own['frequency_spread'].mean()):.5f} "
-            f"(linear masses alone {0.5 * d:.5f}), "
-            f"{100 * float(own['locked_share'].mean()):.0f} % of the neighbours agree"
-        )
-    return lines
+def _of_locking(data: xr.Dataset) -> str:
+    columns = {
+        "disorder (%)": (100 * data["disorder"], "g"),
+        "spread of frequencies": (data["frequency_spread"].mean("seed"), ".5f"),
+        "of linear masses alone": (0.5 * data["disorder"], ".5f"),
+        "neighbours that agree (%)": (100 * data["locked_share"].mean("seed"), ".0f"),
+    }
+    head = f"locking: {data.sizes['seed']} chains at every disorder, all masses start"
+    return f"{head}\n{table(columns)}"
 
 
 def _range(values: Any) -> str:
     low, high = np.nanmin(values), np.nanmax(values)
     return f"{low:+.2f} ... {high:+.2f}"
-
-
-def _failures(data: xr.Dataset) -> str:
-    well = [NAMES.index(name) for name in STOPPED_WELL]
-    bad = int((~np.isin(data["result"].values, well)).sum())
-    return f", {bad} of {data['result'].size} FAILED" if bad else ""

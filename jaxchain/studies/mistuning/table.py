@@ -8,25 +8,16 @@ from pydantic import Field, model_validator
 
 from jaxchain.scenes.registry import StudyTable
 from jaxchain.scenes.tables import NonNegative, Positive, Table, Window
+from jaxchain.studies._tables import BaseTable, Several, Tolerance
 
 Disorder: TypeAlias = Annotated[float, Field(ge=0, le=0.24)]
 Start: TypeAlias = Literal["disturbed", "all", "half", "one"]
 
 
-class Base(Table):
+class Base(BaseTable):
     """The ring of which the stiffnesses vary."""
 
     masses: Annotated[int, Field(ge=3)]
-    damping_ratio: Positive
-    mu_static: Positive
-    mu_dynamic: NonNegative
-    v_ref: Positive
-
-    @model_validator(mode="after")
-    def _check(self) -> Base:
-        if self.mu_dynamic > self.mu_static:
-            raise ValueError("must have a `mu_static` of at least `mu_dynamic`")
-        return self
 
 
 class Ensemble(Table):
@@ -35,8 +26,8 @@ class Ensemble(Table):
     start: Start
     """Steady sliding, with all masses a little "disturbed" at random; or with masses pulled away
     as in eq. (8) of the paper: "all", a random "half" of them, or "one"."""
-    belt_speed: Annotated[list[Positive], Field(min_length=1)]
-    coupling: Annotated[list[Positive], Field(min_length=1)]
+    belt_speed: Several
+    coupling: Several
     disorder: Annotated[list[Disorder], Field(min_length=1)]
     """Standard deviation of the stiffness relative to its mean."""
     chains: Annotated[int, Field(ge=2, le=100_000)]
@@ -87,7 +78,7 @@ class Study(StudyTable):
     ensemble: Annotated[dict[str, Ensemble], Field(min_length=1)]
     longer: Longer
     locking: Locking
-    rtol: Annotated[float, Field(gt=0, lt=1)] = 1e-6
+    rtol: Tolerance = 1e-6
 
     @model_validator(mode="after")
     def _check_study(self) -> Study:

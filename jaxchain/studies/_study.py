@@ -1,0 +1,128 @@
+"""What all studies do: each part is computed, described, saved and reported as it comes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from tqdm import tqdm
+from xarray import Dataset
+
+from jaxchain.result import NAMES
+from jaxchain.scenes.errors import StudyFailedError
+from jaxchain.scenes.registry import StudyTable
+from jaxchain.scenes.storage import save, save_drawing
+
+
+@dataclass
+class Job:
+    """What a part may know beside the study's table."""
+
+    name: str
+    """Of the results."""
+    progress: bool = False
+    """Whether progress is shown: hand it on to `sweep`."""
+    done: dict[str, Dataset] = field(default_factory=dict)
+    """The datasets of this study so far."""
+
+    def bar(
+        self, items: Iterable | None = None, *, unit: str = "part", total: int | None = None
+    ) -> tqdm:
+        """A progress bar for what is no sweep: over `items`, or moved by its `update()`."""
+        return tqdm(items, desc=self.name, unit=unit, total=total, disable=not self.progress)
+
+
+# One dataset, called as the part; or datasets by name, as they come.
+Part = Callable[[Any, Job], Dataset | Iterable[tuple[str, Dataset]]]
+
+
+@dataclass(frozen=True)
+class Study:
+    """A study as a function of its table and of a folder.
+
+    **Arguments:** `parts`, by name what computes them, from the table and a `Job`, in this order:
+    a function that returns a dataset, or a generator of names and datasets.  What a generator has
+    handed over is saved, also if it then raises `KeyboardInterrupt`.  `labels`, see `label`;
+    `report`, from (name, dataset) to what is to be said of it, "" for nothing; `figure`, from all
+    datasets to the page; `fault`, from all datasets to what is wrong with them, if anything is;
+    `prefix` of the names of the groups, where a bare name would be that of a variable.
+
+    The first dataset is the root of the results files, the others are groups.
+    """
+
+    parts: Mapping[str, Part]
+    report: Callable[[str, Dataset], str]
+    figure: Callable[[dict[str, Dataset]], Figure]
+    labels: Mapping[str, Any] = field(default_factory=dict)
+    fault: Callable[[dict[str, Dataset]], str | None] = lambda datasets: None
+    prefix: str = ""
+
+    def __call__(
+        self,
+        table: StudyTable,
+        folder: Path,
+        *,
+        name: str | None = None,
+        plot: bool = True,
+        progress: bool = False,
+        report: Callable[[str], object] = print,
+    ) -> dict[str, Dataset]:
+        """Computes, saves, reports and draws.
+
+        **Arguments:** `table`, the study's file; `folder` exists and is empty; `name` of the
+        results, that of the study if None.
+
+        **Returns:** the datasets by name.
+
+        **Raises:** `KeyboardInterrupt` on Ctrl-C, with everything saved that was done;
+        `FigureError` if everything is saved but the figure; `StudyFailedError` if everything is
+        saved, but the datasets are not as they must be; `SceneError` for numbers that do not go
+        together.
+        """
+        job = Job(name or table.study, progress)
+        path = folder / job.name
+        for part, compute in self.parts.items():
+            found = compute(table, job)
+            for key, data in [(part, found)] if isinstance(found, Dataset) else found:
+                label(data, self.labels)
+                data.attrs |= {
+                    "title": table.title,
+                    "description": table.description,
+                    "scene": job.name,
+                    "definition": table.model_dump_json(exclude_none=True),
+                }
+                save(data, path, self.prefix + key if job.done else None)
+                job.done[key] = data
+                if said := self.report(key, data):
+                    report(said)
+        if plot:
+            save_drawing(lambda: self.figure(job.done), path)
+        if wrong := self.fault(job.done):
+            raise StudyFailedError(wrong)
+        return job.done
+
+
+def label(data: Dataset, labels: Mapping[str, Any]) -> None:
+    """Describes the variables and coordinates of `data` of which `labels` knows, in place.
+
+    A label is a long name, or a long name and units, or a mapping of attributes.
+    """
+    for name in labels.keys() & set(map(str, data.variables)):
+        own = labels[name]
+        if not isinstance(own, Mapping):
+            texts = (own,) if isinstance(own, str) else own
+            own = dict(zip(("long_name", "units"), texts, strict=False))
+        data[name].attrs |= own
+
+
+def flags(names: Sequence[str], first: int = 0) -> dict[str, Any]:
+    """The label of a variable of codes: `first` for the first of `names`, and so on."""
+    values = np.arange(first, first + len(names))
+    return {"flag_values": values, "flag_meanings": " ".join(names)}
+
+
+RESULT = flags(NAMES)
