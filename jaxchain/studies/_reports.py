@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import xarray as xr
 
 from jaxchain.result import NAMES, STOPPED_WELL
@@ -16,16 +15,17 @@ def table(columns: Mapping[str, tuple[Any, str]]) -> str:
     """Columns of text beside each other: {heading: (values, format)}, NaN left blank.
 
     >>> print(table({"mass": (["first", "second"], ""), "speed": ([1.5, float("nan")], "+.2f")}))
-        mass  speed
-       first  +1.50
+      mass    speed
+      first   +1.50
       second
     """
-    cells = {
-        f" {head}": [" " if value != value else f" {value:{form}}" for value in _list(values)]
-        for head, (values, form) in columns.items()
-    }
-    text = pd.DataFrame(cells).to_string(index=False, col_space=1)
-    return "\n".join(f" {line}".rstrip() for line in text.splitlines())
+    shown: dict[str, list[str]] = {}
+    for head, (values, form) in columns.items():
+        cells = [head, *("" if v != v else format(v, form) for v in _list(values))]
+        text = isinstance(_list(values)[0], str)
+        width = max(map(len, cells))
+        shown[head] = [cell.ljust(width) if text else cell.rjust(width) for cell in cells]
+    return "\n".join("  " + "  ".join(row).rstrip() for row in zip(*shown.values(), strict=True))
 
 
 def _list(values: Any) -> list:
@@ -33,12 +33,13 @@ def _list(values: Any) -> list:
 
 
 def pairs(form: str, first: Any, second: Any) -> list[str]:
-    """Two columns as one.
+    """Two columns as one, blank where the first is NaN.
 
     >>> pairs("{:.2f} +- {:.2f}", [1.2], [0.1])
     ['1.20 +- 0.10']
     """
-    return [form.format(a, b) for a, b in zip(_list(first), _list(second), strict=True)]
+    both = zip(_list(first), _list(second), strict=True)
+    return ["" if a != a else form.format(a, b) for a, b in both]
 
 
 def ended_well(data: xr.Dataset) -> str:

@@ -122,7 +122,18 @@ def label(data: Dataset, labels: Mapping[str, Any]) -> None:
 def flags(names: Sequence[str], first: int = 0) -> dict[str, Any]:
     """The label of a variable of codes: `first` for the first of `names`, and so on."""
     values = np.arange(first, first + len(names))
-    return {"flag_values": values, "flag_meanings": " ".join(names)}
+    meanings = " ".join(name.replace(" ", "_") for name in names)
+    return {"flag_values": values, "flag_meanings": meanings}
+
+
+def from_rows(rows: Sequence[Mapping[str, Any]], dim: str) -> Dataset:
+    """Rows of numbers and names as a dataset over one dimension.
+
+    >>> from_rows([{"speed": 1.0, "name": "a"}, {"speed": 2.0, "name": "b"}], "case")["speed"].dims
+    ('case',)
+    """
+    names = rows[0] if rows else {}
+    return Dataset({name: (dim, np.asarray([row[name] for row in rows])) for name in names})
 
 
 RESULT = flags(NAMES)

@@ -5,6 +5,7 @@ import pytest
 import xarray as xr
 from matplotlib.figure import Figure
 
+from jaxchain.model.friction import ExponentialDecay
 from jaxchain.result import NAMES
 from jaxchain.scenes.errors import FigureError, StudyFailedError
 from jaxchain.scenes.registry import StudyTable
@@ -109,7 +110,7 @@ def test_pages_have_letters():
 
 def test_tables_of_text():
     text = table({"a": ([1.0, np.nan], ".1f"), "name": (["x", "long"], "")})
-    assert text.splitlines() == ["    a  name", "  1.0     x", "       long"]
+    assert text.splitlines() == ["    a  name", "  1.0  x", "       long"]
     data = one(1.0)
     assert ended_well(data) == "all 1 runs ended well"
     data["result"][0] = NAMES.index("max_steps_reached")
@@ -123,8 +124,7 @@ def test_spans_and_chains_of_a_table():
     np.testing.assert_allclose(Span(start=1.0, stop=4.0, count=3).array(), [1.0, 2.5, 4.0])
     base = BaseTable(damping_ratio=0.05, mu_static=1.0, mu_dynamic=0.5, v_ref=0.4)
     chain = base.chain(5, 1.2, width=1e-3, coupling=0.01)
-    law = chain.friction.law
-    assert (law.mu_static, law.mu_dynamic, law.v_ref) == (1.0, 0.5, 0.4)
-    assert (chain.n, float(chain.belt_speed), float(chain.coupling)) == (5, 1.2, 0.01)
+    assert chain.friction.law == ExponentialDecay(1.0, 0.5, 0.4)
+    assert (chain.n, chain.belt_speed, chain.coupling) == (5, 1.2, 0.01)
     with pytest.raises(ValueError, match="`mu_static` above"):
         BaseTable(damping_ratio=0.05, mu_static=1.0, mu_dynamic=1.0, v_ref=0.4)

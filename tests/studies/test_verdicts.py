@@ -119,7 +119,7 @@ def test_what_is_annihilated_is_written_and_drawn_as_that():
     found = [state(made_up_run("cycle", 0.0, cycle, 50.0), [("cycle", 1e-3, cycle, 60.0)] * 2)]
     data = to_dataset(Case(belt_speed=1.5, excited=[1], paper="figures 6 to 8"), found, 3)
     assert decisive(data)["value"][0] == -np.inf
-    assert "-inf  [-inf, -inf]" in summary({"slow": data})
+    assert "-inf  [-inf, -inf]" in summary("slow", data)
     axes = draw({"slow": data}).axes[0]
     below = [np.asarray(line.get_ydata()) for line in axes.lines if line.get_marker() == "v"]
     assert [values.tolist() for values in below if values.size] == [[LOWEST]]
@@ -152,7 +152,7 @@ def test_the_picture_shows_every_state_once(datasets):
 
 
 def test_the_summary_is_the_table_state_by_state(datasets):
-    lines = summary(datasets).splitlines()
+    lines = summary("slow", datasets["slow"]).splitlines()
     assert len(lines) == 2 + 5
     row = next(line for line in lines if line.split()[0] == "7")
     assert row.split()[1:5] == ["3", "-", "periodic", "chaotic"]

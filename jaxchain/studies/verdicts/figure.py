@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import matplotlib
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
@@ -13,14 +12,15 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from jaxchain.chaos.records import KINDS, VERDICTS
-from jaxchain.plotting.style import BLUE, GREY, ORANGE, PAGE_WIDTH, RED, STYLE
+from jaxchain.plotting.style import BLUE, GREY, ORANGE, PAGE_WIDTH, RED
+from jaxchain.studies._pages import GREEN, letters, on_page
 
 PANEL_HEIGHT = 1.75  # inches
 # Colour and marker of each verdict: told apart without colours, too.
 LOOKS: dict[str, tuple[str, str]] = {
     "at rest": ("black", "_"),
     "periodic": (BLUE, "o"),
-    "quasi-periodic": ("#009E73", "D"),
+    "quasi-periodic": (GREEN, "D"),
     "chaotic": (RED, "s"),
     "transient": (ORANGE, "^"),
     "failed": (GREY, "P"),
@@ -32,7 +32,8 @@ LOWEST = -1e-1
 _EXPONENT = r"exponent $\lambda$ (–)"
 
 
-def draw(datasets: Mapping[str, xr.Dataset]) -> Figure:
+@on_page(PANEL_HEIGHT)
+def draw(page: Figure, datasets: Mapping[str, xr.Dataset]) -> None:
     """A panel of exponents for each case, and one of how a symmetry is lost.
 
     Of a periodic state the slowest exponent of its orbit, by which it attracts, of any other the
@@ -40,22 +41,18 @@ def draw(datasets: Mapping[str, xr.Dataset]) -> Figure:
     without noise ends, where that is unstable; rings: smoothed friction; triangles on the lower
     edge: what lies below it, such as -inf where sticking annihilates every disturbance.
     """
-    with matplotlib.rc_context(STYLE):
-        rows = len(datasets) + 1
-        page = Figure(figsize=(PAGE_WIDTH, PANEL_HEIGHT * rows), layout="constrained")
-        panels = page.subplots(rows, 1, squeeze=False)[:, 0]
-        for axes, data in zip(panels, datasets.values(), strict=False):
-            _draw_exponents(axes, data)
-        _draw_symmetry(panels[-1], datasets)
-        for k, axes in enumerate(panels):
-            axes.set_title(f"({chr(ord('a') + k)})", loc="left", fontweight="bold")
-            axes.tick_params(which="both", top=True, right=True)
-        panels[len(datasets) - 1].set_xlabel("oscillators excited at the start, $k$")
-        page.legend(
-            handles=_legend(datasets), loc="outside lower center", ncols=4, frameon=False,
-            handletextpad=0.4, columnspacing=1.4,
-        )  # fmt: skip
-    return page
+    rows = len(datasets) + 1
+    page.set_size_inches(PAGE_WIDTH, PANEL_HEIGHT * rows)
+    panels = page.subplots(rows, 1, squeeze=False)[:, 0]
+    for axes, data in zip(panels, datasets.values(), strict=False):
+        _draw_exponents(axes, data)
+    _draw_symmetry(panels[-1], datasets)
+    letters(panels)
+    panels[len(datasets) - 1].set_xlabel("oscillators excited at the start, $k$")
+    page.legend(
+        handles=_legend(datasets), loc="outside lower center", ncols=4, frameon=False,
+        handletextpad=0.4, columnspacing=1.4,
+    )  # fmt: skip
 
 
 def decisive(data: xr.Dataset) -> dict[str, np.ndarray]:
@@ -64,23 +61,19 @@ def decisive(data: xr.Dataset) -> dict[str, np.ndarray]:
     Of periodic states the second of an orbit, the first being zero; of others the greatest.  Over
     the runs of the strongest noise: the mean, the least and the greatest bound.
     """
-    strongest = data["noise"].values == data["noise"].values.max()
-    kinds = data["kind"].values[:, strongest]
-    out = {key: np.full(len(kinds), np.nan) for key in ("value", "low", "high")}
-    names = {"value": "exponent", "low": "exponent_low", "high": "exponent_high"}
-    for row, verdict in enumerate(data["verdict"].values):
-        periodic = VERDICTS[verdict] == "periodic"
-        cycle = kinds[row] == KINDS.index("cycle")
-        measured = np.isfinite(data["exponent"].values[row][strongest][:, 0])
-        own = cycle if periodic else ~cycle & measured
-        # Of a state of which some runs have locked and the others were not measured.
-        own = own if own.any() else measured
-        for key, name in names.items():
-            values = data[name].values[row][strongest][own][:, 1 if periodic else 0]
-            if not np.all(np.isnan(values)):
-                merge = {"value": np.nanmean, "low": np.nanmin, "high": np.nanmax}[key]
-                out[key][row] = merge(values)
-    return out
+    runs = data.isel(run=data["noise"].values == data["noise"].values.max())
+    periodic = runs["verdict"] == VERDICTS.index("periodic")
+    cycle = runs["kind"] == KINDS.index("cycle")
+    measured = np.isfinite(runs["exponent"].isel(order=0))
+    own = xr.where(periodic, cycle, ~cycle & measured)
+    # Of a state of which some runs have locked and the others were not measured.
+    own = xr.where(own.any("run"), own, measured)
+    names = {"exponent": "mean", "exponent_low": "min", "exponent_high": "max"}
+    found = [
+        getattr(runs[name].isel(order=periodic.astype(int)).where(own), merge)("run").values
+        for name, merge in names.items()
+    ]
+    return dict(zip(("value", "low", "high"), found, strict=True))
 
 
 def unstable_growth(data: xr.Dataset) -> np.ndarray:
@@ -94,27 +87,26 @@ def _draw_exponents(axes: Axes, data: xr.Dataset) -> None:
     k, found = data["excited"].values, decisive(data)
     axes.axhspan(-LINEAR, LINEAR, color=GREY, alpha=0.12, linewidth=0)
     axes.axhline(0.0, color=GREY, linewidth=0.6)
+    value = np.where(np.isfinite(found["value"]), found["value"], np.nan)
+    bars = _bars(value, found["low"], found["high"])
     for index, verdict in enumerate(VERDICTS):
         colour, marker = LOOKS[verdict]
         own = data["verdict"].values == index
-        y = np.where(verdict == "at rest", 0.0, found["value"])[own]
-        y = np.where(np.isfinite(y), y, np.nan)
-        known = np.where(np.isfinite(found["value"]), found["value"], np.nan)
-        bars = np.stack([known - found["low"], found["high"] - known])[:, own]
-        bars = np.where(np.isfinite(bars), np.maximum(bars, 0.0), 0.0)
         _draw_below(axes, k[own] - 0.12, found["high"][own], colour)
         axes.errorbar(
-            k[own] - 0.12, y, bars, fmt=marker, color=colour, markersize=4.2, elinewidth=1.0,
-            capsize=1.6, zorder=3,
+            k[own] - 0.12, np.where(verdict == "at rest", 0.0, value)[own], bars[:, own],
+            fmt=marker, color=colour, markersize=4.2, elinewidth=1.0, capsize=1.6, zorder=3,
         )  # fmt: skip
     growth = unstable_growth(data)
     axes.plot(k - 0.12, growth, "x", color="black", markersize=4.5, zorder=4)
     if "smoothed_exponent" in data:
-        value, low, high = _smoothed(data)
-        bars = np.clip(np.nan_to_num(np.stack([value - low, high - value])), 0.0, None)
+        # The second if the dry state is periodic, else the first.
+        order = (data["verdict"] == VERDICTS.index("periodic")).astype(int)
+        names = ("smoothed_exponent", "smoothed_exponent_low", "smoothed_exponent_high")
+        value, low, high = (data[name].isel(order=order).values for name in names)
         axes.errorbar(
-            k + 0.18, value, bars, fmt="o", color="black", markersize=3.4, markeredgewidth=0.6,
-            markerfacecolor="white", elinewidth=0.6, zorder=2,
+            k + 0.18, value, _bars(value, low, high), fmt="o", color="black", markersize=3.4,
+            markeredgewidth=0.6, markerfacecolor="white", elinewidth=0.6, zorder=2,
         )  # fmt: skip
     axes.set_yscale("symlog", linthresh=LINEAR, linscale=0.8)
     axes.set_yticks([-1e-2, -1e-3, -1e-4, 0, 1e-4, 1e-3, 1e-2])
@@ -134,13 +126,10 @@ def _draw_below(axes: Axes, k: np.ndarray, high: np.ndarray, colour: str) -> Non
         axes.plot(k[own], at, "v", color=colour, markersize=4.2, clip_on=False)
 
 
-def _smoothed(data: xr.Dataset) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of smoothed friction: the second exponent if the dry state is periodic, else the first."""
-    second = data["verdict"].values == VERDICTS.index("periodic")
-    names = ("smoothed_exponent", "smoothed_exponent_low", "smoothed_exponent_high")
-    rows = np.arange(len(second))
-    value, low, high = (data[name].values[rows, second.astype(int)] for name in names)
-    return value, low, high
+def _bars(value: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """How far bars reach down and up: (2, ...); nowhere where an end is not finite."""
+    reach = np.stack([value - low, high - value])
+    return np.where(np.isfinite(reach), np.maximum(reach, 0.0), 0.0)
 
 
 def trap_example(datasets: Mapping[str, xr.Dataset]) -> tuple[str, int] | None:
@@ -163,7 +152,7 @@ def _draw_symmetry(axes: Axes, datasets: Mapping[str, xr.Dataset]) -> None:
     name, row = example
     data = datasets[name].isel(excited=row)
     levels = np.unique(data["noise"].values)
-    shades = ("black", BLUE, RED, ORANGE, "#009E73")
+    shades = ("black", BLUE, RED, ORANGE, GREEN)
     for level, colour in zip(levels, shades, strict=False):
         for first, run in enumerate(np.flatnonzero(data["noise"].values == level)):
             label = "no noise" if level == 0 else f"noise {level:.0e}"

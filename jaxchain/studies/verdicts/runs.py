@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -18,11 +19,27 @@ from jaxchain.model.chain import Chain, paper_chain
 from jaxchain.model.initial_states import equation_8, equation_10
 from jaxchain.result import NAMES
 from jaxchain.simulation.event_driven import EventDriven
+from jaxchain.studies._study import flags
 from jaxchain.studies.verdicts.paper import claim
 from jaxchain.studies.verdicts.reasons import why
 from jaxchain.studies.verdicts.table import Case, Study
 
 ALL_KINDS = (*KINDS, *NAMES)
+# What is known of every run.
+_OF_RUNS = {
+    "time": "length of the run",
+    "locked_at": "when it was bound for its orbit",
+    "energy": "E, mean over windows",
+    "energy_deviation": "deviation of E over windows",
+    "period": "period, or mean time between maxima",
+    "spread": "of section points",
+    "slips": "cycles gained on each other by vibrating masses",
+    "returns": "maxima per period",
+    "exponent_time": "time over which exponents are averaged",
+}
+LABELS = _OF_RUNS | {
+    "kind": flags(ALL_KINDS), "verdict": flags(VERDICTS), "undisturbed": flags(VERDICTS)
+}  # fmt: skip
 
 
 def run_case(study: Study, name: str, progress: bool) -> xr.Dataset:
@@ -80,52 +97,38 @@ def _add_smoothed(study: Study, chain: Chain, found: list[Verdict], data: xr.Dat
 def to_dataset(case: Case, found: list[Verdict], count: int) -> xr.Dataset:
     """Dimensions: `excited` (the states), `run`, `order` of exponents, `oscillator`, `window`."""
     runs = [v.runs for v in found]
-    each: dict[str, Any] = {
-        "time": "length of the run", "locked_at": "when it was bound for its orbit",
-        "energy": "E, mean over windows", "energy_deviation": "deviation of E over windows",
-        "period": "period, or mean time between maxima", "spread": "of section points",
-        "slips": "cycles gained on each other by vibrating masses", "returns": "maxima per period",
-        "exponent_time": "time over which exponents are averaged",
-    }  # fmt: skip
-    data = xr.Dataset(coords={"excited": case.excited})
-    both = ("excited", "run")
-    for key, text in each.items():
-        values = [[float(getattr(run, key)) for run in row] for row in runs]
-        data[key] = (both, np.array(values), {"long_name": text})
-    data["noise"] = ("run", [run.noise for run in runs[0]])
-    data["kind"] = (
-        both, np.array([[ALL_KINDS.index(run.kind) for run in row] for row in runs]),
-        {"flag_values": list(range(len(ALL_KINDS))), "flag_meanings": " ".join(ALL_KINDS)},
-    )  # fmt: skip
-    for key, name in (
-        ("exponents", "exponent"),
-        ("low", "exponent_low"),
-        ("high", "exponent_high"),
-    ):
-        values = [[_padded(getattr(run, key), count) for run in row] for row in runs]
-        data[name] = ((*both, "order"), np.array(values))
+
+    def of_runs(read: Callable[[Evidence], Any]) -> np.ndarray:
+        return np.array([[read(run) for run in row] for row in runs])
+
     length = max(len(run.symmetry) for row in runs for run in row) or 1
-    for key in ("symmetry_time", "symmetry"):
-        values = [[_padded(getattr(run, key), length) for run in row] for row in runs]
-        data[key] = ((*both, "window"), np.array(values))
+    both, claims = ("excited", "run"), [claim(case.paper, k) for k in case.excited]
+    data = xr.Dataset(
+        {key: (both, of_runs(lambda run, key=key: float(getattr(run, key)))) for key in _OF_RUNS},
+        coords={"excited": case.excited},
+        attrs={"belt_speed": case.belt_speed, "equation": case.equation},
+    )
+    data["noise"] = ("run", [run.noise for run in runs[0]])
+    data["kind"] = (both, of_runs(lambda run: ALL_KINDS.index(run.kind)))
+    for key, name, dim, size in (
+        ("exponents", "exponent", "order", count), ("low", "exponent_low", "order", count),
+        ("high", "exponent_high", "order", count), ("symmetry_time",) * 2 + ("window", length),
+        ("symmetry", "symmetry", "window", length),
+    ):  # fmt: skip
+        padded = of_runs(lambda run, key=key, size=size: _padded(getattr(run, key), size))
+        data[name] = ((*both, dim), padded)
     data["active"] = (("excited", "oscillator"), np.array([v.lead.active for v in found]))
-    for key in ("verdict", "undisturbed"):
-        values = np.array([VERDICTS.index(getattr(v, key)) for v in found])
-        flags: dict[str, Any] = {"flag_values": list(range(len(VERDICTS)))}
-        flags["flag_meanings"] = " ".join(name.replace(" ", "_") for name in VERDICTS)
-        data[key] = ("excited", values, flags)
-    data["depends_on_noise"] = ("excited", np.array([v.depends_on_noise for v in found]))
-    claims = [claim(case.paper, k) for k in case.excited]
-    texts = {
+    columns: dict[str, list] = {
+        "verdict": [VERDICTS.index(v.verdict) for v in found],
+        "undisturbed": [VERDICTS.index(v.undisturbed) for v in found],
+        "depends_on_noise": [v.depends_on_noise for v in found],
         "paper_text": [text for text, _ in claims],
         "paper_caption": [caption for _, caption in claims],
-        "reason": [v.reason for v in found], "remedy": [v.remedy for v in found],
+        "reason": [v.reason for v in found],
+        "remedy": [v.remedy for v in found],
         "why": [why(v, *said) for v, said in zip(found, claims, strict=True)],
-    }  # fmt: skip
-    for key, values in texts.items():
-        data[key] = ("excited", np.array(values, dtype=str))
-    data.attrs |= {"belt_speed": case.belt_speed, "equation": case.equation}
-    return data
+    }
+    return data.assign({key: ("excited", np.array(own)) for key, own in columns.items()})
 
 
 def _padded(values: np.ndarray, length: int) -> np.ndarray:

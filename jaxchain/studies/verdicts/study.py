@@ -5,46 +5,20 @@ No verdict is from one run: see `jaxchain.chaos.criteria` for what decides.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
 
+from xarray import Dataset
+
+from jaxchain.studies import _study
+from jaxchain.studies.verdicts.figure import draw
+from jaxchain.studies.verdicts.report import summary
+from jaxchain.studies.verdicts.runs import LABELS, run_case
 from jaxchain.studies.verdicts.table import Study
 
-if TYPE_CHECKING:
-    from xarray import Dataset
+
+def _cases(study: Study, job: _study.Job) -> Iterator[tuple[str, Dataset]]:
+    for name in study.case:
+        yield name, run_case(study, name, job.progress)
 
 
-def run(
-    study: Study,
-    folder: Path,
-    *,
-    name: str = "verdicts",
-    plot: bool = True,
-    progress: bool = False,
-    report: Callable[[str], object] = print,
-) -> dict[str, Dataset]:
-    """Computes, saves, reports and draws, case by case.
-
-    **Returns:** a dataset for each case; in the results files the first is the root and the
-    others are groups.
-
-    **Raises:** `jaxchain.scenes.errors.FigureError`.
-    """
-    from jaxchain.scenes.storage import save, save_drawing
-    from jaxchain.studies.verdicts.figure import draw
-    from jaxchain.studies.verdicts.report import summary
-    from jaxchain.studies.verdicts.runs import run_case
-
-    datasets: dict[str, Dataset] = {}
-    for key in study.case:
-        data = run_case(study, key, progress)
-        data.attrs |= {
-            "title": study.title, "scene": name, "definition": study.model_dump_json()
-        }  # fmt: skip
-        save(data, folder / name, key if datasets else None)
-        datasets[key] = data
-        report(summary({key: data}))
-    if plot:
-        save_drawing(lambda: draw(datasets), folder / name)
-    return datasets
+run = _study.Study(parts={"case": _cases}, labels=LABELS, report=summary, figure=draw)

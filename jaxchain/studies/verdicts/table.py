@@ -8,8 +8,7 @@ from pydantic import Field, model_validator
 
 from jaxchain.scenes.registry import StudyTable
 from jaxchain.scenes.tables import NonNegative, Positive, Table, Window, short_of_a_period
-
-Count = Annotated[int, Field(ge=1)]
+from jaxchain.studies._tables import Count, Tolerance
 
 
 class Case(Table):
@@ -54,7 +53,7 @@ class Smoothed(Table):
     """The second witness: exponents of smoothed friction, from where the dry runs ended."""
 
     width: Positive = 1e-3
-    rtol: Annotated[float, Field(gt=0, lt=1)] = 1e-6
+    rtol: Tolerance = 1e-6
     time: NonNegative = 0.0
     """Over how long they are averaged; 0: no second witness."""
 
@@ -79,7 +78,7 @@ class Study(StudyTable):
     """How many exponents."""
     exponent_runs: Count = 3
     """Of how many runs of a state, that without noise and then the noisiest first."""
-    rtol: Annotated[float, Field(gt=0, lt=1)] = 1e-6
+    rtol: Tolerance = 1e-6
     window: Window = 50.0
     lanes: Count = 24
     """Runs at a time on each device."""
