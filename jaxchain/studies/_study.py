@@ -126,14 +126,14 @@ def flags(names: Sequence[str], first: int = 0) -> dict[str, Any]:
     return {"flag_values": values, "flag_meanings": meanings}
 
 
-def from_rows(rows: Sequence[Mapping[str, Any]], dim: str) -> Dataset:
-    """Rows of numbers and names as a dataset over one dimension.
+def from_rows(rows: Sequence[Mapping[str, Any]], dim: str, *more: str) -> Dataset:
+    """Rows of numbers and names as a dataset over `dim`, and over `more` where they are arrays.
 
     >>> from_rows([{"speed": 1.0, "name": "a"}, {"speed": 2.0, "name": "b"}], "case")["speed"].dims
     ('case',)
     """
-    names = rows[0] if rows else {}
-    return Dataset({name: (dim, np.asarray([row[name] for row in rows])) for name in names})
+    columns = {name: np.array([row[name] for row in rows]) for name in (rows[0] if rows else {})}
+    return Dataset({name: ((dim, *more)[: own.ndim], own) for name, own in columns.items()})
 
 
 RESULT = flags(NAMES)

@@ -11,18 +11,22 @@ from jaxchain import equation_8
 from jaxchain.localization.mistuning import mistuned_stiffness
 from jaxchain.scenes.errors import SceneError
 from jaxchain.scenes.reading import load_scene
-from jaxchain.studies.mistuning import analysis
-from jaxchain.studies.mistuning.analysis import add_drift, analyse, frequencies
-from jaxchain.studies.mistuning.capture import count_captures, vibrating
-from jaxchain.studies.mistuning.ensembles import (
+from jaxchain.studies.mistuning import compute
+from jaxchain.studies.mistuning.compute import (
+    add_drift,
+    analyse,
     base_chain,
+    correlation,
+    count_captures,
+    frequencies,
     initial_state,
     random_half,
     stiffness_pattern,
+    vibrating,
 )
 from jaxchain.studies.mistuning.figure import draw, rows
 from jaxchain.studies.mistuning.report import half_width, halving, summary, verdict
-from jaxchain.studies.mistuning.statistics import bootstrap_mean, correlation, wilson
+from jaxchain.studies.mistuning.statistics import bootstrap_mean, wilson
 from jaxchain.studies.mistuning.study import run
 
 DISORDER = [0.0, 0.02, 0.1]
@@ -75,7 +79,7 @@ def made_up(study, start="one", chains=30, couplings=(0.01,), speeds=(1.2, 1.3))
 def analysed(study):
     found = {}
     with pytest.MonkeyPatch.context() as patch:  # what is costly has a test of its own
-        patch.setattr(analysis, "capture_interval", lambda chain, speed: np.array([-0.04, 0.01]))
+        patch.setattr(compute, "capture_interval", lambda chain, speed: np.array([-0.04, 0.01]))
         analyse_all(study, found)
     found["locking"] = frequencies(peaks(), 1.5)
     return found
@@ -154,10 +158,10 @@ def test_intervals_against_scipy():
     # A chain that failed is left out.
     values[:, 7] = np.nan
     np.testing.assert_allclose(bootstrap_mean(values)[0], np.nanmean(values, -1))
-    x, y = values[:, 8:]
-    np.testing.assert_allclose(correlation(x, y), np.corrcoef(x, y)[0, 1])
-    assert np.isnan(correlation(x, np.ones_like(x)))
-    assert np.isnan(correlation(x, y, np.arange(x.size) < 2))
+    x, y = (xr.DataArray(row, dims="seed") for row in values[:, 8:])
+    np.testing.assert_allclose(correlation(x, y, "seed"), np.corrcoef(x, y)[0, 1])
+    assert np.isnan(correlation(x, xr.ones_like(x), "seed"))
+    assert np.isnan(correlation(x.where(np.arange(x.size) < 2), y, "seed"))
 
 
 def test_starts_and_patterns_depend_on_the_seed_alone(study):
@@ -181,12 +185,12 @@ def test_counts_of_captures(study):
     _, data = made_up(study)
     u = np.asarray(stiffness_pattern(study, 30))
     edges = np.linspace(-0.4, 0.4, 9)
-    hits, total, interval = count_captures(data, u, edges)
+    data["pattern"] = (("seed", "oscillator"), u)
+    hits, total = count_captures(data, edges)
     detuning = np.concatenate([d * (u[:, m] - u[:, 10]) for d in (0.02, 0.1) for m in (9, 11)])
     np.testing.assert_array_equal(total[0, 0], np.histogram(detuning, edges)[0])
     near = detuning[np.abs(detuning) < 0.03]
     np.testing.assert_array_equal(hits[0, 1], np.histogram(near, edges)[0])
-    np.testing.assert_allclose(interval[0, 0, 4], wilson(hits[0, 0, 4], total[0, 0, 4]))
     assert vibrating(data)[..., 10].all()
 
 

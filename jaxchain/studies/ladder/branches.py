@@ -20,9 +20,14 @@ from jaxchain.localization.patterns import (
 )
 from jaxchain.localization.phases import PhaseModel, phase_model
 from jaxchain.model.chain import Chain, paper_chain
+from jaxchain.studies._study import from_rows
 from jaxchain.studies.ladder.table import Study, Walk
 
 _NEWTON_RTOL = 1e-9
+_BEYOND = 1e-7
+# Of every point of a branch.
+_NUMBERS = ("energy", "period", "unstable", "closeness", "amplitude", "x", "v")
+_LOSSES = ("fold", "symmetry breaking", "branch point", "period doubling", "torus")
 
 
 @dataclass(frozen=True)
@@ -160,31 +165,27 @@ def catalogue(model: PhaseModel, rungs: list[Rung]) -> tuple[list[Any], xr.Datas
     """
     n = model.chain.n
     cycles = [start(model, rung) for rung in rungs]
-    columns: dict[str, Any] = {
-        "key": ("pattern", np.array([rung.key for rung in rungs])),
-        "count": ("pattern", np.array([rung.count for rung in rungs])),
-        "phase_order": ("pattern", np.array([rung.pattern.order for rung in rungs])),
-        "phase_growth": ("pattern", np.array([rung.pattern.growth for rung in rungs])),
-        "phases": (
-            ("pattern", "oscillator"),
-            np.stack([_spread(n, rung.pattern.phases) for rung in rungs]),
-        ),
-        "converged": ("pattern", np.array([int(c.converged) for c in cycles], dtype=np.int8)),
-        "residual": ("pattern", np.array([float(c.residual) for c in cycles])),
-        "period": ("pattern", np.array([float(c.period) for c in cycles])),
-        "energy": ("pattern", np.array([float(c.energy) for c in cycles])),
-        "growth": (
-            "pattern",
-            np.array([np.log(np.abs(c.multipliers[0])) / float(c.period) for c in cycles]),
-        ),
-    }
-    data = xr.Dataset(columns, coords={"oscillator": np.arange(1, n + 1)})
+    rows = [
+        {
+            "key": rung.key, "count": rung.count, "phase_order": rung.pattern.order,
+            "phase_growth": rung.pattern.growth, "phases": _spread(n, rung.pattern.phases),
+            "converged": np.int8(cycle.converged), "residual": float(cycle.residual),
+            "period": float(cycle.period), "energy": float(cycle.energy), "growth": _growth(cycle),
+        }
+        for rung, cycle in zip(rungs, cycles, strict=True)
+    ]  # fmt: skip
+    data = from_rows(rows, "pattern", "oscillator").assign_coords(oscillator=np.arange(1, n + 1))
     data.attrs |= {
         "belt_speed": float(model.chain.belt_speed),
         "reactive": float(model.interaction[1].real),
         "dissipative": float(model.interaction[1].imag),
     }
     return cycles, data
+
+
+def _growth(cycle: Any) -> float:
+    """ln |mu| / T of the greatest multiplier."""
+    return float(np.log(np.abs(cycle.multipliers[0])) / cycle.period)
 
 
 def _spread(n: int, phases: np.ndarray) -> np.ndarray:
@@ -209,31 +210,24 @@ def to_dataset(rung: Rung, up: CycleBranch, down: CycleBranch | None = None) -> 
         + [(first - point.index - 1, point) for point in (down.special if down else ())],
         key=lambda item: item[0],
     )
-    after, points = [i for i, _ in special], [point for _, point in special]
+    points = [point for _, point in special]
     n = up.x.shape[1]
     leading = joined(lambda b: b.multipliers[:, 0])
+    numbers: dict[str, Any] = {
+        "belt_speed": joined(lambda b: b.parameter),
+        **{key: joined(lambda b, key=key: getattr(b, key)) for key in _NUMBERS},
+        "multiplier": np.abs(leading), "turn": np.abs(np.angle(leading)),
+    }  # fmt: skip
+    each = {
+        "special_kind": np.array([p.kind for p in points], dtype="U24"),
+        "special_belt_speed": np.array([p.parameter for p in points], float),
+        "special_refined": np.array([p.refined for p in points], dtype=np.int8),
+        # It lies between this point and the next.
+        "special_after": np.array([i for i, _ in special], dtype=int),
+    }
     data = xr.Dataset(
-        {
-            "belt_speed": ("point", joined(lambda b: b.parameter)),
-            "energy": ("point", joined(lambda b: b.energy)),
-            "period": ("point", joined(lambda b: b.period)),
-            "unstable": ("point", joined(lambda b: b.unstable)),
-            "multiplier": ("point", np.abs(leading)),
-            "turn": ("point", np.abs(np.angle(leading))),
-            "closeness": ("point", joined(lambda b: b.closeness)),
-            "amplitude": (("point", "oscillator"), joined(lambda b: b.amplitude)),
-            "x": (("point", "oscillator"), joined(lambda b: b.x)),
-            "v": (("point", "oscillator"), joined(lambda b: b.v)),
-            "special_kind": ("special", np.array([p.kind for p in points], dtype="U24")),
-            "special_belt_speed": ("special", np.array([p.parameter for p in points], float)),
-            "special_amplitude": (
-                ("special", "oscillator"),
-                np.reshape([p.amplitude for p in points], (-1, n)),
-            ),
-            "special_refined": ("special", np.array([p.refined for p in points], dtype=np.int8)),
-            # It lies between this point and the next.
-            "special_after": ("special", np.array(after, dtype=int)),
-        },
+        {key: (("point", "oscillator")[: own.ndim], own) for key, own in numbers.items()}
+        | {key: ("special", own) for key, own in each.items()},
         coords={"oscillator": np.arange(1, n + 1)},
         attrs={
             "count": rung.count, "pattern": rung.name, "phases": rung.pattern.phases,
@@ -244,5 +238,63 @@ def to_dataset(rung: Rung, up: CycleBranch, down: CycleBranch | None = None) -> 
             "start": first,
         },
     )  # fmt: skip
+    amplitudes = np.reshape([p.amplitude for p in points], (-1, n))
+    data["special_amplitude"] = (("special", "oscillator"), amplitudes)
     data["special_energy"] = 0.5 * (data["special_amplitude"] ** 2).sum("oscillator")
     return data
+
+
+def stable_ends(study: Study, coupling: float) -> list[dict[str, Any]]:
+    """Between which belt speeds the calmest cycle of each count is stable, at a coupling.
+
+    **Returns:** a row for each count: `lower` and `upper`, belt speeds (NaN where it is not stable
+    at the start, or its branch ends otherwise), with `lower_kind`, `upper_kind`, what happens
+    there; `stable`, whether the cycle at the start was found to be; `growth` = ln |mu| / T of its
+    greatest multiplier, and `phase_growth`, what the phase model says.
+    """
+    own = study.couplings
+    chain = paper_chain(own.masses, study.walk.start, study.ring.width).with_(coupling=coupling)
+    walk = study.walk.model_copy(update={"points": own.points})
+    model = phase_model(chain)
+    rows = []
+    for count in own.count:
+        (rung,) = named(model, count, ["calmest"])
+        rows.append({"count": count, "coupling": coupling, **_ends(model, rung, walk)})
+    return rows
+
+
+def _ends(model: Any, rung: Rung, walk: Any) -> dict[str, Any]:
+    row: dict[str, Any] = {
+        "stable": False, "growth": np.nan, "phase_growth": rung.pattern.growth,
+        "lower": np.nan, "upper": np.nan, "lower_kind": "", "upper_kind": "",
+    }  # fmt: skip
+    cycle = start(model, rung)
+    if not bool(cycle.converged):
+        return row
+    row |= {"growth": _growth(cycle), "stable": bool(cycle.stable)}
+    if not row["stable"]:
+        return row
+
+    def lost(p: float, extra: Any) -> bool:
+        del p
+        return bool(np.abs(extra.multipliers[0]) > 1.0 + _BEYOND)
+
+    images = symmetry(model.chain.n, rung.pattern)[1]
+    for name, branch in zip(
+        ("upper", "lower"), follow(cycle, walk, images, stop=lost), strict=True
+    ):
+        row[name], row[f"{name}_kind"] = _first_loss(branch)
+    return row
+
+
+def _first_loss(branch: CycleBranch) -> tuple[float, str]:
+    """Where stability is lost, and how; the bound if it is not."""
+    if branch.ended == "left_bounds":
+        return float(branch.parameter[-1]), "bound"
+    if branch.ended != "stopped":
+        return np.nan, branch.ended
+    last = branch.parameter.size - 2
+    for point in branch.special:
+        if point.index >= last and point.kind in _LOSSES:
+            return point.parameter, point.kind
+    return float(branch.parameter[-1]), "unknown"

@@ -22,7 +22,9 @@ from jaxchain.simulation.accuracy import fit_linear_solve
 from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.simulation.run import simulate
 from jaxchain.solvers.rosenbrock import Rodas5P
-from jaxchain.studies.ladder.table import Checks
+from jaxchain.studies._study import from_rows
+from jaxchain.studies.ladder.branches import ring
+from jaxchain.studies.ladder.table import Study
 
 # Ten times finer than branches are followed with.
 _FINE_RTOL = 1e-11
@@ -70,7 +72,7 @@ def draw_lots(branches: dict[str, xr.Dataset], count: int) -> list[tuple[str, in
     return [every[i] for i in np.sort(lot)]
 
 
-def disturbed(chain: Chain, branches: dict[str, xr.Dataset], checks: Checks) -> xr.Dataset:
+def disturbed(study: Study, branches: dict[str, xr.Dataset]) -> xr.Dataset:
     """Whether disturbances grow as the multipliers say, of orbits drawn by lot.
 
     A random disturbance of size 1e-6 is added to the orbit, which is closed once more with a
@@ -81,6 +83,7 @@ def disturbed(chain: Chain, branches: dict[str, xr.Dataset], checks: Checks) -> 
     leaves the range of a linear disturbance at once), `periods`, from how many, and `shift`, by
     how much the period changed as the orbit was closed with the finer tolerance.
     """
+    chain, checks = ring(study), study.checks
     lot = draw_lots(branches, checks.orbits)
     rows = []
     kicks = np.random.default_rng(7).normal(size=(len(lot), 2 * chain.n))
@@ -106,7 +109,7 @@ def disturbed(chain: Chain, branches: dict[str, xr.Dataset], checks: Checks) -> 
                 "shift": abs(float(orbit.period) - float(data["period"])),
             }
         )  # fmt: skip
-    return table(rows, "orbit")
+    return from_rows(rows, "orbit")
 
 
 def _leading(chain: Chain, state: Any, period: Any) -> tuple[Complex[Array, " m"], float]:
@@ -148,13 +151,14 @@ def _rate(sizes: Float[np.ndarray, " p"]) -> tuple[float, int]:
     return float(np.exp(np.polyfit(p, np.log(sizes[first:last]), 1)[0])), last - first
 
 
-def dry_runs(chain: Chain, branches: dict[str, xr.Dataset], checks: Checks) -> xr.Dataset:
+def dry_runs(study: Study, branches: dict[str, xr.Dataset]) -> xr.Dataset:
     """Runs with true dry friction from stable cycles of the smoothed law, drawn by lot.
 
     **Returns:** for each: `energy`, `period`, and those of the smoothed cycle,
     `energy_smoothed`, `period_smoothed`; `spread`, by how much the times between maxima differ
     among themselves, which is zero for a periodic motion.
     """
+    chain, checks = ring(study), study.checks
     stable = {
         key: data.isel(point=np.flatnonzero(data["unstable"].values == 0))
         for key, data in branches.items()
@@ -192,10 +196,4 @@ def dry_runs(chain: Chain, branches: dict[str, xr.Dataset], checks: Checks) -> x
                 "spread": float(np.ptp(gaps)) if known else np.nan,
             }
         )  # fmt: skip
-    return table(rows, "orbit")
-
-
-def table(rows: list[dict[str, Any]], dim: str) -> xr.Dataset:
-    """Rows of numbers and names as a dataset."""
-    names = rows[0] if rows else {}
-    return xr.Dataset({name: (dim, np.asarray([row[name] for row in rows])) for name in names})
+    return from_rows(rows, "orbit")

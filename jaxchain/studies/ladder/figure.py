@@ -6,64 +6,54 @@ import itertools
 from collections.abc import Mapping
 from typing import Any
 
-import matplotlib
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from jaxchain.plotting.style import BLUE, ENERGY, GREY, ORANGE, PAGE_WIDTH, STYLE, SYMBOLS
+from jaxchain.plotting.style import BLUE, ENERGY, GREY, ORANGE, PURPLE, SYMBOLS
+from jaxchain.studies._pages import GREEN, SKY, VERMILION, letters, on_page
 from jaxchain.studies.ladder.report import branches_of
 
-HEIGHT = 6.2  # inches
 # What happens at a special point: marker and colour, in the order of the legend.
 MARKS: dict[str, tuple[str, str]] = {
     "fold": ("o", "black"),
-    "symmetry breaking": ("^", "#CC79A7"),
-    "branch point": ("^", "#CC79A7"),
+    "symmetry breaking": ("^", PURPLE),
+    "branch point": ("^", PURPLE),
     "torus": ("s", ORANGE),
-    "period doubling": ("D", "#009E73"),
+    "period doubling": ("D", GREEN),
 }
 _DASHES: Any = (0, (3, 1.5))
 _SPECIAL_SIZE, _ZOOMED = 3.2, 3
-_COLOURS = (BLUE, "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "black")
+_COLOURS = (BLUE, VERMILION, GREEN, PURPLE, SKY, "black")
 _ENDS = {"upper": "v", "lower": "^"}
 
 
-def draw(datasets: Mapping[str, xr.Dataset]) -> Figure:
+@on_page(6.2)
+def draw(page: Figure, datasets: Mapping[str, xr.Dataset]) -> None:
     """Three panels.
 
     (a) E of all branches over the belt speed, stable solid and unstable dashed, the ensemble's
     runs upon them.  (b) The lowest rungs, larger.  (c) Between which belt speeds the calmest
     pattern of each count is stable, over the coupling.
     """
-    with matplotlib.rc_context(STYLE):
-        page = Figure(figsize=(PAGE_WIDTH, HEIGHT), layout="constrained")
-        whole, zoom, ends = page.subplot_mosaic("AA;BC", height_ratios=(1.1, 1.0)).values()
-        branches = branches_of(datasets)
-        _draw_ensemble(whole, datasets["ensemble"], 3.0)
-        _draw_branches(whole, branches, marks=False)
-        low = {key: own for key, own in branches.items() if own.attrs["count"] <= _ZOOMED}
-        _draw_ensemble(zoom, datasets["ensemble"], 6.0)
-        _draw_branches(zoom, low or branches, marks=True)
-        _zoom(zoom, low or branches)
-        _draw_ends(ends, datasets["couplings"])
-        for letter, axes in zip("abc", (whole, zoom, ends), strict=True):
-            axes.set_title(f"({letter})", loc="left", fontweight="bold")
-            axes.tick_params(which="both", top=True, right=True)
-        page.legend(handles=_handles(branches), loc="outside lower center", ncols=4, frameon=False)
-    return page
-
-
-def line_width(pattern: str) -> float:
-    """In-phase patterns are thin, all others thick."""
-    return 0.8 if pattern == "in-phase" else 1.3
+    whole, zoom, ends = page.subplot_mosaic("AA;BC", height_ratios=(1.1, 1.0)).values()
+    branches = branches_of(datasets)
+    _draw_ensemble(whole, datasets["ensemble"], 3.0)
+    _draw_branches(whole, branches, marks=False)
+    low = {key: own for key, own in branches.items() if own.attrs["count"] <= _ZOOMED} or branches
+    _draw_ensemble(zoom, datasets["ensemble"], 6.0)
+    _draw_branches(zoom, low, marks=True)
+    zoom.set_ylim(0.0, 1.05 * max(float(own["energy"].max()) for own in low.values()))
+    _draw_ends(ends, datasets["couplings"])
+    letters((whole, zoom, ends))
+    page.legend(handles=_handles(branches), loc="outside lower center", ncols=4, frameon=False)
 
 
 def colour(data: xr.Dataset) -> str:
     """By pattern: in phase, alternating or a single mass, and twisted."""
-    return {"in-phase": BLUE, "calmest": "#009E73"}.get(str(data.attrs["pattern"]), "black")
+    return {"in-phase": BLUE, "calmest": GREEN}.get(str(data.attrs["pattern"]), "black")
 
 
 def pieces(own: xr.Dataset) -> list[tuple[bool, np.ndarray, np.ndarray]]:
@@ -94,12 +84,13 @@ def _draw_ensemble(axes: Axes, data: xr.Dataset, size: float) -> None:
 
 def _draw_branches(axes: Axes, branches: Mapping[str, xr.Dataset], marks: bool) -> None:
     for own in branches.values():
-        width = line_width(str(own.attrs["pattern"]))
+        # In-phase patterns are thin, all others thick.
+        width = 0.8 if own.attrs["pattern"] == "in-phase" else 1.3
         for stable, speed, height in pieces(own):
-            style: dict[str, Any] = (
-                {"linewidth": width} if stable else {"linewidth": 0.7, "linestyle": _DASHES}
-            )
-            axes.plot(speed, height, color=colour(own), zorder=2, **style)
+            axes.plot(
+                speed, height, color=colour(own), zorder=2, linewidth=width if stable else 0.7,
+                linestyle="-" if stable else _DASHES,
+            )  # fmt: skip
         for kind, p, E in zip(
             own["special_kind"].values, own["special_belt_speed"].values,
             own["special_energy"].values, strict=True,
@@ -110,13 +101,7 @@ def _draw_branches(axes: Axes, branches: Mapping[str, xr.Dataset], marks: bool) 
                     p, E, marker, color=shade, markersize=_SPECIAL_SIZE if marks else 1.8,
                     markeredgecolor="white", markeredgewidth=0.3, zorder=4,
                 )  # fmt: skip
-    axes.set_xlabel(SYMBOLS["belt_speed"])
-    axes.set_ylabel(ENERGY)
-
-
-def _zoom(axes: Axes, branches: Mapping[str, xr.Dataset]) -> None:
-    highest = max(float(own["energy"].max()) for own in branches.values())
-    axes.set_ylim(0.0, 1.05 * highest)
+    axes.set(xlabel=SYMBOLS["belt_speed"], ylabel=ENERGY)
 
 
 def _draw_ends(axes: Axes, rows: xr.Dataset) -> None:
@@ -129,9 +114,8 @@ def _draw_ends(axes: Axes, rows: xr.Dataset) -> None:
                 linewidth=0.9, linestyle="-" if name == "upper" else _DASHES,
                 label=f"$k = {count}$" if name == "upper" else None,
             )  # fmt: skip
-    axes.set_xscale("log")
-    axes.set_xlabel(SYMBOLS["coupling"])
-    axes.set_ylabel(SYMBOLS["belt_speed"] + ", ends of stability")
+    ends = SYMBOLS["belt_speed"] + ", ends of stability"
+    axes.set(xscale="log", xlabel=SYMBOLS["coupling"], ylabel=ends)
     axes.legend(ncols=2, loc="best", handlelength=1.5, framealpha=0.8, edgecolor="none")
 
 
@@ -139,7 +123,7 @@ def _handles(branches: Mapping[str, xr.Dataset]) -> list[Line2D]:
     lines = [
         Line2D([], [], color="black", linewidth=1.3, label="one mass, alternating"),
         Line2D([], [], color=BLUE, linewidth=1.0, label="in phase"),
-        Line2D([], [], color="#009E73", linewidth=1.3, label="twisted, calmest"),
+        Line2D([], [], color=GREEN, linewidth=1.3, label="twisted, calmest"),
         Line2D([], [], color="black", linewidth=0.7, linestyle=_DASHES, label="unstable"),
         Line2D([], [], color=GREY, marker=".", linestyle="", label="runs, dry friction"),
     ]

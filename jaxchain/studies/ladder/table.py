@@ -8,8 +8,8 @@ from pydantic import Field, model_validator
 
 from jaxchain.scenes.registry import StudyTable
 from jaxchain.scenes.tables import Positive, Range, Table, Window
+from jaxchain.studies._tables import Count
 
-Count = Annotated[int, Field(ge=1)]
 PatternName = Literal["in-phase", "alternating", "calmest"]
 
 

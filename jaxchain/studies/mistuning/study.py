@@ -7,12 +7,19 @@ spread (participation ratio), beside the modes of the linear chain; which masses
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 
 from xarray import Dataset
 
 from jaxchain.studies import _study
-from jaxchain.studies.mistuning.analysis import LABELS, add_drift, analyse, frequencies
-from jaxchain.studies.mistuning.ensembles import run_ensemble, run_locking
+from jaxchain.studies.mistuning.compute import (
+    LABELS,
+    add_drift,
+    analyse,
+    frequencies,
+    run_ensemble,
+    run_locking,
+)
 from jaxchain.studies.mistuning.figure import draw
 from jaxchain.studies.mistuning.report import summary
 from jaxchain.studies.mistuning.table import Study
@@ -20,12 +27,10 @@ from jaxchain.studies.mistuning.table import Study
 
 def _ensembles(study: Study, job: _study.Job) -> Iterator[tuple[str, Dataset]]:
     for key, part in study.ensemble.items():
-        data = analyse(study, part, run_ensemble(study, part, progress=job.progress, name=key))
-        more = run_ensemble(
-            study, part, chains=study.longer.chains, factor=study.longer.factor,
-            progress=job.progress, name=f"{key}, longer",
-        )  # fmt: skip
-        add_drift(data, more)
+        runs = partial(run_ensemble, study, part, progress=job.progress)
+        data = analyse(study, part, runs(description=key))
+        longer = study.longer.model_dump()
+        add_drift(data, runs(**longer, description=f"{key}, longer"))
         yield key, data
 
 
