@@ -9,9 +9,9 @@ import xarray as xr
 from jaxchain.model.chain import paper_chain
 from jaxchain.scenes.errors import SceneError
 from jaxchain.scenes.reading import load_scene
+from jaxchain.studies.fronts.compute import BlockStart, add_mean, exponents
 from jaxchain.studies.fronts.figure import draw
 from jaxchain.studies.fronts.report import predicted_edges, summary, windows
-from jaxchain.studies.fronts.runs import BlockStart, add_mean, exponents
 from jaxchain.studies.fronts.study import run
 
 SPEEDS = np.array([0.9, 1.0, 1.1, 1.4, 1.5, 1.7, 1.8])

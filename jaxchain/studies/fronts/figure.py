@@ -134,10 +134,9 @@ def _draw_plane(axes: Axes, data: xr.Dataset, runs: xr.Dataset) -> None:
                 color="black", markerfacecolor="white", markersize=4, linewidth=0.8,
                 label=f"measured edge, {pattern}" if edge == data["edge"].values[0] else None,
             )  # fmt: skip
-    axes.set_yscale("log")
-    axes.set_xlabel(SYMBOLS["belt_speed"])
-    axes.set_ylabel(SYMBOLS["coupling"])
-    axes.set_xlim(0.9, 1.87)
+    axes.set(
+        yscale="log", xlabel=SYMBOLS["belt_speed"], ylabel=SYMBOLS["coupling"], xlim=(0.9, 1.87),
+    )  # fmt: skip
     axes.set_ylim(1.2e-4, 0.13)  # room for the legend
     axes.legend(
         loc="lower center", ncols=2, fontsize=5.6,
@@ -161,11 +160,9 @@ def _draw_coupling(axes: Axes, data: xr.Dataset) -> None:
         )  # fmt: skip
         if np.isfinite(own["spreading"].values).all():
             axes.plot(data["curve"], own["spreading"], color=colour, linewidth=0.9)
-    axes.set_xscale("log")
-    axes.set_yscale("log")
+    axes.set(xscale="log", yscale="log")
     axes.set_ylim(bottom=0.06 * line[0])  # room for the legend
-    axes.set_xlabel(SYMBOLS["coupling"])
-    axes.set_ylabel(r"$|c|$ (masses per time)")
+    axes.set(xlabel=SYMBOLS["coupling"], ylabel=r"$|c|$ (masses per time)")
     axes.legend(loc="lower right", **SMALL, fontsize=6)
 
 

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from jaxchain.studies._study import Study
-from jaxchain.studies.fronts import measure
+from jaxchain.studies.fronts import compute
 from jaxchain.studies.fronts.figure import draw
 from jaxchain.studies.fronts.report import LABELS, summary
 
 run = Study(
     parts={
-        "belt_speed": measure.over_belt_speed,
-        "pictures": measure.pictures,
-        "pinning": measure.pinning,
-        "coupling": measure.over_coupling,
-        "convergence": measure.convergence,
+        "belt_speed": compute.over_belt_speed,
+        "pictures": compute.pictures,
+        "pinning": compute.pinning,
+        "coupling": compute.over_coupling,
+        "convergence": compute.convergence,
     },
     labels=LABELS,
     report=summary,

@@ -82,8 +82,7 @@ def _disorder_axis(axes: Axes, values: np.ndarray) -> None:
     ticks = [tick for tick in ticks if tick >= linear]
     axes.set_xticks([0, *ticks], ["0", *(f"{tick:g}" for tick in ticks)])
     axes.minorticks_off()
-    axes.set_xlim(-0.2 * linear, 1.12 * values.max())
-    axes.set_xlabel(_DISORDER)
+    axes.set(xlim=(-0.2 * linear, 1.12 * values.max()), xlabel=_DISORDER)
 
 
 def _draw_line(axes: Axes, row: Row, index: int, label: str) -> None:
@@ -103,8 +102,7 @@ _SMALL: dict[str, Any] = SMALL | {
 
 
 def _participation_axis(axes: Axes, chosen: list[Row]) -> None:
-    axes.set_yscale("log")
-    axes.set_ylim(0.9, 4.2 * chosen[0].data.sizes["oscillator"])
+    axes.set(yscale="log", ylim=(0.9, 4.2 * chosen[0].data.sizes["oscillator"]))
     axes.set_yticks([1, 2, 5, 10, 20], ["1", "2", "5", "10", "20"])
     _disorder_axis(axes, _percent(chosen[0]))
     axes.set_ylabel("participation ratio (masses)")
@@ -158,8 +156,7 @@ def _draw_captures(axes: Axes, chosen: list[Row]) -> None:
         return
     axes.plot([], [], "|-", color="black", linewidth=1.8, markersize=5, label="theory")
     axes.axvline(0.0, color="black", linewidth=0.5, linestyle=":")
-    axes.set_xlim(-1.35 * widest, 1.35 * widest)
-    axes.set_ylim(-0.03, 1.52)
+    axes.set(xlim=(-1.35 * widest, 1.35 * widest), ylim=(-0.03, 1.52))
     axes.set_yticks([0, 0.25, 0.5, 0.75, 1])
     axes.legend(**_SMALL, ncols=3, loc="upper center", title=r"belt speed $\tilde v_d$")
 
@@ -241,9 +238,7 @@ def _draw_states(axes: Axes, chosen: list[Row]) -> None:
             labels.append(f"{_percent(row)[j]:g}")
             height -= 1.15
         height -= 0.9
-    axes.set_aspect("equal")
-    axes.set_xlim(0.2, n + 0.8)
-    axes.set_ylim(height + 1.3, 1.6)
+    axes.set(aspect="equal", xlim=(0.2, n + 0.8), ylim=(height + 1.3, 1.6))
     axes.set_yticks(ticks, labels)
     axes.set_xticks([1, n // 2, n])
     axes.tick_params(length=0, labelsize=6.5)

@@ -110,8 +110,7 @@ def _draw_exponents(axes: Axes, data: xr.Dataset) -> None:
         )  # fmt: skip
     axes.set_yscale("symlog", linthresh=LINEAR, linscale=0.8)
     axes.set_yticks([-1e-2, -1e-3, -1e-4, 0, 1e-4, 1e-3, 1e-2])
-    axes.set_ylim(LOWEST, 2e-2)
-    axes.set_xlim(k.min() - 0.7, k.max() + 0.7)
+    axes.set(ylim=(LOWEST, 2e-2), xlim=(k.min() - 0.7, k.max() + 0.7))
     axes.set_xticks(k[:: max(1, len(k) // 20)])
     axes.set_ylabel(_EXPONENT)
     name = "eq. (8)" if data.attrs["equation"] == "equation_8" else "eq. (10)"
@@ -144,8 +143,7 @@ def trap_example(datasets: Mapping[str, xr.Dataset]) -> tuple[str, int] | None:
 def _draw_symmetry(axes: Axes, datasets: Mapping[str, xr.Dataset]) -> None:
     """How far the delays of a block are from being mirror images, over time."""
     example = trap_example(datasets)
-    axes.set_xlabel(r"time $\tau$ (–)")
-    axes.set_ylabel("lost symmetry\n(periods)")
+    axes.set(xlabel=r"time $\tau$ (–)", ylabel="lost symmetry\n(periods)")
     if example is None:
         axes.text(0.5, 0.5, "no state is lost by noise", transform=axes.transAxes, ha="center")
         return
@@ -169,9 +167,7 @@ def _draw_symmetry(axes: Axes, datasets: Mapping[str, xr.Dataset]) -> None:
         times, 1e-13 * np.exp(growth * (times - times[0])), color="black", linewidth=0.8,
         linestyle="--", label=r"$\exp(\lambda \tau)$ of the unstable orbit",
     )  # fmt: skip
-    axes.set_yscale("log")
-    axes.set_ylim(1e-16, 10.0)
-    axes.set_xlim(0.0, 0.9 * end)
+    axes.set(yscale="log", ylim=(1e-16, 10.0), xlim=(0.0, 0.9 * end))
     axes.set_title(
         rf"$k = {int(data['excited'])}$ at $\tilde v_d = {datasets[name].attrs['belt_speed']:g}$"
     )

@@ -10,8 +10,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
-from jaxtyping import Array
+from jaxtyping import Array, ArrayLike
+from scipy.special import stdtrit
 
+from jaxchain._types import State
 from jaxchain.boundaries.grazing import nonsmooth_fold_belt_speed
 from jaxchain.boundaries.hopf import hopf_belt_speed
 from jaxchain.localization.front_theory import (
@@ -20,23 +22,127 @@ from jaxchain.localization.front_theory import (
     single_cycle,
     spreading_speed,
 )
+from jaxchain.localization.fronts import read_speed
 from jaxchain.model.chain import Chain
+from jaxchain.model.initial_states import excited_block, excited_state
 from jaxchain.model.sliding import growth_rate
 from jaxchain.observers.amplitude import Amplitude
-from jaxchain.result import NAMES, STOPPED_WELL
+from jaxchain.observers.fronts import Fronts, FrontTrack
+from jaxchain.result import NAMES, STOPPED_WELL, Result
 from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.simulation.run import simulate
 from jaxchain.studies._study import Job
 from jaxchain.studies._tables import array
-from jaxchain.studies.fronts.runs import PATTERNS, BlockStart, add_mean, exponents, follow, joined
 from jaxchain.studies.fronts.table import Study
+from jaxchain.sweeps.sweeping import sweep
 
+# Uniform noise on displacement and velocity of the masses that are excited.
+NOISE = 0.1
+# Where a window would be shorter, it would not hold a period.
+_WINDOW, _WINDOWS = 6.6, 150
+NUMBERS = ("speed", "error", "right", "left", "moved", "verdict")
+PATTERNS = ["alternating", "in-phase"]
 # Sliding beyond the width of the friction law: dry friction, for what takes it from the chain.
 _WIDTH = 1e-3
 # Masses that a front passes before it is taken to have settled, and the share of the run at most.
 _PASSED, _SHARE = 2.0, 0.2
 _CURVE = 41
-_BOTH = ("pattern", "seed")
+
+
+class BlockStart(eqx.Module):
+    """A centred block as in eq. (8), signs alternating or alike, with a little noise inside.
+
+    The quiet masses slide steadily: noise there would grow by itself below the Hopf speed.
+    """
+
+    block: int = eqx.field(static=True)
+
+    def __call__(self, chain: Chain, seed: ArrayLike, in_phase: ArrayLike) -> State:
+        x, v = excited_state(chain, self.block, block="centred")
+        alike, _ = excited_state(chain, self.block, block="centred", pattern="in-phase")
+        inside = excited_block(chain.n, self.block, "centred")
+        keys = jax.random.split(jax.random.key(seed))
+        shakes = [jax.random.uniform(key, (chain.n,), minval=-NOISE, maxval=NOISE) for key in keys]
+        x = jnp.where(in_phase, alike, x) + jnp.where(inside, shakes[0], 0.0)
+        return x, v + jnp.where(inside, shakes[1], 0.0)
+
+
+def follow(
+    chain: Chain,
+    block: int,
+    time: float,
+    over: dict[str, Any],
+    transient: Any,
+    *,
+    seeds: int = 1,
+    dry: bool = True,
+    **more: Any,
+) -> xr.Dataset:
+    """Speeds of the fronts of a block over the numbers in `over`, `pattern` and `seed`.
+
+    **Arguments:** `transient`, a number or a data array over some of these; `more`, as for
+    `sweep`.  **Returns:** `NUMBERS` and `result`.
+    """
+    data = sweep(
+        chain, BlockStart(block), time, over={**over, "in_phase": [0, 1], "seed": range(seeds)},
+        observe=FrontTrack(min(int(time / _WINDOW), _WINDOWS)),
+        solver=EventDriven() if dry else None, **more,
+    )  # fmt: skip
+    codes = data["result"]
+    waits = xr.zeros_like(codes, float) + transient
+    fronts = [data[f"front_{name}"].values for name in ("right", "left", "count")]
+    numbers = _read(chain.n, jnp.asarray(float(time)), codes.values, waits.values, *fronts)
+    found = {name: (codes.dims, np.asarray(a)) for name, a in zip(NUMBERS, numbers, strict=True)}
+    data = data[["result"]].assign(found).rename(in_phase="pattern")
+    return data.assign_coords(pattern=PATTERNS).drop_vars("oscillator", errors="ignore")
+
+
+@eqx.filter_jit
+def _read(n: int, t1: Array, codes: Any, waits: Any, *fronts: Any) -> tuple[Array, ...]:
+    def one(code: Array, wait: Array, *fronts: Array) -> tuple[Array, ...]:
+        result = eqx.tree_at(lambda r: r._value, Result.successful, code)
+        found = read_speed(Fronts(*fronts), n, 0.0, t1, wait, result)
+        return tuple(getattr(found, name) for name in NUMBERS)
+
+    return jnp.vectorize(one, signature="(),(),(w),(w),(w)->(),(),(),(),(),()")(
+        codes, waits, *fronts
+    )
+
+
+def joined(parts: list[xr.Dataset], dim: str) -> xr.Dataset:
+    """Runs of one seed each, in a row; attributes that differ are left out."""
+    data: Any = xr.concat(parts, dim, combine_attrs="drop_conflicts")
+    return data.isel(seed=0)
+
+
+def add_mean(data: xr.Dataset, over: tuple[str, ...]) -> xr.Dataset:
+    """`data` with `mean_speed` of runs that differ in `over` only, and `mean_error`, its interval.
+
+    The half-width is the greater of what the runs' own errors and what their scatter (Student's t
+    at 95 %) say of the mean.
+    """
+    speed = data["speed"]
+    count = speed.count(over)
+    own = data["error"].mean(over) / np.sqrt(count)
+    quantile = xr.apply_ufunc(lambda m: stdtrit(np.maximum(m - 1, 1), 0.975), count)
+    scatter = xr.where(count > 1, quantile * speed.std(over, ddof=1) / np.sqrt(count), 0.0)
+    error = xr.where(scatter > own, scatter, own)
+    return data.assign(mean_speed=speed.mean(over), mean_error=error)
+
+
+def exponents(coupling: np.ndarray, speed: np.ndarray, error: np.ndarray) -> tuple[float, ...]:
+    """(p, half-width at 95 %, number of points) of |speed| ~ coupling^p, by least squares.
+
+    In logarithms, over the couplings at which the front moves for certain.
+    """
+    use = np.abs(speed) > error
+    if use.sum() < 3:
+        return np.nan, np.nan, float(use.sum())
+    x, y = np.log(coupling[use]), np.log(np.abs(speed[use]))
+    slope, offset = np.polyfit(x, y, 1)
+    rest = y - slope * x - offset
+    spread = np.sqrt((rest**2).sum() / (x.size - 2) / ((x - x.mean()) ** 2).sum())
+    return float(slope), float(stdtrit(x.size - 2, 0.975) * spread), float(x.size)
 
 
 def base_chain(study: Study, n: int, width: float = _WIDTH) -> Chain:
@@ -45,11 +151,15 @@ def base_chain(study: Study, n: int, width: float = _WIDTH) -> Chain:
     return study.base.chain(n, 1.5, width=width, coupling=coupling)
 
 
-def spreading(chain: Chain, speeds: Any, coupling: Any) -> np.ndarray:
-    """Speed of linear spreading at belt speeds and couplings of one shape."""
-    growth = jax.vmap(partial(growth_rate, chain))(jnp.asarray(speeds, float))
-    couplings = jnp.broadcast_to(jnp.asarray(coupling, float), growth.shape)
-    return np.asarray(spreading_speed(couplings, jnp.maximum(growth, 0.0)))
+def growths(chain: Chain, speeds: Any) -> Array:
+    """Growth rates of sliding at these belt speeds."""
+    return jax.vmap(partial(growth_rate, chain))(jnp.asarray(speeds, float))
+
+
+def spreading(chain: Chain, speeds: Any, coupling: float) -> np.ndarray:
+    """Speed of linear spreading at these belt speeds, 0 where sliding is stable."""
+    growth = jnp.maximum(growths(chain, speeds), 0.0)
+    return np.asarray(spreading_speed(jnp.full(growth.shape, coupling), growth))
 
 
 def transients(chain: Chain, speeds: np.ndarray, coupling: float, time: float) -> xr.DataArray:
@@ -90,46 +200,43 @@ def over_belt_speed(study: Study, job: Job) -> xr.Dataset:
     part, coupling = study.speed, study.base.coupling
     speeds = array(part.belt_speed)
     chain = base_chain(study, part.masses)
+    waits = transients(chain, speeds, coupling, part.time)
     data = follow(
-        chain, part.block, part.time, {"belt_speed": speeds}, seeds=part.seeds, rtol=study.rtol,
-        transient=transients(chain, speeds, coupling, part.time), progress=job.progress,
-        description="belt speed",
+        chain, part.block, part.time, {"belt_speed": speeds}, waits, seeds=part.seeds,
+        rtol=study.rtol, progress=job.progress, description="belt speed",
     )  # fmt: skip
     curve = np.linspace(speeds.min(), float(hopf_belt_speed(chain)), _CURVE)
     data["spreading"] = ("curve", spreading(chain, curve, coupling))
-    return add_mean(data, _BOTH).assign_coords(curve=curve)
+    return add_mean(data, ("pattern", "seed")).assign_coords(curve=curve)
 
 
 def over_coupling(study: Study, job: Job) -> xr.Dataset:
     """Speeds over the coupling, exponents, and linear spreading below the Hopf speed."""
     part = study.coupling
-    chain = base_chain(study, part.masses)
-    speeds = np.asarray(part.belt_speed)
+    chain, speeds = base_chain(study, part.masses), np.asarray(part.belt_speed)
     parts = []
     for coupling in part.coupling:
         time = float(np.clip(part.per_coupling / coupling, 400.0, part.time))
+        over = {"belt_speed": speeds, "coupling": [coupling]}
+        waits = transients(chain, speeds, coupling, time)
         parts.append(
             follow(
-                chain, part.block, time, {"belt_speed": speeds, "coupling": [coupling]},
-                transient=transients(chain, speeds, coupling, time), rtol=study.rtol,
-                progress=job.progress, description=f"coupling {coupling:g}",
+                chain, part.block, time, over, waits, rtol=study.rtol, progress=job.progress,
+                description=f"coupling {coupling:g}",
             )
         )  # fmt: skip
     data = add_mean(joined(parts, "coupling"), ("pattern",))
-    rows = [
-        exponents(
-            data["coupling"].values,
-            *(data[name].sel(belt_speed=v).values for name in ("mean_speed", "mean_error")),
-        )
-        for v in speeds
-    ]
-    for index, name in enumerate(("exponent", "exponent_error", "points")):
-        data[name] = ("belt_speed", np.array(rows)[:, index])
+    found = xr.apply_ufunc(
+        exponents, data["coupling"], data["mean_speed"], data["mean_error"], vectorize=True,
+        input_core_dims=[["coupling"]] * 3, output_core_dims=[[]] * 3,
+    )  # fmt: skip
+    data = data.assign(dict(zip(("exponent", "exponent_error", "points"), found, strict=True)))
     curve = np.geomspace(min(part.coupling), max(part.coupling), _CURVE)
-    growth = np.array([float(growth_rate(chain, jnp.asarray(v))) for v in speeds])
+    growth = growths(chain, speeds)
     spread = [spreading_speed(jnp.asarray(curve), jnp.full(_CURVE, g)) for g in growth]
-    data["spreading"] = (("belt_speed", "curve"), np.asarray(spread))
-    return data.assign_coords(curve=curve)
+    return data.assign(spreading=(("belt_speed", "curve"), np.asarray(spread), {})).assign_coords(
+        curve=curve
+    )
 
 
 class _Places(eqx.Module):
@@ -156,10 +263,11 @@ def pinning(study: Study, job: Job) -> xr.Dataset:
 
     def moved(speeds: np.ndarray, description: str) -> np.ndarray:
         nonlocal known
+        places = {"place": range(couplings.size), "edge": [0, 1]}
         found = follow(
-            chain, part.block, part.time, {"place": range(couplings.size), "edge": [0, 1]},
-            vary=_Places(jnp.asarray(couplings), jnp.asarray(speeds)), rtol=study.rtol,
-            transient=_SHARE * part.time, progress=job.progress, description=description,
+            chain, part.block, part.time, places, _SHARE * part.time, rtol=study.rtol,
+            vary=_Places(jnp.asarray(couplings), jnp.asarray(speeds)), progress=job.progress,
+            description=description,
         ).isel(seed=0)  # fmt: skip
         known &= np.isin(found["result"], [NAMES.index(name) for name in STOPPED_WELL])
         # Fronts that met before their speed could be measured have moved.
@@ -228,7 +336,7 @@ def convergence(study: Study, job: Job) -> xr.Dataset:
     parts = [
         follow(
             base_chain(study, n, width or _WIDTH), round(part.block * n / part.masses), part.time,
-            {"belt_speed": speeds}, transient=waits, rtol=study.rtol, dry=width == 0.0,
+            {"belt_speed": speeds}, waits, rtol=study.rtol, dry=width == 0.0,
             progress=job.progress, description=f"{n} masses, width {width:g}",
         )
         for n, width in cases
