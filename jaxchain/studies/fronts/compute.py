@@ -112,7 +112,7 @@ def _read(n: int, t1: Array, codes: Any, waits: Any, *fronts: Any) -> tuple[Arra
 def joined(parts: list[xr.Dataset], dim: str) -> xr.Dataset:
     """Runs of one seed each, in a row; attributes that differ are left out."""
     data: Any = xr.concat(parts, dim, combine_attrs="drop_conflicts")
-    return data.isel(seed=0)
+    return data.isel(seed=0, drop=True)
 
 
 def add_mean(data: xr.Dataset, over: tuple[str, ...]) -> xr.Dataset:

@@ -85,12 +85,15 @@ def _disorder_axis(axes: Axes, values: np.ndarray) -> None:
     axes.set(xlim=(-0.2 * linear, 1.12 * values.max()), xlabel=_DISORDER)
 
 
-def _draw_line(axes: Axes, row: Row, index: int, label: str) -> None:
+def _draw_line(
+    axes: Axes, row: Row, index: int, label: str, name: str = "participation", scale: float = 1.0
+) -> None:
+    """Mean and interval over the disorder."""
     x, colour = _percent(row), _COLOURS[index % len(_COLOURS)]
-    low, high = row.data["participation_interval"].values.T
+    low, high = scale * row.data[f"{name}_interval"].values.T
     axes.fill_between(x, low, high, color=colour, alpha=0.25, linewidth=0)
     axes.plot(
-        x, row.data["participation_mean"].values, color=colour, linewidth=1.1,
+        x, scale * row.data[f"{name}_mean"].values, color=colour, linewidth=1.1,
         marker=_MARKERS[index % len(_MARKERS)], markersize=3.2, label=label, clip_on=False,
     )  # fmt: skip
 
@@ -163,12 +166,10 @@ def _draw_captures(axes: Axes, chosen: list[Row]) -> None:
 
 def _draw_counts(axes: Axes, chosen: list[Row]) -> None:
     """The share of the masses that vibrate, as numbers on colours."""
-    columns = _percent(chosen[0])
-    grid = np.full((len(chosen), columns.size), np.nan)
-    for i, row in enumerate(chosen):
-        own = row.data["count_mean"].values / row.data.sizes["oscillator"]
-        for x, value in zip(_percent(row), own, strict=True):
-            grid[i, np.isclose(columns, x)] = value
+    n = chosen[0].data.sizes["oscillator"]
+    shares = [(row.data["count_mean"] / n).reset_coords(drop=True) for row in chosen]
+    disorder, columns = chosen[0].data["disorder"].values, _percent(chosen[0])
+    grid = xr.concat(shares, "row", join="outer").sel(disorder=disorder).values
     axes.imshow(grid, cmap="viridis", vmin=0.0, vmax=1.0, aspect="auto", origin="lower")
     for (i, j), value in np.ndenumerate(grid):
         if np.isfinite(value):
@@ -190,16 +191,9 @@ def _draw_locking(axes: Axes, locking: xr.Dataset, chosen: list[Row]) -> None:
         label=rf"neighbours locked, $\tilde v_d = {speed:g}$", clip_on=False,
     )  # fmt: skip
     for index, row in enumerate(chosen):
-        if row.start != "all":
-            continue
-        n, colour = row.data.sizes["oscillator"], _COLOURS[index % len(_COLOURS)]
-        low, high = row.data["count_interval"].values.T / n
-        axes.fill_between(_percent(row), low, high, color=colour, alpha=0.25, linewidth=0)
-        axes.plot(
-            _percent(row), row.data["count_mean"].values / n, color=colour, linewidth=1.1,
-            marker=_MARKERS[index % len(_MARKERS)], markersize=3.2, clip_on=False,
-            label=rf"masses vibrating, $\tilde v_d = {row.speed:g}$",
-        )  # fmt: skip
+        if row.start == "all":
+            label = rf"masses vibrating, $\tilde v_d = {row.speed:g}$"
+            _draw_line(axes, row, index, label, "count", 1.0 / row.data.sizes["oscillator"])
     axes.set_ylim(0.0, 1.55)
     axes.set_yticks([0, 0.25, 0.5, 0.75, 1])
     _disorder_axis(axes, x)
