@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from tqdm import tqdm
 from xarray import Dataset
 
+from jaxchain.model.parameters import PARAMETERS
 from jaxchain.result import NAMES
 from jaxchain.scenes.errors import StudyFailedError
 from jaxchain.scenes.registry import StudyTable
@@ -46,7 +47,8 @@ class Study:
 
     **Arguments:** `parts`, by name what computes them, from the table and a `Job`, in this order:
     a function that returns a dataset, or a generator of names and datasets.  What a generator has
-    handed over is saved, also if it then raises `KeyboardInterrupt`.  `labels`, see `label`;
+    handed over is saved, also if it then raises `KeyboardInterrupt`.  `labels`, see `label`, of
+    what is not in `STANDARD`;
     `report`, from (name, dataset) to what is to be said of it, "" for nothing; `figure`, from all
     datasets to the page; `fault`, from all datasets to what is wrong with them, if anything is;
     `prefix` of the names of the groups, where a bare name would be that of a variable.
@@ -88,7 +90,7 @@ class Study:
         for part, compute in self.parts.items():
             found = compute(table, job)
             for key, data in [(part, found)] if isinstance(found, Dataset) else found:
-                label(data, self.labels)
+                label(data, STANDARD | dict(self.labels))
                 data.attrs |= {
                     "title": table.title,
                     "description": table.description,
@@ -137,3 +139,5 @@ def from_rows(rows: Sequence[Mapping[str, Any]], dim: str, *more: str) -> Datase
 
 
 RESULT = flags(NAMES)
+# What needs no label of a study's own: the numbers of the chain, and how a run ended.
+STANDARD = {name: row.attrs for name, row in PARAMETERS.items()} | {"result": RESULT}

@@ -11,14 +11,14 @@ from jaxchain.scenes.errors import FigureError, StudyFailedError
 from jaxchain.scenes.registry import StudyTable
 from jaxchain.studies._pages import letters, on_page
 from jaxchain.studies._reports import ended_well, table
-from jaxchain.studies._study import RESULT, Study
+from jaxchain.studies._study import Study
 from jaxchain.studies._tables import BaseTable, Span
 
 TABLE = StudyTable(study="made_up", title="A title", description="More")
 
 
 def one(value):
-    return xr.Dataset({"speed": ("x", [value]), "result": ("x", [0])}, {"x": [1]})
+    return xr.Dataset({"speed": ("x", [value]), "result": ("x", [0]), "width": 1e-3}, {"x": [1]})
 
 
 def first(table, job):
@@ -52,7 +52,7 @@ def say(name, data):
 
 def make(more=others, **changes):
     parts = {"first": first, "more": more}
-    labels = {"speed": ("belt speed", "x0 omega_n"), "x": "place", "result": RESULT}
+    labels = {"speed": ("front speed", "omega_n"), "x": "place"}
     return Study(parts=parts, labels=labels, report=say, figure=page_of, **changes)
 
 
@@ -68,7 +68,8 @@ def test_parts_are_described_saved_and_reported_in_order(tmp_path):
     assert stored(tmp_path).identical(found["first"])
     assert stored(tmp_path, "start_third").identical(found["third"])
     own = found["second"]
-    assert own["speed"].attrs == {"long_name": "belt speed", "units": "x0 omega_n"}
+    assert own["speed"].attrs == {"long_name": "front speed", "units": "omega_n"}
+    assert own["width"].attrs["units"] == "x0 omega_n"
     assert own["x"].attrs == {"long_name": "place"}
     assert own["result"].attrs["flag_meanings"].split() == list(NAMES)
     assert own.attrs["title"] == "A title"

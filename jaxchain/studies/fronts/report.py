@@ -9,7 +9,7 @@ import xarray as xr
 
 from jaxchain.localization.fronts import VERDICTS
 from jaxchain.studies._reports import ended_well, pairs, table
-from jaxchain.studies._study import RESULT, flags
+from jaxchain.studies._study import flags
 
 LABELS = {
     "speed": ("front speed, mean of both fronts; positive where the block grows", "omega_n"),
@@ -28,7 +28,6 @@ LABELS = {
     "death_belt_speed": ("predicted belt speed above which blocks shrink", "x0 omega_n"),
     "amplitude": ("half peak-to-peak of displacement", "x0"),
     "verdict": flags(VERDICTS, -1),
-    "result": RESULT,
 }
 
 

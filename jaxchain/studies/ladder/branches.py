@@ -32,8 +32,9 @@ _LOSSES = ("fold", "symmetry breaking", "branch point", "period doubling", "toru
 
 @dataclass(frozen=True)
 class Rung:
-    """One locked pattern: `count` neighbours, what it is called, and it."""
+    """One locked pattern: `count` neighbours of a ring, what it is called, and it."""
 
+    model: PhaseModel
     count: int
     name: str
     pattern: LockedPattern
@@ -43,10 +44,10 @@ class Rung:
         return f"k{self.count}_{self.name.replace('-', '_')}"
 
 
-def ring(study: Study, **changes: Any) -> Chain:
+def ring(study: Study, masses: int | None = None, coupling: float | None = None) -> Chain:
     """The chain at the belt speed from which branches are followed."""
-    chain = paper_chain(study.ring.masses, study.walk.start, study.ring.width)
-    return chain.with_(**{"coupling": study.ring.coupling, **changes})
+    chain = paper_chain(masses or study.ring.masses, study.walk.start, study.ring.width)
+    return chain.with_(coupling=coupling or study.ring.coupling)
 
 
 def named(model: PhaseModel, count: int, names: Sequence[str]) -> list[Rung]:
@@ -70,15 +71,14 @@ def named(model: PhaseModel, count: int, names: Sequence[str]) -> list[Rung]:
     for name in names:
         pattern = choose[name]()
         if not any(pattern is rung.pattern for rung in rungs):
-            rungs.append(Rung(count, "single" if count == 1 else name, pattern))
+            rungs.append(Rung(model, count, "single" if count == 1 else name, pattern))
     return rungs
 
 
-def rungs_of(study: Study) -> tuple[PhaseModel, list[Rung]]:
-    """The phase model of the ring, and every pattern that is to be followed."""
+def rungs_of(study: Study) -> list[Rung]:
+    """Every pattern that is to be followed."""
     model = phase_model(ring(study))
-    names = study.rungs.pattern
-    return model, [rung for count in study.rungs.count for rung in named(model, count, names)]
+    return [r for count in study.rungs.count for r in named(model, count, study.rungs.pattern)]
 
 
 def symmetry(n: int, pattern: LockedPattern) -> tuple[int, list[int] | None]:
@@ -104,28 +104,28 @@ def symmetry(n: int, pattern: LockedPattern) -> tuple[int, list[int] | None]:
     return mass, images
 
 
-def start(model: PhaseModel, rung: Rung, rtol: float = _NEWTON_RTOL) -> Any:
+def start(rung: Rung) -> Any:
     """The `LimitCycle` of the whole ring near a locked pattern; it may not have converged."""
+    model = rung.model
     mass, images = symmetry(model.chain.n, rung.pattern)
     state, period = pattern_guess(model, rung.pattern.phases, first=mass)
     return find_limit_cycle(
-        model.chain, state, period=period, vibrating=mass, images=images, rtol=rtol, throw=False
-    )
+        model.chain, state, period=period, vibrating=mass, images=images, rtol=_NEWTON_RTOL,
+        throw=False,
+    )  # fmt: skip
 
 
-def follow(
-    cycle: Any, walk: Walk, images: list[int] | None, progress: Any = None, stop: Any = None
-) -> tuple[CycleBranch, CycleBranch]:
+def follow(rung: Rung, cycle: Any, walk: Walk, **more: Any) -> list[CycleBranch]:
     """The branch through a cycle, towards greater and towards smaller belt speeds."""
-    up, down = (
+    _, images = symmetry(rung.model.chain.n, rung.pattern)
+    return [
         continue_cycle(
             cycle, direction=direction, bounds=(walk.slowest, walk.fastest), images=images,
             max_points=walk.points, rtol=walk.rtol, tolerance=walk.tolerance, min_step=1e-5,
-            progress=progress, stop=stop,
+            **more,
         )
         for direction in (1, -1)
-    )  # fmt: skip
-    return up, down
+    ]  # fmt: skip
 
 
 def switched(branch: CycleBranch, walk: Walk, progress: Any = None) -> CycleBranch | None:
@@ -148,8 +148,7 @@ def follow_rung(
     study: Study, rung: Rung, cycle: Any, progress: Any
 ) -> Iterator[tuple[str, xr.Dataset]]:
     """The branch of a pattern, and the one that crosses it if that is asked for, as datasets."""
-    images = symmetry(study.ring.masses, rung.pattern)[1]
-    up, down = follow(cycle, study.walk, images, progress)
+    up, down = follow(rung, cycle, study.walk, progress=progress)
     yield rung.key, to_dataset(rung, up, down)
     if rung.count in study.rungs.switch:
         other = switched(up, study.walk, progress)
@@ -157,14 +156,14 @@ def follow_rung(
             yield f"{rung.key}_switched", to_dataset(rung, other)
 
 
-def catalogue(model: PhaseModel, rungs: list[Rung]) -> tuple[list[Any], xr.Dataset]:
+def catalogue(rungs: list[Rung]) -> tuple[list[Any], xr.Dataset]:
     """The cycle near each pattern, and a table of what the phase model and the cycle say.
 
     `growth` is ln |mu| / T of the greatest multiplier, `phase_growth` that of phases alone;
     `order` and `phase_order` do not differ by more than the coupling moves phases.
     """
+    model, cycles = rungs[0].model, [start(rung) for rung in rungs]
     n = model.chain.n
-    cycles = [start(model, rung) for rung in rungs]
     rows = [
         {
             "key": rung.key, "count": rung.count, "phase_order": rung.pattern.order,
@@ -253,22 +252,18 @@ def stable_ends(study: Study, coupling: float) -> list[dict[str, Any]]:
     greatest multiplier, and `phase_growth`, what the phase model says.
     """
     own = study.couplings
-    chain = paper_chain(own.masses, study.walk.start, study.ring.width).with_(coupling=coupling)
     walk = study.walk.model_copy(update={"points": own.points})
-    model = phase_model(chain)
-    rows = []
-    for count in own.count:
-        (rung,) = named(model, count, ["calmest"])
-        rows.append({"count": count, "coupling": coupling, **_ends(model, rung, walk)})
-    return rows
+    model = phase_model(ring(study, own.masses, coupling))
+    rungs = [rung for count in own.count for rung in named(model, count, ["calmest"])]
+    return [{"count": r.count, "coupling": coupling, **_ends(r, walk)} for r in rungs]
 
 
-def _ends(model: Any, rung: Rung, walk: Any) -> dict[str, Any]:
+def _ends(rung: Rung, walk: Walk) -> dict[str, Any]:
     row: dict[str, Any] = {
         "stable": False, "growth": np.nan, "phase_growth": rung.pattern.growth,
         "lower": np.nan, "upper": np.nan, "lower_kind": "", "upper_kind": "",
     }  # fmt: skip
-    cycle = start(model, rung)
+    cycle = start(rung)
     if not bool(cycle.converged):
         return row
     row |= {"growth": _growth(cycle), "stable": bool(cycle.stable)}
@@ -279,10 +274,8 @@ def _ends(model: Any, rung: Rung, walk: Any) -> dict[str, Any]:
         del p
         return bool(np.abs(extra.multipliers[0]) > 1.0 + _BEYOND)
 
-    images = symmetry(model.chain.n, rung.pattern)[1]
-    for name, branch in zip(
-        ("upper", "lower"), follow(cycle, walk, images, stop=lost), strict=True
-    ):
+    ways = zip(("upper", "lower"), follow(rung, cycle, walk, stop=lost), strict=True)
+    for name, branch in ways:
         row[name], row[f"{name}_kind"] = _first_loss(branch)
     return row
 

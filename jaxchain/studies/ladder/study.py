@@ -24,8 +24,8 @@ from jaxchain.sweeps.sweeping import sweep
 
 
 def _branches(study: Study, job: _study.Job) -> Iterator[tuple[str, Dataset]]:
-    model, rungs = rungs_of(study)
-    cycles, found = catalogue(model, rungs)
+    rungs = rungs_of(study)
+    cycles, found = catalogue(rungs)
     yield "patterns", found
     chain = ring(study)
     with job.bar(unit="point") as bar:
