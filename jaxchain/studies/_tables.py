@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from jaxchain.model.chain import Chain
 
 Count: TypeAlias = Annotated[int, Field(ge=1)]
-Several: TypeAlias = Annotated[list[Positive], Field(min_length=1, max_length=40)]
+Several: TypeAlias = Annotated[list[Positive], Field(min_length=1)]
 Tolerance: TypeAlias = Annotated[float, Field(gt=0, lt=1)]
 
 

@@ -31,22 +31,19 @@ def _of_row(row: xr.Dataset) -> list[str]:
         f"{verdict(row)}"
     ]
     interval = pairs("{:.2f} ... {:.2f}", *row["participation_interval"].values.T)
-    columns = {
+    columns: dict[str, Any] = {
         "disorder (%)": (100 * row["disorder"], "g"), "PR": (row["participation_mean"], ".2f"),
         "95 %": (interval, ""), "vibrating": (row["count_mean"], ".2f"),
         "E": (row["energy_mean"], ".3f"),
         "PR of modes": (row["mode_participation"].mean("seed"), ".2f"),
         "drift of PR": (row["drift"], "+.2f"),
     }  # fmt: skip
-    lines.append(table(columns))
     for fate in row["fate"].values:
-        own = row["stiffness_correlation"].sel(fate=fate).values
-        linear = row["return_correlation"].sel(fate=fate).values
-        if np.isfinite(own).any():
-            lines.append(
-                f"  whether a mass {fate} goes with its stiffness by {_range(own)}, with its "
-                f"return probability by {_range(linear)}"
-            )
+        for text, name in (("stiffness", "stiffness"), ("return probability", "return")):
+            own = row[f"{name}_correlation"].sel(fate=fate)
+            if own.notnull().any():
+                columns[f"{fate} with {text}"] = (own, "+.2f")
+    lines.append(table(columns))
     if "capture" in row and np.nansum(row["drawn_in"].values) > 0:
         low, high = half_width(row["detuning"].values, row["drawn_in"].values)
         theory = row["capture"].values
@@ -74,10 +71,10 @@ def verdict(row: xr.Dataset) -> str:
         f"disorder takes part, from {mean[first]:.2f} without to {mean[-1]:.2f} at "
         f"{100 * disorder[-1]:g} %"
     )
-    if most not in (first, disorder.size - 1):
-        text += f" with a maximum of {mean[most]:.2f} at {100 * disorder[most]:g} %"
-    elif least not in (first, disorder.size - 1):
-        text += f" with a minimum of {mean[least]:.2f} at {100 * disorder[least]:g} %"
+    for i, word in ((most, "maximum"), (least, "minimum")):
+        if i not in (first, disorder.size - 1):
+            text += f" with a {word} of {mean[i]:.2f} at {100 * disorder[i]:g} %"
+            break
     halves = [halving(disorder, values) for values in (mean, modes)]
     if np.isfinite(halves[0]):
         text += f"; half the way down at {100 * halves[0]:.2g} %, modes at {100 * halves[1]:.2g} %"
@@ -102,14 +99,13 @@ def half_width(detuning: np.ndarray, share: np.ndarray) -> tuple[float, float]:
     inside = np.flatnonzero(y >= 0.5)
     if inside.size == 0:
         return float("nan"), float("nan")
-    first, last = inside[0], inside[-1]
 
-    def between(i: Any, j: Any) -> float:
-        return float(x[i] + (0.5 - y[i]) / (y[j] - y[i]) * (x[j] - x[i]))
+    def end(last: Any, beyond: Any) -> float:
+        if not 0 <= beyond < x.size:
+            return (beyond - last) * np.inf
+        return float(np.interp(0.5, y[[beyond, last]], x[[beyond, last]]))
 
-    low = -np.inf if first == 0 else between(first - 1, first)
-    high = np.inf if last == x.size - 1 else between(last, last + 1)
-    return low, high
+    return end(inside[0], inside[0] - 1), end(inside[-1], inside[-1] + 1)
 
 
 def _of_locking(data: xr.Dataset) -> str:
@@ -121,8 +117,3 @@ def _of_locking(data: xr.Dataset) -> str:
     }
     head = f"locking: {data.sizes['seed']} chains at every disorder, all masses start"
     return f"{head}\n{table(columns)}"
-
-
-def _range(values: Any) -> str:
-    low, high = np.nanmin(values), np.nanmax(values)
-    return f"{low:+.2f} ... {high:+.2f}"
