@@ -17,8 +17,7 @@ from jaxchain.studies.verdicts.figure import (
     trap_example,
     unstable_growth,
 )
-from jaxchain.studies.verdicts.paper import CLAIMS, claim
-from jaxchain.studies.verdicts.reasons import agrees, why
+from jaxchain.studies.verdicts.paper import CLAIMS, agrees, claim, why
 from jaxchain.studies.verdicts.report import summary
 from jaxchain.studies.verdicts.runs import to_dataset
 from jaxchain.studies.verdicts.study import run

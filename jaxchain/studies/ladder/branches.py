@@ -118,14 +118,8 @@ def start(rung: Rung) -> Any:
 def follow(rung: Rung, cycle: Any, walk: Walk, **more: Any) -> list[CycleBranch]:
     """The branch through a cycle, towards greater and towards smaller belt speeds."""
     _, images = symmetry(rung.model.chain.n, rung.pattern)
-    return [
-        continue_cycle(
-            cycle, direction=direction, bounds=(walk.slowest, walk.fastest), images=images,
-            max_points=walk.points, rtol=walk.rtol, tolerance=walk.tolerance, min_step=1e-5,
-            **more,
-        )
-        for direction in (1, -1)
-    ]  # fmt: skip
+    more |= {"images": images, "rtol": walk.rtol, **walk.limits()}
+    return [continue_cycle(cycle, direction=direction, **more) for direction in (1, -1)]
 
 
 def switched(branch: CycleBranch, walk: Walk, progress: Any = None) -> CycleBranch | None:
@@ -135,10 +129,7 @@ def switched(branch: CycleBranch, walk: Walk, progress: Any = None) -> CycleBran
         if not folds or point.index < folds[0]:
             continue
         try:
-            return switch_cycle(
-                branch, point, bounds=(walk.slowest, walk.fastest), max_points=walk.points,
-                tolerance=walk.tolerance, min_step=1e-5, progress=progress,
-            )  # fmt: skip
+            return switch_cycle(branch, point, progress=progress, **walk.limits())
         except RuntimeError:
             continue
     return None

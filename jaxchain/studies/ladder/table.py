@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
@@ -37,6 +37,13 @@ class Walk(Table):
         if not self.slowest < self.start < self.fastest:
             raise ValueError("must have `start` between `slowest` and `fastest`")
         return self
+
+    def limits(self) -> dict[str, Any]:
+        """How far a branch is followed, and how closely, as `continue_cycle` takes them."""
+        return {
+            "bounds": (self.slowest, self.fastest), "max_points": self.points,
+            "tolerance": self.tolerance, "min_step": 1e-5,
+        }  # fmt: skip
 
 
 class Rungs(Table):

@@ -20,8 +20,7 @@ from jaxchain.model.initial_states import equation_8, equation_10
 from jaxchain.result import NAMES
 from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.studies._study import flags
-from jaxchain.studies.verdicts.paper import claim
-from jaxchain.studies.verdicts.reasons import why
+from jaxchain.studies.verdicts.paper import claim, why
 from jaxchain.studies.verdicts.table import Case, Study
 
 ALL_KINDS = (*KINDS, *NAMES)
