@@ -58,8 +58,8 @@ def made_up():
     ends = {
         "count": [1, 2, 1, 2], "coupling": [0.01, 0.01, 0.1, 0.1],
         "stable": [True, True, True, False], "growth": [-0.02, -0.002, -0.02, np.nan],
-        "phase_growth": [-np.inf, -0.002, -np.inf, -0.02], "lower": [1.2, 1.3, 1.4, np.nan],
-        "upper": [1.79, 1.73, 1.6, np.nan], "lower_kind": ["torus", "fold", "torus", ""],
+        "phase_growth": [-np.inf, -0.002, -np.inf, -0.02], "lower": [1.2, 1.3, np.nan, np.nan],
+        "upper": [1.79, 1.73, 1.6, np.nan], "lower_kind": ["torus", "fold", "max_points", ""],
         "upper_kind": ["fold", "branch point", "fold", ""],
     }  # fmt: skip
     return {
@@ -120,6 +120,7 @@ def test_the_summary_says_what_was_found(made_up):
     assert "E differs by at most 1.00 %" in said
     found = [" ".join(line.split()) for line in said.splitlines()]
     assert "0.1 2 no cycle found -2.00e-02" in found
+    assert "0.1 1 max_points 1.60000 (fold) -2.00e-02 -inf" in found
     assert "0.01 2 1.30000 (fold) 1.73000 (branch point) -2.00e-03 -2.00e-03" in found
 
 

@@ -72,13 +72,17 @@ def _of_dry(rows: xr.Dataset) -> str:
 
 def _of_couplings(rows: xr.Dataset) -> str:
     lost = np.where(np.isfinite(rows["growth"]), "not stable", "no cycle found")
-    known = rows[["lower", "upper"]].where(rows["stable"])
+
+    def end(name: str) -> np.ndarray:
+        where, kind = rows[name].where(rows["stable"]), rows[f"{name}_kind"].values
+        return np.where(np.isfinite(where), pairs("{:.5f} ({})", where, kind), kind)
+
     columns = {
         "coupling": (rows["coupling"], "g"),
         "k": (rows["count"], "d"),
         "": (np.where(rows["stable"], "", lost), ""),
-        "stable from": (pairs("{:.5f} ({})", known["lower"], rows["lower_kind"]), ""),
-        "to": (pairs("{:.5f} ({})", known["upper"], rows["upper_kind"]), ""),
+        "stable from": (end("lower"), ""),
+        "to": (end("upper"), ""),
         "grows as": (rows["growth"], ".2e"),
         "phases alone": (rows["phase_growth"], ".2e"),
     }
