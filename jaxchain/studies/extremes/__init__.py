@@ -1,1 +1,1 @@
-"""Stiff and extreme cases, each right by a witness of its own or refused."""
+"""Stiff and extreme cases, each right by a witness of its own."""

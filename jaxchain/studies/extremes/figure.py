@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import itertools
 
-import matplotlib
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.transforms import blended_transform_factory
 
-from jaxchain.plotting.style import BLUE, GREY, ORANGE, PAGE_WIDTH, RED, STYLE
-from jaxchain.studies.extremes.judging import REFUSED, RIGHT, WRONG
+from jaxchain.plotting.style import BLUE, ORANGE, PAGE_WIDTH, RED
+from jaxchain.studies._pages import on_page
+from jaxchain.studies.extremes.judging import RIGHT, WRONG
 
 ROW_HEIGHT, MARGIN = 0.105, 0.9  # inches
 # Exact agreement stands at the edge.
@@ -20,30 +19,26 @@ LEAST, MOST = 1e-16, 1.0
 MARKERS = {"smoothed": ("o", BLUE), "nonsmooth": ("s", ORANGE)}
 
 
-def draw(data: xr.Dataset) -> Figure:
-    """One line for each case: deviation beside what is allowed, and seconds with compiling.
-
-    **Arguments:** `data`, the dataset of the study (see `extremes.to_dataset`).
-    """
+@on_page(MARGIN)
+def draw(page: Figure, datasets: dict[str, xr.Dataset]) -> None:
+    """One line for each case: deviation beside what is allowed, and seconds with compiling."""
+    (data,) = datasets.values()
     labels = [f"{g}: {n}" for g, n in zip(data["group"].values, data["name"].values, strict=True)]
     lines = list(dict.fromkeys(labels))
     row = np.array([lines.index(label) for label in labels])
-    height = MARGIN + ROW_HEIGHT * len(lines)
-    with matplotlib.rc_context(STYLE):
-        page = Figure(figsize=(PAGE_WIDTH, height), layout="constrained")
-        left, right = page.subplots(1, 2, sharey=True, width_ratios=(3, 1))
-        _draw_deviations(left, data, row)
-        _draw_seconds(right, data, row)
-        left.set_yticks(range(len(lines)), lines, fontsize=5.5)
-        left.set_ylim(len(lines) - 0.4, -0.6)
-        _shade_groups((left, right), [line.split(":")[0] for line in lines])
-        handles, names = left.get_legend_handles_labels()
-        unique = dict(zip(names, handles, strict=True))
-        page.legend(
-            unique.values(), unique.keys(), loc="outside upper center", ncols=len(unique),
-            handletextpad=0.3, columnspacing=1.2, frameon=False,
-        )  # fmt: skip
-    return page
+    page.set_size_inches(PAGE_WIDTH, MARGIN + ROW_HEIGHT * len(lines))
+    left, right = page.subplots(1, 2, sharey=True, width_ratios=(3, 1))
+    _draw_deviations(left, data, row)
+    _draw_seconds(right, data, row)
+    left.set_yticks(range(len(lines)), lines, fontsize=5.5)
+    left.set_ylim(len(lines) - 0.4, -0.6)
+    _shade_groups((left, right), [line.split(":")[0] for line in lines])
+    handles, names = left.get_legend_handles_labels()
+    unique = dict(zip(names, handles, strict=True))
+    page.legend(
+        unique.values(), unique.keys(), loc="outside upper center", ncols=len(unique),
+        handletextpad=0.3, columnspacing=1.2, frameon=False,
+    )  # fmt: skip
 
 
 def _draw_deviations(axes: Axes, data: xr.Dataset, row: np.ndarray) -> None:
@@ -59,12 +54,6 @@ def _draw_deviations(axes: Axes, data: xr.Dataset, row: np.ndarray) -> None:
         )  # fmt: skip
         good = here & (outcome == RIGHT)
         axes.plot(x[good], y[good], marker, color=colour, markersize=2.8, label=model)
-    refused = outcome == REFUSED
-    edge = blended_transform_factory(axes.transAxes, axes.transData)
-    axes.plot(
-        np.full(refused.sum(), 0.985), row[refused], "D", color=GREY, markersize=2.4,
-        transform=edge, label="clear error",
-    )  # fmt: skip
     wrong = outcome == WRONG
     if wrong.any():
         axes.plot(x[wrong], row[wrong], "x", color=RED, markersize=5, zorder=4, label="WRONG")

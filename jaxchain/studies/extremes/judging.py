@@ -1,10 +1,9 @@
-"""What becomes of a case: right by its witness, a clear error, or WRONG."""
+"""What becomes of a case: right by its witness, or WRONG."""
 
 from __future__ import annotations
 
-import re
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,7 +11,7 @@ import numpy as np
 
 from jaxchain.studies.extremes.table import Group, Model
 
-RIGHT, REFUSED, WRONG = "right", "clear error", "WRONG"
+RIGHT, WRONG = "right", "WRONG"
 
 
 @dataclass(frozen=True)
@@ -37,18 +36,6 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Refusal:
-    """A case that must be refused: every attempt raises an error whose text matches `names`."""
-
-    group: Group
-    name: str
-    names: str
-    attempts: Sequence[Callable[[], object]]
-    errors: tuple[type[Exception], ...] = (ValueError,)
-    models: tuple[Model, ...] = ("smoothed",)
-
-
-@dataclass(frozen=True)
 class Row:
     """What became of a case."""
 
@@ -66,11 +53,10 @@ class Row:
     seconds: float = np.nan
 
 
-def judge(case: Case | Refusal, model: Model, slowest: float = np.inf) -> Row:
+def judge(case: Case, model: Model, slowest: float = np.inf) -> Row:
     """Runs a case and says what became of it."""
     started = time.perf_counter()
-    refusal = isinstance(case, Refusal)
-    row = _judge_refusal(case, model) if refusal else _judge_answer(case, model)
+    row = _judge(case, model)
     seconds = time.perf_counter() - started
     if seconds > slowest:
         found = f"{row.found}, after more than {slowest:g} s"
@@ -78,7 +64,7 @@ def judge(case: Case | Refusal, model: Model, slowest: float = np.inf) -> Row:
     return replace(row, seconds=seconds)
 
 
-def _judge_answer(case: Case, model: Model) -> Row:
+def _judge(case: Case, model: Model) -> Row:
     known = (case.group, case.name, model, f"right, as {case.witness} says")
     try:
         answer = case.compute(model)
@@ -100,23 +86,3 @@ def _judge_answer(case: Case, model: Model) -> Row:
         deviation=deviation, tolerance=answer.tolerance, value=float(value[worst]),
         witness=float(witness[worst]),
     )  # fmt: skip
-
-
-def _judge_refusal(case: Refusal, model: Model) -> Row:
-    known = (case.group, case.name, model, "a clear error")
-    message = ""
-    for attempt in case.attempts:
-        try:
-            attempt()
-        except case.errors as error:
-            message = str(error)
-            if not re.search(case.names, message):
-                found = f'says "{message}", and nothing of "{case.names}"'
-                return Row(*known, found=found, outcome=WRONG)
-        except Exception as error:
-            found = f"{type(error).__name__}: {error}"
-            return Row(*known, found=found, outcome=WRONG)
-        else:
-            return Row(*known, found="was taken without a word", outcome=WRONG)
-    many = f"{len(case.attempts)} times: " if len(case.attempts) > 1 else ""
-    return Row(*known, found=f"{many}{message}", outcome=REFUSED)

@@ -12,7 +12,7 @@ from jaxchain.scenes.tables import NonNegative, Positive, Window
 Model: TypeAlias = Literal["smoothed", "nonsmooth"]
 Group: TypeAlias = Literal[
     "width", "belt speed", "damping", "friction", "coupling", "size", "start", "time", "numbers",
-    "balance", "ensemble", "refused",
+    "balance", "ensemble",
 ]  # fmt: skip
 
 

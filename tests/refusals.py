@@ -1,19 +1,23 @@
-"""The cases of the study `extremes` that are to be refused: every one by an error that helps."""
+"""Input that must be refused, every piece of it by an error that helps.
+
+A program of its own, run by `test_refusals.py`: with the annotations checked, as in tests, those
+would refuse before jaxchain does.  It prints what was not refused as it should be.
+"""
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxchain.model.chain import Chain, steady_sliding
+from jaxchain.model.chain import Chain, paper_chain, steady_sliding
 from jaxchain.model.friction import Coulomb, ExponentialDecay, TanhFriction, WeakeningStrengthening
 from jaxchain.model.initial_states import excited_state
 from jaxchain.model.parameters import CHAIN
@@ -26,10 +30,6 @@ from jaxchain.scenes.errors import SceneError
 from jaxchain.scenes.reading import load_scene
 from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.simulation.run import simulate
-from jaxchain.studies.extremes.judging import Refusal
-from jaxchain.studies.extremes.masses import chain_of, solve
-from jaxchain.studies.extremes.table import Model
-from jaxchain.studies.extremes.witnesses import Oscillator
 from jaxchain.sweeps.sweeping import sweep
 
 NOT_NUMBERS = (math.nan, math.inf, -math.inf)
@@ -44,9 +44,25 @@ SCENE_NUMBERS = (
 )  # fmt: skip
 
 
-def refusals() -> list[Refusal]:
-    """Every case that is to be refused."""
-    return [*_not_numbers(), *_impossible(), *_runs()]
+class Refusal(NamedTuple):
+    """What must be refused: every attempt raises an error whose text matches `names`."""
+
+    name: str
+    names: str
+    attempts: Sequence[Callable[[], object]]
+    errors: tuple[type[Exception], ...] = (ValueError,)
+
+    def faults(self) -> Iterator[str]:
+        for attempt in self.attempts:
+            try:
+                attempt()
+            except self.errors as error:
+                if not re.search(self.names, str(error)):
+                    yield f'{self.name}: says "{error}", and nothing of "{self.names}"'
+            except Exception as error:
+                yield f"{self.name}: {type(error).__name__}: {error}"
+            else:
+                yield f"{self.name}: {attempt} was taken without a word"
 
 
 def _tried(
@@ -57,7 +73,7 @@ def _tried(
 
 
 def _small() -> tuple[Chain, Any]:
-    chain = chain_of(Oscillator(width=1e-2), 3, coupling=0.01)
+    chain = paper_chain(3, 1.2, 1e-2)
     return chain, (steady_sliding(chain)[0] + 1.0, jnp.zeros(3))
 
 
@@ -67,7 +83,7 @@ def _not_numbers() -> Iterator[Refusal]:
     numbers = {"n": 3, **{name: row.usual for name, row in CHAIN.items()}}
 
     def refused(name: str, attempts: list[Callable[[], object]], names: str = FINITE) -> Refusal:
-        return Refusal("refused", f"NaN, inf in {name}", names, attempts)
+        return Refusal(f"NaN, inf in {name}", names, attempts)
 
     yield refused("every number of Chain", _tried(partial(Chain, friction=friction), numbers))
     yield refused(
@@ -139,7 +155,7 @@ def _not_numbers() -> Iterator[Refusal]:
         ],
     )  # fmt: skip
     yield Refusal(
-        "refused", "NaN, inf in every number of a scene", "finite|whole number|at least|Out of",
+        "NaN, inf in every number of a scene", "finite|whole number|at least|Out of",
         [
             partial(load_scene, SCENE, [f"experiment.ladder.{key}={value}"])
             for key, value in itertools.product(SCENE_NUMBERS, ("nan", "inf", "-inf", "1e400"))
@@ -159,16 +175,15 @@ def _impossible() -> Iterator[Refusal]:
     friction, run = chain.friction, partial(simulate, chain, start)
 
     def refused(name: str, names: str, *attempts: Callable[[], object]) -> Refusal:
-        return Refusal("refused", name, names, attempts)
+        return Refusal(name, names, attempts)
 
-    own = Oscillator()
-    coarse = chain_of(replace(own, width=1e-6))
+    coarse = paper_chain(1, 1.2, 1e-6)
     state = (jnp.full(1, 3.0), jnp.zeros(1))
     yield refused(
         "a width that the tolerance cannot see", "too loose for a regularization width",
         partial(simulate, coarse, state, 50.0, rtol=1e-6),
         partial(sweep, coarse, state, 50.0, over={"width": [1e-2, 1e-7]}, rtol=1e-6),
-        partial(simulate, chain_of(replace(own, width=1e-14)), state, 50.0, rtol=1e-15),
+        partial(simulate, coarse.with_(width=1e-14), state, 50.0, rtol=1e-15),
         partial(simulate, chain, start, 50.0, atol=1e3),
     )  # fmt: skip
     yield refused(
@@ -212,30 +227,25 @@ def _impossible() -> Iterator[Refusal]:
 def _runs() -> Iterator[Refusal]:
     """Found out on the way."""
     failure = (RuntimeError,)
-    both: tuple[Model, ...] = ("smoothed", "nonsmooth")
     chain, start = _small()
-
-    def spent(solver: Any) -> object:
-        return simulate(chain, start, 50.0, max_steps=20, solver=solver)
-
-    yield Refusal(
-        "time", "max_steps used up", "max_steps_reached", [partial(spent, None)], failure
-    )
-    yield Refusal(
-        "time", "max_steps used up", "max_steps_reached",
-        [lambda: spent(EventDriven())], failure, ("nonsmooth",),
-    )  # fmt: skip
+    models = {"smoothed": None, "nonsmooth": EventDriven()}
+    for model, solver in models.items():
+        spent = partial(simulate, chain, start, 50.0, max_steps=20, solver=solver)
+        yield Refusal(f"max_steps used up, {model}", "max_steps_reached", [spent], failure)
+    one = paper_chain(1, 1.2, 1e-2)
     for ratio, end in [(-0.5, 1e4), (-10.0, 1e3), (-1e6, 5.0)]:
-        mass = Oscillator(width=1e-2, damping_ratio=ratio)
-        for model in both:
-            run = partial(solve, model, chain_of(mass), 3.0, 0.0, end, rtol=1e-6)
-            yield Refusal(
-                "damping", f"ratio {ratio:g}, to t = {end:g}", "step_too_small|nonfinite", [run],
-                failure, (model,),
+        for model, solver in models.items():
+            grows = one.with_(damping_ratio=ratio)
+            run = partial(
+                simulate, grows, (jnp.full(1, 3.0), jnp.zeros(1)), end, solver=solver,
+                max_steps=2_000_000,
             )  # fmt: skip
+            name = f"damping ratio {ratio:g}, to t = {end:g}, {model}"
+            yield Refusal(name, "step_too_small|nonfinite", [run], failure)
     yield Refusal(
-        "numbers", "a state too large to square", "nonfinite|finite",
-        [partial(solve, "smoothed", chain, 1e200, 0.0, 1.0)], (RuntimeError, ValueError),
+        "a state too large to square", "nonfinite|finite",
+        [partial(simulate, chain, (jnp.full(3, 1e200), jnp.zeros(3)), 1.0)],
+        (RuntimeError, ValueError),
     )  # fmt: skip
 
     def in_32_bits() -> object:
@@ -248,5 +258,13 @@ def _runs() -> Iterator[Refusal]:
             own = _small()[0]
         return simulate(own, start, 1.0)
 
-    yield Refusal("numbers", "float32 throughout", "64-bit floats", [in_32_bits], (RuntimeError,))
-    yield Refusal("numbers", "a float32 chain", "64-bit floats", [made_in_32_bits])
+    yield Refusal("float32 throughout", "64-bit floats", [in_32_bits], failure)
+    yield Refusal("a float32 chain", "64-bit floats", [made_in_32_bits])
+
+
+if __name__ == "__main__":
+    jax.config.update("jax_enable_x64", True)
+    every = [*_not_numbers(), *_impossible(), *_runs()]
+    for refusal in every:
+        print("\n".join(refusal.faults()), end="")
+    print(f"\n{sum(len(refusal.attempts) for refusal in every)} attempts")
