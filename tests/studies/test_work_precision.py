@@ -1,7 +1,5 @@
 """The study `work_precision`: errors against the truth, fair selection, and its picture."""
 
-import tomllib
-
 import numpy as np
 import pytest
 import xarray as xr
@@ -11,7 +9,6 @@ from jaxchain.scenes.reading import load_scene
 from jaxchain.scenes.running import run_scene
 from jaxchain.studies.work_precision.report import fastest, summary
 from jaxchain.studies.work_precision.study import Setting, to_dataset
-from jaxchain.studies.work_precision.table import Study
 
 SMALL = """
 study = "work_precision"
@@ -33,7 +30,7 @@ def small(tmp_path_factory):
     (folder / "small.toml").write_text(SMALL, encoding="utf-8")
     reports = []
     data = run_scene(load_scene(str(folder / "small.toml")), folder, report=reports.append)
-    return folder, data["small"], reports[0]
+    return folder, data["work_precision"], reports[0]
 
 
 def select(data, **values):
@@ -81,7 +78,6 @@ def test_results_and_picture_are_written(small):
 
 
 def test_the_fastest_is_the_fastest_of_those_that_meet_the_error():
-    study = Study.model_validate(tomllib.loads(SMALL))
     settings = [
         Setting("Rodas4", 1, 1e-2, 1e-6, 1e-2, 1.0),
         Setting("Rodas5P", 1, 1e-4, 1e-6, 1e-4, 3.0),
@@ -89,12 +85,12 @@ def test_the_fastest_is_the_fastest_of_those_that_meet_the_error():
         Setting("event-driven", 64, np.nan, 1e-6, 1e-6, 0.1),
         Setting("accuracy", 1, 1e-2, 1e-6, 1e-2, 0.5, 1e-1),
     ]
-    data = to_dataset(settings, study)
+    data = to_dataset(settings)
     assert fastest(data, 1, 1e-1) == 0
     assert fastest(data, 1, 1e-3) == 2
     assert fastest(data, 1, 1e-3, smoothed=True) == 1
     assert fastest(data, 1, 1e-8) is None
-    assert "takes 1/0.50" in summary(data)
+    assert "takes 1/0.50" in summary("work_precision", data)
 
 
 @pytest.mark.parametrize(

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import matplotlib
+from string import ascii_lowercase
+
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxchain.plotting.style import PAGE_WIDTH, STYLE
+from jaxchain.studies._pages import letter, on_page
 
 # Colour of Okabe and Ito, marker, line: own solvers bold, the others thin.
 LOOKS = {
@@ -27,23 +28,21 @@ LOOKS = {
 OWN = ("event-driven", "Rodas5P", "Rodas4")
 
 
-def draw(data: xr.Dataset) -> Figure:
+@on_page(3.9)
+def draw(page: Figure, datasets: dict[str, xr.Dataset]) -> None:
     """Run time of a lane over the error, one panel for each number of lanes.
 
     Of each approach only the settings are drawn that no other of its own settings beats.
     """
+    (data,) = datasets.values()
     lanes = np.unique(data["lanes"].values)
-    with matplotlib.rc_context(STYLE):
-        page = Figure(figsize=(PAGE_WIDTH, 3.9), layout="constrained")
-        panels = page.subplots(1, len(lanes), sharey=True, squeeze=False)[0]
-        for index, (axes, count) in enumerate(zip(panels, lanes, strict=True)):
-            _panel(axes, data.isel(setting=data["lanes"].values == count))
-            what = "one lane" if count == 1 else f"{count} lanes at once"
-            axes.set_title(f"({chr(ord('a') + index)}) {what}", loc="left")
-        panels[0].set_ylabel("run time of a lane (s)")
-        handles, labels = panels[0].get_legend_handles_labels()
-        page.legend(handles, labels, loc="outside lower center", ncols=6, frameon=False)
-    return page
+    panels = page.subplots(1, len(lanes), sharey=True, squeeze=False)[0]
+    for name, axes, count in zip(ascii_lowercase, panels, lanes, strict=False):
+        _panel(axes, data.isel(setting=data["lanes"].values == count))
+        letter(axes, name, "one lane" if count == 1 else f"{count} lanes at once")
+    panels[0].set_ylabel("run time of a lane (s)")
+    handles, labels = panels[0].get_legend_handles_labels()
+    page.legend(handles, labels, loc="outside lower center", ncols=6, frameon=False)
 
 
 def _panel(axes: Axes, data: xr.Dataset) -> None:

@@ -5,6 +5,15 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
+LABELS = {
+    "lanes": ("lanes integrated at once", "1"),
+    "width": ("regularization width; NaN: true dry friction", "x0 omega_n"),
+    "rtol": ("relative tolerance", "1"),
+    "error": ("greatest error of the end state against true dry friction", "x0, x0 omega_n"),
+    "seconds": ("run time of one lane", "s"),
+    "accuracy": ("asked of simulate(accuracy=)", "1"),
+}
+
 
 def fastest(data: xr.Dataset, lanes: int, error: float, *, smoothed: bool = False) -> int | None:
     """Index of the setting that meets an error in the least time; by `accuracy` does not count."""
@@ -18,8 +27,9 @@ def fastest(data: xr.Dataset, lanes: int, error: float, *, smoothed: bool = Fals
     return int(np.argmin(np.where(fits, data["seconds"].values, np.inf)))
 
 
-def summary(data: xr.Dataset) -> str:
-    """Who wins at which error, and what `accuracy` gives."""
+def summary(key: str, data: xr.Dataset) -> str:
+    """Who wins at which error, what `accuracy` gives, and which approaches were missing."""
+    del key
     lines = []
     for lanes in np.unique(data["lanes"].values).tolist():
         lines.append(f"{lanes} lane{'s' if lanes > 1 else ''}: the fastest for each error")
@@ -40,7 +50,7 @@ def summary(data: xr.Dataset) -> str:
                 f"{1e3 * float(one['seconds']):.3g} ms; the fastest smoothed setting of no more "
                 f"error takes 1/{ratio:.2f} of that"
             )
-    return "\n".join(lines)
+    return "\n".join([*lines, *data.attrs.get("notes", "").splitlines()])
 
 
 def _shown(data: xr.Dataset, index: int) -> str:

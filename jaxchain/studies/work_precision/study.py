@@ -9,16 +9,26 @@ from __future__ import annotations
 
 import statistics
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
-from tqdm import tqdm
 
+from jaxchain.bench.peers import PeerMissingError
+from jaxchain.model.chain import paper_chain
+from jaxchain.studies import _study
+from jaxchain.studies.work_precision.approaches import (
+    EVENTS,
+    Problem,
+    by_accuracy,
+    prepare,
+    truth,
+)
+from jaxchain.studies.work_precision.figure import draw
+from jaxchain.studies.work_precision.report import LABELS, summary
 from jaxchain.studies.work_precision.table import Study
 
 # A tolerance that no longer lowers the error by more than this meets that of the width.
@@ -38,40 +48,18 @@ class Setting:
     accuracy: float = np.nan  # what was asked for, if it was
 
 
-def run(
-    study: Study,
-    folder: Path,
-    *,
-    name: str,
-    plot: bool,
-    progress: bool,
-    report: Callable[[str], object],
-) -> dict[str, xr.Dataset]:
-    """Measures, saves `folder`/`name`, and reports who wins at which error."""
-    from jaxchain.scenes.storage import save, save_drawing
-    from jaxchain.studies.work_precision.figure import draw
-    from jaxchain.studies.work_precision.report import summary
-
+def measured(study: Study, job: _study.Job) -> xr.Dataset:
+    """Every setting that is worth its time, over `setting`."""
+    total = len(study.lanes) * (len(study.approaches) + bool(study.accuracy))
     settings: list[Setting] = []
     notes: list[str] = []
-    total = len(study.lanes) * (len(study.approaches) + bool(study.accuracy))
-    with tqdm(total=total, desc=name, unit="approach", disable=not progress) as bar:
-        for found in _measure(study, notes):
-            settings += found
-            bar.update()
-    data = to_dataset(settings, study)
-    save(data, folder / name, None)
-    report("\n".join([summary(data), *notes]))
-    if plot:
-        save_drawing(lambda: draw(data), folder / name)
-    return {name: data}
+    for found in job.bar(_measure(study, notes), unit="approach", total=total):
+        settings += found
+    data = to_dataset(settings)
+    return data.assign_attrs(notes="\n".join(notes)) if notes else data
 
 
 def _measure(study: Study, notes: list[str]) -> Iterable[list[Setting]]:
-    from jaxchain.bench.peers import PeerMissingError
-    from jaxchain.model.chain import paper_chain
-    from jaxchain.studies.work_precision.approaches import Problem, by_accuracy, prepare, truth
-
     chain = paper_chain(study.masses, study.belt_speed)
     for lanes in study.lanes:
         half = 0.1 if lanes > 1 else 0.0
@@ -101,8 +89,6 @@ def _scan(
     study: Study, approach: str, solve: Callable[[float, float], np.ndarray], exact: np.ndarray
 ) -> Iterable[Setting]:
     """From loose to tight and from wide to narrow, leaving out what cannot be worth its time."""
-    from jaxchain.studies.work_precision.approaches import EVENTS
-
     lanes = exact.shape[1]
     widths = [np.nan] if approach == EVENTS else sorted(study.width, reverse=True)
     slow_rtol = 0.0  # from here on it was too slow at a greater width
@@ -141,19 +127,10 @@ def _timed(solve: Callable[[], Any]) -> tuple[Any, float]:
     return result, statistics.median(times)
 
 
-def to_dataset(settings: list[Setting], study: Study) -> xr.Dataset:
+def to_dataset(settings: Sequence[Setting]) -> xr.Dataset:
     """All settings in a row, dimension `setting`."""
-    about = {
-        "lanes": ("lanes integrated at once", "1"),
-        "width": ("regularization width; NaN: true dry friction", "x0 omega_n"),
-        "rtol": ("relative tolerance", "1"),
-        "error": ("greatest error of the end state against true dry friction", "x0, x0 omega_n"),
-        "seconds": ("run time of one lane", "s"),
-        "accuracy": ("asked of simulate(accuracy=)", "1"),
-    }
-    data = xr.Dataset(attrs={"title": study.title, "definition": study.model_dump_json()})
-    data["approach"] = ("setting", np.array([s.approach for s in settings], dtype=object))
-    for key, (long_name, units) in about.items():
-        values = np.array([getattr(s, key) for s in settings])
-        data[key] = ("setting", values, {"long_name": long_name, "units": units})
-    return data
+    names = Setting.__dataclass_fields__
+    return xr.Dataset({key: ("setting", [getattr(s, key) for s in settings]) for key in names})
+
+
+run = _study.Study(parts={"work_precision": measured}, labels=LABELS, report=summary, figure=draw)
