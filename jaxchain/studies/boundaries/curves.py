@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -21,9 +19,7 @@ from jaxchain.boundaries.single_mass import (
     one_mass_branch,
 )
 from jaxchain.model.chain import Chain
-from jaxchain.model.friction import ExponentialDecay, TanhFriction
 from jaxchain.model.initial_states import on_the_belt
-from jaxchain.model.parameters import parameter
 from jaxchain.observers.amplitude import Amplitude
 from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.simulation.run import simulate
@@ -38,10 +34,8 @@ _TRANSIENT, _WINDOW = 60.0, 20.0
 
 def base_chain(study: Study, n: int = 1) -> Chain:
     """The chain of which numbers vary."""
-    base = study.base
-    law = ExponentialDecay(base.mu_static, base.mu_dynamic, base.v_ref)
     coupling = None if n == 1 else study.coupling.start
-    return Chain(n, TanhFriction(law, base.width), 1.0, base.damping_ratio, coupling)
+    return study.base.chain(n, width=study.base.width, coupling=coupling)
 
 
 def one_mass_curves(study: Study) -> tuple[dict[str, xr.Dataset], Fold]:
@@ -70,8 +64,8 @@ def one_mass_curves(study: Study) -> tuple[dict[str, xr.Dataset], Fold]:
     found, folds = both({name: jnp.asarray(values) for name, values in lanes.items()})
     datasets = {}
     for name in VARIED:
-        own = {key: np.asarray(values[places[name]]) for key, values in found.items()}
-        datasets[name] = _to_dataset(name, spans[name], own)
+        own = {key: (name, np.asarray(values[places[name]])) for key, values in found.items()}
+        datasets[name] = xr.Dataset(own, {name: spans[name]})
         low, high = float(spans[name][0]), float(spans[name][-1])
         # Also a little beyond what is drawn, where the Hopf curve ends.
         meeting = generalised_hopf(chain, name, 0.9 * low, 1.1 * high)
@@ -93,8 +87,8 @@ def ring_curve(study: Study) -> xr.Dataset:
         own = chain.with_(coupling=coupling)
         return _boundaries(own, fold_belt_speed(own))
 
-    found = {key: np.asarray(a) for key, a in both(jnp.asarray(values)).items()}
-    data = _to_dataset("coupling", values, found)
+    found = {key: ("coupling", np.asarray(a)) for key, a in both(jnp.asarray(values)).items()}
+    data = xr.Dataset(found, {"coupling": values})
     data.attrs |= {"masses": chain.n, "meeting_value": np.nan, "meeting_belt_speed": np.nan}
     return data
 
@@ -145,26 +139,8 @@ def cycles(study: Study, folds: Fold) -> xr.Dataset:
     rows = [np.concatenate([np.asarray(a), b[None]]) for a, b in zip(
         (branches.belt_speed, branches.amplitude), dry, strict=True
     )]  # fmt: skip
-    data = xr.Dataset(
+    return xr.Dataset(
         {"belt_speed": (("width", "point"), rows[0]), "amplitude": (("width", "point"), rows[1])},
         coords={"width": [*part.width, 0.0], "stable": ("point", np.arange(count) > place)},
         attrs={"fold": place, "hopf_nonsmooth": float(slip.belt_speed[0])},
     )
-    data["belt_speed"].attrs = parameter("belt_speed").attrs
-    data["amplitude"].attrs = {"long_name": "half peak-to-peak of displacement", "units": "x0"}
-    data["width"].attrs = parameter("width").attrs
-    data["width"].attrs["long_name"] += "; 0: dry friction"
-    return data
-
-
-def _to_dataset(name: str, values: np.ndarray, found: dict[str, Any]) -> xr.Dataset:
-    about = {
-        "hopf": "below it vibration starts by itself, smoothed friction",
-        "hopf_nonsmooth": "below it vibration starts by itself, dry friction",
-        "fold": "up to it the vibration of one mass survives, smoothed friction",
-        "fold_nonsmooth": "up to it the vibration of one mass survives, dry friction",
-    }
-    data = xr.Dataset({key: (name, a) for key, a in found.items()}, coords={name: values})
-    for key, text in about.items():
-        data[key].attrs = {"long_name": f"belt speed: {text}", "units": "x0 omega_n"}
-    return data

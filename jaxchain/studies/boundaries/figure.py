@@ -5,52 +5,40 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import matplotlib
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
-from jaxchain.plotting.style import AMPLITUDE, BLUE, GREY, ORANGE, PAGE_WIDTH, RED, STYLE, SYMBOLS
+from jaxchain.plotting.style import AMPLITUDE, BLUE, GREY, ORANGE, PURPLE, RED, SYMBOLS
+from jaxchain.studies._pages import DASHES, GREEN, SKY, SMALL, letters, on_page
 
-HEIGHT = 5.0  # inches
-_DASHES: Any = (0, (4, 1.5))
 _SMOOTHED, _DRY = {"color": BLUE, "linewidth": 1.3}, {"color": ORANGE, "linewidth": 1.3}
-_COLOURS = (BLUE, "#009E73", "#CC79A7", "#56B4E9")
+_COLOURS = (BLUE, GREEN, PURPLE, SKY)
 
 
-def draw(datasets: Mapping[str, xr.Dataset]) -> Figure:
+@on_page(5.0)
+def draw(page: Figure, datasets: Mapping[str, xr.Dataset]) -> None:
     """Six panels.
 
     (a) - (d) Hopf curve and fold of cycles in the planes of the belt speed and damping, static
     friction, coupling, width: between them lies what depends on the start.  (e) Amplitude of all
     cycles of one mass, and (f) near the fold.
     """
-    with matplotlib.rc_context(STYLE):
-        page = Figure(figsize=(PAGE_WIDTH, HEIGHT), layout="constrained")
-        panels = page.subplots(2, 3)
-        names = ("damping_ratio", "mu_static", "coupling", "width")
-        for axes, name in zip(panels.flat, names, strict=False):
-            _draw_plane(axes, datasets[name], name)
-        _label_regions(panels[0, 1])
-        _draw_cycles(panels[1, 1], datasets["cycles"], rest=True)
-        _draw_cycles(panels[1, 2], datasets["cycles"], rest=False)
-        _zoom(panels[1, 2], datasets["cycles"])
-        panels[1, 1].plot([], [], color=GREY, linestyle=_DASHES, linewidth=1.1, label="unstable")
-        panels[1, 1].legend(**_CORNER, loc="upper left")
-        for letter, axes in zip("abcdef", panels.flat, strict=True):
-            axes.set_title(f"({letter})", loc="left", fontweight="bold")
-            axes.tick_params(which="both", top=True, right=True)
-        handles, labels = panels[0, 0].get_legend_handles_labels()
-        page.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
-    return page
-
-
-_CORNER: dict[str, Any] = {
-    "handlelength": 1.6, "handletextpad": 0.4, "labelspacing": 0.25, "borderpad": 0.2,
-    "framealpha": 0.8, "edgecolor": "none",
-}  # fmt: skip
+    panels = page.subplots(2, 3)
+    names = ("damping_ratio", "mu_static", "coupling", "width")
+    for axes, name in zip(panels.flat, names, strict=False):
+        _draw_plane(axes, datasets[name], name)
+    _label_regions(panels[0, 1])
+    _draw_cycles(panels[1, 1], datasets["cycles"], rest=True)
+    _draw_cycles(panels[1, 2], datasets["cycles"], rest=False)
+    _zoom(panels[1, 2], datasets["cycles"])
+    panels[1, 1].plot([], [], color=GREY, linestyle=DASHES, linewidth=1.1, label="unstable")
+    panels[1, 1].legend(**SMALL, loc="upper left")
+    letters(panels)
+    handles, labels = panels[0, 0].get_legend_handles_labels()
+    page.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
 
 
 def _draw_plane(axes: Axes, data: xr.Dataset, name: str) -> None:
@@ -72,7 +60,7 @@ def _draw_plane(axes: Axes, data: xr.Dataset, name: str) -> None:
     )
     axes.plot(hopf, y, color="black", linewidth=1.1, label=r"Hopf $\tilde v_H$")
     axes.plot(x_fold, y_fold, **_SMOOTHED, label="fold, smoothed")
-    axes.plot(dry, y, **_DRY, linestyle=_DASHES, label="fold, dry friction")
+    axes.plot(dry, y, **_DRY, linestyle=DASHES, label="fold, dry friction")
     if np.isfinite(meeting[0]):
         axes.plot(
             *meeting, "*", color=RED, markersize=8, markeredgecolor="white", markeredgewidth=0.5,
@@ -105,7 +93,7 @@ def _draw_cycles(axes: Axes, data: xr.Dataset, rest: bool) -> None:
     for width, colour in zip(data["width"].values[::-1], ("black", *_COLOURS), strict=False):
         own = data.sel(width=width)
         label = "dry friction" if width == 0 else rf"$\varepsilon = {width:g}$"
-        for part, line in ((slice(0, place + 1), _DASHES), (slice(place, None), "-")):
+        for part, line in ((slice(0, place + 1), DASHES), (slice(place, None), "-")):
             x, y = own["belt_speed"].values[part], own["amplitude"].values[part]
             known = np.isfinite(x) & np.isfinite(y)
             axes.plot(
@@ -124,7 +112,7 @@ def _draw_cycles(axes: Axes, data: xr.Dataset, rest: bool) -> None:
     speeds = data["belt_speed"].values
     axes.set_xlim(0.0, 1.1 * np.nanmax(speeds))
     axes.set_ylim(bottom=-0.04 * np.nanmax(data["amplitude"].values))
-    axes.plot([0.0, hopf], [0.0, 0.0], color=GREY, linestyle=_DASHES, linewidth=1.1)
+    axes.plot([0.0, hopf], [0.0, 0.0], color=GREY, linestyle=DASHES, linewidth=1.1)
     axes.plot([hopf, 1.1 * np.nanmax(speeds)], [0.0, 0.0], color=GREY, linewidth=1.1)
     axes.plot(hopf, 0.0, "s", color="black", markersize=3.4, clip_on=False, zorder=4)
     axes.annotate(

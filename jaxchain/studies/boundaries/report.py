@@ -5,43 +5,46 @@ from __future__ import annotations
 import numpy as np
 from xarray import Dataset
 
+from jaxchain.studies._reports import table
 
-def summary(datasets: dict[str, Dataset]) -> str:
-    """The boundaries at the ends of each curve, and where they meet."""
-    lines = []
-    for key, data in datasets.items():
-        if key == "cycles":
-            lines += _of_cycles(data)
-            continue
-        # Without a fold there is nothing to compare.
-        both = data.isel({key: np.flatnonzero(np.isfinite(data["fold"].values))})
-        title = key if "masses" not in data.attrs else f"{key}, ring of {data.attrs['masses']}"
-        lines.append(f"{title}: folds at {both.sizes[key]} of {data.sizes[key]} values")
-        for i in (0, -1) if both.sizes[key] else ():
-            row = both.isel({key: i})
-            dry, own = float(row["fold_nonsmooth"]), float(row["fold"])
-            lines.append(
-                f"  at {float(row[key]):.4g}: Hopf {float(row['hopf']):.6f}, fold {own:.6f}; for "
-                f"dry friction {float(row['hopf_nonsmooth']):.6f}, {dry:.6f} "
-                f"(the width moves the fold by {own - dry:+.1e})"
-            )
-        if np.isfinite(data.attrs["meeting_value"]):
-            lines.append(
-                f"  the fold ends on the Hopf curve at {data.attrs['meeting_value']:.6g}, belt "
-                f"speed {data.attrs['meeting_belt_speed']:.6g}"
-            )
+_SPEED = "x0 omega_n"
+LABELS = {
+    "hopf": ("belt speed below which vibration starts by itself, smoothed friction", _SPEED),
+    "hopf_nonsmooth": ("belt speed below which vibration starts by itself, dry friction", _SPEED),
+    "fold": ("belt speed up to which one mass goes on vibrating, smoothed friction", _SPEED),
+    "fold_nonsmooth": ("belt speed up to which one mass goes on vibrating, dry friction", _SPEED),
+    "belt_speed": ("belt speed v_d", _SPEED),
+    "amplitude": ("half peak-to-peak of displacement", "x0"),
+    "width": ("regularization width eps; 0: dry friction", _SPEED),
+}
+
+
+def summary(key: str, data: Dataset) -> str:
+    """The boundaries at the ends of a curve, and where they meet; or the cycles at each width."""
+    if key == "cycles":
+        return _of_cycles(data)
+    # Without a fold there is nothing to compare.
+    both = data.isel({key: np.flatnonzero(np.isfinite(data["fold"].values))})
+    title = key if "masses" not in data.attrs else f"{key}, ring of {data.attrs['masses']}"
+    lines = [f"{title}: folds at {both.sizes[key]} of {data.sizes[key]} values"]
+    if both.sizes[key]:
+        ends = both.isel({key: [0, -1]})
+        columns = {key: (ends[key], ".4g")}
+        columns |= {str(name): (ends[name], ".6f") for name in data.data_vars}
+        columns["moved by the width"] = (ends["fold"] - ends["fold_nonsmooth"], "+.1e")
+        lines.append(table(columns))
+    if np.isfinite(data.attrs["meeting_value"]):
+        lines.append(
+            f"  the fold ends on the Hopf curve at {data.attrs['meeting_value']:.6g}, belt "
+            f"speed {data.attrs['meeting_belt_speed']:.6g}"
+        )
     return "\n".join(lines)
 
 
-def _of_cycles(data: Dataset) -> list[str]:
-    lines = ["cycles of one mass:"]
-    for width in data["width"].values:
-        own = data.sel(width=width)
-        top = own.isel(point=data.attrs["fold"])
-        kind = "dry friction" if width == 0 else f"width {width:g}"
-        points = int(np.isfinite(own["amplitude"].values).sum())
-        lines.append(
-            f"  {kind}: {points} points, fold at {float(top['belt_speed']):.6f}, amplitude there "
-            f"{float(top['amplitude']):.4f}"
-        )
-    return lines
+def _of_cycles(data: Dataset) -> str:
+    top = data.isel(point=data.attrs["fold"])
+    columns = {
+        "width": (data["width"], "g"), "points": (data["amplitude"].notnull().sum("point"), "d"),
+        "fold at": (top["belt_speed"], ".6f"), "amplitude there": (top["amplitude"], ".4f"),
+    }  # fmt: skip
+    return "cycles of one mass (width 0: dry friction):\n" + table(columns)

@@ -4,31 +4,11 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-import numpy as np
 from pydantic import Field, model_validator
 
 from jaxchain.scenes.registry import StudyTable
-from jaxchain.scenes.tables import NonNegative, Positive, Table
-
-
-class Span(Table):
-    """Values from `start` to `stop`, both included."""
-
-    start: Positive
-    stop: Positive
-    count: Annotated[int, Field(ge=2, le=1000)]
-    spacing: Literal["linear", "log"] = "linear"
-
-    @model_validator(mode="after")
-    def _check(self) -> Span:
-        if self.stop <= self.start:
-            raise ValueError(f"must have a `stop` above `start`, but {self.stop:g} is not")
-        return self
-
-    def array(self) -> np.ndarray:
-        """The values, in order."""
-        make = np.linspace if self.spacing == "linear" else np.geomspace
-        return make(self.start, self.stop, self.count)
+from jaxchain.scenes.tables import Positive, Table
+from jaxchain.studies._tables import BaseTable, Span
 
 
 class CouplingSpan(Span):
@@ -37,20 +17,10 @@ class CouplingSpan(Span):
     masses: Annotated[int, Field(ge=3)] = 5
 
 
-class Base(Table):
+class Base(BaseTable):
     """One mass on its belt; each number stands where it does not vary."""
 
-    damping_ratio: Positive
-    mu_static: Positive
-    mu_dynamic: NonNegative
-    v_ref: Positive
     width: Positive
-
-    @model_validator(mode="after")
-    def _check(self) -> Base:
-        if self.mu_dynamic > self.mu_static:
-            raise ValueError("must have a `mu_static` of at least `mu_dynamic`")
-        return self
 
 
 class Cycles(Table):
