@@ -54,21 +54,24 @@ def fit_linear_solve(
 
 USUAL_RTOL = 1e-6
 # A tolerance this many times below what tears a sticking mass off the belt is right to what it
-# promises (see `jaxchain._checks.check_resolved`).
-_CLEAN = 30.0
+# promises, 10 times is too little (see `check_resolved`).
+_CLEAN, _LAYER, _NORM_MASSES = 30.0, 10.0, 20
 
 
-def default_rtol(n: int, width: Any, belt_speed: Any) -> Any:
-    """1e-6, or less where a width is so narrow that a sticking mass needs it.
+def default_rtol(
+    n: int, width: Any, belt_speed: Any, most: float = USUAL_RTOL, clean: float = _CLEAN
+) -> Any:
+    """`most`, or less where a width is so narrow that a sticking mass needs it.
 
-    width / [30 sqrt(min(n, 20)) (|v_d| + 0.1)], for the least width and the greatest speed.
+    width / [30 sqrt(min(n, 20)) (|v_d| + 0.1)], for the least width and the greatest speed; a
+    witness that others are compared with takes 60 for `clean`.
     """
     traced = is_traced(width, belt_speed)
     xp: Any = jnp if traced else np
     width, belt_speed = (a if traced else np.asarray(a) for a in (width, belt_speed))
     speed = xp.max(xp.abs(belt_speed)) + 0.1
-    needed = xp.min(width) / (_CLEAN * min(n, 20) ** 0.5 * speed)
-    rtol = xp.minimum(USUAL_RTOL, needed)
+    needed = xp.min(width) / (clean * min(n, _NORM_MASSES) ** 0.5 * speed)
+    rtol = xp.minimum(most, needed)
     return lax.stop_gradient(rtol) if traced else float(rtol)
 
 
@@ -163,10 +166,6 @@ def choose_numerics(chain: Chain, accuracy: Any) -> Numerics:
     rtol = _RTOL_PER_WIDTH * width / jnp.maximum(jnp.abs(chain.belt_speed), 1.0)
     solver = choose_solver(chain, 1e-9 if is_traced(rtol) else float(rtol))
     return Numerics(*lax.stop_gradient((width, rtol)), solver)
-
-
-# See `check_resolved`.
-_LAYER, _NORM_MASSES = 10.0, 20
 
 
 def check_resolved(

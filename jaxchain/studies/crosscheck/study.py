@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxchain.simulation.accuracy import default_rtol
 from jaxchain.studies.crosscheck.table import OscillatorPart, StatesPart, Study
 
 if TYPE_CHECKING:
@@ -163,10 +164,7 @@ def _tolerance(part: Experiment) -> float:
     """The relative tolerance of a part, and less where the narrowest width asks for it."""
     grid = part.grid()
     speeds = grid["belt_speed"] if "belt_speed" in grid else np.array([part.given("belt_speed")])
-    speed = np.max(np.abs(speeds))
-    # See `check_resolved`.
-    fit = grid["width"].min() / (60.0 * min(part.chain.n, 20) ** 0.5 * (speed + 0.1))
-    return float(min(part.numerics.rtol, fit))
+    return default_rtol(part.chain.n, grid["width"], speeds, part.numerics.rtol, clean=60.0)
 
 
 def _with(part: StatesPart, rtol: float, **changes: Any) -> StatesPart:

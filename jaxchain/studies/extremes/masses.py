@@ -17,6 +17,7 @@ from jaxchain.model.friction import ExponentialDecay, TanhFriction
 from jaxchain.model.initial_states import excited_state
 from jaxchain.observers.amplitude import Amplitude
 from jaxchain.result import NAMES, STOPPED_WELL
+from jaxchain.simulation.accuracy import default_rtol
 from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.simulation.run import Simulation, simulate
 from jaxchain.studies.extremes.judging import Answer, Case
@@ -50,9 +51,8 @@ def solve(
         return simulate(
             chain, tuple(state), t1, rtol=max(rtol, 1e-11), solver=EventDriven(), **options
         )
-    speed, width = abs(float(chain.belt_speed)), float(jnp.min(chain.friction.width))
-    fit = width / (60.0 * min(chain.n, 20) ** 0.5 * (speed + 0.1))
-    return simulate(chain, tuple(state), t1, rtol=min(rtol, fit), **options)
+    rtol = default_rtol(chain.n, chain.friction.width, chain.belt_speed, rtol, clean=60.0)
+    return simulate(chain, tuple(state), t1, rtol=rtol, **options)
 
 
 def end(*arguments: Any, **options: Any) -> np.ndarray:
