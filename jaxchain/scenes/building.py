@@ -16,7 +16,7 @@ from ..model.chain import Chain
 from ..model.parameters import CHAIN
 from ..simulation.accuracy import fit_linear_solve
 from ..solvers.rosenbrock import Rodas4, Rodas5P
-from .scene import Experiment
+from .scene import SweepTable
 from .tables import Equation8Table, Equation10Table
 
 LAWS = {
@@ -26,7 +26,7 @@ LAWS = {
 }
 
 
-def build_chain(experiment: Experiment) -> Chain:
+def build_chain(experiment: SweepTable) -> Chain:
     """The chain of an experiment, with the first value of everything that is swept."""
     table, grid = experiment.chain, experiment.grid()
 
@@ -46,7 +46,7 @@ def build_chain(experiment: Experiment) -> Chain:
     )
 
 
-def build_initial(experiment: Experiment) -> Callable[..., State]:
+def build_initial(experiment: SweepTable) -> Callable[..., State]:
     """The initial state as a function of the chain; what is swept are parameters of it."""
     table = experiment.initial
     excited: dict[str, Any] = {} if table.excited is None else {"excited": table.excited}

@@ -9,9 +9,11 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import xarray as xr
 
+from .._types import State
 from ..observers.amplitude import Amplitude
 from ..plotting.groups import CYCLES, NONSMOOTH
 from ..plotting.sweeps import figure
@@ -23,31 +25,38 @@ from .errors import SceneError
 from .reading import LoadedScene
 from .registry import StudyTable, study_run
 from .report import cycles_summary, summary
-from .scene import Experiment
+from .scene import Experiment, SweepTable
 from .storage import save, save_drawing
+from .tables import NumericsTable, ObserveTable
 
 
-def models(experiment: Experiment) -> tuple[str, ...]:
+def models(numerics: NumericsTable) -> tuple[str, ...]:
     """ "smoothed", "nonsmooth" or both, in the order in which they are run."""
-    model = experiment.numerics.model
-    return ("smoothed", "nonsmooth") if model == "both" else (model,)
+    return ("smoothed", "nonsmooth") if numerics.model == "both" else (numerics.model,)
 
 
 def run_experiment(
-    experiment: Experiment,
+    experiment: SweepTable,
     *,
     name: str = "sweep",
     model: str = "smoothed",
     progress: bool = False,
+    initial: Callable[..., State] | None = None,
+    observe: Any = None,
 ) -> xr.Dataset:
     """Runs one experiment with smoothed or with true dry friction.
 
     Failed runs are marked in `result` and warn of nothing.
 
+    **Arguments:** `initial`, `observe`: instead of what the experiment says.
+
     **Raises:** `SweepInterrupted` on Ctrl-C, with the runs that had ended.
     """
-    numerics, observe, time = experiment.numerics, experiment.observe, experiment.time
+    numerics, time = experiment.numerics, experiment.time
     chain = build_chain(experiment)
+    if observe is None:
+        stop = experiment.observe if isinstance(experiment, Experiment) else ObserveTable()
+        observe = Amplitude(window=time.window, **stop.model_dump(exclude={"quantities"}))
     if model == "nonsmooth":
         solver = EventDriven()
     else:
@@ -57,22 +66,12 @@ def run_experiment(
         warnings.filterwarnings("ignore", message=r"\d+ of \d+ lanes ended with")
         return sweep(
             chain,
-            build_initial(experiment),
+            build_initial(experiment) if initial is None else initial,
             time.transient + time.window,
             over=experiment.grid(),
-            observe=Amplitude(
-                window=time.window,
-                stop=observe.stop,
-                tolerance=observe.tolerance,
-                repeats=observe.repeats,
-                quiet_below=observe.quiet_below,
-            ),
+            observe=observe,
             solver=solver,
-            rtol=numerics.rtol,
-            atol=numerics.atol,
-            max_step=numerics.max_step,
-            max_steps=numerics.max_steps,
-            lanes=numerics.lanes,
+            **numerics.model_dump(exclude={"solver", "model"}),
             progress=progress,
             description=name,
         )
@@ -112,7 +111,7 @@ def run_scene(
     for name, experiment in loaded.scene.experiment.items():
         chain, grid = build_chain(experiment), experiment.grid()
         hopf = hopf_speed(chain, grid)
-        for model in models(experiment):
+        for model in models(experiment.numerics):
             # Of two models the smoothed one goes by the name of the experiment.
             second = model == "nonsmooth" and experiment.numerics.model == "both"
             group = f"{name}{NONSMOOTH}" if second else name

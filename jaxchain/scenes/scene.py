@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterator
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, Any, ClassVar, TypeAlias
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -29,6 +29,7 @@ from .tables import (
     NumericsTable,
     ObserveTable,
     Range,
+    SolverTable,
     Table,
     TimeTable,
     Values,
@@ -47,27 +48,26 @@ VARIABLES = {
 }  # fmt: skip
 
 
-def _raise(problems: list[Problem]) -> None:
+def raise_all(problems: list[Problem]) -> None:
     """All at once; `jaxchain.scenes.wording` unpacks them again."""
     if problems:
         text = "; ".join(f"{'.'.join(path)}: {message}" for path, message in problems)
         raise PydanticCustomError("problems", "{text}", {"text": text, "problems": problems})
 
 
-class Experiment(Table):
-    """One sweep: what jaxchain computes in one go and stores as one dataset."""
+class SweepTable(Table):
+    """The runs of a chain: over what, from where, for how long, and how they are computed."""
 
-    description: str = ""
-    main: bool = False
-    """Stored at the root of the results; the others are groups beside it.  Default: the first."""
+    swept: ClassVar[tuple[str, ...]] = ()
+    """The names that `sweep` must hold, and no others; of none, any may stand there."""
+
     chain: ChainTable
     initial: InitialTable
     time: TimeTable
     sweep: dict[str, Values] = Field(default_factory=dict)
     """Numbers of the chain, its friction or the initial state, with the values they take; they
     replace the single number given there."""
-    observe: ObserveTable = Field(default_factory=ObserveTable)
-    numerics: NumericsTable = Field(default_factory=NumericsTable)
+    numerics: SolverTable = Field(default_factory=SolverTable)
 
     def friction_numbers(self) -> tuple[str, ...]:
         """Names of the numbers of the friction law, width last."""
@@ -87,7 +87,7 @@ class Experiment(Table):
 
     def sweepable(self) -> tuple[str, ...]:
         """Every name that may stand in `sweep`."""
-        return (*CHAIN, *self.friction_numbers(), *self.initial_numbers())
+        return self.swept or (*CHAIN, *self.friction_numbers(), *self.initial_numbers())
 
     def grid(self) -> dict[str, np.ndarray]:
         """The swept values by name, in the order of the file, each of shape (values,).
@@ -107,12 +107,15 @@ class Experiment(Table):
         return math.prod(map(len, self.grid().values()))
 
     @model_validator(mode="after")
-    def _check(self) -> Experiment:
-        _raise([(("sweep", name), message) for name, message in self._sweep_problems()])
-        _raise([*self._missing(), *self._misfits(), *self._too_large()])
+    def _check(self) -> SweepTable:
+        raise_all([(("sweep", name), message) for name, message in self._sweep_problems()])
+        raise_all([*self._missing(), *self._misfits(), *self._too_large()])
         return self
 
     def _sweep_problems(self) -> Iterator[tuple[str, str]]:
+        for name in self.swept:
+            if name not in self.sweep:
+                yield name, "is missing: give a list of values"
         for name, values in self.sweep.items():
             if name not in self.sweepable():
                 near = did_you_mean(name, self.sweepable())
@@ -216,6 +219,16 @@ class Experiment(Table):
             )
 
 
+class Experiment(SweepTable):
+    """One sweep of a scene: what is computed in one go and stored as one dataset."""
+
+    description: str = ""
+    main: bool = False
+    """Stored at the root of the results; the others are groups beside it.  Default: the first."""
+    observe: ObserveTable = Field(default_factory=ObserveTable)
+    numerics: NumericsTable = Field(default_factory=NumericsTable)
+
+
 class Scene(Table):
     """A scene file: a title and the experiments, each a table `[experiment.NAME]`."""
 
@@ -255,5 +268,5 @@ class Scene(Table):
             problems.append(
                 (("experiment", name, "main"), f"must be marked once, but `{marked[0]}` is too")
             )
-        _raise(problems)
+        raise_all(problems)
         return self

@@ -268,11 +268,9 @@ Solver: TypeAlias = Literal[
 ]  # fmt: skip
 
 
-class NumericsTable(Table):
+class SolverTable(Table):
     """How a run is computed."""
 
-    model: Literal["smoothed", "nonsmooth", "both"] = "smoothed"
-    """Friction smoothed by its width, true dry friction, or one run of each."""
     solver: Solver = "auto"
     """For smoothed friction: a structured Rosenbrock solver, a stock diffrax solver, or the choice
     left to jaxchain.  True dry friction is integrated event by event."""
@@ -285,3 +283,10 @@ class NumericsTable(Table):
     """Steps allowed for each run; absent: no limit."""
     lanes: Annotated[int, Field(ge=1)] | None = None
     """Runs computed at once; absent: as many as suit the machine."""
+
+
+class NumericsTable(SolverTable):
+    """How a run is computed, and with which friction."""
+
+    model: Literal["smoothed", "nonsmooth", "both"] = "smoothed"
+    """Friction smoothed by its width, true dry friction, or one run of each."""

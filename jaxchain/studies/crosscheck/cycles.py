@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -14,18 +12,17 @@ from jaxtyping import Array
 
 from jaxchain._types import ScalarLike, State
 from jaxchain.model.chain import Chain
-from jaxchain.model.initial_states import on_the_belt
 from jaxchain.model.oscillators import AbstractOscillators
 from jaxchain.observers.amplitude import Amplitude
-from jaxchain.observers.base import Step
+from jaxchain.observers.base import AbstractObserver, Step
 from jaxchain.observers.quantities import active_above
 from jaxchain.observers.section import Section
 from jaxchain.observers.stick_time import StickTime
 from jaxchain.result import NAMES, STOPPED_WELL
+from jaxchain.scenes.tables import TimeTable
 from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.simulation.run import simulate
 from jaxchain.studies.crosscheck.bias import HEAD_START
-from jaxchain.sweeps.sweeping import sweep
 
 QUANTITIES = ("amplitude", "period", "stick_time")
 # How a run of an oscillator ended.
@@ -62,53 +59,39 @@ class CycleStickTime(StickTime):
         return accumulator[1]
 
 
-def measure_cycles(
-    chain: Chain, over: Mapping[str, Any], transient: float, window: float, **options: Any
-) -> xr.Dataset:
-    """The vibrating cycles of one mass over a grid, measured in the last `window` time units.
+def watch_cycles(time: TimeTable) -> list[AbstractObserver]:
+    """What `find_cycles` wants to know of a run."""
+    # A maximum every half period of a free mass would be many.
+    capacity = math.ceil(time.window / math.pi) + 2
+    section = Section(0, capacity=capacity, start=time.transient)
+    return [Amplitude(window=time.window), section, CycleStickTime()]
 
-    **Arguments:** `over` and `options` as for `sweep`.
+
+def find_cycles(data: xr.Dataset) -> xr.Dataset:
+    """The vibrating cycles of one mass, from a sweep over `belt_speed` with `watch_cycles`.
 
     **Returns:** `amplitude`, `period`, `stick_time` and `outcome`, a number of `OUTCOMES`, over
-    the axes of `over`; NaN where there is no cycle.  Its attributes are those of the sweep.
+    the axes of the sweep; NaN where there is no cycle.
     """
-    # A maximum every half period of a free mass would be many.
-    capacity = math.ceil(window / math.pi) + 2
-    observe = [
-        Amplitude(window=window),
-        Section(0, capacity=capacity, start=transient),
-        CycleStickTime(),
-    ]
-    data = sweep(chain, on_the_belt, transient + window, over=over, observe=observe, **options)
-    data = data.squeeze("oscillator", drop=True)
     time, top = _last(data["section_time"], 3), _last(data["section_displacement"], 3)
-    periods = time.diff("point")
-    period = periods.isel(point=-1, drop=True)
-    amplitude = data["amplitude"]
-    apart = abs(periods.isel(point=0, drop=True) / period - 1)
-    apart = np.maximum(apart, abs(top.isel(point=1) - top.isel(point=2)) / amplitude)
-    speed = data["belt_speed"] if "belt_speed" in data.coords else float(chain.belt_speed)
+    before, period = (time.diff("point").isel(point=i) for i in (0, 1))
+    amplitude, speed = data["amplitude"], data["belt_speed"]
+    apart = np.maximum(
+        abs(before / period - 1), abs(top.isel(point=1) - top.isel(point=2)) / amplitude
+    )
     outcome = xr.where(apart <= _SETTLED, VIBRATES, UNSETTLED)  # NaN is not settled
-    threshold = xr.apply_ufunc(lambda v: np.asarray(active_above(v)), speed)
+    threshold = speed.copy(data=np.asarray(active_above(speed.values)))
     outcome = xr.where(amplitude > threshold, outcome, RESTS)
     well = data["result"].isin([NAMES.index(name) for name in STOPPED_WELL])
     outcome = xr.where(well, outcome, FAILED).astype(np.int8)
-    found = xr.Dataset(
-        {"amplitude": amplitude, "period": period, "stick_time": data["stick_time"]}
-    ).where(outcome == VIBRATES)
-    found["outcome"] = outcome
-    return found.assign_attrs(data.attrs)
+    found = data[["amplitude", "stick_time"]].assign(period=period)
+    return found.where(outcome == VIBRATES).assign(outcome=outcome)
 
 
 def _last(points: xr.DataArray, count: int) -> xr.DataArray:
     """The last `count` of the points that there are, NaN in front where there are fewer."""
-    values = np.moveaxis(points.values, points.dims.index("point"), -1)
-    number = np.isfinite(values).sum(-1)[..., None]
-    place = number - count + np.arange(count)
-    taken = np.take_along_axis(values, np.maximum(place, 0), axis=-1)
-    dims = [dim for dim in points.dims if dim != "point"]
-    coords = {dim: points[dim] for dim in dims if dim in points.coords}
-    return xr.DataArray(np.where(place < 0, np.nan, taken), coords, [*dims, "point"])
+    place = points.notnull().sum("point") - count + xr.DataArray(np.arange(count), dims="last")
+    return points.isel(point=place.clip(0)).where(place >= 0).rename(last="point")
 
 
 def expected_factors(chain: Chain, cycles: xr.Dataset) -> xr.Dataset:
@@ -118,7 +101,7 @@ def expected_factors(chain: Chain, cycles: xr.Dataset) -> xr.Dataset:
     lands counts as sticking from `stick_speed` on, (eps / 2) ln(1 / eps) to leading order: by as
     much earlier as it takes to lose this speed.
 
-    **Arguments:** `cycles` over `belt_speed`, from `measure_cycles` with `EventDriven()`.
+    **Arguments:** `cycles` over `belt_speed`, from `find_cycles`, with true dry friction.
 
     **Returns:** amplitude, period and stick time over `belt_speed`, NaN where there is no cycle.
     """

@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import matplotlib
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from jaxchain.plotting.style import BLUE, GREY, ORANGE, PAGE_WIDTH, STYLE, SYMBOLS
+from jaxchain.plotting.style import BLUE, GREY, ORANGE, SYMBOLS
+from jaxchain.studies._pages import GREEN, MARKERS, SMALL, letters, on_page
 from jaxchain.studies.crosscheck.bias import Law
 from jaxchain.studies.crosscheck.report import spread
 
-HEIGHT = 4.9  # inches
 MOST_CURVES = 5  # more cannot be told apart
-MARKERS = "osD^v"
-GREEN = "#009E73"
 # Errors that a panel shows: below, what numerics decide; above, another state.
 LEAST, MOST = 2e-7, 1.5
 NAMES = {
@@ -27,65 +27,45 @@ NAMES = {
     "period": ("period", r"T", ORANGE, "s"),
     "stick_time": ("stick time", r"T_{st}", GREEN, "D"),
 }
-DASHES: tuple[Any, ...] = ("-", "--", ":", "-.")
+LINES = ("-", "--", ":", "-.")
+_POINTS: dict[str, Any] = {"markersize": 3, "markeredgewidth": 0}
 
 
-def draw(cycles: xr.Dataset, states: xr.Dataset) -> Figure:
+@on_page(4.9)
+def draw(page: Figure, datasets: Mapping[str, xr.Dataset]) -> None:
     """Six panels.
 
     (a) - (c) Error of amplitude, period and stick time of one oscillator over the width, at some
     belt speeds; (d) that of the energy of states of a chain; (e) the width that buys an accuracy,
     over the belt speed; (f) the factor of eps ln(1 / eps), fitted and as expected.
-
-    **Arguments:** the datasets of the study.
     """
-    with matplotlib.rc_context(STYLE):
-        page = Figure(figsize=(PAGE_WIDTH, HEIGHT), layout="constrained")
-        panels = page.subplots(2, 3)
-        chosen = spread(cycles.sizes["belt_speed"], MOST_CURVES)
-        for axes, name in zip(panels[0], NAMES, strict=True):
-            own = cycles.sel(quantity=name).isel(belt_speed=chosen)
-            label, symbol, *_ = NAMES[name]
-            text = rf"relative error of {label} ${symbol}$ (–)"
-            _draw_errors(axes, own, "belt_speed", r"$\tilde v_d = {}$", text)
-        _draw_errors(
-            panels[1, 0], states.isel(excited=spread(states.sizes["excited"], MOST_CURVES)),
-            "excited", "{} excited", r"relative error of energy $\tilde E$ (–)",
-            nested=True,
-        )  # fmt: skip
-        panels[0, 0].legend(**_corner("lower right"))
-        panels[1, 0].legend(**_corner("lower right"))
-        panels[0, 1].legend(handles=_how(), **_corner("upper left"))
-        _draw_widths(panels[1, 1], cycles)
-        _draw_factors(panels[1, 2], cycles)
-        for letter, axes in zip("abcdef", panels.flat, strict=True):
-            axes.set_title(f"({letter})", loc="left", fontweight="bold")
-            axes.tick_params(which="both", top=True, right=True)
-    return page
-
-
-def _corner(place: str, handle: float = 1.2) -> dict[str, Any]:
-    return {
-        "loc": place, "handlelength": handle, "handletextpad": 0.4, "labelspacing": 0.25,
-        "borderpad": 0.2, "framealpha": 0.8, "edgecolor": "none",
-    }  # fmt: skip
-
-
-def _how() -> list[Line2D]:
+    cycles, states = datasets["oscillator"], datasets["states"]
+    panels = page.subplots(2, 3)
+    for axes, (name, (label, symbol, *_)) in zip(panels[0], NAMES.items(), strict=True):
+        axes.set_ylabel(rf"relative error of {label} ${symbol}$ (–)")
+        _draw_errors(axes, cycles.sel(quantity=name), "belt_speed", r"$\tilde v_d = {:g}$")
+    panels[1, 0].set_ylabel(r"relative error of energy $\tilde E$ (–)")
+    _draw_errors(panels[1, 0], states, "excited", "{:g} excited", nested=True)
+    panels[0, 0].legend(**SMALL, loc="lower right")
+    panels[1, 0].legend(**SMALL, loc="lower right")
     law = r"$a\,\varepsilon\,\ln(1/\varepsilon) + b\,\varepsilon$, fitted"
-    return [
-        Line2D([], [], color="black", linewidth=0.7, label=law),
-        Line2D([], [], color="black", marker="o", markersize=2.9, linewidth=0, label="measured"),
-    ]
+    panels[0, 1].plot([], [], color="black", linewidth=0.7, label=law)
+    panels[0, 1].plot([], [], "o", color="black", **_POINTS, label="measured")
+    handles = panels[0, 1].get_lines()[-2:]
+    panels[0, 1].legend(handles=handles, **SMALL, loc="upper left")
+    _draw_widths(panels[1, 1], cycles)
+    _draw_factors(panels[1, 2], cycles)
+    letters(panels)
 
 
 def _draw_errors(
-    axes: Axes, data: xr.Dataset, over: str, label: str, title: str, nested: bool = False
+    axes: Axes, data: xr.Dataset, over: str, label: str, nested: bool = False
 ) -> None:
     """Points as measured, lines as fitted, as far as they were.
 
     `nested`: points that lie upon each other are rings within rings.
     """
+    data = data.isel({over: spread(data.sizes[over], MOST_CURVES)})
     widths = data["width"].values
     colours = matplotlib.colormaps["viridis"](np.linspace(0.0, 0.88, data.sizes[over]))
     for i, colour in enumerate(colours):
@@ -99,33 +79,27 @@ def _draw_errors(
             widths, np.abs(row["error"].values), MARKERS[i % len(MARKERS)], color=colour,
             markersize=2.9 + (1.2 * (len(colours) - 1 - i) if nested else 0.0),
             markerfacecolor="none" if nested else colour,
-            markeredgewidth=0.6 if nested else 0.0, label=label.format(f"{row[over].values:g}"),
+            markeredgewidth=0.6 if nested else 0.0, label=label.format(float(row[over])),
         )  # fmt: skip
     for goal in data["accuracy"].values:
         axes.axhline(goal, color=GREY, linewidth=0.4, zorder=0)
     axes.set_xscale("log")
     axes.set_yscale("log")
-    axes.set_ylim(_errors_limits(data), MOST)
-    axes.set_xlabel(SYMBOLS["width"])
-    axes.set_ylabel(title)
-    _decades(axes)
-
-
-def _errors_limits(data: xr.Dataset) -> float:
     error = np.abs(data["error"].values)
-    seen = error[error > LEAST]
-    return 0.5 * float(seen.min()) if seen.size else LEAST
+    axes.set_ylim(0.5 * np.min(error, where=error > LEAST, initial=MOST), MOST)
+    axes.set_xlabel(SYMBOLS["width"])
+    _decades(axes.xaxis)
+    _decades(axes.yaxis)
 
 
 def _draw_widths(axes: Axes, data: xr.Dataset) -> None:
-    speeds = data["belt_speed"].values
-    goals = data["accuracy"].values
-    dashes = [DASHES[i % len(DASHES)] for i in range(goals.size)]
+    speeds, goals = data["belt_speed"].values, data["accuracy"].values
+    lines = [LINES[i % len(LINES)] for i in range(goals.size)]
     for name, (_, _, colour, marker) in NAMES.items():
-        for goal, dash in zip(goals, dashes, strict=True):
+        for goal, line in zip(goals, lines, strict=True):
             width = data["width_for"].sel(quantity=name, accuracy=goal).values
             axes.plot(
-                speeds, width, marker + dash, color=colour, markersize=2.2, markeredgewidth=0,
+                speeds, width, marker + line, color=colour, markersize=2.2, markeredgewidth=0,
                 linewidth=0.8,
             )  # fmt: skip
     axes.set_yscale("log")
@@ -133,18 +107,17 @@ def _draw_widths(axes: Axes, data: xr.Dataset) -> None:
     axes.set_ylim(low, high * 30)  # room for the legends
     axes.set_xlabel(SYMBOLS["belt_speed"])
     axes.set_ylabel(r"width for an accuracy, $\varepsilon$ (–)")
-    _decades(axes, "y")
+    _decades(axes.yaxis)
     quantities = [
         Line2D([], [], color=colour, marker=marker, markersize=3, linewidth=0.8, label=label)
         for label, _, colour, marker in NAMES.values()
     ]
     accuracies = [
-        Line2D([], [], color="black", linestyle=dash, linewidth=0.8, label=f"{100 * goal:g} %")
-        for goal, dash in zip(goals, dashes, strict=True)
+        Line2D([], [], color="black", linestyle=line, linewidth=0.8, label=f"{100 * goal:g} %")
+        for goal, line in zip(goals, lines, strict=True)
     ]
-    first = axes.legend(handles=quantities, **_corner("upper left"))
-    axes.add_artist(first)
-    axes.legend(handles=accuracies, **_corner("upper right", handle=1.8))
+    axes.add_artist(axes.legend(handles=quantities, **SMALL, loc="upper left"))
+    axes.legend(handles=accuracies, **SMALL | {"handlelength": 1.8}, loc="upper right")
 
 
 def _draw_factors(axes: Axes, data: xr.Dataset) -> None:
@@ -153,19 +126,18 @@ def _draw_factors(axes: Axes, data: xr.Dataset) -> None:
         own = data.sel(quantity=name)
         axes.plot(speeds, own["log_coefficient_expected"].values, color=colour, linewidth=0.8)
         axes.plot(
-            speeds, own["log_coefficient"].values, marker, color=colour, markersize=3,
-            markeredgewidth=0, label=f"{label}, fitted",
+            speeds, own["log_coefficient"].values, marker, color=colour, **_POINTS,
+            label=f"{label}, fitted",
         )  # fmt: skip
     axes.plot([], [], color="black", linewidth=0.8, label="expected")
     axes.axhline(0.0, color=GREY, linewidth=0.4, zorder=0)
     axes.set_xlabel(SYMBOLS["belt_speed"])
     axes.set_ylabel(r"factor $a$ of $\varepsilon\,\ln(1/\varepsilon)$ (–)")
-    axes.legend(**_corner("best"))
+    axes.legend(**SMALL, loc="best")
 
 
-def _decades(axes: Axes, which: str = "both") -> None:
-    for name, axis in (("x", axes.xaxis), ("y", axes.yaxis)):
-        if which in (name, "both"):
-            axis.set_major_locator(LogLocator(numticks=12))
-            axis.set_minor_locator(LogLocator(subs=tuple(range(2, 10)), numticks=12))
-            axis.set_minor_formatter(NullFormatter())
+def _decades(axis: Axis) -> None:
+    """A tick at every power of ten, and unlabelled ones between them."""
+    axis.set_major_locator(LogLocator(numticks=12))
+    axis.set_minor_locator(LogLocator(subs=tuple(range(2, 10)), numticks=12))
+    axis.set_minor_formatter(NullFormatter())

@@ -2,78 +2,94 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import xarray as xr
 
+from jaxchain.studies._reports import table
 from jaxchain.studies.crosscheck.cycles import OUTCOMES, VIBRATES
 
 # Belt speeds in the table; the dataset has all of them.
 MOST_ROWS = 6
 _LAW = "relative error = a eps ln(1/eps) + b eps"
+_EXPECTED = """\
+  expected: a mass leaves the belt like a dry one that starts at a relative speed of
+  (eps/4) ln[16 pi (p mu_st)^2 / (k v_d eps)].  It does not wait for the greatest
+  friction, (eps/2) [ln(4/eps) + 1] below mu_st for the paper's set: twice the log."""
 
 
-def summarize_cycles(data: xr.Dataset) -> str:
-    """The law of the error and the widths, for some belt speeds; where there is no cycle."""
-    rows = spread(data["belt_speed"].size, MOST_ROWS)
+def summary(key: str, data: xr.Dataset) -> str:
+    """The law of the error and the widths; where there is no cycle, or another state."""
     took = data.attrs["wall_time_s"] + data.attrs["nonsmooth_wall_time_s"]
-    lines = [
-        f"one oscillator, vibrating cycle: {data.sizes['belt_speed']} belt speeds x "
-        f"{data.sizes['width']} widths, {took:.3g} s; {_LAW}",
-        f"  {'':<20}{'dry':>9}{'a':>9}{'expected':>10}{'b':>8}{'off by':>8}{'up to':>8}"
-        + _widths_head(data),
-    ]
-    for quantity in data["quantity"].values:
-        own = data.sel(quantity=quantity)
-        for i in rows:
-            row = own.isel(belt_speed=int(i))
-            label = f"{quantity} at {float(row['belt_speed']):g}"
-            expected = float(row["log_coefficient_expected"])
-            shown = f"{expected:10.4f}" if np.isfinite(expected) else f"{'':10}"
+    if key == "oscillator":
+        head, over, lines = "one oscillator, vibrating cycle", "belt speeds", _of_cycles(data)
+    else:
+        head, over, lines = "localized states, energy", "states", _of_states(data)
+    number = data["outcome_nonsmooth" if key == "oscillator" else "excited"].size
+    head = f"{head}: {number} {over} x {data.sizes['width']} widths, {took:.3g} s; {_LAW}"
+    return "\n".join([head, *lines])
+
+
+def _of_cycles(data: xr.Dataset) -> list[str]:
+    some = data.isel(belt_speed=spread(data["belt_speed"].size, MOST_ROWS))
+    quantity, speed = xr.broadcast(some["quantity"], some["belt_speed"])
+    columns = {
+        "": (quantity, ""), "at": (speed, "g"), "dry": (some["nonsmooth"], ".5f"),
+        "expected a": (some["log_coefficient_expected"], ".4f"),
+    }  # fmt: skip
+    lines = [table(columns | _law(some))]
+    dry, smoothed = data["outcome_nonsmooth"], data["outcome"]
+    for code, name in enumerate(OUTCOMES):
+        if code == VIBRATES:
+            continue
+        if (speeds := _where(dry == code)).size:
+            lines.append(f"  no dry cycle ({name}) at belt speeds {_listed(speeds)}")
+        for speed in _where((dry == VIBRATES) & (smoothed == code).any("width")):
+            widths = _where((smoothed == code).sel(belt_speed=speed))
             lines.append(
-                f"  {label:<20}{float(row['nonsmooth']):9.5f}"
-                f"{float(row['log_coefficient']):9.4f}{shown}{_rest(row)}"
+                f"  no smoothed cycle ({name}) at belt speed {speed:g}, widths {_listed(widths)}"
             )
-    lines += _without_cycle(data)
-    lines += [
-        "  expected: a mass leaves the belt like a dry one that starts at a relative speed of",
-        "  (eps/4) ln[16 pi (p mu_st)^2 / (k v_d eps)].  It does not wait for the greatest",
-        "  friction, (eps/2) [ln(4/eps) + 1] below mu_st for the paper's set: twice the log.",
-    ]
-    return "\n".join(lines)
+    return [*lines, _EXPECTED]
 
 
-def summarize_states(data: xr.Dataset) -> str:
-    """The law of the error of the energy and the widths; where another state was reached."""
-    took = data.attrs["wall_time_s"] + data.attrs["nonsmooth_wall_time_s"]
-    lines = [
-        f"localized states, energy: {data.sizes['excited']} states x {data.sizes['width']} "
-        f"widths, {took:.3g} s; {_LAW}",
-        f"  {'':<20}{'dry':>9}{'a':>9}{'':10}{'b':>8}{'off by':>8}{'up to':>8}"
-        + _widths_head(data),
-    ]
+def _of_states(data: xr.Dataset) -> list[str]:
+    columns = {"excited": (data["excited"], "d"), "dry": (data["energy_nonsmooth"], ".5f")}
+    lines = [table(columns | _law(data))]
     for excited in data["excited"].values:
         row = data.sel(excited=excited)
-        label = f"{excited} excited"
-        lines.append(
-            f"  {label:<20}{float(row['energy_nonsmooth']):9.5f}"
-            f"{float(row['log_coefficient']):9.4f}{'':10}{_rest(row)}"
-        )
-        truth = float(row["active_count_nonsmooth"])
+        count, truth = row["active_count"], float(row["active_count_nonsmooth"])
         if np.isnan(truth):
-            lines.append("    the run with true dry friction failed")
+            lines.append(f"  {excited} excited: the run with true dry friction failed")
             continue
         if truth != excited:
-            lines.append(f"    {truth:.0f} vibrate in the end with true dry friction")
-        other = row["active_count"].values != truth
-        if other.any():
-            counts = ", ".join(
-                ("the run failed" if np.isnan(count) else f"{count:.0f}") + f" at {width:g}"
-                for count, width in zip(
-                    row["active_count"].values[other], row["width"].values[other], strict=True
-                )
+            lines.append(
+                f"  {excited} excited: {truth:.0f} vibrate in the end with true dry friction"
             )
-            lines.append(f"    another state, left out: {truth:.0f} vibrate, but {counts}")
-    return "\n".join(lines)
+        other = [
+            ("the run failed" if np.isnan(own) else f"{own:.0f}") + f" at {own['width']:g}"
+            for own in count[(count != truth).values]
+        ]
+        if other:
+            lines.append(
+                f"  {excited} excited: another state, left out: {truth:.0f} vibrate, but "
+                f"{', '.join(other)}"
+            )
+    return lines
+
+
+def _law(data: xr.Dataset) -> dict[str, tuple[Any, str]]:
+    """Columns: the law, and for each accuracy the width that buys it."""
+    columns = {
+        "a": (data["log_coefficient"], ".4f"), "b": (data["linear_coefficient"], ".3f"),
+        "off by (%)": (100 * data["worst_residual"], ".1g"),
+        "up to": (data["widest_fitted"], ".0e"),
+    }  # fmt: skip
+    goals = data["accuracy"].values
+    widths = {
+        f"width for {100 * a:g} %": (data["width_for"].sel(accuracy=a), ".1e") for a in goals
+    }
+    return columns | widths
 
 
 def spread(size: int, most: int) -> np.ndarray:
@@ -85,39 +101,9 @@ def spread(size: int, most: int) -> np.ndarray:
     return np.unique(np.round(np.linspace(0, size - 1, min(size, most))).astype(int))
 
 
-def _widths_head(data: xr.Dataset) -> str:
-    heads = (f"{f'{100 * goal:g} %':>9}" for goal in data["accuracy"].values)
-    return f"   width for{''.join(heads)}"
-
-
-def _rest(row: xr.Dataset) -> str:
-    widths = "".join(f"{width:9.1e}" for width in row["width_for"].values)
-    off = float(row["worst_residual"])
-    return (
-        f"{float(row['linear_coefficient']):8.3f}{100 * off:6.1g} %"
-        f"{float(row['widest_fitted']):8.0e}{'':12}{widths}"
-    )
-
-
-def _without_cycle(data: xr.Dataset) -> list[str]:
-    """ "no cycle: ..." for each way in which there was none."""
-    lines = []
-    dry = data["outcome_nonsmooth"]
-    for code, name in enumerate(OUTCOMES):
-        if code == VIBRATES:
-            continue
-        speeds = dry["belt_speed"].values[(dry == code).values]
-        if speeds.size:
-            lines.append(f"  no dry cycle ({name}) at belt speeds {_listed(speeds)}")
-        for speed in data["belt_speed"].values:
-            here = data["outcome"].sel(belt_speed=speed)
-            widths = here["width"].values[(here == code).values]
-            if widths.size and int(dry.sel(belt_speed=speed)) == VIBRATES:
-                lines.append(
-                    f"  no smoothed cycle ({name}) at belt speed {speed:g}, widths "
-                    f"{_listed(widths)}"
-                )
-    return lines
+def _where(mask: xr.DataArray) -> np.ndarray:
+    """The coordinates at which a mask over one dimension holds."""
+    return mask[mask.dims[0]].values[mask.values]
 
 
 def _listed(values: np.ndarray) -> str:

@@ -1,228 +1,157 @@
-"""The study `crosscheck`: what does smoothing the friction cost?
+"""The study `crosscheck`: what the regularization width costs.
 
-One oscillator's vibrating cycle and localized states of a chain, with smoothed and with true dry
-friction; the error over the regularization width, its law (`bias.py`), and the width that buys an
-accuracy.
+The vibrating cycle of one oscillator and localized states of a chain, with smoothed and with true
+dry friction; the error over the width, its law (`bias.py`), and the width that buys an accuracy.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
+from jaxchain.model.initial_states import on_the_belt
+from jaxchain.scenes.building import build_chain
+from jaxchain.scenes.running import run_experiment
 from jaxchain.simulation.accuracy import default_rtol
+from jaxchain.studies import _study
+from jaxchain.studies.crosscheck.bias import fit_law, width_for
+from jaxchain.studies.crosscheck.cycles import (
+    OUTCOMES,
+    QUANTITIES,
+    expected_factors,
+    find_cycles,
+    watch_cycles,
+)
+from jaxchain.studies.crosscheck.figure import draw
+from jaxchain.studies.crosscheck.report import summary
 from jaxchain.studies.crosscheck.table import OscillatorPart, StatesPart, Study
-
-if TYPE_CHECKING:
-    from xarray import DataArray, Dataset
-
-    from jaxchain.scenes.scene import Experiment
 
 # Of the dry runs, whose error must be nothing beside the bias of the narrowest width.
 DRY_RTOL = 1e-12
 # An error of the size of this many tolerances says something of the tolerance.
 FLOOR = 1e3
-LONG_NAMES = {
-    "quantity": "amplitude A (half peak-to-peak), period T, and time on the belt in one period",
-    "smoothed": "value with smoothed friction",
-    "nonsmooth": "value with true dry friction",
-    "energy": "vibration energy E = 1/2 sum A_n^2, smoothed friction",
-    "energy_nonsmooth": "vibration energy E = 1/2 sum A_n^2, true dry friction",
-    "active_count": "masses with A_n > |v_d| / 2, smoothed friction",
-    "active_count_nonsmooth": "masses with A_n > |v_d| / 2, true dry friction",
-    "outcome": "what the smoothed oscillator did",
-    "outcome_nonsmooth": "what the dry oscillator did",
-    "error": "smoothed / nonsmooth - 1",
-    "log_coefficient": "a of error = a eps ln(1/eps) + b eps",
-    "log_coefficient_expected": "a as the way in which a mass leaves the belt leads to expect",
-    "linear_coefficient": "b of error = a eps ln(1/eps) + b eps",
-    "worst_residual": "greatest relative difference between law and error",
-    "widest_fitted": "widest width to which the law was fitted",
-    "width_for": "width up to which the relative error stays within the accuracy",
-    "accuracy": "relative error",
-    "width": "regularization width eps",
-    "belt_speed": "belt speed v_d",
-    "excited": "masses excited at the start",
-}
-SPEEDS = ("width", "belt_speed", "widest_fitted", "width_for")
-UNITS: dict[str, str] = dict.fromkeys(SPEEDS, "x0 omega_n")
-UNITS |= dict.fromkeys(("energy", "energy_nonsmooth"), "x0^2")
-UNITS |= dict.fromkeys(("smoothed", "nonsmooth"), "x0 (amplitude), 1 / omega_n (times)")
+_SPEED = "x0 omega_n"
+_LAW = "of error = a eps ln(1/eps) + b eps"
+_COUNT = "masses with A_n > |v_d| / 2, "
+_ENERGY = "vibration energy E = 1/2 sum A_n^2, "
+_VALUE = "x0 (amplitude), 1 / omega_n (times)"
+_OUTCOMES = {**_study.flags(OUTCOMES), "units": "1"}
+LABELS = {
+    "quantity": (
+        "amplitude A (half peak-to-peak), period T, and time on the belt in one period", "1",
+    ),
+    "smoothed": ("value with smoothed friction", _VALUE),
+    "nonsmooth": ("value with true dry friction", _VALUE),
+    "energy": (_ENERGY + "smoothed friction", "x0^2"),
+    "energy_nonsmooth": (_ENERGY + "true dry friction", "x0^2"),
+    "active_count": (_COUNT + "smoothed friction", "1"),
+    "active_count_nonsmooth": (_COUNT + "true dry friction", "1"),
+    "outcome": {"long_name": "what the smoothed oscillator did", **_OUTCOMES},
+    "outcome_nonsmooth": {"long_name": "what the dry oscillator did", **_OUTCOMES},
+    "error": ("smoothed / nonsmooth - 1", "1"),
+    "log_coefficient": (f"a {_LAW}", "1"),
+    "log_coefficient_expected": (
+        "a as the way in which a mass leaves the belt leads to expect", "1",
+    ),
+    "linear_coefficient": (f"b {_LAW}", "1"),
+    "worst_residual": ("greatest relative difference between law and error", "1"),
+    "widest_fitted": ("widest width to which the law was fitted", _SPEED),
+    "width_for": ("width up to which the relative error stays within the accuracy", _SPEED),
+    "accuracy": ("relative error", "1"),
+    "width": ("regularization width eps", _SPEED),
+    "belt_speed": ("belt speed v_d", _SPEED),
+    "excited": ("masses excited at the start", "1"),
+}  # fmt: skip
 
 
-def cross_check_cycles(
-    part: OscillatorPart, accuracy: list[float], progress: bool = False
-) -> Dataset:
+def cross_check_cycles(study: Study, job: _study.Job) -> xr.Dataset:
     """The cycles of one oscillator and what became of them with smoothed friction.
 
     **Returns:** over `quantity` (amplitude, period, stick_time), `belt_speed`, `width` and
-    `accuracy`: `smoothed`, `nonsmooth`, `error` and what `assess` finds in it.
+    `accuracy`: `smoothed`, `nonsmooth`, `error` and what `_assessed` finds in it.
     """
-    import xarray as xr
-
-    from jaxchain.scenes.building import build_chain, build_solver
-    from jaxchain.simulation.event_driven import EventDriven
-    from jaxchain.studies.crosscheck.cycles import (
-        OUTCOMES,
-        QUANTITIES,
-        expected_factors,
-        measure_cycles,
-    )
-
-    chain, grid = build_chain(part), part.grid()
-    numerics, rtol = part.numerics, _tolerance(part)
-    dry = measure_cycles(
-        chain, {"belt_speed": grid["belt_speed"]}, part.time.transient, part.time.window,
-        solver=EventDriven(), rtol=DRY_RTOL, max_step=numerics.max_step, progress=progress,
-        description="true dry friction",
-    )  # fmt: skip
-    smoothed = measure_cycles(
-        chain, {name: grid[name] for name in ("belt_speed", "width")},
-        part.time.transient, part.time.window,
-        solver=build_solver(numerics.solver, chain, rtol, numerics.max_step), rtol=rtol,
-        atol=numerics.atol, max_step=numerics.max_step, max_steps=numerics.max_steps,
-        lanes=numerics.lanes, progress=progress, description="smoothed friction",
-    )  # fmt: skip
-    names = xr.Variable("quantity", np.array(QUANTITIES))
-    both = [
-        xr.concat([found[name] for name in QUANTITIES], names, coords="minimal", compat="override")
-        for found in (smoothed, dry)
-    ]
-    data = xr.Dataset(dict(zip(("smoothed", "nonsmooth"), both, strict=True)))
-    data["outcome"], data["outcome_nonsmooth"] = smoothed["outcome"], dry["outcome"]
+    part = study.oscillator
+    runs = _both(part, job, initial=on_the_belt, observe=watch_cycles(part.time))
+    smoothed, dry = (find_cycles(own.squeeze("oscillator", drop=True)) for own in runs)
+    data = xr.Dataset({
+        "smoothed": smoothed[[*QUANTITIES]].to_dataarray("quantity"),
+        "nonsmooth": dry[[*QUANTITIES]].to_dataarray("quantity"),
+        "outcome": smoothed["outcome"], "outcome_nonsmooth": dry["outcome"],
+    })  # fmt: skip
     data["error"] = data["smoothed"] / data["nonsmooth"] - 1
-    data = data.merge(assess(data["error"], accuracy, FLOOR * rtol))
-    expected = expected_factors(chain, dry).to_dataarray("quantity")
-    data["log_coefficient_expected"] = expected.reindex(quantity=data["quantity"])
-    for name in ("outcome", "outcome_nonsmooth"):
-        data[name].attrs = {
-            "flag_values": np.arange(len(OUTCOMES), dtype=np.int8),
-            "flag_meanings": " ".join(OUTCOMES),
-        }
-    return _label(data, smoothed, dry)
+    expected = expected_factors(build_chain(part), dry)
+    data["log_coefficient_expected"] = expected.to_dataarray("quantity")
+    return _assessed(data, study, *runs)
 
 
-def cross_check_states(part: StatesPart, accuracy: list[float], progress: bool = False) -> Dataset:
+def cross_check_states(study: Study, job: _study.Job) -> xr.Dataset:
     """The energies of states of a chain, with smoothed and with true dry friction.
 
     **Returns:** over `excited`, `width` and `accuracy`: `energy`, `energy_nonsmooth`,
-    `active_count`, `active_count_nonsmooth`, `error` and what `assess` finds in it.  Where other
-    masses vibrate, or fewer, it is another state, and its error is NaN.
+    `active_count`, `active_count_nonsmooth`, `error` and what `_assessed` finds in it.  Where
+    other masses vibrate, or fewer, it is another state, and its error is NaN.
     """
-    from jaxchain.scenes.running import run_experiment
-
-    rtol = _tolerance(part)
-    smoothed = run_experiment(_with(part, rtol), name="smoothed friction", progress=progress)
-    narrowest = part.sweep | {"width": [float(part.grid()["width"].min())]}
-    dry = run_experiment(
-        _with(part, DRY_RTOL, sweep=narrowest), name="true dry friction", model="nonsmooth",
-        progress=progress,
-    ).isel(width=0, drop=True)  # fmt: skip
-    data = smoothed[["energy", "active_count"]].transpose("excited", "width")
-    data["energy_nonsmooth"] = dry["energy"]
-    data["active_count_nonsmooth"] = dry["active_count"]
+    smoothed, dry = runs = _both(study.states, job)
+    data = smoothed[["energy", "active_count"]].drop_vars("oscillator", errors="ignore")
+    data = data.transpose("excited", "width")
+    for name in ("energy", "active_count"):
+        data[f"{name}_nonsmooth"] = dry[name]
     # Rest has no energy to be relative to.
     same = (data["active_count"] == dry["active_count"]) & (dry["active_count"] > 0)
     data["error"] = (data["energy"] / dry["energy"] - 1).where(same)
-    return _label(
-        data.merge(assess(data["error"], accuracy, FLOOR * rtol)), smoothed, dry
-    ).drop_vars("oscillator", errors="ignore")
+    return _assessed(data, study, *runs)
 
 
-def assess(error: DataArray, accuracy: list[float], floor: float) -> Dataset:
-    """The law of an error over `width`, and the width that buys each accuracy.
+def _both(
+    part: OscillatorPart | StatesPart, job: _study.Job, **options: Any
+) -> tuple[xr.Dataset, xr.Dataset]:
+    """The runs over all widths, and those with true dry friction, which has none."""
+    grid = part.grid()
+    widths, speeds = grid["width"], grid.get("belt_speed", part.given("belt_speed"))
+    rtol = default_rtol(part.chain.n, widths, speeds, part.numerics.rtol, 60.0)
+
+    def runs(rtol: float, **settings: Any) -> xr.Dataset:
+        numerics = part.numerics.model_copy(update={"rtol": rtol})
+        own = part.model_copy(update={"numerics": numerics, "sweep": settings.pop("sweep")})
+        return run_experiment(own, progress=job.progress, **settings, **options)
+
+    narrowest = part.sweep | {"width": [float(widths.min())]}
+    dry = runs(DRY_RTOL, sweep=narrowest, name="true dry friction", model="nonsmooth")
+    smoothed = runs(rtol, sweep=part.sweep, name="smoothed friction")
+    return smoothed, dry.isel(width=0, drop=True)
+
+
+def _assessed(data: xr.Dataset, study: Study, smoothed: xr.Dataset, dry: xr.Dataset) -> xr.Dataset:
+    """With the law of `error` over `width`, and the width that buys each accuracy.
 
     **Returns:** `log_coefficient`, `linear_coefficient`, `worst_residual` and `widest_fitted` over
     the other dimensions, and `width_for` over `accuracy`, too.
     """
-    import xarray as xr
-
-    from jaxchain.studies.crosscheck.bias import fit_law, width_for
-
-    width = error["width"].values
+    width, floor = data["width"].values, FLOOR * smoothed.attrs["rtol"]
 
     def one(errors: np.ndarray) -> np.ndarray:
         law = fit_law(width, errors, floor)
-        widths = [width_for(width, errors, law, goal) for goal in accuracy]
+        widths = [width_for(width, errors, law, goal) for goal in study.accuracy]
         return np.array([law.a, law.b, law.worst, law.widest, *widths])
 
     numbers = xr.apply_ufunc(
-        one, error, input_core_dims=[["width"]], output_core_dims=[["number"]], vectorize=True
-    )
+        one, data["error"], input_core_dims=[["width"]], output_core_dims=[["number"]],
+        vectorize=True,
+    )  # fmt: skip
     names = ("log_coefficient", "linear_coefficient", "worst_residual", "widest_fitted")
-    found = xr.Dataset({name: numbers.isel(number=i) for i, name in enumerate(names)})
+    data = data.assign({name: numbers.isel(number=i) for i, name in enumerate(names)})
     widths = numbers.isel(number=slice(len(names), None)).rename(number="accuracy")
-    found["width_for"] = widths.assign_coords(accuracy=accuracy).transpose("accuracy", ...)
-    return found
-
-
-def _tolerance(part: Experiment) -> float:
-    """The relative tolerance of a part, and less where the narrowest width asks for it."""
-    grid = part.grid()
-    speeds = grid["belt_speed"] if "belt_speed" in grid else np.array([part.given("belt_speed")])
-    return default_rtol(part.chain.n, grid["width"], speeds, part.numerics.rtol, clean=60.0)
-
-
-def _with(part: StatesPart, rtol: float, **changes: Any) -> StatesPart:
-    numerics = part.numerics.model_copy(update={"rtol": rtol})
-    return part.model_copy(update={"numerics": numerics, **changes})
-
-
-def _label(data: Dataset, smoothed: Dataset, dry: Dataset) -> Dataset:
-    """Names, units, and how each of the two models was computed."""
-    for name in data.variables:
-        key = str(name)
-        # What is computed from labelled numbers may carry their labels.
-        flags = {k: v for k, v in data[key].attrs.items() if k.startswith("flag_")}
-        names = {"long_name": LONG_NAMES[key]} if key in LONG_NAMES else {}
-        data[key].attrs = names | {"units": UNITS.get(key, "1")} | flags
+    data["width_for"] = widths.assign_coords(accuracy=study.accuracy).transpose("accuracy", ...)
     numerics = ("solver", "rtol", "atol", "wall_time_s")
-    data.attrs = dict(smoothed.attrs) | {f"nonsmooth_{key}": dry.attrs[key] for key in numerics}
-    return data
+    own = {f"nonsmooth_{key}": dry.attrs[key] for key in numerics}
+    return data.assign_attrs(smoothed.attrs | own)
 
 
-def run(
-    study: Study,
-    folder: Path,
-    *,
-    name: str = "crosscheck",
-    plot: bool = True,
-    progress: bool = False,
-    report: Callable[[str], object] = print,
-) -> dict[str, Dataset]:
-    """Runs both parts, saves, reports and draws them.
-
-    **Returns:** {"oscillator": ..., "states": ...}, see `cross_check_cycles` and
-    `cross_check_states`; in the results files the second is the group `states`.
-
-    **Raises:** `SweepInterrupted` on Ctrl-C; `jaxchain.scenes.errors.FigureError`.
-    """
-    from jaxchain.scenes.storage import save, save_drawing
-    from jaxchain.studies.crosscheck.figure import draw
-    from jaxchain.studies.crosscheck.report import summarize_cycles, summarize_states
-
-    cycles = partial(cross_check_cycles, study.oscillator)
-    states = partial(cross_check_states, study.states)
-    datasets = {}
-    for key, part, check, summarize in (
-        ("oscillator", study.oscillator, cycles, summarize_cycles),
-        ("states", study.states, states, summarize_states),
-    ):
-        data = check(study.accuracy, progress)
-        data.attrs |= {
-            "title": study.title,
-            "description": study.description,
-            "scene": name,
-            "experiment": key,
-            "definition": part.model_dump_json(exclude_none=True),
-        }
-        save(data, folder / name, None if key == "oscillator" else key)
-        report(summarize(data))
-        datasets[key] = data
-    if plot:
-        save_drawing(lambda: draw(datasets["oscillator"], datasets["states"]), folder / name)
-    return datasets
+run = _study.Study(
+    parts={"oscillator": cross_check_cycles, "states": cross_check_states},
+    labels=LABELS,
+    report=summary,
+    figure=draw,
+)
