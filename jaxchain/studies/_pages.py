@@ -44,12 +44,12 @@ def on_page(height: float) -> Callable[[Callable[..., None]], Callable[..., Figu
     return make
 
 
-def letter(axes: Axes, name: str, text: str = "") -> None:
-    """ "(a) text" at the upper left; `text` is not bold."""
+def letter(axes: Axes, name: str, text: str = "", *, pad: float | None = None) -> None:
+    """ "(a) text" at the upper left; `text` is not bold; `pad` below it, in points."""
     if text:
-        axes.set_title(f"({name}) {text}", loc="left")
+        axes.set_title(f"({name}) {text}", loc="left", pad=pad)
     else:
-        axes.set_title(f"({name})", loc="left", fontweight="bold")
+        axes.set_title(f"({name})", loc="left", fontweight="bold", pad=pad)
 
 
 def letters(panels: Iterable[Axes] | np.ndarray, first: str = "a") -> None:

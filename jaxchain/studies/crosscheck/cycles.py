@@ -84,8 +84,8 @@ def find_cycles(data: xr.Dataset) -> xr.Dataset:
     outcome = xr.where(amplitude > threshold, outcome, RESTS)
     well = data["result"].isin([NAMES.index(name) for name in STOPPED_WELL])
     outcome = xr.where(well, outcome, FAILED).astype(np.int8)
-    found = data[["amplitude", "stick_time"]].assign(period=period)
-    return found.where(outcome == VIBRATES).assign(outcome=outcome)
+    found = {"amplitude": amplitude, "period": period, "stick_time": data["stick_time"]}
+    return xr.Dataset(found).where(outcome == VIBRATES).assign(outcome=outcome)
 
 
 def _last(points: xr.DataArray, count: int) -> xr.DataArray:

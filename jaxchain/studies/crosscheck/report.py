@@ -34,11 +34,9 @@ def summary(key: str, data: xr.Dataset) -> str:
 def _of_cycles(data: xr.Dataset) -> list[str]:
     some = data.isel(belt_speed=spread(data["belt_speed"].size, MOST_ROWS))
     quantity, speed = xr.broadcast(some["quantity"], some["belt_speed"])
-    columns = {
-        "": (quantity, ""), "at": (speed, "g"), "dry": (some["nonsmooth"], ".5f"),
-        "expected a": (some["log_coefficient_expected"], ".4f"),
-    }  # fmt: skip
-    lines = [table(columns | _law(some))]
+    expected = {"expected": (some["log_coefficient_expected"], ".4f")}
+    columns = {"": (quantity, ""), "at": (speed, "g"), "dry": (some["nonsmooth"], ".5f")}
+    lines = [table(columns | _law(some, **expected))]
     dry, smoothed = data["outcome_nonsmooth"], data["outcome"]
     for code, name in enumerate(OUTCOMES):
         if code == VIBRATES:
@@ -78,11 +76,12 @@ def _of_states(data: xr.Dataset) -> list[str]:
     return lines
 
 
-def _law(data: xr.Dataset) -> dict[str, tuple[Any, str]]:
+def _law(data: xr.Dataset, **expected: tuple[Any, str]) -> dict[str, tuple[Any, str]]:
     """Columns: the law, and for each accuracy the width that buys it."""
     columns = {
-        "a": (data["log_coefficient"], ".4f"), "b": (data["linear_coefficient"], ".3f"),
-        "off by (%)": (100 * data["worst_residual"], ".1g"),
+        "a": (data["log_coefficient"], ".4f"), **expected,
+        "b": (data["linear_coefficient"], ".3f"),
+        "off by (%)": (100 * data["worst_residual"], ".2f"),
         "up to": (data["widest_fitted"], ".0e"),
     }  # fmt: skip
     goals = data["accuracy"].values

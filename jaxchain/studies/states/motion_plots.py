@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any
 
 import matplotlib
@@ -15,6 +15,7 @@ from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
 from jaxchain.plotting.style import GREY, RED
+from jaxchain.studies._pages import letter
 from jaxchain.studies.states.report import state_name, vibrating
 
 DISPLACEMENT, VELOCITY = r"displacement $\tilde x_n$ (–)", r"velocity $\dot{\tilde x}_n$ (–)"
@@ -23,37 +24,29 @@ _QUIET = {"color": "#999999", "linewidth": 0.5, "zorder": 1}
 
 
 def draw_time_series(
-    part: Any, datasets: Mapping[str, xr.Dataset], letters: Iterator[str]
+    part: Any, series: xr.Dataset, state: xr.Dataset, names: Iterator[str]
 ) -> None:
     """(a) x over time, (b) v over x, (c) v over time, of every mass; sticking is drawn thick."""
-    series, state = datasets["time_series"], datasets["states"].isel(excited=0)
     axes = part.subplot_mosaic([["x", "phase"], ["v", "phase"]], width_ratios=[1.7, 1.0])
-    t, speed = series["time"].values, series.attrs["belt_speed"]
-    alive = vibrating(state)
+    t, speed, alive = series["time"].values, series.attrs["belt_speed"], vibrating(state)
     colours = matplotlib.colormaps["viridis"](np.linspace(0.1, 0.75, max(alive.size, 1)))
+    own_colour = dict(zip(alive, colours, strict=False))
+    belt: Any = {"color": "black", "linewidth": 0.6, "linestyle": (0, (4, 2))}
+    thick: Any = {"color": RED, "linewidth": 1.8, "zorder": 3, "solid_capstyle": "butt"}
     for n in series["oscillator"].values:
         own = series.sel(oscillator=n)
         x, v, stuck = (own[k].values for k in ("displacement", "velocity", "sticking"))
-        shown = n in alive
-        line: dict[str, Any] = _QUIET if not shown else {
-            "color": colours[list(alive).index(n)], "linewidth": 0.8, "zorder": 2,
-            "label": f"oscillator {n}",
-        }  # fmt: skip
+        looks: Any = {"linewidth": 0.8, "zorder": 2, "label": f"oscillator {n}"}
+        line = looks | {"color": own_colour[n]} if n in own_colour else _QUIET
         for name, (across, up) in {"x": (t, x), "v": (t, v), "phase": (x, v)}.items():
             axes[name].plot(across, up, **line)
-            if shown and stuck.any():
-                axes[name].plot(
-                    across, np.where(stuck, up, np.nan), color=RED, linewidth=1.8, zorder=3,
-                    solid_capstyle="butt",
-                )  # fmt: skip
+            if n in own_colour and stuck.any():
+                axes[name].plot(across, np.where(stuck, up, np.nan), **thick)
     for name in ("v", "phase"):
-        axes[name].axhline(speed, color="black", linewidth=0.6, linestyle=(0, (4, 2)), zorder=0)
+        axes[name].axhline(speed, **belt, zorder=0)
     axes["x"].plot([], [], **_QUIET, label="the others")
-    axes["x"].plot([], [], color=RED, linewidth=1.8, label="sticks to the belt")
-    axes["x"].plot(
-        [], [], color="black", linewidth=0.6, linestyle=(0, (4, 2)),
-        label=rf"belt speed $\tilde v_d = {speed:g}$",
-    )  # fmt: skip
+    axes["x"].plot([], [], **thick, label="sticks to the belt")
+    axes["x"].plot([], [], **belt, label=rf"belt speed $\tilde v_d = {speed:g}$")
     axes["x"].sharex(axes["v"])
     axes["x"].tick_params(labelbottom=False)
     axes["x"].set_ylabel(DISPLACEMENT)
@@ -63,12 +56,12 @@ def draw_time_series(
     axes["phase"].set_xlabel(DISPLACEMENT)
     axes["phase"].set_ylabel(VELOCITY)
     for name in ("x", "phase", "v"):
-        axes[name].set_title(f"({next(letters)})", loc="left", fontweight="bold", pad=2.5)
+        letter(axes[name], next(names), pad=2.5)
     handles, labels = axes["x"].get_legend_handles_labels()
     part.legend(handles, labels, loc="outside lower center", ncols=5, frameon=False)
 
 
-def draw_phase_plots(part: Any, data: xr.Dataset, letters: Iterator[str]) -> None:
+def draw_phase_plots(part: Any, data: xr.Dataset, names: Iterator[str]) -> None:
     """Three displacements against each other, a panel for each state, later motion lighter."""
     count = data.sizes["excited"]
     columns = min(3, count)
@@ -78,26 +71,17 @@ def draw_phase_plots(part: Any, data: xr.Dataset, letters: Iterator[str]) -> Non
     limits = (known.min() - 0.05, known.max() + 0.05) if known.size else (-1.0, 1.0)
     times = data["time"].values
     for index in range(count):
-        state = data.isel(excited=index)
         with matplotlib.rc_context({"grid.linewidth": 0.3, "grid.color": "#cccccc"}):
             axes = part.add_subplot(-(-count // columns), columns, index + 1, projection="3d")
         _draw_orbit(axes, times, x[index], limits)
-        for n, label in zip(
-            data["mass"].values, (axes.set_xlabel, axes.set_ylabel, axes.set_zlabel), strict=True
-        ):
-            label(rf"$\tilde x_{{{n}}}$", labelpad=-8)
-        axes.set_title(f"({next(letters)})", loc="left", fontweight="bold", pad=-4)
-        axes.set_title(state_name(state), loc="right", fontsize=7.0, pad=-4)
-    shades = ScalarMappable(Normalize(times[0] / 1e3, times[-1] / 1e3), _TIME)
+        for n, name in zip(data["mass"].values, "xyz", strict=True):
+            getattr(axes, f"set_{name}label")(rf"$\tilde x_{{{n}}}$", labelpad=-8)
+        letter(axes, next(names), pad=-4.0)
+        axes.set_title(state_name(data.isel(excited=index)), loc="right", fontsize=7.0, pad=-4.0)
     bar = part.colorbar(
-        shades,
-        ax=part.axes,
-        orientation="horizontal",
-        fraction=0.02,
-        pad=0.02,
-        aspect=45,
-        shrink=0.6,
-    )
+        ScalarMappable(Normalize(times[0] / 1e3, times[-1] / 1e3), _TIME), ax=part.axes,
+        orientation="horizontal", fraction=0.02, pad=0.02, aspect=45, shrink=0.6,
+    )  # fmt: skip
     bar.set_label(r"time $\tau$ ($10^3/\omega_n$)")
 
 

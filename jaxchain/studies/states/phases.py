@@ -17,8 +17,7 @@ def join_peaks(data: xr.Dataset, parts: list[list[np.ndarray]], failed: np.ndarr
     times = np.sort(np.concatenate([part[0] for part in parts], axis=1), axis=1)
     kept = max(int(np.isfinite(times).sum(axis=1).max()), 1)
     times[failed] = np.nan
-    about = {"long_name": "time of a maximum of the displacement", "units": "1 / omega_n"}
-    data["peak_time"] = (("excited", "peak", "oscillator"), times[:, :kept], about)
+    data["peak_time"] = (("excited", "peak", "oscillator"), times[:, :kept])
 
 
 def join_samples(
@@ -33,10 +32,9 @@ def join_samples(
     kept = np.full((x.shape[0], count, x.shape[2]), np.nan, np.float32)
     for row, here in enumerate(known):
         kept[row, index[row, here].astype(int)] = x[row, here]
-    about = {"long_name": "displacement x_n", "units": "x0"}
-    data["displacement"] = (("excited", "time", "mass"), kept, about)
-    data["time"] = ("time", first + table.interval * np.arange(count), {"units": "1 / omega_n"})
-    data["mass"] = ("mass", np.array(table.oscillators), {"long_name": "oscillator n"})
+    data["displacement"] = (("excited", "time", "mass"), kept)
+    data["time"] = first + table.interval * np.arange(count)
+    data["mass"] = np.array(table.oscillators)
 
 
 def add_delays(data: xr.Dataset) -> xr.Dataset:
@@ -59,39 +57,23 @@ def add_delays(data: xr.Dataset) -> xr.Dataset:
     own = np.take_along_axis(in_window, reference[:, None, None], axis=2)[:, :, 0]
     # Quiet states have no peaks, of which NumPy would not be as forgiving.
     period = np.array(jax.vmap(mean_period)(jnp.asarray(own)))
-
-    def of_state(times: jax.Array, reference: jax.Array, period: jax.Array) -> jax.Array:
-        return delays(times, reference, period, period / 4)
-
-    delay = np.array(
-        jax.jit(jax.vmap(of_state))(
-            jnp.asarray(times), jnp.asarray(reference), jnp.asarray(period)
-        )
-    )
+    arrays = (jnp.asarray(a) for a in (times, reference, period, period / 4))
+    delay = np.array(jax.jit(jax.vmap(delays))(*arrays))
     windowed = np.where(np.isfinite(in_window), delay, np.nan)
-    spread = np.array([_spread(own, t) for own, t in zip(windowed, period, strict=True)])
+    spread = [_spread(own, t) for own, t in zip(windowed, period, strict=True)]
     peak = ("excited", "peak", "oscillator")
-    time = {"units": "1 / omega_n"}
     return data.assign(
-        peak_time=(peak, times, data["peak_time"].attrs),
-        delay=(peak, delay, time | {"long_name": "delay phi_n of a peak to the reference's"}),
-        period=("excited", period, time | {"long_name": "mean period T of the reference"}),
-        reference=(
-            "excited", np.where(none, 0, reference + 1),
-            {"long_name": "oscillator to which delays refer (0: none vibrates)", "units": "1"},
-        ),
-        delay_spread=(
-            "excited", spread,
-            time | {"long_name": "greatest range of one mass's delays in the window"},
-        ),
-    )  # fmt: skip
+        peak_time=(peak, times),
+        delay=(peak, delay),
+        period=("excited", period),
+        reference=("excited", np.where(none, 0, reference + 1)),
+        delay_spread=("excited", spread),
+    )
 
 
 def _spread(delay: np.ndarray, period: float) -> float:
     """Greatest range, over masses, of delays (peak, oscillator) without their jumps by T."""
-    ranges = [0.0]
-    for column in delay.T:
-        known = column[np.isfinite(column)]
-        if known.size:
-            ranges.append(float(np.ptp(np.unwrap(known, period=period))))
-    return max(ranges) if np.isfinite(period) else float("nan")
+    if not np.isfinite(period):
+        return float("nan")
+    known = (column[np.isfinite(column)] for column in delay.T)
+    return max((float(np.ptp(np.unwrap(t, period=period))) for t in known if t.size), default=0.0)

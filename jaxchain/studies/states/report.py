@@ -7,39 +7,37 @@ import xarray as xr
 
 from jaxchain.observers.quantities import active_above
 from jaxchain.result import NAMES, STOPPED_WELL, message
+from jaxchain.studies._reports import table
 
 
-def summary(name: str, data: xr.Dataset) -> str:
-    """One line for each state: who vibrates, E, and how far the delays wander."""
-    model = "true dry friction" if data.attrs["model"] == "nonsmooth" else "smoothed friction"
-    start = data.attrs["transient"]
-    lines = [
-        f"{name}: {model}, {data.attrs['solver']}, rtol {data.attrs['rtol']:g}, "
-        f"{data.attrs['wall_time_s']:.3g} s; in the window {start:g} ... {data.attrs['t1']:g}:",
-        "  excited  vibrating  E         T         spread / T  oscillators",
-    ]
-    for count in data["excited"].values:
-        lines.append(_line(data.sel(excited=count), int(count)))
-    codes = data["result"].values
-    for code in sorted(set(codes)):
-        if NAMES[code] not in STOPPED_WELL:
-            lines.append(f"  {NAMES[code]}: {message(NAMES[code])}")
-    return "\n".join(lines)
+def summary(key: str, data: xr.Dataset) -> str:
+    """Of each state: who vibrates, E, and how far the delays wander."""
+    if key.startswith("time_series"):
+        return ""
+    about = data.attrs
+    model = "true dry friction" if about["model"] == "nonsmooth" else "smoothed friction"
+    head = (
+        f"{key}: {model}, {about['solver']}, rtol {about['rtol']:g}, {about['wall_time_s']:.3g} "
+        f"s; in the window {about['transient']:g} ... {about['t1']:g}:"
+    )
+    columns = {
+        "excited": (data["excited"], "d"), "vibrating": (data["active_count"], ".0f"),
+        "E": (data["energy"], ".4f"),
+    }  # fmt: skip
+    if "period" in data:
+        columns["T"] = (data["period"], ".5f")
+        columns["spread / T"] = (data["delay_spread"] / data["period"], ".2g")
+    states = [data.sel(excited=count) for count in data["excited"].values]
+    columns["oscillators"] = ([_failure(one) or ranges(vibrating(one)) for one in states], "")
+    failures = {NAMES[code] for code in data["result"].values} - set(STOPPED_WELL)
+    return "\n".join(
+        [head, table(columns), *(f"  {name}: {message(name)}" for name in sorted(failures))]
+    )
 
 
-def _line(state: xr.Dataset, count: int) -> str:
-    outcome = NAMES[int(state["result"])]
-    if outcome not in STOPPED_WELL:
-        return f"  {count:>7}  {outcome} at {float(state['end_time']):.6g}"
-    vibrates = vibrating(state)
-    text = f"  {count:>7}  {vibrates.size:>9}  {float(state['energy']):<8.4f}"
-    if "period" in state and vibrates.size:
-        period = float(state["period"])
-        share = float(state["delay_spread"]) / period
-        text += f"  {period:<8.5f}  {share:<10.2g}"
-    else:
-        text += f"  {'':<8}  {'':<10}"
-    return f"{text}  {ranges(vibrates)}".rstrip()
+def _failure(state: xr.Dataset) -> str:
+    name = NAMES[int(state["result"])]
+    return "" if name in STOPPED_WELL else f"{name} at {float(state['end_time']):.6g}"
 
 
 def vibrating(state: xr.Dataset) -> np.ndarray:
@@ -51,8 +49,7 @@ def vibrating(state: xr.Dataset) -> np.ndarray:
 def state_name(state: xr.Dataset) -> str:
     """Its number, and how many vibrate if those are others than were excited."""
     excited, alive = int(state["excited"]), float(state["active_count"])
-    failed = NAMES[int(state["result"])] not in STOPPED_WELL
-    other = "failed" if failed else f"{alive:.0f} vibrate"
+    other = "failed" if _failure(state) else f"{alive:.0f} vibrate"
     return f"solution {excited}" + ("" if alive == excited else f" ({other})")
 
 

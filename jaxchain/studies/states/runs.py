@@ -152,11 +152,7 @@ def time_series(part: States, model: str, table: TimeSeries) -> xr.Dataset:
     sticking = (np.abs(v - float(chain.belt_speed)) <= slowest) & holds
     dims = ("time", "oscillator")
     return xr.Dataset(
-        {
-            "displacement": (dims, x, {"long_name": "displacement x_n", "units": "x0"}),
-            "velocity": (dims, v, {"long_name": "velocity v_n", "units": "x0 omega_n"}),
-            "sticking": (dims, sticking, {"long_name": "whether a mass sticks to the belt"}),
-        },
+        {"displacement": (dims, x), "velocity": (dims, v), "sticking": (dims, sticking)},
         coords={"time": times, "oscillator": np.arange(1, chain.n + 1)},
         attrs={"excited": count, "belt_speed": float(chain.belt_speed)},
     )

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, TypeAlias
+from collections.abc import Iterator
+from typing import Annotated, ClassVar, Literal, TypeAlias
 
 from pydantic import Field, model_validator
-from pydantic_core import PydanticCustomError
 
 from jaxchain.scenes.registry import StudyTable
-from jaxchain.scenes.scene import Experiment, Problem
-from jaxchain.scenes.tables import NonNegative, Positive, Table
+from jaxchain.scenes.scene import Problem, SweepTable, raise_all
+from jaxchain.scenes.tables import NonNegative, NumericsTable, Positive, Table
+from jaxchain.studies._tables import Count
 
 Panel: TypeAlias = Literal["circles", "orbit_diagram", "delays", "phase_plots", "time_series"]
 
@@ -19,29 +20,17 @@ MOST_NUMBERS = 3e7
 _SHORTEST_PERIOD = 3.0
 
 
-class States(Experiment):
+class States(SweepTable):
     """Runs of one chain, told apart by how many masses are excited at the start."""
+
+    swept: ClassVar = ("excited",)
+    numerics: NumericsTable = Field(default_factory=NumericsTable)
 
     @model_validator(mode="after")
     def _check_states(self) -> States:
-        problems: list[Problem] = [
-            ((key,), "has no part in this study: leave it out")
-            for key in ("main", "observe", "description")
-            if key in self.model_fields_set
-        ]
-        problems += [
-            (("numerics", key), "has no part in this study: leave it out")
-            for key in ("max_steps", "lanes")
-            if key in self.numerics.model_fields_set
-        ]
-        if "excited" not in self.sweep:
-            problems.append((("sweep", "excited"), "is missing: give a list of counts"))
-        problems += [
-            (("sweep", name), "cannot be swept here: only `excited`")
-            for name in self.sweep
-            if name != "excited"
-        ]
-        _raise(problems)
+        given = {"max_steps", "lanes"} & self.numerics.model_fields_set
+        message = "has no part in this study: leave it out"
+        raise_all([(("numerics", key), message) for key in sorted(given)])
         return self
 
 
@@ -63,9 +52,9 @@ class TimeSeries(Table):
 class PhasePlots(Table):
     """Three displacements against each other during the last `duration` of the run."""
 
-    oscillators: Annotated[
-        list[Annotated[int, Field(ge=1)]], Field(min_length=3, max_length=3)
-    ] = Field(default_factory=lambda: [11, 12, 13])
+    oscillators: Annotated[list[Count], Field(min_length=3, max_length=3)] = Field(
+        default_factory=lambda: [11, 12, 13]
+    )
     """Which masses, counted from 1."""
     duration: Positive | None = None
     """Absent: the whole window."""
@@ -83,68 +72,50 @@ class Study(StudyTable):
     time_series: TimeSeries = Field(default_factory=TimeSeries)
     phase_plots: PhasePlots = Field(default_factory=PhasePlots)
 
+    def peaks_from(self) -> float | None:
+        """The time from which peaks are kept, if any are."""
+        if "delays" in self.panels:
+            return 0.0
+        return self.states.time.transient if "orbit_diagram" in self.panels else None
+
     @model_validator(mode="after")
     def _check_study(self) -> Study:
-        problems: list[Problem] = []
-        counts, time, n = self.states.grid()["excited"], self.states.time, self.states.chain.n
-        end = time.transient + time.window
-        if len(set(self.panels)) < len(self.panels):
-            problems.append((("panels",), "must name each panel once"))
-        if "time_series" in self.panels:
-            if len(counts) != 1:
-                problems.append(
-                    (("states", "sweep", "excited"), "must be one count for `time_series`")
-                )
-            if self.time_series.stop > end:
-                problems.append(
-                    (("time_series", "stop"), f"must not exceed the end of the run, {end:g}")
-                )
-        if "phase_plots" in self.panels:
-            plots = self.phase_plots
-            if max(plots.oscillators) > n:
-                problems.append(
-                    (("phase_plots", "oscillators"), f"must lie in 1 ... {n} (`chain.n`)")
-                )
-            if plots.interval > (plots.duration or time.window):
-                problems.append(
-                    (("phase_plots", "interval"), "must not exceed what is shown, "
-                     f"{plots.duration or time.window:g}, but is {plots.interval:g}")
-                )  # fmt: skip
-            if plots.duration is not None and plots.duration > time.window:
-                problems.append(
-                    (("phase_plots", "duration"), f"must not exceed the window, {time.window:g}")
-                )
-        numbers = self._numbers()
-        if numbers > MOST_NUMBERS:
-            problems.append(
-                (
-                    ("states", "time"),
-                    f"would have {numbers:.3g} numbers stored, and "
-                    f"{MOST_NUMBERS:.0e} are the most: take fewer states or a shorter time",
-                )
-            )
-        _raise(problems)
+        raise_all([*self._problems()])
         return self
 
-    def _numbers(self) -> float:
-        """How many peaks and samples are kept."""
-        time, n = self.states.time, self.states.chain.n
-        count = len(self.states.grid()["excited"])
+    def _problems(self) -> Iterator[Problem]:
+        time, series, plots = self.states.time, self.time_series, self.phase_plots
+        end, n, counts = time.transient + time.window, self.states.chain.n, self.states.lanes()
+        duration = plots.duration or time.window
+        if len(set(self.panels)) < len(self.panels):
+            yield ("panels",), "must name each panel once"
+        # How many peaks and samples are kept.
         numbers = 0.0
-        if "delays" in self.panels:
-            numbers += count * n * (time.transient + time.window) / _SHORTEST_PERIOD
-        elif "orbit_diagram" in self.panels:
-            numbers += count * n * time.window / _SHORTEST_PERIOD
-        if "phase_plots" in self.panels:
-            duration = self.phase_plots.duration or time.window
-            numbers += 6 * count * duration / self.phase_plots.interval
+        if (begin := self.peaks_from()) is not None:
+            numbers += counts * n * (end - begin) / _SHORTEST_PERIOD
         if "time_series" in self.panels:
-            series = self.time_series
             numbers += 2 * n * (series.stop - series.start) / series.interval
-        return numbers
-
-
-def _raise(problems: list[Problem]) -> None:
-    if problems:
-        text = "; ".join(f"{'.'.join(path)}: {message}" for path, message in problems)
-        raise PydanticCustomError("problems", "{text}", {"text": text, "problems": problems})
+            if counts != 1:
+                yield ("states", "sweep", "excited"), "must be one count for `time_series`"
+            if series.stop > end:
+                yield ("time_series", "stop"), f"must not exceed the end of the run, {end:g}"
+        if "phase_plots" in self.panels:
+            numbers += 6 * counts * duration / plots.interval
+            if max(plots.oscillators) > n:
+                yield ("phase_plots", "oscillators"), f"must lie in 1 ... {n} (`chain.n`)"
+            if plots.interval > duration:
+                yield (
+                    ("phase_plots", "interval"),
+                    f"must not exceed what is shown, {duration:g}, but is {plots.interval:g}",
+                )
+            if duration > time.window:
+                yield (
+                    ("phase_plots", "duration"),
+                    f"must not exceed the window, {time.window:g}",
+                )
+        if numbers > MOST_NUMBERS:
+            yield (
+                ("states", "time"),
+                f"would have {numbers:.3g} numbers stored, and {MOST_NUMBERS:.0e} are the most: "
+                "take fewer states or a shorter time",
+            )
