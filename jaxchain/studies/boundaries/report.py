@@ -5,17 +5,16 @@ from __future__ import annotations
 import numpy as np
 from xarray import Dataset
 
+from jaxchain.model.parameters import SPEED
 from jaxchain.studies._reports import table
 
-_SPEED = "x0 omega_n"
 LABELS = {
-    "hopf": ("belt speed below which vibration starts by itself, smoothed friction", _SPEED),
-    "hopf_nonsmooth": ("belt speed below which vibration starts by itself, dry friction", _SPEED),
-    "fold": ("belt speed up to which one mass goes on vibrating, smoothed friction", _SPEED),
-    "fold_nonsmooth": ("belt speed up to which one mass goes on vibrating, dry friction", _SPEED),
-    "belt_speed": ("belt speed v_d", _SPEED),
+    "hopf": ("belt speed below which vibration starts by itself, smoothed friction", SPEED),
+    "hopf_nonsmooth": ("belt speed below which vibration starts by itself, dry friction", SPEED),
+    "fold": ("belt speed up to which one mass goes on vibrating, smoothed friction", SPEED),
+    "fold_nonsmooth": ("belt speed up to which one mass goes on vibrating, dry friction", SPEED),
     "amplitude": ("half peak-to-peak of displacement", "x0"),
-    "width": ("regularization width eps; 0: dry friction", _SPEED),
+    "width": ("regularization width eps; 0: dry friction", SPEED),
 }
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import xarray as xr
 
 from jaxchain.model.initial_states import on_the_belt
+from jaxchain.model.parameters import SPEED
 from jaxchain.scenes.building import build_chain
 from jaxchain.scenes.running import run_experiment
 from jaxchain.simulation.accuracy import default_rtol
@@ -32,7 +33,6 @@ from jaxchain.studies.crosscheck.table import OscillatorPart, StatesPart, Study
 DRY_RTOL = 1e-12
 # An error of the size of this many tolerances says something of the tolerance.
 FLOOR = 1e3
-_SPEED = "x0 omega_n"
 _LAW = "of error = a eps ln(1/eps) + b eps"
 _COUNT = "masses with A_n > |v_d| / 2, "
 _ENERGY = "vibration energy E = 1/2 sum A_n^2, "
@@ -57,11 +57,9 @@ LABELS = {
     ),
     "linear_coefficient": (f"b {_LAW}", "1"),
     "worst_residual": ("greatest relative difference between law and error", "1"),
-    "widest_fitted": ("widest width to which the law was fitted", _SPEED),
-    "width_for": ("width up to which the relative error stays within the accuracy", _SPEED),
+    "widest_fitted": ("widest width to which the law was fitted", SPEED),
+    "width_for": ("width up to which the relative error stays within the accuracy", SPEED),
     "accuracy": ("relative error", "1"),
-    "width": ("regularization width eps", _SPEED),
-    "belt_speed": ("belt speed v_d", _SPEED),
     "excited": ("masses excited at the start", "1"),
 }  # fmt: skip
 
