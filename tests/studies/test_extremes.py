@@ -7,6 +7,7 @@ import pytest
 import xarray as xr
 
 from jaxchain.scenes.errors import StudyFailedError
+from jaxchain.studies._study import from_rows
 from jaxchain.studies.extremes import study as extremes
 from jaxchain.studies.extremes.chains import chain_cases
 from jaxchain.studies.extremes.figure import draw
@@ -149,7 +150,7 @@ def test_the_picture_shows_every_case_once():
         judge(case(1.0, 1.0), "nonsmooth"),
         judge(replace(case(1.0, 3.0), group="width"), "smoothed"),
     ]
-    page = draw({"extremes": extremes.to_dataset(rows)})
+    page = draw({"extremes": from_rows([vars(row) for row in rows], "case")})
     left, right = page.axes
     assert [label.get_text() for label in left.get_yticklabels()] == [
         "numbers: a case", "width: a case",

@@ -7,8 +7,9 @@ import xarray as xr
 from jaxchain.scenes.errors import SceneError
 from jaxchain.scenes.reading import load_scene
 from jaxchain.scenes.running import run_scene
+from jaxchain.studies._study import from_rows
 from jaxchain.studies.work_precision.report import fastest, summary
-from jaxchain.studies.work_precision.study import Setting, to_dataset
+from jaxchain.studies.work_precision.study import Setting
 
 SMALL = """
 study = "work_precision"
@@ -85,7 +86,7 @@ def test_the_fastest_is_the_fastest_of_those_that_meet_the_error():
         Setting("event-driven", 64, np.nan, 1e-6, 1e-6, 0.1),
         Setting("accuracy", 1, 1e-2, 1e-6, 1e-2, 0.5, 1e-1),
     ]
-    data = to_dataset(settings)
+    data = from_rows([vars(setting) for setting in settings], "setting")
     assert fastest(data, 1, 1e-1) == 0
     assert fastest(data, 1, 1e-3) == 2
     assert fastest(data, 1, 1e-3, smoothed=True) == 1

@@ -27,7 +27,7 @@ NAMES = {
     "period": ("period", r"T", ORANGE, "s"),
     "stick_time": ("stick time", r"T_{st}", GREEN, "D"),
 }
-LINES = ("-", "--", ":", "-.")
+LINES: Any = ("-", "--", ":", "-.")
 _POINTS: dict[str, Any] = {"markersize": 3, "markeredgewidth": 0}
 
 

@@ -5,7 +5,6 @@ A case computes an answer and an independent witness of it.  If any is WRONG, th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import get_args
 
 import numpy as np
@@ -15,7 +14,7 @@ from jaxchain.studies import _study
 from jaxchain.studies._reports import pairs, table
 from jaxchain.studies.extremes.chains import chain_cases
 from jaxchain.studies.extremes.figure import draw
-from jaxchain.studies.extremes.judging import RIGHT, WRONG, Row, judge
+from jaxchain.studies.extremes.judging import RIGHT, WRONG, judge
 from jaxchain.studies.extremes.masses import mass_cases
 from jaxchain.studies.extremes.table import Group, Study
 
@@ -37,13 +36,8 @@ def judged(study: Study, job: _study.Job) -> xr.Dataset:
     ]
     chosen.sort(key=lambda pair: get_args(Group).index(pair[0].group))
     bar = job.bar(chosen, unit="case")
-    return to_dataset([judge(case, model, study.slowest) for case, model in bar])
-
-
-def to_dataset(rows: Sequence[Row]) -> xr.Dataset:
-    """One variable for each field of `Row`, over the dimension `case`."""
-    names = Row.__dataclass_fields__
-    return xr.Dataset({key: ("case", [getattr(row, key) for row in rows]) for key in names})
+    rows = [vars(judge(case, model, study.slowest)) for case, model in bar]
+    return _study.from_rows(rows, "case")
 
 
 def summary(key: str, data: xr.Dataset) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import xarray as xr
 
@@ -20,7 +22,7 @@ def summary(key: str, data: xr.Dataset) -> str:
         f"{key}: {model}, {about['solver']}, rtol {about['rtol']:g}, {about['wall_time_s']:.3g} "
         f"s; in the window {about['transient']:g} ... {about['t1']:g}:"
     )
-    columns = {
+    columns: dict[str, tuple[Any, str]] = {
         "excited": (data["excited"], "d"), "vibrating": (data["active_count"], ".0f"),
         "E": (data["energy"], ".4f"),
     }  # fmt: skip

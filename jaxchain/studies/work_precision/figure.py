@@ -9,21 +9,22 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxchain.studies._pages import letter, on_page
+from jaxchain.plotting.style import BLUE, ORANGE, PURPLE
+from jaxchain.studies._pages import GREEN, SKY, VERMILION, letter, on_page
 
-# Colour of Okabe and Ito, marker, line: own solvers bold, the others thin.
+# Colour, marker, line: own solvers bold, the others thin.
 LOOKS = {
-    "event-driven": ("#000000", "o", "-"),
-    "Rodas5P": ("#0072B2", "s", "-"),
-    "Rodas4": ("#56B4E9", "D", "-"),
-    "Tsit5": ("#E69F00", "^", "--"),
-    "Dopri8": ("#E69F00", "v", ":"),
-    "Kvaerno3": ("#009E73", "^", "--"),
-    "Kvaerno5": ("#009E73", "v", ":"),
-    "KenCarp4": ("#009E73", "<", "-."),
-    "LSODA": ("#CC79A7", "P", "--"),
-    "CVODE": ("#CC79A7", "X", ":"),
-    "Radau": ("#D55E00", "d", "-."),
+    "event-driven": ("black", "o", "-"),
+    "Rodas5P": (BLUE, "s", "-"),
+    "Rodas4": (SKY, "D", "-"),
+    "Tsit5": (ORANGE, "^", "--"),
+    "Dopri8": (ORANGE, "v", ":"),
+    "Kvaerno3": (GREEN, "^", "--"),
+    "Kvaerno5": (GREEN, "v", ":"),
+    "KenCarp4": (GREEN, "<", "-."),
+    "LSODA": (PURPLE, "P", "--"),
+    "CVODE": (PURPLE, "X", ":"),
+    "Radau": (VERMILION, "d", "-."),
 }
 OWN = ("event-driven", "Rodas5P", "Rodas4")
 
@@ -60,7 +61,7 @@ def _panel(axes: Axes, data: xr.Dataset) -> None:
     asked = data.isel(setting=names == "accuracy")
     if asked.sizes["setting"]:
         axes.plot(
-            asked["error"], asked["seconds"], "*", color="#D55E00", markersize=8,
+            asked["error"], asked["seconds"], "*", color=VERMILION, markersize=8,
             markeredgecolor="white", markeredgewidth=0.5, zorder=4, label="accuracy = …",
         )  # fmt: skip
     axes.set_xscale("log")

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import statistics
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -51,11 +51,9 @@ class Setting:
 def measured(study: Study, job: _study.Job) -> xr.Dataset:
     """Every setting that is worth its time, over `setting`."""
     total = len(study.lanes) * (len(study.approaches) + bool(study.accuracy))
-    settings: list[Setting] = []
     notes: list[str] = []
-    for found in job.bar(_measure(study, notes), unit="approach", total=total):
-        settings += found
-    data = to_dataset(settings)
+    bar = job.bar(_measure(study, notes), unit="approach", total=total)
+    data = _study.from_rows([vars(setting) for found in bar for setting in found], "setting")
     return data.assign_attrs(notes="\n".join(notes)) if notes else data
 
 
@@ -125,12 +123,6 @@ def _timed(solve: Callable[[], Any]) -> tuple[Any, float]:
         solve()
         times.append(time.perf_counter() - start)
     return result, statistics.median(times)
-
-
-def to_dataset(settings: Sequence[Setting]) -> xr.Dataset:
-    """All settings in a row, dimension `setting`."""
-    names = Setting.__dataclass_fields__
-    return xr.Dataset({key: ("setting", [getattr(s, key) for s in settings]) for key in names})
 
 
 run = _study.Study(parts={"work_precision": measured}, labels=LABELS, report=summary, figure=draw)
