@@ -57,8 +57,7 @@ def _chains(study: Study) -> Iterator[Case]:
         # Masses that start alike stay alike, and stretch no spring.
         mass = Oscillator(width=1e-3)
         value = end(model, chain_of(mass, 5, coupling=strength), 3.0, 0.0, 50.0)
-        alone = mass.dry() if model == "nonsmooth" else mass.smoothed()
-        return Answer(value, np.repeat(alone, 5), 1e-5)
+        return Answer(value, np.repeat(mass.end(model), 5), 1e-5)
 
     for strength in study.coupling:
         yield Case(
@@ -69,8 +68,7 @@ def _chains(study: Study) -> Iterator[Case]:
         mass = Oscillator(width=1e-3, duration=30.0)
         x = np.array([0.2, -1.0, 3.0])
         value = end(model, chain_of(mass, 3), x, 0.0, 30.0)
-        alone = [replace(mass, displacement=float(start)) for start in x]
-        each = [m.dry() if model == "nonsmooth" else m.smoothed() for m in alone]
+        each = [replace(mass, displacement=float(start)).end(model) for start in x]
         return Answer(value, np.array(each).T.ravel(), 5e-6)
 
     yield Case("coupling", "None: three masses", "three single masses", uncoupled)
@@ -96,9 +94,8 @@ def _chains(study: Study) -> Iterator[Case]:
         x, v = steady_sliding(chain)
         run = solve(model, chain, x.at[0].add(2.0), v, mass.duration, rtol=1e-6)
         mass = replace(mass, displacement=mass.mu(1.3) + 2.0)
-        alone = mass.dry() if model == "nonsmooth" else mass.smoothed()
         value = np.array([run.state[0][0], run.state[1][0]])
-        return Answer(value, alone, 1e-4)
+        return Answer(value, mass.end(model), 1e-4)
 
     yield Case("size", f"{study.masses}, one of which vibrates", "one mass", lonely)
 

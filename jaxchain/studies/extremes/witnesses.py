@@ -13,6 +13,8 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
+from jaxchain.studies.extremes.table import Model
+
 
 @dataclass(frozen=True)
 class Oscillator:
@@ -87,6 +89,10 @@ class Oscillator:
             turns += [(t, y[0]) for t, y in zip(run.t_events[1], run.y_events[1], strict=True)]
         x, v = run.y[:, -1]
         return x, (self.belt_speed if run.status == 1 else v), float(run.t[-1])
+
+    def end(self, model: Model) -> np.ndarray:
+        """With the friction of a model."""
+        return self.dry() if model == "nonsmooth" else self.smoothed()
 
     def smoothed(self) -> np.ndarray:
         """With the smoothed law, by LSODA with the exact Jacobian."""

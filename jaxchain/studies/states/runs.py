@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 import time
+from collections.abc import Iterator
 from typing import Any
 
 import equinox as eqx
@@ -68,8 +69,7 @@ def run_states(
     chain, counts = build_chain(part), part.grid()["excited"]
     end = part.time.transient + part.time.window
     numerics, solver, initial = part.numerics, _solver(part, model, chain), build_initial(part)
-    stretch = STRETCH_PERIODS * _shortest_period(chain)
-    stages = _stages(part, stretch, peaks_from, phase_plots)
+    stages = [*_stages(part, chain, peaks_from, phase_plots)]
 
     def task(observers: list[AbstractObserver]) -> Task:
         atol = 0.1 * numerics.rtol if numerics.atol is None else numerics.atol
@@ -83,7 +83,7 @@ def run_states(
     def everywhere(value: float) -> Array:
         return jax.device_put(np.full(order.size, value), sharding)
 
-    amplitude = stages[0][2][0]
+    amplitude = stages[0][1][0]
     own = task([amplitude])
     values = {"excited": jax.device_put(counts[order], sharding)}
     lanes = on_all_lanes(start_lane, mesh, own, values)
@@ -94,10 +94,10 @@ def run_states(
         bar_format="{desc}: {percentage:3.0f}%|{bar}| [{elapsed}<{remaining}]",
     ) as bar:  # fmt: skip
         try:
-            for start, stop, observers in stages:
+            for start, observers, ends in stages:
                 own = task(observers)
                 lanes = on_all_lanes(_watch, mesh, own, lanes, everywhere(start))
-                for until in _ends(start, stop, stretch):
+                for until in ends.tolist():
                     lanes, seen = on_all_lanes(_advance, mesh, own, lanes, everywhere(until))
                     for observer, value in zip(observers[1:], seen[1:], strict=True):
                         kept = [np.asarray(a)[mine] for a in jax.tree.leaves(value)]
@@ -135,16 +135,12 @@ def time_series(part: States, model: str, table: TimeSeries) -> xr.Dataset:
     """One state, every mass: `displacement`, `velocity` and `sticking` (time, oscillator)."""
     chain, count = build_chain(part), int(part.grid()["excited"][0])
     capacity = math.floor((table.stop - table.start) / table.interval + 1e-6) + 1
+    numerics, start = part.numerics, build_initial(part)(chain, excited=count)
     run = simulate(
-        chain,
-        build_initial(part)(chain, excited=count),
-        table.stop,
-        observe=Samples(table.interval, capacity, start=table.start),
-        solver=_solver(part, model, chain),
-        rtol=part.numerics.rtol,
-        atol=part.numerics.atol,
-        max_step=part.numerics.max_step,
-    )
+        chain, start, table.stop, observe=Samples(table.interval, capacity, start=table.start),
+        solver=_solver(part, model, chain), rtol=numerics.rtol, atol=numerics.atol,
+        max_step=numerics.max_step,
+    )  # fmt: skip
     times, x, v = (np.asarray(a) for a in run.observed)
     # True dry friction holds a mass at the belt's speed to rounding; otherwise as `StickTime`.
     slowest = 1e-9 if model == "nonsmooth" else np.asarray(chain.stick_speed())
@@ -167,7 +163,7 @@ def _solver(part: States, model: str, chain: Chain) -> Any:
     return choose_solver(chain, numerics.rtol, numerics.max_step) if named is None else named
 
 
-def _shortest_period(chain: Chain) -> float:
+def _shortest(chain: Chain) -> float:
     """2 pi / omega of the fastest mode that the chain may have (Gershgorin)."""
     coupling = 0.0 if chain.coupling is None else float(np.max(np.asarray(chain.coupling)))
     stiffest = float(np.max(np.asarray(chain.stiffness))) + 4.0 * coupling
@@ -183,34 +179,26 @@ def _deal(count: int) -> tuple[Mesh, np.ndarray]:
 
 
 def _stages(
-    part: States, stretch: float, peaks_from: float | None, phase_plots: PhasePlots | None
-) -> list[tuple[float, float, list[AbstractObserver]]]:
-    """From when to when what is observed: nothing before somebody asks for it."""
-    end = part.time.transient + part.time.window
-    samples_from = None
-    edges = {0.0, end}
+    part: States, chain: Chain, peaks_from: float | None, phase_plots: PhasePlots | None
+) -> Iterator[tuple[float, list[AbstractObserver], np.ndarray]]:
+    """Of each stage: when it begins, what is observed in it, when its stretches end.
+
+    Nothing is observed before somebody asks for it.
+    """
+    end, stretch = part.time.transient + part.time.window, STRETCH_PERIODS * _shortest(chain)
+    watch: list[tuple[float, AbstractObserver]] = [(0.0, Amplitude(window=part.time.window))]
     if peaks_from is not None:
-        edges.add(peaks_from)
+        watch.append((peaks_from, PeakTimes(CAPACITY)))
     if phase_plots is not None:
-        samples_from = end - (phase_plots.duration or part.time.window)
-        edges.add(samples_from)
-    stages = []
-    for start, stop in itertools.pairwise(sorted(edges)):
-        observers: list[AbstractObserver] = [Amplitude(window=part.time.window)]
-        if peaks_from is not None and start >= peaks_from:
-            observers.append(PeakTimes(CAPACITY))
-        if phase_plots is not None and samples_from is not None and start >= samples_from:
-            room = math.ceil(stretch / phase_plots.interval) + 2
-            masses = tuple(number - 1 for number in phase_plots.oscillators)
-            observers.append(Samples(phase_plots.interval, room, masses, samples_from))
-        stages.append((start, stop, observers))
-    return stages
-
-
-def _ends(start: float, stop: float, length: float) -> list[float]:
-    """The ends of stretches of at most this length that fill a stage."""
-    count = math.ceil((stop - start) / length - 1e-9)
-    return (start + (stop - start) * np.arange(1, count + 1) / count).tolist()
+        begin = end - (phase_plots.duration or part.time.window)
+        room = math.ceil(stretch / phase_plots.interval) + 2
+        masses = tuple(number - 1 for number in phase_plots.oscillators)
+        watch.append((begin, Samples(phase_plots.interval, room, masses, begin)))
+    edges = sorted({end, *(begin for begin, _ in watch)})
+    for start, stop in itertools.pairwise(edges):
+        count = math.ceil((stop - start) / stretch - 1e-9)
+        ends = start + (stop - start) * np.arange(1, count + 1) / count
+        yield start, [own for begin, own in watch if begin <= start], ends
 
 
 def _watch(task: Task, lane: Lane, now: Array) -> Lane:
