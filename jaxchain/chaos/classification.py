@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
@@ -28,7 +26,7 @@ from ..simulation.event_driven import EventDriven
 from .criteria import Criteria, classify, judge_exponents, judge_torus
 from .orbits import judge_orbit
 from .records import Evidence, Verdict
-from .runs import Ensemble, Numerics, Trial, exponents_of
+from .runs import Numerics, Trial, advance, exponents_of
 
 
 def verdict(chain: AbstractOscillators, initial: Any, **settings: Any) -> Verdict:
@@ -99,7 +97,9 @@ def verdicts(
       first; `count`: how many of them.
     - `window`: time over which amplitudes are taken, some periods.
     - `solver`, `rtol`: as for `simulate`; `EventDriven()` for true dry friction.
-    - `criteria`: the thresholds; `lanes`: runs at a time on each device; `key`: of the noise.
+    - `criteria`: the thresholds; `key`: of the noise.
+    - `lanes`: runs at a time on each device; of their number the last bits of a run depend, not of
+      the number of devices.
     - `progress`, `description`: a progress bar and its name.
 
     **Returns:** `Verdict` for each state.  A run that fails says so in its `kind` and leaves the
@@ -124,39 +124,36 @@ def verdicts(
     check_nonnegative("noise", np.asarray(noise, float), "it is a standard deviation.")
     if longest < first:
         raise ValueError(f"Argument `longest` = {longest} must be at least `first` = {first}.")
-    numerics = Numerics(solver, float(rtol), float(window))
     trials = _starts(x, v, noise, seeds, key)
-    ensemble = Ensemble(chain, numerics, min(lanes, -(-len(trials) // len(jax.local_devices()))))
-    ends = chain.ends if isinstance(chain, Chain) else "free"
-    orbits: dict[int, list] = {}
+    numerics = Numerics(solver, float(rtol), float(window), min(lanes, len(trials)))
+    orbits: list[list] = [[] for _ in range(x.shape[0])]
 
-    def judge(trial: Trial, record: Any) -> None:
-        judge_orbit(chain, numerics, criteria, ends, trial, record, orbits)
-
-    def judge_again(trial: Trial, record: Any) -> None:
-        before = trial.evidence
-        trial.evidence = replace(before)
-        judge(trial, record)
-        # Of a run that has not locked the longer record tells more.
-        trial.evidence = trial.evidence if trial.decided else before
+    def advance_and_judge(going: list[Trial], stage: float, *, again: bool = False) -> None:
+        for trial, record in advance(chain, numerics, going, stage):
+            known = orbits[trial.state_index]
+            found = judge_orbit(chain, numerics, criteria, trial, record, known)
+            trial.reference = found.reference
+            if found.orbit is not None:
+                known.append(found.orbit)
+            # Of a run that has not locked in a second look the longer record tells more.
+            if not again or found.evidence.decided:
+                trial.evidence = found.evidence
 
     with tqdm(total=len(trials), desc=description, unit="run", disable=not progress) as bar:
         stage = first
         while True:
-            going = [trial for trial in trials if not trial.decided]
-            ensemble.advance(going, stage, judge)
-            bar.update(sum(trial.decided for trial in going))
-            if stage >= longest or all(trial.decided for trial in trials):
+            going = [trial for trial in trials if not trial.evidence.decided]
+            advance_and_judge(going, stage)
+            bar.update(sum(trial.evidence.decided for trial in going))
+            if stage >= longest or all(trial.evidence.decided for trial in trials):
                 break
             stage = min(2.0 * stage, longest)
         measured = _for_exponents(trials, exponent_runs)
-        bar.update(sum(not trial.decided for trial in trials) - len(measured))
-        exponents_of(
-            chain, numerics, ensemble, measured, float(exponent_time), int(count), bar.update
-        )
+        bar.update(sum(not trial.evidence.decided for trial in trials) - len(measured))
+        exponents_of(chain, numerics, measured, float(exponent_time), int(count), bar.update)
         # What has locked meanwhile is closed, too.
         end = max((trial.evidence.time for trial in measured), default=0.0)
-        ensemble.advance(measured, end + 1.0, judge_again)
+        advance_and_judge(measured, end + 1.0, again=True)
     groups = [[t.evidence for t in trials if t.state_index == i] for i in range(x.shape[0])]
     for group in groups:
         torus = judge_torus(group, criteria)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
 from ..cycles.closing import ClosedOrbit, close_orbit
+from ..model.chain import Chain
 from ..model.oscillators import AbstractOscillators
 from ..observers.quantities import energy
 from ..result import NAMES, STOPPED_WELL
@@ -17,26 +20,32 @@ from .records import Evidence
 from .runs import Numerics, Trial
 
 
+@dataclass(frozen=True)
+class Judgement:
+    """What a record says: new evidence, the mass to watch, and the orbit if one was closed."""
+
+    evidence: Evidence
+    reference: int
+    orbit: tuple[int, np.ndarray, ClosedOrbit] | None = None
+
+
 def judge_orbit(
     chain: AbstractOscillators,
     numerics: Numerics,
     criteria: Criteria,
-    ends: str,
     trial: Trial,
     record: Any,
-    orbits: dict[int, list[tuple[int, np.ndarray, ClosedOrbit]]],
-) -> None:
-    """Enters what a record shows into the evidence of its run, and whether that is decided.
+    known: Sequence[tuple[int, np.ndarray, ClosedOrbit]],
+) -> Judgement:
+    """What a record adds to the evidence of its run, and whether that is decided.
 
-    `orbits` collects the closed orbits of each state, so that runs that end on the same one do
-    not close it again.
+    `known` are the orbits that other runs from the same state have closed, so that a run that ends
+    on one of them does not close it again: (reference mass, a point of its section, the orbit).
     """
-    own = trial.evidence
-    own.kind, own.state = "open", (trial.x, trial.v)
+    own = replace(trial.evidence, kind="open", state=(trial.x, trial.v))
     outcome = NAMES[int(record.result)]
     if outcome not in STOPPED_WELL:
-        own.kind = outcome
-        return
+        return Judgement(replace(own, kind=outcome), trial.reference)
     amplitude = record.amplitude
     half = len(amplitude) // 2
     scale = float(np.max(amplitude[-1]))
@@ -45,32 +54,28 @@ def judge_orbit(
     if scale < criteria.rest:
         own.active = np.zeros(amplitude.shape[1], bool)
         own.kind, own.locked_at, own.spread = "rest", own.time, 0.0
-        return
+        return Judgement(own, trial.reference)
     parts = np.array_split(energies, 2)
     own.drift = float(abs(np.mean(parts[0]) - np.mean(parts[1])) / np.mean(energies))
     own.active = amplitude[-1] > 0.5 * scale
     masses = np.flatnonzero(own.active)
-    # The middle of what vibrates moves most evenly.
-    center = masses[np.argmin(np.abs(masses - len(own.active) // 2))]
-    changed, trial.reference = (
-        trial.reference not in masses,
-        int(center if trial.reference not in masses else trial.reference),
-    )
     turned = phases(record, masses)
     own.slips = float(np.max(np.abs(turned[-1] - turned[half])))
     own.period = float(np.mean(mean_periods(record, masses)))
     own.delays = np.asarray(record.peaks)[-1, 1, masses] / own.period
+    ends = chain.ends if isinstance(chain, Chain) else "free"
     defect = symmetry_defect(record, own.active, own.period, ends)
     own.symmetry_time = np.append(own.symmetry_time, record.t)
     own.symmetry = np.append(own.symmetry, defect)
-    if changed:
-        return  # the section was that of a mass that rests
+    if trial.reference not in masses:
+        # The section was that of a mass that rests; the middle of what vibrates moves most evenly.
+        return Judgement(own, int(masses[np.argmin(np.abs(masses - len(own.active) // 2))]))
     own.novelty = novelty(record)
     found = recurrence(record, scale=scale, closed=criteria.sits)
     own.spread, own.returns = found.spread, found.returns
     if found.spread > criteria.near or not found.period > 0:
-        return
-    orbit = _known(orbits.get(trial.state_index, []), trial, found.point, criteria.sits * scale)
+        return Judgement(own, trial.reference)
+    orbit, closed = _known(known, trial.reference, found.point, criteria.sits * scale), None
     if orbit is None:
         n = len(own.active)
         start = jnp.asarray(found.point[:n]), jnp.asarray(found.point[n:])
@@ -78,19 +83,25 @@ def judge_orbit(
             chain, start, found.period, solver=numerics.solver, rtol=min(numerics.rtol, 1e-9)
         )
         if not (orbit.gap < criteria.gap * scale and orbit.distance < 4 * criteria.near * scale):
-            return
-        orbits.setdefault(trial.state_index, []).append((trial.reference, found.point, orbit))
+            return Judgement(own, trial.reference)
+        closed = trial.reference, found.point, orbit
     _enter_orbit(own, orbit, found.spread < criteria.sits)
     away = np.abs(record.points[:, :1] - record.points[-1][None, : found.returns]).max(-1).min(1)
     outside = np.flatnonzero(~(away < criteria.near * scale))
     # Since when the run has kept close to where it ended.
     if own.kind in ("cycle", "unstable") and outside.size:
         own.locked_at = float(record.t[outside[-1]])
+    return Judgement(own, trial.reference, closed)
 
 
-def _known(known: list, trial: Trial, point: np.ndarray, near: float) -> ClosedOrbit | None:
-    for reference, other, orbit in known:
-        if reference == trial.reference and np.max(np.abs(other - point)) < near:
+def _known(
+    orbits: Sequence[tuple[int, np.ndarray, ClosedOrbit]],
+    reference: int,
+    point: np.ndarray,
+    near: float,
+) -> ClosedOrbit | None:
+    for other, place, orbit in orbits:
+        if other == reference and np.max(np.abs(place - point)) < near:
             return orbit
     return None
 

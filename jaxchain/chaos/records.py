@@ -60,6 +60,15 @@ class Evidence:
     state: tuple[np.ndarray, np.ndarray] | None = None
 
     @property
+    def decided(self) -> bool:
+        """Whether a longer run would say nothing new.
+
+        A run with noise has to leave an unstable orbit: noise of 1e-8 takes 18 e-folding times to
+        show.
+        """
+        return self.kind != "open" and (self.kind != "unstable" or self.noise == 0.0)
+
+    @property
     def relaxation_time(self) -> float:
         """1 / |slowest exponent| of an attracting orbit: in so long the distance falls by e.
 

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.tree_util as jtu
-from jax.sharding import Mesh
+import numpy as np
+from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
 from jaxtyping import Array, Bool
 
@@ -113,8 +114,46 @@ def read_lane(task: Task, lane: Lane) -> dict[str, Any]:
     }
 
 
+class Parts:
+    """Lanes in equal parts, each of them on the devices of a group and run by one program.
+
+    XLA compiles another program for another number of lanes, and for several devices another one
+    than for one; the last bits of a lane depend on the program.  Groups of one device, with so
+    many lanes each, give the same bits on any number of devices.
+    """
+
+    def __init__(self, groups: Sequence[Sequence[Any]]):
+        self.meshes = [Mesh(np.array(group), ("lanes",)) for group in groups]
+        self.devices = list(dict.fromkeys(device for group in groups for device in group))
+
+    def place(self, task: Any) -> list:
+        """A copy of the task on every group."""
+        arrays, static = eqx.partition(task, eqx.is_array)
+        return [
+            eqx.combine(jax.device_put(arrays, NamedSharding(mesh, P())), static)
+            for mesh in self.meshes
+        ]
+
+    def deal(self, arrays: Any) -> list:
+        """Host arrays over all lanes, cut into parts and put on their devices."""
+
+        def part(index: int) -> Any:
+            sharding = NamedSharding(self.meshes[index], P("lanes"))
+            cut = jtu.tree_map(lambda a: np.split(a, len(self.meshes))[index], arrays)
+            return jax.device_put(cut, sharding)
+
+        return [part(index) for index in range(len(self.meshes))]
+
+    def map(self, function: Callable, tasks: list, *lanes: Sequence) -> list:
+        """`function(task, *lane)` for every lane; no part waits for another."""
+        return [
+            on_all_lanes(function, mesh if mesh.size > 1 else None, task, *own)
+            for mesh, task, *own in zip(self.meshes, tasks, *lanes, strict=True)
+        ]
+
+
 @eqx.filter_jit
-def on_all_lanes(function: Callable, mesh: Mesh, task: Task, *lanes: Any) -> Any:
+def on_all_lanes(function: Callable, mesh: Mesh | None, task: Any, *lanes: Any) -> Any:
     """`function(task, *lane)` for every lane: vmap on each device, no talk between devices."""
     arrays, static = eqx.partition(task, eqx.is_array)
 
@@ -122,7 +161,7 @@ def on_all_lanes(function: Callable, mesh: Mesh, task: Task, *lanes: Any) -> Any
         task = eqx.combine(arrays, static)
         return jax.vmap(lambda *lane: function(task, *lane))(*lanes)
 
-    if mesh.size > 1:
+    if mesh is not None:
         mapped = jax.shard_map(
             mapped,
             mesh=mesh,
@@ -131,6 +170,41 @@ def on_all_lanes(function: Callable, mesh: Mesh, task: Task, *lanes: Any) -> Any
             check_vma=False,
         )
     return mapped(arrays, *lanes)
+
+
+def joined(parts: Sequence[Any]) -> Any:
+    """The parts of what is stacked over lanes as one, on the host."""
+
+    def join(*own: Any) -> Any:
+        return np.concatenate(own) if isinstance(own[0], jax.Array) else own[0]
+
+    return jtu.tree_map(join, *parts)
+
+
+def map_lanes(
+    function: Callable,
+    task: Any,
+    columns: Sequence[np.ndarray],
+    *,
+    lanes: int,
+    done: Callable[[int], object] = lambda rows: None,
+) -> Any:
+    """`function(task, *row)` for every row of `columns`, stacked in NumPy arrays.
+
+    Every local device takes `lanes` rows at a time (the last ones are padded), always by the same
+    program: the results do not depend on the number of devices.  `done` is called with the number
+    of rows that have been computed since.
+    """
+    devices, rows, found = jax.local_devices(), len(columns[0]), []
+    for start in range(0, rows, lanes * len(devices)):
+        here = min(rows - start, lanes * len(devices))
+        parts = Parts([[device] for device in devices[: -(-here // lanes)]])
+        index = start + np.minimum(np.arange(lanes * len(parts.meshes)), here - 1)
+        dealt = [parts.deal(np.asarray(column)[index]) for column in columns]
+        values = joined(parts.map(function, parts.place(task), *dealt))
+        found.append(jtu.tree_map(lambda a, here=here: a[:here], values))
+        done(here)
+    return jtu.tree_map(lambda *own: np.concatenate(own), *found)
 
 
 @eqx.filter_jit

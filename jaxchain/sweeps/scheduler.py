@@ -12,17 +12,16 @@ import jax
 import jax.numpy as jnp
 import jax.tree_util as jtu
 import numpy as np
-from jax.sharding import Mesh, NamedSharding
-from jax.sharding import PartitionSpec as P
 from tqdm import tqdm
 
 from ..result import NAMES, code
 from .lanes import (
     Lane,
+    Parts,
     Task,
     advance_lane,
     departures,
-    on_all_lanes,
+    joined,
     read_lane,
     restart_lane,
     start_lane,
@@ -39,12 +38,9 @@ _MEMORY_SHARE = 0.8
 class Pool:
     """Hands jobs to lanes and collects what they return, in `records`.
 
-    XLA compiles another program for another number of lanes, and for several devices another one
-    than for one; the last bits of a lane depend on the program.  With `lanes` given, every device
-    runs a program of its own for that many lanes from first to last, idle ones among them.
-    Without, their number is whatever is fastest, and follows jobs, devices and the clock.
-
-    What is stacked over lanes is a list of parts, one for each mesh of devices with one program.
+    With `lanes` given, every device runs a program of its own for that many lanes from first to
+    last, idle ones among them.  Without, their number is whatever is fastest, and follows jobs,
+    devices and the clock.  What is stacked over lanes is a list, one item for each of the `Parts`.
     """
 
     def __init__(
@@ -60,10 +56,9 @@ class Pool:
         self.fixed = lanes is not None
         self.lanes = _lane_count(task.chain.n, self.total, self.devices, lanes)
         self.width = self.lanes * len(self.devices)
-        together = [[d] for d in self.devices] if self.fixed else [self.devices]
-        self.meshes = [Mesh(np.array(own), ("lanes",)) for own in together]
+        self.parts = Parts([[d] for d in self.devices] if self.fixed else [self.devices])
+        self.tasks = self.parts.place(task)
         self.last_look: tuple[float, np.ndarray] | None = None  # (wall time, times of the lanes)
-        self.tasks = [_placed(task, NamedSharding(mesh, P())) for mesh in self.meshes]
         first = {k: jnp.asarray(v[0]) for k, v in jobs.items()}
         self.lane_shape = eqx.filter_eval_shape(start_lane, task, first)
         self.records = self._allocate()
@@ -89,25 +84,8 @@ class Pool:
         records["result"][:] = NAMES.index("interrupted")
         return records
 
-    def _deal(self, arrays: Any) -> list:
-        """Host arrays over all lanes, cut into parts and put on their devices."""
-        size = self.width // len(self.meshes)
-        return [
-            jtu.tree_map(
-                lambda a, i=i, mesh=mesh: jax.device_put(
-                    a[i * size : (i + 1) * size], NamedSharding(mesh, P("lanes"))
-                ),
-                arrays,
-            )
-            for i, mesh in enumerate(self.meshes)
-        ]
-
-    def _on_all(self, function: Callable, *parts: list) -> list:
-        """`function(task, *lane)` for every lane; no part waits for another."""
-        return [
-            on_all_lanes(function, mesh, task, *own)
-            for mesh, task, *own in zip(self.meshes, self.tasks, *parts, strict=True)
-        ]
+    def _on_all(self, function: Callable, *lanes: list) -> list:
+        return self.parts.map(function, self.tasks, *lanes)
 
     def _empty_pool(self) -> list[Lane]:
         def empty(s: Any) -> Any:
@@ -117,7 +95,7 @@ class Pool:
         # Lanes that no job takes have ended already, or they would be run on zeros.
         pool = jtu.tree_map(empty, shapes)
         code(pool.progress.result)[:] = NAMES.index("interrupted")
-        return [eqx.combine(part, static) for part in self._deal(pool)]
+        return [eqx.combine(part, static) for part in self.parts.deal(pool)]
 
     def run(self, show: bool, description: str) -> None:
         waiting = self._order()
@@ -133,9 +111,9 @@ class Pool:
             finished = 0
             while np.any(self.owner >= 0):
                 pool, ended = zip(*self._on_all(advance_lane, pool), strict=True)
-                pool, done = list(pool), _joined(list(ended)) & (self.owner >= 0)
+                pool, done = list(pool), joined(list(ended)) & (self.owner >= 0)
                 if done.any():
-                    self._store(_joined(self._on_all(read_lane, pool)), done)
+                    self._store(joined(self._on_all(read_lane, pool)), done)
                     finished += int(done.sum())
                     self.owner[done] = -1
                     if waiting.size:
@@ -159,8 +137,8 @@ class Pool:
         index[slots] = self.owner[slots] = batch
         take = np.zeros(self.width, bool)
         take[slots] = True
-        values = self._deal({k: v[index] for k, v in self.jobs.items()})
-        return self._on_all(restart_lane, pool, self._deal(take), values), rest
+        values = self.parts.deal({k: v[index] for k, v in self.jobs.items()})
+        return self._on_all(restart_lane, pool, self.parts.deal(take), values), rest
 
     def _shrink(self, pool: list[Lane]) -> list[Lane]:
         """Once few lanes are left, and long ones, a pool of a quarter of the width goes on.
@@ -183,8 +161,8 @@ class Pool:
         keep = keep.reshape(small, len(self.devices)).T.ravel()
         self.lanes, self.width, self.last_look = small, keep.size, None
         self.owner = self.owner[keep]
-        arrays, static = eqx.partition(_joined(pool), lambda leaf: isinstance(leaf, np.ndarray))
-        kept = self._deal(jtu.tree_map(lambda a: a[keep], arrays))
+        arrays, static = eqx.partition(joined(pool), lambda leaf: isinstance(leaf, np.ndarray))
+        kept = self.parts.deal(jtu.tree_map(lambda a: a[keep], arrays))
         return [eqx.combine(part, static) for part in kept]
 
     def _store(self, values: dict[str, Any], done: np.ndarray) -> None:
@@ -209,22 +187,8 @@ def _lane_count(n: int, total: int, devices: Sequence[Any], lanes: int | None) -
     return min(max(1, _NUMBERS_PER_DEVICE[platform] // n), share)
 
 
-def _joined(parts: list) -> Any:
-    """The parts of what is stacked over lanes as one, on the host."""
-
-    def join(*own: Any) -> Any:
-        return np.concatenate(own) if isinstance(own[0], jax.Array) else own[0]
-
-    return jtu.tree_map(join, *parts)
-
-
 def _times(pool: list[Lane]) -> np.ndarray:
-    return _joined([part.progress.t for part in pool])
-
-
-def _placed(task: Task, sharding: NamedSharding) -> Task:
-    arrays, static = eqx.partition(task, eqx.is_array)
-    return eqx.combine(jax.device_put(arrays, sharding), static)
+    return joined([part.progress.t for part in pool])
 
 
 def _is_shape(leaf: Any) -> bool:

@@ -278,14 +278,14 @@ def test_a_study_of_both_models_into_its_folder(tmp_path):
 def test_what_an_interrupted_study_has_seen_is_saved(tmp_path, monkeypatch):
     calls = []
 
-    def interrupted(function, *arguments):
+    def interrupted(self, function, *arguments):
         calls.append(function)
         if function is runs._advance and calls.count(function) == 2:
             raise KeyboardInterrupt
-        return on_all_lanes(function, *arguments)
+        return on_all_lanes(self, function, *arguments)
 
-    on_all_lanes = runs.on_all_lanes
-    monkeypatch.setattr(runs, "on_all_lanes", interrupted)
+    on_all_lanes = runs.Parts.map
+    monkeypatch.setattr(runs.Parts, "map", interrupted)
     with pytest.raises(KeyboardInterrupt):
         run(small(), tmp_path, name="cut", report=lambda text: None)
     data = xr.load_dataset(tmp_path / "cut.nc", engine="h5netcdf")

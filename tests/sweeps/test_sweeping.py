@@ -260,18 +260,18 @@ def test_any_number_of_the_chain_and_of_the_start_can_be_swept():
 
 
 def test_an_interrupted_sweep_hands_over_what_had_ended(monkeypatch):
-    from jaxchain.sweeps import scheduler as pool
+    from jaxchain.sweeps.lanes import Parts
 
     calls = []
-    original = pool.on_all_lanes
+    original = Parts.map
 
-    def interrupt(function, *arguments):
+    def interrupt(self, function, *arguments):
         calls.append(function.__name__)
         if calls.count("read_lane") == 2:
             raise KeyboardInterrupt
-        return original(function, *arguments)
+        return original(self, function, *arguments)
 
-    monkeypatch.setattr(pool, "on_all_lanes", interrupt)
+    monkeypatch.setattr(Parts, "map", interrupt)
     with pytest.raises(SweepInterrupted) as caught:
         sweep(
             CHAIN, equation_8, 60.0, over={"excited": [0, 1, 2, 3, 4]},

@@ -10,15 +10,13 @@ from __future__ import annotations
 import itertools
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import equinox as eqx
 import jax
 import numpy as np
 import xarray as xr
-from jax.sharding import Mesh, NamedSharding
-from jax.sharding import PartitionSpec as P
 from jaxtyping import Array
 from tqdm import tqdm
 
@@ -36,7 +34,7 @@ from jaxchain.simulation.run import build_plan, simulate
 from jaxchain.studies.states.phases import join_peaks, join_samples
 from jaxchain.studies.states.table import PhasePlots, States, TimeSeries
 from jaxchain.sweeps.dataset import describe, to_dataset
-from jaxchain.sweeps.lanes import Lane, Task, on_all_lanes, read_lane, start_lane
+from jaxchain.sweeps.lanes import Lane, Parts, Task, joined, read_lane, start_lane
 from jaxchain.sweeps.sweeping import SweepInterrupted
 
 # Of the fastest mode.  A vibrating mass has one maximum in a period, which is longer than this.
@@ -76,17 +74,18 @@ def run_states(
         plan = build_plan(solver, observers, numerics.rtol, atol, numerics.max_step, end)
         return Task(plan, chain, initial, to_float(0.0), to_float(end))
 
-    mesh, order = _deal(len(counts))
+    parts, order = _deal(len(counts), numerics.lanes)
     mine = np.array([np.flatnonzero(order == i)[0] for i in range(len(counts))])
-    sharding = NamedSharding(mesh, P("lanes"))
 
-    def everywhere(value: float) -> Array:
-        return jax.device_put(np.full(order.size, value), sharding)
+    def on_all(function: Callable, task: Task, *lanes: Sequence) -> list:
+        return parts.map(function, parts.place(task), *lanes)
+
+    def everywhere(value: float) -> list:
+        return parts.deal(np.full(order.size, value))
 
     amplitude = stages[0][1][0]
     own = task([amplitude])
-    values = {"excited": jax.device_put(counts[order], sharding)}
-    lanes = on_all_lanes(start_lane, mesh, own, values)
+    lanes = on_all(start_lane, own, parts.deal({"excited": counts[order]}))
     found: dict[type, list] = {PeakTimes: [], Samples: []}
     interrupted = False
     with tqdm(
@@ -96,19 +95,21 @@ def run_states(
         try:
             for start, observers, ends in stages:
                 own = task(observers)
-                lanes = on_all_lanes(_watch, mesh, own, lanes, everywhere(start))
+                lanes = on_all(_watch, own, lanes, everywhere(start))
                 for until in ends.tolist():
-                    lanes, seen = on_all_lanes(_advance, mesh, own, lanes, everywhere(until))
-                    for observer, value in zip(observers[1:], seen[1:], strict=True):
-                        kept = [np.asarray(a)[mine] for a in jax.tree.leaves(value)]
+                    lanes, seen = zip(
+                        *on_all(_advance, own, lanes, everywhere(until)), strict=True
+                    )
+                    for observer, value in zip(observers[1:], joined(seen)[1:], strict=True):
+                        kept = [a[mine] for a in jax.tree.leaves(value)]
                         found[type(observer)].append(kept)
                     bar.update(round(until) - bar.n)
         except KeyboardInterrupt:
             interrupted = True
-    records = on_all_lanes(read_lane, mesh, own, lanes)
+    records = joined(on_all(read_lane, own, lanes))
     # The amplitude is the first observer of every stage.
     records["observed"] = records["observed"][:1]
-    records = jax.tree.map(lambda a: np.array(a)[mine], records)
+    records = jax.tree.map(lambda a: a[mine], records)
     failed = ~np.isin(records["result"], [NAMES.index(name) for name in STOPPED_WELL])
     if interrupted:
         records["result"][~failed] = NAMES.index("interrupted")
@@ -116,7 +117,7 @@ def run_states(
     attrs = describe(chain, own.plan, t0=0.0, t1=end, swept=["excited"])
     attrs |= {
         "wall_time_s": round(time.perf_counter() - begun, 3),
-        "devices": ", ".join(str(device) for device in mesh.devices),
+        "devices": ", ".join(str(device) for device in parts.devices),
         "belt_speed": float(chain.belt_speed),
         "transient": part.time.transient,
         "window": part.time.window,
@@ -170,12 +171,20 @@ def _shortest(chain: Chain) -> float:
     return 2.0 * math.pi / math.sqrt(stiffest)
 
 
-def _deal(count: int) -> tuple[Mesh, np.ndarray]:
-    """Devices, and which state each lane runs: neighbours, of equal cost, on different devices."""
+def _deal(count: int, lanes: int | None) -> tuple[Parts, np.ndarray]:
+    """Parts, and which state each lane runs: neighbours, of equal cost, in different parts.
+
+    As in `sweep`: so many `lanes` on one device at a time, or a share on each device.
+    """
     devices = jax.local_devices()[:count]
-    each = -(-count // len(devices))
-    order = np.arange(each * len(devices)) % count
-    return Mesh(np.array(devices), ("lanes",)), order.reshape(each, len(devices)).T.ravel()
+    if lanes is None:
+        groups, number = [devices], len(devices)
+    else:
+        number = -(-count // lanes)
+        groups = [[devices[i % len(devices)]] for i in range(number)]
+    each = -(-count // number)
+    order = np.arange(each * number) % count
+    return Parts(groups), order.reshape(each, number).T.ravel()
 
 
 def _stages(

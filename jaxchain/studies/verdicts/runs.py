@@ -14,7 +14,7 @@ from jaxtyping import Array
 from jaxchain._types import State
 from jaxchain.chaos.classification import verdicts
 from jaxchain.chaos.records import KINDS, VERDICTS, Evidence, Verdict
-from jaxchain.chaos.runs import Ensemble, Numerics, Trial, exponents_of
+from jaxchain.chaos.runs import Numerics, Trial, exponents_of
 from jaxchain.model.chain import Chain, paper_chain
 from jaxchain.model.initial_states import equation_8, equation_10
 from jaxchain.result import NAMES
@@ -81,10 +81,8 @@ def _add_smoothed(study: Study, chain: Chain, found: list[Verdict], data: xr.Dat
         trials.append(Trial(row, *lead.state, Evidence(0.0, 0)))
     numbers = np.full((3, len(found), study.exponents), np.nan)
     if trials:
-        numerics = Numerics(None, own.rtol, study.window)
-        share = -(-len(trials) // len(jax.local_devices()))
-        ensemble = Ensemble(chain, numerics, min(study.lanes, share))
-        exponents_of(chain, numerics, ensemble, trials, own.time, study.exponents)
+        numerics = Numerics(None, own.rtol, study.window, min(study.lanes, len(trials)))
+        exponents_of(chain, numerics, trials, own.time, study.exponents)
         for row, trial in zip(rows, trials, strict=True):
             for k, key in enumerate(("exponents", "low", "high")):
                 numbers[k, row] = getattr(trial.evidence, key)
