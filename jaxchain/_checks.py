@@ -4,6 +4,9 @@ The checks look at concrete numbers only. A traced value passes silently, so tha
 can be built under `jit`, `vmap` and `grad`; shapes are known even there and are always checked.
 """
 
+from collections.abc import Sequence
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -140,15 +143,45 @@ def is_traced(*values: object) -> bool:
     return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(values))
 
 
+def check_whole(
+    name: str,
+    value: Any,
+    low: int = 1,
+    high: int | None = None,
+    remedy: str = "",
+    or_: str = "",
+) -> int:
+    """`value` as an integer, or raises `ValueError` unless it is one within low ... high.
+
+    >>> check_whole("n", 3)
+    3
+    >>> check_whole("mass", 3, 0, 2)
+    Traceback (most recent call last):
+        ...
+    ValueError: Argument `mass` must be an integer in 0 ... 2, but is 3.
+    """
+    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if not whole or value < low or (high is not None and value > high):
+        where = f"of at least {low}" if high is None else f"in {low} ... {high}"
+        end = f": {remedy}" if remedy else "."
+        raise ValueError(
+            f"Argument `{name}` must be {or_}an integer {where}, but is {value!r}{end}"
+        )
+    return int(value)
+
+
 def check_count(name: str, value: object) -> None:
     """Raises `ValueError` unless `value` is None (no limit) or an integer of at least 1."""
-    if value is None:
-        return
-    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
-    if not whole or value < 1:  # pyright: ignore[reportOperatorIssue]
-        raise ValueError(
-            f"Argument `{name}` must be None or an integer of at least 1, but is {value!r}."
-        )
+    if value is not None:
+        check_whole(name, value, or_="None or ")
+
+
+def check_one_of(name: str, value: object, choices: Sequence[str]) -> None:
+    """Raises `ValueError` unless `value` is one of the words."""
+    if value not in choices:
+        words = [f'"{word}"' for word in choices]
+        listed = f"{', '.join(words[:-1])} or {words[-1]}"
+        raise ValueError(f"Argument `{name}` must be {listed}, but is {value!r}.")
 
 
 def check_number(name: str, value: object, remedy: str = "") -> None:
@@ -164,6 +197,19 @@ def check_number(name: str, value: object, remedy: str = "") -> None:
         _check_each(name, numbers, np.isfinite(numbers), "finite", remedy)
 
 
+def check_positive_number(name: str, value: ArrayLike, remedy: str = "") -> None:
+    """Raises `ValueError` unless `value` is one number, positive and finite if it is concrete."""
+    check_number(name, value, remedy)
+    check_positive(name, value, remedy)
+
+
+def check_share(name: str, value: ArrayLike, remedy: str = "") -> None:
+    """Raises `ValueError` unless `value` is one number, between 0 and 1 if it is concrete."""
+    check_number(name, value, remedy)
+    if (numbers := _concrete(name, value)) is not None:
+        _check_each(name, value, (numbers > 0) & (numbers < 1), "between 0 and 1", remedy)
+
+
 def check_span(t0: ArrayLike, t1: ArrayLike) -> None:
     """Raises `ValueError` unless concrete times t0 <= t1 are finite."""
     check_number("t0", t0, "it is a dimensionless time.")
@@ -177,17 +223,14 @@ def check_span(t0: ArrayLike, t1: ArrayLike) -> None:
 
 def check_tolerances(rtol: ArrayLike, atol: ArrayLike | None, max_step: ArrayLike) -> None:
     """Raises `ValueError` unless what is given of the step-size control can control a step."""
-    check_number("rtol", rtol, "1e-6 is usual.")
-    check_number("max_step", max_step, "0.5 is usual, where a period is about 2 pi.")
-    check_positive("rtol", rtol, "1e-6 is usual.")
-    check_positive("max_step", max_step, "0.5 is usual, where a period is about 2 pi.")
+    check_positive_number("rtol", rtol, "1e-6 is usual.")
+    check_positive_number("max_step", max_step, "0.5 is usual, where a period is about 2 pi.")
     if (numbers := _concrete("rtol", rtol)) is not None:
         sensible = (numbers >= LEAST_RTOL) & (numbers < 1)
         remedy = "64-bit floats hold 16 digits; 1e-6 is usual."
         _check_each("rtol", rtol, sensible, f"at least {LEAST_RTOL:g} and below 1", remedy)
     if atol is not None:
-        check_number("atol", atol, "a tenth of `rtol` is usual.")
-        check_positive("atol", atol, "a tenth of `rtol` is usual.")
+        check_positive_number("atol", atol, "a tenth of `rtol` is usual.")
         if (numbers := _concrete("atol", atol)) is not None:
             remedy = "a tenth of `rtol` is usual."
             _check_each("atol", atol, numbers >= LEAST_ATOL, f"at least {LEAST_ATOL:g}", remedy)

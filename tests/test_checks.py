@@ -5,10 +5,15 @@ import pytest
 
 from jaxchain._checks import (
     check_at_least,
+    check_count,
     check_finite,
     check_nonnegative,
+    check_one_of,
     check_per_mass,
     check_positive,
+    check_positive_number,
+    check_share,
+    check_whole,
     require_x64,
     to_float,
 )
@@ -108,3 +113,31 @@ def test_require_x64_accepts_64_bits_and_says_how_to_switch_them_on():
     require_x64()
     with jax.enable_x64(False), pytest.raises(RuntimeError, match='"jax_enable_x64", True'):
         require_x64()
+
+
+@pytest.mark.parametrize(
+    ("check", "message"),
+    [
+        (lambda: check_whole("n", 2.0), "an integer of at least 1, but is 2.0.$"),
+        (lambda: check_whole("n", True), "but is True"),
+        (lambda: check_whole("n", None, remedy="4, say."), "but is None: 4, say.$"),
+        (lambda: check_whole("n", 3, 0, 2), "an integer in 0 ... 2, but is 3"),
+        (lambda: check_count("n", 0), "must be None or an integer of at least 1"),
+        (lambda: check_one_of("end", "top", ("a", "b", "c")), '"a", "b" or "c", but is \'top\''),
+        (lambda: check_share("p", 1.0), "between 0 and 1, but is 1"),
+        (lambda: check_share("p", 0.0), "between 0 and 1, but is 0"),
+        (lambda: check_positive_number("p", [1.0, 2.0]), r"one number, but has shape \(2,\)"),
+        (lambda: check_positive_number("p", 0.0), "positive and finite"),
+    ],
+)
+def test_counts_words_and_shares_are_refused_by_value(check, message):
+    with pytest.raises(ValueError, match=message):
+        check()
+
+
+def test_counts_words_and_shares_that_are_good_pass():
+    assert check_whole("n", np.int32(2), 0, 2) == 2
+    check_count("n", None)
+    check_one_of("end", "b", ("a", "b"))
+    check_share("p", 0.5)
+    jax.jit(lambda p: check_share("p", p))(2.0)

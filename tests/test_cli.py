@@ -341,7 +341,7 @@ def test_ctrl_c_ends_boundary_without_a_traceback(workplace, monkeypatch, capsys
     [
         (["--width", "-1"], "`width` must be positive"),
         (["--damping-ratio", "nan"], "`damping_ratio` must be finite"),
-        (["--n", "0"], "`n` must be a positive integer"),
+        (["--n", "0"], "`n` must be an integer of at least 1"),
         (["--coupling", "0.1"], "one mass has no neighbours"),
         (["--mu-static", "0.1"], "`mu_static` must be at least"),
     ],

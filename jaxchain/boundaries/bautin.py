@@ -24,7 +24,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from .._checks import check_number, check_positive
+from .._checks import check_positive_number
 from ..continuation.damped_newton import newton
 from ..continuation.implicit import attach_derivative
 from ..model.chain import Chain
@@ -80,8 +80,7 @@ def generalised_hopf(chain: Chain, parameter: Any, low: Any, high: Any) -> Gener
             f"Argument `parameter` must be one of {sorted(known)}, but is {parameter!r}."
         )
     for name, end in (("low", low), ("high", high)):
-        check_number(name, end, "both ends are values of the parameter.")
-        check_positive(name, end, "the values in between are spaced by their logarithm.")
+        check_positive_number(name, end, "the values in between are spaced by their logarithm.")
     return _meeting(chain, parameter, jnp.asarray(low, float), jnp.asarray(high, float))
 
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from .._checks import check_number, check_positive, to_float
+from .._checks import check_one_of, check_positive_number, to_float
 from ..cycles.averaging import fold_guess, one_mass
 from ..model.chain import Chain
 from ..model.initial_states import check_vibrating, on_the_belt
@@ -75,8 +75,7 @@ def bistable_range(chain: Chain, vibrating: Any = None, friction: Any = "dry") -
 
 def check_friction(friction: Any) -> None:
     """Raises `ValueError` unless it is "dry" or "smoothed"."""
-    if friction not in ("dry", "smoothed"):
-        raise ValueError(f'Argument `friction` must be "dry" or "smoothed", but is {friction!r}.')
+    check_one_of("friction", friction, ("dry", "smoothed"))
 
 
 @eqx.filter_jit
@@ -137,8 +136,7 @@ def try_boundary(
         ("margin", margin, "it is a share of the belt speed, such as 0.01."),
         ("time", time, "400 is usual."),
     ):
-        check_number(name, value, remedy)
-        check_positive(name, value, remedy)
+        check_positive_number(name, value, remedy)
     return _try(chain, to_float(belt_speed), mass, to_float(margin), to_float(time))
 
 

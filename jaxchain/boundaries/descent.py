@@ -10,8 +10,9 @@ import optax
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from .._checks import check_count, check_positive, require_64_bits, require_x64
+from .._checks import check_positive, check_whole
 from ..continuation.gradient_descent import descend
+from ..model.arguments import as_chain
 from ..model.chain import Chain
 from ..model.initial_states import check_vibrating
 from ..model.sliding import growth_rate
@@ -64,8 +65,7 @@ def hopf_by_descent(
     >>> bool(found.converged), round(float(found.belt_speed), 6)
     (True, 1.151293)
     """
-    require_x64()
-    require_64_bits("chain", chain)
+    as_chain(chain)
     start = jnp.abs(chain.belt_speed) if start is None else start
     check_positive("start", start, "it is a belt speed, such as 1.5.")
     check_positive("tolerance", tolerance, "it is a growth rate, such as 1e-10.")
@@ -155,7 +155,7 @@ def fold_by_descent(
     check_positive("tolerance", tolerance, "1e-3 is usual.")
     if start is not None:
         start = jnp.asarray(start, float)
-    check_count("steps", steps)
+    check_whole("steps", steps)
     optimiser = _adam(steps) if optimiser is None else optimiser
     return _ascend(chain, mass, start, optimiser, steps, jnp.asarray(tolerance, float))
 

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from .._checks import require_64_bits, require_x64
 from ..continuation.implicit import attach_derivative
+from ..model.arguments import as_chain
 from ..model.chain import Chain
 from ..model.friction import ExponentialDecay
 from ..model.sliding import (
@@ -69,9 +69,7 @@ def hopf_belt_speed(chain: Chain) -> Float[Array, ""]:
     >>> float(hopf_belt_speed(paper_chain()))  # ln(10) / 2
     1.151292546497023
     """
-    require_x64()
-    require_64_bits("chain", chain)
-    return _speed(chain)
+    return _speed(as_chain(chain))
 
 
 @eqx.filter_jit

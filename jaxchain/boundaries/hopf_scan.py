@@ -10,13 +10,12 @@ from jaxtyping import Array, Complex, Float, Int
 
 from .._checks import (
     check_finite,
-    check_number,
-    check_positive,
+    check_positive_number,
+    check_whole,
     is_traced,
-    require_64_bits,
-    require_x64,
 )
 from ..cycles.guesses import Guess
+from ..model.arguments import as_chain
 from ..model.chain import Chain, steady_sliding
 from .axis_crossings import Crossing, find_crossings
 from .criticality import (
@@ -104,13 +103,12 @@ def hopf_points(chain: Chain, belt_speeds: Any = (0.0, 5.0)) -> HopfPoints:
     >>> points.criticality[0], points.direction[0], points.kind[0]
     ('subcritical', 'falling speed', 'weakening friction')
     """
-    require_x64()
+    as_chain(chain)
     if is_traced(chain, belt_speeds):
         raise ValueError(
             "Argument `chain` or `belt_speeds` is traced, but Hopf points are listed on the host: "
             "call `hopf_points` outside `jit`, `vmap` and `grad`, or use `hopf_belt_speed`."
         )
-    require_64_bits("chain", chain)
     if np.shape(belt_speeds) != (2,):
         raise ValueError(
             f"Argument `belt_speeds` must be (low, high), but is {belt_speeds!r}: "
@@ -242,10 +240,7 @@ def guess_from_hopf(
     (0.441, 6.283)
     """
     count = len(points.kind)
-    if not isinstance(index, int | np.integer) or not 0 <= index < count:
-        raise ValueError(
-            f"Argument `index` must be that of one of {count} Hopf points, but is {index!r}."
-        )
+    check_whole("index", index, 0, count - 1, "it is that of a Hopf point.")
     shape, omega = points.mode_shape[index], points.frequency[index]
     if amplitude is None:
         past = jnp.abs(chain.belt_speed) - jnp.abs(points.belt_speed[index])
@@ -258,8 +253,7 @@ def guess_from_hopf(
                 "give an `amplitude`."
             )
         amplitude = jnp.sqrt(square)
-    check_number("amplitude", amplitude, "0.1 is usual.")
-    check_positive("amplitude", amplitude, "0.1 is usual.")
+    check_positive_number("amplitude", amplitude, "0.1 is usual.")
     mass = int(jnp.argmax(jnp.abs(shape))) if vibrating is None else vibrating
     moving = 1j * omega * shape
     phase = chain.belt_direction() * jnp.conj(moving[mass]) / jnp.abs(moving[mass])

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from .._checks import check_number, check_positive, is_traced
+from .._checks import check_positive_number, is_traced
 from ..continuation.damped_newton import newton
 from ..cycles.averaging import cycle_speed, greatest_speed
 from ..cycles.shooting import Shooting
@@ -86,8 +86,7 @@ def one_mass_branch(chain: Chain, lowest: Any = 0.1, fold: Fold | None = None) -
     not below the fold.
     """
     _check_single(chain)
-    check_number("lowest", lowest, "0.1 is usual.")
-    check_positive("lowest", lowest, "the cycles are lost as the belt comes to rest.")
+    check_positive_number("lowest", lowest, "the cycles are lost as the belt comes to rest.")
     frozen = jax.tree.map(lax.stop_gradient, chain)
     known = find_fold(frozen) if fold is None else jax.tree.map(lax.stop_gradient, fold)
     check_below_fold(lowest, known)

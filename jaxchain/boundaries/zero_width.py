@@ -21,7 +21,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from .._checks import check_number, check_positive, is_traced, require_x64, to_float
+from .._checks import check_positive, check_positive_number, is_traced, require_x64, to_float
 from ..cycles.averaging import cycle_speed, greatest_speed, one_mass, speed_scale
 from ..model.chain import Chain
 from ..model.initial_states import check_vibrating
@@ -99,8 +99,7 @@ def extrapolate(
             f"shape {values.shape}: use `jax.vmap` for several quantities."
         )
     for name, number in (("scale", scale), ("accuracy", accuracy)):
-        check_number(name, number)
-        check_positive(name, number)
+        check_positive_number(name, number)
     return _extrapolate(values, widths, scale, accuracy)
 
 

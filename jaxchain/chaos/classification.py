@@ -5,20 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 from tqdm import tqdm
 
 from .._checks import (
-    check_count,
-    check_finite,
     check_nonnegative,
     check_positive,
     check_tolerances,
-    require_64_bits,
-    require_x64,
+    check_whole,
 )
+from ..model.arguments import as_chain, as_state
 from ..model.chain import Chain
 from ..model.oscillators import AbstractOscillators
 from ..simulation.accuracy import MAX_STEP, check_resolved
@@ -48,14 +45,8 @@ def verdict(chain: AbstractOscillators, initial: Any, **settings: Any) -> Verdic
         # 7 runs: 7 cycle; locked by 2000 to 2000, slowest relaxation time 0
         ```
     """
-    if not isinstance(initial, tuple | list) or len(initial) != 2:
-        raise ValueError(
-            "Argument `initial` must be the pair (x, v), both of shape (n,), but is a "
-            f"{type(initial).__name__}."
-        )
-    x, v = initial
-    states = jnp.asarray(x)[None], jnp.asarray(v)[None]
-    return verdicts(chain, states, **settings)[0]
+    x, v = as_state(as_chain(chain, AbstractOscillators), initial)
+    return verdicts(chain, (x[None], v[None]), **settings)[0]
 
 
 def verdicts(
@@ -107,12 +98,11 @@ def verdicts(
 
     **Raises:** `ValueError` for bad input.
     """
-    require_x64()
-    require_64_bits("chain", chain)
+    as_chain(chain, AbstractOscillators)
     criteria = Criteria() if criteria is None else criteria
-    x, v = _checked(chain, initials)
+    x, v = as_state(chain, initials, "initials", batch=True)
     for name, value in {"seeds": seeds, "exponent_runs": exponent_runs, "count": count}.items():
-        check_count(name, value)
+        check_whole(name, value)
     times = {
         "first": first, "longest": longest, "exponent_time": exponent_time, "window": window
     }  # fmt: skip
@@ -162,28 +152,6 @@ def verdicts(
                 run.kind = "torus" if torus else judge_exponents(run, criteria)
                 run.locked_at = run.time if run.kind == "cycle" else run.locked_at
     return [classify(group) for group in groups]
-
-
-def _checked(chain: AbstractOscillators, initials: Any) -> tuple[Array, Array]:
-    if not isinstance(initials, tuple | list) or len(initials) != 2:
-        raise ValueError(
-            "Argument `initials` must be the pair (x, v), both of shape (states, n), but is a "
-            f"{type(initials).__name__}."
-        )
-    x, v = (jnp.asarray(part, float) for part in initials)
-    if x.ndim != 2 or x.shape != v.shape or not x.size:
-        raise ValueError(
-            "Argument `initials` must hold x and v of shape (states, n), but they have shapes "
-            f"{x.shape} and {v.shape}: use `verdict` for one state."
-        )
-    if isinstance(chain, Chain) and x.shape[1] != chain.n:
-        raise ValueError(
-            f"Argument `initials` holds states of {x.shape[1]} masses, but the chain has "
-            f"{chain.n}."
-        )
-    check_finite("initial displacement", x, "see `excited_state` for initial states.")
-    check_finite("initial velocity", v, "see `excited_state` for initial states.")
-    return x, v
 
 
 def _starts(x: Array, v: Array, noise: Sequence[float], seeds: int, key: int) -> list[Trial]:

@@ -32,8 +32,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.special
 
+from .._statistics import mean_interval
 from ..result import message
 from .records import KINDS, MEANINGS, Evidence, Verdict
 
@@ -101,21 +101,7 @@ def judge_torus(runs: Sequence[Evidence], criteria: Criteria) -> bool:
     if len(own) < 2 or not all(_comes_back(run, criteria) for run in own):
         return False
     values = np.array([np.sort(run.smooth)[::-1][:2] for run in own])
-    return bool(np.all(np.abs(pooled(values)) < criteria.zero))
-
-
-def pooled(values: np.ndarray) -> np.ndarray:
-    """95 % interval, (2, ...), of the mean of independent values along axis 0.
-
-    >>> import numpy as np
-    >>> np.round(pooled(np.array([1.0, 2.0, 3.0])), 3).tolist()
-    [-0.484, 4.484]
-    """
-    count = len(values)
-    mean = np.mean(values, axis=0)
-    error = np.std(values, axis=0, ddof=1) / math.sqrt(count)
-    reach = scipy.special.stdtrit(count - 1, 0.975) * error
-    return np.stack([mean - reach, mean + reach])
+    return bool(np.all(np.abs(mean_interval(values)) < criteria.zero))
 
 
 def classify(runs: Sequence[Evidence]) -> Verdict:

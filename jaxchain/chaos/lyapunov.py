@@ -19,19 +19,18 @@ from tqdm import tqdm
 
 from .._checks import (
     check_count,
-    check_finite,
     check_nonnegative,
     check_number,
-    check_positive,
+    check_positive_number,
     check_tolerances,
+    check_whole,
     is_traced,
-    require_64_bits,
-    require_x64,
     to_float,
 )
+from .._statistics import student_reach
 from .._types import State
+from ..model.arguments import as_chain, as_state
 from ..model.chain import Chain
-from ..model.locality import check_local
 from ..model.oscillators import AbstractOscillators
 from ..observers.divergence import Divergence
 from ..observers.stick_time import MostSticking
@@ -41,7 +40,7 @@ from ..simulation.event_driven import EventDriven, EventDrivenPlan
 from ..simulation.plan import AbstractPlan
 from ..simulation.run import build_plan
 from .benettin import Frame, Growth, Span, advance_span, random_basis
-from .spectrum import ZERO, LyapunovSpectrum, batch_error, kaplan_yorke_dimension, student
+from .spectrum import ZERO, LyapunovSpectrum, batch_error, kaplan_yorke_dimension
 
 _PERIOD = 2 * np.pi
 # Between two QR decompositions the stiffest direction may shrink by e^-10 against the others.
@@ -127,8 +126,8 @@ def lyapunov_spectrum(
         print(found.exponents, found.low, found.high, found.chaotic())
         ```
     """
-    require_x64()
-    state = _check_state(chain, initial)
+    as_chain(chain, AbstractOscillators)
+    state = as_state(chain, initial)
     dry = isinstance(solver, EventDriven)
     if rtol is None:
         rtol = USUAL_RTOL
@@ -242,7 +241,7 @@ def _read(frame: Frame, growths: tuple[Growth, Array], spans: Span) -> LyapunovS
     blocks = each.shape[0]
     exponents = jnp.mean(each, axis=0)
     error, repeats = batch_error(each)
-    reach = student(0.95, blocks) * error
+    reach = student_reach(0.95, blocks - 1) * error
     weighted = jnp.sum(growth.weighted[1:], axis=0) + nan
     divergence = jnp.nan * nan if dry else jnp.sum(observed[1:]) / jnp.sum(lengths) + nan
     settled = jnp.where(jnp.abs(exponents) <= reach + ZERO, 0.0, exponents)
@@ -285,8 +284,7 @@ def _interval(chain: Any, interval: Any, count: int, dry: bool) -> Any:
 def _check_interval(interval: Any, t1: Any, transient: Any, blocks: int) -> None:
     if interval is None:
         return
-    check_number("interval", interval, "a period is about 2 pi.")
-    check_positive("interval", interval, "a period is about 2 pi.")
+    check_positive_number("interval", interval, "a period is about 2 pi.")
     if is_traced(interval, t1, transient):
         return
     block = (float(t1) - float(transient)) / blocks
@@ -296,29 +294,6 @@ def _check_interval(interval: Any, t1: Any, transient: Any, blocks: int) -> None
             f" = {block:g}, at whose end disturbances are made orthonormal, too: lower `interval` "
             "or `blocks`, or raise `t1`."
         )
-
-
-def _check_state(chain: Any, initial: Any) -> State:
-    if not isinstance(chain, AbstractOscillators):
-        raise ValueError(f"Argument `chain` must be a `Chain`, but is a {type(chain).__name__}.")
-    require_64_bits("chain", chain)
-    if not isinstance(initial, tuple | list) or len(initial) != 2:
-        raise ValueError(
-            "Argument `initial` must be the pair (displacement, velocity), but is "
-            f"{type(initial).__name__}."
-        )
-    x, v = (to_float(part) for part in initial)
-    n = chain.n if isinstance(chain, Chain) else x.shape[0] if x.ndim == 1 else None
-    if x.shape != (n,) or v.shape != (n,):
-        raise ValueError(
-            f"Argument `initial` must hold x and v of shape ({n},), but they have shapes "
-            f"{x.shape} and {v.shape}: use `jax.vmap` for several."
-        )
-    check_finite("initial displacement", x, "see `excited_state` for initial states.")
-    check_finite("initial velocity", v, "see `excited_state` for initial states.")
-    if not isinstance(chain, Chain):
-        check_local(chain, 0.0, (x, v))
-    return x, v
 
 
 def _check_numbers(
@@ -333,18 +308,9 @@ def _check_numbers(
             f"Argument `t1` = {t1} must exceed `transient` = {transient}: averages are taken over "
             "the time between them."
         )
-    check_count("blocks", blocks)
-    if blocks is None or blocks < 2:
-        raise ValueError(
-            f"Argument `blocks` must be an integer of at least 2, but is {blocks}: errors come "
-            "from the scatter of their means; 20 is usual."
-        )
-    check_count("count", count)
+    remedy = "errors come from the scatter of their means; 20 is usual."
+    check_whole("blocks", blocks, 2, remedy=remedy)
     check_count("max_steps", max_steps)
-    count = dimension if count is None else int(count)
-    if count > dimension:
-        raise ValueError(
-            f"Argument `count` must lie in 1 ... {dimension}, two exponents for each mass, but is "
-            f"{count}."
-        )
-    return count
+    if count is None:
+        return dimension
+    return check_whole("count", count, 1, dimension, "there are two exponents for each mass.")

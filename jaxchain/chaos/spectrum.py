@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import equinox as eqx
 import jax.numpy as jnp
-import scipy.special
 from jaxtyping import Array, Float
 
+from .._checks import check_share
+from .._statistics import student_reach
 from .._types import State
 from ..result import NAMES, Result, code
 
@@ -64,11 +65,11 @@ class LyapunovSpectrum(eqx.Module):
 
         For regular vibration it is 0, and None the right answer.
         """
-        if not 0 < level < 1:
-            raise ValueError(f"Argument `level` must lie in 0 ... 1, but is {level}: 0.95, say.")
+        check_share("level", level, "0.95 is usual.")
         known = jnp.where(jnp.isnan(self.exponents), -jnp.inf, self.exponents)
         first = int(jnp.argmax(known))
-        reach = student(level, self.block_exponents.shape[0]) * self.standard_error[first]
+        freedom = self.block_exponents.shape[0] - 1
+        reach = student_reach(level, freedom) * self.standard_error[first]
         if not jnp.abs(self.exponents[first]) > reach + ZERO:
             return None
         return bool(self.exponents[first] > 0)
@@ -116,8 +117,3 @@ def kaplan_yorke_dimension(exponents: Float[Array, " count"], complete: bool) ->
     all_of_them = jnp.where(complete, 1.0 * exponents.shape[0], jnp.nan)
     dimension = jnp.where(number == exponents.shape[0], all_of_them, beyond)
     return jnp.where(jnp.any(jnp.isnan(exponents)), jnp.nan, dimension)
-
-
-def student(level: float, blocks: int) -> float:
-    """How many standard errors of a mean over blocks the confidence interval reaches."""
-    return float(scipy.special.stdtrit(blocks - 1, 0.5 + 0.5 * level))

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, PyTree
 
-from .._checks import check_at_least, check_count, check_number, check_positive, require_x64
+from .._checks import check_at_least, check_count, check_number, check_positive_number, require_x64
 from .branch import Branch, Point, Record, SpecialPoint
 from .corrector import Corrector
 from .damped_newton import check_vector, check_weights
@@ -28,8 +28,7 @@ def make_corrector(
 ) -> Corrector:
     """A `Corrector` from what a caller gives, checked."""
     require_x64()
-    check_number("tolerance", tolerance, "1e-10 is usual.")
-    check_positive("tolerance", tolerance, "1e-10 is usual.")
+    check_positive_number("tolerance", tolerance, "1e-10 is usual.")
     if weights is None:
         weights = default_weights(m)
     w = np.asarray(check_weights(weights, m + 1, "unknown and one for the parameter"))
@@ -132,8 +131,7 @@ def _checked_steps(step: Any, least: Any, greatest: Any, max_turn: Any, max_bend
         "max_turn": max_turn,
         "max_bend": max_bend,
     }.items():
-        check_number(name, value)
-        check_positive(name, value)
+        check_positive_number(name, value)
     check_at_least("step", step, "min_step", least)
     check_at_least("max_step", greatest, "step", step)
     return Steps(float(step), float(least), float(greatest), float(max_turn), float(max_bend))
@@ -203,8 +201,7 @@ def switch_branch(
         )
     if side not in (1, -1):
         raise ValueError(f"Argument `side` must be 1 or -1, but is {side!r}.")
-    check_number("step", step)
-    check_positive("step", step, "0.01 is usual.")
+    check_positive_number("step", step, "0.01 is usual.")
     corrector = make_corrector(
         residual, value_and_jacobian, args, point.u.size, weights, tolerance
     )

@@ -14,8 +14,8 @@ from jaxtyping import Array, Bool, Float, Int, PyTree
 from .._checks import (
     check_count,
     check_finite,
-    check_number,
     check_positive,
+    check_positive_number,
     require_x64,
     to_float,
 )
@@ -83,8 +83,7 @@ def check_vector(name: str, value: Any) -> Float[Array, " m"]:
 
 def check_tolerance(tolerance: Any, max_steps: Any) -> int:
     """The greatest number of steps, or raises `ValueError` if a search cannot go by these."""
-    check_number("tolerance", tolerance, "1e-10 is usual.")
-    check_positive("tolerance", tolerance, "1e-10 is usual.")
+    check_positive_number("tolerance", tolerance, "1e-10 is usual.")
     check_count("max_steps", max_steps)
     return np.iinfo(np.int32).max if max_steps is None else int(max_steps)
 

@@ -11,7 +11,7 @@ from jax import lax
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
-from .._checks import check_count, check_nonnegative, require_x64
+from .._checks import check_finite, check_nonnegative, check_whole, require_x64, to_float
 from .._types import ScalarLike
 
 
@@ -31,6 +31,15 @@ class Descent(eqx.Module):
     converged: Bool[Array, ""]
     path: PyTree
     losses: Float[Array, " entries"]
+
+
+def unknowns(start: PyTree) -> tuple[Float[Array, " m"], Callable[[Array], PyTree]]:
+    """The numbers of a pytree as a vector, and the way back, or raises `ValueError`."""
+    flat, unravel = ravel_pytree(jax.tree.map(to_float, start))
+    if flat.size == 0:
+        raise ValueError("Argument `start` must hold at least one number, but is empty.")
+    check_finite("start", flat, "a search needs numbers to start from.")
+    return flat, unravel
 
 
 def descend(
@@ -62,14 +71,9 @@ def descend(
     (3.0, 35, True)
     """
     require_x64()
-    if steps is None:
-        raise ValueError("Argument `steps` must be an integer of at least 1, but is None.")
-    check_count("steps", steps)
+    check_whole("steps", steps)
     check_nonnegative("tolerance", tolerance, "1e-20 is usual for a squared residual.")
-    start = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=float), start)
-    flat, unravel = ravel_pytree(start)
-    if flat.size == 0:
-        raise ValueError("Argument `start` must hold at least one number, but is empty.")
+    flat, unravel = unknowns(start)
 
     value = _forward(lambda x: jnp.asarray(loss(unravel(x)), dtype=float))
     transform = optax.with_extra_args_support(optimiser)

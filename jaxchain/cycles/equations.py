@@ -2,16 +2,13 @@
 
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
-from .._checks import check_number, check_positive, require_64_bits, require_x64
-from ..model.chain import Chain
-from ..model.initial_states import check_mass
-from ..model.locality import check_autonomous, check_local
-from ..model.oscillators import AbstractOscillators
+from .._checks import check_one_of
+from ..model.arguments import as_images, as_mass
 from ..simulation.accuracy import fit_linear_solve
 from ..solvers.rosenbrock import Rodas5P
+from .floquet import check_orbit
 from .shooting import Shooting
 
 
@@ -19,31 +16,12 @@ def cycle_equations(
     chain: Any, state: Any, period: Any, parameter: str, vibrating: Any, images: Any, rtol: Any
 ) -> tuple[Shooting, np.ndarray, float]:
     """The shooting equations, and u and p of the cycle that is given."""
-    require_x64()
     if state is None and period is None:
         chain, state, period, mass = _parts(chain)
         vibrating = mass if vibrating is None else vibrating
-    if not isinstance(chain, AbstractOscillators):
-        raise ValueError(
-            "Argument `chain` must be a `Chain` or another `AbstractOscillators`, but is a "
-            f"{type(chain).__name__}."
-        )
-    require_64_bits("chain", chain)
-    x, v = (np.asarray(part, float) for part in (state or (None, None)))
-    n = chain.n if isinstance(chain, Chain) else x.size
-    if x.shape != (n,) or v.shape != (n,):
-        raise ValueError(
-            f"Argument `state` must be (x, v), both of shape ({n},), but has shapes {x.shape} and "
-            f"{v.shape}."
-        )
-    check_number("period", period, "about 2 pi is usual.")
-    check_positive("period", period, "about 2 pi is usual.")
-    check_positive("rtol", rtol, "3e-11 is usual.")
-    if not isinstance(chain, Chain):
-        check_autonomous(chain, n)
-        check_local(chain, 0.0, (jnp.asarray(x), jnp.asarray(v)))
-    fastest = int(np.argmax(float(chain.belt_direction()) * v))
-    mass = fastest if vibrating is None else check_mass(n, vibrating)
+    x, v = check_orbit(chain, state, period, rtol)
+    n, fastest = x.size, int(np.argmax(float(chain.belt_direction()) * np.asarray(v)))
+    mass = as_mass(n, vibrating, fastest)
     value = chain.numbers()
     p = value.get(parameter)
     if p is None or np.shape(p) != ():
@@ -57,10 +35,10 @@ def cycle_equations(
         rtol=rtol,
         solver=fit_linear_solve(Rodas5P(), chain, float(rtol)),
         mass=mass,
-        images=_checked_images(images, mass, n),
+        images=as_images(images, n, mass),
         parameter=parameter,
     )
-    u = np.asarray(shooting.pack((jnp.asarray(x), jnp.asarray(v)), period, p))
+    u = np.asarray(shooting.pack((x, v), period, p))
     return shooting, u, float(p)
 
 
@@ -72,19 +50,6 @@ def _parts(cycle: Any) -> tuple[Any, Any, Any, Any]:
             "Give a `LimitCycle`, or `chain`, `state` and `period`; the first argument is a "
             f"{type(cycle).__name__}."
         ) from None
-
-
-def _checked_images(images: Any, mass: int, n: int) -> tuple[int, ...]:
-    if images is None:
-        return tuple(range(n))
-    given = tuple(int(i) for i in images)
-    good = len(given) == n and all(0 <= i < n and given[i] == i for i in given)
-    if not good or given[mass] != mass:
-        raise ValueError(
-            f"Argument `images` must have {n} entries, entry i the index of the mass that i does "
-            f"the same as, which is its own image, as mass {mass} is, but is {images!r}."
-        )
-    return given
 
 
 def cycle_weights(shooting: Shooting, p: float) -> np.ndarray:
@@ -99,10 +64,7 @@ def cycle_weights(shooting: Shooting, p: float) -> np.ndarray:
 def as_heading(direction: Any, shooting: Shooting, m: int) -> Any:
     if not isinstance(direction, str):
         return direction
-    if direction not in ("stick", "slip"):
-        raise ValueError(
-            f'Argument `direction` must be 1, -1, "stick" or "slip", but is {direction!r}.'
-        )
+    check_one_of("direction", direction, ("stick", "slip"))
     heading = np.zeros(m + 1)
     heading[shooting.place] = 1.0 if direction == "stick" else -1.0
     return heading

@@ -13,18 +13,15 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Complex, Float
 
 from .._checks import (
-    check_finite,
-    check_number,
-    check_positive,
+    check_positive_number,
     check_tolerances,
     is_traced,
-    require_64_bits,
-    require_x64,
     to_float,
 )
 from .._types import State
+from ..model.arguments import as_chain, as_state
 from ..model.chain import Chain
-from ..model.locality import check_autonomous, check_local
+from ..model.locality import check_autonomous
 from ..model.oscillators import AbstractOscillators
 from ..simulation.accuracy import MAX_STEP, fit_linear_solve
 from ..solvers.rosenbrock import Rodas5P
@@ -175,27 +172,10 @@ def _period(chain: Any, state: Any, period: Any, rtol: Any) -> Period:
 
 def check_orbit(chain: Any, state: Any, period: Any, rtol: Any) -> State:
     """The state as arrays, or `ValueError`."""
-    require_x64()
-    if not isinstance(chain, AbstractOscillators):
-        raise ValueError(f"Argument `chain` must be a `Chain`, but is a {type(chain).__name__}.")
-    require_64_bits("chain", chain)
-    if not isinstance(state, tuple | list) or len(state) != 2:
-        raise ValueError(
-            f"Argument `state` must be the pair (x, v), but is a {type(state).__name__}."
-        )
-    x, v = (to_float(part) for part in state)
-    n = getattr(chain, "n", x.shape[0] if x.ndim == 1 else None)
-    if x.shape != (n,) or v.shape != (n,):
-        raise ValueError(
-            f"Argument `state` must hold x and v of shape ({n},), but they have shapes {x.shape} "
-            f"and {v.shape}: use `jax.vmap` for several."
-        )
-    for name, part in {"displacement": x, "velocity": v}.items():
-        check_finite(f"state ({name})", part, "it is a point of the orbit.")
-    check_number("period", period, "about 2 pi is usual.")
-    check_positive("period", period, "about 2 pi is usual.")
+    as_chain(chain, AbstractOscillators)
+    x, v = as_state(chain, state, "state")
+    check_positive_number("period", period, "about 2 pi is usual.")
     check_tolerances(rtol, None, MAX_STEP)
     if not isinstance(chain, Chain):
         check_autonomous(chain, x.shape[0])
-        check_local(chain, 0.0, (x, v))
     return x, v

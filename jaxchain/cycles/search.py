@@ -6,19 +6,18 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 from jaxtyping import Array
 
 from .._checks import (
+    check_one_of,
     check_tolerances,
     is_traced,
-    require_64_bits,
-    require_x64,
     to_float,
 )
 from .._types import State
 from ..continuation.damped_newton import check_tolerance
+from ..model.arguments import as_chain, as_images, as_mass
 from ..model.chain import Chain
 from ..model.initial_states import reference_site
 from ..model.oscillators import AbstractOscillators
@@ -99,7 +98,7 @@ def find_limit_cycle(
     mass, state, period = resolve_guess(frozen, guess, period, vibrating, branch, throw)
     n = state[0].shape[0]
     shooting = Shooting(
-        field=frozen, rtol=rtol, mass=mass, images=_checked_images(images, n, mass),
+        field=frozen, rtol=rtol, mass=mass, images=as_images(images, n, mass),
         solver=fit_linear_solve(Rodas5P(), frozen, 1e-9 if is_traced(rtol) else float(rtol)),
     )  # fmt: skip
     numbers = to_float(tolerance), jnp.asarray(limit)
@@ -127,19 +126,18 @@ def resolve_guess(
     chain: AbstractOscillators, guess: Any, period: Any, vibrating: Any, branch: Any, throw: bool
 ) -> tuple[int, State, Array]:
     """(mass, state on the section, period) of whatever was given."""
-    if branch not in ("stable", "unstable"):
-        raise ValueError(f'Argument `branch` must be "stable" or "unstable", but is {branch!r}.')
+    check_one_of("branch", branch, ("stable", "unstable"))
     if guess is None:
         if not isinstance(chain, Chain):
             raise ValueError(
                 "Argument `guess` is None, which is for a `Chain`: give a state and a period."
             )
-        mass = _checked_mass(vibrating, chain.n, reference_site(chain.n))
+        mass = as_mass(chain.n, vibrating, reference_site(chain.n))
         state, period = guess_of_kind(chain, mass, branch)
         return mass, state, period
     if isinstance(guess, LimitCycle):
         check_orbit(chain, guess.state, guess.period, CYCLE_RTOL)
-        mass = _checked_mass(vibrating, guess.state[0].shape[0], guess.mass)
+        mass = as_mass(guess.state[0].shape[0], vibrating, guess.mass)
         return mass, *_sound(carried(guess.state, guess.chain, chain), guess.period, throw)
     transient = TRANSIENT
     if isinstance(guess, Simulation):
@@ -149,7 +147,7 @@ def resolve_guess(
         guess, period = guess
     state = check_orbit(chain, guess, 1.0 if period is None else period, CYCLE_RTOL)
     n = state[0].shape[0]
-    mass = _checked_mass(vibrating, n, None)
+    mass = as_mass(n, vibrating)
     if mass is None:
         mass = most_lively(chain, state)
     if period is None:
@@ -157,30 +155,6 @@ def resolve_guess(
     else:
         state = guess_from_point(chain, state, period, mass)
     return mass, *_sound(state, to_float(period), throw)
-
-
-def _checked_mass(vibrating: Any, n: int, default: Any) -> Any:
-    if vibrating is None:
-        return default
-    whole = isinstance(vibrating, int | np.integer) and not isinstance(vibrating, bool)
-    if not whole or not 0 <= vibrating < n:
-        raise ValueError(
-            f"Argument `vibrating` must be the index of a mass, 0 ... {n - 1}, but is "
-            f"{vibrating!r}."
-        )
-    return int(vibrating)
-
-
-def _checked_images(images: Any, n: int, mass: int) -> tuple[int, ...]:
-    if images is None:
-        return tuple(range(n))
-    whole = len(images) == n and all(0 <= i < n and images[i] == i for i in images)
-    if not whole or images[mass] != mass:
-        raise ValueError(
-            f"Argument `images` must name for each of {n} masses the one it does the same as, and "
-            f"for that one itself, mass {mass} (`vibrating`) among them, but is {images!r}."
-        )
-    return tuple(images)
 
 
 def _sound(state: State, period: Any, throw: bool) -> tuple[State, Any]:
@@ -215,8 +189,5 @@ def _failure(cycle: LimitCycle) -> str:
 
 
 def _check(chain: Any, rtol: Any) -> None:
-    require_x64()
-    if not isinstance(chain, AbstractOscillators):
-        raise ValueError(f"Argument `chain` must be a `Chain`, but is a {type(chain).__name__}.")
-    require_64_bits("chain", chain)
+    as_chain(chain, AbstractOscillators)
     check_tolerances(rtol, None, MAX_STEP)

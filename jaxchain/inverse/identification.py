@@ -12,17 +12,16 @@ import jax.numpy as jnp
 import jax.tree_util as jtu
 import numpy as np
 from jax import lax
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from .._checks import (
-    check_count,
-    check_finite,
-    check_number,
+    check_share,
+    check_whole,
     is_traced,
     to_float,
 )
 from ..boundaries.bistable import check_friction
+from ..continuation.gradient_descent import unknowns
 from ..model.chain import Chain
 from ..model.initial_states import check_vibrating
 from .measurements import Measurements, predict
@@ -64,12 +63,7 @@ class Identification(eqx.Module):
 
     def interval(self, confidence: Any = 0.95) -> tuple[PyTree, PyTree]:
         """(lower, upper) bounds of each parameter by itself, pytrees as theta."""
-        check_number("confidence", confidence, "0.95 is usual.")
-        if not is_traced(confidence) and not 0 < float(confidence) < 1:
-            raise ValueError(
-                f"Argument `confidence` must lie between 0 and 1, but is {confidence}: 0.95 is "
-                "usual."
-            )
+        check_share("confidence", confidence, "0.95 is usual.")
         times = jax.scipy.stats.norm.ppf(0.5 + 0.5 * to_float(confidence))
         lower = jax.tree.map(lambda t, e: t - times * e, self.theta, self.standard_errors)
         upper = jax.tree.map(lambda t, e: t + times * e, self.theta, self.standard_errors)
@@ -131,18 +125,12 @@ def identify(
             "Argument `measurements` must be a `Measurements`, but is a "
             f"{type(measurements).__name__}."
         )
-    if steps is None:
-        raise ValueError("Argument `steps` must be an integer of at least 1, but is None.")
-    check_count("steps", steps)
-    start = jax.tree.map(to_float, start)
-    flat, unravel = ravel_pytree(start)
-    if flat.size == 0:
-        raise ValueError("Argument `start` must hold at least one number, but is empty.")
-    check_finite("start", flat, "a search needs numbers to start from.")
+    check_whole("steps", steps)
+    flat, unravel = unknowns(start)
     problem = _Problem(chain, measurements, change, mass, friction, unravel)
     found = _fit(problem, flat, steps)
     if not is_traced(found):
-        _complain(problem, found, start)
+        _complain(problem, found, unravel(flat))
     return found
 
 

@@ -13,8 +13,9 @@ from jax import lax
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
-from .._checks import check_count, check_number, check_positive, to_float
+from .._checks import check_positive, check_positive_number, check_whole, to_float
 from ..boundaries.bistable import BistableRange, bistable_range, check_friction
+from ..continuation.gradient_descent import unknowns
 from ..model.chain import Chain
 from ..model.initial_states import check_vibrating
 
@@ -148,16 +149,10 @@ def design(
         )
     name = "highest_below" if width_below is None else "width_below"
     target = highest_below if width_below is None else width_below
-    check_number(name, target, "it is a speed, such as 0.3.")
-    check_positive(name, target, "it is a speed, such as 0.3.")
-    if steps is None:
-        raise ValueError("Argument `steps` must be an integer of at least 1, but is None.")
-    check_count("steps", steps)
+    check_positive_number(name, target, "it is a speed, such as 0.3.")
+    check_whole("steps", steps)
     check_positive("tolerance", tolerance, "1e-6 is usual.")
-    start = jax.tree.map(to_float, start)
-    flat, unravel = ravel_pytree(start)
-    if flat.size == 0:
-        raise ValueError("Argument `start` must hold at least one number, but is empty.")
+    flat, unravel = unknowns(start)
     if scale is None:
         units = jnp.where(flat == 0, 1.0, jnp.abs(flat))
     else:

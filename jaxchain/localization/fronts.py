@@ -12,7 +12,14 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from .._checks import check_count, check_number, check_positive, is_traced, require_x64, to_float
+from .._checks import (
+    check_count,
+    check_number,
+    check_positive_number,
+    check_whole,
+    is_traced,
+    to_float,
+)
 from .._types import ScalarLike
 from ..model.chain import Chain
 from ..model.initial_states import check_vibrating
@@ -137,7 +144,6 @@ def front_speed(
     found.outcome, float(found.speed)  # "grows", 0.016
     ```
     """
-    require_x64()
     middle = check_vibrating(chain, middle)
     _check_ring(chain)
     windows = _window_count(windows, t0, t1)
@@ -218,7 +224,6 @@ def depinning_belt_speed(
     found = depinning_belt_speed(chain, block, 2000.0, stands=1.5, moves=1.25)
     ```
     """
-    require_x64()
     check_vibrating(chain, None)
     _check_ring(chain)
     if not callable(initial):
@@ -227,9 +232,8 @@ def depinning_belt_speed(
             f"with the belt speed, but is {initial!r}."
         )
     for name, value in (("stands", stands), ("moves", moves)):
-        check_number(name, value, "it is a belt speed, such as 1.5.")
-        check_positive(name, value, "it is a belt speed, such as 1.5.")
-    check_count("halvings", halvings)
+        check_positive_number(name, value, "it is a belt speed, such as 1.5.")
+    check_whole("halvings", halvings)
     count = _window_count(windows, 0.0, t1)
 
     def moved(speed: Array) -> tuple[Array, Array]:

@@ -13,15 +13,16 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from .._checks import (
-    check_count,
     check_nonnegative,
     check_number,
-    check_positive,
+    check_one_of,
+    check_positive_number,
+    check_whole,
     is_traced,
-    require_64_bits,
     require_x64,
 )
 from .._types import ScalarLike
+from ..model.arguments import as_chain
 from ..model.chain import Chain
 from ..observers.quantities import participation_ratio
 
@@ -60,10 +61,9 @@ def mistuned_stiffness(
     True
     """
     require_x64()
-    masses: Any = 0 if n is None else n  # None would be no limit
-    check_count("n", masses)
+    masses = check_whole("n", n)
     _check_disorder(disorder, distribution)
-    return 1.0 + disorder * _draw(_key(seed), int(masses), distribution)
+    return 1.0 + disorder * _draw(_key(seed), masses, distribution)
 
 
 def mistuned_chain(chain: Chain, seed: Any, disorder: Any, distribution: str = "uniform") -> Chain:
@@ -103,10 +103,7 @@ def _key(seed: Any) -> Array:
 
 
 def _check_disorder(disorder: Any, distribution: str) -> None:
-    if distribution not in FARTHEST:
-        raise ValueError(
-            f"Argument `distribution` must be one of {list(FARTHEST)}, but is {distribution!r}."
-        )
+    check_one_of("distribution", distribution, list(FARTHEST))
     check_number("disorder", disorder, "0.05 is a mistuning of 5 %.")
     check_nonnegative("disorder", disorder, "0.05 is a mistuning of 5 %.")
     if not is_traced(disorder) and FARTHEST[distribution] * float(disorder) >= 1.0:
@@ -162,11 +159,7 @@ def linear_modes(chain: Any) -> LinearModes:
     >>> [round(float(linear_modes(c).participation_ratio.mean())) for c in (tuned, mistuned)]
     [14, 1]
     """
-    require_x64()
-    if not isinstance(chain, Chain):
-        raise ValueError(f"Argument `chain` must be a `Chain`, but is a {type(chain).__name__}.")
-    require_64_bits("chain", chain)
-    return _modes(chain)
+    return _modes(as_chain(chain))
 
 
 @eqx.filter_jit  # one small program instead of a dozen
@@ -215,10 +208,9 @@ def localization_length(
     34
     """
     require_x64()
-    check_number("coupling", coupling, "the paper's chain has 0.01.")
-    check_positive("coupling", coupling, "the paper's chain has 0.01.")
+    check_positive_number("coupling", coupling, "the paper's chain has 0.01.")
     check_number("position", position, "0 is the middle of the band.")
-    check_count("length", length)
+    check_whole("length", length)
     _check_disorder(disorder, distribution)
     ratios = disorder / coupling * _draw(_key(seed), int(length), distribution)
 

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._checks import check_finite
+from .._checks import check_finite, check_whole
 from .._types import State
 from ..cycles.averaging import one_mass
 from ..model.initial_states import reference_site
@@ -113,12 +113,7 @@ def locked_patterns(model: PhaseModel, count: Any) -> tuple[LockedPattern, ...]:
 
     **Raises:** `ValueError` for a count that is no whole number in 1 ... n.
     """
-    whole = isinstance(count, int | np.integer) and not isinstance(count, bool)
-    if not whole or not 1 <= count <= model.chain.n:
-        raise ValueError(
-            f"Argument `count` must be a whole number in 1 ... {model.chain.n}, but is {count!r}."
-        )
-    k = int(count)
+    k = check_whole("count", count, 1, model.chain.n)
     if k == 1:
         rate = float(model.rates(jnp.zeros(1))[0])
         return (LockedPattern(np.zeros(1), rate, -np.inf),)

@@ -19,11 +19,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Complex, Float
 
-from .._checks import require_64_bits, require_x64
 from .._types import State
 from ..cycles.averaging import one_mass
 from ..cycles.floquet import monodromy_matrix
 from ..cycles.search import find_limit_cycle
+from ..model.arguments import as_chain
 from ..model.chain import Chain, steady_sliding
 from ..model.sliding import has_uniform_damping, sliding_damping, stiffness_matrix
 from ..observers.trajectory import Trajectory
@@ -82,7 +82,6 @@ def phase_model(chain: Any) -> PhaseModel:
         calmest.growth, float(cycle.energy)  # (-0.00093..., 4.9056...)
         ```
     """
-    require_x64()
     _check_ring(chain)
     alone = one_mass(chain, 0)
     cycle = find_limit_cycle(alone)
@@ -101,9 +100,7 @@ def phase_model(chain: Any) -> PhaseModel:
 
 
 def _check_ring(chain: Any) -> None:
-    if not isinstance(chain, Chain):
-        raise ValueError(f"Argument `chain` must be a `Chain`, but is a {type(chain).__name__}.")
-    require_64_bits("chain", chain)
+    as_chain(chain)
     same = has_uniform_damping(chain) and jnp.ndim(chain.stiffness) == 0
     ring = chain.coupling is not None and jnp.ndim(chain.coupling) == 0 and chain.ends == "cyclic"
     if not (same and ring and chain.n > 2):

@@ -1,5 +1,6 @@
 """The chain: masses on a moving belt, their springs and friction, sliding, initial states.
 
+- `arguments`: a chain, a state, a mass and a symmetry that a function is given, checked
 - `chain`: the equations, the paper's chain, steady sliding
 - `friction`: laws mu(s), one class each, and their smoothing by a width
 - `initial_states`: eq. (8) and eq. (10) of the paper, and who is excited

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, get_args
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float
 
-from .._checks import to_float
+from .._checks import check_one_of, check_whole, to_float
 from .._types import PerMass, ScalarLike, State
 from .friction import ExponentialDecay, TanhFriction, check_numbers
 from .oscillators import AbstractOscillators
@@ -74,16 +73,13 @@ class Chain(AbstractOscillators):
         normal_load: ArrayLike | None = None,
         ends: str = "cyclic",
     ):
-        if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 1:
-            raise ValueError(f"Argument `n` must be a positive integer, but is {n!r}.")
-        if ends not in ("cyclic", "free"):
-            raise ValueError(f'Argument `ends` must be "cyclic" or "free", but is {ends!r}.')
+        check_one_of("ends", ends, get_args(Ends))
         if not isinstance(friction, TanhFriction):
             raise ValueError(
                 "Argument `friction` must be a regularized law, TanhFriction(law, width), but is "
                 f"{friction!r}."
             )
-        self.n = int(n)
+        self.n = check_whole("n", n)
         self.friction = friction
         self.belt_speed = to_float(belt_speed)
         self.damping_ratio = to_float(damping_ratio)

@@ -9,14 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Int
 
-from .._checks import (
-    check_finite,
-    is_traced,
-    require_64_bits,
-    require_x64,
-    to_float,
-)
+from .._checks import check_finite, check_one_of, is_traced, to_float
 from .._types import State
+from .arguments import as_chain, as_mass
 from .chain import Chain, steady_sliding
 
 
@@ -27,24 +22,8 @@ def reference_site(n: int) -> int:
 
 def check_vibrating(chain: Any, vibrating: Any) -> int:
     """The index of the vibrating mass (None: oscillator 11 of 20), or `ValueError`."""
-    require_x64()
-    if not isinstance(chain, Chain):
-        raise ValueError(f"Argument `chain` must be a `Chain`, but is a {type(chain).__name__}.")
-    require_64_bits("chain", chain)
-    if vibrating is None:
-        return reference_site(chain.n)
-    return check_mass(chain.n, vibrating)
-
-
-def check_mass(n: int, vibrating: Any) -> int:
-    """The index of one of n masses, or `ValueError`."""
-    whole = isinstance(vibrating, int | np.integer) and not isinstance(vibrating, bool)
-    if not whole or not 0 <= vibrating < n:
-        raise ValueError(
-            f"Argument `vibrating` must be the index of a mass, 0 ... {n - 1}, but is "
-            f"{vibrating!r}. For several vibrating masses follow the branch of their cycle."
-        )
-    return int(vibrating)
+    n = as_chain(chain).n
+    return as_mass(n, vibrating, reference_site(n))
 
 
 def excited_block(
@@ -56,8 +35,7 @@ def excited_block(
     it is: "forward" is 11 ... 10 + k, going round the ring past N; "centred" is
     11 - floor(k / 2) ... 10 + ceil(k / 2).
     """
-    if block not in ("forward", "centred"):
-        raise ValueError(f'Argument `block` must be "forward" or "centred", but is {block!r}.')
+    check_one_of("block", block, ("forward", "centred"))
     start = reference_site(n) - (0 if block == "forward" else excited // 2)
     return (jnp.arange(n) - start) % n < excited
 
@@ -94,10 +72,7 @@ def excited_state(
 
     **Raises:** `ValueError` for a count that is not whole or not in 0 ... n, and for NaN.
     """
-    if pattern not in ("alternating", "in-phase"):
-        raise ValueError(
-            f'Argument `pattern` must be "alternating" or "in-phase", but is {pattern!r}.'
-        )
+    check_one_of("pattern", pattern, ("alternating", "in-phase"))
     check_finite("amplitude", amplitude, "2 is that of eq. (8).")
     check_finite("velocity", velocity, "eq. (8) has 0, eq. (10) 0.56.")
     mask = _mask(chain.n, excited, block)
@@ -150,10 +125,7 @@ def equation_10(
     `reading` settles F(+v_d): "as_printed" takes it literally, F(+v_d) = -F(-v_d), so that the
     masses start on the wrong side of steady sliding; "as_equation_8" takes it for F(-v_d).
     """
-    if reading not in ("as_printed", "as_equation_8"):
-        raise ValueError(
-            f'Argument `reading` must be "as_printed" or "as_equation_8", but is {reading!r}.'
-        )
+    check_one_of("reading", reading, ("as_printed", "as_equation_8"))
     return excited_state(
         chain, excited, velocity=0.56, block=block, mirrored=reading == "as_printed"
     )

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from .._checks import check_count, check_positive, to_float
+from .._checks import check_one_of, check_positive, check_whole, to_float
 from .._types import ScalarLike, State
 from ..model.oscillators import AbstractOscillators
 from .base import AbstractObserver, Step
@@ -67,11 +67,8 @@ class Amplitude(AbstractObserver):
             check_positive("window", self.window, "a period is about 2 pi; 100 is usual.")
         check_positive("tolerance", self.tolerance, "1e-6 is usual.")
         check_positive("quiet_below", self.quiet_below, "1e-6 is usual.")
-        check_count("repeats", self.repeats)
-        if self.stop not in ("never", "quiet", "steady"):
-            raise ValueError(
-                f'Argument `stop` must be "never", "quiet" or "steady", but is {self.stop!r}.'
-            )
+        check_whole("repeats", self.repeats)
+        check_one_of("stop", self.stop, ("never", "quiet", "steady"))
         if self.stop != "never" and self.window is None:
             raise ValueError(
                 f"Argument `stop` = {self.stop!r} needs a `window`: the amplitudes of successive "

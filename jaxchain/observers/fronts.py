@@ -14,9 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
-from scipy.special import stdtrit
 
-from .._checks import check_count, to_float
+from .._checks import check_count, check_share, check_whole, to_float
+from .._statistics import student_reach
 from .._types import ScalarLike, State
 from ..model.oscillators import AbstractOscillators
 from .base import AbstractObserver, Step
@@ -197,12 +197,8 @@ def mean_speed(
     >>> float(speed), float(error)
     (0.5, 0.0)
     """
-    check_count("batches", batches)
-    if batches < 2 or not 0 < level < 1:
-        raise ValueError(
-            "Arguments `batches` and `level` must be at least 2 and between 0 and 1, but are "
-            f"{batches} and {level}: 8 and 0.95 are usual."
-        )
+    check_whole("batches", batches, 2, remedy="8 is usual.")
+    check_share("level", level, "0.95 is usual.")
     first, count = jnp.argmax(valid), jnp.sum(valid)
     edges = first + (jnp.arange(batches + 1) * (count - 1)) // batches
     edges = jnp.clip(edges, 0, len(times) - 1)
@@ -211,7 +207,7 @@ def mean_speed(
     rates = moved / jnp.where(enough, lasted, 1.0)
     far = positions[edges[-1]] - positions[edges[0]]
     time = jnp.where(enough, times[edges[-1]] - times[edges[0]], 1.0)
-    quantile = float(stdtrit(batches - 1, 0.5 + level / 2))
+    quantile = float(student_reach(level, batches - 1))
     error = quantile * jnp.std(rates, ddof=1) / batches**0.5
     silent = -np.log1p(-level) / time
     error = jnp.where(jnp.abs(far) < 0.5, jnp.maximum(error, silent), error)

@@ -8,7 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._checks import check_count, check_finite
+from .._checks import check_finite, check_whole
 from .._types import ScalarLike, State
 from ..model.oscillators import AbstractOscillators
 from .base import AbstractObserver, Step
@@ -28,7 +28,7 @@ class PeakTimes(AbstractObserver):
     start: float = eqx.field(static=True, default=0.0)
 
     def __check_init__(self) -> None:
-        check_count("capacity", self.capacity)
+        check_whole("capacity", self.capacity)
         check_finite("start", self.start, "nothing is kept before this time; 0 is usual.")
 
     def init(

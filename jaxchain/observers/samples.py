@@ -8,7 +8,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from .._checks import check_count, check_nonnegative, check_positive, to_float
+from .._checks import check_nonnegative, check_positive, check_whole, to_float
 from .._types import ScalarLike, State
 from ..model.oscillators import AbstractOscillators
 from .base import AbstractObserver, Step
@@ -60,18 +60,14 @@ class Samples(AbstractObserver):
 
     def __check_init__(self) -> None:
         check_positive("interval", self.interval, "0.1 is a sixtieth of a period.")
-        check_count("capacity", self.capacity)
+        check_whole("capacity", self.capacity)
         check_nonnegative("start", self.start, "the first time; 0 is usual.")
 
     def _masses(self, n: int) -> np.ndarray:
         if self.oscillators is None:
             return np.arange(n)
-        for index in self.oscillators:
-            if not 0 <= index < n:
-                raise ValueError(
-                    f"Argument `oscillators` must hold indices from 0 to {n - 1}, but holds "
-                    f"{index}: the chain has {n} masses."
-                )
+        for place, index in enumerate(self.oscillators):
+            check_whole(f"oscillators[{place}]", index, 0, n - 1, f"the chain has {n} masses.")
         return np.array(self.oscillators, int)
 
     def init(

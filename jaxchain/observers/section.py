@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from .._checks import check_count, check_finite, to_float
+from .._checks import check_finite, check_whole, to_float
 from .._types import ScalarLike, State
 from ..model.oscillators import AbstractOscillators
 from .base import AbstractObserver, Step
@@ -26,7 +26,7 @@ class Section(AbstractObserver):
     start: float = eqx.field(static=True, default=0.0)
 
     def __check_init__(self) -> None:
-        check_count("capacity", self.capacity)
+        check_whole("capacity", self.capacity)
         check_finite("start", self.start, "nothing is kept before this time; 0 is usual.")
 
     def init(
@@ -34,10 +34,7 @@ class Section(AbstractObserver):
     ) -> tuple[Array, ...]:
         del field, t0, t1
         n = y0[0].shape[0]
-        if not -n <= self.oscillator < n:
-            raise ValueError(
-                f"Argument `oscillator` must lie in 0 ... {n - 1}, but is {self.oscillator}."
-            )
+        check_whole("oscillator", self.oscillator, -n, n - 1)
         empty = jnp.full((self.capacity, n), jnp.nan)
         return empty[:, 0], empty, empty, jnp.zeros((), int)
 

@@ -12,10 +12,10 @@ from matplotlib.animation import AbstractMovieWriter, FuncAnimation
 from matplotlib.figure import Figure
 from PIL import Image
 
-from .._checks import check_positive
+from .._checks import check_positive, check_whole
 from ..model.chain import Chain
 from .chain_artist import Curves, Scene, explain
-from .films import check_frames, checked_film
+from .films import checked_film
 from .style import PAGE_WIDTH, STYLE
 
 HEIGHT = 2.9  # inches
@@ -100,7 +100,7 @@ def film_strip(
     **Arguments:** as for `animate`; `stills`, how many, at most one for every frame.
     """
     times, states = checked_film(chain, times, states)
-    check_frames("stills", stills)
+    check_whole("stills", stills)
     shown = _shown(chain, states[0], masses)
     if stills > len(times):
         raise ValueError(

@@ -9,8 +9,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .._checks import check_count, check_finite, check_positive, require_64_bits, require_x64
+from .._checks import check_finite, check_positive, check_whole
 from ..cycles.guesses import most_lively
+from ..model.arguments import as_chain
 from ..model.chain import Chain
 from ..observers.section import Section
 from ..observers.trajectory import Trajectory
@@ -70,8 +71,8 @@ def loop(
     save_gif(animate(chain, times, states, dry=True), "chain.gif")
     ```
     """
-    _check_chain(chain)
-    check_frames("frames", frames)
+    as_chain(chain)
+    check_whole("frames", frames)
     check_positive("longest", longest, "100 is some sixteen periods.")
     check_positive("tolerance", tolerance, "1e-2 cannot be seen.")
     turns = Section(most_lively(chain, state), capacity=256)
@@ -100,7 +101,7 @@ def loop(
 
 def checked_film(chain: Any, times: Any, states: Any) -> tuple[np.ndarray, tuple[Any, Any]]:
     """Times and (x, v) as arrays of fitting shapes, or `ValueError`."""
-    _check_chain(chain)
+    as_chain(chain)
     times = np.asarray(times, dtype=float)
     check_finite("times", times, "leave out such times.")
     if times.ndim != 1 or len(times) < LEAST_FRAMES or not np.all(np.diff(times) > 0):
@@ -124,16 +125,3 @@ def checked_film(chain: Any, times: Any, states: Any) -> tuple[np.ndarray, tuple
             )
         check_finite(name, part, "a run that failed ends with NaN; see its `result`.")
     return times, (x, v)
-
-
-def _check_chain(chain: Any) -> None:
-    require_x64()
-    if not isinstance(chain, Chain):
-        raise ValueError(f"Argument `chain` must be a `Chain`, but is a {type(chain).__name__}.")
-    require_64_bits("chain", chain)
-
-
-def check_frames(name: str, value: Any) -> None:
-    if value is None:
-        raise ValueError(f"Argument `{name}` must be an integer, but is None.")
-    check_count(name, value)

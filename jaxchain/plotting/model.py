@@ -13,7 +13,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch, FancyBboxPatch, Rectangle
 
-from .._checks import require_x64
+from .._checks import check_whole
+from ..model.arguments import as_chain
 from ..model.chain import Chain, paper_chain
 from .friction import draw_friction
 from .style import BLUE, GREY, PAGE_WIDTH, RED, STYLE
@@ -58,16 +59,8 @@ def draw_model(chain: Any = None, masses: Any = 4, axes: Any = None) -> Figure:
         >>> [panel.get_title(loc="left") for panel in page.axes]
         ['(a)', '(b)']
     """
-    require_x64()
-    chain = paper_chain() if chain is None else chain
-    if not isinstance(chain, Chain):
-        raise ValueError(f"Argument `chain` must be a `Chain`, but is a {type(chain).__name__}.")
-    whole = isinstance(masses, int | np.integer) and not isinstance(masses, bool)
-    if not whole or not 1 <= masses <= 6:
-        raise ValueError(
-            f"Argument `masses` must be a whole number in 1 ... 6, but is {masses!r}: more are "
-            "not legible. 4 is usual."
-        )
+    chain = as_chain(paper_chain() if chain is None else chain)
+    check_whole("masses", masses, 1, 6, "more are not legible. 4 is usual.")
     if axes is not None and (
         len(np.ravel(axes)) != 2 or not all(isinstance(panel, Axes) for panel in np.ravel(axes))
     ):

@@ -18,13 +18,11 @@ from .._checks import (
     check_span,
     check_tolerances,
     is_traced,
-    require_64_bits,
-    require_x64,
     to_float,
 )
 from .._types import ScalarLike, State
+from ..model.arguments import as_chain, as_state
 from ..model.chain import Chain
-from ..model.locality import check_local
 from ..model.oscillators import AbstractOscillators
 from ..observers.base import AbstractObserver
 from ..observers.trajectory import Trajectory
@@ -129,7 +127,7 @@ def simulate(
         >>> int(active(run.observed, 1.5).sum())
         1
     """
-    require_x64()
+    as_chain(chain, AbstractOscillators)
     smoothed = not isinstance(solver, EventDriven)
     numerics = None
     if accuracy is not None:
@@ -258,34 +256,13 @@ def _check_input(
     segments: int | None,
     smoothed: bool,
 ) -> State:
-    if not isinstance(initial, tuple | list) or len(initial) != 2:
-        raise ValueError(
-            "Argument `initial` must be the pair (displacement, velocity), but is "
-            f"{type(initial).__name__}."
-        )
-    require_64_bits("chain", chain)
-    x, v = (to_float(part) for part in initial)
-    if isinstance(chain, Chain) and x.shape != (chain.n,):
-        raise ValueError(
-            f"Argument `initial` has a displacement of shape {x.shape}, but the chain has "
-            f"{chain.n} masses."
-        )
-    if x.ndim != 1 or x.shape != v.shape:
-        raise ValueError(
-            "Argument `initial` must hold a displacement and a velocity of the same shape (n,), "
-            f"but they have shapes {x.shape} and {v.shape}. Use `jax.vmap` or `sweep` for several."
-        )
-    check_finite("initial displacement", x, "see `excited_state` for initial states.")
-    check_finite("initial velocity", v, "see `excited_state` for initial states.")
     check_span(t0, t1)
     check_tolerances(rtol, atol, max_step)
     if isinstance(chain, Chain) and smoothed:
         check_resolved(chain.n, chain.friction.width, chain.belt_speed, rtol, atol)
     check_count("max_steps", max_steps)
     check_count("segments", segments)
-    if not isinstance(chain, Chain):
-        check_local(chain, t0, (x, v))
-    return x, v
+    return as_state(chain, initial, t0=t0)
 
 
 def _check_trajectory(trajectory: Trajectory, t0: Any, t1: Any, segments: int | None) -> None:

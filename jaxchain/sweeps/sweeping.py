@@ -28,11 +28,10 @@ from .._checks import (
     check_finite,
     check_span,
     check_tolerances,
-    require_64_bits,
-    require_x64,
     to_float,
 )
 from .._types import ScalarLike, State
+from ..model.arguments import as_chain
 from ..model.chain import Chain
 from ..model.parameters import parameter
 from ..result import NAMES, STOPPED_WELL, message
@@ -144,13 +143,8 @@ def sweep(
     # pandas comes with xarray, and would double the time of `import jaxchain`.
     from .dataset import describe, to_dataset
 
-    require_x64()
-    if not isinstance(chain, Chain):
-        raise ValueError(
-            f"Argument `chain` must be a `Chain`, but is a {type(chain).__name__}: for other "
-            "oscillators use `jax.vmap` of `simulate`, with `throw=False`."
-        )
-    require_64_bits("chain", chain)
+    remedy = "for other oscillators use `jax.vmap` of `simulate`, with `throw=False`."
+    chain = as_chain(chain, remedy=remedy)
     check_span(t0, t1)
     axes = check_axes(chain, initial, over, vary)
     _check_initial(chain, initial, axes)
@@ -167,8 +161,8 @@ def sweep(
                 "`over`."
             )
         widths, rtol = _numerics(chain, vary, jobs, accuracy)
-    width = axes.get("width", chain.friction.width)
-    speed = axes.get("belt_speed", chain.belt_speed)
+    width: Any = axes.get("width", chain.friction.width)
+    speed: Any = axes.get("belt_speed", chain.belt_speed)
     tolerance: Any = rtol
     if rtol is None:
         tolerance = default_rtol(chain.n, width, speed) if smoothed else USUAL_RTOL

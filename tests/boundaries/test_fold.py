@@ -200,7 +200,10 @@ def test_a_second_derivative_of_the_speed_alone_says_where_to_get_it():
 
 @pytest.mark.parametrize(
     ("vibrating", "message"),
-    [(3, "`vibrating` must be the index of a mass, 0 ... 2, but is 3"), ((0, 1), "several")],
+    [
+        (3, "`vibrating` must be an integer in 0 ... 2, but is 3"),
+        ((0, 1), "several"),
+    ],
 )
 def test_a_mass_that_is_not_there_is_refused(vibrating, message):
     with pytest.raises(ValueError, match=message):

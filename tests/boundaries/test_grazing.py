@@ -144,9 +144,13 @@ def test_the_peak_of_a_cubic():
     ("chain", "vibrating", "message"),
     [
         ("chain", None, "`chain` must be a `Chain`"),
-        (paper_chain(n=3), 3, "`vibrating` must be the index of a mass, 0 ... 2, but is 3"),
-        (paper_chain(n=3), 1.0, "`vibrating` must be the index"),
-        (paper_chain(n=3), True, "`vibrating` must be the index"),
+        (
+            paper_chain(n=3),
+            3,
+            "`vibrating` must be an integer in 0 ... 2, but is 3",
+        ),
+        (paper_chain(n=3), 1.0, "`vibrating` must be an integer in 0 ... 2"),
+        (paper_chain(n=3), True, "`vibrating` must be an integer in 0 ... 2"),
     ],
 )
 def test_bad_input_is_named(chain, vibrating, message):

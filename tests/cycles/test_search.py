@@ -280,7 +280,7 @@ def test_bad_input_is_named(slip):
         ({"chain": None}, "`chain` must be a `Chain`"),
         ({"guess": 3.0}, "`state` must be the pair"),
         ({"guess": (state, -1.0)}, "`period` must be positive"),
-        ({"vibrating": 2}, "`vibrating` must be the index"),
+        ({"vibrating": 2}, "`vibrating` must be an integer in 0 ... 0"),
         ({"branch": "upper"}, "`branch` must be"),
         ({"rtol": 0.0}, "`rtol`"),
         ({"tolerance": -1.0}, "`tolerance`"),

@@ -134,7 +134,7 @@ def test_with_changes_numbers_of_chain_and_friction():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"n": 0}, "`n` must be a positive integer"),
+        ({"n": 0}, "`n` must be an integer of at least 1"),
         ({"ends": "loose"}, '`ends` must be "cyclic" or "free"'),
         ({"belt_speed": jnp.ones(2)}, r"`belt_speed` must be one number, but has shape \(2,\)"),
         (

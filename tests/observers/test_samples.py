@@ -110,5 +110,5 @@ def test_bad_input_is_named():
         Samples(0.1, 0)
     with pytest.raises(ValueError, match="`start` must be"):
         Samples(0.1, 4, start=-1.0)
-    with pytest.raises(ValueError, match="indices from 0 to 2, but holds 3"):
+    with pytest.raises(ValueError, match=r"`oscillators.0.` must be an integer in 0 ... 2"):
         simulate(CHAIN, START, 1.0, observe=Samples(0.1, 4, oscillators=(3,)))

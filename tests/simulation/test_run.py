@@ -182,7 +182,7 @@ def test_an_empty_time_span_returns_the_initial_state():
         ({"initial": jnp.ones(4)}, "must be the pair"),
         ({"initial": (jnp.ones(4), jnp.ones(3))}, r"shapes \(4,\) and \(3,\)"),
         ({"initial": (jnp.ones(4), jnp.full(4, jnp.nan))}, "`initial velocity` must be finite"),
-        ({"initial": (jnp.ones(3), jnp.ones(3))}, "has 4 masses"),
+        ({"initial": (jnp.ones(3), jnp.ones(3))}, "for 4 masses"),
         ({"observe": "amplitude"}, "must hold observers"),
         ({"observe": Trajectory(jnp.array([1.0, 99.0]))}, r"lie within \[0.0, 1.0\]"),
         ({"observe": Trajectory(jnp.ones(2)), "segments": 2}, "Leave out `segments`"),

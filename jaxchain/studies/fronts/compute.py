@@ -9,10 +9,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy.stats
 import xarray as xr
 from jaxtyping import Array, ArrayLike
-from scipy.special import stdtrit
 
+from jaxchain._statistics import student_reach
 from jaxchain._types import State
 from jaxchain.boundaries.grazing import nonsmooth_fold_belt_speed
 from jaxchain.boundaries.hopf import hopf_belt_speed
@@ -124,7 +125,7 @@ def add_mean(data: xr.Dataset, over: tuple[str, ...]) -> xr.Dataset:
     speed = data["speed"]
     count = speed.count(over)
     own = data["error"].mean(over) / np.sqrt(count)
-    quantile = xr.apply_ufunc(lambda m: stdtrit(np.maximum(m - 1, 1), 0.975), count)
+    quantile = xr.apply_ufunc(lambda m: student_reach(0.95, np.maximum(m - 1, 1)), count)
     scatter = xr.where(count > 1, quantile * speed.std(over, ddof=1) / np.sqrt(count), 0.0)
     error = xr.where(scatter > own, scatter, own)
     return data.assign(mean_speed=speed.mean(over), mean_error=error)
@@ -139,10 +140,9 @@ def exponents(coupling: np.ndarray, speed: np.ndarray, error: np.ndarray) -> tup
     if use.sum() < 3:
         return np.nan, np.nan, float(use.sum())
     x, y = np.log(coupling[use]), np.log(np.abs(speed[use]))
-    slope, offset = np.polyfit(x, y, 1)
-    rest = y - slope * x - offset
-    spread = np.sqrt((rest**2).sum() / (x.size - 2) / ((x - x.mean()) ** 2).sum())
-    return float(slope), float(stdtrit(x.size - 2, 0.975) * spread), float(x.size)
+    fit: Any = scipy.stats.linregress(x, y)
+    reach = student_reach(0.95, x.size - 2) * fit.stderr
+    return float(fit.slope), float(reach), float(x.size)
 
 
 def base_chain(study: Study, n: int, width: float = _WIDTH) -> Chain:

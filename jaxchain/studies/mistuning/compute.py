@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
+from jaxchain._statistics import bootstrap_mean, wilson
 from jaxchain._types import State
 from jaxchain.localization.capture_theory import capture_interval
 from jaxchain.localization.mistuning import (
@@ -25,7 +26,6 @@ from jaxchain.observers.amplitude import Amplitude
 from jaxchain.observers.peaks import PeakTimes
 from jaxchain.observers.quantities import active_above, participation_ratio
 from jaxchain.simulation.event_driven import EventDriven
-from jaxchain.studies.mistuning.statistics import bootstrap_mean, wilson
 from jaxchain.studies.mistuning.table import Ensemble, Study
 from jaxchain.sweeps.sweeping import sweep
 

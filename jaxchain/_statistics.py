@@ -1,14 +1,33 @@
-"""Confidence intervals of what is measured over many chains."""
+"""Confidence intervals: Student's t, Wilson's for a fraction, the bootstrap for a mean."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
+import scipy.special
 
 _RESAMPLES = 1000
-# 97.5 % of a normal distribution lie below it.
-_NORMAL = 1.959963984540054
+
+
+def student_reach(level: Any, freedom: Any) -> Any:
+    """How many standard errors the two-sided interval at `level` reaches, by Student's t.
+
+    >>> round(float(student_reach(0.95, 2)), 3)
+    4.303
+    """
+    return scipy.special.stdtrit(freedom, 0.5 + 0.5 * level)
+
+
+def mean_interval(values: np.ndarray) -> np.ndarray:
+    """95 % interval, (2, ...), of the mean of independent values along axis 0.
+
+    >>> np.round(mean_interval(np.array([1.0, 2.0, 3.0])), 3).tolist()
+    [-0.484, 4.484]
+    """
+    count, mean = len(values), np.mean(values, axis=0)
+    reach = student_reach(0.95, count - 1) * np.std(values, axis=0, ddof=1) / count**0.5
+    return np.stack([mean - reach, mean + reach])
 
 
 def bootstrap_mean(values: Any, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -42,19 +61,9 @@ def wilson(successes: Any, total: Any) -> tuple[np.ndarray, np.ndarray]:
     """
     successes, total = np.asarray(successes, float), np.asarray(total, float)
     total = np.where(total > 0, total, np.nan)
-    share, z2 = successes / total, _NORMAL**2
+    z = scipy.special.ndtri(0.975)
+    share, z2 = successes / total, z**2
     centre = (share + z2 / (2 * total)) / (1 + z2 / total)
-    half = _NORMAL * np.sqrt(share * (1 - share) / total + z2 / (4 * total**2)) / (1 + z2 / total)
+    half = z * np.sqrt(share * (1 - share) / total + z2 / (4 * total**2)) / (1 + z2 / total)
     low, high = np.maximum(centre - half, 0.0), np.minimum(centre + half, 1.0)
     return np.asarray(low), np.asarray(high)
-
-
-def correlation(a: Any, b: Any, where: Any = True) -> float:
-    """Pearson's coefficient over all entries that `where` marks; NaN if one does not vary."""
-    a, b, where = np.broadcast_arrays(np.asarray(a, float), np.asarray(b, float), where)
-    x, y = a[where], b[where]
-    if x.size < 3:
-        return float("nan")
-    x, y = x - x.mean(), y - y.mean()
-    scale = float(np.sqrt((x @ x) * (y @ y)))
-    return float(x @ y) / scale if scale > 1e-12 * x.size else float("nan")

@@ -1,0 +1,79 @@
+"""Arguments that many functions take, checked: a chain, a state, a mass, a symmetry."""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar
+
+from jaxtyping import Array, Float
+
+from .._checks import check_finite, check_whole, require_64_bits, require_x64, to_float
+from .chain import Chain
+from .locality import check_local
+from .oscillators import AbstractOscillators
+
+_Kind = TypeVar("_Kind", bound=AbstractOscillators)
+
+
+def as_chain(chain: Any, kind: type[_Kind] = Chain, remedy: str = "") -> _Kind:
+    """The chain, or `ValueError` unless it is of this kind and made of 64-bit numbers."""
+    require_x64()
+    if not isinstance(chain, kind):
+        other = "" if kind is Chain else f" or another `{kind.__name__}`"
+        raise ValueError(
+            f"Argument `chain` must be a `Chain`{other}, but is a {type(chain).__name__}"
+            f"{': ' + remedy if remedy else '.'}"
+        )
+    require_64_bits("chain", chain)
+    return chain
+
+
+def as_state(
+    chain: AbstractOscillators, state: Any, name: str = "initial", *, t0: Any = 0.0,
+    batch: bool = False,
+) -> tuple[Float[Array, "*states n"], Float[Array, "*states n"]]:  # fmt: skip
+    """A state (x, v) as floats, both of shape (n,), or (states, n) if it is a `batch`.
+
+    **Raises:** `ValueError` for anything else, for what is not finite, and for forces of what is
+    not a `Chain` that are not local there at the time `t0`.
+    """
+    if not isinstance(state, tuple | list) or len(state) != 2:
+        raise ValueError(
+            f"Argument `{name}` must be the pair (displacement, velocity), but is a "
+            f"{type(state).__name__}."
+        )
+    x, v = (to_float(part) for part in state)
+    n = chain.n if isinstance(chain, Chain) else x.shape[-1] if x.ndim else 0
+    if x.shape != v.shape or x.shape[-1:] != (n,) or x.ndim != 1 + batch or not x.size:
+        masses = "one mass" if n == 1 else f"{n} masses"
+        wanted = f"(states, {n})" if batch else f"({n},): use `jax.vmap` or `sweep` for several"
+        raise ValueError(
+            f"Argument `{name}` has parts of shapes {x.shape} and {v.shape}, but for {masses} "
+            f"displacement and velocity have shape {wanted}."
+        )
+    for part, values in (("displacement", x), ("velocity", v)):
+        check_finite(f"{name} {part}", values, "see `excited_state` for initial states.")
+    if not isinstance(chain, Chain) and not batch:
+        check_local(chain, t0, (x, v))
+    return x, v
+
+
+def as_mass(n: int, vibrating: Any, default: Any = None) -> Any:
+    """The index of one of n masses, `default` for None, or `ValueError`."""
+    if vibrating is None:
+        return default
+    remedy = "For several vibrating masses follow the branch of their cycle."
+    return check_whole("vibrating", vibrating, 0, n - 1, f"it is the index of a mass. {remedy}")
+
+
+def as_images(images: Any, n: int, mass: int) -> tuple[int, ...]:
+    """For each of n masses the one that it does the same as; None is no symmetry."""
+    if images is None:
+        return tuple(range(n))
+    given = tuple(int(i) for i in images)
+    good = len(given) == n and all(0 <= i < n and given[i] == i for i in given)
+    if not good or given[mass] != mass:
+        raise ValueError(
+            f"Argument `images` must name for each of {n} masses the one it does the same as, and "
+            f"for that one itself, mass {mass} (`vibrating`) among them, but is {images!r}."
+        )
+    return given
