@@ -126,7 +126,7 @@ def test_require_x64_accepts_64_bits_and_says_how_to_switch_them_on():
         (lambda: check_one_of("end", "top", ("a", "b", "c")), '"a", "b" or "c", but is \'top\''),
         (lambda: check_share("p", 1.0), "between 0 and 1, but is 1"),
         (lambda: check_share("p", 0.0), "between 0 and 1, but is 0"),
-        (lambda: check_positive_number("p", [1.0, 2.0]), r"one number, but has shape \(2,\)"),
+        (lambda: check_positive_number("p", np.ones(2)), r"one number, but has shape \(2,\)"),
         (lambda: check_positive_number("p", 0.0), "positive and finite"),
     ],
 )

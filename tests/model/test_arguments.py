@@ -13,7 +13,7 @@ CHAIN = paper_chain(3)
 
 def test_what_is_good_is_handed_on():
     assert as_chain(CHAIN) is CHAIN
-    x, v = as_state(CHAIN, ([1, 2, 3], np.zeros(3)))
+    x, v = as_state(CHAIN, (np.array([1, 2, 3]), np.zeros(3)))
     np.testing.assert_array_equal(x, [1.0, 2.0, 3.0])
     assert x.dtype == v.dtype == jnp.float64
     assert as_state(CHAIN, (jnp.ones((2, 3)), jnp.ones((2, 3))), batch=True)[1].shape == (2, 3)
