@@ -4,26 +4,35 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import importlib
 import json
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from jaxchain.bench.timing import Row
 
-# Each row with what `--help` says about it.
+# Each row: the module whose function `NAME_row` measures it, and what `--help` says about it.
 ROWS = {
-    "stock": "the structured solver against the fastest stock diffrax solver at equal error",
-    "lsoda": "against LSODA and CVODE with compiled right side and Jacobian, one lane and 64",
-    "size": "cost of one oscillator and step from N = 200 to N = 200,000",
-    "devices": "two CPU devices against one, 512 lanes",
-    "dry": "smoothed friction against true dry friction, 64 lanes",
-    "mixed": "a sweep of quiet and stick-slip lanes against plain vmap(diffeqsolve)",
-    "import": "import jaxchain beyond jax and diffrax, and the command without JAX",
-    "profile": "what a step is made of, and how far it is from a C loop",
-}
+    "stock": (
+        "solvers",
+        "the structured solver against the fastest stock diffrax solver at equal error",
+    ),
+    "lsoda": (
+        "solvers",
+        "against LSODA and CVODE with compiled right side and Jacobian, one lane and 64",
+    ),
+    "size": ("size", "cost of one oscillator and step from N = 200 to N = 200,000"),
+    "devices": ("ensembles", "two CPU devices against one, 512 lanes"),
+    "dry": ("ensembles", "smoothed friction against true dry friction, 64 lanes"),
+    "mixed": (
+        "ensembles", "a sweep of quiet and stick-slip lanes against plain vmap(diffeqsolve)"
+    ),
+    "import": ("steps", "import jaxchain beyond jax and diffrax, and the command without JAX"),
+    "profile": ("steps", "what a step is made of, and how far it is from a C loop"),
+}  # fmt: skip
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -33,17 +42,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     # Only now: these need 64 bits and their devices.
     from jaxchain.bench.timing import Row, format_row, heading
 
-    functions = _functions()
     rows: list[Row] = []
     failed = False
     if not options.json:
         print(heading(), flush=True)
     for name in options.rows:
         try:
-            found = functions[name](options.repeats)
+            found = _measure(name, options.repeats)
         except Exception as error:  # one row that fails must not hide the others
             failed = True
-            found = [Row(name, ROWS[name], note=f"failed: {type(error).__name__}: {error}")]
+            found = [Row(name, ROWS[name][1], note=f"failed: {type(error).__name__}: {error}")]
         rows += found
         if not options.json:
             print("\n".join(map(format_row, found)), flush=True)
@@ -57,7 +65,7 @@ def _parser() -> argparse.ArgumentParser:
         prog="jaxchain bench",
         description="Measures the speed on this machine. Both sides of a comparison run in turn; "
         "medians, least and most of the repeats. For quiet numbers, run nothing else meanwhile.",
-        epilog="rows: " + "; ".join(f"{name} - {text}" for name, text in ROWS.items()),
+        epilog="rows: " + "; ".join(f"{name} - {text}" for name, (_, text) in ROWS.items()),
     )
     parser.add_argument(
         "--rows", nargs="+", choices=ROWS, default=list(ROWS), metavar="ROW",
@@ -77,22 +85,9 @@ def _positive(text: str) -> int:
     return number
 
 
-def _functions() -> dict[str, Callable[[int], list[Row]]]:
-    from jaxchain.bench.rows_ensembles import devices_row, dry_row, mixed_row
-    from jaxchain.bench.rows_size import size_row
-    from jaxchain.bench.rows_solvers import lsoda_row, stock_row
-    from jaxchain.bench.rows_steps import import_row, profile_row
-
-    return {
-        "stock": stock_row,
-        "lsoda": lsoda_row,
-        "size": size_row,
-        "devices": devices_row,
-        "dry": dry_row,
-        "mixed": mixed_row,
-        "import": import_row,
-        "profile": profile_row,
-    }
+def _measure(name: str, repeats: int) -> list[Row]:
+    module = importlib.import_module(f"jaxchain.bench.rows_{ROWS[name][0]}")
+    return getattr(module, f"{name}_row")(repeats)
 
 
 def _configure_jax() -> None:

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxchain._types import State
-from jaxchain.bench.timing import Bar, Row, compiled, in_turn
+from jaxchain.bench.timing import Row, comparison, compiled, in_turn
 from jaxchain.model.chain import Chain, paper_chain
 from jaxchain.model.initial_states import equation_8
 from jaxchain.observers.amplitude import Amplitude
@@ -70,20 +70,15 @@ def mixed_row(repeats: int, speeds: int = 16, span: float = 1000.0) -> list[Row]
     uneven = lanes * float(jnp.max(steps)) / float((dataset["steps"] + dataset["rejected"]).sum())
     quiet = int(np.sum(dataset["result"].values == NAMES.index("quiet")))
     times = in_turn({"vmap": lambda: plain(*flat), "sweep": swept}, repeats)
-    return [
-        Row(
-            "mixed",
-            f"vmap(diffeqsolve) / sweep, {lanes} lanes, one device",
-            {f"{name}, a lane": sample.per(lanes) for name, sample in times.items()},
-            times["vmap"].over(times["sweep"]),
-            bar=Bar("at least", 3.0),
-            note=f"tau {span:g}, belt speeds 0.8 to 2.2; labels (active counts) that "
-            f"differ: {different}; {quiet} lanes came to rest early; slowest lane / mean "
-            f"lane, in steps: {uneven:.3g}\n"
-            f"compiled in {seconds:.1f} s (vmap) and "
-            f"{max(0.0, first - times['sweep'].median):.1f} s",
-        )
-    ]
+    note = (
+        f"tau {span:g}, belt speeds 0.8 to 2.2; labels (active counts) that "
+        f"differ: {different}; {quiet} lanes came to rest early; slowest lane / mean "
+        f"lane, in steps: {uneven:.3g}\n"
+        f"compiled in {seconds:.1f} s (vmap) and "
+        f"{max(0.0, first - times['sweep'].median):.1f} s"
+    )
+    title = f"vmap(diffeqsolve) / sweep, {lanes} lanes, one device"
+    return [comparison("mixed", title, times, list(times), lanes=lanes, bar=3.0, note=note)]
 
 
 def devices_row(repeats: int, lanes: int = 512, span: float = 50.0) -> list[Row]:
@@ -110,17 +105,11 @@ def devices_row(repeats: int, lanes: int = 512, span: float = 50.0) -> list[Row]
         first[name] = time.perf_counter() - first[name]
     times = in_turn(sides, repeats)
     compile_seconds = [max(0.0, first[k] - times[k].median) for k in sides]
-    return [
-        Row(
-            "devices",
-            title,
-            times,
-            times["one device"].over(times["two devices"]),
-            bar=Bar("at least", 1.7),
-            note=f"tau {span:g}, width {WIDTH:g}; compiled in {compile_seconds[0]:.1f} s and "
-            f"{compile_seconds[1]:.1f} s",
-        )
-    ]
+    note = (
+        f"tau {span:g}, width {WIDTH:g}; compiled in {compile_seconds[0]:.1f} s and "
+        f"{compile_seconds[1]:.1f} s"
+    )
+    return [comparison("devices", title, times, list(times), bar=1.7, note=note)]
 
 
 def dry_row(repeats: int, lanes: int = 64, span: float = 1000.0) -> list[Row]:
@@ -150,15 +139,10 @@ def dry_row(repeats: int, lanes: int = 64, span: float = 1000.0) -> list[Row]:
     apart = jnp.max(jnp.abs(results[smoothed][0] - results[dry][0]), axis=-1)
     steps = " and ".join(f"{float(jnp.mean(n)) / span:.1f}" for _, n in results.values())
     seconds = " and ".join(f"{seconds:.1f}" for _, seconds in sides.values())
-    return [
-        Row(
-            "dry",
-            f"smoothed, width {WIDTH:g} / true dry friction, {lanes} lanes, tau {span:g}",
-            {f"{name}, a lane": sample.per(lanes) for name, sample in times.items()},
-            times[smoothed].over(times[dry]),
-            bar=Bar("at least", 1.0),
-            note=f"N {N}, ten excited; steps a time unit {steps}; amplitudes differ by "
-            f"{float(jnp.median(apart)):.1e} (median lane), {float(jnp.max(apart)):.1e} (worst)\n"
-            f"compiled in {seconds} s",
-        )
-    ]
+    title = f"smoothed, width {WIDTH:g} / true dry friction, {lanes} lanes, tau {span:g}"
+    note = (
+        f"N {N}, ten excited; steps a time unit {steps}; amplitudes differ by "
+        f"{float(jnp.median(apart)):.1e} (median lane), {float(jnp.max(apart)):.1e} (worst)\n"
+        f"compiled in {seconds} s"
+    )
+    return [comparison("dry", title, times, list(times), lanes=lanes, bar=1.0, note=note)]

@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxchain.bench.equal_error import FINE, TOLERANCES, Setting, cheapest, scan
 from jaxchain.bench.peers import CompiledRing, PeerMissingError, cvode, lsoda
-from jaxchain.bench.timing import Bar, Row, compiled, in_turn
+from jaxchain.bench.timing import Row, comparison, compiled, in_turn
 from jaxchain.model.chain import Chain, paper_chain
 from jaxchain.model.initial_states import equation_8
 from jaxchain.simulation.accuracy import choose_solver
@@ -42,11 +42,8 @@ def structured(chain: Chain, solver: Any) -> Callable[[Any, Any], Any]:
     return solve
 
 
-def stock(solver: dfx.AbstractSolver, *, switching: bool = False) -> Callable[..., Any]:
-    """The same by diffrax, also of the gains (p, i) of the step-size controller.
-
-    By diffrax alone, or with `SwitchingController` around its controller.
-    """
+def stock_terms(solver: dfx.AbstractSolver) -> Any:
+    """The equations as diffrax takes them, with the chain as its argument."""
 
     def field(t: Any, y: Any, chain: Chain) -> Any:
         return chain(t, y)
@@ -62,9 +59,18 @@ def stock(solver: dfx.AbstractSolver, *, switching: bool = False) -> Callable[..
     split = isinstance(solver, dfx.AbstractImplicitSolver) and isinstance(
         solver.term_structure, type(dfx.MultiTerm[tuple[dfx.AbstractTerm, dfx.AbstractTerm]])
     )
-    terms: Any = dfx.ODETerm(field)
     if split:  # an IMEX method: the stiff friction implicitly, the rest explicitly
-        terms = dfx.MultiTerm(dfx.ODETerm(linear), dfx.ODETerm(friction))
+        return dfx.MultiTerm(dfx.ODETerm(linear), dfx.ODETerm(friction))
+    return dfx.ODETerm(field)
+
+
+def stock(solver: dfx.AbstractSolver, *, switching: bool = False) -> Callable[..., Any]:
+    """The same by diffrax, also of the gains (p, i) of the step-size controller.
+
+    By diffrax alone, or with `SwitchingController` around its controller.
+    """
+
+    terms = stock_terms(solver)
 
     def solve(chain: Chain, initial: Any, rtol: Any, gains: tuple[Any, Any]) -> Any:
         controller: Any = dfx.PIDController(
@@ -143,23 +149,18 @@ def stock_row(repeats: int) -> list[Row]:
     helped = cheapest(_stock_settings(reference, bar, switching=True))
     times = in_turn({"plain": plain.run, "helped": helped.run, "jaxchain": own.run}, repeats)
     title = "fastest stock diffrax solver"
-    rows = []
-    for side, peer, name, least in (
-        ("plain", plain, title, Bar("at least", 40.0)),
-        ("helped", helped, title + " with SwitchingController", None),
-    ):
-        rows.append(
-            Row(
-                "stock",
-                name + " / jaxchain, error <= 1e-4",
-                {str(peer): times[side], str(own): times["jaxchain"]},
-                times[side].over(times["jaxchain"]),
-                bar=least,
-                note=f"compiled in {peer.compile_seconds:.1f} s (stock) and "
-                f"{own.compile_seconds:.1f} s",
-            )
+    return [
+        comparison(
+            "stock", name + " / jaxchain, error <= 1e-4", times, (side, "jaxchain"),
+            labels=(str(peer), str(own)), bar=least,
+            note=f"compiled in {peer.compile_seconds:.1f} s (stock) and "
+            f"{own.compile_seconds:.1f} s",
         )
-    return rows
+        for side, peer, name, least in (
+            ("plain", plain, title, 40.0),
+            ("helped", helped, title + " with SwitchingController", None),
+        )
+    ]  # fmt: skip
 
 
 def lsoda_row(repeats: int) -> list[Row]:
@@ -187,26 +188,19 @@ def lsoda_row(repeats: int) -> list[Row]:
     except PeerMissingError as missing:
         note += f"\nCVODE: {missing}"
     times = in_turn(sides, repeats)
-    measured = {str(peer): times["LSODA"], str(own): times["jaxchain"]}
     rows = [
-        Row(
-            "lsoda",
-            title + "1 lane",
-            measured,
-            times["LSODA"].over(times["jaxchain"]),
-            bar=Bar("at least", 5.0),
-            note=note,
+        comparison(
+            "lsoda", title + "1 lane", times, ("LSODA", "jaxchain"),
+            labels=(str(peer), str(own)), bar=5.0, note=note,
         )
-    ]
+    ]  # fmt: skip
     if other is not None:
         rows.append(
-            Row(
-                "lsoda",
-                "CVODE / jaxchain, error <= 1e-6, 1 lane",
-                {str(other): times["CVODE"], str(own): times["jaxchain"]},
-                times["CVODE"].over(times["jaxchain"]),
+            comparison(
+                "lsoda", "CVODE / jaxchain, error <= 1e-6, 1 lane", times, ("CVODE", "jaxchain"),
+                labels=(str(other), str(own)),
             )
-        )
+        )  # fmt: skip
     rows.append(_lsoda_lanes(ring, max(3, repeats // 2), bar, title))
     return rows
 
@@ -225,12 +219,8 @@ def _lsoda_lanes(ring: CompiledRing, repeats: int, bar: float, title: str, lanes
     tight = [rtol for rtol in FINE if rtol < 1e-7]
     peer = cheapest(scan("LSODA in a loop", loop, reference, bar, tolerances=tight))
     times = in_turn({"LSODA": peer.run, "jaxchain": own.run}, repeats)
-    per_lane = {name: sample.per(lanes) for name, sample in times.items()}
-    return Row(
-        "lsoda",
-        title + f"a lane of {lanes}",
-        {str(peer): per_lane["LSODA"], str(own) + ", vmap": per_lane["jaxchain"]},
-        times["LSODA"].over(times["jaxchain"]),
-        bar=Bar("at least", 10.0),
+    return comparison(
+        "lsoda", title + f"a lane of {lanes}", times, ("LSODA", "jaxchain"),
+        labels=(str(peer), str(own) + ", vmap"), lanes=lanes, bar=10.0,
         note=f"compiled in {own.compile_seconds:.1f} s (jaxchain)",
-    )
+    )  # fmt: skip

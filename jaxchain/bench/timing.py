@@ -133,6 +133,36 @@ class Row:
         }
 
 
+def comparison(
+    name: str,
+    title: str,
+    times: Mapping[str, Sample],
+    sides: Sequence[str],
+    *,
+    labels: Sequence[str] | None = None,
+    lanes: int = 1,
+    bar: float | None = None,
+    note: str = "",
+) -> Row:
+    """The row on how many times longer the first of two measured `sides` takes than the second.
+
+    `labels` are their names in the table; with several `lanes` it shows seconds for each; `bar`:
+    the least that the ratio has to be.
+    """
+    first, second = (times[side] for side in sides)
+    shown = zip(labels or sides, (first, second), strict=True)
+    if lanes > 1 and labels is None:
+        shown = ((f"{side}, a lane", sample) for side, sample in shown)
+    return Row(
+        name,
+        title,
+        {label: sample.per(lanes) for label, sample in shown},
+        first.over(second),
+        bar=None if bar is None else Bar("at least", bar),
+        note=note,
+    )
+
+
 def show_seconds(seconds: float) -> str:
     """Three digits and a unit.
 

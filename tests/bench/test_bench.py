@@ -238,7 +238,8 @@ def test_a_row_that_fails_hides_no_other(monkeypatch, capsys):
     def fine(repeats):
         return [Row("size", "fine", {"side": Sample((1.0,) * repeats)})]
 
-    monkeypatch.setattr(bench, "_functions", lambda: {"stock": broken, "size": fine})
+    rows_of = {"stock": broken, "size": fine}
+    monkeypatch.setattr(bench, "_measure", lambda name, repeats: rows_of[name](repeats))
     assert bench.main(["--rows", "stock", "size", "--repeats", "2", "--json"]) == 1
     rows = json.loads(capsys.readouterr().out)
     assert rows[0]["note"] == "failed: RuntimeError: out of luck"
@@ -257,7 +258,7 @@ def test_a_misused_command_ends_with_status_2(arguments, capsys):
 
 @pytest.mark.long
 def test_the_import_row_measures_a_fresh_interpreter():
-    imports, command = bench._functions()["import"](1)
+    imports, command = bench._measure("import", 1)
     for row in (imports, command):
         assert row.score is not None
         assert row.score.median > 0

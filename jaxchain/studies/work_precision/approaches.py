@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxchain.bench.peers import CompiledRing, cvode, lsoda, radau
+from jaxchain.bench.rows_solvers import stock_terms
 from jaxchain.model.chain import Chain
 from jaxchain.model.initial_states import equation_8
 from jaxchain.simulation.accuracy import Numerics, fit_linear_solve
@@ -114,21 +115,7 @@ def _own(problem: Problem, solver: Any) -> Solve:
 def _stock(problem: Problem, solver: dfx.AbstractSolver) -> Solve:
     """By diffrax alone, as one would without this package."""
 
-    def field(t: Any, y: Any, chain: Chain) -> Any:
-        return chain(t, y)
-
-    def linear(t: Any, y: Any, chain: Chain) -> Any:
-        x, v = y
-        return v, chain.restoring_force(x)
-
-    def friction(t: Any, y: Any, chain: Chain) -> Any:
-        x, v = y
-        return jnp.zeros_like(x), chain.local_force(t, x, v)
-
-    terms: Any = dfx.ODETerm(field)
-    if solver.term_structure is not dfx.ODETerm and isinstance(solver, dfx.KenCarp4):
-        # An IMEX method: the stiff friction implicitly, the rest explicitly.
-        terms = dfx.MultiTerm(dfx.ODETerm(linear), dfx.ODETerm(friction))
+    terms = stock_terms(solver)
 
     def one(belt_speed: Any, width: Any, rtol: Any) -> Any:
         chain, initial = problem.own(belt_speed, width=width)
