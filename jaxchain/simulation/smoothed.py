@@ -20,12 +20,12 @@ from .._types import State
 from ..model.oscillators import AbstractOscillators
 from ..observers.base import AbstractObserver
 from ..result import Result
-from ..solvers.step_control import SwitchingController
+from ..solvers.step_control import SwitchingController, WrappingController
 from .observing_solver import SETTLED, ObservingSolver, ObservingState
 from .plan import AbstractPlan, Progress, first_result
 
 
-class _Resumed(dfx.AbstractAdaptiveStepSizeController):
+class _Resumed(WrappingController):
     """A controller that goes on where another call of `advance` left it.
 
     diffeqsolve takes a first step only together with a check of its sign on the host, and a
@@ -49,18 +49,6 @@ class _Resumed(dfx.AbstractAdaptiveStepSizeController):
     ):
         self.controller, self.step_size, self.state = controller, step_size, state
         self.allowed = allowed
-
-    @property
-    def rtol(self):
-        return self.controller.rtol
-
-    @property
-    def atol(self):
-        return self.controller.atol
-
-    @property
-    def norm(self):  # pyright: ignore[reportIncompatibleMethodOverride]
-        return self.controller.norm
 
     def wrap(self, direction):
         del direction

@@ -25,7 +25,25 @@ LANDING = 5.4
 CROSSING = 3.0
 
 
-class SwitchingController(dfx.AbstractAdaptiveStepSizeController):
+class WrappingController(dfx.AbstractAdaptiveStepSizeController):
+    """A controller around another one, with the tolerances and the norm of that one."""
+
+    controller: eqx.AbstractVar[dfx.AbstractAdaptiveStepSizeController]
+
+    @property
+    def rtol(self):
+        return self.controller.rtol
+
+    @property
+    def atol(self):
+        return self.controller.atol
+
+    @property
+    def norm(self):  # pyright: ignore[reportIncompatibleMethodOverride]
+        return self.controller.norm
+
+
+class SwitchingController(WrappingController):
     """Shortens the steps of another controller where a mass is about to meet the belt's speed.
 
     A controller that looks back at errors runs into the layer |w| < 5 eps of a smoothed friction
@@ -106,18 +124,6 @@ class SwitchingController(dfx.AbstractAdaptiveStepSizeController):
         self.near, self.landing = to_float(near), to_float(landing)
         self.crossing = to_float(crossing)
         self.direction = 1
-
-    @property
-    def rtol(self):
-        return self.controller.rtol
-
-    @property
-    def atol(self):
-        return self.controller.atol
-
-    @property
-    def norm(self):  # pyright: ignore[reportIncompatibleMethodOverride]
-        return self.controller.norm
 
     def wrap(self, direction: Any) -> SwitchingController:
         return eqx.tree_at(
