@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import jax.tree_util as jtu
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array
 from tqdm import tqdm
 
 from .._checks import (
@@ -144,9 +144,9 @@ def lyapunov_spectrum(
         solver = choose_solver(chain, known, MAX_STEP if is_traced(max_step) else float(max_step))
     observer = MostSticking() if dry else Divergence()
     plan = build_plan(solver, [observer], rtol, 0.1 * rtol if atol is None else atol, max_step, t1)
-    numbers = Window(*(to_float(number) for number in (transient, t1, interval)))
+    window = to_float(transient), to_float(t1), to_float(interval)
     waits = is_traced(transient) or float(transient) > 0
-    frame, spans = _begin(plan, chain, state, numbers, seed, count, blocks, waits, max_steps)
+    frame, spans = _begin(plan, chain, state, window, seed, count, blocks, waits, max_steps)
     if is_traced(frame, spans):
         frame, growths = lax.scan(
             lambda frame, span: _advance(plan, chain, frame, span, max_steps), frame, spans
@@ -167,25 +167,17 @@ def lyapunov_spectrum(
     return found
 
 
-class Window(eqx.Module):
-    """Averages are taken over [start, end], QR decompositions at most `interval` apart."""
-
-    start: Float[Array, ""]
-    end: Float[Array, ""]
-    interval: Float[Array, ""]
-
-    def spans(self, blocks: int) -> Span:
-        """The second half of the transient and the blocks, stacked along axis 0."""
-        length = self.end - self.start
-        starts = self.start + length * jnp.arange(blocks) / blocks
-        starts = jnp.concatenate([0.5 * self.start[None], starts])
-        lengths = jnp.full(blocks + 1, length / blocks).at[0].set(0.5 * self.start)
-        # Rounding in a quotient must not cost an interval more.
-        numbers = jnp.ceil(lengths / self.interval * (1.0 - 1e-12))
-        intervals = lengths / jnp.maximum(numbers, 1.0)
-        phases = (starts + 0.5 * intervals - self.start) / length
-        columns = (starts, intervals, numbers.astype(int), phases, intervals / length)
-        return jax.vmap(Span)(*columns)
+def _spans(start: Array, end: Array, interval: Array, blocks: int) -> Span:
+    """The second half of the transient and the blocks of [start, end], stacked along axis 0."""
+    length = end - start
+    starts = start + length * jnp.arange(blocks) / blocks
+    starts = jnp.concatenate([0.5 * start[None], starts])
+    lengths = jnp.full(blocks + 1, length / blocks).at[0].set(0.5 * start)
+    # Rounding in a quotient must not cost an interval more.
+    numbers = jnp.ceil(lengths / interval * (1.0 - 1e-12))
+    intervals = lengths / jnp.maximum(numbers, 1.0)
+    phases = (starts + 0.5 * intervals - start) / length
+    return jax.vmap(Span)(starts, intervals, numbers.astype(int), phases, intervals / length)
 
 
 @eqx.filter_jit
@@ -193,21 +185,22 @@ def _begin(
     plan: AbstractPlan,
     chain: AbstractOscillators,
     state: State,
-    window: Window,
+    window: tuple[Array, Array, Array],
     seed: Any,
     count: int,
     blocks: int,
     waits: bool,
     max_steps: int | None,
 ) -> tuple[Frame, Span]:
-    progress = plan.begin(chain, state, 0.0, window.end)
-    forward = (window.start >= 0) & (window.end > window.start)  # false for NaN
+    start, end, _ = window
+    progress = plan.begin(chain, state, 0.0, end)
+    forward = (start >= 0) & (end > start)  # false for NaN
     result = Result.where(forward | ~progress.running, progress.result, Result.bad_span)
     progress = eqx.tree_at(lambda p: p.result, progress, result)
     if waits:
-        progress, _ = plan.advance(chain, progress, 0.5 * window.start, max_steps=max_steps)
+        progress, _ = plan.advance(chain, progress, 0.5 * start, max_steps=max_steps)
     basis = random_basis(seed, 2 * state[0].shape[0], count)
-    return Frame(progress, basis), window.spans(blocks)
+    return Frame(progress, basis), _spans(*window, blocks)
 
 
 @eqx.filter_jit
