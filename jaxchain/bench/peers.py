@@ -7,6 +7,7 @@ numba and scikit-sundae are the optional extra `peers`, imported when a peer is 
 
 from __future__ import annotations
 
+import importlib
 import math
 from collections.abc import Callable
 from typing import Any, no_type_check
@@ -24,14 +25,13 @@ class PeerMissingError(RuntimeError):
     """A peer cannot run here; the message says how to get it."""
 
 
-def _import_numba() -> Any:
+def _optional(module: str, package: str) -> Any:
     try:
-        import numba  # pyright: ignore[reportMissingImports]
+        return importlib.import_module(module)
     except ImportError:
         raise PeerMissingError(
-            "skipped, numba is not installed: pip install 'jaxchain[peers]'"
+            f"skipped, {package} is not installed: pip install 'jaxchain[peers]'"
         ) from None
-    return numba
 
 
 class CompiledRing:
@@ -48,7 +48,7 @@ class CompiledRing:
             raise ValueError(f"Argument `n` must be at least 3, but is {n}.")
         i = np.arange(n)
         self.order = np.where(i % 2 == 0, i // 2, n - 1 - i // 2)
-        self._compile(_import_numba().njit)
+        self._compile(_optional("numba", "numba").njit)
 
     @no_type_check  # numba cannot compile a function that checks its types
     def _compile(self, njit: Callable) -> None:
@@ -188,17 +188,12 @@ def radau(ring: CompiledRing, chain: Chain, initial: Any, t1: float) -> Callable
 
 def cvode(ring: CompiledRing, chain: Chain, initial: Any, t1: float) -> Callable:
     """As `lsoda`, by the BDF method of CVODE."""
-    try:
-        from sksundae.cvode import CVODE  # pyright: ignore[reportMissingImports]
-    except ImportError:
-        raise PeerMissingError(
-            "skipped, scikit-sundae is not installed: pip install 'jaxchain[peers]'"
-        ) from None
+    sundials = _optional("sksundae.cvode", "scikit-sundae")
     y, p = ring.fold(initial), ring.parameters(chain)
     span = np.array([0.0, t1])
 
     def run(rtol: float) -> np.ndarray:
-        solver = CVODE(
+        solver = sundials.CVODE(
             ring.force_into, jacfn=ring.full_jacobian_into, userdata=tuple(p.tolist()),
             linsolver="band", lband=HALF_BANDWIDTH, uband=HALF_BANDWIDTH,
             rtol=rtol, atol=0.1 * rtol, max_num_steps=_MOST_STEPS,
