@@ -7,9 +7,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from scipy.optimize import root_scalar
 
+from ..continuation.damped_newton import Factors, factorise, solve
 from ..model.chain import Chain
 from ..model.sliding import (
     crossing_matrix,
@@ -24,7 +24,8 @@ _LEAST_WIDTHS, _RATIO = 1e-2, 1.1  # the first intervals: up to a hundredth of a
 _SAMPLES, _SAFETY = 17, 1.5  # per interval, and on the greatest change of d among them
 _RESOLUTION = 1e-5  # relative length of an interval that is searched, no longer divided
 _MOST_INTERVALS = 5000  # of a chain whose eigenvalues cross the axis, and do not move along it
-_NEWTON_STEPS, _SINGULAR, _SAME = 12, 1e-10, 1e-8
+# Newton's last step, and how many at most; what is singular, and what is the same.
+_CLOSE, _MOST, _SINGULAR, _SAME = 1e-9, 30, 1e-10, 1e-8
 
 
 class Crossing(NamedTuple):
@@ -214,13 +215,14 @@ def _turns(chain: Chain, crossing: Crossing) -> int:
 def _refined(chain: Chain, start: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     """Newton's method: ((v_d, omega), u, relative least singular value, null vectors)."""
 
-    def step(_: jax.Array | int, z: jax.Array) -> jax.Array:
+    weights = jnp.ones(2)
+
+    def linearise(z: jax.Array) -> tuple[jax.Array, Factors, None]:
         parameters = (chain, *null_shape(z, chain))
         slope = jax.jacfwd(crossing_residual)(z, parameters)
-        new = z - jnp.linalg.solve(slope, crossing_residual(z, parameters))
-        return jnp.where(jnp.all(jnp.isfinite(new)), new, z)
+        return crossing_residual(z, parameters), factorise(slope, weights), None
 
-    z = lax.fori_loop(0, _NEWTON_STEPS, step, start)
+    z, _, _ = solve(linearise, start, weights, _CLOSE, _MOST)
     shape, _ = null_shape(z, chain)
     sizes = jnp.linalg.svd(crossing_matrix(z, chain), compute_uv=False)
     return z, shape, sizes[-1] / sizes[0], jnp.sum(sizes <= _SAME * sizes[0])

@@ -11,6 +11,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from .._checks import check_positive, check_whole
+from ..continuation.damped_newton import where
 from ..continuation.gradient_descent import descend
 from ..model.arguments import as_chain
 from ..model.chain import Chain
@@ -185,7 +186,7 @@ def _ascend(
         closed = jnp.max(jnp.abs(r)) < _CLOSED
         change, new_state = optimiser.update(-slope, state, place.z)
         change = jnp.where(closed, jnp.asarray(change), 0.0)
-        state = jax.tree.map(lambda a, b: jnp.where(closed, a, b), new_state, state)
+        state = where(closed, new_state, state)
         record = jnp.sinh(place.z), q[index], slope / jnp.cosh(place.z), closed
         return (Place(q + tangent * change, place.z + change), state), record
 

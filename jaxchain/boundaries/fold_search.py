@@ -12,14 +12,14 @@ v_d, of those that close the linearised cycle: at fixed s alone the slip cycle's
 
 from __future__ import annotations
 
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from ..continuation.bracket import bisect
+from ..continuation.damped_newton import where
 from ..cycles.shooting import Shooting
 
 # The tolerance of the integration at the fold; on the way there a loose one does.
@@ -122,11 +122,11 @@ def search(shooting: Shooting, guess: Place, loose: Array, wanted: Array) -> Sea
         # At another tolerance the fold may lie outside the bracket, by a little.
         done = (rtol == loose) & before.found & (before.count > 0)
         # What failed loosely starts anew.
-        begin = _where(before.found, before.here, guess)
+        begin = where(before.found, before.here, guess)
         again = eqx.tree_at(
             lambda k: (k.here, k.newton, k.secant, k.found),
             before,
-            (begin, _fresh(begin), _where(before.found, unbound(before.secant), secant), done),
+            (begin, _fresh(begin), where(before.found, unbound(before.secant), secant), done),
         )
         exact = eqx.tree_at(lambda k: k.rtol, shooting, rtol)
         tight = rtol <= FOLD_RTOL
@@ -172,18 +172,18 @@ def _entry(shooting: Shooting, now: Search, tight: Array) -> Search:
     # Not closed: Newton's method, its steps shortened where they made things worse.
     longest = jnp.where(jnp.isinf(now.newton.norm), _FIRST, _GROWTH * now.newton.length)
     newton = _Newton(
-        best=_where(good, now.here, now.newton.best),
+        best=where(good, now.here, now.newton.best),
         norm=jnp.where(good, norm, now.newton.norm),
-        step=_where(good, Place(step / size, aside / size), now.newton.step),
+        step=where(good, Place(step / size, aside / size), now.newton.step),
         length=jnp.where(good, jnp.minimum(size, longest), _SHRINKAGE * now.newton.length),
         refused=jnp.where(good, 0, now.newton.refused + 1),
     )
     onward = jax.tree.map(lambda a, b: a + newton.length * b, newton.best, newton.step)
-    here = _where(closed, moved, onward)
+    here = where(closed, moved, onward)
     return Search(
         here=here,
-        newton=_where(closed, _fresh(here), newton),
-        secant=_where(closed, secant, now.secant),
+        newton=where(closed, _fresh(here), newton),
+        secant=where(closed, secant, now.secant),
         residual=norm,
         jacobian=jacobian,
         count=now.count + 1,
@@ -221,23 +221,13 @@ def _ordinate(s: Array) -> Array:
 def _abscissa(ordinate: Array, low: Array, high: Array) -> Array:
     """s of Y between `low` and `high`, or the nearer of them; NaN for NaN."""
 
-    def halve(_: Any, ends: tuple[Array, Array]) -> tuple[Array, Array]:
-        low, high = ends
-        middle = 0.5 * (low + high)
-        above = _ordinate(middle) > ordinate
-        return jnp.where(above, low, middle), jnp.where(above, middle, high)
-
-    low, high = lax.fori_loop(0, 40, halve, (low, high))
+    low, high = bisect(lambda s: _ordinate(s) <= ordinate, low, high, 40)
     return jnp.where(jnp.isnan(ordinate), jnp.nan, 0.5 * (low + high))
 
 
 def _fresh(place: Place) -> _Newton:
     infinite, none = jnp.asarray(jnp.inf), jnp.zeros((), int)
     return _Newton(place, infinite, jax.tree.map(jnp.zeros_like, place), jnp.asarray(_FIRST), none)
-
-
-def _where(condition: Array, a: Any, b: Any) -> Any:
-    return jax.tree.map(lambda x, y: jnp.where(condition, x, y), a, b)
 
 
 class FoldResult(eqx.Enumeration):

@@ -9,6 +9,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
+from ..continuation.bracket import bisect
+from ..continuation.damped_newton import Factors, factorise, solve
 from ..continuation.implicit import attach_derivative
 from ..model.arguments import as_chain
 from ..model.chain import Chain
@@ -25,7 +27,8 @@ from ..model.sliding import (
 
 _EIGENVALUE_SPEEDS = 64  # between two belt speeds that are known to enclose the boundary
 _SETTLED = 1e-13  # change of the damping, relative, that no eigenvalue notices
-_BISECTIONS, _NEWTON_STEPS = 26, 3
+# Of the interval that is bisected; Newton's last step, and how many at most.
+_BISECTIONS, _CLOSE, _MOST = 26, 1e-9, 8
 # v_d / eps from which on tanh is 1 and sech^2 / eps is nothing, for any width above 1e-9.
 _SATURATED = 30.0
 
@@ -92,7 +95,7 @@ def _uniform(chain: Chain) -> Array:
 
     grid = belt_speed_grid(chain)
     low, high, found = _last_rise(stability, grid)
-    low, high = _bisect(stability, low, high)
+    low, high = bisect(lambda v: stability(v) <= 0, low, high, _BISECTIONS)
     (speed,) = _polish(_damping_residual, jnp.stack([low]), chain, low, high)
     law = chain.friction.law
     if isinstance(law, ExponentialDecay):
@@ -127,7 +130,7 @@ def _mistuned(chain: Chain) -> tuple[Array, Array, Array]:
     low = jnp.minimum(jnp.where(last > 0, last, first), 0.97 * high)
     inner = jnp.exp(jnp.linspace(jnp.log(low), jnp.log(high), _EIGENVALUE_SPEEDS))
     low, high, found = _last_rise(stability, inner)
-    low, high = _bisect(stability, low, high)
+    low, high = bisect(lambda v: stability(v) <= 0, low, high, _BISECTIONS)
 
     values = sliding_eigenvalues(chain, low)
     frequency = jnp.abs(jnp.imag(values[jnp.argmax(jnp.real(values))]))
@@ -174,27 +177,16 @@ def _dips(value: Array) -> Array:
     return jnp.pad(dips, 1)
 
 
-def _bisect(function: Callable[[Array], Array], low: Array, high: Array) -> tuple[Array, Array]:
-    """The interval, in which `function` rises through zero, shortened by 2^-26."""
-
-    def halve(_: Any, ends: tuple[Array, Array]) -> tuple[Array, Array]:
-        low, high = ends
-        middle = 0.5 * (low + high)
-        below = function(middle) <= 0
-        return jnp.where(below, middle, low), jnp.where(below, high, middle)
-
-    return lax.fori_loop(0, _BISECTIONS, halve, (low, high))
-
-
 def _polish(residual: Any, start: Array, parameters: Any, low: Array, high: Array) -> Array:
     """Newton's method on `residual`, the belt speed (its first unknown) kept in the interval."""
     # A little beyond: the ends come from eigenvalues, with their rounding errors.
     margin = (high - low) + 1e-9 * high
 
-    def step(_: Any, u: Array) -> Array:
-        slope = jax.jacfwd(residual)(u, parameters)
-        new = u - jnp.linalg.solve(slope, residual(u, parameters))
-        new = new.at[0].set(jnp.clip(new[0], low - margin, high + margin))
-        return jnp.where(jnp.all(jnp.isfinite(new)), new, u)
+    weights = jnp.ones_like(start)
 
-    return lax.fori_loop(0, _NEWTON_STEPS, step, start)
+    def linearise(u: Array) -> tuple[Array, Factors, None]:
+        slope = jax.jacfwd(residual)(u, parameters)
+        return residual(u, parameters), factorise(slope, weights), None
+
+    root, _, _ = solve(linearise, start, weights, _CLOSE, _MOST)
+    return root.at[0].set(jnp.clip(root[0], low - margin, high + margin))

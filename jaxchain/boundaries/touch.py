@@ -31,6 +31,7 @@ from jax.scipy.special import log_ndtr
 from jaxtyping import Array, Float, Int
 
 from .._types import ScalarLike, State
+from ..continuation.bracket import bisect
 from ..cycles.averaging import graded
 from ..model.chain import Chain
 
@@ -195,13 +196,9 @@ def layer(by_leaving: Any, by_arriving: Any, fall: Any, hold: Any, width: Scalar
     def least(tau: Array) -> Array:
         return start * jnp.exp(tau**2) + jnp.exp(tau**2 + log_ndtr(jnp.sqrt(2.0) * tau))
 
-    def halve(_: Any, ends: tuple[Array, Array]) -> tuple[Array, Array]:
-        low, high = ends
-        middle = 0.5 * (low + high)
-        early = 2.0 * middle * least(middle) + jnp.pi**-0.5 < 0
-        return jnp.where(early, middle, low), jnp.where(early, high, middle)
+    def falls(tau: Array) -> Array:
+        return 2.0 * tau * least(tau) + jnp.pi**-0.5 < 0
 
-    ends = jnp.full_like(start, _EARLIEST), jnp.zeros_like(start)
-    tau, _ = lax.fori_loop(0, _HALVINGS, halve, ends)
+    tau, _ = bisect(falls, jnp.full_like(start, _EARLIEST), jnp.zeros_like(start), _HALVINGS)
     closeness = -0.5 * (log_q + jnp.log(least(tau)))
     return Layer(leaving, arriving, closeness, tau * jnp.sqrt(width / fall))

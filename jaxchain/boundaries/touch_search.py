@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -10,6 +11,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from ..continuation.damped_newton import Factors, Iterate, advance, begin, factorise, where
 from ..cycles.averaging import cycle_speed, greatest_speed, one_mass
 from ..model.chain import Chain, steady_sliding
 from .touch import Touch, touch_slopes
@@ -29,23 +31,9 @@ class _Homotopy(eqx.Module):
     reached: Float[Array, ""]
     goal: Float[Array, ""]
     steps: Int[Array, ""]
-    newton: _Newton
+    newton: Iterate  # `aux` is dq / d(w_+, w_-)
     count: Int[Array, ""]
     settled: Bool[Array, ""]
-
-
-class _Newton(eqx.Module):
-    best: Float[Array, " m"]  # the last accepted q
-    step: Float[Array, " m"]  # Newton's from there
-    size: Float[Array, ""]  # of it; infinite before the first
-    share: Float[Array, ""]  # of it that is tried
-    matrix: Float[Array, "m m"]  # the Jacobian there
-    count: Int[Array, ""]
-
-
-def _fresh(q: Array) -> _Newton:
-    m, zero = q.shape[0], jnp.zeros((), int)
-    return _Newton(q, jnp.zeros(m), jnp.asarray(jnp.inf), jnp.ones(()), jnp.eye(m), zero)
 
 
 def find_touch(chain: Chain, mass: int, exact: Any = True) -> tuple[Touch, Array, Array]:
@@ -55,7 +43,7 @@ def find_touch(chain: Chain, mass: int, exact: Any = True) -> tuple[Touch, Array
     by way of chains with weaker friction, damping and coupling.  If `exact`, which may be traced,
     it is then polished with more and more steps.  Nothing in here is to be differentiated.
 
-    Newton's method is that of `roots.newton`; it and the way are one loop, so that the lanes of a
+    Newton's method and the way are one loop, so that the lanes of a
     batch need not wait for each other, and the orbit is compiled once.
     """
     alone = one_mass(chain, mass)
@@ -64,10 +52,19 @@ def find_touch(chain: Chain, mass: int, exact: Any = True) -> tuple[Touch, Array
     x, v = steady_sliding(eqx.tree_at(lambda c: c.belt_speed, chain, speed))
     first = Touch(chain, jnp.asarray(_QUICK), mass)
     q = first.pack((x, v), 2 * jnp.pi / jnp.sqrt(alone.stiffness), speed)
-    zero, none = jnp.zeros(()), jnp.zeros((), int)
+    zero, one, none = jnp.zeros(()), jnp.ones(()), jnp.zeros((), int)
+    weights = jnp.ones_like(q)
+
+    def linearise(goal: Array, steps: Array, q: Array) -> tuple[Array, Factors, Array]:
+        part = Touch(weakened(chain, goal), steps, mass)
+        value, slopes, _ = touch_slopes(part, q)
+        factors = factorise(slopes[:, :-2], weights)
+        return value, factors, -jax.vmap(factors.solve, 1, 1)(slopes[:, -2:])
+
+    nothing = begin(partial(linearise, one, first.steps), q)
     start = _Homotopy(
-        q, jnp.zeros_like(q), jnp.full((q.shape[0], 2), jnp.nan), zero, jnp.ones(()), first.steps,
-        _fresh(q), none, jnp.asarray(False),
+        q, jnp.zeros_like(q), jnp.full((q.shape[0], 2), jnp.nan), zero, one, first.steps,
+        nothing, none, jnp.asarray(False),
     )  # fmt: skip
 
     def goes_on(now: _Homotopy) -> Array:
@@ -75,28 +72,12 @@ def find_touch(chain: Chain, mass: int, exact: Any = True) -> tuple[Touch, Array
         return ~now.settled & hopeful & (now.count < _ENTRIES) & jnp.isfinite(speed)
 
     def body(now: _Homotopy) -> _Homotopy:
-        before = now.newton
-        trial = before.best + before.share * before.step
-        part = Touch(weakened(chain, now.goal), now.steps, mass)
-        value, slopes, _ = touch_slopes(part, trial)
-        solved = jnp.linalg.solve(slopes[:, :-2], jnp.column_stack([value, slopes[:, -2:]]))
-        step, size = -solved[:, 0], jnp.linalg.norm(solved[:, 0])
-        simplified = jnp.linalg.norm(jnp.linalg.solve(before.matrix, value))
-        enters = jnp.isinf(before.size)
-        # NaN compares false.
-        better = enters | (simplified < (1.0 - before.share / 4.0) * before.size)
-        better = better & jnp.isfinite(size)
-        count = before.count + 1
-        taken = _Newton(
-            trial, step, size, jnp.minimum(1.0, 4.0 * before.share), slopes[:, :-2], count
-        )
-        halved = eqx.tree_at(lambda k: (k.share, k.count), before, (before.share / 2.0, count))
-        newton = _where(better, taken, halved)
-
-        root = trial + step
-        ended = better & (size <= _CLOSED * (1.0 + jnp.linalg.norm(trial)))
+        newton = advance(partial(linearise, now.goal, now.steps), now.newton, weights)
+        root = newton.u + newton.step
+        ended = newton.length <= _CLOSED * (1.0 + jnp.linalg.norm(newton.u))
         good = ended & (root[-1] > 0)
-        hopeless = (enters & ~better) | (newton.share < _LEAST_SHARE) | (count >= _JACOBIANS)
+        spent = (newton.damping < _LEAST_SHARE) | (newton.evaluations >= _JACOBIANS)
+        hopeless = spent | jnp.isnan(newton.length)
         over = ended | hopeless
 
         stride = now.goal - now.reached
@@ -117,25 +98,21 @@ def find_touch(chain: Chain, mass: int, exact: Any = True) -> tuple[Touch, Array
         onward = _Homotopy(
             q=q,
             slope=slope,
-            sides=jnp.where(good, -solved[:, 1:], now.sides),
+            sides=jnp.where(good, newton.aux, now.sides),
             reached=reached,
             goal=goal,
             steps=jnp.where(there & ~enough, more, now.steps),
-            newton=_fresh(q + (goal - reached) * slope),
+            newton=nothing._replace(u=q + (goal - reached) * slope),
             count=now.count + 1,
             settled=there & enough,
         )
         same = eqx.tree_at(lambda k: (k.newton, k.count), now, (newton, now.count + 1))
-        return _where(over, onward, same)
+        return where(over, onward, same)
 
     last = lax.while_loop(goes_on, body, start)
     touch = Touch(chain, last.steps, mass)
     q, sides = (jnp.where(last.settled, part, jnp.nan) for part in (last.q, last.sides))
     return touch, q, sides
-
-
-def _where(condition: Array, a: Any, b: Any) -> Any:
-    return jax.tree.map(lambda x, y: jnp.where(condition, x, y), a, b)
 
 
 def weakened(chain: Chain, share: Any) -> Chain:

@@ -1,6 +1,7 @@
 """Equations of any kind: their roots, the derivatives of these, and branches of solutions.
 
 - `arclength`: branches of F(u, p) = 0 by pseudo-arclength continuation
+- `bracket`: an interval around a change, halved
 - `branch`: what continuation returns: points, special points, why it ended
 - `corrector`: one point of a branch from a guess
 - `damped_newton`: a root from a guess

@@ -17,7 +17,7 @@ from jax import lax
 from jaxtyping import Array, Float, PyTree
 
 from .branch import Counts, Point
-from .damped_newton import Factors, arrays, factorise, size
+from .damped_newton import Factors, Iterate, advance, arrays, begin, factorise, iterate, size
 
 # A Jacobian costs about as much as so many values: more chord steps than that do not pay.
 _CHORD_STEPS = 8
@@ -28,17 +28,9 @@ _SHARP = 1e-10
 
 
 class _Search(NamedTuple):
-    z: Array  # the last point that was taken
-    trial: Array  # where F is evaluated next
-    step: Array
-    length: Array  # of the whole step at z; infinite before the first
-    damping: Array
-    fresh: Array  # whether the Jacobian is that of z
-    wanted: Array  # whether the next evaluation brings a Jacobian
-    jacobian: Array
-    factors: Factors
-    residual: Array
-    extra: Any
+    at: Iterate  # `aux` is (the Jacobian [F_u F_p], what F gave besides)
+    fresh: Array  # whether the Jacobian is that of this point
+    known: Array  # whether there is one
     good: Array
     failed: Array
     values: Array
@@ -68,20 +60,19 @@ def _correct(
     radius: Any,
     weights: Any,  # (m + 1,)
     tolerance: Any,
-) -> tuple[_Search, Array, Array, Array]:
+) -> tuple[dict[str, Any], Array, Array, Array]:
     """F(z) = 0 with (z - guess, normal) = 0, where (a, b) = sum weights_i^2 a_i b_i.
 
-    Also the tangent, and (sign, log|.|) of det [F_z; tangent^T] / prod(weights).
+    Returns the fields of `Point`, with (sign, log|.|) of det [F_z; tangent^T] / prod(weights);
+    whether it is one; how many values and Jacobians of F it took.
     """
     m = guess.shape[0] - 1
     across = weights**2 * normal
 
-    def value_only(z: Array) -> Array:
-        value, _ = _parts(residual(z[:-1], z[-1], args))
-        _check_shape("residual", value, (m,))
-        return value
+    def off(z: Array, value: Array) -> Array:
+        return jnp.append(value, jnp.sum(across * (z - guess)))
 
-    def both(z: Array) -> tuple[Array, Array, Any]:
+    def newly(z: Array) -> tuple[Array, Factors, Any]:
         if value_and_jacobian is None:
 
             def split(z: Array) -> tuple[Array, Any]:
@@ -95,94 +86,87 @@ def _correct(
             extra = rest[0] if rest else None
             _check_shape("value_and_jacobian", value, (m,))
             _check_shape("value_and_jacobian", slope, (m, m + 1))
-        return value, slope, jax.tree.map(jnp.asarray, extra)
+        aside = slope, jax.tree.map(jnp.asarray, extra)
+        return off(z, value), factors_of(slope), aside
 
     def factors_of(slope: Array) -> Factors:
         return factorise(jnp.concatenate([slope, across[None, :]]), weights)
 
-    def evaluate(search: _Search) -> tuple[Array, Array, Factors, Any]:
-        def new(z: Array) -> tuple[Array, Array, Factors, Any]:
-            value, slope, extra = both(z)
-            return value, slope, factors_of(slope), extra
+    def enough(at: Iterate) -> Array:
+        return tolerance * (1.0 + size(at.u, weights))
 
-        def old(z: Array) -> tuple[Array, Array, Factors, Any]:
-            return value_only(z), search.jacobian, search.factors, search.extra
+    def far(at: Iterate) -> Array:
+        return size(at.u - guess, weights) > radius
 
-        return lax.cond(search.wanted, new, old, search.trial)
+    def chords(search: _Search) -> Iterate:
+        """Steps with the Jacobian as it is, as long as they converge quickly."""
+        known = search.at.factors, search.at.aux
+
+        def as_before(z: Array) -> tuple[Array, Factors, Any]:
+            value, _ = _parts(residual(z[:-1], z[-1], args))
+            _check_shape("residual", value, (m,))
+            return off(z, value), *known
+
+        def going(at: Iterate) -> Array:
+            steps_left = jnp.log(enough(at) / at.length) / jnp.log(at.contraction)
+            slow = steps_left > _CHORD_STEPS
+            # Where an old Jacobian fails a new one is due.
+            lost = (at.refused & ~search.fresh) | far(at)
+            spent = search.values + search.jacobians + at.evaluations >= _MAX_EVALUATIONS
+            return ~(slow | lost | spent | (at.length <= enough(at) / 2))
+
+        start = search.at._replace(evaluations=search.fresh.astype(int))
+        return iterate(as_before, start, weights, going, least_damping=_LEAST_DAMPING)
 
     def going(search: _Search) -> Array:
         spent = search.values + search.jacobians >= _MAX_EVALUATIONS
         return ~(search.good | search.failed | spent)
 
     def body(search: _Search) -> _Search:
-        value, slope, factors, extra = evaluate(search)
-        trial, wanted = search.trial, search.wanted
-        off = jnp.append(value, jnp.sum(across * (trial - guess)))
-        step = -factors.solve(off)
-        length = size(step, weights)
-        finite = jnp.isfinite(length)
-        enough = tolerance * (1.0 + size(trial, weights))
+        at = lax.cond(search.known, chords, lambda search: search.at, search)
+        values = search.values + jnp.where(search.known, at.evaluations - search.fresh, 0)
+        failed = far(at) | (search.fresh & (at.damping < _LEAST_DAMPING))
 
-        # With the Jacobian as it was: is the step that remains shorter than the last one?
-        ratio = length / search.length
-        taken = wanted | (finite & (ratio < 1.0 - search.damping / 4.0))
-        steps_left = jnp.log(enough / length) / jnp.log(ratio)
-        slow = (search.damping < 1.0) | (steps_left > _CHORD_STEPS)
-        # A Jacobian is due where a chord search converged or crawls, and where an old one failed.
-        due = ~wanted & jnp.where(taken, (length <= enough / 2) | slow, ~search.fresh)
-        damping = jnp.where(taken, 1.0, search.damping / 2.0)
-        damping = jnp.where(due, 1.0, damping)
-        z = jnp.where(taken, trial, search.z)
-        step = jnp.where(taken, step, search.step)
-        far = size(trial - guess, weights) > radius
+        def anew(at: Iterate) -> Iterate:
+            nowhere = jnp.asarray(jnp.inf)
+            start = at._replace(
+                step=jnp.zeros_like(guess), length=nowhere, damping=jnp.ones(()), evaluations=none
+            )
+            return advance(newly, start, weights)
+
+        at = lax.cond(failed, lambda at: at, anew, at)
         return _Search(
-            z,
-            jnp.where(due, z, z + damping * step),
-            step,
-            jnp.where(taken, length, search.length),
-            damping,
-            fresh=wanted | (search.fresh & ~taken),
-            wanted=due,
-            jacobian=slope,
-            factors=factors,
-            residual=jnp.where(wanted, jnp.max(jnp.abs(value)), search.residual),
-            extra=extra,
-            good=wanted & (length <= enough),
-            failed=(wanted & ~finite) | (damping < _LEAST_DAMPING) | (far & taken),
-            values=search.values + ~wanted,
-            jacobians=search.jacobians + wanted,
+            at,
+            fresh=yes,
+            known=yes,
+            good=~failed & (at.length <= enough(at)),
+            failed=failed | jnp.isnan(at.length),
+            values=values,
+            jacobians=search.jacobians + ~failed,
         )
 
-    shapes = jax.eval_shape(both, guess)[2]
-    no, none = jnp.asarray(False), jnp.asarray(0)
-    search = _Search(
-        z=guess,
-        trial=guess,
-        step=jnp.zeros_like(guess),
-        length=jnp.asarray(jnp.inf),
-        damping=jnp.asarray(1.0),
-        fresh=no,
-        wanted=~known,
-        jacobian=jacobian,
-        factors=factors_of(jacobian),
-        residual=jnp.asarray(jnp.inf),
-        extra=jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes),
-        good=no,
-        failed=no,
-        values=none,
-        jacobians=none,
-    )
+    yes, none = jnp.asarray(True), jnp.zeros((), int)
+    start = begin(newly, guess)
+    start = start._replace(factors=factors_of(jacobian), aux=(jacobian, start.aux[1]))
+    search = _Search(start, ~yes, jnp.asarray(known), ~yes, ~yes, none, none)
     search = lax.while_loop(going, body, search)
 
     # [F_z; normal] t = [0; 1]; and det [F_z; normal] = (normal, t) det [F_z; t] for |t| = 1.
-    tangent = search.factors.solve(jnp.zeros_like(guess).at[-1].set(1.0))
+    at = search.at
+    tangent = at.factors.solve(jnp.zeros_like(guess).at[-1].set(1.0))
     length = size(tangent, weights)
-    sign, logdet = search.factors.determinant()
-    search = search._replace(
-        z=search.z + search.step,  # at most as long as the tolerance; errs by about its square
-        good=search.good & jnp.isfinite(length),
-    )
-    return search, tangent / length, sign, logdet + jnp.log(length)
+    sign, logdet = at.factors.determinant()
+    point = {  # the fields of a `Point`
+        "z": at.u + at.step,  # at most as long as the tolerance; errs by about its square
+        "tangent": tangent / length,
+        "jacobian": at.aux[0],
+        "sign": sign,
+        "logdet": logdet + jnp.log(length),
+        "residual": jnp.max(jnp.abs(at.value[:-1])),
+        "last_step": at.length,
+        "extra": at.aux[1],
+    }
+    return point, search.good & jnp.isfinite(length), search.values, search.jacobians
 
 
 class Corrector:
@@ -244,22 +228,14 @@ class Corrector:
             self.weights,
             np.asarray(self.tolerance),
         )
-        end, tangent, sign, logdet = jax.device_get(solved)
-        self.counts.values += int(end.values)
-        self.counts.jacobians += int(end.jacobians)
+        found, good, values, jacobians = jax.device_get(solved)
+        self.counts.values += int(values)
+        self.counts.jacobians += int(jacobians)
         self.counts.solves += 1
-        if not end.good:
+        if not good:
             return None
-        return Point(
-            z=end.z,
-            tangent=tangent,
-            jacobian=end.jacobian,
-            sign=float(sign),
-            logdet=float(logdet),
-            residual=float(end.residual),
-            last_step=float(end.length),
-            extra=end.extra,
-        )
+        single = {name: float(found[name]) for name in ("sign", "logdet", "residual", "last_step")}
+        return Point(**{**found, **single})
 
     @property
     def sharp(self) -> "Corrector":

@@ -102,13 +102,109 @@ class Root(NamedTuple):
     steps: Int[Array, ""]
 
 
-class _Search(NamedTuple):
+class Iterate(NamedTuple):
+    """Where a search by Newton's method stands, the last u that it took.
+
+    `length`: of the step, infinite where nothing is evaluated yet, NaN where that failed;
+    `damping` l: the share of the step that is tried next; `refused`: whether the last trial was;
+    `contraction`: `length` over that of the step before; `evaluations` of F and its Jacobian.
+    """
+
     u: Float[Array, " m"]
-    step: Float[Array, " m"]  # the Newton step at u
+    value: Float[Array, " m"]  # F(u)
+    step: Float[Array, " m"]  # -F_u^{-1} F
     length: Float[Array, ""]
-    factors: Factors  # of F_u(u)
+    contraction: Float[Array, ""]
     damping: Float[Array, ""]
-    steps: Int[Array, ""]
+    refused: Bool[Array, ""]
+    evaluations: Int[Array, ""]
+    factors: Any  # of F_u(u), with `solve`
+    aux: Any
+
+
+# u -> (F(u), what solves with F_u(u), anything else that is to be known there).
+Linearise = Callable[[Float[Array, " m"]], tuple[Float[Array, " m"], Any, Any]]
+
+
+def begin(linearise: Linearise, start: Float[Array, " m"]) -> Iterate:
+    """A search at `start`, where nothing is evaluated yet."""
+    shapes = eqx.filter_eval_shape(linearise, start)
+    value, factors, aux = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
+    infinite, none = jnp.asarray(jnp.inf), jnp.zeros((), int)
+    return Iterate(
+        start, value, jnp.zeros_like(start), infinite, infinite, jnp.ones(()), jnp.asarray(False),
+        none, factors, aux,
+    )  # fmt: skip
+
+
+def advance(linearise: Linearise, now: Iterate, weights: Float[Array, " m"]) -> Iterate:
+    """One evaluation of F and its Jacobian, where the damped step leads: taken, or halved.
+
+    Taken if |F_u(u)^{-1} F(u + l s)| < (1 - l/4) |s|, in the first place if all is finite.
+    """
+    first = now.evaluations == 0
+    trial = now.u + now.damping * now.step
+    value, factors, aux = linearise(trial)
+    step = -factors.solve(value)
+    length = size(step, weights)
+    simplified = size(now.factors.solve(value), weights)
+    # NaN compares false: a step out of where F is defined is halved.
+    better = first | (simplified < (1.0 - now.damping / 4.0) * now.length)
+    better = better & jnp.isfinite(length)
+    count = now.evaluations + 1
+    taken = Iterate(
+        trial, value, step, length, length / now.length, jnp.minimum(1.0, 4.0 * now.damping),
+        jnp.asarray(False), count, factors, aux,
+    )  # fmt: skip
+    halved = now._replace(
+        length=jnp.where(first, jnp.nan, now.length),
+        damping=now.damping / 2.0,
+        refused=jnp.asarray(True),
+        evaluations=count,
+    )
+    return where(better, taken, halved)
+
+
+def iterate(
+    linearise: Linearise,
+    start: Iterate,
+    weights: Float[Array, " m"],
+    going: Callable[[Iterate], Bool[Array, ""]],
+    *,
+    least_damping: float = _LEAST_DAMPING,
+) -> Iterate:
+    """Newton's method as long as `going`, or until no step helps; one evaluation is compiled."""
+
+    def goes_on(now: Iterate) -> Array:
+        hopeful = ~jnp.isnan(now.length) & (now.damping >= least_damping)
+        return hopeful & going(now)
+
+    return lax.while_loop(goes_on, lambda now: advance(linearise, now, weights), start)
+
+
+def solve(
+    linearise: Linearise,
+    start: Float[Array, " m"],
+    weights: Float[Array, " m"],
+    tolerance: Any,
+    limit: Any,
+) -> tuple[Float[Array, " m"], Bool[Array, ""], Int[Array, ""]]:
+    """(u, whether a full step was at most `tolerance` (1 + |u|) and is taken, evaluations)."""
+
+    def small(now: Iterate) -> Array:
+        return now.length <= tolerance * (1.0 + size(now.u, weights))
+
+    def going(now: Iterate) -> Array:
+        return ~small(now) & (now.evaluations < limit)
+
+    now = iterate(linearise, begin(linearise, start), weights, going)
+    ended = small(now)
+    return now.u + jnp.where(ended, now.step, 0.0), ended, now.evaluations
+
+
+def where(condition: Any, this: PyTree, other: PyTree) -> PyTree:
+    """`this` if the condition is true, else `other`, leaf by leaf."""
+    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), this, other)
 
 
 def newton(
@@ -163,7 +259,7 @@ def search(
 ) -> Root:
     """`newton` without its checks."""
 
-    def linearised(u: Array) -> tuple[Array, Factors]:
+    def linearise(u: Array) -> tuple[Array, Factors, None]:
         def twice(u: Array) -> tuple[Array, Array]:
             value = residual(u, args)
             if value.shape != u.shape:
@@ -174,34 +270,8 @@ def search(
             return value, value
 
         slope, value = jax.jacfwd(twice, has_aux=True)(u)
-        return value, factorise(slope, w)
+        return value, factorise(slope, w), None
 
-    def small(now: _Search) -> Array:
-        return now.length <= tolerance * (1.0 + size(now.u, w))
-
-    def going(now: _Search) -> Array:
-        alive = jnp.isfinite(now.length) & (now.damping >= _LEAST_DAMPING)
-        return alive & ~small(now) & (now.steps < limit)
-
-    def body(now: _Search) -> _Search:
-        trial = now.u + now.damping * now.step
-        value, factors = linearised(trial)
-        step = -factors.solve(value)
-        length = size(step, w)
-        simplified = size(now.factors.solve(value), w)
-        # NaN compares false: a step out of where F is defined is halved.
-        better = (simplified < (1.0 - now.damping / 4.0) * now.length) & jnp.isfinite(length)
-        steps = now.steps + 1
-        taken = _Search(trial, step, length, factors, jnp.minimum(1.0, 4 * now.damping), steps)
-        halved = now._replace(damping=now.damping / 2.0, steps=steps)
-        return jax.tree.map(lambda a, b: jnp.where(better, a, b), taken, halved)
-
-    value, factors = linearised(u)
-    step = -factors.solve(value)
-    one = jnp.ones((), dtype=u.dtype)
-    now = _Search(u, step, size(step, w), factors, one, jnp.asarray(1))
-    now = lax.while_loop(going, body, now)
-    ended = small(now)
-    root = now.u + jnp.where(ended, now.step, 0.0)
+    root, ended, count = solve(linearise, u, w, tolerance, limit)
     left = jnp.max(jnp.abs(residual(root, args)))
-    return Root(root, left, ended & jnp.isfinite(left), now.steps)
+    return Root(root, left, ended & jnp.isfinite(left), count)

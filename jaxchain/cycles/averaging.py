@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._types import ScalarLike
+from ..continuation.bracket import bisect
 from ..model.chain import Chain
 
 _NODES, _SPEEDS, _HALVINGS = 32, 64, 24
@@ -64,14 +65,9 @@ def cycle_speed(chain: Chain, ratio: ScalarLike, highest: ScalarLike) -> Float[A
     crosses = (values[:-1] > 0) & (values[1:] <= 0)
     last = jnp.max(jnp.where(crosses, jnp.arange(_SPEEDS - 1), -1))
 
-    def halve(_: Any, ends: tuple[Array, Array]) -> tuple[Array, Array]:
-        low, high = ends
-        middle = 0.5 * (low + high)
-        inside = gain(chain, ratio, middle) > 0
-        return jnp.where(inside, middle, low), jnp.where(inside, high, middle)
-
-    ends = speeds[last], speeds[last + 1]
-    low, _ = jax.lax.fori_loop(0, _HALVINGS, halve, ends)
+    low, _ = bisect(
+        lambda speed: gain(chain, ratio, speed) > 0, speeds[last], speeds[last + 1], _HALVINGS
+    )
     return jnp.where(last >= 0, low, jnp.nan)
 
 

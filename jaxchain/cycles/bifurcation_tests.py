@@ -17,7 +17,7 @@ from jaxtyping import Array, Complex, Float, Int
 from .floquet import floquet_multipliers
 from .least_period import Returned, Returns
 from .shooting import Shooting
-from .variational import FrozenAlong, watched_flow
+from .variational import FrozenAlong, flow
 
 # How far from 1 a modulus may be where its test function vanishes.
 _ON_THE_CIRCLE = 1e-4
@@ -64,7 +64,7 @@ def linearise(
         return jnp.concatenate([x, v, z[-1:], period[None]])
 
     def end(y: Array) -> tuple[Array, tuple[Array, Array, Returned]]:
-        after, _, ((amplitude, _, _), returned) = watched_flow(
+        after, _, ((amplitude, _, _), returned) = flow(
             shooting.at(y[-1]),
             (y[:n], y[n:-1]),
             period,
@@ -105,7 +105,7 @@ def orbit(
 ) -> tuple[Float[Array, " n"], Float[Array, " n"], Float[Array, ""], Float[Array, " n"]]:
     """(x, v, period, amplitude) of a solution, which `linearise` has of the iterate before it."""
     field, (x, v), period = shooting.unpack(u, parameter)
-    _, _, ((amplitude, _, _),) = watched_flow(
+    _, _, ((amplitude, _, _),) = flow(
         field, (x, v), period, rtol=shooting.rtol, solver=shooting.solver,
         observers=[FrozenAlong()],
     )  # fmt: skip

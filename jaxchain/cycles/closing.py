@@ -12,19 +12,20 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax import lax
-from jaxtyping import Array, Bool, Complex, Float, Int
+from jaxtyping import Array, Complex, Float, Int
 
 from .._checks import to_float
 from .._types import State
+from ..continuation.damped_newton import Factors, factorise
 from ..model.oscillators import AbstractOscillators
 from ..observers.stick_time import MostSticking
 from ..simulation.event_driven import EventDriven
 from ..simulation.run import simulate
 from .floquet import check_orbit, floquet_multipliers, multiplier_resolution
-from .least_period import Returned, Returns
+from .least_period import Returned, Returns, close_orbit_once, greatest_gap
 
-_NEWTON_STEPS = 4
+# Integrations at most, and the step that is rounding.
+_MOST, _FINE = 8, 1e-13
 # What may be left of the return, compared with the size of the orbit, where it is closed.
 _CLOSED = 1e-6
 
@@ -77,8 +78,9 @@ def close_orbit(
 
         [[M - 1, f], [f^T, 0]] (dy, dT) = (y - flow(y, T), 0),    f = d flow / dT,
 
-    with 4 steps.  A mass that sticks at the start does so afterwards.  An orbit that has come back
-    after a share of `period` (up to 16 times round) is closed again with this share.
+    with at most 8 integrations.  A mass that sticks at the start does so afterwards.  An orbit
+    that has come back after a share of `period` (up to 16 times round) is closed again with this
+    share.
 
     **Arguments:** `state` = (x, v), both of shape (n,); `period` > 0; `solver` and `rtol` as for
     `simulate`.
@@ -103,21 +105,12 @@ def close_orbit(
     return _close(chain, (x, v), to_float(period), solver, rtol)
 
 
-class _Attempt(NamedTuple):
-    """An orbit as far as it is closed, and the next of Newton's iterates."""
+class _Way(NamedTuple):
+    """What a run tells besides its end."""
 
-    u: Float[Array, " m"]  # (x, v, T)
-    slopes: Float[Array, "two_n m"]  # of the state at the end
-    end: Float[Array, " two_n"]
+    slopes: Float[Array, "two_n m"]  # of the state at the end, in (x, v, T)
     returned: Returned
     sticking: Int[Array, ""]  # how many masses ever stick together, dry
-    better: Float[Array, " m"]
-
-
-class _Round(NamedTuple):
-    best: _Attempt
-    start: Float[Array, " m"]  # of the next attempts
-    goes_on: Bool[Array, ""]
 
 
 @eqx.filter_jit
@@ -139,44 +132,33 @@ def _close(
         end, seen = jnp.concatenate(run.state), run.observed
         return end, (end, seen["returned"], seen.get("sticking", jnp.zeros((), int)))
 
-    def attempt(u: Array) -> _Attempt:
+    weights = jnp.full(start.shape, start.shape[0] ** -0.5)
+
+    def linearise(u: Array) -> tuple[Array, Factors, _Way]:
         slopes, (end, returned, sticking) = jax.jacfwd(flow, has_aux=True)(u)
         f = slopes[:, -1]
         matrix = jnp.block(
             [[slopes[:, :-1] - jnp.eye(2 * n), f[:, None]], [f[None], jnp.zeros((1, 1))]]
         )
-        right = jnp.append(u[:-1] - end, 0.0)
-        return _Attempt(u, slopes, end, returned, sticking, u + jnp.linalg.solve(matrix, right))
+        way = _Way(slopes, returned, sticking)
+        return jnp.append(end - u[:-1], 0.0), factorise(matrix, weights), way
 
-    def gap(orbit: _Attempt) -> Array:
-        return jnp.max(jnp.abs(orbit.end - orbit.u[:-1]))
-
-    def round_(now: _Round) -> _Round:
-        # One attempt more than steps: what the last step found is looked at, too.
-        first = now.best._replace(better=now.start)
-        found = lax.fori_loop(0, _NEWTON_STEPS + 1, lambda _, orbit: attempt(orbit.better), first)
-        closed = gap(found) <= _CLOSED * found.returned.farthest
-        states = ((orbit.u[:n], orbit.u[n:-1]) for orbit in (now.best, found))
-        good = jnp.isnan(now.best.u[-1]) | (closed & found.returned.same(*states))
-        best = jax.tree.map(lambda a, b: jnp.where(good, a, b), found, now.best)
-        times = found.returned.times_round
-        return _Round(best, found.u.at[-1].divide(times), good & closed & (times > 1))
-
-    unknown = eqx.filter_eval_shape(attempt, start)
-    unknown = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), unknown)
-    unknown = unknown._replace(u=start.at[-1].set(jnp.nan))
-    best = lax.while_loop(
-        lambda now: now.goes_on, round_, _Round(unknown, start, jnp.asarray(True))
-    ).best
-    u, slopes = best.u, best.slopes
+    best = close_orbit_once(
+        linearise, start, weights, limit=_MOST, fine=_FINE,
+        closed=lambda now: greatest_gap(now) <= _CLOSED * now.aux.returned.farthest,
+        state_at=lambda u: (u[:n], u[n:-1]),
+        shortened=lambda u, times: u.at[-1].divide(times),
+    )  # fmt: skip
+    failed = jnp.where(jnp.isfinite(best.length), 0.0, jnp.nan)
+    u, slopes, gap = best.u + failed, best.aux.slopes + failed, greatest_gap(best) + failed
     once = start.at[-1].divide(jnp.maximum(jnp.round(period / u[-1]), 1.0))
     found = floquet_multipliers(slopes[:, :-1], slopes[:, -1])
     resolution = jnp.maximum(found.defect, multiplier_resolution(slopes[:, :-1]))
     multipliers = jnp.where(jnp.abs(found.multipliers) < resolution, jnp.nan, found.multipliers)
     # Velocities of masses that stick together are all that of the belt.
-    kept = jnp.arange(2 * n - 1) < 2 * n - 1 - best.sticking
+    kept = jnp.arange(2 * n - 1) < 2 * n - 1 - best.aux.sticking
     multipliers = jnp.where(kept | ~jnp.isfinite(found.multipliers), multipliers, 0.0)
     return ClosedOrbit(
-        (u[:n], u[n:-1]), u[-1], gap(best), jnp.max(jnp.abs(u - once)), multipliers,
+        (u[:n], u[n:-1]), u[-1], gap, jnp.max(jnp.abs(u - once)), multipliers,
         found.defect, resolution,
     )  # fmt: skip

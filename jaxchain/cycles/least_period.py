@@ -7,6 +7,7 @@ the state is looked at after T / k.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox.internal as eqxi
@@ -16,6 +17,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from .._types import ScalarLike, State
+from ..continuation.damped_newton import Iterate, Linearise, begin, iterate, size, where
 from ..model.oscillators import AbstractOscillators
 from ..observers.base import AbstractObserver, Step
 
@@ -87,3 +89,52 @@ class Returns(AbstractObserver):
 
     def read(self, accumulator: Any) -> Returned:
         return accumulator[2]
+
+
+class _Round(NamedTuple):
+    best: Iterate
+    start: Float[Array, " m"]  # of the next search
+    goes_on: Bool[Array, ""]
+
+
+def close_orbit_once(
+    linearise: Linearise,
+    start: Float[Array, " m"],
+    weights: Float[Array, " m"],
+    *,
+    limit: Any,
+    fine: float,
+    closed: Callable[[Iterate], Bool[Array, ""]],
+    state_at: Callable[[Array], State],
+    shortened: Callable[[Array, Array], Array],
+) -> Iterate:
+    """Newton's method for an orbit of its least period; one integration is compiled.
+
+    It goes on where the orbit is `closed`, until a step is shorter than `fine` (1 + |u|) or helps
+    no more.  An orbit that has come back after a share of its period is then searched for with
+    this share (`shortened(u, times round)`, of `limit` integrations, too), and kept if it is the
+    same one: it was gone round more than once.  `aux` of `linearise` has `returned`, a `Returned`.
+    """
+    nothing = begin(linearise, start)
+
+    def going(now: Iterate) -> Array:
+        done = now.length <= fine * (1.0 + size(now.u, weights))
+        return ~done & ~(now.refused & closed(now)) & (now.evaluations < limit)
+
+    def round_(now: _Round) -> _Round:
+        found = iterate(linearise, nothing._replace(u=now.start), weights, going)
+        count, returned = now.best.evaluations + found.evaluations, found.aux.returned
+        same = closed(found) & returned.same(state_at(now.best.u), state_at(found.u))
+        good = (now.best.evaluations == 0) | same
+        best = where(good, found, now.best)._replace(evaluations=count)
+        times = returned.times_round
+        again = good & closed(found) & (times > 1)
+        return _Round(best, shortened(found.u, times), again)
+
+    first = _Round(nothing, start, jnp.asarray(True))
+    return lax.while_loop(lambda now: now.goes_on, round_, first).best
+
+
+def greatest_gap(now: Iterate) -> Float[Array, ""]:
+    """max |F| where a search stands; infinite where the first integration failed."""
+    return jnp.where(jnp.isfinite(now.length), jnp.max(jnp.abs(now.value)), jnp.inf)

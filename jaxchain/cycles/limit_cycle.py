@@ -8,20 +8,21 @@ from __future__ import annotations
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax import lax
 from jaxtyping import Array, Bool, Complex, Float, Int
 
 from .._types import State
-from ..continuation.damped_newton import Factors, factorise, size
+from ..continuation.damped_newton import Factors, Iterate, factorise
 from ..continuation.implicit import attach_derivative
 from ..model.oscillators import AbstractOscillators
 from ..observers.amplitude import Amplitude
 from ..observers.quantities import energy
 from .floquet import floquet_multipliers, liouville_defect
+from .least_period import close_orbit_once, greatest_gap
 from .shooting import Shooting
-from .variational import Period, linearised_period, watched_flow
+from .variational import Period, flow, linearised_period
 
-_LEAST_DAMPING, _FINE = 2.0**-10, 1e-11
+# A step that is shorter is rounding.
+_FINE = 1e-11
 # A mass that moves less rests.
 _LEAST_VELOCITY = 1e-6
 # A trivial multiplier or a determinant that is off by more says that M is not to be believed.
@@ -98,23 +99,23 @@ def solve_cycle(
     """(the cycle, its unknowns u) near u = `start`; nothing in here is to be differentiated."""
     found = search_cycle(shooting, start, tolerance, limit)
     field, state, period = shooting.unpack(found.u)
-    flow = found.period
+    whole, residual = found.aux, greatest_gap(found)
     direction = jnp.concatenate(field(0.0, state))
-    floquet = floquet_multipliers(flow.monodromy, direction)
+    floquet = floquet_multipliers(whole.monodromy, direction)
     speed = field.belt_direction() * state[1][shooting.mass]
-    moves = (flow.fastest[shooting.mass] > _LEAST_VELOCITY) & (speed > 0)
+    moves = (whole.fastest[shooting.mass] > _LEAST_VELOCITY) & (speed > 0)
     cycle = LimitCycle(
         chain=field,
         state=state,
         period=period,
-        residual=found.residual,
-        converged=(found.residual <= tolerance) & moves & jnp.isfinite(floquet.defect),
+        residual=residual,
+        converged=(residual <= tolerance) & moves & jnp.isfinite(floquet.defect),
         multipliers=floquet.multipliers,
         trivial_defect=floquet.defect,
-        liouville_defect=liouville_defect(flow.monodromy, flow.trace_integral),
-        amplitude=flow.amplitude,
-        fastest=flow.fastest,
-        evaluations=found.count,
+        liouville_defect=liouville_defect(whole.monodromy, whole.trace_integral),
+        amplitude=whole.amplitude,
+        fastest=whole.fastest,
+        evaluations=found.evaluations,
         mass=shooting.mass,
     )
     return cycle, found.u
@@ -140,104 +141,34 @@ def _residual(unknowns: Float[Array, " m"], shooting: Shooting) -> Float[Array, 
     n = len(shooting.images)
     u, amplitude = unknowns[:-n], unknowns[-n:]
     field, state, period = shooting.unpack(u)
-    end, _, (seen,) = watched_flow(
+    end, _, (seen,) = flow(
         field, state, period, rtol=shooting.rtol, solver=shooting.solver, observers=[Amplitude()]
     )
     return jnp.concatenate([shooting.gap(u, end), seen - amplitude])
 
 
-class Search(eqx.Module):
-    u: Float[Array, " m"]  # the best
-    step: Float[Array, " m"]  # Newton's from there
-    length: Float[Array, ""]
-    factors: Factors
-    damping: Float[Array, ""]
-    period: Period
-    residual: Float[Array, ""]
-    refused: Bool[Array, ""]
-    count: Int[Array, ""]
-
-
-class _Round(eqx.Module):
-    best: Search
-    start: Float[Array, " m"]  # of the next search
-    goes_on: Bool[Array, ""]
-
-
-def search_cycle(shooting: Shooting, start: Array, tolerance: Array, limit: Array) -> Search:
-    """Newton's method as in `jaxchain.newton`, with one integration in one place to compile.
-
-    It goes on within the tolerance, until a step helps no more.  An orbit that has come back after
-    a share of its period is then searched for with this share (of `limit` integrations, too), and
-    kept if it is the same one: it was gone round more than once.
-    """
+def search_cycle(shooting: Shooting, start: Array, tolerance: Array, limit: Array) -> Iterate:
+    """The search for a closed orbit near u = `start`; `aux` is its `Period`."""
     weights = jnp.full(start.shape, start.shape[0] ** -0.5)
 
-    def linearised(u: Array) -> tuple[Period, Array, Array]:
+    def linearise(u: Array) -> tuple[Array, Factors, Period]:
         field, state, period = shooting.unpack(u)
-        flow = linearised_period(field, state, period, rtol=shooting.rtol, solver=shooting.solver)
-        by_u, by_end = jax.jacfwd(shooting.gap, argnums=(0, 1))(u, flow.end)
+        whole = linearised_period(field, state, period, rtol=shooting.rtol, solver=shooting.solver)
+        by_u, by_end = jax.jacfwd(shooting.gap, argnums=(0, 1))(u, whole.end)
 
         def orbit(u: Array) -> Array:
             _, (x, v), period = shooting.unpack(u)
             return jnp.concatenate([x, v, period[None]])
 
         slope = jax.jacfwd(orbit)(u)
-        direction = jnp.concatenate(field(0.0, flow.end))
-        end = flow.monodromy @ slope[:-1] + direction[:, None] * slope[-1:]
+        direction = jnp.concatenate(field(0.0, whole.end))
+        end = whole.monodromy @ slope[:-1] + direction[:, None] * slope[-1:]
         jacobian = by_u + jnp.concatenate(by_end, axis=1) @ end
-        return flow, shooting.gap(u, flow.end), jacobian
+        return shooting.gap(u, whole.end), factorise(jacobian, weights), whole
 
-    def going(now: Search) -> Array:
-        fine = now.length <= _FINE * (1.0 + size(now.u, weights))
-        spent = now.refused & (now.residual <= tolerance)
-        hopeful = (now.damping >= _LEAST_DAMPING) & (now.count < limit)
-        return hopeful & ~fine & ~spent & ~jnp.isnan(now.length)
-
-    def body(now: Search) -> Search:
-        u = now.u + now.damping * now.step
-        flow, r, jacobian = linearised(u)
-        factors = factorise(jacobian, weights)
-        step = -factors.solve(r)
-        length = size(step, weights)
-        # At the start every u is better than nothing, unless the integration fails.
-        simplified = size(now.factors.solve(r), weights)
-        better = (simplified < (1.0 - now.damping / 4.0) * now.length) & jnp.isfinite(length)
-        first = now.count == 0
-        taken = Search(
-            u, step, length, factors, jnp.where(first, 1.0, jnp.minimum(1.0, 4.0 * now.damping)),
-            flow, jnp.max(jnp.abs(r)), jnp.asarray(False), now.count + 1,
-        )  # fmt: skip
-        halved = eqx.tree_at(
-            lambda s: (s.damping, s.refused, s.count, s.length),
-            now,
-            (now.damping / 2.0, jnp.asarray(True), now.count + 1,
-             jnp.where(first, jnp.nan, now.length)),
-        )  # fmt: skip
-        return jax.tree.map(lambda a, b: jnp.where(better, a, b), taken, halved)
-
-    nothing = eqx.filter_eval_shape(linearised, start)[0]
-    nothing = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), nothing)
-    infinite = jnp.asarray(jnp.inf)
-
-    def from_guess(start: Array) -> Search:
-        return Search(
-            start, jnp.zeros_like(start), infinite, factorise(jnp.eye(start.shape[0]), weights),
-            jnp.ones(()), nothing, infinite, jnp.asarray(False), jnp.zeros((), int),
-        )  # fmt: skip
-
-    def round_(now: _Round) -> _Round:
-        found = lax.while_loop(going, body, from_guess(now.start))
-        count = now.best.count + found.count
-        returned = found.period.returned
-        states = (shooting.unpack(u)[1] for u in (now.best.u, found.u))
-        closed = found.residual <= tolerance
-        good = (now.best.count == 0) | (closed & returned.same(*states))
-        best = jax.tree.map(lambda a, b: jnp.where(good, a, b), found, now.best)
-        best = eqx.tree_at(lambda s: s.count, best, count)
-        times = returned.times_round
-        shorter = found.u.at[-1].add(-jnp.log(times))
-        return _Round(best, shorter, good & closed & (times > 1))
-
-    first = _Round(from_guess(start), start, jnp.asarray(True))
-    return lax.while_loop(lambda now: now.goes_on, round_, first).best
+    return close_orbit_once(
+        linearise, start, weights, limit=limit, fine=_FINE,
+        closed=lambda now: greatest_gap(now) <= tolerance,
+        state_at=lambda u: shooting.unpack(u)[1],
+        shortened=lambda u, times: u.at[-1].add(-jnp.log(times)),
+    )  # fmt: skip

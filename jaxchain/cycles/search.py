@@ -21,7 +21,7 @@ from ..model.arguments import as_chain, as_images, as_mass
 from ..model.chain import Chain
 from ..model.initial_states import reference_site
 from ..model.oscillators import AbstractOscillators
-from ..simulation.accuracy import fit_linear_solve
+from ..simulation.accuracy import MAX_STEP, fit_linear_solve
 from ..simulation.run import Simulation
 from ..solvers.rosenbrock import Rodas5P
 from .floquet import CYCLE_RTOL, check_orbit
@@ -35,7 +35,7 @@ from .guesses import (
 )
 from .limit_cycle import LimitCycle, solve_cycle, with_derivatives
 from .reach import is_of_kind, reach_cycle
-from .shooting import MAX_STEP, Shooting
+from .shooting import Shooting
 
 
 def find_limit_cycle(

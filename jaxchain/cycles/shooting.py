@@ -28,34 +28,7 @@ from jaxtyping import Array, Float
 from .._checks import to_float
 from .._types import State
 from ..model.oscillators import AbstractOscillators
-from ..result import Result
-from ..simulation.smoothed import SmoothedPlan
-
-MAX_STEP = 0.5
-# A period takes some hundreds; an orbit that is lost must not keep the others waiting.
-_MOST_STEPS = 50_000
-
-
-def flow(
-    field: AbstractOscillators,
-    state: State,
-    period: Any,
-    *,
-    rtol: Any,
-    solver: dfx.AbstractSolver,
-) -> State:
-    """The state after `period`, NaN if the integration failed; for forward-mode derivatives.
-
-    The derivative is that of the discrete steps with their sizes held fixed.
-    """
-    plan = SmoothedPlan(
-        solver=solver, observers=[], rtol=rtol, atol=0.1 * rtol, max_step=MAX_STEP, t1=period
-    )
-    progress = plan.begin(field, state, 0.0, period)
-    progress, _ = plan.advance(field, progress, period, max_steps=_MOST_STEPS)
-    good = progress.result == Result.successful
-    x, v = progress.state
-    return jnp.where(good, x, jnp.nan), jnp.where(good, v, jnp.nan)
+from .variational import flow
 
 
 class Shooting(eqx.Module):
@@ -153,7 +126,7 @@ class Shooting(eqx.Module):
         Rest solves the equations, too; a Newton iteration in the divided ones does not end there.
         """
         field, state, period = self.unpack(u, parameter)
-        end = flow(field, state, period, rtol=self.rtol, solver=self.solver)
+        end, _, _ = flow(field, state, period, rtol=self.rtol, solver=self.solver)
         return self.gap(u, end, parameter)
 
     def gap(self, u: Float[Array, " m"], end: State, parameter: Any = None) -> Float[Array, " m"]:

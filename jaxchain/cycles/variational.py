@@ -6,6 +6,7 @@ everything else that is told of a cycle.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import diffrax as dfx
@@ -104,18 +105,21 @@ class FrozenAlong(Along):
         return super().update(lax.stop_gradient(accumulator), stopped)
 
 
-def watched_flow(
+def flow(
     field: AbstractOscillators,
     state: State,
     period: Any,
     *,
     rtol: Any,
     solver: dfx.AbstractSolver,
-    observers: list[AbstractObserver],
+    observers: Sequence[AbstractObserver] = (),
 ) -> tuple[State, Bool[Array, ""], list]:
-    """(the state after `period`, NaN if it was not reached; whether it was; what was observed)."""
+    """(the state after `period`, NaN if it was not reached; whether it was; what was observed).
+
+    For forward-mode derivatives, which are those of the steps with their sizes held fixed.
+    """
     plan = SmoothedPlan(
-        solver=solver, observers=observers, rtol=rtol, atol=0.1 * rtol, max_step=MAX_STEP,
+        solver=solver, observers=list(observers), rtol=rtol, atol=0.1 * rtol, max_step=MAX_STEP,
         t1=period,
     )  # fmt: skip
     progress = plan.begin(field, state, 0.0, period)
@@ -137,7 +141,7 @@ def linearised_period(
     n = state[0].shape[0]
 
     def after(flat: Array) -> tuple[Array, tuple]:
-        (x, v), good, ((amplitude, fastest, trace), returned) = watched_flow(
+        (x, v), good, ((amplitude, fastest, trace), returned) = flow(
             field,
             (flat[:n], flat[n:]),
             period,

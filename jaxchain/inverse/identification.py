@@ -21,6 +21,7 @@ from .._checks import (
     to_float,
 )
 from ..boundaries.bistable import check_friction
+from ..continuation.damped_newton import where
 from ..continuation.gradient_descent import unknowns
 from ..model.chain import Chain
 from ..model.initial_states import check_vibrating
@@ -185,7 +186,7 @@ def _fit(problem: _Problem, start: Array, steps: int) -> Identification:
         damping = jnp.where(first, _FIRST, damping)
         new = _Fit(trial, residuals, slopes, damping, infinite, now.count + 1)
         old = _Fit(now.z, now.residuals, now.slopes, damping, infinite, now.count + 1)
-        taken = jax.tree.map(lambda a, b: jnp.where(good, a, b), new, old)
+        taken = where(good, new, old)
         # Judged with little damping, so that short steps are not taken for the end.
         _, gain = step(eqx.tree_at(lambda f: f.damping, taken, jnp.asarray(_LEAST)))
         return eqx.tree_at(lambda f: f.gain, taken, gain)

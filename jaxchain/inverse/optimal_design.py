@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from .._checks import check_positive, check_positive_number, check_whole, to_float
 from ..boundaries.bistable import BistableRange, bistable_range, check_friction
+from ..continuation.damped_newton import where
 from ..continuation.gradient_descent import unknowns
 from ..model.chain import Chain
 from ..model.initial_states import check_vibrating
@@ -225,7 +226,7 @@ def _solve(problem: _Problem, optimiser: Any, steps: int, tolerance: Array) -> D
         sound = jnp.isfinite(value) & jnp.all(jnp.isfinite(slope))
         good = sound & (first | uphill | (value <= limit))
 
-        best = _where(good, trial, now.best)
+        best = where(good, trial, now.best)
         m = best.multiplier(now.held, penalty)
         _, slope = best.lagrangian(now.held, penalty)
         missing, off = jnp.abs(m - now.held) / penalty, jnp.sqrt(jnp.sum(slope**2))
@@ -236,7 +237,7 @@ def _solve(problem: _Problem, optimiser: Any, steps: int, tolerance: Array) -> D
         new_penalty = jnp.where(slow, _GROWTH * penalty, penalty)
         value, slope = best.lagrangian(held, new_penalty)
         # Another Lagrangian, of which the optimiser knows nothing.
-        memory = _where(renew, transform.init(zero), now.state)
+        memory = where(renew, transform.init(zero), now.state)
         step, memory = transform.update(slope, memory, best.z, value=value, grad=slope)
         longest = jnp.max(jnp.abs(step))
         step = step * jnp.minimum(1.0, _LONGEST / jnp.where(longest > 0, longest, 1.0))
@@ -244,7 +245,7 @@ def _solve(problem: _Problem, optimiser: Any, steps: int, tolerance: Array) -> D
             best=best,
             step=jnp.where(good, step, now.step),
             length=jnp.where(good, 1.0, _SHRINKAGE * now.length),
-            state=_where(good, memory, now.state),
+            state=where(good, memory, now.state),
             held=held,
             penalty=new_penalty,
             missing=jnp.where(renew, missing, now.missing),
@@ -284,7 +285,3 @@ def _angle(a: Array, b: Array) -> Array:
     """In [0, pi], exact for small ones, too."""
     a, b = a / jnp.sqrt(jnp.sum(a**2)), b / jnp.sqrt(jnp.sum(b**2))
     return 2.0 * jnp.arctan2(jnp.sqrt(jnp.sum((a - b) ** 2)), jnp.sqrt(jnp.sum((a + b) ** 2)))
-
-
-def _where(condition: Array, a: Any, b: Any) -> Any:
-    return jax.tree.map(lambda x, y: jnp.where(condition, x, y), a, b)

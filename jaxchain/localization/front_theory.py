@@ -17,6 +17,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+from ..continuation.bracket import bisect
 from ..cycles.averaging import gain
 from ..model.chain import Chain
 from ..model.initial_states import excited_state
@@ -57,14 +58,8 @@ def spreading_speed(coupling: Any, growth: Any) -> Float[Array, "*batch"]:
         ratio = jnp.maximum(u / eta, 1.0)
         return u * (jnp.arccosh(ratio) - jnp.sqrt(1.0 - 1.0 / ratio**2))
 
-    def halve(_: Any, ends: tuple[Array, Array]) -> tuple[Array, Array]:
-        low, high = ends
-        middle = 0.5 * (low + high)
-        below = rate(middle) < s
-        return jnp.where(below, middle, low), jnp.where(below, high, middle)
-
     # At u = 4 eta + s the bracket is more than 1.
-    low, high = lax.fori_loop(0, 60, halve, (eta, 4.0 * eta + s))
+    low, high = bisect(lambda u: rate(u) < s, eta, 4.0 * eta + s, 60)
     return jnp.where(s < 0, jnp.nan, 0.5 * (low + high))
 
 
@@ -117,14 +112,9 @@ def growth_coupling(
         (_, most), _ = lax.scan(step, start, None, length=_STEPS)
         return most > speed
 
-    def halve(_: Any, ends: tuple[Array, Array]) -> tuple[Array, Array]:
-        low, high = ends
-        middle = jnp.sqrt(low * high)
-        drawn = drawn_in(middle)
-        return jnp.where(drawn, low, middle), jnp.where(drawn, middle, high)
-
-    low, high = lax.fori_loop(0, 12, halve, (jnp.asarray(1e-4), jnp.asarray(highest, float)))
-    return jnp.sqrt(low * high)
+    ends = jnp.log(jnp.asarray(1e-4)), jnp.log(jnp.asarray(highest, float))
+    low, high = bisect(lambda logarithm: ~drawn_in(jnp.exp(logarithm)), *ends, 12)
+    return jnp.exp(0.5 * (low + high))
 
 
 def death_belt_speed(

@@ -7,6 +7,7 @@ A pattern in which all phases of the phase model (`localization/phases.py`) grow
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -17,14 +18,16 @@ from jaxtyping import Array, Float
 
 from .._checks import check_finite, check_whole
 from .._types import State
+from ..continuation.damped_newton import Factors, factorise, solve
 from ..cycles.averaging import one_mass
 from ..model.initial_states import reference_site
 from ..observers.trajectory import Trajectory
 from ..simulation.run import simulate
 from .phases import PhaseModel, _rtol, _shaken
 
-# Of the search for locked patterns: starts, Newton steps, and what counts as solved and as same.
-_STARTS, _NEWTON, _SOLVED, _SAME = 300, 40, 1e-10, 1e-5
+# Of the search for locked patterns: starts, Newton steps, the last of these, and what counts as
+# solved and as same.
+_STARTS, _NEWTON, _CLOSE, _SOLVED, _SAME = 300, 40, 1e-8, 1e-10, 1e-5
 
 
 def pattern_guess(
@@ -118,10 +121,10 @@ def locked_patterns(model: PhaseModel, count: Any) -> tuple[LockedPattern, ...]:
         rate = float(model.rates(jnp.zeros(1))[0])
         return (LockedPattern(np.zeros(1), rate, -np.inf),)
     starts = np.random.default_rng(0).uniform(-np.pi, np.pi, (_STARTS, k - 1))
-    found, gaps, rates, slopes = map(np.asarray, _lock(model, jnp.asarray(starts)))
+    found, told = jax.device_get(_lock(model, jnp.asarray(starts)))
     patterns: list[LockedPattern] = []
     kept: list[np.ndarray] = []
-    for step, gap, rate, slope in zip(found, gaps, rates, slopes, strict=True):
+    for step, gap, rate, slope in zip(found, *told, strict=True):
         known = (np.max(np.abs(_wrap(step - old))) < _SAME for old in kept)
         if not gap < _SOLVED or any(known):
             continue
@@ -138,8 +141,8 @@ def rotating_wave(model: PhaseModel, turns: Any) -> LockedPattern:
     """
     n = model.chain.n
     phases = 2.0 * np.pi * turns * np.arange(n) / n
-    *_, rate, slope = _lock(model, jnp.diff(jnp.asarray(phases))[None], steps=0)
-    return LockedPattern(phases, float(rate[0]), _growth(model, slope[0]))
+    _, rate, slope = _told(model, jnp.diff(jnp.asarray(phases)))
+    return LockedPattern(phases, float(rate), _growth(model, slope))
 
 
 def _growth(model: PhaseModel, slope: Any) -> float:
@@ -147,25 +150,35 @@ def _growth(model: PhaseModel, slope: Any) -> float:
     return speed * float(np.max(np.linalg.eigvals(np.asarray(slope)).real))
 
 
+def _phases(step: Array) -> Array:
+    return jnp.concatenate([jnp.zeros(1), jnp.cumsum(step)])
+
+
+def _drift(model: PhaseModel, step: Array) -> Array:
+    return jnp.diff(model.rates(_phases(step)))
+
+
+@eqx.filter_jit
+def _told(model: PhaseModel, step: Float[Array, " m"]) -> tuple[Array, Array, Array]:
+    """(how far from locked, rate, slope) at these steps of phase."""
+    gap = jnp.max(jnp.abs(_drift(model, step)))
+    return gap, model.rates(_phases(step))[0], jax.jacfwd(partial(_drift, model))(step)
+
+
 @eqx.filter_jit
 def _lock(
-    model: PhaseModel, starts: Float[Array, "s m"], steps: int = _NEWTON
-) -> tuple[Array, Array, Array, Array]:
-    """(steps of phase, how far from locked, rate, slope), for each of the starts."""
+    model: PhaseModel, starts: Float[Array, "s m"]
+) -> tuple[Array, tuple[Array, Array, Array]]:
+    """(steps of phase, what is told there), for each of the starts."""
+    weights = jnp.ones(starts.shape[1])
 
-    def phases(step: Array) -> Array:
-        return jnp.concatenate([jnp.zeros(1), jnp.cumsum(step)])
+    def linearise(step: Array) -> tuple[Array, Factors, None]:
+        slope = jax.jacfwd(partial(_drift, model))(step)
+        return _drift(model, step), factorise(slope, weights), None
 
-    def drift(step: Array) -> Array:
-        return jnp.diff(model.rates(phases(step)))
-
-    def newton(_: Any, step: Array) -> Array:
-        return step - jnp.linalg.solve(jax.jacfwd(drift)(step), drift(step))
-
-    def one(start: Array) -> tuple[Array, Array, Array, Array]:
-        step = jax.lax.fori_loop(0, steps, newton, start)
-        gap = jnp.max(jnp.abs(drift(step)))
-        return step, gap, model.rates(phases(step))[0], jax.jacfwd(drift)(step)
+    def one(start: Array) -> tuple[Array, tuple[Array, Array, Array]]:
+        step, _, _ = solve(linearise, start, weights, _CLOSE, _NEWTON)
+        return step, _told(model, step)
 
     return jax.vmap(one)(starts)
 

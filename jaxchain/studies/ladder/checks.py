@@ -13,7 +13,7 @@ from jaxtyping import Array, Complex, Float
 
 from jaxchain.cycles.floquet import monodromy_matrix
 from jaxchain.cycles.search import find_limit_cycle
-from jaxchain.cycles.shooting import flow
+from jaxchain.cycles.variational import flow
 from jaxchain.model.chain import Chain
 from jaxchain.observers.amplitude import Amplitude
 from jaxchain.observers.peaks import PeakTimes
@@ -62,7 +62,7 @@ def _gap(
 
 def _after(chain: Chain, state: Any, period: Array, rtol: Any = _FINE_RTOL) -> Any:
     solver = fit_linear_solve(Rodas5P(), chain, _FINE_RTOL)
-    return flow(chain, state, period, rtol=jnp.asarray(rtol), solver=solver)
+    return flow(chain, state, period, rtol=jnp.asarray(rtol), solver=solver)[0]
 
 
 def draw_lots(branches: dict[str, xr.Dataset], count: int) -> list[tuple[str, int]]:

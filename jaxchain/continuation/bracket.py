@@ -1,0 +1,34 @@
+"""One-dimensional search: an interval around a change, halved as often as is asked."""
+
+from collections.abc import Callable
+
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float
+
+
+def bisect(
+    before: Callable[[Float[Array, "*batch"]], Bool[Array, "*batch"]],
+    low: Float[Array, "*batch"],
+    high: Float[Array, "*batch"],
+    halvings: int,
+) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+    """(low, high) around where `before(x)` turns from true to false, 2^-`halvings` as far apart.
+
+    Entries of arrays are searched for each by itself.  The number of evaluations is known when
+    the program is compiled, so that no lane under `jax.vmap` waits for another, and derivatives go
+    through in reverse, too.  Where nothing changes, both are the end that `before` points to.
+
+    >>> import jax.numpy as jnp
+    >>> low, high = bisect(lambda x: x**2 < 2.0, jnp.asarray(1.0), jnp.asarray(2.0), 40)
+    >>> round(float(low), 10), bool(low < 2**0.5 < high)
+    (1.4142135624, True)
+    """
+
+    def halve(_: int, ends: tuple[Array, Array]) -> tuple[Array, Array]:
+        low, high = ends
+        middle = 0.5 * (low + high)
+        left = before(middle)
+        return jnp.where(left, middle, low), jnp.where(left, high, middle)
+
+    return lax.fori_loop(0, halvings, halve, (low, high))
