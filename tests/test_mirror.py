@@ -150,9 +150,6 @@ SPEEDLESS = {
     "try_boundary": lambda chain: jc.boundaries.try_boundary(chain, 1.7, time=50.0),
     "hopf_by_descent": lambda chain: jc.boundaries.hopf_by_descent(chain, steps=20).belt_speed,
     "fold_by_descent": lambda chain: jc.boundaries.fold_by_descent(chain, steps=3).belt_speed,
-    "one_mass_branch": lambda chain: eqx.filter(
-        jc.boundaries.one_mass_branch(chain), eqx.is_array
-    ),
     "design": design,
 }
 # Of chains one by one, on the host.
@@ -160,7 +157,7 @@ SINGLE = (
     "hopf_and_fold", "continue_cycle", "depinning_belt_speed", "equation_8", "equation_10",
     "find_limit_cycle", "first_lyapunov_coefficient", "front_speed", "generalised_hopf",
     "guess_from_hopf", "hopf_points", "identify", "phase_model", "sweep", "verdict", "verdicts",
-    "close_orbit", "guess_from_simulation", "liouville_determinant", "predict",
+    "close_orbit", "guess_from_simulation", "liouville_determinant", "one_mass_branch", "predict",
 )  # fmt: skip
 
 

@@ -4,7 +4,7 @@ The cycles of one mass form one branch: it leaves steady sliding at the Hopf spe
 unstable slip cycles to the fold, and comes back as the stable stick-slip cycle.  Over
 z = asinh(max w / eps) it is smooth at every width, round the fold, too.  It is no graph over z:
 on the stick-slip cycles of the paper's set z has a maximum near v_d = 0.75.  So the branch is
-followed in both directions from its fold, by arclength in (2 v_d / v_fold, ln T, z).
+followed in both directions from its fold, by `continue_cycle`.
 """
 
 from __future__ import annotations
@@ -14,34 +14,29 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from .._checks import check_positive_number, is_traced
+from .._checks import check_positive_number
 from ..continuation.damped_newton import newton
 from ..cycles.averaging import cycle_speed, greatest_speed
-from ..cycles.shooting import Shooting
+from ..cycles.branches import continue_cycle
 from ..model.chain import Chain
 from ..model.initial_states import check_vibrating
 from ..observers.amplitude import Amplitude
-from ..simulation.accuracy import fit_linear_solve
 from ..simulation.run import simulate
 from ..solvers.rosenbrock import Rodas5P
 from .fold import Fold, find_fold
-from .fold_search import Place, unknowns, value_and_jacobian
 from .hopf import hopf_belt_speed
 from .touch import Touch, touch_residual
 
-# Where a mass sticks, z of the integrated cycle is uncertain by about rtol / eps.
-_RTOL, _CLOSED = 1e-9, 1e-5
-# Points on each side of the fold; Newton steps at most for each; cosine of the turn of a step.
-_POINTS, _NEWTON, _STRAIGHT = 72, 16, 0.9
+# Points on each side of the fold, at most.
+_POINTS = 72
 # Lengths of the sides: of the slip cycles z runs over asinh(v_d / eps), about.
 _STICKING, _SLACK = 5.0, 3.0
-# Amplitude over belt speed below which the branch is at rest.
-_AT_REST = 5e-3
 # Dry slip cycles: steps in a period, and the width of a simulation that never reaches the belt.
-_DRY_STEPS, _DRY_WIDTH = 64, 1e-9
+_DRY_STEPS, _DRY_WIDTH, _DRY_RTOL = 64, 1e-9, 1e-9
 
 
 class OneMassBranch(eqx.Module):
@@ -62,13 +57,6 @@ class OneMassBranch(eqx.Module):
     fold: int = eqx.field(static=True)
 
 
-class _Walk(eqx.Module):
-    y: Float[Array, "3"]  # (2 v_d / v_fold, ln T, z)
-    tangent: Float[Array, "3"]
-    step: Float[Array, ""]
-    alive: Any
-
-
 def one_mass_branch(chain: Chain, lowest: Any = 0.1, fold: Fold | None = None) -> OneMassBranch:
     """Every cycle of one mass, stable or not, with smoothed friction.
 
@@ -76,11 +64,10 @@ def one_mass_branch(chain: Chain, lowest: Any = 0.1, fold: Fold | None = None) -
     speed at which the stick-slip branch is left, below that of the fold (near it only a few
     places have a point); `fold`, what `find_fold(chain)` returned, if it is known.
 
-    **Returns:** 146 places, of which 73 are slip cycles; for the paper's set at width 1e-2 the
-    fold is at v_d = 1.7925, A = 1.7808.  Works under `jit` and `vmap`; not to be differentiated.
-    All NaN where there is no fold: then cycles, if any, are stable and grow out of the Hopf point
-    as the belt slows down.  Under a transformation the places of stick-slip are NaN if `lowest` is
-    not below the fold.
+    **Returns:** 146 places, of which 73 are slip cycles, NaN where a branch needs no more; for the
+    paper's set at width 1e-2 the fold is at v_d = 1.7925, A = 1.7808.  Of one chain, on the host;
+    points err by some ten times the tolerance of the integration, 3e-11.  All NaN where there is
+    no fold: then cycles, if any, are stable and grow out of the Hopf point as the belt slows down.
 
     **Raises:** `ValueError` for a chain of several masses or a `lowest` that is not positive, or
     not below the fold.
@@ -91,107 +78,38 @@ def one_mass_branch(chain: Chain, lowest: Any = 0.1, fold: Fold | None = None) -
     known = find_fold(frozen) if fold is None else jax.tree.map(lax.stop_gradient, fold)
     check_below_fold(lowest, known)
     return _branch(frozen, known, jnp.asarray(lowest, float))
+    check_number("lowest", lowest, "0.1 is usual.")
+    check_positive("lowest", lowest, "the cycles are lost as the belt comes to rest.")
+    fold = find_fold(chain) if fold is None else fold
+    check_below_fold(lowest, fold)
+    rows = np.full((4, 2 * _POINTS + 2), np.nan)
+    if not fold.found:
+        return OneMassBranch(*map(jnp.asarray, rows), fold=_POINTS + 1)
+    top = float(fold.belt_speed)
+    slipping = np.arcsinh(top / float(chain.friction.width)) + _SLACK
+    for direction, length, way in (("slip", slipping, -1), ("stick", _STICKING, 1)):
+        step = float(length) / _POINTS
+        side = continue_cycle(
+            chain.with_(belt_speed=top), fold.state, fold.period, direction=direction, step=step,
+            max_step=step, max_points=_POINTS + 1, bounds=(float(lowest), np.inf), vibrating=0,
+        )  # fmt: skip
+        places = _POINTS + 1 + way * np.arange(len(side.parameter))
+        rows[:, places] = side.parameter, side.amplitude[:, 0], side.closeness, side.period
+    hopf = float(hopf_belt_speed(chain))
+    # The period of the smallest cycle found, which is near that of the Hopf point.
+    first = rows[3, np.argmax(np.isfinite(rows[3]))]
+    rows[:, 0] = hopf, 0.0, -hopf / float(chain.friction.width), first
+    return OneMassBranch(*map(jnp.asarray, rows), fold=_POINTS + 1)
 
 
 def check_below_fold(lowest: Any, fold: Fold) -> None:
     """Raises `ValueError` if a `lowest` is at or above a fold that was found."""
-    if is_traced(lowest, fold):
-        return
     speed = float(jnp.min(jnp.where(fold.found, fold.belt_speed, jnp.inf)))
     if float(lowest) >= speed:
         raise ValueError(
             f"Argument `lowest` must be below the fold, at a belt speed of {speed:.6g}, but is "
             f"{lowest}: no mass sticks and slips above it. 0.1 is usual."
         )
-
-
-@eqx.filter_jit
-def _branch(chain: Chain, fold: Fold, lowest: Array) -> OneMassBranch:
-    top, width = fold.belt_speed, chain.friction.width
-    shooting = Shooting(
-        field=chain, rtol=_RTOL, solver=fit_linear_solve(Rodas5P(), chain, _RTOL), mass=0,
-        images=(0,), parameter="belt_speed",
-    )  # fmt: skip
-    scale = jnp.stack([0.5 * top, jnp.ones(()), jnp.ones(())])
-    packed = shooting.pack(fold.state, fold.period, top)
-    start = jnp.stack([jnp.asarray(2.0), packed[1], packed[0]])
-
-    def linearised(y: Array) -> tuple[Array, Array]:
-        p = scale * y
-        r, jacobian = value_and_jacobian(shooting, Place(p[:2], p[2]))
-        return r, jacobian * scale[None, :]
-
-    def inside(y: Array, sticking: Array) -> Array:
-        speed = scale[0] * y[0]
-        moves = speed + width * jnp.sinh(y[2]) > _AT_REST * speed
-        return moves & (~sticking | (speed >= lowest))
-
-    def side(direction: Array) -> Array:
-        """Points of shape (_POINTS, 3), with z rising at first for direction 1."""
-        sticking = direction > 0
-        slipping = jnp.arcsinh(top / width) + _SLACK
-        longest = jnp.where(sticking, _STICKING, slipping) / _POINTS
-
-        def correct(now: _Walk) -> tuple[Array, Array, Array]:
-            guess = now.y + now.step * now.tangent
-
-            def body(state: Any) -> Any:
-                k, y, _, _ = state
-                r, jacobian = linearised(y)
-                rows = jnp.concatenate([jacobian, now.tangent[None]])
-                change = jnp.linalg.solve(rows, -jnp.append(r, now.tangent @ (y - guess)))
-                tangent = jnp.cross(jacobian[0], jacobian[1])
-                tangent = tangent / jnp.linalg.norm(tangent)
-                tangent = tangent * jnp.sign(tangent @ now.tangent)
-                return k + 1, y + change, tangent, jnp.max(jnp.abs(change))
-
-            def going(state: Any) -> Array:
-                k, _, _, size = state
-                return now.alive & (k < _NEWTON) & (size > _CLOSED)
-
-            first = (jnp.asarray(0), guess, now.tangent, jnp.asarray(jnp.inf))
-            return lax.while_loop(going, body, first)[1:]
-
-        def advance(now: _Walk, _: Any) -> tuple[_Walk, Array]:
-            y, tangent, size = correct(now)
-            good = (size <= _CLOSED) & (tangent @ now.tangent > _STRAIGHT)
-            alive = now.alive & (~good | inside(y, sticking))
-            point = jnp.where(good & alive, y, jnp.nan)
-            return _Walk(
-                jnp.where(good, y, now.y),
-                jnp.where(good, tangent, now.tangent),
-                jnp.where(good, jnp.minimum(2.0 * now.step, longest), 0.25 * now.step),
-                alive,
-            ), point
-
-        # At the fold v_d stands still, and the rest of the null vector follows.
-        _, jacobian = linearised(start)
-        tangent = jnp.cross(jacobian[0], jacobian[1])
-        tangent = tangent / jnp.linalg.norm(tangent) * direction * jnp.sign(tangent[2])
-        begin = _Walk(start, tangent, longest, fold.found)
-        return lax.scan(advance, begin, None, length=_POINTS)[1]
-
-    slip, stick = jax.vmap(side)(jnp.asarray([-1.0, 1.0]))
-    y = jnp.concatenate([slip[::-1], start[None], stick])
-    speeds, periods = scale[0] * y[:, 0], jnp.exp(y[:, 1])
-
-    def state_at(y: Array) -> Any:
-        p = scale * y
-        return shooting.unpack(*unknowns(shooting, Place(p[:2], p[2])))[1]
-
-    x, v = jax.vmap(state_at)(y)
-    amplitudes = jax.vmap(lambda *orbit: _amplitude(chain, *orbit))(x, v, speeds, periods)
-    hopf = jnp.where(fold.found, hopf_belt_speed(chain), jnp.nan)
-    at_rest = -hopf / width
-    # The period of the smallest cycle found, which is near that of the Hopf point.
-    first = periods[jnp.argmax(jnp.isfinite(periods))]
-    return OneMassBranch(
-        belt_speed=jnp.append(hopf, speeds),
-        amplitude=jnp.append(0.0 * hopf, amplitudes),
-        closeness=jnp.append(at_rest, jnp.sinh(y[:, 2])),
-        period=jnp.append(first, periods),
-        fold=_POINTS + 1,
-    )
 
 
 def dry_slip_branch(chain: Chain, points: int = 24) -> OneMassBranch:
@@ -249,7 +167,7 @@ def _amplitude(chain: Chain, x: Array, v: Array, belt_speed: Array, period: Arra
     start = tuple(jnp.where(known, part, 0.0) for part in (x, v))
     run = simulate(
         moving, start, jnp.where(known, period, 1e-3), observe=Amplitude(), solver=Rodas5P(),
-        rtol=_RTOL, throw=False,
+        rtol=_DRY_RTOL, throw=False,
     )  # fmt: skip
     return jnp.where(known, run.observed[0], jnp.nan)
 

@@ -1,6 +1,7 @@
 """One-dimensional search: an interval around a change, halved as often as is asked."""
 
 from collections.abc import Callable
+from typing import Any
 
 import jax.numpy as jnp
 from jax import lax
@@ -25,7 +26,7 @@ def bisect(
     (1.4142135624, True)
     """
 
-    def halve(_: int, ends: tuple[Array, Array]) -> tuple[Array, Array]:
+    def halve(_: Any, ends: tuple[Array, Array]) -> tuple[Array, Array]:
         low, high = ends
         middle = 0.5 * (low + high)
         left = before(middle)

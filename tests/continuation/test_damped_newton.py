@@ -8,7 +8,14 @@ import scipy.optimize
 from jax import lax
 from systems.normal_forms import looped
 
-from jaxchain.continuation.damped_newton import factorise, newton
+from jaxchain.continuation.damped_newton import (
+    advance,
+    begin,
+    factorise,
+    iterate,
+    newton,
+    solve,
+)
 
 
 def mixed(u, rows):
@@ -129,3 +136,60 @@ def test_it_runs_inside_a_loop():
 
     total = lax.fori_loop(0, 3, body, 0.0)
     np.testing.assert_allclose(total, 1 + 2**0.5 + 3**0.5)
+
+
+def cubic(u):
+    """(F, its Jacobian, what a caller wants to know besides) of u^3 = (1, 8)."""
+    value = u**3 - jnp.array([1.0, 8.0])
+    return value, factorise(jnp.diag(3.0 * u**2), jnp.ones(2)), {"square": u**2}
+
+
+def test_what_is_told_besides_is_that_of_the_point_where_it_stands():
+    found = iterate(
+        cubic, begin(cubic, jnp.array([3.0, 3.0])), jnp.ones(2), lambda now: now.length > 1e-6
+    )
+    np.testing.assert_array_equal(found.aux["square"], found.u**2)
+    np.testing.assert_array_equal(found.value, found.u**3 - np.array([1.0, 8.0]))
+    # |step| is the error that is left, to first order, and was the step before to second.
+    np.testing.assert_allclose(found.u + found.step, [1.0, 2.0], atol=1e-12)
+    assert 0 < found.length <= 1e-6
+    assert 0 < found.contraction < 1e-2
+
+
+def test_a_first_evaluation_that_fails_ends_the_search():
+    def nowhere(u):
+        return jnp.log(u), factorise(jnp.diag(1.0 / u), jnp.ones(1)), None
+
+    found = iterate(nowhere, begin(nowhere, -jnp.ones(1)), jnp.ones(1), lambda now: True)
+    assert jnp.isnan(found.length)
+    assert found.refused
+    assert found.evaluations == 1
+    _, ended, _ = solve(nowhere, -jnp.ones(1), jnp.ones(1), 1e-10, 9)
+    assert not ended
+
+
+def test_a_singular_jacobian_fails_alone():
+    def lane(start):
+        return newton(lambda u, _: jnp.stack([u[0] ** 2 - 1.0, u[0] * u[1] - 1.0]), start)
+
+    starts = jnp.array([[2.0, 1.0], [0.0, 0.0], [-3.0, 1.0]])
+    found = jax.vmap(lane)(starts)
+    np.testing.assert_array_equal(found.converged, [True, False, True])
+    np.testing.assert_allclose(found.value[::2], [[1.0, 1.0], [-1.0, -1.0]], rtol=1e-12)
+
+
+def test_a_refused_step_is_halved_until_it_helps():
+    def far(u):
+        return jnp.arctan(u), factorise(jnp.diag(1.0 / (1.0 + u**2)), jnp.ones(1)), None
+
+    once = jnp.ones(1)
+    first = advance(far, begin(far, jnp.array([3.0])), once)
+    second = advance(far, first, once)
+    assert not first.refused
+    assert second.refused
+    np.testing.assert_array_equal([second.u[0], second.damping], [3.0, 0.5])
+    third = advance(far, second, once)
+    fourth = advance(far, third, once)
+    assert third.refused
+    assert not fourth.refused
+    np.testing.assert_allclose(fourth.u, first.u + 0.25 * first.step)

@@ -13,7 +13,6 @@ from jaxchain.boundaries.fold import Fold, find_fold, fold_belt_speed
 from jaxchain.boundaries.grazing import nonsmooth_fold_belt_speed
 from jaxchain.boundaries.hopf import hopf_belt_speed
 from jaxchain.boundaries.single_mass import (
-    OneMassBranch,
     check_below_fold,
     dry_slip_branch,
     one_mass_branch,
@@ -110,13 +109,12 @@ def cycles(study: Study, folds: Fold) -> xr.Dataset:
     """
     chain, part = base_chain(study), study.cycles
 
-    @jax.jit
-    @jax.vmap
-    def smoothed(width: Array, fold: Fold) -> OneMassBranch:
-        return one_mass_branch(chain.with_(width=width), part.lowest, fold)
-
     check_below_fold(part.lowest, folds)
-    branches = smoothed(jnp.asarray(part.width), folds)
+    leaves, treedef = jax.tree.flatten(folds)
+    branches = [
+        one_mass_branch(chain.with_(width=width), part.lowest, treedef.unflatten(own))
+        for width, own in zip(part.width, zip(*leaves, strict=True), strict=True)
+    ]
     slip = dry_slip_branch(chain)
     top = slip.belt_speed[-1]
     speeds = jnp.linspace(top, part.lowest, _DRY_SPEEDS + 1)[1:]
@@ -131,14 +129,14 @@ def cycles(study: Study, folds: Fold) -> xr.Dataset:
         )  # fmt: skip
         return run.observed[0]
 
-    place = branches.fold
-    count = branches.belt_speed.shape[1]
+    place, count = branches[0].fold, branches[0].belt_speed.size
     dry = np.full((2, count), np.nan)
     dry[:, place - slip.fold : place + 1] = [slip.belt_speed, slip.amplitude]
     dry[:, place + 1 : place + 1 + _DRY_SPEEDS] = [speeds, sticking(speeds)]
-    rows = [np.concatenate([np.asarray(a), b[None]]) for a, b in zip(
-        (branches.belt_speed, branches.amplitude), dry, strict=True
-    )]  # fmt: skip
+    rows = [
+        np.stack([*(np.asarray(branch.belt_speed) for branch in branches), dry[0]]),
+        np.stack([*(np.asarray(branch.amplitude) for branch in branches), dry[1]]),
+    ]
     return xr.Dataset(
         {"belt_speed": (("width", "point"), rows[0]), "amplitude": (("width", "point"), rows[1])},
         coords={"width": [*part.width, 0.0], "stable": ("point", np.arange(count) > place)},
