@@ -149,7 +149,7 @@ def test_what_is_told_besides_is_that_of_the_point_where_it_stands():
         cubic, begin(cubic, jnp.array([3.0, 3.0])), jnp.ones(2), lambda now: now.length > 1e-6
     )
     np.testing.assert_array_equal(found.aux["square"], found.u**2)
-    np.testing.assert_array_equal(found.value, found.u**3 - np.array([1.0, 8.0]))
+    np.testing.assert_allclose(found.value, found.u**3 - np.array([1.0, 8.0]), atol=1e-14)
     # |step| is the error that is left, to first order, and was the step before to second.
     np.testing.assert_allclose(found.u + found.step, [1.0, 2.0], atol=1e-12)
     assert 0 < found.length <= 1e-6
