@@ -42,6 +42,7 @@ from .observers.section import Section as Section
 from .observers.stick_time import StickTime as StickTime
 from .observers.trajectory import Trajectory as Trajectory
 from .result import Result as Result
+from .result import SearchResult as SearchResult
 from .simulation.event_driven import EventDriven as EventDriven
 from .simulation.run import Simulation as Simulation
 from .simulation.run import simulate as simulate

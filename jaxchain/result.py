@@ -1,10 +1,11 @@
-"""How a run ended, with advice in every message."""
+"""How a run or a search ended, with advice in every message."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import equinox as eqx
+from jaxtyping import Array, Bool
 
 
 class Result(eqx.Enumeration):
@@ -48,6 +49,86 @@ class Result(eqx.Enumeration):
         "The end of the run, or of its transient, is NaN, infinite, or lies before its start. "
         "Give finite times in their order: dry friction cannot be integrated backward in time."
     )
+
+
+class SearchResult(eqx.Enumeration):
+    """How a search ended: for a root, a cycle, a boundary, a fit."""
+
+    successful = ""
+    nonfinite = (
+        "The search met NaN, infinity or a singular Jacobian where it began. Check the numbers "
+        "that it was given, or start elsewhere."
+    )
+    no_step_helps = (
+        "No step came any nearer, however short. There may be no solution nearby: start closer, "
+        "or loosen the tolerance."
+    )
+    max_steps_reached = (
+        "The search used up its steps. Allow more, start closer, or loosen the tolerance."
+    )
+    branches_cross = (
+        "The point that was found is no fold: branches cross there, and none turns round."
+    )
+    at_rest = (
+        "What was found is no vibration: the mass hardly moves. Start from a state farther from "
+        "steady sliding."
+    )
+    other_kind = "A cycle was found, but of the other kind than the one that was asked for."
+    no_meeting = (
+        "The first Lyapunov coefficient does not change its sign between `low` and `high`, or "
+        "jumps there: the fold does not end on the Hopf curve in between."
+    )
+    passed = (
+        "No fold was found: on the cycle that touches the belt's speed another mass passes it. "
+        "Follow the cycle in which several vibrate: `find_limit_cycle` from the end of a run, "
+        "then `continue_cycle`."
+    )
+    no_turn = (
+        "No fold was found: a cycle touches the belt's speed, but no branch of cycles turns round "
+        "there. Try a run, or `continue_cycle`."
+    )
+    no_fold = (
+        "There is no fold: damping outweighs the weakening of friction at every speed, 2 xi_n > "
+        "p_n F'(w), so all motions approach steady sliding at every belt speed."
+    )
+    undamped = (
+        "No fold was found: the damping ratio of the mass is not positive, so that nothing ends "
+        "its vibration at a high belt speed. Give it damping."
+    )
+    gentle = (
+        "No fold was found: to first harmonic the belt is fastest for the least vibration of all, "
+        "so that vibration seems to set in gently (supercritically), at the Hopf speed. That is "
+        "no proof: see `hopf_points` for the criticality, and run `simulate` from a vibration "
+        "above `hopf_belt_speed`."
+    )
+    no_touch = (
+        "No fold was found, though averaging has one: the search for the dry cycle that touches "
+        "the belt's speed failed. With strong coupling one mass may not vibrate alone at any belt "
+        "speed: try a run. Weaken the coupling, or follow the cycle in which several vibrate: "
+        "`find_limit_cycle` from the end of a run, then `continue_cycle`."
+    )
+    no_cycle = (
+        "No fold was found, though averaging has one: the search for a closed cycle failed. Where "
+        "friction weakens over speeds far below the belt's, the cycle is very unstable: "
+        "`find_grazing(chain).smoothed(width)` tells about where the fold is. Otherwise another "
+        "width may help, or `continue_cycle` from a cycle of `find_limit_cycle`."
+    )
+
+
+class Outcome(eqx.Module):
+    """What every search returns besides what it found: how it ended."""
+
+    result: eqx.AbstractVar[SearchResult]
+
+    @property
+    def successful(self) -> Bool[Array, "*batch"]:
+        """Whether it found what it was asked for."""
+        return self.result == SearchResult.successful
+
+    @property
+    def message(self) -> str:
+        """Why it failed and what to do, of one search; empty if it did not."""
+        return SearchResult[self.result]
 
 
 # In the order of the enumeration's integer values, for labels and reports.

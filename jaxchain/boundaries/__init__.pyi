@@ -11,7 +11,6 @@ from .descent import hopf_by_descent as hopf_by_descent
 from .fold import Fold as Fold
 from .fold import find_fold as find_fold
 from .fold import fold_belt_speed as fold_belt_speed
-from .fold_search import FoldResult as FoldResult
 from .grazing import Grazing as Grazing
 from .grazing import find_grazing as find_grazing
 from .grazing import nonsmooth_fold_belt_speed as nonsmooth_fold_belt_speed

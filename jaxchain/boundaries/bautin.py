@@ -22,7 +22,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from .._checks import check_positive_number
 from ..continuation.damped_newton import newton
@@ -31,6 +31,7 @@ from ..model.chain import Chain
 from ..model.initial_states import check_vibrating
 from ..model.parameters import CHAIN
 from ..model.sliding import sliding_damping
+from ..result import Outcome, SearchResult
 from .criticality import first_lyapunov_coefficient
 from .hopf import hopf_belt_speed
 
@@ -40,12 +41,12 @@ _GRID, _ZOOMS = 48, 5
 _TOLERANCE = 1e-8
 
 
-class GeneralisedHopf(eqx.Module):
-    """A Hopf point with l1 = 0, at `value` of the parameter; NaN unless `found`."""
+class GeneralisedHopf(Outcome):
+    """A Hopf point with l1 = 0, at `value` of the parameter; NaN unless `successful`."""
 
     value: Float[Array, ""]
     belt_speed: Float[Array, ""]
-    found: Bool[Array, ""]
+    result: SearchResult
 
 
 def generalised_hopf(chain: Chain, parameter: Any, low: Any, high: Any) -> GeneralisedHopf:
@@ -113,9 +114,10 @@ def _meeting(chain: Chain, parameter: str, low: Array, high: Array) -> Generalis
     begin = jnp.where(changed, jnp.ones(2), jnp.nan)
     known = jnp.where(jnp.isnan(begin * unit), 1.0, begin)
     root = newton(system.scaled, known, (frozen, unit), tolerance=_TOLERANCE)
-    found = changed & root.converged
+    result = SearchResult.where(changed, root.result, SearchResult.no_meeting)
+    found = changed & root.successful
     both = attach_derivative(system, jnp.where(found, root.value * unit, jnp.nan), chain)
-    return GeneralisedHopf(both[0], both[1], found)
+    return GeneralisedHopf(value=both[0], belt_speed=both[1], result=result)
 
 
 class _System(eqx.Module):

@@ -17,9 +17,11 @@ from ..model.initial_states import check_vibrating, on_the_belt
 from ..model.sliding import damping_outweighs
 from ..observers.amplitude import Amplitude
 from ..observers.quantities import active
+from ..result import Outcome, SearchResult
 from ..simulation.event_driven import EventDriven
 from ..simulation.run import simulate
 from .fold import fold_belt_speed
+from .fold_start import without_fold
 from .grazing import nonsmooth_fold_belt_speed
 from .hopf import hopf_belt_speed
 
@@ -29,7 +31,7 @@ _WINDOW = 20.0
 _ORDER, _RTOL = 7, 1e-8
 
 
-class BistableRange(eqx.Module):
+class BistableRange(Outcome):
     """The belt speeds at which a mass may slide or vibrate, depending on its start.
 
     - `hopf`: sliding is stable above it; NaN if it is at every speed.
@@ -37,16 +39,16 @@ class BistableRange(eqx.Module):
     - `highest`: the greatest speed at which there is vibration at all, max(hopf, fold); 0 if there
       is none at any speed.
     - `width`: highest - hopf >= 0; 0 where there is no fold.
-    - `known`: false where a search failed, and `highest` and `width` mean nothing.  Without a fold
-      it is true where none is proved to be (`FoldResult.none`), or to first harmonic (averaging)
-      vibration sets in gently, which is no proof.
+    - `result`: successful where there is a fold, or none is proved to be.  Where it is not,
+      `highest` and `width` mean nothing; that vibration sets in gently to first harmonic
+      (`SearchResult.gentle`) is no proof.
     """
 
     hopf: Float[Array, ""]
     fold: Float[Array, ""]
     highest: Float[Array, ""]
     width: Float[Array, ""]
-    known: Bool[Array, ""]
+    result: SearchResult
 
 
 def bistable_range(chain: Chain, vibrating: Any = None, friction: Any = "dry") -> BistableRange:
@@ -90,12 +92,17 @@ def _range(chain: Chain, mass: int, friction: str) -> BistableRange:
     none = jnp.isnan(fold)
     frozen = lax.stop_gradient(chain)
     _, _, expected = fold_guess(one_mass(frozen, mass))
-    expected = expected & ~damping_outweighs(frozen)
+    proved = damping_outweighs(frozen)
     # Masses without damping vibrate at every speed, which has no fold, either.
     damped = jnp.min(chain.damping_ratio) > 0
     lowest = jnp.where(jnp.isnan(hopf), 0.0, hopf)
     highest = jnp.where(none, lowest, jnp.maximum(fold, lowest))
-    return BistableRange(hopf, fold, highest, highest - lowest, damped & (~none | ~expected))
+    of = SearchResult
+    result = without_fold(of.no_cycle, expected, damped, proved)
+    result = of.where(damped & (~none | proved), of.successful, result)
+    return BistableRange(
+        hopf=hopf, fold=fold, highest=highest, width=highest - lowest, result=result
+    )
 
 
 class Trial(eqx.Module):

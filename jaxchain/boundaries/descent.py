@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import optax
 from jax import lax
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from .._checks import check_positive, check_whole
 from ..continuation.damped_newton import where
@@ -17,22 +17,23 @@ from ..model.arguments import as_chain
 from ..model.chain import Chain
 from ..model.initial_states import check_vibrating
 from ..model.sliding import growth_rate
+from ..result import Outcome, SearchResult
 from .fold_search import Place, value_and_jacobian
 from .fold_start import first_guess, loose_rtol
 
 
-class HopfDescent(eqx.Module):
+class HopfDescent(Outcome):
     """The Hopf speed by gradient descent, and the way there.
 
     - `belt_speed`, and `growth_rate` there, which is zero at the boundary.
-    - `steps`: updates made.  `converged`: whether |growth rate| <= the tolerance.
+    - `steps`: updates made.  `result`: successful if |growth rate| <= the tolerance.
     - `speeds`, `growth_rates`: of every iterate, from the start on; NaN after entry `steps`.
     """
 
     belt_speed: Float[Array, ""]
     growth_rate: Float[Array, ""]
     steps: Int[Array, ""]
-    converged: Bool[Array, ""]
+    result: SearchResult
     speeds: Float[Array, " entries"]
     growth_rates: Float[Array, " entries"]
 
@@ -63,7 +64,7 @@ def hopf_by_descent(
     >>> from jaxchain import paper_chain
     >>> from jaxchain.boundaries import hopf_by_descent
     >>> found = hopf_by_descent(paper_chain(n=1))
-    >>> bool(found.converged), round(float(found.belt_speed), 6)
+    >>> bool(found.successful), round(float(found.belt_speed), 6)
     (True, 1.151293)
     """
     as_chain(chain)
@@ -88,7 +89,10 @@ def _descend(
     )
     rates = jax.vmap(lambda speed: growth_rate(chain, speed))(found.path)
     rate = growth_rate(chain, found.solution)
-    return HopfDescent(found.solution, rate, found.steps, found.converged, found.path, rates)
+    return HopfDescent(
+        belt_speed=found.solution, growth_rate=rate, steps=found.steps, result=found.result,
+        speeds=found.path, growth_rates=rates,
+    )  # fmt: skip
 
 
 _CLOSED = 1e-4
@@ -99,19 +103,19 @@ def _adam(steps: int) -> optax.GradientTransformation:
     return optax.adam(optax.exponential_decay(0.1, steps, 0.003), b1=0.5)
 
 
-class FoldDescent(eqx.Module):
+class FoldDescent(Outcome):
     """The fold by gradient, and the way there.
 
     - `belt_speed`, the greatest that was reached, and `slope` = d(v_d)/ds there in units of the
       width, zero at the fold.
-    - `converged`: whether |slope| <= the tolerance.
+    - `result`: successful if |slope| <= the tolerance.
     - `closenesses`, `belt_speeds`: s = max w / eps and v_d of every step; NaN before the first
       cycle is closed.
     """
 
     belt_speed: Float[Array, ""]
     slope: Float[Array, ""]
-    converged: Bool[Array, ""]
+    result: SearchResult
     closenesses: Float[Array, " entries"]
     belt_speeds: Float[Array, " entries"]
 
@@ -196,10 +200,14 @@ def _ascend(
     )
     best = jnp.argmax(jnp.where(closed, speeds, -jnp.inf))
     nothing = ~jnp.any(closed)
+    of = SearchResult
+    result = of.where(nothing, of.no_cycle, of.max_steps_reached)
+    flat = ~nothing & (jnp.abs(slopes[best]) <= tolerance)
+    result = of.where(flat, of.successful, result)
     return FoldDescent(
         belt_speed=jnp.where(nothing, jnp.nan, speeds[best]),
         slope=jnp.where(nothing, jnp.nan, slopes[best]),
-        converged=~nothing & (jnp.abs(slopes[best]) <= tolerance),
+        result=result,
         closenesses=closenesses,
         belt_speeds=jnp.where(closed, speeds, jnp.nan),
     )

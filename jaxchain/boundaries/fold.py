@@ -7,7 +7,7 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from .._types import PerMass, State
 from ..continuation.fold_points import fold_residual
@@ -16,20 +16,20 @@ from ..cycles.shooting import Shooting
 from ..cycles.shooting import residual as closure
 from ..model.chain import Chain
 from ..model.initial_states import check_vibrating
-from .fold_search import FoldResult, Place, Search, search, unknowns
+from ..result import Outcome, SearchResult
+from .fold_search import Place, Search, search, unknowns
 from .fold_start import Start, at_least_wide, first_guess, narrowed
 
 
-class Fold(eqx.Module):
+class Fold(Outcome):
     """A fold of cycles: the greatest belt speed of one branch of vibrations.
 
     - `belt_speed`: v_d, NaN if no fold was found.
     - `period` and `state`: of the cycle there, cut at the greatest velocity of mass `mass`.
     - `closeness`: s = max w / eps of that mass; a mass with s < 0 never reaches the belt's speed.
     - `residual`: the gap after a period over the amplitude of velocity.
-    - `found`: whether it is a fold of a closed cycle.
-    - `result`: a `FoldResult`: found; none, which is proved; or why the search failed, which says
-      nothing about whether there is a fold.  `message` puts it into words.
+    - `result`: a `SearchResult`: successful; no_fold, which is proved; or why the search failed,
+      which says nothing about whether there is a fold.  `message` puts it into words.
     - `width`: of the friction with which the cycle was closed, that of the chain or a little more:
       see `fold_belt_speed`.
     - `evaluations`: shooting Jacobians it took.
@@ -40,16 +40,10 @@ class Fold(eqx.Module):
     state: State
     closeness: Float[Array, ""]
     residual: Float[Array, ""]
-    found: Bool[Array, ""]
-    result: FoldResult
+    result: SearchResult
     width: PerMass
     evaluations: Int[Array, ""]
     mass: int = eqx.field(static=True)
-
-    @property
-    def message(self) -> str:
-        """Why there is no fold, or none was found, and what to do; empty where there is one."""
-        return FoldResult[self.result]
 
 
 def fold_belt_speed(chain: Any, vibrating: Any = None) -> Float[Array, ""]:
@@ -116,7 +110,7 @@ def find_fold(chain: Any, vibrating: Any = None) -> Fold:
     >>> from jaxchain import paper_chain
     >>> from jaxchain.boundaries import find_fold
     >>> fold = find_fold(paper_chain(n=1, width=1e-2))
-    >>> bool(fold.found), round(float(fold.period), 4), round(float(fold.closeness), 3)
+    >>> bool(fold.successful), round(float(fold.period), 4), round(float(fold.closeness), 3)
     (True, 6.3028, -2.142)
     """
     mass = check_vibrating(chain, vibrating)
@@ -131,8 +125,7 @@ def find_fold(chain: Any, vibrating: Any = None) -> Fold:
         state=state,
         closeness=jnp.sinh(both[held.place]),
         residual=found.residual,
-        found=found.found,
-        result=FoldResult.where(found.found, FoldResult.found, start.result),
+        result=SearchResult.where(found.found, SearchResult.successful, start.result),
         width=held.field.friction.width,  # pyright: ignore[reportAttributeAccessIssue]
         evaluations=found.count,
         mass=mass,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -14,9 +14,10 @@ from ..cycles.averaging import cycle_speed, fold_guess, greatest_speed, one_mass
 from ..cycles.shooting import Shooting
 from ..model.chain import Chain
 from ..model.sliding import damping_outweighs
+from ..result import SearchResult
 from ..simulation.accuracy import fit_linear_solve
 from ..solvers.rosenbrock import Rodas5P
-from .fold_search import FOLD_RTOL, FoldResult, Place, as_place
+from .fold_search import FOLD_RTOL, Place, as_place
 from .touch import layer, sides, slip_force
 from .touch_search import find_touch
 
@@ -45,7 +46,7 @@ class Start(NamedTuple):
     width: Float[Array, ""]
     loose: Float[Array, ""]
     hopeful: Bool[Array, ""]
-    result: FoldResult
+    result: SearchResult
     sides: tuple[Array, Array, Array, Array]
 
 
@@ -88,15 +89,21 @@ def first_guess(chain: Chain, mass: int) -> Start:
     damped = alone.damping_ratio > 0
     touches = jnp.all(jnp.isfinite(place.q)) & jnp.isfinite(place.z)
     none = damping_outweighs(chain)
-    result = FoldResult.where(touches, FoldResult.no_cycle, FoldResult.no_touch)
-    result = FoldResult.where(exists, result, FoldResult.gentle)
-    result = FoldResult.where(damped, result, FoldResult.undamped)
-    result = FoldResult.where(none, FoldResult.none, result)
+    failed = SearchResult.where(touches, SearchResult.no_cycle, SearchResult.no_touch)
+    result = without_fold(failed, exists, damped, none)
     # A loose integration would spoil a guess that is better than it.
     good = thin & (unstable | (width < _NARROW * scale))
     loose = jnp.where(good, FOLD_RTOL, loose_rtol(chain))
     hopeful = ~none & damped & exists & touches
     return Start(shooting, place, least, loose, hopeful, result, known)
+
+
+def without_fold(failed: SearchResult, exists: Any, damped: Any, none: Any) -> SearchResult:
+    """Why no fold was found: `failed`, unless it was not to be expected."""
+    of = SearchResult
+    result = of.where(exists, failed, of.gentle)
+    result = of.where(damped, result, of.undamped)
+    return of.where(none, of.no_fold, result)
 
 
 def at_least_wide(chain: Chain, least: Array) -> Chain:

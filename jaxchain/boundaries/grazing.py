@@ -27,12 +27,13 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from .._types import ScalarLike, State
 from ..continuation.implicit import attach_derivative
 from ..model.chain import Chain
 from ..model.initial_states import check_vibrating
+from ..result import Outcome, SearchResult
 from .touch import sides, touch_residual, touch_slopes
 from .touch_search import find_touch
 
@@ -40,7 +41,7 @@ from .touch_search import find_touch
 _PASSES = 1e-9
 
 
-class Grazing(eqx.Module):
+class Grazing(Outcome):
     """A cycle that touches the belt's speed: the fold of cycles for dry friction.
 
     - `belt_speed`: V, NaN if none was found; `period`, and `state` at the touch.
@@ -49,8 +50,8 @@ class Grazing(eqx.Module):
     - `fall`: kappa = -v_j'', how fast the mass loses its acceleration at the touch; `hold`: the
       greatest friction force on it, p mu_st.
     - `residual`: the greatest gap after a period over the belt speed.
-    - `found`: whether the cycle closes, no mass passes the belt's speed anywhere on it, and it is
-      a fold.
+    - `result`: successful if the cycle closes, no mass passes the belt's speed anywhere on it, and
+      it is a fold.
 
     `belt_speed`, `period` and `state` are differentiable; the rest is not.
     """
@@ -63,11 +64,11 @@ class Grazing(eqx.Module):
     fall: Float[Array, ""]
     hold: Float[Array, ""]
     residual: Float[Array, ""]
-    found: Bool[Array, ""]
+    result: SearchResult
     mass: int = eqx.field(static=True)
 
     def smoothed(self, width: ScalarLike) -> Float[Array, ""]:
-        """About where the fold of smoothed friction is, to O(width^(3/2)); NaN if not `found`.
+        """About where the fold of smoothed friction is, to O(width^(3/2)); NaN if none was found.
 
         v_d = V - (V_+ + V_-) / 4 eps ln(1 / eps) + O(eps), the summit of the layer in
         `boundaries/touch.py`.
@@ -107,13 +108,13 @@ def find_grazing(chain: Chain, vibrating: Any = None) -> Grazing:
     """The fold of `nonsmooth_fold_belt_speed` with its cycle.
 
     Arguments, errors and transformations as there.  Cycles on which other masses reach the belt's
-    speed are not looked for: `found` is False then, and `belt_speed` NaN.
+    speed are not looked for: `belt_speed` is NaN then.
 
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
     >>> from jaxchain import paper_chain
     >>> grazing = find_grazing(paper_chain(n=1))
-    >>> bool(grazing.found), round(float(grazing.smoothed(1e-3)), 4)
+    >>> bool(grazing.successful), round(float(grazing.smoothed(1e-3)), 4)
     (True, 1.8311)
     """
     mass = check_vibrating(chain, vibrating)
@@ -131,11 +132,15 @@ def _find(chain: Chain, mass: int) -> Grazing:
     slides = jnp.all(highest <= (1.0 + _PASSES) * speed)
     folds = (by_leaving + by_arriving > 0) & (by_arriving < 0) & (fall > 0)
     found = jnp.isfinite(speed) & slides & folds
+    of = SearchResult
+    result = of.where(slides, of.no_turn, of.passed)
+    result = of.where(jnp.isfinite(speed), result, of.no_touch)
+    result = of.where(found, of.successful, result)
     held = eqx.tree_at(lambda t: t.chain, touch, chain)
     q = jnp.where(found, attach_derivative(touch_residual, q, held), jnp.nan)
     state, period, speed = held.unpack(q)
     return Grazing(
         belt_speed=speed, period=period, state=state, by_leaving=by_leaving,
         by_arriving=by_arriving, fall=fall, hold=touch.hold,
-        residual=jnp.max(jnp.abs(gap)), found=found, mass=mass,
+        residual=jnp.max(jnp.abs(gap)), result=result, mass=mass,
     )  # fmt: skip

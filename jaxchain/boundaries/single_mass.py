@@ -83,7 +83,7 @@ def one_mass_branch(chain: Chain, lowest: Any = 0.1, fold: Fold | None = None) -
     fold = find_fold(chain) if fold is None else fold
     check_below_fold(lowest, fold)
     rows = np.full((4, 2 * _POINTS + 2), np.nan)
-    if not fold.found:
+    if not fold.successful:
         return OneMassBranch(*map(jnp.asarray, rows), fold=_POINTS + 1)
     top = float(fold.belt_speed)
     slipping = np.arcsinh(top / float(chain.friction.width)) + _SLACK
@@ -104,7 +104,7 @@ def one_mass_branch(chain: Chain, lowest: Any = 0.1, fold: Fold | None = None) -
 
 def check_below_fold(lowest: Any, fold: Fold) -> None:
     """Raises `ValueError` if a `lowest` is at or above a fold that was found."""
-    speed = float(jnp.min(jnp.where(fold.found, fold.belt_speed, jnp.inf)))
+    speed = float(jnp.min(jnp.where(fold.successful, fold.belt_speed, jnp.inf)))
     if float(lowest) >= speed:
         raise ValueError(
             f"Argument `lowest` must be below the fold, at a belt speed of {speed:.6g}, but is "
@@ -145,7 +145,7 @@ def _dry_branch(chain: Chain, points: int) -> OneMassBranch:
         root = newton(residual, jnp.where(jnp.isnan(guess), 1.0, guess), ratio, max_steps=20)
         (x, v), period, speed = touch.unpack(root.value, (ratio - 1.0) * root.value[-1])
         amplitude = _amplitude(dry, x, v, speed, period)
-        found = jnp.where(root.converged, jnp.stack([speed, amplitude, period]), jnp.nan)
+        found = jnp.where(root.successful, jnp.stack([speed, amplitude, period]), jnp.nan)
         return found[0], found[1], found[2]
 
     ratios = jnp.linspace(0.0, 1.0, points + 1)[1:]

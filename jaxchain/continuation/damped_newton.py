@@ -19,6 +19,7 @@ from .._checks import (
     require_x64,
     to_float,
 )
+from ..result import Outcome, SearchResult
 
 _LEAST_DAMPING = 2.0**-12
 
@@ -93,12 +94,12 @@ def arrays(tree: PyTree) -> PyTree:
     return jax.tree.map(lambda x: np.asarray(x) if isinstance(x, float) else x, tree)
 
 
-class Root(NamedTuple):
-    """What `newton` found: u, max |F(u)|, whether u is a root, and the Jacobians it took."""
+class Root(Outcome):
+    """What `newton` found: u, max |F(u)|, how the search ended, and the Jacobians it took."""
 
     value: Float[Array, " m"]
     residual: Float[Array, ""]
-    converged: Bool[Array, ""]
+    result: SearchResult
     steps: Int[Array, ""]
 
 
@@ -188,8 +189,8 @@ def solve(
     weights: Float[Array, " m"],
     tolerance: Any,
     limit: Any,
-) -> tuple[Float[Array, " m"], Bool[Array, ""], Int[Array, ""]]:
-    """(u, whether a full step was at most `tolerance` (1 + |u|) and is taken, evaluations)."""
+) -> tuple[Float[Array, " m"], SearchResult, Int[Array, ""]]:
+    """(u, how it ended, evaluations); well if a step was at most `tolerance` (1 + |u|)."""
 
     def small(now: Iterate) -> Array:
         return now.length <= tolerance * (1.0 + size(now.u, weights))
@@ -199,7 +200,16 @@ def solve(
 
     now = iterate(linearise, begin(linearise, start), weights, going)
     ended = small(now)
-    return now.u + jnp.where(ended, now.step, 0.0), ended, now.evaluations
+    result = ending(now, ended, limit)
+    return now.u + jnp.where(ended, now.step, 0.0), result, now.evaluations
+
+
+def ending(now: Iterate, good: Bool[Array, ""], limit: Any) -> SearchResult:
+    """How a search ended that was to take `limit` evaluations at most, `good` or why not."""
+    of = SearchResult
+    result = of.where(now.evaluations < limit, of.no_step_helps, of.max_steps_reached)
+    result = of.where(jnp.isfinite(now.length), result, of.nonfinite)
+    return of.where(good, of.successful, result)
 
 
 def where(condition: Any, this: PyTree, other: PyTree) -> PyTree:
@@ -227,7 +237,7 @@ def newton(
     (m,), make |s|^2 = sum (w_i s_i)^2 and are 1/sqrt(m) without; `max_steps` bounds the Jacobians.
 
     **Returns:** a `Root`.  A search that fails, meets NaN or a singular Jacobian says so in
-    `converged` and raises nothing, so that lanes under `jax.vmap` do not harm each other.
+    its `result` and raises nothing, so that lanes under `jax.vmap` do not harm each other.
 
     **Raises:** `ValueError` for a start, tolerance, count or weights that cannot be;
     `RuntimeError` without 64-bit floats.
@@ -238,7 +248,7 @@ def newton(
 
     >>> import jax.numpy as jnp
     >>> root = newton(lambda u, a: u**2 - a, jnp.ones(1), 2.0)
-    >>> bool(root.converged), round(float(root.value[0]), 12)
+    >>> bool(root.successful), round(float(root.value[0]), 12)
     (True, 1.414213562373)
     """
     require_x64()
@@ -272,6 +282,7 @@ def search(
         slope, value = jax.jacfwd(twice, has_aux=True)(u)
         return value, factorise(slope, w), None
 
-    root, ended, count = solve(linearise, u, w, tolerance, limit)
+    root, result, count = solve(linearise, u, w, tolerance, limit)
     left = jnp.max(jnp.abs(residual(root, args)))
-    return Root(root, left, ended & jnp.isfinite(left), count)
+    result = SearchResult.where(jnp.isfinite(left), result, SearchResult.nonfinite)
+    return Root(value=root, residual=left, result=result, steps=count)

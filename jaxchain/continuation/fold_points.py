@@ -5,15 +5,16 @@ and 4 (minimally augmented systems).
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float, Int, PyTree
+from jaxtyping import Array, Float, Int, PyTree
 
 from .._checks import check_number, to_float
+from ..result import Outcome, SearchResult
 from .damped_newton import arrays, check_tolerance, check_vector, search
 
 Borders = tuple[Float[Array, " m"], Float[Array, " m"]]
@@ -21,7 +22,7 @@ Borders = tuple[Float[Array, " m"], Float[Array, " m"]]
 _LEAST_SLOPE = 1e-6
 
 
-class FoldPoint(NamedTuple):
+class FoldPoint(Outcome):
     """A fold: F(u, p) = 0 with F_u(u, p) `null` = 0 and |null| = 1.
 
     `slope` is psi^T F_p with psi the left null vector, in units of the rows of [F_u F_p] where the
@@ -33,7 +34,7 @@ class FoldPoint(NamedTuple):
     null: Float[Array, " m"]
     slope: Float[Array, ""]
     residual: Float[Array, ""]
-    converged: Bool[Array, ""]
+    result: SearchResult
     steps: Int[Array, ""]
     borders: Borders
 
@@ -122,15 +123,15 @@ def fold_point(
     shape (m,) and p near the fold, for example from `continue_branch`; `tolerance` and
     `max_steps` as in `newton`.
 
-    **Returns:** a `FoldPoint`, of which `converged` is false where there is no fold, or where
-    branches cross instead (psi^T F_p = 0).  Traceable: a thousand folds are one `jax.vmap`.  Its
+    **Returns:** a `FoldPoint`, not `successful` where there is no fold, or where branches
+    cross instead (psi^T F_p = 0).  Traceable: a thousand folds are one `jax.vmap`.  Its
     derivatives come from `attach_derivative` with `fold_residual`.
 
     **Raises:** `ValueError` for numbers that cannot be; `RuntimeError` without 64-bit floats.
 
     >>> import jax.numpy as jnp
     >>> fold = fold_point(lambda u, p, args: u**3 - u + p, jnp.array([0.5]), 0.4)
-    >>> bool(fold.converged), round(float(fold.p), 9)
+    >>> bool(fold.successful), round(float(fold.p), 9)
     (True, 0.384900179)
     """
     check_number("p", p, "it is the parameter at which the search starts.")
@@ -159,13 +160,15 @@ def _fold_point(
     phi, psi, _ = _bordered(full[:, :-1], borders)
     psi = rows * psi
     share = jnp.sum(psi * full[:, -1] / rows) / jnp.sqrt(jnp.sum(psi**2))
+    turns = ~root.successful | (jnp.abs(share) > _LEAST_SLOPE)
+    result = SearchResult.where(turns, root.result, SearchResult.branches_cross)
     return FoldPoint(
-        root.value[:-1],
-        root.value[-1],
-        phi / jnp.sqrt(jnp.sum(phi**2)),
-        share,
-        root.residual,
-        root.converged & (jnp.abs(share) > _LEAST_SLOPE),
-        root.steps,
-        borders,
+        u=root.value[:-1],
+        p=root.value[-1],
+        null=phi / jnp.sqrt(jnp.sum(phi**2)),
+        slope=share,
+        residual=root.residual,
+        result=result,
+        steps=root.steps,
+        borders=borders,
     )

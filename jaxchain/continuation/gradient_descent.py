@@ -3,24 +3,24 @@
 from collections.abc import Callable
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optax
 from jax import lax
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Bool, Float, Int, PyTree
+from jaxtyping import Array, Float, Int, PyTree
 
 from .._checks import check_finite, check_nonnegative, check_whole, require_x64, to_float
 from .._types import ScalarLike
+from ..result import Outcome, SearchResult
 
 
-class Descent(eqx.Module):
+class Descent(Outcome):
     """What a descent found, and the way there.
 
     - `solution`: the last iterate, a pytree as `start`; `loss` there.
     - `steps`: how many updates were made.
-    - `converged`: whether `loss` <= the tolerance.
+    - `result`: successful if `loss` <= the tolerance.
     - `path`, `losses`: every iterate from the start on, stacked, and its loss; entry `steps` is
       the solution, and what follows it is NaN.
     """
@@ -28,7 +28,7 @@ class Descent(eqx.Module):
     solution: PyTree
     loss: Float[Array, ""]
     steps: Int[Array, ""]
-    converged: Bool[Array, ""]
+    result: SearchResult
     path: PyTree
     losses: Float[Array, " entries"]
 
@@ -67,7 +67,7 @@ def descend(
     >>> import jax, optax
     >>> jax.config.update("jax_enable_x64", True)
     >>> found = descend(lambda x: (x - 3.0) ** 2, 0.0, optax.sgd(0.25), tolerance=1e-20)
-    >>> round(float(found.solution), 8), int(found.steps), bool(found.converged)
+    >>> round(float(found.solution), 8), int(found.steps), bool(found.successful)
     (3.0, 35, True)
     """
     require_x64()
@@ -97,7 +97,13 @@ def descend(
     losses = jnp.full(steps + 1, jnp.nan).at[0].set(now)
     first = (flat, now, slope, transform.init(flat), jnp.asarray(0), path, losses)
     x, now, _, _, k, path, losses = lax.while_loop(going, update, first)
-    return Descent(unravel(x), now, k, now <= tolerance, jax.vmap(unravel)(path), losses)
+    of = SearchResult
+    result = of.where(k < steps, of.nonfinite, of.max_steps_reached)
+    result = of.where(now <= tolerance, of.successful, result)
+    return Descent(
+        solution=unravel(x), loss=now, steps=k, result=result, path=jax.vmap(unravel)(path),
+        losses=losses,
+    )  # fmt: skip
 
 
 def _forward(function: Callable[[Array], Array]) -> Callable[[Array], Array]:

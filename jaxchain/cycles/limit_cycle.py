@@ -8,14 +8,15 @@ from __future__ import annotations
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Complex, Float, Int
+from jaxtyping import Array, Complex, Float, Int
 
 from .._types import State
-from ..continuation.damped_newton import Factors, Iterate, factorise
+from ..continuation.damped_newton import Factors, Iterate, ending, factorise
 from ..continuation.implicit import attach_derivative
 from ..model.oscillators import AbstractOscillators
 from ..observers.amplitude import Amplitude
 from ..observers.quantities import energy
+from ..result import Outcome, SearchResult
 from .floquet import floquet_multipliers, liouville_defect
 from .least_period import close_orbit_once, greatest_gap
 from .shooting import Shooting
@@ -29,13 +30,13 @@ _LEAST_VELOCITY = 1e-6
 _WORST_DEFECT = 1e-3
 
 
-class LimitCycle(eqx.Module):
+class LimitCycle(Outcome):
     """A periodic orbit.
 
     - `state`, `period`: the orbit is cut where mass `mass` moves fastest in the direction of the
       belt; the period is the least one.
     - `residual`: the gap after a period over the greatest velocity of that mass; in the layer in
-      which it sticks, of velocity over the width.  `converged`: whether it is a cycle.
+      which it sticks, of velocity over the width.  `result`: successful if it is a cycle.
     - `multipliers`: the 2n - 1 Floquet multipliers other than 1, the greatest modulus first.
     - `trivial_defect`: |M f - f| / |f| for f = (x', v'), which must be 0; `liouville_defect`: see
       there; both were measured on this orbit.
@@ -48,7 +49,7 @@ class LimitCycle(eqx.Module):
     state: State
     period: Float[Array, ""]
     residual: Float[Array, ""]
-    converged: Bool[Array, ""]
+    result: SearchResult
     multipliers: Complex[Array, " others"]
     trivial_defect: Float[Array, ""]
     liouville_defect: Float[Array, ""]
@@ -86,7 +87,7 @@ class LimitCycle(eqx.Module):
         """Whether disturbances die out; None if that is not known: no cycle, a defect, or |mu| = 1
         within its uncertainty.  Of one cycle, not of a batch."""
         uncertainty, margin = float(self.uncertainty), float(self.stability_margin)
-        sound = bool(self.converged) and uncertainty < _WORST_DEFECT
+        sound = bool(self.successful) and uncertainty < _WORST_DEFECT
         if not sound or not abs(margin) > uncertainty:
             return None
         return margin > 0
@@ -104,12 +105,15 @@ def solve_cycle(
     floquet = floquet_multipliers(whole.monodromy, direction)
     speed = field.belt_direction() * state[1][shooting.mass]
     moves = (whole.fastest[shooting.mass] > _LEAST_VELOCITY) & (speed > 0)
+    closed = (residual <= tolerance) & jnp.isfinite(floquet.defect)
+    result = ending(found, closed, limit)
+    result = SearchResult.where(closed & ~moves, SearchResult.at_rest, result)
     cycle = LimitCycle(
         chain=field,
         state=state,
         period=period,
         residual=residual,
-        converged=(residual <= tolerance) & moves & jnp.isfinite(floquet.defect),
+        result=result,
         multipliers=floquet.multipliers,
         trivial_defect=floquet.defect,
         liouville_defect=liouville_defect(whole.monodromy, whole.trace_integral),

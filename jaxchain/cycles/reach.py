@@ -78,7 +78,7 @@ def reach_cycle(shooting: Shooting, kind: str, tolerance: Array, limit: Array) -
             images=shooting.images,
         )  # fmt: skip
         cycle, _ = solve_cycle(own, own.pack(state, period), tolerance, limit)
-        if not bool(cycle.converged & is_of_kind(cycle, kind)):
+        if not bool(cycle.successful & is_of_kind(cycle, kind)):
             continue
         found, ended = _follow(cycle, shooting, goal, along)
         if found is not None:

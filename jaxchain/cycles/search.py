@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array
@@ -21,6 +21,7 @@ from ..model.arguments import as_chain, as_images, as_mass
 from ..model.chain import Chain
 from ..model.initial_states import reference_site
 from ..model.oscillators import AbstractOscillators
+from ..result import SearchResult
 from ..simulation.accuracy import MAX_STEP, fit_linear_solve
 from ..simulation.run import Simulation
 from ..solvers.rosenbrock import Rodas5P
@@ -69,7 +70,7 @@ def find_limit_cycle(
       without a guess and else the one farthest from sliding.  Must be given under `jit`.
     - `images`: for an orbit with a symmetry, see `jaxchain.cycles.shooting.Shooting`.
     - `rtol`: of the integration; `tolerance`: of the residual; `max_steps`: integrations allowed.
-    - `throw`: raise an error where no cycle is found; otherwise `converged` is False.
+    - `throw`: raise an error where no cycle is found; otherwise its `result` tells.
 
     **Returns:** a `LimitCycle`, of the least period: an orbit gone round up to 16 times is told by
     its state after shares of the period, and solved for again.  Its state, period, amplitude and
@@ -107,19 +108,20 @@ def find_limit_cycle(
     reason = ""
     if guess is None:
         cycle = _keep_kind(cycle, branch)
-        if not is_traced(cycle.converged) and not cycle.converged:
+        if not is_traced(cycle.successful) and not cycle.successful:
             found, reason = reach_cycle(shooting, branch, *numbers)
             if found is not None:
                 cycle, u = solve_cycle(shooting, shooting.pack(*found), *numbers)
-    if throw and not is_traced(cycle.converged) and not cycle.converged:
+    if throw and not is_traced(cycle.successful) and not cycle.successful:
         raise RuntimeError(_failure(cycle) if guess is not None else _missing(branch, reason))
     return with_derivatives(shooting, chain, cycle, u)
 
 
 def _keep_kind(cycle: LimitCycle, kind: str) -> LimitCycle:
-    """Not `converged` unless it is of the kind that was asked for."""
-    converged = cycle.converged & is_of_kind(cycle, kind)
-    return eqx.tree_at(lambda c: c.converged, cycle, converged)
+    """Not `successful` unless it is of the kind that was asked for."""
+    wrong = cycle.successful & ~is_of_kind(cycle, kind)
+    result = SearchResult.where(wrong, SearchResult.other_kind, cycle.result)
+    return replace(cycle, result=result)
 
 
 def resolve_guess(

@@ -25,6 +25,7 @@ from ..continuation.damped_newton import where
 from ..continuation.gradient_descent import unknowns
 from ..model.chain import Chain
 from ..model.initial_states import check_vibrating
+from ..result import Outcome, SearchResult
 from .measurements import Measurements, predict
 
 # Levenberg-Marquardt: damping at first, its factors after success and failure, and its bounds.
@@ -36,7 +37,7 @@ _GAIN = 1e-9
 _SINGULAR, _PART = 1e-6, 1e-3
 
 
-class Identification(eqx.Module):
+class Identification(Outcome):
     """What `identify` found; p parameters from m measurements.
 
     - `theta`, `chain`: the parameters of best fit, and the chain with them.
@@ -47,7 +48,7 @@ class Identification(eqx.Module):
     - `condition`: of J with its columns scaled to one length; errors of the data grow by as much.
     - `residuals`: (measured - predicted) / noise, shape (m,); `chi_squared`, the sum of their
       squares, is about m - p if the model is right and much more if it is not.
-    - `converged`; `evaluations`: predictions with derivatives that it took.
+    - `result`; `evaluations`: predictions with derivatives that it took.
     """
 
     theta: PyTree
@@ -59,7 +60,7 @@ class Identification(eqx.Module):
     condition: Float[Array, ""]
     residuals: Float[Array, " m"]
     chi_squared: Float[Array, ""]
-    converged: Bool[Array, ""]
+    result: SearchResult
     evaluations: Int[Array, ""]
 
     def interval(self, confidence: Any = 0.95) -> tuple[PyTree, PyTree]:
@@ -197,6 +198,10 @@ def _fit(problem: _Problem, start: Array, steps: int) -> Identification:
     last = lax.while_loop(going, body, blank)
 
     covariance, correlation, determined, condition = _curvature(last.slopes)
+    of = SearchResult
+    result = of.where(last.count < steps, of.no_step_helps, of.max_steps_reached)
+    result = of.where(jnp.all(jnp.isfinite(last.residuals)), result, of.nonfinite)
+    result = of.where(last.gain <= _GAIN, of.successful, result)
     errors = jnp.where(determined, jnp.sqrt(jnp.diagonal(covariance)), jnp.inf)
     return Identification(
         theta=problem.unravel(last.z),
@@ -208,7 +213,7 @@ def _fit(problem: _Problem, start: Array, steps: int) -> Identification:
         condition=condition,
         residuals=last.residuals,
         chi_squared=jnp.sum(last.residuals**2),
-        converged=last.gain <= _GAIN,
+        result=result,
         evaluations=last.count,
     )
 

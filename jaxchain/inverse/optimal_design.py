@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import optax
 from jax import lax
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Bool, Float, Int, PyTree
+from jaxtyping import Array, Float, Int, PyTree
 
 from .._checks import check_positive, check_positive_number, check_whole, to_float
 from ..boundaries.bistable import BistableRange, bistable_range, check_friction
@@ -19,6 +19,7 @@ from ..continuation.damped_newton import where
 from ..continuation.gradient_descent import unknowns
 from ..model.chain import Chain
 from ..model.initial_states import check_vibrating
+from ..result import Outcome, SearchResult
 
 # Longest step, in units of `scale`; what a step shrinks by if refused, and how often it may.
 _LONGEST, _SHRINKAGE, _MOST_REFUSED = 0.3, 0.3, 12
@@ -28,7 +29,7 @@ _PENALTY, _GROWTH, _ENOUGH = 10.0, 4.0, 0.25
 _LBFGS = optax.chain(optax.scale_by_lbfgs(), optax.scale(-1.0))
 
 
-class Design(eqx.Module):
+class Design(Outcome):
     """What `design` found.
 
     - `theta`, `chain`: the design and its chain; `cost` of it; `range`, its `BistableRange`.
@@ -36,7 +37,7 @@ class Design(eqx.Module):
       0 if the aim costs nothing.
     - `angle`: between grad cost and -grad g, in radians, 0 at an optimum; NaN if either vanishes.
     - `residual`: the greater of |grad cost + lambda grad g| and what is missing of g <= 0.
-    - `converged`: whether it is at most the tolerance (a local optimum).
+    - `result`: successful if it is at most the tolerance (a local optimum).
     - `evaluations`: boundaries with derivatives that it took.
     - `path`, `costs`, `aims`: every design tried, its cost, and the speed that was to fall; NaN
       from entry `evaluations` on.
@@ -49,7 +50,7 @@ class Design(eqx.Module):
     multiplier: Float[Array, ""]
     angle: Float[Array, ""]
     residual: Float[Array, ""]
-    converged: Bool[Array, ""]
+    result: SearchResult
     evaluations: Int[Array, ""]
     path: PyTree
     costs: Float[Array, " steps"]
@@ -191,7 +192,7 @@ class _Problem(eqx.Module):
             cost = 0.5 * jnp.sum(z**2)
             if self.own_cost is not None:
                 cost = to_float(self.own_cost(self.unravel(self.theta(z))))
-            values = jnp.stack([cost, jnp.where(found.known, aim - self.target, jnp.nan)])
+            values = jnp.stack([cost, jnp.where(found.successful, aim - self.target, jnp.nan)])
             return values, (values, found)
 
         slopes, (values, found) = jax.jacfwd(both, has_aux=True)(z)
@@ -204,7 +205,10 @@ def _solve(problem: _Problem, optimiser: Any, steps: int, tolerance: Array) -> D
     size = problem.start.size
     zero, infinite = jnp.zeros(size), jnp.asarray(jnp.inf)
     nothing = jnp.zeros((), int)
-    unknown = BistableRange(infinite, infinite, infinite, infinite, jnp.asarray(False))
+    unknown = BistableRange(
+        hopf=infinite, fold=infinite, highest=infinite, width=infinite,
+        result=SearchResult.nonfinite,
+    )  # fmt: skip
     blank = _Point(zero, infinite, infinite, zero, zero, unknown)
 
     def going(now: _Search) -> Array:
@@ -265,6 +269,10 @@ def _solve(problem: _Problem, optimiser: Any, steps: int, tolerance: Array) -> D
                 infinite, infinite, nothing, nothing, path, record, record),
     )  # fmt: skip
     best = last.best
+    of = SearchResult
+    result = of.where(last.count < steps, of.no_step_helps, of.max_steps_reached)
+    result = of.where(jnp.isfinite(best.cost), result, of.nonfinite)
+    result = of.where(last.residual <= tolerance, of.successful, result)
     return Design(
         theta=problem.unravel(problem.theta(best.z)),
         chain=problem.chain_at(best.z),
@@ -273,7 +281,7 @@ def _solve(problem: _Problem, optimiser: Any, steps: int, tolerance: Array) -> D
         multiplier=best.multiplier(last.held, last.penalty),
         angle=_angle(best.cost_slope, -best.g_slope),
         residual=last.residual,
-        converged=last.residual <= tolerance,
+        result=result,
         evaluations=last.count,
         path=jax.vmap(problem.unravel)(last.path),
         costs=last.costs,

@@ -35,7 +35,7 @@ def test_descent_arrives_where_newton_does_after_many_more_steps():
     chain = paper_chain(4, belt_speed=1.5)
     speed, steps = newton(chain, 1.5, 2e-10)
     found = jax.jit(lambda start: hopf_by_descent(chain, start))(1.5)
-    assert found.converged
+    assert found.successful
     assert abs(float(found.belt_speed) - speed) < 1e-8
     assert abs(float(found.belt_speed) - EXACT) < 1e-8
     assert steps < 10
@@ -56,13 +56,13 @@ def test_descent_by_lbfgs_needs_few_steps_from_nearby_and_stalls_from_far_away()
     found = jax.jit(
         jax.vmap(lambda start: hopf_by_descent(paper_chain(4), start, optax.lbfgs(), 100))
     )(jnp.array([0.05, 0.6, 1.5, 3.0, 6.0]))
-    assert found.converged.tolist() == [True] * 4 + [False]
+    assert found.successful.tolist() == [True] * 4 + [False]
     assert int(found.steps[:4].max()) <= 12
 
 
 def test_plain_gradient_descent_stalls_far_above_the_boundary_and_says_so():
     found = hopf_by_descent(paper_chain(1), 6.0, optax.sgd(10.0), steps=50)
-    assert not found.converged
+    assert not found.successful
     assert int(found.steps) == 50
     assert float(found.belt_speed) > 5.9
 
@@ -72,7 +72,7 @@ def test_descent_of_mistuned_chains_goes_through_vmap():
     chain = paper_chain(3).with_(damping_ratio=jnp.array([0.04, 0.05, 0.07]))
     search = jax.jit(jax.vmap(lambda start: hopf_by_descent(chain, start)))
     found = search(jnp.array([0.8, 1.5, 2.0]))
-    assert found.converged.all()
+    assert found.successful.all()
     np.testing.assert_allclose(found.belt_speed, float(hopf_belt_speed(chain)), atol=1e-8)
 
 
@@ -94,7 +94,7 @@ def test_bad_input_is_named(arguments, message):
 def test_ascent_and_secant_find_the_same_fold():
     chain = paper_chain(1, width=0.02)
     found = fold_by_descent(chain)
-    assert bool(found.converged)
+    assert bool(found.successful)
     np.testing.assert_allclose(found.belt_speed, fold_belt_speed(chain), rtol=3e-8)
     # It climbs: no cycle on the way is faster, and the first ones are slower.
     speeds = np.asarray(found.belt_speeds)

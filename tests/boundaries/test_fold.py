@@ -21,8 +21,9 @@ from jaxchain import (
     paper_chain,
     simulate,
 )
-from jaxchain.boundaries import FoldResult, find_fold, find_grazing
+from jaxchain.boundaries import find_fold, find_grazing
 from jaxchain.model.initial_states import on_the_belt
+from jaxchain.result import SearchResult
 
 NAMES = ("damping_ratio", "mu_dynamic", "mu_static", "v_ref", "width")
 WILD = ("damping_ratio", "mu_dynamic", "v_ref", "width")
@@ -95,7 +96,7 @@ def claims(seed, count, margin=0.01):
     """
     numbers = wild_sets(seed, count)
     folds, hopf = jax.tree.map(np.asarray, wild_folds(numbers))
-    found, none = np.asarray(folds.found), np.asarray(folds.result == FoldResult.none)
+    found, none = np.asarray(folds.successful), np.asarray(folds.result == SearchResult.no_fold)
     top = np.where(np.isfinite(hopf), hopf, 1.0)
     base = np.where(found, folds.belt_speed, top)
     # Below a fold it may be less than the Hopf speed, where all vibrates, so well below it too.
@@ -122,8 +123,8 @@ def folds():
 @pytest.mark.parametrize("width", [0.05, 0.01])
 def test_the_fold_is_a_closed_cycle_with_two_multipliers_of_one(folds, width):
     fold = folds[width]
-    assert bool(fold.found)
-    assert fold.result == FoldResult.found
+    assert bool(fold.successful)
+    assert fold.result == SearchResult.successful
     assert fold.message == ""
     (x,), (v,) = (np.asarray(part) for part in fold.state)
     end, monodromy = OneMass(width).after(x, v, float(fold.period), float(fold.belt_speed))
@@ -175,7 +176,7 @@ def test_a_lane_without_a_fold_is_marked_and_harms_no_other(folds):
     expected = [folds[0.05].belt_speed, folds[0.01].belt_speed]
     np.testing.assert_allclose(speeds[jnp.asarray([0, 2])], expected, rtol=3e-9)
     outcomes = [find_fold(paper_chain(1, width=width)) for width in (0.6, 0.35)]
-    assert [fold.result for fold in outcomes] == [FoldResult.none, FoldResult.gentle]
+    assert [fold.result for fold in outcomes] == [SearchResult.no_fold, SearchResult.gentle]
     assert [fold.message.split(":")[0] for fold in outcomes] == [
         "There is no fold", "No fold was found"
     ]  # fmt: skip
@@ -186,8 +187,8 @@ def test_friction_that_does_not_weaken_has_no_fold():
     chain = Chain(1, TanhFriction(Coulomb(0.5), 0.01), belt_speed=1.0)
     fold = find_fold(chain)
     assert np.isnan(fold.belt_speed)
-    assert not bool(fold.found)
-    assert fold.result == FoldResult.none
+    assert not bool(fold.successful)
+    assert fold.result == SearchResult.no_fold
 
 
 @pytest.mark.exhaustive
@@ -269,8 +270,8 @@ def test_a_thousand_parameter_sets_in_one_call():
     def both(xi, ratio, v_ref, width):
         chain = paper_chain(1, width=width).with_(damping_ratio=xi, mu_dynamic=ratio, v_ref=v_ref)
         fold = find_fold(chain)
-        failed = (fold.result == FoldResult.no_touch) | (fold.result == FoldResult.no_cycle)
-        return fold.belt_speed, fold.found, failed, hopf_belt_speed(chain)
+        failed = (fold.result == SearchResult.no_touch) | (fold.result == SearchResult.no_cycle)
+        return fold.belt_speed, fold.successful, failed, hopf_belt_speed(chain)
 
     speed, found, failed, hopf = eqx.filter_jit(jax.vmap(both))(xi, ratio, v_ref, width)
     assert int(jnp.sum(failed)) <= 5
@@ -318,7 +319,7 @@ def test_folds_are_found_where_friction_weakens_over_a_small_speed():
     """Each vibrates from the belt's speed 1 % below its fold, and rests 1 % above."""
     numbers = np.array([[0.05, 0.5, v_ref, 1e-3] for v_ref in (0.02, 0.03, 0.05)])
     folds, _ = wild_folds(numbers)
-    assert bool(jnp.all(folds.found))
+    assert bool(jnp.all(folds.successful))
     speeds = np.asarray(folds.belt_speed)[:, None] * [0.99, 1.01]
     np.testing.assert_array_equal(vibrates(numbers, speeds, False), [[True, False]] * 3)
 
@@ -329,7 +330,7 @@ def test_any_width_has_its_fold():
     dry = float(nonsmooth_fold_belt_speed(paper_chain(1)))
     numbers = np.array([[0.05, 0.5, 0.5, w] for w in (1e-7, 3e-8, 3e-9, 1e-12, 1e-30)])
     folds, _ = wild_folds(numbers)
-    assert bool(jnp.all(folds.found))
+    assert bool(jnp.all(folds.successful))
     gaps = dry - folds.belt_speed
     assert bool(jnp.all(jnp.diff(gaps) < 1e-9))
     np.testing.assert_allclose(folds.belt_speed[2:], dry, rtol=2e-8)
@@ -360,8 +361,8 @@ def test_below_the_least_width_gradients_are_those_of_dry_friction():
 def test_a_search_that_fails_says_so_and_claims_nothing():
     """Two masses so strongly coupled that they vibrate together."""
     fold = find_fold(paper_chain(2).with_(coupling=0.3))
-    assert not bool(fold.found)
-    assert fold.result == FoldResult.no_touch
+    assert not bool(fold.successful)
+    assert fold.result == SearchResult.no_touch
     assert fold.message.startswith("No fold was found, though averaging has one")
 
 
@@ -370,7 +371,7 @@ def test_no_claim_about_a_wild_set_is_contradicted_by_a_run():
     folds, _, _, wrong, missed = claims(7, 30)
     assert wrong.size == 0
     assert missed.size <= 1
-    assert int(jnp.sum(folds.found)) >= 25
+    assert int(jnp.sum(folds.successful)) >= 25
 
 
 @pytest.mark.exhaustive

@@ -93,7 +93,7 @@ def test_gradients_are_those_of_differences(folds):
 
 def test_the_cycle_of_the_paper(paper):
     """Its period, its touch, and the multiplier, which Liouville's theorem gives for one mass."""
-    assert paper.found
+    assert paper.successful
     assert paper.residual < 1e-12
     chain = paper_chain(n=1)
     expected, period, run = shoot(1, 0, PAPER[1:], np.eye(1), np.full(1, 0.05), 6.3, 1.8)
@@ -122,7 +122,7 @@ def test_what_it_says_of_smoothed_folds(paper):
 def test_nothing_is_found_where_friction_does_not_weaken():
     chain = paper_chain(n=1).with_(mu_dynamic=1.0)
     grazing = find_grazing(chain)
-    assert not grazing.found
+    assert not grazing.successful
     assert jnp.isnan(grazing.belt_speed)
     assert jnp.isnan(grazing.smoothed(1e-3))
 
@@ -163,7 +163,7 @@ def test_three_masses_that_differ_agree_with_shooting_by_scipy():
     xi, stiffness = np.array([0.05, 0.08, 0.1]), np.array([1.0, 1.2, 1.5])
     chain = paper_chain(n=3).with_(damping_ratio=jnp.asarray(xi), stiffness=jnp.asarray(stiffness))
     grazing = find_grazing(chain, 0)
-    assert grazing.found
+    assert grazing.successful
     matrix = spring_matrix(stiffness, 0.01)
     expected, period, run = shoot(3, 0, PAPER[1:], matrix, xi, 6.25, 1.8)
     np.testing.assert_allclose(grazing.belt_speed, expected, rtol=1e-10)
@@ -175,7 +175,7 @@ def test_three_masses_that_differ_agree_with_shooting_by_scipy():
 @pytest.mark.exhaustive
 def test_the_cycle_of_twenty_masses_closes_in_scipy():
     grazing = find_grazing(paper_chain())
-    assert grazing.found
+    assert grazing.successful
     assert abs(grazing.belt_speed - find_grazing(paper_chain(n=1)).belt_speed) < 0.05
     matrix, speed = spring_matrix(np.ones(20), 0.01), float(grazing.belt_speed)
 
@@ -202,7 +202,7 @@ def test_a_chain_in_which_another_mass_passes_is_refused():
     )
     grazing = find_grazing(chain, 0)
     assert grazing.residual < 1e-9  # a closed orbit, though
-    assert not grazing.found
+    assert not grazing.successful
     assert jnp.isnan(grazing.belt_speed)
 
 

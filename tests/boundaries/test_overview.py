@@ -61,7 +61,7 @@ def test_hopf_and_fold_meet_where_the_third_derivative_of_friction_vanishes(widt
     damping = -0.5 * friction(speed, width)[1]
     chain = paper_chain(1).with_(width=jnp.asarray(width))  # one compiled program for all
     meeting = generalised_hopf(chain, "damping_ratio", 0.01, 1.0)
-    assert meeting.found
+    assert meeting.successful
     np.testing.assert_allclose(meeting.belt_speed, speed, rtol=1e-7)
     np.testing.assert_allclose(meeting.value, damping, rtol=1e-8)
     # As the width vanishes: a few widths, the damping of dry friction at rest.
@@ -100,7 +100,7 @@ def test_the_width_beyond_which_vibration_sets_in_gently():
 def test_where_no_meeting_is_there_is_none():
     chain = paper_chain(1).with_(width=jnp.asarray(WIDTH))
     meeting = generalised_hopf(chain, "damping_ratio", 0.02, 0.2)
-    assert not meeting.found
+    assert not meeting.successful
     assert np.isnan(meeting.value)
 
 

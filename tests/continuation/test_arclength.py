@@ -46,7 +46,7 @@ def test_hysteresis_turns_twice_and_ends_on_the_bound():
     for point in branch.special:
         assert branch.arclength[point.index] < point.arclength < branch.arclength[point.index + 1]
         exact = fold_point(hysteresis, point.u, point.p)
-        assert exact.converged
+        assert exact.successful
         np.testing.assert_allclose(point.p, exact.p, rtol=1e-13)
 
 

@@ -16,6 +16,7 @@ from jaxchain.continuation.damped_newton import (
     newton,
     solve,
 )
+from jaxchain.result import SearchResult
 
 
 def mixed(u, rows):
@@ -26,7 +27,7 @@ def test_it_agrees_with_scipy():
     start, ones = np.array([3.0, 2.0]), np.ones(2)
     root = newton(mixed, start, ones)
     expected = scipy.optimize.root(lambda u: np.asarray(mixed(u, ones)), root.value, tol=1e-14)
-    assert root.converged
+    assert root.successful
     np.testing.assert_allclose(root.value, expected.x, atol=1e-13)
     assert root.residual < 1e-14
 
@@ -34,20 +35,20 @@ def test_it_agrees_with_scipy():
 def test_the_scale_of_rows_makes_no_difference():
     plain = newton(mixed, jnp.array([3.0, 2.0]), jnp.ones(2))
     scaled = newton(mixed, jnp.array([3.0, 2.0]), jnp.array([1e-6, 1e6]))
-    assert scaled.converged
+    assert scaled.successful
     assert scaled.steps == plain.steps
     np.testing.assert_allclose(scaled.value, plain.value, atol=1e-13)
 
 
 def test_it_comes_from_where_full_steps_diverge():
     root = newton(lambda u, _: jnp.arctan(u), jnp.array([50.0]))
-    assert root.converged
+    assert root.successful
     assert abs(root.value[0]) < 1e-12
 
 
 def test_a_step_out_of_the_domain_is_shortened():
     root = newton(lambda u, _: jnp.log(u), jnp.array([20.0]))  # the first full step is negative
-    assert root.converged
+    assert root.successful
     np.testing.assert_allclose(root.value, 1.0, rtol=1e-12)
 
 
@@ -55,7 +56,7 @@ def test_lanes_do_not_harm_each_other():
     a = jnp.array([4.0, -1.0, jnp.nan, 9.0, 0.0])
     root = jax.jit(jax.vmap(lambda a: newton(lambda u, a: u**2 - a, jnp.ones(1), a)))(a)
     # A double root (a = 0) is approached by a half each step only, and reached to the tolerance.
-    np.testing.assert_array_equal(root.converged[:4], [True, False, False, True])
+    np.testing.assert_array_equal(root.successful[:4], [True, False, False, True])
     np.testing.assert_allclose(root.value[jnp.array([0, 3]), 0], [2.0, 3.0], rtol=1e-14)
 
 
@@ -64,10 +65,28 @@ def test_forward_derivatives_are_enough():
         return looped(lambda u, p, args: u**3 - a)(u, 0.0, None)
 
     root = newton(residual, jnp.ones(1), 8.0)
-    assert root.converged
+    assert root.successful
     np.testing.assert_allclose(root.value, 2.0, rtol=1e-14)
     with pytest.raises(ValueError, match="Reverse-mode"):
         jax.grad(lambda u: residual(u, 8.0)[0])(jnp.ones(1))
+
+
+def test_a_search_says_why_it_failed():
+    def logarithm(u, _):
+        return jnp.where(u > 5.0, 1.0, jnp.log(u))  # beyond 5 its Jacobian is singular
+
+    for start, limit, result in (
+        (2.0, 30, SearchResult.successful),
+        (2.0, 1, SearchResult.max_steps_reached),
+        (-2.0, 30, SearchResult.nonfinite),
+        (9.0, 30, SearchResult.nonfinite),
+    ):
+        assert newton(logarithm, jnp.array([start]), max_steps=limit).result == result
+    lost = newton(lambda u, _: jnp.where(u > 1.9, u, jnp.nan), jnp.array([2.0]), max_steps=999)
+    assert lost.result == SearchResult.no_step_helps
+    assert not lost.successful
+    assert "start closer" in lost.message
+    assert newton(lambda u, _: u, jnp.array([2.0])).message == ""
 
 
 def test_a_tangent_goes_through_the_search():
@@ -80,7 +99,7 @@ def test_a_tangent_goes_through_the_search():
 
 def test_the_count_of_steps_is_a_limit():
     root = newton(lambda u, _: jnp.arctan(u), jnp.array([50.0]), max_steps=3)
-    assert not root.converged
+    assert not root.successful
     assert root.steps == 3
 
 
@@ -164,8 +183,8 @@ def test_a_first_evaluation_that_fails_ends_the_search():
     assert jnp.isnan(found.length)
     assert found.refused
     assert found.evaluations == 1
-    _, ended, _ = solve(nowhere, -jnp.ones(1), jnp.ones(1), 1e-10, 9)
-    assert not ended
+    _, result, _ = solve(nowhere, -jnp.ones(1), jnp.ones(1), 1e-10, 9)
+    assert result == SearchResult.nonfinite
 
 
 def test_a_singular_jacobian_fails_alone():
@@ -174,7 +193,7 @@ def test_a_singular_jacobian_fails_alone():
 
     starts = jnp.array([[2.0, 1.0], [0.0, 0.0], [-3.0, 1.0]])
     found = jax.vmap(lane)(starts)
-    np.testing.assert_array_equal(found.converged, [True, False, True])
+    np.testing.assert_array_equal(found.successful, [True, False, True])
     np.testing.assert_allclose(found.value[::2], [[1.0, 1.0], [-1.0, -1.0]], rtol=1e-12)
 
 

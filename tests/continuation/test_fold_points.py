@@ -26,7 +26,7 @@ def cubic(u, p, a):
 )
 def test_folds_of_closed_form(residual, args, start, fold):
     found = fold_point(residual, [start[0]], start[1], args)
-    assert found.converged
+    assert found.successful
     np.testing.assert_allclose(found.u, fold[0], atol=1e-11)
     np.testing.assert_allclose(found.p, fold[1], atol=1e-14)
 
@@ -36,7 +36,7 @@ def test_a_thousand_lanes_with_and_without_a_fold():
     a = jnp.linspace(-1.0, 3.0, 1000)
     found = jax.jit(jax.vmap(lambda a: fold_point(cubic, jnp.array([0.5]), 0.4, a)))(a)
     exists = np.asarray(a) > 0
-    np.testing.assert_array_equal(found.converged, exists)
+    np.testing.assert_array_equal(found.successful, exists)
     there = np.asarray(a)[exists]
     height = np.abs(np.asarray(found.p)[exists])
     np.testing.assert_allclose(height, 2 * (there / 3) ** 1.5, rtol=1e-12)
@@ -48,8 +48,8 @@ def test_the_null_vector_and_the_scale_of_rows():
     u = np.sin(np.pi * np.arange(1, m + 1) / (m + 1))
     rows = 10.0 ** np.random.default_rng(0).uniform(-3, 3, m)
     plain, scaled = (fold_point(bratu, u, 3.5, r) for r in (np.ones(m), rows))
-    assert plain.converged
-    assert scaled.converged
+    assert plain.successful
+    assert scaled.successful
     np.testing.assert_allclose(scaled.p, plain.p, rtol=1e-12)
     slope = jax.jacfwd(bratu)(plain.u, plain.p, np.ones(m))
     assert np.max(np.abs(slope @ plain.null)) < 1e-9 * np.max(np.abs(slope))
@@ -101,13 +101,13 @@ def test_the_short_derivative_of_g_is_the_long_one():
 
 def test_a_residual_that_only_goes_forward():
     found = fold_point(looped(hysteresis), [0.5], 0.4)
-    assert found.converged
+    assert found.successful
     np.testing.assert_allclose(found.p, 2 / 27**0.5, rtol=1e-13)
 
 
 @pytest.mark.parametrize("start", [0.1, 1e-3, 0.0])
 def test_a_crossing_of_branches_is_no_fold(start):
-    assert not fold_point(pitchfork, [start], start, 0.0).converged
+    assert not fold_point(pitchfork, [start], start, 0.0).successful
 
 
 def test_bad_input_is_named():

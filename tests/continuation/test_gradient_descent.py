@@ -13,7 +13,7 @@ from jaxchain.continuation.gradient_descent import descend
 def test_plain_descent_on_a_parabola_halves_the_distance_in_every_step():
     found = descend(lambda x: x**2, 1.0, optax.sgd(0.25), steps=40, tolerance=1e-8)
     # x_k = 2^-k: the loss falls below 1e-8 at k = 14.
-    assert (int(found.steps), bool(found.converged)) == (14, True)
+    assert (int(found.steps), bool(found.successful)) == (14, True)
     np.testing.assert_allclose(found.path[:15], 0.5 ** np.arange(15), rtol=1e-15)
     np.testing.assert_allclose(found.losses[:15], 0.25 ** np.arange(15), rtol=1e-15)
     assert np.isnan(found.path[15:]).all()
@@ -28,7 +28,7 @@ def test_any_optimiser_and_any_pytree(optimiser):
 
     start = {"a": jnp.asarray(-0.5), "b": jnp.array([0.5])}
     found = descend(rosenbrock, start, optimiser, steps=3000, tolerance=1e-16)
-    assert found.converged
+    assert found.successful
     assert float(found.solution["a"]) == pytest.approx(1.0, abs=1e-6)
     assert found.path["b"].shape == (3001, 1)
 
@@ -56,14 +56,14 @@ def test_lanes_stop_by_themselves_and_may_close_over_what_is_traced():
 
     found = batch(jnp.array([0.0, 3.0]), jnp.array([1.0, 3.0]))
     assert found.steps.tolist() == [14, 0]
-    assert found.converged.all()
+    assert found.successful.all()
 
 
 def test_it_stops_where_the_loss_is_not_finite_and_keeps_the_way_there():
     found = descend(lambda x: -jnp.log(x), 0.5, optax.sgd(-1.0), steps=20, tolerance=0.0)
     # x_1 = 0.5 - 2 < 0, where the logarithm is NaN.
     assert int(found.steps) == 1
-    assert not found.converged
+    assert not found.successful
     assert float(found.path[1]) == -1.5
     assert np.isnan(found.losses[1])
 

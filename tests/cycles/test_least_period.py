@@ -53,7 +53,7 @@ def test_a_simulation_whose_best_return_is_a_later_one_gives_the_least_period():
     for width, speed in ((0.1, 0.55), (0.1, 1.1), (0.02, 1.35), (0.01, 1.4), (1e-3, 1.68)):
         cycle = find_limit_cycle(paper_chain(1, width=width, belt_speed=speed))
         assert 6.2 < float(cycle.period) < 6.8
-        assert bool(cycle.converged)
+        assert bool(cycle.successful)
 
 
 @pytest.mark.slow

@@ -193,7 +193,7 @@ def test_chains_are_searched_in_one_batch_and_do_not_harm_each_other(slip):
         return find_limit_cycle(slip.chain.with_(belt_speed=speed), slip, vibrating=0)
 
     batch = jax.jit(jax.vmap(search))(speeds)
-    assert list(np.asarray(batch.converged)) == [True, True, False, False]  # fold at 1.659307
+    assert list(np.asarray(batch.successful)) == [True, True, False, False]  # fold at 1.659307
     for k in range(2):
         alone = search(speeds[k])
         assert float(batch.period[k]) == pytest.approx(float(alone.period), abs=1e-10)
@@ -213,13 +213,13 @@ def test_rest_and_failure_are_told():
     with pytest.raises(RuntimeError, match="was not found"):
         find_limit_cycle(fast.with_(mu_dynamic=1.0))  # Coulomb friction feeds no vibration
     lost = find_limit_cycle(fast, throw=False)
-    assert not bool(lost.converged)
+    assert not bool(lost.successful)
     assert lost.stable is None
     # Rest solves the equations of a closed orbit for any period.
     resting = find_limit_cycle(
         fast, ((jnp.full(1, 0.5), jnp.full(1, 1e-4)), 6.28), vibrating=0, throw=False
     )
-    assert not bool(resting.converged)
+    assert not bool(resting.successful)
 
 
 @pytest.mark.long

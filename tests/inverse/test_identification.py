@@ -76,7 +76,7 @@ def test_amplitude_and_boundaries_do_not_feel_friction_that_is_the_same_at_every
 
 def test_exact_data_give_the_parameters_back():
     exact = identify(ONE, change, START, measured(prediction(TRUE)))
-    assert exact.converged
+    assert exact.successful
     np.testing.assert_allclose(exact.theta, TRUE, rtol=1e-6)
     assert float(exact.chi_squared) < 1e-8
 
@@ -88,7 +88,7 @@ def test_scipy_finds_the_same_best_fit_and_curvature_from_differences(found):
         return np.asarray((prediction(jnp.asarray(theta)) - values) / BLANK.noise)
 
     other = least_squares(residuals, TRUE, x_scale=TRUE, diff_step=1e-5, xtol=1e-12, ftol=1e-12)
-    assert found.converged
+    assert found.successful
     np.testing.assert_allclose(found.theta, other.x, rtol=1e-5)
     assert float(found.chi_squared) == pytest.approx(2 * other.cost, rel=1e-6)
     covariance = np.linalg.inv(other.jac.T @ other.jac)
@@ -214,7 +214,7 @@ def test_intervals_cover_the_truth_as_often_as_they_promise():
     fits = jax.jit(jax.vmap(lambda values: identify(ONE, change, START, measured(values))))(
         jnp.asarray(np.asarray(truth) + noise)
     )
-    assert fits.converged.all()
+    assert fits.successful.all()
     for confidence in (0.68, 0.95):
         lower, upper = fits.interval(confidence)
         hits = np.sum(
@@ -236,7 +236,7 @@ def test_a_smoothed_model_of_dry_data_is_wrong_by_more_than_its_intervals_say():
     """At width 0.02 the bias of the model exceeds noise of 0.002, and chi^2 says so."""
     exact = measured(prediction(TRUE), noise=0.002)
     found = identify(ONE.with_(width=0.02), change, TRUE, exact, friction="smoothed")
-    assert found.converged
+    assert found.successful
     distance = abs(found.theta - TRUE) / found.standard_errors
     assert float(distance.max()) > 4.0
     assert float(found.chi_squared) > stats.chi2.ppf(0.999, 4)

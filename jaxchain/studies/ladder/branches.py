@@ -159,7 +159,7 @@ def catalogue(rungs: list[Rung]) -> tuple[list[Any], xr.Dataset]:
         {
             "key": rung.key, "count": rung.count, "phase_order": rung.pattern.order,
             "phase_growth": rung.pattern.growth, "phases": _spread(n, rung.pattern.phases),
-            "converged": np.int8(cycle.converged), "residual": float(cycle.residual),
+            "converged": np.int8(cycle.successful), "residual": float(cycle.residual),
             "period": float(cycle.period), "energy": float(cycle.energy), "growth": _growth(cycle),
         }
         for rung, cycle in zip(rungs, cycles, strict=True)
@@ -255,7 +255,7 @@ def _ends(rung: Rung, walk: Walk) -> dict[str, Any]:
         "lower": np.nan, "upper": np.nan, "lower_kind": "", "upper_kind": "",
     }  # fmt: skip
     cycle = start(rung)
-    if not bool(cycle.converged):
+    if not bool(cycle.successful):
         return row
     row |= {"growth": _growth(cycle), "stable": bool(cycle.stable)}
     if not row["stable"]:

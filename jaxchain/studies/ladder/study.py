@@ -30,7 +30,7 @@ def _branches(study: Study, job: _study.Job) -> Iterator[tuple[str, Dataset]]:
     chain = ring(study)
     with job.bar(unit="point") as bar:
         for rung, cycle in zip(rungs, cycles, strict=True):
-            if not cycle.converged:
+            if not cycle.successful:
                 continue
             bar.set_postfix_str(rung.key)
             for key, data in follow_rung(study, rung, cycle, lambda *_: bar.update()):
