@@ -87,11 +87,12 @@ def one_mass_branch(chain: Chain, lowest: Any = 0.1, fold: Fold | None = None) -
         return OneMassBranch(*map(jnp.asarray, rows), fold=_POINTS + 1)
     top = float(fold.belt_speed)
     slipping = np.arcsinh(top / float(chain.friction.width)) + _SLACK
-    for direction, length, way in (("slip", slipping, -1), ("stick", _STICKING, 1)):
+    sides = ("slip", slipping, -1, 0.0), ("stick", _STICKING, 1, float(lowest))
+    for direction, length, way, least in sides:
         step = float(length) / _POINTS
         side = continue_cycle(
             chain.with_(belt_speed=top), fold.state, fold.period, direction=direction, step=step,
-            max_step=step, max_points=_POINTS + 1, bounds=(float(lowest), np.inf), vibrating=0,
+            max_step=step, max_points=_POINTS + 1, bounds=(least, np.inf), vibrating=0,
         )  # fmt: skip
         places = _POINTS + 1 + way * np.arange(len(side.parameter))
         rows[:, places] = side.parameter, side.amplitude[:, 0], side.closeness, side.period
