@@ -7,9 +7,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from scipy.optimize import root_scalar
 
-from ..continuation.damped_newton import Factors, factorise, solve
+from ..continuation.damped_newton import linearised, solve
 from ..model.chain import Chain
 from ..model.sliding import (
     crossing_matrix,
@@ -217,12 +218,10 @@ def _refined(chain: Chain, start: jax.Array) -> tuple[jax.Array, jax.Array, jax.
 
     weights = jnp.ones(2)
 
-    def linearise(z: jax.Array) -> tuple[jax.Array, Factors, None]:
-        parameters = (chain, *null_shape(z, chain))
-        slope = jax.jacfwd(crossing_residual)(z, parameters)
-        return crossing_residual(z, parameters), factorise(slope, weights), None
+    def residual(z: jax.Array) -> jax.Array:
+        return crossing_residual(z, (chain, *null_shape(lax.stop_gradient(z), chain)))
 
-    z, _, _ = solve(linearise, start, weights, _CLOSE, _MOST)
+    z, _, _ = solve(linearised(residual, weights), start, weights, _CLOSE, _MOST)
     shape, _ = null_shape(z, chain)
     sizes = jnp.linalg.svd(crossing_matrix(z, chain), compute_uv=False)
     return z, shape, sizes[-1] / sizes[0], jnp.sum(sizes <= _SAME * sizes[0])

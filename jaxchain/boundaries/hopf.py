@@ -10,7 +10,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from ..continuation.bracket import bisect
-from ..continuation.damped_newton import Factors, factorise, solve
+from ..continuation.damped_newton import linearised, solve
 from ..continuation.implicit import attach_derivative
 from ..model.arguments import as_chain
 from ..model.chain import Chain
@@ -183,10 +183,6 @@ def _polish(residual: Any, start: Array, parameters: Any, low: Array, high: Arra
     margin = (high - low) + 1e-9 * high
 
     weights = jnp.ones_like(start)
-
-    def linearise(u: Array) -> tuple[Array, Factors, None]:
-        slope = jax.jacfwd(residual)(u, parameters)
-        return residual(u, parameters), factorise(slope, weights), None
-
-    root, _, _ = solve(linearise, start, weights, _CLOSE, _MOST)
+    both = linearised(lambda u: residual(u, parameters), weights)
+    root, _, _ = solve(both, start, weights, _CLOSE, _MOST)
     return root.at[0].set(jnp.clip(root[0], low - margin, high + margin))

@@ -127,6 +127,22 @@ class Iterate(NamedTuple):
 Linearise = Callable[[Float[Array, " m"]], tuple[Float[Array, " m"], Any, Any]]
 
 
+def linearised(
+    function: Callable[[Float[Array, " m"]], Float[Array, " m"]], weights: Float[Array, " m"]
+) -> Linearise:
+    """F by itself, and LU of its Jacobian, one forward derivative for each unknown."""
+
+    def linearise(u: Array) -> tuple[Array, Factors, None]:
+        def twice(u: Array) -> tuple[Array, Array]:
+            value = function(u)
+            return value, value
+
+        slope, value = jax.jacfwd(twice, has_aux=True)(u)
+        return value, factorise(slope, weights), None
+
+    return linearise
+
+
 def begin(linearise: Linearise, start: Float[Array, " m"]) -> Iterate:
     """A search at `start`, where nothing is evaluated yet."""
     shapes = eqx.filter_eval_shape(linearise, start)
@@ -269,20 +285,16 @@ def search(
 ) -> Root:
     """`newton` without its checks."""
 
-    def linearise(u: Array) -> tuple[Array, Factors, None]:
-        def twice(u: Array) -> tuple[Array, Array]:
-            value = residual(u, args)
-            if value.shape != u.shape:
-                raise ValueError(
-                    f"Argument `residual` must return shape {u.shape} like its first argument, "
-                    f"but returns shape {value.shape}."
-                )
-            return value, value
+    def checked(u: Array) -> Array:
+        value = residual(u, args)
+        if value.shape != u.shape:
+            raise ValueError(
+                f"Argument `residual` must return shape {u.shape} like its first argument, but "
+                f"returns shape {value.shape}."
+            )
+        return value
 
-        slope, value = jax.jacfwd(twice, has_aux=True)(u)
-        return value, factorise(slope, w), None
-
-    root, result, count = solve(linearise, u, w, tolerance, limit)
+    root, result, count = solve(linearised(checked, w), u, w, tolerance, limit)
     left = jnp.max(jnp.abs(residual(root, args)))
     result = SearchResult.where(jnp.isfinite(left), result, SearchResult.nonfinite)
     return Root(value=root, residual=left, result=result, steps=count)

@@ -131,7 +131,7 @@ def design(
       theta in units of `scale`; L-BFGS by default.  Steps that make things worse are shortened.
     - `steps`: boundaries that may be computed.
 
-    **Raises:** `ValueError` for bad input.  What does not converge says so in `converged`.
+    **Raises:** `ValueError` for bad input.  What does not converge says so in its `result`.
 
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 
 from .._checks import check_finite, check_whole
 from .._types import State
-from ..continuation.damped_newton import Factors, factorise, solve
+from ..continuation.damped_newton import linearised, solve
 from ..cycles.averaging import one_mass
 from ..model.initial_states import reference_site
 from ..observers.trajectory import Trajectory
@@ -171,13 +171,10 @@ def _lock(
 ) -> tuple[Array, tuple[Array, Array, Array]]:
     """(steps of phase, what is told there), for each of the starts."""
     weights = jnp.ones(starts.shape[1])
-
-    def linearise(step: Array) -> tuple[Array, Factors, None]:
-        slope = jax.jacfwd(partial(_drift, model))(step)
-        return _drift(model, step), factorise(slope, weights), None
+    both = linearised(partial(_drift, model), weights)
 
     def one(start: Array) -> tuple[Array, tuple[Array, Array, Array]]:
-        step, _, _ = solve(linearise, start, weights, _CLOSE, _NEWTON)
+        step, _, _ = solve(both, start, weights, _CLOSE, _NEWTON)
         return step, _told(model, step)
 
     return jax.vmap(one)(starts)
