@@ -19,6 +19,7 @@ from typing import Any
 
 import diffrax as dfx
 import equinox as eqx
+import equinox.internal as eqxi
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
@@ -90,12 +91,6 @@ class EventDrivenPlan(AbstractPlan):
         times: Sequence[Array] = (),
         adjoint: Any = None,
     ) -> tuple[Progress, list[tuple[Array, Array]]]:
-        if adjoint is not None and not isinstance(adjoint, dfx.ForwardMode):
-            raise ValueError(
-                "Argument `adjoint` must be None or `diffrax.ForwardMode()` for the event-driven "
-                f"solver, whose loop has no fixed length to go back through, but is {adjoint!r}. "
-                "Use `jax.jvp` or `jax.jacfwd`."
-            )
         dry = _dry(field)
         # No step is rejected here.
         most = progress.steps + (jnp.iinfo(int).max // 2 if max_steps is None else max_steps)
@@ -116,11 +111,25 @@ class EventDrivenPlan(AbstractPlan):
             now = self._step(dry, now, end)
             return now, [record.keep(now.t, now.state) for record in records]
 
-        progress, records = lax.while_loop(goes_on, body, (progress, records))
+        carry = progress, records
+        if isinstance(adjoint, dfx.RecursiveCheckpointAdjoint):
+            carry = eqxi.while_loop(
+                goes_on, body, carry, kind="checkpointed", max_steps=max_steps,
+                checkpoints=adjoint.checkpoints, buffers=lambda c: [r.states for r in c[1]],
+            )  # fmt: skip
+        elif adjoint is None or isinstance(adjoint, dfx.ForwardMode):
+            carry = lax.while_loop(goes_on, body, carry)
+        else:
+            raise ValueError(
+                "Argument `adjoint` must be None, `diffrax.ForwardMode()` or "
+                "`diffrax.RecursiveCheckpointAdjoint()` for the event-driven solver, but is "
+                f"{adjoint!r}. None serves derivatives of both kinds."
+            )
+        progress, records = carry
         unfinished = progress.running & (progress.t < t1)
         result = Result.where(unfinished, Result.max_steps_reached, progress.result)
         progress = eqx.tree_at(lambda p: p.result, progress, result)
-        return progress, [record.states for record in records]
+        return progress, [record.read() for record in records]
 
     def _step(self, field: DryField, progress: Progress, end: Any) -> Progress:
         """One step: to the next event, to the end of what the series can bear, or to `end`."""
@@ -224,8 +233,8 @@ class _Record(eqx.Module):
     """The states at given times, which the steps meet exactly."""
 
     times: Float[Array, " times"]
-    states: tuple[Array, Array]  # shapes (times, n)
-    count: Int[Array, ""]  # of those that are known
+    states: Any  # (x, v), of shapes (times, n): that of equal times where the first of them stands
+    count: Int[Array, ""]  # of the times that have passed
 
     @classmethod
     def blank(cls, times: Array, n: int) -> _Record:
@@ -239,12 +248,20 @@ class _Record(eqx.Module):
 
     def keep(self, t: Array, state: State) -> _Record:
         """With the state, if the time is one of those asked for."""
-        here = (jnp.arange(self.times.shape[0]) >= self.count) & (self.times <= t)
-        xs, vs = (
-            jnp.where(here[:, None], now[None, :], before)
-            for now, before in zip(state, self.states, strict=True)
+        here = self.next_time() <= t
+        place = jnp.minimum(self.count, self.times.shape[0] - 1)
+        # On the way of reverse derivatives these are buffers, which are written to only like this.
+        states = tuple(
+            eqxi.buffer_at_set(kept, place, now, pred=here)
+            for kept, now in zip(self.states, state, strict=True)
         )
-        return _Record(self.times, (xs, vs), self.count + jnp.sum(here))
+        passed = jnp.searchsorted(self.times, t, side="right")
+        return _Record(self.times, states, jnp.maximum(self.count, passed))
+
+    def read(self) -> tuple[Array, Array]:
+        first = jnp.searchsorted(self.times, self.times)
+        x, v = self.states
+        return x[first], v[first]
 
 
 class EventDriven(eqx.Module):

@@ -20,6 +20,7 @@ from .._checks import (
     is_traced,
     to_float,
 )
+from .._derivatives import both_ways
 from .._types import ScalarLike, State
 from ..model.arguments import as_chain, as_state
 from ..model.chain import Chain
@@ -220,23 +221,51 @@ def _run(
 ) -> tuple[Progress, tuple[list, list]]:
     if segments is None:
         progress = plan.begin(chain, initial, t0, t1)
-        progress, saved = plan.advance(
-            chain, progress, t1, max_steps=max_steps, times=[o.times for o in trajectories],
-            adjoint=adjoint,
-        )  # fmt: skip
+        times = [o.times for o in trajectories]
+        progress, saved = _advance(plan, chain, progress, t1, times, max_steps, adjoint)
         return progress, (plan.read(progress), saved)
 
     def segment(progress: Progress, ends: tuple[Array, Array]) -> tuple[Progress, list]:
         start, end = ends
         fresh = [o.init(chain, start, end, progress.state) for o in plan.observers]
         progress = eqx.tree_at(lambda p: p.accumulators, progress, fresh)
-        progress, _ = plan.advance(chain, progress, end, max_steps=max_steps, adjoint=adjoint)
+        progress, _ = _advance(plan, chain, progress, end, [], max_steps, adjoint, segments)
         return progress, plan.read(progress)
 
     edges = t0 + (t1 - t0) * jnp.arange(segments + 1) / segments
     progress = plan.begin(chain, initial, t0, edges[1])
     progress, values = lax.scan(segment, progress, (edges[:-1], edges[1:]))
     return progress, (values, [])
+
+
+# What is kept of a run to go back through it: its state after so many steps, in all of this size.
+# A run of more steps computes some of them again; up to half the square of this number, once.
+_CHECKPOINTS, _BYTES = 4096, 2**26
+
+
+def _advance(
+    plan: AbstractPlan, chain: AbstractOscillators, progress: Progress, t1: Array, times: list,
+    max_steps: int | None, adjoint: dfx.AbstractAdjoint | None, parts: int = 1,
+) -> tuple[Progress, list]:  # fmt: skip
+    """`plan.advance`, with derivatives of both kinds if `adjoint` is None."""
+
+    def go(adjoint: dfx.AbstractAdjoint) -> Any:
+        def run(args: Any) -> tuple[Progress, list]:
+            plan, chain, progress, t1, times = args
+            return plan.advance(
+                chain, progress, t1, max_steps=max_steps, times=times, adjoint=adjoint
+            )
+
+        return run
+
+    args = plan, chain, progress, t1, times
+    if adjoint is not None:
+        return go(adjoint)(args)
+    size = sum(leaf.nbytes for leaf in jtu.tree_leaves(progress))
+    checkpoints = min(_CHECKPOINTS, max(_BYTES // (parts * size), 64))
+    return both_ways(
+        go(dfx.ForwardMode()), go(dfx.RecursiveCheckpointAdjoint(checkpoints=checkpoints)), args
+    )
 
 
 def _concrete(value: Any, default: float) -> float:

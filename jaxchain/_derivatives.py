@@ -1,0 +1,223 @@
+"""A computation with two programs: one for forward and one for reverse derivatives.
+
+A `while` loop of unknown length carries tangents along, but cannot go back; one that keeps
+checkpoints goes back, but carries no tangents.  `both_ways` joins them: values and tangents (`jvp`,
+`jacfwd`) are the first program's, cotangents (`vjp`, `grad`, `jacrev`) the second one's.
+
+JAX asks for f and its tangent f' dx together.  That is one primitive here, `_pair`.  Before it goes
+back, JAX separates what is known, f, from what is linear in the unknown, f' dx.  There the pair
+falls into f, computed by the second program, and the primitive `_linear`, whose transpose goes back
+through that program's checkpoints.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import compress
+from typing import Any
+
+import equinox as eqx
+import equinox.internal as eqxi
+import jax
+import jax.extend.core
+import jax.numpy as jnp
+import jax.tree_util as jtu
+from jax.interpreters import ad, batching, mlir
+from jax.interpreters import partial_eval as pe
+
+Flat = Callable[..., list[Any]]  # arrays to arrays
+
+
+def both_ways(forward: Callable[[Any], Any], reverse: Callable[[Any], Any], args: Any) -> Any:
+    """forward(args), whose derivatives in reverse mode are those of reverse(args).
+
+    **Arguments:** two functions that compute the same of one pytree, and hold no traced numbers
+    besides it.
+    """
+    arrays, static = eqx.partition(args, eqx.is_array)
+    leaves, treedef = jtu.tree_flatten(arrays)
+    shape: list[Any] = []  # of what comes out: known once it is traced
+
+    def flat(function: Callable[[Any], Any]) -> Flat:
+        def run(*leaves: Any) -> list[Any]:
+            out = function(eqx.combine(treedef.unflatten(leaves), static))
+            arrays, rest = eqx.partition(out, eqx.is_array)
+            found, tree = jtu.tree_flatten(arrays)
+            shape[:] = tree, rest
+            return found
+
+        return jax.jit(run, inline=True)  # traced once
+
+    first, second = flat(forward), flat(reverse)
+
+    @eqx.filter_custom_jvp
+    def call(leaves: list[Any]) -> list[Any]:
+        return first(*leaves)
+
+    @call.def_jvp
+    def _(primals: Any, tangents: Any) -> tuple[list[Any], list[Any]]:
+        (leaves,), (changes,) = primals, tangents
+        moved = [change is not None for change in changes]
+        inputs = [*leaves, *compress(changes, moved)]
+        ways = _Ways(second, moved, _pair_of(first, moved), inputs)
+        outs = _pair.bind(*inputs, ways=ways)
+        values, slopes = outs[: ways.values], iter(outs[ways.values :])
+        return values, [next(slopes) if eqx.is_inexact_array(v) else None for v in values]
+
+    found = call(leaves)
+    tree, rest = shape
+    return eqx.combine(tree.unflatten(found), rest)
+
+
+class _Ways:
+    """The second program, which of its arguments have a tangent, and the first one with them.
+
+    `pair(*arguments, *tangents)` gives all values, then the tangents of the real ones.
+    """
+
+    def __init__(
+        self,
+        second: Flat | None,
+        moved: list[bool],
+        pair: Flat,
+        inputs: Sequence[Any],
+    ):
+        self.second, self.moved, self.pair = second, moved, pair
+        structs = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in map(jax.typeof, inputs)]
+        outs = jax.eval_shape(pair, *structs)
+        self.shapes = [jax.core.ShapedArray(out.shape, out.dtype) for out in outs]
+        self.values = len(outs) - sum(_is_real(out) for out in outs) // 2
+
+    def split(self, args: Sequence[Any]) -> tuple[list[Any], list[Any], list[Any]]:
+        """(arguments, tangents, what comes after them)."""
+        n, both = len(self.moved), len(self.moved) + sum(self.moved)
+        return list(args[:n]), list(args[n:both]), list(args[both:])
+
+
+def _is_real(array: Any) -> bool:
+    return jnp.issubdtype(array.dtype, jnp.inexact)
+
+
+def _of(function: Flat, args: Sequence[Any], moved: Sequence[bool]) -> Callable[..., Any]:
+    """(real values, all values) as a function of those arguments alone that are `moved`."""
+
+    def run(*changing: Any) -> tuple[list[Any], list[Any]]:
+        values = iter(changing)
+        out = function(*[next(values) if m else a for a, m in zip(args, moved, strict=True)])
+        return [v for v in out if _is_real(v)], out
+
+    return run
+
+
+def _pair_of(function: Flat, moved: list[bool]) -> Flat:
+    def pair(*args: Any) -> list[Any]:
+        fixed, tangents = args[: len(moved)], args[len(moved) :]
+        at = list(compress(fixed, moved))
+        _, slopes, out = jax.jvp(_of(function, fixed, moved), at, list(tangents), has_aux=True)
+        return [*out, *slopes]
+
+    return jax.jit(pair, inline=True)
+
+
+def _run_pair(*args: Any, ways: _Ways) -> list[Any]:
+    return ways.pair(*args)
+
+
+def _run_linear(*args: Any, ways: _Ways, back: Any) -> list[Any]:
+    del back
+    arguments, tangents, _ = ways.split(args)
+    return ways.pair(*arguments, *tangents)[ways.values :]
+
+
+def _forward_again(run: Callable[..., list[Any]]) -> Callable[..., Any]:
+    """Derivatives of derivatives: those of the first program."""
+
+    def rule(primals: Any, tangents: Any, **params: Any) -> tuple[list[Any], list[Any]]:
+        moved = [type(t) is not ad.Zero for t in tangents]
+        function = _of(lambda *args: run(*args, **params), primals, moved)
+        at = list(compress(primals, moved))
+        _, slopes, out = jax.jvp(function, at, list(compress(tangents, moved)), has_aux=True)
+        found = iter(slopes)
+        none = [ad.Zero(jax.core.ShapedArray(o.shape, jax.dtypes.float0)) for o in out]
+        return out, [next(found) if _is_real(o) else z for o, z in zip(out, none, strict=True)]
+
+    return rule
+
+
+def _many_pairs(args: Any, dims: Any, *, ways: _Ways) -> tuple[list[Any], list[Any]]:
+    """Under `vmap`.  For reverse mode every tangent needs the axis of its argument.
+
+    It has none of its own there; many tangents at one point are the business of forward mode.
+    """
+    arguments, tangents, _ = ways.split(args)
+    axes, of_tangents, _ = ways.split(dims)
+    moved, of_moved = list(compress(arguments, ways.moved)), list(compress(axes, ways.moved))
+    second = ways.second
+    if any(a is None and b is not None for a, b in zip(of_moved, of_tangents, strict=True)):
+        second = None
+    if second is not None:
+        second = jax.vmap(second, axes)
+        tangents = [
+            t
+            if axis is None
+            else jnp.broadcast_to(jnp.expand_dims(t, axis), x.shape)
+            if was is None
+            else jnp.moveaxis(t, was, axis)
+            for t, was, x, axis in zip(tangents, of_tangents, moved, of_moved, strict=True)
+        ]
+        of_tangents = of_moved
+    at_one_point = all(axis is None for axis in axes)
+    slopes = len(ways.shapes) - ways.values
+    out_axes = [None if at_one_point else 0] * ways.values + [0] * slopes
+    pair = jax.jit(jax.vmap(ways.pair, [*axes, *of_tangents], out_axes), inline=True)
+    inputs = [*arguments, *tangents]
+    many = _Ways(second, ways.moved, pair, inputs)
+    return _pair.bind(*inputs, ways=many), out_axes
+
+
+def _fall_apart(trace: Any, *tracers: Any, ways: _Ways) -> list[Any]:
+    """The pair where the tangents are unknown: values now, and what is linear for later."""
+    arguments, tangents, _ = ways.split(tracers)
+    known = [argument.pval.get_known() for argument in arguments]
+    linear = any(not tangent.is_known() for tangent in tangents)
+    if ways.second is None or not linear or any(value is None for value in known):
+        return trace.default_process_primitive(_pair, tracers, {"ways": ways})
+    function = _of(ways.second, known, ways.moved)
+    _, pull, out = jax.vjp(function, *compress(known, ways.moved), has_aux=True)
+    checkpoints, back = jtu.tree_flatten(pull)
+    params = {"ways": ways, "back": back}
+    inputs = [*tracers, *checkpoints]
+    return [*out, *trace.default_process_primitive(_linear, inputs, params)]
+
+
+def _go_back(cotangents: Any, *args: Any, ways: _Ways, back: Any) -> list[Any]:
+    arguments, tangents, checkpoints = ways.split(args)
+    real = ways.shapes[ways.values :]
+    found = back.unflatten(checkpoints)(
+        [
+            jnp.zeros(s.shape, s.dtype) if c is None or type(c) is ad.Zero else c
+            for c, s in zip(cotangents, real, strict=True)
+        ]
+    )
+    wanted = [
+        f if ad.is_undefined_primal(t) else None for f, t in zip(found, tangents, strict=True)
+    ]
+    return [*[None] * len(arguments), *wanted, *[None] * len(checkpoints)]
+
+
+_pair = jax.extend.core.Primitive("both_ways")
+_pair.multiple_results = True
+_pair.def_impl(_run_pair)
+_pair.def_abstract_eval(lambda *_, ways: ways.shapes)
+mlir.register_lowering(_pair, mlir.lower_fun(_run_pair, multiple_results=True))
+ad.primitive_jvps[_pair] = _forward_again(_run_pair)
+batching.primitive_batchers[_pair] = _many_pairs
+pe.custom_partial_eval_rules[_pair] = _fall_apart
+
+_linear = eqxi.create_vprim(
+    "both_ways_linear",
+    _run_linear,
+    lambda *_, ways, back: ways.shapes[ways.values :],
+    _forward_again(_run_linear),
+    _go_back,
+)
