@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
 import equinox as eqx
+import equinox.internal as eqxi
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
 from .._checks import check_nonnegative, check_positive, check_whole, to_float
+from .._derivatives import both_ways
 from .._types import ScalarLike, State
 from ..model.oscillators import AbstractOscillators
 from .base import AbstractObserver, Step
@@ -85,27 +91,35 @@ class Samples(AbstractObserver):
     def update(self, accumulator: _Samples, step: Step) -> _Samples:
         masses = self._masses(step.y0[0].shape[0])
         length = jnp.maximum(step.t1 - step.t0, 1e-300)
-
-        def theta(count: Array) -> Array:
-            return (accumulator.first + count * self.interval - step.t0) / length
-
-        def within(carry: tuple[Array, Array, Array]) -> Array:
-            count = carry[0]
-            return (theta(count) <= 1.0 + _ROUNDING) & (count < self.capacity)
-
-        def keep(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-            count, x, v = carry
-            here = (jnp.arange(self.capacity) == count)[:, None]
-            place = jnp.clip(theta(count), 0.0, 1.0)
-            now = step.displacement(place)[masses], step.velocity(place)[masses]
-            x, v = (
-                jnp.where(here, new[None, :], old) for new, old in zip(now, (x, v), strict=True)
-            )
-            return count + 1, x, v
-
-        count, x, v = lax.while_loop(
-            within, keep, (accumulator.count, accumulator.x, accumulator.v)
+        state_at = eqx.filter_closure_convert(
+            lambda theta: (step.displacement(theta), step.velocity(theta)), length
         )
+
+        def fill(loop: Callable[..., Any], args: Any) -> tuple[Array, Array, Array]:
+            accumulator, t0, length, state_at = args
+
+            def theta(count: Array) -> Array:
+                return (accumulator.first + count * self.interval - t0) / length
+
+            def within(carry: tuple[Array, Array, Array]) -> Array:
+                count = carry[0]
+                return (theta(count) <= 1.0 + _ROUNDING) & (count < self.capacity)
+
+            def keep(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+                count, x, v = carry
+                here = (jnp.arange(self.capacity) == count)[:, None]
+                now = (part[masses] for part in state_at(jnp.clip(theta(count), 0.0, 1.0)))
+                x, v = (
+                    jnp.where(here, new[None, :], old)
+                    for new, old in zip(now, (x, v), strict=True)
+                )
+                return count + 1, x, v
+
+            return loop(within, keep, (accumulator.count, accumulator.x, accumulator.v))
+
+        back = partial(eqxi.while_loop, kind="checkpointed", max_steps=self.capacity)
+        args = accumulator, step.t0, length, state_at
+        count, x, v = both_ways(partial(fill, lax.while_loop), partial(fill, back), args)
         return _Samples(accumulator.first, count, x, v)
 
     def settled(self, accumulator: _Samples) -> None:

@@ -17,6 +17,9 @@ from ..model.oscillators import AbstractOscillators
 from ..observers.base import AbstractObserver
 from ..result import Result
 
+# States of a run that are kept to go back through it; others are computed again.
+CHECKPOINTS = 1024
+
 
 class Progress(eqx.Module):
     """A run under way: everything needed to go on."""
@@ -78,6 +81,9 @@ class AbstractPlan(eqx.Module):
 
         **Returns:** the new progress (whose result is `max_steps_reached` if t1 was not reached)
         and the states at each array of `times`.
+
+        `adjoint`: `diffrax.ForwardMode()` (None) or `diffrax.RecursiveCheckpointAdjoint()`, for
+        derivatives of one kind each.
         """
 
     def read(self, progress: Progress) -> list:

@@ -38,7 +38,7 @@ from .accuracy import (
     default_rtol,
 )
 from .event_driven import EventDriven
-from .plan import AbstractPlan, Progress
+from .plan import CHECKPOINTS, AbstractPlan, Progress
 from .smoothed import SmoothedPlan
 
 
@@ -111,8 +111,11 @@ def simulate(
       limit.
     - `segments`: cut the run into this many parts of equal length and return the observed values
       of each, stacked in front; observers start anew in each part.
-    - `adjoint`: None is `diffrax.ForwardMode()` (for `jvp`, `jacfwd`, monodromy);
-      `diffrax.RecursiveCheckpointAdjoint()` with a finite `max_steps` serves `grad`.
+    - `adjoint`: None serves derivatives of both kinds, `jvp` and `jacfwd` as well as `grad` and
+      `jacrev`, in bounded memory however long the run: some states are kept, steps between them
+      are computed again.  A gradient in any number of parameters costs some six runs; up to three
+      parameters `jacfwd` is cheaper.  `diffrax.ForwardMode()` serves the first kind alone,
+      `diffrax.RecursiveCheckpointAdjoint(checkpoints=...)` the second with so many states kept.
     - `throw`: raise an error if the run fails; otherwise read `result`.
 
     **Raises:** `ValueError` for bad input before anything is compiled; `RuntimeError` with advice
@@ -238,9 +241,8 @@ def _run(
     return progress, (values, [])
 
 
-# What is kept of a run to go back through it: its state after so many steps, in all of this size.
-# A run of more steps computes some of them again; up to half the square of this number, once.
-_CHECKPOINTS, _BYTES = 4096, 2**26
+# Bytes of all the states that are kept.
+_KEPT = 2**26
 
 
 def _advance(
@@ -262,7 +264,7 @@ def _advance(
     if adjoint is not None:
         return go(adjoint)(args)
     size = sum(leaf.nbytes for leaf in jtu.tree_leaves(progress))
-    checkpoints = min(_CHECKPOINTS, max(_BYTES // (parts * size), 64))
+    checkpoints = min(CHECKPOINTS, max(_KEPT // (parts * size), 32))
     return both_ways(
         go(dfx.ForwardMode()), go(dfx.RecursiveCheckpointAdjoint(checkpoints=checkpoints)), args
     )

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
@@ -24,22 +25,42 @@ _ROUNDING = 1e-15
 _NEWTON_REACH = 0.1
 
 
+@jax.custom_jvp
 def value(coefficients: Sequence[Any], t: Any) -> Any:
-    """sum_k c_k t^k."""
+    """q(t) = sum_k c_k t^k."""
     total = coefficients[-1]
     for c in reversed(coefficients[:-1]):
         total = c + t * total
     return total
 
 
+@jax.custom_jvp
 def value_and_slope(coefficients: Sequence[Any], t: Any) -> tuple[Any, Any]:
     """(q(t), q'(t)) in one pass."""
     total: Any = coefficients[-1]
-    slope: Any = 0.0
+    slope: Any = jnp.zeros_like(total)
     for c in reversed(coefficients[:-1]):
         slope = total + t * slope
         total = c + t * total
     return total, slope
+
+
+# dq = sum_k dc_k t^k + q' dt.  Without these rules a derivative passes through every partial sum of
+# the scheme above, and in reverse mode each of them is kept.
+@value.defjvp
+def _(primals: Any, tangents: Any) -> tuple[Any, Any]:
+    (coefficients, t), (changes, dt) = primals, tangents
+    total, slope = value_and_slope(coefficients, t)
+    return total, value(changes, t) + slope * dt
+
+
+@value_and_slope.defjvp
+def _(primals: Any, tangents: Any) -> tuple[Any, Any]:
+    (coefficients, t), (changes, dt) = primals, tangents
+    curvature = value([k * (k - 1) * c for k, c in enumerate(coefficients)][2:], t)
+    found = value_and_slope(coefficients, t)
+    total, slope = value_and_slope(changes, t)
+    return found, (total + found[1] * dt, slope + curvature * dt)
 
 
 def greatest_curvature(coefficients: Sequence[Any], end: Any) -> Any:

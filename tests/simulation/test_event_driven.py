@@ -18,10 +18,13 @@ from jaxchain import (
     EventDriven,
     ExponentialDecay,
     PeakTimes,
+    Samples,
+    Section,
     StickTime,
     TanhFriction,
     Trajectory,
     WeakeningStrengthening,
+    energy,
     equation_8,
     excited_state,
     paper_chain,
@@ -326,8 +329,138 @@ def test_order_must_be_sensible(order):
         EventDriven(order)
 
 
-def test_reverse_mode_is_refused_with_a_way_out():
+def everything(belt_speed, stiffness, mu_static, x, v, t1, solver=EventDriven(6), rtol=1e-8):
+    """What a run of two masses returns, as one array."""
+    chain = paper_chain(2, belt_speed).with_(
+        stiffness=stiffness, mu_static=mu_static, coupling=0.1, width=1e-3
+    )
+    watch = (
+        Amplitude(window=5.0), Amplitude(), StickTime(), PeakTimes(4), Section(0, 4),
+        Samples(1.7, 4), Trajectory(jnp.array([0.0, 2.0, 2.0, 7.0])),
+    )  # fmt: skip
+    run = simulate(chain, (x, v), t1, solver=solver, rtol=rtol, observe=watch, throw=False)
+    parts = [part.ravel() for part in jax.tree.leaves((run.t, run.state, run.observed))]
+    out = jnp.concatenate(parts)
+    return jnp.where(jnp.isnan(out), 0.0, out)
+
+
+STICK_AND_RELEASE = ([2.2, 1.4], [0.3, -0.2])
+STARTS = {
+    "stick-and-release": (1.2, *STICK_AND_RELEASE),
+    "no-event": (3.0, [0.3, 0.2], [0.1, 0.0]),
+    "all-stick-at-first": (0.4, [0.0, 0.1], [0.4, 0.4]),
+    "almost-grazing": (0.80001, [0.5, 0.5], [0.79, 0.79]),
+}
+
+
+@jax.jit
+def both_derivatives(weights, *args):
+    """(the gradient of a sum with weights of everything, the same in forward mode)."""
+
+    def total(*args):
+        return weights @ everything(*args)
+
+    wanted = tuple(range(6))
+    return jax.grad(total, wanted)(*args), jax.jacfwd(total, wanted)(*args)
+
+
+@pytest.mark.parametrize("start", STARTS)
+def test_gradients_of_all_that_a_run_returns_are_those_of_forward_mode(start):
+    belt_speed, x, v = STARTS[start]
+    args = belt_speed, jnp.array([1.0, 1.1]), 1.0, jnp.array(x), jnp.array(v), 9.0
+    args = jax.tree.map(jnp.asarray, args)
+    size = jax.eval_shape(everything, *args).shape[0]
+    weights = jnp.asarray(np.random.default_rng(7).normal(size=size))
+    reverse, forward = both_derivatives(weights, *args)
+    assert max(float(jnp.max(jnp.abs(part))) for part in forward) > 0.1
+    for ours, theirs in zip(reverse, forward, strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-10, atol=1e-11)
+
+
+def final_energy(stiffness, adjoint=None, t1=9.0, **options):
+    chain = paper_chain(2, 1.2).with_(stiffness=stiffness, coupling=0.1)
+    start = tuple(map(jnp.array, STICK_AND_RELEASE))
+    result = run(chain, start, t1, order=6, rtol=1e-9, adjoint=adjoint, **options)
+    return 0.5 * jnp.sum(result.state[0] ** 2)
+
+
+def test_a_gradient_is_what_finite_differences_say():
+    at, h = jnp.array([1.0, 1.1]), 1e-5
+    end = jax.jit(final_energy)
+    ours = jax.jit(jax.grad(final_energy))(at)
+    steps = h * np.eye(2)
+    theirs = [(end(at + step) - end(at - step)) / (2 * h) for step in steps]
+    np.testing.assert_allclose(ours, theirs, rtol=1e-6, atol=1e-7)
+    assert np.max(np.abs(ours)) > 0.1
+
+
+def test_gradients_of_lanes_are_what_they_are_alone():
+    lanes = jnp.array([[1.0, 1.1], [0.7, 1.4], [1.2, 1.2]])
+    gradient = jax.jit(jax.grad(final_energy))
+    together = jax.jit(jax.vmap(jax.grad(final_energy)))(lanes)
+    of_sum = jax.jit(jax.grad(lambda lanes: jnp.sum(jax.vmap(final_energy)(lanes))))(lanes)
+    alone = [gradient(lane) for lane in lanes]
+    np.testing.assert_allclose(together, alone, rtol=1e-11)
+    np.testing.assert_allclose(of_sum, alone, rtol=1e-11)
+
+
+def test_a_run_of_more_steps_than_are_kept_has_the_same_gradient():
+    at = jnp.array([1.0, 1.1])
+    chain = paper_chain(2, 1.2).with_(stiffness=at, coupling=0.1)
+    start = tuple(map(jnp.array, STICK_AND_RELEASE))
+    assert int(run(chain, start, 9.0, order=6, rtol=1e-9).steps) > 3 * 5
+    few = dfx.RecursiveCheckpointAdjoint(checkpoints=3)
+    ours = jax.jit(jax.grad(lambda k: final_energy(k, few)))(at)
+    np.testing.assert_allclose(ours, jax.jit(jax.grad(final_energy))(at), rtol=1e-12)
+
+
+@pytest.mark.long
+def test_gradients_pass_through_segments():
+    def total(stiffness):
+        chain = paper_chain(2, 1.2).with_(stiffness=stiffness, coupling=0.1)
+        start = tuple(map(jnp.array, STICK_AND_RELEASE))
+        watch = run(chain, start, 9.0, order=6, rtol=1e-9, segments=3, observe=Amplitude())
+        return jnp.sum(watch.observed**2)
+
+    at = jnp.array([1.0, 1.1])
+    ours, theirs = jax.jit(lambda k: (jax.grad(total)(k), jax.jacfwd(total)(k)))(at)
+    np.testing.assert_allclose(ours, theirs, rtol=1e-10)
+
+
+@pytest.mark.long
+@pytest.mark.slow
+def test_smoothed_gradients_go_over_into_the_dry_one():
+    """By an error in proportion to the width, where the motion is regular."""
+    at, start = jnp.array([1.0, 1.1]), tuple(map(jnp.array, STICK_AND_RELEASE))
+
+    def end(stiffness, width):
+        chain = paper_chain(2, 1.2).with_(stiffness=stiffness, coupling=0.1, width=width)
+        state = simulate(chain, start, 9.0, rtol=1e-9).state
+        return 0.5 * jnp.sum(state[0] ** 2)
+
+    truth = jax.jit(jax.grad(final_energy))(at)
+    gradient = jax.jit(jax.grad(end))
+    errors = [np.max(np.abs(gradient(at, width) - truth)) for width in (1e-2, 1e-3, 1e-4)]
+    assert errors[0] > 4 * errors[1] > 16 * errors[2]
+    assert errors[2] < 2e-3 * np.max(np.abs(truth))
+
+
+@pytest.mark.long
+def test_the_gradient_in_all_stiffnesses_of_a_long_run():
+    chain = paper_chain(20, 1.5)
+
+    def total(stiffness):
+        own = chain.with_(stiffness=stiffness)
+        watch = simulate(
+            own, equation_8(chain, 1), 200.0, solver=EventDriven(), observe=Amplitude(window=50.0)
+        )
+        return energy(watch.observed)
+
+    ours, theirs = jax.jit(lambda k: (jax.grad(total)(k), jax.jacfwd(total)(k)))(jnp.ones(20))
+    np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-10 * np.max(np.abs(theirs)))
+
+
+def test_an_adjoint_of_another_kind_is_refused_with_a_way_out():
     chain = paper_chain(2, 1.3)
-    adjoint = dfx.RecursiveCheckpointAdjoint()
-    with pytest.raises(ValueError, match="jacfwd"):
-        run(chain, equation_8(chain, 1), 5.0, adjoint=adjoint)
+    with pytest.raises(ValueError, match=r"`adjoint`.*BacksolveAdjoint.*None serves"):
+        run(chain, equation_8(chain, 1), 5.0, adjoint=dfx.BacksolveAdjoint())

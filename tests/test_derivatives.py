@@ -1,0 +1,93 @@
+"""A loop with one program for forward and one for reverse derivatives, under JAX's transforms."""
+
+from functools import partial
+
+import equinox.internal as eqxi
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import lax
+
+from jaxchain._derivatives import both_ways
+
+AT = jnp.array([0.3, 0.5, 0.7])
+LANES, COUNTS = jnp.stack([AT, 2 * AT]), jnp.array([7, 3])
+
+
+def repeated(loop, args):
+    """x -> k sin x + 0.3 x, a number of times."""
+    x, k, count = args
+
+    def body(carry):
+        x, i = carry
+        return k * jnp.sin(x) + 0.3 * x, i + 1
+
+    return loop(lambda carry: carry[1] < count, body, (x, jnp.zeros((), int)))
+
+
+back = partial(eqxi.while_loop, kind="checkpointed", checkpoints=4)
+
+
+def total(k, x=jnp.array([0.1, 1.1, 2.1]), count=7):
+    args = x, k, jnp.asarray(count)
+    out, steps = both_ways(partial(repeated, lax.while_loop), partial(repeated, back), args)
+    return jnp.sum(out) + 0 * steps
+
+
+def plain(k, x=jnp.array([0.1, 1.1, 2.1]), count=7):
+    """The same, unrolled."""
+    for _ in range(count):
+        x = k * jnp.sin(x) + 0.3 * x
+    return jnp.sum(x)
+
+
+def of_lanes(k):
+    return jnp.sum(jax.vmap(lambda k, count: total(k, count=count))(k, COUNTS))
+
+
+def shared(k):
+    return jnp.sum(jax.vmap(lambda x, count: total(k, x, count))(LANES, COUNTS))
+
+
+def scanned(k):
+    def body(x, _):
+        return jnp.sin(total(k, x, 3)) + x, None
+
+    return jnp.sum(lax.scan(body, AT, None, length=3)[0])
+
+
+@pytest.mark.parametrize("function", [total, of_lanes, shared, scanned])
+def test_both_modes_agree(function):
+    at = LANES if function is of_lanes else AT
+    forward, gradient = jax.jacfwd(function)(at), jax.grad(function)(at)
+    assert np.max(np.abs(forward)) > 0.1
+    np.testing.assert_allclose(gradient, forward, rtol=1e-12)
+    np.testing.assert_allclose(jax.jit(jax.grad(function))(at), forward, rtol=1e-12)
+    np.testing.assert_allclose(jax.grad(jax.jit(function))(at), forward, rtol=1e-12)
+
+
+def test_values_and_derivatives_are_those_of_the_unrolled_loop():
+    np.testing.assert_allclose(total(AT), plain(AT), rtol=1e-14)
+    np.testing.assert_allclose(jax.grad(total)(AT), jax.grad(plain)(AT), rtol=1e-12)
+    np.testing.assert_allclose(jax.jacfwd(total)(AT), jax.grad(plain)(AT), rtol=1e-12)
+    lanes = jax.vmap(jax.grad(total))(LANES)
+    np.testing.assert_allclose(lanes, jax.vmap(jax.grad(plain))(LANES), rtol=1e-12)
+    linear = jax.vmap(jax.linearize(total, AT)[1])(jnp.eye(3))
+    np.testing.assert_allclose(linear, jax.grad(plain)(AT), rtol=1e-12)
+
+
+@pytest.mark.parametrize("outer", [jax.jacfwd, jax.jacrev])
+def test_jacobians_of_lanes(outer):
+    def several(k):
+        return total(k) * k
+
+    ours = jax.vmap(outer(several))(LANES)
+    theirs = jax.vmap(jax.jacfwd(lambda k: plain(k) * k))(LANES)
+    np.testing.assert_allclose(ours, theirs, rtol=1e-12)
+
+
+@pytest.mark.parametrize("inner", [jax.jacfwd, jax.jacrev])
+def test_second_derivatives(inner):
+    ours = jax.jacfwd(inner(total))(AT)
+    np.testing.assert_allclose(ours, jax.hessian(plain)(AT), rtol=1e-11)
