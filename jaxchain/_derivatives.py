@@ -1,13 +1,13 @@
 """A computation with two programs: one for forward and one for reverse derivatives.
 
 A `while` loop of unknown length carries tangents along, but cannot go back; one that keeps
-checkpoints goes back, but carries no tangents.  `both_ways` joins them: values and tangents (`jvp`,
-`jacfwd`) are the first program's, cotangents (`vjp`, `grad`, `jacrev`) the second one's.
+checkpoints goes back, but carries no tangents.  `both_ways` joins them: values and tangents
+(`jvp`, `jacfwd`) are the first program's, cotangents (`vjp`, `grad`, `jacrev`) the second one's.
 
-JAX asks for f and its tangent f' dx together.  That is one primitive here, `_pair`.  Before it goes
-back, JAX separates what is known, f, from what is linear in the unknown, f' dx.  There the pair
-falls into f, computed by the second program, and the primitive `_linear`, whose transpose goes back
-through that program's checkpoints.
+JAX asks for f and its tangent f' dx together.  That is one primitive here, `_pair`.  Before it
+goes back, JAX separates what is known, f, from what is linear in the unknown, f' dx.  There the
+pair falls into f, computed by the second program, and the primitive `_linear`, whose transpose
+goes back through that program's checkpoints.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def both_ways(forward: Callable[[Any], Any], reverse: Callable[[Any], Any], args
 
     @eqx.filter_custom_jvp
     def call(leaves: list[Any]) -> list[Any]:
-        return first(*leaves)
+        return _values.bind(*leaves, first=first)
 
     @call.def_jvp
     def _(primals: Any, tangents: Any) -> tuple[list[Any], list[Any]]:
@@ -83,15 +83,19 @@ class _Ways:
         inputs: Sequence[Any],
     ):
         self.second, self.moved, self.pair = second, moved, pair
-        structs = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in map(jax.typeof, inputs)]
-        outs = jax.eval_shape(pair, *structs)
-        self.shapes = [jax.core.ShapedArray(out.shape, out.dtype) for out in outs]
-        self.values = len(outs) - sum(_is_real(out) for out in outs) // 2
+        self.shapes = _shapes(pair, [jax.typeof(a) for a in inputs])
+        self.values = len(self.shapes) - sum(map(_is_real, self.shapes)) // 2
 
     def split(self, args: Sequence[Any]) -> tuple[list[Any], list[Any], list[Any]]:
         """(arguments, tangents, what comes after them)."""
         n, both = len(self.moved), len(self.moved) + sum(self.moved)
         return list(args[:n]), list(args[n:both]), list(args[both:])
+
+
+def _shapes(function: Flat, inputs: Sequence[Any]) -> list[Any]:
+    structs = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in inputs]
+    outs = jax.eval_shape(function, *structs)
+    return [jax.core.ShapedArray(out.shape, out.dtype) for out in outs]
 
 
 def _is_real(array: Any) -> bool:
@@ -117,6 +121,10 @@ def _pair_of(function: Flat, moved: list[bool]) -> Flat:
         return [*out, *slopes]
 
     return jax.jit(pair, inline=True)
+
+
+def _run_values(*args: Any, first: Flat) -> list[Any]:
+    return first(*args)
 
 
 def _run_pair(*args: Any, ways: _Ways) -> list[Any]:
@@ -204,6 +212,15 @@ def _go_back(cotangents: Any, *args: Any, ways: _Ways, back: Any) -> list[Any]:
     ]
     return [*[None] * len(arguments), *wanted, *[None] * len(checkpoints)]
 
+
+# Under `vmap` all values have an axis or none has, as those of `_pair`: `custom_jvp` needs that.
+_values = eqxi.create_vprim(
+    "both_ways_values",
+    _run_values,
+    lambda *args, first: _shapes(first, args),
+    _forward_again(_run_values),
+    None,
+)
 
 _pair = jax.extend.core.Primitive("both_ways")
 _pair.multiple_results = True

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import operator
 from typing import Any
 
 import equinox as eqx
@@ -133,12 +135,23 @@ class Outcome(eqx.Module):
 
 # In the order of the enumeration's integer values, for labels and reports.
 NAMES = tuple(Result._name_to_item)  # pyright: ignore  # equinox offers no public way
-STOPPED_WELL = ("successful", "quiet", "steady")
+_STOPPED_WELL = [NAMES.index(name) for name in ("successful", "quiet", "steady")]
 
 
 def code(result: Result) -> Any:
     """The integer behind a (possibly traced or batched) `Result`: an index into `NAMES`."""
     return result._value  # pyright: ignore  # equinox offers no public accessor
+
+
+def ended_well(result: Any) -> Any:
+    """Whether runs went to their end, or stopped early because nothing could change any more.
+
+    **Arguments:** a `Result`, a code or an array of codes, or the name of one outcome.
+    """
+    if isinstance(result, str):
+        return NAMES.index(result) in _STOPPED_WELL
+    result = code(result) if isinstance(result, type(Result.quiet)) else result
+    return functools.reduce(operator.or_, [result == well for well in _STOPPED_WELL])
 
 
 def message(name: str) -> str:

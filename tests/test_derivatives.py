@@ -11,6 +11,7 @@ from jax import lax
 
 from jaxchain._derivatives import both_ways
 
+START = jnp.array([0.1, 1.1, 2.1])
 AT = jnp.array([0.3, 0.5, 0.7])
 LANES, COUNTS = jnp.stack([AT, 2 * AT]), jnp.array([7, 3])
 
@@ -29,13 +30,13 @@ def repeated(loop, args):
 back = partial(eqxi.while_loop, kind="checkpointed", checkpoints=4)
 
 
-def total(k, x=jnp.array([0.1, 1.1, 2.1]), count=7):
+def total(k, x=START, count=7):
     args = x, k, jnp.asarray(count)
     out, steps = both_ways(partial(repeated, lax.while_loop), partial(repeated, back), args)
     return jnp.sum(out) + 0 * steps
 
 
-def plain(k, x=jnp.array([0.1, 1.1, 2.1]), count=7):
+def plain(k, x=START, count=7):
     """The same, unrolled."""
     for _ in range(count):
         x = k * jnp.sin(x) + 0.3 * x
@@ -47,7 +48,7 @@ def of_lanes(k):
 
 
 def shared(k):
-    return jnp.sum(jax.vmap(lambda x, count: total(k, x, count))(LANES, COUNTS))
+    return jnp.sum(jax.vmap(lambda x: total(k, x))(LANES))
 
 
 def scanned(k):

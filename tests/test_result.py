@@ -1,6 +1,8 @@
 """How runs end: names, codes and advice belong together."""
 
-from jaxchain.result import NAMES, STOPPED_WELL, Result, code, message
+import numpy as np
+
+from jaxchain.result import NAMES, Result, code, ended_well, message
 
 
 def test_names_stand_in_the_order_of_their_codes():
@@ -15,4 +17,11 @@ def test_names_stand_in_the_order_of_their_codes():
 def test_every_failure_has_advice():
     for name in NAMES:
         assert bool(message(name)) == (name != "successful")
-    assert set(STOPPED_WELL) < set(NAMES)
+
+
+def test_runs_that_ended_well_are_told_in_every_form():
+    well = [name for name in NAMES if ended_well(name)]
+    assert well == ["successful", "quiet", "steady"]
+    codes = np.arange(len(NAMES))
+    assert [NAMES[i] for i in codes[ended_well(codes)]] == well
+    assert [name for name in NAMES if ended_well(getattr(Result, name))] == well

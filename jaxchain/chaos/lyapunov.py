@@ -34,7 +34,7 @@ from ..model.chain import Chain
 from ..model.oscillators import AbstractOscillators
 from ..observers.divergence import Divergence
 from ..observers.stick_time import MostSticking
-from ..result import STOPPED_WELL, Result, message
+from ..result import Result, ended_well, message
 from ..simulation.accuracy import MAX_STEP, USUAL_RTOL, check_resolved, choose_solver, default_rtol
 from ..simulation.event_driven import EventDriven, EventDrivenPlan
 from ..simulation.plan import AbstractPlan
@@ -159,7 +159,7 @@ def lyapunov_spectrum(
             parts.append(growth)
         growths = jtu.tree_map(lambda *rows: jnp.stack(rows), *parts)
     found = _read(frame, growths, spans)
-    if throw and not is_traced(found) and found.outcome not in STOPPED_WELL:
+    if throw and not is_traced(found) and not ended_well(found.outcome):
         raise RuntimeError(
             f"The run ended at t = {float(found.t):.6g} with `{found.outcome}`: "
             f"{message(found.outcome)}"

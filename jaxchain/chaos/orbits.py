@@ -13,7 +13,7 @@ from ..cycles.closing import ClosedOrbit, close_orbit
 from ..model.chain import Chain
 from ..model.oscillators import AbstractOscillators
 from ..observers.quantities import energy
-from ..result import NAMES, STOPPED_WELL
+from ..result import NAMES, ended_well
 from .criteria import Criteria
 from .poincare import mean_periods, novelty, phases, recurrence, symmetry_defect
 from .records import Evidence
@@ -44,7 +44,7 @@ def judge_orbit(
     """
     own = replace(trial.evidence, kind="open", state=(trial.x, trial.v))
     outcome = NAMES[int(record.result)]
-    if outcome not in STOPPED_WELL:
+    if not ended_well(outcome):
         return Judgement(replace(own, kind=outcome), trial.reference)
     amplitude = record.amplitude
     half = len(amplitude) // 2

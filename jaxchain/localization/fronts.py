@@ -10,7 +10,7 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from .._checks import (
     check_count,
@@ -24,7 +24,7 @@ from .._types import ScalarLike
 from ..model.chain import Chain
 from ..model.initial_states import check_vibrating
 from ..observers.fronts import Fronts, FrontTrack, apart, mean_speed
-from ..result import STOPPED_WELL, Result
+from ..result import Result, ended_well
 from ..simulation.event_driven import EventDriven
 from ..simulation.run import simulate
 
@@ -61,11 +61,6 @@ class FrontSpeed(eqx.Module):
     def outcome(self) -> str:
         """ "grows", "stands", "shrinks" or "unknown", of one run (not of a batch)."""
         return VERDICTS[int(self.verdict) + 1]
-
-
-def ended_well(result: Result) -> Bool[Array, ""]:
-    """Whether a run has an answer."""
-    return jnp.any(jnp.stack([result == getattr(Result, name) for name in STOPPED_WELL]))
 
 
 @eqx.filter_jit

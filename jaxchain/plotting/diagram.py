@@ -15,7 +15,7 @@ import xarray as xr
 
 from ..observers import quantities
 from ..observers.quantities import LEAST_ACTIVE
-from ..result import NAMES, STOPPED_WELL
+from ..result import ended_well
 
 
 def parameters(data: xr.Dataset) -> dict[str, Any]:
@@ -46,7 +46,7 @@ def hopf_belt_speed(data: xr.Dataset) -> float | None:
 
 def failed(data: xr.Dataset) -> xr.DataArray:
     """Which runs have no answer."""
-    return ~data["result"].isin([NAMES.index(name) for name in STOPPED_WELL])
+    return ~ended_well(data["result"])
 
 
 def energy(data: xr.Dataset) -> xr.DataArray | None:

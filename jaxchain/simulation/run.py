@@ -27,7 +27,7 @@ from ..model.chain import Chain
 from ..model.oscillators import AbstractOscillators
 from ..observers.base import AbstractObserver
 from ..observers.trajectory import Trajectory
-from ..result import NAMES, STOPPED_WELL, Result, code, message
+from ..result import NAMES, Result, code, ended_well, message
 from .accuracy import (
     MAX_STEP,
     USUAL_RTOL,
@@ -322,10 +322,9 @@ def _check_trajectory(trajectory: Trajectory, t0: Any, t1: Any, segments: int | 
 def _raise_on_failure(progress: Progress) -> Progress:
     value = code(progress.result)
     if is_traced(value):
-        well = jnp.stack([progress.result == getattr(Result, name) for name in STOPPED_WELL])
-        return progress.result.error_if(progress, ~jnp.any(well))
+        return progress.result.error_if(progress, ~ended_well(value))
     name = NAMES[int(value)]
-    if name not in STOPPED_WELL:
+    if not ended_well(name):
         raise RuntimeError(
             f"The run ended at t = {float(progress.t):.6g} with `{name}`: {message(name)}"
         )

@@ -45,8 +45,8 @@ def value_and_slope(coefficients: Sequence[Any], t: Any) -> tuple[Any, Any]:
     return total, slope
 
 
-# dq = sum_k dc_k t^k + q' dt.  Without these rules a derivative passes through every partial sum of
-# the scheme above, and in reverse mode each of them is kept.
+# dq = sum_k dc_k t^k + q' dt.  Without these rules a derivative passes through every partial sum
+# of the scheme above, and in reverse mode each of them is kept.
 @value.defjvp
 def _(primals: Any, tangents: Any) -> tuple[Any, Any]:
     (coefficients, t), (changes, dt) = primals, tangents

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from jaxchain.result import NAMES, STOPPED_WELL
+from jaxchain.result import ended_well
 
 
 def table(columns: Mapping[str, tuple[Any, str]]) -> str:
@@ -44,7 +44,6 @@ def pairs(form: str, first: Any, second: Any) -> list[str]:
 
 def ended_well(data: xr.Dataset) -> str:
     """ "all 12 runs ended well", or how many of them failed."""
-    well = [NAMES.index(name) for name in STOPPED_WELL]
-    bad = int((~np.isin(data["result"].values, well)).sum())
+    bad = int((~ended_well(data["result"].values)).sum())
     count = data["result"].size
     return f"{bad} of {count} runs FAILED" if bad else f"all {count} runs ended well"

@@ -34,7 +34,7 @@ from .._types import ScalarLike, State
 from ..model.arguments import as_chain
 from ..model.chain import Chain
 from ..model.parameters import parameter
-from ..result import NAMES, STOPPED_WELL, message
+from ..result import NAMES, ended_well, message
 from ..simulation.accuracy import (
     MAX_STEP,
     USUAL_RTOL,
@@ -274,8 +274,7 @@ def _check_together(chain: Chain, axes: Mapping[str, np.ndarray]) -> None:
 
 def _blank_failures(records: dict[str, Any]) -> None:
     """What a failed lane had observed by then is no answer: NaN."""
-    well = [NAMES.index(name) for name in STOPPED_WELL]
-    failed = ~np.isin(records["result"], well)
+    failed = ~ended_well(records["result"])
     for observed in jtu.tree_leaves(records["observed"]):
         if np.issubdtype(observed.dtype, np.floating):
             observed[failed] = np.nan
@@ -292,7 +291,7 @@ def _warn_of_failures(dataset: Dataset) -> None:
     codes = dataset["result"].values
     for value, name in enumerate(NAMES):
         count = int(np.sum(codes == value))
-        if count and name not in STOPPED_WELL:
+        if count and not ended_well(name):
             warnings.warn(
                 f"{count} of {codes.size} lanes ended with `{name}`: {message(name)}",
                 stacklevel=3,

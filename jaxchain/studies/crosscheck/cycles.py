@@ -18,7 +18,7 @@ from jaxchain.observers.base import AbstractObserver, Step
 from jaxchain.observers.quantities import active_above
 from jaxchain.observers.section import Section
 from jaxchain.observers.stick_time import StickTime
-from jaxchain.result import NAMES, STOPPED_WELL
+from jaxchain.result import ended_well
 from jaxchain.scenes.tables import TimeTable
 from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.simulation.run import simulate
@@ -82,7 +82,7 @@ def find_cycles(data: xr.Dataset) -> xr.Dataset:
     outcome = xr.where(apart <= _SETTLED, VIBRATES, UNSETTLED)  # NaN is not settled
     threshold = speed.copy(data=np.asarray(active_above(speed.values)))
     outcome = xr.where(amplitude > threshold, outcome, RESTS)
-    well = data["result"].isin([NAMES.index(name) for name in STOPPED_WELL])
+    well = ended_well(data["result"])
     outcome = xr.where(well, outcome, FAILED).astype(np.int8)
     found = {"amplitude": amplitude, "period": period, "stick_time": data["stick_time"]}
     return xr.Dataset(found).where(outcome == VIBRATES).assign(outcome=outcome)

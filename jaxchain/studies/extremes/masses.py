@@ -16,7 +16,7 @@ from jaxchain.model.chain import Chain, steady_sliding
 from jaxchain.model.friction import ExponentialDecay, TanhFriction
 from jaxchain.model.initial_states import excited_state
 from jaxchain.observers.amplitude import Amplitude
-from jaxchain.result import NAMES, STOPPED_WELL
+from jaxchain.result import NAMES, ended_well
 from jaxchain.simulation.accuracy import default_rtol
 from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.simulation.run import Simulation, simulate
@@ -221,7 +221,7 @@ def _ensembles() -> Iterator[Case]:
         good = np.linspace(0.0, 0.1, 999)
         mixed = _sweep(model, np.insert(good, 500, -50.0))
         outcome = NAMES[mixed["result"].values[500]]
-        if outcome in STOPPED_WELL or not np.isnan(mixed["amplitude"].values[500]).all():
+        if ended_well(outcome) or not np.isnan(mixed["amplitude"].values[500]).all():
             raise ArithmeticError(f"the lane that runs away ended as `{outcome}`")
         alone = _sweep(model, good)["amplitude"].values
         return Answer(np.delete(mixed["amplitude"].values, 500, 0), alone, 0.0)

@@ -29,7 +29,7 @@ from jaxchain.model.initial_states import excited_block, excited_state
 from jaxchain.model.sliding import growth_rate
 from jaxchain.observers.amplitude import Amplitude
 from jaxchain.observers.fronts import Fronts, FrontTrack
-from jaxchain.result import NAMES, STOPPED_WELL, Result
+from jaxchain.result import ended_well, Result
 from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.simulation.run import simulate
 from jaxchain.studies._study import Job
@@ -269,7 +269,7 @@ def pinning(study: Study, job: Job) -> xr.Dataset:
             vary=_Places(jnp.asarray(couplings), jnp.asarray(speeds)), progress=job.progress,
             description=description,
         ).isel(seed=0)  # fmt: skip
-        known &= np.isin(found["result"], [NAMES.index(name) for name in STOPPED_WELL])
+        known &= ended_well(found["result"])
         # Fronts that met before their speed could be measured have moved.
         return (np.abs(found["moved"].values) >= 1.0) | np.isnan(found["speed"].values)
 

@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from jaxchain.observers.quantities import active_above
-from jaxchain.result import NAMES, STOPPED_WELL, message
+from jaxchain.result import NAMES, ended_well, message
 from jaxchain.studies._reports import table
 
 

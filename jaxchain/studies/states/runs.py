@@ -26,7 +26,7 @@ from jaxchain.observers.amplitude import Amplitude
 from jaxchain.observers.base import AbstractObserver
 from jaxchain.observers.peaks import PeakTimes
 from jaxchain.observers.samples import Samples
-from jaxchain.result import NAMES, STOPPED_WELL
+from jaxchain.result import NAMES, ended_well
 from jaxchain.scenes.building import build_chain, build_initial, build_solver
 from jaxchain.simulation.accuracy import check_resolved, choose_solver
 from jaxchain.simulation.event_driven import EventDriven
@@ -110,7 +110,7 @@ def run_states(
     # The amplitude is the first observer of every stage.
     records["observed"] = records["observed"][:1]
     records = jax.tree.map(lambda a: a[mine], records)
-    failed = ~np.isin(records["result"], [NAMES.index(name) for name in STOPPED_WELL])
+    failed = ~ended_well(records["result"])
     if interrupted:
         records["result"][~failed] = NAMES.index("interrupted")
     records["observed"][0][failed | interrupted] = np.nan
