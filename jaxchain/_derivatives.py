@@ -19,6 +19,7 @@ from typing import Any
 import equinox as eqx
 import equinox.internal as eqxi
 import jax
+import jax.core
 import jax.extend.core
 import jax.numpy as jnp
 import jax.tree_util as jtu

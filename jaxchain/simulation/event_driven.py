@@ -117,7 +117,7 @@ class EventDrivenPlan(AbstractPlan):
             # Parts of so many steps.  The start of each part is kept, and while going back through
             # one of them every step of it.
             most_kept: int = adjoint.checkpoints or CHECKPOINTS
-            back = partial(
+            back: Any = partial(
                 eqxi.while_loop, goes_on, kind="checkpointed", checkpoints=most_kept,
                 buffers=lambda carry: [record.states for record in carry[1]],
             )  # fmt: skip
@@ -252,7 +252,7 @@ class _Record(eqx.Module):
 
     def keep(self, t: Array, state: State) -> _Record:
         """With the state, if the time is one of those asked for."""
-        here = self.next_time() <= t
+        here: Any = self.next_time() <= t
         place = jnp.minimum(self.count, self.times.shape[0] - 1)
         # On the way of reverse derivatives these are buffers, which are written to only like this.
         states = tuple(

@@ -113,8 +113,9 @@ def simulate(
       of each, stacked in front; observers start anew in each part.
     - `adjoint`: None serves derivatives of both kinds, `jvp` and `jacfwd` as well as `grad` and
       `jacrev`, in bounded memory however long the run: some states are kept, steps between them
-      are computed again.  A gradient in any number of parameters costs some six runs; up to three
-      parameters `jacfwd` is cheaper.  `diffrax.ForwardMode()` serves the first kind alone,
+      are computed again.  A gradient costs as much as seven to nine runs whatever the number of
+      parameters, and `jacfwd` as much as five or six for twenty of them, so that it is cheaper
+      up to some thirty.  `diffrax.ForwardMode()` serves the first kind alone,
       `diffrax.RecursiveCheckpointAdjoint(checkpoints=...)` the second with so many states kept.
     - `throw`: raise an error if the run fails; otherwise read `result`.
 
