@@ -8,7 +8,7 @@ from jaxchain.simulation.observing_solver import SETTLED
 
 
 def test_the_result_that_ends_a_settled_run_is_returned_by_one_unused_controller_alone():
-    assert SETTLED == dfx.RESULTS.max_steps_rejected
+    assert dfx.RESULTS.max_steps_rejected == SETTLED
     package = Path(dfx.__file__).parent
     used = {
         path.name for path in package.rglob("*.py") if "max_steps_rejected" in path.read_text()
