@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from jaxchain.result import ended_well
+from jaxchain import result
 
 
 def table(columns: Mapping[str, tuple[Any, str]]) -> str:
@@ -44,6 +44,6 @@ def pairs(form: str, first: Any, second: Any) -> list[str]:
 
 def ended_well(data: xr.Dataset) -> str:
     """ "all 12 runs ended well", or how many of them failed."""
-    bad = int((~ended_well(data["result"].values)).sum())
+    bad = int((~result.ended_well(data["result"].values)).sum())
     count = data["result"].size
     return f"{bad} of {count} runs FAILED" if bad else f"all {count} runs ended well"

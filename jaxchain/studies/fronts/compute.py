@@ -29,7 +29,7 @@ from jaxchain.model.initial_states import excited_block, excited_state
 from jaxchain.model.sliding import growth_rate
 from jaxchain.observers.amplitude import Amplitude
 from jaxchain.observers.fronts import Fronts, FrontTrack
-from jaxchain.result import ended_well, Result
+from jaxchain.result import Result, ended_well
 from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.simulation.run import simulate
 from jaxchain.studies._study import Job

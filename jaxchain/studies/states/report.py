@@ -31,7 +31,7 @@ def summary(key: str, data: xr.Dataset) -> str:
         columns["spread / T"] = (data["delay_spread"] / data["period"], ".2g")
     states = [data.sel(excited=count) for count in data["excited"].values]
     columns["oscillators"] = ([_failure(one) or ranges(vibrating(one)) for one in states], "")
-    failures = {NAMES[code] for code in data["result"].values} - set(STOPPED_WELL)
+    failures = {NAMES[code] for code in data["result"].values if not ended_well(code)}
     return "\n".join(
         [head, table(columns), *(f"  {name}: {message(name)}" for name in sorted(failures))]
     )
@@ -39,7 +39,7 @@ def summary(key: str, data: xr.Dataset) -> str:
 
 def _failure(state: xr.Dataset) -> str:
     name = NAMES[int(state["result"])]
-    return "" if name in STOPPED_WELL else f"{name} at {float(state['end_time']):.6g}"
+    return "" if ended_well(name) else f"{name} at {float(state['end_time']):.6g}"
 
 
 def vibrating(state: xr.Dataset) -> np.ndarray:
