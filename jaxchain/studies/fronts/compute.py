@@ -269,7 +269,7 @@ def pinning(study: Study, job: Job) -> xr.Dataset:
             vary=_Places(jnp.asarray(couplings), jnp.asarray(speeds)), progress=job.progress,
             description=description,
         ).isel(seed=0)  # fmt: skip
-        known &= ended_well(found["result"])
+        known &= ended_well(found["result"].values)
         # Fronts that met before their speed could be measured have moved.
         return (np.abs(found["moved"].values) >= 1.0) | np.isnan(found["speed"].values)
 
