@@ -245,7 +245,7 @@ class _Places(eqx.Module):
     coupling: Array
     belt_speed: Array
 
-    def __call__(self, chain: Chain, place: Array, edge: Array, in_phase: Array) -> Chain:
+    def __call__(self, chain: Chain, place: Any, edge: Any, in_phase: Any) -> Chain:
         speed = self.belt_speed[place, edge, in_phase]
         return chain.with_(coupling=self.coupling[place], belt_speed=speed)
 
