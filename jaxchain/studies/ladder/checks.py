@@ -181,10 +181,11 @@ def dry_runs(study: Study, branches: dict[str, xr.Dataset]) -> xr.Dataset:
         )
         return end.observed
 
-    amplitude, times = (np.asarray(part) for part in run(speeds, x, v)) if lot else _NOTHING
+    amplitude, times = run(speeds, x, v) if lot else _NOTHING
     rows = []
     for (key, _), own, heights, peaks in zip(lot, picked, amplitude, times, strict=True):
-        gaps = np.diff(peaks[:, np.asarray(active(heights, float(own["belt_speed"])))], axis=0)
+        vibrates = active(heights, float(own["belt_speed"]))
+        gaps = np.diff(np.asarray(peaks[:, vibrates]), axis=0)
         gaps = gaps[np.isfinite(gaps)]
         known = gaps.size > 0
         rows.append(
