@@ -1,16 +1,21 @@
 """Scenes with smoothed friction, with true dry friction, and with both on one picture."""
 
+from functools import partial
+
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray as xr
 
 from jaxchain import find_limit_cycle, fold_belt_speed, paper_chain
+from jaxchain.observers.stick_time import StickTime
 from jaxchain.plotting.sweeps import figure
 from jaxchain.scenes.boundaries import cycles, hopf_speed
 from jaxchain.scenes.building import build_chain
 from jaxchain.scenes.errors import SceneError
 from jaxchain.scenes.reading import load_scene
 from jaxchain.scenes.running import run_experiment, run_scene
+from jaxchain.scenes.tables import TimeTable
 
 SCENE = """
 title = "Three masses"
@@ -79,6 +84,25 @@ def test_true_dry_friction_alone_goes_by_the_name_of_the_experiment(tmp_path):
     data = run_scene(scene(tmp_path, "nonsmooth"), tmp_path, plot=False, report=lambda text: None)
     assert list(data) == ["ladder"]
     assert data["ladder"].attrs["model"] == "nonsmooth"
+
+
+def test_who_runs_an_experiment_may_bring_a_start_and_an_observer(tmp_path):
+    experiment = scene(tmp_path, "nonsmooth").scene.experiment["ladder"]
+    short = experiment.model_copy(
+        update={
+            "time": TimeTable(transient=0.0, window=3.0),
+            "sweep": {"belt_speed": [0.5], "excited": [1.0]},
+        }
+    )
+    run = partial(run_experiment, short, model="nonsmooth")
+
+    def start(chain, excited):
+        return jnp.full(chain.n, 0.1 * excited), jnp.full(chain.n, 0.5)
+
+    data = run(initial=start, observe=StickTime())
+    assert "amplitude" not in data
+    # Carried from 0.1 to where k x = 1 - 2 xi v, all alike.
+    np.testing.assert_allclose(data["stick_time"].values.ravel(), (0.95 - 0.1) / 0.5, atol=1e-6)
 
 
 @pytest.mark.long

@@ -23,6 +23,7 @@ from jaxchain import (
 )
 from jaxchain.observers import settled
 from jaxchain.simulation import choose_numerics
+from jaxchain.simulation.accuracy import default_rtol
 
 SETS, N = 20, 5
 # A series shorter than what suits a tight tolerance takes more steps, but compiles fast.
@@ -216,3 +217,10 @@ def test_what_the_readme_says_of_a_width_of_1e_3():
     print(dict(zip(speeds.tolist(), percent.round(3).tolist(), strict=True)))
     np.testing.assert_allclose(said, percent, atol=0.006)
     np.testing.assert_allclose(percent * speeds, 0.32, atol=0.035)  # "some 0.3 %"
+
+
+def test_the_tolerance_follows_a_width_down_from_what_was_asked_for():
+    assert default_rtol(1, 1e-6, -0.9) == pytest.approx(1e-6 / 30)
+    assert default_rtol(1, 1e-2, [0.1, 0.9]) == 1e-6
+    assert default_rtol(4, [1e-2, 1e-6], 0.9, 1e-3, clean=60.0) == pytest.approx(1e-6 / 120)
+    assert default_rtol(4, 1e-2, 0.9, 1e-8, clean=60.0) == 1e-8
