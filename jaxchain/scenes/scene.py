@@ -28,11 +28,11 @@ from .tables import (
     InitialTable,
     NumericsTable,
     ObserveTable,
-    Range,
     SolverTable,
     Table,
     TimeTable,
     Values,
+    array,
     short_of_a_period,
 )
 
@@ -96,11 +96,8 @@ class SweepTable(Table):
         """
         if not self.sweep:
             return {"belt_speed": np.array([self.given("belt_speed")])}
-        grid = {}
-        for name, values in self.sweep.items():
-            array = values.array() if isinstance(values, Range) else np.array(values)
-            grid[name] = array.astype(int) if name == "excited" else array
-        return grid
+        grid = {name: array(values) for name, values in self.sweep.items()}
+        return {k: v.astype(int) if k == "excited" else v for k, v in grid.items()}
 
     def lanes(self) -> int:
         """Number of runs."""
@@ -121,18 +118,18 @@ class SweepTable(Table):
                 near = did_you_mean(name, self.sweepable())
                 yield name, f"cannot be swept{near}; allowed: {', '.join(self.sweepable())}"
                 continue
-            array = values.array() if isinstance(values, Range) else np.array(values)
-            least, sign = np.min(array), parameter(name).sign
+            numbers = array(values)
+            least, sign = np.min(numbers), parameter(name).sign
             if sign == "positive" and least <= 0:
                 yield name, f"must be greater than 0 throughout, but holds {least:g}"
             if sign == "nonnegative" and least < 0:
                 yield name, f"must not be negative, but holds {least:g}"
-            different, times = np.unique(array, return_counts=True)
-            if different.size < array.size:
+            different, times = np.unique(numbers, return_counts=True)
+            if different.size < numbers.size:
                 yield name, f"holds {different[times > 1][0]:g} more than once"
             if name == "excited":
                 n = self.chain.n
-                bad = array[(array != np.round(array)) | (array < 0) | (array > n)]
+                bad = numbers[(numbers != np.round(numbers)) | (numbers < 0) | (numbers > n)]
                 if bad.size:
                     must = f"must be whole numbers from 0 to {n} (`chain.n`)"
                     yield name, f"{must}, but holds {bad[0]:g}"

@@ -154,6 +154,15 @@ Values: TypeAlias = Annotated[
 ]
 
 
+def array(values: Values) -> np.ndarray:
+    """The numbers of a list or a range.
+
+    >>> array(Range(start=1.0, stop=2.0, step=0.5)).tolist()
+    [1.0, 1.5, 2.0]
+    """
+    return values.array() if isinstance(values, Range) else np.array(values)
+
+
 _WEAKENING = ("width", "mu_static", "mu_dynamic", "v_ref")
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 import numpy as np
 from pydantic import Field, model_validator
 
-from jaxchain.scenes.tables import NonNegative, Positive, Range, Table, Values
+from jaxchain.scenes.tables import NonNegative, Positive, Table
 
 if TYPE_CHECKING:
     from jaxchain.model.chain import Chain
@@ -15,15 +15,6 @@ if TYPE_CHECKING:
 Count: TypeAlias = Annotated[int, Field(ge=1)]
 Several: TypeAlias = Annotated[list[Positive], Field(min_length=1)]
 Tolerance: TypeAlias = Annotated[float, Field(gt=0, lt=1)]
-
-
-def array(values: Values) -> np.ndarray:
-    """The numbers of a list or a range.
-
-    >>> array(Range(start=1.0, stop=2.0, step=0.5)).tolist()
-    [1.0, 1.5, 2.0]
-    """
-    return values.array() if isinstance(values, Range) else np.array(values)
 
 
 class Span(Table):

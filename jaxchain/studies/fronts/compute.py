@@ -30,10 +30,10 @@ from jaxchain.model.sliding import growth_rate
 from jaxchain.observers.amplitude import Amplitude
 from jaxchain.observers.fronts import Fronts, FrontTrack
 from jaxchain.result import Result, ended_well
+from jaxchain.scenes.tables import array
 from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.simulation.run import simulate
 from jaxchain.studies._study import Job
-from jaxchain.studies._tables import array
 from jaxchain.studies.fronts.table import Study
 from jaxchain.sweeps.sweeping import sweep
 
