@@ -8,14 +8,12 @@ and `jvp` go through it.
 """
 
 import abc
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.experimental.jet import jet
 from jaxtyping import Array, ArrayLike, Float
 
 from .._checks import (
@@ -34,10 +32,46 @@ _ORDER_REMEDY = "friction at rest exceeds friction in motion; raise `mu_static`.
 
 
 class AbstractFrictionLaw(eqx.Module):
-    """The friction coefficient as a function of the sliding speed alone."""
+    """The friction coefficient as a function of the sliding speed alone.
+
+    A law of one's own needs a field or property `mu_static` and the method `coefficient`, written
+    with `jax.numpy`.  It then does what the laws of this package do: it is smoothed by
+    `TanhFriction`, integrated event by event, swept, differentiated.  Its fields are numbers, one
+    or one per mass, and leaves; what shall be none, such as a whole exponent, is a static field,
+    `p: int = equinox.field(static=True)`.
+
+    mu(s) must be continuous, and analytic but at the speeds that are listed in `knots`.
+
+    !!! example
+
+        >>> import jax, jax.numpy as jnp
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import Chain, EventDriven, TanhFriction, equation_8, simulate
+        >>> from jaxchain.model import AbstractFrictionLaw
+        >>> class Rational(AbstractFrictionLaw):
+        ...     mu_static: float
+        ...     v_ref: float
+        ...     def coefficient(self, speed):
+        ...         return self.mu_static / (1.0 + speed / self.v_ref)
+        >>> chain = Chain(1, TanhFriction(Rational(1.0, 1.5), 1e-4), belt_speed=0.5)
+        >>> start = equation_8(chain, 1)
+        >>> smoothed = simulate(chain, start, 5.0, rtol=1e-7)
+        >>> dry = simulate(chain, start, 5.0, solver=EventDriven())
+        >>> [round(float(run.state[0][0]), 3) for run in (smoothed, dry)]
+        [0.0, 0.0]
+    """
 
     mu_static: eqx.AbstractVar[PerMass]
     """Friction at rest, mu(0): a sticking mass holds while |force| <= mu_static."""
+
+    @property
+    def knots(self) -> ArrayLike | Sequence[float] | None:
+        """Speeds > 0, rising, at which mu is not analytic, of shape (knots,); None if everywhere.
+
+        An event-driven step ends there.  A law that chooses between cases by the speed
+        (`jnp.where`, `jnp.maximum`, ...) must say where, or be refused: `knots = ()` if nowhere.
+        """
+        return None
 
     @abc.abstractmethod
     def coefficient(self, speed: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
@@ -46,22 +80,6 @@ class AbstractFrictionLaw(eqx.Module):
         **Arguments:** `speed` = |w| >= 0, of any shape; of shape (n,) or () if a parameter is
         given per mass.
         """
-
-    def taylor_coefficient(self, speed: Sequence[Any], before: Sequence[Any]) -> Any:
-        """The next Taylor coefficient in time of mu(s(t)), for Taylor integrators.
-
-        **Arguments:** `speed` = s_0 ... s_k, the coefficients of s(t) = s_0 + s_1 t + ...;
-        `before` = m_0 ... m_{k-1}, those of mu(s(t)) that are known.
-
-        **Returns:** m_k.  Right for every smooth law by Taylor-mode differentiation; a law with a
-        recurrence overrides it, because k of them cost as much as one of these.
-        """
-        k = len(before)
-        if k == 0:
-            return self.coefficient(speed[0])
-        derivatives = [math.factorial(j) * speed[j] for j in range(1, k + 1)]
-        _, series = jet(self.coefficient, (speed[0],), (derivatives,))
-        return series[k - 1] / math.factorial(k)
 
     def numbers(self) -> dict[str, Any]:
         """The fields by name: what `with_`, of a chain too, takes."""
@@ -99,12 +117,6 @@ class ExponentialDecay(AbstractFrictionLaw):
         drop = self.mu_static - self.mu_dynamic
         scaled = speed * (1.0 / self.v_ref)  # a product costs less than a division per mass
         return self.mu_dynamic + drop * jnp.exp(-scaled)
-
-    def taylor_coefficient(self, speed: Sequence[Any], before: Sequence[Any]) -> Any:
-        """As in the base class; from mu' = -(mu - mu_d) s' / v0."""
-        if not before:
-            return self.coefficient(speed[0])
-        return _decaying(speed, [before[0] - self.mu_dynamic, *before[1:]], 1.0 / self.v_ref)
 
 
 class WeakeningStrengthening(AbstractFrictionLaw):
@@ -145,16 +157,6 @@ class WeakeningStrengthening(AbstractFrictionLaw):
         scaled = speed * (1.0 / self.v_ref)  # a product costs less than a division per mass
         return self.mu_dynamic + drop * jnp.exp(-scaled) + self.mu_viscous * scaled
 
-    def taylor_coefficient(self, speed: Sequence[Any], before: Sequence[Any]) -> Any:
-        """As in the base class; the decaying part as in `ExponentialDecay`."""
-        if not before:
-            return self.coefficient(speed[0])
-        per_v0 = 1.0 / self.v_ref
-        growth = [self.mu_viscous * per_v0 * s for s in speed]
-        decaying = [m - g for m, g in zip(before, growth, strict=False)]
-        decaying[0] = decaying[0] - self.mu_dynamic
-        return _decaying(speed, decaying, per_v0) + growth[-1]
-
 
 class Coulomb(AbstractFrictionLaw):
     """mu(s) = mu_d: the same friction at every speed, and at rest.
@@ -188,10 +190,6 @@ class Coulomb(AbstractFrictionLaw):
 
     def coefficient(self, speed: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
         return self.mu_dynamic * jnp.ones_like(speed)
-
-    def taylor_coefficient(self, speed: Sequence[Any], before: Sequence[Any]) -> Any:
-        """As in the base class: the coefficients of a constant."""
-        return jnp.zeros_like(speed[0]) if before else self.coefficient(speed[0])
 
 
 class TanhFriction(eqx.Module):
@@ -271,15 +269,3 @@ def _check_weakening(law: ExponentialDecay | WeakeningStrengthening) -> None:
     check_per_mass(**vars(law))
     check_numbers(vars(law))
     check_at_least("mu_static", law.mu_static, "mu_dynamic", law.mu_dynamic, _ORDER_REMEDY)
-
-
-def _decaying(speed: Sequence[Any], before: Sequence[Any], rate: Any) -> Any:
-    """e_k of e(t) = c exp(-rate s(t)) from s_0 ... s_k and e_0 ... e_{k-1}.
-
-    k e_k = -rate sum_{j=1..k} j s_j e_{k-j}, the coefficients of e' = -rate s' e.
-    """
-    k = len(before)
-    total = speed[1] * before[k - 1]
-    for j in range(2, k + 1):
-        total = total + (j * speed[j]) * before[k - j]
-    return (-rate / k) * total

@@ -25,6 +25,7 @@ from ..model.chain import Chain
 from ..model.oscillators import AbstractOscillators
 from ..model.springs import Springs, materialize
 from .taylor import first_exit
+from .taylor_arithmetic import CLEARANCE, composed
 
 STICK, FORWARD, BACKWARD = 0.0, 1.0, -1.0
 # Shares of the natural scale below which a speed or a force is nothing but rounding.
@@ -120,11 +121,10 @@ def expand(field: DryField, state: State, modes: Modes, order: int) -> Series:
     springs = field.springs
     pull: Any = 0.0 if springs is None else springs.product(x[0])  # C x_k
     pull_of_v: Any = 0.0 if springs is None else springs.product(v[0])  # C v_k
-    friction: list[Array] = []
+    friction = composed(law.coefficient, speed, piecewise=law.knots is not None)
     r: list[Array] = []
     for k in range(order):
         r.append(pull - damping * v[k] - stiffness * x[k])
-        friction.append(materialize(law.taylor_coefficient(speed, friction)))
         change = jnp.where(slides, (r[k] - direction * load * friction[k]) / (k + 1), 0.0)
         if k == 0:
             # What has just been let go has no acceleration yet; disturbed, it may have been let go
@@ -179,7 +179,12 @@ def after(
 def next_event(
     field: DryField, series: Series, modes: Modes, length: Array
 ) -> tuple[Array, Array]:
-    """(time for which all masses keep their modes, which of them have an event then)."""
+    """(time for which all masses keep their modes, which of them have an event then).
+
+    It ends, with no event, where a mass slides past a knot of the friction law: there begins
+    another series.
+    """
+    length = jnp.minimum(length, _next_knot(field, series, modes, length))
     direction, contact = modes.direction, modes.contact
     slides = direction != STICK
     w = [direction * c for c in (series.v[0] - field.chain.belt_speed, *series.v[1:])]
@@ -201,3 +206,25 @@ def next_event(
     )
     first = jnp.min(until)
     return first, exits & (until <= first)
+
+
+def _next_knot(field: DryField, series: Series, modes: Modes, length: Array) -> Array:
+    """The time for which no mass slides past a knot of its friction law, at most `length`.
+
+    The masses go beyond it by what the series of friction looks ahead, twice: what this makes
+    wrong is its square, and none of them is left between two pieces.
+    """
+    given = field.chain.friction.law.knots
+    knots = jnp.ravel(jnp.asarray(() if given is None else given, float))
+    if knots.size == 0:
+        return length
+    w = [jnp.abs(series.v[0] - field.chain.belt_speed)]
+    w += [modes.direction * v for v in series.v[1:]]
+    ahead = CLEARANCE * (1.0 + w[0])
+    edges = jnp.concatenate([jnp.array([-_FAR]), knots, jnp.array([_FAR])])
+    piece = jnp.sum((w[0] + ahead)[:, None] >= knots, axis=-1)
+    slides = modes.direction != STICK
+    lower = jnp.where(slides, edges[piece] - 2.0 * ahead, -_FAR)
+    upper = jnp.where(slides, edges[piece + 1] + 2.0 * ahead, _FAR)
+    until, _ = first_exit(w, lower, upper, length, RESOLUTION * (1.0 + w[0]))
+    return jnp.min(until)

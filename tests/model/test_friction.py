@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from jaxchain.model.friction import (
-    AbstractFrictionLaw,
     Coulomb,
     ExponentialDecay,
     TanhFriction,
@@ -259,21 +258,6 @@ def test_parameters_per_mass_of_different_lengths_are_refused():
         ExponentialDecay(jnp.ones(3), jnp.full(2, 0.5), 0.5)
     with pytest.raises(ValueError, match="agree in length"):
         TanhFriction(Coulomb(jnp.full(3, 0.5)), jnp.full(2, 1e-3))
-
-
-@pytest.mark.parametrize("law", all_laws())
-def test_taylor_coefficients_are_those_of_taylor_mode_differentiation(law):
-    """The recurrences of the laws against the general way, along s(t) of degree six."""
-    speed = [jnp.array([0.7, 0.1]), *(jnp.array([0.5, -0.3]) / k for k in range(1, 7))]
-    own, general = [], []
-    for k in range(7):
-        own.append(law.taylor_coefficient(speed[: k + 1], own))
-        general.append(AbstractFrictionLaw.taylor_coefficient(law, speed[: k + 1], general))
-    np.testing.assert_allclose(jnp.stack(own), jnp.stack(general), rtol=1e-12, atol=1e-15)
-    t = 0.01
-    path = sum(s * t**k for k, s in enumerate(speed))
-    series = sum(m * t**k for k, m in enumerate(own))
-    np.testing.assert_allclose(series, law.coefficient(path), rtol=1e-12)
 
 
 @pytest.mark.parametrize("width", [1e-2, 1e-3, 1e-4])

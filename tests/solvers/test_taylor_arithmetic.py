@@ -1,0 +1,194 @@
+"""Series of composed functions against Taylor-mode differentiation and closed forms."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.experimental.jet import jet
+
+from jaxchain.model.friction import Coulomb, ExponentialDecay, WeakeningStrengthening
+from jaxchain.solvers.taylor import value
+from jaxchain.solvers.taylor_arithmetic import composed
+
+ORDER = 7
+# s(t) of two masses, degree six.
+PATH = [jnp.array([0.7, 0.1]), *(jnp.array([0.5, -0.3]) / k for k in range(1, ORDER))]
+LAWS = [
+    ExponentialDecay(1.0, 0.5, 0.5),
+    WeakeningStrengthening(1.0, 0.5, 0.5, 0.1),
+    Coulomb(0.5),
+]
+
+FUNCTIONS = {
+    "add": lambda s: s + 0.3 + s,
+    "subtract": lambda s: 0.3 - s - (s - 2.0),
+    "multiply": lambda s: s * s * 0.4,
+    "divide": lambda s: (1.0 + s) / (2.0 + s * s) + 1.0 / (1.0 + s) + s / 3.0,
+    "exp": lambda s: jnp.exp(-s / 0.4),
+    "exp2": lambda s: jnp.exp2(s),
+    "expm1": lambda s: jnp.expm1(-s),
+    "log": lambda s: jnp.log(1.0 + s),
+    "log1p": lambda s: jnp.log1p(s),
+    "sqrt": lambda s: jnp.sqrt(1.0 + s),
+    "rsqrt": lambda s: jax.lax.rsqrt(1.0 + s),
+    "square": lambda s: jnp.square(s),
+    "cube": lambda s: s**3,
+    "sixth power": lambda s: s**6,
+    "seventh power": lambda s: s**7,
+    "inverse square": lambda s: (1.0 + s) ** -2,
+    "no power": lambda s: s**0 + s,
+    "whole float power": lambda s: s**2.0,
+    "real power": lambda s: s**1.7,
+    "a number to the power": lambda s: 1.3**s,
+    "power of itself": lambda s: s**s,
+    "tanh": jnp.tanh,
+    "logistic": jax.nn.sigmoid,
+    "sine": jnp.sin,
+    "cosine": jnp.cos,
+    "sinh": jnp.sinh,
+    "cosh": jnp.cosh,
+    "arctangent": jnp.arctan,
+    "error function": jax.scipy.special.erf,
+    "jit": jax.jit(lambda s: jnp.exp(-s)),
+    "custom derivative": jax.nn.silu,
+    "matrix": lambda s: jnp.array([[1.0, 2.0], [0.5, -1.0]]) @ s,
+    "shapes": lambda s: jnp.sum(jnp.stack([s, 2.0 * s])[:, ::-1], axis=0),
+    "time has no part": lambda s: jnp.full_like(s, 0.3),
+}
+
+
+def coefficients(function, path=PATH, **options):
+    series = composed(function, path, **options)
+    return jnp.stack([jnp.broadcast_to(series[k], (2,)) for k in range(ORDER)])
+
+
+def by_jet(function, path=PATH):
+    derivatives = [math.factorial(k) * c for k, c in enumerate(path)][1:]
+    first, rest = jet(function, (path[0],), (derivatives,))
+    return jnp.stack([first, *(c / math.factorial(k) for k, c in enumerate(rest, start=1))])
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_every_operation_has_the_coefficients_of_taylor_mode_differentiation(name):
+    function = FUNCTIONS[name]
+    own = coefficients(function)
+    try:
+        expected = by_jet(function)
+    except KeyError:  # jet does not know all of these; the sum of the series tells
+        expected = own
+    np.testing.assert_allclose(own, expected, rtol=1e-12, atol=1e-14)
+    # And the series has the sum that it should have: 1e-3^7 is below rounding.
+    t = 1e-3
+    np.testing.assert_allclose(value(list(own), t), function(value(PATH, t)), rtol=1e-14)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_laws_along_a_path(law):
+    own = coefficients(law.coefficient)
+    np.testing.assert_allclose(own, by_jet(law.coefficient), rtol=1e-12, atol=1e-15)
+
+
+def test_a_series_grows_with_its_argument():
+    """The solution of s' = -s^2 + exp(-s), order by order, against its derivatives."""
+
+    def rate(s):
+        return -(s**2) + jnp.exp(-s)
+
+    path = [jnp.array([0.3, 0.6])]
+    series = composed(rate, path)
+    for k in range(ORDER - 1):
+        path.append(series[k] / (k + 1))
+    derivative = rate
+    for k in range(1, 5):
+        np.testing.assert_allclose(
+            math.factorial(k) * path[k], derivative(path[0]), rtol=1e-12
+        )
+        derivative = _along(derivative, rate)
+
+
+def _along(function, rate):
+    return lambda s: jax.jvp(function, (s,), (rate(s),))[1]
+
+
+def test_an_operation_without_a_rule_is_left_to_taylor_mode_differentiation():
+    def function(s):
+        return jax.lax.erf_inv(0.5 * s)
+
+    np.testing.assert_allclose(coefficients(function), by_jet(function), rtol=1e-12)
+
+
+def test_what_cannot_be_expanded_is_refused_in_words():
+    def function(s):
+        return jax.lax.while_loop(lambda y: y[0] < 9.0, lambda y: y * (1.0 + s), 1.0 + s)
+
+    with pytest.raises(ValueError, match="cannot be expanded in a Taylor series.*smoothed"):
+        coefficients(function)
+
+
+@pytest.mark.parametrize(
+    ("chooses", "branch"),
+    [
+        (lambda s: jnp.where(s < 0.4, jnp.exp(s), s**2), (lambda s: s**2, jnp.exp)),
+        (lambda s: jnp.maximum(s, 0.4 + 0 * s), (lambda s: s, lambda s: 0.4 + 0 * s)),
+        (lambda s: jnp.minimum(s**2, 0.3), (lambda s: 0.3 + 0 * s, jnp.square)),
+        (lambda s: jnp.abs(s - 0.4), (lambda s: s - 0.4, lambda s: 0.4 - s)),
+        (lambda s: jnp.clip(s, 0.2, 2.0), (lambda s: s, lambda s: 0.2 + 0 * s)),
+        (lambda s: jnp.sign(s - 0.4) * s, (lambda s: s, lambda s: -s)),
+        (lambda s: jnp.array([1.0, 3.0])[(s > 0.4).astype(int)] * s, (lambda s: 3 * s, lambda s: s)),
+    ],
+)
+def test_a_choice_by_speed_is_made_at_the_start_of_the_step_and_must_be_allowed(chooses, branch):
+    with pytest.raises(ValueError, match="give the law the field or property `knots`"):
+        coefficients(chooses)
+    own = coefficients(chooses, piecewise=True)
+    expected = [by_jet(f)[:, i] for i, f in enumerate(branch)]  # 0.7 is above, 0.1 below
+    np.testing.assert_allclose(own, jnp.stack(expected, axis=1), rtol=1e-13, atol=1e-15)
+
+
+def test_where_the_cases_meet_that_of_greater_speeds_is_taken():
+    path = [jnp.zeros(2), jnp.ones(2), *[jnp.zeros(2)] * (ORDER - 2)]
+    kink = coefficients(lambda s: jnp.maximum(0.0, s), path, piecewise=True)
+    np.testing.assert_array_equal(kink[1], [1.0, 1.0])
+
+
+def test_the_size_of_a_speed_is_no_choice():
+    np.testing.assert_array_equal(coefficients(jnp.abs), coefficients(lambda s: s))
+
+
+def test_derivatives_go_through_a_series_in_both_directions():
+    def last(rate, start):
+        series = composed(lambda s: jnp.exp(-rate * s) / (1.0 + s), [start, *PATH[1:]])
+        return jnp.sum(series[ORDER - 1])
+
+    rate, start, h = jnp.asarray(0.8), PATH[0], 1e-5
+    forward = jax.jacfwd(last, argnums=(0, 1))(rate, start)
+    reverse = jax.jacrev(last, argnums=(0, 1))(rate, start)
+    for one, other in zip(forward, reverse, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-12)
+    difference = (last(rate + h, start) - last(rate - h, start)) / (2 * h)
+    np.testing.assert_allclose(forward[0], difference, rtol=1e-8)
+
+
+@pytest.mark.parametrize("name", ["exp", "tanh", "divide", "real power"])
+def test_one_more_order_costs_as_many_operations_as_its_number(name):
+    """The whole series is a program of O(order^2) operations; one jet per order makes it cubic."""
+
+    def size(order):
+        def run(path):
+            series = composed(FUNCTIONS[name], path)
+            return [series[k] for k in range(order)]
+
+        return len(jax.make_jaxpr(run)([jnp.ones(()) * 0.5] * order).eqns)
+
+    small, large = size(8), size(32)
+    assert large < 1.2 * 4**2 * small
+
+
+def test_lanes_are_what_they_are_alone():
+    starts = jnp.stack([PATH[0], 2.0 * PATH[0]])
+    lanes = jax.vmap(lambda s: coefficients(FUNCTIONS["divide"], [s, *PATH[1:]]))(starts)
+    for lane, start in zip(lanes, starts, strict=True):
+        alone = coefficients(FUNCTIONS["divide"], [start, *PATH[1:]])
+        np.testing.assert_allclose(lane, alone, rtol=1e-13)
