@@ -40,7 +40,7 @@ def one_mass(chain: Chain, mass: int) -> Chain:
     """Mass `mass` alone, its neighbours held: K_jj is its stiffness."""
 
     def own(value: Array) -> Array:
-        return value[mass] if jnp.ndim(value) else value
+        return value[mass] if jnp.ndim(value) == 1 else value  # a table is of two dimensions
 
     held = chain.with_(stiffness=chain.stiffness_diagonal(chain.n), coupling=None)
     return jax.tree.map(own, held).with_(n=1)
@@ -74,22 +74,33 @@ def cycle_speed(chain: Chain, ratio: ScalarLike, highest: ScalarLike) -> Float[A
 def greatest_speed(chain: Chain) -> Float[Array, ""]:
     """A bound on the belt speeds at which one mass can vibrate: damping outweighs friction beyond.
 
-    A vibration of amplitude A = c v_d gains at most 2 p mu_st / pi and loses xi A; with no damping
-    there is none.
+    A vibration of amplitude A = c v_d gains at most 2 p M / pi and loses xi A; with no damping
+    there is none.  M is the most by which friction falls as the speed rises, or mu_st if that is
+    more, as it is for a law that is greatest at rest.
     """
     damping = jnp.maximum(chain.damping_ratio, 1e-6)
-    return 2.0 * chain.load * chain.friction.law.mu_static / damping
+    mu, _ = _curve(chain)
+    fall = jnp.max(jax.lax.cummax(mu) - mu)
+    return 2.0 * chain.load * jnp.maximum(chain.friction.law.mu_static, fall) / damping
+
+
+def _curve(chain: Chain) -> tuple[Array, Array]:
+    """(mu, mu') of one mass at rest and at speeds from where no law has changed yet."""
+    speeds = jnp.concatenate([jnp.zeros(1), jnp.geomspace(1e-6, 1e2, 512)])
+    return jax.vmap(lambda s: jax.jvp(chain.friction.law.coefficient, (s,), (jnp.ones(()),)))(
+        speeds
+    )
 
 
 def speed_scale(chain: Chain, dry_speed: ScalarLike) -> Float[Array, ""]:
     """The speed that widths are to be compared with when one mass vibrates.
 
     `dry_speed`, the belt speed of the dry fold by averaging, or twice the speed over which
-    friction weakens, mu_st / |mu'(0)|, if that is less.
+    friction weakens, mu_st / max(|mu'(0)|, -mu'(s)), if that is less.
     """
-    law = chain.friction.law
-    _, slope = jax.jvp(law.coefficient, (jnp.zeros(()),), (jnp.ones(()),))
-    weakens = 2.0 * law.mu_static / jnp.maximum(jnp.abs(slope), 1e-12)
+    _, slope = _curve(chain)
+    steepest = jnp.maximum(jnp.abs(slope[0]), jnp.max(-slope))
+    weakens = 2.0 * chain.friction.law.mu_static / jnp.maximum(steepest, 1e-12)
     return jnp.fmin(dry_speed, weakens)  # without a fold there is no speed
 
 

@@ -5,10 +5,12 @@
 - `friction`: laws mu(s), one class each, and their smoothing by a width
 - `initial_states`: eq. (8) and eq. (10) of the paper, and who is excited
 - `locality`: checks that forces act mass by mass
+- `measured`: measured friction, read from CSV and checked
 - `oscillators`: what every chain shares; base class for oscillators of one's own
 - `parameters`: the numbers of a chain and of friction: symbol, unit, sign, words for each
 - `sliding`: linear stability of steady sliding: damping, stiffness, eigenvalues
 - `springs`: neighbours of a mass, and the springs between them
+- `tabulated`: measured friction as a law, a curve through points
 - `tridiagonal`: the springs' linear systems, solved in O(N)
 - `units`: between SI units and the dimensionless chain
 """

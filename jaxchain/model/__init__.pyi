@@ -4,6 +4,7 @@ from .chain import steady_sliding as steady_sliding
 from .friction import AbstractFrictionLaw as AbstractFrictionLaw
 from .friction import Coulomb as Coulomb
 from .friction import ExponentialDecay as ExponentialDecay
+from .friction import GaussianStribeck as GaussianStribeck
 from .friction import TanhFriction as TanhFriction
 from .friction import WeakeningStrengthening as WeakeningStrengthening
 from .initial_states import equation_8 as equation_8
@@ -18,5 +19,6 @@ from .sliding import sliding_damping as sliding_damping
 from .sliding import sliding_eigenvalues as sliding_eigenvalues
 from .sliding import stiffness_matrix as stiffness_matrix
 from .springs import Springs as Springs
+from .tabulated import TabulatedFriction as TabulatedFriction
 from .units import DimensionalParameters as DimensionalParameters
 from .units import Scales as Scales

@@ -9,11 +9,13 @@ and `jvp` go through it.
 
 import abc
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from .._checks import (
@@ -22,6 +24,7 @@ from .._checks import (
     check_nonnegative,
     check_per_mass,
     check_positive,
+    is_traced,
     to_float,
 )
 from .._types import PerMass
@@ -82,12 +85,20 @@ class AbstractFrictionLaw(eqx.Module):
         """
 
     def numbers(self) -> dict[str, Any]:
-        """The fields by name: what `with_`, of a chain too, takes."""
-        return dict(vars(self))
+        """The fields by name, but for static ones: what `with_`, of a chain too, takes."""
+        return {
+            f.name: getattr(self, f.name) for f in fields(self) if not f.metadata.get("static")
+        }
 
     def with_(self, **changes: Any) -> Any:
         """A copy with other numbers."""
-        return type(self)(**{**self.numbers(), **changes})
+        own = {f.name: getattr(self, f.name) for f in fields(self)}
+        return type(self)(**{**own, **changes}) if changes else self
+
+    def __check_init__(self) -> None:
+        # The laws of this module are sound where their numbers are.
+        if type(self).__module__ != __name__ and not is_traced(self):
+            check_curve(self)
 
 
 class ExponentialDecay(AbstractFrictionLaw):
@@ -158,6 +169,42 @@ class WeakeningStrengthening(AbstractFrictionLaw):
         return self.mu_dynamic + drop * jnp.exp(-scaled) + self.mu_viscous * scaled
 
 
+class GaussianStribeck(AbstractFrictionLaw):
+    """mu(s) = mu_d + (mu_st - mu_d) exp(-(s / v_s)^2) + mu_v s / v_s: the Stribeck curve.
+
+    Flat at rest but for mu_v, where `WeakeningStrengthening` weakens most; this one weakens most at
+    s = v_s / sqrt(2), at the rate (mu_st - mu_d) sqrt(2 / e) / v_s less mu_v / v_s.
+
+    Sources: B. Armstrong-Helouvry, P. Dupont, C. Canudas de Wit, A survey of models, analysis
+    tools and compensation methods for the control of machines with friction, Automatica 30 (1994);
+    with the exponent 2, which is the most usual, C. Canudas de Wit, H. Olsson, K. J. Astrom,
+    P. Lischinsky, A new model for control of systems with friction, IEEE Transactions on Automatic
+    Control 40 (1995).  They write F_C = p mu_d, F_S = p mu_st, and F_v = p mu_v / v_s per speed.
+
+    **Arguments:** `mu_static` = mu_st, `mu_dynamic` = mu_d and `mu_viscous` = mu_v as in
+    `WeakeningStrengthening`; `v_ref` = v_s > 0, the Stribeck speed, in units of x0 omega_n.
+
+    **Raises:** `ValueError` for anything else.
+
+    >>> law = GaussianStribeck(mu_static=1.0, mu_dynamic=0.5, v_ref=0.5, mu_viscous=0.1)
+    >>> [round(float(law.coefficient(s)), 4) for s in (0.0, 0.5, 5.0)]
+    [1.0, 0.7839, 1.5]
+    """
+
+    mu_static: PerMass = eqx.field(converter=to_float)
+    mu_dynamic: PerMass = eqx.field(converter=to_float)
+    v_ref: PerMass = eqx.field(converter=to_float)
+    mu_viscous: PerMass = eqx.field(converter=to_float)
+
+    def __check_init__(self) -> None:
+        _check_weakening(self)
+
+    def coefficient(self, speed: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
+        drop = self.mu_static - self.mu_dynamic
+        scaled = speed * (1.0 / self.v_ref)
+        return self.mu_dynamic + drop * jnp.exp(-(scaled**2)) + self.mu_viscous * scaled
+
+
 class Coulomb(AbstractFrictionLaw):
     """mu(s) = mu_d: the same friction at every speed, and at rest.
 
@@ -192,6 +239,20 @@ class Coulomb(AbstractFrictionLaw):
         return self.mu_dynamic * jnp.ones_like(speed)
 
 
+def as_law(law: Any) -> AbstractFrictionLaw:
+    """`law` with JAX arrays for all numbers: Python's have no tangents, and compile once each.
+
+    **Raises:** `ValueError` for anything but an `AbstractFrictionLaw`.
+    """
+    if not isinstance(law, AbstractFrictionLaw):
+        raise ValueError(
+            f"Argument `law` must be an `AbstractFrictionLaw`, such as `ExponentialDecay(...)`, but "
+            f"is {law!r}."
+        )
+    numbers = (bool, int, float, np.number, np.ndarray)
+    return jax.tree.map(lambda leaf: to_float(leaf) if isinstance(leaf, numbers) else leaf, law)
+
+
 class TanhFriction(eqx.Module):
     """F(w) = -mu(|w|) tanh(w / eps): a law made smooth across w = 0.
 
@@ -213,7 +274,7 @@ class TanhFriction(eqx.Module):
     (-0.0, -100.0)
     """
 
-    law: AbstractFrictionLaw
+    law: AbstractFrictionLaw = eqx.field(converter=as_law)
     width: PerMass = eqx.field(converter=to_float)
 
     def __check_init__(self) -> None:
@@ -265,7 +326,68 @@ def check_numbers(numbers: Mapping[str, Any]) -> None:
         _SIGNS[row.sign](name, value, row.remedy)
 
 
-def _check_weakening(law: ExponentialDecay | WeakeningStrengthening) -> None:
+def _check_weakening(
+    law: ExponentialDecay | WeakeningStrengthening | GaussianStribeck,
+) -> None:
     check_per_mass(**vars(law))
     check_numbers(vars(law))
     check_at_least("mu_static", law.mu_static, "mu_dynamic", law.mu_dynamic, _ORDER_REMEDY)
+
+
+# Speeds at which a law is looked at: from where none has changed yet to where no mass gets.
+_SPEEDS = np.concatenate([[0.0], np.geomspace(1e-12, 1e2, 1121)])
+# Of the greatest friction: what counts as a jump, and what may be one before a closer look.
+_JUMP, _STEEP = 1e-6, 1e-9
+_PARTS, _ROUNDS, _MOST = 16, 10, 32
+
+
+def check_curve(law: AbstractFrictionLaw) -> None:
+    """Raises `ValueError` with the speed at which mu is negative, not finite, or jumps."""
+    name = f"Friction law `{type(law).__name__}`"
+
+    def mu(speeds: np.ndarray) -> np.ndarray:
+        """Of shape (speeds, 1), or (speeds, n) with a parameter per mass."""
+        with jax.ensure_compile_time_eval():
+            values = np.asarray(law.coefficient(jnp.asarray(speeds)[:, None]), float)
+        if values.ndim != 2 or values.shape[0] != speeds.size:
+            raise ValueError(
+                f"{name} must take speeds of any shape, element by element, but makes an array of "
+                f"shape {values.shape} of one of shape {(speeds.size, 1)}."
+            )
+        return values
+
+    values = mu(_SPEEDS)
+    for bad, what, must in (
+        (~np.isfinite(values), "not finite", "finite"),
+        (values < 0, "negative", "zero or positive: `jnp.maximum` keeps it so"),
+    ):
+        if np.any(bad):
+            row, mass = np.argwhere(bad)[0]
+            raise ValueError(
+                f"{name} is {what} at the speed {_SPEEDS[row]:.6g}, where mu = "
+                f"{values[row, mass]:.6g}. It must be {must}."
+            )
+    greatest, static = values.max(), np.asarray(law.mu_static, float)
+    if np.any(np.abs(values[0] - static) > _JUMP * greatest):
+        raise ValueError(
+            f"{name} jumps at the speed 0: `mu_static` is {static}, but mu(0) = "
+            f"{np.squeeze(values[0])}. Both must be the friction at rest."
+        )
+    rise = np.max(np.abs(np.diff(values, axis=0)), axis=1)
+    beside = np.pad(rise, 1)
+    steep = np.flatnonzero(rise > 3 * (beside[:-2] + beside[2:]) + _STEEP * greatest)
+    steep = steep[np.argsort(-rise[steep])][:_MOST]
+    low, high = _SPEEDS[steep], _SPEEDS[steep + 1]
+    for _ in range(_ROUNDS if steep.size else 0):
+        parts = np.linspace(low, high, _PARTS + 1, axis=1)
+        values = mu(parts.ravel()).reshape(*parts.shape, -1)
+        at = np.argmax(np.max(np.abs(np.diff(values, axis=1)), axis=2), axis=1)
+        row = np.arange(steep.size)
+        low, high = parts[row, at], parts[row, at + 1]
+        jump = np.max(np.abs(values[row, at + 1] - values[row, at]), axis=1)
+    if steep.size and np.max(jump) > _JUMP * greatest:
+        speed = high[np.argmax(jump)]
+        raise ValueError(
+            f"{name} jumps at the speed {speed:.6g}, by {np.max(jump):.6g}. mu(s) must be "
+            "continuous: let it change over a small range of speeds."
+        )

@@ -37,7 +37,7 @@ def draw_friction(axes: Axes, chain: Chain) -> None:
     axes.axhline(0.0, color=GREY, linewidth=0.5, zorder=0)
     axes.axvline(0.0, color=GREY, linewidth=0.5, zorder=0)
     ticks = {0.0: "0", static: r"$\mu_{st}$", -static: r"$-\mu_{st}$"}
-    dynamic = vars(friction.law).get("mu_dynamic")
+    dynamic = friction.law.numbers().get("mu_dynamic")
     if dynamic is not None and static - float(dynamic) > 0.12 * top:
         for sign in (1.0, -1.0):
             ticks[sign * float(dynamic)] = r"$\mu_d$" if sign > 0 else r"$-\mu_d$"
@@ -78,4 +78,4 @@ def _draw_layer(axes: Axes, friction: TanhFriction, width: float, static: float)
 
 def first_mass(friction: TanhFriction) -> TanhFriction:
     """The law of mass 1, where parameters differ from mass to mass."""
-    return jax.tree.map(lambda a: a if jnp.ndim(a) == 0 else a[0], friction)
+    return jax.tree.map(lambda a: a[0] if jnp.ndim(a) == 1 else a, friction)

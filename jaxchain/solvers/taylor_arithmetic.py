@@ -235,7 +235,9 @@ def _quotient(a: Any, b: Any) -> PowerSeries:
     return q
 
 
-def _solved(first: Any, slope: Callable[[PowerSeries], PowerSeries], a: PowerSeries) -> PowerSeries:
+def _solved(
+    first: Any, slope: Callable[[PowerSeries], PowerSeries], a: PowerSeries
+) -> PowerSeries:
     """y with y_0 = first and y' = g a': k y_k = sum_{j=1..k} j a_j g_{k-j}, where g = slope(y)."""
 
     def rule(k: int) -> Any:
@@ -306,9 +308,7 @@ def _log1p(first: Any, a: PowerSeries) -> PowerSeries:
 
 
 def _atan(first: Any, a: PowerSeries) -> PowerSeries:
-    return _solved(
-        first, lambda _: _quotient(jnp.ones_like(a[0]), _shifted(_times(a, a), 1.0)), a
-    )
+    return _solved(first, lambda _: _quotient(jnp.ones_like(a[0]), _shifted(_times(a, a), 1.0)), a)
 
 
 def _erf(first: Any, a: PowerSeries) -> PowerSeries:

@@ -102,9 +102,7 @@ def test_a_series_grows_with_its_argument():
         path.append(series[k] / (k + 1))
     derivative = rate
     for k in range(1, 5):
-        np.testing.assert_allclose(
-            math.factorial(k) * path[k], derivative(path[0]), rtol=1e-12
-        )
+        np.testing.assert_allclose(math.factorial(k) * path[k], derivative(path[0]), rtol=1e-12)
         derivative = _along(derivative, rate)
 
 
@@ -136,7 +134,10 @@ def test_what_cannot_be_expanded_is_refused_in_words():
         (lambda s: jnp.abs(s - 0.4), (lambda s: s - 0.4, lambda s: 0.4 - s)),
         (lambda s: jnp.clip(s, 0.2, 2.0), (lambda s: s, lambda s: 0.2 + 0 * s)),
         (lambda s: jnp.sign(s - 0.4) * s, (lambda s: s, lambda s: -s)),
-        (lambda s: jnp.array([1.0, 3.0])[(s > 0.4).astype(int)] * s, (lambda s: 3 * s, lambda s: s)),
+        (
+            lambda s: jnp.array([1.0, 3.0])[(s > 0.4).astype(int)] * s,
+            (lambda s: 3 * s, lambda s: s),
+        ),
     ],
 )
 def test_a_choice_by_speed_is_made_at_the_start_of_the_step_and_must_be_allowed(chooses, branch):

@@ -1,0 +1,66 @@
+"""Measured friction, mu over speed: read from CSV and checked.  Nothing here needs JAX."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+
+def read_curve(path: str | Path) -> tuple[list[float], list[float]]:
+    """(speeds, friction coefficients) from two columns of a CSV file.
+
+    Columns are separated by commas, semicolons or blanks.  The first line may be a heading; empty
+    lines and what follows a `#` are left out.
+
+    **Raises:** `ValueError` with the line that is no pair of numbers; `OSError` if there is no
+    such file.
+    """
+    rows: list[tuple[float, float]] = []
+    lines = Path(path).read_text(encoding="utf-8-sig").splitlines()
+    heading = True
+    for number, line in enumerate(lines, start=1):
+        parts = line.partition("#")[0].replace(",", " ").replace(";", " ").split()
+        if not parts:
+            continue
+        try:
+            speed, mu = map(float, parts)
+        except ValueError:
+            if not heading:
+                raise ValueError(
+                    f"line {number} of {path} must be two numbers, speed and friction "
+                    f"coefficient, but is {line.strip()!r}"
+                ) from None
+        else:
+            rows.append((speed, mu))
+        heading = False
+    return [speed for speed, _ in rows], [mu for _, mu in rows]
+
+
+def check_measured(speed: Sequence[float], mu: Sequence[float]) -> None:
+    """Raises `ValueError` unless speeds rise from 0 and friction coefficients are none below 0.
+
+    >>> check_measured([0.0, 0.5, 1.0], [1.0, 0.6, 0.5])
+    >>> check_measured([0.1, 0.5], [1.0, 0.6])
+    Traceback (most recent call last):
+        ...
+    ValueError: the first speed must be 0, but is 0.1: friction at rest has to be given
+    """
+    s, m = np.asarray(speed, float), np.asarray(mu, float)
+    if s.ndim != 1 or s.shape != m.shape or s.size < 2:
+        raise ValueError(
+            "there must be as many speeds as friction coefficients, at least two, but there are "
+            f"{s.size} and {m.size}"
+        )
+    for name, values in (("speed", s), ("friction coefficient", m)):
+        if not np.all(np.isfinite(values) & (values >= 0)):
+            bad = values[~(np.isfinite(values) & (values >= 0))][0]
+            raise ValueError(f"every {name} must be finite and at least 0, but one is {bad:g}")
+    if s[0] != 0:
+        raise ValueError(
+            f"the first speed must be 0, but is {s[0]:g}: friction at rest has to be given"
+        )
+    if np.any(np.diff(s) <= 0):
+        at = int(np.argmax(np.diff(s) <= 0))
+        raise ValueError(f"speeds must rise, but {s[at]:g} is followed by {s[at + 1]:g}")

@@ -1,0 +1,89 @@
+"""Measured friction as a law: a smooth curve through the points of a table."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
+from scipy.interpolate import PchipInterpolator
+
+from .._checks import is_traced, to_float
+from .._types import PerMass
+from .friction import AbstractFrictionLaw
+from .measured import check_measured, read_curve
+
+
+class TabulatedFriction(AbstractFrictionLaw):
+    """mu(s) through measured points (s_i, mu_i): a cubic from each to the next, C1 where they meet.
+
+    The curve keeps the shape of the data (PCHIP): between two points it stays between their values,
+    rises where they rise and is level where they turn.  Beyond the last speed mu is constant; its
+    slope may jump there.  Nothing is made up at rest: the first speed must be 0, and its mu is
+    `mu_static`.  Where mu rises from there, it exceeds what holds a sticking mass.
+
+    mu'' jumps at every point.  An event-driven step ends there (`knots`); with smoothed friction
+    the error estimate sees to it.
+
+    Source: F. N. Fritsch, J. Butland, A method for constructing local monotone piecewise cubic
+    interpolants, SIAM J. Sci. Stat. Comput. 5 (1984), as `scipy.interpolate.PchipInterpolator`.
+
+    **Arguments:** `speed` = s_0 ... s_K from 0, rising, in units of x0 omega_n; `mu` >= 0, as
+    many.  The same curve for every mass; it has no numbers that `Chain.with_` or a sweep could
+    change.
+
+    **Raises:** `ValueError` for anything else.
+
+    >>> law = TabulatedFriction(speed=[0.0, 0.5, 1.0, 2.0], mu=[1.0, 0.7, 0.6, 0.6])
+    >>> [round(float(law.coefficient(s)), 4) for s in (0.0, 0.5, 0.75, 9.0)]
+    [1.0, 0.7, 0.6406, 0.6]
+    """
+
+    pieces: Float[Array, "5 knots"]
+    """For each s_i: s_i and the coefficients of the cubic from there on in s - s_i, lowest first."""
+
+    def __init__(self, speed: Sequence[float] | ArrayLike, mu: Sequence[float] | ArrayLike):
+        if is_traced(speed, mu):
+            raise ValueError(
+                "`TabulatedFriction` takes measured numbers, which cannot be traced: make the law "
+                "before `jit`, `vmap` or `grad`."
+            )
+        s, m = np.asarray(speed, float), np.asarray(mu, float)
+        try:
+            check_measured(s, m)  # pyright: ignore[reportArgumentType]
+        except ValueError as error:
+            raise ValueError(f"Arguments `speed` and `mu` are no friction law: {error}.") from None
+        constant = np.array([[m[-1]], [0.0], [0.0], [0.0]])
+        cubics = np.concatenate([PchipInterpolator(s, m).c[::-1], constant], axis=1)
+        self.pieces = to_float(np.concatenate([s[None], cubics]))
+
+    @classmethod
+    def from_csv(cls, path: str | Path) -> TabulatedFriction:
+        """From a file of two columns, speed and mu: see `jaxchain.model.measured.read_curve`.
+
+        **Raises:** `ValueError` as the class, or with the line that is no pair of numbers;
+        `OSError` if there is no such file.
+        """
+        return cls(*read_curve(path))
+
+    @property
+    def mu_static(self) -> PerMass:
+        return self.pieces[1, 0]
+
+    @property
+    def knots(self) -> Float[Array, " knots"]:
+        return self.pieces[0, 1:]
+
+    def numbers(self) -> dict[str, Any]:
+        """None: the table is no number of a chain."""
+        return {}
+
+    def coefficient(self, speed: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
+        s = jnp.asarray(speed)
+        piece = jnp.sum(s[..., None] >= self.knots, axis=-1)
+        start, c0, c1, c2, c3 = self.pieces[:, piece]
+        d = s - start
+        return c0 + d * (c1 + d * (c2 + d * c3))
