@@ -57,6 +57,12 @@ def _parser() -> argparse.ArgumentParser:
         "--set", metavar="KEY=VALUE", action="append", default=[], dest="overrides",
         help="change a key of the scene, e.g. experiment.ladder.chain.n=40 (repeatable)",
     )  # fmt: skip
+    run.add_argument(
+        "--law", metavar="FILE.py:CLASS",
+        help="friction law of one's own, a subclass of jaxchain.model.AbstractFrictionLaw, for "
+        "every experiment of the scene; the file is run. Its fields are the numbers of the "
+        'scene\'s friction table, which may have other names if it says law = "own"',
+    )  # fmt: skip
     run.add_argument("--no-plot", action="store_true", help="compute and save only")
     run.add_argument("--quiet", action="store_true", help="print errors only")
     run.set_defaults(command=_run)
@@ -122,9 +128,11 @@ def _run(options: argparse.Namespace) -> int:
     # Before jax is imported, so that a wrong scene is reported at once.
     loaded = load_scene(options.scene, options.overrides)
     _configure_jax()
+    from .scenes.own_law import load_law
     from .scenes.running import run_scene
     from .scenes.storage import new_folder
 
+    own_law = None if options.law is None else load_law(options.law, loaded.name)
     wanted = options.output or Path("results") / loaded.name
     try:
         folder = new_folder(wanted)
@@ -142,8 +150,9 @@ def _run(options: argparse.Namespace) -> int:
         warnings.simplefilter("ignore")
     try:
         run_scene(
-            loaded, folder, plot=not options.no_plot, progress=not options.quiet, report=report
-        )
+            loaded, folder, own_law=own_law, plot=not options.no_plot,
+            progress=not options.quiet, report=report,
+        )  # fmt: skip
     except (FigureError, StudyFailedError, MemoryError) as error:
         print(f"jaxchain: {error}", file=sys.stderr)
         return 1

@@ -28,7 +28,8 @@ from .._checks import (
     to_float,
 )
 from .._types import PerMass
-from .parameters import parameter
+from .law_checks import check_curve
+from .parameters import CHAIN, parameter
 
 _SIGNS = {"any": check_finite, "nonnegative": check_nonnegative, "positive": check_positive}
 _ORDER_REMEDY = "friction at rest exceeds friction in motion; raise `mu_static`."
@@ -98,7 +99,7 @@ class AbstractFrictionLaw(eqx.Module):
     def __check_init__(self) -> None:
         # The laws of this module are sound where their numbers are.
         if type(self).__module__ != __name__ and not is_traced(self):
-            check_curve(self)
+            check_curve(type(self).__name__, self.coefficient, self.mu_static)
 
 
 class ExponentialDecay(AbstractFrictionLaw):
@@ -172,8 +173,8 @@ class WeakeningStrengthening(AbstractFrictionLaw):
 class GaussianStribeck(AbstractFrictionLaw):
     """mu(s) = mu_d + (mu_st - mu_d) exp(-(s / v_s)^2) + mu_v s / v_s: the Stribeck curve.
 
-    Flat at rest but for mu_v, where `WeakeningStrengthening` weakens most; this one weakens most at
-    s = v_s / sqrt(2), at the rate (mu_st - mu_d) sqrt(2 / e) / v_s less mu_v / v_s.
+    `WeakeningStrengthening` weakens most at rest; this one, flat there but for mu_v, weakens most
+    at s = v_s / sqrt(2), at the rate [(mu_st - mu_d) sqrt(2 / e) - mu_v] / v_s.
 
     Sources: B. Armstrong-Helouvry, P. Dupont, C. Canudas de Wit, A survey of models, analysis
     tools and compensation methods for the control of machines with friction, Automatica 30 (1994);
@@ -242,12 +243,18 @@ class Coulomb(AbstractFrictionLaw):
 def as_law(law: Any) -> AbstractFrictionLaw:
     """`law` with JAX arrays for all numbers: Python's have no tangents, and compile once each.
 
-    **Raises:** `ValueError` for anything but an `AbstractFrictionLaw`.
+    **Raises:** `ValueError` for anything but an `AbstractFrictionLaw`, and for a number of a name
+    that the chain has, too.
     """
     if not isinstance(law, AbstractFrictionLaw):
         raise ValueError(
-            f"Argument `law` must be an `AbstractFrictionLaw`, such as `ExponentialDecay(...)`, but "
+            "Argument `law` must be an `AbstractFrictionLaw`, such as `ExponentialDecay(...)`, but "
             f"is {law!r}."
+        )
+    if taken := sorted({*CHAIN, "n", "ends", "friction", "width"} & set(law.numbers())):
+        raise ValueError(
+            f"Friction law `{type(law).__name__}` cannot have the field `{taken[0]}`, which is the "
+            "name of a number of the chain: rename it."
         )
     numbers = (bool, int, float, np.number, np.ndarray)
     return jax.tree.map(lambda leaf: to_float(leaf) if isinstance(leaf, numbers) else leaf, law)
@@ -332,62 +339,3 @@ def _check_weakening(
     check_per_mass(**vars(law))
     check_numbers(vars(law))
     check_at_least("mu_static", law.mu_static, "mu_dynamic", law.mu_dynamic, _ORDER_REMEDY)
-
-
-# Speeds at which a law is looked at: from where none has changed yet to where no mass gets.
-_SPEEDS = np.concatenate([[0.0], np.geomspace(1e-12, 1e2, 1121)])
-# Of the greatest friction: what counts as a jump, and what may be one before a closer look.
-_JUMP, _STEEP = 1e-6, 1e-9
-_PARTS, _ROUNDS, _MOST = 16, 10, 32
-
-
-def check_curve(law: AbstractFrictionLaw) -> None:
-    """Raises `ValueError` with the speed at which mu is negative, not finite, or jumps."""
-    name = f"Friction law `{type(law).__name__}`"
-
-    def mu(speeds: np.ndarray) -> np.ndarray:
-        """Of shape (speeds, 1), or (speeds, n) with a parameter per mass."""
-        with jax.ensure_compile_time_eval():
-            values = np.asarray(law.coefficient(jnp.asarray(speeds)[:, None]), float)
-        if values.ndim != 2 or values.shape[0] != speeds.size:
-            raise ValueError(
-                f"{name} must take speeds of any shape, element by element, but makes an array of "
-                f"shape {values.shape} of one of shape {(speeds.size, 1)}."
-            )
-        return values
-
-    values = mu(_SPEEDS)
-    for bad, what, must in (
-        (~np.isfinite(values), "not finite", "finite"),
-        (values < 0, "negative", "zero or positive: `jnp.maximum` keeps it so"),
-    ):
-        if np.any(bad):
-            row, mass = np.argwhere(bad)[0]
-            raise ValueError(
-                f"{name} is {what} at the speed {_SPEEDS[row]:.6g}, where mu = "
-                f"{values[row, mass]:.6g}. It must be {must}."
-            )
-    greatest, static = values.max(), np.asarray(law.mu_static, float)
-    if np.any(np.abs(values[0] - static) > _JUMP * greatest):
-        raise ValueError(
-            f"{name} jumps at the speed 0: `mu_static` is {static}, but mu(0) = "
-            f"{np.squeeze(values[0])}. Both must be the friction at rest."
-        )
-    rise = np.max(np.abs(np.diff(values, axis=0)), axis=1)
-    beside = np.pad(rise, 1)
-    steep = np.flatnonzero(rise > 3 * (beside[:-2] + beside[2:]) + _STEEP * greatest)
-    steep = steep[np.argsort(-rise[steep])][:_MOST]
-    low, high = _SPEEDS[steep], _SPEEDS[steep + 1]
-    for _ in range(_ROUNDS if steep.size else 0):
-        parts = np.linspace(low, high, _PARTS + 1, axis=1)
-        values = mu(parts.ravel()).reshape(*parts.shape, -1)
-        at = np.argmax(np.max(np.abs(np.diff(values, axis=1)), axis=2), axis=1)
-        row = np.arange(steep.size)
-        low, high = parts[row, at], parts[row, at + 1]
-        jump = np.max(np.abs(values[row, at + 1] - values[row, at]), axis=1)
-    if steep.size and np.max(jump) > _JUMP * greatest:
-        speed = high[np.argmax(jump)]
-        raise ValueError(
-            f"{name} jumps at the speed {speed:.6g}, by {np.max(jump):.6g}. mu(s) must be "
-            "continuous: let it change over a small range of speeds."
-        )

@@ -18,12 +18,12 @@ from .measured import check_measured, read_curve
 
 
 class TabulatedFriction(AbstractFrictionLaw):
-    """mu(s) through measured points (s_i, mu_i): a cubic from each to the next, C1 where they meet.
+    """mu(s) through measured points (s_i, mu_i): cubics, with one slope where they meet.
 
-    The curve keeps the shape of the data (PCHIP): between two points it stays between their values,
-    rises where they rise and is level where they turn.  Beyond the last speed mu is constant; its
-    slope may jump there.  Nothing is made up at rest: the first speed must be 0, and its mu is
-    `mu_static`.  Where mu rises from there, it exceeds what holds a sticking mass.
+    The curve keeps the shape of the data (PCHIP): between two points it stays between their
+    values, rises where they rise and is level where they turn.  Beyond the last speed mu is
+    constant; its slope may jump there.  Nothing is made up at rest: the first speed must be 0, and
+    its mu is `mu_static`.  Where mu rises from there, it exceeds what holds a sticking mass.
 
     mu'' jumps at every point.  An event-driven step ends there (`knots`); with smoothed friction
     the error estimate sees to it.
@@ -43,7 +43,7 @@ class TabulatedFriction(AbstractFrictionLaw):
     """
 
     pieces: Float[Array, "5 knots"]
-    """For each s_i: s_i and the coefficients of the cubic from there on in s - s_i, lowest first."""
+    """For each s_i: s_i, and the cubic in s - s_i from there on, lowest coefficient first."""
 
     def __init__(self, speed: Sequence[float] | ArrayLike, mu: Sequence[float] | ArrayLike):
         if is_traced(speed, mu):
@@ -68,6 +68,11 @@ class TabulatedFriction(AbstractFrictionLaw):
         `OSError` if there is no such file.
         """
         return cls(*read_curve(path))
+
+    @property
+    def table(self) -> Float[Array, "2 knots"]:
+        """The points: speeds, and friction coefficients."""
+        return self.pieces[:2]
 
     @property
     def mu_static(self) -> PerMass:

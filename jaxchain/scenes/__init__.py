@@ -4,6 +4,7 @@
 - `building`: chain, initial state and solver from the tables of an experiment
 - `errors`: what may go wrong with a scene or a study
 - `files`: the TOML files: found and read
+- `own_law`: a friction law of one's own, named on the command line
 - `reading`: `load_scene`: a file read and checked
 - `registry`: studies: what one is, and how one is found
 - `report`: what a run found, in a few lines

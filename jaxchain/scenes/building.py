@@ -14,20 +14,30 @@ from .._types import ScalarLike, State
 from ..model import friction, initial_states
 from ..model.chain import Chain
 from ..model.parameters import CHAIN
+from ..model.tabulated import TabulatedFriction
 from ..simulation.accuracy import fit_linear_solve
 from ..solvers.rosenbrock import Rodas4, Rodas5P
+from .own_law import make_law
 from .scene import SweepTable
-from .tables import Equation8Table, Equation10Table
+from .tables import Equation8Table, Equation10Table, OwnLawTable, TabulatedTable
 
 LAWS = {
     "exponential_decay": friction.ExponentialDecay,
     "weakening_strengthening": friction.WeakeningStrengthening,
+    "gaussian_stribeck": friction.GaussianStribeck,
     "coulomb": friction.Coulomb,
 }
 
 
-def build_chain(experiment: SweepTable) -> Chain:
-    """The chain of an experiment, with the first value of everything that is swept."""
+def build_chain(
+    experiment: SweepTable, own_law: type[friction.AbstractFrictionLaw] | None = None
+) -> Chain:
+    """The chain of an experiment, with the first value of everything that is swept.
+
+    `own_law` takes the place of the law that the experiment names.
+
+    **Raises:** `ValueError` for numbers that do not go together, or do not make this law.
+    """
     table, grid = experiment.chain, experiment.grid()
 
     def number(name: str) -> Any:
@@ -40,10 +50,25 @@ def build_chain(experiment: SweepTable) -> Chain:
     width = law.pop("width")
     return Chain(
         table.n,
-        friction.TanhFriction(LAWS[table.friction.law](**law), width),
+        friction.TanhFriction(_law(table.friction, law, own_law), width),
         ends=table.ends,
         **{name: number(name) for name in CHAIN},
     )
+
+
+def _law(
+    table: Any, numbers: dict[str, Any], own: type[friction.AbstractFrictionLaw] | None
+) -> friction.AbstractFrictionLaw:
+    if own is not None:
+        return make_law(own, numbers)
+    if isinstance(table, OwnLawTable):
+        raise ValueError(
+            'chain.friction.law: is "own", so the law must be named on the command line: '
+            "--law FILE.py:CLASS"
+        )
+    if isinstance(table, TabulatedTable):
+        return TabulatedFriction(table.speed, table.mu)
+    return LAWS[table.law](**numbers)
 
 
 def build_initial(experiment: SweepTable) -> Callable[..., State]:

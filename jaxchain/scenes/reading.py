@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
@@ -37,7 +38,8 @@ def load_scene(scene: str, overrides: Sequence[str] = ()) -> LoadedScene:
     name, data = read_scene(scene, overrides)
     model = _model(data, scene)
     try:
-        checked = model.model_validate(data)
+        # Files that the scene names lie beside it.
+        checked = model.model_validate(data, context={"folder": Path(scene).parent})
     except ValidationError as error:
         raise SceneError(scene, explain(error, data, model)) from None
     return LoadedScene(name, checked)

@@ -59,7 +59,7 @@ def _runs(data: xr.Dataset) -> str:
 
 def _chain(data: xr.Dataset) -> str:
     own = parameters(data)
-    left_out = ("n", "ends", "friction_law")
+    left_out = ("n", "ends", "friction_law", "friction_table")
     numbers = [f"{k} {_number(v)}" for k, v in own.items() if k not in left_out and v is not None]
     masses = "1 mass" if own["n"] == 1 else f"{own['n']} masses, {own['ends']} ends"
     return f"{masses}; {own['friction_law']}; {', '.join(numbers)}"

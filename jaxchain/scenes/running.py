@@ -6,14 +6,16 @@ neither a later failure nor an interruption loses what was computed.
 
 from __future__ import annotations
 
+import contextlib
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import xarray as xr
 
 from .._types import State
+from ..model.friction import AbstractFrictionLaw
 from ..observers.amplitude import Amplitude
 from ..plotting.groups import CYCLES, NONSMOOTH
 from ..plotting.sweeps import figure
@@ -40,6 +42,7 @@ def run_experiment(
     *,
     name: str = "sweep",
     model: str = "smoothed",
+    own_law: type[AbstractFrictionLaw] | None = None,
     progress: bool = False,
     initial: Callable[..., State] | None = None,
     observe: Any = None,
@@ -53,7 +56,7 @@ def run_experiment(
     **Raises:** `SweepInterrupted` on Ctrl-C, with the runs that had ended.
     """
     numerics, time = experiment.numerics, experiment.time
-    chain = build_chain(experiment)
+    chain = build_chain(experiment, own_law)
     if observe is None:
         stop = experiment.observe if isinstance(experiment, Experiment) else ObserveTable()
         observe = Amplitude(window=time.window, **stop.model_dump(exclude={"quantities"}))
@@ -77,10 +80,20 @@ def run_experiment(
         )
 
 
+@contextlib.contextmanager
+def _in_scene(scene: str, experiment: str) -> Iterator[None]:
+    """Says where an error is that only the numbers together show: a width too small, say."""
+    try:
+        yield
+    except ValueError as error:
+        raise SceneError(scene, [f"experiment.{experiment}: {error}"]) from error
+
+
 def run_scene(
     loaded: LoadedScene,
     folder: Path,
     *,
+    own_law: type[AbstractFrictionLaw] | None = None,
     plot: bool = True,
     progress: bool = False,
     report: Callable[[str], object] = print,
@@ -93,8 +106,9 @@ def run_scene(
     cycles with its fold is the group `<experiment>_cycles`.
     `<scene>.png` and `<scene>.pdf` show all of them.
 
-    **Arguments:** `folder` exists and is empty (see `new_folder`); `plot`, draw the figure;
-    `progress`, show a progress bar; `report` receives the summary of each experiment.
+    **Arguments:** `folder` exists and is empty (see `new_folder`); `own_law`, the friction law of
+    every experiment, in place of the one that is named there (see `load_law`); `plot`, draw the
+    figure; `progress`, show a progress bar; `report` receives the summary of each experiment.
 
     **Returns:** the datasets by experiment.
 
@@ -103,27 +117,31 @@ def run_scene(
     written but a study found what must not be; `SceneError` for numbers that do not go together.
     """
     if isinstance(loaded.scene, StudyTable):
+        if own_law is not None:
+            raise SceneError(loaded.name, ["--law: is for scenes, and this is a study"])
         return study_run(loaded.scene.study)(
             loaded.scene, folder, name=loaded.name, plot=plot, progress=progress, report=report
         )
     path = folder / loaded.name
-    datasets = {}
+    datasets, chains = {}, {}
+    for name, experiment in loaded.scene.experiment.items():  # before anything runs
+        with _in_scene(loaded.name, name):
+            chains[name] = build_chain(experiment, own_law)
     for name, experiment in loaded.scene.experiment.items():
-        chain, grid = build_chain(experiment), experiment.grid()
+        chain, grid = chains[name], experiment.grid()
         hopf = hopf_speed(chain, grid)
         for model in models(experiment.numerics):
             # Of two models the smoothed one goes by the name of the experiment.
             second = model == "nonsmooth" and experiment.numerics.model == "both"
             group = f"{name}{NONSMOOTH}" if second else name
             try:
-                data = run_experiment(experiment, name=group, model=model, progress=progress)
+                with _in_scene(loaded.name, name):
+                    data = run_experiment(
+                        experiment, name=group, model=model, own_law=own_law, progress=progress
+                    )
                 interrupt = None
             except SweepInterrupted as stopped:
                 data, interrupt = stopped.dataset, stopped
-            except ValueError as error:
-                # What only the numbers together show: a width too small for the tolerance.
-                problem = f"experiment.{name}: {error}"
-                raise SceneError(loaded.name, [problem]) from error
             unwanted = {"amplitude", "energy", "active_count"} - set(experiment.observe.quantities)
             kept = data.drop_vars(unwanted & set(data.data_vars))
             about = {

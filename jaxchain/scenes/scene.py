@@ -23,7 +23,6 @@ from .tables import (
     MOST_LANES,
     MOST_LANES_REMEDY,
     ChainTable,
-    CoulombTable,
     ExcitedTable,
     InitialTable,
     NumericsTable,
@@ -71,8 +70,9 @@ class SweepTable(Table):
 
     def friction_numbers(self) -> tuple[str, ...]:
         """Names of the numbers of the friction law, width last."""
-        fields = type(self.chain.friction).model_fields
-        return tuple(name for name in FRICTION if name in fields)
+        table = self.chain.friction
+        known = tuple(name for name in FRICTION if name in type(table).model_fields)
+        return (*(table.model_extra or ()), *known)
 
     def given(self, name: str) -> Any:
         """A number of the chain or its friction as it stands in their tables."""
@@ -184,7 +184,7 @@ class SweepTable(Table):
                 )
         if self.given("coupling") is not None and chain.n == 1:
             yield ("coupling",), "must be left out: a single mass (`n` = 1) has no neighbours"
-        if not isinstance(chain.friction, CoulombTable):
+        if {"mu_static", "mu_dynamic"} <= set(type(chain.friction).model_fields):
             static, dynamic = self._extreme("mu_static", min), self._extreme("mu_dynamic", max)
             if static is not None and dynamic is not None and static < dynamic:
                 yield (

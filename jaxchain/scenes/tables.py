@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from decimal import Decimal
+from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias, TypeVar
 
 import numpy as np
@@ -20,10 +21,12 @@ from pydantic import (
     Discriminator,
     Field,
     Tag,
+    ValidationInfo,
     create_model,
     model_validator,
 )
 
+from ..model.measured import check_measured, read_curve
 from ..model.parameters import CHAIN, Parameter, parameter
 
 T = TypeVar("T", bound=BaseModel)
@@ -180,6 +183,13 @@ class WeakeningStrengtheningTable(Table):
     law: Literal["weakening_strengthening"]
 
 
+@_numbers(*_WEAKENING, "mu_viscous")
+class GaussianStribeckTable(Table):
+    """mu(s) = mu_dynamic + (mu_static - mu_dynamic) exp(-(s / v_ref)^2) + mu_viscous s / v_ref."""
+
+    law: Literal["gaussian_stribeck"]
+
+
 @_numbers("width", "mu_dynamic")
 class CoulombTable(Table):
     """mu(s) = mu_dynamic."""
@@ -187,8 +197,67 @@ class CoulombTable(Table):
     law: Literal["coulomb"]
 
 
+@_numbers("width")
+class TabulatedTable(Table):
+    """mu(s) through measured points, constant beyond the last: a file, or two lists."""
+
+    law: Literal["tabulated"]
+    file: str | None = None
+    """CSV file of two columns, speed and friction coefficient, beside the scene file."""
+    speed: list[float] = []
+    """Speeds, rising from 0; instead of `file`."""
+    mu: list[float] = []
+    """Friction coefficient at each of them."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _read(cls, table: Any, info: ValidationInfo) -> Any:
+        """With the numbers of its file, so that results hold them."""
+        if not isinstance(table, dict) or not isinstance(table.get("file"), str):
+            return table
+        if "speed" in table or "mu" in table:
+            raise ValueError("must have either `file` or `speed` and `mu`")
+        file = Path((info.context or {}).get("folder", ".")) / table["file"]
+        try:
+            speed, mu = read_curve(file)
+        except (OSError, UnicodeDecodeError) as error:
+            raise ValueError(f"has a `file` that cannot be read, {file}: {error}") from None
+        return {key: value for key, value in table.items() if key != "file"} | {
+            "speed": speed, "mu": mu,
+        }  # fmt: skip
+
+    @model_validator(mode="after")
+    def _check(self) -> TabulatedTable:
+        if not self.speed and not self.mu:
+            raise ValueError("must have either `file` or `speed` and `mu`")
+        check_measured(self.speed, self.mu)
+        return self
+
+
+@_numbers("width")
+class OwnLawTable(Table):
+    """A law of one's own, named on the command line: `--law FILE.py:CLASS`."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, float] = Field(init=False)
+
+    law: Literal["own"]
+
+    @model_validator(mode="after")
+    def _check(self) -> OwnLawTable:
+        if taken := sorted({*CHAIN, "n", "ends", "excited"} & set(self.model_extra or ())):
+            raise ValueError(f"cannot have the key `{taken[0]}`, a number of the chain: rename it")
+        return self
+
+
 FrictionTable: TypeAlias = Annotated[
-    ExponentialDecayTable | WeakeningStrengtheningTable | CoulombTable, Field(discriminator="law")
+    ExponentialDecayTable
+    | WeakeningStrengtheningTable
+    | GaussianStribeckTable
+    | CoulombTable
+    | TabulatedTable
+    | OwnLawTable,
+    Field(discriminator="law"),
 ]
 
 

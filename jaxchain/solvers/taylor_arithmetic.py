@@ -78,8 +78,8 @@ def _by_jet(function: Callable[[Any], Any], argument: Sequence[Any], k: int) -> 
         _, series = jet(function, (argument[0],), (derivatives,))
     except (NotImplementedError, KeyError) as error:  # a missing rule is a missing key there
         raise ValueError(
-            f"A friction law cannot be expanded in a Taylor series: no rule for {error}. Write it with other "
-            "functions, or use smoothed friction."
+            f"A friction law cannot be expanded in a Taylor series: no rule for {error}. Write it "
+            "with other functions, or use smoothed friction."
         ) from error
     return series[k - 1] / math.factorial(k)
 
@@ -98,7 +98,9 @@ class _Expansion:
 
     def _run(self, program: ClosedJaxpr, inputs: Sequence[tuple[Any, Any]]) -> list[Any]:
         known: dict[Any, tuple[Any, Any]] = dict(zip(program.jaxpr.invars, inputs, strict=True))
-        known.update((v, (c, c)) for v, c in zip(program.jaxpr.constvars, program.consts))
+        known.update(
+            (v, (c, c)) for v, c in zip(program.jaxpr.constvars, program.consts, strict=True)
+        )
 
         def read(name: Any) -> tuple[Any, Any]:
             return (name.val, name.val) if isinstance(name, Literal) else known[name]

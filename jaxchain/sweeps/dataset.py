@@ -36,6 +36,7 @@ import xarray as xr
 
 from ..model.chain import Chain
 from ..model.parameters import CHAIN, parameter
+from ..model.tabulated import TabulatedFriction
 from ..observers.amplitude import Amplitude
 from ..observers.base import AbstractObserver
 from ..observers.fronts import FrontTrack
@@ -91,6 +92,8 @@ def describe(
         "friction_law": type(chain.friction.law).__name__,
         **chain.friction.numbers(),
     }
+    if isinstance(chain.friction.law, TabulatedFriction):
+        parameters["friction_table"] = chain.friction.law.table
     for name in swept:
         if name in parameters:
             parameters[name] = "swept"

@@ -121,7 +121,7 @@ def test_what_cannot_be_expanded_is_refused_in_words():
     def function(s):
         return jax.lax.while_loop(lambda y: y[0] < 9.0, lambda y: y * (1.0 + s), 1.0 + s)
 
-    with pytest.raises(ValueError, match="cannot be expanded in a Taylor series.*smoothed"):
+    with pytest.raises(ValueError, match=r"cannot be expanded in a Taylor series.*smoothed"):
         coefficients(function)
 
 
