@@ -99,7 +99,9 @@ class AbstractFrictionLaw(eqx.Module):
     def __check_init__(self) -> None:
         # The laws of this module are sound where their numbers are.
         if type(self).__module__ != __name__ and not is_traced(self):
-            check_curve(type(self).__name__, self.coefficient, self.mu_static)
+            per_mass = any(jnp.ndim(number) for number in self.numbers().values())
+            mu = jax.vmap(self.coefficient) if per_mass else self.coefficient
+            check_curve(type(self).__name__, mu, self.mu_static)
 
 
 class ExponentialDecay(AbstractFrictionLaw):
@@ -248,16 +250,21 @@ def as_law(law: Any) -> AbstractFrictionLaw:
     """
     if not isinstance(law, AbstractFrictionLaw):
         raise ValueError(
-            "Argument `law` must be an `AbstractFrictionLaw`, such as `ExponentialDecay(...)`, but "
-            f"is {law!r}."
+            "Argument `law` must be an `AbstractFrictionLaw`, such as `ExponentialDecay(...)`, "
+            f"but is {law!r}."
         )
     if taken := sorted({*CHAIN, "n", "ends", "friction", "width"} & set(law.numbers())):
         raise ValueError(
-            f"Friction law `{type(law).__name__}` cannot have the field `{taken[0]}`, which is the "
-            "name of a number of the chain: rename it."
+            f"Friction law `{type(law).__name__}` cannot have the field `{taken[0]}`, which is "
+            "the name of a number of the chain: rename it."
         )
-    numbers = (bool, int, float, np.number, np.ndarray)
-    return jax.tree.map(lambda leaf: to_float(leaf) if isinstance(leaf, numbers) else leaf, law)
+    kinds = (int, float, np.number, np.ndarray, jax.Array)
+
+    def converted(leaf: Any) -> Any:
+        number = isinstance(leaf, kinds) and jnp.issubdtype(jnp.result_type(leaf), jnp.number)
+        return to_float(leaf) if number else leaf
+
+    return jax.tree.map(converted, law)
 
 
 class TanhFriction(eqx.Module):

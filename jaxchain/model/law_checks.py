@@ -1,4 +1,4 @@
-"""Whether a curve mu(s) can be a law of friction: looked at before anything is computed with it."""
+"""Whether a curve mu(s) can be a law of friction: looked at before it is used."""
 
 from __future__ import annotations
 
@@ -20,29 +20,29 @@ _PARTS, _ROUNDS, _MOST = 16, 10, 32
 def check_curve(name: str, coefficient: Callable[[Any], Any], mu_static: Any) -> None:
     """Raises `ValueError` with the speed at which mu is negative, not finite, or jumps.
 
-    **Arguments:** `name` of the law, for the error; `coefficient` = mu, whose numbers are
-    concrete; `mu_static`, which mu(0) must be.
+    **Arguments:** `name` of the law, for the error; `coefficient` = mu of an array of speeds, of
+    shape (speeds,) or (speeds, n), made of concrete numbers; `mu_static`, which mu(0) must be.
     """
     curve = f"Friction law `{name}`"
 
     def mu(speeds: np.ndarray) -> np.ndarray:
-        """Of shape (speeds, 1), or (speeds, n) with a number per mass."""
+        """Of shape (speeds, 1), or (speeds, n)."""
         with jax.ensure_compile_time_eval():
-            values = np.asarray(coefficient(jnp.asarray(speeds)[:, None]), float)
-        if values.ndim != 2 or values.shape[0] != speeds.size:
+            values = np.asarray(coefficient(jnp.asarray(speeds)), float)
+        if values.shape[:1] != speeds.shape:
             raise ValueError(
-                f"{curve} must take speeds of any shape, element by element, but of shape "
-                f"{(speeds.size, 1)} it makes an array of shape {values.shape}."
+                f"{curve} must take speeds element by element, but of an array of shape "
+                f"{speeds.shape} it makes one of shape {values.shape}."
             )
-        return values
+        return values.reshape(speeds.size, -1)
 
     values = mu(_SPEEDS)
     for bad, what in ((~np.isfinite(values), "not finite"), (values < 0, "negative")):
         if np.any(bad):
             row, mass = np.argwhere(bad)[0]
             raise ValueError(
-                f"{curve} is {what} at the speed {_SPEEDS[row]:.6g}: mu = {values[row, mass]:.6g}. "
-                f"Up to a speed of {_SPEEDS[-1]:g} it must be finite and at least 0."
+                f"{curve} is {what} at the speed {_SPEEDS[row]:.6g}: mu = {values[row, mass]:.6g}."
+                f" Up to a speed of {_SPEEDS[-1]:g} it must be finite and at least 0."
             )
     least_jump = _JUMP * values.max()
     if np.any(np.abs(values[0] - np.asarray(mu_static, float)) > least_jump):
@@ -53,8 +53,8 @@ def check_curve(name: str, coefficient: Callable[[Any], Any], mu_static: Any) ->
     jump, speed = _greatest_jump(mu, values)
     if jump > least_jump:
         raise ValueError(
-            f"{curve} jumps at the speed {speed:.6g}, by {jump:.6g}. mu(s) must be continuous: let "
-            "it change over a small range of speeds."
+            f"{curve} jumps at the speed {speed:.6g}, by {jump:.6g}. mu(s) must be continuous: "
+            "let it change over a small range of speeds."
         )
 
 

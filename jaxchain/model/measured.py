@@ -38,7 +38,7 @@ def read_curve(path: str | Path) -> tuple[list[float], list[float]]:
     return [speed for speed, _ in rows], [mu for _, mu in rows]
 
 
-def check_measured(speed: Sequence[float], mu: Sequence[float]) -> None:
+def check_measured(speed: Sequence[float] | np.ndarray, mu: Sequence[float] | np.ndarray) -> None:
     """Raises `ValueError` unless speeds rise from 0 and friction coefficients are none below 0.
 
     >>> check_measured([0.0, 0.5, 1.0], [1.0, 0.6, 0.5])

@@ -53,7 +53,7 @@ class TabulatedFriction(AbstractFrictionLaw):
             )
         s, m = np.asarray(speed, float), np.asarray(mu, float)
         try:
-            check_measured(s, m)  # pyright: ignore[reportArgumentType]
+            check_measured(s, m)
         except ValueError as error:
             raise ValueError(f"Arguments `speed` and `mu` are no friction law: {error}.") from None
         constant = np.array([[m[-1]], [0.0], [0.0], [0.0]])
@@ -88,7 +88,8 @@ class TabulatedFriction(AbstractFrictionLaw):
 
     def coefficient(self, speed: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
         s = jnp.asarray(speed)
-        piece = jnp.sum(s[..., None] >= self.knots, axis=-1)
+        # The default is a loop, for tables of thousands.
+        piece = jnp.searchsorted(self.knots, s, side="right", method="compare_all")
         start, c0, c1, c2, c3 = self.pieces[:, piece]
         d = s - start
         return c0 + d * (c1 + d * (c2 + d * c3))

@@ -222,7 +222,7 @@ def _next_knot(field: DryField, series: Series, modes: Modes, length: Array) -> 
     w += [modes.direction * v for v in series.v[1:]]
     ahead = CLEARANCE * (1.0 + w[0])
     edges = jnp.concatenate([jnp.array([-_FAR]), knots, jnp.array([_FAR])])
-    piece = jnp.sum((w[0] + ahead)[:, None] >= knots, axis=-1)
+    piece = jnp.searchsorted(knots, w[0] + ahead, side="right", method="compare_all")
     slides = modes.direction != STICK
     lower = jnp.where(slides, edges[piece] - 2.0 * ahead, -_FAR)
     upper = jnp.where(slides, edges[piece + 1] + 2.0 * ahead, _FAR)

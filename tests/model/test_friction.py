@@ -5,8 +5,10 @@ import numpy as np
 import pytest
 
 from jaxchain.model.friction import (
+    AbstractFrictionLaw,
     Coulomb,
     ExponentialDecay,
+    GaussianStribeck,
     TanhFriction,
     WeakeningStrengthening,
 )
@@ -21,7 +23,12 @@ def paper_law():
 
 
 def all_laws():
-    return [paper_law(), WeakeningStrengthening(1.0, 0.5, 0.5, 0.1), Coulomb(0.5)]
+    return [
+        paper_law(),
+        WeakeningStrengthening(1.0, 0.5, 0.5, 0.1),
+        GaussianStribeck(1.0, 0.5, 0.5, 0.1),
+        Coulomb(0.5),
+    ]
 
 
 @pytest.mark.parametrize("law", all_laws())
@@ -58,6 +65,19 @@ def test_weakening_strengthening_without_viscous_part_is_exponential_decay():
     law = WeakeningStrengthening(MU_STATIC, MU_DYNAMIC, V_REF, 0.0)
     s = jnp.asarray(SPEEDS)
     np.testing.assert_array_equal(law.coefficient(s), paper_law().coefficient(s))
+
+
+def test_gaussian_stribeck_takes_its_closed_form():
+    values = GaussianStribeck(1.0, 0.5, 0.4, 0.1).coefficient(jnp.asarray(SPEEDS))
+    closed = 0.5 + 0.5 * np.exp(-((2.5 * SPEEDS) ** 2)) + 0.25 * SPEEDS
+    np.testing.assert_allclose(values, closed, rtol=1e-15)
+
+
+def test_gaussian_stribeck_weakens_most_where_and_as_its_docstring_says():
+    slope = jax.grad(GaussianStribeck(1.0, 0.5, 0.4, 0.1).coefficient)
+    at = 0.4 / np.sqrt(2.0)
+    np.testing.assert_allclose(slope(at), -(0.5 * np.sqrt(2.0 / np.e) - 0.1) / 0.4, rtol=1e-14)
+    assert slope(at) < min(slope(0.99 * at), slope(1.01 * at))
 
 
 def test_coulomb_friction_is_the_same_at_every_speed():
@@ -147,6 +167,7 @@ def test_force_and_slope_stay_finite_at_extreme_widths_and_velocities(width, w):
     [
         (ExponentialDecay, (1.0, 0.5, 0.5)),
         (WeakeningStrengthening, (1.0, 0.5, 0.5, 0.1)),
+        (GaussianStribeck, (1.0, 0.5, 0.5, 0.1)),
         (Coulomb, (0.5,)),
     ],
 )
@@ -231,8 +252,9 @@ def test_an_impossible_friction_coefficient_is_refused(bad):
         ExponentialDecay(1.0, bad, 0.5)
     with pytest.raises(ValueError, match="`mu_dynamic`"):
         Coulomb(bad)
-    with pytest.raises(ValueError, match="`mu_viscous`"):
-        WeakeningStrengthening(1.0, 0.5, 0.5, bad)
+    for law in (WeakeningStrengthening, GaussianStribeck):
+        with pytest.raises(ValueError, match="`mu_viscous`"):
+            law(1.0, 0.5, 0.5, bad)
 
 
 @pytest.mark.parametrize("bad", [0.0, -0.1, np.nan, np.inf])
@@ -266,3 +288,55 @@ def test_a_mass_sticks_up_to_the_speed_of_greatest_friction(width):
     w = jnp.linspace(0.0, 20 * width, 20_001)
     greatest = w[jnp.argmax(jnp.abs(friction.force(w)))]
     np.testing.assert_allclose(friction.stick_speed(), greatest, rtol=20 * width)
+
+
+class Rational(AbstractFrictionLaw):
+    mu_static: float
+    v_ref: float
+    power: int = eqx.field(static=True, default=2)
+
+    def coefficient(self, speed):
+        return self.mu_static / (1.0 + speed / self.v_ref) ** self.power
+
+
+def test_numbers_of_python_become_leaves_that_can_be_differentiated():
+    friction = TanhFriction(Rational(1, np.float64(0.5)), 1e-2)
+    leaves = jax.tree.leaves(friction.law)
+    assert len(leaves) == 2
+    assert all(leaf.dtype == jnp.float64 and not leaf.weak_type for leaf in leaves)
+    slope = jax.grad(lambda friction: friction.force(-1.0))(friction).law
+    # mu = mu_st / 9 at s = 1, and d mu / d v_ref = 2 mu / 3 s / v_ref^2.
+    np.testing.assert_allclose([slope.mu_static, slope.v_ref], [1 / 9, 8 / 27], rtol=1e-13)
+
+
+def test_a_law_of_ones_own_is_compiled_once_for_all_its_numbers():
+    traced = []
+
+    @jax.jit
+    def force(friction):
+        traced.append(friction)
+        return friction.force(0.3)
+
+    for mu_static in (1.0, 0.9, np.float64(0.8), jnp.asarray(0.7)):
+        force(TanhFriction(Rational(mu_static, 0.5), 1e-2))
+    assert len(traced) == 1
+
+
+def test_static_fields_are_no_numbers_and_outlive_a_change():
+    law = Rational(1.0, 0.5, power=3)
+    assert list(law.numbers()) == ["mu_static", "v_ref"]
+    changed = law.with_(v_ref=0.25)
+    assert (changed.mu_static, changed.v_ref, changed.power) == (1.0, 0.25, 3)
+
+
+def test_anything_but_a_law_is_refused():
+    with pytest.raises(ValueError, match=r"`law` must be an `AbstractFrictionLaw`.*but is 0\.5"):
+        TanhFriction(0.5, 1e-2)
+
+
+def test_a_law_with_the_name_of_a_number_of_the_chain_is_refused():
+    class Stiff(Rational):
+        stiffness: float = 1.0
+
+    with pytest.raises(ValueError, match="`Stiff` cannot have the field `stiffness`"):
+        TanhFriction(Stiff(1.0, 0.5), 1e-2)

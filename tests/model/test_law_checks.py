@@ -1,0 +1,83 @@
+"""What cannot be a law of friction is refused with the speed at which it shows."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxchain.model.friction import AbstractFrictionLaw
+
+
+class Law(AbstractFrictionLaw):
+    mu_static: float = 1.0
+    a: float = 0.5
+
+
+class Linear(Law):
+    def coefficient(self, speed):
+        return self.mu_static - self.a * speed
+
+
+class Jump(Law):
+    height: float = 0.1
+
+    def coefficient(self, speed):
+        return self.mu_static + jnp.where(speed < self.a, 0.0, self.height)
+
+
+class Steep(Law):
+    """As steep as a jump but for one who looks very closely."""
+
+    def coefficient(self, speed):
+        step = jnp.clip((speed - self.a) * 1e7, 0.0, 1.0)
+        return self.mu_static - 0.3 * step
+
+
+class Pole(Law):
+    def coefficient(self, speed):
+        return self.mu_static + 0.0 / jnp.where(speed < self.a, 1.0, 0.0)
+
+
+class Scalar(Law):
+    def coefficient(self, speed):
+        return jnp.asarray(self.mu_static)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        # The first of the speeds that are looked at beyond 2.
+        (lambda: Linear(1.0, 0.5), r"`Linear` is negative at the speed 2\.0\d+: mu = -0\.0"),
+        (lambda: Linear(jnp.array([0.1, 1.0]), 1e-2 / 3), r"negative at the speed 30\.\d+:"),
+        (lambda: Pole(), r"`Pole` is not finite at the speed 0\.5\d*: mu = nan"),
+        (lambda: Linear(np.nan), "is not finite at the speed 0: mu = nan"),
+        (lambda: Jump(1.0, 0.7), r"`Jump` jumps at the speed 0\.7, by 0\.1\."),
+        (lambda: Jump(1.0, 3e-7, -1e-3), r"jumps at the speed 3e-07, by 0\.001\."),
+        (lambda: Jump(1.0, 99.0, 1e-3), r"jumps at the speed 99, by 0\.001\."),
+        (
+            lambda: Jump(1.0, 0.0),
+            r"at the speed 0: `mu_static` is 1\.0, but mu\(0\) is 1\.1",
+        ),
+        (lambda: Jump(1.0, 1e-300), r"jumps at the speed .*, by 0\.1\."),
+        (lambda: Scalar(), r"element by element, but of an array of shape .* it makes one of"),
+    ],
+)
+def test_a_curve_that_cannot_be_a_law_is_refused_with_its_speed(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+@pytest.mark.parametrize(
+    "make", [lambda: Linear(1.0, 0.01), lambda: Linear(0.0, 0.0), lambda: Steep(1.0, 0.37)]
+)
+def test_a_curve_that_only_comes_close_to_that_is_none_of_it(make):
+    make()
+
+
+def test_nothing_is_refused_while_numbers_are_traced():
+    assert jax.jit(lambda a: Linear(1.0, a).coefficient(9.0))(0.5) == -3.5
+
+
+def test_concrete_numbers_are_looked_at_inside_a_traced_function_too():
+    with pytest.raises(ValueError, match="is negative at the speed"):
+        jax.jit(lambda speed: Linear(1.0, 0.5).coefficient(speed))(0.1)

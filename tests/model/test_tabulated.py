@@ -1,0 +1,163 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.interpolate import PchipInterpolator
+
+from jaxchain.cycles.averaging import one_mass
+from jaxchain.model.chain import Chain
+from jaxchain.model.friction import TanhFriction
+from jaxchain.model.tabulated import TabulatedFriction
+from jaxchain.observers.trajectory import Trajectory
+from jaxchain.simulation.event_driven import EventDriven
+from jaxchain.simulation.run import simulate
+from jaxchain.sweeps.sweeping import sweep
+
+SPEED = [0.0, 0.2, 0.5, 0.8, 1.2, 2.0]
+MU = [1.0, 0.8, 0.75, 0.6, 0.52, 0.5]
+
+
+def law():
+    return TabulatedFriction(SPEED, MU)
+
+
+def chain(n=1, friction=None, **more):
+    friction = friction or law()
+    return Chain(n, TanhFriction(friction, 1e-3), belt_speed=1.0, damping_ratio=0.02, **more)
+
+
+def test_the_curve_is_the_shape_preserving_one():
+    speeds = np.linspace(0.0, 2.0, 101)
+    np.testing.assert_allclose(
+        law().coefficient(speeds), PchipInterpolator(SPEED, MU)(speeds), rtol=1e-14
+    )
+    np.testing.assert_allclose(law().coefficient(np.array(SPEED)), MU, rtol=1e-15)
+
+
+def test_its_slope_does_not_jump_before_the_last_speed_and_is_0_beyond():
+    slope = jax.vmap(jax.grad(law().coefficient))
+    knots = np.array(SPEED[1:-1])
+    np.testing.assert_allclose(slope(knots - 1e-9), slope(knots + 1e-9), atol=1e-7)
+    np.testing.assert_array_equal(slope(np.array([2.0, 3.0, 50.0])), 0.0)
+    assert law().coefficient(50.0) == 0.5
+
+
+def test_friction_at_rest_is_the_first_value():
+    assert law().mu_static == 1.0
+    assert law().coefficient(0.0) == 1.0
+
+
+def test_speeds_of_any_shape():
+    speeds = np.linspace(0.0, 2.5, 12).reshape(3, 4)
+    flat = law().coefficient(speeds.ravel())
+    np.testing.assert_array_equal(law().coefficient(speeds), flat.reshape(3, 4))
+
+
+def test_it_is_read_from_a_file(tmp_path):
+    file = tmp_path / "mu.csv"
+    np.savetxt(file, np.transpose([SPEED, MU]), delimiter=",", header="speed,mu", comments="")
+    np.testing.assert_array_equal(TabulatedFriction.from_csv(file).pieces, law().pieces)
+
+
+def test_what_is_no_table_is_refused():
+    with pytest.raises(ValueError, match="`speed` and `mu` are no friction law: the first speed"):
+        TabulatedFriction([0.1, 1.0], [1.0, 0.5])
+    with pytest.raises(ValueError, match="cannot be traced: make the law before"):
+        jax.jit(lambda mu: TabulatedFriction([0.0, 1.0], mu).pieces)(jnp.array([1.0, 0.5]))
+
+
+def test_a_chain_keeps_its_table_through_changes_and_gives_it_to_every_mass():
+    ring = chain(5, coupling=0.01, stiffness=np.linspace(1.0, 1.4, 5)).with_(width=1e-4)
+    for kept in (ring, one_mass(ring, 3)):
+        np.testing.assert_array_equal(kept.friction.law.pieces, law().pieces)
+    assert "pieces" not in ring.numbers()
+    with pytest.raises(ValueError, match="does not know"):
+        ring.with_(pieces=1.0)
+
+
+def test_a_sweep_says_from_which_table_it_comes():
+    data = sweep(chain(), (jnp.array([0.5]), jnp.zeros(1)), 0.5, over={"belt_speed": [1.0, 1.2]})
+    assert str(SPEED) in data.attrs["parameters"]
+    assert str(MU) in data.attrs["parameters"]
+
+
+# From beyond the last speed of the table to just before the mass would stick.
+START, END = (0.55, -1.2), 2.2
+
+
+def initial():
+    return tuple(jnp.array([value]) for value in START)
+
+
+def slid(start, t1, kinks):
+    """One mass that slides behind the belt, by a fine solver that stops where it passes a kink."""
+    curve = PchipInterpolator(SPEED, MU)
+
+    def motion(t, y):
+        return [y[1], -y[0] - 0.04 * y[1] + curve(min(1.0 - y[1], SPEED[-1]))]
+
+    def passes(speed):
+        def event(t, y):
+            return 1.0 - y[1] - speed
+
+        event.terminal = True
+        return event
+
+    t, y, count = 0.0, np.array(start), 0
+    options = {"method": "DOP853", "rtol": 1e-13, "atol": 1e-14}
+    while t < t1:
+        step = solve_ivp(motion, (t, min(t + 1e-6, t1)), y, **options)  # off the kink
+        t, y = step.t[-1], step.y[:, -1]
+        step = solve_ivp(
+            motion, (t, t1), y, events=[passes(speed) for speed in kinks], max_step=0.1, **options
+        )
+        t, y, count = step.t[-1], step.y[:, -1], count + (step.status == 1)
+        assert 1.0 - y[1] > 0
+    return y, count
+
+
+def test_an_event_driven_step_ends_where_the_pieces_of_the_curve_meet():
+    expected, kinks = slid(START, END, SPEED[1:])
+    assert kinks == 4
+    own = chain()
+    for rtol, bound in ((1e-6, 1e-5), (1e-12, 1e-10)):
+        end = simulate(own, initial(), END, solver=EventDriven(), rtol=rtol, atol=0.1 * rtol).state
+        np.testing.assert_allclose(np.ravel(end), expected, atol=bound)
+
+
+def test_without_its_knots_it_would_be_silently_wrong():
+    """What the test above sees: a law that says that its pieces meet nowhere."""
+
+    class Unsaid(TabulatedFriction):
+        @property
+        def knots(self):
+            return jnp.full_like(self.pieces[0, 1:], jnp.inf)
+
+        def coefficient(self, speed):
+            return TabulatedFriction.coefficient(law(), speed)
+
+    expected, _ = slid(START, END, SPEED[1:])
+    own = chain(friction=Unsaid(SPEED, MU))
+    end = simulate(own, initial(), END, solver=EventDriven(), rtol=1e-6, atol=1e-7).state
+    assert np.max(np.abs(np.ravel(end) - expected)) > 1e-4
+
+
+def test_dry_and_smoothed_agree_to_their_width():
+    own = chain().with_(width=1e-5)
+    times = jnp.linspace(0.0, 30.0, 31)
+    options = {"observe": Trajectory(times), "rtol": 1e-9}
+    dry = simulate(own, initial(), 30.0, solver=EventDriven(), **options).observed
+    smoothed = simulate(own, initial(), 30.0, **options).observed
+    np.testing.assert_allclose(dry, smoothed, atol=1e-3)
+
+
+def test_derivatives_pass_through_the_knots():
+    def end(stretch):
+        x, v = initial()
+        options = {"solver": EventDriven(), "rtol": 1e-12, "atol": 1e-13}
+        return simulate(chain(), (x * stretch, v), END, **options).state[0][0]
+
+    _, slope = jax.jvp(end, (1.0,), (1.0,))
+    h = 1e-5
+    np.testing.assert_allclose(slope, (end(1.0 + h) - end(1.0 - h)) / (2 * h), rtol=1e-6)
