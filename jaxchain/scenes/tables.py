@@ -21,7 +21,6 @@ from pydantic import (
     Discriminator,
     Field,
     Tag,
-    ValidationInfo,
     create_model,
     model_validator,
 )
@@ -211,7 +210,7 @@ class TabulatedTable(Table):
 
     @model_validator(mode="before")
     @classmethod
-    def _read(cls, table: Any, info: ValidationInfo) -> Any:
+    def _read(cls, table: Any, info: Any) -> Any:
         """With the numbers of its file, so that results hold them."""
         if not isinstance(table, dict) or not isinstance(table.get("file"), str):
             return table

@@ -3,6 +3,7 @@
 import json
 import time
 import tomllib
+from pathlib import Path
 
 import pytest
 
@@ -156,6 +157,66 @@ PAIR = "experiment.pair."
 def test_a_mistake_is_reported_by_key_value_and_what_is_allowed(scene_file, override, problem):
     (found,) = problems(scene_file, PAIR + override)
     assert found.startswith(PAIR + problem)
+
+
+FRICTION = PAIR + "chain.friction="
+
+
+@pytest.mark.parametrize(
+    ("friction", "problem"),
+    [
+        (
+            '{law="tabulated",width=1}',
+            "chain.friction: must have either `file` or `speed` and `mu`",
+        ),
+        ('{law="tabulated",file="nu.csv",width=1}', "chain.friction: has a `file` that cannot be"),
+        ('{law="tabulated",file=3,width=1}', "chain.friction.file: must be a text in quotes, but"),
+        (
+            '{law="tabulated",file="mu.csv",speed=[0,1],width=1}',
+            "chain.friction: must have either `file` or",
+        ),
+        (
+            '{law="tabulated",speed=[0.1,1],mu=[1,0.5],width=1}',
+            "chain.friction: the first speed must be 0, but is 0.1",
+        ),
+        ('{law="tabulated",speed=[0,1],mu=[1,0.5]}', "chain.friction.width: is missing"),
+        ('{law="own",width=1,mu_static="x"}', "chain.friction.mu_static: must be a number, but"),
+        ('{law="own",width=1,stiffness=2}', "chain.friction: cannot have the key `stiffness`, a"),
+        (
+            '{law="gaussian_stribeck",width=1,mu_static=1,mu_dynamic=0.5,v_ref=1}',
+            "chain.friction.mu_viscous: is missing: give it here or in `sweep`",
+        ),
+        (
+            '{law="gaussian_stribeck",width=1,mu_static=1,mu_dynamic=2,v_ref=1,mu_viscous=0}',
+            "chain.friction.mu_static: must be at least `mu_dynamic` = 2, but is 1",
+        ),
+    ],
+)
+def test_a_mistake_in_a_law_is_reported_alike(scene_file, friction, problem):
+    (found,) = problems(scene_file, FRICTION + friction)
+    assert found.startswith(PAIR + problem)
+
+
+def test_a_table_of_friction_is_read_beside_the_scene_and_kept_with_its_results(scene_file):
+    Path(scene_file).with_name("mu.csv").write_text("s,mu\n0,1\n2,0.5\n", encoding="utf-8")
+    loaded = load_scene(scene_file, [FRICTION + '{law="tabulated",file="mu.csv",width=0.1}'])
+    experiment = loaded.scene.experiment["pair"]
+    friction = experiment.chain.friction
+    assert (friction.speed, friction.mu, friction.file) == ([0.0, 2.0], [1.0, 0.5], None)
+    assert '"speed":[0.0,2.0],"mu":[1.0,0.5]' in experiment.model_dump_json()
+
+
+def test_the_numbers_of_a_law_of_ones_own_have_any_names_and_can_be_swept(scene_file):
+    loaded = load_scene(
+        scene_file, [FRICTION + '{law="own",width=0.1,slope=2}', PAIR + "sweep.slope=[1, 2]"]
+    )
+    experiment = loaded.scene.experiment["pair"]
+    assert experiment.friction_numbers() == ("slope", "width")
+    assert experiment.lanes() == 16
+    (found,) = problems(
+        scene_file, FRICTION + '{law="own",width=0.1,slope=2}', PAIR + "sweep.solpe=[1]"
+    )
+    assert "sweep.solpe: cannot be swept (did you mean `slope`?)" in found
 
 
 def test_all_mistakes_are_reported_at_once(scene_file):
