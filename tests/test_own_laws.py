@@ -1,0 +1,104 @@
+"""A law of seven lines does what a law of this package does: the same numbers, by other text."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxchain.boundaries.fold import fold_belt_speed
+from jaxchain.boundaries.grazing import nonsmooth_fold_belt_speed
+from jaxchain.boundaries.hopf import hopf_belt_speed
+from jaxchain.boundaries.hopf_scan import hopf_points
+from jaxchain.model.chain import Chain, paper_chain
+from jaxchain.model.friction import AbstractFrictionLaw, TanhFriction
+from jaxchain.model.initial_states import equation_8
+from jaxchain.simulation.event_driven import EventDriven
+from jaxchain.simulation.run import simulate
+from jaxchain.sweeps.sweeping import sweep
+
+
+class Own(AbstractFrictionLaw):
+    mu_static: float
+    mu_dynamic: float
+    v_ref: float
+
+    def coefficient(self, speed):
+        return self.mu_dynamic + (self.mu_static - self.mu_dynamic) * jnp.exp(-speed / self.v_ref)
+
+
+NUMBERS = {
+    "damping_ratio": 0.05, "mu_static": 1.0, "mu_dynamic": 0.5, "v_ref": 0.5, "width": 1e-3,
+}  # fmt: skip
+
+
+def own_chain(n=1, belt_speed=1.0):
+    chain = paper_chain(n, belt_speed)
+    return chain.with_(friction=TanhFriction(Own(1.0, 0.5, 0.5), 1e-3))
+
+
+def pair(n=1, belt_speed=1.0):
+    return own_chain(n, belt_speed), paper_chain(n, belt_speed)
+
+
+def agree(one, other, bound=1e-10):
+    for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
+        np.testing.assert_allclose(a, b, rtol=bound, atol=bound)
+
+
+@pytest.mark.parametrize(
+    "boundary",
+    [
+        hopf_belt_speed,
+        pytest.param(nonsmooth_fold_belt_speed, marks=pytest.mark.long),
+        pytest.param(fold_belt_speed, marks=pytest.mark.long),
+    ],
+)
+def test_boundaries_and_their_gradients_agree_with_the_shipped_law(boundary):
+    def at(chain):
+        return jax.value_and_grad(lambda numbers: boundary(chain.with_(**numbers)))(NUMBERS)
+
+    own, shipped = map(at, pair())
+    agree(own, shipped)
+    assert jnp.isfinite(own[0])
+    assert own[1]["mu_static"] != 0
+
+
+def test_hopf_points_with_numbers_of_python():
+    own, shipped = (hopf_points(chain) for chain in pair(3))
+    agree(own.belt_speed, shipped.belt_speed)
+
+
+def test_event_driven_runs_and_their_derivatives_agree():
+    """Masses stick, slide and come back; the tangent is that of the law's own number."""
+
+    def end(chain):
+        def state(mu_static):
+            varied = chain.with_(mu_static=mu_static)
+            return simulate(varied, equation_8(chain, 2), 20.0, solver=EventDriven()).state
+
+        return jax.jvp(state, (1.0,), (1.0,))
+
+    own, shipped = map(end, pair(3))
+    agree(own, shipped)
+
+
+def test_sweeps_agree():
+    over = {"mu_static": [0.9, 1.0], "excited": [0, 2]}
+    own, shipped = (sweep(chain, equation_8, 5.0, over=over) for chain in pair(3))
+    agree(own["amplitude"].values, shipped["amplitude"].values)
+
+
+def test_one_program_for_all_numbers_of_the_law():
+    traced = []
+
+    @eqx.filter_jit
+    def speed(chain):
+        traced.append(chain)
+        return hopf_belt_speed(chain)
+
+    for mu_static in (1.0, 0.9):
+        law = Own(mu_static, 0.5, 0.5)
+        found = speed(Chain(1, TanhFriction(law, 1e-3), 1.0))
+        np.testing.assert_allclose(found, 0.5 * np.log((mu_static - 0.5) / 0.05), rtol=1e-12)
+    assert len(traced) == 1
