@@ -70,10 +70,12 @@ class AbstractFrictionLaw(eqx.Module):
 
     @property
     def knots(self) -> ArrayLike | Sequence[float] | None:
-        """Speeds > 0, rising, at which mu is not analytic, of shape (knots,); None if everywhere.
+        """Speeds > 0, rising, at which an event-driven step ends; (knots,) or (knots, n), or None.
 
-        An event-driven step ends there.  A law that chooses between cases by the speed
-        (`jnp.where`, `jnp.maximum`, ...) must say where, or be refused: `knots = ()` if nowhere.
+        They are those at which mu is not analytic: a law that chooses between cases by the speed
+        (`jnp.where`, `jnp.maximum`, ...) must say where, or be refused; `knots = ()` if nowhere.
+        A few more bring a step to where mu begins to change, if it is so constant before that no
+        Taylor coefficient tells.
         """
         return None
 
@@ -206,6 +208,11 @@ class GaussianStribeck(AbstractFrictionLaw):
         drop = self.mu_static - self.mu_dynamic
         scaled = speed * (1.0 / self.v_ref)
         return self.mu_dynamic + drop * jnp.exp(-(scaled**2)) + self.mu_viscous * scaled
+
+    @property
+    def knots(self) -> Float[Array, "3 ..."]:
+        # At 6 v_s weakening is below rounding: from beyond, steps would end in the midst of it.
+        return jnp.multiply.outer(jnp.array([2.0, 4.0, 6.0]), self.v_ref)
 
 
 class Coulomb(AbstractFrictionLaw):

@@ -215,16 +215,20 @@ def _next_knot(field: DryField, series: Series, modes: Modes, length: Array) -> 
     wrong is its square, and none of them is left between two pieces.
     """
     given = field.chain.friction.law.knots
-    knots = jnp.ravel(jnp.asarray(() if given is None else given, float))
+    knots = jnp.asarray(() if given is None else given, float)
     if knots.size == 0:
         return length
     w = [jnp.abs(series.v[0] - field.chain.belt_speed)]
     w += [modes.direction * v for v in series.v[1:]]
     ahead = CLEARANCE * (1.0 + w[0])
-    edges = jnp.concatenate([jnp.array([-_FAR]), knots, jnp.array([_FAR])])
-    piece = jnp.searchsorted(knots, w[0] + ahead, side="right", method="compare_all")
+    n = w[0].size
+    knots = jnp.broadcast_to(knots if knots.ndim == 2 else knots[:, None], (len(knots), n))
+    far = jnp.full((1, n), _FAR)
+    edges = jnp.concatenate([-far, knots, far])
+    piece = jnp.sum((w[0] + ahead)[None] >= knots, axis=0, keepdims=True)
+    below, above = (jnp.take_along_axis(edges, piece + i, axis=0)[0] for i in (0, 1))
     slides = modes.direction != STICK
-    lower = jnp.where(slides, edges[piece] - 2.0 * ahead, -_FAR)
-    upper = jnp.where(slides, edges[piece + 1] + 2.0 * ahead, _FAR)
+    lower = jnp.where(slides, below - 2.0 * ahead, -_FAR)
+    upper = jnp.where(slides, above + 2.0 * ahead, _FAR)
     until, _ = first_exit(w, lower, upper, length, RESOLUTION * (1.0 + w[0]))
     return jnp.min(until)

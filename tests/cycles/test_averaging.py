@@ -2,7 +2,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxchain import Chain, ExponentialDecay, TanhFriction, hopf_belt_speed, paper_chain
-from jaxchain.cycles.averaging import cycle_speed, fold_guess, gain, greatest_speed, one_mass
+from jaxchain.cycles.averaging import (
+    cycle_speed,
+    fold_guess,
+    gain,
+    greatest_speed,
+    one_mass,
+    speed_scale,
+)
+from jaxchain.model import GaussianStribeck, TabulatedFriction
 
 
 def test_the_gain_is_the_work_of_friction_and_damping_in_a_period():
@@ -17,6 +25,27 @@ def test_small_vibrations_live_at_the_hopf_speed():
     chain = paper_chain(1, width=0.1)
     speed = cycle_speed(chain, 1e-3, greatest_speed(chain))
     np.testing.assert_allclose(speed, hopf_belt_speed(chain), rtol=1e-5)
+
+
+def test_a_law_that_is_not_greatest_at_rest_may_vibrate_at_higher_belt_speeds():
+    bump = TabulatedFriction([0.0, 0.5, 1.0, 1.5], [0.2, 1.0, 0.6, 0.4])
+    speeds = [
+        float(greatest_speed(Chain(1, TanhFriction(law, 1e-3), 1.0, 0.05)))
+        for law in (ExponentialDecay(1.0, 0.5, 0.5), bump)
+    ]
+    # 2 mu_st / xi at rest; 2 (1 - 0.4) / xi where friction falls most.
+    np.testing.assert_allclose(speeds, [40.0, 24.0], rtol=2e-4)
+
+
+def test_widths_are_compared_with_where_friction_weakens_most():
+    chains = [
+        Chain(1, TanhFriction(law, 1e-3), 1.0, 0.05)
+        for law in (ExponentialDecay(1.0, 0.5, 0.5), GaussianStribeck(1.0, 0.5, 0.1, 0.0))
+    ]
+    # 2 mu_st over the greatest -mu': 0.5 / 0.5 at rest, and 0.5 sqrt(2 / e) / 0.1.
+    expected = [2.0, 2.0 / (5.0 * np.sqrt(2.0 / np.e))]
+    np.testing.assert_allclose([speed_scale(c, 9.0) for c in chains], expected, rtol=1e-3)
+    assert speed_scale(chains[0], 1.5) == 1.5
 
 
 def test_the_guess_is_near_the_fold_and_says_when_there_is_none():

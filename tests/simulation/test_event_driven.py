@@ -32,7 +32,7 @@ from jaxchain import (
     simulate,
     steady_sliding,
 )
-from jaxchain.model.friction import AbstractFrictionLaw
+from jaxchain.model.friction import AbstractFrictionLaw, GaussianStribeck
 
 
 def run(chain, initial, t1, rtol=1e-12, order: int | None = 10, **options):
@@ -135,6 +135,43 @@ def test_a_law_of_ones_own():
     state = run(chain, (jnp.asarray(x), jnp.asarray(v)), 15.0).state
     np.testing.assert_allclose(state[0], witness.x, atol=1e-10)
     assert len(witness.events) > 2
+
+
+@pytest.mark.parametrize("stribeck_speed", [0.5, 0.1, 0.03])
+def test_a_law_that_is_constant_but_near_rest_is_not_overlooked(stribeck_speed):
+    """Without steps that end at its knots this is off by 6e-4: from far away mu is a constant."""
+    law = GaussianStribeck(1.0, 0.5, jnp.array([stribeck_speed, 0.2]), 0.0)
+    chain = Chain(2, TanhFriction(law, 1e-3), belt_speed=1.0)
+    start = jnp.array([1.8, 1.8]), jnp.zeros(2)
+    end = simulate(chain, start, 20.0, solver=EventDriven(), rtol=1e-6, atol=1e-7).state
+    fine = simulate(chain, start, 20.0, solver=EventDriven(), rtol=1e-10, max_step=2e-3).state
+    np.testing.assert_allclose(end, fine, atol=2e-5)
+
+
+def test_a_law_that_chooses_by_the_speed_must_say_where():
+    class Plateau(AbstractFrictionLaw):
+        mu_static: float
+        end: float
+
+        def coefficient(self, speed):
+            return self.mu_static - 0.2 * jnp.maximum(0.0, jnp.tanh(speed - self.end))
+
+    class Said(Plateau):
+        @property
+        def knots(self):
+            return (self.end,)
+
+    start = jnp.array([1.5]), jnp.zeros(1)
+
+    def end(law, **options):
+        chain = Chain(1, TanhFriction(law, 1e-3), belt_speed=0.6)
+        return simulate(chain, start, 20.0, solver=EventDriven(), **options).state
+
+    with pytest.raises(ValueError, match=r"`max`.*give the law the field or property `knots`"):
+        end(Plateau(1.0, 0.4))
+    law = Said(1.0, 0.4)
+    fine = end(law, rtol=1e-11, max_step=2e-3)
+    np.testing.assert_allclose(end(law, rtol=1e-9), fine, atol=1e-7)
 
 
 def test_coulomb_friction_stops_a_mass_where_it_must():
