@@ -1,5 +1,7 @@
 """A law of seven lines does what a law of this package does: the same numbers, by other text."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -23,7 +25,7 @@ class Own(AbstractFrictionLaw):
     mu_dynamic: float
     v_ref: float
 
-    def coefficient(self, speed):
+    def coefficient(self, speed: Any) -> Any:
         return self.mu_dynamic + (self.mu_static - self.mu_dynamic) * jnp.exp(-speed / self.v_ref)
 
 

@@ -1,3 +1,5 @@
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -291,11 +293,11 @@ def test_a_mass_sticks_up_to_the_speed_of_greatest_friction(width):
 
 
 class Rational(AbstractFrictionLaw):
-    mu_static: float
+    mu_static: Any
     v_ref: float
     power: int = eqx.field(static=True, default=2)
 
-    def coefficient(self, speed):
+    def coefficient(self, speed: Any) -> Any:
         return self.mu_static / (1.0 + speed / self.v_ref) ** self.power
 
 

@@ -1,5 +1,7 @@
 """What cannot be a law of friction is refused with the speed at which it shows."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,37 +11,37 @@ from jaxchain.model.friction import AbstractFrictionLaw
 
 
 class Law(AbstractFrictionLaw):
-    mu_static: float = 1.0
+    mu_static: Any = 1.0
     a: float = 0.5
 
 
 class Linear(Law):
-    def coefficient(self, speed):
+    def coefficient(self, speed: Any) -> Any:
         return self.mu_static - self.a * speed
 
 
 class Jump(Law):
     height: float = 0.1
 
-    def coefficient(self, speed):
+    def coefficient(self, speed: Any) -> Any:
         return self.mu_static + jnp.where(speed < self.a, 0.0, self.height)
 
 
 class Steep(Law):
     """As steep as a jump but for one who looks very closely."""
 
-    def coefficient(self, speed):
+    def coefficient(self, speed: Any) -> Any:
         step = jnp.clip((speed - self.a) * 1e7, 0.0, 1.0)
         return self.mu_static - 0.3 * step
 
 
 class Pole(Law):
-    def coefficient(self, speed):
+    def coefficient(self, speed: Any) -> Any:
         return self.mu_static + 0.0 / jnp.where(speed < self.a, 1.0, 0.0)
 
 
 class Scalar(Law):
-    def coefficient(self, speed):
+    def coefficient(self, speed: Any) -> Any:
         return jnp.asarray(self.mu_static)
 
 

@@ -1,3 +1,5 @@
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -70,7 +72,8 @@ def test_what_is_no_table_is_refused():
 def test_a_chain_keeps_its_table_through_changes_and_gives_it_to_every_mass():
     ring = chain(5, coupling=0.01, stiffness=np.linspace(1.0, 1.4, 5)).with_(width=1e-4)
     for kept in (ring, one_mass(ring, 3)):
-        np.testing.assert_array_equal(kept.friction.law.pieces, law().pieces)
+        own: Any = kept.friction.law
+        np.testing.assert_array_equal(own.pieces, law().pieces)
     assert "pieces" not in ring.numbers()
     with pytest.raises(ValueError, match="does not know"):
         ring.with_(pieces=1.0)
@@ -101,7 +104,7 @@ def slid(start, t1, kinks):
         def event(t, y):
             return 1.0 - y[1] - speed
 
-        event.terminal = True
+        event.terminal = True  # pyright: ignore[reportFunctionMemberAccess]
         return event
 
     t, y, count = 0.0, np.array(start), 0
@@ -134,11 +137,12 @@ def test_without_its_knots_it_would_be_silently_wrong():
         def knots(self):
             return jnp.full_like(self.pieces[0, 1:], jnp.inf)
 
-        def coefficient(self, speed):
+        def coefficient(self, speed: Any) -> Any:
             return TabulatedFriction.coefficient(law(), speed)
 
     expected, _ = slid(START, END, SPEED[1:])
-    own = chain(friction=Unsaid(SPEED, MU))
+    unsaid: Any = Unsaid
+    own = chain(friction=unsaid(SPEED, MU))
     end = simulate(own, initial(), END, solver=EventDriven(), rtol=1e-6, atol=1e-7).state
     assert np.max(np.abs(np.ravel(end) - expected)) > 1e-4
 
