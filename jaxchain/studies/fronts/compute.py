@@ -9,7 +9,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.stats
 import xarray as xr
 from jaxtyping import Array, ArrayLike
 
@@ -140,9 +139,10 @@ def exponents(coupling: np.ndarray, speed: np.ndarray, error: np.ndarray) -> tup
     if use.sum() < 3:
         return np.nan, np.nan, float(use.sum())
     x, y = np.log(coupling[use]), np.log(np.abs(speed[use]))
-    fit: Any = scipy.stats.linregress(x, y)
-    reach = student_reach(0.95, x.size - 2) * fit.stderr
-    return float(fit.slope), float(reach), float(x.size)
+    slope, offset = np.polyfit(x, y, 1)
+    rest = y - slope * x - offset
+    spread = np.sqrt((rest**2).sum() / (x.size - 2) / ((x - x.mean()) ** 2).sum())
+    return float(slope), float(student_reach(0.95, x.size - 2) * spread), float(x.size)
 
 
 def base_chain(study: Study, n: int, width: float = _WIDTH) -> Chain:
