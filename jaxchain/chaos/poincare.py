@@ -19,7 +19,7 @@ from .._types import ScalarLike, State
 from ..model.oscillators import AbstractOscillators
 from ..observers.amplitude import Amplitude
 from ..observers.peaks import PeakTimes
-from ..observers.section import ReturnPoints
+from ..observers.section import Section
 from ..simulation.run import simulate
 
 # Returns of which an orbit may be made, and points of the section kept of a window, at least.
@@ -83,7 +83,7 @@ def watch(
         observe={
             "amplitude": Amplitude(),
             "peaks": PeakTimes(capacity=peaks),
-            "points": ReturnPoints(jnp.asarray(reference), MOST_RETURNS + 1),
+            "points": Section(jnp.asarray(reference), MOST_RETURNS + 1),
         },
         solver=solver, rtol=rtol, segments=windows, throw=False,
     )  # fmt: skip

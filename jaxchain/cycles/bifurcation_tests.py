@@ -17,7 +17,7 @@ from jaxtyping import Array, Complex, Float, Int
 from .floquet import floquet_multipliers
 from .least_period import Returned, Returns
 from .shooting import Shooting
-from .variational import FrozenAlong, flow
+from .variational import Along, flow
 
 # How far from 1 a modulus may be where its test function vanishes.
 _ON_THE_CIRCLE = 1e-4
@@ -70,7 +70,7 @@ def linearise(
             period,
             rtol=shooting.rtol,
             solver=shooting.solver,
-            observers=[FrozenAlong(), Returns()],
+            observers=[Along(), Returns()],
         )
         flat = jnp.concatenate(after)
         return flat, (flat, amplitude, returned)
@@ -107,7 +107,7 @@ def orbit(
     field, (x, v), period = shooting.unpack(u, parameter)
     _, _, ((amplitude, _, _),) = flow(
         field, (x, v), period, rtol=shooting.rtol, solver=shooting.solver,
-        observers=[FrozenAlong()],
+        observers=[Along()],
     )  # fmt: skip
     return x, v, period, amplitude
 

@@ -19,7 +19,7 @@ from ..model.chain import Chain, steady_sliding
 from ..model.initial_states import reference_site, release_state
 from ..model.oscillators import AbstractOscillators
 from ..model.sliding import sliding_damping, stiffness_matrix
-from ..observers.section import VelocityPeaks
+from ..observers.section import Section
 from ..simulation.accuracy import choose_solver
 from ..simulation.run import Simulation, simulate
 from .averaging import gain, one_mass
@@ -33,7 +33,7 @@ _AS_GOOD, _GOOD = 2.0, 1e-3
 _RATIOS = np.concatenate([np.geomspace(1e-3, 0.3, 24), np.linspace(0.32, 1.0, 35)])
 
 
-def _watched(chain: Any, state: State, t1: Any, watch: VelocityPeaks) -> Simulation:
+def _watched(chain: Any, state: State, t1: Any, watch: Section) -> Simulation:
     """A run in which a sticking mass errs by little in units of the width, as Newton needs."""
     rtol: Any = 1e-8
     if isinstance(chain, Chain):
@@ -79,7 +79,7 @@ def guess_from_simulation(
     6.3
     """
     mass = most_lively(chain, state) if vibrating is None else vibrating
-    watch = VelocityPeaks(mass, _PEAKS, transient)
+    watch = Section(mass, _PEAKS, transient, of="velocity")
     run = _watched(chain, state, transient + duration, watch)
     times, xs, vs = lax.stop_gradient(run.observed)
     last = jnp.sum(jnp.isfinite(times)) - 1
@@ -106,7 +106,7 @@ def guess_from_point(
         if velocity > 0 and abs(acceleration) < 1e-9 * velocity:
             return state
     # A little more, for an orbit that begins at the maximum.
-    watch = VelocityPeaks(vibrating, _PEAKS, 0.0)
+    watch = Section(vibrating, _PEAKS, of="velocity")
     run = _watched(chain, state, 1.05 * to_float(period), watch)
     _, xs, vs = lax.stop_gradient(run.observed)
     speeds = chain.belt_direction() * vs[:, vibrating]

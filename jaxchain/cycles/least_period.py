@@ -84,9 +84,6 @@ class Returns(AbstractObserver):
         farthest = jnp.maximum(known.farthest, _distance(end, start))
         return times, start, Returned(jnp.where(here, found, known.apart), farthest)
 
-    def settled(self, accumulator: Any) -> None:
-        del accumulator
-
     def read(self, accumulator: Any) -> Returned:
         return accumulator[2]
 

@@ -12,13 +12,12 @@ from typing import Any, NamedTuple
 import diffrax as dfx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from .._types import ScalarLike, State
 from ..model.oscillators import AbstractOscillators
-from ..observers.base import AbstractObserver, Step
+from ..observers.base import AbstractObserver, Step, gauss
 from ..result import Result
 from ..simulation.accuracy import MAX_STEP
 from ..simulation.smoothed import SmoothedPlan
@@ -26,8 +25,6 @@ from .least_period import Returned, Returns
 
 # A period takes some hundreds; an orbit that is lost must not keep the others waiting.
 _MOST_STEPS = 50_000
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
-_NODES, _WEIGHTS = 0.5 * (_NODES + 1.0), 0.5 * _WEIGHTS
 
 
 class Period(NamedTuple):
@@ -55,7 +52,7 @@ class Along(AbstractObserver):
     """The numbers of `Period` that are gathered along the way; value (amplitude, fastest, trace).
 
     Turning points are located between steps, and the trace is integrated by Gauss's rule of five
-    points in every step.
+    points in every step.  No derivatives, which would cost as much as the monodromy matrix does.
     """
 
     def init(self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State) -> Any:
@@ -64,45 +61,22 @@ class Along(AbstractObserver):
         return x, x, field.belt_direction() * v, jnp.zeros(())
 
     def update(self, accumulator: Any, step: Step) -> Any:
-        low, high, fastest, trace = accumulator
+        low, high, fastest, trace = lax.stop_gradient(accumulator)
+        step = step.frozen()
         turns, theta = step.turning_points()
         extreme = jnp.where(turns, step.displacement(theta), step.y1[0])
         low = jnp.minimum(low, jnp.minimum(extreme, step.y1[0]))
         high = jnp.maximum(high, jnp.maximum(extreme, step.y1[0]))
         # In one batch, which compiles in a fifth of the time of five.
-        nodes = jnp.asarray(_NODES)
-        velocities = jax.vmap(step.velocity)(nodes)
+        velocities = jax.vmap(step.velocity)(gauss(5)[0])
         along = step.field.belt_direction()
         highest = jnp.max(along * velocities, axis=0)
         fastest = jnp.maximum(fastest, jnp.maximum(highest, along * step.y1[1]))
-        length = step.t1 - step.t0
-        states = jax.vmap(step.displacement)(nodes), velocities
-        rates = jax.vmap(step.field.divergence)(step.t0 + nodes * length, states)
-        trace = trace + length * (jnp.asarray(_WEIGHTS) @ rates)
-        return low, high, fastest, trace
-
-    def settled(self, accumulator: Any) -> None:
-        del accumulator
+        return low, high, fastest, trace + step.integral(step.field.divergence)
 
     def read(self, accumulator: Any) -> tuple[Array, Array, Array]:
         low, high, fastest, trace = accumulator
         return (high - low) / 2, fastest, trace
-
-
-class FrozenAlong(Along):
-    """`Along` without derivatives, which would cost as much as the monodromy matrix does."""
-
-    def update(self, accumulator: Any, step: Step) -> Any:
-        stopped = Step(
-            lax.stop_gradient(step.field),
-            lax.stop_gradient(step.t0),
-            lax.stop_gradient(step.t1),
-            lax.stop_gradient(step.y0),
-            lax.stop_gradient(step.y1),
-            lambda theta: lax.stop_gradient(step.displacement(theta)),
-            lambda theta: lax.stop_gradient(step.velocity(theta)),
-        )
-        return super().update(lax.stop_gradient(accumulator), stopped)
 
 
 def flow(
@@ -147,7 +121,7 @@ def linearised_period(
             period,
             rtol=rtol,
             solver=solver,
-            observers=[FrozenAlong(), Returns()],
+            observers=[Along(), Returns()],
         )
         end = jnp.concatenate([x, v])
         return end, (end, amplitude, fastest, trace, returned, good)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 import equinox as eqx
 import equinox.internal as eqxi
@@ -13,7 +13,8 @@ from jaxtyping import Array, Bool, Float, Int
 from .._checks import check_one_of, check_positive, check_whole, to_float
 from .._types import ScalarLike, State
 from ..model.oscillators import AbstractOscillators
-from .base import AbstractObserver, Step
+from .base import AbstractObserver, Step, Variable
+from .quantities import active, energy
 
 
 class _AmplitudeState(eqx.Module):
@@ -166,3 +167,15 @@ class Amplitude(AbstractObserver):
             return accumulator.history.last
         amplitude = (accumulator.high - accumulator.low) / 2
         return jnp.where(self.rests(accumulator), 0.0, amplitude)
+
+    def label(self, value: Float[Array, " n"], chain: Any) -> dict[str, Variable]:
+        vibrate = jnp.sum(active(value, chain.belt_speed))
+        return {
+            "amplitude": Variable(
+                value, ("oscillator",), "x0", "vibration amplitude A_n (half peak-to-peak)"
+            ),
+            "energy": Variable(energy(value), (), "x0^2", "vibration energy E = 1/2 sum A_n^2"),
+            "active_count": Variable(
+                vibrate, (), "1", "masses with A_n > |v_d| / 2", is_count=True
+            ),
+        }

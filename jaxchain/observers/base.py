@@ -14,6 +14,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
@@ -44,19 +45,110 @@ class Step(eqx.Module):
         """
         v0, v1 = self.y0[1], self.y1[1]
         turns = (v0 > 0) & (v1 <= 0) | (v0 < 0) & (v1 >= 0)
-        theta = jnp.where(turns, v0 / jnp.where(turns, v0 - v1, 1.0), 1.0)
-        for _ in range(2):
-            v, slope = jax.jvp(self.velocity, (theta,), (jnp.ones_like(theta),))
-            slope = jnp.where(slope == 0, 1.0, slope)
-            theta = jnp.clip(theta - jnp.where(turns, v / slope, 0.0), 0.0, 1.0)
-        return turns, lax.stop_gradient(theta)
+        return turns, lax.stop_gradient(zeros(self.velocity, turns, v0, v1, elsewhere=1.0))
+
+    def time(self, theta: Any) -> Array:
+        return self.t0 + theta * (self.t1 - self.t0)
+
+    def integral(self, rate: Callable[[Any, State], Array], points: int = 5) -> Array:
+        """That of rate(t, (x, v)) over the step, by Gauss's rule: exact to order 2 points - 1."""
+        nodes, weights = gauss(points)
+        states = jax.vmap(self.displacement)(nodes), jax.vmap(self.velocity)(nodes)
+        rates = jax.vmap(rate)(self.t0 + nodes * (self.t1 - self.t0), states)
+        return (self.t1 - self.t0) * (weights @ rates)
+
+    def frozen(self) -> Step:
+        """The step without derivatives, which may cost more than what is observed."""
+        fixed = lax.stop_gradient((self.field, self.t0, self.t1, self.y0, self.y1))
+        return Step(
+            *fixed,
+            lambda theta: lax.stop_gradient(self.displacement(theta)),
+            lambda theta: lax.stop_gradient(self.velocity(theta)),
+        )
+
+
+def gauss(points: int) -> tuple[Float[Array, " points"], Float[Array, " points"]]:
+    """Nodes and weights of Gauss's rule on [0, 1]."""
+    nodes, weights = np.polynomial.legendre.leggauss(points)
+    return jnp.asarray(0.5 * (nodes + 1.0)), jnp.asarray(0.5 * weights)
+
+
+def zeros(
+    function: Callable[[Any], Array],
+    crosses: Bool[Array, " n"],
+    first: Float[Array, " n"],
+    last: Float[Array, " n"],
+    *,
+    elsewhere: float,
+) -> Float[Array, " n"]:
+    """The theta in [0, 1] at which function(theta) is zero where it `crosses`, mass by mass.
+
+    From its values at both ends: the secant, then two Newton steps.
+    """
+    theta = jnp.where(crosses, first / jnp.where(crosses, first - last, 1.0), elsewhere)
+    for _ in range(2):
+        value, slope = jax.jvp(function, (theta,), (jnp.ones_like(theta),))
+        slope = jnp.where(slope == 0, 1.0, slope)
+        theta = jnp.clip(theta - jnp.where(crosses, value / slope, 0.0), 0.0, 1.0)
+    return theta
+
+
+class Variable(eqx.Module):
+    """What an observer says of one run, as a variable of a dataset.
+
+    `values` has an axis for each name in `dims`; "oscillator" is the one over all n masses.  A
+    count is an integer on disk, missing where it is NaN, and of runs that failed.
+    """
+
+    values: Any
+    dims: tuple[str, ...] = eqx.field(static=True, default=())
+    units: str = eqx.field(static=True, default="1")
+    long_name: str | None = eqx.field(static=True, default=None)
+    is_count: bool = eqx.field(static=True, default=False)
+
+
+def states_at_times(name: str, value: tuple[Array, ...], *dims: str) -> dict[str, Variable]:
+    """(times, x, v) as `<name>_time`, `<name>_displacement` and `<name>_velocity`."""
+    times, x, v = value
+    return {
+        f"{name}_time": Variable(times, dims[:1], "1 / omega_n"),
+        f"{name}_displacement": Variable(x, dims, "x0"),
+        f"{name}_velocity": Variable(v, dims, "x0 omega_n"),
+    }
 
 
 class AbstractObserver(eqx.Module):
-    """init -> update after every accepted step -> read.
+    """init -> update after every accepted step -> read -> label.
 
     `settled` says whether the observed value can be taken as final already; a run may stop early
-    when every observer says so.
+    when every observer says so.  `sweep` wants `label`, `simulate` does not.
+
+    !!! example
+
+        How long each mass moves faster than the belt, by a rule that sees the ends of steps only:
+
+        >>> import jax, jax.numpy as jnp
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import equation_8, paper_chain, simulate, sweep
+        >>> from jaxchain.observers import AbstractObserver, Variable
+        >>> class Overtaking(AbstractObserver):
+        ...     def init(self, field, t0, t1, y0):
+        ...         return jnp.zeros_like(y0[0])
+        ...     def update(self, accumulator, step):
+        ...         faster = step.y1[1] > step.field.belt_speed
+        ...         return accumulator + jnp.where(faster, step.t1 - step.t0, 0.0)
+        ...     def read(self, accumulator):
+        ...         return accumulator
+        ...     def label(self, value, chain):
+        ...         time = Variable(value, ("oscillator",), "1 / omega_n", "time before the belt")
+        ...         return {"overtaking_time": time}
+        >>> chain = paper_chain(3, belt_speed=1.0, width=1e-2)
+        >>> run = simulate(chain, equation_8(chain, 2), 60.0, observe=Overtaking())
+        >>> run.observed.shape
+        (3,)
+        >>> data = sweep(chain, equation_8, 60.0, over={"excited": [0, 2]}, observe=Overtaking())
+        >>> data.overtaking_time.dims, data.overtaking_time.attrs
+        (('excited', 'oscillator'), {'long_name': 'time before the belt', 'units': '1 / omega_n'})
     """
 
     @abc.abstractmethod
@@ -67,9 +159,9 @@ class AbstractObserver(eqx.Module):
     def update(self, accumulator: Any, step: Step) -> Any:
         """The accumulator after one more accepted step."""
 
-    @abc.abstractmethod
     def settled(self, accumulator: Any) -> Bool[Array, ""] | None:
         """Whether the value is final; None if it never is before the end."""
+        del accumulator
 
     def rests(self, accumulator: Any) -> Bool[Array, ""]:
         """Whether it is final because every mass rests."""
@@ -79,3 +171,11 @@ class AbstractObserver(eqx.Module):
     @abc.abstractmethod
     def read(self, accumulator: Any) -> Any:
         """The observed value."""
+
+    def label(self, value: Any, chain: Any) -> dict[str, Variable]:
+        """The observed value of one run of `chain` as variables of a dataset, by their names."""
+        del value, chain
+        raise ValueError(
+            f"Argument `observe` holds a `{type(self).__name__}`, whose value has no labels: give "
+            "it the method `label`, see `AbstractObserver`, or use `jax.vmap(simulate)`."
+        )

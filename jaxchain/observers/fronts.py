@@ -19,7 +19,7 @@ from .._checks import check_count, check_share, check_whole, to_float
 from .._statistics import student_reach
 from .._types import ScalarLike, State
 from ..model.oscillators import AbstractOscillators
-from .base import AbstractObserver, Step
+from .base import AbstractObserver, Step, Variable
 from .quantities import active_above
 
 # Masses that a front keeps from the middle of its block and from the far side of the ring: closer,
@@ -160,6 +160,14 @@ class FrontTrack(AbstractObserver):
 
     def read(self, accumulator: _Watch) -> Fronts:
         return accumulator.fronts
+
+    def label(self, value: Fronts, chain: Any) -> dict[str, Variable]:
+        del chain
+        return {
+            "front_right": Variable(value.right, ("window",)),
+            "front_left": Variable(value.left, ("window",)),
+            "front_count": Variable(value.count, ("window",), is_count=True),
+        }
 
 
 @eqx.filter_jit

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from .._checks import check_finite, check_whole
 from .._types import ScalarLike, State
 from ..model.oscillators import AbstractOscillators
-from .base import AbstractObserver, Step
+from .base import AbstractObserver, Step, Variable
 
 
 class PeakTimes(AbstractObserver):
@@ -41,14 +41,15 @@ class PeakTimes(AbstractObserver):
     def update(self, accumulator: tuple[Array, Array], step: Step) -> tuple[Array, Array]:
         times, count = accumulator
         turns, theta = step.turning_points()
-        time = step.t0 + theta * (step.t1 - step.t0)
+        time = step.time(theta)
         peak = turns & (step.y0[1] > 0) & (time >= self.start)
         # A comparison with every row is several times faster than a scatter on a CPU.
         here = peak[None, :] & (jnp.arange(self.capacity)[:, None] == count[None, :])
         return jnp.where(here, time[None, :], times), count + peak
 
-    def settled(self, accumulator: Any) -> None:
-        del accumulator
-
     def read(self, accumulator: tuple[Array, Array]) -> Float[Array, "capacity n"]:
         return accumulator[0]
+
+    def label(self, value: Float[Array, "capacity n"], chain: Any) -> dict[str, Variable]:
+        del chain
+        return {"peak_time": Variable(value, ("peak", "oscillator"), "1 / omega_n")}

@@ -17,7 +17,7 @@ from .._checks import check_nonnegative, check_positive, check_whole, to_float
 from .._derivatives import both_ways
 from .._types import ScalarLike, State
 from ..model.oscillators import AbstractOscillators
-from .base import AbstractObserver, Step
+from .base import AbstractObserver, Step, Variable, states_at_times
 
 # Share of an interval, or of a step, by which rounding may move a time.
 _ROUNDING = 1e-9
@@ -122,10 +122,11 @@ class Samples(AbstractObserver):
         count, x, v = both_ways(partial(fill, lax.while_loop), partial(fill, back), args)
         return _Samples(accumulator.first, count, x, v)
 
-    def settled(self, accumulator: _Samples) -> None:
-        del accumulator
-
     def read(self, accumulator: _Samples) -> tuple[Array, Array, Array]:
         index = jnp.arange(self.capacity)
         times = accumulator.first + index * self.interval
         return jnp.where(index < accumulator.count, times, jnp.nan), accumulator.x, accumulator.v
+
+    def label(self, value: Any, chain: Any) -> dict[str, Variable]:
+        del chain
+        return states_at_times("sample", value, "sample", "sampled_oscillator")

@@ -7,7 +7,6 @@ from typing import Any
 
 import equinox as eqx
 import equinox.internal as eqxi
-import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
@@ -15,7 +14,7 @@ from jaxtyping import Array, Float, Int
 from .._checks import check_positive, to_float
 from .._types import ScalarLike, State
 from ..model.oscillators import AbstractOscillators
-from .base import AbstractObserver, Step
+from .base import AbstractObserver, Step, Variable, zeros
 
 
 class StickTime(AbstractObserver):
@@ -76,11 +75,13 @@ class StickTime(AbstractObserver):
         held, released = _where_negative(let_go, step.y0[0])
         return jnp.maximum(begin, held), jnp.minimum(end, released)
 
-    def settled(self, accumulator: Any) -> None:
-        del accumulator
-
     def read(self, accumulator: tuple[Array, Array]) -> Float[Array, " n"]:
         return accumulator[0]
+
+    def label(self, value: Float[Array, " n"], chain: Any) -> dict[str, Variable]:
+        del chain
+        name = "time for which a mass sticks during the window"
+        return {"stick_time": Variable(value, ("oscillator",), "1 / omega_n", name)}
 
 
 def _where_negative(
@@ -90,11 +91,7 @@ def _where_negative(
     half = jnp.full_like(like, 0.5)
     g0, middle, g1 = gap(jnp.zeros_like(half)), gap(half), gap(jnp.ones_like(half))
     crosses = (g0 > 0) != (g1 > 0)
-    theta = jnp.where(crosses, g0 / jnp.where(crosses, g0 - g1, 1.0), 0.0)
-    for _ in range(2):
-        g, slope = jax.jvp(gap, (theta,), (jnp.ones_like(theta),))
-        slope = jnp.where(slope == 0, 1.0, slope)
-        theta = jnp.clip(theta - jnp.where(crosses, g / slope, 0.0), 0.0, 1.0)
+    theta = zeros(gap, crosses, g0, g1, elsewhere=0.0)
     throughout = (g0 <= 0) & (g1 <= 0) & (middle <= 0)
     begin = jnp.where(crosses & (g0 > 0), theta, 0.0)
     end = jnp.where(crosses, jnp.where(g0 > 0, 1.0, theta), jnp.where(throughout, 1.0, 0.0))
@@ -112,13 +109,15 @@ class MostSticking(AbstractObserver):
 
     def update(self, accumulator: Any, step: Step) -> Any:
         # A mass that sticks has the velocity of the belt to the last digit, all the time.
-        speed = step.field.chain.belt_speed  # pyright: ignore[reportAttributeAccessIssue]
-        middle = step.velocity(jnp.asarray(0.5))
-        stick = (step.y0[1] == speed) & (step.y1[1] == speed) & (middle == speed)
-        return jnp.maximum(accumulator, jnp.sum(stick))
-
-    def settled(self, accumulator: Any) -> None:
-        del accumulator
+        velocities = jnp.stack([step.y0[1], step.y1[1], step.velocity(jnp.asarray(0.5))])
+        found = step.field.switching(step.t0, velocities)
+        assert found is not None  # what can stick switches
+        return jnp.maximum(accumulator, jnp.sum(jnp.all(found[0] == 0, axis=0)))
 
     def read(self, accumulator: Any) -> Int[Array, ""]:
         return accumulator
+
+    def label(self, value: Int[Array, ""], chain: Any) -> dict[str, Variable]:
+        del chain
+        name = "masses that ever stick at the same time"
+        return {"most_sticking": Variable(value, (), "1", name, is_count=True)}

@@ -3,89 +3,136 @@
 from __future__ import annotations
 
 import inspect
+from collections import OrderedDict
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, TypeAlias
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 
 from .._checks import check_finite
 from ..model.chain import Chain
 from ..observers.amplitude import Amplitude
-from ..observers.base import AbstractObserver
+from ..observers.base import AbstractObserver, Variable
 from ..observers.trajectory import Trajectory
 from .lanes import chain_names, initial_names
 
 MOST_LANES = 10_000_000
-RESULT_NAMES = (
-    "amplitude",
-    "energy",
-    "active_count",
-    "oscillator",
-    "peak",
-    "point",
-    "result",
-    "end_time",
-    "steps",
-    "rejected",
-)
+# What every sweep has, whatever is observed.
+RESULTS = ("oscillator", "segment", "segment_end", "result", "end_time", "steps", "rejected")
+
+# Dimension -> parameter -> its values along the dimension, of shape (size, ...).
+Axes: TypeAlias = dict[str, dict[str, np.ndarray]]
 
 
 def check_axes(
     chain: Chain, initial: Any, over: Mapping[str, Any], vary: Callable[..., Chain] | None = None
-) -> dict[str, np.ndarray]:
+) -> Axes:
+    """`over` as arrays, or `ValueError`; `jobs` says what each lane gets."""
     functions = {title: f for title, f in (("initial", initial), ("vary", vary)) if callable(f)}
     own = [name for f in functions.values() for name in initial_names(f)]
-    allowed = [*chain_names(chain), *own]
+    numbers = chain_names(chain)
     if not over:
         raise ValueError(
             "Argument `over` must name at least one quantity to sweep; use `simulate` for one run."
         )
-    axes = {}
-    for name, given in over.items():
-        if name not in allowed:
+    axes: Axes = {}
+    for dim, given in over.items():
+        # A data frame has columns, but is no mapping.
+        together = isinstance(given, Mapping) or hasattr(given, "columns")
+        axes[dim] = {name: np.asarray(given[name]) for name in given} if together else {}
+        if not together:
+            axes[dim][dim] = np.asarray(given)
+    names = [name for columns in axes.values() for name in columns]
+    for dim, columns in axes.items():
+        for name in columns:
+            if name not in [*numbers, *own]:
+                raise ValueError(
+                    f"Argument `over` names {name!r}, which is neither a number of the chain nor "
+                    f"a parameter of `initial` or `vary`; allowed are "
+                    f"{sorted({*numbers, *own})}."
+                )
+            _check_column(dim, name, columns, name not in numbers)
+            if name in numbers:
+                columns[name] = columns[name].astype(float)
+        if not columns or (dim in names and dim not in columns):
             raise ValueError(
-                f"Argument `over` names {name!r}, which is neither a number of the chain nor a "
-                f"parameter of `initial` or `vary`; allowed are {sorted(set(allowed))}."
+                f"Argument `over[{dim!r}]` must name parameters that run along a dimension of "
+                f"their own, but holds {list(columns)}: name no dimension like a parameter along "
+                "another one."
             )
-        if name in RESULT_NAMES:
-            raise ValueError(
-                f"Argument `over` names {name!r}, which is also the name of a result: give that "
-                "parameter another name."
-            )
-        values = np.asarray(given)
-        if values.ndim != 1 or values.size == 0:
-            raise ValueError(
-                f"Argument `over[{name!r}]` must be a non-empty one-dimensional array, but has "
-                f"shape {values.shape}."
-            )
-        check_finite(f"over[{name!r}]", values, "leave out such values.")
-        if name in chain_names(chain):
-            for extreme in (values.min(), values.max()):
-                chain.with_(**{name: extreme})  # raises for impossible numbers
-            values = values.astype(float)
-        axes[name] = values
+    if len(set(names)) < len(names):
+        raise ValueError(f"Argument `over` names a parameter twice: {names}.")
     for title, f in functions.items():
-        missing = [k for k in initial_names(f) if k not in axes and not _has_default(f, k)]
+        missing = [k for k in initial_names(f) if k not in names and not _has_default(f, k)]
         if missing:
             raise ValueError(f"`{title}` needs {missing}: give their values in `over`.")
-    total = int(np.prod([float(v.size) for v in axes.values()]))
+    total = int(np.prod([float(size) for size in sizes(axes).values()]))
     if total > MOST_LANES:
         raise ValueError(
             f"Argument `over` asks for {total} lanes; at most {MOST_LANES} run in one sweep. "
             "Sweep over fewer values, or split the sweep."
         )
+    swept = {name: values for name, values in jobs(axes).items() if name in numbers}
+    for row in _extremes(swept):
+        chain.with_(**row)  # raises for impossible numbers
     return axes
 
 
+def _check_column(dim: str, name: str, columns: dict[str, np.ndarray], arrays: bool) -> None:
+    values = columns[name]
+    label = f"over[{dim!r}]" if name == dim else f"over[{dim!r}][{name!r}]"
+    if values.size == 0 or not (values.ndim == 1 or (arrays and values.ndim > 1)):
+        raise ValueError(
+            f"Argument `{label}` must be a non-empty one-dimensional array, but has shape "
+            f"{values.shape}" + (": its first axis is that of the runs." if arrays else ".")
+        )
+    first = next(iter(columns))
+    if len(values) != len(columns[first]):
+        raise ValueError(
+            f"Argument `{label}` has {len(values)} values, but {first!r} along the same dimension "
+            f"has {len(columns[first])}: what is swept together must be of equal length."
+        )
+    check_finite(label, values, "leave out such values.")
+
+
+def sizes(axes: Axes) -> dict[str, int]:
+    return {dim: len(next(iter(columns.values()))) for dim, columns in axes.items()}
+
+
+def jobs(axes: Axes) -> dict[str, np.ndarray]:
+    """The values of every parameter in each lane, of shape (lanes, ...)."""
+    shape = tuple(sizes(axes).values())
+    places = np.indices(shape).reshape(len(shape), -1)
+    return {
+        name: values[place]
+        for place, columns in zip(places, axes.values(), strict=True)
+        for name, values in columns.items()
+    }
+
+
+def _extremes(jobs: Mapping[str, np.ndarray]) -> list[dict[str, Any]]:
+    """The jobs in which a parameter is least or greatest; of arrays, the first and the last."""
+    ends = [
+        (int(np.argmin(v)), int(np.argmax(v))) if v.ndim == 1 else (0, len(v) - 1)
+        for v in jobs.values()
+    ]
+    if {"mu_static", "mu_dynamic"} <= jobs.keys():
+        ends.append((int(np.argmin(jobs["mu_static"] - jobs["mu_dynamic"])),) * 2)
+    rows = sorted({row for pair in ends for row in pair})
+    return [{name: values[row] for name, values in jobs.items()} for row in rows]
+
+
 def check_vary(
-    chain: Chain, vary: Callable[..., Chain] | None, axes: Mapping[str, np.ndarray]
+    chain: Chain, vary: Callable[..., Chain] | None, jobs: Mapping[str, np.ndarray]
 ) -> None:
     """Raises what `vary` raises at the extremes of its parameters, and if it makes no chain."""
     if vary is None:
         return
-    own = {name: values for name, values in axes.items() if name in initial_names(vary)}
-    for extreme in (np.min, np.max):
-        varied: Any = vary(chain, **{name: extreme(values) for name, values in own.items()})
+    own = {name: values for name, values in jobs.items() if name in initial_names(vary)}
+    for row in _extremes(own) or [{}]:
+        varied: Any = vary(chain, **row)
         if not isinstance(varied, Chain) or varied.n != chain.n:
             raise ValueError(
                 f"Argument `vary` must return a `Chain` of {chain.n} masses, but returns "
@@ -98,28 +145,62 @@ def _has_default(function: Callable, name: str) -> bool:
     return parameter.default is not inspect.Parameter.empty
 
 
-def check_observers(observe: Any, length: float) -> list[AbstractObserver]:
-    from .dataset import OBSERVERS  # with pandas: see `sweep`
-
+def check_observers(
+    observe: Any, chain: Chain, length: float, axes: Axes
+) -> list[AbstractObserver]:
+    """The observers of runs of this `length`, whose variables have names of their own."""
     if observe is None:
-        return [Amplitude(window=0.1 * length if length > 0 else None)]
+        observe = Amplitude(window=0.1 * length if length > 0 else None)
     observers = list(observe) if isinstance(observe, list | tuple) else [observe]
+    givers = dict.fromkeys(RESULTS, "every sweep")
+    lengths = {"oscillator": chain.n}
     for observer in observers:
         if isinstance(observer, Trajectory):
             raise ValueError(
                 "Argument `observe` holds a `Trajectory`, which lanes that come and go cannot "
                 "store. Use `jax.vmap(simulate)` for trajectories of a few lanes."
             )
-        if not isinstance(observer, OBSERVERS):
-            names = ", ".join(f"`{kind.__name__}`" for kind in OBSERVERS)
+        if not isinstance(observer, AbstractObserver):
             raise ValueError(
-                f"Argument `observe` must be an observer of a sweep ({names}) or a list of them, "
-                f"but holds {observer!r}. Any other goes into `jax.vmap(simulate)`."
+                "Argument `observe` must be an observer or a list of them, but holds "
+                f"{observer!r}."
             )
-    kinds = [type(o) for o in observers]
-    if len(set(kinds)) < len(kinds):
+        kind = f"`{type(observer).__name__}`"
+        for name, variable in _labels(observer, chain).items():
+            if name in givers:
+                raise ValueError(
+                    f"Argument `observe` holds {kind}, which names a variable {name!r} as "
+                    f"{givers[name]} does. Run two sweeps, or give one of them another name."
+                )
+            givers[name] = kind
+            shape = jnp.shape(variable.values)
+            named = dict(zip(variable.dims, shape, strict=False))
+            agree = all(lengths.setdefault(dim, size) == size for dim, size in named.items())
+            if len(named) != len(shape) or len(shape) != len(variable.dims) or not agree:
+                raise ValueError(
+                    f"The method `label` of {kind} gives {name!r} the dimensions {variable.dims}, "
+                    f"but its shape is {shape}: name each axis once, and another length otherwise."
+                )
+    for name in givers.keys() & (lengths.keys() - {"oscillator"}):
         raise ValueError(
-            "Argument `observe` holds two observers of the same kind, whose results would share "
-            "their names. Run two sweeps."
+            f"Argument `observe` holds {givers[name]}, which names a variable {name!r} as another "
+            "names a dimension: give one of them another name."
         )
+    for name in [*axes, *(name for columns in axes.values() for name in columns)]:
+        if name in givers or name in lengths:
+            raise ValueError(
+                f"Argument `over` names {name!r}, which is also the name of a result: give that "
+                "parameter another name."
+            )
     return observers
+
+
+def _labels(observer: AbstractObserver, chain: Chain) -> dict[str, Variable]:
+    """The variables of an observer, their values known by shape only."""
+
+    def labelled() -> OrderedDict[str, Variable]:
+        still = jnp.zeros(chain.n), jnp.zeros(chain.n)
+        value = observer.read(observer.init(chain, 0.0, 1.0, still))
+        return OrderedDict(observer.label(value, chain))
+
+    return eqx.filter_eval_shape(labelled)

@@ -2,16 +2,11 @@
 
 Variables (… stands for the swept dimensions):
 
-    amplitude (…, oscillator)    A_n, half peak-to-peak of x_n            in P/k
-    energy (…)                   E = 1/2 sum A_n^2, eq. (9)               in (P/k)^2
-    active_count (…)             masses with A_n > |v_d| / 2
-    stick_time (…, oscillator)   for how long a mass sticks in the window
-    peak_time (…, peak, oscillator)
-    section_time (…, point), section_displacement, section_velocity (…, point, oscillator)
-    sample_time (…, sample), sample_displacement, sample_velocity (…, sample, sampled_oscillator)
-    front_right, front_left, front_count (…, window)
-    result (…)                   how the lane ended, see its flag_meanings
+    amplitude (…, oscillator), peak_time (…, peak, oscillator), ...   what the observers `label`
+    result (…)                                    how the lane ended, see its flag_meanings
     end_time, steps, rejected (…)
+
+With `segments` there is the dimension "segment" in front of those of an observer.
 
 What a lane does not know is missing, NaN, and xarray leaves it out of means: all that a failed
 lane observed, and the windows of a `FrontTrack` that a run did not reach.  Counts are therefore
@@ -29,7 +24,6 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import jax.tree_util as jtu
 import numpy as np
 import xarray as xr
@@ -37,47 +31,27 @@ import xarray as xr
 from ..model.chain import Chain
 from ..model.parameters import CHAIN, parameter
 from ..model.tabulated import TabulatedFriction
-from ..observers.amplitude import Amplitude
-from ..observers.base import AbstractObserver
-from ..observers.fronts import FrontTrack
-from ..observers.peaks import PeakTimes
-from ..observers.quantities import active
-from ..observers.samples import Samples
-from ..observers.section import Section
-from ..observers.stick_time import StickTime
-from ..result import NAMES
+from ..observers.base import Variable
+from ..result import NAMES, ended_well
 from ..simulation.plan import AbstractPlan
+from .axes import Axes, sizes
 from .lanes import chain_names
-
-# What has names in a dataset.
-OBSERVERS = (Amplitude, PeakTimes, Section, StickTime, Samples, FrontTrack)
 
 # How a count is written: an integer, and this one where it is missing.
 COUNT_ENCODING = {"dtype": "int64", "_FillValue": -1}
 UNITS = {
-    "amplitude": "x0",
-    "energy": "x0^2",
     "end_time": "1 / omega_n",
-    "peak_time": "1 / omega_n",
-    "section_time": "1 / omega_n",
-    "stick_time": "1 / omega_n",
-    "sample_time": "1 / omega_n",
-    "sample_displacement": "x0",
-    "sample_velocity": "x0 omega_n",
-    "section_displacement": "x0",
-    "section_velocity": "x0 omega_n",
+    "segment_end": "1 / omega_n",
 }
 LONG_NAMES = {
     "excited": "masses excited at the start",
-    "amplitude": "vibration amplitude A_n (half peak-to-peak)",
-    "energy": "vibration energy E = 1/2 sum A_n^2",
-    "active_count": "masses with A_n > |v_d| / 2",
     "oscillator": "oscillator n",
     "result": "how the lane ended",
     "end_time": "time at which the lane ended",
     "steps": "accepted steps",
     "rejected": "rejected steps",
-    "stick_time": "time for which a mass sticks during the window",
+    "segment": "segment of the run",
+    "segment_end": "time at which the segment ends",
 }
 
 
@@ -121,87 +95,66 @@ def describe(
 
 def to_dataset(
     records: Mapping[str, Any],
-    axes: Mapping[str, np.ndarray],
+    axes: Axes,
     chain: Chain,
-    observers: Sequence[AbstractObserver],
     attrs: Mapping[str, Any],
+    edges: np.ndarray | None = None,
 ) -> xr.Dataset:
-    """The records of a sweep, one row per lane, as a dataset over the swept axes."""
-    dims = tuple(axes)
-    shape = tuple(v.size for v in axes.values())
-    records = jtu.tree_map(lambda a: a.reshape(*shape, *a.shape[1:]), dict(records))
-    variables: dict[str, tuple] = {}
-    for observer, value in zip(observers, records["observed"], strict=True):
-        variables |= _variables(observer, value, dims, axes, chain)
+    """The records of a sweep, one row per lane, as a dataset over the swept axes.
+
+    `edges`: where the segments of the runs begin, and the end of the last; None without segments.
+    """
+    shape = sizes(axes)
+    dims, own = tuple(shape), (*shape, *(() if edges is None else ("segment",)))
+    records = jtu.tree_map(lambda a: a.reshape(*shape.values(), *a.shape[1:]), dict(records))
+    code = records["result"]
+    well = ended_well(code)
+    variables = {
+        name: _variable((*own, *said.dims), said, well)
+        for name, said in records["observed"].items()
+    }
     for name in ("result", "end_time"):
-        variables[name] = (dims, records[name])
+        variables[name] = xr.Variable(dims, records[name])
     # Of a lane that was interrupted, none is known.
-    known = records["result"] != NAMES.index("interrupted")
+    known = code != NAMES.index("interrupted")
     for name in ("steps", "rejected"):
-        variables[name] = _count(dims, records[name], known)
-    coords = {**axes, "oscillator": np.arange(1, chain.n + 1)}
+        counts = np.where(known, records[name], np.nan)
+        variables[name] = xr.Variable(dims, counts, encoding=COUNT_ENCODING)
+    coords: dict[str, Any] = {
+        name: (_dims_of(dim, name, values, chain.n), values)
+        for dim, columns in axes.items()
+        for name, values in columns.items()
+    }
+    coords["oscillator"] = np.arange(1, chain.n + 1)
+    if edges is not None:
+        coords["segment"] = np.arange(1, len(edges))
+        coords["segment_end"] = ("segment", edges[1:])
     dataset = xr.Dataset(variables, coords=coords, attrs=dict(attrs))
-    for name in dataset.variables:
-        key = str(name)
-        if key in LONG_NAMES:
-            dataset[key].attrs["long_name"] = LONG_NAMES[key]
-        dataset[key].attrs["units"] = UNITS.get(key, "1")
-    for name in set(axes) & set(chain_names(chain)):
+    for name in set(map(str, dataset.variables)) - set(records["observed"]):
+        if name in LONG_NAMES:
+            dataset[name].attrs["long_name"] = LONG_NAMES[name]
+        dataset[name].attrs["units"] = UNITS.get(name, "1")
+    for name in {name for columns in axes.values() for name in columns} & set(chain_names(chain)):
         dataset[name].attrs |= parameter(name).attrs
     dataset["result"].attrs |= {
-        "flag_values": np.arange(len(NAMES), dtype=records["result"].dtype),
+        "flag_values": np.arange(len(NAMES), dtype=code.dtype),
         "flag_meanings": " ".join(NAMES),
     }
     return dataset
 
 
-def _variables(
-    observer: AbstractObserver,
-    value: Any,
-    dims: tuple[str, ...],
-    axes: Mapping[str, np.ndarray],
-    chain: Chain,
-) -> dict[str, tuple]:
-    if isinstance(observer, Amplitude):
-        speed = np.asarray(chain.belt_speed)
-        if "belt_speed" in axes:
-            place = [1] * len(dims)
-            place[dims.index("belt_speed")] = -1
-            speed = axes["belt_speed"].reshape(place)
-        known = ~np.isnan(value).any(axis=-1)
-        vibrates = np.asarray(active(jnp.asarray(value), jnp.asarray(speed)))
-        return {
-            "amplitude": ((*dims, "oscillator"), value),
-            "energy": (dims, 0.5 * (value**2).sum(axis=-1)),
-            "active_count": _count(dims, vibrates.sum(axis=-1), known),
-        }
-    if isinstance(observer, StickTime):
-        return {"stick_time": ((*dims, "oscillator"), value)}
-    if isinstance(observer, PeakTimes):
-        return {"peak_time": ((*dims, "peak", "oscillator"), value)}
-    if isinstance(observer, Section):
-        time, x, v = value
-        return {
-            "section_time": ((*dims, "point"), time),
-            "section_displacement": ((*dims, "point", "oscillator"), x),
-            "section_velocity": ((*dims, "point", "oscillator"), v),
-        }
-    if isinstance(observer, Samples):
-        time, x, v = value
-        return {
-            "sample_time": ((*dims, "sample"), time),
-            "sample_displacement": ((*dims, "sample", "sampled_oscillator"), x),
-            "sample_velocity": ((*dims, "sample", "sampled_oscillator"), v),
-        }
-    if isinstance(observer, FrontTrack):
-        return {
-            "front_right": ((*dims, "window"), value.right),
-            "front_left": ((*dims, "window"), value.left),
-            "front_count": _count((*dims, "window"), value.count, ~np.isnan(value.count)),
-        }
-    raise TypeError(f"No dataset names for {type(observer).__name__}.")
+def _variable(dims: tuple[str, ...], said: Variable, known: np.ndarray) -> xr.Variable:
+    """Missing where it is not known: NaN; a count is an integer on disk."""
+    attrs = {} if said.long_name is None else {"long_name": said.long_name}
+    values = said.values
+    if said.is_count or np.issubdtype(values.dtype, np.floating):
+        lanes = known.reshape(known.shape + (1,) * (values.ndim - known.ndim))
+        values = np.where(lanes, values, np.nan)
+    encoding = COUNT_ENCODING if said.is_count else None
+    return xr.Variable(dims, values, attrs | {"units": said.units}, encoding)
 
 
-def _count(dims: tuple[str, ...], values: Any, known: np.ndarray) -> tuple:
-    """A variable of counts, missing where none is known."""
-    return dims, np.where(known, values, np.nan), {}, COUNT_ENCODING
+def _dims_of(dim: str, name: str, values: np.ndarray, n: int) -> tuple[str, ...]:
+    if values.shape[1:] == (n,):
+        return dim, "oscillator"
+    return dim, *(f"{name}_{axis}" for axis in range(1, values.ndim))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -13,11 +14,12 @@ import jax.tree_util as jtu
 import numpy as np
 from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
-from jaxtyping import Array, Bool
+from jaxtyping import Array, Bool, Int
 
 from .._types import State
 from ..model.chain import Chain
 from ..model.parameters import CHAIN
+from ..observers.base import Variable
 from ..result import Result, code
 from ..simulation.plan import AbstractPlan, Progress
 
@@ -57,6 +59,11 @@ class Task(eqx.Module):
     t1: Array
     max_steps: Array | None = None  # of a lane, accepted or rejected
     vary: Callable[..., Chain] | None = None
+    segments: int | None = eqx.field(static=True, default=None)
+
+    def edge(self, segment: Any) -> Array:
+        """The time at which a segment begins."""
+        return self.t0 + (self.t1 - self.t0) * segment / self.segments
 
     def own_chain(self, values: dict[str, Array]) -> Chain:
         return own_chain(self.chain, self.vary, values)
@@ -70,17 +77,40 @@ class Task(eqx.Module):
         x, v = (jnp.broadcast_to(jnp.asarray(p, float), (self.chain.n,)) for p in initial)
         return x, v
 
+    def observed(self, chain: Chain, progress: Progress) -> OrderedDict[str, Variable]:
+        """What all observers say of a run so far, by the names of the variables."""
+        found = OrderedDict()  # JAX sorts a dict
+        for observer, value in zip(self.plan.observers, self.plan.read(progress), strict=True):
+            found |= observer.label(value, chain)
+        return jtu.tree_map(jnp.asarray, found)
+
+
+class Segments(eqx.Module):
+    """Where a run in segments is, and what was observed in those that are complete."""
+
+    present: Int[Array, ""]
+    tried: Int[Array, ""]  # steps before this one, accepted or rejected
+    observed: OrderedDict[str, Variable]  # stacked along axis 0
+
 
 class Lane(eqx.Module):
     """One lane under way, with the values of its job; a pool of lanes is stacked along axis 0."""
 
     values: dict[str, Array]
     progress: Progress
+    segments: Segments | None = None
 
 
 def start_lane(task: Task, values: dict[str, Array]) -> Lane:
-    initial = task.own_initial(values)
-    return Lane(values, task.plan.begin(task.own_chain(values), initial, task.t0, task.t1))
+    chain, initial = task.own_chain(values), task.own_initial(values)
+    if task.segments is None:
+        return Lane(values, task.plan.begin(chain, initial, task.t0, task.t1))
+    progress = task.plan.begin(chain, initial, task.t0, task.edge(1))
+    blank = jtu.tree_map(
+        lambda a: jnp.zeros((task.segments, *a.shape), a.dtype), task.observed(chain, progress)
+    )
+    none = jnp.zeros((), int)
+    return Lane(values, progress, Segments(none, none, blank))
 
 
 def restart_lane(task: Task, lane: Lane, take: Bool[Array, ""], values: dict[str, Array]) -> Lane:
@@ -90,27 +120,51 @@ def restart_lane(task: Task, lane: Lane, take: Bool[Array, ""], values: dict[str
 
 def advance_lane(task: Task, lane: Lane) -> tuple[Lane, Bool[Array, ""]]:
     """The lane after one more round, and whether it has ended."""
-    chain = task.own_chain(lane.values)
-    progress, left = lane.progress, None
-    if task.max_steps is not None:
-        left = task.max_steps - progress.steps - progress.rejected
-    progress, _ = task.plan.advance(chain, progress, task.t1, max_steps=ROUND, allowed=left)
-    goes_on = progress.result == Result.max_steps_reached
-    if task.max_steps is not None:
-        goes_on &= progress.steps + progress.rejected < task.max_steps
+    chain, segments = task.own_chain(lane.values), lane.segments
+    progress, left, most = lane.progress, None, task.max_steps
+    end = task.t1 if segments is None else task.edge(segments.present + 1)
+    if most is not None:
+        most = most if segments is None else most + segments.tried
+        left = most - progress.steps - progress.rejected
+    progress, _ = task.plan.advance(chain, progress, end, max_steps=ROUND, allowed=left)
+    goes_on = lane.progress.running & (progress.result == Result.max_steps_reached)
+    if most is not None:
+        goes_on &= progress.steps + progress.rejected < most
     result = Result.where(goes_on, Result.successful, progress.result)
     progress = eqx.tree_at(lambda p: p.result, progress, result)
-    return Lane(lane.values, progress), ~goes_on
+    if segments is None:
+        return Lane(lane.values, progress), ~goes_on
+    progress, segments = _next_segment(task, chain, progress, segments, ~goes_on)
+    return Lane(lane.values, progress, segments), segments.present >= task.segments
+
+
+def _next_segment(
+    task: Task, chain: Chain, progress: Progress, now: Segments, over: Bool[Array, ""]
+) -> tuple[Progress, Segments]:
+    """The same, or, if the present segment is `over`, its record and observers that start anew."""
+
+    def keep(all: Array, one: Array) -> Array:
+        return all.at[now.present].set(jnp.where(over, one, all[now.present]))
+
+    observed = jtu.tree_map(keep, now.observed, task.observed(chain, progress))
+    present = now.present + over
+    ends = task.edge(present), task.edge(present + 1)
+    fresh = [o.init(chain, *ends, progress.state) for o in task.plan.observers]
+    fresh = jtu.tree_map(lambda a, b: jnp.where(over, a, b), fresh, progress.accumulators)
+    tried = jnp.where(over, progress.steps + progress.rejected, now.tried)
+    progress = eqx.tree_at(lambda p: p.accumulators, progress, fresh)
+    return progress, Segments(present, tried, observed)
 
 
 def read_lane(task: Task, lane: Lane) -> dict[str, Any]:
-    progress = lane.progress
+    progress, segments = lane.progress, lane.segments
+    own = segments.observed if segments else task.observed(task.own_chain(lane.values), progress)
     return {
         "result": code(progress.result),
         "end_time": progress.t,
         "steps": progress.steps,
         "rejected": progress.rejected,
-        "observed": task.plan.read(progress),
+        "observed": own,
     }
 
 

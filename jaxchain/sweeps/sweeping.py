@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, Any
 import diffrax as dfx
 import jax
 import jax.numpy as jnp
-import jax.tree_util as jtu
 import numpy as np
 
 from .._checks import (
@@ -46,6 +45,7 @@ from ..simulation.accuracy import (
 from ..simulation.event_driven import EventDriven
 from ..simulation.run import build_plan
 from .axes import check_axes, check_observers, check_vary
+from .axes import jobs as jobs_of
 from .lanes import (
     Task,
     chain_names,
@@ -84,6 +84,7 @@ def sweep(
     atol: ScalarLike | None = None,
     max_step: ScalarLike = MAX_STEP,
     max_steps: int | None = None,
+    segments: int | None = None,
     lanes: int | None = None,
     devices: Sequence[Any] | None = None,
     progress: bool = False,
@@ -99,12 +100,18 @@ def sweep(
     - `t1`, `t0`: dimensionless times.
     - `over`: ordered mapping from a name to a one-dimensional array: any number of the chain or of
       its friction law (`belt_speed`, `damping_ratio`, `coupling`, `width`, `mu_static`, ...), or a
-      parameter of `initial` or `vary` (`excited`, a seed, ...).
+      parameter of `initial` or `vary` (`excited`, a seed, ...).  Or from a dimension to a mapping
+      or data frame of several of them that run along it together, such as measured sets or random
+      starts: `{"sample": {"belt_speed": speeds, "x0": starts}}`; what `initial` and `vary` take
+      may have further axes, of shape (samples, n), say.
     - `vary`: a function (chain, **own) -> chain that JAX can trace, for what no single number of
       the chain says, such as one random stiffness per mass (`jaxchain.mistuned_chain`); its
       parameters beyond the chain are taken from `over`, too, and `initial` sees the new chain.
-    - `observe`: one observer or several of different kinds (default: `Amplitude` over the last
-      tenth of the run).  A `Trajectory` does not fit into lanes; use `jax.vmap(simulate)`.
+    - `observe`: one observer or several (default: `Amplitude` over the last tenth of the run, or
+      of each segment), also of one's own, see `AbstractObserver`.  A `Trajectory` does not fit
+      into lanes; use `jax.vmap(simulate)`.
+    - `segments`: cut each run into this many parts of equal length, in which observers start anew;
+      what they observe has the dimension `segment` (1 ...), see `settled`.
     - `accuracy`: as for `simulate`: kept for 30 time units and by amplitudes that have settled.
       Lanes in which it may not be kept differ from those of a second sweep with four times the
       accuracy by more than it (see `choose_numerics`).  Every lane has a width of its own, `width`
@@ -118,12 +125,13 @@ def sweep(
     - `progress`: show a progress bar.
 
     **Returns:** an `xarray.Dataset` with the dimensions of `over` and `oscillator` (1 ... n), see
-    `sweeps/dataset.py`.  Failed lanes are NaN and carry their reason in `result`.  Bit for bit, no
-    lane depends on *which* others run beside it, failed ones or not.  It does on *how many* do:
-    results with other `lanes`, or without, agree within the tolerances while the motion is
-    regular, and chaotic motions part.  The same `lanes`, on devices of the same kind and with the
-    same versions of JAX and jaxchain, give the same bits.  The attributes `devices`,
-    `device_kind`, `lanes_per_device` and `lanes_per_device_at_end` record them.
+    `sweeps/dataset.py`; what is swept along a dimension of another name is a coordinate along it.
+    Failed lanes are NaN and carry their reason in `result`.  Bit for bit, no lane depends on
+    *which* others run beside it, failed ones or not.  It does on *how many* do: results with other
+    `lanes`, or without, agree within the tolerances while the motion is regular, and chaotic
+    motions part.  The same `lanes`, on devices of the same kind and with the same versions of JAX
+    and jaxchain, give the same bits.  The attributes `devices`, `device_kind`, `lanes_per_device`
+    and `lanes_per_device_at_end` record them.
 
     **Raises:** `ValueError` for bad input before anything is compiled; `MemoryError` if the
     results cannot fit; `SweepInterrupted` on Ctrl-C, with what was finished.
@@ -147,22 +155,21 @@ def sweep(
     chain = as_chain(chain, remedy=remedy)
     check_span(t0, t1)
     axes = check_axes(chain, initial, over, vary)
-    _check_initial(chain, initial, axes)
-    check_vary(chain, vary, axes)
-    _check_together(chain, axes)
-    grid = np.meshgrid(*axes.values(), indexing="ij")
-    jobs = {name: g.ravel() for name, g in zip(axes, grid, strict=True)}
+    jobs = jobs_of(axes)
+    swept = list(jobs)
+    _check_initial(chain, initial, jobs)
+    check_vary(chain, vary, jobs)
     smoothed = not isinstance(solver, EventDriven)
     widths = None
     if accuracy is not None:
-        if rtol is not None or "width" in axes:
+        if rtol is not None or "width" in jobs:
             raise ValueError(
                 "Argument `accuracy` picks the width and `rtol`: leave out `rtol`, and `width` of "
                 "`over`."
             )
         widths, rtol = _numerics(chain, vary, jobs, accuracy)
-    width: Any = axes.get("width", chain.friction.width)
-    speed: Any = axes.get("belt_speed", chain.belt_speed)
+    width: Any = jobs.get("width", chain.friction.width)
+    speed: Any = jobs.get("belt_speed", chain.belt_speed)
     tolerance: Any = rtol
     if rtol is None:
         tolerance = default_rtol(chain.n, width, speed) if smoothed else USUAL_RTOL
@@ -173,15 +180,17 @@ def sweep(
         jobs["width"] = widths
     else:
         check_resolved(chain.n, width, speed, tolerance, atol)
-    observers = check_observers(observe, float(t1) - float(t0))
+    check_count("segments", segments)
+    length = (float(t1) - float(t0)) / (segments or 1)
+    observers = check_observers(observe, chain, length, axes)
     check_count("max_steps", max_steps)
     check_count("lanes", lanes)
     absolute: Any = 0.1 * tolerance if atol is None else atol
     if solver is None:
-        solver = choose_solver(_strongest(chain, axes), float(tolerance), float(max_step))
+        solver = choose_solver(_strongest(chain, jobs), float(tolerance), float(max_step))
     plan = build_plan(solver, observers, tolerance, absolute, max_step, t1)
     most = None if max_steps is None else jnp.asarray(max_steps)
-    task = Task(plan, chain, initial, to_float(t0), to_float(t1), most, vary)
+    task = Task(plan, chain, initial, to_float(t0), to_float(t1), most, vary, segments)
     runner = Pool(task, jobs, devices, lanes)
     lanes_at_start, started = runner.lanes, time.perf_counter()
     interrupted = False
@@ -189,7 +198,7 @@ def sweep(
         runner.run(progress, description)
     except KeyboardInterrupt:
         interrupted = True
-    attrs = describe(chain, plan, t0=float(t0), t1=float(t1), swept=list(axes))
+    attrs = describe(chain, plan, t0=float(t0), t1=float(t1), swept=swept)
     attrs |= {
         "wall_time_s": round(time.perf_counter() - started, 3),
         "devices": ", ".join(str(d) for d in runner.devices),
@@ -197,13 +206,12 @@ def sweep(
         "lanes_per_device": lanes_at_start,
         "lanes_per_device_at_end": runner.lanes,
     }
-    _blank_failures(runner.records)
-    dataset = to_dataset(runner.records, axes, chain, observers, attrs)
+    edges = None if segments is None else np.asarray(task.edge(np.arange(segments + 1)))
+    dataset = to_dataset(runner.records, axes, chain, attrs, edges)
     if widths is not None:
-        shape = tuple(values.size for values in axes.values())
         about = parameter("width").attrs
         about["long_name"] += " that `accuracy` picked"
-        dataset["width"] = (tuple(axes), widths.reshape(shape), about)
+        dataset["width"] = (tuple(axes), widths.reshape(dataset["result"].shape), about)
         dataset.attrs["accuracy"] = accuracy
     if interrupted:
         raise SweepInterrupted(dataset)
@@ -234,7 +242,7 @@ def _numerics(
 
 
 def _check_initial(
-    chain: Chain, initial: State | Callable[..., State], axes: Mapping[str, np.ndarray]
+    chain: Chain, initial: State | Callable[..., State], jobs: Mapping[str, np.ndarray]
 ) -> None:
     """Raises what `initial` raises for a value of its own, and for a state that does not fit.
 
@@ -242,11 +250,11 @@ def _check_initial(
     """
     states: list[Any] = [initial]
     if callable(initial):
-        own = {name: v for name, v in axes.items() if name in initial_names(initial)}
+        own = {name: v for name, v in jobs.items() if name in initial_names(initial)}
         first = {name: jnp.asarray(values[0]) for name, values in own.items()}
         rows = [first]
         for name, values in own.items():
-            different = np.unique(values)
+            different = np.unique(values) if values.ndim == 1 else values[:0]
             kept = different if different.size <= _MOST_TRIED else different[[0, -1]]
             rows += [first | {name: jnp.asarray(value)} for value in kept]
         states = [jax.eval_shape(functools.partial(initial, chain, **row)) for row in rows]
@@ -266,24 +274,10 @@ def _check_initial(
                 check_finite(f"initial {name}", part, "see `excited_state` for initial states.")
 
 
-def _check_together(chain: Chain, axes: Mapping[str, np.ndarray]) -> None:
-    """Raises if two swept numbers contradict each other somewhere on the grid."""
-    if "mu_static" in axes and "mu_dynamic" in axes:
-        chain.with_(mu_static=axes["mu_static"].min(), mu_dynamic=axes["mu_dynamic"].max())
-
-
-def _blank_failures(records: dict[str, Any]) -> None:
-    """What a failed lane had observed by then is no answer: NaN."""
-    failed = ~ended_well(records["result"])
-    for observed in jtu.tree_leaves(records["observed"]):
-        if np.issubdtype(observed.dtype, np.floating):
-            observed[failed] = np.nan
-
-
-def _strongest(chain: Chain, axes: Mapping[str, np.ndarray]) -> Chain:
+def _strongest(chain: Chain, jobs: Mapping[str, np.ndarray]) -> Chain:
     """The chain with the strongest coupling of the sweep, for the choice of the linear solve."""
-    if "coupling" in axes:
-        return chain.with_(coupling=float(np.max(axes["coupling"])))
+    if "coupling" in jobs:
+        return chain.with_(coupling=float(np.max(jobs["coupling"])))
     return chain
 
 

@@ -23,18 +23,21 @@ def three():
     """A lane that ended well, one that failed, and one that was interrupted."""
     nan = np.nan
     place = jnp.array([[2.0, 3.0], [nan, nan], [nan, nan]])
+    chain, watch = paper_chain(4), [Amplitude(window=20.0), FrontTrack(2)]
+    values = [
+        jnp.array([[1.5, 1.5, 0.1, 0.0], 4 * [nan], 4 * [nan]]), Fronts(place, place, place)
+    ]  # fmt: skip
+    observed = {}
+    for observer, value in zip(watch, values, strict=True):
+        observed |= jax.vmap(lambda one, o=observer: o.label(one, chain))(value)
     records = {
         "result": np.array([NAMES.index(r) for r in ("successful", "nonfinite", "interrupted")]),
         "end_time": np.array([60.0, 7.0, nan]),
         "steps": np.array([300, 200, 0]),
         "rejected": np.array([30, 10, 0]),
-        "observed": [
-            np.array([[1.5, 1.5, 0.1, 0.0], 4 * [nan], 4 * [nan]]),
-            jax.tree.map(np.asarray, Fronts(place, place, place)),
-        ],
+        "observed": jax.tree.map(np.asarray, observed),
     }
-    watch = [Amplitude(window=20.0), FrontTrack(2)]
-    return to_dataset(records, {"excited": np.arange(3)}, paper_chain(4), watch, {})
+    return to_dataset(records, {"excited": {"excited": np.arange(3)}}, chain, {})
 
 
 def test_a_mean_over_lanes_leaves_out_those_that_know_no_count(three):

@@ -1,8 +1,10 @@
 """Sweeps: the same numbers as single runs, whoever runs beside them; labels, failures, input."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pandas as pd
 import pytest
 import xarray as xr
 
@@ -19,11 +21,36 @@ from jaxchain import (
     sweep,
 )
 from jaxchain.observers import FrontTrack
-from jaxchain.observers.section import ReturnPoints
+from jaxchain.observers.base import AbstractObserver, Variable
 from jaxchain.result import NAMES
 from jaxchain.sweeps import SweepInterrupted
 
 CHAIN = paper_chain(4, belt_speed=1.4)
+
+
+class Last(AbstractObserver):
+    """The last displacements; without labels."""
+
+    def init(self, field, t0, t1, y0):
+        return y0[0]
+
+    def update(self, accumulator, step):
+        return step.y1[0]
+
+    def read(self, accumulator):
+        return accumulator
+
+
+class Named(Last):
+    """With any labels."""
+
+    name: str = eqx.field(static=True)
+    dims: tuple = eqx.field(static=True, default=("oscillator",))
+
+    def label(self, value, chain):
+        return {self.name: Variable(value, self.dims, "x0", "last x_n")}
+
+
 OVER = {"belt_speed": [1.0, 1.4, 1.9], "excited": [0, 1, 4]}
 
 
@@ -286,21 +313,112 @@ def test_an_interrupted_sweep_hands_over_what_had_ended(monkeypatch):
         assert np.isnan(result[name].values).tolist() == unknown
 
 
+def test_an_observer_of_ones_own_is_labelled():
+    data = sweep(CHAIN, equation_8, 5.0, over={"excited": [0, 2]}, observe=Named("last"))
+    run = simulate(CHAIN, equation_8(CHAIN, 2), 5.0, observe=Last())
+    assert data["last"].attrs == {"long_name": "last x_n", "units": "x0"}
+    np.testing.assert_allclose(data["last"].sel(excited=2), run.observed, atol=1e-4)
+
+
+def test_labels_know_the_chain_of_their_lane():
+    """A belt so fast that no amplitude counts, set by `vary`."""
+    data = sweep(
+        CHAIN, lambda chain: equation_8(chain, 4), 20.0, over={"speed": [1.4, 1e3]},
+        vary=lambda chain, speed: chain.with_(belt_speed=speed), observe=Amplitude(window=10.0),
+        solver=EventDriven(),
+    )  # fmt: skip
+    assert data.active_count.values.tolist() == [4, 0]
+    assert float(data.amplitude.isel(speed=0).min()) > 1.0
+
+
+@pytest.mark.parametrize(
+    "solver",
+    [
+        pytest.param(None, id="smoothed", marks=pytest.mark.long),
+        pytest.param(EventDriven(), id="nonsmooth"),
+    ],
+)
+def test_segments_are_those_of_single_runs(solver):
+    watch = [Amplitude(), PeakTimes(4), Named("last")]
+    options = {"observe": watch, "segments": 3, "solver": solver, "max_steps": 400}
+    data = sweep(CHAIN, equation_8, 36.0, over={"excited": [0, 1, 4]}, lanes=2, **options)
+    assert data.peak_time.dims == ("excited", "segment", "peak", "oscillator")
+    assert data.segment.values.tolist() == [1, 2, 3]
+    np.testing.assert_allclose(data.segment_end, [12.0, 24.0, 36.0])
+    for excited in (1, 4):
+        run = simulate(CHAIN, equation_8(CHAIN, excited), 36.0, **options)
+        lane = data.sel(excited=excited)
+        assert int(lane.steps) == int(run.steps)
+        for name, value in zip(("amplitude", "peak_time", "last"), run.observed, strict=True):
+            np.testing.assert_allclose(lane[name], value, atol=1e-3)
+    assert data.active_count.isel(excited=2).values.tolist() == [4, 4, 4]
+
+
+def test_a_segment_may_take_as_many_steps_as_a_run():
+    options = {"solver": EventDriven(), "segments": 3, "observe": Amplitude()}
+    free = sweep(CHAIN, equation_8, 36.0, over={"excited": [4]}, **options)
+    most = int(free.steps[0]) // 2
+    just = sweep(CHAIN, equation_8, 36.0, over={"excited": [4]}, max_steps=most, **options)
+    np.testing.assert_array_equal(just.amplitude, free.amplitude)
+    with pytest.warns(UserWarning, match="max_steps_reached"):
+        few = sweep(CHAIN, equation_8, 36.0, over={"excited": [4]}, max_steps=9, **options)
+    assert int(few.steps[0]) == 9
+
+
+def test_parameters_go_together_along_one_dimension():
+    """Measured sets and states of shape (samples, n), beside a product."""
+    starts = np.linspace(-1.0, 1.0, 12).reshape(3, 4)
+    together = {"belt_speed": [1.2, 1.4, 1.6], "mu_static": [0.6, 0.8, 1.0], "x0": starts}
+    data = sweep(
+        CHAIN, lambda chain, x0, v0: (x0, v0 + 0 * x0), 5.0,
+        over={"sample": together, "v0": [0.0, 0.5]}, observe=Named("last"), solver=EventDriven(),
+    )  # fmt: skip
+    assert data["last"].dims == ("sample", "v0", "oscillator")
+    assert data.mu_static.dims == ("sample",)
+    assert data.x0.dims == ("sample", "oscillator")
+    assert data.belt_speed.attrs["units"] == "x0 omega_n"
+    chain = CHAIN.with_(belt_speed=1.6, mu_static=1.0)
+    run = simulate(chain, (starts[2], np.full(4, 0.5)), 5.0, observe=Last(), solver=EventDriven())
+    np.testing.assert_allclose(data["last"].isel(sample=2, v0=1), run.observed, atol=1e-6)
+    # A data frame and a dataset are mappings of columns, too.
+    for table in (pd.DataFrame({"v0": [0.0, 0.5]}), xr.Dataset({"v0": ("row", [0.0, 0.5])})):
+        own = sweep(
+            CHAIN, lambda chain, v0: (np.ones(4), v0), 5.0, over={"set": table},
+            observe=Named("last"), solver=EventDriven(),
+        )  # fmt: skip
+        assert own["last"].sizes == {"set": 2, "oscillator": 4}
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         ({"over": {}}, "must name at least one quantity"),
         ({"over": {"excited": [1], "speed": [1.0]}}, "names 'speed', which is neither"),
         ({"over": {"excited": []}}, "non-empty one-dimensional"),
+        ({"over": {"excited": [1], "set": {"width": [[1e-3]]}}}, r"over\['set'\]\['width'\]"),
+        (
+            {"over": {"set": {"excited": [1], "width": [1e-3, 1e-4]}}},
+            "has 2 values, but 'excited'",
+        ),
+        ({"over": {"excited": [1], "set": {"excited": [1]}}}, "names a parameter twice"),
+        ({"over": {"excited": [1], "set": {}}}, "parameters that run along a dimension"),
+        ({"over": {"width": {"excited": [1]}, "set": {"width": [1e-3]}}}, "of their own"),
+        ({"over": {"set": {"excited": [1], "mu_static": [0.2]}}}, "mu_static"),
         ({"over": {"excited": [1], "belt_speed": [1.0, float("nan")]}}, "must be finite"),
         ({"over": {"excited": [1], "width": [1e-3, -1.0]}}, "`width` must be positive"),
         ({"over": {"belt_speed": [1.0]}}, r"`initial` needs \['excited'\]"),
         ({"over": {"excited": np.zeros(20_000), "belt_speed": np.ones(1000)}}, "20000000 lanes"),
         ({"t1": -1.0}, "`t1` = -1.0 lies before"),
         ({"lanes": 0}, "`lanes` must be None or an integer"),
-        ({"observe": [Amplitude(), Amplitude(window=5.0)]}, "two observers of the same kind"),
+        ({"observe": [Amplitude(), Amplitude(window=5.0)]}, "'amplitude' as `Amplitude` does"),
         ({"observe": Trajectory(jnp.ones(1))}, r"Use `jax.vmap\(simulate\)`"),
-        ({"observe": ReturnPoints(jnp.array(0), 5)}, "must be an observer of a sweep"),
+        ({"observe": Last()}, "`Last`, whose value has no labels"),
+        ({"observe": Named("steps")}, "names a variable 'steps' as every sweep does"),
+        ({"observe": [Named("peak"), PeakTimes()]}, "'peak' as another names a dimension"),
+        ({"observe": Named("last", ("oscillator", "oscillator"))}, "name each axis once"),
+        ({"observe": Named("excited")}, "also the name of a result"),
+        ({"observe": 3}, "must be an observer or a list of them, but holds 3"),
+        ({"segments": 0}, "`segments` must be None or an integer"),
     ],
 )
 def test_bad_input_is_named_before_anything_runs(change, message):

@@ -15,6 +15,7 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 from jaxtyping import Array
@@ -107,13 +108,12 @@ def run_states(
         except KeyboardInterrupt:
             interrupted = True
     records = joined(on_all(read_lane, own, lanes))
-    # The amplitude is the first observer of every stage.
-    records["observed"] = records["observed"][:1]
+    own_names = amplitude.label(jnp.zeros(chain.n), chain)
+    records["observed"] = {name: records["observed"][name] for name in own_names}
     records = jax.tree.map(lambda a: a[mine], records)
     failed = ~ended_well(records["result"])
     if interrupted:
         records["result"][~failed] = NAMES.index("interrupted")
-    records["observed"][0][failed | interrupted] = np.nan
     attrs = describe(chain, own.plan, t0=0.0, t1=end, swept=["excited"])
     attrs |= {
         "wall_time_s": round(time.perf_counter() - begun, 3),
@@ -122,7 +122,7 @@ def run_states(
         "transient": part.time.transient,
         "window": part.time.window,
     }
-    data = to_dataset(records, {"excited": counts}, chain, [amplitude], attrs)
+    data = to_dataset(records, {"excited": {"excited": counts}}, chain, attrs)
     if found[PeakTimes]:
         join_peaks(data, found[PeakTimes], failed)
     if found[Samples] and phase_plots is not None:
