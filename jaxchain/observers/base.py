@@ -75,12 +75,12 @@ def gauss(points: int) -> tuple[Float[Array, " points"], Float[Array, " points"]
 
 def zeros(
     function: Callable[[Any], Array],
-    crosses: Bool[Array, " n"],
-    first: Float[Array, " n"],
-    last: Float[Array, " n"],
+    crosses: Bool[Array, "*masses"],
+    first: Float[Array, "*masses"],
+    last: Float[Array, "*masses"],
     *,
     elsewhere: float,
-) -> Float[Array, " n"]:
+) -> Float[Array, "*masses"]:
     """The theta in [0, 1] at which function(theta) is zero where it `crosses`, mass by mass.
 
     From its values at both ends: the secant, then two Newton steps.

@@ -1,9 +1,10 @@
 """Experiments as TOML files: read, checked, run, saved.  Reading and checking needs no JAX.
 
 - `boundaries`: the Hopf speed and the cycles that belong to an experiment, saved as data
-- `building`: chain, initial state and solver from the tables of an experiment
+- `building`: chain, initial state, observers and solver from the tables of an experiment
 - `errors`: what may go wrong with a scene or a study
 - `files`: the TOML files: found and read
+- `observing`: what is observed, as tables
 - `own_law`: a friction law of one's own, named on the command line
 - `reading`: `load_scene`: a file read and checked
 - `registry`: studies: what one is, and how one is found

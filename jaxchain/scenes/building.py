@@ -1,4 +1,4 @@
-"""What an experiment is computed with: chain, initial state and solver, from its tables."""
+"""What an experiment is computed with: chain, start, observers and solver, from its tables."""
 
 from __future__ import annotations
 
@@ -10,13 +10,16 @@ import diffrax as dfx
 import jax.numpy as jnp
 import numpy as np
 
+from .. import observers
 from .._types import ScalarLike, State
 from ..model import friction, initial_states
 from ..model.chain import Chain
 from ..model.parameters import CHAIN
 from ..model.tabulated import TabulatedFriction
+from ..observers.base import AbstractObserver
 from ..simulation.accuracy import fit_linear_solve
 from ..solvers.rosenbrock import Rodas4, Rodas5P
+from .observing import ObserveTable
 from .own_law import make_law
 from .scene import SweepTable
 from .tables import Equation8Table, Equation10Table, OwnLawTable, TabulatedTable
@@ -102,6 +105,20 @@ def build_initial(experiment: SweepTable) -> Callable[..., State]:
         )
 
     return pulled_away
+
+
+def build_observers(table: ObserveTable, window: float) -> list[AbstractObserver]:
+    """Amplitudes in the window, and what else the table names."""
+    how = table.model_dump(exclude={"quantities", "others"})
+    found: list[AbstractObserver] = [observers.Amplitude(window=window, **how)]
+    for other in table.others or []:
+        own = other.model_dump(exclude={"observer"})
+        for key in own.keys() & {"oscillator", "middle"}:
+            own[key] = None if own[key] is None else own[key] - 1
+        if own.get("oscillators"):
+            own["oscillators"] = tuple(number - 1 for number in own["oscillators"])
+        found.append(getattr(observers, other.observer)(**own))
+    return found
 
 
 def build_solver(

@@ -16,20 +16,20 @@ import xarray as xr
 
 from .._types import State
 from ..model.friction import AbstractFrictionLaw
-from ..observers.amplitude import Amplitude
 from ..plotting.groups import CYCLES, NONSMOOTH
 from ..plotting.sweeps import figure
 from ..simulation.event_driven import EventDriven
 from ..sweeps.sweeping import SweepInterrupted, sweep
 from .boundaries import cycles, hopf_speed
-from .building import build_chain, build_initial, build_solver
+from .building import build_chain, build_initial, build_observers, build_solver
 from .errors import SceneError
+from .observing import ObserveTable
 from .reading import LoadedScene
 from .registry import StudyTable, study_run
 from .report import cycles_summary, summary
 from .scene import Experiment, SweepTable
 from .storage import save, save_drawing
-from .tables import NumericsTable, ObserveTable
+from .tables import NumericsTable
 
 
 def models(numerics: NumericsTable) -> tuple[str, ...]:
@@ -58,8 +58,8 @@ def run_experiment(
     numerics, time = experiment.numerics, experiment.time
     chain = build_chain(experiment, own_law)
     if observe is None:
-        stop = experiment.observe if isinstance(experiment, Experiment) else ObserveTable()
-        observe = Amplitude(window=time.window, **stop.model_dump(exclude={"quantities"}))
+        table = experiment.observe if isinstance(experiment, Experiment) else ObserveTable()
+        observe = build_observers(table, time.window)
     if model == "nonsmooth":
         solver = EventDriven()
     else:

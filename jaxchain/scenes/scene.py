@@ -19,6 +19,7 @@ from pydantic_core import PydanticCustomError
 from ..model.parameters import CHAIN, FRICTION, parameter
 from ..plotting.groups import CYCLES, NONSMOOTH
 from .errors import did_you_mean
+from .observing import ObserveTable
 from .tables import (
     MOST_LANES,
     MOST_LANES_REMEDY,
@@ -26,7 +27,6 @@ from .tables import (
     ExcitedTable,
     InitialTable,
     NumericsTable,
-    ObserveTable,
     SolverTable,
     Table,
     TimeTable,
@@ -42,8 +42,11 @@ Problem: TypeAlias = tuple[tuple[str, ...], str]
 MOST_AMPLITUDES = 10**8
 # Variables of a results file, beside which its groups stand.
 VARIABLES = {
-    "amplitude", "energy", "active_count", "result", "end_time", "steps", "oscillator",
-    "hopf_belt_speed",
+    "amplitude", "energy", "active_count", "result", "end_time", "steps", "rejected", "oscillator",
+    "hopf_belt_speed", "stick_time", "most_sticking", "peak", "peak_time", "point",
+    "section_time", "section_displacement", "section_velocity", "sample", "sampled_oscillator",
+    "sample_time", "sample_displacement", "sample_velocity", "window", "front_right",
+    "front_left", "front_count", "belt_work", "energy_lost", "energy_stored", "divergence",
 }  # fmt: skip
 
 
@@ -163,6 +166,14 @@ class SweepTable(Table):
                     ("initial", "oscillators"),
                     f"must lie in 1 ... {n} (`chain.n`), but holds {last}",
                 )
+        for i, other in enumerate(self.observe.others or []):
+            own = other.model_dump(include={"oscillator", "oscillators", "middle"})
+            for key, given in own.items():
+                if given is not None and np.max(given) > n:
+                    yield (
+                        ("observe", f"others[{i}]", key),
+                        f"must lie in 1 ... {n} (`chain.n`), but is {given}",
+                    )
         softest = self._extreme("stiffness", min)
         if softest is not None and (problem := short_of_a_period(self.time.window, softest)):
             yield ("time", "window"), problem

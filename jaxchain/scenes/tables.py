@@ -322,23 +322,6 @@ class TimeTable(Table):
     """How long they are measured."""
 
 
-class ObserveTable(Table):
-    """What is kept of every run."""
-
-    quantities: Annotated[
-        list[Literal["amplitude", "energy", "active_count"]], Field(min_length=1)
-    ] = ["amplitude", "energy", "active_count"]
-    stop: Literal["never", "quiet", "steady"] = "never"
-    """When a run may end early: once every mass rests for good ("quiet"), or also once the
-    amplitudes of successive windows agree ("steady")."""
-    tolerance: Positive = 1e-6
-    """How well they must agree for "steady"."""
-    repeats: Annotated[int, Field(ge=1)] = 5
-    """In how many windows in succession."""
-    quiet_below: Positive = 1e-6
-    """Amplitude of a mass at rest."""
-
-
 Solver: TypeAlias = Literal[
     "auto", "Rodas4", "Rodas5P", "Bosh3", "Tsit5", "Dopri5", "Dopri8",
     "Kvaerno3", "Kvaerno4", "Kvaerno5",

@@ -9,19 +9,23 @@ from typing import Any, Literal, get_args, get_origin
 from pydantic import ValidationError
 
 from .errors import did_you_mean
+from .observing import ObserverTable
 from .tables import FrictionTable, InitialTable, Table
 
 
 def _by_tag(union: Any, key: str) -> dict[str, type[Table]]:
-    """The tables of a union by the value of `key` that tells them apart."""
+    """The tables of a union by the values of `key` that tell them apart."""
     tables = get_args(get_args(union)[0])
-    return {get_args(table.model_fields[key].annotation)[0]: table for table in tables}
+    return {tag: t for t in tables for tag in get_args(t.model_fields[key].annotation)}
 
 
 LAWS = _by_tag(FrictionTable, "law")
 KINDS = _by_tag(InitialTable, "kind")
+OBSERVERS = _by_tag(ObserverTable, "observer")
+# By the key that names one of them.
+OPTIONS = {"law": LAWS, "kind": KINDS, "observer": OBSERVERS}
 # What pydantic adds to the path of an error to say which kind of value it took for meant.
-_TAGS = {"number", "list", "table", *LAWS, *KINDS}
+_TAGS = {"number", "list", "table", *LAWS, *KINDS, *OBSERVERS}
 _TYPES = {
     "float": "a number",
     "int": "a whole number",
@@ -50,7 +54,7 @@ def explain(error: ValidationError, data: dict[str, Any], model: type[Table]) ->
                 lines.append(f"{'.'.join([*path, *below])}: {message}")
             continue
         key = context.get("discriminator", "").strip("'")
-        if key in ("law", "kind"):
+        if key in OPTIONS:
             path = [*path, key]
         if kind == "extra_forbidden":
             message = _unknown(path[-1], _table_at(path[:-1], data, model).model_fields)
@@ -84,9 +88,9 @@ def _message(kind: str, value: Any, context: dict[str, Any], path: list[str]) ->
     """What is wrong with the value at `path`, and what is allowed there."""
     shown = as_written(value)
     if kind == "missing" or kind == "union_tag_not_found":
-        options = {"law": LAWS, "kind": KINDS}.get(path[-1])
+        options = OPTIONS.get(path[-1])
         return "is missing" if options is None else f"is missing; allowed: {listed(options)}"
-    if kind == "literal_error" or (kind == "union_tag_invalid" and path[-1] in ("law", "kind")):
+    if kind == "literal_error" or (kind == "union_tag_invalid" and path[-1] in OPTIONS):
         if kind == "union_tag_invalid":
             value, shown = context["tag"], as_written(context["tag"])
         allowed = re.findall(r"'([^']*)'", context.get("expected_tags") or context["expected"])

@@ -11,11 +11,12 @@ from jaxchain import find_limit_cycle, fold_belt_speed, paper_chain
 from jaxchain.observers.stick_time import StickTime
 from jaxchain.plotting.sweeps import figure
 from jaxchain.scenes.boundaries import cycles, hopf_speed
-from jaxchain.scenes.building import build_chain
+from jaxchain.scenes.building import build_chain, build_observers
 from jaxchain.scenes.errors import SceneError
 from jaxchain.scenes.reading import load_scene
 from jaxchain.scenes.running import run_experiment, run_scene
 from jaxchain.scenes.tables import TimeTable
+from jaxchain.scenes.scene import VARIABLES
 
 SCENE = """
 title = "Three masses"
@@ -187,3 +188,37 @@ def test_no_experiment_is_named_like_the_cycles_of_another(tmp_path):
 def test_an_unknown_model_is_refused(tmp_path):
     with pytest.raises(SceneError, match="nonsmooth"):
         scene(tmp_path, "rough")
+
+
+OTHERS = """
+observe = { quantities = ["energy"], others = [
+    { observer = "StickTime", window = 20.0 }, { observer = "PeakTimes", capacity = 3 },
+    { observer = "Section", oscillator = 1, capacity = 2, start = 50.0 },
+    { observer = "Samples", interval = 10.0, capacity = 3, oscillators = [3] },
+    { observer = "FrontTrack", windows = 2, middle = 1 }, { observer = "MostSticking" },
+    { observer = "EnergyBalance" }, { observer = "Divergence" },
+] }
+"""
+
+
+def test_a_scene_observes_what_it_names(tmp_path):
+    experiment = scene(tmp_path, "nonsmooth", OTHERS).scene.experiment["ladder"]
+    # No group of the results may be named like what stands beside it.
+    chain, watch = build_chain(experiment), build_observers(experiment)
+    assert len(watch) == 9
+    still = jnp.zeros(3), jnp.zeros(3)
+    for observer in watch:
+        said = observer.label(observer.read(observer.init(chain, 0.0, 1.0, still)), chain)
+        dims = {dim for variable in said.values() for dim in variable.dims}
+        assert {*said, *dims} <= VARIABLES
+    data = run_scene(scene(tmp_path, "nonsmooth", OTHERS), tmp_path, plot=False, report=str)
+    found = data["ladder"].sel(excited=1, belt_speed=1.4)
+    assert "amplitude" not in found
+    assert found.stick_time.argmax() == found.section_displacement[0].argmax() == 0
+    assert found.section_time.min() > 50.0
+    assert found.sampled_oscillator.size == 1
+    assert int(found.most_sticking) == 1
+    gained = found.belt_work - found.energy_lost
+    np.testing.assert_allclose(gained, found.energy_stored, atol=1e-3)
+    with xr.open_dataset(tmp_path / "three.nc", engine="h5netcdf") as saved:
+        assert saved["stick_time"].attrs["units"] == "1 / omega_n"

@@ -145,6 +145,19 @@ PAIR = "experiment.pair."
         ("time.transient=-1", "time.transient: must be at least 0, but is -1"),
         ("observe.stop=early", 'observe.stop: must be one of "never", "quiet", "steady", but is'),
         ('observe.quantities=["speed"]', "observe.quantities[0]: must be one of"),
+        ("observe.others=[{}]", 'observe.others[0].observer: is missing; allowed: "StickTime", '),
+        (
+            'observe.others=[{observer="Sticktime"}]',
+            'observe.others[0].observer: must be one of "StickTime", "PeakTimes", ',
+        ),
+        (
+            'observe.others=[{observer="PeakTimes",start=1,capacty=2}]',
+            "observe.others[0].capacty: is not a known key (did you mean `capacity`?)",
+        ),
+        (
+            'observe.others=[{observer="Divergence"},{observer="Section",oscillator=5}]',
+            "observe.others[1].oscillator: must lie in 1 ... 4 (`chain.n`), but is 5",
+        ),
         (
             "numerics.model=rough",
             'numerics.model: must be one of "smoothed", "nonsmooth", "both", but is "rough"',
@@ -332,7 +345,8 @@ def test_a_range_holds_exactly_the_decimals_one_would_write(given, values):
 def test_the_schema_names_every_key_and_knows_no_null():
     text = json.dumps(schema())
     assert "null" not in text
-    for table in (Experiment, Range, *wording.LAWS.values(), *wording.KINDS.values()):
+    named = (table for tables in wording.OPTIONS.values() for table in tables.values())
+    for table in (Experiment, Range, *named):
         assert all(f'"{key}"' in text for key in table.model_fields)
 
 

@@ -1,0 +1,98 @@
+"""What is observed of a run, as tables: amplitudes, and other observers by name.
+
+Oscillators are counted from 1; nothing here needs JAX.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, TypeAlias
+
+from pydantic import Field
+
+from .tables import NonNegative, Positive, Table
+
+Count: TypeAlias = Annotated[int, Field(ge=1)]
+
+
+class StickTimeTable(Table):
+    """For how long each mass sticks."""
+
+    observer: Literal["StickTime"]
+    window: Positive | None = None
+    """The last time units of the run that count; absent: all."""
+
+
+class PeakTimesTable(Table):
+    """When each mass is farthest out."""
+
+    observer: Literal["PeakTimes"]
+    capacity: Count = 64
+    """How many maxima of each mass are kept, the first ones."""
+    start: float = 0.0
+    """The time before which nothing is kept."""
+
+
+class SectionTable(PeakTimesTable):
+    """The states in which one mass is farthest out, or fastest along the belt."""
+
+    observer: Literal["Section"]  # pyright: ignore[reportIncompatibleVariableOverride]
+    oscillator: Count
+    of: Literal["displacement", "velocity"] = "displacement"
+
+
+class SamplesTable(Table):
+    """States at start, start + interval, ..."""
+
+    observer: Literal["Samples"]
+    interval: Positive
+    capacity: Count
+    """How many are kept, the first ones."""
+    oscillators: Annotated[list[Count], Field(min_length=1)] | None = None
+    """Which; absent: all."""
+    start: NonNegative = 0.0
+
+
+class FrontTrackTable(Table):
+    """Where the two fronts of a vibrating block are."""
+
+    observer: Literal["FrontTrack"]
+    windows: Count
+    """Equal parts of the run, of two periods each at least."""
+    middle: Count | None = None
+    """An oscillator inside the block; absent: that in the middle."""
+
+
+class WholeRunTable(Table):
+    """Energy balance, integral of the divergence, or how many masses ever stick at once."""
+
+    observer: Literal["EnergyBalance", "Divergence", "MostSticking"]
+
+
+ObserverTable: TypeAlias = Annotated[
+    StickTimeTable
+    | PeakTimesTable
+    | SectionTable
+    | SamplesTable
+    | FrontTrackTable
+    | WholeRunTable,
+    Field(discriminator="observer"),
+]
+
+
+class ObserveTable(Table):
+    """What is kept of every run."""
+
+    quantities: Annotated[
+        list[Literal["amplitude", "energy", "active_count"]], Field(min_length=1)
+    ] = ["amplitude", "energy", "active_count"]  # noqa: RUF012  # pydantic copies it
+    stop: Literal["never", "quiet", "steady"] = "never"
+    """When a run may end early: once every mass rests for good ("quiet"), or also once the
+    amplitudes of successive windows agree ("steady")."""
+    tolerance: Positive = 1e-6
+    """How well they must agree for "steady"."""
+    repeats: Annotated[int, Field(ge=1)] = 5
+    """In how many windows in succession."""
+    quiet_below: Positive = 1e-6
+    """Amplitude of a mass at rest."""
+    others: Annotated[list[ObserverTable], Field(min_length=1)] | None = None
+    """What else is observed, such as `{ observer = "StickTime", window = 100.0 }`."""
