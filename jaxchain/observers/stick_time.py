@@ -7,6 +7,7 @@ from typing import Any
 
 import equinox as eqx
 import equinox.internal as eqxi
+import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
@@ -110,7 +111,7 @@ class MostSticking(AbstractObserver):
     def update(self, accumulator: Any, step: Step) -> Any:
         # A mass that sticks has the velocity of the belt to the last digit, all the time.
         velocities = jnp.stack([step.y0[1], step.y1[1], step.velocity(jnp.asarray(0.5))])
-        found = step.field.switching(step.t0, velocities)
+        found = jax.vmap(lambda v: step.field.switching(step.t0, v))(velocities)
         assert found is not None  # what can stick switches
         return jnp.maximum(accumulator, jnp.sum(jnp.all(found[0] == 0, axis=0)))
 

@@ -119,7 +119,8 @@ def _extremes(jobs: Mapping[str, np.ndarray]) -> list[dict[str, Any]]:
         for v in jobs.values()
     ]
     if {"mu_static", "mu_dynamic"} <= jobs.keys():
-        ends.append((int(np.argmin(jobs["mu_static"] - jobs["mu_dynamic"])),) * 2)
+        least = int(np.argmin(jobs["mu_static"] - jobs["mu_dynamic"]))
+        ends.append((least, least))
     rows = sorted({row for pair in ends for row in pair})
     return [{name: values[row] for name, values in jobs.items()} for row in rows]
 
@@ -152,7 +153,7 @@ def check_observers(
     if observe is None:
         observe = Amplitude(window=0.1 * length if length > 0 else None)
     observers = list(observe) if isinstance(observe, list | tuple) else [observe]
-    givers = dict.fromkeys(RESULTS, "every sweep")
+    givers: dict[str, str] = dict.fromkeys(RESULTS, "every sweep")
     lengths = {"oscillator": chain.n}
     for observer in observers:
         if isinstance(observer, Trajectory):

@@ -135,7 +135,7 @@ def advance_lane(task: Task, lane: Lane) -> tuple[Lane, Bool[Array, ""]]:
     if segments is None:
         return Lane(lane.values, progress), ~goes_on
     progress, segments = _next_segment(task, chain, progress, segments, ~goes_on)
-    return Lane(lane.values, progress, segments), segments.present >= task.segments
+    return Lane(lane.values, progress, segments), segments.present >= (task.segments or 1)
 
 
 def _next_segment(

@@ -1,5 +1,7 @@
 """Observers against runs whose answer is known, and against each other."""
 
+import dataclasses
+
 import diffrax as dfx
 import jax
 import jax.numpy as jnp
@@ -20,7 +22,7 @@ from jaxchain import (
     paper_chain,
     simulate,
 )
-from jaxchain.observers import delays
+from jaxchain.observers import Step, delays
 
 # Two undamped masses that know nothing of each other: x_n = X_n cos(omega_n t).
 OMEGA = np.array([1.0, 1.5])
@@ -81,6 +83,37 @@ def test_section_points_lie_on_the_section_and_on_the_solution():
     exact = jax.vmap(FREE.exact)(times)
     np.testing.assert_allclose(x, exact[0], atol=1e-6)
     np.testing.assert_allclose(v, exact[1], atol=1e-6)
+
+
+def test_a_section_may_be_where_a_mass_is_fastest_and_its_mass_a_traced_number():
+    for mass, omega in enumerate(OMEGA):
+        watch = Section(jnp.asarray(mass), 3, start=1.0, of="velocity")
+        times, x, v = simulate(FREE, START, 20.0, observe=watch, rtol=1e-9).observed
+        # Of -X omega sin(omega t): a quarter period before the maximum, or after it if X < 0.
+        first = np.pi / 2 if float(START[0][mass]) < 0 else 3 * np.pi / 2
+        np.testing.assert_allclose(times, (first + 2 * np.pi * np.arange(3)) / omega, atol=1e-5)
+        np.testing.assert_allclose(x[:, mass], 0.0, atol=1e-5)
+        np.testing.assert_allclose(v[:, mass], abs(float(START[0][mass])) * omega, atol=1e-6)
+
+
+def test_integrals_and_turning_points_of_a_step_of_known_motion():
+    """x = t^3 - 3 t from 0 to 2: the integral of x v is x^2 / 2, and x turns at 1.
+
+    From the secant's 1 / 2 Newton's method goes to 1.25 and 1.025.
+    """
+    step = Step(
+        FREE, 0.0, jnp.asarray(2.0), (jnp.zeros(1), jnp.full(1, -3.0)),
+        (jnp.full(1, 2.0), jnp.full(1, 9.0)),
+        lambda theta: (2 * theta) ** 3 - 6 * theta, lambda theta: 3 * (2 * theta) ** 2 - 3,
+    )  # fmt: skip
+    turns, theta = step.turning_points()
+    assert turns.tolist() == [True]
+    np.testing.assert_allclose(step.time(theta), [1.025], rtol=1e-14)
+    for points in (3, 5):
+        found = step.integral(lambda t, y: y[0] * y[1] + t**5, points)
+        np.testing.assert_allclose(found, 0.5 * 2.0**2 + 2.0**6 / 6, rtol=1e-14)
+    gradient = jax.grad(lambda end: dataclasses.replace(step, t1=end).frozen().t1)(2.0)
+    assert gradient == 0.0
 
 
 @pytest.mark.long

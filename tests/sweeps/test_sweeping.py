@@ -384,7 +384,7 @@ def test_parameters_go_together_along_one_dimension():
     # A data frame and a dataset are mappings of columns, too.
     for table in (pd.DataFrame({"v0": [0.0, 0.5]}), xr.Dataset({"v0": ("row", [0.0, 0.5])})):
         own = sweep(
-            CHAIN, lambda chain, v0: (np.ones(4), v0), 5.0, over={"set": table},
+            CHAIN, lambda chain, v0: (jnp.ones(4), v0), 5.0, over={"set": table},
             observe=Named("last"), solver=EventDriven(),
         )  # fmt: skip
         assert own["last"].sizes == {"set": 2, "oscillator": 4}
