@@ -166,14 +166,6 @@ class SweepTable(Table):
                     ("initial", "oscillators"),
                     f"must lie in 1 ... {n} (`chain.n`), but holds {last}",
                 )
-        for i, other in enumerate(self.observe.others or []):
-            own = other.model_dump(include={"oscillator", "oscillators", "middle"})
-            for key, given in own.items():
-                if given is not None and np.max(given) > n:
-                    yield (
-                        ("observe", f"others[{i}]", key),
-                        f"must lie in 1 ... {n} (`chain.n`), but is {given}",
-                    )
         softest = self._extreme("stiffness", min)
         if softest is not None and (problem := short_of_a_period(self.time.window, softest)):
             yield ("time", "window"), problem
@@ -235,6 +227,18 @@ class Experiment(SweepTable):
     """Stored at the root of the results; the others are groups beside it.  Default: the first."""
     observe: ObserveTable = Field(default_factory=ObserveTable)
     numerics: NumericsTable = Field(default_factory=NumericsTable)
+
+    def _misfits(self) -> Iterator[Problem]:
+        yield from super()._misfits()
+        n = self.chain.n
+        for i, other in enumerate(self.observe.others or []):
+            own = other.model_dump(include={"oscillator", "oscillators", "middle"})
+            for key, given in own.items():
+                if given is not None and np.max(given) > n:
+                    yield (
+                        ("observe", f"others[{i}]", key),
+                        f"must lie in 1 ... {n} (`chain.n`), but is {given}",
+                    )
 
 
 class Scene(Table):

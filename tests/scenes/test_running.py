@@ -204,7 +204,7 @@ observe = { quantities = ["energy"], others = [
 def test_a_scene_observes_what_it_names(tmp_path):
     experiment = scene(tmp_path, "nonsmooth", OTHERS).scene.experiment["ladder"]
     # No group of the results may be named like what stands beside it.
-    chain, watch = build_chain(experiment), build_observers(experiment)
+    chain, watch = build_chain(experiment), build_observers(experiment.observe, 20.0)
     assert len(watch) == 9
     still = jnp.zeros(3), jnp.zeros(3)
     for observer in watch:
