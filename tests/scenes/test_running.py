@@ -15,8 +15,8 @@ from jaxchain.scenes.building import build_chain, build_observers
 from jaxchain.scenes.errors import SceneError
 from jaxchain.scenes.reading import load_scene
 from jaxchain.scenes.running import run_experiment, run_scene
-from jaxchain.scenes.tables import TimeTable
 from jaxchain.scenes.scene import VARIABLES
+from jaxchain.scenes.tables import TimeTable
 
 SCENE = """
 title = "Three masses"
