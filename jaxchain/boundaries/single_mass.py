@@ -74,12 +74,6 @@ def one_mass_branch(chain: Chain, lowest: Any = 0.1, fold: Fold | None = None) -
     """
     _check_single(chain)
     check_positive_number("lowest", lowest, "the cycles are lost as the belt comes to rest.")
-    frozen = jax.tree.map(lax.stop_gradient, chain)
-    known = find_fold(frozen) if fold is None else jax.tree.map(lax.stop_gradient, fold)
-    check_below_fold(lowest, known)
-    return _branch(frozen, known, jnp.asarray(lowest, float))
-    check_number("lowest", lowest, "0.1 is usual.")
-    check_positive("lowest", lowest, "the cycles are lost as the belt comes to rest.")
     fold = find_fold(chain) if fold is None else fold
     check_below_fold(lowest, fold)
     rows = np.full((4, 2 * _POINTS + 2), np.nan)
