@@ -22,18 +22,19 @@ from jaxchain.localization.front_theory import (
     single_cycle,
     spreading_speed,
 )
-from jaxchain.localization.fronts import read_speed
+from jaxchain.localization.fronts import depinning_belt_speed, read_speed
 from jaxchain.model.chain import Chain
 from jaxchain.model.initial_states import excited_block, excited_state
 from jaxchain.model.sliding import growth_rate
 from jaxchain.observers.amplitude import Amplitude
 from jaxchain.observers.fronts import Fronts, FrontTrack
-from jaxchain.result import Result, ended_well
+from jaxchain.result import Result
 from jaxchain.scenes.tables import array
 from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.simulation.run import simulate
 from jaxchain.studies._study import Job
 from jaxchain.studies.fronts.table import Study
+from jaxchain.sweeps.lanes import map_lanes
 from jaxchain.sweeps.sweeping import sweep
 
 # Uniform noise on displacement and velocity of the masses that are excited.
@@ -47,6 +48,7 @@ _WIDTH = 1e-3
 # Masses that a front passes before it is taken to have settled, and the share of the run at most.
 _PASSED, _SHARE = 2.0, 0.2
 _CURVE = 41
+_EDGES = ("coupling", "edge", "pattern")
 
 
 class BlockStart(eqx.Module):
@@ -85,7 +87,7 @@ def follow(
     """
     data = sweep(
         chain, BlockStart(block), time, over={**over, "in_phase": [0, 1], "seed": range(seeds)},
-        observe=FrontTrack(min(int(time / _WINDOW), _WINDOWS)),
+        observe=FrontTrack(_windows(time)),
         solver=EventDriven() if dry else None, **more,
     )  # fmt: skip
     codes = data["result"]
@@ -95,6 +97,10 @@ def follow(
     found = {name: (codes.dims, np.asarray(a)) for name, a in zip(NUMBERS, numbers, strict=True)}
     data = data[["result"]].assign(found).rename(in_phase="pattern")
     return data.assign_coords(pattern=PATTERNS).drop_vars("oscillator", errors="ignore")
+
+
+def _windows(time: float) -> int:
+    return min(int(time / _WINDOW), _WINDOWS)
 
 
 @eqx.filter_jit
@@ -239,53 +245,32 @@ def over_coupling(study: Study, job: Job) -> xr.Dataset:
     )
 
 
-class _Places(eqx.Module):
-    """A belt speed of its own for each coupling, edge and pattern."""
-
-    coupling: Array
-    belt_speed: Array
-
-    def __call__(self, chain: Chain, place: Any, edge: Any, in_phase: Any) -> Chain:
-        speed = self.belt_speed[place, edge, in_phase]
-        return chain.with_(coupling=self.coupling[place], belt_speed=speed)
-
-
 def pinning(study: Study, job: Job) -> xr.Dataset:
     """Where fronts come unstuck, over the coupling, and what is predicted.
 
     `stands` and `moves` (coupling, edge, pattern) enclose it: a front moves if it gains or loses a
     mass between a fifth of the time and its end.
     """
-    part = study.pinning
-    chain, couplings = base_chain(study, part.masses), np.asarray(part.coupling)
-    dims, shape = ("coupling", "edge", "pattern"), (couplings.size, 2, 2)
-    known = np.full(shape, True)
+    part, couplings = study.pinning, np.asarray(study.pinning.coupling)
 
-    def moved(speeds: np.ndarray, description: str) -> np.ndarray:
-        nonlocal known
-        places = {"place": range(couplings.size), "edge": [0, 1]}
-        found = follow(
-            chain, part.block, part.time, places, _SHARE * part.time, rtol=study.rtol,
-            vary=_Places(jnp.asarray(couplings), jnp.asarray(speeds)), progress=job.progress,
-            description=description,
-        ).isel(seed=0)  # fmt: skip
-        known &= ended_well(found["result"].values)
-        # Fronts that met before their speed could be measured have moved.
-        return (np.abs(found["moved"].values) >= 1.0) | np.isnan(found["speed"].values)
+    def edge(chain: Chain, coupling: Any, moves: Any, in_phase: Any) -> tuple[Array, Array]:
+        found = depinning_belt_speed(
+            chain.with_(coupling=coupling), lambda own: BlockStart(part.block)(own, 0, in_phase),
+            part.time, stands=part.stands, moves=moves, halvings=part.halvings,
+            transient=_SHARE * part.time, windows=_windows(part.time), rtol=study.rtol,
+        )  # fmt: skip
+        return found.stands, found.moves
 
-    stands = np.full(shape, part.stands)
-    moves = np.zeros(shape) + np.array([part.lowest, part.highest])[:, None]
-    known &= ~moved(stands, "pinned")
-    known &= moved(moves, "moving")
-    for index in range(part.halvings):
-        middle = 0.5 * (stands + moves)
-        went = moved(middle, f"halving {index + 1}/{part.halvings}")
-        stands, moves = np.where(went, stands, middle), np.where(went, middle, moves)
+    over = np.meshgrid(couplings, [part.lowest, part.highest], [False, True], indexing="ij")
+    share = -(-over[0].size // len(jax.local_devices()))
+    with job.bar(total=over[0].size, unit="edge") as bar:
+        found = map_lanes(
+            edge, base_chain(study, part.masses), [a.ravel() for a in over], lanes=share,
+            done=bar.update,
+        )  # fmt: skip
+    stands, moves = (xr.Variable(_EDGES, own.reshape(over[0].shape)) for own in found)
     data = xr.Dataset(
-        {
-            name: (dims, np.where(known, values, np.nan))
-            for name, values in (("stands", stands), ("moves", moves))
-        },
+        {"stands": stands, "moves": moves},
         coords={"coupling": couplings, "edge": ["grows", "shrinks"], "pattern": PATTERNS},
     )
     return data.merge(predicted(base_chain(study, 1), part.highest))
