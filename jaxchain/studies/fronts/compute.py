@@ -146,6 +146,7 @@ def exponents(coupling: np.ndarray, speed: np.ndarray, error: np.ndarray) -> tup
         return np.nan, np.nan, float(use.sum())
     x, y = np.log(coupling[use]), np.log(np.abs(speed[use]))
     slope, offset = np.polyfit(x, y, 1)
+    # From what is left over: 1 - r^2 would leave half the digits to a law that holds exactly.
     rest = y - slope * x - offset
     spread = np.sqrt((rest**2).sum() / (x.size - 2) / ((x - x.mean()) ** 2).sum())
     return float(slope), float(student_reach(0.95, x.size - 2) * spread), float(x.size)

@@ -185,7 +185,7 @@ def dry_runs(study: Study, branches: dict[str, xr.Dataset]) -> xr.Dataset:
     rows = []
     for (key, _), own, heights, peaks in zip(lot, picked, amplitude, times, strict=True):
         vibrates = active(heights, float(own["belt_speed"]))
-        gaps = np.diff(np.asarray(peaks[:, vibrates]), axis=0)
+        gaps: Any = np.diff(np.asarray(peaks[:, vibrates]), axis=0)
         gaps = gaps[np.isfinite(gaps)]
         known = gaps.size > 0
         rows.append(
