@@ -73,8 +73,9 @@ def test_fig3_holds_the_experiment_of_the_paper():
     for experiment in (ladder, single):
         friction = experiment.chain.friction
         assert isinstance(friction, tables.ExponentialDecayTable)
-        assert (friction.mu_static, friction.mu_dynamic, friction.v_ref) == (1.0, 0.5, 0.5)
-        assert (experiment.chain.damping_ratio, friction.width) == (0.05, 1e-3)
+        numbers = friction.model_dump(exclude={"law"})
+        assert numbers == {"mu_static": 1.0, "mu_dynamic": 0.5, "v_ref": 0.5, "width": 1e-3}
+        assert experiment.chain.damping_ratio == 0.05
     speeds = single.grid()["belt_speed"]
     assert (speeds[0], speeds[-1], len(speeds)) == (0.1, 2.0, 39)
 
