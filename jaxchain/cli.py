@@ -241,7 +241,7 @@ def _report(chain: Any, found: Any) -> dict[str, Any]:
 
 def _in_words(chain: Any, found: Any) -> str:
     """Both boundaries in words: at the width asked, for dry friction, with the bar."""
-    width = float(chain.friction.width)
+    width = float(chain.width)
     who = (
         "its vibration" if chain.n == 1 else f"the vibration of oscillator {found.mass + 1} alone"
     )

@@ -106,7 +106,7 @@ def _not_numbers() -> Iterator[Refusal]:
             *_tried(ExponentialDecay, laws),
             *_tried(WeakeningStrengthening, {**laws, "mu_viscous": 0.1}),
             *_tried(Coulomb, {"mu_dynamic": 0.5}),
-            *_tried(partial(TanhFriction, friction.law), {"width": 1e-2}),
+            *_tried(partial(TanhFriction, chain.law), {"width": 1e-2}),
         ],
     )
     yield refused(
@@ -172,7 +172,7 @@ def _not_numbers() -> Iterator[Refusal]:
 def _impossible() -> Iterator[Refusal]:
     """Finite, but not to be computed."""
     chain, start = _small()
-    friction, run = chain.friction, partial(simulate, chain, start)
+    run = partial(simulate, chain, start)
 
     def refused(name: str, names: str, *attempts: Callable[[], object]) -> Refusal:
         return Refusal(name, names, attempts)
@@ -195,7 +195,7 @@ def _impossible() -> Iterator[Refusal]:
     )
     yield refused(
         "a negative width, load or spring", "positive",
-        partial(TanhFriction, friction.law, -1e-3), partial(TanhFriction, friction.law, 0.0),
+        partial(TanhFriction, chain.law, -1e-3), partial(TanhFriction, chain.law, 0.0),
         partial(chain.with_, normal_load=-1.0), partial(chain.with_, coupling=-1.0),
         partial(chain.with_, mu_dynamic=-0.1), partial(chain.with_, stiffness=0.0),
     )  # fmt: skip
@@ -219,8 +219,8 @@ def _impossible() -> Iterator[Refusal]:
         "friction of another length", "mu_static|friction", partial(Chain, 3, wrong_length, 1.0)
     )
     yield refused(
-        "a friction law that is not regularized", "TanhFriction",
-        partial(Chain, 3, friction.law, 1.0),  # pyright: ignore[reportArgumentType]
+        "friction that is not a law", "TanhFriction",
+        partial(Chain, 3, 0.5, 1.0),  # pyright: ignore[reportArgumentType]
     )  # fmt: skip
 
 

@@ -141,7 +141,7 @@ def test_what_the_scene_says_reaches_the_sweep(workplace, made_up_sweep):
     (observer,) = call["observe"]
     assert (observer.stop, observer.window) == ("steady", 10.0)
     chain = call["chain"]
-    assert (chain.n, chain.ends, float(chain.friction.width)) == (3, "free", 0.2)
+    assert (chain.n, chain.ends, float(chain.width)) == (3, "free", 0.2)
     np.testing.assert_array_equal(chain.coupling, [0.01, 0.02])
     assert call["over"]["width"].tolist() == [0.2, 0.1]
 
@@ -301,13 +301,13 @@ def test_boundary_prints_one_object_with_null_for_what_is_missing(workplace, fou
         "mu_dynamic": 0.5, "v_ref": 0.4,
     }  # fmt: skip
     (chain,) = found
-    assert (chain.n, float(chain.friction.law.v_ref)) == (3, 0.4)
+    assert (chain.n, float(chain.law.v_ref)) == (3, 0.4)
 
 
 def test_boundary_without_options_is_one_mass_of_the_paper(workplace, found, capsys):
     assert main(["boundary"]) == 0
     (chain,) = found
-    assert (chain.n, chain.coupling, float(chain.friction.width)) == (1, None, 1e-3)
+    assert (chain.n, chain.coupling, float(chain.width)) == (1, None, 1e-3)
     said = capsys.readouterr().out
     assert "1.850000000 ± 1e-10" in said
     assert "fold: no fold was found" in said

@@ -116,14 +116,14 @@ class CompiledRing:
     @staticmethod
     def parameters(chain: Chain) -> np.ndarray:
         """The numbers of a chain in the order in which the compiled functions take them."""
-        law = chain.friction.law
+        law = chain.law
         if not isinstance(law, ExponentialDecay) or chain.ends != "cyclic":
             raise ValueError("The compiled peer is a ring with exponentially decaying friction.")
         if chain.normal_load is not None or chain.coupling is None:
             raise ValueError("The compiled peer has uniform springs and no normal load.")
         numbers = (
             chain.belt_speed,
-            chain.friction.width,
+            chain.width,
             chain.damping_ratio,
             chain.coupling,
             chain.stiffness,

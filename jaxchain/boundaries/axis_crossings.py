@@ -16,12 +16,13 @@ from ..model.sliding import (
     crossing_matrix,
     crossing_residual,
     has_uniform_damping,
+    least_belt_speed,
     null_shape,
     sliding_damping,
     stiffness_matrix,
 )
 
-_LEAST_WIDTHS, _RATIO = 1e-2, 1.1  # the first intervals: up to a hundredth of a width, then longer
+_RATIO = 1.1  # of an interval's ends
 _SAMPLES, _SAFETY = 17, 1.5  # per interval, and on the greatest change of d among them
 _RESOLUTION = 1e-5  # relative length of an interval that is searched, no longer divided
 _MOST_INTERVALS = 5000  # of a chain whose eigenvalues cross the axis, and do not move along it
@@ -103,7 +104,7 @@ def _unproven(
     K: np.ndarray | None = None,
 ) -> list[tuple[float, float]]:
     """Short intervals, in order, outside of which nothing crosses: d of `mass`, or eigenvalues."""
-    start = _LEAST_WIDTHS * float(jnp.min(chain.friction.width))
+    start = float(least_belt_speed(chain))
     count = max(2, 1 + int(np.ceil(np.log(max(greatest / start, 1.0)) / np.log(_RATIO))))
     inner = np.geomspace(start, max(greatest, 2.0 * start), count)
     edges = np.array([least, *inner[(inner > least) & (inner < greatest)], greatest])

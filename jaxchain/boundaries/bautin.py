@@ -75,7 +75,7 @@ def generalised_hopf(chain: Chain, parameter: Any, low: Any, high: Any) -> Gener
     if chain.n != 1:
         raise ValueError(f"Argument `chain` must have one mass, but has {chain.n}.")
     own = [name for name, row in CHAIN.items() if row.per == "mass"]
-    known = [*own, *chain.friction.numbers()]
+    known = {*own, *chain.friction.numbers(), "width"}
     if parameter not in known:
         raise ValueError(
             f"Argument `parameter` must be one of {sorted(known)}, but is {parameter!r}."

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from .._checks import check_one_of, check_positive_number, to_float
+from .._checks import check_positive_number, to_float
 from ..cycles.averaging import fold_guess, one_mass
 from ..model.chain import Chain
 from ..model.initial_states import check_vibrating, on_the_belt
@@ -22,11 +22,8 @@ from ..simulation.event_driven import EventDriven
 from ..simulation.run import simulate
 from .fold import fold_belt_speed
 from .fold_start import without_fold
-from .grazing import nonsmooth_fold_belt_speed
 from .hopf import hopf_belt_speed
 
-# Dry friction, for what takes its width from the chain.
-_NO_WIDTH = 1e-9
 _WINDOW = 20.0
 _ORDER, _RTOL = 7, 1e-8
 
@@ -51,43 +48,31 @@ class BistableRange(Outcome):
     result: SearchResult
 
 
-def bistable_range(chain: Chain, vibrating: Any = None, friction: Any = "dry") -> BistableRange:
+def bistable_range(chain: Chain, vibrating: Any = None) -> BistableRange:
     """Hopf and fold of one vibrating mass, and what lies between, dimensionless.
 
-    **Arguments:** `chain`, whose own belt speed has no part in it; `vibrating`, the index of the
-    mass, as in `fold_belt_speed`; `friction`: "dry" (its width has no part in it either) or
-    "smoothed".
+    **Arguments:** `chain`, dry or smoothed, whose own belt speed has no part in it; `vibrating`,
+    the index of the mass, as in `fold_belt_speed`.
 
     A fold that vanishes takes the bistable range with it and is no failure.  Works under `jit`,
     `vmap`, `jvp`, and, where there is a fold, `grad`.
 
-    **Raises:** `ValueError` for anything but a chain, a mass it has, and one of the two words.
+    **Raises:** `ValueError` for anything but a chain, a mass it has.
 
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
     >>> from jaxchain import paper_chain
-    >>> both = bistable_range(paper_chain(n=1))
+    >>> both = bistable_range(paper_chain(n=1, width=None))
     >>> round(float(both.hopf), 6), round(float(both.fold), 6), round(float(both.width), 6)
     (1.151293, 1.836601, 0.685308)
     """
     mass = check_vibrating(chain, vibrating)
-    check_friction(friction)
-    return _range(chain, mass, friction)
-
-
-def check_friction(friction: Any) -> None:
-    """Raises `ValueError` unless it is "dry" or "smoothed"."""
-    check_one_of("friction", friction, ("dry", "smoothed"))
+    return _range(chain, mass)
 
 
 @eqx.filter_jit
-def _range(chain: Chain, mass: int, friction: str) -> BistableRange:
-    if friction == "dry":
-        width = jnp.full_like(chain.friction.width, _NO_WIDTH)
-        chain = eqx.tree_at(lambda c: c.friction.width, chain, width)
-        fold = nonsmooth_fold_belt_speed(chain, mass)
-    else:
-        fold = fold_belt_speed(chain, mass)
+def _range(chain: Chain, mass: int) -> BistableRange:
+    fold = fold_belt_speed(chain, mass)
     hopf = hopf_belt_speed(chain)
     none = jnp.isnan(fold)
     frozen = lax.stop_gradient(chain)

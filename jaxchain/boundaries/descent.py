@@ -14,7 +14,7 @@ from .._checks import check_positive, check_whole
 from ..continuation.damped_newton import where
 from ..continuation.gradient_descent import descend
 from ..model.arguments import as_chain
-from ..model.chain import Chain
+from ..model.chain import Chain, require_smoothed
 from ..model.initial_states import check_vibrating
 from ..model.sliding import growth_rate
 from ..result import Outcome, SearchResult
@@ -157,6 +157,7 @@ def fold_by_descent(
     1.79246
     """
     mass = check_vibrating(chain, vibrating)
+    require_smoothed(chain, "use `find_grazing`, or ")
     check_positive("tolerance", tolerance, "1e-3 is usual.")
     if start is not None:
         start = jnp.asarray(start, float)
@@ -177,7 +178,7 @@ def _ascend(
     began = first_guess(chain, mass)
     guess = began.place
     shooting = eqx.tree_at(lambda s: s.rtol, began.shooting, 1e-3 * loose_rtol(chain))
-    width, index = jnp.min(chain.friction.width), shooting.place
+    width, index = jnp.min(chain.width), shooting.place
     first = jnp.sinh(guess.z) - 0.7 if start is None else start
 
     def update(carry: tuple[Place, Any], _: None) -> tuple[tuple[Place, Any], tuple]:

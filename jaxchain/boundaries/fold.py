@@ -14,11 +14,12 @@ from ..continuation.fold_points import fold_residual
 from ..continuation.implicit import attach_derivative
 from ..cycles.shooting import Shooting
 from ..cycles.shooting import residual as closure
-from ..model.chain import Chain
+from ..model.chain import Chain, require_smoothed
 from ..model.initial_states import check_vibrating
 from ..result import Outcome, SearchResult
 from .fold_search import Place, Search, search, unknowns
 from .fold_start import Start, at_least_wide, first_guess, narrowed
+from .grazing import nonsmooth_fold_belt_speed
 
 
 class Fold(Outcome):
@@ -47,7 +48,9 @@ class Fold(Outcome):
 
 
 def fold_belt_speed(chain: Any, vibrating: Any = None) -> Float[Array, ""]:
-    """The greatest belt speed at which the vibration of one mass survives, for smoothed friction.
+    """The greatest belt speed at which the vibration of one mass survives.
+
+    For dry friction that of `nonsmooth_fold_belt_speed`; for smoothed friction, as follows.
 
     The saddle-node of cycles at which the stick-slip cycle of mass `vibrating` (the others slide,
     shaken by it) and the unstable slip cycle meet: at a greater speed every vibration dies out.
@@ -80,6 +83,8 @@ def fold_belt_speed(chain: Any, vibrating: Any = None) -> Float[Array, ""]:
         -26.456
     """
     mass = check_vibrating(chain, vibrating)
+    if chain.dry:
+        return nonsmooth_fold_belt_speed(chain, mass)
     held, found, _, gained = _parts(chain, mass)
     q = attach_derivative(
         held_residual, found.here.q, (held, lax.stop_gradient(found.here.z)), once=_ONCE
@@ -102,7 +107,8 @@ def held_residual(q: Float[Array, " m"], held: tuple[Shooting, Array]) -> Float[
 def find_fold(chain: Any, vibrating: Any = None) -> Fold:
     """The fold of `fold_belt_speed` with its cycle, all of it differentiable.
 
-    Arguments, errors and transformations as there; derivatives of any order, which cost more, of
+    Arguments, errors and transformations as there, but for smoothed friction alone (`find_grazing`
+    is for dry friction); derivatives of any order, which cost more, of
     the whole orbit: they come from the bordered system [closure; singularity] = 0.
 
     >>> import jax
@@ -114,6 +120,7 @@ def find_fold(chain: Any, vibrating: Any = None) -> Fold:
     (True, 6.3028, -2.142)
     """
     mass = check_vibrating(chain, vibrating)
+    require_smoothed(chain, "use `find_grazing`, or ")
     held, found, start, gained = _parts(chain, mass)
     u, speed = unknowns(start.shooting, found.here)
     borders = _borders(start.shooting, found)
@@ -126,7 +133,7 @@ def find_fold(chain: Any, vibrating: Any = None) -> Fold:
         closeness=jnp.sinh(both[held.place]),
         residual=found.residual,
         result=SearchResult.where(found.found, SearchResult.successful, start.result),
-        width=held.field.friction.width,  # pyright: ignore[reportAttributeAccessIssue]
+        width=held.field.width,  # pyright: ignore[reportAttributeAccessIssue]
         evaluations=found.count,
         mass=mass,
     )
@@ -154,5 +161,5 @@ def _parts(chain: Chain, mass: int) -> tuple[Shooting, Search, Start, Array]:
     start, found = _find(lax.stop_gradient(chain), mass)
     wide = at_least_wide(chain, lax.stop_gradient(start.width))
     held = eqx.tree_at(lambda s: s.field, start.shooting, wide)
-    width = chain.friction.width
+    width = chain.width
     return held, found, start, narrowed(start, width[mass] if width.ndim else width)

@@ -150,7 +150,7 @@ def _entry(shooting: Shooting, now: Search, tight: Array) -> Search:
     tangent = -both[:, 1]
     # Of the corrections that close the cycle the one that moves s and the belt speed least: where
     # a mass sticks long before the cut, what is left of its approach tells nothing of the speed.
-    few = _FEW_WIDTHS * jnp.min(shooting.field.friction.width)  # pyright: ignore[reportAttributeAccessIssue]
+    few = _FEW_WIDTHS * jnp.min(shooting.field.width)  # pyright: ignore[reportAttributeAccessIssue]
     per_width, sideways = tangent[index] / few, -both[:, 0][index] / few
     aside = -sideways * per_width / (1.0 + per_width**2)
     step = tangent * aside - both[:, 0]

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from ..cycles.averaging import cycle_speed, fold_guess, greatest_speed, one_mass, speed_scale
+from ..cycles.averaging import dry_fold_speed, fold_guess, one_mass, speed_scale
 from ..cycles.shooting import Shooting
 from ..model.chain import Chain
 from ..model.sliding import damping_outweighs
@@ -53,17 +53,16 @@ class Start(NamedTuple):
 def first_guess(chain: Chain, mass: int) -> Start:
     """Equations and a place near the fold; nothing in here is to be differentiated."""
     alone = one_mass(chain, mass)
-    dry = eqx.tree_at(lambda c: c.friction.width, alone, jnp.asarray(1e-9))
-    dry_averaged = cycle_speed(dry, 1.0, greatest_speed(dry))
+    dry_averaged = dry_fold_speed(alone)
     scale = speed_scale(alone, dry_averaged)
-    touch, q, slopes = find_touch(chain, mass, exact=alone.friction.width < _POLISH * scale)
+    touch, q, slopes = find_touch(chain, mass, exact=alone.width < _POLISH * scale)
     (_, v), _, touch_speed = touch.unpack(q)
     known = *slopes[-1], touch.fall(v), touch.hold
     unstable = -known[0] / known[1] > _UNSTABLE
     least = scale * jnp.where(unstable, _LEAST_UNSTABLE, _LEAST_WIDTH)
     least = jnp.where(jnp.isfinite(least), least, 0.0)
     chain, alone = at_least_wide(chain, least), at_least_wide(alone, least)
-    width = alone.friction.width
+    width = alone.width
     averaged, averaged_s, exists = fold_guess(alone)
     by_leaving, by_arriving, fall, hold = known
     here = layer(by_leaving, by_arriving, fall, hold, width)
@@ -108,8 +107,7 @@ def without_fold(failed: SearchResult, exists: Any, damped: Any, none: Any) -> S
 
 def at_least_wide(chain: Chain, least: Array) -> Chain:
     """`chain` with no width below `least`."""
-    width = jnp.maximum(chain.friction.width, least)
-    return eqx.tree_at(lambda c: c.friction.width, chain, width)
+    return chain.with_(width=jnp.maximum(chain.width, least))
 
 
 @eqx.filter_jit
@@ -138,4 +136,4 @@ def narrowed(start: Start, width: Array) -> Array:
 
 def loose_rtol(chain: Chain) -> Array:
     """The tolerance of integration that does on the way to a fold."""
-    return jnp.clip(_LOOSE_PER_WIDTH * jnp.min(chain.friction.width), 1e-9, _LOOSE)
+    return jnp.clip(_LOOSE_PER_WIDTH * jnp.min(chain.width), 1e-9, _LOOSE)

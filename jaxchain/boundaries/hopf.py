@@ -29,7 +29,7 @@ _EIGENVALUE_SPEEDS = 64  # between two belt speeds that are known to enclose the
 _SETTLED = 1e-13  # change of the damping, relative, that no eigenvalue notices
 # Of the interval that is bisected; Newton's last step, and how many at most.
 _BISECTIONS, _CLOSE, _MOST = 26, 1e-9, 8
-# v_d / eps from which on tanh is 1 and sech^2 / eps is nothing, for any width above 1e-9.
+# v_d / eps from which on tanh is 1 and sech^2 / eps is nothing, whatever the width.
 _SATURATED = 30.0
 
 
@@ -97,11 +97,11 @@ def _uniform(chain: Chain) -> Array:
     low, high, found = _last_rise(stability, grid)
     low, high = bisect(lambda v: stability(v) <= 0, low, high, _BISECTIONS)
     (speed,) = _polish(_damping_residual, jnp.stack([low]), chain, low, high)
-    law = chain.friction.law
+    law = chain.law
     if isinstance(law, ExponentialDecay):
         drop = chain.load * (law.mu_static - law.mu_dynamic)
         closed = law.v_ref * jnp.log(drop / (2.0 * chain.damping_ratio * law.v_ref))
-        speed = jnp.where(closed > _SATURATED * chain.friction.width, closed, speed)
+        speed = jnp.where(closed > _SATURATED * chain.width, closed, speed)
     return jnp.where(found, speed, jnp.nan)
 
 

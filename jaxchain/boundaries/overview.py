@@ -10,7 +10,6 @@ from __future__ import annotations
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -19,8 +18,6 @@ from ..model.initial_states import check_vibrating
 from .hopf import hopf_belt_speed
 from .zero_width import fold_boundary
 
-# A width at which smoothed friction is dry at every belt speed but the lowest.
-_NO_WIDTH = 1e-9
 # Relative errors of a Hopf speed, and of a fold of dry friction.
 _HOPF_ERROR, _DRY_ERROR = 1e-12, 1e-10
 
@@ -70,20 +67,14 @@ def hopf_and_fold(chain: Chain, vibrating: Any = None) -> Boundaries:
 
 @eqx.filter_jit
 def _boundaries(chain: Chain, mass: int) -> Boundaries:
-    width = chain.friction.width
-    widths = jnp.stack([width, jnp.full_like(width, _NO_WIDTH)])
-
-    def hopf_at(width: Array) -> Array:
-        return hopf_belt_speed(eqx.tree_at(lambda c: c.friction.width, chain, width))
-
-    hopf, hopf_dry = jax.vmap(hopf_at)(widths)
+    hopf_dry = hopf_belt_speed(chain.with_(width=None))
     fold = fold_boundary(chain, mass)
     direct = jnp.isfinite(fold.dry)
     apart = jnp.nan_to_num(jnp.abs(fold.dry - fold.limit))  # no second opinion, no contradiction
     contradicts = apart > jnp.nan_to_num(fold.error)
     bar = jnp.where(contradicts, apart, _DRY_ERROR * jnp.abs(fold.dry))
     return Boundaries(
-        hopf=hopf,
+        hopf=hopf_dry if chain.dry else hopf_belt_speed(chain),
         hopf_nonsmooth=hopf_dry,
         hopf_nonsmooth_error=_HOPF_ERROR * hopf_dry,
         fold=fold.value,

@@ -22,11 +22,10 @@ from .._checks import check_positive_number
 from ..continuation.damped_newton import newton
 from ..cycles.averaging import cycle_speed, greatest_speed
 from ..cycles.branches import continue_cycle
-from ..model.chain import Chain
+from ..model.chain import Chain, require_smoothed
 from ..model.initial_states import check_vibrating
 from ..observers.amplitude import Amplitude
 from ..simulation.run import simulate
-from ..solvers.rosenbrock import Rodas5P
 from .fold import Fold, find_fold
 from .hopf import hopf_belt_speed
 from .touch import Touch, touch_residual
@@ -35,8 +34,8 @@ from .touch import Touch, touch_residual
 _POINTS = 72
 # Lengths of the sides: of the slip cycles z runs over asinh(v_d / eps), about.
 _STICKING, _SLACK = 5.0, 3.0
-# Dry slip cycles: steps in a period, and the width of a simulation that never reaches the belt.
-_DRY_STEPS, _DRY_WIDTH, _DRY_RTOL = 64, 1e-9, 1e-9
+# Steps in a period of a dry slip cycle.
+_DRY_STEPS, _DRY_RTOL = 64, 1e-9
 
 
 class OneMassBranch(eqx.Module):
@@ -73,6 +72,7 @@ def one_mass_branch(chain: Chain, lowest: Any = 0.1, fold: Fold | None = None) -
     not below the fold.
     """
     _check_single(chain)
+    require_smoothed(chain, "use `dry_slip_branch` for its slip cycles, or ")
     check_positive_number("lowest", lowest, "the cycles are lost as the belt comes to rest.")
     fold = find_fold(chain) if fold is None else fold
     check_below_fold(lowest, fold)
@@ -80,7 +80,7 @@ def one_mass_branch(chain: Chain, lowest: Any = 0.1, fold: Fold | None = None) -
     if not fold.successful:
         return OneMassBranch(*map(jnp.asarray, rows), fold=_POINTS + 1)
     top = float(fold.belt_speed)
-    slipping = np.arcsinh(top / float(chain.friction.width)) + _SLACK
+    slipping = np.arcsinh(top / float(chain.width)) + _SLACK
     sides = ("slip", slipping, -1, 0.0), ("stick", _STICKING, 1, float(lowest))
     for direction, length, way, least in sides:
         step = float(length) / _POINTS
@@ -93,7 +93,7 @@ def one_mass_branch(chain: Chain, lowest: Any = 0.1, fold: Fold | None = None) -
     hopf = float(hopf_belt_speed(chain))
     # The period of the smallest cycle found, which is near that of the Hopf point.
     first = rows[3, np.argmax(np.isfinite(rows[3]))]
-    rows[:, 0] = hopf, 0.0, -hopf / float(chain.friction.width), first
+    rows[:, 0] = hopf, 0.0, -hopf / float(chain.width), first
     return OneMassBranch(*map(jnp.asarray, rows), fold=_POINTS + 1)
 
 
@@ -126,7 +126,7 @@ def dry_slip_branch(chain: Chain, points: int = 24) -> OneMassBranch:
 
 @eqx.filter_jit
 def _dry_branch(chain: Chain, points: int) -> OneMassBranch:
-    dry = eqx.tree_at(lambda c: c.friction.width, chain, jnp.asarray(_DRY_WIDTH))
+    dry = chain.with_(width=None)
     touch = Touch(chain, jnp.asarray(_DRY_STEPS), 0)
     highest = greatest_speed(dry)
 
@@ -161,8 +161,8 @@ def _amplitude(chain: Chain, x: Array, v: Array, belt_speed: Array, period: Arra
     moving = eqx.tree_at(lambda c: c.belt_speed, chain, jnp.where(known, belt_speed, 1.0))
     start = tuple(jnp.where(known, part, 0.0) for part in (x, v))
     run = simulate(
-        moving, start, jnp.where(known, period, 1e-3), observe=Amplitude(), solver=Rodas5P(),
-        rtol=_DRY_RTOL, throw=False,
+        moving, start, jnp.where(known, period, 1e-3), observe=Amplitude(), rtol=_DRY_RTOL,
+        throw=False,
     )  # fmt: skip
     return jnp.where(known, run.observed[0], jnp.nan)
 

@@ -130,7 +130,7 @@ def _peak(v0: Array, v1: Array, slope0: Array, slope1: Array) -> Array:
 
 def slip_force(chain: Chain, speed: Any, v: Float[Array, " n"]) -> Float[Array, " n"]:
     """p mu(v_d - v) - 2 xi v, the force on masses that slide behind the belt."""
-    force = chain.load * chain.friction.law.coefficient(speed - v) * jnp.ones_like(v)
+    force = chain.load * chain.law.coefficient(speed - v) * jnp.ones_like(v)
     return force - 2.0 * chain.damping_ratio * v
 
 

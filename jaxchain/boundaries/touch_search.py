@@ -12,7 +12,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from ..continuation.damped_newton import Factors, Iterate, advance, begin, factorise, where
-from ..cycles.averaging import cycle_speed, greatest_speed, one_mass
+from ..cycles.averaging import dry_fold_speed, one_mass
 from ..model.chain import Chain, steady_sliding
 from .touch import Touch, touch_slopes
 
@@ -47,8 +47,7 @@ def find_touch(chain: Chain, mass: int, exact: Any = True) -> tuple[Touch, Array
     batch need not wait for each other, and the orbit is compiled once.
     """
     alone = one_mass(chain, mass)
-    dry = eqx.tree_at(lambda c: c.friction.width, alone, 1e-9 * jnp.ones(()))
-    speed = cycle_speed(dry, 1.0, greatest_speed(alone))
+    speed = dry_fold_speed(alone)
     x, v = steady_sliding(eqx.tree_at(lambda c: c.belt_speed, chain, speed))
     first = Touch(chain, jnp.asarray(_QUICK), mass)
     q = first.pack((x, v), 2 * jnp.pi / jnp.sqrt(alone.stiffness), speed)

@@ -22,7 +22,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from .._checks import check_positive, check_positive_number, is_traced, require_x64, to_float
-from ..cycles.averaging import cycle_speed, greatest_speed, one_mass, speed_scale
+from ..cycles.averaging import dry_fold_speed, one_mass, speed_scale
 from ..model.chain import Chain
 from ..model.initial_states import check_vibrating
 from .fold import fold_belt_speed
@@ -54,7 +54,7 @@ class Extrapolated(eqx.Module):
 class FoldBoundary(eqx.Module):
     """The greatest belt speed at which a vibration survives, and what to think of it.
 
-    - `value`: at the width of the chain;
+    - `value`: at the width of the chain, `dry` if it has none;
     - `limit` and its `error` bar: for width 0, extrapolated from smoothed friction;
     - `dry`: for dry friction itself, the grazing cycle: a second method for `limit`.
 
@@ -145,8 +145,7 @@ def check_widths(widths: Any) -> Float[Array, " widths"]:
 def _scale(chain: Chain, mass: int) -> Float[Array, ""]:
     """The speed that widths are to be compared with when mass `mass` vibrates."""
     alone = one_mass(lax.stop_gradient(chain), mass)
-    dry = eqx.tree_at(lambda c: c.friction.width, alone, 1e-9 * jnp.ones(()))
-    return speed_scale(alone, cycle_speed(dry, 1.0, greatest_speed(alone)))
+    return speed_scale(alone, dry_fold_speed(alone))
 
 
 def fold_in_the_limit(chain: Chain, vibrating: Any = None, widths: Any = None) -> Extrapolated:
@@ -187,11 +186,14 @@ def _limit(chain: Chain, mass: int, widths: Array | None) -> Extrapolated:
 def _boundary(chain: Chain, mass: int) -> FoldBoundary:
     scale = _scale(chain, mass)
     widths = scale * jnp.asarray(_WIDTHS)
-    own = chain.friction.width
+    own = chain.width
     each = jnp.broadcast_to(widths.reshape((-1,) + (1,) * own.ndim), (len(_WIDTHS), *own.shape))
-    folds = _folds(chain, mass, jnp.concatenate([own[None], each]))
-    limit = _extrapolate(folds[1:], widths, scale, _ACCURACY)
     dry = nonsmooth_fold_belt_speed(chain, mass)
+    if chain.dry:
+        folds = jnp.append(dry, _folds(chain, mass, each))
+    else:
+        folds = _folds(chain, mass, jnp.concatenate([own[None], each]))
+    limit = _extrapolate(folds[1:], widths, scale, _ACCURACY)
     return FoldBoundary(folds[0], limit.value, limit.error, dry)
 
 
@@ -199,6 +201,6 @@ def _folds(chain: Chain, mass: int, widths: Array) -> Array:
     """The folds at all the widths, in one call."""
 
     def at(width: Array) -> Array:
-        return fold_belt_speed(eqx.tree_at(lambda c: c.friction.width, chain, width), mass)
+        return fold_belt_speed(chain.with_(width=width), mass)
 
     return jax.vmap(at)(widths)

@@ -19,7 +19,7 @@ from ..model.arguments import as_chain, as_state
 from ..model.chain import Chain
 from ..model.oscillators import AbstractOscillators
 from ..simulation.accuracy import MAX_STEP, check_resolved
-from ..simulation.event_driven import EventDriven
+from ..simulation.event_driven import EventDriven, own_solver
 from .criteria import Criteria, classify, judge_exponents, judge_torus
 from .orbits import judge_orbit
 from .records import Evidence, Verdict
@@ -35,12 +35,12 @@ def verdict(chain: AbstractOscillators, initial: Any, **settings: Any) -> Verdic
 
         ```python
         import jax.numpy as jnp
-        from jaxchain import EventDriven, equation_8, paper_chain
-        chain = paper_chain(n=20, belt_speed=1.5)
-        found = verdict(chain, equation_8(chain, 3), solver=EventDriven())
+        from jaxchain import equation_8, paper_chain
+        chain = paper_chain(n=20, belt_speed=1.5, width=None)
+        found = verdict(chain, equation_8(chain, 3))
         found.verdict, found.undisturbed  # ("quasi-periodic", "periodic")
         print(found.reason)
-        one = verdict(paper_chain(n=1), (jnp.array([2.2]), jnp.zeros(1)), solver=EventDriven())
+        one = verdict(paper_chain(n=1, width=None), (jnp.array([2.2]), jnp.zeros(1)))
         print(one.reason)  # a mass that sticks forgets everything
         # 7 runs: 7 cycle; locked by 2000 to 2000, slowest relaxation time 0
         ```
@@ -87,7 +87,7 @@ def verdicts(
       `exponent_runs`: of how many runs of a state, that without noise and then the noisiest
       first; `count`: how many of them.
     - `window`: time over which amplitudes are taken, some periods.
-    - `solver`, `rtol`: as for `simulate`; `EventDriven()` for true dry friction.
+    - `solver`, `rtol`: as for `simulate`.
     - `criteria`: the thresholds; `key`: of the noise.
     - `lanes`: runs at a time on each device; of their number the last bits of a run depend, not of
       the number of devices.
@@ -109,8 +109,9 @@ def verdicts(
     for name, value in times.items():
         check_positive(name, value, "a period is about 2 pi; see the defaults.")
     check_tolerances(rtol, None, MAX_STEP)
+    solver = own_solver(chain, solver)
     if isinstance(chain, Chain) and not isinstance(solver, EventDriven):
-        check_resolved(chain.n, chain.friction.width, chain.belt_speed, rtol, None)
+        check_resolved(chain.n, chain.width, chain.belt_speed, rtol, None)
     check_nonnegative("noise", np.asarray(noise, float), "it is a standard deviation.")
     if longest < first:
         raise ValueError(f"Argument `longest` = {longest} must be at least `first` = {first}.")

@@ -36,7 +36,7 @@ from ..observers.divergence import Divergence
 from ..observers.stick_time import MostSticking
 from ..result import Result, ended_well, message
 from ..simulation.accuracy import MAX_STEP, USUAL_RTOL, check_resolved, choose_solver, default_rtol
-from ..simulation.event_driven import EventDriven, EventDrivenPlan
+from ..simulation.event_driven import EventDriven, EventDrivenPlan, own_solver
 from ..simulation.plan import AbstractPlan
 from ..simulation.run import build_plan
 from .benettin import Frame, Growth, Span, advance_span, random_basis
@@ -72,12 +72,12 @@ def lyapunov_spectrum(
 
         M_k Q_{k-1} = Q_k R_k,      lambda_i = (1 / T) sum_k log |(R_k)_ii|
 
-    **Dry friction** (`solver=EventDriven()`): the derivative holds across sticking and release.
-    A velocity cannot differ while its mass sticks.  A direction is lost for good with each mass
-    that sticks *at the same time* as others: as many exponents, the last ones, are exactly -inf as
-    masses ever stick together in the window (one if they take turns), and the others are not
-    affected.  Those of masses that take turns are finite and very negative, about log(coupling)
-    per turn.
+    **Dry friction** (of the chain, or by `EventDriven()`): the derivative holds across sticking
+    and release.  A velocity cannot differ while its mass sticks.  A direction is lost for good
+    with each mass that sticks *at the same time* as others: as many exponents, the last ones, are
+    exactly -inf as masses ever stick together in the window (one if they take turns), and the
+    others are not affected.  Those of masses that take turns are finite and very negative, about
+    log(coupling) per turn.
 
     **Smoothed friction:** a sticking mass contracts at the rate mu_st / eps instead.
 
@@ -116,26 +116,27 @@ def lyapunov_spectrum(
         ```python
         import jax
         jax.config.update("jax_enable_x64", True)
-        from jaxchain import EventDriven, equation_8, paper_chain
+        from jaxchain import equation_8, paper_chain
         from jaxchain.chaos.lyapunov import lyapunov_spectrum
 
-        chain = paper_chain(n=20, belt_speed=1.5)
+        chain = paper_chain(n=20, belt_speed=1.5, width=None)
         found = lyapunov_spectrum(
-            chain, equation_8(chain, 9), 3000.0, count=4, transient=1000.0, solver=EventDriven()
+            chain, equation_8(chain, 9), 3000.0, count=4, transient=1000.0
         )
         print(found.exponents, found.low, found.high, found.chaotic())
         ```
     """
     as_chain(chain, AbstractOscillators)
     state = as_state(chain, initial)
+    solver = own_solver(chain, solver)
     dry = isinstance(solver, EventDriven)
     if rtol is None:
         rtol = USUAL_RTOL
         if isinstance(chain, Chain) and not dry:
-            rtol = default_rtol(chain.n, chain.friction.width, chain.belt_speed)
+            rtol = default_rtol(chain.n, chain.width, chain.belt_speed)
     check_tolerances(rtol, atol, max_step)
     if isinstance(chain, Chain) and not dry:
-        check_resolved(chain.n, chain.friction.width, chain.belt_speed, rtol, atol)
+        check_resolved(chain.n, chain.width, chain.belt_speed, rtol, atol)
     count = _check_numbers(t1, transient, count, blocks, 2 * state[0].shape[0], max_steps)
     _check_interval(interval, t1, transient, blocks)
     interval = _interval(chain, interval, count, dry)
@@ -268,9 +269,7 @@ def _interval(chain: Any, interval: Any, count: int, dry: bool) -> Any:
         return _PERIOD
     if dry:
         return 1.0
-    rate = (
-        jnp.max(chain.load) * jnp.max(chain.friction.law.mu_static) / jnp.min(chain.friction.width)
-    )
+    rate = jnp.max(chain.load) * jnp.max(chain.law.mu_static) / jnp.min(chain.width)
     return jnp.minimum(_PERIOD, _LEAST_LOG / (rate + 2.0 * jnp.max(chain.damping_ratio)))
 
 

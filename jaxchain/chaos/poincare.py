@@ -71,9 +71,9 @@ def watch(
     !!! example
 
         ```python
-        from jaxchain import EventDriven, equation_8, paper_chain
-        chain = paper_chain(n=1)
-        seen = watch(chain, equation_8(chain, 1), 0, windows=4, solver=EventDriven())
+        from jaxchain import equation_8, paper_chain
+        chain = paper_chain(n=1, width=None)
+        seen = watch(chain, equation_8(chain, 1), 0, windows=4)
         found = recurrence(seen, scale=1.6)
         found.returns, round(found.period, 4)  # (1, 6.3163)
         ```

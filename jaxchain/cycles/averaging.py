@@ -81,26 +81,30 @@ def greatest_speed(chain: Chain) -> Float[Array, ""]:
     damping = jnp.maximum(chain.damping_ratio, 1e-6)
     mu, _ = _curve(chain)
     fall = jnp.max(jax.lax.cummax(mu) - mu)
-    return 2.0 * chain.load * jnp.maximum(chain.friction.law.mu_static, fall) / damping
+    return 2.0 * chain.load * jnp.maximum(chain.law.mu_static, fall) / damping
 
 
 def _curve(chain: Chain) -> tuple[Array, Array]:
     """(mu, mu') of one mass at rest and at speeds from where no law has changed yet."""
     speeds = jnp.concatenate([jnp.zeros(1), jnp.geomspace(1e-6, 1e2, 512)])
-    return jax.vmap(lambda s: jax.jvp(chain.friction.law.coefficient, (s,), (jnp.ones(()),)))(
-        speeds
-    )
+    return jax.vmap(lambda s: jax.jvp(chain.law.coefficient, (s,), (jnp.ones(()),)))(speeds)
+
+
+def dry_fold_speed(chain: Chain) -> Float[Array, ""]:
+    """The belt speed that the vibration of one mass just reaches, with dry friction."""
+    dry = chain.with_(width=None)
+    return cycle_speed(dry, 1.0, greatest_speed(dry))
 
 
 def speed_scale(chain: Chain, dry_speed: ScalarLike) -> Float[Array, ""]:
     """The speed that widths are to be compared with when one mass vibrates.
 
-    `dry_speed`, the belt speed of the dry fold by averaging, or twice the speed over which
-    friction weakens, mu_st / max(|mu'(0)|, -mu'(s)), if that is less.
+    `dry_speed`, which is `dry_fold_speed`, or twice the speed over which friction weakens,
+    mu_st / max(|mu'(0)|, -mu'(s)), if that is less.
     """
     _, slope = _curve(chain)
     steepest = jnp.maximum(jnp.abs(slope[0]), jnp.max(-slope))
-    weakens = 2.0 * chain.friction.law.mu_static / jnp.maximum(steepest, 1e-12)
+    weakens = 2.0 * chain.law.mu_static / jnp.maximum(steepest, 1e-12)
     return jnp.fmin(dry_speed, weakens)  # without a fold there is no speed
 
 
@@ -109,6 +113,7 @@ def fold_guess(chain: Chain) -> tuple[Array, Array, Array]:
 
     The greatest of `cycle_speed` over the amplitudes.  Where it is that at which a mass would
     begin to stick, the layer is too thin for the grid, and s is taken from its known size.
+    With dry friction the speed is that of the grid, and s = 0.
     """
     highest = greatest_speed(chain)
     speeds = jax.vmap(lambda ratio: cycle_speed(chain, ratio, highest))(jnp.asarray(_RATIOS))
@@ -116,7 +121,9 @@ def fold_guess(chain: Chain) -> tuple[Array, Array, Array]:
     at = jnp.argmax(known)
     exists = (at > 0) & jnp.isfinite(known[at]) & (known[at] > known[0])
     speed = jnp.where(exists, known[at], 1.0)
-    width = chain.friction.width
+    if chain.dry:
+        return speed, jnp.zeros(()), exists
+    width = chain.width
     layer = 1.0 + width / speed * (0.25 * jnp.log(jnp.minimum(width / speed, 1.0)) - 1.0)
     next_ratio = jnp.asarray([*_RATIOS[1:], 2.0])[at]
     ratio = jnp.where(next_ratio < layer, jnp.asarray(_RATIOS)[at], layer)

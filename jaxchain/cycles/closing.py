@@ -1,8 +1,9 @@
 """Periodic orbits closed by Newton's method with any solver, also with true dry friction.
 
-`find_limit_cycle` is the better tool for smoothed friction, in coordinates that suit it; here the
-state itself is the unknown, and the derivative is that of the run, with its saltation at sticking
-and release if the solver is `EventDriven`.
+`find_limit_cycle` is the better tool: for smoothed friction in coordinates that suit it, for dry
+friction by what stands here, and with derivatives of the orbit.  Here the state itself is the
+unknown, and the derivative is that of the run, with its saltation at sticking and release if the
+solver is `EventDriven`.
 """
 
 from __future__ import annotations
@@ -12,17 +13,27 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Complex, Float, Int
 
 from .._checks import to_float
 from .._types import State
 from ..continuation.damped_newton import Factors, factorise
+from ..continuation.implicit import attach_derivative
+from ..model.chain import Chain
 from ..model.oscillators import AbstractOscillators
+from ..observers.amplitude import Amplitude
+from ..observers.base import Step
+from ..observers.section import Section
 from ..observers.stick_time import MostSticking
-from ..simulation.event_driven import EventDriven
+from ..result import SearchResult
+from ..simulation.event_driven import EventDriven, own_solver
 from ..simulation.run import simulate
+from ..solvers.dry_friction import start as on_the_belt
 from .floquet import check_orbit, floquet_multipliers, multiplier_resolution
 from .least_period import Returned, Returns, close_orbit_once, greatest_gap
+from .limit_cycle import LEAST_VELOCITY, LimitCycle
+from .variational import Along
 
 # Integrations at most, and the step that is rounding.
 _MOST, _FINE = 8, 1e-13
@@ -94,15 +105,15 @@ def close_orbit(
 
         ```python
         import jax.numpy as jnp
-        from jaxchain import EventDriven, paper_chain
-        chain = paper_chain(n=1)
+        from jaxchain import paper_chain
+        chain = paper_chain(n=1, width=None)
         start = jnp.array([2.2]), jnp.zeros(1)
-        orbit = close_orbit(chain, start, 6.26, solver=EventDriven())
+        orbit = close_orbit(chain, start, 6.26)
         orbit.multipliers  # 0: it sticks
         ```
     """
     x, v = check_orbit(chain, state, period, rtol)
-    return _close(chain, (x, v), to_float(period), solver, rtol)
+    return _close(chain, (x, v), to_float(period), own_solver(chain, solver), rtol)
 
 
 class _Way(NamedTuple):
@@ -162,3 +173,94 @@ def _close(
         (u[:n], u[n:-1]), u[-1], gap, jnp.max(jnp.abs(u - once)), multipliers,
         found.defect, resolution,
     )  # fmt: skip
+
+
+def dry_limit_cycle(
+    chain: Chain, mass: int, state: State, period: Any, *, rtol: Any, tolerance: Any
+) -> LimitCycle:
+    """The cycle of a dry chain near a guess, cut where mass `mass` is let go, or is fastest.
+
+    Derivatives as in `find_limit_cycle`.
+    """
+    frozen = lax.stop_gradient(chain)
+    state, period = lax.stop_gradient((state, to_float(period)))
+    cycle = _dry_cycle(frozen, mass, state, period, to_float(rtol), to_float(tolerance))
+    unknowns = jnp.concatenate([*cycle.state, cycle.period[None], cycle.amplitude])
+    equations = jax.tree_util.Partial(_dry_residual, mass)
+    unknowns = attach_derivative(equations, unknowns, (chain, to_float(rtol)))
+    x, v, period, amplitude = _parts(unknowns)
+    return eqx.tree_at(
+        lambda c: (c.chain, c.state, c.period, c.amplitude),
+        cycle,
+        (chain, (x, v), period, amplitude),
+    )
+
+
+@eqx.filter_jit
+def _dry_cycle(
+    chain: Chain, mass: int, state: State, period: Array, rtol: Array, tolerance: Array
+) -> LimitCycle:
+    orbit = close_orbit(chain, state, period, rtol=rtol)
+    # A little more, for an orbit that begins there.
+    watch = _Cuts(mass, 1, of="velocity")
+    cut = simulate(
+        chain, orbit.state, 1.05 * orbit.period, observe=watch, rtol=rtol, throw=False
+    ).observed
+    state, _ = on_the_belt(chain, (cut[1][0], cut[2][0]))
+    run = simulate(chain, state, orbit.period, observe=Along(), rtol=rtol, throw=False)
+    amplitude, fastest, _ = run.observed
+    gap = jnp.concatenate(run.state) - jnp.concatenate(state)
+    residual = jnp.max(jnp.abs(gap)) / fastest[mass]
+    closed = (residual <= tolerance) & jnp.isfinite(orbit.defect)
+    rests = closed & (fastest[mass] <= LEAST_VELOCITY)
+    result = SearchResult.where(closed, SearchResult.successful, SearchResult.no_step_helps)
+    result = SearchResult.where(rests, SearchResult.at_rest, result)
+    result = SearchResult.where(jnp.isfinite(residual), result, SearchResult.nonfinite)
+    return LimitCycle(
+        chain=chain,
+        state=state,
+        period=orbit.period,
+        residual=residual,
+        result=result,
+        multipliers=orbit.multipliers,
+        trivial_defect=orbit.defect,
+        liouville_defect=jnp.full_like(orbit.defect, jnp.nan),
+        amplitude=amplitude,
+        fastest=fastest,
+        evaluations=jnp.asarray(_MOST),
+        mass=mass,
+    )
+
+
+class _Cuts(Section):
+    """States in which a mass that slides behind the belt is fastest, or is let go by the belt."""
+
+    def _slope(self, step: Step, t: Any, y: State) -> Array:
+        del t
+        field: Any = step.field
+        return field.belt_direction() * _slipping(field, *y)[self.oscillator]
+
+
+def _slipping(chain: Chain, x: Float[Array, " n"], v: Float[Array, " n"]) -> Float[Array, " n"]:
+    """v' of masses that slide behind the belt; 0 where one is let go, r = -p mu_st."""
+    pull = chain.load * chain.law.coefficient(jnp.abs(v - chain.belt_speed))
+    return chain.free_force(x, v) + chain.belt_direction() * pull
+
+
+def _parts(unknowns: Float[Array, " m"]) -> tuple[Array, Array, Array, Array]:
+    """(x, v, period, amplitudes), 3 n + 1 numbers in all."""
+    n = unknowns.shape[0] // 3
+    return unknowns[:n], unknowns[n : 2 * n], unknowns[2 * n], unknowns[2 * n + 1 :]
+
+
+def _dry_residual(
+    mass: int, unknowns: Float[Array, " m"], parameters: tuple[Chain, Array]
+) -> Float[Array, " m"]:
+    """What is left of the return, of the section, and of the amplitudes."""
+    chain, rtol = parameters
+    x, v, period, amplitude = _parts(unknowns)
+    run = simulate(chain, (x, v), period, observe=Amplitude(), rtol=rtol, throw=False)
+    section = _slipping(chain, x, v)[mass]
+    return jnp.concatenate(
+        [run.state[0] - x, run.state[1] - v, section[None], run.observed - amplitude]
+    )

@@ -6,6 +6,7 @@ import numpy as np
 
 from .._checks import check_one_of
 from ..model.arguments import as_images, as_mass
+from ..model.chain import require_smoothed
 from ..simulation.accuracy import fit_linear_solve
 from ..solvers.rosenbrock import Rodas5P
 from .floquet import check_orbit
@@ -19,6 +20,7 @@ def cycle_equations(
     if state is None and period is None:
         chain, state, period, mass = _parts(chain)
         vibrating = mass if vibrating is None else vibrating
+    require_smoothed(chain, "follow `find_limit_cycle` from one belt speed to the next, or ")
     x, v = check_orbit(chain, state, period, rtol)
     n, fastest = x.size, int(np.argmax(float(chain.belt_direction()) * np.asarray(v)))
     mass = as_mass(n, vibrating, fastest)

@@ -20,7 +20,7 @@ from .._checks import (
 )
 from .._types import State
 from ..model.arguments import as_chain, as_state
-from ..model.chain import Chain
+from ..model.chain import Chain, require_smoothed
 from ..model.locality import check_autonomous
 from ..model.oscillators import AbstractOscillators
 from ..simulation.accuracy import MAX_STEP, fit_linear_solve
@@ -165,6 +165,7 @@ def multiplier_resolution(monodromy: Float[Array, "two_n two_n"]) -> Float[Array
 
 def _period(chain: Any, state: Any, period: Any, rtol: Any) -> Period:
     state = check_orbit(chain, state, period, rtol)
+    require_smoothed(chain, "use `find_limit_cycle` or `close_orbit` for its multipliers, or ")
     given = 1e-9 if is_traced(rtol) else float(rtol)
     solver = fit_linear_solve(Rodas5P(), chain, given)
     return _linearised(chain, state, to_float(period), rtol=to_float(rtol), solver=solver)

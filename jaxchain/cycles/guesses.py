@@ -21,6 +21,7 @@ from ..model.oscillators import AbstractOscillators
 from ..model.sliding import sliding_damping, stiffness_matrix
 from ..observers.section import Section
 from ..simulation.accuracy import choose_solver
+from ..simulation.event_driven import own_solver
 from ..simulation.run import Simulation, simulate
 from .averaging import gain, one_mass
 
@@ -36,10 +37,10 @@ _RATIOS = np.concatenate([np.geomspace(1e-3, 0.3, 24), np.linspace(0.32, 1.0, 35
 def _watched(chain: Any, state: State, t1: Any, watch: Section) -> Simulation:
     """A run in which a sticking mass errs by little in units of the width, as Newton needs."""
     rtol: Any = 1e-8
-    if isinstance(chain, Chain):
-        width = lax.stop_gradient(jnp.min(chain.friction.width))
+    if isinstance(chain, Chain) and not chain.dry:
+        width = lax.stop_gradient(jnp.min(chain.width))
         rtol = jnp.clip(1e-4 * width, 1e-11, 1e-7)
-    solver = choose_solver(chain, 1e-8)
+    solver = own_solver(chain, None) or choose_solver(chain, 1e-8)
     return simulate(chain, state, t1, observe=watch, solver=solver, rtol=rtol, throw=False)
 
 
@@ -124,8 +125,9 @@ def carried(state: State, before: AbstractOscillators, after: AbstractOscillator
     old, new = before.switching(0.0, turned * v), after.switching(0.0, v)
     if old is None or new is None:
         return x, v
-    sticks = jnp.abs(old[0]) < 10.0 * old[1]
-    return x, jnp.where(sticks, v - new[0] + turned * old[0] * (new[1] / old[1]), v)
+    sticks = jnp.abs(old[0]) <= 10.0 * old[1]
+    wider = new[1] / jnp.where(old[1] > 0, old[1], 1.0)
+    return x, jnp.where(sticks, v - new[0] + turned * old[0] * wider, v)
 
 
 def slip_guess(chain: Chain, vibrating: int) -> Guess:

@@ -25,7 +25,7 @@ from .variational import Period, flow, linearised_period
 # A step that is shorter is rounding.
 _FINE = 1e-11
 # A mass that moves less rests.
-_LEAST_VELOCITY = 1e-6
+LEAST_VELOCITY = 1e-6
 # A trivial multiplier or a determinant that is off by more says that M is not to be believed.
 _WORST_DEFECT = 1e-3
 
@@ -39,7 +39,7 @@ class LimitCycle(Outcome):
       which it sticks, of velocity over the width.  `result`: successful if it is a cycle.
     - `multipliers`: the 2n - 1 Floquet multipliers other than 1, the greatest modulus first.
     - `trivial_defect`: |M f - f| / |f| for f = (x', v'), which must be 0; `liouville_defect`: see
-      there; both were measured on this orbit.
+      there, NaN for dry friction; both were measured on this orbit.
     - `amplitude`: half peak-to-peak of each displacement; `fastest`: each greatest velocity in the
       direction of the belt.
     - `evaluations`: integrations of the linearised system it took.
@@ -60,12 +60,16 @@ class LimitCycle(Outcome):
 
     @property
     def closeness(self) -> Float[Array, " n"]:
-        """max w / eps of each mass: one that never reaches the belt's speed has it below zero."""
+        """max w / eps of each mass: one that never reaches the belt's speed has it below zero.
+
+        With dry friction -inf for that one, and 0 for one that sticks.
+        """
         along = self.chain.belt_direction()
         switching = self.chain.switching(0.0, along * self.fastest)
         if switching is None:
             return jnp.full_like(self.fastest, jnp.nan)
-        return along * switching[0] / switching[1]
+        w = along * switching[0]
+        return jnp.where(w == 0, 0.0, w / switching[1])
 
     @property
     def energy(self) -> Float[Array, ""]:
@@ -75,7 +79,8 @@ class LimitCycle(Outcome):
     @property
     def uncertainty(self) -> Float[Array, ""]:
         """Of the multipliers, as far as the two defects tell."""
-        return 1e-8 + 10.0 * (self.trivial_defect + self.liouville_defect + self.residual)
+        defect = self.trivial_defect + jnp.nan_to_num(self.liouville_defect)
+        return 1e-8 + 10.0 * (defect + self.residual)
 
     @property
     def stability_margin(self) -> Float[Array, ""]:
@@ -104,7 +109,7 @@ def solve_cycle(
     direction = jnp.concatenate(field(0.0, state))
     floquet = floquet_multipliers(whole.monodromy, direction)
     speed = field.belt_direction() * state[1][shooting.mass]
-    moves = (whole.fastest[shooting.mass] > _LEAST_VELOCITY) & (speed > 0)
+    moves = (whole.fastest[shooting.mass] > LEAST_VELOCITY) & (speed > 0)
     closed = (residual <= tolerance) & jnp.isfinite(floquet.defect)
     result = ending(found, closed, limit)
     result = SearchResult.where(closed & ~moves, SearchResult.at_rest, result)

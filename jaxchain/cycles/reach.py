@@ -55,7 +55,9 @@ def is_of_kind(cycle: LimitCycle, kind: str) -> Bool[Array, ""]:
         return alone & grows
     if n == 1:
         return ~grows
-    eps = jnp.broadcast_to(chain.friction.width, (n,))[cycle.mass]
+    if chain.dry:
+        return alone & (cycle.closeness[cycle.mass] == 0)
+    eps = jnp.broadcast_to(chain.width, (n,))[cycle.mass]
     fold = 0.25 * jnp.log(eps / jnp.maximum(jnp.abs(chain.belt_speed), eps)) - 1.0
     return alone & ~(grows & (cycle.closeness[cycle.mass] < fold + _DOUBT))
 

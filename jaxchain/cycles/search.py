@@ -25,6 +25,7 @@ from ..result import SearchResult
 from ..simulation.accuracy import MAX_STEP, fit_linear_solve
 from ..simulation.run import Simulation
 from ..solvers.rosenbrock import Rodas5P
+from .closing import dry_limit_cycle
 from .floquet import CYCLE_RTOL, check_orbit
 from .guesses import (
     TRANSIENT,
@@ -54,9 +55,12 @@ def find_limit_cycle(
 ) -> LimitCycle:
     """The limit cycle near a guess, stable or not, by Newton's method at fixed belt speed.
 
-    Unknowns and equations are those of `cycles/shooting.py`, the steps are damped by Deuflhard's
-    natural monotonicity test, and one linearised integration gives each Jacobian and, in the end,
-    the monodromy matrix.
+    With smoothed friction unknowns and equations are those of `cycles/shooting.py`, the steps are
+    damped by Deuflhard's natural monotonicity test, and one linearised integration gives each
+    Jacobian and, in the end, the monodromy matrix.  With dry friction it is `close_orbit`, from
+    event to event; the orbit is cut where the mass that vibrates is let go by the belt, or is
+    fastest if it never sticks; `images` and `max_steps` have no part in it, and without a guess no
+    belt speed is tried but the one asked for.
 
     **Arguments:**
 
@@ -98,6 +102,13 @@ def find_limit_cycle(
     frozen = lax.stop_gradient(chain)
     mass, state, period = resolve_guess(frozen, guess, period, vibrating, branch, throw)
     n = state[0].shape[0]
+    if isinstance(chain, Chain) and chain.dry:
+        as_images(images, n, mass)
+        cycle = dry_limit_cycle(chain, mass, state, period, rtol=rtol, tolerance=tolerance)
+        cycle = _keep_kind(cycle, branch) if guess is None else cycle
+        if throw and not is_traced(cycle.successful) and not cycle.successful:
+            raise RuntimeError(_failure(cycle) if guess is not None else _missing(branch, ""))
+        return cycle
     shooting = Shooting(
         field=frozen, rtol=rtol, mass=mass, images=as_images(images, n, mass),
         solver=fit_linear_solve(Rodas5P(), frozen, 1e-9 if is_traced(rtol) else float(rtol)),

@@ -20,7 +20,6 @@ from .._checks import (
     is_traced,
     to_float,
 )
-from ..boundaries.bistable import check_friction
 from ..continuation.damped_newton import where
 from ..continuation.gradient_descent import unknowns
 from ..model.chain import Chain
@@ -87,7 +86,6 @@ def identify(
     start: PyTree,
     measurements: Any,
     *,
-    friction: Any = "dry",
     vibrating: Any = None,
     steps: Any = 60,
 ) -> Identification:
@@ -101,7 +99,7 @@ def identify(
 
     **Arguments:** `chain` for all that theta does not change; `change(chain, theta)`, the chain of
     theta; `start`, the first theta, any pytree: it must vibrate where vibrations were measured;
-    `friction`, `vibrating` as in `predict`; `steps`: predictions with derivatives allowed.
+    `vibrating` as in `predict`; `steps`: predictions with derivatives allowed.
 
     Works under `jit` and `vmap` (over noisy copies of the measurements, say).  optimistix, whose
     `LevenbergMarquardt` finds the same, compiles every prediction three times.
@@ -116,12 +114,11 @@ def identify(
     >>> speeds = [1.3, 1.5, 1.7, 2.5]
     >>> lab = Measurements(hopf=(1.2, 0.01), displacements=(speeds, [0.55, 0.53, 0.52, 0.5], 0.01))
     >>> law = lambda chain, theta: chain.with_(mu_dynamic=theta[0], v_ref=theta[1])
-    >>> found = identify(paper_chain(n=1), law, jnp.array([0.4, 0.6]), lab)
+    >>> found = identify(paper_chain(n=1, width=None), law, jnp.array([0.4, 0.6]), lab)
     >>> found.theta.round(3).tolist(), found.standard_errors.round(3).tolist()
     ([0.5, 0.539], [0.005, 0.008])
     """
     mass = check_vibrating(chain, vibrating)
-    check_friction(friction)
     if not isinstance(measurements, Measurements):
         raise ValueError(
             "Argument `measurements` must be a `Measurements`, but is a "
@@ -129,7 +126,7 @@ def identify(
         )
     check_whole("steps", steps)
     flat, unravel = unknowns(start)
-    problem = _Problem(chain, measurements, change, mass, friction, unravel)
+    problem = _Problem(chain, measurements, change, mass, unravel)
     found = _fit(problem, flat, steps)
     if not is_traced(found):
         _complain(problem, found, unravel(flat))
@@ -141,7 +138,6 @@ class _Problem(eqx.Module):
     measurements: Measurements
     change: Callable[[Chain, Any], Chain]
     mass: int = eqx.field(static=True)
-    friction: str = eqx.field(static=True)
     unravel: Callable[[Array], Any] = eqx.field(static=True)
 
     def linearised(self, flat: Array) -> tuple[Array, Array]:
@@ -149,7 +145,7 @@ class _Problem(eqx.Module):
 
         def twice(flat: Array) -> tuple[Array, Array]:
             chain = self.change(self.chain, self.unravel(flat))
-            found = predict(chain, self.measurements, self.mass, self.friction)
+            found = predict(chain, self.measurements, self.mass)
             found = found / self.measurements.noise
             return found, found
 

@@ -10,9 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import check_finite, check_positive, require_x64, to_float
-from ..boundaries.bistable import check_friction
 from ..boundaries.fold import fold_belt_speed
-from ..boundaries.grazing import nonsmooth_fold_belt_speed
 from ..boundaries.hopf import hopf_belt_speed
 from ..model.chain import Chain, steady_sliding
 from ..model.initial_states import check_vibrating, on_the_belt
@@ -103,26 +101,22 @@ def _reading(name: str, given: Any, ndim: int) -> Any:
     return (*parts[:-1], jnp.broadcast_to(parts[-1], shape))
 
 
-def predict(
-    chain: Chain, measurements: Measurements, vibrating: Any = None, friction: Any = "dry"
-) -> Float[Array, " m"]:
+def predict(chain: Chain, measurements: Measurements, vibrating: Any = None) -> Float[Array, " m"]:
     """What `chain` would have shown in the place of `measurements.values`.
 
-    With dry friction: the Hopf speed, the grazing-sliding fold, and amplitudes half peak-to-peak
-    of event-driven runs that start on the belt (`on_the_belt`); with smoothed friction their
-    counterparts at the width of the chain.  NaN where there is no such fold or vibration.  Forward
+    Of a dry chain the Hopf speed, the grazing-sliding fold, and amplitudes half peak-to-peak of
+    event-driven runs that start on the belt (`on_the_belt`); of a smoothed one their counterparts
+    at its width.  NaN where there is no such fold or vibration.  Forward
     derivatives, which hold across sticking and release; `jit`; `vmap`.
 
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
     >>> from jaxchain import paper_chain
     >>> lab = Measurements(hopf=(1.15, 0.01), displacements=([1.5], [0.5], 0.01))
-    >>> predict(paper_chain(n=1), lab).round(4).tolist()
+    >>> predict(paper_chain(n=1, width=None), lab).round(4).tolist()
     [1.1513, 0.5249]
     """
     mass = check_vibrating(chain, vibrating)
-    check_friction(friction)
-    dry = friction == "dry"
     parts = []
 
     def at(speed: Array) -> Chain:
@@ -131,7 +125,7 @@ def predict(
     def amplitude(speed: Array) -> Array:
         found = simulate(
             at(speed), on_the_belt(at(speed), mass), _SPAN, observe=Amplitude(window=_WINDOW),
-            solver=EventDriven(_ORDER) if dry else None, rtol=_RTOL, throw=False,
+            solver=EventDriven(_ORDER) if chain.dry else None, rtol=_RTOL, throw=False,
         ).observed  # fmt: skip
         return jnp.where(active(found, speed)[mass], found[mass], jnp.nan)
 
@@ -141,8 +135,7 @@ def predict(
     if measurements.hopf is not None:
         parts.append(hopf_belt_speed(chain)[None])
     if measurements.fold is not None:
-        fold = nonsmooth_fold_belt_speed if dry else fold_belt_speed
-        parts.append(fold(chain, mass)[None])
+        parts.append(fold_belt_speed(chain, mass)[None])
     if measurements.amplitudes is not None:
         parts.append(jax.vmap(amplitude)(measurements.amplitudes[0]))
     if measurements.displacements is not None:

@@ -14,7 +14,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int, PyTree
 
 from .._checks import check_positive, check_positive_number, check_whole, to_float
-from ..boundaries.bistable import BistableRange, bistable_range, check_friction
+from ..boundaries.bistable import BistableRange, bistable_range
 from ..continuation.damped_newton import where
 from ..continuation.gradient_descent import unknowns
 from ..model.chain import Chain
@@ -102,7 +102,6 @@ def design(
     highest_below: Any = None,
     cost: Callable[[Any], Any] | None = None,
     scale: Any = None,
-    friction: str = "dry",
     vibrating: Any = None,
     optimiser: optax.GradientTransformation | None = None,
     steps: Any = 200,
@@ -126,7 +125,7 @@ def design(
     - `cost(theta)`: by default 1/2 |(theta - start) / scale|^2.
     - `scale`: a change of theta that counts, one number or a pytree as `start`; by default |start|
       and 1 where that is 0.
-    - `friction`, `vibrating`: as in `bistable_range`.
+    - `vibrating`: as in `bistable_range`.
     - `optimiser`: an optax transformation without a line search, `optax.adam(0.01)` say, for
       theta in units of `scale`; L-BFGS by default.  Steps that make things worse are shortened.
     - `steps`: boundaries that may be computed.
@@ -137,13 +136,12 @@ def design(
     >>> jax.config.update("jax_enable_x64", True)
     >>> from jaxchain import paper_chain
     >>> damped = lambda chain, xi: chain.with_(damping_ratio=xi)
-    >>> chain = paper_chain(n=1)
+    >>> chain = paper_chain(n=1, width=None)
     >>> found = design(chain, damped, 0.05, highest_below=1.7)  # doctest: +SKIP
     >>> round(float(found.theta), 4), round(float(found.range.fold), 4)  # doctest: +SKIP
     (0.0553, 1.7)
     """
     mass = check_vibrating(chain, vibrating)
-    check_friction(friction)
     if (width_below is None) == (highest_below is None):
         raise ValueError(
             "One of the arguments `width_below` and `highest_below` must be given, but they are "
@@ -160,7 +158,7 @@ def design(
     else:
         check_positive("scale", ravel_pytree(scale)[0], "it is a change that counts.")
         units = jnp.broadcast_to(ravel_pytree(scale)[0], flat.shape)
-    problem = _Problem(chain, flat, units, to_float(target), change, cost, friction, mass,
+    problem = _Problem(chain, flat, units, to_float(target), change, cost, mass,
                        name, unravel)  # fmt: skip
     return _solve(problem, _LBFGS if optimiser is None else optimiser, steps, to_float(tolerance))
 
@@ -172,7 +170,6 @@ class _Problem(eqx.Module):
     target: Float[Array, ""]
     change: Callable[[Chain, Any], Chain]
     own_cost: Callable[[Any], Any] | None
-    friction: str = eqx.field(static=True)
     mass: int = eqx.field(static=True)
     name: str = eqx.field(static=True)
     unravel: Callable[[Array], Any] = eqx.field(static=True)
@@ -187,7 +184,7 @@ class _Problem(eqx.Module):
         """Forward in every direction at once: the searches within have no reverse."""
 
         def both(z: Array) -> tuple[Array, tuple[Array, BistableRange]]:
-            found = bistable_range(self.chain_at(z), self.mass, self.friction)
+            found = bistable_range(self.chain_at(z), self.mass)
             aim = found.width if self.name == "width_below" else found.highest
             cost = 0.5 * jnp.sum(z**2)
             if self.own_cost is not None:

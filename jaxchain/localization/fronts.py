@@ -25,7 +25,6 @@ from ..model.chain import Chain
 from ..model.initial_states import check_vibrating
 from ..observers.fronts import Fronts, FrontTrack, apart, mean_speed
 from ..result import Result, ended_well
-from ..simulation.event_driven import EventDriven
 from ..simulation.run import simulate
 
 _SMALLEST = 12
@@ -127,14 +126,14 @@ def front_speed(
       traced).
     - `middle`: a mass inside the block (None: n // 2).
     - `level`: confidence level of errors and verdict, see `mean_speed`.
-    - `solver`, `rtol`: as for `simulate`; None is `EventDriven()`, true dry friction.
+    - `solver`, `rtol`: as for `simulate`.
 
     Works under `jit` and `vmap`; a run that fails is marked, not raised.
 
     **Raises:** `ValueError` for bad input before anything is compiled.
 
     ```python
-    chain = paper_chain(n=40, belt_speed=1.1)
+    chain = paper_chain(n=40, belt_speed=1.1, width=None)
     found = front_speed(chain, excited_state(chain, 14, block="centred"), 800.0)
     found.outcome, float(found.speed)  # "grows", 0.016
     ```
@@ -147,7 +146,7 @@ def front_speed(
     check_number("transient", transient, "a fifth of the run is usual.")
     run = simulate(
         chain, initial, t1, t0=t0, observe=FrontTrack(windows, middle), rtol=rtol,
-        solver=EventDriven() if solver is None else solver, throw=False,
+        solver=solver, throw=False,
     )  # fmt: skip
     return read_speed(run.observed, chain.n, t0, t1, transient, run.result, level)
 

@@ -24,7 +24,7 @@ from ..cycles.averaging import one_mass
 from ..cycles.floquet import monodromy_matrix
 from ..cycles.search import find_limit_cycle
 from ..model.arguments import as_chain
-from ..model.chain import Chain, steady_sliding
+from ..model.chain import Chain, require_smoothed, steady_sliding
 from ..model.sliding import has_uniform_damping, sliding_damping, stiffness_matrix
 from ..observers.trajectory import Trajectory
 from ..simulation.run import simulate
@@ -83,6 +83,7 @@ def phase_model(chain: Any) -> PhaseModel:
         ```
     """
     _check_ring(chain)
+    require_smoothed(chain, "")
     alone = one_mass(chain, 0)
     cycle = find_limit_cycle(alone)
     state, period = cycle.state, cycle.period
@@ -112,7 +113,7 @@ def _check_ring(chain: Any) -> None:
 
 def _rtol(chain: Chain) -> Array:
     """A sticking mass errs by little in units of the width."""
-    return jnp.clip(1e-4 * chain.friction.width, 1e-11, 1e-7)
+    return jnp.clip(1e-4 * chain.width, 1e-11, 1e-7)
 
 
 @eqx.filter_jit

@@ -12,7 +12,13 @@ from jaxtyping import Array, ArrayLike, Float
 
 from .._checks import check_one_of, check_whole, to_float
 from .._types import PerMass, ScalarLike, State
-from .friction import ExponentialDecay, TanhFriction, check_numbers
+from .friction import (
+    AbstractFriction,
+    AbstractFrictionLaw,
+    ExponentialDecay,
+    TanhFriction,
+    check_numbers,
+)
 from .oscillators import AbstractOscillators
 from .parameters import CHAIN, parameter
 from .springs import Ends, Springs
@@ -25,13 +31,16 @@ class Chain(AbstractOscillators):
     x_n'' + 2 xi_n x_n' + k_n x_n + c_{n-1/2} (x_n - x_{n-1}) + c_{n+1/2} (x_n - x_{n+1})
         = p_n F(x_n' - v_d)
 
-    with the friction force F of `friction`.  For the homogeneous ring this is eq. (5) of Papangelo
+    with the friction force F of `friction`: dry, so that any number of masses may stick, or
+    smoothed across the belt's speed; whatever is computed takes the one or the other from the
+    chain.  For the homogeneous ring this is eq. (5) of Papangelo
     et al., Multiple spatially localized dynamical states in friction-excited oscillator chains.
 
     **Arguments** (all dimensionless; see `jaxchain.Scales` for SI input):
 
     - `n`: number of masses.
-    - `friction`: a regularized friction law, e.g. `TanhFriction(ExponentialDecay(...), width)`.
+    - `friction`: a friction law such as `ExponentialDecay(...)`, which is dry friction, or a
+      smoothed one, `TanhFriction(law, width)`.
     - `belt_speed`: v_d; negative for a belt that runs the other way.
     - `damping_ratio`: xi, one number or shape (n,).
     - `coupling`: eta_c; None compiles no coupling at all, a number is the same spring everywhere,
@@ -51,11 +60,11 @@ class Chain(AbstractOscillators):
         >>> from jaxchain import Chain, ExponentialDecay, TanhFriction
         >>> law = ExponentialDecay(mu_static=1.0, mu_dynamic=0.5, v_ref=0.5)
         >>> chain = Chain(3, TanhFriction(law, 1e-3), belt_speed=1.5, coupling=0.01)
-        >>> chain.coupling.shape
-        ()
+        >>> chain.coupling.shape, chain.dry
+        ((), False)
     """
 
-    friction: TanhFriction
+    friction: AbstractFriction
     belt_speed: Array
     damping_ratio: Array
     stiffness: Array
@@ -75,10 +84,10 @@ class Chain(AbstractOscillators):
         ends: str = "cyclic",
     ):
         check_one_of("ends", ends, get_args(Ends))
-        if not isinstance(friction, TanhFriction):
+        if not isinstance(friction, AbstractFriction):
             raise ValueError(
-                "Argument `friction` must be a regularized law, TanhFriction(law, width), but is "
-                f"{friction!r}."
+                "Argument `friction` must be a friction law (dry friction) or a smoothed one, "
+                f"TanhFriction(law, width), but is {friction!r}."
             )
         self.n = check_whole("n", n)
         self.friction = friction
@@ -108,6 +117,22 @@ class Chain(AbstractOscillators):
         return {name: getattr(self, name) for name in CHAIN}
 
     @property
+    def law(self) -> AbstractFrictionLaw:
+        """mu(s), whether it is smoothed or not."""
+        friction: Any = self.friction
+        return friction.law
+
+    @property
+    def dry(self) -> bool:
+        """Whether friction is dry; not a number, so `jit` compiles both kinds apart."""
+        return not isinstance(self.friction, TanhFriction)
+
+    @property
+    def width(self) -> PerMass:
+        """eps, 0 with dry friction."""
+        return self.friction.numbers().get("width", jnp.zeros(()))
+
+    @property
     def coupling(self) -> Array | None:
         """eta_c: None, one number, or one per spring."""
         return None if self.springs is None else self.springs.constant
@@ -132,26 +157,31 @@ class Chain(AbstractOscillators):
     def switching(
         self, t: ScalarLike, v: Float[Array, " n"]
     ) -> tuple[Float[Array, " n"], PerMass]:
-        """(v - v_d, eps): friction turns round as a mass passes the belt's speed."""
+        """(v - v_d, eps or 0): friction turns round as a mass passes the belt's speed."""
         del t
-        return v - self.belt_speed, self.friction.width
+        return v - self.belt_speed, self.width
 
     def belt_direction(self) -> ScalarLike:
         """The sign of v_d, 1 for a belt that rests."""
         return jnp.where(self.belt_speed < 0, -1.0, 1.0)
 
     def stick_speed(self) -> PerMass:
-        """That of greatest friction, below which a mass sticks: `TanhFriction.stick_speed`."""
+        """That of greatest friction, up to which a mass sticks; 0 with dry friction."""
         return self.friction.stick_speed()
 
     def greatest_hold(self) -> PerMass:
         """p mu_st, the greatest friction force on a sticking mass."""
-        return self.load * self.friction.law.mu_static
+        return self.load * self.law.mu_static
 
     def unheld_force(self, x: Float[Array, " n"], v: Float[Array, " n"]) -> Float[Array, " n"]:
-        """|r| - p mu_st with r = -2 xi v - K x, the force on a mass without friction."""
-        force = self.restoring_force(x) - 2.0 * self.damping_ratio * v
-        return jnp.abs(force) - self.greatest_hold()
+        """|r| - p mu_st, r the `free_force`; with dry friction what has w = 0 is held."""
+        if self.dry:
+            return super().unheld_force(x, v)
+        return jnp.abs(self.free_force(x, v)) - self.greatest_hold()
+
+    def free_force(self, x: Float[Array, " n"], v: Float[Array, " n"]) -> Float[Array, " n"]:
+        """r = -2 xi v - K x, the force on a mass without friction."""
+        return self.restoring_force(x) - 2.0 * self.damping_ratio * v
 
     def growth_time(self) -> ScalarLike:
         """1 / (2 |xi|) where damping is negative, infinite elsewhere."""
@@ -168,14 +198,17 @@ class Chain(AbstractOscillators):
         """A copy with other numbers; shapes may change, values may be traced.
 
         Takes the names of the constructor, and `width`, `mu_static`, `mu_dynamic`, `v_ref` (or any
-        other field of the friction law) for the friction.
+        other field of the friction law) for the friction.  A `width` smooths dry friction, and
+        None makes it dry.
 
         >>> from jaxchain import paper_chain
-        >>> float(paper_chain().with_(belt_speed=1.2, width=1e-4).friction.width)
+        >>> float(paper_chain().with_(belt_speed=1.2, width=1e-4).width)
         0.0001
+        >>> paper_chain().with_(width=None).dry
+        True
         """
         own = {"n": self.n, "friction": self.friction, "ends": self.ends, **self._own()}
-        friction = self.friction.numbers()
+        friction = {**self.friction.numbers(), "width": self.width}
         unknown = [name for name in changes if name not in own and name not in friction]
         if unknown:
             raise ValueError(
@@ -192,11 +225,21 @@ class Chain(AbstractOscillators):
         return {**self.friction.numbers(), **super().numbers()}
 
 
-def paper_chain(n: int = 20, belt_speed: ArrayLike = 1.5, width: ArrayLike = 1e-3) -> Chain:
+def require_smoothed(chain: Any, instead: str) -> None:
+    """Raises `ValueError` for a chain with dry friction; `instead`: what serves there, or ""."""
+    if isinstance(chain, Chain) and chain.dry:
+        raise ValueError(
+            "Argument `chain` has dry friction, but this is for smoothed friction: "
+            f"{instead}give it a width, `chain.with_(width=1e-3)`."
+        )
+
+
+def paper_chain(n: int = 20, belt_speed: ArrayLike = 1.5, width: ArrayLike | None = 1e-3) -> Chain:
     """The parameter set of the paper, eq. (7): xi 0.05, mu_d 0.5, mu_st 1, v_0 0.5, eta_c 0.01.
 
     **Arguments:** number of masses, dimensionless belt speed v_d, and the regularization width
-    of the friction law.  One mass has no neighbours and gets no coupling.
+    of the friction law, or None for dry friction.  One mass has no neighbours and gets no
+    coupling.
 
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
@@ -207,7 +250,7 @@ def paper_chain(n: int = 20, belt_speed: ArrayLike = 1.5, width: ArrayLike = 1e-
     law = ExponentialDecay(mu_static=1.0, mu_dynamic=0.5, v_ref=0.5)
     return Chain(
         n,
-        TanhFriction(law, width),
+        law if width is None else TanhFriction(law, width),
         belt_speed=belt_speed,
         damping_ratio=0.05,
         coupling=0.01 if n > 1 else None,

@@ -35,8 +35,43 @@ _SIGNS = {"any": check_finite, "nonnegative": check_nonnegative, "positive": che
 _ORDER_REMEDY = "friction at rest exceeds friction in motion; raise `mu_static`."
 
 
-class AbstractFrictionLaw(eqx.Module):
+class AbstractFriction(eqx.Module):
+    """F(w), the force on a mass per unit of its normal load; w is its velocity over the belt's.
+
+    A subclass has mu(s) as `law`, smoothed or not.
+    """
+
+    @abc.abstractmethod
+    def force(self, relative_velocity: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
+        """F(w), element by element; w of any shape, or (n,) if a parameter is given per mass."""
+
+    @abc.abstractmethod
+    def stick_speed(self) -> PerMass:
+        """The |w| of greatest friction, the end of the branch on which a mass sticks."""
+
+    @abc.abstractmethod
+    def numbers(self) -> dict[str, Any]:
+        """What `with_`, of a chain too, takes by name."""
+
+    @abc.abstractmethod
+    def with_(self, **changes: Any) -> Any:
+        """A copy with other numbers; a `width` smooths a law, and None makes friction dry."""
+
+    def force_and_slope(
+        self, relative_velocity: Float[ArrayLike, "..."]
+    ) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+        """(F, dF/dw), which share their exp and tanh.
+
+        F acts element by element, so one tangent of ones carries every slope.
+        """
+        w = jnp.asarray(relative_velocity)
+        return jax.jvp(self.force, (w,), (jnp.ones_like(w),))
+
+
+class AbstractFrictionLaw(AbstractFriction):
     """The friction coefficient as a function of the sliding speed alone.
+
+    By itself it is dry friction, F(w) = -mu(|w|) sign(w) and anything up to mu_st at w = 0.
 
     A law of one's own needs a field or property `mu_static` and the method `coefficient`, written
     with `jax.numpy`.  It then does what the laws of this package do: it is smoothed by
@@ -50,18 +85,17 @@ class AbstractFrictionLaw(eqx.Module):
 
         >>> import jax, jax.numpy as jnp
         >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import Chain, EventDriven, TanhFriction, equation_8, simulate
+        >>> from jaxchain import Chain, equation_8, simulate
         >>> from jaxchain.model import AbstractFrictionLaw
         >>> class Rational(AbstractFrictionLaw):
         ...     mu_static: float
         ...     v_ref: float
         ...     def coefficient(self, speed):
         ...         return self.mu_static / (1.0 + speed / self.v_ref)
-        >>> chain = Chain(1, TanhFriction(Rational(1.0, 1.5), 1e-4), belt_speed=0.5)
-        >>> start = equation_8(chain, 1)
-        >>> smoothed = simulate(chain, start, 5.0, rtol=1e-7)
-        >>> dry = simulate(chain, start, 5.0, solver=EventDriven())
-        >>> [round(float(run.state[0][0]), 3) for run in (smoothed, dry)]
+        >>> dry = Chain(1, Rational(1.0, 1.5), belt_speed=0.5)
+        >>> start = equation_8(dry, 1)
+        >>> runs = [simulate(own, start, 5.0) for own in (dry.with_(width=1e-4), dry)]
+        >>> [round(float(run.state[0][0]), 3) for run in runs]
         [1.186, 1.186]
     """
 
@@ -87,6 +121,20 @@ class AbstractFrictionLaw(eqx.Module):
         given per mass.
         """
 
+    def force(self, relative_velocity: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
+        """F(w) of a mass that slides, and 0 at w = 0."""
+        w = jnp.asarray(relative_velocity)
+        return -jnp.sign(w) * self.coefficient(jnp.abs(w))
+
+    def stick_speed(self) -> PerMass:
+        """0: a mass sticks or it does not."""
+        return jnp.zeros(())
+
+    @property
+    def law(self) -> "AbstractFrictionLaw":
+        """Itself."""
+        return self
+
     def numbers(self) -> dict[str, Any]:
         """The fields by name, but for static ones: what `with_`, of a chain too, takes."""
         return {
@@ -94,9 +142,10 @@ class AbstractFrictionLaw(eqx.Module):
         }
 
     def with_(self, **changes: Any) -> Any:
-        """A copy with other numbers."""
+        width = changes.pop("width", None)
         own = {f.name: getattr(self, f.name) for f in fields(self)}
-        return type(self)(**{**own, **changes}) if changes else self
+        law = type(self)(**{**own, **changes}) if changes else self
+        return law if width is None else TanhFriction(law, width)
 
     def __check_init__(self) -> None:
         # The laws of this module are sound where their numbers are.
@@ -274,7 +323,7 @@ def as_law(law: Any) -> AbstractFrictionLaw:
     return jax.tree.map(converted, law)
 
 
-class TanhFriction(eqx.Module):
+class TanhFriction(AbstractFriction):
     """F(w) = -mu(|w|) tanh(w / eps): a law made smooth across w = 0.
 
     The force on a mass per unit of its normal load, against its velocity w relative to the belt.
@@ -303,20 +352,9 @@ class TanhFriction(eqx.Module):
         check_numbers({"width": self.width})
 
     def force(self, relative_velocity: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
-        """F(w), element by element; w of any shape, or (n,) if a parameter is given per mass."""
         # One division for the chain, products for the masses: a twentieth of a step's time.
         direction = jnp.tanh(relative_velocity * (1.0 / self.width))
         return -self.law.coefficient(jnp.abs(relative_velocity)) * direction
-
-    def force_and_slope(
-        self, relative_velocity: Float[ArrayLike, "..."]
-    ) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
-        """(F, dF/dw) at the price of one exp and one tanh, which value and derivative share.
-
-        F acts element by element, so one tangent of ones carries every slope.
-        """
-        w = jnp.asarray(relative_velocity)
-        return jax.jvp(self.force, (w,), (jnp.ones_like(w),))
 
     def stick_speed(self) -> PerMass:
         """The |w| of greatest friction, the end of the branch on which a mass sticks.
@@ -331,13 +369,10 @@ class TanhFriction(eqx.Module):
         return 0.5 * self.width * jnp.log(jnp.maximum(ratio, jnp.e))
 
     def numbers(self) -> dict[str, Any]:
-        """Those of the law by name, and `width`."""
         return {**self.law.numbers(), "width": self.width}
 
     def with_(self, **changes: Any) -> Any:
-        """A copy with other numbers, of the law or its width."""
-        width = changes.pop("width", self.width)
-        return TanhFriction(self.law.with_(**changes), width)
+        return self.law.with_(**{"width": self.width, **changes})
 
 
 def check_numbers(numbers: Mapping[str, Any]) -> None:

@@ -104,7 +104,7 @@ _FRICTION_ROWS = (
     Parameter(
         "width", "regularization width", r"\varepsilon", SPEED, sign="positive", required=True,
         usual=1e-3, meaning="Regularization width of the friction force, a speed.",
-        remedy="1e-3 is usual; the non-smooth limit is the business of an event-driven solver.",
+        remedy="1e-3 is usual; for dry friction give the law itself, or `width=None`.",
     ),
 )  # fmt: skip
 

@@ -18,8 +18,9 @@ from jaxtyping import Array, Bool, Complex, Float
 from .._types import PerMass
 from .chain import Chain
 
-# Belt speeds tried: from well inside the smoothed layer to where friction no longer changes.
-_LEAST_WIDTHS, _GREATEST_SPEED, _SPEEDS = 1e-2, 1e6, 1024
+# Belt speeds tried: from well inside the smoothed layer, or with dry friction from where no law
+# has weakened yet, to where friction no longer changes.
+_LEAST_WIDTHS, _LEAST_SPEED, _GREATEST_SPEED, _SPEEDS = 1e-2, 1e-11, 1e6, 1024
 # Singular values below this, relative to the greatest, belong to modes that cross together.
 _TOGETHER = 1e-8
 # What rounding may make of a sum of damping and weakening, relative to these.
@@ -39,12 +40,14 @@ def sliding_damping(chain: Chain, belt_speed: Float[Array, ""]) -> PerMass:
     """d = 2 xi - p F'(-v_d) of one mass, or of shape (n,): what damps steady sliding.
 
     With F' = dF/dw of the smoothed law, d = 2 xi + p [mu'(v_d) tanh(v_d / eps) + mu(v_d)
-    sech^2(v_d / eps) / eps]: weakening friction makes it negative.
+    sech^2(v_d / eps) / eps], or 2 xi + p mu'(v_d) with dry friction: weakening makes it negative.
 
     >>> from jaxchain import paper_chain
     >>> round(float(sliding_damping(paper_chain(), jnp.asarray(0.5))), 6)  # 0.1 - 1/e
     -0.267879
     """
+    if chain.dry:
+        return dry_damping(chain, belt_speed)
     _, slope = chain.friction.force_and_slope(-jnp.abs(belt_speed))
     return 2.0 * chain.damping_ratio - chain.load * slope
 
@@ -52,13 +55,18 @@ def sliding_damping(chain: Chain, belt_speed: Float[Array, ""]) -> PerMass:
 def dry_damping(chain: Chain, belt_speed: Float[Array, ""]) -> PerMass:
     """2 xi + p mu'(v_d), what `sliding_damping` would be without smoothing."""
     speed = jnp.abs(belt_speed)
-    _, slope = jax.jvp(chain.friction.law.coefficient, (speed,), (jnp.ones_like(speed),))
+    _, slope = jax.jvp(chain.law.coefficient, (speed,), (jnp.ones_like(speed),))
     return 2.0 * chain.damping_ratio + chain.load * slope
+
+
+def least_belt_speed(chain: Chain) -> Float[Array, ""]:
+    """The belt speed from which on to look for changes."""
+    return jnp.asarray(_LEAST_SPEED) if chain.dry else _LEAST_WIDTHS * jnp.min(chain.width)
 
 
 def belt_speed_grid(chain: Chain) -> Float[Array, " speeds"]:
     """1024 belt speeds, equally far apart in the logarithm, at which to look for changes."""
-    least = jnp.log(_LEAST_WIDTHS * jnp.min(chain.friction.width))
+    least = jnp.log(least_belt_speed(chain))
     return jnp.exp(jnp.linspace(least, jnp.log(_GREATEST_SPEED), _SPEEDS))
 
 
@@ -69,7 +77,8 @@ def damping_outweighs(chain: Chain) -> Bool[Array, ""]:
     (v^T v + x^T K x) / 2 falls at the rate sum_n v_n^2 (2 xi_n - p_n F'(w_n)) > 0, w_n some value
     between theirs.  So no motion but steady sliding goes on, whatever the belt speed is.
 
-    F' = -mu'(s) tanh(s / eps) - mu(s) sech^2(s / eps) / eps is bounded over each of the intervals
+    F' = -mu'(s) tanh(s / eps) - mu(s) sech^2(s / eps) / eps, or -mu'(s) with dry friction (whose
+    fall at w = 0 is but for the better), is bounded over each of the intervals
     between 1024 speeds s, which takes for granted that mu and mu' rise or fall, not both, within
     one, as they do for every law of this package but one: twice in all for
     `WeakeningStrengthening`, whose mu falls first and rises then, mu' rising.
@@ -78,23 +87,25 @@ def damping_outweighs(chain: Chain) -> Bool[Array, ""]:
     >>> [bool(damping_outweighs(paper_chain(1).with_(damping_ratio=xi))) for xi in (0.4, 0.6)]
     [False, True]
     """
-    friction, load = chain.friction, chain.load
     speeds = jnp.concatenate([jnp.zeros(1), belt_speed_grid(chain)])
 
     def sample(speed: Array) -> tuple[Array, Array, Array, Array]:
         own = jnp.full(chain.n, speed)
-        mu, slope = jax.jvp(friction.law.coefficient, (own,), (jnp.ones_like(own),))
-        ratio = own / friction.width
+        mu, slope = jax.jvp(chain.law.coefficient, (own,), (jnp.ones_like(own),))
+        if chain.dry:
+            return mu, slope, jnp.ones_like(own), jnp.zeros_like(own)
+        ratio = own / chain.width
         # 1 - tanh^2 would lose its digits, and cosh overflow.
         half = jnp.exp(-ratio)
-        return mu, slope, jnp.tanh(ratio), (2.0 * half / (1.0 + half**2)) ** 2 / friction.width
+        return mu, slope, jnp.tanh(ratio), (2.0 * half / (1.0 + half**2)) ** 2 / chain.width
 
     mu, slope, rise, peak = jax.vmap(sample)(speeds)
     least = jnp.minimum(slope[:-1], slope[1:])
     weakening = least * jnp.where(least < 0, rise[1:], rise[:-1])
     change = weakening + jnp.minimum(mu[:-1], mu[1:]) * peak[1:]
     damping = 2.0 * chain.damping_ratio
-    return jnp.all(damping + load * change > _ROUNDING * (damping + load * jnp.abs(least)))
+    weakest = damping + chain.load * change
+    return jnp.all(weakest > _ROUNDING * (damping + chain.load * jnp.abs(least)))
 
 
 def stiffness_matrix(chain: Chain) -> Float[Array, "n n"]:

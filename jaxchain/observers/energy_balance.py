@@ -30,7 +30,7 @@ class EnergyBalance(AbstractObserver):
     def update(self, accumulator: Any, step: Step) -> Any:
         gained, start, _ = accumulator
         field: Any = step.field
-        damping_ratio = getattr(field, "chain", field).damping_ratio
+        damping_ratio = field.damping_ratio
 
         def powers(t: Any, y: Any) -> Array:
             x, v = y

@@ -28,7 +28,6 @@ def animate(
     times: Any,
     states: Any,
     *,
-    dry: bool = False,
     masses: Any = None,
     frames_per_second: Any = 20,
 ) -> FuncAnimation:
@@ -39,10 +38,10 @@ def animate(
 
     **Arguments:**
 
+    - `chain`, of which `times` and `states` are a run, see `sticking`.
     - `times`: shape (frames,), dimensionless, increasing; each is one frame.
     - `states`: (x, v), each of shape (frames, n), or a `Simulation` that observed
       `Trajectory(times)`; for films that close see `loop`.
-    - `dry`: they come from `EventDriven` (see `sticking`).
     - `masses`: indices of those that are shown; by default up to eight around the liveliest.
 
     **Raises:** `ValueError` for wrong shapes, numbers that are not finite, and too few frames.
@@ -66,7 +65,7 @@ def animate(
         page = Figure(figsize=(PAGE_WIDTH, HEIGHT), layout="constrained")
         page.get_layout_engine().set(h_pad=0.02)  # pyright: ignore
         parts: Any = page.subplot_mosaic("AAA;BBC", height_ratios=(0.9, 1.0))
-        scene = Scene(parts["A"], chain, times, states, dry, shown)
+        scene = Scene(parts["A"], chain, times, states, shown)
         curves = Curves(parts["B"], parts["C"], chain, times, states, scene.sticks, shown)
         explain(parts["A"])
         page.draw_without_rendering()  # settles the layout once
@@ -93,7 +92,7 @@ def save_gif(animation: FuncAnimation, path: Any, dpi: Any = 100) -> Path:
 
 
 def film_strip(
-    chain: Any, times: Any, states: Any, *, stills: Any = 8, dry: bool = False, masses: Any = None
+    chain: Any, times: Any, states: Any, *, stills: Any = 8, masses: Any = None
 ) -> Figure:
     """Stills of `animate` below each other, from the first time on at equal distances.
 
@@ -112,7 +111,7 @@ def film_strip(
         page = Figure(figsize=(PAGE_WIDTH, 0.65 * stills), layout="constrained")
         panels = page.subplots(stills, 1, squeeze=False).ravel()
         for frame, axes in zip(picked, panels, strict=True):
-            Scene(axes, chain, times, states, dry, shown).show(int(frame))
+            Scene(axes, chain, times, states, shown).show(int(frame))
             axes.set_title(rf"$\tau$ = {times[frame]:.2f}", loc="right", pad=1.5)
         explain(panels[0])
     return page

@@ -24,11 +24,9 @@ _BELT, _SPRING, _COUPLING, _CEILING = -0.55, 0.72, 0.25, 1.45
 class Scene:
     """The masses, their springs and the belt, as artists that are moved from frame to frame."""
 
-    def __init__(
-        self, axes: Axes, chain: Chain, times: np.ndarray, states: Any, dry: bool, shown: list[int]
-    ):
+    def __init__(self, axes: Axes, chain: Chain, times: np.ndarray, states: Any, shown: list[int]):
         self.times, self.speed = times, float(chain.belt_speed)
-        self.sticks = sticking(chain, states, dry)[:, shown]
+        self.sticks = sticking(chain, states)[:, shown]
         self.x = states[0][:, shown]
         low, high = float(self.x.min()), float(self.x.max())
         swing = max(high - low, 0.5)

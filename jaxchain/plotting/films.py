@@ -16,25 +16,25 @@ from ..model.chain import Chain
 from ..observers.section import Section
 from ..observers.trajectory import Trajectory
 from ..simulation.run import Simulation, simulate
-from ..solvers.dry_friction import RESOLUTION, DryField
+from ..solvers.dry_friction import RESOLUTION
 
 LEAST_FRAMES = 2
 
 
-def sticking(chain: Chain, states: Any, dry: bool = False) -> np.ndarray:
+def sticking(chain: Chain, states: Any) -> np.ndarray:
     """Which masses stick, of the shape (times, n) of x and v: what `StickTime` adds up.
 
-    `dry`: the states are those of true dry friction (`EventDriven`), in which a mass sticks while
-    v = v_d; else of the smoothed law, where it sticks while |v - v_d| is below the speed of
-    greatest friction and the force on it, without friction, does not exceed p mu_st.
+    With dry friction a mass sticks while v = v_d; with smoothed friction while |v - v_d| is below
+    the speed of greatest friction and the force on it, without friction, does not exceed p mu_st.
+    States of a smoothed chain that `EventDriven` ran are those of `chain.with_(width=None)`.
     """
-    field = DryField(chain) if dry else chain
-    limit = field.stick_speed() + (RESOLUTION * (1.0 + jnp.abs(chain.belt_speed)) if dry else 0.0)
+    rounding = RESOLUTION * (1.0 + jnp.abs(chain.belt_speed)) if chain.dry else 0.0
+    limit = chain.stick_speed() + rounding
 
     @eqx.filter_jit
     def held(x: Any, v: Any) -> Any:
-        w, _ = field.switching(0.0, v)
-        return (jnp.abs(w) <= limit) & (field.unheld_force(x, v) <= 0)
+        w, _ = chain.switching(0.0, v)
+        return (jnp.abs(w) <= limit) & (chain.unheld_force(x, v) <= 0)
 
     x, v = (jnp.asarray(part) for part in states)
     return np.asarray(jax.vmap(held)(x, v))
@@ -65,10 +65,10 @@ def loop(
     back.
 
     ```python
-    chain = paper_chain(n=20, belt_speed=1.5)
-    last = simulate(chain, equation_8(chain, 3), 4000.0, solver=EventDriven()).state
-    times, states = loop(chain, last, solver=EventDriven())
-    save_gif(animate(chain, times, states, dry=True), "chain.gif")
+    chain = paper_chain(n=20, belt_speed=1.5, width=None)
+    last = simulate(chain, equation_8(chain, 3), 4000.0).state
+    times, states = loop(chain, last)
+    save_gif(animate(chain, times, states), "chain.gif")
     ```
     """
     as_chain(chain)

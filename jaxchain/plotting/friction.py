@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,22 +15,23 @@ from .style import BLUE, GREY, ORANGE
 
 
 def draw_friction(axes: Axes, chain: Chain) -> None:
-    """F / P over the relative velocity: dry, smoothed, and near v_rel = 0 both."""
-    friction = first_mass(chain.friction)
-    width, static = float(friction.width), float(friction.law.mu_static)
+    """F / P over the relative velocity: dry, and if it is, smoothed, near v_rel = 0 both."""
+    law, friction, width = first_mass((chain.law, chain.friction, chain.width))
+    width, static = float(width), float(law.mu_static)
     v_d = float(chain.belt_speed)
     reach = max(1.25 * abs(v_d), 5 * width, 1.0)
     w = np.linspace(0.0, reach, 400)
-    mu = np.asarray(friction.law.coefficient(jnp.asarray(w)))
+    mu = np.asarray(law.coefficient(jnp.asarray(w)))
     top = 1.28 * max(float(mu.max()), static, 1e-3)
     for sign in (-1.0, 1.0):
         label = "dry" if sign > 0 else None
         axes.plot(sign * w, -sign * mu, color=ORANGE, linewidth=2.6, label=label)
     axes.plot([0.0, 0.0], [-static, static], color=ORANGE, linewidth=2.6)
-    fine = np.concatenate([-w[::-1], np.linspace(-8 * width, 8 * width, 801), w])
-    fine.sort()
-    smooth = np.asarray(friction.force(jnp.asarray(fine)))
-    axes.plot(fine, smooth, color=BLUE, linewidth=1.0, label=f"$\\varepsilon$ = {width:g}")
+    if not chain.dry:
+        fine = np.concatenate([-w[::-1], np.linspace(-8 * width, 8 * width, 801), w])
+        fine.sort()
+        smooth = np.asarray(friction.force(jnp.asarray(fine)))
+        axes.plot(fine, smooth, color=BLUE, linewidth=1.0, label=f"$\\varepsilon$ = {width:g}")
     force = float(friction.force(jnp.asarray(-v_d)))
     axes.plot(
         -v_d, force, "s", color="white", markeredgecolor="black", markeredgewidth=0.9,
@@ -37,7 +40,7 @@ def draw_friction(axes: Axes, chain: Chain) -> None:
     axes.axhline(0.0, color=GREY, linewidth=0.5, zorder=0)
     axes.axvline(0.0, color=GREY, linewidth=0.5, zorder=0)
     ticks = {0.0: "0", static: r"$\mu_{st}$", -static: r"$-\mu_{st}$"}
-    dynamic = friction.law.numbers().get("mu_dynamic")
+    dynamic = law.numbers().get("mu_dynamic")
     if dynamic is not None and static - float(dynamic) > 0.12 * top:
         for sign in (1.0, -1.0):
             ticks[sign * float(dynamic)] = r"$\mu_d$" if sign > 0 else r"$-\mu_d$"
@@ -57,7 +60,8 @@ def draw_friction(axes: Axes, chain: Chain) -> None:
     axes.text(0.04 * reach, 0.06 * top, "stick", fontsize=6.5)
     below = float(jnp.interp(0.5 * reach, jnp.asarray(w), jnp.asarray(mu))) + 0.06 * top
     axes.text(0.5 * reach, -below, "slip", ha="center", va="top", fontsize=6.5)
-    _draw_layer(axes, friction, width, static)
+    if not chain.dry:
+        _draw_layer(axes, friction, width, static)
 
 
 def _draw_layer(axes: Axes, friction: TanhFriction, width: float, static: float) -> None:
@@ -76,6 +80,6 @@ def _draw_layer(axes: Axes, friction: TanhFriction, width: float, static: float)
     inset.tick_params(length=2, pad=1.5)
 
 
-def first_mass(friction: TanhFriction) -> TanhFriction:
-    """The law of mass 1, where parameters differ from mass to mass."""
-    return jax.tree.map(lambda a: a[0] if jnp.ndim(a) == 1 else a, friction)
+def first_mass(parameters: Any) -> Any:
+    """Those of mass 1, where they differ from mass to mass."""
+    return jax.tree.map(lambda a: a[0] if jnp.ndim(a) == 1 else a, parameters)

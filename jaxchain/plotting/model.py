@@ -37,7 +37,7 @@ def draw_model(chain: Any = None, masses: Any = 4, axes: Any = None) -> Figure:
     (a) Masses m on a belt that moves at v_d, each pressed down by P and tied to the ground by a
     spring k and a dashpot c, neighbours by springs k_c; a ring is closed by the dashed line.
     (b) F / P against v_rel = x' - v_d: the dry law with its set-valued segment |F| <= mu_st P at
-    v_rel = 0, the law of the chain smoothed over its width (magnified in the inset), and steady
+    v_rel = 0, the law as the chain smooths it, if it does (magnified in the inset), and steady
     sliding, v_rel = -v_d.  Drawn from the chain's own law, that of mass 1 if they differ.
 
     **Arguments:** `chain`, by default that of the paper; `masses`, how many of its masses are

@@ -53,6 +53,8 @@ def fit_linear_solve(
 
 
 USUAL_RTOL = 1e-6
+# Said where a dry chain is given an `accuracy`, the error of smoothing.
+NO_ACCURACY = "give `rtol` instead of `accuracy`, which picks a width, or "
 # A tolerance this many times below what tears a sticking mass off the belt is right to what it
 # promises, 10 times is too little (see `check_resolved`).
 _CLEAN, _LAYER, _NORM_MASSES = 30.0, 10.0, 20
@@ -146,7 +148,7 @@ def choose_numerics(chain: Chain, accuracy: Any) -> Numerics:
             f"is {accuracy}: it is a relative error. For less error use `EventDriven()`, which "
             "has no width."
         )
-    law = chain.friction.law
+    law = chain.law
     load = jnp.max(chain.load)
     zero = jnp.zeros_like(jnp.asarray(law.mu_static, float))
     _, slope = jax.jvp(law.coefficient, (zero,), (jnp.ones_like(zero),))
@@ -194,6 +196,6 @@ def check_resolved(
     raise ValueError(
         f"Arguments `rtol` = {rtol:g} and `atol` = {given:g} are too loose for a regularization "
         f"width of {least:g} at a belt speed of {per_speed:g}: errors of that size in a velocity "
-        f"tear sticking masses off the belt. Use {', or '.join(remedies)}, or a solver for the "
-        "non-smooth law."
+        f"tear sticking masses off the belt. Use {', or '.join(remedies)}, or dry "
+        "friction, a width of None."
     )

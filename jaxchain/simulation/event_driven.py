@@ -31,7 +31,16 @@ from ..model.chain import Chain
 from ..model.oscillators import AbstractOscillators
 from ..observers.base import AbstractObserver, Step
 from ..result import Result
-from ..solvers.dry_friction import STICK, DryField, Modes, Series, after, expand, next_event, start
+from ..solvers.dry_friction import (
+    STICK,
+    Modes,
+    Series,
+    after,
+    expand,
+    greatest_hold,
+    next_event,
+    start,
+)
 from ..solvers.taylor import value, value_and_slope
 from .plan import CHECKPOINTS, AbstractPlan, Progress, first_result
 
@@ -136,7 +145,7 @@ class EventDrivenPlan(AbstractPlan):
         progress = eqx.tree_at(lambda p: p.result, progress, result)
         return progress, [record.read() for record in records]
 
-    def _step(self, field: DryField, progress: Progress, end: Any) -> Progress:
+    def _step(self, field: Chain, progress: Progress, end: Any) -> Progress:
         """One step: to the next event, to the end of what the series can bear, or to `end`."""
         frozen = lax.stop_gradient
         modes, t0 = progress.memory.modes, progress.t
@@ -186,7 +195,7 @@ class EventDrivenPlan(AbstractPlan):
         )
 
     def _shifts(
-        self, field: DryField, series: Series, modes: Modes, t: Array, hits: Array,
+        self, field: Chain, series: Series, modes: Modes, t: Array, hits: Array,
         v: Array, acceleration: Array,
     ) -> tuple[Array, Array]:  # fmt: skip
         """One more Newton step to the events: nothing but rounding, and their whole derivative.
@@ -196,9 +205,9 @@ class EventDrivenPlan(AbstractPlan):
         implicit function theorem.
         """
         r, drift = value_and_slope(series.r, t)
-        w = v - field.chain.belt_speed
+        w = v - field.belt_speed
         slides = modes.direction != STICK
-        excess = jnp.where(slides, w, r - jnp.sign(r) * field.greatest_hold())
+        excess = jnp.where(slides, w, r - jnp.sign(r) * greatest_hold(field))
         rate = lax.stop_gradient(jnp.where(slides, acceleration, drift))
         usable = hits & (rate != 0)
         shifts = jnp.where(usable, -excess, 0.0) / jnp.where(usable, rate, 1.0)
@@ -218,7 +227,7 @@ class EventDrivenPlan(AbstractPlan):
 
 
 def _head_start(
-    field: DryField, state: State, modes: Modes, new: Modes, hits: Array, since: Array
+    field: Chain, state: State, modes: Modes, new: Modes, hits: Array, since: Array
 ) -> Array:
     """What masses that slide on through w = 0 have gained in speed `since` their own events.
 
@@ -228,7 +237,7 @@ def _head_start(
     """
     through = hits & (modes.direction != STICK) & (new.direction != STICK)
     speed = jnp.zeros_like(state[1])
-    friction = new.direction * field.chain.load * field.chain.friction.law.coefficient(speed)
+    friction = new.direction * field.load * field.law.coefficient(speed)
     gain = jnp.where(through, since * (field.free_force(*state) - friction), 0.0)
     return gain - lax.stop_gradient(gain)
 
@@ -269,10 +278,11 @@ class _Record(eqx.Module):
 
 
 class EventDriven(eqx.Module):
-    """The solver for true dry friction: `simulate(chain, initial, t1, solver=EventDriven())`.
+    """The solver for true dry friction, and the one that a dry chain has unless told otherwise.
 
-    It integrates the set-valued equations themselves; the width of the chain's friction has no
-    part in them.  Any number of masses may stick at once:
+    It integrates the set-valued equations themselves; of a smoothed chain
+    (`simulate(chain, initial, t1, solver=EventDriven())`) the width has no part in them.  Any
+    number of masses may stick at once:
 
         slip (w != 0):   x'' + 2 xi x' + K x = -p mu(|w|) sign(w),      w = x' - v_d
         stick (w = 0):   |2 xi v_d + K x| <= p mu_st
@@ -292,9 +302,9 @@ class EventDriven(eqx.Module):
         >>> import jax
         >>> jax.config.update("jax_enable_x64", True)
         >>> from jaxchain import EventDriven, StickTime, equation_8, paper_chain, simulate
-        >>> chain = paper_chain(n=1, belt_speed=1.0)
-        >>> cycle = simulate(chain, equation_8(chain, 1), 50.0, solver=EventDriven()).state
-        >>> period = simulate(chain, cycle, 6.4325, solver=EventDriven(), observe=StickTime())
+        >>> chain = paper_chain(n=1, belt_speed=1.0, width=None)
+        >>> cycle = simulate(chain, equation_8(chain, 1), 50.0).state
+        >>> period = simulate(chain, cycle, 6.4325, solver=EventDriven(12), observe=StickTime())
         >>> round(float(period.observed[0]), 3)  # so long of a period it sticks
         1.007
         >>> def sticks(stiffness):  # the gradient of a run of a period and a half
@@ -325,10 +335,23 @@ class EventDriven(eqx.Module):
         )
 
 
-def _dry(field: AbstractOscillators) -> DryField:
+def own_solver(chain: Any, solver: Any) -> Any:
+    """`solver`, or `EventDriven()` where none is given and friction is dry; None otherwise."""
+    if not (isinstance(chain, Chain) and chain.dry) or isinstance(solver, EventDriven):
+        return solver
+    if solver is None:
+        return EventDriven()
+    raise ValueError(
+        f"Argument `solver` is {solver!r}, but `chain` has dry friction, which only "
+        "`EventDriven()` integrates: leave out `solver`, or smooth the friction, "
+        "`chain.with_(width=1e-3)`."
+    )
+
+
+def _dry(field: AbstractOscillators) -> Chain:
     if not isinstance(field, Chain):
         raise ValueError(
             f"The event-driven solver needs a `Chain`, but has {type(field).__name__}. Use a "
             "structured or a stock solver for any other system."
         )
-    return DryField(field)
+    return field.with_(width=None)

@@ -23,13 +23,14 @@ from .._checks import (
 from .._derivatives import both_ways
 from .._types import ScalarLike, State
 from ..model.arguments import as_chain, as_state
-from ..model.chain import Chain
+from ..model.chain import Chain, require_smoothed
 from ..model.oscillators import AbstractOscillators
 from ..observers.base import AbstractObserver
 from ..observers.trajectory import Trajectory
 from ..result import NAMES, Result, code, ended_well, message
 from .accuracy import (
     MAX_STEP,
+    NO_ACCURACY,
     USUAL_RTOL,
     Numerics,
     check_resolved,
@@ -37,7 +38,7 @@ from .accuracy import (
     choose_solver,
     default_rtol,
 )
-from .event_driven import EventDriven
+from .event_driven import EventDriven, own_solver
 from .plan import CHECKPOINTS, AbstractPlan, Progress
 from .smoothed import SmoothedPlan
 
@@ -97,8 +98,9 @@ def simulate(
     - `t1`, `t0`: dimensionless times, t1 >= t0.
     - `observe`: an observer (`Amplitude`, `PeakTimes`, `Section`, `Trajectory`) or any nested
       tuple, list or dict of them.  Nothing else is computed or stored.
-    - `solver`: a structured solver (default, see `choose_solver`) or any diffrax solver, for the
-      smoothed friction; or `EventDriven()` for true dry friction, whatever the width.
+    - `solver`: None is `EventDriven()` for a chain with dry friction, and a structured solver (see
+      `choose_solver`) for any other; smoothed friction may take any diffrax solver, or
+      `EventDriven()`, which leaves out its width.
     - `accuracy`: the error that is allowed against true dry friction, relative to the greatest
       amplitude, for 30 time units from the start, and later of amplitudes that have `settled`
       (while masses start or stop to vibrate it may be a hundred times greater, see
@@ -133,9 +135,11 @@ def simulate(
         1
     """
     as_chain(chain, AbstractOscillators)
+    solver = own_solver(chain, solver)
     smoothed = not isinstance(solver, EventDriven)
     numerics = None
     if accuracy is not None:
+        require_smoothed(chain, NO_ACCURACY)
         if rtol is not None or not isinstance(chain, Chain):
             raise ValueError(
                 "Argument `accuracy` picks the width and `rtol` for a `Chain`: give either it or "
@@ -150,7 +154,7 @@ def simulate(
     if rtol is None:
         tolerance = USUAL_RTOL
         if smoothed and isinstance(chain, Chain):
-            tolerance = default_rtol(chain.n, chain.friction.width, chain.belt_speed)
+            tolerance = default_rtol(chain.n, chain.width, chain.belt_speed)
     initial = _check_input(
         chain, initial, t0, t1, tolerance, atol, max_step, max_steps, segments, smoothed
     )
@@ -291,7 +295,7 @@ def _check_input(
     check_span(t0, t1)
     check_tolerances(rtol, atol, max_step)
     if isinstance(chain, Chain) and smoothed:
-        check_resolved(chain.n, chain.friction.width, chain.belt_speed, rtol, atol)
+        check_resolved(chain.n, chain.width, chain.belt_speed, rtol, atol)
     check_count("max_steps", max_steps)
     check_count("segments", segments)
     return as_state(chain, initial, t0=t0)

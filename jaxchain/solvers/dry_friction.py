@@ -20,10 +20,9 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from .._types import PerMass, ScalarLike, State
+from .._types import PerMass, State
 from ..model.chain import Chain
-from ..model.oscillators import AbstractOscillators
-from ..model.springs import Springs, materialize
+from ..model.springs import materialize
 from .taylor import first_exit
 from .taylor_arithmetic import CLEARANCE, composed
 
@@ -37,50 +36,9 @@ _FAR = 1e100
 _SLACK = 1e-13
 
 
-class DryField(AbstractOscillators):
-    """The vector field of a chain with dry friction, for masses that slide."""
-
-    chain: Chain
-    springs: Springs | None
-
-    def __init__(self, chain: Chain):
-        self.chain, self.springs = chain, chain.springs
-
-    def can_hold(self, force: Float[Array, " n"]) -> Bool[Array, " n"]:
-        """Whether friction can keep masses on the belt against this force."""
-        return jnp.abs(force) <= self.greatest_hold()
-
-    def greatest_hold(self) -> PerMass:
-        """p mu_st, and a little more: see `_SLACK`."""
-        return self.chain.greatest_hold() * (1.0 + _SLACK)
-
-    def local_force(
-        self, t: ScalarLike, x: Float[Array, " n"], v: Float[Array, " n"]
-    ) -> Float[Array, " n"]:
-        """-sign(w) p mu(|w|) - 2 xi v."""
-        del t, x
-        w = v - self.chain.belt_speed
-        friction = jnp.sign(w) * self.chain.load * self.chain.friction.law.coefficient(jnp.abs(w))
-        return -friction - 2.0 * self.chain.damping_ratio * v
-
-    def stiffness_diagonal(self, n: int) -> PerMass:
-        return self.chain.stiffness_diagonal(n)
-
-    def switching(self, t: ScalarLike, v: Float[Array, " n"]) -> tuple[Array, PerMass]:
-        """(v - v_d, 0)."""
-        del t
-        return v - self.chain.belt_speed, jnp.zeros(())
-
-    def belt_direction(self) -> ScalarLike:
-        return self.chain.belt_direction()
-
-    def stick_speed(self) -> PerMass:
-        """0: a mass sticks or it does not."""
-        return jnp.zeros(())
-
-    def free_force(self, x: Float[Array, " n"], v: Float[Array, " n"]) -> Float[Array, " n"]:
-        """r = -2 xi v - k x + C x."""
-        return self.restoring_force(x) - 2.0 * self.chain.damping_ratio * v
+def greatest_hold(chain: Chain) -> PerMass:
+    """p mu_st, and a little more: see `_SLACK`."""
+    return chain.greatest_hold() * (1.0 + _SLACK)
 
 
 class Modes(eqx.Module):
@@ -102,23 +60,22 @@ class Series(eqx.Module):
     r: list[Array]
 
 
-def expand(field: DryField, state: State, modes: Modes, order: int) -> Series:
+def expand(chain: Chain, state: State, modes: Modes, order: int) -> Series:
     """The motion as a Taylor series up to `order`, every mass in its mode.
 
     v_{k+1} = (r_k - direction p m_k) / (k + 1),   x_{k+1} = v_k / (k + 1),
 
     with m_k the coefficients of mu(direction (v - v_d)).
     """
-    chain = field.chain
-    law, load = chain.friction.law, chain.load
+    law, load = chain.law, chain.load
     direction = modes.direction
     slides = direction != STICK
     n = direction.shape[0]
-    damping, stiffness = 2.0 * chain.damping_ratio, field.stiffness_diagonal(n)
+    damping, stiffness = 2.0 * chain.damping_ratio, chain.stiffness_diagonal(n)
     x, v = [state[0]], [state[1]]
     speed = [direction * (v[0] - chain.belt_speed)]
     # What the next terms are made of is computed once: see `materialize`.
-    springs = field.springs
+    springs = chain.springs
     pull: Any = 0.0 if springs is None else springs.product(x[0])  # C x_k
     pull_of_v: Any = 0.0 if springs is None else springs.product(v[0])  # C v_k
     friction = composed(law.coefficient, speed, piecewise=law.knots is not None)
@@ -142,28 +99,28 @@ def expand(field: DryField, state: State, modes: Modes, order: int) -> Series:
     return Series(x, v, r)
 
 
-def start(field: DryField, state: State) -> tuple[State, Modes]:
+def start(chain: Chain, state: State) -> tuple[State, Modes]:
     """The state, with masses at the belt's speed exactly there, and what every mass does in it."""
     x, v = state
-    speed = field.chain.belt_speed
+    speed = chain.belt_speed
     w = v - speed
     touching = jnp.abs(w) <= RESOLUTION * (1.0 + jnp.abs(speed))
     state = (x, jnp.where(touching, speed, v))
     resting = Modes(jnp.sign(w), jnp.zeros(x.shape, int))
-    return state, _met(field, state, resting, touching, jnp.zeros_like(touching))
+    return state, _met(chain, state, resting, touching, jnp.zeros_like(touching))
 
 
-def _met(field: DryField, state: State, modes: Modes, lands: Array, releases: Array) -> Modes:
+def _met(chain: Chain, state: State, modes: Modes, lands: Array, releases: Array) -> Modes:
     """The modes after some masses have come to w = 0 and others have been released from it."""
-    r = field.free_force(*state)
-    sticks = lands & field.can_hold(r)
+    r = chain.free_force(*state)
+    sticks = lands & (jnp.abs(r) <= greatest_hold(chain))
     direction = jnp.where(lands | releases, jnp.sign(r), modes.direction)
     contact = jnp.where(lands, 1, jnp.where(releases, 2, modes.contact))
     return Modes(jnp.where(sticks, STICK, direction), jnp.where(sticks, 0, contact))
 
 
 def after(
-    field: DryField, state: State, modes: Modes, hits: Bool[Array, " n"], moved: Bool[Array, ""]
+    chain: Chain, state: State, modes: Modes, hits: Bool[Array, " n"], moved: Bool[Array, ""]
 ) -> tuple[State, Modes]:
     """State and modes after a step at whose end the masses in `hits` have their events.
 
@@ -171,23 +128,21 @@ def after(
     """
     lands = hits & (modes.direction != STICK)
     x, v = state
-    state = (x, jnp.where(lands, field.chain.belt_speed, v))
+    state = (x, jnp.where(lands, chain.belt_speed, v))
     modes = Modes(modes.direction, jnp.where(moved, 0, modes.contact))
-    return state, _met(field, state, modes, lands, hits & ~lands)
+    return state, _met(chain, state, modes, lands, hits & ~lands)
 
 
-def next_event(
-    field: DryField, series: Series, modes: Modes, length: Array
-) -> tuple[Array, Array]:
+def next_event(chain: Chain, series: Series, modes: Modes, length: Array) -> tuple[Array, Array]:
     """(time for which all masses keep their modes, which of them have an event then).
 
     It ends, with no event, where a mass slides past a knot of the friction law: there begins
     another series.
     """
-    length = jnp.minimum(length, _next_knot(field, series, modes, length))
+    length = jnp.minimum(length, _next_knot(chain, series, modes, length))
     direction, contact = modes.direction, modes.contact
     slides = direction != STICK
-    w = [direction * c for c in (series.v[0] - field.chain.belt_speed, *series.v[1:])]
+    w = [direction * c for c in (series.v[0] - chain.belt_speed, *series.v[1:])]
     # A mass that has just left w = 0 returns to it where w / t or w / t^2 vanishes.
     padded = [*w, jnp.zeros_like(w[0]), jnp.zeros_like(w[0])]
     left = [
@@ -195,8 +150,8 @@ def next_event(
         for a, b, c in zip(w, padded[1:], padded[2:], strict=False)
     ]
     watched = [jnp.where(slides, a, b) for a, b in zip(left, series.r, strict=True)]
-    hold = field.greatest_hold()
-    speed = 1.0 + jnp.abs(field.chain.belt_speed)
+    hold = greatest_hold(chain)
+    speed = 1.0 + jnp.abs(chain.belt_speed)
     until, exits = first_exit(
         watched,
         jnp.where(slides, 0.0, -hold),
@@ -208,17 +163,17 @@ def next_event(
     return first, exits & (until <= first)
 
 
-def _next_knot(field: DryField, series: Series, modes: Modes, length: Array) -> Array:
+def _next_knot(chain: Chain, series: Series, modes: Modes, length: Array) -> Array:
     """The time for which no mass slides past a knot of its friction law, at most `length`.
 
     The masses go beyond it by what the series of friction looks ahead, twice: what this makes
     wrong is its square, and none of them is left between two pieces.
     """
-    given = field.chain.friction.law.knots
+    given = chain.law.knots
     knots = jnp.asarray(() if given is None else given, float)
     if knots.size == 0:
         return length
-    w = [jnp.abs(series.v[0] - field.chain.belt_speed)]
+    w = [jnp.abs(series.v[0] - chain.belt_speed)]
     w += [modes.direction * v for v in series.v[1:]]
     ahead = CLEARANCE * (1.0 + w[0])
     n = w[0].size

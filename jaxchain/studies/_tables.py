@@ -52,11 +52,16 @@ class BaseTable(Table):
         return self
 
     def chain(
-        self, n: int, belt_speed: float = 1.0, *, width: float, coupling: float | None = None
+        self,
+        n: int,
+        belt_speed: float = 1.0,
+        *,
+        width: float | None = None,
+        coupling: float | None = None,
     ) -> Chain:
-        """A ring of `n` of these masses."""
+        """A ring of `n` of these masses, with dry friction unless there is a width."""
         from jaxchain.model.chain import Chain
-        from jaxchain.model.friction import ExponentialDecay, TanhFriction
+        from jaxchain.model.friction import ExponentialDecay
 
-        law = ExponentialDecay(self.mu_static, self.mu_dynamic, self.v_ref)
-        return Chain(n, TanhFriction(law, width), belt_speed, self.damping_ratio, coupling)
+        law = ExponentialDecay(self.mu_static, self.mu_dynamic, self.v_ref).with_(width=width)
+        return Chain(n, law, belt_speed, self.damping_ratio, coupling)

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._checks import check_finite
-from ..model.chain import Chain
+from ..model.chain import Chain, require_smoothed
 from ..observers.amplitude import Amplitude
 from ..observers.base import AbstractObserver, Variable
 from ..observers.trajectory import Trajectory
@@ -47,6 +47,8 @@ def check_axes(
     names = [name for columns in axes.values() for name in columns]
     for dim, columns in axes.items():
         for name in columns:
+            if name == "width" and name not in own:
+                require_smoothed(chain, "to sweep `width` ")
             if name not in [*numbers, *own]:
                 raise ValueError(
                     f"Argument `over` names {name!r}, which is neither a number of the chain nor "

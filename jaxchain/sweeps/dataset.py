@@ -63,11 +63,12 @@ def describe(
         "n": chain.n,
         "ends": chain.ends,
         **{name: getattr(chain, name) for name in CHAIN},
-        "friction_law": type(chain.friction.law).__name__,
+        "friction_law": type(chain.law).__name__,
         **chain.friction.numbers(),
+        "width": chain.numbers().get("width"),
     }
-    if isinstance(chain.friction.law, TabulatedFriction):
-        parameters["friction_table"] = chain.friction.law.table
+    if isinstance(chain.law, TabulatedFriction):
+        parameters["friction_table"] = chain.law.table
     for name in swept:
         if name in parameters:
             parameters[name] = "swept"

@@ -31,18 +31,19 @@ from .._checks import (
 )
 from .._types import ScalarLike, State
 from ..model.arguments import as_chain
-from ..model.chain import Chain
+from ..model.chain import Chain, require_smoothed
 from ..model.parameters import parameter
 from ..result import NAMES, ended_well, message
 from ..simulation.accuracy import (
     MAX_STEP,
+    NO_ACCURACY,
     USUAL_RTOL,
     check_resolved,
     choose_numerics,
     choose_solver,
     default_rtol,
 )
-from ..simulation.event_driven import EventDriven
+from ..simulation.event_driven import EventDriven, own_solver
 from ..simulation.run import build_plan
 from .axes import check_axes, check_observers, check_vary
 from .axes import jobs as jobs_of
@@ -154,6 +155,7 @@ def sweep(
     remedy = "for other oscillators use `jax.vmap` of `simulate`, with `throw=False`."
     chain = as_chain(chain, remedy=remedy)
     check_span(t0, t1)
+    solver = own_solver(chain, solver)
     axes = check_axes(chain, initial, over, vary)
     jobs = jobs_of(axes)
     swept = list(jobs)
@@ -162,13 +164,14 @@ def sweep(
     smoothed = not isinstance(solver, EventDriven)
     widths = None
     if accuracy is not None:
+        require_smoothed(chain, NO_ACCURACY)
         if rtol is not None or "width" in jobs:
             raise ValueError(
                 "Argument `accuracy` picks the width and `rtol`: leave out `rtol`, and `width` of "
                 "`over`."
             )
         widths, rtol = _numerics(chain, vary, jobs, accuracy)
-    width: Any = jobs.get("width", chain.friction.width)
+    width: Any = jobs.get("width", chain.width)
     speed: Any = jobs.get("belt_speed", chain.belt_speed)
     tolerance: Any = rtol
     if rtol is None:

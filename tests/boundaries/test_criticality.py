@@ -92,7 +92,7 @@ def balanced(chain, speed, omega, shape, amplitude):
     n, m = chain.n, POINTS
     xi = np.broadcast_to(chain.damping_ratio, n)
     load = np.broadcast_to(1.0 if chain.normal_load is None else chain.normal_load, n)
-    law, width = chain.friction.law, float(chain.friction.width)
+    law, width = chain.law, float(chain.width)
     K = np.diag(np.broadcast_to(chain.stiffness, n))
     for i in range(n if n > 1 else 0):
         stretch = np.eye(n)[i] - np.eye(n)[(i + 1) % n]

@@ -216,7 +216,7 @@ def test_vibration_survives_below_and_dies_above(paper):
     def later(shift):
         chain = paper_chain(n=1, belt_speed=1.5).with_(belt_speed=paper.belt_speed + shift)
         end = simulate(chain, (x, v + shift), 600.0, solver=EventDriven()).state
-        return jnp.hypot(end[1][0], end[0][0] - chain.friction.law.coefficient(chain.belt_speed))
+        return jnp.hypot(end[1][0], end[0][0] - chain.law.coefficient(chain.belt_speed))
 
     amplitude = later(jnp.array([-1e-4, 1e-4]))
     assert amplitude[0] > 0.9 * paper.belt_speed

@@ -34,7 +34,7 @@ def mistuned(n, seed=0, **changes):
 
 def abscissa(chain, belt_speed):
     """The greatest real part of the eigenvalues, from the formulas, by NumPy."""
-    n, friction, law = chain.n, chain.friction, chain.friction.law
+    n, friction, law = chain.n, chain.friction, chain.law
     width, v_ref = np.asarray(friction.width), np.asarray(law.v_ref)
     decaying = np.asarray(law.mu_static - law.mu_dynamic) * np.exp(-belt_speed / v_ref)
     direction = np.tanh(belt_speed / width)

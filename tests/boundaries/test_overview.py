@@ -212,7 +212,7 @@ def test_the_dry_slip_branch_is_the_limit_of_the_smoothed_one(branch):
     # It separates what comes to rest from what goes on to vibrate.
     middle = 12
     chain = paper_chain(1, dry.belt_speed[middle])
-    x0 = chain.friction.law.coefficient(chain.belt_speed)
+    x0 = chain.law.coefficient(chain.belt_speed)
     for share, survives in ((0.9, False), (1.1, True)):  # its centre is not quite x0
         start = jnp.reshape(x0 - share * dry.amplitude[middle], (1,)), jnp.zeros(1)
         end = simulate(

@@ -41,7 +41,7 @@ def apart(belt_speed):
 
 def resting_rate(chain):
     """Real part of the eigenvalues of one mass that slides: -xi + mu-slope / 2."""
-    law, speed = chain.friction.law, chain.belt_speed
+    law, speed = chain.law, chain.belt_speed
     drop = (law.mu_static - law.mu_dynamic) / law.v_ref * jnp.exp(-speed / law.v_ref)
     return float(-chain.damping_ratio + 0.5 * drop)
 

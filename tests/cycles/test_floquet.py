@@ -21,11 +21,9 @@ from jaxchain.model.springs import Springs
 
 def variational(chain, state, period):
     """(end, M, integral of tr J) by DOP853 from scratch, one mass."""
-    law = chain.friction.law
+    law = chain.law
     high, low, v0 = (float(a) for a in (law.mu_static, law.mu_dynamic, law.v_ref))
-    xi, belt, eps = (
-        float(a) for a in (chain.damping_ratio, chain.belt_speed, chain.friction.width)
-    )
+    xi, belt, eps = (float(a) for a in (chain.damping_ratio, chain.belt_speed, chain.width))
 
     def field(t, y):
         x, v, a, b, c, d, _ = y

@@ -18,11 +18,9 @@ from jaxchain.model.initial_states import release_state
 
 def right_side(chain):
     """(x, v, columns of M) of one mass, in plain floats."""
-    law = chain.friction.law
+    law = chain.law
     high, low, v0 = (float(a) for a in (law.mu_static, law.mu_dynamic, law.v_ref))
-    xi, belt, eps = (
-        float(a) for a in (chain.damping_ratio, chain.belt_speed, chain.friction.width)
-    )
+    xi, belt, eps = (float(a) for a in (chain.damping_ratio, chain.belt_speed, chain.width))
 
     def field(t, y):
         x, v, a, b, c, d = y

@@ -20,7 +20,7 @@ from jaxchain.model.chain import paper_chain
 # Second looks, or minutes of compilation: not in every run of the tests.
 pytestmark = pytest.mark.long
 
-ONE = paper_chain(n=1)
+ONE = paper_chain(n=1, width=None)
 TRUE = jnp.array([1.0, 0.5, 0.5, 0.05])
 START = jnp.array([1.2, 0.6, 0.7, 0.07])
 SPEEDS, SLIDING = jnp.array([0.6, 0.9, 1.2, 1.5]), jnp.array([2.0, 2.5])
@@ -156,7 +156,6 @@ def test_bad_measurements_are_named(arguments, message):
     ("options", "message"),
     [
         ({"measurements": 1.0}, "`measurements` must be a `Measurements`"),
-        ({"friction": "wet"}, '"dry" or "smoothed"'),
         ({"steps": 0}, "`steps` must be"),
         ({"steps": None}, "`steps` must be an integer"),
         ({"start": ()}, "`start` must hold"),
@@ -235,7 +234,7 @@ def test_intervals_cover_the_truth_as_often_as_they_promise():
 def test_a_smoothed_model_of_dry_data_is_wrong_by_more_than_its_intervals_say():
     """At width 0.02 the bias of the model exceeds noise of 0.002, and chi^2 says so."""
     exact = measured(prediction(TRUE), noise=0.002)
-    found = identify(ONE.with_(width=0.02), change, TRUE, exact, friction="smoothed")
+    found = identify(ONE.with_(width=0.02), change, TRUE, exact)
     assert found.successful
     distance = abs(found.theta - TRUE) / found.standard_errors
     assert float(distance.max()) > 4.0

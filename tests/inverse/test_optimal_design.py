@@ -16,7 +16,7 @@ from jaxchain.result import SearchResult
 # Second looks, or minutes of compilation: not in every run of the tests.
 pytestmark = pytest.mark.long
 
-ONE = paper_chain(n=1)
+ONE = paper_chain(n=1, width=None)
 START = jnp.array([0.05, 0.5])
 PAPER_FOLD, PAPER_HOPF = 1.836600972208, np.log(10.0) / 2
 
@@ -142,7 +142,6 @@ def test_a_start_whose_boundary_is_not_known_does_not_pretend_to_converge():
         ({"width_below": 0.3, "highest_below": 1.0}, "One of the arguments"),
         ({"width_below": -0.3}, "`width_below` must be positive"),
         ({"highest_below": [1.0, 2.0]}, "`highest_below` must be one number"),
-        ({"width_below": 0.3, "friction": "wet"}, '"dry" or "smoothed"'),
         ({"width_below": 0.3, "vibrating": 1}, "`vibrating` must be the index"),
         ({"width_below": 0.3, "steps": 0}, "`steps` must be"),
         ({"width_below": 0.3, "steps": None}, "`steps` must be an integer"),
@@ -192,11 +191,11 @@ def test_one_program_designs_for_many_aims(halved):
 def test_a_design_with_smoothed_friction_is_off_by_what_the_width_costs():
     """The bias of the boundary goes into the design; dry friction still vibrates there."""
     smooth = ONE.with_(width=1e-2)
-    found = design(smooth, change, START, highest_below=1.5, friction="smoothed")
+    found = design(smooth, change, START, highest_below=1.5)
     assert found.successful
     assert float(found.range.fold) == pytest.approx(1.5, abs=1e-6)
     assert float(found.angle) < 1e-4
-    dry = float(bistable_range(found.chain).fold)
+    dry = float(bistable_range(found.chain.with_(width=None)).fold)
     assert 0.02 < dry - 1.5 < 0.06
     assert try_boundary(found.chain, 1.5).vibrates.all()
     assert try_boundary(found.chain, dry).holds
@@ -205,7 +204,7 @@ def test_a_design_with_smoothed_friction_is_off_by_what_the_width_costs():
 @pytest.mark.exhaustive
 def test_mistuned_neighbours_lower_the_fold_of_the_mass_between_them():
     """Three masses: the fold of the second, moved by stiffness and damping of all."""
-    three = paper_chain(n=3).with_(
+    three = paper_chain(n=3, width=None).with_(
         coupling=0.02, damping_ratio=jnp.full(3, 0.05), stiffness=jnp.ones(3)
     )
 

@@ -14,7 +14,6 @@ from jaxchain.observers.quantities import active
 from jaxchain.result import Result
 from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.simulation.run import simulate
-from jaxchain.solvers.rosenbrock import Rodas4
 
 
 def by_hand(amplitude, threshold, middle):
@@ -142,7 +141,7 @@ def crooked_block(chain):
 @pytest.fixture(scope="module")
 def measured():
     """Four rings at once: slow belt, its mirror image, faster belt, and one that fails."""
-    chain = paper_chain(n=N)
+    chain = paper_chain(n=N, width=None)
 
     @jax.jit
     @jax.vmap
@@ -196,9 +195,7 @@ def test_a_track_agrees_with_amplitudes_of_its_windows(measured):
 @pytest.mark.long
 def test_smoothed_friction_takes_the_fronts_the_same_way(measured):
     chain = paper_chain(n=N, belt_speed=1.05)
-    found = front_speed(
-        chain, crooked_block(chain), TIME, transient=40.0, windows=WINDOWS, solver=Rodas4()
-    )
+    found = front_speed(chain, crooked_block(chain), TIME, transient=40.0, windows=WINDOWS)
     assert found.outcome == "grows"
     np.testing.assert_allclose(found.speed, measured.speed[0], rtol=0.05)
 
@@ -210,7 +207,7 @@ def test_fronts_come_unstuck_between_two_belt_speeds(measured):
     def block(chain):
         return excited_state(chain, BLOCK, block="centred")
 
-    chain = paper_chain(n=N)
+    chain = paper_chain(n=N, width=None)
     both = jnp.array([[1.5, 1.05], [1.05, 1.5]])
     found = jax.jit(
         jax.vmap(

@@ -122,8 +122,8 @@ def test_every_number_of_a_chain_is_differentiable_and_vmappable():
 def test_with_changes_numbers_of_chain_and_friction():
     chain = paper_chain(3).with_(belt_speed=0.4, width=0.2, mu_static=1.5, coupling=None)
     assert float(chain.belt_speed) == 0.4
-    assert float(chain.friction.width) == 0.2
-    law = chain.friction.law
+    assert float(chain.width) == 0.2
+    law = chain.law
     assert isinstance(law, ExponentialDecay)
     assert (float(law.mu_static), float(law.mu_dynamic)) == (1.5, 0.5)
     assert chain.coupling is None

@@ -22,13 +22,13 @@ from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.simulation.run import Simulation, simulate
 
 FRAMES = 64
-ONE = paper_chain(n=1, belt_speed=1.0)
-DRY = EventDriven(order=6)  # compiles quickly
+ONE = paper_chain(n=1, belt_speed=1.0, width=None)
+QUICK = EventDriven(order=6)  # compiles quickly
 
 
-def made_up(n, frames=24, belt_speed=1.0):
+def made_up(n, frames=24, belt_speed=1.0, width=None):
     """A film of n masses in a circle of the phase plane, which closes, and is no solution."""
-    chain = paper_chain(n=n, belt_speed=belt_speed)
+    chain = paper_chain(n=n, belt_speed=belt_speed, width=width)
     times = 2 * np.pi * np.arange(frames) / frames
     phase = times[:, None] + np.pi * np.arange(n)
     return chain, times, (0.5 + np.cos(phase), -np.sin(phase))
@@ -37,7 +37,7 @@ def made_up(n, frames=24, belt_speed=1.0):
 @pytest.fixture(scope="module")
 def cycle():
     """One period of one mass with true dry friction, let go where |2 xi v_d + x| = mu_st."""
-    return loop(ONE, (jnp.array([0.9]), jnp.array([1.0])), frames=FRAMES, solver=DRY)
+    return loop(ONE, (jnp.array([0.9]), jnp.array([1.0])), frames=FRAMES, solver=QUICK)
 
 
 def slips(t, state):
@@ -72,7 +72,7 @@ def test_a_loop_closes_after_one_period(cycle):
 
 def test_frames_that_stick_add_up_to_the_time_of_sticking(cycle):
     times, (x, v) = cycle
-    stuck = sticking(ONE, (x, v), dry=True)
+    stuck = sticking(ONE, (x, v))
     _, landing = slip_phase()
     # One frame at either end.
     assert stuck.sum() * times[1] == pytest.approx(0.9 - landing, abs=times[1])
@@ -89,7 +89,12 @@ def test_a_mass_of_the_smoothed_law_sticks_if_it_is_slow_and_held():
     v = 1.0 + limit * np.array([0.0, -0.99, 1.01, -1.01, 0.0, 0.0, 0.0, 0.0])[:, None]
     expected = [True, True, False, False, True, False, True, False]
     assert sticking(chain, (x, v))[:, 0].tolist() == expected
-    assert sticking(chain, (x, v), dry=True)[:, 0].tolist()[:4] == [True, False, False, False]
+    assert sticking(chain.with_(width=None), (x, v))[:, 0].tolist()[:4] == [
+        True,
+        False,
+        False,
+        False,
+    ]
 
 
 @pytest.mark.long
@@ -111,17 +116,17 @@ def test_frames_of_the_smoothed_law_add_up_to_its_stick_time():
 
 def test_a_loop_of_what_rests_or_does_not_come_back_is_refused():
     with pytest.raises(RuntimeError, match="does not turn twice"):
-        loop(ONE, steady_sliding(ONE), solver=DRY, longest=0.1)
+        loop(ONE, steady_sliding(ONE), solver=QUICK, longest=0.1)
     fast = ONE.with_(belt_speed=2.5)  # beyond the fold every vibration decays
     with pytest.raises(RuntimeError, match="Let the transient pass"):
-        loop(fast, (jnp.array([2.5]), jnp.array([0.0])), solver=DRY, longest=15.0)
+        loop(fast, (jnp.array([2.5]), jnp.array([0.0])), solver=QUICK, longest=15.0)
 
 
-def artists(dry=True, n=3, frames=24, belt_speed=1.0):
-    chain, times, states = made_up(n, frames, belt_speed)
-    page = film_strip(chain, times, states, stills=1, dry=dry)
+def artists(width=None, n=3, frames=24, belt_speed=1.0):
+    chain, times, states = made_up(n, frames, belt_speed, width)
+    page = film_strip(chain, times, states, stills=1)
     shown = list(range(n))
-    scene = Scene(page.axes[0], chain, times, states, dry, shown)
+    scene = Scene(page.axes[0], chain, times, states, shown)
     return scene, (times, states)
 
 
@@ -194,7 +199,7 @@ def test_points_run_along_their_curves_and_a_loop_is_drawn_closed():
 
 def test_a_gif_opens_with_every_frame_and_is_small(tmp_path):
     chain, times, states = made_up(2, frames=8)
-    film = animate(chain, times, states, dry=True, frames_per_second=10)
+    film = animate(chain, times, states, frames_per_second=10)
     path = save_gif(film, tmp_path / "film.gif", dpi=50)
     with Image.open(path) as picture:
         assert picture.n_frames == 8  # pyright: ignore[reportAttributeAccessIssue]

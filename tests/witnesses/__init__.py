@@ -84,10 +84,8 @@ def numbers(
 
 def numbers_of(chain: Any) -> Numbers:
     """The numbers of a `jaxchain.Chain`, whose regularization width plays no part here."""
-    law: dict[str, Any] = {
-        name: np.asarray(value) for name, value in vars(chain.friction.law).items()
-    }
-    law.setdefault("mu_static", np.asarray(chain.friction.law.mu_static))  # Coulomb's is mu_d
+    law: dict[str, Any] = {name: np.asarray(value) for name, value in vars(chain.law).items()}
+    law.setdefault("mu_static", np.asarray(chain.law.mu_static))  # Coulomb's is mu_d
     return numbers(
         chain.n,
         belt_speed=float(chain.belt_speed),

@@ -25,8 +25,8 @@ from jaxchain.simulation.run import simulate
 from jaxchain.studies.boundaries.table import Study
 
 VARIED = ("damping_ratio", "mu_static", "width")
-# A width without effect on a boundary, and belt speeds of the dry stick-slip branch.
-_NO_WIDTH, _DRY_SPEEDS = 1e-9, 40
+# Belt speeds of the dry stick-slip branch.
+_DRY_SPEEDS = 40
 # The sticking cycle attracts within a period, and one is measured.
 _TRANSIENT, _WINDOW = 60.0, 20.0
 
@@ -95,7 +95,7 @@ def ring_curve(study: Study) -> xr.Dataset:
 def _boundaries(chain: Chain, fold: Array) -> dict[str, Array]:
     return {
         "hopf": hopf_belt_speed(chain),
-        "hopf_nonsmooth": hopf_belt_speed(chain.with_(width=_NO_WIDTH)),
+        "hopf_nonsmooth": hopf_belt_speed(chain.with_(width=None)),
         "fold": fold,
         "fold_nonsmooth": nonsmooth_fold_belt_speed(chain),
     }

@@ -51,7 +51,7 @@ def solve(
         return simulate(
             chain, tuple(state), t1, rtol=max(rtol, 1e-11), solver=EventDriven(), **options
         )
-    rtol = default_rtol(chain.n, chain.friction.width, chain.belt_speed, rtol, clean=60.0)
+    rtol = default_rtol(chain.n, chain.width, chain.belt_speed, rtol, clean=60.0)
     return simulate(chain, tuple(state), t1, rtol=rtol, **options)
 
 

@@ -30,7 +30,6 @@ from jaxchain.observers.amplitude import Amplitude
 from jaxchain.observers.fronts import Fronts, FrontTrack
 from jaxchain.result import Result
 from jaxchain.scenes.tables import array
-from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.simulation.run import simulate
 from jaxchain.studies._study import Job
 from jaxchain.studies.fronts.table import Study
@@ -43,8 +42,6 @@ NOISE = 0.1
 _WINDOW, _WINDOWS = 6.6, 150
 NUMBERS = ("speed", "error", "right", "left", "moved", "verdict")
 PATTERNS = ["alternating", "in-phase"]
-# Sliding beyond the width of the friction law: dry friction, for what takes it from the chain.
-_WIDTH = 1e-3
 # Masses that a front passes before it is taken to have settled, and the share of the run at most.
 _PASSED, _SHARE = 2.0, 0.2
 _CURVE = 41
@@ -77,7 +74,6 @@ def follow(
     transient: Any,
     *,
     seeds: int = 1,
-    dry: bool = True,
     **more: Any,
 ) -> xr.Dataset:
     """Speeds of the fronts of a block over the numbers in `over`, `pattern` and `seed`.
@@ -88,7 +84,7 @@ def follow(
     data = sweep(
         chain, BlockStart(block), time, over={**over, "in_phase": [0, 1], "seed": range(seeds)},
         observe=FrontTrack(_windows(time)),
-        solver=EventDriven() if dry else None, **more,
+        **more,
     )  # fmt: skip
     codes = data["result"]
     waits = xr.zeros_like(codes, float) + transient
@@ -152,8 +148,8 @@ def exponents(coupling: np.ndarray, speed: np.ndarray, error: np.ndarray) -> tup
     return float(slope), float(student_reach(0.95, x.size - 2) * spread), float(x.size)
 
 
-def base_chain(study: Study, n: int, width: float = _WIDTH) -> Chain:
-    """The ring, or one mass alone."""
+def base_chain(study: Study, n: int, width: float | None = None) -> Chain:
+    """The ring, or one mass alone, with dry friction unless there is a width."""
     coupling = None if n == 1 else study.base.coupling
     return study.base.chain(n, 1.5, width=width, coupling=coupling)
 
@@ -188,7 +184,7 @@ def pictures(study: Study, job: Job) -> xr.Dataset:
         start = BlockStart(part.block)(own, 0, False)
         return simulate(
             own, start, part.time, observe=Amplitude(), segments=part.windows, rtol=study.rtol,
-            solver=EventDriven(), throw=False,
+            throw=False,
         ).observed  # fmt: skip
 
     amplitude = np.asarray(watch(jnp.asarray(part.belt_speed)))
@@ -321,8 +317,8 @@ def convergence(study: Study, job: Job) -> xr.Dataset:
     waits = transients(base_chain(study, 1), speeds, study.base.coupling, part.time)
     parts = [
         follow(
-            base_chain(study, n, width or _WIDTH), round(part.block * n / part.masses), part.time,
-            {"belt_speed": speeds}, waits, rtol=study.rtol, dry=width == 0.0,
+            base_chain(study, n, width or None), round(part.block * n / part.masses), part.time,
+            {"belt_speed": speeds}, waits, rtol=study.rtol,
             progress=job.progress, description=f"{n} masses, width {width:g}",
         )
         for n, width in cases

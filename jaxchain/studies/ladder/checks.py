@@ -55,7 +55,7 @@ def _gap(
     chain: Chain, rtol: Array, speed: Array, x: Array, v: Array, period: Array
 ) -> Float[Array, ""]:
     x1, v1 = _after(chain.with_(belt_speed=speed), (x, v), period, rtol)
-    layer = jnp.hypot(v - speed, chain.friction.width)
+    layer = jnp.hypot(v - speed, chain.width)
     gap = jnp.maximum(jnp.max(jnp.abs(x1 - x)), jnp.max(jnp.abs(v1 - v) / layer))
     return gap / jnp.max(v)
 

@@ -25,12 +25,9 @@ from jaxchain.model.initial_states import equation_8, excited_state, reference_s
 from jaxchain.observers.amplitude import Amplitude
 from jaxchain.observers.peaks import PeakTimes
 from jaxchain.observers.quantities import active_above, participation_ratio
-from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.studies.mistuning.table import Ensemble, Study
 from jaxchain.sweeps.sweeping import sweep
 
-# Has no part in dry friction.
-_NO_WIDTH = 1e-9
 # Apart from the draws of the stiffness.
 _OF_THE_START = 1
 # No cycle of these chains is shorter (time units).
@@ -64,7 +61,7 @@ LABELS = {
 
 def base_chain(study: Study) -> Chain:
     """The tuned ring."""
-    return study.base.chain(study.base.masses, width=_NO_WIDTH, coupling=0.01)
+    return study.base.chain(study.base.masses, coupling=0.01)
 
 
 def initial_state(kind: str, disturbance: float) -> Callable[..., State]:
@@ -107,7 +104,6 @@ def run_ensemble(
         over={**{name: getattr(part, name) for name in POINT}, "seed": seeds},
         vary=partial(mistuned_chain, distribution=study.distribution),
         observe=Amplitude(window=part.window, stop="quiet"),
-        solver=EventDriven(),
         rtol=study.rtol,
         **more,
     )
@@ -124,7 +120,6 @@ def run_locking(study: Study, progress: bool = False) -> xr.Dataset:
         over={"disorder": part.disorder, "seed": range(part.chains)},
         vary=partial(mistuned_chain, distribution=study.distribution),
         observe=[Amplitude(window=part.window), peaks],
-        solver=EventDriven(),
         rtol=study.rtol,
         progress=progress,
         description="locking",

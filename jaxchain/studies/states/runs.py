@@ -159,7 +159,7 @@ def _solver(part: States, model: str, chain: Chain) -> Any:
     numerics = part.numerics
     if model == "nonsmooth":
         return EventDriven()
-    check_resolved(chain.n, chain.friction.width, chain.belt_speed, numerics.rtol, numerics.atol)
+    check_resolved(chain.n, chain.width, chain.belt_speed, numerics.rtol, numerics.atol)
     named = build_solver(numerics.solver, chain, numerics.rtol, numerics.max_step)
     return choose_solver(chain, numerics.rtol, numerics.max_step) if named is None else named
 
