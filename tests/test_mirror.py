@@ -110,7 +110,11 @@ def linear(chain, sign):
 
 def design(chain):
     changed = jc.inverse.design(
-        chain, lambda chain, xi: chain.with_(damping_ratio=xi), 0.05, highest_below=1.7, steps=3
+        chain.with_(width=None),
+        lambda chain, xi: chain.with_(damping_ratio=xi),
+        0.05,
+        highest_below=1.7,
+        steps=3,
     )
     return changed.theta, changed.costs
 
@@ -146,7 +150,7 @@ SPEEDLESS = {
     "find_grazing": lambda chain: arrays(jc.boundaries.find_grazing(chain)),
     "fold_in_the_limit": jc.boundaries.fold_in_the_limit,
     "fold_boundary": jc.boundaries.fold_boundary,
-    "bistable_range": jc.boundaries.bistable_range,
+    "bistable_range": lambda chain: jc.boundaries.bistable_range(chain.with_(width=None)),
     "try_boundary": lambda chain: jc.boundaries.try_boundary(chain, 1.7, time=50.0),
     "hopf_by_descent": lambda chain: jc.boundaries.hopf_by_descent(chain, steps=20).belt_speed,
     "fold_by_descent": lambda chain: jc.boundaries.fold_by_descent(chain, steps=3).belt_speed,
@@ -264,7 +268,7 @@ def test_sweeps_take_belt_speeds_of_either_sign():
 
 @pytest.mark.long
 def test_fronts_patterns_and_verdicts_are_mirrored():
-    chain = jc.paper_chain(24, belt_speed=1.1)
+    chain = jc.paper_chain(24, belt_speed=1.1, width=None)
     block = jc.excited_state(chain, 8, block="centred")
     fronts = [
         jc.localization.front_speed(own, tuple(sign * part for part in block), 300.0)

@@ -1,0 +1,261 @@
+"""Every public function of a chain is asked about dry friction and about smoothed friction.
+
+With a narrow width both answer alike, within what the width costs; what is for smoothed friction
+alone says in words what to do with a dry chain.
+"""
+
+import inspect
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxchain as jc
+from jaxchain.plotting.films import loop, sticking
+
+WIDTH = 1e-4
+ONE, THREE = jc.paper_chain(1, width=None), jc.paper_chain(3, width=None)
+SPEEDS = np.array([1.4, 1.5])
+RING = jc.paper_chain(12, belt_speed=1.05, width=None)
+
+
+def damped(chain, xi):
+    return chain.with_(damping_ratio=xi)
+
+
+def lab(chain):
+    return jc.inverse.Measurements(hopf=(1.15, 0.01), fold=(1.84, 0.01))
+
+
+def cycle(chain, kind="stable"):
+    found = jc.find_limit_cycle(chain, branch=kind)
+    return found.period, found.amplitude, found.energy, jnp.abs(found.multipliers)
+
+
+def orbit(chain):
+    start = jc.simulate(chain, jc.excited_state(chain, 1), 100.0, rtol=1e-9).state
+    found = jc.cycles.close_orbit(chain, start, 6.316)
+    return found.period, jnp.nan_to_num(found.multipliers)
+
+
+def run(chain):
+    observe = jc.Amplitude(window=15.0), jc.StickTime()
+    return jc.simulate(chain, jc.equation_8(chain, 1), 30.0, observe=observe).observed
+
+
+def motion(chain):
+    """Amplitudes of a film that closes, and how much of it its mass sticks."""
+    times, (x, v) = loop(chain, jc.find_limit_cycle(chain).state, frames=64)
+    held = sticking(chain, (x, v))
+    # One frame of 64 more or less.
+    return np.ptp(x), times[-1], np.round(held.mean(), 1)
+
+
+def small_verdict(chain):
+    found = jc.verdict(
+        chain, jc.excited_state(chain, 1), rtol=1e-6 if chain.dry else 1e-7, seeds=1,
+        noise=(1e-6,), first=500.0, longest=500.0, exponent_time=50.0,
+    )  # fmt: skip
+    assert found.verdict == "periodic"
+    return found.runs[0].period
+
+
+def exponents(chain):
+    start = jc.find_limit_cycle(chain).state
+    return jc.lyapunov_spectrum(chain, start, 60.0, count=1, blocks=4).exponents
+
+
+def near_hopf(chain):
+    own = chain.with_(belt_speed=1.17)
+    points = jc.boundaries.hopf_points(own, (0.5, 3.0))
+    found = jc.find_limit_cycle(own, jc.boundaries.guess_from_hopf(own, points))
+    return found.period, found.amplitude, jnp.abs(found.multipliers)
+
+
+# Name: what is computed of a chain, and by how much of itself a width of 1e-4 may move it.
+QUICK = {
+    "steady_sliding": (THREE, jc.steady_sliding, 1e-12),
+    "excited_state": (THREE, lambda chain: jc.excited_state(chain, 2), 1e-12),
+    "equation_8": (THREE, lambda chain: jc.equation_8(chain, 2), 1e-12),
+    "equation_10": (jc.paper_chain(width=None), lambda c: jc.equation_10(c, 2), 1e-12),
+    "on_the_belt": (THREE, jc.model.on_the_belt, 1e-12),
+    "release_state": (THREE, lambda chain: jc.model.release_state(chain, 2), 1e-12),
+    "stiffness_matrix": (THREE, jc.model.stiffness_matrix, 0.0),
+    "sliding_damping": (THREE, lambda c: jc.model.sliding_damping(c, c.belt_speed), 1e-12),
+    "sliding_eigenvalues": (
+        THREE, lambda c: jnp.sort(jc.model.sliding_eigenvalues(c, c.belt_speed)), 1e-10,
+    ),
+    "growth_rate": (THREE, lambda c: jc.model.growth_rate(c, c.belt_speed), 1e-12),
+    "mistuned_chain": (THREE, lambda c: jc.localization.mistuned_chain(c, 3, 0.1).stiffness, 0.0),
+    "linear_modes": (THREE, lambda c: jc.localization.linear_modes(c).frequency, 0.0),
+    "choose_numerics": (THREE, lambda c: jc.simulation.choose_numerics(c, 1e-2).width, 1e-12),
+    "hopf_belt_speed": (THREE, jc.hopf_belt_speed, 1e-12),
+    "hopf_points": (THREE, lambda c: jc.boundaries.hopf_points(c, (0.5, 3.0)).belt_speed, 1e-12),
+    "first_lyapunov_coefficient": (
+        ONE,
+        lambda c: jc.boundaries.first_lyapunov_coefficient(c, 1.15, 1.0, jnp.ones(1, complex)),
+        1e-9,
+    ),
+    "simulate": (THREE, run, 5e-3),
+}  # fmt: skip
+LONG = {
+    "sweep": (
+        THREE,
+        lambda c: jc.sweep(
+            c, jc.excited_state(c, 1), 30.0, over={"belt_speed": SPEEDS}
+        ).energy.values,
+        5e-3,
+    ),
+    "find_limit_cycle": (ONE, cycle, 2e-3),
+    "find_limit_cycle unstable": (ONE, lambda c: cycle(c, "unstable"), 1e-8),
+    "guess_from_simulation": (
+        ONE, lambda c: jc.cycles.guess_from_simulation(c, c_start(c), 0, transient=60.0)[1], 1e-3,
+    ),
+    "guess_from_hopf": (ONE, near_hopf, 1e-8),
+    "close_orbit": (ONE, orbit, 1e-3),
+    "loop": (ONE, motion, 5e-3),
+    "fold_belt_speed": (ONE, jc.fold_belt_speed, 1e-3),
+    "nonsmooth_fold_belt_speed": (ONE, jc.nonsmooth_fold_belt_speed, 1e-12),
+    "find_grazing": (ONE, lambda c: jc.boundaries.find_grazing(c).period, 1e-12),
+    "fold_in_the_limit": (ONE, lambda c: jc.boundaries.fold_in_the_limit(c).value, 1e-12),
+    "fold_boundary": (ONE, jc.boundaries.fold_boundary, 1e-3),
+    "hopf_and_fold": (ONE, jc.boundaries.hopf_and_fold, 1e-3),
+    "bistable_range": (ONE, jc.boundaries.bistable_range, 3e-3),
+    "try_boundary": (ONE, lambda c: jc.boundaries.try_boundary(c, 1.7, time=50.0), 1e-12),
+    "hopf_by_descent": (ONE, lambda c: jc.boundaries.hopf_by_descent(c).belt_speed, 1e-9),
+    "generalised_hopf": (
+        ONE, lambda c: jc.boundaries.generalised_hopf(c, "width", 0.05, 1.0).value, 1e-9,
+    ),
+    "lyapunov_spectrum": (ONE, exponents, None),
+    "verdict": (ONE, small_verdict, 1e-3),
+    "front_speed": (
+        RING,
+        lambda c: jc.localization.front_speed(
+            c, jc.excited_state(c, 4, block="centred"), 100.0, windows=5
+        ).fronts.count,
+        1e-12,
+    ),
+    "predict": (ONE, lambda c: jc.inverse.predict(c, lab(c)), 1e-3),
+    "identify": (ONE, lambda c: jc.inverse.identify(c, damped, 0.06, lab(c)).theta, 1e-2),
+    "design": (
+        ONE, lambda c: jc.inverse.design(c, damped, 0.05, highest_below=1.7, steps=3).costs, 0.1
+    ),
+}  # fmt: skip
+# Of these others of the table are made, or their only part of friction is.
+ELSEWHERE = {"verdicts": "verdict", "depinning_belt_speed": "front_speed"}
+
+
+def c_start(chain):
+    return jc.model.release_state(chain, 0)
+
+
+def film(chain):
+    return loop(chain, c_start(chain), solver=jc.Rodas4())
+
+
+# For smoothed friction alone: with a dry chain, the words that say what to do.
+REFUSED = {
+    "simulate": (lambda c: jc.simulate(c, c_start(c), 1.0, solver=jc.Rodas4()), "leave out"),
+    "simulate accuracy": (lambda c: jc.simulate(c, c_start(c), 1.0, accuracy=0.1), "give `rtol`"),
+    "sweep": (
+        lambda c: jc.sweep(c, c_start(c), 1.0, over={"belt_speed": [1.0]}, solver=jc.Rodas4()),
+        "leave out `solver`",
+    ),
+    "sweep accuracy": (
+        lambda c: jc.sweep(c, c_start(c), 1.0, over={"belt_speed": [1.0]}, accuracy=0.1),
+        "give `rtol`",
+    ),
+    "sweep width": (
+        lambda c: jc.sweep(c, c_start(c), 1.0, over={"width": [0.1]}), "to sweep `width`"
+    ),
+    "monodromy_matrix": (lambda c: jc.monodromy_matrix(c, c_start(c), 6.0), "`close_orbit`"),
+    "liouville_determinant": (
+        lambda c: jc.cycles.liouville_determinant(c, c_start(c), 6.0), "`close_orbit`"
+    ),
+    "continue_cycle": (lambda c: jc.continue_cycle(c, c_start(c), 6.0), "one belt speed to"),
+    "find_fold": (jc.boundaries.find_fold, "`find_grazing`"),
+    "fold_by_descent": (jc.boundaries.fold_by_descent, "`find_grazing`"),
+    "one_mass_branch": (jc.boundaries.one_mass_branch, "`dry_slip_branch`"),
+    "phase_model": (
+        lambda c: jc.localization.phase_model(jc.paper_chain(4, width=None)), "give it a width"
+    ),
+    "close_orbit": (
+        lambda c: jc.cycles.close_orbit(c, c_start(c), 6.0, solver=jc.Rodas4()), "leave out"
+    ),
+    "lyapunov_spectrum": (
+        lambda c: jc.lyapunov_spectrum(c, c_start(c), 9.0, solver=jc.Rodas4()), "leave out"
+    ),
+    "verdict": (lambda c: jc.verdict(c, c_start(c), solver=jc.Rodas4()), "leave out `solver`"),
+    "loop": (film, "leave out `solver`"),
+}  # fmt: skip
+
+
+def numbers(found):
+    return [np.asarray(leaf) for leaf in jax.tree.leaves(eqx.filter(found, eqx.is_array_like))]
+
+
+def compare(case):
+    chain, function, tolerance = case
+    dry, smoothed = (numbers(function(own)) for own in (chain, chain.with_(width=WIDTH)))
+    assert dry
+    for a, b in zip(dry, smoothed, strict=True):
+        assert np.isfinite(a).all() == np.isfinite(b).all()
+        if tolerance is not None:
+            np.testing.assert_allclose(a, b, rtol=tolerance, atol=max(tolerance, 1e-13))
+
+
+def test_no_public_function_of_a_chain_is_forgotten():
+    cases = {name.split()[0] for name in (*QUICK, *LONG, *REFUSED, *ELSEWHERE)}
+    rooms = [jc, *(getattr(jc, room) for room in jc.ROOMS if room != "plotting")]
+    public = [getattr(room, name) for room in rooms for name in getattr(room, "__all__", ())]
+    functions = [f for f in public if inspect.isfunction(f) or hasattr(f, "__wrapped__")]
+    taking = {f.__name__ for f in functions if "chain" in inspect.signature(f).parameters}
+    assert taking <= cases
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_both_kinds_of_friction_are_served(name):
+    compare(QUICK[name])
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", LONG)
+def test_both_kinds_of_friction_are_served_by_what_takes_longer(name):
+    compare(LONG[name])
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_needs_a_width_says_what_to_do_without_one(name):
+    function, words = REFUSED[name]
+    with pytest.raises(ValueError, match="dry friction") as caught:
+        function(ONE)
+    assert words in str(caught.value)
+    assert "`chain.with_(width=1e-3)`" in str(caught.value)
+
+
+def test_one_program_serves_all_dry_chains():
+    traces = []
+
+    @eqx.filter_jit
+    def end(chain):
+        traces.append(chain.dry)
+        return jc.simulate(chain, jc.excited_state(chain, 1), 5.0).state
+
+    for own in (ONE, ONE.with_(belt_speed=1.3, mu_static=0.9), ONE.with_(damping_ratio=0.1)):
+        end(own)
+    assert traces == [True]
+    end(ONE.with_(width=1e-2))
+    end(ONE.with_(width=2e-2))
+    assert traces == [True, False]
+
+
+def test_a_dry_chain_runs_as_a_smoothed_one_under_the_event_driven_solver():
+    start = jc.equation_8(THREE, 1)
+    dry = jc.simulate(THREE, start, 20.0, observe=jc.StickTime())
+    told = jc.simulate(
+        THREE.with_(width=0.3), start, 20.0, observe=jc.StickTime(), solver=jc.EventDriven()
+    )
+    for a, b in zip(numbers(dry), numbers(told), strict=True):
+        np.testing.assert_array_equal(a, b)
