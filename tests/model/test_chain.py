@@ -151,3 +151,39 @@ def test_with_changes_numbers_of_chain_and_friction():
 def test_bad_input_is_named(changes, message):
     with pytest.raises(ValueError, match=message):
         paper_chain(20).with_(**changes)
+
+
+def test_a_law_alone_is_dry_friction():
+    chain = Chain(3, LAW, 1.5, 0.05, 0.01, normal_load=jnp.array([1.0, 2.0, 0.5]))
+    assert chain.dry
+    assert chain.law is chain.friction is LAW
+    assert not chain.with_(width=1e-3).dry
+    assert chain.with_(width=1e-3).law is LAW
+    assert chain.with_(width=1e-3).with_(width=None, mu_static=1.2).dry
+    assert float(chain.with_(mu_static=1.2).law.mu_static) == 1.2
+    assert float(chain.width) == float(chain.stick_speed()) == 0.0
+    assert "width" not in chain.numbers()
+    # Slower than the belt, as fast, and faster: friction pulls forward, holds, and pulls back.
+    v = jnp.array([1.0, 1.5, 2.0])
+    mu = float(LAW.coefficient(0.5))
+    pull = chain.local_force(0.0, jnp.zeros(3), v) + 0.1 * v
+    np.testing.assert_allclose(pull, [mu, 0.0, -0.5 * mu], rtol=1e-14)
+    np.testing.assert_array_equal(jnp.isneginf(chain.unheld_force(jnp.ones(3), v)), True)
+    # Both kinds agree where tanh is 1, in the force and in its slope.
+    w = jnp.array([-1.0, 0.7])
+    for a, b in zip(
+        LAW.force_and_slope(w), TanhFriction(LAW, 1e-3).force_and_slope(w), strict=True
+    ):
+        np.testing.assert_allclose(a, b, rtol=1e-14)
+
+
+def test_dry_friction_may_differ_from_mass_to_mass():
+    law = ExponentialDecay(jnp.array([1.0, 1.2, 0.9]), 0.5, 0.5)
+    chain = Chain(3, law, 1.5)
+    np.testing.assert_allclose(steady_sliding(chain)[0], law.coefficient(1.5), rtol=1e-14)
+    with pytest.raises(ValueError, match="`mu_static` must be one number"):
+        Chain(2, law, 1.5)
+    with pytest.raises(ValueError, match=r"law .dry friction. or a smoothed one"):
+        Chain(2, 0.5, 1.5)  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ValueError, match=r"`width` must be positive.*dry friction"):
+        paper_chain(width=0.0)

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from jaxchain import Chain, ExponentialDecay, TanhFriction, paper_chain, steady_sliding
+from jaxchain.boundaries.hopf_scan import hopf_points
 from jaxchain.model.sliding import (
+    damping_outweighs,
     dry_damping,
     growth_rate,
     has_uniform_damping,
@@ -79,3 +81,18 @@ def test_dry_friction_has_no_layer():
 )
 def test_numbers_per_mass_count_as_different(changes, uniform):
     assert has_uniform_damping(paper_chain(3).with_(**changes)) == uniform
+
+
+def test_dry_friction_damps_sliding_as_the_law_says_down_to_rest():
+    """2 xi + mu'(v_d) = 0.1 - exp(-2 v_d), from the right at rest; no flank of a smoothed law."""
+    dry = paper_chain(1, width=None)
+    for speed in (0.0, 1e-12, 0.5, 2.0):
+        d = sliding_damping(dry, jnp.asarray(speed))
+        assert float(d) == pytest.approx(0.1 - np.exp(-2 * speed), abs=1e-14)
+    assert [bool(damping_outweighs(dry.with_(damping_ratio=xi))) for xi in (0.49, 0.51)] == [
+        False, True,
+    ]  # fmt: skip
+    points = hopf_points(dry, (0.0, 5.0))
+    np.testing.assert_allclose(points.belt_speed, np.log(10) / 2, rtol=1e-14)
+    assert points.kind == ("weakening friction",)
+    assert len(hopf_points(dry.with_(width=1e-3), (0.0, 5.0)).kind) == 2

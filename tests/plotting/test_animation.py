@@ -178,7 +178,7 @@ def test_the_belt_carries_on_without_a_jump_when_the_film_starts_again(belt_spee
 def test_points_run_along_their_curves_and_a_loop_is_drawn_closed():
     chain, times, states = made_up(2)
     strip, plane = film_strip(chain, times, states, stills=2).axes
-    curves = Curves(strip, plane, chain, times, states, sticking(chain, states, True), [0, 1])
+    curves = Curves(strip, plane, chain, times, states, sticking(chain, states), [0, 1])
     closed = [
         x for x in (np.ravel(line.get_xdata()) for line in plane.get_lines()) if len(x) == 25
     ]
@@ -213,7 +213,7 @@ def test_a_gif_opens_with_every_frame_and_is_small(tmp_path):
     assert all(np.abs(a - b).max() > 100 for a, b in itertools.pairwise(pixels))
     # Sticking is seen: more of the orange than in the legend.
     orange = np.array([np.sum(np.abs(p - [230, 159, 0]).sum(-1) < 60) for p in pixels])
-    stuck = sticking(chain, states, True).any(axis=1)
+    stuck = sticking(chain, states).any(axis=1)
     assert orange[stuck].min() > orange[~stuck].max() + 20
     assert path.stat().st_size < 60_000
 
