@@ -122,7 +122,7 @@ def test_the_range_of_the_paper_and_of_chains_without_a_fold():
 
 
 def test_vibration_that_seems_to_set_in_gently_is_no_proof_of_no_fold():
-    gentle = bistable_range(paper_chain(1, width=0.35), friction="smoothed")
+    gentle = bistable_range(paper_chain(1, width=0.35))
     assert np.isnan(gentle.fold)
     assert gentle.result == SearchResult.gentle
     assert not gentle.successful

@@ -1,5 +1,6 @@
 """The chain's equations against the paper's, written out mass by mass."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -158,7 +159,7 @@ def test_a_law_alone_is_dry_friction():
     assert chain.dry
     assert chain.law is chain.friction is LAW
     assert not chain.with_(width=1e-3).dry
-    assert chain.with_(width=1e-3).law is LAW
+    assert eqx.tree_equal(chain.with_(width=1e-3).law, LAW)
     assert chain.with_(width=1e-3).with_(width=None, mu_static=1.2).dry
     assert float(chain.with_(mu_static=1.2).law.mu_static) == 1.2
     assert float(chain.width) == float(chain.stick_speed()) == 0.0
