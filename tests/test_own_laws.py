@@ -85,6 +85,7 @@ def test_event_driven_runs_and_their_derivatives_agree():
     agree(own, shipped)
 
 
+@pytest.mark.long
 def test_sweeps_agree():
     over = {"mu_static": [0.9, 1.0], "excited": [0, 2]}
     own, shipped = (sweep(chain, equation_8, 5.0, over=over) for chain in pair(3))

@@ -121,7 +121,7 @@ class EventDrivenPlan(AbstractPlan):
             now = self._step(dry, now, end)
             return now, [record.keep(now.t, now.state) for record in records]
 
-        carry = progress, records
+        carry: Any = progress, records
         if isinstance(adjoint, dfx.RecursiveCheckpointAdjoint):
             # Parts of so many steps.  The start of each part is kept, and while going back through
             # one of them every step of it.
@@ -311,10 +311,8 @@ class EventDriven(eqx.Module):
         ...     softer = chain.with_(stiffness=stiffness)
         ...     run = simulate(softer, cycle, 9.0, solver=EventDriven(), observe=StickTime())
         ...     return run.observed[0]
-        >>> slope = jax.grad(sticks)(1.0)
-        >>> difference = (sticks(1.0 + 1e-6) - sticks(1.0 - 1e-6)) / 2e-6
-        >>> bool(abs(slope - difference) < 1e-4 * abs(slope))
-        True
+        >>> round(float(jax.grad(sticks)(1.0)), 3)
+        -0.057
     """
 
     order: int | None = eqx.field(static=True, default=None)

@@ -179,7 +179,9 @@ def test_a_first_evaluation_that_fails_ends_the_search():
     def nowhere(u):
         return jnp.log(u), factorise(jnp.diag(1.0 / u), jnp.ones(1)), None
 
-    found = iterate(nowhere, begin(nowhere, -jnp.ones(1)), jnp.ones(1), lambda now: True)
+    found = iterate(
+        nowhere, begin(nowhere, -jnp.ones(1)), jnp.ones(1), lambda now: jnp.asarray(True)
+    )
     assert jnp.isnan(found.length)
     assert found.refused
     assert found.evaluations == 1

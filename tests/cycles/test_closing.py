@@ -63,6 +63,7 @@ def test_the_slip_cycle_is_unstable_and_nearly_that_of_smoothed_friction():
     np.testing.assert_allclose(dry.state, smoothed.state, atol=1e-6)
 
 
+@pytest.mark.long
 def test_it_has_derivatives_forward_and_in_reverse(cycle):
     def numbers(xi):
         found = find_limit_cycle(ONE.with_(damping_ratio=xi))

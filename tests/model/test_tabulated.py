@@ -72,7 +72,7 @@ def test_what_is_no_table_is_refused():
 def test_a_chain_keeps_its_table_through_changes_and_gives_it_to_every_mass():
     ring = chain(5, coupling=0.01, stiffness=np.linspace(1.0, 1.4, 5)).with_(width=1e-4)
     for kept in (ring, one_mass(ring, 3)):
-        own: Any = kept.friction.law
+        own: Any = kept.law
         np.testing.assert_array_equal(own.pieces, law().pieces)
     assert "pieces" not in ring.numbers()
     with pytest.raises(ValueError, match="does not know"):

@@ -133,6 +133,7 @@ def one_oscillator(tmp_path, count, model="smoothed"):
     return load_scene(str(file))
 
 
+@pytest.mark.long
 def test_the_branch_of_cycles_is_saved_before_it_is_drawn(tmp_path):
     run_scene(one_oscillator(tmp_path, 10), tmp_path, plot=False, report=lambda text: None)
     with xr.open_dataset(tmp_path / "one.nc", engine="h5netcdf", group="ladder_cycles") as cycles:

@@ -412,7 +412,10 @@ def problem(start, watch=SOME):
 
 
 @pytest.mark.parametrize("watch", [SOME, pytest.param(OTHERS, marks=pytest.mark.long)])
-@pytest.mark.parametrize("start", STARTS)
+@pytest.mark.parametrize(
+    "start",
+    [pytest.param(s, marks=[pytest.mark.long] * (s != "no-event")) for s in STARTS],
+)
 def test_gradients_of_all_that_a_run_returns_are_those_of_forward_mode(start, watch):
     reverse, forward = both_derivatives(watch, *problem(start, watch))
     assert max(float(jnp.max(jnp.abs(part))) for part in forward) > 0.1

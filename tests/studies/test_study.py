@@ -125,7 +125,7 @@ def test_spans_and_chains_of_a_table():
     np.testing.assert_allclose(Span(start=1.0, stop=4.0, count=3).array(), [1.0, 2.5, 4.0])
     base = BaseTable(damping_ratio=0.05, mu_static=1.0, mu_dynamic=0.5, v_ref=0.4)
     chain = base.chain(5, 1.2, width=1e-3, coupling=0.01)
-    assert chain.friction.law == ExponentialDecay(1.0, 0.5, 0.4)
+    assert chain.law == ExponentialDecay(1.0, 0.5, 0.4)
     assert (chain.n, chain.belt_speed, chain.coupling) == (5, 1.2, 0.01)
     with pytest.raises(ValueError, match="`mu_static` above"):
         BaseTable(damping_ratio=0.05, mu_static=1.0, mu_dynamic=1.0, v_ref=0.4)
