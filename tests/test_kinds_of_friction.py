@@ -134,7 +134,7 @@ LONG = {
         RING,
         lambda c: jc.localization.front_speed(
             c, jc.excited_state(c, 4, block="centred"), 100.0, windows=5
-        ).fronts.count[[0, -1]],  # when a mass joins, they need not agree
+        ).fronts.count[jnp.array([0, -1])],  # when a mass joins, they need not agree
         1e-12,
     ),
     "predict": (ONE, lambda c: jc.inverse.predict(c, lab(c)), 1e-3),

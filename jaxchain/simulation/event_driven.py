@@ -126,9 +126,13 @@ class EventDrivenPlan(AbstractPlan):
             # Parts of so many steps.  The start of each part is kept, and while going back through
             # one of them every step of it.
             most_kept: int = adjoint.checkpoints or CHECKPOINTS
+
+            def written_once(carry: Any) -> list:
+                return [record.states for record in carry[1]]
+
             back: Any = partial(
                 eqxi.while_loop, goes_on, kind="checkpointed", checkpoints=most_kept,
-                buffers=lambda carry: [record.states for record in carry[1]],
+                buffers=written_once,
             )  # fmt: skip
             carry = back(lambda carry: back(body, carry, max_steps=most_kept), carry)
         elif adjoint is None or isinstance(adjoint, dfx.ForwardMode):
