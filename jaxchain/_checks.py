@@ -197,13 +197,13 @@ def check_number(name: str, value: object, remedy: str = "") -> None:
         _check_each(name, numbers, np.isfinite(numbers), "finite", remedy)
 
 
-def check_positive_number(name: str, value: ArrayLike, remedy: str = "") -> None:
+def check_positive_number(name: str, value: Any, remedy: str = "") -> None:
     """Raises `ValueError` unless `value` is one number, positive and finite if it is concrete."""
     check_number(name, value, remedy)
     check_positive(name, value, remedy)
 
 
-def check_share(name: str, value: ArrayLike, remedy: str = "") -> None:
+def check_share(name: str, value: Any, remedy: str = "") -> None:
     """Raises `ValueError` unless `value` is one number, between 0 and 1 if it is concrete."""
     check_number(name, value, remedy)
     if (numbers := _concrete(name, value)) is not None:

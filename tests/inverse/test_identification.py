@@ -160,7 +160,7 @@ def test_bad_measurements_are_named(arguments, message):
         ({"steps": None}, "`steps` must be an integer"),
         ({"start": ()}, "`start` must hold"),
         ({"start": jnp.array([np.nan])}, "`start` must be finite"),
-        ({"vibrating": 3}, "`vibrating` must be the index"),
+        ({"vibrating": 3}, "`vibrating` must be an integer in 0"),
     ],
 )
 def test_bad_input_is_named(options, message):
@@ -170,7 +170,7 @@ def test_bad_input_is_named(options, message):
 
 
 def test_a_confidence_beyond_one_is_refused(found):
-    with pytest.raises(ValueError, match="`confidence` must lie between"):
+    with pytest.raises(ValueError, match="`confidence` must be between"):
         found.interval(95)
 
 

@@ -142,7 +142,7 @@ def test_a_start_whose_boundary_is_not_known_does_not_pretend_to_converge():
         ({"width_below": 0.3, "highest_below": 1.0}, "One of the arguments"),
         ({"width_below": -0.3}, "`width_below` must be positive"),
         ({"highest_below": [1.0, 2.0]}, "`highest_below` must be one number"),
-        ({"width_below": 0.3, "vibrating": 1}, "`vibrating` must be the index"),
+        ({"width_below": 0.3, "vibrating": 1}, "`vibrating` must be an integer in 0"),
         ({"width_below": 0.3, "steps": 0}, "`steps` must be"),
         ({"width_below": 0.3, "steps": None}, "`steps` must be an integer"),
         ({"width_below": 0.3, "scale": 0.0}, "`scale` must be positive"),
