@@ -63,6 +63,12 @@ def _parser() -> argparse.ArgumentParser:
         "every experiment of the scene; the file is run. Its fields are the numbers of the "
         'scene\'s friction table, which may have other names if it says law = "own"',
     )  # fmt: skip
+    run.add_argument(
+        "--observer", metavar="FILE.py:CLASS", action="append", default=[], dest="observers",
+        help="observer of one's own, a subclass of jaxchain.observers.AbstractObserver, for every "
+        "experiment of the scene; the file is run. Its fields may stand in the scene, in "
+        'observe.others as { observer = "own", name = "CLASS", ... } (repeatable)',
+    )  # fmt: skip
     run.add_argument("--no-plot", action="store_true", help="compute and save only")
     run.add_argument("--quiet", action="store_true", help="print errors only")
     run.set_defaults(command=_run)
@@ -128,11 +134,12 @@ def _run(options: argparse.Namespace) -> int:
     # Before jax is imported, so that a wrong scene is reported at once.
     loaded = load_scene(options.scene, options.overrides)
     _configure_jax()
-    from .scenes.own_law import load_law
+    from .scenes.own_code import load_law, load_observer
     from .scenes.running import run_scene
     from .scenes.storage import new_folder
 
     own_law = None if options.law is None else load_law(options.law, loaded.name)
+    kinds = [load_observer(given, loaded.name) for given in options.observers]
     wanted = options.output or Path("results") / loaded.name
     try:
         folder = new_folder(wanted)
@@ -150,8 +157,8 @@ def _run(options: argparse.Namespace) -> int:
         warnings.simplefilter("ignore")
     try:
         run_scene(
-            loaded, folder, own_law=own_law, plot=not options.no_plot,
-            progress=not options.quiet, report=report,
+            loaded, folder, own_law=own_law, own_observers={kind.__name__: kind for kind in kinds},
+            plot=not options.no_plot, progress=not options.quiet, report=report,
         )  # fmt: skip
     except (FigureError, StudyFailedError, MemoryError) as error:
         print(f"jaxchain: {error}", file=sys.stderr)

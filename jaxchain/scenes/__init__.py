@@ -5,7 +5,7 @@
 - `errors`: what may go wrong with a scene or a study
 - `files`: the TOML files: found and read
 - `observing`: what is observed, as tables
-- `own_law`: a friction law of one's own, named on the command line
+- `own_code`: a friction law or observers of one's own, named on the command line
 - `reading`: `load_scene`: a file read and checked
 - `registry`: studies: what one is, and how one is found
 - `report`: what a run found, in a few lines

@@ -2,7 +2,8 @@ from .errors import FigureError as FigureError
 from .errors import SceneError as SceneError
 from .errors import StudyFailedError as StudyFailedError
 from .files import builtin_scenes as builtin_scenes
-from .own_law import load_law as load_law
+from .own_code import load_law as load_law
+from .own_code import load_observer as load_observer
 from .reading import LoadedScene as LoadedScene
 from .reading import load_scene as load_scene
 from .reading import schema as schema

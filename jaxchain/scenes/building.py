@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import diffrax as dfx
@@ -19,8 +19,8 @@ from ..model.tabulated import TabulatedFriction
 from ..observers.base import AbstractObserver
 from ..simulation.accuracy import fit_linear_solve
 from ..solvers.rosenbrock import Rodas4, Rodas5P
-from .observing import ObserveTable
-from .own_law import make_law
+from .observing import ObserveTable, OwnObserverTable
+from .own_code import make_law, make_observer
 from .scene import SweepTable
 from .tables import Equation8Table, Equation10Table, OwnLawTable, TabulatedTable
 
@@ -107,18 +107,37 @@ def build_initial(experiment: SweepTable) -> Callable[..., State]:
     return pulled_away
 
 
-def build_observers(table: ObserveTable, window: float) -> list[AbstractObserver]:
-    """Amplitudes in the window, and what else the table names."""
+def build_observers(
+    table: ObserveTable,
+    window: float,
+    own_observers: Mapping[str, type[AbstractObserver]] | None = None,
+) -> list[AbstractObserver]:
+    """Amplitudes in the window, what else the table names, and own observers that it does not.
+
+    **Raises:** `ValueError` for an observer of one's own that is not there, or cannot be made.
+    """
     how = table.model_dump(exclude={"quantities", "others"})
     found: list[AbstractObserver] = [observers.Amplitude(window=window, **how)]
-    for other in table.others or []:
+    unnamed = given = dict(own_observers or {})
+    for i, other in enumerate(table.others or []):
+        if isinstance(other, OwnObserverTable):
+            if other.name not in given:
+                raise ValueError(
+                    f"observe.others[{i}].name: is `{other.name}`, so this observer must be named "
+                    f"on the command line: --observer FILE.py:{other.name}"
+                )
+            numbers = other.model_extra or {}
+            place = f"observe.others[{i}]"
+            found.append(make_observer(given[other.name], numbers, place))
+            unnamed = {k: v for k, v in unnamed.items() if k != other.name}
+            continue
         own = other.model_dump(exclude={"observer"})
         for key in own.keys() & {"oscillator", "middle"}:
             own[key] = None if own[key] is None else own[key] - 1
         if own.get("oscillators"):
             own["oscillators"] = tuple(number - 1 for number in own["oscillators"])
         found.append(getattr(observers, other.observer)(**own))
-    return found
+    return found + [make_observer(kind, {}, "--observer") for kind in unnamed.values()]
 
 
 def build_solver(

@@ -5,9 +5,9 @@ Oscillators are counted from 1; nothing here needs JAX.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
 
-from pydantic import Field
+from pydantic import ConfigDict, Field
 
 from .tables import NonNegative, Positive, Table
 
@@ -68,13 +68,28 @@ class WholeRunTable(Table):
     observer: Literal["EnergyBalance", "Divergence", "MostSticking"]
 
 
+class OwnObserverTable(Table):
+    """An observer of one's own, named on the command line: `--observer FILE.py:CLASS`.
+
+    The other keys are fields of its class.
+    """
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, Any] = Field(init=False)
+
+    observer: Literal["own"]
+    name: str
+    """The name of its class."""
+
+
 ObserverTable: TypeAlias = Annotated[
     StickTimeTable
     | PeakTimesTable
     | SectionTable
     | SamplesTable
     | FrontTrackTable
-    | WholeRunTable,
+    | WholeRunTable
+    | OwnObserverTable,
     Field(discriminator="observer"),
 ]
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ import xarray as xr
 
 from .._types import State
 from ..model.friction import AbstractFrictionLaw
+from ..observers.base import AbstractObserver
 from ..plotting.groups import CYCLES, NONSMOOTH
 from ..plotting.sweeps import figure
 from ..simulation.event_driven import EventDriven
@@ -43,6 +44,7 @@ def run_experiment(
     name: str = "sweep",
     model: str = "smoothed",
     own_law: type[AbstractFrictionLaw] | None = None,
+    own_observers: Mapping[str, type[AbstractObserver]] | None = None,
     progress: bool = False,
     initial: Callable[..., State] | None = None,
     observe: Any = None,
@@ -59,7 +61,7 @@ def run_experiment(
     chain = build_chain(experiment, own_law)
     if observe is None:
         table = experiment.observe if isinstance(experiment, Experiment) else ObserveTable()
-        observe = build_observers(table, time.window)
+        observe = build_observers(table, time.window, own_observers)
     if model == "nonsmooth":
         solver = EventDriven()
     else:
@@ -94,6 +96,7 @@ def run_scene(
     folder: Path,
     *,
     own_law: type[AbstractFrictionLaw] | None = None,
+    own_observers: Mapping[str, type[AbstractObserver]] | None = None,
     plot: bool = True,
     progress: bool = False,
     report: Callable[[str], object] = print,
@@ -107,8 +110,9 @@ def run_scene(
     `<scene>.png` and `<scene>.pdf` show all of them.
 
     **Arguments:** `folder` exists and is empty (see `new_folder`); `own_law`, the friction law of
-    every experiment, in place of the one that is named there (see `load_law`); `plot`, draw the
-    figure; `progress`, show a progress bar; `report` receives the summary of each experiment.
+    every experiment, in place of the one that is named there (see `load_law`); `own_observers`, by
+    the names of their classes (see `load_observer`); `plot`, draw the figure; `progress`, show a
+    progress bar; `report` receives the summary of each experiment.
 
     **Returns:** the datasets by experiment.
 
@@ -117,8 +121,9 @@ def run_scene(
     written but a study found what must not be; `SceneError` for numbers that do not go together.
     """
     if isinstance(loaded.scene, StudyTable):
-        if own_law is not None:
-            raise SceneError(loaded.name, ["--law: is for scenes, and this is a study"])
+        for option, given in (("--law", own_law), ("--observer", own_observers)):
+            if given:
+                raise SceneError(loaded.name, [f"{option}: is for scenes, and this is a study"])
         return study_run(loaded.scene.study)(
             loaded.scene, folder, name=loaded.name, plot=plot, progress=progress, report=report
         )
@@ -127,6 +132,7 @@ def run_scene(
     for name, experiment in loaded.scene.experiment.items():  # before anything runs
         with _in_scene(loaded.name, name):
             chains[name] = build_chain(experiment, own_law)
+            build_observers(experiment.observe, experiment.time.window, own_observers)
     for name, experiment in loaded.scene.experiment.items():
         chain, grid = chains[name], experiment.grid()
         hopf = hopf_speed(chain, grid)
@@ -137,8 +143,9 @@ def run_scene(
             try:
                 with _in_scene(loaded.name, name):
                     data = run_experiment(
-                        experiment, name=group, model=model, own_law=own_law, progress=progress
-                    )
+                        experiment, name=group, model=model, own_law=own_law,
+                        own_observers=own_observers, progress=progress,
+                    )  # fmt: skip
                 interrupt = None
             except SweepInterrupted as stopped:
                 data, interrupt = stopped.dataset, stopped

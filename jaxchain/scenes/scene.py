@@ -19,7 +19,7 @@ from pydantic_core import PydanticCustomError
 from ..model.parameters import CHAIN, FRICTION, parameter
 from ..plotting.groups import CYCLES, NONSMOOTH
 from .errors import did_you_mean
-from .observing import ObserveTable
+from .observing import ObserveTable, OwnObserverTable
 from .tables import (
     MOST_LANES,
     MOST_LANES_REMEDY,
@@ -232,6 +232,8 @@ class Experiment(SweepTable):
         yield from super()._misfits()
         n = self.chain.n
         for i, other in enumerate(self.observe.others or []):
+            if isinstance(other, OwnObserverTable):
+                continue
             own = other.model_dump(include={"oscillator", "oscillators", "middle"})
             for key, given in own.items():
                 if given is not None and np.max(given) > n:

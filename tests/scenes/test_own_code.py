@@ -1,10 +1,13 @@
-"""A friction law of one's own, from a file that is named on the command line."""
+"""A friction law or an observer of one's own, from a file that is named on the command line."""
 
+import numpy as np
 import pytest
+import xarray as xr
 
-from jaxchain import cli
+from jaxchain import Chain, cli, excited_state, simulate
+from jaxchain.model.friction import Coulomb, TanhFriction
 from jaxchain.scenes.errors import SceneError
-from jaxchain.scenes.own_law import load_law, make_law
+from jaxchain.scenes.own_code import load_law, load_observer, make_law, make_observer
 
 LAWS = """
 import jax.numpy as jnp
@@ -143,3 +146,102 @@ def test_a_study_takes_no_law(laws, tmp_path, capsys):
     arguments = ["run", "boundaries", "--law", f"{laws}:Rational", "--output", str(tmp_path / "r")]
     assert cli.main(arguments) == 2
     assert "--law: is for scenes, and this is a study" in capsys.readouterr().err
+
+
+OBSERVERS = """
+import jax.numpy as jnp
+from jaxchain.observers import AbstractObserver, Variable
+
+
+class Overtaking(AbstractObserver):
+    factor: float = 1.0
+
+    def init(self, field, t0, t1, y0):
+        return jnp.zeros_like(y0[0])
+
+    def update(self, accumulator, step):
+        faster = step.y1[1] > self.factor * step.field.belt_speed
+        return accumulator + jnp.where(faster, step.t1 - step.t0, 0.0)
+
+    def read(self, accumulator):
+        return accumulator
+
+    def label(self, value, chain):
+        return {"overtaking": Variable(value, ("oscillator",), "1 / omega_n", "time in front")}
+"""
+OBSERVED = """
+title = "A test"
+
+[experiment.pair]
+chain = { n = 2, damping_ratio = 0.05, coupling = 0.01, friction = { law = "coulomb", \
+mu_dynamic = 0.5, width = 1e-2 } }
+initial = { kind = "excited", excited = 1, displacement = 0.0, velocity = 3.0 }
+sweep = { belt_speed = [1.0, 2.0] }
+time = { transient = 0.5, window = 6.5 }
+"""
+NAMED = 'observe = {{ others = [{{ observer = "own", name = "Overtaking", {} }}] }}\n'
+
+
+@pytest.fixture
+def observers(tmp_path):
+    file = tmp_path / "my_observers.py"
+    file.write_text(OBSERVERS, encoding="utf-8")
+    return file
+
+
+def _observed(tmp_path, more=""):
+    file = tmp_path / "seen.toml"
+    file.write_text(OBSERVED + more, encoding="utf-8")
+    return ["run", str(file), "--output", str(tmp_path / "results"), "--no-plot", "--quiet"]
+
+
+@pytest.mark.parametrize(
+    ("more", "factor"), [("", 1.0), (NAMED.format("factor = 1.5"), 1.5)], ids=["alone", "named"]
+)
+def test_a_scene_has_what_an_own_observer_saw(observers, tmp_path, more, factor):
+    arguments = _observed(tmp_path, more)
+    assert cli.main([*arguments, "--observer", f"{observers}:Overtaking"]) == 0
+    data = xr.open_dataset(tmp_path / "results" / "seen.nc", engine="h5netcdf")
+    assert data.overtaking.dims == ("belt_speed", "oscillator")
+    assert data.overtaking.attrs == {"long_name": "time in front", "units": "1 / omega_n"}
+    own = make_observer(
+        load_observer(f"{observers}:Overtaking", "test"), {"factor": factor}, "observe"
+    )
+    for speed in (1.0, 2.0):
+        chain = Chain(2, TanhFriction(Coulomb(0.5), 1e-2), speed, 0.05, 0.01)
+        start = excited_state(chain, 1, amplitude=0.0, velocity=3.0)
+        alone = simulate(chain, start, 7.0, observe=own, rtol=1e-6).observed
+        np.testing.assert_allclose(data.overtaking.sel(belt_speed=speed), alone, rtol=1e-9)
+        assert np.max(alone) > 0.3 or speed * factor == 3.0  # as fast as the kick
+
+
+@pytest.mark.parametrize(
+    ("more", "given", "problem"),
+    [
+        (
+            NAMED.format(""),
+            [],
+            "observe.others[0].name: is `Overtaking`, so this observer must be",
+        ),
+        (
+            NAMED.format("fcator = 2"),
+            ["{}:Overtaking"],
+            "observe.others[0].fcator: is no field of Overtaking (did you mean `factor`?)",
+        ),
+        ("", ["{}:Nothing"], "has no class Nothing; observers there: Overtaking"),
+        ("", ["{}:jnp"], "jnp is not a subclass of `jaxchain.observers.AbstractObserver`"),
+    ],
+)
+def test_what_is_wrong_with_an_own_observer_is_said_before_anything_runs(
+    observers, tmp_path, capsys, more, given, problem
+):
+    options = [word for text in given for word in ("--observer", text.format(observers))]
+    more = more.replace(",  }", " }")
+    assert cli.main([*_observed(tmp_path, more), *options]) == 2
+    assert problem in capsys.readouterr().err
+    assert not (tmp_path / "results").exists()
+
+
+def test_a_law_is_no_observer(laws):
+    with pytest.raises(SceneError, match=r"--observer .* is not a subclass"):
+        load_observer(f"{laws}:Rational", "test")
