@@ -1,0 +1,44 @@
+"""The chain with true dry friction, as a Taylor series about the present."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxchain.model.chain import Chain
+from jaxchain.model.friction import ExponentialDecay
+from jaxchain.solvers.dry_friction import expand, start
+
+
+def test_the_series_has_every_force_of_the_chain():
+    """A force that is added to the chain, and not to the series, must not be lost in silence."""
+    chain = Chain(
+        4, ExponentialDecay(1.0, 0.5, 0.5), 0.3, damping_ratio=jnp.array([0.1, 0.2, 0.05, 0.3]),
+        coupling=jnp.array([0.2, 0.3, 0.1, 0.4]), stiffness=jnp.array([1.0, 2.0, 0.5, 1.5]),
+        normal_load=jnp.array([1.0, 0.7, 1.2, 0.9]),
+    )  # fmt: skip
+    # Two slide forward, two backward; none sticks.
+    x, v = jnp.array([0.5, -1.2, 2.0, 0.1]), jnp.array([1.0, 0.7, -0.4, 0.0])
+    _, modes = start(chain, (x, v))
+    series = expand(chain, (x, v), modes, 4)
+
+    def polynomial(t, coefficients):
+        return sum(c * t**k for k, c in enumerate(coefficients))
+
+    def force(t):
+        return chain.free_force(polynomial(t, series.x), polynomial(t, series.v))
+
+    derivative, factorial = force, 1.0
+    for k in range(4):
+        np.testing.assert_allclose(series.r[k], derivative(0.0) / factorial, rtol=1e-12)
+        derivative, factorial = jax.jacfwd(derivative), factorial * (k + 1)
+
+    def relative(t):
+        return polynomial(t, series.v) - chain.belt_speed
+
+    # And the equation of motion, v' = r - direction p mu, at t = 0 and in its first derivative.
+    def friction(t):
+        return -modes.direction * chain.load * chain.law.coefficient(jnp.abs(relative(t)))
+
+    np.testing.assert_allclose(series.v[1], force(0.0) + friction(0.0), rtol=1e-12)
+    slope = jax.jacfwd(lambda t: force(t) + friction(t))(0.0)
+    np.testing.assert_allclose(2.0 * series.v[2], slope, rtol=1e-12)
