@@ -1,8 +1,11 @@
 """The chain with true dry friction, as a Taylor series about the present."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from jaxchain.model.chain import Chain
 from jaxchain.model.friction import ExponentialDecay
@@ -21,8 +24,8 @@ def test_the_series_has_every_force_of_the_chain():
     _, modes = start(chain, (x, v))
     series = expand(chain, (x, v), modes, 4)
 
-    def polynomial(t, coefficients):
-        return sum(c * t**k for k, c in enumerate(coefficients))
+    def polynomial(t: Any, coefficients: list[Array]) -> Array:
+        return jnp.polyval(jnp.stack(coefficients)[::-1], t)
 
     def force(t):
         return chain.free_force(polynomial(t, series.x), polynomial(t, series.v))
