@@ -11,7 +11,11 @@ from jaxtyping import Array, Float
 from .._checks import check_finite, check_whole
 from .._types import ScalarLike, State
 from ..model.oscillators import AbstractOscillators
+from ..model.springs import materialize
 from .base import AbstractObserver, Step, Variable
+
+# Before all times; finite, as `materialize` multiplies by 0.
+_NONE = -1e300
 
 
 class PeakTimes(AbstractObserver):
@@ -36,19 +40,22 @@ class PeakTimes(AbstractObserver):
     ) -> tuple[Array, Array]:
         del field, t0, t1
         x, _ = y0
-        return jnp.full((self.capacity, *x.shape), jnp.nan), jnp.zeros(x.shape, int)
+        return jnp.full((self.capacity, *x.shape), _NONE), jnp.zeros(x.shape, int)
 
     def update(self, accumulator: tuple[Array, Array], step: Step) -> tuple[Array, Array]:
         times, count = accumulator
         turns, theta = step.turning_points()
         time = step.time(theta)
         peak = turns & (step.y0[1] > 0) & (time >= self.start)
+        # Once, not once for every row.  The row that `count` points to holds nothing yet.
+        new = materialize(jnp.where(peak, time, _NONE))
         # A comparison with every row is several times faster than a scatter on a CPU.
-        here = peak[None, :] & (jnp.arange(self.capacity)[:, None] == count[None, :])
-        return jnp.where(here, time[None, :], times), count + peak
+        here = jnp.arange(self.capacity)[:, None] == count[None, :]
+        return jnp.where(here, new[None, :], times), count + peak
 
     def read(self, accumulator: tuple[Array, Array]) -> Float[Array, "capacity n"]:
-        return accumulator[0]
+        times, _ = accumulator
+        return jnp.where(times > _NONE, times, jnp.nan)
 
     def label(self, value: Float[Array, "capacity n"], chain: Any) -> dict[str, Variable]:
         del chain

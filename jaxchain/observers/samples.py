@@ -17,6 +17,7 @@ from .._checks import check_nonnegative, check_positive, check_whole, to_float
 from .._derivatives import both_ways
 from .._types import ScalarLike, State
 from ..model.oscillators import AbstractOscillators
+from ..model.springs import materialize
 from .base import AbstractObserver, Step, Variable, states_at_times
 
 # Share of an interval, or of a step, by which rounding may move a time.
@@ -108,7 +109,9 @@ class Samples(AbstractObserver):
             def keep(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
                 count, x, v = carry
                 here = (jnp.arange(self.capacity) == count)[:, None]
-                now = (part[masses] for part in state_at(jnp.clip(theta(count), 0.0, 1.0)))
+                state = state_at(jnp.clip(theta(count), 0.0, 1.0))
+                # Once, not once for every row.
+                now = (materialize(part[masses]) for part in state)
                 x, v = (
                     jnp.where(here, new[None, :], old)
                     for new, old in zip(now, (x, v), strict=True)

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float, Int
 from .._checks import check_finite, check_whole
 from .._types import ScalarLike, State
 from ..model.oscillators import AbstractOscillators
+from ..model.springs import materialize
 from .base import AbstractObserver, Step, Variable, states_at_times, zeros
 
 # Trials to locate a greatest velocity: regula falsi gains a digit or two with each.
@@ -63,10 +64,12 @@ class Section(AbstractObserver):
             theta = self._fastest(step, peaks, first, last)
         hit = peaks & (step.time(theta) >= self.start)
         here = hit & (jnp.arange(self.capacity) == count)
+        # Once, not once for every row.
+        x, v = materialize(step.displacement(theta)), materialize(step.velocity(theta))
         return (
             jnp.where(here, step.time(theta), times),
-            jnp.where(here[:, None], step.displacement(theta)[None, :], xs),
-            jnp.where(here[:, None], step.velocity(theta)[None, :], vs),
+            jnp.where(here[:, None], x[None, :], xs),
+            jnp.where(here[:, None], v[None, :], vs),
             count + hit,
         )
 
