@@ -16,15 +16,31 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from . import __version__
 from .model.parameters import parameter
 from .scenes.errors import FigureError, SceneError, StudyFailedError
 
+_RUN_EXAMPLES = """\
+examples:
+  jaxchain run quickstart          a ring of six: data and a figure, in seconds
+  jaxchain run quickstart --output first --set experiment.ladder.chain.n=10
+"""
+_EXAMPLES = """\
+examples:
+  jaxchain run quickstart          a first look, in seconds: results/quickstart
+  jaxchain scenes                  what else can be run
+  jaxchain scenes quickstart       a scene file, to start one's own from
+  jaxchain COMMAND --help          the options of a command
+"""
 # The numbers that `boundary` takes, those of the paper by default.
 _BOUNDARY_OPTIONS = ("width", "damping_ratio", "coupling", "mu_static", "mu_dynamic", "v_ref")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Runs a subcommand. Returns the exit status: 0 done, 1 failed, 2 misused, 130 interrupted."""
+    """Runs a subcommand. Returns the exit status: 0 done, 1 failed, 2 misused, 130 interrupted.
+
+    Without a subcommand it prints its help.
+    """
     arguments = list(sys.argv[1:] if argv is None else argv)
     if arguments[:1] == ["bench"]:  # has options of its own, also --help
         from .bench.command import main as bench
@@ -40,14 +56,21 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="jaxchain", description="Simulates chains of friction-excited oscillators."
+        prog="jaxchain",
+        description="Simulates chains of friction-excited oscillators.",
+        epilog=_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    parser.add_argument("--version", action="version", version=f"jaxchain {__version__}")
+    parser.set_defaults(command=lambda options: parser.print_help() or 0)
+    commands = parser.add_subparsers(metavar="COMMAND")
 
     run = commands.add_parser(
         "run",
         help="run a scene or study and draw its figure",
         description="Runs a scene or a study.",
+        epilog=_RUN_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     run.add_argument("scene", help="name of a built-in scene or study, or a TOML file")
     run.add_argument(

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 from typing import get_args
 
@@ -13,6 +14,7 @@ import xarray as xr
 import zarr
 from synthetic import results
 
+import jaxchain
 from jaxchain import paper_chain, steady_sliding
 from jaxchain.boundaries import overview
 from jaxchain.cli import main
@@ -356,6 +358,34 @@ def test_a_bad_number_of_boundary_ends_with_2_and_names_it(
     assert said in printed.err
     assert printed.out == ""
     assert found == []
+
+
+def test_without_a_command_it_prints_its_help(capsys):
+    assert main([]) == 0
+    said = capsys.readouterr()
+    assert said.out.startswith("usage: jaxchain")
+    assert not said.err
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    assert capsys.readouterr().out == said.out
+
+
+def test_it_tells_its_version(capsys):
+    with pytest.raises(SystemExit) as stopped:
+        main(["--version"])
+    assert stopped.value.code == 0
+    assert capsys.readouterr().out == f"jaxchain {jaxchain.__version__}\n"
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["run", "--help"]])
+def test_help_shows_an_example_that_is_understood(arguments, capsys):
+    with pytest.raises(SystemExit):
+        main(arguments)
+    lines = [line.strip() for line in capsys.readouterr().out.splitlines()]
+    shown = [line.split("  ")[0].split() for line in lines if line.startswith("jaxchain run ")]
+    assert ["jaxchain", "run", "quickstart"] in shown
+    for _, _, scene, *options in shown:
+        load_scene(scene, [b for a, b in pairwise(options) if a == "--set"])
 
 
 @pytest.mark.parametrize(

@@ -36,7 +36,8 @@ def loaded_by(*commands):
 
 
 def test_help_and_the_list_of_scenes_do_not_even_check():
-    for status, packages in loaded_by(["--help"], ["run", "--help"], ["scenes"]):
+    commands = ([], ["--help"], ["--version"], ["run", "--help"], ["scenes"])
+    for status, packages in loaded_by(*commands):
         assert status == 0
         assert not packages & {*HEAVY, "numpy", "pydantic"}
 
