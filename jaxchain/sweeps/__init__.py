@@ -4,6 +4,7 @@
 - `dataset`: labels, units and provenance of results
 - `lanes`: what a lane does, and what all do together
 - `scheduler`: lanes on every device, and the jobs that wait for them
+- `starts`: the chain and the state that a lane starts with
 - `sweeping`: `sweep`
 """
 

@@ -16,7 +16,7 @@ from ..model.chain import Chain, require_smoothed
 from ..observers.amplitude import Amplitude
 from ..observers.base import AbstractObserver, Variable
 from ..observers.trajectory import Trajectory
-from .lanes import chain_names, initial_names
+from .starts import chain_names, initial_names
 
 MOST_LANES = 10_000_000
 # What every sweep has, whatever is observed.

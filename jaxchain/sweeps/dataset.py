@@ -35,7 +35,7 @@ from ..observers.base import Variable
 from ..result import NAMES, ended_well
 from ..simulation.plan import AbstractPlan
 from .axes import Axes, sizes
-from .lanes import chain_names
+from .starts import chain_names
 
 # How a count is written: an integer, and this one where it is missing.
 COUNT_ENCODING = {"dtype": "int64", "_FillValue": -1}

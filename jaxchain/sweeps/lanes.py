@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import inspect
+import functools
 from collections import OrderedDict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -16,37 +16,17 @@ from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
 from jaxtyping import Array, Bool, Int
 
-from .._types import State
 from ..model.chain import Chain
-from ..model.parameters import CHAIN
 from ..observers.base import Variable
 from ..result import Result, code
 from ..simulation.plan import AbstractPlan, Progress
+from .starts import Own, Start, Starts, Varied, start_of, with_numbers
 
 # Steps per round: long enough that the host's share vanishes, short enough that a lane which has
 # ended does not idle for long.
 ROUND = 256
-
-
-def chain_names(chain: Chain) -> list[str]:
-    """What may differ from lane to lane: every number but the constant of springs that lack."""
-    own = [name for name in CHAIN if name != "coupling" or chain.coupling is not None]
-    return [*own, *chain.friction.numbers()]
-
-
-def initial_names(initial: Callable) -> list[str]:
-    """What `initial`, or `vary`, takes beyond the chain."""
-    return list(inspect.signature(initial).parameters)[1:]
-
-
-def own_chain(chain: Chain, vary: Callable[..., Chain] | None, values: Mapping[str, Any]) -> Chain:
-    """The chain with the numbers of one job: those that it has, then what `vary` makes of them."""
-    own = {k: v for k, v in values.items() if k in chain_names(chain)}
-    chain = chain.with_(**own) if own else chain
-    if vary is None:
-        return chain
-    names = initial_names(vary)
-    return vary(chain, **{k: v for k, v in values.items() if k in names})
+# Pairs of functions, `initial` and `vary`, whose programs are kept: the latest ones.
+KEPT = 8
 
 
 class Task(eqx.Module):
@@ -54,28 +34,19 @@ class Task(eqx.Module):
 
     plan: AbstractPlan
     chain: Chain
-    initial: State | Callable[..., State]
     t0: Array
     t1: Array
     max_steps: Array | None = None  # of a lane, accepted or rejected
-    vary: Callable[..., Chain] | None = None
+    varied: Varied | None = eqx.field(static=True, default=None)
     segments: int | None = eqx.field(static=True, default=None)
 
     def edge(self, segment: Any) -> Array:
         """The time at which a segment begins."""
         return self.t0 + (self.t1 - self.t0) * segment / self.segments
 
-    def own_chain(self, values: dict[str, Array]) -> Chain:
-        return own_chain(self.chain, self.vary, values)
-
-    def own_initial(self, values: dict[str, Array]) -> State:
-        initial = self.initial
-        if callable(initial):
-            names = initial_names(initial)
-            own = {k: v for k, v in values.items() if k in names}
-            initial = initial(self.own_chain(values), **own)
-        x, v = (jnp.broadcast_to(jnp.asarray(p, float), (self.chain.n,)) for p in initial)
-        return x, v
+    def own_chain(self, own: Own) -> Chain:
+        chain = with_numbers(self.chain, own.numbers)
+        return chain if self.varied is None else self.varied.make(chain, own.new)
 
     def observed(self, chain: Chain, progress: Progress) -> OrderedDict[str, Variable]:
         """What all observers say of a run so far, by the names of the variables."""
@@ -94,33 +65,33 @@ class Segments(eqx.Module):
 
 
 class Lane(eqx.Module):
-    """One lane under way, with the values of its job; a pool of lanes is stacked along axis 0."""
+    """One lane under way, with what is its job's own; a pool of lanes is stacked along axis 0."""
 
-    values: dict[str, Array]
+    own: Own
     progress: Progress
     segments: Segments | None = None
 
 
-def start_lane(task: Task, values: dict[str, Array]) -> Lane:
-    chain, initial = task.own_chain(values), task.own_initial(values)
+def start_lane(task: Task, start: Start) -> Lane:
+    chain, initial = task.own_chain(start.own), start.state
     if task.segments is None:
-        return Lane(values, task.plan.begin(chain, initial, task.t0, task.t1))
+        return Lane(start.own, task.plan.begin(chain, initial, task.t0, task.t1))
     progress = task.plan.begin(chain, initial, task.t0, task.edge(1))
     blank = jtu.tree_map(
         lambda a: jnp.zeros((task.segments, *a.shape), a.dtype), task.observed(chain, progress)
     )
     none = jnp.zeros((), int)
-    return Lane(values, progress, Segments(none, none, blank))
+    return Lane(start.own, progress, Segments(none, none, blank))
 
 
-def restart_lane(task: Task, lane: Lane, take: Bool[Array, ""], values: dict[str, Array]) -> Lane:
+def restart_lane(task: Task, lane: Lane, take: Bool[Array, ""], start: Start) -> Lane:
     """The lane itself, or a fresh one if it is to `take` the next job."""
-    return jtu.tree_map(lambda a, b: jnp.where(take, a, b), start_lane(task, values), lane)
+    return jtu.tree_map(lambda a, b: jnp.where(take, a, b), start_lane(task, start), lane)
 
 
 def advance_lane(task: Task, lane: Lane) -> tuple[Lane, Bool[Array, ""]]:
     """The lane after one more round, and whether it has ended."""
-    chain, segments = task.own_chain(lane.values), lane.segments
+    chain, segments = task.own_chain(lane.own), lane.segments
     progress, left, most = lane.progress, None, task.max_steps
     end = task.t1 if segments is None else task.edge(segments.present + 1)
     if most is not None:
@@ -133,9 +104,9 @@ def advance_lane(task: Task, lane: Lane) -> tuple[Lane, Bool[Array, ""]]:
     result = Result.where(goes_on, Result.successful, progress.result)
     progress = eqx.tree_at(lambda p: p.result, progress, result)
     if segments is None:
-        return Lane(lane.values, progress), ~goes_on
+        return Lane(lane.own, progress), ~goes_on
     progress, segments = _next_segment(task, chain, progress, segments, ~goes_on)
-    return Lane(lane.values, progress, segments), segments.present >= (task.segments or 1)
+    return Lane(lane.own, progress, segments), segments.present >= (task.segments or 1)
 
 
 def _next_segment(
@@ -158,7 +129,7 @@ def _next_segment(
 
 def read_lane(task: Task, lane: Lane) -> dict[str, Any]:
     progress, segments = lane.progress, lane.segments
-    own = segments.observed if segments else task.observed(task.own_chain(lane.values), progress)
+    own = segments.observed if segments else task.observed(task.own_chain(lane.own), progress)
     return {
         "result": code(progress.result),
         "end_time": progress.t,
@@ -205,9 +176,20 @@ class Parts:
             for mesh, task, *own in zip(self.meshes, tasks, *lanes, strict=True)
         ]
 
+    def starts(self, starts: list[Starts], values: list[dict[str, Array]]) -> list[Start]:
+        """The start of every lane."""
+        return [
+            _starts_of(mesh if mesh.size > 1 else None, own, job)
+            for mesh, own, job in zip(self.meshes, starts, values, strict=True)
+        ]
+
 
 @eqx.filter_jit
 def on_all_lanes(function: Callable, mesh: Mesh | None, task: Any, *lanes: Any) -> Any:
+    return _mapped(function, mesh, task, *lanes)
+
+
+def _mapped(function: Callable, mesh: Mesh | None, task: Any, *lanes: Any) -> Any:
     """`function(task, *lane)` for every lane: vmap on each device, no talk between devices."""
     arrays, static = eqx.partition(task, eqx.is_array)
 
@@ -224,6 +206,27 @@ def on_all_lanes(function: Callable, mesh: Mesh | None, task: Any, *lanes: Any) 
             check_vma=False,
         )
     return mapped(arrays, *lanes)
+
+
+def _starts_of(mesh: Mesh | None, starts: Starts, values: dict[str, Array]) -> Start:
+    arrays, static = eqx.partition(starts, eqx.is_array)
+    leaves, structure = jtu.tree_flatten(static)
+    return start_program(mesh, structure, *leaves)(arrays, values)
+
+
+@functools.lru_cache(maxsize=KEPT, typed=True)  # 1 and 1.0 make two programs
+def start_program(mesh: Mesh | None, structure: Any, *leaves: Hashable) -> Callable:
+    """A program that makes starts with these functions alone, and is forgotten with them.
+
+    JAX keeps what is compiled for as long as the function lives that was compiled; behind
+    `eqx.filter_jit` stands one that lives for ever.
+    """
+    static = jtu.tree_unflatten(structure, leaves)
+
+    def program(arrays: Any, values: dict[str, Array]) -> Start:
+        return _mapped(start_of, mesh, eqx.combine(arrays, static), values)
+
+    return jax.jit(program)
 
 
 def joined(parts: Sequence[Any]) -> Any:
@@ -259,14 +262,3 @@ def map_lanes(
         found.append(jtu.tree_map(lambda a, here=here: a[:here], values))
         done(here)
     return jtu.tree_map(lambda *own: np.concatenate(own), *found)
-
-
-@eqx.filter_jit
-def departures(task: Task, jobs: dict[str, Array]) -> Array:
-    """How far from a common rest each job starts."""
-
-    def departure(values: dict[str, Array]) -> Array:
-        x, v = task.own_initial(values)
-        return jnp.sum((x - jnp.median(x)) ** 2 + v**2)
-
-    return jax.lax.map(departure, jobs, batch_size=1024)

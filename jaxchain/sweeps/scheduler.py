@@ -9,7 +9,6 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import jax.tree_util as jtu
 import numpy as np
 from tqdm import tqdm
@@ -20,12 +19,12 @@ from .lanes import (
     Parts,
     Task,
     advance_lane,
-    departures,
     joined,
     read_lane,
     restart_lane,
     start_lane,
 )
+from .starts import Start, Starts, first, start_of
 
 # Numbers per array of one device's lanes: what keeps the arrays of a step within a core's cache.
 _NUMBERS_PER_DEVICE = {"cpu": 640, "gpu": 1 << 20}
@@ -46,21 +45,22 @@ class Pool:
     def __init__(
         self,
         task: Task,
+        starts: Starts,
         jobs: dict[str, np.ndarray],
         devices: Sequence[Any] | None,
         lanes: int | None,
     ):
-        self.task, self.jobs = task, jobs
+        self.task, self.starts, self.jobs = task, starts, jobs
         self.total = next(iter(jobs.values())).shape[0]
         self.devices = list(jax.local_devices() if devices is None else devices)[: self.total]
         self.fixed = lanes is not None
         self.lanes = _lane_count(task.chain.n, self.total, self.devices, lanes)
         self.width = self.lanes * len(self.devices)
         self.parts = Parts([[d] for d in self.devices] if self.fixed else [self.devices])
-        self.tasks = self.parts.place(task)
+        self.tasks, self.places = self.parts.place(task), self.parts.place(starts)
         self.last_look: tuple[float, np.ndarray] | None = None  # (wall time, times of the lanes)
-        first = {k: jnp.asarray(v[0]) for k, v in jobs.items()}
-        self.lane_shape = eqx.filter_eval_shape(start_lane, task, first)
+        start = eqx.filter_eval_shape(start_of, starts, first(jobs))
+        self.lane_shape = eqx.filter_eval_shape(start_lane, task, start)
         self.records = self._allocate()
         self.owner = np.full(self.width, -1)  # job of each lane; -1 is idle
 
@@ -126,8 +126,17 @@ class Pool:
 
     def _order(self) -> np.ndarray:
         """Jobs that start farthest from rest first: they take longest, and must not come last."""
-        jobs = {k: jnp.asarray(v) for k, v in self.jobs.items()}
-        return np.argsort(-np.asarray(departures(self.task, jobs)), kind="stable")
+        far = []
+        for begin in range(0, self.total, self.width):
+            index = np.minimum(np.arange(begin, begin + self.width), self.total - 1)
+            x, v = joined([start.state for start in self._starts(index)])
+            far.append(np.sum((x - np.median(x, axis=1, keepdims=True)) ** 2 + v**2, axis=1))
+        return np.argsort(-np.concatenate(far)[: self.total], kind="stable")
+
+    def _starts(self, index: np.ndarray) -> list[Start]:
+        """What the lanes of a full pool get of these jobs; always by the same program."""
+        values = self.parts.deal({k: v[index] for k, v in self.jobs.items()})
+        return self.parts.starts(self.places, values)
 
     def _refill(self, pool: list[Lane], waiting: np.ndarray) -> tuple[list[Lane], np.ndarray]:
         """Idle lanes take the first jobs of `waiting`; returns the pool and the rest."""
@@ -137,8 +146,8 @@ class Pool:
         index[slots] = self.owner[slots] = batch
         take = np.zeros(self.width, bool)
         take[slots] = True
-        values = self.parts.deal({k: v[index] for k, v in self.jobs.items()})
-        return self._on_all(restart_lane, pool, self.parts.deal(take), values), rest
+        starts = self._starts(index)
+        return self._on_all(restart_lane, pool, self.parts.deal(take), starts), rest
 
     def _shrink(self, pool: list[Lane]) -> list[Lane]:
         """Once few lanes are left, and long ones, a pool of a quarter of the width goes on.

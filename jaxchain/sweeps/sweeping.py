@@ -47,13 +47,9 @@ from ..simulation.event_driven import EventDriven, own_solver
 from ..simulation.run import build_plan
 from .axes import check_axes, check_observers, check_vary
 from .axes import jobs as jobs_of
-from .lanes import (
-    Task,
-    chain_names,
-    initial_names,
-    own_chain,
-)
+from .lanes import Task
 from .scheduler import Pool
+from .starts import Starts, chain_names, initial_names, own_chain
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -134,6 +130,12 @@ def sweep(
     and jaxchain, give the same bits.  The attributes `devices`, `device_kind`, `lanes_per_device`
     and `lanes_per_device_at_end` record them.
 
+    **Compiled** are the runs once for all numbers, states and functions, but anew for another
+    number of masses or lanes, another law, solver or observer; and, in a fraction of a second,
+    what makes the starts, for each new function: `def` one `initial` before a loop of sweeps, and
+    hand over what changes as a parameter of it, in `over`, instead of a new `lambda` each time.
+    The programs of the latest eight functions are kept.
+
     **Raises:** `ValueError` for bad input before anything is compiled; `MemoryError` if the
     results cannot fit; `SweepInterrupted` on Ctrl-C, with what was finished.
 
@@ -193,8 +195,9 @@ def sweep(
         solver = choose_solver(_strongest(chain, jobs), float(tolerance), float(max_step))
     plan = build_plan(solver, observers, tolerance, absolute, max_step, t1)
     most = None if max_steps is None else jnp.asarray(max_steps)
-    task = Task(plan, chain, initial, to_float(t0), to_float(t1), most, vary, segments)
-    runner = Pool(task, jobs, devices, lanes)
+    starts = Starts(chain, initial, vary)
+    task = Task(plan, chain, to_float(t0), to_float(t1), most, starts.varied(jobs), segments)
+    runner = Pool(task, starts, jobs, devices, lanes)
     lanes_at_start, started = runner.lanes, time.perf_counter()
     interrupted = False
     try:

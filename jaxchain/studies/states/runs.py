@@ -36,6 +36,7 @@ from jaxchain.studies.states.phases import join_peaks, join_samples
 from jaxchain.studies.states.table import PhasePlots, States, TimeSeries
 from jaxchain.sweeps.dataset import describe, to_dataset
 from jaxchain.sweeps.lanes import Lane, Parts, Task, joined, read_lane, start_lane
+from jaxchain.sweeps.starts import Starts
 from jaxchain.sweeps.sweeping import SweepInterrupted
 
 # Of the fastest mode.  A vibrating mass has one maximum in a period, which is longer than this.
@@ -73,7 +74,7 @@ def run_states(
     def task(observers: list[AbstractObserver]) -> Task:
         atol = 0.1 * numerics.rtol if numerics.atol is None else numerics.atol
         plan = build_plan(solver, observers, numerics.rtol, atol, numerics.max_step, end)
-        return Task(plan, chain, initial, to_float(0.0), to_float(end))
+        return Task(plan, chain, to_float(0.0), to_float(end))
 
     parts, order = _deal(len(counts), numerics.lanes)
     mine = np.array([np.flatnonzero(order == i)[0] for i in range(len(counts))])
@@ -86,7 +87,9 @@ def run_states(
 
     amplitude = stages[0][1][0]
     own = task([amplitude])
-    lanes = on_all(start_lane, own, parts.deal({"excited": counts[order]}))
+    values = parts.deal({"excited": counts[order]})
+    starts = parts.starts(parts.place(Starts(chain, initial)), values)
+    lanes = on_all(start_lane, own, starts)
     found: dict[type, list] = {PeakTimes: [], Samples: []}
     interrupted = False
     with tqdm(
@@ -212,15 +215,15 @@ def _stages(
 
 def _watch(task: Task, lane: Lane, now: Array) -> Lane:
     """The lane with fresh stores for all that is observed but amplitudes."""
-    chain, progress = task.own_chain(lane.values), lane.progress
+    chain, progress = task.own_chain(lane.own), lane.progress
     fresh = [o.init(chain, now, task.t1, progress.state) for o in task.plan.observers[1:]]
     accumulators = [progress.accumulators[0], *fresh]
-    return Lane(lane.values, eqx.tree_at(lambda p: p.accumulators, progress, accumulators))
+    return Lane(lane.own, eqx.tree_at(lambda p: p.accumulators, progress, accumulators))
 
 
 def _advance(task: Task, lane: Lane, until: Array) -> tuple[Lane, list]:
     """The lane at the end of a stretch, and what was observed in it."""
-    chain = task.own_chain(lane.values)
+    chain = task.own_chain(lane.own)
     progress, _ = task.plan.advance(chain, lane.progress, until, max_steps=None)
     seen = task.plan.read(progress)
-    return _watch(task, Lane(lane.values, progress), until), seen
+    return _watch(task, Lane(lane.own, progress), until), seen

@@ -1,0 +1,130 @@
+"""Starts of lanes: what the user's functions make, and what is compiled and kept for them."""
+
+import gc
+import weakref
+from typing import Any
+
+import diffrax as dfx
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxchain import Amplitude, equation_8, paper_chain, sweep
+from jaxchain.localization import mistuned_chain
+from jaxchain.sweeps.lanes import KEPT, Parts, on_all_lanes, start_program
+from jaxchain.sweeps.starts import Starts, own_chain
+
+CHAIN = paper_chain(2, belt_speed=1.4, width=0.1)
+
+
+def run(initial, vary=None, **over):
+    return sweep(
+        CHAIN, initial, 2.0, vary=vary, over={name: np.asarray(v) for name, v in over.items()},
+        observe=Amplitude(window=1.0), solver=dfx.Heun(), rtol=1e-3, lanes=2,
+        devices=jax.devices()[:1],
+    )  # fmt: skip
+
+
+def programs():
+    """How many have been compiled: large ones, and small ones for the starts."""
+    return on_all_lanes._cached._cache_size(), start_program.cache_info().misses  # pyright: ignore
+
+
+def test_a_new_function_compiles_its_starts_alone():
+    first = run(lambda chain, pull: equation_8(chain, 1), pull=[0.0, 1.0])
+    large, small = programs()
+
+    def pulled(by):
+        return run(lambda chain, k: (by * k, 0.0), k=[1, 2])
+
+    weak, strong = pulled(0.1), pulled(0.2)
+    assert not np.array_equal(weak.amplitude, first.amplitude)
+    assert not np.array_equal(weak.amplitude, strong.amplitude)
+    assert programs() == (large, small + 2)
+
+
+def test_another_function_of_that_kind_varies_without_another_large_program():
+    def states(factor):
+        return run(
+            lambda chain: equation_8(chain, 2), u=[0.9, 1.0],
+            vary=lambda chain, u: chain.with_(damping_ratio=0.05 * factor * u),
+        ).amplitude.values  # fmt: skip
+
+    once = states(1.0)
+    large, small = programs()
+    assert np.all(states(2.0) < once)
+    np.testing.assert_array_equal(states(1.0), once)
+    assert programs() == (large, small + 2)
+
+
+def test_the_same_function_compiles_nothing():
+    def initial(chain, pull) -> Any:
+        return pull, 0.0
+
+    run(initial, pull=[0.1, 0.2])
+    before = programs()
+    run(initial, pull=[0.3, 0.4])
+    assert programs() == before
+
+
+def test_the_programs_of_few_functions_are_kept():
+    """JAX lets go of what it compiled, and of the functions with all that they hold."""
+    parts, alive = Parts([jax.devices()[:1]]), []
+
+    def start(factor):
+        def initial(chain, k) -> Any:
+            return factor * k, 0.0
+
+        alive.append(weakref.ref(initial))
+        place = parts.place(Starts(CHAIN, initial))
+        return parts.starts(place, parts.deal({"k": np.arange(2.0)}))[0].state[0]
+
+    for factor in range(1, KEPT + 4):
+        assert start(factor).tolist() == [[0.0] * 2, [factor] * 2]
+    gc.collect()
+    assert sum(function() is not None for function in alive) <= KEPT
+    assert start_program.cache_info().currsize <= KEPT
+
+
+def faster(chain, u):
+    return chain.with_(belt_speed=u, mu_static=1.0 + u)
+
+
+@pytest.mark.parametrize(
+    ("vary", "new"),
+    [
+        pytest.param(lambda chain, u: mistuned_chain(chain, u, 0.1), 1, id="each mass"),
+        pytest.param(faster, 2, id="two numbers"),
+        pytest.param(lambda chain, u: chain, 0, id="nothing"),
+    ],
+)
+def test_what_vary_leaves_as_it_is_stays_one_number_for_all_lanes(vary, new):
+    """A number that every lane has to itself costs time."""
+    chain = paper_chain(4, width=None)
+    jobs = {"u": np.array([1, 2]), "damping_ratio": np.array([0.05, 0.06])}
+    starts = Starts(chain, equation_8(chain, 1), vary)
+    varied = starts.varied(jobs)
+    assert varied is not None
+    assert varied.sources.count(None) == new
+    row = {name: jnp.asarray(values[1]) for name, values in jobs.items()}
+    start = starts.of(row)
+    made = varied.make(chain.with_(**start.own.numbers), start.own.new)
+    assert eqx.tree_equal(made, own_chain(chain, vary, row))
+
+
+def test_what_is_no_array_is_none_of_the_data():
+    chain = paper_chain(2, width=None)
+
+    def vary(chain, u):
+        return eqx.tree_at(lambda c: c.friction.mu_dynamic, chain.with_(mu_static=u), 0.25)
+
+    starts = Starts(chain, equation_8(chain, 1), vary)
+    one, other = (starts.varied({"u": np.array([u])}) for u in (1.0, 2.0))
+    assert one is not None
+    assert hash(one) == hash(other)
+    start = starts.of({"u": jnp.asarray(1.5)})
+    friction: Any = one.make(chain, start.own.new).friction
+    assert (float(friction.mu_static), friction.mu_dynamic) == (1.5, 0.25)
+    assert len(start.own.new) == 1
