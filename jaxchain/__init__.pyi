@@ -13,6 +13,7 @@ from . import simulation as simulation
 from . import solvers as solvers
 from . import studies as studies
 from . import sweeps as sweeps
+from ._configure import configure as configure
 from .boundaries.fold import fold_belt_speed as fold_belt_speed
 from .boundaries.grazing import nonsmooth_fold_belt_speed as nonsmooth_fold_belt_speed
 from .boundaries.hopf import hopf_belt_speed as hopf_belt_speed

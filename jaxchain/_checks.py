@@ -35,8 +35,8 @@ def require_x64() -> None:
     if jnp.zeros((), dtype=float).dtype != jnp.float64:
         raise RuntimeError(
             "jaxchain needs 64-bit floats, but JAX computes with 32 bits here: call "
-            'jax.config.update("jax_enable_x64", True) at the start of the program, or set the '
-            "environment variable JAX_ENABLE_X64=1."
+            "`jaxchain.configure()` at the start of the program, or set the environment variable "
+            "JAX_ENABLE_X64=1."
         )
 
 

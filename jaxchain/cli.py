@@ -6,10 +6,8 @@ A subcommand imports what it needs: help, and the list of scenes, are there at o
 from __future__ import annotations
 
 import argparse
-import contextlib
 import json
 import math
-import os
 import sys
 import warnings
 from collections.abc import Sequence
@@ -17,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from . import __version__
+from ._configure import configure
 from .model.parameters import parameter
 from .scenes.errors import FigureError, SceneError, StudyFailedError
 
@@ -156,7 +155,7 @@ def _run(options: argparse.Namespace) -> int:
 
     # Before jax is imported, so that a wrong scene is reported at once.
     loaded = load_scene(options.scene, options.overrides)
-    _configure_jax()
+    configure(cache=True)
     from .scenes.own_code import load_law, load_observer
     from .scenes.running import run_scene
     from .scenes.storage import new_folder
@@ -199,7 +198,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _boundary(options: argparse.Namespace) -> int:
-    _configure_jax()
+    configure(cache=True)
     from .boundaries.overview import hopf_and_fold
     from .model.chain import Chain
     from .model.friction import ExponentialDecay, TanhFriction
@@ -302,23 +301,3 @@ def _in_words(chain: Any, found: Any) -> str:
         lines.append(f"The width moves the fold by {100 * share:+.3g} %.")
     lines += [f"{name}: {why}." for name, why in reasons.items()]
     return "\n".join(lines)
-
-
-def _configure_jax() -> None:
-    """64 bits; every core a device and compiled programs kept, unless the user chose otherwise."""
-    import jax
-
-    jax.config.update("jax_enable_x64", True)
-    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-        cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxchain"
-        jax.config.update("jax_compilation_cache_dir", str(cache))
-    chosen = os.environ.get("XLA_FLAGS", "") + "".join(os.environ)
-    if "xla_force_host_platform_device_count" in chosen or "JAX_NUM_CPU_DEVICES" in chosen:
-        return
-    if hasattr(os, "sched_getaffinity"):  # what a container or a job scheduler leaves to us
-        cores = len(os.sched_getaffinity(0))
-    else:
-        cores = os.cpu_count() or 1
-    # JAX takes this only before its first computation; after that, its devices are what they are.
-    with contextlib.suppress(RuntimeError):
-        jax.config.update("jax_num_cpu_devices", cores)

@@ -32,9 +32,6 @@ from jaxtyping import install_import_hook
 # that instead.
 if "JAX_PLATFORMS" not in os.environ:
     jax.config.update("jax_platforms", "cpu")
-# Sharding needs two devices to be seen. This must stand before anything starts the backend.
-jax.config.update("jax_num_cpu_devices", 2)
-jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 mpl.use("Agg")
 # Tracing makes many objects that stay: to look for garbage among them as often as Python does by
@@ -45,6 +42,11 @@ mpl.rcParams["figure.dpi"] = mpl.rcParams["savefig.dpi"] = 50
 
 # Only modules imported after this line are checked, so no test file may come before it.
 install_import_hook("jaxchain", "beartype.beartype")
+
+import jaxchain  # noqa: E402
+
+# As users do; to see lanes on several devices takes two of them. Before anything is computed.
+jaxchain.configure(devices=2)
 
 # What compiled programs may take: some fifteen times what all tests leave.
 MOST_BYTES = 2**29

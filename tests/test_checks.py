@@ -111,7 +111,7 @@ def test_to_float_gives_strongly_typed_64_bit_floats(value):
 
 def test_require_x64_accepts_64_bits_and_says_how_to_switch_them_on():
     require_x64()
-    with jax.enable_x64(False), pytest.raises(RuntimeError, match='"jax_enable_x64", True'):
+    with jax.enable_x64(False), pytest.raises(RuntimeError, match=r"`jaxchain.configure\(\)`"):
         require_x64()
 
 

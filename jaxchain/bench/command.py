@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import importlib
 import json
 import os
 import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
+
+from jaxchain._configure import configure, cores
 
 if TYPE_CHECKING:
     from jaxchain.bench.timing import Row
@@ -91,16 +92,12 @@ def _measure(name: str, repeats: int) -> list[Row]:
 
 
 def _configure_jax() -> None:
-    """64 bits, and two CPU devices where there are two cores.
+    """As users do, with two CPU devices where there are two cores.
 
     No cache of compiled programs: compile times are measured, too.
     """
-    import jax
+    if "JAX_PLATFORMS" not in os.environ:
+        import jax
 
-    jax.config.update("jax_enable_x64", True)
-    # JAX takes the others only before its first computation.
-    with contextlib.suppress(RuntimeError):
-        if "JAX_PLATFORMS" not in os.environ:
-            jax.config.update("jax_platforms", "cpu")
-        if "JAX_NUM_CPU_DEVICES" not in os.environ:
-            jax.config.update("jax_num_cpu_devices", min(2, len(os.sched_getaffinity(0))))
+        jax.config.update("jax_platforms", "cpu")
+    configure(devices=None if "JAX_NUM_CPU_DEVICES" in os.environ else min(2, cores()))

@@ -1,0 +1,139 @@
+"""JAX as jaxchain wants it: 64 bits, all cores, small loops compiled whole; by one call."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from pathlib import Path
+
+# The bytes of a loop's state up to which XLA's CPU compiler makes one function of the loop. Of a
+# larger one it starts each operation by itself, some 50 ns each. So all states count as small.
+_EXTRA = "--xla_backend_extra_options="
+_OPTION = "xla_cpu_small_while_loop_byte_threshold"
+_WHOLE = f"{_OPTION}=1000000000"
+# What else may have told JAX how many devices the CPU shall be.
+_DEVICES = ("xla_force_host_platform_device_count", "JAX_NUM_CPU_DEVICES")
+
+
+def configure(
+    *,
+    bits: int | None = 64,
+    devices: int | None = None,
+    whole_loops: bool = True,
+    cache: bool | str | os.PathLike[str] = False,
+) -> None:
+    """Sets JAX up for jaxchain: call it first, before anything is computed.
+
+    `import jaxchain` changes nothing of JAX.  This does what a script for jaxchain needs, with one
+    line in place of three:
+
+    1. 64-bit floats, which jaxchain needs (`jax_enable_x64`);
+    2. one device of JAX for each core (`jax_num_cpu_devices`): `sweep` spreads its runs over all;
+    3. small loops compiled whole (an option of XLA for the CPU, added to the environment variable
+       `XLA_FLAGS`): a single run, fold or cycle takes a third of the time, and results agree to
+       rounding.  Tried with jax 0.10.2.
+
+    What the user has chosen otherwise, in the environment or by an earlier call, stays.
+
+    **Arguments:** `bits`, 64, or None to leave the precision alone; `devices`, how many the CPU
+    shall be, None for one per core that this process may use, 0 to leave that alone;
+    `whole_loops`, whether to set the option; `cache`, whether compiled programs are kept for the
+    next process: a folder, or True for `jaxchain` in the user's cache folder (XDG_CACHE_HOME).
+
+    **Raises:** `ValueError` for anything else.
+
+    **Warns:** of what could not be set, because JAX has computed something already.
+
+    >>> import jaxchain
+    >>> jaxchain.configure()
+    >>> from jaxchain import hopf_belt_speed, paper_chain
+    >>> round(float(hopf_belt_speed(paper_chain(belt_speed=1.0, width=1e-3))), 4)
+    1.1513
+    """
+    if bits not in (64, None):
+        raise ValueError(
+            f"Argument `bits` must be 64, or None to leave it alone, but is {bits!r}."
+        )
+    whole = isinstance(devices, int) and not isinstance(devices, bool)
+    if devices is not None and not (whole and 0 <= devices <= 10_000):
+        raise ValueError(
+            "Argument `devices` must be a number of devices up to 10000, None for one per core, "
+            f"or 0 to leave it alone, but is {devices!r}."
+        )
+    if not isinstance(cache, bool | str | os.PathLike):
+        raise ValueError(f"Argument `cache` must be a folder, True or False, but is {cache!r}.")
+    import jax
+
+    if bits:
+        jax.config.update("jax_enable_x64", True)
+    if cache and "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+        folder = _cache_folder() if cache is True else cache
+        jax.config.update("jax_compilation_cache_dir", os.fspath(folder))
+    late = []
+    if whole_loops and not _set_whole_loops(_computed()):
+        late.append("small loops compiled whole (`whole_loops`)")
+    if devices != 0 and not _set_devices(devices):
+        late.append("the number of devices (`devices`)")
+    if late:
+        warnings.warn(
+            f"JAX has computed something already, so {' and '.join(late)} could not be set: call "
+            "`jaxchain.configure()` before the first computation.",
+            stacklevel=2,
+        )
+
+
+def cores() -> int:
+    """What the machine, a container or a job scheduler leaves to this process."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _computed() -> bool:
+    """Whether JAX has started its devices: it takes no other number of them then."""
+    import jax
+
+    now = jax.config.jax_num_cpu_devices  # pyright: ignore[reportAttributeAccessIssue]
+    try:
+        jax.config.update("jax_num_cpu_devices", 1 if now != 1 else 2)
+    except RuntimeError:
+        return True
+    jax.config.update("jax_num_cpu_devices", now)
+    return False
+
+
+def _set_whole_loops(computed: bool) -> bool:
+    """Whether XLA is, or will be, told to; also if the user chose the threshold."""
+    words = os.environ.get("XLA_FLAGS", "").split()
+    if any(_OPTION in word for word in words):
+        return True
+    if computed:
+        return False
+    # XLA reads only the last of several: the user's other options stand in the same word.
+    last = next((i for i in reversed(range(len(words))) if words[i].startswith(_EXTRA)), None)
+    if last is None:
+        words.append(_EXTRA + _WHOLE)
+    else:
+        words[last] += f",{_WHOLE}"
+    os.environ["XLA_FLAGS"] = " ".join(words)
+    return True
+
+
+def _set_devices(devices: int | None) -> bool:
+    """Whether JAX has that many, or will have; also if the user chose another number before."""
+    import jax
+
+    now = jax.config.jax_num_cpu_devices  # pyright: ignore[reportAttributeAccessIssue]
+    told = os.environ.get("XLA_FLAGS", "") + "".join(os.environ)
+    if devices is None:
+        if now > 0 or any(name in told for name in _DEVICES):
+            return True
+        devices = cores()
+    if _computed():
+        return len(jax.devices("cpu")) == devices
+    jax.config.update("jax_num_cpu_devices", devices)
+    return True
+
+
+def _cache_folder() -> Path:
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxchain"

@@ -1,0 +1,80 @@
+"""What XLA makes of the loops that take all the time: a speed test that no load disturbs.
+
+A loop is fast on a CPU if it is compiled whole, `jaxchain.configure(whole_loops=True)`, which XLA
+does to loops without calls of anything else.
+"""
+
+import re
+
+import jax
+import jax.numpy as jnp
+import pytest
+
+from jaxchain.model.chain import paper_chain
+from jaxchain.model.initial_states import equation_8
+from jaxchain.observers.amplitude import Amplitude
+from jaxchain.observers.peaks import PeakTimes
+from jaxchain.simulation.run import simulate
+
+WHOLE = 'xla_cpu_small_call="true"'
+
+
+def _one(n, width, observe=None):
+    chain = paper_chain(n, 1.5, width)
+
+    def run(x, v):
+        done = simulate(chain, (x, v), 20.0, observe=observe)
+        return done.state, done.observed
+
+    return run, equation_8(chain, 1)
+
+
+def _many(n, width, observe=None):
+    run, (x, v) = _one(n, width, observe)
+    return jax.vmap(run), (jnp.tile(x, (4, 1)), jnp.tile(v, (4, 1)))
+
+
+def loops(text):
+    """{name of a computation: its lines} of all that belongs to loops of a compiled program."""
+    computations, name = {}, ""
+    for line in text.splitlines():
+        if head := re.match(r"(?:ENTRY )?%?([\w.\-]+) .*\{$", line):
+            name = head[1]
+            computations[name] = []
+        elif line.startswith("  "):
+            computations[name].append(line)
+    waiting = re.findall(r"body=%?([\w.\-]+)", text)
+    found = {}
+    while waiting:
+        name = waiting.pop()
+        if name not in found and name in computations:
+            found[name] = computations[name]
+            waiting += re.findall(
+                r"(?:to_apply|calls|body|condition)=%?([\w.\-]+)", "".join(found[name])
+            )
+    return found
+
+
+@pytest.mark.parametrize(
+    ("make", "n", "width", "observe", "most"),
+    [
+        pytest.param(_one, 1, 1e-3, None, 30, id="smoothed, one mass"),
+        pytest.param(_one, 20, 1e-3, None, 45, id="smoothed, one run"),
+        pytest.param(_one, 20, None, None, 90, id="dry, one run"),
+        pytest.param(_many, 20, 1e-3, None, 50, id="smoothed, an ensemble"),
+        pytest.param(_many, 20, None, None, 90, id="dry, an ensemble"),
+        pytest.param(_many, 20, 1e-3, Amplitude(10.0), 60, id="smoothed, amplitudes"),
+        pytest.param(_many, 20, None, Amplitude(10.0), 100, id="dry, amplitudes"),
+        pytest.param(_many, 20, None, PeakTimes(), 110, id="dry, times of maxima"),
+    ],
+)
+def test_every_loop_is_compiled_whole(make, n, width, observe, most):
+    function, arguments = make(n, width, observe)
+    text = str(jax.jit(function).lower(*arguments).compile().as_text())
+    lines = [line for own in loops(text).values() for line in own]
+    for word in ("custom-call(", "scatter(", " sort("):
+        assert not [line for line in lines if word in line]
+    fusions = sum(" fusion(" in line for line in lines)
+    assert most // 2 < fusions <= most
+    inner = sum(" while(" in line for line in lines)
+    assert text.count(WHOLE) >= text.count(" while(") - inner > 0

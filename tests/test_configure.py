@@ -1,0 +1,102 @@
+"""`jaxchain.configure`: in processes of their own, as JAX is set up once in each."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+import jaxchain
+from jaxchain._configure import cores
+
+THRESHOLD = "xla_cpu_small_while_loop_byte_threshold"
+WHOLE = f"--xla_backend_extra_options={THRESHOLD}=1000000000"
+TELL = """
+import json, os, warnings
+with warnings.catch_warnings(record=True) as said:
+    warnings.simplefilter("always")
+    {code}
+import jax
+print(json.dumps({{
+    "flags": os.environ.get("XLA_FLAGS"), "x64": jax.config.jax_enable_x64,
+    "cache": jax.config.jax_compilation_cache_dir,
+    "devices": len(jax.devices()), "said": [str(one.message) for one in said],
+}}))
+"""
+
+
+def told(code, **environment):
+    """What JAX is set to after `code`."""
+    ours = ("XLA_FLAGS", "JAX_ENABLE_X64", "JAX_NUM_CPU_DEVICES", "JAX_COMPILATION_CACHE_DIR")
+    env = {k: v for k, v in os.environ.items() if k not in ours}
+    env |= {"JAX_PLATFORMS": "cpu", **environment}
+    code = TELL.format(code="\n    ".join(code.splitlines()))
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=env, capture_output=True, text=True, check=True
+    )
+    return json.loads(done.stdout)
+
+
+def test_importing_changes_nothing_and_one_call_sets_everything():
+    untouched = {"flags": None, "x64": False, "cache": None, "devices": 1, "said": []}
+    assert told("import jaxchain") == untouched
+    # Also after `import jax`; a second call says nothing, nor one after something is computed.
+    code = "import jax\nimport jaxchain\njaxchain.configure()\njaxchain.configure()"
+    later = "\njax.numpy.ones(3).sum()\njaxchain.configure()"
+    wanted = {"flags": WHOLE, "x64": True, "cache": None, "devices": cores(), "said": []}
+    assert told(code + later) == wanted
+
+
+def test_each_part_can_be_left_out():
+    code = "import jaxchain\njaxchain.configure(bits=None, devices=0, whole_loops=False)"
+    assert told(code) == told("import jaxchain")
+    found = told("import jaxchain\njaxchain.configure(devices=3, cache='programs')")
+    assert found["devices"] == 3
+    assert found["cache"] == "programs"
+
+
+def test_what_the_user_has_chosen_stays():
+    mine = "--xla_cpu_enable_fast_math=false --xla_backend_extra_options=xla_cpu_use_mlir=1"
+    code = "import jaxchain\njaxchain.configure(cache=True)"
+    found = told(
+        code, XLA_FLAGS=mine, JAX_NUM_CPU_DEVICES="3", JAX_COMPILATION_CACHE_DIR="/nowhere"
+    )
+    assert found["flags"] == f"{mine},{THRESHOLD}=1000000000"
+    assert found["devices"] == 3
+    assert found["cache"] == "/nowhere"
+    mine = f"--xla_force_host_platform_device_count=4 --xla_backend_extra_options={THRESHOLD}=7"
+    found = told(code, XLA_FLAGS=mine, XDG_CACHE_HOME="/here")
+    assert found["flags"] == mine
+    assert found["devices"] == 4
+    assert found["cache"] == "/here/jaxchain"
+    # By an earlier call.
+    code = "import jaxchain\njaxchain.configure(devices=3)\njaxchain.configure()"
+    assert told(code)["devices"] == 3
+
+
+def test_called_too_late_it_says_what_could_not_be_set():
+    late = "import jax\nimport jaxchain\njax.numpy.ones(3).sum()\n"
+    found = told(late + "jaxchain.configure(devices=3)")
+    (said,) = found["said"]
+    assert "(`whole_loops`) and the number of devices (`devices`) could not be set" in said
+    assert "before the first computation" in said
+    assert found["x64"]  # which can be set at any time
+    assert found["flags"] is None
+    assert told(late + "jaxchain.configure(devices=1, whole_loops=False)")["said"] == []
+    (said,) = told(late + "jaxchain.configure(devices=0)")["said"]
+    assert "so small loops compiled whole (`whole_loops`) could not be set" in said
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"bits": 32}, "`bits` must be 64"),
+        ({"devices": -1}, "`devices` must be a number of devices"),
+        ({"devices": 10**30}, "`devices` must be a number of devices"),
+        ({"devices": True}, "`devices` must be a number of devices"),
+    ],
+)
+def test_bad_arguments_are_named(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        jaxchain.configure(**arguments)
