@@ -13,8 +13,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float
 
-# Below this a step is judged by rounding errors alone, or by squares that underflow.
-LEAST_RTOL, LEAST_ATOL = 1e-15, 1e-30
+from ._limits import LEAST_ATOL, LEAST_RTOL
 
 
 def to_float(value: ArrayLike) -> Float[Array, "..."]:

@@ -5,6 +5,11 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable, Sequence
 
+# A screen or two, whatever the file: so many problems are shown, of so many characters at most.
+MOST_SHOWN, _CHARACTERS = 50, 1000
+# Longer words are no misspelt keys, and take long to compare.
+_LONGEST_WORD = 50
+
 
 class SceneError(Exception):
     """A scene that cannot be run: what is wrong, one line per problem."""
@@ -16,7 +21,11 @@ class SceneError(Exception):
 
     def __str__(self) -> str:
         count = "an error" if len(self.problems) == 1 else f"{len(self.problems)} errors"
-        return "\n".join([f"scene {self.name} has {count}:", *(f"  {p}" for p in self.problems)])
+        lines = [f"scene {shortened(self.name, _CHARACTERS)} has {count}:"]
+        lines += [f"  {shortened(p, _CHARACTERS)}" for p in self.problems[:MOST_SHOWN]]
+        if (more := len(self.problems) - MOST_SHOWN) > 0:
+            lines.append(f"  and {more} more")
+        return "\n".join(lines)
 
 
 class FigureError(Exception):
@@ -29,5 +38,17 @@ class StudyFailedError(Exception):
 
 def did_you_mean(word: str, allowed: Iterable[str]) -> str:
     """ " (did you mean `...`?)", or nothing if no allowed word is near."""
+    if len(word) > _LONGEST_WORD:
+        return ""
     near = difflib.get_close_matches(word, list(allowed), n=1)
     return f" (did you mean `{near[0]}`?)" if near else ""
+
+
+def shortened(text: str, most: int) -> str:
+    """One printable line: other characters as escapes, and no more than `most` of them, or so.
+
+    >>> shortened("a" * 20 + "b", 10)
+    'aaaaaaaaaa... (21 characters)'
+    """
+    cut = text if len(text) <= most else f"{text[:most]}... ({len(text)} characters)"
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in cut)

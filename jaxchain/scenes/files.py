@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import re
 import tomllib
 from collections.abc import Sequence
@@ -10,7 +11,11 @@ from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
-from .errors import SceneError, did_you_mean
+from .errors import SceneError, did_you_mean, shortened
+
+MOST_BYTES = 10 * 10**6
+# Keys of one assignment, and characters of it that are shown.
+_DEEPEST, _SHOWN = 100, 200
 
 
 def builtin_scenes() -> dict[str, Traversable]:
@@ -33,50 +38,96 @@ def read_scene(scene: str, overrides: Sequence[str] = ()) -> tuple[str, dict[str
     """
     builtin = builtin_scenes()
     file = builtin[scene] if scene in builtin else Path(scene)
+    name = file.name.removesuffix(".toml")
     try:
-        text = file.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise SceneError(scene, [_unreadable(scene, builtin, error)]) from None
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise SceneError(scene, [f"is not valid TOML: {error}"]) from None
-    for override in overrides:
-        _override(data, override, scene)
-    return file.name.removesuffix(".toml"), data
+        text = _text(file)
+        if not name.strip(".") or not name.isprintable():
+            raise ValueError("must have a name to call its results by, such as mine.toml")
+        data = _parsed(text)
+        for override in overrides:
+            _override(data, override)
+    except FileNotFoundError:
+        raise SceneError(
+            scene,
+            [
+                f"is neither a file nor built in{did_you_mean(scene, builtin)}; "
+                f"built in: {', '.join(builtin)}"
+            ],
+        ) from None
+    except OSError as error:
+        raise SceneError(scene, [f"cannot be read: {error.strerror or error}"]) from None
+    except ValueError as error:
+        raise SceneError(scene, [str(error)]) from None
+    return name, data
 
 
-def _unreadable(scene: str, builtin: dict[str, Traversable], error: Exception) -> str:
-    if isinstance(error, UnicodeDecodeError):
-        return "is not a text file in UTF-8"
-    if isinstance(error, FileNotFoundError):
-        return (
-            f"is neither a file nor built in{did_you_mean(scene, builtin)}; "
-            f"built in: {', '.join(builtin)}"
+def _text(file: Traversable) -> str:
+    """What stands in a file, or `ValueError` if it is no text of a size to be read."""
+    with file.open("rb") as opened:
+        content = opened.read(MOST_BYTES + 1)
+    if len(content) > MOST_BYTES:
+        raise ValueError(
+            f"is longer than {MOST_BYTES // 10**6} MB, which no scene needs: write a range for "
+            "equally spaced values, and measured friction into a CSV file"
         )
-    return f"cannot be read: {error.args[-1]}"
+    marks = {
+        codecs.BOM_UTF16_LE: "UTF-16",
+        codecs.BOM_UTF16_BE: "UTF-16",
+        codecs.BOM_UTF8: "UTF-8",
+    }
+    for mark, encoding in marks.items():
+        if content.startswith(mark):
+            raise ValueError(
+                f"begins with the byte-order mark of {encoding}: save it as UTF-8 without one"
+            )
+    try:
+        text = content.decode("utf-8")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        raise ValueError(
+            f"is not a text file in UTF-8: line {line} has the byte {content[error.start]:#x}"
+        ) from None
+    # As it is read from a file opened as text.
+    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
-def _override(data: dict[str, Any], override: str, scene: str) -> None:
-    """Sets one key of `data` from "path.to.key=value"."""
+def _parsed(text: str) -> dict[str, Any]:
+    """What a TOML text says, or `ValueError`."""
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"is not valid TOML: {error}") from None
+    except RecursionError:
+        raise ValueError("has tables or lists within each other too deep to be read") from None
+    except ValueError:
+        # Python reads no number of more digits.
+        long = re.search(r"[\d_]{4300,}", text)
+        line = text.count("\n", 0, long.start()) + 1 if long else 1
+        raise ValueError(f"has a number of more than 4300 digits in line {line}") from None
+
+
+def _override(data: dict[str, Any], override: str) -> None:
+    """Sets one key of `data` from "path.to.key=value", or raises `ValueError`."""
+    said = f'--set "{shortened(override, _SHOWN)}"'
     path, equals, text = override.partition("=")
     keys = [key.strip() for key in path.split(".")]
     if not equals or not all(keys):
-        raise SceneError(scene, [f'--set "{override}": must look like path.to.key=value'])
+        raise ValueError(f"{said}: must look like path.to.key=value")
+    if len(keys) > _DEEPEST:
+        raise ValueError(f"{said}: has {len(keys)} keys in a row, and {_DEEPEST} are the most")
     try:
-        value = tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+        given = _parsed(f"value = {text}")
+    except ValueError as error:
         # The shell eats quotes: a bare word stands for itself.
         if not re.fullmatch(r"[A-Za-z][\w-]*", text.strip()):
-            raise SceneError(
-                scene, [f'--set "{override}": `{text}` is not a TOML value']
-            ) from None
-        value = text.strip()
+            what = "is not a TOML value" if "TOML" in str(error) else f"{error}"
+            raise ValueError(f"{said}: `{shortened(text, _SHOWN)}` {what}") from None
+        given = {"value": text.strip()}
+    if given.keys() != {"value"}:
+        raise ValueError(f"{said}: is more than one value")
     table: Any = data
     for depth, key in enumerate(keys[:-1], start=1):
         table = table.setdefault(key, {})
         if not isinstance(table, dict):
-            raise SceneError(
-                scene, [f'--set "{override}": {".".join(keys[:depth])} is not a table']
-            )
-    table[keys[-1]] = value
+            raise ValueError(f"{said}: {'.'.join(keys[:depth])} is not a table")
+    table[keys[-1]] = given["value"]

@@ -7,18 +7,31 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, TypeAlias
 
-from pydantic import ConfigDict, Field
+from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
-from .tables import NonNegative, Positive, Table
+from .tables import by_tag
+from .values import (
+    Count,
+    Mass,
+    Masses,
+    Number,
+    Positive,
+    PositiveTime,
+    Table,
+    Text,
+    Time,
+    distinct,
+)
 
-Count: TypeAlias = Annotated[int, Field(ge=1)]
+# Each kind stands once.
+MOST_OBSERVERS = 8
 
 
 class StickTimeTable(Table):
     """For how long each mass sticks."""
 
     observer: Literal["StickTime"]
-    window: Positive | None = None
+    window: PositiveTime | None = None
     """The last time units of the run that count; absent: all."""
 
 
@@ -28,7 +41,7 @@ class PeakTimesTable(Table):
     observer: Literal["PeakTimes"]
     capacity: Count = 64
     """How many maxima of each mass are kept, the first ones."""
-    start: float = 0.0
+    start: Number = 0.0
     """The time before which nothing is kept."""
 
 
@@ -36,7 +49,7 @@ class SectionTable(PeakTimesTable):
     """The states in which one mass is farthest out, or fastest along the belt."""
 
     observer: Literal["Section"]  # pyright: ignore[reportIncompatibleVariableOverride]
-    oscillator: Count
+    oscillator: Mass
     of: Literal["displacement", "velocity"] = "displacement"
 
 
@@ -44,12 +57,12 @@ class SamplesTable(Table):
     """States at start, start + interval, ..."""
 
     observer: Literal["Samples"]
-    interval: Positive
+    interval: PositiveTime
     capacity: Count
     """How many are kept, the first ones."""
-    oscillators: Annotated[list[Count], Field(min_length=1)] | None = None
+    oscillators: Masses | None = None
     """Which; absent: all."""
-    start: NonNegative = 0.0
+    start: Time = 0.0
 
 
 class FrontTrackTable(Table):
@@ -58,7 +71,7 @@ class FrontTrackTable(Table):
     observer: Literal["FrontTrack"]
     windows: Count
     """Equal parts of the run, of two periods each at least."""
-    middle: Count | None = None
+    middle: Mass | None = None
     """An oscillator inside the block; absent: that in the middle."""
 
 
@@ -78,7 +91,7 @@ class OwnObserverTable(Table):
     __pydantic_extra__: dict[str, Any] = Field(init=False)
 
     observer: Literal["own"]
-    name: str
+    name: Text
     """The name of its class."""
 
 
@@ -98,16 +111,44 @@ class ObserveTable(Table):
     """What is kept of every run."""
 
     quantities: Annotated[
-        list[Literal["amplitude", "energy", "active_count"]], Field(min_length=1)
+        list[Literal["amplitude", "energy", "active_count"]],
+        Field(min_length=1),
+        AfterValidator(distinct),
     ] = ["amplitude", "energy", "active_count"]  # noqa: RUF012  # pydantic copies it
     stop: Literal["never", "quiet", "steady"] = "never"
     """When a run may end early: once every mass rests for good ("quiet"), or also once the
     amplitudes of successive windows agree ("steady")."""
     tolerance: Positive = 1e-6
     """How well they must agree for "steady"."""
-    repeats: Annotated[int, Field(ge=1)] = 5
+    repeats: Count = 5
     """In how many windows in succession."""
     quiet_below: Positive = 1e-6
     """Amplitude of a mass at rest."""
-    others: Annotated[list[ObserverTable], Field(min_length=1)] | None = None
+    others: (
+        Annotated[list[ObserverTable], Field(min_length=1, max_length=MOST_OBSERVERS)] | None
+    ) = None
     """What else is observed, such as `{ observer = "StickTime", window = 100.0 }`."""
+
+    @model_validator(mode="after")
+    def _check(self) -> ObserveTable:
+        kinds = [
+            other.name if isinstance(other, OwnObserverTable) else other.observer
+            for other in self.others or []
+        ]
+        if twice := [kind for kind in kinds if kinds.count(kind) > 1]:
+            raise ValueError(f"must have no two `others` of one kind, but has two `{twice[0]}`")
+        return self
+
+
+def kept_numbers(table: ObserverTable, n: int) -> int:
+    """How many numbers are kept of one run of n masses."""
+    if isinstance(table, SectionTable):
+        return table.capacity * (2 * n + 1)
+    if isinstance(table, PeakTimesTable):
+        return table.capacity * n
+    if isinstance(table, SamplesTable):
+        return table.capacity * (2 * len(table.oscillators or range(n)) + 1)
+    return 3 * table.windows if isinstance(table, FrontTrackTable) else n
+
+
+OBSERVERS = by_tag(ObserverTable, "observer")

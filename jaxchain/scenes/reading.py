@@ -41,7 +41,7 @@ def load_scene(scene: str, overrides: Sequence[str] = ()) -> LoadedScene:
         # Files that the scene names lie beside it.
         checked = model.model_validate(data, context={"folder": Path(scene).parent})
     except ValidationError as error:
-        raise SceneError(scene, explain(error, data, model)) from None
+        raise SceneError(scene, explain(error, model)) from None
     return LoadedScene(name, checked)
 
 
@@ -51,7 +51,7 @@ def _model(data: dict[str, Any], scene: str) -> type[Scene] | type[StudyTable]:
         return Scene
     name, known = data["study"], studies()
     if name not in known:
-        near = did_you_mean(str(name), known)
+        near = did_you_mean(name, known) if isinstance(name, str) else ""
         must = f"study: must be one of {listed(known)}, but is {as_written(name)}{near}"
         raise SceneError(scene, [f"{must}; without it the file is a scene"])
     return study_table(name)

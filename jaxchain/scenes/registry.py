@@ -15,11 +15,8 @@ from __future__ import annotations
 import importlib
 import pkgutil
 from collections.abc import Callable
-from typing import Annotated
 
-from pydantic import Field
-
-from .tables import Table
+from .values import Table, Text, Title
 
 _STUDIES = "jaxchain.studies"
 
@@ -28,8 +25,8 @@ class StudyTable(Table):
     """What every study's file has; a study narrows `study` to its own name."""
 
     study: str
-    title: Annotated[str, Field(min_length=1)]
-    description: str = ""
+    title: Title
+    description: Text = ""
 
 
 def studies() -> list[str]:

@@ -8,38 +8,48 @@ sweeps that are too large.  Nothing here needs JAX.
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Iterator
 from typing import Annotated, Any, ClassVar, TypeAlias
 
 import numpy as np
-from pydantic import Field, model_validator
-from pydantic_core import PydanticCustomError
+from pydantic import Field, ModelWrapValidatorHandler, ValidationError, model_validator
+from pydantic_core import InitErrorDetails, PydanticCustomError
 
+from .._limits import MOST_LANES
 from ..model.parameters import CHAIN, FRICTION, parameter
 from ..plotting.groups import CYCLES, NONSMOOTH
-from .errors import did_you_mean
-from .observing import ObserveTable, OwnObserverTable
+from .errors import MOST_SHOWN, did_you_mean
+from .observing import FrontTrackTable, ObserveTable, OwnObserverTable, kept_numbers
 from .tables import (
-    MOST_LANES,
-    MOST_LANES_REMEDY,
+    KINDS,
+    LAWS,
     ChainTable,
     ExcitedTable,
     InitialTable,
     NumericsTable,
     SolverTable,
-    Table,
     TimeTable,
+)
+from .values import (
+    MOST_LANES_REMEDY,
+    MOST_NUMBERS,
+    Name,
+    Table,
+    Text,
+    Title,
     Values,
     array,
     short_of_a_period,
 )
 
+_MISSING = "is missing: give it here or in `sweep`"
 # (path of a key within the table, what is wrong with it).
 Problem: TypeAlias = tuple[tuple[str, ...], str]
 
-# Amplitudes of one experiment: 0.8 GB, which a workstation holds while it writes them.
-MOST_AMPLITUDES = 10**8
+# Far more than there are numbers to sweep.
+MOST_SWEPT, MOST_EXPERIMENTS = 32, 1000
+# A part of a run in which fronts are looked for holds two periods.
+_TWO_PERIODS = 4 * math.pi
 # Variables of a results file, beside which its groups stand.
 VARIABLES = {
     "amplitude", "energy", "active_count", "result", "end_time", "steps", "rejected", "oscillator",
@@ -53,8 +63,42 @@ VARIABLES = {
 def raise_all(problems: list[Problem]) -> None:
     """All at once; `jaxchain.scenes.wording` unpacks them again."""
     if problems:
-        text = "; ".join(f"{'.'.join(path)}: {message}" for path, message in problems)
-        raise PydanticCustomError("problems", "{text}", {"text": text, "problems": problems})
+        raise _as_error(problems)
+
+
+def _as_error(problems: list[Problem]) -> PydanticCustomError:
+    text = "; ".join(f"{'.'.join(path)}: {message}" for path, message in problems)
+    return PydanticCustomError("problems", "{text}", {"text": text, "problems": problems})
+
+
+def missing_numbers(tables: dict[str, Any]) -> Iterator[Problem]:
+    """What is neither given in these tables nor swept, as far as they can be read."""
+    chain, initial, sweep = (tables.get(name, {}) for name in ("chain", "initial", "sweep"))
+    if not isinstance(sweep, dict):
+        return
+    if isinstance(chain, dict) and chain:
+        for name, row in CHAIN.items():
+            if row.required and name not in chain and name not in sweep:
+                yield ("chain", name), _MISSING
+        friction = chain.get("friction")
+        friction = friction if isinstance(friction, dict) else {}
+        law = friction.get("law")
+        known = LAWS[law].model_fields if isinstance(law, str) and law in LAWS else {}
+        for name in FRICTION:
+            if name in known and name not in friction and name not in sweep:
+                yield ("chain", "friction", name), _MISSING
+    kind = initial.get("kind") if isinstance(initial, dict) else None
+    if isinstance(kind, str) and kind in KINDS:
+        given = initial.keys() | sweep.keys()
+        if not given & {"excited", "oscillators"}:
+            yield ("initial", "excited"), _MISSING
+
+
+def _again(detail: Any) -> InitErrorDetails:
+    """A problem as it was found, to be raised with others."""
+    if detail["type"] == "problems":
+        detail = {**detail, "type": _as_error(detail["ctx"]["problems"])}
+    return detail
 
 
 class SweepTable(Table):
@@ -66,7 +110,7 @@ class SweepTable(Table):
     chain: ChainTable
     initial: InitialTable
     time: TimeTable
-    sweep: dict[str, Values] = Field(default_factory=dict)
+    sweep: Annotated[dict[str, Values], Field(max_length=MOST_SWEPT)] = Field(default_factory=dict)
     """Numbers of the chain, its friction or the initial state, with the values they take; they
     replace the single number given there."""
     numerics: SolverTable = Field(default_factory=SolverTable)
@@ -106,10 +150,27 @@ class SweepTable(Table):
         """Number of runs."""
         return math.prod(map(len, self.grid().values()))
 
+    @model_validator(mode="wrap")
+    @classmethod
+    def _missing_too(cls, data: Any, handler: ModelWrapValidatorHandler[SweepTable]) -> SweepTable:
+        """Numbers that are missing are told of beside whatever else is wrong."""
+        try:
+            return handler(data)
+        except ValidationError as error:
+            missing = list(missing_numbers(data)) if isinstance(data, dict) else []
+            if not missing or error.error_count() > MOST_SHOWN:
+                raise
+            found: list[InitErrorDetails] = [
+                {"type": _as_error(missing), "loc": (), "input": None},
+                *map(_again, error.errors(include_url=False)),
+            ]
+        raise ValidationError.from_exception_data(cls.__name__, found)
+
     @model_validator(mode="after")
     def _check(self) -> SweepTable:
-        raise_all([(("sweep", name), message) for name, message in self._sweep_problems()])
-        raise_all([*self._missing(), *self._misfits(), *self._too_large()])
+        swept = [(("sweep", name), message) for name, message in self._sweep_problems()]
+        missing = missing_numbers(self.model_dump(exclude_none=True))
+        raise_all([*swept, *missing, *self._misfits(), *self._too_large()])
         return self
 
     def _sweep_problems(self) -> Iterator[tuple[str, str]]:
@@ -127,9 +188,6 @@ class SweepTable(Table):
                 yield name, f"must be greater than 0 throughout, but holds {least:g}"
             if sign == "nonnegative" and least < 0:
                 yield name, f"must not be negative, but holds {least:g}"
-            different, times = np.unique(numbers, return_counts=True)
-            if different.size < numbers.size:
-                yield name, f"holds {different[times > 1][0]:g} more than once"
             if name == "excited":
                 n = self.chain.n
                 bad = numbers[(numbers != np.round(numbers)) | (numbers < 0) | (numbers > n)]
@@ -138,17 +196,6 @@ class SweepTable(Table):
                     yield name, f"{must}, but holds {bad[0]:g}"
             elif name == "coupling" and self.chain.n == 1:
                 yield name, "cannot be swept: a single mass (`chain.n` = 1) has no neighbours"
-
-    def _missing(self) -> Iterator[Problem]:
-        required = {name: ("chain",) for name, row in CHAIN.items() if row.required}
-        required |= dict.fromkeys(self.friction_numbers(), ("chain", "friction"))
-        for name, table in required.items():
-            if self.given(name) is None and name not in self.sweep:
-                yield (*table, name), "is missing: give it here or in `sweep`"
-        initial = self.initial
-        chosen = isinstance(initial, ExcitedTable) and initial.oscillators is not None
-        if initial.excited is None and "excited" not in self.sweep and not chosen:
-            yield ("initial", "excited"), "is missing: give it here or in `sweep`"
 
     def _misfits(self) -> Iterator[Problem]:
         yield from ((("chain", *path), message) for path, message in self._chain_misfits())
@@ -211,18 +258,18 @@ class SweepTable(Table):
                 f"is {lanes:.3g} runs ({product}), and {MOST_LANES} are the most: "
                 f"{MOST_LANES_REMEDY}",
             )
-        elif lanes * n > MOST_AMPLITUDES:
+        elif lanes * n > MOST_NUMBERS:
             yield (
                 ("sweep",),
                 f"is {lanes} runs of {n} masses, {lanes * n:.3g} amplitudes, and "
-                f"{MOST_AMPLITUDES:.0e} are the most: {MOST_LANES_REMEDY}, or shorten the chain",
+                f"{MOST_NUMBERS:.0e} are the most: {MOST_LANES_REMEDY}, or shorten the chain",
             )
 
 
 class Experiment(SweepTable):
     """One sweep of a scene: what is computed in one go and stored as one dataset."""
 
-    description: str = ""
+    description: Text = ""
     main: bool = False
     """Stored at the root of the results; the others are groups beside it.  Default: the first."""
     observe: ObserveTable = Field(default_factory=ObserveTable)
@@ -241,14 +288,34 @@ class Experiment(SweepTable):
                         ("observe", f"others[{i}]", key),
                         f"must lie in 1 ... {n} (`chain.n`), but is {given}",
                     )
+            if isinstance(other, FrontTrackTable):
+                part = (self.time.transient + self.time.window) / other.windows
+                if part < _TWO_PERIODS:
+                    yield (
+                        ("observe", f"others[{i}]", "windows"),
+                        f"would be parts of {part:.3g} time units, and {_TWO_PERIODS:.4g}, two "
+                        f"periods, are the least: lower it, or lengthen the run",
+                    )
+
+    def _too_large(self) -> Iterator[Problem]:
+        yield from super()._too_large()
+        lanes, n = min(self.lanes(), MOST_LANES), self.chain.n
+        for i, other in enumerate(self.observe.others or []):
+            if (kept := lanes * kept_numbers(other, n)) > MOST_NUMBERS:
+                yield (
+                    ("observe", f"others[{i}]"),
+                    f"would keep {kept:.3g} numbers of {lanes} runs of {n} masses, and "
+                    f"{MOST_NUMBERS:.0e} are the most: keep less of each run, or sweep over fewer "
+                    "values",
+                )
 
 
 class Scene(Table):
     """A scene file: a title and the experiments, each a table `[experiment.NAME]`."""
 
-    title: Annotated[str, Field(min_length=1)]
-    description: str = ""
-    experiment: Annotated[dict[str, Experiment], Field(min_length=1)]
+    title: Title
+    description: Text = ""
+    experiment: Annotated[dict[Name, Experiment], Field(min_length=1, max_length=MOST_EXPERIMENTS)]
 
     @property
     def main(self) -> str:
@@ -261,15 +328,7 @@ class Scene(Table):
         problems: list[Problem] = []
         names = set(self.experiment)
         for name, experiment in self.experiment.items():
-            if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", name):
-                problems.append(
-                    (
-                        ("experiment", name),
-                        "must be named by letters, digits, `-` and `_`: it names a group of the "
-                        "results",
-                    )
-                )
-            elif name in VARIABLES or name in experiment.sweepable():
+            if name in VARIABLES or name in experiment.sweepable():
                 problems.append(
                     (("experiment", name), "is the name of a variable of the results: rename it")
                 )

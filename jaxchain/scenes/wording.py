@@ -3,29 +3,19 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterable, Sequence
-from typing import Any, Literal, get_args, get_origin
+from typing import Annotated, Any, Literal, get_args, get_origin
 
-from pydantic import ValidationError
+from pydantic import Tag, ValidationError
 
-from .errors import did_you_mean
-from .observing import ObserverTable
-from .tables import FrictionTable, InitialTable, Table
+from .errors import MOST_SHOWN, did_you_mean, shortened
+from .observing import OBSERVERS
+from .tables import KINDS, LAWS
+from .values import NAME_LENGTH, Table, shown
 
-
-def _by_tag(union: Any, key: str) -> dict[str, type[Table]]:
-    """The tables of a union by the values of `key` that tell them apart."""
-    tables = get_args(get_args(union)[0])
-    return {tag: t for t in tables for tag in get_args(t.model_fields[key].annotation)}
-
-
-LAWS = _by_tag(FrictionTable, "law")
-KINDS = _by_tag(InitialTable, "kind")
-OBSERVERS = _by_tag(ObserverTable, "observer")
 # By the key that names one of them.
 OPTIONS = {"law": LAWS, "kind": KINDS, "observer": OBSERVERS}
-# What pydantic adds to the path of an error to say which kind of value it took for meant.
-_TAGS = {"number", "list", "table", *LAWS, *KINDS, *OBSERVERS}
 _TYPES = {
     "float": "a number",
     "int": "a whole number",
@@ -41,43 +31,128 @@ _BOUNDS = {
     "less_than": ("lt", "less than"),
     "less_than_equal": ("le", "at most"),
 }
+# So many entries of a list, or keys of a table, are told of one by one if they are wrong alike.
+_ALIKE = 3
+# Lines that are worded: more than are shown.
+_MOST = 4 * MOST_SHOWN
+# Digits of a number, and characters of a text, that are shown.
+_DIGITS, _CHARACTERS = 40, 80
+_BARE = re.compile(r"[A-Za-z0-9_-]+")
 
 
-def explain(error: ValidationError, data: dict[str, Any], model: type[Table]) -> list[str]:
-    """What is wrong with `data`, one line per problem."""
-    lines = []
-    for detail in error.errors(include_url=False):
-        kind, context = detail["type"], detail.get("ctx", {})
-        path = _path(detail["loc"], data)
+def explain(error: ValidationError, model: type[Table]) -> list[str]:
+    """What is wrong with a file, a line per problem; of many that are alike, a few and a count."""
+    lines: list[str] = []
+    alike: Counter[tuple] = Counter()
+    where: dict[tuple, str] = {}
+    unsaid = 0
+    details: list[Any] = [*error.errors(include_url=False)]
+    for detail in details:
+        kind, location = detail["type"], detail["loc"]
         if kind == "problems":
-            for below, message in context["problems"]:
-                lines.append(f"{'.'.join([*path, *below])}: {message}")
+            path, _ = _followed(location, model)
+            for below, message in detail["ctx"]["problems"]:
+                lines.append(_line([*path, *map(_as_key, below)], message))
             continue
-        key = context.get("discriminator", "").strip("'")
-        if key in OPTIONS:
-            path = [*path, key]
-        if kind == "extra_forbidden":
-            message = _unknown(path[-1], _table_at(path[:-1], data, model).model_fields)
-        else:
-            message = _message(kind, detail["input"], context, path)
-        lines.append(f"{'.'.join(path)}: {message}")
-    return lines
+        if len(lines) >= _MOST:
+            unsaid += 1
+            continue
+        last = [] if kind != "extra_forbidden" else location[-1:]
+        entries = [part for part in location if isinstance(part, int)]
+        same = (kind, *(None if part in [*last, *entries] else part for part in location))
+        alike[same] += 1
+        if alike[same] > _ALIKE and (last or entries):
+            continue
+        path, table = _followed(location, model)
+        where[same] = ".".join(path[:-1] if last else path)
+        lines.append(_problem(detail, path, table))
+    for same, count in alike.items():
+        if count > _ALIKE and None in same:
+            lines.append(f"{where[same] or 'the file'}: {count - _ALIKE} more are wrong alike")
+    return lines if unsaid == 0 else [*lines, f"{unsaid} more places are wrong"]
 
 
-def _path(location: Sequence[int | str], data: Any) -> list[str]:
-    """The keys in the file that lead to a place, without what pydantic adds."""
+def _problem(detail: Any, path: list[str], table: type[Table] | None) -> str:
+    kind, context = detail["type"], detail.get("ctx", {})
+    key = context.get("discriminator", "").strip("'")
+    if key in OPTIONS:
+        path = [*path, key]
+    if kind == "extra_forbidden" and table is not None:
+        message = _unknown(str(detail["loc"][-1]), table.model_fields)
+    else:
+        message = _message(kind, detail["input"], context, path)
+    return _line(path, message)
+
+
+def _line(path: Sequence[str], message: str) -> str:
+    return f"{'.'.join(path)}: {message}" if path else message
+
+
+def _followed(location: Sequence[int | str], model: type[Table]) -> tuple[list[str], Any]:
+    """(the keys in the file that lead to a place, the table in which the last of them stands).
+
+    What pydantic adds to a location, to say which kind of value it took for meant, is left out.
+    """
     path: list[str] = []
+    kind, table = model, None
     for part in location:
-        if isinstance(part, int):
+        if part == "[key]":  # the name itself is wrong
+            continue
+        tagged = _tagged(kind, part)
+        if tagged is not None:
+            kind = tagged
+            continue
+        table, kind = _below(kind, part)
+        if isinstance(part, int) and path:
             path[-1] += f"[{part}]"
-            data = data[part]
-        elif isinstance(data, dict) and part in data:
-            path.append(part)
-            data = data[part]
-        elif part not in _TAGS:
-            path.append(part)
-            data = None
-    return path
+        else:
+            path.append(_as_key(str(part)))
+    return path, table
+
+
+def _options(kind: Any) -> list[Any]:
+    """The types of which a value may be one."""
+    while get_origin(kind) is Annotated:
+        kind = get_args(kind)[0]
+    if kind is None or isinstance(kind, type) or get_origin(kind) in (dict, list, Literal):
+        return [kind]
+    return [kind, *get_args(kind)]
+
+
+def _tagged(kind: Any, part: Any) -> Any:
+    """The one of several types that goes by the tag `part`, if it is one."""
+    for option in _options(kind)[1:]:
+        tags = [m.tag for m in get_args(option)[1:] if isinstance(m, Tag)]
+        bare = _options(option)[0]
+        if isinstance(bare, type) and issubclass(bare, Table):
+            for key in OPTIONS.keys() & bare.model_fields.keys():
+                tags += get_args(bare.model_fields[key].annotation)
+        if part in tags:
+            return option
+        if (deeper := _tagged(option, part)) is not None:
+            return deeper
+    return None
+
+
+def _below(kind: Any, part: int | str) -> tuple[Any, Any]:
+    """(the table in which a key stands, the type of its value), None where not known."""
+    for option in _options(kind):
+        if isinstance(option, type) and issubclass(option, Table):
+            field = option.model_fields.get(str(part))
+            return option, None if field is None else field.annotation
+        if get_origin(option) is dict or (get_origin(option) is list and isinstance(part, int)):
+            return None, get_args(option)[-1]
+        if get_origin(option) is Annotated and (found := _below(option, part)) != (None, None):
+            return found
+    return None, None
+
+
+def _as_key(part: str) -> str:
+    """A key as it would stand in the file; `name[3]`, the entry of a list, is one, too."""
+    name, bracket, _ = part.partition("[")
+    if _BARE.fullmatch(name) and (not bracket or part.endswith("]")):
+        return shortened(part, _CHARACTERS)
+    return f'"{shortened(part, _CHARACTERS)}"'
 
 
 def _unknown(key: str, allowed: Iterable[str]) -> str:
@@ -86,37 +161,52 @@ def _unknown(key: str, allowed: Iterable[str]) -> str:
 
 def _message(kind: str, value: Any, context: dict[str, Any], path: list[str]) -> str:
     """What is wrong with the value at `path`, and what is allowed there."""
-    shown = as_written(value)
+    written = as_written(value)
     if kind == "missing" or kind == "union_tag_not_found":
         options = OPTIONS.get(path[-1])
         return "is missing" if options is None else f"is missing; allowed: {listed(options)}"
     if kind == "literal_error" or (kind == "union_tag_invalid" and path[-1] in OPTIONS):
         if kind == "union_tag_invalid":
-            value, shown = context["tag"], as_written(context["tag"])
+            value = value.get(path[-1], value) if isinstance(value, dict) else value
+            written = as_written(value)
         allowed = re.findall(r"'([^']*)'", context.get("expected_tags") or context["expected"])
         if len(allowed) == 1:
-            return f"must be {listed(allowed)}, but is {shown}"
-        near = did_you_mean(str(value), allowed)
-        return f"must be one of {listed(allowed)}, but is {shown}{near}"
+            return f"must be {listed(allowed)}, but is {written}"
+        near = did_you_mean(value, allowed) if isinstance(value, str) else ""
+        return f"must be one of {listed(allowed)}, but is {written}{near}"
     if kind == "union_tag_invalid":
         wanted = context["expected_tags"].replace("'", "").replace("table", "a range table")
         wanted = wanted.replace("list", "a list").replace("number", "a number")
-        return f"must be {wanted.replace(', ', ' or ')}, but is {shown}"
+        return f"must be {wanted.replace(', ', ' or ')}, but is {written}"
     if kind in _BOUNDS:
         bound, words = _BOUNDS[kind]
-        return f"must be {words} {context[bound]:g}, but is {shown}"
+        return f"must be {words} {shown(context[bound])}, but is {written}"
     if kind == "multiple_of":
-        return f"must be a multiple of {context['multiple_of']:g}, but is {shown}"
+        return f"must be a multiple of {shown(context['multiple_of'])}, but is {written}"
     if kind == "finite_number":
-        return f"must be a finite number, but is {shown}"
+        return f"must be a finite number, but is {written}"
+    if kind == "string_pattern_mismatch":
+        return (
+            "must be named by letters, digits, `-` and `_`, the first a letter or a digit: it "
+            "names a group of the results"
+        )
+    if kind == "string_too_long" and context["max_length"] == NAME_LENGTH:
+        return f"must be a name of at most {NAME_LENGTH} characters, but has {len(value)}"
+    if kind == "string_too_long":
+        return f"must have at most {context['max_length']} characters, but has {len(value)}"
     if kind in ("too_short", "string_too_short"):
-        return "must not be empty"
+        least = context["min_length"]
+        return (
+            "must not be empty"
+            if least == 1
+            else f"must have at least {least} entries, but has {len(value)}"
+        )
     if kind == "too_long":
         return f"has {len(value)} entries, and {context['max_length']} are the most"
     if kind == "value_error":
         return str(context["error"])
     wanted = _TYPES.get(kind.split("_")[0])
-    return f"must be {wanted}, but is {shown}" if wanted else f"is {shown}: {kind}"
+    return f"must be {wanted}, but is {written}" if wanted else f"is {written}: {kind}"
 
 
 def listed(options: Iterable[str]) -> str:
@@ -124,41 +214,23 @@ def listed(options: Iterable[str]) -> str:
 
 
 def as_written(value: Any) -> str:
-    """A value as it would stand in the file, or what it is."""
+    """A value as it would stand in the file, or what it is.
+
+    >>> as_written(True), as_written("a"), as_written(10**5000)
+    ('true', '"a"', 'a whole number of 5001 digits')
+    """
     if isinstance(value, dict):
         return "a table"
     if isinstance(value, list):
         return "a list"
     if isinstance(value, bool):
         return str(value).lower()
-    return f'"{value}"' if isinstance(value, str) else str(value)
+    if isinstance(value, int) and abs(value) >= 10**_DIGITS:
+        return f"a whole number of {_count_digits(value)} digits"
+    return f'"{shortened(value, _CHARACTERS)}"' if isinstance(value, str) else str(value)
 
 
-def _table_at(path: Sequence[str], data: Any, model: Any) -> type[Table]:
-    """The model of the table at `path`, to tell which keys it knows."""
-    for part in path:
-        key, *places = re.findall(r"[^][]+", part)
-        # A table of tables has the same kind of table under every key.
-        named = isinstance(model, type) and issubclass(model, Table)
-        model = model.model_fields[key].annotation if named else get_args(model)[-1]
-        data = data[key]
-        for place in places:
-            data = data[int(place)]
-        model = _chosen(model, data)
-    return model
-
-
-def _chosen(annotation: Any, data: Any) -> Any:
-    """The table among the types of `annotation` whose tags are those of `data`; or its dict."""
-    if isinstance(annotation, type) and issubclass(annotation, Table):
-        tags = {
-            key: get_args(field.annotation)
-            for key, field in annotation.model_fields.items()
-            if get_origin(field.annotation) is Literal and field.is_required()
-        }
-        fits = all(data.get(key) in allowed for key, allowed in tags.items())
-        return annotation if fits else None
-    if get_origin(annotation) is dict:
-        return annotation
-    found = (_chosen(kind, data) for kind in get_args(annotation))
-    return next((kind for kind in found if kind is not None), None)
+def _count_digits(number: int) -> int:
+    # Python makes no text of more than 4300 digits.
+    count = int(abs(number).bit_length() * 0.30102999566398120)
+    return count + (abs(number) >= 10**count)

@@ -9,7 +9,8 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike
 
-from .._checks import LEAST_RTOL, check_number, is_traced
+from .._checks import check_number, is_traced
+from .._limits import LEAST_ACCURACY, LEAST_RTOL, MOST_ACCURACY
 from ..model.chain import Chain
 from ..model.oscillators import AbstractOscillators
 from ..solvers.rosenbrock import AbstractStructuredRosenbrock, Rodas4, Rodas5P
@@ -83,7 +84,6 @@ _WORST = 6.0
 # The error of integration is at most some 20 rtol while rtol stays below this share of the width,
 # and one beyond all bounds above a tenth of it.
 _RTOL_PER_WIDTH = 1e-2
-LEAST_ACCURACY, MOST_ACCURACY = 1e-8, 0.3
 
 
 class Numerics(eqx.Module):

@@ -2,19 +2,42 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
-from jaxchain.scenes.tables import NonNegative, Positive, Table
+from jaxchain._limits import MOST_LANES
+from jaxchain.scenes.scene import Problem
+from jaxchain.scenes.values import (
+    MOST_LANES_REMEDY,
+    MOST_NUMBERS,
+    NonNegative,
+    Positive,
+    Table,
+    distinct,
+)
 
 if TYPE_CHECKING:
     from jaxchain.model.chain import Chain
 
-Count: TypeAlias = Annotated[int, Field(ge=1)]
-Several: TypeAlias = Annotated[list[Positive], Field(min_length=1)]
-Tolerance: TypeAlias = Annotated[float, Field(gt=0, lt=1)]
+# Values of one list, and masses of a ring, that a study takes in a reasonable time.
+MOST_ENTRIES, MOST_MASSES = 1000, 1000
+Once = AfterValidator(distinct)
+Several: TypeAlias = Annotated[list[Positive], Field(min_length=1, max_length=MOST_ENTRIES), Once]
+
+
+def too_many(counts: Mapping[str, int], masses: int, path: tuple[str, ...]) -> list[Problem]:
+    """What is wrong with so many runs as the product of these counts, of so many masses."""
+    runs, product = 1, " x ".join(f"{count} {name}" for name, count in counts.items())
+    for count in counts.values():
+        runs *= count
+    most = min(MOST_LANES, MOST_NUMBERS // masses)
+    if runs <= most:
+        return []
+    what = f"would be {runs:.3g} runs of {masses} masses ({product})"
+    return [(path, f"{what}, and {most} are the most: {MOST_LANES_REMEDY}")]
 
 
 class Span(Table):

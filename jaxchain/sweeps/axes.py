@@ -12,13 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._checks import check_finite
+from .._limits import MOST_LANES
 from ..model.chain import Chain, require_smoothed
 from ..observers.amplitude import Amplitude
 from ..observers.base import AbstractObserver, Variable
 from ..observers.trajectory import Trajectory
 from .starts import chain_names, initial_names
 
-MOST_LANES = 10_000_000
 # What every sweep has, whatever is observed.
 RESULTS = ("oscillator", "segment", "segment_end", "result", "end_time", "steps", "rejected")
 

@@ -17,7 +17,8 @@ from jaxchain.scenes.errors import SceneError, StudyFailedError
 from jaxchain.scenes.files import builtin_scenes
 from jaxchain.scenes.reading import load_scene, schema
 from jaxchain.scenes.registry import StudyTable, studies, study_run, study_table
-from jaxchain.scenes.tables import FrictionTable, Table
+from jaxchain.scenes.tables import FrictionTable
+from jaxchain.scenes.values import Table
 from jaxchain.studies.extremes.table import Study
 
 

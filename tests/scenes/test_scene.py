@@ -12,7 +12,7 @@ from jaxchain.scenes.errors import SceneError
 from jaxchain.scenes.files import builtin_scenes
 from jaxchain.scenes.reading import load_scene, schema
 from jaxchain.scenes.scene import Experiment
-from jaxchain.scenes.tables import Range
+from jaxchain.scenes.values import Range
 
 SCENE = """
 title = "A test"

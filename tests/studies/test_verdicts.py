@@ -162,7 +162,10 @@ def test_the_summary_is_the_table_state_by_state(datasets):
     ("override", "problem"),
     [
         ("times.longest=10.0", "must have a `longest` of at least `first`"),
-        ("case.slow.excited=[21]", "must have no more than `n` = 20 masses excited"),
+        (
+            "case.slow.excited=[21]",
+            "case.slow.excited: must hold nothing above 20 (`n`), but holds",
+        ),
         ("case.slow.paper='figure 11'", "case.slow.paper"),
         ("exponents=1", "exponents"),
         ("window=5e-324", "window: must hold at least one period, 6.283"),

@@ -7,14 +7,15 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from jaxchain.scenes.registry import StudyTable
-from jaxchain.scenes.tables import Positive, Table
-from jaxchain.studies._tables import BaseTable, Span
+from jaxchain.scenes.scene import raise_all
+from jaxchain.scenes.values import Positive, Table
+from jaxchain.studies._tables import MOST_MASSES, BaseTable, Once, Span
 
 
 class CouplingSpan(Span):
     """Of a ring of which one mass vibrates."""
 
-    masses: Annotated[int, Field(ge=3)] = 5
+    masses: Annotated[int, Field(ge=3, le=MOST_MASSES)] = 5
 
 
 class Base(BaseTable):
@@ -26,7 +27,7 @@ class Base(BaseTable):
 class Cycles(Table):
     """All cycles of one mass over the belt speed."""
 
-    width: Annotated[list[Positive], Field(min_length=1, max_length=4)]
+    width: Annotated[list[Positive], Field(min_length=1, max_length=4), Once]
     lowest: Positive = 0.1
     """Belt speed at which the stick-slip branch is left."""
 
@@ -45,5 +46,7 @@ class Study(StudyTable):
     @model_validator(mode="after")
     def _check_study(self) -> Study:
         if self.mu_static.start < self.base.mu_dynamic:
-            raise ValueError("must have a `mu_static.start` of at least `base.mu_dynamic`")
+            least, given = self.base.mu_dynamic, self.mu_static.start
+            text = f"must be at least `base.mu_dynamic` = {least:g}, but is {given:g}"
+            raise_all([(("mu_static", "start"), text)])
         return self

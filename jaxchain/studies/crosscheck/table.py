@@ -9,7 +9,8 @@ from pydantic import Field, model_validator
 from jaxchain.scenes.registry import StudyTable
 from jaxchain.scenes.scene import Problem, SweepTable, raise_all
 from jaxchain.scenes.tables import Equation8Table, ExcitedTable, InitialTable, SolverTable
-from jaxchain.studies._tables import Tolerance
+from jaxchain.scenes.values import Tolerance
+from jaxchain.studies._tables import MOST_ENTRIES, Once
 
 # Below this the layer in which friction turns round is lost in the rounding of velocities.
 NARROWEST = 1e-9
@@ -65,7 +66,7 @@ class Study(StudyTable):
     """Smoothed friction against true dry friction: one oscillator, and states of a chain."""
 
     study: Literal["crosscheck"]
-    accuracy: Annotated[list[Tolerance], Field(min_length=1)]
+    accuracy: Annotated[list[Tolerance], Field(min_length=1, max_length=MOST_ENTRIES), Once]
     """Relative errors; which width buys each?"""
     oscillator: OscillatorPart
     states: StatesPart

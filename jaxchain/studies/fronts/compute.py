@@ -29,7 +29,7 @@ from jaxchain.model.sliding import growth_rate
 from jaxchain.observers.amplitude import Amplitude
 from jaxchain.observers.fronts import Fronts, FrontTrack
 from jaxchain.result import Result
-from jaxchain.scenes.tables import array
+from jaxchain.scenes.values import array
 from jaxchain.simulation.run import simulate
 from jaxchain.studies._study import Job
 from jaxchain.studies.fronts.table import Study

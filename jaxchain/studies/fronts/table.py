@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeAlias
 
 from pydantic import Field, model_validator
 
+from jaxchain._limits import LEAST_RTOL
 from jaxchain.scenes.registry import StudyTable
-from jaxchain.scenes.tables import Positive, Table, Values
-from jaxchain.studies._tables import BaseTable, Several
+from jaxchain.scenes.scene import raise_all
+from jaxchain.scenes.values import MOST_TIME, Positive, Table, Values, array
+from jaxchain.studies._tables import MOST_ENTRIES, MOST_MASSES, BaseTable, Once, Several, too_many
+
+Masses: TypeAlias = Annotated[int, Field(ge=20, le=MOST_MASSES)]
 
 
 class Base(BaseTable):
@@ -20,9 +24,9 @@ class Base(BaseTable):
 class Ring(Table):
     """How many masses, how many of them vibrate at the start, and for how long they run."""
 
-    masses: Annotated[int, Field(ge=20, le=1000)]
-    block: Annotated[int, Field(ge=8)]
-    time: Annotated[float, Field(ge=100)]
+    masses: Masses
+    block: Annotated[int, Field(ge=8, le=MOST_MASSES)]
+    time: Annotated[float, Field(ge=100, le=MOST_TIME)]
 
     @model_validator(mode="after")
     def _check(self) -> Ring:
@@ -38,12 +42,22 @@ class Speed(Ring):
     seeds: Annotated[int, Field(ge=1, le=100)] = 2
     """Runs with different noise, of each pattern."""
 
+    @model_validator(mode="after")
+    def _check_speeds(self) -> Speed:
+        speeds = array(self.belt_speed)
+        if (least := speeds.min()) <= 0:
+            text = f"must be greater than 0 throughout, but holds {least:g}"
+            raise_all([(("belt_speed",), text)])
+        counts = {"belt speeds": len(speeds), "patterns": 2, "seeds": self.seeds}
+        raise_all(too_many(counts, self.masses, ()))
+        return self
+
 
 class Coupling(Ring):
     """Speed of fronts over the coupling; a run lasts `per_coupling` / coupling at most."""
 
     belt_speed: Several
-    coupling: Annotated[list[Positive], Field(min_length=3, max_length=40)]
+    coupling: Annotated[list[Positive], Field(min_length=3, max_length=40), Once]
     per_coupling: Positive = 20.0
 
 
@@ -70,14 +84,14 @@ class Convergence(Ring):
     """The same speeds on other rings (block and room in proportion) and with other widths."""
 
     belt_speed: Several
-    other_masses: Annotated[list[Annotated[int, Field(ge=20, le=1000)]], Field(min_length=1)]
+    other_masses: Annotated[list[Masses], Field(min_length=1, max_length=MOST_ENTRIES), Once]
     width: Several
 
 
 class Pictures(Ring):
     """Amplitude over mass and time."""
 
-    belt_speed: Annotated[list[Positive], Field(min_length=1, max_length=3)]
+    belt_speed: Annotated[list[Positive], Field(min_length=1, max_length=3), Once]
     windows: Annotated[int, Field(ge=10, le=2000)] = 200
 
 
@@ -91,4 +105,4 @@ class Study(StudyTable):
     coupling: Coupling
     pinning: Pinning
     convergence: Convergence
-    rtol: Annotated[float, Field(gt=0, lt=1e-3)] = 1e-6
+    rtol: Annotated[float, Field(ge=LEAST_RTOL, lt=1e-3)] = 1e-6

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import Field, model_validator
 
 from jaxchain.scenes.registry import StudyTable
-from jaxchain.scenes.tables import Positive, Range, Table, Window
-from jaxchain.studies._tables import Count
+from jaxchain.scenes.scene import Problem, raise_all
+from jaxchain.scenes.values import Count, Positive, PositiveTime, Range, Table, Tolerance, Window
+from jaxchain.studies._tables import MOST_ENTRIES, MOST_MASSES, Once, Several, too_many
+
+Masses: TypeAlias = Annotated[int, Field(ge=4, le=MOST_MASSES)]
+Counts: TypeAlias = Annotated[list[Count], Field(max_length=MOST_ENTRIES), Once]
 
 PatternName = Literal["in-phase", "alternating", "calmest"]
 
@@ -16,7 +20,7 @@ PatternName = Literal["in-phase", "alternating", "calmest"]
 class Ring(Table):
     """The paper's chain."""
 
-    masses: Annotated[int, Field(ge=4)]
+    masses: Masses
     coupling: Positive
     width: Positive
 
@@ -29,8 +33,8 @@ class Walk(Table):
     fastest: Positive
     points: Count
     """Of each of the two ways, at most."""
-    rtol: Positive
-    tolerance: Positive
+    rtol: Tolerance
+    tolerance: Tolerance
 
     @model_validator(mode="after")
     def _check(self) -> Walk:
@@ -49,9 +53,9 @@ class Walk(Table):
 class Rungs(Table):
     """Whose branches: `count` neighbours in each of these locked patterns."""
 
-    count: Annotated[list[Count], Field(min_length=1)]
-    pattern: Annotated[list[PatternName], Field(min_length=1)]
-    switch: list[Count]
+    count: Annotated[Counts, Field(min_length=1)]
+    pattern: Annotated[list[PatternName], Field(min_length=1, max_length=3), Once]
+    switch: Counts
     """Of these counts the branch that crosses at the first symmetry breaking is followed, too."""
 
 
@@ -59,8 +63,15 @@ class Ensemble(Table):
     """Runs of eq. (8) with true dry friction, of every count of excited masses."""
 
     belt_speed: Range
-    transient: Positive
+    transient: PositiveTime
     window: Window
+
+    @model_validator(mode="after")
+    def _check(self) -> Ensemble:
+        if (least := min(self.belt_speed.start, self.belt_speed.stop)) <= 0:
+            text = f"must be greater than 0 throughout, but holds {least:g}"
+            raise_all([(("belt_speed",), text)])
+        return self
 
 
 class Checks(Table):
@@ -68,7 +79,7 @@ class Checks(Table):
 
     orbits: Count
     """That are disturbed and left to themselves."""
-    periods: Annotated[int, Field(ge=8)]
+    periods: Annotated[Count, Field(ge=8)]
     """For so long."""
     dry: Count
     """Stable ones at which a run with true dry friction starts."""
@@ -78,9 +89,9 @@ class Checks(Table):
 class Couplings(Table):
     """Where the locked cycles of a few masses are stable, over the coupling."""
 
-    coupling: Annotated[list[Positive], Field(min_length=2)]
-    count: Annotated[list[Count], Field(min_length=1)]
-    masses: Annotated[int, Field(ge=4)]
+    coupling: Annotated[Several, Field(min_length=2)]
+    count: Annotated[Counts, Field(min_length=1)]
+    masses: Masses
     points: Count
 
 
@@ -97,10 +108,15 @@ class Study(StudyTable):
 
     @model_validator(mode="after")
     def _check_study(self) -> Study:
-        for key, counts, masses in (
-            ("rungs.count", self.rungs.count, self.ring.masses),
-            ("couplings.count", self.couplings.count, self.couplings.masses - 1),
+        problems: list[Problem] = []
+        for part, counts, masses in (
+            ("rungs", self.rungs.count, self.ring.masses),
+            ("couplings", self.couplings.count, self.couplings.masses - 1),
         ):
             if max(counts) > masses:
-                raise ValueError(f"must have no `{key}` above {masses}, but has {max(counts)}")
+                text = f"must hold nothing above {masses}, but holds {max(counts)}"
+                problems.append(((part, "count"), text))
+        speeds, n = len(self.ensemble.belt_speed.array()), self.ring.masses
+        counts = {"belt speeds": speeds, "counts of excited masses": n + 1}
+        raise_all([*problems, *too_many(counts, n, ("ensemble", "belt_speed"))])
         return self

@@ -25,13 +25,11 @@ from jaxchain.model.initial_states import equation_8, excited_state, reference_s
 from jaxchain.observers.amplitude import Amplitude
 from jaxchain.observers.peaks import PeakTimes
 from jaxchain.observers.quantities import active_above, participation_ratio
-from jaxchain.studies.mistuning.table import Ensemble, Study
+from jaxchain.studies.mistuning.table import SHORTEST_PERIOD, Ensemble, Study
 from jaxchain.sweeps.sweeping import sweep
 
 # Apart from the draws of the stiffness.
 _OF_THE_START = 1
-# No cycle of these chains is shorter (time units).
-_SHORTEST_PERIOD = 4.0
 FATES = ("joined", "survived")
 POINT = ("coupling", "belt_speed", "disorder")
 _MASSES = ("seed", "oscillator")
@@ -112,7 +110,7 @@ def run_ensemble(
 def run_locking(study: Study, progress: bool = False) -> xr.Dataset:
     """Amplitudes, and peak times within the window, over (disorder, seed, oscillator)."""
     part = study.locking
-    peaks = PeakTimes(int(part.window / _SHORTEST_PERIOD) + 1, start=part.transient)
+    peaks = PeakTimes(int(part.window / SHORTEST_PERIOD) + 1, start=part.transient)
     return sweep(
         base_chain(study).with_(coupling=part.coupling, belt_speed=part.belt_speed),
         initial_state("all", 1.0),

@@ -7,17 +7,41 @@ from typing import Annotated, Literal, TypeAlias
 from pydantic import Field, model_validator
 
 from jaxchain.scenes.registry import StudyTable
-from jaxchain.scenes.tables import NonNegative, Positive, Table, Window
-from jaxchain.studies._tables import BaseTable, Several, Tolerance
+from jaxchain.scenes.scene import Problem, raise_all
+from jaxchain.scenes.values import (
+    MOST_NUMBERS,
+    MOST_TIME,
+    Name,
+    Positive,
+    Table,
+    Time,
+    Tolerance,
+    Window,
+)
+from jaxchain.studies._tables import (
+    MOST_ENTRIES,
+    MOST_MASSES,
+    BaseTable,
+    Once,
+    Several,
+    too_many,
+)
 
 Disorder: TypeAlias = Annotated[float, Field(ge=0, le=0.24)]
+Disorders: TypeAlias = Annotated[
+    list[Disorder], Field(min_length=1, max_length=MOST_ENTRIES), Once
+]
+Chains: TypeAlias = Annotated[int, Field(ge=2, le=100_000)]
 Start: TypeAlias = Literal["disturbed", "all", "half", "one"]
+
+# No cycle of these chains is shorter (time units).
+SHORTEST_PERIOD = 4.0
 
 
 class Base(BaseTable):
     """The ring of which the stiffnesses vary."""
 
-    masses: Annotated[int, Field(ge=3)]
+    masses: Annotated[int, Field(ge=3, le=MOST_MASSES)]
 
 
 class Ensemble(Table):
@@ -28,11 +52,11 @@ class Ensemble(Table):
     as in eq. (8) of the paper: "all", a random "half" of them, or "one"."""
     belt_speed: Several
     coupling: Several
-    disorder: Annotated[list[Disorder], Field(min_length=1)]
+    disorder: Disorders
     """Standard deviation of the stiffness relative to its mean."""
-    chains: Annotated[int, Field(ge=2, le=100_000)]
+    chains: Chains
     """In every point; the same ones (scaled to its disorder) in each."""
-    transient: NonNegative
+    transient: Time
     """What is waited for before amplitudes are measured."""
     window: Window
     """How long they are measured."""
@@ -51,8 +75,8 @@ class Ensemble(Table):
 class Longer(Table):
     """The first chains of each ensemble once more, for longer: has anything still moved?"""
 
-    chains: Annotated[int, Field(ge=2)]
-    factor: Annotated[float, Field(gt=1)]
+    chains: Chains
+    factor: Annotated[float, Field(gt=1, le=1000)]
     """By how much the transient is longer."""
 
 
@@ -61,10 +85,10 @@ class Locking(Table):
 
     belt_speed: Positive
     coupling: Positive
-    disorder: Annotated[list[Disorder], Field(min_length=1)]
-    chains: Annotated[int, Field(ge=2)]
-    transient: NonNegative
-    window: Annotated[float, Field(ge=50)]
+    disorder: Disorders
+    chains: Chains
+    transient: Time
+    window: Annotated[float, Field(ge=50, le=MOST_TIME)]
     """Over which frequencies are counted."""
 
 
@@ -75,14 +99,33 @@ class Study(StudyTable):
     base: Base
     distribution: Literal["uniform", "normal"] = "uniform"
     """Of the stiffness."""
-    ensemble: Annotated[dict[str, Ensemble], Field(min_length=1)]
+    ensemble: Annotated[dict[Name, Ensemble], Field(min_length=1, max_length=MOST_ENTRIES)]
     longer: Longer
     locking: Locking
     rtol: Tolerance = 1e-6
 
     @model_validator(mode="after")
     def _check_study(self) -> Study:
-        for name in self.ensemble:
+        problems: list[Problem] = []
+        n, own = self.base.masses, self.locking
+        for name, part in self.ensemble.items():
             if name == "locking":
-                raise ValueError("must not have an `ensemble` called `locking`")
+                text = "must have another name: another part of this study is called so"
+                problems.append((("ensemble", name), text))
+            counts = {
+                "couplings": len(part.coupling), "belt speeds": len(part.belt_speed),
+                "disorders": len(part.disorder), "chains": part.chains,
+            }  # fmt: skip
+            problems += too_many(counts, n, ("ensemble", name))
+            if (longest := self.longer.factor * part.transient) > MOST_TIME:
+                text = f"would make {longest:.3g} of the transient, and {MOST_TIME:g} is the most"
+                problems.append((("longer", "factor"), f"{text}: lower it, or the transient"))
+        counts = {"disorders": len(own.disorder), "chains": own.chains}
+        problems += too_many(counts, n, ("locking",))
+        # No mass has more maxima than that.
+        peaks = own.window / SHORTEST_PERIOD * n * own.chains * len(own.disorder)
+        if peaks > MOST_NUMBERS:
+            text = f"would keep {peaks:.3g} maxima, and {MOST_NUMBERS:.0e} are the most"
+            problems.append((("locking", "window"), f"{text}: lower it, or take fewer chains"))
+        raise_all(problems)
         return self

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Annotated, ClassVar, Literal, TypeAlias
+from typing import Annotated, ClassVar, Literal, TypeAlias, get_args
 
 from pydantic import Field, model_validator
 
 from jaxchain.scenes.registry import StudyTable
 from jaxchain.scenes.scene import Problem, SweepTable, raise_all
-from jaxchain.scenes.tables import NonNegative, NumericsTable, Positive, Table
-from jaxchain.studies._tables import Count
+from jaxchain.scenes.tables import NumericsTable
+from jaxchain.scenes.values import Mass, PositiveTime, Table, Time
 
 Panel: TypeAlias = Literal["circles", "orbit_diagram", "delays", "phase_plots", "time_series"]
 
@@ -36,9 +36,9 @@ class States(SweepTable):
 class TimeSeries(Table):
     """From when to when one state is shown."""
 
-    start: NonNegative = 0.0
-    stop: Positive = 60.0
-    interval: Positive = 0.02
+    start: Time = 0.0
+    stop: PositiveTime = 60.0
+    interval: PositiveTime = 0.02
     """Time between samples."""
 
     @model_validator(mode="after")
@@ -51,13 +51,13 @@ class TimeSeries(Table):
 class PhasePlots(Table):
     """Three displacements against each other during the last `duration` of the run."""
 
-    oscillators: Annotated[list[Count], Field(min_length=3, max_length=3)] = Field(
+    oscillators: Annotated[list[Mass], Field(min_length=3, max_length=3)] = Field(
         default_factory=lambda: [11, 12, 13]
     )
     """Which masses, counted from 1."""
-    duration: Positive | None = None
+    duration: PositiveTime | None = None
     """Absent: the whole window."""
-    interval: Positive = 0.1
+    interval: PositiveTime = 0.1
     """Time between samples."""
 
 
@@ -65,7 +65,7 @@ class Study(StudyTable):
     """Localized states of a chain, Figures 4 to 10 of the paper."""
 
     study: Literal["states"]
-    panels: Annotated[list[Panel], Field(min_length=1)]
+    panels: Annotated[list[Panel], Field(min_length=1, max_length=len(get_args(Panel)))]
     """What is shown; nothing else is computed."""
     states: States
     time_series: TimeSeries = Field(default_factory=TimeSeries)

@@ -7,8 +7,23 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from jaxchain.scenes.registry import StudyTable
-from jaxchain.scenes.tables import NonNegative, Positive, Table, Window, short_of_a_period
-from jaxchain.studies._tables import Count, Tolerance
+from jaxchain.scenes.scene import Problem, raise_all
+from jaxchain.scenes.values import (
+    Count,
+    Name,
+    Positive,
+    Table,
+    Time,
+    Tolerance,
+    Window,
+    short_of_a_period,
+)
+from jaxchain.studies._tables import MOST_ENTRIES, MOST_MASSES, Once, too_many
+
+# Runs are judged after so many windows at a time, `jaxchain.chaos.runs.CHUNK`.
+CHUNK = 20
+# Every maximum in a window is kept.
+_LONGEST_WINDOW = 1e4
 
 
 class Case(Table):
@@ -19,7 +34,11 @@ class Case(Table):
     """The initial states."""
     reading: Literal["as_printed", "as_equation_8"] = "as_equation_8"
     """Whether F(v_d) in eq. (10) is meant as printed, or as the F(-v_d) of eq. (8)."""
-    excited: Annotated[list[Annotated[int, Field(ge=0)]], Field(min_length=1)]
+    excited: Annotated[
+        list[Annotated[int, Field(ge=0, le=MOST_MASSES)]],
+        Field(min_length=1, max_length=MOST_MASSES + 1),
+        Once,
+    ]
     """How many masses are excited, each a state."""
     paper: Literal["figures 6 to 8", "figure 9", "figure 10", "none"] = "none"
     """Which claims of the paper these states are held against."""
@@ -28,8 +47,10 @@ class Case(Table):
 class Noise(Table):
     """Each state is run as it is, and `seeds` times with noise of each of these deviations."""
 
-    levels: list[Positive] = Field(default=[1e-8, 1e-3])
-    seeds: Count = 4
+    levels: Annotated[list[Positive], Field(max_length=MOST_ENTRIES), Once] = Field(
+        default=[1e-8, 1e-3]
+    )
+    seeds: Annotated[int, Field(ge=1, le=MOST_ENTRIES)] = 4
 
 
 class Times(Table):
@@ -54,7 +75,7 @@ class Smoothed(Table):
 
     width: Positive = 1e-3
     rtol: Tolerance = 1e-6
-    time: NonNegative = 0.0
+    time: Time = 0.0
     """Over how long they are averaged; 0: no second witness."""
 
     @model_validator(mode="after")
@@ -68,9 +89,9 @@ class Study(StudyTable):
     """Whether localized states are periodic, quasi-periodic, chaotic or transient."""
 
     study: Literal["verdicts"]
-    n: Annotated[int, Field(ge=2)]
+    n: Annotated[int, Field(ge=2, le=MOST_MASSES)]
     """Masses of the paper's chain."""
-    case: Annotated[dict[str, Case], Field(min_length=1)]
+    case: Annotated[dict[Name, Case], Field(min_length=1, max_length=MOST_ENTRIES)]
     noise: Noise
     times: Times
     smoothed: Smoothed
@@ -79,16 +100,24 @@ class Study(StudyTable):
     exponent_runs: Count = 3
     """Of how many runs of a state, that without noise and then the noisiest first."""
     rtol: Tolerance = 1e-6
-    window: Window = 50.0
+    window: Annotated[Window, Field(le=_LONGEST_WINDOW)] = 50.0
     lanes: Count = 24
     """Runs at a time on each device."""
 
     @model_validator(mode="after")
     def _check_study(self) -> Study:
+        problems: list[Problem] = []
         for name, case in self.case.items():
             if max(case.excited) > self.n:
-                raise ValueError(
-                    f"must have no more than `n` = {self.n} masses excited, but `case.{name}` "
-                    f"has {max(case.excited)}"
-                )
+                text = f"must hold nothing above {self.n} (`n`), but holds {max(case.excited)}"
+                problems.append((("case", name, "excited"), text))
+        if self.exponents > 2 * self.n:
+            text = f"must not exceed {2 * self.n}, of which there are, but is {self.exponents}"
+            problems.append((("exponents",), text))
+        if self.times.first < (least := CHUNK * self.window):
+            text = f"must be at least {CHUNK} windows, {least:g}, but is {self.times.first:g}"
+            problems.append((("times", "first"), f"{text}: raise it, or shorten `window`"))
+        states = sum(len(case.excited) for case in self.case.values())
+        counts = {"states": states, "runs": 1 + len(self.noise.levels) * self.noise.seeds}
+        raise_all([*problems, *too_many(counts, self.n, ("noise", "seeds"))])
         return self

@@ -5,10 +5,18 @@ from __future__ import annotations
 from typing import Annotated, Literal, TypeAlias
 
 from pydantic import Field, model_validator
-from pydantic_core import PydanticCustomError
 
+from jaxchain._limits import LEAST_ACCURACY, MOST_ACCURACY
 from jaxchain.scenes.registry import StudyTable
-from jaxchain.scenes.tables import Positive
+from jaxchain.scenes.scene import Problem, raise_all
+from jaxchain.scenes.values import (
+    MOST_TIME,
+    Count,
+    Number,
+    Positive,
+    Tolerance,
+)
+from jaxchain.studies._tables import MOST_ENTRIES, MOST_MASSES, Once, Several, too_many
 
 Approach: TypeAlias = Literal[
     "event-driven", "Rodas4", "Rodas5P", "Tsit5", "Dopri8", "Kvaerno3", "Kvaerno5", "KenCarp4",
@@ -20,25 +28,30 @@ class Study(StudyTable):
     """What is compared, and how long it may take."""
 
     study: Literal["work_precision"]
-    masses: Annotated[int, Field(ge=3)] = 20
-    excited: Annotated[int, Field(ge=0)] = 9
-    belt_speed: float = 1.3
+    masses: Annotated[int, Field(ge=3, le=MOST_MASSES)] = 20
+    excited: Annotated[int, Field(ge=0, le=MOST_MASSES)] = 9
+    belt_speed: Number = 1.3
     """Of a single lane; the lanes of an ensemble lie within 0.1 of it."""
-    duration: Annotated[float, Field(ge=1)] = 30.0
-    lanes: Annotated[list[Annotated[int, Field(ge=1)]], Field(min_length=1)]
+    duration: Annotated[float, Field(ge=1, le=MOST_TIME)] = 30.0
+    lanes: Annotated[list[Count], Field(min_length=1, max_length=MOST_ENTRIES), Once]
     """How many runs at once, one panel for each."""
-    approaches: Annotated[list[Approach], Field(min_length=1)]
-    width: Annotated[list[Positive], Field(min_length=1)]
-    rtol: Annotated[list[Positive], Field(min_length=1)]
-    accuracy: list[Positive] = Field(default_factory=list)
+    approaches: Annotated[list[Approach], Field(min_length=1), Once]
+    width: Several
+    rtol: Annotated[list[Tolerance], Field(min_length=1, max_length=MOST_ENTRIES), Once]
+    accuracy: Annotated[
+        list[Annotated[float, Field(ge=LEAST_ACCURACY, le=MOST_ACCURACY)]],
+        Field(max_length=MOST_ENTRIES),
+        Once,
+    ] = Field(default_factory=list)
     """Accuracies that `simulate(..., accuracy=)` is asked for."""
     patience: Positive = 2.0
     """Seconds that a setting may take; its neighbours, slower still, are then left out."""
 
     @model_validator(mode="after")
     def _check(self) -> Study:
+        problems: list[Problem] = []
         if self.excited > self.masses:
             text = f"must lie in 0 ... {self.masses}, but is {self.excited}"
-            problems = [(("excited",), text)]
-            raise PydanticCustomError("problems", "{text}", {"text": text, "problems": problems})
+            problems.append((("excited",), text))
+        raise_all([*problems, *too_many({"lanes": max(self.lanes)}, self.masses, ("lanes",))])
         return self

@@ -1,0 +1,8 @@
+"""How much, and how little, is taken: bounds that several rooms share.  Nothing here needs JAX."""
+
+# Runs of one sweep.
+MOST_LANES = 10**7
+# Below this a step is judged by rounding errors alone, or by squares that underflow.
+LEAST_RTOL, LEAST_ATOL = 1e-15, 1e-30
+# Of smoothed friction against true dry friction, relative.
+LEAST_ACCURACY, MOST_ACCURACY = 1e-8, 0.3
