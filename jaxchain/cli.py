@@ -73,7 +73,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     run.add_argument("scene", help="name of a built-in scene or study, or a TOML file")
     run.add_argument(
-        "--output", metavar="DIR", type=Path, help="folder for the results (results/SCENE)"
+        "--output", metavar="DIR", type=_folder, help="folder for the results (results/SCENE)"
     )
     run.add_argument(
         "--set", metavar="KEY=VALUE", action="append", default=[], dest="overrides",
@@ -126,6 +126,16 @@ def _parser() -> argparse.ArgumentParser:
 
     commands.add_parser("bench", help="measure the speed on this machine", add_help=False)
     return parser
+
+
+def _folder(text: str) -> Path:
+    """The folder of `--output`, which has a name of its own beside which others can stand."""
+    path = Path(text)
+    if not text.strip() or path.name in ("", ".."):
+        raise argparse.ArgumentTypeError(
+            f'must name a folder of its own, such as results/mine, but is "{text}"'
+        )
+    return path
 
 
 def _scenes(options: argparse.Namespace) -> int:

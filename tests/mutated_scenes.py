@@ -17,6 +17,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from jaxchain.scenes.errors import SceneError
 from jaxchain.scenes.files import builtin_scenes
 from jaxchain.scenes.reading import LoadedScene, load_scene
@@ -90,7 +92,7 @@ def mutants(seed: int, count: int, first: int = 0) -> Iterator[Mutant]:
         base = rng.choice(list(scenes))
         mutant, data = Mutant(base), tomllib.loads(scenes[base])
         kinds = rng.choices(
-            ["table", "text", "set", "name"], [70, 12, 15, 3], k=rng.choice((1, 1, 2, 3))
+            ["table", "text", "set", "name"], [75, 8, 15, 2], k=rng.choice((1, 1, 1, 2, 3))
         )
         for _ in range(kinds.count("table")):
             mutant.mistakes.append(_change(data, rng))
@@ -154,7 +156,7 @@ def _places(data: Any, path: tuple = ()) -> Iterator[tuple[Any, Any, tuple]]:
 
 def _wrong(rng: random.Random) -> Any:
     """Any value."""
-    if rng.random() < 0.03:
+    if rng.random() < 0.015:
         return rng.choice(_LONG)(rng)
     return copy.deepcopy(rng.choice(rng.choices([NUMBERS, TEXTS, OTHERS], [50, 15, 35])[0]))
 
@@ -179,10 +181,10 @@ def _change(data: dict[str, Any], rng: random.Random) -> str:
         return "nothing"
     tables = [p for p in places if isinstance(p[0], dict)]
     where, key, path = rng.choice(tables if rng.random() < 0.7 and tables else places)
-    said = ".".join(map(str, path))[:100]
+    numbers = [p for p in places if isinstance(p[0][p[1]], int | float)]
     kind = rng.choices(
         ["replace", "delete", "misspell", "twice", "list", "name", "wrap", "scale"],
-        [45, 10, 12, 5, 10, 8, 3, 10],
+        [35, 8, 8, 4, 10, 6, 3, 25],
     )[0]
     if kind == "name":
         named = [
@@ -190,7 +192,9 @@ def _change(data: dict[str, Any], rng: random.Random) -> str:
         ]
         where, key, path = rng.choice(named or tables)
         kind = "misspell"
-    value = where[key]
+    elif kind == "scale" and numbers:
+        where, key, path = rng.choice(numbers)
+    value, said = where[key], ".".join(map(str, path))[:100]
     if kind == "delete":
         del where[key]
     elif kind in ("misspell", "twice") and isinstance(where, dict):
@@ -204,7 +208,7 @@ def _change(data: dict[str, Any], rng: random.Random) -> str:
                 [],
                 value * 2,
                 value[::-1],
-                [value],
+                [list(value)],
                 value + value[:1],
                 [-v if isinstance(v, int | float) else v for v in value],
             ]
@@ -213,8 +217,8 @@ def _change(data: dict[str, Any], rng: random.Random) -> str:
         where[key] = rng.choice(
             [[value], {"x": value}, {key if isinstance(key, str) else "x": value}]
         )
-    elif kind == "scale" and isinstance(value, int | float) and not isinstance(value, bool):
-        where[key] = value * rng.choice([-1, 2, 10, 1000, 10**6, 0.5, 1e-3, 1e-6])
+    elif kind == "scale" and isinstance(value, int | float) and abs(value) < 1e100:
+        where[key] = value * rng.choice([-1, 2, 3, 10, 1000, 10**6, 0.5, 0.1, 1e-3, 1e-6])
     else:
         where[key] = _wrong(rng)
         said += f" = {str(where[key])[:60]}"
@@ -259,6 +263,73 @@ def _assignment(data: dict[str, Any], rng: random.Random) -> str:
             "a" * 100_000 + "=1", f"{path}=\x1b",
         ])  # fmt: skip
     return f"{path}={wrong}"
+
+
+def built(loaded: LoadedScene) -> list[Any]:
+    """The chains of a scene or study, made and looked at as they are before anything runs.
+
+    **Raises:** `SceneError` for what must not be run.
+    """
+    from jaxchain.model.chain import paper_chain
+    from jaxchain.scenes.building import build_chain, build_initial
+    from jaxchain.scenes.registry import StudyTable
+    from jaxchain.scenes.running import checked_chains
+    from jaxchain.scenes.scene import SweepTable
+
+    scene = loaded.scene
+    if not isinstance(scene, StudyTable):
+        return list(checked_chains(loaded).values())
+    chains = []
+    parts: list[Any] = [part for _, part in scene if isinstance(part, SweepTable)]
+    for part in parts:
+        chain = build_chain(part)
+        build_initial(part)
+        chains.append(chain)
+    if scene.study == "boundaries":
+        from jaxchain.studies.boundaries.curves import base_chain
+
+        chains += [base_chain(scene), base_chain(scene, scene.coupling.masses)]
+    elif scene.study == "fronts":
+        from jaxchain.studies.fronts.compute import base_chain
+
+        chains += [base_chain(scene, n) for n in (1, scene.speed.masses)]
+    elif scene.study == "mistuning":
+        from jaxchain.studies.mistuning.compute import base_chain
+
+        chains.append(base_chain(scene))
+    elif scene.study == "ladder":
+        from jaxchain.studies.ladder.branches import ring
+
+        chains += [ring(scene), ring(scene, scene.couplings.masses, scene.couplings.coupling[0])]
+    elif scene.study == "verdicts":
+        from jaxchain.studies.verdicts.runs import initial_states
+
+        for case in scene.case.values():
+            chains.append(paper_chain(scene.n, case.belt_speed, scene.smoothed.width))
+            initial_states(chains[-1], case)
+    elif scene.study == "work_precision":
+        from jaxchain.studies.work_precision.approaches import Problem
+
+        chain = paper_chain(scene.masses, scene.belt_speed)
+        Problem(chain, scene.excited, (scene.belt_speed,), scene.duration).own(scene.belt_speed)
+        chains.append(chain)
+    elif scene.study == "extremes":
+        from jaxchain.studies.extremes.chains import chain_cases
+        from jaxchain.studies.extremes.masses import mass_cases
+
+        assert mass_cases(scene) + chain_cases(scene)
+    return chains
+
+
+def means_nothing(chain: Any) -> str:
+    """What is wrong with a chain that was accepted, if anything is."""
+    from jaxchain.model.chain import steady_sliding
+
+    x, v = state = steady_sliding(chain)
+    numbers = [x, v, *chain(0.0, (x + 1.0, v)), *chain(0.0, state)]
+    if chain.belt_speed == 0.0:
+        numbers = [v]
+    return "" if all(np.all(np.isfinite(a)) for a in numbers) else "forces are not finite"
 
 
 @dataclass

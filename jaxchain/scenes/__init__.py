@@ -13,6 +13,7 @@
 - `scene`: what an experiment is, as data
 - `storage`: the folder of results
 - `tables`: the tables a scene file is made of
+- `values`: numbers, names, lists and ranges, each within bounds
 - `wording`: words for what is wrong in a scene file
 """
 

@@ -15,6 +15,7 @@ from typing import Any
 import xarray as xr
 
 from .._types import State
+from ..model.chain import Chain
 from ..model.friction import AbstractFrictionLaw
 from ..observers.base import AbstractObserver
 from ..plotting.groups import CYCLES, NONSMOOTH
@@ -22,8 +23,14 @@ from ..plotting.sweeps import figure
 from ..simulation.event_driven import EventDriven
 from ..sweeps.sweeping import SweepInterrupted, sweep
 from .boundaries import cycles, hopf_speed
-from .building import build_chain, build_initial, build_observers, build_solver
-from .errors import SceneError
+from .building import (
+    build_chain,
+    build_initial,
+    build_observers,
+    build_solver,
+    check_experiment,
+)
+from .errors import SceneError, StudyFailedError, shortened
 from .observing import ObserveTable
 from .reading import LoadedScene
 from .registry import StudyTable, study_run
@@ -31,6 +38,9 @@ from .report import cycles_summary, summary
 from .scene import Experiment, SweepTable
 from .storage import save, save_drawing
 from .tables import NumericsTable
+
+# Of an error from elsewhere.
+_CHARACTERS = 1000
 
 
 def models(numerics: NumericsTable) -> tuple[str, ...]:
@@ -83,12 +93,55 @@ def run_experiment(
 
 
 @contextlib.contextmanager
-def _in_scene(scene: str, experiment: str) -> Iterator[None]:
-    """Says where an error is that only the numbers together show: a width too small, say."""
+def in_words(scene: str, where: str = "") -> Iterator[None]:
+    """Says where an error is that only a run shows: a width too small, say, or too little memory.
+
+    **Raises:** `SceneError` for a `ValueError`; `MemoryError` with a remedy for want of memory;
+    `StudyFailedError` for a run that fails.
+    """
     try:
         yield
     except ValueError as error:
-        raise SceneError(scene, [f"experiment.{experiment}: {error}"]) from error
+        raise SceneError(scene, [f"{where}{error}"]) from error
+    except MemoryError as error:
+        raise MemoryError(_short_of_memory(where, error)) from error
+    except RuntimeError as error:
+        if "RESOURCE_EXHAUSTED" in str(error):  # how the compiler says it
+            raise MemoryError(_short_of_memory(where, error)) from error
+        raise StudyFailedError(f"{where}{shortened(str(error), _CHARACTERS)}") from error
+
+
+def _short_of_memory(where: str, error: Exception) -> str:
+    said = shortened(str(error), _CHARACTERS)
+    if "fewer" in said:
+        return f"{where}{said}"
+    return (
+        f"{where}out of memory{f' ({said})' if said else ''}: take fewer values, masses or chains "
+        "at once"
+    )
+
+
+def checked_chains(
+    loaded: LoadedScene,
+    own_law: type[AbstractFrictionLaw] | None = None,
+    own_observers: Mapping[str, type[AbstractObserver]] | None = None,
+) -> dict[str, Chain]:
+    """The chain of every experiment of a scene.
+
+    **Raises:** `SceneError` with everything that cannot be run, before anything is.
+    """
+    chains, problems = {}, []
+    for name, experiment in loaded.scene.experiment.items():
+        try:
+            chains[name] = chain = build_chain(experiment, own_law)
+            window = experiment.time.window
+            observe = build_observers(experiment.observe, window, own_observers)
+            check_experiment(experiment, chain, observe)
+        except ValueError as error:
+            problems.append(f"experiment.{name}: {error}")
+    if problems:
+        raise SceneError(loaded.name, problems)
+    return chains
 
 
 def run_scene(
@@ -124,15 +177,12 @@ def run_scene(
         for option, given in (("--law", own_law), ("--observer", own_observers)):
             if given:
                 raise SceneError(loaded.name, [f"{option}: is for scenes, and this is a study"])
-        return study_run(loaded.scene.study)(
-            loaded.scene, folder, name=loaded.name, plot=plot, progress=progress, report=report
-        )
+        with in_words(loaded.name):
+            return study_run(loaded.scene.study)(
+                loaded.scene, folder, name=loaded.name, plot=plot, progress=progress, report=report
+            )
     path = folder / loaded.name
-    datasets, chains = {}, {}
-    for name, experiment in loaded.scene.experiment.items():  # before anything runs
-        with _in_scene(loaded.name, name):
-            chains[name] = build_chain(experiment, own_law)
-            build_observers(experiment.observe, experiment.time.window, own_observers)
+    datasets, chains = {}, checked_chains(loaded, own_law, own_observers)
     for name, experiment in loaded.scene.experiment.items():
         chain, grid = chains[name], experiment.grid()
         hopf = hopf_speed(chain, grid)
@@ -141,7 +191,7 @@ def run_scene(
             second = model == "nonsmooth" and experiment.numerics.model == "both"
             group = f"{name}{NONSMOOTH}" if second else name
             try:
-                with _in_scene(loaded.name, name):
+                with in_words(loaded.name, f"experiment.{name}: "):
                     data = run_experiment(
                         experiment, name=group, model=model, own_law=own_law,
                         own_observers=own_observers, progress=progress,
