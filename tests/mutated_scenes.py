@@ -156,7 +156,7 @@ def _places(data: Any, path: tuple = ()) -> Iterator[tuple[Any, Any, tuple]]:
 
 def _wrong(rng: random.Random) -> Any:
     """Any value."""
-    if rng.random() < 0.015:
+    if rng.random() < 0.006:
         return rng.choice(_LONG)(rng)
     return copy.deepcopy(rng.choice(rng.choices([NUMBERS, TEXTS, OTHERS], [50, 15, 35])[0]))
 
@@ -265,70 +265,64 @@ def _assignment(data: dict[str, Any], rng: random.Random) -> str:
     return f"{path}={wrong}"
 
 
-def built(loaded: LoadedScene) -> list[Any]:
-    """The chains of a scene or study, made and looked at as they are before anything runs.
+def built(loaded: LoadedScene) -> list[tuple[Any, Any]]:
+    """(chain, start) as a scene or study makes them before anything runs.
 
     **Raises:** `SceneError` for what must not be run.
     """
-    from jaxchain.model.chain import paper_chain
+    from jaxchain.model.chain import paper_chain, steady_sliding
     from jaxchain.scenes.building import build_chain, build_initial
     from jaxchain.scenes.registry import StudyTable
     from jaxchain.scenes.running import checked_chains
     from jaxchain.scenes.scene import SweepTable
+    from jaxchain.studies.boundaries import curves
+    from jaxchain.studies.extremes.chains import chain_cases
+    from jaxchain.studies.extremes.masses import mass_cases
+    from jaxchain.studies.fronts import compute as moving
+    from jaxchain.studies.ladder.branches import ring
+    from jaxchain.studies.mistuning import compute as mistuned
+    from jaxchain.studies.verdicts.runs import initial_states
+    from jaxchain.studies.work_precision.approaches import Problem
 
     scene = loaded.scene
-    if not isinstance(scene, StudyTable):
-        return list(checked_chains(loaded).values())
-    chains = []
-    parts: list[Any] = [part for _, part in scene if isinstance(part, SweepTable)]
+    study = isinstance(scene, StudyTable)
+    if not study:
+        checked_chains(loaded)
+    parts = [part for _, part in scene] if study else scene.experiment.values()
+    pairs = []
     for part in parts:
-        chain = build_chain(part)
-        build_initial(part)
-        chains.append(chain)
-    if scene.study == "boundaries":
-        from jaxchain.studies.boundaries.curves import base_chain
-
-        chains += [base_chain(scene), base_chain(scene, scene.coupling.masses)]
-    elif scene.study == "fronts":
-        from jaxchain.studies.fronts.compute import base_chain
-
-        chains += [base_chain(scene, n) for n in (1, scene.speed.masses)]
-    elif scene.study == "mistuning":
-        from jaxchain.studies.mistuning.compute import base_chain
-
-        chains.append(base_chain(scene))
-    elif scene.study == "ladder":
-        from jaxchain.studies.ladder.branches import ring
-
-        chains += [ring(scene), ring(scene, scene.couplings.masses, scene.couplings.coupling[0])]
-    elif scene.study == "verdicts":
-        from jaxchain.studies.verdicts.runs import initial_states
-
-        for case in scene.case.values():
-            chains.append(paper_chain(scene.n, case.belt_speed, scene.smoothed.width))
-            initial_states(chains[-1], case)
-    elif scene.study == "work_precision":
-        from jaxchain.studies.work_precision.approaches import Problem
-
-        chain = paper_chain(scene.masses, scene.belt_speed)
-        Problem(chain, scene.excited, (scene.belt_speed,), scene.duration).own(scene.belt_speed)
-        chains.append(chain)
-    elif scene.study == "extremes":
-        from jaxchain.studies.extremes.chains import chain_cases
-        from jaxchain.studies.extremes.masses import mass_cases
-
-        assert mass_cases(scene) + chain_cases(scene)
-    return chains
+        if isinstance(part, SweepTable):
+            chain, initial, grid = build_chain(part), build_initial(part), part.grid()
+            names = {"excited", "displacement", "velocity"} & grid.keys()
+            pairs.append((chain, initial(chain, **{name: grid[name][0] for name in names})))
+    chains = []
+    match scene.study if study else "":
+        case "boundaries":
+            chains = [curves.base_chain(scene), curves.base_chain(scene, scene.coupling.masses)]
+        case "fronts":
+            chains = [moving.base_chain(scene, n) for n in (1, scene.speed.masses)]
+        case "mistuning":
+            chains = [mistuned.base_chain(scene)]
+        case "ladder":
+            other = scene.couplings
+            chains = [ring(scene), ring(scene, other.masses, other.coupling[0])]
+        case "verdicts":
+            for case in scene.case.values():
+                chain = paper_chain(scene.n, case.belt_speed, scene.smoothed.width)
+                x, v = initial_states(chain, case)
+                pairs.append((chain, (x[0], v[0])))
+        case "work_precision":
+            chain = paper_chain(scene.masses, scene.belt_speed)
+            problem = Problem(chain, scene.excited, (scene.belt_speed,), scene.duration)
+            pairs.append(problem.own(scene.belt_speed))
+        case "extremes":
+            assert mass_cases(scene) + chain_cases(scene)
+    return [*pairs, *((chain, steady_sliding(chain)) for chain in chains)]
 
 
-def means_nothing(chain: Any) -> str:
-    """What is wrong with a chain that was accepted, if anything is."""
-    from jaxchain.model.chain import steady_sliding
-
-    x, v = state = steady_sliding(chain)
-    numbers = [x, v, *chain(0.0, (x + 1.0, v)), *chain(0.0, state)]
-    if chain.belt_speed == 0.0:
-        numbers = [v]
+def means_nothing(chain: Any, state: Any) -> str:
+    """What is wrong with a chain and a start that were accepted, if anything is."""
+    numbers = [*state, *chain(0.0, state)]
     return "" if all(np.all(np.isfinite(a)) for a in numbers) else "forces are not finite"
 
 

@@ -245,6 +245,16 @@ def test_a_folder_that_cannot_be_made_is_a_readable_error(workplace, made_up_swe
     assert "cannot create file/below: Not a directory" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("folder", ["", " ", ".", "..", "/", "a/.."])
+def test_a_folder_without_a_name_of_its_own_is_refused(workplace, folder, capsys):
+    with pytest.raises(SystemExit) as done:
+        main(["run", "two.toml", "--output", folder])
+    assert done.value.code == 2
+    said = f'must name a folder of its own, such as results/mine, but is "{folder}"'
+    assert said in capsys.readouterr().err
+    assert not Path("results").exists()
+
+
 def test_scenes_lists_shows_and_describes(workplace, capsys):
     assert main(["scenes"]) == 0
     assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == [

@@ -186,7 +186,7 @@ Block: TypeAlias = Literal["forward", "centred"]
 
 
 class _BlockTable(Table):
-    excited: Annotated[int, Field(ge=0)] | None = None
+    excited: Annotated[int, Field(ge=0, le=MOST_NUMBERS)] | None = None
     """How many neighbouring masses are excited."""
     block: Block = "forward"
     """Where they are: 11 ... 10 + k of 20 ("forward"), or round oscillator 11 ("centred")."""

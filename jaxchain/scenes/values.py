@@ -72,9 +72,9 @@ def shown(number: float | int) -> str:
 def _at_most(most: float) -> Callable[[float], float]:
     def check(value: float) -> float:
         if abs(value) > most:
-            raise ValueError(f"must be at most {most:g} in size, but is {value:g}")
+            raise ValueError(f"must be at most {most:g} in size, but is {value!r}")
         if 0 < abs(value) < LEAST:
-            raise ValueError(f"must be 0 or at least {LEAST:g} in size, but is {value:g}")
+            raise ValueError(f"must be 0 or at least {LEAST:g} in size, but is {value!r}")
         return value
 
     return check
@@ -82,7 +82,7 @@ def _at_most(most: float) -> Callable[[float], float]:
 
 def _above_least(value: float) -> float:
     if value < LEAST:
-        raise ValueError(f"must be at least {LEAST:g}, but is {value:g}")
+        raise ValueError(f"must be at least {LEAST:g}, but is {value!r}")
     return value
 
 

@@ -37,6 +37,7 @@ _ALIKE = 3
 _MOST = 4 * MOST_SHOWN
 # Digits of a number, and characters of a text, that are shown.
 _DIGITS, _CHARACTERS = 40, 80
+_ENTRY = re.compile(r"\[\d+\]")
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 
 
@@ -64,11 +65,11 @@ def explain(error: ValidationError, model: type[Table]) -> list[str]:
         if alike[same] > _ALIKE and (last or entries):
             continue
         path, table = _followed(location, model)
-        where[same] = ".".join(path[:-1] if last else path)
+        where[same] = _ENTRY.sub("[...]", ".".join(path[:-1] if last else path))
         lines.append(_problem(detail, path, table))
     for same, count in alike.items():
         if count > _ALIKE and None in same:
-            lines.append(f"{where[same] or 'the file'}: {count - _ALIKE} more are wrong alike")
+            lines.append(_line([where[same]], f"{count - _ALIKE} more are wrong alike"))
     return lines if unsaid == 0 else [*lines, f"{unsaid} more places are wrong"]
 
 
@@ -85,7 +86,7 @@ def _problem(detail: Any, path: list[str], table: type[Table] | None) -> str:
 
 
 def _line(path: Sequence[str], message: str) -> str:
-    return f"{'.'.join(path)}: {message}" if path else message
+    return f"{'.'.join(path)}: {message}" if any(path) else message
 
 
 def _followed(location: Sequence[int | str], model: type[Table]) -> tuple[list[str], Any]:

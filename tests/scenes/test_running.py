@@ -10,9 +10,10 @@ import xarray as xr
 from jaxchain import find_limit_cycle, fold_belt_speed, paper_chain
 from jaxchain.observers.stick_time import StickTime
 from jaxchain.plotting.sweeps import figure
+from jaxchain.scenes import running
 from jaxchain.scenes.boundaries import cycles, hopf_speed
 from jaxchain.scenes.building import build_chain, build_observers
-from jaxchain.scenes.errors import SceneError
+from jaxchain.scenes.errors import SceneError, StudyFailedError
 from jaxchain.scenes.reading import load_scene
 from jaxchain.scenes.running import run_experiment, run_scene
 from jaxchain.scenes.scene import VARIABLES
@@ -189,6 +190,49 @@ def test_no_experiment_is_named_like_the_cycles_of_another(tmp_path):
 def test_an_unknown_model_is_refused(tmp_path):
     with pytest.raises(SceneError, match="nonsmooth"):
         scene(tmp_path, "rough")
+
+
+def test_what_only_the_numbers_together_show_is_told_of_all_experiments_before_any_runs(tmp_path):
+    rough = [f"experiment.{name}.numerics.rtol=0.5" for name in ("single", "ladder")]
+    with pytest.raises(SceneError) as error:
+        run_scene(load_scene("fig3", rough), tmp_path, plot=False)
+    single, ladder = error.value.problems
+    assert single.startswith("experiment.single: Arguments `rtol` = 0.5 and `atol` = 0.05 are too")
+    assert ladder.startswith("experiment.ladder: Arguments `rtol` = 0.5")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("fails", "kind", "said"),
+    [
+        (
+            lambda: jnp.ones(10**14),
+            MemoryError,
+            r"out of memory \(RESOURCE.*\): take fewer",
+        ),
+        (
+            lambda: np.ones(10**15),
+            MemoryError,
+            r"out of memory \(Unable to .*\): take fewer",
+        ),
+        (lambda: bytes(10**18), MemoryError, "^out of memory: take fewer values, masses or"),
+        (lambda: paper_chain(0), SceneError, "has an error:\n  Argument `n` must be an integer"),
+        (
+            lambda: find_limit_cycle(
+                paper_chain(1, 1.9), (jnp.full(1, 0.6), jnp.zeros(1)), period=6.0, vibrating=0
+            ),
+            StudyFailedError,
+            "limit cycle|Newton|converge",
+        ),
+    ],
+)
+def test_what_fails_on_the_way_through_a_study_is_said_in_words(
+    fails, kind, said, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(running, "study_run", lambda name: lambda *table, **how: fails())
+    with pytest.raises(kind, match=said) as error:
+        run_scene(load_scene("extremes"), tmp_path)
+    assert len(str(error.value)) < 2000
 
 
 OTHERS = """

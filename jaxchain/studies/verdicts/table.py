@@ -95,7 +95,7 @@ class Study(StudyTable):
     noise: Noise
     times: Times
     smoothed: Smoothed
-    exponents: Annotated[int, Field(ge=2)] = 3
+    exponents: Annotated[int, Field(ge=2, le=2 * MOST_MASSES)] = 3
     """How many exponents."""
     exponent_runs: Count = 3
     """Of how many runs of a state, that without noise and then the noisiest first."""
