@@ -11,7 +11,6 @@ import json
 import math
 import random
 import time
-import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from jaxchain.scenes.errors import SceneError
-from jaxchain.scenes.files import builtin_scenes
+from jaxchain.scenes.files import builtin_scenes, read_scene
 from jaxchain.scenes.reading import LoadedScene, load_scene
 
 # What a refusal may take, and how long its text may be.
@@ -86,11 +85,11 @@ class Mutant:
 
 def mutants(seed: int, count: int, first: int = 0) -> Iterator[Mutant]:
     """These of the endless row of this seed, from the first-th on."""
-    scenes = {name: file.read_text(encoding="utf-8") for name, file in builtin_scenes().items()}
+    scenes = {name: read_scene(name)[1] for name in builtin_scenes()}
     for number in range(first, first + count):
         rng = random.Random(f"{seed}/{number}")
         base = rng.choice(list(scenes))
-        mutant, data = Mutant(base), tomllib.loads(scenes[base])
+        mutant, data = Mutant(base), copy.deepcopy(scenes[base])
         kinds = rng.choices(
             ["table", "text", "set", "name"], [75, 8, 15, 2], k=rng.choice((1, 1, 1, 2, 3))
         )
@@ -156,7 +155,7 @@ def _places(data: Any, path: tuple = ()) -> Iterator[tuple[Any, Any, tuple]]:
 
 def _wrong(rng: random.Random) -> Any:
     """Any value."""
-    if rng.random() < 0.006:
+    if rng.random() < 0.003:
         return rng.choice(_LONG)(rng)
     return copy.deepcopy(rng.choice(rng.choices([NUMBERS, TEXTS, OTHERS], [50, 15, 35])[0]))
 

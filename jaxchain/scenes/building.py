@@ -22,7 +22,7 @@ from ..solvers.rosenbrock import Rodas4, Rodas5P
 from ..sweeps.axes import check_axes, check_observers
 from .observing import ObserveTable, OwnObserverTable
 from .own_code import make_law, make_observer
-from .scene import SweepTable
+from .scene import Experiment, SweepTable
 from .tables import Equation8Table, Equation10Table, OwnLawTable, TabulatedTable
 
 LAWS = {
@@ -142,7 +142,7 @@ def build_observers(
 
 
 def check_experiment(
-    experiment: SweepTable, chain: Chain, observe: list[AbstractObserver]
+    experiment: Experiment, chain: Chain, observe: list[AbstractObserver]
 ) -> None:
     """Raises `ValueError` for what only chain, start and observers together show.
 
@@ -151,9 +151,10 @@ def check_experiment(
     numerics, time, initial = experiment.numerics, experiment.time, build_initial(experiment)
     axes = check_axes(chain, initial, experiment.grid())
     check_observers(observe, chain, time.transient + time.window, axes)
-    if getattr(numerics, "model", "smoothed") != "nonsmooth":
+    if numerics.model != "nonsmooth":
         build_solver(numerics.solver, chain, numerics.rtol, numerics.max_step)
-        width, speed = (axes.get(k, {}).get(k, getattr(chain, k)) for k in ("width", "belt_speed"))
+        swept: dict[str, Any] = {name: own[name] for name, own in axes.items()}
+        width, speed = swept.get("width", chain.width), swept.get("belt_speed", chain.belt_speed)
         check_resolved(chain.n, width, speed, numerics.rtol, numerics.atol)
 
 

@@ -12,7 +12,7 @@ from jaxchain.scenes.reading import load_scene
 TEXT = builtin_scenes()["quickstart"].read_text(encoding="utf-8")
 
 
-def problem(file, content=TEXT, *overrides):
+def problem(file, content: bytes | str = TEXT, *overrides):
     """What is said of a file of this content."""
     file.write_bytes(content if isinstance(content, bytes) else content.encode())
     with pytest.raises(SceneError) as error:
