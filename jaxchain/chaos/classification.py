@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Array
-from tqdm import tqdm
 
 from .._checks import (
     check_nonnegative,
@@ -15,6 +14,7 @@ from .._checks import (
     check_tolerances,
     check_whole,
 )
+from .._progress import progress_bar
 from ..model.arguments import as_chain, as_state
 from ..model.chain import Chain
 from ..model.oscillators import AbstractOscillators
@@ -130,7 +130,7 @@ def verdicts(
             if not again or found.evidence.decided:
                 trial.evidence = found.evidence
 
-    with tqdm(total=len(trials), desc=description, unit="run", disable=not progress) as bar:
+    with progress_bar(total=len(trials), desc=description, unit="run", show=progress) as bar:
         stage = first
         while True:
             going = [trial for trial in trials if not trial.evidence.decided]

@@ -15,7 +15,6 @@ import jax.tree_util as jtu
 import numpy as np
 from jax import lax
 from jaxtyping import Array
-from tqdm import tqdm
 
 from .._checks import (
     check_count,
@@ -27,6 +26,7 @@ from .._checks import (
     is_traced,
     to_float,
 )
+from .._progress import progress_bar
 from .._statistics import student_reach
 from .._types import State
 from ..model.arguments import as_chain, as_state
@@ -154,7 +154,7 @@ def lyapunov_spectrum(
         )
     else:
         parts = []
-        for k in tqdm(range(blocks + 1), desc="lyapunov", unit="block", disable=not progress):
+        for k in progress_bar(range(blocks + 1), desc="lyapunov", unit="block", show=progress):
             span = jtu.tree_map(lambda a, k=k: a[k], spans)
             frame, growth = _advance(plan, chain, frame, span, max_steps)
             parts.append(growth)

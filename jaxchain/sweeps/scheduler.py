@@ -11,8 +11,8 @@ import equinox as eqx
 import jax
 import jax.tree_util as jtu
 import numpy as np
-from tqdm import tqdm
 
+from .._progress import progress_bar
 from ..result import NAMES, code
 from .lanes import (
     Lane,
@@ -100,11 +100,11 @@ class Pool:
     def run(self, show: bool, description: str) -> None:
         waiting = self._order()
         pool, waiting = self._refill(self._empty_pool(), waiting)
-        with tqdm(
+        with progress_bar(
             total=self.total,
             desc=description,
             unit="lane",
-            disable=not show,
+            show=show,
             bar_format="{desc}: {percentage:3.0f}%|{bar}| {n:.1f}/{total} lanes "
             "[{elapsed}<{remaining}]",
         ) as bar:
@@ -121,7 +121,7 @@ class Pool:
                 if not waiting.size and not self.fixed:
                     pool = self._shrink(pool)
                 if show:
-                    bar.n = finished + self._fraction_under_way(pool)
+                    bar.n = round(finished + self._fraction_under_way(pool), 1)
                     bar.refresh()
 
     def _order(self) -> np.ndarray:

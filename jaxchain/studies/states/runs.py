@@ -19,9 +19,9 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 from jaxtyping import Array
-from tqdm import tqdm
 
 from jaxchain._checks import require_x64, to_float
+from jaxchain._progress import progress_bar
 from jaxchain.model.chain import Chain
 from jaxchain.observers.amplitude import Amplitude
 from jaxchain.observers.base import AbstractObserver
@@ -92,8 +92,8 @@ def run_states(
     lanes = on_all(start_lane, own, starts)
     found: dict[type, list] = {PeakTimes: [], Samples: []}
     interrupted = False
-    with tqdm(
-        total=round(end), desc=description, disable=not progress,
+    with progress_bar(
+        total=round(end), desc=description, unit="time unit", show=progress,
         bar_format="{desc}: {percentage:3.0f}%|{bar}| [{elapsed}<{remaining}]",
     ) as bar:  # fmt: skip
         try:

@@ -1,0 +1,74 @@
+"""Progress: a bar in a terminal, a line a minute in a log."""
+
+import io
+
+import pytest
+
+from jaxchain import _progress
+from jaxchain._progress import progress_bar
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """The clock of bars, to be set by hand."""
+    now = [0.0]
+    monkeypatch.setattr(_progress.time, "monotonic", lambda: now[0])
+    return now
+
+
+def test_a_log_gets_a_line_a_minute_and_one_at_the_end(monkeypatch, clock):
+    log = io.StringIO()
+    monkeypatch.setattr("sys.stderr", log)
+    with progress_bar(total=600, show=True, desc="some", unit="case") as bar:
+        for second in range(600):
+            clock[0] = float(second)
+            for _ in range(10):
+                bar.refresh()
+            bar.n = second + 1
+    lines = log.getvalue().splitlines()
+    assert "\r" not in log.getvalue()
+    assert len(lines) == 10
+    assert [line.split()[2] for line in lines] == [
+        *(f"{60 * i}/600" for i in range(1, 10)),
+        "600/600",
+    ]
+    assert lines[0].startswith("some:  10% 60/600 [")
+    assert "case/s" in lines[0]
+    assert "<" in lines[0]
+
+
+def test_what_counts_by_itself_and_what_has_no_total(monkeypatch, clock):
+    log = io.StringIO()
+    monkeypatch.setattr("sys.stderr", log)
+    for _ in progress_bar(range(130), show=True, desc="over", unit="item"):
+        clock[0] += 1.0
+    with progress_bar(show=True, desc="open", unit="point") as bar:
+        bar.set_postfix_str("here")
+        bar.update(3)
+    lines = log.getvalue().splitlines()
+    assert [line.split("[")[0] for line in lines[-2:]] == ["over: 100% 130/130 ", "open: 3 "]
+    assert lines[-1].endswith("point/s, here]")
+    assert len(lines) <= 4
+
+
+def test_a_terminal_gets_a_bar_in_place(monkeypatch):
+    terminal = Terminal()
+    monkeypatch.setattr("sys.stderr", terminal)
+    for _ in progress_bar(range(3), show=True, desc="some", unit="case"):
+        pass
+    assert terminal.getvalue().count("\r") >= 2
+    assert terminal.getvalue().count("\n") == 1
+    assert "|" in terminal.getvalue()
+
+
+@pytest.mark.parametrize("stream", [None, "log"])
+def test_nothing_is_shown_to_nobody(monkeypatch, stream):
+    log = io.StringIO()
+    monkeypatch.setattr("sys.stderr", None if stream is None else log)
+    assert list(progress_bar(range(3), show=stream is None, desc="a", unit="b")) == [0, 1, 2]
+    assert log.getvalue() == ""
