@@ -10,7 +10,7 @@ import signal
 import sys
 import tempfile
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -70,7 +70,7 @@ def forgiving_streams() -> Iterator[_Forgiving | None]:
             sys.stdout, sys.stderr = kept
 
 
-def lost(raw: _Forgiving | None) -> str | None:
+def _lost(raw: _Forgiving | None) -> str | None:
     """Why what was printed is lost, if it is; a reader who has gone wanted no more."""
     fault = None if raw is None else raw.fault
     return None if fault is None or fault.errno == errno.EPIPE else fault.strerror
@@ -139,6 +139,24 @@ def undisturbed() -> Iterator[None]:
             signal.signal(number, before[number])
         for number in came:
             signal.raise_signal(number)
+
+
+def run_command(command: Callable[[], int], *, print_matters: bool) -> int:
+    """The exit status of a command, which is stopped by signals and by nothing else around it.
+
+    **Arguments:** `print_matters`, whether it has failed if what it prints is lost.
+    """
+    with forgiving_streams() as output, stoppable() as stop:
+        try:
+            status = command()
+        except KeyboardInterrupt:
+            print("jaxchain: interrupted", file=sys.stderr)
+            status = INTERRUPTED
+        sys.stdout.flush()
+        if status == 0 and print_matters and (why := _lost(output)):
+            print(f"jaxchain: cannot print: {why}", file=sys.stderr)
+            status = 1
+    return stop.status(status)
 
 
 class Elsewhere:

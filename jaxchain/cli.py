@@ -16,13 +16,20 @@ from typing import Any
 
 from . import __version__
 from ._configure import configure
+from ._terminal import INTERRUPTED, Elsewhere, run_command
 from .model.parameters import parameter
-from .scenes.errors import FigureError, SceneError, StudyFailedError
+from .scenes.errors import FigureError, SceneError, StorageError, StudyFailedError
 
-_RUN_EXAMPLES = """\
+_RUN_MORE = """\
 examples:
   jaxchain run quickstart          a ring of six: data and a figure, in seconds
   jaxchain run quickstart --output first --set experiment.ladder.chain.n=10
+
+exit status:
+  0              done
+  1              a study, a figure, or the writing of results failed
+  2              a scene, an option or a folder is wrong
+  130, 143, 129  stopped by Ctrl-C, SIGTERM, a closed terminal: what had ended is saved
 """
 _EXAMPLES = """\
 examples:
@@ -36,11 +43,22 @@ _BOUNDARY_OPTIONS = ("width", "damping_ratio", "coupling", "mu_static", "mu_dyna
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Runs a subcommand. Returns the exit status: 0 done, 1 failed, 2 misused, 130 interrupted.
+    """Runs a subcommand; without one it prints its help.
 
-    Without a subcommand it prints its help.
+    **Returns:** the exit status:
+
+    - 0: done;
+    - 1: failed: a study, a figure, results that could not be written where they were wanted,
+      output on a full disk;
+    - 2: misused: a scene, an option, a folder that cannot be made;
+    - 130, 143, 129: stopped by Ctrl-C, SIGTERM or a closed terminal; what had ended is saved.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
+    # What `run` has done is in its folder; of other commands the print is all there is.
+    return run_command(lambda: _run_command(arguments), print_matters=arguments[:1] != ["run"])
+
+
+def _run_command(arguments: list[str]) -> int:
     if arguments[:1] == ["bench"]:  # has options of its own, also --help
         from .bench.command import main as bench
 
@@ -68,7 +86,7 @@ def _parser() -> argparse.ArgumentParser:
         "run",
         help="run a scene or study and draw its figure",
         description="Runs a scene or a study.",
-        epilog=_RUN_EXAMPLES,
+        epilog=_RUN_MORE,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     run.add_argument("scene", help="name of a built-in scene or study, or a TOML file")
@@ -168,18 +186,17 @@ def _run(options: argparse.Namespace) -> int:
     configure(cache=True)
     from .scenes.own_code import load_law, load_observer
     from .scenes.running import run_scene
-    from .scenes.storage import new_folder
+    from .scenes.storage import Results, listing
 
     own_law = None if options.law is None else load_law(options.law, loaded.name)
     kinds = [load_observer(given, loaded.name) for given in options.observers]
     wanted = options.output or Path("results") / loaded.name
+    elsewhere = Elsewhere(loaded.name)
     try:
-        folder = new_folder(wanted)
+        results = Results.claim(wanted, loaded.name, elsewhere)
     except OSError as error:
         print(f"jaxchain: cannot create {wanted}: {error.strerror}", file=sys.stderr)
         return 2
-    if folder != wanted:
-        print(f"jaxchain: {wanted} is in use, the results go to {folder}", file=sys.stderr)
 
     def report(text: str) -> None:
         if not options.quiet:
@@ -187,24 +204,31 @@ def _run(options: argparse.Namespace) -> int:
 
     if options.quiet:
         warnings.simplefilter("ignore")
-    try:
-        run_scene(
-            loaded, folder, own_law=own_law, own_observers={kind.__name__: kind for kind in kinds},
-            plot=not options.no_plot, progress=not options.quiet, report=report,
-        )  # fmt: skip
-    except (FigureError, StudyFailedError, MemoryError) as error:
-        print(f"jaxchain: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        kept = f"; what was finished is in {folder}" if any(folder.iterdir()) else ""
-        print(f"jaxchain: interrupted{kept}", file=sys.stderr)
-        return 130
-    finally:
-        # Nothing is left behind by a run that saved nothing.
-        if not any(folder.iterdir()):
-            folder.rmdir()
-    report(f"\nresults in {folder}: {', '.join(sorted(f.name for f in folder.iterdir()))}")
-    return 0
+    with results:
+        asked = results.folder
+        if asked != wanted:
+            print(f"jaxchain: {wanted} is in use, the results go to {asked}", file=sys.stderr)
+        try:
+            run_scene(
+                loaded, results, own_law=own_law,
+                own_observers={kind.__name__: kind for kind in kinds}, plot=not options.no_plot,
+                progress=not options.quiet, report=report,
+            )  # fmt: skip
+            status = 0
+        except StorageError as error:  # `elsewhere` has told why
+            print(f"jaxchain: stopped: `{error.name}` could not be saved", file=sys.stderr)
+            status = 1
+        except (FigureError, StudyFailedError, MemoryError) as error:
+            print(f"jaxchain: {error}", file=sys.stderr)
+            status = 1
+        except KeyboardInterrupt:
+            kept = f"; what was finished is in {results.folder}" if results.datasets else ""
+            print(f"jaxchain: interrupted{kept}", file=sys.stderr)
+            status = INTERRUPTED
+    if status == 0:
+        report(f"\nresults in {results.folder}: {', '.join(listing(results.folder))}")
+    # A script must see that its results are not where it wants them.
+    return 1 if status == 0 and elsewhere.forced else status
 
 
 def _boundary(options: argparse.Namespace) -> int:

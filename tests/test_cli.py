@@ -1,8 +1,12 @@
 """The `jaxchain` command: what it prints, what it writes, and that it loses nothing."""
 
 import json
+import os
+import resource
+import signal
 import subprocess
 import sys
+import tempfile
 from itertools import pairwise
 from pathlib import Path
 from typing import get_args
@@ -237,6 +241,47 @@ def test_ctrl_c_before_anything_is_finished_leaves_no_folder(workplace, monkeypa
     monkeypatch.setattr(running, "sweep", stopped)
     assert main(["run", "two.toml"]) == 130
     assert not Path("results/two").exists()
+
+
+def test_what_asks_the_process_to_end_is_answered_as_ctrl_c_is(
+    workplace, made_up_sweep, monkeypatch, capsys
+):
+    whole = running.sweep
+
+    def stopped(chain, initial, t1, *, over, **options):
+        if chain.n == 3:
+            os.kill(os.getpid(), signal.SIGTERM)
+        return whole(chain, initial, t1, over=over, **options)
+
+    monkeypatch.setattr(running, "sweep", stopped)
+    assert main(["run", "two.toml", "--quiet"]) == 143
+    said = "jaxchain: interrupted; what was finished is in results/two\n"
+    assert capsys.readouterr() == ("", said)
+    assert xr.open_zarr("results/two/two.zarr", group="first").result.sum() == 0
+
+
+def test_results_that_can_be_written_nowhere_are_a_readable_error(
+    workplace, made_up_sweep, monkeypatch, capsys
+):
+    Path("tmp").mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", "tmp")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))  # Python ignores the signal
+    try:
+        status = main(["run", "two.toml", "--quiet"])
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert status == 1
+    first, then, second, last = capsys.readouterr().err.splitlines()
+    assert first == (
+        "jaxchain: cannot write `first` into results/two: File too large. What was saved there "
+        "before stays whole: nothing."
+    )
+    assert "the results go to tmp/jaxchain-" in then
+    assert "cannot write `first` into tmp/jaxchain-" in second
+    assert last == "jaxchain: stopped: `first` could not be saved"
+    assert not Path("results/two").exists()
+    assert not list(Path("tmp").glob("*/*"))
 
 
 def test_a_folder_that_cannot_be_made_is_a_readable_error(workplace, made_up_sweep, capsys):

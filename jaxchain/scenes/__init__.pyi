@@ -1,5 +1,6 @@
 from .errors import FigureError as FigureError
 from .errors import SceneError as SceneError
+from .errors import StorageError as StorageError
 from .errors import StudyFailedError as StudyFailedError
 from .files import builtin_scenes as builtin_scenes
 from .own_code import load_law as load_law
@@ -12,4 +13,5 @@ from .running import run_experiment as run_experiment
 from .running import run_scene as run_scene
 from .scene import Experiment as Experiment
 from .scene import Scene as Scene
-from .storage import new_folder as new_folder
+from .storage import Results as Results
+from .storage import claimed as claimed

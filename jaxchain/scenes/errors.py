@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 # A screen or two, whatever the file: so many problems are shown, of so many characters at most.
 MOST_SHOWN, _CHARACTERS = 50, 1000
@@ -30,6 +32,29 @@ class SceneError(Exception):
 
 class FigureError(Exception):
     """The figure could not be drawn; the results are saved."""
+
+
+class StorageError(Exception):
+    """Results that cannot be written; `datasets` holds all of the run, in memory."""
+
+    def __init__(
+        self,
+        name: str,
+        folder: Path,
+        reason: str,
+        whole: Sequence[str],
+        datasets: Mapping[str, Any],
+    ):
+        super().__init__(name, folder, reason, whole, datasets)
+        self.name, self.folder, self.reason = name, folder, reason
+        self.whole, self.datasets = list(whole), datasets
+
+    def __str__(self) -> str:
+        there = ", ".join(f"`{name}`" for name in self.whole) or "nothing"
+        return (
+            f"cannot write `{self.name}` into {self.folder}: {self.reason}. "
+            f"What was saved there before stays whole: {there}."
+        )
 
 
 class StudyFailedError(Exception):

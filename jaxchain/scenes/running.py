@@ -36,7 +36,7 @@ from .reading import LoadedScene
 from .registry import StudyTable, study_run
 from .report import cycles_summary, summary
 from .scene import Experiment, SweepTable
-from .storage import save, save_drawing
+from .storage import Results
 from .tables import NumericsTable
 
 # Of an error from elsewhere.
@@ -146,7 +146,7 @@ def checked_chains(
 
 def run_scene(
     loaded: LoadedScene,
-    folder: Path,
+    folder: Path | Results,
     *,
     own_law: type[AbstractFrictionLaw] | None = None,
     own_observers: Mapping[str, type[AbstractObserver]] | None = None,
@@ -162,7 +162,7 @@ def run_scene(
     cycles with its fold is the group `<experiment>_cycles`.
     `<scene>.png` and `<scene>.pdf` show all of them.
 
-    **Arguments:** `folder` exists and is empty (see `new_folder`); `own_law`, the friction law of
+    **Arguments:** `folder` exists and is empty (see `claimed`); `own_law`, the friction law of
     every experiment, in place of the one that is named there (see `load_law`); `own_observers`, by
     the names of their classes (see `load_observer`); `plot`, draw the figure; `progress`, show a
     progress bar; `report` receives the summary of each experiment.
@@ -170,8 +170,9 @@ def run_scene(
     **Returns:** the datasets by experiment.
 
     **Raises:** `KeyboardInterrupt` on Ctrl-C, once the runs that had ended are written;
-    `FigureError` if everything is written but the figure; `StudyFailedError` if everything is
-    written but a study found what must not be; `SceneError` for numbers that do not go together.
+    `StorageError` if something cannot be written; `FigureError` if everything is written but the
+    figure; `StudyFailedError` if everything is written but a study found what must not be;
+    `SceneError` for numbers that do not go together.
     """
     if isinstance(loaded.scene, StudyTable):
         for option, given in (("--law", own_law), ("--observer", own_observers)):
@@ -181,8 +182,8 @@ def run_scene(
             return study_run(loaded.scene.study)(
                 loaded.scene, folder, name=loaded.name, plot=plot, progress=progress, report=report
             )
-    path = folder / loaded.name
-    datasets, chains = {}, checked_chains(loaded, own_law, own_observers)
+    results = Results.of(folder, loaded.name)
+    chains = checked_chains(loaded, own_law, own_observers)
     for name, experiment in loaded.scene.experiment.items():
         chain, grid = chains[name], experiment.grid()
         hopf = hopf_speed(chain, grid)
@@ -212,15 +213,14 @@ def run_scene(
             kept.attrs |= about
             if hopf is not None:
                 kept["hopf_belt_speed"] = hopf
-            save(kept, path, None if group == loaded.scene.main else group)
+            results.save(group, kept, None if group == loaded.scene.main else group)
             report(summary(group, kept))
             if interrupt is not None:
                 raise interrupt
-            datasets[group] = kept
             if model == "smoothed" and (branch := cycles(chain, grid)) is not None:
-                datasets[name + CYCLES] = branch = branch.assign_attrs(about)
-                save(branch, path, name + CYCLES)
+                branch = branch.assign_attrs(about)
+                results.save(name + CYCLES, branch, name + CYCLES)
                 report(cycles_summary(name + CYCLES, branch))
     if plot:
-        save_drawing(lambda: figure(datasets), path)
-    return datasets
+        results.draw(lambda: figure(results.datasets))
+    return results.datasets

@@ -1,54 +1,281 @@
-"""The folder of results: datasets as zarr and netCDF, figures as PNG and PDF."""
+"""The folder of results: datasets as zarr and netCDF, figures as PNG and PDF.
+
+A folder is claimed before anything is computed, so that two runs never share one.  All is written
+aside and renamed once it is whole, so that a disk that is full, or a process that is killed, costs
+nothing of what was there before.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
+import io
 import itertools
-from collections.abc import Callable
+import os
+import shutil
+import socket
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TextIO
 
 import xarray as xr
 from matplotlib.figure import Figure
 
+from .._terminal import undisturbed
 from ..plotting.style import save_figure
-from .errors import FigureError
+from .errors import FigureError, StorageError
+
+# In the folder of a run for as long as it runs; in that of a run that was killed it stays.
+MARKER = "unfinished.txt"
+_MARKED = """\
+Process {process} on {host} fills this folder since {since}.
+This file goes when the run ends. Where it stays, the run was cut off: what is here is whole, but
+not all.
+"""
 
 
-def new_folder(path: Path) -> Path:
-    """Creates a folder for results that nothing else has used: `path`, or `path`-2, `path`-3, ...
+class Results:
+    """What one run has found: in memory, and in a folder that it fills.
 
-    An empty folder counts as unused.
-
-    **Raises:** `OSError` if no folder can be made there.
+    **Arguments:** `folder` exists and nobody else writes there, see `claimed`; `name`, of the
+    files in it; `elsewhere`, from a `StorageError` to another folder (which is claimed), or to
+    None to give up.
     """
+
+    def __init__(
+        self,
+        folder: Path,
+        name: str,
+        elsewhere: Callable[[StorageError], Path | None] = lambda error: None,
+    ):
+        self.folder, self.name = folder, name
+        self.datasets: dict[str, xr.Dataset] = {}
+        """All that was saved, by name."""
+        self._elsewhere = elsewhere
+        self._groups: dict[str, str | None] = {}
+        self._whole: dict[Path, list[str]] = {}
+        self._claims = contextlib.ExitStack()
+
+    @classmethod
+    def of(cls, folder: Path | Results, name: str) -> Results:
+        """Results in a folder, if they are not results already."""
+        return folder if isinstance(folder, Results) else cls(folder, name)
+
+    @classmethod
+    def claim(
+        cls, path: Path, name: str, elsewhere: Callable[[StorageError], Path | None]
+    ) -> Results:
+        """Results in a folder of their own, see `claimed`: ours to the end of the `with` block.
+
+        **Raises:** `OSError` if no folder can be made or filled there.
+        """
+        claim = claimed(path)
+        results = cls(claim.__enter__(), name, elsewhere)
+        results._claims.push(claim)
+        return results
+
+    def __enter__(self) -> Results:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._claims.close()
+
+    def save(self, name: str, data: xr.Dataset, group: str | None) -> None:
+        """Writes a dataset into `<name of the results>.zarr` and `.nc`, at the root (None) or as
+        a group, whole or not at all.
+
+        **Raises:** `StorageError` if it cannot be written, here or elsewhere.
+        """
+        self.datasets[name], self._groups[name] = data, group
+        try:
+            self._write(name, self.folder)
+        except StorageError as error:
+            self._move(name, error)
+
+    def _write(self, name: str, folder: Path) -> None:
+        whole = self._whole.setdefault(folder, [])
+        try:
+            with undisturbed():
+                save(self.datasets[name], folder / self.name, self._groups[name])
+        except OSError as error:
+            reason = error.strerror or str(error)
+            raise StorageError(name, folder, reason, whole, self.datasets) from error
+        whole.append(name)
+
+    def _move(self, name: str, error: StorageError) -> None:
+        """Goes on in another folder: with `name`, and with what was saved before if it fits."""
+        while (wanted := self._elsewhere(error)) is not None:
+            try:
+                folder = self._claims.enter_context(claimed(wanted))
+                self._write(name, folder)
+            except StorageError as again:
+                error = again
+            except OSError as again:
+                reason = again.strerror or str(again)
+                error = StorageError(name, wanted, reason, [], self.datasets)
+            else:
+                self.folder = folder
+                # Whole in the folder before, in any case.
+                with contextlib.suppress(StorageError):
+                    for other in self.datasets:
+                        if other != name:
+                            self._write(other, folder)
+                return
+        raise error
+
+    def draw(self, draw: Callable[[], Figure]) -> None:
+        """Draws and writes `<name>.png` and `.pdf`, once everything else is written.
+
+        **Raises:** `FigureError` if that fails.
+        """
+        try:
+            with _aside(self.folder / self.name) as part:
+                part.mkdir()
+                for file in save_figure(draw(), part / self.name):
+                    file.replace(self.folder / file.name)
+        except Exception as error:
+            raise FigureError(
+                f"the results are in {self.folder}, but drawing them failed: {error!r}"
+            ) from error
+
+
+@contextlib.contextmanager
+def claimed(path: Path) -> Iterator[Path]:
+    """A folder for results that no other run uses or has used: `path`, or `path`-2, `path`-3, ...
+
+    It is ours to the end of the block.  An empty folder counts as unused, also one that a run left
+    that was killed before it had saved anything: the system frees a lock with its process.  (Where
+    a file system knows no locks, such a folder counts as used.)
+
+    **Raises:** `OSError` if no folder can be made or filled there.
+    """
+    folder, made, marker = _claim(path)
+    try:
+        yield folder
+    finally:
+        with contextlib.suppress(OSError):
+            (folder / MARKER).unlink()
+        marker.close()
+        # Nothing is left behind by a run that saved nothing; a folder with results stays.
+        if made:
+            with contextlib.suppress(OSError):
+                folder.rmdir()
+
+
+def _claim(path: Path) -> tuple[Path, bool, TextIO]:
+    """An unused folder, whether it was made, and its marker."""
     for count in itertools.count(1):
         folder = path if count == 1 else path.with_name(f"{path.name}-{count}")
         try:
             folder.mkdir(parents=True)
+            made = True
         except FileExistsError:
-            if not folder.is_dir() or any(folder.iterdir()):
+            made = False
+            if not folder.is_dir():
                 continue
-        return folder
+        # Gone at once where another run ends that has saved nothing.
+        with contextlib.suppress(FileNotFoundError):
+            if (marker := _lock(folder)) is not None:
+                return folder, made, marker
     raise AssertionError  # the count never ends
 
 
-def save(data: xr.Dataset, path: Path, group: str | None) -> None:
-    """Writes `data` into `path`.zarr and `path`.nc, at the root (None) or as a group."""
-    zarr_file, netcdf_file = path.with_name(path.name + ".zarr"), path.with_name(path.name + ".nc")
-    # Format 2 is what other tools read, and what has consolidated metadata.
-    data.to_zarr(zarr_file, group=group, mode="a", zarr_format=2, consolidated=True)
-    data.to_netcdf(
-        netcdf_file, group=group, mode="a" if netcdf_file.exists() else "w", engine="h5netcdf"
-    )
-
-
-def save_drawing(draw: Callable[[], Figure], path: Path) -> None:
-    """Draws and writes `path`.png and `path`.pdf, once everything else is written.
-
-    **Raises:** `FigureError` if that fails.
-    """
+def _lock(folder: Path) -> TextIO | None:
+    """The marker of a folder, open and locked; None if the folder is used."""
+    if set(os.listdir(folder)) - {MARKER}:
+        return None
+    path = folder / MARKER
     try:
-        save_figure(draw(), path)
-    except Exception as error:
-        raise FigureError(
-            f"the results are in {path.parent}, but drawing them failed: {error!r}"
-        ) from error
+        marker, fresh = path.open("x", encoding="utf-8"), True
+    except FileExistsError:
+        marker, fresh = path.open("r+", encoding="utf-8"), False
+    try:
+        fcntl.flock(marker, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        locked = True
+    except BlockingIOError:
+        locked = False
+    except OSError:  # no locks here: whoever makes the marker has it
+        locked = fresh
+    # Another run may have ended since the look above: its marker is gone, its results are there.
+    if locked and os.fstat(marker.fileno()).st_nlink and os.listdir(folder) == [MARKER]:
+        since = time.strftime("%Y-%m-%d %H:%M:%S%z")
+        marker.truncate()
+        marker.write(_MARKED.format(process=os.getpid(), host=socket.gethostname(), since=since))
+        marker.flush()
+        return marker
+    if locked and fresh:
+        path.unlink()
+    marker.close()
+    return None
+
+
+def listing(folder: Path) -> list[str]:
+    """What a run has left in a folder; nothing of a folder that cannot be read."""
+    try:
+        return sorted(f for f in os.listdir(folder) if f != MARKER and not f.startswith("."))
+    except OSError:
+        return []
+
+
+def save(data: xr.Dataset, path: Path, group: str | None) -> None:
+    """Writes `data` into `path`.zarr and `path`.nc, at the root (None) or as a group.
+
+    If that fails both files are as they were.
+    """
+    store, file = path.with_name(path.name + ".zarr"), path.with_name(path.name + ".nc")
+    with _aside(store) as new_store, _aside(file) as new_file:
+        there = _write_zarr(data, new_store, group, store)
+        _write_netcdf(data, new_file, group, file)
+        # From here on names change, and nothing is written. Readers of the store are told of the
+        # group when it is there.
+        if store.exists():
+            for entry in sorted(new_store.iterdir(), key=lambda entry: entry.name == ".zmetadata"):
+                if entry.name not in there:
+                    entry.replace(store / entry.name)
+        else:
+            new_store.rename(store)
+        new_file.replace(file)
+
+
+def _write_zarr(data: xr.Dataset, new: Path, group: str | None, old: Path) -> set[str]:
+    """Writes what is to be added to a store; returns the folders that the store has already."""
+
+    def values(folder: str, names: list[str]) -> list[str]:
+        files = [name for name in names if os.path.isfile(os.path.join(folder, name))]
+        return [name for name in files if not name.startswith(".z")]
+
+    there = set()
+    if old.exists():
+        there = {entry.name for entry in old.iterdir() if entry.is_dir()}
+        # What describes the groups that are there, so that all are described together.
+        shutil.copytree(old, new, ignore=values)
+    if group in there:
+        raise FileExistsError(f"{old} holds a group `{group}` already.")
+    # Format 2 is what other tools read, and what has consolidated metadata.
+    data.to_zarr(new, group=group, mode="a", zarr_format=2, consolidated=True)
+    return there
+
+
+def _write_netcdf(data: xr.Dataset, new: Path, group: str | None, old: Path) -> None:
+    """Writes a file with what `old` has, if it is there, and with one group more."""
+    # In memory: where HDF5 cannot write, it cannot close the file either, and ends the process.
+    content = io.BytesIO()
+    if old.exists():
+        content.write(old.read_bytes())
+    mode = "a" if old.exists() else "w"
+    data.to_netcdf(content, group=group, mode=mode, engine="h5netcdf")
+    new.write_bytes(content.getbuffer())
+
+
+@contextlib.contextmanager
+def _aside(path: Path) -> Iterator[Path]:
+    """A name beside `path`, hidden; what is there after the block is removed."""
+    part = path.with_name(f".{path.name}.part")
+    try:
+        yield part
+    finally:
+        if part.is_dir():
+            shutil.rmtree(part, ignore_errors=True)
+        with contextlib.suppress(OSError):
+            part.unlink()

@@ -5,18 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from tqdm import tqdm
 from xarray import Dataset
 
+from jaxchain._progress import progress_bar
 from jaxchain.model.parameters import PARAMETERS
 from jaxchain.result import NAMES
 from jaxchain.scenes.errors import StudyFailedError
 from jaxchain.scenes.registry import StudyTable
-from jaxchain.scenes.storage import save, save_drawing
+from jaxchain.scenes.storage import Results
+
+if TYPE_CHECKING:
+    from tqdm import tqdm
 
 
 @dataclass
@@ -34,7 +37,7 @@ class Job:
         self, items: Iterable | None = None, *, unit: str = "part", total: int | None = None
     ) -> tqdm:
         """A progress bar for what is no sweep: over `items`, or moved by its `update()`."""
-        return tqdm(items, desc=self.name, unit=unit, total=total, disable=not self.progress)
+        return progress_bar(items, desc=self.name, unit=unit, total=total, show=self.progress)
 
 
 # One dataset, called as the part; or datasets by name, as they come.
@@ -66,7 +69,7 @@ class Study:
     def __call__(
         self,
         table: StudyTable,
-        folder: Path,
+        folder: Path | Results,
         *,
         name: str | None = None,
         plot: bool = True,
@@ -81,12 +84,12 @@ class Study:
         **Returns:** the datasets by name.
 
         **Raises:** `KeyboardInterrupt` on Ctrl-C, with everything saved that was done;
-        `FigureError` if everything is saved but the figure; `StudyFailedError` if everything is
-        saved, but the datasets are not as they must be; `SceneError` for numbers that do not go
-        together.
+        `StorageError` if something cannot be saved; `FigureError` if everything is saved but the
+        figure; `StudyFailedError` if everything is saved, but the datasets are not as they must
+        be; `SceneError` for numbers that do not go together.
         """
-        job = Job(name or table.study, progress)
-        path = folder / job.name
+        results = Results.of(folder, name or table.study)
+        job = Job(results.name, progress, results.datasets)
         for part, compute in self.parts.items():
             found = compute(table, job)
             for key, data in [(part, found)] if isinstance(found, Dataset) else found:
@@ -97,12 +100,11 @@ class Study:
                     "scene": job.name,
                     "definition": table.model_dump_json(exclude_none=True),
                 }
-                save(data, path, self.prefix + key if job.done else None)
-                job.done[key] = data
+                results.save(key, data, self.prefix + key if job.done else None)
                 if said := self.report(key, data):
                     report(said)
         if plot:
-            save_drawing(lambda: self.figure(job.done), path)
+            results.draw(lambda: self.figure(job.done))
         if wrong := self.fault(job.done):
             raise StudyFailedError(wrong)
         return job.done
