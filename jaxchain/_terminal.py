@@ -8,7 +8,6 @@ import io
 import os
 import signal
 import sys
-import tempfile
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -179,6 +178,8 @@ class Elsewhere:
         self.forced = answer is None
         if answer is not None:
             return Path(answer).expanduser()
+        import tempfile  # takes longer than all of this module, and is seldom needed
+
         try:
             folder = Path(tempfile.mkdtemp(prefix="jaxchain-"), self.name)
         except OSError:

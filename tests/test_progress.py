@@ -66,6 +66,14 @@ def test_a_terminal_gets_a_bar_in_place(monkeypatch):
     assert "|" in terminal.getvalue()
 
 
+def test_a_notebook_gets_a_bar_although_it_is_no_terminal(monkeypatch):
+    screen = type("OutStream", (io.StringIO,), {"__module__": "ipykernel.iostream"})()
+    monkeypatch.setattr("sys.stderr", screen)
+    for _ in progress_bar(range(3), show=True, desc="some", unit="case"):
+        pass
+    assert screen.getvalue().count("\r") >= 2
+
+
 @pytest.mark.parametrize("stream", [None, "log"])
 def test_nothing_is_shown_to_nobody(monkeypatch, stream):
     log = io.StringIO()
