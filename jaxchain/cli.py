@@ -227,6 +227,8 @@ def _run(options: argparse.Namespace) -> int:
             status = INTERRUPTED
     if status == 0:
         report(f"\nresults in {results.folder}: {', '.join(listing(results.folder))}")
+        store = str(results.folder / f"{loaded.name}.zarr")
+        report(f"open with xarray.open_datatree({store!r}); {loaded.name}.nc holds the same")
     # A script must see that its results are not where it wants them.
     return 1 if status == 0 and elsewhere.forced else status
 

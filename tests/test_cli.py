@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import xarray as xr
 import zarr
-from synthetic import results
+from synthetic import results, stored
 
 import jaxchain
 from jaxchain import paper_chain, steady_sliding
@@ -41,7 +41,6 @@ sweep = { belt_speed = [1.0, 1.5], displacement = [0.5, 1.0] }
 time = { transient = 10.0, window = 10.0 }
 
 [experiment.second]
-main = true
 description = "A ring of three"
 chain = { n = 3, damping_ratio = 0.05, coupling = 0.01, friction = { law = "exponential_decay", \
 mu_static = 1.0, mu_dynamic = 0.5, v_ref = 0.5, width = 0.1 } }
@@ -81,19 +80,17 @@ def test_a_scene_becomes_datasets_a_figure_and_a_summary(workplace, capsys):
     assert main(["run", "two.toml", "--output", "out"]) == 0
     files = {file.name for file in Path("out").iterdir()}
     assert files == {"two.zarr", "two.nc", "two.png", "two.pdf"}
-    ring = xr.open_zarr("out/two.zarr").load()
+    found = stored(Path("out/two"))
+    ring, one = found["second"], found["first"]
     assert ring.energy.dims == ("belt_speed", "excited")
     assert ring.excited.values.tolist() == [0, 1, 3]
     assert "amplitude" not in ring
     assert ring.energy.sel(belt_speed=1.5, excited=0) < 1e-9 < ring.energy.sel(excited=3).min()
     assert ring.attrs["title"] == "Two experiments"
     assert json.loads(ring.attrs["definition"])["chain"]["n"] == 3
-    one = xr.open_zarr("out/two.zarr", group="first").load()
     assert one.amplitude.dims == ("belt_speed", "displacement", "oscillator")
     # Without weakening the vibration dies, slower than it is measured here.
     assert np.all(one.amplitude.sel(displacement=1.0) > one.amplitude.sel(displacement=0.5))
-    for group, data in ((None, ring), ("first", one)):
-        assert data.identical(xr.load_dataset("out/two.nc", group=group, engine="h5netcdf"))
     printed = capsys.readouterr()
     assert "second: A ring of three" in printed.out
     assert "6 (2 belt_speed x 3 excited)" in printed.out
@@ -121,15 +118,25 @@ def test_an_empty_folder_is_used_and_a_file_in_the_way_is_not_touched(workplace,
     assert Path("file").read_text(encoding="utf-8") == "mine"
 
 
-@pytest.mark.parametrize("main_one", ["first", "second"])
-def test_every_experiment_is_found_whichever_is_the_main_one(workplace, made_up_sweep, main_one):
-    switch = f"--set=experiment.second.main={str(main_one == 'second').lower()}"
-    assert main(["run", "two.toml", "--no-plot", switch]) == 0
-    root = zarr.open_consolidated("results/two/two.zarr")
-    assert root.attrs["experiment"] == main_one
-    (other,) = root.group_keys()
-    assert {main_one, other} == {"first", "second"}
-    assert xr.open_dataset("results/two/two.nc", group=other).attrs["experiment"] == other
+def test_every_experiment_is_a_group_and_the_root_says_whose_they_are(workplace, made_up_sweep):
+    assert main(["run", "two.toml", "--no-plot"]) == 0
+    root = zarr.open_consolidated("results/two/two.zarr", mode="r")
+    assert root.attrs["title"] == "Two experiments"
+    assert set(root.group_keys()) == {"first", "second"}
+    assert not list(root.array_keys())
+    for name, data in stored(Path("results/two/two")).items():
+        assert data.attrs["experiment"] == name
+
+
+def test_a_run_ends_with_a_line_that_opens_what_it_found(workplace, made_up_sweep, capsys):
+    assert main(["run", "two.toml", "--no-plot", "--output", "it's here"]) == 0
+    *_, files, last = capsys.readouterr().out.splitlines()
+    line, more = last.removeprefix("open with ").split("; ")
+    assert files == "results in it's here: two.nc, two.zarr"
+    assert more == "two.nc holds the same"
+    for code in (line, line.replace(".zarr", ".nc")):
+        with eval(code, {"xarray": xr}) as tree:
+            assert set(tree.children) == {"first", "second"}
 
 
 def test_what_the_scene_says_reaches_the_sweep(workplace, made_up_sweep):
@@ -208,8 +215,8 @@ def test_a_figure_that_fails_costs_no_data(workplace, made_up_sweep, monkeypatch
     monkeypatch.setattr(running, "figure", broken)
     assert main(["run", "two.toml"]) == 1
     assert "the results are in results/two, but" in capsys.readouterr().err
-    assert xr.open_zarr("results/two/two.zarr").sizes["belt_speed"] == 2
-    assert xr.open_zarr("results/two/two.zarr", group="first").sizes["displacement"] == 2
+    found = stored(Path("results/two/two"))
+    assert found["second"].sizes["belt_speed"] == found["first"].sizes["displacement"] == 2
 
 
 def test_ctrl_c_keeps_what_was_finished(workplace, made_up_sweep, monkeypatch, capsys):
@@ -230,8 +237,9 @@ def test_ctrl_c_keeps_what_was_finished(workplace, made_up_sweep, monkeypatch, c
     assert said.err == "jaxchain: interrupted; what was finished is in results/two\n"
     assert "5 successful, 1 interrupted" in said.out
     assert "failed" not in said.out
-    assert xr.open_zarr("results/two/two.zarr", group="first").result.sum() == 0
-    assert int(xr.open_zarr("results/two/two.zarr").energy.isnull().sum()) == 1
+    found = stored(Path("results/two/two"))
+    assert found["first"].result.sum() == 0
+    assert int(found["second"].energy.isnull().sum()) == 1
 
 
 def test_ctrl_c_before_anything_is_finished_leaves_no_folder(workplace, monkeypatch):

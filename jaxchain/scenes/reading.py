@@ -32,8 +32,8 @@ def load_scene(scene: str, overrides: Sequence[str] = ()) -> LoadedScene:
 
     **Raises:** `SceneError` with every problem found.
 
-    >>> load_scene("quickstart").scene.main
-    'ladder'
+    >>> list(load_scene("quickstart").scene.experiment)
+    ['ladder']
     """
     name, data = read_scene(scene, overrides)
     model = _model(data, scene)

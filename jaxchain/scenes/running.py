@@ -156,10 +156,10 @@ def run_scene(
 ) -> dict[str, xr.Dataset]:
     """Runs every experiment of a scene, or a study, and fills `folder` with results.
 
-    `<scene>.zarr` and `<scene>.nc` hold the main experiment at the root and the others as groups;
-    of an experiment with both models the runs with true dry friction are the group
-    `<experiment>_nonsmooth`.  Of one oscillator from several starts over belt speed, the branch of
-    cycles with its fold is the group `<experiment>_cycles`.
+    `<scene>.zarr` and `<scene>.nc` hold each experiment as a group, to be opened by
+    `xarray.open_datatree`; of an experiment with both models the runs with true dry friction are
+    the group `<experiment>_nonsmooth`.  Of one oscillator from several starts over belt speed,
+    the branch of cycles with its fold is the group `<experiment>_cycles`.
     `<scene>.png` and `<scene>.pdf` show all of them.
 
     **Arguments:** `folder` exists and is empty (see `claimed`); `own_law`, the friction law of
@@ -183,6 +183,8 @@ def run_scene(
                 loaded.scene, folder, name=loaded.name, plot=plot, progress=progress, report=report
             )
     results = Results.of(folder, loaded.name)
+    title, description = loaded.scene.title, loaded.scene.description
+    results.about |= {"title": title, "description": description, "scene": loaded.name}
     chains = checked_chains(loaded, own_law, own_observers)
     for name, experiment in loaded.scene.experiment.items():
         chain, grid = chains[name], experiment.grid()
@@ -203,7 +205,7 @@ def run_scene(
             unwanted = {"amplitude", "energy", "active_count"} - set(experiment.observe.quantities)
             kept = data.drop_vars(unwanted & set(data.data_vars))
             about = {
-                "title": loaded.scene.title,
+                "title": title,
                 "description": experiment.description,
                 "scene": loaded.name,
                 "experiment": name,
@@ -213,13 +215,13 @@ def run_scene(
             kept.attrs |= about
             if hopf is not None:
                 kept["hopf_belt_speed"] = hopf
-            results.save(group, kept, None if group == loaded.scene.main else group)
+            results.save(group, kept)
             report(summary(group, kept))
             if interrupt is not None:
                 raise interrupt
             if model == "smoothed" and (branch := cycles(chain, grid)) is not None:
                 branch = branch.assign_attrs(about)
-                results.save(name + CYCLES, branch, name + CYCLES)
+                results.save(name + CYCLES, branch)
                 report(cycles_summary(name + CYCLES, branch))
     if plot:
         results.draw(lambda: figure(results.datasets))

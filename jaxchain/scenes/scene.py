@@ -50,14 +50,6 @@ Problem: TypeAlias = tuple[tuple[str, ...], str]
 MOST_SWEPT, MOST_EXPERIMENTS = 32, 1000
 # A part of a run in which fronts are looked for holds two periods.
 _TWO_PERIODS = 4 * math.pi
-# Variables of a results file, beside which its groups stand.
-VARIABLES = {
-    "amplitude", "energy", "active_count", "result", "end_time", "steps", "rejected", "oscillator",
-    "hopf_belt_speed", "stick_time", "most_sticking", "peak", "peak_time", "point",
-    "section_time", "section_displacement", "section_velocity", "sample", "sampled_oscillator",
-    "sample_time", "sample_displacement", "sample_velocity", "window", "front_right",
-    "front_left", "front_count", "belt_work", "energy_lost", "energy_stored", "divergence",
-}  # fmt: skip
 
 
 def raise_all(problems: list[Problem]) -> None:
@@ -270,10 +262,16 @@ class Experiment(SweepTable):
     """One sweep of a scene: what is computed in one go and stored as one dataset."""
 
     description: Text = ""
-    main: bool = False
-    """Stored at the root of the results; the others are groups beside it.  Default: the first."""
     observe: ObserveTable = Field(default_factory=ObserveTable)
     numerics: NumericsTable = Field(default_factory=NumericsTable)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_main(cls, table: Any) -> Any:
+        """Files may still mark one experiment as the main one: now all are groups alike."""
+        if not isinstance(table, dict):
+            return table
+        return {key: value for key, value in table.items() if key != "main"}
 
     def _misfits(self) -> Iterator[Problem]:
         yield from super()._misfits()
@@ -317,29 +315,14 @@ class Scene(Table):
     description: Text = ""
     experiment: Annotated[dict[Name, Experiment], Field(min_length=1, max_length=MOST_EXPERIMENTS)]
 
-    @property
-    def main(self) -> str:
-        """Name of the experiment at the root of the results."""
-        marked = (name for name, experiment in self.experiment.items() if experiment.main)
-        return next(marked, next(iter(self.experiment)))
-
     @model_validator(mode="after")
     def _check(self) -> Scene:
         problems: list[Problem] = []
         names = set(self.experiment)
-        for name, experiment in self.experiment.items():
-            if name in VARIABLES or name in experiment.sweepable():
-                problems.append(
-                    (("experiment", name), "is the name of a variable of the results: rename it")
-                )
+        for name in self.experiment:
             for ending, what in ((NONSMOOTH, "runs of the other model"), (CYCLES, "cycles")):
                 if name.endswith(ending) and (other := name.removesuffix(ending)) in names:
                     problem = f"is where the {what} of `{other}` may go: rename it"
                     problems.append((("experiment", name), problem))
-        marked = [name for name, experiment in self.experiment.items() if experiment.main]
-        for name in marked[1:]:
-            problems.append(
-                (("experiment", name, "main"), f"must be marked once, but `{marked[0]}` is too")
-            )
         raise_all(problems)
         return self

@@ -15,7 +15,7 @@ import os
 import shutil
 import socket
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TextIO
 
@@ -52,8 +52,9 @@ class Results:
         self.folder, self.name = folder, name
         self.datasets: dict[str, xr.Dataset] = {}
         """All that was saved, by name."""
+        self.about: dict[str, str] = {}
+        """What is true of all of them: the attributes of the files."""
         self._elsewhere = elsewhere
-        self._groups: dict[str, str | None] = {}
         self._whole: dict[Path, list[str]] = {}
         self._claims = contextlib.ExitStack()
 
@@ -81,13 +82,13 @@ class Results:
     def __exit__(self, *error: object) -> None:
         self._claims.close()
 
-    def save(self, name: str, data: xr.Dataset, group: str | None) -> None:
-        """Writes a dataset into `<name of the results>.zarr` and `.nc`, at the root (None) or as
-        a group, whole or not at all.
+    def save(self, name: str, data: xr.Dataset) -> None:
+        """Writes a dataset into `<name of the results>.zarr` and `.nc` as a group, whole or not
+        at all.
 
         **Raises:** `StorageError` if it cannot be written, here or elsewhere.
         """
-        self.datasets[name], self._groups[name] = data, group
+        self.datasets[name] = data
         try:
             self._write(name, self.folder)
         except StorageError as error:
@@ -97,7 +98,7 @@ class Results:
         whole = self._whole.setdefault(folder, [])
         try:
             with undisturbed():
-                save(self.datasets[name], folder / self.name, self._groups[name])
+                save(self.datasets[name], folder / self.name, name, self.about)
         except OSError as error:
             reason = error.strerror or str(error)
             raise StorageError(name, folder, reason, whole, self.datasets) from error
@@ -218,15 +219,17 @@ def listing(folder: Path) -> list[str]:
         return []
 
 
-def save(data: xr.Dataset, path: Path, group: str | None) -> None:
-    """Writes `data` into `path`.zarr and `path`.nc, at the root (None) or as a group.
+def save(data: xr.Dataset, path: Path, group: str, about: Mapping[str, str]) -> None:
+    """Writes `data` into `path`.zarr and `path`.nc as a group, and `about` as their attributes.
 
-    If that fails both files are as they were.
+    At the root stands nothing else, so that no group has to fit another.  If that fails both
+    files are as they were.
     """
+    parts = {None: xr.Dataset(attrs=about), group: data}
     store, file = path.with_name(path.name + ".zarr"), path.with_name(path.name + ".nc")
     with _aside(store) as new_store, _aside(file) as new_file:
-        there = _write_zarr(data, new_store, group, store)
-        _write_netcdf(data, new_file, group, file)
+        there = _write_zarr(parts, new_store, store)
+        _write_netcdf(parts, new_file, file)
         # From here on names change, and nothing is written. Readers of the store are told of the
         # group when it is there.
         if store.exists():
@@ -238,7 +241,7 @@ def save(data: xr.Dataset, path: Path, group: str | None) -> None:
         new_file.replace(file)
 
 
-def _write_zarr(data: xr.Dataset, new: Path, group: str | None, old: Path) -> set[str]:
+def _write_zarr(parts: Mapping[str | None, xr.Dataset], new: Path, old: Path) -> set[str]:
     """Writes what is to be added to a store; returns the folders that the store has already."""
 
     def values(folder: str, names: list[str]) -> list[str]:
@@ -250,21 +253,23 @@ def _write_zarr(data: xr.Dataset, new: Path, group: str | None, old: Path) -> se
         there = {entry.name for entry in old.iterdir() if entry.is_dir()}
         # What describes the groups that are there, so that all are described together.
         shutil.copytree(old, new, ignore=values)
-    if group in there:
-        raise FileExistsError(f"{old} holds a group `{group}` already.")
-    # Format 2 is what other tools read, and what has consolidated metadata.
-    data.to_zarr(new, group=group, mode="a", zarr_format=2, consolidated=True)
+    for group, data in parts.items():
+        if group in there:
+            raise FileExistsError(f"{old} holds a group `{group}` already.")
+        # Format 2 is what other tools read, and what has consolidated metadata.
+        data.to_zarr(new, group=group, mode="a", zarr_format=2, consolidated=True)
     return there
 
 
-def _write_netcdf(data: xr.Dataset, new: Path, group: str | None, old: Path) -> None:
+def _write_netcdf(parts: Mapping[str | None, xr.Dataset], new: Path, old: Path) -> None:
     """Writes a file with what `old` has, if it is there, and with one group more."""
     # In memory: where HDF5 cannot write, it cannot close the file either, and ends the process.
     content = io.BytesIO()
     if old.exists():
         content.write(old.read_bytes())
-    mode = "a" if old.exists() else "w"
-    data.to_netcdf(content, group=group, mode=mode, engine="h5netcdf")
+    for group, data in parts.items():
+        mode = "a" if content.getbuffer().nbytes else "w"
+        data.to_netcdf(content, group=group, mode=mode, engine="h5netcdf")
     new.write_bytes(content.getbuffer())
 
 

@@ -53,10 +53,9 @@ class Study:
     handed over is saved, also if it then raises `KeyboardInterrupt`.  `labels`, see `label`, of
     what is not in `STANDARD`;
     `report`, from (name, dataset) to what is to be said of it, "" for nothing; `figure`, from all
-    datasets to the page; `fault`, from all datasets to what is wrong with them, if anything is;
-    `prefix` of the names of the groups, where a bare name would be that of a variable.
+    datasets to the page; `fault`, from all datasets to what is wrong with them, if anything is.
 
-    The first dataset is the root of the results files, the others are groups.
+    Each dataset is a group of the results files.
     """
 
     parts: Mapping[str, Part]
@@ -64,7 +63,6 @@ class Study:
     figure: Callable[[dict[str, Dataset]], Figure]
     labels: Mapping[str, Any] = field(default_factory=dict)
     fault: Callable[[dict[str, Dataset]], str | None] = lambda datasets: None
-    prefix: str = ""
 
     def __call__(
         self,
@@ -90,17 +88,14 @@ class Study:
         """
         results = Results.of(folder, name or table.study)
         job = Job(results.name, progress, results.datasets)
+        own = {"title": table.title, "description": table.description, "scene": job.name}
+        results.about |= own
         for part, compute in self.parts.items():
             found = compute(table, job)
             for key, data in [(part, found)] if isinstance(found, Dataset) else found:
                 label(data, STANDARD | dict(self.labels))
-                data.attrs |= {
-                    "title": table.title,
-                    "description": table.description,
-                    "scene": job.name,
-                    "definition": table.model_dump_json(exclude_none=True),
-                }
-                results.save(key, data, self.prefix + key if job.done else None)
+                data.attrs |= own | {"definition": table.model_dump_json(exclude_none=True)}
+                results.save(key, data)
                 if said := self.report(key, data):
                     report(said)
         if plot:

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-import xarray as xr
+from synthetic import stored
 
 from jaxchain import Chain, cli, excited_state, simulate
 from jaxchain.model.friction import Coulomb, TanhFriction
@@ -201,7 +201,7 @@ def _observed(tmp_path, more=""):
 def test_a_scene_has_what_an_own_observer_saw(observers, tmp_path, more, factor):
     arguments = _observed(tmp_path, more)
     assert cli.main([*arguments, "--observer", f"{observers}:Overtaking"]) == 0
-    data = xr.open_dataset(tmp_path / "results" / "seen.nc", engine="h5netcdf")
+    data = stored(tmp_path / "results" / "seen")["pair"]
     assert data.overtaking.dims == ("belt_speed", "oscillator")
     assert data.overtaking.attrs == {"long_name": "time in front", "units": "1 / omega_n"}
     own = make_observer(

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from pydantic import Field
+from synthetic import stored
 
 from jaxchain.cli import main
 from jaxchain.scenes import storage
@@ -49,13 +50,14 @@ class MadeUpModule:
     @classmethod
     def run(cls, study, folder, *, name, plot, progress, report):
         data = xr.Dataset({"size": ("part", [study.part.size])})
-        storage.save(data, folder / name, None)
+        results = storage.Results.of(folder, name)
+        results.save("sizes", data)
         report(f"size {study.part.size}")
         if plot:
-            storage.save_drawing(matplotlib.figure.Figure, folder / name)
+            results.draw(matplotlib.figure.Figure)
         if cls.fails:
             raise StudyFailedError("1 of 1 sizes is WRONG")
-        return {name: data}
+        return results.datasets
 
 
 @pytest.fixture
@@ -100,7 +102,7 @@ def test_a_study_runs_into_its_folder(made_up, capsys):
     assert main(["run", made_up, "--set", "part.size=3"]) == 0
     files = {file.name for file in Path("results/mine").iterdir()}
     assert files == {"mine.zarr", "mine.nc", "mine.png", "mine.pdf"}
-    assert xr.open_zarr("results/mine/mine.zarr")["size"].values.tolist() == [3.0]
+    assert stored(Path("results/mine/mine"))["sizes"]["size"].values.tolist() == [3.0]
     assert "size 3.0" in capsys.readouterr().out
     assert main(["run", made_up, "--no-plot", "--quiet"]) == 0
     said = capsys.readouterr()

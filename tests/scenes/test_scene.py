@@ -2,7 +2,6 @@
 
 import json
 import time
-import tomllib
 from pathlib import Path
 
 import pytest
@@ -64,7 +63,6 @@ def test_every_built_in_scene_is_valid_and_so_is_a_copy_of_it(name, tmp_path):
 
 def test_fig3_holds_the_experiment_of_the_paper():
     loaded = load_scene("fig3").scene
-    assert loaded.main == "ladder"
     ladder, single = loaded.experiment["ladder"], loaded.experiment["single"]
     assert ladder.grid()["belt_speed"].tolist() == [round(1 + 0.05 * i, 2) for i in range(19)]
     assert ladder.grid()["excited"].tolist() == list(range(21))
@@ -165,7 +163,6 @@ PAIR = "experiment.pair."
         ),
         ("numerics.solver=tsit5", "numerics.solver: must be one of"),
         ("numerics.rtol=1", "numerics.rtol: must be less than 1, but is 1"),
-        ("main=1", "main: must be true or false, but is 1"),
     ],
 )
 def test_a_mistake_is_reported_by_key_value_and_what_is_allowed(scene_file, override, problem):
@@ -294,20 +291,10 @@ def test_without_a_sweep_there_is_one_run_at_the_belt_speed_of_the_chain(scene_f
     assert {k: v.tolist() for k, v in experiment.grid().items()} == {"belt_speed": [1.5]}
 
 
-def test_two_main_experiments_and_names_of_variables_are_refused(scene_file):
-    again = tomllib.loads(SCENE)["experiment"]["pair"]
-    text = json.dumps(again).replace(": ", " = ").replace("null", "")  # an inline table
-    found = problems(
-        scene_file,
-        f"experiment.energy={text}",
-        f"experiment.other={text}",
-        "experiment.other.main=true",
-        "experiment.pair.main=true",
-    )
-    assert found == [
-        "experiment.energy: is the name of a variable of the results: rename it",
-        "experiment.other.main: must be marked once, but `pair` is too",
-    ]
+def test_a_file_that_still_marks_a_main_experiment_is_read_as_if_it_did_not(scene_file):
+    marked = load_scene(scene_file, [PAIR + "main=true"]).scene
+    assert marked == load_scene(scene_file).scene
+    assert "main" not in schema()["$defs"]["Experiment"]["properties"]
 
 
 def test_a_file_that_is_not_there_or_not_toml_is_a_readable_error(tmp_path):

@@ -11,6 +11,7 @@ import threading
 
 import numpy as np
 import pytest
+import synthetic
 import xarray as xr
 import zarr
 
@@ -25,9 +26,7 @@ def data(value, count=10):
 
 def stored(folder, group):
     """A group of the results, the same from both files."""
-    found = xr.load_dataset(folder / "made_up.nc", group=group, engine="h5netcdf")
-    assert found.identical(xr.open_zarr(folder / "made_up.zarr", group=group).load())
-    return found
+    return synthetic.stored(folder / "made_up")[group]
 
 
 def groups(folder):
@@ -91,18 +90,18 @@ def test_a_run_that_was_killed_blocks_no_name_and_loses_no_data(tmp_path):
     assert (tmp_path / "full" / MARKER).exists()  # tells that the run was cut off
 
 
-def test_groups_and_root_come_in_any_order(tmp_path):
+def test_groups_need_not_fit_each_other_nor_be_called_otherwise_than_variables(tmp_path):
     results = Results(tmp_path, "made_up")
-    results.save("first", data(1), "first")
-    results.save("main", data(0).assign(other=("y", [1, 2])), None)
-    results.save("last", data(2), "last")
-    assert groups(tmp_path) == ["first", "last"]
-    assert stored(tmp_path, None).attrs["title"] == "of 0"
-    for name, group in (("first", "first"), ("main", None), ("last", "last")):
-        assert stored(tmp_path, group).identical(results.datasets[name])
+    one, two = data(1).assign(seed=("seed", [1, 2])), data(2, 5).assign_coords(seed=3)
+    results.save("speed", one)
+    results.save("seed", two)
+    results.save("last", data(2))
+    assert groups(tmp_path) == ["last", "seed", "speed"]
+    for name, saved in results.datasets.items():
+        assert stored(tmp_path, name).identical(saved)
     assert listing(tmp_path) == sorted(os.listdir(tmp_path)) == ["made_up.nc", "made_up.zarr"]
     with pytest.raises(StorageError, match="holds a group `last` already"):
-        results.save("again", data(3), "last")
+        results.save("last", data(3))
     assert stored(tmp_path, "last").attrs["title"] == "of 2"
 
 
@@ -123,11 +122,11 @@ def short_of_room():
 
 def test_what_is_whole_stays_whole_where_the_next_does_not_fit(tmp_path, short_of_room):
     results = Results(tmp_path, "made_up")
-    results.save("first", data(1), "first")
+    results.save("first", data(1))
     # The second fits into the store, the compressed one, and not into the file.
     for name, count in (("second", 7_300), ("third", 20_000)):
         with pytest.raises(StorageError) as refused:
-            results.save(name, data(2, count), name)
+            results.save(name, data(2, count))
         said = str(refused.value)
         assert f"cannot write `{name}` into {tmp_path}: File too large" in said
         assert said.endswith("stays whole: `first`.")
@@ -135,7 +134,7 @@ def test_what_is_whole_stays_whole_where_the_next_does_not_fit(tmp_path, short_o
         assert groups(tmp_path) == ["first"]
         assert stored(tmp_path, "first").identical(data(1))
         assert sorted(os.listdir(tmp_path)) == ["made_up.nc", "made_up.zarr"]
-    results.save("fourth", data(4), "fourth")
+    results.save("fourth", data(4))
     assert stored(tmp_path, "fourth").identical(data(4))
     assert groups(tmp_path) == ["first", "fourth"]
 
@@ -150,9 +149,9 @@ def test_what_does_not_fit_goes_elsewhere_with_all_the_rest(tmp_path, short_of_r
         return next(folders)
 
     with Results.claim(tmp_path / "a", "made_up", elsewhere) as results:
-        results.save("first", data(1), "first")
-        results.save("second", data(2, 20_000), "second")
-        results.save("third", data(3), "third")
+        results.save("first", data(1))
+        results.save("second", data(2, 20_000))
+        results.save("third", data(3))
         assert results.folder == tmp_path / "c"
     assert [error.partition(":")[0] for error in errors] == [
         f"cannot write `second` into {tmp_path / folder}" for folder in "ab"
@@ -188,7 +187,7 @@ def test_an_interruption_waits_until_all_is_written(tmp_path, monkeypatch):
 
     monkeypatch.setattr(xr.Dataset, "to_zarr", slowly)
     with pytest.raises(KeyboardInterrupt):
-        Results(tmp_path, "made_up").save("first", data(1), "first")
+        Results(tmp_path, "made_up").save("first", data(1))
     assert stored(tmp_path, "first").identical(data(1))
 
 
@@ -202,15 +201,15 @@ disk, other = map(Path, sys.argv[1:])
 large = xr.Dataset({"speed": ("x", np.random.default_rng(0).random(60_000))})
 small = large.isel(x=slice(1000))
 with Results.claim(disk / "a", "made_up", lambda error: print(error) or other / "b") as results:
-    results.save("first", small, "first")
-    results.save("second", large, "second")
+    results.save("first", small)
+    results.save("second", large)
     free = os.statvfs(disk)
     assert free.f_bavail * free.f_bsize > 200_000
 for folder, names in ((disk / "a", ["first"]), (other / "b", ["first", "second"])):
     for name in names:
         for found in (
-            xr.load_dataset(folder / "made_up.nc", group=name, engine="h5netcdf"),
-            xr.open_zarr(folder / "made_up.zarr", group=name).load(),
+            xr.open_datatree(folder / "made_up.nc")[name].to_dataset(),
+            xr.open_datatree(folder / "made_up.zarr")[name].to_dataset(),
         ):
             assert found.identical(results.datasets[name])
     assert sorted(os.listdir(folder)) == ["made_up.nc", "made_up.zarr"]

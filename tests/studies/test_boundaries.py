@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray as xr
+from synthetic import stored
 
 from jaxchain.boundaries import find_fold
 from jaxchain.scenes.errors import SceneError
@@ -119,8 +120,7 @@ def test_a_small_study(study, tmp_path, monkeypatch):
     files = {file.name for file in tmp_path.iterdir()}
     assert files == {"small.zarr", "small.nc", "small.png", "small.pdf"}
     assert list(data) == ["damping_ratio", "mu_static", "width", "coupling", "cycles"]
-    stored = xr.load_dataset(tmp_path / "small.nc", group="width", engine="h5netcdf")
-    assert stored.identical(data["width"])
+    assert stored(tmp_path / "small")["width"].identical(data["width"])
     for name in ("damping_ratio", "mu_static"):
         own = data[name]
         assert bool((own["hopf"] < own["fold"]).all())

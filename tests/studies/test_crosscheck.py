@@ -6,7 +6,7 @@ import tomllib
 import numpy as np
 import pytest
 import xarray as xr
-from synthetic import results
+from synthetic import results, stored
 from witnesses import event_driven, numbers
 
 from jaxchain.scenes.errors import SceneError
@@ -125,8 +125,8 @@ def test_what_was_promised_is_in_the_files(outcome):
     datasets, _, folder = outcome
     kinds = ("nc", "pdf", "png", "zarr")
     assert {file.name for file in folder.iterdir()} == {f"small.{kind}" for kind in kinds}
-    cycles = xr.open_dataset(folder / "small.nc", engine="h5netcdf")
-    states = xr.open_dataset(folder / "small.nc", engine="h5netcdf", group="states")
+    saved = stored(folder / "small")
+    cycles, states = saved["oscillator"], saved["states"]
     assert cycles["width_for"].dims == ("accuracy", "quantity", "belt_speed")
     assert cycles["error"].dims == ("quantity", "belt_speed", "width")
     assert cycles["quantity"].values.tolist() == list(QUANTITIES)

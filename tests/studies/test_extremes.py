@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import xarray as xr
+from synthetic import stored
 
 from jaxchain.scenes.errors import StudyFailedError
 from jaxchain.studies._study import from_rows
@@ -133,7 +133,7 @@ def test_a_run_saves_draws_and_reports_and_fails_if_a_case_does(tmp_path, monkey
     data = extremes.run(study, tmp_path, name="mine", report=said.append)["extremes"]
     assert data["outcome"].values.tolist() == [RIGHT]
     assert {file.suffix for file in tmp_path.iterdir()} == {".zarr", ".nc", ".png", ".pdf"}
-    assert xr.open_zarr(tmp_path / "mine.zarr").attrs["title"] == "A test"
+    assert stored(tmp_path / "mine")["extremes"].attrs["title"] == "A test"
     assert "numbers: good" in said[0]
     assert "1 cases: 1 right, 0 WRONG" in said[0]
     failing = study.model_copy(update={"width": []})
@@ -141,7 +141,7 @@ def test_a_run_saves_draws_and_reports_and_fails_if_a_case_does(tmp_path, monkey
     with pytest.raises(StudyFailedError, match=r"1 of 2 cases are WRONG: numbers: bad"):
         extremes.run(failing, tmp_path / "2", name="mine", report=said.append)
     assert "numbers: bad: deviates by 5.0e-01" in said[1]
-    assert xr.open_zarr(tmp_path / "2" / "mine.zarr").sizes["case"] == 2
+    assert stored(tmp_path / "2" / "mine")["extremes"].sizes["case"] == 2
 
 
 def test_the_picture_shows_every_case_once():

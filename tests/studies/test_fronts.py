@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray as xr
+from synthetic import stored
 
 from jaxchain.model.chain import paper_chain
 from jaxchain.scenes.errors import SceneError
@@ -207,9 +208,8 @@ def test_a_small_study(tmp_path):
     files = {file.name for file in tmp_path.iterdir()}
     assert files == {"small.zarr", "small.nc", "small.png", "small.pdf"}
     assert list(data) == ["belt_speed", "pictures", "pinning", "coupling", "convergence"]
-    for group in list(data)[1:]:
-        stored = xr.load_dataset(tmp_path / "small.nc", group=group, engine="h5netcdf")
-        assert stored.identical(data[group])
+    for name, saved in stored(tmp_path / "small").items():
+        assert saved.identical(data[name])
     assert windows(data["belt_speed"]) == [("grows", 1.05, 1.05), ("stands", 1.5, 1.5)]
     assert "grows from 1.05 to 1.05" in said[0]
     assert len(said) == 4  # the pictures speak for themselves

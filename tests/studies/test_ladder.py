@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import xarray as xr
+from synthetic import stored
 
 from jaxchain.localization.patterns import LockedPattern
 from jaxchain.scenes.errors import SceneError
@@ -198,8 +199,8 @@ def test_a_small_study(tmp_path):
         "couplings",
     ]  # fmt: skip
     assert np.all(data["patterns"]["converged"].values == 1)
-    stored = xr.load_dataset(tmp_path / "small.nc", group="k2_alternating", engine="h5netcdf")
-    np.testing.assert_array_equal(stored["x"], data["k2_alternating"]["x"])
+    branch = stored(tmp_path / "small")["k2_alternating"]
+    np.testing.assert_array_equal(branch["x"], data["k2_alternating"]["x"])
     for own in branches_of(data).values():
         assert float(own["residual"].max()) < 1e-8
         assert float(own["closing_error"].max()) < 1e-7

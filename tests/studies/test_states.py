@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray as xr
+from synthetic import stored
 
 from jaxchain import Amplitude, EventDriven, PeakTimes, Trajectory, simulate
 from jaxchain.result import NAMES
@@ -263,8 +264,8 @@ def test_a_study_of_both_models_into_its_folder(tmp_path):
     assert list(found) == ["states", "states_nonsmooth"]
     assert "smoothed friction" in said[0]
     assert "true dry friction" in said[1]
-    stored = xr.load_dataset(tmp_path / "small.nc", group="states_nonsmooth", engine="h5netcdf")
-    assert stored.identical(found["states_nonsmooth"])
+    saved = stored(tmp_path / "small")
+    assert saved["states_nonsmooth"].identical(found["states_nonsmooth"])
     own, dry = found["states"], found["states_nonsmooth"]
     np.testing.assert_array_equal(own["active_count"], dry["active_count"])
     # The width of 1e-3 takes 0.4 % of the energy.
@@ -298,7 +299,7 @@ def test_what_an_interrupted_study_has_seen_is_saved(tmp_path, monkeypatch):
     monkeypatch.setattr(runs.Parts, "map", interrupted)
     with pytest.raises(KeyboardInterrupt):
         run(small(), tmp_path, name="cut", report=lambda text: None)
-    data = xr.load_dataset(tmp_path / "cut.nc", engine="h5netcdf")
+    data = stored(tmp_path / "cut")["states"]
     assert set(data["result"].values) == {NAMES.index("interrupted")}
     assert np.isnan(data["amplitude"]).all()
     # One of three stretches of ten periods was over.

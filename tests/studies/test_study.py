@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from matplotlib.figure import Figure
+from synthetic import stored
 
 from jaxchain.model.friction import ExponentialDecay
 from jaxchain.result import NAMES
@@ -56,17 +57,14 @@ def make(more=others, **changes):
     return Study(parts=parts, labels=labels, report=say, figure=page_of, **changes)
 
 
-def stored(folder, group=None):
-    return xr.load_dataset(folder / "made_up.nc", group=group, engine="h5netcdf")
-
-
 def test_parts_are_described_saved_and_reported_in_order(tmp_path):
     said = []
-    found = make(prefix="start_")(TABLE, tmp_path, report=said.append)
+    found = make()(TABLE, tmp_path, report=said.append)
     assert [float(data["speed"][0]) for data in found.values()] == [1.0, 2.0, 3.0]
     assert said == ["first: 1", "third: 3"]
-    assert stored(tmp_path).identical(found["first"])
-    assert stored(tmp_path, "start_third").identical(found["third"])
+    saved = stored(tmp_path / "made_up")
+    assert saved.keys() == found.keys()
+    assert all(saved[name].identical(data) for name, data in found.items())
     own = found["second"]
     assert own["speed"].attrs == {"long_name": "front speed", "units": "omega_n"}
     assert own["width"].attrs["units"] == "x0 omega_n"
@@ -81,7 +79,7 @@ def test_parts_are_described_saved_and_reported_in_order(tmp_path):
 def test_what_was_done_is_saved_when_a_study_is_interrupted(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         make(interrupted)(TABLE, tmp_path, report=lambda text: None)
-    assert float(stored(tmp_path, "second")["speed"][0]) == 2.0
+    assert float(stored(tmp_path / "made_up")["second"]["speed"][0]) == 2.0
     assert not (tmp_path / "made_up.png").exists()
 
 

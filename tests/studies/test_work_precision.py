@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-import xarray as xr
+from synthetic import stored
 
 from jaxchain.scenes.errors import SceneError
 from jaxchain.scenes.reading import load_scene
@@ -73,8 +73,7 @@ def test_results_and_picture_are_written(small):
     folder, data, report = small
     for ending in (".nc", ".zarr", ".png", ".pdf"):
         assert (folder / f"small{ending}").exists()
-    with xr.open_dataset(folder / "small.nc", engine="h5netcdf") as stored:
-        assert stored.sizes["setting"] == data.sizes["setting"]
+    assert stored(folder / "small")["work_precision"].sizes["setting"] == data.sizes["setting"]
     assert "accuracy=1e-01" in report
 
 

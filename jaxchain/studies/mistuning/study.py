@@ -43,6 +43,4 @@ run = _study.Study(
     labels=LABELS,
     report=summary,
     figure=draw,
-    # Beside the variables of the root there is no room for a group of the same name.
-    prefix="start_",
 )
