@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import shlex
 import sys
 import warnings
 from collections.abc import Sequence
@@ -63,7 +64,7 @@ def _run_command(arguments: list[str]) -> int:
         from .bench.command import main as bench
 
         return bench(arguments[1:]) or 0
-    options = _parser().parse_args(arguments)
+    options = _parser().parse_args(arguments, argparse.Namespace(arguments=arguments))
     try:
         return options.command(options)
     except SceneError as error:
@@ -89,7 +90,11 @@ def _parser() -> argparse.ArgumentParser:
         epilog=_RUN_MORE,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    run.add_argument("scene", help="name of a built-in scene or study, or a TOML file")
+    run.add_argument(
+        "scene",
+        help="name of a built-in scene or study, a TOML file, or a folder with results, to run "
+        "again what was run there",
+    )
     run.add_argument(
         "--output", metavar="DIR", type=_folder, help="folder for the results (results/SCENE)"
     )
@@ -157,7 +162,7 @@ def _folder(text: str) -> Path:
 
 
 def _scenes(options: argparse.Namespace) -> int:
-    from .scenes.files import builtin_scenes, read_scene
+    from .scenes.files import builtin_scenes, read_scene, scene_file
 
     wanted, builtin = options.scene, builtin_scenes()
     if not options.schema and wanted is None:
@@ -174,7 +179,7 @@ def _scenes(options: argparse.Namespace) -> int:
         print(json.dumps(schema(model), indent=2))
     else:
         load_scene(wanted)
-        print(builtin.get(wanted, Path(wanted)).read_text(encoding="utf-8"), end="")
+        print(scene_file(wanted).read_text(encoding="utf-8"), end="")
     return 0
 
 
@@ -188,6 +193,7 @@ def _run(options: argparse.Namespace) -> int:
     from .scenes.running import run_scene
     from .scenes.storage import Results, listing
 
+    own = [*([] if options.law is None else [options.law]), *options.observers]
     own_law = None if options.law is None else load_law(options.law, loaded.name)
     kinds = [load_observer(given, loaded.name) for given in options.observers]
     wanted = options.output or Path("results") / loaded.name
@@ -213,6 +219,8 @@ def _run(options: argparse.Namespace) -> int:
                 loaded, results, own_law=own_law,
                 own_observers={kind.__name__: kind for kind in kinds}, plot=not options.no_plot,
                 progress=not options.quiet, report=report,
+                command=shlex.join(["jaxchain", *options.arguments]),
+                own_files=[Path(given.rpartition(":")[0]) for given in own],
             )  # fmt: skip
             status = 0
         except StorageError as error:  # `elsewhere` has told why

@@ -26,6 +26,7 @@ from jaxchain.result import NAMES
 from jaxchain.scenes import building, running
 from jaxchain.scenes.files import builtin_scenes
 from jaxchain.scenes.reading import load_scene
+from jaxchain.scenes.storage import listing
 from jaxchain.scenes.tables import Solver
 from jaxchain.scenes.wording import LAWS
 from jaxchain.sweeps import SweepInterrupted
@@ -79,7 +80,7 @@ def made_up_sweep(monkeypatch):
 def test_a_scene_becomes_datasets_a_figure_and_a_summary(workplace, capsys):
     assert main(["run", "two.toml", "--output", "out"]) == 0
     files = {file.name for file in Path("out").iterdir()}
-    assert files == {"two.zarr", "two.nc", "two.png", "two.pdf"}
+    assert files == {"two.toml", "two.zarr", "two.nc", "two.png", "two.pdf"}
     found = stored(Path("out/two"))
     ring, one = found["second"], found["first"]
     assert ring.energy.dims == ("belt_speed", "excited")
@@ -94,7 +95,7 @@ def test_a_scene_becomes_datasets_a_figure_and_a_summary(workplace, capsys):
     printed = capsys.readouterr()
     assert "second: A ring of three" in printed.out
     assert "6 (2 belt_speed x 3 excited)" in printed.out
-    assert "results in out: two.nc, two.pdf, two.png, two.zarr" in printed.out
+    assert "results in out: two.nc, two.pdf, two.png, two.toml, two.zarr" in printed.out
 
 
 def test_results_are_never_overwritten(workplace, made_up_sweep, capsys):
@@ -113,8 +114,8 @@ def test_an_empty_folder_is_used_and_a_file_in_the_way_is_not_touched(workplace,
     Path("file").write_text("mine", encoding="utf-8")
     assert main(["run", "two.toml", "--output", "empty", "--no-plot"]) == 0
     assert main(["run", "two.toml", "--output", "file", "--no-plot"]) == 0
-    assert {file.name for file in Path("empty").iterdir()} == {"two.zarr", "two.nc"}
-    assert {file.name for file in Path("file-2").iterdir()} == {"two.zarr", "two.nc"}
+    for folder in (Path("empty"), Path("file-2")):
+        assert {file.name for file in folder.iterdir()} == {"two.toml", "two.zarr", "two.nc"}
     assert Path("file").read_text(encoding="utf-8") == "mine"
 
 
@@ -128,11 +129,57 @@ def test_every_experiment_is_a_group_and_the_root_says_whose_they_are(workplace,
         assert data.attrs["experiment"] == name
 
 
+def test_what_was_run_is_written_before_anything_is_computed(workplace, monkeypatch):
+    def stopped(*arguments, **options):
+        assert listing(Path("results/two")) == ["two.toml"]
+        assert load_scene("results/two").scene.experiment["first"].time.window == 7.0
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(running, "sweep", stopped)
+    assert main(["run", "two.toml", "--set", "experiment.first.time.window=7"]) == 130
+    # A run that has saved nothing leaves nothing.
+    assert not Path("results/two").exists()
+
+
+def test_a_folder_of_results_is_run_again_bit_for_bit(workplace, capsys):
+    """Of what was computed with overrides, once as it was and once with an override more."""
+    Path("two.toml").write_text(SCENE.partition("[experiment.second]")[0], encoding="utf-8")
+    changes = ["numerics.lanes=2", "sweep.displacement=[1.0]", "chain.friction.mu_dynamic=0.4"]
+    sets = [f"--set=experiment.first.{change}" for change in changes]
+    assert main(["run", "two.toml", *sets, "--no-plot", "--quiet"]) == 0
+    before = {p: p.read_bytes() for p in Path("results/two").rglob("*") if p.is_file()}
+    Path("two.toml").unlink()
+    assert main(["run", "results/two", "--no-plot", "--quiet"]) == 0
+    one, other = (stored(Path("results", name, "two"))["first"] for name in ("two", "two-2"))
+    assert one.sizes == other.sizes
+    assert one.attrs["definition"] == other.attrs["definition"]
+    for key, values in one.variables.items():
+        assert values.values.tobytes() == other[key].values.tobytes(), key
+    with xr.open_datatree("results/two-2/two.nc") as tree:
+        assert tree.attrs["command"] == "jaxchain run results/two --no-plot --quiet"
+        assert tree.attrs["started"] <= tree.attrs["ended"]
+        assert json.loads(tree.attrs["versions"])["jaxchain"] == jaxchain.__version__
+    more = "--set=experiment.first.sweep.belt_speed=[1.5]"
+    assert main(["run", "results/two-2/two.toml", more, "--no-plot", "--quiet"]) == 0
+    third = stored(Path("results/two-3/two"))["first"]
+    assert third.belt_speed.values.tolist() == [1.5]
+    assert third.displacement.values.tolist() == [1.0]
+    assert before == {p: p.read_bytes() for p in before}
+    assert main(["scenes", "results/two-3"]) == 0
+    assert capsys.readouterr().out == Path("results/two-3/two.toml").read_text(encoding="utf-8")
+
+
+def test_a_folder_without_a_scene_is_a_readable_error(workplace, capsys):
+    Path("empty").mkdir()
+    assert main(["run", "empty"]) == 2
+    assert "is a folder without a scene: it holds no TOML file" in capsys.readouterr().err
+
+
 def test_a_run_ends_with_a_line_that_opens_what_it_found(workplace, made_up_sweep, capsys):
     assert main(["run", "two.toml", "--no-plot", "--output", "it's here"]) == 0
     *_, files, last = capsys.readouterr().out.splitlines()
     line, more = last.removeprefix("open with ").split("; ")
-    assert files == "results in it's here: two.nc, two.zarr"
+    assert files == "results in it's here: two.nc, two.toml, two.zarr"
     assert more == "two.nc holds the same"
     for code in (line, line.replace(".zarr", ".nc")):
         with eval(code, {"xarray": xr}) as tree:
@@ -268,13 +315,14 @@ def test_what_asks_the_process_to_end_is_answered_as_ctrl_c_is(
     assert xr.open_zarr("results/two/two.zarr", group="first").result.sum() == 0
 
 
+@pytest.mark.parametrize(("room", "what"), [(1000, "two.toml"), (6000, "first")])
 def test_results_that_can_be_written_nowhere_are_a_readable_error(
-    workplace, made_up_sweep, monkeypatch, capsys
+    workplace, made_up_sweep, monkeypatch, capsys, room, what
 ):
     Path("tmp").mkdir()
     monkeypatch.setattr(tempfile, "tempdir", "tmp")
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))  # Python ignores the signal
+    resource.setrlimit(resource.RLIMIT_FSIZE, (room, before[1]))  # Python ignores the signal
     try:
         status = main(["run", "two.toml", "--quiet"])
     finally:
@@ -282,12 +330,13 @@ def test_results_that_can_be_written_nowhere_are_a_readable_error(
     assert status == 1
     first, then, second, last = capsys.readouterr().err.splitlines()
     assert first == (
-        "jaxchain: cannot write `first` into results/two: File too large. What was saved there "
+        f"jaxchain: cannot write `{what}` into results/two: File too large. What was saved there "
         "before stays whole: nothing."
     )
     assert "the results go to tmp/jaxchain-" in then
-    assert "cannot write `first` into tmp/jaxchain-" in second
-    assert last == "jaxchain: stopped: `first` could not be saved"
+    assert f"cannot write `{what}` into tmp/jaxchain-" in second
+    assert last == f"jaxchain: stopped: `{what}` could not be saved"
+    assert len(made_up_sweep) == (what == "first")
     assert not Path("results/two").exists()
     assert not list(Path("tmp").glob("*/*"))
 

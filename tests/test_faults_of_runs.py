@@ -121,7 +121,7 @@ def test_two_at_once_that_nobody_listens_to(workplace, start):
     assert (one.returncode, other.returncode) == (0, 0), said
     assert files(output.parent) == ["x", "x-2"]
     for folder in output.parent.iterdir():
-        assert files(folder) == ["tiny.nc", "tiny.zarr"]
+        assert files(folder) == ["tiny.nc", "tiny.toml", "tiny.zarr"]
         assert results_of(folder) == BOTH
     in_use = [text for text in said if "in use" in text]
     assert len(in_use) == 1
@@ -139,7 +139,7 @@ def test_two_at_once_that_nobody_listens_to(workplace, start):
 def test_a_run_that_is_stopped_saves_what_had_ended(workplace, start, number, status):
     process = start("--quiet", "--output", "out", *FOR_EVER)
     wait_for("out/tiny.nc", process)
-    assert files("out") == ["tiny.nc", "tiny.zarr", "unfinished.txt"]
+    assert files("out") == ["tiny.nc", "tiny.toml", "tiny.zarr", "unfinished.txt"]
     time.sleep(1.0)  # the second experiment has begun, or is being compiled
     process.send_signal(number)
     process.send_signal(signal.SIGTERM)  # `timeout` sends two
@@ -147,25 +147,34 @@ def test_a_run_that_is_stopped_saves_what_had_ended(workplace, start, number, st
     assert process.returncode == status, said
     assert "jaxchain: interrupted; what was finished is in out" in said
     assert "Traceback" not in said
-    assert files("out") == ["tiny.nc", "tiny.zarr"]
+    assert files("out") == ["tiny.nc", "tiny.toml", "tiny.zarr"]
     assert results_of("out") == FIRST
 
 
 @pytest.mark.long
 def test_a_run_that_is_killed_leaves_whole_what_it_had_saved(workplace, start):
     process = start("--quiet", "--output", "out", *FOR_EVER)
-    wait_for("out/unfinished.txt", process)
-    process.kill()
-    process.communicate()
-    assert files("out") == ["unfinished.txt"]
-    # It had saved nothing, so the name is free.
-    process = start("--quiet", "--output", "out", *FOR_EVER)
     wait_for("out/tiny.nc", process)
     process.kill()
     process.communicate()
-    assert "unfinished.txt" in files("out")
-    assert not Path("out-2").exists()
+    assert {"tiny.toml", "unfinished.txt"} < set(files("out"))
     assert results_of("out") == FIRST
+
+
+@pytest.mark.long
+def test_a_run_that_is_killed_before_it_has_anything_can_be_run_again(workplace, start):
+    process = start("--quiet", "--set", "experiment.first.time.transient=1e8")
+    wait_for("results/tiny/tiny.toml", process)
+    process.kill()
+    process.communicate()
+    assert files("results/tiny") == ["tiny.toml", "unfinished.txt"]
+    Path("tiny.toml").unlink()
+    shorter = ["--set", "experiment.first.time.transient=1.0", "--no-plot", "--quiet"]
+    again = [*JAXCHAIN, "run", "results/tiny", *shorter]
+    done = subprocess.run(again, capture_output=True, text=True)
+    assert (done.returncode, done.stderr.count("\n")) == (0, 1), done.stderr
+    assert "the results go to results/tiny-2" in done.stderr
+    assert results_of("results/tiny-2") == BOTH
 
 
 @pytest.mark.long
@@ -208,7 +217,7 @@ def test_a_full_disk_sends_the_results_to_another_place(workplace):
     )
     (other,) = Path("tmp").glob("jaxchain-*/tiny")
     assert f"the results go to {other.absolute()} instead" in done.stderr
-    assert files(other) == files("kept/out") == ["tiny.nc", "tiny.zarr"]
+    assert files(other) == files("kept/out") == ["tiny.nc", "tiny.toml", "tiny.zarr"]
     assert results_of("kept/out") == FIRST
     assert results_of(other) == BOTH
 

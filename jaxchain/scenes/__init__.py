@@ -15,6 +15,7 @@
 - `tables`: the tables a scene file is made of
 - `values`: numbers, names, lists and ranges, each within bounds
 - `wording`: words for what is wrong in a scene file
+- `writing`: a scene written beside its results, to be run again
 """
 
 import lazy_loader

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import codecs
+import os
 import re
 import tomllib
 from collections.abc import Sequence
@@ -25,19 +26,35 @@ def builtin_scenes() -> dict[str, Traversable]:
     return {file.name.removesuffix(".toml"): file for file in files}
 
 
+def scene_file(scene: str) -> Traversable:
+    """The file of a built-in scene, of a path, or of a folder with results.
+
+    **Raises:** `SceneError` for a folder that holds no scene, or several.
+    """
+    builtin, path = builtin_scenes(), Path(scene)
+    if scene in builtin or not os.path.isdir(path):  # which never raises
+        return builtin.get(scene, path)
+    found = sorted(path.glob("*.toml"))
+    if not found:
+        raise SceneError(scene, ["is a folder without a scene: it holds no TOML file"])
+    if len(found) > 1:
+        names = ", ".join(file.name for file in found)
+        raise SceneError(scene, [f"is a folder with several scenes: name one of {names}"])
+    return found[0]
+
+
 def read_scene(scene: str, overrides: Sequence[str] = ()) -> tuple[str, dict[str, Any]]:
     """The name under which the results of a scene are stored, and what its file says.
 
-    **Arguments:** `scene`, the name of a built-in scene or the path of a TOML file; `overrides`,
-    assignments such as "experiment.ladder.chain.n=40".
+    **Arguments:** `scene`, the name of a built-in scene, the path of a TOML file, or that of a
+    folder with results; `overrides`, assignments such as "experiment.ladder.chain.n=40".
 
     **Raises:** `SceneError` if there is no such file, or it is no TOML.
 
     >>> read_scene("quickstart")[1]["experiment"]["ladder"]["chain"]["n"]
     6
     """
-    builtin = builtin_scenes()
-    file = builtin[scene] if scene in builtin else Path(scene)
+    builtin, file = builtin_scenes(), scene_file(scene)
     name = file.name.removesuffix(".toml")
     try:
         text = _text(file)

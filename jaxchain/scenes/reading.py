@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from .errors import SceneError, did_you_mean
-from .files import read_scene
+from .files import builtin_scenes, read_scene
 from .registry import StudyTable, studies, study_table
 from .scene import Scene
 from .wording import as_written, explain, listed
@@ -27,8 +28,9 @@ class LoadedScene:
 def load_scene(scene: str, overrides: Sequence[str] = ()) -> LoadedScene:
     """Reads and checks a scene, or a study: a file with the key `study`.
 
-    **Arguments:** `scene`, the name of a built-in scene or the path of a TOML file; `overrides`,
-    assignments such as "experiment.ladder.chain.n=40", applied before the check.
+    **Arguments:** `scene`, the name of a built-in scene, the path of a TOML file, or that of a
+    folder with results, for what was run there; `overrides`, assignments such as
+    "experiment.ladder.chain.n=40", applied before the check.
 
     **Raises:** `SceneError` with every problem found.
 
@@ -36,10 +38,11 @@ def load_scene(scene: str, overrides: Sequence[str] = ()) -> LoadedScene:
     ['ladder']
     """
     name, data = read_scene(scene, overrides)
-    model = _model(data, scene)
+    model, place = _model(data, scene), Path(scene)
+    # Files that the scene names lie beside it.
+    folder = place if scene not in builtin_scenes() and os.path.isdir(place) else place.parent
     try:
-        # Files that the scene names lie beside it.
-        checked = model.model_validate(data, context={"folder": Path(scene).parent})
+        checked = model.model_validate(data, context={"folder": folder})
     except ValidationError as error:
         raise SceneError(scene, explain(error, model)) from None
     return LoadedScene(name, checked)

@@ -3,8 +3,8 @@
 A study is a folder NAME of `jaxchain.studies` with two modules:
 
     table    Study, a `StudyTable`: what may stand in the study's TOML file; needs no JAX
-    study    run(study, folder, *, name, plot, progress, report) -> {name: dataset}: a `Study` of
-             `jaxchain.studies._study`, which says what all studies do
+    study    run(study, folder, *, name, plot, progress, report, about) -> {name: dataset}: a
+             `Study` of `jaxchain.studies._study`, which says what all studies do
 
 The study's file is `scenes/library/NAME.toml`, marked by `study = "NAME"`; so a copy of the file
 is a study of one's own.  Each module is imported when it is asked for: studies stand above scenes.

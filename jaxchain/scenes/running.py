@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +38,7 @@ from .report import cycles_summary, summary
 from .scene import Experiment, SweepTable
 from .storage import Results
 from .tables import NumericsTable
+from .writing import as_run, circumstances, scene_files
 
 # Of an error from elsewhere.
 _CHARACTERS = 1000
@@ -153,6 +154,8 @@ def run_scene(
     plot: bool = True,
     progress: bool = False,
     report: Callable[[str], object] = print,
+    command: str = "",
+    own_files: Sequence[Path] = (),
 ) -> dict[str, xr.Dataset]:
     """Runs every experiment of a scene, or a study, and fills `folder` with results.
 
@@ -160,12 +163,14 @@ def run_scene(
     `xarray.open_datatree`; of an experiment with both models the runs with true dry friction are
     the group `<experiment>_nonsmooth`.  Of one oscillator from several starts over belt speed,
     the branch of cycles with its fold is the group `<experiment>_cycles`.
-    `<scene>.png` and `<scene>.pdf` show all of them.
+    `<scene>.png` and `<scene>.pdf` show all of them.  `<scene>.toml` is what was run (see
+    `jaxchain.scenes.writing`).
 
     **Arguments:** `folder` exists and is empty (see `claimed`); `own_law`, the friction law of
     every experiment, in place of the one that is named there (see `load_law`); `own_observers`, by
     the names of their classes (see `load_observer`); `plot`, draw the figure; `progress`, show a
-    progress bar; `report` receives the summary of each experiment.
+    progress bar; `report` receives the summary of each experiment; `command`, the command line,
+    and `own_files`, of which copies are kept, for whoever runs it again.
 
     **Returns:** the datasets by experiment.
 
@@ -174,19 +179,24 @@ def run_scene(
     figure; `StudyFailedError` if everything is written but a study found what must not be;
     `SceneError` for numbers that do not go together.
     """
-    if isinstance(loaded.scene, StudyTable):
+    scene, chains = loaded.scene, {}
+    if isinstance(scene, StudyTable):
         for option, given in (("--law", own_law), ("--observer", own_observers)):
             if given:
                 raise SceneError(loaded.name, [f"{option}: is for scenes, and this is a study"])
+    else:
+        chains = checked_chains(loaded, own_law, own_observers)
+    results, around = Results.of(folder, loaded.name), circumstances(command)
+    results.about |= {"title": scene.title, "description": scene.description}
+    results.about |= {"scene": loaded.name, **around}
+    run = as_run(scene, own_law is not None, own_observers or ())
+    results.keep(scene_files(loaded.name, run, around, own_files))
+    if isinstance(scene, StudyTable):
         with in_words(loaded.name):
-            return study_run(loaded.scene.study)(
-                loaded.scene, folder, name=loaded.name, plot=plot, progress=progress, report=report
+            return study_run(scene.study)(
+                scene, results, name=loaded.name, plot=plot, progress=progress, report=report
             )
-    results = Results.of(folder, loaded.name)
-    title, description = loaded.scene.title, loaded.scene.description
-    results.about |= {"title": title, "description": description, "scene": loaded.name}
-    chains = checked_chains(loaded, own_law, own_observers)
-    for name, experiment in loaded.scene.experiment.items():
+    for name, experiment in scene.experiment.items():
         chain, grid = chains[name], experiment.grid()
         hopf = hopf_speed(chain, grid)
         for model in models(experiment.numerics):
@@ -205,7 +215,7 @@ def run_scene(
             unwanted = {"amplitude", "energy", "active_count"} - set(experiment.observe.quantities)
             kept = data.drop_vars(unwanted & set(data.data_vars))
             about = {
-                "title": title,
+                "title": scene.title,
                 "description": experiment.description,
                 "scene": loaded.name,
                 "experiment": name,

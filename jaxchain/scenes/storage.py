@@ -25,13 +25,14 @@ from matplotlib.figure import Figure
 from .._terminal import undisturbed
 from ..plotting.style import save_figure
 from .errors import FigureError, StorageError
+from .writing import now
 
 # In the folder of a run for as long as it runs; in that of a run that was killed it stays.
 MARKER = "unfinished.txt"
 _MARKED = """\
 Process {process} on {host} fills this folder since {since}.
 This file goes when the run ends. Where it stays, the run was cut off: what is here is whole, but
-not all.
+not all. `jaxchain run` takes this folder and runs it again, into another one.
 """
 
 
@@ -54,6 +55,7 @@ class Results:
         """All that was saved, by name."""
         self.about: dict[str, str] = {}
         """What is true of all of them: the attributes of the files."""
+        self._beside: dict[str, bytes] = {}
         self._elsewhere = elsewhere
         self._whole: dict[Path, list[str]] = {}
         self._claims = contextlib.ExitStack()
@@ -80,7 +82,23 @@ class Results:
         return self
 
     def __exit__(self, *error: object) -> None:
+        for folder, whole in self._whole.items():
+            if not whole:
+                # A run that has saved nothing leaves nothing.
+                for file in self._beside:
+                    with contextlib.suppress(OSError):
+                        (folder / file).unlink()
         self._claims.close()
+
+    def keep(self, files: Mapping[str, bytes]) -> None:
+        """Writes files that say what the results come from, before there are any.
+
+        They follow the results if these go elsewhere.
+
+        **Raises:** `StorageError` as `save`.
+        """
+        self._beside |= files
+        self._save(next(iter(files)))
 
     def save(self, name: str, data: xr.Dataset) -> None:
         """Writes a dataset into `<name of the results>.zarr` and `.nc` as a group, whole or not
@@ -89,6 +107,10 @@ class Results:
         **Raises:** `StorageError` if it cannot be written, here or elsewhere.
         """
         self.datasets[name] = data
+        self._save(name)
+
+    def _save(self, name: str) -> None:
+        """Writes a dataset, or what stands beside them, here or elsewhere."""
         try:
             self._write(name, self.folder)
         except StorageError as error:
@@ -98,11 +120,18 @@ class Results:
         whole = self._whole.setdefault(folder, [])
         try:
             with undisturbed():
-                save(self.datasets[name], folder / self.name, name, self.about)
+                for file, content in self._beside.items():
+                    if not (folder / file).exists():
+                        with _aside(folder / file) as part:
+                            part.write_bytes(content)
+                            part.rename(folder / file)
+                if name in self.datasets:
+                    save(self.datasets[name], folder / self.name, name, self.about)
         except OSError as error:
             reason = error.strerror or str(error)
             raise StorageError(name, folder, reason, whole, self.datasets) from error
-        whole.append(name)
+        if name in self.datasets:
+            whole.append(name)
 
     def _move(self, name: str, error: StorageError) -> None:
         """Goes on in another folder: with `name`, and with what was saved before if it fits."""
@@ -146,8 +175,8 @@ def claimed(path: Path) -> Iterator[Path]:
     """A folder for results that no other run uses or has used: `path`, or `path`-2, `path`-3, ...
 
     It is ours to the end of the block.  An empty folder counts as unused, also one that a run left
-    that was killed before it had saved anything: the system frees a lock with its process.  (Where
-    a file system knows no locks, such a folder counts as used.)
+    that was killed before it had written anything: the system frees a lock with its process.
+    (Where a file system knows no locks, such a folder counts as used.)
 
     **Raises:** `OSError` if no folder can be made or filled there.
     """
@@ -222,10 +251,10 @@ def listing(folder: Path) -> list[str]:
 def save(data: xr.Dataset, path: Path, group: str, about: Mapping[str, str]) -> None:
     """Writes `data` into `path`.zarr and `path`.nc as a group, and `about` as their attributes.
 
-    At the root stands nothing else, so that no group has to fit another.  If that fails both
-    files are as they were.
+    At the root stands nothing else, so that no group has to fit another; the attribute `ended`
+    says when the last group came.  If writing fails both files are as they were.
     """
-    parts = {None: xr.Dataset(attrs=about), group: data}
+    parts = {None: xr.Dataset(attrs={**about, "ended": now()}), group: data}
     store, file = path.with_name(path.name + ".zarr"), path.with_name(path.name + ".nc")
     with _aside(store) as new_store, _aside(file) as new_file:
         there = _write_zarr(parts, new_store, store)

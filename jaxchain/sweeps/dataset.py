@@ -28,6 +28,7 @@ import jax.tree_util as jtu
 import numpy as np
 import xarray as xr
 
+from .. import __version__
 from ..model.chain import Chain
 from ..model.parameters import CHAIN, parameter
 from ..model.tabulated import TabulatedFriction
@@ -55,6 +56,13 @@ LONG_NAMES = {
 }
 
 
+def versions() -> dict[str, str]:
+    """Of jaxchain, and of what computes below it."""
+    packages = ("jax", "jaxlib", "diffrax", "equinox", "numpy")
+    below = {package: importlib.metadata.version(package) for package in packages}
+    return {"jaxchain": __version__, **below, "python": platform.python_version()}
+
+
 def describe(
     chain: Chain, plan: AbstractPlan, *, t0: float, t1: float, swept: Sequence[str]
 ) -> dict[str, Any]:
@@ -72,11 +80,6 @@ def describe(
     for name in swept:
         if name in parameters:
             parameters[name] = "swept"
-    versions = {
-        package: importlib.metadata.version(package)
-        for package in ("jax", "diffrax", "equinox", "numpy")
-    }
-    versions["python"] = platform.python_version()
     return {
         "parameters": json.dumps(
             {k: np.asarray(v).tolist() if eqx.is_array(v) else v for k, v in parameters.items()}
@@ -88,7 +91,7 @@ def describe(
         "t0": t0,
         "t1": t1,
         "observers": repr(plan.observers),
-        "versions": json.dumps(versions),
+        "versions": json.dumps(versions()),
         "platform": jax.default_backend(),
         "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
     }

@@ -121,6 +121,15 @@ def test_the_command_runs_a_scene_with_it(laws, scene, tmp_path, capsys):
     assert cli.main([*arguments, "--law", f"{laws}:Rational"]) == 0
     assert "Rational" in capsys.readouterr().out
     assert (folder / "own.nc").exists()
+    # The copy of the law is there to be read: it runs only if it is named again.
+    again = ["run", str(folder), "--output", str(tmp_path / "again"), "--no-plot", "--quiet"]
+    assert cli.main(again) == 2
+    assert "so the law must be named on the command line: --law" in capsys.readouterr().err
+    assert not (tmp_path / "again").exists()
+    assert cli.main([*again, "--law", f"{folder / laws.name}:Rational"]) == 0
+    one, other = (stored(tmp_path / name / "own")["pair"] for name in ("results", "again"))
+    assert one.equals(other)
+    assert (tmp_path / "again" / laws.name).read_text(encoding="utf-8") == LAWS
 
 
 @pytest.mark.parametrize(

@@ -302,7 +302,7 @@ def test_a_file_that_is_not_there_or_not_toml_is_a_readable_error(tmp_path):
         "is neither a file nor built in (did you mean `fig3`?); built in: "
         + ", ".join(builtin_scenes())
     ]
-    assert problems(str(tmp_path)) == ["cannot be read: Is a directory"]
+    assert problems(str(tmp_path)) == ["is a folder without a scene: it holds no TOML file"]
     broken = tmp_path / "broken.toml"
     broken.write_text("title = \n", encoding="utf-8")
     (found,) = problems(str(broken))
