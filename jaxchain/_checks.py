@@ -4,29 +4,104 @@ The checks look at concrete numbers only. A traced value passes silently, so tha
 can be built under `jit`, `vmap` and `grad`; shapes are known even there and are always checked.
 """
 
-from collections.abc import Sequence
+import functools
+from collections.abc import Callable, Sequence
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float
 
-from ._limits import LEAST_ATOL, LEAST_RTOL
+from ._limits import LEAST_ATOL, LEAST_POSITIVE, LEAST_RTOL, MOST_COUNT
+
+# Characters of a value that an error shows.
+_LONGEST = 60
 
 
-def to_float(value: ArrayLike) -> Float[Array, "..."]:
+def shown(value: object) -> str:
+    """A value for an error: itself if that is short, else what kind it is.
+
+    >>> shown(2.5), shown([1, "a"]), shown(int), shown(np.ones(3))
+    ('2.5', "[1, 'a']", 'the class `int`', 'an array of shape (3,)')
+    """
+    if isinstance(value, type):
+        return f"the class `{value.__name__}`"
+    if isinstance(value, jax.Array | np.ndarray | np.generic):
+        plain = np.ndim(value) == 0 and not is_traced(value)
+        of = "" if _is_real(value) else f" of {value.dtype}"
+        return str(value) if plain else f"an array of shape {np.shape(value)}{of}"
+    kind = f"a {type(value).__name__}"
+    if isinstance(value, eqx.Module):
+        return kind
+    try:
+        text = repr(value)
+    except Exception:  # an integer of 5000 digits, or whatever a foreign object raises
+        return kind
+    fits = len(text) <= _LONGEST and "\n" not in text and " at 0x" not in text
+    return text if fits else kind
+
+
+def _is_real(value: object) -> bool:
+    """Whether it is a real number, traced or not, an array or nested lists of such."""
+    if isinstance(value, bool | int | float):
+        return True
+    if isinstance(value, list | tuple):
+        return all(map(_is_real, value))
+    if isinstance(value, type):
+        return False
+    dtype: Any = getattr(value, "dtype", None)
+    if dtype is None:
+        dtype = np.asarray(value).dtype
+    return any(jnp.issubdtype(dtype, kind) for kind in (bool, jnp.integer, jnp.floating))
+
+
+def _not_real(name: str, value: object, remedy: str) -> ValueError:
+    who = f"Argument `{name}`" if name else "What is given here"
+    text = f"{who} must be made of real numbers, but is {shown(value)}"
+    return ValueError(f"{text}{_end(remedy)}")
+
+
+def _end(remedy: str) -> str:
+    return f": {remedy}" if remedy else "."
+
+
+def to_float(value: Any, name: str = "", remedy: str = "") -> Float[Array, "..."]:
     """`value` as a floating-point JAX array: the converter of every numeric field.
 
     Integers become floats, because only floats have tangents; and the result is never weakly
     typed, because a weakly typed leaf would compile everything once more.
 
-    **Raises:** `ValueError` for complex numbers, whose imaginary part would be lost.
+    **Raises:** `ValueError` for what is no number, complex numbers among them, whose imaginary
+    part would be lost.
     """
-    if np.iscomplexobj(value):
-        raise ValueError(f"Numbers must be real here, but one is complex: {value}.")
-    return jnp.asarray(value, dtype=float)
+    try:
+        if _is_real(value):
+            return jnp.asarray(value, dtype=float)
+    except (TypeError, ValueError, OverflowError):  # rows of unequal length, 10**400
+        pass
+    raise _not_real(name, value, remedy)
+
+
+def named(name: str, remedy: str = "") -> Callable[[Any], Float[Array, "..."]]:
+    """`to_float` as the converter of a field of this name, which its errors say."""
+    return functools.partial(to_float, name=name, remedy=remedy)
+
+
+def as_array(
+    name: str, value: Any, least: int, most: int | None = None, remedy: str = ""
+) -> Float[Array, "..."]:
+    """`value` as floats of at least `least` and at most `most` dimensions, none of them empty."""
+    found = to_float(value, name, remedy)
+    if found.ndim < least or found.ndim > (found.ndim if most is None else most) or not found.size:
+        count = f"{least}" if most == least else f"at least {least}"
+        raise ValueError(
+            f"Argument `{name}` must be an array of {count} dimensions that is not empty, but "
+            f"has shape {found.shape}{_end(remedy)}"
+        )
+    return found
 
 
 def require_x64() -> None:
@@ -53,14 +128,16 @@ def require_64_bits(name: str, tree: object) -> None:
             )
 
 
-def _concrete(name: str, value: object) -> np.ndarray | None:
+def _concrete(name: str, value: object, remedy: str = "") -> np.ndarray | None:
     """`value` as real numbers, or None if it is traced."""
     if is_traced(value):
         return None
-    numbers = np.asarray(value)
-    if not any(jnp.issubdtype(numbers.dtype, kind) for kind in (bool, jnp.integer, jnp.floating)):
-        raise ValueError(f"Argument `{name}` must be made of real numbers, but is {value!r}.")
-    return numbers
+    try:
+        if _is_real(value):
+            return np.asarray(value, float)
+    except (TypeError, ValueError, OverflowError):
+        pass
+    raise _not_real(name, value, remedy)
 
 
 def _check_each(
@@ -74,13 +151,12 @@ def _check_each(
     else:
         first = tuple(int(i) for i in np.argwhere(~good)[0])
         found = f"is {numbers[first]} at index {first}"
-    end = f": {remedy}" if remedy else "."
-    raise ValueError(f"Argument `{name}` must be {demand}, but {found}{end}")
+    raise ValueError(f"Argument `{name}` must be {demand}, but {found}{_end(remedy)}")
 
 
 def check_finite(name: str, value: ArrayLike, remedy: str = "") -> None:
     """Raises `ValueError` if a concrete `value` holds NaN or infinity."""
-    if (numbers := _concrete(name, value)) is not None:
+    if (numbers := _concrete(name, value, remedy)) is not None:
         _check_each(name, value, np.isfinite(numbers), "finite", remedy)
 
 
@@ -93,14 +169,16 @@ def check_positive(name: str, value: ArrayLike, remedy: str = "") -> None:
         ...
     ValueError: Argument `width` must be positive and finite, but is -0.1: choose 1e-3, say.
     """
-    if (numbers := _concrete(name, value)) is not None:
+    if (numbers := _concrete(name, value, remedy)) is not None:
         good = np.isfinite(numbers) & (numbers > 0)
         _check_each(name, value, good, "positive and finite", remedy)
+        # The reciprocal of a smaller one is infinite.
+        _check_each(name, value, numbers >= LEAST_POSITIVE, f"at least {LEAST_POSITIVE:g}", remedy)
 
 
 def check_nonnegative(name: str, value: ArrayLike, remedy: str = "") -> None:
     """Raises `ValueError` if a concrete `value` is anywhere negative or not finite."""
-    if (numbers := _concrete(name, value)) is not None:
+    if (numbers := _concrete(name, value, remedy)) is not None:
         good = np.isfinite(numbers) & (numbers >= 0)
         _check_each(name, value, good, "zero or positive, and finite", remedy)
 
@@ -127,7 +205,7 @@ def check_per_mass(**arguments: ArrayLike) -> None:
     """
     shapes = {name: jnp.shape(value) for name, value in arguments.items() if jnp.ndim(value) > 0}
     for name, shape in shapes.items():
-        if len(shape) != 1:
+        if len(shape) != 1 or shape[0] == 0:
             raise ValueError(
                 f"Argument `{name}` must be one number or one per mass, of shape (n,), but has "
                 f"shape {shape}: use `jax.vmap` to run many chains at once."
@@ -160,32 +238,75 @@ def check_whole(
     ValueError: Argument `mass` must be an integer in 0 ... 2, but is 3.
     """
     whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if high is None and whole and value > MOST_COUNT:
+        high = MOST_COUNT
     if not whole or value < low or (high is not None and value > high):
         where = f"of at least {low}" if high is None else f"in {low} ... {high}"
-        end = f": {remedy}" if remedy else "."
         raise ValueError(
-            f"Argument `{name}` must be {or_}an integer {where}, but is {value!r}{end}"
+            f"Argument `{name}` must be {or_}an integer {where}, but is "
+            f"{shown(value)}{_end(remedy)}"
         )
     return int(value)
 
 
-def check_count(name: str, value: object) -> None:
+def check_count(name: str, value: object, most: int | None = None, remedy: str = "") -> None:
     """Raises `ValueError` unless `value` is None (no limit) or an integer of at least 1."""
     if value is not None:
-        check_whole(name, value, or_="None or ")
+        check_whole(name, value, 1, most, remedy, or_="None or ")
 
 
 def check_one_of(name: str, value: object, choices: Sequence[str]) -> None:
     """Raises `ValueError` unless `value` is one of the words."""
-    if value not in choices:
+    if not isinstance(value, str) or value not in choices:
         words = [f'"{word}"' for word in choices]
         listed = f"{', '.join(words[:-1])} or {words[-1]}"
-        raise ValueError(f"Argument `{name}` must be {listed}, but is {value!r}.")
+        raise ValueError(f"Argument `{name}` must be {listed}, but is {shown(value)}.")
+
+
+def check_flag(name: str, value: object) -> None:
+    """Raises `ValueError` unless `value` is True or False."""
+    if not isinstance(value, bool | np.bool):
+        raise ValueError(f"Argument `{name}` must be True or False, but is {shown(value)}.")
+
+
+def check_kind(name: str, value: object, kind: Any, wanted: str, remedy: str = "") -> None:
+    """Raises `ValueError` unless `value` is a `kind`, which the error calls `wanted`."""
+    if not isinstance(value, kind):
+        raise ValueError(
+            f"Argument `{name}` must be {wanted}, but is {shown(value)}{_end(remedy)}"
+        )
+
+
+def check_concrete(instead: str, **arguments: Any) -> None:
+    """Raises `ValueError` if any is traced, where a function runs on the host."""
+    for name, value in arguments.items():
+        if is_traced(value):
+            raise ValueError(
+                f"Argument `{name}` is traced, but this runs on the host, not in a compiled "
+                f"program: call it outside `jit`, `vmap` and `grad`, or {instead}"
+            )
+
+
+def check_function(name: str, value: object, wanted: str) -> None:
+    """Raises `ValueError` unless `value` can be called, as `wanted` says it is."""
+    if not callable(value):
+        raise ValueError(f"Argument `{name}` must be a function, {wanted}, but is {shown(value)}.")
+
+
+def check_pair(name: str, value: Any, remedy: str) -> tuple[float, float]:
+    """(low, high) with low < high, either of which may be infinite, or raises `ValueError`."""
+    pair = np.shape(value) == (2,) and _is_real(value)
+    if not pair or not value[0] < value[1]:
+        raise ValueError(
+            f"Argument `{name}` must be (low, high) with low < high, but is "
+            f"{shown(value)}: {remedy}"
+        )
+    return float(value[0]), float(value[1])
 
 
 def check_number(name: str, value: object, remedy: str = "") -> None:
     """Raises `ValueError` unless `value` is one real number, finite if it is concrete."""
-    numbers = _concrete(name, value)
+    numbers = _concrete(name, value, remedy)
     shape = jnp.shape(value) if numbers is None else numbers.shape  # pyright: ignore
     if shape != ():
         raise ValueError(
@@ -205,7 +326,7 @@ def check_positive_number(name: str, value: Any, remedy: str = "") -> None:
 def check_share(name: str, value: Any, remedy: str = "") -> None:
     """Raises `ValueError` unless `value` is one number, between 0 and 1 if it is concrete."""
     check_number(name, value, remedy)
-    if (numbers := _concrete(name, value)) is not None:
+    if (numbers := _concrete(name, value, remedy)) is not None:
         _check_each(name, value, (numbers > 0) & (numbers < 1), "between 0 and 1", remedy)
 
 

@@ -6,3 +6,5 @@ MOST_LANES = 10**7
 LEAST_RTOL, LEAST_ATOL = 1e-15, 1e-30
 # Of smoothed friction against true dry friction, relative.
 LEAST_ACCURACY, MOST_ACCURACY = 1e-8, 0.3
+# The least positive number, and the greatest count: whatever is more is a slip of the pen.
+LEAST_POSITIVE, MOST_COUNT = 1e-300, 10**9

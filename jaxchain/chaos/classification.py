@@ -18,8 +18,8 @@ from .._progress import progress_bar
 from ..model.arguments import as_chain, as_state
 from ..model.chain import Chain
 from ..model.oscillators import AbstractOscillators
-from ..simulation.accuracy import MAX_STEP, check_resolved
-from ..simulation.event_driven import EventDriven, own_solver
+from ..simulation.accuracy import MAX_STEP, check_resolved, own_solver
+from ..simulation.event_driven import EventDriven
 from .criteria import Criteria, classify, judge_exponents, judge_torus
 from .orbits import judge_orbit
 from .records import Evidence, Verdict

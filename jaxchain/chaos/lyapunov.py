@@ -35,8 +35,15 @@ from ..model.oscillators import AbstractOscillators
 from ..observers.divergence import Divergence
 from ..observers.stick_time import MostSticking
 from ..result import Result, ended_well, message
-from ..simulation.accuracy import MAX_STEP, USUAL_RTOL, check_resolved, choose_solver, default_rtol
-from ..simulation.event_driven import EventDriven, EventDrivenPlan, own_solver
+from ..simulation.accuracy import (
+    MAX_STEP,
+    USUAL_RTOL,
+    check_resolved,
+    choose_solver,
+    default_rtol,
+    own_solver,
+)
+from ..simulation.event_driven import EventDriven, EventDrivenPlan
 from ..simulation.plan import AbstractPlan
 from ..simulation.run import build_plan
 from .benettin import Frame, Growth, Span, advance_span, random_basis

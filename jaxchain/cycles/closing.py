@@ -27,7 +27,8 @@ from ..observers.base import Step
 from ..observers.section import Section
 from ..observers.stick_time import MostSticking
 from ..result import SearchResult
-from ..simulation.event_driven import EventDriven, own_solver
+from ..simulation.accuracy import own_solver
+from ..simulation.event_driven import EventDriven
 from ..simulation.run import simulate
 from ..solvers.dry_friction import start as on_the_belt
 from .floquet import check_orbit, floquet_multipliers, multiplier_resolution

@@ -20,8 +20,7 @@ from ..model.initial_states import reference_site, release_state
 from ..model.oscillators import AbstractOscillators
 from ..model.sliding import sliding_damping, stiffness_matrix
 from ..observers.section import Section
-from ..simulation.accuracy import choose_solver
-from ..simulation.event_driven import own_solver
+from ..simulation.accuracy import choose_solver, own_solver
 from ..simulation.run import Simulation, simulate
 from .averaging import gain, one_mass
 

@@ -4,12 +4,23 @@ from __future__ import annotations
 
 from typing import Any, TypeVar
 
+import numpy as np
 from jaxtyping import Array, Float
 
-from .._checks import check_finite, check_whole, require_64_bits, require_x64, to_float
-from .chain import Chain
+from .._checks import (
+    check_finite,
+    check_kind,
+    check_whole,
+    require_64_bits,
+    require_x64,
+    shown,
+    to_float,
+)
+from .chain import MAKE_CHAIN, Chain
 from .locality import check_local
 from .oscillators import AbstractOscillators
+
+_STATES = "see `excited_state` for initial states."
 
 _Kind = TypeVar("_Kind", bound=AbstractOscillators)
 
@@ -17,12 +28,8 @@ _Kind = TypeVar("_Kind", bound=AbstractOscillators)
 def as_chain(chain: Any, kind: type[_Kind] = Chain, remedy: str = "") -> _Kind:
     """The chain, or `ValueError` unless it is of this kind and made of 64-bit numbers."""
     require_x64()
-    if not isinstance(chain, kind):
-        other = "" if kind is Chain else f" or another `{kind.__name__}`"
-        raise ValueError(
-            f"Argument `chain` must be a `Chain`{other}, but is a {type(chain).__name__}"
-            f"{': ' + remedy if remedy else '.'}"
-        )
+    other = "" if kind is Chain else f" or another `{kind.__name__}`"
+    check_kind("chain", chain, kind, f"a `Chain`{other}", remedy or MAKE_CHAIN)
     require_64_bits("chain", chain)
     return chain
 
@@ -38,10 +45,11 @@ def as_state(
     """
     if not isinstance(state, tuple | list) or len(state) != 2:
         raise ValueError(
-            f"Argument `{name}` must be the pair (displacement, velocity), but is a "
-            f"{type(state).__name__}."
+            f"Argument `{name}` must be the pair (displacement, velocity), but is "
+            f"{shown(state)}: {_STATES}"
         )
-    x, v = (to_float(part) for part in state)
+    parts = zip(("displacement", "velocity"), state, strict=True)
+    x, v = (to_float(value, f"{name} {part}", _STATES) for part, value in parts)
     n = chain.n if isinstance(chain, Chain) else x.shape[-1] if x.ndim else 0
     if x.shape != v.shape or x.shape[-1:] != (n,) or x.ndim != 1 + batch or not x.size:
         masses = "one mass" if n == 1 else f"{n} masses"
@@ -51,29 +59,32 @@ def as_state(
             f"displacement and velocity have shape {wanted}."
         )
     for part, values in (("displacement", x), ("velocity", v)):
-        check_finite(f"{name} {part}", values, "see `excited_state` for initial states.")
+        check_finite(f"{name} {part}", values, _STATES)
     if not isinstance(chain, Chain) and not batch:
         check_local(chain, t0, (x, v))
     return x, v
 
 
-def as_mass(n: int, vibrating: Any, default: Any = None) -> Any:
+def as_mass(n: int, vibrating: Any, default: Any = None, name: str = "vibrating") -> Any:
     """The index of one of n masses, `default` for None, or `ValueError`."""
     if vibrating is None:
         return default
     remedy = "For several vibrating masses follow the branch of their cycle."
-    return check_whole("vibrating", vibrating, 0, n - 1, f"it is the index of a mass. {remedy}")
+    return check_whole(name, vibrating, 0, n - 1, f"it is the index of a mass. {remedy}")
 
 
 def as_images(images: Any, n: int, mass: int) -> tuple[int, ...]:
     """For each of n masses the one that it does the same as; None is no symmetry."""
     if images is None:
         return tuple(range(n))
-    given = tuple(int(i) for i in images)
+    given = images if isinstance(images, tuple | list | np.ndarray) else ()
+    whole = all(isinstance(i, int | np.integer) for i in given)
+    given = tuple(int(i) for i in given) if whole else ()
     good = len(given) == n and all(0 <= i < n and given[i] == i for i in given)
     if not good or given[mass] != mass:
         raise ValueError(
             f"Argument `images` must name for each of {n} masses the one it does the same as, and "
-            f"for that one itself, mass {mass} (`vibrating`) among them, but is {images!r}."
+            f"for that one itself, mass {mass} (`vibrating`) among them, but is "
+            f"{shown(images)}."
         )
     return given

@@ -10,19 +10,22 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float
 
-from .._checks import check_one_of, check_whole, to_float
+from .._checks import check_kind, check_one_of, check_whole, shown, to_float
 from .._types import PerMass, ScalarLike, State
 from .friction import (
     AbstractFriction,
     AbstractFrictionLaw,
     ExponentialDecay,
     TanhFriction,
+    as_law,
     check_numbers,
 )
 from .oscillators import AbstractOscillators
 from .parameters import CHAIN, parameter
 from .springs import Ends, Springs
 from .tridiagonal import exact_solver
+
+MAKE_CHAIN = "make one with `paper_chain()` or `Chain(...)`."
 
 
 class Chain(AbstractOscillators):
@@ -87,18 +90,17 @@ class Chain(AbstractOscillators):
         if not isinstance(friction, AbstractFriction):
             raise ValueError(
                 "Argument `friction` must be a friction law (dry friction) or a smoothed one, "
-                f"TanhFriction(law, width), but is {friction!r}."
+                f"TanhFriction(law, width), but is {shown(friction)}."
             )
         self.n = check_whole("n", n)
-        self.friction = friction
-        self.belt_speed = to_float(belt_speed)
-        self.damping_ratio = to_float(damping_ratio)
-        self.stiffness = to_float(stiffness)
-        self.normal_load = None if normal_load is None else to_float(normal_load)
+        self.friction = as_law(friction) if isinstance(friction, AbstractFrictionLaw) else friction
+        self.belt_speed = _number("belt_speed", belt_speed)
+        self.damping_ratio = _number("damping_ratio", damping_ratio)
+        self.stiffness = _number("stiffness", stiffness)
+        self.normal_load = None if normal_load is None else _number("normal_load", normal_load)
         kind: Ends = "cyclic" if ends == "cyclic" else "free"
-        self.springs = None if coupling is None else Springs(to_float(coupling), kind)
+        self.springs = None if coupling is None else Springs(_number("coupling", coupling), kind)
         self._check_shapes(kind)
-        check_numbers({name: value for name, value in self._own().items() if value is not None})
 
     def _check_shapes(self, ends: Ends) -> None:
         springs = self.n if ends == "cyclic" else self.n - 1
@@ -225,6 +227,13 @@ class Chain(AbstractOscillators):
         return {**self.friction.numbers(), **super().numbers()}
 
 
+def _number(name: str, value: Any) -> Array:
+    """As floats that the parameter of this name can have."""
+    found = to_float(value, name, parameter(name).remedy)
+    check_numbers({name: found})
+    return found
+
+
 def require_smoothed(chain: Any, instead: str) -> None:
     """Raises `ValueError` for a chain with dry friction; `instead`: what serves there, or ""."""
     if isinstance(chain, Chain) and chain.dry:
@@ -247,6 +256,7 @@ def paper_chain(n: int = 20, belt_speed: ArrayLike = 1.5, width: ArrayLike | Non
     >>> paper_chain().n
     20
     """
+    check_whole("n", n, remedy="20 is the paper's.")
     law = ExponentialDecay(mu_static=1.0, mu_dynamic=0.5, v_ref=0.5)
     return Chain(
         n,
@@ -263,6 +273,7 @@ def steady_sliding(chain: Chain) -> State:
     **Returns:** (x, v), both of shape (n,).  Exact for any chain; for a homogeneous one it is
     x_n = F(-v_d) / k.
     """
+    check_kind("chain", chain, Chain, "a `Chain`", MAKE_CHAIN)
     zero = jnp.zeros(chain.n, dtype=chain.belt_speed.dtype)
     force = chain.local_force(0.0, zero, zero)
     uniform = all(

@@ -8,7 +8,7 @@ and `jvp` go through it.
 """
 
 import abc
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from typing import Any
 
@@ -25,6 +25,8 @@ from .._checks import (
     check_per_mass,
     check_positive,
     is_traced,
+    named,
+    shown,
     to_float,
 )
 from .._types import PerMass
@@ -33,6 +35,11 @@ from .parameters import CHAIN, parameter
 
 _SIGNS = {"any": check_finite, "nonnegative": check_nonnegative, "positive": check_positive}
 _ORDER_REMEDY = "friction at rest exceeds friction in motion; raise `mu_static`."
+
+
+def _number(name: str) -> Callable[[Any], Array]:
+    """The converter of a field that is the parameter of this name."""
+    return named(name, parameter(name).remedy)
 
 
 class AbstractFriction(eqx.Module):
@@ -171,9 +178,9 @@ class ExponentialDecay(AbstractFrictionLaw):
     (1.0, 0.68394)
     """
 
-    mu_static: PerMass = eqx.field(converter=to_float)
-    mu_dynamic: PerMass = eqx.field(converter=to_float)
-    v_ref: PerMass = eqx.field(converter=to_float)
+    mu_static: PerMass = eqx.field(converter=_number("mu_static"))
+    mu_dynamic: PerMass = eqx.field(converter=_number("mu_dynamic"))
+    v_ref: PerMass = eqx.field(converter=_number("v_ref"))
 
     def __check_init__(self) -> None:
         _check_weakening(self)
@@ -209,10 +216,10 @@ class WeakeningStrengthening(AbstractFrictionLaw):
     [1.0, 0.7609, 1.5]
     """
 
-    mu_static: PerMass = eqx.field(converter=to_float)
-    mu_dynamic: PerMass = eqx.field(converter=to_float)
-    v_ref: PerMass = eqx.field(converter=to_float)
-    mu_viscous: PerMass = eqx.field(converter=to_float)
+    mu_static: PerMass = eqx.field(converter=_number("mu_static"))
+    mu_dynamic: PerMass = eqx.field(converter=_number("mu_dynamic"))
+    v_ref: PerMass = eqx.field(converter=_number("v_ref"))
+    mu_viscous: PerMass = eqx.field(converter=_number("mu_viscous"))
 
     def __check_init__(self) -> None:
         _check_weakening(self)
@@ -245,10 +252,10 @@ class GaussianStribeck(AbstractFrictionLaw):
     [1.0, 0.7839, 1.5]
     """
 
-    mu_static: PerMass = eqx.field(converter=to_float)
-    mu_dynamic: PerMass = eqx.field(converter=to_float)
-    v_ref: PerMass = eqx.field(converter=to_float)
-    mu_viscous: PerMass = eqx.field(converter=to_float)
+    mu_static: PerMass = eqx.field(converter=_number("mu_static"))
+    mu_dynamic: PerMass = eqx.field(converter=_number("mu_dynamic"))
+    v_ref: PerMass = eqx.field(converter=_number("v_ref"))
+    mu_viscous: PerMass = eqx.field(converter=_number("mu_viscous"))
 
     def __check_init__(self) -> None:
         _check_weakening(self)
@@ -284,7 +291,7 @@ class Coulomb(AbstractFrictionLaw):
 
     # Written out, because a type checker takes the abstract `mu_static` for a first argument.
     def __init__(self, mu_dynamic: ArrayLike) -> None:
-        self.mu_dynamic = to_float(mu_dynamic)
+        self.mu_dynamic = _number("mu_dynamic")(mu_dynamic)
 
     def __check_init__(self) -> None:
         check_per_mass(**vars(self))
@@ -307,7 +314,7 @@ def as_law(law: Any) -> AbstractFrictionLaw:
     if not isinstance(law, AbstractFrictionLaw):
         raise ValueError(
             "Argument `law` must be an `AbstractFrictionLaw`, such as `ExponentialDecay(...)`, "
-            f"but is {law!r}."
+            f"but is {shown(law)}."
         )
     if taken := sorted({*CHAIN, "n", "ends", "friction", "width"} & set(law.numbers())):
         raise ValueError(
@@ -320,6 +327,8 @@ def as_law(law: Any) -> AbstractFrictionLaw:
         number = isinstance(leaf, kinds) and jnp.issubdtype(jnp.result_type(leaf), jnp.number)
         return to_float(leaf) if number else leaf
 
+    if all(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(law)):
+        return law
     return jax.tree.map(converted, law)
 
 
@@ -345,7 +354,7 @@ class TanhFriction(AbstractFriction):
     """
 
     law: AbstractFrictionLaw = eqx.field(converter=as_law)
-    width: PerMass = eqx.field(converter=to_float)
+    width: PerMass = eqx.field(converter=_number("width"))
 
     def __check_init__(self) -> None:
         check_per_mass(mu_static=self.law.mu_static, width=self.width)

@@ -9,10 +9,20 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Int
 
-from .._checks import check_finite, check_one_of, is_traced, to_float
+from .._checks import (
+    check_finite,
+    check_flag,
+    check_one_of,
+    check_whole,
+    is_traced,
+    shown,
+    to_float,
+)
 from .._types import State
 from .arguments import as_chain, as_mass
 from .chain import Chain, steady_sliding
+
+BLOCKS = ("forward", "centred")
 
 
 def reference_site(n: int) -> int:
@@ -20,10 +30,10 @@ def reference_site(n: int) -> int:
     return n // 2
 
 
-def check_vibrating(chain: Any, vibrating: Any) -> int:
+def check_vibrating(chain: Any, vibrating: Any, name: str = "vibrating") -> int:
     """The index of the vibrating mass (None: oscillator 11 of 20), or `ValueError`."""
     n = as_chain(chain).n
-    return as_mass(n, vibrating, reference_site(n))
+    return as_mass(n, vibrating, reference_site(n), name)
 
 
 def excited_block(
@@ -35,7 +45,7 @@ def excited_block(
     it is: "forward" is 11 ... 10 + k, going round the ring past N; "centred" is
     11 - floor(k / 2) ... 10 + ceil(k / 2).
     """
-    check_one_of("block", block, ("forward", "centred"))
+    check_one_of("block", block, BLOCKS)
     start = reference_site(n) - (0 if block == "forward" else excited // 2)
     return (jnp.arange(n) - start) % n < excited
 
@@ -72,11 +82,21 @@ def excited_state(
 
     **Raises:** `ValueError` for a count that is not whole or not in 0 ... n, and for NaN.
     """
+    as_chain(chain)
     check_one_of("pattern", pattern, ("alternating", "in-phase"))
+    check_one_of("block", block, BLOCKS)
+    check_flag("mirrored", mirrored)
     check_finite("amplitude", amplitude, "2 is that of eq. (8).")
     check_finite("velocity", velocity, "eq. (8) has 0, eq. (10) 0.56.")
+    amplitude, velocity = to_float(amplitude), to_float(velocity)
+    for name, value in (("amplitude", amplitude), ("velocity", velocity)):
+        if value.shape not in ((), (chain.n,)):
+            raise ValueError(
+                f"Argument `{name}` must be one number or one per mass, of shape ({chain.n},), "
+                f"but has shape {value.shape}."
+            )
     mask = _mask(chain.n, excited, block)
-    return _pull_away(chain, mask, to_float(amplitude), to_float(velocity), pattern, mirrored)
+    return _pull_away(chain, mask, amplitude, velocity, pattern, mirrored)
 
 
 def _mask(n: int, excited: Any, block: str) -> Array:
@@ -92,9 +112,11 @@ def _mask(n: int, excited: Any, block: str) -> Array:
     if not is_traced(given):
         real = given.ndim == 0 and given.dtype.kind in "iuf"
         if not (real and 0 <= given <= n):
-            raise ValueError(f"Argument `excited` must lie in 0 ... {n}, but is {excited}.")
+            raise ValueError(f"Argument `excited` must lie in 0 ... {n}, but is {shown(excited)}.")
         if given != np.round(given):
-            raise ValueError(f"Argument `excited` must be a whole number, but is {excited}.")
+            raise ValueError(
+                f"Argument `excited` must be a whole number, but is {shown(excited)}."
+            )
         given = int(given)
     return excited_block(n, given, block)
 
@@ -125,6 +147,7 @@ def equation_10(
     `reading` settles F(+v_d): "as_printed" takes it literally, F(+v_d) = -F(-v_d), so that the
     masses start on the wrong side of steady sliding; "as_equation_8" takes it for F(-v_d).
     """
+    as_chain(chain)
     check_one_of("reading", reading, ("as_printed", "as_equation_8"))
     return excited_state(
         chain, excited, velocity=0.56, block=block, mirrored=reading == "as_printed"
@@ -143,6 +166,7 @@ def on_the_belt(chain: Chain, vibrating: Any = None) -> State:
 
 def release_state(chain: Chain, mass: int) -> State:
     """Steady sliding, but mass `mass` is carried by the belt, half way to where it is let go."""
+    check_whole("mass", mass, 0, as_chain(chain).n - 1, "it is the index of a mass.")
     x, v = steady_sliding(chain)
     unit = jnp.zeros(chain.n).at[mass].set(1.0)
     stiffness = -chain.restoring_force(unit)[mass]

@@ -9,13 +9,17 @@ lambda = 0 is never an eigenvalue, so stability changes by pairs +-i omega only:
 bifurcations.  If all d_n are positive, sliding is stable; if all are negative, all modes grow.
 """
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Complex, Float
 
+from .._checks import as_array
 from .._types import PerMass
+from .arguments import as_chain
 from .chain import Chain
 
 # Belt speeds tried: from well inside the smoothed layer, or with dry friction from where no law
@@ -25,6 +29,12 @@ _LEAST_WIDTHS, _LEAST_SPEED, _GREATEST_SPEED, _SPEEDS = 1e-2, 1e-11, 1e6, 1024
 _TOGETHER = 1e-8
 # What rounding may make of a sum of damping and weakening, relative to these.
 _ROUNDING = 1e-12
+
+
+def _one_speed(chain: Chain, belt_speed: Any) -> Float[Array, ""]:
+    """The belt speed, one number; NaN, which is no boundary, is good."""
+    as_chain(chain)
+    return as_array("belt_speed", belt_speed, 0, 0, "use `jax.vmap` for several belt speeds.")
 
 
 def has_uniform_damping(chain: Chain) -> bool:
@@ -46,6 +56,7 @@ def sliding_damping(chain: Chain, belt_speed: Float[Array, ""]) -> PerMass:
     >>> round(float(sliding_damping(paper_chain(), jnp.asarray(0.5))), 6)  # 0.1 - 1/e
     -0.267879
     """
+    belt_speed = _one_speed(chain, belt_speed)
     if chain.dry:
         return dry_damping(chain, belt_speed)
     _, slope = chain.friction.force_and_slope(-jnp.abs(belt_speed))
@@ -110,7 +121,7 @@ def damping_outweighs(chain: Chain) -> Bool[Array, ""]:
 
 def stiffness_matrix(chain: Chain) -> Float[Array, "n n"]:
     """K, springs included: symmetric and positive definite."""
-    n = chain.n
+    n = as_chain(chain).n
     K = jnp.diag(jnp.broadcast_to(chain.stiffness_diagonal(n), (n,)))
     if chain.springs is None:
         return K
@@ -126,6 +137,7 @@ def sliding_eigenvalues(chain: Chain, belt_speed: Float[Array, ""]) -> Array:
 
     By `jnp.linalg.eigvals`, which JAX has for CPU and GPU, not for TPU.
     """
+    belt_speed = _one_speed(chain, belt_speed)
     n = chain.n
     damping = jnp.broadcast_to(sliding_damping(chain, belt_speed), (n,))
     top = jnp.concatenate([jnp.zeros((n, n)), jnp.eye(n)], axis=1)
@@ -144,6 +156,7 @@ def growth_rate(chain: Chain, belt_speed: Float[Array, ""]) -> Float[Array, ""]:
     >>> round(float(growth_rate(paper_chain(), jnp.asarray(0.5))), 6)
     0.13394
     """
+    belt_speed = _one_speed(chain, belt_speed)
     if has_uniform_damping(chain):
         return -0.5 * jnp.reshape(sliding_damping(chain, belt_speed), ())
     return jnp.max(jnp.real(sliding_eigenvalues(chain, belt_speed)))

@@ -1,6 +1,6 @@
 """Neighbours of a mass, and the springs between them: the off-diagonal part of the stiffness."""
 
-from typing import Literal
+from typing import Literal, get_args
 
 import equinox as eqx
 import jax
@@ -9,6 +9,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
+from .._checks import check_finite, check_one_of, named
 from .._types import PerMass
 
 Ends = Literal["cyclic", "free"]
@@ -101,8 +102,17 @@ class Springs(eqx.Module):
     - `ends`: "cyclic" or "free".
     """
 
-    constant: Array
+    constant: Array = eqx.field(converter=named("constant"))
     ends: Ends = eqx.field(static=True)
+
+    def __check_init__(self) -> None:
+        check_one_of("ends", self.ends, get_args(Ends))
+        if jnp.ndim(self.constant) > 1:
+            raise ValueError(
+                "Argument `constant` must be one number or one per spring, but has shape "
+                f"{jnp.shape(self.constant)}."
+            )
+        check_finite("constant", self.constant, "0.01 is the paper's.")
 
     def _left_right(self) -> tuple[Array, Array]:
         right = self.constant

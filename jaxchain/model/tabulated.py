@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 from scipy.interpolate import PchipInterpolator
 
-from .._checks import is_traced, to_float
+from .._checks import check_kind, is_traced, to_float
 from .._types import PerMass
 from .friction import AbstractFrictionLaw
 from .measured import check_measured, read_curve
@@ -51,7 +51,7 @@ class TabulatedFriction(AbstractFrictionLaw):
                 "`TabulatedFriction` takes measured numbers, which cannot be traced: make the law "
                 "before `jit`, `vmap` or `grad`."
             )
-        s, m = np.asarray(speed, float), np.asarray(mu, float)
+        s, m = np.asarray(to_float(speed, "speed")), np.asarray(to_float(mu, "mu"))
         try:
             check_measured(s, m)
         except ValueError as error:
@@ -67,7 +67,11 @@ class TabulatedFriction(AbstractFrictionLaw):
         **Raises:** `ValueError` as the class, or with the line that is no pair of numbers;
         `OSError` if there is no such file.
         """
-        return cls(*read_curve(path))
+        check_kind("path", path, str | Path, "the name of a file")
+        try:
+            return cls(*read_curve(path))
+        except UnicodeDecodeError:
+            raise ValueError(f"Argument `path` = {path} is not a text file in UTF-8.") from None
 
     @property
     def table(self) -> Float[Array, "2 knots"]:

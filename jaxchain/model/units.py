@@ -5,13 +5,20 @@ omega_n = sqrt(k / m),  x0 = P / k,  eta_c = k_c / k,  xi = c / (2 sqrt(k m)),  
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple, TypeAlias, get_args
+from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from .._checks import check_nonnegative, check_positive, to_float
+from .._checks import (
+    check_nonnegative,
+    check_number,
+    check_positive,
+    check_positive_number,
+    named,
+    to_float,
+)
 from .._types import ScalarLike
 
 Quantity: TypeAlias = Literal["displacement", "velocity", "time", "force", "frequency"]
@@ -32,6 +39,10 @@ class DimensionalParameters(NamedTuple):
     """P [N]"""
 
 
+def _or_none(coupling: Any) -> Float[Array, ""] | None:
+    return None if coupling is None else to_float(coupling, "coupling")
+
+
 class Scales(eqx.Module):
     """The units in which a chain is dimensionless, and its two dimensionless parameters.
 
@@ -50,16 +61,25 @@ class Scales(eqx.Module):
     0.75
     """
 
-    angular_frequency: Float[Array, ""] = eqx.field(converter=to_float)
+    angular_frequency: Float[Array, ""] = eqx.field(converter=named("angular_frequency"))
     """omega_n [rad/s]"""
-    displacement: Float[Array, ""] = eqx.field(converter=to_float)
+    displacement: Float[Array, ""] = eqx.field(converter=named("displacement"))
     """x0 [m]"""
-    force: Float[Array, ""] = eqx.field(converter=to_float)
+    force: Float[Array, ""] = eqx.field(converter=named("force"))
     """P [N]"""
-    damping_ratio: Float[Array, ""] = eqx.field(converter=to_float)
+    damping_ratio: Float[Array, ""] = eqx.field(converter=named("damping_ratio"))
     """xi, dimensionless"""
-    coupling: Float[Array, ""] | None
+    coupling: Float[Array, ""] | None = eqx.field(converter=_or_none)
     """eta_c, dimensionless; None where nothing joins the masses"""
+
+    def __check_init__(self) -> None:
+        remedy = "`Scales.from_dimensional` makes it from SI units."
+        for name in ("angular_frequency", "displacement", "force"):
+            check_positive_number(name, getattr(self, name), remedy)
+        check_number("damping_ratio", self.damping_ratio, remedy)
+        if self.coupling is not None:
+            check_number("coupling", self.coupling, remedy)
+            check_nonnegative("coupling", self.coupling, remedy)
 
     @classmethod
     def from_dimensional(
@@ -79,7 +99,7 @@ class Scales(eqx.Module):
         """
         given = DimensionalParameters(mass, damping, stiffness, coupling_stiffness, normal_load)
         for name, value in given._asdict().items():
-            if value is not None and jnp.ndim(value) != 0:
+            if value is not None and jnp.ndim(to_float(value, name)) != 0:
                 raise ValueError(
                     f"Argument `{name}` must be one number, but has shape {jnp.shape(value)}: for "
                     "a mistuned chain give its reference mass here and ratios to it in the chain."
@@ -136,10 +156,10 @@ class Scales(eqx.Module):
         self, value: Float[ArrayLike, "..."], quantity: Quantity
     ) -> Float[Array, "..."]:
         """`value` in SI units (m, m/s, s, N, rad/s) as a dimensionless number; any shape."""
-        return jnp.asarray(value) / self.unit(quantity)
+        return to_float(value, "value") / self.unit(quantity)
 
     def to_dimensional(
         self, value: Float[ArrayLike, "..."], quantity: Quantity
     ) -> Float[Array, "..."]:
         """The dimensionless `value` in SI units (m, m/s, s, N, rad/s); any shape."""
-        return jnp.asarray(value) * self.unit(quantity)
+        return to_float(value, "value") * self.unit(quantity)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from .._checks import check_one_of, check_positive, check_whole, to_float
+from .._checks import check_one_of, check_positive_number, check_whole, to_float
 from .._types import ScalarLike, State
 from ..model.oscillators import AbstractOscillators
 from .base import AbstractObserver, Step, Variable
@@ -65,9 +65,9 @@ class Amplitude(AbstractObserver):
 
     def __check_init__(self) -> None:
         if self.window is not None:
-            check_positive("window", self.window, "a period is about 2 pi; 100 is usual.")
-        check_positive("tolerance", self.tolerance, "1e-6 is usual.")
-        check_positive("quiet_below", self.quiet_below, "1e-6 is usual.")
+            check_positive_number("window", self.window, "a period is about 2 pi; 100 is usual.")
+        check_positive_number("tolerance", self.tolerance, "1e-6 is usual.")
+        check_positive_number("quiet_below", self.quiet_below, "1e-6 is usual.")
         check_whole("repeats", self.repeats)
         check_one_of("stop", self.stop, ("never", "quiet", "steady"))
         if self.stop != "never" and self.window is None:

@@ -15,7 +15,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from .._checks import check_count, check_share, check_whole, to_float
+from .._checks import as_array, check_share, check_whole, to_float
 from .._statistics import student_reach
 from .._types import ScalarLike, State
 from ..model.oscillators import AbstractOscillators
@@ -61,7 +61,10 @@ def front_positions(
     >>> float(right), round(float(left), 3)
     (1.5, 1.6)
     """
+    amplitude, threshold = as_array("amplitude", amplitude, 1), as_array("threshold", threshold, 0)
     n = amplitude.shape[-1]
+    if middle is not None and not isinstance(middle, Array):
+        check_whole("middle", middle, 0, n - 1, "it is the index of a mass inside the block.")
     middle = n // 2 if middle is None else middle
     scaled = amplitude - jnp.broadcast_to(threshold, amplitude.shape)
     # Over both ways: (..., n), from the middle mass outward.
@@ -116,7 +119,9 @@ class FrontTrack(AbstractObserver):
     middle: int | None = eqx.field(static=True, default=None)
 
     def __check_init__(self) -> None:
-        check_count("windows", self.windows)
+        check_whole("windows", self.windows, remedy="one for 20 time units is usual.")
+        if self.middle is not None:
+            check_whole("middle", self.middle, 0, remedy="it is the index of a mass in the block.")
 
     def init(
         self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State

@@ -8,7 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._checks import check_finite, check_whole
+from .._checks import check_number, check_whole
 from .._types import ScalarLike, State
 from ..model.oscillators import AbstractOscillators
 from ..model.springs import materialize
@@ -33,7 +33,7 @@ class PeakTimes(AbstractObserver):
 
     def __check_init__(self) -> None:
         check_whole("capacity", self.capacity)
-        check_finite("start", self.start, "nothing is kept before this time; 0 is usual.")
+        check_number("start", self.start, "nothing is kept before this time; 0 is usual.")
 
     def init(
         self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State

@@ -1,14 +1,23 @@
 """What amplitudes and peak times say: energy, who vibrates, whether it has settled, delays."""
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
+from .._checks import (
+    as_array,
+    check_number,
+    check_positive,
+    check_positive_number,
+    check_whole,
+    is_traced,
+)
 from .._types import ScalarLike
 
 
 def energy(amplitude: Float[Array, "*batch n"]) -> Float[Array, "*batch"]:
     """E = 1/2 sum_n A_n^2, eq. (9) of the paper."""
-    return 0.5 * jnp.sum(amplitude**2, axis=-1)
+    return 0.5 * jnp.sum(as_array("amplitude", amplitude, 1) ** 2, axis=-1)
 
 
 def participation_ratio(amplitude: Float[Array, "*batch n"]) -> Float[Array, "*batch"]:
@@ -26,6 +35,7 @@ def participation_ratio(amplitude: Float[Array, "*batch n"]) -> Float[Array, "*b
     >>> float(participation_ratio(jnp.array([1.5, 0.0, -1.5, 0.0])))
     2.0
     """
+    amplitude = as_array("amplitude", amplitude, 1)
     largest = jnp.max(jnp.abs(amplitude), axis=-1, keepdims=True)
     moves = largest > 0
     # Relative amplitudes: fourth powers of small ones would underflow.
@@ -46,7 +56,7 @@ def active_above(belt_speed: ArrayLike) -> Float[Array, "..."]:
     >>> active_above(1.5).item(), active_above(0.0).item()
     (0.75, 0.001)
     """
-    return jnp.maximum(jnp.abs(jnp.asarray(belt_speed)) / 2, LEAST_ACTIVE)
+    return jnp.maximum(jnp.abs(as_array("belt_speed", belt_speed, 0)) / 2, LEAST_ACTIVE)
 
 
 def active(
@@ -61,7 +71,16 @@ def active(
     **Arguments:** amplitudes, in the unit of displacement P/k, and the belt speed, a number or one
     for each state of a batch.
     """
-    threshold = active_above(belt_speed)
+    amplitude, threshold = as_array("amplitude", amplitude, 1), active_above(belt_speed)
+    states = amplitude.shape[:-1]
+    if threshold.ndim > len(states) or any(
+        own not in (1, count)
+        for own, count in zip(threshold.shape[::-1], states[::-1], strict=False)
+    ):
+        raise ValueError(
+            "Argument `belt_speed` must be one number, or one for each state, of shape "
+            f"{states}, but has shape {threshold.shape}."
+        )
     return amplitude > (threshold[..., None] if threshold.ndim else threshold)
 
 
@@ -91,7 +110,9 @@ def settled(
     >>> bool(settled(grows, 1e-2)), bool(settled(grows, 0.1))
     (False, True)
     """
-    windows = jnp.shape(amplitude)[-2]
+    amplitude = as_array("amplitude", amplitude, 2, remedy="windows of some masses.")
+    check_positive_number("accuracy", accuracy, "1e-2 is usual.")
+    windows = amplitude.shape[-2]
     if windows < _AGREEING:
         raise ValueError(
             f"Argument `amplitude` must hold at least {_AGREEING} windows, but holds {windows}: "
@@ -112,7 +133,7 @@ def at_rest(amplitude: Float[Array, "*batch n"]) -> Bool[Array, "*batch"]:
     >>> at_rest(jnp.array([[1e-5, 0.0], [0.3, 0.0]])).tolist()
     [True, False]
     """
-    return jnp.all(amplitude <= LEAST_ACTIVE, axis=-1)
+    return jnp.all(as_array("amplitude", amplitude, 1) <= LEAST_ACTIVE, axis=-1)
 
 
 def mean_period(peak_times: Float[Array, " peaks"]) -> Float[Array, ""]:
@@ -124,6 +145,7 @@ def mean_period(peak_times: Float[Array, " peaks"]) -> Float[Array, ""]:
     >>> float(mean_period(jnp.array([1.0, 7.5, jnp.nan, 14.0])))
     6.5
     """
+    peak_times = as_array("peak_times", peak_times, 1, 1, "those of one mass.")
     count = jnp.sum(~jnp.isnan(peak_times))
     length = jnp.nanmax(peak_times) - jnp.nanmin(peak_times)
     return jnp.where(count > 1, length / jnp.maximum(count - 1, 1), jnp.nan)
@@ -150,6 +172,14 @@ def delays(
     >>> delays(peaks, 0, 6.0)[:, 1].tolist(), delays(peaks, 0, 6.0, 1.5)[:, 1].tolist()
     ([-2.5, -2.5], [3.5, 3.5])
     """
+    peak_times = as_array("peak_times", peak_times, 2, 2, "see `PeakTimes`.")
+    if not isinstance(reference, jax.Array):
+        check_whole("reference", reference, 0, peak_times.shape[1] - 1, "the index of a mass.")
+    # NaN, of a mass that does not vibrate, makes all delays NaN.
+    period = as_array("period", period, 0, 0)
+    if not (is_traced(period) or jnp.isnan(period)):
+        check_positive("period", period, "see `mean_period`.")
+    check_number("centre", centre, "a quarter of the period is usual.")
     ref = jnp.sort(jnp.take(peak_times, jnp.asarray(reference), axis=1))  # NaN last
     after = jnp.searchsorted(ref, peak_times)
     later = ref[jnp.minimum(after, ref.shape[0] - 1)]

@@ -13,7 +13,14 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from .._checks import check_nonnegative, check_positive, check_whole, to_float
+from .._checks import (
+    check_kind,
+    check_nonnegative,
+    check_number,
+    check_positive_number,
+    check_whole,
+    to_float,
+)
 from .._derivatives import both_ways
 from .._types import ScalarLike, State
 from ..model.oscillators import AbstractOscillators
@@ -66,9 +73,19 @@ class Samples(AbstractObserver):
     start: float = eqx.field(static=True, default=0.0)
 
     def __check_init__(self) -> None:
-        check_positive("interval", self.interval, "0.1 is a sixtieth of a period.")
+        check_positive_number("interval", self.interval, "0.1 is a sixtieth of a period.")
         check_whole("capacity", self.capacity)
+        check_number("start", self.start, "the first time; 0 is usual.")
         check_nonnegative("start", self.start, "the first time; 0 is usual.")
+
+        if self.oscillators is not None:
+            check_kind("oscillators", self.oscillators, tuple, "None or a tuple of indices")
+            if not self.oscillators:
+                raise ValueError(
+                    "Argument `oscillators` must hold the index of a mass, but is (): None is all."
+                )
+            for place, index in enumerate(self.oscillators):
+                check_whole(f"oscillators[{place}]", index, 0, remedy="it is that of a mass.")
 
     def _masses(self, n: int) -> np.ndarray:
         if self.oscillators is None:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from .._checks import check_finite, check_whole
+from .._checks import check_number, check_one_of, check_whole
 from .._types import ScalarLike, State
 from ..model.oscillators import AbstractOscillators
 from ..model.springs import materialize
@@ -36,11 +36,10 @@ class Section(AbstractObserver):
 
     def __check_init__(self) -> None:
         check_whole("capacity", self.capacity)
-        check_finite("start", self.start, "nothing is kept before this time; 0 is usual.")
-        if self.of not in ("displacement", "velocity"):
-            raise ValueError(
-                f'Argument `of` must be "displacement" or "velocity", but is {self.of!r}.'
-            )
+        check_number("start", self.start, "nothing is kept before this time; 0 is usual.")
+        check_one_of("of", self.of, ("displacement", "velocity"))
+        if not isinstance(self.oscillator, Array):
+            check_whole("oscillator", self.oscillator, 0, remedy="it is the index of a mass.")
 
     def init(
         self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State
@@ -48,7 +47,7 @@ class Section(AbstractObserver):
         del field, t0, t1
         n = y0[0].shape[0]
         if not isinstance(self.oscillator, Array):
-            check_whole("oscillator", self.oscillator, -n, n - 1)
+            check_whole("oscillator", self.oscillator, 0, n - 1, f"the chain has {n} masses.")
         empty = jnp.full((self.capacity, n), jnp.nan)
         return empty[:, 0], empty, empty, jnp.zeros((), int)
 

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from .._checks import check_positive, to_float
+from .._checks import check_positive_number, to_float
 from .._types import ScalarLike, State
 from ..model.oscillators import AbstractOscillators
 from .base import AbstractObserver, Step, Variable, zeros
@@ -35,7 +35,7 @@ class StickTime(AbstractObserver):
 
     def __check_init__(self) -> None:
         if self.window is not None:
-            check_positive("window", self.window, "some periods, about 2 pi each, are usual.")
+            check_positive_number("window", self.window, "some periods of about 2 pi.")
 
     def init(
         self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State

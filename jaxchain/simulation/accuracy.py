@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -9,15 +10,45 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike
 
-from .._checks import check_number, is_traced
+from .._checks import check_number, is_traced, shown
 from .._limits import LEAST_ACCURACY, LEAST_RTOL, MOST_ACCURACY
+from ..model.arguments import as_chain
 from ..model.chain import Chain
 from ..model.oscillators import AbstractOscillators
 from ..solvers.rosenbrock import AbstractStructuredRosenbrock, Rodas4, Rodas5P
+from .event_driven import EventDriven
 
 # Steps beyond this length would gain nothing for a vibration of period about 2 pi.
 MAX_STEP = 0.5
 MOST_SWEEPS = 3
+
+
+def own_solver(chain: Any, solver: Any) -> Any:
+    """`solver`, or `EventDriven()` where none is given and friction is dry; None otherwise."""
+    if solver is not None and not isinstance(solver, EventDriven | dfx.AbstractAdaptiveSolver):
+        raise ValueError(
+            "Argument `solver` must be None, `Rodas4()`, `Rodas5P()`, `EventDriven()` or another "
+            f"diffrax solver that estimates its errors, but is {shown(solver)}{_instead(solver)}"
+        )
+    if not (isinstance(chain, Chain) and chain.dry) or isinstance(solver, EventDriven):
+        return solver
+    if solver is None:
+        return EventDriven()
+    raise ValueError(
+        f"Argument `solver` is {shown(solver)}, but `chain` has dry friction, which only "
+        "`EventDriven()` integrates: leave out `solver`, or smooth the friction, "
+        "`chain.with_(width=1e-3)`."
+    )
+
+
+def _instead(solver: Any) -> str:
+    """The end of an error: what was meant."""
+    if isinstance(solver, type) and issubclass(solver, EventDriven | dfx.AbstractSolver):
+        return f": give an object of it, `{solver.__name__}()`."
+    name = solver if isinstance(solver, str) else ""
+    if name in ("Rodas4", "Rodas5P", "EventDriven"):
+        return f": give the solver itself, `{name}()`, not its name."
+    return ": leave it out, and one that suits the chain is taken."
 
 
 def choose_solver(
@@ -141,6 +172,7 @@ def choose_numerics(chain: Chain, accuracy: Any) -> Numerics:
     >>> print(f"width {float(chosen.width):.1e}, rtol {float(chosen.rtol):.1e}, {chosen.solver}")
     width 4.2e-04, rtol 2.8e-06, Rodas4(sweeps=1)
     """
+    as_chain(chain)
     check_number("accuracy", accuracy, "1e-3 is 0.1 %.")
     if not is_traced(accuracy) and not LEAST_ACCURACY <= float(accuracy) <= MOST_ACCURACY:
         raise ValueError(

@@ -25,7 +25,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from .._checks import to_float
+from .._checks import check_whole, to_float
 from .._types import State
 from ..model.chain import Chain
 from ..model.oscillators import AbstractOscillators
@@ -322,8 +322,8 @@ class EventDriven(eqx.Module):
     order: int | None = eqx.field(static=True, default=None)
 
     def __check_init__(self) -> None:
-        if self.order is not None and not 3 <= self.order <= 40:
-            raise ValueError(f"Argument `order` must lie in 3 ... 40, but is {self.order}.")
+        if self.order is not None:
+            check_whole("order", self.order, 3, 40, "None suits it to `rtol`.", or_="None or ")
 
     def plan(
         self, observers: list[AbstractObserver], rtol: Any, atol: Any, max_step: Any, tight: float
@@ -335,19 +335,6 @@ class EventDriven(eqx.Module):
         return EventDrivenPlan(
             order=order, observers=observers, rtol=rtol, atol=atol, max_step=max_step
         )
-
-
-def own_solver(chain: Any, solver: Any) -> Any:
-    """`solver`, or `EventDriven()` where none is given and friction is dry; None otherwise."""
-    if not (isinstance(chain, Chain) and chain.dry) or isinstance(solver, EventDriven):
-        return solver
-    if solver is None:
-        return EventDriven()
-    raise ValueError(
-        f"Argument `solver` is {solver!r}, but `chain` has dry friction, which only "
-        "`EventDriven()` integrates: leave out `solver`, or smooth the friction, "
-        "`chain.with_(width=1e-3)`."
-    )
 
 
 def _dry(field: AbstractOscillators) -> Chain:

@@ -14,10 +14,11 @@ from jaxtyping import Array, ArrayLike, Float, Int, PyTree
 
 from .._checks import (
     check_count,
-    check_finite,
+    check_flag,
     check_span,
     check_tolerances,
     is_traced,
+    shown,
     to_float,
 )
 from .._derivatives import both_ways
@@ -37,8 +38,9 @@ from .accuracy import (
     choose_numerics,
     choose_solver,
     default_rtol,
+    own_solver,
 )
-from .event_driven import EventDriven, own_solver
+from .event_driven import EventDriven
 from .plan import CHECKPOINTS, AbstractPlan, Progress
 from .smoothed import SmoothedPlan
 
@@ -136,6 +138,8 @@ def simulate(
     """
     as_chain(chain, AbstractOscillators)
     solver = own_solver(chain, solver)
+    _check_adjoint(adjoint, max_steps)
+    check_flag("throw", throw)
     smoothed = not isinstance(solver, EventDriven)
     numerics = None
     if accuracy is not None:
@@ -165,7 +169,7 @@ def simulate(
         if not _is_observer(leaf):
             raise ValueError(
                 "Argument `observe` must hold observers (`Amplitude`, `PeakTimes`, `Section`, "
-                f"`Trajectory`), but holds {leaf!r}."
+                f"`Trajectory`), but holds {shown(leaf)}: see `jaxchain.observers`."
             )
         if isinstance(leaf, Trajectory):
             _check_trajectory(leaf, t0, t1, segments)
@@ -246,6 +250,8 @@ def _run(
     return progress, (values, [])
 
 
+# What is observed is kept of each.
+MOST_SEGMENTS = 10**6
 # Bytes of all the states that are kept.
 _KEPT = 2**26
 
@@ -280,6 +286,23 @@ def _concrete(value: Any, default: float) -> float:
     return default if is_traced(value) else float(value)
 
 
+def _check_adjoint(adjoint: Any, max_steps: Any) -> None:
+    kinds = (dfx.ForwardMode, dfx.RecursiveCheckpointAdjoint, dfx.DirectAdjoint)
+    direct = isinstance(adjoint, dfx.DirectAdjoint)
+    if adjoint is not None and (not isinstance(adjoint, kinds) or (direct and not max_steps)):
+        end = ", which needs `max_steps`" if direct else ""
+        raise ValueError(
+            "Argument `adjoint` must be None, `diffrax.ForwardMode()` or "
+            f"`diffrax.RecursiveCheckpointAdjoint()`, but is {shown(adjoint)}{end}. None serves "
+            "derivatives of both kinds."
+        )
+
+
+def check_segments(segments: Any) -> None:
+    """Raises `ValueError` unless it is None or a number of segments."""
+    check_count("segments", segments, MOST_SEGMENTS, "a run is cut into so many parts.")
+
+
 def _check_input(
     chain: AbstractOscillators,
     initial: Any,
@@ -297,7 +320,7 @@ def _check_input(
     if isinstance(chain, Chain) and smoothed:
         check_resolved(chain.n, chain.width, chain.belt_speed, rtol, atol)
     check_count("max_steps", max_steps)
-    check_count("segments", segments)
+    check_segments(segments)
     return as_state(chain, initial, t0=t0)
 
 
@@ -308,18 +331,12 @@ def _check_trajectory(trajectory: Trajectory, t0: Any, t1: Any, segments: int | 
             "A `Trajectory` cannot be observed together with `segments`: its times lie in several "
             "of them. Leave out `segments`."
         )
-    if times.ndim != 1 or times.shape[0] == 0:
-        raise ValueError(
-            f"`Trajectory` needs a non-empty one-dimensional array of times, but has shape "
-            f"{times.shape}."
-        )
     if is_traced(times, t0, t1):
         return
-    check_finite("times of a `Trajectory`", times, "leave out such times.")
     ts = np.asarray(times)
-    if np.any(np.diff(ts) < 0) or ts[0] < float(t0) or ts[-1] > float(t1):
+    if ts[0] < float(t0) or ts[-1] > float(t1):
         raise ValueError(
-            f"The times of a `Trajectory` must increase and lie within [{float(t0)}, "
+            f"Argument `observe` has a `Trajectory` whose times must lie within [{float(t0)}, "
             f"{float(t1)}], but they run from {ts[0]} to {ts[-1]}."
         )
 

@@ -26,6 +26,7 @@ import jax.tree_util as jtu
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._checks import check_whole
 from .._types import ScalarLike, State
 from ..model.oscillators import AbstractOscillators
 from ..model.springs import materialize
@@ -36,6 +37,8 @@ from .tableaus import RODAS4, RODAS5P, RosenbrockTableau
 MOST_TRUNCATION = 1e-3
 # Nor is one in which a disturbance grows by more than e to this: an L-stable method would damp it.
 _MOST_GROWTH = 2.0
+# Every sweep is compiled anew; far fewer than these cost as much as the exact solve.
+_MOST_SWEEPS = 100
 
 _Arrays: TypeAlias = Sequence[Float[Array, " n"]]
 
@@ -130,6 +133,11 @@ class AbstractStructuredRosenbrock(dfx.AbstractAdaptiveSolver):
     tableau: eqx.AbstractClassVar[RosenbrockTableau]
     method_order: eqx.AbstractClassVar[int]
     sweeps: eqx.AbstractVar[int | None]
+
+    def __check_init__(self) -> None:
+        if self.sweeps is not None:
+            remedy = "None solves exactly; 1 ... 3 are usual."
+            check_whole("sweeps", self.sweeps, 0, _MOST_SWEEPS, remedy, or_="None or ")
 
     term_structure: ClassVar = dfx.ODETerm
 

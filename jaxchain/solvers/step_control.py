@@ -11,8 +11,16 @@ import jax.tree_util as jtu
 from jax import lax
 from jaxtyping import Array, ArrayLike, Bool, Float
 
-from .._checks import check_at_least, check_nonnegative, check_positive, to_float
+from .._checks import (
+    check_at_least,
+    check_kind,
+    check_nonnegative,
+    check_number,
+    check_positive_number,
+    to_float,
+)
 from .._types import ScalarLike, State
+from ..model.chain import MAKE_CHAIN
 from ..model.oscillators import AbstractOscillators
 
 # In units of the width, measured on the ring of twenty for widths 1e-2 to 1e-5 and tolerances 1e-4
@@ -107,19 +115,16 @@ class SwitchingController(WrappingController):
         landing: ScalarLike = LANDING,
         crossing: ScalarLike = CROSSING,
     ):
-        if not isinstance(controller, dfx.AbstractAdaptiveStepSizeController):
-            raise ValueError(
-                "Argument `controller` must be an adaptive step-size controller, such as "
-                f"`diffrax.PIDController(rtol=1e-6, atol=1e-7)`, but is {controller!r}."
-            )
-        if not isinstance(field, AbstractOscillators):
-            raise ValueError(
-                "Argument `field` must be the `Chain` (or another `AbstractOscillators`) that is "
-                f"integrated, but is {field!r}."
-            )
-        check_nonnegative("landing", landing)
-        check_at_least("near", near, "landing", landing)
-        check_positive("crossing", crossing)
+        kind = dfx.AbstractAdaptiveStepSizeController
+        remedy = "such as `diffrax.PIDController(rtol=1e-6, atol=1e-7)`."
+        check_kind("controller", controller, kind, "an adaptive step-size controller", remedy)
+        wanted = "the `Chain` (or another `AbstractOscillators`) that is integrated"
+        check_kind("field", field, AbstractOscillators, wanted, MAKE_CHAIN)
+        check_number("landing", landing, f"{LANDING} is usual.")
+        check_number("near", near, f"{NEAR} is usual.")
+        check_nonnegative("landing", landing, f"{LANDING} is usual.")
+        check_at_least("near", near, "landing", landing, f"{NEAR} is usual.")
+        check_positive_number("crossing", crossing, f"{CROSSING} is usual.")
         self.controller, self.field = controller, field
         self.near, self.landing = to_float(near), to_float(landing)
         self.crossing = to_float(crossing)

@@ -11,7 +11,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from .._checks import check_finite
+from .._checks import check_finite, check_function, check_kind, shown
 from .._limits import MOST_LANES
 from ..model.chain import Chain, require_smoothed
 from ..observers.amplitude import Amplitude
@@ -30,9 +30,14 @@ def check_axes(
     chain: Chain, initial: Any, over: Mapping[str, Any], vary: Callable[..., Chain] | None = None
 ) -> Axes:
     """`over` as arrays, or `ValueError`; `jobs` says what each lane gets."""
+    for title, f in (("initial", initial), ("vary", vary)):
+        if callable(f) or (f is not None and title == "vary"):
+            _check_own_function(title, f)
     functions = {title: f for title, f in (("initial", initial), ("vary", vary)) if callable(f)}
     own = [name for f in functions.values() for name in initial_names(f)]
     numbers = chain_names(chain)
+    remedy = '{"belt_speed": [1.0, 1.5]}, say.'
+    check_kind("over", over, Mapping, "a dict of quantities and their values", remedy)
     if not over:
         raise ValueError(
             "Argument `over` must name at least one quantity to sweep; use `simulate` for one run."
@@ -69,7 +74,7 @@ def check_axes(
     for title, f in functions.items():
         missing = [k for k in initial_names(f) if k not in names and not _has_default(f, k)]
         if missing:
-            raise ValueError(f"`{title}` needs {missing}: give their values in `over`.")
+            raise ValueError(f"Argument `{title}` needs {missing}: give their values in `over`.")
     total = int(np.prod([float(size) for size in sizes(axes).values()]))
     if total > MOST_LANES:
         raise ValueError(
@@ -139,8 +144,21 @@ def check_vary(
         if not isinstance(varied, Chain) or varied.n != chain.n:
             raise ValueError(
                 f"Argument `vary` must return a `Chain` of {chain.n} masses, but returns "
-                f"{varied!r}."
+                f"{shown(varied)}."
             )
+
+
+def _check_own_function(title: str, function: Any) -> None:
+    check_function(title, function, "chain, ... -> what it makes of the chain")
+    try:
+        inspect.signature(function).bind_partial(None)
+    except TypeError:
+        raise ValueError(
+            f"Argument `{title}` must be a function of the chain, and of what else `over` names, "
+            f"but is {shown(function)} without an argument."
+        ) from None
+    except ValueError:  # the signature of a compiled function may be unknown
+        pass
 
 
 def _has_default(function: Callable, name: str) -> bool:
@@ -166,7 +184,7 @@ def check_observers(
         if not isinstance(observer, AbstractObserver):
             raise ValueError(
                 "Argument `observe` must be an observer or a list of them, but holds "
-                f"{observer!r}."
+                f"{shown(observer)}: see `jaxchain.observers`."
             )
         kind = f"`{type(observer).__name__}`"
         for name, variable in _labels(observer, chain).items():

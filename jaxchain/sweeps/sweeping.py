@@ -18,15 +18,20 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import diffrax as dfx
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from .._checks import (
+    check_concrete,
     check_count,
     check_finite,
+    check_flag,
+    check_kind,
     check_span,
     check_tolerances,
+    shown,
     to_float,
 )
 from .._types import ScalarLike, State
@@ -42,9 +47,10 @@ from ..simulation.accuracy import (
     choose_numerics,
     choose_solver,
     default_rtol,
+    own_solver,
 )
-from ..simulation.event_driven import EventDriven, own_solver
-from ..simulation.run import build_plan
+from ..simulation.event_driven import EventDriven
+from ..simulation.run import build_plan, check_segments
 from .axes import check_axes, check_observers, check_vary
 from .axes import jobs as jobs_of
 from .lanes import Task
@@ -156,8 +162,10 @@ def sweep(
 
     remedy = "for other oscillators use `jax.vmap` of `simulate`, with `throw=False`."
     chain = as_chain(chain, remedy=remedy)
+    check_concrete("use `jax.vmap` of `simulate`.", chain=chain, t1=t1, t0=t0, over=over)
     check_span(t0, t1)
     solver = own_solver(chain, solver)
+    _check_running(lanes, devices, progress, description)
     axes = check_axes(chain, initial, over, vary)
     jobs = jobs_of(axes)
     swept = list(jobs)
@@ -185,11 +193,10 @@ def sweep(
         jobs["width"] = widths
     else:
         check_resolved(chain.n, width, speed, tolerance, atol)
-    check_count("segments", segments)
+    check_segments(segments)
     length = (float(t1) - float(t0)) / (segments or 1)
     observers = check_observers(observe, chain, length, axes)
     check_count("max_steps", max_steps)
-    check_count("lanes", lanes)
     absolute: Any = 0.1 * tolerance if atol is None else atol
     if solver is None:
         solver = choose_solver(_strongest(chain, jobs), float(tolerance), float(max_step))
@@ -263,14 +270,16 @@ def _check_initial(
             different = np.unique(values) if values.ndim == 1 else values[:0]
             kept = different if different.size <= _MOST_TRIED else different[[0, -1]]
             rows += [first | {name: jnp.asarray(value)} for value in kept]
-        states = [jax.eval_shape(functools.partial(initial, chain, **row)) for row in rows]
+        states = [eqx.filter_eval_shape(functools.partial(initial, chain, **row)) for row in rows]
     for state in states:
         if not isinstance(state, tuple | list) or len(state) != 2:
             raise ValueError(
                 "Argument `initial` must be the pair (displacement, velocity) or return it, but "
-                f"that is {type(state).__name__}."
+                f"that is {shown(state)}: see `excited_state`."
             )
         for name, part in zip(("displacement", "velocity"), state, strict=True):
+            if not isinstance(part, jax.ShapeDtypeStruct):
+                to_float(part, f"initial {name}", "see `excited_state` for initial states.")
             if jnp.shape(part) not in ((), (chain.n,)):
                 raise ValueError(
                     f"Argument `initial` has a {name} of shape {jnp.shape(part)}, but the chain "
@@ -278,6 +287,18 @@ def _check_initial(
                 )
             if not callable(initial):
                 check_finite(f"initial {name}", part, "see `excited_state` for initial states.")
+
+
+def _check_running(lanes: Any, devices: Any, progress: Any, description: Any) -> None:
+    check_count("lanes", lanes)
+    check_flag("progress", progress)
+    check_kind("description", description, str, "the name of the progress bar")
+    several = isinstance(devices, list | tuple) and len(devices) > 0
+    if devices is not None and not (several and all(isinstance(d, jax.Device) for d in devices)):
+        raise ValueError(
+            "Argument `devices` must be None (all of this computer) or a list of devices, such as "
+            f"`jax.devices()`, but is {shown(devices)}."
+        )
 
 
 def _strongest(chain: Chain, jobs: Mapping[str, np.ndarray]) -> Chain:

@@ -193,5 +193,5 @@ def test_bad_input_is_named():
         Amplitude(window=-1.0)
     with pytest.raises(ValueError, match="needs a `window`"):
         Amplitude(stop="quiet")
-    with pytest.raises(ValueError, match=r"`oscillator` must be an integer in -2 ... 1, but is 5"):
+    with pytest.raises(ValueError, match=r"`oscillator` must be an integer in 0 ... 1, but is 5"):
         simulate(FREE, START, 1.0, observe=Section(oscillator=5))
