@@ -5,6 +5,7 @@ can be built under `jit`, `vmap` and `grad`; shapes are known even there and are
 """
 
 import functools
+import inspect
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -15,7 +16,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float
 
-from ._limits import LEAST_ATOL, LEAST_POSITIVE, LEAST_RTOL, MOST_COUNT
+from ._limits import LEAST_POSITIVE, MOST_COUNT
 
 # Characters of a value that an error shows.
 _LONGEST = 60
@@ -29,6 +30,8 @@ def shown(value: object) -> str:
     """
     if isinstance(value, type):
         return f"the class `{value.__name__}`"
+    if inspect.isfunction(value):
+        return f"the function `{value.__name__}{inspect.signature(value)}`"[:_LONGEST]
     if isinstance(value, jax.Array | np.ndarray | np.generic):
         plain = np.ndim(value) == 0 and not is_traced(value)
         of = "" if _is_real(value) else f" of {value.dtype}"
@@ -287,9 +290,17 @@ def check_concrete(instead: str, **arguments: Any) -> None:
             )
 
 
-def check_function(name: str, value: object, wanted: str) -> None:
-    """Raises `ValueError` unless `value` can be called, as `wanted` says it is."""
-    if not callable(value):
+def check_function(name: str, value: object, wanted: str, takes: int) -> None:
+    """Raises `ValueError` unless `value` takes so many arguments, as `wanted` says."""
+    try:
+        good = callable(value)
+        if good:
+            inspect.signature(value).bind_partial(*[None] * takes)
+    except TypeError:
+        good = False
+    except ValueError:  # the signature of a compiled function may be unknown
+        good = True
+    if not good:
         raise ValueError(f"Argument `{name}` must be a function, {wanted}, but is {shown(value)}.")
 
 
@@ -328,29 +339,3 @@ def check_share(name: str, value: Any, remedy: str = "") -> None:
     check_number(name, value, remedy)
     if (numbers := _concrete(name, value, remedy)) is not None:
         _check_each(name, value, (numbers > 0) & (numbers < 1), "between 0 and 1", remedy)
-
-
-def check_span(t0: ArrayLike, t1: ArrayLike) -> None:
-    """Raises `ValueError` unless concrete times t0 <= t1 are finite."""
-    check_number("t0", t0, "it is a dimensionless time.")
-    check_number("t1", t1, "it is a dimensionless time.")
-    if not is_traced(t0, t1) and float(np.asarray(t1)) < float(np.asarray(t0)):
-        raise ValueError(
-            f"Argument `t1` = {t1} lies before `t0` = {t0}: dry friction cannot be integrated "
-            "backward in time. Exchange them."
-        )
-
-
-def check_tolerances(rtol: ArrayLike, atol: ArrayLike | None, max_step: ArrayLike) -> None:
-    """Raises `ValueError` unless what is given of the step-size control can control a step."""
-    check_positive_number("rtol", rtol, "1e-6 is usual.")
-    check_positive_number("max_step", max_step, "0.5 is usual, where a period is about 2 pi.")
-    if (numbers := _concrete("rtol", rtol)) is not None:
-        sensible = (numbers >= LEAST_RTOL) & (numbers < 1)
-        remedy = "64-bit floats hold 16 digits; 1e-6 is usual."
-        _check_each("rtol", rtol, sensible, f"at least {LEAST_RTOL:g} and below 1", remedy)
-    if atol is not None:
-        check_positive_number("atol", atol, "a tenth of `rtol` is usual.")
-        if (numbers := _concrete("atol", atol)) is not None:
-            remedy = "a tenth of `rtol` is usual."
-            _check_each("atol", atol, numbers >= LEAST_ATOL, f"at least {LEAST_ATOL:g}", remedy)

@@ -24,7 +24,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from .._checks import check_positive_number
+from .._checks import check_one_of, check_positive_number, is_traced
 from ..continuation.damped_newton import newton
 from ..continuation.implicit import attach_derivative
 from ..model.chain import Chain
@@ -76,12 +76,11 @@ def generalised_hopf(chain: Chain, parameter: Any, low: Any, high: Any) -> Gener
         raise ValueError(f"Argument `chain` must have one mass, but has {chain.n}.")
     own = [name for name, row in CHAIN.items() if row.per == "mass"]
     known = {*own, *chain.friction.numbers(), "width"}
-    if parameter not in known:
-        raise ValueError(
-            f"Argument `parameter` must be one of {sorted(known)}, but is {parameter!r}."
-        )
+    check_one_of("parameter", parameter, sorted(known))
     for name, end in (("low", low), ("high", high)):
         check_positive_number(name, end, "the values in between are spaced by their logarithm.")
+    if not is_traced(low, high) and float(low) >= float(high):
+        raise ValueError(f"Argument `low` = {low} must be below `high` = {high}.")
     return _meeting(chain, parameter, jnp.asarray(low, float), jnp.asarray(high, float))
 
 

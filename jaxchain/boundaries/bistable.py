@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from .._checks import check_positive_number, to_float
+from .._checks import check_positive_number, is_traced, to_float
 from ..cycles.averaging import fold_guess, one_mass
 from ..model.chain import Chain
 from ..model.initial_states import check_vibrating, on_the_belt
@@ -129,6 +129,8 @@ def try_boundary(
         ("time", time, "400 is usual."),
     ):
         check_positive_number(name, value, remedy)
+    if not is_traced(margin) and float(margin) >= 1.0:
+        raise ValueError(f"Argument `margin` must be below 1, but is {margin}: 0.01 is usual.")
     return _try(chain, to_float(belt_speed), mass, to_float(margin), to_float(time))
 
 

@@ -7,12 +7,15 @@ complex vectors, because they are multilinear.
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Complex, Float
 
+from .._checks import as_array, shown
 from .._types import ScalarLike
+from ..model.arguments import as_chain
 from ..model.chain import Chain
 from ..model.sliding import dry_damping, sliding_damping, stiffness_matrix
 
@@ -71,11 +74,27 @@ def relative_coefficient(
     return jnp.real(jnp.sum(terms)) / jnp.where(size > 0, size, 1.0)
 
 
+def _mode(name: str, mode: Any, n: int) -> Array:
+    """A shape of n complex amplitudes; NaN, of what was not found, is good."""
+    dtype = getattr(mode, "dtype", None)
+    number = dtype is not None and jnp.issubdtype(dtype, jnp.number)
+    if not number or mode.shape != (n,):
+        raise ValueError(
+            f"Argument `{name}` must be an array of {n} complex numbers, one per mass, but is "
+            f"{shown(mode)}: see `hopf_points` for mode shapes."
+        )
+    return mode
+
+
 def _terms(
     chain: Chain, belt_speed: ScalarLike, frequency: ScalarLike, shape: Array, left: Array | None
 ) -> Array:
     """What l1 is the real part of the sum of; of shape (2 n,), mass by mass."""
-    left = shape if left is None else left
+    as_chain(chain)
+    belt_speed = as_array("belt_speed", belt_speed, 0, 0)
+    frequency = as_array("frequency", frequency, 0, 0)
+    shape = _mode("shape", shape, chain.n)
+    left = shape if left is None else _mode("left", left, chain.n)
     moving = chain.with_(belt_speed=jnp.abs(belt_speed))
     zero = jnp.zeros(chain.n)
 

@@ -10,9 +10,9 @@ import optax
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from .._checks import check_positive, check_whole
+from .._checks import check_number, check_positive_number, check_whole
 from ..continuation.damped_newton import where
-from ..continuation.gradient_descent import descend
+from ..continuation.gradient_descent import MOST_STEPS, check_descent, descend
 from ..model.arguments import as_chain
 from ..model.chain import Chain, require_smoothed
 from ..model.initial_states import check_vibrating
@@ -69,9 +69,10 @@ def hopf_by_descent(
     """
     as_chain(chain)
     start = jnp.abs(chain.belt_speed) if start is None else start
-    check_positive("start", start, "it is a belt speed, such as 1.5.")
-    check_positive("tolerance", tolerance, "it is a growth rate, such as 1e-10.")
+    check_positive_number("start", start, "it is a belt speed, such as 1.5.")
+    check_positive_number("tolerance", tolerance, "it is a growth rate, such as 1e-10.")
     optimiser = _ADAM if optimiser is None else optimiser
+    check_descent(optimiser, steps)
     begin, least = (jnp.asarray(value, float) for value in (start, tolerance))
     return _descend(chain, begin, optimiser, steps, least)
 
@@ -158,11 +159,13 @@ def fold_by_descent(
     """
     mass = check_vibrating(chain, vibrating)
     require_smoothed(chain, "use `find_grazing`, or ")
-    check_positive("tolerance", tolerance, "1e-3 is usual.")
+    check_positive_number("tolerance", tolerance, "1e-3 is usual.")
     if start is not None:
+        check_number("start", start, "it is max w / eps of a cycle, some -3.")
         start = jnp.asarray(start, float)
-    check_whole("steps", steps)
+    check_whole("steps", steps, 1, MOST_STEPS)
     optimiser = _adam(steps) if optimiser is None else optimiser
+    check_descent(optimiser, steps)
     return _ascend(chain, mass, start, optimiser, steps, jnp.asarray(tolerance, float))
 
 

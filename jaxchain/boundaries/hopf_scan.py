@@ -9,13 +9,16 @@ import numpy as np
 from jaxtyping import Array, Complex, Float, Int
 
 from .._checks import (
+    check_concrete,
     check_finite,
+    check_kind,
+    check_pair,
     check_positive_number,
     check_whole,
     is_traced,
 )
 from ..cycles.guesses import Guess
-from ..model.arguments import as_chain
+from ..model.arguments import as_chain, as_mass
 from ..model.chain import Chain, steady_sliding
 from .axis_crossings import Crossing, find_crossings
 from .criticality import (
@@ -104,22 +107,9 @@ def hopf_points(chain: Chain, belt_speeds: Any = (0.0, 5.0)) -> HopfPoints:
     ('subcritical', 'falling speed', 'weakening friction')
     """
     as_chain(chain)
-    if is_traced(chain, belt_speeds):
-        raise ValueError(
-            "Argument `chain` or `belt_speeds` is traced, but Hopf points are listed on the host: "
-            "call `hopf_points` outside `jit`, `vmap` and `grad`, or use `hopf_belt_speed`."
-        )
-    if np.shape(belt_speeds) != (2,):
-        raise ValueError(
-            f"Argument `belt_speeds` must be (low, high), but is {belt_speeds!r}: "
-            "(0.0, 5.0) is usual."
-        )
-    check_finite("belt_speeds", np.asarray(belt_speeds), "(0.0, 5.0) is usual.")
-    low, high = (float(speed) for speed in belt_speeds)
-    if not low < high:
-        raise ValueError(
-            f"Argument `belt_speeds` must be (low, high) with low < high, but is ({low}, {high})."
-        )
+    check_concrete("use `hopf_belt_speed`.", chain=chain, belt_speeds=belt_speeds)
+    low, high = check_pair("belt_speeds", belt_speeds, "(0.0, 5.0) is usual.")
+    check_finite("belt_speeds", (low, high), "(0.0, 5.0) is usual.")
     simple = _simplified(chain)
     least = 0.0 if low <= 0 <= high else min(abs(low), abs(high))
     entries = []
@@ -239,6 +229,9 @@ def guess_from_hopf(
     >>> round(float(v[0]), 3), round(float(period), 3)
     (0.441, 6.283)
     """
+    as_chain(chain)
+    remedy = "`hopf_points(chain)` makes them."
+    check_kind("points", points, HopfPoints, "the `HopfPoints` of the chain", remedy)
     count = len(points.kind)
     check_whole("index", index, 0, count - 1, "it is that of a Hopf point.")
     shape, omega = points.mode_shape[index], points.frequency[index]
@@ -254,7 +247,8 @@ def guess_from_hopf(
             )
         amplitude = jnp.sqrt(square)
     check_positive_number("amplitude", amplitude, "0.1 is usual.")
-    mass = int(jnp.argmax(jnp.abs(shape))) if vibrating is None else vibrating
+    mass = as_mass(chain.n, vibrating)
+    mass = int(jnp.argmax(jnp.abs(shape))) if mass is None else mass
     moving = 1j * omega * shape
     phase = chain.belt_direction() * jnp.conj(moving[mass]) / jnp.abs(moving[mass])
     x, _ = steady_sliding(chain)

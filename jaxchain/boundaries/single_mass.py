@@ -18,7 +18,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from .._checks import check_positive_number
+from .._checks import check_concrete, check_kind, check_positive_number
 from ..continuation.damped_newton import newton
 from ..cycles.averaging import cycle_speed, greatest_speed
 from ..cycles.branches import continue_cycle
@@ -74,7 +74,9 @@ def one_mass_branch(chain: Chain, lowest: Any = 0.1, fold: Fold | None = None) -
     _check_single(chain)
     require_smoothed(chain, "use `dry_slip_branch` for its slip cycles, or ")
     check_positive_number("lowest", lowest, "the cycles are lost as the belt comes to rest.")
+    check_concrete("use `find_limit_cycle`.", chain=chain)
     fold = find_fold(chain) if fold is None else fold
+    check_kind("fold", fold, Fold, "a `Fold` of the chain", "`find_fold(chain)` finds it.")
     check_below_fold(lowest, fold)
     rows = np.full((4, 2 * _POINTS + 2), np.nan)
     if not fold.successful:

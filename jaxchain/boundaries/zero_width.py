@@ -92,7 +92,7 @@ def extrapolate(
     """
     require_x64()
     widths = check_widths(widths)
-    values = to_float(jnp.asarray(values))
+    values = to_float(values, "values")
     if values.shape != widths.shape:
         raise ValueError(
             f"Argument `values` must have one value per width, shape {widths.shape}, but has "
@@ -130,7 +130,7 @@ def _fit(columns: Array, values: Array, weights: Array) -> tuple[Array, Array]:
 
 def check_widths(widths: Any) -> Float[Array, " widths"]:
     """`widths` as an array, or raises `ValueError` unless they can be extrapolated from."""
-    found = to_float(jnp.asarray(widths))
+    found = to_float(widths, "widths")
     if found.ndim != 1 or found.shape[0] < _LEAST:
         raise ValueError(
             f"Argument `widths` must be at least {_LEAST} regularization widths, but has shape "

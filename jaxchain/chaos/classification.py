@@ -9,21 +9,30 @@ import numpy as np
 from jaxtyping import Array
 
 from .._checks import (
+    check_concrete,
+    check_flag,
+    check_kind,
     check_nonnegative,
-    check_positive,
-    check_tolerances,
+    check_positive_number,
     check_whole,
+    shown,
+    to_float,
 )
 from .._progress import progress_bar
 from ..model.arguments import as_chain, as_state
 from ..model.chain import Chain
 from ..model.oscillators import AbstractOscillators
-from ..simulation.accuracy import MAX_STEP, check_resolved, own_solver
+from ..simulation.accuracy import MAX_STEP, check_resolved, check_tolerances, own_solver
 from ..simulation.event_driven import EventDriven
 from .criteria import Criteria, classify, judge_exponents, judge_torus
 from .orbits import judge_orbit
 from .records import Evidence, Verdict
 from .runs import Numerics, Trial, advance, exponents_of
+
+# Runs at most of one kind; and what to do where a verdict cannot be had.
+_MOST_RUNS = 10**5
+_INSTEAD = "use `lyapunov_spectrum` or `simulate`."
+_NOISE = "it holds standard deviations, such as (1e-8, 1e-3)."
 
 
 def verdict(chain: AbstractOscillators, initial: Any, **settings: Any) -> Verdict:
@@ -45,7 +54,9 @@ def verdict(chain: AbstractOscillators, initial: Any, **settings: Any) -> Verdic
         # 7 runs: 7 cycle; locked by 2000 to 2000, slowest relaxation time 0
         ```
     """
-    x, v = as_state(as_chain(chain, AbstractOscillators), initial)
+    as_chain(chain, AbstractOscillators)
+    check_concrete(_INSTEAD, chain=chain, initial=initial)
+    x, v = as_state(chain, initial)
     return verdicts(chain, (x[None], v[None]), **settings)[0]
 
 
@@ -100,19 +111,28 @@ def verdicts(
     """
     as_chain(chain, AbstractOscillators)
     criteria = Criteria() if criteria is None else criteria
+    check_kind("criteria", criteria, Criteria, "None or `Criteria`", "`Criteria()` has them.")
+    check_concrete(_INSTEAD, chain=chain, initials=initials)
     x, v = as_state(chain, initials, "initials", batch=True)
-    for name, value in {"seeds": seeds, "exponent_runs": exponent_runs, "count": count}.items():
-        check_whole(name, value)
+    counts = {"seeds": seeds, "exponent_runs": exponent_runs, "lanes": lanes}
+    for name, value in counts.items():
+        check_whole(name, value, 1, _MOST_RUNS, "every one of them is a run.")
+    check_whole("count", count, remedy="of the leading exponents 3 are usual.")
+    check_whole("key", key, 0, remedy="it is the seed of the noise.")
+    check_flag("progress", progress)
+    check_kind("description", description, str, "the name of the progress bar")
     times = {
         "first": first, "longest": longest, "exponent_time": exponent_time, "window": window
     }  # fmt: skip
     for name, value in times.items():
-        check_positive(name, value, "a period is about 2 pi; see the defaults.")
+        check_positive_number(name, value, "a period is about 2 pi; see the defaults.")
     check_tolerances(rtol, None, MAX_STEP)
     solver = own_solver(chain, solver)
     if isinstance(chain, Chain) and not isinstance(solver, EventDriven):
         check_resolved(chain.n, chain.width, chain.belt_speed, rtol, None)
-    check_nonnegative("noise", np.asarray(noise, float), "it is a standard deviation.")
+    if np.shape(to_float(noise, "noise", _NOISE)) != (len(np.ravel(noise)),):
+        raise ValueError(f"Argument `noise` must be a sequence, but is {shown(noise)}: {_NOISE}")
+    check_nonnegative("noise", noise, _NOISE)
     if longest < first:
         raise ValueError(f"Argument `longest` = {longest} must be at least `first` = {first}.")
     trials = _starts(x, v, noise, seeds, key)
@@ -141,7 +161,8 @@ def verdicts(
             stage = min(2.0 * stage, longest)
         measured = _for_exponents(trials, exponent_runs)
         bar.update(sum(not trial.evidence.decided for trial in trials) - len(measured))
-        exponents_of(chain, numerics, measured, float(exponent_time), int(count), bar.update)
+        most = min(int(count), 2 * x.shape[1])
+        exponents_of(chain, numerics, measured, float(exponent_time), most, bar.update)
         # What has locked meanwhile is closed, too.
         end = max((trial.evidence.time for trial in measured), default=0.0)
         advance_and_judge(measured, end + 1.0, again=True)

@@ -29,10 +29,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
+from .._checks import check_positive_number
 from .._statistics import mean_interval
 from ..result import message
 from .records import KINDS, MEANINGS, Evidence, Verdict
@@ -62,6 +63,11 @@ class Criteria:
     zero: float = 1e-4
     drift: float = 0.02
     novelty: float = 0.3
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            remedy = f"{field.default:g} is usual."
+            check_positive_number(field.name, getattr(self, field.name), remedy)
 
 
 def judge_exponents(run: Evidence, criteria: Criteria) -> str:

@@ -17,13 +17,15 @@ from jax import lax
 from jaxtyping import Array
 
 from .._checks import (
+    MOST_COUNT,
     check_count,
+    check_flag,
     check_nonnegative,
     check_number,
     check_positive_number,
-    check_tolerances,
     check_whole,
     is_traced,
+    shown,
     to_float,
 )
 from .._progress import progress_bar
@@ -39,6 +41,7 @@ from ..simulation.accuracy import (
     MAX_STEP,
     USUAL_RTOL,
     check_resolved,
+    check_tolerances,
     choose_solver,
     default_rtol,
     own_solver,
@@ -52,6 +55,7 @@ from .spectrum import ZERO, LyapunovSpectrum, batch_error, kaplan_yorke_dimensio
 _PERIOD = 2 * np.pi
 # Between two QR decompositions the stiffest direction may shrink by e^-10 against the others.
 _LEAST_LOG = 10.0
+_MOST_BLOCKS = 10**6
 
 
 def lyapunov_spectrum(
@@ -144,6 +148,9 @@ def lyapunov_spectrum(
     check_tolerances(rtol, atol, max_step)
     if isinstance(chain, Chain) and not dry:
         check_resolved(chain.n, chain.width, chain.belt_speed, rtol, atol)
+    check_flag("progress", progress)
+    check_flag("throw", throw)
+    _check_seed(seed)
     count = _check_numbers(t1, transient, count, blocks, 2 * state[0].shape[0], max_steps)
     _check_interval(interval, t1, transient, blocks)
     interval = _interval(chain, interval, count, dry)
@@ -295,6 +302,13 @@ def _check_interval(interval: Any, t1: Any, transient: Any, blocks: int) -> None
         )
 
 
+def _check_seed(seed: Any) -> None:
+    if not isinstance(seed, jax.Array):
+        check_whole("seed", seed, -MOST_COUNT, remedy="of the directions at the start.")
+    elif seed.shape != () or not jnp.issubdtype(seed.dtype, jnp.integer):
+        raise ValueError(f"Argument `seed` must be a whole number, but is {shown(seed)}.")
+
+
 def _check_numbers(
     t1: Any, transient: Any, count: Any, blocks: Any, dimension: int, max_steps: Any
 ) -> int:
@@ -308,7 +322,7 @@ def _check_numbers(
             "the time between them."
         )
     remedy = "errors come from the scatter of their means; 20 is usual."
-    check_whole("blocks", blocks, 2, remedy=remedy)
+    check_whole("blocks", blocks, 2, _MOST_BLOCKS, remedy)
     check_count("max_steps", max_steps)
     if count is None:
         return dimension

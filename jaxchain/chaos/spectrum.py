@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._checks import check_share
+from .._checks import as_array, check_share
 from .._statistics import student_reach
 from .._types import State
 from ..result import NAMES, Result, code
@@ -108,6 +108,7 @@ def kaplan_yorke_dimension(exponents: Float[Array, " count"], complete: bool) ->
     >>> round(float(kaplan_yorke_dimension(jnp.array([0.9056, 0.0, -14.5723]), True)), 3)
     2.062
     """
+    exponents = as_array("exponents", exponents, 1, 1, "those of one motion.")
     ordered = -jnp.sort(-exponents)
     sums = jnp.cumsum(ordered)
     number = jnp.sum(sums >= 0)  # sums rise and then fall: no gaps

@@ -10,12 +10,33 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, PyTree
 
-from .._checks import check_at_least, check_count, check_number, check_positive_number, require_x64
+from .._checks import (
+    check_at_least,
+    check_concrete,
+    check_count,
+    check_function,
+    check_kind,
+    check_number,
+    check_pair,
+    check_positive_number,
+    require_x64,
+    shown,
+)
 from .branch import Branch, Point, Record, SpecialPoint
 from .corrector import Corrector
 from .damped_newton import check_vector, check_weights
 from .special_points import Test
 from .stepper import Steps, Walk
+
+
+def check_following(stop: Any, progress: Any) -> None:
+    """Raises `ValueError` unless both are None or functions."""
+    for name, value, wanted in (
+        ("stop", stop, "of a point -> whether to end there"),
+        ("progress", progress, "the number of a point, the point -> anything"),
+    ):
+        if value is not None:
+            check_function(name, value, wanted, 2)
 
 
 def default_weights(m: int) -> Float[np.ndarray, " m_plus_1"]:
@@ -28,6 +49,8 @@ def make_corrector(
 ) -> Corrector:
     """A `Corrector` from what a caller gives, checked."""
     require_x64()
+    if value_and_jacobian is not None:
+        check_function("value_and_jacobian", value_and_jacobian, "as `residual`", 3)
     check_positive_number("tolerance", tolerance, "1e-10 is usual.")
     if weights is None:
         weights = default_weights(m)
@@ -99,17 +122,26 @@ def continue_branch(
     >>> branch.ended, [round(fold.p, 9) for fold in branch.of_kind("fold")]
     ('left_bounds', [-0.384900179, 0.384900179])
     """
+    check_function("residual", residual, "u, p, args -> as many numbers as u", 3)
+    check_following(stop, progress)
+    if tests is not None:
+        check_kind("tests", tests, Mapping, "a dict of functions")
+        for name, test in tests.items():
+            check_function(f"tests[{name!r}]", test, "u, p, tangent, extra -> a number", 4)
+    check_concrete(
+        "use `newton` and `attach_derivative`.", start=start, parameter=parameter, args=args
+    )
     u = np.asarray(check_vector("start", start))
     check_number("parameter", parameter, "it is the value of p at the start.")
     z = np.append(u, float(parameter))
     corrector = make_corrector(residual, value_and_jacobian, args, u.size, weights, tolerance)
     steps = _checked_steps(step, min_step, max_step, max_turn, max_bend)
     check_count("max_points", max_points)
-    low, high = float(bounds[0]), float(bounds[1])
-    if not low <= float(parameter) <= high or low == high:
+    low, high = check_pair("bounds", bounds, "(0.0, 5.0), say, of the parameter.")
+    if not low <= float(parameter) <= high:
         raise ValueError(
             f"Argument `bounds` must be (low, high) around `parameter` = {parameter}, but is "
-            f"{bounds}."
+            f"{(low, high)}."
         )
     heading = _heading(direction, u.size)
 
@@ -141,14 +173,14 @@ def _heading(direction: Any, m: int) -> np.ndarray:
     if np.ndim(direction) == 0:
         if direction not in (1, -1):
             raise ValueError(
-                f"Argument `direction` must be 1, -1 or a vector, but is {direction!r}."
+                f"Argument `direction` must be 1, -1 or a vector, but is {shown(direction)}."
             )
         return np.append(np.zeros(m), float(direction))
     heading = np.asarray(check_vector("direction", direction))
     if heading.shape != (m + 1,) or not np.any(heading):
         raise ValueError(
             f"Argument `direction` must be 1, -1 or a vector of shape ({m + 1},) other than zero, "
-            f"but is {direction!r}."
+            f"but is {shown(direction)}."
         )
     return heading
 
@@ -194,13 +226,16 @@ def switch_branch(
     >>> bool(abs(other.p - other.u[0] ** 2) < 1e-9)
     True
     """
+    check_function("residual", residual, "u, p, args -> as many numbers as u", 3)
+    remedy = "`continue_branch` finds them: `branch.special`."
+    check_kind("point", point, SpecialPoint, "a `SpecialPoint`", remedy)
     if point.other is None:
         raise ValueError(
             f'Argument `point` must be of kind "branch point", but is a "{point.kind}": only at a '
             "branch point does another branch begin."
         )
     if side not in (1, -1):
-        raise ValueError(f"Argument `side` must be 1 or -1, but is {side!r}.")
+        raise ValueError(f"Argument `side` must be 1 or -1, but is {shown(side)}.")
     check_positive_number("step", step, "0.01 is usual.")
     corrector = make_corrector(
         residual, value_and_jacobian, args, point.u.size, weights, tolerance

@@ -7,6 +7,10 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
+from .._checks import check_function, check_whole, to_float
+
+_MOST = 10_000
+
 
 def bisect(
     before: Callable[[Float[Array, "*batch"]], Bool[Array, "*batch"]],
@@ -25,6 +29,10 @@ def bisect(
     >>> round(float(low), 10), bool(low < 2**0.5 < high)
     (1.4142135624, True)
     """
+
+    check_function("before", before, "x -> whether the change lies beyond", 1)
+    low, high = to_float(low, "low"), to_float(high, "high")
+    check_whole("halvings", halvings, 0, _MOST, "each gains a binary digit; 50 are usual.")
 
     def halve(_: Any, ends: tuple[Array, Array]) -> tuple[Array, Array]:
         low, high = ends

@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float, Int, PyTree
 from .._checks import (
     check_count,
     check_finite,
+    check_function,
     check_positive,
     check_positive_number,
     require_x64,
@@ -60,7 +61,7 @@ def size(step: Float[Array, " m"], weights: Float[Array, " m"]) -> Float[Array, 
 
 def check_weights(weights: Any, count: int, what: str) -> Float[Array, " m"]:
     """`weights` as an array, or raises `ValueError` unless they are `count` positive numbers."""
-    weights = to_float(jnp.asarray(weights))
+    weights = to_float(weights, "weights")
     if weights.shape != (count,):
         raise ValueError(
             f"Argument `weights` must have shape ({count},), one number per {what}, but has shape "
@@ -70,9 +71,15 @@ def check_weights(weights: Any, count: int, what: str) -> Float[Array, " m"]:
     return weights
 
 
+def check_residual(residual: Any) -> None:
+    """Raises `ValueError` unless it can be called."""
+    wanted = "of the unknowns and its arguments -> as many numbers"
+    check_function("residual", residual, wanted, 2)
+
+
 def check_vector(name: str, value: Any) -> Float[Array, " m"]:
     """`value` as a vector, or raises `ValueError` unless it is a finite one with entries."""
-    vector = to_float(jnp.asarray(value))
+    vector = to_float(value, name, "a search needs numbers to start from.")
     if vector.ndim != 1 or vector.size == 0:
         raise ValueError(
             f"Argument `{name}` must be a vector of shape (m,), but has shape {vector.shape}: use "
@@ -268,6 +275,7 @@ def newton(
     (True, 1.414213562373)
     """
     require_x64()
+    check_residual(residual)
     u = check_vector("start", start)
     limit = check_tolerance(tolerance, max_steps)
     count = u.shape[0]
@@ -286,7 +294,7 @@ def search(
     """`newton` without its checks."""
 
     def checked(u: Array) -> Array:
-        value = residual(u, args)
+        value = to_float(residual(u, args), "residual", "what it returns.")
         if value.shape != u.shape:
             raise ValueError(
                 f"Argument `residual` must return shape {u.shape} like its first argument, but "

@@ -13,11 +13,12 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int, PyTree
 
-from .._checks import check_number, to_float
+from .._checks import check_function, check_number, to_float
 from ..result import Outcome, SearchResult
 from .damped_newton import arrays, check_tolerance, check_vector, search
 
 Borders = tuple[Float[Array, " m"], Float[Array, " m"]]
+_WANTED = "u, p, args -> as many numbers as u"
 # Below this share of its row, psi^T F_p is zero: branches cross, and nothing turns round.
 _LEAST_SLOPE = 1e-6
 
@@ -100,6 +101,9 @@ class fold_residual(eqx.Module):  # noqa: N801 - it is used as a function that m
 
     residual: Callable[..., Any] = eqx.field(static=True)
 
+    def __check_init__(self) -> None:
+        check_function("residual", self.residual, _WANTED, 3)
+
     def __call__(
         self, z: Float[Array, " m_plus_1"], parameters: tuple[PyTree, Borders]
     ) -> Float[Array, " m_plus_1"]:
@@ -134,6 +138,7 @@ def fold_point(
     >>> bool(fold.successful), round(float(fold.p), 9)
     (True, 0.384900179)
     """
+    check_function("residual", residual, _WANTED, 3)
     check_number("p", p, "it is the parameter at which the search starts.")
     z = jnp.append(check_vector("u", u), to_float(p))
     count = check_tolerance(tolerance, max_steps)

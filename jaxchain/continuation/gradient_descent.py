@@ -10,7 +10,17 @@ from jax import lax
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int, PyTree
 
-from .._checks import check_finite, check_nonnegative, check_whole, require_x64, to_float
+from .._checks import (
+    check_finite,
+    check_function,
+    check_kind,
+    check_nonnegative,
+    check_number,
+    check_whole,
+    require_x64,
+    shown,
+    to_float,
+)
 from .._types import ScalarLike
 from ..result import Outcome, SearchResult
 
@@ -35,11 +45,23 @@ class Descent(Outcome):
 
 def unknowns(start: PyTree) -> tuple[Float[Array, " m"], Callable[[Array], PyTree]]:
     """The numbers of a pytree as a vector, and the way back, or raises `ValueError`."""
-    flat, unravel = ravel_pytree(jax.tree.map(to_float, start))
+    leaves = jax.tree.map(lambda leaf: to_float(leaf, "start"), start)
+    flat, unravel = ravel_pytree(leaves)
     if flat.size == 0:
-        raise ValueError("Argument `start` must hold at least one number, but is empty.")
+        raise ValueError(f"Argument `start` must hold a number at least, but is {shown(start)}.")
     check_finite("start", flat, "a search needs numbers to start from.")
     return flat, unravel
+
+
+# The path is kept: so many steps at most.
+MOST_STEPS = 10**6
+
+
+def check_descent(optimiser: Any, steps: Any) -> None:
+    """Raises `ValueError` unless it is an optimiser of optax and a number of steps for it."""
+    remedy = "make one, `optax.adam(0.1)`."
+    check_kind("optimiser", optimiser, optax.GradientTransformation, "one of optax", remedy)
+    check_whole("steps", steps, 1, MOST_STEPS)
 
 
 def descend(
@@ -71,7 +93,9 @@ def descend(
     (3.0, 35, True)
     """
     require_x64()
-    check_whole("steps", steps)
+    check_descent(optimiser, steps)
+    check_function("loss", loss, "`start` -> a number", 1)
+    check_number("tolerance", tolerance, "1e-20 is usual for a squared residual.")
     check_nonnegative("tolerance", tolerance, "1e-20 is usual for a squared residual.")
     flat, unravel = unknowns(start)
 

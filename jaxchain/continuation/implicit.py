@@ -16,6 +16,8 @@ from jax import lax
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, PyTree
 
+from .._checks import as_array, check_function
+
 Residual = Callable[[Float[Array, " m"], PyTree], Float[Array, " m"]]
 
 
@@ -42,6 +44,8 @@ def attach_derivative(
     >>> float(jax.grad(root)(4.0))
     0.25
     """
+    check_function("residual", residual, "u, theta -> as many numbers as u", 2)
+    solution = as_array("solution", solution, 1, 1, "the u that solves R = 0.")
     return _attach(lax.stop_gradient(solution), parameters, residual=residual, once=once)
 
 

@@ -7,7 +7,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Complex, Float
 
-from ..continuation.arclength import Switched, continue_branch, switch_branch
+from .._checks import check_kind
+from ..continuation.arclength import (
+    Switched,
+    check_following,
+    continue_branch,
+    switch_branch,
+)
 from ..continuation.branch import Branch, Point
 from .bifurcation_tests import linearise, on_the_circle, orbit, special_tests
 from .equations import as_heading, cycle_equations, cycle_weights
@@ -152,6 +158,7 @@ def continue_cycle(
         # [('fold', 1.792455775...), ('hopf', 1.151292546...)]
         ```
     """
+    check_following(stop, progress)
     shooting, u, p = cycle_equations(chain, state, period, parameter, vibrating, images, rtol)
     heading = as_heading(direction, shooting, u.size)
     return _follow(
@@ -183,6 +190,8 @@ def switch_cycle(
     **Raises:** `ValueError` for a point of another kind; `RuntimeError` if no other branch is
     found.
     """
+    check_kind("branch", branch, CycleBranch, "one of `continue_cycle`")
+    check_kind("point", point, CyclePoint, "one of `branch.special`")
     shooting, raw = branch.shooting, point.raw
     if point.kind == "symmetry breaking":
         shooting, raw = without_symmetry(shooting, point)

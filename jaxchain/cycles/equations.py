@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from .._checks import check_one_of
+from .._checks import check_concrete, check_one_of, shown
 from ..model.arguments import as_images, as_mass
 from ..model.chain import require_smoothed
 from ..simulation.accuracy import fit_linear_solve
@@ -20,17 +20,18 @@ def cycle_equations(
     if state is None and period is None:
         chain, state, period, mass = _parts(chain)
         vibrating = mass if vibrating is None else vibrating
+    check_concrete("use `find_limit_cycle`.", chain=chain, state=state, period=period)
     require_smoothed(chain, "follow `find_limit_cycle` from one belt speed to the next, or ")
     x, v = check_orbit(chain, state, period, rtol)
     n, fastest = x.size, int(np.argmax(float(chain.belt_direction()) * np.asarray(v)))
     mass = as_mass(n, vibrating, fastest)
     value = chain.numbers()
-    p = value.get(parameter)
+    p = value.get(parameter) if isinstance(parameter, str) else None
     if p is None or np.shape(p) != ():
         single = sorted(name for name, number in value.items() if np.shape(number) == ())
         raise ValueError(
-            f"Argument `parameter` must name a number of the chain, but is {parameter!r}: it may "
-            f"be one of {single}."
+            f"Argument `parameter` must name a number of the chain, one of {single}, but is "
+            f"{shown(parameter)}."
         )
     shooting = Shooting(
         field=chain,
@@ -49,8 +50,8 @@ def _parts(cycle: Any) -> tuple[Any, Any, Any, Any]:
         return cycle.chain, cycle.state, cycle.period, cycle.mass
     except AttributeError:
         raise ValueError(
-            "Give a `LimitCycle`, or `chain`, `state` and `period`; the first argument is a "
-            f"{type(cycle).__name__}."
+            "Argument `chain` must be a `LimitCycle`, or a chain for which `state` and `period` "
+            f"are given, too, but is {shown(cycle)}."
         ) from None
 
 

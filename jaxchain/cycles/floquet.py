@@ -13,9 +13,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Complex, Float
 
 from .._checks import (
+    as_array,
     check_positive_number,
-    check_tolerances,
     is_traced,
+    shown,
     to_float,
 )
 from .._types import State
@@ -23,7 +24,7 @@ from ..model.arguments import as_chain, as_state
 from ..model.chain import Chain, require_smoothed
 from ..model.locality import check_autonomous
 from ..model.oscillators import AbstractOscillators
-from ..simulation.accuracy import MAX_STEP, fit_linear_solve
+from ..simulation.accuracy import MAX_STEP, check_tolerances, fit_linear_solve
 from ..solvers.rosenbrock import Rodas5P
 from .variational import Period, linearised_period
 
@@ -95,11 +96,22 @@ def liouville_defect(
     much it is the relative error of det M over 2n, or so.  Where a mass sticks one s_k and both
     determinants are zero to rounding, and the check says of that direction only that it is.
     """
+    monodromy, trace = _square(monodromy), as_array("trace", trace, 0, 0)
     sizes = jnp.linalg.svd(monodromy, compute_uv=False)
     logs = jnp.log(jnp.maximum(sizes, 1e-300))
     scale = jax.scipy.special.logsumexp(jnp.sum(logs) - logs)
     sign, log_determinant = jnp.linalg.slogdet(monodromy)
     return jnp.abs(sign * jnp.exp(log_determinant - scale) - jnp.exp(trace - scale))
+
+
+def _square(monodromy: Any) -> Array:
+    found = as_array("monodromy", monodromy, 2, 2, "see `monodromy_matrix`.")
+    if found.shape[0] != found.shape[1]:
+        raise ValueError(
+            f"Argument `monodromy` must be square, but has shape {found.shape}: see "
+            "`monodromy_matrix`."
+        )
+    return found
 
 
 class Floquet(NamedTuple):
@@ -135,9 +147,17 @@ def floquet_multipliers(monodromy: Float[Array, "two_n two_n"], flow_direction: 
     >>> complex(found.multipliers[0]), float(found.trivial), float(found.defect)
     ((0.25+0j), 1.0, 0.0)
     """
+    monodromy = _square(monodromy)
     if isinstance(flow_direction, tuple | list):
-        flow_direction = jnp.concatenate([to_float(part) for part in flow_direction])
-    f = to_float(flow_direction)
+        parts = [to_float(part, "flow_direction") for part in flow_direction]
+        vectors = bool(parts) and all(part.ndim == 1 for part in parts)
+        flow_direction = jnp.concatenate(parts) if vectors else flow_direction
+    f = to_float(flow_direction, "flow_direction")
+    if not is_traced(f) and not jnp.any(f):
+        raise ValueError(
+            f"Argument `flow_direction` must not be zero, but is {shown(f)}: it is the field at "
+            "the state, `chain(0.0, state)`."
+        )
     if f.shape != (monodromy.shape[0],):
         raise ValueError(
             f"Argument `flow_direction` must have shape ({monodromy.shape[0]},) like a column of "
@@ -171,10 +191,10 @@ def _period(chain: Any, state: Any, period: Any, rtol: Any) -> Period:
     return _linearised(chain, state, to_float(period), rtol=to_float(rtol), solver=solver)
 
 
-def check_orbit(chain: Any, state: Any, period: Any, rtol: Any) -> State:
+def check_orbit(chain: Any, state: Any, period: Any, rtol: Any, name: str = "state") -> State:
     """The state as arrays, or `ValueError`."""
     as_chain(chain, AbstractOscillators)
-    x, v = as_state(chain, state, "state")
+    x, v = as_state(chain, state, name)
     check_positive_number("period", period, "about 2 pi is usual.")
     check_tolerances(rtol, None, MAX_STEP)
     if not isinstance(chain, Chain):

@@ -13,8 +13,15 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array
 
-from .._checks import is_traced, to_float
+from .._checks import (
+    check_nonnegative,
+    check_number,
+    check_positive_number,
+    is_traced,
+    to_float,
+)
 from .._types import State
+from ..model.arguments import as_chain, as_mass, as_state
 from ..model.chain import Chain, steady_sliding
 from ..model.initial_states import reference_site, release_state
 from ..model.oscillators import AbstractOscillators
@@ -78,7 +85,13 @@ def guess_from_simulation(
     >>> round(float(period), 2)
     6.3
     """
-    mass = most_lively(chain, state) if vibrating is None else vibrating
+    as_chain(chain, AbstractOscillators)
+    state = as_state(chain, state, "state")
+    check_number("transient", transient, "200 is usual.")
+    check_nonnegative("transient", transient, "200 is usual.")
+    check_positive_number("duration", duration, "40 is some six periods.")
+    mass = as_mass(state[0].shape[0], vibrating)
+    mass = most_lively(chain, state) if mass is None else mass
     watch = Section(mass, _PEAKS, transient, of="velocity")
     run = _watched(chain, state, transient + duration, watch)
     times, xs, vs = lax.stop_gradient(run.observed)

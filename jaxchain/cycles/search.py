@@ -10,9 +10,10 @@ from jax import lax
 from jaxtyping import Array
 
 from .._checks import (
+    check_flag,
     check_one_of,
-    check_tolerances,
     is_traced,
+    shown,
     to_float,
 )
 from .._types import State
@@ -22,7 +23,7 @@ from ..model.chain import Chain
 from ..model.initial_states import reference_site
 from ..model.oscillators import AbstractOscillators
 from ..result import SearchResult
-from ..simulation.accuracy import MAX_STEP, fit_linear_solve
+from ..simulation.accuracy import MAX_STEP, check_tolerances, fit_linear_solve
 from ..simulation.run import Simulation
 from ..solvers.rosenbrock import Rodas5P
 from .closing import dry_limit_cycle
@@ -98,6 +99,9 @@ def find_limit_cycle(
         (False, True)
     """
     _check(chain, rtol)
+    check_flag("throw", throw)
+    if isinstance(chain, Chain):
+        as_images(images, chain.n)
     limit = check_tolerance(tolerance, max_steps)
     frozen = lax.stop_gradient(chain)
     mass, state, period = resolve_guess(frozen, guess, period, vibrating, branch, throw)
@@ -145,6 +149,11 @@ def resolve_guess(
             raise ValueError(
                 "Argument `guess` is None, which is for a `Chain`: give a state and a period."
             )
+        if period is not None:
+            raise ValueError(
+                f"Argument `period` is {shown(period)}, but there is no `guess`, whose period it "
+                "would be: give the state, too."
+            )
         mass = as_mass(chain.n, vibrating, reference_site(chain.n))
         state, period = guess_of_kind(chain, mass, branch)
         return mass, state, period
@@ -158,7 +167,7 @@ def resolve_guess(
     pair = isinstance(guess, tuple | list) and len(guess) == 2
     if pair and isinstance(guess[0], tuple | list):
         guess, period = guess
-    state = check_orbit(chain, guess, 1.0 if period is None else period, CYCLE_RTOL)
+    state = check_orbit(chain, guess, 1.0 if period is None else period, CYCLE_RTOL, "guess")
     n = state[0].shape[0]
     mass = as_mass(n, vibrating)
     if mass is None:

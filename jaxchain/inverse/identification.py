@@ -21,11 +21,11 @@ from .._checks import (
     to_float,
 )
 from ..continuation.damped_newton import where
-from ..continuation.gradient_descent import unknowns
+from ..continuation.gradient_descent import MOST_STEPS, unknowns
 from ..model.chain import Chain
 from ..model.initial_states import check_vibrating
 from ..result import Outcome, SearchResult
-from .measurements import Measurements, predict
+from .measurements import Measurements, check_change, check_measurements, predict
 
 # Levenberg-Marquardt: damping at first, its factors after success and failure, and its bounds.
 _FIRST, _LESS, _MORE, _LEAST, _GREATEST = 1e-3, 0.2, 5.0, 1e-8, 1e8
@@ -119,13 +119,10 @@ def identify(
     ([0.5, 0.539], [0.005, 0.008])
     """
     mass = check_vibrating(chain, vibrating)
-    if not isinstance(measurements, Measurements):
-        raise ValueError(
-            "Argument `measurements` must be a `Measurements`, but is a "
-            f"{type(measurements).__name__}."
-        )
-    check_whole("steps", steps)
+    check_measurements(measurements)
+    check_whole("steps", steps, 1, MOST_STEPS)
     flat, unravel = unknowns(start)
+    check_change(change, chain, unravel(flat))
     problem = _Problem(chain, measurements, change, mass, unravel)
     found = _fit(problem, flat, steps)
     if not is_traced(found):

@@ -9,7 +9,15 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._checks import check_finite, check_positive, require_x64, to_float
+from .._checks import (
+    check_finite,
+    check_function,
+    check_kind,
+    check_positive,
+    require_x64,
+    shown,
+    to_float,
+)
 from ..boundaries.fold import fold_belt_speed
 from ..boundaries.hopf import hopf_belt_speed
 from ..model.chain import Chain, steady_sliding
@@ -86,8 +94,8 @@ def _reading(name: str, given: Any, ndim: int) -> Any:
     length = 2 + ndim
     if not isinstance(given, tuple) or len(given) != length:
         wanted = "(belt speed, noise)" if ndim == 0 else "(belt speeds, values, noise)"
-        raise ValueError(f"Argument `{name}` must be a tuple {wanted}, but is {given!r}.")
-    parts = [to_float(jnp.asarray(part)) for part in given]
+        raise ValueError(f"Argument `{name}` must be a tuple {wanted}, but is {shown(given)}.")
+    parts = [to_float(part, name) for part in given]
     shape = parts[0].shape
     fits = len(shape) == ndim and parts[-2].shape == shape and parts[-1].shape in ((), shape)
     if not fits or parts[0].size == 0:
@@ -99,6 +107,19 @@ def _reading(name: str, given: Any, ndim: int) -> Any:
         check_finite(name, part, "leave out what could not be measured.")
     check_positive(f"noise of `{name}`", parts[-1], "it is a standard deviation, such as 0.01.")
     return (*parts[:-1], jnp.broadcast_to(parts[-1], shape))
+
+
+def check_measurements(measurements: Any) -> None:
+    """Raises `ValueError` unless they are `Measurements`."""
+    remedy = "`Measurements(hopf=(1.15, 0.01))`, say."
+    check_kind("measurements", measurements, Measurements, "`Measurements`", remedy)
+
+
+def check_change(change: Any, chain: Chain, theta: Any) -> None:
+    """Raises `ValueError` unless `change` makes a chain of a chain and unknowns."""
+    check_function("change", change, "chain, theta -> the chain with these numbers", 2)
+    made = eqx.filter_eval_shape(change, chain, theta)
+    check_kind("change", made, Chain, "a function that returns a `Chain`", "see `Chain.with_`.")
 
 
 def predict(chain: Chain, measurements: Measurements, vibrating: Any = None) -> Float[Array, " m"]:
@@ -117,6 +138,7 @@ def predict(chain: Chain, measurements: Measurements, vibrating: Any = None) -> 
     [1.1513, 0.5249]
     """
     mass = check_vibrating(chain, vibrating)
+    check_measurements(measurements)
     parts = []
 
     def at(speed: Array) -> Chain:

@@ -13,13 +13,14 @@ from jax import lax
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int, PyTree
 
-from .._checks import check_positive, check_positive_number, check_whole, to_float
+from .._checks import check_function, check_positive, check_positive_number, shown, to_float
 from ..boundaries.bistable import BistableRange, bistable_range
 from ..continuation.damped_newton import where
-from ..continuation.gradient_descent import unknowns
+from ..continuation.gradient_descent import check_descent, unknowns
 from ..model.chain import Chain
 from ..model.initial_states import check_vibrating
 from ..result import Outcome, SearchResult
+from .measurements import check_change
 
 # Longest step, in units of `scale`; what a step shrinks by if refused, and how often it may.
 _LONGEST, _SHRINKAGE, _MOST_REFUSED = 0.3, 0.3, 12
@@ -150,17 +151,27 @@ def design(
     name = "highest_below" if width_below is None else "width_below"
     target = highest_below if width_below is None else width_below
     check_positive_number(name, target, "it is a speed, such as 0.3.")
-    check_whole("steps", steps)
-    check_positive("tolerance", tolerance, "1e-6 is usual.")
+    optimiser = _LBFGS if optimiser is None else optimiser
+    check_descent(optimiser, steps)
+    check_positive_number("tolerance", tolerance, "1e-6 is usual.")
+    if cost is not None:
+        check_function("cost", cost, "theta -> a number", 1)
     flat, unravel = unknowns(start)
+    check_change(change, chain, unravel(flat))
     if scale is None:
         units = jnp.where(flat == 0, 1.0, jnp.abs(flat))
     else:
-        check_positive("scale", ravel_pytree(scale)[0], "it is a change that counts.")
-        units = jnp.broadcast_to(ravel_pytree(scale)[0], flat.shape)
+        given, _ = ravel_pytree(jax.tree.map(lambda leaf: to_float(leaf, "scale"), scale))
+        check_positive("scale", given, "it is a change that counts.")
+        if given.size not in (1, flat.size):
+            raise ValueError(
+                f"Argument `scale` must hold one number, or {flat.size} as `start` does, but is "
+                f"{shown(scale)}."
+            )
+        units = jnp.broadcast_to(given, flat.shape)
     problem = _Problem(chain, flat, units, to_float(target), change, cost, mass,
                        name, unravel)  # fmt: skip
-    return _solve(problem, _LBFGS if optimiser is None else optimiser, steps, to_float(tolerance))
+    return _solve(problem, optimiser, steps, to_float(tolerance))
 
 
 class _Problem(eqx.Module):

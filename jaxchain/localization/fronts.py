@@ -13,9 +13,11 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from .._checks import (
-    check_count,
+    check_function,
+    check_nonnegative,
     check_number,
     check_positive_number,
+    check_share,
     check_whole,
     is_traced,
     to_float,
@@ -25,7 +27,8 @@ from ..model.chain import Chain
 from ..model.initial_states import check_vibrating
 from ..observers.fronts import Fronts, FrontTrack, apart, mean_speed
 from ..result import Result, ended_well
-from ..simulation.run import simulate
+from ..simulation.accuracy import MAX_STEP, check_span, check_tolerances
+from ..simulation.run import MOST_SEGMENTS, simulate
 
 _SMALLEST = 12
 VERDICTS = ("shrinks", "stands", "grows", "unknown")
@@ -138,12 +141,15 @@ def front_speed(
     found.outcome, float(found.speed)  # "grows", 0.016
     ```
     """
-    middle = check_vibrating(chain, middle)
+    middle = check_vibrating(chain, middle, "middle")
     _check_ring(chain)
+    check_span(t0, t1)
+    check_share("level", level, "0.95 is usual.")
+    check_tolerances(rtol, None, MAX_STEP)
     windows = _window_count(windows, t0, t1)
     if transient is None:
         transient = 0.2 * (t1 - t0)
-    check_number("transient", transient, "a fifth of the run is usual.")
+    _check_transient(transient, t0, t1)
     run = simulate(
         chain, initial, t1, t0=t0, observe=FrontTrack(windows, middle), rtol=rtol,
         solver=solver, throw=False,
@@ -159,13 +165,23 @@ def _check_ring(chain: Chain) -> None:
         )
 
 
+def _check_transient(transient: Any, t0: Any, t1: Any) -> None:
+    remedy = "a fifth of the run is usual."
+    check_number("transient", transient, remedy)
+    check_nonnegative("transient", transient, remedy)
+    if not is_traced(transient, t0, t1) and float(transient) >= float(t1) - float(t0):
+        raise ValueError(
+            f"Argument `transient` = {transient} leaves nothing of a run that lasts "
+            f"{float(t1) - float(t0):g}: {remedy}"
+        )
+
+
 def _window_count(windows: Any, t0: Any, t1: Any) -> int:
     if windows is None:
         if is_traced(t0, t1):
-            raise ValueError("Argument `windows` must be given where `t1` or `t0` is traced.")
+            raise ValueError("Argument `windows` is None: give it where `t1` or `t0` is traced.")
         return max(int((float(t1) - float(t0)) / 20.0), 1)
-    check_count("windows", windows)
-    return int(windows)
+    return check_whole("windows", windows, 1, MOST_SEGMENTS, "one for 20 time units is usual.")
 
 
 class Depinning(eqx.Module):
@@ -220,14 +236,14 @@ def depinning_belt_speed(
     """
     check_vibrating(chain, None)
     _check_ring(chain)
-    if not callable(initial):
-        raise ValueError(
-            "Argument `initial` must be a function chain -> (x, v), because steady sliding moves "
-            f"with the belt speed, but is {initial!r}."
-        )
+    # Steady sliding moves with the belt speed, and so must the initial state.
+    check_function("initial", initial, "chain -> (x, v)", 1)
     for name, value in (("stands", stands), ("moves", moves)):
         check_positive_number(name, value, "it is a belt speed, such as 1.5.")
-    check_whole("halvings", halvings)
+    check_whole("halvings", halvings, 1, 1000, "each halves the bracket; 6 are usual.")
+    check_span(0.0, t1)
+    check_tolerances(rtol, None, MAX_STEP)
+    _check_transient(0.2 * t1 if transient is None else transient, 0.0, t1)
     count = _window_count(windows, 0.0, t1)
 
     def moved(speed: Array) -> tuple[Array, Array]:

@@ -20,6 +20,7 @@ from .._checks import (
     check_whole,
     is_traced,
     require_x64,
+    shown,
 )
 from .._types import ScalarLike
 from ..model.arguments import as_chain
@@ -28,6 +29,7 @@ from ..observers.quantities import participation_ratio
 
 # Draws of a normal distribution end at so many standard deviations: no stiffness is negative.
 _NORMAL_END = 4.0
+_MOST = 10**8  # masses that are drawn
 # The greatest departure of a stiffness from its mean, in standard deviations.
 FARTHEST = {"uniform": math.sqrt(3.0), "normal": _NORMAL_END}
 
@@ -61,7 +63,7 @@ def mistuned_stiffness(
     True
     """
     require_x64()
-    masses = check_whole("n", n)
+    masses = check_whole("n", n, 1, _MOST)
     _check_disorder(disorder, distribution)
     return 1.0 + disorder * _draw(_key(seed), masses, distribution)
 
@@ -87,7 +89,7 @@ def mistuned_chain(chain: Chain, seed: Any, disorder: Any, distribution: str = "
     >>> mistuned_chain(paper_chain(4), seed=1, disorder=0.05).stiffness.shape
     (4,)
     """
-    factor = mistuned_stiffness(seed, chain.n, disorder, distribution)
+    factor = mistuned_stiffness(seed, as_chain(chain).n, disorder, distribution)
     return chain.with_(stiffness=chain.stiffness * factor)
 
 
@@ -97,7 +99,7 @@ def _key(seed: Any) -> Array:
     value = seed if is_traced(seed) else np.asarray(seed)
     if value.shape != () or not jnp.issubdtype(value.dtype, jnp.integer):
         raise ValueError(
-            f"Argument `seed` must be a whole number or a key of `jax.random`, but is {seed!r}."
+            f"Argument `seed` must be an integer or a key of `jax.random`, but is {shown(seed)}."
         )
     return jax.random.key(seed)
 
@@ -210,7 +212,7 @@ def localization_length(
     require_x64()
     check_positive_number("coupling", coupling, "the paper's chain has 0.01.")
     check_number("position", position, "0 is the middle of the band.")
-    check_whole("length", length)
+    check_whole("length", length, 1, _MOST, "1e5 is usual.")
     _check_disorder(disorder, distribution)
     ratios = disorder / coupling * _draw(_key(seed), int(length), distribution)
 

@@ -16,11 +16,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._checks import check_finite, check_whole
+from .._checks import check_finite, check_kind, check_one_of, check_whole, shown, to_float
 from .._types import State
 from ..continuation.damped_newton import linearised, solve
 from ..cycles.averaging import one_mass
-from ..model.initial_states import reference_site
+from ..model.initial_states import BLOCKS, reference_site
 from ..observers.trajectory import Trajectory
 from ..simulation.run import simulate
 from .phases import PhaseModel, _rtol, _shaken
@@ -28,6 +28,10 @@ from .phases import PhaseModel, _rtol, _shaken
 # Of the search for locked patterns: starts, Newton steps, the last of these, and what counts as
 # solved and as same.
 _STARTS, _NEWTON, _CLOSE, _SOLVED, _SAME = 300, 40, 1e-8, 1e-10, 1e-5
+
+
+def _check_model(model: Any) -> None:
+    check_kind("model", model, PhaseModel, "a `PhaseModel`", "`phase_model(chain)` makes one.")
 
 
 def pattern_guess(
@@ -44,8 +48,10 @@ def pattern_guess(
 
     **Raises:** `ValueError` for phases that cannot be and a mass that does not vibrate.
     """
+    _check_model(model)
+    check_one_of("block", block, BLOCKS)
     chain, n = model.chain, model.chain.n
-    theta = jnp.asarray(phases, float)
+    theta = to_float(phases, "phases", "one for each vibrating mass, in radians.")
     if theta.ndim != 1 or not 1 <= theta.shape[0] <= n:
         raise ValueError(
             f"Argument `phases` must have shape (k,) with 1 <= k <= {n}, but has {theta.shape}."
@@ -54,10 +60,10 @@ def pattern_guess(
     k = theta.shape[0]
     sites = block_sites(n, k, block)
     mass = int(sites[k // 2]) if first is None else first
-    if mass not in sites:
+    if not isinstance(mass, int | np.integer) or mass not in sites:
         raise ValueError(
             f"Argument `first` must be one of the vibrating masses {sites.tolist()}, but is "
-            f"{mass!r}."
+            f"{shown(mass)}."
         )
     theta = (theta - theta[int(np.flatnonzero(sites == mass)[0])]) % (2.0 * jnp.pi)
     order = jnp.argsort(theta)
@@ -80,6 +86,8 @@ def pattern_guess(
 
 def block_sites(n: int, k: int, block: str = "centred") -> np.ndarray:
     """Indices of k neighbours, in order along the ring; see `excited_block`."""
+    check_whole("k", k, 1, check_whole("n", n), "so many masses vibrate, of n.")
+    check_one_of("block", block, BLOCKS)
     start = reference_site(n) - (0 if block == "forward" else k // 2)
     return (start + np.arange(k)) % n
 
@@ -116,6 +124,7 @@ def locked_patterns(model: PhaseModel, count: Any) -> tuple[LockedPattern, ...]:
 
     **Raises:** `ValueError` for a count that is no whole number in 1 ... n.
     """
+    _check_model(model)
     k = check_whole("count", count, 1, model.chain.n)
     if k == 1:
         rate = float(model.rates(jnp.zeros(1))[0])
@@ -139,7 +148,9 @@ def rotating_wave(model: PhaseModel, turns: Any) -> LockedPattern:
 
     0 is in phase, n / 2 alternating; every such pattern is locked.
     """
+    _check_model(model)
     n = model.chain.n
+    check_whole("turns", turns, -n, n, "the phase turns so often round the ring.")
     phases = 2.0 * np.pi * turns * np.arange(n) / n
     _, rate, slope = _told(model, jnp.diff(jnp.asarray(phases)))
     return LockedPattern(phases, float(rate), _growth(model, slope))

@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Complex, Float
 
+from .._checks import check_concrete
 from .._types import State
 from ..cycles.averaging import one_mass
 from ..cycles.floquet import monodromy_matrix
@@ -83,6 +84,7 @@ def phase_model(chain: Any) -> PhaseModel:
         ```
     """
     _check_ring(chain)
+    check_concrete("use `find_limit_cycle`.", chain=chain)
     require_smoothed(chain, "")
     alone = one_mass(chain, 0)
     cycle = find_limit_cycle(alone)

@@ -73,7 +73,7 @@ def as_mass(n: int, vibrating: Any, default: Any = None, name: str = "vibrating"
     return check_whole(name, vibrating, 0, n - 1, f"it is the index of a mass. {remedy}")
 
 
-def as_images(images: Any, n: int, mass: int) -> tuple[int, ...]:
+def as_images(images: Any, n: int, mass: int | None = None) -> tuple[int, ...]:
     """For each of n masses the one that it does the same as; None is no symmetry."""
     if images is None:
         return tuple(range(n))
@@ -81,10 +81,10 @@ def as_images(images: Any, n: int, mass: int) -> tuple[int, ...]:
     whole = all(isinstance(i, int | np.integer) for i in given)
     given = tuple(int(i) for i in given) if whole else ()
     good = len(given) == n and all(0 <= i < n and given[i] == i for i in given)
-    if not good or given[mass] != mass:
+    if not good or (mass is not None and given[mass] != mass):
+        itself = "" if mass is None else f", mass {mass} (`vibrating`) among them"
         raise ValueError(
             f"Argument `images` must name for each of {n} masses the one it does the same as, and "
-            f"for that one itself, mass {mass} (`vibrating`) among them, but is "
-            f"{shown(images)}."
+            f"for that one itself{itself}, but is {shown(images)}."
         )
     return given

@@ -10,8 +10,8 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike
 
-from .._checks import check_number, is_traced, shown
-from .._limits import LEAST_ACCURACY, LEAST_RTOL, MOST_ACCURACY
+from .._checks import check_number, check_positive_number, is_traced, shown
+from .._limits import LEAST_ACCURACY, LEAST_ATOL, LEAST_RTOL, MOST_ACCURACY
 from ..model.arguments import as_chain
 from ..model.chain import Chain
 from ..model.oscillators import AbstractOscillators
@@ -21,6 +21,35 @@ from .event_driven import EventDriven
 # Steps beyond this length would gain nothing for a vibration of period about 2 pi.
 MAX_STEP = 0.5
 MOST_SWEEPS = 3
+
+
+def check_span(t0: ArrayLike, t1: ArrayLike) -> None:
+    """Raises `ValueError` unless concrete times t0 <= t1 are finite."""
+    check_number("t0", t0, "it is a dimensionless time.")
+    check_number("t1", t1, "it is a dimensionless time.")
+    if not is_traced(t0, t1) and float(np.asarray(t1)) < float(np.asarray(t0)):
+        raise ValueError(
+            f"Argument `t1` = {t1} lies before `t0` = {t0}: dry friction cannot be integrated "
+            "backward in time. Exchange them."
+        )
+
+
+def check_tolerances(rtol: ArrayLike, atol: ArrayLike | None, max_step: ArrayLike) -> None:
+    """Raises `ValueError` unless what is given of the step-size control can control a step."""
+    check_positive_number("rtol", rtol, "1e-6 is usual.")
+    check_positive_number("max_step", max_step, "0.5 is usual, where a period is about 2 pi.")
+    if not is_traced(rtol) and not LEAST_RTOL <= float(np.asarray(rtol)) < 1:
+        raise ValueError(
+            f"Argument `rtol` must be at least {LEAST_RTOL:g} and below 1, but is {rtol}: 64-bit "
+            "floats hold 16 digits; 1e-6 is usual."
+        )
+    if atol is not None:
+        check_positive_number("atol", atol, "a tenth of `rtol` is usual.")
+        if not is_traced(atol) and float(np.asarray(atol)) < LEAST_ATOL:
+            raise ValueError(
+                f"Argument `atol` must be at least {LEAST_ATOL:g}, but is {atol}: a tenth of "
+                "`rtol` is usual."
+            )
 
 
 def own_solver(chain: Any, solver: Any) -> Any:

@@ -15,8 +15,6 @@ from jaxtyping import Array, ArrayLike, Float, Int, PyTree
 from .._checks import (
     check_count,
     check_flag,
-    check_span,
-    check_tolerances,
     is_traced,
     shown,
     to_float,
@@ -35,6 +33,8 @@ from .accuracy import (
     USUAL_RTOL,
     Numerics,
     check_resolved,
+    check_span,
+    check_tolerances,
     choose_numerics,
     choose_solver,
     default_rtol,

@@ -32,7 +32,7 @@ def check_axes(
     """`over` as arrays, or `ValueError`; `jobs` says what each lane gets."""
     for title, f in (("initial", initial), ("vary", vary)):
         if callable(f) or (f is not None and title == "vary"):
-            _check_own_function(title, f)
+            check_function(title, f, "of the chain, and of what else `over` names", 1)
     functions = {title: f for title, f in (("initial", initial), ("vary", vary)) if callable(f)}
     own = [name for f in functions.values() for name in initial_names(f)]
     numbers = chain_names(chain)
@@ -146,19 +146,6 @@ def check_vary(
                 f"Argument `vary` must return a `Chain` of {chain.n} masses, but returns "
                 f"{shown(varied)}."
             )
-
-
-def _check_own_function(title: str, function: Any) -> None:
-    check_function(title, function, "chain, ... -> what it makes of the chain")
-    try:
-        inspect.signature(function).bind_partial(None)
-    except TypeError:
-        raise ValueError(
-            f"Argument `{title}` must be a function of the chain, and of what else `over` names, "
-            f"but is {shown(function)} without an argument."
-        ) from None
-    except ValueError:  # the signature of a compiled function may be unknown
-        pass
 
 
 def _has_default(function: Callable, name: str) -> bool:

@@ -29,8 +29,6 @@ from .._checks import (
     check_finite,
     check_flag,
     check_kind,
-    check_span,
-    check_tolerances,
     shown,
     to_float,
 )
@@ -44,6 +42,8 @@ from ..simulation.accuracy import (
     NO_ACCURACY,
     USUAL_RTOL,
     check_resolved,
+    check_span,
+    check_tolerances,
     choose_numerics,
     choose_solver,
     default_rtol,
