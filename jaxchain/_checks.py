@@ -99,10 +99,11 @@ def as_array(
     """`value` as floats of at least `least` and at most `most` dimensions, none of them empty."""
     found = to_float(value, name, remedy)
     if found.ndim < least or found.ndim > (found.ndim if most is None else most) or not found.size:
-        count = f"{least}" if most == least else f"at least {least}"
+        axes = ["..."] * (most is None) + ["m", "n"][2 - least :]
+        shape = f"({', '.join(axes)}{',' * (len(axes) == 1)})"
         raise ValueError(
-            f"Argument `{name}` must be an array of {count} dimensions that is not empty, but "
-            f"has shape {found.shape}{_end(remedy)}"
+            f"Argument `{name}` must have a shape like {shape} and not be empty, but has shape "
+            f"{found.shape}{_end(remedy)}"
         )
     return found
 
@@ -131,7 +132,7 @@ def require_64_bits(name: str, tree: object) -> None:
             )
 
 
-def _concrete(name: str, value: object, remedy: str = "") -> np.ndarray | None:
+def numbers_of(name: str, value: object, remedy: str = "") -> np.ndarray | None:
     """`value` as real numbers, or None if it is traced."""
     if is_traced(value):
         return None
@@ -159,7 +160,7 @@ def _check_each(
 
 def check_finite(name: str, value: ArrayLike, remedy: str = "") -> None:
     """Raises `ValueError` if a concrete `value` holds NaN or infinity."""
-    if (numbers := _concrete(name, value, remedy)) is not None:
+    if (numbers := numbers_of(name, value, remedy)) is not None:
         _check_each(name, value, np.isfinite(numbers), "finite", remedy)
 
 
@@ -172,7 +173,7 @@ def check_positive(name: str, value: ArrayLike, remedy: str = "") -> None:
         ...
     ValueError: Argument `width` must be positive and finite, but is -0.1: choose 1e-3, say.
     """
-    if (numbers := _concrete(name, value, remedy)) is not None:
+    if (numbers := numbers_of(name, value, remedy)) is not None:
         good = np.isfinite(numbers) & (numbers > 0)
         _check_each(name, value, good, "positive and finite", remedy)
         # The reciprocal of a smaller one is infinite.
@@ -181,7 +182,7 @@ def check_positive(name: str, value: ArrayLike, remedy: str = "") -> None:
 
 def check_nonnegative(name: str, value: ArrayLike, remedy: str = "") -> None:
     """Raises `ValueError` if a concrete `value` is anywhere negative or not finite."""
-    if (numbers := _concrete(name, value, remedy)) is not None:
+    if (numbers := numbers_of(name, value, remedy)) is not None:
         good = np.isfinite(numbers) & (numbers >= 0)
         _check_each(name, value, good, "zero or positive, and finite", remedy)
 
@@ -190,7 +191,7 @@ def check_at_least(
     name: str, value: ArrayLike, floor_name: str, floor: ArrayLike, remedy: str = ""
 ) -> None:
     """Raises `ValueError` if a concrete `value` is anywhere below a concrete `floor`."""
-    numbers, bounds = _concrete(name, value), _concrete(floor_name, floor)
+    numbers, bounds = numbers_of(name, value), numbers_of(floor_name, floor)
     if numbers is None or bounds is None:
         return
     numbers, bounds = np.broadcast_arrays(numbers, bounds)
@@ -317,7 +318,7 @@ def check_pair(name: str, value: Any, remedy: str) -> tuple[float, float]:
 
 def check_number(name: str, value: object, remedy: str = "") -> None:
     """Raises `ValueError` unless `value` is one real number, finite if it is concrete."""
-    numbers = _concrete(name, value, remedy)
+    numbers = numbers_of(name, value, remedy)
     shape = jnp.shape(value) if numbers is None else numbers.shape  # pyright: ignore
     if shape != ():
         raise ValueError(
@@ -337,5 +338,5 @@ def check_positive_number(name: str, value: Any, remedy: str = "") -> None:
 def check_share(name: str, value: Any, remedy: str = "") -> None:
     """Raises `ValueError` unless `value` is one number, between 0 and 1 if it is concrete."""
     check_number(name, value, remedy)
-    if (numbers := _concrete(name, value, remedy)) is not None:
+    if (numbers := numbers_of(name, value, remedy)) is not None:
         _check_each(name, value, (numbers > 0) & (numbers < 1), "between 0 and 1", remedy)

@@ -105,7 +105,9 @@ def _reading(name: str, given: Any, ndim: int) -> Any:
         )
     for part in parts[:-1]:
         check_finite(name, part, "leave out what could not be measured.")
-    check_positive(f"noise of `{name}`", parts[-1], "it is a standard deviation, such as 0.01.")
+    check_positive(
+        f"{name}[-1]", parts[-1], "the last is the noise, a standard deviation such as 0.01."
+    )
     return (*parts[:-1], jnp.broadcast_to(parts[-1], shape))
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 from scipy.interpolate import PchipInterpolator
 
-from .._checks import check_kind, is_traced, to_float
+from .._checks import check_kind, numbers_of, to_float
 from .._types import PerMass
 from .friction import AbstractFrictionLaw
 from .measured import check_measured, read_curve
@@ -46,12 +46,12 @@ class TabulatedFriction(AbstractFrictionLaw):
     """For each s_i: s_i, and the cubic in s - s_i from there on, lowest coefficient first."""
 
     def __init__(self, speed: Sequence[float] | ArrayLike, mu: Sequence[float] | ArrayLike):
-        if is_traced(speed, mu):
+        s, m = numbers_of("speed", speed), numbers_of("mu", mu)
+        if s is None or m is None:
             raise ValueError(
                 "`TabulatedFriction` takes measured numbers, which cannot be traced: make the law "
                 "before `jit`, `vmap` or `grad`."
             )
-        s, m = np.asarray(to_float(speed, "speed")), np.asarray(to_float(mu, "mu"))
         try:
             check_measured(s, m)
         except ValueError as error:

@@ -12,7 +12,7 @@ from matplotlib.animation import AbstractMovieWriter, FuncAnimation
 from matplotlib.figure import Figure
 from PIL import Image
 
-from .._checks import check_positive, check_whole
+from .._checks import check_kind, check_positive_number, check_whole, shown
 from ..model.chain import Chain
 from .chain_artist import Curves, Scene, explain
 from .films import checked_film
@@ -59,7 +59,7 @@ def animate(
         True
     """
     times, states = checked_film(chain, times, states)
-    check_positive("frames_per_second", frames_per_second, "20 is usual.")
+    check_positive_number("frames_per_second", frames_per_second, "20 is usual.")
     shown = _shown(chain, states[0], masses)
     with matplotlib.rc_context(STYLE):
         page = Figure(figsize=(PAGE_WIDTH, HEIGHT), layout="constrained")
@@ -81,10 +81,13 @@ def animate(
 
 def save_gif(animation: FuncAnimation, path: Any, dpi: Any = 100) -> Path:
     """Writes an animation as a GIF that repeats for ever, in few colours to keep it small."""
+    remedy = "`animate(...)` makes one."
+    check_kind("animation", animation, FuncAnimation, "a `FuncAnimation`", remedy)
+    check_kind("path", path, str | Path, "the name of a file")
     path = Path(path)
     if path.suffix.lower() != ".gif":
         raise ValueError(f"Argument `path` must end with .gif, but is {str(path)!r}.")
-    check_positive("dpi", dpi, "100 is usual.")
+    check_positive_number("dpi", dpi, "100 is usual.")
     rate = 1000.0 / animation._interval  # pyright: ignore  # no public accessor
     with matplotlib.rc_context(STYLE):
         animation.save(path, writer=_GifWriter(fps=rate), dpi=dpi)
@@ -146,11 +149,13 @@ def _shown(chain: Chain, x: np.ndarray, masses: Any) -> list[int]:
     """The masses to draw, neighbours side by side; round the ring, if need be."""
     n = chain.n
     if masses is not None:
-        picked = [int(i) for i in np.ravel(masses)]
+        given = masses if isinstance(masses, list | tuple | range | np.ndarray) else []
+        whole = all(isinstance(i, int | np.integer) for i in given)
+        picked = [int(i) for i in given] if whole else []
         if not picked or len(set(picked)) < len(picked) or not all(0 <= i < n for i in picked):
             raise ValueError(
                 f"Argument `masses` must hold different indices of masses, 0 ... {n - 1}, but is "
-                f"{masses!r}."
+                f"{shown(masses)}."
             )
         return picked
     if n <= MOST_SHOWN:

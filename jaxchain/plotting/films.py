@@ -9,16 +9,25 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .._checks import check_finite, check_positive, check_whole
+from .._checks import (
+    as_array,
+    check_concrete,
+    check_finite,
+    check_positive_number,
+    check_whole,
+    numbers_of,
+    shown,
+)
 from ..cycles.guesses import most_lively
-from ..model.arguments import as_chain
+from ..model.arguments import as_chain, as_state
 from ..model.chain import Chain
 from ..observers.section import Section
 from ..observers.trajectory import Trajectory
+from ..simulation.accuracy import own_solver
 from ..simulation.run import Simulation, simulate
 from ..solvers.dry_friction import RESOLUTION
 
-LEAST_FRAMES = 2
+LEAST_FRAMES, MOST_FRAMES = 2, 10**6
 
 
 def sticking(chain: Chain, states: Any) -> np.ndarray:
@@ -28,6 +37,15 @@ def sticking(chain: Chain, states: Any) -> np.ndarray:
     the speed of greatest friction and the force on it, without friction, does not exceed p mu_st.
     States of a smoothed chain that `EventDriven` ran are those of `chain.with_(width=None)`.
     """
+    as_chain(chain)
+    if not isinstance(states, tuple | list) or len(states) != 2:
+        raise ValueError(f"Argument `states` must be the pair (x, v), but is {shown(states)}.")
+    x, v = (as_array("states", part, 2, 2, "those of some times.") for part in states)
+    if x.shape != v.shape or x.shape[1] != chain.n:
+        raise ValueError(
+            f"Argument `states` has parts of shapes {x.shape} and {v.shape}, but for {chain.n} "
+            f"masses both have shape (times, {chain.n})."
+        )
     rounding = RESOLUTION * (1.0 + jnp.abs(chain.belt_speed)) if chain.dry else 0.0
     limit = chain.stick_speed() + rounding
 
@@ -36,7 +54,6 @@ def sticking(chain: Chain, states: Any) -> np.ndarray:
         w, _ = chain.switching(0.0, v)
         return (jnp.abs(w) <= limit) & (chain.unheld_force(x, v) <= 0)
 
-    x, v = (jnp.asarray(part) for part in states)
     return np.asarray(jax.vmap(held)(x, v))
 
 
@@ -72,9 +89,10 @@ def loop(
     ```
     """
     as_chain(chain)
-    check_whole("frames", frames)
-    check_positive("longest", longest, "100 is some sixteen periods.")
-    check_positive("tolerance", tolerance, "1e-2 cannot be seen.")
+    check_whole("frames", frames, 1, MOST_FRAMES, "60 are usual.")
+    check_positive_number("longest", longest, "100 is some sixteen periods.")
+    check_positive_number("tolerance", tolerance, "1e-2 cannot be seen.")
+    state, solver = as_state(chain, state, "state"), own_solver(chain, solver)
     turns = Section(most_lively(chain, state), capacity=256)
     run = simulate(chain, state, longest, observe=turns, solver=solver)
     at, x, v = (np.asarray(part) for part in run.observed)
@@ -102,7 +120,8 @@ def loop(
 def checked_film(chain: Any, times: Any, states: Any) -> tuple[np.ndarray, tuple[Any, Any]]:
     """Times and (x, v) as arrays of fitting shapes, or `ValueError`."""
     as_chain(chain)
-    times = np.asarray(times, dtype=float)
+    check_concrete("draw what it returns.", times=times, states=states)
+    times: Any = numbers_of("times", times, "one for each frame.")
     check_finite("times", times, "leave out such times.")
     if times.ndim != 1 or len(times) < LEAST_FRAMES or not np.all(np.diff(times) > 0):
         raise ValueError(
@@ -116,7 +135,7 @@ def checked_film(chain: Any, times: Any, states: Any) -> tuple[np.ndarray, tuple
             "Argument `states` must be the pair (x, v), or a `Simulation` that observed one "
             f"`Trajectory` and nothing else, but is {type(states).__name__}."
         )
-    x, v = (np.asarray(part) for part in states)
+    x, v = (np.asarray(numbers_of("states", part)) for part in states)
     for name, part in (("displacements", x), ("velocities", v)):
         if part.shape != (len(times), chain.n):
             raise ValueError(

@@ -9,6 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from matplotlib.axes import Axes
 
+from .._checks import check_kind
+from ..model.arguments import as_chain
 from ..model.chain import Chain
 from ..model.friction import TanhFriction
 from .style import BLUE, GREY, ORANGE
@@ -16,6 +18,8 @@ from .style import BLUE, GREY, ORANGE
 
 def draw_friction(axes: Axes, chain: Chain) -> None:
     """F / P over the relative velocity: dry, and if it is, smoothed, near v_rel = 0 both."""
+    check_kind("axes", axes, Axes, "matplotlib axes", "`Figure().subplots()` makes them.")
+    as_chain(chain)
     law, friction, width = first_mass((chain.law, chain.friction, chain.width))
     width, static = float(width), float(law.mu_static)
     v_d = float(chain.belt_speed)

@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch, FancyBboxPatch, Rectangle
 
-from .._checks import check_whole
+from .._checks import check_kind, check_whole, shown
 from ..model.arguments import as_chain
 from ..model.chain import Chain, paper_chain
 from .friction import draw_friction
@@ -66,7 +66,7 @@ def draw_model(chain: Any = None, masses: Any = 4, axes: Any = None) -> Figure:
     ):
         raise ValueError(
             "Argument `axes` must be None or a pair of matplotlib axes, for the mechanism and for "
-            f"its friction, but is {axes!r}."
+            f"its friction, but is {shown(axes)}."
         )
     with matplotlib.rc_context(STYLE):
         if axes is None:
@@ -98,6 +98,9 @@ def zigzag(
 
 def draw_mechanism(axes: Axes, chain: Chain, masses: int) -> None:
     """Masses, springs, dashpots and the belt, with the symbols of eq. (3)."""
+    check_kind("axes", axes, Axes, "matplotlib axes", "`Figure().subplots()` makes them.")
+    as_chain(chain)
+    check_whole("masses", masses, 1, 6, "more are not legible. 4 is usual.")
     shown = min(masses, chain.n)
     left_out = shown < chain.n and shown > 1
     # Oscillators that are drawn, the last of the chain among them, and the middle of each.

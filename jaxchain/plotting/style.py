@@ -13,6 +13,7 @@ from typing import Any
 import matplotlib
 from matplotlib.figure import Figure
 
+from .._checks import check_kind
 from ..model.parameters import PARAMETERS
 
 PAGE_WIDTH = 7.0  # inches
@@ -41,6 +42,9 @@ ENERGY = r"vibration energy $\tilde E = \frac{1}{2}\sum \tilde A_i^2$ (–)"
 
 def save_figure(page: Figure, path: Path) -> list[Path]:
     """Writes `path` with the endings .png and .pdf."""
+    check_kind("page", page, Figure, "a matplotlib figure")
+    check_kind("path", path, str | Path, "the name of a file, without an ending")
+    path = Path(path)
     files = [path.with_name(path.name + ending) for ending in (".png", ".pdf")]
     with matplotlib.rc_context(STYLE):
         for file in files:

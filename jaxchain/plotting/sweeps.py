@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 
+from .._checks import as_array, check_kind
 from .diagram import (
     at_rest,
     basin_brackets,
@@ -49,6 +50,14 @@ def figure(datasets: Mapping[str, xr.Dataset], hopf: float | None = None) -> Fig
     What is called `NAME_nonsmooth` (the same runs with true dry friction) and `NAME_cycles` (the
     branch of cycles) shares the panel of NAME, if there is one.
     """
+    remedy = '{"chain": sweep(...)}, say.'
+    check_kind("datasets", datasets, Mapping, "a dict of names and datasets", remedy)
+    for name, data in datasets.items():
+        check_kind(f"datasets[{name!r}]", data, xr.Dataset, "a dataset", "`sweep` makes them.")
+    if not datasets:
+        raise ValueError(f"Argument `datasets` must hold a dataset at least, but is {datasets}.")
+    if hopf is not None:
+        as_array("hopf", hopf, 0, 0, "None takes that of each dataset.")
     shown = panels(datasets)
     columns = min(2, len(shown))
     rows = -(-len(shown) // columns)

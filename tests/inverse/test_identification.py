@@ -139,7 +139,7 @@ def test_what_the_data_do_not_determine_is_said():
     [
         ({}, "at least one measurement"),
         ({"hopf": 1.15}, r"`hopf` must be a tuple \(belt speed, noise\)"),
-        ({"fold": (1.15, 0.0)}, "noise of `fold`` must be positive"),
+        ({"fold": (1.15, 0.0)}, r"`fold\[-1\]` must be positive.*noise"),
         ({"fold": (np.nan, 0.1)}, "`fold` must be finite"),
         ({"fold": ([1.8, 1.9], 0.1)}, "`fold` must hold numbers"),
         ({"amplitudes": (1.0, 1.0, 0.1)}, "`amplitudes` must hold arrays"),

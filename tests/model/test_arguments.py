@@ -25,7 +25,7 @@ def test_what_is_good_is_handed_on():
 @pytest.mark.parametrize(
     ("check", "message"),
     [
-        (lambda: as_chain(3), "`chain` must be a `Chain`, but is a int.$"),
+        (lambda: as_chain(3), "`chain` must be a `Chain`, but is 3: make"),
         (lambda: as_chain(None, remedy="use it."), "but is None: use it.$"),
         (lambda: as_chain(eqx.tree_at(lambda c: c.belt_speed, CHAIN, jnp.float32(1.0))), "64-bit"),
         (lambda: as_state(CHAIN, jnp.ones(3)), "`initial` must be the pair"),

@@ -1,8 +1,4 @@
-"""Input that must be refused, every piece of it by an error that helps.
-
-A program of its own, run by `test_refusals.py`: with the annotations checked, as in tests, those
-would refuse before jaxchain does.  It prints what was not refused as it should be.
-"""
+"""NaN, infinity and what cannot be, in runs, sweeps, scenes and SI units."""
 
 from __future__ import annotations
 
@@ -262,9 +258,7 @@ def _runs() -> Iterator[Refusal]:
     yield Refusal("a float32 chain", "64-bit floats", [made_in_32_bits])
 
 
-if __name__ == "__main__":
-    jax.config.update("jax_enable_x64", True)
-    every = [*_not_numbers(), *_impossible(), *_runs()]
-    for refusal in every:
-        print("\n".join(refusal.faults()), end="")
-    print(f"\n{sum(len(refusal.attempts) for refusal in every)} attempts")
+def rows() -> Iterator[Refusal]:
+    yield from _not_numbers()
+    yield from _impossible()
+    yield from _runs()

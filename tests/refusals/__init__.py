@@ -1,0 +1,1 @@
+"""Calls that must be refused: a program of its own, see `__main__`."""

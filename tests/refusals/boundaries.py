@@ -1,0 +1,144 @@
+"""Bad calls of boundaries, designs and identifications."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import jax.numpy as jnp
+import optax
+
+from jaxchain import boundaries, inverse
+from jaxchain.inverse import Measurements
+from jaxchain.model import paper_chain
+
+from .searches import NO_DRY, VIBRATING
+from .table import (
+    A_CHAIN,
+    COUNT,
+    FUNCTION,
+    NUMBER,
+    POSITIVE,
+    TREE,
+    WORD,
+    Row,
+    Told,
+    optional,
+)  # fmt: skip
+
+CHAIN, DRY, ONE = paper_chain(3, 1.2, 1e-2), paper_chain(3, 1.2, None), paper_chain(1, 1.2, 1e-2)
+WIDTHS = ("x", {}, 3.0, [1e-2], [1, 1, 1, 1], [1, 2, 3, math.nan], [1, 2, 3, -1])
+OPTIMISER = ("x", 3, optax.adam)
+SEVERAL = Told(CHAIN, "has 3")
+
+
+def rows() -> Iterator[Row]:
+    yield from _hopf()
+    yield from _fold()
+    yield from _inverse()
+
+
+def _hopf() -> Iterator[Row]:
+    yield Row("hopf_belt_speed", boundaries.hopf_belt_speed, {}, {"chain": A_CHAIN})
+    speeds = (
+        None, "x", {}, 3.0, (1,), (2, 1), (math.nan, 1), ("a", "b"), Told((0, math.inf), "inf"),
+        (0, 1j),
+    )  # fmt: skip
+    bad = {"chain": A_CHAIN, "belt_speeds": speeds}
+    yield Row("hopf_points", boundaries.hopf_points, {"chain": CHAIN}, bad)
+    good = {"chain": CHAIN, "points": None}
+    yield Row("guess_from_hopf", boundaries.guess_from_hopf, good, {"points": (None, "x", 3)})
+    mode = ("x", {}, jnp.ones(3, complex), [math.nan])
+    yield Row(
+        "first_lyapunov_coefficient", boundaries.first_lyapunov_coefficient,
+        {"chain": ONE, "belt_speed": 1.0, "frequency": 1.0, "shape": jnp.ones(1, complex)},
+        {
+            "chain": A_CHAIN, "belt_speed": (None, "x", {}, [1.0, 2.0], 1j),
+            "frequency": (None, "x", {}, [1.0, 2.0], 1j), "shape": (None, *mode), "left": mode,
+        },
+    )  # fmt: skip
+    yield Row(
+        "generalised_hopf", boundaries.generalised_hopf,
+        {"chain": ONE, "parameter": "width", "low": 0.1, "high": 0.2},
+        {
+            "chain": (*A_CHAIN, SEVERAL), "parameter": WORD, "low": (*POSITIVE, 0.3),
+            "high": POSITIVE,
+        },
+    )  # fmt: skip
+    yield Row(
+        "hopf_by_descent", boundaries.hopf_by_descent, {"chain": CHAIN},
+        {
+            "chain": A_CHAIN, "start": optional(POSITIVE), "optimiser": OPTIMISER,
+            "steps": COUNT, "tolerance": POSITIVE,
+        },
+    )  # fmt: skip
+
+
+def _fold() -> Iterator[Row]:
+    chain, bad = {"chain": CHAIN}, {"chain": A_CHAIN, "vibrating": VIBRATING}
+    for name in (
+        "fold_belt_speed", "find_grazing", "nonsmooth_fold_belt_speed", "bistable_range",
+        "fold_boundary", "hopf_and_fold",
+    ):  # fmt: skip
+        yield Row(name, getattr(boundaries, name), chain, bad)
+    smoothed = {**bad, "chain": (*A_CHAIN, NO_DRY)}
+    yield Row("find_fold", boundaries.find_fold, chain, smoothed)
+    yield Row(
+        "fold_by_descent", boundaries.fold_by_descent, chain,
+        {
+            **smoothed, "start": optional(NUMBER), "optimiser": OPTIMISER, "steps": COUNT,
+            "tolerance": POSITIVE,
+        },
+    )  # fmt: skip
+    yield Row("fold_in_the_limit", boundaries.fold_in_the_limit, chain, {**bad, "widths": WIDTHS})
+    yield Row(
+        "extrapolate", boundaries.extrapolate,
+        {"values": jnp.ones(4), "widths": jnp.arange(1.0, 5.0)},
+        {
+            "values": (None, "x", {}, 1.0, Told([1, 2], r"\(2,\)"), [1, 2, 3, 1j]),
+            "widths": (None, *WIDTHS), "scale": POSITIVE, "accuracy": POSITIVE,
+        },
+    )  # fmt: skip
+    yield Row(
+        "one_mass_branch", boundaries.one_mass_branch, {"chain": ONE},
+        {"chain": (*A_CHAIN, SEVERAL), "lowest": POSITIVE, "fold": ("x", 3)},
+    )  # fmt: skip
+    yield Row(
+        "try_boundary", boundaries.try_boundary, {"chain": CHAIN, "belt_speed": 1.0},
+        {**bad, "belt_speed": POSITIVE, "margin": (*POSITIVE, 1.5), "time": POSITIVE},
+    )  # fmt: skip
+
+
+def _inverse() -> Iterator[Row]:
+    one = ("x", 3, {}, (1,), (1.0, 0.0), (math.nan, 1), ("a", 1), Told((1, [1, 2]), r"\(2,\)"))
+    lengths = Told(([1.0, 2.0], [1.0], 0.1), r"\(2,\), \(1,\)")
+    many = (
+        "x",
+        3,
+        {},
+        ([1.0], [1.0], 0.0),
+        ([1.0], [math.nan], 0.1),
+        (["a"], [1.0], 0.1),
+        lengths,
+    )
+    bad = {"hopf": one, "fold": one, "amplitudes": many, "displacements": many}
+    yield Row("Measurements", Measurements, {}, bad)
+    bad = {"chain": A_CHAIN, "vibrating": VIBRATING}
+    readings = {"measurements": (None, "x", {}, Measurements)}
+    good = {"chain": DRY, "measurements": Measurements(hopf=(1.0, 0.1))}
+    yield Row("predict", inverse.predict, good, {**bad, **readings})
+    more = {"change": lambda chain, xi: chain.with_(damping_ratio=xi), "start": 0.05}
+    bad = {
+        **bad,
+        "change": (*FUNCTION, lambda chain: chain, Told(lambda chain, xi: 3, "is 3")),
+        "start": TREE, "steps": COUNT,
+    }  # fmt: skip
+    yield Row("identify", inverse.identify, {**good, **more}, {**bad, **readings})
+    yield Row(
+        "design", inverse.design, {"chain": DRY, **more, "width_below": 0.1},
+        {
+            **bad, "width_below": POSITIVE, "highest_below": (1.0,), "cost": ("x", 3),
+            "scale": ("x", {}, math.nan, -1.0, 0.0, [1.0, 2.0]), "optimiser": OPTIMISER,
+            "tolerance": POSITIVE,
+        },
+    )  # fmt: skip

@@ -1,0 +1,77 @@
+"""Bad calls of plotting."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import matplotlib as mpl
+
+mpl.use("Agg")
+
+import jax.numpy as jnp
+import numpy as np
+from matplotlib.figure import Figure
+
+from jaxchain import plotting
+from jaxchain.model import paper_chain
+
+from .runs import SOLVERS
+from .table import A_CHAIN, COUNT, POSITIVE, Row, Told, optional, states
+
+CHAIN = paper_chain(3, 1.2, 1e-2)
+TIMES, FILM = np.arange(3.0), (np.ones((3, 3)), np.ones((3, 3)))
+STATE = (jnp.full(3, 2.0), jnp.zeros(3))
+
+
+def rows() -> Iterator[Row]:
+    film = {"chain": CHAIN, "times": TIMES, "states": FILM}
+    frames = {
+        "chain": A_CHAIN,
+        "times": (
+            None, "x", {}, Told(3.0, r"\(\)"), Told([1.0], r"\(1,\)"), [1.0, math.nan, 2.0],
+            Told([3.0, 2.0, 1.0], r"\(3,\)"),
+        ),
+        "states": (
+            None, "x", {}, (1,), Told((1, 2), r"\(\)"), Told((np.ones((2, 3)),) * 2, r"\(2, 3\)"),
+            (FILM[0], "x"),
+        ),
+        "masses": ("x", {}, 1.5, [], [3], [0, 0], [math.nan]),
+    }  # fmt: skip
+    bad = {**frames, "frames_per_second": POSITIVE}
+    yield Row("animate", plotting.animate, film, bad)
+    strip = {**film, "stills": 2}
+    yield Row("film_strip", plotting.film_strip, strip, {**frames, "stills": (*COUNT, 4)})
+    animation = plotting.animate(CHAIN, TIMES, FILM)
+    # matplotlib warns of an animation that is never drawn.
+    animation._draw_was_started = True  # pyright: ignore[reportAttributeAccessIssue]
+    good = {"animation": animation, "path": "film.gif"}
+    bad = {"animation": (None, "x"), "path": (None, 3, {}, "film.png"), "dpi": POSITIVE}
+    yield Row("save_gif", plotting.save_gif, good, bad)
+    yield Row(
+        "loop", plotting.loop, {"chain": CHAIN, "state": STATE},
+        {
+            "chain": A_CHAIN, "state": states(3), "frames": COUNT, "solver": SOLVERS,
+            "longest": POSITIVE, "tolerance": POSITIVE,
+        },
+    )  # fmt: skip
+    parts = (None, "x", {}, Told((1, 2), r"\(\)"), (FILM[0],), (FILM[0], np.ones((3, 2))))
+    good = {"chain": CHAIN, "states": FILM}
+    yield Row("sticking", plotting.sticking, good, {"chain": A_CHAIN, "states": parts})
+    yield from _drawings()
+
+
+def _drawings() -> Iterator[Row]:
+    page = Figure()
+    axes = page.subplots()
+    good = {"axes": axes, "chain": CHAIN}
+    bad = {"axes": (None, "x"), "chain": A_CHAIN}
+    yield Row("draw_friction", plotting.draw_friction, good, bad)
+    more = {**bad, "masses": (*COUNT, 7)}
+    yield Row("draw_mechanism", plotting.draw_mechanism, {**good, "masses": 3}, more)
+    bad = {"chain": optional(A_CHAIN), "masses": (*COUNT, 7), "axes": ("x", 3, axes)}
+    yield Row("draw_model", plotting.draw_model, {}, bad)
+    good, bad = {"page": page, "path": "page"}, {"page": (None, "x"), "path": (None, 3)}
+    yield Row("save_figure", plotting.save_figure, good, bad)
+    datasets = (None, "x", [], {}, {"a": 3})
+    yield Row("figure", plotting.figure, {}, {"datasets": datasets})
