@@ -29,6 +29,16 @@ from jax.interpreters import partial_eval as pe
 Flat = Callable[..., list[Any]]  # arrays to arrays
 
 
+_BACK_TWICE = (
+    "What went back once through this run cannot go back through it again: take second "
+    "derivatives forward on the outside, `jax.jacfwd(jax.grad(f))`, as `jax.hessian` does."
+)
+_FORWARD_TWICE = (
+    "The way back through this run, which is event-driven or was asked for a `Trajectory`, cannot "
+    "be differentiated: take second derivatives forward twice, `jax.jacfwd(jax.jacfwd(f))`."
+)
+
+
 def both_ways(forward: Callable[[Any], Any], reverse: Callable[[Any], Any], args: Any) -> Any:
     """forward(args), whose derivatives in reverse mode are those of reverse(args).
 
@@ -192,21 +202,35 @@ def _fall_apart(trace: Any, *tracers: Any, ways: _Ways) -> list[Any]:
     if ways.second is None or not linear or any(value is None for value in known):
         return trace.default_process_primitive(_pair, tracers, {"ways": ways})
     function = _of(ways.second, known, ways.moved)
-    _, pull, out = jax.vjp(function, *compress(known, ways.moved), has_aux=True)
+    try:
+        _, pull, out = jax.vjp(function, *compress(known, ways.moved), has_aux=True)
+    except TypeError as error:
+        if "custom_vjp" not in str(error):
+            raise
+        raise NotImplementedError(_FORWARD_TWICE) from None
+    out, pull = _once((out, pull))
     checkpoints, back = jtu.tree_flatten(pull)
     params = {"ways": ways, "back": back}
     inputs = [*tracers, *checkpoints]
     return [*out, *trace.default_process_primitive(_linear, inputs, params)]
 
 
+def _once(tree: Any) -> Any:
+    """The same, but for whoever goes back through it, too, an error that says what to do."""
+    numbers, rest = eqx.partition(tree, eqx.is_inexact_array)
+    return eqx.combine(eqxi.nondifferentiable_backward(numbers, msg=_BACK_TWICE), rest)
+
+
 def _go_back(cotangents: Any, *args: Any, ways: _Ways, back: Any) -> list[Any]:
     arguments, tangents, checkpoints = ways.split(args)
     real = ways.shapes[ways.values :]
-    found = back.unflatten(checkpoints)(
-        [
-            jnp.zeros(s.shape, s.dtype) if c is None or type(c) is ad.Zero else c
-            for c, s in zip(cotangents, real, strict=True)
-        ]
+    found = _once(
+        back.unflatten(checkpoints)(
+            [
+                jnp.zeros(s.shape, s.dtype) if c is None or type(c) is ad.Zero else c
+                for c, s in zip(cotangents, real, strict=True)
+            ]
+        )
     )
     wanted = [
         f if ad.is_undefined_primal(t) else None for f, t in zip(found, tangents, strict=True)

@@ -42,7 +42,7 @@ from ..solvers.dry_friction import (
     start,
 )
 from ..solvers.taylor import value, value_and_slope
-from .plan import CHECKPOINTS, AbstractPlan, Progress, first_result
+from .plan import CHECKPOINTS, AbstractPlan, Progress, first_result, forward_only
 
 # Steps in succession that may leave the time where it is: an event of every mass, and some more.
 _STALLED_PER_MASS, _STALLED = 8, 64
@@ -136,7 +136,7 @@ class EventDrivenPlan(AbstractPlan):
             )  # fmt: skip
             carry = back(lambda carry: back(body, carry, max_steps=most_kept), carry)
         elif adjoint is None or isinstance(adjoint, dfx.ForwardMode):
-            carry = lax.while_loop(goes_on, body, carry)
+            carry = forward_only(lax.while_loop(goes_on, body, carry))
         else:
             raise ValueError(
                 "Argument `adjoint` must be None, `diffrax.ForwardMode()` or "

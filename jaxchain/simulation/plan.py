@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
+import equinox.internal as eqxi
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PyTree
 
@@ -19,6 +20,19 @@ from ..result import Result
 
 # States of a run that are kept to go back through it; others are computed again.
 CHECKPOINTS = 1024
+
+
+_FORWARD = (
+    "This was made for derivatives in forward mode and cannot be gone back through: use "
+    "`jax.jacfwd` or `jax.jvp`, and for a gradient of `simulate` leave out `adjoint`. Second "
+    "derivatives of runs and cycles are taken forward on the outside, as `jax.hessian` does."
+)
+
+
+def forward_only(tree: Any) -> Any:
+    """The same, but for whoever goes back through it an error that says what to do."""
+    numbers, rest = eqx.partition(tree, eqx.is_inexact_array)
+    return eqx.combine(eqxi.nondifferentiable_backward(numbers, msg=_FORWARD), rest)
 
 
 class Progress(eqx.Module):

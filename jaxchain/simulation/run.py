@@ -119,8 +119,9 @@ def simulate(
       `jacrev`, in bounded memory however long the run: some states are kept, steps between them
       are computed again.  A gradient costs as much as seven to nine runs whatever the number of
       parameters, and `jacfwd` as much as five or six for twenty of them, so that it is cheaper
-      up to some thirty.  `diffrax.ForwardMode()` serves the first kind alone,
-      `diffrax.RecursiveCheckpointAdjoint(checkpoints=...)` the second with so many states kept.
+      up to some thirty.  `diffrax.RecursiveCheckpointAdjoint(checkpoints=...)` keeps so many
+      states, and `diffrax.ForwardMode()` serves the first kind alone.  Second derivatives are
+      those of `jax.hessian`, or `jacfwd` twice.
     - `throw`: raise an error if the run fails; otherwise read `result`.
 
     **Raises:** `ValueError` for bad input before anything is compiled; `RuntimeError` with advice
@@ -272,13 +273,13 @@ def _advance(
         return run
 
     args = plan, chain, progress, t1, times
-    if adjoint is not None:
+    if adjoint is not None and not isinstance(adjoint, dfx.RecursiveCheckpointAdjoint):
         return go(adjoint)(args)
-    size = sum(leaf.nbytes for leaf in jtu.tree_leaves(progress))
-    checkpoints = min(CHECKPOINTS, max(_KEPT // (parts * size), 32))
-    return both_ways(
-        go(dfx.ForwardMode()), go(dfx.RecursiveCheckpointAdjoint(checkpoints=checkpoints)), args
-    )
+    if adjoint is None or (adjoint.checkpoints is None and max_steps is None):
+        size = sum(leaf.nbytes for leaf in jtu.tree_leaves(progress))
+        checkpoints = min(CHECKPOINTS, max(_KEPT // (parts * size), 32))
+        adjoint = dfx.RecursiveCheckpointAdjoint(checkpoints=checkpoints)
+    return both_ways(go(dfx.ForwardMode()), go(adjoint), args)
 
 
 def _concrete(value: Any, default: float) -> float:

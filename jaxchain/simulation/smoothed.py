@@ -22,7 +22,7 @@ from ..observers.base import AbstractObserver
 from ..result import Result
 from ..solvers.step_control import SwitchingController, WrappingController
 from .observing_solver import SETTLED, ObservingSolver, ObservingState
-from .plan import AbstractPlan, Progress, first_result
+from .plan import AbstractPlan, Progress, first_result, forward_only
 
 
 class _Resumed(WrappingController):
@@ -212,6 +212,8 @@ class SmoothedPlan(AbstractPlan):
             steps=progress.steps + solution.stats["num_accepted_steps"],
             rejected=progress.rejected + solution.stats["num_rejected_steps"],
         )
+        if isinstance(adjoint, dfx.ForwardMode):
+            return forward_only((new, saved))
         return new, saved
 
 
