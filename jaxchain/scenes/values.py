@@ -36,6 +36,8 @@ MOST_VALUES = 10**6
 # Numbers that one experiment keeps: 0.8 GB, which a workstation holds while it writes them.
 MOST_NUMBERS = 10**8
 MOST_LANES_REMEDY = "take fewer values, or share them out over several experiments or scene files"
+# Whole numbers, and powers of ten, up to these are floats.
+_EXACT, _EXACT_PLACES = 2**53, 22
 # What begins the names of groups and files.
 NAME = r"^[A-Za-z0-9][A-Za-z0-9_-]*$"
 NAME_LENGTH, TEXT_LENGTH = 64, 10_000
@@ -190,6 +192,11 @@ class Range(Table):
         if self.step is None:
             return np.linspace(self.start, self.stop, count)
         start, step = Decimal(repr(self.start)), Decimal(repr(self.step))
+        places = max(0, *(-int(number.as_tuple().exponent) for number in (start, step)))
+        first, by = (int(number.scaleb(places)) for number in (start, step))
+        if places <= _EXACT_PLACES and max(abs(first), abs(first + count * by)) < _EXACT:
+            # Both are exact, so that the quotient is the float next to the decimal.
+            return (first + by * np.arange(count)) / 10.0**places
         return np.array([float(start + i * step) for i in range(count)])
 
 

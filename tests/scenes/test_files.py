@@ -30,7 +30,8 @@ def problem(file, content: bytes | str = TEXT, *overrides):
         (b"# a\n# caf\xe9" + TEXT.encode(), "is not a text file in UTF-8: line 2 has the byte"),
         ("x = " + "[" * 5000 + "]" * 5000, "has tables or lists within each other too deep"),
         ("x = " + "{y = " * 5000 + "1" + "}" * 5000, "has tables or lists within each other too"),
-        (f"a = 1\nx = {'7' * 5000}\n", "has a number of more than 4300 digits in line 2"),
+        (f"a = 1\nx = {'7' * 5000}\n", "has a number of thousands of digits in line 2"),
+        (f"a = 1\nb = 2\nx = 0x{'f' * 5000}\n", "has a number of thousands of digits in line 3"),
         (TEXT + "\n[experiment", "is not valid TOML: "),
     ],
 )  # fmt: skip
@@ -38,12 +39,9 @@ def test_what_is_no_toml_is_refused_with_the_reason(content, said, tmp_path):
     assert problem(tmp_path / "a.toml", content).startswith(said)
 
 
-def test_5000_nested_tables_and_a_number_of_5000_digits_are_refused_at_their_key(tmp_path):
+def test_5000_nested_tables_are_refused_at_their_key(tmp_path):
     nested = f"{TEXT}\n[{'.'.join('a' * 5000)}]\n"
     assert problem(tmp_path / "a.toml", nested).startswith("a: is not a known key")
-    long = TEXT.replace("n = 6", f"n = 0x{'f' * 5000}")
-    must = "experiment.ladder.chain.n: must be at most 100000000, but is a whole number of 6021"
-    assert problem(tmp_path / "a.toml", long).startswith(must)
 
 
 @pytest.mark.parametrize("name", [".toml", "...toml", "..toml", "a\nb.toml"])
@@ -65,7 +63,7 @@ def test_a_file_that_is_too_long_is_not_read(tmp_path):
         ("title=1\nother=2", '--set "title=1\\nother=2": is more than one value'),
         ("a." * 5000 + "b=1", "has 5001 keys in a row, and 100 are the most"),
         ("title=" + "[" * 5000, "too deep"),
-        ("title=" + "9" * 5000, "has a number of more than 4300 digits"),
+        ("title=" + "9" * 5000, "has a number of thousands of digits"),
         ("title\x1b=1", "title\\x1b"),
         ("x" * 100_000, "... (100000 characters)"),
     ],

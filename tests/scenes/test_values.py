@@ -1,5 +1,7 @@
 """Numbers, names and lists of scene files: within bounds that errors name."""
 
+from decimal import Decimal
+
 import numpy as np
 import pytest
 from pydantic import TypeAdapter, ValidationError
@@ -96,6 +98,19 @@ def test_a_list_must_not_hold_a_value_twice(given, said):
         distinct(given)
     different = given[:2] if given[0] != given[1] else given[:1]
     assert distinct(different) is different
+
+
+@pytest.mark.parametrize(
+    ("start", "stop", "step"),
+    [
+        (0.1, 0.9, 1e-4), (1.0, 2.0, 0.05), (-3.7, 5.1, 0.011), (2.0, -1.5, -0.007),
+        (1e-9, 1e-6, 1e-9), (1e14, 2e14, 1e13), (0.3, 0.31, 7e-4), (1e-15, 1.0, 0.001),
+    ],
+)  # fmt: skip
+def test_the_steps_of_a_range_are_those_of_decimals(start, stop, step):
+    own = Range(start=start, stop=stop, step=step).array()
+    exact = [float(Decimal(repr(start)) + i * Decimal(repr(step))) for i in range(own.size)]
+    assert own.tolist() == exact
 
 
 def test_a_range_of_the_most_values_is_made():
