@@ -11,16 +11,18 @@ import contextlib
 import fcntl
 import io
 import itertools
+import json
 import os
 import shutil
 import socket
 import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import TextIO
+from typing import Any, TextIO
 
 import xarray as xr
 from matplotlib.figure import Figure
+from zarr.storage import MemoryStore
 
 from .._terminal import undisturbed
 from ..plotting.style import save_figure
@@ -34,6 +36,8 @@ Process {process} on {host} fills this folder since {since}.
 This file goes when the run ends. Where it stays, the run was cut off: what is here is whole, but
 not all. `jaxchain run` takes this folder and runs it again, into another one.
 """
+# Of a zarr store: what describes all its groups.
+_ABOUT_ALL = ".zmetadata"
 
 
 class Results:
@@ -262,7 +266,7 @@ def save(data: xr.Dataset, path: Path, group: str, about: Mapping[str, str]) -> 
         # From here on names change, and nothing is written. Readers of the store are told of the
         # group when it is there.
         if store.exists():
-            for entry in sorted(new_store.iterdir(), key=lambda entry: entry.name == ".zmetadata"):
+            for entry in sorted(new_store.iterdir(), key=lambda entry: entry.name == _ABOUT_ALL):
                 if entry.name not in there:
                     entry.replace(store / entry.name)
         else:
@@ -271,22 +275,24 @@ def save(data: xr.Dataset, path: Path, group: str, about: Mapping[str, str]) -> 
 
 
 def _write_zarr(parts: Mapping[str | None, xr.Dataset], new: Path, old: Path) -> set[str]:
-    """Writes what is to be added to a store; returns the folders that the store has already."""
-
-    def values(folder: str, names: list[str]) -> list[str]:
-        files = [name for name in names if os.path.isfile(os.path.join(folder, name))]
-        return [name for name in files if not name.startswith(".z")]
-
-    there = set()
-    if old.exists():
-        there = {entry.name for entry in old.iterdir() if entry.is_dir()}
-        # What describes the groups that are there, so that all are described together.
-        shutil.copytree(old, new, ignore=values)
+    """Writes what is to be added to a store; returns the groups that the store has already."""
+    there = {entry.name for entry in old.iterdir() if entry.is_dir()} if old.exists() else set()
+    if again := there & parts.keys():
+        raise FileExistsError(f"{old} holds a group `{again.pop()}` already.")
+    # In memory: where zarr cannot write, threads of it go on in a folder that is to be removed.
+    files: dict[str, Any] = {}
     for group, data in parts.items():
-        if group in there:
-            raise FileExistsError(f"{old} holds a group `{group}` already.")
         # Format 2 is what other tools read, and what has consolidated metadata.
-        data.to_zarr(new, group=group, mode="a", zarr_format=2, consolidated=True)
+        store = MemoryStore(files)
+        data.to_zarr(store, group=group, mode="a", zarr_format=2, consolidated=True)
+    content = {name: buffer.to_bytes() for name, buffer in files.items()}
+    if old.exists():  # all groups are described together
+        before, added = map(json.loads, ((old / _ABOUT_ALL).read_bytes(), content[_ABOUT_ALL]))
+        added["metadata"] = before["metadata"] | added["metadata"]
+        content[_ABOUT_ALL] = json.dumps(added).encode()
+    for name, data in content.items():
+        (new / name).parent.mkdir(parents=True, exist_ok=True)
+        (new / name).write_bytes(data)
     return there
 
 

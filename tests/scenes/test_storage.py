@@ -139,6 +139,18 @@ def test_what_is_whole_stays_whole_where_the_next_does_not_fit(tmp_path, short_o
     assert groups(tmp_path) == ["first", "fourth"]
 
 
+def test_what_does_not_fit_leaves_nothing_behind(tmp_path, short_of_room):
+    """Not even now and then, by a thread that has not been told yet."""
+    del short_of_room
+    many = xr.Dataset({f"a{i}": ("x", [1], {"text": "a" * 70_000}) for i in range(3)})
+    for i in range(10):
+        folder = tmp_path / str(i)
+        folder.mkdir()
+        with pytest.raises(StorageError, match="File too large"):
+            Results(folder, "made_up").save("many", many)
+        assert not list(folder.iterdir())
+
+
 def test_what_does_not_fit_goes_elsewhere_with_all_the_rest(tmp_path, short_of_room):
     folders, errors = iter([tmp_path / "b", tmp_path / "c"]), []
 
