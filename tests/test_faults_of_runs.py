@@ -148,7 +148,8 @@ def test_a_run_that_is_stopped_saves_what_had_ended(workplace, start, number, st
     assert "jaxchain: interrupted; what was finished is in out" in said
     assert "Traceback" not in said
     assert files("out") == ["tiny.nc", "tiny.toml", "tiny.zarr"]
-    assert results_of("out") == FIRST
+    # Of a sweep that has begun, and not only been compiled, every run has its place.
+    assert results_of("out") in (FIRST, FIRST | {"second": {"interrupted"}})
 
 
 @pytest.mark.long
