@@ -65,8 +65,9 @@ def did_you_mean(word: str, allowed: Iterable[str]) -> str:
     """ " (did you mean `...`?)", or nothing if no allowed word is near."""
     if len(word) > _LONGEST_WORD:
         return ""
-    near = difflib.get_close_matches(word, list(allowed), n=1)
-    return f" (did you mean `{near[0]}`?)" if near else ""
+    own = {name.lower(): name for name in allowed}
+    near = difflib.get_close_matches(word.lower(), own, n=1)
+    return f" (did you mean `{own[near[0]]}`?)" if near else ""
 
 
 def shortened(text: str, most: int) -> str:

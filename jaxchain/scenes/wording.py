@@ -69,7 +69,8 @@ def explain(error: ValidationError, model: type[Table]) -> list[str]:
         lines.append(_problem(detail, path, table))
     for same, count in alike.items():
         if count > _ALIKE and None in same:
-            lines.append(_line([where[same]], f"{count - _ALIKE} more are wrong alike"))
+            more = "keys are not known" if same[0] == "extra_forbidden" else "are wrong alike"
+            lines.append(_line([where[same]], f"{count - _ALIKE} more {more}"))
     return lines if unsaid == 0 else [*lines, f"{unsaid} more places are wrong"]
 
 
@@ -81,7 +82,7 @@ def _problem(detail: Any, path: list[str], table: type[Table] | None) -> str:
     if kind == "extra_forbidden" and table is not None:
         message = _unknown(str(detail["loc"][-1]), table.model_fields)
     else:
-        message = _message(kind, detail["input"], context, path)
+        message = _message(kind, detail["input"], context, OPTIONS.get(key))
     return _line(path, message)
 
 
@@ -160,15 +161,16 @@ def _unknown(key: str, allowed: Iterable[str]) -> str:
     return f"is not a known key{did_you_mean(key, allowed)}; allowed: {', '.join(allowed)}"
 
 
-def _message(kind: str, value: Any, context: dict[str, Any], path: list[str]) -> str:
-    """What is wrong with the value at `path`, and what is allowed there."""
+def _message(
+    kind: str, value: Any, context: dict[str, Any], options: dict[str, type[Table]] | None
+) -> str:
+    """What is wrong with a value, and what is allowed: one of these `options`, if any."""
     written = as_written(value)
     if kind == "missing" or kind == "union_tag_not_found":
-        options = OPTIONS.get(path[-1])
         return "is missing" if options is None else f"is missing; allowed: {listed(options)}"
-    if kind == "literal_error" or (kind == "union_tag_invalid" and path[-1] in OPTIONS):
-        if kind == "union_tag_invalid":
-            value = value.get(path[-1], value) if isinstance(value, dict) else value
+    if kind == "literal_error" or (kind == "union_tag_invalid" and options):
+        if kind == "union_tag_invalid" and isinstance(value, dict):
+            value = value[context["discriminator"].strip("'")]
             written = as_written(value)
         allowed = re.findall(r"'([^']*)'", context.get("expected_tags") or context["expected"])
         if len(allowed) == 1:

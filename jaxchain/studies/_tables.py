@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from jaxchain._limits import MOST_LANES
-from jaxchain.scenes.scene import Problem
+from jaxchain.scenes.scene import Problem, raise_all
 from jaxchain.scenes.values import (
     MOST_LANES_REMEDY,
     MOST_NUMBERS,
@@ -51,7 +51,8 @@ class Span(Table):
     @model_validator(mode="after")
     def _check(self) -> Span:
         if self.stop <= self.start:
-            raise ValueError(f"must have a `stop` above `start`, but {self.stop:g} is not")
+            text = f"must be above `start` = {self.start:g}, but is {self.stop:g}"
+            raise_all([(("stop",), text)])
         return self
 
     def array(self) -> np.ndarray:
@@ -71,7 +72,9 @@ class BaseTable(Table):
     @model_validator(mode="after")
     def _check(self) -> BaseTable:
         if self.mu_dynamic >= self.mu_static:
-            raise ValueError("must have a `mu_static` above `mu_dynamic`")
+            least = self.mu_dynamic
+            text = f"must be above `mu_dynamic` = {least:g}, but is {self.mu_static:g}"
+            raise_all([(("mu_static",), text)])
         return self
 
     def chain(

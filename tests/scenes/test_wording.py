@@ -74,11 +74,33 @@ def test_a_hundred_thousand_wrong_entries_are_three_and_a_count(key, value, firs
 def test_a_hundred_thousand_unknown_keys_are_three_and_a_count_and_different_ones_a_screen():
     keys = ", ".join(f"k{i} = 1" for i in range(100_001))
     error = error_of("quickstart", f"experiment.ladder.time={{{keys}}}")
-    assert error.problems[-1] == "experiment.ladder.time: 99998 more are wrong alike"
+    assert error.problems[-1] == "experiment.ladder.time: 99998 more keys are not known"
     error = error_of("quickstart", f"experiment.ladder.sweep={{{keys}}}")
     assert len(str(error)) < 100_000
     assert len(str(error).splitlines()) == MOST_SHOWN + 2
     assert str(error).endswith("more")
+
+
+@pytest.mark.parametrize(
+    ("scene", "override", "said"),
+    [
+        ("fig3", "experiment.ladder.time.WINDOW=9", "time.WINDOW: is not a known key (did you me"),
+        (
+            "fig3", "experiment.ladder.sweep={law='x', observer=[1], Width={}}",
+            "sweep.law: must be a list or a range table, but is \"x\"",
+        ),
+        ("fig3", "experiment.ladder.chain.friction.law=[1]", "law: must be one of \"expon"),
+        ("fronts", "base.mu_static=0.4", "base.mu_static: must be above `mu_dynamic` = 0.5, "),
+        ("fronts", "speed.block=60", "speed.block: must leave 8 of 64 `masses` quiet, but is 60"),
+        ("fronts", "pinning.lowest=1.6", "`highest`, but has 1.6, 1.5 and 1.82"),
+        ("ladder", "walk.start=2.5", "walk.start: must lie between `slowest` = 1.1 and `fastest`"),
+        ("mistuning", "ensemble.one.disorder=[0.1,0.05]", "disorder: must increase, but 0.1 is f"),
+        ("boundaries", "width.stop=1e-5", "width.stop: must be above `start` = 0.0001, but is 1e"),
+        ("fig5", "time_series.interval=100.0", "time_series.stop: must be at least `start` + `in"),
+    ],
+)  # fmt: skip
+def test_an_error_names_the_key_its_value_and_what_is_allowed(scene, override, said):
+    assert said in "\n".join(problems(scene, override))
 
 
 def test_an_error_is_printable_and_short_whatever_the_file_holds():

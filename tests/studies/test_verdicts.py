@@ -158,7 +158,7 @@ def test_the_summary_is_the_table_state_by_state(datasets):
 @pytest.mark.parametrize(
     ("override", "problem"),
     [
-        ("times.longest=10.0", "must have a `longest` of at least `first`"),
+        ("times.longest=10.0", "times.longest: must be at least `first` = 2000, but is 10"),
         (
             "case.slow.excited=[21]",
             "case.slow.excited: must hold nothing above 20 (`n`), but holds",

@@ -31,7 +31,11 @@ class Ring(Table):
     @model_validator(mode="after")
     def _check(self) -> Ring:
         if self.block > self.masses - 8:
-            raise ValueError("must leave 8 quiet masses: lower `block`")
+            most = self.masses - 8
+            text = (
+                f"must leave 8 of {self.masses} `masses` quiet, but is {self.block}: lower `block`"
+            )
+            raise_all([(("block",), f"{text} to {most}, or raise `masses`")])
         return self
 
 
@@ -76,7 +80,8 @@ class Pinning(Ring):
     @model_validator(mode="after")
     def _check_order(self) -> Pinning:
         if not self.lowest < self.stands < self.highest:
-            raise ValueError("must have `lowest` < `stands` < `highest`")
+            given = f"{self.lowest:g}, {self.stands:g} and {self.highest:g}"
+            raise ValueError(f"must have `lowest` < `stands` < `highest`, but has {given}")
         return self
 
 

@@ -39,7 +39,10 @@ class Walk(Table):
     @model_validator(mode="after")
     def _check(self) -> Walk:
         if not self.slowest < self.start < self.fastest:
-            raise ValueError("must have `start` between `slowest` and `fastest`")
+            text = (
+                f"must lie between `slowest` = {self.slowest:g} and `fastest` = {self.fastest:g}"
+            )
+            raise_all([(("start",), f"{text}, but is {self.start:g}")])
         return self
 
     def limits(self) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Annotated, Literal, TypeAlias
 
 from pydantic import Field, model_validator
@@ -65,10 +66,14 @@ class Ensemble(Table):
 
     @model_validator(mode="after")
     def _check(self) -> Ensemble:
+        problems: list[Problem] = []
         for name in ("belt_speed", "coupling", "disorder"):
-            values = getattr(self, name)
-            if sorted(set(values)) != values:
-                raise ValueError(f"must have a `{name}` that increases")
+            for before, after in pairwise(getattr(self, name)):
+                if after < before:
+                    text = f"must increase, but {before:g} is followed by {after:g}"
+                    problems.append(((name,), text))
+                    break
+        raise_all(problems)
         return self
 
 

@@ -44,7 +44,9 @@ class TimeSeries(Table):
     @model_validator(mode="after")
     def _check(self) -> TimeSeries:
         if self.stop < self.start + self.interval:
-            raise ValueError("must have a `stop` above `start` + `interval`")
+            least = self.start + self.interval
+            text = f"must be at least `start` + `interval` = {least:g}, but is {self.stop:g}"
+            raise_all([(("stop",), text)])
         return self
 
 
@@ -95,13 +97,21 @@ class Study(StudyTable):
         if "time_series" in self.panels:
             numbers += 2 * n * (series.stop - series.start) / series.interval
             if counts != 1:
-                yield ("states", "sweep", "excited"), "must be one count for `time_series`"
+                yield (
+                    ("states", "sweep", "excited"),
+                    f"must be one count for `time_series`, but is {counts}",
+                )
             if series.stop > end:
-                yield ("time_series", "stop"), f"must not exceed the end of the run, {end:g}"
+                yield (
+                    ("time_series", "stop"),
+                    f"must not exceed the end of the run, {end:g}, but is {series.stop:g}",
+                )
         if "phase_plots" in self.panels:
             numbers += 6 * counts * duration / plots.interval
             if max(plots.oscillators) > n:
-                yield ("phase_plots", "oscillators"), f"must lie in 1 ... {n} (`chain.n`)"
+                last = max(plots.oscillators)
+                text = f"must lie in 1 ... {n} (`chain.n`), but holds {last}"
+                yield ("phase_plots", "oscillators"), text
             if plots.interval > duration:
                 yield (
                     ("phase_plots", "interval"),
@@ -110,7 +120,7 @@ class Study(StudyTable):
             if duration > time.window:
                 yield (
                     ("phase_plots", "duration"),
-                    f"must not exceed the window, {time.window:g}",
+                    f"must not exceed the window, {time.window:g}, but is {duration:g}",
                 )
         if numbers > MOST_NUMBERS:
             yield (

@@ -66,7 +66,8 @@ class Times(Table):
     @model_validator(mode="after")
     def _check(self) -> Times:
         if self.longest < self.first:
-            raise ValueError("must have a `longest` of at least `first`")
+            text = f"must be at least `first` = {self.first:g}, but is {self.longest:g}"
+            raise_all([(("longest",), text)])
         return self
 
 
