@@ -125,5 +125,5 @@ def test_spans_and_chains_of_a_table():
     chain = base.chain(5, 1.2, width=1e-3, coupling=0.01)
     assert chain.law == ExponentialDecay(1.0, 0.5, 0.4)
     assert (chain.n, chain.belt_speed, chain.coupling) == (5, 1.2, 0.01)
-    with pytest.raises(ValueError, match="`mu_static` above"):
+    with pytest.raises(ValueError, match="mu_static: must be above"):
         BaseTable(damping_ratio=0.05, mu_static=1.0, mu_dynamic=1.0, v_ref=0.4)
