@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxchain.model.parameters import PARAMETERS
 from jaxchain.scenes.errors import SceneError
 from jaxchain.scenes.files import builtin_scenes, read_scene
 from jaxchain.scenes.reading import LoadedScene, load_scene
@@ -42,6 +43,7 @@ TEXTS = [
     "a\x00b", "\u202e", "naïve", "ü" * 300, "x" * 100_000, "$\\frac$", "nan", "none", "CON",
 ]  # fmt: skip
 NAMES = [*TEXTS, "amplitude", "belt_speed", "__x", "-x", "x.y", "time", "main", "n", "2"]
+SWEPT = [*PARAMETERS, "excited", "displacement", "velocity", "n"]
 OTHERS = [
     True, False, [], {}, [[]], [{}], {"x": 1}, [1, 1], [0.5, 0.5], ["a", "a"], [math.nan],
     [1, "x"], [[1.0]], [True], [-1], [-1.5, 1.5], [1e300], [5e-324], [10**30], [0], [1], [2, 1],
@@ -182,8 +184,8 @@ def _change(data: dict[str, Any], rng: random.Random) -> str:
     where, key, path = rng.choice(tables if rng.random() < 0.7 and tables else places)
     numbers = [p for p in places if isinstance(p[0][p[1]], int | float)]
     kind = rng.choices(
-        ["replace", "delete", "misspell", "twice", "list", "name", "wrap", "scale"],
-        [35, 8, 8, 4, 10, 6, 3, 25],
+        ["replace", "delete", "misspell", "twice", "list", "name", "wrap", "scale", "sweep"],
+        [35, 8, 8, 4, 10, 6, 3, 25, 6],
     )[0]
     if kind == "name":
         named = [
@@ -191,6 +193,11 @@ def _change(data: dict[str, Any], rng: random.Random) -> str:
         ]
         where, key, path = rng.choice(named or tables)
         kind = "misspell"
+    elif kind == "sweep":
+        own = [p for p in tables if p[1] == "sweep" and isinstance(p[0][p[1]], dict)]
+        where, name = (rng.choice(own)[0]["sweep"] if own else data), rng.choice(SWEPT)
+        where[name] = rng.choice([[rng.choice(NUMBERS)], [rng.choice(NUMBERS), 1.0], _wrong(rng)])
+        return f"sweep: {name} = {str(where[name])[:60]}"
     elif kind == "scale" and numbers:
         where, key, path = rng.choice(numbers)
     value, said = where[key], ".".join(map(str, path))[:100]

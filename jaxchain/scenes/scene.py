@@ -33,6 +33,7 @@ from .tables import (
 from .values import (
     MOST_LANES_REMEDY,
     MOST_NUMBERS,
+    MOST_TIME,
     Name,
     Table,
     Text,
@@ -43,6 +44,9 @@ from .values import (
 )
 
 _MISSING = "is missing: give it here or in `sweep`"
+# What can be looked at together whatever the rest of an experiment is, with a time to go with it.
+_TOGETHER = ("chain", "initial", "sweep")
+_LONG = {"transient": 0.0, "window": MOST_TIME}
 # (path of a key within the table, what is wrong with it).
 Problem: TypeAlias = tuple[tuple[str, ...], str]
 
@@ -144,26 +148,40 @@ class SweepTable(Table):
 
     @model_validator(mode="wrap")
     @classmethod
-    def _missing_too(cls, data: Any, handler: ModelWrapValidatorHandler[SweepTable]) -> SweepTable:
-        """Numbers that are missing are told of beside whatever else is wrong."""
+    def _told_together(
+        cls, data: Any, handler: ModelWrapValidatorHandler[SweepTable]
+    ) -> SweepTable:
+        """What chain, start and sweep lack is told of beside whatever else is wrong."""
         try:
             return handler(data)
         except ValidationError as error:
-            missing = list(missing_numbers(data)) if isinstance(data, dict) else []
-            if not missing or error.error_count() > MOST_SHOWN:
+            if not isinstance(data, dict) or error.error_count() > MOST_SHOWN:
+                raise
+            wrong = {detail["loc"][:1] for detail in error.errors(include_url=False)}
+            own = {name: data[name] for name in _TOGETHER if name in data}
+            if wrong & {(name,) for name in _TOGETHER}:
+                problems = list(missing_numbers(own))
+            else:
+                problems = handler(own | {"time": _LONG}).problems()
+            if not problems:
                 raise
             found: list[InitErrorDetails] = [
-                {"type": _as_error(missing), "loc": (), "input": None},
+                {"type": _as_error(problems), "loc": (), "input": None},
                 *map(_again, error.errors(include_url=False)),
             ]
         raise ValidationError.from_exception_data(cls.__name__, found)
 
     @model_validator(mode="after")
     def _check(self) -> SweepTable:
+        raise_all(self.problems())
+        return self
+
+    def problems(self) -> list[Problem]:
+        """What only several keys together show."""
         swept = [(("sweep", name), message) for name, message in self._sweep_problems()]
         missing = missing_numbers(self.model_dump(exclude_none=True))
-        raise_all([*swept, *missing, *self._misfits(), *self._too_large()])
-        return self
+        behind = [] if swept else [*self._misfits(), *self._too_large()]
+        return [*swept, *missing, *behind]
 
     def _sweep_problems(self) -> Iterator[tuple[str, str]]:
         for name in self.swept:
