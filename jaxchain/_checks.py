@@ -158,7 +158,7 @@ def _check_each(
     raise ValueError(f"Argument `{name}` must be {demand}, but {found}{_end(remedy)}")
 
 
-def check_finite(name: str, value: ArrayLike, remedy: str = "") -> None:
+def check_finite(name: str, value: Any, remedy: str = "") -> None:
     """Raises `ValueError` if a concrete `value` holds NaN or infinity."""
     if (numbers := numbers_of(name, value, remedy)) is not None:
         _check_each(name, value, np.isfinite(numbers), "finite", remedy)
@@ -180,7 +180,7 @@ def check_positive(name: str, value: ArrayLike, remedy: str = "") -> None:
         _check_each(name, value, numbers >= LEAST_POSITIVE, f"at least {LEAST_POSITIVE:g}", remedy)
 
 
-def check_nonnegative(name: str, value: ArrayLike, remedy: str = "") -> None:
+def check_nonnegative(name: str, value: Any, remedy: str = "") -> None:
     """Raises `ValueError` if a concrete `value` is anywhere negative or not finite."""
     if (numbers := numbers_of(name, value, remedy)) is not None:
         good = np.isfinite(numbers) & (numbers >= 0)
@@ -291,7 +291,7 @@ def check_concrete(instead: str, **arguments: Any) -> None:
             )
 
 
-def check_function(name: str, value: object, wanted: str, takes: int) -> None:
+def check_function(name: str, value: Any, wanted: str, takes: int) -> None:
     """Raises `ValueError` unless `value` takes so many arguments, as `wanted` says."""
     try:
         good = callable(value)

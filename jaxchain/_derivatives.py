@@ -103,6 +103,22 @@ class _Ways:
         return list(args[:n]), list(args[n:both]), list(args[both:])
 
 
+class _Forth:
+    """The way forth of the second program: all values, then what its way back keeps."""
+
+    def __init__(self, second: Flat, moved: list[bool], known: Sequence[Any]):
+        self.back: Any = None  # what the checkpoints are put into, known once it is traced
+
+        def run(*known: Any) -> list[Any]:
+            function = _of(second, known, moved)
+            _, pull, out = jax.vjp(function, *compress(known, moved), has_aux=True)
+            checkpoints, self.back = jtu.tree_flatten(pull)
+            return [*out, *checkpoints]
+
+        self.run = jax.jit(run, inline=True)
+        self.shapes = _shapes(self.run, [jax.typeof(a) for a in known])
+
+
 def _shapes(function: Flat, inputs: Sequence[Any]) -> list[Any]:
     structs = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in inputs]
     outs = jax.eval_shape(function, *structs)
@@ -140,6 +156,10 @@ def _run_values(*args: Any, first: Flat) -> list[Any]:
 
 def _run_pair(*args: Any, ways: _Ways) -> list[Any]:
     return ways.pair(*args)
+
+
+def _run_forth(*args: Any, forth: _Forth) -> list[Any]:
+    return forth.run(*args)
 
 
 def _run_linear(*args: Any, ways: _Ways, back: Any) -> list[Any]:
@@ -201,16 +221,10 @@ def _fall_apart(trace: Any, *tracers: Any, ways: _Ways) -> list[Any]:
     linear = any(not tangent.is_known() for tangent in tangents)
     if ways.second is None or not linear or any(value is None for value in known):
         return trace.default_process_primitive(_pair, tracers, {"ways": ways})
-    function = _of(ways.second, known, ways.moved)
-    try:
-        _, pull, out = jax.vjp(function, *compress(known, ways.moved), has_aux=True)
-    except TypeError as error:
-        if "custom_vjp" not in str(error):
-            raise
-        raise NotImplementedError(_FORWARD_TWICE) from None
-    out, pull = _once((out, pull))
-    checkpoints, back = jtu.tree_flatten(pull)
-    params = {"ways": ways, "back": back}
+    forth = _Forth(ways.second, ways.moved, known)
+    found = _once(_forth.bind(*known, forth=forth))
+    out, checkpoints = found[: ways.values], found[ways.values :]
+    params = {"ways": ways, "back": forth.back}
     inputs = [*tracers, *checkpoints]
     return [*out, *trace.default_process_primitive(_linear, inputs, params)]
 
@@ -238,6 +252,25 @@ def _go_back(cotangents: Any, *args: Any, ways: _Ways, back: Any) -> list[Any]:
     return [*[None] * len(arguments), *wanted, *[None] * len(checkpoints)]
 
 
+def _derivative_of_forth(
+    primals: Any, tangents: Any, *, forth: _Forth
+) -> tuple[list[Any], list[Any]]:
+    """Forward, or an error where a loop within a loop keeps checkpoints.
+
+    JAX finds that out far from here, when nobody knows any more what it belongs to.
+    """
+    moved = [type(t) is not ad.Zero for t in tangents]
+    function = _of(forth.run, primals, moved)
+    at, slopes = list(compress(primals, moved)), list(compress(tangents, moved))
+
+    def along(*both: Any) -> Any:
+        return jax.jvp(function, both[: len(at)], both[len(at) :], has_aux=True)[1]
+
+    if "custom_lin" in str(jax.make_jaxpr(along)(*at, *slopes)):
+        raise NotImplementedError(_FORWARD_TWICE)
+    return _forward_again(_run_forth)(primals, tangents, forth=forth)
+
+
 # Under `vmap` all values have an axis or none has, as those of `_pair`: `custom_jvp` needs that.
 _values = eqxi.create_vprim(
     "both_ways_values",
@@ -255,6 +288,14 @@ mlir.register_lowering(_pair, mlir.lower_fun(_run_pair, multiple_results=True))
 ad.primitive_jvps[_pair] = _forward_again(_run_pair)
 batching.primitive_batchers[_pair] = _many_pairs
 pe.custom_partial_eval_rules[_pair] = _fall_apart
+
+_forth = eqxi.create_vprim(
+    "both_ways_forth",
+    _run_forth,
+    lambda *_, forth: forth.shapes,
+    _derivative_of_forth,
+    None,
+)
 
 _linear = eqxi.create_vprim(
     "both_ways_linear",

@@ -121,7 +121,7 @@ def checked_film(chain: Any, times: Any, states: Any) -> tuple[np.ndarray, tuple
     """Times and (x, v) as arrays of fitting shapes, or `ValueError`."""
     as_chain(chain)
     check_concrete("draw what it returns.", times=times, states=states)
-    times: Any = numbers_of("times", times, "one for each frame.")
+    times = np.asarray(numbers_of("times", times, "one for each frame."))
     check_finite("times", times, "leave out such times.")
     if times.ndim != 1 or len(times) < LEAST_FRAMES or not np.all(np.diff(times) > 0):
         raise ValueError(

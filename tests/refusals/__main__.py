@@ -27,7 +27,7 @@ def main() -> None:
         signal.signal(signal.SIGALRM, too_slow)
         rooms = (model, runs, searches, boundaries, motions, pictures)
         rows = [row for room in rooms for row in room.rows()]
-        count = sum(row.count() for row in rows)
+        count = sum(row.attempts() for row in rows)
         print(*untried(row.name for row in rows), sep="\n", end="")
     for row in rows:
         for fault in row.faults():

@@ -107,7 +107,7 @@ class Row(NamedTuple):
             return "took too long"
         return ""
 
-    def count(self) -> int:
+    def attempts(self) -> int:
         return sum(map(len, self.bad.values()))
 
 
@@ -115,8 +115,9 @@ def _is_told(value: Any, message: str) -> bool:
     """Whether a message says a value, its kind or its shape, or that of a part of it."""
     if isinstance(value, Told):
         return bool(re.search(value.instead, message))
-    kind = value.__name__ if isinstance(value, type) else type(value).__name__
-    own = [repr(value), str(value), kind]
+    if isinstance(value, type):
+        return value.__name__ in message
+    own = [repr(value), str(value), type(value).__name__]
     if _is_numbers(value):
         own += [f"has {np.shape(value)}", f"shape {np.shape(value)}", f"shapes {np.shape(value)}"]
         own += ["nan"] if np.any(np.isnan(value)) else []
