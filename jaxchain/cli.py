@@ -25,6 +25,7 @@ _RUN_MORE = """\
 examples:
   jaxchain run quickstart          a ring of six: data and a figure, in seconds
   jaxchain run quickstart --output first --set experiment.ladder.chain.n=10
+  jaxchain run first               the same again, into results/quickstart
 
 exit status:
   0              done

@@ -169,6 +169,39 @@ def test_a_folder_of_results_is_run_again_bit_for_bit(workplace, capsys):
     assert capsys.readouterr().out == Path("results/two-3/two.toml").read_text(encoding="utf-8")
 
 
+LAW = """
+from jaxchain.model import AbstractFrictionLaw
+
+
+class Mine(AbstractFrictionLaw):
+    mu_dynamic: float
+
+    @property
+    def mu_static(self):
+        return self.mu_dynamic
+
+    def coefficient(self, speed):
+        return self.mu_dynamic + 0.0 * speed
+"""
+
+
+def test_a_law_in_the_place_of_that_of_the_scene_is_asked_for_again(
+    workplace, made_up_sweep, capsys
+):
+    Path("two.toml").write_text(SCENE.partition("[experiment.second]")[0], encoding="utf-8")
+    Path("laws.py").write_text(LAW, encoding="utf-8")
+    assert main(["run", "two.toml", "--law", "laws.py:Mine", "--no-plot", "--quiet"]) == 0
+    own = {"law": "own", "mu_dynamic": 0.5, "width": 0.1}
+    assert load_scene("results/two").scene.experiment["first"].chain.friction.model_dump() == own
+    data = stored(Path("results/two/two"))["first"]
+    assert json.loads(data.attrs["definition"])["chain"]["friction"] == own
+    assert main(["run", "results/two", "--no-plot", "--quiet"]) == 2
+    assert "must be named on the command line: --law" in capsys.readouterr().err
+    again = ["run", "results/two", "--no-plot", "--quiet", "--law", "results/two/laws.py:Mine"]
+    assert main(again) == 0
+    assert Path("results/two-2/laws.py").read_text(encoding="utf-8") == LAW
+
+
 def test_a_folder_without_a_scene_is_a_readable_error(workplace, capsys):
     Path("empty").mkdir()
     assert main(["run", "empty"]) == 2
@@ -490,7 +523,7 @@ def test_it_tells_its_version(capsys):
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["run", "--help"]])
-def test_help_shows_an_example_that_is_understood(arguments, capsys):
+def test_help_shows_an_example_that_is_understood(arguments, workplace, capsys):
     with pytest.raises(SystemExit):
         main(arguments)
     lines = [line.strip() for line in capsys.readouterr().out.splitlines()]
@@ -498,6 +531,10 @@ def test_help_shows_an_example_that_is_understood(arguments, capsys):
     assert ["jaxchain", "run", "quickstart"] in shown
     for _, _, scene, *options in shown:
         load_scene(scene, [b for a, b in pairwise(options) if a == "--set"])
+        for folder in (b for a, b in pairwise(options) if a == "--output"):
+            Path(folder).mkdir()
+            text = builtin_scenes()[scene].read_text(encoding="utf-8")
+            Path(folder, f"{scene}.toml").write_text(text, encoding="utf-8")
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ neither a later failure nor an interruption loses what was computed.
 from __future__ import annotations
 
 import contextlib
+import json
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -220,7 +221,7 @@ def run_scene(
                 "scene": loaded.name,
                 "experiment": name,
                 "model": model,
-                "definition": experiment.model_dump_json(exclude_none=True),
+                "definition": json.dumps(run["experiment"][name]),
             }
             kept.attrs |= about
             if hopf is not None:
