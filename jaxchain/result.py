@@ -7,10 +7,25 @@ import operator
 from typing import Any
 
 import equinox as eqx
+import numpy as np
 from jaxtyping import Array, Bool
 
+from ._reprs import first_sentence, known, shape, summary, words
 
-class Result(eqx.Enumeration):
+
+class _Ways(type(eqx.Enumeration)):
+    """Enumerations of ways to end, whose items say their name and advice; many, how many of each.
+
+    `equinox` says the advice alone, which is empty for what is successful, and that of each lane
+    of a batch.
+    """
+
+    def __getitem__(cls, item: Any) -> str:
+        advice = super().__getitem__(item)  # raises for another enumeration
+        return f"{name_of(item)}: {advice}" if advice and _is_one(item) else name_of(item)
+
+
+class Result(eqx.Enumeration, metaclass=_Ways):  # pyright: ignore
     """The outcome of one run or of one lane of an ensemble."""
 
     successful = ""
@@ -53,7 +68,7 @@ class Result(eqx.Enumeration):
     )
 
 
-class SearchResult(eqx.Enumeration):
+class SearchResult(eqx.Enumeration, metaclass=_Ways):  # pyright: ignore
     """How a search ended: for a root, a cycle, a boundary, a fit."""
 
     successful = ""
@@ -130,7 +145,22 @@ class Outcome(eqx.Module):
     @property
     def message(self) -> str:
         """Why it failed and what to do, of one search; empty if it did not."""
-        return SearchResult[self.result]
+        return advice_of(self.result)
+
+    def _rows(self) -> dict[str, Any]:
+        """What `repr` says besides how it ended, see `summary`."""
+        return {}
+
+    def __repr__(self) -> str:
+        how, rows = name_of(self.result), self._rows()
+        if how == "successful":
+            how = "found"
+        elif _is_one(self.result):
+            # What was not found is NaN.
+            rows = {name: value for name, value in rows.items() if words(value) != "nan"}
+            rows = {how: first_sentence(self.message), **rows}
+            how = "not found"
+        return summary(f"{type(self).__name__}: {how}", rows)
 
 
 # In the order of the enumeration's integer values, for labels and reports.
@@ -156,4 +186,27 @@ def ended_well(result: Any) -> Any:
 
 def message(name: str) -> str:
     """The advice that goes with an outcome, by its name."""
-    return Result[getattr(Result, name)]
+    return advice_of(getattr(Result, name))
+
+
+def advice_of(item: Any) -> str:
+    """The advice that goes with one way to end, empty for success."""
+    return type(eqx.Enumeration).__getitem__(item._enumeration, item)  # pyright: ignore
+
+
+def name_of(item: Any) -> str:
+    """How a run or search ended, in a word; of a batch, how many in each way; traced, a shape."""
+    values = getattr(item, "_value", item)
+    codes = known(values)
+    if codes is None:
+        return f"unknown, {shape(values)}"
+    names = list(item._enumeration._name_to_item)
+    if codes.ndim == 0:
+        return names[int(codes)]
+    counts = zip(*np.unique(codes, return_counts=True), strict=True)
+    return ", ".join(f"{names[value]} {count}" for value, count in counts)
+
+
+def _is_one(item: Any) -> bool:
+    codes = known(getattr(item, "_value", None))
+    return codes is not None and codes.ndim == 0

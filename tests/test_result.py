@@ -9,7 +9,8 @@ def test_names_stand_in_the_order_of_their_codes():
     assert len(NAMES) == len(Result)
     for index, name in enumerate(NAMES):
         assert int(code(getattr(Result, name))) == index
-        assert Result[getattr(Result, name)] == message(name)
+        said = message(name)
+        assert Result[getattr(Result, name)] == (f"{name}: {said}" if said else name)
     # Codes in results that were written earlier.
     assert (NAMES.index("nonfinite"), NAMES.index("interrupted")) == (6, 9)
 

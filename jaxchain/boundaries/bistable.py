@@ -11,6 +11,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from .._checks import check_positive_number, is_traced, to_float
+from .._reprs import summary
 from ..cycles.averaging import fold_guess, one_mass
 from ..model.chain import Chain
 from ..model.initial_states import check_vibrating, on_the_belt
@@ -46,6 +47,14 @@ class BistableRange(Outcome):
     highest: Float[Array, ""]
     width: Float[Array, ""]
     result: SearchResult
+
+    def _rows(self) -> dict[str, Any]:
+        return {
+            "Hopf speed": self.hopf,
+            "fold": self.fold,
+            "highest speed of vibration": self.highest,
+            "width of the range": self.width,
+        }
 
 
 def bistable_range(chain: Chain, vibrating: Any = None) -> BistableRange:
@@ -101,6 +110,15 @@ class Trial(eqx.Module):
     amplitudes: Float[Array, "two n"]
     vibrates: Bool[Array, " two"]
     holds: Bool[Array, ""]
+
+    def __repr__(self) -> str:
+        rows = {
+            "belt speeds": self.speeds,
+            "vibrates there": self.vibrates,
+            "amplitudes": self.amplitudes,
+            "holds": self.holds,
+        }
+        return summary("Trial of a boundary", rows)
 
 
 def try_boundary(

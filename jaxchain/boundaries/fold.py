@@ -46,6 +46,16 @@ class Fold(Outcome):
     evaluations: Int[Array, ""]
     mass: int = eqx.field(static=True)
 
+    def _rows(self) -> dict[str, Any]:
+        return {
+            "belt speed": self.belt_speed,
+            "width": self.width,
+            "period": self.period,
+            "closeness": self.closeness,
+            "gap after a period": self.residual,
+            "mass": self.mass,
+        }
+
 
 def fold_belt_speed(chain: Any, vibrating: Any = None) -> Float[Array, ""]:
     """The greatest belt speed at which the vibration of one mass survives.

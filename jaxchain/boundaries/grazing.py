@@ -67,6 +67,14 @@ class Grazing(Outcome):
     result: SearchResult
     mass: int = eqx.field(static=True)
 
+    def _rows(self) -> dict[str, Any]:
+        return {
+            "belt speed": self.belt_speed,
+            "period": self.period,
+            "gap after a period": self.residual,
+            "mass": self.mass,
+        }
+
     def smoothed(self, width: ScalarLike) -> Float[Array, ""]:
         """About where the fold of smoothed friction is, to O(width^(3/2)); NaN if none was found.
 

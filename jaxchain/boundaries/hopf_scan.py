@@ -17,6 +17,7 @@ from .._checks import (
     check_whole,
     is_traced,
 )
+from .._reprs import count, known, number, summary
 from ..cycles.guesses import Guess
 from ..model.arguments import as_chain, as_mass
 from ..model.chain import Chain, steady_sliding
@@ -75,6 +76,18 @@ class HopfPoints(eqx.Module):
     criticality: tuple[str, ...] = eqx.field(static=True)
     standing_criticality: tuple[str, ...] = eqx.field(static=True)
     kind: tuple[str, ...] = eqx.field(static=True)
+
+    def __repr__(self) -> str:
+        speed, frequency = known(self.belt_speed), known(self.frequency)
+        if speed is None or frequency is None or speed.ndim != 1:
+            return summary("HopfPoints", {"belt speed": self.belt_speed})
+        rows = {
+            f"belt speed {number(speed[k])}, frequency {number(frequency[k])}": (
+                f"{self.criticality[k]}, {self.direction[k]}, {self.kind[k]}"
+            )
+            for k in range(min(speed.size, 9))
+        }
+        return summary(f"HopfPoints: {count(speed.size, 'point')}", rows)
 
 
 def hopf_points(chain: Chain, belt_speeds: Any = (0.0, 5.0)) -> HopfPoints:

@@ -13,6 +13,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._reprs import summary
 from ..model.chain import Chain
 from ..model.initial_states import check_vibrating
 from .hopf import hopf_belt_speed
@@ -42,6 +43,17 @@ class Boundaries(eqx.Module):
     fold_limit: Float[Array, ""]
     fold_limit_error: Float[Array, ""]
     mass: int = eqx.field(static=True)
+
+    def __repr__(self) -> str:
+        rows = {
+            "Hopf, at the chain's width": self.hopf,
+            "Hopf, dry friction": (self.hopf_nonsmooth, self.hopf_nonsmooth_error),
+            "fold, at the chain's width": self.fold,
+            "fold, dry friction": (self.fold_nonsmooth, self.fold_nonsmooth_error),
+            "fold, extrapolated to width 0": (self.fold_limit, self.fold_limit_error),
+            "vibrating mass": self.mass,
+        }
+        return summary("Boundaries, belt speeds", rows)
 
 
 def hopf_and_fold(chain: Chain, vibrating: Any = None) -> Boundaries:

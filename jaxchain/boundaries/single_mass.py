@@ -19,6 +19,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from .._checks import check_concrete, check_kind, check_positive_number
+from .._reprs import summary
 from ..continuation.damped_newton import newton
 from ..cycles.averaging import cycle_speed, greatest_speed
 from ..cycles.branches import continue_cycle
@@ -54,6 +55,16 @@ class OneMassBranch(eqx.Module):
     closeness: Float[Array, " points"]
     period: Float[Array, " points"]
     fold: int = eqx.field(static=True)
+
+    def __repr__(self) -> str:
+        rows = {
+            "belt speed": self.belt_speed,
+            "amplitude": self.amplitude,
+            "closeness": self.closeness,
+            "period": self.period,
+            "fold": f"index {self.fold}",
+        }
+        return summary("OneMassBranch of cycles", rows)
 
 
 def one_mass_branch(chain: Chain, lowest: Any = 0.1, fold: Fold | None = None) -> OneMassBranch:

@@ -22,6 +22,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from .._checks import check_positive, check_positive_number, is_traced, require_x64, to_float
+from .._reprs import summary
 from ..cycles.averaging import dry_fold_speed, one_mass, speed_scale
 from ..model.chain import Chain
 from ..model.initial_states import check_vibrating
@@ -50,6 +51,10 @@ class Extrapolated(eqx.Module):
     error: Float[Array, ""]
     coefficients: Float[Array, " terms"]
 
+    def __repr__(self) -> str:
+        rows = {"limit": (self.value, self.error), "coefficients": self.coefficients}
+        return summary("Extrapolated to width 0", rows)
+
 
 class FoldBoundary(eqx.Module):
     """The greatest belt speed at which a vibration survives, and what to think of it.
@@ -65,6 +70,14 @@ class FoldBoundary(eqx.Module):
     limit: Float[Array, ""]
     error: Float[Array, ""]
     dry: Float[Array, ""]
+
+    def __repr__(self) -> str:
+        rows = {
+            "at the chain's width": self.value,
+            "extrapolated to width 0": (self.limit, self.error),
+            "for dry friction": self.dry,
+        }
+        return summary("FoldBoundary, belt speeds", rows)
 
 
 def extrapolate(

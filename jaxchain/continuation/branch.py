@@ -3,12 +3,15 @@
 Everything here is plain data on the host, in NumPy.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import jax
 import numpy as np
 from jaxtyping import Float
+
+from .._reprs import count, first_sentence, listed, span, summary
 
 ENDINGS = {
     "max_points": "The branch has as many points as asked. Allow more (`max_points`).",
@@ -83,6 +86,10 @@ class SpecialPoint:
     extra: Any = None
     other: Float[np.ndarray, " m_plus_1"] | None = None
 
+    def __repr__(self) -> str:
+        rows = {"p": (self.p, self.error), "u": self.u, "refined": self.refined}
+        return summary(f"SpecialPoint: {self.kind}", rows)
+
 
 @dataclass
 class Counts:
@@ -116,6 +123,15 @@ class Branch:
     reason: str = ""
     counts: Counts = field(default_factory=Counts)
 
+    def __repr__(self) -> str:
+        rows = {
+            "p": span(self.p),
+            "u": self.u,
+            **special_rows([(point.kind, point.p, point.error) for point in self.special]),
+            "ended": f"{self.ended}: {first_sentence(self.message)}",
+        }
+        return summary(f"Branch: {count(self.p.size, 'point')}", rows)
+
     @property
     def message(self) -> str:
         """Why the branch ended, with a remedy."""
@@ -124,6 +140,14 @@ class Branch:
     def of_kind(self, kind: str) -> tuple[SpecialPoint, ...]:
         """The special points of one kind: "fold", "branch point", or the name of a test."""
         return tuple(point for point in self.special if point.kind == kind)
+
+
+def special_rows(points: Sequence[tuple[str, Any, Any]]) -> dict[str, str]:
+    """Rows for special points (kind, value, bar): how many of each kind, and where."""
+    kinds: dict[str, list] = {}
+    for kind, value, error in points:
+        kinds.setdefault(kind, []).append((value, error))
+    return {kind: f"{len(own)}, at {listed(own)}" for kind, own in kinds.items()}
 
 
 class Record:

@@ -109,6 +109,9 @@ class Root(Outcome):
     result: SearchResult
     steps: Int[Array, ""]
 
+    def _rows(self) -> dict[str, Any]:
+        return {"u": self.value, "greatest |F|": self.residual, "Jacobians": self.steps}
+
 
 class Iterate(NamedTuple):
     """Where a search by Newton's method stands, the last u that it took.

@@ -8,13 +8,14 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from .._checks import check_kind
+from .._reprs import count, first_sentence, span, summary
 from ..continuation.arclength import (
     Switched,
     check_following,
     continue_branch,
     switch_branch,
 )
-from ..continuation.branch import Branch, Point
+from ..continuation.branch import Branch, Point, special_rows
 from .bifurcation_tests import linearise, on_the_circle, orbit, special_tests
 from .equations import as_heading, cycle_equations, cycle_weights
 from .shooting import Shooting, residual
@@ -65,6 +66,17 @@ class CycleBranch:
     special: tuple[CyclePoint, ...]
     shooting: Shooting
     branch: Branch
+
+    def __repr__(self) -> str:
+        stable = int(np.sum(self.unstable == 0))
+        rows = {
+            self.name: span(self.parameter),
+            "amplitude": self.amplitude,
+            "stable": f"{stable}, unstable: {self.parameter.size - stable}",
+            **special_rows([(point.kind, point.parameter, point.error) for point in self.special]),
+            "ended": f"{self.ended}: {first_sentence(self.message)}",
+        }
+        return summary(f"CycleBranch: {count(self.parameter.size, 'point')}", rows)
 
     @property
     def energy(self) -> Float[np.ndarray, " k"]:

@@ -17,6 +17,7 @@ from jax import lax
 from jaxtyping import Array, Complex, Float, Int
 
 from .._checks import to_float
+from .._reprs import summary
 from .._types import State
 from ..continuation.damped_newton import Factors, factorise
 from ..continuation.implicit import attach_derivative
@@ -63,6 +64,16 @@ class ClosedOrbit(NamedTuple):
     multipliers: Complex[Array, " others"]
     defect: Float[Array, ""]
     resolution: Float[Array, ""]
+
+    def __repr__(self) -> str:
+        rows = {
+            "period": self.period,
+            "gap after a period": self.gap,
+            "distance from the start": self.distance,
+            "multipliers": self.multipliers,
+            "defect": self.defect,
+        }
+        return summary("ClosedOrbit", rows)
 
     @property
     def exponents(self) -> Float[Array, " others"]:

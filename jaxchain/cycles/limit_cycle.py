@@ -5,6 +5,8 @@ Newton's method, one linearised integration a step, and of what it finds the lea
 
 from __future__ import annotations
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -57,6 +59,17 @@ class LimitCycle(Outcome):
     fastest: Float[Array, " n"]
     evaluations: Int[Array, ""]
     mass: int = eqx.field(static=True)
+
+    def _rows(self) -> dict[str, Any]:
+        return {
+            "belt speed": getattr(self.chain, "belt_speed", None),
+            "period": self.period,
+            "amplitude": self.amplitude,
+            "multipliers": self.multipliers,
+            "trivial defect": self.trivial_defect,
+            "gap after a period": self.residual,
+            "mass": self.mass,
+        }
 
     @property
     def closeness(self) -> Float[Array, " n"]:

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 from scipy.interpolate import BarycentricInterpolator
 
+from .._reprs import summary
 from ..continuation.arclength import make_corrector
 from ..continuation.branch import Branch, Point, SpecialPoint
 from ..continuation.corrector import Corrector
@@ -51,6 +52,16 @@ class CyclePoint:
     refined: bool
     error: float
     raw: SpecialPoint
+
+    def __repr__(self) -> str:
+        rows = {
+            "parameter": (self.parameter, self.error),
+            "period": self.period,
+            "amplitude": self.amplitude,
+            "multipliers": self.multipliers,
+            "refined": self.refined,
+        }
+        return summary(f"CyclePoint: {self.kind}", rows)
 
     @property
     def index(self) -> int:

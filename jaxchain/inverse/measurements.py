@@ -18,6 +18,7 @@ from .._checks import (
     shown,
     to_float,
 )
+from .._reprs import number, summary
 from ..boundaries.fold import fold_belt_speed
 from ..boundaries.hopf import hopf_belt_speed
 from ..model.chain import Chain, steady_sliding
@@ -71,6 +72,16 @@ class Measurements(eqx.Module):
         )
         if not self._all():
             raise ValueError("`Measurements` must hold at least one measurement, but has none.")
+
+    def __repr__(self) -> str:
+        """Belt speeds or values, with their noise."""
+        rows: dict[str, Any] = {"Hopf speed": self.hopf, "fold": self.fold}
+        for name in ("amplitudes", "displacements"):
+            given = getattr(self, name)
+            if given is not None:
+                speeds, values, noise = map(number, given)
+                rows[name] = f"{values} at belt speeds {speeds}, noise {noise}"
+        return summary("Measurements", rows)
 
     def _all(self) -> list:
         every = (self.hopf, self.fold, self.amplitudes, self.displacements)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -14,6 +15,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int, PyTree
 
 from .._checks import check_function, check_positive, check_positive_number, shown, to_float
+from .._reprs import parameters
 from ..boundaries.bistable import BistableRange, bistable_range
 from ..continuation.damped_newton import where
 from ..continuation.gradient_descent import check_descent, unknowns
@@ -56,6 +58,15 @@ class Design(Outcome):
     path: PyTree
     costs: Float[Array, " steps"]
     aims: Float[Array, " steps"]
+
+    def _rows(self) -> dict[str, Any]:
+        return {
+            **dict(itertools.islice(parameters(self.theta).items(), 4)),
+            "cost": self.cost,
+            "highest speed of vibration": self.range.highest,
+            "width of the bistable range": self.range.width,
+            "residual": self.residual,
+        }
 
 
 class _Point(eqx.Module):

@@ -22,11 +22,12 @@ from .._checks import (
     is_traced,
     to_float,
 )
+from .._reprs import half, known, number, summary
 from .._types import ScalarLike
 from ..model.chain import Chain
 from ..model.initial_states import check_vibrating
 from ..observers.fronts import Fronts, FrontTrack, apart, mean_speed
-from ..result import Result, ended_well
+from ..result import Result, ended_well, name_of
 from ..simulation.accuracy import MAX_STEP, check_span, check_tolerances
 from ..simulation.run import MOST_SEGMENTS, simulate
 
@@ -58,6 +59,19 @@ class FrontSpeed(eqx.Module):
     times: Float[Array, " windows"]
     fronts: Fronts
     result: Result
+
+    def __repr__(self) -> str:
+        seen = known(self.verdict)
+        rows = {
+            "speed": (self.speed, self.error),
+            "right": (self.right, self.right_error),
+            "left": (self.left, self.left_error),
+            "moved": self.moved,
+            "run": name_of(self.result),
+        }
+        one = seen is not None and seen.ndim == 0
+        told = self.outcome if one else f"verdicts {number(self.verdict)}"
+        return summary(f"FrontSpeed: {told}", rows)
 
     @property
     def outcome(self) -> str:
@@ -193,6 +207,15 @@ class Depinning(eqx.Module):
 
     stands: Float[Array, ""]
     moves: Float[Array, ""]
+
+    def __repr__(self) -> str:
+        bar = half(self.stands, self.moves)
+        rows = {
+            "belt speed": None if bar is None else (self.middle, bar),
+            "stands at": self.stands,
+            "moves at": self.moves,
+        }
+        return summary("Depinning", rows)
 
     @property
     def middle(self) -> Array:

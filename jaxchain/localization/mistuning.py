@@ -22,6 +22,7 @@ from .._checks import (
     require_x64,
     shown,
 )
+from .._reprs import summary
 from .._types import ScalarLike
 from ..model.arguments import as_chain
 from ..model.chain import Chain
@@ -141,6 +142,14 @@ class LinearModes(eqx.Module):
     shape: Float[Array, "n n"]
     participation_ratio: Float[Array, " n"]
     return_probability: Float[Array, " n"]
+
+    def __repr__(self) -> str:
+        rows = {
+            "frequency": self.frequency,
+            "participation ratio": self.participation_ratio,
+            "return probability": self.return_probability,
+        }
+        return summary("LinearModes", rows)
 
 
 def linear_modes(chain: Any) -> LinearModes:

@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._checks import check_finite, check_kind, check_one_of, check_whole, shown, to_float
+from .._reprs import number, summary
 from .._types import State
 from ..continuation.damped_newton import linearised, solve
 from ..cycles.averaging import one_mass
@@ -104,6 +105,16 @@ class LockedPattern:
     phases: Float[np.ndarray, " k"]
     rate: float
     growth: float
+
+    def __repr__(self) -> str:
+        stable = "stable" if self.growth < 0 else "unstable"
+        rows = {
+            "phases": self.phases,
+            "order": f"{number(self.order)} (1 in phase, -1 alternating)",
+            "rate": self.rate,
+            "growth": f"{number(self.growth)}, {stable}",
+        }
+        return summary("LockedPattern", rows)
 
     @property
     def order(self) -> float:

@@ -20,6 +20,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Complex, Float
 
 from .._checks import check_concrete
+from .._reprs import summary
 from .._types import State
 from ..cycles.averaging import one_mass
 from ..cycles.floquet import monodromy_matrix
@@ -48,6 +49,15 @@ class PhaseModel(eqx.Module):
     displacement: Complex[Array, " h"]
     interaction: Complex[Array, " h"]
     quiet: Float[Array, ""]
+
+    def __repr__(self) -> str:
+        rows = {
+            "period": self.period,
+            "interaction": self.interaction,
+            "quiet neighbour": self.quiet,
+            "chain": self.chain,
+        }
+        return summary("PhaseModel", rows)
 
     def pull(self, difference: Float[Array, "*any"]) -> Float[Array, "*any"]:
         """H, of the phase of a neighbour less one's own."""

@@ -29,6 +29,7 @@ from .._checks import (
     shown,
     to_float,
 )
+from .._reprs import call
 from .._types import PerMass
 from .law_checks import check_curve
 from .parameters import CHAIN, parameter
@@ -47,6 +48,9 @@ class AbstractFriction(eqx.Module):
 
     A subclass has mu(s) as `law`, smoothed or not.
     """
+
+    def __repr__(self) -> str:
+        return call(self)
 
     @abc.abstractmethod
     def force(self, relative_velocity: Float[ArrayLike, "..."]) -> Float[Array, "..."]:

@@ -19,6 +19,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from .._checks import to_float
+from .._reprs import call
 from .._types import PerMass, ScalarLike, State
 from .locality import FINAL, local_dependence, refuse_overrides
 from .springs import Springs
@@ -30,6 +31,9 @@ class LocalSlopes(NamedTuple):
     time: Float[Array, " n"] | None
     displacement: Float[Array, " n"] | None
     velocity: Float[Array, " n"]
+
+    def __repr__(self) -> str:
+        return call(self, self._asdict())
 
 
 class AbstractOscillators(eqx.Module):

@@ -10,6 +10,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from .._checks import check_finite, check_one_of, named
+from .._reprs import call
 from .._types import PerMass
 
 Ends = Literal["cyclic", "free"]
@@ -104,6 +105,9 @@ class Springs(eqx.Module):
 
     constant: Array = eqx.field(converter=named("constant"))
     ends: Ends = eqx.field(static=True)
+
+    def __repr__(self) -> str:
+        return call(self)
 
     def __check_init__(self) -> None:
         check_one_of("ends", self.ends, get_args(Ends))

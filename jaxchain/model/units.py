@@ -19,6 +19,7 @@ from .._checks import (
     named,
     to_float,
 )
+from .._reprs import call
 from .._types import ScalarLike
 
 Quantity: TypeAlias = Literal["displacement", "velocity", "time", "force", "frequency"]
@@ -37,6 +38,9 @@ class DimensionalParameters(NamedTuple):
     """k_c [N/m]; None where nothing joins the masses"""
     normal_load: ScalarLike
     """P [N]"""
+
+    def __repr__(self) -> str:
+        return call(self, self._asdict())
 
 
 def _or_none(coupling: Any) -> Float[Array, ""] | None:
@@ -71,6 +75,9 @@ class Scales(eqx.Module):
     """xi, dimensionless"""
     coupling: Float[Array, ""] | None = eqx.field(converter=_or_none)
     """eta_c, dimensionless; None where nothing joins the masses"""
+
+    def __repr__(self) -> str:
+        return call(self)
 
     def __check_init__(self) -> None:
         remedy = "`Scales.from_dimensional` makes it from SI units."

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._checks import check_finite, is_traced, named
+from .._reprs import call
 
 
 class Trajectory(eqx.Module):
@@ -16,6 +17,9 @@ class Trajectory(eqx.Module):
     """
 
     times: Float[Array, " times"] = eqx.field(converter=named("times"))
+
+    def __repr__(self) -> str:
+        return call(self)
 
     def __check_init__(self) -> None:
         if self.times.ndim != 1 or not self.times.size:

@@ -20,13 +20,14 @@ from .._checks import (
     to_float,
 )
 from .._derivatives import both_ways
+from .._reprs import number, parameters, summary
 from .._types import ScalarLike, State
 from ..model.arguments import as_chain, as_state
 from ..model.chain import Chain, require_smoothed
 from ..model.oscillators import AbstractOscillators
 from ..observers.base import AbstractObserver
 from ..observers.trajectory import Trajectory
-from ..result import NAMES, Result, code, ended_well, message
+from ..result import NAMES, Result, code, ended_well, message, name_of
 from .accuracy import (
     MAX_STEP,
     NO_ACCURACY,
@@ -67,6 +68,18 @@ class Simulation(eqx.Module):
     steps: Int[Array, ""]
     rejected: Int[Array, ""]
     numerics: Numerics | None = None
+
+    def __repr__(self) -> str:
+        x, v = self.state or (None, None)
+        rows = {
+            "t": self.t,
+            "x": x,
+            "v": v,
+            "steps": f"{number(self.steps)}, rejected: {number(self.rejected)}",
+            "numerics": self.numerics,
+            **parameters({"observed": self.observed}),
+        }
+        return summary(f"Simulation: {name_of(self.result)}", rows)
 
     @property
     def outcome(self) -> str:
