@@ -145,7 +145,7 @@ def numbers_of(name: str, value: object, remedy: str = "") -> np.ndarray | None:
 
 
 def _check_each(
-    name: str, value: ArrayLike, good: np.ndarray | np.bool, demand: str, remedy: str
+    name: str, value: Any, good: np.ndarray | np.bool, demand: str, remedy: str
 ) -> None:
     if np.all(good):
         return
@@ -164,7 +164,7 @@ def check_finite(name: str, value: Any, remedy: str = "") -> None:
         _check_each(name, value, np.isfinite(numbers), "finite", remedy)
 
 
-def check_positive(name: str, value: ArrayLike, remedy: str = "") -> None:
+def check_positive(name: str, value: Any, remedy: str = "") -> None:
     """Raises `ValueError` if a concrete `value` is anywhere zero, negative or not finite.
 
     >>> check_positive("width", 0.01, "choose 1e-3, say.")

@@ -129,10 +129,7 @@ def _not_numbers() -> Iterator[Refusal]:
             *_tried(Amplitude, {"repeats": 5}),
             *_tried(PeakTimes, {"capacity": 4, "start": 0.0}),
             *_tried(partial(Section, 0), {"capacity": 4, "start": 0.0}),
-            *(
-                partial(simulate, chain, start, 1.0, observe=Trajectory(jnp.array([0.5, bad])))
-                for bad in NOT_NUMBERS
-            ),
+            *(partial(Trajectory, jnp.array([0.5, bad])) for bad in NOT_NUMBERS),
         ],
         FINITE + "|within",
     )
