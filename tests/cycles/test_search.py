@@ -276,7 +276,7 @@ def test_bad_input_is_named(slip):
     state = excited_state(chain, 1)
     for arguments, words in [
         ({"chain": None}, "`chain` must be a `Chain`"),
-        ({"guess": 3.0}, "`state` must be the pair"),
+        ({"guess": 3.0}, "`guess` must be the pair"),
         ({"guess": (state, -1.0)}, "`period` must be positive"),
         ({"vibrating": 2}, "`vibrating` must be an integer in 0 ... 0"),
         ({"branch": "upper"}, "`branch` must be"),
