@@ -47,7 +47,7 @@ from ..simulation.accuracy import (
     own_solver,
 )
 from ..simulation.event_driven import EventDriven, EventDrivenPlan
-from ..simulation.plan import AbstractPlan
+from ..simulation.plan import AbstractPlan, forward_only
 from ..simulation.run import build_plan
 from .benettin import Frame, Growth, Span, advance_span, random_basis
 from .spectrum import ZERO, LyapunovSpectrum, batch_error, kaplan_yorke_dimension
@@ -173,7 +173,7 @@ def lyapunov_spectrum(
             frame, growth = _advance(plan, chain, frame, span, max_steps)
             parts.append(growth)
         growths = jtu.tree_map(lambda *rows: jnp.stack(rows), *parts)
-    found = _read(frame, growths, spans)
+    found = forward_only(_read(frame, growths, spans))
     if throw and not is_traced(found) and not ended_well(found.outcome):
         raise RuntimeError(
             f"The run ended at t = {float(found.t):.6g} with `{found.outcome}`: "
