@@ -50,7 +50,7 @@ def configure(
     >>> round(float(hopf_belt_speed(paper_chain(belt_speed=1.0, width=1e-3))), 4)
     1.1513
     """
-    if bits not in (64, None):
+    if bits is not None and (isinstance(bits, bool) or bits != 64):
         raise ValueError(
             f"Argument `bits` must be 64, or None to leave it alone, but is {bits!r}."
         )
@@ -60,6 +60,8 @@ def configure(
             "Argument `devices` must be a number of devices up to 10000, None for one per core, "
             f"or 0 to leave it alone, but is {devices!r}."
         )
+    if not isinstance(whole_loops, bool):
+        raise ValueError(f"Argument `whole_loops` must be True or False, but is {whole_loops!r}.")
     if not isinstance(cache, bool | str | os.PathLike):
         raise ValueError(f"Argument `cache` must be a folder, True or False, but is {cache!r}.")
     import jax

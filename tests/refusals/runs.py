@@ -9,7 +9,7 @@ import diffrax as dfx
 import jax
 import jax.numpy as jnp
 
-from jaxchain import observers, simulation, solvers
+from jaxchain import configure, observers, simulation, solvers
 from jaxchain import sweep as run_sweep
 from jaxchain.model import paper_chain
 from jaxchain.observers import Amplitude, Trajectory
@@ -49,6 +49,13 @@ RUN = {
 
 
 def rows() -> Iterator[Row]:
+    yield Row(
+        "configure", configure, {},
+        {
+            "bits": (32, 64.5, "x", True, {}), "devices": (-1, 10**30, True, "4", 2.5, []),
+            "whole_loops": FLAG, "cache": (None, 3, []),
+        },
+    )  # fmt: skip
     yield from _observers()
     yield from _quantities()
     yield from _solvers()
