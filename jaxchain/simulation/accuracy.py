@@ -81,6 +81,19 @@ def _instead(solver: Any) -> str:
     return ": leave it out, and one that suits the chain is taken."
 
 
+def check_adjoint(adjoint: Any, max_steps: Any) -> None:
+    """Raises `ValueError` for what a run cannot be differentiated by."""
+    kinds = (dfx.ForwardMode, dfx.RecursiveCheckpointAdjoint, dfx.DirectAdjoint)
+    direct = isinstance(adjoint, dfx.DirectAdjoint)
+    if adjoint is not None and (not isinstance(adjoint, kinds) or (direct and not max_steps)):
+        end = ", which needs `max_steps`" if direct else ""
+        raise ValueError(
+            "Argument `adjoint` must be None, `diffrax.ForwardMode()` or "
+            f"`diffrax.RecursiveCheckpointAdjoint()`, but is {shown(adjoint)}{end}. None serves "
+            "derivatives of both kinds."
+        )
+
+
 def choose_solver(
     field: AbstractOscillators, rtol: float, max_step: float = MAX_STEP
 ) -> AbstractStructuredRosenbrock:

@@ -33,6 +33,7 @@ from .accuracy import (
     NO_ACCURACY,
     USUAL_RTOL,
     Numerics,
+    check_adjoint,
     check_resolved,
     check_span,
     check_tolerances,
@@ -152,7 +153,7 @@ def simulate(
     """
     as_chain(chain, AbstractOscillators)
     solver = own_solver(chain, solver)
-    _check_adjoint(adjoint, max_steps)
+    check_adjoint(adjoint, max_steps)
     check_flag("throw", throw)
     smoothed = not isinstance(solver, EventDriven)
     numerics = None
@@ -298,18 +299,6 @@ def _advance(
 def _concrete(value: Any, default: float) -> float:
     """A number to choose a method by; a traced one is taken for the default."""
     return default if is_traced(value) else float(value)
-
-
-def _check_adjoint(adjoint: Any, max_steps: Any) -> None:
-    kinds = (dfx.ForwardMode, dfx.RecursiveCheckpointAdjoint, dfx.DirectAdjoint)
-    direct = isinstance(adjoint, dfx.DirectAdjoint)
-    if adjoint is not None and (not isinstance(adjoint, kinds) or (direct and not max_steps)):
-        end = ", which needs `max_steps`" if direct else ""
-        raise ValueError(
-            "Argument `adjoint` must be None, `diffrax.ForwardMode()` or "
-            f"`diffrax.RecursiveCheckpointAdjoint()`, but is {shown(adjoint)}{end}. None serves "
-            "derivatives of both kinds."
-        )
 
 
 def check_segments(segments: Any) -> None:
