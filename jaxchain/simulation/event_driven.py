@@ -144,6 +144,7 @@ class EventDrivenPlan(AbstractPlan):
                 f"{adjoint!r}. None serves derivatives of both kinds."
             )
         progress, records = carry
+        progress = _at_the_end(dry, progress, t1)
         unfinished = progress.running & (progress.t < t1)
         result = Result.where(unfinished, Result.max_steps_reached, progress.result)
         progress = eqx.tree_at(lambda p: p.result, progress, result)
@@ -169,7 +170,7 @@ class EventDrivenPlan(AbstractPlan):
         state, new = after(field, (x, v), modes, hits, length > 0)
         state = state[0], state[1] + _head_start(field, state, modes, new, hits, shift - own)
         finite = jnp.all(jnp.isfinite(x) & jnp.isfinite(v))
-        t1 = jnp.where(finite, jnp.where(early | ~last, t0 + length, end), t0)
+        t1 = jnp.where(finite, jnp.where(jnp.any(hits) | ~last, t0 + length, end), t0)
         stalled = jnp.where(t1 > t0, 0, progress.memory.stalled + 1)
 
         accumulators, result = progress.accumulators, progress.result
@@ -228,6 +229,22 @@ class EventDrivenPlan(AbstractPlan):
         settled = jnp.all(jnp.stack(votes))  # pyright: ignore[reportArgumentType]
         how = Result.where(quiet, Result.quiet, Result.steady)
         return Result.where(settled & (result == Result.successful), how, result)
+
+
+def _at_the_end(field: Chain, progress: Progress, t1: Any) -> Progress:
+    """The same, where an event falls together with t1; but it moves with t1, not with the event.
+
+    A run over the period of a cycle that is cut at an event ends so.
+    """
+    x, v = progress.state
+    direction = progress.memory.modes.direction
+    mu = field.law.coefficient(jnp.abs(v - field.belt_speed))
+    slides = field.free_force(x, v) - direction * field.load * mu
+    acceleration = jnp.where(direction == STICK, 0.0, slides)
+    # Rounding, and 0 but for its derivative at any other end.
+    rest = jnp.where(progress.running & (progress.t >= t1), t1 - progress.t, 0.0)
+    state = x + rest * v, v + rest * acceleration
+    return eqx.tree_at(lambda p: p.state, progress, state)
 
 
 def _head_start(

@@ -313,6 +313,24 @@ def test_derivatives_pass_through_events_that_fall_together(coupling, x, t1):
         np.testing.assert_allclose(jacobian[:, i], difference, atol=1e-5)
 
 
+@pytest.mark.parametrize("ulps", [-2, -1, 0, 1, 2])
+def test_the_derivative_in_an_end_that_falls_together_with_an_event(ulps):
+    """At r = -p mu_st the belt, which has carried the mass from x0, lets it go at the end."""
+    chain = paper_chain(1, 1.2, width=None)
+    x0 = 0.1
+    release = float(chain.greatest_hold() - 2.0 * chain.damping_ratio * chain.belt_speed)
+    t1 = (release - x0) / 1.2
+    t1 += ulps * np.spacing(t1)
+
+    def end(x0, t1):
+        x, v = simulate(chain, (x0[None], chain.belt_speed[None]), t1).state
+        return jnp.stack([x[0], v[0]])
+
+    for derivative in (jax.jacfwd, jax.jacrev, lambda *a: jax.jit(jax.jacfwd(*a))):
+        found = jnp.stack(derivative(end, (0, 1))(jnp.asarray(x0), jnp.asarray(t1)), axis=1)
+        np.testing.assert_allclose(found, [[1.0, 1.2], [0.0, 0.0]], atol=1e-12)
+
+
 def test_a_perturbation_that_sticks_is_forgotten():
     """The monodromy matrix of a sticking cycle is singular: the velocity is that of the belt."""
     chain = paper_chain(1, 1.0)
