@@ -4,9 +4,11 @@ import atexit
 import gc
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 # Compiling is most of the time, and most programs run for a moment only: a compiler that optimizes
@@ -79,6 +81,20 @@ def _programs(config: pytest.Config) -> Path:
     folder = tempfile.mkdtemp(prefix="jaxchain-tests-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return Path(folder)
+
+
+@pytest.fixture
+def usual_signals() -> Iterator[None]:
+    """Signals as at a terminal, also where they are ignored: under `nohup`, in the background."""
+    usual = {
+        signal.SIGINT: signal.default_int_handler,
+        signal.SIGTERM: signal.SIG_DFL,
+        signal.SIGHUP: signal.SIG_DFL,
+    }
+    before = {number: signal.signal(number, handler) for number, handler in usual.items()}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -331,6 +331,7 @@ def test_ctrl_c_before_anything_is_finished_leaves_no_folder(workplace, monkeypa
     assert not Path("results/two").exists()
 
 
+@pytest.mark.usefixtures("usual_signals")
 def test_what_asks_the_process_to_end_is_answered_as_ctrl_c_is(
     workplace, made_up_sweep, monkeypatch, capsys
 ):

@@ -64,8 +64,8 @@ def loops(text):
         pytest.param(_many, 20, 1e-3, None, 50, id="smoothed, an ensemble"),
         pytest.param(_many, 20, None, None, 90, id="dry, an ensemble"),
         pytest.param(_many, 20, 1e-3, Amplitude(10.0), 60, id="smoothed, amplitudes"),
-        pytest.param(_many, 20, None, Amplitude(10.0), 100, id="dry, amplitudes"),
-        pytest.param(_many, 20, None, PeakTimes(), 110, id="dry, times of maxima"),
+        pytest.param(_many, 20, None, Amplitude(10.0), 115, id="dry, amplitudes"),
+        pytest.param(_many, 20, None, PeakTimes(), 115, id="dry, times of maxima"),
     ],
 )
 def test_every_loop_is_compiled_whole(make, n, width, observe, most):

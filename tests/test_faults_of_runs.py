@@ -55,14 +55,9 @@ def command(*options):
 
 
 @pytest.fixture
-def start():
+def start(usual_signals):
     """Starts runs, and ends those that a test leaves behind."""
     begun = []
-    # What is ignored here is ignored by the processes that start here; under `nohup`, say.
-    signals = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    ignored = [number for number in signals if signal.getsignal(number) is signal.SIG_IGN]
-    for number in ignored:
-        signal.signal(number, lambda number, frame: None)
 
     def run(*options, **streams):
         process = subprocess.Popen(command(*options), stderr=subprocess.PIPE, text=True, **streams)
@@ -74,8 +69,6 @@ def start():
         process.kill()
         process.wait()
         process.stderr.close()
-    for number in ignored:
-        signal.signal(number, signal.SIG_IGN)
 
 
 def wait_for(path, process):

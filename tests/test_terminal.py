@@ -11,6 +11,7 @@ import pytest
 from jaxchain._terminal import INTERRUPTED, stoppable, undisturbed
 
 FULL = Path("/dev/full")
+pytestmark = pytest.mark.usefixtures("usual_signals")
 
 
 def run(code, **options):

@@ -190,6 +190,7 @@ def test_a_drawing_is_whole_or_not_there(tmp_path, short_of_room):
     assert listing(tmp_path) == sorted(os.listdir(tmp_path)) == ["made_up.pdf", "made_up.png"]
 
 
+@pytest.mark.usefixtures("usual_signals")
 def test_an_interruption_waits_until_all_is_written(tmp_path, monkeypatch):
     whole = xr.Dataset.to_zarr
 
