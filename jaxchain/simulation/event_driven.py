@@ -170,7 +170,8 @@ class EventDrivenPlan(AbstractPlan):
         state, new = after(field, (x, v), modes, hits, length > 0)
         state = state[0], state[1] + _head_start(field, state, modes, new, hits, shift - own)
         finite = jnp.all(jnp.isfinite(x) & jnp.isfinite(v))
-        t1 = jnp.where(finite, jnp.where(jnp.any(hits) | ~last, t0 + length, end), t0)
+        meets = last & ~early & ~jnp.any(hits)
+        t1 = jnp.where(finite, jnp.where(meets, end, t0 + length), t0)
         stalled = jnp.where(t1 > t0, 0, progress.memory.stalled + 1)
 
         accumulators, result = progress.accumulators, progress.result
