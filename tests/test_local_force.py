@@ -132,6 +132,7 @@ def test_the_monodromy_matrix_has_the_determinant_of_liouville():
         np.testing.assert_allclose(found[:, j], (ends[0] - ends[1]) / (2 * h), atol=1e-7)
 
 
+@pytest.mark.long
 def test_the_cycle_of_van_der_pol_is_the_known_one():
     cycle = find_limit_cycle(ONE, START, rtol=1e-12)
     np.testing.assert_allclose(cycle.period, PERIOD, atol=1e-10)

@@ -71,6 +71,7 @@ def test_hopf_points_with_numbers_of_python():
     agree(own.belt_speed, shipped.belt_speed)
 
 
+@pytest.mark.long
 def test_event_driven_runs_and_their_derivatives_agree():
     """Masses stick, slide and come back; the tangent is that of the law's own number."""
 

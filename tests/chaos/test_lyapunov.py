@@ -71,6 +71,7 @@ def test_a_linear_chain_that_creeps():
     assert found.chaotic() is False
 
 
+@pytest.mark.long
 def test_one_dry_mass_vibrates_and_two_rest():
     """0 and -inf of the cycle, and the damping of the others; the last step back to the start."""
     chain = apart(1.5)
@@ -294,6 +295,7 @@ def test_a_linear_chain_of_twenty():
     np.testing.assert_allclose(np.log(np.abs(np.linalg.eigvals(M.monodromy))), -0.05, atol=1e-6)
 
 
+@pytest.mark.long
 def test_a_traced_window_that_is_none_is_a_failure():
     chain = paper_chain(1)
 

@@ -11,6 +11,8 @@ from jaxchain.cycles.closing import close_orbit
 from jaxchain.cycles.search import find_limit_cycle
 from jaxchain.model.chain import paper_chain
 
+# The fold by grazing and its derivatives are the quick look at dry cycles.
+pytestmark = pytest.mark.long
 ONE = paper_chain(1, belt_speed=1.5, width=None)
 # Let go where p mu_st = k x + 2 xi v_d.
 RELEASE = 1.0 - 2 * 0.05 * 1.5
@@ -115,7 +117,6 @@ def test_of_several_masses_one_sticks_and_many_chains_go_at_once():
     np.testing.assert_allclose(orbit.multipliers, alone.multipliers, atol=1e-7)
 
 
-@pytest.mark.long
 def test_derivatives_of_a_dry_cycle_do_not_depend_on_how_they_are_compiled():
     """The cycle is cut where the belt lets the mass go, so that its run ends at that event."""
     chain = paper_chain(1, 1.2, width=None)

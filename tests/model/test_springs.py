@@ -94,6 +94,7 @@ def test_sweeps_keep_their_bound_on_both_sides(scale, sweeps):
     assert lag <= rho ** (sweeps + 1) / (1 - rho) * start + 1e-15
 
 
+@pytest.mark.long
 def test_solvers_are_differentiable():
     def solve(c, scale):
         springs = Springs(c, "cyclic")

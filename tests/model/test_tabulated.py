@@ -156,6 +156,7 @@ def test_dry_and_smoothed_agree_to_their_width():
     np.testing.assert_allclose(dry, smoothed, atol=1e-3)
 
 
+@pytest.mark.long
 def test_derivatives_pass_through_the_knots():
     def end(stretch):
         x, v = initial()

@@ -137,6 +137,7 @@ def test_a_law_of_ones_own():
     assert len(witness.events) > 2
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("stribeck_speed", [0.5, 0.1, 0.03])
 def test_a_law_that_is_constant_but_near_rest_is_not_overlooked(stribeck_speed):
     """Without steps that end at its knots this is off by 6e-4: from far away mu is a constant."""
@@ -148,6 +149,7 @@ def test_a_law_that_is_constant_but_near_rest_is_not_overlooked(stribeck_speed):
     np.testing.assert_allclose(end, fine, atol=2e-5)
 
 
+@pytest.mark.long
 def test_a_law_that_chooses_by_the_speed_must_say_where():
     class Plateau(AbstractFrictionLaw):
         mu_static: float
@@ -216,6 +218,7 @@ def test_starting_on_the_switching_surface_beyond_the_limit():
         against_witness(chain, (jnp.array([x]), jnp.array([0.5])), 10.0)
 
 
+@pytest.mark.long
 def test_identical_masses_stay_identical():
     """Twenty events at one time are twenty, and nothing but the symmetric motion follows."""
     chain = paper_chain(20, 1.3)
@@ -243,6 +246,7 @@ def test_mirror_image():
     np.testing.assert_allclose(there[1], -back[1], atol=1e-14)
 
 
+@pytest.mark.long
 def test_lanes_are_what_they_are_alone():
     chain = paper_chain(20, 1.3)
     speeds = jnp.array([0.5, 1.2, 1.6])
@@ -314,7 +318,15 @@ def test_derivatives_pass_through_events_that_fall_together(coupling, x, t1):
 
 
 @pytest.mark.parametrize("ulps", [-2, -1, 0, 1, 2])
-def test_the_derivative_in_an_end_that_falls_together_with_an_event(ulps):
+@pytest.mark.parametrize(
+    "derivative",
+    [
+        jax.jacfwd,
+        pytest.param(jax.jacrev, marks=pytest.mark.long),
+        pytest.param(lambda *a: jax.jit(jax.jacfwd(*a)), marks=pytest.mark.long, id="compiled"),
+    ],
+)
+def test_the_derivative_in_an_end_that_falls_together_with_an_event(derivative, ulps):
     """At r = -p mu_st the belt, which has carried the mass from x0, lets it go at the end."""
     chain = paper_chain(1, 1.2, width=None)
     x0 = 0.1
@@ -326,9 +338,8 @@ def test_the_derivative_in_an_end_that_falls_together_with_an_event(ulps):
         x, v = simulate(chain, (x0[None], chain.belt_speed[None]), t1).state
         return jnp.stack([x[0], v[0]])
 
-    for derivative in (jax.jacfwd, jax.jacrev, lambda *a: jax.jit(jax.jacfwd(*a))):
-        found = jnp.stack(derivative(end, (0, 1))(jnp.asarray(x0), jnp.asarray(t1)), axis=1)
-        np.testing.assert_allclose(found, [[1.0, 1.2], [0.0, 0.0]], atol=1e-12)
+    found = jnp.stack(derivative(end, (0, 1))(jnp.asarray(x0), jnp.asarray(t1)), axis=1)
+    np.testing.assert_allclose(found, [[1.0, 1.2], [0.0, 0.0]], atol=1e-12)
 
 
 def test_a_perturbation_that_sticks_is_forgotten():

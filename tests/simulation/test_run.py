@@ -75,6 +75,7 @@ def test_forward_and_reverse_derivatives_of_a_run_agree(adjoint):
     assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(gradient))
 
 
+@pytest.mark.long
 def test_the_amplitude_is_differentiable():
     def amplitude(speed):
         chain = paper_chain(1, belt_speed=speed, width=0.05)
@@ -107,6 +108,7 @@ def compiled_text(chain, **kwargs):
     return str(program.lower(chain, start).compile().as_text())
 
 
+@pytest.mark.long
 def test_what_a_scene_leaves_out_is_not_in_the_compiled_program():
     n = 23  # a number that occurs nowhere else in the program
     coupled = compiled_text(paper_chain(n), observe=Amplitude(window=10.0))
@@ -205,6 +207,7 @@ def test_without_64_bits_there_is_a_clear_error():
         jax.config.update("jax_enable_x64", True)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("solver", [None, EventDriven()], ids=["smoothed", "nonsmooth"])
 def test_a_traced_end_that_is_no_time_after_the_start_is_a_failure(solver):
     chain = paper_chain(1)

@@ -125,6 +125,7 @@ def test_adaptive_solution_is_right_for_any_coupling_and_any_number_of_sweeps(co
     np.testing.assert_allclose(np.stack(swept), np.stack(exact), atol=1e-7)
 
 
+@pytest.mark.long
 def test_an_unproven_truncation_with_a_constant_step_is_a_failure_not_a_wrong_number():
     chain = paper_chain(6).with_(coupling=10.0)
     y0 = equation_8(chain, 2)

@@ -150,6 +150,7 @@ def test_a_correlation_is_that_of_numpy():
     assert np.isnan(correlation(x.where(np.arange(x.size) < 2), y, "seed"))
 
 
+@pytest.mark.long
 def test_starts_and_patterns_depend_on_the_seed_alone(study):
     chain = base_chain(study)
     half = np.stack([np.asarray(random_half(seed, 20)) for seed in range(30)])

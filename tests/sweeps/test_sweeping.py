@@ -243,6 +243,7 @@ def test_a_lane_takes_as_many_steps_as_it_may_and_no_more(solver):
     assert time == pytest.approx(float(run.t), rel=1e-9)
 
 
+@pytest.mark.long
 def test_a_run_that_ends_with_its_last_step_has_its_answer():
     arguments = {"over": {"excited": [1]}, "observe": Amplitude(window=5.0)}
     free = sweep(CHAIN, equation_8, 10.0, **arguments)
@@ -355,6 +356,7 @@ def test_segments_are_those_of_single_runs(solver):
     assert data.active_count.isel(excited=2).values.tolist() == [4, 4, 4]
 
 
+@pytest.mark.long
 def test_a_segment_may_take_as_many_steps_as_a_run():
     options = {"solver": EventDriven(), "segments": 3, "observe": Amplitude()}
     free = sweep(CHAIN, equation_8, 36.0, over={"excited": [4]}, **options)
@@ -366,6 +368,7 @@ def test_a_segment_may_take_as_many_steps_as_a_run():
     assert int(few.steps[0]) == 9
 
 
+@pytest.mark.long
 def test_parameters_go_together_along_one_dimension():
     """Measured sets and states of shape (samples, n), beside a product."""
     starts = np.linspace(-1.0, 1.0, 12).reshape(3, 4)
