@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -12,6 +13,7 @@ import jax
 import jax.tree_util as jtu
 import numpy as np
 
+from .._configure import cores
 from .._progress import progress_bar
 from ..result import NAMES, code
 from .lanes import (
@@ -53,6 +55,10 @@ class Pool:
         self.task, self.starts, self.jobs = task, starts, jobs
         self.total = next(iter(jobs.values())).shape[0]
         self.devices = list(jax.local_devices() if devices is None else devices)[: self.total]
+        # Of the CPU, and wanted: nobody chose the devices, and there are jobs for more of them.
+        found = devices is None and self.devices[0].platform == "cpu"
+        self.idle_cores = max(0, cores() - len(self.devices)) if found else 0
+        self.idle_cores *= self.total > len(self.devices)
         self.fixed = lanes is not None
         self.lanes = _lane_count(task.chain.n, self.total, self.devices, lanes)
         self.width = self.lanes * len(self.devices)
@@ -108,6 +114,12 @@ class Pool:
             bar_format="{desc}: {percentage:3.0f}%|{bar}| {n:.1f}/{total} lanes "
             "[{elapsed}<{remaining}]",
         ) as bar:
+            if show and self.idle_cores:
+                told = (
+                    f"{self.idle_cores} of {cores()} cores lie idle: call `jaxchain.configure()` "
+                    "before the first computation."
+                )
+                bar.write(told, file=sys.stderr)
             finished = 0
             while np.any(self.owner >= 0):
                 pool, ended = zip(*self._on_all(advance_lane, pool), strict=True)

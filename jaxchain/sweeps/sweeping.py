@@ -125,7 +125,7 @@ def sweep(
       many as fit its cache, no more than there are jobs, and fewer near the end of a long sweep;
       that is fastest, but the last bits then depend on jobs, devices and the clock.
     - `devices`: default all local devices.
-    - `progress`: show a progress bar.
+    - `progress`: show a progress bar; it tells of cores that lie idle.
 
     **Returns:** an `xarray.Dataset` with the dimensions of `over` and `oscillator` (1 ... n), see
     `sweeps/dataset.py`; what is swept along a dimension of another name is a coordinate along it.

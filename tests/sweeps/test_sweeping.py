@@ -429,3 +429,17 @@ def test_bad_input_is_named_before_anything_runs(change, message):
     arguments = {"t1": 60.0, "over": {"excited": [0]}, **change}
     with pytest.raises(ValueError, match=message):
         sweep(CHAIN, equation_8, arguments.pop("t1"), **arguments)
+
+
+@pytest.mark.parametrize(("cores", "devices"), [(4, None), (2, None), (4, 2)])
+def test_cores_that_lie_idle_are_told_of(cores, devices, monkeypatch, capsys):
+    """Here two of them are devices of JAX, see conftest.py."""
+    monkeypatch.setattr("jaxchain.sweeps.scheduler.cores", lambda: cores)
+    chosen = devices and jax.devices()[:devices]
+    speeds = {"belt_speed": [0.9, 1.0, 1.1]}
+    sweep(
+        paper_chain(1, width=1e-2), excited_state, 1.0, over={**speeds, "excited": [1]},
+        progress=True, devices=chosen,
+    )  # fmt: skip
+    told = "2 of 4 cores lie idle: call `jaxchain.configure()` before the first computation.\n"
+    assert (told in capsys.readouterr().err) == (cores == 4 and devices is None)
