@@ -155,7 +155,7 @@ def test_bad_measurements_are_named(arguments, message):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"measurements": 1.0}, "`measurements` must be a `Measurements`"),
+        ({"measurements": 1.0}, "`measurements` must be `Measurements`"),
         ({"steps": 0}, "`steps` must be"),
         ({"steps": None}, "`steps` must be an integer"),
         ({"start": ()}, "`start` must hold"),
