@@ -171,7 +171,7 @@ def test_a_branch_follows_a_number_of_other_oscillators():
     ).y[:, -1]  # fmt: skip
     np.testing.assert_allclose(end, [x[0], v[0]], atol=1e-7)
     assert np.all(np.isnan(branch.closeness))
-    with pytest.raises(ValueError, match=r"may be one of \['strength'\]"):
+    with pytest.raises(ValueError, match=r"one of \['strength'\]"):
         continue_cycle(cycle)
 
 

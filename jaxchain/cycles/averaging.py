@@ -39,7 +39,7 @@ def graded(phase: Any) -> Any:
 def one_mass(chain: Chain, mass: int) -> Chain:
     """Mass `mass` alone, its neighbours held: K_jj is its stiffness."""
 
-    def own(value: Array) -> Array:
+    def own(value: Any) -> Any:  # also a plain number, where a law is traced
         return value[mass] if jnp.ndim(value) == 1 else value  # a table is of two dimensions
 
     held = chain.with_(stiffness=chain.stiffness_diagonal(chain.n), coupling=None)

@@ -142,7 +142,9 @@ class Pool:
         for begin in range(0, self.total, self.width):
             index = np.minimum(np.arange(begin, begin + self.width), self.total - 1)
             x, v = joined([start.state for start in self._starts(index)])
-            far.append(np.sum((x - np.median(x, axis=1, keepdims=True)) ** 2 + v**2, axis=1))
+            with np.errstate(invalid="ignore"):  # a start that is not finite fails in its own lane
+                rest = np.median(x, axis=1, keepdims=True)
+                far.append(np.sum((x - rest) ** 2 + v**2, axis=1))
         return np.argsort(-np.concatenate(far)[: self.total], kind="stable")
 
     def _starts(self, index: np.ndarray) -> list[Start]:
