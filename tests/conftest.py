@@ -52,6 +52,8 @@ jaxchain.configure(devices=2)
 
 # What compiled programs may take: some fifteen times what all tests leave.
 MOST_BYTES = 2**29
+# What a worker may hold before JAX forgets the programs in memory: they are on the disk as well.
+MOST_MEMORY = 3 * 2**30
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -81,6 +83,19 @@ def _programs(config: pytest.Config) -> Path:
     folder = tempfile.mkdtemp(prefix="jaxchain-tests-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return Path(folder)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def bounded_memory() -> Iterator[None]:
+    """The programs of all long tests take six gigabytes, of each of several workers."""
+    yield
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+    except OSError:  # not on Linux
+        return
+    if pages * os.sysconf("SC_PAGE_SIZE") > MOST_MEMORY:
+        jax.clear_caches()
+        gc.collect()
 
 
 @pytest.fixture

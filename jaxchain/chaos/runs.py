@@ -14,7 +14,7 @@ from jaxtyping import Array
 
 from ..model.oscillators import AbstractOscillators
 from ..result import code
-from ..sweeps.lanes import map_lanes
+from ..sweeps.programs import map_lanes
 from .lyapunov import lyapunov_spectrum
 from .poincare import Record, join, watch
 from .records import Evidence

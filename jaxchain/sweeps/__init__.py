@@ -2,7 +2,8 @@
 
 - `axes`: checks of what is swept, before anything is compiled
 - `dataset`: labels, units and provenance of results
-- `lanes`: what a lane does, and what all do together
+- `lanes`: what a lane does, and what all lanes of a device do
+- `programs`: programs for lanes, compiled once and loaded on every device
 - `scheduler`: lanes on every device, and the jobs that wait for them
 - `starts`: the chain and the state that a lane starts with
 - `sweeping`: `sweep`

@@ -1,32 +1,28 @@
-"""What a lane of an ensemble does, and what all lanes do together: the traced part of a sweep."""
+"""What a lane of an ensemble does, and what all lanes of a device do: the traced part."""
 
 from __future__ import annotations
 
-import functools
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Sequence
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.tree_util as jtu
-import numpy as np
-from jax.sharding import Mesh, NamedSharding
-from jax.sharding import PartitionSpec as P
+from jax import lax
 from jaxtyping import Array, Bool, Int
 
 from ..model.chain import Chain
 from ..observers.base import Variable
 from ..result import Result, code
 from ..simulation.plan import AbstractPlan, Progress
-from .starts import Own, Start, Starts, Varied, start_of, with_numbers
+from .starts import Own, Start, Varied, with_numbers
 
-# Steps per round: long enough that the host's share vanishes, short enough that a lane which has
-# ended does not idle for long.
-ROUND = 256
-# Pairs of functions, `initial` and `vary`, whose programs are kept: the latest ones.
-KEPT = 8
+# Steps in a round: long enough that what is done between rounds costs nothing, short enough that a
+# lane which has ended does not idle for long.
+ROUND = 64
+# In the place of the number of a job: there is none, or leave what is there.
+NOBODY, AS_IT_IS = -1, -2
 
 
 class Task(eqx.Module):
@@ -84,16 +80,12 @@ def start_lane(task: Task, start: Start) -> Lane:
     return Lane(start.own, progress, Segments(none, none, blank))
 
 
-def restart_lane(task: Task, lane: Lane, take: Bool[Array, ""], start: Start) -> Lane:
-    """The lane itself, or a fresh one if it is to `take` the next job."""
-    return jtu.tree_map(lambda a, b: jnp.where(take, a, b), start_lane(task, start), lane)
-
-
-def advance_lane(task: Task, lane: Lane) -> tuple[Lane, Bool[Array, ""]]:
-    """The lane after one more round, and whether it has ended."""
+def advance_lane(task: Task, lane: Lane, over: Bool[Array, ""]) -> tuple[Lane, Bool[Array, ""]]:
+    """The lane after one more round, and whether it has ended; one that is `over` stays."""
     chain, segments = task.own_chain(lane.own), lane.segments
     progress, left, most = lane.progress, None, task.max_steps
     end = task.t1 if segments is None else task.edge(segments.present + 1)
+    end = jnp.where(over, progress.t, end)
     if most is not None:
         most = most if segments is None else most + segments.tried
         left = most - progress.steps - progress.rejected
@@ -103,10 +95,12 @@ def advance_lane(task: Task, lane: Lane) -> tuple[Lane, Bool[Array, ""]]:
         goes_on &= progress.steps + progress.rejected < most
     result = Result.where(goes_on, Result.successful, progress.result)
     progress = eqx.tree_at(lambda p: p.result, progress, result)
-    if segments is None:
-        return Lane(lane.own, progress), ~goes_on
-    progress, segments = _next_segment(task, chain, progress, segments, ~goes_on)
-    return Lane(lane.own, progress, segments), segments.present >= (task.segments or 1)
+    ended = ~goes_on
+    if segments is not None:
+        progress, segments = _next_segment(task, chain, progress, segments, ended)
+        ended = segments.present >= (task.segments or 1)
+    new = Lane(lane.own, progress, segments)
+    return jtu.tree_map(lambda a, b: jnp.where(over, a, b), lane, new), over | ended
 
 
 def _next_segment(
@@ -139,126 +133,95 @@ def read_lane(task: Task, lane: Lane) -> dict[str, Any]:
     }
 
 
-class Parts:
-    """Lanes in equal parts, each of them on the devices of a group and run by one program.
+class Place(eqx.Module):
+    """A lane, the job that comes next in it, and what the last one left; a pool is stacked."""
 
-    XLA compiles another program for another number of lanes, and for several devices another one
-    than for one; the last bits of a lane depend on the program.  Groups of one device, with so
-    many lanes each, give the same bits on any number of devices.
+    lane: Lane
+    job: Int[Array, ""]  # under way, or NOBODY
+    over: Bool[Array, ""]  # whether that has ended
+    next_start: Start
+    next_job: Int[Array, ""]
+    record: dict[str, Any]
+    recorded: Int[Array, ""]  # the job of the record
+
+
+def blank_place(task: Task, start: Start) -> Place:
+    lane, nobody = start_lane(task, start), jnp.asarray(NOBODY)
+    return Place(lane, nobody, jnp.asarray(True), start, nobody, read_lane(task, lane), nobody)
+
+
+def advance_pool(
+    task: Task,
+    pool: Place,
+    fresh: Start,
+    jobs: Int[Array, " lanes"],
+    more: Bool[Array, ""],
+    rounds: Int[Array, ""],
+) -> tuple[Place, dict[str, Any]]:
+    """All lanes after so many rounds, or until one has to wait for the host.
+
+    Where a lane ends, its record is kept and its next job begins, without the host.  `jobs`: what
+    comes next in each place, with its `fresh` start; NOBODY takes back what would have come.
+    `more`: whether the host has other jobs, so that it is to be asked as soon as a lane is idle.
+
+    **Returns:** the pool, and of each lane `job`, `next_job`, `recorded`, `record` and the time
+    `t`, and the number of `rounds`.
     """
+    given = jobs != AS_IT_IS
+    begun = jtu.tree_map(lambda a, b: _where(given, a, b), fresh, pool.next_start)
+    pool = eqx.tree_at(
+        lambda p: (p.next_start, p.next_job, p.recorded),
+        pool,
+        # The host has the records.
+        (begun, jnp.where(given, jobs, pool.next_job), jnp.full_like(jobs, NOBODY)),
+    )
 
-    def __init__(self, groups: Sequence[Sequence[Any]]):
-        self.meshes = [Mesh(np.array(group), ("lanes",)) for group in groups]
-        self.devices = list(dict.fromkeys(device for group in groups for device in group))
+    def goes_on(carry: tuple[Place, Array]) -> Array:
+        pool, done = carry
+        busy = (pool.job >= 0) | (pool.next_job >= 0)
+        full = (pool.job >= 0) & pool.over & (pool.recorded >= 0)
+        stands = full | (~busy & more)
+        return (done < rounds) & jnp.any(busy) & ~jnp.any(stands)
 
-    def place(self, task: Any) -> list:
-        """A copy of the task on every group."""
-        arrays, static = eqx.partition(task, eqx.is_array)
-        return [
-            eqx.combine(jax.device_put(arrays, NamedSharding(mesh, P())), static)
-            for mesh in self.meshes
-        ]
+    def one_more(carry: tuple[Place, Array]) -> tuple[Place, Array]:
+        pool, done = carry
+        lane, over = jax.vmap(lambda *own: advance_lane(task, *own))(pool.lane, pool.over)
+        pool = eqx.tree_at(lambda p: (p.lane, p.over), pool, (lane, over))
+        # Its cost is that of some steps.
+        turn = jax.vmap(lambda place: _turn(task, place))
+        return lax.cond(jnp.any(over), turn, lambda pool: pool, pool), done + 1
 
-    def deal(self, arrays: Any) -> list:
-        """Host arrays over all lanes, cut into parts and put on their devices."""
-
-        def part(index: int) -> Any:
-            sharding = NamedSharding(self.meshes[index], P("lanes"))
-            cut = jtu.tree_map(lambda a: np.split(a, len(self.meshes))[index], arrays)
-            return jax.device_put(cut, sharding)
-
-        return [part(index) for index in range(len(self.meshes))]
-
-    def map(self, function: Callable, tasks: list, *lanes: Sequence) -> list:
-        """`function(task, *lane)` for every lane; no part waits for another."""
-        return [
-            on_all_lanes(function, mesh if mesh.size > 1 else None, task, *own)
-            for mesh, task, *own in zip(self.meshes, tasks, *lanes, strict=True)
-        ]
-
-    def starts(self, starts: list[Starts], values: list[dict[str, Array]]) -> list[Start]:
-        """The start of every lane."""
-        return [
-            _starts_of(mesh if mesh.size > 1 else None, own, job)
-            for mesh, own, job in zip(self.meshes, starts, values, strict=True)
-        ]
+    pool, done = lax.while_loop(goes_on, one_more, (pool, jnp.zeros_like(rounds)))
+    return pool, {
+        "job": pool.job,
+        "next_job": pool.next_job,
+        "recorded": pool.recorded,
+        "record": pool.record,
+        "t": pool.lane.progress.t,
+        "rounds": done,
+    }
 
 
-@eqx.filter_jit
-def on_all_lanes(function: Callable, mesh: Mesh | None, task: Any, *lanes: Any) -> Any:
-    return _mapped(function, mesh, task, *lanes)
+def _turn(task: Task, place: Place) -> Place:
+    """If the lane is over, its record is kept, and its next job begins."""
+    leaves = (place.job >= 0) & place.over & (place.recorded < 0)
+    job = jnp.where(leaves, NOBODY, place.job)
+    begins = (job < 0) & (place.next_job >= 0)
+
+    def either(take: Array, new: Any, old: Any) -> Any:
+        return jtu.tree_map(lambda a, b: jnp.where(take, a, b), new, old)
+
+    return Place(
+        either(begins, start_lane(task, place.next_start), place.lane),
+        jnp.where(begins, place.next_job, job),
+        place.over & ~begins,
+        place.next_start,
+        jnp.where(begins, NOBODY, place.next_job),
+        either(leaves, read_lane(task, place.lane), place.record),
+        jnp.where(leaves, place.job, place.recorded),
+    )
 
 
-def _mapped(function: Callable, mesh: Mesh | None, task: Any, *lanes: Any) -> Any:
-    """`function(task, *lane)` for every lane: vmap on each device, no talk between devices."""
-    arrays, static = eqx.partition(task, eqx.is_array)
-
-    def mapped(arrays: Any, *lanes: Any) -> Any:
-        task = eqx.combine(arrays, static)
-        return jax.vmap(lambda *lane: function(task, *lane))(*lanes)
-
-    if mesh is not None:
-        mapped = jax.shard_map(
-            mapped,
-            mesh=mesh,
-            in_specs=(P(), *(P("lanes") for _ in lanes)),
-            out_specs=P("lanes"),
-            check_vma=False,
-        )
-    return mapped(arrays, *lanes)
-
-
-def _starts_of(mesh: Mesh | None, starts: Starts, values: dict[str, Array]) -> Start:
-    arrays, static = eqx.partition(starts, eqx.is_array)
-    leaves, structure = jtu.tree_flatten(static)
-    return start_program(mesh, structure, *leaves)(arrays, values)
-
-
-@functools.lru_cache(maxsize=KEPT, typed=True)  # 1 and 1.0 make two programs
-def start_program(mesh: Mesh | None, structure: Any, *leaves: Hashable) -> Callable:
-    """A program that makes starts with these functions alone, and is forgotten with them.
-
-    JAX keeps what is compiled for as long as the function lives that was compiled; behind
-    `eqx.filter_jit` stands one that lives for ever.
-    """
-    static = jtu.tree_unflatten(structure, leaves)
-
-    def program(arrays: Any, values: dict[str, Array]) -> Start:
-        return _mapped(start_of, mesh, eqx.combine(arrays, static), values)
-
-    return jax.jit(program)
-
-
-def joined(parts: Sequence[Any]) -> Any:
-    """The parts of what is stacked over lanes as one, on the host."""
-
-    def join(*own: Any) -> Any:
-        return np.concatenate(own) if isinstance(own[0], jax.Array) else own[0]
-
-    return jtu.tree_map(join, *parts)
-
-
-def map_lanes(
-    function: Callable,
-    task: Any,
-    columns: Sequence[np.ndarray],
-    *,
-    lanes: int,
-    done: Callable[[int], object] = lambda rows: None,
-) -> Any:
-    """`function(task, *row)` for every row of `columns`, stacked in NumPy arrays.
-
-    Every local device takes `lanes` rows at a time (the last ones are padded), always by the same
-    program: the results do not depend on the number of devices.  `done` is called with the number
-    of rows that have been computed since.
-    """
-    devices, rows, found = jax.local_devices(), len(columns[0]), []
-    for start in range(0, rows, lanes * len(devices)):
-        here = min(rows - start, lanes * len(devices))
-        parts = Parts([[device] for device in devices[: -(-here // lanes)]])
-        index = start + np.minimum(np.arange(lanes * len(parts.meshes)), here - 1)
-        dealt = [parts.deal(np.asarray(column)[index]) for column in columns]
-        values = joined(parts.map(function, parts.place(task), *dealt))
-        found.append(jtu.tree_map(lambda a, here=here: a[:here], values))
-        done(here)
-    return jtu.tree_map(lambda *own: np.concatenate(own), *found)
+def _where(take: Bool[Array, " lanes"], new: Array, old: Array) -> Array:
+    """`new` in the lanes that take it."""
+    return jnp.where(take.reshape(take.shape + (1,) * (new.ndim - 1)), new, old)

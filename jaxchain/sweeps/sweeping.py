@@ -54,7 +54,7 @@ from ..simulation.run import build_plan, check_segments
 from .axes import check_axes, check_observers, check_vary
 from .axes import jobs as jobs_of
 from .lanes import Task
-from .scheduler import Pool
+from .scheduler import Scheduler
 from .starts import Starts, chain_names, initial_names, own_chain
 
 if TYPE_CHECKING:
@@ -204,8 +204,8 @@ def sweep(
     most = None if max_steps is None else jnp.asarray(max_steps)
     starts = Starts(chain, initial, vary)
     task = Task(plan, chain, to_float(t0), to_float(t1), most, starts.varied(jobs), segments)
-    runner = Pool(task, starts, jobs, devices, lanes)
-    lanes_at_start, started = runner.lanes, time.perf_counter()
+    runner = Scheduler(task, starts, jobs, devices, lanes)
+    started = time.perf_counter()
     interrupted = False
     try:
         runner.run(progress, description)
@@ -216,8 +216,8 @@ def sweep(
         "wall_time_s": round(time.perf_counter() - started, 3),
         "devices": ", ".join(str(d) for d in runner.devices),
         "device_kind": ", ".join(sorted({d.device_kind for d in runner.devices})),
-        "lanes_per_device": lanes_at_start,
-        "lanes_per_device_at_end": runner.lanes,
+        "lanes_per_device": runner.lanes,
+        "lanes_per_device_at_end": runner.lanes_at_end,
     }
     edges = None if segments is None else np.asarray(task.edge(np.arange(segments + 1)))
     dataset = to_dataset(runner.records, axes, chain, attrs, edges)

@@ -278,10 +278,10 @@ def test_a_study_of_both_models_into_its_folder(tmp_path):
 def test_lanes_fix_how_many_states_run_at_a_time_on_a_device():
     """Of five states two at a time, the last of them once more; or a share on every device."""
     parts, order = runs._deal(5, 2)
-    assert [mesh.size for mesh in parts.meshes] == [1, 1, 1]
+    assert len(parts.of_each) == 3
     np.testing.assert_array_equal(order, [0, 3, 1, 4, 2, 0])
     shared, order = runs._deal(5, None)
-    assert [mesh.size for mesh in shared.meshes] == [len(jax.local_devices())]
+    assert shared.of_each == jax.local_devices()
     assert set(order) == set(range(5))
 
 

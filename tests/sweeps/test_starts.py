@@ -13,7 +13,7 @@ import pytest
 
 from jaxchain import Amplitude, equation_8, paper_chain, sweep
 from jaxchain.localization import mistuned_chain
-from jaxchain.sweeps.lanes import KEPT, Parts, on_all_lanes, start_program
+from jaxchain.sweeps.programs import KEPT_STARTS, Parts, program, start_program
 from jaxchain.sweeps.starts import Starts, own_chain
 
 CHAIN = paper_chain(2, belt_speed=1.4, width=0.1)
@@ -29,7 +29,7 @@ def run(initial, vary=None, **over):
 
 def programs():
     """How many have been compiled: large ones, and small ones for the starts."""
-    return on_all_lanes._cached._cache_size(), start_program.cache_info().misses  # pyright: ignore
+    return program.cache_info().misses, start_program.cache_info().misses
 
 
 def test_a_new_function_compiles_its_starts_alone():
@@ -71,7 +71,7 @@ def test_the_same_function_compiles_nothing():
 
 def test_the_programs_of_few_functions_are_kept():
     """JAX lets go of what it compiled, and of the functions with all that they hold."""
-    parts, alive = Parts([jax.devices()[:1]]), []
+    parts, alive = Parts(jax.devices()[:1]), []
 
     def start(factor):
         def initial(chain, k) -> Any:
@@ -81,11 +81,11 @@ def test_the_programs_of_few_functions_are_kept():
         place = parts.place(Starts(CHAIN, initial))
         return parts.starts(place, parts.deal({"k": np.arange(2.0)}))[0].state[0]
 
-    for factor in range(1, KEPT + 4):
+    for factor in range(1, KEPT_STARTS + 4):
         assert start(factor).tolist() == [[0.0] * 2, [factor] * 2]
     gc.collect()
-    assert sum(function() is not None for function in alive) <= KEPT
-    assert start_program.cache_info().currsize <= KEPT
+    assert sum(function() is not None for function in alive) <= KEPT_STARTS
+    assert start_program.cache_info().currsize <= KEPT_STARTS
 
 
 def faster(chain, u):

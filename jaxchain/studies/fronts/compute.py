@@ -33,7 +33,7 @@ from jaxchain.scenes.values import array
 from jaxchain.simulation.run import simulate
 from jaxchain.studies._study import Job
 from jaxchain.studies.fronts.table import Study
-from jaxchain.sweeps.lanes import map_lanes
+from jaxchain.sweeps.programs import map_lanes
 from jaxchain.sweeps.sweeping import sweep
 
 # Uniform noise on displacement and velocity of the masses that are excited.

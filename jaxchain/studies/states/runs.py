@@ -35,7 +35,8 @@ from jaxchain.simulation.run import build_plan, simulate
 from jaxchain.studies.states.phases import join_peaks, join_samples
 from jaxchain.studies.states.table import PhasePlots, States, TimeSeries
 from jaxchain.sweeps.dataset import describe, to_dataset
-from jaxchain.sweeps.lanes import Lane, Parts, Task, joined, read_lane, start_lane
+from jaxchain.sweeps.lanes import Lane, Task, read_lane, start_lane
+from jaxchain.sweeps.programs import Parts, joined
 from jaxchain.sweeps.starts import Starts
 from jaxchain.sweeps.sweeping import SweepInterrupted
 
@@ -180,14 +181,11 @@ def _deal(count: int, lanes: int | None) -> tuple[Parts, np.ndarray]:
     As in `sweep`: so many `lanes` on one device at a time, or a share on each device.
     """
     devices = jax.local_devices()[:count]
-    if lanes is None:
-        groups, number = [devices], len(devices)
-    else:
-        number = -(-count // lanes)
-        groups = [[devices[i % len(devices)]] for i in range(number)]
+    number = len(devices) if lanes is None else -(-count // lanes)
     each = -(-count // number)
     order = np.arange(each * number) % count
-    return Parts(groups), order.reshape(each, number).T.ravel()
+    parts = Parts([devices[i % len(devices)] for i in range(number)])
+    return parts, order.reshape(each, number).T.ravel()
 
 
 def _stages(
