@@ -16,6 +16,7 @@ floats; in NetCDF and Zarr they are integers, with a `_FillValue`.
 from __future__ import annotations
 
 import datetime
+import functools
 import importlib.metadata
 import json
 import platform
@@ -58,6 +59,11 @@ LONG_NAMES = {
 
 def versions() -> dict[str, str]:
     """Of jaxchain, and of what computes below it."""
+    return dict(_versions())
+
+
+@functools.cache  # to look for them takes longer than a small sweep
+def _versions() -> dict[str, str]:
     packages = ("jax", "jaxlib", "diffrax", "equinox", "numpy")
     below = {package: importlib.metadata.version(package) for package in packages}
     return {"jaxchain": __version__, **below, "python": platform.python_version()}

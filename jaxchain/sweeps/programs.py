@@ -50,12 +50,20 @@ class Program:
     def __init__(self, function: Callable, donated: tuple[int, ...] = ()):
         self._jitted = jax.jit(function, donate_argnums=donated)
         self._loaded: dict[Hashable, _Loaded] = {}
+        self._shapes: dict[Hashable, Any] = {}
+        self._function = function
+
+    def shape(self, *arguments: Any) -> Any:
+        """What it returns, without the numbers; of arrays or their shapes."""
+        key = _key(arguments)
+        if key not in self._shapes:
+            self._shapes[key] = eqx.filter_eval_shape(self._function, *arguments)
+        return self._shapes[key]
 
     def on(self, device: Any, *arguments: Any) -> Callable:
         """The executable for arguments like these, which lie on the device."""
-        leaves, structure = jtu.tree_flatten(arguments)
-        shape = (device.device_kind, structure, *map(jax.typeof, leaves))
-        loaded = self._loaded.setdefault(shape, _Loaded({}, []))
+        key = device.device_kind, _key(arguments)
+        loaded = self._loaded.setdefault(key, _Loaded({}, []))
         if device not in loaded.on:
             loaded.on[device] = self._load(device, loaded, arguments)
         return loaded.on[device]
@@ -69,6 +77,12 @@ class Program:
         if len(_hits) == before:  # one from the disk can be moved no more
             loaded.made.append(executable)
         return executable
+
+
+def _key(arguments: tuple) -> Hashable:
+    leaves, structure = jtu.tree_flatten(arguments)
+    kinds = [a if isinstance(a, jax.ShapeDtypeStruct) else jax.typeof(a) for a in leaves]
+    return structure, *kinds
 
 
 def _moved(executable: Any, device: Any) -> Any:
@@ -127,10 +141,23 @@ def ready(
     programs: Callable[..., Program] = program,
 ) -> Callable:
     """`function(task, ...)` as a function of arguments like these, which lie on the device."""
+    own, arrays = _own(programs, function, donated, task)
+    return functools.partial(own.on(device, arrays, *arguments), arrays)
+
+
+def shape_of(function: Callable, task: Any, *arguments: Any) -> Any:
+    """What `function(task, ...)` returns, without the numbers."""
+    own, arrays = _own(program, function, (), task)
+    return own.shape(arrays, *arguments)
+
+
+def _own(
+    programs: Callable[..., Program], function: Callable, donated: tuple[int, ...], task: Any
+) -> tuple[Program, Any]:
+    """The program of a task, and its arrays."""
     arrays, static = eqx.partition(task, eqx.is_array)
     leaves, structure = jtu.tree_flatten(static)
-    own = programs(function, donated, structure, *leaves)
-    return functools.partial(own.on(device, arrays, *arguments), arrays)
+    return programs(function, donated, structure, *leaves), arrays
 
 
 def place(tree: Any, device: Any) -> Any:

@@ -21,7 +21,7 @@ from .._configure import cores
 from .._progress import progress_bar
 from ..result import NAMES
 from .lanes import AS_IT_IS, NOBODY, Place, Task, advance_pool, blank_place
-from .programs import place, ready, starts_on
+from .programs import place, ready, shape_of, starts_on
 from .starts import Start, Starts, first, start_of
 
 # Numbers per array of one device's lanes: what keeps the arrays of a step within a core's cache.
@@ -144,7 +144,7 @@ class Scheduler:
         self.fixed = lanes is not None
         self.lanes = _lane_count(task.chain.n, self.total, self.devices, lanes)
         start = eqx.filter_eval_shape(start_of, starts, first(jobs))
-        blank = eqx.filter_eval_shape(blank_place, task, start)
+        blank = shape_of(blank_place, task, start)
         self.records = self._allocate(blank)
         self.pools = [Pool(device, task, starts, self.lanes, blank) for device in self.devices]
         self.waiting = np.arange(0)

@@ -1,12 +1,11 @@
 """Sweeps: one compiled program, many lanes, every device busy until the last lane is done.
 
 `vmap` of a whole integration runs until its slowest lane ends, and quiet lanes cost as much as
-vibrating ones.  Here a fixed number of lanes on every device is advanced by a fixed number of
-steps at a time (a *round*); lanes that have ended hand over their results and take the next job.
-A lane sees nothing of its neighbours: its steps and rounds are the same whoever runs beside it.
-How many run beside it does matter, in the last bits: XLA compiles another program for another
-number of lanes, or of devices, and a chaotic lane makes another motion of them.  `lanes` fixes the
-program.
+vibrating ones.  Here a fixed number of lanes on every device goes on in short *rounds* of steps;
+lanes that have ended hand over their results and take the next job.  A lane sees nothing of its
+neighbours: its steps and rounds are the same whoever runs beside it.  How many run beside it does
+matter, in the last bits: XLA compiles another program for another number of lanes, and a chaotic
+lane makes another motion of it.  `lanes` fixes the program.
 """
 
 from __future__ import annotations
@@ -122,8 +121,8 @@ def sweep(
     - `solver`, `rtol`, `atol`, `max_step`, `max_steps`: as for `simulate`, the same for all lanes.
     - `lanes`: lanes at a time on each device, for the same bits again: every device runs one
       program, for just so many lanes, whatever the number of devices and of jobs.  By default as
-      many as fit its cache, no more than there are jobs, and fewer near the end of a long sweep;
-      that is fastest, but the last bits then depend on jobs, devices and the clock.
+      many as fit its cache, no more than its share of the jobs, and fewer near the end of a long
+      sweep; that is fastest, but the last bits then depend on jobs, devices and the clock.
     - `devices`: default all local devices.
     - `progress`: show a progress bar; it tells of cores that lie idle.
 
