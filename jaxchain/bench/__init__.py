@@ -4,7 +4,9 @@
 - `compiled_step`: one Rosenbrock step in C, to see how far the step is from it
 - `equal_error`: solvers at equal error, each with its best tolerance
 - `peers`: LSODA and CVODE with compiled right side and Jacobian
+- `peers_heyoka`: heyoka with events for true dry friction
 - `rows_ensembles`: rows about many lanes
+- `rows_heyoka`: rows about true dry friction against heyoka
 - `rows_size`: the row about long chains
 - `rows_solvers`: rows about one integration
 - `rows_steps`: rows about what a step is made of, and what an import costs

@@ -28,6 +28,9 @@ ROWS = {
     "size": ("size", "cost of one oscillator and step from N = 200 to N = 200,000"),
     "devices": ("ensembles", "two CPU devices against one, 512 lanes"),
     "dry": ("ensembles", "smoothed friction against true dry friction, 64 lanes"),
+    "heyoka": (
+        "heyoka", "true dry friction against heyoka at equal error: one mass, N = 20, 64 lanes"
+    ),
     "mixed": (
         "ensembles", "a sweep of quiet and stick-slip lanes against plain vmap(diffeqsolve)"
     ),

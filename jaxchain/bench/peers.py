@@ -25,7 +25,8 @@ class PeerMissingError(RuntimeError):
     """A peer cannot run here; the message says how to get it."""
 
 
-def _optional(module: str, package: str) -> Any:
+def optional(module: str, package: str) -> Any:
+    """The module of a peer, or `PeerMissingError`."""
     try:
         return importlib.import_module(module)
     except ImportError:
@@ -48,7 +49,7 @@ class CompiledRing:
             raise ValueError(f"Argument `n` must be at least 3, but is {n}.")
         i = np.arange(n)
         self.order = np.where(i % 2 == 0, i // 2, n - 1 - i // 2)
-        self._compile(_optional("numba", "numba").njit)
+        self._compile(optional("numba", "numba").njit)
 
     @no_type_check  # numba cannot compile a function that checks its types
     def _compile(self, njit: Callable) -> None:
@@ -188,7 +189,7 @@ def radau(ring: CompiledRing, chain: Chain, initial: Any, t1: float) -> Callable
 
 def cvode(ring: CompiledRing, chain: Chain, initial: Any, t1: float) -> Callable:
     """As `lsoda`, by the BDF method of CVODE."""
-    sundials = _optional("sksundae.cvode", "scikit-sundae")
+    sundials = optional("sksundae.cvode", "scikit-sundae")
     y, p = ring.fold(initial), ring.parameters(chain)
     span = np.array([0.0, t1])
 
