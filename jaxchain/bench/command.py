@@ -8,7 +8,8 @@ import json
 import os
 import sys
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from jaxchain._configure import configure, cores
 
@@ -26,6 +27,7 @@ ROWS = {
         "against LSODA and CVODE with compiled right side and Jacobian, one lane and 64",
     ),
     "size": ("size", "cost of one oscillator and step from N = 200 to N = 200,000"),
+    "sweep": ("sweep", "what sweep adds to vmap(simulate), core time of a step and lane"),
     "devices": ("ensembles", "two CPU devices against one, 512 lanes"),
     "dry": ("ensembles", "smoothed friction against true dry friction, 64 lanes"),
     "heyoka": (
@@ -35,32 +37,44 @@ ROWS = {
         "ensembles", "a sweep of quiet and stick-slip lanes against plain vmap(diffeqsolve)"
     ),
     "import": ("steps", "import jaxchain beyond jax and diffrax, and the command without JAX"),
+    "gpu": ("gpu", "ensembles on a GPU against a CPU core; skipped where there is none"),
     "profile": ("steps", "what a step is made of, and how far it is from a C loop"),
 }  # fmt: skip
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Prints the rows asked for; returns 0 also if a bar is missed, 1 if a row failed."""
+    """Prints the rows asked for; returns 0 also if a bar is missed, 1 if a row failed.
+
+    `--json` prints `{"machine": ..., "versions": ..., "rows": [...]}`: what the machine is and
+    does, see `bench/machine.py`, and of each row every measurement, see `Row.to_dict`.
+    """
     options = _parser().parse_args(sys.argv[1:] if argv is None else argv)
     _configure_jax()
     # Only now: these need 64 bits and their devices.
+    from jaxchain.bench.machine import machine, one_line, versions
+    from jaxchain.bench.page import page, rows_of
     from jaxchain.bench.timing import Row, format_row, heading
 
+    show = _show_nothing if options.json or options.markdown else _show
+    kept = options.source
+    data = kept or {"machine": machine(), "versions": versions()}
+    show(one_line(data["machine"], data["versions"]) + "\n" + heading())
     rows: list[Row] = []
     failed = False
-    if not options.json:
-        print(heading(), flush=True)
     for name in options.rows:
         try:
-            found = _measure(name, options.repeats)
+            found = rows_of(kept, name) if kept else _measure(name, options.repeats)
         except Exception as error:  # one row that fails must not hide the others
             failed = True
             found = [Row(name, ROWS[name][1], note=f"failed: {type(error).__name__}: {error}")]
         rows += found
-        if not options.json:
-            print("\n".join(map(format_row, found)), flush=True)
+        if found:
+            show("\n".join(map(format_row, found)))
+    data = data | {"rows": [row.to_dict() for row in rows]}
     if options.json:
-        print(json.dumps([row.to_dict() for row in rows], indent=2))
+        print(json.dumps(data, indent=2))
+    if options.markdown:
+        print(page(data), end="")
     return int(failed)
 
 
@@ -78,8 +92,35 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--repeats", type=_positive, default=5, metavar="N", help="turns for each row (5)"
     )
-    parser.add_argument("--json", action="store_true", help="print JSON with every measurement")
+    form = parser.add_mutually_exclusive_group()
+    form.add_argument(
+        "--json", action="store_true", help="print JSON: machine, versions, every measurement"
+    )
+    form.add_argument("--markdown", action="store_true", help="print a page with the table")
+    parser.add_argument(
+        "--from", dest="source", metavar="FILE", type=_read,
+        help="measure nothing, show the rows of this file, printed by --json",
+    )  # fmt: skip
     return parser
+
+
+def _read(path: str) -> dict[str, Any]:
+    """What `--json` has printed."""
+    try:
+        data = json.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise argparse.ArgumentTypeError(f"cannot read {path}: {error}") from None
+    if not (isinstance(data, dict) and {"machine", "versions", "rows"} <= data.keys()):
+        raise argparse.ArgumentTypeError(f"{path} is not what `jaxchain bench --json` prints")
+    return data
+
+
+def _show(text: str) -> None:
+    print(text, flush=True)
+
+
+def _show_nothing(text: str) -> None:
+    pass
 
 
 def _positive(text: str) -> int:
@@ -99,8 +140,9 @@ def _configure_jax() -> None:
 
     No cache of compiled programs: compile times are measured, too.
     """
-    if "JAX_PLATFORMS" not in os.environ:
-        import jax
+    import jax
 
-        jax.config.update("jax_platforms", "cpu")
     configure(devices=None if "JAX_NUM_CPU_DEVICES" in os.environ else min(2, cores()))
+    if "JAX_PLATFORMS" not in os.environ and jax.default_backend() != "cpu":
+        # A GPU has a row of its own.
+        jax.config.update("jax_default_device", jax.local_devices(backend="cpu")[0])

@@ -119,6 +119,23 @@ class Row:
             return None
         return self.bar.met(self.score.median)
 
+    @property
+    def shown_score(self) -> str:
+        """Its median, least and most."""
+        if self.score is None:
+            return ""
+        show: Callable[[float], str] = show_seconds if self.unit == "s" else "{:.3g}".format
+        return f"{show(self.score.median)} ({show(self.score.low)} - {show(self.score.high)})"
+
+    @property
+    def shown_bar(self) -> str:
+        """The bar and the verdict."""
+        if self.bar is None:
+            return ""
+        sign = {"at least": ">=", "at most": "<="}[self.bar.kind]
+        verdict = {True: "met", False: "MISSED", None: "not measured"}[self.met]
+        return f"{sign} {self.bar.value:g}{' s' if self.unit == 's' else ''}  {verdict}"
+
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON: every single measurement, and the medians."""
         return {
@@ -191,15 +208,7 @@ def heading() -> str:
 
 def format_row(row: Row) -> str:
     """One row: its title and verdict, a line for every side, and the note."""
-    score = bar = ""
-    if row.score is not None:
-        show: Callable[[float], str] = show_seconds if row.unit == "s" else "{:.3g}".format
-        score = f"{show(row.score.median)} ({show(row.score.low)} - {show(row.score.high)})"
-    if row.bar is not None:
-        sign = {"at least": ">=", "at most": "<="}[row.bar.kind]
-        verdict = {True: "met", False: "MISSED", None: "not measured"}[row.met]
-        bar = f"{sign} {row.bar.value:g}{' s' if row.unit == 's' else ''}  {verdict}"
-    lines = [_line((f"{row.name}: {row.title}", "", "", score, bar))]
+    lines = [_line((f"{row.name}: {row.title}", "", "", row.shown_score, row.shown_bar))]
     for name, sample in row.measured.items():
         spread = f"{show_seconds(sample.low)} - {show_seconds(sample.high)}"
         lines.append(_line((f"    {name}", show_seconds(sample.median), spread, "", "")))

@@ -241,7 +241,7 @@ def test_a_row_that_fails_hides_no_other(monkeypatch, capsys):
     rows_of = {"stock": broken, "size": fine}
     monkeypatch.setattr(bench, "_measure", lambda name, repeats: rows_of[name](repeats))
     assert bench.main(["--rows", "stock", "size", "--repeats", "2", "--json"]) == 1
-    rows = json.loads(capsys.readouterr().out)
+    rows = json.loads(capsys.readouterr().out)["rows"]
     assert rows[0]["note"] == "failed: RuntimeError: out of luck"
     assert rows[1]["measured"]["side"]["values"] == [1.0, 1.0]
     assert bench.main(["--rows", "size"]) == 0
