@@ -95,11 +95,17 @@ def fold_belt_speed(chain: Any, vibrating: Any = None) -> Float[Array, ""]:
     mass = check_vibrating(chain, vibrating)
     if chain.dry:
         return nonsmooth_fold_belt_speed(chain, mass)
-    held, found, _, gained = _parts(chain, mass)
+    return _belt_speed(chain, mass, *_find(lax.stop_gradient(chain), mass))
+
+
+@eqx.filter_jit
+def _belt_speed(chain: Chain, mass: int, start: Start, found: Search) -> Array:
+    """v_d with its derivatives."""
+    held = _held(chain, start)
     q = attach_derivative(
         held_residual, found.here.q, (held, lax.stop_gradient(found.here.z)), once=_ONCE
     )
-    return jnp.where(found.found, q[held.place] + gained, jnp.nan)
+    return jnp.where(found.found, q[held.place] + _gained(chain, mass, start), jnp.nan)
 
 
 _ONCE = (
@@ -131,13 +137,19 @@ def find_fold(chain: Any, vibrating: Any = None) -> Fold:
     """
     mass = check_vibrating(chain, vibrating)
     require_smoothed(chain, "use `find_grazing`, or ")
-    held, found, start, gained = _parts(chain, mass)
+    return _fold(chain, mass, *_find(lax.stop_gradient(chain), mass))
+
+
+@eqx.filter_jit
+def _fold(chain: Chain, mass: int, start: Start, found: Search) -> Fold:
+    """The fold with the derivatives of its cycle."""
+    held = _held(chain, start)
     u, speed = unknowns(start.shooting, found.here)
     borders = _borders(start.shooting, found)
     both = attach_derivative(_FOLD_RESIDUAL, jnp.append(u, speed), (held, borders))
     _, state, period = held.unpack(both[:-1], both[-1])
     return Fold(
-        belt_speed=jnp.where(found.found, both[-1] + gained, jnp.nan),
+        belt_speed=jnp.where(found.found, both[-1] + _gained(chain, mass, start), jnp.nan),
         period=period,
         state=state,
         closeness=jnp.sinh(both[held.place]),
@@ -161,15 +173,21 @@ def _borders(shooting: Shooting, found: Search) -> tuple[Array, Array]:
 
 @eqx.filter_jit
 def _find(chain: Chain, mass: int) -> tuple[Start, Search]:
-    """The start, and the fold; nothing in here is to be differentiated."""
+    """The start, and the fold; nothing in here is to be differentiated.
+
+    A program by itself, which values, derivatives and the whole `Fold` share.
+    """
     start = first_guess(chain, mass)
     return start, search(start.shooting, start.place, start.loose, start.hopeful)
 
 
-def _parts(chain: Chain, mass: int) -> tuple[Shooting, Search, Start, Array]:
-    """(equations that hold `chain`, the fold, its start, what the belt speed still gains)."""
-    start, found = _find(lax.stop_gradient(chain), mass)
+def _held(chain: Chain, start: Start) -> Shooting:
+    """The equations with the numbers of `chain`."""
     wide = at_least_wide(chain, lax.stop_gradient(start.width))
-    held = eqx.tree_at(lambda s: s.field, start.shooting, wide)
+    return eqx.tree_at(lambda s: s.field, start.shooting, wide)
+
+
+def _gained(chain: Chain, mass: int, start: Start) -> Array:
+    """What the belt speed still gains from the width of the search to that of the chain."""
     width = chain.width
-    return held, found, start, narrowed(start, width[mass] if width.ndim else width)
+    return narrowed(start, width[mass] if width.ndim else width)

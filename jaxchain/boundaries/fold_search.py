@@ -20,6 +20,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..continuation.bracket import bisect
 from ..continuation.damped_newton import where
+from ..continuation.elimination import solve
 from ..cycles.shooting import Shooting
 
 # The tolerance of the integration at the fold; on the way there a loose one does.
@@ -146,7 +147,7 @@ def _entry(shooting: Shooting, now: Search, tight: Array) -> Search:
     r, jacobian = value_and_jacobian(shooting, now.here)
     norm = jnp.max(jnp.abs(r))
     good = norm < now.newton.norm  # false for NaN
-    both = jnp.linalg.solve(jacobian[:, :-1], jnp.stack([r, jacobian[:, -1]], axis=1))
+    both = solve(jacobian[:, :-1], jnp.stack([r, jacobian[:, -1]], axis=1))
     tangent = -both[:, 1]
     # Of the corrections that close the cycle the one that moves s and the belt speed least: where
     # a mass sticks long before the cut, what is left of its approach tells nothing of the speed.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
@@ -110,7 +109,6 @@ def at_least_wide(chain: Chain, least: Array) -> Chain:
     return chain.with_(width=jnp.maximum(chain.width, least))
 
 
-@eqx.filter_jit
 def narrowed(start: Start, width: Array) -> Array:
     """What the fold gains from the width of the search to a smaller `width`, else 0.
 

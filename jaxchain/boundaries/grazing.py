@@ -30,6 +30,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from .._types import ScalarLike, State
+from ..continuation.elimination import solve
 from ..continuation.implicit import attach_derivative
 from ..model.chain import Chain
 from ..model.initial_states import check_vibrating
@@ -134,7 +135,7 @@ def _find(chain: Chain, mass: int) -> Grazing:
     frozen = lax.stop_gradient(chain)
     touch, q, _ = find_touch(frozen, mass)
     gap, slopes, highest = touch_slopes(touch, q)
-    by_leaving, by_arriving = -jnp.linalg.solve(slopes[:, :-2], slopes[:, -2:])[-1]
+    by_leaving, by_arriving = -solve(slopes[:, :-2], slopes[:, -2:])[-1]
     (_, v), _, speed = touch.unpack(q)
     fall = touch.fall(v)
     slides = jnp.all(highest <= (1.0 + _PASSES) * speed)

@@ -5,6 +5,7 @@
 - `branch`: what continuation returns: points, special points, why it ended
 - `corrector`: one point of a branch from a guess
 - `damped_newton`: a root from a guess
+- `elimination`: small linear systems, compiled with the loop around them
 - `fold_points`: folds as roots of a system bordered by one equation
 - `gradient_descent`: descent with any optax optimiser, in one compiled loop
 - `implicit`: derivatives by the implicit function theorem

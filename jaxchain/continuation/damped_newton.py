@@ -8,7 +8,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jax.scipy.linalg import lu_factor, lu_solve
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from .._checks import (
@@ -21,6 +20,7 @@ from .._checks import (
     to_float,
 )
 from ..result import Outcome, SearchResult
+from .elimination import factor, substitute
 
 _LEAST_DAMPING = 2.0**-12
 
@@ -35,7 +35,8 @@ class Factors(NamedTuple):
 
     def solve(self, right: Float[Array, " m"]) -> Float[Array, " m"]:
         """A^{-1} right."""
-        return lu_solve((self.lu, self.pivots), right / self.rows) / self.weights
+        scaled = (right / self.rows)[:, None]
+        return substitute((self.lu, self.pivots), scaled)[:, 0] / self.weights
 
     def determinant(self) -> tuple[Float[Array, ""], Float[Array, ""]]:
         """(sign, log|.|) of det A / prod(weights)."""
@@ -50,7 +51,7 @@ def factorise(matrix: Float[Array, "m m"], weights: Float[Array, " m"]) -> Facto
     scaled = matrix / weights[None, :]
     rows = jnp.max(jnp.abs(scaled), axis=1)
     rows = jnp.where(rows > 0, rows, 1.0)
-    lu, pivots = lu_factor(scaled / rows[:, None])
+    lu, pivots = factor(scaled / rows[:, None])
     return Factors(lu, pivots, rows, weights)
 
 
