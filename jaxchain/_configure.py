@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import warnings
-from pathlib import Path
+
+from ._programs import keep_programs
 
 # The bytes of a loop's state up to which XLA's CPU compiler makes one function of the loop. Of a
 # larger one it starts each operation by itself, some 50 ns each. So all states count as small.
@@ -40,9 +41,19 @@ def configure(
     `whole_loops`, whether to set the option; `cache`, whether compiled programs are kept for the
     next process: a folder, or True for `jaxchain` in the user's cache folder (XDG_CACHE_HOME).
 
+    With `cache` a process finds what any other has compiled: all programs, also the small ones,
+    the same to the last bit.  In the folder stands one folder for each version of jaxlib and each
+    kind of CPU, so that a home folder may serve a mixed cluster and several environments.  Any
+    number of processes may share it.  Nothing is ever removed: some 20 MB for a day's work, more
+    after changes of code or versions; delete the folder whenever you like, also if JAX warns of a
+    file in it that was cut short by a full disk or a kill.  The environment
+    variables JAX_COMPILATION_CACHE_DIR and JAX_PERSISTENT_CACHE_... go first, and
+    JAX_ENABLE_COMPILATION_CACHE=false switches it off.
+
     **Raises:** `ValueError` for anything else.
 
-    **Warns:** of what could not be set, because JAX has computed something already.
+    **Warns:** of what could not be set, because JAX has computed something already; of a folder
+    asked for that cannot be written in.  Where the user's own cannot, nothing is kept.
 
     >>> import jaxchain
     >>> jaxchain.configure()
@@ -68,9 +79,14 @@ def configure(
 
     if bits:
         jax.config.update("jax_enable_x64", True)
-    if cache and "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-        folder = _cache_folder() if cache is True else cache
-        jax.config.update("jax_compilation_cache_dir", os.fspath(folder))
+    if cache:
+        in_the_way = keep_programs(None if cache is True else cache)
+        if in_the_way and cache is not True:
+            warnings.warn(
+                f"Compiled programs cannot be kept in {os.fspath(cache)!r} (`cache`): "
+                f"{in_the_way}.",
+                stacklevel=2,
+            )
     late = []
     if whole_loops and not _set_whole_loops(_computed()):
         late.append("small loops compiled whole (`whole_loops`)")
@@ -135,7 +151,3 @@ def _set_devices(devices: int | None) -> bool:
         return len(jax.devices("cpu")) == devices
     jax.config.update("jax_num_cpu_devices", devices)
     return True
-
-
-def _cache_folder() -> Path:
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxchain"

@@ -7,15 +7,14 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import shlex
 import sys
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from . import __version__
+from ._boundary_words import NUMBERS, in_words, report
 from ._configure import configure
 from ._terminal import INTERRUPTED, Elsewhere, run_command
 from .model.parameters import parameter
@@ -40,8 +39,6 @@ examples:
   jaxchain scenes quickstart       a scene file, to start one's own from
   jaxchain COMMAND --help          the options of a command
 """
-# The numbers that `boundary` takes, those of the paper by default.
-_BOUNDARY_OPTIONS = ("width", "damping_ratio", "coupling", "mu_static", "mu_dynamic", "v_ref")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -117,6 +114,7 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     run.add_argument("--no-plot", action="store_true", help="compute and save only")
     run.add_argument("--quiet", action="store_true", help="print errors only")
+    _add_no_cache(run)
     run.set_defaults(command=_run)
 
     scenes = commands.add_parser(
@@ -139,17 +137,27 @@ def _parser() -> argparse.ArgumentParser:
         "friction, with error bars. Without options: one mass with the paper's parameters.",
     )
     boundary.add_argument("--n", type=int, default=1, help="number of masses in the ring (1)")
-    for row in map(parameter, _BOUNDARY_OPTIONS):
+    for row in map(parameter, NUMBERS):
         alone = row.per != "spring"
         boundary.add_argument(
             f"--{row.name.replace('_', '-')}", type=float, default=row.usual if alone else None,
             help=f"{row.long_name} ({row.usual}{'' if alone else ' for several masses'})",
         )  # fmt: skip
     boundary.add_argument("--json", action="store_true", help="print one JSON object")
+    _add_no_cache(boundary)
     boundary.set_defaults(command=_boundary)
 
     commands.add_parser("bench", help="measure the speed on this machine", add_help=False)
     return parser
+
+
+def _add_no_cache(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--no-cache", action="store_true",
+        help="compile all programs anew, and keep none. They are kept in the folder jaxchain of "
+        "XDG_CACHE_HOME or ~/.cache, which may be deleted at any time, and save the next run on "
+        "this kind of machine seconds to minutes; results are the same to the last bit",
+    )  # fmt: skip
 
 
 def _folder(text: str) -> Path:
@@ -189,7 +197,7 @@ def _run(options: argparse.Namespace) -> int:
 
     # Before jax is imported, so that a wrong scene is reported at once.
     loaded = load_scene(options.scene, options.overrides)
-    configure(cache=True)
+    _configure(options)
     from .scenes.own_code import load_law, load_observer
     from .scenes.running import run_scene
     from .scenes.storage import Results, listing
@@ -243,7 +251,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _boundary(options: argparse.Namespace) -> int:
-    configure(cache=True)
+    _configure(options)
     from .boundaries.overview import hopf_and_fold
     from .model.chain import Chain
     from .model.friction import ExponentialDecay, TanhFriction
@@ -268,81 +276,13 @@ def _boundary(options: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         print("jaxchain: interrupted", file=sys.stderr)
         return 130
-    print(json.dumps(_report(chain, found)) if options.json else _in_words(chain, found))
+    print(json.dumps(report(chain, found)) if options.json else in_words(chain, found))
     return 0
 
 
-def _missing(found: Any) -> dict[str, str]:
-    """Why each value that is NaN is not there, in words; for one chain, not a batch."""
-    no_hopf = (
-        "steady sliding is stable at every belt speed, or at no high one: friction weakens too "
-        "little for the damping, or damping does not exceed 0"
-    )
-    no_fold = (
-        "no fold was found: a vibration of one mass does not exist, or sets in gently at the Hopf "
-        "speed, or does not end at any belt speed for want of damping, or the search failed "
-        "(`find_fold(chain).message` tells)"
-    )
-    joined = "; for several masses, also where the neighbours reach the speed of the belt"
-    reasons = {
-        "hopf": no_hopf,
-        "hopf_nonsmooth": no_hopf + ", for dry friction",
-        "fold": no_fold + ", at this width",
-        "fold_nonsmooth": no_fold + ", for dry friction" + joined,
-        "fold_limit": "a fold is not found at one of the widths that are extrapolated from",
-    }
-    return {k: why for k, why in reasons.items() if not math.isfinite(getattr(found, k))}
+def _configure(options: argparse.Namespace) -> None:
+    configure(cache=not options.no_cache)
+    if options.no_cache:
+        import jax
 
-
-def _report(chain: Any, found: Any) -> dict[str, Any]:
-    """What `jaxchain boundary --json` prints: numbers, null with a reason in `missing`."""
-
-    def number(value: Any) -> float | None:
-        return float(value) if math.isfinite(value) else None
-
-    names = [name for name in vars(found) if name != "mass"]
-    values = {name: number(getattr(found, name)) for name in names}
-    given = {name: chain.numbers().get(name) for name in _BOUNDARY_OPTIONS}
-    parameters = {k: None if value is None else float(value) for k, value in given.items()}
-    # From 1, as the paper counts.
-    return {
-        **values,
-        "missing": _missing(found),
-        "vibrating_oscillator": found.mass + 1,
-        "parameters": {"n": chain.n, **parameters},
-    }
-
-
-def _in_words(chain: Any, found: Any) -> str:
-    """Both boundaries in words: at the width asked, for dry friction, with the bar."""
-    width = float(chain.width)
-    who = (
-        "its vibration" if chain.n == 1 else f"the vibration of oscillator {found.mass + 1} alone"
-    )
-    reasons = _missing(found)
-
-    def row(title: str, name: str, more: str) -> str:
-        own, dry = (float(getattr(found, key)) for key in (name, name + "_nonsmooth"))
-        bar = float(getattr(found, name + "_nonsmooth_error"))
-        at_width = "none" if math.isnan(own) else f"{own:.9f}"
-        limit = "none" if math.isnan(dry) else f"{dry:.9f} ± {bar:.0e}"
-        return f"{title:<12} {at_width:<14} {limit:<24} {more}"
-
-    lines = [
-        f"{'belt speed':<12} {f'width {width:g}':<14} {'dry friction':<24} what it says",
-        row("Hopf", "hopf", "just below it vibration starts by itself"),
-        row("fold", "fold", f"up to it {who} survives"),
-    ]
-    if "fold_limit" not in reasons:
-        lines.append(
-            f"{'':<12} {'':<14} {float(found.fold_limit):.9f} ± "
-            f"{float(found.fold_limit_error):<9.0e} the same, extrapolated from smoothed friction"
-        )
-    hopf, fold = float(found.hopf_nonsmooth), float(found.fold_nonsmooth)
-    if hopf < fold:  # false for NaN
-        lines.append(f"From {hopf:.4f} to {fold:.4f} it depends on the start: rest or vibration.")
-    if "fold" not in reasons and "fold_nonsmooth" not in reasons:
-        share = float(found.fold) / fold - 1.0
-        lines.append(f"The width moves the fold by {100 * share:+.3g} %.")
-    lines += [f"{name}: {why}." for name, why in reasons.items()]
-    return "\n".join(lines)
+        jax.config.update("jax_enable_compilation_cache", False)

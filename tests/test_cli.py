@@ -553,3 +553,13 @@ def test_the_package_can_be_run_as_a_module():
     command = [sys.executable, "-m", "jaxchain", "scenes"]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert "fig3" in done.stdout
+
+
+@pytest.mark.long
+def test_compiled_programs_are_kept_in_the_cache_folder_unless_told_otherwise(workplace):
+    env = {k: v for k, v in os.environ.items() if not k.startswith("JAX_COMPILATION")}
+    env |= {"XDG_CACHE_HOME": str(workplace / "cache")}
+    command = [sys.executable, "-m", "jaxchain", "run", "two.toml", "--no-plot", "--quiet"]
+    for more, kept in ((["--no-cache"], False), ([], True)):
+        subprocess.run([*command, *more], env=env, check=True)
+        assert any((workplace / "cache").rglob("jaxlib-*/*-cache")) is kept
