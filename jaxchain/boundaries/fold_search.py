@@ -18,9 +18,11 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from .._types import State
 from ..continuation.bracket import bisect
 from ..continuation.damped_newton import where
 from ..continuation.elimination import solve
+from ..cycles.pushing import push
 from ..cycles.shooting import Shooting
 
 # The tolerance of the integration at the fold; on the way there a loose one does.
@@ -95,12 +97,25 @@ def as_place(shooting: Shooting, u: Array, belt_speed: Array) -> Place:
 def value_and_jacobian(shooting: Shooting, place: Place) -> tuple[Array, Array]:
     """The residual, and its derivatives in (q, z), of shape (m, m + 1)."""
 
-    def both(unknown: Array) -> tuple[Array, Array]:
-        r = shooting.residual(*unknowns(shooting, Place(unknown[:-1], unknown[-1])))
+    def at(point: Array) -> tuple[Array, Array]:
+        return unknowns(shooting, Place(point[:-1], point[-1]))
+
+    point = jnp.append(place.q, place.z)
+    run = push(
+        lambda point: shooting.unpack(*at(point)), point, rtol=shooting.rtol,
+        solver=shooting.solver,
+    )  # fmt: skip
+
+    def gap(point: Array, end: State) -> tuple[Array, Array]:
+        u, speed = at(point)
+        r = shooting.gap(u, end, speed)
         return r, r
 
-    jacobian, r = jax.jacfwd(both, has_aux=True)(jnp.append(place.q, place.z))
-    return r, jacobian
+    def along(one: Array, slope: State) -> tuple[Array, Array]:
+        return jax.jvp(gap, (point, run.end), (one, slope), has_aux=True)[1:]
+
+    columns, r = jax.vmap(along, out_axes=(0, None))(jnp.eye(point.shape[0]), run.slopes)
+    return r, columns.T
 
 
 def search(shooting: Shooting, guess: Place, loose: Array, wanted: Array) -> Search:

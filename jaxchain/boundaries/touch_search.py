@@ -60,6 +60,8 @@ def find_touch(chain: Chain, mass: int, exact: Any = True) -> tuple[Touch, Array
         factors = factorise(slopes[:, :-2], weights)
         return value, factors, -jax.vmap(factors.solve, 1, 1)(slopes[:, -2:])
 
+    # Traced once, for its shapes and for the loop.
+    linearise = eqx.filter_closure_convert(linearise, one, first.steps, q)
     nothing = begin(partial(linearise, one, first.steps), q)
     start = _Homotopy(
         q, jnp.zeros_like(q), jnp.full((q.shape[0], 2), jnp.nan), zero, one, first.steps,

@@ -225,6 +225,8 @@ def solve(
     def going(now: Iterate) -> Array:
         return ~small(now) & (now.evaluations < limit)
 
+    # Traced once, for its shapes and for the loop.
+    linearise = eqx.filter_closure_convert(linearise, start)
     now = iterate(linearise, begin(linearise, start), weights, going)
     ended = small(now)
     result = ending(now, ended, limit)

@@ -9,6 +9,7 @@
 - `guesses`: where a search for a cycle begins
 - `least_period`: whether an orbit has been gone round more than once
 - `limit_cycle`: what a cycle is: its equations solved, its multipliers, its derivatives
+- `pushing`: a run with its derivatives in what it starts from, in one loop
 - `reach`: a cycle reached along its branch from an easier belt speed
 - `search`: `find_limit_cycle`, from guesses of every kind
 - `shooting`: periodic orbits as equations: flow, section, coordinates

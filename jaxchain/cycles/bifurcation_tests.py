@@ -15,7 +15,8 @@ import numpy as np
 from jaxtyping import Array, Complex, Float, Int
 
 from .floquet import floquet_multipliers
-from .least_period import Returned, Returns
+from .least_period import Returns
+from .pushing import push
 from .shooting import Shooting
 from .variational import Along, flow
 
@@ -63,18 +64,6 @@ def linearise(
         _, (x, v), period = shooting.unpack(z[:-1], z[-1])
         return jnp.concatenate([x, v, z[-1:], period[None]])
 
-    def end(y: Array) -> tuple[Array, tuple[Array, Array, Returned]]:
-        after, _, ((amplitude, _, _), returned) = flow(
-            shooting.at(y[-1]),
-            (y[:n], y[n:-1]),
-            period,
-            rtol=shooting.rtol,
-            solver=shooting.solver,
-            observers=[Along(), Returns()],
-        )
-        flat = jnp.concatenate(after)
-        return flat, (flat, amplitude, returned)
-
     def gap(both: Array) -> tuple[Array, Array]:
         u, p, y1 = both[:m], both[m], both[m + 1 :]
         r = shooting.gap(u, (y1[:n], y1[n:]), p)
@@ -85,8 +74,12 @@ def linearise(
 
     y, inner = start(z), jax.jacfwd(start)(z)
     state, period = y[: 2 * n], y[-1]
-    outer, (y1, amplitude, returned) = jax.jacfwd(end, has_aux=True)(y[:-1])
-    outer = jnp.concatenate([outer, rate(y1)[:, None]], axis=1)
+    run = push(
+        lambda y: (shooting.at(y[-1]), (y[:n], y[n:-1]), period), y[:-1],
+        rtol=shooting.rtol, solver=shooting.solver, observers=[Along(), Returns()],
+    )  # fmt: skip
+    y1, ((amplitude, _, _), returned) = jnp.concatenate(run.end), run.observed
+    outer = jnp.append(jnp.concatenate(run.slopes, axis=1), rate(y1)[None], axis=0).T
     slope, r = jax.jacfwd(gap, has_aux=True)(jnp.concatenate([z, y1]))
     jacobian = slope[:, : m + 1] + slope[:, m + 1 :] @ (outer @ inner)
     monodromy = outer[:, : 2 * n]

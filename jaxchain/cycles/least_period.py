@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
@@ -112,6 +113,8 @@ def close_orbit_once(
     this share (`shortened(u, times round)`, of `limit` integrations, too), and kept if it is the
     same one: it was gone round more than once.  `aux` of `linearise` has `returned`, a `Returned`.
     """
+    # Traced once, for its shapes and for the loop.
+    linearise = eqx.filter_closure_convert(linearise, start)
     nothing = begin(linearise, start)
 
     def going(now: Iterate) -> Array:

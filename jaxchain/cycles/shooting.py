@@ -20,7 +20,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import diffrax as dfx
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -28,6 +27,7 @@ from jaxtyping import Array, Float
 from .._checks import to_float
 from .._types import State
 from ..model.oscillators import AbstractOscillators
+from ..solvers.rosenbrock import AbstractStructuredRosenbrock
 from .variational import flow
 
 
@@ -46,7 +46,7 @@ class Shooting(eqx.Module):
 
     field: AbstractOscillators
     rtol: Float[Array, ""] = eqx.field(converter=to_float)
-    solver: dfx.AbstractSolver = eqx.field(static=True)
+    solver: AbstractStructuredRosenbrock = eqx.field(static=True)
     mass: int = eqx.field(static=True)
     images: tuple[int, ...] = eqx.field(static=True)
     parameter: str | None = eqx.field(static=True, default=None)

@@ -15,16 +15,16 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
+from .._checks import to_float
 from .._types import ScalarLike, State
 from ..model.oscillators import AbstractOscillators
 from ..observers.base import AbstractObserver, Step, gauss
 from ..result import Result
 from ..simulation.accuracy import MAX_STEP
 from ..simulation.smoothed import SmoothedPlan
+from ..solvers.rosenbrock import AbstractStructuredRosenbrock
 from .least_period import Returned, Returns
-
-# A period takes some hundreds; an orbit that is lost must not keep the others waiting.
-_MOST_STEPS = 50_000
+from .pushing import MOST_STEPS, push
 
 
 class Period(NamedTuple):
@@ -97,7 +97,7 @@ def flow(
         t1=period,
     )  # fmt: skip
     progress = plan.begin(field, state, 0.0, period)
-    progress, _ = plan.advance(field, progress, period, max_steps=_MOST_STEPS)
+    progress, _ = plan.advance(field, progress, period, max_steps=MOST_STEPS)
     good = progress.result == Result.successful
     x, v = progress.state
     return (jnp.where(good, x, jnp.nan), jnp.where(good, v, jnp.nan)), good, plan.read(progress)
@@ -109,28 +109,21 @@ def linearised_period(
     period: Any,
     *,
     rtol: Any,
-    solver: dfx.AbstractSolver,
+    solver: AbstractStructuredRosenbrock,
 ) -> Period:
     """One integration over `period` that carries 2n disturbances; to be called under `jit`."""
     n = state[0].shape[0]
-
-    def after(flat: Array) -> tuple[Array, tuple]:
-        (x, v), good, ((amplitude, fastest, trace), returned) = flow(
-            field,
-            (flat[:n], flat[n:]),
-            period,
-            rtol=rtol,
-            solver=solver,
-            observers=[Along(), Returns()],
-        )
-        end = jnp.concatenate([x, v])
-        return end, (end, amplitude, fastest, trace, returned, good)
-
-    flat = jnp.concatenate(state)
-    monodromy, aside = jax.jacfwd(after, has_aux=True)(flat)
-    end, amplitude, fastest, trace, returned, good = aside
+    run = push(
+        lambda flat: (field, (flat[:n], flat[n:]), to_float(period)),
+        jnp.concatenate(state),
+        rtol=rtol,
+        solver=solver,
+        observers=[Along(), Returns()],
+    )
+    monodromy, good = jnp.concatenate(run.slopes, axis=1).T, run.complete
+    (amplitude, fastest, trace), returned = run.observed
     nan = jnp.where(good, 0.0, jnp.nan)
     return Period(
-        (end[:n], end[n:]), monodromy + nan, trace + nan, amplitude + nan, fastest + nan,
+        run.end, monodromy + nan, trace + nan, amplitude + nan, fastest + nan,
         returned, good,
     )  # fmt: skip
