@@ -123,7 +123,7 @@ def _compare(
         per_lane = times[name].per(lanes * SPAN)
         note += f"\n{settings[name]}: {1e6 * per_lane.median:.3g} us"
     return comparison(
-        "heyoka", f"heyoka / jaxchain, dry friction, error <= {ERROR:g}, {title}", times,
+        "heyoka", f"heyoka / jaxchain, dry friction, error <= 1e-4, {title}", times,
         (first, "jaxchain"), labels=[str(settings[side]) for side in (first, "jaxchain")],
         lanes=round(lanes * SPAN), bar=bar, note=note,
     )  # fmt: skip

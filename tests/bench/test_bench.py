@@ -193,7 +193,9 @@ def test_without_numba_the_row_says_how_to_install_it(monkeypatch):
 
 
 @pytest.mark.skipif(not (shutil.which("gcc") or shutil.which("cc")), reason="no C compiler")
-@pytest.mark.parametrize("solver", [Rodas4(sweeps=2), Rodas5P(sweeps=2)])
+@pytest.mark.parametrize(
+    "solver", [Rodas4(sweeps=2), pytest.param(Rodas5P(sweeps=2), marks=pytest.mark.long)]
+)
 def test_the_step_in_c_does_the_arithmetic_of_the_step(solver):
     chains = [paper_chain(5, belt_speed, 1e-2) for belt_speed in (1.2, 1.3)]
     loop = compiled_steps(chains, solver.tableau, sweeps=2)

@@ -33,7 +33,7 @@ class Landings(AbstractObserver):
 
 @jax.jit
 def reference(chain, initial, t1):
-    solver = EventDriven(12)
+    solver = EventDriven(8)
     return simulate(chain, initial, t1, observe=Landings(), solver=solver, rtol=1e-12, throw=False)
 
 
