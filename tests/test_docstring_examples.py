@@ -1,7 +1,8 @@
 """Every example in a docstring or in the README runs, and prints what it says.
 
 Those of the names at the front door run with the quick tests, all others with the long ones; so
-does what stands in a fence: it takes too long to wait for, and says nothing to compare.
+do two that take ten seconds, of what has quick tests of its own, and what stands in a fence: it
+takes too long to wait for, and says nothing to compare.
 """
 
 import ast
@@ -59,9 +60,15 @@ FENCES = {
 README_FENCES = list(fenced(README.read_text(encoding="utf-8")))
 
 
+# The gradient through events, and the fold with its gradient.
+SLOW = "EventDriven", "fold_belt_speed"
+
+
 def cost(name):
-    at_the_door = name.split(".")[-1] in getattr(jaxchain, "__all__", ())
-    return name if at_the_door else pytest.param(name, marks=pytest.mark.long)
+    last = name.split(".")[-1]
+    at_the_door = last in getattr(jaxchain, "__all__", ())
+    quick = at_the_door and last not in SLOW
+    return name if quick else pytest.param(name, marks=pytest.mark.long)
 
 
 @pytest.mark.parametrize("name", [cost(name) for name in PROMPTS])

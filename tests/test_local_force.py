@@ -55,7 +55,10 @@ def by_scipy(kind, initial, t1, coupling=0.1):
     return found.y[:, -1]
 
 
-@pytest.mark.parametrize("kind", [VanDerPol, Cubic, Rayleigh, Swinging])
+@pytest.mark.parametrize(
+    "kind",
+    [VanDerPol, *(pytest.param(k, marks=pytest.mark.long) for k in (Cubic, Rayleigh)), Swinging],
+)
 @pytest.mark.parametrize(
     ("solver", "rtol"),
     [(Rodas5P(2), 1e-12), pytest.param(Rodas4(), 1e-11, marks=pytest.mark.long)],

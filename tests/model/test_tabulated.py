@@ -147,6 +147,7 @@ def test_without_its_knots_it_would_be_silently_wrong():
     assert np.max(np.abs(np.ravel(end) - expected)) > 1e-4
 
 
+@pytest.mark.long
 def test_dry_and_smoothed_agree_to_their_width():
     own = chain().with_(width=1e-5)
     times = jnp.linspace(0.0, 30.0, 31)

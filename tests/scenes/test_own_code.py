@@ -205,7 +205,11 @@ def _observed(tmp_path, more=""):
 
 
 @pytest.mark.parametrize(
-    ("more", "factor"), [("", 1.0), (NAMED.format("factor = 1.5"), 1.5)], ids=["alone", "named"]
+    ("more", "factor"),
+    [
+        pytest.param("", 1.0, id="alone", marks=pytest.mark.long),
+        pytest.param(NAMED.format("factor = 1.5"), 1.5, id="named"),
+    ],
 )
 def test_a_scene_has_what_an_own_observer_saw(observers, tmp_path, more, factor):
     arguments = _observed(tmp_path, more)

@@ -268,6 +268,7 @@ def test_samples_and_fronts_have_names_in_a_sweep():
     np.testing.assert_allclose(result.front_left[1], run.observed[1].left, atol=1e-3)
 
 
+@pytest.mark.long
 def test_any_number_of_the_chain_and_of_the_start_can_be_swept():
     result = sweep(
         CHAIN,
