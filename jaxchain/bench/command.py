@@ -51,13 +51,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(sys.argv[1:] if argv is None else argv)
     _configure_jax()
     # Only now: these need 64 bits and their devices.
-    from jaxchain.bench.machine import machine, one_line, versions
-    from jaxchain.bench.page import page, rows_of
+    from jaxchain.bench.machine import one_line, this_machine, versions
+    from jaxchain.bench.page import markdown, rows_of
     from jaxchain.bench.timing import Row, format_row, heading
 
     show = _show_nothing if options.json or options.markdown else _show
     kept = options.source
-    data = kept or {"machine": machine(), "versions": versions()}
+    data = kept or {"machine": this_machine(), "versions": versions()}
     show(one_line(data["machine"], data["versions"]) + "\n" + heading())
     rows: list[Row] = []
     failed = False
@@ -74,7 +74,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if options.json:
         print(json.dumps(data, indent=2))
     if options.markdown:
-        print(page(data), end="")
+        print(markdown(data), end="")
     return int(failed)
 
 

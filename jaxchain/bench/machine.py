@@ -17,7 +17,7 @@ from jaxchain.sweeps.dataset import versions as own_versions
 _PEERS = ("scipy", "numba", "scikit-sundae", "heyoka")
 
 
-def machine() -> dict[str, Any]:
+def this_machine() -> dict[str, Any]:
     """Plain data; what the system does not tell is None."""
     return {
         "cpu": _cpu(),

@@ -26,7 +26,7 @@ of such a file again.
 """
 
 
-def page(data: Mapping[str, Any]) -> str:
+def markdown(data: Mapping[str, Any]) -> str:
     """The page, from the parsed JSON."""
     flags = data["machine"]["xla_flags"] or "none"
     lines = [
