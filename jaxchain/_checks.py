@@ -82,6 +82,9 @@ def to_float(value: Any, name: str = "", remedy: str = "") -> Float[Array, "..."
     """
     try:
         if _is_real(value):
+            # To convert an array of JAX is a program to be compiled, one of numpy is not.
+            if isinstance(value, int | float | np.ndarray | np.generic):
+                value = np.asarray(value, dtype=float)
             return jnp.asarray(value, dtype=float)
     except (TypeError, ValueError, OverflowError):  # rows of unequal length, 10**400
         pass
@@ -110,7 +113,7 @@ def as_array(
 
 def require_x64() -> None:
     """Raises `RuntimeError` unless JAX computes with 64-bit floats."""
-    if jnp.zeros((), dtype=float).dtype != jnp.float64:
+    if jnp.result_type(float) != jnp.float64:
         raise RuntimeError(
             "jaxchain needs 64-bit floats, but JAX computes with 32 bits here: call "
             "`jaxchain.configure()` at the start of the program, or set the environment variable "

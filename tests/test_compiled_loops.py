@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import pytest
 
+from jaxchain.cycles.search import find_limit_cycle
 from jaxchain.model.chain import paper_chain
 from jaxchain.model.initial_states import equation_8
 from jaxchain.observers.amplitude import Amplitude
@@ -78,3 +79,32 @@ def test_every_loop_is_compiled_whole(make, n, width, observe, most):
     assert most // 2 < fusions <= most
     inner = sum(" while(" in line for line in lines)
     assert text.count(WHOLE) >= text.count(" while(") - inner > 0
+
+
+@pytest.fixture
+def compiled():
+    """The names of programs as they are compiled, also of those that the cache holds."""
+    names = []
+
+    def note(event, _, **about):
+        if event == "/jax/core/compile/backend_compile_duration":
+            names.append(about.get("fun_name"))
+
+    jax.monitoring.register_event_duration_secs_listener(note)
+    yield names
+    jax.monitoring.unregister_event_duration_listener(note)
+
+
+# Each operation outside `jit` is a program of its own, which takes 20 to 60 ms.
+
+
+def test_a_chain_and_its_start_are_one_program(compiled):
+    equation_8(paper_chain(37, 1.5, 1e-2), 2)  # of a size that no other test has
+    assert len(compiled) <= 1, compiled
+
+
+@pytest.mark.long
+def test_a_search_for_a_cycle_compiles_few_programs(compiled):
+    jax.clear_caches()
+    find_limit_cycle(paper_chain(1, width=0.05, belt_speed=1.4))
+    assert len(compiled) <= 25, compiled

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -94,7 +95,12 @@ def guess_from_simulation(
     mass = most_lively(chain, state) if mass is None else mass
     watch = Section(mass, _PEAKS, transient, of="velocity")
     run = _watched(chain, state, transient + duration, watch)
-    times, xs, vs = lax.stop_gradient(run.observed)
+    return _last_turn(*lax.stop_gradient(run.observed))
+
+
+@eqx.filter_jit
+def _last_turn(times: Array, xs: Array, vs: Array) -> Guess:
+    """The last state, and the time since the one that is most like it."""
     last = jnp.sum(jnp.isfinite(times)) - 1
     before = last - 1 - jnp.arange(_PEAKS - 1)  # one return ago, two, ...
     gaps = [jnp.linalg.norm(part[before] - part[last][None], axis=1) for part in (xs, vs)]
@@ -142,6 +148,7 @@ def carried(state: State, before: AbstractOscillators, after: AbstractOscillator
     return x, jnp.where(sticks, v - new[0] + turned * old[0] * wider, v)
 
 
+@eqx.filter_jit
 def slip_guess(chain: Chain, vibrating: int) -> Guess:
     """The unstable cycle of a mass that slides throughout, to first harmonic; NaN for none.
 

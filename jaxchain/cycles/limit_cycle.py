@@ -143,6 +143,7 @@ def solve_cycle(
     return cycle, found.u
 
 
+@eqx.filter_jit
 def with_derivatives(
     shooting: Shooting, chain: AbstractOscillators, cycle: LimitCycle, u: Array
 ) -> LimitCycle:

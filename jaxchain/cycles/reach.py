@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple, cast
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -21,7 +22,7 @@ from .averaging import cycle_speed, greatest_speed, one_mass
 from .branches import continue_cycle
 from .guesses import guess_of_kind
 from .limit_cycle import LimitCycle, solve_cycle
-from .shooting import Shooting
+from .shooting import Shooting, packed
 
 # Belt speeds to begin at: of slip cycles those at which averaging has amplitudes of such shares of
 # the belt speed, of stick-slip cycles such shares of the one that is asked for.
@@ -38,6 +39,7 @@ class Reached(NamedTuple):
     reason: str
 
 
+@eqx.filter_jit
 def is_of_kind(cycle: LimitCycle, kind: str) -> Bool[Array, ""]:
     """Whether one mass vibrates, on the side of the fold that was asked for, as far as it shows.
 
@@ -79,7 +81,7 @@ def reach_cycle(shooting: Shooting, kind: str, tolerance: Array, limit: Array) -
             field=there, rtol=shooting.rtol, solver=shooting.solver, mass=shooting.mass,
             images=shooting.images,
         )  # fmt: skip
-        cycle, _ = solve_cycle(own, own.pack(state, period), tolerance, limit)
+        cycle, _ = solve_cycle(own, packed(own, state, period), tolerance, limit)
         if not bool(cycle.successful & is_of_kind(cycle, kind)):
             continue
         found, ended = _follow(cycle, shooting, goal, along)

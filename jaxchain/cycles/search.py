@@ -38,7 +38,7 @@ from .guesses import (
 )
 from .limit_cycle import LimitCycle, solve_cycle, with_derivatives
 from .reach import is_of_kind, reach_cycle
-from .shooting import Shooting
+from .shooting import Shooting, packed
 
 
 def find_limit_cycle(
@@ -117,8 +117,8 @@ def find_limit_cycle(
         field=frozen, rtol=rtol, mass=mass, images=as_images(images, n, mass),
         solver=fit_linear_solve(Rodas5P(), frozen, 1e-9 if is_traced(rtol) else float(rtol)),
     )  # fmt: skip
-    numbers = to_float(tolerance), jnp.asarray(limit)
-    start = shooting.pack(lax.stop_gradient(state), lax.stop_gradient(period))
+    numbers = to_float(tolerance), jnp.asarray(limit, dtype=int)
+    start = packed(shooting, lax.stop_gradient(state), lax.stop_gradient(period))
     cycle, u = solve_cycle(shooting, start, *numbers)
     reason = ""
     if guess is None:
@@ -126,7 +126,7 @@ def find_limit_cycle(
         if not is_traced(cycle.successful) and not cycle.successful:
             found, reason = reach_cycle(shooting, branch, *numbers)
             if found is not None:
-                cycle, u = solve_cycle(shooting, shooting.pack(*found), *numbers)
+                cycle, u = solve_cycle(shooting, packed(shooting, *found), *numbers)
     if throw and not is_traced(cycle.successful) and not cycle.successful:
         raise RuntimeError(_failure(cycle) if guess is not None else _missing(branch, reason))
     return with_derivatives(shooting, chain, cycle, u)

@@ -146,6 +146,12 @@ class Shooting(eqx.Module):
         return gaps / v[self.mass]
 
 
+@eqx.filter_jit
+def packed(shooting: Shooting, state: State, period: Any) -> Float[Array, " m"]:
+    """`Shooting.pack` as one program."""
+    return shooting.pack(state, period)
+
+
 def residual(u: Float[Array, " m"], parameter: Any, shooting: Shooting) -> Float[Array, " m"]:
     """`Shooting.residual` as a plain function, which keeps its identity from call to call."""
     return shooting.residual(u, parameter)

@@ -47,7 +47,9 @@ def excited_block(
     """
     check_one_of("block", block, BLOCKS)
     start = reference_site(n) - (0 if block == "forward" else excited // 2)
-    return (jnp.arange(n) - start) % n < excited
+    # With numpy where numbers are known: each small operation of JAX is compiled by itself.
+    index = jnp.arange(n) if is_traced(excited) else np.arange(n)
+    return jnp.asarray((index - start) % n < excited, dtype=bool)
 
 
 def alternating(n: int) -> Int[Array, " n"]:
@@ -159,7 +161,11 @@ def on_the_belt(chain: Chain, vibrating: Any = None) -> State:
 
     With one mass and dry friction it lies on the stick-slip cycle.
     """
-    mass = check_vibrating(chain, vibrating)
+    return _carried(chain, check_vibrating(chain, vibrating))
+
+
+@eqx.filter_jit
+def _carried(chain: Chain, mass: int) -> State:
     x, v = steady_sliding(chain)
     return x.at[mass].set(0.0), v.at[mass].set(chain.belt_speed)
 
@@ -167,6 +173,11 @@ def on_the_belt(chain: Chain, vibrating: Any = None) -> State:
 def release_state(chain: Chain, mass: int) -> State:
     """Steady sliding, but mass `mass` is carried by the belt, half way to where it is let go."""
     check_whole("mass", mass, 0, as_chain(chain).n - 1, "it is the index of a mass.")
+    return _released(chain, mass)
+
+
+@eqx.filter_jit
+def _released(chain: Chain, mass: int) -> State:
     x, v = steady_sliding(chain)
     unit = jnp.zeros(chain.n).at[mass].set(1.0)
     stiffness = -chain.restoring_force(unit)[mass]
