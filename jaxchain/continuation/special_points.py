@@ -208,18 +208,24 @@ def dips(corrector: Corrector, piece: Segment, doubt: float = 0.0, depth: int = 
     return [*before, middle, *after]
 
 
-def other_direction(
-    corrector: Corrector, piece: Segment, at: Point
-) -> Float[np.ndarray, " m_plus_1"]:
-    """The null vector of F_z at a branch point that is square to the branch's own tangent.
+def directions(
+    corrector: Corrector, piece: Segment, at: Located
+) -> tuple[Float[np.ndarray, " m_plus_1"], Float[np.ndarray, " m_plus_1"]]:
+    """The tangents at a branch point: of the branch itself, and square to it in the null space.
 
-    Rows are scaled by their size beside the branch point: at it, a row may be zero.
+    The null space of F_z has two dimensions there, and what `at` has for a tangent is any of its
+    vectors, as rounding will have it.  The branch's own is the one next to that of the cubic
+    through both ends.  Rows are scaled by their size beside the branch point: at it, a row may be
+    zero.
     """
     w = corrector.weights
     rows = np.maximum(np.abs(piece.left.jacobian / w), np.abs(piece.right.jacobian / w)).max(1)
-    own = w * at.tangent
-    matrix = np.vstack([at.jacobian / w / np.where(rows > 0, rows, 1.0)[:, None], own])
-    return np.linalg.svd(matrix)[2][-1] / w
+    matrix = at.point.jacobian / w / np.where(rows > 0, rows, 1.0)[:, None]
+    plane = np.linalg.svd(matrix)[2][-2:]
+    along = plane @ (w * piece.at(at.fraction)[1])
+    along /= np.linalg.norm(along)
+    across = np.array([-along[1], along[0]])
+    return along @ plane / w, across @ plane / w
 
 
 def changes(

@@ -15,8 +15,8 @@ from .special_points import (
     changes,
     crossing,
     dips,
+    directions,
     locate,
-    other_direction,
     segment,
     surely,
 )
@@ -187,7 +187,9 @@ class Walk:
 
     def _flag(self, kind: str, where: Located, part: Segment) -> None:
         point = where.point
-        other = other_direction(self.corrector, part, point) if kind == "branch point" else None
+        tangent, other = point.tangent, None
+        if kind == "branch point":
+            tangent, other = directions(self.corrector, part, where)
         self.record.special.append(
             SpecialPoint(
                 kind=kind,
@@ -195,7 +197,7 @@ class Walk:
                 arclength=self.record.arclengths[-1] + where.fraction * part.length,
                 u=point.u,
                 p=point.p,
-                tangent=point.tangent,
+                tangent=tangent,
                 residual=point.residual,
                 left_over=where.left_over,
                 refined=where.refined,
