@@ -1,9 +1,8 @@
 """Where vibration starts (Hopf) and up to where it can survive (fold), smoothed and dry.
 
 - `axis_crossings`: where eigenvalues of sliding cross the imaginary axis, none missed
-- `bautin`: where fold and Hopf point meet, the generalised Hopf point
 - `bistable`: the belt speeds at which a mass slides or vibrates, as it started
-- `criticality`: super- or subcritical: the first Lyapunov coefficient
+- `criticality`: super- or subcritical, by the first Lyapunov coefficient, and where that changes
 - `descent`: both boundaries by gradient, with optax
 - `fold`: the greatest belt speed at which a smoothed vibration survives
 - `fold_search`: the loop that finds a fold of cycles

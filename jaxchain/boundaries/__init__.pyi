@@ -1,9 +1,9 @@
-from .bautin import GeneralisedHopf as GeneralisedHopf
-from .bautin import generalised_hopf as generalised_hopf
 from .bistable import BistableRange as BistableRange
 from .bistable import bistable_range as bistable_range
 from .bistable import try_boundary as try_boundary
+from .criticality import GeneralisedHopf as GeneralisedHopf
 from .criticality import first_lyapunov_coefficient as first_lyapunov_coefficient
+from .criticality import generalised_hopf as generalised_hopf
 from .descent import FoldDescent as FoldDescent
 from .descent import HopfDescent as HopfDescent
 from .descent import fold_by_descent as fold_by_descent

@@ -10,7 +10,7 @@ from scipy.optimize import brentq, fsolve
 
 from jaxchain import Amplitude, EventDriven, hopf_belt_speed, paper_chain, simulate
 from jaxchain.boundaries import find_fold
-from jaxchain.boundaries.bautin import generalised_hopf
+from jaxchain.boundaries.criticality import generalised_hopf
 from jaxchain.boundaries.overview import hopf_and_fold
 from jaxchain.boundaries.single_mass import dry_slip_branch, one_mass_branch
 from jaxchain.model.initial_states import on_the_belt

@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Array
 
-from jaxchain.boundaries.bautin import generalised_hopf
+from jaxchain.boundaries.criticality import generalised_hopf
 from jaxchain.boundaries.fold import Fold, find_fold, fold_belt_speed
 from jaxchain.boundaries.grazing import nonsmooth_fold_belt_speed
 from jaxchain.boundaries.hopf import hopf_belt_speed
