@@ -10,6 +10,7 @@
 - `grazing`: the fold of true dry friction
 - `hopf`: the belt speed above which steady sliding stays stable
 - `hopf_scan`: every Hopf point in a range of belt speeds
+- `many_folds`: folds of many sets of numbers, on every device
 - `overview`: both boundaries of one chain, smoothed and dry, with error bars
 - `single_mass`: all vibrations of one mass over the belt speed
 - `touch`: equations of the cycle that touches the belt's speed

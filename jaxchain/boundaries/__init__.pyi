@@ -18,6 +18,7 @@ from .hopf import hopf_belt_speed as hopf_belt_speed
 from .hopf_scan import HopfPoints as HopfPoints
 from .hopf_scan import guess_from_hopf as guess_from_hopf
 from .hopf_scan import hopf_points as hopf_points
+from .many_folds import fold_belt_speeds as fold_belt_speeds
 from .overview import Boundaries as Boundaries
 from .overview import hopf_and_fold as hopf_and_fold
 from .single_mass import OneMassBranch as OneMassBranch
