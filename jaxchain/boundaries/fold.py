@@ -178,7 +178,7 @@ def _find(chain: Chain, mass: int) -> tuple[Start, Search]:
     A program by itself, which values, derivatives and the whole `Fold` share.
     """
     start = first_guess(chain, mass)
-    return start, search(start.shooting, start.place, start.loose, start.hopeful)
+    return start, search(start.shooting, start.place, start.loose, start.hopeful, start.tame)
 
 
 def _held(chain: Chain, start: Start) -> Shooting:

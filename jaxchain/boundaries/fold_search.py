@@ -35,12 +35,19 @@ _MOST = 250
 # the layer keeps the residual, which is measured in widths, above `CLOSED`.
 _SMALL = 1e-10
 _FEW_WIDTHS = 30.0
+# Widths by which a cycle fails to close from which V'(s) is already known well enough to move on.
+_NEARLY = 0.1
 # Newton's first step, in the unknowns and relative in the belt speed; what it may grow by after a
 # success, shrinks by after a failure, and how often in succession it may.
 _FIRST, _GROWTH, _SHRINKAGE, _MOST_REFUSED = 0.1, 4.0, 0.3, 14
+_TINY, _MOST_TINY = 1e-11, 4
 # Y(s) = exp(2 s) + tau s, in which V'(s) is nearly linear: the friction lost to smoothing, or,
 # where that is nothing, the amplitude.
 _TAU = 1e-5
+# What the reach in s grows by where Newton's method gets there.
+_WIDENING = 2.0
+# How far from the first closed cycle the second one is tried, at least.
+_PROBE = 0.15
 # Two cycles whose s differ by less tell nothing about the curvature of V.
 _APART = 0.01
 
@@ -70,6 +77,8 @@ class _Secant(eqx.Module):
     curvature: Float[Array, ""]  # dV' / dY; NaN while unknown
     low: Float[Array, ""]  # the greatest s with V' > 0
     high: Float[Array, ""]  # the least with V' < 0
+    aim: Float[Array, ""]  # the s that was to come after it; NaN for none
+    reach: Float[Array, ""]  # the farthest that an aim may be
 
 
 class Search(eqx.Module):
@@ -118,15 +127,19 @@ def value_and_jacobian(shooting: Shooting, place: Place) -> tuple[Array, Array]:
     return r, columns.T
 
 
-def search(shooting: Shooting, guess: Place, loose: Array, wanted: Array) -> Search:
+def search(shooting: Shooting, guess: Place, loose: Array, wanted: Array, tame: Array) -> Search:
     """The fold from a cycle near it, for `shooting` at any tolerance; NaN if not `wanted`.
+
+    `tame`: whether the slip cycle is not very unstable, so that V' is known before a cycle is
+    closed.
 
     Loosely at first, then with `FOLD_RTOL`, which matters little: V is stationary in s, so the
     error of s counts by its square.  One loop of one kind of work, so that the lanes of a batch
     need not wait for each other, and only one integration is compiled.
     """
     nan = jnp.asarray(jnp.nan)
-    secant = _Secant(nan, nan, nan, -jnp.asarray(jnp.inf), jnp.asarray(jnp.inf))
+    infinite = jnp.asarray(jnp.inf)
+    secant = _Secant(nan, nan, nan, -infinite, infinite, nan, infinite)
     m = guess.q.shape[0]
     unknown = jnp.full((m, m + 1), jnp.nan)
     start = Search(guess, _fresh(guess), secant, nan, unknown, jnp.zeros((), int), wanted)
@@ -135,28 +148,37 @@ def search(shooting: Shooting, guess: Place, loose: Array, wanted: Array) -> Sea
         return eqx.tree_at(lambda k: (k.low, k.high), known, (secant.low, secant.high))
 
     def stage(before: Search, rtol: Array) -> tuple[Search, None]:
+        # The same search again would end as it did.
+        done = (rtol == loose) & (before.count > 0)
         # At another tolerance the fold may lie outside the bracket, by a little.
-        done = (rtol == loose) & before.found & (before.count > 0)
         # What failed loosely starts anew.
         begin = where(before.found, before.here, guess)
         again = eqx.tree_at(
             lambda k: (k.here, k.newton, k.secant, k.found),
             before,
-            (begin, _fresh(begin), where(before.found, unbound(before.secant), secant), done),
+            (
+                begin,
+                _fresh(begin),
+                where(before.found, unbound(before.secant), secant),
+                done & before.found,
+            ),
         )
         exact = eqx.tree_at(lambda k: k.rtol, shooting, rtol)
         tight = rtol <= FOLD_RTOL
 
         def goes_on(now: Search) -> Array:
-            hopeful = (now.newton.refused < _MOST_REFUSED) & (now.count < _MOST)
-            return wanted & ~now.found & hopeful
+            newton = now.newton
+            # A step that is refused again and again, and is of the size of rounding by now.
+            stuck = (newton.refused >= _MOST_TINY) & (newton.length < _TINY)
+            hopeful = (newton.refused < _MOST_REFUSED) & (now.count < _MOST) & ~stuck
+            return wanted & ~done & ~now.found & hopeful
 
-        return lax.while_loop(goes_on, lambda now: _entry(exact, now, tight), again), None
+        return lax.while_loop(goes_on, lambda now: _entry(exact, now, tight, tame), again), None
 
     return lax.scan(stage, start, jnp.stack([loose, jnp.asarray(FOLD_RTOL)]))[0]
 
 
-def _entry(shooting: Shooting, now: Search, tight: Array) -> Search:
+def _entry(shooting: Shooting, now: Search, tight: Array, tame: Array) -> Search:
     index = shooting.place
     q, z = now.here.q, now.here.z
     r, jacobian = value_and_jacobian(shooting, now.here)
@@ -166,7 +188,8 @@ def _entry(shooting: Shooting, now: Search, tight: Array) -> Search:
     tangent = -both[:, 1]
     # Of the corrections that close the cycle the one that moves s and the belt speed least: where
     # a mass sticks long before the cut, what is left of its approach tells nothing of the speed.
-    few = _FEW_WIDTHS * jnp.min(shooting.field.width)  # pyright: ignore[reportAttributeAccessIssue]
+    narrow = jnp.min(shooting.field.width)  # pyright: ignore[reportAttributeAccessIssue]
+    few = _FEW_WIDTHS * narrow
     per_width, sideways = tangent[index] / few, -both[:, 0][index] / few
     aside = -sideways * per_width / (1.0 + per_width**2)
     step = tangent * aside - both[:, 0]
@@ -178,10 +201,14 @@ def _entry(shooting: Shooting, now: Search, tight: Array) -> Search:
 
     # A closed cycle: where does V'(s) vanish?
     s, slope, speed = jnp.sinh(z), tangent[index] / jnp.cosh(z), jnp.abs(q[index])
-    new_s, secant = _towards_fold(now.secant, s, slope, s - shooting.rest(q[index]))
+    new_s, secant = _towards_fold(now.secant, s, slope, s - shooting.rest(q[index]), tame)
     # V misses its maximum by about half of this.
     missed = jnp.abs(slope * (new_s - s)) / speed
-    folds = closed & (secant.curvature < 0) & (missed < jnp.where(tight, _STATIONARY, _NEAR))
+    there = missed < jnp.where(tight, _STATIONARY, _NEAR)
+    folds = closed & (secant.curvature < 0) & there
+    # A cycle that is nearly closed tells V' well enough to move on from it.
+    nearly = tame & good & (misses * speed < _NEARLY * narrow)
+    closed = closed | (nearly & (secant.curvature < 0) & ~there)
     new_z = jnp.where(folds & tight, z, jnp.arcsinh(new_s))
     moved = Place(q - both[:, 0] + tangent * (new_z - z), new_z)
 
@@ -207,7 +234,9 @@ def _entry(shooting: Shooting, now: Search, tight: Array) -> Search:
     )
 
 
-def _towards_fold(before: _Secant, s: Array, slope: Array, room: Array) -> tuple[Array, _Secant]:
+def _towards_fold(
+    before: _Secant, s: Array, slope: Array, room: Array, tame: Array
+) -> tuple[Array, _Secant]:
     """The next s, and what to remember, from V' = dV/ds at s; V rises up to the fold.
 
     `room` is how far from s the amplitude vanishes.
@@ -219,7 +248,8 @@ def _towards_fold(before: _Secant, s: Array, slope: Array, room: Array) -> tuple
     curvature = jnp.where(
         apart, (slope - before.slope) / jnp.where(apart, gap, 1.0), before.curvature
     )
-    probe = s + jnp.sign(slope) * jnp.minimum(0.03 * room, jnp.maximum(0.15, -0.5 * (s + 3.0)))
+    far = jnp.where(tame, jnp.maximum(_PROBE, -0.5 * (s + 3.0)), _PROBE)
+    probe = s + jnp.sign(slope) * jnp.minimum(0.03 * room, far)
     # Not far up into the layer, where V falls steeply, and not all the way down to rest.
     highest = jnp.maximum(s + 0.7, jnp.minimum(s + 0.3 * room, -2.5))
     lowest = s - jnp.minimum(0.3 * room, 2.5 + 0.1 * room)
@@ -227,7 +257,11 @@ def _towards_fold(before: _Secant, s: Array, slope: Array, room: Array) -> tuple
     middle = 0.5 * (low + high)
     target = jnp.where((target > low) & (target < high) & (curvature < 0), target, middle)
     target = jnp.where(jnp.isfinite(target), target, probe)
-    return target, _Secant(s, slope, curvature, low, high)
+    # Newton's method slides back along the branch from an aim too far for its start: aim nearer.
+    wanted, gone = jnp.abs(before.aim - before.s), jnp.abs(s - before.s)
+    reach = jnp.where(gone < 0.5 * wanted, _SHRINKAGE * wanted, _WIDENING * before.reach)
+    target = jnp.clip(target, s - reach, s + reach)
+    return target, _Secant(s, slope, curvature, low, high, target, reach)
 
 
 def _ordinate(s: Array) -> Array:

@@ -36,8 +36,8 @@ class Start(NamedTuple):
     """Equations and a first guess of a fold.
 
     `width`: the least width that the search is for; `loose`: the tolerance on the way; `hopeful`:
-    whether there is something to search for, and if not, `result`: why not; `sides`: V_+, V_-,
-    kappa and h of the touch.
+    whether there is something to search for, and if not, `result`: why not; `tame`: whether the
+    slip cycle is known, and not very unstable; `sides`: V_+, V_-, kappa and h of the touch.
     """
 
     shooting: Shooting
@@ -46,6 +46,7 @@ class Start(NamedTuple):
     loose: Float[Array, ""]
     hopeful: Bool[Array, ""]
     result: SearchResult
+    tame: Bool[Array, ""]
     sides: tuple[Array, Array, Array, Array]
 
 
@@ -54,10 +55,12 @@ def first_guess(chain: Chain, mass: int) -> Start:
     alone = one_mass(chain, mass)
     dry_averaged = dry_fold_speed(alone)
     scale = speed_scale(alone, dry_averaged)
-    touch, q, slopes = find_touch(chain, mass, exact=alone.width < _POLISH * scale)
+    exact = alone.width < _POLISH * scale
+    touch, q, slopes = find_touch(chain, mass, exact, dry_averaged)
     (_, v), _, touch_speed = touch.unpack(q)
     known = *slopes[-1], touch.fall(v), touch.hold
-    unstable = -known[0] / known[1] > _UNSTABLE
+    multiplier = -known[0] / known[1]
+    unstable, tame = multiplier > _UNSTABLE, (multiplier > 1.0) & (multiplier <= _UNSTABLE)
     least = scale * jnp.where(unstable, _LEAST_UNSTABLE, _LEAST_WIDTH)
     least = jnp.where(jnp.isfinite(least), least, 0.0)
     chain, alone = at_least_wide(chain, least), at_least_wide(alone, least)
@@ -93,7 +96,7 @@ def first_guess(chain: Chain, mass: int) -> Start:
     good = thin & (unstable | (width < _NARROW * scale))
     loose = jnp.where(good, FOLD_RTOL, loose_rtol(chain))
     hopeful = ~none & damped & exists & touches
-    return Start(shooting, place, least, loose, hopeful, result, known)
+    return Start(shooting, place, least, loose, hopeful, result, tame, known)
 
 
 def without_fold(failed: SearchResult, exists: Any, damped: Any, none: Any) -> SearchResult:

@@ -36,18 +36,21 @@ class _Homotopy(eqx.Module):
     settled: Bool[Array, ""]
 
 
-def find_touch(chain: Chain, mass: int, exact: Any = True) -> tuple[Touch, Array, Array]:
+def find_touch(
+    chain: Chain, mass: int, exact: Any = True, averaged: Array | None = None
+) -> tuple[Touch, Array, Array]:
     """(equations, q, dq / d(w_+, w_-)) of the grazing cycle; NaN where none was found.
 
     From averaging, which is exact for weak friction and damping, in one leap where that goes, else
     by way of chains with weaker friction, damping and coupling.  If `exact`, which may be traced,
-    it is then polished with more and more steps.  Nothing in here is to be differentiated.
+    it is then polished with more and more steps.  `averaged` is `dry_fold_speed`, if it is known.
+    Nothing in here is to be differentiated.
 
     Newton's method and the way are one loop, so that the lanes of a
     batch need not wait for each other, and the orbit is compiled once.
     """
     alone = one_mass(chain, mass)
-    speed = dry_fold_speed(alone)
+    speed = dry_fold_speed(alone) if averaged is None else averaged
     x, v = steady_sliding(eqx.tree_at(lambda c: c.belt_speed, chain, speed))
     first = Touch(chain, jnp.asarray(_QUICK), mass)
     q = first.pack((x, v), 2 * jnp.pi / jnp.sqrt(alone.stiffness), speed)
