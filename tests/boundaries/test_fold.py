@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
+from wild_sets import wild_chain, wild_sets
 from witnesses.smoothed import OneMass
 
 from jaxchain import (
@@ -26,23 +27,6 @@ from jaxchain.model.initial_states import on_the_belt
 from jaxchain.result import SearchResult
 
 NAMES = ("damping_ratio", "mu_dynamic", "mu_static", "v_ref", "width")
-WILD = ("damping_ratio", "mu_dynamic", "v_ref", "width")
-
-
-def wild_sets(seed, count):
-    """Random (xi, mu_d / mu_st, v_ref, width) from far apart, shape (count, 4)."""
-    rng = np.random.default_rng(seed)
-
-    def logarithmic(low, high):
-        return np.exp(rng.uniform(np.log(low), np.log(high), count))
-
-    xi, ratio, v_ref = logarithmic(0.01, 0.3), rng.uniform(0.2, 0.9, count), logarithmic(0.02, 1.5)
-    return np.stack([xi, ratio, v_ref, logarithmic(1e-9, 0.2)], axis=1)
-
-
-def wild_chain(numbers):
-    return paper_chain(1).with_(**dict(zip(WILD, numbers, strict=True)))
-
 
 # Sets in one call of the compiled search: one program serves all tests.
 AT_ONCE = 5

@@ -16,6 +16,7 @@ from .searches import NO_DRY, VIBRATING
 from .table import (
     A_CHAIN,
     COUNT,
+    FLAG,
     FUNCTION,
     NUMBER,
     POSITIVE,
@@ -89,6 +90,14 @@ def _fold() -> Iterator[Row]:
             **smoothed, "start": optional(NUMBER), "optimiser": OPTIMISER, "steps": COUNT,
             "tolerance": POSITIVE,
         },
+    )  # fmt: skip
+    over = (
+        None, "x", 3, Told({}, "one quantity"), ["width"], {"nonsense": [1]}, {"width": "x"},
+        {"width": []}, {"width": [math.nan]}, {"belt_speed": [1.0]},
+    )  # fmt: skip
+    yield Row(
+        "fold_belt_speeds", boundaries.fold_belt_speeds,
+        {"chain": CHAIN, "over": {"width": [1e-2]}}, {**bad, "over": over, "progress": FLAG},
     )  # fmt: skip
     yield Row("fold_in_the_limit", boundaries.fold_in_the_limit, chain, {**bad, "widths": WIDTHS})
     yield Row(

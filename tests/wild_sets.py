@@ -1,0 +1,22 @@
+"""Random sets of numbers for searches, over decades."""
+
+import numpy as np
+
+from jaxchain import paper_chain
+
+WILD = ("damping_ratio", "mu_dynamic", "v_ref", "width")
+
+
+def wild_sets(seed, count):
+    """Random (xi, mu_d / mu_st, v_ref, width) from far apart, shape (count, 4)."""
+    rng = np.random.default_rng(seed)
+
+    def logarithmic(low, high):
+        return np.exp(rng.uniform(np.log(low), np.log(high), count))
+
+    xi, ratio, v_ref = logarithmic(0.01, 0.3), rng.uniform(0.2, 0.9, count), logarithmic(0.02, 1.5)
+    return np.stack([xi, ratio, v_ref, logarithmic(1e-9, 0.2)], axis=1)
+
+
+def wild_chain(numbers):
+    return paper_chain(1).with_(**dict(zip(WILD, numbers, strict=True)))
