@@ -36,7 +36,8 @@ _MOST = 250
 _SMALL = 1e-10
 _FEW_WIDTHS = 30.0
 # Widths by which a cycle fails to close from which V'(s) is already known well enough to move on.
-_NEARLY = 0.1
+# Loosely, and in the end, where the slope there decides how exact s is.
+_NEARLY, _VERY_NEARLY = 0.1, 1e-3
 # Newton's first step, in the unknowns and relative in the belt speed; what it may grow by after a
 # success, shrinks by after a failure, and how often in succession it may.
 _FIRST, _GROWTH, _SHRINKAGE, _MOST_REFUSED = 0.1, 4.0, 0.3, 14
@@ -207,7 +208,8 @@ def _entry(shooting: Shooting, now: Search, tight: Array, tame: Array) -> Search
     there = missed < jnp.where(tight, _STATIONARY, _NEAR)
     folds = closed & (secant.curvature < 0) & there
     # A cycle that is nearly closed tells V' well enough to move on from it.
-    nearly = tame & good & (misses * speed < _NEARLY * narrow)
+    share = jnp.where(tight, _VERY_NEARLY, _NEARLY)
+    nearly = tame & good & (misses * speed < share * narrow)
     closed = closed | (nearly & (secant.curvature < 0) & ~there)
     new_z = jnp.where(folds & tight, z, jnp.arcsinh(new_s))
     moved = Place(q - both[:, 0] + tangent * (new_z - z), new_z)
