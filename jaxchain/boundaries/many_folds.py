@@ -33,6 +33,7 @@ from ..model.initial_states import check_vibrating
 from ..model.parameters import parameter
 from ..result import SearchResult
 from ..sweeps.axes import Axes, check_axes, jobs, sizes
+from ..sweeps.programs import place, ready
 from ..sweeps.starts import with_numbers
 from ..sweeps.sweeping import SweepInterrupted
 from .fold import find_fold
@@ -74,7 +75,7 @@ def fold_belt_speeds(
     harms no other.  Not to be differentiated: for that use `jax.vmap` of `fold_belt_speed`, in
     which all sets wait for the hardest one.
 
-    Compiled once for each device, for any number of sets and any numbers.
+    Compiled once for any number of sets and any numbers.
 
     **Raises:** `ValueError` for what is not a chain, a mass it does not have, and values in `over`
     that cannot be, before anything is compiled; `SweepInterrupted` on Ctrl-C, with what was found.
@@ -139,7 +140,7 @@ def _compute(
     devices = jax.local_devices()[: len(begins)]
     free: SimpleQueue = SimpleQueue()
     for device in devices:
-        free.put((device, jax.device_put(chain, device)))
+        free.put((device, place(_Search(chain, mass), device)))
 
     def some(begin: int) -> tuple[slice, dict[str, Any]]:
         rows = slice(begin, min(begin + _AT_ONCE, total))
@@ -147,7 +148,8 @@ def _compute(
         own = {name: np.resize(column[rows], _AT_ONCE) for name, column in values.items()}
         device, here = free.get()
         try:
-            found = jax.device_get(_find(here, mass, *jax.device_put((own, count), device)))
+            given = jax.device_put((own, count), device)
+            found = jax.device_get(ready(_find, device, here, *given)(*given))
         finally:
             free.put((device, here))
         return rows, {name: column[:count] for name, column in found.items()}
@@ -167,11 +169,16 @@ def _compute(
             pool.shutdown(wait=False, cancel_futures=True)
 
 
-@eqx.filter_jit
-def _find(
-    chain: Chain, mass: int, values: dict[str, Array], count: Int[Array, ""]
-) -> dict[str, Array]:
+class _Search(eqx.Module):
+    """What is the same for all sets."""
+
+    chain: Chain
+    mass: int = eqx.field(static=True)
+
+
+def _find(search: _Search, values: dict[str, Array], count: Int[Array, ""]) -> dict[str, Array]:
     """The folds of the first `count` sets, one after the other."""
+    chain, mass = search.chain, search.mass
 
     def one(k: Array, found: dict[str, Array]) -> dict[str, Array]:
         own = with_numbers(chain, {name: column[k] for name, column in values.items()})

@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 import io
 import pickle
+import threading
 from collections.abc import Callable, Hashable, Sequence
 from typing import Any, NamedTuple
 
@@ -52,6 +53,7 @@ class Program:
         self._loaded: dict[Hashable, _Loaded] = {}
         self._shapes: dict[Hashable, Any] = {}
         self._function = function
+        self._lock = threading.Lock()
 
     def shape(self, *arguments: Any) -> Any:
         """What it returns, without the numbers; of arrays or their shapes."""
@@ -63,10 +65,11 @@ class Program:
     def on(self, device: Any, *arguments: Any) -> Callable:
         """The executable for arguments like these, which lie on the device."""
         key = device.device_kind, _key(arguments)
-        loaded = self._loaded.setdefault(key, _Loaded({}, []))
-        if device not in loaded.on:
-            loaded.on[device] = self._load(device, loaded, arguments)
-        return loaded.on[device]
+        with self._lock:  # threads that want the same one wait for it
+            loaded = self._loaded.setdefault(key, _Loaded({}, []))
+            if device not in loaded.on:
+                loaded.on[device] = self._load(device, loaded, arguments)
+            return loaded.on[device]
 
     def _load(self, device: Any, loaded: _Loaded, arguments: tuple) -> Any:
         for made in loaded.made:
@@ -127,6 +130,7 @@ def _program(
     return Program(given, donated)
 
 
+_asking = threading.Lock()
 # 1 and 1.0 make two programs.
 program = functools.lru_cache(maxsize=KEPT, typed=True)(_program)
 start_program = functools.lru_cache(maxsize=KEPT_STARTS, typed=True)(_program)
@@ -157,7 +161,8 @@ def _own(
     """The program of a task, and its arrays."""
     arrays, static = eqx.partition(task, eqx.is_array)
     leaves, structure = jtu.tree_flatten(static)
-    return programs(function, donated, structure, *leaves), arrays
+    with _asking:  # or two threads would each be given another one
+        return programs(function, donated, structure, *leaves), arrays
 
 
 def place(tree: Any, device: Any) -> Any:
