@@ -28,13 +28,13 @@ KEPT = 64
 KEPT_STARTS = 8
 
 
-_hits: list[str] = []  # one for each program that came from JAX's cache on disk
+_hits: list[int] = []  # the thread, for each program that came from JAX's cache on disk
 
 
 def _heard(event: str, **about: Any) -> None:
     del about
     if event == "/jax/compilation_cache/cache_hits":
-        _hits.append(event)
+        _hits.append(threading.get_ident())
 
 
 jax.monitoring.register_event_listener(_heard)
@@ -75,9 +75,9 @@ class Program:
         for made in loaded.made:
             if (executable := _moved(made, device)) is not None:
                 return executable
-        before = len(_hits)
+        before = _hits.count(threading.get_ident())
         executable = self._jitted.lower(*arguments).compile()
-        if len(_hits) == before:  # one from the disk can be moved no more
+        if _hits.count(threading.get_ident()) == before:  # one from the disk can be moved no more
             loaded.made.append(executable)
         return executable
 

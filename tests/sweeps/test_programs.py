@@ -1,5 +1,6 @@
 """Programs on devices: what is padded, counted and joined, and that devices choose nothing."""
 
+import threading
 import time
 
 import equinox as eqx
@@ -85,7 +86,7 @@ def test_a_program_from_the_disk_is_not_moved(monkeypatch):
     moved = []
     monkeypatch.setattr(programs, "_moved", lambda *a: moved.append(a))
     monkeypatch.setattr(programs, "_hits", hits := [])
-    made = Program(lambda x: hits.append("hit") or 2.0 * x)
+    made = Program(lambda x: hits.append(threading.get_ident()) or 2.0 * x)
     for device in jax.local_devices()[:2]:
         x = jax.device_put(np.arange(3.0), device)
         np.testing.assert_array_equal(made.on(device, x)(x), [0.0, 2.0, 4.0])
