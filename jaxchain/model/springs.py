@@ -38,7 +38,14 @@ def neighbour_sum(x: Float[Array, " n"], ends: Ends) -> Float[Array, " n"]:
     """
 
     def convolve(x: Array) -> Array:
-        return _correlate(x, np.array([[[1.0, 0.0, 1.0]]]), ends)[0]
+        # Padded by the convolution itself: ends of a ring that are put there cost as much again.
+        kernel = jnp.asarray([[[1.0, 0.0, 1.0]]], x.dtype)
+        inside = lax.conv_general_dilated(x.reshape(1, 1, -1), kernel, (1,), ((1, 1),))[0, 0]
+        if ends == "free":
+            return inside
+        first = np.zeros(x.shape[0])
+        first[0] = 1.0
+        return inside + (first * x[-1] + first[::-1] * x[0])
 
     def shift(x: Array) -> Array:
         p = _pad(x, ends)
@@ -55,8 +62,10 @@ def materialize(x: Float[Array, " n"]) -> Float[Array, " n"]:
     """
 
     def convolve(x: Array) -> Array:
-        kernel = jnp.asarray([[[1.0, 0.0]]], x.dtype)
-        return lax.conv_general_dilated(x.reshape(1, 1, -1), kernel, (1,), ((0, 1),))[0, 0]
+        # Along an axis of length 1, whose other end is padding: no mass sees another.
+        kernel = jnp.asarray([[[[1.0, 0.0]]]], x.dtype)
+        column = x.reshape(1, 1, -1, 1)
+        return lax.conv_general_dilated(column, kernel, (1, 1), ((0, 0), (0, 1))).reshape(x.shape)
 
     return lax.platform_dependent(x, cpu=convolve, default=lambda x: x)
 
@@ -71,22 +80,6 @@ def neighbours(x: Float[Array, " n"], ends: Ends) -> tuple[Float[Array, " n"], F
     def shift(x: Array) -> tuple[Array, Array]:
         p = _pad(x, ends)
         return p[:-2], p[2:]
-
-    return lax.platform_dependent(x, cpu=convolve, default=shift)
-
-
-def with_neighbours(
-    x: Float[Array, " n"], ends: Ends
-) -> tuple[Float[Array, " n"], Float[Array, " n"], Float[Array, " n"]]:
-    """(x_{n-1}, x, x_{n+1}): `neighbours`, with x itself computed once (see `materialize`)."""
-
-    def convolve(x: Array) -> tuple[Array, Array, Array]:
-        before, same, after = _correlate(x, np.eye(3)[:, None, :], ends)
-        return before, same, after
-
-    def shift(x: Array) -> tuple[Array, Array, Array]:
-        p = _pad(x, ends)
-        return p[:-2], x, p[2:]
 
     return lax.platform_dependent(x, cpu=convolve, default=shift)
 
@@ -131,16 +124,6 @@ class Springs(eqx.Module):
         left, right = self._left_right()
         before, after = neighbours(x, self.ends)
         return left * before + right * after
-
-    def product_and_self(
-        self, x: Float[Array, " n"]
-    ) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
-        """(C x, x), with x computed once (see `materialize`)."""
-        before, same, after = with_neighbours(x, self.ends)
-        if self.constant.ndim == 0:
-            return self.constant * (before + after), same
-        left, right = self._left_right()
-        return left * before + right * after, same
 
     def row_sum(self, n: int) -> PerMass:
         """Sum of the constants of the springs at each mass: what they add to the diagonal of K.
