@@ -21,6 +21,7 @@ from typing import Any
 import diffrax as dfx
 import equinox as eqx
 import equinox.internal as eqxi
+import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
@@ -29,6 +30,7 @@ from .._checks import check_whole, to_float
 from .._types import State
 from ..model.chain import Chain
 from ..model.oscillators import AbstractOscillators
+from ..model.springs import materialize
 from ..observers.base import AbstractObserver, Step
 from ..result import Result
 from ..solvers.dry_friction import (
@@ -163,13 +165,17 @@ class EventDrivenPlan(AbstractPlan):
         early = until < length
         length = jnp.where(early, until, length)
 
-        x, speed = value_and_slope(series.x, length)
-        v, acceleration = value_and_slope(series.v, length)
+        # Each is computed once: see `materialize`.
+        x = materialize(value(series.x, length))
+        v, acceleration = map(materialize, value_and_slope(series.v, length))
         own, shift = self._shifts(field, series, modes, length, hits, v, acceleration)
-        x, v, length = x + shift * speed, v + shift * acceleration, length + shift
+        x, v, length = x + shift * v, v + shift * acceleration, length + shift
         state, new = after(field, (x, v), modes, hits, length > 0)
-        state = state[0], state[1] + _head_start(field, state, modes, new, hits, shift - own)
-        finite = jnp.all(jnp.isfinite(x) & jnp.isfinite(v))
+        gain = _head_start(field, state, modes, new, hits, shift - own)
+        state = state[0], state[1] + _change_alone(gain)
+        # NaN if any is NaN.
+        greatest = jnp.max(materialize(jnp.maximum(jnp.abs(x), jnp.abs(v))))
+        finite = jnp.isfinite(greatest)
         meets = last & ~early & ~jnp.any(hits)
         t1 = jnp.where(finite, jnp.where(meets, end, t0 + length), t0)
         stalled = jnp.where(t1 > t0, 0, progress.memory.stalled + 1)
@@ -185,7 +191,7 @@ class EventDrivenPlan(AbstractPlan):
             accumulators = [o.update(a, step) for o, a in pairs]
             result = self._stop(accumulators, result)
         # Of a state this large the events lie closer than times that can be told apart.
-        large = jnp.maximum(jnp.max(jnp.abs(x)), jnp.max(jnp.abs(v))) > _RAN_AWAY
+        large = greatest > _RAN_AWAY
         why = Result.where(large, Result.step_too_small, Result.events_accumulate)
         stuck = stalled > _STALLED_PER_MASS * x.shape[0] + _STALLED
         result = Result.where(stuck, why, result)
@@ -260,8 +266,18 @@ def _head_start(
     through = hits & (modes.direction != STICK) & (new.direction != STICK)
     speed = jnp.zeros_like(state[1])
     friction = new.direction * field.load * field.law.coefficient(speed)
-    gain = jnp.where(through, since * (field.free_force(*state) - friction), 0.0)
-    return gain - lax.stop_gradient(gain)
+    return jnp.where(through, since * (field.free_force(*state) - friction), 0.0)
+
+
+@jax.custom_jvp
+def _change_alone(a: Array) -> Array:
+    """Zero, with the derivatives of `a`: nothing is computed where there are none."""
+    return jnp.zeros_like(a)
+
+
+@_change_alone.defjvp
+def _(primals: Any, tangents: Any) -> tuple[Array, Array]:
+    return _change_alone(*primals), tangents[0]
 
 
 class _Record(eqx.Module):

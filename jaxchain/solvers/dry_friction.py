@@ -88,12 +88,10 @@ def expand(chain: Chain, state: State, modes: Modes, order: int) -> Series:
             # earlier than the others whose events fall together with its own.
             change = change - jnp.where(modes.contact == 2, lax.stop_gradient(change), 0.0)
         x.append(v[k] / (k + 1))
-        if springs is None:
-            v.append(materialize(change))
-        else:
+        v.append(materialize(change))
+        if springs is not None:
             pull = pull_of_v / (k + 1)
-            pull_of_v, same = springs.product_and_self(change)
-            v.append(same)
+            pull_of_v = springs.product(v[k + 1])
         speed.append(direction * v[k + 1])
     r.append(pull - damping * v[order] - stiffness * x[order])
     return Series(x, v, r)
@@ -142,25 +140,23 @@ def next_event(chain: Chain, series: Series, modes: Modes, length: Array) -> tup
     length = jnp.minimum(length, _next_knot(chain, series, modes, length))
     direction, contact = modes.direction, modes.contact
     slides = direction != STICK
-    w = [direction * c for c in (series.v[0] - chain.belt_speed, *series.v[1:])]
+    w = [series.v[0] - chain.belt_speed, *series.v[1:]]
     # A mass that has just left w = 0 returns to it where w / t or w / t^2 vanishes.
     padded = [*w, jnp.zeros_like(w[0]), jnp.zeros_like(w[0])]
     left = [
-        jnp.where(contact == 0, a, jnp.where(contact == 1, b, c))
+        direction * jnp.where(contact == 0, a, jnp.where(contact == 1, b, c))
         for a, b, c in zip(w, padded[1:], padded[2:], strict=False)
     ]
-    watched = [jnp.where(slides, a, b) for a, b in zip(left, series.r, strict=True)]
+    watched = [materialize(jnp.where(slides, a, b)) for a, b in zip(left, series.r, strict=True)]
     hold = greatest_hold(chain)
     speed = 1.0 + jnp.abs(chain.belt_speed)
-    until, exits = first_exit(
+    return first_exit(
         watched,
         jnp.where(slides, 0.0, -hold),
         jnp.where(slides, _FAR, hold),
         length,
         RESOLUTION * jnp.where(slides, speed, 1.0 + hold),
     )
-    first = jnp.min(until)
-    return first, exits & (until <= first)
 
 
 def _next_knot(chain: Chain, series: Series, modes: Modes, length: Array) -> Array:
@@ -186,4 +182,4 @@ def _next_knot(chain: Chain, series: Series, modes: Modes, length: Array) -> Arr
     lower = jnp.where(slides, below - 2.0 * ahead, -_FAR)
     upper = jnp.where(slides, above + 2.0 * ahead, _FAR)
     until, _ = first_exit(w, lower, upper, length, RESOLUTION * (1.0 + w[0]))
-    return jnp.min(until)
+    return until

@@ -15,9 +15,10 @@ from jaxtyping import Array, Bool, Float
 
 from ..model.springs import materialize
 
-# Rounds of the search.  The first ones never pass an exit and close in on it quadratically; the
-# last are Newton's, allowed only where convergence is certain.
-_SAFE_ROUNDS = 4
+# Rounds of the search: of all polynomials, and then of one.  They never pass an exit and close in
+# on it quadratically; the last are Newton's, allowed only where convergence is certain.
+_ROUNDS_OF_ALL = 2
+_SAFE_ROUNDS = 2
 _NEWTON_ROUNDS = 2
 # Of the sum of the absolute terms of a polynomial, what its value may err by.
 _ROUNDING = 1e-15
@@ -74,53 +75,95 @@ def first_exit(
     upper: Float[Array, " n"],
     end: Float[Array, ""],
     resolution: Float[Array, " n"],
-) -> tuple[Float[Array, " n"], Bool[Array, " n"]]:
-    """Until when each polynomial stays in its band lower <= q(t) <= upper, within [0, end].
+) -> tuple[Float[Array, ""], Bool[Array, " n"]]:
+    """Until when all polynomials stay in their bands lower <= q(t) <= upper, within [0, end].
 
     From a point inside, q'' <= B on [0, end] bounds how soon q can reach either edge: not before
     the first root of distance + speed s - B s^2 / 2.  Going there again and again never passes an
     exit, however short, and converges quadratically to a transversal one; a touch is approached
     geometrically and, if it was one, left behind.
 
+    All go together as far as it takes to tell those that leave from the others, mostly; the one
+    that got least far goes on alone, to where it leaves, which is when the others are looked at:
+    the same bound, backwards from there, has to meet what they have behind them.
+
     **Arguments:** coefficients, each of shape (n,), with at least three of them; `resolution`,
     the distance from an edge that counts as none (or what rounding makes of the terms, if more).
 
-    **Returns:** `t` and `exits`, both of shape (n,).  Where `exits`, q leaves the band at t.
-    Elsewhere it is in the band throughout [0, t]; t < end then only says that the search was not
-    finished.
+    **Returns:** `t`, one for all, and `exits`, of shape (n,): those that leave their bands at t.
+    All are in their bands throughout [0, t]; if none exits, t < end only says that the search was
+    not finished.
     """
     # Each round is computed once: see `materialize`.
     curvature = materialize(greatest_curvature(coefficients, end))
-    t = jnp.zeros_like(lower)
+    q, slope = coefficients[0], coefficients[1]
+    sure = materialize(jnp.minimum(_time_inside(q, slope, lower, upper, curvature), end))
+    for _ in range(_ROUNDS_OF_ALL - 1):
+        q, slope = value_and_slope(coefficients, sure)
+        before = sure
+        sure = materialize(
+            jnp.minimum(sure + _time_inside(q, slope, lower, upper, curvature), end)
+        )
+    distance = jnp.where(slope > 0, upper - q, q - lower)
+    guess = before + distance / jnp.maximum(jnp.abs(slope), 1e-300)
+    one = jnp.argmin(materialize(jnp.where(sure < end, guess, 1e300)))
+    t = _exit_of_one(coefficients, lower, upper, curvature, sure, end, one)
+
+    q, slope = value_and_slope(coefficients, t)
+    # All terms beyond the first two are less than the bound of their second derivatives.
+    greatest = jnp.abs(coefficients[0]) + end * (jnp.abs(coefficients[1]) + 0.5 * end * curvature)
+    resolution = resolution + _ROUNDING * greatest
+    down, up = q - lower, upper - q
+    back = t - sure
+    bend = 0.5 * curvature * back**2 - resolution
+    inside = jnp.minimum(down, up) >= -resolution
+    inside &= (down - slope * back >= bend) & (up + slope * back >= bend)
+    distance = jnp.where(slope > 0, up, down)
+    # One array for both: whoever is not certain to stay, or leaves at t.
+    kind = jnp.where((back <= 0) | inside, jnp.where(distance <= resolution, 1, 0), -1)
+    kind = materialize(kind.astype(t.dtype))
+    until = jnp.min(jnp.where(kind < 0, sure, t))
+    return until, (kind > 0) & (until >= t)
+
+
+def _exit_of_one(
+    coefficients: Sequence[Any],
+    lower: Any,
+    upper: Any,
+    curvature: Any,
+    sure: Any,
+    end: Any,
+    one: Any,
+) -> Any:
+    """Where the search of the one that got least far ends."""
+    coefficients = [c[one] for c in coefficients]
+    lower, upper, curvature, t = lower[one], upper[one], curvature[one], sure[one]
     for _ in range(_SAFE_ROUNDS):
         q, slope = value_and_slope(coefficients, t)
-        reach = jnp.minimum(
-            _time_to_cover(upper - q, -slope, curvature),
-            _time_to_cover(q - lower, slope, curvature),
-        )
-        t = materialize(jnp.minimum(t + reach, end))
+        t = jnp.minimum(t + _time_inside(q, slope, lower, upper, curvature), end)
     for _ in range(_NEWTON_ROUNDS):
-        distance, slope = _to_edge_ahead(coefficients, lower, upper, t)
-        rate = -jnp.minimum(slope, 0.0)
+        q, slope = value_and_slope(coefficients, t)
+        distance, rate = jnp.where(slope > 0, upper - q, q - lower), jnp.abs(slope)
         close = curvature * distance <= _NEWTON_REACH * rate**2
         step = jnp.where(close, distance, 0.0) / jnp.where(close & (rate > 0), rate, 1.0)
-        t = materialize(jnp.clip(t + step, 0.0, end))
-    distance, slope = _to_edge_ahead(coefficients, lower, upper, t)
-    rounding = _ROUNDING * value([jnp.abs(c) for c in coefficients], end)
-    return t, (distance <= resolution + rounding) & (slope <= 0)
+        t = jnp.clip(t + step, 0.0, end)
+    return t
 
 
-def _time_to_cover(distance: Any, speed: Any, curvature: Any) -> Any:
-    """First s > 0 at which distance + speed s - curvature s^2 / 2 vanishes (none: very large)."""
-    distance = jnp.maximum(distance, 0.0)
-    root = jnp.sqrt(speed**2 + 2.0 * curvature * distance)
-    away = (speed + root) / jnp.maximum(curvature, 1e-300)
-    towards = 2.0 * distance / jnp.maximum(root - speed, 1e-300)
-    return jnp.where(speed > 0, away, towards)
+def _time_inside(q: Any, slope: Any, lower: Any, upper: Any, curvature: Any) -> Any:
+    """How long q is sure to stay between its edges: the first root of the bound, >= 0.
 
-
-def _to_edge_ahead(coefficients: Sequence[Any], lower: Any, upper: Any, t: Any) -> tuple[Any, Any]:
-    """(distance to the edge that q moves towards, its rate of change)."""
-    q, slope = value_and_slope(coefficients, t)
-    distance = jnp.where(slope > 0, upper - q, q - lower)
-    return distance, -jnp.abs(slope)
+    There is one for the edge ahead and one for the edge behind, to which q would have to turn
+    round.  With h = (ahead - behind) / (2 speed) the bounds meet at time h; the edge behind comes
+    first if its bound is below zero there.
+    """
+    down, up = jnp.maximum(q - lower, 0.0), jnp.maximum(upper - q, 0.0)
+    rises = slope > 0
+    ahead, behind = jnp.where(rises, up, down), jnp.where(rises, down, up)
+    speed = jnp.abs(slope)
+    more = ahead - behind
+    turns = (more > 0) & (4.0 * speed**2 * (ahead + behind) < curvature * more**2)
+    distance = jnp.where(turns, behind, ahead)
+    root = speed + jnp.sqrt(speed**2 + 2.0 * curvature * distance)
+    covered = jnp.where(turns, root, 2.0 * distance)
+    return covered / jnp.maximum(jnp.where(turns, curvature, root), 1e-300)

@@ -242,10 +242,12 @@ def _solved(
 ) -> PowerSeries:
     """y with y_0 = first and y' = g a': k y_k = sum_{j=1..k} j a_j g_{k-j}, where g = slope(y)."""
 
+    rising = PowerSeries(lambda j: _once(j * a[j]))  # the coefficients of t a'
+
     def rule(k: int) -> Any:
         if k == 0:
             return first
-        return _once(sum((j * a[j]) * g[k - j] for j in range(1, k + 1)) * (1.0 / k))
+        return _once(sum(rising[j] * g[k - j] for j in range(1, k + 1)) * (1.0 / k))
 
     y = PowerSeries(rule)
     g = slope(y)

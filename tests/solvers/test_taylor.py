@@ -8,12 +8,19 @@ from jaxchain.solvers.taylor import first_exit, greatest_curvature, value, value
 FAR = 1e100
 
 
-def exits(rows, end=1.0, lower=0.0, upper=FAR, resolution=1e-13):
-    """`first_exit` of polynomials given by rows of coefficients, repeated until it is final."""
-    coefficients = [jnp.asarray(c, float) for c in np.transpose(np.atleast_2d(rows))]
-    n = coefficients[0].shape[0]
-    one = jnp.ones(n)
-    return first_exit(coefficients, lower * one, upper * one, jnp.asarray(end), resolution * one)
+def first_of(rows, end=1.0, lower=0.0, upper=FAR, resolution=1e-13):
+    """`first_exit` of polynomials that are given by rows of coefficients."""
+    rows = jnp.asarray(rows, float)
+    one = jnp.ones(rows.shape[0])
+    end = jnp.asarray(end)
+    return first_exit(list(rows.T), lower * one, upper * one, end, resolution * one)
+
+
+def exits(rows, **limits):
+    """The same of each polynomial alone."""
+    rows = jnp.atleast_2d(jnp.asarray(rows, float))
+    t, out = jax.vmap(lambda row: first_of(row[None], **limits))(rows)
+    return t, out[:, 0]
 
 
 def from_roots(*roots, scale=1.0, degree=6):
@@ -80,13 +87,7 @@ def test_random_polynomials_against_their_roots():
     rng = np.random.default_rng(2)
     rows = rng.normal(size=(2000, 8)) * 0.4 ** np.arange(8)
     rows[:, 0] = np.abs(rows[:, 0])
-    found = []
-    for row in rows:
-        roots = np.roots(row[::-1])
-        real = roots[(np.abs(roots.imag) < 1e-9)].real
-        real = real[(real > 0) & (real < 1.0)]
-        found.append(real.min() if real.size else np.inf)
-    found = np.array(found)
+    found = np.array([_first_root(row) for row in rows])
     t, out = (np.asarray(a) for a in exits(rows))
     # What is declared is right, and what is not yet decided lies before the root.
     np.testing.assert_allclose(t[out], found[out], atol=1e-9)
@@ -95,26 +96,66 @@ def test_random_polynomials_against_their_roots():
     assert np.mean(out | (t == 1.0)) > 0.9
 
 
+def test_the_first_of_many_polynomials_against_their_roots():
+    """All stay until t, and those that are said to leave then are those whose root it is."""
+    rng = np.random.default_rng(3)
+    groups = rng.normal(size=(300, 20, 8)) * 0.3 ** np.arange(8)
+    groups[..., 0] = np.abs(groups[..., 0])
+    roots = np.array([[_first_root(row) for row in rows] for rows in groups])
+    t, out = (np.asarray(a) for a in jax.jit(jax.vmap(first_of))(groups))
+    first = roots.min(axis=1)
+    assert np.all(t <= np.minimum(first, 1.0) + 1e-12)
+    leaves = out.any(axis=1)
+    np.testing.assert_allclose(t[leaves], first[leaves], atol=1e-12)
+    assert np.array_equal(out[leaves], np.abs(roots[leaves] - first[leaves, None]) < 1e-9)
+    # Steps whose searches did not end cost as much as those to an event.
+    finished = leaves | (t == 1.0)
+    assert np.mean(finished) > 0.9
+
+
+@pytest.mark.parametrize("root", [1e-9, 0.3, 0.99])
+def test_those_that_leave_together_are_found_together(root):
+    """Fifty with the same root on different ways to it, among others that stay or leave later."""
+    rng = np.random.default_rng(4)
+    leaving = [from_roots(root, 2.0 + a, 5.0, scale=-b) for a, b in rng.uniform(1, 2, (50, 2))]
+    others = [from_roots(root + 0.2, 5.0, scale=1.0), from_roots(4.0, 5.0)]
+    start, rows = 0.0, np.array(leaving + others)
+    for _ in range(8):
+        t, out = first_of(rows, end=1.0 - start)
+        start += float(t)
+        if np.any(out):
+            break
+        rows = np.array([_moved(row, float(t)) for row in rows])
+    assert abs(start - root) < 1e-13
+    assert np.array_equal(out, np.arange(52) < 50)
+
+
 def test_it_can_be_batched():
     rows = jnp.asarray([from_roots(0.3, 2.0), from_roots(0.6, 2.0)])
-
-    def one(row):
-        t, out = first_exit(list(row[:, None]), jnp.zeros(1), jnp.full(1, FAR), jnp.asarray(1.0),
-                            jnp.full(1, 1e-13))  # fmt: skip
-        return t[0], out[0]
-
-    t, out = jax.vmap(one)(rows)
+    t, out = jax.jit(jax.vmap(lambda row: first_of(row[None])))(rows)
     np.testing.assert_allclose(t, [0.3, 0.6], rtol=1e-13)
     assert np.all(out)
+
+
+def _first_root(row):
+    """The first root that NumPy finds between 0 and 1, or infinity."""
+    roots = np.roots(row[::-1])
+    real = roots[(np.abs(roots.imag) < 1e-9)].real
+    return real[(real > 0) & (real < 1.0)].min(initial=np.inf)
+
+
+def _moved(coefficients, start):
+    """Those about another time."""
+    polynomial = np.polynomial.Polynomial(coefficients)
+    moved = polynomial(np.polynomial.Polynomial([start, 1.0])).coef
+    return np.pad(moved, (0, len(coefficients) - len(moved)))
 
 
 def _until_final(coefficients, end):
     """The search, repeated from where it got to, as successive steps repeat it."""
     start = 0.0
-    polynomial = np.polynomial.Polynomial(coefficients)
     for _ in range(60):
-        shifted = polynomial(np.polynomial.Polynomial([start, 1.0])).coef
-        t, out = exits(shifted, end=end - start)
+        t, out = exits(_moved(coefficients, start), end=end - start)
         start += float(t[0])
         if bool(out[0]) or start >= end:
             return start, bool(out[0])
