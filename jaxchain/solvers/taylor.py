@@ -84,8 +84,8 @@ def first_exit(
     geometrically and, if it was one, left behind.
 
     All go together as far as it takes to tell those that leave from the others, mostly; the one
-    that got least far goes on alone, to where it leaves, which is when the others are looked at:
-    the same bound, backwards from there, has to meet what they have behind them.
+    that seems to leave first goes on alone, to where it leaves, which is when the others are
+    looked at: the same bound, backwards from there, has to meet what they have behind them.
 
     **Arguments:** coefficients, each of shape (n,), with at least three of them; `resolution`,
     the distance from an edge that counts as none (or what rounding makes of the terms, if more).
@@ -97,6 +97,7 @@ def first_exit(
     # Each round is computed once: see `materialize`.
     curvature = materialize(greatest_curvature(coefficients, end))
     q, slope = coefficients[0], coefficients[1]
+    before = jnp.zeros_like(lower)
     sure = materialize(jnp.minimum(_time_inside(q, slope, lower, upper, curvature), end))
     for _ in range(_ROUNDS_OF_ALL - 1):
         q, slope = value_and_slope(coefficients, sure)
@@ -135,7 +136,7 @@ def _exit_of_one(
     end: Any,
     one: Any,
 ) -> Any:
-    """Where the search of the one that got least far ends."""
+    """Where the search of this one ends."""
     coefficients = [c[one] for c in coefficients]
     lower, upper, curvature, t = lower[one], upper[one], curvature[one], sure[one]
     for _ in range(_SAFE_ROUNDS):
