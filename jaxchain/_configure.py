@@ -5,8 +5,6 @@ from __future__ import annotations
 import os
 import warnings
 
-from ._programs import keep_programs
-
 # The bytes of a loop's state up to which XLA's CPU compiler makes one function of the loop. Of a
 # larger one it starts each operation by itself, some 50 ns each. So all states count as small.
 _EXTRA = "--xla_backend_extra_options="
@@ -80,6 +78,8 @@ def configure(
     if bits:
         jax.config.update("jax_enable_x64", True)
     if cache:
+        from ._programs import keep_programs  # which imports what `--help` has no use for
+
         in_the_way = keep_programs(None if cache is True else cache)
         if in_the_way and cache is not True:
             warnings.warn(

@@ -36,6 +36,12 @@ def graded(phase: Any) -> Any:
     return phase - _GRADING * jnp.sin(phase)
 
 
+# The nodes of the mean over half a period.
+_PHASE = (np.arange(_NODES) + 0.5) * (np.pi / _NODES)
+_COSINE = np.cos(_PHASE - _GRADING * np.sin(_PHASE))
+_WEIGHT = 1.0 - _GRADING * np.cos(_PHASE)
+
+
 def one_mass(chain: Chain, mass: int) -> Chain:
     """Mass `mass` alone, its neighbours held: K_jj is its stiffness."""
 
@@ -49,8 +55,7 @@ def one_mass(chain: Chain, mass: int) -> Chain:
 def gain(chain: Chain, ratio: ScalarLike, belt_speed: ScalarLike) -> Float[Array, ""]:
     """What friction puts into a vibration of amplitude ratio v_d, less what damping takes out."""
     amplitude = ratio * belt_speed
-    phase = (jnp.arange(_NODES) + 0.5) * (jnp.pi / _NODES)
-    cosine, weight = jnp.cos(graded(phase)), 1.0 - _GRADING * jnp.cos(phase)
+    cosine, weight = jnp.asarray(_COSINE), jnp.asarray(_WEIGHT)
     force = chain.load * chain.friction.force(amplitude * cosine - belt_speed)
     return jnp.mean(weight * force * cosine) - chain.damping_ratio * amplitude
 
@@ -60,7 +65,7 @@ def cycle_speed(chain: Chain, ratio: ScalarLike, highest: ScalarLike) -> Float[A
 
     Looked for below `highest`; `chain` is one mass.
     """
-    speeds = highest * jnp.geomspace(1e-4, 1.0, _SPEEDS)
+    speeds = highest * jnp.asarray(np.geomspace(1e-4, 1.0, _SPEEDS))
     values = jax.vmap(lambda speed: gain(chain, ratio, speed))(speeds)
     crosses = (values[:-1] > 0) & (values[1:] <= 0)
     last = jnp.max(jnp.where(crosses, jnp.arange(_SPEEDS - 1), -1))
@@ -80,13 +85,20 @@ def greatest_speed(chain: Chain) -> Float[Array, ""]:
     """
     damping = jnp.maximum(chain.damping_ratio, 1e-6)
     mu, _ = _curve(chain)
-    fall = jnp.max(jax.lax.cummax(mu) - mu)
+
+    # A loop: `lax.cummax` is a tree of some hundred operations, which take long to compile.
+    def further(known: tuple[Array, Array], here: Array) -> tuple[tuple[Array, Array], None]:
+        highest, fall = known
+        highest = jnp.maximum(highest, here)
+        return (highest, jnp.maximum(fall, highest - here)), None
+
+    (_, fall), _ = jax.lax.scan(further, (mu[0], jnp.zeros_like(mu[0])), mu)
     return 2.0 * chain.load * jnp.maximum(chain.law.mu_static, fall) / damping
 
 
 def _curve(chain: Chain) -> tuple[Array, Array]:
     """(mu, mu') of one mass at rest and at speeds from where no law has changed yet."""
-    speeds = jnp.concatenate([jnp.zeros(1), jnp.geomspace(1e-6, 1e2, 512)])
+    speeds = jnp.asarray(np.append(0.0, np.geomspace(1e-6, 1e2, 512)))
     return jax.vmap(lambda s: jax.jvp(chain.law.coefficient, (s,), (jnp.ones(()),)))(speeds)
 
 
