@@ -211,8 +211,11 @@ def _entry(shooting: Shooting, now: Search, tight: Array, tame: Array) -> Search
     share = jnp.where(tight, _VERY_NEARLY, _NEARLY)
     nearly = tame & good & (misses * speed < share * narrow)
     closed = closed | (nearly & (secant.curvature < 0) & ~there)
-    new_z = jnp.where(folds & tight, z, jnp.arcsinh(new_s))
-    moved = Place(q - both[:, 0] + tangent * (new_z - z), new_z)
+    # In the end, too: V misses its maximum by next to nothing there, but s, which derivatives are
+    # taken at, by the root of that.  V' falls to 0 on this way, so V gains half of its slope.
+    new_z = jnp.arcsinh(new_s)
+    gains = jnp.where(folds & tight, jnp.ones_like(tangent).at[index].set(0.5), 1.0)
+    moved = Place(q - both[:, 0] + gains * tangent * (new_z - z), new_z)
 
     # Not closed: Newton's method, its steps shortened where they made things worse.
     longest = jnp.where(jnp.isinf(now.newton.norm), _FIRST, _GROWTH * now.newton.length)
