@@ -86,7 +86,8 @@ def compiled():
     """The names of programs as they are compiled, also of those that the cache holds."""
     names = []
 
-    def note(event, _, **about):
+    def note(event: str, duration_secs: float, **about: str | int) -> None:
+        del duration_secs
         if event == "/jax/core/compile/backend_compile_duration":
             names.append(about.get("fun_name"))
 

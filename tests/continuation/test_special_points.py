@@ -1,5 +1,7 @@
 """Special points between two points: where they are, and what is none."""
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -60,7 +62,7 @@ def test_a_branch_point_is_where_the_determinant_vanishes():
     assert at.refined
     np.testing.assert_allclose(at.point.z, 0.0, atol=1e-7)
     # Whatever tangent rounding has found at a point where there are two.
-    mixed = at._replace(point=at.point._replace(tangent=np.array([0.6, 0.8])))
+    mixed = at._replace(point=replace(at.point, tangent=np.array([0.6, 0.8])))
     for found in (at, mixed):
         own, other = directions(corrector, piece, found)
         np.testing.assert_allclose(own, [0.0, 1.0], atol=1e-7)

@@ -119,7 +119,7 @@ def test_those_that_leave_together_are_found_together(root):
     rng = np.random.default_rng(4)
     leaving = [from_roots(root, 2.0 + a, 5.0, scale=-b) for a, b in rng.uniform(1, 2, (50, 2))]
     others = [from_roots(root + 0.2, 5.0, scale=1.0), from_roots(4.0, 5.0)]
-    start, rows = 0.0, np.array(leaving + others)
+    start, rows, out = 0.0, np.array(leaving + others), np.zeros(52, bool)
     for _ in range(8):
         t, out = first_of(rows, end=1.0 - start)
         start += float(t)
