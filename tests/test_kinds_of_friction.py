@@ -118,6 +118,13 @@ LONG = {
     "loop": (ONE, motion, 5e-3),
     "fold_belt_speed": (ONE, jc.fold_belt_speed, 1e-3),
     "nonsmooth_fold_belt_speed": (ONE, jc.nonsmooth_fold_belt_speed, 1e-12),
+    "fold_belt_speeds": (
+        ONE,
+        lambda c: jc.boundaries.fold_belt_speeds(
+            c, over={"damping_ratio": [0.05, 0.06]}
+        ).fold_belt_speed.values,
+        1e-3,
+    ),
     "find_grazing": (ONE, lambda c: jc.boundaries.find_grazing(c).period, 1e-12),
     "fold_in_the_limit": (ONE, lambda c: jc.boundaries.fold_in_the_limit(c).value, 1e-12),
     "fold_boundary": (ONE, jc.boundaries.fold_boundary, 1e-3),

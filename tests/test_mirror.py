@@ -161,7 +161,8 @@ SINGLE = (
     "hopf_and_fold", "continue_cycle", "depinning_belt_speed", "equation_8", "equation_10",
     "find_limit_cycle", "first_lyapunov_coefficient", "front_speed", "generalised_hopf",
     "guess_from_hopf", "hopf_points", "identify", "phase_model", "sweep", "verdict", "verdicts",
-    "close_orbit", "guess_from_simulation", "liouville_determinant", "one_mass_branch", "predict",
+    "close_orbit", "fold_belt_speeds", "guess_from_simulation", "liouville_determinant",
+    "one_mass_branch", "predict",
 )  # fmt: skip
 
 
