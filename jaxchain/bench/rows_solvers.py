@@ -157,7 +157,7 @@ def stock_row(repeats: int) -> list[Row]:
             f"{own.compile_seconds:.1f} s",
         )
         for side, peer, name, least in (
-            ("plain", plain, title, 40.0),
+            ("plain", plain, title, 100.0),
             ("helped", helped, title + " with SwitchingController", None),
         )
     ]  # fmt: skip
@@ -221,6 +221,6 @@ def _lsoda_lanes(ring: CompiledRing, repeats: int, bar: float, title: str, lanes
     times = in_turn({"LSODA": peer.run, "jaxchain": own.run}, repeats)
     return comparison(
         "lsoda", title + f"a lane of {lanes}", times, ("LSODA", "jaxchain"),
-        labels=(str(peer), str(own) + ", vmap"), lanes=lanes, bar=10.0,
+        labels=(str(peer), str(own) + ", vmap"), lanes=lanes, bar=15.0,
         note=f"compiled in {own.compile_seconds:.1f} s (jaxchain)",
     )  # fmt: skip
