@@ -20,7 +20,7 @@ from .._types import State
 from ..model.oscillators import AbstractOscillators
 from ..observers.base import AbstractObserver
 from ..result import Result
-from ..solvers.step_control import PredictiveController, SwitchingController, WrappingController
+from ..solvers.step_control import SwitchingController, WrappingController
 from .observing_solver import SETTLED, ObservingSolver, ObservingState
 from .plan import AbstractPlan, Progress, first_result, forward_only
 
@@ -110,10 +110,10 @@ class SmoothedPlan(AbstractPlan):
         return repr(self.solver)
 
     def controller(self, field: AbstractOscillators) -> SwitchingController:
-        """The step-size control of a run; by errors alone where no force of `field` switches."""
+        """The step-size control of a run; plain PID control where no force of `field` switches."""
         growth_time = field.growth_time()
         longest = self.max_step
-        predictive = PredictiveController(
+        pid = dfx.PIDController(
             rtol=self.rtol,
             atol=self.atol,
             dtmax=longest if growth_time is None else jnp.minimum(longest, growth_time),
@@ -122,7 +122,7 @@ class SmoothedPlan(AbstractPlan):
             force_dtmin=False,
             norm=_norm,
         )
-        return SwitchingController(predictive, field)
+        return SwitchingController(pid, field)
 
     def begin(self, field: AbstractOscillators, initial: State, t0: Any, t1: Any) -> Progress:
         t0 = to_float(t0)

@@ -2,7 +2,7 @@
 
 - `dry_friction`: the equations of sticking and sliding, nothing smoothed
 - `rosenbrock`: structured Rosenbrock solvers for `diffrax.diffeqsolve`
-- `step_control`: step sizes that see errors grow and friction switch before a step fails on it
+- `step_control`: step sizes that see friction switch before a step fails on it
 - `tableaus`: coefficients of the Rosenbrock methods
 - `taylor`: polynomials in time, and when they first leave a band
 - `taylor_arithmetic`: Taylor series of composed functions, order by order

@@ -32,81 +32,6 @@ LANDING = 5.4
 # The force falls within two widths on either side: three are the longest step that sees it.
 CROSSING = 3.0
 
-# Measured on rings of twenty and single masses, widths 1e-3 and 1e-4, both structured solvers, at
-# equal error: 0.8 and 0.9 take up to 3 % more steps.
-_SAFETY = 0.85
-# A step is at least so much shorter than the one that failed; 0.9 takes 1 % more.
-_AFTER_FAILURE = 0.6
-# Below these an error says nothing about the next one, that of a step before and that of a step.
-_LEAST_BEFORE, _LEAST = 1e-2, 1e-12
-
-
-class PredictiveController(dfx.PIDController):
-    """Step sizes from the errors of two steps, for a stiff solver: Gustafsson's predictive one.
-
-    With an error e of this step, 1 being allowed, and e_0 of the step accepted before,
-
-        h' = safety h min[e^(-1/k),  (h / h_0) (e_0 / e^2)^(1/k)],
-
-    k the order of the error estimate.  The second one expects the error to go on growing as it has
-    grown, so that steps shorten before one fails on it; `diffrax.PIDController`, which shortens
-    none that was accepted, fails in every fourth or fifth step, this one in every twelfth, and
-    takes 12 % fewer steps for the same error (5 to 20 %; rings of twenty and single masses).
-
-    K. Gustafsson, Control-theoretic techniques for stepsize selection in implicit Runge-Kutta
-    methods, ACM Trans. Math. Softw. 20 (1994); Hairer and Wanner 1996, section IV.8.
-
-    The fields are those of `diffrax.PIDController`, of which the coefficients of P, I and D are
-    not used.
-    """
-
-    safety: Any = _SAFETY
-
-    def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
-        end, (one, _, at_dtmin) = super().init(terms, t0, t1, y0, dt0, args, func, error_order)
-        return end, (one, jnp.asarray(end - t0), at_dtmin)
-
-    def adapt_step_size(
-        self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
-    ):
-        del args
-        root_before, h_before, at_dtmin = controller_state
-
-        def scaled(start: Array, end: Array, error: Array) -> Array:
-            size = jnp.maximum(jnp.abs(start), jnp.abs(end))
-            return error / (self.atol + self.rtol * size)
-
-        error = self.norm(jtu.tree_map(scaled, y0, y1_candidate, y_error))
-        kept = error < 1.0  # a NaN is not
-        if self.dtmin is not None:
-            kept = kept | at_dtmin
-        # Step sizes are held fixed in derivatives.
-        error, h = lax.stop_gradient((error, t1 - t0))
-        error = jnp.where(jnp.isfinite(error), jnp.maximum(error, _LEAST), jnp.inf)
-        exponent = 1.0 / self._get_error_order(error_order)
-        root = error**exponent
-        plain = self.safety / root
-        before = jnp.maximum(root_before, _LEAST_BEFORE**exponent)
-        predicted = plain * (h / h_before) * before / root
-        factor = jnp.where(
-            kept,
-            jnp.clip(jnp.minimum(plain, predicted), self.factormin, self.factormax),
-            jnp.clip(plain, self.factormin, _AFTER_FAILURE),
-        )
-        step = h * factor
-        result = dfx.RESULTS.successful
-        if self.dtmax is not None:
-            step = jnp.minimum(step, lax.stop_gradient(self.dtmax))
-        if self.dtmin is not None:
-            dtmin = lax.stop_gradient(self.dtmin)
-            if not self.force_dtmin:
-                result = dfx.RESULTS.where(step < dtmin, dfx.RESULTS.dt_min_reached, result)
-            at_dtmin = step <= dtmin
-            step = jnp.maximum(step, dtmin)
-        start = jnp.where(kept, t1, t0)
-        memory = jnp.where(kept, root, root_before), jnp.where(kept, h, h_before), at_dtmin
-        return kept, start, start + step, False, memory, result
-
 
 class WrappingController(dfx.AbstractAdaptiveStepSizeController):
     """A controller around another one, with the tolerances and the norm of that one."""
@@ -247,9 +172,8 @@ class SwitchingController(WrappingController):
             jnp.abs(w) - self.landing * width,
             self.crossing * width,
         )
-        # 1 / bound: XLA finds the greatest of several in vectors, but not the least of the bounds.
-        rate = jnp.max(jnp.where(approaching, jnp.abs(change) / way, 0.0))
-        bound = jnp.where(rate > 0.0, h / jnp.where(rate > 0.0, rate, 1.0), jnp.inf)
+        bound = way * h / jnp.where(approaching, jnp.abs(change), 1.0)
+        bound = jnp.min(jnp.where(approaching, bound, jnp.inf))
         return jnp.maximum(bound, self._shortest_step(lax.stop_gradient(t1)))
 
     def _shortest_step(self, t: Any) -> Float[Array, ""]:

@@ -24,7 +24,6 @@ from jaxchain import (
 from jaxchain.model.oscillators import AbstractOscillators
 from jaxchain.model.springs import Springs
 from jaxchain.solvers import SwitchingController
-from jaxchain.solvers.step_control import PredictiveController
 
 
 def pid(rtol: Any = 1e-6, **kwargs: Any) -> dfx.PIDController:
@@ -103,10 +102,9 @@ def test_simulate_uses_it():
     chain = paper_chain(4, belt_speed=1.3, width=1e-4)
     y0 = equation_8(chain, 2)
     own = simulate(chain, y0, 30.0, solver=Rodas4(1))
-    predictive = PredictiveController(rtol=1e-6, atol=1e-7, dtmax=0.5)
     plain, switching = (
         int(solve(chain, Rodas4(1), controller, y0, 30.0).stats["num_steps"])
-        for controller in (pid(dtmax=0.5), SwitchingController(predictive, chain))
+        for controller in (pid(dtmax=0.5), SwitchingController(pid(dtmax=0.5), chain))
     )
     assert int(own.steps + own.rejected) == pytest.approx(switching, rel=0.02)
     assert switching < 0.85 * plain
@@ -328,69 +326,3 @@ def test_wrong_input_is_named():
             dfx.ODETerm(lambda t, y, args: -y), dfx.Tsit5(), 0.0, 1.0, None, jnp.ones(2),
             stepsize_controller=controller,
         )  # fmt: skip
-
-
-def predicted(error, *, error_before=1.0, h_before=0.1, at_dtmin=False, **options: Any):
-    """(kept, next step, result) after a step of length 0.1 with this error, 1 being allowed."""
-    norm = lambda errors: jnp.max(errors[0])  # noqa: E731
-    controller = PredictiveController(rtol=1e-300, atol=1.0, norm=norm, **options)
-    x = jnp.zeros(2)
-    kept, start, end, _, _, result = controller.adapt_step_size(
-        jnp.asarray(1.0), jnp.asarray(1.1), (x, x), (x, x), None, (x + error,) * 2, 4.0,
-        (jnp.asarray(error_before**0.25), jnp.asarray(h_before), jnp.asarray(at_dtmin)),
-    )  # fmt: skip
-    assert start == (1.1 if kept else 1.0)
-    return bool(kept), float(end - start), result
-
-
-def test_the_errors_of_two_steps_say_how_long_the_next_one_is():
-    # As great as before, and less: the error alone decides.
-    assert predicted(0.5, error_before=0.5)[:2] == (True, pytest.approx(0.085 / 0.5**0.25))
-    assert predicted(0.5, error_before=0.9)[:2] == (True, pytest.approx(0.085 / 0.5**0.25))
-    # It has grown, at the same length and at half of it: a step that was kept may be followed
-    # by a shorter one.
-    shorter = 0.085 * (0.1 / 0.8**2) ** 0.25
-    assert predicted(0.8, error_before=0.1)[:2] == (True, pytest.approx(shorter))
-    shorter = 0.085 * 0.5 * (0.5 / 0.2**2) ** 0.25
-    assert predicted(0.2, error_before=0.5, h_before=0.2)[:2] == (True, pytest.approx(shorter))
-    # A step that failed, just and by far; and one whose end is no number.
-    assert predicted(1.1)[:2] == (False, pytest.approx(0.06))
-    assert predicted(100.0)[:2] == (False, pytest.approx(0.085 / 100**0.25))
-    assert predicted(jnp.nan)[:2] == (False, pytest.approx(0.02))
-    assert predicted(0.0)[:2] == (True, pytest.approx(1.0))
-    assert predicted(0.0, dtmax=0.3)[:2] == (True, pytest.approx(0.3))
-
-
-def test_a_step_that_would_not_move_the_time_ends_the_run():
-    assert predicted(jnp.nan, dtmin=0.03)[2] == dfx.RESULTS.successful
-    kept, step, result = predicted(jnp.nan, dtmin=0.03, force_dtmin=False)
-    assert (kept, step) == (False, pytest.approx(0.03))
-    assert result == dfx.RESULTS.dt_min_reached
-    assert predicted(5.0, dtmin=0.1, at_dtmin=True)[:2] == (True, pytest.approx(0.1))
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("solver", [Rodas4(1), Rodas5P(1)])
-def test_prediction_saves_steps_and_errs_less(solver, exact):
-    def run(belt_speed, rtol, control):
-        chain = paper_chain(20, belt_speed, width=1e-4)
-        controller = SwitchingController(control(rtol=rtol, atol=0.1 * rtol, dtmax=0.5), chain)
-        out = solve(chain, solver, controller, equation_8(chain, 9), 30.0)
-        return jnp.stack(out.ys)[:, 0], out.stats["num_steps"], out.stats["num_rejected_steps"]
-
-    plain, own = (
-        jax.jit(jax.vmap(ft.partial(run, control=control), in_axes=(0, None)))
-        for control in (dfx.PIDController, PredictiveController)
-    )
-    growth, counts = [], []
-    for rtol in (1e-5, 1e-6, 1e-7):
-        (y, steps, rejected), (own_y, own_steps, own_rejected) = (
-            f(SPEEDS, rtol) for f in (plain, own)
-        )
-        assert own_rejected.sum() < 0.7 * rejected.sum()
-        counts.append((own_steps.sum(), steps.sum()))
-        error, own_error = (np.max(np.abs(s - exact), axis=(1, 2)) for s in (y, own_y))
-        growth.append(np.log(own_error / error))
-    own_total, total = np.sum(counts, axis=0)
-    assert own_total < total
-    assert np.exp(np.median(growth)) <= 0.9
