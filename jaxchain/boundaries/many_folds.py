@@ -90,7 +90,7 @@ def fold_belt_speeds(
         ...     paper_chain(n=1, width=1e-2), over={"damping_ratio": [0.05, 0.06, 0.6]}
         ... )
         >>> found.fold_belt_speed.values.round(6)
-        array([1.792456, 1.544988,      nan])
+        array([1.792456, 1.564241,      nan])
         >>> [found.result.flag_meanings.split()[code] for code in found.result.values]
         ['successful', 'successful', 'no_fold']
     """

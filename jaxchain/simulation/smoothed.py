@@ -32,7 +32,8 @@ class _Resumed(WrappingController):
     program that calls the host cannot be kept in JAX's compilation cache.
 
     It also ends a run after `allowed` steps (None: no limit), because diffrax's own `max_steps`
-    belongs to the program.  Its state is (that of the controller, steps still allowed).
+    belongs to the program.  Its state is (that of the controller, steps still allowed, the length
+    of the next step).
     """
 
     controller: SwitchingController
@@ -56,12 +57,12 @@ class _Resumed(WrappingController):
 
     def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
         del terms, t1, y0, dt0, args, func, error_order
-        return t0 + self.step_size, (self.state, self.allowed)
+        return t0 + self.step_size, (self.state, self.allowed, self.step_size)
 
     def adapt_step_size(
         self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
     ):
-        inner, left = controller_state
+        inner, left, _ = controller_state
         kept, start, end, jumped, inner, result = self.controller.adapt_step_size(
             t0, t1, y0, y1_candidate, args, y_error, error_order, inner
         )
@@ -69,7 +70,7 @@ class _Resumed(WrappingController):
             left = left - 1
             spent = (left <= 0) & (result == dfx.RESULTS.successful)
             result = dfx.RESULTS.where(spent, dfx.RESULTS.max_steps_reached, result)
-        return kept, start, end, jumped, (inner, left), result
+        return kept, start, end, jumped, (inner, left, end - start), result
 
 
 class _Memory(eqx.Module):
@@ -201,13 +202,15 @@ class SmoothedPlan(AbstractPlan):
         for observer, accumulator in zip(self.observers, last.accumulators, strict=True):
             quiet = quiet | observer.rests(accumulator)
         result = _translate(outcome, stopped & quiet, state)
+        controller, _, ahead = solution.controller_state
+        # Where a run is cut between two steps, it goes on as if it were not.
+        cut = solution.result == dfx.RESULTS.max_steps_reached
+        step_size = jnp.where(cut, ahead, last.step_size)
         new = Progress(
             t=solution.ts[0][-1],
             state=state,
             accumulators=last.accumulators,
-            memory=_Memory(
-                last.inner, last.acceleration, last.step_size, solution.controller_state[0]
-            ),
+            memory=_Memory(last.inner, last.acceleration, step_size, controller),
             result=Result.where(progress.running, result, progress.result),
             steps=progress.steps + solution.stats["num_accepted_steps"],
             rejected=progress.rejected + solution.stats["num_rejected_steps"],

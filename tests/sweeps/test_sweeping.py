@@ -148,6 +148,27 @@ def test_given_lanes_stay_so_many_however_long_the_last_ones_take(monkeypatch):
     assert ends() == (4, 1)
 
 
+def test_what_waits_for_a_long_run_is_taken_back_by_an_idle_lane(monkeypatch):
+    from jaxchain.sweeps.lanes import NOBODY
+    from jaxchain.sweeps.scheduler import Pool
+
+    taken, original = [], Pool.go_on
+
+    def go_on(self, jobs, numbers, more):
+        taken.extend(self.next_job[numbers == NOBODY])
+        return original(self, jobs, numbers, more)
+
+    monkeypatch.setattr(Pool, "go_on", go_on)
+    # The first goes on to the end; the others rest, and stop.
+    found = sweep(
+        CHAIN, equation_8, 400.0, over={"excited": [1, 0, 0, 0, 0, 0]}, lanes=2,
+        observe=Amplitude(window=20.0, stop="quiet"), devices=jax.devices()[:1],
+    )  # fmt: skip
+    assert [NAMES[int(r)] for r in found.result] == ["successful", *["quiet"] * 5]
+    assert len(taken) == 1
+    assert found.result.shape == (6,)
+
+
 def test_lanes_that_no_memory_holds_are_refused():
     with pytest.raises(MemoryError, match=r"1000000000 lanes on each device.*fewer `lanes`"):
         sweep(CHAIN, equation_8, 60.0, over={"excited": [1]}, lanes=10**9)
