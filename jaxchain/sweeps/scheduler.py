@@ -45,7 +45,6 @@ class Pool:
             return np.zeros((width, *shape.shape), shape.dtype)
 
         shapes, static = eqx.partition(blank, _is_shape)
-        self._static = static
         empty: Place = jtu.tree_map(zeros, shapes)
         for numbers in (empty.job, empty.next_job, empty.recorded):
             numbers[:] = NOBODY
@@ -87,10 +86,10 @@ class Pool:
             index = np.where(new, numbers, numbers[new][0])
             self._fresh = self.starts_of(jobs, index)
         told = jax.device_put((numbers, np.asarray(more), np.asarray(self._rounds)), self.device)
-        self._since = time.perf_counter()
         given = self._places, self._fresh, *told
         if self._program is None:
             self._program = ready(advance_pool, self.device, self.task, *given, donated=(1,))
+        self._since = time.perf_counter()  # without the compilation
         self._places, self._asked = self._program(*given)
 
     def outcome(self) -> tuple[np.ndarray, dict[str, Any]]:
