@@ -370,3 +370,19 @@ def test_no_claim_about_a_thousand_wild_sets_is_contradicted_by_a_run():
 def test_the_direction_of_the_belt_has_no_part_in_a_fold(folds, speed):
     value = fold_belt_speed(paper_chain(1, belt_speed=speed, width=0.05))
     np.testing.assert_allclose(value, folds[0.05].belt_speed, rtol=1e-10)
+
+
+@pytest.mark.long
+def test_derivatives_are_taken_at_the_fold_itself():
+    """Beside it the belt speed errs by the square of the distance, its derivatives by that."""
+    chain = paper_chain(1, width=1e-3)
+    fold = jax.jit(lambda width: fold_belt_speed(chain.with_(width=width)))
+    step = 2e-5
+
+    def slope(h):
+        return (float(fold(1e-3 + h)) - float(fold(1e-3 - h))) / (2.0 * h)
+
+    by_four, by_two, by_one = (slope(step / k) for k in (4, 2, 1))
+    halved, whole = (4.0 * by_four - by_two) / 3.0, (4.0 * by_two - by_one) / 3.0
+    expected = (16.0 * halved - whole) / 15.0
+    assert float(jax.grad(fold)(1e-3)) == pytest.approx(expected, rel=2e-6)
