@@ -119,4 +119,4 @@ except SweepInterrupted as caught:
 def test_ctrl_c_keeps_what_was_found():
     run = [sys.executable, "-c", INTERRUPTED]
     done = subprocess.run(run, capture_output=True, text=True, timeout=300)
-    assert done.stdout.strip() == "kept", done.stderr
+    assert done.stdout.strip() == "kept", (done.returncode, done.stderr)
