@@ -18,7 +18,7 @@ from .quantities import active, energy
 
 
 class _AmplitudeState(eqx.Module):
-    low: Float[Array, " n"]
+    low: Float[Array, " n"]  # NaN before the window
     high: Float[Array, " n"]
     last_window: Float[Array, ""]  # its start
     rest: _Rest | None  # unless stop == "never"
@@ -81,9 +81,10 @@ class Amplitude(AbstractObserver):
     ) -> _AmplitudeState:
         x, _ = y0
         window = t1 - t0 if self.window is None else self.window
-        state = _AmplitudeState(x, x, to_float(t1 - window), None, None)
+        start = to_float(t1 - window)
+        seen = x if self.stop == "steady" else jnp.where(start > t0, jnp.nan, x)
         if self.stop == "never":
-            return state
+            return _AmplitudeState(seen, seen, start, None, None)
         # Windows end at t1, t1 - window, ...; the first takes what is left over at the start,
         # because a shorter one would see less than it must.
         complete = jnp.maximum(jnp.floor((t1 - t0) / jnp.maximum(window, 1e-300)), 1.0)
@@ -91,39 +92,36 @@ class Amplitude(AbstractObserver):
         history = None
         if self.stop == "steady":
             history = _History(jnp.full_like(x, jnp.nan), jnp.zeros((), int))
-        return _AmplitudeState(x, x, state.last_window, rest, history)
+        return _AmplitudeState(seen, seen, start, rest, history)
 
     def update(self, accumulator: _AmplitudeState, step: Step) -> _AmplitudeState:
         acc, end = accumulator, step.y1[0]
-        low, high = jnp.minimum(acc.low, end), jnp.maximum(acc.high, end)
         # Peaks before the last window are only looked for if its amplitudes are to be compared.
         always = acc.history is not None
         watching = jnp.asarray(True) if always else step.t1 > acc.last_window
 
         def with_peaks() -> tuple[Array, Array]:
             turns, theta = step.turning_points()
-            if always:
-                extreme = jnp.where(turns, step.displacement(theta), end)
-                return jnp.minimum(low, extreme), jnp.maximum(high, extreme)
-            # The step in which the window begins counts from there on.
-            opens = step.t0 < acc.last_window
-            length = jnp.maximum(step.t1 - step.t0, 1e-300)
-            start = jnp.where(opens, (acc.last_window - step.t0) / length, 0.0)
-            first = step.displacement(start)
-            extreme = jnp.where(turns & (theta >= start), step.displacement(theta), end)
+            low, high = acc.low, acc.high
+            if not always:
+                # The step in which the window begins, of which there is one, counts from there on.
+                opens = watching & (step.t0 <= acc.last_window)
+                length = jnp.maximum(step.t1 - step.t0, 1e-300)
+                start = jnp.where(opens, (acc.last_window - step.t0) / length, 0.0)
+                first = step.displacement(start)
+                low, high = jnp.where(opens, first, low), jnp.where(opens, first, high)
+                turns = turns & (theta >= start)
+            extreme = jnp.where(turns, step.displacement(theta), end)
             least, most = jnp.minimum(extreme, end), jnp.maximum(extreme, end)
-            return (
-                jnp.minimum(jnp.where(opens, first, acc.low), least),
-                jnp.maximum(jnp.where(opens, first, acc.high), most),
-            )
+            return jnp.minimum(low, least), jnp.maximum(high, most)
 
-        # One branch for the whole batch: what it adds to a lane that does not watch is forgotten.
-        seen = lax.cond(eqxi.unvmap_any(watching), with_peaks, lambda: (low, high))
-        low, high = jnp.where(watching, seen[0], low), jnp.where(watching, seen[1], high)
+        # One branch for the whole batch, and nothing but this before the first window: a lane that
+        # does not watch has NaN, which stays.
+        nothing = lambda: (acc.low, acc.high)  # noqa: E731
+        low, high = lax.cond(eqxi.unvmap_any(watching), with_peaks, nothing)
         rest = None if acc.rest is None else self._rest(acc.rest, step)
-        if acc.rest is None or acc.history is None:
-            forget, history = ~watching, None
-        else:
+        history = None
+        if acc.rest is not None and acc.history is not None:
             forget = step.t1 >= acc.rest.boundary
             amplitude = (high - low) / 2
             same = jnp.max(jnp.abs(amplitude - acc.history.last)) <= self.tolerance
@@ -132,7 +130,7 @@ class Amplitude(AbstractObserver):
                 jnp.where(forget, amplitude, acc.history.last),
                 jnp.where(forget, repeats, acc.history.repeats),
             )
-        low, high = jnp.where(forget, end, low), jnp.where(forget, end, high)
+            low, high = jnp.where(forget, end, low), jnp.where(forget, end, high)
         return _AmplitudeState(low, high, acc.last_window, rest, history)
 
     def _rest(self, rest: _Rest, step: Step) -> _Rest:

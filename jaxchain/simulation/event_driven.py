@@ -184,7 +184,7 @@ class EventDrivenPlan(AbstractPlan):
         if self.observers:
             step = Step(
                 field, t0, t1, progress.state, state,
-                lambda theta: value(series.x, theta * length),
+                lambda theta: value(series.x_from_v(), theta * length),
                 lambda theta: value(series.v, theta * length),
             )  # fmt: skip
             pairs = zip(self.observers, accumulators, strict=True)

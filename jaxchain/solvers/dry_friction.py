@@ -59,6 +59,10 @@ class Series(eqx.Module):
     v: list[Array]
     r: list[Array]
 
+    def x_from_v(self) -> list[Array]:
+        """The same as `x`, computed anew: a branch that reads `v` alone copies half as much."""
+        return [self.x[0], *(a / (k + 1) for k, a in enumerate(self.v[:-1]))]
+
 
 def expand(chain: Chain, state: State, modes: Modes, order: int) -> Series:
     """The motion as a Taylor series up to `order`, every mass in its mode.
