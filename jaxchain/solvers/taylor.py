@@ -48,23 +48,22 @@ def value_and_slope(coefficients: Sequence[Any], t: Any) -> tuple[Any, Any]:
 
 
 # dq = sum_k dc_k t^k + q' dt.  Without these rules a derivative passes through every partial sum
-# of the scheme above, and in reverse mode each of them is kept.  Who asks for q' alone, as Newton's
-# method does, pays for no sum of zeros.
+# of the scheme above, and in reverse mode each of them is kept.  Where nothing but t
+# changes, as for Newton's method, there is no sum of zeros.
 def _value_and_change(primals: Any, tangents: Any) -> tuple[Any, Any]:
     (coefficients, t), (changes, dt) = primals, tangents
     total, slope = value_and_slope(coefficients, t)
-    still = [isinstance(c, SymbolicZero) for c in (*changes, dt)]
-    change = 0.0 if still[-1] else slope * dt
-    if not all(still[:-1]):
-        change += value(list(map(_number, changes)), t)
-    return total, jnp.broadcast_to(change, total.shape)
+    change = slope * _number(dt)
+    if not all(isinstance(c, SymbolicZero) for c in changes):
+        change += value([_number(c) for c in changes], t)
+    return total, change
 
 
 value.defjvp(_value_and_change, symbolic_zeros=True)
 
 
 def _number(a: Any) -> Any:
-    return jnp.zeros(a.shape, a.dtype) if isinstance(a, SymbolicZero) else a
+    return 0.0 if isinstance(a, SymbolicZero) else a
 
 
 @value_and_slope.defjvp

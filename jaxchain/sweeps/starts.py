@@ -6,8 +6,9 @@ neither function, and a new function costs the compilation of a small program on
 
 from __future__ import annotations
 
+import functools
 import inspect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -47,6 +48,42 @@ def own_chain(chain: Chain, vary: Callable[..., Chain] | None, values: Mapping[s
 def _call(function: Callable, chain: Chain, values: Mapping[str, Any]) -> Any:
     names = initial_names(function)
     return function(chain, **{k: v for k, v in values.items() if k in names})
+
+
+class _Fixed:
+    """A `functools.partial` that equals another one of the same function and numbers.
+
+    Python's own equals itself alone, so that one made anew for each sweep would be compiled anew.
+    """
+
+    def __init__(self, given: functools.partial, key: Hashable):
+        self.__wrapped__ = given
+        self._key = key
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        return self.__wrapped__(*args, **kwargs)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Fixed) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+
+# What cannot change once it is given.
+_FIXED = (bool, int, float, complex, str, bytes, type(None), np.generic)
+
+
+def known_again(function: Any) -> Any:
+    """The same; but of a `functools.partial` with numbers and words, one known again by these."""
+    if type(function) is not functools.partial:
+        return function
+    given = (*function.args, *function.keywords.values())
+    if not all(isinstance(value, _FIXED) for value in given):
+        return function
+    # By type, too, and by what is written: 1 is not 1.0, and 0.0 is not -0.0.
+    written = tuple((type(value), repr(value)) for value in given)
+    return _Fixed(function, (function.func, len(function.args), *function.keywords, written))
 
 
 class Constant(NamedTuple):

@@ -54,7 +54,7 @@ from .axes import check_axes, check_observers, check_vary
 from .axes import jobs as jobs_of
 from .lanes import Task
 from .scheduler import Scheduler
-from .starts import Starts, chain_names, initial_names, own_chain
+from .starts import Starts, chain_names, initial_names, known_again, own_chain
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -138,7 +138,8 @@ def sweep(
     **Compiled** are the runs once for all numbers, states and functions, but anew for another
     number of masses or lanes, another law, solver or observer; and, in a fraction of a second,
     what makes the starts, for each new function: `def` one `initial` before a loop of sweeps, and
-    hand over what changes as a parameter of it, in `over`, instead of a new `lambda` each time.
+    hand over what changes as a parameter of it, in `over`, instead of a new `lambda` each time (a
+    `functools.partial` of the same function and numbers is not new).
     The programs of the latest eight functions are kept.
 
     **Raises:** `ValueError` for bad input before anything is compiled; `MemoryError` if the
@@ -201,7 +202,7 @@ def sweep(
         solver = choose_solver(_strongest(chain, jobs), float(tolerance), float(max_step))
     plan = build_plan(solver, observers, tolerance, absolute, max_step, t1)
     most = None if max_steps is None else jnp.asarray(max_steps)
-    starts = Starts(chain, initial, vary)
+    starts = Starts(chain, known_again(initial), known_again(vary))
     task = Task(plan, chain, to_float(t0), to_float(t1), most, starts.varied(jobs), segments)
     runner = Scheduler(task, starts, jobs, devices, lanes)
     started = time.perf_counter()

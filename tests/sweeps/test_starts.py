@@ -1,5 +1,6 @@
 """Starts of lanes: what the user's functions make, and what is compiled and kept for them."""
 
+import functools
 import gc
 import weakref
 from typing import Any
@@ -67,6 +68,26 @@ def test_the_same_function_compiles_nothing():
     before = programs()
     run(initial, pull=[0.3, 0.4])
     assert programs() == before
+
+
+def test_a_partial_of_the_same_function_and_numbers_compiles_nothing():
+    def initial(chain, size, k) -> Any:
+        return size * k, 0.0
+
+    def amplitude(*args, **kwargs):
+        return run(functools.partial(initial, *args, **kwargs), k=[1.0, 2.0]).amplitude.values
+
+    once = amplitude(size=0.1)
+    large, small = programs()
+    np.testing.assert_array_equal(amplitude(size=0.1), once)
+    assert programs() == (large, small)
+    assert not np.array_equal(amplitude(size=0.2), once)
+    assert programs() == (large, small + 1)
+    # What can be changed in place is never taken for the same.
+    size = np.asarray(0.1)
+    np.testing.assert_array_equal(amplitude(size=size), once)
+    size[...] = 0.2
+    assert not np.array_equal(amplitude(size=size), once)
 
 
 def test_the_programs_of_few_functions_are_kept():
