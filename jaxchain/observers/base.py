@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from .._reprs import parameters, summary
 from .._types import ScalarLike, State
@@ -189,3 +189,21 @@ class AbstractObserver(eqx.Module):
             f"Argument `observe` holds a `{type(self).__name__}`, whose value has no labels: give "
             "it the method `label`, see `AbstractObserver`, or use `jax.vmap(simulate)`."
         )
+
+
+class AbstractNotingObserver(AbstractObserver):
+    """One that can do with a number a mass of each step, and make its entries of many at once.
+
+    What it keeps may be large: a loop over many runs copies all of that at every step.  A solver
+    that can calls `note` after each step, and `gather` after many, instead of `update`.
+    """
+
+    @abc.abstractmethod
+    def note(self, step: Step) -> Float[Array, " n"]:
+        """What is to be known of one more accepted step."""
+
+    @abc.abstractmethod
+    def gather(
+        self, accumulator: Any, notes: Float[Array, "steps n"], count: Int[Array, ""]
+    ) -> Any:
+        """The accumulator after the first `count` of these steps, of which there may be none."""

@@ -5,20 +5,23 @@ from __future__ import annotations
 from typing import Any
 
 import equinox as eqx
+import equinox.internal as eqxi
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jax import lax
+from jaxtyping import Array, Float, Int
 
 from .._checks import check_number, check_whole
 from .._types import ScalarLike, State
 from ..model.oscillators import AbstractOscillators
 from ..model.springs import materialize
-from .base import AbstractObserver, Step, Variable
+from .base import AbstractNotingObserver, Step, Variable
 
 # Before all times; finite, as `materialize` multiplies by 0.
 _NONE = -1e300
+_NEVER = 1e300
 
 
-class PeakTimes(AbstractObserver):
+class PeakTimes(AbstractNotingObserver):
     """Times of the maxima of every displacement, located between steps.
 
     **Arguments:** `capacity`, the greatest number of maxima kept for each mass (a run that has
@@ -43,15 +46,52 @@ class PeakTimes(AbstractObserver):
         return jnp.full((self.capacity, *x.shape), _NONE), jnp.zeros(x.shape, int)
 
     def update(self, accumulator: tuple[Array, Array], step: Step) -> tuple[Array, Array]:
-        times, count = accumulator
+        return self._kept(accumulator, self.note(step))
+
+    def note(self, step: Step) -> Float[Array, " n"]:
         turns, theta = step.turning_points()
         time = step.time(theta)
         peak = turns & (step.y0[1] > 0) & (time >= self.start)
-        # Once, not once for every row.  The row that `count` points to holds nothing yet.
-        new = materialize(jnp.where(peak, time, _NONE))
-        # A comparison with every row is several times faster than a scatter on a CPU.
+        # Once, not once for every row.
+        return materialize(jnp.where(peak, time, _NONE))
+
+    def gather(
+        self,
+        accumulator: tuple[Array, Array],
+        notes: Float[Array, "steps n"],
+        count: Int[Array, ""],
+    ) -> tuple[Array, Array]:
+        known = (jnp.arange(notes.shape[0])[:, None] < count) & (notes > _NONE)
+        notes = jnp.where(known, notes, _NEVER)
+
+        def first_after(times: Any) -> Array:
+            """Of each mass; `_NEVER` if there is none."""
+            later = jnp.where(notes > times[None, :], notes, _NEVER)
+            # By halves, which overlap if need be: six times as fast as `jnp.min` on a CPU.
+            while later.shape[0] > 1:
+                half = (later.shape[0] + 1) // 2
+                later = jnp.minimum(later[:half], later[-half:])
+            return later[0]
+
+        def any_left(carry: Any) -> Array:
+            return eqxi.unvmap_any(carry[0] < _NEVER)
+
+        def keep(carry: Any) -> Any:
+            times, accumulator = carry
+            own = jnp.where(times < _NEVER, times, _NONE)
+            return first_after(times), self._kept(accumulator, own)
+
+        return lax.while_loop(
+            any_left, keep, (first_after(jnp.full(notes.shape[1], _NONE)), accumulator)
+        )[1]
+
+    def _kept(self, accumulator: tuple[Array, Array], new: Array) -> tuple[Array, Array]:
+        """With the time of another maximum of each mass, or `_NONE`."""
+        times, count = accumulator
+        # The row that `count` points to holds nothing yet.  A comparison with every row is several
+        # times faster than a scatter on a CPU.
         here = jnp.arange(self.capacity)[:, None] == count[None, :]
-        return jnp.where(here, new[None, :], times), count + peak
+        return jnp.where(here, new[None, :], times), count + (new > _NONE)
 
     def read(self, accumulator: tuple[Array, Array]) -> Float[Array, "capacity n"]:
         times, _ = accumulator

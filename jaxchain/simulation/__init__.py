@@ -4,6 +4,7 @@
 - `event_driven`: true dry friction, from event to event
 - `observing_solver`: a diffrax solver that lets observers see every accepted step
 - `plan`: how a run goes forward, whatever integrates it
+- `rounds`: loops in which large arrays are touched once in many steps
 - `run`: `simulate`, one run of a chain
 - `smoothed`: smoothed friction; the only place that calls `diffeqsolve`
 """

@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import partial
-from typing import Any
+from typing import Any, TypeGuard
 
 import diffrax as dfx
 import equinox as eqx
@@ -31,7 +31,7 @@ from .._types import State
 from ..model.chain import Chain
 from ..model.oscillators import AbstractOscillators
 from ..model.springs import materialize
-from ..observers.base import AbstractObserver, Step
+from ..observers.base import AbstractNotingObserver, AbstractObserver, Step
 from ..result import Result
 from ..solvers.dry_friction import (
     STICK,
@@ -45,10 +45,15 @@ from ..solvers.dry_friction import (
 )
 from ..solvers.taylor import value, value_and_slope
 from .plan import CHECKPOINTS, AbstractPlan, Progress, first_result, forward_only
+from .rounds import Notes, in_rounds
 
 # Steps in succession that may leave the time where it is: an event of every mass, and some more.
 _STALLED_PER_MASS, _STALLED = 8, 64
 _RAN_AWAY = 1e8
+
+
+def _notes(observer: AbstractObserver) -> TypeGuard[AbstractNotingObserver]:
+    return isinstance(observer, AbstractNotingObserver)
 
 
 def _step_length(plan: EventDrivenPlan, series: Series) -> Array:
@@ -115,13 +120,18 @@ class EventDrivenPlan(AbstractPlan):
             now, _ = carry
             return now.running & (now.t < t1) & (now.steps < most)
 
-        def body(carry: tuple[Progress, list[_Record]]) -> tuple[Progress, list[_Record]]:
+        def step(
+            carry: tuple[Progress, list[_Record]], noting: bool = False
+        ) -> tuple[tuple[Progress, list[_Record]], list[Array]]:
             now, records = carry
             end = t1
             for record in records:
                 end = jnp.minimum(end, record.next_time())
-            now = self._step(dry, now, end)
-            return now, [record.keep(now.t, now.state) for record in records]
+            now, notes = self._step(dry, now, end, noting)
+            return (now, [record.keep(now.t, now.state) for record in records]), notes
+
+        def body(carry: tuple[Progress, list[_Record]]) -> tuple[Progress, list[_Record]]:
+            return step(carry)[0]
 
         carry: Any = progress, records
         if isinstance(adjoint, dfx.RecursiveCheckpointAdjoint):
@@ -138,7 +148,12 @@ class EventDrivenPlan(AbstractPlan):
             )  # fmt: skip
             carry = back(lambda carry: back(body, carry, max_steps=most_kept), carry)
         elif adjoint is None or isinstance(adjoint, dfx.ForwardMode):
-            carry = forward_only(lax.while_loop(goes_on, body, carry))
+            if noting := sum(map(_notes, self.observers)):
+                own = partial(step, noting=True)
+                carry = in_rounds(goes_on, own, self._gather, carry, noting, n)
+            else:
+                carry = lax.while_loop(goes_on, body, carry)
+            carry = forward_only(carry)
         else:
             raise ValueError(
                 "Argument `adjoint` must be None, `diffrax.ForwardMode()` or "
@@ -152,8 +167,22 @@ class EventDrivenPlan(AbstractPlan):
         progress = eqx.tree_at(lambda p: p.result, progress, result)
         return progress, [record.read() for record in records]
 
-    def _step(self, field: Chain, progress: Progress, end: Any) -> Progress:
-        """One step: to the next event, to the end of what the series can bear, or to `end`."""
+    def _gather(
+        self, carry: tuple[Progress, list[_Record]], notes: Notes, count: Array
+    ) -> tuple[Progress, list[_Record]]:
+        """With what the steps of a round have told the observers that take notes."""
+        (now, records), found = carry, iter(notes)
+        pairs = zip(self.observers, now.accumulators, strict=True)
+        accumulators = [o.gather(a, next(found), count) if _notes(o) else a for o, a in pairs]
+        return eqx.tree_at(lambda p: p.accumulators, now, accumulators), records
+
+    def _step(
+        self, field: Chain, progress: Progress, end: Any, noting: bool
+    ) -> tuple[Progress, list[Array]]:
+        """One step: to the next event, to the end of what the series can bear, or to `end`.
+
+        With the notes of observers that take some, if they are `noting`.
+        """
         frozen = lax.stop_gradient
         modes, t0 = progress.memory.modes, progress.t
         series = expand(field, progress.state, modes, self.order)
@@ -180,7 +209,7 @@ class EventDrivenPlan(AbstractPlan):
         t1 = jnp.where(finite, jnp.where(meets, end, t0 + length), t0)
         stalled = jnp.where(t1 > t0, 0, progress.memory.stalled + 1)
 
-        accumulators, result = progress.accumulators, progress.result
+        accumulators, result, notes = progress.accumulators, progress.result, []
         if self.observers:
             step = Step(
                 field, t0, t1, progress.state, state,
@@ -188,7 +217,8 @@ class EventDrivenPlan(AbstractPlan):
                 lambda theta: value(series.v, theta * length),
             )  # fmt: skip
             pairs = zip(self.observers, accumulators, strict=True)
-            accumulators = [o.update(a, step) for o, a in pairs]
+            notes = [o.note(step) for o in self.observers if noting and _notes(o)]
+            accumulators = [a if noting and _notes(o) else o.update(a, step) for o, a in pairs]
             result = self._stop(accumulators, result)
         # Of a state this large the events lie closer than times that can be told apart.
         large = greatest > _RAN_AWAY
@@ -196,7 +226,7 @@ class EventDrivenPlan(AbstractPlan):
         stuck = stalled > _STALLED_PER_MASS * x.shape[0] + _STALLED
         result = Result.where(stuck, why, result)
         result = Result.where(finite, result, Result.nonfinite)
-        return Progress(
+        progress = Progress(
             t=t1,
             state=state,
             accumulators=accumulators,
@@ -205,6 +235,7 @@ class EventDrivenPlan(AbstractPlan):
             steps=progress.steps + 1,
             rejected=progress.rejected,
         )
+        return progress, notes
 
     def _shifts(
         self, field: Chain, series: Series, modes: Modes, t: Array, hits: Array,

@@ -1,0 +1,77 @@
+"""Loops in rounds against loops that do not know them."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxchain import PeakTimes, equation_8, paper_chain, simulate
+from jaxchain.observers import AbstractObserver
+from jaxchain.simulation.rounds import ROUND, in_rounds
+
+
+def total(start, last):
+    """The sum of the squares of start, start + 1, ... below `last`, gathered from notes."""
+
+    def step(carry):
+        now, seen = carry
+        return (now + 1.0, seen), [now**2]
+
+    def gather(carry, notes, count):
+        now, seen = carry
+        (own,) = notes
+        return now, seen + jnp.sum(jnp.where(jnp.arange(ROUND)[:, None] < count, own, 0.0), 0)
+
+    first = start, jnp.zeros_like(start)
+    return in_rounds(lambda carry: carry[0][0] < last, step, gather, first, 1, 1)
+
+
+@pytest.mark.parametrize("last", [0.0, 1.0, ROUND - 1.0, ROUND, ROUND + 1.0, 3.0 * ROUND])
+def test_every_step_is_gathered_once(last):
+    now, seen = total(jnp.zeros(1), last)
+    assert now == last
+    assert seen == np.sum(np.arange(last) ** 2)
+
+
+def test_lanes_that_end_early_stay_as_they_are():
+    last = jnp.array([5.0, 2.0 * ROUND, 0.0, ROUND + 3.0])
+    now, seen = jax.jit(jax.vmap(total))(jnp.zeros((4, 1)), last)
+    np.testing.assert_array_equal(now[:, 0], last)
+    np.testing.assert_array_equal(seen[:, 0], [np.sum(np.arange(a) ** 2) for a in last])
+
+
+def test_derivatives_pass_through_the_notes():
+    steps = ROUND + 6
+    slope = jax.jvp(lambda a: total(a, float(steps))[1], (jnp.zeros(1),), (jnp.ones(1),))[1]
+    assert slope == np.sum(2.0 * np.arange(steps))
+
+
+class EachStep(AbstractObserver):
+    """The same, told of every step."""
+
+    own: PeakTimes
+
+    def init(self, field, t0, t1, y0):
+        return self.own.init(field, t0, t1, y0)
+
+    def update(self, accumulator, step):
+        return self.own.update(accumulator, step)
+
+    def read(self, accumulator):
+        return self.own.read(accumulator)
+
+
+def test_an_ensemble_notes_what_its_runs_see_at_every_step():
+    chain = paper_chain(2, 1.4)
+    watch = PeakTimes(12, start=20.0), EachStep(PeakTimes(12, start=20.0))
+
+    @jax.jit
+    @jax.vmap
+    def run(t1):
+        return simulate(chain, equation_8(chain, 2), t1, observe=watch, throw=False).observed
+
+    noted, seen = run(jnp.array([15.0, 60.0, 130.0]))
+    np.testing.assert_array_equal(noted, seen)
+    assert np.all(np.isnan(noted[0]))
+    assert 6 < np.isfinite(noted[1, :, 0]).sum() < 12
+    assert np.all(np.isfinite(noted[2]))
