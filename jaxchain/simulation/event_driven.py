@@ -21,7 +21,6 @@ from typing import Any, TypeGuard
 import diffrax as dfx
 import equinox as eqx
 import equinox.internal as eqxi
-import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
@@ -34,17 +33,17 @@ from ..model.springs import materialize
 from ..observers.base import AbstractNotingObserver, AbstractObserver, Step
 from ..result import Result
 from ..solvers.dry_friction import (
-    STICK,
     Modes,
     Series,
     after,
     expand,
-    greatest_hold,
     next_event,
     start,
 )
 from ..solvers.taylor import value, value_and_slope
+from .event_times import at_the_end, change_alone, head_start, shifts
 from .plan import CHECKPOINTS, AbstractPlan, Progress, first_result, forward_only
+from .records import Record
 from .rounds import Notes, in_rounds
 
 # Steps in succession that may leave the time where it is: an event of every mass, and some more.
@@ -114,15 +113,15 @@ class EventDrivenPlan(AbstractPlan):
         if allowed is not None:
             most = jnp.minimum(most, progress.steps + allowed)
         n = progress.state[0].shape[0]
-        records = [_Record.blank(ts, n).keep(progress.t, progress.state) for ts in times]
+        records = [Record.blank(ts, n).keep(progress.t, progress.state) for ts in times]
 
-        def goes_on(carry: tuple[Progress, list[_Record]]) -> Array:
+        def goes_on(carry: tuple[Progress, list[Record]]) -> Array:
             now, _ = carry
             return now.running & (now.t < t1) & (now.steps < most)
 
         def step(
-            carry: tuple[Progress, list[_Record]], noting: bool = False
-        ) -> tuple[tuple[Progress, list[_Record]], list[Array]]:
+            carry: tuple[Progress, list[Record]], noting: bool = False
+        ) -> tuple[tuple[Progress, list[Record]], list[Array]]:
             now, records = carry
             end = t1
             for record in records:
@@ -130,7 +129,7 @@ class EventDrivenPlan(AbstractPlan):
             now, notes = self._step(dry, now, end, noting)
             return (now, [record.keep(now.t, now.state) for record in records]), notes
 
-        def body(carry: tuple[Progress, list[_Record]]) -> tuple[Progress, list[_Record]]:
+        def body(carry: tuple[Progress, list[Record]]) -> tuple[Progress, list[Record]]:
             return step(carry)[0]
 
         carry: Any = progress, records
@@ -161,15 +160,15 @@ class EventDrivenPlan(AbstractPlan):
                 f"{adjoint!r}. None serves derivatives of both kinds."
             )
         progress, records = carry
-        progress = _at_the_end(dry, progress, t1)
+        progress = at_the_end(dry, progress, t1)
         unfinished = progress.running & (progress.t < t1)
         result = Result.where(unfinished, Result.max_steps_reached, progress.result)
         progress = eqx.tree_at(lambda p: p.result, progress, result)
         return progress, [record.read() for record in records]
 
     def _gather(
-        self, carry: tuple[Progress, list[_Record]], notes: Notes, count: Array
-    ) -> tuple[Progress, list[_Record]]:
+        self, carry: tuple[Progress, list[Record]], notes: Notes, count: Array
+    ) -> tuple[Progress, list[Record]]:
         """With what the steps of a round have told the observers that take notes."""
         (now, records), found = carry, iter(notes)
         pairs = zip(self.observers, now.accumulators, strict=True)
@@ -197,11 +196,11 @@ class EventDrivenPlan(AbstractPlan):
         # Each is computed once: see `materialize`.
         x = materialize(value(series.x, length))
         v, acceleration = map(materialize, value_and_slope(series.v, length))
-        own, shift = self._shifts(field, series, modes, length, hits, v, acceleration)
+        own, shift = shifts(field, series, modes, length, hits, v, acceleration)
         x, v, length = x + shift * v, v + shift * acceleration, length + shift
         state, new = after(field, (x, v), modes, hits, length > 0)
-        gain = _head_start(field, state, modes, new, hits, shift - own)
-        state = state[0], state[1] + _change_alone(gain)
+        gain = head_start(field, state, modes, new, hits, shift - own)
+        state = state[0], state[1] + change_alone(gain)
         # NaN if any is NaN.
         greatest = jnp.max(materialize(jnp.maximum(jnp.abs(x), jnp.abs(v))))
         finite = jnp.isfinite(greatest)
@@ -237,26 +236,6 @@ class EventDrivenPlan(AbstractPlan):
         )
         return progress, notes
 
-    def _shifts(
-        self, field: Chain, series: Series, modes: Modes, t: Array, hits: Array,
-        v: Array, acceleration: Array,
-    ) -> tuple[Array, Array]:  # fmt: skip
-        """One more Newton step to the events: nothing but rounding, and their whole derivative.
-
-        (the shift of each mass's event, of shape (n,); their mean over those that have one, by
-        which the step is made longer.)  The search itself is not differentiated; this is the
-        implicit function theorem.
-        """
-        r, drift = value_and_slope(series.r, t)
-        w = v - field.belt_speed
-        slides = modes.direction != STICK
-        excess = jnp.where(slides, w, r - jnp.sign(r) * greatest_hold(field))
-        rate = lax.stop_gradient(jnp.where(slides, acceleration, drift))
-        usable = hits & (rate != 0)
-        shifts = jnp.where(usable, -excess, 0.0) / jnp.where(usable, rate, 1.0)
-        mean = jnp.sum(shifts) / jnp.maximum(jnp.sum(usable), 1)
-        return jnp.where(usable, shifts, mean), mean
-
     def _stop(self, accumulators: list, result: Result) -> Result:
         votes = [o.settled(a) for o, a in zip(self.observers, accumulators, strict=True)]
         if any(vote is None for vote in votes):
@@ -267,83 +246,6 @@ class EventDrivenPlan(AbstractPlan):
         settled = jnp.all(jnp.stack(votes))  # pyright: ignore[reportArgumentType]
         how = Result.where(quiet, Result.quiet, Result.steady)
         return Result.where(settled & (result == Result.successful), how, result)
-
-
-def _at_the_end(field: Chain, progress: Progress, t1: Any) -> Progress:
-    """The same, where an event falls together with t1; but it moves with t1, not with the event.
-
-    A run over the period of a cycle that is cut at an event ends so.
-    """
-    x, v = progress.state
-    direction = progress.memory.modes.direction
-    mu = field.law.coefficient(jnp.abs(v - field.belt_speed))
-    slides = field.free_force(x, v) - direction * field.load * mu
-    acceleration = jnp.where(direction == STICK, 0.0, slides)
-    # Rounding, and 0 but for its derivative at any other end.
-    rest = jnp.where(progress.running & (progress.t >= t1), t1 - progress.t, 0.0)
-    state = x + rest * v, v + rest * acceleration
-    return eqx.tree_at(lambda p: p.state, progress, state)
-
-
-def _head_start(
-    field: Chain, state: State, modes: Modes, new: Modes, hits: Array, since: Array
-) -> Array:
-    """What masses that slide on through w = 0 have gained in speed `since` their own events.
-
-    Of masses whose events fall together each is disturbed in its own way, and the step ends at
-    their mean.  Zero but for rounding, which is left out, and its derivative.  One that comes to
-    stick, or is let go, has no acceleration then.
-    """
-    through = hits & (modes.direction != STICK) & (new.direction != STICK)
-    speed = jnp.zeros_like(state[1])
-    friction = new.direction * field.load * field.law.coefficient(speed)
-    return jnp.where(through, since * (field.free_force(*state) - friction), 0.0)
-
-
-@jax.custom_jvp
-def _change_alone(a: Array) -> Array:
-    """Zero, with the derivatives of `a`: nothing is computed where there are none."""
-    return jnp.zeros_like(a)
-
-
-@_change_alone.defjvp
-def _(primals: Any, tangents: Any) -> tuple[Array, Array]:
-    return _change_alone(*primals), tangents[0]
-
-
-class _Record(eqx.Module):
-    """The states at given times, which the steps meet exactly."""
-
-    times: Float[Array, " times"]
-    states: Any  # (x, v), of shapes (times, n): that of equal times where the first of them stands
-    count: Int[Array, ""]  # of the times that have passed
-
-    @classmethod
-    def blank(cls, times: Array, n: int) -> _Record:
-        nothing = jnp.full((*times.shape, n), jnp.nan)
-        return cls(times, (nothing, nothing), jnp.zeros((), int))
-
-    def next_time(self) -> Array:
-        last = self.times.shape[0] - 1
-        ahead = self.times[jnp.minimum(self.count, last)]
-        return jnp.where(self.count <= last, ahead, jnp.inf)
-
-    def keep(self, t: Array, state: State) -> _Record:
-        """With the state, if the time is one of those asked for."""
-        here: Any = self.next_time() <= t
-        place = jnp.minimum(self.count, self.times.shape[0] - 1)
-        # On the way of reverse derivatives these are buffers, which are written to only like this.
-        states = tuple(
-            eqxi.buffer_at_set(kept, place, now, pred=here)
-            for kept, now in zip(self.states, state, strict=True)
-        )
-        passed = jnp.searchsorted(self.times, t, side="right")
-        return _Record(self.times, states, jnp.maximum(self.count, passed))
-
-    def read(self) -> tuple[Array, Array]:
-        first = jnp.searchsorted(self.times, self.times)
-        x, v = self.states
-        return x[first], v[first]
 
 
 class EventDriven(eqx.Module):
