@@ -21,6 +21,9 @@ _KIND = (
     "CPU implementer", "CPU variant", "CPU part", "Features",
 )  # fmt: skip
 
+# The folder that `keep_programs` has chosen; None while JAX keeps nothing, or elsewhere.
+folder: str | None = None
+
 
 def keep_programs(root: str | os.PathLike[str] | None) -> str | None:
     """Has JAX keep what it compiles in a folder of `root`; what is in the way, if it cannot be.
@@ -31,18 +34,20 @@ def keep_programs(root: str | os.PathLike[str] | None) -> str | None:
     import jax
     from jax.experimental.compilation_cache import compilation_cache
 
+    global folder
     if os.environ.get("JAX_COMPILATION_CACHE_DIR") is None:
         try:
-            folder = (_user_folder() if root is None else Path(root).absolute()) / _machine()
-            folder.mkdir(parents=True, exist_ok=True)
+            chosen = (_user_folder() if root is None else Path(root).absolute()) / _machine()
+            chosen.mkdir(parents=True, exist_ok=True)
             # What may be written in says only a trial: a disk may be full, or read-only.
-            tempfile.TemporaryFile(dir=folder).close()
+            tempfile.TemporaryFile(dir=chosen).close()
         except (OSError, RuntimeError) as error:  # the latter where there is no home
             return getattr(error, "strerror", None) or str(error)
-        if getattr(jax.config, "jax_compilation_cache_dir") != str(folder):  # noqa: B009
-            jax.config.update("jax_compilation_cache_dir", str(folder))
+        if getattr(jax.config, "jax_compilation_cache_dir") != str(chosen):  # noqa: B009
+            jax.config.update("jax_compilation_cache_dir", str(chosen))
             # If something was compiled before, JAX has settled that it keeps nothing.
             compilation_cache.reset_cache()
+        folder = str(chosen)
     # By itself JAX keeps what took a second: not the dozens of small programs of 20 to 60 ms.
     for name, usual, all_of_them in (
         ("jax_persistent_cache_min_compile_time_secs", 1.0, 0.0),

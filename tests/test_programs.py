@@ -59,9 +59,11 @@ def end(process):
 def test_a_second_process_compiles_nothing_and_its_results_are_the_same_to_the_last_bit(tmp_path):
     first = end(start(tmp_path))
     assert first["compiled"] > 0
+    stored = len(list(Path(first["folder"]).glob("*-program")))
+    assert stored >= 4  # which are not asked for in JAX's own cache
     second = end(start(tmp_path))
     assert second["compiled"] == 0
-    assert second["kept"] == first["kept"] + first["compiled"]
+    assert second["kept"] == first["kept"] + first["compiled"] - stored
     assert second["numbers"] == first["numbers"]
     # Without small loops compiled whole all is another program, kept also if JAX was used before.
     assert end(start(tmp_path, "late"))["compiled"] > 0

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
+from .._stored import stored_jit
 from .._types import PerMass, State
 from ..continuation.fold_points import fold_residual
 from ..continuation.implicit import attach_derivative
@@ -98,7 +99,7 @@ def fold_belt_speed(chain: Any, vibrating: Any = None) -> Float[Array, ""]:
     return _belt_speed(chain, mass, *_find(lax.stop_gradient(chain), mass))
 
 
-@eqx.filter_jit
+@stored_jit
 def _belt_speed(chain: Chain, mass: int, start: Start, found: Search) -> Array:
     """v_d with its derivatives."""
     held = _held(chain, start)
@@ -140,7 +141,7 @@ def find_fold(chain: Any, vibrating: Any = None) -> Fold:
     return _fold(chain, mass, *_find(lax.stop_gradient(chain), mass))
 
 
-@eqx.filter_jit
+@stored_jit
 def _fold(chain: Chain, mass: int, start: Start, found: Search) -> Fold:
     """The fold with the derivatives of its cycle."""
     held = _held(chain, start)
@@ -171,7 +172,7 @@ def _borders(shooting: Shooting, found: Search) -> tuple[Array, Array]:
     return left[:, -1], right[-1]
 
 
-@eqx.filter_jit
+@stored_jit
 def _find(chain: Chain, mass: int) -> tuple[Start, Search]:
     """The start, and the fold; nothing in here is to be differentiated.
 

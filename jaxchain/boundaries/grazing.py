@@ -29,6 +29,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+from .._stored import stored_jit
 from .._types import ScalarLike, State
 from ..continuation.elimination import solve
 from ..continuation.implicit import attach_derivative
@@ -130,7 +131,7 @@ def find_grazing(chain: Chain, vibrating: Any = None) -> Grazing:
     return _find(chain, mass)
 
 
-@eqx.filter_jit
+@stored_jit
 def _find(chain: Chain, mass: int) -> Grazing:
     frozen = lax.stop_gradient(chain)
     touch, q, _ = find_touch(frozen, mass)

@@ -19,6 +19,7 @@ from .._checks import (
     require_x64,
     to_float,
 )
+from .._stored import stored_jit
 from ..result import Outcome, SearchResult
 from .elimination import factor, substitute
 
@@ -293,7 +294,7 @@ def newton(
     return search(residual, u, arrays(args), to_float(tolerance), jnp.asarray(limit), w)
 
 
-@eqx.filter_jit
+@stored_jit
 def search(
     residual: Any, u: Array, args: PyTree, tolerance: Array, limit: Array, w: Array
 ) -> Root:

@@ -18,6 +18,7 @@ from jaxtyping import Array, Complex, Float, Int
 
 from .._checks import to_float
 from .._reprs import summary
+from .._stored import stored_jit
 from .._types import State
 from ..continuation.damped_newton import Factors, factorise
 from ..continuation.implicit import attach_derivative
@@ -136,7 +137,7 @@ class _Way(NamedTuple):
     sticking: Int[Array, ""]  # how many masses ever stick together, dry
 
 
-@eqx.filter_jit
+@stored_jit
 def _close(
     chain: AbstractOscillators, state: State, period: Array, solver: Any, rtol: Any
 ) -> ClosedOrbit:
@@ -208,7 +209,7 @@ def dry_limit_cycle(
     )
 
 
-@eqx.filter_jit
+@stored_jit
 def _dry_cycle(
     chain: Chain, mass: int, state: State, period: Array, rtol: Array, tolerance: Array
 ) -> LimitCycle:

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Complex, Float, Int
 
+from .._stored import stored_jit
 from .._types import State
 from ..continuation.damped_newton import Factors, Iterate, ending, factorise
 from ..continuation.implicit import attach_derivative
@@ -111,7 +112,7 @@ class LimitCycle(Outcome):
         return margin > 0
 
 
-@eqx.filter_jit
+@stored_jit
 def solve_cycle(
     shooting: Shooting, start: Array, tolerance: Array, limit: Array
 ) -> tuple[LimitCycle, Array]:
@@ -143,7 +144,7 @@ def solve_cycle(
     return cycle, found.u
 
 
-@eqx.filter_jit
+@stored_jit
 def with_derivatives(
     shooting: Shooting, chain: AbstractOscillators, cycle: LimitCycle, u: Array
 ) -> LimitCycle:

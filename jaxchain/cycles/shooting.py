@@ -25,6 +25,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import to_float
+from .._stored import stored_jit
 from .._types import State
 from ..model.oscillators import AbstractOscillators
 from ..solvers.rosenbrock import AbstractStructuredRosenbrock
@@ -146,7 +147,7 @@ class Shooting(eqx.Module):
         return gaps / v[self.mass]
 
 
-@eqx.filter_jit
+@stored_jit
 def packed(shooting: Shooting, state: State, period: Any) -> Float[Array, " m"]:
     """`Shooting.pack` as one program."""
     return shooting.pack(state, period)

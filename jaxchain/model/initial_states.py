@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Int
@@ -18,6 +17,7 @@ from .._checks import (
     shown,
     to_float,
 )
+from .._stored import stored_jit
 from .._types import State
 from .arguments import as_chain, as_mass
 from .chain import Chain, steady_sliding
@@ -123,7 +123,7 @@ def _mask(n: int, excited: Any, block: str) -> Array:
     return excited_block(n, given, block)
 
 
-@eqx.filter_jit  # one small program instead of a dozen
+@stored_jit  # one small program instead of a dozen
 def _pull_away(
     chain: Chain, mask: Array, amplitude: Array, velocity: Array, pattern: str, mirrored: bool
 ) -> State:
@@ -164,7 +164,7 @@ def on_the_belt(chain: Chain, vibrating: Any = None) -> State:
     return _carried(chain, check_vibrating(chain, vibrating))
 
 
-@eqx.filter_jit
+@stored_jit
 def _carried(chain: Chain, mass: int) -> State:
     x, v = steady_sliding(chain)
     return x.at[mass].set(0.0), v.at[mass].set(chain.belt_speed)
@@ -176,7 +176,7 @@ def release_state(chain: Chain, mass: int) -> State:
     return _released(chain, mass)
 
 
-@eqx.filter_jit
+@stored_jit
 def _released(chain: Chain, mass: int) -> State:
     x, v = steady_sliding(chain)
     unit = jnp.zeros(chain.n).at[mass].set(1.0)

@@ -21,6 +21,7 @@ from .._checks import (
 )
 from .._derivatives import both_ways
 from .._reprs import number, parameters, summary
+from .._stored import stored_jit
 from .._types import ScalarLike, State
 from ..model.arguments import as_chain, as_state
 from ..model.chain import Chain, require_smoothed
@@ -234,7 +235,7 @@ def build_plan(
     )
 
 
-@eqx.filter_jit
+@stored_jit
 def _run(
     plan: AbstractPlan,
     chain: AbstractOscillators,
