@@ -40,13 +40,13 @@ def configure(
     next process: a folder, or True for `jaxchain` in the user's cache folder (XDG_CACHE_HOME).
 
     With `cache` a process finds what any other has compiled: all programs, also the small ones,
-    the same to the last bit; the greatest ones, those of `simulate`, folds and limit cycles, also
-    without tracing them, unless a law or an observer of your own takes part.  In the folder stands one folder for each version of jaxlib and each
-    kind of CPU, so that a home folder may serve a mixed cluster and several environments.  Any
-    number of processes may share it.  Nothing is ever removed: some 20 MB for a day's work, more
-    after changes of code or versions; delete the folder whenever you like, also if JAX warns of a
-    file in it that was cut short by a full disk or a kill.  The environment
-    variables JAX_COMPILATION_CACHE_DIR and JAX_PERSISTENT_CACHE_... go first, and
+    the same to the last bit.  Those of `simulate`, folds and limit cycles it need not even trace,
+    unless a law or an observer of your own takes part.  In the folder stands one folder for each
+    version of jaxlib and each kind of CPU, so that a home folder may serve a mixed cluster and
+    several environments.  Any number of processes may share it.  Nothing is ever removed: some 20
+    MB for a day's work, more after changes of code or versions; delete the folder whenever you
+    like, also if JAX warns of a file in it that was cut short by a full disk or a kill.  The
+    environment variables JAX_COMPILATION_CACHE_DIR and JAX_PERSISTENT_CACHE_... go first, and
     JAX_ENABLE_COMPILATION_CACHE=false switches it off.
 
     **Raises:** `ValueError` for anything else.

@@ -72,7 +72,7 @@ def stored_jit(function: Callable) -> Callable:
 
     @functools.wraps(function)
     def run(*args: Any, **named: Any) -> Any:
-        if _programs.folder is None or any(getattr(jax.config, name) for name in _DEBUGGING):
+        if _programs.folder is None or not _wanted():
             return ordinary(*args, **named)
         arrays, static = eqx.partition((args, named), eqx.is_array)
         leaves, structure = jtu.tree_flatten(arrays)
@@ -91,6 +91,11 @@ def stored_jit(function: Callable) -> Callable:
         return ordinary(*args, **named) if program is None else program(leaves)
 
     return run
+
+
+def _wanted() -> bool:
+    debugged = any(getattr(jax.config, name) for name in _DEBUGGING)
+    return getattr(jax.config, "jax_enable_compilation_cache") and not debugged  # noqa: B009
 
 
 def _at_home(leaf: Any) -> bool:

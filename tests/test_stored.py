@@ -123,6 +123,19 @@ def test_without_a_folder_nothing_is_stored(folder, monkeypatch):
     assert stored(folder) == []
 
 
+@pytest.mark.parametrize(
+    ("name", "value"), [("jax_enable_compilation_cache", False), ("jax_disable_jit", True)]
+)
+def test_nor_if_jax_is_told_to_keep_nothing_or_to_be_slow(folder, name, value):
+    before = getattr(jax.config, name)
+    jax.config.update(name, value)
+    try:
+        assert np.array_equal(stored_jit(scaled)({"x": X}, 2)["sum"], 2 * X)
+    finally:
+        jax.config.update(name, before)
+    assert stored(folder) == []
+
+
 def test_an_array_on_another_device_stays_there(folder):
     other = jax.devices()[-1]
     assert other != jax.devices()[0]
