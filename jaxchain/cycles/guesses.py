@@ -45,8 +45,10 @@ def _watched(chain: Any, state: State, t1: Any, watch: Section) -> Simulation:
     """A run in which a sticking mass errs by little in units of the width, as Newton needs."""
     rtol: Any = 1e-8
     if isinstance(chain, Chain) and not chain.dry:
-        width = lax.stop_gradient(jnp.min(chain.width))
-        rtol = jnp.clip(1e-4 * width, 1e-11, 1e-7)
+        width = lax.stop_gradient(chain.width)
+        # Each operation of JAX on numbers is a program to be compiled.
+        of, width = (jnp, width) if is_traced(width) else (np, np.asarray(width))
+        rtol = of.clip(1e-4 * of.min(width), 1e-11, 1e-7)
     solver = own_solver(chain, None) or choose_solver(chain, 1e-8)
     return simulate(chain, state, t1, observe=watch, solver=solver, rtol=rtol, throw=False)
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array
 
@@ -16,6 +17,7 @@ from .._checks import (
     shown,
     to_float,
 )
+from .._stored import stored_jit
 from .._types import State
 from ..continuation.damped_newton import check_tolerance
 from ..model.arguments import as_chain, as_images, as_mass
@@ -117,7 +119,7 @@ def find_limit_cycle(
         field=frozen, rtol=rtol, mass=mass, images=as_images(images, n, mass),
         solver=fit_linear_solve(Rodas5P(), frozen, 1e-9 if is_traced(rtol) else float(rtol)),
     )  # fmt: skip
-    numbers = to_float(tolerance), jnp.asarray(limit, dtype=int)
+    numbers = to_float(tolerance), jnp.asarray(np.asarray(limit, dtype=int))
     start = packed(shooting, lax.stop_gradient(state), lax.stop_gradient(period))
     cycle, u = solve_cycle(shooting, start, *numbers)
     reason = ""
@@ -132,6 +134,7 @@ def find_limit_cycle(
     return with_derivatives(shooting, chain, cycle, u)
 
 
+@stored_jit
 def _keep_kind(cycle: LimitCycle, kind: str) -> LimitCycle:
     """Not `successful` unless it is of the kind that was asked for."""
     wrong = cycle.successful & ~is_of_kind(cycle, kind)

@@ -147,7 +147,8 @@ class Chain(AbstractOscillators):
     @property
     def width(self) -> PerMass:
         """eps, 0 with dry friction."""
-        return self.friction.numbers().get("width", jnp.zeros(()))
+        numbers = self.friction.numbers()
+        return numbers["width"] if "width" in numbers else to_float(0.0)
 
     @property
     def coupling(self) -> Array | None:
