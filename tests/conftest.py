@@ -115,3 +115,18 @@ def usual_signals() -> Iterator[None]:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Quick tests first: a sort is stable, so each half keeps its order."""
     items.sort(key=lambda item: item.get_closest_marker("slow") is not None)
+
+
+@pytest.fixture
+def compiled() -> Iterator[list]:
+    """The names of programs as they are compiled, also of those that the cache holds."""
+    names = []
+
+    def note(event: str, duration_secs: float, **about: str | int) -> None:
+        del duration_secs
+        if event == "/jax/core/compile/backend_compile_duration":
+            names.append(about.get("fun_name"))
+
+    jax.monitoring.register_event_duration_secs_listener(note)
+    yield names
+    jax.monitoring.unregister_event_duration_listener(note)

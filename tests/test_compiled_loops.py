@@ -81,21 +81,6 @@ def test_every_loop_is_compiled_whole(make, n, width, observe, most):
     assert text.count(WHOLE) >= text.count(" while(") - inner > 0
 
 
-@pytest.fixture
-def compiled():
-    """The names of programs as they are compiled, also of those that the cache holds."""
-    names = []
-
-    def note(event: str, duration_secs: float, **about: str | int) -> None:
-        del duration_secs
-        if event == "/jax/core/compile/backend_compile_duration":
-            names.append(about.get("fun_name"))
-
-    jax.monitoring.register_event_duration_secs_listener(note)
-    yield names
-    jax.monitoring.unregister_event_duration_listener(note)
-
-
 # Each operation outside `jit` is a program of its own, which takes 20 to 60 ms.
 
 

@@ -1,7 +1,5 @@
 """simulate: exactness, segments, derivatives, compilation and input."""
 
-from typing import Any
-
 import diffrax as dfx
 import equinox as eqx
 import jax
@@ -24,7 +22,6 @@ from jaxchain import (
 )
 from jaxchain.result import NAMES, code, message
 from jaxchain.simulation.accuracy import choose_solver
-from jaxchain.simulation.run import _run
 
 CHAIN = paper_chain(4, belt_speed=1.4)
 START = equation_8(CHAIN, 2)
@@ -88,17 +85,15 @@ def test_the_amplitude_is_differentiable():
     np.testing.assert_allclose(tangent, by_differences, rtol=1e-3)
 
 
-def test_one_compilation_serves_every_number():
-    program: Any = _run
-
+def test_one_compilation_serves_every_number(compiled):
     def run(speed, width, t1, rtol):
         chain = CHAIN.with_(belt_speed=speed, width=width)
         simulate(chain, START, t1, observe=Amplitude(window=5.0), rtol=rtol)
 
     run(1.4, 1e-3, 10.0, 1e-6)
-    before = program._cached._cache_size()
+    compiled.clear()
     run(1.2, 1e-2, 20.0, 1e-5)
-    assert program._cached._cache_size() == before
+    assert not compiled
 
 
 def compiled_text(chain, **kwargs):
