@@ -79,7 +79,7 @@ def configure(
     if bits:
         jax.config.update("jax_enable_x64", True)
     if cache:
-        from ._programs import keep_programs  # which imports what `--help` has no use for
+        from ._program_folder import keep_programs  # which imports what `--help` has no use for
 
         in_the_way = keep_programs(None if cache is True else cache)
         if in_the_way and cache is not True:

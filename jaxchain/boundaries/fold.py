@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from .._stored import stored_jit
+from .._stored_programs import stored_jit
 from .._types import PerMass, State
 from ..continuation.fold_points import fold_residual
 from ..continuation.implicit import attach_derivative

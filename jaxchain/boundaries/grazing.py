@@ -29,7 +29,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from .._stored import stored_jit
+from .._stored_programs import stored_jit
 from .._types import ScalarLike, State
 from ..continuation.elimination import solve
 from ..continuation.implicit import attach_derivative

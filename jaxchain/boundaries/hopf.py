@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from .._stored import stored_jit
+from .._stored_programs import stored_jit
 from ..continuation.bracket import bisect
 from ..continuation.damped_newton import linearised, solve
 from ..continuation.implicit import attach_derivative

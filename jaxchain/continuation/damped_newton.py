@@ -19,7 +19,7 @@ from .._checks import (
     require_x64,
     to_float,
 )
-from .._stored import stored_jit
+from .._stored_programs import stored_jit
 from ..result import Outcome, SearchResult
 from .elimination import factor, substitute
 

@@ -18,7 +18,7 @@ from jaxtyping import Array, Complex, Float, Int
 
 from .._checks import to_float
 from .._reprs import summary
-from .._stored import stored_jit
+from .._stored_programs import stored_jit
 from .._types import State
 from ..continuation.damped_newton import Factors, factorise
 from ..continuation.implicit import attach_derivative

@@ -18,7 +18,7 @@ from .._checks import (
     shown,
     to_float,
 )
-from .._stored import stored_jit
+from .._stored_programs import stored_jit
 from .._types import State
 from ..model.arguments import as_chain, as_state
 from ..model.chain import Chain, require_smoothed

@@ -20,7 +20,7 @@ from .._checks import (
     is_traced,
     to_float,
 )
-from .._stored import stored_jit
+from .._stored_programs import stored_jit
 from .._types import State
 from ..model.arguments import as_chain, as_mass, as_state
 from ..model.chain import Chain, steady_sliding

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Complex, Float, Int
 
-from .._stored import stored_jit
+from .._stored_programs import stored_jit
 from .._types import State
 from ..continuation.damped_newton import Factors, Iterate, ending, factorise
 from ..continuation.implicit import attach_derivative

@@ -14,7 +14,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool
 
-from .._stored import stored_jit
+from .._stored_programs import stored_jit
 from .._types import State
 from ..model.chain import Chain
 from ..observers.quantities import active

@@ -25,7 +25,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import to_float
-from .._stored import stored_jit
+from .._stored_programs import stored_jit
 from .._types import State
 from ..model.oscillators import AbstractOscillators
 from ..solvers.rosenbrock import AbstractStructuredRosenbrock

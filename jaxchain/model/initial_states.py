@@ -17,7 +17,7 @@ from .._checks import (
     shown,
     to_float,
 )
-from .._stored import stored_jit
+from .._stored_programs import stored_jit
 from .._types import State
 from .arguments import as_chain, as_mass
 from .chain import Chain, steady_sliding

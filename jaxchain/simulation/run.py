@@ -21,7 +21,7 @@ from .._checks import (
 )
 from .._derivatives import both_ways
 from .._reprs import number, parameters, summary
-from .._stored import stored_jit
+from .._stored_programs import stored_jit
 from .._types import ScalarLike, State
 from ..model.arguments import as_chain, as_state
 from ..model.chain import Chain, require_smoothed

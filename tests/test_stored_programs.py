@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import jaxchain._programs as programs
+import jaxchain._program_folder as programs
 from jaxchain import hopf_belt_speed, paper_chain
-from jaxchain._stored import _code, stored_jit
+from jaxchain._stored_programs import _code, stored_jit
 from jaxchain.model.friction import ExponentialDecay
 
 traced = []
@@ -85,7 +85,7 @@ def test_what_may_decide_a_program_makes_another_one(folder, monkeypatch):
         assert count({"x": X}, 2) == 7
     monkeypatch.setenv("XLA_FLAGS", os.environ.get("XLA_FLAGS", "") + " ")
     assert count({"x": X}, 2) == 8
-    monkeypatch.setattr("jaxchain._stored._code", lambda room: "a later version")
+    monkeypatch.setattr("jaxchain._stored_programs._code", lambda room: "a later version")
     assert count({"x": X}, 2) == 9
 
 

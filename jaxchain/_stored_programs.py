@@ -32,7 +32,7 @@ import jax.tree_util as jtu
 import numpy as np
 from jax.experimental import serialize_executable
 
-from . import _programs
+from . import _program_folder
 from ._checks import is_traced
 
 # The packages whose code a program may come from.
@@ -72,7 +72,7 @@ def stored_jit(function: Callable) -> Callable:
 
     @functools.wraps(function)
     def run(*args: Any, **named: Any) -> Any:
-        if _programs.folder is None or not _wanted():
+        if _program_folder.folder is None or not _wanted():
             return ordinary(*args, **named)
         arrays, static = eqx.partition((args, named), eqx.is_array)
         leaves, structure = jtu.tree_flatten(arrays)
@@ -109,7 +109,7 @@ def _settings() -> list[Any]:
 
 def _program(function: Callable, leaves: list, structure: Any, static: Any) -> Callable | None:
     """The program as a function of the arrays, from the disk or for it; None if none is to be."""
-    folder = _programs.folder
+    folder = _program_folder.folder
     if folder is None or jax.default_backend() != "cpu":
         return None
     try:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-import jaxchain._programs as programs
+import jaxchain._program_folder as programs
 
 RUN = """
 import json, sys, warnings
