@@ -1,7 +1,9 @@
 """Ensembles: every combination of parameters and starts, as one labelled dataset.
 
-- `axes`: checks of what is swept, before anything is compiled
+- `axes`: checks of what is swept and observed
 - `dataset`: labels, units and provenance of results
+- `ensemble`: what a sweep computes, whatever runs it, checked before anything is compiled
+- `grid`: every combination of values, cut into blocks
 - `lanes`: what a lane does, and what all lanes of a device do
 - `programs`: programs for lanes, compiled once and loaded on every device
 - `scheduler`: lanes on every device, and the jobs that wait for them

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import inspect
+import math
 from collections import OrderedDict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeAlias
 
 import equinox as eqx
@@ -27,7 +28,11 @@ Axes: TypeAlias = dict[str, dict[str, np.ndarray]]
 
 
 def check_axes(
-    chain: Chain, initial: Any, over: Mapping[str, Any], vary: Callable[..., Chain] | None = None
+    chain: Chain,
+    initial: Any,
+    over: Mapping[str, Any],
+    vary: Callable[..., Chain] | None = None,
+    most: int = MOST_LANES,
 ) -> Axes:
     """`over` as arrays, or `ValueError`; `jobs` says what each lane gets."""
     for title, f in (("initial", initial), ("vary", vary)):
@@ -75,14 +80,13 @@ def check_axes(
         missing = [k for k in initial_names(f) if k not in names and not _has_default(f, k)]
         if missing:
             raise ValueError(f"Argument `{title}` needs {missing}: give their values in `over`.")
-    total = int(np.prod([float(size) for size in sizes(axes).values()]))
-    if total > MOST_LANES:
+    total = math.prod(sizes(axes).values())
+    if total > most:
         raise ValueError(
-            f"Argument `over` asks for {total} lanes; at most {MOST_LANES} run in one sweep. "
-            "Sweep over fewer values, or split the sweep."
+            f"Argument `over` asks for {total} lanes; at most {most} run in one sweep. "
+            "Sweep over fewer values, split the sweep, or keep it in a `store`."
         )
-    swept = {name: values for name, values in jobs(axes).items() if name in numbers}
-    for row in _extremes(swept):
+    for row in _extremes(axes, numbers):
         chain.with_(**row)  # raises for impossible numbers
     return axes
 
@@ -119,27 +123,39 @@ def jobs(axes: Axes) -> dict[str, np.ndarray]:
     }
 
 
-def _extremes(jobs: Mapping[str, np.ndarray]) -> list[dict[str, Any]]:
-    """The jobs in which a parameter is least or greatest; of arrays, the first and the last."""
-    ends = [
-        (int(np.argmin(v)), int(np.argmax(v))) if v.ndim == 1 else (0, len(v) - 1)
-        for v in jobs.values()
+def columns_of(axes: Axes) -> dict[str, np.ndarray]:
+    """The values of every parameter along its dimension."""
+    return {name: values for columns in axes.values() for name, values in columns.items()}
+
+
+def _extremes(axes: Axes, names: Sequence[str]) -> list[dict[str, Any]]:
+    """What these parameters are where one of them is least or greatest; of arrays, at the ends.
+
+    Those along other dimensions have their first values.
+    """
+    own = {k: (dim, v) for dim, columns in axes.items() for k, v in columns.items() if k in names}
+    places: list[dict[str, int]] = []
+    for dim, v in own.values():
+        ends = (np.argmin(v), np.argmax(v)) if v.ndim == 1 else (0, len(v) - 1)
+        places += [{dim: int(end)} for end in ends]
+    if {"mu_static", "mu_dynamic"} <= own.keys():
+        (dim, static), (other, dynamic) = own["mu_static"], own["mu_dynamic"]
+        if dim == other:
+            places.append({dim: int(np.argmin(static - dynamic))})
+        else:
+            places.append({dim: int(np.argmin(static)), other: int(np.argmax(dynamic))})
+    different = {tuple(sorted(place.items())): place for place in places}
+    return [
+        {name: v[place.get(dim, 0)] for name, (dim, v) in own.items()}
+        for place in different.values()
     ]
-    if {"mu_static", "mu_dynamic"} <= jobs.keys():
-        least = int(np.argmin(jobs["mu_static"] - jobs["mu_dynamic"]))
-        ends.append((least, least))
-    rows = sorted({row for pair in ends for row in pair})
-    return [{name: values[row] for name, values in jobs.items()} for row in rows]
 
 
-def check_vary(
-    chain: Chain, vary: Callable[..., Chain] | None, jobs: Mapping[str, np.ndarray]
-) -> None:
+def check_vary(chain: Chain, vary: Callable[..., Chain] | None, axes: Axes) -> None:
     """Raises what `vary` raises at the extremes of its parameters, and if it makes no chain."""
     if vary is None:
         return
-    own = {name: values for name, values in jobs.items() if name in initial_names(vary)}
-    for row in _extremes(own) or [{}]:
+    for row in _extremes(axes, initial_names(vary)) or [{}]:
         varied: Any = vary(chain, **row)
         if not isinstance(varied, Chain) or varied.n != chain.n:
             raise ValueError(

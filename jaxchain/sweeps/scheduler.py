@@ -1,7 +1,8 @@
 """The host's side of a sweep: a pool of lanes on every device, and the jobs that wait for them.
 
 Every device goes on by itself: while one is asked what has ended and is given other jobs, the
-others compute, and its own lanes have a job in reserve each.
+others compute, and its own lanes have a job in reserve each.  Jobs come in blocks, at most one
+under way for each device; while the last lanes of one end, others begin with the next.
 """
 
 from __future__ import annotations
@@ -9,20 +10,25 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.tree_util as jtu
 import numpy as np
+from tqdm import tqdm
 
 from .._configure import cores
 from .._progress import progress_bar
 from ..result import NAMES
+from .ensemble import Ensemble
+from .grid import Block
 from .lanes import AS_IT_IS, NOBODY, Place, Task, advance_pool, blank_place
 from .programs import place, ready, shape_of, starts_on
-from .starts import Start, Starts, first, start_of
+from .starts import Start, Starts, start_of
+from .starts import first as first_of
 
 # Numbers per array of one device's lanes: what keeps the arrays of a step within a core's cache.
 _NUMBERS_PER_DEVICE = {"cpu": 640, "gpu": 1 << 20}
@@ -74,17 +80,17 @@ class Pool:
         """Which lanes have a job under way."""
         return self.job >= 0
 
-    def starts_of(self, jobs: dict[str, np.ndarray], index: np.ndarray) -> Start:
-        """The starts of these jobs, one for each lane; always by the same program."""
-        values = jax.device_put({name: v[index] for name, v in jobs.items()}, self.device)
-        return starts_on(self.device, self.starts, values)
+    def starts_of(self, values: dict[str, np.ndarray]) -> Start:
+        """The starts of jobs with these values, one for each lane; always by the same program."""
+        return starts_on(self.device, self.starts, jax.device_put(values, self.device))
 
-    def go_on(self, jobs: dict[str, np.ndarray], numbers: np.ndarray, more: bool) -> None:
+    def go_on(
+        self, values_of: Callable[[np.ndarray], dict], numbers: np.ndarray, more: bool
+    ) -> None:
         """Some more rounds, with the `numbers` of the jobs that come next in each lane."""
         new = numbers >= 0
         if new.any():
-            index = np.where(new, numbers, numbers[new][0])
-            self._fresh = self.starts_of(jobs, index)
+            self._fresh = self.starts_of(values_of(np.where(new, numbers, numbers[new][0])))
         told = jax.device_put((numbers, np.asarray(more), np.asarray(self._rounds)), self.device)
         given = self._places, self._fresh, *told
         if self._program is None:
@@ -117,116 +123,182 @@ class Pool:
         self.width, self.pace, self._program = width, None, None
 
 
+@dataclass
+class _Open:
+    """A block under way."""
+
+    block: Block
+    jobs: dict[str, np.ndarray]
+    first: int  # number of its first job
+    left: int  # jobs that have not ended
+
+    def mine(self, numbers: np.ndarray) -> np.ndarray:
+        """Which of these jobs are its own."""
+        return (numbers >= self.first) & (numbers < self.first + self.block.size)
+
+
 class Scheduler:
-    """Hands jobs to the lanes of all devices and collects what they return, in `records`.
+    """Hands the jobs of blocks to the lanes of all devices and fills the `records` of the blocks.
 
     With `lanes` given, every device runs a program for that many lanes from first to last, idle
     ones among them.  Without, their number is whatever is fastest, and follows jobs, devices and
     the clock.
+
+    **Arguments:** `first`, a block like all others, or the largest; `total`, how many jobs there
+    are in all.
     """
 
     def __init__(
         self,
-        task: Task,
-        starts: Starts,
-        jobs: dict[str, np.ndarray],
+        ensemble: Ensemble,
+        first: Block,
+        total: int,
         devices: Sequence[Any] | None,
         lanes: int | None,
     ):
-        self.task, self.jobs = task, jobs
-        self.total = next(iter(jobs.values())).shape[0]
-        self.devices = list(jax.local_devices() if devices is None else devices)[: self.total]
+        task, starts = ensemble.task, ensemble.starts
+        self.ensemble, self.task, self.total = ensemble, task, total
+        self.devices = list(jax.local_devices() if devices is None else devices)[:total]
         # Of the CPU, and wanted: nobody chose the devices, and there are jobs for more of them.
         found = devices is None and self.devices[0].platform == "cpu"
         self.idle_cores = max(0, cores() - len(self.devices)) if found else 0
-        self.idle_cores *= self.total > len(self.devices)
+        self.idle_cores *= total > len(self.devices)
         self.fixed = lanes is not None
-        self.lanes = _lane_count(task.chain.n, self.total, self.devices, lanes)
-        start = eqx.filter_eval_shape(start_of, starts, first(jobs))
+        self.lanes = lane_count(task.chain.n, total, self.devices, lanes)
+        start = eqx.filter_eval_shape(start_of, starts, first_of(ensemble.jobs(first)))
         blank = shape_of(blank_place, task, start)
-        self.records = self._allocate(blank)
+        self._record = blank.record
+        self._check_memory(blank, first.size)
         self.pools = [Pool(device, task, starts, self.lanes, blank) for device in self.devices]
         self.waiting = np.arange(0)
+        self._blocks: Iterator[Block] = iter(())
+        self._open: list[_Open] = []
+        self._numbers = 0  # of the jobs in all blocks so far
+        self.finished = 0
+        """Jobs that have ended, for the progress bar."""
 
     @property
     def lanes_at_end(self) -> int:
         return max(pool.width for pool in self.pools)
 
-    def _allocate(self, blank: Place) -> dict[str, Any]:
-        """Host arrays for every job; raises before anything is compiled if they cannot fit."""
-        pools = self.lanes * len(self.devices) * _bytes(blank)
-        need = self.total * _bytes(blank.record) + pools
+    def _check_memory(self, blank: Place, size: int) -> None:
+        """Raises before anything is compiled if blocks of this size cannot fit."""
+        blocks = min(self.total, size * len(self.devices))
+        need = blocks * _bytes(blank.record) + self.lanes * len(self.devices) * _bytes(blank)
         free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
         if need > _MEMORY_SHARE * free:
             raise MemoryError(
-                f"The results of {self.total} runs and {self.lanes} lanes on each device need "
+                f"The results of {blocks} runs and {self.lanes} lanes on each device need "
                 f"{need / 2**30:.1f} GiB, but {free / 2**30:.1f} GiB are free. Sweep over fewer "
-                "values, observe less, or give fewer `lanes`."
+                "values, observe less, give fewer `lanes`, or keep the sweep in a `store`."
             )
+
+    def _blank_records(self, size: int) -> dict[str, Any]:
+        """Host arrays for the jobs of a block."""
 
         def nothing(s: jax.ShapeDtypeStruct) -> np.ndarray:
             fill = np.nan if np.issubdtype(s.dtype, np.floating) else 0
-            return np.full((self.total, *s.shape), fill, s.dtype)
+            return np.full((size, *s.shape), fill, s.dtype)
 
-        records = jtu.tree_map(nothing, blank.record)
+        records = jtu.tree_map(nothing, self._record)
         records["result"][:] = NAMES.index("interrupted")
         return records
 
-    def run(self, show: bool, description: str) -> None:
-        self.waiting = self._order()
-        with progress_bar(
+    def bar(self, show: bool, description: str) -> tqdm:
+        """A progress bar over all jobs; it tells of cores that lie idle."""
+        bar = progress_bar(
             total=self.total,
             desc=description,
             unit="lane",
             show=show,
             bar_format="{desc}: {percentage:3.0f}%|{bar}| {n:.1f}/{total} lanes "
             "[{elapsed}<{remaining}]",
-        ) as bar:
-            if show and self.idle_cores:
-                told = (
-                    f"{self.idle_cores} of {cores()} cores lie idle: call `jaxchain.configure()` "
-                    "before the first computation."
-                )
-                bar.write(told, file=sys.stderr)
-            finished = 0
-            try:
-                for pool in self.pools:
-                    self._go_on(pool)
-                while any(pool.asked for pool in self.pools):
-                    pool = self._next_ready()
-                    finished += self._collect(pool)
-                    for idle in self.pools:
-                        if not idle.asked:
-                            self._go_on(idle)
-                    if show:
-                        bar.n = round(finished + self._fraction_under_way(), 1)
-                        bar.refresh()
-            except KeyboardInterrupt:
-                for pool in self.pools:
-                    if pool.asked:
-                        self._collect(pool)
-                raise
+        )
+        if show and self.idle_cores:
+            told = (
+                f"{self.idle_cores} of {cores()} cores lie idle: call `jaxchain.configure()` "
+                "before the first computation."
+            )
+            bar.write(told, file=sys.stderr)
+        return bar
 
-    def _order(self) -> np.ndarray:
+    def run(
+        self,
+        blocks: Iterable[Block],
+        bar: tqdm,
+        ended: Callable[[Block], object] = lambda block: None,
+    ) -> None:
+        """Runs all jobs of the blocks; of each block `ended` is told once it is complete.
+
+        On an error, and on Ctrl-C, what has ended stands in the records of the blocks.
+        """
+        self._blocks = iter(blocks)
+        try:
+            for pool in self.pools:
+                self._go_on(pool)
+            while any(pool.asked for pool in self.pools):
+                pool = self._next_ready()
+                count = self._collect(pool, ended)
+                for idle in self.pools:
+                    if not idle.asked:
+                        self._go_on(idle)
+                self.finished += count
+                if not bar.disable:
+                    bar.n = round(self.finished + self._fraction_under_way(), 1)
+                    bar.refresh()
+        except KeyboardInterrupt:
+            for pool in self.pools:
+                if pool.asked:
+                    self._collect(pool, ended)
+            raise
+
+    def _next_block(self) -> None:
+        """Opens one more block, if there is one, and one fewer under way than devices."""
+        if len(self._open) >= len(self.pools):
+            return
+        if (block := next(self._blocks, None)) is None:
+            return
+        block.records = self._blank_records(block.size)
+        own = _Open(block, self.ensemble.jobs(block), self._numbers, block.size)
+        self._open.append(own)
+        self._numbers += block.size
+        self.waiting = np.concatenate([self.waiting, own.first + self._order(own.jobs)])
+
+    def _values(self, numbers: np.ndarray) -> dict[str, np.ndarray]:
+        """The values of these jobs, of the blocks under way."""
+        values: dict[str, np.ndarray] = {}
+        for own in self._open:
+            mine = own.mine(numbers)
+            for name, all in own.jobs.items():
+                found = values.setdefault(
+                    name, np.empty((len(numbers), *all.shape[1:]), all.dtype)
+                )
+                found[mine] = all[numbers[mine] - own.first]
+        return values
+
+    def _order(self, jobs: dict[str, np.ndarray]) -> np.ndarray:
         """Jobs that start farthest from rest first: they take longest, and must not come last.
 
         So that every device gets some of these, the first ones are dealt out.
         """
-        far, width = [], self.lanes
-        for begin in range(0, self.total, width):
-            index = np.minimum(np.arange(begin, begin + width), self.total - 1)
-            start = self.pools[begin // width % len(self.pools)].starts_of(self.jobs, index)
+        far, width, total = [], self.lanes, len(next(iter(jobs.values())))
+        for begin in range(0, total, width):
+            index = np.minimum(np.arange(begin, begin + width), total - 1)
+            pool = self.pools[begin // width % len(self.pools)]
+            start = pool.starts_of({name: values[index] for name, values in jobs.items()})
             x, v = map(np.asarray, start.state)
             with np.errstate(invalid="ignore"):  # a start that is not finite fails in its own lane
                 rest = np.median(x, axis=1, keepdims=True)
                 far.append(np.sum((x - rest) ** 2 + v**2, axis=1))
-        order = np.argsort(-np.concatenate(far)[: self.total], kind="stable")
+        order = np.argsort(-np.concatenate(far)[:total], kind="stable")
         count = len(self.pools)
         dealt = [order[: width * count][i::count] for i in range(count)]
         return np.concatenate([*dealt, order[width * count :]])
 
     def _go_on(self, pool: Pool) -> None:
         """Idle lanes take the first jobs that wait; if there are plenty, busy ones the next."""
+        if self.waiting.size < sum(own.width for own in self.pools):
+            self._next_block()
         numbers = np.full(pool.width, AS_IT_IS)
         free = np.flatnonzero(~pool.busy & (pool.next_job < 0))
         if self.waiting.size < free.size:
@@ -242,7 +314,7 @@ class Scheduler:
             return
         if not self.fixed and not self.waiting.size:
             numbers = self._shrink(pool, numbers)
-        pool.go_on(self.jobs, numbers, more=self.waiting.size > 0)
+        pool.go_on(self._values, numbers, more=self.waiting.size > 0)
 
     def _hand_out(self, numbers: np.ndarray, lanes: np.ndarray) -> None:
         lanes = lanes[: self.waiting.size]
@@ -258,16 +330,19 @@ class Scheduler:
             time.sleep(pause)
             pause = min(1.2 * pause, 2e-3)
 
-    def _collect(self, pool: Pool) -> int:
+    def _collect(self, pool: Pool, ended: Callable[[Block], object]) -> int:
         """Stores the records of the lanes that have ended; how many."""
         jobs, record = pool.outcome()
-        ended = jobs >= 0
-
-        def store(all: np.ndarray, own: np.ndarray) -> None:
-            all[jobs[ended]] = own[ended]
-
-        jtu.tree_map(store, self.records, record)
-        return int(ended.sum())
+        for own in list(self._open):
+            mine = own.mine(jobs)
+            at = jobs[mine] - own.first
+            for all, one in zip(*map(jtu.tree_leaves, (own.block.records, record)), strict=True):
+                all[at] = one[mine]
+            own.left -= len(at)
+            if own.left == 0:
+                self._open.remove(own)
+                ended(own.block)
+        return int(np.sum(jobs >= 0))
 
     def _shrink(self, pool: Pool, numbers: np.ndarray) -> np.ndarray:
         """Once few lanes are left, and long ones, a pool of a quarter of the width goes on.
@@ -289,7 +364,7 @@ class Scheduler:
         return float(np.sum(np.concatenate(gone)))
 
 
-def _lane_count(n: int, total: int, devices: Sequence[Any], lanes: int | None) -> int:
+def lane_count(n: int, total: int, devices: Sequence[Any], lanes: int | None) -> int:
     if lanes is not None:
         return lanes
     platform = "cpu" if devices[0].platform == "cpu" else "gpu"

@@ -10,57 +10,27 @@ lane makes another motion of it.  `lanes` fixes the program.
 
 from __future__ import annotations
 
-import functools
 import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import diffrax as dfx
-import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from .._checks import (
-    check_concrete,
-    check_count,
-    check_finite,
-    check_flag,
-    check_kind,
-    shown,
-    to_float,
-)
+from .._checks import check_count, check_flag, check_kind, shown
 from .._types import ScalarLike, State
-from ..model.arguments import as_chain
-from ..model.chain import Chain, require_smoothed
-from ..model.parameters import parameter
+from ..model.chain import Chain
 from ..result import NAMES, ended_well, message
-from ..simulation.accuracy import (
-    MAX_STEP,
-    NO_ACCURACY,
-    USUAL_RTOL,
-    check_resolved,
-    check_span,
-    check_tolerances,
-    choose_numerics,
-    choose_solver,
-    default_rtol,
-    own_solver,
-)
+from ..simulation.accuracy import MAX_STEP
 from ..simulation.event_driven import EventDriven
-from ..simulation.run import build_plan, check_segments
-from .axes import check_axes, check_observers, check_vary
-from .axes import jobs as jobs_of
-from .lanes import Task
+from .ensemble import prepare
+from .grid import Grid
 from .scheduler import Scheduler
-from .starts import Starts, chain_names, initial_names, known_again, own_chain
 
 if TYPE_CHECKING:
     from xarray import Dataset
-
-# Values of a parameter of `initial` that are tried one by one before a sweep.
-_MOST_TRIED = 64
 
 
 class SweepInterrupted(KeyboardInterrupt):
@@ -157,136 +127,33 @@ def sweep(
         >>> result.active_count.dims
         ('belt_speed', 'excited')
     """
-    # pandas comes with xarray, and would double the time of `import jaxchain`.
-    from .dataset import describe, to_dataset
-
-    remedy = "for other oscillators use `jax.vmap` of `simulate`, with `throw=False`."
-    chain = as_chain(chain, remedy=remedy)
-    check_concrete("use `jax.vmap` of `simulate`.", chain=chain, t1=t1, t0=t0, over=over)
-    check_span(t0, t1)
-    solver = own_solver(chain, solver)
     _check_running(lanes, devices, progress, description)
-    axes = check_axes(chain, initial, over, vary)
-    jobs = jobs_of(axes)
-    swept = list(jobs)
-    _check_initial(chain, initial, jobs)
-    check_vary(chain, vary, jobs)
-    smoothed = not isinstance(solver, EventDriven)
-    widths = None
-    if accuracy is not None:
-        require_smoothed(chain, NO_ACCURACY)
-        if rtol is not None or "width" in jobs:
-            raise ValueError(
-                "Argument `accuracy` picks the width and `rtol`: leave out `rtol`, and `width` of "
-                "`over`."
-            )
-        widths, rtol = _numerics(chain, vary, jobs, accuracy)
-    width: Any = jobs.get("width", chain.width)
-    speed: Any = jobs.get("belt_speed", chain.belt_speed)
-    tolerance: Any = rtol
-    if rtol is None:
-        tolerance = default_rtol(chain.n, width, speed) if smoothed else USUAL_RTOL
-    check_tolerances(tolerance, atol, max_step)
-    if not smoothed:
-        widths = None
-    elif widths is not None:
-        jobs["width"] = widths
-    else:
-        check_resolved(chain.n, width, speed, tolerance, atol)
-    check_segments(segments)
-    length = (float(t1) - float(t0)) / (segments or 1)
-    observers = check_observers(observe, chain, length, axes)
-    check_count("max_steps", max_steps)
-    absolute: Any = 0.1 * tolerance if atol is None else atol
-    if solver is None:
-        solver = choose_solver(_strongest(chain, jobs), float(tolerance), float(max_step))
-    plan = build_plan(solver, observers, tolerance, absolute, max_step, t1)
-    most = None if max_steps is None else jnp.asarray(max_steps)
-    starts = Starts(chain, known_again(initial), known_again(vary))
-    task = Task(plan, chain, to_float(t0), to_float(t1), most, starts.varied(jobs), segments)
-    runner = Scheduler(task, starts, jobs, devices, lanes)
+    ensemble = prepare(
+        chain, initial, t1, over=over, vary=vary, observe=observe, t0=t0, solver=solver,
+        accuracy=accuracy, rtol=rtol, atol=atol, max_step=max_step, max_steps=max_steps,
+        segments=segments,
+    )  # fmt: skip
+    (block,) = Grid(ensemble.axes).blocks()
+    runner = Scheduler(ensemble, block, block.size, devices, lanes)
     started = time.perf_counter()
     interrupted = False
     try:
-        runner.run(progress, description)
+        with runner.bar(progress, description) as bar:
+            runner.run([block], bar)
     except KeyboardInterrupt:
         interrupted = True
-    attrs = describe(chain, plan, t0=float(t0), t1=float(t1), swept=swept)
-    attrs |= {
+    attrs = {
         "wall_time_s": round(time.perf_counter() - started, 3),
         "devices": ", ".join(str(d) for d in runner.devices),
         "device_kind": ", ".join(sorted({d.device_kind for d in runner.devices})),
         "lanes_per_device": runner.lanes,
         "lanes_per_device_at_end": runner.lanes_at_end,
     }
-    edges = None if segments is None else np.asarray(task.edge(np.arange(segments + 1)))
-    dataset = to_dataset(runner.records, axes, chain, attrs, edges)
-    if widths is not None:
-        about = parameter("width").attrs
-        about["long_name"] += " that `accuracy` picked"
-        dataset["width"] = (tuple(axes), widths.reshape(dataset["result"].shape), about)
-        dataset.attrs["accuracy"] = accuracy
+    dataset = ensemble.dataset(block, ensemble.attrs | attrs)
     if interrupted:
         raise SweepInterrupted(dataset)
     _warn_of_failures(dataset)
     return dataset
-
-
-def _numerics(
-    chain: Chain,
-    vary: Callable[..., Chain] | None,
-    jobs: Mapping[str, np.ndarray],
-    accuracy: float,
-) -> tuple[np.ndarray, float]:
-    """The width of every job, and one rtol for all."""
-    names = [*chain_names(chain), *([] if vary is None else initial_names(vary))]
-    own = {name: jnp.asarray(v) for name, v in jobs.items() if name in names}
-
-    def of_one(values: dict[str, Any]) -> tuple[Any, Any]:
-        chosen = choose_numerics(own_chain(chain, vary, values), accuracy)
-        return chosen.width, chosen.rtol
-
-    count = next(iter(jobs.values())).size
-    if own:
-        widths, rtols = jax.vmap(of_one)(own)
-    else:
-        widths, rtols = (jnp.full(count, a) for a in of_one({}))
-    return np.asarray(widths), float(jnp.min(rtols))
-
-
-def _check_initial(
-    chain: Chain, initial: State | Callable[..., State], jobs: Mapping[str, np.ndarray]
-) -> None:
-    """Raises what `initial` raises for a value of its own, and for a state that does not fit.
-
-    In a compiled program all values are traced, and 30 excited masses of 20 would pass for 20.
-    """
-    states: list[Any] = [initial]
-    if callable(initial):
-        own = {name: v for name, v in jobs.items() if name in initial_names(initial)}
-        first = {name: jnp.asarray(values[0]) for name, values in own.items()}
-        rows = [first]
-        for name, values in own.items():
-            different = np.unique(values) if values.ndim == 1 else values[:0]
-            kept = different if different.size <= _MOST_TRIED else different[[0, -1]]
-            rows += [first | {name: jnp.asarray(value)} for value in kept]
-        states = [eqx.filter_eval_shape(functools.partial(initial, chain, **row)) for row in rows]
-    for state in states:
-        if not isinstance(state, tuple | list) or len(state) != 2:
-            raise ValueError(
-                "Argument `initial` must be the pair (displacement, velocity) or return it, but "
-                f"that is {shown(state)}: see `excited_state`."
-            )
-        for name, part in zip(("displacement", "velocity"), state, strict=True):
-            if not isinstance(part, jax.ShapeDtypeStruct):
-                to_float(part, f"initial {name}", "see `excited_state` for initial states.")
-            if jnp.shape(part) not in ((), (chain.n,)):
-                raise ValueError(
-                    f"Argument `initial` has a {name} of shape {jnp.shape(part)}, but the chain "
-                    f"has {chain.n} masses."
-                )
-            if not callable(initial):
-                check_finite(f"initial {name}", part, "see `excited_state` for initial states.")
 
 
 def _check_running(lanes: Any, devices: Any, progress: Any, description: Any) -> None:
@@ -299,13 +166,6 @@ def _check_running(lanes: Any, devices: Any, progress: Any, description: Any) ->
             "Argument `devices` must be None (all of this computer) or a list of devices, such as "
             f"`jax.devices()`, but is {shown(devices)}."
         )
-
-
-def _strongest(chain: Chain, jobs: Mapping[str, np.ndarray]) -> Chain:
-    """The chain with the strongest coupling of the sweep, for the choice of the linear solve."""
-    if "coupling" in jobs:
-        return chain.with_(coupling=float(np.max(jobs["coupling"])))
-    return chain
 
 
 def _warn_of_failures(dataset: Dataset) -> None:
