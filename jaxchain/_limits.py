@@ -1,7 +1,7 @@
 """How much, and how little, is taken: bounds that several rooms share.  Nothing here needs JAX."""
 
-# Runs of one sweep.
-MOST_LANES = 10**7
+# Runs of one sweep in memory, and of one in a store.
+MOST_LANES, MOST_STORED = 10**7, 10**12
 # Below this a step is judged by rounding errors alone, or by squares that underflow.
 LEAST_RTOL, LEAST_ATOL = 1e-15, 1e-30
 # Of smoothed friction against true dry friction, relative.

@@ -66,6 +66,10 @@ class Result(eqx.Enumeration, metaclass=_Ways):  # pyright: ignore
         "The end of the run, or of its transient, is NaN, infinite, or lies before its start. "
         "Give finite times in their order: dry friction cannot be integrated backward in time."
     )
+    pending = (
+        "This lane has not run yet: the sweep that its store is for is under way, or was cut off. "
+        "Make the same call again, or `jaxchain resume` it."
+    )
 
 
 class SearchResult(eqx.Enumeration, metaclass=_Ways):  # pyright: ignore
@@ -182,6 +186,16 @@ def ended_well(result: Any) -> Any:
         return NAMES.index(result) in _STOPPED_WELL
     result = code(result) if isinstance(result, type(Result.quiet)) else result
     return functools.reduce(operator.or_, [result == well for well in _STOPPED_WELL])
+
+
+def ended_as(codes: Any) -> dict[str, int]:
+    """How many of these runs ended in which way, in the order of the enumeration.
+
+    >>> ended_as([0, 3, 0])
+    {'successful': 2, 'max_steps_reached': 1}
+    """
+    values, counts = np.unique(np.asarray(codes), return_counts=True)
+    return {NAMES[value]: int(count) for value, count in zip(values, counts, strict=True)}
 
 
 def message(name: str) -> str:

@@ -14,6 +14,7 @@ import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import jax.tree_util as jtu
 import numpy as np
 
 from .._checks import check_concrete, check_count, check_finite, shown, to_float
@@ -22,6 +23,7 @@ from .._types import ScalarLike, State
 from ..model.arguments import as_chain
 from ..model.chain import Chain, require_smoothed
 from ..model.parameters import parameter
+from ..result import NAMES
 from ..simulation.accuracy import (
     MAX_STEP,
     NO_ACCURACY,
@@ -38,8 +40,9 @@ from ..simulation.event_driven import EventDriven
 from ..simulation.run import build_plan, check_segments
 from .axes import Axes, check_axes, check_observers, check_vary, columns_of
 from .grid import Block, Grid, chunks_of
-from .lanes import Task
-from .starts import Starts, chain_names, initial_names, known_again, own_chain
+from .lanes import Task, blank_place
+from .programs import shape_of
+from .starts import Starts, chain_names, first, initial_names, known_again, own_chain, start_of
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -59,12 +62,38 @@ class Ensemble:
     axes: Axes
     accuracy: float | None = None
 
+    @functools.cached_property
+    def place(self) -> Any:
+        """The shapes of a lane's place in a pool."""
+        start = eqx.filter_eval_shape(start_of, self.starts, first(self.jobs(self.first_job())))
+        return shape_of(blank_place, self.task, start)
+
+    def blank_records(self, size: int) -> dict[str, Any]:
+        """Host arrays for what so many jobs leave, of which nothing is known."""
+
+        def nothing(s: jax.ShapeDtypeStruct) -> np.ndarray:
+            fill = np.nan if np.issubdtype(s.dtype, np.floating) else 0
+            return np.full((size, *s.shape), fill, s.dtype)
+
+        records = jtu.tree_map(nothing, self.place.record)
+        records["result"][:] = NAMES.index("interrupted")
+        return records
+
     def jobs(self, block: Block) -> dict[str, np.ndarray]:
         """All that the jobs of a block take."""
         if self.accuracy is None:
             return block.jobs
         widths, _ = _numerics(self.starts.chain, self.starts.vary, block.jobs, self.accuracy)
         return block.jobs | {"width": widths}
+
+    @property
+    def total(self) -> int:
+        """Of jobs."""
+        return Grid(self.axes).total
+
+    def first_job(self) -> Block:
+        """A block of one job."""
+        return Grid(self.axes, dict.fromkeys(self.axes, 1)).block((0,) * len(self.axes))
 
     @property
     def attrs(self) -> dict[str, Any]:
@@ -154,10 +183,10 @@ def prepare(
     plan = build_plan(solver, observers, tolerance, absolute, max_step, t1)
     steps = None if max_steps is None else jnp.asarray(max_steps)
     starts = Starts(chain, known_again(initial), known_again(vary))
-    first = {name: values[:1] for name, values in columns.items()}
+    one = {name: values[:1] for name, values in columns.items()}
     if smoothed and accuracy is not None:
-        first["width"] = np.ones(1)
-    task = Task(plan, chain, to_float(t0), to_float(t1), steps, starts.varied(first), segments)
+        one["width"] = np.ones(1)
+    task = Task(plan, chain, to_float(t0), to_float(t1), steps, starts.varied(one), segments)
     return Ensemble(task, starts, axes, accuracy if smoothed else None)
 
 

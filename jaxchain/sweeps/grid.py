@@ -70,7 +70,8 @@ class Grid:
         """Of blocks, along each dimension."""
         return tuple(-(-n // self.chunks[dim]) for dim, n in self.sizes.items())
 
-    def keys(self) -> Iterator[Key]:
+    def places(self) -> Iterator[Key]:
+        """Of all blocks."""
         return itertools.product(*map(range, self.counts))
 
     def region(self, key: Key) -> dict[str, slice]:
@@ -88,7 +89,7 @@ class Grid:
         return Block(key, region, axes, jobs(axes))
 
     def blocks(self) -> Iterator[Block]:
-        return map(self.block, self.keys())
+        return map(self.block, self.places())
 
 
 def check_chunks(chunks: Any, axes: Axes) -> dict[str, int] | None:

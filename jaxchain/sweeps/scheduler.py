@@ -22,13 +22,11 @@ from tqdm import tqdm
 
 from .._configure import cores
 from .._progress import progress_bar
-from ..result import NAMES
 from .ensemble import Ensemble
 from .grid import Block
-from .lanes import AS_IT_IS, NOBODY, Place, Task, advance_pool, blank_place
-from .programs import place, ready, shape_of, starts_on
-from .starts import Start, Starts, start_of
-from .starts import first as first_of
+from .lanes import AS_IT_IS, NOBODY, Place, Task, advance_pool
+from .programs import place, ready, starts_on
+from .starts import Start, Starts
 
 # Numbers per array of one device's lanes: what keeps the arrays of a step within a core's cache.
 _NUMBERS_PER_DEVICE = {"cpu": 640, "gpu": 1 << 20}
@@ -144,14 +142,13 @@ class Scheduler:
     ones among them.  Without, their number is whatever is fastest, and follows jobs, devices and
     the clock.
 
-    **Arguments:** `first`, a block like all others, or the largest; `total`, how many jobs there
-    are in all.
+    **Arguments:** `largest`, jobs of the largest block; `total`, of all blocks.
     """
 
     def __init__(
         self,
         ensemble: Ensemble,
-        first: Block,
+        largest: int,
         total: int,
         devices: Sequence[Any] | None,
         lanes: int | None,
@@ -165,10 +162,8 @@ class Scheduler:
         self.idle_cores *= total > len(self.devices)
         self.fixed = lanes is not None
         self.lanes = lane_count(task.chain.n, total, self.devices, lanes)
-        start = eqx.filter_eval_shape(start_of, starts, first_of(ensemble.jobs(first)))
-        blank = shape_of(blank_place, task, start)
-        self._record = blank.record
-        self._check_memory(blank, first.size)
+        blank = ensemble.place
+        self._check_memory(blank, largest)
         self.pools = [Pool(device, task, starts, self.lanes, blank) for device in self.devices]
         self.waiting = np.arange(0)
         self._blocks: Iterator[Block] = iter(())
@@ -192,17 +187,6 @@ class Scheduler:
                 f"{need / 2**30:.1f} GiB, but {free / 2**30:.1f} GiB are free. Sweep over fewer "
                 "values, observe less, give fewer `lanes`, or keep the sweep in a `store`."
             )
-
-    def _blank_records(self, size: int) -> dict[str, Any]:
-        """Host arrays for the jobs of a block."""
-
-        def nothing(s: jax.ShapeDtypeStruct) -> np.ndarray:
-            fill = np.nan if np.issubdtype(s.dtype, np.floating) else 0
-            return np.full((size, *s.shape), fill, s.dtype)
-
-        records = jtu.tree_map(nothing, self._record)
-        records["result"][:] = NAMES.index("interrupted")
-        return records
 
     def bar(self, show: bool, description: str) -> tqdm:
         """A progress bar over all jobs; it tells of cores that lie idle."""
@@ -258,7 +242,7 @@ class Scheduler:
             return
         if (block := next(self._blocks, None)) is None:
             return
-        block.records = self._blank_records(block.size)
+        block.records = self.ensemble.blank_records(block.size)
         own = _Open(block, self.ensemble.jobs(block), self._numbers, block.size)
         self._open.append(own)
         self._numbers += block.size
@@ -365,6 +349,7 @@ class Scheduler:
 
 
 def lane_count(n: int, total: int, devices: Sequence[Any], lanes: int | None) -> int:
+    """Lanes at a time on each device, if not given: what fits its cache, and its share."""
     if lanes is not None:
         return lanes
     platform = "cpu" if devices[0].platform == "cpu" else "gpu"

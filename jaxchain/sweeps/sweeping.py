@@ -10,23 +10,25 @@ lane makes another motion of it.  `lanes` fixes the program.
 
 from __future__ import annotations
 
+import os
 import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import diffrax as dfx
 import jax
-import numpy as np
 
 from .._checks import check_count, check_flag, check_kind, shown
+from .._limits import MOST_LANES, MOST_STORED
 from .._types import ScalarLike, State
 from ..model.chain import Chain
-from ..result import NAMES, ended_well, message
+from ..result import ended_as, ended_well, message
 from ..simulation.accuracy import MAX_STEP
 from ..simulation.event_driven import EventDriven
-from .ensemble import prepare
-from .grid import Grid
+from .ensemble import Ensemble, prepare
+from .grid import Grid, check_chunks
 from .scheduler import Scheduler
 
 if TYPE_CHECKING:
@@ -59,6 +61,8 @@ def sweep(
     segments: int | None = None,
     lanes: int | None = None,
     devices: Sequence[Any] | None = None,
+    store: str | os.PathLike | None = None,
+    chunks: Mapping[str, int] | None = None,
     progress: bool = False,
     description: str = "sweep",
 ) -> Dataset:
@@ -131,10 +135,13 @@ def sweep(
     ensemble = prepare(
         chain, initial, t1, over=over, vary=vary, observe=observe, t0=t0, solver=solver,
         accuracy=accuracy, rtol=rtol, atol=atol, max_step=max_step, max_steps=max_steps,
-        segments=segments,
+        segments=segments, most=MOST_LANES if store is None else MOST_STORED,
     )  # fmt: skip
+    chunks = check_chunks(chunks, ensemble.axes)
+    if store is not None:
+        return _stored(_path_of(store), ensemble, chunks, lanes, devices, progress, description)
     (block,) = Grid(ensemble.axes).blocks()
-    runner = Scheduler(ensemble, block, block.size, devices, lanes)
+    runner = Scheduler(ensemble, block.size, block.size, devices, lanes)
     started = time.perf_counter()
     interrupted = False
     try:
@@ -152,8 +159,29 @@ def sweep(
     dataset = ensemble.dataset(block, ensemble.attrs | attrs)
     if interrupted:
         raise SweepInterrupted(dataset)
-    _warn_of_failures(dataset)
+    _warn_of_failures(ended_as(dataset["result"].values))
     return dataset
+
+
+def _stored(
+    path: Path,
+    ensemble: Ensemble,
+    chunks: dict[str, int] | None,
+    lanes: int | None,
+    devices: Sequence[Any] | None,
+    progress: bool,
+    description: str,
+) -> Dataset:
+    """Fills a store, and opens it."""
+    from .filling import Filler, open_for
+
+    kept = open_for(path, ensemble, chunks, lanes)
+    try:
+        Filler(kept, ensemble, devices).fill(progress, description)
+    except KeyboardInterrupt:
+        raise SweepInterrupted(kept.dataset()) from None
+    _warn_of_failures(kept.finish())
+    return kept.dataset()
 
 
 def _check_running(lanes: Any, devices: Any, progress: Any, description: Any) -> None:
@@ -168,12 +196,19 @@ def _check_running(lanes: Any, devices: Any, progress: Any, description: Any) ->
         )
 
 
-def _warn_of_failures(dataset: Dataset) -> None:
-    codes = dataset["result"].values
-    for value, name in enumerate(NAMES):
-        count = int(np.sum(codes == value))
-        if count and not ended_well(name):
+def _warn_of_failures(results: Mapping[str, int]) -> None:
+    for name, count in results.items():
+        if not ended_well(name):
             warnings.warn(
-                f"{count} of {codes.size} lanes ended with `{name}`: {message(name)}",
-                stacklevel=3,
+                f"{count} of {sum(results.values())} lanes ended with `{name}`: {message(name)}",
+                stacklevel=4,
             )
+
+
+def _path_of(store: Any) -> Path:
+    if not isinstance(store, str | os.PathLike) or not os.fspath(store):
+        raise ValueError(
+            f"Argument `store` must be None or the name of a folder, but is {shown(store)}: give "
+            '"sweep.zarr", say.'
+        )
+    return Path(store)

@@ -1,0 +1,195 @@
+"""What decides the numbers of a sweep, but for its grid: by it a store knows whose it is.
+
+Numbers, words and digests, by names that say in an error what has changed.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import inspect
+import re
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jax.tree_util as jtu
+import numpy as np
+
+from .axes import Axes, columns_of
+from .dataset import versions
+from .ensemble import Ensemble
+from .starts import first as first_of
+from .starts import start_of
+
+# Of this package: all that a lane does and sees.
+_CODE = ("model", "observers", "solvers", "simulation", "sweeps/lanes.py", "sweeps/starts.py")
+_OUR_MODULES = ("jaxchain.", "diffrax.")
+# A number is shown in an error, an array up to this size too.
+_SHOWN = 4
+# So is what an observer says of itself, up to so many characters.
+_LONGEST = 200
+
+
+def fingerprint(ensemble: Ensemble, lanes: int) -> dict[str, Any]:
+    """All that decides what comes out of a lane, as JSON: a tree of names."""
+    task, starts, axes = ensemble.task, ensemble.starts, ensemble.axes
+    chain, plan = starts.chain, task.plan
+    swept = columns_of(axes)
+    numbers = {**chain.numbers(), "n": chain.n, "ends": chain.ends}
+    observers = {f"observer {i}": o for i, o in enumerate(plan.observers, start=1)}
+    solver = eqx.tree_at(lambda p: p.observers, plan, None, is_leaf=lambda a: a is None)
+    first = ensemble.jobs(ensemble.first_job())
+    return {
+        "chain": {k: _value(v) for k, v in numbers.items() if k not in swept and v is not None},
+        "friction": {
+            "law": _kind(type(chain.friction)),
+            "curve": _program(_force, chain.friction, jnp.zeros(())),
+        },
+        "solver": _parts(solver),
+        "observers": {name: _parts(observer) for name, observer in observers.items()},
+        "t0": float(task.t0),
+        "t1": float(task.t1),
+        "max_steps": None if task.max_steps is None else int(task.max_steps),
+        "segments": task.segments,
+        "accuracy": ensemble.accuracy,
+        "initial and vary": _program(start_of, starts, first_of(first)),
+        "lanes": lanes,
+        "over": {dim: sorted(columns) for dim, columns in axes.items()},
+        "versions": {k: v for k, v in versions().items() if k != "python"},
+        "code of jaxchain": code(),
+    }
+
+
+def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
+    """What is not the same, in words."""
+    old, new = dict(_flat(before)), dict(_flat(now))
+    said = []
+    for name in [*old, *(name for name in new if name not in old)]:
+        was, now_is = old.get(name), new.get(name)
+        if was == now_is:
+            continue
+        digests = isinstance(was, str) and was.startswith("sha256")
+        said.append(
+            f"{name} has changed" if digests else f"{name} was {_word(was)} and is {_word(now_is)}"
+        )
+    return said
+
+
+def digest(values: Any) -> str:
+    """Of an array: its values, shape and kind."""
+    array = np.ascontiguousarray(values)
+    about = f"{array.dtype.str}{array.shape}".encode()
+    return f"sha256 {hashlib.sha256(about + array.tobytes()).hexdigest()[:32]}"
+
+
+def columns(axes: Axes) -> dict[str, dict[str, str]]:
+    """The digest of all that is swept, by dimension and name."""
+    return {
+        dim: {name: digest(values) for name, values in own.items()} for dim, own in axes.items()
+    }
+
+
+@functools.cache
+def code() -> str:
+    """Of the source of this package, as far as it decides numbers."""
+    root = Path(__file__).parents[1]
+    files = [f for part in _CODE for f in sorted((root / part).rglob("*.py")) or [root / part]]
+    return _digest(*(file.read_bytes() for file in files))
+
+
+def _digest(*parts: bytes) -> str:
+    found = hashlib.sha256()
+    for part in parts:
+        found.update(len(part).to_bytes(8, "little") + part)
+    return f"sha256 {found.hexdigest()[:32]}"
+
+
+def _value(value: Any) -> Any:
+    """A number, a few numbers, or the digest of many; words as they are."""
+    if value is None or isinstance(value, str | bool | int | float):
+        return value
+    array = np.asarray(value)
+    return array.tolist() if array.size <= _SHOWN else digest(array)
+
+
+def _parts(tree: Any) -> dict[str, Any]:
+    """The leaves of a solver or an observer by their places, and what is no array in words."""
+    arrays, static = eqx.partition(tree, eqx.is_array_like)
+    leaves = {
+        jtu.keystr(path).lstrip("."): _value(leaf)
+        for path, leaf in jtu.tree_leaves_with_path(arrays)
+    }
+    words = re.sub(
+        r"0x[0-9a-f]{6,}", "", f"{jtu.tree_structure(static)} {jtu.tree_leaves(static)}"
+    )
+    kinds = {type(tree), *(type(leaf) for leaf in _modules(tree))}
+    own = {_kind(kind): _source(kind) for kind in kinds if not _is_ours(kind)}
+    text = repr(tree)
+    kind = text if len(text) <= _LONGEST else _kind(type(tree))
+    parts = {"kind": kind, **leaves, "settings": _digest(words.encode())}
+    return parts | ({"code": own} if own else {})
+
+
+def _modules(tree: Any) -> Iterator[eqx.Module]:
+    """Those below a module, in its fields."""
+    for value in vars(tree).values() if isinstance(tree, eqx.Module) else ():
+        nested = jtu.tree_leaves(value, is_leaf=lambda a: isinstance(a, eqx.Module))
+        for leaf in nested:
+            if isinstance(leaf, eqx.Module):
+                yield leaf
+                yield from _modules(leaf)
+
+
+def _is_ours(kind: type) -> bool:
+    return kind.__module__.startswith(_OUR_MODULES)
+
+
+def _kind(kind: type) -> str:
+    return kind.__qualname__ if _is_ours(kind) else f"{kind.__module__}.{kind.__qualname__}"
+
+
+def _source(kind: type) -> str:
+    """Of a class of the user's own and its bases; empty where it cannot be read."""
+    texts = []
+    for base in kind.__mro__:
+        if not _is_ours(base) and base.__module__ not in ("builtins", "abc"):
+            try:
+                texts.append(inspect.getsource(base))
+            except (OSError, TypeError):
+                continue
+    return _digest(*(text.encode() for text in texts))
+
+
+def _force(friction: Any, speed: Any) -> Any:
+    return friction.force_and_slope(speed)
+
+
+def _program(function: Callable, tree: Any, *arguments: Any) -> str:
+    """Of what a function of the user computes, as JAX sees it: the text of its program.
+
+    So a comment or another name changes nothing, and a number that a function has from elsewhere
+    does.
+    """
+    arrays, static = eqx.partition(tree, eqx.is_array)
+
+    def traced(arrays: Any, *arguments: Any) -> Any:
+        return function(eqx.combine(arrays, static), *arguments)
+
+    lowered = jax.jit(traced).trace(arrays, *arguments).lower(lowering_platforms=("cpu",))
+    return _digest(lowered.as_text().encode())
+
+
+def _flat(tree: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in tree.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{above}{name}.")
+        else:
+            yield f"{above}{name}", value
+
+
+def _word(value: Any) -> str:
+    return "absent" if value is None else f"{value}"

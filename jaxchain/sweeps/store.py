@@ -1,0 +1,417 @@
+"""A sweep on disk: a Zarr store laid out before the first lane runs, and the records of its units.
+
+    NAME.zarr             one group, over the dimensions of `over`, for `xarray.open_zarr` at any
+                          moment: where nothing is known yet `result` is "pending", the rest NaN
+    NAME.zarr.units/      layout.json    what decides the numbers, the grid, its chunks
+                          0.3.json       unit (0, 3) is done: checksums, how its lanes ended,
+                                         what computed it, and how long
+                          0.3.claim      some process computes it, see `claims`
+
+A *unit* is a block of the grid that is one chunk of every variable: the unit of work, of loss and
+of distribution.  Whoever computes it writes its chunks, each aside and then renamed, and records
+it after that.  A chunk without a record is nothing, and a missing chunk is no proof of anything,
+as zarr writes none that is all NaN: only a record is.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import shutil
+import uuid
+import warnings
+import zlib
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+import zarr
+from xarray import conventions
+from zarr.storage import MemoryStore
+
+from ..result import NAMES, ended_as
+from .axes import columns_of
+from .claims import LASTS
+from .ensemble import Ensemble
+from .fingerprint import columns, differences, digest
+from .grid import Block, Grid, Key
+
+_LAYOUT = "layout.json"
+_RECORD = ".json"
+_FORMAT = 1
+_PENDING = NAMES.index("pending")
+# Values of a coordinate in one file.
+_COORDINATES = 1 << 20
+
+
+class StoreError(RuntimeError):
+    """A store that cannot be written or read."""
+
+
+class Store:
+    """The store of one sweep: its layout, and what is done.
+
+    **Arguments:** `layout` as `layout.json` has it; `grid`, cut as it says.
+    """
+
+    def __init__(self, path: Path, layout: Mapping[str, Any], grid: Grid):
+        self.path, self.layout, self.grid = path, layout, grid
+        self.units = units_of(path)
+        self.lanes: int = layout["lanes"]
+        self._arrays: dict[str, Any] = {}
+
+    @classmethod
+    def open(
+        cls, path: Path, ensemble: Ensemble, fingerprint: Mapping[str, Any], chunks: dict[str, int]
+    ) -> Store:
+        """The store of this sweep, laid out if it is not there yet.
+
+        **Raises:** `ValueError` if it is that of another sweep; `StoreError` if it cannot be
+        written.
+        """
+        with _in_words(path):
+            wanted = {
+                "format": _FORMAT,
+                "fingerprint": fingerprint,
+                "lanes": fingerprint["lanes"],
+                "sizes": Grid(ensemble.axes).sizes,
+                "chunks": chunks,
+                "columns": columns(ensemble.axes),
+            }
+            there = read_layout(path)
+            if there is None:
+                if path.exists() and any(path.iterdir()):
+                    raise ValueError(
+                        f"Argument `store` names {path}, which holds something else: give the "
+                        "name of a store that is not there yet, or of one that a sweep has made."
+                    )
+                units_of(path).mkdir(parents=True, exist_ok=True)
+                there = _first_of(units_of(path) / _LAYOUT, wanted)
+            if _extends(path, there, ensemble, wanted):
+                there |= {name: wanted[name] for name in ("sizes", "columns")}
+                _replace(units_of(path) / _LAYOUT, there)
+            store = cls(path, there, Grid(ensemble.axes, there["chunks"]))
+            if not store._is_laid_out():
+                store._lay_out(ensemble)
+        return store
+
+    def done(self, check: bool = True) -> dict[Key, dict[str, Any]]:
+        """The records of the units that are done, by their keys.
+
+        `check`: read all that they have written, and forget what is torn or lost.
+        """
+        with _in_words(self.path):
+            names = set(os.listdir(self.units))
+            found = {}
+            for key in self.grid.places():
+                name = _name(key) + _RECORD
+                if name not in names or (record := _read(self.units / name)) is None:
+                    continue
+                # A unit at the edge of a grid that has been extended is another one now.
+                if record["sizes"] != self._sizes(key):
+                    continue
+                if not check or self._is_whole(record):
+                    found[key] = record
+                else:
+                    (self.units / name).unlink(missing_ok=True)
+        return found
+
+    def is_done(self, key: Key) -> bool:
+        """Whether there is a record of this unit as it is now."""
+        record = _read(self.units / (_name(key) + _RECORD))
+        return record is not None and record["sizes"] == self._sizes(key)
+
+    def write(self, block: Block, found: xr.Dataset, about: Mapping[str, Any]) -> None:
+        """Writes what was computed of a unit, then records it.
+
+        **Raises:** `StoreError` if it cannot be written: then it is not recorded.
+        """
+        with _in_words(self.path):
+            self._check_there()
+            files = {}
+            for name, variable in found.data_vars.items():
+                encoded = conventions.encode_cf_variable(variable.variable)
+                region = tuple(block.region.get(str(dim), slice(None)) for dim in encoded.dims)
+                array = self._array(str(name))
+                parts = zip(region, array.chunks, strict=True)
+                chunk = tuple((part.start or 0) // size for part, size in parts)
+                file = f"{name}/{array.metadata.encode_chunk_key(chunk)}"
+                # At the edge of the grid zarr would read it first, and it may be torn.
+                (self.path / file).unlink(missing_ok=True)
+                array[region] = encoded.values
+                files[file] = _checksum(self.path / file)
+            try:
+                self._check_there()
+            except StoreError:
+                self._take_back(files)
+                raise
+            record = {
+                "unit": list(block.key),
+                "sizes": self._sizes(block.key),
+                "lanes": block.size,
+                "results": ended_as(found["result"].values),
+                "files": files,
+                **about,
+            }
+            _replace(self.units / (block.name + _RECORD), record)
+
+    def finish(self) -> dict[str, int]:
+        """Writes what computed it into the attributes; how many lanes ended in which way."""
+        records = list(self.done(check=False).values())
+        counts: Counter[str] = Counter()
+        for record in records:
+            counts.update(record["results"])
+        attrs = {
+            "wall_time_s": round(_covered([(r["began"], r["ended"]) for r in records]), 3),
+            "unit_time_s": round(sum(r["ended"] - r["began"] for r in records), 3),
+            "units": len(records),
+            "lanes_per_device": self.lanes,
+            "hosts": _words(r["host"] for r in records),
+            "devices": _words(device for r in records for device in r["devices"]),
+            "device_kind": _words(r["device_kind"] for r in records),
+        }
+        with _in_words(self.path):
+            group = zarr.open_group(self.path, mode="r+", zarr_format=3)
+            group.update_attributes(attrs)
+            _consolidate(self.path)
+        return {name: counts[name] for name in NAMES if counts[name]}
+
+    def dataset(self) -> xr.Dataset:
+        """What is in it, read as it is used."""
+        return open_store(self.path)
+
+    def _sizes(self, key: Key) -> list[int]:
+        return [part.stop - part.start for part in self.grid.region(key).values()]
+
+    def _array(self, name: str) -> Any:
+        if name not in self._arrays:
+            self._arrays[name] = zarr.open_array(self.path / name, mode="r+", zarr_format=3)
+        return self._arrays[name]
+
+    def _check_there(self) -> None:
+        if not (self.path / "zarr.json").exists() or not (self.units / _LAYOUT).exists():
+            raise StoreError(
+                f"The store {self.path} was removed while a sweep filled it. What it held is "
+                "gone; make the same call again to begin anew."
+            )
+
+    def _take_back(self, files: Mapping[str, Any]) -> None:
+        """Removes files that were written where no store is any more, and their empty folders."""
+        for file in files:
+            with contextlib.suppress(OSError):
+                (self.path / file).unlink(missing_ok=True)
+                for folder in (self.path / file).parents:
+                    folder.rmdir()
+                    if folder == self.path:
+                        break
+
+    def _is_whole(self, record: Mapping[str, Any]) -> bool:
+        files = record["files"]
+        return all(_checksum(self.path / file) == known for file, known in files.items())
+
+    def _is_laid_out(self) -> bool:
+        try:
+            return dict(open_store(self.path)["result"].sizes) == self.grid.sizes
+        except (OSError, KeyError, ValueError):
+            return False
+
+    def _lay_out(self, ensemble: Ensemble) -> None:
+        """Writes all but the data, aside; then every file takes its place."""
+        part = self.path.with_name(f".{self.path.name}.{uuid.uuid4().hex}.part")
+        try:
+            _write_layout(part, ensemble, self.grid)
+            # The root last: by it a store is known as one.
+            files = sorted(part.rglob("*"), key=lambda file: file == part / "zarr.json")
+            for file in files:
+                there = self.path / file.relative_to(part)
+                if file.is_dir():
+                    there.mkdir(parents=True, exist_ok=True)
+                else:
+                    there.parent.mkdir(parents=True, exist_ok=True)
+                    file.replace(there)
+        finally:
+            shutil.rmtree(part, ignore_errors=True)
+
+    def clean(self, alone: bool) -> None:
+        """Removes what a process has left that was killed while it wrote.
+
+        `alone`: nobody else computes; otherwise what is young is left alone.
+        """
+        now = _probe(self.units)
+        left = [*self.path.rglob("*.partial"), *self.units.glob(".*")]
+        left += self.path.parent.glob(f".{self.path.name}.*.part")
+        for file in left:
+            with contextlib.suppress(OSError):
+                if alone or now - file.stat().st_mtime > LASTS:
+                    shutil.rmtree(file) if file.is_dir() else file.unlink()
+
+
+def units_of(path: Path) -> Path:
+    """The folder of the records beside a store."""
+    return path.with_name(f"{path.name}.units")
+
+
+def open_store(path: Path) -> xr.Dataset:
+    return xr.open_zarr(path, consolidated=True, chunks=None)
+
+
+def read_layout(path: Path) -> dict[str, Any] | None:
+    """That of a store, or None if there is none."""
+    return _read(units_of(path) / _LAYOUT)
+
+
+def _extends(
+    path: Path, there: Mapping[str, Any], ensemble: Ensemble, wanted: Mapping[str, Any]
+) -> bool:
+    """Whether the grid has grown since the store was laid out.
+
+    **Raises:** `ValueError` if anything else has changed.
+    """
+    said = differences(there["fingerprint"], wanted["fingerprint"])
+    if not said:
+        for dim, own in ensemble.axes.items():
+            size = there["sizes"][dim]
+            for name, values in own.items():
+                if there["columns"][dim][name] != digest(values[:size]):
+                    what = "has fewer" if len(values) < size else "has other"
+                    said.append(f"over[{dim!r}] {what} values of {name}")
+    if said:
+        raise ValueError(
+            f"Argument `store` names {path}, which belongs to another sweep: {'; '.join(said)}. "
+            "Sweep as before, with values added at the end of a dimension at most, or give "
+            "another `store`."
+        )
+    return there["sizes"] != wanted["sizes"]
+
+
+def _write_layout(path: Path, ensemble: Ensemble, grid: Grid) -> None:
+    """A store without data: as the dataset of one job, but for the sizes."""
+    block = ensemble.first_job()
+    block.records = ensemble.blank_records(1)
+    block.records["result"][:] = _PENDING
+    sample = ensemble.dataset(block, ensemble.attrs)
+    memory = MemoryStore()
+    sample.to_zarr(memory, zarr_format=3, consolidated=False)
+    like, swept = zarr.open_group(memory, mode="r"), columns_of(grid.axes)
+    group = zarr.create_group(path, zarr_format=3, attributes=dict(like.attrs))
+    for name, one in like.arrays():
+        about: Any = one.metadata
+        dims = about.dimension_names
+        sizes = zip(dims, one.shape, strict=True)
+        shape = [grid.sizes.get(dim, size) for dim, size in sizes]
+        if name in sample.coords:
+            chunks = [min(size, _COORDINATES) for size in shape]
+        else:
+            sizes = zip(dims, one.shape, strict=True)
+            chunks = [grid.chunks.get(dim, size) for dim, size in sizes]
+        fill = about.fill_value
+        if name == "result":
+            fill = _PENDING
+        elif one.dtype.kind in "iu":
+            fill = one.attrs.get("_FillValue", fill)
+        array = group.create_array(
+            name, shape=tuple(shape), chunks=tuple(chunks), dtype=one.dtype, fill_value=fill,
+            attributes=dict(one.attrs), dimension_names=dims,
+        )  # fmt: skip
+        if name in sample.coords:
+            array[...] = swept[name] if name in swept else one[...]
+    _consolidate(path)
+
+
+def _consolidate(path: Path) -> None:
+    with warnings.catch_warnings():
+        # Of Zarr's format 3, which has no word of consolidated metadata yet; xarray reads them.
+        warnings.filterwarnings("ignore", "Consolidated metadata is currently not part")
+        zarr.consolidate_metadata(path, zarr_format=3)
+
+
+def _covered(spans: Iterable[tuple[float, float]]) -> float:
+    """The length of what these spans cover together.
+
+    >>> _covered([(0.0, 2.0), (1.0, 3.0), (5.0, 6.0)])
+    4.0
+    """
+    length, until = 0.0, -np.inf
+    for began, ended in sorted(spans):
+        length += max(0.0, ended - max(began, until))
+        until = max(until, ended)
+    return length
+
+
+def _words(words: Iterable[str]) -> str:
+    return ", ".join(sorted(set(words)))
+
+
+def _first_of(path: Path, content: Mapping[str, Any]) -> dict[str, Any]:
+    """What the first process of several writes there."""
+    part = path.with_name(f".{uuid.uuid4().hex}.part")
+    part.write_text(json.dumps(content, indent=1))
+    try:
+        os.link(part, path)
+    except FileExistsError:
+        pass
+    finally:
+        part.unlink()
+    return json.loads(path.read_text())
+
+
+def _replace(path: Path, content: Mapping[str, Any]) -> None:
+    part = path.with_name(f".{uuid.uuid4().hex}.part")
+    try:
+        part.write_text(json.dumps(content))
+        part.replace(path)
+    except OSError:
+        with contextlib.suppress(OSError):
+            part.unlink(missing_ok=True)
+        raise
+
+
+def _read(path: Path) -> dict[str, Any] | None:
+    """A file of our own; None if it is not there, or torn."""
+    try:
+        return json.loads(path.read_text())
+    except (FileNotFoundError, ValueError):
+        return None
+
+
+def _checksum(path: Path) -> list[int] | None:
+    """Length and CRC-32 of a file; None if there is none."""
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError:
+        return None
+    return [len(content), zlib.crc32(content)]
+
+
+def _probe(folder: Path) -> float:
+    """The present time by the clock of the disk."""
+    file = folder / f".{uuid.uuid4().hex}.part"
+    file.touch()
+    try:
+        return file.stat().st_mtime
+    finally:
+        file.unlink()
+
+
+def _name(key: Key) -> str:
+    return ".".join(map(str, key))
+
+
+@contextlib.contextmanager
+def _in_words(path: Path) -> Iterator[None]:
+    """Says of an error of the disk what is safe and what to do.
+
+    **Raises:** `StoreError`.
+    """
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise StoreError(
+            f"The store {path} cannot be used: {reason}. Units that are recorded are kept; mend "
+            "that, and make the same call again to go on."
+        ) from error
