@@ -1,2 +1,3 @@
+from .store import StoreError as StoreError
 from .sweeping import SweepInterrupted as SweepInterrupted
 from .sweeping import sweep as sweep

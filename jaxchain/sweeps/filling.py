@@ -23,7 +23,7 @@ from ..simulation.event_driven import EventDrivenPlan
 from .claims import Claims
 from .dataset import versions
 from .ensemble import Ensemble
-from .fingerprint import fingerprint
+from .fingerprint import fingerprint_of
 from .grid import Block, Grid, Key, chunks_of
 from .scheduler import Scheduler, lane_count
 from .store import Store, read_layout
@@ -59,7 +59,7 @@ def open_for(
                     f"Argument `chunks` has {size} values along {dim!r}, but the store {path} has "
                     f"{kept[dim]}: leave it out, or give another `store`."
                 )
-    return Store.open(path, ensemble, fingerprint(ensemble, used), kept)
+    return Store.open(path, ensemble, fingerprint_of(ensemble, used), kept)
 
 
 def _unit_size(ensemble: Ensemble, lanes: int) -> int:

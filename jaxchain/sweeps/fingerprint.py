@@ -34,7 +34,7 @@ _SHOWN = 4
 _LONGEST = 200
 
 
-def fingerprint(ensemble: Ensemble, lanes: int) -> dict[str, Any]:
+def fingerprint_of(ensemble: Ensemble, lanes: int) -> dict[str, Any]:
     """All that decides what comes out of a lane, as JSON: a tree of names."""
     task, starts, axes = ensemble.task, ensemble.starts, ensemble.axes
     chain, plan = starts.chain, task.plan
