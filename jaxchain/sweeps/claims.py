@@ -47,6 +47,10 @@ class Claims:
         return self
 
     def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Gives all claims back."""
         self._over.set()
         self._pulse.join()
         for unit in list(self._mine):
@@ -80,15 +84,6 @@ class Claims:
             if (_read(path) or {}).get("claim") == name:  # nobody has taken it over
                 path.unlink(missing_ok=True)
 
-    def taken(self) -> dict[str, dict[str, Any]]:
-        """Who has claimed which units and lives, as far as one can tell."""
-        found = {}
-        for path in self.folder.glob(f"[!.]*{_SUFFIX}"):
-            owner = _read(path)
-            if owner is not None and not _dead(owner) and _age(path) < LASTS:
-                found[path.name.removesuffix(_SUFFIX)] = owner
-        return found
-
     def _path(self, unit: str) -> Path:
         return self.folder / f"{unit}{_SUFFIX}"
 
@@ -118,6 +113,16 @@ class Claims:
                     # A claim that was taken over, or whose disk is gone, is nobody's concern here.
                     with contextlib.suppress(OSError):
                         os.utime(self._path(unit))
+
+
+def living(folder: Path) -> dict[str, dict[str, Any]]:
+    """Who has claimed which units of a store and lives, as far as one can tell."""
+    found = {}
+    for path in folder.glob(f"[!.]*{_SUFFIX}"):
+        owner = _read(path)
+        if owner is not None and not _dead(owner) and _age(path) < LASTS:
+            found[path.name.removesuffix(_SUFFIX)] = owner
+    return found
 
 
 def _myself() -> dict[str, Any]:

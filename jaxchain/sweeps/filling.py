@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import random
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -20,12 +20,12 @@ import numpy as np
 from tqdm import tqdm
 
 from ..simulation.event_driven import EventDrivenPlan
-from .claims import Claims
+from .claims import Claims, living
 from .dataset import versions
 from .ensemble import Ensemble
 from .fingerprint import fingerprint_of
 from .grid import Block, Grid, Key, chunks_of
-from .scheduler import Scheduler, lane_count
+from .scheduler import Scheduler, lane_bar, lane_count
 from .store import Store, read_layout
 
 # What a unit takes on a core, in seconds: short enough that little is lost with a process.
@@ -36,7 +36,7 @@ _PER_TIME, _PER_LANE = {True: 3e-7, False: 2e-6}, 1e-5
 # numbers than this, and a sweep so many units.
 _TURNS, _NUMBERS, _UNITS = 4, 1 << 24, 8
 # Seconds between two looks at what others have done.
-_PAUSE = 1.0
+PAUSE = 1.0
 
 
 def open_for(
@@ -62,6 +62,30 @@ def open_for(
     return Store.open(path, ensemble, fingerprint_of(ensemble, used), kept)
 
 
+def fill(
+    store: Store,
+    ensemble: Ensemble,
+    call: Mapping[str, Any],
+    *,
+    devices: Sequence[Any] | None,
+    client: Any,
+    progress: bool,
+    description: str,
+) -> None:
+    """Computes all that is not done, on devices of this process or by the workers of a client."""
+    finished = sum(record["lanes"] for record in store.done().values())
+    store.clean()
+    with lane_bar(store.grid.total, progress, description) as bar:
+        bar.n = finished
+        if client is None:
+            Filler(store, ensemble, devices).fill(bar, finished)
+        else:
+            from .dask_engine import fill_by
+
+            fill_by(client, store, call, bar, finished)
+    store.clean()
+
+
 def _unit_size(ensemble: Ensemble, lanes: int) -> int:
     """Jobs of a unit: some seconds of work, no more than fit, and several units in all."""
     task = ensemble.task
@@ -77,45 +101,35 @@ def _unit_size(ensemble: Ensemble, lanes: int) -> int:
 class Filler:
     """Computes the units of a store that nobody else has.
 
-    **Arguments:** `session`, see `Claims`; `devices` as for `sweep`.
+    **Arguments:** `devices` as for `sweep`.
     """
 
-    def __init__(
-        self,
-        store: Store,
-        ensemble: Ensemble,
-        devices: Sequence[Any] | None,
-        session: str | None = None,
-    ):
-        self.store, self.ensemble, self.session = store, ensemble, session
+    def __init__(self, store: Store, ensemble: Ensemble, devices: Sequence[Any] | None):
+        self.store, self.ensemble = store, ensemble
         largest = store.grid.block_size
         self.runner = Scheduler(ensemble, largest, store.grid.total, devices, store.lanes)
         self._began: dict[Key, float] = {}
 
-    def fill(self, progress: bool, description: str) -> None:
+    def fill(self, bar: tqdm, finished: int) -> None:
         """All units, those that others have begun too: it waits for them, or takes them over.
+
+        `finished`: lanes that are done already.
 
         **Raises:** `StoreError` if one cannot be written; `KeyboardInterrupt` on Ctrl-C.  What is
         recorded stays.
         """
         store = self.store
-        done = store.done()
-        self.runner.finished = sum(record["lanes"] for record in done.values())
-        left = [key for key in store.grid.places() if key not in done]
-        with (
-            self.runner.bar(progress, description) as bar,
-            Claims(store.units, self.session) as claims,
-        ):
-            store.clean(alone=not claims.taken())
+        self.runner.finished = finished
+        left = store.left()
+        with Claims(store.units) as claims:
             # Not all processes ask for the same ones.
-            turn = random.randrange(len(left)) if claims.taken() else 0
+            turn = random.randrange(len(left)) if left and living(store.units) else 0
             left = left[turn:] + left[:turn]
             while left:
                 self.run(left, claims, bar)
                 left = [key for key in left if not store.is_done(key)]
                 if left:
-                    time.sleep(_PAUSE)
-            store.clean(alone=not claims.taken())
+                    time.sleep(PAUSE)
 
     def run(self, keys: Sequence[Key], claims: Claims, bar: tqdm) -> None:
         """Computes those of the units that nobody else has."""

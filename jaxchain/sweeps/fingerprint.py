@@ -10,13 +10,13 @@ import hashlib
 import inspect
 import re
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import jax.tree_util as jtu
 import numpy as np
 
 from .axes import Axes, columns_of
@@ -30,8 +30,6 @@ _CODE = ("model", "observers", "solvers", "simulation", "sweeps/lanes.py", "swee
 _OUR_MODULES = ("jaxchain.", "diffrax.")
 # A number is shown in an error, an array up to this size too.
 _SHOWN = 4
-# So is what an observer says of itself, up to so many characters.
-_LONGEST = 200
 
 
 def fingerprint_of(ensemble: Ensemble, lanes: int) -> dict[str, Any]:
@@ -40,7 +38,6 @@ def fingerprint_of(ensemble: Ensemble, lanes: int) -> dict[str, Any]:
     chain, plan = starts.chain, task.plan
     swept = columns_of(axes)
     numbers = {**chain.numbers(), "n": chain.n, "ends": chain.ends}
-    observers = {f"observer {i}": o for i, o in enumerate(plan.observers, start=1)}
     solver = eqx.tree_at(lambda p: p.observers, plan, None, is_leaf=lambda a: a is None)
     first = ensemble.jobs(ensemble.first_job())
     return {
@@ -49,8 +46,8 @@ def fingerprint_of(ensemble: Ensemble, lanes: int) -> dict[str, Any]:
             "law": _kind(type(chain.friction)),
             "curve": _program(_force, chain.friction, jnp.zeros(())),
         },
-        "solver": _parts(solver),
-        "observers": {name: _parts(observer) for name, observer in observers.items()},
+        "solver": _described(solver),
+        "observers": _described(plan.observers),
         "t0": float(task.t0),
         "t1": float(task.t1),
         "max_steps": None if task.max_steps is None else int(task.max_steps),
@@ -116,32 +113,20 @@ def _value(value: Any) -> Any:
     return array.tolist() if array.size <= _SHOWN else digest(array)
 
 
-def _parts(tree: Any) -> dict[str, Any]:
-    """The leaves of a solver or an observer by their places, and what is no array in words."""
-    arrays, static = eqx.partition(tree, eqx.is_array_like)
-    leaves = {
-        jtu.keystr(path).lstrip("."): _value(leaf)
-        for path, leaf in jtu.tree_leaves_with_path(arrays)
-    }
-    words = re.sub(
-        r"0x[0-9a-f]{6,}", "", f"{jtu.tree_structure(static)} {jtu.tree_leaves(static)}"
-    )
-    kinds = {type(tree), *(type(leaf) for leaf in _modules(tree))}
-    own = {_kind(kind): _source(kind) for kind in kinds if not _is_ours(kind)}
-    text = repr(tree)
-    kind = text if len(text) <= _LONGEST else _kind(type(tree))
-    parts = {"kind": kind, **leaves, "settings": _digest(words.encode())}
-    return parts | ({"code": own} if own else {})
-
-
-def _modules(tree: Any) -> Iterator[eqx.Module]:
-    """Those below a module, in its fields."""
-    for value in vars(tree).values() if isinstance(tree, eqx.Module) else ():
-        nested = jtu.tree_leaves(value, is_leaf=lambda a: isinstance(a, eqx.Module))
-        for leaf in nested:
-            if isinstance(leaf, eqx.Module):
-                yield leaf
-                yield from _modules(leaf)
+def _described(value: Any) -> Any:
+    """A solver or an observer by the names of its fields, and its code if it is the user's own."""
+    if isinstance(value, eqx.Module):
+        kind = type(value)
+        own = {} if _is_ours(kind) else {"code": _source(kind)}
+        parts = {f.name: _described(getattr(value, f.name)) for f in fields(value)}
+        return {"kind": _kind(kind), **own, **parts}
+    if isinstance(value, list | tuple):
+        return {str(i): _described(one) for i, one in enumerate(value, start=1)}
+    if isinstance(value, Mapping):
+        return {str(name): _described(one) for name, one in value.items()}
+    if value is None or isinstance(value, str) or eqx.is_array_like(value):
+        return _value(value)
+    return re.sub(r" at 0x[0-9a-f]+", "", repr(value))
 
 
 def _is_ours(kind: type) -> bool:

@@ -80,6 +80,10 @@ class Grid:
             for place, (dim, n) in zip(key, self.sizes.items(), strict=True)
         }
 
+    def lanes_of(self, key: Key) -> int:
+        """Jobs of this block."""
+        return math.prod(part.stop - part.start for part in self.region(key).values())
+
     def block(self, key: Key) -> Block:
         region = self.region(key)
         axes = {

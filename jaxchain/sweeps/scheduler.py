@@ -188,24 +188,6 @@ class Scheduler:
                 "values, observe less, give fewer `lanes`, or keep the sweep in a `store`."
             )
 
-    def bar(self, show: bool, description: str) -> tqdm:
-        """A progress bar over all jobs; it tells of cores that lie idle."""
-        bar = progress_bar(
-            total=self.total,
-            desc=description,
-            unit="lane",
-            show=show,
-            bar_format="{desc}: {percentage:3.0f}%|{bar}| {n:.1f}/{total} lanes "
-            "[{elapsed}<{remaining}]",
-        )
-        if show and self.idle_cores:
-            told = (
-                f"{self.idle_cores} of {cores()} cores lie idle: call `jaxchain.configure()` "
-                "before the first computation."
-            )
-            bar.write(told, file=sys.stderr)
-        return bar
-
     def run(
         self,
         blocks: Iterable[Block],
@@ -216,6 +198,13 @@ class Scheduler:
 
         On an error, and on Ctrl-C, what has ended stands in the records of the blocks.
         """
+        if self.idle_cores and not bar.disable:
+            told = (
+                f"{self.idle_cores} of {cores()} cores lie idle: call `jaxchain.configure()` "
+                "before the first computation."
+            )
+            bar.write(told, file=sys.stderr)
+            self.idle_cores = 0  # once is enough
         self._blocks = iter(blocks)
         try:
             for pool in self.pools:
@@ -346,6 +335,18 @@ class Scheduler:
         t0, t1 = float(self.task.t0), float(self.task.t1)
         gone = [(pool.t[pool.busy] - t0) / max(t1 - t0, 1e-300) for pool in self.pools]
         return float(np.sum(np.concatenate(gone)))
+
+
+def lane_bar(total: int, show: bool, description: str) -> tqdm:
+    """A progress bar over so many lanes."""
+    return progress_bar(
+        total=total,
+        desc=description,
+        unit="lane",
+        show=show,
+        bar_format="{desc}: {percentage:3.0f}%|{bar}| {n:.1f}/{total} lanes "
+        "[{elapsed}<{remaining}]",
+    )
 
 
 def lane_count(n: int, total: int, devices: Sequence[Any], lanes: int | None) -> int:

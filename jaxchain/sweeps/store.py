@@ -24,6 +24,7 @@ import warnings
 import zlib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +36,7 @@ from zarr.storage import MemoryStore
 
 from ..result import NAMES, ended_as
 from .axes import columns_of
-from .claims import LASTS
+from .claims import LASTS, living
 from .ensemble import Ensemble
 from .fingerprint import columns, differences, digest
 from .grid import Block, Grid, Key
@@ -184,6 +185,10 @@ class Store:
         """What is in it, read as it is used."""
         return open_store(self.path)
 
+    def in_words(self) -> AbstractContextManager[None]:
+        """Errors of the disk as `StoreError`s."""
+        return _in_words(self.path)
+
     def _sizes(self, key: Key) -> list[int]:
         return [part.stop - part.start for part in self.grid.region(key).values()]
 
@@ -236,12 +241,17 @@ class Store:
         finally:
             shutil.rmtree(part, ignore_errors=True)
 
-    def clean(self, alone: bool) -> None:
+    def left(self) -> list[Key]:
+        """The units that are not done."""
+        return [key for key in self.grid.places() if not self.is_done(key)]
+
+    def clean(self) -> None:
         """Removes what a process has left that was killed while it wrote.
 
-        `alone`: nobody else computes; otherwise what is young is left alone.
+        While somebody computes, what is young is left alone.
         """
-        now = _probe(self.units)
+        with _in_words(self.path):
+            now, alone = _probe(self.units), not living(self.units)
         left = [*self.path.rglob("*.partial"), *self.units.glob(".*")]
         left += self.path.parent.glob(f".{self.path.name}.*.part")
         for file in left:

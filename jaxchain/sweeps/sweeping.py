@@ -27,9 +27,9 @@ from ..model.chain import Chain
 from ..result import ended_as, ended_well, message
 from ..simulation.accuracy import MAX_STEP
 from ..simulation.event_driven import EventDriven
-from .ensemble import Ensemble, prepare
+from .ensemble import prepare
 from .grid import Grid, check_chunks
-from .scheduler import Scheduler
+from .scheduler import Scheduler, lane_bar
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -63,6 +63,7 @@ def sweep(
     devices: Sequence[Any] | None = None,
     store: str | os.PathLike | None = None,
     chunks: Mapping[str, int] | None = None,
+    client: Any = None,
     progress: bool = False,
     description: str = "sweep",
 ) -> Dataset:
@@ -132,20 +133,38 @@ def sweep(
         ('belt_speed', 'excited')
     """
     _check_running(lanes, devices, progress, description)
-    ensemble = prepare(
-        chain, initial, t1, over=over, vary=vary, observe=observe, t0=t0, solver=solver,
-        accuracy=accuracy, rtol=rtol, atol=atol, max_step=max_step, max_steps=max_steps,
-        segments=segments, most=MOST_LANES if store is None else MOST_STORED,
-    )  # fmt: skip
+    call: dict[str, Any] = {
+        "chain": chain, "initial": initial, "t1": t1, "over": over, "vary": vary,
+        "observe": observe, "t0": t0, "solver": solver, "accuracy": accuracy, "rtol": rtol,
+        "atol": atol, "max_step": max_step, "max_steps": max_steps, "segments": segments,
+    }  # fmt: skip
+    ensemble = prepare(**call, most=MOST_LANES if store is None else MOST_STORED)
     chunks = check_chunks(chunks, ensemble.axes)
     if store is not None:
-        return _stored(_path_of(store), ensemble, chunks, lanes, devices, progress, description)
+        # xarray brings pandas, which would double the time of `import jaxchain`.
+        from .filling import fill, open_for
+
+        kept = open_for(_path_of(store), ensemble, chunks, lanes)
+        try:
+            fill(
+                kept, ensemble, call, devices=devices, client=client, progress=progress,
+                description=description,
+            )  # fmt: skip
+        except KeyboardInterrupt:
+            raise SweepInterrupted(kept.dataset()) from None
+        _warn_of_failures(kept.finish())
+        return kept.dataset()
+    for name, given in (("chunks", chunks), ("client", client)):
+        if given is not None:
+            raise ValueError(
+                f"Argument `{name}` is for a sweep that is kept in a `store`: give its name, too."
+            )
     (block,) = Grid(ensemble.axes).blocks()
     runner = Scheduler(ensemble, block.size, block.size, devices, lanes)
     started = time.perf_counter()
     interrupted = False
     try:
-        with runner.bar(progress, description) as bar:
+        with lane_bar(block.size, progress, description) as bar:
             runner.run([block], bar)
     except KeyboardInterrupt:
         interrupted = True
@@ -161,27 +180,6 @@ def sweep(
         raise SweepInterrupted(dataset)
     _warn_of_failures(ended_as(dataset["result"].values))
     return dataset
-
-
-def _stored(
-    path: Path,
-    ensemble: Ensemble,
-    chunks: dict[str, int] | None,
-    lanes: int | None,
-    devices: Sequence[Any] | None,
-    progress: bool,
-    description: str,
-) -> Dataset:
-    """Fills a store, and opens it."""
-    from .filling import Filler, open_for
-
-    kept = open_for(path, ensemble, chunks, lanes)
-    try:
-        Filler(kept, ensemble, devices).fill(progress, description)
-    except KeyboardInterrupt:
-        raise SweepInterrupted(kept.dataset()) from None
-    _warn_of_failures(kept.finish())
-    return kept.dataset()
 
 
 def _check_running(lanes: Any, devices: Any, progress: Any, description: Any) -> None:
@@ -201,7 +199,7 @@ def _warn_of_failures(results: Mapping[str, int]) -> None:
         if not ended_well(name):
             warnings.warn(
                 f"{count} of {sum(results.values())} lanes ended with `{name}`: {message(name)}",
-                stacklevel=4,
+                stacklevel=3,
             )
 
 

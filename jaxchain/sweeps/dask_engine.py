@@ -1,0 +1,244 @@
+"""Units of a store as tasks of Dask, for any cluster that `distributed` can drive.
+
+The client lays the store out and hands out the numbers of its units.  A worker is a process of its
+own, with its own devices; it prepares the sweep from a file beside the store, computes a unit,
+writes and records it, and sends back no more than how many lanes ended how.  So whatever dies
+costs the units that were under way: a worker is replaced and its unit handed out again, and where
+the scheduler or the client dies the same call goes on with what is not recorded.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import logging
+import os
+import sys
+import threading
+import time
+import uuid
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from .._configure import configure, cores
+from .._limits import MOST_STORED
+from .claims import Claims
+from .ensemble import prepare
+from .filling import PAUSE, Filler
+from .fingerprint import fingerprint_of
+from .grid import Key
+from .store import Store, StoreError, read_layout
+
+# Tasks that wait for each worker: enough for it never to be idle, and few enough that a sweep of
+# any size can be handed out.
+_AHEAD = 4
+# What our own clusters are told.  Tracing and compiling hold the interpreter, so that a worker may
+# be silent for a while and is not dead: Dask's own limits are 30 s and 5 min.  A unit whose
+# worker died is handed out again; 3 deaths, as Dask has it, are few in a long sweep.
+_SETTINGS = {
+    "distributed.comm.timeouts.connect": "120s",
+    "distributed.comm.timeouts.tcp": "120s",
+    "distributed.scheduler.worker-ttl": "30 minutes",
+    "distributed.scheduler.allowed-failures": 10,
+    # A silent event loop is no news here.
+    "distributed.admin.tick.limit": "1h",
+}
+_MISSING = (
+    "Dask is not installed, which workers and schedulers need: `pip install 'jaxchain[dask]'`."
+)
+
+
+def fill_by(
+    client: Any, store: Store, call: Mapping[str, Any], bar: tqdm, finished: int = 0
+) -> None:
+    """All units that are not done, by the workers of a client.
+
+    `call`: the arguments of `prepare`; `finished`: lanes that are done already.
+
+    **Raises:** `StoreError` if a unit cannot be written or the scheduler is gone; what a unit
+    raises otherwise.
+    """
+    import cloudpickle
+
+    payload = cloudpickle.dumps(dict(call))
+    digest = hashlib.sha256(payload).hexdigest()
+    file = store.units / f".{digest[:32]}.call"
+    with store.in_words():
+        part = file.with_suffix(f".{uuid.uuid4().hex}.part")
+        part.write_bytes(payload)
+        part.replace(file)
+    session = uuid.uuid4().hex
+    left = store.left()
+    while left:
+        finished = _hand_out(client, store, left, (str(file), digest, session), bar, finished)
+        left = [key for key in left if not store.is_done(key)]
+        if left:  # others have claimed them
+            time.sleep(PAUSE)
+
+
+def _hand_out(
+    client: Any,
+    store: Store,
+    keys: Sequence[Key],
+    told: tuple[str, str, str],
+    bar: tqdm,
+    finished: int,
+) -> int:
+    """Computes these units; how many lanes are done then."""
+    from distributed import as_completed
+
+    waiting = iter(keys)
+
+    def submit() -> list[Any]:
+        own = next(waiting, None)
+        if own is None:
+            return []
+        name = f"unit-{'.'.join(map(str, own))}-{uuid.uuid4().hex}"
+        return [client.submit(_compute, str(store.path), *told, own, key=name, pure=False)]
+
+    begun = [task for _ in range(_AHEAD * max(1, _workers(client))) for task in submit()]
+    running = as_completed(begun)
+    try:
+        for task in running:
+            if task.status not in ("finished", "error"):
+                raise StoreError(_gone(store))
+            finished += task.result()
+            bar.n = finished
+            bar.refresh()
+            for more in submit():
+                running.add(more)
+    except (OSError, TimeoutError) as error:
+        if isinstance(error, StoreError) or client.status == "running":
+            raise
+        raise StoreError(_gone(store)) from error
+    finally:
+        with contextlib.suppress(Exception):  # where the scheduler is gone, so are they
+            client.cancel(list(running.futures))
+    return finished
+
+
+def _gone(store: Store) -> str:
+    return (
+        f"The scheduler of Dask is gone, or has dropped units of the store {store.path}. Units "
+        "that are recorded are kept: make the same call again, with another client, to go on."
+    )
+
+
+def _workers(client: Any) -> int:
+    return len(client.scheduler_info(n_workers=-1)["workers"])
+
+
+# The sweep that this worker computes, and the claims that it keeps alive.
+_own: dict[tuple[str, str, str], tuple[Filler, Claims]] = {}
+_one_at_a_time = threading.Lock()
+
+
+def _compute(path: str, call: str, digest: str, session: str, key: Key) -> int:
+    """One unit, in a worker; how many lanes it has, or 0 if another process has claimed it."""
+    with _one_at_a_time:
+        filler, claims = _prepared(path, call, digest, session)
+        key = tuple(key)
+        filler.run([key], claims, tqdm(disable=True))
+        return filler.store.grid.lanes_of(key) if filler.store.is_done(key) else 0
+
+
+def _prepared(path: str, call: str, digest: str, session: str) -> tuple[Filler, Claims]:
+    import cloudpickle
+    from distributed import get_worker
+
+    if (path, digest, session) not in _own:
+        # Before anything of JAX is read: floats of 32 bits would be made of it.
+        configure(devices=get_worker().state.nthreads if _free() else None, cache=True)
+        payload = Path(call).read_bytes()
+        if hashlib.sha256(payload).hexdigest() != digest:
+            raise StoreError(f"The file {call} is not what the client wrote.")
+        for _, claims in _own.values():
+            claims.close()
+        _own.clear()
+        ensemble = prepare(**cloudpickle.loads(payload), most=MOST_STORED)
+        layout = read_layout(Path(path))
+        if layout is None:
+            raise StoreError(
+                f"Worker {os.uname().nodename} does not see the store {path}: it must be on a "
+                "disk that all workers share, by a name that is the same for all."
+            )
+        fingerprint = fingerprint_of(ensemble, layout["lanes"])
+        store = Store.open(Path(path), ensemble, fingerprint, layout["chunks"])
+        _own[path, digest, session] = (
+            Filler(store, ensemble, None), Claims(store.units, session),
+        )  # fmt: skip
+    return _own[path, digest, session]
+
+
+def _free() -> bool:
+    """Whether nobody has said how many devices this worker has."""
+    return "JAX_NUM_CPU_DEVICES" not in os.environ
+
+
+@contextlib.contextmanager
+def cluster(workers: int | None, scheduler: str | None, progress: bool) -> Iterator[Any]:
+    """A client of Dask: of so many workers on this computer, or of a scheduler that runs.
+
+    **Raises:** `ModuleNotFoundError` without `distributed`; `StoreError` if no scheduler answers.
+    """
+    try:
+        import distributed
+        from dask import config
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError(_MISSING) from error
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(config.set(_SETTINGS))
+        if scheduler is not None:
+            try:
+                client = distributed.Client(scheduler, timeout="30s")
+            except (OSError, ValueError) as error:
+                raise StoreError(
+                    f"No scheduler of Dask answers at {scheduler}: {error}"
+                ) from error
+            stack.enter_context(client)
+        else:
+            count = workers or 1
+            options = [
+                {"nthreads": 1, "env": environment(number, count, gpus())}
+                for number in range(count)
+            ]
+            own = distributed.SpecCluster(
+                workers={
+                    number: {"cls": distributed.Nanny, "options": own}
+                    for number, own in enumerate(options)
+                },
+                scheduler={
+                    "cls": distributed.Scheduler,
+                    "options": {"dashboard_address": "127.0.0.1:0", "host": "127.0.0.1"},
+                },
+                name="jaxchain",
+                silence_logs=logging.WARNING,
+            )
+            client = stack.enter_context(distributed.Client(stack.enter_context(own)))
+        if progress:
+            print(f"Dask's dashboard: {client.dashboard_link}", file=sys.stderr)
+        yield client
+
+
+def environment(number: int, workers: int, gpus: Sequence[str]) -> dict[str, str]:
+    """What a worker of this computer finds: its share of the cores, or a GPU of its own."""
+    found = {"JAX_NUM_CPU_DEVICES": str(max(1, cores() // workers))}
+    if gpus:
+        found["CUDA_VISIBLE_DEVICES"] = gpus[number % len(gpus)]
+        # Several share one: none may take three quarters of its memory, as JAX does by itself.
+        if workers > len(gpus):
+            found["XLA_PYTHON_CLIENT_MEM_FRACTION"] = f"{0.75 * len(gpus) / workers:.2f}"
+    return found
+
+
+def gpus() -> list[str]:
+    """Those that JAX would use, by the names that CUDA has for them."""
+    import jax
+
+    if jax.default_backend() != "gpu":
+        return []
+    told = os.environ.get("CUDA_VISIBLE_DEVICES")
+    return told.split(",") if told else [str(device.id) for device in jax.local_devices()]
