@@ -28,7 +28,7 @@ from .._limits import MOST_STORED
 from .claims import Claims
 from .ensemble import prepare
 from .filling import PAUSE, Filler
-from .fingerprint import fingerprint_of
+from .fingerprint import DEVICES, fingerprint_of
 from .grid import Key
 from .store import Store, StoreError, read_layout
 
@@ -150,8 +150,17 @@ def _prepared(path: str, call: str, digest: str, session: str) -> tuple[Filler, 
     from distributed import get_worker
 
     if (path, digest, session) not in _own:
-        # Before anything of JAX is read: floats of 32 bits would be made of it.
-        configure(devices=get_worker().state.nthreads if _free() else None, cache=True)
+        layout = read_layout(Path(path))
+        if layout is None:
+            raise StoreError(
+                f"Worker {os.uname().nodename} does not see the store {path}: it must be on a "
+                "disk that all workers share, by a name that is the same for all."
+            )
+        # As the client was set up, and before anything of JAX is read: floats of 32 bits would be
+        # made of it.  Where the environment says how many devices there are, it says so here, too.
+        os.environ["XLA_FLAGS"] = f"{_devices()} {layout['fingerprint']['XLA_FLAGS']}".strip()
+        devices = None if "JAX_NUM_CPU_DEVICES" in os.environ else get_worker().state.nthreads
+        configure(devices=devices, whole_loops=False, cache=True)
         payload = Path(call).read_bytes()
         if hashlib.sha256(payload).hexdigest() != digest:
             raise StoreError(f"The file {call} is not what the client wrote.")
@@ -159,12 +168,6 @@ def _prepared(path: str, call: str, digest: str, session: str) -> tuple[Filler, 
             claims.close()
         _own.clear()
         ensemble = prepare(**cloudpickle.loads(payload), most=MOST_STORED)
-        layout = read_layout(Path(path))
-        if layout is None:
-            raise StoreError(
-                f"Worker {os.uname().nodename} does not see the store {path}: it must be on a "
-                "disk that all workers share, by a name that is the same for all."
-            )
         fingerprint = fingerprint_of(ensemble, layout["lanes"])
         store = Store.open(Path(path), ensemble, fingerprint, layout["chunks"])
         _own[path, digest, session] = (
@@ -173,9 +176,10 @@ def _prepared(path: str, call: str, digest: str, session: str) -> tuple[Filler, 
     return _own[path, digest, session]
 
 
-def _free() -> bool:
-    """Whether nobody has said how many devices this worker has."""
-    return "JAX_NUM_CPU_DEVICES" not in os.environ
+def _devices() -> str:
+    """What the environment of this worker tells XLA of their number."""
+    words = os.environ.get("XLA_FLAGS", "").split()
+    return " ".join(word for word in words if DEVICES in word)
 
 
 @contextlib.contextmanager
@@ -201,8 +205,9 @@ def cluster(workers: int | None, scheduler: str | None, progress: bool) -> Itera
             stack.enter_context(client)
         else:
             count = workers or 1
+            quiet: Any = logging.WARNING
             options = [
-                {"nthreads": 1, "env": environment(number, count, gpus())}
+                {"nthreads": 1, "env": environment(number, count, gpus()), "silence_logs": quiet}
                 for number in range(count)
             ]
             own = distributed.SpecCluster(
@@ -215,7 +220,7 @@ def cluster(workers: int | None, scheduler: str | None, progress: bool) -> Itera
                     "options": {"dashboard_address": "127.0.0.1:0", "host": "127.0.0.1"},
                 },
                 name="jaxchain",
-                silence_logs=logging.WARNING,
+                silence_logs=quiet,
             )
             client = stack.enter_context(distributed.Client(stack.enter_context(own)))
         if progress:

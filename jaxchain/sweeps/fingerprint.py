@@ -8,6 +8,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import inspect
+import os
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields
@@ -28,6 +29,7 @@ from .starts import start_of
 # Of this package: all that a lane does and sees.
 _CODE = ("model", "observers", "solvers", "simulation", "sweeps/lanes.py", "sweeps/starts.py")
 _OUR_MODULES = ("jaxchain.", "diffrax.")
+DEVICES = "xla_force_host_platform_device_count"
 # A number is shown in an error, an array up to this size too.
 _SHOWN = 4
 
@@ -58,6 +60,7 @@ def fingerprint_of(ensemble: Ensemble, lanes: int) -> dict[str, Any]:
         "over": {dim: sorted(columns) for dim, columns in axes.items()},
         "versions": {k: v for k, v in versions().items() if k != "python"},
         "code of jaxchain": code(),
+        "XLA_FLAGS": flags(),
     }
 
 
@@ -88,6 +91,12 @@ def columns(axes: Axes) -> dict[str, dict[str, str]]:
     return {
         dim: {name: digest(values) for name, values in own.items()} for dim, own in axes.items()
     }
+
+
+def flags() -> str:
+    """The options of XLA, which may change the last bits, but for the number of devices."""
+    words = os.environ.get("XLA_FLAGS", "").split()
+    return " ".join(sorted(word for word in words if DEVICES not in word))
 
 
 @functools.cache

@@ -99,6 +99,13 @@ def sweep(
       many as fit its cache, no more than its share of the jobs, and fewer near the end of a long
       sweep; that is fastest, but the last bits then depend on jobs, devices and the clock.
     - `devices`: default all local devices.
+    - `store`: the name of a Zarr store that keeps the results on disk, unit by unit, as they come:
+      what a process that dies has not recorded is computed by the next one that makes the same
+      call, or at the same time by any number of them.  Results are then read as they are used, and
+      the grid may be larger than memory.  See `jaxchain/sweeps/store.py` for what lies there.
+    - `chunks`: of the store: values in a unit, by dimension; by default some seconds of work.
+    - `client`: a `distributed.Client`, whose workers compute the units of the `store`, on a disk
+      that all of them see; see `jaxchain.sweeps.dask_engine`.
     - `progress`: show a progress bar; it tells of cores that lie idle.
 
     **Returns:** an `xarray.Dataset` with the dimensions of `over` and `oscillator` (1 ... n), see
@@ -108,7 +115,8 @@ def sweep(
     `lanes`, or without, agree within the tolerances while the motion is regular, and chaotic
     motions part.  The same `lanes`, on devices of the same kind and with the same versions of JAX
     and jaxchain, give the same bits.  The attributes `devices`, `device_kind`, `lanes_per_device`
-    and `lanes_per_device_at_end` record them.
+    and `lanes_per_device_at_end` record them.  A `store` fixes `lanes` when it is laid out, and
+    holds the same bits whatever ran it, and however often it was cut off.
 
     **Compiled** are the runs once for all numbers, states and functions, but anew for another
     number of masses or lanes, another law, solver or observer; and, in a fraction of a second,
@@ -117,8 +125,10 @@ def sweep(
     `functools.partial` of the same function and numbers is not new).
     The programs of the latest eight functions are kept.
 
-    **Raises:** `ValueError` for bad input before anything is compiled; `MemoryError` if the
-    results cannot fit; `SweepInterrupted` on Ctrl-C, with what was finished.
+    **Raises:** `ValueError` for bad input before anything is compiled, and for a `store` that
+    other numbers, functions or versions have made; `MemoryError` if the results cannot fit;
+    `StoreError` if the store cannot be written; `SweepInterrupted` on Ctrl-C, with what was
+    finished.
 
     !!! example
 
