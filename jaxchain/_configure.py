@@ -89,7 +89,7 @@ def configure(
                 stacklevel=2,
             )
     late = []
-    if whole_loops and not _set_whole_loops(_computed()):
+    if whole_loops and not _set_whole_loops(has_computed()):
         late.append("small loops compiled whole (`whole_loops`)")
     if devices != 0 and not _set_devices(devices):
         late.append("the number of devices (`devices`)")
@@ -108,7 +108,7 @@ def cores() -> int:
     return os.cpu_count() or 1
 
 
-def _computed() -> bool:
+def has_computed() -> bool:
     """Whether JAX has started its devices: it takes no other number of them then."""
     import jax
 
@@ -148,7 +148,7 @@ def _set_devices(devices: int | None) -> bool:
         if now > 0 or any(name in told for name in _DEVICES):
             return True
         devices = cores()
-    if _computed():
+    if has_computed():
         return len(jax.devices("cpu")) == devices
     jax.config.update("jax_num_cpu_devices", devices)
     return True

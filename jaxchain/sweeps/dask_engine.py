@@ -23,12 +23,12 @@ from typing import Any
 
 from tqdm import tqdm
 
-from .._configure import configure, cores
+from .._configure import configure, cores, has_computed
 from .._limits import MOST_STORED
 from .claims import Claims
 from .ensemble import prepare
 from .filling import PAUSE, Filler
-from .fingerprint import DEVICES, fingerprint_of
+from .fingerprint import DEVICES, fingerprint_of, flags
 from .grid import Key
 from .store import Store, StoreError, read_layout
 
@@ -156,11 +156,7 @@ def _prepared(path: str, call: str, digest: str, session: str) -> tuple[Filler, 
                 f"Worker {os.uname().nodename} does not see the store {path}: it must be on a "
                 "disk that all workers share, by a name that is the same for all."
             )
-        # As the client was set up, and before anything of JAX is read: floats of 32 bits would be
-        # made of it.  Where the environment says how many devices there are, it says so here, too.
-        os.environ["XLA_FLAGS"] = f"{_devices()} {layout['fingerprint']['XLA_FLAGS']}".strip()
-        devices = None if "JAX_NUM_CPU_DEVICES" in os.environ else get_worker().state.nthreads
-        configure(devices=devices, whole_loops=False, cache=True)
+        _set_up(layout["fingerprint"]["XLA_FLAGS"], get_worker().state.nthreads)
         payload = Path(call).read_bytes()
         if hashlib.sha256(payload).hexdigest() != digest:
             raise StoreError(f"The file {call} is not what the client wrote.")
@@ -176,10 +172,22 @@ def _prepared(path: str, call: str, digest: str, session: str) -> tuple[Filler, 
     return _own[path, digest, session]
 
 
-def _devices() -> str:
-    """What the environment of this worker tells XLA of their number."""
-    words = os.environ.get("XLA_FLAGS", "").split()
-    return " ".join(word for word in words if DEVICES in word)
+def _set_up(options: str, threads: int) -> None:
+    """JAX as in the process that laid the store out, before anything is read that is of JAX.
+
+    Otherwise floats of 32 bits would be made of it.  Where the environment says how many devices
+    a worker has, it has so many, else as many as threads.
+    """
+    if flags() != options:
+        if has_computed():
+            raise StoreError(
+                f"This worker has computed with XLA_FLAGS = {flags()!r} already, but the store "
+                f"wants {options!r}: restart the workers."
+            )
+        told = [word for word in os.environ.get("XLA_FLAGS", "").split() if DEVICES in word]
+        os.environ["XLA_FLAGS"] = " ".join([*told, options])
+    free = "JAX_NUM_CPU_DEVICES" not in os.environ and not has_computed()
+    configure(devices=threads if free else 0, whole_loops=False, cache=True)
 
 
 @contextlib.contextmanager

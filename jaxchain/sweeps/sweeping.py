@@ -142,7 +142,7 @@ def sweep(
         >>> result.active_count.dims
         ('belt_speed', 'excited')
     """
-    _check_running(lanes, devices, progress, description)
+    _check_running(lanes, devices, client, progress, description)
     call: dict[str, Any] = {
         "chain": chain, "initial": initial, "t1": t1, "over": over, "vary": vary,
         "observe": observe, "t0": t0, "solver": solver, "accuracy": accuracy, "rtol": rtol,
@@ -192,8 +192,17 @@ def sweep(
     return dataset
 
 
-def _check_running(lanes: Any, devices: Any, progress: Any, description: Any) -> None:
+def _check_running(lanes: Any, devices: Any, client: Any, progress: Any, description: Any) -> None:
     check_count("lanes", lanes)
+    if client is not None and not callable(getattr(client, "submit", None)):
+        raise ValueError(
+            f"Argument `client` must be None or a `distributed.Client`, but is {shown(client)}."
+        )
+    if client is not None and devices is not None:
+        raise ValueError(
+            "Argument `devices` is for a sweep of this process: with a `client` each worker uses "
+            "its own. Leave it out."
+        )
     check_flag("progress", progress)
     check_kind("description", description, str, "the name of the progress bar")
     several = isinstance(devices, list | tuple) and len(devices) > 0
