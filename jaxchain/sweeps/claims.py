@@ -60,8 +60,7 @@ class Claims:
 
     def take(self, unit: str) -> bool:
         """Whether the unit is ours now: nobody else has it, or he has died."""
-        path = self._path(unit)
-        name = uuid.uuid4().hex
+        path, name = self._path(unit), uuid.uuid4().hex
         own = self.folder / f".{name}{_SUFFIX}"
         own.write_text(json.dumps(_myself() | {"session": self.session, "claim": name}))
         try:
@@ -103,6 +102,10 @@ class Claims:
             path.rename(aside)
         except FileNotFoundError:
             return True
+        if _read(aside) != owner:
+            # The first of them has claimed it meanwhile.
+            with contextlib.suppress(FileExistsError):
+                os.link(aside, path)
         aside.unlink(missing_ok=True)
         return True
 
@@ -117,12 +120,26 @@ class Claims:
 
 def living(folder: Path) -> dict[str, dict[str, Any]]:
     """Who has claimed which units of a store and lives, as far as one can tell."""
+    try:
+        now = clock(folder)
+    except OSError:  # who only reads may ask, too
+        now = time.time()
     found = {}
     for path in folder.glob(f"[!.]*{_SUFFIX}"):
         owner = _read(path)
-        if owner is not None and not _dead(owner) and _age(path) < LASTS:
+        if owner is not None and not _dead(owner) and now - _touched(path) < LASTS:
             found[path.name.removesuffix(_SUFFIX)] = owner
     return found
+
+
+def clock(folder: Path) -> float:
+    """The present time by the clock of the disk, which may be that of another computer."""
+    file = folder / f".{uuid.uuid4().hex}.part"
+    file.touch()
+    try:
+        return file.stat().st_mtime
+    finally:
+        file.unlink()
 
 
 def _myself() -> dict[str, Any]:
@@ -170,8 +187,9 @@ def _read(path: Path) -> dict[str, Any] | None:
     return found if isinstance(found, dict) else None
 
 
-def _age(path: Path) -> float:
+def _touched(path: Path) -> float:
+    """When a claim was; never, if it is no more."""
     try:
-        return time.time() - path.stat().st_mtime
+        return path.stat().st_mtime
     except OSError:
         return 0.0

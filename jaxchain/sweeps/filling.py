@@ -50,11 +50,13 @@ def open_for(
     if layout is None:
         most = lane_count(ensemble.task.chain.n, ensemble.total, jax.local_devices()[:1], lanes)
         kept = chunks_of(ensemble.axes, _unit_size(ensemble, most)) | (chunks or {})
-        used = min(most, Grid(ensemble.axes, kept).block_size) if lanes is None else lanes
+        # None is longer than its dimension: if that grows, the chunks must stay as they are.
+        grid = Grid(ensemble.axes, kept)
+        kept, used = grid.chunks, min(most, grid.block_size) if lanes is None else lanes
     else:
         used, kept = layout["lanes"] if lanes is None else lanes, layout["chunks"]
         for dim, size in (chunks or {}).items():
-            if size != kept[dim]:
+            if dim in kept and min(size, layout["sizes"][dim]) != kept[dim]:
                 raise ValueError(
                     f"Argument `chunks` has {size} values along {dim!r}, but the store {path} has "
                     f"{kept[dim]}: leave it out, or give another `store`."
@@ -74,7 +76,9 @@ def fill(
 ) -> None:
     """Computes all that is not done, on devices of this process or by the workers of a client."""
     finished = sum(record["lanes"] for record in store.done().values())
-    store.clean()
+    missing = finished < store.grid.total
+    if missing:  # one that is finished may be read where nothing can be written
+        store.clean()
     with lane_bar(store.grid.total, progress, description) as bar:
         bar.n = finished
         if client is None:
@@ -83,7 +87,8 @@ def fill(
             from .dask_engine import fill_by
 
             fill_by(client, store, call, bar, finished)
-    store.clean()
+    if missing:
+        store.clean()
 
 
 def _unit_size(ensemble: Ensemble, lanes: int) -> int:
@@ -128,6 +133,8 @@ class Filler:
             while left:
                 self.run(left, claims, bar)
                 left = [key for key in left if not store.is_done(key)]
+                undone = sum(store.grid.block(key).size for key in left)
+                self.runner.finished = store.grid.total - undone
                 if left:
                     time.sleep(PAUSE)
 
@@ -153,13 +160,17 @@ class Filler:
             block = self.store.grid.block(key)
             if self.store.is_done(key):
                 self.runner.finished += block.size
-            elif claims.take(block.name):
+            elif self._take(block, claims):
                 if self.store.is_done(key):  # since
                     claims.release(block.name)
                     self.runner.finished += block.size
                     continue
                 self._began[key] = time.time()
                 yield block
+
+    def _take(self, block: Block, claims: Claims) -> bool:
+        with self.store.in_words():
+            return claims.take(block.name)
 
     def _check(self, writing: list[Future]) -> None:
         """Raises what went wrong in writing, and waits if it cannot keep up."""
@@ -168,8 +179,11 @@ class Filler:
 
     def _write(self, block: Block, found: Any, claims: Claims) -> None:
         began = self._began.pop(block.key)
-        self.store.write(block, found, provenance(self.runner.devices, began))
-        claims.release(block.name)
+        # If this process slept for longer than a claim lasts, another one may have done it.
+        if not self.store.is_done(block.key):
+            self.store.write(block, found, provenance(self.runner.devices, began))
+        with self.store.in_words():
+            claims.release(block.name)
 
 
 def provenance(devices: Sequence[Any], began: float) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import inspect
+import json
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping
@@ -18,16 +19,21 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import jax.tree_util as jtu
 import numpy as np
 
+from ..observers.base import Step
 from .axes import Axes, columns_of
 from .dataset import versions
 from .ensemble import Ensemble
 from .starts import first as first_of
 from .starts import start_of
 
-# Of this package: all that a lane does and sees.
-_CODE = ("model", "observers", "solvers", "simulation", "sweeps/lanes.py", "sweeps/starts.py")
+# Of this package: all that a lane does and sees, and what its results are called.
+_CODE = (
+    "model", "observers", "solvers", "simulation", "sweeps/lanes.py", "sweeps/starts.py",
+    "result.py",
+)  # fmt: skip
 _OUR_MODULES = ("jaxchain.", "diffrax.")
 DEVICES = "xla_force_host_platform_device_count"
 # A number is shown in an error, an array up to this size too.
@@ -49,14 +55,23 @@ def fingerprint_of(ensemble: Ensemble, lanes: int) -> dict[str, Any]:
             "curve": _program(_force, chain.friction, jnp.zeros(())),
         },
         "solver": _described(solver),
-        "observers": _described(plan.observers),
+        "observers": {
+            # The program says more than the source: what it takes from elsewhere, too.
+            str(i): {**_described(o), "code": _program(_seen, o, chain, task.t0, task.t1)}
+            for i, o in enumerate(plan.observers, start=1)
+        },
         "t0": float(task.t0),
         "t1": float(task.t1),
         "max_steps": None if task.max_steps is None else int(task.max_steps),
         "segments": task.segments,
         "accuracy": ensemble.accuracy,
-        "initial and vary": _program(start_of, starts, first_of(first)),
+        "initial and vary": _digest(
+            _program(start_of, starts, first_of(first)).encode(),
+            _words(task.varied).encode(),
+            *(digest(leaf).encode() for leaf in _arrays((starts.initial, starts.vary))),
+        ),
         "lanes": lanes,
+        "dimensions": list(axes),
         "over": {dim: sorted(columns) for dim, columns in axes.items()},
         "versions": {k: v for k, v in versions().items() if k != "python"},
         "code of jaxchain": code(),
@@ -70,7 +85,7 @@ def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
     said = []
     for name in [*old, *(name for name in new if name not in old)]:
         was, now_is = old.get(name), new.get(name)
-        if was == now_is:
+        if json.dumps(was) == json.dumps(now_is):  # NaN is not NaN
             continue
         digests = isinstance(was, str) and was.startswith("sha256")
         said.append(
@@ -135,7 +150,16 @@ def _described(value: Any) -> Any:
         return {str(name): _described(one) for name, one in value.items()}
     if value is None or isinstance(value, str) or eqx.is_array_like(value):
         return _value(value)
+    return _words(value)
+
+
+def _words(value: Any) -> str:
+    """Without the addresses of functions, which are others in each process."""
     return re.sub(r" at 0x[0-9a-f]+", "", repr(value))
+
+
+def _arrays(tree: Any) -> list[Any]:
+    return [leaf for leaf in jtu.tree_leaves(tree) if eqx.is_array(leaf)]
 
 
 def _is_ours(kind: type) -> bool:
@@ -159,7 +183,17 @@ def _source(kind: type) -> str:
 
 
 def _force(friction: Any, speed: Any) -> Any:
-    return friction.force_and_slope(speed)
+    return friction.force_and_slope(speed), friction.law.mu_static
+
+
+def _seen(observer: Any, chain: Any, t0: Any, t1: Any) -> Any:
+    """All that an observer makes of one step."""
+    start = jnp.ones(chain.n), jnp.ones(chain.n)
+    x, v = (lambda theta, part=part: part + 0.0 * theta for part in start)
+    kept = observer.init(chain, t0, t1, start)
+    kept = observer.update(kept, Step(chain, t0, t1, start, start, x, v))
+    said = observer.label(observer.read(kept), chain)
+    return observer.settled(kept), observer.rests(kept), dict(said)
 
 
 def _program(function: Callable, tree: Any, *arguments: Any) -> str:

@@ -36,7 +36,7 @@ from zarr.storage import MemoryStore
 
 from ..result import NAMES, ended_as
 from .axes import columns_of
-from .claims import LASTS, living
+from .claims import LASTS, TOUCH, clock, living
 from .ensemble import Ensemble
 from .fingerprint import columns, differences, digest
 from .grid import Block, Grid, Key
@@ -84,8 +84,13 @@ class Store:
                 "columns": columns(ensemble.axes),
             }
             there = read_layout(path)
+            if there is not None and there.get("format") != _FORMAT:
+                raise ValueError(
+                    f"Argument `store` names {path}, which another version of jaxchain has made: "
+                    "give another `store`, or go on with that version."
+                )
             if there is None:
-                if path.exists() and any(path.iterdir()):
+                if path.exists() and (not path.is_dir() or any(path.iterdir())):
                     raise ValueError(
                         f"Argument `store` names {path}, which holds something else: give the "
                         "name of a store that is not there yet, or of one that a sweep has made."
@@ -113,7 +118,7 @@ class Store:
                 if name not in names or (record := _read(self.units / name)) is None:
                     continue
                 # A unit at the edge of a grid that has been extended is another one now.
-                if record["sizes"] != self._sizes(key):
+                if record.get("sizes") != self._sizes(key):
                     continue
                 if not check or self._is_whole(record):
                     found[key] = record
@@ -124,7 +129,7 @@ class Store:
     def is_done(self, key: Key) -> bool:
         """Whether there is a record of this unit as it is now."""
         record = _read(self.units / (_name(key) + _RECORD))
-        return record is not None and record["sizes"] == self._sizes(key)
+        return record is not None and record.get("sizes") == self._sizes(key)
 
     def write(self, block: Block, found: xr.Dataset, about: Mapping[str, Any]) -> None:
         """Writes what was computed of a unit, then records it.
@@ -132,7 +137,7 @@ class Store:
         **Raises:** `StoreError` if it cannot be written: then it is not recorded.
         """
         with _in_words(self.path):
-            self._check_there()
+            self._check_there(block)
             files = {}
             for name, variable in found.data_vars.items():
                 encoded = conventions.encode_cf_variable(variable.variable)
@@ -146,7 +151,7 @@ class Store:
                 array[region] = encoded.values
                 files[file] = _checksum(self.path / file)
             try:
-                self._check_there()
+                self._check_there(block)
             except StoreError:
                 self._take_back(files)
                 raise
@@ -176,9 +181,12 @@ class Store:
             "device_kind": _words(r["device_kind"] for r in records),
         }
         with _in_words(self.path):
-            group = zarr.open_group(self.path, mode="r+", zarr_format=3)
-            group.update_attributes(attrs)
-            _consolidate(self.path)
+            group = zarr.open_group(self.path, mode="r", zarr_format=3)
+            # One that is finished may be read where nothing can be written.
+            if {name: group.attrs.get(name) for name in attrs} != attrs:
+                group = zarr.open_group(self.path, mode="r+", zarr_format=3)
+                group.update_attributes(attrs)
+                _consolidate(self.path)
         return {name: counts[name] for name in NAMES if counts[name]}
 
     def dataset(self) -> xr.Dataset:
@@ -197,12 +205,15 @@ class Store:
             self._arrays[name] = zarr.open_array(self.path / name, mode="r+", zarr_format=3)
         return self._arrays[name]
 
-    def _check_there(self) -> None:
-        if not (self.path / "zarr.json").exists() or not (self.units / _LAYOUT).exists():
-            raise StoreError(
-                f"The store {self.path} was removed while a sweep filled it. What it held is "
-                "gone; make the same call again to begin anew."
-            )
+    def _check_there(self, block: Block) -> None:
+        if not _is_there(self.path) or (layout := read_layout(self.path)) is None:
+            raise StoreError(_removed(self.path))
+        for (dim, part), size in zip(block.region.items(), layout["sizes"].values(), strict=True):
+            if part.stop < min(size, part.start + self.grid.chunks[dim]):
+                raise StoreError(
+                    f"The store {self.path} was extended along {dim!r} while a sweep of fewer "
+                    "values filled it. Units that are recorded are kept; sweep over all values."
+                )
 
     def _take_back(self, files: Mapping[str, Any]) -> None:
         """Removes files that were written where no store is any more, and their empty folders."""
@@ -219,9 +230,18 @@ class Store:
         return all(_checksum(self.path / file) == known for file, known in files.items())
 
     def _is_laid_out(self) -> bool:
+        """Whether all but the data is there, and whole."""
         try:
-            return dict(open_store(self.path)["result"].sizes) == self.grid.sizes
-        except (OSError, KeyError, ValueError):
+            there = open_store(self.path)
+            return (
+                dict(there["result"].sizes) == self.grid.sizes
+                and all((self.path / str(name) / "zarr.json").exists() for name in there.variables)
+                and all(
+                    np.array_equal(there[name].values, values)
+                    for name, values in columns_of(self.grid.axes).items()
+                )
+            )
+        except (OSError, KeyError, ValueError, RuntimeError):
             return False
 
     def _lay_out(self, ensemble: Ensemble) -> None:
@@ -248,16 +268,22 @@ class Store:
     def clean(self) -> None:
         """Removes what a process has left that was killed while it wrote.
 
-        While somebody computes, what is young is left alone.
+        Somebody who has claimed nothing yet may just be about to.
         """
         with _in_words(self.path):
-            now, alone = _probe(self.units), not living(self.units)
-        left = [*self.path.rglob("*.partial"), *self.units.glob(".*")]
-        left += self.path.parent.glob(f".{self.path.name}.*.part")
-        for file in left:
-            with contextlib.suppress(OSError):
-                if alone or now - file.stat().st_mtime > LASTS:
-                    shutil.rmtree(file) if file.is_dir() else file.unlink()
+            now, alive = clock(self.units), living(self.units)
+            young = LASTS if alive else TOUCH
+            left = [*self.path.rglob("*.partial")]
+            left += [*self.units.glob(".*.part"), *self.units.glob(".*.claim")]
+            left += self.path.parent.glob(f".{self.path.name}.*.part")
+            for file in left:
+                with contextlib.suppress(OSError):
+                    if now - file.stat().st_mtime > young:
+                        shutil.rmtree(file) if file.is_dir() else file.unlink()
+            for file in self.units.glob("[!.]*.claim"):
+                # Nobody asks for a unit that is done.
+                if file.stem not in alive and (self.units / f"{file.stem}{_RECORD}").exists():
+                    file.unlink(missing_ok=True)
 
 
 def units_of(path: Path) -> Path:
@@ -383,9 +409,10 @@ def _replace(path: Path, content: Mapping[str, Any]) -> None:
 def _read(path: Path) -> dict[str, Any] | None:
     """A file of our own; None if it is not there, or torn."""
     try:
-        return json.loads(path.read_text())
+        found = json.loads(path.read_text())
     except (FileNotFoundError, ValueError):
         return None
+    return found if isinstance(found, dict) else None
 
 
 def _checksum(path: Path) -> list[int] | None:
@@ -397,18 +424,19 @@ def _checksum(path: Path) -> list[int] | None:
     return [len(content), zlib.crc32(content)]
 
 
-def _probe(folder: Path) -> float:
-    """The present time by the clock of the disk."""
-    file = folder / f".{uuid.uuid4().hex}.part"
-    file.touch()
-    try:
-        return file.stat().st_mtime
-    finally:
-        file.unlink()
-
-
 def _name(key: Key) -> str:
     return ".".join(map(str, key))
+
+
+def _is_there(path: Path) -> bool:
+    return (path / "zarr.json").exists() and (units_of(path) / _LAYOUT).exists()
+
+
+def _removed(path: Path) -> str:
+    return (
+        f"The store {path} was removed while a sweep filled it. What it held is gone; make the "
+        "same call again to begin anew."
+    )
 
 
 @contextlib.contextmanager
@@ -420,6 +448,8 @@ def _in_words(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
+        if isinstance(error, FileNotFoundError) and not _is_there(path):
+            raise StoreError(_removed(path)) from error
         reason = error.strerror or str(error)
         raise StoreError(
             f"The store {path} cannot be used: {reason}. Units that are recorded are kept; mend "

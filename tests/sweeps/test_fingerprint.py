@@ -1,0 +1,303 @@
+"""A store knows its sweep: whatever decides a number is refused when it changes, by its name."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from stores import OVER, opened
+
+import jaxchain
+from jaxchain import (
+    Amplitude,
+    Chain,
+    EventDriven,
+    ExponentialDecay,
+    PeakTimes,
+    equation_8,
+    paper_chain,
+)
+from jaxchain.model import AbstractFrictionLaw
+from jaxchain.observers.base import AbstractObserver, Variable
+from jaxchain.sweeps import fingerprint
+from jaxchain.sweeps.fingerprint import differences
+
+CHAIN = paper_chain(2, belt_speed=1.4, width=None)
+SPEEDS = {"belt_speed": [1.0, 1.2]}
+FACTOR = 1.0
+
+
+class Law(AbstractFrictionLaw):
+    """Of one's own."""
+
+    mu_static: float = 1.0
+    power: int = eqx.field(static=True, default=1)
+
+    def coefficient(self, sliding_speed):
+        return self.mu_static / (1.0 + sliding_speed) ** self.power
+
+
+class Other(Law):
+    def coefficient(self, sliding_speed):
+        return self.mu_static / (1.0 + 2.0 * sliding_speed) ** self.power
+
+
+class Mine(AbstractObserver):
+    function: object = eqx.field(static=True)
+    factor: float = 1.0
+
+    def init(self, field, t0, t1, y0):
+        return y0[0]
+
+    def update(self, accumulator, step):
+        return self.function(step.y1[0]) * self.factor * FACTOR
+
+    def read(self, accumulator):
+        return accumulator
+
+    def label(self, value, chain):
+        return {"mine": Variable(value, ("oscillator",))}
+
+
+def own(law):
+    return Chain(2, law, belt_speed=1.4, coupling=0.01)
+
+
+def start(constant):
+    """A function that holds a number, an array of NumPy or one of JAX."""
+    return lambda chain: (jnp.zeros(chain.n) + constant, jnp.zeros(chain.n))
+
+
+def loose(constant):
+    return lambda chain: chain.with_(damping_ratio=constant)
+
+
+def smoothed(**changes):
+    return {"chain": paper_chain(2, belt_speed=1.4, width=1e-2)} | changes
+
+
+def numbers(scale):
+    return scale * np.arange(1.0, 3.0)
+
+
+def pair(scale):
+    """The same program, with other numbers."""
+    return jnp.asarray(numbers(scale)), jnp.zeros(2)
+
+
+# Before, after, and what is said.
+CHANGES = {
+    "rtol": ({"rtol": 1e-6}, {"rtol": 1e-7}, r"solver.rtol was 1e-06 and is 1e-07"),
+    "atol": ({"atol": 1e-6}, {"atol": 1e-7}, r"solver.atol was 1e-06 and is 1e-07"),
+    "max_step": ({}, {"max_step": 0.1}, r"solver.max_step was 0.5 and is 0.1"),
+    "t1": ({}, {"t1": 21.0}, r"t1 was 20.0 and is 21.0"),
+    "t0": ({}, {"t0": 1.0}, r"t0 was 0.0 and is 1.0"),
+    "steps": ({}, {"max_steps": 900}, r"max_steps was absent and is 900"),
+    "segments": ({}, {"segments": 2}, r"segments was absent and is 2"),
+    "lanes": ({}, {"lanes": 5}, r"lanes was 4 and is 5"),
+    "accuracy": (
+        smoothed(accuracy=1e-2), smoothed(accuracy=1e-3), r"accuracy was 0.01 and is 0.001"
+    ),
+    "solver": (
+        smoothed(), smoothed(solver=jaxchain.Rodas4(sweeps=None)), r"solver.*has changed|solver"
+    ),
+    "solver's setting": (
+        {"solver": EventDriven()}, {"solver": EventDriven(order=8)}, r"solver"
+    ),
+    "n": ({}, {"chain": paper_chain(3, 1.4, None)}, r"chain.n was 2 and is 3"),
+    "ends": (
+        {"chain": Chain(2, CHAIN.law, 1.4, coupling=0.1)},
+        {"chain": Chain(2, CHAIN.law, 1.4, coupling=0.1, ends="free")},
+        r"chain.ends was cyclic and is free",
+    ),
+    "chain number": (
+        {}, {"chain": CHAIN.with_(damping_ratio=0.04)}, r"damping_ratio was 0.05 and is 0.04"
+    ),
+    "masses": (
+        {"chain": CHAIN.with_(stiffness=numbers(1.0))},
+        {"chain": CHAIN.with_(stiffness=numbers(1.1))},
+        r"chain.stiffness was \[1.0, 2.0\] and is \[1.1, 2.2\]",
+    ),
+    "many masses": (
+        {"chain": paper_chain(9).with_(stiffness=np.linspace(1.0, 1.1, 9))},
+        {"chain": paper_chain(9).with_(stiffness=np.linspace(1.0, 1.2, 9))},
+        r"chain.stiffness has changed",
+    ),
+    "law's number": (
+        {}, {"chain": CHAIN.with_(mu_static=1.1)}, r"chain.mu_static was 1.0 and is 1.1"
+    ),
+    "law": (
+        {"chain": own(Law())}, {"chain": own(ExponentialDecay(1.0, 0.5, 0.5))},
+        r"friction.law was .*Law and is ExponentialDecay",
+    ),
+    "own law": ({"chain": own(Law())}, {"chain": own(Other())}, r"friction.curve has changed"),
+    "own law's setting": (
+        {"chain": own(Law())}, {"chain": own(Law(power=2))}, r"friction.curve has changed"
+    ),
+    "width": (
+        smoothed(), {"chain": paper_chain(2, 1.4, 2e-2)}, r"chain.width was 0.01 and is 0.02"
+    ),
+    "smoothed": ({}, smoothed(), r"chain.width was absent and is 0.01"),
+    "observer": ({}, {"observe": PeakTimes(3)}, r"observers.1.kind was Amplitude"),
+    "window": (
+        {}, {"observe": Amplitude(window=6.0)},
+        r"observers.1.window was 5.0 and is 6.0",
+    ),
+    "another observer": (
+        {}, {"observe": [Amplitude(window=5.0), PeakTimes(3)]}, r"observers.2.kind was absent"
+    ),
+    "observer's number": (
+        {"observe": Mine(abs)}, {"observe": Mine(abs, 2.0)}, r"observers.1.factor was 1.0 and is 2"
+    ),
+    "observer's function": (
+        {"observe": Mine(lambda x: x)}, {"observe": Mine(lambda x: -x)},
+        r"observers.1.code has changed",
+    ),
+    "pair": (
+        {"initial": pair(1.0), "over": SPEEDS}, {"initial": pair(2.0), "over": SPEEDS},
+        r"initial and vary has changed",
+    ),
+    **{
+        f"captured {kind.__name__}": (
+            {"initial": start(kind(1.0)), "over": SPEEDS},
+            {"initial": start(kind(2.0)), "over": SPEEDS}, r"initial and vary has changed",
+        )
+        for kind in (float, np.asarray, jnp.asarray, numbers)
+    },
+    "vary": ({"vary": loose(0.1)}, {"vary": loose(0.2)}, r"initial and vary has changed"),
+    "vary's springs": (
+        {"vary": lambda chain: chain.with_(coupling=0.1)},
+        {"vary": lambda chain: Chain(2, chain.law, chain.belt_speed, coupling=0.1, ends="free")},
+        r"initial and vary has changed",
+    ),
+    "vary's choice": (
+        {"vary": lambda chain: eqx.tree_at(lambda c: c.stiffness, chain, chain.damping_ratio)},
+        {"vary": lambda chain: eqx.tree_at(lambda c: c.stiffness, chain, chain.belt_speed)},
+        r"initial and vary has changed",
+    ),
+    "dimension": (
+        {}, {"over": OVER | {"mu_static": [1.0]}}, r"over.mu_static was absent and is"
+    ),
+    "order": (
+        {}, {"over": dict(reversed(OVER.items()))},
+        r"dimensions was \['belt_speed', 'excited'\] and is \['excited', 'belt_speed'\]",
+    ),
+    "together": (
+        {"over": {"excited": OVER["excited"], "set": {"belt_speed": [1.0]}}},
+        {"over": {"excited": OVER["excited"], "set": {"belt_speed": [1.0], "width": [1e-2]}},
+         **smoothed()},
+        r"over.set was \['belt_speed'\] and is \['belt_speed', 'width'\]",
+    ),
+    "values": (
+        {}, {"over": OVER | {"excited": [0, 2, 1]}}, r"over\['excited'\] has other values of excit"
+    ),
+    "fewer values": (
+        {}, {"over": OVER | {"excited": [0, 1]}}, r"over\['excited'\] has fewer values of excited"
+    ),
+    "column": (
+        {"over": {"excited": [1], "set": {"belt_speed": [1.0, 1.1], "mu_static": [0.8, 0.9]}}},
+        {"over": {"excited": [1], "set": {"belt_speed": [1.0, 1.1], "mu_static": [0.8, 1.0]}}},
+        r"over\['set'\] has other values of mu_static",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_what_decides_a_number_is_refused_when_it_changes(tmp_path, change):
+    before, after, message = CHANGES[change]
+    path = tmp_path / "a.zarr"
+    opened(path, None, **before)
+    opened(path, None, **before)
+    with pytest.raises(ValueError, match=message) as caught:
+        opened(path, None, **after)
+    assert "belongs to another sweep: " in str(caught.value)
+    assert str(caught.value).endswith(
+        "Sweep as before, with values added at the end of a dimension at most, or give another "
+        "`store`."
+    )
+
+
+def test_so_is_another_version_of_the_code_or_of_a_library(tmp_path, monkeypatch):
+    path = tmp_path / "a.zarr"
+    opened(path)
+    with monkeypatch.context() as patch:
+        patch.setattr(fingerprint, "code", lambda: "sha256 other")
+        with pytest.raises(ValueError, match="code of jaxchain has changed"):
+            opened(path)
+    newer = fingerprint.versions() | {"jax": "99.0"}
+    monkeypatch.setattr(fingerprint, "versions", lambda: newer)
+    with pytest.raises(ValueError, match=r"versions.jax was .* and is 99.0"):
+        opened(path)
+    monkeypatch.setattr(fingerprint, "versions", lambda: newer | {"jax": "98.0", "python": "4"})
+    with pytest.raises(ValueError, match=r"98\.0"):
+        opened(path)
+
+
+def test_a_number_that_an_observer_finds_elsewhere_counts(tmp_path, monkeypatch):
+    path = tmp_path / "a.zarr"
+    opened(path, observe=Mine(abs))
+    monkeypatch.setitem(globals(), "FACTOR", 2.0)
+    with pytest.raises(ValueError, match=r"observers.1.code has changed"):
+        opened(path, observe=Mine(abs))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"initial": lambda chain, excited: equation_8(chain, excited)},  # under another name
+        {"chain": CHAIN.with_(belt_speed=3.0)},  # which is swept
+        {"over": OVER | {"belt_speed": [*OVER["belt_speed"]]}},
+        {"t1": 20},
+    ],
+)
+def test_what_decides_nothing_may_change(tmp_path, change):
+    path = tmp_path / "a.zarr"
+    opened(path)
+    opened(path, **change)
+
+
+def test_numbers_that_are_not_finite_are_the_same_as_before():
+    before = {"a": float("nan"), "b": float("inf")}
+    assert differences(before, dict(before)) == []
+    assert differences(before, before | {"b": 1.0}) == ["b was inf and is 1.0"]
+
+
+def test_all_of_the_package_that_a_lane_runs_is_in_the_code_version():
+    root = Path(jaxchain.__file__).parent
+    covered = {
+        file
+        for part in fingerprint._CODE
+        for file in ([root / part] if part.endswith(".py") else (root / part).rglob("*.py"))
+    }
+    assert all(file.exists() for file in covered)
+    assert {root / "result.py", root / "sweeps/lanes.py", root / "solvers/rosenbrock.py"} < covered
+
+
+PROGRAM = """
+import equinox as eqx, jax, json, sys
+import jaxchain
+jaxchain.configure()
+sys.path[:0] = sys.argv[1:]
+from test_fingerprint import CHAIN, Mine, loose
+from jaxchain import Amplitude, equation_8
+from jaxchain.sweeps.ensemble import prepare
+from jaxchain.sweeps.fingerprint import fingerprint_of
+ensemble = prepare(
+    CHAIN, lambda chain, excited: equation_8(chain, excited), 20.0, vary=loose(0.1),
+    over={"excited": [0, 1]}, observe=[Amplitude(window=5.0), Mine(abs), ],
+)
+print(json.dumps(fingerprint_of(ensemble, 4)))
+"""
+
+
+@pytest.mark.long
+def test_it_is_the_same_in_every_process():
+    """Whatever the addresses of functions and the order of sets."""
+    here = Path(__file__).parent
+    command = [sys.executable, "-c", PROGRAM, str(here), str(here.parent)]
+    first, second = (subprocess.run(command, capture_output=True, text=True) for _ in range(2))
+    assert (first.returncode, first.stderr) == (0, "")
+    assert first.stdout == second.stdout
