@@ -1,6 +1,7 @@
 """A small sweep that a store can keep, and what tests of stores have in common."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -28,7 +29,7 @@ def arguments(**changes):
     } | changes  # fmt: skip
 
 
-def small(store=None, lanes=4, **changes):
+def small(store: Any = None, lanes: int | None = 4, **changes: Any) -> Any:
     """In memory, or kept in a store."""
     given = {} if store is None else {"chunks": CHUNKS}
     return sweep(**{**arguments(), **given, **changes}, store=store, lanes=lanes)

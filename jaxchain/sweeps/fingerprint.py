@@ -52,7 +52,15 @@ def fingerprint_of(ensemble: Ensemble, lanes: int) -> dict[str, Any]:
         "chain": {k: _value(v) for k, v in numbers.items() if k not in swept and v is not None},
         "friction": {
             "law": _kind(type(chain.friction)),
-            "curve": _program(_force, chain.friction, jnp.zeros(())),
+            "curve": _digest(
+                _program(_force, chain.friction, jnp.zeros(())).encode(),
+                # A table, say: arrays are data of the program.
+                *(
+                    digest(leaf).encode()
+                    for leaf in _arrays(chain.friction)
+                    if all(leaf is not number for number in numbers.values())
+                ),
+            ),
         },
         "solver": _described(solver),
         "observers": {

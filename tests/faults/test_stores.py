@@ -85,7 +85,7 @@ class Place:
         """A process that stands still there."""
         process, deadline = self.start(stop=moment), time.monotonic() + PATIENCE
         while not self.log.units("stops"):
-            assert process.poll() is None, process.stderr.read()
+            assert process.poll() is None, self.end(process)
             assert time.monotonic() < deadline
             time.sleep(0.05)
         return process

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import equinox as eqx
@@ -21,6 +22,7 @@ from jaxchain import (
     paper_chain,
 )
 from jaxchain.model import AbstractFrictionLaw
+from jaxchain.model.tabulated import TabulatedFriction
 from jaxchain.observers.base import AbstractObserver, Variable
 from jaxchain.sweeps import fingerprint
 from jaxchain.sweeps.fingerprint import differences
@@ -36,17 +38,17 @@ class Law(AbstractFrictionLaw):
     mu_static: float = 1.0
     power: int = eqx.field(static=True, default=1)
 
-    def coefficient(self, sliding_speed):
-        return self.mu_static / (1.0 + sliding_speed) ** self.power
+    def coefficient(self, speed):
+        return jnp.asarray(self.mu_static / (1.0 + speed) ** self.power)
 
 
 class Other(Law):
-    def coefficient(self, sliding_speed):
-        return self.mu_static / (1.0 + 2.0 * sliding_speed) ** self.power
+    def coefficient(self, speed):
+        return jnp.asarray(self.mu_static / (1.0 + 2.0 * speed) ** self.power)
 
 
 class Mine(AbstractObserver):
-    function: object = eqx.field(static=True)
+    function: Callable = eqx.field(static=True)
     factor: float = 1.0
 
     def init(self, field, t0, t1, y0):
@@ -64,6 +66,10 @@ class Mine(AbstractObserver):
 
 def own(law):
     return Chain(2, law, belt_speed=1.4, coupling=0.01)
+
+
+def tabulated(last):
+    return own(TabulatedFriction([0.0, 0.5, 1.0, 2.0], [1.0, 0.8, 0.7, last]))
 
 
 def start(constant):
@@ -137,6 +143,7 @@ CHANGES = {
     "own law's setting": (
         {"chain": own(Law())}, {"chain": own(Law(power=2))}, r"friction.curve has changed"
     ),
+    "table": ({"chain": tabulated(0.6)}, {"chain": tabulated(0.65)}, r"friction.curve has chang"),
     "width": (
         smoothed(), {"chain": paper_chain(2, 1.4, 2e-2)}, r"chain.width was 0.01 and is 0.02"
     ),
