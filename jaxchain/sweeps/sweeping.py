@@ -62,7 +62,7 @@ def sweep(
     lanes: int | None = None,
     devices: Sequence[Any] | None = None,
     store: str | os.PathLike | None = None,
-    chunks: Mapping[str, int] | None = None,
+    chunks: Mapping[str, Any] | None = None,
     client: Any = None,
     progress: bool = False,
     description: str = "sweep",
