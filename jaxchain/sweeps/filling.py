@@ -33,8 +33,8 @@ _SECONDS = 5.0
 # Of a lane: for each mass and time unit, and at least; roughly, for either kind of friction.
 _PER_TIME, _PER_LANE = {True: 3e-7, False: 2e-6}, 1e-5
 # A unit has so many jobs for each lane at least, so that few lanes idle at its end; it has no more
-# numbers than this, and a sweep so many units.
-_TURNS, _NUMBERS, _UNITS = 4, 1 << 24, 8
+# numbers than this, and a sweep so many units at least; and at most, as each is some ten files.
+_TURNS, _NUMBERS, _UNITS, _MOST_UNITS = 4, 1 << 24, 8, 20_000
 # Seconds between two looks at what others have done.
 PAUSE = 1.0
 
@@ -99,7 +99,7 @@ def _unit_size(ensemble: Ensemble, lanes: int) -> int:
     shapes = jtu.tree_leaves(ensemble.place.record)
     numbers = sum(int(np.prod(shape.shape)) for shape in shapes)
     total = ensemble.total
-    wanted = max(_TURNS * lanes, int(_SECONDS / lane))
+    wanted = max(_TURNS * lanes, int(_SECONDS / lane), -(-total // _MOST_UNITS))
     return max(1, min(wanted, _NUMBERS // numbers, -(-total // _UNITS)))
 
 

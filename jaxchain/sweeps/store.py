@@ -47,6 +47,8 @@ _FORMAT = 1
 _PENDING = NAMES.index("pending")
 # Values of a coordinate in one file.
 _COORDINATES = 1 << 20
+# Bytes that are read to see whether a store is whole, and the units of a larger one that are.
+_READ, _LATEST = 1 << 32, 1000
 
 
 class StoreError(RuntimeError):
@@ -108,22 +110,27 @@ class Store:
     def done(self, check: bool = True) -> dict[Key, dict[str, Any]]:
         """The records of the units that are done, by their keys.
 
-        `check`: read all that they have written, and forget what is torn or lost.
+        `check`: read what they have written, and forget what is torn or lost.  Of a large store,
+        which many processes would read at once, the contents of the latest units, which a crash
+        may have torn, and the lengths of all others.
         """
         with _in_words(self.path):
             names = set(os.listdir(self.units))
             found = {}
             for key in self.grid.places():
                 name = _name(key) + _RECORD
-                if name not in names or (record := _read(self.units / name)) is None:
-                    continue
                 # A unit at the edge of a grid that has been extended is another one now.
-                if record.get("sizes") != self._sizes(key):
-                    continue
-                if not check or self._is_whole(record):
+                record = _read(self.units / name) if name in names else None
+                if record is not None and record.get("sizes") == self._sizes(key):
                     found[key] = record
-                else:
-                    (self.units / name).unlink(missing_ok=True)
+            if check:
+                latest = sorted(found, key=lambda key: found[key]["ended"])
+                size = sum(length for record in found.values() for length in _lengths(record))
+                read = set(latest if size <= _READ else latest[-_LATEST:])
+                for key in latest:
+                    if not self._is_whole(found[key], key in read):
+                        (self.units / (_name(key) + _RECORD)).unlink(missing_ok=True)
+                        del found[key]
         return found
 
     def is_done(self, key: Key) -> bool:
@@ -225,9 +232,12 @@ class Store:
                     if folder == self.path:
                         break
 
-    def _is_whole(self, record: Mapping[str, Any]) -> bool:
+    def _is_whole(self, record: Mapping[str, Any], read: bool) -> bool:
         files = record["files"]
-        return all(_checksum(self.path / file) == known for file, known in files.items())
+        if read:
+            return all(_checksum(self.path / file) == known for file, known in files.items())
+        there = {file: _length(self.path / file) for file in files}
+        return all(there[file] == (known and known[0]) for file, known in files.items())
 
     def _is_laid_out(self) -> bool:
         """Whether all but the data is there, and whole."""
@@ -437,6 +447,17 @@ def _removed(path: Path) -> str:
         f"The store {path} was removed while a sweep filled it. What it held is gone; make the "
         "same call again to begin anew."
     )
+
+
+def _length(path: Path) -> int | None:
+    try:
+        return path.stat().st_size
+    except FileNotFoundError:
+        return None
+
+
+def _lengths(record: Mapping[str, Any]) -> list[int]:
+    return [known[0] for known in record["files"].values() if known is not None]
 
 
 @contextlib.contextmanager

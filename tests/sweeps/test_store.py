@@ -354,3 +354,18 @@ def test_a_store_that_is_removed_under_way_is_an_error_and_can_be_begun_anew(
                 small(path)
         assert not path.exists()
         assert_same(small(path), memory)
+
+
+def test_of_a_large_store_the_latest_units_are_read_and_lengths_are_seen(full, monkeypatch):
+    monkeypatch.setattr("jaxchain.sweeps.store._READ", 1)
+    monkeypatch.setattr("jaxchain.sweeps.store._LATEST", 1)
+    by_age = sorted(UNITS, key=lambda unit: json.loads(record_of(full, unit).read_text())["ended"])
+    flipped, shortened, latest = by_age[0], by_age[1], by_age[-1]
+    for unit in (flipped, latest):
+        content = bytearray(chunk_of(full, unit).read_bytes())
+        content[-1] ^= 1
+        chunk_of(full, unit).write_bytes(content)
+    chunk_of(full, shortened).write_bytes(chunk_of(full, shortened).read_bytes()[:-1])
+    units = written(monkeypatch)
+    small(full)
+    assert sorted(units) == sorted([shortened, latest])
