@@ -335,25 +335,25 @@ def test_a_store_of_another_format_is_refused(full):
         small(full)
 
 
+@pytest.mark.parametrize("both", [False, True], ids=["the data", "all"])
 def test_a_store_that_is_removed_under_way_is_an_error_and_can_be_begun_anew(
-    memory, path, monkeypatch
+    memory, path, monkeypatch, both
 ):
-    """The data alone, or all of it; at once seen, and nothing is left behind."""
-    for folders in ([path], [path, units_of(path)]):
-        write = Store.write
+    """It is seen at once, and nothing is left behind."""
+    write = Store.write
 
-        def remove(self, block, found, about, folders=folders, write=write):
-            if block.name == "1.0":
-                for folder in folders:
-                    shutil.rmtree(folder)
-            write(self, block, found, about)
+    def remove(self, block, found, about):
+        if block.name == "1.0":
+            for folder in [path, units_of(path)] if both else [path]:
+                shutil.rmtree(folder)
+        write(self, block, found, about)
 
-        with monkeypatch.context() as patch:
-            patch.setattr(Store, "write", remove)
-            with pytest.raises(StoreError, match=r"was removed while a sweep filled it.*anew"):
-                small(path)
-        assert not path.exists()
-        assert_same(small(path), memory)
+    with monkeypatch.context() as patch:
+        patch.setattr(Store, "write", remove)
+        with pytest.raises(StoreError, match=r"was removed while a sweep filled it.*anew"):
+            small(path)
+    assert not path.exists()
+    assert_same(small(path), memory)
 
 
 def test_of_a_large_store_the_latest_units_are_read_and_lengths_are_seen(full, monkeypatch):
