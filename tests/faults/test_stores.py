@@ -212,6 +212,23 @@ def test_two_processes_at_once_share_the_units(place, undisturbed, attempt):
     assert len(computed) in ((UNITS - 1, UNITS - 2, UNITS - 3) if attempt % 2 else (UNITS,))
 
 
+@pytest.mark.parametrize("moment", ["claimed", "writing"])
+def test_a_process_that_slept_for_too_long_spoils_nothing(place, undisturbed, moment):
+    """Another one takes its units over; what it writes when it wakes is the same."""
+    sleeper = place.stopped(moment)
+    claims = list(units_of(place.path).glob("[!.]*.claim"))
+    assert claims
+    for claim in claims:
+        os.utime(claim, (1e9, 1e9))
+    place.finish()
+    assert_whole(place.path, undisturbed)
+    sleeper.send_signal(signal.SIGCONT)
+    status, said = place.end(sleeper)
+    assert status == 0, said
+    assert_whole(place.path, undisturbed)
+    assert place.log.units("computed").total() <= UNITS + MOST_BEGUN
+
+
 def private(script, folder):
     """A shell script in a name space of its own, where no privilege is needed to mount."""
     test = ["unshare", "-rm", "mount", "-t", "tmpfs", "none", str(folder)]
