@@ -13,6 +13,7 @@ import sys
 import time
 from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -43,6 +44,12 @@ class Log(list):
     def units(self, word, process=None):
         """How often each unit was so, by this process or by any."""
         return Counter(unit for p, _, said, unit in self if said == word and process in (None, p))
+
+    def when(self, word: str, processes: Any = None) -> Any:
+        """At what time the last one of these said so; None if one has not."""
+        said = {p: t for p, t, what, _ in self if what == word}
+        wanted = said if processes is None else processes
+        return max(said[p] for p in wanted) if all(p in said for p in wanted) else None
 
 
 class Place:
@@ -90,6 +97,12 @@ class Place:
             time.sleep(0.05)
         return process
 
+    def wait_for_starts(self, processes):
+        deadline = time.monotonic() + PATIENCE
+        while self.log.when("starts", [process.pid for process in processes]) is None:
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+
     def killed(self, moment):
         process = self.start(die=moment)
         status, said = self.end(process)
@@ -123,12 +136,13 @@ def undisturbed(tmp_path_factory, programs):
 
 @pytest.fixture(scope="session")
 def seconds(programs, undisturbed, tmp_path_factory):
-    """That one takes with the compiled programs at hand, on this machine at this hour."""
+    """What a process takes, with the compiled programs at hand, to start, and for its sweep."""
     place = Place(tmp_path_factory.mktemp("timed"), programs)
-    began = time.monotonic()
+    began = time.time()
     place.finish()
     place.close()
-    return time.monotonic() - began
+    starts, ends = (place.log.when(word) for word in ("starts", "ends"))
+    return starts - began, ends - starts
 
 
 @pytest.fixture
@@ -171,8 +185,11 @@ def test_processes_that_are_killed_at_any_moment_lose_nothing(place, undisturbed
     for _ in range(chance.choice([1, 1, 2])):
         running = [place.start() for _ in range(chance.choice([1, 1, 2, 3]))]
         doomed = running[: chance.randint(1, len(running))]
-        # Also in the first seconds, while they import, load programs and lay the store out.
-        time.sleep(chance.uniform(0.0, seconds))
+        if chance.random() < 0.2:  # while they import
+            time.sleep(chance.uniform(0.0, seconds[0]))
+        else:  # while they lay the store out, load programs, run, write
+            place.wait_for_starts(running)
+            time.sleep(chance.uniform(0.0, seconds[1]))
         for process in doomed:
             process.send_signal(signal.SIGKILL)
         print(f"seed {seed}: {len(doomed)} of {len(running)} killed")
