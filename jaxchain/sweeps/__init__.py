@@ -9,8 +9,10 @@
 - `grid`: every combination of values, cut into blocks
 - `lanes`: what a lane does, and what all lanes of a device do
 - `programs`: programs for lanes, compiled once and loaded on every device
+- `records`: what lies beside a store, for whoever looks at it
 - `scheduler`: lanes on every device, and the jobs that wait for them
 - `starts`: the chain and the state that a lane starts with
+- `status`: what is done of a store, by whom and how fast
 - `store`: a sweep on disk, and the records of its units
 - `sweeping`: `sweep`
 """

@@ -62,7 +62,8 @@ class Claims:
         """Whether the unit is ours now: nobody else has it, or he has died."""
         path, name = self._path(unit), uuid.uuid4().hex
         own = self.folder / f".{name}{_SUFFIX}"
-        own.write_text(json.dumps(_myself() | {"session": self.session, "claim": name}))
+        about = {"session": self.session, "claim": name, "since": time.time()}
+        own.write_text(json.dumps(_myself() | about))
         try:
             with self._lock:
                 while True:
@@ -82,6 +83,11 @@ class Claims:
             name, path = self._mine.pop(unit), self._path(unit)
             if (_read(path) or {}).get("claim") == name:  # nobody has taken it over
                 path.unlink(missing_ok=True)
+
+    def holds(self, unit: str) -> bool:
+        """Whether a claim is still ours: not if we have slept for longer than it lasts."""
+        name = self._mine.get(unit)
+        return name is not None and (_read(self._path(unit)) or {}).get("claim") == name
 
     def _path(self, unit: str) -> Path:
         return self.folder / f"{unit}{_SUFFIX}"
@@ -119,7 +125,7 @@ class Claims:
 
 
 def living(folder: Path) -> dict[str, dict[str, Any]]:
-    """Who has claimed which units of a store and lives, as far as one can tell."""
+    """Who has claimed which units of a folder and lives, as far as one can tell."""
     try:
         now = clock(folder)
     except OSError:  # who only reads may ask, too

@@ -30,7 +30,8 @@ from .ensemble import prepare
 from .filling import PAUSE, Filler
 from .fingerprint import DEVICES, fingerprint_of, flags
 from .grid import Key
-from .store import Store, StoreError, read_layout
+from .records import read_layout
+from .store import Store, StoreError
 
 # Tasks that wait for each worker: enough for it never to be idle, and few enough that a sweep of
 # any size can be handed out.

@@ -25,8 +25,9 @@ from .dataset import versions
 from .ensemble import Ensemble
 from .fingerprint import fingerprint_of
 from .grid import Block, Grid, Key, chunks_of
+from .records import read_layout
 from .scheduler import Scheduler, lane_bar, lane_count
-from .store import Store, read_layout
+from .store import Store
 
 # What a unit takes on a core, in seconds: short enough that little is lost with a process.
 _SECONDS = 5.0

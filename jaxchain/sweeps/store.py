@@ -6,6 +6,7 @@
                           0.3.json       unit (0, 3) is done: checksums, how its lanes ended,
                                          what computed it, and how long
                           0.3.claim      some process computes it, see `claims`
+                          about.json     what somebody says of it, see `describe`
 
 A *unit* is a block of the grid that is one chunk of every variable: the unit of work, of loss and
 of distribution.  Whoever computes it writes its chunks, each aside and then renamed, and records
@@ -28,7 +29,6 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import xarray as xr
 import zarr
 from xarray import conventions
@@ -40,9 +40,9 @@ from .claims import LASTS, TOUCH, clock, living
 from .ensemble import Ensemble
 from .fingerprint import columns, differences, digest
 from .grid import Block, Grid, Key
+from .records import ABOUT, LAYOUT, RECORD, read_json, read_layout, units_of
+from .status import covered
 
-_LAYOUT = "layout.json"
-_RECORD = ".json"
 _FORMAT = 1
 _PENDING = NAMES.index("pending")
 # Values of a coordinate in one file.
@@ -98,10 +98,10 @@ class Store:
                         "name of a store that is not there yet, or of one that a sweep has made."
                     )
                 units_of(path).mkdir(parents=True, exist_ok=True)
-                there = _first_of(units_of(path) / _LAYOUT, wanted)
+                there = _first_of(units_of(path) / LAYOUT, wanted)
             if _extends(path, there, ensemble, wanted):
                 there |= {name: wanted[name] for name in ("sizes", "columns")}
-                _replace(units_of(path) / _LAYOUT, there)
+                _replace(units_of(path) / LAYOUT, there)
             store = cls(path, there, Grid(ensemble.axes, there["chunks"]))
             if not store._is_laid_out():
                 store._lay_out(ensemble)
@@ -118,9 +118,9 @@ class Store:
             names = set(os.listdir(self.units))
             found = {}
             for key in self.grid.places():
-                name = _name(key) + _RECORD
+                name = _name(key) + RECORD
                 # A unit at the edge of a grid that has been extended is another one now.
-                record = _read(self.units / name) if name in names else None
+                record = read_json(self.units / name) if name in names else None
                 if record is not None and record.get("sizes") == self._sizes(key):
                     found[key] = record
             if check:
@@ -129,13 +129,13 @@ class Store:
                 read = set(latest if size <= _READ else latest[-_LATEST:])
                 for key in latest:
                     if not self._is_whole(found[key], key in read):
-                        (self.units / (_name(key) + _RECORD)).unlink(missing_ok=True)
+                        (self.units / (_name(key) + RECORD)).unlink(missing_ok=True)
                         del found[key]
         return found
 
     def is_done(self, key: Key) -> bool:
         """Whether there is a record of this unit as it is now."""
-        record = _read(self.units / (_name(key) + _RECORD))
+        record = read_json(self.units / (_name(key) + RECORD))
         return record is not None and record.get("sizes") == self._sizes(key)
 
     def write(self, block: Block, found: xr.Dataset, about: Mapping[str, Any]) -> None:
@@ -170,7 +170,7 @@ class Store:
                 "files": files,
                 **about,
             }
-            _replace(self.units / (block.name + _RECORD), record)
+            _replace(self.units / (block.name + RECORD), record)
 
     def finish(self) -> dict[str, int]:
         """Writes what computed it into the attributes; how many lanes ended in which way."""
@@ -178,8 +178,8 @@ class Store:
         counts: Counter[str] = Counter()
         for record in records:
             counts.update(record["results"])
-        attrs = {
-            "wall_time_s": round(_covered([(r["began"], r["ended"]) for r in records]), 3),
+        attrs = (read_json(self.units / ABOUT) or {}) | {
+            "wall_time_s": round(covered([(r["began"], r["ended"]) for r in records]), 3),
             "unit_time_s": round(sum(r["ended"] - r["began"] for r in records), 3),
             "units": len(records),
             "lanes_per_device": self.lanes,
@@ -292,22 +292,25 @@ class Store:
                         shutil.rmtree(file) if file.is_dir() else file.unlink()
             for file in self.units.glob("[!.]*.claim"):
                 # Nobody asks for a unit that is done.
-                if file.stem not in alive and (self.units / f"{file.stem}{_RECORD}").exists():
+                if file.stem not in alive and (self.units / f"{file.stem}{RECORD}").exists():
                     file.unlink(missing_ok=True)
 
 
-def units_of(path: Path) -> Path:
-    """The folder of the records beside a store."""
-    return path.with_name(f"{path.name}.units")
+def describe(path: Path, attrs: Mapping[str, Any]) -> None:
+    """Writes into the attributes of a store what its dataset should say of itself.
+
+    It is kept beside the store as well, and whoever finishes the store writes it again.
+
+    **Raises:** `StoreError` if it cannot be written.
+    """
+    with _in_words(path):
+        _replace(units_of(path) / ABOUT, attrs)
+        zarr.open_group(path, mode="r+", zarr_format=3).update_attributes(dict(attrs))
+        _consolidate(path)
 
 
 def open_store(path: Path) -> xr.Dataset:
     return xr.open_zarr(path, consolidated=True, chunks=None)
-
-
-def read_layout(path: Path) -> dict[str, Any] | None:
-    """That of a store, or None if there is none."""
-    return _read(units_of(path) / _LAYOUT)
 
 
 def _extends(
@@ -375,19 +378,6 @@ def _consolidate(path: Path) -> None:
         zarr.consolidate_metadata(path, zarr_format=3)
 
 
-def _covered(spans: Iterable[tuple[float, float]]) -> float:
-    """The length of what these spans cover together.
-
-    >>> _covered([(0.0, 2.0), (1.0, 3.0), (5.0, 6.0)])
-    4.0
-    """
-    length, until = 0.0, -np.inf
-    for began, ended in sorted(spans):
-        length += max(0.0, ended - max(began, until))
-        until = max(until, ended)
-    return length
-
-
 def _words(words: Iterable[str]) -> str:
     return ", ".join(sorted(set(words)))
 
@@ -416,15 +406,6 @@ def _replace(path: Path, content: Mapping[str, Any]) -> None:
         raise
 
 
-def _read(path: Path) -> dict[str, Any] | None:
-    """A file of our own; None if it is not there, or torn."""
-    try:
-        found = json.loads(path.read_text())
-    except (FileNotFoundError, ValueError):
-        return None
-    return found if isinstance(found, dict) else None
-
-
 def _checksum(path: Path) -> list[int] | None:
     """Length and CRC-32 of a file; None if there is none."""
     try:
@@ -439,7 +420,7 @@ def _name(key: Key) -> str:
 
 
 def _is_there(path: Path) -> bool:
-    return (path / "zarr.json").exists() and (units_of(path) / _LAYOUT).exists()
+    return (path / "zarr.json").exists() and (units_of(path) / LAYOUT).exists()
 
 
 def _removed(path: Path) -> str:
