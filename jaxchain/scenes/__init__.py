@@ -4,6 +4,7 @@
 - `building`: chain, initial state, observers and solver from the tables of an experiment
 - `errors`: what may go wrong with a scene or a study
 - `files`: the TOML files: found and read
+- `folders`: the folder of results: its groups and stores, and how a run goes on in it
 - `observing`: what is observed, as tables
 - `own_code`: a friction law or observers of one's own, named on the command line
 - `reading`: `load_scene`: a file read and checked

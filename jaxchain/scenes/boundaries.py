@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import jax
@@ -13,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
+from .._limits import MOST_LANES
 from ..boundaries.fold import find_fold
 from ..boundaries.hopf import hopf_belt_speed
 from ..boundaries.single_mass import one_mass_branch
@@ -29,11 +31,14 @@ _SPEED, _LENGTH, _TIME = "x0 omega_n", "x0", "1 / omega_n"
 def hopf_speed(chain: Chain, grid: Mapping[str, np.ndarray]) -> xr.DataArray | None:
     """The Hopf speed over whatever numbers of the chain are swept beside belt speed.
 
-    None where no belt speed is swept, and for numbers per mass, whose search costs eigenvalues.
+    None where no belt speed is swept, for numbers per mass, whose search costs eigenvalues, and
+    for more combinations than fit into memory.
     """
     if "belt_speed" not in grid or not has_uniform_damping(chain):
         return None
     swept = [name for name in grid if name in chain.numbers() and name != "belt_speed"]
+    if math.prod(len(grid[name]) for name in swept) > MOST_LANES:
+        return None
     axes = np.meshgrid(*(grid[name] for name in swept), indexing="ij")
 
     def speed(*values: jax.Array) -> jax.Array:

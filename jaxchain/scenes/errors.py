@@ -57,6 +57,10 @@ class StorageError(Exception):
         )
 
 
+class TakenOverError(Exception):
+    """Another process goes on in the folder of a run that has slept."""
+
+
 class StudyFailedError(Exception):
     """The study ran to its end and its results are saved, but they are not as they must be."""
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -27,13 +28,25 @@ def summary(name: str, data: xr.Dataset) -> str:
     lines = [
         ("runs", _runs(data)),
         ("chain", _chain(data)),
-        ("numerics", _numerics(data)),
+        ("numerics", _numerics(data, f", {float(data['steps'].sum()):.3g} steps")),
         *_states(data),
         *_failures(data),
     ]
-    title = data.attrs.get("description", "")
-    head = f"{name}: {title}" if title else name
-    return "\n".join([head, *(_line(label, text) for label, text in lines)])
+    return _text(name, data, lines)
+
+
+def stored_summary(name: str, data: xr.Dataset, told: Mapping[str, Any]) -> str:
+    """The same of a sweep that is too large to be looked at: what its store tells, `status_of`."""
+    counts = ", ".join(f"{count} {how}" for how, count in told["results"].items())
+    lines = [
+        ("runs", _runs(data)),
+        ("chain", _chain(data)),
+        ("numerics", _numerics(data, "")),
+        ("outcome", counts),
+        *(("advice", f"{how}: {message(how)}") for how in told["failed"]),
+        ("store", f"{told['store']}: too large for a figure and a copy beside other results"),
+    ]
+    return _text(name, data, lines)
 
 
 def cycles_summary(name: str, branch: xr.Dataset) -> str:
@@ -42,6 +55,12 @@ def cycles_summary(name: str, branch: xr.Dataset) -> str:
     found = f"at belt speed {speed:.5g}, amplitude {amplitude:.4g} (no cycle above)"
     head = f"{name}: cycles of one oscillator, stable and unstable"
     return "\n".join([head, _line("fold", found)])
+
+
+def _text(name: str, data: xr.Dataset, lines: Iterable[tuple[str, str]]) -> str:
+    title = data.attrs.get("description", "")
+    head = f"{name}: {title}" if title else name
+    return "\n".join([head, *(_line(label, text) for label, text in lines)])
 
 
 def _line(label: str, text: str) -> str:
@@ -71,12 +90,9 @@ def _number(value: object) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def _numerics(data: xr.Dataset) -> str:
-    steps = float(data["steps"].sum())
-    return (
-        f"{data.attrs['solver']}, rtol {data.attrs['rtol']:g}, to t = {data.attrs['t1']:g}, "
-        f"{steps:.3g} steps"
-    )
+def _numerics(data: xr.Dataset, steps: str) -> str:
+    attrs = data.attrs
+    return f"{attrs['solver']}, rtol {attrs['rtol']:g}, to t = {attrs['t1']:g}{steps}"
 
 
 def _states(data: xr.Dataset) -> Iterable[tuple[str, str]]:

@@ -7,6 +7,7 @@ neither a later failure nor an interruption loses what was computed.
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import json
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -19,9 +20,12 @@ from .._types import State
 from ..model.chain import Chain
 from ..model.friction import AbstractFrictionLaw
 from ..observers.base import AbstractObserver
-from ..plotting.groups import CYCLES, NONSMOOTH
+from ..plotting.groups import CYCLES
 from ..plotting.sweeps import figure
 from ..simulation.event_driven import EventDriven
+from ..sweeps.records import read_layout
+from ..sweeps.status import in_lines, status_of
+from ..sweeps.store import StoreError, describe
 from ..sweeps.sweeping import SweepInterrupted, sweep
 from .boundaries import cycles, hopf_speed
 from .building import (
@@ -32,22 +36,19 @@ from .building import (
     check_experiment,
 )
 from .errors import SceneError, StudyFailedError, shortened
+from .folders.datasets import in_memory
+from .folders.groups import Group, all_stored, groups_of
+from .folders.saving import saving
 from .observing import ObserveTable
 from .reading import LoadedScene
 from .registry import StudyTable, study_run
-from .report import cycles_summary, summary
+from .report import cycles_summary, stored_summary, summary
 from .scene import Experiment, SweepTable
 from .storage import Results
-from .tables import NumericsTable
 from .writing import as_run, circumstances, scene_files
 
 # Of an error from elsewhere.
 _CHARACTERS = 1000
-
-
-def models(numerics: NumericsTable) -> tuple[str, ...]:
-    """ "smoothed", "nonsmooth" or both, in the order in which they are run."""
-    return ("smoothed", "nonsmooth") if numerics.model == "both" else (numerics.model,)
 
 
 def run_experiment(
@@ -60,12 +61,15 @@ def run_experiment(
     progress: bool = False,
     initial: Callable[..., State] | None = None,
     observe: Any = None,
+    store: Path | None = None,
+    client: Any = None,
 ) -> xr.Dataset:
     """Runs one experiment with smoothed or with true dry friction.
 
     Failed runs are marked in `result` and warn of nothing.
 
-    **Arguments:** `initial`, `observe`: instead of what the experiment says.
+    **Arguments:** `initial`, `observe`: instead of what the experiment says; `store`, `client`: as
+    for `sweep`.
 
     **Raises:** `SweepInterrupted` on Ctrl-C, with the runs that had ended.
     """
@@ -88,7 +92,9 @@ def run_experiment(
             over=experiment.grid(),
             observe=observe,
             solver=solver,
-            **numerics.model_dump(exclude={"solver", "model"}),
+            **numerics.model_dump(exclude={"solver", "model", "store"}),
+            **({} if client is None else {"client": client}),
+            store=store,
             progress=progress,
             description=name,
         )
@@ -107,6 +113,8 @@ def in_words(scene: str, where: str = "") -> Iterator[None]:
         raise SceneError(scene, [f"{where}{error}"]) from error
     except MemoryError as error:
         raise MemoryError(_short_of_memory(where, error)) from error
+    except StoreError:  # says it all
+        raise
     except RuntimeError as error:
         if "RESOURCE_EXHAUSTED" in str(error):  # how the compiler says it
             raise MemoryError(_short_of_memory(where, error)) from error
@@ -157,6 +165,7 @@ def run_scene(
     report: Callable[[str], object] = print,
     command: str = "",
     own_files: Sequence[Path] = (),
+    client: Any = None,
 ) -> dict[str, xr.Dataset]:
     """Runs every experiment of a scene, or a study, and fills `folder` with results.
 
@@ -165,75 +174,174 @@ def run_scene(
     the group `<experiment>_nonsmooth`.  Of one oscillator from several starts over belt speed,
     the branch of cycles with its fold is the group `<experiment>_cycles`.
     `<scene>.png` and `<scene>.pdf` show all of them.  `<scene>.toml` is what was run (see
-    `jaxchain.scenes.writing`).
+    `jaxchain.scenes.writing`).  An experiment of many runs has a store of its own beside them
+    (`StoredNumericsTable.store`), from which a run that was cut off goes on; what does not fit
+    into memory stays there alone.
 
     **Arguments:** `folder` exists and is empty (see `claimed`); `own_law`, the friction law of
     every experiment, in place of the one that is named there (see `load_law`); `own_observers`, by
     the names of their classes (see `load_observer`); `plot`, draw the figure; `progress`, show a
     progress bar; `report` receives the summary of each experiment; `command`, the command line,
-    and `own_files`, of which copies are kept, for whoever runs it again.
+    and `own_files`, of which copies are kept, for whoever runs it again; `client`, a
+    `distributed.Client` whose workers run every experiment, into stores.
 
     **Returns:** the datasets by experiment.
 
     **Raises:** `KeyboardInterrupt` on Ctrl-C, once the runs that had ended are written;
     `StorageError` if something cannot be written; `FigureError` if everything is written but the
     figure; `StudyFailedError` if everything is written but a study found what must not be;
-    `SceneError` for numbers that do not go together.
+    `StoreError` if a store cannot be written, which `resume_scene` goes on with; `SceneError`
+    for numbers that do not go together.
     """
     scene, chains = loaded.scene, {}
     if isinstance(scene, StudyTable):
-        for option, given in (("--law", own_law), ("--observer", own_observers)):
-            if given:
-                raise SceneError(loaded.name, [f"{option}: is for scenes, and this is a study"])
+        given = {"--law": own_law, "--observer": own_observers, "--workers": client}
+        if wrong := [option for option, value in given.items() if value]:
+            raise SceneError(loaded.name, [f"{wrong[0]}: is for scenes, and this is a study"])
     else:
+        if client is not None:
+            scene = all_stored(scene)
+            loaded = dataclasses.replace(loaded, scene=scene)
         chains = checked_chains(loaded, own_law, own_observers)
     results, around = Results.of(folder, loaded.name), circumstances(command)
     results.about |= {"title": scene.title, "description": scene.description}
     results.about |= {"scene": loaded.name, **around}
     run = as_run(scene, own_law is not None, own_observers or ())
-    results.keep(scene_files(loaded.name, run, around, own_files))
-    if isinstance(scene, StudyTable):
-        with in_words(loaded.name):
-            return study_run(scene.study)(
-                scene, results, name=loaded.name, plot=plot, progress=progress, report=report
-            )
-    for name, experiment in scene.experiment.items():
-        chain, grid = chains[name], experiment.grid()
-        hopf = hopf_speed(chain, grid)
-        for model in models(experiment.numerics):
-            # Of two models the smoothed one goes by the name of the experiment.
-            second = model == "nonsmooth" and experiment.numerics.model == "both"
-            group = f"{name}{NONSMOOTH}" if second else name
-            try:
-                with in_words(loaded.name, f"experiment.{name}: "):
-                    data = run_experiment(
-                        experiment, name=group, model=model, own_law=own_law,
-                        own_observers=own_observers, progress=progress,
+    with contextlib.ExitStack() as stack:
+        # Where nothing can be written the results go elsewhere.
+        with contextlib.suppress(OSError):
+            results.claims = stack.enter_context(saving(results.folder))
+        results.keep(scene_files(loaded.name, run, around, own_files))
+        if isinstance(scene, StudyTable):
+            with in_words(loaded.name):
+                return study_run(scene.study)(
+                    scene, results, name=loaded.name, plot=plot, progress=progress, report=report
+                )
+        fill(
+            loaded, results, chains, own_law=own_law, own_observers=own_observers,
+            progress=progress, report=report, client=client,
+        )  # fmt: skip
+        if plot:
+            draw(results)
+    return results.datasets | results.stored
+
+
+def fill(
+    loaded: LoadedScene,
+    results: Results,
+    chains: Mapping[str, Chain],
+    *,
+    own_law: type[AbstractFrictionLaw] | None,
+    own_observers: Mapping[str, type[AbstractObserver]] | None,
+    progress: bool,
+    report: Callable[[str], object],
+    client: Any,
+) -> None:
+    """Runs and saves every group of a scene that is not saved yet."""
+    scene = loaded.scene
+    run = as_run(scene, own_law is not None, own_observers or ())
+    for group in groups_of(scene):
+        chain, grid = chains[group.of], group.experiment.grid()
+        about = {
+            "title": scene.title,
+            "description": group.experiment.description,
+            "scene": loaded.name,
+            "experiment": group.of,
+            "model": group.model,
+            "definition": json.dumps(run["experiment"][group.of]),
+        }
+        if group.name not in results.datasets:
+
+            def runs(store: Path | None, group: Group = group) -> xr.Dataset:
+                with in_words(loaded.name, f"experiment.{group.of}: "):
+                    return run_experiment(
+                        group.experiment, name=group.name, model=group.model, own_law=own_law,
+                        own_observers=own_observers, progress=progress, store=store, client=client,
                     )  # fmt: skip
-                interrupt = None
-            except SweepInterrupted as stopped:
-                data, interrupt = stopped.dataset, stopped
-            unwanted = {"amplitude", "energy", "active_count"} - set(experiment.observe.quantities)
-            kept = data.drop_vars(unwanted & set(data.data_vars))
-            about = {
-                "title": scene.title,
-                "description": experiment.description,
-                "scene": loaded.name,
-                "experiment": name,
-                "model": model,
-                "definition": json.dumps(run["experiment"][name]),
-            }
-            kept.attrs |= about
-            if hopf is not None:
-                kept["hopf_belt_speed"] = hopf
-            results.save(group, kept)
-            report(summary(group, kept))
-            if interrupt is not None:
-                raise interrupt
-            if model == "smoothed" and (branch := cycles(chain, grid)) is not None:
+
+            hopf = hopf_speed(chain, grid)
+            store = group.store(results.folder, loaded.name)
+            if store is None:
+                _keep(group, runs, about, hopf, results, report)
+            else:
+                _keep_stored(group, runs, store, about, hopf, results, report)
+        if group.model == "smoothed" and group.of + CYCLES not in results.datasets:
+            branch = cycles(chain, grid)
+            if branch is not None:
                 branch = branch.assign_attrs(about)
-                results.save(name + CYCLES, branch)
-                report(cycles_summary(name + CYCLES, branch))
-    if plot:
-        results.draw(lambda: figure(results.datasets))
-    return results.datasets
+                results.save(group.of + CYCLES, branch)
+                report(cycles_summary(group.of + CYCLES, branch))
+
+
+def _keep(
+    group: Group,
+    runs: Callable[[Path | None], xr.Dataset],
+    about: Mapping[str, str],
+    hopf: xr.DataArray | None,
+    results: Results,
+    report: Callable[[str], object],
+) -> None:
+    """Runs an experiment in memory and saves it; once it is interrupted, what has ended."""
+    interrupt = None
+    try:
+        data = runs(None)
+    except SweepInterrupted as stopped:
+        if results.reopened:  # who goes on again has no use for a part
+            raise
+        data, interrupt = stopped.dataset, stopped
+    kept = _with_about(data, group, about, hopf)
+    results.save(group.name, kept)
+    report(summary(group.name, kept))
+    if interrupt is not None:
+        raise interrupt
+
+
+def _keep_stored(
+    group: Group,
+    runs: Callable[[Path | None], xr.Dataset],
+    store: Path,
+    about: Mapping[str, str],
+    hopf: xr.DataArray | None,
+    results: Results,
+    report: Callable[[str], object],
+) -> None:
+    """Fills the store of an experiment, and saves it beside others where it fits into memory."""
+    try:
+        data = runs(store)
+        describe(store, about)
+    except BaseException:
+        if read_layout(store) is not None:
+            results.unfinished.add(store.parent)
+            report(in_lines(status_of(store)))
+        raise
+    kept = _with_about(data, group, about, hopf)
+    if group.experiment.fits_memory():
+        kept = in_memory(kept)
+        results.save(group.name, kept)
+        report(summary(group.name, kept))
+    else:
+        results.stored[group.name] = kept
+        report(stored_summary(group.name, kept, status_of(store)))
+
+
+def _with_about(
+    data: xr.Dataset, group: Group, about: Mapping[str, str], hopf: xr.DataArray | None
+) -> xr.Dataset:
+    """What the experiment asks for, and where it comes from."""
+    unwanted = {"amplitude", "energy", "active_count"} - set(group.experiment.observe.quantities)
+    kept = data.drop_vars(unwanted & set(data.data_vars))
+    kept.attrs |= about
+    if hopf is not None:
+        kept["hopf_belt_speed"] = hopf
+    return kept
+
+
+def draw(results: Results) -> None:
+    """The figure of everything that fits into memory, if anything does."""
+    shown = {
+        name: data
+        for name, data in results.datasets.items()
+        if name.removesuffix(CYCLES) not in results.stored
+    }
+    if shown:
+        results.draw(lambda: figure(shown))

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from typing import Annotated, Any, ClassVar, TypeAlias
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from pydantic import Field, ModelWrapValidatorHandler, ValidationError, model_validator
-from pydantic_core import InitErrorDetails, PydanticCustomError
+from pydantic_core import InitErrorDetails
 
-from .._limits import MOST_LANES
+from .._limits import MOST_LANES, MOST_STORED, MOST_UNSTORED
 from ..model.parameters import CHAIN, FRICTION, parameter
 from ..plotting.groups import CYCLES, NONSMOOTH
 from .errors import MOST_SHOWN, did_you_mean
@@ -26,8 +26,8 @@ from .tables import (
     ChainTable,
     ExcitedTable,
     InitialTable,
-    NumericsTable,
     SolverTable,
+    StoredNumericsTable,
     TimeTable,
 )
 from .values import (
@@ -35,11 +35,14 @@ from .values import (
     MOST_NUMBERS,
     MOST_TIME,
     Name,
+    Problem,
     Table,
     Text,
     Title,
     Values,
     array,
+    as_error,
+    raise_all,
     short_of_a_period,
 )
 
@@ -47,24 +50,11 @@ _MISSING = "is missing: give it here or in `sweep`"
 # What can be looked at together whatever the rest of an experiment is, with a time to go with it.
 _TOGETHER = ("chain", "initial", "sweep")
 _LONG = {"transient": 0.0, "window": MOST_TIME}
-# (path of a key within the table, what is wrong with it).
-Problem: TypeAlias = tuple[tuple[str, ...], str]
 
 # Far more than there are numbers to sweep.
 MOST_SWEPT, MOST_EXPERIMENTS = 32, 1000
 # A part of a run in which fronts are looked for holds two periods.
 _TWO_PERIODS = 4 * math.pi
-
-
-def raise_all(problems: list[Problem]) -> None:
-    """All at once; `jaxchain.scenes.wording` unpacks them again."""
-    if problems:
-        raise _as_error(problems)
-
-
-def _as_error(problems: list[Problem]) -> PydanticCustomError:
-    text = "; ".join(f"{'.'.join(path)}: {message}" for path, message in problems)
-    return PydanticCustomError("problems", "{text}", {"text": text, "problems": problems})
 
 
 def missing_numbers(tables: dict[str, Any]) -> Iterator[Problem]:
@@ -93,7 +83,7 @@ def missing_numbers(tables: dict[str, Any]) -> Iterator[Problem]:
 def _again(detail: Any) -> InitErrorDetails:
     """A problem as it was found, to be raised with others."""
     if detail["type"] == "problems":
-        detail = {**detail, "type": _as_error(detail["ctx"]["problems"])}
+        detail = {**detail, "type": as_error(detail["ctx"]["problems"])}
     return detail
 
 
@@ -166,7 +156,7 @@ class SweepTable(Table):
             if not problems:
                 raise
             found: list[InitErrorDetails] = [
-                {"type": _as_error(problems), "loc": (), "input": None},
+                {"type": as_error(problems), "loc": (), "input": None},
                 *map(_again, error.errors(include_url=False)),
             ]
         raise ValidationError.from_exception_data(cls.__name__, found)
@@ -262,12 +252,7 @@ class SweepTable(Table):
     def _too_large(self) -> Iterator[Problem]:
         lanes, n = self.lanes(), self.chain.n
         if lanes > MOST_LANES:
-            product = " x ".join(f"{len(v)} {k}" for k, v in self.grid().items())
-            yield (
-                ("sweep",),
-                f"is {lanes:.3g} runs ({product}), and {MOST_LANES} are the most: "
-                f"{MOST_LANES_REMEDY}",
-            )
+            yield self._too_many(MOST_LANES)
         elif lanes * n > MOST_NUMBERS:
             yield (
                 ("sweep",),
@@ -275,13 +260,27 @@ class SweepTable(Table):
                 f"{MOST_NUMBERS:.0e} are the most: {MOST_LANES_REMEDY}, or shorten the chain",
             )
 
+    def _too_many(self, most: int) -> Problem:
+        product = " x ".join(f"{len(v)} {k}" for k, v in self.grid().items())
+        runs = f"{self.lanes():.3g} runs ({product})"
+        return ("sweep",), f"is {runs}, and {most} are the most: {MOST_LANES_REMEDY}"
+
 
 class Experiment(SweepTable):
     """One sweep of a scene: what is computed in one go and stored as one dataset."""
 
     description: Text = ""
     observe: ObserveTable = Field(default_factory=ObserveTable)
-    numerics: NumericsTable = Field(default_factory=NumericsTable)
+    numerics: StoredNumericsTable = Field(default_factory=StoredNumericsTable)
+
+    def stored(self) -> bool:
+        """Whether its runs are kept in a store."""
+        asked = self.numerics.store
+        return self.lanes() > MOST_UNSTORED if asked is None else asked
+
+    def fits_memory(self) -> bool:
+        """Whether all that is kept of its runs can be looked at in one go."""
+        return not any(True for _ in self._beyond_memory())
 
     @model_validator(mode="before")
     @classmethod
@@ -314,7 +313,14 @@ class Experiment(SweepTable):
                     )
 
     def _too_large(self) -> Iterator[Problem]:
-        yield from super()._too_large()
+        if not self.stored():
+            yield from self._beyond_memory()
+        elif self.lanes() > MOST_STORED:
+            yield self._too_many(MOST_STORED)
+
+    def _beyond_memory(self) -> Iterator[Problem]:
+        for path, problem in super()._too_large():
+            yield path, f"{problem}, or keep them in a store (`numerics.store = true`)"
         lanes, n = min(self.lanes(), MOST_LANES), self.chain.n
         for i, other in enumerate(self.observe.others or []):
             if (kept := lanes * kept_numbers(other, n)) > MOST_NUMBERS:
@@ -322,7 +328,7 @@ class Experiment(SweepTable):
                     ("observe", f"others[{i}]"),
                     f"would keep {kept:.3g} numbers of {lanes} runs of {n} masses, and "
                     f"{MOST_NUMBERS:.0e} are the most: keep less of each run, or sweep over fewer "
-                    "values",
+                    "values, or keep them in a store (`numerics.store = true`)",
                 )
 
 

@@ -9,35 +9,22 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
-import io
 import itertools
-import json
 import os
-import shutil
-import socket
-import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, TextIO
+from typing import TextIO
 
 import xarray as xr
 from matplotlib.figure import Figure
-from zarr.storage import MemoryStore
 
 from .._terminal import undisturbed
 from ..plotting.style import save_figure
-from .errors import FigureError, StorageError
-from .writing import now
-
-# In the folder of a run for as long as it runs; in that of a run that was killed it stays.
-MARKER = "unfinished.txt"
-_MARKED = """\
-Process {process} on {host} fills this folder since {since}.
-This file goes when the run ends. Where it stays, the run was cut off: what is here is whole, but
-not all. `jaxchain run` takes this folder and runs it again, into another one.
-"""
-# Of a zarr store: what describes all its groups.
-_ABOUT_ALL = ".zmetadata"
+from ..sweeps.claims import Claims
+from ..sweeps.records import stores_in
+from .errors import FigureError, StorageError, TakenOverError
+from .folders.datasets import aside, mend, save, saved
+from .folders.saving import CLAIM_FILE, MARKER, mark, marked, superseded
 
 
 class Results:
@@ -57,6 +44,14 @@ class Results:
         self.folder, self.name = folder, name
         self.datasets: dict[str, xr.Dataset] = {}
         """All that was saved, by name."""
+        self.stored: dict[str, xr.Dataset] = {}
+        """What is too large for that and stays in its store, read as it is used."""
+        self.unfinished: set[Path] = set()
+        """Folders with a store that is not full: they stay, and are marked."""
+        self.reopened = False
+        """Whether another process made them, which was cut off."""
+        self.claims: Claims | None = None
+        """Ours to save there, see `saving`."""
         self.about: dict[str, str] = {}
         """What is true of all of them: the attributes of the files."""
         self._beside: dict[str, bytes] = {}
@@ -82,17 +77,35 @@ class Results:
         results._claims.push(claim)
         return results
 
+    @classmethod
+    def reopen(cls, folder: Path, name: str) -> Results:
+        """Those of a run that was cut off, with all that is saved, by whoever goes on with it.
+
+        **Raises:** `OSError` if nothing can be written there.
+        """
+        results = cls(folder, name)
+        results.reopened = True
+        mark(folder)
+        with undisturbed():
+            mend(folder / name)
+        results.datasets |= saved(folder / name)
+        results._whole[folder] = list(results.datasets)
+        return results
+
     def __enter__(self) -> Results:
         return self
 
     def __exit__(self, *error: object) -> None:
         for folder, whole in self._whole.items():
-            if not whole:
+            if not whole and not stores_in(folder):
                 # A run that has saved nothing leaves nothing.
                 for file in self._beside:
                     with contextlib.suppress(OSError):
                         (folder / file).unlink()
         self._claims.close()
+        for folder in self.unfinished:
+            with contextlib.suppress(OSError):
+                mark(folder)
 
     def keep(self, files: Mapping[str, bytes]) -> None:
         """Writes files that say what the results come from, before there are any.
@@ -108,8 +121,13 @@ class Results:
         """Writes a dataset into `<name of the results>.zarr` and `.nc` as a group, whole or not
         at all.
 
-        **Raises:** `StorageError` if it cannot be written, here or elsewhere.
+        **Raises:** `StorageError` if it cannot be written, here or elsewhere; `TakenOverError` if
+        another process saves here by now.
         """
+        if superseded(self.claims):
+            raise TakenOverError(
+                f"another process saves into {self.folder}: it took over while this one slept"
+            )
         self.datasets[name] = data
         self._save(name)
 
@@ -126,7 +144,7 @@ class Results:
             with undisturbed():
                 for file, content in self._beside.items():
                     if not (folder / file).exists():
-                        with _aside(folder / file) as part:
+                        with aside(folder / file) as part:
                             part.write_bytes(content)
                             part.rename(folder / file)
                 if name in self.datasets:
@@ -164,7 +182,7 @@ class Results:
         **Raises:** `FigureError` if that fails.
         """
         try:
-            with _aside(self.folder / self.name) as part:
+            with aside(self.folder / self.name) as part:
                 part.mkdir()
                 for file in save_figure(draw(), part / self.name):
                     file.replace(self.folder / file.name)
@@ -217,7 +235,7 @@ def _claim(path: Path) -> tuple[Path, bool, TextIO]:
 
 def _lock(folder: Path) -> TextIO | None:
     """The marker of a folder, open and locked; None if the folder is used."""
-    if set(os.listdir(folder)) - {MARKER}:
+    if _used(folder):
         return None
     path = folder / MARKER
     try:
@@ -232,10 +250,9 @@ def _lock(folder: Path) -> TextIO | None:
     except OSError:  # no locks here: whoever makes the marker has it
         locked = fresh
     # Another run may have ended since the look above: its marker is gone, its results are there.
-    if locked and os.fstat(marker.fileno()).st_nlink and os.listdir(folder) == [MARKER]:
-        since = time.strftime("%Y-%m-%d %H:%M:%S%z")
+    if locked and os.fstat(marker.fileno()).st_nlink and not _used(folder):
         marker.truncate()
-        marker.write(_MARKED.format(process=os.getpid(), host=socket.gethostname(), since=since))
+        marker.write(marked())
         marker.flush()
         return marker
     if locked and fresh:
@@ -244,78 +261,15 @@ def _lock(folder: Path) -> TextIO | None:
     return None
 
 
+def _used(folder: Path) -> bool:
+    """Whether a run has written anything there."""
+    return bool(set(os.listdir(folder)) - {MARKER, CLAIM_FILE})
+
+
 def listing(folder: Path) -> list[str]:
     """What a run has left in a folder; nothing of a folder that cannot be read."""
     try:
-        return sorted(f for f in os.listdir(folder) if f != MARKER and not f.startswith("."))
+        own = {MARKER, CLAIM_FILE}
+        return sorted(f for f in os.listdir(folder) if f not in own and not f.startswith("."))
     except OSError:
         return []
-
-
-def save(data: xr.Dataset, path: Path, group: str, about: Mapping[str, str]) -> None:
-    """Writes `data` into `path`.zarr and `path`.nc as a group, and `about` as their attributes.
-
-    At the root stands nothing else, so that no group has to fit another; the attribute `ended`
-    says when the last group came.  If writing fails both files are as they were.
-    """
-    parts = {None: xr.Dataset(attrs={**about, "ended": now()}), group: data}
-    store, file = path.with_name(path.name + ".zarr"), path.with_name(path.name + ".nc")
-    with _aside(store) as new_store, _aside(file) as new_file:
-        there = _write_zarr(parts, new_store, store)
-        _write_netcdf(parts, new_file, file)
-        # From here on names change, and nothing is written. Readers of the store are told of the
-        # group when it is there.
-        if store.exists():
-            for entry in sorted(new_store.iterdir(), key=lambda entry: entry.name == _ABOUT_ALL):
-                if entry.name not in there:
-                    entry.replace(store / entry.name)
-        else:
-            new_store.rename(store)
-        new_file.replace(file)
-
-
-def _write_zarr(parts: Mapping[str | None, xr.Dataset], new: Path, old: Path) -> set[str]:
-    """Writes what is to be added to a store; returns the groups that the store has already."""
-    there = {entry.name for entry in old.iterdir() if entry.is_dir()} if old.exists() else set()
-    if again := there & parts.keys():
-        raise FileExistsError(f"{old} holds a group `{again.pop()}` already.")
-    # In memory: where zarr cannot write, threads of it go on in a folder that is to be removed.
-    files: dict[str, Any] = {}
-    for group, data in parts.items():
-        # Format 2 is what other tools read, and what has consolidated metadata.
-        store = MemoryStore(files)
-        data.to_zarr(store, group=group, mode="a", zarr_format=2, consolidated=True)
-    content = {name: buffer.to_bytes() for name, buffer in files.items()}
-    if old.exists():  # all groups are described together
-        before, added = map(json.loads, ((old / _ABOUT_ALL).read_bytes(), content[_ABOUT_ALL]))
-        added["metadata"] = before["metadata"] | added["metadata"]
-        content[_ABOUT_ALL] = json.dumps(added).encode()
-    for name, data in content.items():
-        (new / name).parent.mkdir(parents=True, exist_ok=True)
-        (new / name).write_bytes(data)
-    return there
-
-
-def _write_netcdf(parts: Mapping[str | None, xr.Dataset], new: Path, old: Path) -> None:
-    """Writes a file with what `old` has, if it is there, and with one group more."""
-    # In memory: where HDF5 cannot write, it cannot close the file either, and ends the process.
-    content = io.BytesIO()
-    if old.exists():
-        content.write(old.read_bytes())
-    for group, data in parts.items():
-        mode = "a" if content.getbuffer().nbytes else "w"
-        data.to_netcdf(content, group=group, mode=mode, engine="h5netcdf")
-    new.write_bytes(content.getbuffer())
-
-
-@contextlib.contextmanager
-def _aside(path: Path) -> Iterator[Path]:
-    """A name beside `path`, hidden; what is there after the block is removed."""
-    part = path.with_name(f".{path.name}.part")
-    try:
-        yield part
-    finally:
-        if part.is_dir():
-            shutil.rmtree(part, ignore_errors=True)
-        with contextlib.suppress(OSError):
-            part.unlink()

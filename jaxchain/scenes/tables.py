@@ -263,3 +263,11 @@ class NumericsTable(SolverTable):
 
     model: Literal["smoothed", "nonsmooth", "both"] = "smoothed"
     """Friction smoothed by its width, true dry friction, or one run of each."""
+
+
+class StoredNumericsTable(NumericsTable):
+    """How the runs of an experiment are computed, with which friction, and where they are kept."""
+
+    store: bool | None = None
+    """Whether they are kept in a store as they end, from which a run that was cut off goes on;
+    absent: if there are more than 4096."""

@@ -21,6 +21,7 @@ from pydantic import (
     Tag,
     model_validator,
 )
+from pydantic_core import PydanticCustomError
 
 from .._limits import LEAST_ATOL, LEAST_RTOL
 
@@ -38,6 +39,8 @@ MOST_NUMBERS = 10**8
 MOST_LANES_REMEDY = "take fewer values, or share them out over several experiments or scene files"
 # Whole numbers, and powers of ten, up to these are floats.
 _EXACT, _EXACT_PLACES = 2**53, 22
+# (path of a key within the table, what is wrong with it).
+Problem: TypeAlias = tuple[tuple[str, ...], str]
 # What begins the names of groups and files.
 NAME = r"^[A-Za-z0-9][A-Za-z0-9_-]*$"
 NAME_LENGTH, TEXT_LENGTH = 64, 10_000
@@ -53,6 +56,17 @@ class Table(BaseModel):
         allow_inf_nan=False,
         use_attribute_docstrings=True,
     )
+
+
+def raise_all(problems: list[Problem]) -> None:
+    """All at once; `jaxchain.scenes.wording` unpacks them again."""
+    if problems:
+        raise as_error(problems)
+
+
+def as_error(problems: list[Problem]) -> PydanticCustomError:
+    text = "; ".join(f"{'.'.join(path)}: {message}" for path, message in problems)
+    return PydanticCustomError("problems", "{text}", {"text": text, "problems": problems})
 
 
 def form(value: Any) -> str:

@@ -11,10 +11,12 @@ in the attributes of the results, for programs, and for a file that is handed on
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import json
 import os
 import re
+import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -45,13 +47,25 @@ def circumstances(command: str = "") -> dict[str, str]:
     }
 
 
+def circumstances_before(file: Path) -> dict[str, str]:
+    """When and by which command the run began whose scene was written there, see `scene_files`."""
+    found: dict[str, str] = {}
+    for line in file.read_text(encoding="utf-8").splitlines():
+        if not line.startswith("# "):
+            break
+        with contextlib.suppress(tomllib.TOMLDecodeError):
+            found |= tomllib.loads(line.removeprefix("# "))
+    return {name: found[name] for name in ("command", "started") if name in found}
+
+
 def scene_files(
     name: str, scene: dict[str, Any], about: Mapping[str, str], own_files: Iterable[Path] = ()
 ) -> dict[str, bytes]:
     """The files by name: `scene` (see `as_run`) with `about` in its comments, and own code."""
     head = [
         "# What was run: every number of the scene, with what the command line changed.",
-        "# `jaxchain run` takes the folder of this file, or this file, and runs it again.",
+        "# `jaxchain run` takes the folder of this file, or this file, and runs it again;",
+        "# `jaxchain resume` takes the folder and goes on where a run was cut off.",
         *(f'# {key} = "{_escaped(text)}"' for key, text in about.items() if key != "versions"),
         f"# versions = {_value(versions())}",
     ]

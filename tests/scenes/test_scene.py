@@ -248,10 +248,34 @@ def test_a_billion_runs_are_refused_at_once_and_with_a_remedy(scene_file):
         f"{PAIR}sweep.belt_speed={many}",
         f"{PAIR}sweep.damping_ratio={many}",
         f"{PAIR}sweep.width={many}",
+        f"{PAIR}numerics.store=false",
     )
     assert time.perf_counter() - started < 1
     assert found.startswith("experiment.pair.sweep: is 2e+09 runs (1000 belt_speed x 2 excited x ")
     assert "take fewer values" in found
+    assert "numerics.store = true" in found
+
+
+def test_a_store_takes_a_billion_runs_and_is_there_for_thousands(scene_file):
+    many, more = "{start=0.1,stop=1.0,count=1000}", "{start=0.1,stop=1.0,count=1_000_000}"
+    speeds, damping = f"{PAIR}sweep.belt_speed={many}", f"{PAIR}sweep.damping_ratio={many}"
+    ratios = f"{PAIR}sweep.damping_ratio={{start=0.01,stop=0.1,count=COUNT}}"
+
+    def experiment(*overrides):
+        return load_scene(scene_file, overrides).scene.experiment["pair"]
+
+    few, large = experiment(speeds), experiment(speeds, damping, f"{PAIR}sweep.width={many}")
+    assert (few.lanes(), few.stored(), few.fits_memory()) == (2000, False, True)
+    assert (large.lanes(), large.stored(), large.fits_memory()) == (2 * 10**9, True, False)
+    for count, stored in ((512, False), (513, True)):
+        found = experiment(ratios.replace("COUNT", str(count)))
+        assert (found.lanes(), found.stored(), found.fits_memory()) == (8 * count, stored, True)
+    assert experiment(f"{PAIR}numerics.store=true").stored()
+    assert not experiment(ratios.replace("COUNT", "1000"), f"{PAIR}numerics.store=false").stored()
+    # A long chain fits into a store that does not fit into memory.
+    assert not experiment(f"{PAIR}chain.n=50_000_000", f"{PAIR}numerics.store=true").fits_memory()
+    (found,) = problems(scene_file, *(f"{PAIR}sweep.{k}={more}" for k in ("belt_speed", "width")))
+    assert found.startswith("experiment.pair.sweep: is 2e+12 runs")
 
 
 @pytest.mark.parametrize(("stop", "step"), [(1.6, 1e9), (1.6, 0.7), (0.4, -0.7)])

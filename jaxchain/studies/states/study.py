@@ -8,7 +8,7 @@ from xarray import Dataset
 
 from jaxchain.plotting.groups import NONSMOOTH
 from jaxchain.scenes.errors import SceneError
-from jaxchain.scenes.running import models
+from jaxchain.scenes.folders.groups import models
 from jaxchain.studies import _study
 from jaxchain.studies.states.figure import draw
 from jaxchain.studies.states.phases import add_delays

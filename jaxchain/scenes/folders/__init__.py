@@ -1,0 +1,7 @@
+"""The folder of a scene's results: what belongs into it, what is there, and who fills it.
+
+- `datasets`: datasets as groups of a Zarr store and of a NetCDF file, whole or not at all
+- `groups`: what a scene makes: its groups, and which of them are kept in stores
+- `resuming`: a run that was cut off goes on
+- `saving`: who of several processes saves, and what tells that a run was cut off
+"""

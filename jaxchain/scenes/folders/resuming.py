@@ -1,0 +1,110 @@
+"""A run that was cut off goes on, in its own folder, in any number of processes at once.
+
+All of them fill the stores of the scene, unit by unit.  One saves what belongs beside them, runs
+what needs no store, and draws: whoever comes first, and once he has died another one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from ...model.friction import AbstractFrictionLaw
+from ...observers.base import AbstractObserver
+from ...sweeps.records import is_whole
+from ..errors import SceneError, StorageError
+from ..reading import LoadedScene
+from ..registry import StudyTable
+from ..running import checked_chains, draw, fill, in_words, run_experiment
+from ..storage import Results
+from ..writing import circumstances, circumstances_before
+from .groups import groups_of
+from .saving import MARKER, saving, who_saves
+
+
+def resume_scene(
+    loaded: LoadedScene,
+    folder: Path,
+    *,
+    own_law: type[AbstractFrictionLaw] | None = None,
+    own_observers: Mapping[str, type[AbstractObserver]] | None = None,
+    plot: bool = True,
+    progress: bool = False,
+    report: Callable[[str], object] = print,
+    command: str = "",
+    client: Any = None,
+) -> None:
+    """Goes on with the run that fills `folder`, or helps it where it still runs.
+
+    **Arguments:** `loaded`, what was run there, as `load_scene(folder)` reads it; the rest as for
+    `run_scene`.
+
+    **Raises:** as `run_scene`; `SceneError` for a study, and where a store belongs to another
+    version of jaxchain or of the scene.
+    """
+    if isinstance(loaded.scene, StudyTable):
+        raise SceneError(
+            loaded.name,
+            [f"is a study, which cannot go on: `jaxchain run {folder}` runs it again"],
+        )
+    chains = checked_chains(loaded, own_law, own_observers)
+    how: dict[str, Any] = {
+        "own_law": own_law, "own_observers": own_observers, "progress": progress,
+        "client": client,
+    }  # fmt: skip
+    for helped in (False, True):
+        with saving(folder) as claims:
+            if claims is not None:
+                with _reopened(folder, loaded.name) as results:
+                    results.claims = claims
+                    _complete(loaded, results, chains, how, plot, report, command)
+                return
+        if not helped:
+            _help(loaded, folder, how)
+    owner = who_saves(folder) or "another process"
+    report(f"all units of the stores are done; {owner} saves what belongs beside them")
+
+
+def _reopened(folder: Path, name: str) -> Results:
+    try:
+        return Results.reopen(folder, name)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise StorageError(name, folder, reason, [], {}) from error
+
+
+def _complete(
+    loaded: LoadedScene,
+    results: Results,
+    chains: Mapping[str, Any],
+    how: Mapping[str, Any],
+    plot: bool,
+    report: Callable[[str], object],
+    command: str,
+) -> None:
+    """Computes and saves what is missing, and draws."""
+    scene, folder, before = loaded.scene, results.folder, list(results.datasets)
+    around = circumstances(command)
+    first = circumstances_before(folder / f"{loaded.name}.toml")
+    results.about |= {"title": scene.title, "description": scene.description}
+    results.about |= {"scene": loaded.name, **around, **first}
+    results.about |= {"resumed": around["started"], "resumed_by": around["command"]}
+    if before:
+        report(f"saved already: {', '.join(before)}")
+    fill(loaded, results, chains, report=report, **how)
+    drawn = (folder / f"{loaded.name}.png").exists() and before == list(results.datasets)
+    if plot and not drawn:
+        draw(results)
+    (folder / MARKER).unlink(missing_ok=True)
+
+
+def _help(loaded: LoadedScene, folder: Path, how: Mapping[str, Any]) -> None:
+    """Fills stores beside the process that saves."""
+    for group in groups_of(loaded.scene):
+        store = group.store(folder, loaded.name)
+        if store is not None and not is_whole(store):
+            with in_words(loaded.name, f"experiment.{group.of}: "):
+                run_experiment(
+                    group.experiment, name=group.name, model=group.model, store=store, **how
+                )
