@@ -7,18 +7,17 @@ from __future__ import annotations
 
 import argparse
 import json
-import shlex
 import sys
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
 from . import __version__
+from . import _scene_commands as scene_commands
 from ._boundary_words import NUMBERS, in_words, report
-from ._configure import configure
-from ._terminal import INTERRUPTED, Elsewhere, run_command
+from ._scene_commands import add_no_cache, add_scene_options, configure_for
+from ._terminal import run_command
 from .model.parameters import parameter
-from .scenes.errors import FigureError, SceneError, StorageError, StudyFailedError
+from .scenes.errors import SceneError
 
 _RUN_MORE = """\
 examples:
@@ -32,11 +31,21 @@ exit status:
   2              a scene, an option or a folder is wrong
   130, 143, 129  stopped by Ctrl-C, SIGTERM, a closed terminal: what had ended is saved
 """
+_RESUME_MORE = """\
+examples:
+  jaxchain resume results/first    what `jaxchain run ... --output results/first` has left
+  jaxchain resume results/first & jaxchain resume results/first
+                                   two processes, which share what is left
+
+exit status: as that of `jaxchain run`
+"""
 _EXAMPLES = """\
 examples:
   jaxchain run quickstart          a first look, in seconds: results/quickstart
   jaxchain scenes                  what else can be run
   jaxchain scenes quickstart       a scene file, to start one's own from
+  jaxchain status results/mine     how far a large run is
+  jaxchain resume results/mine     goes on where one was cut off
   jaxchain COMMAND --help          the options of a command
 """
 
@@ -54,7 +63,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     # What `run` has done is in its folder; of other commands the print is all there is.
-    return run_command(lambda: _run_command(arguments), print_matters=arguments[:1] != ["run"])
+    return run_command(
+        lambda: _run_command(arguments), print_matters=arguments[:1] not in (["run"], ["resume"])
+    )
 
 
 def _run_command(arguments: list[str]) -> int:
@@ -100,22 +111,31 @@ def _parser() -> argparse.ArgumentParser:
         "--set", metavar="KEY=VALUE", action="append", default=[], dest="overrides",
         help="change a key of the scene, e.g. experiment.ladder.chain.n=40 (repeatable)",
     )  # fmt: skip
-    run.add_argument(
-        "--law", metavar="FILE.py:CLASS",
-        help="friction law of one's own, a subclass of jaxchain.model.AbstractFrictionLaw, for "
-        "every experiment of the scene; the file is run. Its fields are the numbers of the "
-        'scene\'s friction table, which may have other names if it says law = "own"',
-    )  # fmt: skip
-    run.add_argument(
-        "--observer", metavar="FILE.py:CLASS", action="append", default=[], dest="observers",
-        help="observer of one's own, a subclass of jaxchain.observers.AbstractObserver, for every "
-        "experiment of the scene; the file is run. Its fields may stand in the scene, in "
-        'observe.others as { observer = "own", name = "CLASS", ... } (repeatable)',
-    )  # fmt: skip
-    run.add_argument("--no-plot", action="store_true", help="compute and save only")
-    run.add_argument("--quiet", action="store_true", help="print errors only")
-    _add_no_cache(run)
-    run.set_defaults(command=_run)
+    add_scene_options(run)
+    run.set_defaults(command=scene_commands.run)
+
+    resume = commands.add_parser(
+        "resume",
+        help="go on with a run that was cut off, or help one that is under way",
+        description="Goes on with a run that was cut off, in its own folder: what is there stays, "
+        "what is missing is computed. Any number of processes may do so at once, also on several "
+        "computers that share a disk.",
+        epilog=_RESUME_MORE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    resume.add_argument("folder", help="folder of results, or a store in it")
+    add_scene_options(resume)
+    resume.set_defaults(command=scene_commands.resume)
+
+    status = commands.add_parser(
+        "status",
+        help="what is done of a run with stores, how fast, and what is left",
+        description="Tells what is done of the stores of a run, by whom and how fast, while it is "
+        "under way or afterwards.",
+    )
+    status.add_argument("folder", help="folder of results, or a store")
+    status.add_argument("--json", action="store_true", help="print one JSON object")
+    status.set_defaults(command=scene_commands.status)
 
     scenes = commands.add_parser(
         "scenes",
@@ -144,20 +164,11 @@ def _parser() -> argparse.ArgumentParser:
             help=f"{row.long_name} ({row.usual}{'' if alone else ' for several masses'})",
         )  # fmt: skip
     boundary.add_argument("--json", action="store_true", help="print one JSON object")
-    _add_no_cache(boundary)
+    add_no_cache(boundary)
     boundary.set_defaults(command=_boundary)
 
     commands.add_parser("bench", help="measure the speed on this machine", add_help=False)
     return parser
-
-
-def _add_no_cache(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--no-cache", action="store_true",
-        help="compile all programs anew, and keep none. They are kept in the folder jaxchain of "
-        "XDG_CACHE_HOME or ~/.cache, which may be deleted at any time, and save the next run on "
-        "this kind of machine seconds to minutes; results are the same to the last bit",
-    )  # fmt: skip
 
 
 def _folder(text: str) -> Path:
@@ -192,66 +203,8 @@ def _scenes(options: argparse.Namespace) -> int:
     return 0
 
 
-def _run(options: argparse.Namespace) -> int:
-    from .scenes.reading import load_scene
-
-    # Before jax is imported, so that a wrong scene is reported at once.
-    loaded = load_scene(options.scene, options.overrides)
-    _configure(options)
-    from .scenes.own_code import load_law, load_observer
-    from .scenes.running import run_scene
-    from .scenes.storage import Results, listing
-
-    own = [*([] if options.law is None else [options.law]), *options.observers]
-    own_law = None if options.law is None else load_law(options.law, loaded.name)
-    kinds = [load_observer(given, loaded.name) for given in options.observers]
-    wanted = options.output or Path("results") / loaded.name
-    elsewhere = Elsewhere(loaded.name)
-    try:
-        results = Results.claim(wanted, loaded.name, elsewhere)
-    except OSError as error:
-        print(f"jaxchain: cannot create {wanted}: {error.strerror}", file=sys.stderr)
-        return 2
-
-    def report(text: str) -> None:
-        if not options.quiet:
-            print(text, flush=True)
-
-    if options.quiet:
-        warnings.simplefilter("ignore")
-    with results:
-        asked = results.folder
-        if asked != wanted:
-            print(f"jaxchain: {wanted} is in use, the results go to {asked}", file=sys.stderr)
-        try:
-            run_scene(
-                loaded, results, own_law=own_law,
-                own_observers={kind.__name__: kind for kind in kinds}, plot=not options.no_plot,
-                progress=not options.quiet, report=report,
-                command=shlex.join(["jaxchain", *options.arguments]),
-                own_files=[Path(given.rpartition(":")[0]) for given in own],
-            )  # fmt: skip
-            status = 0
-        except StorageError as error:  # `elsewhere` has told why
-            print(f"jaxchain: stopped: `{error.name}` could not be saved", file=sys.stderr)
-            status = 1
-        except (FigureError, StudyFailedError, MemoryError) as error:
-            print(f"jaxchain: {error}", file=sys.stderr)
-            status = 1
-        except KeyboardInterrupt:
-            kept = f"; what was finished is in {results.folder}" if results.datasets else ""
-            print(f"jaxchain: interrupted{kept}", file=sys.stderr)
-            status = INTERRUPTED
-    if status == 0:
-        report(f"\nresults in {results.folder}: {', '.join(listing(results.folder))}")
-        store = str(results.folder / f"{loaded.name}.zarr")
-        report(f"open with xarray.open_datatree({store!r}); {loaded.name}.nc holds the same")
-    # A script must see that its results are not where it wants them.
-    return 1 if status == 0 and elsewhere.forced else status
-
-
 def _boundary(options: argparse.Namespace) -> int:
-    _configure(options)
+    configure_for(options)
     from .boundaries.overview import hopf_and_fold
     from .model.chain import Chain
     from .model.friction import ExponentialDecay, TanhFriction
@@ -278,11 +231,3 @@ def _boundary(options: argparse.Namespace) -> int:
         return 130
     print(json.dumps(report(chain, found)) if options.json else in_words(chain, found))
     return 0
-
-
-def _configure(options: argparse.Namespace) -> None:
-    configure(cache=not options.no_cache)
-    if options.no_cache:
-        import jax
-
-        jax.config.update("jax_enable_compilation_cache", False)

@@ -10,6 +10,7 @@ needs JAX.
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -32,6 +33,15 @@ class Group:
     def store(self, folder: Path, scene: str) -> Path | None:
         """Where its runs go as they end; None if they are kept in memory until all have."""
         return folder / f"{scene}.{self.name}.zarr" if self.experiment.stored() else None
+
+
+def is_store_of(scene: str, path: Path) -> bool:
+    """Whether a store bears the name of one that a scene makes.
+
+    >>> is_store_of("two", Path("two.ladder.zarr")), is_store_of("two", Path("ladder.zarr"))
+    (True, False)
+    """
+    return re.fullmatch(rf"{re.escape(scene)}\.[^.]+\.zarr", path.name) is not None
 
 
 def models(numerics: NumericsTable) -> tuple[str, ...]:

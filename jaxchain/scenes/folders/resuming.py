@@ -6,6 +6,7 @@ what needs no store, and draws: whoever comes first, and once he has died anothe
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from ..registry import StudyTable
 from ..running import checked_chains, draw, fill, in_words, run_experiment
 from ..storage import Results
 from ..writing import circumstances, circumstances_before
-from .groups import groups_of
+from .groups import all_stored, groups_of
 from .saving import MARKER, saving, who_saves
 
 
@@ -48,6 +49,8 @@ def resume_scene(
             loaded.name,
             [f"is a study, which cannot go on: `jaxchain run {folder}` runs it again"],
         )
+    if client is not None:
+        loaded = dataclasses.replace(loaded, scene=all_stored(loaded.scene))
     chains = checked_chains(loaded, own_law, own_observers)
     how: dict[str, Any] = {
         "own_law": own_law, "own_observers": own_observers, "progress": progress,
