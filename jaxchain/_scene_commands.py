@@ -105,9 +105,10 @@ def run(options: argparse.Namespace) -> int:
                 files = [Path(given.rpartition(":")[0]) for given in _own(options)]
                 run_scene(loaded, results, own_files=files, client=client, **how)
 
-            status = _ended(
-                call, lambda: results.folder, lambda: bool(results.datasets), told=True
-            )  # `elsewhere` has
+            def anything() -> bool:
+                return bool(results.datasets or results.unfinished)
+
+            status = _ended(call, lambda: results.folder, anything, told=True)  # by `elsewhere`
             for folder in results.unfinished if status else ():
                 _complain(_resume(options, folder))
     if status == 0:

@@ -539,11 +539,12 @@ def test_help_shows_an_example_that_is_understood(arguments, workplace, capsys):
 
 
 @pytest.mark.parametrize(
-    "arguments", [["--help"], ["run", "--help"], ["scenes", "--help"], ["boundary", "--help"]]
+    "arguments",
+    [[], ["run"], ["resume"], ["status"], ["scenes"], ["boundary"]],
 )
 def test_help_is_there(arguments, capsys):
     with pytest.raises(SystemExit) as done:
-        main(arguments)
+        main([*arguments, "--help"])
     assert done.value.code == 0
     assert "usage: jaxchain" in capsys.readouterr().out
 

@@ -38,7 +38,7 @@ from .building import (
 from .errors import SceneError, StudyFailedError, shortened
 from .folders.datasets import in_memory
 from .folders.groups import Group, all_stored, groups_of
-from .folders.saving import saving
+from .folders.saving import may_save
 from .observing import ObserveTable
 from .reading import LoadedScene
 from .registry import StudyTable, study_run
@@ -210,7 +210,7 @@ def run_scene(
     with contextlib.ExitStack() as stack:
         # Where nothing can be written the results go elsewhere.
         with contextlib.suppress(OSError):
-            results.claims = stack.enter_context(saving(results.folder))
+            results.claims = stack.enter_context(may_save(results.folder))
         results.keep(scene_files(loaded.name, run, around, own_files))
         if isinstance(scene, StudyTable):
             with in_words(loaded.name):

@@ -51,7 +51,7 @@ class Results:
         self.reopened = False
         """Whether another process made them, which was cut off."""
         self.claims: Claims | None = None
-        """Ours to save there, see `saving`."""
+        """Ours to save there, see `may_save`."""
         self.about: dict[str, str] = {}
         """What is true of all of them: the attributes of the files."""
         self._beside: dict[str, bytes] = {}

@@ -30,6 +30,8 @@ def stores_in(folder: Path) -> list[Path]:
 
 def store_named(path: Path) -> Path | None:
     """The store that a path is, or whose records it is; None if it is neither."""
+    if path.name in ("", ".."):  # has no name to find others by
+        path = path.resolve()
     for store in (path, path.with_name(path.name.removesuffix(_UNITS))):
         if read_layout(store) is not None:
             return store

@@ -21,7 +21,7 @@ from .records import read_layout, unit_counts, unit_records, units_of
 # The rate is that of the units that ended in the last so many seconds of the work, and of so many
 # units at least.
 _RECENT, _LEAST = 600.0, 8
-_UNITS_OF_TIME = (("s", 60), ("min", 60), ("h", 24), ("days", math.inf))
+_UNITS_OF_TIME = ((86400, "days"), (3600, "h"), (60, "min"), (1, "s"))
 _MOST_NAMED = 5
 
 
@@ -80,7 +80,7 @@ def in_lines(told: Mapping[str, Any]) -> str:
     elif done < units:
         rows.append(("under way", "nothing"))
     if told["lanes_per_hour"] is not None:
-        left = "" if told["left_s"] is None else f", {duration(told['left_s'])} left"
+        left = "" if not told["left_s"] else f", {duration(told['left_s'])} left"
         rows.append(("rate", f"{told['lanes_per_hour']:,.0f} runs an hour{left}"))
     rows.append(("size", f"{told['bytes'] / 1e6:,.3g} MB"))
     for what, kinds in (("devices", told["device_kinds"]), *told["versions"].items()):
@@ -92,14 +92,12 @@ def in_lines(told: Mapping[str, Any]) -> str:
 def duration(seconds: float) -> str:
     """In the unit that suits it.
 
-    >>> duration(90), duration(7200)
+    >>> duration(90.0), duration(7200.0)
     ('1.5 min', '2 h')
     """
-    for unit, many in _UNITS_OF_TIME:
-        if seconds < many or unit == "days":
-            return f"{seconds:.0f} {unit}" if unit == "s" else f"{seconds:.2g} {unit}"
-        seconds /= many
-    raise AssertionError
+    least, unit = next(one for one in _UNITS_OF_TIME if seconds >= one[0] or one[0] == 1)
+    amount = seconds / least
+    return f"{amount:.2g} {unit}" if 1 <= amount < 10 else f"{amount:,.0f} {unit}"
 
 
 def _rate(found: Sequence[Mapping[str, Any]]) -> float | None:

@@ -36,7 +36,7 @@ def loaded_by(*commands):
 
 
 def test_help_and_the_list_of_scenes_do_not_even_check():
-    commands = ([], ["--help"], ["--version"], ["run", "--help"], ["scenes"])
+    commands = ([], ["--help"], ["--version"], ["run", "--help"], ["resume", "--help"], ["scenes"])
     for status, packages in loaded_by(*commands):
         assert status == 0
         assert not packages & {*HEAVY, "numpy", "pydantic"}
@@ -66,6 +66,19 @@ def test_what_is_wrong_is_refused_without_jax(wrong, tmp_path, monkeypatch):
     assert status == 2
     assert not packages & HEAVY
     assert not list(tmp_path.iterdir())
+
+
+def test_a_look_at_a_store_needs_no_jax(tmp_path):
+    units = tmp_path / "two.many.zarr.units"
+    units.mkdir()
+    (units / "layout.json").write_text('{"sizes": {"a": 3}, "chunks": {"a": 2}}')
+    nothing = tmp_path / "nothing"
+    commands = [["status", str(tmp_path)], ["status", str(tmp_path), "--json"]]
+    commands += [["status", str(nothing)], ["resume", str(units)], ["resume", str(nothing)]]
+    found = loaded_by(*commands)
+    assert [status for status, _ in found] == [0, 0, 2, 2, 2]
+    for _, packages in found:
+        assert not packages & HEAVY
 
 
 def test_what_computes_would_be_seen():

@@ -21,7 +21,7 @@ from ..running import checked_chains, draw, fill, in_words, run_experiment
 from ..storage import Results
 from ..writing import circumstances, circumstances_before
 from .groups import all_stored, groups_of
-from .saving import MARKER, saving, who_saves
+from .saving import MARKER, may_save, who_saves
 
 
 def resume_scene(
@@ -57,7 +57,7 @@ def resume_scene(
         "client": client,
     }  # fmt: skip
     for helped in (False, True):
-        with saving(folder) as claims:
+        with may_save(folder) as claims:
             if claims is not None:
                 with _reopened(folder, loaded.name) as results:
                     results.claims = claims
@@ -96,8 +96,10 @@ def _complete(
     if before:
         report(f"saved already: {', '.join(before)}")
     fill(loaded, results, chains, report=report, **how)
-    drawn = (folder / f"{loaded.name}.png").exists() and before == list(results.datasets)
-    if plot and not drawn:
+    more = list(results.datasets) != before
+    if not more:
+        report("nothing is missing" if before else "nothing is missing beside the stores")
+    if plot and (more or not (folder / f"{loaded.name}.png").exists()):
         draw(results)
     (folder / MARKER).unlink(missing_ok=True)
 

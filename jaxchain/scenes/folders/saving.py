@@ -39,7 +39,7 @@ def mark(folder: Path) -> None:
 
 
 @contextlib.contextmanager
-def saving(folder: Path) -> Iterator[Claims | None]:
+def may_save(folder: Path) -> Iterator[Claims | None]:
     """The claim of this process to save into a folder; None if another one has it and lives.
 
     **Raises:** `OSError` if nothing can be written there.
