@@ -250,13 +250,13 @@ def _client(options: argparse.Namespace, stack: contextlib.ExitStack) -> Any:
     """A client of the workers that were asked for, for as long as the stack lasts, or None."""
     if options.workers is None and options.scheduler is None:
         return None
-    from .sweeps.dask_engine import cluster  # pyright: ignore[reportMissingImports]
+    from .sweeps.dask_engine import cluster
+    from .sweeps.store import StoreError
 
     try:
         return stack.enter_context(cluster(options.workers, options.scheduler, not options.quiet))
-    except OSError as error:
-        where = f"the scheduler {options.scheduler}" if options.scheduler else "workers"
-        _complain(f"no connection to {where}: {error}")
+    except StoreError as error:
+        _complain(str(error))
         raise SystemExit(2) from None
 
 

@@ -2,6 +2,7 @@
 
 - `axes`: checks of what is swept and observed
 - `claims`: who computes which unit of a store
+- `dask_engine`: units of a store by workers of Dask
 - `dataset`: labels, units and provenance of results
 - `ensemble`: what a sweep computes, whatever runs it, checked before anything is compiled
 - `filling`: units of a store, claimed, run, written and recorded

@@ -13,7 +13,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from ...sweeps.claims import Claims, taken
+from ...sweeps.claims import Claims, living
 
 # In the folder of a run for as long as it runs; in that of a run that was cut off it stays.
 MARKER = "unfinished.txt"
@@ -50,7 +50,7 @@ def may_save(folder: Path) -> Iterator[Claims | None]:
 
 def who_saves(folder: Path) -> str | None:
     """ "process 12 on host", as far as one can tell; None if nobody does."""
-    owner = taken(folder).get(CLAIM)
+    owner = living(folder).get(CLAIM)
     if owner is None:
         return None
     return f"process {owner['process']} on {owner['host'].partition(' ')[0]}"
@@ -63,4 +63,4 @@ def was_cut_off(folder: Path) -> bool:
 
 def superseded(claims: Claims | None) -> bool:
     """Whether another process saves in the place of this one, which has slept for too long."""
-    return claims is not None and not claims.holds(CLAIM) and CLAIM in claims.taken()
+    return claims is not None and not claims.holds(CLAIM) and CLAIM in living(claims.folder)
