@@ -20,8 +20,10 @@ from ..observers.base import AbstractObserver
 from ..simulation.accuracy import check_resolved, fit_linear_solve
 from ..solvers.rosenbrock import Rodas4, Rodas5P
 from ..sweeps.axes import check_axes, check_observers
+from .errors import SceneError
 from .observing import ObserveTable, OwnObserverTable
 from .own_code import make_law, make_observer
+from .reading import LoadedScene
 from .scene import Experiment, SweepTable
 from .tables import Equation8Table, Equation10Table, OwnLawTable, TabulatedTable
 
@@ -168,3 +170,26 @@ def build_solver(
     if name in own:
         return fit_linear_solve(own[name](), chain, rtol, max_step)
     return getattr(dfx, name)()
+
+
+def checked_chains(
+    loaded: LoadedScene,
+    own_law: type[AbstractFrictionLaw] | None = None,
+    own_observers: Mapping[str, type[AbstractObserver]] | None = None,
+) -> dict[str, Chain]:
+    """The chain of every experiment of a scene.
+
+    **Raises:** `SceneError` with everything that cannot be run, before anything is.
+    """
+    chains, problems = {}, []
+    for name, experiment in loaded.scene.experiment.items():
+        try:
+            chains[name] = chain = build_chain(experiment, own_law)
+            window = experiment.time.window
+            observe = build_observers(experiment.observe, window, own_observers)
+            check_experiment(experiment, chain, observe)
+        except ValueError as error:
+            problems.append(f"experiment.{name}: {error}")
+    if problems:
+        raise SceneError(loaded.name, problems)
+    return chains

@@ -23,7 +23,7 @@ from ..observers.base import AbstractObserver
 from ..plotting.groups import CYCLES
 from ..plotting.sweeps import figure
 from ..simulation.event_driven import EventDriven
-from ..sweeps.records import read_layout
+from ..sweeps.records import read_layout, stores_in
 from ..sweeps.status import in_lines, status_of
 from ..sweeps.store import StoreError, describe
 from ..sweeps.sweeping import SweepInterrupted, sweep
@@ -33,7 +33,7 @@ from .building import (
     build_initial,
     build_observers,
     build_solver,
-    check_experiment,
+    checked_chains,
 )
 from .errors import SceneError, StudyFailedError, shortened
 from .folders.datasets import in_memory
@@ -131,29 +131,6 @@ def _short_of_memory(where: str, error: Exception) -> str:
     )
 
 
-def checked_chains(
-    loaded: LoadedScene,
-    own_law: type[AbstractFrictionLaw] | None = None,
-    own_observers: Mapping[str, type[AbstractObserver]] | None = None,
-) -> dict[str, Chain]:
-    """The chain of every experiment of a scene.
-
-    **Raises:** `SceneError` with everything that cannot be run, before anything is.
-    """
-    chains, problems = {}, []
-    for name, experiment in loaded.scene.experiment.items():
-        try:
-            chains[name] = chain = build_chain(experiment, own_law)
-            window = experiment.time.window
-            observe = build_observers(experiment.observe, window, own_observers)
-            check_experiment(experiment, chain, observe)
-        except ValueError as error:
-            problems.append(f"experiment.{name}: {error}")
-    if problems:
-        raise SceneError(loaded.name, problems)
-    return chains
-
-
 def run_scene(
     loaded: LoadedScene,
     folder: Path | Results,
@@ -217,13 +194,26 @@ def run_scene(
                 return study_run(scene.study)(
                     scene, results, name=loaded.name, plot=plot, progress=progress, report=report
                 )
-        fill(
-            loaded, results, chains, own_law=own_law, own_observers=own_observers,
-            progress=progress, report=report, client=client,
-        )  # fmt: skip
+        with _to_go_on(results):
+            fill(
+                loaded, results, chains, own_law=own_law, own_observers=own_observers,
+                progress=progress, report=report, client=client,
+            )  # fmt: skip
         if plot:
             draw(results)
     return results.datasets | results.stored
+
+
+@contextlib.contextmanager
+def _to_go_on(results: Results) -> Iterator[None]:
+    """What is cut off within it leaves its stores, if it has any, and a mark beside them."""
+    folder = results.folder
+    try:
+        yield
+    except BaseException:
+        if stores_in(folder):
+            results.unfinished.add(folder)
+        raise
 
 
 def fill(
@@ -286,7 +276,8 @@ def _keep(
     try:
         data = runs(None)
     except SweepInterrupted as stopped:
-        if results.reopened:  # who goes on again has no use for a part
+        # Who goes on has no use for a part.
+        if results.reopened or stores_in(results.folder):
             raise
         data, interrupt = stopped.dataset, stopped
     kept = _with_about(data, group, about, hopf)
@@ -311,7 +302,6 @@ def _keep_stored(
         describe(store, about)
     except BaseException:
         if read_layout(store) is not None:
-            results.unfinished.add(store.parent)
             report(in_lines(status_of(store)))
         raise
     kept = _with_about(data, group, about, hopf)

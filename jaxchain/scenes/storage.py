@@ -47,7 +47,7 @@ class Results:
         self.stored: dict[str, xr.Dataset] = {}
         """What is too large for that and stays in its store, read as it is used."""
         self.unfinished: set[Path] = set()
-        """Folders with a store that is not full: they stay, and are marked."""
+        """Folders with stores in which somebody may go on: they stay, and are marked."""
         self.reopened = False
         """Whether another process made them, which was cut off."""
         self.claims: Claims | None = None

@@ -215,6 +215,18 @@ def test_whoever_has_slept_saves_no_more(tmp_path):
     assert list(saved(tmp_path / "two")) == ["one", "other"]
 
 
+@pytest.mark.slow
+def test_results_are_saved_by_whoever_has_workers(tmp_path):
+    """The client of Dask is a default for all of xarray, which would ask it for a lock."""
+    distributed = pytest.importorskip("distributed")
+    with distributed.Client(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
+    ):
+        for name in "ab":
+            save(xr.Dataset({"a": ("x", [1.0])}), tmp_path / "two", name, {"title": "Two"})
+    assert list(stored(tmp_path / "two")) == ["a", "b"]
+
+
 def test_what_was_half_saved_is_mended(tmp_path):
     path = tmp_path / "two"
     data = {name: xr.Dataset({"a": ("x", np.arange(i + 2.0))}) for i, name in enumerate("abc")}

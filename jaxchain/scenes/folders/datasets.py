@@ -10,6 +10,7 @@ import contextlib
 import io
 import json
 import shutil
+import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -73,10 +74,19 @@ def _write_netcdf(parts: Mapping[str | None, xr.Dataset], new: Path, old: Path) 
     content = io.BytesIO()
     if old.exists():
         content.write(old.read_bytes())
-    for group, data in parts.items():
-        mode = "a" if content.getbuffer().nbytes else "w"
-        data.to_netcdf(content, group=group, mode=mode, engine="h5netcdf")
+    with _no_workers():
+        for group, data in parts.items():
+            mode = "a" if content.getbuffer().nbytes else "w"
+            data.to_netcdf(content, group=group, mode=mode, engine="h5netcdf")
     new.write_bytes(content.getbuffer())
+
+
+@contextlib.contextmanager
+def _no_workers() -> Iterator[None]:
+    """Within it, xarray asks no client of Dask for a lock: they have none for what has no name."""
+    dask = sys.modules.get("dask")
+    with contextlib.nullcontext() if dask is None else dask.config.set(scheduler="threads"):
+        yield
 
 
 def in_memory(data: xr.Dataset) -> xr.Dataset:

@@ -14,10 +14,11 @@ from typing import Any
 from ...model.friction import AbstractFrictionLaw
 from ...observers.base import AbstractObserver
 from ...sweeps.records import is_whole
+from ..building import checked_chains
 from ..errors import SceneError, StorageError
 from ..reading import LoadedScene
 from ..registry import StudyTable
-from ..running import checked_chains, draw, fill, in_words, run_experiment
+from ..running import draw, fill, in_words, run_experiment
 from ..storage import Results
 from ..writing import circumstances, circumstances_before
 from .groups import all_stored, groups_of
