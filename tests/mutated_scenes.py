@@ -277,9 +277,8 @@ def built(loaded: LoadedScene) -> list[tuple[Any, Any]]:
     **Raises:** `SceneError` for what must not be run.
     """
     from jaxchain.model.chain import paper_chain, steady_sliding
-    from jaxchain.scenes.building import build_chain, build_initial
+    from jaxchain.scenes.building import build_chain, build_initial, checked_chains
     from jaxchain.scenes.registry import StudyTable
-    from jaxchain.scenes.running import checked_chains
     from jaxchain.scenes.scene import SweepTable
     from jaxchain.studies.boundaries import curves
     from jaxchain.studies.extremes.chains import chain_cases

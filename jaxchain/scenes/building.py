@@ -174,7 +174,7 @@ def build_solver(
 
 def checked_chains(
     loaded: LoadedScene,
-    own_law: type[AbstractFrictionLaw] | None = None,
+    own_law: type[friction.AbstractFrictionLaw] | None = None,
     own_observers: Mapping[str, type[AbstractObserver]] | None = None,
 ) -> dict[str, Chain]:
     """The chain of every experiment of a scene.
