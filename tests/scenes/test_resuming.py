@@ -219,7 +219,9 @@ def test_whoever_has_slept_saves_no_more(tmp_path):
 def test_results_are_saved_by_whoever_has_workers(tmp_path):
     """The client of Dask is a default for all of xarray, which would ask it for a lock."""
     distributed = pytest.importorskip("distributed")
-    with distributed.Client(n_workers=0, processes=False, protocol="tcp", dashboard_address=None):
+    with distributed.Client(
+        n_workers=0, processes=False, protocol="tcp", dashboard_address="127.0.0.1:0"
+    ):
         for name in "ab":
             save(xr.Dataset({"a": ("x", [1.0])}), tmp_path / "two", name, {"title": "Two"})
     assert list(stored(tmp_path / "two")) == ["a", "b"]
