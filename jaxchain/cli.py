@@ -27,9 +27,13 @@ examples:
 
 exit status:
   0              done
-  1              a study, a figure, or the writing of results failed
+  1              a study, a figure, a store, or the writing of results failed
   2              a scene, an option or a folder is wrong
   130, 143, 129  stopped by Ctrl-C, SIGTERM, a closed terminal: what had ended is saved
+
+An experiment of more than 4096 runs is kept in a store as its runs end, unless the scene says
+numerics.store = false: `jaxchain status` tells how far it is, and `jaxchain resume` goes on where
+a run was cut off.
 """
 _RESUME_MORE = """\
 examples:
