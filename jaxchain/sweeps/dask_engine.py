@@ -65,13 +65,12 @@ def fill_by(
     import cloudpickle
 
     payload = cloudpickle.dumps(dict(call))
-    digest = hashlib.sha256(payload).hexdigest()
-    file = store.units / f".{digest[:32]}.call"
+    digest, session = hashlib.sha256(payload).hexdigest(), uuid.uuid4().hex
+    file = store.units / f".{session}.call"
     with store.in_words():
         part = file.with_suffix(f".{uuid.uuid4().hex}.part")
         part.write_bytes(payload)
         part.replace(file)
-    session = uuid.uuid4().hex
     left = store.left()
     while left:
         finished = _hand_out(client, store, left, (str(file), digest, session), bar, finished)

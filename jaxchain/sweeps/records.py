@@ -1,13 +1,17 @@
-"""The records beside a store: what there is, read by whoever looks at it.  Nothing here needs JAX.
+"""The records beside a store: how they are read and written.  Nothing here needs JAX.
 
 For the files see `store`, and for those of the processes that compute `claims`.
 """
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import json
 import math
+import os
+import uuid
+import zlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -81,3 +85,50 @@ def read_json(path: Path) -> dict[str, Any] | None:
     except (FileNotFoundError, NotADirectoryError, ValueError):
         return None
     return found if isinstance(found, dict) else None
+
+
+def first_of(path: Path, content: Mapping[str, Any]) -> dict[str, Any]:
+    """What the first process of several writes there."""
+    part = path.with_name(f".{uuid.uuid4().hex}.part")
+    part.write_text(json.dumps(content, indent=1))
+    try:
+        os.link(part, path)
+    except FileExistsError:
+        pass
+    finally:
+        part.unlink()
+    return json.loads(path.read_text())
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Whole or not at all."""
+    part = path.with_name(f".{uuid.uuid4().hex}.part")
+    try:
+        part.write_text(json.dumps(content))
+        part.replace(path)
+    except OSError:
+        with contextlib.suppress(OSError):
+            part.unlink(missing_ok=True)
+        raise
+
+
+def checksum(path: Path) -> list[int] | None:
+    """Length and CRC-32 of a file; None if there is none."""
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError:
+        return None
+    return [len(content), zlib.crc32(content)]
+
+
+def length(path: Path) -> int | None:
+    """Of a file; None if there is none."""
+    try:
+        return path.stat().st_size
+    except FileNotFoundError:
+        return None
+
+
+def lengths(record: Mapping[str, Any]) -> list[int]:
+    """Of the files of a unit."""
+    return [known[0] for known in record["files"].values() if known is not None]

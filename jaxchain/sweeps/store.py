@@ -17,12 +17,10 @@ as zarr writes none that is all NaN: only a record is.
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import shutil
 import uuid
 import warnings
-import zlib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager
@@ -41,7 +39,19 @@ from .claims import LASTS, TOUCH, clock, living
 from .ensemble import Ensemble
 from .fingerprint import columns, differences, digest
 from .grid import Block, Grid, Key
-from .records import ABOUT, LAYOUT, RECORD, read_json, read_layout, units_of
+from .records import (
+    ABOUT,
+    LAYOUT,
+    RECORD,
+    checksum,
+    first_of,
+    length,
+    lengths,
+    read_json,
+    read_layout,
+    units_of,
+    write_json,
+)
 from .status import covered
 
 _FORMAT = 1
@@ -99,10 +109,10 @@ class Store:
                         "name of a store that is not there yet, or of one that a sweep has made."
                     )
                 units_of(path).mkdir(parents=True, exist_ok=True)
-                there = _first_of(units_of(path) / LAYOUT, wanted)
+                there = first_of(units_of(path) / LAYOUT, wanted)
             if _extends(path, there, ensemble, wanted):
                 there |= {name: wanted[name] for name in ("sizes", "columns")}
-                _replace(units_of(path) / LAYOUT, there)
+                write_json(units_of(path) / LAYOUT, there)
             store = cls(path, there, Grid(ensemble.axes, there["chunks"]))
             if not store._is_laid_out():
                 store._lay_out(ensemble)
@@ -126,7 +136,7 @@ class Store:
                     found[key] = record
             if check:
                 latest = sorted(found, key=lambda key: found[key]["ended"])
-                size = sum(length for record in found.values() for length in _lengths(record))
+                size = sum(one for record in found.values() for one in lengths(record))
                 read = set(latest if size <= _READ else latest[-_LATEST:])
                 for key in latest:
                     if not self._is_whole(found[key], key in read):
@@ -157,7 +167,7 @@ class Store:
                 # At the edge of the grid zarr would read it first, and it may be torn.
                 (self.path / file).unlink(missing_ok=True)
                 array[region] = encoded.values
-                files[file] = _checksum(self.path / file)
+                files[file] = checksum(self.path / file)
             try:
                 self._check_there(block)
             except StoreError:
@@ -171,7 +181,7 @@ class Store:
                 "files": files,
                 **about,
             }
-            _replace(self.units / (block.name + RECORD), record)
+            write_json(self.units / (block.name + RECORD), record)
 
     def finish(self) -> dict[str, int]:
         """Writes what computed it into the attributes; how many lanes ended in which way."""
@@ -236,8 +246,8 @@ class Store:
     def _is_whole(self, record: Mapping[str, Any], read: bool) -> bool:
         files = record["files"]
         if read:
-            return all(_checksum(self.path / file) == known for file, known in files.items())
-        there = {file: _length(self.path / file) for file in files}
+            return all(checksum(self.path / file) == known for file, known in files.items())
+        there = {file: length(self.path / file) for file in files}
         return all(there[file] == (known and known[0]) for file, known in files.items())
 
     def _is_laid_out(self) -> bool:
@@ -305,7 +315,7 @@ def describe(path: Path, attrs: Mapping[str, Any]) -> None:
     **Raises:** `StoreError` if it cannot be written.
     """
     with _in_words(path):
-        _replace(units_of(path) / ABOUT, attrs)
+        write_json(units_of(path) / ABOUT, attrs)
         zarr.open_group(path, mode="r+", zarr_format=3).update_attributes(dict(attrs))
         _consolidate(path)
 
@@ -383,39 +393,6 @@ def _words(words: Iterable[str]) -> str:
     return ", ".join(sorted(set(words)))
 
 
-def _first_of(path: Path, content: Mapping[str, Any]) -> dict[str, Any]:
-    """What the first process of several writes there."""
-    part = path.with_name(f".{uuid.uuid4().hex}.part")
-    part.write_text(json.dumps(content, indent=1))
-    try:
-        os.link(part, path)
-    except FileExistsError:
-        pass
-    finally:
-        part.unlink()
-    return json.loads(path.read_text())
-
-
-def _replace(path: Path, content: Mapping[str, Any]) -> None:
-    part = path.with_name(f".{uuid.uuid4().hex}.part")
-    try:
-        part.write_text(json.dumps(content))
-        part.replace(path)
-    except OSError:
-        with contextlib.suppress(OSError):
-            part.unlink(missing_ok=True)
-        raise
-
-
-def _checksum(path: Path) -> list[int] | None:
-    """Length and CRC-32 of a file; None if there is none."""
-    try:
-        content = path.read_bytes()
-    except FileNotFoundError:
-        return None
-    return [len(content), zlib.crc32(content)]
-
-
 def _name(key: Key) -> str:
     return ".".join(map(str, key))
 
@@ -429,17 +406,6 @@ def _removed(path: Path) -> str:
         f"The store {path} was removed while a sweep filled it. What it held is gone; make the "
         "same call again to begin anew."
     )
-
-
-def _length(path: Path) -> int | None:
-    try:
-        return path.stat().st_size
-    except FileNotFoundError:
-        return None
-
-
-def _lengths(record: Mapping[str, Any]) -> list[int]:
-    return [known[0] for known in record["files"].values() if known is not None]
 
 
 @contextlib.contextmanager

@@ -77,10 +77,10 @@ def main():
     around(store.Store, "write", after=lambda _, own, block, *more: note("recorded", block.name))
     around(store, "_write_layout", after=lambda *_: die("layout"))
     around(Path, "replace", after=lambda _, file, to: file.name == "0" and die("moving"))
-    around(store, "_covered", before=lambda *_: die("finishing"))
-    around(store, "_checksum", before=lambda file: "/steps/" in str(file) and die("writing"))
+    around(store, "covered", before=lambda *_: die("finishing"))
+    around(store, "checksum", before=lambda file: "/steps/" in str(file) and die("writing"))
     around(
-        store, "_replace", lambda *_: die("recording"),
+        store, "write_json", lambda *_: die("recording"),
         lambda _, path, content: "unit" in content and die("recorded"),
     )  # fmt: skip
     note("starts")

@@ -28,7 +28,7 @@ def dask_setup(worker):
         write(self, block, *more)
         note("recorded", block.name)
 
-    Store.write = noted
+    setattr(Store, "write", noted)  # noqa: B010
 
 
 def initial(chain, excited):
