@@ -71,19 +71,24 @@ def fill_by(
         part = file.with_suffix(f".{uuid.uuid4().hex}.part")
         part.write_bytes(payload)
         part.replace(file)
+    told = str(store.path.absolute()), str(file.absolute()), digest, session
     left = store.left()
-    while left:
-        finished = _hand_out(client, store, left, (str(file), digest, session), bar, finished)
-        left = [key for key in left if not store.is_done(key)]
-        if left:  # others have claimed them
-            time.sleep(PAUSE)
+    try:
+        while left:
+            finished = _hand_out(client, store, left, told, bar, finished)
+            left = [key for key in left if not store.is_done(key)]
+            if left:  # others have claimed them
+                time.sleep(PAUSE)
+    finally:
+        with contextlib.suppress(OSError):
+            file.unlink(missing_ok=True)
 
 
 def _hand_out(
     client: Any,
     store: Store,
     keys: Sequence[Key],
-    told: tuple[str, str, str],
+    told: tuple[str, ...],
     bar: tqdm,
     finished: int,
 ) -> int:
@@ -97,7 +102,7 @@ def _hand_out(
         if own is None:
             return []
         name = f"unit-{'.'.join(map(str, own))}-{uuid.uuid4().hex}"
-        return [client.submit(_compute, str(store.path), *told, own, key=name, pure=False)]
+        return [client.submit(_compute, *told, own, key=name, pure=False)]
 
     begun = [task for _ in range(_AHEAD * max(1, _workers(client))) for task in submit()]
     running = as_completed(begun)

@@ -58,6 +58,7 @@ _FORMAT = 1
 _PENDING = NAMES.index("pending")
 # Values of a coordinate in one file.
 _COORDINATES = 1 << 20
+_WEEK = 7 * 24 * 3600.0
 # Bytes that are read to see whether a store is whole, and the units of a larger one that are.
 _READ, _LATEST = 1 << 32, 1000
 
@@ -297,9 +298,11 @@ class Store:
             left = [*self.path.rglob("*.partial")]
             left += [*self.units.glob(".*.part"), *self.units.glob(".*.claim")]
             left += self.path.parent.glob(f".{self.path.name}.*.part")
-            for file in left:
+            calls = list(self.units.glob(".*.call"))
+            for file in [*left, *calls]:
                 with contextlib.suppress(OSError):
-                    if now - file.stat().st_mtime > young:
+                    # Workers may wait in a queue for days before they read what is asked of them.
+                    if now - file.stat().st_mtime > (_WEEK if file in calls else young):
                         shutil.rmtree(file) if file.is_dir() else file.unlink()
             for file in self.units.glob("[!.]*.claim"):
                 # Nobody asks for a unit that is done.
