@@ -56,17 +56,21 @@ def loops(text):
     return found
 
 
+# What is quick has all kinds of loops: one run, an ensemble, an observer; smoothed and dry.
+LONG = pytest.mark.long
+
+
 @pytest.mark.parametrize(
     ("make", "n", "width", "observe", "most"),
     [
-        pytest.param(_one, 1, 1e-3, None, 30, id="smoothed, one mass"),
+        pytest.param(_one, 1, 1e-3, None, 30, id="smoothed, one mass", marks=LONG),
         pytest.param(_one, 20, 1e-3, None, 45, id="smoothed, one run"),
-        pytest.param(_one, 20, None, None, 90, id="dry, one run"),
-        pytest.param(_many, 20, 1e-3, None, 50, id="smoothed, an ensemble"),
-        pytest.param(_many, 20, None, None, 90, id="dry, an ensemble"),
+        pytest.param(_one, 20, None, None, 90, id="dry, one run", marks=LONG),
+        pytest.param(_many, 20, 1e-3, None, 50, id="smoothed, an ensemble", marks=LONG),
+        pytest.param(_many, 20, None, None, 90, id="dry, an ensemble", marks=LONG),
         pytest.param(_many, 20, 1e-3, Amplitude(10.0), 60, id="smoothed, amplitudes"),
         pytest.param(_many, 20, None, Amplitude(10.0), 115, id="dry, amplitudes"),
-        pytest.param(_many, 20, None, PeakTimes(), 115, id="dry, times of maxima"),
+        pytest.param(_many, 20, None, PeakTimes(), 115, id="dry, times of maxima", marks=LONG),
     ],
 )
 def test_every_loop_is_compiled_whole(make, n, width, observe, most):

@@ -58,24 +58,37 @@ def scanned(k):
     return jnp.sum(lax.scan(body, AT, None, length=3)[0])
 
 
-@pytest.mark.parametrize("function", [total, of_lanes, shared, scanned])
+@pytest.mark.parametrize(
+    "function",
+    [total, of_lanes, *(pytest.param(f, marks=pytest.mark.long) for f in (shared, scanned))],
+)
 def test_both_modes_agree(function):
     at = LANES if function is of_lanes else AT
-    forward, gradient = jax.jacfwd(function)(at), jax.grad(function)(at)
+
+    @jax.jit
+    def both(at):
+        return jax.jacfwd(function)(at), jax.grad(function)(at), jax.grad(jax.jit(function))(at)
+
+    forward, *gradients = both(at)
     assert np.max(np.abs(forward)) > 0.1
-    np.testing.assert_allclose(gradient, forward, rtol=1e-12)
-    np.testing.assert_allclose(jax.jit(jax.grad(function))(at), forward, rtol=1e-12)
-    np.testing.assert_allclose(jax.grad(jax.jit(function))(at), forward, rtol=1e-12)
+    # Outside `jit` each operation is a program of its own: for one of the functions.
+    gradients += [jax.grad(function)(at)] * (function is total)
+    for gradient in gradients:
+        np.testing.assert_allclose(gradient, forward, rtol=1e-12)
 
 
 def test_values_and_derivatives_are_those_of_the_unrolled_loop():
-    np.testing.assert_allclose(total(AT), plain(AT), rtol=1e-14)
-    np.testing.assert_allclose(jax.grad(total)(AT), jax.grad(plain)(AT), rtol=1e-12)
-    np.testing.assert_allclose(jax.jacfwd(total)(AT), jax.grad(plain)(AT), rtol=1e-12)
-    lanes = jax.vmap(jax.grad(total))(LANES)
-    np.testing.assert_allclose(lanes, jax.vmap(jax.grad(plain))(LANES), rtol=1e-12)
-    linear = jax.vmap(jax.linearize(total, AT)[1])(jnp.eye(3))
-    np.testing.assert_allclose(linear, jax.grad(plain)(AT), rtol=1e-12)
+    @jax.jit
+    def ours(at, lanes):
+        linear = jax.vmap(jax.linearize(total, at)[1])(jnp.eye(3))
+        return jax.grad(total)(at), jax.jacfwd(total)(at), linear, jax.vmap(jax.grad(total))(lanes)
+
+    value, slope = jax.jit(jax.value_and_grad(plain))(AT)
+    np.testing.assert_allclose(total(AT), value, rtol=1e-14)
+    *of_one, lanes = ours(AT, LANES)
+    for derivative in of_one:
+        np.testing.assert_allclose(derivative, slope, rtol=1e-12)
+    np.testing.assert_allclose(lanes, jax.jit(jax.vmap(jax.grad(plain)))(LANES), rtol=1e-12)
 
 
 @pytest.mark.parametrize("outer", [jax.jacfwd, jax.jacrev])
@@ -83,12 +96,12 @@ def test_jacobians_of_lanes(outer):
     def several(k):
         return total(k) * k
 
-    ours = jax.vmap(outer(several))(LANES)
-    theirs = jax.vmap(jax.jacfwd(lambda k: plain(k) * k))(LANES)
+    ours = jax.jit(jax.vmap(outer(several)))(LANES)
+    theirs = jax.jit(jax.vmap(jax.jacfwd(lambda k: plain(k) * k)))(LANES)
     np.testing.assert_allclose(ours, theirs, rtol=1e-12)
 
 
 @pytest.mark.parametrize("inner", [jax.jacfwd, jax.jacrev])
 def test_second_derivatives(inner):
-    ours = jax.jacfwd(inner(total))(AT)
-    np.testing.assert_allclose(ours, jax.hessian(plain)(AT), rtol=1e-11)
+    ours = jax.jit(jax.jacfwd(inner(total)))(AT)
+    np.testing.assert_allclose(ours, jax.jit(jax.hessian(plain))(AT), rtol=1e-11)

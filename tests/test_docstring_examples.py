@@ -1,7 +1,7 @@
 """Every example in a docstring or in the README runs, and prints what it says.
 
 Those of the names at the front door run with the quick tests, all others with the long ones; so
-do two that take ten seconds, of what has quick tests of its own, and what stands in a fence: it
+do those that take seconds, of what has quick tests of its own, and what stands in a fence: it
 takes too long to wait for, and says nothing to compare.
 """
 
@@ -60,8 +60,12 @@ FENCES = {
 README_FENCES = list(fenced(README.read_text(encoding="utf-8")))
 
 
-# The gradient through events, and the fold with its gradient.
-SLOW = "EventDriven", "fold_belt_speed"
+# Each compiles a program of its own: sweeps, cycles, folds and their gradients, a gradient through
+# events.
+SLOW = (
+    "EventDriven", "Samples", "find_limit_cycle", "fold_belt_speed", "monodromy_matrix",
+    "nonsmooth_fold_belt_speed", "sweep",
+)  # fmt: skip
 
 
 def cost(name):

@@ -57,7 +57,10 @@ def by_scipy(kind, initial, t1, coupling=0.1):
 
 @pytest.mark.parametrize(
     "kind",
-    [VanDerPol, *(pytest.param(k, marks=pytest.mark.long) for k in (Cubic, Rayleigh)), Swinging],
+    [
+        VanDerPol,
+        *(pytest.param(k, marks=pytest.mark.long) for k in (Cubic, Rayleigh, Swinging)),
+    ],
 )
 @pytest.mark.parametrize(
     ("solver", "rtol"),
@@ -70,7 +73,11 @@ def test_rings_of_twenty_agree_with_scipy_to_1e_9(kind, solver, rtol):
     np.testing.assert_allclose(np.concatenate(run.state), expected, atol=1e-9, rtol=0)
 
 
-def test_a_cubic_spring_is_no_linear_one():
+@pytest.mark.parametrize(
+    "solver",
+    [Rodas4(), *(pytest.param(s, marks=pytest.mark.long) for s in (Rodas5P(), dfx.Tsit5()))],
+)
+def test_a_cubic_spring_is_no_linear_one(solver):
     # x'' = -x^3 in all: -K x with K = 1 is given back by the local force.
     class OnlyCubic(AbstractOscillators):
         springs: None = None
@@ -82,18 +89,17 @@ def test_a_cubic_spring_is_no_linear_one():
             return jnp.ones(())
 
     initial = jnp.array([1.0]), jnp.zeros(1)
-    ends = [
-        simulate(OnlyCubic(), initial, 5.19, solver=solver, rtol=1e-11).state[0][0]
-        for solver in (Rodas4(), Rodas5P(), dfx.Tsit5())
-    ]
+    end = simulate(OnlyCubic(), initial, 5.19, solver=solver, rtol=1e-11).state[0][0]
     exact = solve_ivp(
         lambda t, y: [y[1], -(y[0] ** 3)], (0.0, 5.19), [1.0, 0.0], rtol=1e-13, atol=1e-13
     ).y[0, -1]
-    np.testing.assert_allclose(ends, exact, atol=1e-9)
+    np.testing.assert_allclose(end, exact, atol=1e-9)
     assert abs(exact - np.cos(5.19)) > 0.1
 
 
-@pytest.mark.parametrize(("solver", "order"), [(Rodas4, 4), (Rodas5P, 5)])
+@pytest.mark.parametrize(
+    ("solver", "order"), [pytest.param(Rodas4, 4, marks=pytest.mark.long), (Rodas5P, 5)]
+)
 @pytest.mark.parametrize("sweeps", [None, pytest.param(3, marks=pytest.mark.long)])
 def test_order_with_forces_that_depend_on_time_and_displacement(solver, order, sweeps):
     field = DrivenInPlace(
@@ -243,10 +249,13 @@ def test_a_force_between_masses_is_no_local_one():
             use()
 
 
-def test_a_sweep_of_other_oscillators_is_refused_and_vmap_serves():
+def test_a_sweep_of_other_oscillators_is_refused():
     with pytest.raises(ValueError, match=r"must be a `Chain`, but is a VanDerPol: .*`jax.vmap`"):
         sweep(ONE, START, 1.0, over={"strength": [0.5, 1.0]})
 
+
+@pytest.mark.long
+def test_vmap_serves_as_a_sweep_of_other_oscillators():
     def end(strength):
         field = VanDerPol(strength=strength, springs=None)
         return simulate(field, START, 3.0, rtol=1e-9, throw=False).state[0][0]

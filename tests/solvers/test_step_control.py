@@ -60,12 +60,13 @@ def exact():
     return stiff_run(Rodas5P(1), False)(SPEEDS, 1e-11)[0]
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("solver", "saved"),
     [
         (Rodas4(1), {1e-5: 0.3, 1e-6: 0.2, 1e-7: 0.1}),
-        pytest.param(Rodas5P(1), {1e-6: 0.25, 1e-7: 0.15, 1e-8: 0.1}, marks=pytest.mark.long),
+        (Rodas5P(1), {1e-6: 0.25, 1e-7: 0.15, 1e-8: 0.1}),
     ],
 )
 def test_fewer_steps_at_no_greater_error_on_the_stiff_chain(solver, saved, exact):
