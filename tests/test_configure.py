@@ -1,5 +1,6 @@
 """`jaxchain.configure`: in processes of their own, as JAX is set up once in each."""
 
+import functools
 import json
 import os
 import subprocess
@@ -27,6 +28,7 @@ print(json.dumps({{
 """
 
 
+@functools.cache
 def told(code, **environment):
     """What JAX is set to after `code`."""
     ours = ("XLA_FLAGS", "JAX_ENABLE_X64", "JAX_NUM_CPU_DEVICES", "JAX_COMPILATION_CACHE_DIR")

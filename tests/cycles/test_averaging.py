@@ -1,3 +1,4 @@
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -23,14 +24,14 @@ def test_the_gain_is_the_work_of_friction_and_damping_in_a_period():
 
 def test_small_vibrations_live_at_the_hopf_speed():
     chain = paper_chain(1, width=0.1)
-    speed = cycle_speed(chain, 1e-3, greatest_speed(chain))
+    speed = jax.jit(lambda chain: cycle_speed(chain, 1e-3, greatest_speed(chain)))(chain)
     np.testing.assert_allclose(speed, hopf_belt_speed(chain), rtol=1e-5)
 
 
 def test_a_law_that_is_not_greatest_at_rest_may_vibrate_at_higher_belt_speeds():
     bump = TabulatedFriction([0.0, 0.5, 1.0, 1.5], [0.2, 1.0, 0.6, 0.4])
     speeds = [
-        float(greatest_speed(Chain(1, TanhFriction(law, 1e-3), 1.0, 0.05)))
+        float(jax.jit(greatest_speed)(Chain(1, TanhFriction(law, 1e-3), 1.0, 0.05)))
         for law in (ExponentialDecay(1.0, 0.5, 0.5), bump)
     ]
     # 2 mu_st / xi at rest; 2 (1 - 0.4) / xi where friction falls most.
@@ -49,11 +50,12 @@ def test_widths_are_compared_with_where_friction_weakens_most():
 
 
 def test_the_guess_is_near_the_fold_and_says_when_there_is_none():
-    speed, closeness, exists = fold_guess(paper_chain(1, width=0.05))
+    guess = jax.jit(fold_guess)
+    speed, closeness, exists = guess(paper_chain(1, width=0.05))
     assert bool(exists)
     np.testing.assert_allclose([speed, closeness], [1.659307, -1.8023], rtol=0.1)
     np.testing.assert_allclose(speed, 1.659307, rtol=5e-3)
-    assert not bool(fold_guess(paper_chain(1, width=0.35))[2])
+    assert not bool(guess(paper_chain(1, width=0.35))[2])
 
 
 def test_one_mass_stands_for_its_place_in_the_chain():

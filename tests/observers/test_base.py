@@ -157,7 +157,7 @@ def test_a_quiet_chain_stops_early_and_says_so():
 
 
 def test_rest_that_does_not_attract_is_no_reason_to_stop():
-    chain = paper_chain(2, belt_speed=1.0)  # below the Hopf speed
+    chain = paper_chain(5, belt_speed=1.0)  # below the Hopf speed
     run = simulate(
         chain, equation_8(chain, 0), 300.0, observe=Amplitude(window=50.0, stop="quiet")
     )

@@ -8,6 +8,7 @@ from jaxchain.solvers.taylor import first_exit, greatest_curvature, value, value
 FAR = 1e100
 
 
+@jax.jit
 def first_of(rows, end=1.0, lower=0.0, upper=FAR, resolution=1e-13):
     """`first_exit` of polynomials that are given by rows of coefficients."""
     rows = jnp.asarray(rows, float)
@@ -19,8 +20,13 @@ def first_of(rows, end=1.0, lower=0.0, upper=FAR, resolution=1e-13):
 def exits(rows, **limits):
     """The same of each polynomial alone."""
     rows = jnp.atleast_2d(jnp.asarray(rows, float))
-    t, out = jax.vmap(lambda row: first_of(row[None], **limits))(rows)
+    t, out = _each(rows, limits)
     return t, out[:, 0]
+
+
+@jax.jit
+def _each(rows, limits):
+    return jax.vmap(lambda row: first_of(row[None], **limits))(rows)
 
 
 def from_roots(*roots, scale=1.0, degree=6):
