@@ -175,7 +175,7 @@ def test_a_chain_that_the_peer_cannot_run_is_refused(ring):
         ring.parameters(paper_chain(5).with_(ends="free"))
 
 
-@pytest.mark.parametrize("make", [peers.lsoda, peers.cvode])
+@pytest.mark.parametrize("make", [pytest.param(peers.lsoda, marks=pytest.mark.long), peers.cvode])
 def test_a_peer_integrates_to_the_same_state(ring, make):
     if make is peers.cvode:
         pytest.importorskip("sksundae")

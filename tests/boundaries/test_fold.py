@@ -118,6 +118,7 @@ def test_the_fold_is_a_closed_cycle_with_two_multipliers_of_one(folds, width):
     assert abs(np.trace(monodromy) - 1.0 - np.linalg.det(monodromy)) < 1e-6
 
 
+@pytest.mark.long
 def test_the_vibration_survives_below_the_fold_and_not_above(folds):
     fold = folds[0.05]
     chain = paper_chain(1, width=0.05)

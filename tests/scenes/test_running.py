@@ -41,7 +41,7 @@ def scene(tmp_path, model, more=""):
 def both(tmp_path_factory):
     folder = tmp_path_factory.mktemp("both")
     reports = []
-    data = run_scene(scene(folder, "both"), folder, report=reports.append)
+    data = run_scene(scene(folder, "both"), folder, plot=False, report=reports.append)
     return folder, data, reports
 
 
@@ -82,7 +82,9 @@ def test_the_truth_is_drawn_around_the_points_of_its_own_panel(both):
     assert len([axes for axes in page.axes if axes.get_ylabel()]) <= 2  # a panel, a colour bar
 
 
-def test_true_dry_friction_alone_goes_by_the_name_of_the_experiment(tmp_path):
+def test_true_dry_friction_alone_goes_by_the_name_of_the_experiment(tmp_path, monkeypatch):
+    # Cycles are looked for with smoothed friction only.
+    monkeypatch.setattr(running, "cycles", lambda *of: pytest.fail("asked for cycles"))
     data = run_scene(scene(tmp_path, "nonsmooth"), tmp_path, plot=False, report=lambda text: None)
     assert list(data) == ["ladder"]
     assert data["ladder"].attrs["model"] == "nonsmooth"
@@ -158,15 +160,16 @@ def ordered(cycles, which):
     return speed[order], amplitude[order]
 
 
-def test_a_few_belt_speeds_or_dry_friction_have_no_branch(tmp_path):
-    for count, model in ((3, "smoothed"), (10, "nonsmooth")):
-        loaded = one_oscillator(tmp_path, count, model)
-        experiment = loaded.scene.experiment["ladder"]
-        if model == "smoothed":
-            assert cycles(build_chain(experiment), experiment.grid()) is None
-        else:
-            data = run_scene(loaded, tmp_path, plot=False, report=lambda text: None)
-            assert list(data) == ["ladder"]
+def test_a_few_belt_speeds_have_no_branch(tmp_path):
+    experiment = one_oscillator(tmp_path, 3).scene.experiment["ladder"]
+    assert cycles(build_chain(experiment), experiment.grid()) is None
+
+
+@pytest.mark.long
+def test_dry_friction_has_no_branch(tmp_path):
+    loaded = one_oscillator(tmp_path, 10, "nonsmooth")
+    data = run_scene(loaded, tmp_path, plot=False, report=lambda text: None)
+    assert list(data) == ["ladder"]
 
 
 def test_the_hopf_speed_follows_what_is_swept():
@@ -246,9 +249,32 @@ observe = { quantities = ["energy"], others = [
 """
 
 
+FEW = """
+observe = { quantities = ["energy"], others = [
+    { observer = "StickTime", window = 20.0 },
+    { observer = "Section", oscillator = 2, capacity = 2, start = 50.0 },
+    { observer = "EnergyBalance" },
+] }
+"""
+
+
 def test_a_scene_observes_what_it_names(tmp_path):
     experiment = scene(tmp_path, "nonsmooth", OTHERS).scene.experiment["ladder"]
     assert len(build_observers(experiment.observe, 20.0)) == 9
+    data = run_scene(scene(tmp_path, "nonsmooth", FEW), tmp_path, plot=False, report=str)
+    found = data["ladder"].sel(excited=1, belt_speed=1.4)
+    assert "amplitude" not in found
+    assert np.argmax(found.stick_time.values) == 1
+    assert np.argmax(found.section_displacement.values[0]) == 1
+    assert found.section_time.min() > 50.0
+    gained = found.belt_work - found.energy_lost
+    np.testing.assert_allclose(gained, found.energy_stored, atol=1e-3)
+    saved = stored(tmp_path / "three")["ladder"]
+    assert saved["stick_time"].attrs["units"] == "1 / omega_n"
+
+
+@pytest.mark.long
+def test_a_scene_has_what_all_observers_saw(tmp_path):
     data = run_scene(scene(tmp_path, "nonsmooth", OTHERS), tmp_path, plot=False, report=str)
     found = data["ladder"].sel(excited=1, belt_speed=1.4)
     assert "amplitude" not in found

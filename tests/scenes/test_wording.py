@@ -57,8 +57,10 @@ def test_what_is_missing_is_told_of_beside_what_is_wrong():
     [
         ("chain.coupling", "-1", "coupling[0]: must be at least 0, but is -1",
          "chain.coupling[...]: 99998 more are wrong alike"),
-        ("sweep.belt_speed", "'x'", "belt_speed[0]: must be a number, but is \"x\"",
-         "sweep.belt_speed[...]: 99998 more are wrong alike"),
+        pytest.param(
+            "sweep.belt_speed", "'x'", "belt_speed[0]: must be a number, but is \"x\"",
+            "sweep.belt_speed[...]: 99998 more are wrong alike", marks=pytest.mark.long,
+        ),
         ("observe.quantities", "'x'", "quantities[0]: must be one of ",
          "observe.quantities[...]: 99998 more are wrong alike"),
     ],
