@@ -1,6 +1,7 @@
 """Strict numerics for every test: 64 bits, no silent rank promotion, shapes and types checked."""
 
 import atexit
+import ctypes
 import gc
 import os
 import shutil
@@ -96,6 +97,9 @@ def bounded_memory() -> Iterator[None]:
     if pages * os.sysconf("SC_PAGE_SIZE") > MOST_MEMORY:
         jax.clear_caches()
         gc.collect()
+        # glibc keeps what is freed: without this every module that follows would end here, too.
+        if trim := getattr(ctypes.CDLL(None), "malloc_trim", None):
+            trim(0)
 
 
 @pytest.fixture
