@@ -258,11 +258,13 @@ def test_one_program_serves_all_dry_chains(compiled):
         THREE.with_(width=2e-2),
     )  # fmt: skip
     for own in first:
-        kind(own), run(own)
+        kind(own)
+        run(own)
     assert traces == [True, False]
     compiled.clear()
     for own in others:
-        kind(own), run(own)
+        kind(own)
+        run(own)
     assert traces == [True, False]
     assert not compiled
 

@@ -13,7 +13,8 @@ from jaxchain.model.friction import TanhFriction
 from jaxchain.model.tabulated import TabulatedFriction
 from jaxchain.observers.trajectory import Trajectory
 from jaxchain.simulation.event_driven import EventDriven
-from jaxchain.simulation.run import simulate
+from jaxchain.simulation.run import build_plan, simulate
+from jaxchain.sweeps.dataset import describe
 from jaxchain.sweeps.sweeping import sweep
 
 SPEED = [0.0, 0.2, 0.5, 0.8, 1.2, 2.0]
@@ -79,6 +80,14 @@ def test_a_chain_keeps_its_table_through_changes_and_gives_it_to_every_mass():
         ring.with_(pieces=1.0)
 
 
+def test_a_dataset_says_from_which_table_it_comes():
+    plan = build_plan(EventDriven(), [], 1e-6, 1e-7, 0.5, 1.0)
+    attrs = describe(chain(), plan, t0=0.0, t1=1.0, swept=["belt_speed"])
+    assert str(SPEED) in attrs["parameters"]
+    assert str(MU) in attrs["parameters"]
+
+
+@pytest.mark.long
 def test_a_sweep_says_from_which_table_it_comes():
     data = sweep(chain(), (jnp.array([0.5]), jnp.zeros(1)), 0.5, over={"belt_speed": [1.0, 1.2]})
     assert str(SPEED) in data.attrs["parameters"]
