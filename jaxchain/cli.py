@@ -12,9 +12,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from . import __version__
-from . import _scene_commands as scene_commands
-from ._boundary_words import NUMBERS, in_words, report
-from ._scene_commands import add_no_cache, add_scene_options, configure_for
+from ._commands import scenes as scene_commands
+from ._commands.boundary_words import NUMBERS, in_words, report
+from ._commands.scenes import add_no_cache, add_scene_options, configure_for
 from ._terminal import run_command
 from .model.parameters import parameter
 from .scenes.errors import SceneError

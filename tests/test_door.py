@@ -22,7 +22,8 @@ SHOWN = {
 
 
 def rooms():
-    return [info.name for info in pkgutil.iter_modules(jaxchain.__path__) if info.ispkg]
+    folders = [info.name for info in pkgutil.iter_modules(jaxchain.__path__) if info.ispkg]
+    return [name for name in folders if not name.startswith("_")]
 
 
 def files(room):

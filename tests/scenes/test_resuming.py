@@ -369,7 +369,7 @@ def workers(monkeypatch):
     engine = type(os)("jaxchain.sweeps.dask_engine")
     engine.cluster = cluster  # pyright: ignore[reportAttributeAccessIssue]
     monkeypatch.setitem(sys.modules, "jaxchain.sweeps.dask_engine", engine)
-    monkeypatch.setattr("jaxchain._scene_commands._need_dask", lambda: None)
+    monkeypatch.setattr("jaxchain._commands.scenes._need_dask", lambda: None)
     monkeypatch.setattr(running, "sweep", sweep)
     return asked, sweeps
 

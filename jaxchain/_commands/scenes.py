@@ -16,9 +16,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from ._configure import configure
-from ._terminal import INTERRUPTED, Elsewhere
-from .scenes.errors import (
+from .._configure import configure
+from .._terminal import INTERRUPTED, Elsewhere
+from ..scenes.errors import (
     FigureError,
     SceneError,
     StorageError,
@@ -74,14 +74,14 @@ def configure_for(options: argparse.Namespace) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    from .scenes.reading import load_scene
+    from ..scenes.reading import load_scene
 
     # Before jax is imported, so that a wrong scene is reported at once.
     loaded = load_scene(options.scene, options.overrides)
     configure_for(options)
-    from .scenes.folders.saving import was_cut_off
-    from .scenes.running import run_scene
-    from .scenes.storage import Results, listing
+    from ..scenes.folders.saving import was_cut_off
+    from ..scenes.running import run_scene
+    from ..scenes.storage import Results, listing
 
     how = _how(options, loaded.name)
     wanted = options.output or Path("results") / loaded.name
@@ -120,13 +120,13 @@ def run(options: argparse.Namespace) -> int:
 
 
 def resume(options: argparse.Namespace) -> int:
-    from .scenes.reading import load_scene
+    from ..scenes.reading import load_scene
 
     folder = _folder_of(Path(options.folder))
     loaded = load_scene(str(folder))
     configure_for(options)
-    from .scenes.folders.resuming import resume_scene
-    from .scenes.storage import listing
+    from ..scenes.folders.resuming import resume_scene
+    from ..scenes.storage import listing
 
     how = _how(options, loaded.name)
     with contextlib.ExitStack() as stack:
@@ -153,9 +153,9 @@ def resume(options: argparse.Namespace) -> int:
 
 
 def status(options: argparse.Namespace) -> int:
-    from .scenes.folders.saving import was_cut_off
-    from .sweeps.records import store_named, stores_in
-    from .sweeps.status import in_lines, status_of
+    from ..scenes.folders.saving import was_cut_off
+    from ..sweeps.records import store_named, stores_in
+    from ..sweeps.status import in_lines, status_of
 
     path = Path(options.folder)
     one = store_named(path)
@@ -176,7 +176,7 @@ def status(options: argparse.Namespace) -> int:
 
 def _how(options: argparse.Namespace, scene: str) -> dict[str, Any]:
     """What `run_scene` and `resume_scene` are told."""
-    from .scenes.own_code import load_law, load_observer
+    from ..scenes.own_code import load_law, load_observer
 
     kinds = [load_observer(given, scene) for given in options.observers]
 
@@ -206,7 +206,7 @@ def _ended(
 
     `told`: why something could not be saved has been said.
     """
-    from .sweeps.store import StoreError
+    from ..sweeps.store import StoreError
 
     try:
         call()
@@ -229,9 +229,9 @@ def _folder_of(path: Path) -> Path:
 
     **Raises:** `SceneError` for a store that no scene has made.
     """
-    from .scenes.files import scene_file
-    from .scenes.folders.groups import is_store_of
-    from .sweeps.records import store_named
+    from ..scenes.files import scene_file
+    from ..scenes.folders.groups import is_store_of
+    from ..sweeps.records import store_named
 
     store = store_named(path)
     if store is None:
@@ -250,8 +250,8 @@ def _client(options: argparse.Namespace, stack: contextlib.ExitStack) -> Any:
     """A client of the workers that were asked for, for as long as the stack lasts, or None."""
     if options.workers is None and options.scheduler is None:
         return None
-    from .sweeps.dask_engine import cluster
-    from .sweeps.store import StoreError
+    from ..sweeps.dask_engine import cluster
+    from ..sweeps.store import StoreError
 
     try:
         return stack.enter_context(cluster(options.workers, options.scheduler, not options.quiet))
@@ -290,7 +290,7 @@ def _resume(options: argparse.Namespace, folder: Path) -> str:
 
 
 def _tell_how_to_open(folder: Path, name: str, report: Callable[[str], None]) -> None:
-    from .sweeps.records import stores_in
+    from ..sweeps.records import stores_in
 
     store = folder / f"{name}.zarr"
     if store.exists():
