@@ -12,6 +12,7 @@ What most scripts need stands here.  Everything else stands in its room:
 - `boundaries`: where vibration starts (Hopf) and where it can survive (fold)
 - `chaos`: Lyapunov exponents and verdicts
 - `localization`: patterns, fronts, mistuning
+- `basins`: how likely each state is, and how hard one must push
 - `inverse`: design and identification
 - `plotting`: figures, drawings, films
 - `scenes`: experiments as TOML files
@@ -31,7 +32,8 @@ __version__ = "0.1.0"
 
 ROOMS = (
     "model", "continuation", "observers", "solvers", "simulation", "sweeps", "cycles",
-    "boundaries", "chaos", "localization", "inverse", "plotting", "scenes", "bench", "studies",
+    "boundaries", "chaos", "localization", "basins", "inverse", "plotting", "scenes", "bench",
+    "studies",
 )  # fmt: skip
 
 _show, __dir__, _shown = lazy_loader.attach_stub(__name__, __file__)

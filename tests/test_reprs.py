@@ -28,7 +28,7 @@ from jaxchain.model.friction import AbstractFriction
 from jaxchain.solvers import AbstractStructuredRosenbrock, Rodas4
 
 ROOMS = (
-    "boundaries", "chaos", "continuation", "cycles", "inverse", "localization", "model",
+    "basins", "boundaries", "chaos", "continuation", "cycles", "inverse", "localization", "model",
     "observers", "simulation",
 )  # fmt: skip
 LONG = 400  # numbers along each axis of what is made up

@@ -14,7 +14,7 @@ import jax
 
 jax.config.update("jax_enable_x64", True)
 
-from . import boundaries, everywhere, model, motions, pictures, runs, searches  # noqa: E402
+from . import basins, boundaries, everywhere, model, motions, pictures, runs, searches  # noqa: E402
 from .coverage import untried  # noqa: E402
 from .table import too_slow  # noqa: E402
 
@@ -25,7 +25,7 @@ def main() -> None:
         count = sum(len(row.attempts) for row in rows)
     else:
         signal.signal(signal.SIGALRM, too_slow)
-        rooms = (model, runs, searches, boundaries, motions, pictures)
+        rooms = (model, runs, searches, boundaries, basins, motions, pictures)
         rows = [row for room in rooms for row in room.rows()]
         count = sum(row.attempts() for row in rows)
         print(*untried(row.name for row in rows), sep="\n", end="")

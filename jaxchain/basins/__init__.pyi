@@ -1,0 +1,1 @@
+from .regions import Box as Box
