@@ -1,5 +1,6 @@
 """How likely each state is, and how hard one must push: basins of attraction.
 
+- `classifiers`: in which state a run ends
 - `regions`: from where a system may start
 """
 

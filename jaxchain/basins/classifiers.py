@@ -1,0 +1,316 @@
+"""Which state a run ends in, told while it runs: which masses vibrate, and in which phases.
+
+A state is a row of whole numbers, its code.  A run is over as soon as its code is decided, so that
+no trajectory is kept, and no shape of a cloud of features has to be guessed.
+"""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Mapping
+from typing import Any, Literal
+
+import equinox as eqx
+import equinox.internal as eqxi
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from .._checks import (
+    check_flag,
+    check_one_of,
+    check_positive_number,
+    check_share,
+    named,
+)
+from .._types import ScalarLike, State
+from ..continuation.damped_newton import where
+from ..model.arguments import as_chain
+from ..model.chain import Chain
+from ..model.oscillators import AbstractOscillators
+from ..observers.base import AbstractObserver, Step, Variable
+from ..observers.quantities import active_above
+
+# Amplitudes that rounding may fake, as a share of the belt speed.
+_AT_REST = 1e-9
+# By how much of the greatest amplitude a quiet mass that is shaken may gain in a window.
+_SHAKEN = 1e-3
+# Pairs of neighbours by the delay of the second, in shares of a period.
+_PHASES = ("in phase", "out of phase", "in between")
+
+
+class Settled(eqx.Module):
+    """Where a run ended.
+
+    - `code`: the state, whole numbers; `vibrates`: which masses do.
+    - `decided`: whether that is settled; `since`: the time from which it has not changed.
+    """
+
+    code: Int[Array, " n"]
+    vibrates: Bool[Array, " n"]
+    decided: Bool[Array, ""]
+    since: Float[Array, ""]
+
+
+class AbstractClassifier(AbstractObserver):
+    """An observer that says in which state a run ends, for `basin_shares`.
+
+    Its `label` gives at least the variables `state`, whole numbers of any shape, `decided`, whether
+    that is settled, and `settling_time`; `settled` lets a run end that is decided.  Runs whose
+    `state` is the same after `merge` are in the same state.
+
+    !!! example
+
+        Which half of the displacements a mass ends in, decided at the end of the run:
+
+        >>> import jax, jax.numpy as jnp
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import paper_chain
+        >>> from jaxchain.basins import AbstractClassifier, Box, basin_shares
+        >>> from jaxchain.observers import Variable
+        >>> class Side(AbstractClassifier):
+        ...     def init(self, field, t0, t1, y0):
+        ...         return y0[0]
+        ...     def update(self, accumulator, step):
+        ...         return step.y1[0]
+        ...     def read(self, accumulator):
+        ...         return accumulator
+        ...     def label(self, value, chain):
+        ...         done = Variable(jnp.asarray(True))
+        ...         since = Variable(jnp.zeros(()))
+        ...         side = Variable((value > 0).astype(int), ("oscillator",))
+        ...         return {"state": side, "decided": done, "settling_time": since}
+        ...     def name(self, code, chain):
+        ...         return "right" if code[0] else "left"
+        >>> chain = paper_chain(1, belt_speed=2.0, width=None)
+        >>> shares = basin_shares(chain, Box(), classify=Side(), t1=200.0, half_width=0.2)
+        >>> shares.state.values.tolist()  # above the fold all come to rest at F(-v_d) > 0
+        ['right']
+    """
+
+    def merge(self, codes: Int[np.ndarray, "runs m"], chain: Chain) -> Int[np.ndarray, "runs k"]:
+        """Codes that stand for the same state made equal; by default none are."""
+        del chain
+        return codes
+
+    @abc.abstractmethod
+    def name(self, code: Int[np.ndarray, " k"], chain: Chain) -> str:
+        """A state in words, from its code as `merge` leaves it."""
+
+    def numbers(self, code: Int[np.ndarray, " k"], chain: Chain) -> Mapping[str, int]:
+        """What else to say of a state, each a coordinate along `state`; by default nothing."""
+        del code, chain
+        return {}
+
+
+class _Looking(eqx.Module):
+    low: Float[Array, " n"]  # of this window
+    high: Float[Array, " n"]
+    ends: Float[Array, ""]  # the window
+    last: Float[Array, " n"]  # amplitude of the window before, NaN in the first
+    code: Int[Array, " n"]
+    calm: Int[Array, ""]  # windows in succession that agree, and in which nothing moves on
+    same: Int[Array, ""]  # ... that agree
+    since: Float[Array, ""]
+    peaks: Float[Array, "two n"] | None  # times of the latest maximum, and of the one before
+
+
+class VibratingMasses(AbstractClassifier):
+    """Which masses vibrate once the motion has settled.
+
+    Amplitudes A_n (half peak-to-peak) are taken over windows; mass n vibrates where A_n > |v_d|/2,
+    see `active`.  It is decided when in `agree` windows in succession the same masses vibrate and
+
+    - each of these changes its amplitude by no more than `tolerance` of itself,
+    - each other one gains no more than 1e-3 of the greatest amplitude, or, where none vibrates,
+      sum A_n^2 falls;
+
+    or when the same masses have vibrated for `patience` windows, whatever else they do: states
+    with moving fronts or chaotic amplitudes never come to a steady one.
+
+    **Arguments:**
+
+    - `by`: what makes two states the same: "count", how many vibrate; "masses", which ones;
+      "ring", which ones up to the rotations and reflections of a ring, or the reflection of a
+      chain with open ends (for masses that are all alike).
+    - `phases`: whether neighbours that vibrate in phase (delay of the second within 1/8 of a
+      period of 0), out of phase (within 1/8 of 1/2) or in between are told apart.
+    - `window`: at least a period, 2 pi; `tolerance`; `agree`; `patience`.
+
+    **Value:** `Settled`.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import equation_8, paper_chain, simulate
+        >>> from jaxchain.basins import VibratingMasses
+        >>> chain = paper_chain(6, belt_speed=1.5, width=None)
+        >>> run = simulate(chain, equation_8(chain, 2), 2000.0, observe=VibratingMasses())
+        >>> run.observed.vibrates.astype(int).tolist(), bool(run.t < 300)
+        ([0, 0, 0, 1, 1, 0], True)
+    """
+
+    by: Literal["count", "masses", "ring"] = eqx.field(static=True, default="count")
+    phases: bool = eqx.field(static=True, default=False)
+    # Numbers, not a part of the program: those of a longer look compile nothing.
+    window: Float[Array, ""] = eqx.field(converter=named("window"), default=20.0)
+    tolerance: Float[Array, ""] = eqx.field(converter=named("tolerance"), default=1e-2)
+    agree: Float[Array, ""] = eqx.field(converter=named("agree"), default=3)
+    patience: Float[Array, ""] = eqx.field(converter=named("patience"), default=25)
+
+    def __check_init__(self) -> None:
+        check_one_of("by", self.by, ("count", "masses", "ring"))
+        check_flag("phases", self.phases)
+        check_positive_number("window", self.window, "a period is about 2 pi; 20 is usual.")
+        check_share("tolerance", self.tolerance, "1e-2 is usual.")
+        check_positive_number("agree", self.agree, "3 windows are usual.")
+        check_positive_number("patience", self.patience, "25 windows are usual.")
+
+    def longer(self, times: int) -> VibratingMasses:
+        """The same with `times` as many windows that must agree: a witness of its decisions."""
+        more = times * self.agree, times * self.patience, self.tolerance / times
+        return eqx.tree_at(lambda c: (c.agree, c.patience, c.tolerance), self, more)
+
+    def init(
+        self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State
+    ) -> _Looking:
+        del t1
+        x, _ = y0
+        as_chain(field, remedy="only its masses have a belt that they can stick to.")
+        none = jnp.zeros((), int)
+        return _Looking(
+            x, x, jnp.asarray(t0 + self.window, float), jnp.full_like(x, jnp.nan),
+            jnp.full(x.shape, -1), none, none, jnp.asarray(t0, float),
+            jnp.full((2, *x.shape), jnp.nan) if self.phases else None,
+        )  # fmt: skip
+
+    def update(self, accumulator: _Looking, step: Step) -> _Looking:
+        now, end = accumulator, step.y1[0]
+        turns, theta = step.turning_points()
+        extreme = jnp.where(turns, step.displacement(theta), end)
+        low = jnp.minimum(now.low, jnp.minimum(extreme, end))
+        high = jnp.maximum(now.high, jnp.maximum(extreme, end))
+        now = eqx.tree_at(lambda a: (a.low, a.high), now, (low, high))
+        if now.peaks is not None:
+            peak = turns & (step.y0[1] > 0)
+            latest = jnp.where(peak, step.time(theta), now.peaks[0])
+            before = jnp.where(peak, now.peaks[0], now.peaks[1])
+            now = eqx.tree_at(lambda a: a.peaks, now, jnp.stack([latest, before]))
+        over = step.t1 >= now.ends
+        # One branch for the whole batch; what is not over stays.
+        look = lambda: self._look(now, step)  # noqa: E731
+        looked = lax.cond(eqxi.unvmap_any(over), look, lambda: now)
+        return where(over, looked, now)
+
+    def _look(self, now: _Looking, step: Step) -> _Looking:
+        """At the end of a window."""
+        field: Any = step.field
+        amplitude = (now.high - now.low) / 2
+        code = self._code(now, amplitude, field)
+        vibrates, speed = code > 0, jnp.abs(field.belt_speed)
+        same = jnp.all(code == now.code)
+        change = amplitude - now.last
+        steady = jnp.abs(change) <= self.tolerance * amplitude
+        shaken = change <= _SHAKEN * jnp.max(amplitude)
+        rest = jnp.all(amplitude <= _AT_REST * speed)
+        dies = (jnp.sum(amplitude**2) < jnp.sum(now.last**2)) | rest
+        quiet = jnp.where(jnp.any(vibrates), shaken, dies)
+        calm = same & jnp.all(jnp.where(vibrates, steady, quiet))
+        # That of the first window is no answer yet: what starts may do anything in it.
+        started = now.ends - self.window
+        return _Looking(
+            low=step.y1[0], high=step.y1[0], ends=now.ends + self.window, last=amplitude, code=code,
+            calm=jnp.where(calm, now.calm + 1, 0), same=jnp.where(same, now.same + 1, 0),
+            since=jnp.where(same, now.since, started), peaks=now.peaks,
+        )  # fmt: skip
+
+    def _code(self, now: _Looking, amplitude: Array, chain: Chain) -> Array:
+        """0: quiet, 1: vibrates; with phases 2, 4, 6 more by its delay to the neighbour before."""
+        vibrates = amplitude > active_above(chain.belt_speed)
+        code = vibrates.astype(int)
+        if now.peaks is None or chain.n == 1:
+            return code
+        latest, before = now.peaks
+        share = ((latest - jnp.roll(latest, 1)) / (latest - before)) % 1.0
+        beside = vibrates & jnp.roll(vibrates, 1)
+        if chain.ends != "cyclic":
+            beside = beside & (jnp.arange(chain.n) > 0)
+        phase = jnp.where(jnp.abs(share - 0.5) < 0.125, 1, 2)
+        phase = jnp.where(jnp.abs(share - 0.5) > 0.375, 0, phase)
+        return code + jnp.where(beside, 2 * (phase + 1), 0)
+
+    def settled(self, accumulator: _Looking) -> Bool[Array, ""]:
+        return (accumulator.calm >= self.agree) | (accumulator.same >= self.patience)
+
+    def rests(self, accumulator: _Looking) -> Bool[Array, ""]:
+        return self.settled(accumulator) & jnp.all(accumulator.code == 0)
+
+    def read(self, accumulator: _Looking) -> Settled:
+        now = accumulator
+        return Settled(now.code, now.code > 0, self.settled(now), now.since)
+
+    def label(self, value: Settled, chain: Any) -> dict[str, Variable]:
+        del chain
+        return {
+            "state": Variable(value.code, ("oscillator",), "1", "0: quiet, else vibrates"),
+            "decided": Variable(value.decided, (), "1", "whether the state is settled"),
+            "settling_time": Variable(
+                value.since, (), "1 / omega_n", "time from which the same masses vibrate"
+            ),
+        }
+
+    def merge(self, codes: Int[np.ndarray, "runs m"], chain: Chain) -> Int[np.ndarray, "runs k"]:
+        if self.by == "count":
+            pairs = [np.sum(codes // 2 == kind + 1, axis=1) for kind in range(len(_PHASES))]
+            counts = [np.sum(codes > 0, axis=1), *(pairs if self.phases else [])]
+            return np.stack(counts, axis=1)
+        if self.by == "ring":
+            _check_alike(chain)
+            different, places = np.unique(codes, axis=0, return_inverse=True)
+            return np.array([_canonical(code, chain) for code in different])[places.ravel()]
+        return codes
+
+    def name(self, code: Int[np.ndarray, " k"], chain: Chain) -> str:
+        count = self.numbers(code, chain)["vibrating"]
+        if count == 0:
+            return "sliding"
+        if chain.n == 1:
+            return "vibrating"
+        verb = "vibrates" if count == 1 else "vibrate"
+        if self.by == "count":
+            told = ", ".join(
+                f"{c} {word}" for c, word in zip(code[1:], _PHASES, strict=False) if c
+            )
+            return f"{count} {verb}" + (f": {told}" if told else "")
+        who = []
+        for mass, own in enumerate(code):
+            if own > 0:
+                phase = f" {_PHASES[own // 2 - 1]}" if own > 1 else ""
+                who.append(f"{mass + 1}{phase}")
+        return f"{', '.join(who)} {verb}"
+
+    def numbers(self, code: Int[np.ndarray, " k"], chain: Chain) -> Mapping[str, int]:
+        del chain
+        return {"vibrating": int(code[0] if self.by == "count" else np.sum(code > 0))}
+
+
+def _check_alike(chain: Chain) -> None:
+    """Raises unless a rotation, or the reflection of open ends, leaves the chain as it is."""
+    for name, value in chain.numbers().items():
+        if value is not None and np.ndim(value) > 0 and np.ptp(np.asarray(value)) > 0:
+            raise ValueError(
+                'Argument `by` = "ring" takes rotated patterns for one state, but the masses or '
+                f'springs of this chain differ in `{name}`: use "masses" or "count".'
+            )
+
+
+def _canonical(code: np.ndarray, chain: Chain) -> np.ndarray:
+    """Of all images of a code under the chain's symmetries the lexicographically greatest."""
+    vibrates, phase = np.minimum(code, 1), code // 2
+    # The phase of a pair stands at its second mass, which is the first one in the mirror.
+    mirrored = vibrates[::-1] + 2 * np.roll(phase[::-1], 1)
+    turns = range(len(code) if chain.ends == "cyclic" else 1)
+    images = [np.roll(own, turn) for own in (code, mirrored) for turn in turns]
+    return max(images, key=tuple)
