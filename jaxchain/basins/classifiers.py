@@ -56,9 +56,9 @@ class Settled(eqx.Module):
 class AbstractClassifier(AbstractObserver):
     """An observer that says in which state a run ends, for `basin_shares`.
 
-    Its `label` gives at least the variables `state`, whole numbers of any shape, `decided`, whether
-    that is settled, and `settling_time`; `settled` lets a run end that is decided.  Runs whose
-    `state` is the same after `merge` are in the same state.
+    Its `label` gives at least the variables `state`, whole numbers of any shape, `decided`,
+    whether that is settled, and `settling_time`; `settled` lets a run end that is decided.  Runs
+    whose `state` is the same after `merge` are in the same state.
 
     !!! example
 
@@ -93,6 +93,10 @@ class AbstractClassifier(AbstractObserver):
         """Codes that stand for the same state made equal; by default none are."""
         del chain
         return codes
+
+    def longer(self, times: int) -> Any:
+        """One that wants `times` as much to agree, as a witness; None, the default, if none."""
+        del times
 
     @abc.abstractmethod
     def name(self, code: Int[np.ndarray, " k"], chain: Chain) -> str:
@@ -221,8 +225,9 @@ class VibratingMasses(AbstractClassifier):
         # That of the first window is no answer yet: what starts may do anything in it.
         started = now.ends - self.window
         return _Looking(
-            low=step.y1[0], high=step.y1[0], ends=now.ends + self.window, last=amplitude, code=code,
-            calm=jnp.where(calm, now.calm + 1, 0), same=jnp.where(same, now.same + 1, 0),
+            low=step.y1[0], high=step.y1[0], ends=now.ends + self.window,
+            last=amplitude, code=code, calm=jnp.where(calm, now.calm + 1, 0),
+            same=jnp.where(same, now.same + 1, 0),
             since=jnp.where(same, now.since, started), peaks=now.peaks,
         )  # fmt: skip
 

@@ -1,25 +1,41 @@
-"""Regions of the state space from which a system may start."""
+"""Regions of the state space from which a system may start, and points spread over them.
+
+A region takes a point of the unit cube to a state: so the same points make starts at every value
+of every parameter, and a low-discrepancy sequence fills any region.
+"""
 
 from __future__ import annotations
 
+import abc
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
+from jax.scipy.special import ndtri
 from jaxtyping import Array, Float
 
 from .._checks import (
     as_array,
     check_finite,
+    check_function,
+    check_kind,
+    check_positive_number,
     check_whole,
     is_traced,
+    named,
     numbers_of,
     shown,
 )
 from .._reprs import call
+from .._types import State
+from ..model.chain import Chain, steady_sliding
 
 _EDGES = "give (low, high), as (-2, 2)."
 _MASSES = "give None for all masses, or indices from 0, as (0, 1)."
+# Where the normal distribution is cut off: at 8.2 standard deviations.
+_LEAST = 2.0**-53
 
 
 def _edges(name: str) -> Any:
@@ -33,7 +49,53 @@ def _indices(value: Any) -> Any:
     return value
 
 
-class Box(eqx.Module):
+def _check_masses(masses: Any) -> None:
+    if masses is None:
+        return
+    if not isinstance(masses, tuple) or not masses:
+        raise ValueError(f"Argument `masses` must be indices, but is {shown(masses)}: {_MASSES}")
+    for mass in masses:
+        check_whole("masses", mass, 0, remedy=_MASSES)
+    if len(set(masses)) < len(masses):
+        raise ValueError(f"Argument `masses` must be different, but is {shown(masses)}: {_MASSES}")
+
+
+class AbstractRegion(eqx.Module):
+    """Where a system may start: a map from the unit cube to states.
+
+    Points that fill the cube evenly make states with the region's distribution.
+    """
+
+    @abc.abstractmethod
+    def dimension(self, chain: Chain) -> int:
+        """Of the cube."""
+
+    @abc.abstractmethod
+    def start(self, chain: Chain, point: Float[Array, " dimension"]) -> State:
+        """The state (x, v), both of shape (n,), that a point of the cube stands for."""
+
+
+def _pushed(masses: tuple[int, ...] | None, chain: Chain) -> tuple[int, ...]:
+    """The indices of the masses that are pushed; `ValueError` for one that is not there."""
+    masses = tuple(range(chain.n)) if masses is None else masses
+    for mass in masses:
+        check_whole("masses", mass, 0, chain.n - 1, _MASSES)
+    return masses
+
+
+def _about_sliding(masses: tuple[int, ...] | None, chain: Chain, x: Array, v: Array) -> State:
+    """Steady sliding with (x, v) added for the masses that are pushed."""
+    sliding_x, sliding_v = steady_sliding(chain)
+    at = jnp.asarray(_pushed(masses, chain))
+    return sliding_x.at[at].add(x), sliding_v.at[at].add(v)
+
+
+def _normal(point: Array) -> Array:
+    """Standard normal numbers from uniform ones."""
+    return ndtri(jnp.clip(point, _LEAST, 1.0 - _LEAST))
+
+
+class Box(AbstractRegion):
     """Displacements and velocities between two numbers each, the same for every mass.
 
     a <= x_n <= b, c <= v_n <= d, for the masses n that are pushed; the others slide steadily.
@@ -73,15 +135,132 @@ class Box(eqx.Module):
                     f"Argument `{name}` must be (low, high) with low < high, but is "
                     f"{tuple(known.tolist())}: {_EDGES}"
                 )
-        if self.masses is None:
-            return
-        if not isinstance(self.masses, tuple) or not self.masses:
-            raise ValueError(
-                f"Argument `masses` must be indices, but is {shown(self.masses)}: {_MASSES}"
-            )
-        for mass in self.masses:
-            check_whole("masses", mass, 0, remedy=_MASSES)
-        if len(set(self.masses)) < len(self.masses):
-            raise ValueError(
-                f"Argument `masses` must be different, but is {shown(self.masses)}: {_MASSES}"
-            )
+        _check_masses(self.masses)
+
+    def dimension(self, chain: Chain) -> int:
+        return 2 * len(_pushed(self.masses, chain))
+
+    def start(self, chain: Chain, point: Float[Array, " dimension"]) -> State:
+        (a, b), (c, d) = self.displacement, self.velocity
+        x, v = jnp.split(point, 2)
+        at = jnp.asarray(_pushed(self.masses, chain))
+        sliding_x, sliding_v = steady_sliding(chain)
+        return sliding_x.at[at].set(a + (b - a) * x), sliding_v.at[at].set(c + (d - c) * v)
+
+
+class Ball(AbstractRegion):
+    """All states no farther from steady sliding than `radius`, equally likely.
+
+    sum over the pushed masses of (x_n - x_s)^2 + v_n^2 <= radius^2.
+
+    **Arguments:** `radius`, dimensionless; `masses` as in `Box`.
+
+    **Raises:** `ValueError` for a radius that is not positive, or bad `masses`.
+
+    >>> import jax
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> Ball(0.5, masses=[3])
+    Ball(radius=0.5, masses=(3,))
+    """
+
+    radius: Float[Array, ""] = eqx.field(converter=named("radius"))
+    masses: tuple[int, ...] | None = eqx.field(converter=_indices, default=None, static=True)
+
+    def __repr__(self) -> str:
+        return call(self)
+
+    def __check_init__(self) -> None:
+        check_positive_number("radius", self.radius, "it is a distance, such as 1.")
+        _check_masses(self.masses)
+
+    def dimension(self, chain: Chain) -> int:
+        return 2 * len(_pushed(self.masses, chain)) + 1
+
+    def start(self, chain: Chain, point: Float[Array, " dimension"]) -> State:
+        # A normal vector points everywhere alike.
+        direction = _normal(point[:-1])
+        length = self.radius * point[-1] ** (1.0 / direction.size)
+        direction = direction * (length / jnp.maximum(jnp.linalg.norm(direction), 1e-300))
+        x, v = jnp.split(direction, 2)
+        return _about_sliding(self.masses, chain, x, v)
+
+
+class Gaussian(AbstractRegion):
+    """Displacements and velocities that scatter about steady sliding, each mass by itself.
+
+    x_n - x_s ~ N(0, `displacement`^2), v_n ~ N(0, `velocity`^2).
+
+    **Arguments:** the standard deviations `displacement` and `velocity`, dimensionless; `masses`
+    as in `Box`.
+
+    **Raises:** `ValueError` for deviations that are not positive, or bad `masses`.
+
+    >>> import jax
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> Gaussian(displacement=1.0, velocity=0.5)
+    Gaussian(displacement=1, velocity=0.5)
+    """
+
+    displacement: Float[Array, ""] = eqx.field(converter=named("displacement"))
+    velocity: Float[Array, ""] = eqx.field(converter=named("velocity"))
+    masses: tuple[int, ...] | None = eqx.field(converter=_indices, default=None, static=True)
+
+    def __repr__(self) -> str:
+        return call(self)
+
+    def __check_init__(self) -> None:
+        for name in ("displacement", "velocity"):
+            check_positive_number(name, getattr(self, name), "it is a standard deviation.")
+        _check_masses(self.masses)
+
+    def dimension(self, chain: Chain) -> int:
+        return 2 * len(_pushed(self.masses, chain))
+
+    def start(self, chain: Chain, point: Float[Array, " dimension"]) -> State:
+        x, v = jnp.split(_normal(point), 2)
+        return _about_sliding(self.masses, chain, self.displacement * x, self.velocity * v)
+
+
+class Sampler(AbstractRegion):
+    """A region of one's own: a function from the unit cube to states.
+
+    **Arguments:** `function`, (chain, point) -> (x, v), which JAX can trace; `points`, of how many
+    numbers in [0, 1) a point consists.
+
+    >>> import jax, jax.numpy as jnp
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> from jaxchain import paper_chain, steady_sliding
+    >>> def shaken(chain, point):  # one number: the same velocity of all masses
+    ...     x, v = steady_sliding(chain)
+    ...     return x, v + 2.0 * point[0]
+    >>> region = Sampler(shaken, 1)
+    >>> region.start(paper_chain(2), jnp.array([0.25]))[1].tolist()
+    [0.5, 0.5]
+    """
+
+    function: Callable[[Chain, Array], State] = eqx.field(static=True)
+    points: int = eqx.field(static=True)
+
+    def __check_init__(self) -> None:
+        check_function("function", self.function, "(chain, point) -> (x, v)", 2)
+        check_whole("points", self.points, remedy="it is the length of a point.")
+
+    def dimension(self, chain: Chain) -> int:
+        del chain
+        return self.points
+
+    def start(self, chain: Chain, point: Float[Array, " dimension"]) -> State:
+        return self.function(chain, point)
+
+
+def check_region(region: Any, chain: Chain) -> None:
+    """Raises `ValueError` unless it is a region of states of this chain."""
+    kinds = "a `Box`, `Ball`, `Gaussian` or `Sampler`"
+    check_kind("region", region, AbstractRegion, kinds, "`Box()` is that of the literature.")
+    state: Any = eqx.filter_eval_shape(region.start, chain, jnp.zeros(region.dimension(chain)))
+    good = isinstance(state, tuple | list) and len(state) == 2
+    if not (good and all(part.shape in ((), (chain.n,)) for part in state)):
+        raise ValueError(
+            f"Argument `region` must make pairs (x, v) of shape ({chain.n},), but makes "
+            f"{shown(state)}."
+        )

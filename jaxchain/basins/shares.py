@@ -1,0 +1,297 @@
+"""How likely each state is: shares of starts, with error bars, over parameters.
+
+A share is the mean of an indicator over a region.  The same points of the region are started from
+at every parameter, so that what differs between parameters is not the points.  Points come in
+replicates, sequences that are independent of each other, whose scatter is the error; they are
+doubled until every error bar is as short as asked for.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Literal
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from .._checks import (
+    check_concrete,
+    check_count,
+    check_flag,
+    check_kind,
+    check_one_of,
+    check_share,
+    check_whole,
+    shown,
+)
+from .._types import ScalarLike
+from ..model.arguments import as_chain
+from ..sweeps.scheduler import lane_count
+from .classifiers import AbstractClassifier, VibratingMasses
+from .points import Points
+from .regions import check_region
+from .runs import Runs, checked_again
+from .tally import FAILED, UNDECIDED, Bars, Tally, of_replicates
+
+if TYPE_CHECKING:
+    from xarray import Dataset
+
+# The names of dimensions that are not the caller's.
+_OWN = ("start", "point", "state", "replicate", "oscillator")
+# Points of a replicate to begin with: of so few a share of 0 or 1 is told from others.
+_FIRST = 32
+
+
+def basin_shares(
+    chain: Any,
+    region: Any,
+    over: Mapping[str, Any] | None = None,
+    *,
+    half_width: Any = 0.01,
+    classify: Any = None,
+    t1: ScalarLike = 2000.0,
+    points: Literal["sobol", "random"] = "sobol",
+    replicates: int = 16,
+    most: int = 2**20,
+    checked: int = 64,
+    seed: int = 0,
+    lanes: int | None = None,
+    devices: Sequence[Any] | None = None,
+    progress: bool = False,
+    **numerics: Any,
+) -> Dataset:
+    """The share of a region from which a chain ends in each of its states, with error bars.
+
+    share_k = 1/n sum_i [start i ends in state k], starts i spread over the region.
+
+    **Arguments:**
+
+    - `chain`: a `Chain`, best with dry friction (`width=None`): a width changes the shares.
+    - `region`: a `Box`, `Ball`, `Gaussian` or `Sampler`.
+    - `over`: as for `sweep`, numbers of the chain such as `{"belt_speed": [1.2, 1.5]}`; at each of
+      them the same points are started from.
+    - `half_width`: that of the longest of the 95 % bars of all shares at which no more starts are
+      made; or `most` starts have been made at every parameter.
+    - `classify`: what a state is, an `AbstractClassifier`; by default `VibratingMasses()`, how
+      many masses vibrate.  A run ends when it is decided, or at the time `t1`: then its state is
+      "undecided", which has a share like the others.
+    - `points`: "sobol", scrambled Sobol points, or "random"; `replicates`, how many independent
+      sequences of them; `seed`.
+    - `checked`: how many decisions at each parameter are looked at again, by runs that go on until
+      four times as much agrees (for `VibratingMasses`, or what `classify.longer(4)` returns);
+      starts that turn out otherwise lengthen the bars, see below.
+    - `lanes`, `devices`, `progress`, and `solver`, `rtol`, `accuracy`, ... (`numerics`): as for
+      `sweep`.
+
+    **Returns:** an `xarray.Dataset` over the dimensions of `over` and `state`, whose coordinate
+    names the states; "undecided" is always the last, but for "failed" if a run did:
+
+    - `share`; `low`, `high`: its 95 % interval.  Of Sobol points it is Student's t of the
+      replicates' shares, of random points, and of a state in or out of which are fewer than two
+      starts a replicate, Wilson's interval of a fraction.  If of the checked decisions for k the
+      part e(k, l) turns out l, `low` of k is lowered by share_k sum_l e(k, l), and `high` of l
+      raised by sum_k share_k e(k, l).
+    - `share_at_end`: of the starts that were in state k when their runs ended, decided or not.
+    - `undecided`, also as a variable of its own; `misclassified`: sum_kl share_k e(k, l).
+    - `settling_time`: the median time from which nothing changed any more, NaN where none is.
+    - `start_displacement`, `start_velocity` (..., oscillator): a start that ends there.
+    - `replicate_share` (..., replicate, state), of which `share_differences` makes differences.
+
+    Attributes: `starts` at each parameter, `longest_half_width` of the bars before the checks,
+    `checked`, seed, tolerances, versions.
+
+    **Raises:** `ValueError` for bad input before anything is compiled.
+
+    Sources: P. J. Menck, J. Heitzig, N. Marwan, J. Kurths, Nature Physics 9, 89 (2013); replicates
+    of scrambled sequences: P. L'Ecuyer, C. Lemieux, Recent advances in randomized quasi-Monte
+    Carlo methods, in: Modeling Uncertainty, Kluwer 2002.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import paper_chain
+        >>> from jaxchain.basins import Box, basin_shares
+        >>> chain = paper_chain(1, belt_speed=1.5, width=None)
+        >>> shares = basin_shares(chain, Box(displacement=(-2, 2), velocity=(0, 2)))
+        >>> shares.state.values.tolist()
+        ['sliding', 'vibrating', 'undecided']
+        >>> sliding = shares.sel(state="sliding")
+        >>> bool(sliding.low < 0.3220 < sliding.high)  # what `sliding_share` says
+        True
+    """
+    chain = as_chain(chain)
+    check_concrete(
+        "shares are counted on the host; `sliding_share` has derivatives.", chain=chain, over=over
+    )
+    check_region(region, chain)
+    classify = VibratingMasses() if classify is None else classify
+    check_kind(
+        "classify", classify, AbstractClassifier, "None or an `AbstractClassifier`",
+        "`VibratingMasses()` tells which masses vibrate.",
+    )  # fmt: skip
+    check_share("half_width", half_width, "0.01 is usual.")
+    check_one_of("points", points, ("sobol", "random"))
+    check_whole("replicates", replicates, 4, 1024, "16 are usual.")
+    check_whole("most", most, replicates * _FIRST, remedy="starts at each parameter.")
+    check_whole("checked", checked, 0, remedy="64 at each parameter are usual.")
+    check_whole("seed", seed, 0, remedy="it is the seed of the points.")
+    check_flag("progress", progress)
+    check_count("lanes", lanes)
+    over = {} if over is None else over
+    check_kind("over", over, Mapping, "None or a mapping", '{"belt_speed": [1.2, 1.5]}, say.')
+    if taken := [name for name in over if name in _OWN]:
+        raise ValueError(
+            f"Argument `over` names {taken}, but dimensions of the result are called so: give "
+            "them other names."
+        )
+    devices = jax.local_devices() if devices is None else devices
+    lanes = lane_count(chain.n, replicates * _FIRST, devices, lanes)
+    numerics |= {"lanes": lanes, "devices": devices}
+    runs = Runs(chain, region, over, classify, t1, progress, numerics)
+    cube = Points(region.dimension(chain), replicates, points, seed)
+    began, tally = time.perf_counter(), Tally(classify, chain)
+    count, drawn = _FIRST, []
+    while True:
+        drawn.append(cube.more(count))
+        tally.add(runs.of(drawn[-1]))
+        bars = tally.bars(even=points == "sobol")
+        # As many again: Sobol's points are even after powers of two.
+        count = tally.starts
+        if bars.longest <= half_width or 2 * replicates * count > most:
+            break
+    at = np.concatenate(drawn, axis=1).reshape(-1, drawn[0].shape[-1])
+    reach = bars.longest
+    lost, gained, seen = checked_again(runs, tally, at, checked, seed)
+    bars = tally.bars(even=points == "sobol").widened(lost, gained)
+    found = _dataset(runs, tally, bars, lost, at)
+    found.attrs |= {
+        "starts": len(at), "replicates": replicates, "points": points, "seed": seed,
+        "longest_half_width": reach, "checked": seen, "region": repr(region),
+        "wall_time_s": round(time.perf_counter() - began, 3),
+    }  # fmt: skip
+    return found
+
+
+def _dataset(
+    runs: Runs, tally: Tally, bars: Bars, lost: np.ndarray, points: Float[np.ndarray, "s d"]
+) -> Dataset:
+    from xarray import Dataset
+
+    chain, classify, known = runs.chain, runs.classify, tally.states
+    state, at_end = tally.state, tally.at_end
+    numbers = [dict(classify.numbers(code, chain)) for code in tally.codes]
+    failed = np.any(state > known)
+    # Those of which more masses vibrate later; then by how likely they are.
+    likely = -bars.share[:, :known].mean(0)
+    order = sorted(range(known), key=lambda k: (*numbers[k].values(), likely[k]))
+    order += [known, known + 1][: 1 + failed]
+    names = [classify.name(code, chain) for code in tally.codes] + [UNDECIDED, FAILED]
+    first, settling = _of_states(state, tally.since, known + 2)
+    places, states = np.nonzero(first >= 0)
+    x, v = (np.full((*first.shape, chain.n), np.nan) for _ in range(2))
+    at = points[first[places, states]]
+    x[places, states], v[places, states] = runs.starts(places, at)
+    dims, shape = tuple(runs.shape), tuple(runs.shape.values())
+
+    def over(values: np.ndarray, *more: str, states: bool = True) -> tuple:
+        axis = 1 + more.index("state") if states else 0
+        values = np.take(values, order, axis) if states else values
+        return (*dims, *more), values.reshape((*shape, *values.shape[1:]))
+
+    end = tally.shares(at_end, known + 2).mean(1)
+    about_k = {
+        "share": (bars.share, "share of the starts that end in the state"),
+        "low": (bars.low, "lower end of the 95 % interval of the share"),
+        "high": (bars.high, "upper end of the 95 % interval of the share"),
+        "share_at_end": (end, "share of the starts in the state when their runs ended"),
+        "settling_time": (settling, "median time from which nothing changed"),
+    }
+    units = {"settling_time": "1 / omega_n"}
+    variables: dict[str, Any] = {
+        name: (*over(values, "state"), {"long_name": text, "units": units.get(name, "1")})
+        for name, (values, text) in about_k.items()
+    }
+    variables["replicate_share"] = (
+        *over(tally.shares(state, known + 2), "replicate", "state"),
+        {"long_name": "share in one sequence of starts", "units": "1"},
+    )
+    for name, values, unit in (("displacement", x, "x0"), ("velocity", v, "x0 omega_n")):
+        told = {"long_name": f"{name} of a start that ends in the state", "units": unit}
+        variables[f"start_{name}"] = (*over(values, "state", "oscillator"), told)
+    alone = {
+        "undecided": (bars.share[:, known], "share of the starts that are not decided"),
+        "misclassified": (lost.sum(1), "share of the starts decided too early"),
+    }
+    for name, (values, text) in alone.items():
+        told = {"long_name": text, "units": "1"}
+        variables[name] = (*over(values, states=False), told)
+    coords = dict(runs.coords)
+    coords["state"] = np.array([names[k] for k in order])
+    coords["oscillator"] = np.arange(1, chain.n + 1)
+    for name in numbers[0] if numbers else ():
+        column = [numbers[k][name] if k < known else np.nan for k in order]
+        coords[name] = ("state", np.array(column, float))
+    return Dataset(variables, coords=coords, attrs=runs.attrs)
+
+
+def _of_states(state: np.ndarray, since: np.ndarray, states: int) -> tuple[np.ndarray, np.ndarray]:
+    """Of each state at each parameter: the first start that ends there (-1 if none), and the
+    median time from which it did not change."""
+    first, median = np.full((len(state), states), -1), np.full((len(state), states), np.nan)
+    # Replicates come one after another within a batch, as the points do.
+    rows = zip(state.reshape(len(state), -1), since.reshape(len(since), -1), strict=True)
+    for place, (own, times) in enumerate(rows):
+        order = np.argsort(own, kind="stable")
+        found, begins = np.unique(own[order], return_index=True)
+        first[place, found] = order[begins]
+        for k, part in zip(found, np.split(times[order], begins[1:]), strict=True):
+            median[place, k] = np.median(part) if k < states - 2 else np.nan
+    return first, median
+
+
+def share_differences(shares: Dataset, dim: str) -> Dataset:
+    """By how much shares differ between neighbouring values of a parameter, with error bars.
+
+    d_k = share_k(next) - share_k.  Both are of the same starts, so that most of what is random in
+    them is the same: the error is that of the differences of the replicates, Student's t at 95 %,
+    many times smaller than that of two shares whose starts have nothing in common.
+
+    **Arguments:** `shares`, what `basin_shares` returns; `dim`, a dimension of it with numbers.
+
+    **Returns:** a dataset with `difference`, `low`, `high` over the other dimensions, `state`, and
+    `dim`, whose values are the middles.
+
+    **Raises:** `ValueError` for a dimension that is not there or has a single value.
+
+    >>> import jax
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> from jaxchain import paper_chain
+    >>> chain = paper_chain(1, width=None)
+    >>> shares = basin_shares(chain, Box(), {"belt_speed": [1.4, 1.5]}, half_width=0.02)
+    >>> rise = share_differences(shares, "belt_speed").difference.sel(state="sliding")
+    >>> rise.belt_speed.values.tolist(), bool(rise[0] > 0.05)
+    ([1.45], True)
+    """
+    from xarray import Dataset
+
+    check_kind("shares", shares, Dataset, "a dataset of `basin_shares`")
+    if dim not in shares.dims or dim in _OWN or shares.sizes[dim] < 2:
+        raise ValueError(
+            "Argument `dim` must be a swept dimension of at least two values, but is "
+            f"{shown(dim)} of {dict(shares.sizes)}."
+        )
+    own = shares["replicate_share"].transpose(dim, ...)
+    change = own[1:].values - own[:-1].values
+    axis = own.dims.index("replicate")
+    mean, reach = of_replicates(change, axis)
+    dims = [name for name in own.dims if name != "replicate"]
+    at = shares[dim].values
+    coords = {name: c for name, c in shares.coords.items() if dim not in c.dims and name in dims}
+    parts = {"difference": mean, "low": mean - reach, "high": mean + reach}
+    return Dataset(
+        {name: (dims, values) for name, values in parts.items()},
+        coords={**coords, dim: (dim, (at[1:] + at[:-1]) / 2, shares[dim].attrs)},
+    )
