@@ -20,6 +20,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._checks import (
     check_flag,
     check_one_of,
+    check_positive,
     check_positive_number,
     check_share,
     named,
@@ -34,8 +35,6 @@ from ..observers.quantities import active_above
 
 # Amplitudes that rounding may fake, as a share of the belt speed.
 _AT_REST = 1e-9
-# By how much of the greatest amplitude a quiet mass that is shaken may gain in a window.
-_SHAKEN = 1e-3
 # Pairs of neighbours by the delay of the second, in shares of a period.
 _PHASES = ("in phase", "out of phase", "in between")
 
@@ -44,7 +43,7 @@ class Settled(eqx.Module):
     """Where a run ended.
 
     - `code`: the state, whole numbers; `vibrates`: which masses do.
-    - `decided`: whether that is settled; `since`: the time from which it has not changed.
+    - `decided`: whether that has been so for some time; `since`: from when on.
     """
 
     code: Int[Array, " n"]
@@ -94,9 +93,8 @@ class AbstractClassifier(AbstractObserver):
         del chain
         return codes
 
-    def longer(self, times: int) -> Any:
-        """One that wants `times` as much to agree, as a witness; None, the default, if none."""
-        del times
+    def patient(self) -> Any:
+        """The same, but no run ends early, as a witness; None, the default, if there is none."""
 
     @abc.abstractmethod
     def name(self, code: Int[np.ndarray, " k"], chain: Chain) -> str:
@@ -114,24 +112,26 @@ class _Looking(eqx.Module):
     ends: Float[Array, ""]  # the window
     last: Float[Array, " n"]  # amplitude of the window before, NaN in the first
     code: Int[Array, " n"]
-    calm: Int[Array, ""]  # windows in succession that agree, and in which nothing moves on
-    same: Int[Array, ""]  # ... that agree
+    same: Int[Array, ""]  # windows in succession that agree
+    calm: Int[Array, ""]  # ... and in which nothing moves on
     since: Float[Array, ""]
     peaks: Float[Array, "two n"] | None  # times of the latest maximum, and of the one before
 
 
 class VibratingMasses(AbstractClassifier):
-    """Which masses vibrate once the motion has settled.
+    """Which masses vibrate at the end of a run, and whether that can still change.
 
     Amplitudes A_n (half peak-to-peak) are taken over windows; mass n vibrates where A_n > |v_d|/2,
-    see `active`.  It is decided when in `agree` windows in succession the same masses vibrate and
+    see `active`.  It is decided if the same masses vibrate in the last windows, `agree` of them
+    and the one before.  A run ends before its time only where all masses do the same, none moves
+    on, and nothing else can make them move on: in `calm` windows in succession
 
-    - each of these changes its amplitude by no more than `tolerance` of itself,
-    - each other one gains no more than 1e-3 of the greatest amplitude, or, where none vibrates,
-      sum A_n^2 falls;
+    - all vibrate, and each changes its amplitude by no more than `tolerance` of itself; or
+    - none does, and sum A_n^2 falls.
 
-    or when the same masses have vibrated for `patience` windows, whatever else they do: states
-    with moving fronts or chaotic amplitudes never come to a steady one.
+    Where some vibrate and others do not, that may change after thousands of time units: what
+    masses far apart tell each other about their phases comes through the quiet ones between them.
+    So the time at which one looks is a part of the question.
 
     **Arguments:**
 
@@ -140,7 +140,8 @@ class VibratingMasses(AbstractClassifier):
       chain with open ends (for masses that are all alike).
     - `phases`: whether neighbours that vibrate in phase (delay of the second within 1/8 of a
       period of 0), out of phase (within 1/8 of 1/2) or in between are told apart.
-    - `window`: at least a period, 2 pi; `tolerance`; `agree`; `patience`.
+    - `window`: at least a period, 2 pi; `tolerance`; `agree`; `calm`, infinite for runs that all
+      go to their end.
 
     **Value:** `Settled`.
 
@@ -151,9 +152,12 @@ class VibratingMasses(AbstractClassifier):
         >>> from jaxchain import equation_8, paper_chain, simulate
         >>> from jaxchain.basins import VibratingMasses
         >>> chain = paper_chain(6, belt_speed=1.5, width=None)
-        >>> run = simulate(chain, equation_8(chain, 2), 2000.0, observe=VibratingMasses())
-        >>> run.observed.vibrates.astype(int).tolist(), bool(run.t < 300)
+        >>> run = simulate(chain, equation_8(chain, 2), 300.0, observe=VibratingMasses())
+        >>> run.observed.vibrates.astype(int).tolist(), bool(run.observed.decided)
         ([0, 0, 0, 1, 1, 0], True)
+        >>> run = simulate(chain, equation_8(chain, 6), 2000.0, observe=VibratingMasses())
+        >>> bool(run.t < 300)  # all of them
+        True
     """
 
     by: Literal["count", "masses", "ring"] = eqx.field(static=True, default="count")
@@ -162,7 +166,7 @@ class VibratingMasses(AbstractClassifier):
     window: Float[Array, ""] = eqx.field(converter=named("window"), default=20.0)
     tolerance: Float[Array, ""] = eqx.field(converter=named("tolerance"), default=1e-2)
     agree: Float[Array, ""] = eqx.field(converter=named("agree"), default=3)
-    patience: Float[Array, ""] = eqx.field(converter=named("patience"), default=25)
+    calm: Float[Array, ""] = eqx.field(converter=named("calm"), default=3)
 
     def __check_init__(self) -> None:
         check_one_of("by", self.by, ("count", "masses", "ring"))
@@ -170,12 +174,10 @@ class VibratingMasses(AbstractClassifier):
         check_positive_number("window", self.window, "a period is about 2 pi; 20 is usual.")
         check_share("tolerance", self.tolerance, "1e-2 is usual.")
         check_positive_number("agree", self.agree, "3 windows are usual.")
-        check_positive_number("patience", self.patience, "25 windows are usual.")
+        check_positive("calm", self.calm, "3 windows are usual.")
 
-    def longer(self, times: int) -> VibratingMasses:
-        """The same with `times` as many windows that must agree: a witness of its decisions."""
-        more = times * self.agree, times * self.patience, self.tolerance / times
-        return eqx.tree_at(lambda c: (c.agree, c.patience, c.tolerance), self, more)
+    def patient(self) -> VibratingMasses:
+        return eqx.tree_at(lambda c: c.calm, self, jnp.asarray(jnp.inf))
 
     def init(
         self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State
@@ -215,18 +217,15 @@ class VibratingMasses(AbstractClassifier):
         code = self._code(now, amplitude, field)
         vibrates, speed = code > 0, jnp.abs(field.belt_speed)
         same = jnp.all(code == now.code)
-        change = amplitude - now.last
-        steady = jnp.abs(change) <= self.tolerance * amplitude
-        shaken = change <= _SHAKEN * jnp.max(amplitude)
+        steady = jnp.abs(amplitude - now.last) <= self.tolerance * amplitude
         rest = jnp.all(amplitude <= _AT_REST * speed)
         dies = (jnp.sum(amplitude**2) < jnp.sum(now.last**2)) | rest
-        quiet = jnp.where(jnp.any(vibrates), shaken, dies)
-        calm = same & jnp.all(jnp.where(vibrates, steady, quiet))
+        calm = jnp.all(vibrates & steady) | (~jnp.any(vibrates) & dies)
         # That of the first window is no answer yet: what starts may do anything in it.
         started = now.ends - self.window
         return _Looking(
             low=step.y1[0], high=step.y1[0], ends=now.ends + self.window,
-            last=amplitude, code=code, calm=jnp.where(calm, now.calm + 1, 0),
+            last=amplitude, code=code, calm=jnp.where(same & calm, now.calm + 1, 0),
             same=jnp.where(same, now.same + 1, 0),
             since=jnp.where(same, now.since, started), peaks=now.peaks,
         )  # fmt: skip
@@ -247,14 +246,14 @@ class VibratingMasses(AbstractClassifier):
         return code + jnp.where(beside, 2 * (phase + 1), 0)
 
     def settled(self, accumulator: _Looking) -> Bool[Array, ""]:
-        return (accumulator.calm >= self.agree) | (accumulator.same >= self.patience)
+        return (accumulator.calm >= self.calm) & (accumulator.same >= self.agree)
 
     def rests(self, accumulator: _Looking) -> Bool[Array, ""]:
         return self.settled(accumulator) & jnp.all(accumulator.code == 0)
 
     def read(self, accumulator: _Looking) -> Settled:
         now = accumulator
-        return Settled(now.code, now.code > 0, self.settled(now), now.since)
+        return Settled(now.code, now.code > 0, now.same >= self.agree, now.since)
 
     def label(self, value: Settled, chain: Any) -> dict[str, Variable]:
         del chain

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -23,8 +23,8 @@ from .tally import Batch, Tally
 if TYPE_CHECKING:
     from xarray import Dataset
 
-# How much longer a decision is looked at again.
-_LONGER = 4
+# At how many times the time it is looked whether a state has changed later.
+_LATER = 4
 
 
 class _From(eqx.Module):
@@ -75,13 +75,13 @@ class Runs:
         self.attrs = data.attrs
         return Batch.read(data, self.classify, self.chain, (-1, *points.shape[:2]))
 
-    def longer(
-        self, places: Int[np.ndarray, " runs"], points: Float[np.ndarray, "runs d"]
+    def again(
+        self, places: Int[np.ndarray, " runs"], points: Float[np.ndarray, "runs d"], times: int
     ) -> Batch:
-        """From some points again, each at the parameters of one place, until more agrees."""
+        """From some points, each at the parameters of one place, for `times` the time."""
         over = {"start": {**self._at(places), "point": points}}
-        again = self.classify.longer(_LONGER)
-        data = self._sweep(over, again, _LONGER * self.t1, "decisions looked at again")
+        name = f"{len(places)} starts again"
+        data = self._sweep(over, self.classify.patient(), times * self.t1, name)
         return Batch.read(data, self.classify, self.chain, (1, 1, len(places)))
 
     def _sweep(self, over: Mapping[str, Any], classify: Any, t1: Any, name: str) -> Dataset:
@@ -104,37 +104,47 @@ class Runs:
         return np.asarray(x), np.asarray(v)
 
 
-def checked_again(
+class Checked(NamedTuple):
+    """What was found by looking at some runs again, as shares over (parameters, states)."""
+
+    lost: Float[np.ndarray, "p k"]  # taken for the state, and in another one at the time t1
+    gained: Float[np.ndarray, "p k"]
+    leaving: Float[np.ndarray, "p k"]  # in another one later
+    runs: int
+
+
+def check_again(
     runs: Runs, tally: Tally, points: Float[np.ndarray, "s d"], most: int, seed: int
-) -> tuple[Float[np.ndarray, "p k"], Float[np.ndarray, "p k"], int]:
-    """What was decided too early: (share lost, share gained) of each state, runs looked at again.
+) -> Checked:
+    """What was decided too early, and what changes later, by runs that do not end early.
 
     At each parameter about `most` of the decisions, as many of each state as its share, and at
     least one of each as far as they go.
     """
-    nothing = np.zeros((tally.at_end.shape[0], tally.states + 2))
-    if most == 0 or runs.classify.longer(_LONGER) is None:
-        return nothing, nothing, 0
-    state = tally.state.reshape(len(nothing), -1)
-    rng = np.random.default_rng([seed, 1])
+    state = tally.state.reshape(tally.state.shape[0], -1)
     picks: list[tuple[int, int, int, float]] = []  # place, state, start, the share it stands for
-    for place, own in enumerate(state):
+    rng = np.random.default_rng([seed, 1])
+    for place, own in enumerate(state if runs.classify.patient() is not None else ()):
         found, counts = np.unique(own[own < tally.states], return_counts=True)
         left = 2 * most
-        for k in np.argsort(-counts):
+        for k in np.argsort(-counts) if most else ():
             wanted = max(1, round(float(most * counts[k] / own.size)))
             count = min(int(counts[k]), wanted, left)
             left -= count
             chosen = rng.choice(np.nonzero(own == found[k])[0], count, replace=False)
             share = float(counts[k] / own.size / max(count, 1))
             picks += [(place, int(found[k]), int(start), share) for start in chosen]
+    unknown = np.full((len(state), tally.states + 2), np.nan)
     if not picks:
-        return nothing, nothing, 0
+        return Checked(unknown, unknown, unknown, 0)
     places, before, starts, shares = (np.array(column) for column in zip(*picks, strict=True))
-    batch = runs.longer(places, points[starts])
-    after = np.where(batch.failed, before, tally.number(batch)).ravel()
-    lost, gained = (np.zeros((len(state), tally.states + 2)) for _ in range(2))
-    wrong = after != before
+    after, later = (
+        np.where(batch.failed, before, tally.number(batch)).ravel()
+        for batch in (runs.again(places, points[starts], times) for times in (1, _LATER))
+    )
+    lost, gained, leaving = (np.zeros((len(state), tally.states + 2)) for _ in range(3))
+    wrong, gone = after != before, later != after
     np.add.at(lost, (places[wrong], before[wrong]), shares[wrong])
     np.add.at(gained, (places[wrong], after[wrong]), shares[wrong])
-    return lost, gained, len(picks)
+    np.add.at(leaving, (places[gone], after[gone]), shares[gone])
+    return Checked(lost, gained, leaving, len(picks))

@@ -32,7 +32,7 @@ from ..sweeps.scheduler import lane_count
 from .classifiers import AbstractClassifier, VibratingMasses
 from .points import Points
 from .regions import check_region
-from .runs import Runs, checked_again
+from .runs import Checked, Runs, check_again
 from .tally import FAILED, UNDECIDED, Bars, Tally, of_replicates
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ def basin_shares(
     *,
     half_width: Any = 0.01,
     classify: Any = None,
-    t1: ScalarLike = 2000.0,
+    t1: ScalarLike = 1000.0,
     points: Literal["sobol", "random"] = "sobol",
     replicates: int = 16,
     most: int = 2**20,
@@ -75,13 +75,14 @@ def basin_shares(
     - `half_width`: that of the longest of the 95 % bars of all shares at which no more starts are
       made; or `most` starts have been made at every parameter.
     - `classify`: what a state is, an `AbstractClassifier`; by default `VibratingMasses()`, how
-      many masses vibrate.  A run ends when it is decided, or at the time `t1`: then its state is
-      "undecided", which has a share like the others.
+      many masses vibrate.
+    - `t1`: the time at which a start is in its state.  Runs end earlier where that is decided; one
+      whose state still changes then is "undecided", which has a share like the others.
     - `points`: "sobol", scrambled Sobol points, or "random"; `replicates`, how many independent
       sequences of them; `seed`.
-    - `checked`: how many decisions at each parameter are looked at again, by runs that go on until
-      four times as much agrees (for `VibratingMasses`, or what `classify.longer(4)` returns);
-      starts that turn out otherwise lengthen the bars, see below.
+    - `checked`: how many decisions at each parameter are looked at again, by runs that do not end
+      early, to `t1` and to four times that (`classify.patient()`; 0 for none).  Those that turn
+      out otherwise at `t1` lengthen the bars, see below.
     - `lanes`, `devices`, `progress`, and `solver`, `rtol`, `accuracy`, ... (`numerics`): as for
       `sweep`.
 
@@ -94,7 +95,8 @@ def basin_shares(
       part e(k, l) turns out l, `low` of k is lowered by share_k sum_l e(k, l), and `high` of l
       raised by sum_k share_k e(k, l).
     - `share_at_end`: of the starts that were in state k when their runs ended, decided or not.
-    - `undecided`, also as a variable of its own; `misclassified`: sum_kl share_k e(k, l).
+    - `undecided`, also as a variable of its own; `misclassified`: sum_kl share_k e(k, l);
+      `changed_later`: the share of starts that are in another state at four times `t1`.
     - `settling_time`: the median time from which nothing changed any more, NaN where none is.
     - `start_displacement`, `start_velocity` (..., oscillator): a start that ends there.
     - `replicate_share` (..., replicate, state), of which `share_differences` makes differences.
@@ -164,19 +166,19 @@ def basin_shares(
             break
     at = np.concatenate(drawn, axis=1).reshape(-1, drawn[0].shape[-1])
     reach = bars.longest
-    lost, gained, seen = checked_again(runs, tally, at, checked, seed)
-    bars = tally.bars(even=points == "sobol").widened(lost, gained)
-    found = _dataset(runs, tally, bars, lost, at)
+    seen = check_again(runs, tally, at, checked, seed)
+    bars = tally.bars(even=points == "sobol").widened(seen.lost, seen.gained)
+    found = _dataset(runs, tally, bars, seen, at)
     found.attrs |= {
         "starts": len(at), "replicates": replicates, "points": points, "seed": seed,
-        "longest_half_width": reach, "checked": seen, "region": repr(region),
+        "longest_half_width": reach, "checked": seen.runs, "region": repr(region),
         "wall_time_s": round(time.perf_counter() - began, 3),
     }  # fmt: skip
     return found
 
 
 def _dataset(
-    runs: Runs, tally: Tally, bars: Bars, lost: np.ndarray, points: Float[np.ndarray, "s d"]
+    runs: Runs, tally: Tally, bars: Bars, seen: Checked, points: Float[np.ndarray, "s d"]
 ) -> Dataset:
     from xarray import Dataset
 
@@ -223,7 +225,8 @@ def _dataset(
         variables[f"start_{name}"] = (*over(values, "state", "oscillator"), told)
     alone = {
         "undecided": (bars.share[:, known], "share of the starts that are not decided"),
-        "misclassified": (lost.sum(1), "share of the starts decided too early"),
+        "misclassified": (seen.lost.sum(1), "share of the starts decided too early"),
+        "changed_later": (seen.leaving.sum(1), "share of the starts in another state later"),
     }
     for name, (values, text) in alone.items():
         told = {"long_name": text, "units": "1"}

@@ -51,6 +51,7 @@ class Bars(NamedTuple):
 
     def widened(self, lost: Float[np.ndarray, "p k"], gained: Float[np.ndarray, "p k"]) -> Bars:
         """By the shares that were taken for one state and are of another."""
+        lost, gained = np.nan_to_num(lost), np.nan_to_num(gained)
         low, high = np.maximum(self.low - lost, 0.0), np.minimum(self.high + gained, 1.0)
         return Bars(self.share, low, high)
 
