@@ -3,11 +3,12 @@
 A share is the mean of an indicator over a region.  The same points of the region are started from
 at every parameter, so that what differs between parameters is not the points.  Points come in
 replicates, sequences that are independent of each other, whose scatter is the error; they are
-doubled until every error bar is as short as asked for.
+added until every error bar is as short as asked for.
 """
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal
@@ -53,7 +54,7 @@ def basin_shares(
     classify: Any = None,
     t1: ScalarLike = 1000.0,
     points: Literal["sobol", "random"] = "sobol",
-    replicates: int = 16,
+    replicates: int = 32,
     most: int = 2**20,
     checked: int = 64,
     seed: int = 0,
@@ -136,7 +137,7 @@ def basin_shares(
     )  # fmt: skip
     check_share("half_width", half_width, "0.01 is usual.")
     check_one_of("points", points, ("sobol", "random"))
-    check_whole("replicates", replicates, 4, 1024, "16 are usual.")
+    check_whole("replicates", replicates, 4, 1024, "32 are usual.")
     check_whole("most", most, replicates * _FIRST, remedy="starts at each parameter.")
     check_whole("checked", checked, 0, remedy="64 at each parameter are usual.")
     check_whole("seed", seed, 0, remedy="it is the seed of the points.")
@@ -160,9 +161,10 @@ def basin_shares(
         drawn.append(cube.more(count))
         tally.add(runs.of(drawn[-1]))
         bars = tally.bars(even=points == "sobol")
-        # As many again: Sobol's points are even after powers of two.
-        count = tally.starts
-        if bars.longest <= half_width or 2 * replicates * count > most:
+        # As many as the bars want, which shrink with the root of that; twice as many at most.
+        wanted = min((bars.longest / half_width) ** 2, 2.0) * tally.starts
+        count = _FIRST * math.ceil((wanted - tally.starts) / _FIRST)
+        if bars.longest <= half_width or replicates * (tally.starts + count) > most:
             break
     at = np.concatenate(drawn, axis=1).reshape(-1, drawn[0].shape[-1])
     reach = bars.longest
