@@ -38,7 +38,7 @@ _MASSES = "give None for all masses, or indices from 0, as (0, 1)."
 _LEAST = 2.0**-53
 
 
-def _edges(name: str) -> Any:
+def _edges(name: str) -> Callable[[Any], Float[Array, "..."]]:
     return lambda value: as_array(name, value, 1, 1, _EDGES)
 
 
@@ -249,7 +249,7 @@ class Sampler(AbstractRegion):
         del chain
         return self.points
 
-    def start(self, chain: Chain, point: Float[Array, " dimension"]) -> State:
+    def start(self, chain: Chain, point: Float[Array, " dimension"]) -> Any:
         return self.function(chain, point)
 
 

@@ -1,0 +1,241 @@
+"""How likely each state is."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.stats
+
+from jaxchain import equation_8, paper_chain, simulate, steady_sliding, sweep
+from jaxchain.basins import (
+    AbstractClassifier,
+    Box,
+    Gaussian,
+    Sampler,
+    VibratingMasses,
+    basin_shares,
+    share_differences,
+)
+from jaxchain.observers import Variable
+
+ONE = paper_chain(1, belt_speed=1.5, width=None)
+SPEEDS = [1.4, 1.42]
+
+
+@pytest.fixture(scope="module")
+def shares():
+    return basin_shares(ONE, Box(), {"belt_speed": SPEEDS}, half_width=0.01)
+
+
+def test_shares_are_those_of_plain_runs(shares):
+    # 2^12 random starts, run to t = 600 without any decision.
+    rng = np.random.default_rng(3)
+    x, v = rng.uniform(-2, 2, (4096, 1)), rng.uniform(0, 2, (4096, 1))
+    runs = sweep(
+        ONE, lambda chain, x, v: (x, v), 600.0,
+        over={"belt_speed": SPEEDS, "start": {"x": x, "v": v}},
+    )  # fmt: skip
+    died = (runs.amplitude.isel(oscillator=0) < 0.5).mean("start")
+    error = 4.0 * (0.25 / 4096) ** 0.5
+    assert np.all(np.abs(shares.share.sel(state="sliding") - died) < error)
+
+
+def test_what_is_said_of_shares_agrees(shares):
+    assert shares.state.values.tolist() == ["sliding", "vibrating", "undecided"]
+    assert shares.vibrating.values[:2].tolist() == [0, 1]
+    assert np.isnan(shares.vibrating[2])
+    assert np.allclose(shares.share.sum("state"), 1)
+    assert np.all((shares.low <= shares.share) & (shares.share <= shares.high))
+    half = ((shares.high - shares.low) / 2).max()
+    assert half <= 0.01
+    assert shares.attrs["longest_half_width"] == half
+    assert np.allclose(shares.replicate_share.mean("replicate"), shares.share)
+    assert np.array_equal(shares.undecided, shares.share.sel(state="undecided"))
+    assert np.all(shares.undecided == 0)
+    assert np.all(shares.misclassified == 0)
+    assert shares.attrs["checked"] >= 2 * 60
+    assert np.all(shares.changed_later == 0)
+    for name in shares.variables:
+        assert name in ("state", "vibrating", "oscillator") or "units" in shares[name].attrs
+
+
+def test_a_start_of_each_state_leads_there(shares):
+    for speed in SPEEDS:
+        for state, vibrates in (("sliding", False), ("vibrating", True)):
+            own = shares.sel(belt_speed=speed, state=state)
+            parts = own["start_displacement"], own["start_velocity"]
+            start = tuple(jnp.asarray(part.values) for part in parts)
+            run = simulate(ONE.with_(belt_speed=speed), start, 1000.0, observe=VibratingMasses())
+            assert bool(run.observed.vibrates[0]) == vibrates
+            assert own.settling_time < run.t
+    assert np.all(np.isnan(shares.start_displacement.sel(state="undecided")))
+
+
+def test_all_parameters_have_the_same_starts():
+    over = {"belt_speed": [1.4, 1.41]}
+    found = basin_shares(ONE, Box(), over, points="random", half_width=0.02, checked=0)
+    change = share_differences(found, "belt_speed").sel(state="sliding")
+    assert np.allclose(change.belt_speed, 1.405)
+    sliding = found.sel(state="sliding")
+    assert np.allclose(change.difference, sliding.share[1] - sliding.share[0])
+    assert change.low[0] > 0
+    # Were they drawn anew, the errors of two shares would add up.
+    first, second = (sliding.high - sliding.low).values / 2
+    assert 5.0 * float((change.high - change.low)[0] / 2) < np.hypot(first, second)
+
+
+def test_seeds_are_different_starts_and_a_seed_is_the_same():
+    first, second, third = (
+        basin_shares(ONE, Box(), half_width=0.05, seed=seed, checked=0).share.values
+        for seed in (0, 0, 1)
+    )
+    assert np.array_equal(first, second)
+    assert not np.array_equal(first, third)
+
+
+def test_random_starts_have_the_bar_of_a_fraction():
+    found = basin_shares(ONE, Box(), points="random", half_width=0.02, checked=0)
+    p, n = float(found.share[0]), found.attrs["starts"]
+    binomial = 1.96 * (p * (1 - p) / n) ** 0.5
+    assert 0.99 < float(found.high[0] - found.low[0]) / 2 / binomial < 1.01
+
+
+def test_above_the_fold_every_start_comes_to_rest():
+    found = basin_shares(ONE.with_(belt_speed=1.9), Box(), half_width=0.02)
+    assert found.state.values.tolist() == ["sliding", "undecided"]
+    assert found.share[0] == 1
+    assert 0.99 < found.low[0] < 1
+
+
+def test_rotated_patterns_are_equally_likely():
+    chain = paper_chain(3, belt_speed=1.5, width=None)
+    region = Box(displacement=(-2, 2), velocity=(0, 2))
+    found = basin_shares(
+        chain, region, points="random", half_width=0.02, classify=VibratingMasses(by="masses"),
+        t1=300.0, checked=0, seed=1,
+    )  # fmt: skip
+    for count in (1, 2):
+        own = found.share.values[found.vibrating == count] * found.attrs["starts"]
+        assert len(own) == 3
+        assert scipy.stats.chisquare(own).pvalue > 0.05
+    ring = basin_shares(
+        chain, region, points="random", half_width=0.02, classify=VibratingMasses(by="ring"),
+        t1=300.0, checked=0, seed=1,
+    )  # fmt: skip
+    count = found.share.groupby("vibrating").sum()
+    assert np.allclose(ring.share[:-1], count)
+    assert len(ring.state) == 5
+
+
+def test_some_masses_may_be_pushed():
+    chain = paper_chain(3, belt_speed=1.6, width=None)
+    found = basin_shares(
+        chain, Gaussian(1.0, 1.0, masses=[0]), half_width=0.05, t1=300.0, checked=0,
+        classify=VibratingMasses(by="masses"),
+    )  # fmt: skip
+    assert set(found.state.values) == {"sliding", "1 vibrates", "undecided"}
+
+
+def test_runs_without_time_to_settle_are_undecided():
+    found = basin_shares(ONE, Box(), t1=50.0, half_width=0.05)
+    assert found.undecided == 1
+    assert found.attrs["checked"] == 0
+    # Where they were is known.
+    assert np.isclose(found.share_at_end.sum(), 1)
+    assert found.share_at_end[-1] == 0
+
+
+def test_runs_that_fail_are_a_state_and_no_others():
+    def at(chain, point):
+        x, v = steady_sliding(chain)
+        return jnp.where(point[0] < 0.5, jnp.nan, x), v
+
+    found = basin_shares(ONE, Sampler(at, 1), half_width=0.1, checked=0)
+    assert found.state.values.tolist() == ["sliding", "undecided", "failed"]
+    assert np.allclose(found.share, [0.5, 0, 0.5], atol=0.02)
+    assert np.allclose(found.share_at_end, [0.5, 0, 0], atol=0.02)
+
+
+class Hasty(AbstractClassifier):
+    """Takes the sign of the velocity, at the start or, if it is patient, at the end."""
+
+    waits: bool = False
+
+    def init(self, field, t0, t1, y0):
+        return y0[1]
+
+    def update(self, accumulator, step):
+        return step.y1[1] if self.waits else accumulator
+
+    def settled(self, accumulator):
+        return jnp.asarray(not self.waits)
+
+    def read(self, accumulator):
+        return accumulator
+
+    def label(self, value, chain):
+        return {
+            "state": Variable((value > 0).astype(int), ("oscillator",)),
+            "decided": Variable(jnp.asarray(True)),
+            "settling_time": Variable(jnp.zeros(())),
+        }
+
+    def patient(self):
+        return Hasty(waits=True)
+
+    def name(self, code, chain):
+        return "forward" if code[0] else "back"
+
+
+def test_what_was_decided_too_early_is_a_part_of_the_bar():
+    # A quarter of a period turns most velocities round.
+    box = Box(displacement=(0.6, 2.0), velocity=(0.1, 1.0))
+    found = basin_shares(ONE, box, classify=Hasty(), t1=2.0, half_width=0.05)
+    assert (
+        found.state.values.tolist() == ["forward", "undecided", "back"] or found.misclassified > 0
+    )
+    assert found.misclassified > 0.8
+    forward = found.sel(state="forward")
+    assert forward.share == 1
+    assert forward.low < 0.2
+    assert found.high.sel(state="back") > 0.8
+    assert found.share.sel(state="back") == 0
+
+
+def test_dimensions_of_the_result_are_no_parameters():
+    with pytest.raises(ValueError, match="dimensions of the result are called so"):
+        basin_shares(ONE, Box(), {"state": [1.0]})
+    with pytest.raises(ValueError, match="neither a number of the chain"):
+        basin_shares(ONE, Box(), {"speed": [1.0]})
+
+
+def test_differences_need_neighbours(shares):
+    with pytest.raises(ValueError, match="swept dimension of at least two values"):
+        share_differences(shares, "state")
+    with pytest.raises(ValueError, match="swept dimension of at least two values"):
+        share_differences(shares.isel(belt_speed=[0]), "belt_speed")
+    with pytest.raises(ValueError, match="dataset of `basin_shares`"):
+        share_differences(None, "belt_speed")  # pyright: ignore[reportArgumentType]
+
+
+def test_several_dimensions_and_numbers_that_run_together():
+    over = {"belt_speed": [1.4, 1.5], "set": {"damping_ratio": [0.05, 0.06], "v_ref": [0.5, 0.5]}}
+    found = basin_shares(ONE, Box(), over, half_width=0.05)
+    assert found.share.dims == ("belt_speed", "set", "state")
+    assert found.damping_ratio.dims == ("set",)
+    assert np.all(found.share.sel(state="sliding").diff("set") > 0)
+    assert np.all(found.share.sel(state="sliding").diff("belt_speed") > 0)
+
+
+def test_shares_of_a_smoothed_chain():
+    found = basin_shares(ONE.with_(width=1e-2), Box(), half_width=0.05, t1=300.0, checked=0)
+    dry = basin_shares(ONE, Box(), half_width=0.05, checked=0)
+    assert np.abs(found.share[0] - dry.share[0]) < 0.05
+
+
+def test_equation_8_states_under_all_pushes_of_nothing():
+    # A region that is a point: one state, its share known for certain but for the sample's size.
+    region = Sampler(lambda chain, point: equation_8(chain, 2), 1)
+    chain = paper_chain(6, belt_speed=1.5, width=None)
+    found = basin_shares(chain, region, replicates=4, half_width=0.05, t1=200.0, checked=4)
+    assert found.state.values.tolist() == ["2 vibrate", "undecided"]
+    assert found.share[0] == 1
