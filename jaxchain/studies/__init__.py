@@ -4,6 +4,7 @@
 - `_reports`: what they found, in tables of text
 - `_study`: what all of them do: compute, describe, save, report, draw
 - `_tables`: tables that several of them share
+- `basins`: how likely each state is, over belt speed and coupling
 - `boundaries`: both boundaries over damping, friction, coupling and width
 - `crosscheck`: smoothed against true dry friction: the error over the width
 - `extremes`: stiff and extreme cases, each right by its own witness or refused

@@ -1,0 +1,1 @@
+"""Basins of attraction: how likely each state is, over belt speed and coupling."""
