@@ -40,7 +40,8 @@ def one_mass(study: Study, job: Job) -> Iterator[tuple[str, xr.Dataset]]:
         seed=study.seed, progress=job.progress,
     )  # fmt: skip
     found["exact"] = ("belt_speed", _exact(chain, study, np.asarray(own.belt_speed)))
-    found["hopf"], found["fold"] = hopf_belt_speed(chain), nonsmooth_fold_belt_speed(chain)
+    found["hopf"] = float(hopf_belt_speed(chain))
+    found["fold"] = float(nonsmooth_fold_belt_speed(chain))
     yield "one_mass", found
     curve, widths = own.curve.array(), [0.0, *own.width]
     shares = []
@@ -84,7 +85,7 @@ def plane(study: Study, job: Job) -> xr.Dataset:
     for name, (state, period) in cycles.items():
         if np.isfinite(period):
             times = jnp.linspace(0.0, period, _POINTS)
-            _, at_x, at_v = simulate(chain, state, period, observe=Trajectory(times)).observed
+            at_x, at_v = simulate(chain, state, period, observe=Trajectory(times)).observed
             found[f"{name}_displacement"] = ("point", np.asarray(at_x)[:, 0])
             found[f"{name}_velocity"] = ("point", np.asarray(at_v)[:, 0])
     return found.assign_coords(belt_speed=own.belt_speed).drop_vars("oscillator", errors="ignore")

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeAlias
 
 from pydantic import Field, model_validator
 
 from jaxchain.scenes.registry import StudyTable
 from jaxchain.scenes.scene import raise_all
-from jaxchain.scenes.values import MOST_TIME, Positive, Table
+from jaxchain.scenes.values import MOST_TIME, Number, Positive, Table
 from jaxchain.studies._tables import MOST_MASSES, BaseTable, Several, Span
+
+Edges: TypeAlias = Annotated[list[Number], Field(min_length=2, max_length=2)]
 
 
 class Region(Table):
     """Displacements and velocities from which the masses start, each of them alike."""
 
-    displacement: tuple[float, float] = (-2.0, 2.0)
-    velocity: tuple[float, float] = (0.0, 2.0)
+    displacement: Edges
+    velocity: Edges
 
     @model_validator(mode="after")
     def _check(self) -> Region:
@@ -83,7 +85,7 @@ class Study(StudyTable):
 
     study: Literal["basins"]
     base: BaseTable
-    region: Region = Region()
+    region: Region
     one_mass: OneMass
     plane: Plane
     over_belt_speed: OverBeltSpeed
