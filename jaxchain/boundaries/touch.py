@@ -22,11 +22,9 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 from jax.scipy.special import log_ndtr
 from jaxtyping import Array, Float, Int
@@ -35,14 +33,7 @@ from .._types import ScalarLike, State
 from ..continuation.bracket import bisect
 from ..cycles.averaging import graded
 from ..model.chain import Chain
-
-# Dormand and Prince's method of order 8: a loop over its stages is traced and compiled in a tenth
-# of the time that diffrax's takes, which serves more than steps of one length.
-_TABLEAU = dfx.Dopri8.tableau
-_STAGES = np.zeros((len(_TABLEAU.c) + 1, len(_TABLEAU.c) + 1))
-for _row, _weights in enumerate(_TABLEAU.a_lower):
-    _STAGES[_row + 1, : _row + 1] = _weights
-_END = np.asarray(_TABLEAU.b_sol)
+from ..solvers.dormand_prince import step as step_of_order_8
 
 
 class Touch(eqx.Module):
@@ -95,6 +86,9 @@ class Touch(eqx.Module):
         def acceleration(x: Array, v: Array) -> Array:
             return slip_force(chain, speed, v) + chain.restoring_force(x)
 
+        def rate(flat: Array) -> Array:
+            return jnp.stack([flat[1], acceleration(*flat)])
+
         def time(k: Any) -> Array:
             return period / (2.0 * jnp.pi) * graded(k * (2.0 * jnp.pi / self.steps))
 
@@ -103,17 +97,8 @@ class Touch(eqx.Module):
 
             def one(way: Array, y: State, slope: Array, highest: Array) -> Any:
                 h = way * (end - begin)
-                flat = jnp.stack(y)
-                first = jnp.stack([y[1], slope])[None]
-                rates = jnp.concatenate([first, jnp.zeros((len(_END) - 1, *flat.shape))])
-
-                def stage(i: Array, rates: Array) -> Array:
-                    x, v = flat + h * jnp.tensordot(jnp.asarray(_STAGES)[i], rates, 1)
-                    rate = jnp.stack([v, acceleration(x, v)])
-                    return lax.dynamic_update_index_in_dim(rates, rate, i, 0)
-
-                rates = lax.fori_loop(1, len(_END), stage, rates)
-                x, v = flat + h * jnp.tensordot(jnp.asarray(_END), rates, 1)
+                flat, first = jnp.stack(y), jnp.stack([y[1], slope])
+                (x, v), _ = step_of_order_8(rate, flat, first, h)
                 new_slope = acceleration(x, v)
                 peak = _peak(y[1], v, h * slope, h * new_slope)
                 return (x, v), new_slope, jnp.maximum(highest, peak)

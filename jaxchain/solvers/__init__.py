@@ -1,5 +1,6 @@
 """How a step is made: Rosenbrock methods for smoothed friction, Taylor series for dry friction.
 
+- `dormand_prince`: an explicit step of order 8, for motions between events
 - `dry_friction`: the equations of sticking and sliding, nothing smoothed
 - `rosenbrock`: structured Rosenbrock solvers for `diffrax.diffeqsolve`
 - `step_control`: step sizes that see friction switch before a step fails on it
