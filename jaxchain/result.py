@@ -105,6 +105,14 @@ class SearchResult(eqx.Enumeration, metaclass=_Ways):  # pyright: ignore
         "`find_grazing(chain).smoothed(width)` tells about where the fold is. Otherwise another "
         "width may help, or `continue_cycle` from a cycle of `find_limit_cycle`."
     )
+    at_hopf = (
+        "The belt speed is that of a Hopf point to within 1e-8 of itself: an unstable cycle, if "
+        "there is one, is smaller than 1e-4 of the belt speed. Ask a little farther from it."
+    )
+    creeps = (
+        "The belt rests, or moves so slowly that friction grows with its speed: steady sliding "
+        "and sticking are the same there. Take a faster belt, or a smaller width."
+    )
 
 
 class Outcome(eqx.Module):

@@ -146,6 +146,9 @@ LONG = {
         ).fronts.count[jnp.array([0, -1])],  # when a mass joins, they need not agree
         1e-12,
     ),
+    "sliding_share": (ONE, jc.basins.sliding_share, 1e-9),
+    "sliding_basin": (ONE, lambda c: jc.basins.sliding_basin(c).period, 1e-9),
+    "blow_of_one_mass": (ONE, jc.basins.blow_of_one_mass, 1e-9),
     "predict": (ONE, lambda c: jc.inverse.predict(c, lab(c)), 1e-3),
     "identify": (ONE, lambda c: jc.inverse.identify(c, damped, 0.06, lab(c)).theta, 1e-2),
     "design": (

@@ -1,11 +1,15 @@
 """How likely each state is, and how hard one must push: basins of attraction.
 
 - `classifiers`: in which state a run ends
+- `enclosed_area`: the area that a closed curve has in common with a box
+- `innermost`: the innermost unstable cycle of one mass, by its return map
 - `points`: points spread evenly, whose scatter is an error
 - `regions`: from where a system may start
 - `runs`: the runs from all of them
 - `shares`: how likely each state is
+- `single_mass`: the basin of steady sliding of one mass, and its gentlest blow, exactly
 - `tally`: how many runs ended in which state, and how sure that is
+- `turns`: one mass that slides round steady sliding once
 """
 
 import lazy_loader

@@ -8,3 +8,7 @@ from .regions import Gaussian as Gaussian
 from .regions import Sampler as Sampler
 from .shares import basin_shares as basin_shares
 from .shares import share_differences as share_differences
+from .single_mass import SlidingBasin as SlidingBasin
+from .single_mass import blow_of_one_mass as blow_of_one_mass
+from .single_mass import sliding_basin as sliding_basin
+from .single_mass import sliding_share as sliding_share
