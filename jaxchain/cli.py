@@ -8,12 +8,13 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 from . import __version__
+from ._commands import basin_words, boundary_words
 from ._commands import scenes as scene_commands
-from ._commands.boundary_words import NUMBERS, in_words, report
 from ._commands.scenes import add_no_cache, add_scene_options, configure_for
 from ._terminal import run_command
 from .model.parameters import parameter
@@ -161,18 +162,40 @@ def _parser() -> argparse.ArgumentParser:
         "friction, with error bars. Without options: one mass with the paper's parameters.",
     )
     boundary.add_argument("--n", type=int, default=1, help="number of masses in the ring (1)")
-    for row in map(parameter, NUMBERS):
-        alone = row.per != "spring"
-        boundary.add_argument(
-            f"--{row.name.replace('_', '-')}", type=float, default=row.usual if alone else None,
-            help=f"{row.long_name} ({row.usual}{'' if alone else ' for several masses'})",
-        )  # fmt: skip
+    _add_numbers(boundary, boundary_words.NUMBERS)
     boundary.add_argument("--json", action="store_true", help="print one JSON object")
     add_no_cache(boundary)
     boundary.set_defaults(command=_boundary)
 
+    basins = commands.add_parser(
+        "basins",
+        help="from how many starts one mass slides, and how hard one must push it",
+        description="Finds the exact share of a box of starts from which one mass comes to slide "
+        "steadily, and the gentlest blows that make it vibrate: at the width asked and for dry "
+        "friction. Without options: the paper's parameters.",
+    )
+    _add_numbers(basins, basin_words.NUMBERS)
+    for name, usual in (("displacement", (-2.0, 2.0)), ("velocity", (0.0, 2.0))):
+        basins.add_argument(
+            f"--{name}", type=float, nargs=2, metavar=("LOW", "HIGH"), default=usual,
+            help=f"{name} of the starts ({usual[0]:g} {usual[1]:g})",
+        )  # fmt: skip
+    basins.add_argument("--json", action="store_true", help="print one JSON object")
+    add_no_cache(basins)
+    basins.set_defaults(command=_basins)
+
     commands.add_parser("bench", help="measure the speed on this machine", add_help=False)
     return parser
+
+
+def _add_numbers(parser: argparse.ArgumentParser, names: Sequence[str]) -> None:
+    """An option for each of these numbers of a chain."""
+    for row in map(parameter, names):
+        alone = row.per != "spring"
+        parser.add_argument(
+            f"--{row.name.replace('_', '-')}", type=float, default=row.usual if alone else None,
+            help=f"{row.long_name} ({row.usual}{'' if alone else ' for several masses'})",
+        )  # fmt: skip
 
 
 def _folder(text: str) -> Path:
@@ -208,30 +231,68 @@ def _scenes(options: argparse.Namespace) -> int:
 
 
 def _boundary(options: argparse.Namespace) -> int:
-    configure_for(options)
-    from .boundaries.overview import hopf_and_fold
-    from .model.chain import Chain
-    from .model.friction import ExponentialDecay, TanhFriction
-
-    try:
+    def make() -> Any:
         if options.n == 1 and options.coupling is not None:
             raise ValueError(
                 f"Argument `coupling` is {options.coupling:g}, but one mass has no neighbours: "
                 "leave it out, or raise `n`."
             )
-        law = ExponentialDecay(options.mu_static, options.mu_dynamic, options.v_ref)
         coupling = 0.01 if options.coupling is None and options.n > 1 else options.coupling
         # The belt speed has no part in it.
-        chain = Chain(
-            options.n, TanhFriction(law, options.width), 1.0, options.damping_ratio, coupling
-        )
+        return (_chain(options, options.n, belt_speed=1.0, coupling=coupling),)
+
+    def find(chain: Any) -> tuple[Any, ...]:
+        from .boundaries.overview import hopf_and_fold
+
+        return chain, hopf_and_fold(chain)
+
+    return _tell(options, make, find, boundary_words)
+
+
+def _basins(options: argparse.Namespace) -> int:
+    def make() -> Any:
+        from .basins.regions import Box
+
+        chain = _chain(options, 1, belt_speed=options.belt_speed)
+        return chain, Box(tuple(options.displacement), tuple(options.velocity))
+
+    def find(chain: Any, box: Any) -> tuple[Any, ...]:
+        from .basins.single_mass import sliding_basin
+        from .boundaries.overview import hopf_and_fold
+
+        kinds = chain, chain.with_(width=None)
+        return chain, box, *(sliding_basin(own, box) for own in kinds), hopf_and_fold(chain)
+
+    return _tell(options, make, find, basin_words)
+
+
+def _chain(options: argparse.Namespace, n: int, **numbers: Any) -> Any:
+    """The chain that the options of `_add_numbers` describe."""
+    from .model.chain import Chain
+    from .model.friction import ExponentialDecay, TanhFriction
+
+    law = ExponentialDecay(options.mu_static, options.mu_dynamic, options.v_ref)
+    friction = TanhFriction(law, options.width)
+    return Chain(n, friction, damping_ratio=options.damping_ratio, **numbers)
+
+
+def _tell(
+    options: argparse.Namespace,
+    make: Callable[[], Any],
+    find: Callable[..., tuple[Any, ...]],
+    words: Any,
+) -> int:
+    """Prints in `words` what `find` finds of what `make` makes, or what is wrong with that."""
+    configure_for(options)
+    try:
+        asked = make()
     except ValueError as error:
         print(f"jaxchain: {error}", file=sys.stderr)
         return 2
     try:
-        found = hopf_and_fold(chain)
+        found = find(*asked)
     except KeyboardInterrupt:
         print("jaxchain: interrupted", file=sys.stderr)
         return 130
-    print(json.dumps(report(chain, found)) if options.json else in_words(chain, found))
+    print(json.dumps(words.report(*found)) if options.json else words.in_words(*found))
     return 0

@@ -540,7 +540,7 @@ def test_help_shows_an_example_that_is_understood(arguments, workplace, capsys):
 
 @pytest.mark.parametrize(
     "arguments",
-    [[], ["run"], ["resume"], ["status"], ["scenes"], ["boundary"]],
+    [[], ["run"], ["resume"], ["status"], ["scenes"], ["boundary"], ["basins"]],
 )
 def test_help_is_there(arguments, capsys):
     with pytest.raises(SystemExit) as done:
