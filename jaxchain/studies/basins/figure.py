@@ -16,6 +16,9 @@ from matplotlib.figure import Figure
 from jaxchain.plotting.style import BLUE, GREY, ORANGE, RED, SYMBOLS
 from jaxchain.studies._pages import COLOURS, DASHES, SMALL, letters, on_page
 
+# A share that changes by more from one belt speed of the curve to the next has jumped.
+_JUMP = 0.2
+
 
 @on_page(5.6)
 def draw(page: Figure, datasets: Mapping[str, xr.Dataset]) -> None:
@@ -35,8 +38,9 @@ def _draw_one_mass(axes: Axes, data: xr.Dataset, exact: xr.Dataset) -> None:
         text = "dry, exact" if width == 0 else rf"$\varepsilon = {width:g}$"
         line = "-" if width == 0 else DASHES
         axes.plot(
-            exact["curve"], exact["exact"].sel(width=width), color=colour, linestyle=line,
-            linewidth=1.1, label=text, zorder=1 if width == 0 else 2,
+            *_broken(exact["curve"].values, exact["exact"].sel(width=width).values),
+            color=colour, linestyle=line, linewidth=1.1, label=text,
+            zorder=1 if width == 0 else 2,
         )  # fmt: skip
     own = data.sel(state="sliding")
     bars = np.array([own["share"] - own["low"], own["high"] - own["share"]])
@@ -49,13 +53,19 @@ def _draw_one_mass(axes: Axes, data: xr.Dataset, exact: xr.Dataset) -> None:
         place = float(data[name])
         axes.axvline(place, color=GREY, linewidth=0.8, linestyle=":")
         axes.annotate(
-            text, (place, 0.62), xycoords=axes.get_xaxis_transform(), rotation=90, ha="right",
+            text, (place, 0.4), xycoords=axes.get_xaxis_transform(), rotation=90, ha="right",
             va="center", color=GREY,
         )  # fmt: skip
     axes.set_xlabel(SYMBOLS["belt_speed"])
     axes.set_ylabel("share of starts that come to slide")
     axes.set_ylim(-0.03, 1.03)
     axes.legend(loc="upper left", **SMALL)
+
+
+def _broken(x: np.ndarray, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A line that is not drawn through the jump at the fold."""
+    jumps = np.nonzero(np.abs(np.diff(share)) > _JUMP)[0] + 1
+    return np.insert(x, jumps, np.nan), np.insert(share, jumps, np.nan)
 
 
 def _draw_plane(axes: Axes, data: xr.Dataset) -> None:
@@ -81,7 +91,7 @@ def _draw_plane(axes: Axes, data: xr.Dataset) -> None:
     axes.set_xlim(float(x[0]), float(x[-1]))
     axes.set_ylim(float(v[0]), float(v[-1]))
     axes.set_xlabel(r"displacement $\tilde x$ (–)")
-    axes.set_ylabel(r"velocity $\tilde x'$ (–)")
+    axes.set_ylabel(r"velocity $\dot{\tilde x}$ (–)")
     axes.legend(loc="upper left", ncols=2, **(SMALL | {"columnspacing": 0.8}))
 
 
@@ -103,13 +113,14 @@ def _draw_shares(page: Figure, axes: Axes, data: xr.Dataset, dim: str) -> None:
     later = data["changed_later"].values
     if np.isfinite(later).any():
         axes.plot(place, later, "v", color=ORANGE, markeredgecolor="black", markersize=3.8,
-                  label="another state at 4 times the time")  # fmt: skip
+                  label=r"another state at $4 \tau$")  # fmt: skip
     values = data[dim].values
     axes.set_xticks(place, [f"{value:.3g}" for value in values], rotation=60)
     axes.set_xlabel(SYMBOLS[dim])
     axes.set_ylabel(rf"share of starts at $\tau = {data.attrs['t1']:g}$")
     axes.set_ylim(0, 1)
-    axes.legend(loc="upper right", **(SMALL | {"framealpha": 0.9}))
+    above: Any = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "ncols": 2}
+    axes.legend(**above, **(SMALL | {"columnspacing": 0.8}))
     norm = BoundaryNorm(np.arange(-0.5, n + 1), colours.N)
     bar = page.colorbar(ScalarMappable(norm, colours), ax=axes, pad=0.02, aspect=22)
     bar.set_label("vibrating masses")
