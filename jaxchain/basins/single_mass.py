@@ -62,6 +62,8 @@ class SlidingBasin(Outcome):
     - `state`: (x, v) of the unstable cycle where its velocity along the belt is greatest, each of
       shape (1,), and `period`; NaN where there is no cycle, because all motions come to slide
       (`share` 1) or none (`share` 0).
+      `find_limit_cycle(chain, (basin.state, basin.period), vibrating=0)` tells more of it; near
+      the fold it needs such a guess.
     - `up`, `down`: the kicks of `blow_of_one_mass`.
     - `gap`: by how much the greatest velocity differs after a period, relative; 0 without a cycle.
     - `result`: successful if the share is known, and else why it is NaN.
