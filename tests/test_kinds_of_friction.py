@@ -146,6 +146,12 @@ LONG = {
         ).fronts.count[jnp.array([0, -1])],  # when a mass joins, they need not agree
         1e-12,
     ),
+    "basin_shares": (
+        ONE, lambda c: jc.basins.basin_shares(
+            c, jc.basins.Box(), half_width=0.2, replicates=4, t1=200.0, checked=0
+        ).share.values,
+        0.02,
+    ),
     "sliding_share": (ONE, jc.basins.sliding_share, 1e-9),
     "sliding_basin": (ONE, lambda c: jc.basins.sliding_basin(c).period, 1e-9),
     "blow_of_one_mass": (ONE, jc.basins.blow_of_one_mass, 1e-9),

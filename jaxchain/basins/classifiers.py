@@ -20,11 +20,13 @@ from jaxtyping import Array, Bool, Float, Int
 from .._checks import (
     check_flag,
     check_one_of,
-    check_positive,
     check_positive_number,
     check_share,
+    is_traced,
     named,
+    shown,
 )
+from .._reprs import call, summary
 from .._types import ScalarLike, State
 from ..continuation.damped_newton import where
 from ..model.arguments import as_chain
@@ -50,6 +52,10 @@ class Settled(eqx.Module):
     vibrates: Bool[Array, " n"]
     decided: Bool[Array, ""]
     since: Float[Array, ""]
+
+    def __repr__(self) -> str:
+        rows = {"code": self.code, "decided": self.decided, "since": self.since}
+        return summary("Settled", rows)
 
 
 class AbstractClassifier(AbstractObserver):
@@ -164,17 +170,24 @@ class VibratingMasses(AbstractClassifier):
     phases: bool = eqx.field(static=True, default=False)
     # Numbers, not a part of the program: those of a longer look compile nothing.
     window: Float[Array, ""] = eqx.field(converter=named("window"), default=20.0)
-    tolerance: Float[Array, ""] = eqx.field(converter=named("tolerance"), default=1e-2)
+    tolerance: Float[Array, ""] = eqx.field(converter=named("tolerance"), default=1e-3)
     agree: Float[Array, ""] = eqx.field(converter=named("agree"), default=3)
     calm: Float[Array, ""] = eqx.field(converter=named("calm"), default=3)
+
+    def __repr__(self) -> str:
+        return call(self)
 
     def __check_init__(self) -> None:
         check_one_of("by", self.by, ("count", "masses", "ring"))
         check_flag("phases", self.phases)
         check_positive_number("window", self.window, "a period is about 2 pi; 20 is usual.")
-        check_share("tolerance", self.tolerance, "1e-2 is usual.")
+        check_share("tolerance", self.tolerance, "1e-3 is usual.")
         check_positive_number("agree", self.agree, "3 windows are usual.")
-        check_positive("calm", self.calm, "3 windows are usual.")
+        if self.calm.shape or not (is_traced(self.calm) or self.calm > 0):
+            raise ValueError(
+                f"Argument `calm` must be a number of windows, but is {shown(self.calm)}: 3 are "
+                "usual."
+            )
 
     def patient(self) -> VibratingMasses:
         return eqx.tree_at(lambda c: c.calm, self, jnp.asarray(jnp.inf))

@@ -122,7 +122,7 @@ def basin_shares(
         >>> shares.state.values.tolist()
         ['sliding', 'vibrating', 'undecided']
         >>> sliding = shares.sel(state="sliding")
-        >>> bool(sliding.low < 0.3220 < sliding.high)  # what `sliding_share` says
+        >>> bool(sliding.low < 0.307126 < sliding.high)  # what `sliding_share` says
         True
     """
     chain = as_chain(chain)

@@ -69,10 +69,10 @@ def test_runs_end_where_all_masses_vibrate_and_do_so_evenly():
     even, t = after(VibratingMasses(), harmonic([1.5] * 6), 400.0)
     assert even.vibrates.all()
     assert t <= 101.0
-    # Two per cent in a window of 20.
-    uneven = harmonic([1.5] * 6, rates=np.full(6, -0.001))
+    # Two parts in a thousand in a window of 20.
+    uneven = harmonic([1.5] * 6, rates=np.full(6, -0.0001))
     assert after(VibratingMasses(), uneven, 300.0)[1] >= 300.0
-    assert after(VibratingMasses(tolerance=0.05), uneven, 300.0)[1] <= 101.0
+    assert after(VibratingMasses(tolerance=0.005), uneven, 300.0)[1] <= 101.0
 
 
 def test_where_some_vibrate_runs_go_on_to_their_end():

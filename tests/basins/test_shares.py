@@ -232,6 +232,14 @@ def test_shares_of_a_smoothed_chain():
     assert np.abs(found.share[0] - dry.share[0]) < 0.05
 
 
+def test_a_belt_that_runs_the_other_way_has_the_mirrored_shares(shares):
+    ahead = shares.sel(belt_speed=1.4)
+    box = Box(displacement=(-2, 2), velocity=(-2, 0))
+    back = basin_shares(ONE.with_(belt_speed=-1.4), box, half_width=0.01, checked=0, seed=5)
+    assert back.state.values.tolist() == shares.state.values.tolist()
+    assert np.all((back.low <= ahead.high) & (ahead.low <= back.high))
+
+
 def test_equation_8_states_under_all_pushes_of_nothing():
     # A region that is a point: one state, its share known for certain but for the sample's size.
     region = Sampler(lambda chain, point: equation_8(chain, 2), 1)

@@ -5,10 +5,25 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+from jaxtyping import Array
+from xarray import Dataset
+
 from jaxchain import basins
 from jaxchain.model import paper_chain
 
-from .table import A_CHAIN, Row, Told
+from .table import (
+    A_CHAIN,
+    COUNT,
+    FLAG,
+    FUNCTION,
+    NUMBER,
+    POSITIVE,
+    WORD,
+    WRONG,
+    Row,
+    Told,
+    optional,
+)  # fmt: skip
 
 EDGES = (
     None, "x", {}, 3.0, (1,), (1, 2, 3), (2, 1), (1, 1), (math.nan, 1), (0, math.inf), (0, 1j),
@@ -20,6 +35,18 @@ MASSES = ("x", {}, 3, (), (0, 0), (-1,), (1.5,), (True,), (None,))
 def rows() -> Iterator[Row]:
     edges = {"displacement": EDGES, "velocity": EDGES, "masses": MASSES}
     yield Row("Box", basins.Box, {}, edges)
+    radius = {"radius": POSITIVE, "masses": MASSES}
+    yield Row("Ball", basins.Ball, {"radius": 1.0}, radius)
+    scatter = {"displacement": POSITIVE, "velocity": POSITIVE, "masses": MASSES}
+    yield Row("Gaussian", basins.Gaussian, {"displacement": 1.0, "velocity": 1.0}, scatter)
+    own = {"function": FUNCTION, "points": COUNT}
+    yield Row("Sampler", basins.Sampler, {"function": _still, "points": 1}, own)
+    windows = {
+        "by": WORD, "phases": FLAG, "window": POSITIVE, "tolerance": (*NUMBER, 0.0, 1.0, -1.0),
+        "agree": POSITIVE, "calm": tuple(x for x in POSITIVE if x is not math.inf),
+    }  # fmt: skip
+    yield Row("VibratingMasses", basins.VibratingMasses, {}, windows)
+    yield from _shares()
     several = Told(paper_chain(3), "has 3")
     for name in ("sliding_share", "sliding_basin"):
         good = {"chain": paper_chain(1, 1.2, None)}
@@ -27,3 +54,26 @@ def rows() -> Iterator[Row]:
         yield Row(name, getattr(basins, name), good, bad)
     bad = {"chain": (*A_CHAIN, several)}
     yield Row("blow_of_one_mass", basins.blow_of_one_mass, {}, bad)
+
+
+def _still(chain: object, point: Array) -> tuple[Array, Array]:
+    return point, point
+
+
+def _shares() -> Iterator[Row]:
+    good = {"chain": paper_chain(1, 1.2, None), "region": basins.Box(), "t1": 100.0}
+    few = tuple(x for x in COUNT if x not in (0, 1, 10**30))
+    bad = {
+        "chain": A_CHAIN, "region": (*WRONG, basins.Box, (-2, 2)),
+        "over": ("x", 3.0, [1.0], {"state": [1.0]}, {"speed": [1.0]}, {"belt_speed": []}),
+        "half_width": (*NUMBER, 0.0, 1.0, -1.0), "classify": ("x", {}, 3.0, basins.Box()),
+        "points": WORD, "replicates": (*COUNT, 3), "most": (*few, 10),
+        "checked": tuple(x for x in COUNT if x not in (0, 10**30)),
+        "seed": tuple(x for x in COUNT if x not in (0, 10**30)),
+        "lanes": optional(COUNT), "progress": FLAG, "t1": (*WRONG, math.nan, -1.0),
+    }  # fmt: skip
+    yield Row("basin_shares", basins.basin_shares, good, bad)
+    data = Dataset({"share": ("state", [1.0])})
+    differences = {"shares": (*WRONG, 3.0), "dim": (None, 3, "x", "state", "replicate")}
+    call = {"shares": data, "dim": "belt_speed"}
+    yield Row("share_differences", basins.share_differences, call, differences)

@@ -23,14 +23,14 @@ NOT_TRIED = {
             "ClosedOrbit", "LimitCycle", "CyclePoint", "Identification", "Design", "Depinning",
             "FrontSpeed", "LinearModes", "LockedPattern", "PhaseModel", "LocalSlopes", "Step",
             "StoreError", "SlidingBasin",
-            "SweepInterrupted",
+            "SweepInterrupted", "Settled",
         ),
         RESULT,
     ),
     **dict.fromkeys(
         (
             "AbstractFrictionLaw", "AbstractOscillators", "AbstractObserver",
-            "AbstractStructuredRosenbrock",
+            "AbstractStructuredRosenbrock", "AbstractRegion", "AbstractClassifier",
         ),
         BASE,
     ),
