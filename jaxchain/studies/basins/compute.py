@@ -66,8 +66,8 @@ def plane(study: Study, job: Job) -> xr.Dataset:
     """Where starts of one mass lead on a grid, and the cycles between and around them."""
     own = study.plane
     chain = study.base.chain(1, own.belt_speed)
-    x = np.linspace(*study.region.displacement, own.count)
-    v = np.linspace(*study.region.velocity, own.count)
+    (left, right), (low, high) = study.region.displacement, study.region.velocity
+    x, v = np.linspace(left, right, own.count), np.linspace(low, high, own.count)
     runs = sweep(
         chain, lambda chain, displacement, velocity: (displacement, velocity), _TIME,
         over={"displacement": x, "velocity": v}, observe=VibratingMasses(),
