@@ -113,6 +113,27 @@ class SearchResult(eqx.Enumeration, metaclass=_Ways):  # pyright: ignore
         "The belt rests, or moves so slowly that friction grows with its speed: steady sliding "
         "and sticking are the same there. Take a faster belt, or a smaller width."
     )
+    same_state = (
+        "There is no edge between the two starts: the same masses go on vibrating from both. Push "
+        "one of the starts more, or less."
+    )
+    undecided = (
+        "A run was not decided in the time allowed: its amplitudes are those of neither of the "
+        "two states. Allow more (`patience`), or give other starts; near a fold and near the Hopf "
+        "speed decisions take long."
+    )
+    edge_lost = (
+        "The edge was lost: its bracket came to lie on one side. Tighten `rtol`, or start the "
+        "bracket wider (`near`)."
+    )
+    other_state = (
+        "The edge that was followed has another state beyond it than the start that was to "
+        "vibrate: see which masses vibrate on either side (`vibrates`)."
+    )
+    not_settled = (
+        "The edge was followed for the time asked, but the amplitudes of its windows do not "
+        "agree. Follow it for longer (`time`); motion with two or more frequencies never repeats."
+    )
 
 
 class Outcome(eqx.Module):
