@@ -122,6 +122,10 @@ class SearchResult(eqx.Enumeration, metaclass=_Ways):  # pyright: ignore
         "two states. Allow more (`patience`), or give other starts; near a fold and near the Hopf "
         "speed decisions take long."
     )
+    too_close = (
+        "The motion that was followed is not told from one of the two states, as happens next to "
+        "a fold or to the Hopf speed. Choose another belt speed."
+    )
     edge_lost = (
         "The edge was lost: its bracket came to lie on one side. Tighten `rtol`, or start the "
         "bracket wider (`near`)."

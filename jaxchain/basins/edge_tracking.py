@@ -22,7 +22,6 @@ import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
@@ -34,11 +33,12 @@ from ..result import SearchResult, ended_well
 from ..simulation.run import simulate
 
 SETTLE, CUT, TRACK, CHECK, DONE = range(5)
-# Ranges of amplitudes over so many windows in succession must agree to this share of the belt
-# speed where a start has settled.
-_BLOCK, _SAME = 16, 1e-3
+# Windows of the first block, and by what shares ranges of amplitudes may differ from block to block
+# where a start has settled: of the way between the two states, and of themselves, unless they are
+# as small a share of the belt speed.
+_BLOCK, _SAME, _OF_ITSELF, _RESTS = 16, 1e-2, 0.05, 1e-3
 # Of the way from the quiet amplitude to the other one: nearer than this is decided.
-_NEAR_LOW, _NEAR_HIGH = 2e-2, 2e-3
+_NEAR_LOW, _NEAR_HIGH = 2e-2, 2e-4
 # Windows in succession that must say the same.
 _AGREE, _SETTLED = 3, 5
 # A bracket that has lost the edge is made so much wider, so many times.
@@ -154,23 +154,37 @@ def _failed(now: Bracket, bad: Array, why: SearchResult) -> Bracket:
 
 
 def _settle(chain: Chain, now: Bracket, amplitude: Array, how: Tracking) -> Bracket:
-    """Both starts run on until the ranges of their amplitudes agree from block to block."""
-    opens = (now.count - 1) % _BLOCK == 0
+    """Both starts run on until the ranges of their amplitudes agree from block to block.
+
+    Each block is twice as long as the one before it.  Only masses in which the states differ are
+    asked: the others may go on beating.
+    """
+    count = now.count
+    ends = (count >= _BLOCK) & (count & (count - 1) == 0)  # 16, 32, 64, ...
+    begun = count - 1
+    opens = (begun == 0) | (begun >= _BLOCK) & (begun & (begun - 1) == 0)
     low = jnp.where(opens, amplitude, jnp.minimum(now.low, amplitude))
     high = jnp.where(opens, amplitude, jnp.maximum(now.high, amplitude))
-    ends = now.count % _BLOCK == 0
-    same = _SAME * jnp.abs(chain.belt_speed)
-    differ = jnp.maximum(jnp.abs(low - now.last_low), jnp.abs(high - now.last_high))
-    settled = ends & jnp.all(differ <= same)  # false for NaN
     vibrates = active(0.5 * (low + high), chain.belt_speed)
+    before = active(0.5 * (now.last_low + now.last_high), chain.belt_speed)
+    differs = vibrates[0] != vibrates[1]
+    speed = jnp.abs(chain.belt_speed)
+    # Of a decay that is slow the ranges hardly differ, but by much compared with themselves.
+    way = jnp.abs(0.5 * (low[1] + high[1] - low[0] - high[0]))
+    change = jnp.maximum(jnp.abs(low - now.last_low), jnp.abs(high - now.last_high))
+    little = change <= _SAME * jnp.where(differs, way, speed)  # false for NaN
+    little &= (change <= _OF_ITSELF * high) | (high <= _RESTS * speed)
+    asked = differs | ~jnp.any(differs)
+    same = jnp.all(~asked | little)
+    settled = ends & same & jnp.all(vibrates == before)
     new = replace(
         now, low=low, high=high, vibrates=vibrates, above=vibrates[1],
         last_low=jnp.where(ends, low, now.last_low),
         last_high=jnp.where(ends, high, now.last_high),
     )  # fmt: skip
     new = _either(settled, _begin_cut(new), new)
-    new = _failed(new, settled & jnp.all(vibrates[0] == vibrates[1]), SearchResult.same_state)
-    return _failed(new, ~settled & (now.count >= how.patience), SearchResult.undecided)
+    new = _failed(new, settled & ~jnp.any(differs), SearchResult.same_state)
+    return _failed(new, ~settled & (count >= how.patience), SearchResult.undecided)
 
 
 def _thirds(part: Array) -> Array:
@@ -194,6 +208,26 @@ def _scale(now: Bracket) -> Array:
     return jnp.max(jnp.where(differs, jnp.max(now.last_high, axis=0), 0.0))
 
 
+def _sides(now: Bracket) -> tuple[Array, Array, Array]:
+    """(masses in which the states differ, up to which amplitude they are quiet, from which not)."""
+    differs = now.vibrates[0] != now.vibrates[1]
+    quiet = jnp.where(now.vibrates[1], now.last_high[0], now.last_high[1])
+    lively = jnp.where(now.vibrates[1], now.last_low[1], now.last_low[0])
+    return differs, quiet, lively
+
+
+def is_between(now: Bracket, amplitude: Float[Array, " n"]) -> Bool[Array, ""]:
+    """Whether amplitudes on the edge are clear of both states: else these may have been mistaken.
+
+    By twice as much as what decides.
+    """
+    differs, quiet, lively = _sides(now)
+    way = lively - quiet
+    above = amplitude > quiet + 2.0 * _NEAR_LOW * way
+    below = amplitude < lively - 2.0 * _NEAR_HIGH * way
+    return jnp.any(differs & above & below)
+
+
 def _judge(
     chain: Chain, now: Bracket, amplitude: Array
 ) -> tuple[Bracket, Bool[Array, " 2"], Bool[Array, " 2"]]:
@@ -202,23 +236,20 @@ def _judge(
     A mass of which the two states differ is decided where its amplitude is that of the one or of
     the other; any other mass vibrates if it is active.
     """
-    differs = now.vibrates[0] != now.vibrates[1]
-    quiet = jnp.where(now.vibrates[1], now.last_high[0], now.last_high[1])
-    lively = jnp.where(now.vibrates[1], now.last_low[1], now.last_low[0])
+    differs, quiet, lively = _sides(now)
     way = lively - quiet
     is_low = amplitude <= quiet + _NEAR_LOW * way
     is_high = amplitude >= lively - _NEAR_HIGH * way
     pattern = jnp.where(differs, is_high, active(amplitude, chain.belt_speed))
     clear = jnp.all(~differs | is_low | is_high, axis=1)
     same = jnp.all(pattern == now.pattern, axis=1) & (now.agree > 0)
-    agree = jnp.where(clear, jnp.where(same, now.agree + 1, 1), 0)
-    decided = agree >= _AGREE
     # What has been decided stays so.
     before = now.agree >= _AGREE
-    pattern = jnp.where(before[:, None], now.pattern, pattern)
+    agree = jnp.where(clear, jnp.where(same, now.agree + 1, 1), 0)
     agree = jnp.where(before, now.agree, agree)
-    new = replace(now, pattern=pattern, agree=agree)
-    return new, decided | before, jnp.all(pattern == now.vibrates[0], axis=1)
+    pattern = jnp.where(before[:, None], now.pattern, pattern)
+    quiet = jnp.all(pattern == now.vibrates[0], axis=1)
+    return replace(now, pattern=pattern, agree=agree), agree >= _AGREE, quiet
 
 
 def _narrowed(now: Bracket, side: int, third: int) -> Bracket:

@@ -23,7 +23,7 @@ from ..observers.section import Section
 from ..result import Outcome, SearchResult, ended_well
 from ..simulation.accuracy import MAX_STEP, check_resolved, check_tolerances, own_solver
 from ..simulation.run import MOST_SEGMENTS, simulate
-from .edge_tracking import Tracking, track
+from .edge_tracking import Tracking, is_between, track
 
 # Windows that are looked at in the end, and the states in them: one for each period.
 _LAST, _RETURNS = 3, 24
@@ -119,7 +119,7 @@ def edge_state(
 
     A run belongs to `quiet` if the same masses go on vibrating as from there.  It is decided when
     every mass in which the two sides differ has for three windows had the amplitude of one of the
-    two states on which the starts settle, to 2 % (quiet) and 0.2 % (vibrating) of the way between
+    two states on which the starts settle, to 2 % (quiet) and 0.02 % (vibrating) of the way between
     them: near the edge, too, amplitudes repeat themselves, so that this alone decides nothing.
 
     **Arguments:** (dimensionless)
@@ -140,7 +140,7 @@ def edge_state(
     - "not_settled": followed for `time`, but amplitudes do not agree, as those of a motion with
       two frequencies; what was found is returned all the same;
     - "other_state": beyond the edge other masses vibrate than from `vibrating`;
-    - "same_state", "undecided", "edge_lost", "nonfinite": no edge was followed.
+    - "same_state", "undecided", "too_close", "edge_lost", "nonfinite": no edge is known.
 
     **Raises:** `ValueError` for bad input.
 
@@ -203,6 +203,8 @@ def _edge(chain: Chain, quiet: State, vibrating: State, how: Tracking) -> EdgeSt
     result = SearchResult.where(
         (found.result == SearchResult.successful) & ~well, SearchResult.nonfinite, found.result
     )
+    close = (result == SearchResult.successful) & ~is_between(found, amplitude)
+    result = SearchResult.where(close, SearchResult.too_close, result)
     followed = result == SearchResult.successful
     other = jnp.any(found.above != found.vibrates[1])
     late = SearchResult.where(found.settled, result, SearchResult.not_settled)
