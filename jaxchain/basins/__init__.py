@@ -1,6 +1,8 @@
 """How likely each state is, and how hard one must push: basins of attraction.
 
 - `classifiers`: in which state a run ends
+- `edge_tracking`: a bracket of the edge between two basins, cut and followed
+- `edges`: edge states, what moves for ever on such an edge
 - `enclosed_area`: the area that a closed curve has in common with a box
 - `innermost`: the innermost unstable cycle of one mass, by its return map
 - `points`: points spread evenly, whose scatter is an error

@@ -37,9 +37,9 @@ class EdgeState(Outcome):
 
     - `state`: (x, v) on the edge at the end; `below` and `above`: the ends of the bracket there,
       on the quiet side and on the other; `distance`: between these, sqrt(|dx|^2 + |dv|^2).
-    - `amplitude`: half peak-to-peak of each mass over the last window, shape (n,).
+    - `amplitude`: half peak-to-peak of each mass over three windows from there, shape (n,).
     - `period`: of a motion that closes, NaN for any other; `gap`: the least distance, relative to
-      the size of the orbit, at which it came back within the last three windows.
+      the size of the orbit, at which it comes back within these.
     - `vibrates`: which masses go on vibrating from below and from above, shape (2, n).
     - `mass`: the one (from 0) in which the two sides differ most.
     - `times`, `amplitudes`, `distances`: ends of the windows of the tracking, shape (windows,),
@@ -237,18 +237,17 @@ def _last(
 ) -> tuple[Array, Array, Array, Array]:
     """(amplitudes, period, what is missing where it closes, whether the runs ended well).
 
-    From the middle of the bracket: a window for the amplitudes, then turning points of the mass in
-    question, of which the first is compared with later ones.
+    From the middle of the bracket.  Of the turning points of the mass in question the first is
+    compared with later ones.
     """
-    watched = {"solver": how.solver, "rtol": how.rtol, "throw": False}
-    first = simulate(chain, state, how.window, observe=Amplitude(), **watched)
-    turns = Section(mass, _RETURNS)
-    run = simulate(chain, state, _LAST * how.window, observe=turns, **watched)
-    times, x, v = run.observed
-    size = jnp.sqrt(jnp.sum(first.observed**2))
+    run = simulate(
+        chain, state, _LAST * how.window, observe=(Amplitude(), Section(mass, _RETURNS)),
+        solver=how.solver, rtol=how.rtol, throw=False,
+    )  # fmt: skip
+    amplitude, (times, x, v) = run.observed
+    size = jnp.sqrt(jnp.sum(amplitude**2))
     away = jnp.sqrt(jnp.sum((x - x[0]) ** 2 + (v - v[0]) ** 2, axis=1)) / size
     away = jnp.where(jnp.isnan(away).at[0].set(True), jnp.inf, away)
     closes = jnp.argmax(away <= _CLOSED)  # the first time round, 0 for none
     period = jnp.where(closes > 0, times[closes] - times[0], jnp.nan)
-    well = ended_well(first.result) & ended_well(run.result)
-    return first.observed, period, jnp.min(away), well
+    return amplitude, period, jnp.min(away), ended_well(run.result)
