@@ -54,7 +54,7 @@ class Tracking(eqx.Module):
     near: Float[Array, ""]
     far: Float[Array, ""]
     tolerance: Float[Array, ""]
-    rtol: Any
+    rtol: float = eqx.field(static=True)  # a number: the order of the series is chosen by it
     solver: Any
 
 

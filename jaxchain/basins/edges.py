@@ -185,7 +185,7 @@ def edge_state(
     how = Tracking(
         windows=windows, window=to_float(window), patience=to_float(patience) / to_float(window),
         near=to_float(near), far=to_float(far), tolerance=to_float(tolerance),
-        rtol=to_float(rtol), solver=solver,
+        rtol=float(rtol), solver=solver,
     )  # fmt: skip
     return _edge(chain, quiet, vibrating, how)
 
