@@ -16,7 +16,7 @@ themselves decides nothing, for so they do near the edge, the longer the nearer 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import diffrax as dfx
 import equinox as eqx
@@ -32,6 +32,8 @@ from ..observers.quantities import active
 from ..result import SearchResult, ended_well
 from ..simulation.run import simulate
 
+# Two states, stacked: on the quiet side, on the other.
+Pair: TypeAlias = tuple[Float[Array, "2 n"], Float[Array, "2 n"]]
 SETTLE, CUT, TRACK, CHECK, DONE = range(5)
 # Windows of the first block, and by what shares ranges of amplitudes may differ from block to block
 # where a start has settled: of the way between the two states, and of themselves, unless they are
@@ -65,7 +67,7 @@ class Bracket(eqx.Module):
     final: Bool[Array, ""]  # no more tracking: the next cut is the last
     x: Float[Array, "2 n"]  # the ends of the bracket
     v: Float[Array, "2 n"]
-    runs: State  # where the two runs have got to, (2, n) each
+    runs: Pair  # where the two runs have got to
     count: Int[Array, ""]  # windows since they began
     low: Float[Array, "2 n"]  # least and greatest amplitude of a block of windows
     high: Float[Array, "2 n"]
@@ -94,8 +96,8 @@ class Bracket(eqx.Module):
         return gap((self.x, self.v))
 
 
-def gap(pair: State) -> Float[Array, ""]:
-    """The distance between two states, stacked."""
+def gap(pair: Pair) -> Float[Array, ""]:
+    """The distance between two states."""
     return jnp.sqrt(sum(jnp.sum((part[1] - part[0]) ** 2) for part in pair))
 
 
@@ -103,13 +105,13 @@ def track(chain: Chain, quiet: State, vibrating: State, how: Tracking) -> Bracke
     """The bracket of the edge between two starts, after tracking."""
     x, v = (jnp.stack(parts) for parts in zip(quiet, vibrating, strict=True))
     n = x.shape[1]
-    zero, blank = jnp.zeros((), int), jnp.full((2, n), jnp.nan)
+    zero, blank = jnp.zeros((), int), jnp.full((2, n), jnp.nan, float)
     nobody = jnp.zeros((2, n), bool)
     first = Bracket(
         stage=zero + SETTLE, final=jnp.asarray(False), x=x, v=v, runs=(x, v), count=zero,
         low=blank, high=blank, last_low=blank, last_high=blank, vibrates=nobody, above=nobody[0],
         pattern=nobody, agree=jnp.zeros(2, int), widened=zero, tracked=zero,
-        amplitudes=jnp.full((how.windows, n), jnp.nan), distances=jnp.full(how.windows, jnp.nan),
+        amplitudes=jnp.full((how.windows, n), jnp.nan, float), distances=jnp.full(how.windows, jnp.nan, float),
         sharp=blank[0], repeats=zero, result=_well(),
     )  # fmt: skip
 
@@ -172,10 +174,10 @@ def _settle(chain: Chain, now: Bracket, amplitude: Array, how: Tracking) -> Brac
     # Of a decay that is slow the ranges hardly differ, but by much compared with themselves.
     way = jnp.abs(0.5 * (low[1] + high[1] - low[0] - high[0]))
     change = jnp.maximum(jnp.abs(low - now.last_low), jnp.abs(high - now.last_high))
-    little = change <= _SAME * jnp.where(differs, way, speed)  # false for NaN
+    little = change <= _SAME * jnp.where(differs, way, speed)[None]  # false for NaN
     little &= (change <= _OF_ITSELF * high) | (high <= _RESTS * speed)
     asked = differs | ~jnp.any(differs)
-    same = jnp.all(~asked | little)
+    same = jnp.all(~asked[None] | little)
     settled = ends & same & jnp.all(vibrates == before)
     new = replace(
         now, low=low, high=high, vibrates=vibrates, above=vibrates[1],
@@ -193,7 +195,7 @@ def _thirds(part: Array) -> Array:
     return jnp.stack([part[0] + step, part[1] - step])
 
 
-def _begin(now: Bracket, stage: int, runs: State) -> Bracket:
+def _begin(now: Bracket, stage: int, runs: Pair) -> Bracket:
     zero = jnp.zeros((), int)
     return replace(now, stage=zero + stage, runs=runs, count=zero, agree=jnp.zeros(2, int))
 
@@ -209,11 +211,10 @@ def _scale(now: Bracket) -> Array:
 
 
 def _sides(now: Bracket) -> tuple[Array, Array, Array]:
-    """(masses in which the states differ, up to which amplitude they are quiet, from which not)."""
-    differs = now.vibrates[0] != now.vibrates[1]
-    quiet = jnp.where(now.vibrates[1], now.last_high[0], now.last_high[1])
-    lively = jnp.where(now.vibrates[1], now.last_low[1], now.last_low[0])
-    return differs, quiet, lively
+    """(masses in which the states differ, their amplitudes quiet and not), shape (1, n) each."""
+    (one, other), low, high = now.vibrates, now.last_low, now.last_high
+    quiet, lively = jnp.where(other, high[0], high[1]), jnp.where(other, low[1], low[0])
+    return (one != other)[None], quiet[None], lively[None]
 
 
 def is_between(now: Bracket, amplitude: Float[Array, " n"]) -> Bool[Array, ""]:
@@ -223,8 +224,8 @@ def is_between(now: Bracket, amplitude: Float[Array, " n"]) -> Bool[Array, ""]:
     """
     differs, quiet, lively = _sides(now)
     way = lively - quiet
-    above = amplitude > quiet + 2.0 * _NEAR_LOW * way
-    below = amplitude < lively - 2.0 * _NEAR_HIGH * way
+    above = amplitude[None] > quiet + 2.0 * _NEAR_LOW * way
+    below = amplitude[None] < lively - 2.0 * _NEAR_HIGH * way
     return jnp.any(differs & above & below)
 
 
@@ -248,7 +249,7 @@ def _judge(
     agree = jnp.where(clear, jnp.where(same, now.agree + 1, 1), 0)
     agree = jnp.where(before, now.agree, agree)
     pattern = jnp.where(before[:, None], now.pattern, pattern)
-    quiet = jnp.all(pattern == now.vibrates[0], axis=1)
+    quiet = jnp.all(pattern == now.vibrates[:1], axis=1)
     return replace(now, pattern=pattern, agree=agree), agree >= _AGREE, quiet
 
 

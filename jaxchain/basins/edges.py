@@ -246,7 +246,7 @@ def _last(
     )  # fmt: skip
     amplitude, (times, x, v) = run.observed
     size = jnp.sqrt(jnp.sum(amplitude**2))
-    away = jnp.sqrt(jnp.sum((x - x[0]) ** 2 + (v - v[0]) ** 2, axis=1)) / size
+    away = jnp.sqrt(jnp.sum((x - x[:1]) ** 2 + (v - v[:1]) ** 2, axis=1)) / size
     away = jnp.where(jnp.isnan(away).at[0].set(True), jnp.inf, away)
     closes = jnp.argmax(away <= _CLOSED)  # the first time round, 0 for none
     period = jnp.where(closes > 0, times[closes] - times[0], jnp.nan)

@@ -1,0 +1,204 @@
+"""Edge states: the unstable cycle for one mass, and what is refused or said to have failed."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxchain import (
+    Amplitude,
+    equation_8,
+    excited_state,
+    find_limit_cycle,
+    paper_chain,
+    simulate,
+    steady_sliding,
+)
+from jaxchain.basins import VibratingMasses, edge_state
+from jaxchain.observers import Section
+from jaxchain.result import name_of
+
+FAST = 1.5
+
+
+def edge_of(speed, weak, strong, n=1, width=None, **how):
+    """The edge between two pulls of one mass."""
+    chain = paper_chain(n, belt_speed=speed, width=width)
+    starts = (excited_state(chain, 1, amplitude=pull) for pull in (weak, strong))
+    return edge_state(chain, *starts, **how)
+
+
+def lane(found, k):
+    return jax.tree.map(lambda a: a[k], found)
+
+
+def turning_point(chain, state):
+    """The displacement where a mass that vibrates turns back."""
+    mass = chain.n // 2
+    run = simulate(chain, state, 10.0, observe=Section(mass, 1), rtol=1e-11)
+    return float(run.observed[1][0, mass])
+
+
+# Belt speed and both pulls: edges, and what has none.
+LANES = {
+    "slow": (1.3, 0.3, 2.5),
+    "usual": (FAST, 0.5, 2.5),
+    "fast": (1.7, 0.5, 2.5),
+    "turned": (FAST, 2.5, 0.5),
+    "both die": (FAST, 0.5, 0.7),
+    "both vibrate": (FAST, 2.2, 2.5),
+    "beyond the fold": (2.0, 0.5, 2.5),
+    "nan": (np.nan, 0.5, 2.5),
+}
+
+
+@pytest.fixture(scope="module")
+def edges():
+    """All lanes in one program."""
+    columns = [jnp.array(column) for column in zip(*LANES.values(), strict=True)]
+    found = jax.jit(jax.vmap(edge_of))(*columns)
+    return {name: lane(found, k) for k, name in enumerate(LANES)}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["slow", "usual", "fast", "turned"])
+def test_the_edge_of_one_mass_is_the_unstable_cycle(edges, name):
+    edge, speed = edges[name], LANES[name][0]
+    chain = paper_chain(1, belt_speed=speed, width=None)
+    assert name_of(edge.result) == "successful"
+    assert bool(edge.periodic)
+    exact = find_limit_cycle(chain, branch="unstable")
+    np.testing.assert_allclose(edge.amplitude, exact.amplitude, rtol=0, atol=1e-7)
+    assert float(edge.period) == pytest.approx(float(exact.period), abs=1e-8)
+    # Without a step of Newton's method.
+    cut, true = (turning_point(chain, found.state) for found in (edge, exact))
+    assert cut == pytest.approx(true, abs=1e-7)
+    assert 0 < float(edge.distance) < 1e-9
+    assert np.array_equal(edge.vibrates[:, 0], [name == "turned", name != "turned"])
+
+
+@pytest.mark.slow
+def test_the_bracket_holds_the_edge(edges):
+    """From both ends, 1e-10 apart, runs go to the two states."""
+    edge = edges["usual"]
+    chain = paper_chain(1, belt_speed=FAST, width=None)
+    watch = {"observe": (Amplitude(20.0), VibratingMasses()), "rtol": 1e-11}
+    dying, vibrating = (
+        simulate(chain, y, 1500.0, **watch).observed for y in (edge.below, edge.above)
+    )
+    assert float(dying[0][0]) < 1e-2
+    assert float(vibrating[0][0]) > FAST
+    # That amplitudes repeat themselves decides nothing here.
+    assert bool(dying[1].decided)
+    assert float(dying[1].since) == 0.0
+    assert bool(dying[1].vibrates[0])
+
+
+@pytest.mark.slow
+def test_the_record_says_how_the_edge_was_followed(edges):
+    edge = edges["usual"]
+    known = np.isfinite(edge.distances)
+    count = known.sum()
+    assert 5 <= count < known.size
+    assert known[:count].all()
+    np.testing.assert_allclose(edge.times, 20.0 * np.arange(1, 51))
+    # Both ends leave the edge until the bracket is cut again.
+    growth = np.asarray(edge.distances[:count])
+    assert growth.max() < 1e-5
+    assert (growth[1:] > growth[:-1]).sum() > count / 2
+    np.testing.assert_allclose(
+        edge.amplitudes[:count], edge.amplitude[None] + np.zeros((count, 1)), atol=1e-5
+    )
+    assert not np.isfinite(edge.amplitudes[count:]).any()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [
+        ("both die", "same_state"), ("both vibrate", "same_state"),
+        ("beyond the fold", "same_state"), ("nan", "nonfinite"),
+    ],
+)  # fmt: skip
+def test_what_has_no_edge_says_so_and_has_no_numbers(edges, name, why):
+    edge = edges[name]
+    assert name_of(edge.result) == why
+    assert edge.message
+    for part in (*edge.state, *edge.below, edge.amplitude, edge.period, edge.distance):
+        assert np.isnan(part).all()
+    assert not bool(edge.periodic)
+    with pytest.raises(ValueError, match="not periodic"):
+        edge.cycle()
+
+
+@pytest.mark.long
+def test_the_cycle_closes_at_the_tracked_state(edges):
+    edge = edges["usual"]
+    cycle = edge.cycle()
+    assert cycle.stable is False
+    assert float(abs(cycle.amplitude - edge.amplitude)[0]) < 1e-7
+    assert "EdgeState: found" in repr(edge)
+
+
+@pytest.mark.long
+def test_edges_near_the_hopf_speed_and_near_the_fold():
+    """1.151 and 1.8366 bound the belt speeds at which one mass has two states."""
+    found = jax.jit(jax.vmap(lambda v: edge_of(v, 0.05, 2.5)))(jnp.array([1.16, 1.83, 1.8365]))
+    assert [name_of(lane(found, k).result) for k in range(2)] == ["successful"] * 2
+    slow = find_limit_cycle(paper_chain(1, belt_speed=1.16, width=None), branch="unstable")
+    assert float(found.amplitude[0, 0]) == pytest.approx(float(slow.amplitude[0]), abs=1e-6)
+    # To here the search for the cycle finds the way along its branch alone.
+    fast = None
+    for speed in (1.78, 1.8, 1.82, 1.83):
+        chain = paper_chain(1, belt_speed=speed, width=None)
+        fast = find_limit_cycle(chain, fast, **({} if fast else {"branch": "unstable"}))
+    assert fast is not None
+    assert not fast.stable
+    assert float(found.amplitude[1, 0]) == pytest.approx(float(fast.amplitude[0]), abs=1e-6)
+    # Both states are nearly one: better none than the wrong one.
+    assert name_of(lane(found, 2).result) == "too_close"
+
+
+@pytest.mark.long
+def test_the_edge_of_a_smoothed_mass():
+    found = jax.jit(lambda v: edge_of(v, 0.5, 2.5, width=0.02, rtol=1e-9, near=1e-9))(FAST)
+    exact = find_limit_cycle(paper_chain(1, belt_speed=FAST, width=0.02), branch="unstable")
+    assert name_of(found.result) == "successful"
+    np.testing.assert_allclose(found.amplitude, exact.amplitude, rtol=0, atol=1e-6)
+
+
+@pytest.mark.long
+def test_one_vibrating_mass_in_twenty():
+    speeds = jnp.array([1.5, 1.7])
+    found = jax.jit(jax.vmap(lambda v: edge_of(v, 0.2, 2.5, n=20)))(speeds)
+    for k, speed in enumerate((1.5, 1.7)):
+        edge = lane(found, k)
+        chain = paper_chain(20, belt_speed=speed, width=None)
+        exact = find_limit_cycle(chain, branch="unstable")
+        assert name_of(edge.result) == "successful"
+        assert int(edge.mass) == 10
+        np.testing.assert_allclose(edge.amplitude, exact.amplitude, rtol=0, atol=1e-6)
+        assert float(edge.period) == pytest.approx(float(exact.period), abs=1e-6)
+
+
+@pytest.mark.long
+def test_the_edge_between_one_and_two_vibrating_masses_beats():
+    """Slip cycle and stick-slip cycle of neighbours have two frequencies at this belt speed."""
+
+    @jax.jit
+    def follow(speed):
+        chain = paper_chain(20, belt_speed=speed, width=None)
+        x, v = simulate(chain, equation_8(chain, 1), 1000.0, rtol=1e-9).state
+        pulled = jnp.arange(20) == 11
+        more = jnp.where(pulled, steady_sliding(chain)[0] + 2.2, x), jnp.where(pulled, 0.0, v)
+        return edge_state(chain, (x, v), more, time=3000.0)
+
+    edge = follow(1.5)
+    assert name_of(edge.result) == "not_settled"
+    assert np.array_equal(np.flatnonzero(edge.vibrates[0]), [10])
+    assert np.array_equal(np.flatnonzero(edge.vibrates[1]), [10, 11])
+    assert int(edge.mass) == 11
+    history = np.asarray(edge.amplitudes[50:, 11])
+    assert np.isfinite(history).all()
+    assert history.min() < 1.2 < 1.3 < history.max()
+    assert not bool(edge.periodic)
