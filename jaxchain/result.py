@@ -118,21 +118,21 @@ class SearchResult(eqx.Enumeration, metaclass=_Ways):  # pyright: ignore
         "one of the starts more, or less."
     )
     undecided = (
-        "A run was not decided in the time allowed: its amplitudes are those of neither of the "
-        "two states. Allow more (`patience`), or give other starts; near a fold and near the Hopf "
-        "speed decisions take long."
+        "A run was not decided in the time allowed: the masses in question have neither become "
+        "quiet nor stuck to the belt. Allow more (`patience`), or give other starts; near the "
+        "Hopf speed decisions take long."
     )
     too_close = (
-        "The motion that was followed is not told from one of the two states, as happens next to "
-        "a fold or to the Hopf speed. Choose another belt speed."
+        "The motion that was followed is not told from the quiet state, as happens next to the "
+        "Hopf speed. Choose another belt speed."
     )
     edge_lost = (
         "The edge was lost: its bracket came to lie on one side. Tighten `rtol`, or start the "
         "bracket wider (`near`)."
     )
     other_state = (
-        "The edge that was followed has another state beyond it than the start that was to "
-        "vibrate: see which masses vibrate on either side (`vibrates`)."
+        "The edge that was followed does not lie between the states of the two starts: other "
+        "masses vibrate on its sides, see `vibrates`."
     )
     not_settled = (
         "The edge was followed for the time asked, but the amplitudes of its windows do not "

@@ -9,8 +9,9 @@ Two runs go on side by side, a window of time after the other.  What they are fo
 
 then CUT again, and so on.  Under `vmap` every lane is at its own stage, and none waits for another.
 
-A run is decided against the two states on which the starts settle.  That its amplitudes repeat
-themselves decides nothing, for so they do near the edge, the longer the nearer it is.
+A run is decided against the two states on which the starts settle, by the masses that vibrate in
+one of them only.  That its amplitudes repeat themselves decides nothing, for so they do near the
+edge, the longer the nearer it is.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from .._types import State
 from ..model.chain import Chain
 from ..observers.amplitude import Amplitude
 from ..observers.quantities import active
+from ..observers.stick_time import StickTime
 from ..result import SearchResult, ended_well
 from ..simulation.run import simulate
 
@@ -39,8 +41,9 @@ SETTLE, CUT, TRACK, CHECK, DONE = range(5)
 # where a start has settled: of the way between the two states, and of themselves, unless they are
 # as small a share of the belt speed.
 _BLOCK, _SAME, _OF_ITSELF, _RESTS = 16, 1e-2, 0.05, 1e-3
-# Of the way from the quiet amplitude to the other one: nearer than this is decided.
-_NEAR_LOW, _NEAR_HIGH = 2e-2, 2e-4
+# Of the way from the quiet amplitude to the other one: a mass that is nearer than this is quiet, or
+# vibrates if it sticks, too.  Other phases of its neighbours change its amplitude by 4 %.
+_NEAR_LOW, _NEAR_HIGH = 0.05, 0.1
 # Windows in succession that must say the same.
 _AGREE, _SETTLED = 3, 5
 # A bracket that has lost the edge is made so much wider, so many times.
@@ -74,8 +77,8 @@ class Bracket(eqx.Module):
     last_low: Float[Array, "2 n"]  # of the block before
     last_high: Float[Array, "2 n"]
     vibrates: Bool[Array, "2 n"]  # in the states on which the starts settle
-    above: Bool[Array, " n"]  # beyond the edge, as last decided
-    pattern: Bool[Array, "2 n"]  # of the two runs
+    sides: Bool[Array, "2 n"]  # which masses vibrate on both sides, as last decided
+    pattern: Bool[Array, "2 n"]  # and in the two runs
     agree: Int[Array, " 2"]  # windows in succession in which it was that
     widened: Int[Array, ""]
     tracked: Int[Array, ""]  # windows
@@ -109,25 +112,26 @@ def track(chain: Chain, quiet: State, vibrating: State, how: Tracking) -> Bracke
     nobody = jnp.zeros((2, n), bool)
     first = Bracket(
         stage=zero + SETTLE, final=jnp.asarray(False), x=x, v=v, runs=(x, v), count=zero,
-        low=blank, high=blank, last_low=blank, last_high=blank, vibrates=nobody, above=nobody[0],
+        low=blank, high=blank, last_low=blank, last_high=blank, vibrates=nobody, sides=nobody,
         pattern=nobody, agree=jnp.zeros(2, int), widened=zero, tracked=zero,
         amplitudes=jnp.full((how.windows, n), jnp.nan, float), distances=jnp.full(how.windows, jnp.nan, float),
         sharp=blank[0], repeats=zero, result=_well(),
     )  # fmt: skip
 
-    def advance(start: State) -> tuple[State, Array, Array]:
+    def advance(start: State) -> tuple[State, Array, Array, Array]:
         run = simulate(
-            chain, start, how.window, observe=Amplitude(), solver=how.solver, rtol=how.rtol,
-            adjoint=dfx.ForwardMode(), throw=False,
+            chain, start, how.window, observe=(Amplitude(), StickTime()), solver=how.solver,
+            rtol=how.rtol, adjoint=dfx.ForwardMode(), throw=False,
         )  # fmt: skip
-        return run.state, run.observed, ended_well(run.result)
+        amplitude, held = run.observed
+        return run.state, amplitude, held > 0, ended_well(run.result)
 
     def window(now: Bracket) -> Bracket:
-        runs, amplitude, well = jax.vmap(advance)(now.runs)
+        runs, amplitude, sticks, well = jax.vmap(advance)(now.runs)
         now = replace(now, runs=runs, count=now.count + 1)
         stages = [
-            _settle(chain, now, amplitude, how), _cut(chain, now, amplitude, how),
-            _track(now, amplitude, how), _check(chain, now, amplitude, how),
+            _settle(chain, now, amplitude, how), _cut(_judge(chain, now, amplitude, sticks), how),
+            _track(now, amplitude, how), _check(_judge(chain, now, amplitude, sticks), how),
         ]  # fmt: skip
         new = jax.tree.map(lambda *own: lax.select_n(now.stage, *own), *stages)
         return _failed(new, ~jnp.all(well), SearchResult.nonfinite)
@@ -180,7 +184,7 @@ def _settle(chain: Chain, now: Bracket, amplitude: Array, how: Tracking) -> Brac
     same = jnp.all(~asked[None] | little)
     settled = ends & same & jnp.all(vibrates == before)
     new = replace(
-        now, low=low, high=high, vibrates=vibrates, above=vibrates[1],
+        now, low=low, high=high, vibrates=vibrates, sides=vibrates,
         last_low=jnp.where(ends, low, now.last_low),
         last_high=jnp.where(ends, high, now.last_high),
     )  # fmt: skip
@@ -218,59 +222,56 @@ def _sides(now: Bracket) -> tuple[Array, Array, Array]:
 
 
 def is_between(now: Bracket, amplitude: Float[Array, " n"]) -> Bool[Array, ""]:
-    """Whether amplitudes on the edge are clear of both states: else these may have been mistaken.
+    """Whether amplitudes on the edge are well above those that decide that a mass is quiet.
 
-    By twice as much as what decides.
+    Otherwise that may have been decided of runs that were not.
     """
     differs, quiet, lively = _sides(now)
-    way = lively - quiet
-    above = amplitude[None] > quiet + 2.0 * _NEAR_LOW * way
-    below = amplitude[None] < lively - 2.0 * _NEAR_HIGH * way
-    return jnp.any(differs & above & below)
+    return jnp.any(differs & (amplitude[None] > quiet + 2.0 * _NEAR_LOW * (lively - quiet)))
 
 
-def _judge(
-    chain: Chain, now: Bracket, amplitude: Array
-) -> tuple[Bracket, Bool[Array, " 2"], Bool[Array, " 2"]]:
-    """(with what the window says of both runs, which are decided, which are quiet).
-
-    A mass of which the two states differ is decided where its amplitude is that of the one or of
-    the other; any other mass vibrates if it is active.
-    """
+def _judge(chain: Chain, now: Bracket, amplitude: Array, sticks: Array) -> Bracket:
+    """With what a window says of both runs."""
     differs, quiet, lively = _sides(now)
     way = lively - quiet
     is_low = amplitude <= quiet + _NEAR_LOW * way
-    is_high = amplitude >= lively - _NEAR_HIGH * way
+    is_high = sticks & (amplitude >= lively - _NEAR_HIGH * way)
     pattern = jnp.where(differs, is_high, active(amplitude, chain.belt_speed))
     clear = jnp.all(~differs | is_low | is_high, axis=1)
-    same = jnp.all(pattern == now.pattern, axis=1) & (now.agree > 0)
+    same = jnp.all(~differs | (pattern == now.pattern), axis=1) & (now.agree > 0)
     # What has been decided stays so.
     before = now.agree >= _AGREE
     agree = jnp.where(clear, jnp.where(same, now.agree + 1, 1), 0)
     agree = jnp.where(before, now.agree, agree)
     pattern = jnp.where(before[:, None], now.pattern, pattern)
-    quiet = jnp.all(pattern == now.vibrates[:1], axis=1)
-    return replace(now, pattern=pattern, agree=agree), agree >= _AGREE, quiet
+    return replace(now, pattern=pattern, agree=agree)
+
+
+def _decided(now: Bracket) -> tuple[Bool[Array, " 2"], Bool[Array, " 2"]]:
+    """(which of the runs are decided, which are quiet)."""
+    differs = (now.vibrates[0] != now.vibrates[1])[None]
+    quiet = jnp.all(~differs | (now.pattern == now.vibrates[:1]), axis=1)
+    return now.agree >= _AGREE, quiet
 
 
 def _narrowed(now: Bracket, side: int, third: int) -> Bracket:
     """The end on one side moved to a third of the bracket."""
     x = now.x.at[side].set(_thirds(now.x)[third])
     v = now.v.at[side].set(_thirds(now.v)[third])
-    return replace(now, x=x, v=v, above=now.pattern[third] if side else now.above)
+    return replace(now, x=x, v=v, sides=now.sides.at[side].set(now.pattern[third]))
 
 
-def _cut(chain: Chain, now: Bracket, amplitude: Array, how: Tracking) -> Bracket:
+def _cut(now: Bracket, how: Tracking) -> Bracket:
     """One end is moved as soon as the runs allow it."""
-    new, decided, quiet = _judge(chain, now, amplitude)
+    decided, quiet = _decided(now)
     below, beyond = decided & quiet, decided & ~quiet
-    middle = _narrowed(_narrowed(new, 0, 0), 1, 1)
-    cut = _either(below[1], _narrowed(new, 0, 1), _either(beyond[0], _narrowed(new, 1, 0), middle))
+    middle = replace(now, x=_thirds(now.x), v=_thirds(now.v), sides=now.pattern)
+    cut = _either(below[1], _narrowed(now, 0, 1), _either(beyond[0], _narrowed(now, 1, 0), middle))
     done = below[1] | beyond[0] | (below[0] & beyond[1])
     narrow = cut.distance <= how.near * _scale(now)
     follow = _begin(cut, TRACK, (cut.x, cut.v))
     follow = replace(follow, stage=jnp.where(now.final, DONE, TRACK))
-    new = _either(done, _either(narrow, follow, _begin_cut(cut)), new)
+    new = _either(done, _either(narrow, follow, _begin_cut(cut)), now)
     return _failed(new, ~done & (now.count >= how.patience), SearchResult.undecided)
 
 
@@ -287,31 +288,29 @@ def _track(now: Bracket, amplitude: Array, how: Tracking) -> Bracket:
         tracked=now.tracked + 1,
         sharp=jnp.where(sharp, mean, now.sharp),
         repeats=repeats,
-    )  # fmt: skip
+    )
     final = new.settled | (new.tracked >= how.windows)
     over = final | (distance > how.far * scale)
     x, v = now.runs
-    checked = _begin(replace(new, x=x, v=v, final=final, widened=jnp.zeros((), int)), CHECK, (x, v))
-    return _either(over, checked, new)
+    left = replace(new, x=x, v=v, final=final, widened=jnp.zeros((), int))
+    return _either(over, _begin(left, CHECK, (x, v)), new)
 
 
-def _check(chain: Chain, now: Bracket, amplitude: Array, how: Tracking) -> Bracket:
+def _check(now: Bracket, how: Tracking) -> Bracket:
     """The ends must still lie on either side; errors of the runs may have moved both to one."""
-    new, decided, quiet = _judge(chain, now, amplitude)
-    both = jnp.all(decided)
-    same = quiet[0] == quiet[1]
+    decided, quiet = _decided(now)
+    both, same = jnp.all(decided), quiet[0] == quiet[1]
 
-    def beyond(part: Array) -> Array:
+    def moved(part: Array) -> Array:
         step = part[1] - part[0]
         up = jnp.stack([part[1], part[1] + _WIDER * step])
         down = jnp.stack([part[0] - _WIDER * step, part[0]])
-        turned = jnp.where(quiet[0], part, part[::-1])
-        return jnp.where(same, jnp.where(quiet[0], up, down), turned)
+        sorted_ = jnp.where(quiet[0], part, part[::-1])
+        return jnp.where(same, jnp.where(quiet[0], up, down), sorted_)
 
-    moved = replace(new, x=beyond(now.x), v=beyond(now.v), widened=now.widened + same)
-    lively = jnp.where(quiet[0], new.pattern[1], new.pattern[0])
-    good = _begin_cut(replace(moved, above=lively))
-    again = _begin(moved, CHECK, (moved.x, moved.v))
-    new = _either(both, _either(same, again, good), new)
+    x, v = moved(now.x), moved(now.v)
+    good = replace(now, x=x, v=v, sides=jnp.where(quiet[0], now.pattern, now.pattern[::-1]))
+    again = replace(_begin(now, CHECK, (x, v)), x=x, v=v, widened=now.widened + 1)
+    new = _either(both, _either(same, again, _begin_cut(good)), now)
     new = _failed(new, both & (new.widened > _MOST_WIDER), SearchResult.edge_lost)
     return _failed(new, ~both & (now.count >= how.patience), SearchResult.undecided)

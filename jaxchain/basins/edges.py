@@ -117,10 +117,11 @@ def edge_state(
     stays about a motion that is unstable in one direction alone, and stable along the edge, to
     which it converges.  A is the greatest amplitude of the masses in question.
 
-    A run belongs to `quiet` if the same masses go on vibrating as from there.  It is decided when
-    every mass in which the two sides differ has for three windows had the amplitude of one of the
-    two states on which the starts settle, to 2 % (quiet) and 0.02 % (vibrating) of the way between
-    them: near the edge, too, amplitudes repeat themselves, so that this alone decides nothing.
+    First both starts settle, and tell the masses in question: those that vibrate from the one and
+    not from the other.  A run is decided when each of these has for three windows been quiet, with
+    an amplitude within 5 % (of the way between those of the two states) of the quiet one, or
+    vibrated: within 10 % of the other amplitude, and sticking to the belt.  A mass on the edge
+    slides throughout.  That amplitudes repeat themselves decides nothing: so they do near the edge.
 
     **Arguments:** (dimensionless)
 
@@ -206,7 +207,7 @@ def _edge(chain: Chain, quiet: State, vibrating: State, how: Tracking) -> EdgeSt
     close = (result == SearchResult.successful) & ~is_between(found, amplitude)
     result = SearchResult.where(close, SearchResult.too_close, result)
     followed = result == SearchResult.successful
-    other = jnp.any(found.above != found.vibrates[1])
+    other = jnp.any(found.sides != found.vibrates)
     late = SearchResult.where(found.settled, result, SearchResult.not_settled)
     late = SearchResult.where(other, SearchResult.other_state, late)
     result = SearchResult.where(followed, late, result)
@@ -223,7 +224,7 @@ def _edge(chain: Chain, quiet: State, vibrating: State, how: Tracking) -> EdgeSt
         amplitude=known(amplitude),
         period=known(period),
         gap=known(missing),
-        vibrates=jnp.stack([found.vibrates[0], found.above]),
+        vibrates=found.sides,
         mass=mass,
         times=how.window * (1.0 + jnp.arange(how.windows)),
         amplitudes=found.amplitudes,

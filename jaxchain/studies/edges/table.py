@@ -1,0 +1,99 @@
+"""What may stand in the file of the study `edges`."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, TypeAlias
+
+from pydantic import Field, model_validator
+
+from jaxchain._limits import LEAST_RTOL
+from jaxchain.scenes.registry import StudyTable
+from jaxchain.scenes.scene import raise_all
+from jaxchain.scenes.values import MOST_TIME, Positive, Table
+from jaxchain.studies._tables import MOST_ENTRIES, MOST_MASSES, BaseTable, Once, Several, too_many
+
+Masses: TypeAlias = Annotated[int, Field(ge=3, le=MOST_MASSES)]
+Vibrating: TypeAlias = Annotated[int, Field(ge=0, le=MOST_MASSES)]
+# At least a window in which motion repeats itself, and a few more.
+Time: TypeAlias = Annotated[float, Field(ge=200, le=MOST_TIME)]
+
+
+class Base(BaseTable):
+    """Equal masses; `coupling` is that of the ring."""
+
+    coupling: Positive
+
+
+class OneMass(Table):
+    """The edge of one mass, beside its unstable cycle, over belt speeds in rising order."""
+
+    belt_speed: Several
+    weak: Positive = 0.05
+    """Displacement from which it dies, and ..."""
+    strong: Positive = 2.5
+    """... from which it vibrates, from steady sliding."""
+    time: Time = 1000.0
+
+    @model_validator(mode="after")
+    def _check(self) -> OneMass:
+        if self.belt_speed != sorted(self.belt_speed):
+            raise_all([(("belt_speed",), "must rise: each cycle is sought from the one before")])
+        if self.weak >= self.strong:
+            text = f"must be above `weak` = {self.weak:g}, but is {self.strong:g}"
+            raise_all([(("strong",), text)])
+        return self
+
+
+class Ring(Table):
+    """A ring, settled from eq. (8), in which the next mass is pulled."""
+
+    masses: Masses
+    time: Time
+    """For which the edge is followed, at most."""
+    settling: Time = 2000.0
+    """For which the ring runs before."""
+    pull: Positive = 2.2
+
+
+class Ladder(Ring):
+    """Edges between k and k + 1 vibrating masses, k in `vibrating`."""
+
+    vibrating: Annotated[list[Vibrating], Field(min_length=1, max_length=MOST_ENTRIES), Once]
+    belt_speed: Several
+
+    @model_validator(mode="after")
+    def _check(self) -> Ladder:
+        problems = []
+        if (most := max(self.vibrating)) > self.masses - 1:
+            text = f"must leave one of {self.masses} `masses` quiet, but holds {most}"
+            problems.append((("vibrating",), text))
+        counts = {"counts": len(self.vibrating), "belt speeds": len(self.belt_speed)}
+        raise_all(problems + too_many(counts, self.masses, ()))
+        return self
+
+
+class Tracking(Ring):
+    """One edge, and how both ends of the last bracket leave it."""
+
+    vibrating: Vibrating
+    belt_speed: Positive
+    leaving: Time
+    """For which they are followed after that."""
+
+    @model_validator(mode="after")
+    def _check(self) -> Tracking:
+        if self.vibrating > self.masses - 1:
+            text = f"must leave one of {self.masses} `masses` quiet, but is {self.vibrating}"
+            raise_all([(("vibrating",), text)])
+        return self
+
+
+class Study(StudyTable):
+    """Edge states of one mass and of a ring, with true dry friction."""
+
+    study: Literal["edges"]
+    base: Base
+    one_mass: OneMass
+    ladder: Ladder
+    tracking: Tracking
+    rtol: Annotated[float, Field(ge=LEAST_RTOL, lt=1e-8)] = 1e-11
