@@ -1,8 +1,8 @@
 from .classifiers import AbstractClassifier as AbstractClassifier
 from .classifiers import Settled as Settled
 from .classifiers import VibratingMasses as VibratingMasses
-from .edges import edge_state as edge_state
 from .edges import EdgeState as EdgeState
+from .edges import edge_state as edge_state
 from .regions import AbstractRegion as AbstractRegion
 from .regions import Ball as Ball
 from .regions import Box as Box

@@ -7,7 +7,7 @@ Two runs go on side by side, a window of time after the other.  What they are fo
     TRACK   from both ends of the bracket, while they stay close: the motion on the edge
     CHECK   from where the ends have got to, until each is decided: does it hold the edge still?
 
-then CUT again, and so on.  Under `vmap` every lane is at its own stage, and none waits for another.
+then CUT again, and so on.  Under `vmap` every lane is at its own stage; none waits for another.
 
 A run is decided against the two states on which the starts settle, by the masses that vibrate in
 one of them only.  That its amplitudes repeat themselves decides nothing, for so they do near the
@@ -37,12 +37,12 @@ from ..simulation.run import simulate
 # Two states, stacked: on the quiet side, on the other.
 Pair: TypeAlias = tuple[Float[Array, "2 n"], Float[Array, "2 n"]]
 SETTLE, CUT, TRACK, CHECK, DONE = range(5)
-# Windows of the first block, and by what shares ranges of amplitudes may differ from block to block
-# where a start has settled: of the way between the two states, and of themselves, unless they are
-# as small a share of the belt speed.
+# Windows of the first block, and by what shares ranges of amplitudes may differ from block to
+# block where a start has settled: of the way between the two states, and of themselves, unless
+# they are as small a share of the belt speed.
 _BLOCK, _SAME, _OF_ITSELF, _RESTS = 16, 1e-2, 0.05, 1e-3
-# Of the way from the quiet amplitude to the other one: a mass that is nearer than this is quiet, or
-# vibrates if it sticks, too.  Other phases of its neighbours change its amplitude by 4 %.
+# Of the way from the quiet amplitude to the other one: a mass that is nearer than this is quiet,
+# or vibrates if it sticks, too.  Other phases of its neighbours change its amplitude by 4 %.
 _NEAR_LOW, _NEAR_HIGH = 0.05, 0.1
 # Windows in succession that must say the same.
 _AGREE, _SETTLED = 3, 5
@@ -64,7 +64,7 @@ class Tracking(eqx.Module):
 
 
 class Bracket(eqx.Module):
-    """The search under way; what has an axis of 2 is first on the quiet side, then on the other."""
+    """The search under way; along an axis of 2 the quiet side is first, then the other."""
 
     stage: Int[Array, ""]
     final: Bool[Array, ""]  # no more tracking: the next cut is the last
@@ -114,8 +114,9 @@ def track(chain: Chain, quiet: State, vibrating: State, how: Tracking) -> Bracke
         stage=zero + SETTLE, final=jnp.asarray(False), x=x, v=v, runs=(x, v), count=zero,
         low=blank, high=blank, last_low=blank, last_high=blank, vibrates=nobody, sides=nobody,
         pattern=nobody, agree=jnp.zeros(2, int), widened=zero, tracked=zero,
-        amplitudes=jnp.full((how.windows, n), jnp.nan, float), distances=jnp.full(how.windows, jnp.nan, float),
-        sharp=blank[0], repeats=zero, result=_well(),
+        amplitudes=jnp.full((how.windows, n), jnp.nan, float),
+        distances=jnp.full(how.windows, jnp.nan, float), sharp=blank[0], repeats=zero,
+        result=_well(),
     )  # fmt: skip
 
     def advance(start: State) -> tuple[State, Array, Array, Array]:
@@ -153,9 +154,7 @@ def _failed(now: Bracket, bad: Array, why: SearchResult) -> Bracket:
     return replace(
         now,
         stage=jnp.where(bad, DONE, now.stage),
-        result=SearchResult.where(
-            bad & (now.result == SearchResult.successful), why, now.result
-        ),
+        result=SearchResult.where(bad & (now.result == SearchResult.successful), why, now.result),
     )
 
 

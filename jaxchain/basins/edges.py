@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import diffrax as dfx
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
@@ -121,12 +119,13 @@ def edge_state(
     not from the other.  A run is decided when each of these has for three windows been quiet, with
     an amplitude within 5 % (of the way between those of the two states) of the quiet one, or
     vibrated: within 10 % of the other amplitude, and sticking to the belt.  A mass on the edge
-    slides throughout.  That amplitudes repeat themselves decides nothing: so they do near the edge.
+    slides throughout.  That amplitudes repeat themselves decides nothing: so they do there, too.
 
     **Arguments:** (dimensionless)
 
-    - `chain`: a `Chain`, with dry friction (the default solver goes from event to event) or smoothed.
-    - `quiet`, `vibrating`: (x, v), both of shape (n,), from which different masses go on vibrating.
+    - `chain`: a `Chain`, with dry friction or smoothed.
+    - `quiet`, `vibrating`: (x, v), both of shape (n,), from which different masses go on
+      vibrating.
     - `time`: how long the edge is followed, at most; it ends as soon as the amplitudes of five
       windows (of a narrow bracket) agree within `tolerance` A.  `window`: at least a period, 2 pi
       for masses as in the paper.  Both are numbers of Python.

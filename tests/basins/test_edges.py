@@ -157,7 +157,7 @@ def test_edges_near_the_hopf_speed_and_near_the_fold():
     fast = None
     for speed in (1.78, 1.8, 1.82, 1.83):
         chain = paper_chain(1, belt_speed=speed, width=None)
-        fast = find_limit_cycle(chain, fast, **({} if fast else {"branch": "unstable"}))
+        fast = find_limit_cycle(chain, fast, branch="unstable")
     assert fast is not None
     assert not fast.stable
     assert float(found.amplitude[1, 0]) == pytest.approx(float(fast.amplitude[0]), abs=1e-6)
