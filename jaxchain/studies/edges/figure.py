@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -46,8 +45,8 @@ def draw(page: Figure, datasets: Mapping[str, xr.Dataset]) -> None:
 def _richest(data: xr.Dataset) -> int:
     """The belt speed at which most edges were followed, and these differ most."""
     spread = data["greatest"] - data["least"]
-    score: Any = spread.notnull().sum("vibrating") + spread.max("vibrating").fillna(0.0)
-    return int(score.argmax())
+    score = spread.notnull().sum("vibrating") + spread.max("vibrating").fillna(0.0)
+    return int(np.argmax(score.values))
 
 
 def _draw_one_mass(axes: Axes, data: xr.Dataset) -> None:

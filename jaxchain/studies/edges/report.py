@@ -80,7 +80,7 @@ def motion(row: xr.Dataset) -> str:
     if np.isfinite(row["period"]):
         return "periodic"
     steady = float(row["greatest"] - row["least"]) < STEADY * float(row["mean"])
-    return "slow" if steady else "beats"
+    return "settles" if steady else "beats"
 
 
 def _of_ladder(data: xr.Dataset) -> str:
