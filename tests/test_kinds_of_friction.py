@@ -40,6 +40,13 @@ def orbit(chain):
     return found.period, jnp.nan_to_num(found.multipliers)
 
 
+def edge(chain):
+    starts = (jc.excited_state(chain, 1, amplitude=pull) for pull in (0.5, 2.5))
+    how = {"time": 200.0, "near": 1e-8, "far": 1e-6, "tolerance": 1e-7, "rtol": 1e-9}
+    found = jc.basins.edge_state(chain, *starts, **how)
+    return found.amplitude, found.period
+
+
 def run(chain, start=None, **how):
     observe = jc.Amplitude(window=15.0), jc.StickTime()
     start = start or jc.equation_8(chain, 1)
@@ -117,6 +124,7 @@ LONG = {
     ),
     "guess_from_hopf": (ONE, near_hopf, 1e-8),
     "close_orbit": (ONE, orbit, 1e-3),
+    "edge_state": (ONE, edge, 1e-6),
     "loop": (ONE, motion, 5e-3),
     "fold_belt_speed": (ONE, jc.fold_belt_speed, 1e-3),
     "nonsmooth_fold_belt_speed": (ONE, jc.nonsmooth_fold_belt_speed, 1e-12),

@@ -163,10 +163,8 @@ SINGLE = (
     "guess_from_hopf", "hopf_points", "identify", "phase_model", "sweep", "verdict", "verdicts",
     "close_orbit", "fold_belt_speeds", "guess_from_simulation", "liouville_determinant",
     "one_mass_branch", "predict",
-    # Its mirror image is in tests/basins/test_shares.py.
-    "basin_shares",
-    # Their mirror images are in tests/basins/test_single_mass.py.
-    "sliding_share", "sliding_basin", "blow_of_one_mass",
+    # Their mirror images are in tests/basins.
+    "basin_shares", "sliding_share", "sliding_basin", "blow_of_one_mass", "edge_state",
 )  # fmt: skip
 
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from .._checks import check_positive_number, check_whole, is_traced, shown, to_float
+from .._checks import check_positive_number, is_traced, shown, to_float
 from .._stored_programs import stored_jit
 from .._types import State
 from ..cycles.limit_cycle import LimitCycle
@@ -169,6 +169,12 @@ def edge_state(
     check_positive_number("patience", patience, "20000 is usual.")
     for name, value in (("near", near), ("far", far), ("tolerance", tolerance)):
         check_positive_number(name, value, "see `edge_state`.")
+    for name, value in (("time", time), ("window", window), ("rtol", rtol)):
+        if is_traced(value):
+            raise ValueError(
+                f"Argument `{name}` decides what is compiled, but is traced: use a number of "
+                "Python, the same for every lane."
+            )
     if not is_traced(near, far) and float(far) < 10.0 * float(near):
         raise ValueError(
             f"Argument `far` must be at least ten times `near` = {near}, but is {shown(far)}: "
@@ -178,16 +184,24 @@ def edge_state(
     solver = own_solver(chain, solver)
     if not chain.dry:
         check_resolved(chain.n, chain.width, chain.belt_speed, rtol, None)
-    windows = check_whole(
-        "time", round(float(time) / float(window)), 1, MOST_SEGMENTS,
-        "it is counted in windows.",
-    )  # fmt: skip
+    windows = _count(time, window)
     how = Tracking(
         windows=windows, window=to_float(window), patience=to_float(patience) / to_float(window),
         near=to_float(near), far=to_float(far), tolerance=to_float(tolerance),
         rtol=float(rtol), solver=solver,
     )  # fmt: skip
     return _edge(chain, quiet, vibrating, how)
+
+
+def _count(time: Any, window: Any) -> int:
+    """How many windows the edge is followed for."""
+    count = round(float(time) / float(window))
+    if not 1 <= count <= MOST_SEGMENTS:
+        raise ValueError(
+            f"Argument `time` must be 1 ... {MOST_SEGMENTS} times the `window`, {window}, but is "
+            f"{time}: 1000 is usual."
+        )
+    return count
 
 
 @stored_jit

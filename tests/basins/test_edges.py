@@ -45,6 +45,7 @@ LANES = {
     "usual": (FAST, 0.5, 2.5),
     "fast": (1.7, 0.5, 2.5),
     "turned": (FAST, 2.5, 0.5),
+    "mirrored": (-FAST, -0.5, -2.5),
     "both die": (FAST, 0.5, 0.7),
     "both vibrate": (FAST, 2.2, 2.5),
     "beyond the fold": (2.0, 0.5, 2.5),
@@ -135,6 +136,24 @@ def test_what_has_no_edge_says_so_and_has_no_numbers(edges, name, why):
     assert not bool(edge.periodic)
     with pytest.raises(ValueError, match="not periodic"):
         edge.cycle()
+
+
+@pytest.mark.slow
+def test_a_belt_that_runs_the_other_way_has_the_mirror_image(edges):
+    edge, mirrored = edges["usual"], edges["mirrored"]
+    for a, b in zip((*edge.below, *edge.above), (*mirrored.below, *mirrored.above), strict=True):
+        np.testing.assert_allclose(a, -b, rtol=0, atol=1e-11)
+    for name in ("amplitude", "period", "distance", "amplitudes"):
+        np.testing.assert_allclose(getattr(edge, name), getattr(mirrored, name), atol=1e-11)
+
+
+@pytest.mark.slow
+def test_what_decides_the_program_must_not_be_traced():
+    starts = ((jnp.ones(1), jnp.zeros(1)), (jnp.full(1, 2.0), jnp.zeros(1)))
+    chain = paper_chain(1, width=None)
+    for name in ("time", "window", "rtol"):
+        with pytest.raises(ValueError, match=f"`{name}`.* traced"):
+            jax.jit(lambda a, name=name: edge_state(chain, *starts, **{name: a}))(1.0)
 
 
 @pytest.mark.long

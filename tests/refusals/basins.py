@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+import jax.numpy as jnp
 from jaxtyping import Array
 from xarray import Dataset
 
 from jaxchain import basins
 from jaxchain.model import paper_chain
 
+from .runs import SOLVERS, TOLERANCE
 from .table import (
     A_CHAIN,
     COUNT,
@@ -23,12 +25,14 @@ from .table import (
     Row,
     Told,
     optional,
+    states,
 )  # fmt: skip
 
 EDGES = (
     None, "x", {}, 3.0, (1,), (1, 2, 3), (2, 1), (1, 1), (math.nan, 1), (0, math.inf), (0, 1j),
     ("a", "b"),
 )  # fmt: skip
+STARTS = {"quiet": (jnp.ones(3), jnp.zeros(3)), "vibrating": (jnp.full(3, 2.0), jnp.zeros(3))}
 MASSES = ("x", {}, 3, (), (0, 0), (-1,), (1.5,), (True,), (None,))
 
 
@@ -77,3 +81,12 @@ def _shares() -> Iterator[Row]:
     differences = {"shares": (*WRONG, 3.0), "dim": (None, 3, "x", "state", "replicate")}
     call = {"shares": data, "dim": "belt_speed"}
     yield Row("share_differences", basins.share_differences, call, differences)
+    times = dict.fromkeys(("time", "window", "patience", "near", "tolerance"), POSITIVE)
+    yield Row(
+        "edge_state", basins.edge_state, {"chain": paper_chain(3, 1.2, None), **STARTS},
+        {
+            "chain": A_CHAIN, "quiet": states(3), "vibrating": states(3), **times,
+            "time": (*POSITIVE, 5.0, 1e9), "far": (*POSITIVE, 1e-10), "rtol": (None, *TOLERANCE),
+            "solver": SOLVERS,
+        },
+    )  # fmt: skip
