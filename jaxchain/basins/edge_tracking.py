@@ -40,7 +40,7 @@ SETTLE, CUT, TRACK, CHECK, DONE = range(5)
 # Windows of the first block, and by what shares ranges of amplitudes may differ from block to
 # block where a start has settled: of the way between the two states, and of themselves, unless
 # they are as small a share of the belt speed.
-_BLOCK, _SAME, _OF_ITSELF, _RESTS = 16, 1e-2, 0.05, 1e-3
+_BLOCK, _SAME, _OF_ITSELF, _RESTS = 16, 0.03, 0.05, 1e-3
 # Of the way from the quiet amplitude to the other one: a mass that is nearer than this is quiet,
 # or vibrates if it sticks, too.  Other phases of its neighbours change its amplitude by 4 %.
 _NEAR_LOW, _NEAR_HIGH = 0.05, 0.1

@@ -169,19 +169,29 @@ def test_the_cycle_closes_at_the_tracked_state(edges):
 def test_edges_near_the_hopf_speed_and_near_the_fold():
     """1.151 and 1.8366 bound the belt speeds at which one mass has two states."""
     found = jax.jit(jax.vmap(lambda v: edge_of(v, 0.05, 2.5)))(jnp.array([1.16, 1.83, 1.8365]))
-    assert [name_of(lane(found, k).result) for k in range(2)] == ["successful"] * 2
+    assert np.all(found.successful)
     slow = find_limit_cycle(paper_chain(1, belt_speed=1.16, width=None), branch="unstable")
     assert float(found.amplitude[0, 0]) == pytest.approx(float(slow.amplitude[0]), abs=1e-6)
     # To here the search for the cycle finds the way along its branch alone.
-    fast = None
-    for speed in (1.78, 1.8, 1.82, 1.83):
+    fast, amplitude = None, {}
+    for speed in (1.78, 1.8, 1.82, 1.83, 1.834, 1.8365):
         chain = paper_chain(1, belt_speed=speed, width=None)
         fast = find_limit_cycle(chain, fast, branch="unstable")
-    assert fast is not None
-    assert not fast.stable
-    assert float(found.amplitude[1, 0]) == pytest.approx(float(fast.amplitude[0]), abs=1e-6)
-    # Both states are nearly one: better none than the wrong one.
-    assert name_of(lane(found, 2).result) == "too_close"
+        assert not fast.stable
+        amplitude[speed] = float(fast.amplitude[0])
+    np.testing.assert_allclose(
+        found.amplitude[1:, 0], [amplitude[1.83], amplitude[1.8365]], rtol=0, atol=1e-6
+    )
+
+
+@pytest.mark.long
+def test_an_edge_that_may_have_been_taken_for_quiet_is_not_returned():
+    """0.0017 above the Hopf speed the cycle's amplitude is 6 % of the other one's."""
+    edge = jax.jit(lambda v: edge_of(v, 0.02, 2.5, time=200.0, near=1e-2, far=0.1, patience=2e5))(
+        1.153
+    )
+    assert name_of(edge.result) == "too_close"
+    assert np.isnan(edge.amplitude).all()
 
 
 @pytest.mark.long

@@ -54,15 +54,15 @@ def _draw_one_mass(axes: Axes, data: xr.Dataset) -> None:
     axes.plot(speed, data["sticking"], color=BLUE, label="stick-slip cycle")
     axes.plot(speed, data["exact"], color=VERMILION, linestyle=DASHES, label="unstable cycle")
     axes.plot(speed, data["amplitude"], "o", color="black", markersize=3, label="edge state")
-    for name, text in (("hopf", "Hopf"), ("fold", "fold")):
+    for name, text, side in (("hopf", "Hopf", "left"), ("fold", "fold", "right")):
         at = float(data[name])
         axes.axvline(at, color=GREY, linewidth=0.7, linestyle=":")
         axes.text(
-            at, 0.06, text, rotation=90, fontsize=6.5, color=GREY, ha="right", va="bottom",
+            at, 0.98, f" {text} ", fontsize=6.5, color=GREY, ha=side, va="top",
             transform=axes.get_xaxis_transform(),
         )  # fmt: skip
-    axes.set(xlabel=_SPEED, ylabel=_AMPLITUDE, ylim=(0, None))
-    axes.legend(**SMALL, loc="lower right", bbox_to_anchor=(0.93, 0.0))
+    axes.set(xlabel=_SPEED, ylabel=_AMPLITUDE, ylim=(0, 1.15 * float(data["sticking"].max())))
+    axes.legend(**SMALL, loc="lower right")
 
 
 def _draw_errors(axes: Axes, data: xr.Dataset) -> None:
@@ -74,8 +74,8 @@ def _draw_errors(axes: Axes, data: xr.Dataset) -> None:
         error = np.maximum(np.abs(data[name] - data[exact]), 1e-14)
         axes.semilogy(data["belt_speed"], error, marker, color=colour, markersize=3, label=text)
     axes.axhline(_BAR, color=GREY, linewidth=0.8, linestyle=DASHES)
-    axes.set(xlabel=_SPEED, ylabel="|edge state – cycle| (–)", ylim=(3e-14, 1e-4))
-    axes.legend(**SMALL, loc="upper center", ncols=3, columnspacing=0.8)
+    axes.set(xlabel=_SPEED, ylabel="|edge state – cycle| (–)", ylim=(3e-14, 1e-2))
+    axes.legend(**SMALL, loc="upper left")
 
 
 def _draw_tracking(axes: Axes, data: xr.Dataset) -> None:
@@ -118,6 +118,9 @@ def _draw_ladder(axes: Axes, data: xr.Dataset, single: xr.DataArray) -> None:
             fmt=marker, color=colour, markersize=3, elinewidth=0.9, label=f"{k} to {k + 1}",
         )  # fmt: skip
     axes.set(xlabel=_SPEED, ylabel=r"$\tilde A$ of the next mass (–)")
+    least, greatest = float(data["least"].min()), float(data["greatest"].max())
+    # The legend stands above what is drawn.
+    axes.set_ylim(least - 0.05, greatest + 0.6 * (greatest - least + 0.1))
     axes.legend(**SMALL, loc="upper left", ncols=2, fontsize=6, columnspacing=0.8)
 
 
