@@ -306,6 +306,9 @@ def built(loaded: LoadedScene) -> list[tuple[Any, Any]]:
             chains = [curves.base_chain(scene), curves.base_chain(scene, scene.coupling.masses)]
         case "fronts":
             chains = [moving.base_chain(scene, n) for n in (1, scene.speed.masses)]
+        case "edges":
+            ring_of = scene.base.chain(scene.ladder.masses, coupling=scene.base.coupling)
+            chains = [scene.base.chain(1), ring_of]
         case "mistuning":
             chains = [mistuned.base_chain(scene)]
         case "ladder":
