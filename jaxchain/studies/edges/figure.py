@@ -9,8 +9,17 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxchain.plotting.style import BLUE, GREY, ORANGE
-from jaxchain.studies._pages import COLOURS, DASHES, MARKERS, SMALL, VERMILION, letters, on_page
+from jaxchain.plotting.style import BLUE, GREY, ORANGE, PURPLE
+from jaxchain.studies._pages import (
+    DASHES,
+    GREEN,
+    MARKERS,
+    SKY,
+    SMALL,
+    VERMILION,
+    letters,
+    on_page,
+)
 from jaxchain.studies.edges.report import FOLLOWED
 
 _SPEED = r"belt speed $\tilde v_d$ (–)"
@@ -18,6 +27,8 @@ _AMPLITUDE = r"amplitude $\tilde A$ (–)"
 _TIME = r"time $\tau$ (–)"
 # What the edge states are to be right by.
 _BAR = 1e-6
+# One for each k.
+_COLOURS = (BLUE, VERMILION, GREEN, ORANGE, SKY, PURPLE, "black")
 
 
 @on_page(4.6)
@@ -101,7 +112,7 @@ def _each(data: xr.Dataset) -> list[tuple[int, int, str, str]]:
     """(position, k, colour, marker) of what is drawn for each k."""
     counts = data["vibrating"].values
     return [
-        (i, int(k), COLOURS[i % len(COLOURS)], MARKERS[i % len(MARKERS)])
+        (i, int(k), _COLOURS[i % len(_COLOURS)], MARKERS[i % len(MARKERS)])
         for i, k in enumerate(counts)
     ]
 
@@ -120,7 +131,7 @@ def _draw_ladder(axes: Axes, data: xr.Dataset, single: xr.DataArray) -> None:
     axes.set(xlabel=_SPEED, ylabel=r"$\tilde A$ of the next mass (–)")
     least, greatest = float(data["least"].min()), float(data["greatest"].max())
     # The legend stands above what is drawn.
-    axes.set_ylim(least - 0.05, greatest + 0.6 * (greatest - least + 0.1))
+    axes.set_ylim(least - 0.05, greatest + 0.4 * (greatest - least + 0.1))
     axes.legend(**SMALL, loc="upper left", ncols=2, fontsize=6, columnspacing=0.8)
 
 

@@ -15,7 +15,7 @@ OUTCOMES = tuple(SearchResult._name_to_item)  # pyright: ignore  # as in `result
 # Followed to the end, or for all the time.
 FOLLOWED = tuple(map(OUTCOMES.index, ("successful", "not_settled")))
 # Amplitudes on an edge that change by less in its later half have settled.
-STEADY = 1e-3
+STEADY = 1e-2
 
 _OUTCOME = flags(OUTCOMES) | {"long_name": "how edge tracking ended"}
 LABELS: dict[str, Any] = {
