@@ -34,7 +34,8 @@ class EdgeState(Outcome):
     """The motion on the edge between two basins, as far as it was followed.
 
     - `state`: (x, v) on the edge at the end; `below` and `above`: the ends of the bracket there,
-      on the quiet side and on the other; `distance`: between these, sqrt(|dx|^2 + |dv|^2).
+      on the quiet side and on the other; `distance`: between these, sqrt(|dx|^2 + |dv|^2).  Runs
+      from there go to both sides if their `rtol` is that of the search, no coarser.
     - `amplitude`: half peak-to-peak of each mass over three windows from there, shape (n,).
     - `period`: of a motion that closes, NaN for any other; `gap`: the least distance, relative to
       the size of the orbit, at which it comes back within these.

@@ -7,6 +7,7 @@ import pytest
 
 from jaxchain import (
     Amplitude,
+    PeakTimes,
     equation_8,
     excited_state,
     find_limit_cycle,
@@ -15,7 +16,7 @@ from jaxchain import (
     steady_sliding,
 )
 from jaxchain.basins import VibratingMasses, edge_state
-from jaxchain.observers import Section
+from jaxchain.observers import Section, mean_period
 from jaxchain.result import name_of
 
 FAST = 1.5
@@ -219,24 +220,37 @@ def test_one_vibrating_mass_in_twenty():
         assert float(edge.period) == pytest.approx(float(exact.period), abs=1e-6)
 
 
+def next_one_pulled(speed, count, time):
+    """The edge between so many vibrating masses of twenty, and one more."""
+    chain = paper_chain(20, belt_speed=speed, width=None)
+    x, v = simulate(chain, equation_8(chain, count), 2000.0, rtol=1e-11).state
+    pulled = jnp.arange(20) == 10 + count
+    more = jnp.where(pulled, steady_sliding(chain)[0] + 2.2, x), jnp.where(pulled, 0.0, v)
+    return edge_state(chain, (x, v), more, time=time)
+
+
 @pytest.mark.long
-def test_the_edge_between_one_and_two_vibrating_masses_beats():
-    """Slip cycle and stick-slip cycle of neighbours have two frequencies at this belt speed."""
-
-    @jax.jit
-    def follow(speed):
-        chain = paper_chain(20, belt_speed=speed, width=None)
-        x, v = simulate(chain, equation_8(chain, 1), 1000.0, rtol=1e-9).state
-        pulled = jnp.arange(20) == 11
-        more = jnp.where(pulled, steady_sliding(chain)[0] + 2.2, x), jnp.where(pulled, 0.0, v)
-        return edge_state(chain, (x, v), more, time=3000.0)
-
-    edge = follow(1.5)
-    assert name_of(edge.result) == "not_settled"
-    assert np.array_equal(np.flatnonzero(edge.vibrates[0]), [10])
-    assert np.array_equal(np.flatnonzero(edge.vibrates[1]), [10, 11])
-    assert int(edge.mass) == 11
-    history = np.asarray(edge.amplitudes[50:, 11])
-    assert np.isfinite(history).all()
-    assert history.min() < 1.2 < 1.3 < history.max()
-    assert not bool(edge.periodic)
+def test_edges_between_one_two_and_three_vibrating_masses():
+    """With a pair that sticks and slips the slip cycle locks; with one mass it beats."""
+    found = jax.jit(jax.vmap(lambda k: next_one_pulled(1.5, k, 6000.0)))(jnp.array([1, 2]))
+    for k, count in enumerate((1, 2)):
+        edge = lane(found, k)
+        np.testing.assert_array_equal(np.flatnonzero(edge.vibrates[0]), 10 + np.arange(count))
+        np.testing.assert_array_equal(np.flatnonzero(edge.vibrates[1]), 10 + np.arange(count + 1))
+        assert int(edge.mass) == 10 + count
+    beats, locked = lane(found, 0), lane(found, 1)
+    assert name_of(beats.result) == "not_settled"
+    assert not bool(beats.periodic)
+    history = np.asarray(beats.amplitudes[50:, 11])
+    assert history.min() < 1.12 < 1.36 < history.max()
+    run = simulate(beats.chain, beats.state, 80.0, observe=PeakTimes(32), rtol=1e-11)
+    periods = [float(mean_period(run.observed[:, mass])) for mass in (10, 11)]
+    assert abs(periods[0] - periods[1]) > 0.01
+    # A saddle with one unstable direction: two masses stick and slip, the third only slides.
+    assert name_of(locked.result) == "successful"
+    cycle = locked.cycle()
+    np.testing.assert_allclose(locked.amplitude, cycle.amplitude, rtol=0, atol=1e-6)
+    moduli = np.abs(cycle.multipliers)
+    assert (moduli > 1.0).sum() == 1
+    assert moduli[0] == pytest.approx(1.28442, abs=1e-4)
+    assert np.isneginf(cycle.closeness).tolist() == [i not in (10, 11) for i in range(20)]
