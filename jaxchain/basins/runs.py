@@ -13,10 +13,11 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .._types import State
+from ..chaos.classification import verdicts
 from ..model.chain import Chain
 from ..sweeps.axes import Axes, check_axes, jobs, sizes
 from ..sweeps.programs import starts_on
-from ..sweeps.starts import Starts
+from ..sweeps.starts import Starts, with_numbers
 from ..sweeps.sweeping import sweep
 from .tally import Batch, Tally
 
@@ -53,7 +54,7 @@ class Runs:
         self.coords: dict[str, Any] = {}
         self.attrs: dict[str, Any] = {}
 
-    def _at(self, places: Int[np.ndarray, " runs"]) -> dict[str, np.ndarray]:
+    def at(self, places: Int[np.ndarray, " runs"]) -> dict[str, np.ndarray]:
         """The parameters of these places."""
         own = jobs(self.axes) if self.axes else {}
         return {name: values[places] for name, values in own.items()}
@@ -79,7 +80,7 @@ class Runs:
         self, places: Int[np.ndarray, " runs"], points: Float[np.ndarray, "runs d"], times: int
     ) -> Batch:
         """From some points, each at the parameters of one place, for `times` the time."""
-        over = {"start": {**self._at(places), "point": points}}
+        over = {"start": {**self.at(places), "point": points}}
         name = f"{len(places)} starts again"
         data = self._sweep(over, self.classify.patient(), times * self.t1, name)
         return Batch.read(data, self.classify, self.chain, (1, 1, len(places)))
@@ -97,11 +98,27 @@ class Runs:
         self, places: Int[np.ndarray, " runs"], points: Float[np.ndarray, "runs d"]
     ) -> tuple[np.ndarray, np.ndarray]:
         """(x, v), both of shape (runs, n), from these points at the parameters of these places."""
-        values = {**self._at(places), "point": points}
+        values = {**self.at(places), "point": points}
         own = {name: jnp.asarray(column) for name, column in values.items()}
         made = starts_on(jax.local_devices()[0], Starts(self.chain, self.initial), own)
         x, v = made.state
         return np.asarray(x), np.asarray(v)
+
+
+def verdicts_of(
+    runs: Runs, places: Int[np.ndarray, " runs"], x: np.ndarray, v: np.ndarray, progress: bool
+) -> list[str]:
+    """The verdicts on the motions from these starts, each at the parameters of its place."""
+    found = [""] * len(places)
+    for place in np.unique(places):
+        here = np.nonzero(places == place)[0]
+        values = runs.at(np.array([place]))
+        chain = with_numbers(runs.chain, {name: own[0] for name, own in values.items()})
+        settings: dict[str, Any] = {"solver": runs.numerics.get("solver"), "progress": progress}
+        own = verdicts(chain, (jnp.asarray(x[here]), jnp.asarray(v[here])), **settings)
+        for number, one in zip(here, own, strict=True):
+            found[number] = one.verdict
+    return found
 
 
 class Checked(NamedTuple):

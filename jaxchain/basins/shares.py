@@ -33,7 +33,7 @@ from ..sweeps.scheduler import lane_count
 from .classifiers import AbstractClassifier, VibratingMasses
 from .points import Points
 from .regions import check_region
-from .runs import Checked, Runs, check_again
+from .runs import Checked, Runs, check_again, verdicts_of
 from .tally import FAILED, UNDECIDED, Bars, Tally, of_replicates
 
 if TYPE_CHECKING:
@@ -57,6 +57,7 @@ def basin_shares(
     replicates: int = 32,
     most: int = 2**20,
     checked: int = 64,
+    judge: bool = False,
     seed: int = 0,
     lanes: int | None = None,
     devices: Sequence[Any] | None = None,
@@ -84,6 +85,8 @@ def basin_shares(
     - `checked`: how many decisions at each parameter are looked at again, by runs that do not end
       early, to `t1` and to four times that (`classify.patient()`; 0 for none).  Those that turn
       out otherwise at `t1` lengthen the bars, see below.
+    - `judge`: whether `jaxchain.verdict` is asked of the motion from a start of each state at each
+      parameter, "periodic" or "chaotic", say: seconds for one mass, minutes for each of twenty.
     - `lanes`, `devices`, `progress`, and `solver`, `rtol`, `accuracy`, ... (`numerics`): as for
       `sweep`.
 
@@ -100,6 +103,7 @@ def basin_shares(
       `changed_later`: the share of starts that are in another state at four times `t1`.
     - `settling_time`: the median time from which nothing changed any more, NaN where none is.
     - `start_displacement`, `start_velocity` (..., oscillator): a start that ends there.
+    - `verdict`, with `judge`: on that start, see `jaxchain.chaos.Verdict`.
     - `replicate_share` (..., replicate, state), of which `share_differences` makes differences.
 
     Attributes: `starts` at each parameter, `longest_half_width` of the bars before the checks,
@@ -141,6 +145,7 @@ def basin_shares(
     check_whole("most", most, replicates * _FIRST, remedy="starts at each parameter.")
     check_whole("checked", checked, 0, remedy="64 at each parameter are usual.")
     check_whole("seed", seed, 0, remedy="it is the seed of the points.")
+    check_flag("judge", judge)
     check_flag("progress", progress)
     check_count("lanes", lanes)
     over = {} if over is None else over
@@ -170,7 +175,7 @@ def basin_shares(
     reach = bars.longest
     seen = check_again(runs, tally, at, checked, seed)
     bars = tally.bars(even=points == "sobol").widened(seen.lost, seen.gained)
-    found = _dataset(runs, tally, bars, seen, at)
+    found = _dataset(runs, tally, bars, seen, at, judge)
     found.attrs |= {
         "starts": len(at), "replicates": replicates, "points": points, "seed": seed,
         "longest_half_width": reach, "checked": seen.runs, "region": repr(region),
@@ -180,7 +185,12 @@ def basin_shares(
 
 
 def _dataset(
-    runs: Runs, tally: Tally, bars: Bars, seen: Checked, points: Float[np.ndarray, "s d"]
+    runs: Runs,
+    tally: Tally,
+    bars: Bars,
+    seen: Checked,
+    points: Float[np.ndarray, "s d"],
+    judge: bool,
 ) -> Dataset:
     from xarray import Dataset
 
@@ -225,6 +235,14 @@ def _dataset(
     for name, values, unit in (("displacement", x, "x0"), ("velocity", v, "x0 omega_n")):
         told = {"long_name": f"{name} of a start that ends in the state", "units": unit}
         variables[f"start_{name}"] = (*over(values, "state", "oscillator"), told)
+    if judge:
+        words = np.full(first.shape, "", dtype="<U32")
+        progress = runs.numerics["progress"]
+        words[places, states] = verdicts_of(
+            runs, places, x[places, states], v[places, states], progress
+        )
+        told = {"long_name": "verdict on the motion from that start", "units": "1"}
+        variables["verdict"] = (*over(words, "state"), told)
     alone = {
         "undecided": (bars.share[:, known], "share of the starts that are not decided"),
         "misclassified": (seen.lost.sum(1), "share of the starts decided too early"),

@@ -83,6 +83,13 @@ def test_all_parameters_have_the_same_starts():
     assert 5.0 * float((change.high - change.low)[0] / 2) < np.hypot(first, second)
 
 
+def test_states_are_judged_on_demand():
+    over = {"belt_speed": [1.4, 1.9]}
+    found = basin_shares(ONE, Box(), over, half_width=0.1, checked=0, judge=True)
+    assert found.verdict.sel(state="sliding").values.tolist() == ["at rest", "at rest"]
+    assert found.verdict.sel(state="vibrating").values.tolist() == ["periodic", ""]
+
+
 def test_seeds_are_different_starts_and_a_seed_is_the_same():
     first, second, third = (
         basin_shares(ONE, Box(), half_width=0.05, seed=seed, checked=0).share.values

@@ -74,7 +74,7 @@ def _shares() -> Iterator[Row]:
         "points": WORD, "replicates": (*COUNT, 3), "most": (*few, 10),
         "checked": tuple(x for x in COUNT if x not in (0, 10**30)),
         "seed": tuple(x for x in COUNT if x not in (0, 10**30)),
-        "lanes": optional(COUNT), "progress": FLAG, "t1": (*WRONG, math.nan, -1.0),
+        "lanes": optional(COUNT), "progress": FLAG, "judge": FLAG, "t1": (*WRONG, math.nan, -1.0),
     }  # fmt: skip
     yield Row("basin_shares", basins.basin_shares, good, bad)
     data = Dataset({"share": ("state", [1.0])})
