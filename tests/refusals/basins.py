@@ -58,6 +58,15 @@ def rows() -> Iterator[Row]:
         yield Row(name, getattr(basins, name), good, bad)
     bad = {"chain": (*A_CHAIN, several)}
     yield Row("blow_of_one_mass", basins.blow_of_one_mass, {}, bad)
+    times = dict.fromkeys(("time", "window", "patience", "near", "tolerance"), POSITIVE)
+    yield Row(
+        "edge_state", basins.edge_state, {"chain": paper_chain(3, 1.2, None), **STARTS},
+        {
+            "chain": A_CHAIN, "quiet": states(3), "vibrating": states(3), **times,
+            "time": (*POSITIVE, 5.0, 1e9), "far": (*POSITIVE, 1e-10), "rtol": (None, *TOLERANCE),
+            "solver": SOLVERS,
+        },
+    )  # fmt: skip
 
 
 def _still(chain: object, point: Array) -> tuple[Array, Array]:
@@ -81,12 +90,3 @@ def _shares() -> Iterator[Row]:
     differences = {"shares": (*WRONG, 3.0), "dim": (None, 3, "x", "state", "replicate")}
     call = {"shares": data, "dim": "belt_speed"}
     yield Row("share_differences", basins.share_differences, call, differences)
-    times = dict.fromkeys(("time", "window", "patience", "near", "tolerance"), POSITIVE)
-    yield Row(
-        "edge_state", basins.edge_state, {"chain": paper_chain(3, 1.2, None), **STARTS},
-        {
-            "chain": A_CHAIN, "quiet": states(3), "vibrating": states(3), **times,
-            "time": (*POSITIVE, 5.0, 1e9), "far": (*POSITIVE, 1e-10), "rtol": (None, *TOLERANCE),
-            "solver": SOLVERS,
-        },
-    )  # fmt: skip
