@@ -90,4 +90,4 @@ class Study(StudyTable):
     plane: Plane
     over_belt_speed: OverBeltSpeed
     over_coupling: OverCoupling
-    seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
+    seed: Annotated[int, Field(ge=0, le=2**32 - 1)] = 0
