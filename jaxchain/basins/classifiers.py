@@ -139,6 +139,10 @@ class VibratingMasses(AbstractClassifier):
     masses far apart tell each other about their phases comes through the quiet ones between them.
     So the time at which one looks is a part of the question.
 
+    The state in which no mass vibrates is called "sliding".  A vibration of less than |v_d|/2, to
+    which a law with a supercritical Hopf bifurcation may lead, is not told from it here; it is by
+    `jaxchain.verdict`, see `judge` of `basin_shares`.
+
     **Arguments:**
 
     - `by`: what makes two states the same: "count", how many vibrate; "masses", which ones;
