@@ -91,7 +91,7 @@ class AbstractClassifier(AbstractObserver):
         >>> chain = paper_chain(1, belt_speed=2.0, width=None)
         >>> shares = basin_shares(chain, Box(), classify=Side(), t1=200.0, half_width=0.2)
         >>> shares.state.values.tolist()  # above the fold all come to rest at F(-v_d) > 0
-        ['right']
+        ['right', 'undecided']
     """
 
     def merge(self, codes: Int[np.ndarray, "runs m"], chain: Chain) -> Int[np.ndarray, "runs k"]:
