@@ -138,6 +138,19 @@ class SearchResult(eqx.Enumeration, metaclass=_Ways):  # pyright: ignore
         "The edge was followed for the time asked, but the amplitudes of its windows do not "
         "agree. Follow it for longer (`time`); motion with two or more frequencies never repeats."
     )
+    sliding_unstable = (
+        "Steady sliding is unstable, so that any blow starts the vibration, however gentle. Raise "
+        "the belt speed above `hopf_belt_speed`, or the damping."
+    )
+    no_vibration = (
+        "No kick that was tried leads to vibration: after all of them the motion dies. The belt "
+        "may be faster than any vibration can bear, see `fold_belt_speed`."
+    )
+    not_certified = (
+        "Runs with 1 % less and 1 % more than the blow that was found, or random tries, "
+        "contradict it. Allow more `starts` and `steps`; very close to the Hopf speed no run is "
+        "long enough."
+    )
 
 
 class Outcome(eqx.Module):

@@ -163,6 +163,10 @@ LONG = {
     "sliding_share": (ONE, jc.basins.sliding_share, 1e-9),
     "sliding_basin": (ONE, lambda c: jc.basins.sliding_basin(c).period, 1e-9),
     "blow_of_one_mass": (ONE, jc.basins.blow_of_one_mass, 1e-9),
+    "gentlest_blow": (ONE, lambda c: jc.basins.gentlest_blow(c).size, 1e-8),
+    "gentlest_blow chain": (
+        THREE.with_(belt_speed=1.6), lambda c: jc.basins.gentlest_blow(c).kick, 1e-4
+    ),
     "predict": (ONE, lambda c: jc.inverse.predict(c, lab(c)), 1e-3),
     "identify": (ONE, lambda c: jc.inverse.identify(c, damped, 0.06, lab(c)).theta, 1e-2),
     "design": (

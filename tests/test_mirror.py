@@ -160,6 +160,7 @@ SPEEDLESS = {
 SINGLE = (
     "hopf_and_fold", "continue_cycle", "depinning_belt_speed", "equation_8", "equation_10",
     "find_limit_cycle", "first_lyapunov_coefficient", "front_speed", "generalised_hopf",
+    "gentlest_blow",
     "guess_from_hopf", "hopf_points", "identify", "phase_model", "sweep", "verdict", "verdicts",
     "close_orbit", "fold_belt_speeds", "guess_from_simulation", "liouville_determinant",
     "one_mass_branch", "predict",

@@ -1,3 +1,5 @@
+from .blows import Blow as Blow
+from .blows import gentlest_blow as gentlest_blow
 from .classifiers import AbstractClassifier as AbstractClassifier
 from .classifiers import Settled as Settled
 from .classifiers import VibratingMasses as VibratingMasses

@@ -33,6 +33,12 @@ EDGES = (
     ("a", "b"),
 )  # fmt: skip
 STARTS = {"quiet": (jnp.ones(3), jnp.zeros(3)), "vibrating": (jnp.full(3, 2.0), jnp.zeros(3))}
+DRY = paper_chain(3, 1.5, None)
+DIRECTION = (
+    "x", {}, 1.0, (1.0,), (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (1.0, math.nan, 0.0),
+    (1j, 0.0, 0.0), [[1.0, 0.0, 0.0]],
+)  # fmt: skip
+AS_MANY = tuple(value for value in COUNT if value is True or value != 0)
 MASSES = ("x", {}, 3, (), (0, 0), (-1,), (1.5,), (True,), (None,))
 
 
@@ -67,6 +73,7 @@ def rows() -> Iterator[Row]:
             "solver": SOLVERS,
         },
     )  # fmt: skip
+    yield from _blows()
 
 
 def _still(chain: object, point: Array) -> tuple[Array, Array]:
@@ -90,3 +97,13 @@ def _shares() -> Iterator[Row]:
     differences = {"shares": (*WRONG, 3.0), "dim": (None, 3, "x", "state", "replicate")}
     call = {"shares": data, "dim": "belt_speed"}
     yield Row("share_differences", basins.share_differences, call, differences)
+
+
+def _blows() -> Iterator[Row]:
+    yield Row("gentlest_blow", basins.gentlest_blow, {"chain": DRY}, {
+        "chain": A_CHAIN, "masses": ("x", {}, 3, (), (0, 0), (3,), (1.5,), (True,), (None,)),
+        "direction": DIRECTION, "starts": AS_MANY, "steps": COUNT, "tolerance": POSITIVE,
+        "optimiser": ("x", 3, {}), "tries": AS_MANY,
+    })  # fmt: skip
+    both = {"chain": DRY, "direction": [1.0, 0.0, 0.0]}
+    yield Row("gentlest_blow, both", basins.gentlest_blow, both, {"masses": ((0,),)})

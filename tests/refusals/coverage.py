@@ -22,7 +22,7 @@ NOT_TRIED = {
             "LyapunovSpectrum", "Branch", "SpecialPoint", "FoldPoint", "CycleBranch",
             "ClosedOrbit", "LimitCycle", "CyclePoint", "Identification", "Design", "Depinning",
             "FrontSpeed", "LinearModes", "LockedPattern", "PhaseModel", "LocalSlopes", "Step",
-            "StoreError", "SlidingBasin", "EdgeState",
+            "StoreError", "SlidingBasin", "EdgeState", "Blow",
             "SweepInterrupted", "Settled",
         ),
         RESULT,
