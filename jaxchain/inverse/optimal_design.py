@@ -1,4 +1,4 @@
-"""Designing vibration away: the least change of a chain that makes it quiet enough."""
+"""Designing vibration away: the least change of a chain that makes it quiet or robust enough."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from jaxtyping import Array, Float, Int, PyTree
 
 from .._checks import check_function, check_positive, check_positive_number, shown, to_float
 from .._reprs import parameters
+from ..basins.blows import Blow, gentlest_blow
 from ..boundaries.bistable import BistableRange, bistable_range
 from ..continuation.damped_newton import where
 from ..continuation.gradient_descent import check_descent, unknowns
@@ -35,21 +36,23 @@ _LBFGS = optax.chain(optax.scale_by_lbfgs(), optax.scale(-1.0))
 class Design(Outcome):
     """What `design` found.
 
-    - `theta`, `chain`: the design and its chain; `cost` of it; `range`, its `BistableRange`.
+    - `theta`, `chain`: the design and its chain; `cost` of it.
+    - `range`, its `BistableRange`, or `blow`, its `Blow`, by the aim; the other is None.
     - `multiplier`: lambda of grad cost = -lambda grad g, what a further unit of g would cost;
       0 if the aim costs nothing.
     - `angle`: between grad cost and -grad g, in radians, 0 at an optimum; NaN if either vanishes.
     - `residual`: the greater of |grad cost + lambda grad g| and what is missing of g <= 0.
     - `result`: successful if it is at most the tolerance (a local optimum).
-    - `evaluations`: boundaries with derivatives that it took.
-    - `path`, `costs`, `aims`: every design tried, its cost, and the speed that was to fall; NaN
-      from entry `evaluations` on.
+    - `evaluations`: boundaries, or blows, with derivatives that it took.
+    - `path`, `costs`, `aims`: every design tried, its cost, and the speed that was to fall, or the
+      blow that was to rise; NaN from entry `evaluations` on.
     """
 
     theta: PyTree
     chain: Chain
     cost: Float[Array, ""]
-    range: BistableRange
+    range: BistableRange | None
+    blow: Blow | None
     multiplier: Float[Array, ""]
     angle: Float[Array, ""]
     residual: Float[Array, ""]
@@ -60,11 +63,16 @@ class Design(Outcome):
     aims: Float[Array, " steps"]
 
     def _rows(self) -> dict[str, Any]:
+        aim = {}
+        if self.range is not None:
+            aim["highest speed of vibration"] = self.range.highest
+            aim["width of the bistable range"] = self.range.width
+        if self.blow is not None:
+            aim["gentlest blow"] = self.blow.size
         return {
             **dict(itertools.islice(parameters(self.theta).items(), 4)),
             "cost": self.cost,
-            "highest speed of vibration": self.range.highest,
-            "width of the bistable range": self.range.width,
+            **aim,
             "residual": self.residual,
         }
 
@@ -74,10 +82,11 @@ class _Point(eqx.Module):
 
     z: Float[Array, " m"]
     cost: Float[Array, ""]
-    g: Float[Array, ""]  # aim - target
+    g: Float[Array, ""]  # aim - target, or target - aim
     cost_slope: Float[Array, " m"]
     g_slope: Float[Array, " m"]
-    range: BistableRange
+    aim: Float[Array, ""]
+    found: BistableRange | Blow
 
     def multiplier(self, held: Array, penalty: Array) -> Array:
         return jnp.maximum(0.0, held + penalty * self.g)
@@ -112,6 +121,7 @@ def design(
     *,
     width_below: Any = None,
     highest_below: Any = None,
+    blow_above: Any = None,
     cost: Callable[[Any], Any] | None = None,
     scale: Any = None,
     vibrating: Any = None,
@@ -119,28 +129,33 @@ def design(
     steps: Any = 200,
     tolerance: Any = 1e-6,
 ) -> Design:
-    """The cheapest design theta whose vibration ends at a low enough belt speed.
+    """The cheapest design theta whose vibration ends at a low speed, or takes a hard blow.
 
     minimise cost(theta)   subject to   g(theta) = aim(change(chain, theta)) - target <= 0
 
-    where the aim is the `width` of the `bistable_range` or its `highest` speed.  By the augmented
-    Lagrangian (Nocedal and Wright, Numerical Optimization, chapter 17) in one compiled loop, which
-    evaluates one boundary with its derivatives per round.  A design whose vibration vanishes
-    altogether has reached the aim; one whose boundary is not found is drawn back from.
+    where the aim is the `width` of the `bistable_range` or its `highest` speed; or subject to
+    target - size <= 0, the size being that of the `gentlest_blow` at the chain's belt speed.  By
+    the augmented Lagrangian (Nocedal and Wright, Numerical Optimization, chapter 17) in one
+    compiled loop, which evaluates one boundary, or blow, with its derivatives per round.  A design
+    whose vibration vanishes altogether has reached the aim; one whose boundary or blow is not
+    found, or that slides unsteadily where a blow is asked for, is drawn back from.
 
     **Arguments:**
 
     - `change(chain, theta)`, the chain of a design, for instance
       `lambda chain, xi: chain.with_(damping_ratio=xi)`; `start`, the first theta, any pytree.
       What must stay positive is best given by its logarithm.
-    - `width_below` or `highest_below`: the target, a dimensionless speed; one of the two.
+    - `width_below`, `highest_below` or `blow_above`: the target, a dimensionless speed; one of
+      the three.  `blow_above` needs a first design that slides steadily, and has a kink where two
+      masses are as easily started as each other: change masses that are alike together.
     - `cost(theta)`: by default 1/2 |(theta - start) / scale|^2.
     - `scale`: a change of theta that counts, one number or a pytree as `start`; by default |start|
       and 1 where that is 0.
-    - `vibrating`: as in `bistable_range`.
+    - `vibrating`: as in `bistable_range`; with `blow_above` the only mass that is hit, by default
+      any may be.
     - `optimiser`: an optax transformation without a line search, `optax.adam(0.01)` say, for
       theta in units of `scale`; L-BFGS by default.  Steps that make things worse are shortened.
-    - `steps`: boundaries that may be computed.
+    - `steps`: boundaries, or blows, that may be computed.
 
     **Raises:** `ValueError` for bad input.  What does not converge says so in its `result`.
 
@@ -154,13 +169,16 @@ def design(
     (0.0553, 1.7)
     """
     mass = check_vibrating(chain, vibrating)
-    if (width_below is None) == (highest_below is None):
+    targets = {"width_below": width_below, "highest_below": highest_below,
+               "blow_above": blow_above}  # fmt: skip
+    given = {name: target for name, target in targets.items() if target is not None}
+    if len(given) != 1:
         raise ValueError(
-            "One of the arguments `width_below` and `highest_below` must be given, but they are "
-            f"{width_below} and {highest_below}: a bistable range or a belt speed is to fall."
+            "One of the arguments `width_below`, `highest_below` and `blow_above` must be given, "
+            f"but they are {width_below}, {highest_below} and {blow_above}: a bistable range or a "
+            "belt speed is to fall, or a blow to rise."
         )
-    name = "highest_below" if width_below is None else "width_below"
-    target = highest_below if width_below is None else width_below
+    [(name, target)] = given.items()
     check_positive_number(name, target, "it is a speed, such as 0.3.")
     optimiser = _LBFGS if optimiser is None else optimiser
     check_descent(optimiser, steps)
@@ -172,15 +190,16 @@ def design(
     if scale is None:
         units = jnp.where(flat == 0, 1.0, jnp.abs(flat))
     else:
-        given, _ = ravel_pytree(jax.tree.map(lambda leaf: to_float(leaf, "scale"), scale))
-        check_positive("scale", given, "it is a change that counts.")
-        if given.size not in (1, flat.size):
+        changes, _ = ravel_pytree(jax.tree.map(lambda leaf: to_float(leaf, "scale"), scale))
+        check_positive("scale", changes, "it is a change that counts.")
+        if changes.size not in (1, flat.size):
             raise ValueError(
                 f"Argument `scale` must hold one number, or {flat.size} as `start` does, but is "
                 f"{shown(scale)}."
             )
-        units = jnp.broadcast_to(given, flat.shape)
-    problem = _Problem(chain, flat, units, to_float(target), change, cost, mass,
+        units = jnp.broadcast_to(changes, flat.shape)
+    hit = None if vibrating is None else (mass,)
+    problem = _Problem(chain, flat, units, to_float(target), change, cost, mass, hit,
                        name, unravel)  # fmt: skip
     return _solve(problem, optimiser, steps, to_float(tolerance))
 
@@ -193,6 +212,7 @@ class _Problem(eqx.Module):
     change: Callable[[Chain, Any], Chain]
     own_cost: Callable[[Any], Any] | None
     mass: int = eqx.field(static=True)
+    hit: tuple[int] | None = eqx.field(static=True)
     name: str = eqx.field(static=True)
     unravel: Callable[[Array], Any] = eqx.field(static=True)
 
@@ -205,17 +225,39 @@ class _Problem(eqx.Module):
     def point(self, z: Array) -> _Point:
         """Forward in every direction at once: the searches within have no reverse."""
 
-        def both(z: Array) -> tuple[Array, tuple[Array, BistableRange]]:
-            found = bistable_range(self.chain_at(z), self.mass)
-            aim = found.width if self.name == "width_below" else found.highest
+        def both(z: Array) -> tuple[Array, tuple[Array, Array, BistableRange | Blow]]:
+            g, aim, found = self._aim(self.chain_at(z))
             cost = 0.5 * jnp.sum(z**2)
             if self.own_cost is not None:
                 cost = to_float(self.own_cost(self.unravel(self.theta(z))))
-            values = jnp.stack([cost, jnp.where(found.successful, aim - self.target, jnp.nan)])
-            return values, (values, found)
+            values = jnp.stack([cost, g])
+            return values, (values, aim, found)
 
-        slopes, (values, found) = jax.jacfwd(both, has_aux=True)(z)
-        return _Point(z, values[0], values[1], slopes[0], slopes[1], found)
+        slopes, (values, aim, found) = jax.jacfwd(both, has_aux=True)(z)
+        return _Point(z, values[0], values[1], slopes[0], slopes[1], aim, found)
+
+    def unknown(self) -> BistableRange | Blow:
+        """What is known before the first point, in the same shapes."""
+        shapes = eqx.filter_eval_shape(lambda z: self._aim(self.chain_at(z))[2], self.start)
+
+        def blank(leaf: Any) -> Array:
+            real = jnp.issubdtype(leaf.dtype, jnp.inexact)
+            return jnp.full(leaf.shape, jnp.inf if real else 0, leaf.dtype)
+
+        nothing = jax.tree.map(blank, shapes)
+        return eqx.tree_at(lambda found: found.result, nothing, SearchResult.nonfinite)
+
+    def _aim(self, chain: Chain) -> tuple[Array, Array, BistableRange | Blow]:
+        """(g, the speed that it is made of, where that is from); g is NaN if it is not known."""
+        if self.name == "blow_above":
+            blow = gentlest_blow(chain, self.hit)
+            none = blow.result == SearchResult.no_vibration
+            # Without any vibration there is room enough, and nothing to differentiate.
+            g = jnp.where(none, -self.target, self.target - jnp.where(none, 0.0, blow.size))
+            return jnp.where(none | blow.successful, g, jnp.nan), blow.size, blow
+        found = bistable_range(chain, self.mass)
+        aim = found.width if self.name == "width_below" else found.highest
+        return jnp.where(found.successful, aim - self.target, jnp.nan), aim, found
 
 
 @eqx.filter_jit
@@ -224,11 +266,7 @@ def _solve(problem: _Problem, optimiser: Any, steps: int, tolerance: Array) -> D
     size = problem.start.size
     zero, infinite = jnp.zeros(size), jnp.asarray(jnp.inf)
     nothing = jnp.zeros((), int)
-    unknown = BistableRange(
-        hopf=infinite, fold=infinite, highest=infinite, width=infinite,
-        result=SearchResult.nonfinite,
-    )  # fmt: skip
-    blank = _Point(zero, infinite, infinite, zero, zero, unknown)
+    blank = _Point(zero, infinite, infinite, zero, zero, infinite, problem.unknown())
 
     def going(now: _Search) -> Array:
         hopeful = (now.refused < _MOST_REFUSED) & (now.count < steps)
@@ -277,7 +315,7 @@ def _solve(problem: _Problem, optimiser: Any, steps: int, tolerance: Array) -> D
             count=now.count + 1,
             path=now.path.at[now.count].set(problem.theta(trial.z)),
             costs=now.costs.at[now.count].set(trial.cost),
-            aims=now.aims.at[now.count].set(trial.g + problem.target),
+            aims=now.aims.at[now.count].set(trial.aim),
         )
 
     path, record = jnp.full((steps, size), jnp.nan), jnp.full(steps, jnp.nan)
@@ -296,7 +334,8 @@ def _solve(problem: _Problem, optimiser: Any, steps: int, tolerance: Array) -> D
         theta=problem.unravel(problem.theta(best.z)),
         chain=problem.chain_at(best.z),
         cost=best.cost,
-        range=best.range,
+        range=best.found if isinstance(best.found, BistableRange) else None,
+        blow=best.found if isinstance(best.found, Blow) else None,
         multiplier=best.multiplier(last.held, last.penalty),
         angle=_angle(best.cost_slope, -best.g_slope),
         residual=last.residual,

@@ -7,11 +7,14 @@ import optax
 import pytest
 from scipy.optimize import minimize
 
+from jaxchain.basins.blows import gentlest_blow
 from jaxchain.boundaries.bistable import bistable_range, try_boundary
 from jaxchain.boundaries.grazing import nonsmooth_fold_belt_speed
 from jaxchain.inverse.optimal_design import design
-from jaxchain.model.chain import paper_chain
+from jaxchain.model.chain import paper_chain, steady_sliding
+from jaxchain.observers.amplitude import Amplitude
 from jaxchain.result import SearchResult
+from jaxchain.simulation.run import simulate
 
 # Second looks, or minutes of compilation: not in every run of the tests.
 pytestmark = pytest.mark.long
@@ -138,8 +141,10 @@ def test_a_start_whose_boundary_is_not_known_does_not_pretend_to_converge():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({}, "One of the arguments `width_below` and `highest_below`"),
+        ({}, "One of the arguments `width_below`, `highest_below` and `blow_above`"),
         ({"width_below": 0.3, "highest_below": 1.0}, "One of the arguments"),
+        ({"highest_below": 1.0, "blow_above": 1.0}, "One of the arguments"),
+        ({"blow_above": [1.0, 2.0]}, "`blow_above` must be one number"),
         ({"width_below": -0.3}, "`width_below` must be positive"),
         ({"highest_below": [1.0, 2.0]}, "`highest_below` must be one number"),
         ({"width_below": 0.3, "vibrating": 1}, "`vibrating` must be an integer in 0"),
@@ -229,3 +234,55 @@ def test_mistuned_neighbours_lower_the_fold_of_the_mass_between_them():
     slope = (bistable_range(raised[0]).fold - bistable_range(raised[1]).fold) / 2e-5
     gradient = jax.grad(lambda xi: bistable_range(three.with_(damping_ratio=xi)).fold)
     assert float(gradient(jnp.full(3, 0.05))[0]) == pytest.approx(float(slope), rel=1e-4)
+
+
+def test_one_mass_is_made_to_bear_a_harder_blow():
+    """On the way it may raise the damping, or lower the static friction."""
+
+    def change(chain, theta):
+        return chain.with_(damping_ratio=theta[0], mu_static=theta[1])
+
+    start = jnp.array([0.05, 1.0])
+    chain = ONE.with_(belt_speed=1.4)
+    before = float(gentlest_blow(chain).size)
+    found = design(chain, change, start, blow_above=1.3)
+    assert before < 1.05
+    assert found.successful
+    assert found.range is None
+    assert found.blow is not None
+    assert float(found.blow.size) == pytest.approx(1.3, abs=1e-6)
+    assert float(found.angle) < 1e-4
+    assert float(found.aims[0]) == pytest.approx(before)
+    assert "gentlest blow: 1." in repr(found)
+    for share, vibrates in ((0.99, False), (1.01, True)):
+        rest, _ = steady_sliding(found.chain)
+        start = rest, share * found.blow.kick
+        run = simulate(found.chain, start, 2000.0, observe=Amplitude(window=20.0))
+        assert bool(run.observed[0] > 0.7) is vibrates
+    # Half a per cent less of either change is too little.
+    for k in range(2):
+        theta = found.theta.at[k].add(-0.005 * (found.theta - jnp.array([0.05, 1.0]))[k])
+        assert float(gentlest_blow(change(ONE.with_(belt_speed=1.4), theta)).size) < 1.3
+
+
+def test_a_chain_is_made_to_bear_a_harder_blow_wherever_it_falls():
+    chain = paper_chain(3, belt_speed=1.4, width=None)
+
+    def damped(chain, xi):
+        return chain.with_(damping_ratio=xi)
+
+    # All alike: of masses that are changed one by one the weakest one changes.
+    found = design(chain, damped, 0.05, blow_above=1.2)
+    assert found.successful
+    assert found.blow is not None
+    assert float(found.blow.size) == pytest.approx(1.2, abs=1e-5)
+    again = gentlest_blow(found.chain, tries=200)
+    assert again.successful
+    assert float(again.size) == pytest.approx(1.2, abs=1e-5)
+
+
+def test_a_chain_that_slides_unsteadily_has_no_blow_to_raise():
+    found = design(ONE.with_(belt_speed=1.0), change, START, blow_above=0.1, steps=20)
+    assert found.result == SearchResult.nonfinite
+    assert found.blow is not None
+    assert not found.blow.successful

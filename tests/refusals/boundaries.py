@@ -146,7 +146,8 @@ def _inverse() -> Iterator[Row]:
     yield Row(
         "design", inverse.design, {"chain": DRY, **more, "width_below": 0.1},
         {
-            **bad, "width_below": POSITIVE, "highest_below": (1.0,), "cost": ("x", 3),
+            **bad, "width_below": POSITIVE, "highest_below": (1.0,), "blow_above": (1.0,),
+            "cost": ("x", 3),
             "scale": ("x", {}, math.nan, -1.0, 0.0, [1.0, 2.0]), "optimiser": OPTIMISER,
             "tolerance": POSITIVE,
         },
