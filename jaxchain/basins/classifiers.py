@@ -91,7 +91,7 @@ class AbstractClassifier(AbstractObserver):
         >>> chain = paper_chain(1, belt_speed=2.0, width=None)
         >>> shares = basin_shares(chain, Box(), classify=Side(), t1=200.0, half_width=0.2)
         >>> shares.state.values.tolist()  # above the fold all come to rest at F(-v_d) > 0
-        ['right']
+        ['right', 'undecided']
     """
 
     def merge(self, codes: Int[np.ndarray, "runs m"], chain: Chain) -> Int[np.ndarray, "runs k"]:
@@ -138,6 +138,10 @@ class VibratingMasses(AbstractClassifier):
     Where some vibrate and others do not, that may change after thousands of time units: what
     masses far apart tell each other about their phases comes through the quiet ones between them.
     So the time at which one looks is a part of the question.
+
+    The state in which no mass vibrates is called "sliding".  A vibration of less than |v_d|/2, to
+    which a law with a supercritical Hopf bifurcation may lead, is not told from it here; it is by
+    `jaxchain.verdict`, see `judge` of `basin_shares`.
 
     **Arguments:**
 
