@@ -130,6 +130,12 @@ class Checked(NamedTuple):
     runs: int
 
 
+def not_checked(tally: Tally) -> Checked:
+    """Nothing is known of later."""
+    unknown = np.full((tally.at_end.shape[0], tally.states + 2), np.nan)
+    return Checked(unknown, unknown, unknown, 0)
+
+
 def check_again(
     runs: Runs, tally: Tally, points: Float[np.ndarray, "s d"], most: int, seed: int
 ) -> Checked:
@@ -151,9 +157,8 @@ def check_again(
             chosen = rng.choice(np.nonzero(own == found[k])[0], count, replace=False)
             share = float(counts[k] / own.size / max(count, 1))
             picks += [(place, int(found[k]), int(start), share) for start in chosen]
-    unknown = np.full((len(state), tally.states + 2), np.nan)
     if not picks:
-        return Checked(unknown, unknown, unknown, 0)
+        return not_checked(tally)
     places, before, starts, shares = (np.array(column) for column in zip(*picks, strict=True))
     after, later = (
         np.where(batch.failed, before, tally.number(batch)).ravel()

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import time
+import warnings
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -30,15 +31,18 @@ from .._checks import (
 from .._types import ScalarLike
 from ..model.arguments import as_chain
 from ..sweeps.scheduler import lane_count
+from ..sweeps.sweeping import SweepInterrupted
 from .classifiers import AbstractClassifier, VibratingMasses
 from .points import Points
 from .regions import check_region
-from .runs import Checked, Runs, check_again, verdicts_of
+from .runs import Checked, Runs, check_again, not_checked, verdicts_of
 from .tally import FAILED, UNDECIDED, Bars, Tally, of_replicates
 
 if TYPE_CHECKING:
     from xarray import Dataset
 
+# What else of `sweep` may be given.
+_NUMERICS = ("solver", "accuracy", "rtol", "atol", "max_step", "max_steps")
 # The names of dimensions that are not the caller's.
 _OWN = ("start", "point", "state", "replicate", "oscillator")
 # Points of a replicate to begin with: of so few a share of 0 or 1 is told from others.
@@ -109,7 +113,8 @@ def basin_shares(
     Attributes: `starts` at each parameter, `longest_half_width` of the bars before the checks,
     `checked`, seed, tolerances, versions.
 
-    **Raises:** `ValueError` for bad input before anything is compiled.
+    **Raises:** `ValueError` for bad input before anything is compiled; `SweepInterrupted` on
+    Ctrl-C, with the shares of the rounds that were finished.
 
     Sources: P. J. Menck, J. Heitzig, N. Marwan, J. Kurths, Nature Physics 9, 89 (2013); replicates
     of scrambled sequences: P. L'Ecuyer, C. Lemieux, Recent advances in randomized quasi-Monte
@@ -155,6 +160,11 @@ def basin_shares(
             f"Argument `over` names {taken}, but dimensions of the result are called so: give "
             "them other names."
         )
+    if unknown := [name for name in numerics if name not in _NUMERICS]:
+        raise ValueError(
+            f"Argument `{unknown[0]}` is none of `basin_shares`; of those of `sweep` it takes "
+            f"{', '.join(f'`{name}`' for name in _NUMERICS)}."
+        )
     devices = jax.local_devices() if devices is None else devices
     lanes = lane_count(chain.n, replicates * _FIRST, devices, lanes)
     numerics |= {"lanes": lanes, "devices": devices}
@@ -162,26 +172,42 @@ def basin_shares(
     cube = Points(region.dimension(chain), replicates, points, seed)
     began, tally = time.perf_counter(), Tally(classify, chain)
     count, drawn = _FIRST, []
-    while True:
-        drawn.append(cube.more(count))
-        tally.add(runs.of(drawn[-1]))
+
+    def result(seen: Checked, judge: bool) -> Dataset:
+        at = np.concatenate(drawn, axis=1).reshape(-1, drawn[0].shape[-1])
         bars = tally.bars(even=points == "sobol")
-        # As many as the bars want, which shrink with the root of that; twice as many at most.
-        wanted = min((bars.longest / half_width) ** 2, 2.0) * tally.starts
-        count = _FIRST * math.ceil((wanted - tally.starts) / _FIRST)
-        if bars.longest <= half_width or replicates * (tally.starts + count) > most:
-            break
-    at = np.concatenate(drawn, axis=1).reshape(-1, drawn[0].shape[-1])
-    reach = bars.longest
-    seen = check_again(runs, tally, at, checked, seed)
-    bars = tally.bars(even=points == "sobol").widened(seen.lost, seen.gained)
-    found = _dataset(runs, tally, bars, seen, at, judge)
-    found.attrs |= {
-        "starts": len(at), "replicates": replicates, "points": points, "seed": seed,
-        "longest_half_width": reach, "checked": seen.runs, "region": repr(region),
-        "wall_time_s": round(time.perf_counter() - began, 3),
-    }  # fmt: skip
-    return found
+        found = _dataset(runs, tally, bars.widened(seen.lost, seen.gained), seen, at, judge)
+        found.attrs |= {
+            "starts": len(at), "replicates": replicates, "points": points, "seed": seed,
+            "longest_half_width": bars.longest, "checked": seen.runs, "region": repr(region),
+            "wall_time_s": round(time.perf_counter() - began, 3),
+        }  # fmt: skip
+        return found
+
+    try:
+        while True:
+            new = cube.more(count)
+            tally.add(runs.of(new))
+            drawn.append(new)
+            longest = tally.bars(even=points == "sobol").longest
+            # As many as the bars want, which shrink with the root of that; twice as many at most.
+            wanted = min((longest / half_width) ** 2, 2.0) * tally.starts
+            count = _FIRST * math.ceil((wanted - tally.starts) / _FIRST)
+            if longest <= half_width or replicates * (tally.starts + count) > most:
+                break
+        at = np.concatenate(drawn, axis=1).reshape(-1, drawn[0].shape[-1])
+        seen = check_again(runs, tally, at, checked, seed)
+    except SweepInterrupted:
+        if not drawn:
+            raise
+        raise SweepInterrupted(result(not_checked(tally), False)) from None
+    if longest > half_width:
+        warnings.warn(
+            f"The longest bar is {longest:.2g}, not {half_width}, after "
+            f"{replicates * tally.starts} starts: raise `most`.",
+            stacklevel=2,
+        )
+    return result(seen, judge)
 
 
 def _dataset(

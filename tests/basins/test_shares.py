@@ -1,5 +1,7 @@
 """How likely each state is."""
 
+import importlib
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -16,6 +18,9 @@ from jaxchain.basins import (
     share_differences,
 )
 from jaxchain.observers import Variable
+from jaxchain.sweeps import SweepInterrupted
+
+runs = importlib.import_module("jaxchain.basins.runs")
 
 ONE = paper_chain(1, belt_speed=1.5, width=None)
 SPEEDS = [1.4, 1.42]
@@ -81,6 +86,33 @@ def test_all_parameters_have_the_same_starts():
     # Were they drawn anew, the errors of two shares would add up.
     first, second = (sliding.high - sliding.low).values / 2
     assert 5.0 * float((change.high - change.low)[0] / 2) < np.hypot(first, second)
+
+
+def test_what_was_counted_before_ctrl_c_is_kept(monkeypatch):
+    real, rounds = runs.sweep, []
+
+    def interrupted(*arguments, **how):
+        found = real(*arguments, **how)
+        rounds.append(found)
+        if len(rounds) == 2:
+            raise SweepInterrupted(found)
+        return found
+
+    monkeypatch.setattr(runs, "sweep", interrupted)
+    with pytest.raises(SweepInterrupted) as caught:
+        basin_shares(ONE, Box(), half_width=0.005, replicates=4)
+    kept = caught.value.dataset
+    assert kept.attrs["starts"] == 4 * 32
+    assert np.isclose(kept.share.sum(), 1)
+    assert np.isnan(kept.misclassified)
+
+
+def test_bars_that_stay_too_long_are_told():
+    with pytest.warns(UserWarning, match=r"The longest bar is .*: raise `most`"):
+        found = basin_shares(ONE, Box(), half_width=0.001, replicates=4, most=128, checked=0)
+    assert found.attrs["starts"] == 128
+    with pytest.raises(ValueError, match="`store` is none of `basin_shares`"):
+        basin_shares(ONE, Box(), store="here.zarr")
 
 
 def test_states_are_judged_on_demand():
