@@ -280,6 +280,7 @@ def built(loaded: LoadedScene) -> list[tuple[Any, Any]]:
     from jaxchain.scenes.building import build_chain, build_initial, checked_chains
     from jaxchain.scenes.registry import StudyTable
     from jaxchain.scenes.scene import SweepTable
+    from jaxchain.studies.basins.compute import region
     from jaxchain.studies.boundaries import curves
     from jaxchain.studies.extremes.chains import chain_cases
     from jaxchain.studies.extremes.masses import mass_cases
@@ -302,6 +303,11 @@ def built(loaded: LoadedScene) -> list[tuple[Any, Any]]:
             pairs.append((chain, initial(chain, **{name: grid[name][0] for name in names})))
     chains = []
     match scene.study if study else "":
+        case "basins":
+            region(scene)
+            for own in (scene.over_belt_speed, scene.over_coupling):
+                coupling = own.coupling[0]
+                chains.append(scene.base.chain(own.masses, own.belt_speed[0], coupling=coupling))
         case "boundaries":
             chains = [curves.base_chain(scene), curves.base_chain(scene, scene.coupling.masses)]
         case "fronts":
