@@ -115,6 +115,7 @@ def test_bars_that_stay_too_long_are_told():
         basin_shares(ONE, Box(), store="here.zarr")
 
 
+@pytest.mark.long
 def test_states_are_judged_on_demand():
     over = {"belt_speed": [1.4, 1.9]}
     found = basin_shares(ONE, Box(), over, half_width=0.1, checked=0, judge=True)
@@ -256,6 +257,7 @@ def test_differences_need_neighbours(shares):
         share_differences(None, "belt_speed")  # pyright: ignore[reportArgumentType]
 
 
+@pytest.mark.long
 def test_several_dimensions_and_numbers_that_run_together():
     over = {"belt_speed": [1.4, 1.5], "set": {"damping_ratio": [0.05, 0.06], "v_ref": [0.5, 0.5]}}
     found = basin_shares(ONE, Box(), over, half_width=0.05)
@@ -279,6 +281,7 @@ def test_a_belt_that_runs_the_other_way_has_the_mirrored_shares(shares):
     assert np.all((back.low <= ahead.high) & (ahead.low <= back.high))
 
 
+@pytest.mark.long
 def test_equation_8_states_under_all_pushes_of_nothing():
     # A region that is a point: one state, its share known for certain but for the sample's size.
     region = Sampler(lambda chain, point: equation_8(chain, 2), 1)
