@@ -283,6 +283,7 @@ class VibratingMasses(AbstractClassifier):
         }
 
     def merge(self, codes: Int[np.ndarray, "runs m"], chain: Chain) -> Int[np.ndarray, "runs k"]:
+        codes = np.maximum(codes, 0)  # -1 before the first window has ended
         if self.by == "count":
             pairs = [np.sum(codes // 2 == kind + 1, axis=1) for kind in range(len(_PHASES))]
             counts = [np.sum(codes > 0, axis=1), *(pairs if self.phases else [])]

@@ -83,9 +83,9 @@ class Tally:
         return len(self.codes)
 
     def number(self, batch: Batch) -> Int[np.ndarray, "p r s"]:
-        """The number of the state that each run was in when it ended."""
-        flat = batch.codes.reshape(-1, batch.codes.shape[-1])
-        different, places = np.unique(flat, axis=0, return_inverse=True)
+        """The number of the state that each run was in when it ended; 0 of one that failed."""
+        well = ~batch.failed
+        different, places = np.unique(batch.codes[well], axis=0, return_inverse=True)
         known = []
         for code in different:
             key = code.tobytes()
@@ -93,7 +93,9 @@ class Tally:
                 self._numbers[key] = len(self.codes)
                 self.codes.append(code)
             known.append(self._numbers[key])
-        return np.array(known, int)[places.ravel()].reshape(batch.codes.shape[:-1])
+        numbers = np.zeros(well.shape, int)
+        numbers[well] = np.array(known, int)[places.ravel()]
+        return numbers
 
     def add(self, batch: Batch) -> None:
         self._batches.append((self.number(batch), batch.decided, batch.failed, batch.since))

@@ -189,7 +189,9 @@ def test_runs_that_fail_are_a_state_and_no_others():
         x, v = steady_sliding(chain)
         return jnp.where(point[0] < 0.5, jnp.nan, x), v
 
-    found = basin_shares(ONE, Sampler(at, 1), half_width=0.1, checked=0)
+    found = basin_shares(
+        ONE, Sampler(at, 1), half_width=0.1, checked=0, classify=VibratingMasses(by="masses")
+    )
     assert found.state.values.tolist() == ["sliding", "undecided", "failed"]
     assert np.allclose(found.share, [0.5, 0, 0.5], atol=0.02)
     assert np.allclose(found.share_at_end, [0.5, 0, 0], atol=0.02)

@@ -47,6 +47,12 @@ def test_what_is_undecided_or_failed_is_a_state_of_its_own():
     assert np.allclose(both.bars(even=True).share.sum(1), 1)
 
 
+def test_what_a_failed_run_says_is_no_state():
+    found = tally(batch([[-7, 2]], failed=[[True, False]]), batch([[-7, -7]], failed=[[True] * 2]))
+    assert [code.tolist() for code in found.codes] == [[2]]
+    assert found.state.tolist() == [[[2, 0, 2, 2]]]
+
+
 def test_bars_of_random_starts_hold_the_share_as_often_as_they_say():
     rng, held, share = np.random.default_rng(0), 0, 0.3
     for _ in range(400):
