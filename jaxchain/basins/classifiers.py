@@ -102,6 +102,11 @@ class AbstractClassifier(AbstractObserver):
     def patient(self) -> Any:
         """The same, but no run ends early, as a witness; None, the default, if there is none."""
 
+    @property
+    def least_time(self) -> float:
+        """Before so long nothing is known of a state; 0 by default."""
+        return 0.0
+
     @abc.abstractmethod
     def name(self, code: Int[np.ndarray, " k"], chain: Chain) -> str:
         """A state in words, from its code as `merge` leaves it."""
@@ -132,7 +137,8 @@ class VibratingMasses(AbstractClassifier):
     and the one before.  A run ends before its time only where all masses do the same, none moves
     on, and nothing else can make them move on: in `calm` windows in succession
 
-    - all vibrate, and each changes its amplitude by no more than `tolerance` of itself; or
+    - all vibrate, each changes its amplitude by no more than `tolerance` of itself, and phases are
+      not asked for; or
     - none does, and sum A_n^2 falls.
 
     Where some vibrate and others do not, that may change after thousands of time units: what
@@ -193,6 +199,10 @@ class VibratingMasses(AbstractClassifier):
                 "usual."
             )
 
+    @property
+    def least_time(self) -> float:
+        return float(self.window)
+
     def patient(self) -> VibratingMasses:
         return eqx.tree_at(lambda c: c.calm, self, jnp.asarray(jnp.inf))
 
@@ -237,7 +247,9 @@ class VibratingMasses(AbstractClassifier):
         steady = jnp.abs(amplitude - now.last) <= self.tolerance * amplitude
         rest = jnp.all(amplitude <= _AT_REST * speed)
         dies = (jnp.sum(amplitude**2) < jnp.sum(now.last**2)) | rest
-        calm = jnp.all(vibrates & steady) | (~jnp.any(vibrates) & dies)
+        # Phases drift long after amplitudes are steady.
+        even = jnp.all(vibrates & steady) & (not self.phases)
+        calm = even | (~jnp.any(vibrates) & dies)
         # That of the first window is no answer yet: what starts may do anything in it.
         started = now.ends - self.window
         return _Looking(
@@ -283,7 +295,6 @@ class VibratingMasses(AbstractClassifier):
         }
 
     def merge(self, codes: Int[np.ndarray, "runs m"], chain: Chain) -> Int[np.ndarray, "runs k"]:
-        codes = np.maximum(codes, 0)  # -1 before the first window has ended
         if self.by == "count":
             pairs = [np.sum(codes // 2 == kind + 1, axis=1) for kind in range(len(_PHASES))]
             counts = [np.sum(codes > 0, axis=1), *(pairs if self.phases else [])]

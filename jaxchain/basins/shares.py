@@ -24,6 +24,7 @@ from .._checks import (
     check_flag,
     check_kind,
     check_one_of,
+    check_positive_number,
     check_share,
     check_whole,
     shown,
@@ -144,6 +145,12 @@ def basin_shares(
         "classify", classify, AbstractClassifier, "None or an `AbstractClassifier`",
         "`VibratingMasses()` tells which masses vibrate.",
     )  # fmt: skip
+    check_positive_number("t1", t1, "1000 is usual.")
+    if t1 < classify.least_time:
+        raise ValueError(
+            f"Argument `t1` must be at least {classify.least_time:g}, the first time at which "
+            f"`classify` knows a state, but is {shown(t1)}."
+        )
     check_share("half_width", half_width, "0.01 is usual.")
     check_one_of("points", points, ("sobol", "random"))
     check_whole("replicates", replicates, 4, 1024, "32 are usual.")

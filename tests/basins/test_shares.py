@@ -184,6 +184,11 @@ def test_runs_without_time_to_settle_are_undecided():
     assert found.share_at_end[-1] == 0
 
 
+def test_no_state_is_known_before_the_first_window_has_ended():
+    with pytest.raises(ValueError, match=r"`t1` must be at least 20, .* but is 10"):
+        basin_shares(ONE, Box(), t1=10.0)
+
+
 def test_runs_that_fail_are_a_state_and_no_others():
     def at(chain, point):
         x, v = steady_sliding(chain)
