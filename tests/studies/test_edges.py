@@ -123,7 +123,7 @@ def test_the_next_mass_is_pulled():
 
 
 @pytest.mark.long
-def test_the_cycle_is_followed_to_where_no_guess_is_known():
+def test_the_cycle_is_known_up_to_the_fold():
     chain = paper_chain(1, width=None)
     cycles = slip_cycles(chain, np.array([1.8, 1.83]))
     assert all(bool(cycle.successful) for cycle in cycles)

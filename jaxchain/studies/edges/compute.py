@@ -12,6 +12,7 @@ from jaxtyping import Array
 
 from jaxchain._types import State
 from jaxchain.basins.edges import EdgeState, edge_state
+from jaxchain.basins.single_mass import sliding_basin
 from jaxchain.boundaries.grazing import nonsmooth_fold_belt_speed
 from jaxchain.boundaries.hopf import hopf_belt_speed
 from jaxchain.cycles.limit_cycle import LimitCycle
@@ -26,8 +27,6 @@ from jaxchain.studies._study import Job
 from jaxchain.studies.edges.table import Ring, Study
 from jaxchain.sweeps.programs import map_lanes
 
-# Steps in belt speed by which a cycle is followed to the next one.
-_STEPS = 4
 # In the ring the bracket is wider than usual: edges that beat are compared to three digits.
 _NEAR, _FAR, _TOLERANCE = 1e-8, 1e-5, 1e-7
 # A period and a little more.
@@ -102,20 +101,14 @@ def one_mass(study: Study, job: Job) -> xr.Dataset:
 
 
 def slip_cycles(chain: Chain, speeds: np.ndarray) -> list[LimitCycle]:
-    """The unstable cycle at each of these belt speeds, which rise.
-
-    Where averaging knows no guess, next to the fold, it is followed from the speed before.
-    """
+    """The unstable cycle at each of these belt speeds, closed from where its basin has it."""
     found: list[LimitCycle] = []
     for speed in speeds:
         own = chain.with_(belt_speed=float(speed))
-        cycle = find_limit_cycle(own, branch="unstable", throw=False)
-        if not cycle.successful and found and found[-1].successful:
-            cycle = found[-1]
-            start = float(speeds[len(found) - 1])
-            for step in np.linspace(start, float(speed), _STEPS + 1)[1:]:
-                cycle = find_limit_cycle(chain.with_(belt_speed=float(step)), cycle, throw=False)
-        found.append(cycle)
+        basin = sliding_basin(own)
+        # Without a cycle the search is left to say so.
+        guess = (basin.state, basin.period) if np.isfinite(basin.period) else None
+        found.append(find_limit_cycle(own, guess, branch="unstable", throw=False))
     return found
 
 
