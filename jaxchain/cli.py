@@ -232,6 +232,8 @@ def _scenes(options: argparse.Namespace) -> int:
 
 def _boundary(options: argparse.Namespace) -> int:
     def make() -> Any:
+        from .boundaries.overview import hopf_and_fold
+
         if options.n == 1 and options.coupling is not None:
             raise ValueError(
                 f"Argument `coupling` is {options.coupling:g}, but one mass has no neighbours: "
@@ -239,11 +241,9 @@ def _boundary(options: argparse.Namespace) -> int:
             )
         coupling = 0.01 if options.coupling is None and options.n > 1 else options.coupling
         # The belt speed has no part in it.
-        return (_chain(options, options.n, belt_speed=1.0, coupling=coupling),)
+        return hopf_and_fold, _chain(options, options.n, belt_speed=1.0, coupling=coupling)
 
-    def find(chain: Any) -> tuple[Any, ...]:
-        from .boundaries.overview import hopf_and_fold
-
+    def find(hopf_and_fold: Any, chain: Any) -> tuple[Any, ...]:
         return chain, hopf_and_fold(chain)
 
     return _tell(options, make, find, boundary_words)

@@ -37,11 +37,12 @@ def assert_meaning(accepted):
             pairs = built(loaded)
         except SceneError:
             continue
-        # The study `extremes` makes its chains one by one.
-        made += bool(pairs) or getattr(loaded.scene, "study", "") == "extremes"
+        made += bool(pairs)
         faults += [(number, wrong) for pair in pairs if (wrong := means_nothing(*pair))]
     assert not faults
-    assert made > 0.7 * len(accepted)
+    # The study `extremes` makes its chains one by one, and has none to show here.
+    others = [own for _, own in accepted if getattr(own.scene, "study", "") != "extremes"]
+    assert made > 0.7 * len(others)
 
 
 def test_hundreds_of_mutants_are_refused_in_words_or_valid(tmp_path):

@@ -83,4 +83,4 @@ def test_a_look_at_a_store_needs_no_jax(tmp_path):
 
 def test_what_computes_would_be_seen():
     ((_, packages),) = loaded_by(["boundary", "--n", "0"])
-    assert {"jax", "jaxlib", "equinox"} <= packages
+    assert {"jax", "jaxlib", "diffrax", "equinox"} <= packages
