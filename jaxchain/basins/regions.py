@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Literal
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import ndtri
 from jaxtyping import Array, Float
+from scipy.stats import qmc
 
 from .._checks import (
     as_array,
@@ -34,6 +35,8 @@ from ..model.chain import Chain, steady_sliding
 
 _EDGES = "give (low, high), as (-2, 2)."
 _MASSES = "give None for all masses, or indices from 0, as (0, 1)."
+# The longest sequence of `scipy.stats.qmc.Sobol`: as many points of 64 bits.
+_BITS = 62
 # Where the normal distribution is cut off: at 8.2 standard deviations.
 _LEAST = 2.0**-53
 
@@ -264,3 +267,27 @@ def check_region(region: Any, chain: Chain) -> None:
             f"Argument `region` must make pairs (x, v) of shape ({chain.n},), but makes "
             f"{shown(state)}."
         )
+
+
+class Points:
+    """Sequences of points of the unit cube that are drawn independently of each other.
+
+    "sobol": Sobol's sequence, scrambled anew for each replicate (A. B. Owen, J. Complexity 14, 466
+    (1998)); any 2^k of its points from the first one on, or as many again, fill the cube evenly.
+    "random": uniform and independent.
+    """
+
+    def __init__(
+        self, dimension: int, replicates: int, kind: Literal["sobol", "random"], seed: int
+    ):
+        self.dimension, self.replicates = dimension, replicates
+        seeds = np.random.SeedSequence(seed).spawn(replicates)
+        rngs = [np.random.default_rng(own) for own in seeds]
+        if kind == "sobol":
+            self._draw = [qmc.Sobol(dimension, rng=rng, bits=_BITS).random for rng in rngs]
+        else:
+            self._draw = [lambda count, rng=rng: rng.random((count, dimension)) for rng in rngs]
+
+    def more(self, count: int) -> np.ndarray:
+        """The next `count` points of each replicate, of shape (replicates, count, dimension)."""
+        return np.stack([draw(count) for draw in self._draw])

@@ -10,8 +10,7 @@ import scipy.stats
 
 from jaxchain import paper_chain, steady_sliding
 from jaxchain.basins import Ball, Box, Gaussian, Sampler
-from jaxchain.basins.points import Points
-from jaxchain.basins.regions import check_region
+from jaxchain.basins.regions import Points, check_region
 
 CHAIN = paper_chain(3, belt_speed=1.5, width=None)
 SLIDING = np.asarray(steady_sliding(CHAIN)[0])
