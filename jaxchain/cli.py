@@ -51,6 +51,7 @@ examples:
   jaxchain scenes quickstart       a scene file, to start one's own from
   jaxchain status results/mine     how far a large run is
   jaxchain resume results/mine     goes on where one was cut off
+  jaxchain report results/mine     renews its report.html
   jaxchain COMMAND --help          the options of a command
 """
 
@@ -141,6 +142,15 @@ def _parser() -> argparse.ArgumentParser:
     status.add_argument("folder", help="folder of results, or a store")
     status.add_argument("--json", action="store_true", help="print one JSON object")
     status.set_defaults(command=scene_commands.status)
+
+    report = commands.add_parser(
+        "report",
+        help="write report.html of a folder of results anew",
+        description="Writes report.html of a folder of results anew, from what lies there: one "
+        "file that tells what was asked and what was found, and opens without a network.",
+    )
+    report.add_argument("folder", help="folder of results")
+    report.set_defaults(command=_report)
 
     scenes = commands.add_parser(
         "scenes",
@@ -247,6 +257,21 @@ def _boundary(options: argparse.Namespace) -> int:
         return chain, hopf_and_fold(chain)
 
     return _tell(options, make, find, boundary_words)
+
+
+def _report(options: argparse.Namespace) -> int:
+    from ._configure import configure
+    from .scenes.pages.page import renew_page
+
+    # What the page says is found with the precision of the run.
+    configure(devices=0, whole_loops=False, cache=False)
+    folder = Path(options.folder)
+    try:
+        print(renew_page(folder))
+    except OSError as error:
+        print(f"jaxchain: cannot write {folder}: {error.strerror or error}", file=sys.stderr)
+        return 1
+    return 0
 
 
 def _basins(options: argparse.Namespace) -> int:

@@ -57,7 +57,7 @@ def results(axes, vibrating, n, **parameters):
             "amplitude": ((*dims, "oscillator"), amplitude),
             "energy": (dims, 0.5 * (amplitude**2).sum(-1)),
             "active_count": (dims, np.where(vibrating < 0, np.nan, vibrating)),
-            "result": (dims, code),
+            "result": (dims, code, {"flag_meanings": " ".join(NAMES)}),
             "end_time": (dims, np.full(vibrating.shape, 100.0)),
             "steps": (dims, np.full(vibrating.shape, 1000)),
             "hopf_belt_speed": ((), 0.5 * np.log(10)),

@@ -80,7 +80,7 @@ def made_up_sweep(monkeypatch):
 def test_a_scene_becomes_datasets_a_figure_and_a_summary(workplace, capsys):
     assert main(["run", "two.toml", "--output", "out"]) == 0
     files = {file.name for file in Path("out").iterdir()}
-    assert files == {"two.toml", "two.zarr", "two.nc", "two.png", "two.pdf"}
+    assert files == {"report.html", "two.toml", "two.zarr", "two.nc", "two.png", "two.pdf"}
     found = stored(Path("out/two"))
     ring, one = found["second"], found["first"]
     assert ring.energy.dims == ("belt_speed", "excited")
@@ -95,7 +95,9 @@ def test_a_scene_becomes_datasets_a_figure_and_a_summary(workplace, capsys):
     printed = capsys.readouterr()
     assert "second: A ring of three" in printed.out
     assert "6 (2 belt_speed x 3 excited)" in printed.out
-    assert "results in out: two.nc, two.pdf, two.png, two.toml, two.zarr" in printed.out
+    assert (
+        "results in out: report.html, two.nc, two.pdf, two.png, two.toml, two.zarr" in printed.out
+    )
 
 
 def test_results_are_never_overwritten(workplace, made_up_sweep, capsys):
@@ -115,7 +117,8 @@ def test_an_empty_folder_is_used_and_a_file_in_the_way_is_not_touched(workplace,
     assert main(["run", "two.toml", "--output", "empty", "--no-plot"]) == 0
     assert main(["run", "two.toml", "--output", "file", "--no-plot"]) == 0
     for folder in (Path("empty"), Path("file-2")):
-        assert {file.name for file in folder.iterdir()} == {"two.toml", "two.zarr", "two.nc"}
+        files = {file.name for file in folder.iterdir()}
+        assert files == {"report.html", "two.toml", "two.zarr", "two.nc"}
     assert Path("file").read_text(encoding="utf-8") == "mine"
 
 

@@ -121,7 +121,7 @@ def test_two_at_once_that_nobody_listens_to(workplace, start):
     assert (one.returncode, other.returncode) == (0, 0), said
     assert files(output.parent) == ["x", "x-2"]
     for folder in output.parent.iterdir():
-        assert files(folder) == ["tiny.nc", "tiny.toml", "tiny.zarr"]
+        assert files(folder) == ["report.html", "tiny.nc", "tiny.toml", "tiny.zarr"]
         assert results_of(folder) == BOTH
     in_use = [text for text in said if "in use" in text]
     assert len(in_use) == 1
@@ -147,7 +147,7 @@ def test_a_run_that_is_stopped_saves_what_had_ended(workplace, start, number, st
     assert process.returncode == status, said
     assert "jaxchain: interrupted; what was finished is in out" in said
     assert "Traceback" not in said
-    assert files("out") == ["tiny.nc", "tiny.toml", "tiny.zarr"]
+    assert files("out") == ["report.html", "tiny.nc", "tiny.toml", "tiny.zarr"]
     # Of a sweep that has begun, and not only been compiled, every run has its place.
     assert results_of("out") in (FIRST, FIRST | {"second": {"interrupted"}})
 
@@ -218,7 +218,8 @@ def test_a_full_disk_sends_the_results_to_another_place(workplace):
     )
     (other,) = Path("tmp").glob("jaxchain-*/tiny")
     assert f"the results go to {other.absolute()} instead" in done.stderr
-    assert files(other) == files("kept/out") == ["tiny.nc", "tiny.toml", "tiny.zarr"]
+    assert files(other) == ["report.html", "tiny.nc", "tiny.toml", "tiny.zarr"]
+    assert set(files("kept/out")) - {"report.html"} == {"tiny.nc", "tiny.toml", "tiny.zarr"}
     assert results_of("kept/out") == FIRST
     assert results_of(other) == BOTH
 

@@ -7,6 +7,7 @@
 - `folders`: the folder of results: its groups and stores, and how a run goes on in it
 - `observing`: what is observed, as tables
 - `own_code`: a friction law or observers of one's own, named on the command line
+- `pages`: `report.html`, which tells of a folder of results to people
 - `reading`: `load_scene`: a file read and checked
 - `registry`: studies: what one is, and how one is found
 - `report`: what a run found, in a few lines

@@ -7,6 +7,7 @@ from .files import builtin_scenes as builtin_scenes
 from .folders.resuming import resume_scene as resume_scene
 from .own_code import load_law as load_law
 from .own_code import load_observer as load_observer
+from .pages.page import renew_page as renew_page
 from .reading import LoadedScene as LoadedScene
 from .reading import load_scene as load_scene
 from .reading import schema as schema

@@ -25,14 +25,15 @@ MOST_FAILURES = 5
 
 def summary(name: str, data: xr.Dataset) -> str:
     """The size, cost and outcome of a sweep, and where it vibrates."""
-    lines = [
-        ("runs", _runs(data)),
-        ("chain", _chain(data)),
-        ("numerics", _numerics(data, f", {float(data['steps'].sum()):.3g} steps")),
-        *_states(data),
-        *_failures(data),
-    ]
-    return _text(name, data, lines)
+    return _text(name, data, [*rows(data), *_failures(data)])
+
+
+def rows(data: xr.Dataset) -> Iterable[tuple[str, str]]:
+    """The same as labels and texts, without the failures."""
+    yield "runs", _runs(data)
+    yield "chain", _chain(data)
+    yield "numerics", _numerics(data, f", {float(data['steps'].sum()):.3g} steps")
+    yield from _states(data)
 
 
 def stored_summary(name: str, data: xr.Dataset, told: Mapping[str, Any]) -> str:
@@ -51,10 +52,14 @@ def stored_summary(name: str, data: xr.Dataset, told: Mapping[str, Any]) -> str:
 
 def cycles_summary(name: str, branch: xr.Dataset) -> str:
     """Where the branch of cycles folds."""
-    speed, amplitude = float(branch["fold_belt_speed"]), float(branch["fold_amplitude"])
-    found = f"at belt speed {speed:.5g}, amplitude {amplitude:.4g} (no cycle above)"
     head = f"{name}: cycles of one oscillator, stable and unstable"
-    return "\n".join([head, _line("fold", found)])
+    return "\n".join([head, *(_line(label, text) for label, text in cycles_rows(branch))])
+
+
+def cycles_rows(branch: xr.Dataset) -> Iterable[tuple[str, str]]:
+    """The same as labels and texts."""
+    speed, amplitude = float(branch["fold_belt_speed"]), float(branch["fold_amplitude"])
+    yield "fold", f"at belt speed {speed:.5g}, amplitude {amplitude:.4g} (no cycle above)"
 
 
 def _text(name: str, data: xr.Dataset, lines: Iterable[tuple[str, str]]) -> str:

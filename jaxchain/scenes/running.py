@@ -40,6 +40,7 @@ from .folders.datasets import in_memory
 from .folders.groups import Group, all_stored, groups_of
 from .folders.saving import may_save
 from .observing import ObserveTable
+from .pages.page import page_behind
 from .reading import LoadedScene
 from .registry import StudyTable, study_run
 from .report import cycles_summary, stored_summary, summary
@@ -153,7 +154,8 @@ def run_scene(
     `<scene>.png` and `<scene>.pdf` show all of them.  `<scene>.toml` is what was run (see
     `jaxchain.scenes.writing`).  An experiment of many runs has a store of its own beside them
     (`StoredNumericsTable.store`), from which a run that was cut off goes on; what does not fit
-    into memory stays there alone.
+    into memory stays there alone.  `report.html` tells all of this to people, also of a run that
+    failed or was interrupted.
 
     **Arguments:** `folder` exists and is empty (see `claimed`); `own_law`, the friction law of
     every experiment, in place of the one that is named there (see `load_law`); `own_observers`, by
@@ -189,6 +191,7 @@ def run_scene(
         with contextlib.suppress(OSError):
             results.claims = stack.enter_context(may_save(results.folder))
         results.keep(scene_files(loaded.name, run, around, own_files))
+        stack.enter_context(page_behind(results, scene))
         if isinstance(scene, StudyTable):
             with in_words(loaded.name):
                 return study_run(scene.study)(

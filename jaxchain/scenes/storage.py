@@ -11,7 +11,7 @@ import contextlib
 import fcntl
 import itertools
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TextIO
 
@@ -91,6 +91,11 @@ class Results:
         results.datasets |= saved(folder / name)
         results._whole[folder] = list(results.datasets)
         return results
+
+    @property
+    def whole(self) -> Mapping[Path, Sequence[str]]:
+        """What was saved into each folder: more than one if one could not be written any more."""
+        return self._whole
 
     def __enter__(self) -> Results:
         return self

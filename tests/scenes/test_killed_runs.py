@@ -99,7 +99,7 @@ def test_a_killed_run_goes_on_bit_for_bit_in_any_number_of_processes(
     assert not (folder / MARKER).exists()
     assert not [name for name in os.listdir(folder) if name.startswith(".")]
     whole = ["killed.many.zarr", "killed.many.zarr.units", "killed.nc", "killed.toml"]
-    assert listing(folder) == [*whole, "killed.zarr"]
+    assert listing(folder) == [*whole, "killed.zarr", "report.html"]
 
 
 def test_ctrl_c_leaves_what_has_ended_and_the_command_to_go_on(tmp_path, undisturbed):

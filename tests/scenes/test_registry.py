@@ -101,7 +101,8 @@ def test_an_unknown_study_has_neither_table_nor_run():
 def test_a_study_runs_into_its_folder(made_up, capsys):
     assert main(["run", made_up, "--set", "part.size=3"]) == 0
     files = {file.name for file in Path("results/mine").iterdir()}
-    assert files == {"mine.toml", "mine.zarr", "mine.nc", "mine.png", "mine.pdf"}
+    kinds = ("toml", "zarr", "nc", "png", "pdf")
+    assert files == {"report.html", *(f"mine.{kind}" for kind in kinds)}
     assert stored(Path("results/mine/mine"))["sizes"]["size"].values.tolist() == [3.0]
     again = load_scene("results/mine").scene
     assert again == load_scene(made_up, ["part.size=3"]).scene

@@ -98,12 +98,12 @@ def same(one, other):
 @pytest.mark.slow
 def test_what_went_through_a_store_is_what_would_have_stayed_in_memory(undisturbed, tmp_path):
     folder, reports = undisturbed
-    assert listing(folder) == ["two.many.zarr", "two.many.zarr.units", "two.nc", "two.toml",
-                               "two.zarr"]  # fmt: skip
+    assert listing(folder) == ["report.html", "two.many.zarr", "two.many.zarr.units", "two.nc",
+                               "two.toml", "two.zarr"]  # fmt: skip
     change = ["experiment.many.numerics.store=false"]
     loaded = load_scene(str(folder.parent / "two.toml"), change)
     run_scene(loaded, tmp_path, plot=False, report=lambda text: None)
-    assert listing(tmp_path) == ["two.nc", "two.toml", "two.zarr"]
+    assert listing(tmp_path) == ["report.html", "two.nc", "two.toml", "two.zarr"]
     through, memory = stored(folder / "two"), stored(tmp_path / "two")
     assert same(through, memory)
     for name, variable in memory["many"].variables.items():
@@ -137,7 +137,11 @@ def test_a_run_that_is_cut_off_goes_on_in_its_folder(
     assert f"jaxchain: {said}\n" in printed.err
     assert printed.err.endswith("jaxchain: `jaxchain resume out` goes on with it\n")
     assert "units         3 of 8 done" in printed.out
-    assert listing(folder) == ["two.many.zarr", "two.many.zarr.units", "two.toml"]
+    stores = ["two.many.zarr", "two.many.zarr.units"]
+    assert listing(folder) == ["report.html", *stores, "two.toml"]
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert "Missing: many, few." in page
+    assert "jaxchain resume ./out" in page
     assert "`jaxchain resume`" in (folder / MARKER).read_text(encoding="utf-8")
     assert was_cut_off(folder)
     assert main(["status", "out"]) == 0
@@ -195,7 +199,11 @@ def test_beside_one_that_saves_others_fill_the_stores_only(undisturbed, workplac
             f"all units of the stores are done; {who} saves what belongs beside them"
         ]
     assert status_of(Path(STORE))["units_done"] == 8
-    assert listing(folder) == ["two.many.zarr", "two.many.zarr.units", "two.toml"]
+    stores = ["two.many.zarr", "two.many.zarr.units"]
+    assert listing(folder) == ["report.html", *stores, "two.toml"]
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert "Missing: many, few." in page
+    assert "jaxchain resume ./out" in page
     # He has died: whoever comes next saves.
     resume_scene(loaded, folder, plot=False, report=reports.append)
     assert same(stored(folder / "two"), stored(undisturbed[0] / "two"))

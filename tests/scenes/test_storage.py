@@ -1,7 +1,6 @@
 """The folder of results: claimed by one run, and never half written."""
 
 import os
-import resource
 import shlex
 import shutil
 import signal
@@ -103,21 +102,6 @@ def test_groups_need_not_fit_each_other_nor_be_called_otherwise_than_variables(t
     with pytest.raises(StorageError, match="holds a group `last` already"):
         results.save("last", data(3))
     assert stored(tmp_path, "last").attrs["title"] == "of 2"
-
-
-@pytest.fixture
-def short_of_room():
-    """No file may grow beyond 60 kB, until the function is called that this returns."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    own = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-
-    def lift(*_):
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-
-    resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, before[1]))
-    yield lift
-    lift()
-    signal.signal(signal.SIGXFSZ, own)
 
 
 def test_what_is_whole_stays_whole_where_the_next_does_not_fit(tmp_path, short_of_room):

@@ -10,7 +10,7 @@ from jaxchain.scenes.files import builtin_scenes
 
 HEAVY = {
     "jax", "jaxlib", "diffrax", "equinox", "scipy", "pandas", "xarray", "matplotlib", "zarr",
-    "h5netcdf", "tqdm",
+    "h5netcdf", "tqdm", "jinja2",
 }  # fmt: skip
 # Runs commands one after the other; its last line says how each ended and what is loaded by then.
 PROGRAM = """
@@ -37,6 +37,7 @@ def loaded_by(*commands):
 
 def test_help_and_the_list_of_scenes_do_not_even_check():
     commands = ([], ["--help"], ["--version"], ["run", "--help"], ["resume", "--help"], ["scenes"])
+    commands += (["report", "--help"],)
     for status, packages in loaded_by(*commands):
         assert status == 0
         assert not packages & {*HEAVY, "numpy", "pydantic"}

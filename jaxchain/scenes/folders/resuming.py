@@ -16,6 +16,7 @@ from ...observers.base import AbstractObserver
 from ...sweeps.records import is_whole
 from ..building import checked_chains
 from ..errors import SceneError, StorageError
+from ..pages.page import page_behind
 from ..reading import LoadedScene
 from ..registry import StudyTable
 from ..running import draw, fill, in_words, run_experiment
@@ -62,7 +63,8 @@ def resume_scene(
             if claims is not None:
                 with _reopened(folder, loaded.name) as results:
                     results.claims = claims
-                    _complete(loaded, results, chains, how, plot, report, command)
+                    with page_behind(results, loaded.scene):
+                        _complete(loaded, results, chains, how, plot, report, command)
                 return
         if not helped:
             _help(loaded, folder, how)
