@@ -65,7 +65,7 @@ def told(
         "groups": [_of_group(key, data, study) for key, data in shown.items()],
         "left_out": len(datasets) - len(shown),
         "stores": kept,
-        "trust": trust(shown),
+        "trust": _tried(lambda: trust(shown)) or [],
         "toml": text[:_MOST_CHARACTERS],
         "toml_more": max(len(text) - _MOST_CHARACTERS, 0),
         "keys": [] if scene is None else meanings(scene)[:_MOST_KEYS],

@@ -53,20 +53,23 @@ def _values(array: xr.DataArray) -> str:
     if not values.size:
         return "none"
     if "flag_meanings" in array.attrs:
-        return (
-            f"{len(np.unique(values))} of {len(str(array.attrs['flag_meanings']).split())} codes"
-        )
+        known = str(array.attrs["flag_meanings"]).split()
+        return f"{len(np.unique(values))} of {len(known)} codes"
     if values.dtype.kind == "b":
         return f"{int(values.sum())} of {values.size} true"
     if values.dtype.kind not in "iuf":
         more = ", ..." if values.size > 1 else ""
         return f"{str(values[0])[:40]}{more}"
-    known = values[np.isfinite(values)]
-    if not known.size:
+    finite = np.isfinite(values)
+    if not finite.any():
         return "missing throughout"
-    least, greatest = known.min(), known.max()
+    if values.dtype.kind == "f":  # without a copy: it may be as large as memory allows
+        least = values.min(where=finite, initial=np.inf)
+        greatest = values.max(where=finite, initial=-np.inf)
+    else:
+        least, greatest = values.min(), values.max()
     text = f"{least:.4g}" if least == greatest else f"{least:.4g} to {greatest:.4g}"
-    missing = values.size - known.size
+    missing = values.size - int(finite.sum())
     return f"{text}; {missing} of {values.size} missing" if missing else text
 
 
@@ -86,9 +89,10 @@ def _settings(data: xr.Dataset) -> Iterator[tuple[str, str]]:
         width = numbers.get("width")
         if attrs.get("model") == "nonsmooth" or width is None:
             yield "friction", "true dry friction, no width"
-        else:
-            text = f"{width:g}" if isinstance(width, float | int) else str(width)
-            yield "friction", f"smoothed over the width {text}"
+        elif isinstance(width, float | int):
+            yield "friction", f"smoothed over the width {width:g}"
+    if "width" in data.variables:  # swept, or compared
+        yield "width", _values(data["width"])
     kept = {"rtol": attrs.get("rtol"), "atol": attrs.get("atol")}
     found = [f"{name} {value:g}" for name, value in kept.items() if isinstance(value, float | int)]
     if found:
