@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import synthetic
 import xarray as xr
+from matplotlib.figure import Figure
 from PIL import Image
 
 from jaxchain._outcomes import ADVICE
@@ -281,7 +282,7 @@ def test_of_a_study_it_holds_what_the_study_says(tmp_path, monkeypatch):
 
     study = Study(
         parts={"first": part}, report=lambda name, data: f"{name}: <{data.sizes['place']}>",
-        figure=lambda datasets: None, fault=lambda datasets: "1 of 2 is WRONG",
+        figure=lambda datasets: Figure(), fault=lambda datasets: "1 of 2 is WRONG",
     )  # fmt: skip
     for module in (running, contents):
         monkeypatch.setattr(module, "study_run", lambda name: study)

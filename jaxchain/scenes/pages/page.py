@@ -38,7 +38,11 @@ def html(
     """The page of a folder, see `told`; one file that needs no other and no network."""
     from jinja2 import Environment, StrictUndefined
 
-    text = resources.files(__package__).joinpath("template.html").read_text(encoding="utf-8")
+    text = (
+        resources.files("jaxchain.scenes.pages")
+        .joinpath("template.html")
+        .read_text(encoding="utf-8")
+    )
     # Whatever stands in a scene or in data is text of a stranger.
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
