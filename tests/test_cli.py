@@ -215,7 +215,7 @@ def test_a_run_ends_with_a_line_that_opens_what_it_found(workplace, made_up_swee
     assert main(["run", "two.toml", "--no-plot", "--output", "it's here"]) == 0
     *_, files, last = capsys.readouterr().out.splitlines()
     line, more = last.removeprefix("open with ").split("; ")
-    assert files == "results in it's here: two.nc, two.toml, two.zarr"
+    assert files == "results in it's here: report.html, two.nc, two.toml, two.zarr"
     assert more == "two.nc holds the same"
     for code in (line, line.replace(".zarr", ".nc")):
         with eval(code, {"xarray": xr}) as tree:
