@@ -202,7 +202,11 @@ def on_a_small_disk(program, tmp_path):
     return ["unshare", "-rm", "sh", "-c", script]
 
 
-LARGE = ["--set", "experiment.second.sweep.belt_speed.count=6000"]
+# In memory: of so many runs a store is made, unless the scene says otherwise.
+LARGE = [
+    "--set", "experiment.second.sweep.belt_speed.count=6000",
+    "--set", "experiment.second.numerics.store=false",
+]  # fmt: skip
 
 
 @pytest.mark.long
