@@ -13,7 +13,7 @@ from jaxchain.bench.rows_gpu import find_gpu, gpu_row
 from jaxchain.bench.rows_sweep import sweep_row
 from jaxchain.bench.timing import Bar, Row, Sample
 
-PAGE = Path(__file__).parents[2] / "docs" / "performance.md"
+PAGE = Path(__file__).parents[2] / "docs" / "explanation" / "performance.md"
 
 
 @pytest.fixture
