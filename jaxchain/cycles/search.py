@@ -75,7 +75,8 @@ def find_limit_cycle(
       `Simulation` (its last state); a `LimitCycle` of another chain.
     - `vibrating`: index of the mass at whose greatest velocity the orbit is cut, by default n // 2
       without a guess and else the one farthest from sliding.  Must be given under `jit`.
-    - `images`: for an orbit with a symmetry, see `jaxchain.cycles.shooting.Shooting`.
+    - `images`: for an orbit with a symmetry, entry i is the index of the mass that i does the same
+      as, see `continue_cycle`.
     - `rtol`: of the integration; `tolerance`: of the residual; `max_steps`: integrations allowed.
     - `throw`: raise an error where no cycle is found; otherwise its `result` tells.
 

@@ -63,7 +63,7 @@ class TabulatedFriction(AbstractFrictionLaw):
 
     @classmethod
     def from_csv(cls, path: str | Path) -> TabulatedFriction:
-        """From a file of two columns, speed and mu: see `jaxchain.model.measured.read_curve`.
+        """From a file of two columns, speed and mu: see `read_curve` in `model/measured.py`.
 
         **Raises:** `ValueError` as the class, or with the line that is no pair of numbers;
         `OSError` if there is no such file.

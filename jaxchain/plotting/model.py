@@ -44,7 +44,7 @@ def draw_model(chain: Any = None, masses: Any = 4, axes: Any = None) -> Figure:
     drawn, 1 ... 6 (no more than it has); `axes`, a pair of matplotlib axes to draw on instead of
     a new figure of the width of a page.
 
-    **Returns:** the figure; see `jaxchain.plotting.style.save_figure`.
+    **Returns:** the figure; see `jaxchain.plotting.save_figure`.
 
     **Raises:** `ValueError` for another chain, number or axes.
 

@@ -152,7 +152,7 @@ def run_scene(
     the group `<experiment>_nonsmooth`.  Of one oscillator from several starts over belt speed,
     the branch of cycles with its fold is the group `<experiment>_cycles`.
     `<scene>.png` and `<scene>.pdf` show all of them.  `<scene>.toml` is what was run (see
-    `jaxchain.scenes.writing`).  An experiment of many runs has a store of its own beside them
+    `scenes/writing.py`).  An experiment of many runs has a store of its own beside them
     (`StoredNumericsTable.store`), from which a run that was cut off goes on; what does not fit
     into memory stays there alone.  `report.html` tells all of this to people, also of a run that
     failed or was interrupted.

@@ -105,7 +105,7 @@ def sweep(
       the grid may be larger than memory.  See `jaxchain/sweeps/store.py` for what lies there.
     - `chunks`: of the store: values in a unit, by dimension; by default some seconds of work.
     - `client`: a `distributed.Client`, whose workers compute the units of the `store`, on a disk
-      that all of them see; see `jaxchain.sweeps.dask_engine`.
+      that all of them see; see `jaxchain/sweeps/dask_engine.py`.
     - `progress`: show a progress bar; it tells of cores that lie idle.
 
     **Returns:** an `xarray.Dataset` with the dimensions of `over` and `oscillator` (1 ... n), see
