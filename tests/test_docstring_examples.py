@@ -9,15 +9,14 @@ import ast
 import doctest
 import importlib
 import pkgutil
-import re
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+from fences import fenced
 
 import jaxchain
 
-FENCE = re.compile(r"^( *)```python\n(.*?)^\1```", re.MULTILINE | re.DOTALL)
 README = Path(__file__).parents[1] / "README.md"
 
 
@@ -38,12 +37,6 @@ def docstrings():
                 found = ast.get_docstring(node)
                 if found:
                     yield info.name, getattr(node, "name", "module"), found
-
-
-def fenced(text):
-    """The code of each fence, without its indentation."""
-    for indent, code in FENCE.findall(text):
-        yield "".join(line.removeprefix(indent) for line in code.splitlines(keepends=True))
 
 
 DOCSTRINGS = list(docstrings())

@@ -1,0 +1,91 @@
+"""The pages of docs/: their code runs, their commands are known, their links lead somewhere.
+
+All fences of a page that begin with three backticks and `python` run, from top to bottom, in one
+namespace and an empty folder. What cannot run here stands in a fence of another language, or in
+one that begins with `{code-block} python`.
+"""
+
+import shlex
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import pytest
+from fences import anchors, fenced, headings, links
+
+from jaxchain.cli import _parser
+from jaxchain.scenes import load_scene
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+
+
+def pages():
+    """Each page; not the notebooks, a folder that is linked, nor what was built."""
+    for page in sorted(DOCS.rglob("*.md")):
+        folders = [DOCS / parent for parent in page.relative_to(DOCS).parents]
+        built = any(part.startswith(("_", ".")) for part in page.relative_to(DOCS).parts)
+        if not built and not any(folder.is_symlink() for folder in folders):
+            yield page
+
+
+PAGES = {str(page.relative_to(DOCS)): page for page in pages()}
+TEXTS = {name: page.read_text(encoding="utf-8") for name, page in PAGES.items()}
+READ = {
+    **{f"docs/{name}": page for name, page in PAGES.items()},
+    **{name: ROOT / name for name in ("README.md", "examples/README.md")},
+}
+
+
+@pytest.mark.examples
+@pytest.mark.filterwarnings("default")
+@pytest.mark.parametrize("name", [name for name, text in TEXTS.items() if fenced(text)])
+def test_the_code_of_a_page_runs(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    namespace = {"__name__": "__main__"}
+    try:
+        for k, code in enumerate(fenced(TEXTS[name])):
+            exec(compile(code, f"{name}, fence {k + 1}", "exec"), namespace)
+    finally:
+        plt.close("all")
+
+
+@pytest.mark.parametrize("name", READ)
+def test_a_page_has_one_title_and_links_that_lead_somewhere(name):
+    page = READ[name]
+    text = page.read_text(encoding="utf-8")
+    assert [level for level, _ in headings(text)].count(1) == 1
+    for file, anchor in links(text):
+        target = page.parent / file if file else page
+        assert target.exists(), f"there is no {file}"
+        if anchor and target.suffix == ".md":
+            assert anchor in anchors(target.read_text(encoding="utf-8")), f"{file}#{anchor}"
+
+
+def scenes():
+    return [(name, k) for name, text in TEXTS.items() for k, _ in enumerate(fenced(text, "toml"))]
+
+
+@pytest.mark.parametrize(("name", "k"), scenes())
+def test_a_scene_of_a_page_is_one(name, k, tmp_path):
+    file = tmp_path / "scene.toml"
+    file.write_text(fenced(TEXTS[name], "toml")[k], encoding="utf-8")
+    load_scene(file)
+
+
+def commands(text):
+    """The arguments of each line of a shell that begins with `jaxchain`."""
+    for code in fenced(text, "sh"):
+        for line in code.replace("\\\n", " ").splitlines():
+            words = shlex.split(line, comments=True)
+            ends = [k for k, word in enumerate(words) if word in ("&", ">", "&&", "|")]
+            if words[:1] == ["jaxchain"] and words[1:2] != ["bench"]:  # has a parser of its own
+                yield words[1 : min(ends, default=len(words))]
+
+
+@pytest.mark.parametrize("name", [name for name, text in TEXTS.items() if any(commands(text))])
+def test_the_commands_of_a_page_are_known(name):
+    for words in commands(TEXTS[name]):
+        try:
+            _parser().parse_args(words)
+        except SystemExit:
+            pytest.fail(f"jaxchain {shlex.join(words)}")
