@@ -5,7 +5,13 @@ import json
 import numpy as np
 import xarray as xr
 
+from jaxchain.continuation.branch import Branch, SpecialPoint
+from jaxchain.cycles.branches import CycleBranch
+from jaxchain.cycles.shooting import Shooting
+from jaxchain.cycles.special_points import CyclePoint
+from jaxchain.model.chain import paper_chain
 from jaxchain.result import NAMES
+from jaxchain.solvers.rosenbrock import Rodas5P
 
 PAPER = {
     "ends": "cyclic",
@@ -92,3 +98,30 @@ def single():
     return results(
         {"belt_speed": speeds, "displacement": start}, vibrating.astype(int), 1, coupling=None
     )
+
+
+def cycle_branch(n=2, special=("fold", "hopf")):
+    """A made-up branch of eight cycles: stable up to a fold at 1.85, then unstable to rest."""
+    speed = np.array([1.5, 1.6, 1.7, 1.8, 1.8, 1.7, 1.5, 1.3])
+    height = np.array([1.5, 1.6, 1.7, 1.8, 1.6, 1.3, 0.8, 0.3])
+    amplitude = height[:, None] * 0.1 ** np.arange(n)
+    multipliers = np.full((8, 2 * n - 1), 0.1 + 0.2j)
+    multipliers[4:, 0] = 1.5
+    chain = paper_chain(n, belt_speed=1.5, width=1e-2)
+    shooting = Shooting(chain, 1e-10, Rodas5P(), 0, tuple(range(n)), "belt_speed")
+    u = np.full((8, 2 * n), 0.5)
+    at = {"fold": (3, 1.85, 1.7), "hopf": (7, 1.15, 1e-4), "torus": (5, 1.6, 1.1)}
+    points = []
+    for kind in special:
+        index, p, top = at[kind]
+        raw = SpecialPoint(kind, index, 0.0, u[0], p, np.ones(2 * n + 1), 0.0, 0.0, True, 1e-9)
+        state, own = np.full(n, top), top * 0.1 ** np.arange(n)
+        points.append(
+            CyclePoint(kind, p, state, -state, 6.3, own, multipliers[0], True, 1e-9, raw)
+        )
+    tangents, none = np.ones((8, 2 * n + 1)), np.zeros(8)
+    return CycleBranch(
+        "belt_speed", speed, amplitude, -amplitude, np.linspace(6.31, 6.28, 8), amplitude,
+        np.linspace(3.0, -10.0, 8), multipliers, np.full(8, 1e-9), tuple(points), shooting,
+        Branch(u, speed, np.arange(8.0), tangents, none, None, (), "stopped"),
+    )  # fmt: skip

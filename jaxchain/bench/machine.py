@@ -12,7 +12,7 @@ from typing import Any
 import jax
 
 from jaxchain._configure import cores
-from jaxchain.sweeps.dataset import versions as own_versions
+from jaxchain.model.provenance import versions as own_versions
 
 _PEERS = ("scipy", "numba", "scikit-sundae", "heyoka")
 

@@ -200,7 +200,7 @@ def _to_dataset(
     # xarray brings pandas, which would double the time of the import.
     import xarray as xr
 
-    from ..sweeps.dataset import versions
+    from ..model.provenance import versions
 
     shape = sizes(axes)
     variables = {

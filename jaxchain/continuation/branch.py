@@ -3,15 +3,20 @@
 Everything here is plain data on the host, in NumPy.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
 from jaxtyping import Float
 
 from .._reprs import count, first_sentence, listed, span, summary
+
+if TYPE_CHECKING:
+    from xarray import Dataset
 
 ENDINGS = {
     "max_points": "The branch has as many points as asked. Allow more (`max_points`).",
@@ -140,6 +145,72 @@ class Branch:
     def of_kind(self, kind: str) -> tuple[SpecialPoint, ...]:
         """The special points of one kind: "fold", "branch point", or the name of a test."""
         return tuple(point for point in self.special if point.kind == kind)
+
+    def to_dataset(self) -> Dataset:
+        """The branch as an `xarray.Dataset` over `point`, with its special points over `special`.
+
+        **Returns:** the coordinate `p` (point); `u` (point, unknown), `arclength` and `residual`
+        (point); of the special points what `special_variables` tells and `special_u`
+        (special, unknown); the attributes `parameter`, `ended` and `message`.
+
+        !!! example
+
+            >>> import jax, jax.numpy as jnp
+            >>> jax.config.update("jax_enable_x64", True)
+            >>> from jaxchain.continuation import continue_branch
+            >>> circle = continue_branch(lambda u, p, _: u**2 + p**2 - 1.0, jnp.ones(1), 0.0)
+            >>> data = circle.to_dataset()
+            >>> data.u.dims, data.special_kind.values[0], data.special_parameter.values[0].round(9)
+            (('point', 'unknown'), np.str_('fold'), np.float64(1.0))
+        """
+        # xarray brings pandas, which would double the time of the import.
+        from xarray import Dataset
+
+        points = [(point.kind, point.p, point.error) for point in self.special]
+        more = [(point.index, point.refined) for point in self.special]
+        special = special_variables(points, more)
+        u = np.reshape([point.u for point in self.special], (-1, self.u.shape[1]))
+        return Dataset(
+            {
+                "u": (("point", "unknown"), self.u, {"long_name": "unknowns u"}),
+                "arclength": ("point", self.arclength, {"long_name": "length along the branch"}),
+                "residual": ("point", self.residuals, {"long_name": "greatest |F|, last but one"}),
+                **special,
+                "special_u": (("special", "unknown"), u, {"long_name": "unknowns u there"}),
+            },
+            coords={"p": ("point", self.p, {"long_name": "parameter p"})},
+            attrs={"parameter": "p", "ended": self.ended, "message": self.message},
+        )
+
+
+def special_variables(
+    points: Sequence[tuple[str, Any, Any]],
+    more: Sequence[tuple[int, bool]],
+    units: str = "1",
+) -> dict[str, tuple]:
+    """Special points as variables of a dataset, over the dimension `special`.
+
+    **Arguments:** (kind, parameter, error of it) of each; (index, refined) of each; `units` of the
+    parameter.
+    """
+    kinds, values, errors = zip(*points, strict=True) if points else ((), (), ())
+    index, refined = zip(*more, strict=True) if more else ((), ())
+    columns = {
+        "kind": (np.array(kinds, dtype=str), "kind of special point", None),
+        "parameter": (np.array(values, float), "parameter there", units),
+        "error": (np.array(errors, float), "error of the parameter there", units),
+        "index": (np.array(index, int), "it lies between this point of the branch and the next",
+                  "1"),
+        "refined": (np.array(refined, bool), "whether it is solved for", None),
+    }  # fmt: skip
+    return {
+        f"special_{name}": ("special", column, {"long_name": text, **_units(unit)})
+        for name, (column, text, unit) in columns.items()
+    }
+
+
+def _units(unit: str | None) -> dict[str, str]:
+    return {} if unit is None else {"units": unit}
 
 
 def special_rows(points: Sequence[tuple[str, Any, Any]]) -> dict[str, str]:

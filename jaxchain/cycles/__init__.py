@@ -4,6 +4,7 @@
 - `bifurcation_tests`: multipliers along a branch, and what they cross
 - `branches`: `continue_cycle`: where a vibration folds, loses its symmetry, and ends
 - `closing`: cycles of true dry friction, closed by Newton's method
+- `dataset`: a branch as a labelled dataset
 - `equations`: what a branch of cycles starts from, checked
 - `floquet`: monodromy matrix and Floquet multipliers
 - `guesses`: where a search for a cycle begins

@@ -22,8 +22,15 @@ from .variational import Along, flow
 
 # How far from 1 a modulus may be where its test function vanishes.
 _ON_THE_CIRCLE = 1e-4
+# A multiplier is beyond the unit circle if it is by more than the integration may err.
+_MARGIN = 1e-7
 # A vibration this slow is none.  The equations are divided by it: nearer to zero they are noise.
 _VANISHED = 1e-4
+
+
+def count_unstable(multipliers: Complex[np.ndarray, "k others"]) -> Int[np.ndarray, " k"]:
+    """How many multipliers of each cycle lie beyond the unit circle."""
+    return np.sum(np.abs(multipliers) > 1.0 + _MARGIN, axis=1)
 
 
 class CycleLinearisation(eqx.Module):

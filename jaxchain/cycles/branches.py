@@ -1,8 +1,10 @@
 """Branches of cycles: where a localized vibration begins, folds, loses its symmetry, and ends."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Complex, Float
@@ -16,7 +18,7 @@ from ..continuation.arclength import (
     switch_branch,
 )
 from ..continuation.branch import Branch, Point, special_rows
-from .bifurcation_tests import linearise, on_the_circle, orbit, special_tests
+from .bifurcation_tests import count_unstable, linearise, on_the_circle, orbit, special_tests
 from .equations import as_heading, cycle_equations, cycle_weights
 from .shooting import Shooting, residual
 from .special_points import (
@@ -30,8 +32,9 @@ from .special_points import (
     without_symmetry,
 )
 
-# A multiplier is beyond the unit circle if it is by more than the integration may err.
-_MARGIN = 1e-7
+if TYPE_CHECKING:
+    from xarray import Dataset
+
 # Share of the greatest velocity below which that of the mass where the orbit is cut is too little.
 _HARDLY = 1e-2
 # Of `continue_branch`, for these unknowns.
@@ -84,7 +87,7 @@ class CycleBranch:
 
     @property
     def unstable(self) -> Any:
-        return np.sum(np.abs(self.multipliers) > 1.0 + _MARGIN, axis=1)
+        return count_unstable(self.multipliers)
 
     @property
     def ended(self) -> str:
@@ -109,6 +112,40 @@ class CycleBranch:
             "greatest_multiplier": np.abs(self.multipliers[:, 0]),
             "unstable": self.unstable,
         }
+
+    def to_dataset(self) -> Dataset:
+        """The branch as an `xarray.Dataset`, with the names and units of those of `sweep`.
+
+        Dimensionless; dimensions: `point`, in order along the branch, `oscillator` 1 ... n,
+        `multiplier` 1 ... 2n - 1 without coordinate, and `special`.
+
+        **Returns:** a dataset of
+
+        - the parameter, a coordinate along `point` under its own name, such as `belt_speed`;
+        - `amplitude` (point, oscillator), `energy`, `active_count`, as a sweep has them, so that
+          both lie on top of each other; `period`; `displacement`, `velocity` (point, oscillator)
+          where the cycle is cut; `closeness`;
+        - `multiplier_real`, `multiplier_imag` (point, multiplier), because NetCDF has no complex
+          numbers;
+        - `unstable_count`, `stable`, `trivial_defect` (point);
+        - of each special point `special_kind`, `special_parameter` with its `special_error`,
+          `special_index` (it lies between this point and the next) and `special_refined`; and its
+          `special_amplitude`, `special_energy` and so on, up to the multipliers;
+        - the attributes `parameter`, `parameters`, `ended`, `message`, `solver`, `rtol`,
+          `cut_at_oscillator`, `images`, `versions`, `platform`, `created`.
+
+        !!! example
+
+            ```python
+            branch = continue_cycle(find_limit_cycle(paper_chain(1, belt_speed=1.5, width=1e-2)))
+            data = branch.to_dataset()
+            data.energy.where(data.stable).max()  # of the stable cycles
+            data.to_netcdf("branch.nc", engine="h5netcdf")
+            ```
+        """
+        from .dataset import branch_dataset
+
+        return branch_dataset(self)
 
 
 def continue_cycle(

@@ -9,6 +9,7 @@
 - `measured`: measured friction, read from CSV and checked
 - `oscillators`: what every chain shares; base class for oscillators of one's own
 - `parameters`: the numbers of a chain and of friction: symbol, unit, sign, words for each
+- `provenance`: where numbers come from, as attributes of datasets
 - `sliding`: linear stability of steady sliding: damping, stiffness, eigenvalues
 - `springs`: neighbours of a mass, and the springs between them
 - `tabulated`: measured friction as a law, a curve through points

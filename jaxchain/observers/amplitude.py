@@ -8,7 +8,7 @@ import equinox as eqx
 import equinox.internal as eqxi
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from .._checks import check_one_of, check_positive_number, check_whole, to_float
 from .._types import ScalarLike, State
@@ -167,13 +167,28 @@ class Amplitude(AbstractObserver):
         return jnp.where(self.rests(accumulator), 0.0, amplitude)
 
     def label(self, value: Float[Array, " n"], chain: Any) -> dict[str, Variable]:
-        vibrate = jnp.sum(active(value, chain.belt_speed))
-        return {
-            "amplitude": Variable(
-                value, ("oscillator",), "x0", "vibration amplitude A_n (half peak-to-peak)"
-            ),
-            "energy": Variable(energy(value), (), "x0^2", "vibration energy E = 1/2 sum A_n^2"),
-            "active_count": Variable(
-                vibrate, (), "1", "masses with A_n > |v_d| / 2", is_count=True
-            ),
-        }
+        return amplitude_variables(value, chain.belt_speed)
+
+
+def amplitude_variables(
+    amplitude: Float[Array, "*batch n"], belt_speed: ArrayLike | None
+) -> dict[str, Variable]:
+    """Amplitudes, their energy and who vibrates, as every dataset calls them.
+
+    **Arguments:** `belt_speed`, one number or one for each state of a batch; None without a belt,
+    where nobody knows which masses vibrate on their own.
+
+    **Returns:** variables whose dimensions are those behind the batch.
+    """
+    found = {
+        "amplitude": Variable(
+            amplitude, ("oscillator",), "x0", "vibration amplitude A_n (half peak-to-peak)"
+        ),
+        "energy": Variable(energy(amplitude), (), "x0^2", "vibration energy E = 1/2 sum A_n^2"),
+    }
+    if belt_speed is not None:
+        vibrate = jnp.sum(active(amplitude, belt_speed), axis=-1)
+        found["active_count"] = Variable(
+            vibrate, (), "1", "masses with A_n > |v_d| / 2", is_count=True
+        )
+    return found

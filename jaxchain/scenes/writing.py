@@ -23,7 +23,7 @@ from typing import Any
 
 import jax
 
-from ..sweeps.dataset import versions
+from ..model.provenance import versions
 from .observing import OwnObserverTable
 from .registry import StudyTable
 from .scene import Experiment, Scene

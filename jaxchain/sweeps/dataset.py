@@ -15,24 +15,16 @@ floats; in NetCDF and Zarr they are integers, with a `_FillValue`.
 
 from __future__ import annotations
 
-import datetime
-import functools
-import importlib.metadata
-import json
-import platform
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import equinox as eqx
-import jax
 import jax.tree_util as jtu
 import numpy as np
 import xarray as xr
 
-from .. import __version__
 from ..model.chain import Chain
-from ..model.parameters import CHAIN, parameter
-from ..model.tabulated import TabulatedFriction
+from ..model.parameters import parameter
+from ..model.provenance import circumstances, parameters_of
 from ..observers.base import Variable
 from ..result import NAMES, ended_well
 from ..simulation.plan import AbstractPlan
@@ -57,39 +49,12 @@ LONG_NAMES = {
 }
 
 
-def versions() -> dict[str, str]:
-    """Of jaxchain, and of what computes below it."""
-    return dict(_versions())
-
-
-@functools.cache  # to look for them takes longer than a small sweep
-def _versions() -> dict[str, str]:
-    packages = ("jax", "jaxlib", "diffrax", "equinox", "numpy")
-    below = {package: importlib.metadata.version(package) for package in packages}
-    return {"jaxchain": __version__, **below, "python": platform.python_version()}
-
-
 def describe(
     chain: Chain, plan: AbstractPlan, *, t0: float, t1: float, swept: Sequence[str]
 ) -> dict[str, Any]:
     """Provenance: everything needed to repeat the computation, as NetCDF-safe attributes."""
-    parameters = {
-        "n": chain.n,
-        "ends": chain.ends,
-        **{name: getattr(chain, name) for name in CHAIN},
-        "friction_law": type(chain.law).__name__,
-        **chain.friction.numbers(),
-        "width": chain.numbers().get("width"),
-    }
-    if isinstance(chain.law, TabulatedFriction):
-        parameters["friction_table"] = chain.law.table
-    for name in swept:
-        if name in parameters:
-            parameters[name] = "swept"
     return {
-        "parameters": json.dumps(
-            {k: np.asarray(v).tolist() if eqx.is_array(v) else v for k, v in parameters.items()}
-        ),
+        "parameters": parameters_of(chain, chain.n, swept),
         "solver": plan.method,
         "rtol": float(plan.rtol),
         "atol": float(plan.atol),
@@ -97,9 +62,7 @@ def describe(
         "t0": t0,
         "t1": t1,
         "observers": repr(plan.observers),
-        "versions": json.dumps(versions()),
-        "platform": jax.default_backend(),
-        "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        **circumstances(),
     }
 
 

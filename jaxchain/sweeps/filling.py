@@ -19,9 +19,9 @@ import jax.tree_util as jtu
 import numpy as np
 from tqdm import tqdm
 
+from ..model.provenance import versions
 from ..simulation.event_driven import EventDrivenPlan
 from .claims import Claims, living
-from .dataset import versions
 from .ensemble import Ensemble
 from .fingerprint import fingerprint_of
 from .grid import Block, Grid, Key, chunks_of

@@ -22,9 +22,9 @@ import jax.numpy as jnp
 import jax.tree_util as jtu
 import numpy as np
 
+from ..model.provenance import versions
 from ..observers.base import Step
 from .axes import Axes, columns_of
-from .dataset import versions
 from .ensemble import Ensemble
 from .starts import first as first_of
 from .starts import start_of

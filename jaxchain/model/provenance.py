@@ -1,0 +1,66 @@
+"""Where numbers come from, as attributes that NetCDF can hold: a chain, versions, a clock.
+
+Every dataset carries them: those of sweeps and those of branches.
+"""
+
+from __future__ import annotations
+
+import datetime
+import functools
+import importlib.metadata
+import json
+import platform
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import numpy as np
+
+from .. import __version__
+from .chain import Chain
+from .oscillators import AbstractOscillators
+from .parameters import CHAIN
+from .tabulated import TabulatedFriction
+
+
+def versions() -> dict[str, str]:
+    """Of jaxchain, and of what computes below it."""
+    return dict(_versions())
+
+
+@functools.cache  # to look for them takes longer than a small sweep
+def _versions() -> dict[str, str]:
+    packages = ("jax", "jaxlib", "diffrax", "equinox", "numpy")
+    below = {package: importlib.metadata.version(package) for package in packages}
+    return {"jaxchain": __version__, **below, "python": platform.python_version()}
+
+
+def parameters_of(field: AbstractOscillators, n: int, swept: Sequence[str]) -> str:
+    """The numbers of a chain and of its friction as JSON; "swept" for those that a result is over.
+
+    Of other oscillators: their kind, their number n and what `numbers` tells.
+    """
+    if isinstance(field, Chain):
+        found = {
+            "n": field.n,
+            "ends": field.ends,
+            **{name: getattr(field, name) for name in CHAIN},
+            "friction_law": type(field.law).__name__,
+            **field.friction.numbers(),
+            "width": field.numbers().get("width"),
+        }
+        if isinstance(field.law, TabulatedFriction):
+            found["friction_table"] = field.law.table
+    else:
+        found = {"n": n, "oscillators": type(field).__name__, **field.numbers()}
+    plain = {k: np.asarray(v).tolist() if hasattr(v, "shape") else v for k, v in found.items()}
+    return json.dumps(plain | {name: "swept" for name in swept if name in found})
+
+
+def circumstances() -> dict[str, Any]:
+    """With which versions, on what kind of device, and when."""
+    return {
+        "versions": json.dumps(versions()),
+        "platform": jax.default_backend(),
+        "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+    }
