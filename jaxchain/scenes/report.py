@@ -83,10 +83,13 @@ def _runs(data: xr.Dataset) -> str:
 
 def _chain(data: xr.Dataset) -> str:
     own = parameters(data)
-    left_out = ("n", "ends", "friction_law", "friction_table")
+    # A run of true dry friction has no width, whatever the chain of its scene has.
+    dry = data.attrs.get("model") == "nonsmooth" or own.get("width") is None
+    left_out = ("n", "ends", "friction_law", "friction_table", *(["width"] if dry else []))
     numbers = [f"{k} {_number(v)}" for k, v in own.items() if k not in left_out and v is not None]
     masses = "1 mass" if own["n"] == 1 else f"{own['n']} masses, {own['ends']} ends"
-    return f"{masses}; {own['friction_law']}; {', '.join(numbers)}"
+    law = f"{own['friction_law']}, truly dry" if dry else own["friction_law"]
+    return f"{masses}; {law}; {', '.join(numbers)}"
 
 
 def _number(value: object) -> str:

@@ -178,6 +178,9 @@ def test_it_tells_what_was_asked_what_was_found_and_where_it_comes_from(ran):
     assert {"jax", "python", "started", "ended", "devices"} <= rows.keys()
     assert ["ladder", "friction", "smoothed over the width 0.001"] in page.rows
     assert ["ladder_nonsmooth", "friction", "true dry friction, no width"] in page.rows
+    told = [row[1] for row in page.rows if row[0] == "chain"]
+    assert ["width" in text for text in told] == ["truly dry" not in text for text in told]
+    assert sorted("truly dry" in text for text in told) == [False, True]
     (compared,) = [row for row in page.rows if "against true dry friction" in row]
     assert "5 of 6 runs end with the same number of vibrating masses" in compared[2]
     assert "jaxchain run ./out" in page.shown
