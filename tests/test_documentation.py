@@ -69,7 +69,7 @@ def scenes():
 def test_a_scene_of_a_page_is_one(name, k, tmp_path):
     file = tmp_path / "scene.toml"
     file.write_text(fenced(TEXTS[name], "toml")[k], encoding="utf-8")
-    load_scene(file)
+    load_scene(str(file))
 
 
 def commands(text):
