@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,6 +16,7 @@ from jaxchain._progress import progress_bar
 from jaxchain.model.parameters import PARAMETERS
 from jaxchain.result import NAMES
 from jaxchain.scenes.errors import StudyFailedError
+from jaxchain.scenes.pages.page import page_behind
 from jaxchain.scenes.registry import StudyTable
 from jaxchain.scenes.storage import Results
 
@@ -74,7 +76,7 @@ class Study:
         progress: bool = False,
         report: Callable[[str], object] = print,
     ) -> dict[str, Dataset]:
-        """Computes, saves, reports and draws.
+        """Computes, saves, reports, draws, and writes `report.html`.
 
         **Arguments:** `table`, the study's file; `folder` exists and is empty; `name` of the
         results, that of the study if None.
@@ -87,6 +89,19 @@ class Study:
         be; `SceneError` for numbers that do not go together.
         """
         results = Results.of(folder, name or table.study)
+        with contextlib.ExitStack() as stack:
+            if results is not folder:  # a scene's run writes the page behind all that it does
+                stack.enter_context(page_behind(results, table))
+            return self._fill(table, results, plot, progress, report)
+
+    def _fill(
+        self,
+        table: StudyTable,
+        results: Results,
+        plot: bool,
+        progress: bool,
+        report: Callable[[str], object],
+    ) -> dict[str, Dataset]:
         job = Job(results.name, progress, results.datasets)
         own = {"title": table.title, "description": table.description, "scene": job.name}
         results.about |= own

@@ -74,6 +74,7 @@ def test_parts_are_described_saved_and_reported_in_order(tmp_path):
     assert own.attrs["scene"] == "made_up"
     assert StudyTable.model_validate_json(own.attrs["definition"]) == TABLE
     assert (tmp_path / "made_up.png").exists()
+    assert "<h1>A title</h1>" in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
 def test_what_was_done_is_saved_when_a_study_is_interrupted(tmp_path):
@@ -81,6 +82,7 @@ def test_what_was_done_is_saved_when_a_study_is_interrupted(tmp_path):
         make(interrupted)(TABLE, tmp_path, report=lambda text: None)
     assert float(stored(tmp_path / "made_up")["second"]["speed"][0]) == 2.0
     assert not (tmp_path / "made_up.png").exists()
+    assert (tmp_path / "report.html").exists()
 
 
 def test_faults_are_raised_after_all_is_saved(tmp_path):
