@@ -27,10 +27,13 @@ class Quiet(http.server.SimpleHTTPRequestHandler):
 
 @pytest.fixture(scope="session")
 def built(tmp_path_factory):
-    """The folder of the site, built strictly: no warning."""
-    folder = tmp_path_factory.mktemp("site")
+    """The folder of the site, built strictly: no warning.  Nothing is written into the sources."""
+    sources, folder = tmp_path_factory.mktemp("sources"), tmp_path_factory.mktemp("site")
+    for name in ("docs", "examples"):
+        own = shutil.ignore_patterns("_build", ".*")
+        shutil.copytree(REPOSITORY / name, sources / name, ignore=own)
     command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-n", "-q", "docs", folder]
-    done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True)
+    done = subprocess.run(command, cwd=sources, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert not done.stderr
     return folder
