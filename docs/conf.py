@@ -40,8 +40,6 @@ autodoc_typehints = "none"
 autodoc_class_signature = "mixed"
 autodoc_inherit_docstrings = False
 autodoc_member_order = "bysource"
-maximum_signature_line_length = 88
-python_maximum_signature_line_length = 88
 add_module_names = False
 toc_object_entries_show_parents = "hide"
 

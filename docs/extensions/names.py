@@ -14,16 +14,20 @@ OWN = re.compile(r"jaxchain(\.[A-Za-z_]\w*)+")
 
 def _public() -> dict[str, str]:
     """Every way to write a public name -> the name under which it is documented."""
-    found = {}
-    for name in jaxchain.__all__:
-        found[f"jaxchain.{name}"] = found[name] = f"jaxchain.{name}"
+    found = {name: f"jaxchain.{name}" for name in (*jaxchain.__all__, *jaxchain.ROOMS)}
     for room in jaxchain.ROOMS:
-        found[f"jaxchain.{room}"] = f"jaxchain.{room}"
         for name in getattr(getattr(jaxchain, room), "__all__", ()):
-            for way in (name, f"{room}.{name}", f"jaxchain.{room}.{name}", f"jaxchain.{name}"):
-                if way == name or way not in found or found[way] == f"jaxchain.{name}":
-                    found[way] = f"jaxchain.{room}.{name}"
-    return found
+            found[name] = found[f"{room}.{name}"] = f"jaxchain.{room}.{name}"
+    at_the_door = {
+        f"jaxchain.{name}": found[name] for name in (*jaxchain.__all__, *jaxchain.ROOMS)
+    }
+    whole = {name: name for name in found.values()}
+    # A bare word such as `model` is seldom the room.
+    return (
+        {name: to for name, to in found.items() if name not in jaxchain.ROOMS}
+        | whole
+        | at_the_door
+    )
 
 
 PUBLIC = _public()

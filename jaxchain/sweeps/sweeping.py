@@ -82,8 +82,9 @@ def sweep(
       starts: `{"sample": {"belt_speed": speeds, "x0": starts}}`; what `initial` and `vary` take
       may have further axes, of shape (samples, n), say.
     - `vary`: a function (chain, **own) -> chain that JAX can trace, for what no single number of
-      the chain says, such as one random stiffness per mass (`jaxchain.mistuned_chain`); its
-      parameters beyond the chain are taken from `over`, too, and `initial` sees the new chain.
+      the chain says, such as one random stiffness per mass
+      (`jaxchain.localization.mistuned_chain`); its parameters beyond the chain are taken from
+      `over`, too, and `initial` sees the new chain.
     - `observe`: one observer or several (default: `Amplitude` over the last tenth of the run, or
       of each segment), also of one's own, see `AbstractObserver`.  A `Trajectory` does not fit
       into lanes; use `jax.vmap(simulate)`.
