@@ -1,11 +1,16 @@
 from .animation import animate as animate
 from .animation import film_strip as film_strip
 from .animation import save_gif as save_gif
+from .branches import plot_branch as plot_branch
+from .facets import plot_sweep as plot_sweep
 from .films import loop as loop
 from .films import sticking as sticking
 from .friction import draw_friction as draw_friction
+from .friction import plot_friction_law as plot_friction_law
 from .model import draw_mechanism as draw_mechanism
 from .model import draw_model as draw_model
+from .motions import plot_phase_portrait as plot_phase_portrait
+from .motions import plot_time_series as plot_time_series
 from .style import save_figure as save_figure
 from .sweeps import figure as figure
 from .sweeps import figure_3 as figure_3

@@ -12,10 +12,10 @@ from matplotlib.animation import AbstractMovieWriter, FuncAnimation
 from matplotlib.figure import Figure
 from PIL import Image
 
-from .._checks import check_kind, check_positive_number, check_whole, shown
+from .._checks import check_kind, check_positive_number, check_whole
 from ..model.chain import Chain
 from .chain_artist import Curves, Scene, explain
-from .films import checked_film
+from .films import checked_film, picked_masses
 from .style import PAGE_WIDTH, STYLE
 
 HEIGHT = 2.9  # inches
@@ -149,15 +149,7 @@ def _shown(chain: Chain, x: np.ndarray, masses: Any) -> list[int]:
     """The masses to draw, neighbours side by side; round the ring, if need be."""
     n = chain.n
     if masses is not None:
-        given = masses if isinstance(masses, list | tuple | range | np.ndarray) else []
-        whole = all(isinstance(i, int | np.integer) for i in given)
-        picked = [int(i) for i in given] if whole else []
-        if not picked or len(set(picked)) < len(picked) or not all(0 <= i < n for i in picked):
-            raise ValueError(
-                f"Argument `masses` must hold different indices of masses, 0 ... {n - 1}, but is "
-                f"{shown(masses)}."
-            )
-        return picked
+        return picked_masses(n, masses)
     if n <= MOST_SHOWN:
         return list(range(n))
     weight = np.ptp(x, axis=0) ** 2

@@ -120,7 +120,13 @@ def loop(
 def checked_film(chain: Any, times: Any, states: Any) -> tuple[np.ndarray, tuple[Any, Any]]:
     """Times and (x, v) as arrays of fitting shapes, or `ValueError`."""
     as_chain(chain)
-    check_concrete("draw what it returns.", times=times, states=states)
+    times = checked_times(times)
+    return times, checked_states(states, len(times), chain.n)
+
+
+def checked_times(times: Any) -> np.ndarray:
+    """Increasing times, or `ValueError`."""
+    check_concrete("draw what it returns.", times=times)
     times = np.asarray(numbers_of("times", times, "one for each frame."))
     check_finite("times", times, "leave out such times.")
     if times.ndim != 1 or len(times) < LEAST_FRAMES or not np.all(np.diff(times) > 0):
@@ -128,6 +134,14 @@ def checked_film(chain: Any, times: Any, states: Any) -> tuple[np.ndarray, tuple
             f"Argument `times` must hold at least {LEAST_FRAMES} increasing times, one for each "
             f"frame, but has shape {times.shape}: observe `Trajectory(jnp.linspace(t0, t1, 60))`."
         )
+    return times
+
+
+def checked_states(
+    states: Any, times: int | None = None, n: int | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """(x, v) of so many times and masses, or `ValueError`; None: of those that x has."""
+    check_concrete("draw what it returns.", states=states)
     if isinstance(states, Simulation):
         states = states.observed
     if not isinstance(states, tuple | list) or len(states) != 2:
@@ -136,11 +150,30 @@ def checked_film(chain: Any, times: Any, states: Any) -> tuple[np.ndarray, tuple
             f"`Trajectory` and nothing else, but is {type(states).__name__}."
         )
     x, v = (np.asarray(numbers_of("states", part)) for part in states)
+    if x.ndim != 2:
+        raise ValueError(
+            f"Argument `states` has displacements of shape {x.shape}, but those of some times and "
+            "masses have shape (times, n)."
+        )
+    times, n = len(x) if times is None else times, x.shape[1] if n is None else n
     for name, part in (("displacements", x), ("velocities", v)):
-        if part.shape != (len(times), chain.n):
+        if part.shape != (times, n):
             raise ValueError(
-                f"Argument `states` has {name} of shape {part.shape}, but {len(times)} times and "
-                f"{chain.n} masses need {(len(times), chain.n)}."
+                f"Argument `states` has {name} of shape {part.shape}, but {times} times and "
+                f"{n} masses need {(times, n)}."
             )
         check_finite(name, part, "a run that failed ends with NaN; see its `result`.")
-    return times, (x, v)
+    return x, v
+
+
+def picked_masses(n: int, masses: Any) -> list[int]:
+    """Different indices of some of n masses, or `ValueError`."""
+    given = masses if isinstance(masses, list | tuple | range | np.ndarray) else []
+    whole = all(isinstance(i, int | np.integer) for i in given)
+    picked = [int(i) for i in given] if whole else []
+    if not picked or len(set(picked)) < len(picked) or not all(0 <= i < n for i in picked):
+        raise ValueError(
+            f"Argument `masses` must hold different indices of masses, 0 ... {n - 1}, but is "
+            f"{shown(masses)}."
+        )
+    return picked

@@ -9,11 +9,14 @@ import jax.numpy as jnp
 import numpy as np
 from matplotlib.axes import Axes
 
-from .._checks import check_kind
+from .._checks import check_kind, check_positive_number
 from ..model.arguments import as_chain
 from ..model.chain import Chain
-from ..model.friction import TanhFriction
-from .style import BLUE, GREY, ORANGE
+from ..model.friction import AbstractFriction, TanhFriction
+from ..model.parameters import SPEED
+from ..model.units import Scales
+from .labels import axis, check_scales
+from .style import BLUE, GREY, ORANGE, add_legend, on_axes
 
 
 def draw_friction(axes: Axes, chain: Chain) -> None:
@@ -24,18 +27,8 @@ def draw_friction(axes: Axes, chain: Chain) -> None:
     width, static = float(width), float(law.mu_static)
     v_d = float(chain.belt_speed)
     reach = max(1.25 * abs(v_d), 5 * width, 1.0)
-    w = np.linspace(0.0, reach, 400)
-    mu = np.asarray(law.coefficient(jnp.asarray(w)))
+    w, mu = _draw_curves(axes, law, None if chain.dry else friction, reach)
     top = 1.28 * max(float(mu.max()), static, 1e-3)
-    for sign in (-1.0, 1.0):
-        label = "dry" if sign > 0 else None
-        axes.plot(sign * w, -sign * mu, color=ORANGE, linewidth=2.6, label=label)
-    axes.plot([0.0, 0.0], [-static, static], color=ORANGE, linewidth=2.6)
-    if not chain.dry:
-        fine = np.concatenate([-w[::-1], np.linspace(-8 * width, 8 * width, 801), w])
-        fine.sort()
-        smooth = np.asarray(friction.force(jnp.asarray(fine)))
-        axes.plot(fine, smooth, color=BLUE, linewidth=1.0, label=f"$\\varepsilon$ = {width:g}")
     force = float(friction.force(jnp.asarray(-v_d)))
     axes.plot(
         -v_d, force, "s", color="white", markeredgecolor="black", markeredgewidth=0.9,
@@ -66,6 +59,96 @@ def draw_friction(axes: Axes, chain: Chain) -> None:
     axes.text(0.5 * reach, -below, "slip", ha="center", va="top", fontsize=6.5)
     if not chain.dry:
         _draw_layer(axes, friction, width, static)
+
+
+def plot_friction_law(
+    friction: Chain | AbstractFriction,
+    *,
+    ax: Axes | None = None,
+    reach: Any = None,
+    scales: Scales | None = None,
+) -> Axes:
+    """F(w) / P over the relative velocity w = v - v_d: the dry law, and the smoothed one over it.
+
+    The dry law F = -mu(|w|) sign(w) has a set-valued jump at w = 0, the upright line from -mu_st
+    to mu_st; smoothed by a width it passes through there steeply.
+
+    **Arguments:**
+
+    - `friction`: a `Chain` (if its masses differ, that of mass 1), a `TanhFriction`, or a law
+      alone.
+    - `ax`: matplotlib axes; None makes new ones of a column's width (85 mm).
+    - `reach`: up to which speed on both sides, dimensionless; by default 1, or so far that the
+      belt speed of a chain and five widths are seen.
+    - `scales`: for axes in SI units.
+
+    **Returns:** the axes.
+
+    **Raises:** `ValueError` for anything else.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import ExponentialDecay
+        >>> ax = plot_friction_law(ExponentialDecay(1.0, 0.5, 0.5).with_(width=0.1))
+        >>> [text.get_text() for text in ax.get_legend().get_texts()]
+        ['dry', '$\\\\varepsilon$ = 0.1']
+    """
+    remedy = "`ExponentialDecay(1.0, 0.5, 0.5)` is the paper's."
+    kinds = Chain | AbstractFriction
+    check_kind("friction", friction, kinds, "a `Chain` or a law of friction", remedy)
+    check_scales(scales)
+    own, speed = friction, 0.0
+    if isinstance(friction, Chain):
+        own, speed = as_chain(friction).friction, float(friction.belt_speed)
+    own = first_mass(own)
+    smoothed = isinstance(own, TanhFriction)
+    width = float(own.width) if smoothed else 0.0
+    if reach is None:
+        reach = max(1.25 * abs(speed), 5 * width, 1.0)
+    else:
+        check_positive_number("reach", reach, "a speed, such as 2.0.")
+    across, x_label = axis("relative_velocity", {"units": SPEED}, scales)
+    up, y_label = axis("friction_force", {"units": "P"}, scales)
+    unit = "" if scales is None else " m/s"
+    with on_axes(ax) as axes:
+        law = own.law if smoothed else own
+        _draw_curves(axes, law, own if smoothed else None, float(reach), (across, up, unit))
+        axes.axhline(0.0, color=GREY, linewidth=0.5, zorder=0)
+        axes.set_xlim(-across * reach, across * reach)
+        axes.set_xlabel(x_label)
+        axes.set_ylabel(y_label)
+        add_legend(axes)
+    return axes
+
+
+def _draw_curves(
+    axes: Axes,
+    law: Any,
+    smoothed: TanhFriction | None,
+    reach: float,
+    units: tuple[float, float, str] = (1.0, 1.0, ""),
+) -> tuple[np.ndarray, np.ndarray]:
+    """The dry law with its jump, and the smoothed one over it; speeds >= 0 and mu there."""
+    across, up, unit = units
+    static = float(law.mu_static)
+    w = np.linspace(0.0, reach, 400)
+    mu = np.asarray(law.coefficient(jnp.asarray(w)))
+    for sign in (-1.0, 1.0):
+        label = "dry" if sign > 0 else None
+        axes.plot(sign * across * w, -sign * up * mu, color=ORANGE, linewidth=2.6, label=label)
+    axes.plot([0.0, 0.0], [-up * static, up * static], color=ORANGE, linewidth=2.6)
+    if smoothed is not None:
+        width = float(smoothed.width)
+        fine = np.concatenate([-w[::-1], np.linspace(-8 * width, 8 * width, 801), w])
+        fine.sort()
+        smooth = np.asarray(smoothed.force(jnp.asarray(fine)))
+        axes.plot(
+            across * fine, up * smooth, color=BLUE, linewidth=1.0,
+            label=f"$\\varepsilon$ = {across * width:g}{unit}",
+        )  # fmt: skip
+    return w, mu
 
 
 def _draw_layer(axes: Axes, friction: TanhFriction, width: float, static: float) -> None:

@@ -1,24 +1,36 @@
 """How every figure looks: the width of a journal page, colours, symbols.
 
-Only matplotlib's object-oriented interface is used: a figure is returned, and nothing global is
-changed.  Colours are those of Okabe and Ito and of viridis, which colour-blind readers can tell
+What returns a figure uses matplotlib's object-oriented interface alone, and changes nothing
+global.  What draws on axes makes them with `pyplot` if it is given none, so that a notebook shows
+them.  Colours are those of Okabe and Ito and of viridis, which colour-blind readers can tell
 apart; states differ by marker, too.
 """
 
 from __future__ import annotations
 
+import textwrap
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 
 from .._checks import check_kind
 from ..model.parameters import PARAMETERS
 
-PAGE_WIDTH = 7.0  # inches
+PAGE_WIDTH, COLUMN_WIDTH = 7.0, 3.35  # inches
 BLUE, ORANGE, GREY, RED = "#0072B2", "#E69F00", "#777777", "#C8102E"
-PURPLE = "#CC79A7"
+PURPLE, GREEN = "#CC79A7", "#009E73"
+SKY, VERMILION = "#56B4E9", "#D55E00"
+# Of series that are told apart one by one; neighbours differ most.
+SERIES = (BLUE, VERMILION, GREEN, PURPLE, SKY, "black", ORANGE)
+MARKERS = "osD^v<>P"
 STYLE: dict[Any, Any] = {
     "font.size": 8.0,
     "axes.labelsize": 9.0,
@@ -50,3 +62,69 @@ def save_figure(page: Figure, path: Path) -> list[Path]:
         for file in files:
             page.savefig(file, dpi=300)
     return files
+
+
+@contextmanager
+def on_axes(ax: Axes | None, height: float = 2.4) -> Iterator[Axes]:
+    """The axes that are given, as they are; else new ones of a column's width, in our style."""
+    if ax is not None:
+        yield as_axes(ax)
+        return
+    from matplotlib import pyplot as plt  # it looks for a screen, which a folder of results lacks
+
+    with matplotlib.rc_context(STYLE):
+        page, new = plt.subplots(figsize=(COLUMN_WIDTH, height), layout="constrained")
+        try:
+            yield new
+        except BaseException:
+            plt.close(page)
+            raise
+
+
+def as_axes(ax: Any) -> Axes:
+    """The axes, or `ValueError`."""
+    check_kind("ax", ax, Axes, "None or matplotlib axes", "`plt.subplots()[1]` makes them.")
+    return ax
+
+
+def add_legend(panels: Axes | list[Axes], title: str | None = None, beside: bool = False) -> None:
+    """Each label of the panels once, also where several pictures lie on top of each other.
+
+    Within the first panel, or `beside` it; what is beside several panels is beside their figure.
+    """
+    panels = [panels] if isinstance(panels, Axes) else panels
+    own: dict[str, Any] = {}
+    for axes in panels:
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            own.setdefault(label, handle)
+    if not own:
+        return
+    size = 0.78 * float(panels[0].xaxis.label.get_fontsize())  # of whoever made the axes
+    look: dict[str, Any] = {
+        "title": title and textwrap.fill(title, 18), "handlelength": 1.6, "framealpha": 0.8,
+        "edgecolor": "none", "fontsize": size, "title_fontsize": size,
+    }  # fmt: skip
+    if beside and len(panels) > 1:
+        panels[0].figure.legend([*own.values()], [*own], loc="outside right upper", **look)
+    else:
+        if beside:
+            look |= {"loc": "upper left", "bbox_to_anchor": (1.0, 1.03), "borderaxespad": 0.2}
+        panels[0].legend([*own.values()], [*own], **look)
+
+
+def widen(axes: Axes, positions: np.ndarray) -> None:
+    """A logarithmic axis where positions span decades."""
+    if positions.min() > 0 and positions.max() > 30 * positions.min():
+        axes.set_xscale("log")
+
+
+def looks(values: np.ndarray) -> tuple[list[tuple[Any, str]], ScalarMappable | None]:
+    """(colour, marker) of each series, and what a colour bar shows if there are many."""
+    if len(values) <= len(SERIES):
+        return list(zip(SERIES, MARKERS[: len(values)], strict=False)), None
+    numbers = values if values.dtype.kind in "fiu" else np.arange(len(values))
+    # The lightest part of viridis is lost on white paper.
+    shades = ListedColormap(matplotlib.colormaps["viridis"](np.linspace(0.0, 0.92, 256)))
+    norm = Normalize(float(numbers.min()), float(numbers.max()))
+    shade = ScalarMappable(norm, shades)
+    return [(tuple(colour), "o") for colour in shade.to_rgba(numbers.astype(float))], shade

@@ -24,7 +24,19 @@ from .diagram import (
     swept,
 )
 from .groups import Panel, panels
-from .style import AMPLITUDE, BLUE, ENERGY, GREY, ORANGE, PAGE_WIDTH, PURPLE, RED, STYLE, SYMBOLS
+from .style import (
+    AMPLITUDE,
+    BLUE,
+    ENERGY,
+    GREY,
+    ORANGE,
+    PAGE_WIDTH,
+    PURPLE,
+    RED,
+    STYLE,
+    SYMBOLS,
+    widen,
+)
 
 PANEL_HEIGHT = 2.9
 MOST_SHADES = 60  # more cannot be told apart
@@ -106,9 +118,7 @@ def draw(axes: Axes, panel: Panel[xr.Dataset], hopf: float | None = None) -> Non
         )  # fmt: skip
     axes.set_xlabel(SYMBOLS.get(across, across))
     axes.set_ylabel(label)
-    positions = data[across].values
-    if positions.min() > 0 and positions.max() > 30 * positions.min():
-        axes.set_xscale("log")
+    widen(axes, data[across].values)
     # Rest stands clear of the axis, failures below it, and rounding errors do not fill the panel.
     top = max(float(np.max(y[good], initial=0.0)), 1e-3)
     axes.set_ylim(-0.14 * top if bad.any() else -0.05 * top, 1.08 * top)

@@ -11,12 +11,20 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxchain.plotting.style import BLUE, ORANGE, PAGE_WIDTH, PURPLE, STYLE
+from jaxchain.plotting.style import (
+    BLUE,
+    GREEN,
+    ORANGE,
+    PAGE_WIDTH,
+    PURPLE,
+    SKY,
+    STYLE,
+    VERMILION,
+)
 
-SKY, GREEN, YELLOW, VERMILION = "#56B4E9", "#009E73", "#F0E442", "#D55E00"
+YELLOW = "#F0E442"
 # Of Okabe and Ito; neighbours in the list differ most.
 COLOURS = (BLUE, SKY, GREEN, YELLOW, ORANGE, VERMILION, PURPLE, "black")
-MARKERS = "osD^v<>P"
 DASHES: Any = (0, (4, 1.5))
 # A legend within a panel.
 SMALL: dict[str, Any] = {

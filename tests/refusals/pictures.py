@@ -12,12 +12,13 @@ mpl.use("Agg")
 import jax.numpy as jnp
 import numpy as np
 from matplotlib.figure import Figure
+from synthetic import cycle_branch, ladder
 
 from jaxchain import plotting
 from jaxchain.model import paper_chain
 
 from .runs import SOLVERS
-from .table import A_CHAIN, COUNT, POSITIVE, Row, Told, optional, states
+from .table import A_CHAIN, COUNT, POSITIVE, WORD, Row, Told, optional, states
 
 CHAIN = paper_chain(3, 1.2, 1e-2)
 TIMES, FILM = np.arange(3.0), (np.ones((3, 3)), np.ones((3, 3)))
@@ -75,3 +76,40 @@ def _drawings() -> Iterator[Row]:
     yield Row("save_figure", plotting.save_figure, good, bad)
     datasets = (None, "x", [], {}, {"a": 3})
     yield Row("figure", plotting.figure, {}, {"datasets": datasets})
+    yield from _plots()
+
+
+def _plots() -> Iterator[Row]:
+    axes, scales = ("x", 3, []), ("x", 3)
+    every = {"ax": axes, "scales": scales}
+    masses = ("x", {}, 1.5, [], [3], [0, 0])
+    film = {"times": TIMES, "states": FILM}
+    times = (None, "x", Told(3.0, r"\(\)"), [1.0, math.nan, 2.0], Told([3.0, 2.0, 1.0], r"\(3,\)"))
+    films = (None, "x", {}, (1,), Told((1, 2), r"\(\)"), (FILM[0], np.ones((3, 2))))
+    motion = {**every, "states": films, "masses": masses, "chain": optional(A_CHAIN)}
+    bad = {**motion, "times": times, "y": WORD}
+    yield Row("plot_time_series", plotting.plot_time_series, film, bad)
+    yield Row("plot_phase_portrait", plotting.plot_phase_portrait, {"states": FILM}, motion)
+    bad = {**every, "friction": (*A_CHAIN, None), "reach": optional(POSITIVE)}
+    yield Row("plot_friction_law", plotting.plot_friction_law, {"friction": CHAIN}, bad)
+    runs = ladder()
+    words = (3, "nonsense", ["a"])
+    bad = {
+        **every, "data": (None, "x", {}, Told(runs.isel(belt_speed=0, excited=0), "one value")),
+        "y": (*words, "oscillator"), "x": (*words, "oscillator"), "hue": words,
+        "col": words, "row": words,
+    }  # fmt: skip
+    yield Row("plot_sweep", plotting.plot_sweep, {"data": runs}, bad)
+    panels = {"data": runs, "x": "belt_speed", "col": "excited"}
+    wrong = {"ax": ("x", 3, [], Told(Figure().subplots(), "holds 1 Axes"))}
+    yield Row("plot_sweep, panels", plotting.plot_sweep, panels, wrong)
+    branch = cycle_branch()
+    data = branch.to_dataset()
+    bad = {
+        **every, "y": (*words, "amplitude", "special_energy"),
+        "branch": (
+            None, "x", {}, Told(runs, "belt_speed"), Told(data.isel(point=[0]), "1"),
+            Told(data.drop_vars("belt_speed"), "belt_speed"),
+        ),
+    }  # fmt: skip
+    yield Row("plot_branch", plotting.plot_branch, {"branch": branch}, bad)

@@ -11,8 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
-from jaxchain.plotting.style import AMPLITUDE, BLUE, GREY, ORANGE, PURPLE, RED, SYMBOLS
-from jaxchain.studies._pages import DASHES, GREEN, SKY, SMALL, letters, on_page
+from jaxchain.plotting.style import AMPLITUDE, BLUE, GREEN, GREY, ORANGE, PURPLE, RED, SKY, SYMBOLS
+from jaxchain.studies._pages import DASHES, SMALL, letters, on_page
 
 _SMOOTHED, _DRY = {"color": BLUE, "linewidth": 1.3}, {"color": ORANGE, "linewidth": 1.3}
 _COLOURS = (BLUE, GREEN, PURPLE, SKY)

@@ -14,8 +14,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from jaxchain.plotting.style import BLUE, GREY, ORANGE, SYMBOLS
-from jaxchain.studies._pages import GREEN, MARKERS, SMALL, letters, on_page
+from jaxchain.plotting.style import BLUE, GREEN, GREY, MARKERS, ORANGE, SYMBOLS
+from jaxchain.studies._pages import SMALL, letters, on_page
 from jaxchain.studies.crosscheck.bias import Law
 from jaxchain.studies.crosscheck.report import spread
 

@@ -9,17 +9,8 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxchain.plotting.style import BLUE, GREY, ORANGE, PURPLE
-from jaxchain.studies._pages import (
-    DASHES,
-    GREEN,
-    MARKERS,
-    SKY,
-    SMALL,
-    VERMILION,
-    letters,
-    on_page,
-)
+from jaxchain.plotting.style import BLUE, GREEN, GREY, MARKERS, ORANGE, PURPLE, SKY, VERMILION
+from jaxchain.studies._pages import DASHES, SMALL, letters, on_page
 from jaxchain.studies.edges.report import FOLLOWED
 
 _SPEED = r"belt speed $\tilde v_d$ (–)"

@@ -11,17 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxchain.observers.quantities import active_above
-from jaxchain.plotting.style import AMPLITUDE, BLUE, GREY, ORANGE, RED, SYMBOLS
-from jaxchain.studies._pages import (
-    COLOURS,
-    DASHES,
-    GREEN,
-    MARKERS,
-    SMALL,
-    letter,
-    letters,
-    on_page,
-)
+from jaxchain.plotting.style import AMPLITUDE, BLUE, GREEN, GREY, MARKERS, ORANGE, RED, SYMBOLS
+from jaxchain.studies._pages import COLOURS, DASHES, SMALL, letter, letters, on_page
 from jaxchain.studies.fronts.report import windows
 
 _WORDS = {1: "grows", 0: "stands", -1: "shrinks"}

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -12,8 +10,19 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from jaxchain.plotting.style import BLUE, ENERGY, GREY, ORANGE, PURPLE, SYMBOLS
-from jaxchain.studies._pages import GREEN, SKY, VERMILION, letters, on_page
+from jaxchain.plotting.branches import DASHES, pieces
+from jaxchain.plotting.style import (
+    BLUE,
+    ENERGY,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    SKY,
+    SYMBOLS,
+    VERMILION,
+)
+from jaxchain.studies._pages import letters, on_page
 from jaxchain.studies.ladder.report import branches_of
 
 # What happens at a special point: marker and colour, in the order of the legend.
@@ -24,7 +33,6 @@ MARKS: dict[str, tuple[str, str]] = {
     "torus": ("s", ORANGE),
     "period doubling": ("D", GREEN),
 }
-_DASHES: Any = (0, (3, 1.5))
 _SPECIAL_SIZE, _ZOOMED = 3.2, 3
 _COLOURS = (BLUE, VERMILION, GREEN, PURPLE, SKY, "black")
 _ENDS = {"upper": "v", "lower": "^"}
@@ -56,24 +64,6 @@ def colour(data: xr.Dataset) -> str:
     return {"in-phase": BLUE, "calmest": GREEN}.get(str(data.attrs["pattern"]), "black")
 
 
-def pieces(own: xr.Dataset) -> list[tuple[bool, np.ndarray, np.ndarray]]:
-    """(whether stable, belt speeds, E) of each piece of a branch, special points in between.
-
-    What is between a stable and an unstable point, and not cut by a special one, is unstable.
-    """
-    at = own["special_after"].values + 1
-    speed = np.insert(own["belt_speed"].values, at, own["special_belt_speed"].values)
-    height = np.insert(own["energy"].values, at, own["special_energy"].values)
-    bad = np.insert((own["unstable"].values > 0).astype(float), at, np.nan)
-    ends = np.stack([bad[:-1], bad[1:]])
-    stable = np.max(np.where(np.isnan(ends), -1.0, ends), axis=0) == 0
-    edges = [0, *(np.flatnonzero(np.diff(stable)) + 1), stable.size]
-    return [
-        (bool(stable[a]), speed[a : b + 1], height[a : b + 1])
-        for a, b in itertools.pairwise(edges)
-    ]
-
-
 def _draw_ensemble(axes: Axes, data: xr.Dataset, size: float) -> None:
     x = data["belt_speed"].broadcast_like(data["energy"]).values
     axes.scatter(
@@ -82,14 +72,21 @@ def _draw_ensemble(axes: Axes, data: xr.Dataset, size: float) -> None:
     )  # fmt: skip
 
 
+def _pieces(own: xr.Dataset) -> list[tuple[bool, np.ndarray, np.ndarray]]:
+    """(whether stable, belt speeds, E) of each piece of a branch."""
+    line = own["belt_speed"].values, own["energy"].values, own["unstable"].values > 0
+    special = own["special_belt_speed"].values, own["special_energy"].values
+    return pieces(*line, own["special_after"].values + 1, *special)
+
+
 def _draw_branches(axes: Axes, branches: Mapping[str, xr.Dataset], marks: bool) -> None:
     for own in branches.values():
         # In-phase patterns are thin, all others thick.
         width = 0.8 if own.attrs["pattern"] == "in-phase" else 1.3
-        for stable, speed, height in pieces(own):
+        for stable, speed, height in _pieces(own):
             axes.plot(
                 speed, height, color=colour(own), zorder=2, linewidth=width if stable else 0.7,
-                linestyle="-" if stable else _DASHES,
+                linestyle="-" if stable else DASHES,
             )  # fmt: skip
         for kind, p, E in zip(
             own["special_kind"].values, own["special_belt_speed"].values,
@@ -111,7 +108,7 @@ def _draw_ends(axes: Axes, rows: xr.Dataset) -> None:
         for name, marker in _ENDS.items():
             axes.plot(
                 own["coupling"], own[name], color=shade, marker=marker, markersize=3.5,
-                linewidth=0.9, linestyle="-" if name == "upper" else _DASHES,
+                linewidth=0.9, linestyle="-" if name == "upper" else DASHES,
                 label=f"$k = {count}$" if name == "upper" else None,
             )  # fmt: skip
     ends = SYMBOLS["belt_speed"] + ", ends of stability"
@@ -124,7 +121,7 @@ def _handles(branches: Mapping[str, xr.Dataset]) -> list[Line2D]:
         Line2D([], [], color="black", linewidth=1.3, label="one mass, alternating"),
         Line2D([], [], color=BLUE, linewidth=1.0, label="in phase"),
         Line2D([], [], color=GREEN, linewidth=1.3, label="twisted, calmest"),
-        Line2D([], [], color="black", linewidth=0.7, linestyle=_DASHES, label="unstable"),
+        Line2D([], [], color="black", linewidth=0.7, linestyle=DASHES, label="unstable"),
         Line2D([], [], color=GREY, marker=".", linestyle="", label="runs, dry friction"),
     ]
     seen = {str(kind) for own in branches.values() for kind in own["special_kind"].values}

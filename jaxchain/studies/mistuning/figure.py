@@ -16,8 +16,8 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from jaxchain.plotting.style import BLUE, GREY, ORANGE, PURPLE
-from jaxchain.studies._pages import GREEN, SKY, SMALL, VERMILION, letters, on_page
+from jaxchain.plotting.style import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION
+from jaxchain.studies._pages import SMALL, letters, on_page
 
 _COLOURS = (BLUE, SKY, VERMILION, ORANGE, GREEN, PURPLE, "#7F4FA3", GREY)
 _MARKERS = "osD^vP<>"

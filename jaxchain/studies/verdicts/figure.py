@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from jaxchain.chaos.records import KINDS, VERDICTS
-from jaxchain.plotting.style import BLUE, GREY, ORANGE, PAGE_WIDTH, RED
-from jaxchain.studies._pages import GREEN, letters, on_page
+from jaxchain.plotting.style import BLUE, GREEN, GREY, ORANGE, PAGE_WIDTH, RED
+from jaxchain.studies._pages import letters, on_page
 
 PANEL_HEIGHT = 1.75  # inches
 # Colour and marker of each verdict: told apart without colours, too.

@@ -9,8 +9,8 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxchain.plotting.style import BLUE, ORANGE, PURPLE
-from jaxchain.studies._pages import GREEN, SKY, VERMILION, letter, on_page
+from jaxchain.plotting.style import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
+from jaxchain.studies._pages import letter, on_page
 
 # Colour, marker, line: own solvers bold, the others thin.
 LOOKS = {

@@ -1,0 +1,182 @@
+"""A branch of solutions as a picture: stability by the line's style, special points marked."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+
+from .._checks import check_kind, shown
+from ..continuation.branch import Branch
+from ..cycles.branches import CycleBranch
+from ..model.units import Scales
+from .labels import check_scales, scaled
+from .style import BLUE, GREEN, ORANGE, PURPLE, RED, SKY, add_legend, as_axes, on_axes
+
+DASHES: Any = (0, (3, 1.5))
+# What happens at a special point: marker, colour and name, in the order of the legend.
+MARKS: dict[str, tuple[str, str, str]] = {
+    "fold": ("*", RED, "fold"),
+    "hopf": ("o", "white", "Hopf point"),
+    "symmetry breaking": ("^", PURPLE, "symmetry breaking"),
+    "branch point": ("v", PURPLE, "branch point"),
+    "torus": ("s", ORANGE, "torus"),
+    "period doubling": ("D", GREEN, "period doubling"),
+}
+
+
+def plot_branch(
+    branch: CycleBranch | Branch | xr.Dataset,
+    y: str | None = None,
+    *,
+    ax: Axes | None = None,
+    color: Any = BLUE,
+    label: str | None = None,
+    scales: Scales | None = None,
+) -> Axes:
+    """A branch over its parameter: stable solid, unstable dashed, special points marked and named.
+
+    The line runs through the special points, so that it turns and changes its style in a fold.
+    Between a stable and an unstable point with no special one in between it is dashed.  It lies
+    on `plot_sweep` of the same numbers: `plot_branch(branch, ax=plot_sweep(runs))`.
+
+    **Arguments:**
+
+    - `branch`: of `continue_cycle`, its `to_dataset()`, or a `Branch` of `continue_branch`, whose
+      stability nobody knows: a solid line.
+    - `y`: a variable over `point` alone; by default `energy`, or `amplitude` of a single
+      oscillator.  Special points are marked where the dataset has `special_<y>`, as it has for
+      all but `unstable_count`, `stable` and `trivial_defect`.
+    - `ax`: matplotlib axes; None makes new ones of a column's width (85 mm).
+    - `color`, `label`: of the line, to tell several branches on the same axes apart.
+    - `scales`: for axes in SI units.
+
+    **Returns:** the axes.
+
+    **Raises:** `ValueError` for anything else, and for a `y` with a dimension beside `point`: pick
+    one value with `sel`.
+
+    !!! example
+
+        >>> import jax, jax.numpy as jnp
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain.continuation import continue_branch
+        >>> circle = continue_branch(lambda u, p, _: u**2 + p**2 - 1.0, jnp.ones(1), 0.0)
+        >>> ax = plot_branch(circle)
+        >>> [text.get_text() for text in ax.get_legend().get_texts()]
+        ['fold']
+    """
+    data = _as_dataset(branch)
+    across = _parameter(data)
+    y = _height(data, y)
+    check_scales(scales)
+    if ax is not None:
+        as_axes(ax)
+    x, x_label = scaled(data[across], scales)
+    heights, y_label = scaled(_line(data, y), scales)
+    known = "special_kind" in data and f"special_{y}" in data and data.sizes["special"] > 0
+    at, x_at, y_at = np.zeros(0, int), np.zeros(0), np.zeros(0)
+    if known:
+        at = data["special_index"].values + 1
+        x_at, _ = scaled(data["special_parameter"].rename(across), scales)
+        y_at, _ = scaled(_line(data, f"special_{y}").rename(y), scales)
+    stable = data["stable"].values if "stable" in data else None
+    own = np.ones(x.size, bool) if stable is None else stable
+    with on_axes(ax) as axes:
+        for good, line_x, line_y in pieces(x, heights, ~own, at, x_at, y_at):
+            word = "" if stable is None else "stable" if good else "unstable"
+            axes.plot(
+                line_x, line_y, color=color, linewidth=1.3, linestyle="-" if good else DASHES,
+                label=", ".join(filter(None, [label, word])) or None,
+            )  # fmt: skip
+        kinds = data["special_kind"].values if known else np.zeros(0, str)
+        for kind in sorted(set(map(str, kinds)), key=[*MARKS, *map(str, kinds)].index):
+            marker, colour, word = MARKS.get(kind, ("P", SKY, kind))
+            here = kinds == kind
+            axes.plot(
+                x_at[here], y_at[here], marker, color=colour, markeredgecolor="black",
+                markeredgewidth=0.6, markersize=9 if marker == "*" else 5, label=word, zorder=5,
+            )  # fmt: skip
+        axes.set_xlabel(x_label)
+        axes.set_ylabel(y_label)
+        add_legend(axes)
+    return axes
+
+
+def pieces(
+    x: np.ndarray,
+    y: np.ndarray,
+    unstable: np.ndarray,
+    at: np.ndarray,
+    x_at: np.ndarray,
+    y_at: np.ndarray,
+) -> list[tuple[bool, np.ndarray, np.ndarray]]:
+    """(whether stable, x, y) of each piece of a branch, special points before point `at` inserted.
+
+    What is between a stable and an unstable point, and not cut by a special one, is unstable.
+
+    >>> x, y, unstable = np.array([1.0, 3.0]), np.array([2.0, 1.0]), np.array([False, True])
+    >>> pieces(x, y, unstable, np.array([1]), np.array([4.0]), np.array([1.5]))[0]
+    (True, array([1., 4.]), array([2. , 1.5]))
+    """
+    x, y = np.insert(x, at, x_at), np.insert(y, at, y_at)
+    bad = np.insert(unstable.astype(float), at, np.nan)
+    ends = np.stack([bad[:-1], bad[1:]])
+    stable = np.max(np.where(np.isnan(ends), -1.0, ends), axis=0) == 0
+    edges = [0, *(np.flatnonzero(np.diff(stable)) + 1), stable.size]
+    return [(bool(stable[a]), x[a : b + 1], y[a : b + 1]) for a, b in itertools.pairwise(edges)]
+
+
+def _as_dataset(branch: Any) -> xr.Dataset:
+    data = branch.to_dataset() if isinstance(branch, CycleBranch | Branch) else branch
+    remedy = "`continue_cycle` and `continue_branch` make them."
+    check_kind("branch", data, xr.Dataset, "a branch or its dataset", remedy)
+    if data.sizes.get("point", 0) < 2:
+        raise ValueError(
+            "Argument `branch` must be a dataset with two or more values along `point`, but is "
+            f"one over {dict(data.sizes)}: {remedy}"
+        )
+    return data
+
+
+def _parameter(data: xr.Dataset) -> str:
+    """The name of the parameter; older datasets, of one oscillator over belt speed, tell none."""
+    name = data.attrs.get("parameter", "belt_speed")
+    if name not in data:
+        raise ValueError(
+            f"Argument `branch` must be a dataset with the parameter {name!r}, but has "
+            f"{sorted(map(str, data.variables))}: give it as `to_dataset()` makes it."
+        )
+    return name
+
+
+def _height(data: xr.Dataset, y: Any) -> str:
+    if y is None:
+        several = data.sizes.get("oscillator", 1) > 1
+        names = ("energy", "amplitude", "u") if several else ("amplitude", "energy", "u")
+        y = next((name for name in names if name in data), None)
+    if not isinstance(y, str) or y not in data or "point" not in data[y].dims:
+        allowed = sorted(str(name) for name in data if "point" in data[name].dims)
+        raise ValueError(
+            f"Argument `y` must name a variable of the branch, one of {', '.join(allowed)}, but "
+            f"is {shown(y)}."
+        )
+    return y
+
+
+def _line(data: xr.Dataset, y: str) -> xr.DataArray:
+    """The variable without its dimensions of length 1, or `ValueError` if one is left over."""
+    values = data[y]
+    along = "special" if y.startswith("special_") else "point"
+    more = [str(dim) for dim in values.dims if dim != along]
+    for dim in more:
+        if values.sizes[dim] > 1:
+            raise ValueError(
+                f"Argument `y` = {y!r} has the dimension `{dim}` of {values.sizes[dim]} values "
+                f"beside `{along}`: take one, as `to_dataset().isel({dim}=0)` does, or draw "
+                "another variable."
+            )
+    return values.isel(dict.fromkeys(more, 0))

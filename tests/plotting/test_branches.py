@@ -1,0 +1,144 @@
+"""What is drawn of a branch is what its dataset says: line, style, special points, names."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+from synthetic import cycle_branch
+
+from jaxchain.continuation.branch import Branch
+from jaxchain.model.units import Scales
+from jaxchain.plotting.branches import MARKS, pieces, plot_branch
+from jaxchain.plotting.style import COLUMN_WIDTH
+
+SCALES = Scales.from_dimensional(
+    mass=2.0, damping=2.0, stiffness=200.0, coupling_stiffness=2.0, normal_load=10.0
+)
+
+
+def points(line):
+    return np.asarray(line.get_xdata()), np.asarray(line.get_ydata())
+
+
+def named(axes):
+    found = {}
+    for line in axes.get_lines():
+        found.setdefault(line.get_label(), []).append(line)
+    return found
+
+
+def page_of(axes) -> Any:
+    return axes.get_figure(root=True)
+
+
+def legend(axes):
+    return [text.get_text() for text in axes.get_legend().get_texts()]
+
+
+def test_the_line_is_the_energy_solid_while_stable_and_dashed_beyond_the_fold():
+    branch = cycle_branch()
+    axes = plot_branch(branch)
+    (stable,), (unstable,) = (named(axes)[word] for word in ("stable", "unstable"))
+    assert stable.get_linestyle() == "-"
+    assert unstable.get_linestyle() == "--"
+    fold, hopf = (0.5 * np.sum(point.amplitude**2) for point in branch.special)
+    x, y = points(stable)
+    np.testing.assert_array_equal(x, [*branch.parameter[:4], 1.85])
+    np.testing.assert_allclose(y, [*branch.energy[:4], fold], rtol=1e-14)
+    x, y = points(unstable)
+    np.testing.assert_array_equal(x, [1.85, *branch.parameter[4:], 1.15])
+    np.testing.assert_allclose(y, [fold, *branch.energy[4:], hopf], rtol=1e-14)
+
+
+def test_special_points_are_marked_where_they_are_and_named():
+    branch = cycle_branch(special=("fold", "torus", "hopf"))
+    axes = plot_branch(branch)
+    assert legend(axes) == ["stable", "unstable", "fold", "Hopf point", "torus"]
+    for point in branch.special:
+        marker, colour, word = MARKS[point.kind]
+        (line,) = named(axes)[word]
+        assert points(line)[0] == [point.parameter]
+        assert points(line)[1] == pytest.approx(0.5 * np.sum(point.amplitude**2))
+        assert line.get_marker() == marker
+        if colour != "white":
+            assert to_hex(line.get_color()) == to_hex(colour)
+    looks = [(marker, colour) for marker, colour, _ in MARKS.values()]
+    assert len(set(looks)) == len({marker for marker, _ in looks}) == len(MARKS)
+
+
+def test_a_branch_and_its_dataset_are_the_same_picture_also_after_netcdf(tmp_path):
+    branch = cycle_branch()
+    branch.to_dataset().to_netcdf(tmp_path / "branch.nc", engine="h5netcdf")
+    with xr.open_dataset(tmp_path / "branch.nc", engine="h5netcdf") as read:
+        drawn = [plot_branch(own, "period").get_lines() for own in (branch, read)]
+    for a, b in zip(*drawn, strict=True):
+        np.testing.assert_array_equal(a.get_xydata(), b.get_xydata())
+        assert a.get_linestyle() == b.get_linestyle()
+
+
+def test_axes_say_symbol_and_unit_dimensionless_and_in_si():
+    axes = plot_branch(cycle_branch())
+    assert axes.get_xlabel() == r"belt speed $\tilde v_d$ (–)"
+    assert axes.get_ylabel() == r"vibration energy $\tilde E$ (–)"
+    si = plot_branch(cycle_branch(), scales=SCALES)
+    assert si.get_xlabel() == "belt speed $v_d$ (m/s)"
+    assert si.get_ylabel() == "vibration energy $E$ (m²)"
+    for plain, own in zip(axes.get_lines(), si.get_lines(), strict=True):
+        # x0 = P / k = 0.05 m, and omega_n = 10 / s.
+        np.testing.assert_allclose(
+            np.asarray(own.get_xydata()),
+            np.asarray(plain.get_xydata()) * [0.5, 0.0025],
+            rtol=1e-14,
+        )
+
+
+def test_one_oscillator_shows_its_amplitude_and_several_need_one_to_be_taken():
+    axes = plot_branch(cycle_branch(1))
+    assert axes.get_ylabel() == r"vibration amplitude $\tilde A_n$ (–)"
+    branch = cycle_branch(2)
+    with pytest.raises(ValueError, match=r"`y` = 'amplitude' has the dimension `oscillator` of 2"):
+        plot_branch(branch, "amplitude")
+    second = branch.to_dataset().sel(oscillator=2)
+    line, *_ = plot_branch(second, "amplitude").get_lines()
+    np.testing.assert_array_equal(points(line)[1][:4], branch.amplitude[:4, 1])
+
+
+def test_branches_lie_on_axes_that_are_given_each_word_once_in_the_legend():
+    given = Figure().subplots()
+    branch = cycle_branch()
+    for colour, label in (("black", "upper"), ("red", "lower")):
+        assert plot_branch(branch, ax=given, color=colour, label=label) is given
+    assert legend(given) == [
+        "upper, stable", "upper, unstable", "fold", "Hopf point", "lower, stable",
+        "lower, unstable",
+    ]  # fmt: skip
+    assert page_of(plot_branch(branch)).get_figwidth() == COLUMN_WIDTH
+
+
+def test_a_change_without_a_special_point_lies_at_the_stable_end():
+    branch = cycle_branch(special=())
+    (stable,), (unstable,) = (named(plot_branch(branch))[k] for k in ("stable", "unstable"))
+    assert points(stable)[0].tolist() == branch.parameter[:4].tolist()
+    assert points(unstable)[0].tolist() == branch.parameter[3:].tolist()
+
+
+def test_a_branch_of_anything_is_one_solid_line():
+    branch = Branch(
+        np.arange(3.0)[:, None], np.arange(3.0), np.arange(3.0), np.ones((3, 2)), np.zeros(3),
+        None, (), "max_points",
+    )  # fmt: skip
+    (line,) = plot_branch(branch).get_lines()
+    np.testing.assert_array_equal(line.get_xydata(), np.arange(3.0)[:, None] * [1.0, 1.0])
+    assert line.get_linestyle() == "-"
+
+
+def test_pieces_end_where_the_next_begins():
+    x = np.arange(6.0)
+    unstable = np.array([0, 0, 1, 1, 0, 0], bool)
+    found = pieces(x, x, unstable, np.array([2]), np.array([1.5]), np.array([1.5]))
+    assert [(good, own.tolist()) for good, own, _ in found] == [
+        (True, [0.0, 1.0, 1.5]), (False, [1.5, 2.0, 3.0, 4.0]), (True, [4.0, 5.0])
+    ]  # fmt: skip

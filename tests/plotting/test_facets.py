@@ -1,0 +1,171 @@
+"""What is drawn of a sweep is what its dataset says, and no dimension upon another unasked."""
+
+import itertools
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from synthetic import ladder, results, single
+
+from jaxchain.model.units import Scales
+from jaxchain.plotting.facets import plot_sweep
+from jaxchain.plotting.style import COLUMN_WIDTH, PAGE_WIDTH, SERIES
+
+SCALES = Scales.from_dimensional(
+    mass=2.0, damping=2.0, stiffness=200.0, coupling_stiffness=2.0, normal_load=10.0
+)
+
+
+def across(line):
+    return np.asarray(line.get_xdata())
+
+
+def height(line):
+    return np.asarray(line.get_ydata())
+
+
+def heights(axes):
+    return [height(line) for line in axes.get_lines()]
+
+
+def page_of(axes) -> Any:
+    return axes.get_figure(root=True)
+
+
+def legend_of(axes) -> Any:
+    return axes.get_legend()
+
+
+def legend(axes):
+    return [text.get_text() for text in legend_of(axes).get_texts()]
+
+
+def test_what_nobody_places_becomes_panels_one_for_each_value():
+    data = ladder()
+    panels = plot_sweep(data)
+    assert panels.shape == (data.sizes["excited"],)
+    assert [axes.get_title() for axes in panels] == [f"excited = {k}" for k in range(7)]
+    for k, axes in enumerate(panels):
+        (line,) = axes.get_lines()
+        np.testing.assert_array_equal(across(line), data.belt_speed)
+        np.testing.assert_array_equal(height(line), data.energy[:, k])
+        assert line.get_linestyle() == "None"
+    assert page_of(panels[0]).get_figwidth() == PAGE_WIDTH
+
+
+def test_a_series_for_each_value_by_colour_and_marker():
+    data = ladder()
+    axes = plot_sweep(data, hue="excited")
+    assert isinstance(axes, Axes)
+    assert page_of(axes).get_figwidth() == COLUMN_WIDTH
+    for k, height in enumerate(heights(axes)):
+        np.testing.assert_array_equal(height, data.energy[:, k])
+    looks = [(line.get_color(), line.get_marker()) for line in axes.get_lines()]
+    assert len({colour for colour, _ in looks}) == len({str(marker) for _, marker in looks}) == 7
+    assert legend(axes) == [str(k) for k in range(7)]
+    title = legend_of(axes).get_title().get_text()
+    assert " ".join(title.split()) == "oscillators excited at the start"
+
+
+def test_many_series_have_a_colour_bar_and_as_many_colours():
+    data = ladder()
+    axes = plot_sweep(data, "active_share", "excited", hue="belt_speed")
+    assert data.sizes["belt_speed"] > len(SERIES)
+    shades = {line.get_color() for line in axes.get_lines()}
+    assert len(shades) == data.sizes["belt_speed"]
+    assert axes.get_legend() is None
+    (bar,) = [other for other in axes.figure.axes if other is not axes]
+    assert bar.get_ylabel() == r"belt speed $\tilde v_d$ (–)"
+    for row, height in zip(data.active_count.values, heights(axes), strict=True):
+        np.testing.assert_allclose(height, row / 6, rtol=1e-15)
+
+
+def test_every_value_of_every_dimension_is_somewhere():
+    data = results(
+        {"belt_speed": [1.0, 1.2], "damping_ratio": [0.04, 0.05, 0.06], "excited": [0, 1, 2, 3]},
+        np.tile([0, 1, 2, 3], (2, 3, 1)), 3,
+    )  # fmt: skip
+    data["energy"] = data.energy + np.arange(24.0).reshape(2, 3, 4)  # all different
+    for order in itertools.permutations(data.energy.dims):
+        names = dict(zip(("x", "hue", "col"), order, strict=True))
+        panels = plot_sweep(data, "energy", **names)
+        assert panels.shape == (data.sizes[names["col"]],)
+        drawn = np.concatenate([np.concatenate(heights(axes)) for axes in panels.ravel()])
+        np.testing.assert_array_equal(np.sort(drawn), np.sort(data.energy.values.ravel()))
+    panels = plot_sweep(data)
+    assert panels.shape == (4, 3)  # rows, columns
+    assert panels[2, 1].get_title() == r"excited = 2, $\xi$ = 0.05"
+    np.testing.assert_array_equal(heights(panels[2, 1])[0], data.energy[:, 1, 2])
+
+
+def test_on_axes_that_are_given_a_dimension_without_a_place_is_named():
+    data = ladder()
+    given = Figure().subplots()
+    with pytest.raises(ValueError, match="dimension `excited` of 7 values"):
+        plot_sweep(data, ax=given)
+    with pytest.raises(ValueError, match="dimension `oscillator` of 6 values"):
+        plot_sweep(data, "amplitude", hue="excited", ax=given)
+    assert not given.get_lines()
+    assert plot_sweep(data.sel(excited=3), ax=given) is given
+    three = Figure().subplots(1, 3)
+    few = data.isel(excited=[1, 2, 3])
+    assert plot_sweep(few, col="excited", ax=three).tolist() == three.tolist()
+
+
+def test_four_dimensions_have_no_place_and_too_many_panels_are_refused():
+    data = single().rename(displacement="pull")
+    with pytest.raises(ValueError, match="at most 24 panels"):
+        plot_sweep(data.isel(pull=np.zeros(30, int)))
+    axes = {name: [0.1, 0.2] for name in ("belt_speed", "coupling", "width", "v_ref", "mu_static")}
+    data = results(axes, np.zeros((2,) * 5, int), 2)
+    with pytest.raises(ValueError, match=r"dimension `v_ref` of 2 values and `mu_static` of 2"):
+        plot_sweep(data)
+
+
+def test_a_failed_run_is_a_cross_at_the_lower_edge_and_not_missing():
+    counts = np.array([1, -1, 1])
+    data = results({"belt_speed": [1.0, 1.1, 1.2]}, counts, 1)
+    axes = plot_sweep(data)
+    runs, crosses = axes.get_lines()
+    np.testing.assert_array_equal(height(runs), [1.5, np.nan, 1.5])
+    assert crosses.get_label() == "failed"
+    assert crosses.get_marker() == "x"
+    assert np.asarray(crosses.get_xdata()).tolist() == [1.1]
+    assert crosses.get_transform() == axes.get_xaxis_transform()
+    assert legend(axes) == ["failed"]
+
+
+def test_what_is_swept_together_is_drawn_over_one_of_them():
+    data = results({"sample": [0, 1, 2]}, [0, 1, 2], 2).drop_vars("sample")
+    data = data.assign_coords(belt_speed=("sample", [1.3, 1.1, 1.2]))
+    (line,) = plot_sweep(data, x="belt_speed").get_lines()
+    np.testing.assert_array_equal(across(line), [1.3, 1.1, 1.2])
+    np.testing.assert_array_equal(height(line), data.energy)
+    with pytest.raises(ValueError, match="`sample` is drawn already"):
+        plot_sweep(data, x="belt_speed", hue="sample")
+
+
+def test_one_oscillator_shows_its_amplitude_in_si_if_asked():
+    data = single()
+    data["belt_speed"].attrs["units"] = "x0 omega_n"
+    data["amplitude"].attrs["units"] = "x0"
+    axes = plot_sweep(data.isel(displacement=-1), scales=SCALES)
+    assert axes.get_xlabel() == "belt speed $v_d$ (m/s)"
+    assert axes.get_ylabel() == "vibration amplitude $A_n$ (m)"
+    (line,) = axes.get_lines()
+    np.testing.assert_allclose(across(line), 0.5 * data.belt_speed, rtol=1e-14)
+    known = data.amplitude.isel(displacement=-1, oscillator=0)
+    np.testing.assert_allclose(height(line), 0.05 * known, rtol=1e-14)
+
+
+def test_segments_of_the_same_run_are_joined():
+    data = results({"belt_speed": [1.0], "segment": [1, 2, 3]}, [[1, 1, 1]], 1)
+    (line,) = plot_sweep(data, x="segment").get_lines()
+    assert line.get_linestyle() == "-"
+
+
+def test_a_number_that_spans_decades_has_a_logarithmic_axis():
+    data = results({"width": [1e-4, 1e-3, 1e-2]}, [1, 1, 1], 1)
+    assert plot_sweep(data).get_xscale() == "log"
