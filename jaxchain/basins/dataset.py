@@ -28,6 +28,8 @@ def to_dataset(
     """
     from xarray import Dataset
 
+    from ..sweeps.dataset import LONG_NAMES
+
     chain, classify, known = runs.chain, runs.classify, tally.states
     state, at_end = tally.state, tally.at_end
     numbers = [dict(classify.numbers(code, chain)) for code in tally.codes]
@@ -86,11 +88,14 @@ def to_dataset(
         told = {"long_name": text, "units": "1"}
         variables[name] = (*over(values, states=False), told)
     coords = dict(runs.coords)
-    coords["state"] = np.array([names[k] for k in order])
-    coords["oscillator"] = np.arange(1, chain.n + 1)
+    told = {"long_name": "state in which a run ends"}
+    coords["state"] = ("state", np.array([names[k] for k in order]), told)
+    masses = {"long_name": LONG_NAMES["oscillator"], "units": "1"}
+    coords["oscillator"] = ("oscillator", np.arange(1, chain.n + 1), masses)
     for name in numbers[0] if numbers else ():
         column = [numbers[k][name] if k < known else np.nan for k in order]
-        coords[name] = ("state", np.array(column, float))
+        told = {"long_name": f"{name}, of the state", "units": "1"}
+        coords[name] = ("state", np.array(column, float), told)
     return Dataset(variables, coords=coords, attrs=runs.attrs)
 
 

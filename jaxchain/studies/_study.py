@@ -151,5 +151,7 @@ def from_rows(rows: Sequence[Mapping[str, Any]], dim: str, *more: str) -> Datase
 
 
 RESULT = flags(NAMES)
-# What needs no label of a study's own: the numbers of the chain, and how a run ended.
-STANDARD = {name: row.attrs for name, row in PARAMETERS.items()} | {"result": RESULT}
+# What needs no label of a study's own: numbers of the chain, oscillators, how a run ended.
+STANDARD = {name: row.attrs for name, row in PARAMETERS.items()} | {
+    "result": RESULT, "oscillator": ("oscillator n", "1"),
+}  # fmt: skip

@@ -15,6 +15,7 @@ LABELS = {
     "fold_nonsmooth": ("belt speed up to which one mass goes on vibrating, dry friction", SPEED),
     "amplitude": ("half peak-to-peak of displacement", "x0"),
     "width": ("regularization width eps; 0: dry friction", SPEED),
+    "stable": "whether the cycle is stable",
 }
 
 

@@ -33,8 +33,8 @@ LABELS: dict[str, Any] = {
     "bracket": ("distance of the ends of the last bracket", "1"),
     "distance": ("distance of the ends of the bracket", "1"),
     "vibrates": "whether a mass vibrates on this side of the edge",
-    "vibrating": "vibrating masses below the edge",
-    "mass": "the mass that vibrates on one side only",
+    "vibrating": ("vibrating masses below the edge", "1"),
+    "mass": ("the mass that vibrates on one side only", "1"),
     "record": ("vibration amplitude while the edge is followed", "x0"),
     "mass_record": ("that of the mass in question", "x0"),
     "least": ("least amplitude of the mass in question, later half", "x0"),
@@ -45,7 +45,6 @@ LABELS: dict[str, Any] = {
     "time": ("time for which the edge is followed", "1 / omega_n"),
     "after": ("time after that", "1 / omega_n"),
     "side": "side of the edge",
-    "oscillator": "oscillator",
     "hopf": ("Hopf belt speed", "x0 omega_n"),
     "fold": ("belt speed of the grazing fold", "x0 omega_n"),
 }

@@ -20,8 +20,17 @@ from jaxchain.studies.extremes.table import Group, Study
 
 MOST_NAMED = 5
 LABELS = {
-    "seconds": {"long_name": "time with compilation", "units": "s"},
-    "deviation": "greatest difference from the witness, relative",
+    "group": "kind of case",
+    "name": "name of the case",
+    "model": "smoothed or nonsmooth",
+    "expected": "what is right, and by which witness",
+    "found": "what was found",
+    "outcome": "right or WRONG",
+    "deviation": ("greatest difference from the witness, relative", "1"),
+    "tolerance": ("deviation that is allowed", "1"),
+    "value": "the number that deviates most",
+    "witness": "what it should be",
+    "seconds": ("time with compilation", "s"),
 }
 
 

@@ -25,6 +25,7 @@ from jaxchain.localization.front_theory import (
 from jaxchain.localization.fronts import depinning_belt_speed, read_speed
 from jaxchain.model.chain import Chain
 from jaxchain.model.initial_states import excited_block, excited_state
+from jaxchain.model.parameters import PARAMETERS
 from jaxchain.model.sliding import growth_rate
 from jaxchain.observers.amplitude import Amplitude
 from jaxchain.observers.fronts import Fronts, FrontTrack
@@ -154,6 +155,11 @@ def base_chain(study: Study, n: int, width: float | None = None) -> Chain:
     return study.base.chain(n, 1.5, width=width, coupling=coupling)
 
 
+def _along(name: str, values: np.ndarray) -> tuple[str, np.ndarray, dict[str, str]]:
+    """The coordinate `curve`, along which theory is drawn: values of a number of the chain."""
+    return "curve", values, PARAMETERS[name].attrs
+
+
 def growths(chain: Chain, speeds: Any) -> Array:
     """Growth rates of sliding at these belt speeds."""
     return jax.vmap(partial(growth_rate, chain))(jnp.asarray(speeds, float))
@@ -210,7 +216,7 @@ def over_belt_speed(study: Study, job: Job) -> xr.Dataset:
     )  # fmt: skip
     curve = np.linspace(speeds.min(), float(hopf_belt_speed(chain)), _CURVE)
     data["spreading"] = ("curve", spreading(chain, curve, coupling))
-    return add_mean(data, ("pattern", "seed")).assign_coords(curve=curve)
+    return add_mean(data, ("pattern", "seed")).assign_coords(curve=_along("belt_speed", curve))
 
 
 def over_coupling(study: Study, job: Job) -> xr.Dataset:
@@ -238,7 +244,7 @@ def over_coupling(study: Study, job: Job) -> xr.Dataset:
     growth = growths(chain, speeds)
     spread = [spreading_speed(jnp.asarray(curve), jnp.full(_CURVE, g)) for g in growth]
     return data.assign(spreading=(("belt_speed", "curve"), np.asarray(spread), {})).assign_coords(
-        curve=curve
+        curve=_along("coupling", curve)
     )
 
 
@@ -304,8 +310,10 @@ def predicted(chain: Chain, highest: float) -> xr.Dataset:
             "cycle_amplitude": ("curve", np.asarray(amplitude)),
             "death_belt_speed": ("death_coupling", np.asarray(death(jnp.asarray(couplings)))),
         },
-        coords={"curve": speeds, "cosine": cosines, "death_coupling": couplings},
-    )
+        coords={
+            "curve": _along("belt_speed", speeds), "cosine": cosines, "death_coupling": couplings,
+        },
+    )  # fmt: skip
 
 
 def convergence(study: Study, job: Job) -> xr.Dataset:

@@ -27,7 +27,17 @@ LABELS = {
     "growth_coupling": ("predicted coupling above which blocks grow", "1"),
     "death_belt_speed": ("predicted belt speed above which blocks shrink", "x0 omega_n"),
     "amplitude": ("half peak-to-peak of displacement", "x0"),
-    "verdict": flags(VERDICTS, -1),
+    "verdict": {"long_name": "what the block does", **flags(VERDICTS, -1)},
+    "pattern": "signs of the block's displacements at the start",
+    "seed": ("seed of the noise at the start", "1"),
+    "points": ("couplings at which the front moves for certain", "1"),
+    "time": ("middle of the window of time", "1 / omega_n"),
+    "edge": "what blocks do beyond the edge",
+    "cosine": ("cosine of the phase between neighbours, in theory", "1"),
+    "detuning": ("frequency of a vibrating mass less that of a quiet one", "omega_n"),
+    "cycle_amplitude": ("amplitude of one mass that sticks and slips", "x0"),
+    "death_coupling": ("coupling", "1"),
+    "masses": ("masses of the ring", "1"),
 }
 
 

@@ -7,7 +7,54 @@ from collections.abc import Mapping
 import numpy as np
 import xarray as xr
 
+from jaxchain.model.parameters import SPEED
 from jaxchain.studies._reports import pairs, table
+
+_TIME = "1 / omega_n"
+_RATE = "omega_n"
+LABELS = {
+    "key": "name of the branch",
+    "branch": "name of the branch",
+    "pattern": "pattern of phases",
+    "count": ("vibrating masses", "1"),
+    "phases": ("phase of each vibrating mass", "rad"),
+    "phase_order": ("order of the phases: 1 in phase, -1 alternating", "1"),
+    "phase_growth": (
+        "growth rate of the pattern's slowest disturbance, in the phase model",
+        _RATE,
+    ),
+    "growth": ("growth rate ln |mu| / T of the greatest multiplier", _RATE),
+    "converged": "whether a cycle was found near the pattern",
+    "residual": ("gap of the cycle after a period, relative", "1"),
+    "closing_error": ("the same, integrated with a finer tolerance", "1"),
+    "period": ("period T", _TIME),
+    "period_smoothed": ("period T of the smoothed cycle", _TIME),
+    "energy": ("vibration energy E = 1/2 sum A_n^2", "x0^2"),
+    "energy_smoothed": ("vibration energy E of the smoothed cycle", "x0^2"),
+    "amplitude": ("vibration amplitude A_n (half peak-to-peak)", "x0"),
+    "x": ("displacement where the cycle is cut", "x0"),
+    "v": ("velocity where the cycle is cut", SPEED),
+    "closeness": ("max w / eps of the mass at which the cycle is cut", "1"),
+    "multiplier": ("modulus of the greatest multiplier", "1"),
+    "turn": ("argument of the greatest multiplier", "rad"),
+    "unstable": ("multipliers beyond the unit circle", "1"),
+    "special_kind": "kind of special point",
+    "special_belt_speed": ("belt speed there", SPEED),
+    "special_refined": "whether it is solved for",
+    "special_after": ("it lies between this point of the branch and the next", "1"),
+    "special_amplitude": ("vibration amplitude there", "x0"),
+    "special_energy": ("vibration energy there", "x0^2"),
+    "point": ("point of the branch", "1"),
+    "measured": ("growth of a disturbance in a period, from a run", "1"),
+    "periods": ("periods over which that was measured", "1"),
+    "shift": ("change of the period as the orbit was closed more finely", _TIME),
+    "spread": ("greatest difference of the times between maxima", _TIME),
+    "stable": "whether the cycle at the first belt speed is stable",
+    "lower": ("belt speed down to which it is stable", SPEED),
+    "lower_kind": "what happens there",
+    "upper": ("belt speed up to which it is stable", SPEED),
+    "upper_kind": "what happens there",
+}
 
 
 def summary(key: str, data: xr.Dataset) -> str:

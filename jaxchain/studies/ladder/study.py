@@ -18,7 +18,7 @@ from jaxchain.studies import _study
 from jaxchain.studies.ladder.branches import catalogue, follow_rung, ring, rungs_of, stable_ends
 from jaxchain.studies.ladder.checks import closing_errors, disturbed, dry_runs
 from jaxchain.studies.ladder.figure import draw
-from jaxchain.studies.ladder.report import branches_of, summary
+from jaxchain.studies.ladder.report import LABELS, branches_of, summary
 from jaxchain.studies.ladder.table import Study
 from jaxchain.sweeps.sweeping import sweep
 
@@ -66,6 +66,7 @@ run = _study.Study(
         "dry": lambda study, job: dry_runs(study, branches_of(job.done)),
         "couplings": _couplings,
     },
+    labels=LABELS,
     report=summary,
     figure=draw,
 )

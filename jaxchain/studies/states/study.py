@@ -23,7 +23,7 @@ LABELS = {
     "velocity": ("velocity v_n", "x0 omega_n"),
     "sticking": "whether a mass sticks to the belt",
     "time": ("time tau", _TIME),
-    "mass": "oscillator n",
+    "mass": ("oscillator n", "1"),
     "peak_time": ("time of a maximum of the displacement", _TIME),
     "delay": ("delay phi_n of a peak to the reference's", _TIME),
     "period": ("mean period T of the reference", _TIME),

@@ -24,21 +24,42 @@ from jaxchain.studies.verdicts.paper import claim, why
 from jaxchain.studies.verdicts.table import Case, Study
 
 ALL_KINDS = (*KINDS, *NAMES)
+_TIME, _RATE = "1 / omega_n", "omega_n"
 # What is known of every run.
 _OF_RUNS = {
-    "time": "length of the run",
-    "locked_at": "when it was bound for its orbit",
-    "energy": "E, mean over windows",
-    "energy_deviation": "deviation of E over windows",
-    "period": "period, or mean time between maxima",
-    "spread": "of section points",
-    "slips": "cycles gained on each other by vibrating masses",
-    "returns": "maxima per period",
-    "exponent_time": "time over which exponents are averaged",
+    "time": ("length of the run", _TIME),
+    "locked_at": ("when it was bound for its orbit", _TIME),
+    "energy": ("E, mean over windows", "x0^2"),
+    "energy_deviation": ("deviation of E over windows", "x0^2"),
+    "period": ("period, or mean time between maxima", _TIME),
+    "spread": ("spread of section points, relative to the amplitude", "1"),
+    "slips": ("cycles gained on each other by vibrating masses", "1"),
+    "returns": ("maxima per period", "1"),
+    "exponent_time": ("time over which exponents are averaged", _TIME),
 }
+_SMOOTHED = "of smoothed friction"
 LABELS = _OF_RUNS | {
-    "kind": flags(ALL_KINDS), "verdict": flags(VERDICTS), "undisturbed": flags(VERDICTS)
-}  # fmt: skip
+    "excited": ("masses excited at the start", "1"),
+    "noise": "standard deviation of what was added to the start",
+    "kind": {"long_name": "what was found of the run", **flags(ALL_KINDS)},
+    "verdict": {"long_name": "verdict, that of the strongest noise", **flags(VERDICTS)},
+    "undisturbed": {"long_name": "verdict on the start without noise", **flags(VERDICTS)},
+    "depends_on_noise": "whether these two differ, or the orbit without noise is unstable",
+    "exponent": ("Lyapunov exponents, descending; -inf: annihilated by sticking", _RATE),
+    "exponent_low": ("lower end of their 95 % intervals", _RATE),
+    "exponent_high": ("upper end of their 95 % intervals", _RATE),
+    "smoothed_exponent": (f"Lyapunov exponents {_SMOOTHED}", _RATE),
+    "smoothed_exponent_low": ("lower end of their 95 % intervals", _RATE),
+    "smoothed_exponent_high": ("upper end of their 95 % intervals", _RATE),
+    "active": "whether a mass vibrates",
+    "symmetry": ("how far delays are from a mirror image of themselves, in periods", "1"),
+    "symmetry_time": ("time of that window", _TIME),
+    "paper_text": "what the paper's text says",
+    "paper_caption": "what the paper's captions say",
+    "reason": "the verdict's evidence, in a sentence",
+    "remedy": "what would decide a verdict that is open",
+    "why": "the verdict beside the paper, in a sentence",
+}
 
 
 def run_case(study: Study, name: str, progress: bool) -> xr.Dataset:

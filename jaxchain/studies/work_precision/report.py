@@ -6,6 +6,7 @@ import numpy as np
 import xarray as xr
 
 LABELS = {
+    "approach": 'solver, or "accuracy" where that was asked for',
     "lanes": ("lanes integrated at once", "1"),
     "width": ("regularization width; NaN: true dry friction", "x0 omega_n"),
     "rtol": ("relative tolerance", "1"),
