@@ -108,7 +108,7 @@ def plot_sweep(
             part = data.isel(own)
             _draw(axes, part, values.isel(own), places, scales)
             named = [places[name] for name in ("row", "col") if places[name]]
-            axes.set_title(", ".join(value_of(part[name], scales) for name in named))
+            axes.set_title("\n".join(value_of(part[name], scales) for name in named))
         _explain(grid, data, places["hue"], scales)
         if given is None:
             for axes in grid:

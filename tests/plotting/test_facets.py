@@ -96,7 +96,7 @@ def test_every_value_of_every_dimension_is_somewhere():
         np.testing.assert_array_equal(np.sort(drawn), np.sort(data.energy.values.ravel()))
     panels = plot_sweep(data)
     assert panels.shape == (4, 3)  # rows, columns
-    assert panels[2, 1].get_title() == r"excited = 2, $\xi$ = 0.05"
+    assert panels[2, 1].get_title() == "excited = 2\n$\\xi$ = 0.05"
     np.testing.assert_array_equal(heights(panels[2, 1])[0], data.energy[:, 1, 2])
 
 
