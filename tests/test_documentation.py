@@ -13,6 +13,7 @@ import pytest
 from fences import anchors, fenced, headings, links
 
 from jaxchain.cli import _parser
+from jaxchain.result import NAMES, SearchResult
 from jaxchain.scenes import load_scene
 
 ROOT = Path(__file__).parents[1]
@@ -90,3 +91,18 @@ def test_the_commands_of_a_page_are_known(name):
             _parser().parse_args(words)
         except SystemExit:
             pytest.fail(f"jaxchain {shlex.join(words)}")
+
+
+def test_the_page_on_failures_knows_every_way_to_end():
+    """Those of runs with their codes, in their order; those of searches in any."""
+    tables = [
+        line
+        for line in TEXTS["guides/failures.md"].splitlines()
+        if line[:3] == "| `" and "`result`" not in line
+    ]
+    assert [line.split("|")[1:3] for line in tables[: len(NAMES)]] == [
+        [f" `{name}` ", f" {code} "] for code, name in enumerate(NAMES)
+    ]
+    searches = " ".join(line.split("|")[1] for line in tables[len(NAMES) :])
+    known = set(SearchResult._name_to_item)  # pyright: ignore  # equinox offers no public way
+    assert set(searches.replace("`", "").replace(",", "").split()) == known
