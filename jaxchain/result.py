@@ -27,7 +27,25 @@ class _Ways(type(eqx.Enumeration)):
 
 
 class Result(eqx.Enumeration, metaclass=_Ways):  # pyright: ignore
-    """The outcome of one run or of one lane of an ensemble."""
+    """The outcome of one run or of one lane of an ensemble.
+
+    "successful" went to its end; "quiet" and "steady" stopped early, because nothing could change
+    any more; all others failed, and each has its advice: `Result[run.result]`.  In a dataset
+    `result` holds their numbers, and its attribute `flag_meanings` the names.
+
+    !!! example
+
+        >>> import jax, textwrap
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import Result, equation_8, paper_chain, simulate
+        >>> chain = paper_chain(3, belt_speed=1.5, width=1e-2)
+        >>> run = simulate(chain, equation_8(chain, 1), 100.0, max_steps=10, throw=False)
+        >>> bool(run.result == Result.successful), run.outcome
+        (False, 'max_steps_reached')
+        >>> print(textwrap.fill(Result[run.result], 80))
+        max_steps_reached: The run used up its steps before it reached its end. Allow
+        more (`max_steps`), loosen `rtol`, or use a larger regularization width.
+    """
 
     successful = ADVICE["successful"]
     quiet = ADVICE["quiet"]
@@ -44,7 +62,24 @@ class Result(eqx.Enumeration, metaclass=_Ways):  # pyright: ignore
 
 
 class SearchResult(eqx.Enumeration, metaclass=_Ways):  # pyright: ignore
-    """How a search ended: for a root, a cycle, a boundary, a fit."""
+    """How a search ended: for a root, a cycle, a boundary, a fit.
+
+    Every record of a search has it as `result`, with the property `successful` for the one good
+    end, and `message` for what to do about any other.
+
+    !!! example
+
+        >>> import jax, textwrap
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import SearchResult, paper_chain
+        >>> from jaxchain.boundaries import find_fold
+        >>> fold = find_fold(paper_chain(n=1, width=1e-2).with_(damping_ratio=0.6))
+        >>> bool(fold.successful), bool(fold.result == SearchResult.no_fold)
+        (False, True)
+        >>> print(textwrap.fill(fold.message, 80))
+        There is no fold: damping outweighs the weakening of friction at every speed, 2
+        xi_n > p_n F'(w), so all motions approach steady sliding at every belt speed.
+    """
 
     successful = ""
     nonfinite = (
