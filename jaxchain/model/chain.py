@@ -288,6 +288,19 @@ def steady_sliding(chain: Chain) -> State:
 
     **Returns:** (x, v), both of shape (n,).  Exact for any chain; for a homogeneous one it is
     x_n = F(-v_d) / k.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import paper_chain, steady_sliding
+        >>> chain = paper_chain(3, belt_speed=1.5, width=1e-2)
+        >>> x, v = steady_sliding(chain)
+        >>> print(x.round(6), v)
+        [0.524894 0.524894 0.524894] [0. 0. 0.]
+        >>> rate_of_x, rate_of_v = chain(0.0, (x, v), None)
+        >>> bool(abs(rate_of_v).max() < 1e-12)  # it is an equilibrium
+        True
     """
     check_kind("chain", chain, Chain, "a `Chain`", MAKE_CHAIN)
     zero = jnp.zeros(chain.n, dtype=chain.belt_speed.dtype)

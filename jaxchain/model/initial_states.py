@@ -83,6 +83,19 @@ def excited_state(
     **Returns:** (x, v), both of shape (n,).
 
     **Raises:** `ValueError` for a count that is not whole or not in 0 ... n, and for NaN.
+
+    !!! example
+
+        >>> import jax, numpy as np
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import excited_state, paper_chain
+        >>> chain = paper_chain(4, belt_speed=1.5, width=1e-2)
+        >>> x, v = excited_state(chain, 2, amplitude=1.0, pattern="in-phase")
+        >>> print(x.round(3))
+        [0.525 0.525 1.525 1.525]
+        >>> x, v = excited_state(chain, np.array([True, False, False, True]), velocity=0.5)
+        >>> print(x.round(3), v)
+        [-1.475  0.525  0.525  2.525] [0.5 0.5 0.5 0.5]
     """
     as_chain(chain)
     check_one_of("pattern", pattern, ("alternating", "in-phase"))
@@ -134,7 +147,19 @@ def _pull_away(
 
 
 def equation_8(chain: Chain, excited: ArrayLike, block: str = "forward") -> State:
-    """Initial state of the paper's eq. (8): alternating displacements of 2, at rest."""
+    """Initial state of the paper's eq. (8): alternating displacements of 2, at rest.
+
+    **Arguments**, results and errors are those of `excited_state`.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import equation_8, paper_chain
+        >>> x, v = equation_8(paper_chain(4, belt_speed=1.5, width=1e-2), 2)
+        >>> print(x.round(3), v)  # steady sliding, and +-2 of the middle two
+        [ 0.525  0.525 -1.475  2.525] [0. 0. 0. 0.]
+    """
     return excited_state(chain, excited, block=block)
 
 
@@ -146,8 +171,22 @@ def equation_10(
 ) -> State:
     """Initial state of the paper's eq. (10): alternating displacements of 2, all velocities 0.56.
 
-    `reading` settles F(+v_d): "as_printed" takes it literally, F(+v_d) = -F(-v_d), so that the
-    masses start on the wrong side of steady sliding; "as_equation_8" takes it for F(-v_d).
+    **Arguments:** `chain`, `excited`, `block` as for `excited_state`; `reading` settles F(+v_d):
+    "as_printed" takes it literally, F(+v_d) = -F(-v_d), so that the masses start on the wrong side
+    of steady sliding; "as_equation_8" takes it for F(-v_d).
+
+    **Returns:** (x, v), both of shape (n,).
+
+    **Raises:** `ValueError` as `excited_state`, and for another `reading`.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import equation_10, paper_chain
+        >>> x, v = equation_10(paper_chain(4, belt_speed=1.5, width=1e-2), 2)
+        >>> print(x.round(3), v)
+        [ 0.525  0.525 -1.475  2.525] [0.56 0.56 0.56 0.56]
     """
     as_chain(chain)
     check_one_of("reading", reading, ("as_printed", "as_equation_8"))
@@ -160,6 +199,22 @@ def on_the_belt(chain: Chain, vibrating: Any = None) -> State:
     """(x, v) with one mass carried by the belt past x = 0, and the others sliding.
 
     With one mass and dry friction it lies on the stick-slip cycle.
+
+    **Arguments:** `vibrating`, the index (from 0) of that mass, by default n // 2.
+
+    **Returns:** (x, v), both of shape (n,).
+
+    **Raises:** `ValueError` for a mass that the chain does not have.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import paper_chain
+        >>> from jaxchain.model import on_the_belt
+        >>> x, v = on_the_belt(paper_chain(3, belt_speed=1.5, width=None))
+        >>> print(x.round(3), v)
+        [0.525 0.    0.525] [0.  1.5 0. ]
     """
     return _carried(chain, check_vibrating(chain, vibrating))
 
@@ -171,7 +226,26 @@ def _carried(chain: Chain, mass: int) -> State:
 
 
 def release_state(chain: Chain, mass: int) -> State:
-    """Steady sliding, but mass `mass` is carried by the belt, half way to where it is let go."""
+    """Steady sliding, but mass `mass` is carried by the belt, half way to where it is let go.
+
+    **Arguments:** `mass`, its index from 0.
+
+    **Returns:** (x, v), both of shape (n,).
+
+    **Raises:** `ValueError` for a mass that the chain does not have.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import StickTime, paper_chain, simulate
+        >>> from jaxchain.model import release_state
+        >>> chain = paper_chain(3, belt_speed=1.5, width=None)
+        >>> start = release_state(chain, 1)
+        >>> run = simulate(chain, start, 1.0, observe=StickTime())
+        >>> print(run.observed.round(3))  # so long until it is let go
+        [0.    0.236 0.   ]
+    """
     check_whole("mass", mass, 0, as_chain(chain).n - 1, "it is the index of a mass.")
     return _released(chain, mass)
 

@@ -120,7 +120,22 @@ def damping_outweighs(chain: Chain) -> Bool[Array, ""]:
 
 
 def stiffness_matrix(chain: Chain) -> Float[Array, "n n"]:
-    """K, springs included: symmetric and positive definite."""
+    """K, springs included: symmetric and positive definite.
+
+    **Returns:** shape (n, n), dimensionless.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import paper_chain
+        >>> from jaxchain.model import stiffness_matrix
+        >>> print(stiffness_matrix(paper_chain(4)))
+        [[ 1.02 -0.01  0.   -0.01]
+         [-0.01  1.02 -0.01  0.  ]
+         [ 0.   -0.01  1.02 -0.01]
+         [-0.01  0.   -0.01  1.02]]
+    """
     n = as_chain(chain).n
     K = jnp.diag(jnp.broadcast_to(chain.stiffness_diagonal(n), (n,)))
     if chain.springs is None:
@@ -135,7 +150,23 @@ def stiffness_matrix(chain: Chain) -> Float[Array, "n n"]:
 def sliding_eigenvalues(chain: Chain, belt_speed: Float[Array, ""]) -> Array:
     """All 2n eigenvalues lambda of steady sliding, complex, in no particular order.
 
+    A disturbance grows as exp(lambda t); steady sliding is stable if every real part is negative.
     By `jnp.linalg.eigvals`, which JAX has for CPU and GPU, not for TPU.
+
+    **Arguments:** `belt_speed`, one dimensionless number, in place of the chain's own.
+
+    **Returns:** shape (2n,).
+
+    !!! example
+
+        >>> import jax, jax.numpy as jnp
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import paper_chain
+        >>> from jaxchain.model import sliding_eigenvalues
+        >>> chain = paper_chain(3, width=1e-2)
+        >>> speeds = jnp.array([1.1, 1.2])  # on either side of the Hopf speed, 1.1513
+        >>> [bool(sliding_eigenvalues(chain, v).real.max() > 0) for v in speeds]
+        [True, False]
     """
     belt_speed = _one_speed(chain, belt_speed)
     n = chain.n

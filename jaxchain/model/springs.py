@@ -94,6 +94,18 @@ class Springs(eqx.Module):
     - `constant`: dimensionless spring constant(s) eta_c: one number, or one per spring, where
       spring n joins masses n and n+1 (N springs in a ring, N-1 in a chain with free ends).
     - `ends`: "cyclic" or "free".
+
+    !!! example
+
+        >>> import jax, jax.numpy as jnp
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain.model import Springs
+        >>> ring = Springs(jnp.asarray(0.1), "cyclic")
+        >>> print(ring.product(jnp.array([1.0, 0.0, 0.0, 2.0])))
+        [0.2 0.1 0.2 0.1]
+        >>> two = Springs(jnp.array([0.1, 0.2]), "free")  # one spring each between three masses
+        >>> print(two.row_sum(3))
+        [0.1 0.3 0.2]
     """
 
     constant: Array = eqx.field(converter=named("constant"))

@@ -26,7 +26,24 @@ Quantity: TypeAlias = Literal["displacement", "velocity", "time", "force", "freq
 
 
 class DimensionalParameters(NamedTuple):
-    """One mass of the chain in SI units, as in eq. (3) of the paper."""
+    """One mass of the chain in SI units, as in eq. (3) of the paper.
+
+    What `Scales.parameters` returns, and what `Scales.from_dimensional` takes.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import Scales
+        >>> from jaxchain.model import DimensionalParameters
+        >>> steel = DimensionalParameters(
+        ...     mass=2.0, damping=2.0, stiffness=200.0, coupling_stiffness=None, normal_load=10.0
+        ... )
+        >>> scales = Scales.from_dimensional(*steel)
+        >>> stiffer = scales.parameters()._replace(stiffness=400.0)
+        >>> round(float(Scales.from_dimensional(*stiffer).damping_ratio / scales.damping_ratio), 4)
+        0.7071
+    """
 
     mass: ScalarLike
     """m [kg]"""
