@@ -76,6 +76,21 @@ class SpecialPoint:
     of the equations that were given, whatever the branch's tolerance: the greatest of what the
     last steps of the search still changed.  `other` is the direction in which another
     branch leaves a branch point, square to `tangent`.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain.continuation import continue_branch
+        >>> def residual(u, p, args):
+        ...     return u**3 - u + p
+        >>> def middle(u, p, tangent, extra):  # a test of one's own: zero where u = 1/2
+        ...     return u[0] - 0.5
+        >>> branch = continue_branch(
+        ...     residual, [-1.2], 0.528, bounds=(-1, 1), direction=-1, tests={"middle": middle}
+        ... )
+        >>> [(point.kind, round(point.p, 6), point.refined) for point in branch.special]
+        [('fold', -0.3849, True), ('middle', 0.375, True), ('fold', 0.3849, True)]
     """
 
     kind: str
@@ -108,13 +123,27 @@ class Counts:
 
 @dataclass(frozen=True)
 class Branch:
-    """A branch of solutions of F(u, p) = 0, k points in order.
+    """A branch of solutions of F(u, p) = 0, k points in order, as plain data on the host.
 
-    `u` (k, m), `p` (k,), `arclength` (k,) from the first point in the weighted norm, `tangents`
-    (k, m + 1) = d[u; p]/ds, `residuals` (k,) = max |F| before the
-    last Newton step, which leaves much less; `extra`, what the residual gave besides,
-    stacked along a first axis; `special`, in order of arclength; `ended`, a key of `ENDINGS`, and
-    `reason`, what `stop` returned.
+    - `u` (k, m), `p` (k,); `arclength` (k,) from the first point in the weighted norm; `tangents`
+      (k, m + 1) = d[u; p]/ds.
+    - `residuals` (k,): max |F| before the last Newton step, which leaves much less.
+    - `extra`: what the residual gave besides, stacked along a first axis.
+    - `special`: tuple of `SpecialPoint`, in order of arclength.
+    - `ended`: "left_bounds", "closed", "max_points", "stopped", "no_start", "step_too_small" or
+      "interrupted"; `message` says what to do about it, and `reason` what `stop` returned.
+    - `counts`: what it cost.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain.continuation import continue_branch
+        >>> branch = continue_branch(lambda u, p, args: u**2 + p**2 - 1.0, [0.6], -0.8)
+        >>> branch.ended, branch.u.shape == (branch.p.size, 1)  # a circle
+        ('closed', True)
+        >>> [(point.kind, round(point.p, 6)) for point in branch.special]
+        [('fold', 1.0), ('fold', -1.0)]
     """
 
     u: Float[np.ndarray, "k m"]
