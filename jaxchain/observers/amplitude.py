@@ -55,6 +55,21 @@ class Amplitude(AbstractObserver):
       "steady" also lets it stop when the amplitudes of `repeats` windows in succession agree
       within `tolerance`; slow drifts of the phases, and instabilities that rounding has not yet
       found, can then go unseen.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import Amplitude, equation_8, paper_chain, simulate
+        >>> chain = paper_chain(3, belt_speed=1.5, width=1e-2)
+        >>> last_periods = Amplitude(window=20.0)
+        >>> run = simulate(chain, equation_8(chain, 1), 100.0, observe=last_periods)
+        >>> print(run.observed.round(2))  # one mass vibrates and shakes its neighbours
+        [0.28 1.53 0.28]
+        >>> calm = Amplitude(window=20.0, stop="quiet")
+        >>> run = simulate(chain, equation_8(chain, 0), 1000.0, observe=calm)
+        >>> run.outcome, bool(run.t < 1000.0)  # at rest there is nothing to wait for
+        ('quiet', True)
     """
 
     window: float | None = eqx.field(static=True, default=None)

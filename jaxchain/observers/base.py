@@ -28,6 +28,24 @@ class Step(eqx.Module):
 
     `displacement(theta)` and `velocity(theta)` interpolate at theta in [0, 1], one number or one
     per mass.
+
+    !!! example
+
+        >>> import jax, jax.numpy as jnp
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import equation_8, paper_chain, simulate
+        >>> from jaxchain.observers import AbstractObserver
+        >>> class Travelled(AbstractObserver):  # the way of each mass, integral of |v|
+        ...     def init(self, field, t0, t1, y0):
+        ...         return jnp.zeros_like(y0[0])
+        ...     def update(self, accumulator, step):
+        ...         return accumulator + step.integral(lambda t, y: jnp.abs(y[1]))
+        ...     def read(self, accumulator):
+        ...         return accumulator
+        >>> chain = paper_chain(1, belt_speed=1.5, width=1e-2)
+        >>> run = simulate(chain, equation_8(chain, 1), 60.0, observe=Travelled())
+        >>> round(float(run.observed[0]))
+        59
     """
 
     field: AbstractOscillators
@@ -101,8 +119,24 @@ def zeros(
 class Variable(eqx.Module):
     """What an observer says of one run, as a variable of a dataset.
 
-    `values` has an axis for each name in `dims`; "oscillator" is the one over all n masses.  A
-    count is an integer on disk, missing where it is NaN, and of runs that failed.
+    **Arguments:** `values`, with an axis for each name in `dims`; "oscillator" is the one over all
+    n masses.  `units` and `long_name`, as in the CF conventions.  `is_count`: a count is an
+    integer on disk, missing where it is NaN, and of runs that failed.
+
+    !!! example
+
+        >>> import jax, jax.numpy as jnp
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import equation_8, paper_chain, sweep
+        >>> from jaxchain.observers import MostSticking, Variable
+        >>> class Sticking(MostSticking):  # the same number under a name of one's own
+        ...     def label(self, value, chain):
+        ...         most = Variable(value, long_name="most masses that stuck", is_count=True)
+        ...         return {"stuck": most}
+        >>> chain = paper_chain(3, belt_speed=1.0, width=None)
+        >>> data = sweep(chain, equation_8, 60.0, over={"excited": [0, 3]}, observe=Sticking())
+        >>> data.stuck.values.tolist(), data.stuck.attrs["long_name"]
+        ([0.0, 2.0], 'most masses that stuck')
     """
 
     values: Any

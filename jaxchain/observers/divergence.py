@@ -16,7 +16,19 @@ from .base import AbstractObserver, Step, Variable
 class Divergence(AbstractObserver):
     """Integral of tr J along a run, by Gauss's rule of five points in every step.
 
-    It is a number without derivatives.
+    **Value:** a number, without derivatives: the logarithm of the factor by which a small volume
+    of states around the run grows.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import equation_8, paper_chain, simulate
+        >>> from jaxchain.observers import Divergence
+        >>> chain = paper_chain(3, belt_speed=9.0, width=1e-2)  # hardly more than 3 damped masses
+        >>> run = simulate(chain, equation_8(chain, 0), 10.0, observe=Divergence())
+        >>> round(float(run.observed), 3)  # -3 * 2 xi * 10
+        -3.0
     """
 
     def init(self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State) -> Any:

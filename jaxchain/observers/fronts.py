@@ -117,6 +117,18 @@ class FrontTrack(AbstractObserver):
 
     **Arguments:** `windows`, each of which should last two periods (4 pi) at least; `middle`, the
     index of a mass inside the block (None: n // 2, the middle of a centred `excited_block`).
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import excited_state, paper_chain, simulate
+        >>> from jaxchain.observers import FrontTrack
+        >>> chain = paper_chain(12, belt_speed=1.5, width=1e-2)
+        >>> block = excited_state(chain, 4, block="centred")
+        >>> run = simulate(chain, block, 100.0, observe=FrontTrack(windows=4))
+        >>> print(run.observed.count, run.observed.right.round(1))
+        [4. 4. 4. 4.] [1.6 1.6 1.6 1.6]
     """
 
     windows: int = eqx.field(static=True)

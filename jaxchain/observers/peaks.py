@@ -29,6 +29,18 @@ class PeakTimes(AbstractNotingObserver):
     time before which nothing is kept.
 
     **Value:** shape (capacity, n), NaN where there is none.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import PeakTimes, equation_8, paper_chain, simulate
+        >>> from jaxchain.observers import mean_period
+        >>> chain = paper_chain(3, belt_speed=1.5, width=1e-2)
+        >>> watch = PeakTimes(capacity=4, start=60.0)
+        >>> run = simulate(chain, equation_8(chain, 1), 100.0, observe=watch)
+        >>> run.observed.shape, round(float(mean_period(run.observed[:, 1])), 2)
+        ((4, 3), 6.24)
     """
 
     capacity: int = eqx.field(static=True, default=64)

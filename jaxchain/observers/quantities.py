@@ -16,7 +16,19 @@ from .._types import ScalarLike
 
 
 def energy(amplitude: Float[Array, "*batch n"]) -> Float[Array, "*batch"]:
-    """E = 1/2 sum_n A_n^2, eq. (9) of the paper."""
+    """E = 1/2 sum_n A_n^2, eq. (9) of the paper.
+
+    **Arguments:** amplitudes, in the unit of displacement P/k, of shape (..., n).
+
+    **Returns:** shape (...), in units of (P/k)^2.
+
+    !!! example
+
+        >>> import jax.numpy as jnp
+        >>> from jaxchain import energy
+        >>> energy(jnp.array([[2.0, 0.0, 0.0], [2.0, 2.0, 0.0]])).tolist()
+        [2.0, 4.0]
+    """
     return 0.5 * jnp.sum(as_array("amplitude", amplitude, 1) ** 2, axis=-1)
 
 
@@ -70,6 +82,13 @@ def active(
 
     **Arguments:** amplitudes, in the unit of displacement P/k, and the belt speed, a number or one
     for each state of a batch.
+
+    !!! example
+
+        >>> import jax.numpy as jnp
+        >>> from jaxchain import active
+        >>> active(jnp.array([1.6, 0.3, 0.0]), 1.5).tolist()  # the second one is only shaken
+        [True, False, False]
     """
     amplitude, threshold = as_array("amplitude", amplitude, 1), active_above(belt_speed)
     states = amplitude.shape[:-1]

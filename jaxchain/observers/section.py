@@ -27,6 +27,18 @@ class Section(AbstractObserver):
     belt's direction, v' = 0 and v'' < 0.
 
     **Value:** (times, x, v) of shapes (capacity,), (capacity, n), (capacity, n); NaN where none.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import Section, equation_8, paper_chain, simulate
+        >>> chain = paper_chain(3, belt_speed=1.5, width=1e-2)
+        >>> watch = Section(1, capacity=3, start=60.0)  # of the middle mass
+        >>> run = simulate(chain, equation_8(chain, 1), 100.0, observe=watch)
+        >>> times, x, v = run.observed
+        >>> print(x[:, 1].round(2), bool(abs(v[:, 1]).max() < 1e-6))
+        [2.15 2.15 2.15] True
     """
 
     oscillator: int | Int[Array, ""]

@@ -29,6 +29,16 @@ class StickTime(AbstractObserver):
     stick sqrt[eps ln(1 / eps)] too long, because a mass that is let go leaves the belt as t^2.
 
     **Arguments:** `window`, its length in dimensionless time.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import StickTime, equation_8, paper_chain, simulate
+        >>> chain = paper_chain(n=1, belt_speed=1.0, width=None)
+        >>> run = simulate(chain, equation_8(chain, 1), 60.0, observe=StickTime(window=6.4325))
+        >>> round(float(run.observed[0]), 2)  # of the last period, with true dry friction
+        1.01
     """
 
     window: float | None = eqx.field(static=True, default=None)
@@ -100,7 +110,21 @@ def _where_negative(
 
 
 class MostSticking(AbstractObserver):
-    """The greatest number of masses that stick at the same time, with true dry friction."""
+    """The greatest number of masses that stick at the same time, with true dry friction.
+
+    **Value:** a whole number, over the whole run.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import equation_8, paper_chain, simulate
+        >>> from jaxchain.observers import MostSticking
+        >>> chain = paper_chain(3, belt_speed=1.0, width=None)
+        >>> starts = [equation_8(chain, excited) for excited in (0, 3)]
+        >>> [int(simulate(chain, s, 60.0, observe=MostSticking()).observed) for s in starts]
+        [0, 2]
+    """
 
     def init(self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State) -> Any:
         del t0, t1, y0

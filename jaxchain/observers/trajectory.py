@@ -13,7 +13,19 @@ from .._reprs import call
 class Trajectory(eqx.Module):
     """The state at given times: value (x, v), both of shape (len(times), n).
 
-    The times must lie within the run; they are served by diffrax's `SaveAt`.
+    **Arguments:** `times`, dimensionless and rising; they must lie within the run, and are served
+    by diffrax's `SaveAt`.
+
+    !!! example
+
+        >>> import jax, jax.numpy as jnp
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import Trajectory, equation_8, paper_chain, simulate
+        >>> chain = paper_chain(3, belt_speed=1.5, width=1e-2)
+        >>> watch = Trajectory(jnp.linspace(0.0, 10.0, 101))
+        >>> x, v = simulate(chain, equation_8(chain, 1), 10.0, observe=watch).observed
+        >>> x.shape, float(x[0, 1].round(3))
+        ((101, 3), 2.525)
     """
 
     times: Float[Array, " times"] = eqx.field(converter=named("times"))
