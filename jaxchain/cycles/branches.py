@@ -55,6 +55,22 @@ class CycleBranch:
       greatest modulus first; `unstable` (k,): how many lie beyond the unit circle.
     - `special`: tuple of `CyclePoint`, in order; `ended`, `message`: why the branch ends.
     - `shooting`, `branch`: the equations, and the branch as their solution (with `counts`).
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import continue_cycle, find_limit_cycle, paper_chain
+        >>> cycle = find_limit_cycle(paper_chain(1, belt_speed=1.5, width=1e-2))
+        >>> branch = continue_cycle(cycle)
+        >>> branch.name, branch.amplitude.shape == (branch.parameter.size, 1)
+        ('belt_speed', True)
+        >>> stable = branch.unstable == 0
+        >>> top = branch.of_kind("fold")[0].parameter  # the greatest belt speed
+        >>> bool(stable[0]), bool(stable[-1]), bool(branch.parameter.max() <= top)
+        (True, False, True)
+        >>> sorted(branch.table())[:4]  # columns for a data frame
+        ['amplitude', 'belt_speed', 'closeness', 'energy']
     """
 
     name: str
@@ -238,6 +254,22 @@ def switch_cycle(
 
     **Raises:** `ValueError` for a point of another kind; `RuntimeError` if no other branch is
     found.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import continue_cycle, find_limit_cycle, paper_chain
+        >>> from jaxchain.cycles import switch_cycle
+        >>> cycle = find_limit_cycle(paper_chain(3, belt_speed=1.36, width=0.05), vibrating=1)
+        >>> mirrored = continue_cycle(  # the middle one vibrates, the others do the same
+        ...     cycle, images=(0, 1, 0), direction=-1, bounds=(1.345, 1.37)
+        ... )
+        >>> point = mirrored.of_kind("symmetry breaking")[0]
+        >>> other = switch_cycle(mirrored, point, max_points=3)
+        >>> apart = abs(other.amplitude[-1, 0] - other.amplitude[-1, 2])  # no longer the same
+        >>> round(point.parameter, 4), bool(apart > 0.01)
+        (1.3523, True)
     """
     check_kind("branch", branch, CycleBranch, "one of `continue_cycle`")
     check_kind("point", point, CyclePoint, "one of `branch.special`")

@@ -81,7 +81,22 @@ def liouville_determinant(
 
     It underflows to zero where masses stick for long: at a width of 1e-3 tr J is -1000 then.
     `liouville_defect` compares the two with due regard to that.
-    Arguments and errors of `monodromy_matrix`.
+
+    **Arguments** and errors are those of `monodromy_matrix`.
+
+    **Returns:** a number, 0 ... 1 where damping outweighs what friction gives.
+
+    !!! example
+
+        >>> import jax, jax.numpy as jnp
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import monodromy_matrix, paper_chain
+        >>> from jaxchain.cycles import liouville_determinant
+        >>> chain = paper_chain(1, belt_speed=9.0)  # sliding: a damped oscillator, nearly
+        >>> start = jnp.full(1, 0.5), jnp.zeros(1)
+        >>> det = jnp.linalg.det(monodromy_matrix(chain, start, 1.0))
+        >>> round(float(liouville_determinant(chain, start, 1.0)), 6), round(float(det), 6)
+        (0.904837, 0.904837)
     """
     return jnp.exp(trace_integral(chain, state, period, rtol=rtol))
 
@@ -95,6 +110,22 @@ def liouville_defect(
     below is by how much det M changes per unit of change of the s_k.  Where nothing contracts
     much it is the relative error of det M over 2n, or so.  Where a mass sticks one s_k and both
     determinants are zero to rounding, and the check says of that direction only that it is.
+
+    **Arguments:** M of shape (2n, 2n), see `monodromy_matrix`; `trace` = L, one number.
+
+    **Returns:** a number >= 0, NaN where M is.
+
+    **Raises:** `ValueError` for a matrix that is not square.
+
+    !!! example
+
+        >>> import jax, jax.numpy as jnp
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain.cycles import liouville_defect
+        >>> M = jnp.diag(jnp.array([1.0, 0.5]))
+        >>> right, wrong = jnp.log(0.5), jnp.log(0.6)
+        >>> [round(float(liouville_defect(M, trace)), 4) for trace in (right, wrong)]
+        [0.0, 0.0667]
     """
     monodromy, trace = _square(monodromy), as_array("trace", trace, 0, 0)
     sizes = jnp.linalg.svd(monodromy, compute_uv=False)

@@ -40,6 +40,17 @@ class CyclePoint:
     whether it is one to the search's precision; `error`: of `parameter`, from the search and from
     the integration, which is tight here whatever `rtol` and `tolerance` the branch has; `raw`: the
     point of the shooting equations.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import continue_cycle, find_limit_cycle, paper_chain
+        >>> cycle = find_limit_cycle(paper_chain(1, belt_speed=1.5, width=1e-2))
+        >>> for point in continue_cycle(cycle).special:
+        ...     print(point.kind, round(point.parameter, 6), point.amplitude.round(3))
+        fold 1.792456 [1.781]
+        hopf 1.151293 [0.]
     """
 
     kind: str
