@@ -40,6 +40,20 @@ class BistableRange(Outcome):
     - `result`: successful where there is a fold, or none is proved to be.  Where it is not,
       `highest` and `width` mean nothing; that vibration sets in gently to first harmonic
       (`SearchResult.gentle`) is no proof.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import paper_chain
+        >>> from jaxchain.boundaries import bistable_range
+        >>> chain = paper_chain(1, width=1e-2)
+        >>> both = bistable_range(chain)
+        >>> bool(both.hopf < 1.5 < both.highest)  # at 1.5 a mass may slide or vibrate
+        True
+        >>> damped = bistable_range(chain.with_(damping_ratio=0.6))  # no fold: nothing to choose
+        >>> bool(damped.successful), float(damped.width)
+        (True, 0.0)
     """
 
     hopf: Float[Array, ""]
@@ -136,9 +150,27 @@ def try_boundary(
     but with neighbours that are strongly coupled (0.05 for three equal masses) this start may
     come to rest where another would not.  Under `jit` and `vmap`.
 
-    **Arguments:** dimensionless; `time` long enough to die out: some multiples of 1 / xi.
+    **Arguments:** (dimensionless) `belt_speed` v, the boundary in question; `vibrating`, the index
+    of the mass, by default n // 2; `margin`, a share of v; `time` long enough to die out: some
+    multiples of 1 / xi.
+
+    **Returns:** a `Trial`: `speeds` (2,), `amplitudes` (2, n) at their ends, `vibrates` (2,), and
+    `holds`, whether the mass vibrated below and rested above.
 
     **Raises:** `ValueError` for a speed, margin or time that is not positive.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import nonsmooth_fold_belt_speed, paper_chain
+        >>> from jaxchain.boundaries import try_boundary
+        >>> chain = paper_chain(n=1)
+        >>> boundary = nonsmooth_fold_belt_speed(chain)
+        >>> try_boundary(chain, boundary).vibrates.tolist()
+        [True, False]
+        >>> bool(try_boundary(chain, 0.9 * boundary).holds)  # that is no boundary
+        False
     """
     mass = check_vibrating(chain, vibrating)
     for name, value, remedy in (

@@ -188,7 +188,24 @@ def square_amplitude_slope(
 
 
 class GeneralisedHopf(Outcome):
-    """A Hopf point with l1 = 0, at `value` of the parameter; NaN unless `successful`."""
+    """A Hopf point with l1 = 0, at `value` of the parameter; NaN unless `successful`.
+
+    - `value` and `belt_speed`, dimensionless: where the fold ends upon the Hopf curve.
+    - `result`: a `SearchResult`, no_meeting if l1 has one sign between `low` and `high`.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import paper_chain
+        >>> from jaxchain.boundaries import generalised_hopf
+        >>> chain = paper_chain(n=1)
+        >>> meeting = generalised_hopf(chain, "width", 0.05, 1.0)
+        >>> round(float(meeting.value), 3), round(float(meeting.belt_speed), 3)
+        (0.349, 1.093)
+        >>> generalised_hopf(chain, "width", 0.001, 0.01).message.split(",")[0]
+        'The first Lyapunov coefficient does not change its sign between `low` and `high`'
+    """
 
     value: Float[Array, ""]
     belt_speed: Float[Array, ""]

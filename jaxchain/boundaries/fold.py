@@ -35,6 +35,20 @@ class Fold(Outcome):
     - `width`: of the friction with which the cycle was closed, that of the chain or a little more:
       see `fold_belt_speed`.
     - `evaluations`: shooting Jacobians it took.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import find_limit_cycle, paper_chain
+        >>> from jaxchain.boundaries import find_fold
+        >>> chain = paper_chain(1, width=1e-2)
+        >>> fold = find_fold(chain)
+        >>> round(float(fold.belt_speed), 6), bool(fold.successful)
+        (1.792456, True)
+        >>> there = chain.with_(belt_speed=fold.belt_speed - 1e-3)  # its cycle leads to others
+        >>> bool(find_limit_cycle(there, fold.state, period=fold.period).residual < 1e-9)
+        True
     """
 
     belt_speed: Float[Array, ""]

@@ -60,6 +60,19 @@ class HopfPoints(eqx.Module):
     one wave alone, and its cycles are those of the full chain while their growth is slow compared
     with the differences of the frequencies.  If 4 q is a multiple of 2 pi there is a second
     standing wave, cos(q (n + 1/2)), with another coefficient.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import paper_chain
+        >>> from jaxchain.boundaries import hopf_points
+        >>> points = hopf_points(paper_chain(4), (0.1, 5.0))
+        >>> for k, q in enumerate(points.wavenumber):
+        ...     print(f"{float(q):.4f} {int(points.multiplicity[k])} {points.criticality[k]}")
+        0.0000 1 subcritical
+        1.5708 2 subcritical
+        3.1416 1 subcritical
     """
 
     belt_speed: Float[Array, " points"]

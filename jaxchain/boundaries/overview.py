@@ -32,6 +32,19 @@ class Boundaries(eqx.Module):
     - `fold_nonsmooth`: the same for dry friction: found directly, else extrapolated to width 0.
     - `fold_limit`: extrapolated, a second opinion.
     - `..._error`: the bars of the values for dry friction.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import paper_chain
+        >>> from jaxchain.boundaries import hopf_and_fold
+        >>> found = hopf_and_fold(paper_chain(1, width=1e-2))
+        >>> round(float(found.fold), 6), round(float(found.fold_nonsmooth), 6)
+        (1.792456, 1.836601)
+        >>> apart = abs(found.fold_limit - found.fold_nonsmooth)  # two methods for dry friction
+        >>> bool(apart < found.fold_limit_error), bool(found.fold_nonsmooth_error < 1e-9)
+        (True, True)
     """
 
     hopf: Float[Array, ""]
@@ -70,8 +83,17 @@ def hopf_and_fold(chain: Chain, vibrating: Any = None) -> Boundaries:
 
     **Raises:** `ValueError` as `fold_belt_speed` does.
 
-    For the paper's set at width 1e-3, one mass: `hopf` 1.151293, `fold` 1.831130,
-    `fold_nonsmooth` 1.836600972.
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import paper_chain
+        >>> from jaxchain.boundaries import hopf_and_fold
+        >>> found = hopf_and_fold(paper_chain(n=1, width=1e-3))
+        >>> round(float(found.hopf), 6), round(float(found.fold), 6)
+        (1.151293, 1.83113)
+        >>> round(float(found.fold_nonsmooth), 9)
+        1.836600972
     """
     mass = check_vibrating(chain, vibrating)
     return _boundaries(chain, mass)

@@ -48,6 +48,20 @@ class OneMassBranch(eqx.Module):
 
     The first entry is the Hopf point, of amplitude 0; `fold` is the index of the fold, which is
     the last one of a dry slip branch.
+
+    !!! example
+
+        >>> import jax, numpy as np
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import paper_chain
+        >>> from jaxchain.boundaries import one_mass_branch
+        >>> branch = one_mass_branch(paper_chain(n=1, width=1e-2))
+        >>> speed, amplitude = np.asarray(branch.belt_speed), np.asarray(branch.amplitude)
+        >>> round(float(speed[branch.fold]), 4), round(float(amplitude[branch.fold]), 4)
+        (1.7925, 1.7808)
+        >>> unstable, stable = amplitude[: branch.fold], amplitude[branch.fold :]  # two lines
+        >>> bool(np.nanmax(unstable) < np.nanmin(stable))
+        False
     """
 
     belt_speed: Float[Array, " points"]
@@ -81,6 +95,19 @@ def one_mass_branch(chain: Chain, lowest: Any = 0.1, fold: Fold | None = None) -
 
     **Raises:** `ValueError` for a chain of several masses or a `lowest` that is not positive, or
     not below the fold.
+
+    !!! example
+
+        >>> import jax, numpy as np
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import paper_chain
+        >>> from jaxchain.boundaries import one_mass_branch
+        >>> branch = one_mass_branch(paper_chain(n=1, width=1e-2), lowest=1.0)
+        >>> there = ~np.isnan(branch.belt_speed)  # places without a point are NaN
+        >>> float(branch.amplitude[0]), round(float(branch.belt_speed[0]), 4)  # at the Hopf point
+        (0.0, 1.1513)
+        >>> bool(branch.belt_speed[there].max() == branch.belt_speed[branch.fold])
+        True
     """
     _check_single(chain)
     require_smoothed(chain, "use `dry_slip_branch` for its slip cycles, or ")

@@ -45,6 +45,18 @@ class Extrapolated(eqx.Module):
     - `error`: a bar, |value - truth| <= error.
     - `coefficients`: of 1, e ln(1/e), e, e^(3/2), (e ln e)^2, e^2 ln(1/e) with e = width / scale,
       as many as there are widths, at most six.
+
+    !!! example
+
+        >>> import jax, jax.numpy as jnp
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain.boundaries import extrapolate
+        >>> widths = jnp.array([8e-3, 4e-3, 2e-3, 1e-3])
+        >>> limit = extrapolate(1.5 + 2.0 * widths * jnp.log(1 / widths) - widths, widths)
+        >>> bool(abs(limit.value - 1.5) <= limit.error)  # what the bar promises
+        True
+        >>> print(limit.coefficients[:3].round(4))  # of 1, e ln(1/e) and e
+        [ 1.5  2.  -1. ]
     """
 
     value: Float[Array, ""]
@@ -64,6 +76,18 @@ class FoldBoundary(eqx.Module):
     - `dry`: for dry friction itself, the grazing cycle: a second method for `limit`.
 
     NaN for what does not exist or was not found.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import paper_chain
+        >>> from jaxchain.boundaries import fold_boundary
+        >>> found = fold_boundary(paper_chain(1, width=1e-2))
+        >>> round(float(found.value), 6), round(float(found.dry), 6)  # what the width costs
+        (1.792456, 1.836601)
+        >>> bool(abs(found.limit - found.dry) < found.error)  # two methods for width 0
+        True
     """
 
     value: Float[Array, ""]
@@ -175,6 +199,17 @@ def fold_in_the_limit(chain: Chain, vibrating: Any = None, widths: Any = None) -
     about 12 times the error, 2e-7 of v_d; and for 240 of 242 from wider ranges.
 
     **Raises:** `ValueError` as `fold_belt_speed` and `extrapolate` do.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import nonsmooth_fold_belt_speed, paper_chain
+        >>> from jaxchain.boundaries import fold_in_the_limit
+        >>> limit = fold_in_the_limit(paper_chain(n=1))
+        >>> exact = nonsmooth_fold_belt_speed(paper_chain(n=1))
+        >>> round(float(limit.value), 5), bool(abs(limit.value - exact) < limit.error < 1e-4)
+        (1.8366, True)
     """
     mass = check_vibrating(chain, vibrating)
     return _limit(chain, mass, None if widths is None else check_widths(widths))
@@ -183,7 +218,19 @@ def fold_in_the_limit(chain: Chain, vibrating: Any = None, widths: Any = None) -
 def fold_boundary(chain: Chain, vibrating: Any = None) -> FoldBoundary:
     """The fold at the chain's width, in the limit of width 0 with an error bar, and the dry one.
 
-    Arguments, errors and transformations as for `fold_belt_speed`.
+    **Arguments**, errors and transformations as for `fold_belt_speed`.
+
+    **Returns:** a `FoldBoundary`, in v_d.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import paper_chain
+        >>> from jaxchain.boundaries import fold_boundary
+        >>> found = fold_boundary(paper_chain(n=1, width=1e-2))
+        >>> [round(float(v), 6) for v in (found.value, found.limit, found.dry)]
+        [1.792456, 1.836601, 1.836601]
     """
     return _boundary(chain, check_vibrating(chain, vibrating))
 
