@@ -108,6 +108,18 @@ def verdicts(
     others alone.
 
     **Raises:** `ValueError` for bad input.
+
+    !!! example
+
+        >>> import jax, jax.numpy as jnp
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import paper_chain
+        >>> from jaxchain.chaos import verdicts
+        >>> chain = paper_chain(1, belt_speed=1.5, width=None)
+        >>> starts = jnp.array([[0.6], [2.2]]), jnp.zeros((2, 1))  # near sliding, and far from it
+        >>> found = verdicts(chain, starts, noise=(1e-3,), seeds=1)
+        >>> [one.verdict for one in found]
+        ['at rest', 'periodic']
     """
     as_chain(chain, AbstractOscillators)
     criteria = Criteria() if criteria is None else criteria

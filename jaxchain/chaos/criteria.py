@@ -54,6 +54,18 @@ class Criteria:
     - `drift`: by how much the energies of the two halves of a record may differ on a torus.
     - `novelty`: the most there may be on a torus, see `recurrence.novelty`: half of it is what a
       steady drift has, and 0.3 what 100 points on a square have.
+
+    !!! example
+
+        >>> import jax, jax.numpy as jnp
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import paper_chain, verdict
+        >>> from jaxchain.chaos import Criteria
+        >>> chain = paper_chain(1, belt_speed=1.5, width=None)
+        >>> start = jnp.array([2.2]), jnp.zeros(1)
+        >>> strict = Criteria(gap=1e-9)  # orbits must close better; all else as by default
+        >>> verdict(chain, start, noise=(), criteria=strict).verdict
+        'periodic'
     """
 
     rest: float = 1e-6

@@ -35,6 +35,19 @@ class Evidence:
       record; `delays`: of each vibrating mass at the end, in periods.
     - `symmetry_time`, `symmetry`: see `symmetry_defect`.
     - `state`: (x, v) at the end.
+
+    !!! example
+
+        >>> import jax, jax.numpy as jnp
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import paper_chain, verdict
+        >>> chain = paper_chain(1, belt_speed=1.5, width=None)
+        >>> start = jnp.array([2.2]), jnp.zeros(1)
+        >>> found = verdict(chain, start, noise=(1e-3,), seeds=1)
+        >>> for run in found.runs:
+        ...     print(run.noise, run.kind, round(run.period, 3), run.active, run.relaxation_time)
+        0.0 cycle 6.316 [ True] 0.0
+        0.001 cycle 6.316 [ True] 0.0
     """
 
     noise: float
@@ -107,10 +120,24 @@ class Evidence:
 class Verdict:
     """What an ensemble of runs from one start says.
 
-    - `verdict`: one of `VERDICTS`; `reason`, a sentence with the numbers; `remedy`: what would
-      decide a transient, or what to do about a run that failed, else empty.
+    - `verdict`: "at rest", "periodic", "quasi-periodic", "chaotic", "transient" (not decided) or
+      "failed"; `reason`, a sentence with the numbers; `remedy`: what would decide a transient, or
+      what to do about a run that failed, else empty.
     - `undisturbed`: the verdict on the start itself; `depends_on_noise`: whether that differs.
-    - `runs`: all the evidence; `longest`: the longest time that was simulated.
+    - `runs`: an `Evidence` each; `longest`: the longest time that was simulated.
+
+    !!! example
+
+        >>> import jax, jax.numpy as jnp
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import paper_chain, verdict
+        >>> chain = paper_chain(1, belt_speed=1.5, width=None)
+        >>> start = jnp.array([2.2]), jnp.zeros(1)
+        >>> found = verdict(chain, start, noise=(1e-3,), seeds=1)
+        >>> found.verdict, found.depends_on_noise, found.lead.kind
+        ('periodic', False, 'cycle')
+        >>> print(found.reason)
+        2 runs: 2 cycle; locked by 2000 to 2000, slowest relaxation time 0
     """
 
     verdict: str
