@@ -48,6 +48,19 @@ def pattern_guess(
     masses are, see `excited_block`; `first`, the index of one of them, by default the middle one.
 
     **Raises:** `ValueError` for phases that cannot be and a mass that does not vibrate.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import paper_chain, simulate
+        >>> from jaxchain.localization import locked_patterns, pattern_guess, phase_model
+        >>> chain = paper_chain(4, belt_speed=1.5, width=1e-2)
+        >>> model = phase_model(chain)
+        >>> state, period = pattern_guess(model, locked_patterns(model, 2)[0].phases, first=2)
+        >>> again, _ = simulate(chain, state, period).state  # the guess comes back, nearly
+        >>> bool(abs(again - state[0]).max() < 0.1), round(float(period), 1)
+        (True, 6.2)
     """
     _check_model(model)
     check_one_of("block", block, BLOCKS)
@@ -86,7 +99,21 @@ def pattern_guess(
 
 
 def block_sites(n: int, k: int, block: str = "centred") -> np.ndarray:
-    """Indices of k neighbours, in order along the ring; see `excited_block`."""
+    """Indices of k neighbours, in order along the ring; see `excited_block`.
+
+    **Arguments:** `n` masses in the ring, `k` of them; `block`, "centred" about mass n // 2 or
+    "forward" from it.
+
+    **Returns:** whole numbers from 0, of shape (k,).
+
+    **Raises:** `ValueError` for k not in 1 ... n, or another block.
+
+    !!! example
+
+        >>> from jaxchain.localization import block_sites
+        >>> block_sites(8, 3).tolist(), block_sites(8, 6, "forward").tolist()
+        ([3, 4, 5], [4, 5, 6, 7, 0, 1])
+    """
     check_whole("k", k, 1, check_whole("n", n), "so many masses vibrate, of n.")
     check_one_of("block", block, BLOCKS)
     start = reference_site(n) - (0 if block == "forward" else k // 2)
@@ -100,6 +127,18 @@ class LockedPattern:
     `phases` (k,), radians, theta = 0 of the first; `rate`, how fast all of them grow, as in
     `PhaseModel.rates`; `growth` of the disturbance of phases that grows fastest, in units of
     1 / time: negative for a stable pattern.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import paper_chain
+        >>> from jaxchain.localization import locked_patterns, phase_model
+        >>> calmest, *others = locked_patterns(phase_model(paper_chain(4, width=1e-2)), 2)
+        >>> round(calmest.order, 3), calmest.growth < 0  # two neighbours
+        (-1.0, True)
+        >>> [(round(other.order, 3), other.growth < 0) for other in others]
+        [(1.0, False)]
     """
 
     phases: Float[np.ndarray, " k"]
@@ -133,7 +172,22 @@ def locked_patterns(model: PhaseModel, count: Any) -> tuple[LockedPattern, ...]:
     Newton's method from a few hundred spread starts, the same in every call: for more than about
     eight masses some will be missed.  Of a pattern and its mirror image one is returned.
 
+    **Arguments:** `model`, what `phase_model` returned; `count` of the masses that vibrate.
+
+    **Returns:** a tuple of `LockedPattern`.
+
     **Raises:** `ValueError` for a count that is no whole number in 1 ... n.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import paper_chain
+        >>> from jaxchain.localization import locked_patterns, phase_model
+        >>> model = phase_model(paper_chain(4, belt_speed=1.5, width=1e-2))
+        >>> patterns = locked_patterns(model, 2)
+        >>> patterns[0].growth < 0, patterns[0].phases.shape
+        (True, (2,))
     """
     _check_model(model)
     k = check_whole("count", count, 1, model.chain.n)
@@ -158,6 +212,23 @@ def rotating_wave(model: PhaseModel, turns: Any) -> LockedPattern:
     """The whole ring vibrates, each mass ahead of the one before by 2 pi `turns` / n.
 
     0 is in phase, n / 2 alternating; every such pattern is locked.
+
+    **Arguments:** `model`, what `phase_model` returned; `turns`, a whole number in -n ... n.
+
+    **Returns:** a `LockedPattern` of n phases.
+
+    **Raises:** `ValueError` for turns that are none.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import paper_chain
+        >>> from jaxchain.localization import phase_model, rotating_wave
+        >>> model = phase_model(paper_chain(4, belt_speed=1.5, width=1e-2))
+        >>> waves = [rotating_wave(model, turns) for turns in (0, 1, 2)]
+        >>> [wave.growth < 0 for wave in waves]  # in phase, travelling, alternating
+        [False, False, True]
     """
     _check_model(model)
     n = model.chain.n

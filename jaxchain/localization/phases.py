@@ -35,12 +35,25 @@ _SAMPLES, _HARMONICS = 256, 8
 
 
 class PhaseModel(eqx.Module):
-    """Phases of vibrating neighbours on a homogeneous ring.
+    """Phases of vibrating neighbours on a homogeneous ring, what `phase_model` returns.
 
     - `state` = (x, v), shape (1,), and `period`: the cycle of one mass, its neighbours held, at
       its greatest velocity, where theta = 0.
     - `interaction` (h,): H(s) = Re sum_h c_h exp(i h s), h = 0, 1, ...; `quiet`: H_q.
     - `displacement` (h,): x(theta) in the same way; `chain`: whose masses these are.
+
+    !!! example
+
+        >>> import jax, jax.numpy as jnp
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import paper_chain
+        >>> from jaxchain.localization import phase_model
+        >>> model = phase_model(paper_chain(4, belt_speed=1.5, width=1e-2))
+        >>> round(float(model.period), 4)
+        6.2469
+        >>> rates = model.rates(jnp.zeros(3))  # three in phase: the middle one differs
+        >>> bool(abs(rates[0] - rates[2]) < 1e-9), bool(abs(rates[0] - rates[1]) > 1e-3)
+        (True, True)
     """
 
     chain: Chain
