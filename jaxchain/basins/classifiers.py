@@ -42,10 +42,22 @@ _PHASES = ("in phase", "out of phase", "in between")
 
 
 class Settled(eqx.Module):
-    """Where a run ended.
+    """Where a run ended, as `VibratingMasses` observes it.
 
-    - `code`: the state, whole numbers; `vibrates`: which masses do.
+    - `code`: the state, whole numbers of shape (n,); `vibrates`: which masses do, shape (n,).
     - `decided`: whether that has been so for some time; `since`: from when on.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import equation_8, paper_chain, simulate
+        >>> from jaxchain.basins import VibratingMasses
+        >>> chain = paper_chain(6, belt_speed=1.5, width=None)
+        >>> run = simulate(chain, equation_8(chain, 2), 300.0, observe=VibratingMasses())
+        >>> end = run.observed
+        >>> int(end.vibrates.sum()), bool(end.decided), bool(end.since < 300.0)
+        (2, True, True)
     """
 
     code: Int[Array, " n"]

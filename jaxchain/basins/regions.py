@@ -66,7 +66,25 @@ def _check_masses(masses: Any) -> None:
 class AbstractRegion(eqx.Module):
     """Where a system may start: a map from the unit cube to states.
 
-    Points that fill the cube evenly make states with the region's distribution.
+    Points that fill the cube evenly make states with the region's distribution.  A subclass gives
+    `dimension`, that of the cube, and `start`, which JAX must be able to trace.
+
+    !!! example
+
+        >>> import jax, jax.numpy as jnp
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import paper_chain, steady_sliding
+        >>> from jaxchain.basins import AbstractRegion
+        >>> class Shaken(AbstractRegion):  # all masses at one velocity, up to `most`
+        ...     most: float
+        ...     def dimension(self, chain):
+        ...         return 1
+        ...     def start(self, chain, point):
+        ...         x, v = steady_sliding(chain)
+        ...         return x, v + self.most * point[0]
+        >>> x, v = Shaken(2.0).start(paper_chain(2), jnp.array([0.25]))
+        >>> v.tolist()  # `basin_shares(chain, Shaken(2.0))` runs many of them
+        [0.5, 0.5]
     """
 
     @abc.abstractmethod
