@@ -80,7 +80,26 @@ def animate(
 
 
 def save_gif(animation: FuncAnimation, path: Any, dpi: Any = 100) -> Path:
-    """Writes an animation as a GIF that repeats for ever, in few colours to keep it small."""
+    """Writes an animation as a GIF that repeats for ever, in few colours to keep it small.
+
+    **Arguments:** `animation`, what `animate` returned; `path` of the file; `dpi`, dots per inch.
+
+    **Returns:** the path of the file.
+
+    **Raises:** `ValueError` for a `dpi` that is not positive.
+
+    !!! example
+
+        >>> import jax, tempfile, numpy as np
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import paper_chain
+        >>> from jaxchain.plotting import animate, save_gif
+        >>> times = np.linspace(0.0, 5.0, 4)[:, None]
+        >>> film = animate(paper_chain(n=1), times[:, 0], (np.cos(times), -np.sin(times)))
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     print(save_gif(film, f"{folder}/film.gif", dpi=40).read_bytes()[:6])
+        b'GIF89a'
+    """
     remedy = "`animate(...)` makes one."
     check_kind("animation", animation, FuncAnimation, "a `FuncAnimation`", remedy)
     check_kind("path", path, str | Path, "the name of a file")
@@ -100,6 +119,22 @@ def film_strip(
     """Stills of `animate` below each other, from the first time on at equal distances.
 
     **Arguments:** as for `animate`; `stills`, how many, at most one for every frame.
+
+    **Returns:** a matplotlib figure, one panel for each still.
+
+    **Raises:** `ValueError` as `animate`, and for more stills than frames.
+
+    !!! example
+
+        >>> import jax, numpy as np
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import paper_chain
+        >>> from jaxchain.plotting import film_strip
+        >>> times = np.linspace(0.0, 5.0, 6)[:, None]
+        >>> states = np.cos(times), -np.sin(times)  # any film of one mass
+        >>> page = film_strip(paper_chain(n=1), times[:, 0], states, stills=3)
+        >>> [axes.get_title(loc="right")[-4:] for axes in page.axes]  # the time of each
+        ['0.00', '2.00', '4.00']
     """
     times, states = checked_film(chain, times, states)
     check_whole("stills", stills)

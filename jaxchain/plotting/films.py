@@ -36,6 +36,19 @@ def sticking(chain: Chain, states: Any) -> np.ndarray:
     With dry friction a mass sticks while v = v_d; with smoothed friction while |v - v_d| is below
     the speed of greatest friction and the force on it, without friction, does not exceed p mu_st.
     States of a smoothed chain that `EventDriven` ran are those of `chain.with_(width=None)`.
+
+    !!! example
+
+        >>> import jax, numpy as np
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import Trajectory, equation_8, paper_chain, simulate
+        >>> from jaxchain.plotting import sticking
+        >>> chain = paper_chain(n=1, belt_speed=1.0, width=None)
+        >>> watch = Trajectory(np.linspace(40.0, 46.4325, 101))  # one period
+        >>> film = simulate(chain, equation_8(chain, 1), 60.0, observe=watch).observed
+        >>> sticks = sticking(chain, film)
+        >>> sticks.shape, round(float(sticks.mean()), 2)  # the share of the time
+        ((101, 1), 0.16)
     """
     as_chain(chain)
     if not isinstance(states, tuple | list) or len(states) != 2:

@@ -20,7 +20,23 @@ from .style import BLUE, GREY, ORANGE, add_legend, on_axes
 
 
 def draw_friction(axes: Axes, chain: Chain) -> None:
-    """F / P over the relative velocity: dry, and if it is, smoothed, near v_rel = 0 both."""
+    """F / P over the relative velocity: dry, and if it is, smoothed, near v_rel = 0 both.
+
+    **Arguments:** `axes`, where it is drawn; `chain`, whose friction law it is.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from matplotlib.figure import Figure
+        >>> from jaxchain import paper_chain
+        >>> from jaxchain.plotting import draw_friction
+        >>> axes = Figure().subplots()
+        >>> draw_friction(axes, paper_chain(1, width=0.1))
+        >>> _, labels = axes.get_legend_handles_labels()
+        >>> labels[0], labels[-1]
+        ('dry', 'steady sliding')
+    """
     check_kind("axes", axes, Axes, "matplotlib axes", "`Figure().subplots()` makes them.")
     as_chain(chain)
     law, friction, width = first_mass((chain.law, chain.friction, chain.width))

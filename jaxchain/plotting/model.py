@@ -97,7 +97,25 @@ def zigzag(
 
 
 def draw_mechanism(axes: Axes, chain: Chain, masses: int) -> None:
-    """Masses, springs, dashpots and the belt, with the symbols of eq. (3)."""
+    """Masses, springs, dashpots and the belt, with the symbols of eq. (3).
+
+    **Arguments:** `axes`, where it is drawn; `chain`, which says whether masses are coupled, and
+    which way the belt runs; `masses`, how many are drawn, 1 ... 6.
+
+    **Raises:** `ValueError` for more, or less.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from matplotlib.figure import Figure
+        >>> from jaxchain import paper_chain
+        >>> from jaxchain.plotting import draw_mechanism
+        >>> axes = Figure().subplots()
+        >>> draw_mechanism(axes, paper_chain(3), masses=3)
+        >>> [text.get_text() for text in axes.texts][:3]
+        ['$v_d$', '$m$', '$P$']
+    """
     check_kind("axes", axes, Axes, "matplotlib axes", "`Figure().subplots()` makes them.")
     as_chain(chain)
     check_whole("masses", masses, 1, 6, "more are not legible. 4 is usual.")

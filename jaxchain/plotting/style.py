@@ -53,7 +53,24 @@ ENERGY = r"vibration energy $\tilde E = \frac{1}{2}\sum \tilde A_i^2$ (–)"
 
 
 def save_figure(page: Figure, path: Path) -> list[Path]:
-    """Writes `path` with the endings .png and .pdf."""
+    """Writes `path` with the endings .png and .pdf.
+
+    **Arguments:** `page`, a matplotlib figure; `path`, the name of the files without an ending.
+
+    **Returns:** the paths of both files.
+
+    !!! example
+
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> from matplotlib.figure import Figure
+        >>> from jaxchain.plotting import save_figure
+        >>> page = Figure(figsize=(2, 1))
+        >>> _ = page.subplots().plot([0, 1])
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     print([file.name for file in save_figure(page, Path(folder) / "line")])
+        ['line.png', 'line.pdf']
+    """
     check_kind("page", page, Figure, "a matplotlib figure")
     check_kind("path", path, str | Path, "the name of a file, without an ending")
     path = Path(path)

@@ -52,6 +52,27 @@ def figure_3(ladder: xr.Dataset, single: xr.Dataset, hopf: float | None = None) 
     a single oscillator over `belt_speed` and anything else, such as its `displacement` at the
     start; `hopf`, the belt speed at which steady sliding loses its stability (default:
     `hopf_belt_speed` of each dataset, which scenes save).
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import Amplitude, equation_8, excited_state, paper_chain, sweep
+        >>> from jaxchain.plotting import figure_3
+        >>> watch, speeds = Amplitude(window=20.0), [1.4, 1.5]
+        >>> def pulled(chain, displacement):
+        ...     return excited_state(chain, 1, amplitude=displacement)
+        >>> ladder = sweep(
+        ...     paper_chain(4), equation_8, 100.0, observe=watch,
+        ...     over={"belt_speed": speeds, "excited": [0, 1]},
+        ... )
+        >>> single = sweep(
+        ...     paper_chain(1, width=1e-2), pulled, 100.0, observe=watch,
+        ...     over={"belt_speed": speeds, "displacement": [0.1, 2.0]},
+        ... )
+        >>> page = figure_3(ladder, single, hopf=1.1513)
+        >>> [axes.get_title(loc="left") for axes in page.axes[:2]]
+        ['(a)', '(b)']
     """
     return figure({"single": single, "ladder": ladder}, hopf=hopf)
 
@@ -61,6 +82,19 @@ def figure(datasets: Mapping[str, xr.Dataset], hopf: float | None = None) -> Fig
 
     What is called `NAME_nonsmooth` (the same runs with true dry friction) and `NAME_cycles` (the
     branch of cycles) shares the panel of NAME, if there is one.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import Amplitude, equation_8, paper_chain, sweep
+        >>> from jaxchain.plotting import figure
+        >>> over = {"belt_speed": [1.4, 1.5], "excited": [0, 1]}
+        >>> watch = Amplitude(window=20.0)
+        >>> data = sweep(paper_chain(4), equation_8, 100.0, over=over, observe=watch)
+        >>> page = figure({"four": data}, hopf=1.1513)  # `save_figure(page, "four")` writes it
+        >>> [text.split(" $")[0] for axes in page.axes if (text := axes.get_xlabel())]
+        ['belt speed']
     """
     remedy = '{"chain": sweep(...)}, say.'
     check_kind("datasets", datasets, Mapping, "a dict of names and datasets", remedy)
