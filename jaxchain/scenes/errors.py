@@ -14,7 +14,22 @@ _LONGEST_WORD = 50
 
 
 class SceneError(Exception):
-    """A scene that cannot be run: what is wrong, one line per problem."""
+    """A scene that cannot be run: what is wrong, one line per problem.
+
+    - `name`: of the scene; `problems`: a list of texts, each with the key, its value and a remedy.
+
+    !!! example
+
+        >>> from jaxchain.scenes import SceneError, load_scene
+        >>> wrong = "experiment.ladder.chain.n=0", "experiment.ladder.time.window=0"
+        >>> try:
+        ...     scene = load_scene("quickstart", wrong)
+        ... except SceneError as error:
+        ...     print(error)
+        scene quickstart has 2 errors:
+          experiment.ladder.chain.n: must be at least 1, but is 0
+          experiment.ladder.time.window: must be greater than 0, but is 0
+    """
 
     def __init__(self, name: str, problems: Sequence[str]):
         super().__init__(name, problems)
@@ -31,11 +46,50 @@ class SceneError(Exception):
 
 
 class FigureError(Exception):
-    """The figure could not be drawn; the results are saved."""
+    """The figure could not be drawn; the results are saved.
+
+    Draw them yourself: `xarray.open_datatree` reads them, `jaxchain.plotting` has the pictures.
+
+    !!! example
+
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> from jaxchain.scenes import FigureError, Results
+        >>> def draw():
+        ...     raise ZeroDivisionError("an axis of no length")
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     try:
+        ...         Results(Path(folder), "mine").draw(draw)
+        ...     except FigureError as error:
+        ...         print("no picture:", repr(error.__cause__))
+        no picture: ZeroDivisionError('an axis of no length')
+    """
 
 
 class StorageError(Exception):
-    """Results that cannot be written; `datasets` holds all of the run, in memory."""
+    """Results that cannot be written; `datasets` holds all of the run, in memory.
+
+    - `name`: of the dataset; `folder`: where it should go; `reason`: of the system; `whole`: the
+      names of what was saved before.  Save `datasets` in another folder, by other `Results`.
+
+    !!! example
+
+        >>> import tempfile, xarray as xr
+        >>> from pathlib import Path
+        >>> from jaxchain.scenes import Results, StorageError
+        >>> data = xr.Dataset({"amplitude": ("belt_speed", [1.6, 1.7])})
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     file = Path(folder) / "file"
+        ...     file.touch()  # no folder
+        ...     try:
+        ...         Results(file, "mine").save("run", data)
+        ...     except StorageError as error:
+        ...         elsewhere = Results(Path(folder), "mine")
+        ...         for name, kept in error.datasets.items():
+        ...             elsewhere.save(name, kept)
+        ...         print(error.reason, list(elsewhere.datasets))
+        Not a directory ['run']
+    """
 
     def __init__(
         self,
@@ -58,11 +112,47 @@ class StorageError(Exception):
 
 
 class TakenOverError(Exception):
-    """Another process goes on in the folder of a run that has slept."""
+    """Another process goes on in the folder of a run that has slept.
+
+    That one has all units of the stores and saves the rest, so nothing is lost: end this run.
+
+    !!! example
+
+        >>> import tempfile, xarray as xr
+        >>> from pathlib import Path
+        >>> from jaxchain.scenes import Results, TakenOverError
+        >>> data = xr.Dataset({"amplitude": ("belt_speed", [1.6, 1.7])})
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     try:
+        ...         Results(Path(folder), "mine").save("run", data)
+        ...         print("saved")
+        ...     except TakenOverError:
+        ...         print("left to the other process")
+        saved
+    """
 
 
 class StudyFailedError(Exception):
-    """The study ran to its end and its results are saved, but they are not as they must be."""
+    """The study ran to its end and its results are saved, but they are not as they must be.
+
+    Also a run of a study that fails on the way; the message says which, and what to do.
+
+    !!! example
+
+        >>> import jax, tempfile, textwrap
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from pathlib import Path
+        >>> from jaxchain.scenes import StudyFailedError, load_scene, run_scene
+        >>> study = load_scene("ladder", ["walk.start=1.89"])  # above the fold: nothing to follow
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     try:
+        ...         run_scene(study, Path(folder), plot=False)
+        ...     except StudyFailedError as error:
+        ...         print(textwrap.fill(str(error), 80))
+        There is no stick-slip cycle at this belt speed on the branch that was found:
+        the cycles of this kind, followed from belt speed 1.701, turn at a fold at
+        1.83122.
+    """
 
 
 def did_you_mean(word: str, allowed: Iterable[str]) -> str:

@@ -20,7 +20,17 @@ _DEEPEST, _SHOWN = 100, 200
 
 
 def builtin_scenes() -> dict[str, Traversable]:
-    """The scene files that come with jaxchain, by name."""
+    """The scene files that come with jaxchain, by name.
+
+    **Returns:** a dict from the name that `load_scene` takes to the file, which can be read.
+
+    !!! example
+
+        >>> from jaxchain.scenes import builtin_scenes
+        >>> files = builtin_scenes()
+        >>> "fig3" in files, files["quickstart"].read_text().splitlines()[0]
+        (True, 'title = "A ring of six at a few belt speeds: a first look, in seconds"')
+    """
     folder = resources.files("jaxchain.scenes") / "library"
     files = sorted((f for f in folder.iterdir() if f.name.endswith(".toml")), key=lambda f: f.name)
     return {file.name.removesuffix(".toml"): file for file in files}

@@ -20,16 +20,65 @@ _Made = TypeVar("_Made")
 
 
 def load_law(given: str, scene: str) -> type[AbstractFrictionLaw]:
-    """The law of "FILE.py:CLASS", for errors of `scene`.  Runs the file.
+    """The law of "FILE.py:CLASS".  Runs the file.
+
+    **Arguments:** `given`, as above; `scene`, the name that an error bears.
+
+    **Returns:** the class, for `own_law` of `run_scene`; the numbers of the scene's friction table
+    are its fields.
 
     **Raises:** `SceneError` if there is no such file or class, if the class is no friction law,
     or if the file fails.
+
+    !!! example
+
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> from jaxchain.scenes import load_law
+        >>> code = '''
+        ... from jaxchain.model import AbstractFrictionLaw
+        ... class Rational(AbstractFrictionLaw):
+        ...     mu_static: float
+        ...     v_ref: float
+        ...     def coefficient(self, speed):
+        ...         return self.mu_static / (1.0 + speed / self.v_ref)
+        ... '''
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     file = Path(folder) / "laws.py"
+        ...     _ = file.write_text(code)
+        ...     law = load_law(f"{file}:Rational", "mine")
+        >>> law(mu_static=1.0, v_ref=1.5).coefficient(1.5)
+        0.5
     """
     return _load("--law", given, scene, AbstractFrictionLaw, "laws", "jaxchain.model")
 
 
 def load_observer(given: str, scene: str) -> type[AbstractObserver]:
-    """The observer of "FILE.py:CLASS", as `load_law`."""
+    """The observer of "FILE.py:CLASS".  Runs the file.
+
+    **Arguments:** `given`, as above; `scene`, the name that an error bears.
+
+    **Returns:** the class, for `own_observers` of `run_scene`, by its name.
+
+    **Raises:** `SceneError` if there is no such file or class, if the class is no observer, or if
+    the file fails.
+
+    !!! example
+
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> from jaxchain.scenes import load_observer
+        >>> code = '''
+        ... from jaxchain.observers import Amplitude
+        ... class Calm(Amplitude):
+        ...     pass
+        ... '''
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     file = Path(folder) / "watch.py"
+        ...     _ = file.write_text(code)
+        ...     load_observer(f"{file}:Calm", "mine").__name__
+        'Calm'
+    """
     return _load("--observer", given, scene, AbstractObserver, "observers", "jaxchain.observers")
 
 

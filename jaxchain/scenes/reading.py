@@ -14,12 +14,25 @@ from .errors import SceneError, did_you_mean
 from .files import builtin_scenes, read_scene
 from .registry import StudyTable, studies, study_table
 from .scene import Scene
+from .values import description
 from .wording import as_written, explain, listed
 
 
 @dataclass(frozen=True)
 class LoadedScene:
-    """A scene or a study with the name under which its results are stored."""
+    """A scene or a study with the name under which its results are stored.
+
+    `scene` is a `Scene`, or the `StudyTable` of its study.
+
+    !!! example
+
+        >>> from jaxchain.scenes import Scene, load_scene
+        >>> loaded = load_scene("quickstart")
+        >>> loaded.name, isinstance(loaded.scene, Scene)
+        ('quickstart', True)
+        >>> load_scene("ladder").scene.study
+        'ladder'
+    """
 
     name: str
     scene: Any  # a `Scene`, or the `StudyTable` of its study
@@ -63,19 +76,34 @@ def _model(data: dict[str, Any], scene: str) -> type[Scene] | type[StudyTable]:
 def schema(model: type[Scene] | type[StudyTable] = Scene) -> dict[str, Any]:
     """The JSON schema of scene files, or of the files of a study, for editors.
 
-    A key that may be left out is optional there, not null: TOML has no null.
+    A key that may be left out is optional there, not null: TOML has no null.  Examples for Python
+    are left out.
+
+    **Arguments:** `model`, `Scene`, or the class of a study's table.
+
+    **Returns:** a dict that `json.dumps` writes.
+
+    !!! example
+
+        >>> from jaxchain.scenes import load_scene, schema
+        >>> list(schema()["properties"])
+        ['title', 'description', 'experiment']
+        >>> "ring" in schema(type(load_scene("ladder").scene))["properties"]
+        True
     """
 
-    def without_null(part: Any) -> Any:
+    def of_files(part: Any) -> Any:
         if isinstance(part, list):
-            return [without_null(entry) for entry in part if entry != {"type": "null"}]
+            return [of_files(entry) for entry in part if entry != {"type": "null"}]
         if not isinstance(part, dict):
             return part
-        part = {key: without_null(value) for key, value in part.items()}
+        part = {key: of_files(value) for key, value in part.items()}
+        if isinstance(said := part.get("description"), str):
+            part["description"] = description(said)
         if part.get("default", ...) is None:
             del part["default"]
         if len(part.get("anyOf", ())) == 1:
             part |= part.pop("anyOf")[0]
         return part
 
-    return without_null(model.model_json_schema())
+    return of_files(model.model_json_schema())

@@ -22,7 +22,18 @@ _STUDIES = "jaxchain.studies"
 
 
 class StudyTable(Table):
-    """What every study's file has; a study narrows `study` to its own name."""
+    """What every study's file has; a study narrows `study` to its own name.
+
+    `LoadedScene.scene` is one for a file with the key `study`: its title and description, and the
+    tables of that study; `schema(type(table))` describes them.
+
+    !!! example
+
+        >>> from jaxchain.scenes import StudyTable, load_scene
+        >>> study = load_scene("ladder", ["walk.start=1.45"]).scene
+        >>> isinstance(study, StudyTable), study.study, study.walk.start
+        (True, 'ladder', 1.45)
+    """
 
     study: str
     title: Title
@@ -33,7 +44,7 @@ def studies() -> list[str]:
     """Names of all studies.
 
     >>> studies()[:2]
-    ['boundaries', 'crosscheck']
+    ['basins', 'boundaries']
     """
     room = importlib.import_module(_STUDIES)
     return sorted(module.name for module in pkgutil.iter_modules(room.__path__) if module.ispkg)

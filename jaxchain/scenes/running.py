@@ -69,10 +69,24 @@ def run_experiment(
 
     Failed runs are marked in `result` and warn of nothing.
 
-    **Arguments:** `initial`, `observe`: instead of what the experiment says; `store`, `client`: as
-    for `sweep`.
+    **Arguments:** `experiment`, one of a scene; `name`, of the progress bar; `model`, "smoothed"
+    or "nonsmooth"; `own_law`, `own_observers`, `progress` as for `run_scene`; `initial`,
+    `observe`: instead of what the experiment says; `store`, `client`: as for `sweep`.
+
+    **Returns:** the dataset of `sweep`.
 
     **Raises:** `SweepInterrupted` on Ctrl-C, with the runs that had ended.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain.scenes import load_scene, run_experiment
+        >>> small = "chain.n=3", "sweep.belt_speed=[1.5]", "sweep.excited=[0, 1]"  # seconds
+        >>> scene = load_scene("quickstart", [f"experiment.ladder.{key}" for key in small]).scene
+        >>> data = run_experiment(scene.experiment["ladder"])
+        >>> data.active_count.values.tolist(), data.sizes["oscillator"]
+        ([[0.0, 1.0]], 3)
     """
     numerics, time = experiment.numerics, experiment.time
     chain = build_chain(experiment, own_law)
@@ -171,6 +185,21 @@ def run_scene(
     figure; `StudyFailedError` if everything is written but a study found what must not be;
     `StoreError` if a store cannot be written, which `resume_scene` goes on with; `SceneError`
     for numbers that do not go together.
+
+    !!! example
+
+        >>> import jax, tempfile
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from pathlib import Path
+        >>> from jaxchain.scenes import load_scene, run_scene
+        >>> small = "chain.n=3", "sweep.belt_speed=[1.5]", "sweep.excited=[0, 1]"  # seconds
+        >>> scene = load_scene("quickstart", [f"experiment.ladder.{key}" for key in small])
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     found = run_scene(scene, Path(folder), plot=False, report=lambda summary: None)
+        ...     print(sorted(file.name for file in Path(folder).iterdir()))
+        ['quickstart.nc', 'quickstart.toml', 'quickstart.zarr', 'report.html']
+        >>> found["ladder"].active_count.values.tolist()
+        [[0.0, 1.0]]
     """
     scene, chains = loaded.scene, {}
     if isinstance(scene, StudyTable):

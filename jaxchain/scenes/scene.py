@@ -267,7 +267,20 @@ class SweepTable(Table):
 
 
 class Experiment(SweepTable):
-    """One sweep of a scene: what is computed in one go and stored as one dataset."""
+    """One sweep of a scene: what is computed in one go and stored as one dataset.
+
+    Its fields are the tables of `[experiment.NAME]` in the file: `chain`, `initial`, `sweep`,
+    `time`, `observe` and `numerics`; `schema()` describes every key.
+
+    !!! example
+
+        >>> from jaxchain.scenes import load_scene
+        >>> one = load_scene("quickstart").scene.experiment["ladder"]
+        >>> one.chain.n, one.time.transient, one.initial.kind
+        (6, 500.0, 'equation_8')
+        >>> {name: len(values) for name, values in one.grid().items()}, one.lanes()
+        ({'belt_speed': 11, 'excited': 7}, 77)
+    """
 
     description: Text = ""
     observe: ObserveTable = Field(default_factory=ObserveTable)
@@ -333,7 +346,26 @@ class Experiment(SweepTable):
 
 
 class Scene(Table):
-    """A scene file: a title and the experiments, each a table `[experiment.NAME]`."""
+    """A scene file: a title and the experiments, each a table `[experiment.NAME]`.
+
+    `Scene.model_validate` checks tables that were not read from a file; its errors are those of
+    pydantic, and `load_scene` says them in the words of the file.
+
+    !!! example
+
+        >>> from jaxchain.scenes import LoadedScene, Scene
+        >>> law = {"law": "exponential_decay", "mu_static": 1.0, "mu_dynamic": 0.5, "v_ref": 0.5}
+        >>> tables = {
+        ...     "chain": {"n": 3, "damping_ratio": 0.05, "friction": law | {"width": 1e-2}},
+        ...     "initial": {"kind": "equation_8"},
+        ...     "sweep": {"belt_speed": [1.4, 1.5], "excited": [0, 1]},
+        ...     "time": {"transient": 100.0, "window": 20.0},
+        ... }
+        >>> scene = Scene.model_validate({"title": "Three", "experiment": {"three": tables}})
+        >>> mine = LoadedScene("mine", scene)  # for `run_scene`
+        >>> mine.scene.experiment["three"].lanes()
+        4
+    """
 
     title: Title
     description: Text = ""

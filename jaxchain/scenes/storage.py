@@ -33,6 +33,16 @@ class Results:
     **Arguments:** `folder` exists and nobody else writes there, see `claimed`; `name`, of the
     files in it; `elsewhere`, from a `StorageError` to another folder (which is claimed), or to
     None to give up.
+
+    !!! example
+
+        >>> import tempfile, xarray as xr
+        >>> from pathlib import Path
+        >>> from jaxchain.scenes import Results
+        >>> with tempfile.TemporaryDirectory() as folder, Results(Path(folder), "mine") as results:
+        ...     results.save("run", xr.Dataset({"amplitude": ("belt_speed", [1.6, 1.7])}))
+        ...     print(sorted(file.name for file in Path(folder).iterdir()), list(results.datasets))
+        ['mine.nc', 'mine.zarr'] ['run']
     """
 
     def __init__(
@@ -206,6 +216,17 @@ def claimed(path: Path) -> Iterator[Path]:
     (Where a file system knows no locks, such a folder counts as used.)
 
     **Raises:** `OSError` if no folder can be made or filled there.
+
+    !!! example
+
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> from jaxchain.scenes import claimed
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     out = Path(folder) / "out"
+        ...     with claimed(out) as first, claimed(out) as second:
+        ...         print(first.name, second.name)
+        out out-2
     """
     folder, made, marker = _claim(path)
     try:

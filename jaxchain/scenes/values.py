@@ -6,6 +6,7 @@ quotients finite, and counts within what can be computed and stored.
 
 from __future__ import annotations
 
+import inspect
 import math
 from collections.abc import Callable, Sequence
 from decimal import Decimal
@@ -44,6 +45,11 @@ Problem: TypeAlias = tuple[tuple[str, ...], str]
 # What begins the names of groups and files.
 NAME = r"^[A-Za-z0-9][A-Za-z0-9_-]*$"
 NAME_LENGTH, TEXT_LENGTH = 64, 10_000
+
+
+def description(docstring: str) -> str:
+    """What a docstring says to readers of files: all but its example, which is Python."""
+    return inspect.cleandoc(docstring).partition("\n\n!!! example")[0]
 
 
 class Table(BaseModel):

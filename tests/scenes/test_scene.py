@@ -9,6 +9,7 @@ import pytest
 from jaxchain.scenes import tables, wording
 from jaxchain.scenes.errors import SceneError
 from jaxchain.scenes.files import builtin_scenes
+from jaxchain.scenes.pages.keys import meanings
 from jaxchain.scenes.reading import load_scene, schema
 from jaxchain.scenes.scene import Experiment
 from jaxchain.scenes.values import Range
@@ -360,6 +361,15 @@ def test_the_schema_names_every_key_and_knows_no_null():
     named = (table for tables in wording.OPTIONS.values() for table in tables.values())
     for table in (Experiment, Range, *named):
         assert all(f'"{key}"' in text for key in table.model_fields)
+
+
+def test_no_example_for_python_is_told_to_readers_of_files():
+    assert ">>>" in (Experiment.__doc__ or "")
+    assert schema()["$defs"]["Experiment"]["description"].startswith("One sweep of a scene: ")
+    assert ">>>" not in json.dumps(schema())
+    told = dict(meanings(load_scene("quickstart").scene))
+    assert "One sweep of a scene: " in told["experiment"]
+    assert ">>>" not in "".join(told.values())
 
 
 def test_the_message_of_an_error_lists_its_problems():

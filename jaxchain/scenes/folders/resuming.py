@@ -45,6 +45,20 @@ def resume_scene(
 
     **Raises:** as `run_scene`; `SceneError` for a study, and where a store belongs to another
     version of jaxchain or of the scene.
+
+    !!! example
+
+        >>> import jax, tempfile
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from pathlib import Path
+        >>> from jaxchain.scenes import load_scene, resume_scene, run_scene
+        >>> small = "chain.n=3", "sweep.belt_speed=[1.5]", "sweep.excited=[0, 1]"  # seconds
+        >>> scene = load_scene("quickstart", [f"experiment.ladder.{key}" for key in small])
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     _ = run_scene(scene, Path(folder), plot=False, report=lambda text: None)
+        ...     resume_scene(load_scene(folder), Path(folder), plot=False)  # of what ran there
+        saved already: ladder
+        nothing is missing
     """
     if isinstance(loaded.scene, StudyTable):
         raise SceneError(

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Iterator
 
 from pydantic import BaseModel
 
-from ..values import Range
+from ..values import Range, description
 
 
 def meanings(table: BaseModel) -> list[tuple[str, str]]:
@@ -32,7 +31,7 @@ def _all(table: BaseModel, path: str) -> Iterator[tuple[str, str]]:
         key = f"{path}{name}"
         inner = list(_tables(value, key))
         said = [field.description, *(own.__doc__ for own in {type(one) for _, one in inner})]
-        if text := " ".join(" ".join(inspect.cleandoc(one).split()) for one in said if one):
+        if text := " ".join(" ".join(description(one).split()) for one in said if one):
             yield key, text
         for where, one in inner:
             if isinstance(one, Range):  # said of the key that holds it

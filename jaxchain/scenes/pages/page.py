@@ -95,10 +95,24 @@ def page_behind(results: Results, scene: Any) -> Iterator[None]:
 
 
 def renew_page(folder: Path) -> Path:
-    """Writes the page of a folder of results anew, from what lies there.
+    """Writes the page of a folder of results, `report.html`, anew, from what lies there.
+
+    **Returns:** the path of the page.
 
     **Raises:** `SceneError` if it is no folder of results; `OSError` if the page cannot be
     written.
+
+    !!! example
+
+        >>> import tempfile, xarray as xr
+        >>> from pathlib import Path
+        >>> from jaxchain.scenes import Results, renew_page
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     data = xr.Dataset({"amplitude": ("belt_speed", [1.6, 1.7])})
+        ...     Results(Path(folder), "mine").save("run", data)
+        ...     page = renew_page(Path(folder))
+        ...     print(page.name, "amplitude" in page.read_text())
+        report.html True
     """
     if not folder.is_dir():
         raise SceneError(str(folder), ["is no folder of results"])
