@@ -59,9 +59,6 @@ class OneMassBranch(eqx.Module):
         >>> speed, amplitude = np.asarray(branch.belt_speed), np.asarray(branch.amplitude)
         >>> round(float(speed[branch.fold]), 4), round(float(amplitude[branch.fold]), 4)
         (1.7925, 1.7808)
-        >>> unstable, stable = amplitude[: branch.fold], amplitude[branch.fold :]  # two lines
-        >>> bool(np.nanmax(unstable) < np.nanmin(stable))
-        False
     """
 
     belt_speed: Float[Array, " points"]
