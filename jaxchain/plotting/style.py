@@ -8,6 +8,7 @@ apart; states differ by marker, too.
 
 from __future__ import annotations
 
+import re
 import textwrap
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -81,6 +82,10 @@ def save_figure(page: Figure, path: Path) -> list[Path]:
     return files
 
 
+# The mark of a legend that stands beside its axes.
+_BESIDE = "beside"
+
+
 @contextmanager
 def on_axes(ax: Axes | None, height: float = 2.4) -> Iterator[Axes]:
     """The axes that are given, as they are; else new ones of a column's width, in our style."""
@@ -116,9 +121,13 @@ def add_legend(panels: Axes | list[Axes], title: str | None = None, beside: bool
             own.setdefault(label, handle)
     if not own:
         return
+    before = panels[0].get_legend()
+    if before is not None:  # of the picture below: it keeps its place and its title
+        beside = beside or before.get_gid() == _BESIDE
+        title = title or before.get_title().get_text() or None
     size = 0.78 * float(panels[0].xaxis.label.get_fontsize())  # of whoever made the axes
     look: dict[str, Any] = {
-        "title": title and textwrap.fill(title, 18), "handlelength": 1.6, "framealpha": 0.8,
+        "title": title and _wrapped(title), "handlelength": 1.6, "framealpha": 0.8,
         "edgecolor": "none", "fontsize": size, "title_fontsize": size,
     }  # fmt: skip
     if beside and len(panels) > 1:
@@ -126,7 +135,14 @@ def add_legend(panels: Axes | list[Axes], title: str | None = None, beside: bool
     else:
         if beside:
             look |= {"loc": "upper left", "bbox_to_anchor": (1.0, 1.03), "borderaxespad": 0.2}
-        panels[0].legend([*own.values()], [*own], **look)
+        legend = panels[0].legend([*own.values()], [*own], **look)
+        legend.set_gid(_BESIDE if beside else "")
+
+
+def _wrapped(title: str) -> str:
+    """On several short lines, none of which ends within a formula."""
+    whole = re.sub(r"\$[^$]*\$", lambda formula: formula[0].replace(" ", "\0"), title)
+    return textwrap.fill(whole, 18).replace("\0", " ")
 
 
 def widen(axes: Axes, positions: np.ndarray) -> None:

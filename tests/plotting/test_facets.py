@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from synthetic import ladder, results, single
+from synthetic import cycle_branch, ladder, results, single
 
 from jaxchain.model.units import Scales
+from jaxchain.plotting.branches import plot_branch
 from jaxchain.plotting.facets import plot_sweep
 from jaxchain.plotting.style import COLUMN_WIDTH, PAGE_WIDTH, SERIES
 
@@ -67,6 +68,14 @@ def test_a_series_for_each_value_by_colour_and_marker():
     assert legend(axes) == [str(k) for k in range(7)]
     title = legend_of(axes).get_title().get_text()
     assert " ".join(title.split()) == "oscillators excited at the start"
+
+
+def test_a_branch_over_a_sweep_leaves_the_legend_its_title():
+    data = single()
+    axes = plot_sweep(data, hue="displacement")
+    plot_branch(cycle_branch(1), ax=axes)
+    assert legend(axes)[-4:] == ["stable", "unstable", "fold", "Hopf point"]
+    assert legend_of(axes).get_title().get_text() == "displacement\n$\\tilde x_n$ (–)"
 
 
 def test_many_series_have_a_colour_bar_and_as_many_colours():
