@@ -1,6 +1,7 @@
 """Inline code that is a public name, of jaxchain or of a package it builds on, becomes a link."""
 
 import re
+from types import ModuleType
 
 from docutils import nodes
 from inventories import FOLDER
@@ -12,22 +13,22 @@ import jaxchain
 OWN = re.compile(r"jaxchain(\.[A-Za-z_]\w*)+")
 
 
+def names_of(module: ModuleType) -> list[str]:
+    """What a room, or the front door, exports."""
+    return list(getattr(module, "__all__", ()))
+
+
 def _public() -> dict[str, str]:
     """Every way to write a public name -> the name under which it is documented."""
-    found = {name: f"jaxchain.{name}" for name in (*jaxchain.__all__, *jaxchain.ROOMS)}
-    for room in jaxchain.ROOMS:
-        for name in getattr(getattr(jaxchain, room), "__all__", ()):
+    rooms = {room: getattr(jaxchain, room) for room in jaxchain.ROOMS}
+    found = {name: f"jaxchain.{name}" for name in (*names_of(jaxchain), *rooms)}
+    for room, module in rooms.items():
+        for name in names_of(module):
             found[name] = found[f"{room}.{name}"] = f"jaxchain.{room}.{name}"
-    at_the_door = {
-        f"jaxchain.{name}": found[name] for name in (*jaxchain.__all__, *jaxchain.ROOMS)
-    }
     whole = {name: name for name in found.values()}
+    at_the_door = {f"jaxchain.{name}": found[name] for name in (*names_of(jaxchain), *rooms)}
     # A bare word such as `model` is seldom the room.
-    return (
-        {name: to for name, to in found.items() if name not in jaxchain.ROOMS}
-        | whole
-        | at_the_door
-    )
+    return {name: to for name, to in found.items() if name not in rooms} | whole | at_the_door
 
 
 PUBLIC = _public()

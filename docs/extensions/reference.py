@@ -7,6 +7,7 @@ import sys
 from collections.abc import Iterator
 from typing import Any
 
+from names import names_of
 from sphinx.util.docutils import SphinxDirective
 
 import jaxchain
@@ -24,7 +25,7 @@ class Room(SphinxDirective):
     def run(self):
         door = self.arguments[0] == "jaxchain"
         module = jaxchain if door else getattr(jaxchain, self.arguments[0])
-        names = list(getattr(module, "__all__", ()))
+        names = names_of(module)
         about = inspect.getdoc(module) or ""
         if names and not door:  # the files that the docstring lists matter to those who read them
             about = about.split("\n\n", 1)[0]
@@ -46,7 +47,7 @@ class Room(SphinxDirective):
 
 def _home(name: str) -> str:
     for room in jaxchain.ROOMS:
-        if name in getattr(getattr(jaxchain, room), "__all__", ()):
+        if name in names_of(getattr(jaxchain, room)):
             return f"jaxchain.{room}"
     return "jaxchain"
 
