@@ -94,7 +94,7 @@ def to_dataset(
     coords["oscillator"] = ("oscillator", np.arange(1, chain.n + 1), masses)
     for name in numbers[0] if numbers else ():
         column = [numbers[k][name] if k < known else np.nan for k in order]
-        told = {"long_name": f"{name}, of the state", "units": "1"}
+        told = {"long_name": f"{name}, as the classifier says of the state", "units": "1"}
         coords[name] = ("state", np.array(column, float), told)
     return Dataset(variables, coords=coords, attrs=runs.attrs)
 

@@ -255,8 +255,15 @@ def share_differences(shares: Dataset, dim: str) -> Dataset:
     dims = [name for name in own.dims if name != "replicate"]
     at = shares[dim].values
     coords = {name: c for name, c in shares.coords.items() if dim not in c.dims and name in dims}
-    parts = {"difference": mean, "low": mean - reach, "high": mean + reach}
+    parts = {
+        "difference": (mean, "difference of the shares at neighbouring values"),
+        "low": (mean - reach, "lower end of its 95 % interval"),
+        "high": (mean + reach, "upper end of its 95 % interval"),
+    }
     return Dataset(
-        {name: (dims, values) for name, values in parts.items()},
+        {
+            name: (dims, values, {"long_name": text, "units": "1"})
+            for name, (values, text) in parts.items()
+        },
         coords={**coords, dim: (dim, (at[1:] + at[:-1]) / 2, shares[dim].attrs)},
     )

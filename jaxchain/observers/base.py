@@ -154,10 +154,11 @@ class Variable(eqx.Module):
 def states_at_times(name: str, value: tuple[Array, ...], *dims: str) -> dict[str, Variable]:
     """(times, x, v) as `<name>_time`, `<name>_displacement` and `<name>_velocity`."""
     times, x, v = value
+    of = f"of that {dims[0]}"
     return {
-        f"{name}_time": Variable(times, dims[:1], "1 / omega_n"),
-        f"{name}_displacement": Variable(x, dims, "x0"),
-        f"{name}_velocity": Variable(v, dims, "x0 omega_n"),
+        f"{name}_time": Variable(times, dims[:1], "1 / omega_n", f"time {of}"),
+        f"{name}_displacement": Variable(x, dims, "x0", f"displacements x_n {of}"),
+        f"{name}_velocity": Variable(v, dims, "x0 omega_n", f"velocities v_n {of}"),
     }
 
 

@@ -184,10 +184,11 @@ class FrontTrack(AbstractObserver):
 
     def label(self, value: Fronts, chain: Any) -> dict[str, Variable]:
         del chain
+        reach, count = "how far vibration reaches {} the chain", "masses that vibrate"
         return {
-            "front_right": Variable(value.right, ("window",)),
-            "front_left": Variable(value.left, ("window",)),
-            "front_count": Variable(value.count, ("window",), is_count=True),
+            "front_right": Variable(value.right, ("window",), "1", reach.format("along")),
+            "front_left": Variable(value.left, ("window",), "1", reach.format("against")),
+            "front_count": Variable(value.count, ("window",), "1", count, is_count=True),
         }
 
 

@@ -111,4 +111,5 @@ class PeakTimes(AbstractNotingObserver):
 
     def label(self, value: Float[Array, "capacity n"], chain: Any) -> dict[str, Variable]:
         del chain
-        return {"peak_time": Variable(value, ("peak", "oscillator"), "1 / omega_n")}
+        name = "times of the maxima of the displacement"
+        return {"peak_time": Variable(value, ("peak", "oscillator"), "1 / omega_n", name)}

@@ -17,13 +17,16 @@ LABELS: dict[str, Any] = {
     "curve": ("belt speed", "x0 omega_n"),
     "displacement": ("displacement at the start", "x0"),
     "velocity": ("velocity at the start", "x0 omega_n"),
-    "vibrates": {"long_name": "whether the mass goes on vibrating", **flags(("dies", "vibrates"))},
+    "vibrates": {
+        "long_name": "whether the mass goes on vibrating", "units": "1",
+        **flags(("dies", "vibrates")),
+    },
     "decided": ("whether that was decided", "1"),
     "unstable_displacement": ("displacement on the unstable cycle", "x0"),
     "unstable_velocity": ("velocity on the unstable cycle", "x0 omega_n"),
     "stable_displacement": ("displacement on the stick-slip cycle", "x0"),
     "stable_velocity": ("velocity on the stick-slip cycle", "x0 omega_n"),
-}
+}  # fmt: skip
 
 
 def mean_count(data: xr.Dataset) -> xr.DataArray:

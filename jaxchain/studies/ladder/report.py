@@ -15,7 +15,6 @@ _RATE = "omega_n"
 LABELS = {
     "key": "name of the branch",
     "branch": "name of the branch",
-    "pattern": "pattern of phases",
     "count": ("vibrating masses", "1"),
     "phases": ("phase of each vibrating mass", "rad"),
     "phase_order": ("order of the phases: 1 in phase, -1 alternating", "1"),

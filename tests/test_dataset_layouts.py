@@ -1,0 +1,203 @@
+"""docs/reference/datasets.md says what every dataset holds: names, dimensions, units, meaning.
+
+Sweeps are laid out by the code that lays out their stores, which runs nothing.  Studies are
+compared twice: their labels here, and every dataset that a test of a study saves (see
+tests/studies/conftest.py).
+"""
+
+import importlib
+import re
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import xarray as xr
+from layouts import PAGE, Row, differences, row_of, rows, section_of, tables
+from synthetic import cycle_branch
+
+from jaxchain.basins import Box, basin_shares, share_differences
+from jaxchain.boundaries import fold_belt_speeds
+from jaxchain.continuation import continue_branch
+from jaxchain.model.chain import paper_chain
+from jaxchain.model.initial_states import equation_8
+from jaxchain.observers import (
+    Amplitude,
+    Divergence,
+    EnergyBalance,
+    FrontTrack,
+    MostSticking,
+    PeakTimes,
+    Samples,
+    Section,
+    StickTime,
+)
+from jaxchain.result import NAMES, SearchResult, advice_of, message
+from jaxchain.scenes.boundaries import cycles, hopf_speed
+from jaxchain.scenes.registry import studies
+from jaxchain.scenes.writing import circumstances
+from jaxchain.studies._study import STANDARD, label
+from jaxchain.sweeps.ensemble import prepare
+
+SWEPT = ("belt_speed", "excited")
+TABLES = tables()
+DRY = paper_chain(3, width=None)
+SMOOTHED = DRY.with_(width=1e-2)
+OBSERVERS = [
+    (Amplitude(), DRY), (PeakTimes(5), DRY), (Section(0, 3), DRY), (Samples(1.0, 5, (0, 1)), DRY),
+    (StickTime(), DRY), (MostSticking(), DRY), (EnergyBalance(), DRY), (Divergence(), SMOOTHED),
+    (FrontTrack(3), DRY),
+]  # fmt: skip
+
+
+def laid_out(chain=DRY, observe=None, **more):
+    """What a sweep of one run returns, of which nothing is known."""
+    over = {"belt_speed": [1.5], "excited": [1]}
+    ensemble = prepare(chain, equation_8, 100.0, over=over, observe=observe, **more)
+    block = ensemble.first_job()
+    block.records = ensemble.blank_records(1)
+    return ensemble.dataset(block, ensemble.attrs)
+
+
+def on_page(chapter, *sections):
+    """The rows of these tables together."""
+    found = {}
+    for section in sections:
+        found |= TABLES[chapter, section]
+    return found
+
+
+@pytest.mark.parametrize(("observer", "chain"), OBSERVERS)
+def test_a_sweep(observer, chain):
+    said = on_page("Sweeps", "In every sweep", f"With `{type(observer).__name__}`")
+    assert not differences(said, rows(laid_out(chain, observer), SWEPT))
+
+
+def test_every_observer_of_sweeps_has_its_table():
+    names = {f"With `{type(observer).__name__}`" for observer, _ in OBSERVERS}
+    others = {"In every sweep", "With `segments`", "With `accuracy`"}
+    assert {section for chapter, section in TABLES if chapter == "Sweeps"} == names | others
+
+
+def test_a_sweep_in_segments_and_one_of_an_accuracy():
+    cut = on_page("Sweeps", "In every sweep", "With `Amplitude`", "With `segments`")
+    for name in ("amplitude", "energy", "active_count"):
+        cut[name] = cut[name]._replace(
+            dims=", ".join(["…", "segment", *cut[name].dims.split(", ")[1:]])
+        )
+    assert not differences(cut, rows(laid_out(segments=2), SWEPT))
+    fitted = on_page("Sweeps", "In every sweep", "With `Amplitude`", "With `accuracy`")
+    assert not differences(fitted, rows(laid_out(SMOOTHED, accuracy=1e-2), SWEPT))
+
+
+def attributes(chapter, section=""):
+    """The names in the first column of a table of attributes, or in its place in the prose."""
+    text = PAGE.read_text(encoding="utf-8").partition(f"## {chapter}\n")[2]
+    text = text.partition(f"### {section}\n")[2] if section else text
+    return set(re.findall(r"`(\w+)`", re.split(r"^##", text, flags=re.MULTILINE)[0]))
+
+
+def test_attributes_of_a_sweep():
+    said = attributes("Sweeps", "Attributes of a sweep")
+    assert set(laid_out(SMOOTHED, accuracy=1e-2).attrs) <= said
+    of_the_run = {"wall_time_s", "devices", "device_kind", "lanes_per_device"}
+    assert said - set(laid_out(SMOOTHED, accuracy=1e-2).attrs) == of_the_run | {
+        "lanes_per_device_at_end"
+    }
+
+
+def test_attributes_of_a_folder_and_of_branches():
+    assert set(circumstances()) <= attributes("Folders of results")
+    assert set(cycle_branch().to_dataset().attrs) <= attributes("Branches", "Of cycles")
+
+
+@pytest.mark.parametrize(
+    ("section", "codes"),
+    [
+        ("Codes of runs", [(name, message(name)) for name in NAMES]),
+        (
+            "Codes of searches",
+            [
+                (name, advice_of(getattr(SearchResult, name)))
+                for name in SearchResult._name_to_item
+            ],
+        ),
+    ],
+)
+def test_codes(section, codes):
+    text = PAGE.read_text(encoding="utf-8").partition(f"### {section}\n")[2].partition("##")[0]
+    told = re.findall(r"^\| (\d+) \| `(\w+)` \| (.*) \|$", text, re.MULTILINE)
+    wanted = [(str(k), name, advice) for k, (name, advice) in enumerate(codes)]
+    assert told[1:] == wanted[1:]
+    assert told[0][:2] == wanted[0][:2]
+
+
+@pytest.mark.long
+def test_folds():
+    data = fold_belt_speeds(DRY.with_(coupling=None), over={"damping_ratio": [0.6]})
+    assert not differences(TABLES["Folds over parameters", ""], rows(data, ("damping_ratio",)))
+    assert set(data.attrs) <= attributes("Folds over parameters")
+
+
+@pytest.mark.long
+def test_shares_and_their_differences():
+    over = {"belt_speed": [1.4, 1.5]}
+    shares = basin_shares(paper_chain(1, width=None), Box(), over, half_width=0.1)
+    assert not differences(TABLES["Basin shares", ""], rows(shares, over))
+    changes = share_differences(shares, "belt_speed")
+    assert not differences(TABLES["Basin shares", "Differences of shares"], rows(changes, over))
+    known = attributes("Basin shares") | attributes("Sweeps", "Attributes of a sweep")
+    assert set(shares.attrs) <= known
+
+
+def test_branches():
+    data = cycle_branch().to_dataset()
+    assert not differences(TABLES["Branches", "Of cycles"], rows(data, unless=["belt_speed"]))
+    circle = continue_branch(lambda u, p, _: u**2 + p**2 - 1.0, jnp.ones(1), 0.0).to_dataset()
+    assert not differences(TABLES["Branches", "Of equations"], rows(circle))
+    assert set(circle.attrs) <= attributes("Branches", "Of equations")
+
+
+def test_the_hopf_speed_of_a_scene():
+    grid = {"belt_speed": np.ones(2), "damping_ratio": np.array([0.05])}
+    found = hopf_speed(DRY, grid)
+    row = row_of("hopf_belt_speed", found, ["damping_ratio"])
+    assert TABLES["Folders of results", "Groups of a scene"] == {"hopf_belt_speed": row}
+
+
+@pytest.mark.long
+def test_the_cycles_of_a_scene():
+    grid = {"belt_speed": np.linspace(1.0, 1.9, 10), "start": np.ones(2)}
+    found = cycles(paper_chain(1, width=0.1), grid)
+    said = TABLES["Folders of results", "Cycles of one oscillator"]
+    assert not differences(said, rows(found))
+
+
+@pytest.mark.parametrize("study", studies())
+def test_the_tables_of_a_study_say_what_its_labels_say(study):
+    run = importlib.import_module(f"jaxchain.studies.{study}.study").run
+    parts = {
+        section: own for (chapter, section), own in TABLES.items() if chapter == f"Study `{study}`"
+    }
+    assert parts
+    names = {name.rstrip("*") for own in parts.values() for name in own}
+    assert set(run.labels) <= names
+    for own in parts.values():
+        blank = xr.Dataset({name.rstrip("*"): ((), 0) for name in own})
+        label(blank, STANDARD | dict(run.labels))
+        for name, row in own.items():
+            array = blank[name.rstrip("*")]
+            if array.attrs and name.rstrip("*") in run.labels:
+                told = row_of(name.rstrip("*"), array)
+                assert (told.unit, told.meaning) == (row.unit, row.meaning), name
+
+
+def test_a_table_that_is_not_true_is_found_out():
+    said = dict(TABLES["Sweeps", "With `StickTime`"])
+    found = [Row("stick_time", "…, oscillator", "1", "how long"), Row("other", "", "", "")]
+    told = differences(said, found)
+    assert [line.partition(":")[0] for line in told] == ["the page lacks"] * 2
+    assert differences(said, []) == ["the dataset lacks: stick_time"]
+    optional = {"verdict": TABLES["Basin shares", ""]["verdict"]}
+    assert not differences(optional, [])
+    assert section_of("fronts", "pinning") == ("Study `fronts`", "`pinning`")
+    assert section_of("verdicts", "slow") == ("Study `verdicts`", "Each case")
