@@ -170,7 +170,12 @@ def verdicts(
             bar.update(sum(trial.evidence.decided for trial in going))
             if stage >= longest or all(trial.evidence.decided for trial in trials):
                 break
-            stage = min(2.0 * stage, longest)
+            # Runs are a whole number of chunks long, and may have got farther than was asked.
+            reached = min(t.evidence.time for t in trials if not t.evidence.decided)
+            while stage < longest and stage <= reached:
+                stage = min(2.0 * stage, longest)
+            if stage <= reached:
+                break
         measured = _for_exponents(trials, exponent_runs)
         bar.update(sum(not trial.evidence.decided for trial in trials) - len(measured))
         most = min(int(count), 2 * x.shape[1])

@@ -128,6 +128,14 @@ def test_two_masses_that_know_nothing_of_each_other_are_quasi_periodic():
 
 
 @pytest.mark.long
+def test_runs_that_got_farther_than_asked_are_not_asked_for_less():
+    # 20 windows of 50 time units are the least, so that the first look comes at 1000.
+    early = verdict(pair(stiffness=(1.0, 1.7)), start(), **SETTINGS | {"first": 300.0})
+    late = verdict(pair(stiffness=(1.0, 1.7)), start(), **SETTINGS)
+    assert (early.verdict, early.reason) == (late.verdict, late.reason)
+
+
+@pytest.mark.long
 def test_masses_that_lock_slowly_are_first_transient_and_then_periodic():
     # Phases attract at a rate of about 2 repel / 2 = 4e-4: not within 1000.
     slow = pair(repel=-4e-4)
