@@ -132,7 +132,13 @@ def test_a_run_saves_draws_and_reports_and_fails_if_a_case_does(tmp_path, monkey
     study = STUDY.model_copy(update={"groups": ["numbers"], "models": ["smoothed"]})
     data = extremes.run(study, tmp_path, name="mine", report=said.append)["extremes"]
     assert data["outcome"].values.tolist() == [RIGHT]
-    assert {file.suffix for file in tmp_path.iterdir()} == {".zarr", ".nc", ".png", ".pdf"}
+    assert {file.suffix for file in tmp_path.iterdir()} == {
+        ".zarr",
+        ".nc",
+        ".png",
+        ".pdf",
+        ".html",
+    }
     assert stored(tmp_path / "mine")["extremes"].attrs["title"] == "A test"
     assert "numbers: good" in said[0]
     assert "1 cases: 1 right, 0 WRONG" in said[0]
