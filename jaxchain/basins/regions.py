@@ -128,6 +128,7 @@ class Box(AbstractRegion):
 
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
+    >>> from jaxchain.basins import Box
     >>> box = Box(displacement=(-2, 2), velocity=(0, 2))
     >>> box.displacement.tolist(), box.velocity.tolist(), box.masses
     ([-2.0, 2.0], [0.0, 2.0], None)
@@ -180,6 +181,7 @@ class Ball(AbstractRegion):
 
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
+    >>> from jaxchain.basins import Ball
     >>> Ball(0.5, masses=[3])
     Ball(radius=0.5, masses=(3,))
     """
@@ -218,6 +220,7 @@ class Gaussian(AbstractRegion):
 
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
+    >>> from jaxchain.basins import Gaussian
     >>> Gaussian(displacement=1.0, velocity=0.5)
     Gaussian(displacement=1, velocity=0.5)
     """
@@ -251,6 +254,7 @@ class Sampler(AbstractRegion):
     >>> import jax, jax.numpy as jnp
     >>> jax.config.update("jax_enable_x64", True)
     >>> from jaxchain import paper_chain, steady_sliding
+    >>> from jaxchain.basins import Sampler
     >>> def shaken(chain, point):  # one number: the same velocity of all masses
     ...     x, v = steady_sliding(chain)
     ...     return x, v + 2.0 * point[0]

@@ -233,7 +233,7 @@ def share_differences(shares: Dataset, dim: str) -> Dataset:
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
     >>> from jaxchain import paper_chain
-    >>> from jaxchain.basins import Box
+    >>> from jaxchain.basins import Box, basin_shares, share_differences
     >>> chain = paper_chain(1, width=None)
     >>> shares = basin_shares(chain, Box(), {"belt_speed": [1.4, 1.5]}, half_width=0.02)
     >>> rise = share_differences(shares, "belt_speed").difference.sel(state="sliding")

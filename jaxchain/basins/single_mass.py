@@ -122,6 +122,7 @@ def sliding_share(chain: Chain, box: Box | None = None) -> Float[Array, ""]:
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
     >>> from jaxchain import paper_chain
+    >>> from jaxchain.basins import sliding_share
     >>> chain = paper_chain(1, belt_speed=1.5, width=None)
     >>> round(float(sliding_share(chain)), 9)
     0.307126138
@@ -151,6 +152,7 @@ def sliding_basin(chain: Chain, box: Box | None = None) -> SlidingBasin:
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
     >>> from jaxchain import paper_chain
+    >>> from jaxchain.basins import sliding_basin
     >>> basin = sliding_basin(paper_chain(1, belt_speed=1.5, width=None))
     >>> round(float(basin.area), 6), round(float(basin.period), 6)
     (2.457009, 6.295335)
@@ -184,6 +186,7 @@ def blow_of_one_mass(chain: Chain) -> tuple[Float[Array, ""], Float[Array, ""]]:
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
     >>> from jaxchain import paper_chain
+    >>> from jaxchain.basins import blow_of_one_mass
     >>> up, down = blow_of_one_mass(paper_chain(1, belt_speed=1.5, width=None))
     >>> round(float(up), 6), round(float(down), 6)
     (1.239855, 1.247852)

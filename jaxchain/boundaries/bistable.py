@@ -85,6 +85,7 @@ def bistable_range(chain: Chain, vibrating: Any = None) -> BistableRange:
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
     >>> from jaxchain import paper_chain
+    >>> from jaxchain.boundaries import bistable_range
     >>> both = bistable_range(paper_chain(n=1, width=None))
     >>> round(float(both.hopf), 6), round(float(both.fold), 6), round(float(both.width), 6)
     (1.151293, 1.836601, 0.685308)

@@ -80,8 +80,10 @@ def first_lyapunov_coefficient(
     Source: Kuznetsov, Elements of Applied Bifurcation Theory, eq. (3.20) for the plane and
     section 5.4 for any dimension.
 
+    >>> import jax, jax.numpy as jnp
     >>> from jaxchain import paper_chain
     >>> jax.config.update("jax_enable_x64", True)
+    >>> from jaxchain.boundaries import first_lyapunov_coefficient
     >>> one = jnp.ones(1, dtype=complex)
     >>> l1 = first_lyapunov_coefficient(paper_chain(1), jnp.log(10.0) / 2, 1.0, one)
     >>> round(float(l1), 12)  # F''' / 8, F''' = (mu_st - mu_d) exp(-v_H / v0) / v0^3 = 0.4
@@ -233,6 +235,7 @@ def generalised_hopf(chain: Chain, parameter: Any, low: Any, high: Any) -> Gener
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
     >>> from jaxchain import paper_chain
+    >>> from jaxchain.boundaries import generalised_hopf
     >>> meeting = generalised_hopf(paper_chain(n=1), "width", 0.05, 1.0)
     >>> round(float(meeting.value), 3)  # with wider layers vibration sets in gently
     0.349

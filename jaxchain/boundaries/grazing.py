@@ -120,7 +120,7 @@ def nonsmooth_fold_belt_speed(chain: Chain, vibrating: Any = None) -> Float[Arra
 
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
-    >>> from jaxchain import paper_chain
+    >>> from jaxchain import nonsmooth_fold_belt_speed, paper_chain
     >>> round(float(nonsmooth_fold_belt_speed(paper_chain(n=1))), 9)
     1.836600972
     """
@@ -136,6 +136,7 @@ def find_grazing(chain: Chain, vibrating: Any = None) -> Grazing:
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
     >>> from jaxchain import paper_chain
+    >>> from jaxchain.boundaries import find_grazing
     >>> grazing = find_grazing(paper_chain(n=1))
     >>> bool(grazing.successful), round(float(grazing.smoothed(1e-3)), 4)
     (True, 1.8311)

@@ -67,7 +67,7 @@ def hopf_belt_speed(chain: Chain) -> Float[Array, ""]:
     **Raises:** `RuntimeError` without 64-bit floats; `ValueError` for a chain of 32 bits.
 
     >>> import jax
-    >>> from jaxchain import paper_chain
+    >>> from jaxchain import hopf_belt_speed, paper_chain
     >>> jax.config.update("jax_enable_x64", True)
     >>> float(hopf_belt_speed(paper_chain()))  # ln(10) / 2
     1.151292546497023

@@ -126,6 +126,7 @@ def hopf_points(chain: Chain, belt_speeds: Any = (0.0, 5.0)) -> HopfPoints:
     >>> from jaxchain import paper_chain
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
+    >>> from jaxchain.boundaries import hopf_points
     >>> points = hopf_points(paper_chain(4), (0.1, 5.0))
     >>> [round(float(v), 4) for v in points.belt_speed]
     [1.1513, 1.1513, 1.1513]
@@ -249,7 +250,7 @@ def guess_from_hopf(
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
     >>> from jaxchain import paper_chain
-    >>> from jaxchain.boundaries import hopf_points
+    >>> from jaxchain.boundaries import guess_from_hopf, hopf_points
     >>> chain = paper_chain(1, belt_speed=1.2)
     >>> (x, v), period = guess_from_hopf(chain, hopf_points(chain, (1.0, 2.0)))
     >>> round(float(v[0]), 3), round(float(period), 3)

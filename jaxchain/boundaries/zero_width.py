@@ -122,6 +122,9 @@ def extrapolate(
 
     **Raises:** `ValueError` for fewer widths, equal ones, or such that are not positive.
 
+    >>> import jax, jax.numpy as jnp
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> from jaxchain.boundaries import extrapolate
     >>> widths = jnp.array([8e-3, 4e-3, 2e-3, 1e-3])
     >>> limit = extrapolate(2.0 + 3.0 * widths * jnp.log(1 / widths) - widths, widths)
     >>> round(float(limit.value), 9), bool(limit.error < 1e-6)

@@ -129,6 +129,7 @@ def kaplan_yorke_dimension(exponents: Float[Array, " count"], complete: bool) ->
     Notes in Mathematics 730, 204 (1979).
 
     >>> import jax.numpy as jnp
+    >>> from jaxchain.chaos import kaplan_yorke_dimension
     >>> round(float(kaplan_yorke_dimension(jnp.array([0.9056, 0.0, -14.5723]), True)), 3)
     2.062
     """

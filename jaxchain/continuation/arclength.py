@@ -115,7 +115,9 @@ def continue_branch(
 
     **Raises:** `ValueError` for arguments that cannot be; `RuntimeError` without 64-bit floats.
 
-    >>> import jax.numpy as jnp
+    >>> import jax, jax.numpy as jnp
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> from jaxchain.continuation import continue_branch
     >>> branch = continue_branch(
     ...     lambda u, p, args: u**3 - u + p, [-1.2], 0.528, bounds=(-1, 1), direction=-1
     ... )
@@ -219,6 +221,9 @@ def switch_branch(
 
     **Raises:** `ValueError` if `point` is no branch point.
 
+    >>> import jax
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> from jaxchain.continuation import continue_branch, switch_branch
     >>> def pitchfork(u, p, args):
     ...     return p * u - u**3
     >>> point = continue_branch(pitchfork, [0.0], -0.5, bounds=(-1, 1)).of_kind("branch point")[0]

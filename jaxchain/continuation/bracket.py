@@ -24,7 +24,9 @@ def bisect(
     the program is compiled, so that no lane under `jax.vmap` waits for another, and derivatives go
     through in reverse, too.  Where nothing changes, both are the end that `before` points to.
 
-    >>> import jax.numpy as jnp
+    >>> import jax, jax.numpy as jnp
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> from jaxchain.continuation import bisect
     >>> low, high = bisect(lambda x: x**2 < 2.0, jnp.asarray(1.0), jnp.asarray(2.0), 40)
     >>> round(float(low), 10), bool(low < 2**0.5 < high)
     (1.4142135624, True)

@@ -276,7 +276,9 @@ def newton(
     Jacobian even with `jac="fwd"`, which fails for an F with a `while_loop`, its `Newton` is not
     damped, and its `LevenbergMarquardt` stalls when rows differ in scale by 1e6.
 
-    >>> import jax.numpy as jnp
+    >>> import jax, jax.numpy as jnp
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> from jaxchain.continuation import newton
     >>> root = newton(lambda u, a: u**2 - a, jnp.ones(1), 2.0)
     >>> bool(root.successful), round(float(root.value[0]), 12)
     (True, 1.414213562373)

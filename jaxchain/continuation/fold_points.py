@@ -118,6 +118,7 @@ class fold_residual(eqx.Module):  # noqa: N801 - it is used as a function that m
     Two made from one residual are equal, so that nothing is compiled twice.
 
     >>> import jax.numpy as jnp
+    >>> from jaxchain.continuation import fold_residual
     >>> R = fold_residual(lambda u, p, args: p + u**2)
     >>> z, borders = jnp.zeros(2), (jnp.ones(1), jnp.ones(1))
     >>> R(z, (None, borders)).tolist()
@@ -158,7 +159,9 @@ def fold_point(
 
     **Raises:** `ValueError` for numbers that cannot be; `RuntimeError` without 64-bit floats.
 
-    >>> import jax.numpy as jnp
+    >>> import jax, jax.numpy as jnp
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> from jaxchain.continuation import fold_point
     >>> fold = fold_point(lambda u, p, args: u**3 - u + p, jnp.array([0.5]), 0.4)
     >>> bool(fold.successful), round(float(fold.p), 9)
     (True, 0.384900179)

@@ -55,7 +55,7 @@ def monodromy_matrix(
 
     >>> import jax, jax.numpy as jnp
     >>> jax.config.update("jax_enable_x64", True)
-    >>> from jaxchain import paper_chain
+    >>> from jaxchain import monodromy_matrix, paper_chain
     >>> chain = paper_chain(1, belt_speed=9.0)  # sliding: a damped oscillator, nearly
     >>> M = monodromy_matrix(chain, (jnp.full(1, 0.5), jnp.zeros(1)), 1.0)
     >>> round(float(jnp.linalg.det(M)), 6)  # exp(-2 xi)
@@ -174,6 +174,7 @@ def floquet_multipliers(monodromy: Float[Array, "two_n two_n"], flow_direction: 
 
     >>> import jax, jax.numpy as jnp
     >>> jax.config.update("jax_enable_x64", True)
+    >>> from jaxchain import floquet_multipliers
     >>> found = floquet_multipliers(jnp.array([[1.0, 5.0], [0.0, 0.25]]), jnp.array([2.0, 0.0]))
     >>> complex(found.multipliers[0]), float(found.trivial), float(found.defect)
     ((0.25+0j), 1.0, 0.0)

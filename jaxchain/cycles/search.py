@@ -93,7 +93,7 @@ def find_limit_cycle(
 
         >>> import jax
         >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import paper_chain
+        >>> from jaxchain import find_limit_cycle, paper_chain
         >>> cycle = find_limit_cycle(paper_chain(1, width=0.05))
         >>> cycle.stable, round(float(cycle.period), 6)
         (True, 6.297326)

@@ -136,10 +136,10 @@ def identify(
     **Raises:** `ValueError` for bad input, and if the start predicts no vibration or fold where
     one was measured.  **Warns** if the data do not determine every parameter.
 
-    >>> import jax
+    >>> import jax, jax.numpy as jnp
     >>> jax.config.update("jax_enable_x64", True)
     >>> from jaxchain import paper_chain
-    >>> from jaxchain.inverse.measurements import Measurements
+    >>> from jaxchain.inverse import Measurements, identify
     >>> speeds = [1.3, 1.5, 1.7, 2.5]
     >>> lab = Measurements(hopf=(1.2, 0.01), displacements=(speeds, [0.55, 0.53, 0.52, 0.5], 0.01))
     >>> law = lambda chain, theta: chain.with_(mu_dynamic=theta[0], v_ref=theta[1])

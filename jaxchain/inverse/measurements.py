@@ -51,6 +51,7 @@ class Measurements(eqx.Module):
 
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
+    >>> from jaxchain.inverse import Measurements
     >>> Measurements(hopf=(1.15, 0.01), amplitudes=([1.0, 1.5], [1.4, 1.6], 0.01)).count
     3
     """
@@ -146,6 +147,7 @@ def predict(chain: Chain, measurements: Measurements, vibrating: Any = None) -> 
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
     >>> from jaxchain import paper_chain
+    >>> from jaxchain.inverse import Measurements, predict
     >>> lab = Measurements(hopf=(1.15, 0.01), displacements=([1.5], [0.5], 0.01))
     >>> predict(paper_chain(n=1, width=None), lab).round(4).tolist()
     [1.1513, 0.5249]

@@ -179,6 +179,7 @@ def design(
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
     >>> from jaxchain import paper_chain
+    >>> from jaxchain.inverse import design
     >>> damped = lambda chain, xi: chain.with_(damping_ratio=xi)
     >>> chain = paper_chain(n=1, width=None)
     >>> found = design(chain, damped, 0.05, highest_below=1.7)

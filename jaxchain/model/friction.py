@@ -177,6 +177,7 @@ class ExponentialDecay(AbstractFrictionLaw):
 
     **Raises:** `ValueError` for anything else.
 
+    >>> from jaxchain import ExponentialDecay
     >>> law = ExponentialDecay(mu_static=1.0, mu_dynamic=0.5, v_ref=0.5)
     >>> float(law.coefficient(0.0)), round(float(law.coefficient(0.5)), 6)
     (1.0, 0.68394)
@@ -215,6 +216,7 @@ class WeakeningStrengthening(AbstractFrictionLaw):
 
     **Raises:** `ValueError` for anything else.
 
+    >>> from jaxchain import WeakeningStrengthening
     >>> law = WeakeningStrengthening(mu_static=1.0, mu_dynamic=0.5, v_ref=0.5, mu_viscous=0.1)
     >>> [round(float(law.coefficient(s)), 4) for s in (0.0, 0.8, 5.0)]
     [1.0, 0.7609, 1.5]
@@ -251,6 +253,7 @@ class GaussianStribeck(AbstractFrictionLaw):
 
     **Raises:** `ValueError` for anything else.
 
+    >>> from jaxchain.model import GaussianStribeck
     >>> law = GaussianStribeck(mu_static=1.0, mu_dynamic=0.5, v_ref=0.5, mu_viscous=0.1)
     >>> [round(float(law.coefficient(s)), 4) for s in (0.0, 0.5, 5.0)]
     [1.0, 0.7839, 1.5]
@@ -286,6 +289,7 @@ class Coulomb(AbstractFrictionLaw):
 
     **Raises:** `ValueError` if it is negative or not finite.
 
+    >>> from jaxchain import Coulomb
     >>> law = Coulomb(mu_dynamic=0.5)
     >>> float(law.coefficient(3.0)), float(law.mu_static)
     (0.5, 0.5)
@@ -351,6 +355,7 @@ class TanhFriction(AbstractFriction):
 
     **Raises:** `ValueError` if `width` is not positive and finite.
 
+    >>> from jaxchain import ExponentialDecay, TanhFriction
     >>> friction = TanhFriction(ExponentialDecay(1.0, 0.5, 0.5), width=0.01)
     >>> force, slope = friction.force_and_slope(0.0)
     >>> float(force), float(slope)

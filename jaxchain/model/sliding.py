@@ -52,7 +52,10 @@ def sliding_damping(chain: Chain, belt_speed: Float[Array, ""]) -> PerMass:
     With F' = dF/dw of the smoothed law, d = 2 xi + p [mu'(v_d) tanh(v_d / eps) + mu(v_d)
     sech^2(v_d / eps) / eps], or 2 xi + p mu'(v_d) with dry friction: weakening makes it negative.
 
+    >>> import jax, jax.numpy as jnp
+    >>> jax.config.update("jax_enable_x64", True)
     >>> from jaxchain import paper_chain
+    >>> from jaxchain.model import sliding_damping
     >>> round(float(sliding_damping(paper_chain(), jnp.asarray(0.5))), 6)  # 0.1 - 1/e
     -0.267879
     """
@@ -183,7 +186,10 @@ def growth_rate(chain: Chain, belt_speed: Float[Array, ""]) -> Float[Array, ""]:
     Hopf point), which is smooth in v_d where the greatest real part of 2n equal ones is not.
     Otherwise it is the greatest real part of all eigenvalues.
 
+    >>> import jax, jax.numpy as jnp
+    >>> jax.config.update("jax_enable_x64", True)
     >>> from jaxchain import paper_chain
+    >>> from jaxchain.model import growth_rate
     >>> round(float(growth_rate(paper_chain(), jnp.asarray(0.5))), 6)
     0.13394
     """

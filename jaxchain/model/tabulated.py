@@ -38,6 +38,7 @@ class TabulatedFriction(AbstractFrictionLaw):
 
     **Raises:** `ValueError` for anything else.
 
+    >>> from jaxchain.model import TabulatedFriction
     >>> law = TabulatedFriction(speed=[0.0, 0.5, 1.0, 2.0], mu=[1.0, 0.7, 0.6, 0.6])
     >>> [round(float(law.coefficient(s)), 4) for s in (0.0, 0.5, 0.75, 9.0)]
     [1.0, 0.7, 0.6312, 0.6]

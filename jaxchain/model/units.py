@@ -71,6 +71,9 @@ class Scales(eqx.Module):
     mass) and angular frequency in omega_n. Build it with `Scales.from_dimensional`. In a mistuned
     chain the parameters here are those of the mass that all others are compared with.
 
+    >>> import jax
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> from jaxchain import Scales
     >>> scales = Scales.from_dimensional(
     ...     mass=2.0, damping=2.0, stiffness=200.0, coupling_stiffness=2.0, normal_load=10.0
     ... )

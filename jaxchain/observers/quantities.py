@@ -44,6 +44,7 @@ def participation_ratio(amplitude: Float[Array, "*batch n"]) -> Float[Array, "*b
     Source: Bell and Dean, Discuss. Faraday Soc. 50, 55 (1970).
 
     >>> import jax.numpy as jnp
+    >>> from jaxchain.observers import participation_ratio
     >>> float(participation_ratio(jnp.array([1.5, 0.0, -1.5, 0.0])))
     2.0
     """
@@ -125,6 +126,7 @@ def settled(
     **Raises:** `ValueError` for fewer than four windows.
 
     >>> import jax.numpy as jnp
+    >>> from jaxchain.observers import settled
     >>> grows = jnp.array([[1.5, 0.01], [1.5, 0.02], [1.5, 0.04], [1.5, 0.08], [1.5, 0.16]])
     >>> bool(settled(grows, 1e-2)), bool(settled(grows, 0.1))
     (False, True)
@@ -149,6 +151,7 @@ def at_rest(amplitude: Float[Array, "*batch n"]) -> Bool[Array, "*batch"]:
     moves, and so do masses that are shaken.  NaN, of a run that failed, is not at rest.
 
     >>> import jax.numpy as jnp
+    >>> from jaxchain.observers import at_rest
     >>> at_rest(jnp.array([[1e-5, 0.0], [0.3, 0.0]])).tolist()
     [True, False]
     """
@@ -161,6 +164,7 @@ def mean_period(peak_times: Float[Array, " peaks"]) -> Float[Array, ""]:
     **Arguments:** peak times of one mass in any order, NaN where none.
 
     >>> import jax.numpy as jnp
+    >>> from jaxchain.observers import mean_period
     >>> float(mean_period(jnp.array([1.0, 7.5, jnp.nan, 14.0])))
     6.5
     """
@@ -187,6 +191,7 @@ def delays(
     **Returns:** shape (peaks, n), NaN where there is no peak.
 
     >>> import jax.numpy as jnp
+    >>> from jaxchain.observers import delays
     >>> peaks = jnp.array([[0.0, 3.5], [6.0, 9.5]])
     >>> delays(peaks, 0, 6.0)[:, 1].tolist(), delays(peaks, 0, 6.0, 1.5)[:, 1].tolist()
     ([-2.5, -2.5], [3.5, 3.5])

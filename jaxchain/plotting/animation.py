@@ -51,6 +51,7 @@ def animate(
         >>> import jax, tempfile, numpy as np
         >>> jax.config.update("jax_enable_x64", True)
         >>> from jaxchain import paper_chain
+        >>> from jaxchain.plotting import animate, save_gif
         >>> times = np.linspace(0.0, 5.0, 4)[:, None]
         >>> states = np.cos(times), -np.sin(times)  # any film of one mass
         >>> film = animate(paper_chain(n=1), times[:, 0], states)

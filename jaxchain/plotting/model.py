@@ -55,6 +55,7 @@ def draw_model(chain: Any = None, masses: Any = 4, axes: Any = None) -> Figure:
 
         >>> import jax
         >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain.plotting import draw_model
         >>> page = draw_model()
         >>> [panel.get_title(loc="left") for panel in page.axes]
         ['(a)', '(b)']

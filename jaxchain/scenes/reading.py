@@ -47,6 +47,7 @@ def load_scene(scene: str, overrides: Sequence[str] = ()) -> LoadedScene:
 
     **Raises:** `SceneError` with every problem found.
 
+    >>> from jaxchain.scenes import load_scene
     >>> list(load_scene("quickstart").scene.experiment)
     ['ladder']
     """
