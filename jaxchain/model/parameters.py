@@ -14,15 +14,17 @@ SPEED = "x0 omega_n"
 class Parameter(NamedTuple):
     """One number: what it is called, which values it may take, for how many things it stands.
 
-    A `symbol` is LaTeX without its dollars, empty if there is none; `meaning` is a sentence for
-    scene files and `remedy` the end of an error message.  `per` says for what it may be given one
-    by one; a `required` number has no value of its own in a scene, which `default` is otherwise.
-    `usual` is its value in the paper, eq. (7).
+    A `symbol` is LaTeX without its dollars, empty if there is none; `meaning` is what scene files
+    say beyond the name, and `remedy` the end of an error message.  `per` says for what it may be
+    given one by one; a `required` number has no value of its own in a scene, which `default` is
+    otherwise.  `usual` is its value in the paper, eq. (7).
 
     >>> PARAMETERS["belt_speed"].label
     'belt speed $\\\\tilde v_d$ (–)'
     >>> PARAMETERS["belt_speed"].attrs
     {'long_name': 'belt speed v_d', 'units': 'x0 omega_n'}
+    >>> PARAMETERS["belt_speed"].in_words
+    'belt speed v_d, in x0 omega_n'
     """
 
     name: str
@@ -53,6 +55,17 @@ class Parameter(NamedTuple):
         """Of a variable in a dataset."""
         return {"long_name": self.long_name, "units": self.unit}
 
+    @property
+    def in_words(self) -> str:
+        """What it is, with its unit."""
+        return self.long_name if self.unit == "1" else f"{self.long_name}, in {self.unit}"
+
+    @property
+    def description(self) -> str:
+        """Of its key in the tables of a chain and of a friction law."""
+        must = " Required unless swept." if self.required else ""
+        return f"{self.in_words.capitalize()}. {self.meaning}{must}"
+
 
 _MU = "a friction coefficient is a force ratio, such as 0.5."
 _ROWS = (
@@ -63,22 +76,22 @@ _ROWS = (
     ),
     Parameter(
         "damping_ratio", "damping ratio", r"\xi", required=True, usual=0.05,
-        meaning="xi, one number or one per mass.", remedy="it is a ratio, such as 0.05.",
+        meaning="One number, or one per mass.", remedy="it is a ratio, such as 0.05.",
     ),
     Parameter(
         "coupling", "coupling", r"\eta_c", sign="nonnegative", per="spring", usual=0.01,
-        meaning="Of the springs between neighbours, one number or one per spring; absent: no "
-        "springs.",
+        meaning="Of the springs between neighbours, relative to the nominal spring to ground; one "
+        "number, or one per spring; absent: no springs.",
         remedy="it is a spring constant, such as 0.01.",
     ),
     Parameter(
         "stiffness", "relative stiffness", sign="positive", default=1.0, usual=1.0,
-        meaning="Relative to the nominal spring, one number or one per mass.",
+        meaning="Of the spring to ground, 1 for the nominal one; one number, or one per mass.",
         remedy="1 is the nominal spring to ground.",
     ),
     Parameter(
         "normal_load", "relative normal load", sign="nonnegative", usual=1.0,
-        meaning="Relative to the nominal load, one number or one per mass; absent: 1 everywhere.",
+        meaning="1 for the nominal load; one number, or one per mass; absent: 1 everywhere.",
         remedy="a mass cannot pull at the belt.",
     ),
 )  # fmt: skip
@@ -103,7 +116,9 @@ _FRICTION_ROWS = (
     ),
     Parameter(
         "width", "regularization width", r"\varepsilon", SPEED, sign="positive", required=True,
-        usual=1e-3, meaning="Regularization width of the friction force, a speed.",
+        usual=1e-3,
+        meaning="Relative speed within which smoothed friction turns round; true dry friction "
+        "takes no notice of it.",
         remedy="1e-3 is usual; for dry friction give the law itself, or `width=None`.",
     ),
 )  # fmt: skip

@@ -25,12 +25,13 @@ from .values import (
 
 # Each kind stands once; of own ones there may be some.
 MOST_OBSERVERS = 50
+_OBSERVER = Field(description="Which observer.")
 
 
 class StickTimeTable(Table):
     """For how long each mass sticks."""
 
-    observer: Literal["StickTime"]
+    observer: Annotated[Literal["StickTime"], _OBSERVER]
     window: PositiveTime | None = None
     """The last time units of the run that count; absent: all."""
 
@@ -38,7 +39,7 @@ class StickTimeTable(Table):
 class PeakTimesTable(Table):
     """When each mass is farthest out."""
 
-    observer: Literal["PeakTimes"]
+    observer: Annotated[Literal["PeakTimes"], _OBSERVER]
     capacity: Count = 64
     """How many maxima of each mass are kept, the first ones."""
     start: Number = 0.0
@@ -48,29 +49,33 @@ class PeakTimesTable(Table):
 class SectionTable(PeakTimesTable):
     """The states in which one mass is farthest out, or fastest along the belt."""
 
-    observer: Literal["Section"]  # pyright: ignore[reportIncompatibleVariableOverride]
+    observer: Annotated[Literal["Section"], _OBSERVER]  # pyright: ignore[reportIncompatibleVariableOverride]
     oscillator: Mass
+    """Which mass, counted from 1."""
     of: Literal["displacement", "velocity"] = "displacement"
+    """Whether its displacement has a maximum then, or its velocity in the belt's direction."""
 
 
 class SamplesTable(Table):
     """States at start, start + interval, ..."""
 
-    observer: Literal["Samples"]
+    observer: Annotated[Literal["Samples"], _OBSERVER]
     interval: PositiveTime
+    """Time units between them."""
     capacity: Count
     """How many are kept, the first ones."""
     oscillators: Masses | None = None
-    """Which; absent: all."""
+    """Of which masses, counted from 1; absent: of all."""
     start: Time = 0.0
+    """Time of the first."""
 
 
 class FrontTrackTable(Table):
     """Where the two fronts of a vibrating block are."""
 
-    observer: Literal["FrontTrack"]
+    observer: Annotated[Literal["FrontTrack"], _OBSERVER]
     windows: Count
-    """Equal parts of the run, of two periods each at least."""
+    """Into how many equal parts the run is cut, of two periods each at least."""
     middle: Mass | None = None
     """An oscillator inside the block; absent: that in the middle."""
 
@@ -78,7 +83,7 @@ class FrontTrackTable(Table):
 class WholeRunTable(Table):
     """Energy balance, integral of the divergence, or how many masses ever stick at once."""
 
-    observer: Literal["EnergyBalance", "Divergence", "MostSticking"]
+    observer: Annotated[Literal["EnergyBalance", "Divergence", "MostSticking"], _OBSERVER]
 
 
 class OwnObserverTable(Table):
@@ -90,7 +95,7 @@ class OwnObserverTable(Table):
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, Any] = Field(init=False)
 
-    observer: Literal["own"]
+    observer: Annotated[Literal["own"], _OBSERVER]
     name: Text
     """The name of its class."""
 
@@ -115,15 +120,17 @@ class ObserveTable(Table):
         Field(min_length=1),
         AfterValidator(distinct),
     ] = ["amplitude", "energy", "active_count"]  # noqa: RUF012  # pydantic copies it
+    """What is kept of the amplitudes A: each of them, the energy 1/2 sum A^2, and how many exceed
+    half the belt speed."""
     stop: Literal["never", "quiet", "steady"] = "never"
     """When a run may end early: once every mass rests for good ("quiet"), or also once the
     amplitudes of successive windows agree ("steady")."""
     tolerance: Positive = 1e-6
     """How well they must agree for "steady"."""
     repeats: Count = 5
-    """In how many windows in succession."""
+    """In how many windows in succession they must agree for "steady"."""
     quiet_below: Positive = 1e-6
-    """Amplitude of a mass at rest."""
+    """Speed and acceleration below which a mass counts as at rest, for "quiet" and "steady"."""
     others: (
         Annotated[list[ObserverTable], Field(min_length=1, max_length=MOST_OBSERVERS)] | None
     ) = None

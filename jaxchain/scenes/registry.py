@@ -15,10 +15,15 @@ from __future__ import annotations
 import importlib
 import pkgutil
 from collections.abc import Callable
+from typing import Annotated
 
-from .values import Table, Text, Title
+from pydantic import Field
+
+from .values import Description, Table, Title
 
 _STUDIES = "jaxchain.studies"
+# Of the key `study`, which every study narrows to its own name.
+WHICH = Field(description="Which study this file is for.")
 
 
 class StudyTable(Table):
@@ -35,9 +40,9 @@ class StudyTable(Table):
         (True, 'ladder', 1.45)
     """
 
-    study: str
+    study: Annotated[str, WHICH]
     title: Title
-    description: Text = ""
+    description: Description = ""
 
 
 def studies() -> list[str]:

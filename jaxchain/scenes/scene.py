@@ -34,10 +34,10 @@ from .values import (
     MOST_LANES_REMEDY,
     MOST_NUMBERS,
     MOST_TIME,
+    Description,
     Name,
     Problem,
     Table,
-    Text,
     Title,
     Values,
     array,
@@ -53,6 +53,8 @@ _LONG = {"transient": 0.0, "window": MOST_TIME}
 
 # Far more than there are numbers to sweep.
 MOST_SWEPT, MOST_EXPERIMENTS = 32, 1000
+# Of the key in all tables that have one.
+NUMERICS = Field(description="Solver, tolerances and limits; absent: their defaults.")
 # A part of a run in which fronts are looked for holds two periods.
 _TWO_PERIODS = 4 * math.pi
 
@@ -94,12 +96,15 @@ class SweepTable(Table):
     """The names that `sweep` must hold, and no others; of none, any may stand there."""
 
     chain: ChainTable
+    """Masses, springs, belt and friction."""
     initial: InitialTable
+    """Displacements and velocities at the start."""
     time: TimeTable
+    """How long the runs are."""
     sweep: Annotated[dict[str, Values], Field(max_length=MOST_SWEPT)] = Field(default_factory=dict)
     """Numbers of the chain, its friction or the initial state, with the values they take; they
-    replace the single number given there."""
-    numerics: SolverTable = Field(default_factory=SolverTable)
+    replace the single number given there, which may be left out."""
+    numerics: Annotated[SolverTable, NUMERICS] = Field(default_factory=SolverTable)
 
     def friction_numbers(self) -> tuple[str, ...]:
         """Names of the numbers of the friction law, width last."""
@@ -282,9 +287,10 @@ class Experiment(SweepTable):
         ({'belt_speed': 11, 'excited': 7}, 77)
     """
 
-    description: Text = ""
+    description: Description = ""
     observe: ObserveTable = Field(default_factory=ObserveTable)
-    numerics: StoredNumericsTable = Field(default_factory=StoredNumericsTable)
+    """What is measured, and when a run may end early."""
+    numerics: Annotated[StoredNumericsTable, NUMERICS] = Field(default_factory=StoredNumericsTable)
 
     def stored(self) -> bool:
         """Whether its runs are kept in a store."""
@@ -368,8 +374,9 @@ class Scene(Table):
     """
 
     title: Title
-    description: Text = ""
+    description: Description = ""
     experiment: Annotated[dict[Name, Experiment], Field(min_length=1, max_length=MOST_EXPERIMENTS)]
+    """The experiments by name; each makes one dataset of this name."""
 
     @model_validator(mode="after")
     def _check(self) -> Scene:

@@ -28,6 +28,9 @@ from .values import (
     MOST_NUMBERS,
     MOST_STEPS,
     MOST_VALUES,
+    RTOL,
+    TRANSIENT,
+    WINDOW,
     AbsoluteTolerance,
     Masses,
     NonNegative,
@@ -60,7 +63,7 @@ def _key(row: Parameter, several: bool) -> Any:
         many = Annotated[list[kind], Field(min_length=1, max_length=MOST_NUMBERS), Tag("list")]
         kind = Annotated[Annotated[kind, Tag("number")] | many, Discriminator(form)]
     kind = kind | None if row.default is None else kind
-    return Annotated[kind, Field(description=row.meaning or None)], row.default
+    return Annotated[kind, Field(description=row.description)], row.default
 
 
 def _numbers(*names: str, several: bool = False) -> Callable[[type[T]], type[T]]:
@@ -74,34 +77,35 @@ def _numbers(*names: str, several: bool = False) -> Callable[[type[T]], type[T]]
 
 
 _WEAKENING = ("width", "mu_static", "mu_dynamic", "v_ref")
+_LAW = Field(description="Which friction law.")
 
 
 @_numbers(*_WEAKENING)
 class ExponentialDecayTable(Table):
     """mu(s) = mu_dynamic + (mu_static - mu_dynamic) exp(-s / v_ref)."""
 
-    law: Literal["exponential_decay"]
+    law: Annotated[Literal["exponential_decay"], _LAW]
 
 
 @_numbers(*_WEAKENING, "mu_viscous")
 class WeakeningStrengtheningTable(Table):
     """mu(s) = mu_dynamic + (mu_static - mu_dynamic) exp(-s / v_ref) + mu_viscous s / v_ref."""
 
-    law: Literal["weakening_strengthening"]
+    law: Annotated[Literal["weakening_strengthening"], _LAW]
 
 
 @_numbers(*_WEAKENING, "mu_viscous")
 class GaussianStribeckTable(Table):
     """mu(s) = mu_dynamic + (mu_static - mu_dynamic) exp(-(s / v_ref)^2) + mu_viscous s / v_ref."""
 
-    law: Literal["gaussian_stribeck"]
+    law: Annotated[Literal["gaussian_stribeck"], _LAW]
 
 
 @_numbers("width", "mu_dynamic")
 class CoulombTable(Table):
     """mu(s) = mu_dynamic."""
 
-    law: Literal["coulomb"]
+    law: Annotated[Literal["coulomb"], _LAW]
 
 
 _Points: TypeAlias = Annotated[list[Number], Field(max_length=MOST_VALUES)]
@@ -111,7 +115,7 @@ _Points: TypeAlias = Annotated[list[Number], Field(max_length=MOST_VALUES)]
 class TabulatedTable(Table):
     """mu(s) through measured points, constant beyond the last: a file, or two lists."""
 
-    law: Literal["tabulated"]
+    law: Annotated[Literal["tabulated"], _LAW]
     file: str | None = None
     """CSV file of two columns, speed and friction coefficient, beside the scene file."""
     speed: _Points = Field(default_factory=list)
@@ -151,7 +155,7 @@ class OwnLawTable(Table):
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, Number] = Field(init=False)
 
-    law: Literal["own"]
+    law: Annotated[Literal["own"], _LAW]
 
     @model_validator(mode="after")
     def _check(self) -> OwnLawTable:
@@ -179,15 +183,20 @@ class ChainTable(Table):
     n: Annotated[int, Field(ge=1, le=MOST_NUMBERS)]
     """Number of masses."""
     friction: FrictionTable
+    """Law of the friction between masses and belt, with its numbers."""
     ends: Literal["cyclic", "free"] = "cyclic"
+    """A ring ("cyclic"), or a row whose first and last mass have one neighbour ("free")."""
 
 
 Block: TypeAlias = Literal["forward", "centred"]
 
 
+_KIND = Field(description="Which kind of start.")
+
+
 class _BlockTable(Table):
     excited: Annotated[int, Field(ge=0, le=MOST_NUMBERS)] | None = None
-    """How many neighbouring masses are excited."""
+    """How many neighbouring masses are excited; left out where it is swept."""
     block: Block = "forward"
     """Where they are: 11 ... 10 + k of 20 ("forward"), or round oscillator 11 ("centred")."""
 
@@ -195,13 +204,13 @@ class _BlockTable(Table):
 class Equation8Table(_BlockTable):
     """Alternating displacements of 2 around steady sliding, at rest: eq. (8) of the paper."""
 
-    kind: Literal["equation_8"]
+    kind: Annotated[Literal["equation_8"], _KIND]
 
 
 class Equation10Table(_BlockTable):
     """Like eq. (8), with velocities of 0.56: eq. (10) of the paper."""
 
-    kind: Literal["equation_10"]
+    kind: Annotated[Literal["equation_10"], _KIND]
     reading: Literal["as_printed", "as_equation_8"] = "as_equation_8"
     """Whether F(v_d) in eq. (10) is meant as printed, or as the F(-v_d) of eq. (8)."""
 
@@ -209,15 +218,15 @@ class Equation10Table(_BlockTable):
 class ExcitedTable(_BlockTable):
     """Steady sliding with some masses pulled away from it."""
 
-    kind: Literal["excited"]
+    kind: Annotated[Literal["excited"], _KIND]
     oscillators: Masses | None = None
     """Which masses are excited, counted from 1; instead of `excited`."""
     pattern: Literal["alternating", "in-phase"] = "alternating"
     """Signs of the displacements along the chain."""
     displacement: Number = 2.0
-    """How far an excited mass is pulled away."""
+    """How far an excited mass is pulled away, in x0."""
     velocity: Number = 0.0
-    """Velocity of every mass."""
+    """Velocity of every mass, in x0 omega_n."""
 
 
 InitialTable: TypeAlias = Annotated[
@@ -229,10 +238,8 @@ KINDS = by_tag(InitialTable, "kind")
 class TimeTable(Table):
     """A run lasts transient + window time units (one period of a free mass is about 2 pi)."""
 
-    transient: Time
-    """What is waited for before amplitudes are measured."""
-    window: PositiveTime
-    """How long they are measured."""
+    transient: Annotated[Time, TRANSIENT]
+    window: Annotated[PositiveTime, WINDOW]
 
 
 Solver: TypeAlias = Literal[
@@ -247,9 +254,9 @@ class SolverTable(Table):
     solver: Solver = "auto"
     """For smoothed friction: a structured Rosenbrock solver, a stock diffrax solver, or the choice
     left to jaxchain.  True dry friction is integrated event by event."""
-    rtol: Tolerance = 1e-6
+    rtol: Annotated[Tolerance, RTOL] = 1e-6
     atol: AbsoluteTolerance | None = None
-    """Absent: rtol / 10."""
+    """Absolute tolerance of a time step; absent: rtol / 10."""
     max_step: StepLength = 0.5
     """No step is longer (time units)."""
     max_steps: Annotated[int, Field(ge=1, le=MOST_STEPS)] | None = None

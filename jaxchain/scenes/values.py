@@ -128,7 +128,12 @@ StepLength: TypeAlias = Annotated[float, Field(ge=LEAST_STEP, le=MOST_TIME)]
 Mass: TypeAlias = Annotated[int, Field(ge=1, le=MOST_NUMBERS)]
 Text: TypeAlias = Annotated[str, Field(max_length=TEXT_LENGTH), AfterValidator(_printable)]
 Title: TypeAlias = Annotated[
-    str, Field(min_length=1, max_length=TEXT_LENGTH), AfterValidator(_printable)
+    str,
+    Field(min_length=1, max_length=TEXT_LENGTH, description="What it is called, in one line."),
+    AfterValidator(_printable),
+]
+Description: TypeAlias = Annotated[
+    Text, Field(description="What it is about, in some sentences, which its results keep.")
 ]
 # Of an experiment, an ensemble, a case: names a group of the results.
 Name: TypeAlias = Annotated[str, Field(pattern=NAME, max_length=NAME_LENGTH)]
@@ -162,15 +167,27 @@ Window: TypeAlias = Annotated[
 ]
 
 
+# What keys mean that several tables have, with bounds of their own.
+TRANSIENT = Field(description="Time units that are waited for before amplitudes are measured.")
+WINDOW = Field(
+    description="Time units over which amplitudes are measured; a period is about 2 pi."
+)
+RTOL = Field(
+    description="Relative tolerance of a time step: what is smaller is more accurate and slower."
+)
+
+
 class Range(Table):
     """Equally spaced values: start, start + step, ... stop, or `count` values with both ends."""
 
     start: Number
+    """The first value."""
     stop: Number
+    """The last value, unless the steps do not meet it; none lies beyond."""
     step: float | None = None
     """Distance between values; negative to count down."""
     count: Annotated[int, Field(ge=1)] | None = None
-    """Number of values, both ends included."""
+    """Number of values, both ends included; instead of `step`."""
 
     @model_validator(mode="after")
     def _check(self) -> Range:

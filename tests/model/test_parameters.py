@@ -85,7 +85,9 @@ def test_every_number_is_a_key_of_scenes():
     assert set(parts["WeakeningStrengtheningTable"]["properties"]) == {"law", *FRICTION}
     assert set(parts["CoulombTable"]["properties"]) == {"law", "width", "mu_dynamic"}
     for row in CHAIN.values():
-        assert table["properties"][row.name]["description"] == row.meaning
+        told = table["properties"][row.name]["description"]
+        assert told.lower().startswith(row.long_name)
+        assert row.meaning in told
     number, several = table["properties"]["coupling"]["oneOf"]
     assert number["minimum"] == several["items"]["minimum"] == 0
     assert "exclusiveMinimum" in table["properties"]["stiffness"]["oneOf"][0]

@@ -16,7 +16,7 @@ from PIL import Image
 
 from jaxchain._outcomes import ADVICE
 from jaxchain.cli import main
-from jaxchain.scenes import running
+from jaxchain.scenes import reading, running
 from jaxchain.scenes.errors import StudyFailedError
 from jaxchain.scenes.pages import contents
 from jaxchain.scenes.pages.page import PAGE, page_behind, renew_page
@@ -171,7 +171,10 @@ def test_it_tells_what_was_asked_what_was_found_and_where_it_comes_from(ran):
     page = read(ran)
     assert (ran / "mine.toml").read_text(encoding="utf-8") in page.shown
     rows = {row[0]: row[1:] for row in page.rows}
-    assert rows["experiment.NAME.time.window"] == ["How long they are measured."]
+    window = rows["experiment.NAME.time.window"]
+    assert window == ["Time units over which amplitudes are measured; a period is about 2 pi."]
+    chain = rows["experiment.NAME.chain"]
+    assert chain[0].startswith("Masses, springs, belt and friction. A chain of masses on a belt:")
     assert rows["Hopf speed"] == ["1.1513 (steady sliding is stable above)"]
     assert rows["active_count"][0] == "belt_speed 2 x excited 3"
     assert rows["command"] == ["jaxchain run mine"]
@@ -289,6 +292,8 @@ def test_of_a_study_it_holds_what_the_study_says(tmp_path, monkeypatch):
     )  # fmt: skip
     for module in (running, contents):
         monkeypatch.setattr(module, "study_run", lambda name: study)
+    monkeypatch.setattr(reading, "studies", lambda: ["made_up"])
+    monkeypatch.setattr(reading, "study_table", lambda name: StudyTable)
     folder = tmp_path / "out"
     folder.mkdir()
     loaded = LoadedScene("mine", StudyTable(study="made_up", title="A study"))
@@ -300,6 +305,7 @@ def test_of_a_study_it_holds_what_the_study_says(tmp_path, monkeypatch):
     assert "first: 1 of 2 untrusted_linear_solve." in page.shown
     assert "first: <2>" in page.shown
     assert ["first", "error", "half-width of the 95 % interval", "", "1 to 1.5"] in page.rows
+    assert ["study", "Which study this file is for."] in page.rows
     renew_page(folder)
     assert read(folder).shown == page.shown
 
