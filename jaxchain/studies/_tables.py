@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from jaxchain._limits import MOST_LANES
+from jaxchain.model.parameters import parameter
 from jaxchain.scenes.scene import Problem, raise_all
 from jaxchain.scenes.values import (
     MOST_LANES_REMEDY,
@@ -28,6 +29,21 @@ Once = AfterValidator(distinct)
 Several: TypeAlias = Annotated[list[Positive], Field(min_length=1, max_length=MOST_ENTRIES), Once]
 
 
+def number(name: str) -> Any:
+    """What a key means that holds this number of the chain."""
+    return Field(description=f"{parameter(name).in_words.capitalize()}.")
+
+
+def numbers(name: str) -> Any:
+    """What a key means that holds several values of this number of the chain."""
+    return Field(description=f"Values of the {parameter(name).in_words}.")
+
+
+# Of keys whose bounds differ from study to study.
+RING = Field(description="Number of masses of the ring.")
+BASE = Field(description="Numbers of the masses, each where the study does not vary it.")
+
+
 def too_many(counts: Mapping[str, int], masses: int, path: tuple[str, ...]) -> list[Problem]:
     """What is wrong with so many runs as the product of these counts, of so many masses."""
     runs, product = 1, " x ".join(f"{count} {name}" for name, count in counts.items())
@@ -44,9 +60,13 @@ class Span(Table):
     """Values from `start` to `stop`, both included."""
 
     start: Positive
+    """The first value."""
     stop: Positive
+    """The last value."""
     count: Annotated[int, Field(ge=2, le=1000)]
+    """Number of values, both ends included."""
     spacing: Literal["linear", "log"] = "linear"
+    """Whether their differences are equal ("linear") or their ratios ("log")."""
 
     @model_validator(mode="after")
     def _check(self) -> Span:
@@ -62,12 +82,12 @@ class Span(Table):
 
 
 class BaseTable(Table):
-    """Equal masses on their belt; each number stands where a study does not vary it."""
+    """Equal masses on their belt, with exponentially decaying friction."""
 
-    damping_ratio: Positive
-    mu_static: Positive
-    mu_dynamic: NonNegative
-    v_ref: Positive
+    damping_ratio: Annotated[Positive, number("damping_ratio")]
+    mu_static: Annotated[Positive, number("mu_static")]
+    mu_dynamic: Annotated[NonNegative, number("mu_dynamic")]
+    v_ref: Annotated[Positive, number("v_ref")]
 
     @model_validator(mode="after")
     def _check(self) -> BaseTable:

@@ -1,10 +1,13 @@
-"""What every study's table refuses: counts without bounds, values twice, numbers beyond sense."""
+"""What every study's table refuses: counts without bounds, values twice, numbers beyond sense.
+
+And that every table, and every key in it, says what it means.
+"""
 
 import pytest
 
 from jaxchain.chaos.runs import CHUNK
 from jaxchain.scenes.errors import SceneError
-from jaxchain.scenes.reading import load_scene
+from jaxchain.scenes.reading import load_scene, schema
 from jaxchain.scenes.registry import studies, study_table
 from jaxchain.scenes.scene import Scene
 from jaxchain.studies.verdicts import table as verdicts
@@ -38,10 +41,26 @@ def whole_numbers(part, definitions, path=""):
 
 @pytest.mark.parametrize("table", [Scene, *map(study_table, studies())])
 def test_every_whole_number_has_a_greatest_value(table):
-    schema = table.model_json_schema()
-    found = list(whole_numbers(schema, schema.get("$defs", {})))
+    whole = table.model_json_schema()
+    found = list(whole_numbers(whole, whole.get("$defs", {})))
     assert found
     assert not [key for key, part in found if "maximum" not in part]
+
+
+@pytest.mark.parametrize("table", [Scene, *map(study_table, studies())])
+def test_every_table_and_every_key_says_what_it_means(table):
+    whole = schema(table)
+    parts = {"": whole, **whole.get("$defs", {})}
+    told = {name: part for name, part in parts.items() if "properties" in part}
+    assert any(part["properties"] for part in told.values())
+    tables = [name for name, part in told.items() if not part.get("description", "").strip()]
+    keys = [
+        f"{name}.{key}"
+        for name, part in told.items()
+        for key, own in part["properties"].items()
+        if not own.get("description", "").strip()
+    ]
+    assert not [*tables, *keys], "without a docstring below the attribute, or of the class"
 
 
 @pytest.mark.parametrize(

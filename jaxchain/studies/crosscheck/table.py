@@ -6,8 +6,8 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from jaxchain.scenes.registry import StudyTable
-from jaxchain.scenes.scene import Problem, SweepTable, raise_all
+from jaxchain.scenes.registry import WHICH, StudyTable
+from jaxchain.scenes.scene import NUMERICS, Problem, SweepTable, raise_all
 from jaxchain.scenes.tables import Equation8Table, ExcitedTable, InitialTable, SolverTable
 from jaxchain.scenes.values import Tolerance
 from jaxchain.studies._tables import MOST_ENTRIES, Once
@@ -19,7 +19,9 @@ NARROWEST = 1e-9
 class _Part(SweepTable):
     """One sweep, run with smoothed and with true dry friction."""
 
-    numerics: SolverTable = Field(default_factory=lambda: SolverTable(rtol=1e-9))
+    numerics: Annotated[SolverTable, NUMERICS] = Field(
+        default_factory=lambda: SolverTable(rtol=1e-9)
+    )
 
     @model_validator(mode="after")
     def _check_part(self) -> _Part:
@@ -41,7 +43,9 @@ class OscillatorPart(_Part):
         default_factory=lambda: ExcitedTable(kind="excited", excited=1), exclude=True
     )
     """Has no part here."""
-    numerics: SolverTable = Field(default_factory=lambda: SolverTable(rtol=1e-10))
+    numerics: Annotated[SolverTable, NUMERICS] = Field(
+        default_factory=lambda: SolverTable(rtol=1e-10)
+    )
 
     def _problems(self) -> list[Problem]:
         problems = super()._problems()
@@ -60,13 +64,16 @@ class StatesPart(_Part):
 
     swept: ClassVar = ("excited", "width")
     initial: InitialTable = Field(default_factory=lambda: Equation8Table(kind="equation_8"))
+    """Displacements and velocities at the start; absent: those of eq. (8)."""
 
 
 class Study(StudyTable):
     """Smoothed friction against true dry friction: one oscillator, and states of a chain."""
 
-    study: Literal["crosscheck"]
+    study: Annotated[Literal["crosscheck"], WHICH]
     accuracy: Annotated[list[Tolerance], Field(min_length=1, max_length=MOST_ENTRIES), Once]
-    """Relative errors; which width buys each?"""
+    """Relative errors: for each the greatest width that errs by no more is looked for."""
     oscillator: OscillatorPart
+    """The vibrating cycle of one oscillator, over belt speed and width."""
     states: StatesPart
+    """States of a chain, over the number of excited masses and the width."""

@@ -7,12 +7,23 @@ from typing import Annotated, Literal, TypeAlias
 from pydantic import Field, model_validator
 
 from jaxchain._limits import LEAST_RTOL
-from jaxchain.scenes.registry import StudyTable
+from jaxchain.scenes.registry import WHICH, StudyTable
 from jaxchain.scenes.scene import raise_all
-from jaxchain.scenes.values import Positive, Table
-from jaxchain.studies._tables import MOST_ENTRIES, MOST_MASSES, BaseTable, Once, Several, too_many
+from jaxchain.scenes.values import RTOL, Positive, Table
+from jaxchain.studies._tables import (
+    BASE,
+    MOST_ENTRIES,
+    MOST_MASSES,
+    RING,
+    BaseTable,
+    Once,
+    Several,
+    number,
+    numbers,
+    too_many,
+)
 
-Masses: TypeAlias = Annotated[int, Field(ge=3, le=MOST_MASSES)]
+Masses: TypeAlias = Annotated[int, Field(ge=3, le=MOST_MASSES), RING]
 Vibrating: TypeAlias = Annotated[int, Field(ge=0, le=MOST_MASSES)]
 # Ten windows at least; amplitudes of all of them are kept.
 Time: TypeAlias = Annotated[float, Field(ge=200, le=1e5)]
@@ -21,18 +32,20 @@ Time: TypeAlias = Annotated[float, Field(ge=200, le=1e5)]
 class Base(BaseTable):
     """Equal masses; `coupling` is that of the ring."""
 
-    coupling: Positive
+    coupling: Annotated[Positive, number("coupling")]
 
 
 class OneMass(Table):
     """The edge of one mass, beside its unstable cycle, over belt speeds in rising order."""
 
     belt_speed: Several
+    """Belt speeds at which the edge is looked for, in rising order."""
     weak: Positive = 0.05
-    """Displacement from which it dies, and ..."""
+    """Displacement from steady sliding, in x0, from which the vibration dies."""
     strong: Positive = 2.5
-    """... from which it vibrates, from steady sliding."""
+    """Displacement from steady sliding, in x0, from which it goes on."""
     time: Time = 1000.0
+    """Time units for which the edge is followed, at most."""
 
     @model_validator(mode="after")
     def _check(self) -> OneMass:
@@ -49,17 +62,19 @@ class Ring(Table):
 
     masses: Masses
     time: Time
-    """For which the edge is followed, at most."""
+    """Time units for which the edge is followed, at most."""
     settling: Time = 2000.0
-    """For which the ring runs before."""
+    """Time units that the ring runs before that."""
     pull: Positive = 2.2
+    """Displacement from steady sliding, in x0, to which the next mass is pulled."""
 
 
 class Ladder(Ring):
     """Edges between k and k + 1 vibrating masses, k in `vibrating`."""
 
     vibrating: Annotated[list[Vibrating], Field(min_length=1, max_length=MOST_ENTRIES), Once]
-    belt_speed: Several
+    """How many neighbours vibrate on the quiet side of each edge, k."""
+    belt_speed: Annotated[Several, numbers("belt_speed")]
 
     @model_validator(mode="after")
     def _check(self) -> Ladder:
@@ -76,9 +91,10 @@ class Tracking(Ring):
     """One edge, and how both ends of the last bracket leave it."""
 
     vibrating: Vibrating
-    belt_speed: Positive
+    """How many neighbours vibrate on the quiet side of the edge."""
+    belt_speed: Annotated[Positive, number("belt_speed")]
     leaving: Time
-    """For which they are followed after that."""
+    """Time units for which both ends are followed after that."""
 
     @model_validator(mode="after")
     def _check(self) -> Tracking:
@@ -91,9 +107,12 @@ class Tracking(Ring):
 class Study(StudyTable):
     """Edge states of one mass and of a ring, with true dry friction."""
 
-    study: Literal["edges"]
-    base: Base
+    study: Annotated[Literal["edges"], WHICH]
+    base: Annotated[Base, BASE]
     one_mass: OneMass
+    """Edges of one mass over the belt speed."""
     ladder: Ladder
+    """Edges of a ring, over how many masses vibrate and the belt speed."""
     tracking: Tracking
-    rtol: Annotated[float, Field(ge=LEAST_RTOL, lt=1e-8)] = 1e-11
+    """How one edge is followed, in detail."""
+    rtol: Annotated[float, Field(ge=LEAST_RTOL, lt=1e-8), RTOL] = 1e-11

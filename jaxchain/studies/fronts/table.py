@@ -7,10 +7,21 @@ from typing import Annotated, Literal, TypeAlias
 from pydantic import Field, model_validator
 
 from jaxchain._limits import LEAST_RTOL
-from jaxchain.scenes.registry import StudyTable
+from jaxchain.scenes.registry import WHICH, StudyTable
 from jaxchain.scenes.scene import raise_all
-from jaxchain.scenes.values import MOST_TIME, Positive, Table, Values, array
-from jaxchain.studies._tables import MOST_ENTRIES, MOST_MASSES, BaseTable, Once, Several, too_many
+from jaxchain.scenes.values import MOST_TIME, RTOL, Positive, Table, Values, array
+from jaxchain.studies._tables import (
+    BASE,
+    MOST_ENTRIES,
+    MOST_MASSES,
+    RING,
+    BaseTable,
+    Once,
+    Several,
+    number,
+    numbers,
+    too_many,
+)
 
 Masses: TypeAlias = Annotated[int, Field(ge=20, le=MOST_MASSES)]
 
@@ -18,15 +29,17 @@ Masses: TypeAlias = Annotated[int, Field(ge=20, le=MOST_MASSES)]
 class Base(BaseTable):
     """A ring of equal masses."""
 
-    coupling: Positive
+    coupling: Annotated[Positive, number("coupling")]
 
 
 class Ring(Table):
     """How many masses, how many of them vibrate at the start, and for how long they run."""
 
-    masses: Masses
+    masses: Annotated[Masses, RING]
     block: Annotated[int, Field(ge=8, le=MOST_MASSES)]
+    """How many neighbours vibrate at the start."""
     time: Annotated[float, Field(ge=100, le=MOST_TIME)]
+    """Time units that a run lasts, at most."""
 
     @model_validator(mode="after")
     def _check(self) -> Ring:
@@ -42,7 +55,7 @@ class Ring(Table):
 class Speed(Ring):
     """Speed of fronts over the belt speed."""
 
-    belt_speed: Values
+    belt_speed: Annotated[Values, numbers("belt_speed")]
     seeds: Annotated[int, Field(ge=1, le=100)] = 2
     """Runs with different noise, of each pattern."""
 
@@ -60,22 +73,26 @@ class Speed(Ring):
 class Coupling(Ring):
     """Speed of fronts over the coupling; a run lasts `per_coupling` / coupling at most."""
 
-    belt_speed: Several
-    coupling: Annotated[list[Positive], Field(min_length=3, max_length=40), Once]
+    belt_speed: Annotated[Several, numbers("belt_speed")]
+    coupling: Annotated[
+        list[Positive], Field(min_length=3, max_length=40), Once, numbers("coupling")
+    ]
     per_coupling: Positive = 20.0
+    """Length of a run times its coupling; no run is shorter than 400, or longer than `time`."""
 
 
 class Pinning(Ring):
     """The two belt speeds between which fronts stand, over the coupling."""
 
-    coupling: Several
+    coupling: Annotated[Several, numbers("coupling")]
     lowest: Positive
     """A belt speed at which blocks grow."""
     stands: Positive
-    """One at which they stand."""
+    """A belt speed at which they stand."""
     highest: Positive
-    """One at which they shrink."""
+    """A belt speed at which they shrink."""
     halvings: Annotated[int, Field(ge=1, le=20)] = 6
+    """How often the distance between a belt speed of each kind is halved."""
 
     @model_validator(mode="after")
     def _check_order(self) -> Pinning:
@@ -88,26 +105,36 @@ class Pinning(Ring):
 class Convergence(Ring):
     """The same speeds on other rings (block and room in proportion) and with other widths."""
 
-    belt_speed: Several
+    belt_speed: Annotated[Several, numbers("belt_speed")]
     other_masses: Annotated[list[Masses], Field(min_length=1, max_length=MOST_ENTRIES), Once]
+    """Numbers of masses of the other rings."""
     width: Several
+    """Regularization widths of smoothed friction on the ring of `masses`."""
 
 
 class Pictures(Ring):
     """Amplitude over mass and time."""
 
-    belt_speed: Annotated[list[Positive], Field(min_length=1, max_length=3), Once]
+    belt_speed: Annotated[
+        list[Positive], Field(min_length=1, max_length=3), Once, numbers("belt_speed")
+    ]
     windows: Annotated[int, Field(ge=10, le=2000)] = 200
+    """Into how many equal parts a run is cut, each with amplitudes of its own."""
 
 
 class Study(StudyTable):
     """Fronts between vibrating and quiet masses, with true dry friction."""
 
-    study: Literal["fronts"]
-    base: Base
+    study: Annotated[Literal["fronts"], WHICH]
+    base: Annotated[Base, BASE]
     pictures: Pictures
+    """Blocks that grow, stand and shrink, as pictures."""
     speed: Speed
+    """The speed of fronts over the belt speed."""
     coupling: Coupling
+    """The speed of fronts over the coupling."""
     pinning: Pinning
+    """Where fronts come unstuck."""
     convergence: Convergence
-    rtol: Annotated[float, Field(ge=LEAST_RTOL, lt=1e-3)] = 1e-6
+    """What the size of the ring and a width change."""
+    rtol: Annotated[float, Field(ge=LEAST_RTOL, lt=1e-3), RTOL] = 1e-6

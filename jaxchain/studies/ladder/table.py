@@ -6,35 +6,59 @@ from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import Field, model_validator
 
-from jaxchain.scenes.registry import StudyTable
+from jaxchain.scenes.registry import WHICH, StudyTable
 from jaxchain.scenes.scene import Problem, raise_all
-from jaxchain.scenes.values import Count, Positive, PositiveTime, Range, Table, Tolerance, Window
-from jaxchain.studies._tables import MOST_ENTRIES, MOST_MASSES, Once, Several, too_many
+from jaxchain.scenes.values import (
+    RTOL,
+    TRANSIENT,
+    WINDOW,
+    Count,
+    Positive,
+    PositiveTime,
+    Range,
+    Table,
+    Tolerance,
+    Window,
+)
+from jaxchain.studies._tables import (
+    MOST_ENTRIES,
+    MOST_MASSES,
+    RING,
+    Once,
+    Several,
+    number,
+    numbers,
+    too_many,
+)
 
-Masses: TypeAlias = Annotated[int, Field(ge=4, le=MOST_MASSES)]
+Masses: TypeAlias = Annotated[int, Field(ge=4, le=MOST_MASSES), RING]
 Counts: TypeAlias = Annotated[list[Count], Field(max_length=MOST_ENTRIES), Once]
 
 PatternName = Literal["in-phase", "alternating", "calmest"]
 
 
 class Ring(Table):
-    """The paper's chain."""
+    """The paper's chain, with smoothed friction."""
 
     masses: Masses
-    coupling: Positive
-    width: Positive
+    coupling: Annotated[Positive, number("coupling")]
+    width: Annotated[Positive, number("width")]
 
 
 class Walk(Table):
     """How each branch is followed, both ways from one belt speed."""
 
     start: Positive
+    """Belt speed from which branches are followed."""
     slowest: Positive
+    """Belt speed below which no branch is followed."""
     fastest: Positive
+    """Belt speed above which no branch is followed."""
     points: Count
-    """Of each of the two ways, at most."""
-    rtol: Tolerance
+    """Number of points on each of the two ways, at most."""
+    rtol: Annotated[Tolerance, RTOL]
     tolerance: Tolerance
+    """Greatest error of a point, relative to 1 + the size of what is solved for."""
 
     @model_validator(mode="after")
     def _check(self) -> Walk:
@@ -57,7 +81,9 @@ class Rungs(Table):
     """Whose branches: `count` neighbours in each of these locked patterns."""
 
     count: Annotated[Counts, Field(min_length=1)]
+    """How many neighbours vibrate."""
     pattern: Annotated[list[PatternName], Field(min_length=1, max_length=3), Once]
+    """Of all phases in which they lock: the most alike, the most alternating, the most stable."""
     switch: Counts
     """Of these counts the branch that crosses at the first symmetry breaking is followed, too."""
 
@@ -65,9 +91,9 @@ class Rungs(Table):
 class Ensemble(Table):
     """Runs of eq. (8) with true dry friction, of every count of excited masses."""
 
-    belt_speed: Range
-    transient: PositiveTime
-    window: Window
+    belt_speed: Annotated[Range, numbers("belt_speed")]
+    transient: Annotated[PositiveTime, TRANSIENT]
+    window: Annotated[Window, WINDOW]
 
     @model_validator(mode="after")
     def _check(self) -> Ensemble:
@@ -81,33 +107,42 @@ class Checks(Table):
     """Second looks at orbits that are drawn by lot, always the same."""
 
     orbits: Count
-    """That are disturbed and left to themselves."""
+    """How many are disturbed and left to themselves."""
     periods: Annotated[Count, Field(ge=8)]
-    """For so long."""
+    """For how many periods those are followed."""
     dry: Count
-    """Stable ones at which a run with true dry friction starts."""
+    """At how many stable ones a run with true dry friction starts."""
     dry_time: Window
+    """Time units that such a run lasts."""
 
 
 class Couplings(Table):
     """Where the locked cycles of a few masses are stable, over the coupling."""
 
-    coupling: Annotated[Several, Field(min_length=2)]
+    coupling: Annotated[Several, Field(min_length=2), numbers("coupling")]
     count: Annotated[Counts, Field(min_length=1)]
+    """How many neighbours vibrate, fewer than the ring has masses."""
     masses: Masses
     points: Count
+    """Number of points on each of the two ways of a branch, at most."""
 
 
 class Study(StudyTable):
     """Branches of cycles behind the ladder of localized states."""
 
-    study: Literal["ladder"]
+    study: Annotated[Literal["ladder"], WHICH]
     ring: Ring
+    """The ring whose cycles are followed."""
     walk: Walk
+    """How far and how closely branches of cycles are followed."""
     rungs: Rungs
+    """At which cycles these branches start."""
     ensemble: Ensemble
+    """The runs that are drawn upon the branches."""
     checks: Checks
+    """Whether the branches are right."""
     couplings: Couplings
+    """How the stable parts of branches depend on the coupling."""
 
     @model_validator(mode="after")
     def _check_study(self) -> Study:

@@ -7,11 +7,14 @@ from typing import Annotated, Literal, TypeAlias
 
 from pydantic import Field, model_validator
 
-from jaxchain.scenes.registry import StudyTable
+from jaxchain.scenes.registry import WHICH, StudyTable
 from jaxchain.scenes.scene import Problem, raise_all
 from jaxchain.scenes.values import (
     MOST_NUMBERS,
     MOST_TIME,
+    RTOL,
+    TRANSIENT,
+    WINDOW,
     Name,
     Positive,
     Table,
@@ -20,17 +23,27 @@ from jaxchain.scenes.values import (
     Window,
 )
 from jaxchain.studies._tables import (
+    BASE,
     MOST_ENTRIES,
     MOST_MASSES,
+    RING,
     BaseTable,
     Once,
     Several,
+    number,
+    numbers,
     too_many,
 )
 
 Disorder: TypeAlias = Annotated[float, Field(ge=0, le=0.24)]
 Disorders: TypeAlias = Annotated[
-    list[Disorder], Field(min_length=1, max_length=MOST_ENTRIES), Once
+    list[Disorder],
+    Field(
+        min_length=1,
+        max_length=MOST_ENTRIES,
+        description="Standard deviations of the stiffness relative to its mean.",
+    ),
+    Once,
 ]
 Chains: TypeAlias = Annotated[int, Field(ge=2, le=100_000)]
 Start: TypeAlias = Literal["disturbed", "all", "half", "one"]
@@ -42,7 +55,7 @@ SHORTEST_PERIOD = 4.0
 class Base(BaseTable):
     """The ring of which the stiffnesses vary."""
 
-    masses: Annotated[int, Field(ge=3, le=MOST_MASSES)]
+    masses: Annotated[int, Field(ge=3, le=MOST_MASSES), RING]
 
 
 class Ensemble(Table):
@@ -51,18 +64,15 @@ class Ensemble(Table):
     start: Start
     """Steady sliding, with all masses a little "disturbed" at random; or with masses pulled away
     as in eq. (8) of the paper: "all", a random "half" of them, or "one"."""
-    belt_speed: Several
-    coupling: Several
+    belt_speed: Annotated[Several, numbers("belt_speed")]
+    coupling: Annotated[Several, numbers("coupling")]
     disorder: Disorders
-    """Standard deviation of the stiffness relative to its mean."""
     chains: Chains
-    """In every point; the same ones (scaled to its disorder) in each."""
-    transient: Time
-    """What is waited for before amplitudes are measured."""
-    window: Window
-    """How long they are measured."""
+    """How many in every point; the same ones (scaled to its disorder) in each."""
+    transient: Annotated[Time, TRANSIENT]
+    window: Annotated[Window, WINDOW]
     disturbance: Positive = 0.01
-    """Standard deviation of the displacements, for "disturbed"."""
+    """Standard deviation of the displacements at the start, in x0, for "disturbed"."""
 
     @model_validator(mode="after")
     def _check(self) -> Ensemble:
@@ -81,33 +91,39 @@ class Longer(Table):
     """The first chains of each ensemble once more, for longer: has anything still moved?"""
 
     chains: Chains
+    """How many chains of each ensemble are run again."""
     factor: Annotated[float, Field(gt=1, le=1000)]
-    """By how much the transient is longer."""
+    """By what the transient is multiplied."""
 
 
 class Locking(Table):
     """Frequencies of the masses, all of which start to vibrate: do they agree?"""
 
-    belt_speed: Positive
-    coupling: Positive
+    belt_speed: Annotated[Positive, number("belt_speed")]
+    coupling: Annotated[Positive, number("coupling")]
     disorder: Disorders
     chains: Chains
+    """How many at every disorder."""
     transient: Time
+    """Time units that are waited for before frequencies are measured."""
     window: Annotated[float, Field(ge=50, le=MOST_TIME)]
-    """Over which frequencies are counted."""
+    """Time units over which they are measured."""
 
 
 class Study(StudyTable):
     """Random stiffnesses and friction: which of them localizes the vibration?"""
 
-    study: Literal["mistuning"]
-    base: Base
+    study: Annotated[Literal["mistuning"], WHICH]
+    base: Annotated[Base, BASE]
     distribution: Literal["uniform", "normal"] = "uniform"
-    """Of the stiffness."""
+    """How stiffnesses are distributed; normal ones are cut off at four standard deviations."""
     ensemble: Annotated[dict[Name, Ensemble], Field(min_length=1, max_length=MOST_ENTRIES)]
+    """The ensembles by name; each makes one dataset of this name."""
     longer: Longer
+    """A check that the transients are long enough."""
     locking: Locking
-    rtol: Tolerance = 1e-6
+    """What becomes of phase locking where all masses vibrate."""
+    rtol: Annotated[Tolerance, RTOL] = 1e-6
 
     @model_validator(mode="after")
     def _check_study(self) -> Study:

@@ -7,8 +7,8 @@ from typing import Annotated, ClassVar, Literal, TypeAlias, get_args
 
 from pydantic import Field, model_validator
 
-from jaxchain.scenes.registry import StudyTable
-from jaxchain.scenes.scene import Problem, SweepTable, raise_all
+from jaxchain.scenes.registry import WHICH, StudyTable
+from jaxchain.scenes.scene import NUMERICS, Problem, SweepTable, raise_all
 from jaxchain.scenes.tables import NumericsTable
 from jaxchain.scenes.values import Mass, PositiveTime, Table, Time
 
@@ -24,7 +24,7 @@ class States(SweepTable):
     """Runs of one chain, told apart by how many masses are excited at the start."""
 
     swept: ClassVar = ("excited",)
-    numerics: NumericsTable = Field(default_factory=NumericsTable)
+    numerics: Annotated[NumericsTable, NUMERICS] = Field(default_factory=NumericsTable)
 
     @model_validator(mode="after")
     def _check_states(self) -> States:
@@ -34,10 +34,12 @@ class States(SweepTable):
 
 
 class TimeSeries(Table):
-    """From when to when one state is shown."""
+    """From when to when one state is shown (time units)."""
 
     start: Time = 0.0
+    """Time of the first sample."""
     stop: PositiveTime = 60.0
+    """Time after which there is none."""
     interval: PositiveTime = 0.02
     """Time between samples."""
 
@@ -58,7 +60,7 @@ class PhasePlots(Table):
     )
     """Which masses, counted from 1."""
     duration: PositiveTime | None = None
-    """Absent: the whole window."""
+    """How long they are shown, up to the end of the run; absent: the whole window."""
     interval: PositiveTime = 0.1
     """Time between samples."""
 
@@ -66,12 +68,15 @@ class PhasePlots(Table):
 class Study(StudyTable):
     """Localized states of a chain, Figures 4 to 10 of the paper."""
 
-    study: Literal["states"]
+    study: Annotated[Literal["states"], WHICH]
     panels: Annotated[list[Panel], Field(min_length=1, max_length=len(get_args(Panel)))]
     """What is shown; nothing else is computed."""
     states: States
+    """The runs, one for each number of excited masses."""
     time_series: TimeSeries = Field(default_factory=TimeSeries)
+    """What the panel `time_series` shows."""
     phase_plots: PhasePlots = Field(default_factory=PhasePlots)
+    """What the panel `phase_plots` shows."""
 
     def peaks_from(self) -> float | None:
         """The time from which peaks are kept, if any are."""

@@ -6,9 +6,10 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from jaxchain.scenes.registry import StudyTable
+from jaxchain.scenes.registry import WHICH, StudyTable
 from jaxchain.scenes.scene import Problem, raise_all
 from jaxchain.scenes.values import (
+    RTOL,
     Count,
     Name,
     Positive,
@@ -18,7 +19,7 @@ from jaxchain.scenes.values import (
     Window,
     short_of_a_period,
 )
-from jaxchain.studies._tables import MOST_ENTRIES, MOST_MASSES, Once, too_many
+from jaxchain.studies._tables import MOST_ENTRIES, MOST_MASSES, Once, number, too_many
 
 # Runs are judged after so many windows at a time, `jaxchain.chaos.runs.CHUNK`.
 CHUNK = 20
@@ -29,9 +30,9 @@ _LONGEST_WINDOW = 1e4
 class Case(Table):
     """States of one belt speed."""
 
-    belt_speed: Positive
+    belt_speed: Annotated[Positive, number("belt_speed")]
     equation: Literal["equation_8", "equation_10"] = "equation_8"
-    """The initial states."""
+    """Which equation of the paper gives the initial states."""
     reading: Literal["as_printed", "as_equation_8"] = "as_equation_8"
     """Whether F(v_d) in eq. (10) is meant as printed, or as the F(-v_d) of eq. (8)."""
     excited: Annotated[
@@ -50,7 +51,9 @@ class Noise(Table):
     levels: Annotated[list[Positive], Field(max_length=MOST_ENTRIES), Once] = Field(
         default=[1e-8, 1e-3]
     )
+    """Standard deviations of the noise on displacements and velocities at the start, rising."""
     seeds: Annotated[int, Field(ge=1, le=MOST_ENTRIES)] = 4
+    """How often a state is run with noise of each of them."""
 
 
 class Times(Table):
@@ -74,10 +77,10 @@ class Times(Table):
 class Smoothed(Table):
     """The second witness: exponents of smoothed friction, from where the dry runs ended."""
 
-    width: Positive = 1e-3
-    rtol: Tolerance = 1e-6
+    width: Annotated[Positive, number("width")] = 1e-3
+    rtol: Annotated[Tolerance, RTOL] = 1e-6
     time: Time = 0.0
-    """Over how long they are averaged; 0: no second witness."""
+    """Over how long exponents are averaged; 0: no second witness."""
 
     @model_validator(mode="after")
     def _check(self) -> Smoothed:
@@ -89,19 +92,24 @@ class Smoothed(Table):
 class Study(StudyTable):
     """Whether localized states are periodic, quasi-periodic, chaotic or transient."""
 
-    study: Literal["verdicts"]
+    study: Annotated[Literal["verdicts"], WHICH]
     n: Annotated[int, Field(ge=2, le=MOST_MASSES)]
-    """Masses of the paper's chain."""
+    """Number of masses of the paper's chain."""
     case: Annotated[dict[Name, Case], Field(min_length=1, max_length=MOST_ENTRIES)]
+    """The cases by name; each makes one dataset of this name."""
     noise: Noise
+    """Noise on the initial states."""
     times: Times
+    """How long the runs are."""
     smoothed: Smoothed
+    """Exponents of smoothed friction, as a second witness."""
     exponents: Annotated[int, Field(ge=2, le=2 * MOST_MASSES)] = 3
-    """How many exponents."""
+    """How many Lyapunov exponents are measured, the greatest ones."""
     exponent_runs: Count = 3
-    """Of how many runs of a state, that without noise and then the noisiest first."""
-    rtol: Tolerance = 1e-6
+    """Of how many runs of a state, that without noise first, then the noisiest."""
+    rtol: Annotated[Tolerance, RTOL] = 1e-6
     window: Annotated[Window, Field(le=_LONGEST_WINDOW)] = 50.0
+    """Time over which amplitudes are taken, some periods."""
     lanes: Count = 24
     """Runs at a time on each device."""
 
