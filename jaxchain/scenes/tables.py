@@ -183,7 +183,7 @@ class ChainTable(Table):
     n: Annotated[int, Field(ge=1, le=MOST_NUMBERS)]
     """Number of masses."""
     friction: FrictionTable
-    """Law of the friction between masses and belt, with its numbers."""
+    """Law of the friction, mu(s) at the speed s of a mass relative to the belt."""
     ends: Literal["cyclic", "free"] = "cyclic"
     """A ring ("cyclic"), or a row whose first and last mass have one neighbour ("free")."""
 

@@ -42,7 +42,7 @@ class OscillatorPart(_Part):
     initial: InitialTable = Field(
         default_factory=lambda: ExcitedTable(kind="excited", excited=1), exclude=True
     )
-    """Has no part here."""
+    """Has no part here: the mass starts on the belt."""
     numerics: Annotated[SolverTable, NUMERICS] = Field(
         default_factory=lambda: SolverTable(rtol=1e-10)
     )

@@ -59,7 +59,10 @@ class Base(BaseTable):
 
 
 class Ensemble(Table):
-    """Many chains at every coupling, belt speed and disorder, all from the same kind of start."""
+    """Many chains at every coupling, belt speed and disorder, all from one kind of start.
+
+    Couplings, belt speeds and disorders are given in rising order, each.
+    """
 
     start: Start
     """Steady sliding, with all masses a little "disturbed" at random; or with masses pulled away

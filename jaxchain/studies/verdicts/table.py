@@ -109,7 +109,7 @@ class Study(StudyTable):
     """Of how many runs of a state, that without noise first, then the noisiest."""
     rtol: Annotated[Tolerance, RTOL] = 1e-6
     window: Annotated[Window, Field(le=_LONGEST_WINDOW)] = 50.0
-    """Time over which amplitudes are taken, some periods."""
+    """Time units over which amplitudes are taken, some periods."""
     lanes: Count = 24
     """Runs at a time on each device."""
 
