@@ -39,6 +39,7 @@ def _wrapped(text: str) -> list[str]:
 
 
 def first_sentence(text: str) -> str:
+    """What stands before the first full stop, without it."""
     return text.split(". ")[0]
 
 

@@ -57,6 +57,7 @@ def add_scene_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_no_cache(parser: argparse.ArgumentParser) -> None:
+    """The option `--no-cache` of a command that computes."""
     parser.add_argument(
         "--no-cache", action="store_true",
         help="compile all programs anew, and keep none. They are kept in the folder jaxchain of "
@@ -66,6 +67,7 @@ def add_no_cache(parser: argparse.ArgumentParser) -> None:
 
 
 def configure_for(options: argparse.Namespace) -> None:
+    """Sets JAX up as the options of a command say."""
     configure(cache=not options.no_cache)
     if options.no_cache:
         import jax
@@ -74,6 +76,7 @@ def configure_for(options: argparse.Namespace) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
+    """`jaxchain run`: the exit status."""
     from ..scenes.reading import load_scene
 
     # Before jax is imported, so that a wrong scene is reported at once.
@@ -120,6 +123,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def resume(options: argparse.Namespace) -> int:
+    """`jaxchain resume`: the exit status."""
     from ..scenes.reading import load_scene
 
     folder = _folder_of(Path(options.folder))
@@ -153,6 +157,7 @@ def resume(options: argparse.Namespace) -> int:
 
 
 def status(options: argparse.Namespace) -> int:
+    """`jaxchain status`: the exit status."""
     from ..scenes.folders.saving import was_cut_off
     from ..sweeps.records import store_named, stores_in
     from ..sweeps.status import in_lines, status_of

@@ -150,6 +150,7 @@ class Trials(eqx.Module):
 
     @classmethod
     def of(cls, chain: Chain) -> Trials:
+        """Trials of a chain: how fast sliding decays says how long a run takes to decide."""
         frozen = lax.stop_gradient(chain)
         rate = -growth_rate(frozen, frozen.belt_speed)
         # NaN is as good as none.
@@ -166,6 +167,7 @@ class Trials(eqx.Module):
         return eqx.tree_at(lambda t: t.patience, self, patience)
 
     def run(self, kick: Float[Array, " n"], observe: Any = None) -> Simulation:
+        """The run after a kick from steady sliding; by default it is watched for its `Fate`."""
         observe = Fate(self.rest, self.radius, self.patience) if observe is None else observe
         return _run(self.chain, (self.rest, kick), self.horizon, observe)
 

@@ -98,6 +98,7 @@ class Tally:
         return numbers
 
     def add(self, batch: Batch) -> None:
+        """Counts another batch of runs."""
         self._batches.append((self.number(batch), batch.decided, batch.failed, batch.since))
 
     def _all(self, part: int) -> np.ndarray:
@@ -110,6 +111,7 @@ class Tally:
 
     @property
     def since(self) -> Float[np.ndarray, "p r s"]:
+        """From when on nothing changed any more, of every run."""
         return self._all(3)
 
     @property

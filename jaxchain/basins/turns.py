@@ -44,11 +44,13 @@ class Mass(eqx.Module):
 
     @staticmethod
     def of(chain: Chain) -> Mass:
+        """The one mass of a chain, with its belt running forward."""
         alone = one_mass(chain, 0)
         return Mass(eqx.tree_at(lambda c: c.belt_speed, alone, jnp.abs(alone.belt_speed)))
 
     @property
     def stiffness(self) -> Array:
+        """k."""
         return jnp.asarray(self.chain.stiffness)
 
     @property
@@ -76,6 +78,7 @@ class Mass(eqx.Module):
         return chain.load * pull - 2.0 * chain.damping_ratio * v
 
     def acceleration(self, y: Array, v: Array) -> Array:
+        """v' at a distance y from steady sliding and a velocity v, both along the belt."""
         return self.force(v) - self.force(jnp.zeros(())) - self.stiffness * y
 
     def damping(self) -> Array:

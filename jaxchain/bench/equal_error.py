@@ -29,6 +29,7 @@ class Setting:
     compile_seconds: float = 0.0
 
     def run(self) -> object:
+        """Solves the problem at this tolerance."""
         return self.solve(self.rtol)
 
     def __str__(self) -> str:

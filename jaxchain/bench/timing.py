@@ -20,14 +20,17 @@ class Sample:
 
     @property
     def median(self) -> float:
+        """The middle one of the values."""
         return statistics.median(self.values)
 
     @property
     def low(self) -> float:
+        """The least value."""
         return min(self.values)
 
     @property
     def high(self) -> float:
+        """The greatest value."""
         return max(self.values)
 
     def per(self, count: int | float) -> Sample:
@@ -92,6 +95,7 @@ class Bar:
     value: float
 
     def met(self, value: float) -> bool:
+        """Whether a value is on the right side of the bar."""
         return value >= self.value if self.kind == "at least" else value <= self.value
 
 

@@ -58,10 +58,12 @@ class Point:
 
     @property
     def u(self) -> Float[np.ndarray, " m"]:
+        """z without its last entry, of shape (m,)."""
         return self.z[:-1]
 
     @property
     def p(self) -> float:
+        """The parameter, the last entry of z."""
         return float(self.z[-1])
 
 

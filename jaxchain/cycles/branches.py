@@ -99,18 +99,22 @@ class CycleBranch:
 
     @property
     def energy(self) -> Float[np.ndarray, " k"]:
+        """E = 1/2 sum_n A_n^2 of each cycle, of shape (k,)."""
         return 0.5 * np.sum(self.amplitude**2, axis=1)
 
     @property
     def unstable(self) -> Any:
+        """How many multipliers of each cycle lie beyond the unit circle, of shape (k,)."""
         return count_unstable(self.multipliers)
 
     @property
     def ended(self) -> str:
+        """Why the branch ends, in a word: see `Branch`."""
         return self.branch.ended
 
     @property
     def message(self) -> str:
+        """Why the branch ends, with a remedy."""
         return self.branch.message
 
     def of_kind(self, kind: str) -> tuple[CyclePoint, ...]:

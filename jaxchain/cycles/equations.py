@@ -65,6 +65,7 @@ def cycle_weights(shooting: Shooting, p: float) -> np.ndarray:
 
 
 def as_heading(direction: Any, shooting: Shooting, m: int) -> Any:
+    """A direction as `continue_branch` takes it: "stick" and "slip" as vectors (m + 1,)."""
     if not isinstance(direction, str):
         return direction
     check_one_of("direction", direction, ("stick", "slip"))

@@ -81,6 +81,7 @@ class CyclePoint:
 
 
 def as_cycle_point(raw: SpecialPoint) -> CyclePoint:
+    """A special point of the shooting equations as one of a branch of cycles."""
     e = raw.extra
     return CyclePoint(
         raw.kind, raw.p, e.x, e.v, float(e.period), e.amplitude, e.multipliers, raw.refined,

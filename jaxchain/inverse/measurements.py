@@ -95,10 +95,12 @@ class Measurements(eqx.Module):
 
     @property
     def noise(self) -> Float[Array, " m"]:
+        """Standard deviations of all that was measured, in the order of `values`, shape (m,)."""
         return jnp.concatenate([jnp.atleast_1d(reading[-1]) for reading in self._all()])
 
     @property
     def count(self) -> int:
+        """How many numbers were measured, m."""
         return self.values.size
 
 

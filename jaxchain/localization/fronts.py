@@ -246,10 +246,12 @@ class Depinning(eqx.Module):
 
     @property
     def middle(self) -> Array:
+        """The belt speed half way between `stands` and `moves`."""
         return 0.5 * (self.stands + self.moves)
 
     @property
     def error(self) -> Array:
+        """Half the distance of `stands` and `moves`."""
         return 0.5 * jnp.abs(self.stands - self.moves)
 
 

@@ -370,6 +370,7 @@ class TanhFriction(AbstractFriction):
         check_numbers({"width": self.width})
 
     def force(self, relative_velocity: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
+        """F(w) of a velocity w relative to the belt, of the same shape."""
         # One division for the chain, products for the masses: a twentieth of a step's time.
         direction = jnp.tanh(relative_velocity * (1.0 / self.width))
         return -self.law.coefficient(jnp.abs(relative_velocity)) * direction

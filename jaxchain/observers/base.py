@@ -71,6 +71,7 @@ class Step(eqx.Module):
         return turns, lax.stop_gradient(zeros(self.velocity, turns, v0, v1, elsewhere=1.0))
 
     def time(self, theta: Any) -> Array:
+        """The time t0 + theta (t1 - t0), of the shape of theta."""
         return self.t0 + theta * (self.t1 - self.t0)
 
     def integral(self, rate: Callable[[Any, State], Array], points: int = 5) -> Array:

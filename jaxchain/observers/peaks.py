@@ -61,6 +61,7 @@ class PeakTimes(AbstractNotingObserver):
         return self._kept(accumulator, self.note(step))
 
     def note(self, step: Step) -> Float[Array, " n"]:
+        """The time of each mass's maximum in this step, of shape (n,)."""
         turns, theta = step.turning_points()
         time = step.time(theta)
         peak = turns & (step.y0[1] > 0) & (time >= self.start)
@@ -73,6 +74,7 @@ class PeakTimes(AbstractNotingObserver):
         notes: Float[Array, "steps n"],
         count: Int[Array, ""],
     ) -> tuple[Array, Array]:
+        """Adds the first `count` notes to what is kept."""
         known = (jnp.arange(notes.shape[0])[:, None] < count) & (notes > _NONE)
         notes = jnp.where(known, notes, _NEVER)
 

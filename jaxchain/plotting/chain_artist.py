@@ -93,6 +93,7 @@ class Scene:
         )  # fmt: skip
 
     def show(self, frame: int) -> list[Any]:
+        """Moves everything to where it is in a frame; what has changed."""
         middles = self.home + self.x[frame]
         half = 0.5 * self.wide
         for block, number, middle, stuck in zip(
@@ -175,6 +176,7 @@ class Curves:
         return [np.append(self.times, after), *(np.vstack([p, p[:1]]) for p in parts[1:])]
 
     def show(self, frame: int) -> list[Any]:
+        """Moves the dots to where they are in a frame; what has changed."""
         x, v, stuck = self.x[frame], self.v[frame], self.sticks[frame]
         now = np.full_like(x, self.times[frame])
         for dots, across, up, which in zip(

@@ -71,6 +71,7 @@ def raise_all(problems: list[Problem]) -> None:
 
 
 def as_error(problems: list[Problem]) -> PydanticCustomError:
+    """All problems of a table as one error of pydantic, which carries them."""
     text = "; ".join(f"{'.'.join(path)}: {message}" for path, message in problems)
     return PydanticCustomError("problems", "{text}", {"text": text, "problems": problems})
 

@@ -213,6 +213,7 @@ def _message(
 
 
 def listed(options: Iterable[str]) -> str:
+    """The options in quotes, with commas between them."""
     return ", ".join(f'"{option}"' for option in options)
 
 

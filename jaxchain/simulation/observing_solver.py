@@ -21,6 +21,8 @@ SETTLED: Any = dfx.RESULTS.max_steps_rejected
 
 
 class ObservingState(eqx.Module):
+    """What is carried from step to step: the solver's state, and what observers keep."""
+
     inner: Any
     accumulators: list
     acceleration: Float[Array, " n"] | None  # at the start of the step; stock solvers only

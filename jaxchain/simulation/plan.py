@@ -48,6 +48,7 @@ class Progress(eqx.Module):
 
     @property
     def running(self) -> Any:
+        """Whether nothing has ended the run so far."""
         return self.result == Result.successful
 
 

@@ -21,10 +21,12 @@ class Record(eqx.Module):
 
     @classmethod
     def blank(cls, times: Array, n: int) -> Record:
+        """A record of n masses at these times, with nothing in it."""
         nothing = jnp.full((*times.shape, n), jnp.nan)
         return cls(times, (nothing, nothing), jnp.zeros((), int))
 
     def next_time(self) -> Array:
+        """The first of the times that is not recorded yet; infinite after the last."""
         last = self.times.shape[0] - 1
         ahead = self.times[jnp.minimum(self.count, last)]
         return jnp.where(self.count <= last, ahead, jnp.inf)

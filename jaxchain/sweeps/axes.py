@@ -109,6 +109,7 @@ def _check_column(dim: str, name: str, columns: dict[str, np.ndarray], arrays: b
 
 
 def sizes(axes: Axes) -> dict[str, int]:
+    """The number of values along each dimension."""
     return {dim: len(next(iter(columns.values()))) for dim, columns in axes.items()}
 
 

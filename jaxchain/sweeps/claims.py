@@ -79,6 +79,7 @@ class Claims:
             own.unlink(missing_ok=True)
 
     def release(self, unit: str) -> None:
+        """Gives a unit back, unless somebody has taken it over."""
         with self._lock:
             name, path = self._mine.pop(unit), self._path(unit)
             if (_read(path) or {}).get("claim") == name:  # nobody has taken it over

@@ -37,6 +37,7 @@ class Block:
 
     @property
     def size(self) -> int:
+        """How many runs it holds."""
         return math.prod(sizes(self.axes).values())
 
     @property
@@ -75,6 +76,7 @@ class Grid:
         return itertools.product(*map(range, self.counts))
 
     def region(self, key: Key) -> dict[str, slice]:
+        """The slices of a block, by dimension."""
         return {
             dim: slice(place * self.chunks[dim], min((place + 1) * self.chunks[dim], n))
             for place, (dim, n) in zip(key, self.sizes.items(), strict=True)
@@ -85,6 +87,7 @@ class Grid:
         return math.prod(part.stop - part.start for part in self.region(key).values())
 
     def block(self, key: Key) -> Block:
+        """The block at a place of the grid."""
         region = self.region(key)
         axes = {
             dim: {name: values[region[dim]] for name, values in columns.items()}
@@ -93,6 +96,7 @@ class Grid:
         return Block(key, region, axes, jobs(axes))
 
     def blocks(self) -> Iterator[Block]:
+        """All blocks, in the order of their places."""
         return map(self.block, self.places())
 
 

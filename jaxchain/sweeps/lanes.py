@@ -41,6 +41,7 @@ class Task(eqx.Module):
         return self.t0 + (self.t1 - self.t0) * segment / self.segments
 
     def own_chain(self, own: Own) -> Chain:
+        """The chain of a lane, with its own numbers in it."""
         chain = with_numbers(self.chain, own.numbers)
         return chain if self.varied is None else self.varied.make(chain, own.new)
 
@@ -69,6 +70,7 @@ class Lane(eqx.Module):
 
 
 def start_lane(task: Task, start: Start) -> Lane:
+    """A lane at the beginning of its run."""
     chain, initial = task.own_chain(start.own), start.state
     if task.segments is None:
         return Lane(start.own, task.plan.begin(chain, initial, task.t0, task.t1))
@@ -122,6 +124,7 @@ def _next_segment(
 
 
 def read_lane(task: Task, lane: Lane) -> dict[str, Any]:
+    """What a lane has found, by name."""
     progress, segments = lane.progress, lane.segments
     own = segments.observed if segments else task.observed(task.own_chain(lane.own), progress)
     return {
@@ -146,6 +149,7 @@ class Place(eqx.Module):
 
 
 def blank_place(task: Task, start: Start) -> Place:
+    """A place of the pool that nobody's lane holds yet."""
     lane, nobody = start_lane(task, start), jnp.asarray(NOBODY)
     return Place(lane, nobody, jnp.asarray(True), start, nobody, read_lane(task, lane), nobody)
 

@@ -70,6 +70,7 @@ class Pool:
 
     @property
     def ready(self) -> bool:
+        """Whether the device has answered, so that asking does not wait."""
         # What one program returns is there all at once.
         return self._asked is not None and self._asked["rounds"].is_ready()
 
@@ -174,6 +175,7 @@ class Scheduler:
 
     @property
     def lanes_at_end(self) -> int:
+        """Lanes at a time on each device when the sweep ended."""
         return max(pool.width for pool in self.pools)
 
     def _check_memory(self, blank: Place, size: int) -> None:

@@ -115,6 +115,7 @@ class Varied(NamedTuple):
         return Varied(structure, tuple(sources)), new
 
     def make(self, given: Chain, new: Sequence[Array]) -> Chain:
+        """The chain of a lane: what `vary` changes in the given one, and the rest of it."""
         before, fresh = jtu.tree_leaves(given), iter(new)
 
         def leaf(source: int | Constant | None) -> Any:
@@ -178,4 +179,5 @@ def first(jobs: Mapping[str, np.ndarray]) -> dict[str, Array]:
 
 
 def start_of(starts: Starts, values: dict[str, Array]) -> Start:
+    """The start of one lane from its own values."""
     return starts.of(values)

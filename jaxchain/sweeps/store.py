@@ -349,6 +349,7 @@ def describe(path: Path, attrs: Mapping[str, Any]) -> None:
 
 
 def open_store(path: Path) -> xr.Dataset:
+    """What lies in a store, read as it is used."""
     return xr.open_zarr(path, consolidated=True, chunks=None)
 
 

@@ -27,10 +27,12 @@ class Ended:
 
     @property
     def failed(self) -> bool:
+        """Whether these runs failed."""
         return self.reason not in WELL
 
     @property
     def share(self) -> str:
+        """Of all runs, in digits; empty if there are none."""
         return f"{self.count / self.total:.3g}" if self.total else ""
 
     @property

@@ -29,6 +29,7 @@ _POINTS, _TIME = 400, 600.0
 
 
 def region(study: Study) -> Box:
+    """The box from which the study's runs start."""
     return Box(study.region.displacement, study.region.velocity)
 
 

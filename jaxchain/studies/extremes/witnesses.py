@@ -32,6 +32,7 @@ class Oscillator:
     duration: float = 50.0
 
     def mu(self, speed: float) -> float:
+        """The friction coefficient at a sliding speed."""
         drop = self.mu_static - self.mu_dynamic
         return self.mu_dynamic + drop * math.exp(-abs(speed) / self.v_ref)
 

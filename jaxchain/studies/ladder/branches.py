@@ -41,6 +41,7 @@ class Rung:
 
     @property
     def key(self) -> str:
+        """The name of the rung in datasets."""
         return f"k{self.count}_{self.name.replace('-', '_')}"
 
 

@@ -47,6 +47,7 @@ class Problem:
 
     @property
     def lanes(self) -> int:
+        """How many runs it is, one for each belt speed."""
         return len(self.belt_speeds)
 
     def own(self, belt_speed: Any, **changes: Any) -> tuple[Chain, Any]:
