@@ -75,7 +75,7 @@ def _told(title: str, table: dict[str, Any], others: dict[str, Any], name: str) 
     level = "##" if name == "scene" else "###"
     yield f"{level} {title.removesuffix('Table')}"
     yield ""
-    yield table.get("description", "").replace("\n", " ")
+    yield table.get("description", "").split("\n!!! ", 1)[0]
     yield ""
     if "properties" in table:
         yield "| key | type | default | meaning |"
@@ -103,8 +103,10 @@ def _type(said: dict[str, Any]) -> str:
         return " or ".join(f"`{value}`" for value in said["enum"])
     if said.get("type") == "array":
         return f"list of {_type(said.get('items', {})) or 'values'}"
-    if said.get("type") == "object" and isinstance(said.get("additionalProperties"), dict):
-        return f"table of {_type(said['additionalProperties'])}"
+    if said.get("type") == "object":
+        named = [*said.get("patternProperties", {}).values(), said.get("additionalProperties")]
+        if isinstance(named[0], dict):
+            return f"table of {_type(named[0])} tables by name"
     bounds = {"minimum": ">=", "exclusiveMinimum": ">", "maximum": "<=", "exclusiveMaximum": "<"}
     limits = [f"{sign} {said[key]:g}" for key, sign in bounds.items() if key in said]
     return " ".join([said.get("type", "any"), *limits])
