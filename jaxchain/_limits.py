@@ -10,3 +10,5 @@ LEAST_RTOL, LEAST_ATOL = 1e-15, 1e-30
 LEAST_ACCURACY, MOST_ACCURACY = 1e-8, 0.3
 # The least positive number, and the greatest count: whatever is more is a slip of the pen.
 LEAST_POSITIVE, MOST_COUNT = 1e-300, 10**9
+# Processes of a cluster of one's own.
+MOST_WORKERS = 10_000

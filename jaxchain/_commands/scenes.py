@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from .._configure import configure
+from .._limits import MOST_WORKERS
 from .._terminal import INTERRUPTED, Elsewhere
 from ..scenes.errors import (
     FigureError,
@@ -267,7 +268,7 @@ def _client(options: argparse.Namespace, stack: contextlib.ExitStack) -> Any:
 
 def _workers(text: str) -> int:
     count = int(text) if text.isascii() and text.isdecimal() else 0
-    if not 1 <= count <= 10_000:
+    if not 1 <= count <= MOST_WORKERS:
         raise argparse.ArgumentTypeError(f'must be a number of processes, but is "{text}"')
     _need_dask()
     return count

@@ -2,3 +2,4 @@ from .rosenbrock import AbstractStructuredRosenbrock as AbstractStructuredRosenb
 from .rosenbrock import Rodas4 as Rodas4
 from .rosenbrock import Rodas5P as Rodas5P
 from .step_control import SwitchingController as SwitchingController
+from .tableaus import RosenbrockTableau as RosenbrockTableau

@@ -1,6 +1,11 @@
 """Coefficients of the Rosenbrock methods, and what follows from them for x' = v."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
+
+from .._checks import check_positive_number, numbers_of, shown
 
 
 class RosenbrockTableau:
@@ -11,10 +16,30 @@ class RosenbrockTableau:
     Dense output (theta in [0, 1]): y = (1-theta) y_0 + theta (y_1 + (1-theta) (k_1 + theta (k_2 +
     theta k_3))), k_i = sum_j H_ij U_j.
 
-    Rows of `a` that are left out, the last ones, are the row before with U_{j-1} added.
-
-    From these follow the weights of the eliminated displacements :
+    From these follow the weights of the eliminated displacements:
     the displacement part of U_j is h (alpha_j v + sum_m beta_jm b_m).
+
+    **Arguments:** of a method of s stages,
+
+    - `gamma`: the number on the diagonal.
+    - `a`: rows 2 ... s of a_jm, of 1 ... s - 1 numbers.  Rows that are left out, the last ones,
+      are the row before with U_{j-1} added.
+    - `c_transformed`: rows 2 ... s of C_jm.
+    - `c`, `d`: c_j and d_j, s numbers each.
+    - `dense`: rows of H_ij, one to three of s numbers.
+
+    **Raises:** `ValueError` for anything else.
+
+    !!! example
+
+        >>> from jaxchain.solvers import RosenbrockTableau  # Rodas3, of order 3
+        >>> rodas3 = RosenbrockTableau(
+        ...     gamma=0.5, a=[[0.0], [2.0, 0.0], [2.0, 0.0, 1.0]],
+        ...     c_transformed=[[4.0], [1.0, -1.0], [1.0, -1.0, -8.0 / 3.0]],
+        ...     c=[0.0, 0.0, 1.0, 1.0], d=[0.5, 1.5, 0.0, 0.0], dense=[[3.0, -1.0, 0.0, 0.0]],
+        ... )
+        >>> rodas3.a[3].tolist()  # an `AbstractStructuredRosenbrock` has it as its `tableau`
+        [2.0, 0.0, 1.0, 0.0]
     """
 
     def __init__(
@@ -26,7 +51,13 @@ class RosenbrockTableau:
         d: list[float],
         dense: list[list[float]],
     ):
-        s = len(c)
+        check_positive_number("gamma", gamma)
+        s = np.size(c)
+        _check_rows("c", [c], [s], 1)
+        _check_rows("d", [d], [s], 1)
+        _check_rows("a", a, range(1, s), 0)
+        _check_rows("c_transformed", c_transformed, range(1, s), s - 1)
+        _check_rows("dense", dense, [s, s, s], 1)
         self.gamma = gamma
         self.a = np.zeros((s, s))
         self.C = np.zeros((s, s))
@@ -54,6 +85,24 @@ class RosenbrockTableau:
         self.end_b = self.a[-1] @ self.beta + self.beta[-1]
         self.dense_v = self.H @ self.alpha
         self.dense_b = self.H @ self.beta
+
+
+def _check_rows(name: str, rows: Any, lengths: Sequence[int], least: int) -> None:
+    """Raises `ValueError` unless there are `least` rows, or more, of so many finite numbers."""
+    count = len(rows) if isinstance(rows, list | tuple | np.ndarray) else -1
+    good = least <= count <= len(lengths)
+    if good:
+        found = [numbers_of(name, row) for row in rows]
+        good = all(
+            row is not None and row.shape == (length,) and np.isfinite(row).all()
+            for row, length in zip(found, lengths, strict=False)
+        )
+    if not good:
+        told = ", ".join(map(str, lengths))
+        raise ValueError(
+            f"Argument `{name}` must have rows of {told} finite numbers, {least} rows at least, "
+            f"but is {shown(rows)}."
+        )
 
 
 RODAS4 = RosenbrockTableau(

@@ -23,8 +23,9 @@ from typing import Any
 
 from tqdm import tqdm
 
+from .._checks import check_count, check_flag, check_kind
 from .._configure import configure, cores, has_computed
-from .._limits import MOST_STORED
+from .._limits import MOST_STORED, MOST_WORKERS
 from .claims import Claims
 from .ensemble import prepare
 from .filling import PAUSE, Filler
@@ -195,12 +196,42 @@ def _set_up(options: str, threads: int) -> None:
     configure(devices=threads if free else 0, whole_loops=False, cache=True)
 
 
-@contextlib.contextmanager
-def cluster(workers: int | None, scheduler: str | None, progress: bool) -> Iterator[Any]:
+def cluster(
+    workers: int | None = None, scheduler: str | None = None, progress: bool = False
+) -> contextlib.AbstractContextManager[Any]:
     """A client of Dask: of so many workers on this computer, or of a scheduler that runs.
 
-    **Raises:** `ModuleNotFoundError` without `distributed`; `StoreError` if no scheduler answers.
+    **Arguments:**
+
+    - `workers`: processes of one core each, or of one GPU each; None is 1.
+    - `scheduler`: the address of one that runs, in place of workers of one's own.
+    - `progress`: say on the standard error where the dashboard is.
+
+    **Returns:** a context manager of a `distributed.Client`, for `sweep(store=..., client=...)`.
+
+    **Raises:** `ValueError` for bad input; `ModuleNotFoundError` without `distributed`;
+    `StoreError` if no scheduler answers.
+
+    !!! example
+
+        ```python
+        from jaxchain.sweeps import cluster
+
+        if __name__ == "__main__":  # workers import the script
+            over = {"belt_speed": [1.4, 1.5], "excited": [0, 1]}
+            with cluster(2) as client:
+                sweep(paper_chain(2), equation_8, 50.0, over=over, store="s.zarr", client=client)
+        ```
     """
+    check_count("workers", workers, MOST_WORKERS)
+    if scheduler is not None:
+        check_kind("scheduler", scheduler, str, "an address, such as tcp://host:8786, or None")
+    check_flag("progress", progress)
+    return _client(workers, scheduler, progress)
+
+
+@contextlib.contextmanager
+def _client(workers: int | None, scheduler: str | None, progress: bool) -> Iterator[Any]:
     try:
         import distributed
         from dask import config

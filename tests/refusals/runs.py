@@ -9,7 +9,7 @@ import diffrax as dfx
 import jax
 import jax.numpy as jnp
 
-from jaxchain import configure, observers, simulation, solvers
+from jaxchain import configure, observers, simulation, solvers, sweeps
 from jaxchain import sweep as run_sweep
 from jaxchain.model import paper_chain
 from jaxchain.observers import Amplitude, Trajectory
@@ -133,13 +133,19 @@ def _quantities() -> Iterator[Row]:
 
 def _solvers() -> Iterator[Row]:
     # No sweep at all is the diagonal alone.
-    sweeps = {
-        "sweeps": (*(value for value in optional(COUNT) if value is True or value != 0), 1000)
-    }
-    yield Row("Rodas4", Rodas4, {}, sweeps)
-    yield Row("Rodas5P", solvers.Rodas5P, {}, sweeps)
-    yield Row("Rodas4.with_sweeps", Rodas4().with_sweeps, {}, sweeps)
+    bad = {"sweeps": (*(value for value in optional(COUNT) if value is True or value != 0), 1000)}
+    yield Row("Rodas4", Rodas4, {}, bad)
+    yield Row("Rodas5P", solvers.Rodas5P, {}, bad)
+    yield Row("Rodas4.with_sweeps", Rodas4().with_sweeps, {}, bad)
     yield Row("EventDriven", EventDriven, {}, {"order": (*optional(COUNT), 2, 41)})
+    good = {
+        "gamma": 0.5, "a": [[0.0]], "c_transformed": [[1.0]], "c": [0.0, 1.0], "d": [0.5, 0.5],
+        "dense": [[3.0, -1.0]],
+    }  # fmt: skip
+    rows = (None, "x", {}, 3.0, [[math.nan]], [["x"]], [[1.0, 2.0, 3.0]])
+    bad = dict.fromkeys(("a", "c_transformed", "dense"), rows)
+    bad |= {"gamma": POSITIVE, "c": (None, "x", [math.nan, 0.0]), "d": (None, "x", [0.5], 1.0)}
+    yield Row("RosenbrockTableau", solvers.RosenbrockTableau, good, bad)
     good = {"controller": dfx.PIDController(rtol=1e-6, atol=1e-7), "field": CHAIN}
     yield Row(
         "SwitchingController", solvers.SwitchingController, good,
@@ -152,6 +158,8 @@ def _solvers() -> Iterator[Row]:
 
 
 def _sweep() -> Iterator[Row]:
+    bad = {"workers": optional(COUNT), "scheduler": (3, ["x"]), "progress": FLAG}
+    yield Row("cluster", sweeps.cluster, {}, bad)
     two = lambda chain, other: START  # noqa: E731
     yield Row(
         "sweep", run_sweep,
