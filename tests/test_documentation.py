@@ -110,7 +110,7 @@ def test_the_page_on_failures_knows_every_way_to_end():
 
 def test_code_headings_and_links_of_a_text_are_told_apart():
     text = (
-        "# One `name` (of *two*)\n\n[a](b.md#c-d) [on the web](https://x.org) ![](d.png) `[e](f)`\n"
+        "# One `name` (of *two*)\n\n[a](b.md#c-d) [web](https://x.org) ![](d.png) `[e](f)`\n"
         "- code:\n\n  ```python\n  # no heading\n  x = 1\n  ```\n\n```sh\n[g](h)\n```\n## Last\n"
     )
     assert fenced(text) == ["# no heading\nx = 1\n"]
