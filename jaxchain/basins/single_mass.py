@@ -149,6 +149,8 @@ def sliding_basin(chain: Chain, box: Box | None = None) -> SlidingBasin:
     `max_steps_reached` where a turn does not end; `no_step_helps` where the cycle does not close
     to 1e-9, as one that multiplies disturbances by more than some 1e5.
 
+    **Returns:** a `SlidingBasin`.
+
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
     >>> from jaxchain import paper_chain

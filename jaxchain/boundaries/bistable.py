@@ -80,6 +80,8 @@ def bistable_range(chain: Chain, vibrating: Any = None) -> BistableRange:
     A fold that vanishes takes the bistable range with it and is no failure.  Works under `jit`,
     `vmap`, `jvp`, and, where there is a fold, `grad`.
 
+    **Returns:** a `BistableRange`, in v_d.
+
     **Raises:** `ValueError` for anything but a chain, a mass it has.
 
     >>> import jax

@@ -80,6 +80,8 @@ def first_lyapunov_coefficient(
     Source: Kuznetsov, Elements of Applied Bifurcation Theory, eq. (3.20) for the plane and
     section 5.4 for any dimension.
 
+    **Returns:** l1, a number.
+
     >>> import jax, jax.numpy as jnp
     >>> from jaxchain import paper_chain
     >>> jax.config.update("jax_enable_x64", True)

@@ -77,6 +77,8 @@ def hopf_by_descent(
     whichever way it runs); `optimiser`, any
     optax transformation (default `optax.adam(0.1)`); `steps` at most, until |g| <= `tolerance`.
 
+    **Returns:** a `HopfDescent`.
+
     **Raises:** `ValueError` for a start, a number of steps or a tolerance that is not positive.
 
     >>> import jax
@@ -182,6 +184,8 @@ def fold_by_descent(
     0.7 below that which averaging expects); `optimiser`, any optax transformation, in asinh s and
     for V / width (default: Adam with a rate that falls from 0.1 to 0.0003); `steps` in all;
     `tolerance` of the slope.
+
+    **Returns:** a `FoldDescent`.
 
     **Raises:** `ValueError` as `fold_belt_speed`, and for a tolerance that is not positive.
 

@@ -142,6 +142,8 @@ def find_fold(chain: Any, vibrating: Any = None) -> Fold:
     is for dry friction); derivatives of any order, which cost more, of
     the whole orbit: they come from the bordered system [closure; singularity] = 0.
 
+    **Returns:** a `Fold`.
+
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
     >>> from jaxchain import paper_chain

@@ -133,6 +133,8 @@ def find_grazing(chain: Chain, vibrating: Any = None) -> Grazing:
     Arguments, errors and transformations as there.  Cycles on which other masses reach the belt's
     speed are not looked for: `belt_speed` is NaN then.
 
+    **Returns:** a `Grazing`.
+
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
     >>> from jaxchain import paper_chain

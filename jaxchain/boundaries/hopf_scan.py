@@ -244,6 +244,8 @@ def guess_from_hopf(
     **Arguments:** `points` from `hopf_points(chain, ...)`; `amplitude` = A > 0 of displacement, of
     the mass that moves most, by default what `square_amplitude_slope` predicts.
 
+    **Returns:** ((x, v), period), as `find_limit_cycle` takes them; x and v of shape (n,).
+
     **Raises:** `ValueError` if there is no such point, or no small cycle at this belt speed: a
     subcritical one lies on the stable side of its point.
 

@@ -38,7 +38,12 @@ _NOISE = "it holds standard deviations, such as (1e-8, 1e-3)."
 def verdict(chain: AbstractOscillators, initial: Any, **settings: Any) -> Verdict:
     """Whether the motion from `initial` comes to rest, is periodic, quasi-periodic or chaotic.
 
-    `verdicts` for one initial state: the same settings.
+    **Arguments:** `chain`; `initial`, the pair (x, v), both of shape (n,); `settings` as for
+    `verdicts`.
+
+    **Returns:** a `Verdict`.
+
+    **Raises:** `ValueError` for bad input.
 
     !!! example
 

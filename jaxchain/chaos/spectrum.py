@@ -123,7 +123,9 @@ def batch_error(
 def kaplan_yorke_dimension(exponents: Float[Array, " count"], complete: bool) -> Float[Array, ""]:
     """j + (lambda_1 + ... + lambda_j) / |lambda_{j+1}|, j the last one for which the sum is >= 0.
 
-    `complete`: whether these are all exponents.  If not, and no sum is negative: NaN.
+    **Arguments:** `exponents`, in descending order; `complete`, whether these are all.
+
+    **Returns:** a number; NaN if they are not, and no sum is negative.
 
     J. L. Kaplan, J. A. Yorke, Chaotic behavior of multidimensional difference equations, Lecture
     Notes in Mathematics 730, 204 (1979).

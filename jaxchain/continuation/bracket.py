@@ -24,6 +24,11 @@ def bisect(
     the program is compiled, so that no lane under `jax.vmap` waits for another, and derivatives go
     through in reverse, too.  Where nothing changes, both are the end that `before` points to.
 
+    **Arguments:** `before`, from x to booleans of its shape; `low`, `high`, the ends, of any
+    shape; `halvings`, a whole number.
+
+    **Returns:** the new (low, high), of the same shape.
+
     >>> import jax, jax.numpy as jnp
     >>> jax.config.update("jax_enable_x64", True)
     >>> from jaxchain.continuation import bisect

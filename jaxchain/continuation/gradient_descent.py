@@ -88,6 +88,8 @@ def descend(
     by `jit` and `vmap`, but not be differentiated: a derivative of a minimiser is the business of
     `attach_derivative`.  `start`, a pytree of floats.  `optimiser`, any optax transformation.
 
+    **Returns:** a `Descent`: `solution`, a pytree as `start`, `loss` there, `steps` and `result`.
+
     **Raises:** `ValueError` if `steps` is not a positive integer, `tolerance` is negative, or
     `start` holds no number.
 

@@ -252,7 +252,8 @@ def switch_cycle(
     At a symmetry-breaking point it leaves along the disturbance with multiplier +1, and is
     followed without the symmetry; the half of `side` = -1 is then the mirror image of that of 1.
 
-    **Arguments:** `step`, the distance of its first point; all others as in `continue_cycle`.
+    **Arguments:** `point`, one of `branch.special`; `step`, the distance of the first point of the
+    other branch; all others as in `continue_cycle`.
 
     **Returns:** a `CycleBranch` that begins at that first point.
 

@@ -133,6 +133,8 @@ def identify(
     Works under `jit` and `vmap` (over noisy copies of the measurements, say).  optimistix, whose
     `LevenbergMarquardt` finds the same, compiles every prediction three times.
 
+    **Returns:** an `Identification`.
+
     **Raises:** `ValueError` for bad input, and if the start predicts no vibration or fold where
     one was measured.  **Warns** if the data do not determine every parameter.
 

@@ -146,6 +146,11 @@ def predict(chain: Chain, measurements: Measurements, vibrating: Any = None) -> 
     at its width.  NaN where there is no such fold or vibration.  Forward
     derivatives, which hold across sticking and release; `jit`; `vmap`.
 
+    **Arguments:** `measurements`, of which the belt speeds count, not what was measured there;
+    `vibrating`, the index (from 0) of the mass, by default n // 2.
+
+    **Returns:** shape (m,), dimensionless, in the order of `measurements.values`.
+
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
     >>> from jaxchain import paper_chain

@@ -174,6 +174,8 @@ def design(
       theta in units of `scale`; L-BFGS by default.  Steps that make things worse are shortened.
     - `steps`: boundaries, or blows, that may be computed.
 
+    **Returns:** a `Design`.
+
     **Raises:** `ValueError` for bad input.  What does not converge says so in its `result`.
 
     >>> import jax

@@ -160,6 +160,8 @@ def front_speed(
 
     Works under `jit` and `vmap`; a run that fails is marked, not raised.
 
+    **Returns:** a `FrontSpeed`.
+
     **Raises:** `ValueError` for bad input before anything is compiled.
 
     ```python
@@ -279,6 +281,8 @@ def depinning_belt_speed(
     rest as in `front_speed`.
 
     Works under `jit` and `vmap`.  **Raises:** `ValueError` for bad input.
+
+    **Returns:** a `Depinning`.
 
     ```python
     chain = paper_chain(n=40)

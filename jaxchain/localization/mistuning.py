@@ -74,6 +74,10 @@ def mistuned_chain(chain: Chain, seed: Any, disorder: Any, distribution: str = "
 
     Made for `sweep(..., vary=mistuned_chain, over={"disorder": ..., "seed": ...})`.
 
+    **Arguments:** `seed`, `disorder`, `distribution` as for `mistuned_stiffness`.
+
+    **Returns:** a `Chain` with `stiffness` of shape (n,).
+
     **Raises:** `ValueError` as `mistuned_stiffness`.
 
     ```python
@@ -171,6 +175,8 @@ def linear_modes(chain: Any) -> LinearModes:
     Pairs q, -q are degenerate there, and only their plane has a meaning; any wave cos(q n + phase)
     of it has the participation ratio 2 n / 3 (but for multiples of pi / 2).  Random stiffnesses
     localize every mode of a long chain; what counts is disorder / eta_c.
+
+    **Returns:** `LinearModes`.
 
     **Raises:** `ValueError` for anything but a `Chain`.
 

@@ -47,6 +47,8 @@ def pattern_guess(
     **Arguments:** `phases`, shape (k,), k <= n, as in `LockedPattern`; `block`, where these
     masses are, see `excited_block`; `first`, the index of one of them, by default the middle one.
 
+    **Returns:** ((x, v), period); x and v of shape (n,).
+
     **Raises:** `ValueError` for phases that cannot be and a mass that does not vibrate.
 
     !!! example

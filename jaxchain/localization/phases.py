@@ -92,6 +92,10 @@ class PhaseModel(eqx.Module):
 def phase_model(chain: Any) -> PhaseModel:
     """The phase model of a weakly coupled homogeneous ring at its belt speed.
 
+    **Arguments:** `chain`, a ring of equal masses with smoothed friction and little coupling.
+
+    **Returns:** a `PhaseModel`.
+
     **Raises:** `ValueError` for a chain of another kind; `RuntimeError` if one mass has no
     stick-slip cycle there.
 

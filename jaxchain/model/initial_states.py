@@ -76,6 +76,8 @@ def excited_state(
 
     - `excited`: how many masses, as a contiguous block (see `excited_block`; may be traced), or a
       boolean array of shape (n,).
+    - `amplitude`, `velocity`: dimensionless, one number or shape (n,).
+    - `block`: "forward", from mass n // 2 on (the paper's 11th of 20), or "centred" about it.
     - `pattern`: "alternating" signs as in the paper, or "in-phase".
     - `mirrored`: x^s is taken with the opposite sign, -x^s: with eq. (2) of the paper the friction
       force obeys F(+v_d) = -F(-v_d), and eq. (10) has F(+v_d) where eq. (8) has F(-v_d).

@@ -52,6 +52,10 @@ def sliding_damping(chain: Chain, belt_speed: Float[Array, ""]) -> PerMass:
     With F' = dF/dw of the smoothed law, d = 2 xi + p [mu'(v_d) tanh(v_d / eps) + mu(v_d)
     sech^2(v_d / eps) / eps], or 2 xi + p mu'(v_d) with dry friction: weakening makes it negative.
 
+    **Arguments:** `belt_speed`, one dimensionless number, in place of the chain's own.
+
+    **Returns:** a number, or of shape (n,) where numbers of the chain are given per mass.
+
     >>> import jax, jax.numpy as jnp
     >>> jax.config.update("jax_enable_x64", True)
     >>> from jaxchain import paper_chain
@@ -185,6 +189,10 @@ def growth_rate(chain: Chain, belt_speed: Float[Array, ""]) -> Float[Array, ""]:
     With uniform damping it is -d / 2, that of every mode that oscillates (of all of them near a
     Hopf point), which is smooth in v_d where the greatest real part of 2n equal ones is not.
     Otherwise it is the greatest real part of all eigenvalues.
+
+    **Arguments:** `belt_speed`, one dimensionless number, in place of the chain's own.
+
+    **Returns:** a number, in units of omega_n.
 
     >>> import jax, jax.numpy as jnp
     >>> jax.config.update("jax_enable_x64", True)

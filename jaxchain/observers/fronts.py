@@ -58,6 +58,8 @@ def front_positions(
     **Arguments:** amplitudes of shape (..., n); the threshold c, v_d / 2 for instance, one number
     or one for each mass; `middle`, an index (None: n // 2).
 
+    **Returns:** two distances of shape (...), in masses.
+
     >>> import jax.numpy as jnp
     >>> from jaxchain.observers.fronts import front_positions
     >>> amplitude = jnp.array([0.0, 0.0, 0.2, 1.2, 1.2, 1.2, 0.0, 0.0])

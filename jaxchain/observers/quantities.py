@@ -84,6 +84,8 @@ def active(
     **Arguments:** amplitudes, in the unit of displacement P/k, and the belt speed, a number or one
     for each state of a batch.
 
+    **Returns:** booleans, of the shape of the amplitudes.
+
     !!! example
 
         >>> import jax.numpy as jnp
@@ -150,6 +152,10 @@ def at_rest(amplitude: Float[Array, "*batch n"]) -> Bool[Array, "*batch"]:
     A state in which no mass is `active` need not be at rest: a vibration that dies down still
     moves, and so do masses that are shaken.  NaN, of a run that failed, is not at rest.
 
+    **Arguments:** amplitudes, in the unit of displacement P/k, of shape (..., n).
+
+    **Returns:** booleans of shape (...).
+
     >>> import jax.numpy as jnp
     >>> from jaxchain.observers import at_rest
     >>> at_rest(jnp.array([[1e-5, 0.0], [0.3, 0.0]])).tolist()
@@ -162,6 +168,8 @@ def mean_period(peak_times: Float[Array, " peaks"]) -> Float[Array, ""]:
     """T = (last peak - first peak) / (peaks - 1) of one mass, NaN with fewer than two peaks.
 
     **Arguments:** peak times of one mass in any order, NaN where none.
+
+    **Returns:** a dimensionless time.
 
     >>> import jax.numpy as jnp
     >>> from jaxchain.observers import mean_period

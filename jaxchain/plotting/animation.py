@@ -44,6 +44,8 @@ def animate(
       `Trajectory(times)`; for films that close see `loop`.
     - `masses`: indices of those that are shown; by default up to eight around the liveliest.
 
+    **Returns:** an animation of matplotlib; `save_gif` writes it, and so does its own `save`.
+
     **Raises:** `ValueError` for wrong shapes, numbers that are not finite, and too few frames.
 
     !!! example

@@ -37,6 +37,10 @@ def sticking(chain: Chain, states: Any) -> np.ndarray:
     the speed of greatest friction and the force on it, without friction, does not exceed p mu_st.
     States of a smoothed chain that `EventDriven` ran are those of `chain.with_(width=None)`.
 
+    **Arguments:** `chain`; `states`, (x, v), each of shape (times, n).
+
+    **Returns:** booleans of that shape.
+
     !!! example
 
         >>> import jax, numpy as np

@@ -53,6 +53,8 @@ def figure_3(ladder: xr.Dataset, single: xr.Dataset, hopf: float | None = None) 
     start; `hopf`, the belt speed at which steady sliding loses its stability (default:
     `hopf_belt_speed` of each dataset, which scenes save).
 
+    **Returns:** a matplotlib figure of two panels.
+
     !!! example
 
         >>> import jax
@@ -82,6 +84,13 @@ def figure(datasets: Mapping[str, xr.Dataset], hopf: float | None = None) -> Fig
 
     What is called `NAME_nonsmooth` (the same runs with true dry friction) and `NAME_cycles` (the
     branch of cycles) shares the panel of NAME, if there is one.
+
+    **Arguments:** `datasets`, by name, as `sweep` or a scene returns them; `hopf`, the belt speed
+    at which steady sliding loses its stability (default: `hopf_belt_speed` of each dataset).
+
+    **Returns:** a matplotlib figure.
+
+    **Raises:** `ValueError` for what is no dataset, or none.
 
     !!! example
 

@@ -45,6 +45,8 @@ def load_scene(scene: str, overrides: Sequence[str] = ()) -> LoadedScene:
     folder with results, for what was run there; `overrides`, assignments such as
     "experiment.ladder.chain.n=40", applied before the check.
 
+    **Returns:** a `LoadedScene`.
+
     **Raises:** `SceneError` with every problem found.
 
     >>> from jaxchain.scenes import load_scene

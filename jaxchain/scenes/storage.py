@@ -215,6 +215,8 @@ def claimed(path: Path) -> Iterator[Path]:
     that was killed before it had written anything: the system frees a lock with its process.
     (Where a file system knows no locks, such a folder counts as used.)
 
+    **Returns:** a context manager, of the folder.
+
     **Raises:** `OSError` if no folder can be made or filled there.
 
     !!! example

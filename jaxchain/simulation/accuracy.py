@@ -224,6 +224,8 @@ def choose_numerics(chain: Chain, accuracy: Any) -> Numerics:
 
     **Arguments:** `accuracy`, between 1e-8 and 0.3.
 
+    **Returns:** a `Numerics`.
+
     **Raises:** `ValueError` for anything else.
 
     >>> import jax

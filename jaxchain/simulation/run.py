@@ -153,6 +153,8 @@ def simulate(
       those of `jax.hessian`, or `jacfwd` twice.
     - `throw`: raise an error if the run fails; otherwise read `result`.
 
+    **Returns:** a `Simulation`: the last time and state, what was observed, and how the run ended.
+
     **Raises:** `ValueError` for bad input before anything is compiled; `RuntimeError` with advice
     if the run fails and `throw` is set.
 

@@ -277,6 +277,8 @@ class Rodas4(AbstractStructuredRosenbrock):
     E. Hairer and G. Wanner, Solving Ordinary Differential Equations II, 2nd ed., Springer 1996,
     section VI.4.  The workhorse at tolerances of 1e-4 to 1e-7.
 
+    **Arguments:** `sweeps`, see `AbstractStructuredRosenbrock`.
+
     !!! example
 
         ```python
@@ -309,6 +311,8 @@ class Rodas5P(AbstractStructuredRosenbrock):
     G. Steinebach, Construction of Rosenbrock-Wanner method Rodas5P and numerical benchmarks
     within the Julia Differential Equations package, BIT Numerical Mathematics 63, 27 (2023).
     The better choice below tolerances of 1e-7.
+
+    **Arguments:** `sweeps`, see `AbstractStructuredRosenbrock`.
 
     !!! example
 
