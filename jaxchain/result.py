@@ -224,8 +224,11 @@ NAMES = tuple(Result._name_to_item)  # pyright: ignore  # equinox offers no publ
 _STOPPED_WELL = [NAMES.index(name) for name in WELL]
 
 
-def code(result: Result) -> Any:
-    """The integer behind a (possibly traced or batched) `Result`: an index into `NAMES`."""
+def code(result: Result | SearchResult) -> Any:
+    """The integer behind a (possibly traced or batched) `Result`: an index into `NAMES`.
+
+    Of a `SearchResult` it is one into the names of that.
+    """
     return result._value  # pyright: ignore  # equinox offers no public accessor
 
 

@@ -48,7 +48,7 @@ def made_up():
     amplitude = np.where(np.isnan(speed), np.nan, [0.0, 0.5, 1.2, 1.7, 1.2])
     datasets["cycles"] = xr.Dataset(
         {"belt_speed": (("width", "point"), speed), "amplitude": (("width", "point"), amplitude)},
-        coords={"width": [0.01, 0.0]},
+        coords={"width": [0.01, 0.0], "stable": ("point", np.arange(5) > 3)},
         attrs={"fold": 3, "hopf_nonsmooth": 1.0},
     )
     return datasets
@@ -118,7 +118,7 @@ def test_a_small_study(study, tmp_path, monkeypatch):
     said = []
     data = run(study, tmp_path, name="small", report=said.append)
     files = {file.name for file in tmp_path.iterdir()}
-    assert files == {"small.zarr", "small.nc", "small.png", "small.pdf"}
+    assert files == {"small.zarr", "small.nc", "small.png", "small.pdf", "report.html"}
     assert list(data) == ["damping_ratio", "mu_static", "width", "coupling", "cycles"]
     assert stored(tmp_path / "small")["width"].identical(data["width"])
     for name in ("damping_ratio", "mu_static"):

@@ -124,7 +124,8 @@ def test_energies_of_a_true_chain():
 def test_what_was_promised_is_in_the_files(outcome):
     datasets, _, folder = outcome
     kinds = ("nc", "pdf", "png", "zarr")
-    assert {file.name for file in folder.iterdir()} == {f"small.{kind}" for kind in kinds}
+    files = {f"small.{kind}" for kind in kinds}
+    assert {file.name for file in folder.iterdir()} == {"report.html", *files}
     saved = stored(folder / "small")
     cycles, states = saved["oscillator"], saved["states"]
     assert cycles["width_for"].dims == ("accuracy", "quantity", "belt_speed")

@@ -163,7 +163,7 @@ def test_a_small_study(tmp_path):
     said = []
     data = run(load_scene("edges", SMALL).scene, tmp_path, name="small", report=said.append)
     files = {file.name for file in tmp_path.iterdir()}
-    assert files == {"small.zarr", "small.nc", "small.png", "small.pdf"}
+    assert files == {"small.zarr", "small.nc", "small.png", "small.pdf", "report.html"}
     assert list(data) == ["one_mass", "ladder", "tracking"]
     for name, saved in stored(tmp_path / "small").items():
         assert saved.identical(data[name])

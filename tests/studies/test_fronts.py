@@ -206,7 +206,7 @@ def test_a_small_study(tmp_path):
     said = []
     data = run(load_scene("fronts", SMALL).scene, tmp_path, name="small", report=said.append)
     files = {file.name for file in tmp_path.iterdir()}
-    assert files == {"small.zarr", "small.nc", "small.png", "small.pdf"}
+    assert files == {"small.zarr", "small.nc", "small.png", "small.pdf", "report.html"}
     assert list(data) == ["belt_speed", "pictures", "pinning", "coupling", "convergence"]
     for name, saved in stored(tmp_path / "small").items():
         assert saved.identical(data[name])

@@ -193,7 +193,7 @@ def test_a_small_study(tmp_path):
     said = []
     data = run(study, tmp_path, name="small", report=said.append)
     files = {file.name for file in tmp_path.iterdir()}
-    assert files == {"small.zarr", "small.nc", "small.png", "small.pdf"}
+    assert files == {"small.zarr", "small.nc", "small.png", "small.pdf", "report.html"}
     assert list(data) == [
         "patterns", "k1_single", "k2_in_phase", "k2_alternating", "ensemble", "disturbed", "dry",
         "couplings",

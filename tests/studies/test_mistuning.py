@@ -277,7 +277,7 @@ def test_a_small_study(tmp_path):
     said = []
     data = run(load_scene("mistuning", small).scene, tmp_path, name="small", report=said.append)
     files = {file.name for file in tmp_path.iterdir()}
-    assert files == {"small.zarr", "small.nc", "small.png", "small.pdf"}
+    assert files == {"small.zarr", "small.nc", "small.png", "small.pdf", "report.html"}
     assert stored(tmp_path / "small")["half"].identical(data["half"])
     # Below the Hopf speed all vibrate, whatever the modes; in the middle each stays as it began.
     assert np.all(data["disturbed"]["participation_mean"][:, 0] > 19.5)

@@ -260,7 +260,7 @@ def test_a_study_of_both_models_into_its_folder(tmp_path):
     said = []
     found = run(study, tmp_path, name="small", report=said.append)
     files = {file.name for file in tmp_path.iterdir()}
-    assert files == {"small.zarr", "small.nc", "small.png", "small.pdf"}
+    assert files == {"small.zarr", "small.nc", "small.png", "small.pdf", "report.html"}
     assert list(found) == ["states", "states_nonsmooth"]
     assert "smoothed friction" in said[0]
     assert "true dry friction" in said[1]

@@ -189,6 +189,6 @@ def test_a_small_study_runs_into_its_folder(tmp_path):
     # A lone mass: the cycle attracts at the rate at which a resting neighbour is damped, about.
     assert -0.05 < found["one"]["exponent"].values[1, 0, 1] < -0.01
     assert {file.name for file in tmp_path.iterdir()} == {
-        "verdicts.zarr", "verdicts.nc", "verdicts.png", "verdicts.pdf"
+        "verdicts.zarr", "verdicts.nc", "verdicts.png", "verdicts.pdf", "report.html"
     }  # fmt: skip
     assert "one: belt speed 1.5" in said[0]
