@@ -47,17 +47,15 @@ def verdict(chain: AbstractOscillators, initial: Any, **settings: Any) -> Verdic
 
     !!! example
 
-        ```python
-        import jax.numpy as jnp
-        from jaxchain import equation_8, paper_chain
-        chain = paper_chain(n=20, belt_speed=1.5, width=None)
-        found = verdict(chain, equation_8(chain, 3))
-        found.verdict, found.undisturbed  # ("quasi-periodic", "periodic")
-        print(found.reason)
-        one = verdict(paper_chain(n=1, width=None), (jnp.array([2.2]), jnp.zeros(1)))
-        print(one.reason)  # a mass that sticks forgets everything
-        # 7 runs: 7 cycle; locked by 2000 to 2000, slowest relaxation time 0
-        ```
+        >>> import jax, jax.numpy as jnp
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import paper_chain, verdict
+        >>> chain = paper_chain(n=1, belt_speed=1.5, width=None)
+        >>> found = verdict(chain, (jnp.array([2.2]), jnp.zeros(1)))
+        >>> found.verdict
+        'periodic'
+        >>> print(found.reason)  # a mass that sticks forgets everything
+        7 runs: 7 cycle; locked by 2000 to 2000, slowest relaxation time 0
     """
     as_chain(chain, AbstractOscillators)
     check_concrete(_INSTEAD, chain=chain, initial=initial)

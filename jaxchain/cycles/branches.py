@@ -220,12 +220,13 @@ def continue_cycle(
 
     !!! example
 
-        ```python
-        cycle = find_limit_cycle(paper_chain(1, belt_speed=1.5, width=1e-2))
-        branch = continue_cycle(cycle)  # up, round the fold, and down to the Hopf point
-        [(point.kind, point.parameter) for point in branch.special]
-        # [('fold', 1.792455775...), ('hopf', 1.151292546...)]
-        ```
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import continue_cycle, find_limit_cycle, paper_chain
+        >>> cycle = find_limit_cycle(paper_chain(1, belt_speed=1.5, width=1e-2))
+        >>> branch = continue_cycle(cycle)  # up, round the fold, and down to the Hopf point
+        >>> [(point.kind, round(point.parameter, 6)) for point in branch.special]
+        [('fold', 1.792456), ('hopf', 1.151293)]
     """
     check_following(stop, progress)
     shooting, u, p = cycle_equations(chain, state, period, parameter, vibrating, images, rtol)

@@ -130,14 +130,14 @@ def close_orbit(
 
     !!! example
 
-        ```python
-        import jax.numpy as jnp
-        from jaxchain import paper_chain
-        chain = paper_chain(n=1, width=None)
-        start = jnp.array([2.2]), jnp.zeros(1)
-        orbit = close_orbit(chain, start, 6.26)
-        orbit.multipliers  # 0: it sticks
-        ```
+        >>> import jax, jax.numpy as jnp
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import paper_chain
+        >>> from jaxchain.cycles import close_orbit
+        >>> start = jnp.array([2.2]), jnp.zeros(1)
+        >>> orbit = close_orbit(paper_chain(n=1, belt_speed=1.5, width=None), start, 6.26)
+        >>> bool(orbit.gap < 1e-8), orbit.multipliers.tolist()  # 0: it sticks
+        (True, [0j])
     """
     x, v = check_orbit(chain, state, period, rtol)
     return _close(chain, (x, v), to_float(period), own_solver(chain, solver), rtol)

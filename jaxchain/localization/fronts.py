@@ -164,11 +164,16 @@ def front_speed(
 
     **Raises:** `ValueError` for bad input before anything is compiled.
 
-    ```python
-    chain = paper_chain(n=40, belt_speed=1.1, width=None)
-    found = front_speed(chain, excited_state(chain, 14, block="centred"), 800.0)
-    found.outcome, float(found.speed)  # "grows", 0.016
-    ```
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import excited_state, paper_chain
+        >>> from jaxchain.localization import front_speed
+        >>> chain = paper_chain(n=40, belt_speed=1.1, width=None)
+        >>> found = front_speed(chain, excited_state(chain, 14, block="centred"), 800.0)
+        >>> found.outcome, round(float(found.speed), 3)
+        ('grows', 0.016)
     """
     middle = check_vibrating(chain, middle, "middle")
     _check_ring(chain)
@@ -284,11 +289,18 @@ def depinning_belt_speed(
 
     **Returns:** a `Depinning`.
 
-    ```python
-    chain = paper_chain(n=40)
-    block = lambda chain: excited_state(chain, 14, block="centred")
-    found = depinning_belt_speed(chain, block, 2000.0, stands=1.5, moves=1.25)
-    ```
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import excited_state, paper_chain
+        >>> from jaxchain.localization import depinning_belt_speed
+        >>> def block(chain):
+        ...     return excited_state(chain, 14, block="centred")
+        >>> chain = paper_chain(n=40)
+        >>> found = depinning_belt_speed(chain, block, 2000.0, stands=1.5, moves=1.25)
+        >>> round(float(found.middle), 1), round(float(found.error), 4)
+        (1.3, 0.002)
     """
     check_vibrating(chain, None)
     _check_ring(chain)

@@ -101,14 +101,17 @@ def phase_model(chain: Any) -> PhaseModel:
 
     !!! example
 
-        ```python
-        chain = paper_chain(20, belt_speed=1.5)
-        model = phase_model(chain)
-        calmest, *_ = locked_patterns(model, 4)
-        state, period = pattern_guess(model, calmest.phases, first=10)
-        cycle = find_limit_cycle(chain, state, period=period, vibrating=10)
-        calmest.growth, float(cycle.energy)  # (-0.00093..., 4.9056...)
-        ```
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import find_limit_cycle, paper_chain
+        >>> from jaxchain.localization import locked_patterns, pattern_guess, phase_model
+        >>> chain = paper_chain(20, belt_speed=1.5)
+        >>> model = phase_model(chain)
+        >>> calmest, *_ = locked_patterns(model, 4)
+        >>> state, period = pattern_guess(model, calmest.phases, first=10)
+        >>> cycle = find_limit_cycle(chain, state, period=period, vibrating=10)
+        >>> round(calmest.growth, 5), round(float(cycle.energy), 4)
+        (-0.00093, 4.9056)
     """
     _check_ring(chain)
     check_concrete("use `find_limit_cycle`.", chain=chain)

@@ -281,20 +281,18 @@ class Rodas4(AbstractStructuredRosenbrock):
 
     !!! example
 
-        ```python
-        import diffrax
-        import jax
-        jax.config.update("jax_enable_x64", True)
-        from jaxchain import Rodas4, paper_chain, excited_state
-
-        chain = paper_chain(n=20, belt_speed=1.5)
-        solution = diffrax.diffeqsolve(
-            diffrax.ODETerm(chain), Rodas4(), t0=0.0, t1=10.0, dt0=None,
-            y0=excited_state(chain, 9),
-            stepsize_controller=diffrax.PIDController(rtol=1e-6, atol=1e-7),
-        )
-        displacement, velocity = solution.ys
-        ```
+        >>> import diffrax, jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import Rodas4, excited_state, paper_chain
+        >>> chain = paper_chain(n=20, belt_speed=1.5)
+        >>> solution = diffrax.diffeqsolve(
+        ...     diffrax.ODETerm(chain), Rodas4(), t0=0.0, t1=10.0, dt0=None,
+        ...     y0=excited_state(chain, 9),
+        ...     stepsize_controller=diffrax.PIDController(rtol=1e-6, atol=1e-7),
+        ... )
+        >>> displacement, velocity = solution.ys
+        >>> displacement.shape, velocity.shape
+        ((1, 20), (1, 20))
     """
 
     tableau: ClassVar[RosenbrockTableau] = RODAS4
