@@ -64,6 +64,7 @@ def plot_branch(
         >>> import jax, jax.numpy as jnp
         >>> jax.config.update("jax_enable_x64", True)
         >>> from jaxchain.continuation import continue_branch
+        >>> from jaxchain.plotting import plot_branch
         >>> circle = continue_branch(lambda u, p, _: u**2 + p**2 - 1.0, jnp.ones(1), 0.0)
         >>> ax = plot_branch(circle)
         >>> [text.get_text() for text in ax.get_legend().get_texts()]

@@ -71,6 +71,7 @@ def plot_sweep(
         >>> import jax
         >>> jax.config.update("jax_enable_x64", True)
         >>> from jaxchain import equation_8, paper_chain, sweep
+        >>> from jaxchain.plotting import plot_sweep
         >>> runs = sweep(
         ...     paper_chain(2), equation_8, 30.0,
         ...     over={"belt_speed": [1.4, 1.6], "excited": [0, 1, 2]},

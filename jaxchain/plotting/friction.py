@@ -107,6 +107,7 @@ def plot_friction_law(
         >>> import jax
         >>> jax.config.update("jax_enable_x64", True)
         >>> from jaxchain import ExponentialDecay
+        >>> from jaxchain.plotting import plot_friction_law
         >>> ax = plot_friction_law(ExponentialDecay(1.0, 0.5, 0.5).with_(width=0.1))
         >>> [text.get_text() for text in ax.get_legend().get_texts()]
         ['dry', '$\\\\varepsilon$ = 0.1']

@@ -55,6 +55,7 @@ def plot_time_series(
     !!! example
 
         >>> import numpy as np
+        >>> from jaxchain.plotting import plot_time_series
         >>> times = np.linspace(0.0, 20.0, 200)
         >>> states = np.cos(times)[:, None], -np.sin(times)[:, None]  # any run of one mass
         >>> plot_time_series(times, states).get_ylabel()
@@ -98,6 +99,7 @@ def plot_phase_portrait(
     !!! example
 
         >>> import numpy as np
+        >>> from jaxchain.plotting import plot_phase_portrait
         >>> times = np.linspace(0.0, 6.3, 100)
         >>> states = np.cos(times)[:, None], -np.sin(times)[:, None]  # any run of one mass
         >>> ax = plot_phase_portrait(states)
