@@ -54,7 +54,9 @@ class Amplitude(AbstractObserver):
       (`AbstractOscillators.attracts`); that cannot change the answer.
       "steady" also lets it stop when the amplitudes of `repeats` windows in succession agree
       within `tolerance`; slow drifts of the phases, and instabilities that rounding has not yet
-      found, can then go unseen.
+      found, can then go unseen.  Both need a `window`.
+
+    **Raises:** `ValueError` for any other, and for numbers that are not positive.
 
     !!! example
 
