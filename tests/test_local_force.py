@@ -25,6 +25,7 @@ from jaxchain import (
 from jaxchain.cycles.floquet import liouville_defect, trace_integral
 from jaxchain.model.oscillators import AbstractOscillators
 from jaxchain.model.springs import Springs
+from jaxchain.observers import EnergyBalance, StickTime
 
 PERIOD, AMPLITUDE = 6.6632868593, 2.0086198609
 SPRINGS = Springs(jnp.asarray(0.1), "cyclic")
@@ -321,3 +322,16 @@ def test_a_disturbance_of_rest_grows_and_is_not_damped_away():
     start = jnp.array([1e-9]), jnp.zeros(1)
     run = simulate(field, start, 40.0, observe=Amplitude())
     assert float(run.observed[0]) > 0.5  # it grows by e^100 in a time unit
+
+
+@pytest.mark.parametrize(
+    ("asked", "message"),
+    [
+        ({"accuracy": 1e-2}, "`accuracy` needs a `Chain`.* VanDerPol: leave it out"),
+        ({"observe": EnergyBalance()}, "`EnergyBalance` needs dampers and a belt, a `Chain`"),
+        ({"observe": StickTime()}, "`StickTime` needs masses that can stick"),
+    ],
+)
+def test_what_needs_a_belt_says_so(asked, message):
+    with pytest.raises(ValueError, match=message):
+        simulate(ONE, START, 1.0, **asked)

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Int
 from .._stored_programs import stored_jit
 from .._types import PerMass, State
 from ..continuation.fold_points import fold_residual
-from ..continuation.implicit import attach_derivative
+from ..continuation.implicit import attach_derivative, if_found
 from ..cycles.shooting import Shooting
 from ..cycles.shooting import residual as closure
 from ..model.chain import Chain, require_smoothed
@@ -120,7 +120,7 @@ def _belt_speed(chain: Chain, mass: int, start: Start, found: Search) -> Array:
     q = attach_derivative(
         held_residual, found.here.q, (held, lax.stop_gradient(found.here.z)), once=_ONCE
     )
-    return jnp.where(found.found, q[held.place] + _gained(chain, mass, start), jnp.nan)
+    return if_found(found.found, q[held.place] + _gained(chain, mass, start))
 
 
 _ONCE = (
@@ -166,7 +166,7 @@ def _fold(chain: Chain, mass: int, start: Start, found: Search) -> Fold:
     both = attach_derivative(_FOLD_RESIDUAL, jnp.append(u, speed), (held, borders))
     _, state, period = held.unpack(both[:-1], both[-1])
     return Fold(
-        belt_speed=jnp.where(found.found, both[-1] + _gained(chain, mass, start), jnp.nan),
+        belt_speed=if_found(found.found, both[-1] + _gained(chain, mass, start)),
         period=period,
         state=state,
         closeness=jnp.sinh(both[held.place]),

@@ -32,7 +32,7 @@ from jaxtyping import Array, Float
 from .._stored_programs import stored_jit
 from .._types import ScalarLike, State
 from ..continuation.elimination import solve
-from ..continuation.implicit import attach_derivative
+from ..continuation.implicit import attach_derivative, if_found
 from ..model.chain import Chain
 from ..model.initial_states import check_vibrating
 from ..result import Outcome, SearchResult
@@ -163,7 +163,7 @@ def _find(chain: Chain, mass: int) -> Grazing:
     result = of.where(jnp.isfinite(speed), result, of.no_touch)
     result = of.where(found, of.successful, result)
     held = eqx.tree_at(lambda t: t.chain, touch, chain)
-    q = jnp.where(found, attach_derivative(touch_residual, q, held), jnp.nan)
+    q = if_found(found, attach_derivative(touch_residual, q, held))
     state, period, speed = held.unpack(q)
     return Grazing(
         belt_speed=speed, period=period, state=state, by_leaving=by_leaving,

@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float
 from .._stored_programs import stored_jit
 from ..continuation.bracket import bisect
 from ..continuation.damped_newton import linearised, solve
-from ..continuation.implicit import attach_derivative
+from ..continuation.implicit import attach_derivative, if_found
 from ..model.arguments import as_chain
 from ..model.chain import Chain
 from ..model.friction import ExponentialDecay
@@ -102,7 +102,7 @@ def _uniform(chain: Chain) -> Array:
         drop = chain.load * (law.mu_static - law.mu_dynamic)
         closed = law.v_ref * jnp.log(drop / (2.0 * chain.damping_ratio * law.v_ref))
         speed = jnp.where(closed > _SATURATED * chain.width, closed, speed)
-    return jnp.where(found, speed, jnp.nan)
+    return if_found(found, speed)
 
 
 def _mistuned(chain: Chain) -> tuple[Array, Array, Array]:
@@ -137,7 +137,7 @@ def _mistuned(chain: Chain) -> tuple[Array, Array, Array]:
     start = jnp.stack([low, frequency])
     shape, together = null_shape(start, chain)
     crossing = _polish(crossing_residual, start, (chain, shape, together), low, high)
-    return jnp.where(found, crossing, jnp.nan), shape, together
+    return if_found(found, crossing), shape, together
 
 
 def _last_rise(

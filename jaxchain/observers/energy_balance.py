@@ -10,6 +10,7 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..model.chain import Chain
 from .base import AbstractObserver, Step, Variable
 
 # A mass that the non-smooth solver holds on the belt has exactly its speed, but for interpolation.
@@ -39,6 +40,8 @@ class EnergyBalance(AbstractObserver):
 
     def init(self, field: Any, t0: Any, t1: Any, y0: Any) -> tuple[Array, Array, Array]:
         del t0, t1
+        if not isinstance(field, Chain):
+            raise ValueError("`EnergyBalance` needs dampers and a belt, a `Chain`.")
         stored = _stored(field, *y0)
         return jnp.zeros(2), stored, stored
 

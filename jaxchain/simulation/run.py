@@ -176,10 +176,15 @@ def simulate(
     numerics = None
     if accuracy is not None:
         require_smoothed(chain, NO_ACCURACY)
-        if rtol is not None or not isinstance(chain, Chain):
+        if not isinstance(chain, Chain):
             raise ValueError(
-                "Argument `accuracy` picks the width and `rtol` for a `Chain`: give either it or "
-                f"`rtol`, but `rtol` is {rtol!r} and the chain a {type(chain).__name__}."
+                "Argument `accuracy` needs a `Chain`, whose friction has a width, but the chain is a "
+                f"{type(chain).__name__}: leave it out, and give `rtol`."
+            )
+        if rtol is not None:
+            raise ValueError(
+                "Argument `accuracy` picks the width and `rtol`: give either it or `rtol`, but "
+                f"`rtol` is {rtol!r}."
             )
         numerics = choose_numerics(chain, accuracy)
         rtol = numerics.rtol

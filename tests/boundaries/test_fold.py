@@ -387,3 +387,13 @@ def test_derivatives_are_taken_at_the_fold_itself():
     halved, whole = (4.0 * by_four - by_two) / 3.0, (4.0 * by_two - by_one) / 3.0
     expected = (16.0 * halved - whole) / 15.0
     assert float(jax.grad(fold)(1e-3)) == pytest.approx(expected, rel=2e-6)
+
+
+@pytest.mark.parametrize("width", [1e-2, None])
+def test_what_does_not_exist_has_no_derivative_either(width):
+    chain = paper_chain(1, width=width)
+
+    def speed(xi):
+        return fold_belt_speed(chain.with_(damping_ratio=xi))
+
+    assert np.isnan([f(0.6) for f in (speed, jax.jacfwd(speed), jax.grad(speed))]).all()
