@@ -135,6 +135,14 @@ def test_a_branch_of_anything_is_one_solid_line():
     assert line.get_linestyle() == "-"
 
 
+def test_the_cycles_that_scenes_save_are_drawn_too():
+    point = {name: ("point", [1.0, 1.5, 1.8, 1.2]) for name in ("belt_speed", "amplitude")}
+    data = xr.Dataset({**point, "stable": ("point", [True, True, False, False])})
+    (stable,), (unstable,) = (named(plot_branch(data))[k] for k in ("stable", "unstable"))
+    assert points(stable)[0].tolist() == [1.0, 1.5]
+    assert points(unstable)[1].tolist() == [1.5, 1.8, 1.2]
+
+
 def test_pieces_end_where_the_next_begins():
     x = np.arange(6.0)
     unstable = np.array([0, 0, 1, 1, 0, 0], bool)

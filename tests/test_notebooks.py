@@ -1,0 +1,90 @@
+"""Notebooks as a reader finds them: a question first, public names alone, a task at the end.
+
+That they run is tried when all examples are; here nothing is executed.
+"""
+
+import ast
+import importlib
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+import jaxchain
+
+NOTEBOOKS = sorted((Path(__file__).parents[1] / "examples").glob("*.ipynb"))
+# What a page can show without a script of somebody else's.
+KINDS = {"image/png", "text/plain", "text/html"}
+NOT_TO_BE_READ = re.compile(r"0x[0-9a-f]{6}|findfont|Warning|Traceback|/(tmp|home|root|work)/")
+
+
+def cells(path):
+    for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
+        yield cell["cell_type"], "".join(cell["source"]), cell.get("outputs", [])
+
+
+def imported(code):
+    """(module, name) of everything that is imported."""
+    for node in ast.walk(ast.parse(code)):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            yield from ((node.module, alias.name) for alias in node.names)
+        elif isinstance(node, ast.Import):
+            yield from ((alias.name, None) for alias in node.names)
+
+
+@pytest.fixture(params=NOTEBOOKS, ids=lambda path: path.stem[:2])
+def notebook(request):
+    return list(cells(request.param))
+
+
+def test_there_are_notebooks():
+    assert len(NOTEBOOKS) >= 8
+
+
+def test_a_notebook_opens_with_a_question_and_its_first_code_or_text_has_a_picture(notebook):
+    kind, text, _ = notebook[0]
+    assert kind == "markdown"
+    assert text.startswith("# ")
+    assert re.search(r"^\*\*[^*]+\?", text, flags=re.MULTILINE)
+    _, _, outputs = notebook[1]
+    shown = any("image/png" in output.get("data", {}) for output in outputs)
+    assert shown or re.search(r"!\[[^\]]+\]\([\w/]+\.png\)", text)
+
+
+def test_a_notebook_uses_public_names_by_room(notebook):
+    for kind, code, _ in notebook:
+        if kind != "code":
+            continue
+        for module, name in imported(code):
+            if module.partition(".")[0] != "jaxchain" or name is None:
+                assert not module.startswith("jaxchain.")
+                continue
+            assert module == "jaxchain" or module.removeprefix("jaxchain.") in jaxchain.ROOMS
+            assert name in importlib.import_module(module).__all__
+        assert not re.search(r"\.\_[a-z]", code)  # nothing private
+
+
+def test_a_notebook_ends_with_a_task_and_what_it_gives(notebook):
+    _, text, _ = notebook[-1]
+    assert "## Try it" in text
+    assert re.search(r"<details><summary>.+</summary>\n\n.+\n\n</details>", text, flags=re.DOTALL)
+
+
+def test_a_notebook_has_its_pictures_and_prints_nothing_of_the_machine(notebook):
+    code = [(text, outputs) for kind, text, outputs in notebook if kind == "code"]
+    assert sum("image/png" in out.get("data", {}) for _, outs in code for out in outs) >= 2
+    for _, outputs in code:
+        for output in outputs:
+            assert output["output_type"] != "error"
+            data = output.get("data", {})
+            assert set(data) <= KINDS
+            text = "".join(output.get("text", [])) + "".join(data.get("text/plain", []))
+            assert not NOT_TO_BE_READ.search(text)
+
+
+def test_links_of_a_notebook_lead_to_files_beside_it(notebook):
+    for kind, text, _ in notebook:
+        if kind == "markdown":
+            for target in re.findall(r"\]\(([^)\s]+)\)", text):
+                assert (NOTEBOOKS[0].parent / target).is_file(), target
