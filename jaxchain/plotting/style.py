@@ -112,7 +112,8 @@ def as_axes(ax: Any) -> Axes:
 def add_legend(panels: Axes | list[Axes], title: str | None = None, beside: bool = False) -> None:
     """Each label of the panels once, also where several pictures lie on top of each other.
 
-    Within the first panel, or `beside` it; what is beside several panels is beside their figure.
+    Within the first panel, or `beside` it, and of several panels beside all of them, where the
+    figure has a layout that makes room for it.
     """
     panels = [panels] if isinstance(panels, Axes) else panels
     own: dict[str, Any] = {}
@@ -125,6 +126,8 @@ def add_legend(panels: Axes | list[Axes], title: str | None = None, beside: bool
     if before is not None:  # of the picture below: it keeps its place and its title
         beside = beside or before.get_gid() == _BESIDE
         title = title or before.get_title().get_text() or None
+    page = panels[0].get_figure(root=True)
+    beside = beside and page is not None and page.get_layout_engine() is not None
     size = 0.78 * float(panels[0].xaxis.label.get_fontsize())  # of whoever made the axes
     look: dict[str, Any] = {
         "title": title and _wrapped(title), "handlelength": 1.6, "framealpha": 0.8,

@@ -123,6 +123,25 @@ def test_on_axes_that_are_given_a_dimension_without_a_place_is_named():
     assert plot_sweep(few, col="excited", ax=three).tolist() == three.tolist()
 
 
+@pytest.mark.parametrize("layout", [None, "constrained"])
+def test_a_legend_stands_within_the_page_whatever_lays_it_out(layout):
+    data = ladder().isel(excited=[1, 2, 3])
+    page = Figure(layout=layout)
+    left, right = page.subplots(1, 2)
+    plot_sweep(data, hue="excited", ax=left)
+    page.draw_without_rendering()
+    beside = legend_of(left).get_window_extent().x0 > left.get_window_extent().x1 - 1
+    assert beside == (layout is not None)
+    assert legend_of(left).get_window_extent().x1 < right.get_window_extent().x0
+    page = Figure(layout=layout)
+    panels = page.subplots(1, 2)
+    runs = ladder().isel(excited=[1, 2, 3], belt_speed=[0, 3], oscillator=[0, 1])
+    plot_sweep(runs, "amplitude", "excited", hue="belt_speed", col="oscillator", ax=panels)
+    page.draw_without_rendering()
+    (own,) = page.legends or [legend_of(panels[0])]
+    assert own.get_window_extent().x1 <= page.bbox.x1 + 1
+
+
 def test_four_dimensions_have_no_place_and_too_many_panels_are_refused():
     data = single().rename(displacement="pull")
     with pytest.raises(ValueError, match="at most 24 panels"):
