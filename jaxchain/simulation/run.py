@@ -178,8 +178,8 @@ def simulate(
         require_smoothed(chain, NO_ACCURACY)
         if not isinstance(chain, Chain):
             raise ValueError(
-                "Argument `accuracy` needs a `Chain`, whose friction has a width, but the chain is a "
-                f"{type(chain).__name__}: leave it out, and give `rtol`."
+                "Argument `accuracy` needs a `Chain`, whose friction has a width, but the chain "
+                f"is a {type(chain).__name__}: leave it out, and give `rtol`."
             )
         if rtol is not None:
             raise ValueError(
