@@ -14,17 +14,30 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
 from .._checks import check_kind, shown
+from .._outcomes import WELL
 from ..model.units import Scales
-from ..result import ended_well
+from ..result import NAMES
 from .diagram import masses
 from .labels import axis, check_scales, number_of, scaled, value_of
-from .style import BLUE, COLUMN_WIDTH, PAGE_WIDTH, RED, STYLE, add_legend, looks, on_axes, widen
+from .style import (
+    BLUE,
+    COLUMN_WIDTH,
+    GREY,
+    PAGE_WIDTH,
+    RED,
+    STYLE,
+    add_legend,
+    looks,
+    on_axes,
+    widen,
+)
 
 # Of panels on a page, and side by side.
 MOST_PANELS, _COLUMNS = 24, 3
 _HEIGHT = 1.9
 # Over these the points are joined: they are times of the same runs.
 _TIMES = ("segment", "segment_end")
+_NOT_RUN = {"pending", "interrupted"}
 
 
 def plot_sweep(
@@ -58,7 +71,7 @@ def plot_sweep(
       new ones: of a column's width (85 mm), panels of a page's.
     - `scales`: for axes in SI units.
 
-    Runs that failed are red crosses at the lower edge.
+    Runs that failed are red crosses at the lower edge, those that have not run (yet) grey ones.
 
     **Returns:** the axes; with panels an array of them, of shape (columns,), (rows,) or (rows,
     columns).
@@ -217,40 +230,51 @@ def _draw(
     (dim,) = _dims(data, across)
     x, x_label = scaled(data[across], scales)
     y_factor, y_label = axis(str(values.name), values.attrs, scales)
-    bad = ~ended_well(data["result"]) if "result" in data else xr.zeros_like(values, bool)
-    bad = bad.broadcast_like(values)
-    series, shades = [("", values, bad)], [(BLUE, "o")]
-    if hue is not None:
-        (own,) = _dims(data, hue)
-        shades, many = looks(data[hue].values)
-        series = [
-            (number_of(data[hue][k], scales), values.isel({own: k}), bad.isel({own: k}))
-            for k in range(data.sizes[own])
-        ]
-        if many is not None:  # the colour bar tells
-            series = [("", line, wrong) for _, line, wrong in series]
+    words, shades, along = [""], [(BLUE, "o")], [dim]
     # Points of several series may lie upon each other: hollow ones are all seen.
     look: dict[str, Any] = {"markersize": 3.4}
     if hue is not None:
+        along = [*_dims(data, hue), dim]
+        shades, many = looks(data[hue].values)
+        words = [number_of(one, scales) if many is None else "" for one in data[hue]]
         look = {"markersize": 4.4, "markerfacecolor": "none"}
-    failed = np.zeros(x.shape, bool)
-    for (word, line, wrong), (colour, marker) in zip(series, shades, strict=True):
-        alone = {k: 0 for k in line.dims if k != dim}
-        wrong = wrong.isel(alone).values
-        failed |= wrong
+
+    def rows(array: xr.DataArray) -> np.ndarray:
+        """The values of each series; what is left over has one value."""
+        alone = array.broadcast_like(values).isel({k: 0 for k in values.dims if k not in along})
+        return alone.transpose(*along).values.reshape(len(words), -1)
+
+    outcomes = {word: rows(found) for word, found in _without_answer(data).items()}
+    known = ~np.logical_or.reduce([np.zeros((len(words), x.size), bool), *outcomes.values()])
+    lines = np.where(known, y_factor * rows(values), np.nan)
+    for word, line, (colour, marker) in zip(words, lines, shades, strict=True):
         axes.plot(
-            x, np.where(wrong, np.nan, y_factor * line.isel(alone).values), color=colour,
-            marker=marker, linestyle="-" if across in _TIMES else "none", linewidth=0.8,
-            label=word, **look,
+            x, line, color=colour, marker=marker, linewidth=0.8, label=word,
+            linestyle="-" if across in _TIMES else "none", **look,
         )  # fmt: skip
-    if failed.any():
-        axes.plot(
-            x[failed], np.full(failed.sum(), 0.03), "x", color=RED, markersize=4.5,
-            transform=axes.get_xaxis_transform(), label="failed",
-        )  # fmt: skip
+    for word, found in outcomes.items():
+        here = found.any(axis=0)
+        if here.any():
+            axes.plot(
+                x[here], np.full(here.sum(), 0.03), "x", color=RED if word == "failed" else GREY,
+                markersize=4.5, transform=axes.get_xaxis_transform(), label=word,
+            )  # fmt: skip
     widen(axes, x)
     axes.set_xlabel(x_label)
     axes.set_ylabel(y_label)
+
+
+def _without_answer(data: xr.Dataset) -> dict[str, xr.DataArray]:
+    """Which runs failed, and which have not run; searches have codes of their own."""
+    if "result" not in data:
+        return {}
+    result = data["result"]
+    names = str(result.attrs.get("flag_meanings", " ".join(NAMES))).split()
+    kinds = {"not run": _NOT_RUN, "failed": {*names} - {*WELL} - _NOT_RUN}
+    return {
+        word: result.isin([code for code, name in enumerate(names) if name in kind])
+        for word, kind in kinds.items()
+    }
 
 
 def _explain(panels: list[Axes], data: xr.Dataset, hue: str | None, scales: Scales | None) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -32,6 +33,8 @@ _NAMES: dict[str, tuple[str, str]] = {
 # What these symbols are in SI units.
 _IN_SI = {r"\tau": "t", r"\tilde F": "F"}
 _COUNTS = {"active_count", "excited", "oscillator", "segment", "steps", "rejected"}
+# Of one line of a label, in letters.
+_LONGEST = 38
 # Of the units in datasets: how many of SI they are, and what that one is called.
 _UNITS: dict[str, tuple[Callable[[Scales], Any], str]] = {
     "x0": (lambda scales: scales.unit("displacement"), "m"),
@@ -58,7 +61,8 @@ def axis(name: str, attrs: Mapping[str, Any], scales: Scales | None) -> tuple[fl
     """
     words, symbol, factor, unit = _said(name, attrs, scales)
     label = f"{words} ${symbol}$" if symbol else words
-    return factor, label if name in _COUNTS else f"{label} ({unit})"
+    label = label if name in _COUNTS or not unit else f"{label} ({unit})"
+    return factor, label if symbol else textwrap.fill(label, _LONGEST)
 
 
 def _said(
@@ -71,7 +75,8 @@ def _said(
         words, symbol = PARAMETERS[name].words, PARAMETERS[name].symbol
     else:
         words, symbol = str(attrs.get("long_name", name)), ""
-    unit = str(attrs.get("units", "1"))
+    known = name in _NAMES or name in PARAMETERS
+    unit = str(attrs.get("units", "1" if known else ""))
     if scales is not None and unit in _UNITS:
         of, called = _UNITS[unit]
         return words, _IN_SI.get(symbol, symbol.replace(r"\tilde ", "")), float(of(scales)), called
@@ -91,7 +96,7 @@ def value_of(one: xr.DataArray, scales: Scales | None) -> str:
     name = str(one.name)
     _, symbol, _, unit = _said(name, one.attrs, scales)
     short = f"${symbol}$" if symbol else name
-    return f"{short} = {number_of(one, scales)}" + ("" if unit == "–" else f" {unit}")
+    return f"{short} = {number_of(one, scales)}" + ("" if unit in ("–", "") else f" {unit}")
 
 
 def scaled(data: xr.DataArray, scales: Scales | None) -> tuple[Any, str]:

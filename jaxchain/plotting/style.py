@@ -150,17 +150,22 @@ def _wrapped(title: str) -> str:
 
 def widen(axes: Axes, positions: np.ndarray) -> None:
     """A logarithmic axis where positions span decades."""
-    if positions.min() > 0 and positions.max() > 30 * positions.min():
+    if (
+        positions.dtype.kind in "fiu"
+        and positions.min() > 0
+        and positions.max() > 30 * positions.min()
+    ):
         axes.set_xscale("log")
 
 
 def looks(values: np.ndarray) -> tuple[list[tuple[Any, str]], ScalarMappable | None]:
-    """(colour, marker) of each series, and what a colour bar shows if there are many."""
+    """(colour, marker) of each series, and what a colour bar shows if there are many numbers."""
     if len(values) <= len(SERIES):
         return list(zip(SERIES, MARKERS[: len(values)], strict=False)), None
-    numbers = values if values.dtype.kind in "fiu" else np.arange(len(values))
+    is_number = values.dtype.kind in "fiu"
+    numbers = values if is_number else np.arange(len(values))
     # The lightest part of viridis is lost on white paper.
     shades = ListedColormap(matplotlib.colormaps["viridis"](np.linspace(0.0, 0.92, 256)))
-    norm = Normalize(float(numbers.min()), float(numbers.max()))
-    shade = ScalarMappable(norm, shades)
-    return [(tuple(colour), "o") for colour in shade.to_rgba(numbers.astype(float))], shade
+    shade = ScalarMappable(Normalize(float(numbers.min()), float(numbers.max())), shades)
+    colours = [(tuple(colour), "o") for colour in shade.to_rgba(numbers.astype(float))]
+    return colours, shade if is_number else None

@@ -13,6 +13,7 @@ from jaxchain.model.units import Scales
 from jaxchain.plotting.branches import plot_branch
 from jaxchain.plotting.facets import plot_sweep
 from jaxchain.plotting.style import COLUMN_WIDTH, PAGE_WIDTH, SERIES
+from jaxchain.result import NAMES
 
 SCALES = Scales.from_dimensional(
     mass=2.0, damping=2.0, stiffness=200.0, coupling_stiffness=2.0, normal_load=10.0
@@ -165,6 +166,23 @@ def test_a_failed_run_is_a_cross_at_the_lower_edge_and_not_missing():
     assert legend(axes) == ["failed"]
 
 
+def test_what_has_not_run_yet_is_not_called_failed():
+    data = results({"belt_speed": [1.0, 1.1, 1.2]}, np.array([1, 1, 1]), 1)
+    data["result"][:2] = [NAMES.index("pending"), NAMES.index("nonfinite")]
+    runs, *crosses = plot_sweep(data).get_lines()
+    np.testing.assert_array_equal(height(runs), [np.nan, np.nan, 1.5])
+    where = {line.get_label(): across(line).tolist() for line in crosses}
+    assert where == {"not run": [1.0], "failed": [1.1]}
+
+
+def test_searches_for_folds_have_codes_of_their_own():
+    data = results({"belt_speed": [1.0, 1.1]}, np.array([1, 1]), 1)
+    data["result"].attrs["flag_meanings"] = "successful nonfinite no_fold"
+    data["result"][:] = [1, 0]
+    _, crosses = plot_sweep(data).get_lines()
+    assert across(crosses).tolist() == [1.0]
+
+
 def test_what_is_swept_together_is_drawn_over_one_of_them():
     data = results({"sample": [0, 1, 2]}, [0, 1, 2], 2).drop_vars("sample")
     data = data.assign_coords(belt_speed=("sample", [1.3, 1.1, 1.2]))
@@ -186,6 +204,15 @@ def test_one_oscillator_shows_its_amplitude_in_si_if_asked():
     np.testing.assert_allclose(across(line), 0.5 * data.belt_speed, rtol=1e-14)
     known = data.amplitude.isel(displacement=-1, oscillator=0)
     np.testing.assert_allclose(height(line), 0.05 * known, rtol=1e-14)
+
+
+def test_words_are_told_apart_by_name():
+    names = [f"state {k}" for k in range(9)]
+    data = results({"belt_speed": [1.0, 1.2], "state": names}, np.zeros((2, 9), int), 1)
+    axes = plot_sweep(data, hue="state")
+    assert legend(axes) == names
+    assert len({line.get_color() for line in axes.get_lines()}) == 9
+    assert plot_sweep(data.isel(belt_speed=0), x="state").get_xscale() == "linear"
 
 
 def test_segments_of_the_same_run_are_joined():

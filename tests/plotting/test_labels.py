@@ -34,6 +34,12 @@ def test_an_axis_has_words_symbol_and_unit(name, unit, plain, factor, label):
     assert text == label
 
 
+def test_what_has_no_unit_gets_none_and_long_words_two_lines():
+    assert axis("state", {}, None)[1] == "state"
+    _, label = axis("share", {"long_name": "share of the starts that end in the state"}, None)
+    assert label == "share of the starts that end in the\nstate"
+
+
 def test_a_value_is_told_with_its_symbol_or_its_name():
     speed = xr.DataArray(1.5, name="belt_speed", attrs={"units": "x0 omega_n"})
     assert value_of(speed, None) == r"$\tilde v_d$ = 1.5"
