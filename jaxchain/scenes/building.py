@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import diffrax as dfx
 import jax.numpy as jnp
@@ -27,11 +27,20 @@ from .reading import LoadedScene
 from .scene import Experiment, SweepTable
 from .tables import Equation8Table, Equation10Table, OwnLawTable, TabulatedTable
 
+if TYPE_CHECKING:
+    from xarray import Dataset
+
 LAWS = {
     "exponential_decay": friction.ExponentialDecay,
     "weakening_strengthening": friction.WeakeningStrengthening,
     "gaussian_stribeck": friction.GaussianStribeck,
     "coulomb": friction.Coulomb,
+}
+
+# What the numbers of a start mean: a sweep, for which they may be anything, does not know.
+_OF_THE_START = {
+    "displacement": ("how far excited masses are pulled away at the start", "x0"),
+    "velocity": ("velocity of every mass at the start", "x0 omega_n"),
 }
 
 
@@ -108,6 +117,13 @@ def build_initial(experiment: SweepTable) -> Callable[..., State]:
         )
 
     return pulled_away
+
+
+def describe_start(data: Dataset) -> None:
+    """Says of the numbers of a start what they are, where they were swept; in place."""
+    for name in _OF_THE_START.keys() & set(map(str, data.coords)):
+        words, unit = _OF_THE_START[name]
+        data[name].attrs |= {"long_name": words, "units": unit}
 
 
 def build_observers(

@@ -34,6 +34,7 @@ from .building import (
     build_observers,
     build_solver,
     checked_chains,
+    describe_start,
 )
 from .errors import SceneError, StudyFailedError, shortened
 from .folders.datasets import in_memory
@@ -353,6 +354,7 @@ def _with_about(
     unwanted = {"amplitude", "energy", "active_count"} - set(group.experiment.observe.quantities)
     kept = data.drop_vars(unwanted & set(data.data_vars))
     kept.attrs |= about
+    describe_start(kept)
     if hopf is not None:
         kept["hopf_belt_speed"] = hopf
     return kept

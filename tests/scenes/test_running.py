@@ -5,6 +5,7 @@ from functools import partial
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import xarray as xr
 from synthetic import stored
 
 from jaxchain import find_limit_cycle, fold_belt_speed, paper_chain, simulate
@@ -12,7 +13,7 @@ from jaxchain.observers.stick_time import StickTime
 from jaxchain.plotting.sweeps import figure
 from jaxchain.scenes import running
 from jaxchain.scenes.boundaries import cycles, hopf_speed
-from jaxchain.scenes.building import build_chain, build_observers
+from jaxchain.scenes.building import build_chain, build_observers, describe_start
 from jaxchain.scenes.errors import SceneError, StudyFailedError
 from jaxchain.scenes.reading import load_scene
 from jaxchain.scenes.running import run_experiment, run_scene
@@ -150,6 +151,7 @@ def test_the_branch_of_cycles_is_saved_before_it_is_drawn(tmp_path):
     assert below[0] > below[1] > 0
     found = find_limit_cycle(chain.with_(belt_speed=1.5))
     assert below[0] == pytest.approx(float(found.amplitude[0]), rel=1e-3)
+    assert saved["ladder"]["displacement"].attrs["units"] == "x0"
     hopf = saved["ladder"]["hopf_belt_speed"].item()
     assert hopf == pytest.approx(0.5 * np.log(10), rel=1e-12)
 
@@ -158,6 +160,15 @@ def ordered(cycles, which):
     speed, amplitude = (cycles[name].values[which] for name in ("belt_speed", "amplitude"))
     order = np.argsort(speed)
     return speed[order], amplitude[order]
+
+
+def test_what_a_start_is_made_of_has_its_unit():
+    data = xr.Dataset({"velocity": ("time", [0.0])}, coords={"displacement": [0.5, 2.0]})
+    data["displacement"].attrs["units"] = "1"
+    describe_start(data)
+    words = "how far excited masses are pulled away at the start"
+    assert data["displacement"].attrs == {"long_name": words, "units": "x0"}
+    assert not data["velocity"].attrs  # no coordinate, and so not swept
 
 
 def test_a_few_belt_speeds_have_no_branch(tmp_path):
