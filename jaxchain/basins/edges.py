@@ -45,6 +45,7 @@ class EdgeState(Outcome):
       the amplitude of each mass in them, (windows, n), mean of both ends of the bracket, and the
       distance of the ends; NaN after the tracking has ended.
     - `result`: how it ended.  Unless the tracking itself ended well, numbers are NaN.
+    - `chain`: whose state it is.
 
     Dimensionless: displacements in P/k, times in 1 / omega_n.
 

@@ -30,7 +30,8 @@ class Evidence:
       orbit those of its multipliers, the first being the zero of the flow.  -inf is a direction
       that sticking annihilates, NaN one that is too small to be told from rounding: of a closed
       orbit, anything below `high`.
-    - `smooth`: the same exponents by smoothly weighted averages, see `LyapunovSpectrum`.
+    - `smooth`: the same exponents by smoothly weighted averages, see `LyapunovSpectrum`;
+      `exponent_time`: over how long, 0 where they are those of multipliers.
     - `slips`: most cycles that a vibrating mass gained on another in the second half of the last
       record; `delays`: of each vibrating mass at the end, in periods.
     - `symmetry_time`, `symmetry`: see `symmetry_defect`.

@@ -72,12 +72,13 @@ class SpecialPoint:
     """A fold, a branch point, or a zero of one of the caller's tests, on a branch.
 
     `kind` is "fold", "branch point" or the name of the test; it lies between the points `index`
-    and `index` + 1 at `arclength`.  `left_over` is what the test function is there, as a share of
-    its values at these two points, and `refined` whether that is zero to the search's precision
-    (a test that jumps, for example, has no zero).  `error` bounds the error of `p` as a solution
-    of the equations that were given, whatever the branch's tolerance: the greatest of what the
-    last steps of the search still changed.  `other` is the direction in which another
-    branch leaves a branch point, square to `tangent`.
+    and `index` + 1 at `arclength`.  `u` (m,) and `p` are the solution there, `residual` = max |F|,
+    `tangent` (m + 1,) and `extra` as in `Branch`.  `left_over` is what the test function is there,
+    as a share of its values at these two points, and `refined` whether that is zero to the
+    search's precision (a test that jumps, for example, has no zero).  `error` bounds the error of
+    `p` as a solution of the equations that were given, whatever the branch's tolerance: the
+    greatest of what the last steps of the search still changed.  `other` is the direction in which
+    another branch leaves a branch point, square to `tangent`.
 
     !!! example
 

@@ -26,8 +26,10 @@ _LEAST_SLOPE = 1e-6
 class FoldPoint(Outcome):
     """A fold: F(u, p) = 0 with F_u(u, p) `null` = 0 and |null| = 1.
 
-    `slope` is psi^T F_p with psi the left null vector, in units of the rows of [F_u F_p] where the
-    search began: not zero at a fold.  With `borders`, `fold_residual` is zero at (u, p).
+    `u` and `null` are of shape (m,), `p` a number; `residual` is the greatest |R| that is left, of
+    `fold_residual`, after `steps` Jacobians; `result` says how the search ended.  `slope` is psi^T
+    F_p with psi the left null vector, in units of the rows of [F_u F_p] where the search began:
+    not zero at a fold.  With `borders`, `fold_residual` is zero at (u, p).
 
     !!! example
 

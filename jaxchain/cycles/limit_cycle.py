@@ -45,7 +45,7 @@ class LimitCycle(Outcome):
       there, NaN for dry friction; both were measured on this orbit.
     - `amplitude`: half peak-to-peak of each displacement; `fastest`: each greatest velocity in the
       direction of the belt.
-    - `evaluations`: integrations of the linearised system it took.
+    - `evaluations`: integrations of the linearised system it took; `chain`: whose cycle it is.
 
     !!! example
 

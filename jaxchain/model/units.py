@@ -68,8 +68,10 @@ class Scales(eqx.Module):
     """The units in which a chain is dimensionless, and its two dimensionless parameters.
 
     Displacement counts in x0 = P / k, time in 1 / omega_n, velocity in x0 omega_n, force in P (per
-    mass) and angular frequency in omega_n. Build it with `Scales.from_dimensional`. In a mistuned
-    chain the parameters here are those of the mass that all others are compared with.
+    mass) and angular frequency in omega_n: `displacement` [m], `angular_frequency` [rad/s] and
+    `force` [N] hold these units, `damping_ratio` = c / (2 sqrt(k m)) and `coupling` = k_c / k the
+    parameters. Build it with `Scales.from_dimensional`. In a mistuned chain the parameters here
+    are those of the mass that all others are compared with.
 
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)

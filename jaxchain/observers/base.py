@@ -24,8 +24,10 @@ from ..model.oscillators import AbstractOscillators
 
 
 class Step(eqx.Module):
-    """One accepted step as an observer sees it: from (t0, y0) to (t1, y1).
+    """One accepted step as an observer sees it: from (`t0`, `y0`) to (`t1`, `y1`).
 
+    `y0` and `y1` are pairs (x, v) of shape (n,); `field` is what is integrated, a `Chain` or other
+    `AbstractOscillators`.
     `displacement(theta)` and `velocity(theta)` interpolate at theta in [0, 1], one number or one
     per mass.
 

@@ -20,7 +20,7 @@ from .wording import as_written, explain, listed
 
 @dataclass(frozen=True)
 class LoadedScene:
-    """A scene or a study with the name under which its results are stored.
+    """A scene or a study with the `name` under which its results are stored.
 
     `scene` is a `Scene`, or the `StudyTable` of its study.
 

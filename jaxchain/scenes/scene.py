@@ -352,7 +352,7 @@ class Experiment(SweepTable):
 
 
 class Scene(Table):
-    """A scene file: a title and the experiments, each a table `[experiment.NAME]`.
+    """A scene file: `title`, `description` and the experiments, each a table `[experiment.NAME]`.
 
     `Scene.model_validate` checks tables that were not read from a file; its errors are those of
     pydantic, and `load_scene` says them in the words of the file.
