@@ -69,15 +69,17 @@ def load_observer(given: str, scene: str) -> type[AbstractObserver]:
         >>> from pathlib import Path
         >>> from jaxchain.scenes import load_observer
         >>> code = '''
-        ... from jaxchain.observers import Amplitude
-        ... class Calm(Amplitude):
-        ...     pass
+        ... from jaxchain.observers import MostSticking, Variable
+        ... class Stuck(MostSticking):
+        ...     def label(self, value, chain):
+        ...         return {"stuck": Variable(value, long_name="most masses that stuck")}
         ... '''
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     file = Path(folder) / "watch.py"
         ...     _ = file.write_text(code)
-        ...     load_observer(f"{file}:Calm", "mine").__name__
-        'Calm'
+        ...     own = load_observer(f"{file}:Stuck", "mine")
+        >>> {own.__name__: own}.keys()  # `own_observers` of `run_scene`
+        dict_keys(['Stuck'])
     """
     return _load("--observer", given, scene, AbstractObserver, "observers", "jaxchain.observers")
 
