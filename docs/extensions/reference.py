@@ -75,7 +75,7 @@ def _told(title: str, table: dict[str, Any], others: dict[str, Any], name: str) 
     level = "##" if name == "scene" else "###"
     yield f"{level} {title.removesuffix('Table')}"
     yield ""
-    yield table.get("description", "").split("\n!!! ", 1)[0]
+    yield table.get("description", "")
     yield ""
     if "properties" in table:
         yield "| key | type | default | meaning |"
