@@ -27,7 +27,7 @@ extensions = [
     "reference",
 ]
 
-exclude_patterns = ["_build", "extensions", "inventories"]
+exclude_patterns = ["_build", "extensions", "inventories", "jupyter_execute"]
 nitpicky = True
 
 # Notebooks are shown as they were executed last; `.ci/run` executes them.

@@ -85,7 +85,8 @@ def commands(text):
 
 
 @pytest.mark.parametrize("name", [name for name, text in TEXTS.items() if any(commands(text))])
-def test_the_commands_of_a_page_are_known(name):
+def test_the_commands_of_a_page_are_known(name, monkeypatch):
+    monkeypatch.setattr("jaxchain._commands.scenes._need_dask", lambda: None)
     for words in commands(TEXTS[name]):
         try:
             _parser().parse_args(words)

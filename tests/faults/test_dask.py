@@ -11,11 +11,12 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
-import psutil
 import pytest
 import xarray as xr
 
 from jaxchain.sweeps.store import units_of
+
+psutil = pytest.importorskip("psutil")  # comes with Dask
 
 pytestmark = pytest.mark.faults
 
