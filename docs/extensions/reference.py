@@ -32,7 +32,8 @@ class Room(SphinxDirective):
         about = [about, "", "| name | what it is |", "|---|---|"]
         for name in names:
             first = (inspect.getdoc(getattr(module, name)) or "").split("\n", 1)[0]
-            about.append(f"| `{_home(name)}.{name}` | {first.replace('|', chr(92) + '|')} |")
+            link = f"{{py:obj}}`~{_home(name)}.{name}`"
+            about.append(f"| {link} | {first.replace('|', chr(92) + '|')} |")
         text = [f".. py:module:: {module.__name__}", "", ".. markdown::", ""]
         table = "\n".join(about if names else about[:1])
         text += [f"   {line}" for line in table.splitlines()]
