@@ -26,6 +26,7 @@ from .style import (
     PAGE_WIDTH,
     RED,
     STYLE,
+    add_colour_bar,
     add_legend,
     looks,
     on_axes,
@@ -284,8 +285,7 @@ def _explain(panels: list[Axes], data: xr.Dataset, hue: str | None, scales: Scal
         factor, title = axis(hue, data[hue].attrs, scales)
         _, shade = looks(factor * data[hue].values if factor != 1.0 else data[hue].values)
     if shade is not None:
-        bar = panels[0].figure.colorbar(shade, ax=panels, pad=0.02, aspect=30, label=title)
-        bar.outline.set_linewidth(0.6)  # pyright: ignore[reportCallIssue]
+        bar = add_colour_bar(panels, shade, title)
         if data[hue].dtype.kind in "iu":
             bar.locator = MaxNLocator(integer=True)
     by_legend = hue is not None and shade is None

@@ -13,7 +13,7 @@ from ..model.parameters import SPEED
 from ..model.units import Scales
 from .films import checked_states, checked_times, picked_masses, sticking
 from .labels import axis, check_scales
-from .style import GREY, add_legend, looks, on_axes
+from .style import GREY, add_colour_bar, add_legend, looks, on_axes
 
 _UNITS = {"displacement": "x0", "velocity": SPEED}
 # A stretch in which a mass sticks, drawn over its line.
@@ -153,8 +153,7 @@ def _draw(
     if stuck is not None and stuck[:, picked].any():
         axes.plot([], [], color=GREY, **_STUCK, label="sticks")
     if shade is not None and color is None:
-        bar = axes.figure.colorbar(shade, ax=axes, pad=0.02, aspect=30, label="oscillator $n$")
-        bar.outline.set_linewidth(0.6)  # pyright: ignore[reportCallIssue]
+        add_colour_bar([axes], shade, "oscillator $n$")
 
 
 def _name_axes(axes: Axes, across: str, up: str, beside: bool) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -107,6 +107,14 @@ def as_axes(ax: Any) -> Axes:
     """The axes, or `ValueError`."""
     check_kind("ax", ax, Axes, "None or matplotlib axes", "`plt.subplots()[1]` makes them.")
     return ax
+
+
+def add_colour_bar(panels: Sequence[Axes], shade: Any, label: str | None) -> Any:
+    """What the shades of many series mean, beside all of these axes; returns matplotlib's bar."""
+    figure: Any = panels[0].figure
+    bar = figure.colorbar(shade, ax=panels, pad=0.02, aspect=30, label=label)
+    bar.outline.set_linewidth(0.6)
+    return bar
 
 
 def add_legend(panels: Axes | list[Axes], title: str | None = None, beside: bool = False) -> None:
