@@ -37,8 +37,9 @@ ADVICE = {
     ),
     "interrupted": "The ensemble was interrupted before this lane ended. Run it again.",
     "bad_span": (
-        "The end of the run, or of its transient, is NaN, infinite, or lies before its start. "
-        "Give finite times in their order: dry friction cannot be integrated backward in time."
+        "The end of the run, or of its transient, is NaN, infinite, or lies before its start, or "
+        "an observer's window is longer than the run. Give finite times in their order, as dry "
+        "friction cannot be integrated backward in time, and a window that fits."
     ),
     "pending": (
         "This lane has not run yet: the sweep that its store is for is under way, or was cut off. "

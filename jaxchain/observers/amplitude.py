@@ -13,7 +13,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 from .._checks import check_one_of, check_positive_number, check_whole, to_float
 from .._types import ScalarLike, State
 from ..model.oscillators import AbstractOscillators
-from .base import AbstractObserver, Step, Variable
+from .base import AbstractObserver, Step, Variable, window_fits
 from .quantities import active, energy
 
 
@@ -110,6 +110,9 @@ class Amplitude(AbstractObserver):
         if self.stop == "steady":
             history = _History(jnp.full_like(x, jnp.nan), jnp.zeros((), int))
         return _AmplitudeState(seen, seen, start, rest, history)
+
+    def fits(self, t0: ScalarLike, t1: ScalarLike) -> Any:
+        return window_fits(self.window, t0, t1)
 
     def update(self, accumulator: _AmplitudeState, step: Step) -> _AmplitudeState:
         acc, end = accumulator, step.y1[0]

@@ -154,6 +154,11 @@ class Variable(eqx.Module):
         return summary(name, {**parameters({"values": self.values}), **rows})
 
 
+def window_fits(window: float | None, t0: ScalarLike, t1: ScalarLike) -> Any:
+    """Whether a run over [t0, t1] is as long as `window`, but for rounding; None always fits."""
+    return True if window is None else t1 - t0 >= window - 1e-12 * (abs(t0) + abs(t1) + window)
+
+
 def states_at_times(name: str, value: tuple[Array, ...], *dims: str) -> dict[str, Variable]:
     """(times, x, v) as `<name>_time`, `<name>_displacement` and `<name>_velocity`."""
     times, x, v = value
@@ -206,6 +211,11 @@ class AbstractObserver(eqx.Module):
     @abc.abstractmethod
     def update(self, accumulator: Any, step: Step) -> Any:
         """The accumulator after one more accepted step."""
+
+    def fits(self, t0: ScalarLike, t1: ScalarLike) -> Any:
+        """Whether a run over [t0, t1] holds what it observes: all of its window, say."""
+        del t0, t1
+        return True
 
     def settled(self, accumulator: Any) -> Bool[Array, ""] | None:
         """Whether the value is final; None if it never is before the end."""

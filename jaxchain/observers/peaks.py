@@ -57,6 +57,10 @@ class PeakTimes(AbstractNotingObserver):
         x, _ = y0
         return jnp.full((self.capacity, *x.shape), _NONE), jnp.zeros(x.shape, int)
 
+    def fits(self, t0: ScalarLike, t1: ScalarLike) -> Any:
+        del t0
+        return self.start <= t1
+
     def update(self, accumulator: tuple[Array, Array], step: Step) -> tuple[Array, Array]:
         return self._kept(accumulator, self.note(step))
 

@@ -106,6 +106,10 @@ class Samples(AbstractObserver):
         x, v = (none.at[0].set(jnp.where(first <= t0, part[masses], jnp.nan)) for part in y0)
         return _Samples(first, jnp.where(first <= t0, 1, 0), x, v)
 
+    def fits(self, t0: ScalarLike, t1: ScalarLike) -> Any:
+        del t0
+        return self.start <= t1
+
     def update(self, accumulator: _Samples, step: Step) -> _Samples:
         masses = self._masses(step.y0[0].shape[0])
         length = jnp.maximum(step.t1 - step.t0, 1e-300)

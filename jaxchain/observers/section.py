@@ -63,6 +63,10 @@ class Section(AbstractObserver):
         empty = jnp.full((self.capacity, n), jnp.nan)
         return empty[:, 0], empty, empty, jnp.zeros((), int)
 
+    def fits(self, t0: ScalarLike, t1: ScalarLike) -> Any:
+        del t0
+        return self.start <= t1
+
     def update(self, accumulator: tuple[Array, ...], step: Step) -> tuple[Array, ...]:
         times, xs, vs, count = accumulator
         first = self._slope(step, step.t0, step.y0)

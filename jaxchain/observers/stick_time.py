@@ -15,7 +15,7 @@ from jaxtyping import Array, Float, Int
 from .._checks import check_positive_number, to_float
 from .._types import ScalarLike, State
 from ..model.oscillators import AbstractOscillators
-from .base import AbstractObserver, Step, Variable, zeros
+from .base import AbstractObserver, Step, Variable, window_fits, zeros
 
 
 class StickTime(AbstractObserver):
@@ -54,6 +54,9 @@ class StickTime(AbstractObserver):
             raise ValueError("`StickTime` needs masses that can stick to a belt, a `Chain`.")
         window = t1 - t0 if self.window is None else self.window
         return jnp.zeros_like(y0[0]), to_float(t1 - window)
+
+    def fits(self, t0: ScalarLike, t1: ScalarLike) -> Any:
+        return window_fits(self.window, t0, t1)
 
     def update(self, accumulator: tuple[Array, Array], step: Step) -> tuple[Array, Array]:
         total, start = accumulator

@@ -168,7 +168,7 @@ def check_experiment(
     """
     numerics, time, initial = experiment.numerics, experiment.time, build_initial(experiment)
     axes = check_axes(chain, initial, experiment.grid())
-    check_observers(observe, chain, time.transient + time.window, axes)
+    check_observers(observe, chain, 0.0, time.transient + time.window, None, axes)
     if numerics.model != "nonsmooth":
         build_solver(numerics.solver, chain, numerics.rtol, numerics.max_step)
         swept: dict[str, Any] = {name: own[name] for name, own in axes.items()}

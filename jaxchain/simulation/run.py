@@ -210,9 +210,11 @@ def simulate(
             )
         if isinstance(leaf, Trajectory):
             _check_trajectory(leaf, t0, t1, segments)
+    observers = [o for o in leaves if isinstance(o, AbstractObserver)]
+    check_fit(observers, t0, t1, segments)
     plan = build_plan(
         solver,
-        [o for o in leaves if isinstance(o, AbstractObserver)],
+        observers,
         tolerance,
         0.1 * tolerance if atol is None else atol,
         max_step,
@@ -224,7 +226,7 @@ def simulate(
         max_steps, segments, adjoint,
     )  # fmt: skip
     if throw:
-        out = _raise_on_failure(out)
+        out, values = _raise_on_failure(out, values)
     observed_values = iter(values[0])
     trajectory_values = iter(values[1])
     observed = jtu.tree_unflatten(
@@ -268,8 +270,16 @@ def _run(
     segments: int | None,
     adjoint: dfx.AbstractAdjoint | None,
 ) -> tuple[Progress, tuple[list, list]]:
+    fits = jnp.all(jnp.asarray([_fits(o, t0, t1, segments) for o in plan.observers], bool))
+
+    def begin(end: Array) -> Progress:
+        progress = plan.begin(chain, initial, t0, end)
+        # Marked, where the times were traced and could not be refused.
+        result = Result.where(progress.running & ~fits, Result.bad_span, progress.result)
+        return eqx.tree_at(lambda p: p.result, progress, result)
+
     if segments is None:
-        progress = plan.begin(chain, initial, t0, t1)
+        progress = begin(t1)
         times = [o.times for o in trajectories]
         progress, saved = _advance(plan, chain, progress, t1, times, max_steps, adjoint)
         return progress, (plan.read(progress), saved)
@@ -282,9 +292,30 @@ def _run(
         return progress, plan.read(progress)
 
     edges = t0 + (t1 - t0) * jnp.arange(segments + 1) / segments
-    progress = plan.begin(chain, initial, t0, edges[1])
+    progress = begin(edges[1])
     progress, values = lax.scan(segment, progress, (edges[:-1], edges[1:]))
     return progress, (values, [])
+
+
+def _fits(observer: AbstractObserver, t0: Any, t1: Any, segments: int | None) -> Any:
+    """Whether the run, or its last segment, holds what the observer looks at."""
+    return observer.fits(t1 - (t1 - t0) / (segments or 1), t1)
+
+
+def check_fit(observers: list[AbstractObserver], t0: Any, t1: Any, segments: int | None) -> None:
+    """Raises `ValueError` if an observer's window is longer than the run, or than a segment."""
+    if is_traced(t0, t1):
+        return
+    t0, t1 = float(t0), float(t1)
+    for observer in observers:
+        fits = _fits(observer, t0, t1, segments)
+        if not is_traced(fits) and not fits:
+            part = "the run" if segments is None else f"each of {segments} segments of the run"
+            raise ValueError(
+                f"Argument `observe` holds `{observer!r}`, which does not fit into {part} from "
+                f"t = {t0:g} to {t1:g}: give a shorter `window`, a `start` before the end, or a "
+                "later `t1`."
+            )
 
 
 # What is observed is kept of each.
@@ -366,13 +397,14 @@ def _check_trajectory(trajectory: Trajectory, t0: Any, t1: Any, segments: int | 
         )
 
 
-def _raise_on_failure(progress: Progress) -> Progress:
+def _raise_on_failure(progress: Progress, values: Any) -> tuple[Progress, Any]:
     value = code(progress.result)
     if is_traced(value):
-        return progress.result.error_if(progress, ~ended_well(value))
+        # Both, because a caller may use what was observed alone.
+        return progress.result.error_if((progress, values), ~ended_well(value))
     name = NAMES[int(value)]
     if not ended_well(name):
         raise RuntimeError(
             f"The run ended at t = {float(progress.t):.6g} with `{name}`: {message(name)}"
         )
-    return progress
+    return progress, values

@@ -18,6 +18,7 @@ from ..model.chain import Chain, require_smoothed
 from ..observers.amplitude import Amplitude
 from ..observers.base import AbstractObserver, Variable
 from ..observers.trajectory import Trajectory
+from ..simulation.run import check_fit
 from .starts import chain_names, initial_names
 
 # What every sweep has, whatever is observed.
@@ -171,12 +172,14 @@ def _has_default(function: Callable, name: str) -> bool:
 
 
 def check_observers(
-    observe: Any, chain: Chain, length: float, axes: Axes
+    observe: Any, chain: Chain, t0: float, t1: float, segments: int | None, axes: Axes
 ) -> list[AbstractObserver]:
-    """The observers of runs of this `length`, whose variables have names of their own."""
+    """The observers of runs over [t0, t1], whose variables have names of their own."""
+    length = (t1 - t0) / (segments or 1)
     if observe is None:
         observe = Amplitude(window=0.1 * length if length > 0 else None)
     observers = list(observe) if isinstance(observe, list | tuple) else [observe]
+    check_fit([o for o in observers if isinstance(o, AbstractObserver)], t0, t1, segments)
     givers: dict[str, str] = dict.fromkeys(RESULTS, "every sweep")
     lengths = {"oscillator": chain.n}
     for observer in observers:

@@ -174,8 +174,7 @@ def prepare(
     if smoothed and accuracy is None:
         check_resolved(chain.n, width, speed, tolerance, atol)
     check_segments(segments)
-    length = (float(t1) - float(t0)) / (segments or 1)
-    observers = check_observers(observe, chain, length, axes)
+    observers = check_observers(observe, chain, float(t0), float(t1), segments, axes)
     check_count("max_steps", max_steps)
     absolute: Any = 0.1 * tolerance if atol is None else atol
     if solver is None:

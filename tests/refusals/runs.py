@@ -38,6 +38,14 @@ START = (jnp.full(3, 2.0), jnp.zeros(3))
 TOLERANCE = (*optional(POSITIVE), 2.0, 1e-300)
 SOLVERS = (*SOLVER, Rodas4, EventDriven, dfx.Tsit5, dfx.Euler(), math.nan)
 OBSERVERS = ("Amplitude", Amplitude, 3, math.nan, Told([Amplitude], "class `Amplitude`"))
+# Of runs to t = 1: they would look at the transient, or at nothing.
+TOO_LONG = (
+    Told(Amplitude(window=2.0), r"Amplitude\(window=2.0\).* to 1\b"),
+    Told([Amplitude(), observers.StickTime(window=2.0)], r"StickTime\(window=2.0"),
+    Told(observers.PeakTimes(start=2.0), "start=2.0"),
+    Told(observers.Section(0, start=2.0), "start=2.0"),
+    Told(observers.Samples(0.1, 4, start=2.0), "start=2.0"),
+)
 # Of an array of numbers, one for each mass.
 ARRAY = (None, "x", {}, object, 3.0, [], [1j])
 RUN = {
@@ -63,7 +71,7 @@ def rows() -> Iterator[Row]:
     yield Row(
         "simulate", simulate, run,
         {
-            **RUN, "initial": states(3), "observe": OBSERVERS, "throw": FLAG,
+            **RUN, "initial": states(3), "observe": (*OBSERVERS, *TOO_LONG), "throw": FLAG,
             "adjoint": ("x", 3, dfx.ForwardMode, dfx.BacksolveAdjoint(), dfx.DirectAdjoint()),
         },
     )  # fmt: skip
@@ -179,7 +187,7 @@ def _sweep() -> Iterator[Row]:
                 {"belt_speed": [math.nan]},
             ),
             "vary": (*FUNCTION[1:], Told(lambda chain: 3, "returns 3")),
-            "observe": (*OBSERVERS, Told(Trajectory(jnp.ones(1)), "a `Trajectory`")),
+            "observe": (*OBSERVERS, *TOO_LONG, Told(Trajectory(jnp.ones(1)), "a `Trajectory`")),
             "lanes": optional(COUNT), "progress": FLAG, "description": (3, None),
             "devices": ("cpu", [], ["cpu"], 3, jax.devices()[0]),
         },

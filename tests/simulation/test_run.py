@@ -1,5 +1,7 @@
 """simulate: exactness, segments, derivatives, compilation and input."""
 
+from functools import partial
+
 import diffrax as dfx
 import equinox as eqx
 import jax
@@ -12,6 +14,7 @@ from jaxchain import (
     Chain,
     Coulomb,
     EventDriven,
+    PeakTimes,
     Rodas4,
     TanhFriction,
     Trajectory,
@@ -224,6 +227,35 @@ def test_a_traced_end_that_is_no_time_after_the_start_is_a_failure(solver):
     assert steps[:6].tolist() == 6 * [0]
     np.testing.assert_array_equal(times, [*t0[:6].tolist(), 3.0])
     assert "finite times in their order" in message("bad_span")
+
+
+@pytest.mark.parametrize("solver", [None, EventDriven()], ids=["smoothed", "nonsmooth"])
+def test_a_window_longer_than_the_run_is_no_success(solver):
+    chain = paper_chain(1)
+    whole = partial(
+        simulate, chain, equation_8(chain, 1), solver=solver,
+        observe=[Amplitude(window=5.0), PeakTimes(start=1.0)],
+    )  # fmt: skip
+    ends = jnp.array([0.5, 3.0, 5.0, 7.0])
+    run = jax.jit(jax.vmap(partial(whole, throw=False)))(ends)
+    names = [NAMES[i] for i in code(run.result)]
+    assert names == ["bad_span", "bad_span", "successful", "successful"]
+    with pytest.raises(ValueError, match=r"window=5.0\)`, which .* 3 segments .* to 14:"):
+        whole(14.0, segments=3)
+    assert whole(15.0, segments=3).outcome == "successful"  # 10.000000000000002 to 15
+    assert whole(100.3 + 5.0, t0=100.3).outcome == "successful"  # 4.9999999999999999 long
+
+
+def test_what_is_observed_of_a_run_that_fails_is_not_handed_out_where_it_is_compiled():
+    chain = paper_chain(1)
+
+    @eqx.filter_jit
+    def amplitude(t1):
+        return simulate(chain, equation_8(chain, 1), t1, observe=Amplitude(window=5.0)).observed
+
+    assert amplitude(jnp.asarray(7.0)) > 0
+    with pytest.raises(RuntimeError, match="a window that fits"):
+        amplitude(jnp.asarray(3.0))
 
 
 def test_every_part_of_a_run_to_no_time_fails():
