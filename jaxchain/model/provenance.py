@@ -5,12 +5,13 @@ Every dataset carries them: those of sweeps and those of branches.
 
 from __future__ import annotations
 
+import dataclasses
 import datetime
 import functools
 import importlib.metadata
 import json
 import platform
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax
@@ -18,6 +19,7 @@ import numpy as np
 
 from .. import __version__
 from .chain import Chain
+from .friction import AbstractFrictionLaw, TanhFriction
 from .oscillators import AbstractOscillators
 from .parameters import CHAIN
 from .tabulated import TabulatedFriction
@@ -55,6 +57,28 @@ def parameters_of(field: AbstractOscillators, n: int, swept: Sequence[str]) -> s
         found = {"n": n, "oscillators": type(field).__name__, **field.numbers()}
     plain = {k: np.asarray(v).tolist() if hasattr(v, "shape") else v for k, v in found.items()}
     return json.dumps(plain | {name: "swept" for name in swept if name in found})
+
+
+def chain_of(parameters: Mapping[str, Any]) -> Chain | None:
+    """The chain with the numbers of `parameters_of`; None for a law of another package."""
+    shipped = [law for law in AbstractFrictionLaw.__subclasses__() if _is_shipped(law)]
+    own = {law.__name__: law for law in shipped}.get(parameters.get("friction_law", ""))
+    if own is None:
+        return None
+    names = [field.name for field in dataclasses.fields(own) if field.init]
+    table = parameters.get("friction_table")
+    if table is None and any(name not in parameters for name in names):  # another of this name
+        return None
+    law = own(*[parameters[name] for name in names] if table is None else table)
+    width = parameters["width"]
+    return Chain(
+        parameters["n"], law if width is None else TanhFriction(law, width),
+        ends=parameters["ends"], **{name: parameters[name] for name in CHAIN},
+    )  # fmt: skip
+
+
+def _is_shipped(law: type) -> bool:
+    return law.__module__.startswith(f"{__package__}.")
 
 
 def circumstances() -> dict[str, Any]:

@@ -7,12 +7,17 @@ also has the Hopf speed.
 from __future__ import annotations
 
 import json
+from functools import partial
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
+from ..model.chain import Chain
+from ..model.provenance import chain_of
+from ..model.sliding import growth_rate
 from ..observers import quantities
 from ..observers.quantities import LEAST_ACTIVE
 from ..result import ended_well
@@ -42,6 +47,35 @@ def hopf_belt_speed(data: xr.Dataset) -> float | None:
         return None
     values = np.unique(data["hopf_belt_speed"].values)
     return float(values[0]) if values.size == 1 and np.isfinite(values[0]) else None
+
+
+def stable_sliding(data: xr.Dataset, hopf: float | None = None) -> np.ndarray | None:
+    """Whether steady sliding is stable with the numbers of each run; None if they do not tell.
+
+    **Arguments:** `hopf`, the belt speed above which it is, in place of what the numbers tell.
+    """
+    runs, own = data["result"], parameters(data)
+
+    def of_each(name: str) -> np.ndarray:
+        value = data[name] if own[name] == "swept" else xr.DataArray(own[name])
+        values = value.broadcast_like(runs).transpose(*runs.dims, ...).values
+        return values.reshape(runs.size, *values.shape[runs.ndim :])
+
+    numbers = {name: of_each(name) for name in own if own[name] == "swept" or name == "belt_speed"}
+    chain = chain_of(own | {name: values[0] for name, values in numbers.items()})
+    if hopf is not None or chain is None or "vary" in data.attrs:
+        hopf = hopf_belt_speed(data) if hopf is None else hopf
+        stable = None if hopf is None else np.abs(numbers["belt_speed"]) > hopf
+    else:
+        with jax.enable_x64(True):
+            rates = jax.lax.map(partial(_growth_rate, chain), numbers, batch_size=256)
+        stable = np.asarray(rates) < 0
+    return None if stable is None else stable.reshape(runs.shape)
+
+
+def _growth_rate(chain: Chain, numbers: dict[str, Any]) -> Any:
+    chain = chain.with_(**numbers)
+    return growth_rate(chain, chain.belt_speed)
 
 
 def failed(data: xr.Dataset) -> xr.DataArray:

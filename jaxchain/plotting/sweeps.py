@@ -21,6 +21,7 @@ from .diagram import (
     intervals,
     masses,
     moving_fronts,
+    stable_sliding,
     swept,
 )
 from .groups import Panel, panels
@@ -141,8 +142,6 @@ def draw(axes: Axes, panel: Panel[xr.Dataset], hopf: float | None = None) -> Non
         hopf = hopf_belt_speed(data) if hopf is None else hopf
         _draw_fronts(axes, data)
         _draw_hopf(axes, data, hopf)
-    else:
-        hopf = None
     x = data[across].broadcast_like(data["result"]).transpose(*names).values
     y, label = _heights(data)
     bad = failed(data).values
@@ -207,9 +206,10 @@ def _draw_runs(
     found = at_rest(data)
     still = np.zeros_like(good) if found is None else found.values
     moving = (count == 0) & ~still[good]
-    unstable = (count == 0) & ~moving & (x < (-np.inf if hopf is None else hopf))
-    resting = (count == 0) & ~moving & ~unstable
-    vibrating = count > 0
+    still, vibrating = (count == 0) & ~moving, count > 0
+    stable = stable_sliding(data, hopf) if still.any() else None
+    resting = still & (False if stable is None else stable[good])
+    unstable = still & ~resting
     if masses(data) == 1:
         axes.plot(x[vibrating], y[vibrating], "o", color=BLUE, markersize=3.2, label="vibrating")
     else:
@@ -219,7 +219,8 @@ def _draw_runs(
     if unstable.any():
         axes.plot(
             x[unstable], y[unstable], "s", color=ORANGE, markersize=2.8, markerfacecolor="white",
-            markeredgewidth=0.8, label="at rest, unstable",
+            markeredgewidth=0.8,
+            label=f"at rest, {'stability unknown' if stable is None else 'unstable'}",
         )  # fmt: skip
     if moving.any():
         word = NOT_VIBRATING if found is not None else NONE_VIBRATES

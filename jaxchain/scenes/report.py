@@ -16,6 +16,7 @@ from ..plotting.diagram import (
     hopf_belt_speed,
     moving_fronts,
     parameters,
+    stable_sliding,
     swept,
 )
 from ..result import NAMES, message
@@ -124,8 +125,8 @@ def _states(data: xr.Dataset) -> Iterable[tuple[str, str]]:
         yield "vibrating", f"at belt speeds {_listed(speeds, vibrating)}"
         none, still = good & (data["active_count"] == 0), at_rest(data)
         if still is not None:
-            resting = (none & still).any(other).values
-            resting &= speeds > (-np.inf if hopf is None else hopf)
+            stable = stable_sliding(data, hopf)
+            resting = (none & still & (True if stable is None else stable)).any(other).values
             yield "at rest", f"at belt speeds {_listed(speeds, resting)}"
             none = none & ~still
         weak = none.any(other).values

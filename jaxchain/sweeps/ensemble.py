@@ -105,6 +105,8 @@ class Ensemble:
         attrs = describe(
             self.starts.chain, task.plan, t0=float(task.t0), t1=float(task.t1), swept=swept
         )
+        if self.starts.vary is not None:
+            attrs["vary"] = shown(getattr(self.starts.vary, "__wrapped__", self.starts.vary))
         return attrs if self.accuracy is None else attrs | {"accuracy": self.accuracy}
 
     def dataset(self, block: Block, attrs: Mapping[str, Any]) -> Dataset:

@@ -73,6 +73,32 @@ def test_rest_below_the_hopf_speed_is_drawn_hollow():
     assert to_hex(unstable.get_markerfacecolor()) == "#ffffff"
 
 
+def test_rest_is_drawn_as_stable_only_where_the_numbers_of_the_run_say_so():
+    bare = ladder().drop_vars("hopf_belt_speed")  # as `sweep` returns it
+    (unstable,) = lines(panels(figure({"ladder": bare}))[0], "at rest, unstable")
+    assert across(unstable) == [1.0, 1.1]
+    assert "at rest       at belt speeds 1.2 to 1.9\n" in summary("ladder", bare)
+    damped = results(
+        {"damping_ratio": [0.05, 0.1], "belt_speed": [0.5, 1.0, 1.3]},
+        np.zeros((2, 3)),
+        2,
+        damping_ratio="swept",
+    ).drop_vars("hopf_belt_speed")  # v_H is ln(10) / 2, and ln(5) / 2
+    axes = panels(figure({"damped": damped}))[0]
+    assert across(*lines(axes, "at rest, unstable")) == [0.5, 1.0, 0.5]
+    assert across(*lines(axes, "at rest")) == [1.3, 1.0, 1.3]
+
+
+@pytest.mark.parametrize("attrs", [{"vary": "the function `mistune`"}, {"law": "Rational"}])
+def test_rest_of_a_chain_that_is_not_known_is_not_drawn_as_stable(attrs):
+    law = attrs.pop("law", "ExponentialDecay")
+    data = results({"belt_speed": [1.0, 1.3]}, np.zeros(2), 2, friction_law=law)
+    data = data.drop_vars("hopf_belt_speed").assign_attrs(attrs)
+    axes = panels(figure({"two": data}))[0]
+    assert legend(axes) == ["at rest, stability unknown"]
+    assert to_hex(lines(axes, legend(axes)[0])[0].get_markerfacecolor()) == "#ffffff"
+
+
 def shaken():
     """One mass that has not come to rest at 1.3 ... 1.9, for its two smaller starts."""
     data = single()
