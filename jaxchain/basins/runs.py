@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
 # At how many times the time it is looked whether a state has changed later.
-_LATER = 4
+LATER = 4
 
 
 class _From(eqx.Module):
@@ -162,7 +162,7 @@ def check_again(
     places, before, starts, shares = (np.array(column) for column in zip(*picks, strict=True))
     after, later = (
         np.where(batch.failed, before, tally.number(batch)).ravel()
-        for batch in (runs.again(places, points[starts], times) for times in (1, _LATER))
+        for batch in (runs.again(places, points[starts], times) for times in (1, LATER))
     )
     lost, gained, leaving = (np.zeros((len(state), tally.states + 2)) for _ in range(3))
     wrong, gone = after != before, later != after

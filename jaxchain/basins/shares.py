@@ -35,7 +35,7 @@ from ..sweeps.sweeping import SweepInterrupted
 from .classifiers import AbstractClassifier, VibratingMasses
 from .dataset import to_dataset
 from .regions import Points, check_region
-from .runs import Checked, Runs, check_again, not_checked
+from .runs import LATER, Checked, Runs, check_again, not_checked
 from .tally import Tally, of_replicates
 
 if TYPE_CHECKING:
@@ -111,7 +111,8 @@ def basin_shares(
     - `replicate_share` (..., replicate, state), of which `share_differences` makes differences.
 
     Attributes: `starts` at each parameter, `longest_half_width` of the bars before the checks,
-    `checked`, seed, tolerances, versions.
+    `checked`, seed, tolerances, versions; `warning`, also given as one, where more starts change
+    later than the bars tell.
 
     **Raises:** `ValueError` for bad input before anything is compiled; `SweepInterrupted` on
     Ctrl-C, with the shares of the rounds that were finished.
@@ -182,12 +183,23 @@ def basin_shares(
     def result(seen: Checked, judge: bool) -> Dataset:
         at = np.concatenate(drawn, axis=1).reshape(-1, drawn[0].shape[-1])
         bars = tally.bars(even=points == "sobol")
-        found = to_dataset(runs, tally, bars.widened(seen.lost, seen.gained), seen, at, judge)
+        bars_kept = bars.widened(seen.lost, seen.gained)
+        found = to_dataset(runs, tally, bars_kept, seen, at, judge)
         found.attrs |= {
             "starts": len(at), "replicates": replicates, "points": points, "seed": seed,
             "longest_half_width": bars.longest, "checked": seen.runs, "region": repr(region),
             "wall_time_s": round(time.perf_counter() - began, 3),
         }  # fmt: skip
+        reach = np.max(bars_kept.high - bars_kept.low, axis=1) / 2
+        changed = seen.leaving.sum(1)  # NaN where nothing was checked
+        if np.any(late := changed > reach):
+            worst = int(np.argmax(np.where(late, changed - reach, -np.inf)))
+            found.attrs["warning"] = (
+                f"{changed[worst]:.0%} of the starts are in another state at {LATER} t1, "
+                f"more than the bars of {reach[worst]:.1%}: these are the shares at t1 = "
+                f"{t1:g}, not the final ones. Raise `t1`, or say the time with the share."
+            )
+            warnings.warn(found.attrs["warning"], stacklevel=3)
         return found
 
     try:

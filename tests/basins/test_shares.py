@@ -233,6 +233,23 @@ class Hasty(AbstractClassifier):
         return "forward" if code[0] else "back"
 
 
+class Clock(Hasty):
+    """In another state after some time, whatever moves."""
+
+    def update(self, accumulator, step):
+        return jnp.where(step.t1 > 3.0, -1.0, jnp.ones_like(accumulator))
+
+    def patient(self):
+        return Clock(waits=True)
+
+
+def test_shares_that_change_by_more_than_their_bars_say_so():
+    with pytest.warns(UserWarning, match="^100% of .* at 4 t1, more .* at t1 = 1,"):
+        found = basin_shares(ONE, Box(), classify=Clock(), t1=1.0, half_width=0.2, checked=8)
+    assert found.changed_later == 1.0
+    assert "of the starts are in another state" in repr(found)
+
+
 def test_what_was_decided_too_early_is_a_part_of_the_bar():
     # A quarter of a period turns most velocities round.
     box = Box(displacement=(0.6, 2.0), velocity=(0.1, 1.0))

@@ -78,5 +78,5 @@ def _of_ring(name: str, data: xr.Dataset) -> str:
     return (
         f"how many masses vibrate at time {about['t1']:g}, of {about['starts']} starts at each "
         f"{name.replace('_', ' ')}, bars of {about['longest_half_width']:.3f} at most, "
-        f"{about['wall_time_s']:.0f} s:\n{table(columns)}"
-    )
+        f"{about['wall_time_s']:.0f} s:\n{table(columns)}\n{about.get('warning', '')}"
+    ).rstrip()
