@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 ENDINGS = {
     "max_points": "The branch has as many points as asked. Allow more (`max_points`).",
-    "stopped": "`stop` asked for the end.",
+    "stopped": "`stop` was true at the last point.",
     "left_bounds": "The parameter reached `bounds`; the last point lies on them.",
     "closed": "The branch came back to its first point.",
     "no_start": (
@@ -172,7 +172,7 @@ class Branch:
     @property
     def message(self) -> str:
         """Why the branch ended, with a remedy."""
-        return ENDINGS[self.ended] + (f" ({self.reason})" if self.reason else "")
+        return f"The branch ends here: {self.reason}." if self.reason else ENDINGS[self.ended]
 
     def of_kind(self, kind: str) -> tuple[SpecialPoint, ...]:
         """The special points of one kind: "fold", "branch point", or the name of a test."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Any, get_args
 
 import equinox as eqx
@@ -10,7 +11,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float
 
-from .._checks import check_kind, check_one_of, check_whole, shown, to_float
+from .._checks import check_kind, check_one_of, check_whole, is_traced, shown, to_float
 from .._reprs import call
 from .._types import PerMass, ScalarLike, State
 from .friction import (
@@ -26,6 +27,9 @@ from .parameters import CHAIN, parameter
 from .springs import Ends, Springs
 from .tridiagonal import exact_solver
 
+# Numbers beyond these are likely in SI units, and these.
+_PLAUSIBLE = {"damping_ratio": (10.0, "N s/m"), "stiffness": (100.0, "N/m"),
+              "normal_load": (100.0, "N")}  # fmt: skip
 MAKE_CHAIN = "make one with `paper_chain()` or `Chain(...)`."
 
 
@@ -57,7 +61,8 @@ class Chain(AbstractOscillators):
     Every number is a leaf: `jit`, `vmap`, `grad` and `jvp` go through a chain, and
     `chain.with_(belt_speed=...)` makes a changed copy.
 
-    **Raises:** `ValueError` for a wrong shape or a non-finite or impossible value.
+    **Raises:** `ValueError` for a wrong shape or a non-finite or impossible value.  It warns of a
+    damping ratio above 10 and of a relative stiffness or load above 100, likely SI units.
 
     !!! example
 
@@ -247,6 +252,14 @@ def _number(name: str, value: Any) -> Array:
     """As floats that the parameter of this name can have."""
     found = to_float(value, name, parameter(name).remedy)
     check_numbers({name: found})
+    most, unit = _PLAUSIBLE.get(name, (np.inf, ""))
+    if not is_traced(found) and np.any(np.asarray(found) > most):
+        warnings.warn(
+            f"Argument `{name}` is {np.max(found):g}, more than a dimensionless one is likely to "
+            f"be: {parameter(name).usual:g} is usual. If it is in SI units ({unit}), take those "
+            "of `Scales.from_dimensional`.",
+            stacklevel=4,
+        )
     return found
 
 

@@ -219,7 +219,7 @@ class Scheduler:
                         self._go_on(idle)
                 self.finished += count
                 if not bar.disable:
-                    bar.n = round(self.finished + self._fraction_under_way(), 1)
+                    bar.n = self.finished
                     bar.refresh()
         except KeyboardInterrupt:
             for pool in self.pools:
@@ -333,11 +333,6 @@ class Scheduler:
             pool.shrink(small)
         return np.full(pool.width, AS_IT_IS)
 
-    def _fraction_under_way(self) -> float:
-        t0, t1 = float(self.task.t0), float(self.task.t1)
-        gone = [(pool.t[pool.busy] - t0) / max(t1 - t0, 1e-300) for pool in self.pools]
-        return float(np.sum(np.concatenate(gone)))
-
 
 def lane_bar(total: int, show: bool, description: str) -> tqdm:
     """A progress bar over so many lanes."""
@@ -346,8 +341,7 @@ def lane_bar(total: int, show: bool, description: str) -> tqdm:
         desc=description,
         unit="lane",
         show=show,
-        bar_format="{desc}: {percentage:3.0f}%|{bar}| {n:.1f}/{total} lanes "
-        "[{elapsed}<{remaining}]",
+        bar_format="{desc}: {percentage:3.0f}%|{bar}| {n}/{total} lanes [{elapsed}<{remaining}]",
     )
 
 

@@ -38,7 +38,8 @@ if TYPE_CHECKING:
 class SweepInterrupted(KeyboardInterrupt):
     """Ctrl-C during a sweep; `dataset` holds every lane that had ended.
 
-    Those that had not are NaN, and "pending" in `result`.
+    Those that had not are NaN, and "pending" in `result`.  With a `store` the same call goes on
+    from there.
 
     !!! example
 
@@ -56,8 +57,11 @@ class SweepInterrupted(KeyboardInterrupt):
         ('belt_speed', 'excited', 'oscillator')
     """
 
-    def __init__(self, dataset: Dataset):
-        super().__init__("The sweep was interrupted; `.dataset` holds the lanes that had ended.")
+    def __init__(self, dataset: Dataset, store: Path | None = None):
+        kept = "`.dataset` holds the lanes that had ended."
+        if store is not None:
+            kept = f"what had ended is kept in {store}: the same call goes on from there."
+        super().__init__(f"The sweep was interrupted; {kept}")
         self.dataset = dataset
 
 
@@ -180,7 +184,7 @@ def sweep(
                 description=description,
             )  # fmt: skip
         except KeyboardInterrupt:
-            raise SweepInterrupted(kept.dataset()) from None
+            raise SweepInterrupted(kept.dataset(), kept.path) from None
         _warn_of_failures(kept.finish())
         return kept.dataset()
     for name, given in (("chunks", chunks), ("client", client)):

@@ -21,7 +21,6 @@ from systems.normal_forms import (
 )
 
 from jaxchain.continuation.arclength import continue_branch, switch_branch
-from jaxchain.continuation.branch import ENDINGS
 from jaxchain.continuation.fold_points import fold_point
 
 
@@ -343,7 +342,7 @@ def test_what_ends_a_branch_is_named_and_nothing_is_lost():
     stopped = continue_branch(hysteresis, [-1.2], 0.528, stop=enough)
     assert (stopped.ended, stopped.reason) == ("stopped", "far enough")
     assert stopped.p[-2] <= 0.7 < stopped.p[-1]
-    assert stopped.message == ENDINGS["stopped"] + " (far enough)"
+    assert stopped.message == "The branch ends here: far enough."  # no `stop` may have been given
 
     nowhere = continue_branch(lambda u, p, args: u**2 + p**2 + 1.0, [1.0], 0.0)
     assert (nowhere.ended, nowhere.u.shape, nowhere.special) == ("no_start", (0, 1), ())

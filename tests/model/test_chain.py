@@ -1,5 +1,7 @@
 """The chain's equations against the paper's, written out mass by mass."""
 
+from functools import partial
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -152,6 +154,16 @@ def test_with_changes_numbers_of_chain_and_friction():
 def test_bad_input_is_named(changes, message):
     with pytest.raises(ValueError, match=message):
         paper_chain(20).with_(**changes)
+
+
+def test_a_number_of_the_size_of_si_units_is_warned_of():
+    make = partial(Chain, 2, LAW, 1.5)
+    with pytest.warns(UserWarning, match=r"`stiffness` is 200, .* \(N/m\), take .*`Scales\.from"):
+        make(stiffness=jnp.array([1.0, 200.0]))
+    for name, value in {"damping_ratio": 12.0, "normal_load": 150.0, "stiffness": 1e5}.items():
+        with pytest.warns(UserWarning, match=f"`{name}` is {value:g}, .* SI units"):
+            make().with_(**{name: value})
+    make(stiffness=100.0, damping_ratio=-1e3, normal_load=100.0)  # warns of nothing
 
 
 def test_a_law_alone_is_dry_friction():

@@ -9,6 +9,7 @@ from jaxchain.scenes.running import run_scene
 from jaxchain.scenes.scene import Scene
 
 SEED, FEW, COUNT = 14, 300, 1000
+pytestmark = pytest.mark.filterwarnings("ignore:.*If it is in SI units")
 
 
 def judged(folder, seed, count, first=0):

@@ -105,7 +105,7 @@ def test_what_is_not_done_is_pending_and_nan(memory, path, monkeypatch, usual_si
             time.sleep(0.2)
 
     monkeypatch.setattr(Store, "write", interrupt)
-    with pytest.raises(SweepInterrupted) as caught:
+    with pytest.raises(SweepInterrupted, match=r"kept in .*: the same call goes on") as caught:
         small(path, chunks={"belt_speed": 1, "excited": 1})
     seen = caught.value.dataset
     assert_same(xr.open_zarr(path), seen)

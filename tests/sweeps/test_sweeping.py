@@ -1,5 +1,7 @@
 """Sweeps: the same numbers as single runs, whoever runs beside them; labels, failures, input."""
 
+import io
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -7,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
+from tqdm import tqdm
 
 from jaxchain import (
     Amplitude,
@@ -26,6 +29,11 @@ from jaxchain.result import NAMES
 from jaxchain.sweeps import SweepInterrupted
 
 CHAIN = paper_chain(4, belt_speed=1.4)
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
 
 
 class Last(AbstractObserver):
@@ -340,6 +348,17 @@ def test_an_interrupted_sweep_hands_over_what_had_ended(monkeypatch):
     unknown = [state == "interrupted" for state in states]
     for name in ("active_count", "steps", "rejected", "end_time"):
         assert np.isnan(result[name].values).tolist() == unknown
+
+
+def test_the_progress_bar_counts_lanes_that_have_ended(monkeypatch):
+    counts = []
+    monkeypatch.setattr(tqdm, "refresh", lambda bar, *_, **__: counts.append(bar.n))
+    monkeypatch.setattr("sys.stderr", terminal := Terminal())
+    over = {"excited": [0, 1, 2, 3, 4]}
+    sweep(CHAIN, equation_8, 60.0, over=over, lanes=2, devices=jax.devices()[:1], progress=True)
+    assert len(counts) > 3
+    assert set(counts) <= set(range(6))
+    assert "5/5 lanes" in terminal.getvalue()
 
 
 def test_an_observer_of_ones_own_is_labelled():

@@ -63,10 +63,12 @@ def end(*arguments: Any, **options: Any) -> np.ndarray:
 def chain_of(mass: Oscillator, n: int = 1, **more: Any) -> Chain:
     """n masses of one kind."""
     law = ExponentialDecay(mass.mu_static, mass.mu_dynamic, mass.v_ref)
-    return Chain(
-        n, TanhFriction(law, mass.width), mass.belt_speed, mass.damping_ratio,
-        stiffness=mass.stiffness, **more,
-    )  # fmt: skip
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*If it is in SI units")
+        return Chain(
+            n, TanhFriction(law, mass.width), mass.belt_speed, mass.damping_ratio,
+            stiffness=mass.stiffness, **more,
+        )  # fmt: skip
 
 
 def single(mass: Oscillator, model: Model, tolerance: float = 1e-6, **options: Any) -> Answer:
