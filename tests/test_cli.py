@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import resource
 import signal
 import subprocess
@@ -203,6 +204,29 @@ def test_a_law_in_the_place_of_that_of_the_scene_is_asked_for_again(
     again = ["run", "results/two", "--no-plot", "--quiet", "--law", "results/two/laws.py:Mine"]
     assert main(again) == 0
     assert Path("results/two-2/laws.py").read_text(encoding="utf-8") == LAW
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (
+            ["resume", "two.toml"],
+            "two.toml .*must be a folder of results, .* `jaxchain run`",
+        ),
+        (["resume", "quickstart"], "must be a folder of results"),
+        (["resume", "/"], "is a folder without a scene"),
+        (["resume", "x" * 300], "must be a folder of results"),
+        (["status", "/"], "^jaxchain: / is no store, and no folder that holds one"),
+        (["status", "x" * 300], "is no store, and no folder that holds one"),
+        (["status", "odd.zarr"], "is no store, and no folder that holds one"),
+        (["run", "two.toml", "--law", f"{'x' * 300}.py:A"], "there is no file xxx"),
+    ],
+)
+def test_what_is_no_folder_of_results_is_a_readable_error(workplace, capsys, arguments, said):
+    Path("odd.zarr.units").mkdir()
+    Path("odd.zarr.units/layout.json").write_text('{"a": 1}')
+    assert main(arguments) == 2
+    assert re.search(said, capsys.readouterr().err.replace("\n", " "))
 
 
 def test_a_folder_without_a_scene_is_a_readable_error(workplace, capsys):

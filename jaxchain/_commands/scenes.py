@@ -9,6 +9,7 @@ import argparse
 import contextlib
 import importlib.util
 import json
+import os
 import shlex
 import sys
 import warnings
@@ -224,6 +225,9 @@ def _ended(
     except (FigureError, StudyFailedError, StoreError, TakenOverError, MemoryError) as error:
         _complain(str(error))
         return 1
+    except SystemExit as error:  # of a law or an observer
+        _complain(f"your own code ended the run (SystemExit: {error}): take out its `sys.exit`")
+        return 1
     except KeyboardInterrupt:
         _complain(f"interrupted{f'; what was finished is in {folder()}' if anything() else ''}")
         return INTERRUPTED
@@ -240,8 +244,14 @@ def _folder_of(path: Path) -> Path:
     from ..sweeps.records import store_named
 
     store = store_named(path)
-    if store is None:
+    if store is None and os.path.isdir(path):  # which never raises
         return path
+    if store is None:
+        raise SceneError(
+            str(path),
+            ["must be a folder of results, or a store in it, for a run to go on there: `jaxchain "
+             "run` begins one from a scene file or the name of a scene"],
+        )  # fmt: skip
     with contextlib.suppress(SceneError):
         if is_store_of(scene_file(str(store.parent)).name.removesuffix(".toml"), store):
             return store.parent

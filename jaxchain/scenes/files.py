@@ -67,9 +67,9 @@ def read_scene(scene: str, overrides: Sequence[str] = ()) -> tuple[str, dict[str
     builtin, file = builtin_scenes(), scene_file(scene)
     name = file.name.removesuffix(".toml")
     try:
-        text = _text(file)
         if not name.strip(".") or not name.isprintable():
             raise ValueError("must have a name to call its results by, such as mine.toml")
+        text = _text(file)
         data = _parsed(text)
         for override in overrides:
             _override(data, override)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import importlib.util
 import inspect
+import os
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -96,8 +97,9 @@ def _load(
     if not colon or not file or not name:
         raise wrong("must look like FILE.py:CLASS")
     path = Path(file)
-    if not path.is_file() or path.suffix != ".py":
-        raise wrong(f"{file} is no Python file" if path.is_file() else f"there is no file {file}")
+    there = os.path.isfile(path)  # which never raises
+    if not there or path.suffix != ".py":
+        raise wrong(f"{file} is no Python file" if there else f"there is no file {file}")
     spec = importlib.util.spec_from_file_location(path.stem, path)
     assert spec is not None  # of a file that ends in .py
     assert spec.loader is not None
@@ -106,7 +108,7 @@ def _load(
     sys.modules.setdefault(spec.name, module)
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise wrong(f"{file} fails: {type(error).__name__}: {error}") from error
 
     def fits(value: Any) -> bool:

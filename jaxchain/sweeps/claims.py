@@ -102,7 +102,7 @@ class Claims:
         shared = self.session is not None and (owner or {}).get("session") == self.session
         try:
             late = now.stat().st_mtime - path.stat().st_mtime > LASTS
-            if not (late or shared or (owner is not None and _dead(owner))):
+            if not (late or shared or owner is None or _dead(owner)):
                 return False
             # Of several who see that, one moves it.
             aside = path.with_name(f".{uuid.uuid4().hex}{_SUFFIX}")
@@ -191,7 +191,9 @@ def _read(path: Path) -> dict[str, Any] | None:
         found = json.loads(path.read_text())
     except (OSError, ValueError):
         return None
-    return found if isinstance(found, dict) else None
+    # Anything else is no claim, and nobody to wait for: each is written before it is linked.
+    whole = isinstance(found, dict) and isinstance(found.get("process"), int)
+    return found if whole and found.keys() >= {"host", "began", "claim"} else None
 
 
 def _touched(path: Path) -> float:

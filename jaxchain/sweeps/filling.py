@@ -48,7 +48,7 @@ def open_for(
     What is not given, of `chunks` and `lanes`, is as the store has it, or follows the sweep.
     """
     layout = read_layout(path)
-    if layout is None:
+    if layout is None or "lanes" not in layout:  # of another version
         most = lane_count(ensemble.task.chain.n, ensemble.total, jax.local_devices()[:1], lanes)
         kept = chunks_of(ensemble.axes, _unit_size(ensemble, most)) | (chunks or {})
         # None is longer than its dimension: if that grows, the chunks must stay as they are.

@@ -6,6 +6,7 @@ For the files see `store`, and for those of the processes that compute `claims`.
 from __future__ import annotations
 
 import contextlib
+import errno
 import itertools
 import json
 import math
@@ -28,6 +29,8 @@ def units_of(path: Path) -> Path:
 
 def stores_in(folder: Path) -> list[Path]:
     """The stores that a folder holds, by name, whether a unit of them is done or not."""
+    if not os.path.isdir(folder):  # which never raises
+        return []
     names = (units.name.removesuffix(_UNITS) for units in folder.glob(f"*{_UNITS}"))
     return [folder / name for name in sorted(names) if read_layout(folder / name) is not None]
 
@@ -36,15 +39,25 @@ def store_named(path: Path) -> Path | None:
     """The store that a path is, or whose records it is; None if it is neither."""
     if path.name in ("", ".."):  # has no name to find others by
         path = path.resolve()
+    path = followed(path)
+    if not path.name:  # "/"
+        return None
     for store in (path, path.with_name(path.name.removesuffix(_UNITS))):
         if read_layout(store) is not None:
             return store
     return None
 
 
+def followed(path: Path) -> Path:
+    """The store that a symbolic link leads to: its records lie beside it, not beside the link."""
+    return path.resolve() if os.path.islink(path) else path
+
+
 def read_layout(path: Path) -> dict[str, Any] | None:
     """That of a store, or None if there is none."""
-    return read_json(units_of(path) / LAYOUT)
+    layout = read_json(units_of(path) / LAYOUT)
+    parts = [] if layout is None else [layout.get(name) for name in ("sizes", "chunks")]
+    return layout if all(isinstance(part, dict) for part in parts) else None
 
 
 def unit_records(path: Path, layout: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
@@ -84,6 +97,10 @@ def read_json(path: Path) -> dict[str, Any] | None:
         found = json.loads(path.read_text())
     except (FileNotFoundError, NotADirectoryError, ValueError):
         return None
+    except OSError as error:
+        if error.errno == errno.ENAMETOOLONG:
+            return None
+        raise
     return found if isinstance(found, dict) else None
 
 

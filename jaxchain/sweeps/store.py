@@ -122,7 +122,13 @@ class Store:
                 "chunks": chunks,
                 "columns": columns(ensemble.axes),
             }
+            taken = (units_of(path) / LAYOUT).exists()
             there = read_layout(path)
+            if taken and there is None:
+                raise ValueError(
+                    f"Argument `store` names {path}, but {units_of(path) / LAYOUT} is not "
+                    "the layout of a store: give another `store`, or remove that folder."
+                )
             if there is not None and there.get("format") != _FORMAT:
                 raise ValueError(
                     f"Argument `store` names {path}, which another version of jaxchain has made: "

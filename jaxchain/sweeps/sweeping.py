@@ -29,7 +29,11 @@ from ..simulation.accuracy import MAX_STEP
 from ..simulation.event_driven import EventDriven
 from .ensemble import prepare
 from .grid import Grid, check_chunks
+from .records import followed
 from .scheduler import Scheduler, lane_bar
+
+# Files beside a store have its name and some letters more, 255 at most.
+_LONGEST_NAME = 200
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -246,9 +250,12 @@ def _warn_of_failures(results: Mapping[str, int]) -> None:
 
 
 def _path_of(store: Any) -> Path:
-    if not isinstance(store, str | os.PathLike) or not os.fspath(store):
+    is_name = isinstance(store, str | os.PathLike)
+    path = Path(store) if is_name else Path()
+    if path.name in ("", "..") or "\0" in str(path) or len(os.fsencode(path.name)) > _LONGEST_NAME:
         raise ValueError(
-            f"Argument `store` must be None or the name of a folder, but is {shown(store)}: give "
-            '"sweep.zarr", say.'
+            "Argument `store` must be None or the name of a folder of its own, of "
+            f"{_LONGEST_NAME} bytes at most, but is "
+            f'{repr(str(store))[:60] if is_name else shown(store)}: give "sweep.zarr", say.'
         )
-    return Path(store)
+    return followed(path)

@@ -189,6 +189,7 @@ def _sweep() -> Iterator[Row]:
             "vary": (*FUNCTION[1:], Told(lambda chain: 3, "returns 3")),
             "observe": (*OBSERVERS, *TOO_LONG, Told(Trajectory(jnp.ones(1)), "a `Trajectory`")),
             "lanes": optional(COUNT), "progress": FLAG, "description": (3, None),
+            "store": (3, "", ".", "..", "/", "mine/..", "a\0b", Told("x" * 300, "'xxx")),
             "devices": ("cpu", [], ["cpu"], 3, jax.devices()[0]),
         },
     )  # fmt: skip

@@ -90,11 +90,25 @@ def test_what_is_no_law_is_refused_in_words(laws, given, problem):
 def test_a_file_that_fails_or_is_no_python_is_refused(tmp_path):
     for name, text, problem in (
         ("broken.py", "1 / 0", "fails: ZeroDivisionError: division by zero"),
+        ("script.py", "raise SystemExit(0)", "script.py fails: SystemExit: 0"),
         ("mu.csv", "0,1", "is no Python file"),
     ):
         (tmp_path / name).write_text(text, encoding="utf-8")
         with pytest.raises(SceneError, match=problem):
             load_law(f"{tmp_path / name}:Law", "test")
+
+
+def test_code_that_ends_the_program_is_a_failure(laws, scene, tmp_path, capsys):
+    late = laws.with_name("late.py")
+    stops = "def coefficient(self, speed):\n        raise SystemExit(0)\n"
+    late.write_text(
+        "from jaxchain.model import AbstractFrictionLaw\nclass Rational(AbstractFrictionLaw):\n"
+        f"    mu_static: float\n    decay: float\n    {stops}",
+        encoding="utf-8",
+    )
+    arguments = ["run", scene, "--output", str(tmp_path / "out"), "--law", f"{late}:Rational"]
+    assert cli.main(arguments) == 1
+    assert "your own code ended the run (SystemExit: 0)" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -182,12 +182,12 @@ def test_within_a_session_a_claim_is_whose_turn_it_is(tmp_path):
         assert not b.take("0")
 
 
-def test_a_claim_that_is_torn_expires(tmp_path, mine):
-    (tmp_path / "0.claim").write_text("{")
-    assert not mine.take("0")
+@pytest.mark.parametrize("junk", ["{", "[1]", '{"a": 1}', '{"host": "x", "process": "one"}'])
+def test_what_cannot_be_read_is_no_claim(tmp_path, mine, junk):
+    (tmp_path / "0.claim").write_text(junk)
     assert living(tmp_path) == {}
-    age(tmp_path / "0.claim", OLD)
     assert mine.take("0")
+    assert living(tmp_path).keys() == {"0"}
 
 
 def test_who_has_claimed_is_seen_where_nothing_can_be_written(tmp_path, mine, monkeypatch):

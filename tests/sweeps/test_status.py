@@ -3,6 +3,7 @@
 import json
 import os
 import time
+from pathlib import Path
 
 import pytest
 
@@ -31,6 +32,18 @@ def store(tmp_path):
     units_of(path).mkdir()
     (units_of(path) / "layout.json").write_text(json.dumps(LAYOUT))
     return path
+
+
+def test_what_is_no_store_is_none(tmp_path, store):
+    odd = tmp_path / "odd.zarr"
+    units_of(odd).mkdir()
+    (units_of(odd) / "layout.json").write_text('{"a": 1}')
+    assert stores_in(tmp_path) == [store]
+    for name in (odd, units_of(odd), Path("/"), Path("x" * 300), Path("a\0b")):
+        assert store_named(name) is None
+        assert stores_in(name) == []
+    (tmp_path / "link").symlink_to(store)
+    assert store_named(tmp_path / "link") == store
 
 
 def test_nothing_is_done_of_a_store_that_was_laid_out(store):

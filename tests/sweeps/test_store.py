@@ -20,6 +20,7 @@ from jaxchain import Amplitude, equation_8, paper_chain, sweep
 from jaxchain.observers.base import AbstractObserver, Variable
 from jaxchain.result import NAMES
 from jaxchain.sweeps import StoreError, SweepInterrupted
+from jaxchain.sweeps.records import is_whole
 from jaxchain.sweeps.scheduler import Scheduler
 from jaxchain.sweeps.store import Store, units_of
 
@@ -315,6 +316,26 @@ def test_impossible_stores_and_chunks_are_refused(path, change, message):
     with pytest.raises(ValueError, match=message):
         small(**given)
     assert not path.exists()
+
+
+def test_a_layout_that_is_no_layout_is_refused(path):
+    units_of(path).mkdir()
+    for content in ('{"a": 1}', "[1]", "junk"):
+        (units_of(path) / "layout.json").write_text(content)
+        with pytest.raises(ValueError, match=r"`store` names .* is not the layout of a store: gi"):
+            small(path)
+    assert not path.exists()
+
+
+def test_a_symbolic_link_leads_to_its_store(full, tmp_path, memory, monkeypatch):
+    (tmp_path / "link").symlink_to(full)
+    units = written(monkeypatch)
+    assert_same(small(tmp_path / "link"), memory)
+    assert units == []
+    (tmp_path / "later").symlink_to(tmp_path / "not yet.zarr")
+    assert_same(small(tmp_path / "later"), memory)
+    assert is_whole(tmp_path / "not yet.zarr")
+    assert not units_of(tmp_path / "later").exists()
 
 
 def test_chunks_are_for_a_sweep_in_a_store():
