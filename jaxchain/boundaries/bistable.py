@@ -184,6 +184,11 @@ def try_boundary(
         check_positive_number(name, value, remedy)
     if not is_traced(margin) and float(margin) >= 1.0:
         raise ValueError(f"Argument `margin` must be below 1, but is {margin}: 0.01 is usual.")
+    if not is_traced(time) and float(time) < _WINDOW:
+        raise ValueError(
+            f"Argument `time` must be at least {_WINDOW:g}, in which amplitudes are taken, but is "
+            f"{time}: 400 is usual."
+        )
     return _try(chain, to_float(belt_speed), mass, to_float(margin), to_float(time))
 
 

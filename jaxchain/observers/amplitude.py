@@ -42,8 +42,9 @@ class _History(eqx.Module):
 class Amplitude(AbstractObserver):
     """Half peak-to-peak of every displacement, A_n = (max x_n - min x_n) / 2, over a window.
 
-    The window is the last `window` time units of the run (None: the whole run); peaks are found
-    between steps.  Value: shape (n,), in the unit of displacement (P/k).
+    The window is the last `window` time units of the run, which must not be shorter (None: the
+    whole run); peaks are found between steps.  Value: shape (n,), in the unit of displacement
+    (P/k).
 
     **Arguments:**
 

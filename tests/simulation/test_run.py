@@ -240,6 +240,7 @@ def test_a_window_longer_than_the_run_is_no_success(solver):
     run = jax.jit(jax.vmap(partial(whole, throw=False)))(ends)
     names = [NAMES[i] for i in code(run.result)]
     assert names == ["bad_span", "bad_span", "successful", "successful"]
+    assert np.isnan(run.observed[0][:, 0]).tolist() == [True, True, False, False]
     with pytest.raises(ValueError, match=r"window=5.0\)`, which .* 3 segments .* to 14:"):
         whole(14.0, segments=3)
     assert whole(15.0, segments=3).outcome == "successful"  # 10.000000000000002 to 15
