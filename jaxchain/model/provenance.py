@@ -61,24 +61,20 @@ def parameters_of(field: AbstractOscillators, n: int, swept: Sequence[str]) -> s
 
 def chain_of(parameters: Mapping[str, Any]) -> Chain | None:
     """The chain with the numbers of `parameters_of`; None for a law of another package."""
-    shipped = [law for law in AbstractFrictionLaw.__subclasses__() if _is_shipped(law)]
-    own = {law.__name__: law for law in shipped}.get(parameters.get("friction_law", ""))
-    if own is None:
+    named = parameters.get("friction_law")
+    laws = [law for law in AbstractFrictionLaw.__subclasses__() if law.__name__ == named]
+    kind = next((law for law in laws if law.__module__.startswith(f"{__package__}.")), None)
+    if kind is None:
         return None
-    names = [field.name for field in dataclasses.fields(own) if field.init]
-    table = parameters.get("friction_table")
-    if table is None and any(name not in parameters for name in names):  # another of this name
+    given = {k: np.asarray(v) if isinstance(v, list) else v for k, v in parameters.items()}
+    names = [field.name for field in dataclasses.fields(kind) if field.init]
+    table = given.get("friction_table")
+    if table is None and any(name not in given for name in names):  # another of this name
         return None
-    law = own(*[parameters[name] for name in names] if table is None else table)
-    width = parameters["width"]
-    return Chain(
-        parameters["n"], law if width is None else TanhFriction(law, width),
-        ends=parameters["ends"], **{name: parameters[name] for name in CHAIN},
-    )  # fmt: skip
-
-
-def _is_shipped(law: type) -> bool:
-    return law.__module__.startswith(f"{__package__}.")
+    law = kind(*[given[name] for name in names] if table is None else table)
+    if given["width"] is not None:
+        law = TanhFriction(law, given["width"])
+    return Chain(given["n"], law, ends=given["ends"], **{name: given[name] for name in CHAIN})
 
 
 def circumstances() -> dict[str, Any]:

@@ -54,15 +54,16 @@ def stable_sliding(data: xr.Dataset, hopf: float | None = None) -> np.ndarray | 
 
     **Arguments:** `hopf`, the belt speed above which it is, in place of what the numbers tell.
     """
-    runs, own = data["result"], parameters(data)
+    runs, given = data["result"], parameters(data)
 
     def of_each(name: str) -> np.ndarray:
-        value = data[name] if own[name] == "swept" else xr.DataArray(own[name])
+        value = data[name] if given[name] == "swept" else xr.DataArray(given[name])
         values = value.broadcast_like(runs).transpose(*runs.dims, ...).values
         return values.reshape(runs.size, *values.shape[runs.ndim :])
 
-    numbers = {name: of_each(name) for name in own if own[name] == "swept" or name == "belt_speed"}
-    chain = chain_of(own | {name: values[0] for name, values in numbers.items()})
+    swept_names = [name for name, value in given.items() if value == "swept"]
+    numbers = {name: of_each(name) for name in {*swept_names, "belt_speed"}}
+    chain = chain_of(given | {name: values[0] for name, values in numbers.items()})
     if hopf is not None or chain is None or "vary" in data.attrs:
         hopf = hopf_belt_speed(data) if hopf is None else hopf
         stable = None if hopf is None else np.abs(numbers["belt_speed"]) > hopf

@@ -97,9 +97,9 @@ def _load(
     if not colon or not file or not name:
         raise wrong("must look like FILE.py:CLASS")
     path = Path(file)
-    there = os.path.isfile(path)  # which never raises
-    if not there or path.suffix != ".py":
-        raise wrong(f"{file} is no Python file" if there else f"there is no file {file}")
+    is_file = os.path.isfile(path)  # which never raises
+    if not is_file or path.suffix != ".py":
+        raise wrong(f"{file} is no Python file" if is_file else f"there is no file {file}")
     spec = importlib.util.spec_from_file_location(path.stem, path)
     assert spec is not None  # of a file that ends in .py
     assert spec.loader is not None

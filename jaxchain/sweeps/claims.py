@@ -191,7 +191,7 @@ def _read(path: Path) -> dict[str, Any] | None:
         found = json.loads(path.read_text())
     except (OSError, ValueError):
         return None
-    # Anything else is no claim, and nobody to wait for: each is written before it is linked.
+    # Anything else is no claim to wait for: a claim is whole before it is linked.
     whole = isinstance(found, dict) and isinstance(found.get("process"), int)
     return found if whole and found.keys() >= {"host", "began", "claim"} else None
 

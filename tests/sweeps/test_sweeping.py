@@ -376,6 +376,8 @@ def test_labels_know_the_chain_of_their_lane():
         solver=EventDriven(),
     )  # fmt: skip
     assert data.active_count.values.tolist() == [4, 0]
+    # The chain of the attributes is not that of the runs.
+    assert data.attrs["vary"] == "the function `<lambda>(chain, speed)`"
     assert float(data.amplitude.isel(speed=0).min()) > 1.0
 
 
