@@ -186,6 +186,11 @@ class SearchResult(eqx.Enumeration, metaclass=_Ways):  # pyright: ignore
         "contradict it. Allow more `starts` and `steps`; very close to the Hopf speed no run is "
         "long enough."
     )
+    ran_away = (
+        "The search ran away from any cycle: with this damping none has so great a velocity, or "
+        "with these springs none so short a period. Start from a run that vibrates, "
+        "`guess=simulate(...)`."
+    )
 
 
 class Outcome(eqx.Module):

@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._checks import check_positive_number, is_traced, shown, to_float
 from .._stored_programs import stored_jit
 from .._types import State
-from ..cycles.limit_cycle import LimitCycle
+from ..cycles.limit_cycle import LimitCycle, can_be_cycle
 from ..cycles.search import find_limit_cycle
 from ..model.arguments import as_chain, as_state
 from ..model.chain import Chain
@@ -279,5 +279,7 @@ def _last(
     away = jnp.sqrt(jnp.sum((x - x[:1]) ** 2 + (v - v[:1]) ** 2, axis=1)) / size
     away = jnp.where(jnp.isnan(away).at[0].set(True), jnp.inf, away)
     closes = jnp.argmax(away <= _CLOSED)  # the first time round, 0 for none
-    period = jnp.where(closes > 0, times[closes] - times[0], jnp.nan)
+    period = times[closes] - times[0]
+    closed = (closes > 0) & can_be_cycle(chain, period, jnp.abs(state[1]))
+    period = jnp.where(closed, period, jnp.nan)
     return amplitude, period, jnp.min(away), ended_well(run.result)

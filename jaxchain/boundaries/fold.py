@@ -13,6 +13,7 @@ from .._stored_programs import stored_jit
 from .._types import PerMass, State
 from ..continuation.fold_points import fold_residual
 from ..continuation.implicit import attach_derivative, if_found
+from ..cycles.limit_cycle import can_be_cycle
 from ..cycles.shooting import Shooting
 from ..cycles.shooting import residual as closure
 from ..model.chain import Chain, require_smoothed
@@ -195,7 +196,10 @@ def _find(chain: Chain, mass: int) -> tuple[Start, Search]:
     A program by itself, which values, derivatives and the whole `Fold` share.
     """
     start = first_guess(chain, mass)
-    return start, search(start.shooting, start.place, start.loose, start.hopeful, start.tame)
+    found = search(start.shooting, start.place, start.loose, start.hopeful, start.tame)
+    field, (_, v), period = start.shooting.unpack(*unknowns(start.shooting, found.here))
+    possible = can_be_cycle(field, period, jnp.abs(v))
+    return start, eqx.tree_at(lambda s: s.found, found, found.found & possible)
 
 
 def _held(chain: Chain, start: Start) -> Shooting:

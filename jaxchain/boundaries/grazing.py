@@ -33,6 +33,7 @@ from .._stored_programs import stored_jit
 from .._types import ScalarLike, State
 from ..continuation.elimination import solve
 from ..continuation.implicit import attach_derivative, if_found
+from ..cycles.limit_cycle import can_be_cycle
 from ..model.chain import Chain
 from ..model.initial_states import check_vibrating
 from ..result import Outcome, SearchResult
@@ -153,10 +154,12 @@ def _find(chain: Chain, mass: int) -> Grazing:
     touch, q, _ = find_touch(frozen, mass)
     gap, slopes, highest = touch_slopes(touch, q)
     by_leaving, by_arriving = -solve(slopes[:, :-2], slopes[:, -2:])[-1]
-    (_, v), _, speed = touch.unpack(q)
+    (_, v), period, speed = touch.unpack(q)
     fall = touch.fall(v)
     slides = jnp.all(highest <= (1.0 + _PASSES) * speed)
     folds = (by_leaving + by_arriving > 0) & (by_arriving < 0) & (fall > 0)
+    own = eqx.tree_at(lambda c: c.belt_speed, frozen, speed)
+    folds = folds & can_be_cycle(own, period, jnp.abs(v))
     found = jnp.isfinite(speed) & slides & folds
     of = SearchResult
     result = of.where(slides, of.no_turn, of.passed)

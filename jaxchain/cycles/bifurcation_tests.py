@@ -12,10 +12,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Complex, Float, Int
+from jaxtyping import Array, Bool, Complex, Float, Int
 
 from .floquet import floquet_multipliers
 from .least_period import Returns
+from .limit_cycle import can_be_cycle, is_trusted
 from .pushing import push
 from .shooting import Shooting
 from .variational import Along, flow
@@ -43,6 +44,7 @@ class CycleLinearisation(eqx.Module):
     - `monodromy` M = d(state after a period)/d(state), (2n, 2n), in the order (x, v).
     - `multipliers` (2n - 1,): the nontrivial ones, the greatest modulus first; `trivial_defect`
       = |M f - f| / |f|.
+    - `sound`: whether it can be a cycle, and its trivial multiplier is 1.
     """
 
     x: Float[Array, " n"]
@@ -54,6 +56,7 @@ class CycleLinearisation(eqx.Module):
     monodromy: Float[Array, "two_n two_n"]
     multipliers: Complex[Array, " others"]
     trivial_defect: Float[Array, ""]
+    sound: Bool[Array, ""]
 
 
 def linearise(
@@ -85,16 +88,17 @@ def linearise(
         lambda y: (shooting.at(y[-1]), (y[:n], y[n:-1]), period), y[:-1],
         rtol=shooting.rtol, solver=shooting.solver, observers=[Along(), Returns()],
     )  # fmt: skip
-    y1, ((amplitude, _, _), returned) = jnp.concatenate(run.end), run.observed
+    y1, ((amplitude, fastest, _), returned) = jnp.concatenate(run.end), run.observed
     outer = jnp.append(jnp.concatenate(run.slopes, axis=1), rate(y1)[None], axis=0).T
     slope, r = jax.jacfwd(gap, has_aux=True)(jnp.concatenate([z, y1]))
     jacobian = slope[:, : m + 1] + slope[:, m + 1 :] @ (outer @ inner)
     monodromy = outer[:, : 2 * n]
     found = floquet_multipliers(monodromy, rate(state))
     speed = shooting.at(parameter).belt_direction() * state[n + shooting.mass]
+    sound = can_be_cycle(shooting.at(parameter), period, fastest)
     extra = CycleLinearisation(
         state[:n], state[n:], period, speed, returned.times_round, amplitude, monodromy,
-        found.multipliers, found.defect,
+        found.multipliers, found.defect, sound & is_trusted(found.multipliers, found.defect),
     )  # fmt: skip
     return r, jacobian, extra
 

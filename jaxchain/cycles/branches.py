@@ -17,7 +17,7 @@ from ..continuation.arclength import (
     continue_branch,
     switch_branch,
 )
-from ..continuation.branch import Branch, Point, special_rows
+from ..continuation.branch import ENDINGS, Branch, Point, special_rows
 from .bifurcation_tests import count_unstable, linearise, on_the_circle, orbit, special_tests
 from .equations import as_heading, cycle_equations, cycle_weights
 from .shooting import Shooting, residual
@@ -37,8 +37,15 @@ if TYPE_CHECKING:
 
 # Share of the greatest velocity below which that of the mass where the orbit is cut is too little.
 _HARDLY = 1e-2
+_UNSOUND = (
+    "what was followed is no cycle any more, by its speed, its period or its trivial multiplier"
+)
 # Of `continue_branch`, for these unknowns.
 _DEFAULTS: dict[str, Any] = {"min_step": 1e-6, "max_step": 0.3, "max_points": 300}
+
+
+class NoBranchError(RuntimeError):
+    """No cycle was found near the start of a branch."""
 
 
 @dataclass(frozen=True)
@@ -317,6 +324,8 @@ def _follow(
             times = int(extra.times_round)
             if times > 1:
                 return True
+        if not extra.sound:
+            return _UNSOUND
         if extra.speed <= 0:
             return "the amplitude vanishes"
         if extra.speed < _HARDLY * np.max(np.abs(extra.v)):
@@ -328,8 +337,8 @@ def _follow(
         bounds=(-np.inf, np.inf) if bounds is None else bounds, value_and_jacobian=linearise,
         **options,
     )  # fmt: skip
-    if branch.extra is None:
-        raise RuntimeError(branch.message)
+    if branch.extra is None or not branch.extra.sound[0]:
+        raise NoBranchError(branch.message if branch.extra is None else ENDINGS["no_start"])
     if times is not None and times > 1:
         once = branch.u[0] - np.append(np.zeros(u.size - 1), np.log(times))
         return _follow(shooting, once, float(branch.p[0]), heading, bounds, stop, options)
@@ -350,10 +359,11 @@ def _follow(
         if raw.kind != "torus" or on_the_circle(point.extra):
             special.append(as_cycle_point(point))
     extra, k = branch.extra, len(branch.p)
-    if k and extra.speed[-1] <= 0:  # the last point, in its own mirror image
+    # The last point may be its own mirror image, or no cycle.
+    if k and not (extra.speed[-1] > 0 and extra.sound[-1]):
         k -= 1
     if not k:
-        raise RuntimeError("The branch ends in rest at its first point: begin farther from it.")
+        raise NoBranchError("The branch ends in rest at its first point: begin farther from it.")
     points = [orbit(u, p, shooting) for u, p in zip(branch.u[:k], branch.p[:k], strict=True)]
     x, v, period, amplitude = (np.stack(column) for column in zip(*points, strict=True))
     switches = shooting.field.switching(0.0, points[0][1]) is not None

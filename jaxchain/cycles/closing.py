@@ -35,7 +35,7 @@ from ..simulation.run import simulate
 from ..solvers.dry_friction import start as on_the_belt
 from .floquet import check_orbit, floquet_multipliers, multiplier_resolution
 from .least_period import Returned, Returns, close_orbit_once, greatest_gap
-from .limit_cycle import LEAST_VELOCITY, LimitCycle
+from .limit_cycle import LEAST_VELOCITY, LimitCycle, can_be_cycle, is_trusted
 from .variational import Along
 
 # Integrations at most, and the step that is rounding.
@@ -48,7 +48,8 @@ class ClosedOrbit(NamedTuple):
     """A periodic orbit, or the attempt at one.
 
     - `state` and `period`, the least one; `gap`, the greatest component of what is left of the
-      return; `distance`, of how far the iteration went from where it began (of the period, that of
+      return, infinite where no cycle of the chain is so fast or has so short a period;
+      `distance`, of how far the iteration went from where it began (of the period, that of
       one time round).
     - `multipliers`: the Floquet multipliers but the trivial one, greatest modulus first.  With
       true dry friction as many, the last ones, are exactly 0 as masses ever stick together; NaN
@@ -188,7 +189,9 @@ def _close(
         shortened=lambda u, times: u.at[-1].divide(times),
     )  # fmt: skip
     failed = jnp.where(jnp.isfinite(best.length), 0.0, jnp.nan)
-    u, slopes, gap = best.u + failed, best.aux.slopes + failed, greatest_gap(best) + failed
+    u, slopes = best.u + failed, best.aux.slopes + failed
+    possible = can_be_cycle(chain, u[-1], jnp.abs(u[n:-1]))
+    gap = jnp.where(possible, greatest_gap(best), jnp.inf) + failed
     once = start.at[-1].divide(jnp.maximum(jnp.round(period / u[-1]), 1.0))
     found = floquet_multipliers(slopes[:, :-1], slopes[:, -1])
     resolution = jnp.maximum(found.defect, multiplier_resolution(slopes[:, :-1]))
@@ -238,11 +241,12 @@ def _dry_cycle(
     amplitude, fastest, _ = run.observed
     gap = jnp.concatenate(run.state) - jnp.concatenate(state)
     residual = jnp.max(jnp.abs(gap)) / fastest[mass]
-    closed = (residual <= tolerance) & jnp.isfinite(orbit.defect)
+    closed = (residual <= tolerance) & is_trusted(orbit.multipliers, orbit.defect)
     rests = closed & (fastest[mass] <= LEAST_VELOCITY)
     result = SearchResult.where(closed, SearchResult.successful, SearchResult.no_step_helps)
     result = SearchResult.where(rests, SearchResult.at_rest, result)
     result = SearchResult.where(jnp.isfinite(residual), result, SearchResult.nonfinite)
+    result = SearchResult.where(jnp.isinf(orbit.gap), SearchResult.ran_away, result)
     return LimitCycle(
         chain=chain,
         state=state,

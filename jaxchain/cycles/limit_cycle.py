@@ -10,12 +10,14 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Complex, Float, Int
+import numpy as np
+from jaxtyping import Array, Bool, Complex, Float, Int
 
 from .._stored_programs import stored_jit
 from .._types import State
 from ..continuation.damped_newton import Factors, Iterate, ending, factorise
 from ..continuation.implicit import attach_derivative
+from ..model.chain import Chain
 from ..model.oscillators import AbstractOscillators
 from ..observers.amplitude import Amplitude
 from ..observers.quantities import energy
@@ -31,6 +33,9 @@ _FINE = 1e-11
 LEAST_VELOCITY = 1e-6
 # A trivial multiplier or a determinant that is off by more says that M is not to be believed.
 _WORST_DEFECT = 1e-3
+# Shares of the belt's speed at which mu is sampled; by how much its greatest value may exceed
+# that of the samples, and by what share a period may fall short of the least one.
+_SHARES, _BETWEEN, _ROUNDING = np.linspace(0.0, 1.0, 33), 2.0, 1e-6
 
 
 class LimitCycle(Outcome):
@@ -38,8 +43,9 @@ class LimitCycle(Outcome):
 
     - `state`, `period`: the orbit is cut where mass `mass` moves fastest in the direction of the
       belt; the period is the least one.
-    - `residual`: the gap after a period over the greatest velocity of that mass; in the layer in
-      which it sticks, of velocity over the width.  `result`: successful if it is a cycle.
+    - `residual`: the gap after a period over the size of the orbit, or over the greatest velocity
+      of that mass, velocities measured in the width where it sticks.  `result`: successful if it
+      is a cycle.
     - `multipliers`: the 2n - 1 Floquet multipliers other than 1, the greatest modulus first.
     - `trivial_defect`: |M f - f| / |f| for f = (x', v'), which must be 0; `liouville_defect`: see
       there, NaN for dry friction; both were measured on this orbit.
@@ -127,6 +133,49 @@ class LimitCycle(Outcome):
         return margin > 0
 
 
+def can_be_cycle(
+    field: AbstractOscillators, period: Any, speed: Float[Array, " n"]
+) -> Bool[Array, ""]:
+    """Whether a cycle of `field` can have this period, and masses as fast as `speed`.
+
+    For a `Chain`, x'' + 2 xi x' + K x = p F(x' - v_d), two means over a period T tell:
+
+    - Friction and damping depend on v_n alone, so that the mean of v_n' times them is 0, and with
+      L the greatest eigenvalue of K: <v'^T v'> = <v^T K v> <= L <v^T v>.  v has no mean, so that
+      <v^T v> <= (T / 2 pi)^2 <v'^T v'> (Wirtinger's inequality): T >= 2 pi / L^(1/2).
+    - Friction does work on a mass only between rest and the belt's speed, at most p M |v_d| with M
+      the greatest mu up to there.  Damping takes as much: 2 xi <v^T v> <= sum_n p_n M_n |v_d|, xi
+      the least xi_n > 0.  Each v_n passes through 0: max v_n^2 <= T <|v_n v_n'|>
+      <= T L^(1/2) <v^T v>.  Without damping, or with negative damping, nothing bounds v.
+
+    True of other oscillators, of which nothing is known.
+    """
+    if not isinstance(field, Chain):
+        return jnp.asarray(True)
+    n, belt = field.n, jnp.abs(field.belt_speed)
+    stiffest = field.stiffness_diagonal(n)
+    if field.springs is not None:
+        stiffest = stiffest + field.springs.strength(n)  # Gershgorin's bound
+    frequency = jnp.sqrt(jnp.max(stiffest))
+    mu = jax.vmap(lambda share: field.law.coefficient(jnp.full(n, share * belt)))(_SHARES)
+    mu = jnp.maximum(_BETWEEN * jnp.max(mu, axis=0), field.law.mu_static)
+    work = belt * jnp.sum(field.load * mu * jnp.ones(n))
+    damping = 2.0 * jnp.min(field.damping_ratio)
+    slow = damping * jnp.max(speed**2) <= period * frequency * work
+    return (period * frequency >= (1.0 - _ROUNDING) * 2.0 * jnp.pi) & ((damping <= 0) | slow)
+
+
+def is_trusted(
+    multipliers: Complex[Array, " others"], defect: Float[Array, ""]
+) -> Bool[Array, ""]:
+    """Whether the disturbance along the orbit comes back as it was, as that of a cycle does.
+
+    An error of that disturbance grows as any other does.
+    """
+    growth = 1.0 + jnp.max(jnp.nan_to_num(jnp.abs(multipliers)))  # those not resolved are small
+    return defect <= _WORST_DEFECT * growth  # false for NaN
+
+
 @stored_jit
 def solve_cycle(
     shooting: Shooting, start: Array, tolerance: Array, limit: Array
@@ -134,14 +183,21 @@ def solve_cycle(
     """(the cycle, its unknowns u) near u = `start`; nothing in here is to be differentiated."""
     found = search_cycle(shooting, start, tolerance, limit)
     field, state, period = shooting.unpack(found.u)
-    whole, residual = found.aux, greatest_gap(found)
+    whole = found.aux
+    # In the shooting equations velocities count by their distance from the belt's: a fast orbit
+    # that decays, or a piece of one, is closed there.  So the gap counts as a share of the
+    # orbit's size, too.
+    left = jnp.max(jnp.abs(jnp.stack(whole.end) - jnp.stack(state)))
+    residual = jnp.fmax(greatest_gap(found), left / whole.returned.farthest)
     direction = jnp.concatenate(field(0.0, state))
     floquet = floquet_multipliers(whole.monodromy, direction)
     speed = field.belt_direction() * state[1][shooting.mass]
     moves = (whole.fastest[shooting.mass] > LEAST_VELOCITY) & (speed > 0)
-    closed = (residual <= tolerance) & jnp.isfinite(floquet.defect)
+    possible = can_be_cycle(field, period, whole.fastest)
+    closed = (residual <= tolerance) & is_trusted(floquet.multipliers, floquet.defect)
     result = ending(found, closed, limit)
     result = SearchResult.where(closed & ~moves, SearchResult.at_rest, result)
+    result = SearchResult.where(whole.complete & ~possible, SearchResult.ran_away, result)
     cycle = LimitCycle(
         chain=field,
         state=state,

@@ -19,7 +19,7 @@ from .._types import State
 from ..model.chain import Chain
 from ..observers.quantities import active
 from .averaging import cycle_speed, greatest_speed, one_mass
-from .branches import continue_cycle
+from .branches import NoBranchError, continue_cycle
 from .guesses import guess_of_kind
 from .limit_cycle import LimitCycle, solve_cycle
 from .shooting import Shooting, packed
@@ -119,10 +119,13 @@ def _follow(
         farthest = abs(speed)
         return back
 
-    branch = continue_cycle(
-        cycle, direction=int(along * ahead), bounds=(bounds[0], bounds[1]), images=shooting.images,
-        rtol=float(shooting.rtol), stop=turned,
-    )  # fmt: skip
+    try:
+        branch = continue_cycle(
+            cycle, direction=int(along * ahead), bounds=(bounds[0], bounds[1]),
+            images=shooting.images, rtol=float(shooting.rtol), stop=turned,
+        )  # fmt: skip
+    except NoBranchError:
+        return None, ""
     if branch.ended == "left_bounds" and branch.parameter[-1] == along * goal:
         state = jnp.asarray(branch.x[-1]), jnp.asarray(branch.v[-1])
         return (state, jnp.asarray(branch.period[-1])), ""

@@ -24,6 +24,7 @@ from ..model.arguments import as_chain, as_images, as_mass
 from ..model.chain import Chain
 from ..model.initial_states import reference_site
 from ..model.oscillators import AbstractOscillators
+from ..model.sliding import damping_outweighs
 from ..result import SearchResult
 from ..simulation.accuracy import MAX_STEP, check_tolerances, fit_linear_solve
 from ..simulation.run import Simulation
@@ -114,7 +115,7 @@ def find_limit_cycle(
         cycle = dry_limit_cycle(chain, mass, state, period, rtol=rtol, tolerance=tolerance)
         cycle = _keep_kind(cycle, branch) if guess is None else cycle
         if throw and not is_traced(cycle.successful) and not cycle.successful:
-            raise RuntimeError(_failure(cycle) if guess is not None else _missing(branch, ""))
+            raise RuntimeError(_failure(cycle) if guess is not None else _missing(frozen, branch))
         return cycle
     shooting = Shooting(
         field=frozen, rtol=rtol, mass=mass, images=as_images(images, n, mass),
@@ -131,7 +132,8 @@ def find_limit_cycle(
             if found is not None:
                 cycle, u = solve_cycle(shooting, packed(shooting, *found), *numbers)
     if throw and not is_traced(cycle.successful) and not cycle.successful:
-        raise RuntimeError(_failure(cycle) if guess is not None else _missing(branch, reason))
+        missing = _failure(cycle) if guess is not None else _missing(frozen, branch, reason)
+        raise RuntimeError(missing)
     return with_derivatives(shooting, chain, cycle, u)
 
 
@@ -193,24 +195,31 @@ def _sound(state: State, period: Any, throw: bool) -> tuple[State, Any]:
     return state, period
 
 
-def _missing(kind: str, reason: str) -> str:
+def _missing(chain: Any, kind: str, reason: str = "") -> str:
+    if damping_outweighs(chain):
+        return (
+            "There is no limit cycle: damping outweighs the weakening of friction at every speed, "
+            "2 xi_n > p_n F'(w), so all motions approach steady sliding."
+        )
     wanted = "stick-slip cycle" if kind == "stable" else "slip cycle"
-    if reason:
-        return f"There is no {wanted} at this belt speed on the branch that was found: {reason}."
+    where = reason or "neither at this belt speed nor at others, to follow it from"
     return (
-        f"A {wanted} was not found: neither at this belt speed nor at others, to follow it from. "
-        "There may be none. See `fold_belt_speed` for the greatest belt speed of vibration and "
-        "`hopf_belt_speed` for the least of the slip cycle, or give a `guess`."
+        f"No {wanted} in which one mass vibrates was found: {where}. Other vibrations may exist. "
+        "Offer a run that ends in one as `guess`: `find_limit_cycle(chain, simulate(chain, start, "
+        "400.0))`. See `fold_belt_speed` for the greatest belt speed of this vibration and "
+        "`hopf_belt_speed` for the least of the slip cycle."
     )
 
 
 def _failure(cycle: LimitCycle) -> str:
+    if cycle.result == SearchResult.ran_away:
+        return f"No limit cycle was found near the guess. {cycle.message}"
     return (
         f"No limit cycle was found near the guess: the residual is {float(cycle.residual):.1e} "
         f"after {int(cycle.evaluations)} integrations, the greatest velocity "
         f"{float(cycle.fastest[cycle.mass]):.1e}. Start closer (a longer simulation, a "
-        "`LimitCycle` at a belt speed nearby), or loosen `tolerance`; beyond a fold there is no "
-        "cycle."
+        "`LimitCycle` at a belt speed nearby), or loosen `tolerance`. A branch of cycles may have "
+        "turned at a fold."
     )
 
 

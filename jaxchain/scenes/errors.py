@@ -149,9 +149,12 @@ class StudyFailedError(Exception):
         ...         run_scene(study, Path(folder), plot=False)
         ...     except StudyFailedError as error:
         ...         print(textwrap.fill(str(error), 80))
-        There is no stick-slip cycle at this belt speed on the branch that was found:
-        the cycles of this kind, followed from belt speed 1.701, turn at a fold at
-        1.83122.
+        No stick-slip cycle in which one mass vibrates was found: the cycles of this
+        kind, followed from belt speed 1.701, turn at a fold at 1.83122. Other
+        vibrations may exist. Offer a run that ends in one as `guess`:
+        `find_limit_cycle(chain, simulate(chain, start, 400.0))`. See `fold_belt_speed`
+        for the greatest belt speed of this vibration and `hopf_belt_speed` for the
+        least of the slip cycle.
     """
 
 

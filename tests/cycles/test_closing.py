@@ -10,6 +10,7 @@ from jaxchain.boundaries.grazing import find_grazing
 from jaxchain.cycles.closing import close_orbit
 from jaxchain.cycles.search import find_limit_cycle
 from jaxchain.model.chain import paper_chain
+from jaxchain.result import SearchResult
 
 # The fold by grazing and its derivatives are the quick look at dry cycles.
 pytestmark = pytest.mark.long
@@ -96,8 +97,18 @@ def test_guesses_go_from_one_kind_of_friction_to_the_other(cycle):
 def test_beyond_the_fold_there_is_no_dry_cycle():
     fold = float(find_grazing(ONE).belt_speed)
     assert found(ONE.with_(belt_speed=fold - 0.02)).stable
-    with pytest.raises(RuntimeError, match="stick-slip cycle was not found"):
+    with pytest.raises(RuntimeError, match="No stick-slip cycle in which one mass vibrates was"):
         found(ONE.with_(belt_speed=fold + 0.02))
+
+
+def test_a_moment_of_an_orbit_is_no_cycle():
+    """It closes in the limit of no period, which no springs allow."""
+    moment = (jnp.full(1, 0.6), jnp.full(1, 0.5)), 0.1
+    orbit = close_orbit(ONE, *moment)
+    assert float(orbit.period) < 1e-9
+    assert np.isinf(orbit.gap)
+    cycle = find_limit_cycle(ONE, moment, vibrating=0, throw=False)
+    assert cycle.result == SearchResult.ran_away
 
 
 @pytest.mark.long

@@ -128,7 +128,7 @@ def seen(width, speeds):
             try:
                 cycle = find_limit_cycle(own, branch=branch)
             except RuntimeError as error:
-                if least < speed < fold or not str(error).startswith(("There is no", "A s")):
+                if least < speed < fold or not str(error).startswith("No s"):
                     yield speed, branch, str(error)
                 continue
             peaks = simulate(

@@ -8,11 +8,25 @@ import pytest
 from scipy.integrate import solve_ivp
 from systems.piecewise import PiecewiseLinear, exact_cycle
 
-from jaxchain import Amplitude, Chain, active, excited_state, paper_chain, simulate, steady_sliding
+from jaxchain import (
+    Amplitude,
+    Chain,
+    ExponentialDecay,
+    SearchResult,
+    TanhFriction,
+    WeakeningStrengthening,
+    active,
+    excited_state,
+    paper_chain,
+    simulate,
+    steady_sliding,
+)
 from jaxchain.boundaries import hopf_points
 from jaxchain.boundaries.hopf_scan import guess_from_hopf
 from jaxchain.cycles.guesses import guess_from_simulation
+from jaxchain.cycles.limit_cycle import can_be_cycle
 from jaxchain.cycles.search import find_limit_cycle
+from jaxchain.model.friction import GaussianStribeck
 from jaxchain.model.initial_states import release_state
 
 
@@ -202,14 +216,15 @@ def test_chains_are_searched_in_one_batch_and_do_not_harm_each_other(slip):
 def test_rest_and_failure_are_told():
     fast = paper_chain(1, belt_speed=2.5, width=0.05)
     for branch in ("stable", "unstable"):
-        with pytest.raises(RuntimeError, match=r"There is no .* turn at a fold at 1.65931"):
+        with pytest.raises(RuntimeError, match=r"No .* turn at a fold at 1.65931.*`guess`"):
             find_limit_cycle(fast, branch=branch)
     with pytest.raises(RuntimeError, match="comes to rest"):
         find_limit_cycle(fast, steady_sliding(fast))
     with pytest.raises(RuntimeError, match=r"end in a Hopf point at 1.15129"):
         find_limit_cycle(fast.with_(belt_speed=1.1), branch="unstable")
-    with pytest.raises(RuntimeError, match="was not found"):
-        find_limit_cycle(fast.with_(mu_dynamic=1.0))  # Coulomb friction feeds no vibration
+    # Proved: Coulomb friction feeds no vibration.
+    with pytest.raises(RuntimeError, match="There is no limit cycle: damping outweighs"):
+        find_limit_cycle(fast.with_(mu_dynamic=1.0))
     lost = find_limit_cycle(fast, throw=False)
     assert not bool(lost.successful)
     assert lost.stable is None
@@ -218,6 +233,103 @@ def test_rest_and_failure_are_told():
         fast, ((jnp.full(1, 0.5), jnp.full(1, 1e-4)), 6.28), vibrating=0, throw=False
     )
     assert not bool(resting.successful)
+
+
+# (mu_st, mu_d, v0, width, damping, belt speed) of chains that come to rest.
+RUNAWAYS = [
+    (1.0, 0.8, 0.5, 0.2, 0.1, 1.15),  # to amplitudes of 1e18 at 60 integrations
+    (1.3401, 1.1617, 0.2359, 0.0512, 0.1813, 0.19),  # to 1e18 at 30
+    (0.8361, 0.6329, 0.3369, 0.1542, 0.1057, -0.5658),
+]
+
+
+@pytest.mark.parametrize("numbers", RUNAWAYS)
+def test_an_orbit_that_decays_from_a_great_speed_is_no_cycle(numbers):
+    """What is left of it after a period is little in the logarithm of its speed alone."""
+    *law, width, damping, belt = numbers
+    chain = Chain(1, TanhFriction(ExponentialDecay(*law), width), belt, damping)
+    cycle = find_limit_cycle(chain, max_steps=60, throw=False)
+    assert not cycle.successful
+    assert cycle.result == SearchResult.ran_away
+    assert float(cycle.residual) > 0.1
+    # Damping outweighs friction in the first chain.
+    with pytest.raises(
+        RuntimeError, match=r"There is no limit cycle|Offer a run that ends in one"
+    ):
+        find_limit_cycle(chain)
+    with pytest.raises(RuntimeError, match="ran away from any cycle"):
+        find_limit_cycle(chain, (cycle.state, cycle.period))
+
+
+def test_bounds_on_a_cycle_hold_and_are_sharp():
+    """Periods of vanishing vibrations are those of the modes; the belt's power bounds speeds."""
+    chain = paper_chain(3, width=0.05).with_(stiffness=jnp.array([1.0, 4.0, 2.0]))
+    K = np.diag([1.02, 4.02, 2.02]) - 0.01 * (np.ones((3, 3)) - np.eye(3))
+    least = 2 * np.pi / np.sqrt(np.linalg.eigvalsh(K)[-1])
+    slow = jnp.full(3, 1.0)
+    assert bool(can_be_cycle(chain, 1.01 * least, slow))
+    assert not bool(can_be_cycle(chain, 0.99 * least, slow))
+    # T (k + 2 c)^(1/2) v_d (mu_0 + ...) / (2 xi): friction no more than twice the greatest.
+    power = 6.3 * np.sqrt(4.04) * 1.5 * 3 / 0.1
+    for share, possible in ((0.9, True), (2.1, False)):
+        speed = slow.at[2].set(np.sqrt(share * power))
+        assert bool(can_be_cycle(chain, 6.3, speed)) is possible
+    undamped = chain.with_(damping_ratio=jnp.array([0.1, 0.0, 0.1]))
+    assert bool(can_be_cycle(undamped, 6.3, 1e6 * slow))
+
+
+LAWS = {
+    "exponential": (ExponentialDecay, (1.0, 0.5, 0.5)),
+    "strengthening": (WeakeningStrengthening, (1.0, 0.5, 0.5, 0.05)),
+    "gaussian": (GaussianStribeck, (1.0, 0.5, 1.0, 0.02)),
+}
+
+
+def coefficient(kind, numbers, speed):
+    high, low, v0, *grows = numbers
+    s = speed / v0
+    bump = np.exp(-(s**2) if kind == "gaussian" else -s)
+    return low + (high - low) * bump + sum(grows) * s
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("branch", ["stable", "unstable"])
+@pytest.mark.parametrize("kind", LAWS)
+def test_what_is_found_closes_in_an_independent_integration(kind, branch):
+    """At belt speeds below the fold and, of the Gaussian law, in a set far above it."""
+    make, numbers = LAWS[kind]
+    found = 0
+    for width, damping, belt in [
+        (0.05, 0.05, 1.4), (0.1, 0.12, -0.9), (0.02, 0.2, 0.4), (0.15, 0.25, 1.6),
+    ]:  # fmt: skip
+        chain = Chain(1, TanhFriction(make(*numbers), width), belt, damping)
+        cycle = find_limit_cycle(chain, branch=branch, max_steps=60, throw=False)
+        if not cycle.successful:
+            continue
+        found += 1
+
+        def field(t, y, width=width, damping=damping, belt=belt):
+            w = y[1] - belt
+            mu = coefficient(kind, numbers, abs(w))
+            return [y[1], -mu * np.tanh(w / width) - 2 * damping * y[1] - y[0]]
+
+        start = [float(part[0]) for part in cycle.state]
+        run = solve_ivp(field, (0, float(cycle.period)), start, method="DOP853", rtol=1e-11,
+                        atol=1e-13)  # fmt: skip
+        assert np.max(np.abs(run.y[:, -1] - start)) < 1e-7 * abs(belt)
+        assert np.ptp(run.y[0]) > 1e-2
+        grows = abs(complex(cycle.multipliers[0])) > 1
+        assert grows is (branch == "unstable")
+    assert found > 0
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("share", [0.95, 1.0, 1.05])
+def test_no_cycle_is_made_up_above_the_fold_of_a_gaussian_law(share):
+    law = GaussianStribeck(0.888186 * share, 0.584163 * share, 0.537404, 0.015533)
+    chain = Chain(1, TanhFriction(law, 0.1), -1.141015, 0.127867)
+    for steps in (30, 60):
+        assert not find_limit_cycle(chain, max_steps=steps, throw=False).successful
 
 
 @pytest.mark.long
