@@ -135,6 +135,7 @@ class _Looking(eqx.Module):
     ends: Float[Array, ""]  # the window
     last: Float[Array, " n"]  # amplitude of the window before, NaN in the first
     code: Int[Array, " n"]
+    quiet: Int[Array, " n"]  # windows since each mass last exceeded |v_d|/2
     same: Int[Array, ""]  # windows in succession that agree
     calm: Int[Array, ""]  # ... and in which nothing moves on
     since: Float[Array, ""]
@@ -144,10 +145,12 @@ class _Looking(eqx.Module):
 class VibratingMasses(AbstractClassifier):
     """Which masses vibrate at the end of a run, and whether that can still change.
 
-    Amplitudes A_n (half peak-to-peak) are taken over windows; mass n vibrates where A_n > |v_d|/2,
-    see `active`.  It is decided if the same masses vibrate in the last windows, `agree` of them
-    and the one before.  A run ends before its time only where all masses do the same, none moves
-    on, and nothing else can make them move on: in `calm` windows in succession
+    Amplitudes A_n (half peak-to-peak) are taken over windows; mass n vibrates if A_n > |v_d|/2
+    (see `active`) in one of the last `agree` + 1 windows, so that neighbours which exchange their
+    vibration in slow beats both vibrate; no mass does if none exceeds that in the last window.
+    The state is decided if it is the same in the last `agree` windows and the one before.  A run
+    ends before its time only where all masses do the same, none moves on, and nothing else can
+    make them move on: in `calm` windows in succession
 
     - all vibrate, each changes its amplitude by no more than `tolerance` of itself, and phases are
       not asked for; or
@@ -227,7 +230,8 @@ class VibratingMasses(AbstractClassifier):
         none = jnp.zeros((), int)
         return _Looking(
             x, x, jnp.asarray(t0 + self.window, float), jnp.full_like(x, jnp.nan),
-            jnp.full(x.shape, -1), none, none, jnp.asarray(t0, float),
+            jnp.full(x.shape, -1), jnp.full(x.shape, np.iinfo(np.int32).max // 2), none, none,
+            jnp.asarray(t0, float),
             jnp.full((2, *x.shape), jnp.nan) if self.phases else None,
         )  # fmt: skip
 
@@ -253,27 +257,31 @@ class VibratingMasses(AbstractClassifier):
         """At the end of a window."""
         field: Any = step.field
         amplitude = (now.high - now.low) / 2
-        code = self._code(now, amplitude, field)
-        vibrates, speed = code > 0, jnp.abs(field.belt_speed)
+        speed = jnp.abs(field.belt_speed)
+        above = amplitude > active_above(speed)
+        quiet = jnp.where(above, 0, now.quiet + 1)
+        # A mass whose vibration beats falls below the threshold for a window at a time.
+        vibrates = (quiet <= self.agree) & jnp.any(above)
+        code = self._code(now, vibrates, field)
         same = jnp.all(code == now.code)
         steady = jnp.abs(amplitude - now.last) <= self.tolerance * amplitude
         rest = jnp.all(amplitude <= _AT_REST * speed)
         dies = (jnp.sum(amplitude**2) < jnp.sum(now.last**2)) | rest
         # Phases drift long after amplitudes are steady.
-        even = jnp.all(vibrates & steady) & (not self.phases)
-        calm = even | (~jnp.any(vibrates) & dies)
+        even = jnp.all(above & steady) & (not self.phases)
+        calm = even | (~jnp.any(above) & dies)
         # That of the first window is no answer yet: what starts may do anything in it.
         started = now.ends - self.window
         return _Looking(
             low=step.y1[0], high=step.y1[0], ends=now.ends + self.window,
-            last=amplitude, code=code, calm=jnp.where(same & calm, now.calm + 1, 0),
+            last=amplitude, code=code, quiet=quiet,
+            calm=jnp.where(same & calm, now.calm + 1, 0),
             same=jnp.where(same, now.same + 1, 0),
             since=jnp.where(same, now.since, started), peaks=now.peaks,
         )  # fmt: skip
 
-    def _code(self, now: _Looking, amplitude: Array, chain: Chain) -> Array:
+    def _code(self, now: _Looking, vibrates: Array, chain: Chain) -> Array:
         """0: quiet, 1: vibrates; with phases 2, 4, 6 more by its delay to the neighbour before."""
-        vibrates = amplitude > active_above(chain.belt_speed)
         code = vibrates.astype(int)
         if now.peaks is None or chain.n == 1:
             return code

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
-from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from .._checks import check_positive_number, is_traced, shown, to_float
@@ -150,7 +150,8 @@ def edge_state(
     - `rtol`, `solver`: as for `simulate`; the distance `near` asks for a small one.
 
     **Returns:** an `EdgeState`.  Works under `jit` and `vmap`, and many pairs are followed side by
-    side, none waiting for another; constant under derivatives.  Its `result` is one of
+    side, none waiting for another.  It has no derivatives (`RuntimeError`): those of the cycle on
+    the edge are `find_limit_cycle`'s.  Its `result` is one of
 
     - "successful": amplitudes on the edge have settled;
     - "not_settled": followed for `time`, but amplitudes do not agree, as those of a motion with
@@ -222,7 +223,12 @@ def _count(time: Any, window: Any) -> int:
 
 @stored_jit
 def _edge(chain: Chain, quiet: State, vibrating: State, how: Tracking) -> EdgeState:
-    frozen, quiet, vibrating = lax.stop_gradient((chain, quiet, vibrating))
+    frozen, quiet, vibrating = eqxi.nondifferentiable(
+        (chain, quiet, vibrating),
+        msg="`edge_state` has no derivatives: find the edge state outside the function that is "
+        "differentiated, and in there the cycle on it, `find_limit_cycle(chain, (edge.state, "
+        "edge.period))`, which has them.",
+    )
     found = track(frozen, quiet, vibrating, how)
     below, above = ((found.x[side], found.v[side]) for side in (0, 1))
     state = 0.5 * (below[0] + above[0]), 0.5 * (below[1] + above[1])

@@ -21,6 +21,7 @@ from .._reprs import count, known, number, summary
 from ..cycles.guesses import Guess
 from ..model.arguments import as_chain, as_mass
 from ..model.chain import Chain, steady_sliding
+from ..model.sliding import GREATEST_SPEED
 from .axis_crossings import Crossing, find_crossings
 from .criticality import (
     first_lyapunov_coefficient,
@@ -52,6 +53,7 @@ class HopfPoints(eqx.Module):
       small at first), "subcritical" (unstable ones, and a jump) or "degenerate" (l1 = 0).
     - `square_amplitude_slope`, `standing_square_amplitude_slope`: d(A^2) / d|v_d| of the cycles
       that branch off, A the greatest amplitude of a mass.
+    - `belt_speeds`: (low, high), between which every Hopf point is listed.
     - `kind`: "weakening friction", the physical one; or "rising flank of the smoothed law", an
       artefact of smoothing at a speed of a few widths, below which the belt drags the masses along
       in a creep that stands for sticking.
@@ -89,6 +91,7 @@ class HopfPoints(eqx.Module):
     criticality: tuple[str, ...] = eqx.field(static=True)
     standing_criticality: tuple[str, ...] = eqx.field(static=True)
     kind: tuple[str, ...] = eqx.field(static=True)
+    belt_speeds: tuple[float, float] = eqx.field(static=True)
 
     def __repr__(self) -> str:
         speed, frequency = known(self.belt_speed), known(self.frequency)
@@ -100,11 +103,15 @@ class HopfPoints(eqx.Module):
             )
             for k in range(min(speed.size, 9))
         }
-        return summary(f"HopfPoints: {count(speed.size, 'point')}", rows)
+        low, high = map(number, self.belt_speeds)
+        points = count(speed.size, "point")
+        return summary(f"HopfPoints: {points} at belt speeds {low} to {high}", rows)
 
 
-def hopf_points(chain: Chain, belt_speeds: Any = (0.0, 5.0)) -> HopfPoints:
+def hopf_points(chain: Chain, belt_speeds: Any = (0.0, GREATEST_SPEED)) -> HopfPoints:
     """Every Hopf point of steady sliding at belt speeds between `belt_speeds` = (low, high).
+
+    By default up to 1e6, as far as `hopf_belt_speed` looks.
 
     **Why none is missed:** in an interval of belt speeds over which no d_n changes by more than
     delta from its value in the middle, no eigenvalue crosses the imaginary axis if the least
@@ -135,8 +142,8 @@ def hopf_points(chain: Chain, belt_speeds: Any = (0.0, 5.0)) -> HopfPoints:
     """
     as_chain(chain)
     check_concrete("use `hopf_belt_speed`.", chain=chain, belt_speeds=belt_speeds)
-    low, high = check_pair("belt_speeds", belt_speeds, "(0.0, 5.0) is usual.")
-    check_finite("belt_speeds", (low, high), "(0.0, 5.0) is usual.")
+    low, high = check_pair("belt_speeds", belt_speeds, "the default is (0, 1e6).")
+    check_finite("belt_speeds", (low, high), "the default is (0, 1e6).")
     simple = _simplified(chain)
     least = 0.0 if low <= 0 <= high else min(abs(low), abs(high))
     entries = []
@@ -154,7 +161,8 @@ def hopf_points(chain: Chain, belt_speeds: Any = (0.0, 5.0)) -> HopfPoints:
             return jnp.asarray(np.reshape(values, (len(values), chain.n)).astype(complex))
         return jnp.asarray(np.array(values, dtype=int if name == "multiplicity" else float))
 
-    return HopfPoints(**{name: column(name) for name in HopfPoints.__dataclass_fields__})
+    names = [name for name in HopfPoints.__dataclass_fields__ if name != "belt_speeds"]
+    return HopfPoints(**{name: column(name) for name in names}, belt_speeds=(low, high))
 
 
 def _simplified(chain: Chain) -> Chain:

@@ -8,7 +8,8 @@ verdict is on an ensemble: the start itself, and starts with noise.  For each ru
     cycle       the states at the maxima of one mass fall upon each other (or creep towards a
                 point), Newton's method closes the orbit nearby, and all its exponents but the
                 zero of the flow are negative: ln |multiplier| / period < -defect / period (-inf
-                for what sticking annihilates); or,
+                for what sticking annihilates); or zero within its error, while the run sits on
+                the orbit: one of a family, as that of masses which are not coupled; or,
                 of a run that locks only while exponents are measured, the greatest exponent is
                 0 within `zero` and the next one below -`zero`, intervals included
     unstable    the same with a positive exponent, while the run sits on the orbit to rounding:
@@ -186,6 +187,11 @@ def _numbers(runs: Sequence[Evidence], verdict: str) -> list[str]:
             f"{max(r.locked_at for r in closed):.0f}, slowest relaxation time "
             + (f"{slow:.3g}" if resolved else f"below {slow:.3g} (not resolved)")
         )
+        if math.isinf(slow):
+            told.append(
+                "the orbit is one of a family: some disturbances neither grow nor decay, such as "
+                "those of the phases of masses that are not coupled"
+            )
     unstable = [run for run in runs if run.kind == "unstable" and len(run.exponents)]
     if unstable:
         told.append(f"an unstable orbit grows at {max(r.exponents[0] for r in unstable):.2e}")

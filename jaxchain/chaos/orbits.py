@@ -19,6 +19,9 @@ from .poincare import mean_periods, novelty, phases, recurrence, symmetry_defect
 from .records import Evidence
 from .runs import Numerics, Trial
 
+# Errors of an exponent within which it is taken for zero.
+_NEUTRAL = 10.0
+
 
 @dataclass(frozen=True)
 class Judgement:
@@ -116,9 +119,13 @@ def _enter_orbit(own: Evidence, orbit: ClosedOrbit, sits: bool) -> None:
     errors = np.where(finite, error * np.exp(-np.where(finite, rates, 0.0) * period), 0.0)
     greatest = np.argmax(highest[1:]) + 1
     stable = highest[greatest] < -errors[greatest]
-    if not stable and not (sits and highest[greatest] > errors[greatest]):
+    # One of a family of orbits: phases of masses that are not coupled neither lock nor drift.
+    neutral = sits and abs(highest[greatest]) <= _NEUTRAL * errors[greatest]
+    if not (stable or neutral) and not (sits and highest[greatest] > errors[greatest]):
         return
-    own.kind = "cycle" if stable else "unstable"
+    own.kind = "cycle" if stable or neutral else "unstable"
+    if neutral:
+        rates = np.where(np.abs(rates) <= _NEUTRAL * errors, 0.0, rates)
     order = np.argsort(-highest, kind="stable")
     own.period, own.locked_at = period, own.time
     own.exponents, own.high = rates[order], (highest + errors)[order]

@@ -102,8 +102,9 @@ class Evidence:
     def relaxation_time(self) -> float:
         """1 / |slowest exponent| of an attracting orbit: in so long the distance falls by e.
 
-        0 where sticking annihilates every distance, NaN where the exponent is not resolved; then
-        it is below `longest_relaxation_time`.
+        0 where sticking annihilates every distance; infinite where the orbit is one of a family,
+        as that of masses which are not coupled; NaN where the exponent is not resolved: then it
+        is below `longest_relaxation_time`.
         """
         return self._time(self.exponents)
 
@@ -114,7 +115,8 @@ class Evidence:
 
     def _time(self, exponents: np.ndarray) -> float:
         known = self.kind == "cycle" and len(exponents) > 1
-        return abs(1.0 / float(exponents[1])) if known else math.nan
+        rate = abs(float(exponents[1])) if known else math.nan
+        return 1.0 / rate if rate else math.inf
 
 
 @dataclass(frozen=True)

@@ -177,7 +177,10 @@ def _close(
         slopes, (end, returned, sticking) = jax.jacfwd(flow, has_aux=True)(u)
         f = slopes[:, -1]
         matrix = jnp.block(
-            [[slopes[:, :-1] - jnp.eye(2 * n), f[:, None]], [f[None], jnp.zeros((1, 1))]]
+            [
+                [slopes[:, :-1] - jnp.eye(2 * n) + _free_phases(chain, f), f[:, None]],
+                [f[None], jnp.zeros((1, 1))],
+            ]
         )
         way = _Way(slopes, returned, sticking)
         return jnp.append(end - u[:-1], 0.0), factorise(matrix, weights), way
@@ -203,6 +206,20 @@ def _close(
         (u[:n], u[n:-1]), u[-1], gap, jnp.max(jnp.abs(u - once)), multipliers,
         found.defect, resolution,
     )  # fmt: skip
+
+
+def _free_phases(chain: AbstractOscillators, f: Float[Array, " two_n"]) -> Array:
+    """sum_n f_n f_n^T / |f_n|^2, f_n the part of f of mass n, if masses are not coupled, else 0.
+
+    Their phases are free, M f_n = f_n for each of them: without this M - 1 is singular.
+    """
+    n = f.shape[0] // 2
+    if n == 1 or not chain.structured:
+        return jnp.zeros(())
+    parts = jnp.concatenate([jnp.diag(f[:n]), jnp.diag(f[n:])])  # column n is f_n
+    sizes = jnp.sum(parts**2, axis=0)
+    free = (parts / jnp.where(sizes > 0, sizes, 1.0)[None]) @ parts.T
+    return free if chain.springs is None else jnp.all(chain.springs.constant == 0) * free
 
 
 def dry_limit_cycle(

@@ -24,7 +24,7 @@ from .chain import Chain
 
 # Belt speeds tried: from well inside the smoothed layer, or with dry friction from where no law
 # has weakened yet, to where friction no longer changes.
-_LEAST_WIDTHS, _LEAST_SPEED, _GREATEST_SPEED, _SPEEDS = 1e-2, 1e-11, 1e6, 1024
+_LEAST_WIDTHS, _LEAST_SPEED, GREATEST_SPEED, _SPEEDS = 1e-2, 1e-11, 1e6, 1024
 # Singular values below this, relative to the greatest, belong to modes that cross together.
 _TOGETHER = 1e-8
 # What rounding may make of a sum of damping and weakening, relative to these.
@@ -85,7 +85,7 @@ def least_belt_speed(chain: Chain) -> Float[Array, ""]:
 def belt_speed_grid(chain: Chain) -> Float[Array, " speeds"]:
     """1024 belt speeds, equally far apart in the logarithm, at which to look for changes."""
     least = jnp.log(least_belt_speed(chain))
-    return jnp.exp(jnp.linspace(least, jnp.log(_GREATEST_SPEED), _SPEEDS))
+    return jnp.exp(jnp.linspace(least, jnp.log(GREATEST_SPEED), _SPEEDS))
 
 
 def damping_outweighs(chain: Chain) -> Bool[Array, ""]:

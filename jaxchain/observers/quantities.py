@@ -1,7 +1,10 @@
 """What amplitudes and peak times say: energy, who vibrates, whether it has settled, delays."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from .._checks import (
@@ -11,8 +14,19 @@ from .._checks import (
     check_positive_number,
     check_whole,
     is_traced,
+    shown,
 )
 from .._types import ScalarLike
+
+
+def _amplitudes(value: Any, dimensions: int, remedy: str = "") -> Array:
+    """`value` as amplitudes, or raises `ValueError` for what is not one array of them."""
+    if isinstance(value, tuple) and any(np.ndim(part) for part in value):
+        raise ValueError(
+            f"Argument `amplitude` must be one array, but is {shown(value)}: a state (x, v) has "
+            "no amplitude; observe it, `simulate(..., observe=Amplitude()).observed`."
+        )
+    return as_array("amplitude", value, dimensions, remedy=remedy)
 
 
 def energy(amplitude: Float[Array, "*batch n"]) -> Float[Array, "*batch"]:
@@ -29,7 +43,7 @@ def energy(amplitude: Float[Array, "*batch n"]) -> Float[Array, "*batch"]:
         >>> energy(jnp.array([[2.0, 0.0, 0.0], [2.0, 2.0, 0.0]])).tolist()
         [2.0, 4.0]
     """
-    return 0.5 * jnp.sum(as_array("amplitude", amplitude, 1) ** 2, axis=-1)
+    return 0.5 * jnp.sum(_amplitudes(amplitude, 1) ** 2, axis=-1)
 
 
 def participation_ratio(amplitude: Float[Array, "*batch n"]) -> Float[Array, "*batch"]:
@@ -48,7 +62,7 @@ def participation_ratio(amplitude: Float[Array, "*batch n"]) -> Float[Array, "*b
     >>> float(participation_ratio(jnp.array([1.5, 0.0, -1.5, 0.0])))
     2.0
     """
-    amplitude = as_array("amplitude", amplitude, 1)
+    amplitude = _amplitudes(amplitude, 1)
     largest = jnp.max(jnp.abs(amplitude), axis=-1, keepdims=True)
     moves = largest > 0
     # Relative amplitudes: fourth powers of small ones would underflow.
@@ -93,7 +107,7 @@ def active(
         >>> active(jnp.array([1.6, 0.3, 0.0]), 1.5).tolist()  # the second one is only shaken
         [True, False, False]
     """
-    amplitude, threshold = as_array("amplitude", amplitude, 1), active_above(belt_speed)
+    amplitude, threshold = _amplitudes(amplitude, 1), active_above(belt_speed)
     states = amplitude.shape[:-1]
     if threshold.ndim > len(states) or any(
         own not in (1, count)
@@ -133,7 +147,7 @@ def settled(
     >>> bool(settled(grows, 1e-2)), bool(settled(grows, 0.1))
     (False, True)
     """
-    amplitude = as_array("amplitude", amplitude, 2, remedy="windows of some masses.")
+    amplitude = _amplitudes(amplitude, 2, remedy="windows of some masses.")
     check_positive_number("accuracy", accuracy, "1e-2 is usual.")
     windows = amplitude.shape[-2]
     if windows < _AGREEING:
@@ -161,7 +175,7 @@ def at_rest(amplitude: Float[Array, "*batch n"]) -> Bool[Array, "*batch"]:
     >>> at_rest(jnp.array([[1e-5, 0.0], [0.3, 0.0]])).tolist()
     [True, False]
     """
-    return jnp.all(as_array("amplitude", amplitude, 1) <= LEAST_ACTIVE, axis=-1)
+    return jnp.all(_amplitudes(amplitude, 1) <= LEAST_ACTIVE, axis=-1)
 
 
 def mean_period(peak_times: Float[Array, " peaks"]) -> Float[Array, ""]:

@@ -84,6 +84,32 @@ def test_where_some_vibrate_runs_go_on_to_their_end():
     assert found.vibrates.tolist() == [True, False, False, True, False, False]
 
 
+def test_neighbours_that_exchange_their_vibration_both_vibrate():
+    # Beats of 66 time units: each amplitude falls below the threshold of 0.75 in every third
+    # window, never both in the same one.
+    beat = 2 * np.pi / 66
+
+    def motion(t):
+        first, second = 1.1 + 0.5 * jnp.sin(beat * t), 1.1 - 0.5 * jnp.sin(beat * t)
+        return jnp.zeros(6).at[:2].set(jnp.stack([first, second])) * jnp.cos(t)
+
+    classify = VibratingMasses(window=10.0)
+    for end in (300.0, 310.0, 320.0, 330.0):
+        found, _ = after(classify, motion, end)
+        assert found.decided
+        assert found.vibrates.tolist() == [True, True, False, False, False, False]
+
+
+@pytest.mark.slow
+def test_two_masses_that_beat_are_decided():
+    # Coupled by 0.05, they exchange their vibration for ever.
+    chain = paper_chain(2, belt_speed=1.5, width=None).with_(coupling=0.05)
+    start = jnp.array([1.2, -0.8]), jnp.array([0.3, 1.4])
+    found = simulate(chain, start, 300.0, observe=VibratingMasses()).observed
+    assert bool(found.decided)
+    assert bool(found.vibrates.all())
+
+
 def test_what_still_changes_is_not_decided():
     # The second mass starts at t = 270, in the window before the last one.
     def motion(t):

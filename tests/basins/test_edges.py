@@ -157,6 +157,13 @@ def test_what_decides_the_program_must_not_be_traced():
             jax.jit(lambda a, name=name: edge_state(chain, *starts, **{name: a}))(1.0)
 
 
+@pytest.mark.parametrize("differentiate", [jax.grad, jax.jacfwd])
+def test_an_edge_state_is_not_differentiated(differentiate):
+    """Its derivatives would be zero, which is wrong."""
+    with pytest.raises(RuntimeError, match="find_limit_cycle"):
+        differentiate(lambda speed: edge_of(speed, 0.5, 2.5).amplitude[0])(1.7)
+
+
 @pytest.mark.long
 def test_the_cycle_closes_at_the_tracked_state(edges):
     edge = edges["usual"]

@@ -17,6 +17,8 @@ from jaxchain import (
     paper_chain,
 )
 from jaxchain.boundaries.hopf import hopf_belt_speed
+from jaxchain.boundaries.hopf_scan import hopf_points
+from jaxchain.model.friction import AbstractFrictionLaw
 
 EXACT = np.log(10.0) / 2
 LAW = ExponentialDecay(mu_static=1.0, mu_dynamic=0.5, v_ref=0.5)
@@ -282,3 +284,26 @@ def test_64_bit_floats_are_asked_for():
         hopf_belt_speed(narrow)
     with jax.enable_x64(False), pytest.raises(RuntimeError, match="64-bit floats"):
         hopf_belt_speed(chain)
+
+
+class Hyperbolic(AbstractFrictionLaw):
+    """mu_d + (mu_st - mu_d) / (1 + s / v0), which weakens at any speed."""
+
+    mu_static: jax.Array
+    mu_dynamic: jax.Array
+    v_ref: jax.Array
+
+    def coefficient(self, speed):
+        return self.mu_dynamic + (self.mu_static - self.mu_dynamic) / (1.0 + speed / self.v_ref)
+
+
+def test_by_default_hopf_points_looks_as_far_as_the_hopf_speed():
+    law = Hyperbolic(jnp.asarray(1.33011), jnp.asarray(0.693026), jnp.asarray(0.657642))
+    chain = Chain(1, TanhFriction(law, 0.05), 1.2, 0.00643233)
+    points = hopf_points(chain)
+    greatest = float(hopf_belt_speed(chain))
+    assert greatest == pytest.approx(5.0492, abs=1e-4)
+    assert float(points.belt_speed[-1]) == pytest.approx(greatest, rel=1e-12)
+    assert points.belt_speeds == (0.0, 1e6)
+    assert "at belt speeds 0 to 1000000" in repr(points)
+    assert "0 to 5" in repr(hopf_points(chain, (0.0, 5.0)))

@@ -127,6 +127,21 @@ def test_two_masses_that_know_nothing_of_each_other_are_quasi_periodic():
     assert lead.slips > 10
 
 
+@pytest.mark.slow
+def test_equal_masses_that_are_not_coupled_are_periodic():
+    """Their phases stay as they are: each orbit is one of a family."""
+    chain = paper_chain(2, belt_speed=1.5, width=None).with_(coupling=None)
+    initial = jnp.array([2.2, -2.0]), jnp.array([0.0, 1.4])
+    found = verdict(chain, initial, noise=(1e-3,), seeds=1, longest=2000.0)
+    assert found.verdict == "periodic", found.reason
+    assert found.lead.relaxation_time == np.inf
+    assert "neither grow nor decay" in found.reason
+    alone = close_orbit(
+        paper_chain(1, belt_speed=1.5, width=None), (initial[0][:1], initial[1][:1]), 6.3
+    )
+    assert found.lead.period == pytest.approx(float(alone.period), rel=1e-9)
+
+
 @pytest.mark.long
 def test_runs_that_got_farther_than_asked_are_not_asked_for_less():
     # 20 windows of 50 time units are the least, so that the first look comes at 1000.
