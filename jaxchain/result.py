@@ -107,12 +107,13 @@ class SearchResult(eqx.Enumeration, metaclass=_Ways):  # pyright: ignore
     )
     passed = (
         "No fold was found: on the cycle that touches the belt's speed another mass passes it. "
-        "Follow the cycle in which several vibrate: `find_limit_cycle` from the end of a run, "
-        "then `continue_cycle`."
+        "Follow the cycle in which several vibrate: with `chain.with_(width=1e-3)`, "
+        "`find_limit_cycle` from the end of a run, then `continue_cycle`."
     )
     no_turn = (
-        "No fold was found: a cycle touches the belt's speed, but no branch of cycles turns round "
-        "there. Try a run, or `continue_cycle`."
+        "No fold was found: the cycles grow out of steady sliding as the belt slows down, and "
+        "none turns round, so that vibration sets in gently (supercritically): it ends at "
+        "`hopf_belt_speed`. `hopf_points` tells the criticality."
     )
     no_fold = (
         "There is no fold: damping outweighs the weakening of friction at every speed, 2 xi_n > "
@@ -132,7 +133,8 @@ class SearchResult(eqx.Enumeration, metaclass=_Ways):  # pyright: ignore
         "No fold was found, though averaging has one: the search for the dry cycle that touches "
         "the belt's speed failed. With strong coupling one mass may not vibrate alone at any belt "
         "speed: try a run. Weaken the coupling, or follow the cycle in which several vibrate: "
-        "`find_limit_cycle` from the end of a run, then `continue_cycle`."
+        "with `chain.with_(width=1e-3)`, `find_limit_cycle` from the end of a run, then "
+        "`continue_cycle`."
     )
     no_cycle = (
         "No fold was found, though averaging has one: the search for a closed cycle failed. Where "

@@ -7,22 +7,18 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from .._checks import check_positive_number, is_traced, to_float
 from .._reprs import summary
-from ..cycles.averaging import fold_guess, one_mass
 from ..model.chain import Chain
 from ..model.initial_states import check_vibrating, on_the_belt
-from ..model.sliding import damping_outweighs
 from ..observers.amplitude import Amplitude
 from ..observers.quantities import active
 from ..result import Outcome, SearchResult
 from ..simulation.event_driven import EventDriven
 from ..simulation.run import simulate
-from .fold import fold_belt_speed
-from .fold_start import without_fold
+from .fold import fold_and_result
 from .hopf import hopf_belt_speed
 
 _WINDOW = 20.0
@@ -36,10 +32,9 @@ class BistableRange(Outcome):
     - `fold`: one mass can vibrate up to it; NaN if there is no fold.
     - `highest`: the greatest speed at which there is vibration at all, max(hopf, fold); 0 if there
       is none at any speed.
-    - `width`: highest - hopf >= 0; 0 where there is no fold.
-    - `result`: successful where there is a fold, or none is proved to be.  Where it is not,
-      `highest` and `width` mean nothing; that vibration sets in gently to first harmonic
-      (`SearchResult.gentle`) is no proof.
+    - `width`: highest - hopf >= 0; 0 where there is proved to be no fold.
+    - `result`: successful where the fold was found, or there is proved to be none.  Where it is
+      not, it says why the search failed, and `highest` and `width` are NaN.
 
     !!! example
 
@@ -77,12 +72,13 @@ def bistable_range(chain: Chain, vibrating: Any = None) -> BistableRange:
     **Arguments:** `chain`, dry or smoothed, whose own belt speed has no part in it; `vibrating`,
     the index of the mass, as in `fold_belt_speed`.
 
-    A fold that vanishes takes the bistable range with it and is no failure.  Works under `jit`,
-    `vmap`, `jvp`, and, where there is a fold, `grad`.
+    Where damping outweighs the weakening of friction there is no fold, which is no failure: the
+    width is 0.  Where the fold is not found the width is NaN, and `result` says why.  Works under
+    `jit`, `vmap`, `jvp`, and, where there is a fold, `grad`.
 
     **Returns:** a `BistableRange`, in v_d.
 
-    **Raises:** `ValueError` for anything but a chain, a mass it has.
+    **Raises:** `ValueError` for anything but a `Chain`, or a mass that it does not have.
 
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
@@ -98,19 +94,16 @@ def bistable_range(chain: Chain, vibrating: Any = None) -> BistableRange:
 
 @eqx.filter_jit
 def _range(chain: Chain, mass: int) -> BistableRange:
-    fold = fold_belt_speed(chain, mass)
+    of = SearchResult
+    fold, result = fold_and_result(chain, mass)
     hopf = hopf_belt_speed(chain)
-    none = jnp.isnan(fold)
-    frozen = lax.stop_gradient(chain)
-    _, _, expected = fold_guess(one_mass(frozen, mass))
-    proved = damping_outweighs(frozen)
+    none = result == of.no_fold
     # Masses without damping vibrate at every speed, which has no fold, either.
     damped = jnp.min(chain.damping_ratio) > 0
+    result = of.where(damped, of.where(none, of.successful, result), of.undamped)
     lowest = jnp.where(jnp.isnan(hopf), 0.0, hopf)
     highest = jnp.where(none, lowest, jnp.maximum(fold, lowest))
-    of = SearchResult
-    result = without_fold(of.no_cycle, expected, damped, proved)
-    result = of.where(damped & (~none | proved), of.successful, result)
+    highest = jnp.where(result == of.successful, highest, jnp.nan)
     return BistableRange(
         hopf=hopf, fold=fold, highest=highest, width=highest - lowest, result=result
     )

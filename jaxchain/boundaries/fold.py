@@ -21,7 +21,7 @@ from ..model.initial_states import check_vibrating
 from ..result import Outcome, SearchResult
 from .fold_search import Place, Search, search, unknowns
 from .fold_start import Start, at_least_wide, first_guess, narrowed
-from .grazing import nonsmooth_fold_belt_speed
+from .grazing import find_grazing
 
 
 class Fold(Outcome):
@@ -108,10 +108,20 @@ def fold_belt_speed(chain: Any, vibrating: Any = None) -> Float[Array, ""]:
         >>> round(float(slope), 3)  # more damping, less vibration
         -26.456
     """
-    mass = check_vibrating(chain, vibrating)
+    return fold_and_result(chain, check_vibrating(chain, vibrating))[0]
+
+
+def fold_and_result(chain: Chain, mass: int) -> tuple[Float[Array, ""], SearchResult]:
+    """(`fold_belt_speed`, how the search for it ended)."""
     if chain.dry:
-        return nonsmooth_fold_belt_speed(chain, mass)
-    return _belt_speed(chain, mass, *_find(lax.stop_gradient(chain), mass))
+        fold = find_grazing(chain, mass)
+        return fold.belt_speed, fold.result
+    start, found = _find(lax.stop_gradient(chain), mass)
+    return _belt_speed(chain, mass, start, found), _result(start, found)
+
+
+def _result(start: Start, found: Search) -> SearchResult:
+    return SearchResult.where(found.found, SearchResult.successful, start.result)
 
 
 @stored_jit
@@ -172,7 +182,7 @@ def _fold(chain: Chain, mass: int, start: Start, found: Search) -> Fold:
         state=state,
         closeness=jnp.sinh(both[held.place]),
         residual=found.residual,
-        result=SearchResult.where(found.found, SearchResult.successful, start.result),
+        result=_result(start, found),
         width=held.field.width,  # pyright: ignore[reportAttributeAccessIssue]
         evaluations=found.count,
         mass=mass,

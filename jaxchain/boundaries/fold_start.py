@@ -9,7 +9,14 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from ..cycles.averaging import dry_fold_speed, fold_guess, one_mass, speed_scale
+from ..cycles.averaging import (
+    dry_fold_speed,
+    dry_summits,
+    fold_guess,
+    one_mass,
+    speed_scale,
+    usual_closeness,
+)
 from ..cycles.shooting import Shooting
 from ..model.chain import Chain
 from ..model.sliding import damping_outweighs
@@ -17,8 +24,8 @@ from ..result import SearchResult
 from ..simulation.accuracy import fit_linear_solve
 from ..solvers.rosenbrock import Rodas5P
 from .fold_search import FOLD_RTOL, Place, as_place
-from .touch import layer, sides, slip_force
-from .touch_search import find_touch
+from .touch import Touch, layer, shift, slip_force
+from .touch_search import find_dry_fold
 
 # Widths over the speed of the problem: below the first two the dry cycle is wanted exactly, and
 # the asymptotics of a thin layer are the better guess; above the last they are none.
@@ -53,14 +60,15 @@ class Start(NamedTuple):
 def first_guess(chain: Chain, mass: int) -> Start:
     """Equations and a place near the fold; nothing in here is to be differentiated."""
     alone = one_mass(chain, mass)
-    dry_averaged = dry_fold_speed(alone)
-    scale = speed_scale(alone, dry_averaged)
+    dry_averaged = dry_summits(alone)
+    scale = speed_scale(alone, dry_fold_speed(alone))
     exact = alone.width < _POLISH * scale
-    touch, q, slopes = find_touch(chain, mass, exact, dry_averaged)
-    (_, v), _, touch_speed = touch.unpack(q)
-    known = *slopes[-1], touch.fall(v), touch.hold
+    dry = find_dry_fold(chain, mass, exact, dry_averaged)
+    touch = Touch(chain, dry.steps, mass)
+    (_, v), _, dry_speed = touch.unpack(dry.q, dry.w)
+    known = *dry.sides[-1], touch.fall(v), touch.hold
     multiplier = -known[0] / known[1]
-    unstable, tame = multiplier > _UNSTABLE, (multiplier > 1.0) & (multiplier <= _UNSTABLE)
+    unstable, tame = multiplier > _UNSTABLE, dry.turns & (multiplier <= _UNSTABLE)
     least = scale * jnp.where(unstable, _LEAST_UNSTABLE, _LEAST_WIDTH)
     least = jnp.where(jnp.isfinite(least), least, 0.0)
     chain, alone = at_least_wide(chain, least), at_least_wide(alone, least)
@@ -69,14 +77,19 @@ def first_guess(chain: Chain, mass: int) -> Start:
     by_leaving, by_arriving, fall, hold = known
     here = layer(by_leaving, by_arriving, fall, hold, width)
     # The layer is thin, or else averaging knows better where it is, and what belt speed it has.
-    layered = jnp.isfinite(here.closeness) & (width < _THICK * scale)
-    thin = layered & (width < _THIN * scale)
-    moved = q + slopes @ jnp.stack([here.leaving, here.arriving])
-    moved = jnp.where(layered, moved, q)
+    touches = dry.turns & (dry.ratio >= 1.0)
+    layered = touches & jnp.isfinite(here.closeness) & (width < _THICK * scale)
+    # A fold without a touch stays where it is, but for what keeps it out of the layer.
+    free = dry.turns & ~touches & (width < _THICK * scale)
+    thin = (layered | free) & (width < _THIN * scale)
+    moved = dry.q + dry.sides @ jnp.stack([here.leaving, here.arriving])
+    moved = jnp.where(layered, moved, dry.q)
     # Averaging errs by the same factor for smoothed as for dry friction, or nearly so.
-    speed = jnp.where(thin, moved[-1], averaged * touch_speed / dry_averaged)
+    factor = jnp.where(dry.turns, dry_speed / dry_averaged[1][0], 1.0)
+    speed = jnp.where(thin, moved[-1], averaged * factor)
     s = jnp.where(layered, here.closeness, averaged_s)
-    (x, v), period, _ = touch.unpack(moved)
+    s = jnp.where(free, jnp.minimum(dry.w / width, usual_closeness(width / dry_speed)), s)
+    (x, v), period, _ = touch.unpack(moved, jnp.where(layered, 0.0, dry.w))
     # The velocity of mass j is greatest a little before the touch.
     early = jnp.where(layered, here.time, 0.0)
     force = slip_force(chain, moved[-1], v) + chain.restoring_force(x)
@@ -87,6 +100,7 @@ def first_guess(chain: Chain, mass: int) -> Start:
         mass=mass, images=tuple(range(chain.n)), parameter="belt_speed",
     )  # fmt: skip
     place = as_place(shooting, shooting.pack((x, v), period, speed), speed)
+    exists = exists | thin
     damped = alone.damping_ratio > 0
     touches = jnp.all(jnp.isfinite(place.q)) & jnp.isfinite(place.z)
     none = damping_outweighs(chain)
@@ -117,22 +131,12 @@ def narrowed(start: Start, width: Array) -> Array:
 
     By the asymptotics of `boundaries/touch.py`; differentiable in `width`.
     """
-    by_leaving, by_arriving, fall, hold = jax.tree.map(lax.stop_gradient, start.sides)
+    known = jax.tree.map(lax.stop_gradient, start.sides)
     tiny = width < start.width
-    # Where nothing is gained, NaN must not reach the derivative.
-    sound = tiny & (by_leaving + by_arriving > 0) & (by_arriving < 0)
-    known = [jnp.where(sound, a, b) for a, b in zip(
-        (by_leaving, by_arriving, fall, hold), (2.0, -1.0, 1.0, 1.0), strict=True
-    )]  # fmt: skip
-
-    def shift(width: Array) -> Array:
-        first, second, kappa, held = known
-        leaving, arriving, _ = sides(first, second, kappa, held, width)
-        return first * leaving + second * arriving
-
-    wide = jnp.where(sound, start.width, 1.0)
-    gained = shift(jnp.where(sound, width, 1.0)) - shift(wide)
-    return jnp.where(tiny & ~sound, jnp.nan, gained)
+    gained = shift(*known, jnp.where(tiny, width, 1.0)) - shift(
+        *known, jnp.where(tiny, start.width, 1.0)
+    )
+    return jnp.where(tiny, gained, 0.0)
 
 
 def loose_rtol(chain: Chain) -> Array:

@@ -27,18 +27,22 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from .._stored_programs import stored_jit
 from .._types import ScalarLike, State
 from ..continuation.elimination import solve
+from ..continuation.fold_points import fold_residual
 from ..continuation.implicit import attach_derivative, if_found
+from ..cycles.averaging import dry_summits, one_mass
 from ..cycles.limit_cycle import can_be_cycle
 from ..model.chain import Chain
 from ..model.initial_states import check_vibrating
+from ..model.sliding import damping_outweighs
 from ..result import Outcome, SearchResult
-from .touch import sides, touch_residual, touch_slopes
-from .touch_search import find_touch
+from .fold_start import without_fold
+from .touch import Touch, shift, touch_residual, touch_slopes
+from .touch_search import find_dry_fold
 
 # A velocity above the belt's by this share of it is one that passes it.
 _PASSES = 1e-9
@@ -75,6 +79,7 @@ class Grazing(Outcome):
     belt_speed: Float[Array, ""]
     period: Float[Array, ""]
     state: State
+    touches: Bool[Array, ""]
     by_leaving: Float[Array, ""]
     by_arriving: Float[Array, ""]
     fall: Float[Array, ""]
@@ -100,8 +105,7 @@ class Grazing(Outcome):
         **Arguments:** `width` = eps of the mass that grazes.
         """
         slopes = self.by_leaving, self.by_arriving
-        leaving, arriving, _ = sides(*slopes, self.fall, self.hold, width)
-        return self.belt_speed + self.by_leaving * leaving + self.by_arriving * arriving
+        return self.belt_speed + shift(*slopes, self.fall, self.hold, width)
 
 
 def nonsmooth_fold_belt_speed(chain: Chain, vibrating: Any = None) -> Float[Array, ""]:
@@ -151,25 +155,51 @@ def find_grazing(chain: Chain, vibrating: Any = None) -> Grazing:
 @stored_jit
 def _find(chain: Chain, mass: int) -> Grazing:
     frozen = lax.stop_gradient(chain)
-    touch, q, _ = find_touch(frozen, mass)
-    gap, slopes, highest = touch_slopes(touch, q)
+    alone = one_mass(frozen, mass)
+    averaged = dry_summits(alone)
+    dry = find_dry_fold(frozen, mass, averaged=averaged)
+    q, w = dry.q, dry.w
+    touch = Touch(frozen, dry.steps, mass)
+    gap, slopes, highest = touch_slopes(touch, q, w)
     by_leaving, by_arriving = -solve(slopes[:, :-2], slopes[:, -2:])[-1]
-    (_, v), period, speed = touch.unpack(q)
+    (_, v), period, speed = touch.unpack(q, w)
     fall = touch.fall(v)
     slides = jnp.all(highest <= (1.0 + _PASSES) * speed)
-    folds = (by_leaving + by_arriving > 0) & (by_arriving < 0) & (fall > 0)
-    own = eqx.tree_at(lambda c: c.belt_speed, frozen, speed)
-    folds = folds & can_be_cycle(own, period, jnp.abs(v))
-    found = jnp.isfinite(speed) & slides & folds
+    touches = dry.ratio >= 1.0
+    folds = dry.turns & (by_arriving < 0) & (fall > 0)
+    at_speed = eqx.tree_at(lambda c: c.belt_speed, frozen, speed)
+    folds = folds & can_be_cycle(at_speed, period, jnp.abs(v))
+    exists = jnp.isfinite(speed) & slides & folds
     of = SearchResult
-    result = of.where(slides, of.no_turn, of.passed)
-    result = of.where(jnp.isfinite(speed), result, of.no_touch)
-    result = of.where(found, of.successful, result)
-    held = eqx.tree_at(lambda t: t.chain, touch, chain)
-    q = if_found(found, attach_derivative(touch_residual, q, held))
-    state, period, speed = held.unpack(q)
+    result = of.where(slides | jnp.isnan(speed), of.no_touch, of.passed)
+    result = of.where(dry.turns | jnp.isnan(speed), result, of.no_turn)
+    expected, damped = jnp.isfinite(averaged[1][0]), alone.damping_ratio > 0
+    result = without_fold(result, expected, damped, damping_outweighs(frozen))
+    result = of.where(exists, of.successful, result)
+    # z = (q but for the belt speed, w, v_d), of the fold's equations.
+    z = jnp.concatenate([q[:-1], jnp.stack([w, speed])])
+    slope = jnp.concatenate([slopes[:, :-3], jnp.sum(slopes[:, -2:], axis=1)[:, None]], axis=1)
+    left, _, right = jnp.linalg.svd(jnp.where(exists, slope, jnp.eye(slope.shape[0])))
+    held = Touch(chain, dry.steps, mass), (left[:, -1], right[-1]), touches
+    z = if_found(exists, attach_derivative(_fold_equations, z, held))
+    state, period, speed = held[0].unpack(jnp.append(z[:-2], z[-1]), z[-2])
     return Grazing(
-        belt_speed=speed, period=period, state=state, by_leaving=by_leaving,
+        belt_speed=speed, period=period, state=state, touches=touches, by_leaving=by_leaving,
         by_arriving=by_arriving, fall=fall, hold=touch.hold,
         residual=jnp.max(jnp.abs(gap)), result=result, mass=mass,
     )  # fmt: skip
+
+
+def _closure(u: Float[Array, " m"], speed: Any, touch: Touch) -> Float[Array, " m"]:
+    """The equations of the slip cycle with the unknowns (q but for the belt speed, w)."""
+    return touch_residual(jnp.append(u[:-1], speed), touch, u[-1], u[-1])
+
+
+_SADDLE_NODE = fold_residual(_closure)
+
+
+def _fold_equations(z: Float[Array, " m_plus_1"], held: Any) -> Float[Array, " m_plus_1"]:
+    """The slip cycle closes, and touches the belt's speed or is a saddle-node."""
+    touch, borders, touches = held
+    r = _SADDLE_NODE(z, (touch, borders))
+    return r.at[-1].set(jnp.where(touches, z[-2], r[-1]))

@@ -141,9 +141,9 @@ def touch_residual(
 
 
 def touch_slopes(
-    touch: Touch, q: Float[Array, " m"]
+    touch: Touch, q: Float[Array, " m"], w: Any = 0.0
 ) -> tuple[Float[Array, " m"], Float[Array, "m columns"], Float[Array, " n"]]:
-    """(residual, its derivatives in (q, w_+, w_-), greatest velocity of each mass)."""
+    """(residual, its slopes in (q, w_+, w_-), greatest velocity of each mass) at w_+ = w_- = w."""
 
     def along(unknown: Array) -> tuple[Array, tuple[Array, Array]]:
         q, leaving, arriving = unknown[:-2], unknown[-2], unknown[-1]
@@ -151,7 +151,7 @@ def touch_slopes(
         gap = jnp.concatenate([x, v]) / q[-1]
         return gap, (gap, highest)
 
-    slopes, (gap, highest) = jax.jacfwd(along, has_aux=True)(jnp.append(q, jnp.zeros(2)))
+    slopes, (gap, highest) = jax.jacfwd(along, has_aux=True)(jnp.append(q, w + jnp.zeros(2)))
     return gap, slopes, highest
 
 
@@ -180,6 +180,21 @@ def sides(
     arriving = 0.5 * width * (jnp.log(rho - 1.0) - log_q)
     leaving = -0.5 * width * (log_q + jnp.log(rho / (rho - 1.0)))
     return leaving, arriving, log_q
+
+
+def shift(by_leaving: Any, by_arriving: Any, fall: Any, hold: Any, width: ScalarLike) -> Array:
+    """v_d of the fold of smoothed friction less that of dry friction; arguments as in `sides`.
+
+    0 for V_+ + V_- <= 0: the mass of that fold stays below the belt's speed, where smoothing
+    changes nothing.
+    """
+    touches = (by_leaving + by_arriving > 0) & (by_arriving < 0)
+    # Where nothing is shifted, NaN must not reach the derivative.
+    known = [jnp.where(touches, a, b) for a, b in zip(
+        (by_leaving, by_arriving, fall, hold), (2.0, -1.0, 1.0, 1.0), strict=True
+    )]  # fmt: skip
+    leaving, arriving, _ = sides(*known, width)
+    return jnp.where(touches, known[0] * leaving + known[1] * arriving, 0.0)
 
 
 def layer(by_leaving: Any, by_arriving: Any, fall: Any, hold: Any, width: ScalarLike) -> Layer:

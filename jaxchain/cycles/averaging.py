@@ -23,7 +23,7 @@ _NODES, _SPEEDS, _HALVINGS = 32, 64, 24
 _GRADING = 0.9
 # Amplitudes in units of the belt speed; folds with a smaller one are taken for none.
 _RATIOS = np.concatenate([np.geomspace(3e-3, 0.3, 9), np.linspace(0.35, 1.02, 16)])
-# A smoothed fold: max w = eps s with s = ln(eps / v_d) / 4 - 1, from folds at widths 0.2 ... 1e-5.
+_SLIP_RATIOS = np.append(_RATIOS[_RATIOS < 0.99], 1.0)
 
 
 def graded(phase: Any) -> Any:
@@ -108,6 +108,33 @@ def dry_fold_speed(chain: Chain) -> Float[Array, ""]:
     return cycle_speed(dry, 1.0, greatest_speed(dry))
 
 
+def dry_summits(chain: Chain) -> tuple[Float[Array, " two"], Float[Array, " two"]]:
+    """(ratios, belt speeds) of the two fastest summits of `cycle_speed` for dry slip cycles.
+
+    The ratio is 1 where the belt's speed rises up to the touch.  Without a summit it is that of
+    the greatest slip cycle, and NaN are the speeds of what does not exist.
+    """
+    dry, ratios = chain.with_(width=None), jnp.asarray(_SLIP_RATIOS)
+    highest = greatest_speed(dry)
+    speeds = jax.vmap(lambda ratio: cycle_speed(dry, ratio, highest))(ratios)
+    exists = jnp.isfinite(speeds)
+    finite = jnp.where(exists, speeds, -jnp.inf)
+    rises = finite[1:] > finite[:-1]
+    summits = jnp.append(False, rises & jnp.append(~rises[1:], True))
+    heights = jnp.where(summits, finite, -jnp.inf)
+    first = jnp.where(
+        jnp.any(summits),
+        jnp.argmax(heights),
+        jnp.max(jnp.where(exists, jnp.arange(len(ratios)), 0)),
+    )
+    rest = heights.at[first].set(-jnp.inf)
+    second = jnp.argmax(rest)
+    # Where the first search fails, the greatest slip cycle is another place to begin.
+    second = jnp.where(jnp.isfinite(rest[second]), second, len(ratios) - 1)
+    at = jnp.stack([first, second])
+    return ratios[at], speeds[at].at[1].set(jnp.where(second == first, jnp.nan, speeds[second]))
+
+
 def speed_scale(chain: Chain, dry_speed: ScalarLike) -> Float[Array, ""]:
     """The speed that widths are to be compared with when one mass vibrates.
 
@@ -118,6 +145,11 @@ def speed_scale(chain: Chain, dry_speed: ScalarLike) -> Float[Array, ""]:
     steepest = jnp.maximum(jnp.abs(slope[0]), jnp.max(-slope))
     weakens = 2.0 * chain.law.mu_static / jnp.maximum(steepest, 1e-12)
     return jnp.fmin(dry_speed, weakens)  # without a fold there is no speed
+
+
+def usual_closeness(relative_width: ScalarLike) -> Float[Array, ""]:
+    """s = max w / eps at a smoothed fold in the layer, from folds at eps / v_d = 0.2 ... 1e-5."""
+    return 0.25 * jnp.log(jnp.minimum(relative_width, 1.0)) - 1.0
 
 
 def fold_guess(chain: Chain) -> tuple[Array, Array, Array]:
@@ -136,7 +168,7 @@ def fold_guess(chain: Chain) -> tuple[Array, Array, Array]:
     if chain.dry:
         return speed, jnp.zeros(()), exists
     width = chain.width
-    layer = 1.0 + width / speed * (0.25 * jnp.log(jnp.minimum(width / speed, 1.0)) - 1.0)
+    layer = 1.0 + width / speed * usual_closeness(width / speed)
     next_ratio = jnp.asarray([*_RATIOS[1:], 2.0])[at]
     ratio = jnp.where(next_ratio < layer, jnp.asarray(_RATIOS)[at], layer)
     better = cycle_speed(chain, ratio, highest)
