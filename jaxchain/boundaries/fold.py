@@ -116,8 +116,17 @@ def fold_and_result(chain: Chain, mass: int) -> tuple[Float[Array, ""], SearchRe
     if chain.dry:
         fold = find_grazing(chain, mass)
         return fold.belt_speed, fold.result
+    speed, _, result = smoothed_fold(chain, mass)
+    return speed, result
+
+
+def smoothed_fold(
+    chain: Chain, mass: int
+) -> tuple[Float[Array, ""], Float[Array, ""], SearchResult]:
+    """(`fold_belt_speed`, s = max w / eps there, how the search ended) with a width."""
     start, found = _find(lax.stop_gradient(chain), mass)
-    return _belt_speed(chain, mass, start, found), _result(start, found)
+    speed = _belt_speed(chain, mass, start, found)
+    return speed, jnp.sinh(found.here.z), _result(start, found)
 
 
 def _result(start: Start, found: Search) -> SearchResult:

@@ -1,4 +1,4 @@
-"""The fold of true dry friction: a vibration whose greatest velocity just reaches the belt's.
+"""The fold of true dry friction: the slip cycle with the fastest belt, which mostly touches it.
 
 While a mass slides behind the belt, F = p mu(v_d - v), smooth up to v = v_d and beyond.  A slip
 cycle that touches the belt's speed has, at the touch,
@@ -18,6 +18,11 @@ held it, with v_d + w_-.  The chain gives one relation of them,
 and what happens at the belt the other: dry friction w_+ = min(w_-, 0).  So slip cycles lie along
 v_d = V + (V_+ + V_-) w, w < 0, sticking ones along v_d = V + V_- w_-, w_- > 0, and V is a fold,
 the greatest belt speed of both, where V_+ + V_- > 0 > V_-.
+
+Where V_+ + V_- < 0, as for a law that is flat at rest, the belt is faster for slip cycles that do
+not quite reach it.  The fold is then the greatest v_d(w), w < 0: a smooth saddle-node of slip
+cycles, with a multiplier of +1 and V_+ + V_- = 0.  As a parameter makes w -> 0 it merges with the
+touch.
 """
 
 from __future__ import annotations
@@ -49,12 +54,15 @@ _PASSES = 1e-9
 
 
 class Grazing(Outcome):
-    """A cycle that touches the belt's speed: the fold of cycles for dry friction.
+    """The slip cycle with the fastest belt: the fold of cycles for dry friction.
 
-    - `belt_speed`: V, NaN if none was found; `period`, and `state` at the touch.
-    - `by_leaving`, `by_arriving`: V_+ and V_-, see the head of this module.  Their ratio
-      -V_+ / V_- is, for one mass, the multiplier of the slip cycle, about 2.
-    - `fall`: kappa = -v_j'', how fast the mass loses its acceleration at the touch; `hold`: the
+    - `belt_speed`: V, NaN if none was found; `period`, and `state` at the greatest velocity of the
+      mass.
+    - `touches`: whether that velocity is the belt's, so that the fold is a grazing; if not, it is
+      a smooth saddle-node of slip cycles, see the head of this module.
+    - `by_leaving`, `by_arriving`: V_+ and V_-, see there.  Their ratio -V_+ / V_- is, for one mass,
+      the multiplier of the slip cycle, about 2 at a touch and 1 at a saddle-node.
+    - `fall`: kappa = -v_j'', how fast the mass loses its acceleration there; `hold`: the
       greatest friction force on it, p mu_st.
     - `residual`: the greatest gap after a period over the belt speed.
     - `result`: successful if the cycle closes, no mass passes the belt's speed anywhere on it, and
@@ -91,6 +99,7 @@ class Grazing(Outcome):
     def _rows(self) -> dict[str, Any]:
         return {
             "belt speed": self.belt_speed,
+            "touches the belt's speed": self.touches,
             "period": self.period,
             "gap after a period": self.residual,
             "mass": self.mass,
@@ -100,7 +109,7 @@ class Grazing(Outcome):
         """About where the fold of smoothed friction is, to O(width^(3/2)); NaN if none was found.
 
         v_d = V - (V_+ + V_-) / 4 eps ln(1 / eps) + O(eps), the summit of the layer in
-        `boundaries/touch.py`.
+        `boundaries/touch.py`; V itself for a saddle-node, which smoothing hardly moves.
 
         **Arguments:** `width` = eps of the mass that grazes.
         """
@@ -112,13 +121,14 @@ def nonsmooth_fold_belt_speed(chain: Chain, vibrating: Any = None) -> Float[Arra
     """The greatest belt speed at which the vibration of one mass survives, for true dry friction.
 
     The limit of `fold_belt_speed` as the width vanishes, found directly: the grazing-sliding fold
-    of the head of this module.  Mass `vibrating` grazes the belt's speed, the others slide.
+    or, where friction is flat at rest, the saddle-node of slip cycles of the head of this module.
+    Mass `vibrating` vibrates, the others slide.
 
     **Arguments:** `chain`, whose own `belt_speed` and width have no part in it; `vibrating`, the
     index (from 0) of the mass, by default n // 2, oscillator 11 of 20.
 
     **Returns:** the dimensionless v_d, relative error about 1e-11; NaN where there is none or none
-    is found: `find_grazing` tells.  Works under `jit`, `vmap`, `grad`, `jvp` and `jax.hessian`, in
+    is found: `find_grazing` says which kind it is, or why there is none.  Works under `jit`, `vmap`, `grad`, `jvp` and `jax.hessian`, in
     every number of the chain.
 
     **Raises:** `ValueError` for anything but a `Chain`, or a mass it does not have.

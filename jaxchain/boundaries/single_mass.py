@@ -46,8 +46,9 @@ class OneMassBranch(eqx.Module):
       places where there is no point, so drop these before drawing a line.
     - `closeness`: s = max w / eps; -inf for dry friction.
 
-    The first entry is the Hopf point, of amplitude 0; `fold` is the index of the fold, which is
-    the last one of a dry slip branch.
+    The first entry is the Hopf point, of amplitude 0; `fold` is the index of the fold.  Of a dry
+    slip branch it is the last one, the touch, even where friction is flat at rest and the belt is
+    faster a little before.
 
     !!! example
 
@@ -148,7 +149,7 @@ def dry_slip_branch(chain: Chain, points: int = 24) -> OneMassBranch:
     """The unstable slip cycles of one mass with dry friction, from rest to the touch of the belt.
 
     The equations of `boundaries/grazing.py` with the greatest velocity r v_d, 0 < r <= 1; r = 1 is
-    the fold.
+    the touch, and the fold unless the belt is faster before (`Grazing.touches`).
 
     **Arguments:** `chain` of one mass, whose `belt_speed` and width have no part in it; `points`,
     how many cycles, besides the Hopf point.

@@ -23,10 +23,11 @@ from jaxtyping import Array, Float
 
 from .._checks import check_positive, check_positive_number, is_traced, require_x64, to_float
 from .._reprs import summary
+from ..continuation.damped_newton import where
 from ..cycles.averaging import dry_fold_speed, one_mass, speed_scale
 from ..model.chain import Chain
 from ..model.initial_states import check_vibrating
-from .fold import fold_belt_speed
+from .fold import smoothed_fold
 from .grazing import nonsmooth_fold_belt_speed
 
 _LEAST = 4
@@ -36,6 +37,8 @@ _FEWER, _FEWEST = 2, 3
 _WIDTHS = 6e-4 * 2.0 ** np.arange(6)
 # Relative error of a fold, see `fold_belt_speed`.
 _ACCURACY = 1e-9
+# Fall of s with the logarithm of the width beyond which a fold is out of the layer.
+_FREE = 0.85
 
 
 class Extrapolated(eqx.Module):
@@ -159,6 +162,27 @@ def _extrapolate(values: Array, widths: Array, scale: Any, accuracy: Any) -> Ext
     return Extrapolated(coefficients[0], jnp.max(spread) + noise, coefficients)
 
 
+def _unless_free(
+    limit: Extrapolated, folds: Array, closeness: Array, widths: Array
+) -> Extrapolated:
+    """`limit`, or the fold at the least width where its mass stays out of the layer.
+
+    In the layer s = max w / eps falls by no more than 3/4 of the logarithm as the width falls.
+    Where it falls faster, w itself has a limit below the belt's speed, from which the fold is
+    exponentially near as the width vanishes, which is no series.  Its distance falls at least
+    like the width.
+    """
+    least, next_one = jnp.argsort(widths)[:2]
+    ratio = widths[next_one] / widths[least]
+    free = closeness[next_one] - closeness[least] > _FREE * jnp.log(ratio)
+    value, moved = folds[least], jnp.abs(folds[next_one] - folds[least])
+    error = moved / (ratio - 1.0) + 2.0 * _ACCURACY * value
+    constant = jnp.zeros_like(limit.coefficients).at[0].set(value)
+    # A fold that is missing at another width is missed here, too.
+    both = Extrapolated(value, error, constant), limit
+    return where(free & jnp.isfinite(limit.value), *both)
+
+
 def _fit(columns: Array, values: Array, weights: Array) -> tuple[Array, Array]:
     """(coefficients, sum of |d coefficient 0 / d value|) of weighted least squares."""
     weighted = weights[:, None] * columns
@@ -196,6 +220,9 @@ def fold_in_the_limit(chain: Chain, vibrating: Any = None, widths: Any = None) -
     (about 1e-3 ... 3e-2 for the paper's set).
 
     **Returns:** an `Extrapolated`, in v_d, NaN where a fold is not found at one of the widths.
+    Where the mass stays below the belt's speed at the fold (`Grazing.touches` is false) there is
+    no series in the width: the value is the fold at the least width, and the bar what the next
+    width changes.
     Works under `jit`, `vmap`, `grad` and `jvp` like `fold_belt_speed`, of whose values it is a
     linear combination.  Against the direct dry fold the bar held for all of 199 random sets (xi
     0.02 ... 0.15, mu_st 0.6 ... 1.4, mu_d / mu_st 0.3 ... 0.8, v_ref 0.2 ... 1), where it was
@@ -242,7 +269,9 @@ def fold_boundary(chain: Chain, vibrating: Any = None) -> FoldBoundary:
 def _limit(chain: Chain, mass: int, widths: Array | None) -> Extrapolated:
     scale = _scale(chain, mass)
     widths = scale * jnp.asarray(_WIDTHS) if widths is None else widths
-    return _extrapolate(_folds(chain, mass, widths), widths, scale, _ACCURACY)
+    folds, closeness = _folds(chain, mass, widths)
+    limit = _extrapolate(folds, widths, scale, _ACCURACY)
+    return _unless_free(limit, folds, closeness, widths)
 
 
 @eqx.filter_jit
@@ -253,17 +282,19 @@ def _boundary(chain: Chain, mass: int) -> FoldBoundary:
     each = jnp.broadcast_to(widths.reshape((-1,) + (1,) * own.ndim), (len(_WIDTHS), *own.shape))
     dry = nonsmooth_fold_belt_speed(chain, mass)
     if chain.dry:
-        folds = jnp.append(dry, _folds(chain, mass, each))
+        value, (folds, closeness) = dry, _folds(chain, mass, each)
     else:
-        folds = _folds(chain, mass, jnp.concatenate([own[None], each]))
-    limit = _extrapolate(folds[1:], widths, scale, _ACCURACY)
-    return FoldBoundary(folds[0], limit.value, limit.error, dry)
+        folds, closeness = _folds(chain, mass, jnp.concatenate([own[None], each]))
+        value, folds, closeness = folds[0], folds[1:], closeness[1:]
+    limit = _extrapolate(folds, widths, scale, _ACCURACY)
+    limit = _unless_free(limit, folds, closeness, widths)
+    return FoldBoundary(value, limit.value, limit.error, dry)
 
 
-def _folds(chain: Chain, mass: int, widths: Array) -> Array:
-    """The folds at all the widths, in one call."""
+def _folds(chain: Chain, mass: int, widths: Array) -> tuple[Array, Array]:
+    """The folds at all the widths and their max w / eps, in one call."""
 
-    def at(width: Array) -> Array:
-        return fold_belt_speed(chain.with_(width=width), mass)
+    def at(width: Array) -> tuple[Array, Array]:
+        return smoothed_fold(chain.with_(width=width), mass)[:2]
 
     return jax.vmap(at)(widths)
