@@ -60,8 +60,8 @@ class Grazing(Outcome):
       mass.
     - `touches`: whether that velocity is the belt's, so that the fold is a grazing; if not, it is
       a smooth saddle-node of slip cycles, see the head of this module.
-    - `by_leaving`, `by_arriving`: V_+ and V_-, see there.  Their ratio -V_+ / V_- is, for one mass,
-      the multiplier of the slip cycle, about 2 at a touch and 1 at a saddle-node.
+    - `by_leaving`, `by_arriving`: V_+ and V_-, see there.  Their ratio -V_+ / V_- is, for one
+      mass, the multiplier of the slip cycle, about 2 at a touch and 1 at a saddle-node.
     - `fall`: kappa = -v_j'', how fast the mass loses its acceleration there; `hold`: the
       greatest friction force on it, p mu_st.
     - `residual`: the greatest gap after a period over the belt speed.
@@ -128,8 +128,8 @@ def nonsmooth_fold_belt_speed(chain: Chain, vibrating: Any = None) -> Float[Arra
     index (from 0) of the mass, by default n // 2, oscillator 11 of 20.
 
     **Returns:** the dimensionless v_d, relative error about 1e-11; NaN where there is none or none
-    is found: `find_grazing` says which kind it is, or why there is none.  Works under `jit`, `vmap`, `grad`, `jvp` and `jax.hessian`, in
-    every number of the chain.
+    is found: `find_grazing` says which kind it is, or why there is none.  Works under `jit`,
+    `vmap`, `grad`, `jvp` and `jax.hessian`, in every number of the chain.
 
     **Raises:** `ValueError` for anything but a `Chain`, or a mass it does not have.
 

@@ -121,9 +121,11 @@ def damping_outweighs(chain: Chain) -> Bool[Array, ""]:
     least = jnp.minimum(slope[:-1], slope[1:])
     weakening = least * jnp.where(least < 0, rise[1:], rise[:-1])
     change = weakening + jnp.minimum(mu[:-1], mu[1:]) * peak[1:]
-    damping = 2.0 * chain.damping_ratio
-    weakest = damping + chain.load * change
-    return jnp.all(weakest > _ROUNDING * (damping + chain.load * jnp.abs(least)))
+    # One number, or one per mass, at each speed.
+    damping = jnp.broadcast_to(2.0 * chain.damping_ratio, least.shape)
+    load = jnp.broadcast_to(chain.load, least.shape)
+    weakest = damping + load * change
+    return jnp.all(weakest > _ROUNDING * (damping + load * jnp.abs(least)))
 
 
 def stiffness_matrix(chain: Chain) -> Float[Array, "n n"]:

@@ -10,7 +10,9 @@ import scipy.optimize
 from jaxchain import Chain, Coulomb, EventDriven, TanhFriction, paper_chain, simulate
 from jaxchain.boundaries.grazing import find_grazing, nonsmooth_fold_belt_speed
 from jaxchain.boundaries.touch import _peak
+from jaxchain.model import GaussianStribeck
 from jaxchain.model.initial_states import check_vibrating
+from jaxchain.result import SearchResult
 
 NAMES = ("damping_ratio", "mu_static", "mu_dynamic", "v_ref")
 PAPER = np.array([0.05, 1.0, 0.5, 0.5])
@@ -111,6 +113,93 @@ def test_the_cycle_of_the_paper(paper):
     # A fold seen from below: slip cycles and sticking ones both have lower belt speeds.
     assert paper.by_leaving + paper.by_arriving > 0 > paper.by_arriving
     np.testing.assert_allclose(paper.fall, expected, rtol=1e-12)  # k v_d for k = 1
+
+
+def flat(parameters):
+    xi, v_ref, mu_dynamic = parameters
+    return Chain(1, GaussianStribeck(1.0, mu_dynamic, v_ref, 0.0), 1.2, xi)
+
+
+# (xi, v_s, mu_d): a touch; just past its end; below the belt's speed; gentle onset of vibration.
+FLAT = np.array([[0.05, 0.97, 0.5], [0.05, 0.98, 0.5], [0.1, 1.2, 0.5], [0.1, 1.514, 0.5]])
+
+
+@pytest.fixture(scope="module")
+def flat_folds():
+    return jax.jit(jax.vmap(lambda p: find_grazing(flat(p))))(jnp.asarray(FLAT))
+
+
+def saddle_node(parameters, guess):
+    """(greatest velocity, T, v_d) of the slip cycle with a multiplier of +1, by SciPy.
+
+    By Liouville's theorem the integral of the trace vanishes there.
+    """
+    xi, v_ref, mu_dynamic = parameters
+    drop = 1.0 - mu_dynamic
+
+    def gap(q):
+        v, period, speed = q
+
+        def field(_, y):
+            e = drop * np.exp(-(((speed - y[1]) / v_ref) ** 2))
+            trace = 2 * (speed - y[1]) / v_ref**2 * e - 2 * xi
+            return [y[1], mu_dynamic + e - 2 * xi * y[1] - y[0], trace]
+
+        x = field(0, [0.0, v])[1]
+        end = scipy.integrate.solve_ivp(
+            field, (0, period), [x, v, 0.0], method="DOP853", rtol=1e-13, atol=1e-13
+        ).y[:, -1]
+        return [end[0] - x, end[1] - v, end[2]]
+
+    root = scipy.optimize.root(gap, guess, tol=1e-13)
+    assert np.max(np.abs(root.fun)) < 1e-11
+    return root.x
+
+
+def test_friction_that_is_flat_at_rest_folds_below_the_speed_of_the_belt(flat_folds):
+    found = flat_folds
+    np.testing.assert_array_equal(found.successful, [True, True, True, False])
+    np.testing.assert_array_equal(found.touches[:3], [True, False, False])
+    assert (found.result == SearchResult.no_turn).tolist() == [False, False, False, True]
+    assert np.isnan(found.belt_speed[3])
+    v = found.state[1][:, 0]
+    for i in (1, 2):
+        assert v[i] < found.belt_speed[i]
+        guess = [1.01 * v[i], found.period[i], 1.0001 * found.belt_speed[i]]
+        expected = saddle_node(FLAT[i], guess)
+        np.testing.assert_allclose(v[i], expected[0], rtol=1e-7)
+        np.testing.assert_allclose(found.belt_speed[i], expected[2], rtol=1e-11)
+    # It passes from one kind to the other without a step, and smoothing moves it no more.
+    assert abs(v[1] / found.belt_speed[1] - 1) < 1e-3
+    assert abs(found.by_leaving[0] + found.by_arriving[0]) < 0.1
+    smoothed = jax.vmap(lambda fold: fold.smoothed(1e-3))(found)
+    np.testing.assert_allclose(smoothed[1:3], found.belt_speed[1:3], rtol=1e-10)
+    assert smoothed[0] < found.belt_speed[0] - 1e-5
+
+
+@pytest.mark.long
+def test_gradients_of_both_kinds_are_those_of_differences():
+    """Of the belt speed, the period and the greatest velocity; they agree where the kinds meet."""
+
+    def quantities(p):
+        fold = find_grazing(flat(p))
+        return jnp.stack([fold.belt_speed, fold.period, fold.state[1][0]])
+
+    values, slopes = (jax.jit(jax.vmap(f)) for f in (quantities, jax.jacfwd(quantities)))
+    exact, h = slopes(jnp.asarray(FLAT[:3])), 2e-5  # more would pass from one kind to the other
+    for k in range(3):
+        step = h * np.eye(3)[k]
+        one, two = (
+            (values(jnp.asarray(FLAT[:3] + m * step)) - values(jnp.asarray(FLAT[:3] - m * step)))
+            / (2 * m * h)
+            for m in (1, 2)
+        )
+        np.testing.assert_allclose(exact[:, :, k], (4 * one - two) / 3, rtol=1e-6, atol=1e-6)
+    reverse = jax.jit(jax.vmap(jax.grad(lambda p: nonsmooth_fold_belt_speed(flat(p)))))
+    np.testing.assert_allclose(reverse(jnp.asarray(FLAT[:3])), exact[:, 0], rtol=1e-11)
+    second = jax.jit(jax.hessian(lambda p: nonsmooth_fold_belt_speed(flat(p))))(FLAT[2])
+    ends = [reverse(jnp.asarray(FLAT[[2, 2, 2]] + s * h * np.eye(3))) for s in (1, -1)]
+    np.testing.assert_allclose(second, (ends[0] - ends[1]) / (2 * h), rtol=1e-4, atol=1e-4)
 
 
 def test_what_it_says_of_smoothed_folds(paper):

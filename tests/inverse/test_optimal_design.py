@@ -134,6 +134,7 @@ def test_vibration_that_seems_to_set_in_gently_is_no_proof_of_no_fold():
     assert np.isnan(gentle.fold)
     assert gentle.result == SearchResult.gentle
     assert not gentle.successful
+    assert np.isnan([gentle.highest, gentle.width]).all()
     assert "no proof" in gentle.message
 
 
