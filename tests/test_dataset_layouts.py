@@ -105,7 +105,7 @@ def test_attributes_of_a_sweep():
     own = set(laid_out(SMOOTHED, accuracy=1e-2).attrs)
     lanes = {"lanes_per_device", "lanes_per_device_at_end"}
     assert own <= said
-    assert said - own == {"wall_time_s", "devices", "device_kind", *lanes}
+    assert said - own == {"wall_time_s", "devices", "device_kind", "vary", *lanes}
 
 
 def test_attributes_of_a_folder_and_of_branches():

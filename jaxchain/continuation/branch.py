@@ -172,7 +172,8 @@ class Branch:
     @property
     def message(self) -> str:
         """Why the branch ended, with a remedy."""
-        return f"The branch ends here: {self.reason}." if self.reason else ENDINGS[self.ended]
+        by_itself = self.ended == "stopped" and self.reason
+        return f"The branch ends here: {self.reason}." if by_itself else ENDINGS[self.ended]
 
     def of_kind(self, kind: str) -> tuple[SpecialPoint, ...]:
         """The special points of one kind: "fold", "branch point", or the name of a test."""
