@@ -39,11 +39,16 @@ _FORWARD_TWICE = (
 )
 
 
-def both_ways(forward: Callable[[Any], Any], reverse: Callable[[Any], Any], args: Any) -> Any:
+def both_ways(
+    forward: Callable[[Any], Any],
+    reverse: Callable[[Any], Any],
+    args: Any,
+    tangent: Callable[[Any], Any] | None = None,
+) -> Any:
     """forward(args), whose derivatives in reverse mode are those of reverse(args).
 
-    **Arguments:** two functions that compute the same of one pytree, and hold no traced numbers
-    besides it.
+    **Arguments:** functions that compute the same of one pytree, and hold no traced numbers
+    besides it.  Derivatives in forward mode are those of `tangent`, or if it is None of `forward`.
     """
     arrays, static = eqx.partition(args, eqx.is_array)
     leaves, treedef = jtu.tree_flatten(arrays)
@@ -60,6 +65,7 @@ def both_ways(forward: Callable[[Any], Any], reverse: Callable[[Any], Any], args
         return jax.jit(run, inline=True)  # traced once
 
     first, second = flat(forward), flat(reverse)
+    along = first if tangent is None else flat(tangent)
 
     @eqx.filter_custom_jvp
     def call(leaves: list[Any]) -> list[Any]:
@@ -70,7 +76,7 @@ def both_ways(forward: Callable[[Any], Any], reverse: Callable[[Any], Any], args
         (leaves,), (changes,) = primals, tangents
         moved = [change is not None for change in changes]
         inputs = [*leaves, *compress(changes, moved)]
-        ways = _Ways(second, moved, _pair_of(first, moved), inputs)
+        ways = _Ways(second, moved, _pair_of(along, moved), inputs)
         outs = _pair.bind(*inputs, ways=ways)
         values, slopes = outs[: ways.values], iter(outs[ways.values :])
         return values, [next(slopes) if eqx.is_inexact_array(v) else None for v in values]

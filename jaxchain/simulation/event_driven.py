@@ -106,7 +106,9 @@ class EventDrivenPlan(AbstractPlan):
         allowed: Int[Array, ""] | None = None,
         times: Sequence[Array] = (),
         adjoint: Any = None,
+        recorded: int | None = None,
     ) -> tuple[Progress, list[tuple[Array, Array]]]:
+        del recorded  # events decide about the steps, to rounding
         dry = _dry(field)
         # No step is rejected here.
         most = progress.steps + (jnp.iinfo(int).max // 2 if max_steps is None else max_steps)

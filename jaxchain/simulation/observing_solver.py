@@ -38,6 +38,7 @@ class ObservingSolver(dfx.AbstractWrappedSolver, dfx.AbstractAdaptiveSolver):
 
     solver: dfx.AbstractSolver
     observers: list[AbstractObserver]
+    repeated_to: Float[Array, ""] | None = None  # until then every step ends well
 
     @property
     def term_structure(self):
@@ -114,6 +115,9 @@ class ObservingSolver(dfx.AbstractWrappedSolver, dfx.AbstractAdaptiveSolver):
                     SETTLED,
                     result,
                 )
+        if self.repeated_to is not None:
+            repeated = t1 <= self.repeated_to
+            result = dfx.RESULTS.where(repeated, dfx.RESULTS.successful, result)
         # A last step that was clipped to the end of the run says little about the next one.
         step_size = jnp.maximum(t1 - t0, 0.5 * solver_state.step_size)
         state = ObservingState(inner, accumulators, acceleration, step_size)

@@ -20,6 +20,8 @@ from ..result import Result
 
 # States of a run that are kept to go back through it; others are computed again.
 CHECKPOINTS = 1024
+# Steps whose ends are kept for the way back, and at most where `max_steps` allows more.
+RECORDED, MOST_RECORDED = 2**15, 2**23
 
 
 _FORWARD = (
@@ -88,6 +90,7 @@ class AbstractPlan(eqx.Module):
         allowed: Int[Array, ""] | None = None,
         times: Sequence[Array] = (),
         adjoint: Any = None,
+        recorded: int | None = None,
     ) -> tuple[Progress, list[tuple[Array, Array]]]:
         """Moves on to t1, or by `max_steps`, or by `allowed`, whichever comes first.
 

@@ -44,7 +44,7 @@ from .accuracy import (
     own_solver,
 )
 from .event_driven import EventDriven
-from .plan import CHECKPOINTS, AbstractPlan, Progress
+from .plan import CHECKPOINTS, MOST_RECORDED, RECORDED, AbstractPlan, Progress
 from .smoothed import SmoothedPlan
 
 
@@ -337,23 +337,26 @@ def _advance(
 ) -> tuple[Progress, list]:  # fmt: skip
     """`plan.advance`, with derivatives of both kinds if `adjoint` is None."""
 
-    def go(adjoint: dfx.AbstractAdjoint) -> Any:
+    def go(adjoint: dfx.AbstractAdjoint, recorded: int | None = None) -> Any:
         def run(args: Any) -> tuple[Progress, list]:
             plan, chain, progress, t1, times = args
             return plan.advance(
-                chain, progress, t1, max_steps=max_steps, times=times, adjoint=adjoint
-            )
+                chain, progress, t1, max_steps=max_steps, times=times, adjoint=adjoint,
+                recorded=recorded,
+            )  # fmt: skip
 
         return run
 
     args = plan, chain, progress, t1, times
-    if adjoint is not None and not isinstance(adjoint, dfx.RecursiveCheckpointAdjoint):
+    if isinstance(adjoint, dfx.DirectAdjoint):
         return go(adjoint)(args)
     if adjoint is None or (adjoint.checkpoints is None and max_steps is None):
         size = sum(leaf.nbytes for leaf in jtu.tree_leaves(progress))
         checkpoints = min(CHECKPOINTS, max(_KEPT // (parts * size), 32))
         adjoint = dfx.RecursiveCheckpointAdjoint(checkpoints=checkpoints)
-    return both_ways(go(dfx.ForwardMode()), go(adjoint), args)
+    recorded = RECORDED if max_steps is None else min(max_steps, MOST_RECORDED)
+    forward = dfx.ForwardMode()
+    return both_ways(go(forward), go(adjoint, recorded), args, go(forward, recorded))
 
 
 def _concrete(value: Any, default: float) -> float:

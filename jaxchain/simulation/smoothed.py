@@ -12,7 +12,8 @@ import diffrax as dfx
 import equinox as eqx
 import jax.numpy as jnp
 import jax.tree_util as jtu
-from jaxtyping import Array, Float, Int, PyTree
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int, PyTree
 from optimistix import rms_norm
 
 from .._checks import to_float
@@ -71,6 +72,56 @@ class _Resumed(WrappingController):
             spent = (left <= 0) & (result == dfx.RESULTS.successful)
             result = dfx.RESULTS.where(spent, dfx.RESULTS.max_steps_reached, result)
         return kept, start, end, jumped, (inner, left, end - start), result
+
+
+class _Repeating(WrappingController):
+    """Takes given steps, whatever their errors, and leaves it to a controller to go on from there.
+
+    Derivatives of both kinds hold along the same steps.  Two programs that decide on them anew
+    take others, as error estimates near a tight tolerance are differences of few digits, and the
+    derivatives along others differ by much more than rounding.
+
+    Its state is (that of the controller after the given steps, the number of steps taken).
+    """
+
+    controller: _Resumed
+    ends: Float[Array, " steps"]  # of the given steps
+    count: Int[Array, ""]  # of them
+    complete: Bool[Array, ""]  # whether the run ends with the last of them
+    state: PyTree  # of `controller` after the last of them
+
+    def wrap(self, direction):
+        del direction
+        return self
+
+    def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
+        del terms, t1, y0, dt0, args, func, error_order
+        none = jnp.zeros((), int)
+        return self._end(none, t0, t0 + self.state[-1]), (self.state, none)
+
+    def adapt_step_size(
+        self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
+    ):
+        before, taken = controller_state
+        kept, _, end, jumped, after, result = self.controller.adapt_step_size(
+            *lax.stop_gradient((t0, t1, y0, y1_candidate, args, y_error)), error_order, before
+        )
+        given = taken < self.count
+        after = jtu.tree_map(lambda a, b: jnp.where(given, a, b), before, after)
+        kept = kept | given
+        taken = taken + kept
+        start = jnp.where(kept, t1, t0)
+        end = self._end(taken, start, jnp.where(given, t1 + self.state[-1], end))
+        result = dfx.RESULTS.where(given, dfx.RESULTS.successful, result)
+        ends = self.complete & (taken >= self.count)
+        result = dfx.RESULTS.where(ends, SETTLED, result)
+        return kept, start, end, jumped, (after, taken), result
+
+    def _end(self, taken: Array, start: Any, decided: Any) -> Array:
+        """The end of a step, which moves with its start: step sizes are held fixed."""
+        given = self.ends[jnp.minimum(taken, self.ends.size - 1)]
+        end, fixed = lax.stop_gradient((jnp.where(taken < self.count, given, decided), start))
+        return end + (start - fixed)
 
 
 class _Memory(eqx.Module):
@@ -157,42 +208,30 @@ class SmoothedPlan(AbstractPlan):
         allowed: Int[Array, ""] | None = None,
         times: Sequence[Array] = (),
         adjoint: dfx.AbstractAdjoint | None = None,
+        recorded: int | None = None,
     ) -> tuple[Progress, list[tuple[Array, Array]]]:
         adjoint = dfx.ForwardMode() if adjoint is None else adjoint
-        solver = self.solver
-        if isinstance(solver, dfx.AbstractRungeKutta) and isinstance(adjoint, dfx.ForwardMode):
-            # diffrax does this itself, but cannot reach into a wrapped solver.
-            solver = eqx.tree_at(
-                lambda s: s.scan_kind, solver, "lax", is_leaf=lambda leaf: leaf is None
+        saved = [dfx.SubSaveAt(ts=ts) for ts in times]
+        if recorded is None:
+            solution = self._solve(field, progress, t1, allowed, max_steps, adjoint, saved)
+            outcome, rejected = solution.result, 0
+        else:
+            if max_steps is not None and max_steps > recorded:
+                allowed = jnp.minimum(max_steps if allowed is None else allowed, max_steps)
+            ends: Any = dfx.SubSaveAt(steps=True, fn=lambda t, y, args: t)
+            numbers, rest = eqx.partition((self, field, progress, t1, allowed), eqx.is_array)
+            plan, *others = eqx.combine(lax.stop_gradient(numbers), rest)
+            first = plan._solve(*others, recorded, dfx.ForwardMode(), ends)
+            full = (recorded != max_steps) & (first.stats["num_steps"] >= recorded)
+            complete = ~full | (first.result != dfx.RESULTS.max_steps_reached)
+            solution = self._solve(
+                field, progress, t1, allowed, max_steps, adjoint, saved, first, complete
             )
-        terms: Any = dfx.ODETerm(field)  # pyright: ignore[reportArgumentType]
-        memory = progress.memory
-        solution: Any = dfx.diffeqsolve(
-            terms,
-            ObservingSolver(solver, self.observers),
-            t0=progress.t,
-            # A lane that has ended stays where it is.
-            t1=jnp.where(progress.running, t1, progress.t),
-            dt0=None,
-            y0=progress.state,
-            saveat=dfx.SaveAt(
-                subs=(dfx.SubSaveAt(t1=True), [dfx.SubSaveAt(ts=ts) for ts in times]),
-                solver_state=True,
-                controller_state=True,
-            ),
-            stepsize_controller=_Resumed(
-                self.controller(field), memory.step_size, memory.controller, allowed
-            ),
-            adjoint=adjoint,
-            max_steps=max_steps,
-            solver_state=ObservingState(
-                memory.solver, progress.accumulators, memory.acceleration, memory.step_size
-            ),
-            throw=False,
-        )
+            outcome = dfx.RESULTS.where(complete, first.result, solution.result)
+            rejected = first.stats["num_rejected_steps"]
         ys, saved = solution.ys
         state, last = jtu.tree_map(lambda y: y[-1], ys), solution.solver_state
-        outcome = solution.result
+        cut = outcome == dfx.RESULTS.max_steps_reached
         if allowed is not None:
             # The last step that was allowed may have been the last one of the run.
             complete = (outcome == dfx.RESULTS.max_steps_reached) & (solution.ts[0][-1] >= t1)
@@ -202,9 +241,10 @@ class SmoothedPlan(AbstractPlan):
         for observer, accumulator in zip(self.observers, last.accumulators, strict=True):
             quiet = quiet | observer.rests(accumulator)
         result = _translate(outcome, stopped & quiet, state)
-        controller, _, ahead = solution.controller_state
+        controller, _, ahead = (
+            solution.controller_state if recorded is None else solution.controller_state[0]
+        )
         # Where a run is cut between two steps, it goes on as if it were not.
-        cut = solution.result == dfx.RESULTS.max_steps_reached
         step_size = jnp.where(cut, ahead, last.step_size)
         new = Progress(
             t=solution.ts[0][-1],
@@ -213,11 +253,61 @@ class SmoothedPlan(AbstractPlan):
             memory=_Memory(last.inner, last.acceleration, step_size, controller),
             result=Result.where(progress.running, result, progress.result),
             steps=progress.steps + solution.stats["num_accepted_steps"],
-            rejected=progress.rejected + solution.stats["num_rejected_steps"],
+            rejected=progress.rejected + solution.stats["num_rejected_steps"] + rejected,
         )
         if isinstance(adjoint, dfx.ForwardMode):
             return forward_only((new, saved))
         return new, saved
+
+    def _solve(
+        self,
+        field: AbstractOscillators,
+        progress: Progress,
+        t1: Any,
+        allowed: Int[Array, ""] | None,
+        max_steps: int | None,
+        adjoint: dfx.AbstractAdjoint,
+        saved: Any,
+        first: Any = None,
+        complete: Any = None,
+    ) -> Any:
+        """diffeqsolve, along the steps of the solution `first` if there is one."""
+        solver, memory = self.solver, progress.memory
+        if isinstance(solver, dfx.AbstractRungeKutta) and isinstance(adjoint, dfx.ForwardMode):
+            # diffrax does this itself, but cannot reach into a wrapped solver.
+            solver = eqx.tree_at(
+                lambda s: s.scan_kind, solver, "lax", is_leaf=lambda leaf: leaf is None
+            )
+        terms: Any = dfx.ODETerm(field)  # pyright: ignore[reportArgumentType]
+        controller = _Resumed(
+            self.controller(field), memory.step_size, memory.controller, allowed
+        )
+        # A lane that has ended stays where it is.
+        runs, repeated_to = progress.running, None
+        if first is not None:
+            count = first.stats["num_accepted_steps"]
+            controller = _Repeating(
+                controller, first.ys[1], count, complete, first.controller_state
+            )
+            runs, repeated_to = runs & ~(complete & (count == 0)), first.ts[0][-1]
+        return dfx.diffeqsolve(
+            terms,
+            ObservingSolver(solver, self.observers, repeated_to),
+            t0=progress.t,
+            t1=jnp.where(runs, t1, progress.t),
+            dt0=None,
+            y0=progress.state,
+            saveat=dfx.SaveAt(
+                subs=(dfx.SubSaveAt(t1=True), saved), solver_state=True, controller_state=True
+            ),
+            stepsize_controller=controller,
+            adjoint=adjoint,
+            max_steps=max_steps,
+            solver_state=ObservingState(
+                memory.solver, progress.accumulators, memory.acceleration, memory.step_size
+            ),
+            throw=False,
+        )
 
 
 def _translate(outcome: Any, quiet: Any, state: State) -> Result:
