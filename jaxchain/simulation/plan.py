@@ -20,8 +20,6 @@ from ..result import Result
 
 # States of a run that are kept to go back through it; others are computed again.
 CHECKPOINTS = 1024
-# Steps whose ends are kept for the way back, and at most where `max_steps` allows more.
-RECORDED, MOST_RECORDED = 2**15, 2**23
 
 
 _FORWARD = (
@@ -101,7 +99,8 @@ class AbstractPlan(eqx.Module):
         and the states at each array of `times`.
 
         `adjoint`: `diffrax.ForwardMode()` (None) or `diffrax.RecursiveCheckpointAdjoint()`, for
-        derivatives of one kind each.
+        derivatives of one kind each.  With `recorded` those of both kinds hold along the same
+        steps, the first ones of the run that are tried, up to this number (None: as they come).
         """
 
     def read(self, progress: Progress) -> list:

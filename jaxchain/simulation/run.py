@@ -44,7 +44,7 @@ from .accuracy import (
     own_solver,
 )
 from .event_driven import EventDriven
-from .plan import CHECKPOINTS, MOST_RECORDED, RECORDED, AbstractPlan, Progress
+from .plan import CHECKPOINTS, AbstractPlan, Progress
 from .smoothed import SmoothedPlan
 
 
@@ -150,7 +150,10 @@ def simulate(
       parameters, and `jacfwd` as much as five or six for twenty of them, so that it is cheaper
       up to some thirty.  `diffrax.RecursiveCheckpointAdjoint(checkpoints=...)` keeps so many
       states, and `diffrax.ForwardMode()` serves the first kind alone.  Second derivatives are
-      those of `jax.hessian`, or `jacfwd` twice.
+      those of `jax.hessian`, or `jacfwd` twice.  With smoothed friction a plain run decides on
+      the steps, and both kinds of derivatives follow them: the first 32,768 tried, or
+      `max_steps` if it is given (8 bytes each).  Later steps are decided on again on the way
+      back, which costs digits at tight tolerances.
     - `throw`: raise an error if the run fails; otherwise read `result`.
 
     **Returns:** a `Simulation`: the last time and state, what was observed, and how the run ended.
@@ -327,8 +330,10 @@ def check_fit(observers: list[AbstractObserver], t0: Any, t1: Any, segments: int
 
 # What is observed is kept of each.
 MOST_SEGMENTS = 10**6
-# Bytes of all the states that are kept.
+# Bytes of all the states that are kept, and of the ends of steps.
 _KEPT = 2**26
+# Steps whose ends are kept where `max_steps` does not bound them.
+_RECORDED = 2**15
 
 
 def _advance(
@@ -354,7 +359,7 @@ def _advance(
         size = sum(leaf.nbytes for leaf in jtu.tree_leaves(progress))
         checkpoints = min(CHECKPOINTS, max(_KEPT // (parts * size), 32))
         adjoint = dfx.RecursiveCheckpointAdjoint(checkpoints=checkpoints)
-    recorded = RECORDED if max_steps is None else min(max_steps, MOST_RECORDED)
+    recorded = min(_RECORDED if max_steps is None else max_steps, _KEPT // (8 * parts))
     forward = dfx.ForwardMode()
     return both_ways(go(forward), go(adjoint, recorded), args, go(forward, recorded))
 

@@ -113,8 +113,8 @@ class _Repeating(WrappingController):
         start = jnp.where(kept, t1, t0)
         end = self._end(taken, start, jnp.where(given, t1 + self.state[-1], end))
         result = dfx.RESULTS.where(given, dfx.RESULTS.successful, result)
-        ends = self.complete & (taken >= self.count)
-        result = dfx.RESULTS.where(ends, SETTLED, result)
+        over = self.complete & (taken >= self.count)
+        result = dfx.RESULTS.where(over, SETTLED, result)
         return kept, start, end, jumped, (after, taken), result
 
     def _end(self, taken: Array, start: Any, decided: Any) -> Array:
@@ -211,23 +211,22 @@ class SmoothedPlan(AbstractPlan):
         recorded: int | None = None,
     ) -> tuple[Progress, list[tuple[Array, Array]]]:
         adjoint = dfx.ForwardMode() if adjoint is None else adjoint
-        saved = [dfx.SubSaveAt(ts=ts) for ts in times]
         if recorded is None:
-            solution = self._solve(field, progress, t1, allowed, max_steps, adjoint, saved)
-            outcome, rejected = solution.result, 0
+            solution = self._solve(field, progress, t1, allowed, max_steps, adjoint, times)
+            outcome, last_control, rejected = solution.result, solution.controller_state, 0
         else:
             if max_steps is not None and max_steps > recorded:
-                allowed = jnp.minimum(max_steps if allowed is None else allowed, max_steps)
-            ends: Any = dfx.SubSaveAt(steps=True, fn=lambda t, y, args: t)
+                allowed = jnp.asarray(max_steps)
             numbers, rest = eqx.partition((self, field, progress, t1, allowed), eqx.is_array)
             plan, *others = eqx.combine(lax.stop_gradient(numbers), rest)
-            first = plan._solve(*others, recorded, dfx.ForwardMode(), ends)
-            full = (recorded != max_steps) & (first.stats["num_steps"] >= recorded)
-            complete = ~full | (first.result != dfx.RESULTS.max_steps_reached)
+            first = plan._solve(*others, recorded, dfx.ForwardMode(), None)
+            cut = first.result == dfx.RESULTS.max_steps_reached
+            complete = ~cut | (recorded == max_steps)
             solution = self._solve(
-                field, progress, t1, allowed, max_steps, adjoint, saved, first, complete
+                field, progress, t1, allowed, max_steps, adjoint, times, first, complete
             )
             outcome = dfx.RESULTS.where(complete, first.result, solution.result)
+            last_control, _ = solution.controller_state
             rejected = first.stats["num_rejected_steps"]
         ys, saved = solution.ys
         state, last = jtu.tree_map(lambda y: y[-1], ys), solution.solver_state
@@ -241,9 +240,7 @@ class SmoothedPlan(AbstractPlan):
         for observer, accumulator in zip(self.observers, last.accumulators, strict=True):
             quiet = quiet | observer.rests(accumulator)
         result = _translate(outcome, stopped & quiet, state)
-        controller, _, ahead = (
-            solution.controller_state if recorded is None else solution.controller_state[0]
-        )
+        controller, _, ahead = last_control
         # Where a run is cut between two steps, it goes on as if it were not.
         step_size = jnp.where(cut, ahead, last.step_size)
         new = Progress(
@@ -267,11 +264,14 @@ class SmoothedPlan(AbstractPlan):
         allowed: Int[Array, ""] | None,
         max_steps: int | None,
         adjoint: dfx.AbstractAdjoint,
-        saved: Any,
+        times: Sequence[Array] | None,
         first: Any = None,
         complete: Any = None,
     ) -> Any:
-        """diffeqsolve, along the steps of the solution `first` if there is one."""
+        """diffeqsolve, along the steps of the solution `first` if there is one.
+
+        `times` at which states are saved; None saves the ends of all steps.
+        """
         solver, memory = self.solver, progress.memory
         if isinstance(solver, dfx.AbstractRungeKutta) and isinstance(adjoint, dfx.ForwardMode):
             # diffrax does this itself, but cannot reach into a wrapped solver.
@@ -279,22 +279,25 @@ class SmoothedPlan(AbstractPlan):
                 lambda s: s.scan_kind, solver, "lax", is_leaf=lambda leaf: leaf is None
             )
         terms: Any = dfx.ODETerm(field)  # pyright: ignore[reportArgumentType]
-        controller = _Resumed(
+        controller: Any = _Resumed(
             self.controller(field), memory.step_size, memory.controller, allowed
         )
         # A lane that has ended stays where it is.
         runs, repeated_to = progress.running, None
         if first is not None:
             count = first.stats["num_accepted_steps"]
-            controller = _Repeating(
-                controller, first.ys[1], count, complete, first.controller_state
-            )
+            after = first.controller_state
+            controller = _Repeating(controller, first.ys[1], count, complete, after)
             runs, repeated_to = runs & ~(complete & (count == 0)), first.ts[0][-1]
+        end = jnp.where(runs, t1, progress.t)
+        saved: Any = dfx.SubSaveAt(steps=True, fn=lambda t, y, args: t)
+        if times is not None:
+            saved = [dfx.SubSaveAt(ts=jnp.minimum(ts, end)) for ts in times]
         return dfx.diffeqsolve(
             terms,
             ObservingSolver(solver, self.observers, repeated_to),
             t0=progress.t,
-            t1=jnp.where(runs, t1, progress.t),
+            t1=end,
             dt0=None,
             y0=progress.state,
             saveat=dfx.SaveAt(

@@ -1,11 +1,13 @@
-"""Runs of smoothed friction: how one goes on that was cut."""
+"""Runs of smoothed friction: how one goes on that was cut, and steps that are taken again."""
 
+import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
-from jaxchain import Rodas4, equation_8, paper_chain
+from jaxchain import Amplitude, Rodas4, equation_8, paper_chain, simulate
 from jaxchain.result import Result
 from jaxchain.simulation.run import build_plan
 
@@ -32,3 +34,50 @@ def test_a_run_that_is_cut_takes_the_steps_of_one_that_is_not():
     assert int(whole.rejected) > 20
     assert (int(parts.steps), int(parts.rejected)) == (int(whole.steps), int(whole.rejected))
     np.testing.assert_allclose(jnp.stack(parts.state), jnp.stack(whole.state), atol=1e-11)
+
+
+@pytest.mark.slow
+def test_a_gradient_holds_along_the_steps_of_the_forward_derivative():
+    """At this tolerance error estimates are rounding errors, also of the steps taken again."""
+    chain = paper_chain(3, belt_speed=1.5, width=0.03)
+    start = equation_8(chain, 1)
+    few = dfx.RecursiveCheckpointAdjoint(checkpoints=20)
+
+    def end(belt_speed):
+        faster = chain.with_(belt_speed=belt_speed)
+        run = simulate(faster, start, 8.0, rtol=1e-11, solver=Rodas4(1), adjoint=few)
+        return run.state[0][0] + jnp.sum(run.state[1]), run.steps
+
+    @jax.jit
+    def both(belt_speed):
+        forward, steps = jax.jacfwd(end, has_aux=True)(belt_speed)
+        return forward, jax.grad(end, has_aux=True)(belt_speed)[0], steps
+
+    forward, reverse, steps = both(1.5)
+    assert steps > 10 * few.checkpoints
+    np.testing.assert_allclose(reverse, forward, rtol=1e-12)
+
+
+@pytest.mark.parametrize("recorded", [20, 4096])
+def test_steps_that_are_taken_again_lead_to_the_same_end(recorded):
+    """Also where only the first ones are recorded; here an observer ends the run."""
+    chain = paper_chain(1, belt_speed=1.3)
+    plan = build_plan(Rodas4(), [Amplitude(5.0, "steady", tolerance=0.5)], 1e-6, 1e-7, 1.0, 200.0)
+    begun = plan.begin(chain, equation_8(chain, 1), 0.0, 200.0)
+
+    @jax.jit
+    def both(now):
+        ways = (None, recorded)
+        return [plan.advance(chain, now, 200.0, max_steps=None, recorded=r)[0] for r in ways]
+
+    whole, again = both(begun)
+    assert int(whole.steps) > 100
+    for run in whole, again:
+        assert bool(run.result == Result.steady)
+    assert (int(again.steps), int(again.rejected)) == (int(whole.steps), int(whole.rejected))
+    np.testing.assert_allclose(again.t, whole.t, rtol=1e-9)
+    np.testing.assert_allclose(jnp.stack(again.state), jnp.stack(whole.state), atol=1e-9)
+    for ours, theirs in zip(
+        jax.tree.leaves(again.memory), jax.tree.leaves(whole.memory), strict=True
+    ):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-6)
