@@ -10,6 +10,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Bool
 
+from ._final import final
 from ._outcomes import ADVICE, WELL
 from ._reprs import first_sentence, known, shape, summary, words
 
@@ -26,6 +27,7 @@ class _Ways(type(eqx.Enumeration)):
         return f"{name_of(item)}: {advice}" if advice and _is_one(item) else name_of(item)
 
 
+@final
 class Result(eqx.Enumeration, metaclass=_Ways):  # pyright: ignore
     """The outcome of one run or of one lane of an ensemble.
 
@@ -61,6 +63,7 @@ class Result(eqx.Enumeration, metaclass=_Ways):  # pyright: ignore
     pending = ADVICE["pending"]
 
 
+@final
 class SearchResult(eqx.Enumeration, metaclass=_Ways):  # pyright: ignore
     """How a search ended: for a root, a cycle, a boundary, a fit.
 

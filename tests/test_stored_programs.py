@@ -12,7 +12,7 @@ import pytest
 import jaxchain._program_folder as programs
 from jaxchain import hopf_belt_speed, paper_chain
 from jaxchain._stored_programs import _code, stored_jit
-from jaxchain.model.friction import ExponentialDecay
+from jaxchain.model.friction import AbstractFrictionLaw, ExponentialDecay
 
 traced = []
 
@@ -37,8 +37,15 @@ def through(law, speed):
     return law.coefficient(speed)
 
 
-class OwnLaw(ExponentialDecay):
+class OwnLaw(AbstractFrictionLaw):
     """A law of a user, whose code may change."""
+
+    mu_static: float
+    mu_dynamic: float
+    v_ref: float
+
+    def coefficient(self, speed):
+        return self.mu_dynamic + (self.mu_static - self.mu_dynamic) / (1.0 + speed / self.v_ref)
 
 
 @pytest.fixture

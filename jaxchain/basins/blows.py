@@ -19,6 +19,7 @@ from .._checks import (
     check_whole,
     shown,
 )
+from .._final import final
 from .._stored_programs import stored_jit
 from ..continuation.gradient_descent import MOST_STEPS
 from ..model.arguments import as_chain, as_mass
@@ -40,6 +41,7 @@ _MOST_STARTS, _MOST_TRIES = 10_000, 10**8
 _MASSES = "give None for all masses, or indices from 0, as (0, 1)."
 
 
+@final
 class Blow(Outcome):
     """The gentlest blow that `gentlest_blow` found.
 

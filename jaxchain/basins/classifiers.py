@@ -26,6 +26,7 @@ from .._checks import (
     named,
     shown,
 )
+from .._final import final
 from .._reprs import call, summary
 from .._types import ScalarLike, State
 from ..continuation.damped_newton import where
@@ -41,6 +42,7 @@ _AT_REST = 1e-9
 _PHASES = ("in phase", "out of phase", "in between")
 
 
+@final
 class Settled(eqx.Module):
     """Where a run ended, as `VibratingMasses` observes it.
 
@@ -142,6 +144,7 @@ class _Looking(eqx.Module):
     peaks: Float[Array, "two n"] | None  # times of the latest maximum, and of the one before
 
 
+@final
 class VibratingMasses(AbstractClassifier):
     """Which masses vibrate at the end of a run, and whether that can still change.
 

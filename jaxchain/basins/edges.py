@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from .._checks import check_positive_number, is_traced, shown, to_float
+from .._final import final
 from .._stored_programs import stored_jit
 from .._types import State
 from ..cycles.limit_cycle import LimitCycle, can_be_cycle
@@ -30,6 +31,7 @@ _CLOSED = 1e-6
 RTOL = 1e-11
 
 
+@final
 class EdgeState(Outcome):
     """The motion on the edge between two basins, as far as it was followed.
 

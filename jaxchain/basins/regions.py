@@ -29,6 +29,7 @@ from .._checks import (
     numbers_of,
     shown,
 )
+from .._final import final
 from .._reprs import call
 from .._types import State
 from ..model.chain import Chain, steady_sliding
@@ -116,6 +117,7 @@ def _normal(point: Array) -> Array:
     return ndtri(jnp.clip(point, _LEAST, 1.0 - _LEAST))
 
 
+@final
 class Box(AbstractRegion):
     """Displacements and velocities between two numbers each, the same for every mass.
 
@@ -170,6 +172,7 @@ class Box(AbstractRegion):
         return sliding_x.at[at].set(a + (b - a) * x), sliding_v.at[at].set(c + (d - c) * v)
 
 
+@final
 class Ball(AbstractRegion):
     """All states no farther from steady sliding than `radius`, equally likely.
 
@@ -208,6 +211,7 @@ class Ball(AbstractRegion):
         return _about_sliding(self.masses, chain, x, v)
 
 
+@final
 class Gaussian(AbstractRegion):
     """Displacements and velocities that scatter about steady sliding, each mass by itself.
 
@@ -245,6 +249,7 @@ class Gaussian(AbstractRegion):
         return _about_sliding(self.masses, chain, self.displacement * x, self.velocity * v)
 
 
+@final
 class Sampler(AbstractRegion):
     """A region of one's own: a function from the unit cube to states.
 

@@ -34,6 +34,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from .._checks import check_kind
+from .._final import final
 from .._stored_programs import stored_jit
 from .._types import State
 from ..continuation.implicit import attach_derivative
@@ -54,6 +55,7 @@ _ONCE = (
 _ANY = 0.5
 
 
+@final
 class SlidingBasin(Outcome):
     """From where one mass comes to slide steadily.
 

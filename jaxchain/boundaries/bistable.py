@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from .._checks import check_positive_number, is_traced, to_float
+from .._final import final
 from .._reprs import summary
 from ..model.chain import Chain
 from ..model.initial_states import check_vibrating, on_the_belt
@@ -25,6 +26,7 @@ _WINDOW = 20.0
 _ORDER, _RTOL = 7, 1e-8
 
 
+@final
 class BistableRange(Outcome):
     """The belt speeds at which a mass may slide or vibrate, depending on its start.
 

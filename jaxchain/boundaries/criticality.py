@@ -32,6 +32,7 @@ from jax import lax
 from jaxtyping import Array, Complex, Float
 
 from .._checks import as_array, check_one_of, check_positive_number, is_traced, shown
+from .._final import final
 from .._types import ScalarLike
 from ..continuation.damped_newton import newton
 from ..continuation.implicit import attach_derivative
@@ -191,6 +192,7 @@ def square_amplitude_slope(
     return -4.0 * largest * growth_slope / (size * frequency * coefficient)
 
 
+@final
 class GeneralisedHopf(Outcome):
     """A Hopf point with l1 = 0, at `value` of the parameter; NaN unless `successful`.
 

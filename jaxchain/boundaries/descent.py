@@ -11,6 +11,7 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from .._checks import check_number, check_positive_number, check_whole
+from .._final import final
 from ..continuation.damped_newton import where
 from ..continuation.gradient_descent import MOST_STEPS, check_descent, descend
 from ..model.arguments import as_chain
@@ -22,6 +23,7 @@ from .fold_search import Place, value_and_jacobian
 from .fold_start import first_guess, loose_rtol
 
 
+@final
 class HopfDescent(Outcome):
     """The Hopf speed by gradient descent, and the way there.
 
@@ -126,6 +128,7 @@ def _adam(steps: int) -> optax.GradientTransformation:
     return optax.adam(optax.exponential_decay(0.1, steps, 0.003), b1=0.5)
 
 
+@final
 class FoldDescent(Outcome):
     """The fold by gradient, and the way there.
 

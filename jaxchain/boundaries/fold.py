@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
+from .._final import final
 from .._stored_programs import stored_jit
 from .._types import PerMass, State
 from ..continuation.fold_points import fold_residual
@@ -24,6 +25,7 @@ from .fold_start import Start, at_least_wide, first_guess, narrowed
 from .grazing import find_grazing
 
 
+@final
 class Fold(Outcome):
     """A fold of cycles: the greatest belt speed of one branch of vibrations.
 

@@ -34,6 +34,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
+from .._final import final
 from .._stored_programs import stored_jit
 from .._types import ScalarLike, State
 from ..continuation.elimination import solve
@@ -53,6 +54,7 @@ from .touch_search import find_dry_fold
 _PASSES = 1e-9
 
 
+@final
 class Grazing(Outcome):
     """The slip cycle with the fastest belt: the fold of cycles for dry friction.
 

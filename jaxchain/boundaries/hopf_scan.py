@@ -17,6 +17,7 @@ from .._checks import (
     check_whole,
     is_traced,
 )
+from .._final import final
 from .._reprs import count, known, number, summary
 from ..cycles.guesses import Guess
 from ..model.arguments import as_chain, as_mass
@@ -35,6 +36,7 @@ _TEXTS = ("direction", "criticality", "standing_criticality", "kind")
 _VANISHING = 1e-9  # of the terms that make it up: then l1 is zero up to rounding
 
 
+@final
 class HopfPoints(eqx.Module):
     """Hopf points, sorted by belt speed, then frequency; one entry of every field for each.
 

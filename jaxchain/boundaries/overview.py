@@ -13,6 +13,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._final import final
 from .._reprs import summary
 from ..model.chain import Chain
 from ..model.initial_states import check_vibrating
@@ -23,6 +24,7 @@ from .zero_width import fold_boundary
 _HOPF_ERROR, _DRY_ERROR = 1e-12, 1e-10
 
 
+@final
 class Boundaries(eqx.Module):
     """Belt speeds, dimensionless; NaN for what does not exist or was not found.
 

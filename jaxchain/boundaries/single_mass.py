@@ -19,6 +19,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from .._checks import check_concrete, check_kind, check_positive_number
+from .._final import final
 from .._reprs import summary
 from ..continuation.damped_newton import newton
 from ..cycles.averaging import cycle_speed, greatest_speed
@@ -39,6 +40,7 @@ _STICKING, _SLACK = 5.0, 3.0
 _DRY_STEPS, _DRY_RTOL = 64, 1e-9
 
 
+@final
 class OneMassBranch(eqx.Module):
     """The cycles of one mass in order: rest, unstable slip cycles, fold, stick-slip.
 

@@ -22,6 +22,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from .._checks import check_positive, check_positive_number, is_traced, require_x64, to_float
+from .._final import final
 from .._reprs import summary
 from ..continuation.damped_newton import where
 from ..cycles.averaging import dry_fold_speed, one_mass, speed_scale
@@ -41,6 +42,7 @@ _ACCURACY = 1e-9
 _FREE = 0.85
 
 
+@final
 class Extrapolated(eqx.Module):
     """A quantity in the limit of width 0.
 
@@ -71,6 +73,7 @@ class Extrapolated(eqx.Module):
         return summary("Extrapolated to width 0", rows)
 
 
+@final
 class FoldBoundary(eqx.Module):
     """The greatest belt speed at which a vibration survives, and what to think of it.
 

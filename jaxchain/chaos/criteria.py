@@ -35,11 +35,13 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from .._checks import check_positive_number
+from .._final import final
 from .._statistics import mean_interval
 from ..result import message
 from .records import KINDS, MEANINGS, Evidence, Verdict
 
 
+@final
 @dataclass(frozen=True)
 class Criteria:
     """The thresholds, with their reasons.

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from .._final import final
 from .._reprs import half, number, several, summary, words
 
 KINDS = ("rest", "cycle", "unstable", "chaos", "torus", "open")
@@ -15,6 +16,7 @@ VERDICTS = ("at rest", "periodic", "quasi-periodic", "chaotic", "transient", "fa
 MEANINGS = {"rest": "at rest", "cycle": "periodic", "torus": "quasi-periodic", "chaos": "chaotic"}
 
 
+@final
 @dataclass
 class Evidence:
     """What is known of one run of an ensemble; NaN, or empty, is not known.
@@ -119,6 +121,7 @@ class Evidence:
         return 1.0 / rate if rate else math.inf
 
 
+@final
 @dataclass(frozen=True)
 class Verdict:
     """What an ensemble of runs from one start says.

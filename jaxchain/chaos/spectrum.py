@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import as_array, check_share
+from .._final import final
 from .._reprs import half, several, summary
 from .._statistics import student_reach
 from .._types import State
@@ -16,6 +17,7 @@ from ..result import NAMES, Result, code, name_of
 ZERO = 1e-9
 
 
+@final
 class LyapunovSpectrum(eqx.Module):
     """What `lyapunov_spectrum` found, per dimensionless time; arrays have shape (count,).
 

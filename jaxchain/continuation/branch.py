@@ -13,6 +13,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
+from .._final import final
 from .._reprs import count, first_sentence, listed, span, summary
 
 if TYPE_CHECKING:
@@ -67,6 +68,7 @@ class Point:
         return float(self.z[-1])
 
 
+@final
 @dataclass(frozen=True)
 class SpecialPoint:
     """A fold, a branch point, or a zero of one of the caller's tests, on a branch.
@@ -124,6 +126,7 @@ class Counts:
     rejected: int = 0
 
 
+@final
 @dataclass(frozen=True)
 class Branch:
     """A branch of solutions of F(u, p) = 0, k points in order, as plain data on the host.

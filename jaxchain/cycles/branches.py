@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from .._checks import check_kind
+from .._final import final
 from .._reprs import count, first_sentence, span, summary
 from ..continuation.arclength import (
     Switched,
@@ -48,6 +49,7 @@ class NoBranchError(RuntimeError):
     """No cycle was found near the start of a branch."""
 
 
+@final
 @dataclass(frozen=True)
 class CycleBranch:
     """A branch of cycles, k points in order, as plain data on the host.

@@ -17,6 +17,7 @@ from jax import lax
 from jaxtyping import Array, Complex, Float, Int
 
 from .._checks import to_float
+from .._final import final
 from .._reprs import summary
 from .._stored_programs import stored_jit
 from .._types import State
@@ -26,7 +27,7 @@ from ..model.chain import Chain
 from ..model.oscillators import AbstractOscillators
 from ..observers.amplitude import Amplitude
 from ..observers.base import Step
-from ..observers.section import Section
+from ..observers.section import AbstractSection
 from ..observers.stick_time import MostSticking
 from ..result import SearchResult
 from ..simulation.accuracy import own_solver
@@ -44,6 +45,7 @@ _MOST, _FINE = 8, 1e-13
 _CLOSED = 1e-6
 
 
+@final
 class ClosedOrbit(NamedTuple):
     """A periodic orbit, or the attempt at one.
 
@@ -280,7 +282,7 @@ def _dry_cycle(
     )
 
 
-class _Cuts(Section):
+class _Cuts(AbstractSection):
     """States in which a mass that slides behind the belt is fastest, or is let go by the belt."""
 
     def _slope(self, step: Step, t: Any, y: State) -> Array:

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Complex, Float, Int
 
+from .._final import final
 from .._stored_programs import stored_jit
 from .._types import State
 from ..continuation.damped_newton import Factors, Iterate, ending, factorise
@@ -38,6 +39,7 @@ _WORST_DEFECT = 1e-3
 _SHARES, _BETWEEN, _ROUNDING = np.linspace(0.0, 1.0, 33), 2.0, 1e-6
 
 
+@final
 class LimitCycle(Outcome):
     """A periodic orbit.
 

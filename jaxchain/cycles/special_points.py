@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 from scipy.interpolate import BarycentricInterpolator
 
+from .._final import final
 from .._reprs import summary
 from ..continuation.arclength import make_corrector
 from ..continuation.branch import Branch, Point, SpecialPoint
@@ -28,6 +29,7 @@ _NOISE = 1e-8
 _NEAR_REST = (5e-3, 1e-2, 1.5e-2)
 
 
+@final
 @dataclass(frozen=True)
 class CyclePoint:
     """A special point of a branch of cycles.

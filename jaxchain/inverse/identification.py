@@ -21,6 +21,7 @@ from .._checks import (
     is_traced,
     to_float,
 )
+from .._final import final
 from .._reprs import parameters
 from ..continuation.damped_newton import where
 from ..continuation.gradient_descent import MOST_STEPS, unknowns
@@ -38,6 +39,7 @@ _GAIN = 1e-9
 _SINGULAR, _PART = 1e-6, 1e-3
 
 
+@final
 class Identification(Outcome):
     """What `identify` found; p parameters from m measurements.
 

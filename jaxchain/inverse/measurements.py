@@ -18,6 +18,7 @@ from .._checks import (
     shown,
     to_float,
 )
+from .._final import final
 from .._reprs import number, summary
 from ..boundaries.fold import fold_belt_speed
 from ..boundaries.hopf import hopf_belt_speed
@@ -34,6 +35,7 @@ _SPAN, _WINDOW = 40.0, 14.0
 _ORDER, _RTOL = 7, 1e-8
 
 
+@final
 class Measurements(eqx.Module):
     """What was measured of a chain, with the standard deviation of its noise (dimensionless).
 

@@ -15,6 +15,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int, PyTree
 
 from .._checks import check_function, check_positive, check_positive_number, shown, to_float
+from .._final import final
 from .._reprs import parameters
 from ..basins.blows import Blow, gentlest_blow
 from ..boundaries.bistable import BistableRange, bistable_range
@@ -33,6 +34,7 @@ _PENALTY, _GROWTH, _ENOUGH = 10.0, 4.0, 0.25
 _LBFGS = optax.chain(optax.scale_by_lbfgs(), optax.scale(-1.0))
 
 
+@final
 class Design(Outcome):
     """What `design` found.
 

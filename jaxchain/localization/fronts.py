@@ -22,6 +22,7 @@ from .._checks import (
     is_traced,
     to_float,
 )
+from .._final import final
 from .._reprs import half, known, number, summary
 from .._types import ScalarLike
 from ..model.chain import Chain
@@ -35,6 +36,7 @@ _SMALLEST = 12
 VERDICTS = ("shrinks", "stands", "grows", "unknown")
 
 
+@final
 class FrontSpeed(eqx.Module):
     """How fast the fronts of a block move, in masses per dimensionless time; > 0 where it grows.
 
@@ -218,6 +220,7 @@ def _window_count(windows: Any, t0: Any, t1: Any) -> int:
     return check_whole("windows", windows, 1, MOST_SEGMENTS, "one for 20 time units is usual.")
 
 
+@final
 class Depinning(eqx.Module):
     """Where fronts begin to move: they stand at `stands` and move at `moves`, two belt speeds.
 

@@ -22,6 +22,7 @@ from .._checks import (
     require_x64,
     shown,
 )
+from .._final import final
 from .._reprs import summary
 from .._types import ScalarLike
 from ..model.arguments import as_chain
@@ -131,6 +132,7 @@ def _draw(key: Array, count: int, distribution: str) -> Float[Array, " count"]:
     return jax.random.truncated_normal(key, -end, end, (count,), float) / variance**0.5
 
 
+@final
 class LinearModes(eqx.Module):
     """Modes of the chain without friction and damping: K u = omega^2 u, lowest first.
 

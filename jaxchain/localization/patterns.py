@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._checks import check_finite, check_kind, check_one_of, check_whole, shown, to_float
+from .._final import final
 from .._reprs import number, summary
 from .._types import State
 from ..continuation.damped_newton import linearised, solve
@@ -122,6 +123,7 @@ def block_sites(n: int, k: int, block: str = "centred") -> np.ndarray:
     return (start + np.arange(k)) % n
 
 
+@final
 @dataclass(frozen=True)
 class LockedPattern:
     """Phases of k neighbours that stay as they are.

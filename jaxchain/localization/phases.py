@@ -20,6 +20,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Complex, Float
 
 from .._checks import check_concrete
+from .._final import final
 from .._reprs import summary
 from .._types import State
 from ..cycles.averaging import one_mass
@@ -34,6 +35,7 @@ from ..simulation.run import simulate
 _SAMPLES, _HARMONICS = 256, 8
 
 
+@final
 class PhaseModel(eqx.Module):
     """Phases of vibrating neighbours on a homogeneous ring, what `phase_model` returns.
 

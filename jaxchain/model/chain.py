@@ -12,6 +12,7 @@ from jax import lax
 from jaxtyping import Array, ArrayLike, Float
 
 from .._checks import check_kind, check_one_of, check_whole, is_traced, shown, to_float
+from .._final import final
 from .._reprs import call
 from .._types import PerMass, ScalarLike, State
 from .friction import (
@@ -33,6 +34,7 @@ _PLAUSIBLE = {"damping_ratio": (10.0, "N s/m"), "stiffness": (100.0, "N/m"),
 MAKE_CHAIN = "make one with `paper_chain()` or `Chain(...)`."
 
 
+@final
 class Chain(AbstractOscillators):
     """N masses on a moving belt, coupled to their nearest neighbours (dimensionless).
 
@@ -107,7 +109,7 @@ class Chain(AbstractOscillators):
         ends: str = "cyclic",
     ):
         check_one_of("ends", ends, get_args(Ends))
-        if not isinstance(friction, AbstractFriction):
+        if not isinstance(friction, AbstractFrictionLaw | TanhFriction):
             raise ValueError(
                 "Argument `friction` must be a friction law (dry friction) or a smoothed one, "
                 f"TanhFriction(law, width), but is {shown(friction)}."

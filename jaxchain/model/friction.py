@@ -29,12 +29,22 @@ from .._checks import (
     shown,
     to_float,
 )
+from .._final import final, refuse_overrides
 from .._reprs import call
 from .._types import PerMass
 from .law_checks import check_curve
 from .parameters import CHAIN, parameter
 
 _SIGNS = {"any": check_finite, "nonnegative": check_nonnegative, "positive": check_positive}
+# What a law cannot define: its curve is `coefficient`, wherever it is used.
+_FINAL = {
+    "force": "it is -coefficient(|w|) sign(w).",
+    "force_and_slope": "JAX differentiates `coefficient` by itself; leave it out.",
+    "stick_speed": "dry friction sticks at speed 0; smooth the law by `TanhFriction`.",
+    "law": "a law is its own; leave it out.",
+    "numbers": "they are the fields that are not static.",
+    "with_": "it changes the fields by their names; make each number a field.",
+}
 _ORDER_REMEDY = "friction at rest exceeds friction in motion; raise `mu_static`."
 
 
@@ -110,6 +120,10 @@ class AbstractFrictionLaw(AbstractFriction):
         [1.186, 1.186]
     """
 
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        refuse_overrides(cls, AbstractFrictionLaw, _FINAL)
+
     mu_static: eqx.AbstractVar[PerMass]
     """Friction at rest, mu(0): a sticking mass holds while |force| <= mu_static."""
 
@@ -166,6 +180,7 @@ class AbstractFrictionLaw(AbstractFriction):
             check_curve(type(self).__name__, mu, self.mu_static)
 
 
+@final
 class ExponentialDecay(AbstractFrictionLaw):
     """mu(s) = mu_d + (mu_st - mu_d) exp(-s / v0): friction that weakens with speed.
 
@@ -196,6 +211,7 @@ class ExponentialDecay(AbstractFrictionLaw):
         return self.mu_dynamic + drop * jnp.exp(-scaled)
 
 
+@final
 class WeakeningStrengthening(AbstractFrictionLaw):
     """mu(s) = mu_d + (mu_st - mu_d) exp(-s / v0) + mu_v s / v0: weakens, then strengthens.
 
@@ -236,6 +252,7 @@ class WeakeningStrengthening(AbstractFrictionLaw):
         return self.mu_dynamic + drop * jnp.exp(-scaled) + self.mu_viscous * scaled
 
 
+@final
 class GaussianStribeck(AbstractFrictionLaw):
     """mu(s) = mu_d + (mu_st - mu_d) exp(-(s / v_s)^2) + mu_v s / v_s: the Stribeck curve.
 
@@ -278,6 +295,7 @@ class GaussianStribeck(AbstractFrictionLaw):
         return jnp.multiply.outer(jnp.array([2.0, 4.0, 6.0]), self.v_ref)
 
 
+@final
 class Coulomb(AbstractFrictionLaw):
     """mu(s) = mu_d: the same friction at every speed, and at rest.
 
@@ -340,6 +358,7 @@ def as_law(law: Any) -> AbstractFrictionLaw:
     return jax.tree.map(converted, law)
 
 
+@final
 class TanhFriction(AbstractFriction):
     """F(w) = -mu(|w|) tanh(w / eps): a law made smooth across w = 0.
 

@@ -6,7 +6,7 @@ declaration can be wrong.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -21,7 +21,7 @@ from .._checks import is_traced
 _ROUNDING = 1e-9
 _KNOWN: dict[Any, tuple[bool, ...]] = {}
 
-# What `AbstractOscillators` makes of a subclass's own methods, with the way to say it instead.
+# What a subclass of `AbstractOscillators` cannot define, with the way to say it instead.
 FINAL = {
     "restoring_force": "it is -K x; give what is not linear in x as `local_force(t, x, v)`.",
     "velocity_force": "give the force as `local_force(t, x, v)`.",
@@ -30,6 +30,10 @@ FINAL = {
     "local_force_and_slopes": "JAX differentiates `local_force(t, x, v)` by itself; leave it out.",
     "uses": "it is read off `local_force(t, x, v)`; leave it out.",
     "jacobian": "it follows from `local_force` and `stiffness_diagonal`; leave it out.",
+    "structured": "it follows from whether `__call__` is overridden; leave it out.",
+    "attracts": "it follows from `local_force` and `stiffness_diagonal`; leave it out.",
+    "with_": "it changes the fields by their names; make each number a field.",
+    "numbers": "they are the fields that are arrays; make each number a field.",
 }
 
 
@@ -73,17 +77,6 @@ def local_dependence(field: Any, n: int) -> tuple[bool, ...]:
         part = jnp.zeros(n)
         _KNOWN[key] = depends_on(field.local_force, jnp.zeros(()), part, part)
     return _KNOWN[key]
-
-
-def refuse_overrides(cls: type, base: type, remedies: Mapping[str, str]) -> None:
-    """Raises `TypeError` if `cls` defines a name of `remedies`, as a method or as a field."""
-    below = [c for c in cls.__mro__ if c is not base and issubclass(c, base)]
-    for name, remedy in remedies.items():
-        if any(name in vars(c) or name in vars(c).get("__annotations__", {}) for c in below):
-            raise TypeError(
-                f"Class `{cls.__name__}` defines `{name}`, which the structured solvers would "
-                f"not see: {remedy}"
-            )
 
 
 def check_autonomous(field: Any, n: int) -> None:

@@ -19,12 +19,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from .._checks import to_float
+from .._final import final, refuse_overrides
 from .._reprs import call
 from .._types import PerMass, ScalarLike, State
-from .locality import FINAL, local_dependence, refuse_overrides
+from .locality import FINAL, local_dependence
 from .springs import Springs
 
 
+@final
 class LocalSlopes(NamedTuple):
     """Derivatives of the local force, mass by mass; None where it does not depend on that.
 

@@ -10,6 +10,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from .._checks import check_finite, check_one_of, named
+from .._final import final
 from .._reprs import call
 from .._types import PerMass
 
@@ -84,6 +85,7 @@ def neighbours(x: Float[Array, " n"], ends: Ends) -> tuple[Float[Array, " n"], F
     return lax.platform_dependent(x, cpu=convolve, default=shift)
 
 
+@final
 class Springs(eqx.Module):
     """Nearest-neighbour springs: the off-diagonal part C of the stiffness matrix.
 

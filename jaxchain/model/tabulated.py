@@ -12,12 +12,14 @@ from jaxtyping import Array, ArrayLike, Float
 from scipy.interpolate import PchipInterpolator
 
 from .._checks import check_kind, numbers_of, to_float
+from .._final import final
 from .._reprs import call, known
 from .._types import PerMass
 from .friction import AbstractFrictionLaw
 from .measured import check_measured, read_curve
 
 
+@final
 class TabulatedFriction(AbstractFrictionLaw):
     """mu(s) through measured points (s_i, mu_i): cubics, with one slope where they meet.
 

@@ -19,12 +19,14 @@ from .._checks import (
     named,
     to_float,
 )
+from .._final import final
 from .._reprs import call
 from .._types import ScalarLike
 
 Quantity: TypeAlias = Literal["displacement", "velocity", "time", "force", "frequency"]
 
 
+@final
 class DimensionalParameters(NamedTuple):
     """One mass of the chain in SI units, as in eq. (3) of the paper.
 
@@ -64,6 +66,7 @@ def _or_none(coupling: Any) -> Float[Array, ""] | None:
     return None if coupling is None else to_float(coupling, "coupling")
 
 
+@final
 class Scales(eqx.Module):
     """The units in which a chain is dimensionless, and its two dimensionless parameters.
 

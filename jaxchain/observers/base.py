@@ -18,11 +18,13 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from .._final import final
 from .._reprs import parameters, summary
 from .._types import ScalarLike, State
 from ..model.oscillators import AbstractOscillators
 
 
+@final
 class Step(eqx.Module):
     """One accepted step as an observer sees it: from (`t0`, `y0`) to (`t1`, `y1`).
 
@@ -119,6 +121,7 @@ def zeros(
     return theta
 
 
+@final
 class Variable(eqx.Module):
     """What an observer says of one run, as a variable of a dataset.
 
@@ -131,8 +134,14 @@ class Variable(eqx.Module):
         >>> import jax, jax.numpy as jnp
         >>> jax.config.update("jax_enable_x64", True)
         >>> from jaxchain import equation_8, paper_chain, sweep
-        >>> from jaxchain.observers import MostSticking, Variable
-        >>> class Sticking(MostSticking):  # the same number under a name of one's own
+        >>> from jaxchain.observers import AbstractObserver, Variable
+        >>> class Sticking(AbstractObserver):  # the most masses that stick as a step ends
+        ...     def init(self, field, t0, t1, y0):
+        ...         return jnp.zeros((), int)
+        ...     def update(self, accumulator, step):
+        ...         return jnp.maximum(accumulator, (step.y1[1] == step.field.belt_speed).sum())
+        ...     def read(self, accumulator):
+        ...         return accumulator
         ...     def label(self, value, chain):
         ...         most = Variable(value, long_name="most masses that stuck", is_count=True)
         ...         return {"stuck": most}

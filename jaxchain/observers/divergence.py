@@ -8,11 +8,13 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+from .._final import final
 from .._types import ScalarLike, State
 from ..model.oscillators import AbstractOscillators
 from .base import AbstractObserver, Step, Variable
 
 
+@final
 class Divergence(AbstractObserver):
     """Integral of tr J along a run, by Gauss's rule of five points in every step.
 

@@ -10,6 +10,7 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._final import final
 from ..model.chain import Chain
 from .base import AbstractObserver, Step, Variable
 
@@ -17,6 +18,7 @@ from .base import AbstractObserver, Step, Variable
 _STUCK = 1e-9
 
 
+@final
 class EnergyBalance(AbstractObserver):
     """(work of the belt, energy lost to friction and damping, growth of the stored energy).
 

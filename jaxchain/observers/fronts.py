@@ -16,6 +16,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from .._checks import as_array, check_share, check_whole, to_float
+from .._final import final
 from .._reprs import call
 from .._statistics import student_reach
 from .._types import ScalarLike, State
@@ -109,6 +110,7 @@ class _Watch(eqx.Module):
     fronts: Fronts
 
 
+@final
 class FrontTrack(AbstractObserver):
     """Where the two fronts of a vibrating block are, in each of `windows` equal parts of a run.
 

@@ -11,6 +11,7 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from .._checks import check_number, check_whole
+from .._final import final
 from .._types import ScalarLike, State
 from ..model.oscillators import AbstractOscillators
 from ..model.springs import materialize
@@ -21,6 +22,7 @@ _NONE = -1e300
 _NEVER = 1e300
 
 
+@final
 class PeakTimes(AbstractNotingObserver):
     """Times of the maxima of every displacement, located between steps.
 

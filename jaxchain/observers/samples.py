@@ -22,6 +22,7 @@ from .._checks import (
     to_float,
 )
 from .._derivatives import both_ways
+from .._final import final
 from .._types import ScalarLike, State
 from ..model.oscillators import AbstractOscillators
 from ..model.springs import materialize
@@ -38,6 +39,7 @@ class _Samples(eqx.Module):
     v: Float[Array, "capacity masses"]
 
 
+@final
 class Samples(AbstractObserver):
     """Displacement and velocity of chosen masses at start, start + interval, ...
 

@@ -10,6 +10,7 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from .._checks import check_number, check_one_of, check_whole
+from .._final import final
 from .._types import ScalarLike, State
 from ..model.oscillators import AbstractOscillators
 from ..model.springs import materialize
@@ -19,27 +20,8 @@ from .base import AbstractObserver, Step, Variable, states_at_times, zeros
 _TRIALS = 6
 
 
-class Section(AbstractObserver):
-    """States where mass `oscillator` (counted from 0) reaches a maximum, the first `capacity`.
-
-    **Arguments:** `oscillator`, an index, and `start`, the time before which nothing is kept, may
-    be traced; `of` which the maximum is: "displacement", v = 0 and v' < 0, or "velocity" in the
-    belt's direction, v' = 0 and v'' < 0.
-
-    **Value:** (times, x, v) of shapes (capacity,), (capacity, n), (capacity, n); NaN where none.
-
-    !!! example
-
-        >>> import jax
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import Section, equation_8, paper_chain, simulate
-        >>> chain = paper_chain(3, belt_speed=1.5, width=1e-2)
-        >>> watch = Section(1, capacity=3, start=60.0)  # of the middle mass
-        >>> run = simulate(chain, equation_8(chain, 1), 100.0, observe=watch)
-        >>> times, x, v = run.observed
-        >>> print(x[:, 1].round(2), bool(abs(v[:, 1]).max() < 1e-6))
-        [2.15 2.15 2.15] True
-    """
+class AbstractSection(AbstractObserver):
+    """A `Section`; a subclass may say of which rate the maximum is, by `_slope`."""
 
     oscillator: int | Int[Array, ""]
     capacity: int = eqx.field(static=True, default=64)
@@ -119,3 +101,27 @@ class Section(AbstractObserver):
     def label(self, value: tuple[Array, ...], chain: Any) -> dict[str, Variable]:
         del chain
         return states_at_times("section", value, "point", "oscillator")
+
+
+@final
+class Section(AbstractSection):
+    """States where mass `oscillator` (counted from 0) reaches a maximum, the first `capacity`.
+
+    **Arguments:** `oscillator`, an index, and `start`, the time before which nothing is kept, may
+    be traced; `of` which the maximum is: "displacement", v = 0 and v' < 0, or "velocity" in the
+    belt's direction, v' = 0 and v'' < 0.
+
+    **Value:** (times, x, v) of shapes (capacity,), (capacity, n), (capacity, n); NaN where none.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import Section, equation_8, paper_chain, simulate
+        >>> chain = paper_chain(3, belt_speed=1.5, width=1e-2)
+        >>> watch = Section(1, capacity=3, start=60.0)  # of the middle mass
+        >>> run = simulate(chain, equation_8(chain, 1), 100.0, observe=watch)
+        >>> times, x, v = run.observed
+        >>> print(x[:, 1].round(2), bool(abs(v[:, 1]).max() < 1e-6))
+        [2.15 2.15 2.15] True
+    """

@@ -13,11 +13,13 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from .._checks import check_positive_number, to_float
+from .._final import final
 from .._types import ScalarLike, State
 from ..model.oscillators import AbstractOscillators
 from .base import AbstractObserver, Step, Variable, window_fits, zeros
 
 
+@final
 class StickTime(AbstractObserver):
     """For how long each mass sticks to the belt during a window.
 
@@ -64,7 +66,7 @@ class StickTime(AbstractObserver):
         watching = step.t1 > start
 
         def time() -> Array:
-            begin, end = self._interval(step)
+            begin, end = sticking(step)
             clipped = jnp.clip(
                 (start - step.t0) / jnp.maximum(step.t1 - step.t0, 1e-300), 0.0, 1.0
             )
@@ -73,23 +75,6 @@ class StickTime(AbstractObserver):
         gained = lax.cond(eqxi.unvmap_any(watching), time, lambda: jnp.zeros_like(total))
         return jnp.where(watching, total + gained, total), start
 
-    def _interval(self, step: Step) -> tuple[Array, Array]:
-        """The part of a step during which each mass sticks, as thetas from and to."""
-        field = step.field
-        limit: Any = field.stick_speed()
-
-        def too_fast(theta: Any) -> Array:
-            found = field.switching(step.t0, step.velocity(theta))
-            assert found is not None  # what can stick switches
-            return jnp.abs(found[0]) - limit
-
-        def let_go(theta: Any) -> Array:
-            return field.unheld_force(step.displacement(theta), step.velocity(theta))
-
-        begin, end = _where_negative(too_fast, step.y0[0])
-        held, released = _where_negative(let_go, step.y0[0])
-        return jnp.maximum(begin, held), jnp.minimum(end, released)
-
     def read(self, accumulator: tuple[Array, Array]) -> Float[Array, " n"]:
         return accumulator[0]
 
@@ -97,6 +82,24 @@ class StickTime(AbstractObserver):
         del chain
         name = "time for which a mass sticks during the window"
         return {"stick_time": Variable(value, ("oscillator",), "1 / omega_n", name)}
+
+
+def sticking(step: Step) -> tuple[Array, Array]:
+    """The part of a step during which each mass sticks, as thetas from and to."""
+    field = step.field
+    limit: Any = field.stick_speed()
+
+    def too_fast(theta: Any) -> Array:
+        found = field.switching(step.t0, step.velocity(theta))
+        assert found is not None  # what can stick switches
+        return jnp.abs(found[0]) - limit
+
+    def let_go(theta: Any) -> Array:
+        return field.unheld_force(step.displacement(theta), step.velocity(theta))
+
+    begin, end = _where_negative(too_fast, step.y0[0])
+    held, released = _where_negative(let_go, step.y0[0])
+    return jnp.maximum(begin, held), jnp.minimum(end, released)
 
 
 def _where_negative(
@@ -113,6 +116,7 @@ def _where_negative(
     return begin, end
 
 
+@final
 class MostSticking(AbstractObserver):
     """The greatest number of masses that stick at the same time, with true dry friction.
 

@@ -7,9 +7,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._checks import check_finite, is_traced, named
+from .._final import final
 from .._reprs import call
 
 
+@final
 class Trajectory(eqx.Module):
     """The state at given times: value (x, v), both of shape (len(times), n).
 

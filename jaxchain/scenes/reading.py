@@ -10,6 +10,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from .._final import final
 from .errors import SceneError, did_you_mean
 from .files import builtin_scenes, read_scene
 from .registry import StudyTable, studies, study_table
@@ -18,6 +19,7 @@ from .values import description
 from .wording import as_written, explain, listed
 
 
+@final
 @dataclass(frozen=True)
 class LoadedScene:
     """A scene or a study with the `name` under which its results are stored.

@@ -15,6 +15,7 @@ import numpy as np
 from pydantic import Field, ModelWrapValidatorHandler, ValidationError, model_validator
 from pydantic_core import InitErrorDetails
 
+from .._final import final
 from .._limits import MOST_LANES, MOST_STORED, MOST_UNSTORED
 from ..model.parameters import CHAIN, FRICTION, parameter
 from ..plotting.groups import CYCLES, NONSMOOTH
@@ -271,6 +272,7 @@ class SweepTable(Table):
         return ("sweep",), f"is {runs}, and {most} are the most: {MOST_LANES_REMEDY}"
 
 
+@final
 class Experiment(SweepTable):
     """One sweep of a scene: what is computed in one go and stored as one dataset.
 
@@ -351,6 +353,7 @@ class Experiment(SweepTable):
                 )
 
 
+@final
 class Scene(Table):
     """A scene file: `title`, `description` and the experiments, each a table `[experiment.NAME]`.
 

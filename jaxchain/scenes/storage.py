@@ -18,6 +18,7 @@ from typing import TextIO
 import xarray as xr
 from matplotlib.figure import Figure
 
+from .._final import final
 from .._terminal import undisturbed
 from ..plotting.style import save_figure
 from ..sweeps.claims import Claims
@@ -27,6 +28,7 @@ from .folders.datasets import aside, mend, save, saved
 from .folders.saving import CLAIM_FILE, MARKER, mark, marked, superseded
 
 
+@final
 class Results:
     """What one run has found: in memory, and in a folder that it fills.
 

@@ -11,6 +11,7 @@ from jax import lax
 from jaxtyping import Array, ArrayLike
 
 from .._checks import check_number, check_positive_number, is_traced, shown
+from .._final import final
 from .._limits import LEAST_ACCURACY, LEAST_ATOL, LEAST_RTOL, MOST_ACCURACY
 from .._reprs import call
 from ..model.arguments import as_chain
@@ -160,6 +161,7 @@ _WORST = 6.0
 _RTOL_PER_WIDTH = 1e-2
 
 
+@final
 class Numerics(eqx.Module):
     """What `choose_numerics` chose: a regularization width, a tolerance and a solver.
 

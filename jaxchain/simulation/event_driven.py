@@ -26,6 +26,7 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from .._checks import check_whole, to_float
+from .._final import final
 from .._types import State
 from ..model.chain import Chain
 from ..model.oscillators import AbstractOscillators
@@ -250,6 +251,7 @@ class EventDrivenPlan(AbstractPlan):
         return Result.where(settled & (result == Result.successful), how, result)
 
 
+@final
 class EventDriven(eqx.Module):
     """The solver for true dry friction, and the one that a dry chain has unless told otherwise.
 

@@ -20,6 +20,7 @@ from .._checks import (
     to_float,
 )
 from .._derivatives import both_ways
+from .._final import final
 from .._reprs import number, parameters, summary
 from .._stored_programs import stored_jit
 from .._types import ScalarLike, State
@@ -52,6 +53,7 @@ def _is_observer(x: Any) -> bool:
     return isinstance(x, AbstractObserver | Trajectory)
 
 
+@final
 class Simulation(eqx.Module):
     """What a run returned.
 

@@ -27,6 +27,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._checks import check_whole
+from .._final import final, refuse_overrides
 from .._types import ScalarLike, State
 from ..model.oscillators import AbstractOscillators
 from ..model.springs import materialize
@@ -39,6 +40,13 @@ MOST_TRUNCATION = 1e-3
 _MOST_GROWTH = 2.0
 # Every sweep is compiled anew; far fewer than these cost as much as the exact solve.
 _MOST_SWEEPS = 100
+
+# What a method cannot define.
+_FINAL = dict.fromkeys(
+    ("step", "init", "func", "order", "error_order", "term_structure", "interpolation_cls"),
+    "a method is its `tableau` and `method_order`; any other solver is one of diffrax, a subclass "
+    "of `diffrax.AbstractAdaptiveSolver`.",
+)
 
 _Arrays: TypeAlias = Sequence[Float[Array, " n"]]
 
@@ -144,6 +152,10 @@ class AbstractStructuredRosenbrock(dfx.AbstractAdaptiveSolver):
         >>> bool(abs(one.state[0] - two.state[0]).max() < 1e-4)
         True
     """
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        refuse_overrides(cls, AbstractStructuredRosenbrock, _FINAL)
 
     tableau: eqx.AbstractClassVar[RosenbrockTableau]
     method_order: eqx.AbstractClassVar[int]
@@ -271,6 +283,7 @@ class AbstractStructuredRosenbrock(dfx.AbstractAdaptiveSolver):
         return swept_solver(diagonal, springs, hg, self.sweeps), truncation
 
 
+@final
 class Rodas4(AbstractStructuredRosenbrock):
     """Rodas4: order 4(3), 6 stages, stiffly accurate and L-stable; dense output of order 3.
 
@@ -303,6 +316,7 @@ class Rodas4(AbstractStructuredRosenbrock):
         return Rodas4(sweeps)
 
 
+@final
 class Rodas5P(AbstractStructuredRosenbrock):
     """Rodas5P: order 5(4), 8 stages, stiffly accurate and L-stable; dense output of order 4.
 

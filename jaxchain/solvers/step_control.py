@@ -19,6 +19,7 @@ from .._checks import (
     check_positive_number,
     to_float,
 )
+from .._final import final
 from .._types import ScalarLike, State
 from ..model.chain import MAKE_CHAIN
 from ..model.oscillators import AbstractOscillators
@@ -51,6 +52,7 @@ class WrappingController(dfx.AbstractAdaptiveStepSizeController):
         return self.controller.norm
 
 
+@final
 class SwitchingController(WrappingController):
     """Shortens the steps of another controller where a mass is about to meet the belt's speed.
 

@@ -6,8 +6,10 @@ from typing import Any
 import numpy as np
 
 from .._checks import check_positive_number, numbers_of, shown
+from .._final import final
 
 
+@final
 class RosenbrockTableau:
     """Coefficients of a stiffly accurate Rosenbrock method in the transformed form.
 

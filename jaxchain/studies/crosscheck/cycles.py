@@ -14,10 +14,10 @@ from jaxchain._types import ScalarLike, State
 from jaxchain.model.chain import Chain
 from jaxchain.model.oscillators import AbstractOscillators
 from jaxchain.observers.amplitude import Amplitude
-from jaxchain.observers.base import AbstractObserver, Step
+from jaxchain.observers.base import AbstractObserver, Step, Variable
 from jaxchain.observers.quantities import active_above
 from jaxchain.observers.section import Section
-from jaxchain.observers.stick_time import StickTime
+from jaxchain.observers.stick_time import StickTime, sticking
 from jaxchain.result import ended_well
 from jaxchain.scenes.tables import TimeTable
 from jaxchain.simulation.event_driven import EventDriven
@@ -34,7 +34,7 @@ _SETTLED = 1e-8
 _OFF, _OFF_RTOL = 1e-4, 1e-9
 
 
-class CycleStickTime(StickTime):
+class CycleStickTime(AbstractObserver):
     """For how long each mass sticks in one period, from one of its maxima to the next.
 
     The last period that is complete counts.  No mass sticks at a maximum, where v = 0, so that no
@@ -44,12 +44,12 @@ class CycleStickTime(StickTime):
     def init(
         self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State
     ) -> tuple[Array, Array]:
-        total, _ = super().init(field, t0, t1, y0)
-        return total, jnp.full_like(total, jnp.nan)
+        del field, t0, t1
+        return jnp.zeros_like(y0[0]), jnp.full_like(y0[0], jnp.nan)
 
     def update(self, accumulator: tuple[Array, Array], step: Step) -> tuple[Array, Array]:
         since_maximum, last = accumulator
-        begin, end = self._interval(step)
+        begin, end = sticking(step)
         since_maximum = since_maximum + jnp.maximum(end - begin, 0.0) * (step.t1 - step.t0)
         turns, _ = step.turning_points()
         maximum = turns & (step.y0[1] > 0)
@@ -57,6 +57,9 @@ class CycleStickTime(StickTime):
 
     def read(self, accumulator: tuple[Array, Array]) -> Array:
         return accumulator[1]
+
+    def label(self, value: Array, chain: Chain) -> dict[str, Variable]:
+        return StickTime().label(value, chain)
 
 
 def watch_cycles(time: TimeTable) -> list[AbstractObserver]:

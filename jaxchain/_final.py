@@ -1,0 +1,53 @@
+"""What a subclass may not replace: an override that part of the package ignores is refused.
+
+Nothing here needs JAX.  Public classes are abstract, and made to be subclassed, or final.
+"""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+_INSTEAD = {
+    "AbstractOscillators": "subclass `jaxchain.model.AbstractOscillators` for other forces, or "
+    "`jaxchain.model.AbstractFrictionLaw` for other friction.",
+    "AbstractFriction": "subclass `jaxchain.model.AbstractFrictionLaw`.",
+    "AbstractClassifier": "subclass `jaxchain.basins.AbstractClassifier`.",
+    "AbstractObserver": "subclass `jaxchain.observers.AbstractObserver`.",
+    "AbstractRegion": "subclass `jaxchain.basins.AbstractRegion`.",
+    "AbstractStructuredRosenbrock": "subclass `jaxchain.solvers.AbstractStructuredRosenbrock`.",
+    "AbstractStepSizeController": "subclass `diffrax.AbstractStepSizeController`.",
+}
+
+if TYPE_CHECKING:
+    from typing import final
+else:
+
+    def final(cls: type) -> type:
+        """Class decorator: to subclass `cls` is a `TypeError` that says what to do instead."""
+        bases = [base.__name__ for base in cls.__mro__]
+        instead = "write a function that takes one, or a class that holds one."
+        instead = next((_INSTEAD[name] for name in bases if name in _INSTEAD), instead)
+
+        def refuse(subclass: type, **options: object) -> None:
+            del options
+            raise TypeError(
+                f"Class `{subclass.__name__}` cannot be a subclass of `{cls.__name__}`, which is "
+                f"final, because some computations would ignore what it overrides: {instead}"
+            )
+
+        cls.__init_subclass__ = classmethod(refuse)
+        return cls
+
+
+def refuse_overrides(cls: type, base: type, remedies: Mapping[str, str]) -> None:
+    """Raises `TypeError` if `cls` defines a name of `remedies`, as a method or as a field.
+
+    Classes of this package may: the methods of `base` rely on no more than these keep.
+    """
+    below = [c for c in cls.__mro__ if c is not base and issubclass(c, base)]
+    users = [c for c in below if c.__module__.partition(".")[0] != __package__]
+    for name, remedy in remedies.items():
+        if any(name in vars(c) or name in vars(c).get("__annotations__", {}) for c in users):
+            raise TypeError(
+                f"Class `{cls.__name__}` defines `{name}`, which some computations would "
+                f"ignore: {remedy}"
+            )
