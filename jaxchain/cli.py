@@ -268,6 +268,9 @@ def _report(options: argparse.Namespace) -> int:
     folder = Path(options.folder)
     try:
         print(renew_page(folder))
+    except ValueError as error:
+        print(f"jaxchain: {error}", file=sys.stderr)
+        return 2
     except OSError as error:
         print(f"jaxchain: cannot write {folder}: {error.strerror or error}", file=sys.stderr)
         return 1

@@ -34,7 +34,7 @@ from ..simulation.accuracy import own_solver
 from ..simulation.event_driven import EventDriven
 from ..simulation.run import simulate
 from ..solvers.dry_friction import start as on_the_belt
-from .floquet import check_orbit, floquet_multipliers, multiplier_resolution
+from .floquet import as_orbit, check_orbit, floquet_multipliers, multiplier_resolution
 from .least_period import Returned, Returns, close_orbit_once, greatest_gap
 from .limit_cycle import LEAST_VELOCITY, LimitCycle, can_be_cycle, is_trusted
 from .variational import Along
@@ -106,9 +106,9 @@ class ClosedOrbit(NamedTuple):
 
 
 def close_orbit(
-    chain: AbstractOscillators,
-    state: Any,
-    period: Any,
+    chain: Any,
+    state: Any = None,
+    period: Any = None,
     *,
     solver: Any = None,
     rtol: Any = 1e-9,
@@ -123,8 +123,8 @@ def close_orbit(
     that has come back after a share of `period` (up to 16 times round) is closed again with this
     share.
 
-    **Arguments:** `state` = (x, v), both of shape (n,); `period` > 0; `solver` and `rtol` as for
-    `simulate`.
+    **Arguments:** a `LimitCycle` alone; or a chain, `state` = (x, v), both of shape (n,), and
+    `period` > 0.  `solver` and `rtol` as for `simulate`.
 
     **Returns:** `ClosedOrbit`; look at its `gap` and `distance` before anything else.  Works
     under `jit` and `vmap`.
@@ -142,6 +142,7 @@ def close_orbit(
         >>> bool(orbit.gap < 1e-8), orbit.multipliers.tolist()  # 0: it sticks
         (True, [0j])
     """
+    chain, state, period = as_orbit(chain, state, period)
     x, v = check_orbit(chain, state, period, rtol)
     return _close(chain, (x, v), to_float(period), own_solver(chain, solver), rtol)
 

@@ -9,7 +9,7 @@ from ..model.arguments import as_images, as_mass
 from ..model.chain import require_smoothed
 from ..simulation.accuracy import fit_linear_solve
 from ..solvers.rosenbrock import Rodas5P
-from .floquet import check_orbit
+from .floquet import as_orbit, check_orbit
 from .shooting import Shooting
 
 
@@ -17,9 +17,9 @@ def cycle_equations(
     chain: Any, state: Any, period: Any, parameter: str, vibrating: Any, images: Any, rtol: Any
 ) -> tuple[Shooting, np.ndarray, float]:
     """The shooting equations, and u and p of the cycle that is given."""
-    if state is None and period is None:
-        chain, state, period, mass = _parts(chain)
-        vibrating = mass if vibrating is None else vibrating
+    if state is None and period is None and vibrating is None:
+        vibrating = getattr(chain, "mass", None)
+    chain, state, period = as_orbit(chain, state, period)
     check_concrete("use `find_limit_cycle`.", chain=chain, state=state, period=period)
     require_smoothed(chain, "follow `find_limit_cycle` from one belt speed to the next, or ")
     x, v = check_orbit(chain, state, period, rtol)
@@ -43,16 +43,6 @@ def cycle_equations(
     )
     u = np.asarray(shooting.pack((x, v), period, p))
     return shooting, u, float(p)
-
-
-def _parts(cycle: Any) -> tuple[Any, Any, Any, Any]:
-    try:
-        return cycle.chain, cycle.state, cycle.period, cycle.mass
-    except AttributeError:
-        raise ValueError(
-            "Argument `chain` must be a `LimitCycle`, or a chain for which `state` and `period` "
-            f"are given, too, but is {shown(cycle)}."
-        ) from None
 
 
 def cycle_weights(shooting: Shooting, p: float) -> np.ndarray:

@@ -13,6 +13,7 @@ from jaxtyping import Array, ArrayLike, Complex, Float
 
 from .._checks import (
     as_array,
+    check_kind,
     check_positive_number,
     is_traced,
     shown,
@@ -38,15 +39,15 @@ _linearised = stored_jit(linearised_period)
 
 
 def monodromy_matrix(
-    chain: Any, state: Any, period: Any, *, rtol: Any = CYCLE_RTOL
+    chain: Any, state: Any = None, period: Any = None, *, rtol: Any = CYCLE_RTOL
 ) -> Float[Array, "two_n two_n"]:
     """M = d(state after `period`) / d(state), with states in the order (x_1 .. x_n, v_1 .. v_n).
 
     The derivative of the discrete steps of the structured solver, sizes held, forward.
 
-    **Arguments:** a `Chain` or other autonomous `AbstractOscillators`; `state` = (x, v), both of
-    shape (n,), on a periodic orbit or not; `period`, any positive dimensionless time; `rtol`, the
-    tolerance of the integration (absolute: a tenth).
+    **Arguments:** a `LimitCycle` alone; or a `Chain` or other autonomous `AbstractOscillators`,
+    `state` = (x, v), both of shape (n,), on a periodic orbit or not, and `period`, any positive
+    dimensionless time.  `rtol`: the tolerance of the integration (absolute: a tenth).
 
     **Returns:** shape (2n, 2n); NaN where the integration fails.  Works under `jit` and `vmap`.
 
@@ -65,7 +66,7 @@ def monodromy_matrix(
 
 
 def trace_integral(
-    chain: Any, state: Any, period: Any, *, rtol: Any = CYCLE_RTOL
+    chain: Any, state: Any = None, period: Any = None, *, rtol: Any = CYCLE_RTOL
 ) -> Float[Array, ""]:
     """L = integral of tr J over `period`, along the orbit from `state`.
 
@@ -75,7 +76,7 @@ def trace_integral(
 
 
 def liouville_determinant(
-    chain: Any, state: Any, period: Any, *, rtol: Any = CYCLE_RTOL
+    chain: Any, state: Any = None, period: Any = None, *, rtol: Any = CYCLE_RTOL
 ) -> Float[Array, ""]:
     """exp(integral of tr J), what det M must be, by a quadrature that knows nothing of M.
 
@@ -157,18 +158,22 @@ class Floquet(NamedTuple):
     defect: Float[Array, ""]
 
 
-def floquet_multipliers(monodromy: Float[Array, "two_n two_n"], flow_direction: Any) -> Floquet:
-    """Eigenvalues of the monodromy matrix, the trivial one known by its vector.
+def floquet_multipliers(monodromy: Any, flow_direction: Any = None) -> Floquet:
+    """Floquet multipliers of a `LimitCycle`, or the eigenvalues of a monodromy matrix.
+
+    The trivial one is known by its vector.
 
     A disturbance along the orbit, f = (x', v') at its start, comes back as it was: M f = f.  In an
     orthonormal basis Q that begins with f, M is [[1, *], [0, B]], and the other multipliers are
     those of B.  At a fold, where another one is 1 too and both are a defective pair of M, with an
     error of sqrt(rounding), B has it once, and well conditioned.
 
-    **Arguments:** M of shape (2n, 2n); `flow_direction` = f, of shape (2n,) or as a pair (x', v').
+    **Arguments:** a `LimitCycle` alone; or M of shape (2n, 2n), with `flow_direction` = f, of
+    shape (2n,) or as a pair (x', v').
 
-    **Returns:** `Floquet`.  Works under `jit` and `vmap`; by `jnp.linalg.eigvals`, which JAX has
-    for CPU and GPU.  NaN in M gives NaN.
+    **Returns:** `Floquet`; of a cycle the multipliers and the defect that it has, and NaN for
+    `trivial`, which it does not keep.  Works under `jit` and `vmap`; by `jnp.linalg.eigvals`,
+    which JAX has for CPU and GPU.  NaN in M gives NaN.
 
     **Raises:** `ValueError` if the shapes do not fit.
 
@@ -179,6 +184,10 @@ def floquet_multipliers(monodromy: Float[Array, "two_n two_n"], flow_direction: 
     >>> complex(found.multipliers[0]), float(found.trivial), float(found.defect)
     ((0.25+0j), 1.0, 0.0)
     """
+    if flow_direction is None:
+        cycle = _cycle("monodromy", monodromy, "a matrix for which `flow_direction` is")
+        defect = cycle.trivial_defect
+        return Floquet(cycle.multipliers, jnp.full_like(defect, jnp.nan), defect)
     monodromy = _square(monodromy)
     if isinstance(flow_direction, tuple | list):
         parts = [to_float(part, "flow_direction") for part in flow_direction]
@@ -215,9 +224,27 @@ def multiplier_resolution(monodromy: Float[Array, "two_n two_n"]) -> Float[Array
     return _ROUNDINGS * jnp.finfo(monodromy.dtype).eps * size
 
 
+def _cycle(name: str, given: Any, other: str) -> Any:
+    """The `LimitCycle` that is given alone, or `ValueError`."""
+    from .limit_cycle import LimitCycle  # which needs this module
+
+    kinds = f"a `LimitCycle`, or {other} given, too"
+    check_kind(name, given, LimitCycle, kinds, "`find_limit_cycle` makes one.")
+    return given
+
+
+def as_orbit(chain: Any, state: Any, period: Any) -> tuple[Any, Any, Any]:
+    """The chain, a state and a period, also of a `LimitCycle` that is given alone."""
+    if state is not None or period is not None:
+        return chain, state, period
+    cycle = _cycle("chain", chain, "a chain for which `state` and `period` are")
+    return cycle.chain, cycle.state, cycle.period
+
+
 def _period(chain: Any, state: Any, period: Any, rtol: Any) -> Period:
+    chain, state, period = as_orbit(chain, state, period)
     state = check_orbit(chain, state, period, rtol)
-    require_smoothed(chain, "use `find_limit_cycle` or `close_orbit` for its multipliers, or ")
+    require_smoothed(chain, "`floquet_multipliers` of its `LimitCycle` has multipliers, or ")
     given = 1e-9 if is_traced(rtol) else float(rtol)
     solver = fit_linear_solve(Rodas5P(), chain, given)
     return _linearised(chain, state, to_float(period), rtol=to_float(rtol), solver=solver)

@@ -274,18 +274,20 @@ def require_smoothed(chain: Any, instead: str) -> None:
         )
 
 
-def paper_chain(n: int = 20, belt_speed: ArrayLike = 1.5, width: ArrayLike | None = 1e-3) -> Chain:
+def paper_chain(
+    n: int = 20, belt_speed: ArrayLike = 1.5, width: ArrayLike | None = 1e-3, **numbers: Any
+) -> Chain:
     """The parameter set of the paper, eq. (7): xi 0.05, mu_d 0.5, mu_st 1, v_0 0.5, eta_c 0.01.
 
     **Arguments:** number of masses, dimensionless belt speed v_d, and the regularization width
-    of the friction law, or None for dry friction.  One mass has no neighbours and gets no
-    coupling.
+    of the friction law, or None for dry friction; any other number by its name in `Chain.with_`.
+    One mass has no neighbours and gets no coupling.
 
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
     >>> from jaxchain import paper_chain
-    >>> paper_chain().n
-    20
+    >>> paper_chain().n, float(paper_chain(3, damping_ratio=0.1).damping_ratio)
+    (20, 0.1)
     """
     check_whole("n", n, remedy="20 is the paper's.")
     law = ExponentialDecay(mu_static=1.0, mu_dynamic=0.5, v_ref=0.5)
@@ -295,7 +297,7 @@ def paper_chain(n: int = 20, belt_speed: ArrayLike = 1.5, width: ArrayLike | Non
         belt_speed=belt_speed,
         damping_ratio=0.05,
         coupling=0.01 if n > 1 else None,
-    )
+    ).with_(**numbers)
 
 
 def steady_sliding(chain: Chain) -> State:

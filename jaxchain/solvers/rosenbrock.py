@@ -42,8 +42,12 @@ _MOST_GROWTH = 2.0
 _MOST_SWEEPS = 100
 
 # What a method cannot define.
+_SOLVER = (
+    "step", "init", "func", "order", "error_order", "strong_order", "term_structure",
+    "term_compatible_contr_kwargs", "interpolation_cls",
+)  # fmt: skip
 _FINAL = dict.fromkeys(
-    ("step", "init", "func", "order", "error_order", "term_structure", "interpolation_cls"),
+    _SOLVER,
     "a method is its `tableau` and `method_order`; any other solver is one of diffrax, a subclass "
     "of `diffrax.AbstractAdaptiveSolver`.",
 )

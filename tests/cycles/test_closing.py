@@ -8,6 +8,7 @@ from scipy.integrate import solve_ivp
 
 from jaxchain.boundaries.grazing import find_grazing
 from jaxchain.cycles.closing import close_orbit
+from jaxchain.cycles.floquet import floquet_multipliers
 from jaxchain.cycles.search import find_limit_cycle
 from jaxchain.model.chain import paper_chain
 from jaxchain.result import SearchResult
@@ -54,6 +55,12 @@ def test_it_is_cut_where_the_belt_lets_go_and_forgets_what_was_before(cycle):
     assert complex(cycle.multipliers[0]) == 0.0
     assert cycle.stable
     assert np.isnan(cycle.liouville_defect)
+
+
+def test_it_is_closed_again_from_the_cycle_alone(cycle):
+    orbit = close_orbit(cycle)
+    assert float(orbit.period) == pytest.approx(float(cycle.period), abs=1e-10)
+    np.testing.assert_allclose(floquet_multipliers(cycle).multipliers, orbit.multipliers)
 
 
 def test_the_slip_cycle_is_unstable_and_nearly_that_of_smoothed_friction():

@@ -9,6 +9,7 @@ from scipy.linalg import expm
 from systems.oscillators import LinearRing
 
 from jaxchain import excited_state, paper_chain, simulate
+from jaxchain.cycles.closing import close_orbit
 from jaxchain.cycles.floquet import (
     floquet_multipliers,
     liouville_defect,
@@ -16,7 +17,9 @@ from jaxchain.cycles.floquet import (
     monodromy_matrix,
     trace_integral,
 )
+from jaxchain.cycles.limit_cycle import LimitCycle
 from jaxchain.model.springs import Springs
+from jaxchain.result import SearchResult
 
 
 def variational(chain, state, period):
@@ -78,6 +81,9 @@ def test_a_linear_chain_has_the_matrix_exponential():
     # All multipliers, against those of the exponential; a linear flow has no trivial one.
     direction = jnp.linalg.eigh(found @ found.T)[1][:, 0]
     assert floquet_multipliers(found, direction).multipliers.shape == (2 * n - 1,)
+    cycle = as_cycle(ring, (x, v), 5.0)
+    np.testing.assert_array_equal(monodromy_matrix(cycle), found)
+    assert float(liouville_determinant(cycle)) == pytest.approx(np.exp(5.0 * np.trace(J)))
 
 
 @pytest.mark.exhaustive
@@ -98,6 +104,32 @@ def test_finite_differences_of_a_run_agree():
     np.testing.assert_allclose(batch[0], M, atol=1e-9)
     other = monodromy_matrix(chain, (0.9 * x, 0.9 * v), 7.0)
     np.testing.assert_allclose(batch[1], other, atol=1e-9)
+
+
+def as_cycle(chain, state, period):
+    nothing = jnp.zeros(())
+    return LimitCycle(
+        chain=chain, state=state, period=jnp.asarray(period), residual=nothing,
+        result=SearchResult.successful, multipliers=jnp.array([0.5 + 0.1j, 0.5 - 0.1j, 0.2]),
+        trivial_defect=jnp.asarray(1e-9), liouville_defect=nothing, amplitude=state[0],
+        fastest=state[1], evaluations=jnp.asarray(1), mass=0,
+    )  # fmt: skip
+
+
+def test_a_cycle_alone_has_its_multipliers():
+    chain = paper_chain(2)
+    cycle = as_cycle(chain, excited_state(chain, 1), 6.3)
+    found = floquet_multipliers(cycle)
+    np.testing.assert_array_equal(found.multipliers, cycle.multipliers)
+    assert float(found.defect) == 1e-9
+    assert jnp.isnan(found.trivial)
+    many = jax.vmap(lambda period: floquet_multipliers(as_cycle(chain, cycle.state, period)))
+    assert many(jnp.array([6.2, 6.3])).multipliers.shape == (2, 3)
+    with pytest.raises(ValueError, match="`monodromy` must be a `LimitCycle`, or a matrix for"):
+        floquet_multipliers(jnp.eye(4))
+    for use in (monodromy_matrix, liouville_determinant, close_orbit):
+        with pytest.raises(ValueError, match="`chain` must be a `LimitCycle`, or a chain for"):
+            use(chain)
 
 
 def like_a_monodromy(multipliers, coupling, seed=0):

@@ -122,6 +122,14 @@ def test_every_number_of_a_chain_is_differentiable_and_vmappable():
     np.testing.assert_allclose(batch, single, rtol=1e-13)
 
 
+def test_the_papers_chain_takes_other_numbers_by_name():
+    chain = paper_chain(3, 1.2, damping_ratio=0.1, v_ref=0.4, coupling=jnp.array([0.1, 0.2, 0.3]))
+    assert (float(chain.damping_ratio), float(chain.friction.law.v_ref)) == (0.1, 0.4)
+    assert (chain.coupling.shape, float(chain.belt_speed), float(chain.width)) == ((3,), 1.2, 1e-3)
+    with pytest.raises(ValueError, match=r"does not know \['damping'\]"):
+        paper_chain(3, damping=0.1)
+
+
 def test_with_changes_numbers_of_chain_and_friction():
     chain = paper_chain(3).with_(belt_speed=0.4, width=0.2, mu_static=1.5, coupling=None)
     assert float(chain.belt_speed) == 0.4

@@ -215,8 +215,25 @@ def test_it_is_renewed_to_the_last_byte_from_what_lies_there(folder, monkeypatch
     assert not page.images
     assert "There is no figure" in page.shown
     assert "of another version" in page.shown
-    assert main(["report", "nowhere"]) == 2
-    assert "is no folder of results" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("nowhere", "but nowhere is none."),
+        ("out/mine.nc", "but out/mine.nc is a file: its folder is out."),
+        ("empty", "but empty is a folder without a scene: it holds no TOML file."),
+    ],
+)
+def test_a_report_of_what_is_no_folder_of_results_is_refused(
+    name, words, folder, monkeypatch, capsys
+):
+    monkeypatch.chdir(folder.parent)
+    (folder.parent / "empty").mkdir(exist_ok=True)
+    assert main(["report", name]) == 2
+    assert capsys.readouterr().err == (
+        f"jaxchain: Argument `folder` must be a folder of results, {words}\n"
+    )
 
 
 def test_a_large_figure_becomes_smaller(folder):

@@ -99,7 +99,7 @@ def renew_page(folder: Path) -> Path:
 
     **Returns:** the path of the page.
 
-    **Raises:** `SceneError` if it is no folder of results; `OSError` if the page cannot be
+    **Raises:** `ValueError` if it is no folder of results; `OSError` if the page cannot be
     written.
 
     !!! example
@@ -114,16 +114,18 @@ def renew_page(folder: Path) -> Path:
         ...     print(page.name, "amplitude" in page.read_text())
         report.html True
     """
+    wanted = f"Argument `folder` must be a folder of results, but {folder}"
     if not folder.is_dir():
-        raise SceneError(str(folder), ["is no folder of results"])
+        it_is = f"a file: its folder is {folder.parent}" if folder.is_file() else "none"
+        raise ValueError(f"{wanted} is {it_is}.")
     # A folder, also where a scene that comes with jaxchain has its name.
     where = str(folder.absolute())
     try:
         name = scene_file(where).name.removesuffix(".toml")
-    except SceneError:
+    except SceneError as error:
         files = sorted(folder.glob("*.nc"))
         if len(files) != 1:
-            raise
+            raise ValueError(f"{wanted} {error.problems[0]}.") from None
         name = files[0].stem  # a study that was called from Python
     try:
         scene = load_scene(where).scene
