@@ -100,7 +100,7 @@ class Hyperbolic(AbstractFrictionLaw):
 
 
 class Changed(Hyperbolic):
-    """Exponential decay from 0.9 `top`, and constant beyond the speed 3."""
+    """Exponential decay from 0.9 `top`, and constant beyond the speed 6."""
 
     @property
     def mu_static(self):
@@ -108,15 +108,15 @@ class Changed(Hyperbolic):
 
     @property
     def knots(self):
-        return jnp.array([3.0])
+        return jnp.array([6.0])
 
     def coefficient(self, speed: Any) -> Any:
-        drop = jnp.exp(-jnp.minimum(speed, 3.0) / self.v_ref)
+        drop = jnp.exp(-jnp.minimum(speed, 6.0) / self.v_ref)
         return 0.5 * self.mu_static * (1.0 + drop)
 
 
 def twins(width):
-    """The changed law in a chain, and the shipped one, which it is below the speed 3."""
+    """The changed law in a chain, and the shipped one, which it is below the speed 6."""
     for law in (Changed(1.0, 0.5), jc.ExponentialDecay(0.9, 0.45, 0.5)):
         yield jc.Chain(1, law, belt_speed=1.2).with_(width=width)
 

@@ -19,6 +19,7 @@ from .._checks import (
     check_number,
     check_positive_number,
     check_whole,
+    shown,
     to_float,
 )
 from .._derivatives import both_ways
@@ -32,6 +33,15 @@ from .base import AbstractObserver, Step, Variable, states_at_times
 _ROUNDING = 1e-9
 
 
+def _interval(value: Any) -> Any:
+    if np.ndim(value):
+        raise ValueError(
+            "Argument `interval` must be one number, the time from one sample to the next, but is "
+            f"{shown(value)}: states at given times are those of `Trajectory(times)`."
+        )
+    return value
+
+
 class _Samples(eqx.Module):
     first: Float[Array, ""]  # time of sample 0
     count: Int[Array, ""]  # of those that are known
@@ -42,6 +52,8 @@ class _Samples(eqx.Module):
 @final
 class Samples(AbstractObserver):
     """Displacement and velocity of chosen masses at start, start + interval, ...
+
+    For states at given times, which need not be regular, see `Trajectory`.
 
     A run that begins later begins with the first of these times that lies within it.  The steps
     are not cut to meet them, as a `Trajectory` makes true dry friction do, and the length of the
@@ -69,14 +81,14 @@ class Samples(AbstractObserver):
         ([3.0, 3.5, 4.0, 4.5], (4, 1))
     """
 
-    interval: float = eqx.field(static=True)
-    capacity: int = eqx.field(static=True)
+    interval: float = eqx.field(converter=_interval, static=True)
+    capacity: int = eqx.field(static=True, default=0)
     oscillators: tuple[int, ...] | None = eqx.field(static=True, default=None)
     start: float = eqx.field(static=True, default=0.0)
 
     def __check_init__(self) -> None:
         check_positive_number("interval", self.interval, "0.1 is a sixtieth of a period.")
-        check_whole("capacity", self.capacity)
+        check_whole("capacity", self.capacity, remedy="it is how many samples are kept.")
         check_number("start", self.start, "the first time; 0 is usual.")
         check_nonnegative("start", self.start, "the first time; 0 is usual.")
 

@@ -66,7 +66,8 @@ def plot_sweep(
     - `x`: what it is drawn over: a dimension, or what is swept along one; by default
       `belt_speed`, or else the first dimension.
     - `hue`: the dimension whose values are told apart by colour and marker; more than seven by a
-      colour bar.
+      colour bar.  Or a variable such as `active_count`: then all runs that differ in its
+      dimensions alone share the axes.
     - `col`, `row`: dimensions whose values are panels beside and below each other.
     - `ax`: matplotlib axes; with panels an array of as many, a row after the other.  None makes
       new ones: of a column's width (85 mm), panels of a page's.
@@ -100,7 +101,9 @@ def plot_sweep(
     check_scales(scales)
     given = None if ax is None else _flat(ax)
     values = _variable(data, y)
-    places = _places(data, values, {"x": x, "hue": hue, "col": col, "row": row}, given)
+    shades = _shades(data, values, hue)
+    places = _places(data, values, {"x": x, "hue": hue, "col": col, "row": row}, shades, given)
+    series = _series(data, hue, shades)
     columns, rows = (_positions(data, places[name]) for name in ("col", "row"))
     panels = [*itertools.product(rows, columns)]
     faceted = places["col"] is not None or places["row"] is not None
@@ -112,8 +115,8 @@ def plot_sweep(
         )
     if not faceted:
         with on_axes(None if given is None else _only(given)) as axes:
-            _draw(axes, data, values, places, scales)
-            _explain([axes], data, places["hue"], scales)
+            _draw(axes, data, values, places, (series, shades), scales)
+            _explain([axes], series, scales)
         return axes
     shape = [len(part) for part, name in ((rows, "row"), (columns, "col")) if places[name]]
     with matplotlib.rc_context(STYLE if given is None else {}):
@@ -121,10 +124,10 @@ def plot_sweep(
         for axes, (below, beside) in zip(grid, panels, strict=True):
             own = {**below, **beside}
             part = data.isel(own)
-            _draw(axes, part, values.isel(own), places, scales)
+            _draw(axes, part, values.isel(own), places, (series, _part(shades, own)), scales)
             named = [places[name] for name in ("row", "col") if places[name]]
             axes.set_title("\n".join(value_of(part[name], scales) for name in named))
-        _explain(grid, data, places["hue"], scales)
+        _explain(grid, series, scales)
         if given is None:
             for axes in grid:
                 _label_outer(axes)
@@ -154,15 +157,48 @@ def _masses(data: xr.Dataset) -> int:
     return data.sizes["oscillator"] if "oscillator" in data.sizes else masses(data)
 
 
+def _shades(data: xr.Dataset, values: xr.DataArray, hue: Any) -> xr.DataArray | None:
+    """The variable that `hue` names, of each run; None for a dimension, or what is swept."""
+    if not isinstance(hue, str) or hue not in {*data.data_vars, "active_share"}:
+        return None
+    found = _variable(data, hue)
+    if extra := sorted({*map(str, found.dims)} - {*map(str, values.dims)}):
+        raise ValueError(
+            f"Argument `hue` = {hue!r} has the dimension `{extra[0]}`, which {values.name!r} does "
+            f"not have: take one value, as `data.isel({extra[0]}=0)`, or name another variable."
+        )
+    return found
+
+
+def _series(data: xr.Dataset, hue: str | None, shades: xr.DataArray | None) -> Any:
+    """The values of `hue` that are told apart, or None."""
+    if hue is None:
+        return None
+    if shades is None:
+        return data[hue]
+    present = shades.values[~np.isnan(shades.values)]
+    whole = present.dtype.kind == "f" and bool(np.all(present == np.round(present)))
+    values = np.unique(present.astype(int) if whole else present)
+    return xr.DataArray(values, dims=hue, name=hue, attrs=shades.attrs)
+
+
+def _part(shades: xr.DataArray | None, at: Mapping[str, int]) -> xr.DataArray | None:
+    return None if shades is None else shades.isel(at, missing_dims="ignore")
+
+
 def _places(
-    data: xr.Dataset, values: xr.DataArray, asked: Mapping[str, Any], ax: Any
+    data: xr.Dataset,
+    values: xr.DataArray,
+    asked: Mapping[str, Any],
+    shades: xr.DataArray | None,
+    ax: Any,
 ) -> dict[str, str | None]:
     """Which variable is drawn where; every dimension of more than one value has its place."""
     free = [str(dim) for dim in values.dims if values.sizes[dim] > 1]
     places: dict[str, str | None] = {}
     for role, name in asked.items():
         places[role] = name
-        if name is not None:
+        if name is not None and (role != "hue" or shades is None):
             _take(data, values, role, name, free)
     if places["x"] is None:
         names = free or [str(dim) for dim in values.dims]
@@ -173,6 +209,8 @@ def _places(
             )
         places["x"] = "belt_speed" if "belt_speed" in names else names[0]
         free = [dim for dim in free if dim != places["x"]]
+    if shades is not None:
+        free = [dim for dim in free if dim not in shades.dims]
     if ax is None:
         for role in ("col", "row"):
             if free and places[role] is None:
@@ -225,32 +263,42 @@ def _draw(
     data: xr.Dataset,
     values: xr.DataArray,
     places: Mapping[str, Any],
+    hue: tuple[Any, xr.DataArray | None],
     scales: Scales | None,
 ) -> None:
-    across, hue = places["x"], places["hue"]
+    across, (series, shades) = places["x"], hue
     (dim,) = _dims(data, across)
     x, x_label = scaled(data[across], scales)
     y_factor, y_label = axis(str(values.name), values.attrs, scales)
-    words, shades, along = [""], [(BLUE, "o")], [dim]
+    words, looked, along = [""], [(BLUE, "o")], [dim]
     # Points of several series may lie upon each other: hollow ones are all seen.
     look: dict[str, Any] = {"markersize": 3.4}
-    if hue is not None:
-        along = [*_dims(data, hue), dim]
-        shades, many = looks(data[hue].values)
-        words = [number_of(one, scales) if many is None else "" for one in data[hue]]
+    if series is not None:
+        looked, many = looks(series.values)
+        words = [number_of(one, scales) if many is None else "" for one in series]
         look = {"markersize": 4.4, "markerfacecolor": "none"}
+        along = [*_dims(data, str(series.name)), dim]
+    if shades is not None:  # one row of all runs, of which each series takes its own
+        along = [*(str(k) for k in values.dims if k != dim), dim]
 
     def rows(array: xr.DataArray) -> np.ndarray:
         """The values of each series; what is left over has one value."""
         alone = array.broadcast_like(values).isel({k: 0 for k in values.dims if k not in along})
-        return alone.transpose(*along).values.reshape(len(words), -1)
+        return alone.transpose(*along).values.reshape(len(words) if shades is None else 1, -1)
 
     outcomes = {word: rows(found) for word, found in _without_answer(data).items()}
-    known = ~np.logical_or.reduce([np.zeros((len(words), x.size), bool), *outcomes.values()])
-    lines = np.where(known, y_factor * rows(values), np.nan)
-    for word, line, (colour, marker) in zip(words, lines, shades, strict=True):
+    lines = y_factor * rows(values)
+    known = ~np.logical_or.reduce([np.zeros(lines.shape, bool), *outcomes.values()])
+    lines = [(x, line) for line in np.where(known, lines, np.nan)]
+    if shades is not None:
+        x, of = rows(data[across].copy(data=x))[0], rows(shades)[0]
+        unknown = known[0] & np.isnan(of)
+        parts = [*(of == one for one in series.values), *([unknown] if unknown.any() else [])]
+        words, looked = [*words, "unknown"], [*looked, (GREY, ".")]
+        lines = [(x[own], lines[0][1][own]) for own in parts]
+    for (at, line), word, (colour, marker) in zip(lines, words, looked, strict=False):
         axes.plot(
-            x, line, color=colour, marker=marker, linewidth=0.8, label=word,
+            at, line, color=colour, marker=marker, linewidth=0.8, label=word,
             linestyle="-" if across in _TIMES else "none", **look,
         )  # fmt: skip
     for word, found in outcomes.items():
@@ -278,17 +326,17 @@ def _without_answer(data: xr.Dataset) -> dict[str, xr.DataArray]:
     }
 
 
-def _explain(panels: list[Axes], data: xr.Dataset, hue: str | None, scales: Scales | None) -> None:
+def _explain(panels: list[Axes], series: xr.DataArray | None, scales: Scales | None) -> None:
     """The legend of the series, or their colour bar."""
     title = shade = None
-    if hue is not None:
-        factor, title = axis(hue, data[hue].attrs, scales)
-        _, shade = looks(factor * data[hue].values if factor != 1.0 else data[hue].values)
+    if series is not None:
+        factor, title = axis(str(series.name), series.attrs, scales)
+        _, shade = looks(factor * series.values if factor != 1.0 else series.values)
     if shade is not None:
         bar = add_colour_bar(panels, shade, title)
-        if data[hue].dtype.kind in "iu":
+        if series is not None and series.dtype.kind in "iu":
             bar.locator = MaxNLocator(integer=True)
-    by_legend = hue is not None and shade is None
+    by_legend = series is not None and shade is None
     add_legend(panels, title if by_legend else None, beside=by_legend)
 
 

@@ -106,6 +106,9 @@ def test_samples_go_through_vmap():
 def test_bad_input_is_named():
     with pytest.raises(ValueError, match="`interval` must be positive"):
         Samples(0.0, 4)
+    for times in ([0.0, 0.5], np.linspace(0.0, 1.0, 5), jnp.linspace(0.0, 1.0, 5)):
+        with pytest.raises(ValueError, match=r"`interval` must be one number.*`Trajectory.times"):
+            Samples(times)
     with pytest.raises(ValueError, match="`capacity` must be"):
         Samples(0.1, 0)
     with pytest.raises(ValueError, match="`start` must be"):

@@ -224,3 +224,54 @@ def test_segments_of_the_same_run_are_joined():
 def test_a_number_that_spans_decades_has_a_logarithmic_axis():
     data = results({"width": [1e-4, 1e-3, 1e-2]}, [1, 1, 1], 1)
     assert plot_sweep(data).get_xscale() == "log"
+
+
+def test_a_variable_tells_all_runs_of_one_panel_apart():
+    data = ladder()
+    axes = plot_sweep(data, hue="active_count")
+    assert isinstance(axes, Axes)
+    counts = np.unique(data.active_count)
+    assert legend(axes) == [str(int(count)) for count in counts]
+    assert legend_of(axes).get_title().get_text() == "vibrating\noscillators"
+    speeds = data.belt_speed.broadcast_like(data.energy)
+    for count, line in zip(counts, axes.get_lines(), strict=True):
+        here = data.active_count.transpose(*data.energy.dims).values == count
+        drawn = sorted(zip(across(line), height(line), strict=True))
+        assert drawn == sorted(zip(speeds.values[here], data.energy.values[here], strict=True))
+
+
+def test_a_variable_has_the_same_colours_in_all_panels_and_a_bar_for_many_values():
+    data = ladder()
+    data["energy"] = data.energy + np.linspace(0.0, 1.0, 70).reshape(10, 7)
+    for hue in ("active_count", "energy"):
+        panels = plot_sweep(data, "energy", "excited", hue=hue, col="belt_speed")
+        drawn = [
+            (point, line.get_color())
+            for axes in panels
+            for line in axes.get_lines()
+            for point in height(line)
+        ]
+        assert sorted(point for point, _ in drawn) == sorted(data.energy.values.ravel())
+        of = {}
+        for point, colour in drawn:
+            value = data[hue].values[data.energy.values == point][0]
+            assert of.setdefault(value, colour) == colour
+        # A bar has 256 shades.
+        assert len(set(of.values())) == (7 if hue == "active_count" else pytest.approx(50, abs=10))
+    bar = page_of(panels[0]).axes[-1]
+    assert bar.get_ylabel() == r"vibration energy $\tilde E$ (–)"
+
+
+def test_a_run_without_a_value_of_the_hue_is_drawn_grey_and_a_failed_one_as_failed():
+    data = ladder()
+    data["shade"] = data.active_count.astype(float)
+    data["shade"][0, 0] = np.nan
+    data["result"][1, 1] = NAMES.index("nonfinite")
+    axes = plot_sweep(data, hue="shade")
+    *_, unknown, failed = axes.get_lines()
+    assert legend(axes)[-2:] == ["unknown", "failed"]
+    assert height(unknown).tolist() == [float(data.energy[0, 0])]
+    assert across(failed).tolist() == [float(data.belt_speed[1])]
+    assert sum(len(height(line)) for line in axes.get_lines()) - 1 == data.energy.size
+    with pytest.raises(ValueError, match="`hue` = 'amplitude' has the dimension `oscillator`"):
+        plot_sweep(data, hue="amplitude")
