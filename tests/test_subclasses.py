@@ -139,7 +139,7 @@ def test_a_law_is_honoured_in_runs_and_sweeps(width):
     same(swept, width=width)
 
 
-@pytest.mark.long
+@pytest.mark.exhaustive
 def test_a_law_is_honoured_in_folds_cycles_and_branches():
     same(jc.hopf_belt_speed)
     same(nonsmooth_fold_belt_speed)

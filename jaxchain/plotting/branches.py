@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
+from scipy.interpolate import PchipInterpolator
 
 from .._checks import check_kind, shown
 from ..continuation.branch import Branch
@@ -17,6 +18,8 @@ from .labels import check_scales, scaled
 from .style import BLUE, GREEN, ORANGE, PURPLE, RED, SKY, add_legend, as_axes, on_axes
 
 DASHES: Any = (0, (3, 1.5))
+# Of the curve from one point of a branch to the next.
+PARTS = 12
 # What happens at a special point: marker, colour and name, in the order of the legend.
 MARKS: dict[str, tuple[str, str, str]] = {
     "fold": ("*", RED, "fold"),
@@ -39,7 +42,8 @@ def plot_branch(
 ) -> Axes:
     """A branch over its parameter: stable solid, unstable dashed, special points marked and named.
 
-    The line runs through the special points, so that it turns and changes its style in a fold.
+    The line is a smooth curve through all points of the branch and through its special points, so
+    that it turns and changes its style in a fold.
     Between a stable and an unstable point with no special one in between it is dashed.  It lies
     on `plot_sweep` of the same numbers: `plot_branch(branch, ax=plot_sweep(runs))`.
 
@@ -118,17 +122,45 @@ def pieces(
     """(whether stable, x, y) of each piece of a branch, special points before point `at` inserted.
 
     What is between a stable and an unstable point, and not cut by a special one, is unstable.
+    From one point to the next the line is a smooth curve in `PARTS` parts.
 
     >>> x, y, unstable = np.array([1.0, 3.0]), np.array([2.0, 1.0]), np.array([False, True])
-    >>> pieces(x, y, unstable, np.array([1]), np.array([4.0]), np.array([1.5]))[0]
-    (True, array([1., 4.]), array([2. , 1.5]))
+    >>> stable, *line = pieces(x, y, unstable, np.array([1]), np.array([4.0]), np.array([1.5]))[0]
+    >>> stable, [part[::PARTS].tolist() for part in line]
+    (True, [[1.0, 4.0], [2.0, 1.5]])
     """
     x, y = np.insert(x, at, x_at), np.insert(y, at, y_at)
     bad = np.insert(unstable.astype(float), at, np.nan)
     ends = np.stack([bad[:-1], bad[1:]])
     stable = np.max(np.where(np.isnan(ends), -1.0, ends), axis=0) == 0
     edges = [0, *(np.flatnonzero(np.diff(stable)) + 1), stable.size]
-    return [(bool(stable[a]), x[a : b + 1], y[a : b + 1]) for a, b in itertools.pairwise(edges)]
+    x, y = smooth(x, y)
+    return [
+        (bool(stable[a]), x[PARTS * a : PARTS * b + 1], y[PARTS * a : PARTS * b + 1])
+        for a, b in itertools.pairwise(edges)
+    ]
+
+
+def smooth(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A curve through all points, `PARTS` parts from each to the next; straight beside NaN.
+
+    Monotone cubics (`scipy.interpolate.PchipInterpolator`) of x and of y over the length of the
+    line, as it is on the page: so neither turns anywhere but at a point, and a fold that is one
+    has an upright tangent.
+    """
+    points = np.stack([x, y], axis=1)
+    share = np.linspace(0.0, 1.0, PARTS, endpoint=False)[:, None]
+    straight = points[:-1, None] + share * np.diff(points, axis=0)[:, None]
+    curve = np.concatenate([straight.reshape(-1, 2), points[-1:]])
+    size = np.ptp(points, axis=0)
+    length = np.hypot(*(np.diff(points, axis=0) / np.where(size > 0, size, 1.0)).T)
+    if np.all(np.isfinite(points)) and np.sum(length > 0) > 1:
+        along = np.concatenate([[0.0], np.cumsum(length)])
+        apart = np.append(True, length > 0)
+        t = np.interp(np.arange(len(curve)) / PARTS, np.arange(len(along)), along)
+        curve = PchipInterpolator(along[apart], points[apart])(t)
+        curve[::PARTS] = points
+    return curve[:, 0], curve[:, 1]
 
 
 def _as_dataset(branch: Any) -> xr.Dataset:

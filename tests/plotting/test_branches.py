@@ -11,7 +11,7 @@ from synthetic import cycle_branch
 
 from jaxchain.continuation.branch import Branch
 from jaxchain.model.units import Scales
-from jaxchain.plotting.branches import MARKS, pieces, plot_branch
+from jaxchain.plotting.branches import MARKS, PARTS, pieces, plot_branch, smooth
 from jaxchain.plotting.style import COLUMN_WIDTH
 
 SCALES = Scales.from_dimensional(
@@ -20,7 +20,9 @@ SCALES = Scales.from_dimensional(
 
 
 def points(line):
-    return np.asarray(line.get_xdata()), np.asarray(line.get_ydata())
+    """Those of the branch, between which the line is a curve."""
+    x, y = np.asarray(line.get_xdata()), np.asarray(line.get_ydata())
+    return x[::PARTS], y[::PARTS]
 
 
 def named(axes):
@@ -91,7 +93,7 @@ def test_axes_say_symbol_and_unit_dimensionless_and_in_si():
         np.testing.assert_allclose(
             np.asarray(own.get_xydata()),
             np.asarray(plain.get_xydata()) * [0.5, 0.0025],
-            rtol=1e-14,
+            rtol=1e-12,
         )
 
 
@@ -131,7 +133,7 @@ def test_a_branch_of_anything_is_one_solid_line():
         None, (), "max_points",
     )  # fmt: skip
     (line,) = plot_branch(branch).get_lines()
-    np.testing.assert_array_equal(line.get_xydata(), np.arange(3.0)[:, None] * [1.0, 1.0])
+    np.testing.assert_array_equal(points(line), np.arange(3.0) * np.ones((2, 1)))
     assert line.get_linestyle() == "-"
 
 
@@ -147,6 +149,36 @@ def test_pieces_end_where_the_next_begins():
     x = np.arange(6.0)
     unstable = np.array([0, 0, 1, 1, 0, 0], bool)
     found = pieces(x, x, unstable, np.array([2]), np.array([1.5]), np.array([1.5]))
-    assert [(good, own.tolist()) for good, own, _ in found] == [
+    assert [(good, own[::PARTS].tolist()) for good, own, _ in found] == [
         (True, [0.0, 1.0, 1.5]), (False, [1.5, 2.0, 3.0, 4.0]), (True, [4.0, 5.0])
     ]  # fmt: skip
+
+
+def turns(values):
+    """Indices at which a line of numbers turns round."""
+    return (np.flatnonzero(np.diff(np.sign(np.diff(values)))) + 1).tolist()
+
+
+def test_the_line_has_no_corners_and_no_folds_of_its_own():
+    """x = t^2, y = t through the fold at t = 0, at uneven steps."""
+    t = np.array([-1.0, -0.7, -0.5, -0.2, 0.0, 0.15, 0.4, 0.8, 1.0])
+    x, y = smooth(t**2, t)
+    np.testing.assert_array_equal((x[::PARTS], y[::PARTS]), (t**2, t))
+    assert turns(x) == [4 * PARTS]
+    assert turns(y) == []
+    assert np.max(np.abs(x - y**2)) < 0.01  # of the chords 0.0225
+
+    def corner(x, y):
+        return np.max(np.abs(np.diff(np.unwrap(np.arctan2(np.diff(y), np.diff(x))))))
+
+    assert corner(x, y) < 0.25 * corner(t**2, t)
+
+
+def test_a_line_is_straight_beside_a_missing_number_and_may_stand_still():
+    x, y = smooth(np.array([0.0, 1.0, 2.0, 3.0]), np.array([0.0, 1.0, np.nan, 3.0]))
+    np.testing.assert_array_equal(x[::PARTS], [0.0, 1.0, 2.0, 3.0])
+    np.testing.assert_allclose(y[:PARTS], x[:PARTS])
+    assert np.isnan(y[PARTS + 1 : 3 * PARTS]).all()
+    still = np.array([0.0, 1.0, 1.0, 2.0])
+    for y in (still**2, 0.0 * still):
+        np.testing.assert_array_equal(smooth(still, y)[1][::PARTS], y)
