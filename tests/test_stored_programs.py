@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -44,7 +45,7 @@ class OwnLaw(AbstractFrictionLaw):
     mu_dynamic: float
     v_ref: float
 
-    def coefficient(self, speed):
+    def coefficient(self, speed: Any) -> Any:
         return self.mu_dynamic + (self.mu_static - self.mu_dynamic) / (1.0 + speed / self.v_ref)
 
 

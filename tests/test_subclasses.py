@@ -1,4 +1,5 @@
 """A subclass is honoured in whatever it overrides, or refused when it is defined."""
+# pyright: reportArgumentType=false, reportCallIssue=false, reportIncompatibleMethodOverride=false
 
 import importlib
 import inspect

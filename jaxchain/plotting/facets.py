@@ -290,7 +290,7 @@ def _draw(
     lines = y_factor * rows(values)
     known = ~np.logical_or.reduce([np.zeros(lines.shape, bool), *outcomes.values()])
     lines = [(x, line) for line in np.where(known, lines, np.nan)]
-    if shades is not None:
+    if series is not None and shades is not None:
         x, of = rows(data[across].copy(data=x))[0], rows(shades)[0]
         unknown = known[0] & np.isnan(of)
         parts = [*(of == one for one in series.values), *([unknown] if unknown.any() else [])]

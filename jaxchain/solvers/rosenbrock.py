@@ -46,7 +46,7 @@ _SOLVER = (
     "step", "init", "func", "order", "error_order", "strong_order", "term_structure",
     "term_compatible_contr_kwargs", "interpolation_cls",
 )  # fmt: skip
-_FINAL = dict.fromkeys(
+_FINAL: dict[str, str] = dict.fromkeys(
     _SOLVER,
     "a method is its `tableau` and `method_order`; any other solver is one of diffrax, a subclass "
     "of `diffrax.AbstractAdaptiveSolver`.",

@@ -1,6 +1,7 @@
 """The chain's equations against the paper's, written out mass by mass."""
 
 from functools import partial
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -123,7 +124,9 @@ def test_every_number_of_a_chain_is_differentiable_and_vmappable():
 
 
 def test_the_papers_chain_takes_other_numbers_by_name():
-    chain = paper_chain(3, 1.2, damping_ratio=0.1, v_ref=0.4, coupling=jnp.array([0.1, 0.2, 0.3]))
+    chain: Any = paper_chain(
+        3, 1.2, damping_ratio=0.1, v_ref=0.4, coupling=jnp.array([0.1, 0.2, 0.3])
+    )
     assert (float(chain.damping_ratio), float(chain.friction.law.v_ref)) == (0.1, 0.4)
     assert (chain.coupling.shape, float(chain.belt_speed), float(chain.width)) == ((3,), 1.2, 1e-3)
     with pytest.raises(ValueError, match=r"does not know \['damping'\]"):

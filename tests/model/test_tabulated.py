@@ -143,7 +143,10 @@ def test_without_its_knots_it_would_be_silently_wrong():
 
     class Unsaid(AbstractFrictionLaw):
         mu_static: Any
-        knots = ()
+
+        @property
+        def knots(self):
+            return ()
 
         def coefficient(self, speed: Any) -> Any:
             return law().coefficient(speed)
