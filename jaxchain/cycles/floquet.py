@@ -13,7 +13,6 @@ from jaxtyping import Array, ArrayLike, Complex, Float
 
 from .._checks import (
     as_array,
-    check_kind,
     check_positive_number,
     is_traced,
     shown,
@@ -184,11 +183,15 @@ def floquet_multipliers(monodromy: Any, flow_direction: Any = None) -> Floquet:
     >>> complex(found.multipliers[0]), float(found.trivial), float(found.defect)
     ((0.25+0j), 1.0, 0.0)
     """
-    if flow_direction is None:
-        cycle = _cycle("monodromy", monodromy, "a matrix for which `flow_direction` is")
-        defect = cycle.trivial_defect
-        return Floquet(cycle.multipliers, jnp.full_like(defect, jnp.nan), defect)
+    if is_cycle(monodromy) and flow_direction is None:
+        defect = monodromy.trivial_defect
+        return Floquet(monodromy.multipliers, jnp.full_like(defect, jnp.nan), defect)
     monodromy = _square(monodromy)
+    if flow_direction is None:
+        raise ValueError(
+            "Argument `flow_direction` must be given beside a matrix, but is None: it is the "
+            "field at the state, `chain(0.0, state)`; or give a `LimitCycle` alone."
+        )
     if isinstance(flow_direction, tuple | list):
         parts = [to_float(part, "flow_direction") for part in flow_direction]
         vectors = bool(parts) and all(part.ndim == 1 for part in parts)
@@ -224,21 +227,23 @@ def multiplier_resolution(monodromy: Float[Array, "two_n two_n"]) -> Float[Array
     return _ROUNDINGS * jnp.finfo(monodromy.dtype).eps * size
 
 
-def _cycle(name: str, given: Any, other: str) -> Any:
-    """The `LimitCycle` that is given alone, or `ValueError`."""
+def is_cycle(given: Any) -> bool:
+    """Whether it is a `LimitCycle`."""
     from .limit_cycle import LimitCycle  # which needs this module
 
-    kinds = f"a `LimitCycle`, or {other} given, too"
-    check_kind(name, given, LimitCycle, kinds, "`find_limit_cycle` makes one.")
-    return given
+    return isinstance(given, LimitCycle)
 
 
 def as_orbit(chain: Any, state: Any, period: Any) -> tuple[Any, Any, Any]:
     """The chain, a state and a period, also of a `LimitCycle` that is given alone."""
     if state is not None or period is not None:
         return chain, state, period
-    cycle = _cycle("chain", chain, "a chain for which `state` and `period` are")
-    return cycle.chain, cycle.state, cycle.period
+    if not is_cycle(chain):
+        raise ValueError(
+            "Argument `chain` must be a `LimitCycle`, or a chain for which `state` and `period` "
+            f"are given, too, but is {shown(chain)}."
+        )
+    return chain.chain, chain.state, chain.period
 
 
 def _period(chain: Any, state: Any, period: Any, rtol: Any) -> Period:

@@ -125,7 +125,7 @@ def test_a_cycle_alone_has_its_multipliers():
     assert jnp.isnan(found.trivial)
     many = jax.vmap(lambda period: floquet_multipliers(as_cycle(chain, cycle.state, period)))
     assert many(jnp.array([6.2, 6.3])).multipliers.shape == (2, 3)
-    with pytest.raises(ValueError, match="`monodromy` must be a `LimitCycle`, or a matrix for"):
+    with pytest.raises(ValueError, match="`flow_direction` must be given beside a matrix, but"):
         floquet_multipliers(jnp.eye(4))
     for use in (monodromy_matrix, liouville_determinant, close_orbit):
         with pytest.raises(ValueError, match="`chain` must be a `LimitCycle`, or a chain for"):
