@@ -131,12 +131,14 @@ def narrowed(start: Start, width: Array) -> Array:
 
     By the asymptotics of `boundaries/touch.py`; differentiable in `width`.
     """
-    known = jax.tree.map(lax.stop_gradient, start.sides)
+    by_leaving, by_arriving, fall, hold = jax.tree.map(lax.stop_gradient, start.sides)
     tiny = width < start.width
-    gained = shift(*known, jnp.where(tiny, width, 1.0)) - shift(
-        *known, jnp.where(tiny, start.width, 1.0)
-    )
-    return jnp.where(tiny, gained, 0.0)
+
+    def shifted(width: Array) -> Array:
+        width = jnp.where(tiny, width, 1.0)
+        return shift(by_leaving, by_arriving, fall, hold, width)
+
+    return jnp.where(tiny, shifted(width) - shifted(start.width), 0.0)
 
 
 def loose_rtol(chain: Chain) -> Array:

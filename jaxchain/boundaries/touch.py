@@ -190,11 +190,12 @@ def shift(by_leaving: Any, by_arriving: Any, fall: Any, hold: Any, width: Scalar
     """
     touches = (by_leaving + by_arriving > 0) & (by_arriving < 0)
     # Where nothing is shifted, NaN must not reach the derivative.
-    known = [jnp.where(touches, a, b) for a, b in zip(
-        (by_leaving, by_arriving, fall, hold), (2.0, -1.0, 1.0, 1.0), strict=True
-    )]  # fmt: skip
-    leaving, arriving, _ = sides(*known, width)
-    return jnp.where(touches, known[0] * leaving + known[1] * arriving, 0.0)
+    first, second, kappa, held = (
+        jnp.where(touches, a, b)
+        for a, b in ((by_leaving, 2.0), (by_arriving, -1.0), (fall, 1.0), (hold, 1.0))
+    )
+    leaving, arriving, _ = sides(first, second, kappa, held, width)
+    return jnp.where(touches, first * leaving + second * arriving, 0.0)
 
 
 def layer(by_leaving: Any, by_arriving: Any, fall: Any, hold: Any, width: ScalarLike) -> Layer:

@@ -5,9 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxchain import fold_belt_speed, paper_chain
+from jaxchain import Chain, fold_belt_speed, paper_chain
 from jaxchain.boundaries.grazing import find_grazing
 from jaxchain.boundaries.zero_width import extrapolate, fold_boundary, fold_in_the_limit
+from jaxchain.model import GaussianStribeck
 
 # Second looks, or minutes of compilation: not in every run of the tests.
 pytestmark = pytest.mark.long
@@ -184,3 +185,19 @@ def test_widths_of_every_mass():
     found = fold_boundary(chain, 0)
     np.testing.assert_allclose(found.value, fold_belt_speed(chain, 0), rtol=1e-9)
     assert abs(found.limit - found.dry) <= found.error
+
+
+@pytest.mark.long
+def test_a_fold_below_the_speed_of_the_belt_is_the_limit_of_the_least_width():
+    """No series: near the touch, as here, extrapolation missed it by twice its bar."""
+
+    @jax.jit
+    def boundary(xi):
+        return fold_boundary(Chain(1, GaussianStribeck(1.0, 0.5, 1.0, 0.0), 1.2, xi))
+
+    near, far = boundary(0.05), boundary(0.1)
+    # Both by shooting with SciPy for a multiplier of +1.
+    np.testing.assert_allclose(near.dry, 2.34851948, rtol=4e-9)
+    np.testing.assert_allclose(far.limit, 1.45751502, rtol=8e-9)
+    assert abs(near.limit - near.dry) <= near.error < 1e-4
+    assert abs(far.limit - far.dry) <= far.error < 1e-8
