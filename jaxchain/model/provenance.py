@@ -66,7 +66,9 @@ def chain_of(parameters: Mapping[str, Any]) -> Chain | None:
     kind = next((law for law in laws if law.__module__.startswith(f"{__package__}.")), None)
     if kind is None:
         return None
-    given = {k: np.asarray(v) if isinstance(v, list) else v for k, v in parameters.items()}
+    given: dict[str, Any] = {
+        k: np.asarray(v) if isinstance(v, list) else v for k, v in parameters.items()
+    }
     names = [field.name for field in dataclasses.fields(kind) if field.init]
     table = given.get("friction_table")
     if table is None and any(name not in given for name in names):  # another of this name

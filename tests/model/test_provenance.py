@@ -34,7 +34,7 @@ def test_the_law_of_another_package_is_not_taken_for_one_of_this_name():
         lift: float
 
         def coefficient(self, speed):
-            return self.mu_static + self.lift * speed
+            return jnp.asarray(self.mu_static + self.lift * speed)
 
     for law in (Coulomb(1.0, 0.1), type("Mine", (Coulomb,), {})(1.0, 0.1)):
         chain = Chain(3, law, 1.5)
