@@ -299,7 +299,7 @@ def _draw(
     for (at, line), word, (colour, marker) in zip(lines, words, looked, strict=False):
         axes.plot(
             at, line, color=colour, marker=marker, linewidth=0.8, label=word,
-            linestyle="-" if across in _TIMES else "none", **look,
+            linestyle="-" if across in _TIMES and shades is None else "none", **look,
         )  # fmt: skip
     for word, found in outcomes.items():
         here = found.any(axis=0)

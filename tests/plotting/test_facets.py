@@ -240,6 +240,12 @@ def test_a_variable_tells_all_runs_of_one_panel_apart():
         assert drawn == sorted(zip(speeds.values[here], data.energy.values[here], strict=True))
 
 
+def test_times_are_joined_within_one_run_only():
+    data = ladder().rename(belt_speed="segment")
+    for hue, style in (("excited", "-"), ("active_count", "None")):
+        assert {line.get_linestyle() for line in plot_sweep(data, hue=hue).get_lines()} == {style}
+
+
 def test_a_variable_has_the_same_colours_in_all_panels_and_a_bar_for_many_values():
     data = ladder()
     data["energy"] = data.energy + np.linspace(0.0, 1.0, 70).reshape(10, 7)
