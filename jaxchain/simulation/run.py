@@ -357,7 +357,11 @@ def _advance(
     args = plan, chain, progress, t1, times
     if isinstance(adjoint, dfx.DirectAdjoint):
         return go(adjoint)(args)
-    if adjoint is None or (adjoint.checkpoints is None and max_steps is None):
+    if adjoint is None or (
+        isinstance(adjoint, dfx.RecursiveCheckpointAdjoint)
+        and adjoint.checkpoints is None
+        and max_steps is None
+    ):
         size = sum(leaf.nbytes for leaf in jtu.tree_leaves(progress))
         checkpoints = min(CHECKPOINTS, max(_KEPT // (parts * size), 32))
         adjoint = dfx.RecursiveCheckpointAdjoint(checkpoints=checkpoints)

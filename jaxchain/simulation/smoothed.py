@@ -287,7 +287,7 @@ class SmoothedPlan(AbstractPlan):
         if first is not None:
             count = first.stats["num_accepted_steps"]
             after = first.controller_state
-            controller = _Repeating(controller, first.ys[1], count, complete, after)
+            controller = _Repeating(controller, first.ys[1], count, complete, after)  # pyright: ignore[reportCallIssue]
             runs, repeated_to = runs & ~(complete & (count == 0)), first.ts[0][-1]
         end = jnp.where(runs, t1, progress.t)
         saved: Any = dfx.SubSaveAt(steps=True, fn=lambda t, y, args: t)

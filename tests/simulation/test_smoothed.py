@@ -11,6 +11,8 @@ from jaxchain import Amplitude, Rodas4, equation_8, paper_chain, simulate
 from jaxchain.result import Result
 from jaxchain.simulation.run import build_plan
 
+KEPT = 20  # states, of many more steps
+
 
 def test_a_run_that_is_cut_takes_the_steps_of_one_that_is_not():
     chain = paper_chain(3, belt_speed=1.3)
@@ -41,7 +43,7 @@ def test_a_gradient_holds_along_the_steps_of_the_forward_derivative():
     """At this tolerance error estimates are rounding errors, also of the steps taken again."""
     chain = paper_chain(3, belt_speed=1.5, width=0.03)
     start = equation_8(chain, 1)
-    few = dfx.RecursiveCheckpointAdjoint(checkpoints=20)
+    few = dfx.RecursiveCheckpointAdjoint(KEPT)
 
     def end(belt_speed):
         faster = chain.with_(belt_speed=belt_speed)
@@ -54,7 +56,7 @@ def test_a_gradient_holds_along_the_steps_of_the_forward_derivative():
         return forward, jax.grad(end, has_aux=True)(belt_speed)[0], steps
 
     forward, reverse, steps = both(1.5)
-    assert steps > 10 * few.checkpoints
+    assert steps > 10 * KEPT
     np.testing.assert_allclose(reverse, forward, rtol=1e-12)
 
 
