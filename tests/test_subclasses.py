@@ -30,7 +30,7 @@ CLASSES = sorted(
     key=lambda c: c.__name__,
 )
 # A table of a scene file has fields and no methods of its own.
-OPEN = {c for c in CLASSES if c.__name__.startswith("Abstract")} | {StudyTable}
+OPEN = [c for c in CLASSES if c.__name__.startswith("Abstract") or c is StudyTable]
 HONOURED: dict[type, set[str]] = {StudyTable: {"study", "title", "description"}}
 
 
