@@ -310,6 +310,34 @@ def test_an_observer_is_honoured_in_runs_and_sweeps(width):
     assert float(plain.observed) == int(plain.steps) > 5
 
 
+class Late(AbstractObserver):
+    """What is so only after the time 60."""
+
+    def init(self, field, t0, t1, y0):
+        return y0[0]
+
+    def fits(self, t0, t1):
+        return t1 > 60.0
+
+    def update(self, accumulator, step):
+        return step.y1[0]
+
+    def read(self, accumulator):
+        return accumulator
+
+    def label(self, value, chain):
+        return {"late": Variable(value, ("oscillator",))}
+
+
+@honours(AbstractObserver, "fits")
+def test_an_observer_that_does_not_fit_is_refused_in_runs_and_sweeps():
+    chain = jc.paper_chain(1, width=None)
+    with pytest.raises(ValueError, match="does not fit into the run from t = 0 to 50"):
+        jc.simulate(chain, jc.equation_8(chain, 1), 50.0, observe=Late())
+    with pytest.raises(ValueError, match="does not fit into the run from t = 0 to 50"):
+        jc.sweep(chain, jc.equation_8, 50.0, over={"excited": [1]}, observe=Late())
+
+
 class Side(AbstractClassifier):
     """Of steady sliding; which it says at once, or at the end."""
 

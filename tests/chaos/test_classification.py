@@ -127,7 +127,7 @@ def test_two_masses_that_know_nothing_of_each_other_are_quasi_periodic():
     assert lead.slips > 10
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_equal_masses_that_are_not_coupled_are_periodic():
     """Their phases stay as they are: each orbit is one of a family."""
     chain = paper_chain(2, belt_speed=1.5, width=None).with_(coupling=None)

@@ -180,6 +180,7 @@ def synthetic(*multipliers, monodromy=None):
     return CycleLinearisation(
         x=jnp.zeros(n), v=jnp.zeros(n), period=zero, speed=zero, times_round=jnp.asarray(1),
         amplitude=jnp.zeros(n), monodromy=monodromy, multipliers=mu, trivial_defect=zero,
+        sound=jnp.asarray(True),
     )  # fmt: skip
 
 
