@@ -70,17 +70,24 @@ def load_observer(given: str, scene: str) -> type[AbstractObserver]:
         >>> from pathlib import Path
         >>> from jaxchain.scenes import load_observer
         >>> code = '''
-        ... from jaxchain.observers import MostSticking, Variable
-        ... class Stuck(MostSticking):
+        ... import jax.numpy as jnp
+        ... from jaxchain.observers import AbstractObserver, Variable
+        ... class Fastest(AbstractObserver):
+        ...     def init(self, field, t0, t1, y0):
+        ...         return jnp.max(y0[1])
+        ...     def update(self, accumulator, step):
+        ...         return jnp.maximum(accumulator, jnp.max(step.y1[1]))
+        ...     def read(self, accumulator):
+        ...         return accumulator
         ...     def label(self, value, chain):
-        ...         return {"stuck": Variable(value, long_name="most masses that stuck")}
+        ...         return {"fastest": Variable(value, long_name="greatest velocity")}
         ... '''
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     file = Path(folder) / "watch.py"
         ...     _ = file.write_text(code)
-        ...     own = load_observer(f"{file}:Stuck", "mine")
+        ...     own = load_observer(f"{file}:Fastest", "mine")
         >>> {own.__name__: own}.keys()  # `own_observers` of `run_scene`
-        dict_keys(['Stuck'])
+        dict_keys(['Fastest'])
     """
     return _load("--observer", given, scene, AbstractObserver, "observers", "jaxchain.observers")
 
