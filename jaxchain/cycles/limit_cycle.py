@@ -150,7 +150,7 @@ def can_be_cycle(
       the least xi_n > 0.  Each v_n passes through 0: max v_n^2 <= T <|v_n v_n'|>
       <= T L^(1/2) <v^T v>.  Without damping, or with negative damping, nothing bounds v.
 
-    True of other oscillators, of which nothing is known.
+    Always true for other oscillators, whose forces are not bounded here.
     """
     if not isinstance(field, Chain):
         return jnp.asarray(True)

@@ -21,7 +21,7 @@ _TRIALS = 6
 
 
 class AbstractSection(AbstractObserver):
-    """A `Section`; a subclass may say of which rate the maximum is, by `_slope`."""
+    """A `Section`; a subclass chooses by `_slope` the rate whose maximum is taken."""
 
     oscillator: int | Int[Array, ""]
     capacity: int = eqx.field(static=True, default=64)

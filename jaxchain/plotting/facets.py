@@ -278,7 +278,7 @@ def _draw(
         words = [number_of(one, scales) if many is None else "" for one in series]
         look = {"markersize": 4.4, "markerfacecolor": "none"}
         along = [*_dims(data, str(series.name)), dim]
-    if shades is not None:  # one row of all runs, of which each series takes its own
+    if shades is not None:  # one row of all runs; each series takes its own
         along = [*(str(k) for k in values.dims if k != dim), dim]
 
     def rows(array: xr.DataArray) -> np.ndarray:
