@@ -138,6 +138,7 @@ class _Looking(eqx.Module):
     last: Float[Array, " n"]  # amplitude of the window before, NaN in the first
     code: Int[Array, " n"]
     quiet: Int[Array, " n"]  # windows since each mass last exceeded |v_d|/2
+    lull: Int[Array, " n"]  # the most of these after which it exceeded that again
     same: Int[Array, ""]  # windows in succession that agree
     calm: Int[Array, ""]  # ... and in which nothing moves on
     since: Float[Array, ""]
@@ -151,7 +152,8 @@ class VibratingMasses(AbstractClassifier):
     Amplitudes A_n (half peak-to-peak) are taken over windows; mass n vibrates if A_n > |v_d|/2
     (see `active`) in one of the last `agree` + 1 windows, so that neighbours which exchange their
     vibration in slow beats both vibrate; no mass does if none exceeds that in the last window.
-    The state is decided if it is the same in the last `agree` windows and the one before.  A run
+    The state is decided if it is the same in the last `agree` windows and the one before, and
+    each mass that is below at the end has come back from as long a lull before.  A run
     ends before its time only where all masses do the same, none moves on, and nothing else can
     make them move on: in `calm` windows in succession
 
@@ -233,8 +235,8 @@ class VibratingMasses(AbstractClassifier):
         none = jnp.zeros((), int)
         return _Looking(
             x, x, jnp.asarray(t0 + self.window, float), jnp.full_like(x, jnp.nan),
-            jnp.full(x.shape, -1), jnp.full(x.shape, np.iinfo(np.int32).max // 2), none, none,
-            jnp.asarray(t0, float),
+            jnp.full(x.shape, -1), jnp.full(x.shape, np.iinfo(np.int32).max // 2),
+            jnp.zeros(x.shape, int), none, none, jnp.asarray(t0, float),
             jnp.full((2, *x.shape), jnp.nan) if self.phases else None,
         )  # fmt: skip
 
@@ -278,6 +280,7 @@ class VibratingMasses(AbstractClassifier):
         return _Looking(
             low=step.y1[0], high=step.y1[0], ends=now.ends + self.window,
             last=amplitude, code=code, quiet=quiet,
+            lull=jnp.where(above & (now.quiet <= self.agree), now.quiet, 0).clip(min=now.lull),
             calm=jnp.where(same & calm, now.calm + 1, 0),
             same=jnp.where(same, now.same + 1, 0),
             since=jnp.where(same, now.since, started), peaks=now.peaks,
@@ -305,7 +308,10 @@ class VibratingMasses(AbstractClassifier):
 
     def read(self, accumulator: _Looking) -> Settled:
         now = accumulator
-        return Settled(now.code, now.code > 0, now.same >= self.agree, now.since)
+        vibrates = now.code > 0
+        # A mass that has not come back from so long a lull may have died.
+        alive = jnp.all(~vibrates | (now.quiet <= now.lull))
+        return Settled(now.code, vibrates, (now.same >= self.agree) & alive, now.since)
 
     def label(self, value: Settled, chain: Any) -> dict[str, Variable]:
         del chain

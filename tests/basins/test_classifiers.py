@@ -100,6 +100,15 @@ def test_neighbours_that_exchange_their_vibration_both_vibrate():
         assert found.vibrates.tolist() == [True, True, False, False, False, False]
 
 
+@pytest.mark.parametrize("death", [230.0, 250.0, 270.0])
+def test_a_mass_that_has_died_lately_is_not_decided(death):
+    def motion(t):
+        fading = 1.5 / (1.0 + jnp.exp(t - death))
+        return jnp.array([1.5, 0.0, 0.0, 0.0, 0.0, 0.0]).at[1].set(fading) * jnp.cos(t)
+
+    assert not after(VibratingMasses(), motion, 300.0)[0].decided
+
+
 @pytest.mark.slow
 def test_two_masses_that_beat_are_decided():
     # Coupled by 0.05, they exchange their vibration for ever.
