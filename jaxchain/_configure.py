@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
+import platform
+import tempfile
 import warnings
+from pathlib import Path
 
 # The bytes of a loop's state up to which XLA's CPU compiler makes one function of the loop. Of a
 # larger one it starts each operation by itself, some 50 ns each. So all states count as small.
@@ -39,15 +43,11 @@ def configure(
     `whole_loops`, whether to set the option; `cache`, whether compiled programs are kept for the
     next process: a folder, or True for `jaxchain` in the user's cache folder (XDG_CACHE_HOME).
 
-    With `cache` a process finds what any other has compiled: all programs, also the small ones,
-    the same to the last bit.  Those of `simulate`, folds and limit cycles it need not even trace,
-    unless a law or an observer of your own takes part.  In the folder stands one folder for each
-    version of jaxlib and each kind of CPU, so that a home folder may serve a mixed cluster and
-    several environments.  Any number of processes may share it.  Nothing is ever removed: some 20
-    MB for a day's work, more after changes of code or versions; delete the folder whenever you
-    like, also if JAX warns of a file in it that was cut short by a full disk or a kill.  The
-    environment variables JAX_COMPILATION_CACHE_DIR and JAX_PERSISTENT_CACHE_... go first, and
-    JAX_ENABLE_COMPILATION_CACHE=false switches it off.
+    With `cache` a process finds what any other has compiled, the same to the last bit.  The folder
+    holds one folder for each version of jaxlib and each kind of CPU, and any number of processes
+    may share it.  Nothing is ever removed: some 20 MB for a day's work; delete the folder whenever
+    you like.  The environment variables JAX_COMPILATION_CACHE_DIR and JAX_PERSISTENT_CACHE_... go
+    first, and JAX_ENABLE_COMPILATION_CACHE=false switches it off.
 
     **Raises:** `ValueError` for anything else.
 
@@ -79,15 +79,15 @@ def configure(
     if bits:
         jax.config.update("jax_enable_x64", True)
     if cache:
-        from ._program_folder import keep_programs  # which imports what `--help` has no use for
-
-        in_the_way = keep_programs(None if cache is True else cache)
-        if in_the_way and cache is not True:
-            warnings.warn(
-                f"Compiled programs cannot be kept in {os.fspath(cache)!r} (`cache`): "
-                f"{in_the_way}.",
-                stacklevel=2,
-            )
+        try:
+            _keep_programs(_user_cache() if cache is True else Path(cache).absolute())
+        except (OSError, RuntimeError) as error:  # the latter where there is no home
+            if cache is not True:
+                warnings.warn(
+                    f"Compiled programs cannot be kept in {os.fspath(cache)!r} (`cache`): "
+                    f"{getattr(error, 'strerror', None) or error}.",
+                    stacklevel=2,
+                )
     late = []
     if whole_loops and not _set_whole_loops(has_computed()):
         late.append("small loops compiled whole (`whole_loops`)")
@@ -99,6 +99,48 @@ def configure(
             "`jaxchain.configure()` before the first computation.",
             stacklevel=2,
         )
+
+
+def _user_cache() -> Path:
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxchain"
+
+
+def _keep_programs(root: Path) -> None:
+    """Has JAX keep what it compiles, in a folder of `root` for this jaxlib and this kind of CPU.
+
+    The machine code is for the CPU that compiled it: another one of a cluster, with the same home
+    folder, might not have its instructions.
+    """
+    import jax
+    from jax.experimental.compilation_cache import compilation_cache
+    from jaxlib.version import __version__
+
+    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+        kind = hashlib.sha256(_cpu().encode()).hexdigest()[:12]
+        folder = root / f"jaxlib-{__version__}-{platform.machine()}-{kind}"
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()  # a disk may be full, or read-only
+        if getattr(jax.config, "jax_compilation_cache_dir") != str(folder):  # noqa: B009
+            jax.config.update("jax_compilation_cache_dir", str(folder))
+            # If something was compiled before, JAX has settled that it keeps nothing.
+            compilation_cache.reset_cache()
+    # By itself JAX keeps what took a second: not the dozens of small programs of 20 to 60 ms.
+    for name, usual, always in (
+        ("jax_persistent_cache_min_compile_time_secs", 1.0, 0.0),
+        ("jax_persistent_cache_min_entry_size_bytes", 0, -1),
+    ):
+        if name.upper() not in os.environ and getattr(jax.config, name) == usual:
+            jax.config.update(name, always)
+
+
+def _cpu() -> str:
+    """Model and instructions of the CPU, the same for each of its cores."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:  # not Linux
+        return platform.processor()
+    kinds = ("model name", "flags", "CPU part", "Features")  # on x86, and on ARM
+    return "\n".join(sorted({line for line in lines if line.startswith(kinds)}))
 
 
 def cores() -> int:

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import functools
+import math
 import operator
+import textwrap
+from dataclasses import fields
 from typing import Any
 
 import equinox as eqx
+import jax
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Bool
 
 from ._final import final
 from ._outcomes import ADVICE, WELL
-from ._reprs import first_sentence, known, shape, summary, words
 
 
 class _Ways(type(eqx.Enumeration)):
@@ -198,7 +202,74 @@ class SearchResult(eqx.Enumeration, metaclass=_Ways):  # pyright: ignore
     )
 
 
-class Outcome(eqx.Module):
+class Printed:
+    """Results print as a line for each field: numbers with their errors, arrays as their range.
+
+    The error of a field is the field `<name>_error`, or `error` if that comes next.  What is NaN
+    or empty is left out.
+    """
+
+    def __repr__(self) -> str:
+        values = {field.name: getattr(self, field.name, None) for field in fields(self)}  # pyright: ignore
+        title = type(self).__name__
+        lines = []
+        if (result := values.pop("result", None)) is not None:
+            title += f": {name_of(result)}"
+            if _is_one(result) and (advice := advice_of(result)):
+                lines.append(advice.partition(". ")[0])
+        names = [*values]
+        for k, name in enumerate(names):
+            if name == "error" and k and _is_float(values[names[k - 1]]):
+                continue
+            error = values.get(f"{name}_error")
+            if error is None and names[k + 1 : k + 2] == ["error"]:
+                error = values["error"]
+            text = _text(values[name], error if _is_float(values[name]) else None)
+            if not name.endswith("_error") and text not in ("", "nan", "None", "()", "[]"):
+                lines.append(f"{name}: {text}")
+        lines = [textwrap.shorten(line, _WIDTH - 2, placeholder=" ...") for line in lines]
+        if len(lines) > _LINES:
+            lines = [*lines[:_LINES], "..."]
+        return "\n  ".join([title, *lines])
+
+
+_WIDTH, _LINES, _FEW = 79, 9, 4
+
+
+def _is_float(value: Any) -> bool:
+    return isinstance(value, float) or getattr(getattr(value, "dtype", None), "kind", "") == "f"
+
+
+def _text(value: Any, error: Any = None) -> str:
+    if isinstance(value, Tracer | jax.ShapeDtypeStruct):
+        return f"{value.dtype}{list(value.shape)}"
+    if isinstance(value, tuple) and value and isinstance(value[0], jax.Array | np.ndarray):
+        return ", ".join(map(_text, value[:_FEW]))
+    if isinstance(value, eqx.Module) or not isinstance(
+        value, float | np.ndarray | np.generic | jax.Array
+    ):
+        return type(value).__name__ if isinstance(value, eqx.Module) else f"{value}"
+    array = np.asarray(value)
+    if array.ndim:
+        present = array[~np.isnan(array)] if array.dtype.kind in "fc" else array
+        if (array.size <= _FEW and array.ndim == 1) or array.dtype.kind not in "bif":
+            return (
+                f"[{', '.join(_text(one) for one in array)}]"
+                if array.size <= _FEW
+                else f"shape {array.shape}"
+            )
+        return (
+            f"{present.min():.6g} ... {present.max():.6g}, shape {array.shape}"
+            if present.size
+            else ""
+        )
+    if error is None or isinstance(error, Tracer) or not 0 < (error := float(error)) < np.inf:
+        return f"{array:.10g}" if array.dtype.kind in "fc" else str(array)
+    decimals = max(0, -math.floor(math.log10(error)))
+    return f"{array:.{min(decimals, 15)}f} ± {error:.1g}"
+
+
+class Outcome(Printed, eqx.Module):
     """What every search returns besides what it found: how it ended."""
 
     result: eqx.AbstractVar[SearchResult]
@@ -212,21 +283,6 @@ class Outcome(eqx.Module):
     def message(self) -> str:
         """Why it failed and what to do, of one search; empty if it did not."""
         return advice_of(self.result)
-
-    def _rows(self) -> dict[str, Any]:
-        """What `repr` says besides how it ended, see `summary`."""
-        return {}
-
-    def __repr__(self) -> str:
-        how, rows = name_of(self.result), self._rows()
-        if how == "successful":
-            how = "found"
-        elif _is_one(self.result):
-            # What was not found is NaN.
-            rows = {name: value for name, value in rows.items() if words(value) != "nan"}
-            rows = {how: first_sentence(self.message), **rows}
-            how = "not found"
-        return summary(f"{type(self).__name__}: {how}", rows)
 
 
 # In the order of the enumeration's integer values, for labels and reports.
@@ -275,17 +331,20 @@ def advice_of(item: Any) -> str:
 
 def name_of(item: Any) -> str:
     """How a run or search ended, in a word; of a batch, how many in each way; traced, a shape."""
-    values = getattr(item, "_value", item)
-    codes = known(values)
-    if codes is None:
-        return f"unknown, {shape(values)}"
+    codes = getattr(item, "_value", item)
+    if not isinstance(codes, int | np.ndarray | jax.Array) or isinstance(codes, Tracer):
+        return "unknown"
     names = list(item._enumeration._name_to_item)
-    if codes.ndim == 0:
+    if np.ndim(codes) == 0:
         return names[int(codes)]
     counts = zip(*np.unique(codes, return_counts=True), strict=True)
     return ", ".join(f"{names[value]} {count}" for value, count in counts)
 
 
 def _is_one(item: Any) -> bool:
-    codes = known(getattr(item, "_value", None))
-    return codes is not None and codes.ndim == 0
+    codes = getattr(item, "_value", None)
+    return (
+        np.ndim(codes) == 0
+        and isinstance(codes, int | np.ndarray | jax.Array)
+        and not isinstance(codes, Tracer)
+    )

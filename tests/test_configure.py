@@ -89,6 +89,30 @@ def test_called_too_late_it_says_what_could_not_be_set():
     assert "so small loops compiled whole (`whole_loops`) could not be set" in said
 
 
+def test_a_folder_that_cannot_be_written_in_is_left_out(tmp_path):
+    file = tmp_path / "file"
+    file.touch()
+    found = told(f"import jaxchain\njaxchain.configure(cache={str(file)!r})")
+    assert found["cache"] is None
+    (said,) = found["said"]
+    assert f"cannot be kept in '{file}' (`cache`): Not a directory" in said
+
+
+@pytest.mark.long
+def test_a_second_process_compiles_nothing_and_its_results_are_the_same_to_the_last_bit(tmp_path):
+    code = f"""import jax, jaxchain
+jaxchain.configure(devices=0, cache={str(tmp_path)!r})
+misses = []
+jax.monitoring.register_event_listener(
+    lambda event, **_: misses.append(event) if event.endswith("cache_misses") else None)
+chain = jaxchain.paper_chain(3, 1.5, 1e-2)
+run = jaxchain.simulate(chain, jaxchain.excited_state(chain, 1), 10.0)
+warnings.warn(f"{{len(misses)}} {{[float(x).hex() for part in run.state for x in part]}}")"""
+    first, second = told(code)["said"][0], told(code + "\n")["said"][0]
+    assert int(first.split()[0]) > 0
+    assert second == "0 " + first.split(" ", 1)[1]
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -20,7 +20,6 @@ from .._checks import (
     shown,
 )
 from .._final import final
-from .._stored_programs import stored_jit
 from ..continuation.gradient_descent import MOST_STEPS
 from ..model.arguments import as_chain, as_mass
 from ..model.chain import Chain
@@ -84,16 +83,6 @@ class Blow(Outcome):
     tried: Int[Array, ""]
     lighter: Int[Array, ""]
     result: SearchResult
-
-    def _rows(self) -> dict[str, Any]:
-        return {
-            "size": self.size,
-            "hardest on": self.mass,
-            "share of the energy": self.share,
-            "kick": self.kick,
-            "dies at": self.dies_at,
-            "vibrates at": self.vibrates_at,
-        }
 
 
 def gentlest_blow(
@@ -230,7 +219,7 @@ def _certified(
     return _Attempt(u, found, angle, sizes, ended, *ends)
 
 
-@stored_jit
+@eqx.filter_jit
 def _along(chain: Chain, directions: Float[Array, "ways n"], tries: int) -> Blow:
     """The gentlest of one or two ways to kick, of which only the size is searched for."""
 
@@ -248,7 +237,7 @@ def _along(chain: Chain, directions: Float[Array, "ways n"], tries: int) -> Blow
     return _patiently(chain, attempt, another, tries)
 
 
-@stored_jit
+@eqx.filter_jit
 def _over(
     chain: Chain, chosen: tuple[int, ...], equal: bool, starts: int, steps: int,
     tolerance: Array, optimiser: optax.GradientTransformation, tries: int,
@@ -313,7 +302,7 @@ def _patiently(
     return _blow(patient, last, jnp.where(good, attached, size), another, tries)
 
 
-@stored_jit
+@eqx.filter_jit
 def _of_one_mass(chain: Chain, tries: int) -> Blow:
     """Exactly: the unstable cycle where it passes steady sliding."""
     trials, basin = Trials.of(chain), sliding_basin(chain)

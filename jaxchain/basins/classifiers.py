@@ -27,7 +27,6 @@ from .._checks import (
     shown,
 )
 from .._final import final
-from .._reprs import call, summary
 from .._types import ScalarLike, State
 from ..continuation.damped_newton import where
 from ..model.arguments import as_chain
@@ -35,6 +34,7 @@ from ..model.chain import Chain
 from ..model.oscillators import AbstractOscillators
 from ..observers.base import AbstractObserver, Step, Variable
 from ..observers.quantities import active_above
+from ..result import Printed
 
 # Amplitudes that rounding may fake, as a share of the belt speed.
 _AT_REST = 1e-9
@@ -43,7 +43,7 @@ _PHASES = ("in phase", "out of phase", "in between")
 
 
 @final
-class Settled(eqx.Module):
+class Settled(Printed, eqx.Module):
     """Where a run ended, as `VibratingMasses` observes it.
 
     - `code`: the state, whole numbers of shape (n,); `vibrates`: which masses do, shape (n,).
@@ -66,10 +66,6 @@ class Settled(eqx.Module):
     vibrates: Bool[Array, " n"]
     decided: Bool[Array, ""]
     since: Float[Array, ""]
-
-    def __repr__(self) -> str:
-        rows = {"code": self.code, "decided": self.decided, "since": self.since}
-        return summary("Settled", rows)
 
 
 class AbstractClassifier(AbstractObserver):
@@ -203,9 +199,6 @@ class VibratingMasses(AbstractClassifier):
     tolerance: Float[Array, ""] = eqx.field(converter=named("tolerance"), default=1e-3)
     agree: Float[Array, ""] = eqx.field(converter=named("agree"), default=3)
     calm: Float[Array, ""] = eqx.field(converter=named("calm"), default=3)
-
-    def __repr__(self) -> str:
-        return call(self)
 
     def __check_init__(self) -> None:
         check_one_of("by", self.by, ("count", "masses", "ring"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import equinox as eqx
 import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
@@ -11,7 +12,6 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._checks import check_positive_number, is_traced, shown, to_float
 from .._final import final
-from .._stored_programs import stored_jit
 from .._types import State
 from ..cycles.limit_cycle import LimitCycle, can_be_cycle
 from ..cycles.search import find_limit_cycle
@@ -80,15 +80,6 @@ class EdgeState(Outcome):
     amplitudes: Float[Array, "windows n"]
     distances: Float[Array, " windows"]
     result: SearchResult
-
-    def _rows(self) -> dict[str, Any]:
-        return {
-            "belt speed": self.chain.belt_speed,
-            "amplitude": self.amplitude,
-            "period": self.period,
-            "bracket": self.distance,
-            "mass": self.mass,
-        }
 
     @property
     def periodic(self) -> Bool[Array, ""]:
@@ -223,7 +214,7 @@ def _count(time: Any, window: Any) -> int:
     return count
 
 
-@stored_jit
+@eqx.filter_jit
 def _edge(chain: Chain, quiet: State, vibrating: State, how: Tracking) -> EdgeState:
     frozen, quiet, vibrating = eqxi.nondifferentiable(
         (chain, quiet, vibrating),

@@ -30,7 +30,6 @@ from .._checks import (
     shown,
 )
 from .._final import final
-from .._reprs import call
 from .._types import State
 from ..model.chain import Chain, steady_sliding
 
@@ -142,9 +141,6 @@ class Box(AbstractRegion):
     velocity: Float[Array, "2"] = eqx.field(converter=_edges("velocity"), default=(0.0, 2.0))
     masses: tuple[int, ...] | None = eqx.field(converter=_indices, default=None, static=True)
 
-    def __repr__(self) -> str:
-        return call(self)
-
     def __check_init__(self) -> None:
         for name in ("displacement", "velocity"):
             edges = getattr(self, name)
@@ -192,9 +188,6 @@ class Ball(AbstractRegion):
     radius: Float[Array, ""] = eqx.field(converter=named("radius"))
     masses: tuple[int, ...] | None = eqx.field(converter=_indices, default=None, static=True)
 
-    def __repr__(self) -> str:
-        return call(self)
-
     def __check_init__(self) -> None:
         check_positive_number("radius", self.radius, "it is a distance, such as 1.")
         _check_masses(self.masses)
@@ -232,9 +225,6 @@ class Gaussian(AbstractRegion):
     displacement: Float[Array, ""] = eqx.field(converter=named("displacement"))
     velocity: Float[Array, ""] = eqx.field(converter=named("velocity"))
     masses: tuple[int, ...] | None = eqx.field(converter=_indices, default=None, static=True)
-
-    def __repr__(self) -> str:
-        return call(self)
 
     def __check_init__(self) -> None:
         for name in ("displacement", "velocity"):

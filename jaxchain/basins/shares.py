@@ -187,7 +187,8 @@ def basin_shares(
         found = to_dataset(runs, tally, bars_kept, seen, at, judge)
         found.attrs |= {
             "starts": len(at), "replicates": replicates, "points": points, "seed": seed,
-            "longest_half_width": bars.longest, "checked": seen.runs, "region": repr(region),
+            "longest_half_width": bars.longest, "checked": seen.runs,
+            "region": eqx.tree_pformat(region, short_arrays=False),
             "wall_time_s": round(time.perf_counter() - began, 3),
         }  # fmt: skip
         reach = np.max(bars_kept.high - bars_kept.low, axis=1) / 2

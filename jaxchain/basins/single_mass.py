@@ -28,6 +28,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
@@ -35,7 +36,6 @@ from jaxtyping import Array, Float
 
 from .._checks import check_kind
 from .._final import final
-from .._stored_programs import stored_jit
 from .._types import State
 from ..continuation.implicit import attach_derivative
 from ..model.arguments import as_chain
@@ -93,16 +93,6 @@ class SlidingBasin(Outcome):
     down: Float[Array, ""]
     gap: Float[Array, ""]
     result: SearchResult
-
-    def _rows(self) -> dict[str, Any]:
-        return {
-            "share": self.share,
-            "area": self.area,
-            "period of the unstable cycle": self.period,
-            "kick up": self.up,
-            "kick down": self.down,
-            "gap after a period": self.gap,
-        }
 
 
 def sliding_share(chain: Chain, box: Box | None = None) -> Float[Array, ""]:
@@ -199,7 +189,7 @@ def blow_of_one_mass(chain: Chain) -> tuple[Float[Array, ""], Float[Array, ""]]:
     return basin.up, basin.down
 
 
-@stored_jit
+@eqx.filter_jit
 def _basin(chain: Chain, box: Box) -> SlidingBasin:
     along = jnp.sign(lax.stop_gradient(chain.belt_speed))
     mass, edges = _ahead(chain, box)

@@ -11,12 +11,11 @@ from jaxtyping import Array, Bool, Float
 
 from .._checks import check_positive_number, is_traced, to_float
 from .._final import final
-from .._reprs import summary
 from ..model.chain import Chain
 from ..model.initial_states import check_vibrating, on_the_belt
 from ..observers.amplitude import Amplitude
 from ..observers.quantities import active
-from ..result import Outcome, SearchResult
+from ..result import Outcome, Printed, SearchResult
 from ..simulation.event_driven import EventDriven
 from ..simulation.run import simulate
 from .fold import fold_and_result
@@ -58,14 +57,6 @@ class BistableRange(Outcome):
     highest: Float[Array, ""]
     width: Float[Array, ""]
     result: SearchResult
-
-    def _rows(self) -> dict[str, Any]:
-        return {
-            "Hopf speed": self.hopf,
-            "fold": self.fold,
-            "highest speed of vibration": self.highest,
-            "width of the range": self.width,
-        }
 
 
 def bistable_range(chain: Chain, vibrating: Any = None) -> BistableRange:
@@ -111,7 +102,7 @@ def _range(chain: Chain, mass: int) -> BistableRange:
     )
 
 
-class Trial(eqx.Module):
+class Trial(Printed, eqx.Module):
     """What became of one vibrating mass a little below and a little above a belt speed.
 
     `speeds`; `amplitudes` at the end, one row of n for each; `vibrates`: whether the mass still
@@ -122,15 +113,6 @@ class Trial(eqx.Module):
     amplitudes: Float[Array, "two n"]
     vibrates: Bool[Array, " two"]
     holds: Bool[Array, ""]
-
-    def __repr__(self) -> str:
-        rows = {
-            "belt speeds": self.speeds,
-            "vibrates there": self.vibrates,
-            "amplitudes": self.amplitudes,
-            "holds": self.holds,
-        }
-        return summary("Trial of a boundary", rows)
 
 
 def try_boundary(

@@ -217,9 +217,6 @@ class GeneralisedHopf(Outcome):
     belt_speed: Float[Array, ""]
     result: SearchResult
 
-    def _rows(self) -> dict[str, Any]:
-        return {"value": self.value, "belt speed": self.belt_speed}
-
 
 def generalised_hopf(chain: Chain, parameter: Any, low: Any, high: Any) -> GeneralisedHopf:
     """The point of the Hopf curve of one mass at which l1 = 0, where the fold ends.

@@ -51,14 +51,6 @@ class HopfDescent(Outcome):
     speeds: Float[Array, " entries"]
     growth_rates: Float[Array, " entries"]
 
-    def _rows(self) -> dict[str, Any]:
-        return {
-            "belt speed": self.belt_speed,
-            "growth rate": self.growth_rate,
-            "steps": self.steps,
-            "way": self.speeds,
-        }
-
 
 def hopf_by_descent(
     chain: Chain,
@@ -157,9 +149,6 @@ class FoldDescent(Outcome):
     result: SearchResult
     closenesses: Float[Array, " entries"]
     belt_speeds: Float[Array, " entries"]
-
-    def _rows(self) -> dict[str, Any]:
-        return {"belt speed": self.belt_speed, "slope": self.slope, "way": self.belt_speeds}
 
 
 def fold_by_descent(

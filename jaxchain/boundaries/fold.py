@@ -10,7 +10,6 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from .._final import final
-from .._stored_programs import stored_jit
 from .._types import PerMass, State
 from ..continuation.fold_points import fold_residual
 from ..continuation.implicit import attach_derivative, if_found
@@ -63,16 +62,6 @@ class Fold(Outcome):
     width: PerMass
     evaluations: Int[Array, ""]
     mass: int = eqx.field(static=True)
-
-    def _rows(self) -> dict[str, Any]:
-        return {
-            "belt speed": self.belt_speed,
-            "width": self.width,
-            "period": self.period,
-            "closeness": self.closeness,
-            "gap after a period": self.residual,
-            "mass": self.mass,
-        }
 
 
 def fold_belt_speed(chain: Any, vibrating: Any = None) -> Float[Array, ""]:
@@ -135,7 +124,7 @@ def _result(start: Start, found: Search) -> SearchResult:
     return SearchResult.where(found.found, SearchResult.successful, start.result)
 
 
-@stored_jit
+@eqx.filter_jit
 def _belt_speed(chain: Chain, mass: int, start: Start, found: Search) -> Array:
     """v_d with its derivatives."""
     held = _held(chain, start)
@@ -179,7 +168,7 @@ def find_fold(chain: Any, vibrating: Any = None) -> Fold:
     return _fold(chain, mass, *_find(lax.stop_gradient(chain), mass))
 
 
-@stored_jit
+@eqx.filter_jit
 def _fold(chain: Chain, mass: int, start: Start, found: Search) -> Fold:
     """The fold with the derivatives of its cycle."""
     held = _held(chain, start)
@@ -210,7 +199,7 @@ def _borders(shooting: Shooting, found: Search) -> tuple[Array, Array]:
     return left[:, -1], right[-1]
 
 
-@stored_jit
+@eqx.filter_jit
 def _find(chain: Chain, mass: int) -> tuple[Start, Search]:
     """The start, and the fold; nothing in here is to be differentiated.
 

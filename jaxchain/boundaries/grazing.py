@@ -35,7 +35,6 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from .._final import final
-from .._stored_programs import stored_jit
 from .._types import ScalarLike, State
 from ..continuation.elimination import solve
 from ..continuation.fold_points import fold_residual
@@ -98,15 +97,6 @@ class Grazing(Outcome):
     result: SearchResult
     mass: int = eqx.field(static=True)
 
-    def _rows(self) -> dict[str, Any]:
-        return {
-            "belt speed": self.belt_speed,
-            "touches the belt's speed": self.touches,
-            "period": self.period,
-            "gap after a period": self.residual,
-            "mass": self.mass,
-        }
-
     def smoothed(self, width: ScalarLike) -> Float[Array, ""]:
         """About where the fold of smoothed friction is, to O(width^(3/2)); NaN if none was found.
 
@@ -164,7 +154,7 @@ def find_grazing(chain: Chain, vibrating: Any = None) -> Grazing:
     return _find(chain, mass)
 
 
-@stored_jit
+@eqx.filter_jit
 def _find(chain: Chain, mass: int) -> Grazing:
     frozen = lax.stop_gradient(chain)
     alone = one_mass(frozen, mass)

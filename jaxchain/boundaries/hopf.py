@@ -3,12 +3,12 @@
 from collections.abc import Callable
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from .._stored_programs import stored_jit
 from ..continuation.bracket import bisect
 from ..continuation.damped_newton import linearised, solve
 from ..continuation.implicit import attach_derivative, if_found
@@ -75,7 +75,7 @@ def hopf_belt_speed(chain: Chain) -> Float[Array, ""]:
     return _speed(as_chain(chain))
 
 
-@stored_jit
+@eqx.filter_jit
 def _speed(chain: Chain) -> Array:
     frozen = jax.tree.map(lax.stop_gradient, chain)  # nothing is differentiated through a search
     if has_uniform_damping(chain):

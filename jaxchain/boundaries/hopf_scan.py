@@ -18,11 +18,11 @@ from .._checks import (
     is_traced,
 )
 from .._final import final
-from .._reprs import count, known, number, summary
 from ..cycles.guesses import Guess
 from ..model.arguments import as_chain, as_mass
 from ..model.chain import Chain, steady_sliding
 from ..model.sliding import GREATEST_SPEED
+from ..result import Printed
 from .axis_crossings import Crossing, find_crossings
 from .criticality import (
     first_lyapunov_coefficient,
@@ -37,7 +37,7 @@ _VANISHING = 1e-9  # of the terms that make it up: then l1 is zero up to roundin
 
 
 @final
-class HopfPoints(eqx.Module):
+class HopfPoints(Printed, eqx.Module):
     """Hopf points, sorted by belt speed, then frequency; one entry of every field for each.
 
     - `belt_speed`, `frequency` = omega; `mode_shape` = u, complex, greatest entry 1: a
@@ -94,20 +94,6 @@ class HopfPoints(eqx.Module):
     standing_criticality: tuple[str, ...] = eqx.field(static=True)
     kind: tuple[str, ...] = eqx.field(static=True)
     belt_speeds: tuple[float, float] = eqx.field(static=True)
-
-    def __repr__(self) -> str:
-        speed, frequency = known(self.belt_speed), known(self.frequency)
-        if speed is None or frequency is None or speed.ndim != 1:
-            return summary("HopfPoints", {"belt speed": self.belt_speed})
-        rows = {
-            f"belt speed {number(speed[k])}, frequency {number(frequency[k])}": (
-                f"{self.criticality[k]}, {self.direction[k]}, {self.kind[k]}"
-            )
-            for k in range(min(speed.size, 9))
-        }
-        low, high = map(number, self.belt_speeds)
-        points = count(speed.size, "point")
-        return summary(f"HopfPoints: {points} at belt speeds {low} to {high}", rows)
 
 
 def hopf_points(chain: Chain, belt_speeds: Any = (0.0, GREATEST_SPEED)) -> HopfPoints:

@@ -213,7 +213,11 @@ def _to_dataset(
         for dim, columns in axes.items()
         for name, column in columns.items()
     }
-    about = {"chain": repr(chain), "versions": json.dumps(versions()), **attrs}
+    about = {
+        "chain": eqx.tree_pformat(chain, short_arrays=False),
+        "versions": json.dumps(versions()),
+        **attrs,
+    }
     dataset = xr.Dataset(variables, coords=coords, attrs=about)
     dataset["result"].attrs |= {
         "flag_values": np.arange(len(_NAMES), dtype=np.int32), "flag_meanings": " ".join(_NAMES),

@@ -14,9 +14,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._final import final
-from .._reprs import summary
 from ..model.chain import Chain
 from ..model.initial_states import check_vibrating
+from ..result import Printed
 from .hopf import hopf_belt_speed
 from .zero_width import fold_boundary
 
@@ -25,7 +25,7 @@ _HOPF_ERROR, _DRY_ERROR = 1e-12, 1e-10
 
 
 @final
-class Boundaries(eqx.Module):
+class Boundaries(Printed, eqx.Module):
     """Belt speeds, dimensionless; NaN for what does not exist or was not found.
 
     - `hopf`: above it sliding is stable, just below it is not, at the chain's width;
@@ -58,17 +58,6 @@ class Boundaries(eqx.Module):
     fold_limit: Float[Array, ""]
     fold_limit_error: Float[Array, ""]
     mass: int = eqx.field(static=True)
-
-    def __repr__(self) -> str:
-        rows = {
-            "Hopf, at the chain's width": self.hopf,
-            "Hopf, dry friction": (self.hopf_nonsmooth, self.hopf_nonsmooth_error),
-            "fold, at the chain's width": self.fold,
-            "fold, dry friction": (self.fold_nonsmooth, self.fold_nonsmooth_error),
-            "fold, extrapolated to width 0": (self.fold_limit, self.fold_limit_error),
-            "vibrating mass": self.mass,
-        }
-        return summary("Boundaries, belt speeds", rows)
 
 
 def hopf_and_fold(chain: Chain, vibrating: Any = None) -> Boundaries:

@@ -20,13 +20,13 @@ from jaxtyping import Array, Float
 
 from .._checks import check_concrete, check_kind, check_positive_number
 from .._final import final
-from .._reprs import summary
 from ..continuation.damped_newton import newton
 from ..cycles.averaging import cycle_speed, greatest_speed
 from ..cycles.branches import continue_cycle
 from ..model.chain import Chain, require_smoothed
 from ..model.initial_states import check_vibrating
 from ..observers.amplitude import Amplitude
+from ..result import Printed
 from ..simulation.run import simulate
 from .fold import Fold, find_fold
 from .hopf import hopf_belt_speed
@@ -41,7 +41,7 @@ _DRY_STEPS, _DRY_RTOL = 64, 1e-9
 
 
 @final
-class OneMassBranch(eqx.Module):
+class OneMassBranch(Printed, eqx.Module):
     """The cycles of one mass in order: rest, unstable slip cycles, fold, stick-slip.
 
     - `belt_speed` v_d, `amplitude` A (half peak-to-peak of x), `period` T; dimensionless, NaN in
@@ -69,16 +69,6 @@ class OneMassBranch(eqx.Module):
     closeness: Float[Array, " points"]
     period: Float[Array, " points"]
     fold: int = eqx.field(static=True)
-
-    def __repr__(self) -> str:
-        rows = {
-            "belt speed": self.belt_speed,
-            "amplitude": self.amplitude,
-            "closeness": self.closeness,
-            "period": self.period,
-            "fold": f"index {self.fold}",
-        }
-        return summary("OneMassBranch of cycles", rows)
 
 
 def one_mass_branch(chain: Chain, lowest: Any = 0.1, fold: Fold | None = None) -> OneMassBranch:

@@ -23,11 +23,11 @@ from jaxtyping import Array, Float
 
 from .._checks import check_positive, check_positive_number, is_traced, require_x64, to_float
 from .._final import final
-from .._reprs import summary
 from ..continuation.damped_newton import where
 from ..cycles.averaging import dry_fold_speed, one_mass, speed_scale
 from ..model.chain import Chain
 from ..model.initial_states import check_vibrating
+from ..result import Printed
 from .fold import smoothed_fold
 from .grazing import nonsmooth_fold_belt_speed
 
@@ -43,7 +43,7 @@ _FREE = 0.85
 
 
 @final
-class Extrapolated(eqx.Module):
+class Extrapolated(Printed, eqx.Module):
     """A quantity in the limit of width 0.
 
     - `value`: NaN if it is not known at some of the widths.
@@ -68,13 +68,9 @@ class Extrapolated(eqx.Module):
     error: Float[Array, ""]
     coefficients: Float[Array, " terms"]
 
-    def __repr__(self) -> str:
-        rows = {"limit": (self.value, self.error), "coefficients": self.coefficients}
-        return summary("Extrapolated to width 0", rows)
-
 
 @final
-class FoldBoundary(eqx.Module):
+class FoldBoundary(Printed, eqx.Module):
     """The greatest belt speed at which a vibration survives, and what to think of it.
 
     - `value`: at the width of the chain, `dry` if it has none;
@@ -100,14 +96,6 @@ class FoldBoundary(eqx.Module):
     limit: Float[Array, ""]
     error: Float[Array, ""]
     dry: Float[Array, ""]
-
-    def __repr__(self) -> str:
-        rows = {
-            "at the chain's width": self.value,
-            "extrapolated to width 0": (self.limit, self.error),
-            "for dry friction": self.dry,
-        }
-        return summary("FoldBoundary, belt speeds", rows)
 
 
 def extrapolate(

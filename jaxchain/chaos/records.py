@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from .._final import final
-from .._reprs import half, number, several, summary, words
+from ..result import Printed
 
 KINDS = ("rest", "cycle", "unstable", "chaos", "torus", "open")
 VERDICTS = ("at rest", "periodic", "quasi-periodic", "chaotic", "transient", "failed")
@@ -17,8 +17,8 @@ MEANINGS = {"rest": "at rest", "cycle": "periodic", "torus": "quasi-periodic", "
 
 
 @final
-@dataclass
-class Evidence:
+@dataclass(repr=False)
+class Evidence(Printed):
     """What is known of one run of an ensemble; NaN, or empty, is not known.
 
     - `noise`: standard deviation of what was added to the start; `seed`.
@@ -77,20 +77,6 @@ class Evidence:
     symmetry: np.ndarray = field(default_factory=lambda: np.zeros(0))
     state: tuple[np.ndarray, np.ndarray] | None = None
 
-    def __repr__(self) -> str:
-        rows = {
-            "noise": f"{number(self.noise)}, seed {self.seed}",
-            "time": self.time,
-            "active": f"{int(np.sum(self.active))} of {self.active.size}",
-            "energy": (self.energy, self.energy_deviation),
-            "period": self.period,
-            "exponents": several(self.exponents, half(self.low, self.high)),
-            "slips": self.slips,
-        }
-        # What is not known is NaN or empty.
-        rows = {name: v for name, v in rows.items() if words(v) not in ("nan", "(0,) none", "")}
-        return summary(f"Evidence: {self.kind}", rows)
-
     @property
     def decided(self) -> bool:
         """Whether a longer run would say nothing new.
@@ -122,8 +108,8 @@ class Evidence:
 
 
 @final
-@dataclass(frozen=True)
-class Verdict:
+@dataclass(frozen=True, repr=False)
+class Verdict(Printed):
     """What an ensemble of runs from one start says.
 
     - `verdict`: "at rest", "periodic", "quasi-periodic", "chaotic", "transient" (not decided) or
@@ -153,16 +139,6 @@ class Verdict:
     depends_on_noise: bool
     longest: float
     runs: tuple[Evidence, ...]
-
-    def __repr__(self) -> str:
-        rows = {
-            "reason": self.reason,
-            "remedy": self.remedy or None,
-            "undisturbed": self.undisturbed,
-            "depends on noise": self.depends_on_noise,
-            "longest run": self.longest,
-        }
-        return summary(f"Verdict: {self.verdict}", rows)
 
     @property
     def lead(self) -> Evidence:

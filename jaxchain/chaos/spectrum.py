@@ -8,17 +8,16 @@ from jaxtyping import Array, Float
 
 from .._checks import as_array, check_share
 from .._final import final
-from .._reprs import half, several, summary
 from .._statistics import student_reach
 from .._types import State
-from ..result import NAMES, Result, code, name_of
+from ..result import NAMES, Printed, Result, code
 
 # An exponent this small counts as 0: blocks of a periodic run scatter by less than rounding.
 ZERO = 1e-9
 
 
 @final
-class LyapunovSpectrum(eqx.Module):
+class LyapunovSpectrum(Printed, eqx.Module):
     """What `lyapunov_spectrum` found, per dimensionless time; arrays have shape (count,).
 
     - `exponents`: time averages over the window; -inf where a direction is annihilated, NaN
@@ -70,16 +69,6 @@ class LyapunovSpectrum(eqx.Module):
     state: State
     interval: Float[Array, ""]
     result: Result
-
-    def __repr__(self) -> str:
-        rows = {
-            "exponents": several(self.exponents, half(self.low, self.high)),
-            "sum": self.sum,
-            "mean divergence": self.mean_divergence,
-            "Kaplan-Yorke dimension": self.kaplan_yorke,
-            "t": self.t,
-        }
-        return summary(f"LyapunovSpectrum: {name_of(self.result)}", rows)
 
     @property
     def outcome(self) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._final import final
-from .._reprs import count, first_sentence, listed, span, summary
+from ..result import Printed
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -69,8 +69,8 @@ class Point:
 
 
 @final
-@dataclass(frozen=True)
-class SpecialPoint:
+@dataclass(frozen=True, repr=False)
+class SpecialPoint(Printed):
     """A fold, a branch point, or a zero of one of the caller's tests, on a branch.
 
     `kind` is "fold", "branch point" or the name of the test; it lies between the points `index`
@@ -111,10 +111,6 @@ class SpecialPoint:
     extra: Any = None
     other: Float[np.ndarray, " m_plus_1"] | None = None
 
-    def __repr__(self) -> str:
-        rows = {"p": (self.p, self.error), "u": self.u, "refined": self.refined}
-        return summary(f"SpecialPoint: {self.kind}", rows)
-
 
 @dataclass
 class Counts:
@@ -127,8 +123,8 @@ class Counts:
 
 
 @final
-@dataclass(frozen=True)
-class Branch:
+@dataclass(frozen=True, repr=False)
+class Branch(Printed):
     """A branch of solutions of F(u, p) = 0, k points in order, as plain data on the host.
 
     - `u` (k, m), `p` (k,); `arclength` (k,) from the first point in the weighted norm; `tangents`
@@ -162,15 +158,6 @@ class Branch:
     ended: str
     reason: str = ""
     counts: Counts = field(default_factory=Counts)
-
-    def __repr__(self) -> str:
-        rows = {
-            "p": span(self.p),
-            "u": self.u,
-            **special_rows([(point.kind, point.p, point.error) for point in self.special]),
-            "ended": f"{self.ended}: {first_sentence(self.message)}",
-        }
-        return summary(f"Branch: {count(self.p.size, 'point')}", rows)
 
     @property
     def message(self) -> str:
@@ -247,14 +234,6 @@ def special_variables(
 
 def _units(unit: str | None) -> dict[str, str]:
     return {} if unit is None else {"units": unit}
-
-
-def special_rows(points: Sequence[tuple[str, Any, Any]]) -> dict[str, str]:
-    """Rows for special points (kind, value, bar): how many of each kind, and where."""
-    kinds: dict[str, list] = {}
-    for kind, value, error in points:
-        kinds.setdefault(kind, []).append((value, error))
-    return {kind: f"{len(own)}, at {listed(own)}" for kind, own in kinds.items()}
 
 
 class Record:

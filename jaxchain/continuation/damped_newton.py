@@ -19,7 +19,6 @@ from .._checks import (
     require_x64,
     to_float,
 )
-from .._stored_programs import stored_jit
 from ..result import Outcome, SearchResult
 from .elimination import factor, substitute
 
@@ -110,9 +109,6 @@ class Root(Outcome):
     residual: Float[Array, ""]
     result: SearchResult
     steps: Int[Array, ""]
-
-    def _rows(self) -> dict[str, Any]:
-        return {"u": self.value, "greatest |F|": self.residual, "Jacobians": self.steps}
 
 
 class Iterate(NamedTuple):
@@ -296,7 +292,7 @@ def newton(
     return search(residual, u, arrays(args), to_float(tolerance), jnp.asarray(limit), w)
 
 
-@stored_jit
+@eqx.filter_jit
 def search(
     residual: Any, u: Array, args: PyTree, tolerance: Array, limit: Array, w: Array
 ) -> Root:

@@ -59,15 +59,6 @@ class FoldPoint(Outcome):
     steps: Int[Array, ""]
     borders: Borders
 
-    def _rows(self) -> dict[str, Any]:
-        return {
-            "p": self.p,
-            "u": self.u,
-            "slope": self.slope,
-            "greatest |R|": self.residual,
-            "steps": self.steps,
-        }
-
 
 def _value(output: Any) -> Array:
     return output[0] if isinstance(output, tuple) else output

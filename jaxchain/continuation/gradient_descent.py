@@ -21,7 +21,6 @@ from .._checks import (
     shown,
     to_float,
 )
-from .._reprs import parameters
 from .._types import ScalarLike
 from ..result import Outcome, SearchResult
 
@@ -42,10 +41,6 @@ class Descent(Outcome):
     result: SearchResult
     path: PyTree
     losses: Float[Array, " entries"]
-
-    def _rows(self) -> dict[str, Any]:
-        rows = {"loss": self.loss, "steps": self.steps}
-        return rows | parameters(self.solution)
 
 
 def unknowns(start: PyTree) -> tuple[Float[Array, " m"], Callable[[Array], PyTree]]:

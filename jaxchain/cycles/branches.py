@@ -11,14 +11,14 @@ from jaxtyping import Complex, Float
 
 from .._checks import check_kind
 from .._final import final
-from .._reprs import count, first_sentence, span, summary
 from ..continuation.arclength import (
     Switched,
     check_following,
     continue_branch,
     switch_branch,
 )
-from ..continuation.branch import ENDINGS, Branch, Point, special_rows
+from ..continuation.branch import ENDINGS, Branch, Point
+from ..result import Printed
 from .bifurcation_tests import count_unstable, linearise, on_the_circle, orbit, special_tests
 from .equations import as_heading, cycle_equations, cycle_weights
 from .shooting import Shooting, residual
@@ -50,8 +50,8 @@ class NoBranchError(RuntimeError):
 
 
 @final
-@dataclass(frozen=True)
-class CycleBranch:
+@dataclass(frozen=True, repr=False)
+class CycleBranch(Printed):
     """A branch of cycles, k points in order, as plain data on the host.
 
     - `parameter` (k,): its values; `name`: which argument of `Chain.with_` it is.
@@ -94,17 +94,6 @@ class CycleBranch:
     special: tuple[CyclePoint, ...]
     shooting: Shooting
     branch: Branch
-
-    def __repr__(self) -> str:
-        stable = int(np.sum(self.unstable == 0))
-        rows = {
-            self.name: span(self.parameter),
-            "amplitude": self.amplitude,
-            "stable": f"{stable}, unstable: {self.parameter.size - stable}",
-            **special_rows([(point.kind, point.parameter, point.error) for point in self.special]),
-            "ended": f"{self.ended}: {first_sentence(self.message)}",
-        }
-        return summary(f"CycleBranch: {count(self.parameter.size, 'point')}", rows)
 
     @property
     def energy(self) -> Float[np.ndarray, " k"]:

@@ -18,8 +18,6 @@ from jaxtyping import Array, Complex, Float, Int
 
 from .._checks import to_float
 from .._final import final
-from .._reprs import summary
-from .._stored_programs import stored_jit
 from .._types import State
 from ..continuation.damped_newton import Factors, factorise
 from ..continuation.implicit import attach_derivative
@@ -83,16 +81,6 @@ class ClosedOrbit(NamedTuple):
     defect: Float[Array, ""]
     resolution: Float[Array, ""]
 
-    def __repr__(self) -> str:
-        rows = {
-            "period": self.period,
-            "gap after a period": self.gap,
-            "distance from the start": self.distance,
-            "multipliers": self.multipliers,
-            "defect": self.defect,
-        }
-        return summary("ClosedOrbit", rows)
-
     @property
     def exponents(self) -> Float[Array, " others"]:
         """ln |multiplier| / period; -inf for what sticking annihilates, NaN if not resolved."""
@@ -155,7 +143,7 @@ class _Way(NamedTuple):
     sticking: Int[Array, ""]  # how many masses ever stick together, dry
 
 
-@stored_jit
+@eqx.filter_jit
 def _close(
     chain: AbstractOscillators, state: State, period: Array, solver: Any, rtol: Any
 ) -> ClosedOrbit:
@@ -246,7 +234,7 @@ def dry_limit_cycle(
     )
 
 
-@stored_jit
+@eqx.filter_jit
 def _dry_cycle(
     chain: Chain, mass: int, state: State, period: Array, rtol: Array, tolerance: Array
 ) -> LimitCycle:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Complex, Float
@@ -18,7 +19,6 @@ from .._checks import (
     shown,
     to_float,
 )
-from .._stored_programs import stored_jit
 from .._types import State
 from ..model.arguments import as_chain, as_state
 from ..model.chain import Chain, require_smoothed
@@ -34,7 +34,7 @@ CYCLE_RTOL = 1e-10
 _ROUNDINGS = 1e3
 
 
-_linearised = stored_jit(linearised_period)
+_linearised = eqx.filter_jit(linearised_period)
 
 
 def monodromy_matrix(

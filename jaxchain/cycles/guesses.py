@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -20,7 +21,6 @@ from .._checks import (
     is_traced,
     to_float,
 )
-from .._stored_programs import stored_jit
 from .._types import State
 from ..model.arguments import as_chain, as_mass, as_state
 from ..model.chain import Chain, steady_sliding
@@ -101,7 +101,7 @@ def guess_from_simulation(
     return _last_turn(*lax.stop_gradient(run.observed))
 
 
-@stored_jit
+@eqx.filter_jit
 def _last_turn(times: Array, xs: Array, vs: Array) -> Guess:
     """The last state, and the time since the one that is most like it."""
     last = jnp.sum(jnp.isfinite(times)) - 1
@@ -151,7 +151,7 @@ def carried(state: State, before: AbstractOscillators, after: AbstractOscillator
     return x, jnp.where(sticks, v - new[0] + turned * old[0] * wider, v)
 
 
-@stored_jit
+@eqx.filter_jit
 def slip_guess(chain: Chain, vibrating: int) -> Guess:
     """The unstable cycle of a mass that slides throughout, to first harmonic; NaN for none.
 

@@ -14,7 +14,6 @@ import numpy as np
 from jaxtyping import Array, Bool, Complex, Float, Int
 
 from .._final import final
-from .._stored_programs import stored_jit
 from .._types import State
 from ..continuation.damped_newton import Factors, Iterate, ending, factorise
 from ..continuation.implicit import attach_derivative
@@ -83,17 +82,6 @@ class LimitCycle(Outcome):
     fastest: Float[Array, " n"]
     evaluations: Int[Array, ""]
     mass: int = eqx.field(static=True)
-
-    def _rows(self) -> dict[str, Any]:
-        return {
-            "belt speed": getattr(self.chain, "belt_speed", None),
-            "period": self.period,
-            "amplitude": self.amplitude,
-            "multipliers": self.multipliers,
-            "trivial defect": self.trivial_defect,
-            "gap after a period": self.residual,
-            "mass": self.mass,
-        }
 
     @property
     def closeness(self) -> Float[Array, " n"]:
@@ -178,7 +166,7 @@ def is_trusted(
     return defect <= _WORST_DEFECT * growth  # false for NaN
 
 
-@stored_jit
+@eqx.filter_jit
 def solve_cycle(
     shooting: Shooting, start: Array, tolerance: Array, limit: Array
 ) -> tuple[LimitCycle, Array]:
@@ -217,7 +205,7 @@ def solve_cycle(
     return cycle, found.u
 
 
-@stored_jit
+@eqx.filter_jit
 def with_derivatives(
     shooting: Shooting, chain: AbstractOscillators, cycle: LimitCycle, u: Array
 ) -> LimitCycle:

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple, cast
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool
 
-from .._stored_programs import stored_jit
 from .._types import State
 from ..model.chain import Chain
 from ..observers.quantities import active
@@ -39,7 +39,7 @@ class Reached(NamedTuple):
     reason: str
 
 
-@stored_jit
+@eqx.filter_jit
 def is_of_kind(cycle: LimitCycle, kind: str) -> Bool[Array, ""]:
     """Whether one mass vibrates, on the side of the fold that was asked for, as far as it shows.
 

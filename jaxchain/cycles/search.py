@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -17,7 +18,6 @@ from .._checks import (
     shown,
     to_float,
 )
-from .._stored_programs import stored_jit
 from .._types import State
 from ..continuation.damped_newton import check_tolerance
 from ..model.arguments import as_chain, as_images, as_mass
@@ -137,7 +137,7 @@ def find_limit_cycle(
     return with_derivatives(shooting, chain, cycle, u)
 
 
-@stored_jit
+@eqx.filter_jit
 def _keep_kind(cycle: LimitCycle, kind: str) -> LimitCycle:
     """Not `successful` unless it is of the kind that was asked for."""
     wrong = cycle.successful & ~is_of_kind(cycle, kind)

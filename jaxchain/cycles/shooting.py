@@ -25,7 +25,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import to_float
-from .._stored_programs import stored_jit
 from .._types import State
 from ..model.oscillators import AbstractOscillators
 from ..solvers.rosenbrock import AbstractStructuredRosenbrock
@@ -147,7 +146,7 @@ class Shooting(eqx.Module):
         return gaps / v[self.mass]
 
 
-@stored_jit
+@eqx.filter_jit
 def packed(shooting: Shooting, state: State, period: Any) -> Float[Array, " m"]:
     """`Shooting.pack` as one program."""
     return shooting.pack(state, period)

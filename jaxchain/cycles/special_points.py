@@ -11,11 +11,11 @@ from jaxtyping import Complex, Float
 from scipy.interpolate import BarycentricInterpolator
 
 from .._final import final
-from .._reprs import summary
 from ..continuation.arclength import make_corrector
 from ..continuation.branch import Branch, Point, SpecialPoint
 from ..continuation.corrector import Corrector
 from ..continuation.special_points import Located, Test, polish
+from ..result import Printed
 from .bifurcation_tests import linearise, symmetry_breaking_basis
 from .shooting import Shooting, residual
 
@@ -30,8 +30,8 @@ _NEAR_REST = (5e-3, 1e-2, 1.5e-2)
 
 
 @final
-@dataclass(frozen=True)
-class CyclePoint:
+@dataclass(frozen=True, repr=False)
+class CyclePoint(Printed):
     """A special point of a branch of cycles.
 
     `kind`: "fold"; "hopf" (the amplitude vanishes, and the branch ends in steady sliding);
@@ -65,16 +65,6 @@ class CyclePoint:
     refined: bool
     error: float
     raw: SpecialPoint
-
-    def __repr__(self) -> str:
-        rows = {
-            "parameter": (self.parameter, self.error),
-            "period": self.period,
-            "amplitude": self.amplitude,
-            "multipliers": self.multipliers,
-            "refined": self.refined,
-        }
-        return summary(f"CyclePoint: {self.kind}", rows)
 
     @property
     def index(self) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import warnings
 from collections.abc import Callable
 from typing import Any
@@ -22,7 +21,6 @@ from .._checks import (
     to_float,
 )
 from .._final import final
-from .._reprs import parameters
 from ..continuation.damped_newton import where
 from ..continuation.gradient_descent import MOST_STEPS, unknowns
 from ..model.chain import Chain
@@ -83,15 +81,6 @@ class Identification(Outcome):
     chi_squared: Float[Array, ""]
     result: SearchResult
     evaluations: Int[Array, ""]
-
-    def _rows(self) -> dict[str, Any]:
-        rows = parameters(self.theta, self.standard_errors)
-        return {
-            **dict(itertools.islice(rows.items(), 5)),
-            "chi squared": self.chi_squared,
-            "residuals": self.residuals,
-            "determined": self.determined,
-        }
 
     def interval(self, confidence: Any = 0.95) -> tuple[PyTree, PyTree]:
         """(lower, upper) bounds of each parameter by itself, pytrees as theta."""

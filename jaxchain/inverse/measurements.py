@@ -19,13 +19,13 @@ from .._checks import (
     to_float,
 )
 from .._final import final
-from .._reprs import number, summary
 from ..boundaries.fold import fold_belt_speed
 from ..boundaries.hopf import hopf_belt_speed
 from ..model.chain import Chain, steady_sliding
 from ..model.initial_states import check_vibrating, on_the_belt
 from ..observers.amplitude import Amplitude
 from ..observers.quantities import active
+from ..result import Printed
 from ..simulation.event_driven import EventDriven
 from ..simulation.run import simulate
 
@@ -36,7 +36,7 @@ _ORDER, _RTOL = 7, 1e-8
 
 
 @final
-class Measurements(eqx.Module):
+class Measurements(Printed, eqx.Module):
     """What was measured of a chain, with the standard deviation of its noise (dimensionless).
 
     **Arguments:** what was not measured is None.
@@ -75,16 +75,6 @@ class Measurements(eqx.Module):
         )
         if not self._all():
             raise ValueError("`Measurements` must hold at least one measurement, but has none.")
-
-    def __repr__(self) -> str:
-        """Belt speeds or values, with their noise."""
-        rows: dict[str, Any] = {"Hopf speed": self.hopf, "fold": self.fold}
-        for name in ("amplitudes", "displacements"):
-            given = getattr(self, name)
-            if given is not None:
-                speeds, values, noise = map(number, given)
-                rows[name] = f"{values} at belt speeds {speeds}, noise {noise}"
-        return summary("Measurements", rows)
 
     def _all(self) -> list:
         every = (self.hopf, self.fold, self.amplitudes, self.displacements)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -16,7 +15,6 @@ from jaxtyping import Array, Float, Int, PyTree
 
 from .._checks import check_function, check_positive, check_positive_number, shown, to_float
 from .._final import final
-from .._reprs import parameters
 from ..basins.blows import Blow, gentlest_blow
 from ..boundaries.bistable import BistableRange, bistable_range
 from ..continuation.damped_newton import where
@@ -80,20 +78,6 @@ class Design(Outcome):
     path: PyTree
     costs: Float[Array, " steps"]
     aims: Float[Array, " steps"]
-
-    def _rows(self) -> dict[str, Any]:
-        aim = {}
-        if self.range is not None:
-            aim["highest speed of vibration"] = self.range.highest
-            aim["width of the bistable range"] = self.range.width
-        if self.blow is not None:
-            aim["gentlest blow"] = self.blow.size
-        return {
-            **dict(itertools.islice(parameters(self.theta).items(), 4)),
-            "cost": self.cost,
-            **aim,
-            "residual": self.residual,
-        }
 
 
 class _Point(eqx.Module):

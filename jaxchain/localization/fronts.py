@@ -23,12 +23,11 @@ from .._checks import (
     to_float,
 )
 from .._final import final
-from .._reprs import half, known, number, summary
 from .._types import ScalarLike
 from ..model.chain import Chain
 from ..model.initial_states import check_vibrating
 from ..observers.fronts import Fronts, FrontTrack, apart, mean_speed
-from ..result import Result, ended_well, name_of
+from ..result import Printed, Result, ended_well
 from ..simulation.accuracy import MAX_STEP, check_span, check_tolerances
 from ..simulation.run import MOST_SEGMENTS, simulate
 
@@ -37,7 +36,7 @@ VERDICTS = ("shrinks", "stands", "grows", "unknown")
 
 
 @final
-class FrontSpeed(eqx.Module):
+class FrontSpeed(Printed, eqx.Module):
     """How fast the fronts of a block move, in masses per dimensionless time; > 0 where it grows.
 
     - `speed`, `error`: mean of both fronts, and half-width of its confidence interval (both fronts
@@ -74,19 +73,6 @@ class FrontSpeed(eqx.Module):
     times: Float[Array, " windows"]
     fronts: Fronts
     result: Result
-
-    def __repr__(self) -> str:
-        seen = known(self.verdict)
-        rows = {
-            "speed": (self.speed, self.error),
-            "right": (self.right, self.right_error),
-            "left": (self.left, self.left_error),
-            "moved": self.moved,
-            "run": name_of(self.result),
-        }
-        one = seen is not None and seen.ndim == 0
-        told = self.outcome if one else f"verdicts {number(self.verdict)}"
-        return summary(f"FrontSpeed: {told}", rows)
 
     @property
     def outcome(self) -> str:
@@ -221,7 +207,7 @@ def _window_count(windows: Any, t0: Any, t1: Any) -> int:
 
 
 @final
-class Depinning(eqx.Module):
+class Depinning(Printed, eqx.Module):
     """Where fronts begin to move: they stand at `stands` and move at `moves`, two belt speeds.
 
     `middle` lies between them and `error` is half their distance; NaN if the two ends of the
@@ -244,15 +230,6 @@ class Depinning(eqx.Module):
 
     stands: Float[Array, ""]
     moves: Float[Array, ""]
-
-    def __repr__(self) -> str:
-        bar = half(self.stands, self.moves)
-        rows = {
-            "belt speed": None if bar is None else (self.middle, bar),
-            "stands at": self.stands,
-            "moves at": self.moves,
-        }
-        return summary("Depinning", rows)
 
     @property
     def middle(self) -> Array:

@@ -23,11 +23,11 @@ from .._checks import (
     shown,
 )
 from .._final import final
-from .._reprs import summary
 from .._types import ScalarLike
 from ..model.arguments import as_chain
 from ..model.chain import Chain
 from ..observers.quantities import participation_ratio
+from ..result import Printed
 
 # Draws of a normal distribution end at so many standard deviations: no stiffness is negative.
 _NORMAL_END = 4.0
@@ -133,7 +133,7 @@ def _draw(key: Array, count: int, distribution: str) -> Float[Array, " count"]:
 
 
 @final
-class LinearModes(eqx.Module):
+class LinearModes(Printed, eqx.Module):
     """Modes of the chain without friction and damping: K u = omega^2 u, lowest first.
 
     - `frequency`: omega, shape (n,).
@@ -160,14 +160,6 @@ class LinearModes(eqx.Module):
     shape: Float[Array, "n n"]
     participation_ratio: Float[Array, " n"]
     return_probability: Float[Array, " n"]
-
-    def __repr__(self) -> str:
-        rows = {
-            "frequency": self.frequency,
-            "participation ratio": self.participation_ratio,
-            "return probability": self.return_probability,
-        }
-        return summary("LinearModes", rows)
 
 
 def linear_modes(chain: Any) -> LinearModes:

@@ -18,12 +18,12 @@ from jaxtyping import Array, Float
 
 from .._checks import check_finite, check_kind, check_one_of, check_whole, shown, to_float
 from .._final import final
-from .._reprs import number, summary
 from .._types import State
 from ..continuation.damped_newton import linearised, solve
 from ..cycles.averaging import one_mass
 from ..model.initial_states import BLOCKS, reference_site
 from ..observers.trajectory import Trajectory
+from ..result import Printed
 from ..simulation.run import simulate
 from .phases import PhaseModel, _rtol, _shaken
 
@@ -124,8 +124,8 @@ def block_sites(n: int, k: int, block: str = "centred") -> np.ndarray:
 
 
 @final
-@dataclass(frozen=True)
-class LockedPattern:
+@dataclass(frozen=True, repr=False)
+class LockedPattern(Printed):
     """Phases of k neighbours that stay as they are.
 
     `phases` (k,), radians, theta = 0 of the first; `rate`, how fast all of them grow, as in
@@ -148,16 +148,6 @@ class LockedPattern:
     phases: Float[np.ndarray, " k"]
     rate: float
     growth: float
-
-    def __repr__(self) -> str:
-        stable = "stable" if self.growth < 0 else "unstable"
-        rows = {
-            "phases": self.phases,
-            "order": f"{number(self.order)} (1 in phase, -1 alternating)",
-            "rate": self.rate,
-            "growth": f"{number(self.growth)}, {stable}",
-        }
-        return summary("LockedPattern", rows)
 
     @property
     def order(self) -> float:

@@ -21,7 +21,6 @@ from jaxtyping import Array, Bool, Complex, Float
 
 from .._checks import check_concrete
 from .._final import final
-from .._reprs import summary
 from .._types import State
 from ..cycles.averaging import one_mass
 from ..cycles.floquet import monodromy_matrix
@@ -30,13 +29,14 @@ from ..model.arguments import as_chain
 from ..model.chain import Chain, require_smoothed, steady_sliding
 from ..model.sliding import has_uniform_damping, sliding_damping, stiffness_matrix
 from ..observers.trajectory import Trajectory
+from ..result import Printed
 from ..simulation.run import simulate
 
 _SAMPLES, _HARMONICS = 256, 8
 
 
 @final
-class PhaseModel(eqx.Module):
+class PhaseModel(Printed, eqx.Module):
     """Phases of vibrating neighbours on a homogeneous ring, what `phase_model` returns.
 
     - `state` = (x, v), shape (1,), and `period`: the cycle of one mass, its neighbours held, at
@@ -64,15 +64,6 @@ class PhaseModel(eqx.Module):
     displacement: Complex[Array, " h"]
     interaction: Complex[Array, " h"]
     quiet: Float[Array, ""]
-
-    def __repr__(self) -> str:
-        rows = {
-            "period": self.period,
-            "interaction": self.interaction,
-            "quiet neighbour": self.quiet,
-            "chain": self.chain,
-        }
-        return summary("PhaseModel", rows)
 
     def pull(self, difference: Float[Array, "*any"]) -> Float[Array, "*any"]:
         """H, of the phase of a neighbour less one's own."""

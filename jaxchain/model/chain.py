@@ -13,7 +13,6 @@ from jaxtyping import Array, ArrayLike, Float
 
 from .._checks import check_kind, check_one_of, check_whole, is_traced, shown, to_float
 from .._final import final
-from .._reprs import call
 from .._types import PerMass, ScalarLike, State
 from .friction import (
     AbstractFriction,
@@ -82,20 +81,6 @@ class Chain(AbstractOscillators):
     normal_load: Array | None
     springs: Springs | None
     n: int = eqx.field(static=True)
-
-    def __repr__(self) -> str:
-        springs = self.springs
-        own = {
-            "n": self.n,
-            "friction": self.friction,
-            "belt_speed": self.belt_speed,
-            "damping_ratio": self.damping_ratio,
-            "coupling": None if springs is None else springs.constant,
-            "stiffness": self.stiffness,
-            "normal_load": self.normal_load,
-            "ends": None if springs is None else springs.ends,
-        }
-        return call(self, own)
 
     def __init__(
         self,

@@ -30,7 +30,6 @@ from .._checks import (
     to_float,
 )
 from .._final import final, refuse_overrides
-from .._reprs import call
 from .._types import PerMass
 from .law_checks import check_curve
 from .parameters import CHAIN, parameter
@@ -58,9 +57,6 @@ class AbstractFriction(eqx.Module):
 
     A subclass has mu(s) as `law`, smoothed or not.
     """
-
-    def __repr__(self) -> str:
-        return call(self)
 
     @abc.abstractmethod
     def force(self, relative_velocity: Float[ArrayLike, "..."]) -> Float[Array, "..."]:

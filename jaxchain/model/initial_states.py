@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Int
@@ -17,7 +18,6 @@ from .._checks import (
     shown,
     to_float,
 )
-from .._stored_programs import stored_jit
 from .._types import State
 from .arguments import as_chain, as_mass
 from .chain import Chain, steady_sliding
@@ -138,7 +138,7 @@ def _mask(n: int, excited: Any, block: str) -> Array:
     return excited_block(n, given, block)
 
 
-@stored_jit  # one small program instead of a dozen
+@eqx.filter_jit  # one small program instead of a dozen
 def _pull_away(
     chain: Chain, mask: Array, amplitude: Array, velocity: Array, pattern: str, mirrored: bool
 ) -> State:
@@ -221,7 +221,7 @@ def on_the_belt(chain: Chain, vibrating: Any = None) -> State:
     return _carried(chain, check_vibrating(chain, vibrating))
 
 
-@stored_jit
+@eqx.filter_jit
 def _carried(chain: Chain, mass: int) -> State:
     x, v = steady_sliding(chain)
     return x.at[mass].set(0.0), v.at[mass].set(chain.belt_speed)
@@ -252,7 +252,7 @@ def release_state(chain: Chain, mass: int) -> State:
     return _released(chain, mass)
 
 
-@stored_jit
+@eqx.filter_jit
 def _released(chain: Chain, mass: int) -> State:
     x, v = steady_sliding(chain)
     unit = jnp.zeros(chain.n).at[mass].set(1.0)

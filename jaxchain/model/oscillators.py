@@ -20,7 +20,6 @@ from jaxtyping import Array, Bool, Float
 
 from .._checks import to_float
 from .._final import final, refuse_overrides
-from .._reprs import call
 from .._types import PerMass, ScalarLike, State
 from .locality import FINAL, local_dependence
 from .springs import Springs
@@ -49,9 +48,6 @@ class LocalSlopes(NamedTuple):
     time: Float[Array, " n"] | None
     displacement: Float[Array, " n"] | None
     velocity: Float[Array, " n"]
-
-    def __repr__(self) -> str:
-        return call(self, self._asdict())
 
 
 class AbstractOscillators(eqx.Module):

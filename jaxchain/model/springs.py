@@ -11,7 +11,6 @@ from jaxtyping import Array, Float
 
 from .._checks import check_finite, check_one_of, named
 from .._final import final
-from .._reprs import call
 from .._types import PerMass
 
 Ends = Literal["cyclic", "free"]
@@ -112,9 +111,6 @@ class Springs(eqx.Module):
 
     constant: Array = eqx.field(converter=named("constant"))
     ends: Ends = eqx.field(static=True)
-
-    def __repr__(self) -> str:
-        return call(self)
 
     def __check_init__(self) -> None:
         check_one_of("ends", self.ends, get_args(Ends))

@@ -13,7 +13,6 @@ from scipy.interpolate import PchipInterpolator
 
 from .._checks import check_kind, numbers_of, to_float
 from .._final import final
-from .._reprs import call, known
 from .._types import PerMass
 from .friction import AbstractFrictionLaw
 from .measured import check_measured, read_curve
@@ -76,11 +75,6 @@ class TabulatedFriction(AbstractFrictionLaw):
             return cls(*read_curve(path))
         except UnicodeDecodeError:
             raise ValueError(f"Argument `path` = {path} is not a text file in UTF-8.") from None
-
-    def __repr__(self) -> str:
-        pieces = known(self.pieces)
-        own = {"pieces": self.pieces} if pieces is None else {"speed": pieces[0], "mu": pieces[1]}
-        return call(self, own)
 
     @property
     def table(self) -> Float[Array, "2 knots"]:

@@ -20,7 +20,6 @@ from .._checks import (
     to_float,
 )
 from .._final import final
-from .._reprs import call
 from .._types import ScalarLike
 
 Quantity: TypeAlias = Literal["displacement", "velocity", "time", "force", "frequency"]
@@ -57,9 +56,6 @@ class DimensionalParameters(NamedTuple):
     """k_c [N/m]; None where nothing joins the masses"""
     normal_load: ScalarLike
     """P [N]"""
-
-    def __repr__(self) -> str:
-        return call(self, self._asdict())
 
 
 def _or_none(coupling: Any) -> Float[Array, ""] | None:
@@ -100,9 +96,6 @@ class Scales(eqx.Module):
     """xi, dimensionless"""
     coupling: Float[Array, ""] | None = eqx.field(converter=_or_none)
     """eta_c, dimensionless; None where nothing joins the masses"""
-
-    def __repr__(self) -> str:
-        return call(self)
 
     def __check_init__(self) -> None:
         remedy = "`Scales.from_dimensional` makes it from SI units."

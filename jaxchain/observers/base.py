@@ -19,7 +19,6 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from .._final import final
-from .._reprs import parameters, summary
 from .._types import ScalarLike, State
 from ..model.oscillators import AbstractOscillators
 
@@ -59,10 +58,6 @@ class Step(eqx.Module):
     y1: State
     displacement: Callable[[Any], Array]
     velocity: Callable[[Any], Array]
-
-    def __repr__(self) -> str:
-        rows = {"t0": self.t0, "t1": self.t1, "y0": self.y0, "y1": self.y1}
-        return summary("Step", parameters(rows))
 
     def turning_points(self) -> tuple[Bool[Array, " n"], Float[Array, " n"]]:
         """(which masses turn within the step, at which theta).
@@ -156,11 +151,6 @@ class Variable(eqx.Module):
     units: str = eqx.field(static=True, default="1")
     long_name: str | None = eqx.field(static=True, default=None)
     is_count: bool = eqx.field(static=True, default=False)
-
-    def __repr__(self) -> str:
-        name = "Variable" + (f": {self.long_name}" if self.long_name else "")
-        rows = {"dims": ", ".join(self.dims) or None, "units": self.units}
-        return summary(name, {**parameters({"values": self.values}), **rows})
 
 
 def window_fits(window: float | None, t0: ScalarLike, t1: ScalarLike) -> Any:

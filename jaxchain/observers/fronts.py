@@ -17,7 +17,6 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._checks import as_array, check_share, check_whole, to_float
 from .._final import final
-from .._reprs import call
 from .._statistics import student_reach
 from .._types import ScalarLike, State
 from ..model.oscillators import AbstractOscillators
@@ -40,9 +39,6 @@ class Fronts(eqx.Module):
     right: Float[Array, "*windows"]
     left: Float[Array, "*windows"]
     count: Float[Array, "*windows"]
-
-    def __repr__(self) -> str:
-        return call(self)
 
 
 @eqx.filter_jit

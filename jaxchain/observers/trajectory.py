@@ -8,7 +8,6 @@ from jaxtyping import Array, Float
 
 from .._checks import check_finite, is_traced, named
 from .._final import final
-from .._reprs import call
 
 
 @final
@@ -31,9 +30,6 @@ class Trajectory(eqx.Module):
     """
 
     times: Float[Array, " times"] = eqx.field(converter=named("times"))
-
-    def __repr__(self) -> str:
-        return call(self)
 
     def __check_init__(self) -> None:
         if self.times.ndim != 1 or not self.times.size:

@@ -13,7 +13,6 @@ from jaxtyping import Array, ArrayLike
 from .._checks import check_number, check_positive_number, is_traced, shown
 from .._final import final
 from .._limits import LEAST_ACCURACY, LEAST_ATOL, LEAST_RTOL, MOST_ACCURACY
-from .._reprs import call
 from ..model.arguments import as_chain
 from ..model.chain import Chain
 from ..model.oscillators import AbstractOscillators
@@ -184,9 +183,6 @@ class Numerics(eqx.Module):
     width: Array
     rtol: Array
     solver: AbstractStructuredRosenbrock = eqx.field(static=True)
-
-    def __repr__(self) -> str:
-        return call(self)
 
 
 def choose_numerics(chain: Chain, accuracy: Any) -> Numerics:

@@ -21,15 +21,13 @@ from .._checks import (
 )
 from .._derivatives import both_ways
 from .._final import final
-from .._reprs import number, parameters, summary
-from .._stored_programs import stored_jit
 from .._types import ScalarLike, State
 from ..model.arguments import as_chain, as_state
 from ..model.chain import Chain, require_smoothed
 from ..model.oscillators import AbstractOscillators
 from ..observers.base import AbstractObserver
 from ..observers.trajectory import Trajectory
-from ..result import NAMES, Result, code, ended_well, message, name_of
+from ..result import NAMES, Printed, Result, code, ended_well, message
 from .accuracy import (
     MAX_STEP,
     NO_ACCURACY,
@@ -54,7 +52,7 @@ def _is_observer(x: Any) -> bool:
 
 
 @final
-class Simulation(eqx.Module):
+class Simulation(Printed, eqx.Module):
     """What a run returned.
 
     - `t`: the time at which it ended; earlier than asked if it stopped early or failed.
@@ -86,18 +84,6 @@ class Simulation(eqx.Module):
     steps: Int[Array, ""]
     rejected: Int[Array, ""]
     numerics: Numerics | None = None
-
-    def __repr__(self) -> str:
-        x, v = self.state or (None, None)
-        rows = {
-            "t": self.t,
-            "x": x,
-            "v": v,
-            "steps": f"{number(self.steps)}, rejected: {number(self.rejected)}",
-            "numerics": self.numerics,
-            **parameters({"observed": self.observed}),
-        }
-        return summary(f"Simulation: {name_of(self.result)}", rows)
 
     @property
     def outcome(self) -> str:
@@ -263,7 +249,7 @@ def build_plan(
     )
 
 
-@stored_jit
+@eqx.filter_jit
 def _run(
     plan: AbstractPlan,
     chain: AbstractOscillators,

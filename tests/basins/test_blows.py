@@ -305,7 +305,7 @@ def test_one_program_serves_all_belt_speeds(compiled):
 
 def test_a_blow_says_what_it_is():
     text = repr(gentlest_blow(ONE))
-    assert text.startswith("Blow: found")
+    assert text.startswith("Blow: successful")
     assert "size: 1.239855" in text
-    assert "not found" in repr(gentlest_blow(ONE.with_(belt_speed=1.9)))
+    assert "Blow: no_vibration" in repr(gentlest_blow(ONE.with_(belt_speed=1.9)))
     assert isinstance(gentlest_blow(ONE), Blow)

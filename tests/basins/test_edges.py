@@ -170,7 +170,7 @@ def test_the_cycle_closes_at_the_tracked_state(edges):
     cycle = edge.cycle()
     assert cycle.stable is False
     assert float(abs(cycle.amplitude - edge.amplitude)[0]) < 1e-7
-    assert "EdgeState: found" in repr(edge)
+    assert "EdgeState: successful" in repr(edge)
 
 
 @pytest.mark.long
