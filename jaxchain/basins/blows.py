@@ -5,30 +5,527 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
 from jax import lax
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from .._checks import (
+    as_array,
+    check_finite,
     check_kind,
     check_positive_number,
     check_whole,
+    is_traced,
+    numbers_of,
     shown,
 )
 from .._final import final
+from .._types import ScalarLike, State
+from ..continuation.damped_newton import where
 from ..continuation.gradient_descent import MOST_STEPS
+from ..continuation.implicit import attach_derivative
 from ..model.arguments import as_chain, as_mass
-from ..model.chain import Chain
+from ..model.chain import Chain, steady_sliding
 from ..model.initial_states import reference_site
+from ..model.oscillators import AbstractOscillators
+from ..model.sliding import growth_rate
+from ..observers.amplitude import Amplitude
+from ..observers.base import AbstractObserver, Step
+from ..observers.quantities import active
 from ..result import Outcome, SearchResult
-from .descent import NEARLY, is_ring_of_equals, search, some_starts
-from .fates import LEVELS, Trials
+from ..simulation.event_driven import EventDriven
+from ..simulation.run import Simulation, simulate
 from .single_mass import sliding_basin
-from .thresholds import Threshold, as_direction, threshold, upwards, with_derivative
+
+# Speeds at which friction is held against damping, in units of the belt's.
+_SPEEDS = np.linspace(0.0, 1.0, 4097)[1:]
+# Where some mass gains at all speeds: a motion this small, in units of the belt speed, is linear.
+_LINEAR = 1e-3
+# Periods in succession in which a mass sticks (smoothed friction may hold it on an unstable cycle
+# for a while, close to the fold), and between two times at most.
+_STICKS, _SMOOTHED_STICKS, _APART = 5.0, 30.0, 1.6
+# A run is as long as so many times of decay, and at most this.
+_DECAYS, _LEAST, _LONGEST = 40.0, 200.0, 1e5
+# For how many times of decay masses stick until they are said to vibrate, if less was not enough.
+_PATIENCE = 0.0, 5.0, _DECAYS
+LEVELS = len(_PATIENCE)
+# The end of a run, of which amplitudes are taken; random tries that run together.
+_WINDOW, _TOGETHER = 40.0, 256
+# A lower order than suits it best: a third more steps, and half the time to compile.
+_RTOL, _ORDER = 1e-9, 8
+
+
+def quiet_radius(chain: Chain) -> Float[Array, ""]:
+    """The sqrt(2 E) below which every motion dies where steady sliding attracts, min v*_n.
+
+    Friction is held against damping at 4096 speeds up to the belt's.  With masses that gain at
+    every speed, and others that make up for it, 1e-3 |v_d| takes its place: there the motion is
+    linear.
+
+    >>> from jaxchain import paper_chain
+    >>> round(float(quiet_radius(paper_chain(1, belt_speed=1.5, width=None))), 2)
+    0.63
+    """
+    speed = jnp.abs(chain.belt_speed)
+    ahead = chain.with_(belt_speed=speed)
+
+    def gains(velocity: Array) -> Array:
+        own = jnp.full(chain.n, velocity)
+        force = ahead.local_force(0.0, own, own) - ahead.local_force(0.0, own, 0.0 * own)
+        return jnp.any(velocity * force > 0.0)
+
+    tried = jnp.asarray(np.stack([_SPEEDS, -_SPEEDS])) * speed
+    gaining = jnp.any(jax.vmap(jax.vmap(gains))(tried), axis=0)
+    first = jnp.argmax(gaining)
+    below = jnp.where(jnp.any(gaining), jnp.asarray(np.append(0.0, _SPEEDS))[first], 1.0)
+    return jnp.maximum(below, _LINEAR) * speed
+
+
+class _Watched(eqx.Module):
+    last: Float[Array, " n"]  # time at which it stuck last
+    since: Float[Array, " n"]  # from which on it has stuck in every period
+    died: Bool[Array, ""]
+    vibrates: Bool[Array, " n"]
+
+
+class Fate(AbstractObserver):
+    """Whether a motion dies, or masses go on to stick period after period.
+
+    It dies once sqrt(2 E) is less than `radius`; it vibrates once some mass has stuck in every
+    period for the time `patience`, of five at least, or thirty with smoothed friction: on the
+    cycles that a motion may follow for long, the unstable ones, all masses slip.  Where the
+    belt is nearly too fast for it, a mass may stick for long and be stopped by its neighbours
+    nevertheless.  A motion of which neither is said vibrates without sticking, or has not had the
+    time.
+
+    **Value:** (whether it died, which masses vibrate).
+    """
+
+    rest: Float[Array, " n"]
+    radius: Float[Array, ""]
+    patience: Float[Array, ""]
+
+    def init(
+        self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State
+    ) -> _Watched:
+        del t1
+        never = jnp.full_like(y0[0], -jnp.inf)
+        since = jnp.zeros_like(y0[0]) + t0
+        none = jnp.zeros(y0[0].shape, bool)
+        return _Watched(never, since, self._dead(field, y0), none)
+
+    def _dead(self, field: AbstractOscillators, state: State) -> Bool[Array, ""]:
+        x, v = state
+        d = x - self.rest
+        return jnp.sum(v * v - d * field.restoring_force(d)) < self.radius**2
+
+    def update(self, accumulator: _Watched, step: Step) -> _Watched:
+        now, field = accumulator, step.field
+        x, v = step.y1
+        switching = field.switching(step.t1, v)
+        assert switching is not None  # what rides on a belt switches
+        speed: Any = field.stick_speed()
+        held = jnp.abs(switching[0]) <= speed
+        held = held & (field.unheld_force(x, v) <= 0)
+        period = 2.0 * jnp.pi / jnp.sqrt(field.stiffness_diagonal(x.shape[0]))
+        anew = held & (step.t1 - now.last > _APART * period)
+        since = jnp.where(anew, step.t1, now.since)
+        dry = isinstance(field, Chain) and field.dry
+        periods = _STICKS if dry else _SMOOTHED_STICKS
+        enough = jnp.maximum(periods * period, self.patience)
+        vibrates = held & (step.t1 - since > enough)
+        died = now.died | self._dead(field, step.y1)
+        return _Watched(jnp.where(held, step.t1, now.last), since, died, now.vibrates | vibrates)
+
+    def settled(self, accumulator: _Watched) -> Bool[Array, ""]:
+        return accumulator.died | jnp.any(accumulator.vibrates)
+
+    def read(self, accumulator: _Watched) -> tuple[Bool[Array, ""], Bool[Array, " n"]]:
+        return accumulator.died, accumulator.vibrates
+
+
+class Trials(eqx.Module):
+    """Runs of a chain that begin with a kick of steady sliding."""
+
+    chain: Chain
+    rest: Float[Array, " n"]
+    radius: Float[Array, ""]
+    rate: Float[Array, ""]  # at which the least disturbance of steady sliding decays
+    horizon: Float[Array, ""]
+    patience: Float[Array, ""]  # see `Fate`
+
+    @classmethod
+    def of(cls, chain: Chain) -> Trials:
+        """Trials of a chain: how fast sliding decays says how long a run takes to decide."""
+        frozen = lax.stop_gradient(chain)
+        rate = -growth_rate(frozen, frozen.belt_speed)
+        # NaN is as good as none.
+        time = jnp.where(rate > 0, _DECAYS / jnp.where(rate > 0, rate, 1.0), _LEAST)
+        horizon = jnp.clip(time + _LEAST, _LEAST, _LONGEST)
+        return cls(
+            frozen, steady_sliding(frozen)[0], quiet_radius(frozen), rate, horizon, jnp.zeros(())
+        )
+
+    def patiently(self, level: Int[Array, ""]) -> Trials:
+        """For a mass that sticks once more and more often until it is said to vibrate."""
+        decay = 1.0 / jnp.where(self.rate > 0, self.rate, 1.0)
+        patience = jnp.asarray(_PATIENCE)[level] * decay
+        return eqx.tree_at(lambda t: t.patience, self, patience)
+
+    def run(self, kick: Float[Array, " n"], observe: Any = None) -> Simulation:
+        """The run after a kick from steady sliding; by default it is watched for its `Fate`."""
+        observe = Fate(self.rest, self.radius, self.patience) if observe is None else observe
+        return _run(self.chain, (self.rest, kick), self.horizon, observe)
+
+    def dies(self, kick: Float[Array, " n"]) -> tuple[Bool[Array, ""], Float[Array, ""]]:
+        """Whether it does, and the time at which that, or that it vibrates, was clear."""
+        run = self.run(kick)
+        return run.observed[0], run.t
+
+    def ends(self, kick: Float[Array, " n"]) -> tuple[Bool[Array, ""], Bool[Array, " n"]]:
+        """Whether any motion is left at the end of a long run, and which masses vibrate there."""
+        amplitude = self.run(kick, observe=Amplitude(window=_WINDOW)).observed
+        stiffness = self.chain.stiffness_diagonal(self.chain.n)
+        # A velocity, to be compared with one.
+        fastest = jnp.max(jnp.sqrt(stiffness) * amplitude)
+        return fastest > 0.5 * self.radius, active(amplitude, self.chain.belt_speed)
+
+    def vibrating_among(self, another: Callable[[Array], Array], tries: int) -> Int[Array, ""]:
+        """How many of so many random kicks another(key) lead to vibration."""
+        if tries == 0:
+            return jnp.zeros((), int)
+
+        def some(chunk: Array) -> Array:
+            number = chunk * _TOGETHER + jnp.arange(_TOGETHER)
+            keys = jax.vmap(lambda k: jax.random.fold_in(jax.random.key(0), k))(number)
+            dead, _ = jax.vmap(self.dies)(jax.vmap(another)(keys))
+            return jnp.sum(~dead & (number < tries))
+
+        return jnp.sum(lax.map(some, jnp.arange(-(-tries // _TOGETHER))))
+
+
+def _run(chain: Chain, initial: State, t1: Any, observe: Any = None) -> Simulation:
+    return simulate(
+        chain, initial, t1, observe=observe, solver=EventDriven(_ORDER) if chain.dry else None,
+        rtol=_RTOL, adjoint=dfx.ForwardMode(), throw=False,
+    )  # fmt: skip
+
+
+def energy_after(chain: Chain, kick: Float[Array, " n"], time: ScalarLike) -> Float[Array, ""]:
+    """E at a time after a kick of steady sliding, to be differentiated forward."""
+    rest = steady_sliding(chain)[0]
+    x, v = _run(chain, (rest, kick), time).state
+    d = x - rest
+    return 0.5 * jnp.sum(v * v - d * chain.restoring_force(d))
+
+
+# By how much a size that dies is raised, and the runs that a threshold may take.
+_RAISE, _MOST_RUNS = 1.25, 200
+# Of the size below which all motions die: certain to.
+_SURELY = 0.999
+# The hardest kick tried: in units of the belt's speed and that of a mass let go.
+_HARDEST = 8.0
+_ONCE = (
+    "The size of a blow knows its first derivatives only: what its normal changes by is not "
+    "computed."
+)
+
+
+def hardest(chain: Chain) -> Float[Array, ""]:
+    """The size of the hardest kick that is tried, in each of sqrt(n) directions."""
+    stiffness = jnp.min(chain.stiffness_diagonal(chain.n))
+    held = jnp.max(chain.greatest_hold()) / jnp.sqrt(stiffness)
+    return _HARDEST * jnp.sqrt(chain.n) * (jnp.abs(chain.belt_speed) + held)
+
+
+def as_direction(n: int, direction: Any) -> Float[Array, "1 n"]:
+    """A vector made one of length 1, in a batch of one, or `ValueError`."""
+    remedy = f"give {n} numbers, one for each mass."
+    found = as_array("direction", direction, 1, 1, remedy)
+    if found.shape != (n,):
+        raise ValueError(f"Argument `direction` has shape {found.shape}, but: {remedy}")
+    check_finite("direction", found, remedy)
+    if not is_traced(found) and not np.any(numbers_of("direction", found)):
+        raise ValueError(
+            f"Argument `direction` must not vanish, but is {shown(direction)}: {remedy}"
+        )
+    return (found / jnp.linalg.norm(found))[None, :]
+
+
+class Threshold(eqx.Module):
+    """Where along a direction motions begin to vibrate.
+
+    `low` dies and `high` vibrates, infinite if nothing up to the hardest kick does; `time` at
+    which `low` was dead; `runs` that it took.
+    """
+
+    low: Float[Array, ""]
+    high: Float[Array, ""]
+    time: Float[Array, ""]
+    runs: Int[Array, ""]
+
+
+class _Bracket(eqx.Module):
+    low: Float[Array, ""]
+    high: Float[Array, ""]
+    dies: Bool[Array, ""]  # whether `low` is known to
+    vibrates: Bool[Array, ""]  # and `high`
+    share: Float[Array, ""]  # what the ends move by if they are on the wrong side
+    time: Float[Array, ""]
+    runs: Int[Array, ""]
+
+
+def upwards(trials: Trials) -> tuple[Array, Array]:
+    """(guess, share) to look for the first threshold there is along a direction.
+
+    From the size that is sure to die upwards, a quarter at a time.
+    """
+    return _SURELY * trials.radius, jnp.zeros(())
+
+
+def threshold(
+    trials: Trials, direction: Float[Array, " n"], guess: Any, share: Any, precision: Any,
+    wanted: Any = True,
+) -> Threshold:  # fmt: skip
+    """r(u) between two sizes that are `precision` of themselves apart.
+
+    From a guess, of which it differs by a `share` or more; see `upwards`.  In a batch, lanes that
+    are not `wanted`, or done, hold up no others: they take no step.
+    """
+    most, surely = hardest(trials.chain), _SURELY * trials.radius
+    share = jnp.asarray(share)
+    first = share == 0
+    low = jnp.maximum(guess * (1.0 - share), surely)
+    share = jnp.where(first, _RAISE - 1.0, share)
+    high = jnp.maximum(guess, surely) * (1.0 + share)
+
+    def going(now: _Bracket) -> Array:
+        wide = now.high - now.low > precision * now.high
+        open_ = ~(now.dies & now.vibrates)
+        more = (now.low < most) & (now.runs < _MOST_RUNS)
+        return wanted & (wide | open_) & more
+
+    def halve(now: _Bracket) -> _Bracket:
+        middle = 0.5 * (now.low + now.high)
+        size = jnp.where(now.vibrates, middle, now.high)
+        size = jnp.where(now.dies, size, now.low)
+        dead, time = trials.dies(jnp.where(going(now), size, 0.0) * direction)
+        lower = jnp.maximum(surely, size * (1.0 - now.share))
+        low = jnp.where(dead, size, jnp.where(now.dies, now.low, lower))
+        high = jnp.where(dead & ~now.vibrates & now.dies, size * (1.0 + now.share), now.high)
+        return _Bracket(
+            low=low,
+            high=jnp.where(dead, high, size),
+            dies=now.dies | dead | (low <= surely),
+            vibrates=now.vibrates | ~dead,
+            share=jnp.where(now.dies & now.vibrates, now.share,
+                            jnp.minimum(2.0 * now.share, _RAISE - 1.0)),
+            time=jnp.where(dead, time, now.time),
+            runs=now.runs + 1,
+        )  # fmt: skip
+
+    no, none = jnp.asarray(False), jnp.zeros((), int)
+    last = lax.while_loop(
+        going, halve, _Bracket(low, high, low <= surely, no, share, jnp.ones(()), none)
+    )
+    found = last.dies & last.vibrates & (last.runs < _MOST_RUNS)
+    return Threshold(last.low, jnp.where(found, last.high, jnp.inf), last.time, last.runs)
+
+
+def normal(
+    trials: Trials, embed: Any, parts: Float[Array, " m"], time: Float[Array, ""]
+) -> Float[Array, " m"]:
+    """z / |z| at the kick embed(parts), out of the basin of steady sliding.
+
+    Forward in m directions at once, which takes a fifth of the time to compile that the way back
+    through a run does, and up to some thirty masses no longer to run.
+    """
+    z = jax.jacfwd(lambda parts: energy_after(trials.chain, embed(parts), time))(parts)
+    z = z / jnp.sqrt(jnp.sum(z**2))
+    return z * jnp.sign(jnp.sum(z * parts))
+
+
+def with_derivative(
+    chain: Chain, size: Float[Array, ""], direction: Float[Array, " n"], time: Float[Array, ""]
+) -> Float[Array, ""]:
+    """The size as a function of the numbers of the chain, the direction held.
+
+    At the gentlest blow the direction's change makes no difference to first order.
+    """
+
+    def residual(u: Array, parameters: Any) -> Array:
+        # Less a number, which has no derivative.
+        own, direction, time = parameters
+        return jnp.reshape(energy_after(own, u[0] * direction, time), 1)
+
+    fixed = lax.stop_gradient((direction, time))
+    return attach_derivative(residual, jnp.reshape(size, 1), (chain, *fixed), once=_ONCE)[0]
+
+
+# What a step shrinks by if refused, and how often it may.
+_SHRINKAGE, _MOST_REFUSED = 0.3, 8
+# A plane's threshold falls by half the angle to its normal squared.  Thresholds are found to so
+# much of the angle squared, within these limits.
+_SHARE, _FINE, _COARSE = 0.03, 1e-11, 1e-3
+# The angle that is good enough where no step helps any more.
+NEARLY = 1e-3
+# By how much what came to no end must be less than what did to count.
+_KINK = 1e-7
+# The longest step, on the unit sphere.
+_LONGEST_STEP = 0.7
+# What a threshold may differ by from that of a plane, in units of the angle squared.
+_BENT, _LEAST_BEND, _MOST_BEND = 1.0, 1e-7, 0.25
+# Starts that are followed together.
+_LANES = 4
+# The angle to which all starts descend; the size errs by half of its square.
+_ANGLE_APART = 3e-3
+
+
+class Descended(eqx.Module):
+    """Where a descent ended: a unit vector, r there, its angle to the normal, and how it went."""
+
+    direction: Float[Array, " m"]
+    size: Float[Array, ""]  # of a kick that vibrates; inf if none does
+    precision: Float[Array, ""]  # of the size, relative
+    angle: Float[Array, ""]
+    normal: Float[Array, " m"]
+    step: Float[Array, " m"]  # from there
+    length: Float[Array, ""]
+    state: PyTree  # of the optimiser
+    refused: Int[Array, ""]
+    count: Int[Array, ""]
+
+
+def search(
+    trials: Trials,
+    embed: Callable[[Array], Array],
+    starts: Float[Array, "chunks lanes m"],
+    steps: int,
+    tolerance: Float[Array, ""],
+    optimiser: optax.GradientTransformation,
+) -> tuple[Descended, Float[Array, " starts"]]:
+    """The end of the best descent, and the sizes in which all of them ended.
+
+    All go on until the angle is small enough to tell them apart, one chunk after the other; then
+    the best ones do until it is `tolerance`.  One loop over all that, whose body is compiled once.
+    """
+    chunks, lanes, _ = starts.shape
+
+    def fresh(start: Array) -> Descended:
+        infinite, none = jnp.asarray(jnp.inf), jnp.zeros((), int)
+        begin = optax.with_extra_args_support(optimiser).init(start)
+        zero = jnp.zeros_like(start)
+        one = jnp.ones(())
+        return Descended(start, infinite, one, infinite, start, zero, one, begin, none, none)
+
+    def chunk(best: Descended, number: Array) -> tuple[Descended, Array]:
+        last = number == chunks
+        own = jax.vmap(fresh)(starts[jnp.minimum(number, chunks - 1)])
+        begin = where(last, best, own)
+        begin = eqx.tree_at(lambda d: (d.count, d.refused), begin, replace_fn=jnp.zeros_like)
+        until = jnp.where(last, tolerance, jnp.maximum(_ANGLE_APART, tolerance))
+        fine = jnp.where(last, 10.0 * _FINE, 1.0)
+        ends = jax.vmap(lambda d: descend(trials, embed, d, steps, until, fine, optimiser))(begin)
+        both = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), ends, best)
+        order = jnp.argsort(jnp.where(jnp.isnan(both.size), jnp.inf, both.size), stable=True)
+        kept = jax.tree.map(lambda leaf: leaf[order[:lanes]], both)
+        return where(last, ends, kept), ends.size
+
+    nothing = jax.vmap(fresh)(starts[0])
+    best, sizes = lax.scan(chunk, nothing, jnp.arange(chunks + 1))
+    # An edge with a kink leads nowhere on either side of it.
+    first = jnp.argmin(best.size * jnp.where(best.angle <= NEARLY, 1.0, 1.0 + _KINK))
+    return jax.tree.map(lambda leaf: leaf[first], best), jnp.sort(sizes[:-1].reshape(-1))
+
+
+def descend(
+    trials: Trials,
+    embed: Callable[[Array], Array],
+    begin: Descended,
+    steps: int,
+    tolerance: Float[Array, ""],
+    fine: Float[Array, ""],
+    optimiser: optax.GradientTransformation,
+) -> Descended:
+    """Minimises ln r(u) from where another descent ended, or began; a kick is r embed(u).
+
+    Until the angle is `tolerance`, and the size is known to `fine`.
+    """
+    transform: Any = optax.with_extra_args_support(optimiser)
+
+    def going(now: Descended) -> Array:
+        hopeful = (now.refused < _MOST_REFUSED) & (now.count < steps)
+        # No threshold along the start: nothing to descend.
+        lost = jnp.isinf(now.size) & (now.count > 0)
+        there = (now.angle <= tolerance) & (now.precision <= fine)
+        return hopeful & ~there & ~lost
+
+    def round_(now: Descended) -> Descended:
+        first, wanted = jnp.isinf(now.angle), going(now)
+        # Where the angle is small enough the size alone is looked at once more.
+        same = now.angle <= tolerance
+        u = now.direction + jnp.where(same, 0.0, now.length) * now.step
+        u = u / jnp.sqrt(jnp.sum(u**2))
+        # That of the plane through the edge at the best point so far.
+        plane = now.size * jnp.sum(now.normal * now.direction) / jnp.sum(now.normal * u)
+        guess, share = upwards(trials)
+        bend = jnp.clip(_BENT * (now.length * now.angle) ** 2, _LEAST_BEND, _MOST_BEND)
+        guess, share = jnp.where(first, guess, plane), jnp.where(first, share, bend)
+        share = jnp.where(same, now.precision, share)
+        precision = jnp.clip(_SHARE * now.angle**2, _FINE, _COARSE)
+        precision = jnp.where(same, _FINE, precision)
+        found = threshold(trials, embed(u), guess, share, precision, wanted)
+        good = jnp.isfinite(found.high)
+        better = found.high <= now.size * (1.0 + 2.0 * _FINE)
+        good = good & (first | same | better)
+        z = normal(trials, embed, found.low * u, jnp.where(good & wanted, found.time, 0.0))
+
+        along = jnp.sum(z * u)
+        tangent = z - along * u
+        angle = jnp.arctan2(jnp.sqrt(jnp.sum(tangent**2)), along)
+        slope = -tangent / along
+        step, state = transform.update(slope, now.state, u, value=jnp.log(found.high), grad=slope)
+        far = jnp.sqrt(jnp.sum(step**2))
+        step = step * jnp.minimum(1.0, _LONGEST_STEP / jnp.where(far > 0, far, 1.0))
+        sound = good & jnp.isfinite(angle) & jnp.all(jnp.isfinite(step))
+        # What was too long once may be again.
+        longer, none = jnp.minimum(1.0, 2.0 * now.length), jnp.zeros((), int)
+        taken = Descended(
+            u, found.high, precision, angle, z, step, longer, state, none, now.count + 1
+        )
+        refused = eqx.tree_at(
+            lambda d: (d.length, d.refused, d.count), now,
+            (_SHRINKAGE * now.length, now.refused + 1, now.count + 1),
+        )  # fmt: skip
+        return where(sound, taken, refused)
+
+    return lax.while_loop(going, round_, begin)
+
+
+def some_starts(m: int, equal: bool, random: int) -> Float[np.ndarray, "chunks lanes m"]:
+    """Unit vectors: single masses, neighbours in and out of phase, all, and random ones."""
+    one = np.eye(m)
+    ways = one[m // 2 :][:1] if equal else one
+    beside = np.roll(ways, 1, axis=1)
+    alternating = (-1.0) ** np.arange(m)
+    some = np.concatenate([ways, ways + beside, ways - beside, np.ones((1, m)), [alternating]])
+    random += -(2 * len(some) + random) % _LANES  # to fill the last chunk
+    chance = np.random.default_rng(0).standard_normal((random, m))
+    found = np.concatenate([some, -some, chance])
+    found = found / np.linalg.norm(found, axis=1, keepdims=True)
+    return found.reshape(-1, _LANES, m)
+
+
+def is_ring_of_equals(chain: Chain) -> bool:
+    """Whether rotations leave the chain as it is, told by the shapes of its numbers alone."""
+    alike = all(a is None or jnp.ndim(a) == 0 for a in chain.numbers().values())
+    return alike and (chain.springs is None or chain.ends == "cyclic")
+
 
 # A threshold of the result errs by this share, and by what a run errs.
 _PRECISION, _NEARBY = 1e-11, 1e-5

@@ -181,8 +181,8 @@ class Ball(AbstractRegion):
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
     >>> from jaxchain.basins import Ball
-    >>> Ball(0.5, masses=[3])
-    Ball(radius=0.5, masses=(3,))
+    >>> Ball(0.5, masses=[3]).masses
+    (3,)
     """
 
     radius: Float[Array, ""] = eqx.field(converter=named("radius"))
@@ -218,8 +218,8 @@ class Gaussian(AbstractRegion):
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
     >>> from jaxchain.basins import Gaussian
-    >>> Gaussian(displacement=1.0, velocity=0.5)
-    Gaussian(displacement=1, velocity=0.5)
+    >>> float(Gaussian(displacement=1.0, velocity=0.5).velocity)
+    0.5
     """
 
     displacement: Float[Array, ""] = eqx.field(converter=named("displacement"))

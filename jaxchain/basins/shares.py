@@ -12,11 +12,13 @@ import math
 import time
 import warnings
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Bool, Float, Int
 
 from .._checks import (
     check_concrete,
@@ -29,18 +31,400 @@ from .._checks import (
     check_whole,
     shown,
 )
-from .._types import ScalarLike
+from .._statistics import student_reach, wilson
+from .._types import ScalarLike, State
+from ..chaos.classification import verdicts
 from ..model.arguments import as_chain
+from ..model.chain import Chain
+from ..result import ended_well
+from ..sweeps.axes import Axes, check_axes, jobs, sizes
+from ..sweeps.programs import starts_on
 from ..sweeps.scheduler import lane_count
-from ..sweeps.sweeping import SweepInterrupted
+from ..sweeps.starts import Starts, with_numbers
+from ..sweeps.sweeping import SweepInterrupted, sweep
 from .classifiers import AbstractClassifier, VibratingMasses
-from .dataset import to_dataset
 from .regions import Points, check_region
-from .runs import LATER, Checked, Runs, check_again, not_checked
-from .tally import Tally, of_replicates
 
 if TYPE_CHECKING:
     from xarray import Dataset
+
+UNDECIDED, FAILED = "undecided", "failed"
+# Runs in or out of a state, for each replicate, below which their scatter says too little.
+_FEW = 2
+
+
+class Batch(NamedTuple):
+    """How runs ended; of each one, over (parameters, replicates, starts)."""
+
+    codes: Int[np.ndarray, "p r s m"]  # as the classifier merges them
+    decided: Bool[np.ndarray, "p r s"]
+    failed: Bool[np.ndarray, "p r s"]
+    since: Float[np.ndarray, "p r s"]
+
+    @staticmethod
+    def read(data: Any, classify: AbstractClassifier, chain: Chain, shape: tuple) -> Batch:
+        """From a dataset of `sweep`, whose last swept dimension is `start`."""
+        lanes = data["result"].values
+        codes = data["state"].values.reshape(lanes.size, -1)
+        merged = classify.merge(codes, chain)
+        flat = {name: data[name].values.reshape(shape) for name in ("decided", "settling_time")}
+        well = ended_well(lanes).reshape(shape)
+        decided = well & (flat["decided"] != 0)
+        return Batch(merged.reshape(*decided.shape, -1), decided, ~well, flat["settling_time"])
+
+
+class Bars(NamedTuple):
+    """Shares and their 95 % intervals over (parameters, states)."""
+
+    share: Float[np.ndarray, "p k"]
+    low: Float[np.ndarray, "p k"]
+    high: Float[np.ndarray, "p k"]
+
+    @property
+    def longest(self) -> float:
+        """Half the length of the longest one."""
+        return float(np.max(self.high - self.low) / 2)
+
+    def widened(self, lost: Float[np.ndarray, "p k"], gained: Float[np.ndarray, "p k"]) -> Bars:
+        """By the shares that were taken for one state and are of another."""
+        lost, gained = np.nan_to_num(lost), np.nan_to_num(gained)
+        low, high = np.maximum(self.low - lost, 0.0), np.minimum(self.high + gained, 1.0)
+        return Bars(self.share, low, high)
+
+
+def of_replicates(values: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray]:
+    """Their mean, and the half-width of its 95 % interval by Student's t."""
+    count = values.shape[axis]
+    spread = np.std(values, axis=axis, ddof=1) / count**0.5
+    return np.mean(values, axis=axis), student_reach(0.95, count - 1) * spread
+
+
+class Tally:
+    """All runs so far, by the number of their state in the order in which states were found."""
+
+    def __init__(self, classify: AbstractClassifier, chain: Chain):
+        self.classify, self.chain = classify, chain
+        self.codes: list[np.ndarray] = []
+        self._numbers: dict[bytes, int] = {}
+        self._batches: list[tuple[np.ndarray, ...]] = []
+
+    @property
+    def starts(self) -> int:
+        """Of each replicate."""
+        return sum(batch[0].shape[2] for batch in self._batches)
+
+    @property
+    def states(self) -> int:
+        """That were found; "undecided" and "failed" come after them."""
+        return len(self.codes)
+
+    def number(self, batch: Batch) -> Int[np.ndarray, "p r s"]:
+        """The number of the state that each run was in when it ended; 0 of one that failed."""
+        well = ~batch.failed
+        different, places = np.unique(batch.codes[well], axis=0, return_inverse=True)
+        known = []
+        for code in different:
+            key = code.tobytes()
+            if key not in self._numbers:
+                self._numbers[key] = len(self.codes)
+                self.codes.append(code)
+            known.append(self._numbers[key])
+        numbers = np.zeros(well.shape, int)
+        numbers[well] = np.array(known, int)[places.ravel()]
+        return numbers
+
+    def add(self, batch: Batch) -> None:
+        """Counts another batch of runs."""
+        self._batches.append((self.number(batch), batch.decided, batch.failed, batch.since))
+
+    def _all(self, part: int) -> np.ndarray:
+        return np.concatenate([batch[part] for batch in self._batches], axis=2)
+
+    @property
+    def at_end(self) -> Int[np.ndarray, "p r s"]:
+        """The state that each run was in when it ended; -1 of one that failed."""
+        return np.where(self._all(2), -1, self._all(0))
+
+    @property
+    def since(self) -> Float[np.ndarray, "p r s"]:
+        """From when on nothing changed any more, of every run."""
+        return self._all(3)
+
+    @property
+    def state(self) -> Int[np.ndarray, "p r s"]:
+        """... or `states` if it was undecided, and one more if it failed."""
+        state = np.where(self._all(1), self._all(0), self.states)
+        return np.where(self._all(2), self.states + 1, state)
+
+    def shares(self, numbers: Int[np.ndarray, "p r s"], states: int) -> Float[np.ndarray, "p r k"]:
+        """Of each state in each replicate."""
+        p, r, s = numbers.shape
+        flat = np.where(numbers < 0, states, numbers).reshape(p * r, s)
+        rows = np.arange(p * r)[:, None] * (states + 1) + flat
+        counts = np.bincount(rows.ravel(), minlength=p * r * (states + 1))
+        return counts.reshape(p, r, states + 1)[..., :states] / s
+
+    def bars(self, *, even: bool) -> Bars:
+        """Of all states, "undecided" and "failed"; `even` if the points come in sequences."""
+        own = self.shares(self.state, self.states + 2)
+        mean, reach = of_replicates(own, 1)
+        total = own.shape[1] * self.starts
+        count = np.round(mean * total)
+        low, high = wilson(count, total)
+        if even:
+            enough = np.minimum(count, total - count) >= _FEW * own.shape[1]
+            low = np.where(enough, np.maximum(mean - reach, 0.0), low)
+            high = np.where(enough, np.minimum(mean + reach, 1.0), high)
+        return Bars(mean, low, high)
+
+
+# At how many times the time it is looked whether a state has changed later.
+LATER = 4
+
+
+class _From(eqx.Module):
+    """The start at a point of a region."""
+
+    region: Any
+
+    def __call__(self, chain: Chain, point: Float[Array, " dimension"]) -> State:
+        return self.region.start(chain, point)
+
+
+class Runs:
+    """The runs from points of a region, at every combination of the parameters."""
+
+    def __init__(
+        self, chain: Chain, region: Any, over: Mapping[str, Any], classify: Any, t1: Any,
+        progress: bool, numerics: dict[str, Any],
+    ):  # fmt: skip
+        self.chain, self.over, self.classify, self.t1 = chain, over, classify, t1
+        self.initial = _From(region)
+        self.numerics: dict[str, Any] = {**numerics, "progress": progress}
+        # Of the parameters, without a start.
+        nowhere = {"start": {"point": np.zeros((1, region.dimension(chain)))}}
+        self.axes: Axes = check_axes(chain, self.initial, {**over, **nowhere})
+        del self.axes["start"]
+        self.coords: dict[str, Any] = {}
+        self.attrs: dict[str, Any] = {}
+
+    def at(self, places: Int[np.ndarray, " runs"]) -> dict[str, np.ndarray]:
+        """The parameters of these places."""
+        own = jobs(self.axes) if self.axes else {}
+        return {name: values[places] for name, values in own.items()}
+
+    @property
+    def shape(self) -> dict[str, int]:
+        """Of the parameters."""
+        return sizes(self.axes)
+
+    def of(self, points: Float[np.ndarray, "replicates starts dimension"]) -> Batch:
+        """From all points at every parameter."""
+        over = {**self.over, "start": {"point": points.reshape(-1, points.shape[-1])}}
+        name = f"shares of {points[..., 0].size} starts"
+        data = self._sweep(over, self.classify, self.t1, name)
+        first = data.isel(start=0, drop=True)
+        named = {str(name): c.variable for name, c in first.coords.items()}
+        own = [name for name in named if name not in ("oscillator", "point")]
+        self.coords = {name: named[name] for name in own}
+        self.attrs = data.attrs
+        return Batch.read(data, self.classify, self.chain, (-1, *points.shape[:2]))
+
+    def again(
+        self, places: Int[np.ndarray, " runs"], points: Float[np.ndarray, "runs d"], times: int
+    ) -> Batch:
+        """From some points, each at the parameters of one place, for `times` the time."""
+        over = {"start": {**self.at(places), "point": points}}
+        name = f"{len(places)} starts again"
+        data = self._sweep(over, self.classify.patient(), times * self.t1, name)
+        return Batch.read(data, self.classify, self.chain, (1, 1, len(places)))
+
+    def _sweep(self, over: Mapping[str, Any], classify: Any, t1: Any, name: str) -> Dataset:
+        with warnings.catch_warnings():
+            # They are a state of their own.
+            warnings.filterwarnings("ignore", message=".* lanes ended with")
+            return sweep(
+                self.chain, self.initial, t1, over=over, observe=classify, description=name,
+                **self.numerics,
+            )  # fmt: skip
+
+    def starts(
+        self, places: Int[np.ndarray, " runs"], points: Float[np.ndarray, "runs d"]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(x, v), both of shape (runs, n), from these points at the parameters of these places."""
+        values = {**self.at(places), "point": points}
+        own = {name: jnp.asarray(column) for name, column in values.items()}
+        made = starts_on(jax.local_devices()[0], Starts(self.chain, self.initial), own)
+        x, v = made.state
+        return np.asarray(x), np.asarray(v)
+
+
+def verdicts_of(
+    runs: Runs, places: Int[np.ndarray, " runs"], x: np.ndarray, v: np.ndarray, progress: bool
+) -> list[str]:
+    """The verdicts on the motions from these starts, each at the parameters of its place."""
+    found = [""] * len(places)
+    for place in np.unique(places):
+        here = np.nonzero(places == place)[0]
+        values = runs.at(np.array([place]))
+        chain = with_numbers(runs.chain, {name: own[0] for name, own in values.items()})
+        settings: dict[str, Any] = {"solver": runs.numerics.get("solver"), "progress": progress}
+        own = verdicts(chain, (jnp.asarray(x[here]), jnp.asarray(v[here])), **settings)
+        for number, one in zip(here, own, strict=True):
+            found[number] = one.verdict
+    return found
+
+
+class Checked(NamedTuple):
+    """What was found by looking at some runs again, as shares over (parameters, states)."""
+
+    lost: Float[np.ndarray, "p k"]  # taken for the state, and in another one at the time t1
+    gained: Float[np.ndarray, "p k"]
+    leaving: Float[np.ndarray, "p k"]  # in another one later
+    runs: int
+
+
+def not_checked(tally: Tally) -> Checked:
+    """Nothing is known of later."""
+    unknown = np.full((tally.at_end.shape[0], tally.states + 2), np.nan)
+    return Checked(unknown, unknown, unknown, 0)
+
+
+def check_again(
+    runs: Runs, tally: Tally, points: Float[np.ndarray, "s d"], most: int, seed: int
+) -> Checked:
+    """What was decided too early, and what changes later, by runs that do not end early.
+
+    At each parameter about `most` of the decisions, as many of each state as its share, and at
+    least one of each as far as they go.
+    """
+    state = tally.state.reshape(tally.state.shape[0], -1)
+    picks: list[tuple[int, int, int, float]] = []  # place, state, start, the share it stands for
+    rng = np.random.default_rng([seed, 1])
+    for place, own in enumerate(state if runs.classify.patient() is not None else ()):
+        found, counts = np.unique(own[own < tally.states], return_counts=True)
+        left = 2 * most
+        for k in np.argsort(-counts) if most else ():
+            wanted = max(1, round(float(most * counts[k] / own.size)))
+            count = min(int(counts[k]), wanted, left)
+            left -= count
+            chosen = rng.choice(np.nonzero(own == found[k])[0], count, replace=False)
+            share = float(counts[k] / own.size / max(count, 1))
+            picks += [(place, int(found[k]), int(start), share) for start in chosen]
+    if not picks:
+        return not_checked(tally)
+    places, before, starts, shares = (np.array(column) for column in zip(*picks, strict=True))
+    after, later = (
+        np.where(batch.failed, before, tally.number(batch)).ravel()
+        for batch in (runs.again(places, points[starts], times) for times in (1, LATER))
+    )
+    lost, gained, leaving = (np.zeros((len(state), tally.states + 2)) for _ in range(3))
+    wrong, gone = after != before, later != after
+    np.add.at(lost, (places[wrong], before[wrong]), shares[wrong])
+    np.add.at(gained, (places[wrong], after[wrong]), shares[wrong])
+    np.add.at(leaving, (places[gone], after[gone]), shares[gone])
+    return Checked(lost, gained, leaving, len(picks))
+
+
+def to_dataset(
+    runs: Runs,
+    tally: Tally,
+    bars: Bars,
+    seen: Checked,
+    points: Float[np.ndarray, "s d"],
+    judge: bool,
+) -> Dataset:
+    """Shares with their bars, and all else that is known of each state, over the parameters.
+
+    **Arguments:** `points` of the cube, of all starts; `judge`, whether verdicts are wanted.
+    """
+    from xarray import Dataset
+
+    from ..sweeps.dataset import LONG_NAMES
+
+    chain, classify, known = runs.chain, runs.classify, tally.states
+    state, at_end = tally.state, tally.at_end
+    numbers = [dict(classify.numbers(code, chain)) for code in tally.codes]
+    failed = np.any(state > known)
+    # Those of which more masses vibrate later; then by how likely they are.
+    likely = -bars.share[:, :known].mean(0)
+    order = sorted(range(known), key=lambda k: (*numbers[k].values(), likely[k]))
+    order += [known, known + 1][: 1 + failed]
+    names = [classify.name(code, chain) for code in tally.codes] + [UNDECIDED, FAILED]
+    first, settling = _of_states(state, tally.since, known + 2)
+    places, states = np.nonzero(first >= 0)
+    x, v = (np.full((*first.shape, chain.n), np.nan) for _ in range(2))
+    at = points[first[places, states]]
+    x[places, states], v[places, states] = runs.starts(places, at)
+    dims, shape = tuple(runs.shape), tuple(runs.shape.values())
+
+    def over(values: np.ndarray, *more: str, states: bool = True) -> tuple:
+        axis = 1 + more.index("state") if states else 0
+        values = np.take(values, order, axis) if states else values
+        return (*dims, *more), values.reshape((*shape, *values.shape[1:]))
+
+    end = tally.shares(at_end, known + 2).mean(1)
+    about_k = {
+        "share": (bars.share, "share of the starts that end in the state"),
+        "low": (bars.low, "lower end of the 95 % interval of the share"),
+        "high": (bars.high, "upper end of the 95 % interval of the share"),
+        "share_at_end": (end, "share of the starts in the state when their runs ended"),
+        "settling_time": (settling, "median time from which nothing changed"),
+    }
+    units = {"settling_time": "1 / omega_n"}
+    variables: dict[str, Any] = {
+        name: (*over(values, "state"), {"long_name": text, "units": units.get(name, "1")})
+        for name, (values, text) in about_k.items()
+    }
+    variables["replicate_share"] = (
+        *over(tally.shares(state, known + 2), "replicate", "state"),
+        {"long_name": "share in one sequence of starts", "units": "1"},
+    )
+    for name, values, unit in (("displacement", x, "x0"), ("velocity", v, "x0 omega_n")):
+        told = {"long_name": f"{name} of a start that ends in the state", "units": unit}
+        variables[f"start_{name}"] = (*over(values, "state", "oscillator"), told)
+    if judge:
+        words = np.full(first.shape, "", dtype="<U32")
+        progress = runs.numerics["progress"]
+        words[places, states] = verdicts_of(
+            runs, places, x[places, states], v[places, states], progress
+        )
+        told = {"long_name": "verdict on the motion from that start", "units": "1"}
+        variables["verdict"] = (*over(words, "state"), told)
+    alone = {
+        "undecided": (bars.share[:, known], "share of the starts that are not decided"),
+        "misclassified": (seen.lost.sum(1), "share of the starts decided too early"),
+        "changed_later": (seen.leaving.sum(1), "share of the starts in another state later"),
+    }
+    for name, (values, text) in alone.items():
+        told = {"long_name": text, "units": "1"}
+        variables[name] = (*over(values, states=False), told)
+    coords = dict(runs.coords)
+    told = {"long_name": "state in which a run ends"}
+    coords["state"] = ("state", np.array([names[k] for k in order]), told)
+    masses = {"long_name": LONG_NAMES["oscillator"], "units": "1"}
+    coords["oscillator"] = ("oscillator", np.arange(1, chain.n + 1), masses)
+    for name in numbers[0] if numbers else ():
+        column = [numbers[k][name] if k < known else np.nan for k in order]
+        told = {"long_name": f"{name}, as the classifier says of the state", "units": "1"}
+        coords[name] = ("state", np.array(column, float), told)
+    return Dataset(variables, coords=coords, attrs=runs.attrs)
+
+
+def _of_states(state: np.ndarray, since: np.ndarray, states: int) -> tuple[np.ndarray, np.ndarray]:
+    """Of each state at each parameter: the first start that ends there (-1 if none), and the
+    median time from which it did not change."""
+    first, median = np.full((len(state), states), -1), np.full((len(state), states), np.nan)
+    # Replicates come one after another within a batch, as the points do.
+    rows = zip(state.reshape(len(state), -1), since.reshape(len(since), -1), strict=True)
+    for place, (own, times) in enumerate(rows):
+        order = np.argsort(own, kind="stable")
+        found, begins = np.unique(own[order], return_index=True)
+        first[place, found] = order[begins]
+        for k, part in zip(found, np.split(times[order], begins[1:]), strict=True):
+            median[place, k] = np.median(part) if k < states - 2 else np.nan
+    return first, median
+
 
 # What else of `sweep` may be given.
 _NUMERICS = ("solver", "accuracy", "rtol", "atol", "max_step", "max_steps")

@@ -13,7 +13,7 @@ from which it comes to slide steadily are the inside of U:
   no other cycle lies inside, all of it comes to rest there, by Poincare and Bendixson: it stays
   bounded, and there is nothing else that it could approach.  Of several cycles around one another
   U is therefore the innermost unstable one: the first fixed point of the return map that moves
-  away, see `basins/innermost.py`.
+  away.
 
 Where there is no cycle, above the fold, everything comes to slide: a motion that sticks is let go,
 and the turn that it begins there comes back slower, inside of itself.  Cycles that overtake the
@@ -26,24 +26,431 @@ nearly are.  Below the Hopf speed only steady sliding itself comes to slide.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from .._checks import check_kind
 from .._final import final
 from .._types import State
+from ..continuation.bracket import bisect
 from ..continuation.implicit import attach_derivative
+from ..cycles.averaging import one_mass
 from ..model.arguments import as_chain
 from ..model.chain import Chain
+from ..observers.base import gauss
 from ..result import Outcome, SearchResult
-from .innermost import find_innermost
+from ..solvers.dormand_prince import step
 from .regions import Box
-from .turns import Mass, turn
+
+# Gauss's nodes on a piece, and halvings of a part of a step that brackets a crossing.
+_NODES, _HALVINGS = 5, 50
+
+
+def hermite(
+    start: Float[Array, "3"], end: Float[Array, "3"], h: Float[Array, ""]
+) -> tuple[Float[Array, "6"], Float[Array, "5"]]:
+    """Coefficients of x and of v = dx/dt in s = t / h, constant ones first.
+
+    **Arguments:** (x, v, v') at t = 0 and at t = `h`.
+    """
+    (x, v, a), last = start, end
+    one, two = h * v, 0.5 * h**2 * a
+    # What a parabola leaves at the end, of the displacement and of its derivatives in s.
+    gap = last[0] - x - one - two
+    slope = h * last[1] - one - 2.0 * two
+    bend = 0.5 * h**2 * last[2] - two
+    rest = (
+        10.0 * gap - 4.0 * slope + bend,
+        -15.0 * gap + 7.0 * slope - 2.0 * bend,
+        6.0 * gap - 3.0 * slope + bend,
+    )
+    displacement = jnp.stack([x, one, two, *rest])
+    return displacement, _derivative(displacement) / h
+
+
+def _value(coefficients: Array, s: Array) -> Array:
+    """A polynomial, whose coefficients are along the last axis, at s."""
+    total = jnp.zeros(jnp.broadcast_shapes(coefficients.shape[:-1], jnp.shape(s)))
+    for k in reversed(range(coefficients.shape[-1])):
+        total = total * s + coefficients[..., k]
+    return total
+
+
+def _derivative(coefficients: Array) -> Array:
+    powers = jnp.arange(1.0, coefficients.shape[-1])
+    return coefficients[..., 1:] * jnp.broadcast_to(powers, coefficients[..., 1:].shape)
+
+
+def crossing(polynomial: Array, low: Array, high: Array) -> tuple[Array, Array]:
+    """(s, whether): where polynomials change sign between `low` and `high`, monotonic there.
+
+    `high` where they do not.  s has derivatives in the coefficients, which are along the last
+    axis: those of a Newton step.
+    """
+    fixed = lax.stop_gradient(polynomial)
+    low, high = (lax.stop_gradient(end) * jnp.ones(fixed.shape[:-1]) for end in (low, high))
+    sign = _value(fixed, low) > 0
+    crosses = sign != (_value(fixed, high) > 0)
+    s, _ = bisect(lambda s: (_value(fixed, s) > 0) == sign, low, high, _HALVINGS)
+    slope = _value(_derivative(fixed), s)
+    slope = jnp.where(crosses & (slope != 0), slope, 1.0)
+    left = _value(polynomial, s)
+    # No change of the value, only of the derivatives.
+    return s - jnp.where(crosses, (left - lax.stop_gradient(left)) / slope, 0.0), crosses
+
+
+def area_of_step(
+    start: Float[Array, "3"],
+    end: Float[Array, "3"],
+    h: Float[Array, ""],
+    displacement: Float[Array, "2"],
+    velocity: Float[Array, "2"],
+) -> Float[Array, ""]:
+    """What one step of the curve gives to the area within the box.
+
+    **Arguments:** (x, v, v') at both ends of the step, a time `h` apart, in which x turns once at
+    most, and v, too; `displacement` = (a, b) and `velocity` = (c, d).
+
+    The integral has its derivatives in all of these, but not in `h`.
+
+    >>> import jax.numpy as jnp
+    >>> times = jnp.linspace(0.0, 2.0 * jnp.pi, 65)  # a circle, clockwise
+    >>> points = jnp.stack([jnp.sin(times), jnp.cos(times), -jnp.sin(times)], axis=1)
+    >>> box = jnp.array([-2.0, 0.0]), jnp.array([0.0, 2.0])
+    >>> steps = [area_of_step(*points[k : k + 2], times[1], *box) for k in range(64)]
+    >>> round(float(4.0 * sum(steps)), 9)
+    3.141592654
+    """
+    x, v = hermite(start, end, h)
+    # Any place is good for a cut where the curve turns, so that it has no derivatives.
+    turning = lax.stop_gradient(jnp.stack([v, jnp.append(_derivative(v), 0.0)]))
+    turns, _ = crossing(turning, jnp.zeros(()), jnp.ones(()))
+    ends = jnp.sort(jnp.concatenate([jnp.zeros(1), lax.stop_gradient(turns), jnp.ones(1)]))
+    # The four lines, on each of the three parts.
+    lines = jnp.zeros((4, 6))
+    lines = lines.at[:2].set(x).at[2:, :5].set(v)
+    lines = lines.at[:, 0].add(-jnp.concatenate([displacement, velocity]))
+    cuts, crosses = crossing(jnp.broadcast_to(lines, (3, 4, 6)), ends[:-1, None], ends[1:, None])
+    cuts = jnp.where(crosses, cuts, ends[1:, None])
+    places = jnp.sort(jnp.concatenate([ends, cuts.ravel()]))
+    low, length = places[:-1], jnp.diff(places)
+    nodes, weights = gauss(_NODES)
+    s = low[:, None] + length[:, None] * nodes[None]
+    speed = _value(v, s)
+    middle = lax.stop_gradient(low + 0.5 * length)
+    rate = boxed(_value(x, middle), _value(v, middle), speed, displacement, velocity)
+    return h * jnp.sum(length * (rate @ weights))
+
+
+def boxed(
+    x: Float[Array, "*pieces"],
+    v: Float[Array, "*pieces"],
+    speed: Float[Array, "*more"],
+    displacement: Float[Array, "2"],
+    velocity: Float[Array, "2"],
+) -> Float[Array, "*more"]:
+    """clip(speed) speed where x is within the box; which of the three it is, a `v` decides.
+
+    `speed` may have an axis more than `x` and `v`, the last one.
+    """
+    (a, b), (c, d) = displacement, velocity
+    inside = (x > a) & (x < b)
+    more = (*jnp.shape(v), *(1,) * (jnp.ndim(speed) - jnp.ndim(v)))
+    below, above, inside = (jnp.reshape(given, more) for given in (v < c, v > d, inside))
+    return jnp.where(inside, jnp.where(below, c, jnp.where(above, d, speed)) * speed, 0.0)
+
+
+# Error of a step over the greatest velocity, and over the force, which is rounding; steps of a
+# turn, with those that are made again.
+_TOLERANCE, _ROUNDING, _MOST = 1e-13, 1e-15, 2000
+# Longest steps, times omega: of a turn alone, and of one whose area is wanted.
+COARSE, FINE = 0.5, 0.05
+# A landing this near, in time, is mended to first order; motions that lose so much die.
+_NEAR, _DEAD = 1e-8, 1e-3
+# A mass sticks that comes closer to the belt's speed than the cycle of a fold does, for which
+# w / eps = -1 - ln(v_d / eps) / 4; so much closer.
+_STICKS = 0.75
+
+
+class Mass(eqx.Module):
+    """A chain of one mass whose belt runs to the right, so that its mirror image is the same."""
+
+    chain: Chain
+
+    @staticmethod
+    def of(chain: Chain) -> Mass:
+        """The one mass of a chain, with its belt running forward."""
+        alone = one_mass(chain, 0)
+        return Mass(eqx.tree_at(lambda c: c.belt_speed, alone, jnp.abs(alone.belt_speed)))
+
+    @property
+    def stiffness(self) -> Array:
+        """k."""
+        return jnp.asarray(self.chain.stiffness)
+
+    @property
+    def highest(self) -> Array:
+        """The velocity at which it sticks."""
+        speed, width = self.chain.belt_speed, self.chain.width
+        if self.chain.dry:
+            return speed
+        fold = 1.0 + 0.25 * jnp.log(jnp.maximum(speed / width, 1.0))
+        return speed - _STICKS * fold * width
+
+    @property
+    def rest(self) -> Array:
+        """x_s."""
+        return self.force(jnp.zeros(())) / self.stiffness
+
+    def force(self, v: Array) -> Array:
+        """f(v), that of a mass behind the belt."""
+        chain = self.chain
+        if chain.dry:
+            # 0 at least: laws are defined no further.
+            pull = chain.law.coefficient(jnp.maximum(chain.belt_speed - v, 0.0))
+        else:
+            pull = chain.friction.force(v - chain.belt_speed)
+        return chain.load * pull - 2.0 * chain.damping_ratio * v
+
+    def acceleration(self, y: Array, v: Array) -> Array:
+        """v' at a distance y from steady sliding and a velocity v, both along the belt."""
+        return self.force(v) - self.force(jnp.zeros(())) - self.stiffness * y
+
+    def damping(self) -> Array:
+        """d = -f'(0): sliding is stable where it is positive."""
+        return -jax.jvp(self.force, (jnp.zeros(()),), (jnp.ones(()),))[1]
+
+
+class Turn(NamedTuple):
+    """What a turn ends with.
+
+    - `fastest`: P(v); the velocity at which it sticks if it does; 1e-3 v if it comes to rest.
+    - `period`: the time of the turn.
+    - `area`: of the box, what is inside of the curve, if that closes.
+    - `up`, `down`: the velocities at x_s.
+    - `sticks`: whether it came to stick.
+    - `ended`: whether it came back, or to rest, or stuck; if not, nothing is known.
+    """
+
+    fastest: Float[Array, ""]
+    period: Float[Array, ""]
+    area: Float[Array, ""]
+    up: Float[Array, ""]
+    down: Float[Array, ""]
+    sticks: Bool[Array, ""]
+    ended: Bool[Array, ""]
+
+
+class _Now(NamedTuple):
+    point: Float[Array, "3"]  # (y, v, v')
+    time: Float[Array, ""]
+    h: Float[Array, ""]
+    steps: Int[Array, ""]
+    back: Bool[Array, ""]  # whether v has been negative
+    sticks: Bool[Array, ""]
+    dies: Bool[Array, ""]
+    over: Bool[Array, ""]
+    seen: Any  # (area, up, down), or ()
+
+
+def turn(mass: Mass, fastest: Any, box: tuple[Array, Array] | None = None) -> Turn:
+    """The turn that begins with the greatest velocity `fastest`.
+
+    **Arguments:** `box`: (displacement, velocity), of which the area is wanted; None, where only
+    what comes back is.
+
+    Steps are of order 8 with their error controlled; the last one lands on the greatest velocity.
+    Derivatives, forward, are those of the steps, and to first order of the landing.
+    """
+    fastest = jnp.asarray(fastest)
+    k = mass.stiffness
+    omega = jnp.sqrt(lax.stop_gradient(k))
+    allowed = _TOLERANCE * fastest + _ROUNDING * jnp.abs(mass.force(jnp.zeros(())))
+    allowed = lax.stop_gradient(allowed)
+    longest = (COARSE if box is None else FINE) / omega
+
+    def rate(flat: Array) -> Array:
+        return jnp.stack([flat[1], mass.acceleration(flat[0], flat[1])])
+
+    def jerk(point: Array) -> Array:
+        slope = jax.jvp(mass.force, (point[1],), (jnp.ones(()),))[1]
+        return slope * point[2] - k * point[1]
+
+    def observe(now: _Now, point: Array) -> Any:
+        if box is None:
+            return ()
+        area, up, down = now.seen
+        rest = jnp.stack([mass.rest, 0.0, 0.0])
+        area = area + area_of_step(now.point + rest, point + rest, now.h, *box)
+        x, v = hermite(now.point, point, now.h)
+        s, crosses = crossing(x, jnp.zeros(()), jnp.ones(()))
+        there = sum(v[i] * s**i for i in range(5))
+        up = jnp.where(crosses & (there > 0), there, up)
+        return area, up, jnp.where(crosses & (there < 0), there, down)
+
+    def body(now: _Now) -> _Now:
+        flat, error = step(rate, now.point[:2], now.point[1:], now.h)
+        point = jnp.append(flat, rate(flat)[1])
+        known, before = lax.stop_gradient((point, now.point))
+        miss = jnp.max(jnp.abs(lax.stop_gradient(error)))
+        miss = miss / allowed
+        good = miss <= 1.0
+        rising = now.back & (known[1] > 0) & (before[2] > 0)
+        beyond = rising & (known[2] <= 0)
+        left = -known[2] / lax.stop_gradient(jerk(point))
+        landed = good & rising & (jnp.abs(left) * omega <= _NEAR)
+        # Beyond the greatest velocity the step is made again, to it.
+        accepted = good & (landed | ~beyond)
+        share = jnp.clip(0.9 * (miss + 1e-30) ** -0.125, 0.2, 3.0)
+        h = jnp.where(
+            good & beyond, jnp.clip(now.h + left, 0.01 * now.h, 0.99 * now.h), share * now.h
+        )
+        h = jnp.where(jnp.isfinite(miss), h, 0.2 * now.h)
+        sticks = accepted & now.back & (known[1] >= lax.stop_gradient(mass.highest))
+        size = jnp.sqrt((omega * known[0]) ** 2 + known[1] ** 2)
+        dies = accepted & (size <= _DEAD * lax.stop_gradient(fastest))
+        seen = jax.tree.map(
+            lambda new, old: jnp.where(accepted, new, old), observe(now, point), now.seen
+        )
+        return _Now(
+            point=jnp.where(accepted, point, now.point),
+            time=now.time + jnp.where(accepted, now.h, 0.0),
+            h=lax.stop_gradient(jnp.minimum(h, longest)),
+            steps=now.steps + 1,
+            back=now.back | accepted & (known[1] < 0),
+            sticks=sticks,
+            dies=dies,
+            over=landed | sticks | dies,
+            seen=seen,
+        )
+
+    start = jnp.stack([fastest, jnp.zeros(())])
+    y = (mass.force(fastest) - mass.force(jnp.zeros(()))) / k
+    no, nothing = jnp.asarray(False), jnp.zeros(())
+    now = _Now(
+        jnp.append(y, start), nothing, 0.02 / omega, jnp.zeros((), int), no, no, no, no,
+        () if box is None else (nothing,) * 3,
+    )  # fmt: skip
+    last = lax.while_loop(lambda now: ~now.over & (now.steps < _MOST), body, now)
+    _, v, a = last.point
+    # From where it landed to the greatest velocity, to first order.
+    left = jnp.where(last.sticks, 0.0, -a / lax.stop_gradient(jerk(last.point)))
+    area, up, down = last.seen or (nothing,) * 3
+    if box is not None:
+        here = last.point[0] + mass.rest, v
+        area = area + left * boxed(*lax.stop_gradient(here), v, *box)
+    next_one = jnp.where(last.sticks, mass.highest, v + 0.5 * left * a)
+    next_one = jnp.where(last.dies, _DEAD * fastest, next_one)
+    return Turn(next_one, last.time + left, area, up, down, last.sticks, last.over)
+
+
+# The least greatest velocity looked at, a share of that at which a mass sticks.
+LEAST = 1e-4
+_INNER = np.geomspace(LEAST, 0.1, 16)
+_MIDDLE = np.linspace(0.1, 0.95, 30)[1:]
+# Ever finer near the belt's speed, where laws may weaken fast.
+_OUTER = 1.0 - np.geomspace(0.05, 1e-4, 14)[1:]
+_SHARES = np.concatenate([_INNER, _MIDDLE, _OUTER, [1.0]])
+# Below the velocity at which a mass sticks, in widths: the layer in which friction is smoothed.
+_LAYER = np.geomspace(40.0, 0.05, 16)
+# Places of each closer look, and how many looks; what is left is a secant.
+_PLACES, _LOOKS = 16, 8
+# Of a turn that begins where the mass leaves the belt, and ends there.
+_STUCK = 1e-12
+# In steady sliding friction that is smoothed falls as the speed rises, else a mass creeps.
+_SLIDES = 2.0
+
+
+class Innermost(NamedTuple):
+    """- `fastest`: its greatest velocity along the belt; NaN if there is no cycle, or none known.
+    - `share_of_plane`: 1 where all motions come to slide, 0 where sliding is unstable; NaN where
+      there is a cycle, or nothing is known.
+    - `result`: why nothing is known.
+    """
+
+    fastest: Float[Array, ""]
+    share_of_plane: Float[Array, ""]
+    result: SearchResult
+
+
+def find_innermost(mass: Mass) -> Innermost:
+    """Nothing in here is to be differentiated.
+
+    A pair of cycles between two places of the grid shows as a summit of ln P(v) / v below zero:
+    the highest one is looked at closely, too.
+    """
+    highest = mass.highest
+    tops = highest * jnp.asarray(_SHARES)
+    if not mass.chain.dry:
+        layer = highest - mass.chain.width * jnp.asarray(_LAYER)
+        tops = jnp.sort(jnp.concatenate([tops, jnp.maximum(layer, tops[0])]))
+
+    def gain(tops: Array) -> tuple[Array, Array]:
+        turns = jax.vmap(lambda top: turn(mass, top))(tops)
+        values = jnp.log(turns.fastest / tops)
+        # What leaves the belt and sticks again has not lost anything.
+        return jnp.where(turns.sticks, jnp.maximum(values, _STUCK), values), turns.ended
+
+    values, ended = gain(tops)
+    index = jnp.arange(tops.size)
+    rises = jnp.append((values[:-1] <= 0) & (values[1:] > 0), False)
+    rise = jnp.min(jnp.where(rises, index, tops.size))
+    middle = values[1:-1]
+    summits = (
+        (middle >= values[:-2]) & (middle >= values[2:]) & (middle <= 0) & (index[2:] <= rise)
+    )
+    summit = 1 + jnp.argmax(jnp.where(summits, middle, -jnp.inf))
+
+    def look(ends: Array) -> tuple[Array, Array]:
+        def closer(_: Any, now: tuple[Array, Array]) -> tuple[Array, Array]:
+            places = jnp.linspace(now[0][0], now[0][1], _PLACES)
+            values, _ = gain(places)
+            inside = (values[:-1] <= 0) & (values[1:] > 0)
+            best = jnp.clip(jnp.argmax(values), 1, _PLACES - 2)
+            first = jnp.where(jnp.any(inside), jnp.argmax(inside), best - 1)
+            both = first + jnp.stack([0, jnp.where(jnp.any(inside), 1, 2)])
+            return places[both], values[both]
+
+        (low, high), (before, after) = lax.fori_loop(0, _LOOKS, closer, (ends, jnp.zeros(2)))
+        crosses = (before <= 0) & (after > 0)
+        share = before / jnp.where(crosses, before - after, 1.0)
+        return jnp.where(crosses, low + share * (high - low), jnp.nan), crosses
+
+    last = tops.size - 1
+    lows = jnp.stack([tops[jnp.maximum(summit - 1, 0)], tops[jnp.minimum(rise, last - 1)]])
+    highs = jnp.stack([tops[jnp.minimum(summit + 1, last)], tops[jnp.minimum(rise + 1, last)]])
+    found, crosses = lax.map(look, jnp.stack([lows, highs], axis=1))
+    inner, outer = crosses & jnp.stack([jnp.any(summits), rise < tops.size])
+    fastest = jnp.where(inner, found[0], jnp.where(outer, found[1], jnp.nan))
+    return _judged(mass, fastest, inner | outer, values, jnp.all(ended))
+
+
+def _judged(
+    mass: Mass, fastest: Array, exists: Bool[Array, ""], values: Array, ended: Bool[Array, ""]
+) -> Innermost:
+    chain, damping = mass.chain, mass.damping()
+    creeps = chain.belt_speed <= _SLIDES * mass.chain.stick_speed()
+    stable, unstable = damping > 0, damping < 0
+    # The smallest turns must do as linear motions do.
+    agrees = values[0] < 0
+    known = ended & ~creeps
+    cycle = known & stable & agrees & exists
+    none = known & stable & agrees & ~exists & (chain.damping_ratio > 0)
+    all_slide = jnp.where(unstable & ~creeps, 0.0, jnp.where(none, 1.0, jnp.nan))
+    of = SearchResult
+    result = of.where(stable & ~agrees | (damping == 0), of.at_hopf, of.undamped)
+    result = of.where(ended, result, of.max_steps_reached)
+    result = of.where(creeps, of.creeps, result)
+    result = of.where(jnp.isfinite(damping + chain.belt_speed), result, of.nonfinite)
+    result = of.where(cycle | jnp.isfinite(all_slide), of.successful, result)
+    return Innermost(jnp.where(cycle, fastest, jnp.nan), all_slide, result)
+
 
 # What may be left of the return, compared with the greatest velocity.
 _CLOSED = 1e-9
@@ -133,7 +540,7 @@ def sliding_basin(chain: Chain, box: Box | None = None) -> SlidingBasin:
     **How:** the first fixed point of the return map of the greatest velocity that moves away, on
     a grid of some 60 velocities up to the belt's, closer looks at the first that rises and at the
     highest summit before it; then one turn of the cycle in steps of order 8,
-    whose area within the box is integrated from step to step (`basins/enclosed_area.py`).
+    whose area within the box is integrated from step to step.
 
     **Result:** `at_hopf` so near a Hopf point that the cycle is smaller than the grid begins;
     `creeps` for a belt that rests, or is slower than twice the speed of greatest friction;

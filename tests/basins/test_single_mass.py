@@ -1,17 +1,164 @@
 """The basin of steady sliding of one mass against SciPy, runs, differences, and itself."""
 
+import itertools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.integrate import quad
 
 import jaxchain as jc
 from jaxchain.basins import Box, blow_of_one_mass, sliding_basin, sliding_share
-from jaxchain.model import Chain, GaussianStribeck
-from jaxchain.result import name_of
+from jaxchain.basins.single_mass import Mass, area_of_step, find_innermost, turn
+from jaxchain.model import AbstractFrictionLaw, Chain, Coulomb, GaussianStribeck
+from jaxchain.result import SearchResult, name_of
 
 from .planes import Plane
+
+BOXES = (
+    (-2.0, 2.0, -2.0, 2.0), (-0.5, 0.7, -0.2, 0.9), (-2.0, 0.3, 0.0, 2.0),
+    (-0.9, 0.2, -1.5, -0.3), (0.1, 0.9, 0.2, 0.8), (1.2, 1.5, 0.0, 2.0), (-1.0, 1.0, -1.0, 1.0),
+)  # fmt: skip
+
+
+@jax.jit
+def area(radius, box):
+    """Of a circle, in 96 steps that begin anywhere."""
+    times = jnp.linspace(0.0, 2.0 * jnp.pi, 97) + 0.1
+    x, v = radius * jnp.sin(times), radius * jnp.cos(times)
+    points = jnp.stack([x, v, -x], axis=1)
+    step = lambda a, b: area_of_step(a, b, times[1] - times[0], box[:2], box[2:])  # noqa: E731
+    return jnp.sum(jax.vmap(step)(points[:-1], points[1:]))
+
+
+def exact(radius, box):
+    a, b, c, d = box
+
+    def height(x):
+        half = np.sqrt(max(radius**2 - x**2, 0.0))
+        return np.clip(half, c, d) - np.clip(-half, c, d)
+
+    corners = [s * np.sqrt(radius**2 - e**2) for e in (c, d) if abs(e) < radius for s in (-1, 1)]
+    inside = [x for x in corners if max(a, -radius) < x < min(b, radius)]
+    ends = sorted([max(a, -radius), *inside, min(b, radius)])
+    pairs = itertools.pairwise(ends)
+    return sum(quad(height, *pair, epsabs=1e-13)[0] for pair in pairs if pair[0] < pair[1])
+
+
+@pytest.mark.parametrize("box", BOXES)
+def test_the_area_of_a_circle_in_a_box_is_that_of_calculus(box):
+    """The last box touches the circle with all four edges."""
+    assert float(area(1.0, jnp.asarray(box))) == pytest.approx(exact(1.0, box), abs=1e-11)
+
+
+@pytest.mark.parametrize("box", BOXES[1:-1])
+def test_it_has_its_derivatives_in_the_edges_and_in_the_curve(box):
+    by_radius, by_box = jax.grad(area, (0, 1))(1.0, jnp.asarray(box))
+    small = 1e-6
+    for k in range(4):
+        moved = small * np.eye(4)[k]
+        slope = (exact(1.0, box + moved) - exact(1.0, box - moved)) / (2.0 * small)
+        assert float(by_box[k]) == pytest.approx(slope, abs=1e-8)
+    slope = (exact(1.0 + small, box) - exact(1.0 - small, box)) / (2.0 * small)
+    assert float(by_radius) == pytest.approx(slope, abs=1e-8)
+
+
+K, XI = 1.7, 0.03
+
+
+def mass(xi=XI):
+    """Friction that does not change: a linear oscillator behind the belt."""
+    return Mass.of(Chain(1, Coulomb(0.5), belt_speed=-2.0, damping_ratio=xi, stiffness=K))
+
+
+@jax.jit
+def around(mass, fastest):
+    return turn(mass, fastest, (jnp.array([-5.0, 5.0]), jnp.array([-5.0, 5.0])))
+
+
+def test_a_linear_turn_is_that_of_the_textbook():
+    frequency = np.sqrt(K - XI**2)
+    period = 2.0 * np.pi / frequency
+    for fastest in (1e-3, 0.4, 1.9):
+        found = around(mass(), fastest)
+        assert bool(found.ended)
+        assert not bool(found.sticks)
+        assert float(found.period) == pytest.approx(period, abs=1e-11)
+        lost = fastest * np.exp(-XI * period)
+        assert float(found.fastest) == pytest.approx(lost, rel=1e-11)
+        assert -float(found.down) < fastest
+
+
+def test_without_damping_the_area_is_that_of_the_ellipse():
+    found = around(mass(0.0), 0.8)
+    assert float(found.area) == pytest.approx(np.pi * 0.8**2 / np.sqrt(K), abs=1e-11)
+    assert float(found.up) == pytest.approx(0.8, abs=1e-12)
+    assert float(found.down) == pytest.approx(-0.8, abs=1e-12)
+
+
+def test_what_is_damped_so_much_that_it_does_not_turn_comes_to_rest():
+    found = around(mass(3.0), 1.0)
+    assert bool(found.ended)
+    assert float(found.fastest) < 0.01
+
+
+def test_what_comes_as_fast_as_the_belt_sticks():
+    found = around(mass(-0.1), 1.9)
+    assert bool(found.sticks)
+    assert float(found.fastest) == 2.0
+
+
+class Wavy(AbstractFrictionLaw):
+    """About a belt speed of 1.5 friction feeds and takes by turns: cycles of 0.5, 0.8 and 1.1."""
+
+    mu_static: float
+    share: float
+
+    def coefficient(self, speed):
+        # What v^(2 k + 1) works over a period, v = A cos(theta), is A^(2 k + 1) over these.
+        shares = 1.0, 0.75, 0.625, 35.0 / 64.0
+        p, q, r = 0.25, 0.64, 1.21  # roots of the work as a function of A^2
+        weights = -p * q * r, p * q + q * r + r * p, -(p + q + r), 1.0
+
+        def wave(u):
+            terms = [
+                w / c * u ** (2 * k + 1)
+                for k, (w, c) in enumerate(zip(weights, shares, strict=True))
+            ]
+            return sum(terms) * jnp.exp(-((u / 1.8) ** 16))
+
+        return self.mu_static + self.share * (wave(1.5 - speed) - wave(1.5))
+
+
+@pytest.mark.long
+def test_of_nested_cycles_it_is_the_innermost_unstable_one():
+    """Three cycles round each other: unstable, stable, unstable; the stable one slips only."""
+    chain = Chain(1, Wavy(1.0, 0.02), belt_speed=1.5, damping_ratio=1e-9)
+    found = find_innermost(Mass.of(chain))
+    assert bool(found.result == SearchResult.successful)
+    assert float(found.fastest) == pytest.approx(0.5, abs=0.02)
+    x, _ = jc.steady_sliding(chain)
+    for share_of, amplitude in ((0.97, 0.0), (1.03, 0.8)):
+        start = x, jnp.full(1, share_of * float(found.fastest))
+        run = jc.simulate(chain, start, 6000.0, observe=jc.Amplitude(window=20.0))
+        assert float(run.observed[0]) == pytest.approx(amplitude, abs=0.05)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("width", [1e-5, 1e-3, 1e-2, 0.1])
+def test_it_ends_where_the_fold_is(width):
+    chain = jc.paper_chain(1, 1.5, width)
+    fold = float(jc.fold_belt_speed(chain))
+    below, above = (
+        find_innermost(Mass.of(chain.with_(belt_speed=fold + off))) for off in (-1e-7, 1e-7)
+    )
+    assert 0.7 * fold < float(below.fastest) < fold
+    assert np.isnan(above.fastest)
+    assert float(above.share_of_plane) == 1.0
+    assert name_of(above.result) == "successful"
+
 
 # Belt speeds, and about how far to the right of rest the unstable cycle goes.
 CYCLES = {1.16: 0.187, 1.3: 0.79, 1.45: 1.15, 1.6: 1.44, 1.75: 1.70, 1.83: 1.84}
