@@ -1,14 +1,7 @@
 """Lyapunov exponents, and the verdict on a motion: regular, chaotic or undecided.
 
-- `benettin`: disturbances carried along an orbit and kept apart by QR
 - `classification`: `verdict`, from an ensemble of long runs
-- `criteria`: at rest, periodic, quasi-periodic, chaotic, or still changing
-- `lyapunov`: `lyapunov_spectrum`, smoothed and across dry events
-- `orbits`: what the record of a run says of its orbit
-- `poincare`: long runs in windows, and whether what is seen there comes back
-- `records`: evidence and verdicts, as plain data
-- `runs`: the runs behind a verdict
-- `spectrum`: exponents with their errors, and the dimension they imply
+- `lyapunov`: `lyapunov_spectrum`, smoothed and across dry events, with errors
 """
 
 import lazy_loader

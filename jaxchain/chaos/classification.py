@@ -1,12 +1,17 @@
-"""The verdict on a motion from an ensemble of long runs; `chaos/criteria.py` says what decides."""
+"""The verdict on a motion from an ensemble of long runs; `Criteria` says what decides."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, NamedTuple, TypeAlias
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Bool, Float
 
 from .._checks import (
     check_concrete,
@@ -18,16 +23,781 @@ from .._checks import (
     shown,
     to_float,
 )
+from .._final import final
 from .._progress import progress_bar
+from .._statistics import mean_interval
+from .._types import ScalarLike, State
+from ..cycles.closing import ClosedOrbit, close_orbit
 from ..model.arguments import as_chain, as_state
 from ..model.chain import Chain
 from ..model.oscillators import AbstractOscillators
+from ..observers.amplitude import Amplitude
+from ..observers.peaks import PeakTimes
+from ..observers.quantities import energy
+from ..observers.section import Section
+from ..result import NAMES, Printed, code, ended_well, message
 from ..simulation.accuracy import MAX_STEP, check_resolved, check_tolerances, own_solver
 from ..simulation.event_driven import EventDriven
-from .criteria import Criteria, classify, judge_exponents, judge_torus
-from .orbits import judge_orbit
-from .records import Evidence, Verdict
-from .runs import Numerics, Trial, advance, exponents_of
+from ..simulation.run import simulate
+from ..sweeps.programs import map_lanes
+from .lyapunov import lyapunov_spectrum
+
+KINDS = ("rest", "cycle", "unstable", "chaos", "torus", "open")
+VERDICTS = ("at rest", "periodic", "quasi-periodic", "chaotic", "transient", "failed")
+# The verdict that each kind stands for.
+MEANINGS = {"rest": "at rest", "cycle": "periodic", "torus": "quasi-periodic", "chaos": "chaotic"}
+
+
+@final
+@dataclass(repr=False)
+class Evidence(Printed):
+    """What is known of one run of an ensemble; NaN, or empty, is not known.
+
+    - `noise`: standard deviation of what was added to the start; `seed`.
+    - `kind`: one of `KINDS`, or the name of a failure; `time`: how long the run was; `locked_at`:
+      by when it was found on, or bound for, its orbit.
+    - `active`: who vibrates; `energy`, `energy_deviation`: mean and deviation over the windows of
+      the last record; `drift`: relative difference of the means of its halves; `novelty`: see
+      `recurrence.novelty`.
+    - `period`, `returns`: of the orbit and of its maxima; `spread`: see `Recurrence`.
+    - `exponents`, `low`, `high`: the leading ones with 95 % intervals, descending; of a closed
+      orbit those of its multipliers, the first being the zero of the flow.  -inf is a direction
+      that sticking annihilates, NaN one that is too small to be told from rounding: of a closed
+      orbit, anything below `high`.
+    - `smooth`: the same exponents by smoothly weighted averages, see `LyapunovSpectrum`;
+      `exponent_time`: over how long, 0 where they are those of multipliers.
+    - `slips`: most cycles that a vibrating mass gained on another in the second half of the last
+      record; `delays`: of each vibrating mass at the end, in periods.
+    - `symmetry_time`, `symmetry`: see `symmetry_defect`.
+    - `state`: (x, v) at the end.
+
+    !!! example
+
+        >>> import jax, jax.numpy as jnp
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import paper_chain, verdict
+        >>> chain = paper_chain(1, belt_speed=1.5, width=None)
+        >>> start = jnp.array([2.2]), jnp.zeros(1)
+        >>> found = verdict(chain, start, noise=(1e-3,), seeds=1)
+        >>> for run in found.runs:
+        ...     print(run.noise, run.kind, round(run.period, 3), run.active, run.relaxation_time)
+        0.0 cycle 6.316 [ True] 0.0
+        0.001 cycle 6.316 [ True] 0.0
+    """
+
+    noise: float
+    seed: int
+    kind: str = "open"
+    time: float = 0.0
+    locked_at: float = math.nan
+    active: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
+    energy: float = math.nan
+    energy_deviation: float = math.nan
+    drift: float = math.nan
+    novelty: float = math.nan
+    period: float = math.nan
+    returns: int = 0
+    spread: float = math.nan
+    exponents: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    low: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    high: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    smooth: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    exponent_time: float = 0.0
+    slips: float = math.nan
+    delays: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    symmetry_time: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    symmetry: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    state: tuple[np.ndarray, np.ndarray] | None = None
+
+    @property
+    def decided(self) -> bool:
+        """Whether a longer run would say nothing new.
+
+        A run with noise has to leave an unstable orbit: noise of 1e-8 takes 18 e-folding times to
+        show.
+        """
+        return self.kind != "open" and (self.kind != "unstable" or self.noise == 0.0)
+
+    @property
+    def relaxation_time(self) -> float:
+        """1 / |slowest exponent| of an attracting orbit: in so long the distance falls by e.
+
+        0 where sticking annihilates every distance; infinite where the orbit is one of a family,
+        as that of masses which are not coupled; NaN where the exponent is not resolved: then it
+        is below `longest_relaxation_time`.
+        """
+        return self._time(self.exponents)
+
+    @property
+    def longest_relaxation_time(self) -> float:
+        """The relaxation time of the greatest exponent that there may be."""
+        return self._time(self.high)
+
+    def _time(self, exponents: np.ndarray) -> float:
+        known = self.kind == "cycle" and len(exponents) > 1
+        rate = abs(float(exponents[1])) if known else math.nan
+        return 1.0 / rate if rate else math.inf
+
+
+@final
+@dataclass(frozen=True, repr=False)
+class Verdict(Printed):
+    """What an ensemble of runs from one start says.
+
+    - `verdict`: "at rest", "periodic", "quasi-periodic", "chaotic", "transient" (not decided) or
+      "failed"; `reason`, a sentence with the numbers; `remedy`: what would decide a transient, or
+      what to do about a run that failed, else empty.
+    - `undisturbed`: the verdict on the start itself; `depends_on_noise`: whether that differs.
+    - `runs`: an `Evidence` each; `longest`: the longest time that was simulated.
+
+    !!! example
+
+        >>> import jax, jax.numpy as jnp
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import paper_chain, verdict
+        >>> chain = paper_chain(1, belt_speed=1.5, width=None)
+        >>> start = jnp.array([2.2]), jnp.zeros(1)
+        >>> found = verdict(chain, start, noise=(1e-3,), seeds=1)
+        >>> found.verdict, found.depends_on_noise, found.lead.kind
+        ('periodic', False, 'cycle')
+        >>> print(found.reason)
+        2 runs: 2 cycle; locked by 2000 to 2000, slowest relaxation time 0
+    """
+
+    verdict: str
+    reason: str
+    remedy: str
+    undisturbed: str
+    depends_on_noise: bool
+    longest: float
+    runs: tuple[Evidence, ...]
+
+    @property
+    def lead(self) -> Evidence:
+        """The run of most exponents among those that the verdict is about."""
+        own = [run for run in self.runs if MEANINGS.get(run.kind) == self.verdict]
+        worst = max(run.noise for run in self.runs)
+        noisiest = [run for run in self.runs if run.noise == worst]
+        chosen = [r for r in own if r.noise == worst] or own or noisiest
+        return max(chosen, key=lambda run: len(run.exponents))
+
+
+@final
+@dataclass(frozen=True)
+class Criteria:
+    """The thresholds, with their reasons.
+
+    - `rest`: amplitude (x0) of a mass that does not move: above rounding, below any vibration.
+    - `near`: spread of section points, relative to the amplitude, from which on Newton's method
+      is asked; it converges from there, and a periodic orbit found much farther away is another.
+    - `sits`: spread of a run that does not move any more: above the solver's error of 1e-6, below
+      what a passage near an unstable orbit shows.
+    - `gap`: what Newton's method leaves, relative to the amplitude.
+    - `zero`: exponents (per time unit) of neutral directions: a tenth of the weakest chaos and of
+      the slowest relaxation seen in blocks of vibrating masses, 1e-3.
+    - `drift`: by how much the energies of the two halves of a record may differ on a torus.
+    - `novelty`: the most there may be on a torus, see `recurrence.novelty`: half of it is what a
+      steady drift has, and 0.3 what 100 points on a square have.
+
+    !!! example
+
+        >>> import jax, jax.numpy as jnp
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import paper_chain, verdict
+        >>> from jaxchain.chaos import Criteria
+        >>> chain = paper_chain(1, belt_speed=1.5, width=None)
+        >>> start = jnp.array([2.2]), jnp.zeros(1)
+        >>> strict = Criteria(gap=1e-9)  # orbits must close better; all else as by default
+        >>> verdict(chain, start, noise=(), criteria=strict).verdict
+        'periodic'
+    """
+
+    rest: float = 1e-6
+    near: float = 0.05
+    sits: float = 1e-4
+    gap: float = 1e-7
+    zero: float = 1e-4
+    drift: float = 0.02
+    novelty: float = 0.3
+
+    def __post_init__(self) -> None:
+        for row in fields(self):
+            check_positive_number(row.name, getattr(self, row.name), f"{row.default:g} is usual.")
+
+
+def judge_exponents(run: Evidence, criteria: Criteria) -> str:
+    """The kind of a run that did not close, from its exponents: chaos, cycle, torus or open.
+
+    >>> import numpy as np
+    >>> run = Evidence(0.0, 0, exponents=np.array([2e-3, 0.0]), low=np.array([1e-3, -1e-5]))
+    >>> run.high = np.array([3e-3, 1e-5])
+    >>> judge_exponents(run, Criteria())
+    'chaos'
+    """
+    if not len(run.exponents) or not np.all(np.isfinite(run.exponents[:1])):
+        return "open"
+    if run.low[0] > 0:
+        return "chaos"
+    # What is too small to be told from rounding, NaN, is below everything else.
+    low, high = (np.where(np.isnan(run.exponents), -np.inf, a) for a in (run.low, run.high))
+    neutral = (np.abs(low) < criteria.zero) & (np.abs(high) < criteria.zero)
+    if len(neutral) < 2 or not neutral[0]:
+        return "open"
+    if high[1] < -criteria.zero:
+        return "cycle"
+    return "torus" if neutral[1] and _comes_back(run, criteria) else "open"
+
+
+def _comes_back(run: Evidence, criteria: Criteria) -> bool:
+    return not (run.drift > criteria.drift or run.novelty > criteria.novelty)
+
+
+def judge_torus(runs: Sequence[Evidence], criteria: Criteria) -> bool:
+    """Whether the open runs of an ensemble are on a torus, by their smooth averages.
+
+    Mean +- t s / sqrt(m) over the m runs, Student's t at 95 %, lies within `zero` of 0 for both
+    leading exponents, and the energies do not drift.
+    """
+    own = [run for run in runs if run.kind == "open" and len(run.smooth) > 1]
+    if len(own) < 2 or not all(_comes_back(run, criteria) for run in own):
+        return False
+    values = np.array([np.sort(run.smooth)[::-1][:2] for run in own])
+    return bool(np.all(np.abs(mean_interval(values)) < criteria.zero))
+
+
+def classify(runs: Sequence[Evidence]) -> Verdict:
+    """The verdict on an ensemble whose runs have their `kind`.
+
+    The verdict is that of the strongest noise, because a state that survives exact symmetry only
+    is seen by nobody; what the start itself does without noise is `undisturbed`.  Runs on
+    unstable orbits have no say where others have left them.  If the runs of the strongest noise
+    disagree, or any of them is open, the verdict is "transient"; if any of them failed, "failed".
+
+    >>> still = [Evidence(noise, 0, kind="cycle") for noise in (0.0, 1e-3)]
+    >>> classify(still).verdict
+    'periodic'
+    >>> classify([Evidence(0.0, 0, kind="unstable"), Evidence(1e-3, 0, kind="chaos")]).verdict
+    'chaotic'
+    """
+    strongest = max(run.noise for run in runs)
+    voters = [run for run in runs if run.noise == strongest]
+    own = [run for run in runs if run.noise == 0.0] or voters
+    verdict = _common(voters)
+    undisturbed = "periodic" if own[0].kind == "unstable" else _common(own)
+    counted = {kind: sum(run.kind == kind for run in runs) for kind in KINDS}
+    told = ", ".join(f"{count} {kind}" for kind, count in counted.items() if count)
+    lost = [run.kind for run in runs if _failed(run)]
+    failures = [f"{lost.count(name)} failed ({name})" for name in sorted(set(lost))]
+    reason = f"{len(runs)} runs: {', '.join([told] * bool(told) + failures)}"
+    reason += "".join(f"; {text}" for text in _numbers(runs, verdict))
+    return Verdict(
+        verdict=verdict,
+        reason=reason,
+        remedy=_remedy(voters) if verdict in ("transient", "failed") else "",
+        undisturbed=undisturbed,
+        depends_on_noise=verdict != undisturbed or any(run.kind == "unstable" for run in own),
+        longest=max(run.time for run in runs),
+        runs=tuple(runs),
+    )
+
+
+def _failed(run: Evidence) -> bool:
+    return run.kind not in KINDS
+
+
+def _common(runs: Sequence[Evidence]) -> str:
+    if any(map(_failed, runs)):
+        return "failed"
+    # Not every run of an ensemble need have exponents: what else has not closed goes with those.
+    kinds = {run.kind for run in runs if len(run.exponents) or run.kind != "open"}
+    if any(run.kind in ("cycle", "rest") for run in runs):
+        kinds = {run.kind for run in runs}
+    found = {MEANINGS.get(kind) for kind in kinds}
+    only = found.pop() if len(found) == 1 else None
+    return "transient" if only is None else only
+
+
+def _numbers(runs: Sequence[Evidence], verdict: str) -> list[str]:
+    told = []
+    closed = [run for run in runs if run.kind == "cycle"]
+    if closed:
+        times = [run.relaxation_time for run in closed]
+        resolved = not any(map(math.isnan, times))
+        slow = max(times) if resolved else max(run.longest_relaxation_time for run in closed)
+        told.append(
+            f"locked by {min(r.locked_at for r in closed):.0f} to "
+            f"{max(r.locked_at for r in closed):.0f}, slowest relaxation time "
+            + (f"{slow:.3g}" if resolved else f"below {slow:.3g} (not resolved)")
+        )
+        if math.isinf(slow):
+            told.append(
+                "the orbit is one of a family: some disturbances neither grow nor decay, such as "
+                "those of the phases of masses that are not coupled"
+            )
+    unstable = [run for run in runs if run.kind == "unstable" and len(run.exponents)]
+    if unstable:
+        told.append(f"an unstable orbit grows at {max(r.exponents[0] for r in unstable):.2e}")
+    with_exponents = [r for r in runs if r.kind in ("chaos", "torus", "open") and len(r.exponents)]
+    if with_exponents:
+        least = min(run.low[0] for run in with_exponents)
+        most = max(run.high[0] for run in with_exponents)
+        told.append(f"greatest exponents within [{least:.2e}, {most:.2e}]")
+    never = [run for run in runs if run.kind in ("chaos", "torus", "open")]
+    if never and verdict in ("chaotic", "quasi-periodic"):
+        total = sum(run.time for run in never)
+        # No event in a time t: with 95 % certainty the rate is below 3 / t.
+        told.append(
+            f"none of them locked, so that with 95 % the mean life is above {total / 3:.2g}"
+        )
+    return told
+
+
+def _remedy(runs: Sequence[Evidence]) -> str:
+    kinds = {run.kind for run in runs}
+    longest = max(run.time for run in runs)
+    failures = sorted(kinds - set(KINDS))
+    if failures:
+        return " ".join(f"Runs failed with `{name}`: {message(name)}" for name in failures)
+    if kinds & {"cycle", "rest"} and len(kinds) > 1:
+        ended = sum(run.kind in ("cycle", "rest") for run in runs)
+        total = sum(r.locked_at if np.isfinite(r.locked_at) else r.time for r in runs)
+        return (
+            f"{ended} of {len(runs)} runs have ended on an orbit: the others take "
+            f"{total / ended:.2g} on average, or there are two attractors; a `longest` of "
+            f"{10 * total / ended:.1g}, or more seeds, would tell."
+        )
+    if "unstable" in kinds:
+        return "Noise did not leave the unstable orbit: a longer run, or more noise, would."
+    return (
+        f"Exponents are not yet told from zero, or the motion still changes at {longest:.3g}: "
+        "a longer `exponent_time` and `longest` would tell."
+    )
+
+
+# Returns of which an orbit may be made, and points of the section kept of a window, at least.
+MOST_RETURNS = 4
+_SPIRAL = 5.0
+# A record may be one of many runs, and on the host.
+_Numbers: TypeAlias = Array | np.ndarray
+
+
+class Record(eqx.Module):
+    """What was seen of a run, window by window; W windows of n masses.
+
+    - `t`: end of each window, (W,); `amplitude`: half peak-to-peak in it, (W, n).
+    - `peaks`: times of the maxima of every displacement, (W, peaks, n), NaN where none.
+    - `point_times`, `points`: when the reference mass was at a maximum, (W, points), and the
+      state (x_1 .. x_n, v_1 .. v_n) then, (W, points, 2n).
+    - `state`, `result`: how the run ended.
+    """
+
+    t: Float[_Numbers, "*batch W"]
+    amplitude: Float[_Numbers, "*batch W n"]
+    peaks: Float[_Numbers, "*batch W peaks n"]
+    point_times: Float[_Numbers, "*batch W points"]
+    points: Float[_Numbers, "*batch W points two_n"]
+    state: tuple[_Numbers, _Numbers]
+    result: Any
+
+
+def watch(
+    chain: AbstractOscillators,
+    initial: State,
+    reference: Any,
+    *,
+    t0: ScalarLike = 0.0,
+    window: ScalarLike = 50.0,
+    windows: int = 20,
+    peaks: int = 16,
+    solver: Any = None,
+    rtol: Any = 1e-6,
+) -> Record:
+    """A run over `windows` windows of length `window`, from t0 on.
+
+    **Arguments:** `reference`, index of the mass whose maxima are the Poincare section, may be
+    traced; `peaks`, how many maxima of each mass are kept of a window (the first); `solver` and
+    `rtol` as for `simulate`.
+
+    **Returns:** `Record`; a run that failed says so in `result`.  Works under `jit` and `vmap`.
+
+    !!! example
+
+        ```python
+        from jaxchain import equation_8, paper_chain
+        chain = paper_chain(n=1, width=None)
+        seen = watch(chain, equation_8(chain, 1), 0, windows=4)
+        found = recurrence(seen, scale=1.6)
+        found.returns, round(found.period, 4)  # (1, 6.3163)
+        ```
+    """
+    run = simulate(
+        chain, initial, t0 + windows * jnp.asarray(window, float), t0=t0,
+        observe={
+            "amplitude": Amplitude(),
+            "peaks": PeakTimes(capacity=peaks),
+            "points": Section(jnp.asarray(reference), MOST_RETURNS + 1),
+        },
+        solver=solver, rtol=rtol, segments=windows, throw=False,
+    )  # fmt: skip
+    times, x, v = run.observed["points"]
+    ends = t0 + window * jnp.arange(1, windows + 1)
+    return Record(
+        t=ends, amplitude=run.observed["amplitude"], peaks=run.observed["peaks"],
+        point_times=times, points=jnp.concatenate([x, v], axis=-1),
+        state=run.state, result=run.result,
+    )  # fmt: skip
+
+
+class Recurrence(NamedTuple):
+    """How well the points of a section come back.
+
+    - `returns`: q, after how many returns they do best (1 ... `MOST_RETURNS`).
+    - `spread`: the greatest distance of a point of the second half of the record from the nearest
+      of the q last points; relative to the amplitude, in the greatest component.
+    - `gap`: distance after q returns in the last window; `period`: the time they take.
+    - `point`: the state where the last window's returns begin, (2n,).
+    """
+
+    returns: int
+    spread: float
+    gap: float
+    period: float
+    point: np.ndarray
+
+
+def recurrence(record: Any, *, scale: Any, closed: float = 1e-3) -> Recurrence:
+    """Whether the second half of a record is q points of the section, over and over.
+
+    The least q whose spread is below `closed`, or not more than 5 times the least of all (an
+    orbit approached in a spiral does somewhat better after a turn of it).
+    `scale`, what an amplitude is, makes distances relative.
+    """
+    points, times = np.asarray(record.points), np.asarray(record.point_times)
+    half, last = points[len(points) // 2 :], points[-1]
+    tried: list[Recurrence] = []
+    for q in range(1, MOST_RETURNS + 1):
+        away = np.max(np.abs(half[:, :1] - last[None, :q]), axis=-1).min(axis=1)
+        spread, gap = np.max(away) / scale, np.max(np.abs(last[q] - last[0])) / scale
+        worst = float(np.nan_to_num(max(spread, gap), nan=np.inf))
+        period = float(times[-1, q] - times[-1, 0])
+        tried.append(Recurrence(q, worst, float(gap), period, last[0]))
+    limit = max(closed, _SPIRAL * min(found.spread for found in tried))
+    return next(found for found in tried if found.spread <= limit)
+
+
+def novelty(record: Any) -> float:
+    """How new the states of the second half of a record are, 0 ... 1.
+
+    Mean distance of its section points from the nearest of the first half, relative to the
+    greatest distance of any two of the second half, in the greatest component.  A torus
+    that is filled gives the spacing of its points, a steady drift a half.
+    """
+    points = np.asarray(record.points)[:, 0]
+    before, after = np.array_split(points, 2)
+    away = [np.min(np.max(np.abs(before - point), axis=1)) for point in after]
+    extent = np.max(np.ptp(after, axis=0))
+    return float(np.mean(away) / extent) if extent > 0 else 0.0
+
+
+def phases(record: Any, masses: Any) -> Float[np.ndarray, "W active"]:
+    """Cycles that each of some masses has gone through since the first, one number a window.
+
+    Between the maxima of a mass its phase grows evenly by one; that of the first mass in `masses`
+    is taken away.  Locked masses keep theirs, others drift; whole numbers are phase slips.
+    """
+    peaks = np.asarray(record.peaks)[:, :, masses]
+    counts = np.sum(np.isfinite(peaks), axis=1)
+    before = np.concatenate([np.zeros_like(counts[:1]), np.cumsum(counts, axis=0)[:-1]])
+    # Of the second maximum of a window, so that the length of a period is known around it.
+    length = np.nanmean(np.diff(peaks, axis=1), axis=(0, 1))
+    start = peaks[:, 0, :1]
+    turned = before + (start - peaks[:, 0]) / length
+    return turned - turned[:, :1]
+
+
+def mean_periods(record: Any, masses: Any) -> Float[np.ndarray, " active"]:
+    """Mean time between the maxima of each of some masses over a record."""
+    peaks = np.asarray(record.peaks)[:, :, masses]
+    count = np.sum(np.isfinite(peaks), axis=(0, 1))
+    first, last = np.nanmin(peaks, axis=(0, 1)), np.nanmax(peaks, axis=(0, 1))
+    return (last - first) / np.maximum(count - 1, 1)
+
+
+def reflections(active: Bool[np.ndarray, " n"], ends: str) -> list[np.ndarray]:
+    """The reflections of a ring, or of a row with free ends, that map the vibrating masses onto
+    themselves: index arrays of shape (n,)."""
+    n = len(active)
+    sums = range(n) if ends == "cyclic" else [n - 1]
+    found = [(s - np.arange(n)) % n for s in sums]
+    return [image for image in found if np.array_equal(active[image], active)]
+
+
+def symmetry_defect(
+    record: Any, active: Bool[np.ndarray, " n"], period: float, ends: str = "cyclic"
+) -> Float[np.ndarray, " W"]:
+    """How far the delays of a block are from a mirror image of themselves, window by window.
+
+    min over R, s of max_i |phi_i - phi_{R i} - s| / P, wrapped, with the reflections R that keep
+    the block, and s = 0 (the mirror image itself) or P/2 (half a period later); R and s are those
+    of the first window.  0 is symmetric, 1/2 the most there can be.
+    """
+    first = np.asarray(record.peaks)[:, 0]
+    found = []
+    for image in reflections(active, ends):
+        moved = active & (image != np.arange(len(active)))
+        difference = (first - first[:, image])[:, moved] / period
+        shifts = (0.0,) if np.any(active & ~moved) else (0.0, 0.5)
+        for shift in shifts:
+            turns = difference - shift
+            found.append(np.max(np.abs(turns - np.round(turns)), axis=1, initial=0.0))
+    if not found:
+        return np.full(len(first), np.nan)
+    return min(found, key=lambda series: series[0])
+
+
+def join(records: list[Any]) -> Any:
+    """Records of successive runs as one."""
+    parts = {
+        name: np.concatenate([np.asarray(getattr(r, name)) for r in records])
+        for name in ("t", "amplitude", "peaks", "point_times", "points")
+    }
+    return Record(**parts, state=records[-1].state, result=records[-1].result)
+
+
+# Windows of one compiled run; and maxima of a mass come no closer than this, half a free period.
+CHUNK = 20
+_LEAST_PERIOD = 3.0
+# Of the transient of exponents to their window.
+_SETTLE = 0.2
+_BLOCKS = 20
+
+
+@dataclass
+class Numerics:
+    """How runs are computed: `lanes` at a time on each device, watched in windows."""
+
+    solver: Any
+    rtol: float
+    window: float
+    lanes: int
+
+
+@dataclass
+class Trial:
+    """A run under way; `reference` is the mass at whose maxima it is watched."""
+
+    state_index: int
+    x: np.ndarray
+    v: np.ndarray
+    evidence: Evidence
+    reference: int = field(init=False)
+
+    def __post_init__(self):
+        self.reference = len(self.x) // 2
+
+
+class _Task(eqx.Module):
+    """What is the same for all runs of a batch."""
+
+    chain: AbstractOscillators
+    window: Array
+    rtol: float = eqx.field(static=True)
+    solver: Any
+    time: Array
+    peaks: int = eqx.field(static=True)
+    count: int = eqx.field(static=True, default=1)
+
+
+def _chunk(task: _Task, x: Array, v: Array, t0: Array, reference: Array) -> Record:
+    record = watch(
+        task.chain, (x, v), reference, t0=t0, window=task.window, windows=CHUNK,
+        peaks=task.peaks, solver=task.solver, rtol=task.rtol,
+    )  # fmt: skip
+    return eqx.tree_at(lambda r: r.result, record, code(record.result))
+
+
+def _spectrum(task: _Task, x: Array, v: Array) -> dict[str, Array]:
+    found = lyapunov_spectrum(
+        task.chain, (x, v), (1.0 + _SETTLE) * task.time, transient=_SETTLE * task.time,
+        count=task.count, blocks=_BLOCKS, solver=task.solver, rtol=task.rtol, throw=False,
+    )  # fmt: skip
+    return {
+        "exponents": found.exponents, "low": found.low, "high": found.high,
+        "smooth": found.smooth, "x": found.state[0], "v": found.state[1],
+    }  # fmt: skip
+
+
+def _task(chain: AbstractOscillators, numerics: Numerics, **more: Any) -> _Task:
+    peaks = int(numerics.window / _LEAST_PERIOD) + 2
+    own = {"time": jnp.zeros(()), "peaks": peaks, **more}
+    return _Task(chain, jnp.asarray(numerics.window), numerics.rtol, numerics.solver, **own)
+
+
+def advance(
+    chain: AbstractOscillators, numerics: Numerics, trials: list[Trial], stage: float
+) -> Iterator[tuple[Trial, Record]]:
+    """Runs trials, all of them equally long, to the time `stage`; each with its record till then.
+
+    They come in batches: no more records than one on each lane are kept at a time.
+    """
+    task, width = _task(chain, numerics), numerics.lanes * len(jax.local_devices())
+    for first in range(0, len(trials), width):
+        batch = trials[first : first + width]
+        records: list[list[Record]] = [[] for _ in batch]
+        while batch[0].evidence.time < stage:
+            columns = [
+                np.stack([t.x for t in batch]), np.stack([t.v for t in batch]),
+                np.array([t.evidence.time for t in batch]), np.array([t.reference for t in batch]),
+            ]  # fmt: skip
+            found = map_lanes(_chunk, task, columns, lanes=numerics.lanes)
+            for k, trial in enumerate(batch):
+                own = jax.tree.map(lambda a, k=k: a[k], found)
+                records[k].append(own)
+                trial.x, trial.v = own.state
+                trial.evidence.time += CHUNK * numerics.window
+        yield from zip(batch, map(join, records), strict=True)
+
+
+def exponents_of(
+    chain: AbstractOscillators,
+    numerics: Numerics,
+    trials: list[Trial],
+    time: float,
+    count: int,
+    done: Callable[[int], object] = lambda number: None,
+) -> None:
+    """Measures the leading exponents of runs and enters them into their evidence.
+
+    `done` is called with the number of runs that have been measured since.
+    """
+    if not trials:
+        return
+    task = _task(chain, numerics, time=jnp.asarray(time), count=count)
+    columns = [np.stack([t.x for t in trials]), np.stack([t.v for t in trials])]
+    found = map_lanes(_spectrum, task, columns, lanes=numerics.lanes, done=done)
+    for k, trial in enumerate(trials):
+        own = trial.evidence
+        order = np.argsort(-found["exponents"][k])
+        own.exponents, own.low, own.high, own.smooth = (
+            found[name][k][order] for name in ("exponents", "low", "high", "smooth")
+        )
+        own.exponent_time = time
+        own.time += (1.0 + _SETTLE) * time
+        trial.x, trial.v = found["x"][k], found["v"][k]
+
+
+# Errors of an exponent within which it is taken for zero.
+_NEUTRAL = 10.0
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What a record says: new evidence, the mass to watch, and the orbit if one was closed."""
+
+    evidence: Evidence
+    reference: int
+    orbit: tuple[int, np.ndarray, ClosedOrbit] | None = None
+
+
+def judge_orbit(
+    chain: AbstractOscillators,
+    numerics: Numerics,
+    criteria: Criteria,
+    trial: Trial,
+    record: Any,
+    known: Sequence[tuple[int, np.ndarray, ClosedOrbit]],
+) -> Judgement:
+    """What a record adds to the evidence of its run, and whether that is decided.
+
+    `known` are the orbits that other runs from the same state have closed, so that a run that ends
+    on one of them does not close it again: (reference mass, a point of its section, the orbit).
+    """
+    own = replace(trial.evidence, kind="open", state=(trial.x, trial.v))
+    outcome = NAMES[int(record.result)]
+    if not ended_well(outcome):
+        return Judgement(replace(own, kind=outcome), trial.reference)
+    amplitude = record.amplitude
+    half = len(amplitude) // 2
+    scale = float(np.max(amplitude[-1]))
+    energies = np.asarray(energy(jnp.asarray(amplitude)))[half:]
+    own.energy, own.energy_deviation = float(np.mean(energies)), float(np.std(energies))
+    if scale < criteria.rest:
+        own.active = np.zeros(amplitude.shape[1], bool)
+        own.kind, own.locked_at, own.spread = "rest", own.time, 0.0
+        return Judgement(own, trial.reference)
+    parts = np.array_split(energies, 2)
+    own.drift = float(abs(np.mean(parts[0]) - np.mean(parts[1])) / np.mean(energies))
+    own.active = amplitude[-1] > 0.5 * scale
+    masses = np.flatnonzero(own.active)
+    turned = phases(record, masses)
+    own.slips = float(np.max(np.abs(turned[-1] - turned[half])))
+    own.period = float(np.mean(mean_periods(record, masses)))
+    own.delays = np.asarray(record.peaks)[-1, 1, masses] / own.period
+    ends = chain.ends if isinstance(chain, Chain) else "free"
+    defect = symmetry_defect(record, own.active, own.period, ends)
+    own.symmetry_time = np.append(own.symmetry_time, record.t)
+    own.symmetry = np.append(own.symmetry, defect)
+    if trial.reference not in masses:
+        # The section was that of a mass that rests; the middle of what vibrates moves most evenly.
+        return Judgement(own, int(masses[np.argmin(np.abs(masses - len(own.active) // 2))]))
+    own.novelty = novelty(record)
+    found = recurrence(record, scale=scale, closed=criteria.sits)
+    own.spread, own.returns = found.spread, found.returns
+    if found.spread > criteria.near or not found.period > 0:
+        return Judgement(own, trial.reference)
+    orbit, closed = _known(known, trial.reference, found.point, criteria.sits * scale), None
+    if orbit is None:
+        n = len(own.active)
+        start = jnp.asarray(found.point[:n]), jnp.asarray(found.point[n:])
+        orbit = close_orbit(
+            chain, start, found.period, solver=numerics.solver, rtol=min(numerics.rtol, 1e-9)
+        )
+        if not (orbit.gap < criteria.gap * scale and orbit.distance < 4 * criteria.near * scale):
+            return Judgement(own, trial.reference)
+        closed = trial.reference, found.point, orbit
+    _enter_orbit(own, orbit, found.spread < criteria.sits)
+    away = np.abs(record.points[:, :1] - record.points[-1][None, : found.returns]).max(-1).min(1)
+    outside = np.flatnonzero(~(away < criteria.near * scale))
+    # Since when the run has kept close to where it ended.
+    if own.kind in ("cycle", "unstable") and outside.size:
+        own.locked_at = float(record.t[outside[-1]])
+    return Judgement(own, trial.reference, closed)
+
+
+def _known(
+    orbits: Sequence[tuple[int, np.ndarray, ClosedOrbit]],
+    reference: int,
+    point: np.ndarray,
+    near: float,
+) -> ClosedOrbit | None:
+    for other, place, orbit in orbits:
+        if other == reference and np.max(np.abs(place - point)) < near:
+            return orbit
+    return None
+
+
+def _enter_orbit(own: Evidence, orbit: ClosedOrbit, sits: bool) -> None:
+    period = float(orbit.period)
+    # Of an exponent that is not resolved, NaN, it is known below what it lies.
+    rates, highest = (np.append(0.0, a) for a in (orbit.exponents, orbit.highest_exponents))
+    # What the trivial multiplier is off by, any other may be; rates of small ones feel it more.
+    error = max(float(orbit.defect), 1e-9) / period
+    finite = np.isfinite(rates)
+    errors = np.where(finite, error * np.exp(-np.where(finite, rates, 0.0) * period), 0.0)
+    greatest = np.argmax(highest[1:]) + 1
+    stable = highest[greatest] < -errors[greatest]
+    # One of a family of orbits: phases of masses that are not coupled neither lock nor drift.
+    neutral = sits and abs(highest[greatest]) <= _NEUTRAL * errors[greatest]
+    if not (stable or neutral) and not (sits and highest[greatest] > errors[greatest]):
+        return
+    own.kind = "cycle" if stable or neutral else "unstable"
+    if neutral:
+        rates = np.where(np.abs(rates) <= _NEUTRAL * errors, 0.0, rates)
+    order = np.argsort(-highest, kind="stable")
+    own.period, own.locked_at = period, own.time
+    own.exponents, own.high = rates[order], (highest + errors)[order]
+    own.low = np.where(np.isnan(rates), -np.inf, rates - errors)[order]
+
 
 # Runs at most of one kind; and what to do where a verdict cannot be had.
 _MOST_RUNS = 10**5

@@ -1,6 +1,6 @@
 """Lyapunov exponents: at which rates disturbances of a motion grow or die.
 
-`chaos/benettin.py` carries the disturbances, `chaos/spectrum.py` does the statistics.
+
 """
 
 from __future__ import annotations
@@ -14,20 +14,23 @@ import jax.numpy as jnp
 import jax.tree_util as jtu
 import numpy as np
 from jax import lax
-from jaxtyping import Array
+from jaxtyping import Array, Float, Int
 
 from .._checks import (
     MOST_COUNT,
+    as_array,
     check_count,
     check_flag,
     check_nonnegative,
     check_number,
     check_positive_number,
+    check_share,
     check_whole,
     is_traced,
     shown,
     to_float,
 )
+from .._final import final
 from .._progress import progress_bar
 from .._statistics import student_reach
 from .._types import State
@@ -36,7 +39,7 @@ from ..model.chain import Chain
 from ..model.oscillators import AbstractOscillators
 from ..observers.divergence import Divergence
 from ..observers.stick_time import MostSticking
-from ..result import Result, ended_well, message
+from ..result import NAMES, Printed, Result, code, ended_well, message
 from ..simulation.accuracy import (
     MAX_STEP,
     USUAL_RTOL,
@@ -47,10 +50,281 @@ from ..simulation.accuracy import (
     own_solver,
 )
 from ..simulation.event_driven import EventDriven, EventDrivenPlan
-from ..simulation.plan import AbstractPlan, forward_only
+from ..simulation.plan import AbstractPlan, Progress, forward_only
 from ..simulation.run import build_plan
-from .benettin import Frame, Growth, Span, advance_span, random_basis
-from .spectrum import ZERO, LyapunovSpectrum, batch_error, kaplan_yorke_dimension
+from ..simulation.smoothed import SmoothedPlan
+
+# An exponent this small counts as 0: blocks of a periodic run scatter by less than rounding.
+ZERO = 1e-9
+
+
+@final
+class LyapunovSpectrum(Printed, eqx.Module):
+    """What `lyapunov_spectrum` found, per dimensionless time; arrays have shape (count,).
+
+    - `exponents`: time averages over the window; -inf where a direction is annihilated, NaN
+      where one became too small to be seen between two QR decompositions.  They stand in the order
+      of that decomposition, which is descending but for some too close to be told apart.
+    - `smooth`: averages with the weight exp(-1 / (s (1 - s))) over the share s of the window.  For
+      regular motion (periodic, quasi-periodic, rest) of smooth systems they converge faster than
+      any power of the window's length, `exponents` like 1 / length; for chaos nothing is gained.
+      S. Das, Y. Saiki, E. Sander, J. A. Yorke, Quantitative quasiperiodicity, Nonlinearity 30,
+      4111 (2017).
+    - `low`, `high`: 95 % confidence interval of `exponents` from the means over blocks, by
+      Student's t; `standard_error`: widened by sqrt[(1 + r) / (1 - r)] where `autocorrelation` = r
+      of successive blocks is positive (then take longer blocks).  They know of scatter alone, not
+      of a transient too short for the motion or the disturbances.
+    - `block_exponents`: (blocks, count).
+    - `sum`: of the exponents; for all of them the mean rate at which volumes grow.
+    - `mean_divergence`: time average of tr J, which that must be; NaN for dry friction.
+    - `kaplan_yorke`: dimension; exponents that are 0 within their interval count as 0.  NaN if
+      more exponents are needed.
+    - `t`, `state`: end of the run; go on from there with a call of its own.
+    - `interval`: time between two QR decompositions.
+    - `result`: see `Result`; if it is not `successful` the numbers are NaN.
+
+    !!! example
+
+        >>> import jax, jax.numpy as jnp
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import lyapunov_spectrum, paper_chain
+        >>> chain = paper_chain(1, belt_speed=2.5, width=None)  # it comes to slide
+        >>> start = jnp.array([0.6]), jnp.zeros(1)
+        >>> found = lyapunov_spectrum(chain, start, 200.0, transient=50.0)
+        >>> print(found.exponents.round(3))
+        [-0.047 -0.047]
+        >>> found.chaotic(), bool(abs(found.sum + 0.1) < 0.05)
+        (False, True)
+    """
+
+    exponents: Float[Array, " count"]
+    smooth: Float[Array, " count"]
+    standard_error: Float[Array, " count"]
+    low: Float[Array, " count"]
+    high: Float[Array, " count"]
+    autocorrelation: Float[Array, " count"]
+    block_exponents: Float[Array, "blocks count"]
+    sum: Float[Array, ""]
+    mean_divergence: Float[Array, ""]
+    kaplan_yorke: Float[Array, ""]
+    t: Float[Array, ""]
+    state: State
+    interval: Float[Array, ""]
+    result: Result
+
+    @property
+    def outcome(self) -> str:
+        """The name of the result of one run (not of a batch), see `jaxchain.Result`."""
+        return NAMES[int(code(self.result))]
+
+    def chaotic(self, level: float = 0.95) -> bool | None:
+        """Whether the greatest exponent is positive; None if its interval at `level` holds 0.
+
+        For regular vibration it is 0, and None the right answer.
+        """
+        check_share("level", level, "0.95 is usual.")
+        known = jnp.where(jnp.isnan(self.exponents), -jnp.inf, self.exponents)
+        first = int(jnp.argmax(known))
+        freedom = self.block_exponents.shape[0] - 1
+        reach = student_reach(level, freedom) * self.standard_error[first]
+        if not jnp.abs(self.exponents[first]) > reach + ZERO:
+            return None
+        return bool(self.exponents[first] > 0)
+
+
+def batch_error(
+    blocks: Float[Array, "blocks count"],
+) -> tuple[Float[Array, " count"], Float[Array, " count"]]:
+    """(standard error of the mean over blocks, correlation r of successive blocks).
+
+    s / sqrt(blocks), times sqrt[(1 + r) / (1 - r)] where r > 0, as in a process in which the
+    memory of a block fades by r a block.  Where all are -inf the error is 0; where only some are
+    the mean is -inf without any doubt, too.
+    """
+    number = blocks.shape[0]
+    gone = jnp.any(jnp.isneginf(blocks), axis=0, keepdims=True)
+    own = jnp.where(gone, 0.0, blocks)
+    apart = own - jnp.mean(own, axis=0, keepdims=True)
+    square = jnp.sum(apart**2, axis=0)
+    product = jnp.sum(apart[1:] * apart[:-1], axis=0)
+    repeats = jnp.where(square > 0, product / jnp.where(square > 0, square, 1.0), 0.0)
+    held = jnp.clip(repeats, 0.0, 0.99)
+    variance = square / (number - 1) / number * (1.0 + held) / (1.0 - held)
+    return jnp.sqrt(variance), repeats
+
+
+def kaplan_yorke_dimension(exponents: Float[Array, " count"], complete: bool) -> Float[Array, ""]:
+    """j + (lambda_1 + ... + lambda_j) / |lambda_{j+1}|, j the last one for which the sum is >= 0.
+
+    **Arguments:** `exponents`, in descending order; `complete`, whether these are all.
+
+    **Returns:** a number; NaN if they are not, and no sum is negative.
+
+    J. L. Kaplan, J. A. Yorke, Chaotic behavior of multidimensional difference equations, Lecture
+    Notes in Mathematics 730, 204 (1979).
+
+    >>> import jax.numpy as jnp
+    >>> from jaxchain.chaos import kaplan_yorke_dimension
+    >>> round(float(kaplan_yorke_dimension(jnp.array([0.9056, 0.0, -14.5723]), True)), 3)
+    2.062
+    """
+    exponents = as_array("exponents", exponents, 1, 1, "those of one motion.")
+    ordered = -jnp.sort(-exponents)
+    sums = jnp.cumsum(ordered)
+    number = jnp.sum(sums >= 0)  # sums rise and then fall: no gaps
+    last = jnp.minimum(number, exponents.shape[0] - 1)
+    before = jnp.where(number > 0, sums[jnp.maximum(number - 1, 0)], 0.0)
+    beyond = number + before / jnp.abs(ordered[last])
+    all_of_them = jnp.where(complete, 1.0 * exponents.shape[0], jnp.nan)
+    dimension = jnp.where(number == exponents.shape[0], all_of_them, beyond)
+    return jnp.where(jnp.any(jnp.isnan(exponents)), jnp.nan, dimension)
+
+
+# What is left of a column after the ones before it have been taken out of it, relative to its
+# length: below this it is rounding, that of some hundred steps times a condition of some thousand.
+RESOLVED = 1e-10
+
+
+class Frame(eqx.Module):
+    """A run under way and orthonormal disturbances of its state, the columns of `basis`."""
+
+    progress: Progress
+    basis: Float[Array, "two_n count"]
+
+
+class Span(eqx.Module):
+    """`number` intervals of length `interval` from `start` on.
+
+    The middle of interval k lies at the share `phase` + k `phase_step` of the whole window.
+    """
+
+    start: Float[Array, ""]
+    interval: Float[Array, ""]
+    number: Int[Array, ""]
+    phase: Float[Array, ""]
+    phase_step: Float[Array, ""]
+
+
+class Growth(eqx.Module):
+    """What was gathered in a span.
+
+    - `logs`: sum of log R_ii; `weighted`: that of w log R_ii with the weights of `bump`, and
+      `weights`: sum of w times the length of the interval.
+    """
+
+    logs: Float[Array, " count"]
+    weighted: Float[Array, " count"]
+    weights: Float[Array, ""]
+
+
+def random_basis(seed: Any, dimension: int, count: int) -> Float[Array, "{dimension} {count}"]:
+    """Orthonormal columns in arbitrary directions, the same for the same seed."""
+    draws = jax.random.normal(jax.random.key(seed), (dimension, count), dtype=float)
+    return jnp.linalg.qr(draws)[0]
+
+
+def bump(share: Any) -> Any:
+    """exp(-1 / (s (1 - s))), s in (0, 1): smooth, and zero at both ends with all derivatives."""
+    product = share * (1.0 - share)
+    inside = product > 0
+    return jnp.where(inside, jnp.exp(-1.0 / jnp.where(inside, product, 1.0)), 0.0)
+
+
+def orthonormalise(
+    images: Float[Array, "two_n count"],
+) -> tuple[Float[Array, "two_n count"], Float[Array, " count"]]:
+    """(Q, log |R_ii|) of images = Q R, by Householder reflections.
+
+    A column that depends on the ones before it, to rounding, has the log NaN.  Its place in Q is
+    taken by some direction at right angles to all others, and the columns before it do not notice.
+
+    >>> import jax.numpy as jnp
+    >>> Q, logs = orthonormalise(jnp.array([[2.0, 2.0], [0.0, 0.0], [0.0, 0.0]]))
+    >>> jnp.round(jnp.exp(logs), 12).tolist(), bool(jnp.allclose(Q.T @ Q, jnp.eye(2)))
+    ([2.0, nan], True)
+    """
+    basis, R = jnp.linalg.qr(images)
+    left, length = jnp.abs(jnp.diagonal(R)), jnp.linalg.norm(images, axis=0)
+    seen = left > RESOLVED * length
+    return basis, jnp.where(seen, jnp.log(jnp.where(seen, left, 1.0)), jnp.nan)
+
+
+def advance_frame(
+    plan: AbstractPlan, field: AbstractOscillators, frame: Frame, t1: Any, max_steps: int | None
+) -> tuple[Frame, Float[Array, "two_n count"]]:
+    """(the run at t1, with the basis as it was; the images of the basis there).
+
+    The derivative of the discrete steps, sizes held; the steps themselves are computed once,
+    however many disturbances there are.
+    """
+    n = frame.progress.state[0].shape[0]
+
+    def after(flat: Array) -> tuple[Array, Progress]:
+        begun = _resume(plan, field, frame.progress, (flat[:n], flat[n:]), t1)
+        progress, _ = plan.advance(field, begun, t1, max_steps=max_steps)
+        return jnp.concatenate(progress.state), progress
+
+    start = jnp.concatenate(frame.progress.state)
+
+    def push(direction: Array) -> tuple[Array, Array, Progress]:
+        return jax.jvp(after, (start,), (direction,), has_aux=True)
+
+    _, images, progress = jax.vmap(push, in_axes=1, out_axes=(None, 1, None))(frame.basis)
+    return Frame(progress, frame.basis), images
+
+
+def _resume(
+    plan: AbstractPlan, field: AbstractOscillators, progress: Progress, state: State, t1: Any
+) -> Progress:
+    """The run with `state` in its place, and everything that depends on it smoothly made anew.
+
+    A Runge-Kutta method may keep the slope at the end of a step for the next one.
+    """
+    moved = eqx.tree_at(lambda p: p.state, progress, state)
+    if not isinstance(plan, SmoothedPlan):
+        return moved  # sticking or sliding does not depend smoothly on anything
+    fresh = plan.begin(field, state, progress.t, t1).memory
+    kept = progress.memory
+    memory = eqx.tree_at(
+        lambda m: (m.step_size, m.controller), fresh, (kept.step_size, kept.controller)
+    )
+    return eqx.tree_at(lambda p: p.memory, moved, memory)
+
+
+def advance_span(
+    plan: AbstractPlan,
+    field: AbstractOscillators,
+    frame: Frame,
+    span: Span,
+    max_steps: int | None,
+) -> tuple[Frame, Growth]:
+    """The frame after a span, orthonormal again after every interval of it.
+
+    Observers start anew with it.
+    """
+    begun, end = frame.progress, span.start + span.number * span.interval
+    fresh = [o.init(field, begun.t, end, begun.state) for o in plan.observers]
+    frame = eqx.tree_at(lambda f: f.progress.accumulators, frame, fresh)
+    zero = jnp.zeros(frame.basis.shape[1])
+
+    def one(k: Any, carry: tuple[Frame, Growth]) -> tuple[Frame, Growth]:
+        frame, growth = carry
+        end = span.start + (k + 1) * span.interval
+        frame, images = advance_frame(plan, field, frame, end, max_steps)
+        basis, logs = orthonormalise(images)
+        progress = frame.progress
+        lost = progress.running & jnp.any(jnp.isnan(images))
+        result = Result.where(lost, Result.nonfinite, progress.result)
+        progress = eqx.tree_at(lambda p: p.result, progress, result)
+        weight = bump(span.phase + k * span.phase_step)
+        return Frame(progress, basis), Growth(
+            growth.logs + logs,
+            growth.weighted + jnp.where(weight > 0, weight * logs, 0.0),
+            growth.weights + weight * span.interval,
+        )
+
+    return lax.fori_loop(0, span.number, one, (frame, Growth(zero, zero, jnp.zeros(()))))
+
 
 _PERIOD = 2 * np.pi
 # Between two QR decompositions the stiffest direction may shrink by e^-10 against the others.

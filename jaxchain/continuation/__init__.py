@@ -10,7 +10,6 @@
 - `gradient_descent`: descent with any optax optimiser, in one compiled loop
 - `implicit`: derivatives by the implicit function theorem
 - `special_points`: folds, branch points and zeros between two points of a branch
-- `stepper`: how far to step, what to keep, where to end
 """
 
 import lazy_loader

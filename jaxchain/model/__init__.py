@@ -4,7 +4,6 @@
 - `chain`: the equations, the paper's chain, steady sliding
 - `friction`: laws mu(s), one class each, and their smoothing by a width
 - `initial_states`: eq. (8) and eq. (10) of the paper, and who is excited
-- `law_checks`: whether a curve mu(s) can be a law of friction
 - `locality`: checks that forces act mass by mass
 - `measured`: measured friction, read from CSV and checked
 - `oscillators`: what every chain shares; base class for oscillators of one's own

@@ -14,16 +14,18 @@ high-order Taylor methods, Experimental Mathematics 14, 99 (2005).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, TypeGuard
 
 import diffrax as dfx
 import equinox as eqx
 import equinox.internal as eqxi
+import jax
 import jax.numpy as jnp
+import jax.tree_util as jtu
 from jax import lax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from .._checks import check_whole, to_float
 from .._final import final
@@ -34,18 +36,169 @@ from ..model.springs import materialize
 from ..observers.base import AbstractNotingObserver, AbstractObserver, Step
 from ..result import Result
 from ..solvers.dry_friction import (
+    STICK,
     Modes,
     Series,
     after,
     expand,
+    greatest_hold,
     next_event,
     start,
 )
 from ..solvers.taylor import value, value_and_slope
-from .event_times import at_the_end, change_alone, head_start, shifts
 from .plan import CHECKPOINTS, AbstractPlan, Progress, first_result, forward_only
-from .records import Record
-from .rounds import Notes, in_rounds
+
+
+class Record(eqx.Module):
+    """The states at given times, which the steps meet exactly."""
+
+    times: Float[Array, " times"]
+    states: Any  # (x, v), of shapes (times, n): that of equal times where the first of them stands
+    count: Int[Array, ""]  # of the times that have passed
+
+    @classmethod
+    def blank(cls, times: Array, n: int) -> Record:
+        """A record of n masses at these times, with nothing in it."""
+        nothing = jnp.full((*times.shape, n), jnp.nan)
+        return cls(times, (nothing, nothing), jnp.zeros((), int))
+
+    def next_time(self) -> Array:
+        """The first of the times that is not recorded yet; infinite after the last."""
+        last = self.times.shape[0] - 1
+        ahead = self.times[jnp.minimum(self.count, last)]
+        return jnp.where(self.count <= last, ahead, jnp.inf)
+
+    def keep(self, t: Array, state: State) -> Record:
+        """With the state, if the time is one of those asked for."""
+        here: Any = self.next_time() <= t
+        place = jnp.minimum(self.count, self.times.shape[0] - 1)
+        # On the way of reverse derivatives these are buffers, which are written to only like this.
+        states = tuple(
+            eqxi.buffer_at_set(kept, place, now, pred=here)
+            for kept, now in zip(self.states, state, strict=True)
+        )
+        passed = jnp.searchsorted(self.times, t, side="right")
+        return Record(self.times, states, jnp.maximum(self.count, passed))
+
+    def read(self) -> tuple[Array, Array]:
+        first = jnp.searchsorted(self.times, self.times)
+        x, v = self.states
+        return x[first], v[first]
+
+
+# Steps between two times that notes are gathered.
+ROUND = 64
+
+Notes = list[Float[Array, "steps n"]]
+
+
+def in_rounds(
+    goes_on: Callable[[Any], Bool[Array, ""]],
+    step: Callable[[Any], tuple[Any, list[Float[Array, " n"]]]],
+    gather: Callable[[Any, Notes, Int[Array, ""]], Any],
+    first: Any,
+    notes: int,
+    n: int,
+) -> Any:
+    """step, step, ... while it `goes_on`, and after a round of them what they noted is gathered.
+
+    In a batch, JAX chooses between old and new at every step, for each array that a loop carries
+    and some lanes are done with.  Here all lanes take steps until the last one ends; what `step`
+    hands on as it is costs nothing.
+
+    **Arguments:** `step`: carry -> (carry, `notes` arrays of shape (n,)); `gather`: carry, notes
+    of shape (steps, n), how many of these count -> carry.
+    """
+
+    def any_goes_on(carry: Any) -> Bool[Array, ""]:
+        return eqxi.unvmap_any(goes_on(carry))
+
+    def more(inner: Any) -> Bool[Array, ""]:
+        return (inner[0] < ROUND) & any_goes_on(inner[1])
+
+    def one(inner: Any) -> Any:
+        place, old, notes, count = inner
+        on = goes_on(old)
+        new, noted = step(old)
+        new = jtu.tree_map(lambda a, b: a if a is b else jnp.where(on, a, b), new, old)
+        notes = [
+            lax.dynamic_update_index_in_dim(all, own, place, 0)
+            for all, own in zip(notes, noted, strict=True)
+        ]
+        return place + 1, new, notes, count + on
+
+    def one_round(outer: Any) -> Any:
+        carry, notes = outer
+        none = jnp.zeros((), int)
+        _, carry, notes, count = lax.while_loop(more, one, (none, carry, notes, none))
+        return gather(carry, notes, count), notes
+
+    begin = first, [jnp.zeros((ROUND, n)) for _ in range(notes)]
+    return lax.while_loop(lambda outer: any_goes_on(outer[0]), one_round, begin)[0]
+
+
+def shifts(
+    field: Chain, series: Series, modes: Modes, t: Array, hits: Array,
+    v: Array, acceleration: Array,
+) -> tuple[Array, Array]:  # fmt: skip
+    """One more Newton step to the events: nothing but rounding, and their whole derivative.
+
+    (the shift of each mass's event, of shape (n,); their mean over those that have one, by
+    which the step is made longer.)  The search itself is not differentiated; this is the
+    implicit function theorem.
+    """
+    r, drift = value_and_slope(series.r, t)
+    w = v - field.belt_speed
+    slides = modes.direction != STICK
+    excess = jnp.where(slides, w, r - jnp.sign(r) * greatest_hold(field))
+    rate = lax.stop_gradient(jnp.where(slides, acceleration, drift))
+    usable = hits & (rate != 0)
+    each = jnp.where(usable, -excess, 0.0) / jnp.where(usable, rate, 1.0)
+    mean = jnp.sum(each) / jnp.maximum(jnp.sum(usable), 1)
+    return jnp.where(usable, each, mean), mean
+
+
+def at_the_end(field: Chain, progress: Progress, t1: Any) -> Progress:
+    """The same, where an event falls together with t1; but it moves with t1, not with the event.
+
+    A run over the period of a cycle that is cut at an event ends so.
+    """
+    x, v = progress.state
+    direction = progress.memory.modes.direction
+    mu = field.law.coefficient(jnp.abs(v - field.belt_speed))
+    slides = field.free_force(x, v) - direction * field.load * mu
+    acceleration = jnp.where(direction == STICK, 0.0, slides)
+    # Rounding, and 0 but for its derivative at any other end.
+    rest = jnp.where(progress.running & (progress.t >= t1), t1 - progress.t, 0.0)
+    state = x + rest * v, v + rest * acceleration
+    return eqx.tree_at(lambda p: p.state, progress, state)
+
+
+def head_start(
+    field: Chain, state: State, modes: Modes, new: Modes, hits: Array, since: Array
+) -> Array:
+    """What masses that slide on through w = 0 have gained in speed `since` their own events.
+
+    Of masses whose events fall together each is disturbed in its own way, and the step ends at
+    their mean.  Zero but for rounding, which is left out, and its derivative.  One that comes to
+    stick, or is let go, has no acceleration then.
+    """
+    through = hits & (modes.direction != STICK) & (new.direction != STICK)
+    speed = jnp.zeros_like(state[1])
+    friction = new.direction * field.load * field.law.coefficient(speed)
+    return jnp.where(through, since * (field.free_force(*state) - friction), 0.0)
+
+
+@jax.custom_jvp
+def change_alone(a: Array) -> Array:
+    """Zero, with the derivatives of `a`: nothing is computed where there are none."""
+    return jnp.zeros_like(a)
+
+
+@change_alone.defjvp
+def _(primals: Any, tangents: Any) -> tuple[Array, Array]:
+    return change_alone(*primals), tangents[0]
+
 
 # Steps in succession that may leave the time where it is: an event of every mass, and some more.
 _STALLED_PER_MASS, _STALLED = 8, 64

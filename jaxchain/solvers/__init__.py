@@ -6,7 +6,6 @@
 - `step_control`: step sizes that see friction switch before a step fails on it
 - `tableaus`: coefficients of the Rosenbrock methods
 - `taylor`: polynomials in time, and when they first leave a band
-- `taylor_arithmetic`: Taylor series of composed functions, order by order
 """
 
 import lazy_loader

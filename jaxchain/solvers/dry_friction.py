@@ -23,8 +23,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._types import PerMass, State
 from ..model.chain import Chain
 from ..model.springs import materialize
-from .taylor import first_exit
-from .taylor_arithmetic import CLEARANCE, composed
+from .taylor import CLEARANCE, composed, first_exit
 
 STICK, FORWARD, BACKWARD = 0.0, 1.0, -1.0
 # Shares of the natural scale below which a speed or a force is nothing but rounding.

@@ -6,15 +6,383 @@ call serves all masses.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.custom_derivatives import SymbolicZero
+from jax.experimental.jet import jet
+from jax.extend.core import ClosedJaxpr, Literal
 from jaxtyping import Array, Bool, Float
 
 from ..model.springs import materialize
+
+
+class PowerSeries:
+    """c_0 + c_1 t + c_2 t^2 + ...: `rule(k)` gives c_k, and may use all that come before."""
+
+    def __init__(self, rule: Callable[[int], Any]):
+        self._rule, self._known = rule, []
+
+    def __getitem__(self, k: int) -> Any:
+        while len(self._known) <= k:
+            self._known.append(self._rule(len(self._known)))
+        return self._known[k]
+
+
+def composed(
+    function: Callable[[Any], Any], argument: Sequence[Any], piecewise: bool = False
+) -> PowerSeries:
+    """The series of function(s(t)).
+
+    **Arguments:** `function`, element by element; `argument` = s_0, s_1, ..., a list that may
+    grow: c_k of the result asks for s_0 ... s_k.  `piecewise`: whether the function may choose
+    between cases by the size of s.  It then chooses by s_0 for all orders, just above s_0 where
+    the cases meet, and how far that holds is for the caller to see to.
+
+    **Returns:** a `PowerSeries`.  By Taylor-mode differentiation, at the price of all lower orders
+    for every order, if the function uses an operation that is not known here.
+
+    **Raises:** `ValueError` if it chooses between cases and may not, or cannot be expanded at all.
+
+    >>> import jax
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> half = composed(jnp.exp, [jnp.array(0.0), jnp.array(0.5), 0.0])  # exp(t / 2)
+    >>> [float(half[k]) for k in range(3)]
+    [1.0, 0.5, 0.125]
+    """
+    s = PowerSeries(lambda k: argument[k])
+    traced = jax.make_jaxpr(function)(s[0])
+    above = s[0] + CLEARANCE * (1.0 + jnp.abs(s[0]))
+    try:
+        (result,) = _Expansion(piecewise, s).of(traced, [s], [above])
+    except NotImplementedError:
+        return PowerSeries(lambda k: _by_jet(function, argument, k))
+    return result if isinstance(result, PowerSeries) else _constant(result)
+
+
+# Cases are told apart at this distance above s_0, relative to 1 + s_0.
+CLEARANCE = 1e-12
+
+
+def _by_jet(function: Callable[[Any], Any], argument: Sequence[Any], k: int) -> Any:
+    if k == 0:
+        return function(argument[0])
+    derivatives = [math.factorial(j) * argument[j] for j in range(1, k + 1)]
+    try:
+        _, series = jet(function, (argument[0],), (derivatives,))
+    except (NotImplementedError, KeyError) as error:  # a missing rule is a missing key there
+        raise ValueError(
+            f"A friction law cannot be expanded in a Taylor series: no rule for {error}. Write it "
+            "with other functions, or use smoothed friction."
+        ) from error
+    return series[k - 1] / math.factorial(k)
+
+
+class _Expansion:
+    """Walks through a program, with a series in place of whatever depends on time.
+
+    Every variable also has its value just above s_0, which decides between cases.
+    """
+
+    def __init__(self, piecewise: bool, argument: PowerSeries):
+        self.piecewise, self.argument = piecewise, argument
+
+    def of(self, program: ClosedJaxpr, inputs: Sequence[Any], above: Sequence[Any]) -> list[Any]:
+        return [series for series, _ in self._run(program, list(zip(inputs, above, strict=True)))]
+
+    def _run(self, program: ClosedJaxpr, inputs: Sequence[tuple[Any, Any]]) -> list[Any]:
+        known: dict[Any, tuple[Any, Any]] = dict(zip(program.jaxpr.invars, inputs, strict=True))
+        known.update(
+            (v, (c, c)) for v, c in zip(program.jaxpr.constvars, program.consts, strict=True)
+        )
+
+        def read(name: Any) -> tuple[Any, Any]:
+            return (name.val, name.val) if isinstance(name, Literal) else known[name]
+
+        for step in program.jaxpr.eqns:
+            operands = [read(name) for name in step.invars]
+            if step.primitive.name in _CALLS:
+                results = self._run(_inner(step), operands)
+            elif any(isinstance(series, PowerSeries) for series, _ in operands):
+                results = self._step(step, operands)
+            else:
+                results = [(value, value) for value in _values(step, [a for a, _ in operands])]
+            known.update(zip(step.outvars, results, strict=True))
+        return [read(name) for name in program.jaxpr.outvars]
+
+    def _step(self, step: Any, operands: list[tuple[Any, Any]]) -> list[tuple[Any, Any]]:
+        name, series = step.primitive.name, [a for a, _ in operands]
+        if step.primitive.multiple_results:  # a loop, say
+            raise NotImplementedError(name)
+        here = [a for _, a in operands]
+        above = _values(step, here)
+        decides = name in _STEPS or not jnp.issubdtype(step.outvars[0].aval.dtype, jnp.floating)
+        if name == "abs" and series[0] is self.argument:  # a speed is not negative
+            return [operands[0]]
+        if (decides or name in _CHOICES) and not self.piecewise:
+            raise ValueError(
+                f"A friction law chooses between cases by the speed (`{name}`), and a Taylor step "
+                "must not pass from one to the next: give the law the field or property `knots`, "
+                "the speeds > 0 at which it does, or `knots = ()` if mu is smooth all the same."
+            )
+        if decides:
+            return [(value, value) for value in above]
+        if name in _CHOICES:
+            return [(_CHOICES[name](series, here), above[0])]
+        if name in _LINEAR:
+            result = _linear(step, series)
+        elif name in _BILINEAR:
+            result = _product(lambda a, b: _values(step, [a, b])[0], *series)
+        elif name in _RULES:
+            (first,) = _values(step, [_at(a, 0) for a in series])
+            exponent = {"y": step.params["y"]} if name == "integer_pow" else {}
+            result = _RULES[name](first, *series, **exponent)
+        else:
+            raise NotImplementedError(name)
+        return [(result, above[0])]
+
+
+def _inner(step: Any) -> ClosedJaxpr:
+    """The program that an operation stands for."""
+    inner = step.params[_CALLS[step.primitive.name]]
+    return inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ())
+
+
+def _values(step: Any, operands: Sequence[Any]) -> list[Any]:
+    """The operation itself."""
+    result = step.primitive.bind(*operands, **step.params)
+    return result if step.primitive.multiple_results else [result]
+
+
+def _constant(value: Any) -> PowerSeries:
+    return PowerSeries(lambda k: value if k == 0 else jnp.zeros_like(value))
+
+
+def _at(a: Any, k: int) -> Any:
+    """a_k of a series, or of a constant."""
+    if isinstance(a, PowerSeries):
+        return a[k]
+    return a if k == 0 else jnp.zeros_like(a)
+
+
+def _linear(step: Any, operands: Sequence[Any]) -> PowerSeries:
+    """An operation that is linear in all operands that are numbers, constants among them."""
+
+    def coefficient(a: Any, k: int) -> Any:
+        is_index = not isinstance(a, PowerSeries) and not jnp.issubdtype(
+            jnp.result_type(a), jnp.floating
+        )
+        return a if is_index else _at(a, k)
+
+    def rule(k: int) -> Any:
+        if step.primitive.name in ("add", "add_any", "sub") and k:  # no sums with zeros
+            first, second = operands
+            if not isinstance(second, PowerSeries):
+                return _broadcast(first[k], second)
+            if not isinstance(first, PowerSeries):
+                other = -second[k] if step.primitive.name == "sub" else second[k]
+                return _broadcast(other, first)
+        return _values(step, [coefficient(a, k) for a in operands])[0]
+
+    return PowerSeries(rule)
+
+
+def _broadcast(a: Any, like: Any) -> Any:
+    return jnp.broadcast_to(a, jnp.broadcast_shapes(jnp.shape(a), jnp.shape(like)))
+
+
+def _once(a: Any) -> Any:
+    """Not computed again by each of the many sums that it goes into."""
+    return materialize(a) if jnp.ndim(a) == 1 else a
+
+
+def _product(times: Callable[[Any, Any], Any], a: Any, b: Any) -> PowerSeries:
+    """(a b)_k = sum_{j=0..k} a_j b_{k-j}."""
+    if not isinstance(a, PowerSeries):
+        return PowerSeries(lambda k: times(a, b[k]))
+    if not isinstance(b, PowerSeries):
+        return PowerSeries(lambda k: times(a[k], b))
+    return PowerSeries(lambda k: _once(sum(times(a[j], b[k - j]) for j in range(k + 1))))
+
+
+def _times(a: Any, b: Any) -> PowerSeries:
+    return _product(lambda a, b: a * b, a, b)
+
+
+def _shifted(a: PowerSeries, by: Any, sign: float = 1.0) -> PowerSeries:
+    """by + sign a."""
+    return PowerSeries(lambda k: sign * a[k] + by if k == 0 else sign * a[k])
+
+
+def _quotient(a: Any, b: Any) -> PowerSeries:
+    """q = a / b: b_0 q_k = a_k - sum_{j=1..k} b_j q_{k-j}."""
+    if not isinstance(b, PowerSeries):
+        inverse = 1.0 / b  # a product costs less than a division per mass and order
+        return PowerSeries(lambda k: a[0] / b if k == 0 else a[k] * inverse)
+    inverse = 1.0 / b[0]
+
+    def rule(k: int) -> Any:
+        if k == 0:
+            return _at(a, 0) / b[0]
+        known = sum(b[j] * q[k - j] for j in range(1, k + 1))
+        return _once((_at(a, k) - known if isinstance(a, PowerSeries) else -known) * inverse)
+
+    q = PowerSeries(rule)
+    return q
+
+
+def _solved(
+    first: Any, slope: Callable[[PowerSeries], PowerSeries], a: PowerSeries
+) -> PowerSeries:
+    """y with y_0 = first and y' = g a': k y_k = sum_{j=1..k} j a_j g_{k-j}, where g = slope(y)."""
+
+    rising = PowerSeries(lambda j: _once(j * a[j]))  # the coefficients of t a'
+
+    def rule(k: int) -> Any:
+        if k == 0:
+            return first
+        return _once(sum(rising[j] * g[k - j] for j in range(1, k + 1)) * (1.0 / k))
+
+    y = PowerSeries(rule)
+    g = slope(y)
+    return y
+
+
+def _pair(first: Any, second: Any, sign: float, a: PowerSeries) -> tuple[PowerSeries, PowerSeries]:
+    """(y, z) with y' = z a' and z' = sign y a', such as sine and cosine for sign = -1."""
+    y = _solved(first, lambda _: PowerSeries(lambda k: z[k]), a)
+    z = _solved(second, lambda _: PowerSeries(lambda k: sign * y[k]), a)
+    return y, z
+
+
+def _root(first: Any, a: PowerSeries) -> PowerSeries:
+    """y = sqrt(a): 2 y_0 y_k = a_k - sum_{j=1..k-1} y_j y_{k-j}."""
+    inverse = 0.5 / first
+
+    def rule(k: int) -> Any:
+        if k == 0:
+            return first
+        return _once((a[k] - sum(y[j] * y[k - j] for j in range(1, k))) * inverse)
+
+    y = PowerSeries(rule)
+    return y
+
+
+def _whole_power(a: PowerSeries, exponent: int) -> PowerSeries:
+    """By squaring: unlike the rule for any exponent it does not divide by a_0, which may be 0."""
+    if exponent == 0:
+        return _constant(jnp.ones_like(a[0]))
+    if exponent < 0:
+        return _quotient(jnp.ones_like(a[0]), _whole_power(a, -exponent))
+    half = a if exponent < 4 else _whole_power(a, exponent // 2)
+    if exponent < 4:
+        for _ in range(exponent - 1):
+            half = _times(half, a)
+        return half
+    square = _times(half, half)
+    return _times(square, a) if exponent % 2 else square
+
+
+def _power(first: Any, a: Any, exponent: Any) -> PowerSeries:
+    """a^c: (a^c)' = c (a^c / a) a'."""
+    if isinstance(exponent, PowerSeries):
+        logarithm = _log(jnp.log(_at(a, 0)), a) if isinstance(a, PowerSeries) else jnp.log(a)
+        return _exp(first, _times(exponent, logarithm))
+    if isinstance(exponent, float | int | np.generic | np.ndarray) and exponent == int(exponent):
+        return _whole_power(a, int(exponent))
+    return _solved(first, lambda y: _times(exponent, _quotient(y, a)), a)
+
+
+def _exp(first: Any, a: PowerSeries) -> PowerSeries:
+    return _solved(first, lambda y: y, a)
+
+
+def _log(first: Any, a: PowerSeries) -> PowerSeries:
+    return _solved(first, lambda _: _quotient(jnp.ones_like(a[0]), a), a)
+
+
+def _log1p(first: Any, a: PowerSeries) -> PowerSeries:
+    return _solved(first, lambda _: _quotient(jnp.ones_like(a[0]), _shifted(a, 1.0)), a)
+
+
+def _atan(first: Any, a: PowerSeries) -> PowerSeries:
+    return _solved(first, lambda _: _quotient(jnp.ones_like(a[0]), _shifted(_times(a, a), 1.0)), a)
+
+
+def _erf(first: Any, a: PowerSeries) -> PowerSeries:
+    square = _times(a, a)
+    bell = _exp(jnp.exp(-square[0]), PowerSeries(lambda k: -square[k]))
+    return _solved(first, lambda _: _times(2.0 / math.sqrt(math.pi), bell), a)
+
+
+def _chosen(which: Any, cases: Sequence[Any]) -> PowerSeries:
+    return PowerSeries(
+        lambda k: jax.lax.select_n(which, *jnp.broadcast_arrays(*(_at(c, k) for c in cases)))
+    )
+
+
+def _between(series: list[Any], here: list[Any]) -> PowerSeries:
+    """clamp(low, a, high)."""
+    (low, a, high), (below, now, beyond) = series, here
+    return PowerSeries(
+        lambda k: jnp.where(
+            now < below, _at(low, k), jnp.where(now > beyond, _at(high, k), _at(a, k))
+        )
+    )
+
+
+# Operations that are programs of their own, and where the program stands.
+_CALLS = {
+    "jit": "jaxpr",
+    "pjit": "jaxpr",
+    "closed_call": "call_jaxpr",
+    "checkpoint": "jaxpr",
+    "custom_jvp_call": "call_jaxpr",
+    "custom_vjp_call": "call_jaxpr",
+}
+_LINEAR = {
+    "add", "add_any", "sub", "neg", "broadcast_in_dim", "reshape", "squeeze", "transpose",
+    "reduce_sum", "cumsum", "slice", "rev", "concatenate", "pad", "gather", "dynamic_slice",
+    "convert_element_type", "reduce_precision", "copy", "copy_p", "real",
+}  # fmt: skip
+_BILINEAR = {"mul", "dot_general"}
+# Constant but for jumps, like all that is not a real number.
+_STEPS = {"sign", "floor", "ceil", "round"}
+# Each takes the operands as series, and what they are just above s_0.
+_CHOICES: dict[str, Callable[[list[Any], list[Any]], PowerSeries]] = {
+    "select_n": lambda series, here: _chosen(here[0], series[1:]),
+    "max": lambda series, here: _chosen(here[0] >= here[1], series[::-1]),
+    "min": lambda series, here: _chosen(here[0] <= here[1], series[::-1]),
+    "abs": lambda series, here: _times(jnp.sign(here[0]), series[0]),
+    "clamp": _between,
+}
+# Each takes the value at s_0 and the operands, series or constants.
+_RULES: dict[str, Callable[..., PowerSeries]] = {
+    "div": lambda first, a, b: _quotient(a, b),
+    "integer_pow": lambda first, a, y: _whole_power(a, y),
+    "square": lambda first, a: _times(a, a),
+    "sqrt": _root,
+    "rsqrt": lambda first, a: _quotient(jnp.ones_like(first), _root(jnp.sqrt(a[0]), a)),
+    "pow": _power,
+    "exp": _exp,
+    "exp2": lambda first, a: _exp(first, _times(math.log(2.0), a)),
+    "expm1": lambda first, a: _solved(first, lambda y: _shifted(y, 1.0), a),
+    "log": _log,
+    "log1p": _log1p,
+    "tanh": lambda first, a: _solved(first, lambda y: _shifted(_times(y, y), 1.0, -1.0), a),
+    "logistic": lambda first, a: _solved(first, lambda y: _times(y, _shifted(y, 1.0, -1.0)), a),
+    "sin": lambda first, a: _pair(first, jnp.cos(a[0]), -1.0, a)[0],
+    "cos": lambda first, a: _pair(jnp.sin(a[0]), first, -1.0, a)[1],
+    "sinh": lambda first, a: _pair(first, jnp.cosh(a[0]), 1.0, a)[0],
+    "cosh": lambda first, a: _pair(jnp.sinh(a[0]), first, 1.0, a)[1],
+    "atan": _atan,
+    "erf": _erf,
+}
+
 
 # Rounds of the search: of all polynomials, and then of one.  They never pass an exit and close in
 # on it quadratically; the last are Newton's, allowed only where convergence is certain.

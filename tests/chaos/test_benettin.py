@@ -10,7 +10,7 @@ from scipy.integrate import quad
 from systems.oscillators import LinearRing
 
 from jaxchain import EventDriven, Rodas5P, excited_state, monodromy_matrix, paper_chain, simulate
-from jaxchain.chaos.benettin import (
+from jaxchain.chaos.lyapunov import (
     Frame,
     Span,
     advance_frame,

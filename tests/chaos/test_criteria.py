@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from jaxchain.chaos.criteria import (
+from jaxchain.chaos.classification import (
     Criteria,
+    Evidence,
     classify,
     judge_exponents,
     judge_torus,
 )
-from jaxchain.chaos.records import Evidence
 
 
 def run_of(kind="open", noise=0.0, exponents=(), width=1e-3, **more):

@@ -18,8 +18,7 @@ from jaxchain import (
     simulate,
     steady_sliding,
 )
-from jaxchain.chaos.lyapunov import lyapunov_spectrum
-from jaxchain.chaos.spectrum import batch_error, kaplan_yorke_dimension
+from jaxchain.chaos.lyapunov import batch_error, kaplan_yorke_dimension, lyapunov_spectrum
 from jaxchain.cycles.floquet import trace_integral
 from jaxchain.cycles.variational import linearised_period
 from jaxchain.observers.stick_time import MostSticking

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from jaxchain.chaos.poincare import (
+from jaxchain.chaos.classification import (
     Record,
     join,
     mean_periods,

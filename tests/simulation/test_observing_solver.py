@@ -4,7 +4,7 @@ from pathlib import Path
 
 import diffrax as dfx
 
-from jaxchain.simulation.observing_solver import SETTLED
+from jaxchain.simulation.smoothed import SETTLED
 
 
 def test_the_result_that_ends_a_settled_run_is_returned_by_one_unused_controller_alone():

@@ -7,7 +7,7 @@ import pytest
 
 from jaxchain import PeakTimes, equation_8, paper_chain, simulate
 from jaxchain.observers import AbstractObserver
-from jaxchain.simulation.rounds import ROUND, in_rounds
+from jaxchain.simulation.event_driven import ROUND, in_rounds
 
 
 def total(start, last):

@@ -5,7 +5,7 @@ And that every table, and every key in it, says what it means.
 
 import pytest
 
-from jaxchain.chaos.runs import CHUNK
+from jaxchain.chaos.classification import CHUNK
 from jaxchain.scenes.errors import SceneError
 from jaxchain.scenes.reading import load_scene, schema
 from jaxchain.scenes.registry import studies, study_table

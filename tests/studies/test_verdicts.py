@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from synthetic import stored
 
-from jaxchain.chaos.criteria import classify
-from jaxchain.chaos.records import KINDS, VERDICTS, Evidence
+from jaxchain.chaos.classification import KINDS, VERDICTS, Evidence, classify
 from jaxchain.scenes.errors import SceneError
 from jaxchain.scenes.reading import load_scene
 from jaxchain.scenes.storage import save

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from jaxchain.chaos.records import KINDS, VERDICTS
+from jaxchain.chaos.classification import KINDS, VERDICTS
 from jaxchain.plotting.style import BLUE, GREEN, GREY, ORANGE, PAGE_WIDTH, RED
 from jaxchain.studies._pages import letters, on_page
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from jaxchain.chaos.records import Verdict
+from jaxchain.chaos.classification import Verdict
 
 # Before this time the paper regards everything as transient, and from it on it looks.
 PAPER_TRANSIENT = 1e4

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from xarray import Dataset
 
-from jaxchain.chaos.records import VERDICTS
+from jaxchain.chaos.classification import VERDICTS
 from jaxchain.studies._reports import pairs, table
 from jaxchain.studies.verdicts.figure import decisive
 

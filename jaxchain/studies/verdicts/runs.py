@@ -12,9 +12,16 @@ import xarray as xr
 from jaxtyping import Array
 
 from jaxchain._types import State
-from jaxchain.chaos.classification import verdicts
-from jaxchain.chaos.records import KINDS, VERDICTS, Evidence, Verdict
-from jaxchain.chaos.runs import Numerics, Trial, exponents_of
+from jaxchain.chaos.classification import (
+    KINDS,
+    VERDICTS,
+    Evidence,
+    Numerics,
+    Trial,
+    Verdict,
+    exponents_of,
+    verdicts,
+)
 from jaxchain.model.chain import Chain, paper_chain
 from jaxchain.model.initial_states import equation_8, equation_10
 from jaxchain.result import NAMES

@@ -1,6 +1,6 @@
 """The study `verdicts`: which localized states are periodic, quasi-periodic, chaotic, transient.
 
-No verdict is from one run: see `jaxchain.chaos.criteria` for what decides.
+No verdict is from one run: see `jaxchain.chaos.classification` for what decides.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ from jaxchain.scenes.values import (
 )
 from jaxchain.studies._tables import MOST_ENTRIES, MOST_MASSES, Once, number, too_many
 
-# Runs are judged after so many windows at a time, `jaxchain.chaos.runs.CHUNK`.
+# Runs are judged after so many windows at a time, `jaxchain.chaos.classification.CHUNK`.
 CHUNK = 20
 # Every maximum in a window is kept.
 _LONGEST_WINDOW = 1e4

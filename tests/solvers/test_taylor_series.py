@@ -9,8 +9,7 @@ import pytest
 from jax.experimental.jet import jet
 
 from jaxchain.model.friction import Coulomb, ExponentialDecay, WeakeningStrengthening
-from jaxchain.solvers.taylor import value
-from jaxchain.solvers.taylor_arithmetic import composed
+from jaxchain.solvers.taylor import composed, value
 
 ORDER = 7
 # s(t) of two masses, degree six.
