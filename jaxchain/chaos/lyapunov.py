@@ -1,7 +1,4 @@
-"""Lyapunov exponents: at which rates disturbances of a motion grow or die.
-
-
-"""
+"""Lyapunov exponents: at which rates disturbances of a motion grow or die."""
 
 from __future__ import annotations
 
