@@ -1,5 +1,4 @@
 from . import basins as basins
-from . import bench as bench
 from . import boundaries as boundaries
 from . import chaos as chaos
 from . import continuation as continuation

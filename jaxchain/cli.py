@@ -75,10 +75,6 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run_command(arguments: list[str]) -> int:
-    if arguments[:1] == ["bench"]:  # has options of its own, also --help
-        from .bench.command import main as bench
-
-        return bench(arguments[1:]) or 0
     options = _parser().parse_args(arguments, argparse.Namespace(arguments=arguments))
     try:
         return options.command(options)
@@ -194,7 +190,6 @@ def _parser() -> argparse.ArgumentParser:
     add_no_cache(basins)
     basins.set_defaults(command=_basins)
 
-    commands.add_parser("bench", help="measure the speed on this machine", add_help=False)
     return parser
 
 

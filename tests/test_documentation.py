@@ -80,7 +80,7 @@ def commands(text):
         for line in code.replace("\\\n", " ").splitlines():
             words = shlex.split(line, comments=True)
             ends = [k for k, word in enumerate(words) if word in ("&", ">", "&&", "|")]
-            if words[:1] == ["jaxchain"] and words[1:2] != ["bench"]:  # has a parser of its own
+            if words[:1] == ["jaxchain"]:
                 yield words[1 : min(ends, default=len(words))]
 
 

@@ -14,7 +14,7 @@ import jaxchain
 from jaxchain.scenes import schema
 from jaxchain.scenes.registry import study_table
 
-COMMANDS = ("", "run", "resume", "status", "report", "scenes", "boundary", "basins", "bench")
+COMMANDS = ("", "run", "resume", "status", "report", "scenes", "boundary", "basins")
 
 
 class Room(SphinxDirective):

@@ -12,7 +12,7 @@ BASE = "a base class, for subclasses: tests/test_own_laws.py, test_local_force.p
 NO_ARGUMENT = "takes no argument"
 RECORD = "holds whatever it is given: no check, no meaning of its own"
 # Rooms whose input are files: their own tests have broken ones.
-FILES = {"bench", "scenes", "studies"}
+FILES = {"scenes", "studies"}
 NOT_TRIED = {
     **dict.fromkeys(
         (

@@ -16,14 +16,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxchain.bench.peers import CompiledRing, cvode, lsoda, radau
-from jaxchain.bench.rows_solvers import stock_terms
 from jaxchain.model.chain import Chain
 from jaxchain.model.initial_states import equation_8
 from jaxchain.simulation.accuracy import Numerics, fit_linear_solve
 from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.simulation.run import simulate
 from jaxchain.solvers.rosenbrock import Rodas4, Rodas5P
+from jaxchain.studies.work_precision.peers import CompiledRing, cvode, lsoda, radau
 
 EVENTS = "event-driven"
 OWN = {"Rodas4": Rodas4(), "Rodas5P": Rodas5P()}
@@ -59,7 +58,7 @@ class Problem:
 def prepare(name: str, problem: Problem) -> Solve:
     """The approach, ready to run.
 
-    **Raises:** `jaxchain.bench.peers.PeerMissingError` if what it needs is not installed.
+    **Raises:** `PeerMissingError` if what it needs is not installed.
     """
     if name in COMPILED:
         return _one_by_one(COMPILED[name], problem)
@@ -111,6 +110,22 @@ def _own(problem: Problem, solver: Any) -> Solve:
 
     program = _over_lanes(one, problem)
     return lambda width, rtol: np.stack(program(width, rtol))
+
+
+def stock_terms(solver: dfx.AbstractSolver) -> Any:
+    """The equations as diffrax takes them, with the chain as its argument."""
+
+    def linear(t: Any, y: Any, chain: Chain) -> Any:
+        x, v = y
+        return v, chain.restoring_force(x)
+
+    def friction(t: Any, y: Any, chain: Chain) -> Any:
+        x, v = y
+        return jnp.zeros_like(x), chain.local_force(t, x, v)
+
+    if isinstance(solver, dfx.KenCarp4):  # implicit for the stiff friction, explicit for the rest
+        return dfx.MultiTerm(dfx.ODETerm(linear), dfx.ODETerm(friction))
+    return dfx.ODETerm(lambda t, y, chain: chain(t, y))
 
 
 def _stock(problem: Problem, solver: dfx.AbstractSolver) -> Solve:

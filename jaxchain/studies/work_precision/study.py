@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from jaxchain.bench.peers import PeerMissingError
 from jaxchain.model.chain import paper_chain
 from jaxchain.studies import _study
 from jaxchain.studies.work_precision.approaches import (
@@ -28,6 +27,7 @@ from jaxchain.studies.work_precision.approaches import (
     truth,
 )
 from jaxchain.studies.work_precision.figure import draw
+from jaxchain.studies.work_precision.peers import PeerMissingError
 from jaxchain.studies.work_precision.report import LABELS, summary
 from jaxchain.studies.work_precision.table import Study
 
