@@ -35,13 +35,13 @@ from .model.initial_states import equation_10 as equation_10
 from .model.initial_states import excited_state as excited_state
 from .model.units import Scales as Scales
 from .observers.amplitude import Amplitude as Amplitude
-from .observers.peaks import PeakTimes as PeakTimes
 from .observers.quantities import active as active
 from .observers.quantities import energy as energy
 from .observers.samples import Samples as Samples
+from .observers.samples import Trajectory as Trajectory
+from .observers.section import PeakTimes as PeakTimes
 from .observers.section import Section as Section
 from .observers.stick_time import StickTime as StickTime
-from .observers.trajectory import Trajectory as Trajectory
 from .result import Result as Result
 from .result import SearchResult as SearchResult
 from .simulation.event_driven import EventDriven as EventDriven

@@ -14,7 +14,7 @@ from jaxchain.cycles.search import find_limit_cycle
 from jaxchain.model.chain import paper_chain
 from jaxchain.model.initial_states import equation_8
 from jaxchain.observers.amplitude import Amplitude
-from jaxchain.observers.peaks import PeakTimes
+from jaxchain.observers.section import PeakTimes
 from jaxchain.simulation.run import simulate
 
 WHOLE = 'xla_cpu_small_call="true"'

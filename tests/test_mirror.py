@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import jaxchain as jc
-from jaxchain.localization.phases import phase_model
+from jaxchain.localization.patterns import phase_model
 
 COUNT, N = 20, 3
 DRY = jc.EventDriven()

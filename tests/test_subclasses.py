@@ -20,7 +20,7 @@ from jaxchain.observers import AbstractObserver, Divergence, Variable
 from jaxchain.scenes import StudyTable
 from jaxchain.simulation.accuracy import fit_linear_solve
 from jaxchain.solvers import AbstractStructuredRosenbrock
-from jaxchain.solvers.tableaus import RODAS4, RODAS5P
+from jaxchain.solvers.rosenbrock import RODAS4, RODAS5P
 
 DOORS = (jc, *(importlib.import_module(f"jaxchain.{room}") for room in jc.ROOMS))
 PUBLIC = {getattr(door, name) for door in DOORS for name in getattr(door, "__all__", ())}

@@ -32,9 +32,8 @@ from ..model.arguments import as_chain, as_state
 from ..model.chain import Chain
 from ..model.oscillators import AbstractOscillators
 from ..observers.amplitude import Amplitude
-from ..observers.peaks import PeakTimes
 from ..observers.quantities import energy
-from ..observers.section import Section
+from ..observers.section import PeakTimes, Section
 from ..result import NAMES, Printed, code, ended_well, message
 from ..simulation.accuracy import MAX_STEP, check_resolved, check_tolerances, own_solver
 from ..simulation.event_driven import EventDriven

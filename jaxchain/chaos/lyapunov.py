@@ -34,7 +34,7 @@ from .._types import State
 from ..model.arguments import as_chain, as_state
 from ..model.chain import Chain
 from ..model.oscillators import AbstractOscillators
-from ..observers.divergence import Divergence
+from ..observers.energy_balance import Divergence
 from ..observers.stick_time import MostSticking
 from ..result import NAMES, Printed, Result, code, ended_well, message
 from ..simulation.accuracy import (

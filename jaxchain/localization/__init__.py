@@ -4,8 +4,7 @@
 - `front_theory`: what the speed of fronts should be, with no fitted number
 - `fronts`: how fast fronts of a vibrating block move, and where they come unstuck
 - `mistuning`: chains of unequal masses, and their linear modes
-- `patterns`: the patterns in which phases lock: guesses for cycles
-- `phases`: the phase model of vibrating neighbours
+- `patterns`: the phase model of vibrating neighbours, and the patterns in which phases lock
 """
 
 import lazy_loader

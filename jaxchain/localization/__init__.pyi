@@ -8,9 +8,9 @@ from .mistuning import localization_length as localization_length
 from .mistuning import mistuned_chain as mistuned_chain
 from .mistuning import mistuned_stiffness as mistuned_stiffness
 from .patterns import LockedPattern as LockedPattern
+from .patterns import PhaseModel as PhaseModel
 from .patterns import block_sites as block_sites
 from .patterns import locked_patterns as locked_patterns
 from .patterns import pattern_guess as pattern_guess
+from .patterns import phase_model as phase_model
 from .patterns import rotating_wave as rotating_wave
-from .phases import PhaseModel as PhaseModel
-from .phases import phase_model as phase_model

@@ -14,7 +14,7 @@ from ..cycles.averaging import gain, one_mass
 from ..model.chain import Chain
 from ..model.initial_states import excited_state
 from ..observers.amplitude import Amplitude
-from ..observers.peaks import PeakTimes
+from ..observers.section import PeakTimes
 from ..simulation.event_driven import EventDriven
 from ..simulation.run import simulate
 

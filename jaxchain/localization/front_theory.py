@@ -23,7 +23,7 @@ from ..model.chain import Chain
 from ..model.initial_states import excited_state
 from ..model.sliding import growth_rate
 from ..observers.amplitude import Amplitude
-from ..observers.peaks import PeakTimes
+from ..observers.section import PeakTimes
 from ..simulation.event_driven import EventDriven
 from ..simulation.run import simulate
 

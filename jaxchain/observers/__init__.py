@@ -2,15 +2,12 @@
 
 - `amplitude`: half peak-to-peak, and when a run need not go on for its sake
 - `base`: what an observer is; base class for observers of one's own
-- `divergence`: integral of tr J along a run
-- `energy_balance`: work of the belt, losses, what is stored
+- `energy_balance`: work of the belt, losses, what is stored; the integral of tr J
 - `fronts`: where the two fronts of a vibrating block are
-- `peaks`: times of the maxima of every displacement
 - `quantities`: what amplitudes and peak times say: energy, who vibrates, periods, delays
-- `samples`: some masses at regular times
-- `section`: Poincare sections: states at which a mass turns or is fastest
+- `samples`: states at given times, some masses at regular times
+- `section`: Poincare sections, and the times of the maxima of every displacement
 - `stick_time`: for how long each mass sticks, and how many at once
-- `trajectory`: the states at given times
 """
 
 import lazy_loader

@@ -2,11 +2,10 @@ from .amplitude import Amplitude as Amplitude
 from .base import AbstractObserver as AbstractObserver
 from .base import Step as Step
 from .base import Variable as Variable
-from .divergence import Divergence as Divergence
+from .energy_balance import Divergence as Divergence
 from .energy_balance import EnergyBalance as EnergyBalance
 from .fronts import FrontTrack as FrontTrack
 from .fronts import front_positions as front_positions
-from .peaks import PeakTimes as PeakTimes
 from .quantities import active as active
 from .quantities import at_rest as at_rest
 from .quantities import delays as delays
@@ -15,7 +14,8 @@ from .quantities import mean_period as mean_period
 from .quantities import participation_ratio as participation_ratio
 from .quantities import settled as settled
 from .samples import Samples as Samples
+from .samples import Trajectory as Trajectory
+from .section import PeakTimes as PeakTimes
 from .section import Section as Section
 from .stick_time import MostSticking as MostSticking
 from .stick_time import StickTime as StickTime
-from .trajectory import Trajectory as Trajectory

@@ -21,8 +21,8 @@ from .._checks import (
 from ..cycles.guesses import most_lively
 from ..model.arguments import as_chain, as_state
 from ..model.chain import Chain
+from ..observers.samples import Trajectory
 from ..observers.section import Section
-from ..observers.trajectory import Trajectory
 from ..simulation.accuracy import own_solver
 from ..simulation.run import Simulation, simulate
 from ..solvers.dry_friction import RESOLUTION

@@ -26,7 +26,7 @@ from ..model.arguments import as_chain, as_state
 from ..model.chain import Chain, require_smoothed
 from ..model.oscillators import AbstractOscillators
 from ..observers.base import AbstractObserver
-from ..observers.trajectory import Trajectory
+from ..observers.samples import Trajectory
 from ..result import NAMES, Printed, Result, code, ended_well, message
 from .accuracy import (
     MAX_STEP,

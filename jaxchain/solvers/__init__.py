@@ -4,7 +4,6 @@
 - `dry_friction`: the equations of sticking and sliding, nothing smoothed
 - `rosenbrock`: structured Rosenbrock solvers for `diffrax.diffeqsolve`
 - `step_control`: step sizes that see friction switch before a step fails on it
-- `tableaus`: coefficients of the Rosenbrock methods
 - `taylor`: polynomials in time, and when they first leave a band
 """
 

@@ -17,7 +17,7 @@ from .._limits import MOST_LANES
 from ..model.chain import Chain, require_smoothed
 from ..observers.amplitude import Amplitude
 from ..observers.base import AbstractObserver, Variable
-from ..observers.trajectory import Trajectory
+from ..observers.samples import Trajectory
 from ..simulation.run import check_fit
 from .starts import chain_names, initial_names
 

@@ -17,7 +17,7 @@ from jaxchain.basins.blows import (
     upwards,
 )
 from jaxchain.model.chain import Chain, paper_chain, steady_sliding
-from jaxchain.observers.trajectory import Trajectory
+from jaxchain.observers.samples import Trajectory
 from jaxchain.result import SearchResult, ended_well
 from jaxchain.simulation.run import simulate
 

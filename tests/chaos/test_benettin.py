@@ -21,7 +21,7 @@ from jaxchain.chaos.lyapunov import (
 )
 from jaxchain.cycles.floquet import trace_integral
 from jaxchain.model.springs import Springs
-from jaxchain.observers.divergence import Divergence
+from jaxchain.observers.energy_balance import Divergence
 from jaxchain.observers.stick_time import MostSticking
 from jaxchain.simulation.run import build_plan
 

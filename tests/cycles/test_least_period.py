@@ -18,8 +18,7 @@ from jaxchain import (
 from jaxchain.boundaries import hopf_points
 from jaxchain.cycles.closing import close_orbit
 from jaxchain.cycles.least_period import FACTORS, Returned, Returns
-from jaxchain.localization.patterns import locked_patterns
-from jaxchain.localization.phases import phase_model
+from jaxchain.localization.patterns import locked_patterns, phase_model
 
 SMOOTH = paper_chain(1, width=0.05, belt_speed=0.5)
 PERIOD = 6.686743645  # by SciPy, from one crossing of the velocity to the next

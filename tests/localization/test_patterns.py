@@ -10,12 +10,13 @@ from jaxchain.cycles.averaging import one_mass
 from jaxchain.cycles.search import find_limit_cycle
 from jaxchain.localization.patterns import (
     LockedPattern,
+    PhaseModel,
     block_sites,
     locked_patterns,
     pattern_guess,
+    phase_model,
     rotating_wave,
 )
-from jaxchain.localization.phases import PhaseModel, phase_model
 from jaxchain.model.chain import Chain
 from jaxchain.model.friction import ExponentialDecay, TanhFriction
 from jaxchain.model.initial_states import excited_block

@@ -11,7 +11,7 @@ from jaxchain.cycles.averaging import one_mass
 from jaxchain.model.chain import Chain
 from jaxchain.model.friction import AbstractFrictionLaw, TanhFriction
 from jaxchain.model.tabulated import TabulatedFriction
-from jaxchain.observers.trajectory import Trajectory
+from jaxchain.observers.samples import Trajectory
 from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.simulation.run import build_plan, simulate
 from jaxchain.sweeps.dataset import describe

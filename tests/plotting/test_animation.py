@@ -11,8 +11,8 @@ from PIL import Image
 from scipy.integrate import solve_ivp
 
 from jaxchain.model.chain import paper_chain, steady_sliding
+from jaxchain.observers.samples import Trajectory
 from jaxchain.observers.stick_time import StickTime
-from jaxchain.observers.trajectory import Trajectory
 from jaxchain.plotting.animation import animate, film_strip, save_gif
 from jaxchain.plotting.chain_artist import Curves, Scene
 from jaxchain.plotting.films import loop, sticking

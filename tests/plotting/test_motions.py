@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from jaxchain.model.chain import paper_chain
 from jaxchain.model.units import Scales
-from jaxchain.observers.trajectory import Trajectory
+from jaxchain.observers.samples import Trajectory
 from jaxchain.plotting.films import sticking
 from jaxchain.plotting.motions import plot_phase_portrait, plot_time_series
 from jaxchain.simulation.run import simulate

@@ -19,9 +19,8 @@ from jaxchain.model.initial_states import excited_state
 from jaxchain.model.parameters import CHAIN
 from jaxchain.model.units import Scales
 from jaxchain.observers.amplitude import Amplitude
-from jaxchain.observers.peaks import PeakTimes
-from jaxchain.observers.section import Section
-from jaxchain.observers.trajectory import Trajectory
+from jaxchain.observers.samples import Trajectory
+from jaxchain.observers.section import PeakTimes, Section
 from jaxchain.scenes.errors import SceneError
 from jaxchain.scenes.reading import load_scene
 from jaxchain.simulation.event_driven import EventDriven

@@ -19,7 +19,7 @@ from jaxchain.boundaries.grazing import nonsmooth_fold_belt_speed
 from jaxchain.boundaries.hopf import hopf_belt_speed
 from jaxchain.cycles.search import find_limit_cycle
 from jaxchain.model.chain import Chain
-from jaxchain.observers.trajectory import Trajectory
+from jaxchain.observers.samples import Trajectory
 from jaxchain.simulation.run import simulate
 from jaxchain.studies._study import Job
 from jaxchain.studies.basins.table import ChainShares, Study

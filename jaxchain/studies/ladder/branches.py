@@ -13,12 +13,13 @@ from jaxchain.cycles.branches import CycleBranch, continue_cycle, switch_cycle
 from jaxchain.cycles.search import find_limit_cycle
 from jaxchain.localization.patterns import (
     LockedPattern,
+    PhaseModel,
     block_sites,
     locked_patterns,
     pattern_guess,
+    phase_model,
     rotating_wave,
 )
-from jaxchain.localization.phases import PhaseModel, phase_model
 from jaxchain.model.chain import Chain, paper_chain
 from jaxchain.studies._study import from_rows
 from jaxchain.studies.ladder.table import Study, Walk

@@ -16,8 +16,8 @@ from jaxchain.cycles.search import find_limit_cycle
 from jaxchain.cycles.variational import flow
 from jaxchain.model.chain import Chain
 from jaxchain.observers.amplitude import Amplitude
-from jaxchain.observers.peaks import PeakTimes
 from jaxchain.observers.quantities import active, energy
+from jaxchain.observers.section import PeakTimes
 from jaxchain.simulation.accuracy import fit_linear_solve
 from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.simulation.run import simulate

@@ -23,8 +23,8 @@ from jaxchain.localization.mistuning import (
 from jaxchain.model.chain import Chain, steady_sliding
 from jaxchain.model.initial_states import equation_8, excited_state, reference_site
 from jaxchain.observers.amplitude import Amplitude
-from jaxchain.observers.peaks import PeakTimes
 from jaxchain.observers.quantities import active_above, participation_ratio
+from jaxchain.observers.section import PeakTimes
 from jaxchain.studies.mistuning.table import SHORTEST_PERIOD, Ensemble, Study
 from jaxchain.sweeps.sweeping import sweep
 

@@ -25,8 +25,8 @@ from jaxchain._progress import progress_bar
 from jaxchain.model.chain import Chain
 from jaxchain.observers.amplitude import Amplitude
 from jaxchain.observers.base import AbstractObserver
-from jaxchain.observers.peaks import PeakTimes
 from jaxchain.observers.samples import Samples
+from jaxchain.observers.section import PeakTimes
 from jaxchain.result import NAMES, ended_well
 from jaxchain.scenes.building import build_chain, build_initial, build_solver
 from jaxchain.simulation.accuracy import check_resolved, choose_solver
