@@ -322,6 +322,32 @@ class LockedPattern(Printed):
         """Whether it is its own mirror image."""
         return bool(np.all(np.abs(_wrap(self.phases - self.phases[::-1])) < _SAME))
 
+    def images(self, n: int) -> list[int] | None:
+        """The symmetry of its centred cycle in a ring of n, for `find_limit_cycle(images=)`.
+
+        Of a mirrored block the left half does as the right half; of a ring in which every second
+        mass does the same, two masses differ, or one.  None without a symmetry.
+
+        !!! example
+
+            >>> import numpy as np
+            >>> from jaxchain.localization import LockedPattern
+            >>> LockedPattern(np.zeros(2), rate=0.0, growth=0.0).images(4)
+            [3, 2, 2, 3]
+        """
+        k = self.phases.size
+        sites = block_sites(n, k)
+        mass, total = int(sites[k // 2]), int(sites[0] + sites[-1])
+        if k == n:
+            turn = np.cos(np.diff(self.phases))
+            if np.allclose(turn, 1.0):
+                return [mass] * n
+            alternates = np.allclose(turn, -1.0) and n % 2 == 0
+            return [mass + (i - mass) % 2 for i in range(n)] if alternates else None
+        if not self.mirrored:
+            return None
+        return [max(i, (total - i) % n) if i != mass else i for i in range(n)]
+
 
 def locked_patterns(model: PhaseModel, count: Any) -> tuple[LockedPattern, ...]:
     """The locked patterns of `count` neighbours, the most stable one first.

@@ -208,3 +208,16 @@ def test_cycles_of_the_whole_chain_lie_near_locked_patterns(real):
         leading = [np.log(abs(m)) / float(cycle.period) for m in np.asarray(cycle.multipliers)]
         assert min(abs(g - pattern.growth) for g in leading) < 0.3 * abs(pattern.growth)
         assert (growth > 0) == (pattern.growth > 0)
+
+
+def test_the_images_of_a_block_are_the_symmetry_of_its_pattern():
+    def images(*phases, n=8):
+        return LockedPattern(np.array(phases), 0.0, 0.0).images(n)
+
+    assert images(0.0) == [0, 7, 6, 5, 4, 5, 6, 7]
+    assert images(0.0, 0.0) == [7, 6, 5, 4, 4, 5, 6, 7]
+    assert images(0.0, np.pi) is None
+    assert images(0.0, 1.0, 0.0) == [0, 7, 6, 5, 4, 5, 6, 7]
+    assert images(*np.zeros(8)) == [4] * 8
+    assert images(*(np.pi * np.arange(8))) == [4, 5] * 4
+    assert images(*(np.pi / 4 * np.arange(8))) is None
