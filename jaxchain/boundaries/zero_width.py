@@ -1,7 +1,7 @@
 """What smoothed friction tells of dry friction: extrapolation to width 0, with an error bar.
 
 A mass that leaves the belt, or touches it, does so within a time O(eps^(1/2)); smoothed friction
-shifts its motion by O(eps ln eps) then (`studies/crosscheck/bias.py`; `Grazing.smoothed` for a
+shifts its motion by O(eps ln eps) then (`examples/studies/crosscheck.py`; `Grazing.smoothed` for a
 fold), and what the chain makes of that is a series in
 
     eps ln(1/eps),  eps;  eps^(3/2);  (eps ln eps)^2,  eps^2 ln(1/eps), ...

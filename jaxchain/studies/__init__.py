@@ -6,7 +6,6 @@
 - `_tables`: tables that several of them share
 - `basins`: how likely each state is, over belt speed and coupling
 - `boundaries`: both boundaries over damping, friction, coupling and width
-- `crosscheck`: smoothed against true dry friction: the error over the width
 - `edges`: the motion on the boundary between two basins
 - `extremes`: stiff and extreme cases, each right by its own witness or refused
 - `fronts`: when a vibrating block grows, stands or shrinks, and how fast

@@ -117,7 +117,6 @@ def test_every_table_and_every_key_says_what_it_means(table):
             "fronts", "speed.belt_speed={start=1.0,stop=2.0,count=1000000}",
             "speed: would be 4e+06 runs of 64 masses",
         ),
-        ("crosscheck", "accuracy=[0.1,0.1]", "accuracy: holds 0.1 more than once"),
         ("extremes", f"masses={MANY}", "masses: must be at most 10000000, but is"),
         ("extremes", "width=[0.1,0.1]", "width: holds 0.1 more than once"),
         ("extremes", "v_ref=[5e-324]", "v_ref[0]: must be at least 1e-15, but is 5e-324"),

@@ -1,1 +1,0 @@
-"""Smoothed against true dry friction: the error over the width."""
