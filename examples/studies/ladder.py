@@ -1,0 +1,246 @@
+"""What lies behind the ladder of localized states: one snaking branch, or islands?
+
+The cycles in which k neighbours of the paper's ring vibrate with locked phases, stable and
+unstable, followed over the belt speed round all folds: in phase, alternating, and in the calmest
+pattern, whose phases keep together best.  Upon them runs of true dry friction from eq. (8), as in
+Fig. 3(b) of the paper; and between which belt speeds the calmest patterns are stable, over the
+coupling.
+
+Prints for each branch its belt speeds, where it is stable, by how much its orbits fail to close
+when they are integrated ten times finer, why it ends, and its special points; what true dry
+friction makes of stable cycles drawn by lot; and the ends of stability over the coupling.  Half an
+hour on two cores:
+
+    python examples/studies/ladder.py
+"""
+
+from types import SimpleNamespace
+
+import equinox as eqx
+import jax.numpy as jnp
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+from _common import BLUE, COUPLING, GREEN, GREY, PURPLE, SPEED, VERMILION, letters, options
+
+import jaxchain as jc
+from jaxchain import localization
+from jaxchain.cycles import switch_cycle
+from jaxchain.plotting import plot_branch, save_figure
+
+FULL = {
+    "n": 20, "coupling": 0.01, "width": 1e-3,
+    "counts": (1, 2, 3, 20, 4, 5, 6), "points": 60,  # on each of the two ways of a branch
+    "switched": (2,),  # of these the branch that crosses beyond the fold is followed, too
+    "speeds": np.arange(1.05, 1.86, 0.05), "transient": 1400.0,  # of the runs from eq. (8)
+    "dry": 6, "dry_time": 2000.0,  # runs of dry friction from stable cycles
+    # Tails of a localized vibration do not reach round a ring of ten.
+    "couplings": (1e-3, 3e-3, 1e-2, 3e-2, 1e-1), "coupled": (1, 2, 3, 4), "coupled_n": 10,
+    "coupled_points": 25,
+}  # fmt: skip
+QUICK = FULL | {
+    "n": 4, "width": 0.05, "counts": (1, 2), "points": 6, "switched": (), "speeds": (1.4, 1.5),
+    "transient": 50.0, "dry": 1, "dry_time": 150.0,
+    "couplings": (0.01,), "coupled": (1,), "coupled_n": 4, "coupled_points": 4,
+}  # fmt: skip
+START, BOUNDS, WINDOW = 1.5, (1.1, 1.9), 100.0
+PATTERNS = {"in-phase": BLUE, "alternating": "black", "calmest": GREEN}
+RTOL, TOLERANCE, MIN_STEP, FINE_RTOL = 1e-10, 1e-9, 1e-5, 1e-11
+LOSSES = ("fold", "symmetry breaking", "branch point", "period doubling", "torus")
+
+
+def locked(model, k, names):
+    """The locked patterns of k neighbours that go by these names, each once."""
+    n = model.chain.n
+    waves = (localization.rotating_wave(model, turns) for turns in range(n // 2 + 1))
+    every = (
+        localization.locked_patterns(model, k) if k < n else sorted(waves, key=lambda p: p.growth)
+    )
+    orders = [pattern.order for pattern in every]
+    index = {"in-phase": np.argmax(orders), "alternating": np.argmin(orders), "calmest": 0}
+    first = {index[name]: name for name in reversed(names)}
+    return {"single" if k == 1 else first[i]: every[i] for i in sorted(first)}
+
+
+def cycle_near(model, pattern):
+    """The cycle of the whole ring near a locked pattern; it may not have converged."""
+    n, k = model.chain.n, pattern.phases.size
+    mass = int(localization.block_sites(n, k)[k // 2])
+    state, period = localization.pattern_guess(model, pattern.phases, first=mass)
+    return jc.find_limit_cycle(
+        model.chain, state, period=period, vibrating=mass, images=pattern.images(n), rtol=1e-9,
+        throw=False,
+    )  # fmt: skip
+
+
+def follow(cycle, images, points, **more):
+    """The branch through a cycle, towards greater and towards smaller belt speeds."""
+    more |= {"images": images, "rtol": RTOL, "max_points": points}
+    more |= {"bounds": BOUNDS, "tolerance": TOLERANCE, "min_step": MIN_STEP}
+    return [jc.continue_cycle(cycle, direction=way, **more) for way in (1, -1)]
+
+
+def crossing(branch, points):
+    """The branch that crosses at the first symmetry breaking beyond the fold, if one is found."""
+    folds = [point.index for point in branch.of_kind("fold")]
+    for point in branch.of_kind("symmetry breaking"):
+        if not folds or point.index >= folds[0]:
+            try:
+                return [switch_cycle(branch, point, bounds=BOUNDS, max_points=points,
+                                     tolerance=TOLERANCE, min_step=MIN_STEP)]  # fmt: skip
+            except RuntimeError:
+                continue
+    return []
+
+
+def all_branches(chain, s):
+    """By (k, pattern) both ways of a branch, or the one way of what crosses it."""
+    model, branches = localization.phase_model(chain), {}
+    for k in s.counts:
+        for name, pattern in locked(model, k, [*PATTERNS]).items():
+            cycle = cycle_near(model, pattern)
+            print(f"k = {k}, {name}: {'' if cycle.successful else 'no '}cycle found", flush=True)
+            if cycle.successful:
+                branches[k, name] = follow(cycle, pattern.images(s.n), s.points)
+                if k in s.switched and (other := crossing(branches[k, name][0], s.points)):
+                    branches[k, f"{name}, switched"] = other
+    return branches
+
+
+def points_of(branches):
+    """All points of each branch, from the end of the way down to the end of the way up."""
+    names = ("parameter", "x", "v", "period", "energy", "unstable")
+    return {
+        key: {name: np.concatenate([*(getattr(way, name)[:0:-1] for way in down),
+                                    getattr(up, name)]) for name in names}
+        for key, (up, *down) in branches.items()
+    }  # fmt: skip
+
+
+@eqx.filter_jit
+def closing_error(chain, x, v, period):
+    """The residual of the shooting equations, integrated ten times finer."""
+    x1, v1 = jc.simulate(chain, (x, v), period, rtol=FINE_RTOL, throw=False).state
+    layer = jnp.hypot(v - chain.belt_speed, chain.width)
+    return jnp.max(jnp.maximum(abs(x1 - x), abs(v1 - v) / layer)) / jnp.max(v)
+
+
+def describe(chain, branches, points):
+    """A row for each branch; it is stable where no multiplier is beyond the unit circle."""
+    for (k, name), ways in branches.items():
+        speeds, x, v, period, _, unstable = points[k, name].values()
+        errors = [closing_error(chain.with_(belt_speed=jnp.asarray(speed)), *orbit)
+                  for speed, *orbit in zip(speeds, x, v, period, strict=True)]  # fmt: skip
+        edges = np.flatnonzero(np.diff([0, *(unstable == 0), 0])).reshape(-1, 2)
+        stable = [np.sort(speeds[a:b])[[0, -1]] for a, b in edges]
+        special = sorted((p.kind, p.parameter) for way in ways for p in way.special)
+        yield {
+            "k": k, "pattern": name, "points": speeds.size, "from": min(speeds), "to": max(speeds),
+            "stable at": ", ".join(f"{low:.4f} ... {high:.4f}" for low, high in stable),
+            "closing error": float(max(errors)), "ends": ", ".join(way.ended for way in ways),
+            "special points": ", ".join(f"{kind} {speed:.5f}" for kind, speed in special),
+        }  # fmt: skip
+
+
+def dry_runs(chain, points, s):
+    """What true dry friction makes of stable cycles, drawn by lot."""
+    watch = (jc.Amplitude(window=WINDOW),
+             jc.PeakTimes(capacity=24, start=s.dry_time - WINDOW))  # fmt: skip
+    every = [(key, i) for key, own in points.items() for i in np.flatnonzero(own["unstable"] == 0)]
+    for pick in np.sort(np.random.default_rng(11).permutation(len(every))[: s.dry]):
+        (k, name), i = every[pick]
+        p = {part: values[i] for part, values in points[k, name].items()}
+        own = chain.with_(width=None, belt_speed=float(p["parameter"]))
+        run = jc.simulate(own, (p["x"], p["v"]), s.dry_time, observe=watch, rtol=1e-8)
+        amplitude, times = run.observed
+        gaps = np.diff(times[:, jc.active(amplitude, own.belt_speed)], axis=0)
+        gaps = gaps[np.isfinite(gaps)]
+        yield {"k": k, "pattern": name, "belt speed": p["parameter"],
+               "E dry / smoothed": float(jc.energy(amplitude)) / p["energy"],
+               "T dry / smoothed": np.mean(gaps) / p["period"] if gaps.size else np.nan,
+               "spread of T": np.ptp(gaps) if gaps.size else np.nan}  # fmt: skip
+
+
+def stable_ends(s):
+    """Between which belt speeds the calmest cycles are stable, over the coupling."""
+    for coupling in s.couplings:
+        chain = jc.paper_chain(s.coupled_n, START, s.width, coupling=coupling)
+        model = localization.phase_model(chain)
+        for k in s.coupled:
+            ((_, pattern),) = locked(model, k, ["calmest"]).items()
+            cycle = cycle_near(model, pattern)
+            row = {"coupling": coupling, "k": k, "phases alone": pattern.growth}
+            if cycle.successful:
+                row["grows as"] = float(np.log(abs(cycle.multipliers[0])) / cycle.period)
+            if cycle.successful and cycle.stable:
+                lost = lambda p, at: abs(at.multipliers[0]) > 1.0 + 1e-7  # noqa: E731
+                ways = follow(cycle, pattern.images(s.coupled_n), s.coupled_points, stop=lost)
+                for end, way in zip(("upper", "lower"), ways, strict=True):
+                    at = way.parameter[-1] if way.ended in ("stopped", "left_bounds") else np.nan
+                    row |= {end: at, f"{end} end": way.ended}
+                    for p in way.special[::-1] if way.ended == "stopped" else ():
+                        if p.index >= way.parameter.size - 2 and p.kind in LOSSES:
+                            row |= {end: p.parameter, f"{end} end": p.kind}
+            yield row
+
+
+def draw(branches, runs, ends):
+    """(a) All branches and the runs, (b) the lowest rungs, (c) ends of stability."""
+    page, panels = plt.subplot_mosaic("AA;BC", figsize=(7.0, 6.2), height_ratios=(1.1, 1.0))
+    whole, zoom, limits = panels.values()
+    low = {key: ways for key, ways in branches.items() if key[0] <= 3}
+    for axes, some, size in ((whole, branches, 3.0), (zoom, low, 6.0)):
+        for (_, name), ways in some.items():
+            for way in ways:
+                data = way.to_dataset()
+                if axes is whole:
+                    data = data.isel(special=data.special_kind.values == "fold")
+                plot_branch(
+                    data, "energy", ax=axes, color=PATTERNS.get(name.split(",")[0], "black")
+                )
+        for line in axes.lines:
+            line.set(markersize=0.8 * size, linewidth=0.9)
+        top = axes.get_ylim()[1]
+        for speed in runs.belt_speed.values:
+            energies = runs.energy.sel(belt_speed=speed)
+            axes.scatter(np.full(energies.size, speed), energies, s=size, color=GREY, zorder=1)
+        axes.set(xlabel=SPEED, ylabel=r"vibration energy $\tilde E$ (–)")
+        axes.set_ylim(0.0, None if axes is whole else top)
+        axes.get_legend().remove()
+    colours = BLUE, VERMILION, GREEN, PURPLE, GREY
+    for colour, (k, rows) in zip(colours, ends.groupby("k"), strict=False):
+        for end, marker in (("upper", "v-"), ("lower", "^--")):
+            look = {"color": colour, "markersize": 3.5, "label": f"$k = {k}$, {end} end"}
+            limits.plot(rows.coupling, rows[end], marker, **look)
+    limits.set(xscale="log", xlabel=COUPLING, ylabel="belt speed, ends of stability")
+    limits.legend()
+    letters([*panels.values()])
+    handles = dict(zip(*zoom.get_legend_handles_labels()[::-1], strict=True))
+    handles |= {name: plt.Line2D([], [], color=colour) for name, colour in PATTERNS.items()}
+    handles["runs, dry friction"] = plt.Line2D([], [], color=GREY, marker=".", linestyle="")
+    page.legend(handles.values(), handles, loc="outside lower center", ncols=4, frameon=False)
+    return page
+
+
+def main():
+    quick, folder = options(__file__, __doc__)
+    s = SimpleNamespace(**(QUICK if quick else FULL))
+    chain = jc.paper_chain(s.n, START, s.width, coupling=s.coupling)
+    branches = all_branches(chain, s)
+    points = points_of(branches)
+    runs = jc.sweep(
+        chain.with_(width=None), jc.equation_8, s.transient + WINDOW,
+        over={"belt_speed": s.speeds, "excited": np.arange(s.n + 1)},
+        observe=jc.Amplitude(window=WINDOW), store=folder / "ensemble.zarr", progress=True,
+    )  # fmt: skip
+    tables = {"branches": describe(chain, branches, points), "dry": dry_runs(chain, points, s),
+              "couplings": stable_ends(s)}  # fmt: skip
+    for name, rows in tables.items():
+        tables[name] = pd.DataFrame(rows)
+        tables[name].to_csv(folder / f"{name}.csv", index=False)
+        print(f"\n{name}\n{tables[name].to_string(index=False, float_format='%.6g')}", flush=True)
+    save_figure(draw(branches, runs, tables["couplings"]), folder / "ladder")
+
+
+if __name__ == "__main__":
+    main()
