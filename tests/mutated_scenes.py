@@ -276,19 +276,14 @@ def built(loaded: LoadedScene) -> list[tuple[Any, Any]]:
 
     **Raises:** `SceneError` for what must not be run.
     """
-    from jaxchain.model.chain import paper_chain, steady_sliding
+    from jaxchain.model.chain import steady_sliding
     from jaxchain.scenes.building import build_chain, build_initial, checked_chains
     from jaxchain.scenes.registry import StudyTable
     from jaxchain.scenes.scene import SweepTable
     from jaxchain.studies.basins.compute import region
     from jaxchain.studies.boundaries import curves
-    from jaxchain.studies.extremes.chains import chain_cases
-    from jaxchain.studies.extremes.masses import mass_cases
     from jaxchain.studies.fronts import compute as moving
-    from jaxchain.studies.ladder.branches import ring
     from jaxchain.studies.mistuning import compute as mistuned
-    from jaxchain.studies.verdicts.runs import initial_states
-    from jaxchain.studies.work_precision.approaches import Problem
 
     scene = loaded.scene
     study = isinstance(scene, StudyTable)
@@ -317,20 +312,6 @@ def built(loaded: LoadedScene) -> list[tuple[Any, Any]]:
             chains = [scene.base.chain(1), ring_of]
         case "mistuning":
             chains = [mistuned.base_chain(scene)]
-        case "ladder":
-            other = scene.couplings
-            chains = [ring(scene), ring(scene, other.masses, other.coupling[0])]
-        case "verdicts":
-            for case in scene.case.values():
-                chain = paper_chain(scene.n, case.belt_speed, scene.smoothed.width)
-                x, v = initial_states(chain, case)
-                pairs.append((chain, (x[0], v[0])))
-        case "work_precision":
-            chain = paper_chain(scene.masses, scene.belt_speed)
-            problem = Problem(chain, scene.excited, (scene.belt_speed,), scene.duration)
-            pairs.append(problem.own(scene.belt_speed))
-        case "extremes":
-            assert mass_cases(scene) + chain_cases(scene)
     return [*pairs, *((chain, steady_sliding(chain)) for chain in chains)]
 
 

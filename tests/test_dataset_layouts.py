@@ -203,4 +203,3 @@ def test_a_table_that_is_not_true_is_found_out():
     optional = {"verdict": TABLES["Basin shares", ""]["verdict"]}
     assert not differences(optional, [])
     assert section_of("fronts", "pinning") == ("Study `fronts`", "`pinning`")
-    assert section_of("verdicts", "slow") == ("Study `verdicts`", "Each case")

@@ -139,22 +139,12 @@ class StudyFailedError(Exception):
 
     !!! example
 
-        >>> import jax, tempfile, textwrap
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from pathlib import Path
-        >>> from jaxchain.scenes import StudyFailedError, load_scene, run_scene
-        >>> study = load_scene("ladder", ["walk.start=1.89"])  # above the fold: nothing to follow
-        >>> with tempfile.TemporaryDirectory() as folder:
-        ...     try:
-        ...         run_scene(study, Path(folder), plot=False)
-        ...     except StudyFailedError as error:
-        ...         print(textwrap.fill(str(error), 80))
-        No stick-slip cycle in which one mass vibrates was found: the cycles of this
-        kind, followed from belt speed 1.701, turn at a fold at 1.83122. Other
-        vibrations may exist. Offer a run that ends in one as `guess`:
-        `find_limit_cycle(chain, simulate(chain, start, 400.0))`. See `fold_belt_speed`
-        for the greatest belt speed of this vibration and `hopf_belt_speed` for the
-        least of the slip cycle.
+        ```python
+        try:
+            run_scene(load_scene("edges"), folder)
+        except StudyFailedError as error:
+            print(error)
+        ```
     """
 
 

@@ -32,8 +32,8 @@ class LoadedScene:
         >>> loaded = load_scene("quickstart")
         >>> loaded.name, isinstance(loaded.scene, Scene)
         ('quickstart', True)
-        >>> load_scene("ladder").scene.study
-        'ladder'
+        >>> load_scene("fig6").scene.study
+        'states'
     """
 
     name: str
@@ -93,7 +93,7 @@ def schema(model: type[Scene] | type[StudyTable] = Scene) -> dict[str, Any]:
         >>> from jaxchain.scenes import load_scene, schema
         >>> list(schema()["properties"])
         ['title', 'description', 'experiment']
-        >>> "ring" in schema(type(load_scene("ladder").scene))["properties"]
+        >>> "panels" in schema(type(load_scene("fig6").scene))["properties"]
         True
     """
 

@@ -35,9 +35,9 @@ class StudyTable(Table):
     !!! example
 
         >>> from jaxchain.scenes import StudyTable, load_scene
-        >>> study = load_scene("ladder", ["walk.start=1.45"]).scene
-        >>> isinstance(study, StudyTable), study.study, study.walk.start
-        (True, 'ladder', 1.45)
+        >>> study = load_scene("fig6", ["panels=['circles']"]).scene
+        >>> isinstance(study, StudyTable), study.study, study.panels
+        (True, 'states', ['circles'])
     """
 
     study: Annotated[str, WHICH]

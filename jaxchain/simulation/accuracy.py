@@ -135,20 +135,17 @@ NO_ACCURACY = "give `rtol` instead of `accuracy`, which picks a width, or "
 _CLEAN, _LAYER, _NORM_MASSES = 30.0, 10.0, 20
 
 
-def default_rtol(
-    n: int, width: Any, belt_speed: Any, most: float = USUAL_RTOL, clean: float = _CLEAN
-) -> Any:
-    """`most`, or less where a width is so narrow that a sticking mass needs it.
+def default_rtol(n: int, width: Any, belt_speed: Any) -> Any:
+    """1e-6, or less where a width is so narrow that a sticking mass needs it.
 
-    width / [30 sqrt(min(n, 20)) (|v_d| + 0.1)], for the least width and the greatest speed; a
-    witness that others are compared with takes 60 for `clean`.
+    width / [30 sqrt(min(n, 20)) (|v_d| + 0.1)], for the least width and the greatest speed.
     """
     traced = is_traced(width, belt_speed)
     xp: Any = jnp if traced else np
     width, belt_speed = (a if traced else np.asarray(a) for a in (width, belt_speed))
     speed = xp.max(xp.abs(belt_speed)) + 0.1
-    needed = xp.min(width) / (clean * min(n, _NORM_MASSES) ** 0.5 * speed)
-    rtol = xp.minimum(most, needed)
+    needed = xp.min(width) / (_CLEAN * min(n, _NORM_MASSES) ** 0.5 * speed)
+    rtol = xp.minimum(USUAL_RTOL, needed)
     return lax.stop_gradient(rtol) if traced else float(rtol)
 
 

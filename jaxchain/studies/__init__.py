@@ -7,11 +7,7 @@
 - `basins`: how likely each state is, over belt speed and coupling
 - `boundaries`: both boundaries over damping, friction, coupling and width
 - `edges`: the motion on the boundary between two basins
-- `extremes`: stiff and extreme cases, each right by its own witness or refused
 - `fronts`: when a vibrating block grows, stands or shrinks, and how fast
-- `ladder`: the branches of cycles behind the ladder of states
 - `mistuning`: rings of random stiffness
 - `states`: the paper's Figures 4 to 10
-- `verdicts`: which of the paper's states are regular, which chaotic
-- `work_precision`: error over run time, for the solvers here and for others
 """

@@ -20,7 +20,7 @@ from jaxchain.scenes.reading import load_scene, schema
 from jaxchain.scenes.registry import StudyTable, studies, study_run, study_table
 from jaxchain.scenes.tables import FrictionTable
 from jaxchain.scenes.values import Table
-from jaxchain.studies.extremes.table import Study
+from jaxchain.studies.states.table import Study
 
 
 @pytest.fixture
@@ -63,7 +63,7 @@ class MadeUpModule:
 @pytest.fixture
 def made_up(workplace, monkeypatch):
     """A study of the name `made_up`, and a file of it."""
-    monkeypatch.setattr("jaxchain.scenes.reading.studies", lambda: ["made_up", "extremes"])
+    monkeypatch.setattr("jaxchain.scenes.reading.studies", lambda: ["made_up", "states"])
     monkeypatch.setattr("jaxchain.scenes.reading.study_table", lambda name: MadeUp)
     monkeypatch.setattr("jaxchain.scenes.running.study_run", lambda name: MadeUpModule.run)
     text = 'study = "made_up"\ntitle = "A test"\npart = { size = 2.5 }\n'
@@ -159,10 +159,10 @@ def test_a_drawing_that_fails_costs_no_data(made_up, monkeypatch, capsys):
         ),
         (
             "study=made_upp",
-            'study: must be one of "made_up", "extremes", but is "made_upp" (did you mean '
+            'study: must be one of "made_up", "states", but is "made_upp" (did you mean '
             "`made_up`?); without it the file is a scene",
         ),
-        ("study=[1]", 'study: must be one of "made_up", "extremes", but is a list'),
+        ("study=[1]", 'study: must be one of "made_up", "states", but is a list'),
     ],
 )
 def test_a_wrong_key_is_named_with_value_and_remedy(made_up, override, problem):
@@ -182,13 +182,13 @@ def test_a_wrong_study_ends_with_2_before_anything_is_made(made_up, capsys):
 def test_studies_are_listed_shown_and_described(workplace, capsys):
     assert main(["scenes"]) == 0
     lines = {line.split()[0]: line for line in capsys.readouterr().out.splitlines()}
-    assert load_scene("extremes").scene.title in lines["extremes"]
-    assert main(["scenes", "extremes"]) == 0
+    assert load_scene("fig6").scene.title in lines["fig6"]
+    assert main(["scenes", "fig6"]) == 0
     shown = capsys.readouterr().out
-    Path("own.toml").write_text(shown.replace("1e6", "1e5"), encoding="utf-8")
-    assert load_scene("own.toml").scene.duration == 1e5
-    assert main(["scenes", "extremes", "--schema"]) == 0
+    Path("own.toml").write_text(shown.replace("1e-7", "1e-6"), encoding="utf-8")
+    assert load_scene("own.toml").scene.states.numerics.rtol == 1e-6
+    assert main(["scenes", "fig6", "--schema"]) == 0
     described = json.loads(capsys.readouterr().out)
     assert set(described["properties"]) == set(Study.model_fields)
     assert schema(Study) == described
-    assert np.all(["description" in described["properties"][key] for key in ("width", "duration")])
+    assert np.all(["description" in described["properties"][key] for key in ("panels", "states")])

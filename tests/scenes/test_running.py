@@ -245,7 +245,7 @@ def test_what_fails_on_the_way_through_a_study_is_said_in_words(
 ):
     monkeypatch.setattr(running, "study_run", lambda name: lambda *table, **how: fails())
     with pytest.raises(kind, match=said) as error:
-        run_scene(load_scene("extremes"), tmp_path)
+        run_scene(load_scene("fig6"), tmp_path)
     assert len(str(error.value)) < 2000
 
 

@@ -1,1 +1,0 @@
-"""Stiff and extreme cases, each right by a witness of its own."""

@@ -1,1 +1,0 @@
-"""The branches of cycles behind the ladder of states."""

@@ -1,1 +1,0 @@
-"""Error over run time, for the solvers here and for others."""
