@@ -20,12 +20,7 @@ from jaxtyping import Array, Float
 from ..continuation.bracket import bisect
 from ..cycles.averaging import gain
 from ..model.chain import Chain
-from ..model.initial_states import excited_state
 from ..model.sliding import growth_rate
-from ..observers.amplitude import Amplitude
-from ..observers.section import PeakTimes
-from ..simulation.event_driven import EventDriven
-from ..simulation.run import simulate
 
 # Quiet masses that the response is computed for, and its time: some multiples of 1 / damping.
 _QUIET, _STEPS, _STEP = 4, 1500, 1.0
@@ -52,7 +47,7 @@ def spreading_speed(coupling: Any, growth: Any) -> Float[Array, "*batch"]:
     >>> round(float(spreading_speed(0.01, 0.0)), 6), round(float(spreading_speed(0.01, 0.01)), 5)
     (0.01, 0.02073)
     """
-    eta, s = jnp.asarray(coupling, float), jnp.asarray(growth, float)
+    eta, s = jnp.broadcast_arrays(jnp.asarray(coupling, float), jnp.asarray(growth, float))
 
     def rate(u: Array) -> Array:
         ratio = jnp.maximum(u / eta, 1.0)
@@ -61,19 +56,6 @@ def spreading_speed(coupling: Any, growth: Any) -> Float[Array, "*batch"]:
     # At u = 4 eta + s the bracket is more than 1.
     low, high = bisect(lambda u: rate(u) < s, eta, 4.0 * eta + s, 60)
     return jnp.where(s < 0, jnp.nan, 0.5 * (low + high))
-
-
-def single_cycle(chain: Chain) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """(w - 1, A) of the stick-slip cycle of one mass with dry friction; `chain` is one mass."""
-    first = simulate(
-        chain, excited_state(chain, 1), 200.0, solver=EventDriven(), rtol=1e-7, throw=False
-    )
-    observe = PeakTimes(40), Amplitude()
-    run = simulate(
-        chain, first.state, 220.0, solver=EventDriven(), rtol=1e-7, observe=observe, throw=False
-    )
-    peaks, amplitude = run.observed
-    return 2.0 * jnp.pi * 30 / (peaks[31, 0] - peaks[1, 0]) - 1.0, amplitude[0]
 
 
 def growth_coupling(

@@ -5,7 +5,7 @@ A front that moves does so in hops, from mass to mass; one that is pinned does n
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -30,6 +30,9 @@ from ..observers.fronts import Fronts, FrontTrack, apart, mean_speed
 from ..result import Printed, Result, ended_well
 from ..simulation.accuracy import MAX_STEP, check_span, check_tolerances
 from ..simulation.run import MOST_SEGMENTS, simulate
+
+if TYPE_CHECKING:
+    from xarray import Dataset
 
 _SMALLEST = 12
 VERDICTS = ("shrinks", "stands", "grows", "unknown")
@@ -81,14 +84,15 @@ class FrontSpeed(Printed, eqx.Module):
 
 
 @eqx.filter_jit
-def read_speed(
+def _measure(
     fronts: Fronts, n: int, t0: ScalarLike, t1: ScalarLike, transient: ScalarLike,
-    result: Result, level: Any = 0.95,
-) -> FrontSpeed:  # fmt: skip
-    """The speeds behind the record of a `FrontTrack` over [t0, t1] on a ring of n masses.
+    well: Any, level: Any,
+) -> dict[str, Array]:  # fmt: skip
+    """The numbers of a `FrontSpeed` from the record of a `FrontTrack` over [t0, t1].
 
     What lies before t0 + transient, or after a front first came within two masses of the middle of
-    its block or three of the far side of the ring, is left out.
+    its block or three of the far side of the ring, is left out; `well` is whether the run ended
+    well.
     """
     windows = fronts.right.shape[-1]
     length = (t1 - t0) / windows
@@ -105,19 +109,15 @@ def read_speed(
     right, left = one(fronts.right), one(fronts.left)
     # Fronts of a symmetric block hop at the same time: their errors do not average out.
     speed, error, moved = (0.5 * (a + b) for a, b in zip(right, left, strict=True))
-    well = ended_well(result)
     verdict = jnp.where(jnp.abs(moved) < 1.0, 0, 2)
     verdict = jnp.where(jnp.abs(speed) > error, jnp.sign(speed).astype(int), verdict)
-    verdict = jnp.where(jnp.isfinite(speed) & well, verdict, 2)
-
-    def known(value: Array) -> Array:
-        return jnp.where(well, value, jnp.nan)
-
-    return FrontSpeed(
-        speed=known(speed), error=known(error), right=known(right[0]), left=known(left[0]),
-        right_error=known(right[1]), left_error=known(left[1]), moved=known(moved),
-        verdict=verdict, times=times, fronts=fronts, result=result,
-    )  # fmt: skip
+    numbers = {
+        "speed": speed, "error": error, "right": right[0], "left": left[0],
+        "right_error": right[1], "left_error": left[1], "moved": moved,
+    }  # fmt: skip
+    return {name: jnp.where(well, value, jnp.nan) for name, value in numbers.items()} | {
+        "verdict": jnp.where(jnp.isfinite(speed) & well, verdict, 2)
+    }
 
 
 def front_speed(
@@ -176,7 +176,64 @@ def front_speed(
         chain, initial, t1, t0=t0, observe=FrontTrack(windows, middle), rtol=rtol,
         solver=solver, throw=False,
     )  # fmt: skip
-    return read_speed(run.observed, chain.n, t0, t1, transient, run.result, level)
+    found = _measure(run.observed, chain.n, t0, t1, transient, ended_well(run.result), level)
+    times = t0 + (jnp.arange(windows) + 0.5) * (t1 - t0) / windows
+    return FrontSpeed(**found, times=times, fronts=run.observed, result=run.result)
+
+
+def front_speeds(runs: Dataset, transient: Any = None, *, level: Any = 0.95) -> Dataset:
+    """The numbers of `front_speed` for every run of a sweep.
+
+    **Arguments:** `runs`, what `sweep(..., observe=FrontTrack(windows))` returned; `transient`,
+    what is left out at the start of a run (None: a fifth of it), one number or a data array over
+    dimensions of `runs`; `level` as for `front_speed`.
+
+    **Returns:** a dataset over the dimensions of `runs`: `speed`, `error`, `right`, `left`,
+    `right_error`, `left_error`, `moved` and `verdict` as in `FrontSpeed`, and `result`.
+
+    **Raises:** `ValueError` for a sweep that observed no fronts.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import excited_state, paper_chain, sweep
+        >>> from jaxchain.localization import front_speeds
+        >>> from jaxchain.observers import FrontTrack
+        >>> def block(chain):
+        ...     return excited_state(chain, 6, block="centred")
+        >>> runs = sweep(
+        ...     paper_chain(16, width=None), block, 400.0, over={"belt_speed": [1.1, 1.5]},
+        ...     observe=FrontTrack(20),
+        ... )
+        >>> front_speeds(runs).verdict.values.tolist()  # grows, stands
+        [1, 0]
+    """
+    if "front_right" not in runs:
+        raise ValueError(
+            "Argument `runs` must be a sweep that observed a `FrontTrack`, but has the variables "
+            f"{[str(name) for name in runs]}: call `sweep(..., observe=FrontTrack(windows))`."
+        )
+    check_share("level", level, "0.95 is usual.")
+    import xarray as xr  # it brings pandas, which would double the time of `import jaxchain`
+
+    n, t0, t1 = runs.sizes["oscillator"], runs.attrs["t0"], runs.attrs["t1"]
+    waits = xr.zeros_like(runs["result"], float)
+    waits = waits + (0.2 * (t1 - t0) if transient is None else transient)
+    well = xr.apply_ufunc(ended_well, runs["result"])
+
+    def measure(right: Array, left: Array, wait: Array, well: Array) -> tuple[Array, ...]:
+        return tuple(_measure(Fronts(right, left, left), n, t0, t1, wait, well, level).values())
+
+    numbers = xr.apply_ufunc(
+        jnp.vectorize(measure, signature="(w),(w),(),()->" + ",".join(["()"] * 8)),
+        runs["front_right"], runs["front_left"], waits, well,
+        input_core_dims=[["window"], ["window"], [], []], output_core_dims=[[]] * 8,
+    )  # fmt: skip
+    names = (
+        "speed", "error", "right", "left", "right_error", "left_error", "moved", "verdict",
+    )  # fmt: skip
+    return runs[["result"]].assign(dict(zip(names, numbers, strict=True)))
 
 
 def _check_ring(chain: Chain) -> None:

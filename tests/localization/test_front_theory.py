@@ -11,14 +11,10 @@ from jaxchain.boundaries.grazing import nonsmooth_fold_belt_speed
 from jaxchain.localization.front_theory import (
     death_belt_speed,
     growth_coupling,
-    single_cycle,
     spreading_speed,
 )
 from jaxchain.model import growth_rate
 from jaxchain.model.chain import paper_chain
-from jaxchain.model.initial_states import excited_state
-from jaxchain.simulation.event_driven import EventDriven
-from jaxchain.simulation.run import simulate
 
 
 def test_linear_spreading_against_bessel_functions():
@@ -100,15 +96,3 @@ def test_a_quiet_neighbour_is_drawn_in_where_its_low_response_ends():
     _at_belt.terminal = True  # pyright: ignore[reportFunctionMemberAccess]
     assert not most(0.97 * threshold)
     assert most(1.03 * threshold)
-
-
-@pytest.mark.long
-def test_the_period_of_a_single_cycle():
-    """It repeats itself after 2 pi / w, which no other number would do."""
-    chain = paper_chain(1, 1.5)
-    detuning, amplitude = jax.jit(lambda: single_cycle(chain))()
-    assert 1.5 < float(amplitude) < 1.65
-    late = simulate(chain, excited_state(chain, 1), 100.0, solver=EventDriven()).state
-    period = 2 * np.pi / (1.0 + float(detuning))
-    again = simulate(chain, late, 3 * period, solver=EventDriven()).state
-    np.testing.assert_allclose(again, late, atol=2e-4)

@@ -4,14 +4,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import xarray as xr
 
-from jaxchain.localization.fronts import depinning_belt_speed, front_speed, read_speed
+from jaxchain.localization.fronts import depinning_belt_speed, front_speed, front_speeds
 from jaxchain.model.chain import paper_chain
 from jaxchain.model.initial_states import excited_state
 from jaxchain.observers.amplitude import Amplitude
-from jaxchain.observers.fronts import Fronts, FrontTrack, front_positions, mean_speed
+from jaxchain.observers.fronts import FrontTrack, front_positions, mean_speed
 from jaxchain.observers.quantities import active
-from jaxchain.result import Result
+from jaxchain.result import Result, code
 from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.simulation.run import simulate
 
@@ -106,27 +107,41 @@ def test_a_front_that_stands_has_the_interval_of_three_over_time():
     np.testing.assert_allclose(error, -np.log(0.05) / 100.0)
 
 
-@pytest.mark.parametrize(
-    ("rate", "verdict", "outcome"),
-    [(0.02, 1, "grows"), (-0.02, -1, "shrinks"), (0.0, 0, "stands")],
-)
-def test_verdicts(rate, verdict, outcome):
-    times = 5.0 + 10.0 * jnp.arange(50)
-    place = 15.0 + rate * times
-    fronts = Fronts(place, place, jnp.zeros(50))
-    found = read_speed(fronts, 60, 0.0, 500.0, 100.0, Result.successful)
-    assert (int(found.verdict), found.outcome) == (verdict, outcome)
-    np.testing.assert_allclose(found.speed, rate, atol=1e-14)
-    np.testing.assert_allclose(found.moved, 39 * 10 * rate, atol=1e-12)
-    lost = read_speed(fronts, 60, 0.0, 500.0, 100.0, Result.nonfinite)
-    assert lost.outcome == "unknown"
+def runs_of(places, codes=None):
+    """A sweep that observed fronts at these places, window after window, on a ring of 60."""
+    fronts = {f"front_{side}": (("run", "window"), places) for side in ("right", "left")}
+    result = "run", np.zeros(len(places), int) if codes is None else codes
+    times = {"t0": 0.0, "t1": 500.0}
+    return xr.Dataset({**fronts, "result": result}, {"oscillator": np.arange(1, 61)}, times)
+
+
+def test_verdicts_of_a_sweep():
+    rates = np.array([0.02, -0.02, 0.0, 0.02])
+    places = 15.0 + rates[:, None] * (5.0 + 10.0 * np.arange(50))
+    found = front_speeds(runs_of(places, [0, 0, 0, int(code(Result.nonfinite))]), 100.0)
+    assert found.verdict.values.tolist() == [1, -1, 0, 2]
+    np.testing.assert_allclose(found.speed[:3], rates[:3], atol=1e-14)
+    np.testing.assert_allclose(found.moved[:3], 39 * 10 * rates[:3], atol=1e-12)
+    lost = found.isel(run=3)
     assert np.isnan([lost.speed, lost.right, lost.error, lost.moved]).all()
 
 
+def test_what_is_left_out_of_a_sweep_may_differ_from_run_to_run():
+    place = np.where(np.arange(50) < 20, 15.0, 11.0 + 0.2 * np.arange(50))
+    waits = xr.DataArray([0.0, 200.0], dims="run")
+    found = front_speeds(runs_of([place, place]), waits)
+    assert abs(float(found.speed[0]) - 0.02) > 1e-3
+    np.testing.assert_allclose(found.speed[1], 0.02, atol=1e-14)
+
+
 def test_one_jump_of_a_mass_or_more_without_a_trend_is_unknown():
-    place = jnp.where(jnp.arange(50) < 25, 10.0, 12.0)
-    fronts = Fronts(place, place, jnp.zeros(50))
-    assert read_speed(fronts, 60, 0.0, 500.0, 0.0, Result.successful).outcome == "unknown"
+    place = np.where(np.arange(50) < 25, 10.0, 12.0)
+    assert front_speeds(runs_of([place]), 0.0).verdict.values.tolist() == [2]
+
+
+def test_a_sweep_without_fronts_is_refused():
+    with pytest.raises(ValueError, match="must be a sweep that observed a `FrontTrack`"):
+        front_speeds(xr.Dataset({"amplitude": ("run", [1.0])}))
 
 
 N, BLOCK, TIME, WINDOWS = 20, 7, 256.0, 32
