@@ -1,6 +1,6 @@
 """The tables of docs/reference/datasets.md: what a dataset must hold, and what it does hold.
 
-A table stands below a heading.  Below "Study `fronts`" the headings name the parts by their inline
+A table stands below a heading.  Below "Study `ladder`" the headings name the parts by their inline
 code, and one that begins with "Each" stands for all others.  A name with an asterisk is that of a
 coordinate, "…" are the dimensions that are swept, and a row that ends in "*if ...*" may be absent.
 """

@@ -276,14 +276,9 @@ def built(loaded: LoadedScene) -> list[tuple[Any, Any]]:
 
     **Raises:** `SceneError` for what must not be run.
     """
-    from jaxchain.model.chain import steady_sliding
     from jaxchain.scenes.building import build_chain, build_initial, checked_chains
     from jaxchain.scenes.registry import StudyTable
     from jaxchain.scenes.scene import SweepTable
-    from jaxchain.studies.basins.compute import region
-    from jaxchain.studies.boundaries import curves
-    from jaxchain.studies.fronts import compute as moving
-    from jaxchain.studies.mistuning import compute as mistuned
 
     scene = loaded.scene
     study = isinstance(scene, StudyTable)
@@ -296,23 +291,7 @@ def built(loaded: LoadedScene) -> list[tuple[Any, Any]]:
             chain, initial, grid = build_chain(part), build_initial(part), part.grid()
             names = {"excited", "displacement", "velocity"} & grid.keys()
             pairs.append((chain, initial(chain, **{name: grid[name][0] for name in names})))
-    chains = []
-    match scene.study if study else "":
-        case "basins":
-            region(scene)
-            for own in (scene.over_belt_speed, scene.over_coupling):
-                coupling = own.coupling[0]
-                chains.append(scene.base.chain(own.masses, own.belt_speed[0], coupling=coupling))
-        case "boundaries":
-            chains = [curves.base_chain(scene), curves.base_chain(scene, scene.coupling.masses)]
-        case "fronts":
-            chains = [moving.base_chain(scene, n) for n in (1, scene.speed.masses)]
-        case "edges":
-            ring_of = scene.base.chain(scene.ladder.masses, coupling=scene.base.coupling)
-            chains = [scene.base.chain(1), ring_of]
-        case "mistuning":
-            chains = [mistuned.base_chain(scene)]
-    return [*pairs, *((chain, steady_sliding(chain)) for chain in chains)]
+    return pairs
 
 
 def means_nothing(chain: Any, state: Any) -> str:

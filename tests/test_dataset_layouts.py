@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray as xr
-from layouts import PAGE, Row, differences, row_of, rows, section_of, tables
+from layouts import PAGE, Row, differences, row_of, rows, tables
 from synthetic import cycle_branch
 
 from jaxchain.basins import Box, basin_shares, share_differences
@@ -202,4 +202,3 @@ def test_a_table_that_is_not_true_is_found_out():
     assert differences(said, []) == ["the dataset lacks: stick_time"]
     optional = {"verdict": TABLES["Basin shares", ""]["verdict"]}
     assert not differences(optional, [])
-    assert section_of("fronts", "pinning") == ("Study `fronts`", "`pinning`")

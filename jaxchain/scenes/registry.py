@@ -49,7 +49,7 @@ def studies() -> list[str]:
     """Names of all studies.
 
     >>> studies()[:2]
-    ['basins', 'boundaries']
+    ['crosscheck', 'extremes']
     """
     room = importlib.import_module(_STUDIES)
     return sorted(module.name for module in pkgutil.iter_modules(room.__path__) if module.ispkg)

@@ -166,7 +166,7 @@ def test_the_command_says_what_is_wrong_before_it_runs_anything(
 
 
 def test_a_study_takes_no_law(laws, tmp_path, capsys):
-    arguments = ["run", "boundaries", "--law", f"{laws}:Rational", "--output", str(tmp_path / "r")]
+    arguments = ["run", "ladder", "--law", f"{laws}:Rational", "--output", str(tmp_path / "r")]
     assert cli.main(arguments) == 2
     assert "--law: is for scenes, and this is a study" in capsys.readouterr().err
 

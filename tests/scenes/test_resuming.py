@@ -316,7 +316,7 @@ def test_a_law_of_ones_own_is_named_again(workplace, capsys):
 
 def test_a_study_cannot_go_on(tmp_path):
     with pytest.raises(SceneError, match="is a study, which cannot go on: `jaxchain run"):
-        resume_scene(load_scene("fronts"), tmp_path)
+        resume_scene(load_scene("ladder"), tmp_path)
 
 
 def test_a_store_that_no_scene_has_made_is_gone_on_with_in_python(workplace, capsys):
@@ -402,7 +402,7 @@ def test_workers_take_every_experiment_into_stores(workplace, workers, capsys):
         main(["run", "two.toml", "--scheduler", "tcp://nowhere:1", "--quiet"])
     assert stopped.value.code == 2
     assert capsys.readouterr().err == "jaxchain: No scheduler answers.\n"
-    assert main(["run", "fronts", "--workers", "2", "--quiet"]) == 2
+    assert main(["run", "ladder", "--workers", "2", "--quiet"]) == 2
     assert "--workers: is for scenes, and this is a study" in capsys.readouterr().err
 
 

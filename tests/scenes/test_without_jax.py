@@ -45,7 +45,7 @@ def test_help_and_the_list_of_scenes_do_not_even_check():
 
 def test_scenes_and_studies_are_checked_and_described_without_jax():
     commands = [["scenes", name] for name in builtin_scenes()]
-    commands += [["scenes", "--schema"], ["scenes", "fronts", "--schema"]]
+    commands += [["scenes", "--schema"], ["scenes", "ladder", "--schema"]]
     for command, (status, packages) in zip(commands, loaded_by(*commands), strict=True):
         assert status == 0, command
         assert not packages & HEAVY, command
@@ -56,7 +56,7 @@ def test_scenes_and_studies_are_checked_and_described_without_jax():
     "wrong",
     [
         ["fig3", "--set", "experiment.single.chain.n=-1"],
-        ["fronts", "--set", "nothing=1"],
+        ["ladder", "--set", "nothing=1"],
         ["fig3", "--set", "study=fig3"],
         ["no_such_scene"],
     ],

@@ -1,1 +1,0 @@
-"""Both boundaries over damping, friction, coupling and width."""

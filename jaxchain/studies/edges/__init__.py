@@ -1,1 +1,0 @@
-"""Edges between basins: the motion between states that die and states that vibrate."""

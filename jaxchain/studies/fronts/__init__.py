@@ -1,1 +1,0 @@
-"""Fronts of vibrating blocks: their speed, and where they come unstuck."""

@@ -1,1 +1,0 @@
-"""Rings of random stiffness."""
