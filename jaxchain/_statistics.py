@@ -1,4 +1,4 @@
-"""Confidence intervals: Student's t, Wilson's for a fraction, the bootstrap for a mean."""
+"""Confidence intervals: Student's t, and Wilson's for a fraction."""
 
 from __future__ import annotations
 
@@ -6,8 +6,6 @@ from typing import Any
 
 import numpy as np
 import scipy.special
-
-_RESAMPLES = 1000
 
 
 def student_reach(level: Any, freedom: Any) -> Any:
@@ -28,26 +26,6 @@ def mean_interval(values: np.ndarray) -> np.ndarray:
     count, mean = len(values), np.mean(values, axis=0)
     reach = student_reach(0.95, count - 1) * np.std(values, axis=0, ddof=1) / count**0.5
     return np.stack([mean - reach, mean + reach])
-
-
-def bootstrap_mean(values: Any, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mean over the last axis, and the ends of its 95 % interval (bootstrap percentiles).
-
-    Chains are drawn anew with replacement, the same ones at every point.  NaN counts as no chain.
-    """
-    values = np.asarray(values, float)
-    known = np.isfinite(values)
-    filled = np.where(known, values, 0.0)
-    rng = np.random.default_rng(seed)
-    count = values.shape[-1]
-    # How often each chain is drawn: (chain, resample).
-    weights = rng.multinomial(count, np.full(count, 1.0 / count), _RESAMPLES).T.astype(float)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        means = (filled @ weights) / (known.astype(float) @ weights)
-        mean = np.asarray(filled.sum(-1) / known.sum(-1))
-    # NaN where no chain is left.
-    low, high = np.percentile(means, [2.5, 97.5], axis=-1)
-    return mean, np.asarray(low), np.asarray(high)
 
 
 def wilson(successes: Any, total: Any) -> tuple[np.ndarray, np.ndarray]:

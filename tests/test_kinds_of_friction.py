@@ -207,7 +207,7 @@ REFUSED = {
     "continue_cycle": (lambda c: jc.continue_cycle(c, c_start(c), 6.0), "one belt speed to"),
     "find_fold": (jc.boundaries.find_fold, "`find_grazing`"),
     "fold_by_descent": (jc.boundaries.fold_by_descent, "`find_grazing`"),
-    "one_mass_branch": (jc.boundaries.one_mass_branch, "`dry_slip_branch`"),
+    "one_mass_branch": (jc.boundaries.one_mass_branch, "sliding_basin`"),
     "phase_model": (
         lambda c: jc.localization.phase_model(jc.paper_chain(4, width=None)), "give it a width"
     ),

@@ -3,7 +3,7 @@
 import numpy as np
 import scipy.stats
 
-from jaxchain._statistics import bootstrap_mean, mean_interval, student_reach, wilson
+from jaxchain._statistics import mean_interval, student_reach, wilson
 
 
 def test_the_interval_of_a_mean_holds_the_truth_in_95_of_100_cases():
@@ -19,13 +19,3 @@ def test_intervals_against_scipy():
         expected = scipy.stats.binomtest(hits, total).proportion_ci(method="wilson")
         np.testing.assert_allclose(wilson(hits, total), expected, atol=1e-12)
     assert np.all(np.isnan(wilson(0, 0)))
-    values = np.random.default_rng(1).gamma(2.0, size=(2, 400))
-    mean, low, high = bootstrap_mean(values)
-    expected = scipy.stats.bootstrap(
-        (values[1],), np.mean, method="percentile", n_resamples=4000, rng=2
-    ).confidence_interval
-    np.testing.assert_allclose(mean, values.mean(-1))
-    np.testing.assert_allclose((low[1], high[1]), expected, atol=0.02)
-    # A chain that failed is left out.
-    values[:, 7] = np.nan
-    np.testing.assert_allclose(bootstrap_mean(values)[0], np.nanmean(values, -1))

@@ -12,32 +12,23 @@ from __future__ import annotations
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jaxtyping import Array, Float
 
 from .._checks import check_concrete, check_kind, check_positive_number
 from .._final import final
-from ..continuation.damped_newton import newton
-from ..cycles.averaging import cycle_speed, greatest_speed
 from ..cycles.branches import continue_cycle
 from ..model.chain import Chain, require_smoothed
 from ..model.initial_states import check_vibrating
-from ..observers.amplitude import Amplitude
 from ..result import Printed
-from ..simulation.run import simulate
 from .fold import Fold, find_fold
 from .hopf import hopf_belt_speed
-from .touch import Touch, touch_residual
 
 # Points on each side of the fold, at most.
 _POINTS = 72
 # Lengths of the sides: of the slip cycles z runs over asinh(v_d / eps), about.
 _STICKING, _SLACK = 5.0, 3.0
-# Steps in a period of a dry slip cycle.
-_DRY_STEPS, _DRY_RTOL = 64, 1e-9
 
 
 @final
@@ -46,11 +37,9 @@ class OneMassBranch(Printed, eqx.Module):
 
     - `belt_speed` v_d, `amplitude` A (half peak-to-peak of x), `period` T; dimensionless, NaN in
       places where there is no point, so drop these before drawing a line.
-    - `closeness`: s = max w / eps; -inf for dry friction.
+    - `closeness`: s = max w / eps.
 
-    The first entry is the Hopf point, of amplitude 0; `fold` is the index of the fold.  Of a dry
-    slip branch it is the last one, the touch, even where friction is flat at rest and the belt is
-    faster a little before.
+    The first entry is the Hopf point, of amplitude 0; `fold` is the index of the fold.
 
     !!! example
 
@@ -100,7 +89,7 @@ def one_mass_branch(chain: Chain, lowest: Any = 0.1, fold: Fold | None = None) -
         True
     """
     _check_single(chain)
-    require_smoothed(chain, "use `dry_slip_branch` for its slip cycles, or ")
+    require_smoothed(chain, "use `jaxchain.basins.sliding_basin` for its slip cycles, or ")
     check_positive_number("lowest", lowest, "the cycles are lost as the belt comes to rest.")
     check_concrete("use `find_limit_cycle`.", chain=chain)
     fold = find_fold(chain) if fold is None else fold
@@ -135,66 +124,6 @@ def check_below_fold(lowest: Any, fold: Fold) -> None:
             f"Argument `lowest` must be below the fold, at a belt speed of {speed:.6g}, but is "
             f"{lowest}: no mass sticks and slips above it. 0.1 is usual."
         )
-
-
-def dry_slip_branch(chain: Chain, points: int = 24) -> OneMassBranch:
-    """The unstable slip cycles of one mass with dry friction, from rest to the touch of the belt.
-
-    The equations of `boundaries/grazing.py` with the greatest velocity r v_d, 0 < r <= 1; r = 1 is
-    the touch, and the fold unless the belt is faster before (`Grazing.touches`).
-
-    **Arguments:** `chain` of one mass, whose `belt_speed` and width have no part in it; `points`,
-    how many cycles, besides the Hopf point.
-
-    **Returns:** `points` + 1 places; NaN where no cycle was found.  Works under `jit`.
-
-    **Raises:** `ValueError` for a chain of several masses.
-    """
-    _check_single(chain)
-    return _dry_branch(jax.tree.map(lax.stop_gradient, chain), points)
-
-
-@eqx.filter_jit
-def _dry_branch(chain: Chain, points: int) -> OneMassBranch:
-    dry = chain.with_(width=None)
-    touch = Touch(chain, jnp.asarray(_DRY_STEPS), 0)
-    highest = greatest_speed(dry)
-
-    def residual(q: Array, ratio: Array) -> Array:
-        w = (ratio - 1.0) * q[-1]
-        return touch_residual(q, touch, w, w) / ratio
-
-    def cycle(ratio: Array) -> tuple[Array, Array, Array]:
-        speed = cycle_speed(dry, ratio, highest)
-        guess = jnp.stack([jnp.log(2.0 * jnp.pi / jnp.sqrt(dry.stiffness)), speed])
-        root = newton(residual, jnp.where(jnp.isnan(guess), 1.0, guess), ratio, max_steps=20)
-        (x, v), period, speed = touch.unpack(root.value, (ratio - 1.0) * root.value[-1])
-        amplitude = _amplitude(dry, x, v, speed, period)
-        found = jnp.where(root.successful, jnp.stack([speed, amplitude, period]), jnp.nan)
-        return found[0], found[1], found[2]
-
-    ratios = jnp.linspace(0.0, 1.0, points + 1)[1:]
-    speeds, amplitudes, periods = jax.vmap(cycle)(ratios)
-    hopf = hopf_belt_speed(dry)
-    return OneMassBranch(
-        belt_speed=jnp.append(hopf, speeds),
-        amplitude=jnp.append(0.0, amplitudes),
-        closeness=jnp.full(points + 1, -jnp.inf),
-        period=jnp.append(periods[0], periods),
-        fold=points,
-    )
-
-
-def _amplitude(chain: Chain, x: Array, v: Array, belt_speed: Array, period: Array) -> Array:
-    """Half peak-to-peak of x on the cycle through (x, v)."""
-    known = jnp.isfinite(period)
-    moving = eqx.tree_at(lambda c: c.belt_speed, chain, jnp.where(known, belt_speed, 1.0))
-    start = tuple(jnp.where(known, part, 0.0) for part in (x, v))
-    run = simulate(
-        moving, start, jnp.where(known, period, 1e-3), observe=Amplitude(), rtol=_DRY_RTOL,
-        throw=False,
-    )  # fmt: skip
-    return jnp.where(known, run.observed[0], jnp.nan)
 
 
 def _check_single(chain: Any) -> None:

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq, fsolve
 
-from jaxchain import Amplitude, EventDriven, hopf_belt_speed, paper_chain, simulate
+from jaxchain import Amplitude, hopf_belt_speed, paper_chain, simulate
 from jaxchain.boundaries import find_fold
 from jaxchain.boundaries.criticality import generalised_hopf
 from jaxchain.boundaries.overview import hopf_and_fold
-from jaxchain.boundaries.single_mass import dry_slip_branch, one_mass_branch
+from jaxchain.boundaries.single_mass import one_mass_branch
 from jaxchain.model.initial_states import on_the_belt
 
 WIDTH = 1e-2
@@ -114,9 +114,8 @@ def test_a_meeting_in_something_else_is_refused():
 
 
 def test_branches_are_of_one_mass():
-    for branch in (one_mass_branch, dry_slip_branch):
-        with pytest.raises(ValueError, match="one mass, but has 3"):
-            branch(paper_chain(3))
+    with pytest.raises(ValueError, match="one mass, but has 3"):
+        one_mass_branch(paper_chain(3))
     with pytest.raises(ValueError, match="lowest"):
         one_mass_branch(paper_chain(1), -1.0)
 
@@ -196,28 +195,3 @@ def test_the_stable_side_is_what_time_integration_comes_to(branch):
         return simulate(own, on_the_belt(own), 200.0, observe=watch, rtol=1e-9).observed[0]
 
     np.testing.assert_allclose(settled(branch.belt_speed[at]), branch.amplitude[at], rtol=1e-6)
-
-
-@pytest.mark.exhaustive
-def test_the_dry_slip_branch_is_the_limit_of_the_smoothed_one(branch):
-    dry = dry_slip_branch(paper_chain(1))
-    np.testing.assert_allclose(dry.belt_speed[-1], DRY_FOLD, rtol=1e-9)
-    # Of the cycle that touches the belt's speed, by SciPy's DOP853 at a tolerance of 1e-13.
-    np.testing.assert_allclose(dry.amplitude[-1], 1.847927163819, rtol=1e-9)
-    assert np.all(np.diff(dry.belt_speed) > 0)
-    # Far below the belt's speed smoothing is nothing.
-    known = np.isfinite(branch.belt_speed[: branch.fold]) & (branch.closeness[: branch.fold] < -40)
-    speed, amplitude = (a[: branch.fold][known] for a in (branch.belt_speed, branch.amplitude))
-    inside = amplitude > dry.amplitude[1]
-    expected = np.interp(amplitude[inside], dry.amplitude, dry.belt_speed)
-    np.testing.assert_allclose(speed[inside], expected, atol=3e-4)  # of the interpolation
-    # It separates what comes to rest from what goes on to vibrate.
-    middle = 12
-    chain = paper_chain(1, dry.belt_speed[middle])
-    x0 = chain.law.coefficient(chain.belt_speed)
-    for share, survives in ((0.9, False), (1.1, True)):  # its centre is not quite x0
-        start = jnp.reshape(x0 - share * dry.amplitude[middle], (1,)), jnp.zeros(1)
-        end = simulate(
-            chain, start, 400.0, observe=Amplitude(window=20.0), solver=EventDriven()
-        ).observed[0]
-        assert (end > dry.amplitude[middle]) == survives
