@@ -193,12 +193,12 @@ def main():
 def draw(error, energy_error, table):
     """(a)-(d) Errors over width; (e) width for an accuracy, (f) factor a, over belt speed."""
     page, panels = plt.subplots(2, 3, figsize=(7.0, 4.9))
-    several = zip(panels.flat, [*LOOKS, "energy"], [*error, energy_error], strict=False)
+    several = zip(panels.flat, [*LOOKS, "energy"], [*error, energy_error])
     for axes, name, data in several:
         over = data.dims[0]
         rows = table[table.quantity == name].reset_index()
         some = np.unique(np.linspace(0, len(rows) - 1, min(len(rows), 5)).round().astype(int))
-        for i, shade in zip(some, plt.cm.viridis(np.linspace(0, 0.88, some.size)), strict=True):
+        for i, shade in zip(some, plt.cm.viridis(np.linspace(0, 0.88, some.size))):
             fine = np.geomspace(min(error.width), rows["up to width"][i], 60)
             axes.plot(fine, np.abs(law(fine, rows.a[i], rows.b[i])), color=shade, linewidth=0.7)
             # Points that lie upon each other are rings within rings.
@@ -217,7 +217,7 @@ def draw(error, energy_error, table):
     for name, (colour, marker) in LOOKS.items():
         rows = table[table.quantity == name]
         panels[1, 1].plot([], [], marker + "-", color=colour, markersize=3, label=name)
-        for goal, dashes in zip(GOALS, ("-", "--", ":"), strict=True):
+        for goal, dashes in zip(GOALS, ("-", "--", ":")):
             widths, look = (
                 rows[f"width for {100 * goal:g} %"],
                 {"color": colour, "markersize": 2.2},
@@ -228,7 +228,7 @@ def draw(error, energy_error, table):
             error.belt_speed, rows.a, marker, color=colour, markersize=3, label=f"{name}, fitted"
         )
     panels[1, 2].plot([], [], color="black", linewidth=0.8, label="expected")
-    for goal, dashes in zip(GOALS, ("-", "--", ":"), strict=True):
+    for goal, dashes in zip(GOALS, ("-", "--", ":")):
         panels[1, 1].plot([], [], dashes, color="black", linewidth=0.8, label=f"{100 * goal:g} %")
     panels[1, 1].set(yscale="log", ylabel=r"width $\varepsilon$ for an accuracy")
     panels[1, 1].set_ylim(top=60 * panels[1, 1].get_ylim()[1])

@@ -23,7 +23,7 @@ import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-from _common import BLUE, ORANGE, RED, options
+from _common import BLUE, ORANGE, options
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
@@ -72,9 +72,6 @@ class Mass:
         drop = self.mu_static - self.mu_dynamic
         return self.mu_dynamic + drop * np.exp(-np.abs(speed) / self.v_ref)
 
-    def witness(self, model):
-        return self.dry() if model == "dry" else self.smoothed()
-
     def dry(self):
         """The end with true dry friction: slip to the next w = 0, stick in closed form."""
         x, v, t = self.x, self.v, 0.0
@@ -105,7 +102,7 @@ class Mass:
     def smoothed(self, x=None, v=None, springs=0.0):
         """The end, also of masses joined by a matrix of springs, by LSODA."""
         x, v = ([self.x], [self.v]) if x is None else (x, v)
-        n, stiffness = len(x), self.k * np.eye(len(x)) + springs
+        n, stiffness, span = len(x), self.k * np.eye(len(x)) + springs, (0.0, self.end)
 
         def slope(t, y):
             w = y[n:] - self.v_d
@@ -118,7 +115,7 @@ class Mass:
             d = fall * np.sign(w) * turn - self.mu(w) * (1 - turn**2) / self.width - 2 * self.xi
             return np.block([[np.zeros((n, n)), np.eye(n)], [-stiffness, np.diag(d)]])
 
-        y, span = np.concatenate([x, v]), (0.0, self.end)
+        y = np.concatenate([x, v])
         run = solve_ivp(slope, span, y, "LSODA", jac=jacobian, rtol=1e-11, atol=1e-12)
         return run.y[:, -1] if run.success else np.full(2 * n, np.nan)
 
@@ -174,12 +171,6 @@ def tiny(model):
     return grown / 1e-12, linear(np.eye(1), slow.xi - slope / 2, 0.0, [1.0], [0.0], 50.0), 1e-3
 
 
-def late(model):
-    """From t = 1e9 on the run is that from 0 on."""
-    value = end(model, SOFT.chain(), 3.0, 0.0, 1e9 + 50.0, t0=1e9)
-    return value, end(model, SOFT.chain(), 3.0, 0.0, 50.0), 1e-5
-
-
 def long(x, allowed, model):
     """What a million time units leave is the cycle that Newton's method finds, or nothing."""
     chain, watch = replace(SOFT, width=1e-2).chain(), jc.Amplitude(window=20.0)
@@ -211,8 +202,8 @@ def lonely(model):
     """A mean error over all masses must not hide that of the one that vibrates."""
     x, v = jc.steady_sliding(big := FAST.chain(MASSES))
     ended = run(model, big, x.at[0].add(2.0), v, 60.0, rtol=1e-6).state
-    witness = replace(FAST, x=FAST.mu(1.3) + 2.0, end=60.0).witness(model)
-    return np.array(ended)[:, 0], witness, 1e-4
+    one = replace(FAST, x=FAST.mu(1.3) + 2.0, end=60.0)
+    return np.array(ended)[:, 0], one.dry() if model == "dry" else one.smoothed(), 1e-4
 
 
 def together(x, model):
@@ -237,7 +228,7 @@ SOFT, FAST = Mass(width=1e-3), Mass(width=1e-3, v_d=1.3)
 
 def cases():
     """(group, name, answer, its numbers)."""
-    one, different = Mass(), 0.5 * np.cos(np.arange(20))
+    one = Mass()
     for width in WIDTHS:
         yield "width", f"{width:g}", alone, replace(one, width=width)
     for speed in BELT_SPEEDS:
@@ -265,10 +256,9 @@ def cases():
     for name, x in [("held", 0.2), ("about to slip", 0.88), ("torn off at once", 3.0)]:
         yield "start", f"w = 0, {name}", alone, replace(SOFT, v=1.2, x=x)
     yield "start", "all stick, alike", together, np.full(20, 0.2)
-    yield "start", "all stick, all different", together, different
+    yield "start", "all stick, all different", together, 0.5 * np.cos(np.arange(20))
     yield "time", f"{LONG:g} time units, vibrating", long, 3.0, 1e-4
     yield "time", f"{LONG:g} time units, coming to rest", long, SOFT.mu(1.2) + 0.01, 1e-6
-    yield "time", "from 1e9 on", late
     for k in (1e-4, 1e6):
         mass = replace(one, k=k, x=3.0 / k, end=min(20.0, 2000.0 / k**0.5))
         yield "numbers", f"stiffness {k:g}", alone, mass
@@ -288,8 +278,7 @@ def judge(group, name, answer, *numbers):
         except Exception as error:  # whatever it is, it is no answer
             print(f"{group}: {name}, {model}: {type(error).__name__}: {error}")
         seconds = time.perf_counter() - begun
-        right = deviation <= allowed and seconds <= SLOWEST
-        outcome = "right" if right else "WRONG"
+        outcome = "right" if deviation <= allowed and seconds <= SLOWEST else "WRONG"
         yield f"{group}: {name}", model, outcome, deviation, allowed, seconds
 
 
@@ -309,8 +298,6 @@ def draw(table):
         left.plot(allowed, y, "|", color=colour, markersize=4)
         left.plot(x, y, marker, color=colour, markersize=2.8, label=model)
         right.plot(table.seconds[own].clip(1e-3), y, marker, color=colour, markersize=2.4)
-    wrong = table.outcome == "WRONG"
-    left.plot(0 * row[wrong] + 1.0, row[wrong], "x", color=RED, markersize=5, label="WRONG")
     left.set_yticks(range(len(names)), names, fontsize=5.5)
     left.set(ylim=(len(names) - 0.4, -0.6), xscale="log", xlim=(least / 2, 8.0))
     left.set_xlabel("deviation from the witness, relative (–); |: allowed")

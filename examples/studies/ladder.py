@@ -43,9 +43,9 @@ QUICK = FULL | {
     "transient": 50.0, "dry": 1, "dry_time": 150.0,
     "couplings": (0.01,), "coupled": (1,), "coupled_n": 4, "coupled_points": 4,
 }  # fmt: skip
-START, BOUNDS, WINDOW = 1.5, (1.1, 1.9), 100.0
+START, WINDOW, RTOL, FINE_RTOL = 1.5, 100.0, 1e-10, 1e-11
+HOW = {"bounds": (1.1, 1.9), "tolerance": 1e-9, "min_step": 1e-5}  # branches are followed
 PATTERNS = {"in-phase": BLUE, "alternating": "black", "calmest": GREEN}
-RTOL, TOLERANCE, MIN_STEP, FINE_RTOL = 1e-10, 1e-9, 1e-5, 1e-11
 LOSSES = ("fold", "symmetry breaking", "branch point", "period doubling", "torus")
 
 
@@ -75,8 +75,7 @@ def cycle_near(model, pattern):
 
 def follow(cycle, images, points, **more):
     """The branch through a cycle, towards greater and towards smaller belt speeds."""
-    more |= {"images": images, "rtol": RTOL, "max_points": points}
-    more |= {"bounds": BOUNDS, "tolerance": TOLERANCE, "min_step": MIN_STEP}
+    more |= {"images": images, "rtol": RTOL, "max_points": points, **HOW}
     return [jc.continue_cycle(cycle, direction=way, **more) for way in (1, -1)]
 
 
@@ -86,8 +85,7 @@ def crossing(branch, points):
     for point in branch.of_kind("symmetry breaking"):
         if not folds or point.index >= folds[0]:
             try:
-                return [switch_cycle(branch, point, bounds=BOUNDS, max_points=points,
-                                     tolerance=TOLERANCE, min_step=MIN_STEP)]  # fmt: skip
+                return [switch_cycle(branch, point, max_points=points, **HOW)]
             except RuntimeError:
                 continue
     return []
@@ -130,7 +128,7 @@ def describe(chain, branches, points):
     for (k, name), ways in branches.items():
         speeds, x, v, period, _, unstable = points[k, name].values()
         errors = [closing_error(chain.with_(belt_speed=jnp.asarray(speed)), *orbit)
-                  for speed, *orbit in zip(speeds, x, v, period, strict=True)]  # fmt: skip
+                  for speed, *orbit in zip(speeds, x, v, period)]  # fmt: skip
         edges = np.flatnonzero(np.diff([0, *(unstable == 0), 0])).reshape(-1, 2)
         stable = [np.sort(speeds[a:b])[[0, -1]] for a, b in edges]
         special = sorted((p.kind, p.parameter) for way in ways for p in way.special)
@@ -175,7 +173,7 @@ def stable_ends(s):
             if cycle.successful and cycle.stable:
                 lost = lambda p, at: abs(at.multipliers[0]) > 1.0 + 1e-7  # noqa: E731
                 ways = follow(cycle, pattern.images(s.coupled_n), s.coupled_points, stop=lost)
-                for end, way in zip(("upper", "lower"), ways, strict=True):
+                for end, way in zip(("upper", "lower"), ways):
                     at = way.parameter[-1] if way.ended in ("stopped", "left_bounds") else np.nan
                     row |= {end: at, f"{end} end": way.ended}
                     for p in way.special[::-1] if way.ended == "stopped" else ():
@@ -208,14 +206,14 @@ def draw(branches, runs, ends):
         axes.set_ylim(0.0, None if axes is whole else top)
         axes.get_legend().remove()
     colours = BLUE, VERMILION, GREEN, PURPLE, GREY
-    for colour, (k, rows) in zip(colours, ends.groupby("k"), strict=False):
+    for colour, (k, rows) in zip(colours, ends.groupby("k")):
         for end, marker in (("upper", "v-"), ("lower", "^--")):
             look = {"color": colour, "markersize": 3.5, "label": f"$k = {k}$, {end} end"}
             limits.plot(rows.coupling, rows[end], marker, **look)
     limits.set(xscale="log", xlabel=COUPLING, ylabel="belt speed, ends of stability")
     limits.legend()
     letters([*panels.values()])
-    handles = dict(zip(*zoom.get_legend_handles_labels()[::-1], strict=True))
+    handles = dict(zip(*zoom.get_legend_handles_labels()[::-1]))
     handles |= {name: plt.Line2D([], [], color=colour) for name, colour in PATTERNS.items()}
     handles["runs, dry friction"] = plt.Line2D([], [], color=GREY, marker=".", linestyle="")
     page.legend(handles.values(), handles, loc="outside lower center", ncols=4, frameon=False)

@@ -39,14 +39,8 @@ TEXT = {
     "fast": {"periodic": (*range(1, 18), 19, 20), "perhaps not": (18,)},
 }
 CAPTION = {"slow": {"periodic": (1, 2, 3, 4, 7, 20), "irregular": (5, 6, *range(9, 19))}}
-LOOKS = {  # colour, marker
-    "at rest": ("black", "_"),
-    "periodic": (BLUE, "o"),
-    "quasi-periodic": (GREEN, "D"),
-    "chaotic": (RED, "s"),
-    "transient": (ORANGE, "^"),
-    "failed": (GREY, "P"),
-}
+VERDICTS = ("at rest", "periodic", "quasi-periodic", "chaotic", "transient", "failed")
+LOOKS = dict(zip(VERDICTS, zip(("black", BLUE, GREEN, RED, ORANGE, GREY), "_oDs^P")))
 LINEAR, LOWEST = 1e-4, -1e-1  # of the axis of exponents
 ENDS, SMOOTHED = ("exponent", "low", "high"), ("smoothed", "smoothed low", "smoothed high")
 
@@ -83,7 +77,7 @@ def smoothed_exponents(chain, found, time):
 
     if rows:
         x, v = (jnp.stack([found[i].lead.state[part] for i in rows]) for part in (0, 1))
-        for i, spectrum in zip(rows, np.asarray(spectra(x, v)), strict=True):
+        for i, spectrum in zip(rows, np.asarray(spectra(x, v))):
             descending = np.argsort(-spectrum[0])
             numbers[i] = spectrum[:, descending[int(found[i].verdict == "periodic")]]
     return numbers
@@ -105,7 +99,7 @@ def row(case, k, state, second):
         "text": claim(TEXT, case, k), "caption": claim(CAPTION, case, k),
         "verdict": state.verdict, "without noise": state.undisturbed,
         "exponent": value, "low": low, "high": high,
-        "unstable": unstable_growth(state), **dict(zip(SMOOTHED, second, strict=True)),
+        "unstable": unstable_growth(state), **dict(zip(SMOOTHED, second)),
         "locked by": np.nanmax([r.locked_at for r in state.runs] + [0.0]) or np.nan,
         "longest": max(run.time for run in state.runs), "reason": state.reason,
     }  # fmt: skip
@@ -124,7 +118,7 @@ def draw(table, runs):
     cases = [*table.case.unique()]
     size = (7.0, 1.75 * (len(cases) + 1))
     page, panels = plt.subplots(len(cases) + 1, 1, figsize=size)
-    for axes, case in zip(panels, cases, strict=False):
+    for axes, case in zip(panels, cases):
         rows = table[table.case == case]
         axes.axhspan(-LINEAR, LINEAR, color=GREY, alpha=0.12, linewidth=0)
         axes.axhline(0.0, color=GREY, linewidth=0.6)
@@ -189,15 +183,15 @@ def main():
         dry = chain.with_(width=None)
         starts = [start(dry, k) for k in excited]
         found = verdicts(
-            dry, tuple(map(jnp.stack, zip(*starts, strict=True))), seeds=1 if quick else SEEDS,
+            dry, tuple(map(jnp.stack, zip(*starts))), seeds=1 if quick else SEEDS,
             noise=NOISE[1:] if quick else NOISE, first=max(FIRST * share, 1000.0),
             longest=LONGEST * share, exponent_time=EXPONENT_TIME * share,
             exponent_runs=EXPONENT_RUNS, count=EXPONENTS, lanes=24, progress=True,
             description=case,
         )  # fmt: skip
         second = smoothed_exponents(chain, found, SMOOTHED_TIME * share)
-        runs |= {(case, k): state for k, state in zip(excited, found, strict=True)}
-        rows += [row(case, *parts) for parts in zip(excited, found, second, strict=True)]
+        runs |= {(case, k): state for k, state in zip(excited, found)}
+        rows += [row(case, *parts) for parts in zip(excited, found, second)]
     table = pd.DataFrame(rows)
     table.to_csv(folder / "verdicts.csv", index=False)
     pd.options.display.float_format = "{:.2g}".format

@@ -45,7 +45,7 @@ SATURATED = 0.95  # a tolerance that lowers the error by less meets that of the 
 NAMES = "event-driven Rodas5P Rodas4 Tsit5 Dopri8 Kvaerno3 Kvaerno5 KenCarp4 LSODA CVODE Radau"
 COLOURS = ["black", BLUE, SKY, ORANGE, ORANGE, GREEN, GREEN, GREEN, PURPLE, PURPLE, VERMILION]
 LINES = ["-", "-", "-", "--", ":", "--", ":", "-.", "--", ":", "-."]
-LOOKS = dict(zip(NAMES.split(), zip(COLOURS, "osD^v^v<PXd", LINES, strict=True), strict=True))
+LOOKS = dict(zip(NAMES.split(), zip(COLOURS, "osD^v^v<PXd", LINES)))
 OWN = [*LOOKS][:3]  # those of jaxchain
 
 
@@ -190,7 +190,7 @@ def draw(data):
     """Time of a run over the error: of each approach the settings that it does not beat itself."""
     counts = data.lanes.unique()
     page, panels = plt.subplots(1, len(counts), figsize=(7.0, 3.9), sharey=True, squeeze=False)
-    for axes, lanes in zip(panels[0], counts, strict=True):
+    for axes, lanes in zip(panels[0], counts):
         for name, (colour, marker, line) in LOOKS.items():
             rows = data[(data.lanes == lanes) & (data.approach == name)].sort_values("ms")
             rows = rows[rows.error < rows.error.cummin().shift(fill_value=math.inf)]
