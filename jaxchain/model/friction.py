@@ -7,8 +7,6 @@ number, or one number per mass (shape (n,), for mistuned chains), and a leaf: `j
 and `jvp` go through it.
 """
 
-from __future__ import annotations
-
 import abc
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
