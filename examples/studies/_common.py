@@ -31,7 +31,7 @@ def options(program, question):
     }.items()})  # fmt: skip
     formatter = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(description=question, formatter_class=formatter)
-    parser.add_argument("--quick", action="store_true", help="small sizes: under a minute")
+    parser.add_argument("--quick", action="store_true", help="small sizes")
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="default: results/PROGRAM")
     given = parser.parse_args()
     folder = given.out or Path("results") / (Path(program).stem + "_quick" * given.quick)

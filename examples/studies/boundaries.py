@@ -7,7 +7,7 @@ friction; where they meet (generalised Hopf); and all cycles of one mass in betw
 the paper.
 
 Prints both boundaries at the ends of each curve, the points at which they meet, and the folds of
-the cycles at each width.  Two minutes on two cores:
+the cycles at each width.  Some minutes:
 
     python examples/studies/boundaries.py
 """

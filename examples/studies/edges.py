@@ -6,8 +6,8 @@ bisection and edge tracking, with true dry friction, for one mass and between k 
 masses of a ring.
 
 Prints how far the edge states of one mass are from the cycle by Newton's method, and for the ring
-the amplitude of the next mass on each edge: least, mean and greatest of the later half.  Some five
-minutes on two cores:
+the amplitude of the next mass on each edge: least, mean and greatest of the later half.  Some
+minutes:
 
     python examples/studies/edges.py
 """

@@ -7,7 +7,7 @@ what linear spreading and averaging predict.
 
 Prints the speed over the belt speed; between which belt speeds fronts come unstuck, beside the
 prediction; p of speed ~ coupling^p; and how far the speed has converged in the length of the ring
-and in the width.  Half an hour on two cores; if it is stopped, the same call continues:
+and in the width.  If it is stopped, the same call continues:
 
     python examples/studies/fronts.py
 """
