@@ -223,8 +223,8 @@ def test_a_law_in_the_place_of_that_of_the_scene_is_asked_for_again(
     ],
 )
 def test_what_is_no_folder_of_results_is_a_readable_error(workplace, capsys, arguments, said):
-    Path("odd.zarr.units").mkdir()
-    Path("odd.zarr.units/layout.json").write_text('{"a": 1}')
+    Path("odd.zarr/jaxchain").mkdir(parents=True)
+    Path("odd.zarr/jaxchain/zarr.json").write_text('{"a": 1}')
     assert main(arguments) == 2
     assert re.search(said, capsys.readouterr().err.replace("\n", " "))
 

@@ -25,7 +25,6 @@ from ..scenes.errors import (
     SceneError,
     StorageError,
     StudyFailedError,
-    TakenOverError,
 )
 
 
@@ -161,8 +160,7 @@ def resume(options: argparse.Namespace) -> int:
 def status(options: argparse.Namespace) -> int:
     """`jaxchain status`: the exit status."""
     from ..scenes.folders.saving import was_cut_off
-    from ..sweeps.records import store_named, stores_in
-    from ..sweeps.status import in_lines, status_of
+    from ..sweeps.store import in_lines, status_of, store_named, stores_in
 
     path = Path(options.folder)
     one = store_named(path)
@@ -222,7 +220,7 @@ def _ended(
             _complain(str(error))
         _complain(f"stopped: `{error.name}` could not be saved")
         return 1
-    except (FigureError, StudyFailedError, StoreError, TakenOverError, MemoryError) as error:
+    except (FigureError, StudyFailedError, StoreError, MemoryError) as error:
         _complain(str(error))
         return 1
     except SystemExit as error:  # of a law or an observer
@@ -241,7 +239,7 @@ def _folder_of(path: Path) -> Path:
     """
     from ..scenes.files import scene_file
     from ..scenes.folders.groups import is_store_of
-    from ..sweeps.records import store_named
+    from ..sweeps.store import store_named
 
     store = store_named(path)
     if store is None and os.path.isdir(path):  # which never raises
@@ -306,7 +304,7 @@ def _resume(options: argparse.Namespace, folder: Path) -> str:
 
 
 def _tell_how_to_open(folder: Path, name: str, report: Callable[[str], None]) -> None:
-    from ..sweeps.records import stores_in
+    from ..sweeps.store import stores_in
 
     store = folder / f"{name}.zarr"
     if store.exists():

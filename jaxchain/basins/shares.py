@@ -38,9 +38,9 @@ from ..model.arguments import as_chain
 from ..model.chain import Chain
 from ..result import ended_well
 from ..sweeps.axes import Axes, check_axes, jobs, sizes
+from ..sweeps.lanes import Starts, with_numbers
 from ..sweeps.programs import starts_on
 from ..sweeps.scheduler import lane_count
-from ..sweeps.starts import Starts, with_numbers
 from ..sweeps.sweeping import SweepInterrupted, sweep
 from .classifiers import AbstractClassifier, VibratingMasses
 from .regions import Points, check_region
@@ -340,7 +340,7 @@ def to_dataset(
     """
     from xarray import Dataset
 
-    from ..sweeps.dataset import LONG_NAMES
+    from ..sweeps.ensemble import LONG_NAMES
 
     chain, classify, known = runs.chain, runs.classify, tally.states
     state, at_end = tally.state, tally.at_end

@@ -33,8 +33,8 @@ from ..model.initial_states import check_vibrating
 from ..model.parameters import parameter
 from ..result import SearchResult
 from ..sweeps.axes import Axes, check_axes, jobs, sizes
+from ..sweeps.lanes import with_numbers
 from ..sweeps.programs import place, ready
-from ..sweeps.starts import with_numbers
 from ..sweeps.sweeping import SweepInterrupted
 from .fold import find_fold
 from .grazing import find_grazing

@@ -2,7 +2,6 @@ from .errors import FigureError as FigureError
 from .errors import SceneError as SceneError
 from .errors import StorageError as StorageError
 from .errors import StudyFailedError as StudyFailedError
-from .errors import TakenOverError as TakenOverError
 from .files import builtin_scenes as builtin_scenes
 from .folders.resuming import resume_scene as resume_scene
 from .own_code import load_law as load_law

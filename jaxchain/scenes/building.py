@@ -19,7 +19,8 @@ from ..model.tabulated import TabulatedFriction
 from ..observers.base import AbstractObserver
 from ..simulation.accuracy import check_resolved, fit_linear_solve
 from ..solvers.rosenbrock import Rodas4, Rodas5P
-from ..sweeps.axes import check_axes, check_observers
+from ..sweeps.axes import check_axes
+from ..sweeps.ensemble import check_observers
 from .errors import SceneError
 from .observing import ObserveTable, OwnObserverTable
 from .own_code import make_law, make_observer

@@ -111,27 +111,6 @@ class StorageError(Exception):
         )
 
 
-class TakenOverError(Exception):
-    """Another process goes on in the folder of a run that has slept.
-
-    That one has all units of the stores and saves the rest, so nothing is lost: end this run.
-
-    !!! example
-
-        >>> import tempfile, xarray as xr
-        >>> from pathlib import Path
-        >>> from jaxchain.scenes import Results, TakenOverError
-        >>> data = xr.Dataset({"amplitude": ("belt_speed", [1.6, 1.7])})
-        >>> with tempfile.TemporaryDirectory() as folder:
-        ...     try:
-        ...         Results(Path(folder), "mine").save("run", data)
-        ...         print("saved")
-        ...     except TakenOverError:
-        ...         print("left to the other process")
-        saved
-    """
-
-
 class StudyFailedError(Exception):
     """The study ran to its end and its results are saved, but they are not as they must be.
 

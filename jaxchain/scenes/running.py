@@ -23,9 +23,7 @@ from ..observers.base import AbstractObserver
 from ..plotting.groups import CYCLES
 from ..plotting.sweeps import figure
 from ..simulation.event_driven import EventDriven
-from ..sweeps.records import read_layout, stores_in
-from ..sweeps.status import in_lines, status_of
-from ..sweeps.store import StoreError, describe
+from ..sweeps.store import StoreError, describe, in_lines, read_layout, status_of, stores_in
 from ..sweeps.sweeping import SweepInterrupted, sweep
 from .boundaries import cycles, hopf_speed
 from .building import (
@@ -39,7 +37,6 @@ from .building import (
 from .errors import SceneError, StudyFailedError, shortened
 from .folders.datasets import in_memory
 from .folders.groups import Group, all_stored, groups_of
-from .folders.saving import may_save
 from .observing import ObserveTable
 from .pages.page import page_behind
 from .reading import LoadedScene
@@ -217,9 +214,6 @@ def run_scene(
     results.about |= {"scene": loaded.name, **around}
     run = as_run(scene, own_law is not None, own_observers or ())
     with contextlib.ExitStack() as stack:
-        # Where nothing can be written the results go elsewhere.
-        with contextlib.suppress(OSError):
-            results.claims = stack.enter_context(may_save(results.folder))
         results.keep(scene_files(loaded.name, run, around, own_files))
         stack.enter_context(page_behind(results, scene))
         if isinstance(scene, StudyTable):

@@ -21,11 +21,10 @@ from matplotlib.figure import Figure
 from .._final import final
 from .._terminal import undisturbed
 from ..plotting.style import save_figure
-from ..sweeps.claims import Claims
-from ..sweeps.records import stores_in
-from .errors import FigureError, StorageError, TakenOverError
+from ..sweeps.store import stores_in
+from .errors import FigureError, StorageError
 from .folders.datasets import aside, mend, save, saved
-from .folders.saving import CLAIM_FILE, MARKER, mark, marked, superseded
+from .folders.saving import MARKER, mark, marked
 
 
 @final
@@ -62,8 +61,6 @@ class Results:
         """Folders with stores in which somebody may go on: they stay, and are marked."""
         self.reopened = False
         """Whether another process made them, which was cut off."""
-        self.claims: Claims | None = None
-        """Ours to save there, see `may_save`."""
         self.about: dict[str, str] = {}
         """What is true of all of them: the attributes of the files."""
         self._beside: dict[str, bytes] = {}
@@ -97,7 +94,6 @@ class Results:
         """
         results = cls(folder, name)
         results.reopened = True
-        mark(folder)
         with undisturbed():
             mend(folder / name)
         results.datasets |= saved(folder / name)
@@ -138,13 +134,8 @@ class Results:
         """Writes a dataset into `<name of the results>.zarr` and `.nc` as a group, whole or not
         at all.
 
-        **Raises:** `StorageError` if it cannot be written, here or elsewhere; `TakenOverError` if
-        another process saves here by now.
+        **Raises:** `StorageError` if it cannot be written, here or elsewhere.
         """
-        if superseded(self.claims):
-            raise TakenOverError(
-                f"another process saves into {self.folder}: it took over while this one slept"
-            )
         self.datasets[name] = data
         self._save(name)
 
@@ -293,13 +284,12 @@ def _lock(folder: Path) -> TextIO | None:
 
 def _used(folder: Path) -> bool:
     """Whether a run has written anything there."""
-    return bool(set(os.listdir(folder)) - {MARKER, CLAIM_FILE})
+    return bool(set(os.listdir(folder)) - {MARKER})
 
 
 def listing(folder: Path) -> list[str]:
     """What a run has left in a folder; nothing of a folder that cannot be read."""
     try:
-        own = {MARKER, CLAIM_FILE}
-        return sorted(f for f in os.listdir(folder) if f not in own and not f.startswith("."))
+        return sorted(f for f in os.listdir(folder) if f != MARKER and not f.startswith("."))
     except OSError:
         return []

@@ -1,31 +1,32 @@
-"""What may be swept: the input of an ensemble, checked before anything is compiled."""
+"""What is swept: the values in `over`, checked before anything is compiled, and their grid.
+
+The grid is every combination of the values, cut into blocks.  A block is computed, kept and lost
+as a whole: the whole grid where results stay in memory, or a unit of a store.  The grid itself is
+never written out: a block is made when its turn comes.
+"""
 
 from __future__ import annotations
 
 import inspect
+import itertools
 import math
-from collections import OrderedDict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
-from .._checks import check_finite, check_function, check_kind, shown
+from .._checks import check_finite, check_function, check_kind, check_whole
 from .._limits import MOST_LANES
 from ..model.chain import Chain, require_smoothed
-from ..observers.amplitude import Amplitude
-from ..observers.base import AbstractObserver, Variable
-from ..observers.samples import Trajectory
-from ..simulation.run import check_fit
-from .starts import chain_names, initial_names
-
-# What every sweep has, whatever is observed.
-RESULTS = ("oscillator", "segment", "segment_end", "result", "end_time", "steps", "rejected")
+from .lanes import chain_names, initial_names
 
 # Dimension -> parameter -> its values along the dimension, of shape (size, ...).
 Axes: TypeAlias = dict[str, dict[str, np.ndarray]]
+# The number of a block along each dimension.
+Key: TypeAlias = tuple[int, ...]
 
 
 def check_axes(
@@ -87,7 +88,7 @@ def check_axes(
             f"Argument `over` asks for {total} lanes; at most {most} run in one sweep. "
             "Sweep over fewer values, split the sweep, or keep it in a `store`."
         )
-    for row in _extremes(axes, numbers):
+    for row in extremes(axes, numbers):
         chain.with_(**row)  # raises for impossible numbers
     return axes
 
@@ -130,7 +131,7 @@ def columns_of(axes: Axes) -> dict[str, np.ndarray]:
     return {name: values for columns in axes.values() for name, values in columns.items()}
 
 
-def _extremes(axes: Axes, names: Sequence[str]) -> list[dict[str, Any]]:
+def extremes(axes: Axes, names: Sequence[str]) -> list[dict[str, Any]]:
     """What these parameters are where one of them is least or greatest; of arrays, at the ends.
 
     Those along other dimensions have their first values.
@@ -153,82 +154,98 @@ def _extremes(axes: Axes, names: Sequence[str]) -> list[dict[str, Any]]:
     ]
 
 
-def check_vary(chain: Chain, vary: Callable[..., Chain] | None, axes: Axes) -> None:
-    """Raises what `vary` raises at the extremes of its parameters, and if it makes no chain."""
-    if vary is None:
-        return
-    for row in _extremes(axes, initial_names(vary)) or [{}]:
-        varied: Any = vary(chain, **row)
-        if not isinstance(varied, Chain) or varied.n != chain.n:
-            raise ValueError(
-                f"Argument `vary` must return a `Chain` of {chain.n} masses, but returns "
-                f"{shown(varied)}."
-            )
-
-
 def _has_default(function: Callable, name: str) -> bool:
     parameter = inspect.signature(function).parameters[name]
     return parameter.default is not inspect.Parameter.empty
 
 
-def check_observers(
-    observe: Any, chain: Chain, t0: float, t1: float, segments: int | None, axes: Axes
-) -> list[AbstractObserver]:
-    """The observers of runs over [t0, t1], whose variables have names of their own."""
-    length = (t1 - t0) / (segments or 1)
-    if observe is None:
-        observe = Amplitude(window=0.1 * length if length > 0 else None)
-    observers = list(observe) if isinstance(observe, list | tuple) else [observe]
-    check_fit([o for o in observers if isinstance(o, AbstractObserver)], t0, t1, segments)
-    givers: dict[str, str] = dict.fromkeys(RESULTS, "every sweep")
-    lengths = {"oscillator": chain.n}
-    for observer in observers:
-        if isinstance(observer, Trajectory):
+@dataclass
+class Block:
+    """Some neighbouring jobs, in the order of their numbers."""
+
+    key: Key
+    axes: Axes
+    """The values along each dimension, within the block."""
+    jobs: dict[str, np.ndarray]
+    """The values of every job, of shape (size, ...)."""
+    records: dict[str, Any] = field(default_factory=dict)
+    """What is known of each job so far, of shape (size, ...), see `read_lane`."""
+
+    @property
+    def first(self) -> dict[str, Array]:
+        """What the first job takes."""
+        return {name: jnp.asarray(values[0]) for name, values in self.jobs.items()}
+
+    @property
+    def size(self) -> int:
+        """How many jobs it holds."""
+        return len(next(iter(self.jobs.values())))
+
+
+class Grid:
+    """Every combination of the values in `axes`, in blocks of `chunks` values along a dimension.
+
+    The last block along a dimension is smaller where its chunks do not divide it.
+    """
+
+    def __init__(self, axes: Axes, chunks: Mapping[str, int]):
+        self.axes, self.sizes = axes, sizes(axes)
+        self.chunks = {dim: min(chunks.get(dim, n), n) for dim, n in self.sizes.items()}
+
+    @property
+    def block_size(self) -> int:
+        """Jobs of the largest block."""
+        return math.prod(self.chunks.values())
+
+    @property
+    def counts(self) -> tuple[int, ...]:
+        """Of blocks, along each dimension."""
+        return tuple(-(-n // self.chunks[dim]) for dim, n in self.sizes.items())
+
+    def all_keys(self) -> Iterator[Key]:
+        """Of all blocks, in order."""
+        return itertools.product(*map(range, self.counts))
+
+    def region(self, key: Key) -> dict[str, slice]:
+        """The slices of a block, by dimension."""
+        return {
+            dim: slice(place * self.chunks[dim], min((place + 1) * self.chunks[dim], n))
+            for place, (dim, n) in zip(key, self.sizes.items(), strict=True)
+        }
+
+    def size_of(self, key: Key) -> int:
+        """Jobs of this block."""
+        return math.prod(part.stop - part.start for part in self.region(key).values())
+
+    def block(self, key: Key) -> Block:
+        """The block at a place of the grid."""
+        region = self.region(key)
+        axes = {
+            dim: {name: values[region[dim]] for name, values in columns.items()}
+            for dim, columns in self.axes.items()
+        }
+        return Block(key, axes, jobs(axes))
+
+
+def check_chunks(chunks: Any, axes: Axes) -> dict[str, int] | None:
+    """Raises `ValueError` for chunks that are not of the dimensions of a sweep."""
+    if chunks is None:
+        return None
+    remedy = f"give the number of values in a unit along {' and '.join(axes)}."
+    check_kind("chunks", chunks, Mapping, "a dict of dimensions and sizes", remedy)
+    for dim, size in chunks.items():
+        if dim not in axes:
             raise ValueError(
-                "Argument `observe` holds a `Trajectory`, which lanes that come and go cannot "
-                "store. Use `jax.vmap(simulate)` for trajectories of a few lanes."
+                f"Argument `chunks` names {dim!r}, which is no dimension of the sweep: {remedy}"
             )
-        if not isinstance(observer, AbstractObserver):
-            raise ValueError(
-                "Argument `observe` must be an observer or a list of them, but holds "
-                f"{shown(observer)}: see `jaxchain.observers`."
-            )
-        kind = f"`{type(observer).__name__}`"
-        for name, variable in _labels(observer, chain).items():
-            if name in givers:
-                raise ValueError(
-                    f"Argument `observe` holds {kind}, which names a variable {name!r} as "
-                    f"{givers[name]} does. Run two sweeps, or give one of them another name."
-                )
-            givers[name] = kind
-            shape = jnp.shape(variable.values)
-            named = dict(zip(variable.dims, shape, strict=False))
-            agree = all(lengths.setdefault(dim, size) == size for dim, size in named.items())
-            if len(named) != len(shape) or len(shape) != len(variable.dims) or not agree:
-                raise ValueError(
-                    f"The method `label` of {kind} gives {name!r} the dimensions {variable.dims}, "
-                    f"but its shape is {shape}: name each axis once, and another length otherwise."
-                )
-    for name in givers.keys() & (lengths.keys() - {"oscillator"}):
-        raise ValueError(
-            f"Argument `observe` holds {givers[name]}, which names a variable {name!r} as another "
-            "names a dimension: give one of them another name."
-        )
-    for name in [*axes, *(name for columns in axes.values() for name in columns)]:
-        if name in givers or name in lengths:
-            raise ValueError(
-                f"Argument `over` names {name!r}, which is also the name of a result: give that "
-                "parameter another name."
-            )
-    return observers
+        check_whole(f"chunks[{dim!r}]", size, 1)
+    return {dim: int(size) for dim, size in chunks.items()}
 
 
-def _labels(observer: AbstractObserver, chain: Chain) -> dict[str, Variable]:
-    """The variables of an observer, their values known by shape only."""
-
-    def labelled() -> OrderedDict[str, Variable]:
-        still = jnp.zeros(chain.n), jnp.zeros(chain.n)
-        value = observer.read(observer.init(chain, 0.0, 1.0, still))
-        return OrderedDict(observer.label(value, chain))
-
-    return eqx.filter_eval_shape(labelled)
+def chunks_of(axes: Axes, size: int) -> dict[str, int]:
+    """Blocks of at most `size` jobs: all values along the last dimensions, few along the first."""
+    chunks, left = {}, max(1, size)
+    for dim, n in reversed(sizes(axes).items()):
+        chunks[dim] = min(n, max(1, left))
+        left //= chunks[dim]
+    return chunks

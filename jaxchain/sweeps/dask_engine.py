@@ -1,42 +1,35 @@
 """Units of a store as tasks of Dask, for any cluster that `distributed` can drive.
 
-The client lays the store out and hands out the numbers of its units.  A worker is a process of its
-own, with its own devices; it prepares the sweep from a file beside the store, computes a unit,
-writes and records it, and sends back no more than how many lanes ended how.  So whatever dies
-costs the units that were under way: a worker is replaced and its unit handed out again, and where
-the scheduler or the client dies the same call goes on with what is not recorded.
+The client hands out units and writes what comes back; it alone sees the store.  A worker is a
+process of its own, with its own devices.  Whatever dies costs the units that were under way: a
+worker is replaced and its unit handed out again, and where the scheduler or the client dies the
+same call goes on with what is missing.
 """
 
 from __future__ import annotations
 
 import contextlib
-import hashlib
+import itertools
 import logging
 import os
 import sys
 import threading
-import time
-import uuid
-from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
+import numpy as np
 from tqdm import tqdm
 
 from .._checks import check_count, check_flag, check_kind
 from .._configure import configure, cores, has_computed
-from .._limits import MOST_STORED, MOST_WORKERS
-from .claims import Claims
-from .ensemble import prepare
-from .filling import PAUSE, Filler
-from .fingerprint import DEVICES, fingerprint_of, flags
-from .grid import Key
-from .records import read_layout
-from .store import Store, StoreError
+from .._limits import MOST_WORKERS
+from .axes import Block
+from .ensemble import DEVICES, Ensemble, circumstances_of_numbers, flags
+from .scheduler import Scheduler
+from .store import Store, StoreError, differences
 
-# Tasks that wait for each worker: enough for it never to be idle, and few enough that a sweep of
-# any size can be handed out.
-_AHEAD = 4
+# Units handed out at a time for each worker: the one under way, and one that waits.
+_AHEAD = 2
 # What our own clusters are told.  Tracing and compiling hold the interpreter, so that a worker may
 # be silent for a while and is not dead: Dask's own limits are 30 s and 5 min.  A unit whose
 # worker died is handed out again; 3 deaths, as Dask has it, are few in a long sweep.
@@ -48,74 +41,47 @@ _SETTINGS = {
     # A silent event loop is no news here.
     "distributed.admin.tick.limit": "1h",
 }
-_MISSING = (
-    "Dask is not installed, which workers and schedulers need: `pip install 'jaxchain[dask]'`."
-)
 
 
 def fill_by(
-    client: Any, store: Store, call: Mapping[str, Any], bar: tqdm, finished: int = 0
-) -> None:
-    """All units that are not done, by the workers of a client.
+    client: Any, store: Store, ensemble: Ensemble, blocks: Iterable[Block], bar: tqdm
+) -> dict[str, str]:
+    """Has these units computed by the workers of a client, and writes them.
 
-    `call`: the arguments of `prepare`; `finished`: lanes that are done already.
+    **Returns:** the kind of each device, by its name.
 
     **Raises:** `StoreError` if a unit cannot be written or the scheduler is gone; what a unit
     raises otherwise.
     """
     import cloudpickle
-
-    payload = cloudpickle.dumps(dict(call))
-    digest, session = hashlib.sha256(payload).hexdigest(), uuid.uuid4().hex
-    file = store.units / f".{session}.call"
-    with store.in_words():
-        part = file.with_suffix(f".{uuid.uuid4().hex}.part")
-        part.write_bytes(payload)
-        part.replace(file)
-    told = str(store.path.absolute()), str(file.absolute()), digest, session
-    left = store.left()
-    try:
-        while left:
-            finished = _hand_out(client, store, left, told, bar, finished)
-            left = [key for key in left if not store.is_done(key)]
-            if left:  # others have claimed them
-                time.sleep(PAUSE)
-    finally:
-        with contextlib.suppress(OSError):
-            file.unlink(missing_ok=True)
-
-
-def _hand_out(
-    client: Any,
-    store: Store,
-    keys: Sequence[Key],
-    told: tuple[str, ...],
-    bar: tqdm,
-    finished: int,
-) -> int:
-    """Computes these units; how many lanes are done then."""
     from distributed import as_completed
 
-    waiting = iter(keys)
+    sweep = cloudpickle.dumps((ensemble.settings, ensemble.first_job().axes))
+    same = sweep, circumstances_of_numbers(), store.lanes, store.grid.block_size
+    waiting, kinds = iter(blocks), {}
+    under_way: dict[str, Block] = {}
 
-    def submit() -> list[Any]:
-        own = next(waiting, None)
-        if own is None:
-            return []
-        name = f"unit-{'.'.join(map(str, own))}-{uuid.uuid4().hex}"
-        return [client.submit(_compute, *told, own, key=name, pure=False)]
+    def submit() -> Iterator[Any]:
+        workers = len(client.scheduler_info(n_workers=-1)["workers"])
+        free = _AHEAD * max(1, workers) - len(under_way)
+        for block in itertools.islice(waiting, max(0, free)):
+            future = client.submit(_compute, *same, block.jobs, pure=False)
+            under_way[future.key] = block
+            yield future
 
-    begun = [task for _ in range(_AHEAD * max(1, _workers(client))) for task in submit()]
-    running = as_completed(begun)
+    running = as_completed(list(submit()))
     try:
-        for task in running:
-            if task.status not in ("finished", "error"):
+        for future in running:
+            if future.status not in ("finished", "error"):
                 raise StoreError(_gone(store))
-            finished += task.result()
-            bar.n = finished
-            bar.refresh()
+            block = under_way.pop(future.key)
+            block.records, devices = future.result()
             for more in submit():
                 running.add(more)
+            store.write(block.key, ensemble.dataset(block, {}))
+            kinds |= devices
+            bar.n += block.size
+            bar.refresh()
     except (OSError, TimeoutError) as error:
         if isinstance(error, StoreError) or client.status == "running":
             raise
@@ -123,76 +89,62 @@ def _hand_out(
     finally:
         with contextlib.suppress(Exception):  # where the scheduler is gone, so are they
             client.cancel(list(running.futures))
-    return finished
+    return kinds
 
 
 def _gone(store: Store) -> str:
     return (
         f"The scheduler of Dask is gone, or has dropped units of the store {store.path}. Units "
-        "that are recorded are kept: make the same call again, with another client, to go on."
+        "that are done are kept: make the same call again, with another client, to go on."
     )
 
 
-def _workers(client: Any) -> int:
-    return len(client.scheduler_info(n_workers=-1)["workers"])
-
-
-# The sweep that this worker computes, and the claims that it keeps alive.
-_own: dict[tuple[str, str, str], tuple[Filler, Claims]] = {}
 _one_at_a_time = threading.Lock()
+# What runs the sweep that this worker computes.
+_latest: dict[tuple[bytes, int], Scheduler] = {}
 
 
-def _compute(path: str, call: str, digest: str, session: str, key: Key) -> int:
-    """One unit, in a worker; how many lanes it has, or 0 if another process has claimed it."""
-    with _one_at_a_time:
-        filler, claims = _prepared(path, call, digest, session)
-        key = tuple(key)
-        filler.run([key], claims, tqdm(disable=True))
-        return filler.store.grid.lanes_of(key) if filler.store.is_done(key) else 0
-
-
-def _prepared(path: str, call: str, digest: str, session: str) -> tuple[Filler, Claims]:
+def _compute(
+    sweep: bytes,
+    circumstances: Mapping[str, Any],
+    lanes: int,
+    largest: int,
+    jobs: dict[str, np.ndarray],
+) -> tuple[dict[str, Any], dict[str, str]]:
+    """The records of one unit, in a worker, and the devices that computed it."""
     import cloudpickle
-    from distributed import get_worker
 
-    if (path, digest, session) not in _own:
-        layout = read_layout(Path(path))
-        if layout is None:
-            raise StoreError(
-                f"Worker {os.uname().nodename} does not see the store {path}: it must be on a "
-                "disk that all workers share, by a name that is the same for all."
-            )
-        _set_up(layout["fingerprint"]["XLA_FLAGS"], get_worker().state.nthreads)
-        payload = Path(call).read_bytes()
-        if hashlib.sha256(payload).hexdigest() != digest:
-            raise StoreError(f"The file {call} is not what the client wrote.")
-        for _, claims in _own.values():
-            claims.close()
-        _own.clear()
-        ensemble = prepare(**cloudpickle.loads(payload), most=MOST_STORED)
-        fingerprint = fingerprint_of(ensemble, layout["lanes"])
-        store = Store.open(Path(path), ensemble, fingerprint, layout["chunks"])
-        _own[path, digest, session] = (
-            Filler(store, ensemble, None), Claims(store.units, session),
-        )  # fmt: skip
-    return _own[path, digest, session]
+    with _one_at_a_time:
+        if (sweep, lanes) not in _latest:
+            _set_up(circumstances)
+            settings, axes = cloudpickle.loads(sweep)
+            _latest.clear()
+            ensemble = Ensemble(settings, axes)
+            _latest[sweep, lanes] = Scheduler(ensemble, largest, largest, None, lanes)
+        runner, block = _latest[sweep, lanes], Block((), {}, jobs)
+        runner.run([block], tqdm(disable=True))
+        return block.records, {str(device): device.device_kind for device in runner.devices}
 
 
-def _set_up(options: str, threads: int) -> None:
-    """JAX as in the process that laid the store out, before anything is read that is of JAX.
+def _set_up(circumstances: Mapping[str, Any]) -> None:
+    """JAX as in the client's process, before anything is read that is of JAX.
 
     Otherwise floats of 32 bits would be made of it.  Where the environment says how many devices
     a worker has, it has so many, else as many as threads.
     """
-    if flags() != options:
-        if has_computed():
-            raise StoreError(
-                f"This worker has computed with XLA_FLAGS = {flags()!r} already, but the store "
-                f"wants {options!r}: restart the workers."
-            )
-        told = [word for word in os.environ.get("XLA_FLAGS", "").split() if DEVICES in word]
-        os.environ["XLA_FLAGS"] = " ".join([*told, options])
+    from distributed import get_worker
+
+    options = circumstances["XLA_FLAGS"]
+    if flags() != options and not has_computed():
+        given = [word for word in os.environ.get("XLA_FLAGS", "").split() if DEVICES in word]
+        os.environ["XLA_FLAGS"] = " ".join([*given, options])
+    if differ := differences(circumstances, circumstances_of_numbers()):
+        raise StoreError(
+            f"Worker {os.uname().nodename} would compute other numbers than the client, where "
+            f"{'; '.join(differ)}: restart the workers, with the same versions of all packages."
+        )
     free = "JAX_NUM_CPU_DEVICES" not in os.environ and not has_computed()
+    threads = get_worker().state.nthreads
     configure(devices=threads if free else 0, whole_loops=False, cache=True)
 
 
@@ -236,7 +188,10 @@ def _client(workers: int | None, scheduler: str | None, progress: bool) -> Itera
         import distributed
         from dask import config
     except ModuleNotFoundError as error:
-        raise ModuleNotFoundError(_MISSING) from error
+        raise ModuleNotFoundError(
+            "Dask is not installed, which workers and schedulers need: "
+            "`pip install 'jaxchain[dask]'`."
+        ) from error
     with contextlib.ExitStack() as stack:
         stack.enter_context(config.set(_SETTINGS))
         if scheduler is not None:

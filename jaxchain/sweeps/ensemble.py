@@ -1,13 +1,35 @@
-"""What a sweep computes, whatever runs it: a task for all lanes, a start for each, and the grid.
+"""What a sweep computes, whatever runs it: one task for all lanes, a start for each, and the grid.
 
-`prepare` makes it of what `sweep` is given, or raises before anything is compiled.
+- `prepare` checks what `sweep` is given, before anything is compiled, and fixes solver,
+  tolerances and observers.
+- `Ensemble.dataset` labels what the lanes leave: names, units, and where the numbers come from.
+- `fingerprint_of` is all but the grid that decides the numbers: by it a store knows its sweep.
+
+Variables of the dataset (… stands for the swept dimensions):
+
+    amplitude (…, oscillator), peak_time (…, peak, oscillator), ...   what the observers `label`
+    result (…)                                    how the lane ended, see its flag_meanings
+    end_time, steps, rejected (…)
+
+With `segments` there is the dimension "segment" in front of those of an observer.
+
+What a lane does not know is missing, NaN, and xarray leaves it out of means: all that a failed
+lane observed, and the windows of a `FrontTrack` that a run did not reach.  Counts are therefore
+floats; in NetCDF and Zarr they are integers, with a `_FillValue`.
 """
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
 import functools
-from collections.abc import Callable, Mapping
+import inspect
+import os
+import re
+from collections import OrderedDict
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import diffrax as dfx
@@ -18,12 +40,15 @@ import jax.tree_util as jtu
 import numpy as np
 
 from .._checks import check_concrete, check_count, check_finite, shown, to_float
-from .._limits import MOST_LANES
 from .._types import ScalarLike, State
 from ..model.arguments import as_chain
 from ..model.chain import Chain, require_smoothed
 from ..model.parameters import parameter
-from ..result import NAMES
+from ..model.provenance import circumstances, parameters_of, versions
+from ..observers.amplitude import Amplitude
+from ..observers.base import AbstractObserver, Step, Variable
+from ..observers.samples import Trajectory
+from ..result import NAMES, ended_well
 from ..simulation.accuracy import (
     MAX_STEP,
     NO_ACCURACY,
@@ -37,36 +62,108 @@ from ..simulation.accuracy import (
     own_solver,
 )
 from ..simulation.event_driven import EventDriven
-from ..simulation.run import build_plan, check_segments
-from .axes import Axes, check_axes, check_observers, check_vary, columns_of
-from .grid import Block, Grid, chunks_of
-from .lanes import Task, blank_place
+from ..simulation.plan import AbstractPlan
+from ..simulation.run import build_plan, check_fit, check_segments
+from .axes import Axes, Block, Grid, Key, check_axes, chunks_of, columns_of, extremes, sizes
+from .lanes import (
+    Starts,
+    Task,
+    blank_place,
+    chain_names,
+    initial_names,
+    known_again,
+    own_chain,
+    start_of,
+)
 from .programs import shape_of
-from .starts import Starts, chain_names, first, initial_names, known_again, own_chain, start_of
+from .store import digest
 
 if TYPE_CHECKING:
     from xarray import Dataset
 
-# Values of a parameter of `initial` that are tried one by one before a sweep.
-_MOST_TRIED = 64
-# Jobs whose numerics are chosen at a time.
-_AT_ONCE = 100_000
+# What every sweep has, whatever is observed.
+RESULTS = ("oscillator", "segment", "segment_end", "result", "end_time", "steps", "rejected")
+LONG_NAMES = {
+    "excited": "masses excited at the start",
+    "oscillator": "oscillator n",
+    "result": "how the lane ended",
+    "end_time": "time at which the lane ended",
+    "steps": "accepted steps",
+    "rejected": "rejected steps",
+    "segment": "segment of the run",
+    "segment_end": "time at which the segment ends",
+}
+# How a count is written: an integer, and this one where it is missing.
+_COUNT = {"dtype": "int64", "_FillValue": -1}
+# Of this package, what decides numbers: all that a lane does and sees, and names of results.
+_CODE = ("model", "observers", "solvers", "simulation", "sweeps/lanes.py", "result.py")
+DEVICES = "xla_force_host_platform_device_count"
+
+
+@dataclass(frozen=True)
+class RunSettings:
+    """What is the same for all runs of a sweep: the arguments of `sweep` that decide numbers."""
+
+    chain: Chain
+    initial: State | Callable[..., State]
+    t1: ScalarLike
+    vary: Callable[..., Chain] | None = None
+    observe: Any = None
+    t0: ScalarLike = 0.0
+    solver: dfx.AbstractSolver | EventDriven | None = None
+    accuracy: float | None = None
+    rtol: Any = None
+    atol: Any = None
+    max_step: ScalarLike = MAX_STEP
+    max_steps: int | None = None
+    segments: int | None = None
 
 
 @dataclass
 class Ensemble:
-    """A sweep that is ready to run."""
+    """A sweep that is ready to run: settings as `prepare` completes them, and what is swept."""
 
-    task: Task
-    starts: Starts
+    settings: RunSettings
     axes: Axes
-    accuracy: float | None = None
+
+    @functools.cached_property
+    def starts(self) -> Starts:
+        """What makes the start of each job."""
+        own = self.settings
+        return Starts(own.chain, known_again(own.initial), known_again(own.vary))
+
+    @functools.cached_property
+    def task(self) -> Task:
+        """What is the same for all lanes."""
+        own = self.settings
+        plan = build_plan(own.solver, own.observe, own.rtol, own.atol, own.max_step, own.t1)  # pyright: ignore[reportArgumentType]
+        steps = None if own.max_steps is None else jnp.asarray(own.max_steps)
+        varied = self.starts.varied(self.first_job().first)
+        t0, t1 = to_float(own.t0), to_float(own.t1)
+        return Task(plan, own.chain, t0, t1, steps, varied, own.segments)
 
     @functools.cached_property
     def place(self) -> Any:
         """The shapes of a lane's place in a pool."""
-        start = eqx.filter_eval_shape(start_of, self.starts, first(self.jobs(self.first_job())))
+        start = eqx.filter_eval_shape(start_of, self.starts, self.first_job().first)
         return shape_of(blank_place, self.task, start)
+
+    @property
+    def total(self) -> int:
+        """Of jobs."""
+        return Grid(self.axes, {}).block_size
+
+    def block(self, grid: Grid, key: Key) -> Block:
+        """A block of the grid, with all that its jobs take and nothing known of them."""
+        block, own = grid.block(key), self.settings
+        if own.accuracy is not None:
+            block.jobs["width"], _ = _numerics(own.chain, own.vary, block.jobs, own.accuracy)
+        return block
+
+    def first_job(self) -> Block:
+        """A block of one job."""
+        grid = Grid(self.axes, dict.fromkeys(self.axes, 1))
+        return self.block(grid, (0,) * len(self.axes))
 
     def blank_records(self, size: int) -> dict[str, Any]:
         """Host arrays for what so many jobs leave, of which nothing is known."""
@@ -79,85 +176,57 @@ class Ensemble:
         records["result"][:] = NAMES.index("interrupted")
         return records
 
-    def jobs(self, block: Block) -> dict[str, np.ndarray]:
-        """All that the jobs of a block take."""
-        if self.accuracy is None:
-            return block.jobs
-        widths, _ = _numerics(self.starts.chain, self.starts.vary, block.jobs, self.accuracy)
-        return block.jobs | {"width": widths}
-
-    @property
-    def total(self) -> int:
-        """Of jobs."""
-        return Grid(self.axes).total
-
-    def first_job(self) -> Block:
-        """A block of one job."""
-        return Grid(self.axes, dict.fromkeys(self.axes, 1)).block((0,) * len(self.axes))
+    def sample(self, lanes: int) -> Dataset:
+        """The dataset of one job that is pending, to be run by so many lanes."""
+        block = self.first_job()
+        block.records = self.blank_records(1)
+        block.records["result"][:] = NAMES.index("pending")
+        return self.dataset(block, self.attrs | {"lanes_per_device": lanes})
 
     @property
     def attrs(self) -> dict[str, Any]:
-        """Where the numbers come from."""
-        from .dataset import describe
-
-        task = self.task
-        swept = list(columns_of(self.axes))
-        attrs = describe(
-            self.starts.chain, task.plan, t0=float(task.t0), t1=float(task.t1), swept=swept
-        )
-        if self.starts.vary is not None:
-            attrs["vary"] = shown(getattr(self.starts.vary, "__wrapped__", self.starts.vary))
-        return attrs if self.accuracy is None else attrs | {"accuracy": self.accuracy}
+        """Where the numbers come from: all that is needed to repeat the computation."""
+        own, swept = self.settings, list(columns_of(self.axes))
+        t0, t1 = float(self.task.t0), float(self.task.t1)
+        attrs = describe(own.chain, self.task.plan, t0=t0, t1=t1, swept=swept)
+        if own.vary is not None:
+            attrs["vary"] = shown(own.vary)
+        return attrs if own.accuracy is None else attrs | {"accuracy": own.accuracy}
 
     def dataset(self, block: Block, attrs: Mapping[str, Any]) -> Dataset:
         """The records of a block over the swept axes."""
-        # pandas comes with xarray, and would double the time of `import jaxchain`.
-        from .dataset import to_dataset
-
         task, edges = self.task, None
         if task.segments is not None:
             edges = np.asarray(task.edge(np.arange(task.segments + 1)))
-        found = to_dataset(block.records, block.axes, self.starts.chain, attrs, edges)
-        if self.accuracy is not None:
+        labelled = to_dataset(block.records, block.axes, self.settings.chain, attrs, edges)
+        if self.settings.accuracy is not None:
             about = parameter("width").attrs
             about["long_name"] += " that `accuracy` picked"
-            widths = self.jobs(block)["width"].reshape(found["result"].shape)
-            found["width"] = (tuple(block.axes), widths, about)
-        return found
+            widths = block.jobs["width"].reshape(labelled["result"].shape)
+            labelled["width"] = (tuple(block.axes), widths, about)
+        return labelled
 
 
-def prepare(
-    chain: Any,
-    initial: State | Callable[..., State],
-    t1: ScalarLike,
-    *,
-    over: Mapping[str, Any],
-    vary: Callable[..., Chain] | None = None,
-    observe: Any = None,
-    t0: ScalarLike = 0.0,
-    solver: dfx.AbstractSolver | EventDriven | None = None,
-    accuracy: float | None = None,
-    rtol: ScalarLike | None = None,
-    atol: ScalarLike | None = None,
-    max_step: ScalarLike = MAX_STEP,
-    max_steps: int | None = None,
-    segments: int | None = None,
-    most: int = MOST_LANES,
-) -> Ensemble:
-    """The sweep that these arguments of `sweep` describe, of at most so many lanes.
+def prepare(settings: RunSettings, over: Mapping[str, Any], most: int) -> Ensemble:
+    """The sweep of these settings over these values, of at most so many jobs.
 
     **Raises:** `ValueError` for bad input.
     """
     remedy = "for other oscillators use `jax.vmap` of `simulate`, with `throw=False`."
-    chain = as_chain(chain, remedy=remedy)
-    check_concrete("use `jax.vmap` of `simulate`.", chain=chain, t1=t1, t0=t0, over=over)
+    chain = as_chain(settings.chain, remedy=remedy)
+    initial, vary, t0, t1 = settings.initial, settings.vary, settings.t0, settings.t1
+    check_concrete("use `jax.vmap` of `simulate`.", chain=chain, t1=t1, t0=t0)
+    check_concrete("use `jax.vmap` of `simulate`.", over=over)
     check_span(t0, t1)
-    solver = own_solver(chain, solver)
+    solver = own_solver(chain, settings.solver)
     axes = check_axes(chain, initial, over, vary, most)
     columns = columns_of(axes)
     _check_initial(chain, initial, columns)
-    check_vary(chain, vary, axes)
+    _check_vary(chain, vary, axes)
     smoothed = not isinstance(solver, EventDriven)
+    rtol, atol, max_step, accuracy = (
+        settings.rtol, settings.atol, settings.max_step, settings.accuracy
+    )  # fmt: skip
     if accuracy is not None:
         require_smoothed(chain, NO_ACCURACY)
         if rtol is not None or "width" in columns:
@@ -165,30 +234,31 @@ def prepare(
                 "Argument `accuracy` picks the width and `rtol`: leave out `rtol`, and `width` of "
                 "`over`."
             )
-        blocks = Grid(axes, chunks_of(axes, _AT_ONCE)).blocks()
+        grid = Grid(axes, chunks_of(axes, 100_000))
+        blocks = map(grid.block, grid.all_keys())
         rtol = min(_numerics(chain, vary, block.jobs, accuracy)[1] for block in blocks)
     width: Any = columns.get("width", chain.width)
     speed: Any = columns.get("belt_speed", chain.belt_speed)
-    tolerance: Any = rtol
     if rtol is None:
-        tolerance = default_rtol(chain.n, width, speed) if smoothed else USUAL_RTOL
-    check_tolerances(tolerance, atol, max_step)
+        rtol = default_rtol(chain.n, width, speed) if smoothed else USUAL_RTOL
+    check_tolerances(rtol, atol, max_step)
     if smoothed and accuracy is None:
-        check_resolved(chain.n, width, speed, tolerance, atol)
-    check_segments(segments)
-    observers = check_observers(observe, chain, float(t0), float(t1), segments, axes)
-    check_count("max_steps", max_steps)
-    absolute: Any = 0.1 * tolerance if atol is None else atol
+        check_resolved(chain.n, width, speed, rtol, atol)
+    check_segments(settings.segments)
+    observers = check_observers(
+        settings.observe, chain, float(t0), float(t1), settings.segments, axes
+    )
+    check_count("max_steps", settings.max_steps)
     if solver is None:
-        solver = choose_solver(_strongest(chain, columns), float(tolerance), float(max_step))
-    plan = build_plan(solver, observers, tolerance, absolute, max_step, t1)
-    steps = None if max_steps is None else jnp.asarray(max_steps)
-    starts = Starts(chain, known_again(initial), known_again(vary))
-    one = {name: values[:1] for name, values in columns.items()}
-    if smoothed and accuracy is not None:
-        one["width"] = np.ones(1)
-    task = Task(plan, chain, to_float(t0), to_float(t1), steps, starts.varied(one), segments)
-    return Ensemble(task, starts, axes, accuracy if smoothed else None)
+        strongest = chain
+        if "coupling" in columns:  # decides the linear solve
+            strongest = chain.with_(coupling=float(np.max(columns["coupling"])))
+        solver = choose_solver(strongest, float(rtol), float(max_step))
+    complete = dataclasses.replace(
+        settings, chain=chain, observe=observers, solver=solver, rtol=rtol,
+        atol=0.1 * rtol if atol is None else atol, accuracy=accuracy if smoothed else None,
+    )  # fmt: skip
+    return Ensemble(complete, axes)
 
 
 def _numerics(
@@ -227,7 +297,7 @@ def _check_initial(
         rows = [first]
         for name, values in own.items():
             different = np.unique(values) if values.ndim == 1 else values[:0]
-            kept = different if different.size <= _MOST_TRIED else different[[0, -1]]
+            kept = different if different.size <= 64 else different[[0, -1]]
             rows += [first | {name: jnp.asarray(value)} for value in kept]
         states = [eqx.filter_eval_shape(functools.partial(initial, chain, **row)) for row in rows]
     for state in states:
@@ -248,8 +318,291 @@ def _check_initial(
                 check_finite(f"initial {name}", part, "see `excited_state` for initial states.")
 
 
-def _strongest(chain: Chain, columns: Mapping[str, np.ndarray]) -> Chain:
-    """The chain with the strongest coupling of the sweep, for the choice of the linear solve."""
-    if "coupling" in columns:
-        return chain.with_(coupling=float(np.max(columns["coupling"])))
-    return chain
+def _check_vary(chain: Chain, vary: Callable[..., Chain] | None, axes: Axes) -> None:
+    """Raises what `vary` raises at the extremes of its parameters, and if it makes no chain."""
+    if vary is None:
+        return
+    for row in extremes(axes, initial_names(vary)) or [{}]:
+        varied: Any = vary(chain, **row)
+        if not isinstance(varied, Chain) or varied.n != chain.n:
+            raise ValueError(
+                f"Argument `vary` must return a `Chain` of {chain.n} masses, but returns "
+                f"{shown(varied)}."
+            )
+
+
+def check_observers(
+    observe: Any, chain: Chain, t0: float, t1: float, segments: int | None, axes: Axes
+) -> list[AbstractObserver]:
+    """The observers of runs over [t0, t1], whose variables have names of their own."""
+    length = (t1 - t0) / (segments or 1)
+    if observe is None:
+        observe = Amplitude(window=0.1 * length if length > 0 else None)
+    observers = list(observe) if isinstance(observe, list | tuple) else [observe]
+    check_fit([o for o in observers if isinstance(o, AbstractObserver)], t0, t1, segments)
+    givers: dict[str, str] = dict.fromkeys(RESULTS, "every sweep")
+    lengths = {"oscillator": chain.n}
+    for observer in observers:
+        if isinstance(observer, Trajectory):
+            raise ValueError(
+                "Argument `observe` holds a `Trajectory`, which lanes that come and go cannot "
+                "store. Use `jax.vmap(simulate)` for trajectories of a few lanes."
+            )
+        if not isinstance(observer, AbstractObserver):
+            raise ValueError(
+                "Argument `observe` must be an observer or a list of them, but holds "
+                f"{shown(observer)}: see `jaxchain.observers`."
+            )
+        kind = f"`{type(observer).__name__}`"
+        for name, variable in _labels(observer, chain).items():
+            if name in givers:
+                raise ValueError(
+                    f"Argument `observe` holds {kind}, which names a variable {name!r} as "
+                    f"{givers[name]} does. Run two sweeps, or give one of them another name."
+                )
+            givers[name] = kind
+            shape = jnp.shape(variable.values)
+            named = dict(zip(variable.dims, shape, strict=False))
+            agree = all(lengths.setdefault(dim, size) == size for dim, size in named.items())
+            if len(named) != len(shape) or len(shape) != len(variable.dims) or not agree:
+                raise ValueError(
+                    f"The method `label` of {kind} gives {name!r} the dimensions {variable.dims}, "
+                    f"but its shape is {shape}: name each axis once, and another length otherwise."
+                )
+    for name in givers.keys() & (lengths.keys() - {"oscillator"}):
+        raise ValueError(
+            f"Argument `observe` holds {givers[name]}, which names a variable {name!r} as another "
+            "names a dimension: give one of them another name."
+        )
+    for name in [*axes, *(name for columns in axes.values() for name in columns)]:
+        if name in givers or name in lengths:
+            raise ValueError(
+                f"Argument `over` names {name!r}, which is also the name of a result: give that "
+                "parameter another name."
+            )
+    return observers
+
+
+def _labels(observer: AbstractObserver, chain: Chain) -> dict[str, Variable]:
+    """The variables of an observer, their values known by shape only."""
+
+    def labelled() -> OrderedDict[str, Variable]:
+        still = jnp.zeros(chain.n), jnp.zeros(chain.n)
+        value = observer.read(observer.init(chain, 0.0, 1.0, still))
+        return OrderedDict(observer.label(value, chain))
+
+    return eqx.filter_eval_shape(labelled)
+
+
+def describe(
+    chain: Chain, plan: AbstractPlan, *, t0: float, t1: float, swept: Sequence[str]
+) -> dict[str, Any]:
+    """Provenance: everything needed to repeat the computation, as NetCDF-safe attributes."""
+    return {
+        "parameters": parameters_of(chain, chain.n, swept),
+        "solver": plan.method,
+        "rtol": float(plan.rtol),
+        "atol": float(plan.atol),
+        "max_step": float(plan.max_step),
+        "t0": t0,
+        "t1": t1,
+        "observers": repr(plan.observers),
+        **circumstances(),
+    }
+
+
+def to_dataset(
+    records: Mapping[str, Any],
+    axes: Axes,
+    chain: Chain,
+    attrs: Mapping[str, Any],
+    edges: np.ndarray | None = None,
+) -> Dataset:
+    """The records of a sweep, one row per lane, as a dataset over the swept axes.
+
+    `edges`: where the segments of the runs begin, and the end of the last; None without segments.
+    """
+    import xarray as xr  # brings pandas, which would double the time of `import jaxchain`
+
+    shape = sizes(axes)
+    dims, own = tuple(shape), (*shape, *(() if edges is None else ("segment",)))
+    records = jtu.tree_map(lambda a: a.reshape(*shape.values(), *a.shape[1:]), dict(records))
+    code = records["result"]
+    well = ended_well(code)
+    variables: dict[str, Any] = {
+        name: _variable((*own, *said.dims), said, well)
+        for name, said in records["observed"].items()
+    }
+    for name in ("result", "end_time"):
+        variables[name] = dims, records[name]
+    # Of a lane that was interrupted, none is known.
+    known = code != NAMES.index("interrupted")
+    for name in ("steps", "rejected"):
+        variables[name] = dims, np.where(known, records[name], np.nan), None, _COUNT
+    coords: dict[str, Any] = {
+        name: (_dims_of(dim, name, values, chain.n), values)
+        for dim, columns in axes.items()
+        for name, values in columns.items()
+    }
+    coords["oscillator"] = np.arange(1, chain.n + 1)
+    if edges is not None:
+        coords["segment"] = np.arange(1, len(edges))
+        coords["segment_end"] = ("segment", edges[1:])
+    dataset = xr.Dataset(variables, coords=coords, attrs=dict(attrs))
+    for name in set(map(str, dataset.variables)) - set(records["observed"]):
+        if name in LONG_NAMES:
+            dataset[name].attrs["long_name"] = LONG_NAMES[name]
+        timed = name in ("end_time", "segment_end")
+        dataset[name].attrs["units"] = "1 / omega_n" if timed else "1"
+    for name in set(columns_of(axes)) & set(chain_names(chain)):
+        dataset[name].attrs |= parameter(name).attrs
+    dataset["result"].attrs |= {
+        "flag_values": np.arange(len(NAMES), dtype=code.dtype),
+        "flag_meanings": " ".join(NAMES),
+    }
+    return dataset
+
+
+def _variable(dims: tuple[str, ...], said: Variable, known: np.ndarray) -> tuple:
+    """For `xarray.Dataset`: NaN where it is not known; a count is an integer on disk."""
+    attrs = {} if said.long_name is None else {"long_name": said.long_name}
+    values = said.values
+    if said.is_count or np.issubdtype(values.dtype, np.floating):
+        lanes = known.reshape(known.shape + (1,) * (values.ndim - known.ndim))
+        values = np.where(lanes, values, np.nan)
+    return dims, values, attrs | {"units": said.units}, _COUNT if said.is_count else None
+
+
+def _dims_of(dim: str, name: str, values: np.ndarray, n: int) -> tuple[str, ...]:
+    if values.shape[1:] == (n,):
+        return dim, "oscillator"
+    return dim, *(f"{name}_{axis}" for axis in range(1, values.ndim))
+
+
+def fingerprint_of(ensemble: Ensemble, lanes: int) -> dict[str, Any]:
+    """All but the grid that decides what comes out of a lane, as JSON.
+
+    Numbers, words and digests, by names that say in an error what has changed.
+    """
+    task, starts, axes = ensemble.task, ensemble.starts, ensemble.axes
+    chain, plan = starts.chain, task.plan
+    swept = columns_of(axes)
+    numbers = {**chain.numbers(), "n": chain.n, "ends": chain.ends}
+    # A table, say: arrays are data of a program, and not in its text.
+    data = [a for a in _arrays(chain.friction) if all(a is not b for b in numbers.values())]
+    solver = eqx.tree_at(lambda p: p.observers, plan, None, is_leaf=lambda a: a is None)
+    return {
+        "chain": {k: _value(v) for k, v in numbers.items() if k not in swept and v is not None},
+        "friction": {
+            "law": type(chain.friction).__name__,
+            "curve": digest(_program(_force, chain.friction, jnp.zeros(())), *data),
+        },
+        "solver": _fields(solver)
+        | {"code": digest(_source(getattr(plan, "solver", None)), *_arrays(solver))},
+        "observers": {
+            str(i): _fields(o)
+            | {"code": digest(_program(_seen, o, chain, task.t0, task.t1), *_arrays(o))}
+            for i, o in enumerate(plan.observers, start=1)
+        },
+        "t0": float(task.t0),
+        "t1": float(task.t1),
+        "max_steps": None if task.max_steps is None else int(task.max_steps),
+        "segments": task.segments,
+        "accuracy": ensemble.settings.accuracy,
+        "initial and vary": digest(
+            _program(start_of, starts, ensemble.first_job().first),
+            _words(task.varied),
+            *_arrays((starts.initial, starts.vary)),
+        ),
+        "lanes": lanes,
+        "dimensions": list(axes),
+        "over": {dim: sorted(columns) for dim, columns in axes.items()},
+        **circumstances_of_numbers(),
+    }
+
+
+def circumstances_of_numbers() -> dict[str, Any]:
+    """What of this process decides numbers: versions, our code, and options of XLA."""
+    return {
+        "versions": {k: v for k, v in versions().items() if k != "python"},
+        "code of jaxchain": code(),
+        "XLA_FLAGS": flags(),
+    }
+
+
+def flags() -> str:
+    """The options of XLA, which may change the last bits, but for the number of devices."""
+    words = os.environ.get("XLA_FLAGS", "").split()
+    return " ".join(sorted(word for word in words if DEVICES not in word))
+
+
+@functools.cache
+def code() -> str:
+    """Of the source of this package, as far as it decides numbers."""
+    root = Path(__file__).parents[1]
+    files = [f for part in _CODE for f in sorted((root / part).rglob("*.py")) or [root / part]]
+    return digest(*(file.read_bytes() for file in files))
+
+
+def _value(value: Any) -> Any:
+    """A number, a few numbers, or the digest of many; anything else in words."""
+    if value is None or isinstance(value, str | bool | int | float):
+        return value
+    if eqx.is_array_like(value):
+        array = np.asarray(value)
+        return array.tolist() if array.size <= 4 else digest(array)
+    return _words(value)
+
+
+def _fields(module: eqx.Module) -> dict[str, Any]:
+    """What a solver or an observer is, to say in an error what has changed."""
+    own = {field.name: _value(getattr(module, field.name)) for field in dataclasses.fields(module)}
+    return {"kind": type(module).__name__, **own}
+
+
+def _words(value: Any) -> str:
+    """Without the addresses of functions, which are others in each process."""
+    return re.sub(r" at 0x[0-9a-f]+", "", repr(value))
+
+
+def _arrays(tree: Any) -> list[Any]:
+    return [leaf for leaf in jtu.tree_leaves(tree) if eqx.is_array(leaf)]
+
+
+def _source(solver: Any) -> str:
+    """Of the class of a user's own solver, as far as it can be read."""
+    texts = []
+    for kind in type(solver).__mro__:
+        if not kind.__module__.startswith(("jaxchain.", "diffrax.", "builtins", "abc")):
+            with contextlib.suppress(OSError, TypeError):
+                texts.append(inspect.getsource(kind))
+    return "".join(texts)
+
+
+def _force(friction: Any, speed: Any) -> Any:
+    return friction.force_and_slope(speed), friction.law.mu_static
+
+
+def _seen(observer: Any, chain: Any, t0: Any, t1: Any) -> Any:
+    """All that an observer makes of one step."""
+    start = jnp.ones(chain.n), jnp.ones(chain.n)
+    x, v = (lambda theta, part=part: part + 0.0 * theta for part in start)
+    kept = observer.init(chain, t0, t1, start)
+    kept = observer.update(kept, Step(chain, t0, t1, start, start, x, v))
+    said = observer.label(observer.read(kept), chain)
+    return observer.settled(kept), observer.rests(kept), dict(said)
+
+
+def _program(function: Callable, tree: Any, *arguments: Any) -> str:
+    """Of what a function of the user computes, as JAX sees it: the text of its program.
+
+    So a comment or another name changes nothing, and a number that a function has from elsewhere
+    does.
+    """
+    arrays, static = eqx.partition(tree, eqx.is_array)
+
+    def traced(arrays: Any, *arguments: Any) -> Any:
+        return function(eqx.combine(arrays, static), *arguments)
+
+    lowered = jax.jit(traced).trace(arrays, *arguments).lower(lowering_platforms=("cpu",))
+    return digest(lowered.as_text())

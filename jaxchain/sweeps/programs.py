@@ -11,7 +11,7 @@ import io
 import pickle
 import threading
 from collections.abc import Callable, Hashable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -20,39 +20,32 @@ import numpy as np
 from jax.experimental import serialize_executable
 from jaxtyping import Array
 
-from .starts import Start, Starts, start_of
+from .lanes import Start, Starts, start_of
 
-# Functions, with the structure of their task, whose programs are kept: the latest ones.
-KEPT = 64
-# Of pairs of `initial` and `vary`, which a user may make anew for each sweep.
-KEPT_STARTS = 8
-
-
+# Functions, with the structure of their task, whose programs are kept: the latest ones; and of
+# pairs of `initial` and `vary`, which a user may make anew for each sweep.
+KEPT, KEPT_STARTS = 64, 8
 _hits: list[int] = []  # the thread, for each program that came from JAX's cache on disk
 
 
-def _heard(event: str, **about: Any) -> None:
+def _listen(event: str, **about: Any) -> None:
     del about
     if event == "/jax/compilation_cache/cache_hits":
         _hits.append(threading.get_ident())
 
 
-jax.monitoring.register_event_listener(_heard)
-
-
-class _Loaded(NamedTuple):
-    on: dict[Any, Any]  # the executable on each device
-    made: list  # those of them that were compiled here
+jax.monitoring.register_event_listener(_listen)
 
 
 class Program:
     """A function of arrays, with one executable for each shape of them and each device."""
 
     def __init__(self, function: Callable, donated: tuple[int, ...] = ()):
-        self._jitted = jax.jit(function, donate_argnums=donated)
-        self._loaded: dict[Hashable, _Loaded] = {}
-        self._shapes: dict[Hashable, Any] = {}
         self._function = function
+        self._jitted = jax.jit(function, donate_argnums=donated)
+        self._loaded: dict[Hashable, dict[Any, Any]] = {}  # by shapes, then by device
+        self._movable: dict[Hashable, Any] = {}
+        self._shapes: dict[Hashable, Any] = {}
         self._lock = threading.Lock()
 
     def shape(self, *arguments: Any) -> Any:
@@ -66,19 +59,17 @@ class Program:
         """The executable for arguments like these, which lie on the device."""
         key = device.device_kind, _key(arguments)
         with self._lock:  # threads that want the same one wait for it
-            loaded = self._loaded.setdefault(key, _Loaded({}, []))
-            if device not in loaded.on:
-                loaded.on[device] = self._load(device, loaded, arguments)
-            return loaded.on[device]
+            loaded = self._loaded.setdefault(key, {})
+            if device not in loaded:
+                moved = _moved(self._movable[key], device) if key in self._movable else None
+                loaded[device] = self._compile(key, arguments) if moved is None else moved
+            return loaded[device]
 
-    def _load(self, device: Any, loaded: _Loaded, arguments: tuple) -> Any:
-        for made in loaded.made:
-            if (executable := _moved(made, device)) is not None:
-                return executable
+    def _compile(self, key: Hashable, arguments: tuple) -> Any:
         before = _hits.count(threading.get_ident())
         executable = self._jitted.lower(*arguments).compile()
         if _hits.count(threading.get_ident()) == before:  # one from the disk can be moved no more
-            loaded.made.append(executable)
+            self._movable[key] = executable
         return executable
 
 
@@ -94,8 +85,7 @@ def _moved(executable: Any, device: Any) -> Any:
         from jax._src.compiler import get_compile_options
         from jax._src.lib import xla_client  # pyright: ignore[reportPrivateImportUsage]
 
-        there = np.array([[device.id]])
-        options = get_compile_options(1, 1, device_assignment=there)
+        options = get_compile_options(1, 1, device_assignment=np.array([[device.id]]))
 
         class Loader(pickle.Unpickler):
             """JAX's own reads the number of the first device as that of a device given."""
@@ -171,21 +161,6 @@ def place(tree: Any, device: Any) -> Any:
     return eqx.combine(jax.device_put(arrays, device), static)
 
 
-@functools.lru_cache(maxsize=KEPT)
-def _over_lanes(function: Callable) -> Callable:
-    """The same, for every lane of what is stacked along axis 0."""
-
-    def mapped(task: Any, *lanes: Any) -> Any:
-        return jax.vmap(lambda *lane: function(task, *lane))(*lanes)
-
-    return mapped
-
-
-def map_on(function: Callable, device: Any, task: Any, *lanes: Any) -> Any:
-    """`function(task, *lane)` for every lane."""
-    return ready(_over_lanes(function), device, task, *lanes)(*lanes)
-
-
 def starts_on(device: Any, starts: Starts, values: dict[str, Array]) -> Start:
     """The start of every lane; JAX forgets the functions of the user with their programs."""
     return ready(_starts_of, device, starts, values, programs=start_program)(values)
@@ -195,47 +170,14 @@ def _starts_of(starts: Starts, values: dict[str, Array]) -> Start:
     return jax.vmap(lambda own: start_of(starts, own))(values)
 
 
-class Parts:
-    """Lanes in equal parts, each on one device, which run the same program.
+@functools.lru_cache(maxsize=KEPT)
+def _over_lanes(function: Callable) -> Callable:
+    """The same, for every lane of what is stacked along axis 0."""
 
-    No part waits for another, and the results do not depend on the number of devices.
-    """
+    def mapped(task: Any, *lanes: Any) -> Any:
+        return jax.vmap(lambda *lane: function(task, *lane))(*lanes)
 
-    def __init__(self, devices: Sequence[Any]):
-        self.of_each = list(devices)  # of each part
-        self.devices = list(dict.fromkeys(devices))
-
-    def place(self, task: Any) -> list:
-        """A copy of the task for every part."""
-        return [place(task, device) for device in self.of_each]
-
-    def deal(self, arrays: Any) -> list:
-        """Host arrays over all lanes, cut into parts and put on their devices."""
-        count = len(self.of_each)
-
-        def part(index: int) -> Any:
-            return jtu.tree_map(lambda a: np.split(a, count)[index], arrays)
-
-        return [jax.device_put(part(i), device) for i, device in enumerate(self.of_each)]
-
-    def map(self, function: Callable, tasks: list, *lanes: Sequence) -> list:
-        """`function(task, *lane)` for every lane."""
-        each = zip(self.of_each, tasks, *lanes, strict=True)
-        return [map_on(function, device, task, *own) for device, task, *own in each]
-
-    def starts(self, starts: list[Starts], values: list[dict[str, Array]]) -> list[Start]:
-        """The start of every lane."""
-        each = zip(self.of_each, starts, values, strict=True)
-        return [starts_on(device, own, job) for device, own, job in each]
-
-
-def joined(parts: Sequence[Any]) -> Any:
-    """The parts of what is stacked over lanes as one, on the host."""
-
-    def join(*own: Any) -> Any:
-        return np.concatenate(own) if isinstance(own[0], jax.Array) else own[0]
-
-    return jtu.tree_map(join, *parts)
+    return mapped
 
 
 def map_lanes(
@@ -252,13 +194,17 @@ def map_lanes(
     program: the results do not depend on the number of devices.  `done` is called with the number
     of rows that have been computed since.
     """
-    devices, rows, found = jax.local_devices(), len(columns[0]), []
-    for start in range(0, rows, lanes * len(devices)):
-        here = min(rows - start, lanes * len(devices))
-        parts = Parts(devices[: -(-here // lanes)])
-        index = start + np.minimum(np.arange(lanes * len(parts.of_each)), here - 1)
-        dealt = [parts.deal(np.asarray(column)[index]) for column in columns]
-        values = joined(parts.map(function, parts.place(task), *dealt))
-        found.append(jtu.tree_map(lambda a, here=here: a[:here], values))
-        done(here)
-    return jtu.tree_map(lambda *own: np.concatenate(own), *found)
+    devices, rows, parts = jax.local_devices(), len(columns[0]), []
+    tasks = {device: place(task, device) for device in devices[: -(-rows // lanes)]}
+    every = lanes * len(devices)
+    for begin in range(0, rows, every):
+        started = []
+        for device, first in zip(devices, range(begin, rows, lanes), strict=False):
+            index = np.minimum(np.arange(first, first + lanes), rows - 1)
+            dealt = jax.device_put([np.asarray(column)[index] for column in columns], device)
+            mapped = ready(_over_lanes(function), device, tasks[device], *dealt)
+            started.append((mapped(*dealt), min(lanes, rows - first)))
+        for values, count in started:
+            parts.append(jtu.tree_map(lambda a, count=count: np.asarray(a)[:count], values))
+            done(count)
+    return jtu.tree_map(lambda *own: np.concatenate(own), *parts)

@@ -22,11 +22,10 @@ from tqdm import tqdm
 
 from .._configure import cores
 from .._progress import progress_bar
+from .axes import Block
 from .ensemble import Ensemble
-from .grid import Block
-from .lanes import AS_IT_IS, NOBODY, Place, Task, advance_pool
+from .lanes import AS_IT_IS, NOBODY, Place, Start, Starts, Task, advance_pool
 from .programs import place, ready, starts_on
-from .starts import Start, Starts
 
 # Numbers per array of one device's lanes: what keeps the arrays of a step within a core's cache.
 _NUMBERS_PER_DEVICE = {"cpu": 640, "gpu": 1 << 20}
@@ -127,7 +126,6 @@ class _Open:
     """A block under way."""
 
     block: Block
-    jobs: dict[str, np.ndarray]
     first: int  # number of its first job
     left: int  # jobs that have not ended
 
@@ -181,7 +179,8 @@ class Scheduler:
     def _check_memory(self, blank: Place, size: int) -> None:
         """Raises before anything is compiled if blocks of this size cannot fit."""
         blocks = min(self.total, size * len(self.devices))
-        need = blocks * _bytes(blank.record) + self.lanes * len(self.devices) * _bytes(blank)
+        lanes = self.lanes * len(self.devices)
+        need = blocks * _bytes(blank.record) + lanes * _bytes(blank)
         free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
         if need > _MEMORY_SHARE * free:
             raise MemoryError(
@@ -201,11 +200,11 @@ class Scheduler:
         On an error, and on Ctrl-C, what has ended stands in the records of the blocks.
         """
         if self.idle_cores and not bar.disable:
-            told = (
+            bar.write(
                 f"{self.idle_cores} of {cores()} cores lie idle: call `jaxchain.configure()` "
-                "before the first computation."
+                "before the first computation.",
+                file=sys.stderr,
             )
-            bar.write(told, file=sys.stderr)
             self.idle_cores = 0  # once is enough
         self._blocks = iter(blocks)
         try:
@@ -234,21 +233,19 @@ class Scheduler:
         if (block := next(self._blocks, None)) is None:
             return
         block.records = self.ensemble.blank_records(block.size)
-        own = _Open(block, self.ensemble.jobs(block), self._numbers, block.size)
+        own = _Open(block, self._numbers, block.size)
         self._open.append(own)
         self._numbers += block.size
-        self.waiting = np.concatenate([self.waiting, own.first + self._order(own.jobs)])
+        self.waiting = np.concatenate([self.waiting, own.first + self._order(block.jobs)])
 
     def _values(self, numbers: np.ndarray) -> dict[str, np.ndarray]:
         """The values of these jobs, of the blocks under way."""
         values: dict[str, np.ndarray] = {}
         for own in self._open:
             mine = own.mine(numbers)
-            for name, all in own.jobs.items():
-                found = values.setdefault(
-                    name, np.empty((len(numbers), *all.shape[1:]), all.dtype)
-                )
-                found[mine] = all[numbers[mine] - own.first]
+            for name, all in own.block.jobs.items():
+                blank = np.empty((len(numbers), *all.shape[1:]), all.dtype)
+                values.setdefault(name, blank)[mine] = all[numbers[mine] - own.first]
         return values
 
     def _order(self, jobs: dict[str, np.ndarray]) -> np.ndarray:

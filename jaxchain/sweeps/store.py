@@ -1,66 +1,52 @@
-"""A sweep on disk: a Zarr store laid out before the first lane runs, and the records of its units.
+"""A sweep on disk: a Zarr store that one process fills, unit by unit.
 
-    NAME.zarr             one group, over the dimensions of `over`, for `xarray.open_zarr` at any
-                          moment: where nothing is known yet `result` is "pending", the rest NaN
-    NAME.zarr.units/      layout.json    what decides the numbers, the grid, its chunks
-                          0.3.json       unit (0, 3) is done: checksums, how its lanes ended,
-                                         what computed it, and how long
-                          0.3.claim      some process computes it, see `claims`
-                          about.json     what somebody says of it, see `describe`
+    NAME.zarr/                  one group, over the dimensions of `over`, for `xarray.open_zarr` at
+                                any moment: where nothing is known yet `result` is "pending", the
+                                rest NaN
+    NAME.zarr/jaxchain/         its attributes: what decides the numbers, the grid, its chunks
 
-A *unit* is a block of the grid that is one chunk of every variable: the unit of work, of loss and
-of distribution.  Whoever computes it writes its chunks, each aside and then renamed, and records
-it after that.  A chunk without a record is nothing, and a missing chunk is no proof of anything,
-as zarr writes none that is all NaN: only a record is.
+A *unit* is a block of the grid that is one chunk of every variable: the unit of work and of loss.
+Its chunks reach the disk before that of `result` is written, so that a unit is done if and only if
+none of its results is "pending".  The process that fills a store has locked its folder: the system
+frees the lock with the process, however it ends.
+
+Nothing here needs JAX to be imported, so that `jaxchain status` answers at once.
 """
 
 from __future__ import annotations
 
 import contextlib
+import fcntl
+import hashlib
+import itertools
+import json
+import math
 import os
 import shutil
-import uuid
 import warnings
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
-import zarr
-from xarray import conventions
-from zarr.storage import MemoryStore
 
-from ..result import NAMES, ended_as
-from .axes import columns_of
-from .claims import LASTS, TOUCH, clock, living
-from .ensemble import Ensemble
-from .fingerprint import columns, differences, digest
-from .grid import Block, Grid, Key
-from .records import (
-    ABOUT,
-    LAYOUT,
-    RECORD,
-    checksum,
-    first_of,
-    length,
-    lengths,
-    read_json,
-    read_layout,
-    units_of,
-    write_json,
-)
-from .status import covered
+from .._outcomes import ADVICE, WELL
 
-_FORMAT = 1
-_PENDING = NAMES.index("pending")
+if TYPE_CHECKING:
+    from xarray import Dataset
+
+    from .axes import Axes, Grid, Key
+
+_FORMAT, _LAYOUT = 2, "jaxchain"
+_NAMES = list(ADVICE)
+_PENDING = _NAMES.index("pending")
 # Values of a coordinate in one file.
 _COORDINATES = 1 << 20
-_WEEK = 7 * 24 * 3600.0
-# Bytes that are read to see whether a store is whole, and the units of a larger one that are.
-_READ, _LATEST = 1 << 32, 1000
+# Results that are read at a time.
+_AT_ONCE = 1 << 24
+# Seconds before the end of the latest unit over which a rate is taken.
+_RECENT = 600.0
 
 
 class StoreError(RuntimeError):
@@ -93,358 +79,440 @@ class StoreError(RuntimeError):
 
 
 class Store:
-    """The store of one sweep: its layout, and what is done.
+    """The store of one sweep, which this process fills: its layout, and what is left to do.
 
-    **Arguments:** `layout` as `layout.json` has it; `grid`, cut as it says.
+    It is laid out if it is not there yet, and extended if the grid has grown.  One that is whole
+    is only read.
+
+    **Arguments:** `grid`, cut into units; `fingerprint`, of all else that decides the numbers;
+    `sample`, makes the dataset of one job that is pending.
+
+    **Raises:** `ValueError` if it belongs to another sweep; `StoreError` if it cannot be written,
+    or another process writes it.
     """
 
-    def __init__(self, path: Path, layout: Mapping[str, Any], grid: Grid):
-        self.path, self.layout, self.grid = path, layout, grid
-        self.units = units_of(path)
-        self.lanes: int = layout["lanes"]
+    def __init__(
+        self,
+        path: Path,
+        grid: Grid,
+        fingerprint: Mapping[str, Any],
+        sample: Callable[[], Dataset],
+    ):
+        self.path, self.grid, self.lanes = path, grid, fingerprint["lanes"]
         self._arrays: dict[str, Any] = {}
-
-    @classmethod
-    def open(
-        cls, path: Path, ensemble: Ensemble, fingerprint: Mapping[str, Any], chunks: dict[str, int]
-    ) -> Store:
-        """The store of this sweep, laid out if it is not there yet.
-
-        **Raises:** `ValueError` if it is that of another sweep; `StoreError` if it cannot be
-        written.
-        """
-        with _in_words(path):
-            wanted = {
-                "format": _FORMAT,
-                "fingerprint": fingerprint,
-                "lanes": fingerprint["lanes"],
-                "sizes": Grid(ensemble.axes).sizes,
-                "chunks": chunks,
-                "columns": columns(ensemble.axes),
-            }
-            taken = (units_of(path) / LAYOUT).exists()
-            there = read_layout(path)
-            if taken and there is None:
-                raise ValueError(
-                    f"Argument `store` names {path}, but {units_of(path) / LAYOUT} is not "
-                    "the layout of a store: give another `store`, or remove that folder."
-                )
-            if there is not None and there.get("format") != _FORMAT:
-                raise ValueError(
-                    f"Argument `store` names {path}, which another version of jaxchain has made: "
-                    "give another `store`, or go on with that version."
-                )
-            if there is None:
-                if path.exists() and (not path.is_dir() or any(path.iterdir())):
-                    raise ValueError(
-                        f"Argument `store` names {path}, which holds something else: give the "
-                        "name of a store that is not there yet, or of one that a sweep has made."
-                    )
-                units_of(path).mkdir(parents=True, exist_ok=True)
-                there = first_of(units_of(path) / LAYOUT, wanted)
-            if _extends(path, there, ensemble, wanted):
-                there |= {name: wanted[name] for name in ("sizes", "columns")}
-                write_json(units_of(path) / LAYOUT, there)
-            store = cls(path, there, Grid(ensemble.axes, there["chunks"]))
-            if not store._is_laid_out():
-                store._lay_out(ensemble)
-        return store
-
-    def done(self, check: bool = True) -> dict[Key, dict[str, Any]]:
-        """The records of the units that are done, by their keys.
-
-        `check`: read what they have written, and forget what is torn or lost.  Of a large store,
-        which many processes would read at once, the contents of the latest units, which a crash
-        may have torn, and the lengths of all others.
-        """
-        with _in_words(self.path):
-            names = set(os.listdir(self.units))
-            found = {}
-            for key in self.grid.places():
-                name = _name(key) + RECORD
-                # A unit at the edge of a grid that has been extended is another one now.
-                record = read_json(self.units / name) if name in names else None
-                if record is not None and record.get("sizes") == self._sizes(key):
-                    found[key] = record
-            if check:
-                latest = sorted(found, key=lambda key: found[key]["ended"])
-                size = sum(one for record in found.values() for one in lengths(record))
-                read = set(latest if size <= _READ else latest[-_LATEST:])
-                for key in latest:
-                    if not self._is_whole(found[key], key in read):
-                        (self.units / (_name(key) + RECORD)).unlink(missing_ok=True)
-                        del found[key]
-        return found
-
-    def is_done(self, key: Key) -> bool:
-        """Whether there is a record of this unit as it is now."""
-        record = read_json(self.units / (_name(key) + RECORD))
-        return record is not None and record.get("sizes") == self._sizes(key)
-
-    def write(self, block: Block, found: xr.Dataset, about: Mapping[str, Any]) -> None:
-        """Writes what was computed of a unit, then records it.
-
-        **Raises:** `StoreError` if it cannot be written: then it is not recorded.
-        """
-        with _in_words(self.path):
-            self._check_there(block)
-            files = {}
-            for name, variable in found.data_vars.items():
-                encoded = conventions.encode_cf_variable(variable.variable)
-                region = tuple(block.region.get(str(dim), slice(None)) for dim in encoded.dims)
-                array = self._array(str(name))
-                parts = zip(region, array.chunks, strict=True)
-                chunk = tuple((part.start or 0) // size for part, size in parts)
-                file = f"{name}/{array.metadata.encode_chunk_key(chunk)}"
-                # At the edge of the grid zarr would read it first, and it may be torn.
-                (self.path / file).unlink(missing_ok=True)
-                array[region] = encoded.values
-                files[file] = checksum(self.path / file)
-            try:
-                self._check_there(block)
-            except StoreError:
-                self._take_back(files)
-                raise
-            record = {
-                "unit": list(block.key),
-                "sizes": self._sizes(block.key),
-                "lanes": block.size,
-                "results": ended_as(found["result"].values),
-                "files": files,
-                **about,
-            }
-            write_json(self.units / (block.name + RECORD), record)
-
-    def finish(self) -> dict[str, int]:
-        """Writes what computed it into the attributes; how many lanes ended in which way."""
-        records = list(self.done(check=False).values())
-        counts: Counter[str] = Counter()
-        for record in records:
-            counts.update(record["results"])
-        attrs = (read_json(self.units / ABOUT) or {}) | {
-            "wall_time_s": round(covered([(r["began"], r["ended"]) for r in records]), 3),
-            "unit_time_s": round(sum(r["ended"] - r["began"] for r in records), 3),
-            "units": len(records),
-            "lanes_per_device": self.lanes,
-            "hosts": _words(r["host"] for r in records),
-            "devices": _words(device for r in records for device in r["devices"]),
-            "device_kind": _words(r["device_kind"] for r in records),
-        }
-        with _in_words(self.path):
-            group = zarr.open_group(self.path, mode="r", zarr_format=3)
-            # One that is finished may be read where nothing can be written.
-            if {name: group.attrs.get(name) for name in attrs} != attrs:
-                group = zarr.open_group(self.path, mode="r+", zarr_format=3)
-                group.update_attributes(attrs)
-                _consolidate(self.path)
-        return {name: counts[name] for name in NAMES if counts[name]}
-
-    def dataset(self) -> xr.Dataset:
-        """What is in it, read as it is used."""
-        return open_store(self.path)
-
-    def in_words(self) -> AbstractContextManager[None]:
-        """Errors of the disk as `StoreError`s."""
-        return _in_words(self.path)
-
-    def _sizes(self, key: Key) -> list[int]:
-        return [part.stop - part.start for part in self.grid.region(key).values()]
-
-    def _array(self, name: str) -> Any:
-        if name not in self._arrays:
-            self._arrays[name] = zarr.open_array(self.path / name, mode="r+", zarr_format=3)
-        return self._arrays[name]
-
-    def _check_there(self, block: Block) -> None:
-        if not _is_there(self.path) or (layout := read_layout(self.path)) is None:
-            raise StoreError(_removed(self.path))
-        for (dim, part), size in zip(block.region.items(), layout["sizes"].values(), strict=True):
-            if part.stop < min(size, part.start + self.grid.chunks[dim]):
-                raise StoreError(
-                    f"The store {self.path} was extended along {dim!r} while a sweep of fewer "
-                    "values filled it. Units that are recorded are kept; sweep over all values."
-                )
-
-    def _take_back(self, files: Mapping[str, Any]) -> None:
-        """Removes files that were written where no store is any more, and their empty folders."""
-        for file in files:
-            with contextlib.suppress(OSError):
-                (self.path / file).unlink(missing_ok=True)
-                for folder in (self.path / file).parents:
-                    folder.rmdir()
-                    if folder == self.path:
-                        break
-
-    def _is_whole(self, record: Mapping[str, Any], read: bool) -> bool:
-        files = record["files"]
-        if read:
-            return all(checksum(self.path / file) == known for file, known in files.items())
-        there = {file: length(self.path / file) for file in files}
-        return all(there[file] == (known and known[0]) for file, known in files.items())
-
-    def _is_laid_out(self) -> bool:
-        """Whether all but the data is there, and whole."""
+        self._lock: int | None = None
+        wanted = {
+            "format": _FORMAT, "fingerprint": fingerprint, "sizes": grid.sizes,
+            "chunks": grid.chunks, "columns": _digests(grid.axes, grid.sizes),
+        }  # fmt: skip
         try:
-            there = open_store(self.path)
-            return (
-                dict(there["result"].sizes) == self.grid.sizes
-                and all((self.path / str(name) / "zarr.json").exists() for name in there.variables)
-                and all(
-                    np.array_equal(there[name].values, values)
-                    for name, values in columns_of(self.grid.axes).items()
-                )
+            with _as_store_errors(path):
+                self.left = self._open(wanted, sample)
+                """The units that are not done."""
+        except BaseException:
+            self.close()
+            raise
+
+    def _open(self, wanted: Mapping[str, Any], sample: Callable[[], Dataset]) -> list[Key]:
+        """Lays the store out or extends it, if need be, and locks it; what is not done."""
+        path, grid, done = self.path, self.grid, set()
+        layout = read_layout(path)
+        if layout is None:
+            self._create(wanted, sample)
+        else:
+            _check_same(path, layout, wanted, grid.axes)
+            grown = layout["sizes"] != grid.sizes
+            if grown or not is_whole(path):
+                self._lock = _locked(path, path)
+                for file in path.rglob("*.partial"):  # of a process that was killed
+                    file.unlink()
+            if grown:
+                _lay_out(path, grid, sample(), wanted)
+            done = {key for key, _, _ in _units(path)}
+        return [key for key in grid.all_keys() if key not in done]
+
+    def _create(self, layout: Mapping[str, Any], sample: Callable[[], Dataset]) -> None:
+        """Lays the store out aside, where it is locked already, and moves it to its place."""
+        path = self.path
+        if path.exists() and (not path.is_dir() or any(path.iterdir())):
+            raise ValueError(
+                f"Argument `store` names {path}, which holds something else: give the name of a "
+                "store that is not there yet, or of one that a sweep has made."
             )
-        except (OSError, KeyError, ValueError, RuntimeError):
-            return False
+        part = path.with_name(f".{path.name}.part")
+        part.mkdir(parents=True, exist_ok=True)
+        self._lock = _locked(part, path)
+        for old in part.iterdir():
+            shutil.rmtree(old) if old.is_dir() else old.unlink()
+        _lay_out(part, self.grid, sample(), layout)
+        part.rename(path)
 
-    def _lay_out(self, ensemble: Ensemble) -> None:
-        """Writes all but the data, aside; then every file takes its place."""
-        part = self.path.with_name(f".{self.path.name}.{uuid.uuid4().hex}.part")
-        try:
-            _write_layout(part, ensemble, self.grid)
-            # The root last: by it a store is known as one.
-            files = sorted(part.rglob("*"), key=lambda file: file == part / "zarr.json")
-            for file in files:
-                there = self.path / file.relative_to(part)
-                if file.is_dir():
-                    there.mkdir(parents=True, exist_ok=True)
-                else:
-                    there.parent.mkdir(parents=True, exist_ok=True)
-                    file.replace(there)
-        finally:
-            shutil.rmtree(part, ignore_errors=True)
+    def write(self, key: Key, data: Dataset) -> None:
+        """Writes what was computed of a unit; its `result`, which says that it is done, last.
 
-    def left(self) -> list[Key]:
-        """The units that are not done."""
-        return [key for key in self.grid.places() if not self.is_done(key)]
-
-    def clean(self) -> None:
-        """Removes what a process has left that was killed while it wrote.
-
-        Somebody who has claimed nothing yet may just be about to.
+        **Raises:** `StoreError` if it cannot be written: then it is not done.
         """
-        with _in_words(self.path):
-            now, alive = clock(self.units), living(self.units)
-            young = LASTS if alive else TOUCH
-            left = [*self.path.rglob("*.partial")]
-            left += [*self.units.glob(".*.part"), *self.units.glob(".*.claim")]
-            left += self.path.parent.glob(f".{self.path.name}.*.part")
-            calls = list(self.units.glob(".*.call"))
-            for file in [*left, *calls]:
-                with contextlib.suppress(OSError):
-                    # Workers may wait in a queue for days before they read what is asked of them.
-                    if now - file.stat().st_mtime > (_WEEK if file in calls else young):
-                        shutil.rmtree(file) if file.is_dir() else file.unlink()
-            for file in self.units.glob("[!.]*.claim"):
-                # Nobody asks for a unit that is done.
-                if file.stem not in alive and (self.units / f"{file.stem}{RECORD}").exists():
-                    file.unlink(missing_ok=True)
+        import zarr
+        from xarray import conventions
+
+        region, places = self.grid.region(key), dict(zip(self.grid.sizes, key, strict=True))
+        files = []
+        with _as_store_errors(self.path):
+            if read_layout(self.path) is None:
+                raise StoreError(
+                    f"The store {self.path} was removed while a sweep filled it. What it held is "
+                    "gone; make the same call again to begin anew."
+                )
+            for name in sorted(map(str, data.data_vars), key=lambda name: name == "result"):
+                if name == "result":  # all else must not be lost after it, as in a power cut
+                    for file in files:
+                        _sync(file)
+                if name not in self._arrays:
+                    self._arrays[name] = zarr.open_array(self.path / name, mode="r+")
+                array = self._arrays[name]
+                encoded = conventions.encode_cf_variable(data[name].variable)
+                chunk = tuple(places.get(str(dim), 0) for dim in encoded.dims)
+                files.append(self.path / name / array.metadata.encode_chunk_key(chunk))
+                # At the edge of the grid zarr would read it first, and it may be torn.
+                files[-1].unlink(missing_ok=True)
+                part = tuple(region.get(str(dim), slice(None)) for dim in encoded.dims)
+                array[part] = encoded.values
+
+    def finish(self, attrs: Mapping[str, Any]) -> dict[str, int]:
+        """How many runs ended in which way; of a store that was written, with new attributes."""
+        if self._lock is not None:
+            describe(self.path, attrs)
+        counts: Counter[str] = Counter()
+        for _, results, _ in _units(self.path):
+            counts.update(_counted(results))
+        return {name: counts[name] for name in _NAMES if counts[name]}
+
+    def close(self) -> None:
+        """Lets another process write it."""
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
+
+    def dataset(self) -> Dataset:
+        """What is in it, read as it is used."""
+        import xarray as xr
+
+        return xr.open_zarr(self.path, consolidated=True, chunks=None)
+
+
+def stores_in(folder: Path) -> list[Path]:
+    """The stores that a folder holds, by name."""
+    if not os.path.isdir(folder):  # which never raises
+        return []
+    return [path for path in sorted(folder.glob("*.zarr")) if read_layout(path) is not None]
+
+
+def followed(path: Path) -> Path:
+    """The store that a symbolic link leads to."""
+    return path.resolve() if os.path.islink(path) else path
+
+
+def store_named(path: Path) -> Path | None:
+    """The store that a path or a symbolic link is; None if it is none."""
+    path = followed(path)
+    return path if read_layout(path) is not None else None
+
+
+def read_layout(path: Path) -> dict[str, Any] | None:
+    """That of a store, or None if there is none."""
+    try:
+        layout = json.loads((path / _LAYOUT / "zarr.json").read_text())["attributes"]
+        return layout if {"sizes", "chunks"} <= layout.keys() else None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return None
+
+
+def is_whole(path: Path) -> bool:
+    """Whether every unit of a store is done."""
+    layout = read_layout(path)
+    return layout is not None and sum(1 for _ in _units(path)) == _unit_count(layout)
 
 
 def describe(path: Path, attrs: Mapping[str, Any]) -> None:
     """Writes into the attributes of a store what its dataset should say of itself.
 
-    It is kept beside the store as well, and whoever finishes the store writes it again.
-
     **Raises:** `StoreError` if it cannot be written.
     """
-    with _in_words(path):
-        write_json(units_of(path) / ABOUT, attrs)
-        zarr.open_group(path, mode="r+", zarr_format=3).update_attributes(dict(attrs))
-        _consolidate(path)
+    import zarr
+
+    with _as_store_errors(path):
+        group = zarr.open_group(path, mode="r+", zarr_format=3)
+        if any(group.attrs.get(name) != value for name, value in attrs.items()):
+            group.update_attributes(dict(attrs))
+            _consolidate(path)
 
 
-def open_store(path: Path) -> xr.Dataset:
-    """What lies in a store, read as it is used."""
-    return xr.open_zarr(path, consolidated=True, chunks=None)
+def status_of(path: Path) -> dict[str, Any]:
+    """What is done of a store and how fast, as JSON has it.
 
+    The rate is that of the units that ended within ten minutes of the latest.
 
-def _extends(
-    path: Path, there: Mapping[str, Any], ensemble: Ensemble, wanted: Mapping[str, Any]
-) -> bool:
-    """Whether the grid has grown since the store was laid out.
-
-    **Raises:** `ValueError` if anything else has changed.
+    **Raises:** `FileNotFoundError` if there is no store.
     """
-    said = differences(there["fingerprint"], wanted["fingerprint"])
-    if not said:
-        for dim, own in ensemble.axes.items():
-            size = there["sizes"][dim]
-            for name, values in own.items():
-                if there["columns"][dim][name] != digest(values[:size]):
-                    what = "has fewer" if len(values) < size else "has other"
-                    said.append(f"over[{dim!r}] {what} values of {name}")
-    if said:
+    layout = read_layout(path)
+    if layout is None:
+        raise FileNotFoundError(f"There is no store {path}.")
+    results: Counter[str] = Counter()
+    ended: list[tuple[float, int]] = []
+    for _, codes, time in _units(path):
+        results.update(_counted(codes))
+        ended.append((time, codes.size))
+    lanes, done, rate = math.prod(layout["sizes"].values()), sum(n for _, n in ended), None
+    recent = sorted(unit for unit in ended if unit[0] > max(ended)[0] - _RECENT)
+    if len(recent) > 1 and recent[-1][0] > recent[0][0]:
+        rate = sum(n for _, n in recent[1:]) / (recent[-1][0] - recent[0][0])
+    under_way = _is_written(path)
+    left = round((lanes - done) / rate, 1) if rate and (under_way or done == lanes) else None
+    return {
+        "store": str(path),
+        "sizes": layout["sizes"],
+        "units": _unit_count(layout),
+        "units_done": len(ended),
+        "lanes": lanes,
+        "lanes_done": done,
+        "results": {name: results[name] for name in ADVICE if results[name]},
+        "failed": {name: results[name] for name in ADVICE if results[name] and name not in WELL},
+        "under_way": under_way,
+        "lanes_per_hour": None if rate is None else round(3600 * rate, 1),
+        "left_s": left,
+        "bytes": sum(file.stat().st_size for file in path.rglob("*") if file.is_file()),
+    }
+
+
+def in_lines(status: Mapping[str, Any]) -> str:
+    """What `status_of` says of a store, for people."""
+    done, units, ways = status["units_done"], status["units"], status["results"]
+    listed = ", ".join(f"{count:,} {name}" for name, count in ways.items())
+    runs = f"{status['lanes_done']:,} of {status['lanes']:,} done"
+    rows = [
+        ("units", f"{done:,} of {units:,} done"),
+        ("runs", f"{runs}: {listed}" if listed else runs),
+        *(("failed", f"{n:,} {name}: {ADVICE[name]}") for name, n in status["failed"].items()),
+    ]
+    if done < units:
+        rows.append(("under way", "yes" if status["under_way"] else "no process writes it"))
+    if status["lanes_per_hour"] is not None:
+        left = f", {duration(status['left_s'])} left" if status["left_s"] else ""
+        rows.append(("rate", f"{status['lanes_per_hour']:,.0f} runs an hour{left}"))
+    rows.append(("size", f"{status['bytes'] / 1e6:,.3g} MB"))
+    return "\n".join([status["store"], *(f"  {name:<14}{text}" for name, text in rows)])
+
+
+def duration(seconds: float) -> str:
+    """In the unit that suits it.
+
+    >>> duration(90.0), duration(7200.0)
+    ('1.5 min', '2 h')
+    """
+    units = ((86400, "days"), (3600, "h"), (60, "min"), (1, "s"))
+    least, unit = next(one for one in units if seconds >= one[0] or one[0] == 1)
+    amount = seconds / least
+    return f"{amount:.2g} {unit}" if 1 <= amount < 10 else f"{amount:,.0f} {unit}"
+
+
+def digest(*parts: Any) -> str:
+    """Of words, bytes and arrays: of these values, shape and kind."""
+    made = hashlib.sha256()
+    for part in parts:
+        if not isinstance(part, str | bytes):
+            array = np.ascontiguousarray(part)
+            part = f"{array.dtype.str}{array.shape}".encode() + array.tobytes()
+        content = part.encode() if isinstance(part, str) else part
+        made.update(len(content).to_bytes(8, "little") + content)
+    return f"sha256 {made.hexdigest()[:32]}"
+
+
+def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
+    """What is not the same, in words."""
+    old, new = dict(_flat(before)), dict(_flat(now))
+    words = []
+    for name in [*old, *(name for name in new if name not in old)]:
+        was, now_is = ("absent" if tree.get(name) is None else tree[name] for tree in (old, new))
+        if json.dumps(was) != json.dumps(now_is):  # NaN is not NaN
+            digests = isinstance(was, str) and was.startswith("sha256")
+            words.append(f"{name} has changed" if digests else f"{name} was {was} and is {now_is}")
+    return words
+
+
+def _flat(tree: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in tree.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{above}{name}.")
+        else:
+            yield f"{above}{name}", value
+
+
+def _digests(axes: Axes, lengths: Mapping[str, int]) -> dict[str, dict[str, str]]:
+    """Of the first values of all that is swept, by dimension and name."""
+    return {
+        dim: {name: digest(values[: lengths[dim]]) for name, values in columns.items()}
+        for dim, columns in axes.items()
+    }
+
+
+def _check_same(
+    path: Path, layout: Mapping[str, Any], wanted: Mapping[str, Any], axes: Axes
+) -> None:
+    """Raises `ValueError` if a store differs in more than values added at the end."""
+    if layout.get("format") != wanted["format"]:
         raise ValueError(
-            f"Argument `store` names {path}, which belongs to another sweep: {'; '.join(said)}. "
+            f"Argument `store` names {path}, which another version of jaxchain has made: give "
+            "another `store`, or go on with that version."
+        )
+    words = differences(layout["fingerprint"], wanted["fingerprint"])
+    if not words:
+        sizes = layout["sizes"]
+        for dim, columns in _digests(axes, sizes).items():
+            fewer = wanted["sizes"][dim] < sizes[dim]
+            words += [
+                f"over[{dim!r}] has {'fewer' if fewer else 'other'} values of {name}"
+                for name, own in columns.items()
+                if own != layout["columns"][dim][name]
+            ]
+    if words:
+        raise ValueError(
+            f"Argument `store` names {path}, which belongs to another sweep: {'; '.join(words)}. "
             "Sweep as before, with values added at the end of a dimension at most, or give "
             "another `store`."
         )
-    return there["sizes"] != wanted["sizes"]
 
 
-def _write_layout(path: Path, ensemble: Ensemble, grid: Grid) -> None:
-    """A store without data: as the dataset of one job, but for the sizes."""
-    block = ensemble.first_job()
-    block.records = ensemble.blank_records(1)
-    block.records["result"][:] = _PENDING
-    sample = ensemble.dataset(block, ensemble.attrs)
+def _lay_out(path: Path, grid: Grid, sample: Dataset, layout: Mapping[str, Any]) -> None:
+    """All but the data, like the `sample` but for the sizes; the layout last: by it it is known.
+
+    A store that is there already is extended.
+    """
+    import zarr
+    from zarr.codecs import ZstdCodec
+    from zarr.storage import MemoryStore
+
     memory = MemoryStore()
     sample.to_zarr(memory, zarr_format=3, consolidated=False)
-    like, swept = zarr.open_group(memory, mode="r"), columns_of(grid.axes)
-    group = zarr.create_group(path, zarr_format=3, attributes=dict(like.attrs))
+    like, group = zarr.open_group(memory, mode="r"), zarr.open_group(path, mode="a", zarr_format=3)
+    swept = {name: values for columns in grid.axes.values() for name, values in columns.items()}
+    if "result" not in group:
+        group.update_attributes(dict(like.attrs))
     for name, one in like.arrays():
         about: Any = one.metadata
         dims = about.dimension_names
-        sizes = zip(dims, one.shape, strict=True)
-        shape = [grid.sizes.get(dim, size) for dim, size in sizes]
-        if name in sample.coords:
-            chunks = [min(size, _COORDINATES) for size in shape]
+        shape = tuple(map(grid.sizes.get, dims, one.shape))
+        if name in group:
+            array: Any = group[name]
+            array.resize(shape)
         else:
-            sizes = zip(dims, one.shape, strict=True)
-            chunks = [grid.chunks.get(dim, size) for dim, size in sizes]
-        fill = about.fill_value
-        if name == "result":
-            fill = _PENDING
-        elif one.dtype.kind in "iu":
-            fill = one.attrs.get("_FillValue", fill)
-        array = group.create_array(
-            name, shape=tuple(shape), chunks=tuple(chunks), dtype=one.dtype, fill_value=fill,
-            attributes=dict(one.attrs), dimension_names=dims,
-        )  # fmt: skip
+            most = dict.fromkeys(dims, _COORDINATES) if name in sample.coords else grid.chunks
+            fill = about.fill_value
+            if one.dtype.kind in "iu":  # a count that is missing
+                fill = one.attrs.get("_FillValue", fill)
+            array = group.create_array(
+                name, shape=shape, dtype=one.dtype, attributes=dict(one.attrs),
+                chunks=tuple(min(most.get(d, n), n) for d, n in zip(dims, shape, strict=True)),
+                fill_value=_PENDING if name == "result" else fill, dimension_names=dims,
+                compressors=ZstdCodec(checksum=True),  # what is torn is not read as numbers
+            )  # fmt: skip
         if name in sample.coords:
             array[...] = swept[name] if name in swept else one[...]
     _consolidate(path)
+    (path / _LAYOUT).mkdir(exist_ok=True)
+    part = path / _LAYOUT / ".zarr.json.part"
+    part.write_text(json.dumps({"zarr_format": 3, "node_type": "group", "attributes": layout}))
+    _sync(part)
+    part.replace(path / _LAYOUT / "zarr.json")
 
 
 def _consolidate(path: Path) -> None:
+    import zarr
+
     with warnings.catch_warnings():
         # Of Zarr's format 3, which has no word of consolidated metadata yet; xarray reads them.
         warnings.filterwarnings("ignore", "Consolidated metadata is currently not part")
         zarr.consolidate_metadata(path, zarr_format=3)
 
 
-def _words(words: Iterable[str]) -> str:
-    return ", ".join(sorted(set(words)))
+def _unit_count(layout: Mapping[str, Any]) -> int:
+    return math.prod(-(-n // layout["chunks"][dim]) for dim, n in layout["sizes"].items())
 
 
-def _name(key: Key) -> str:
-    return ".".join(map(str, key))
+def _units(path: Path) -> Iterator[tuple[tuple[int, ...], np.ndarray, float]]:
+    """Of each unit that is done: its place, its results, and when they were written."""
+    import zarr
+
+    try:
+        array = zarr.open_array(path / "result", mode="r")
+    except FileNotFoundError:  # the store was removed
+        return
+    sizes, shape = array.chunks, array.shape
+    rows = sizes[0] * max(1, _AT_ONCE // (sizes[0] * math.prod(shape[1:])))
+    for begin in range(0, shape[0], rows):
+        part = slice(begin, min(begin + rows, shape[0]))
+        try:
+            many: Any = array[part]  # at once, which is much faster
+        except RuntimeError:
+            many = None
+        corners = [range(part.start, part.stop, sizes[0])]
+        corners += [range(0, n, size) for n, size in zip(shape[1:], sizes[1:], strict=True)]
+        for corner in itertools.product(*corners):
+            first, *rest = (slice(i, i + size) for i, size in zip(corner, sizes, strict=True))
+            key = tuple(i // size for i, size in zip(corner, sizes, strict=True))
+            try:
+                if many is None:
+                    results: Any = array[first, *rest]
+                else:
+                    results = many[first.start - begin : first.stop - begin, *rest]
+            except RuntimeError:  # this one is torn
+                continue
+            if not np.any(results == _PENDING):
+                file = path / "result" / array.metadata.encode_chunk_key(key)
+                yield key, results, file.stat().st_mtime
 
 
-def _is_there(path: Path) -> bool:
-    return (path / "zarr.json").exists() and (units_of(path) / LAYOUT).exists()
+def _counted(codes: np.ndarray) -> dict[str, int]:
+    """How many of these runs ended in which way."""
+    values, counts = np.unique(codes, return_counts=True)
+    return {_NAMES[value]: int(count) for value, count in zip(values, counts, strict=True)}
 
 
-def _removed(path: Path) -> str:
-    return (
-        f"The store {path} was removed while a sweep filled it. What it held is gone; make the "
-        "same call again to begin anew."
-    )
+def _locked(folder: Path, store: Path) -> int:
+    """The folder, open and locked for as long as this process has it open.
+
+    **Raises:** `StoreError` if another process has locked it.
+    """
+    opened = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(opened, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(opened)
+        raise StoreError(
+            f"The store {store} is being written by another process: wait until that ends, and "
+            "make the same call again; for more processes give a `client`."
+        ) from None
+    except OSError:
+        pass  # No locks on this disk: a second process would write the same numbers.
+    return opened
+
+
+def _is_written(path: Path) -> bool:
+    """Whether a process fills the store."""
+    try:
+        os.close(_locked(path, path))
+    except StoreError:
+        return True
+    return False
+
+
+def _sync(file: Path) -> None:
+    """Waits until the disk has the file; one that zarr has not written has no numbers in it."""
+    with contextlib.suppress(FileNotFoundError), file.open("rb") as opened:
+        os.fsync(opened.fileno())
 
 
 @contextlib.contextmanager
-def _in_words(path: Path) -> Iterator[None]:
+def _as_store_errors(path: Path) -> Iterator[None]:
     """Says of an error of the disk what is safe and what to do.
 
     **Raises:** `StoreError`.
@@ -452,10 +520,7 @@ def _in_words(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        if isinstance(error, FileNotFoundError) and not _is_there(path):
-            raise StoreError(_removed(path)) from error
-        reason = error.strerror or str(error)
         raise StoreError(
-            f"The store {path} cannot be used: {reason}. Units that are recorded are kept; mend "
-            "that, and make the same call again to go on."
+            f"The store {path} cannot be used: {error.strerror or error}. Units that are done are "
+            "kept; mend that, and make the same call again to go on."
         ) from error

@@ -10,15 +10,19 @@ lane makes another motion of it.  `lanes` fixes the program.
 
 from __future__ import annotations
 
+import math
 import os
 import time
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import diffrax as dfx
 import jax
+import jax.tree_util as jtu
+from tqdm import tqdm
 
 from .._checks import check_count, check_flag, check_kind, shown
 from .._limits import MOST_LANES, MOST_STORED
@@ -26,14 +30,11 @@ from .._types import ScalarLike, State
 from ..model.chain import Chain
 from ..result import ended_as, ended_well, message
 from ..simulation.accuracy import MAX_STEP
-from ..simulation.event_driven import EventDriven
-from .ensemble import prepare
-from .grid import Grid, check_chunks
-from .records import followed
-from .scheduler import Scheduler, lane_bar
-
-# Files beside a store have its name and some letters more, 255 at most.
-_LONGEST_NAME = 200
+from ..simulation.event_driven import EventDriven, EventDrivenPlan
+from .axes import Block, Grid, check_chunks, chunks_of
+from .ensemble import Ensemble, RunSettings, fingerprint_of, prepare
+from .scheduler import Scheduler, lane_bar, lane_count
+from .store import Store, followed, read_layout
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -127,12 +128,12 @@ def sweep(
       sweep; that is fastest, but the last bits then depend on jobs, devices and the clock.
     - `devices`: default all local devices.
     - `store`: the name of a Zarr store that keeps the results on disk, unit by unit, as they come:
-      what a process that dies has not recorded is computed by the next one that makes the same
-      call, or at the same time by any number of them.  Results are then read as they are used, and
-      the grid may be larger than memory.  See `jaxchain/sweeps/store.py` for what lies there.
+      if this process is killed, the same call goes on with what is missing.  One process at a time
+      writes a store.  Results are then read as they are used, and the grid may be larger than
+      memory.  See `jaxchain/sweeps/store.py` for what lies there.
     - `chunks`: of the store: values in a unit, by dimension; by default some seconds of work.
-    - `client`: a `distributed.Client`, whose workers compute the units of the `store`, on a disk
-      that all of them see; see `jaxchain/sweeps/dask_engine.py`.
+    - `client`: a `distributed.Client`, whose workers compute the units of the `store`; this
+      process writes them.  See `jaxchain.sweeps.cluster`.
     - `progress`: show a progress bar; it tells of cores that lie idle.
 
     **Returns:** an `xarray.Dataset` with the dimensions of `over` and `oscillator` (1 ... n), see
@@ -170,53 +171,142 @@ def sweep(
         ('belt_speed', 'excited')
     """
     _check_running(lanes, devices, client, progress, description)
-    call: dict[str, Any] = {
-        "chain": chain, "initial": initial, "t1": t1, "over": over, "vary": vary,
-        "observe": observe, "t0": t0, "solver": solver, "accuracy": accuracy, "rtol": rtol,
-        "atol": atol, "max_step": max_step, "max_steps": max_steps, "segments": segments,
-    }  # fmt: skip
-    ensemble = prepare(**call, most=MOST_LANES if store is None else MOST_STORED)
+    settings = RunSettings(
+        chain, initial, t1, vary, observe, t0, solver, accuracy, rtol, atol, max_step, max_steps,
+        segments,
+    )  # fmt: skip
+    ensemble = prepare(settings, over, MOST_LANES if store is None else MOST_STORED)
     chunks = check_chunks(chunks, ensemble.axes)
     if store is not None:
-        # xarray brings pandas, which would double the time of `import jaxchain`.
-        from .filling import fill, open_for
-
-        kept = open_for(_path_of(store), ensemble, chunks, lanes)
-        try:
-            fill(
-                kept, ensemble, call, devices=devices, client=client, progress=progress,
-                description=description,
-            )  # fmt: skip
-        except KeyboardInterrupt:
-            raise SweepInterrupted(kept.dataset(), kept.path) from None
-        _warn_of_failures(kept.finish())
-        return kept.dataset()
+        kept = _open(_path_of(store), ensemble, chunks, lanes)
+        return _fill(kept, ensemble, devices, client, progress, description)
     for name, given in (("chunks", chunks), ("client", client)):
         if given is not None:
             raise ValueError(
                 f"Argument `{name}` is for a sweep that is kept in a `store`: give its name, too."
             )
-    (block,) = Grid(ensemble.axes).blocks()
-    runner = Scheduler(ensemble, block.size, block.size, devices, lanes)
-    started = time.perf_counter()
-    interrupted = False
+    grid, total = Grid(ensemble.axes, {}), ensemble.total
+    block = ensemble.block(grid, (0,) * len(grid.sizes))
+    runner = Scheduler(ensemble, total, total, devices, lanes)
+    started, interrupted = time.perf_counter(), False
     try:
-        with lane_bar(block.size, progress, description) as bar:
+        with lane_bar(total, progress, description) as bar:
             runner.run([block], bar)
     except KeyboardInterrupt:
         interrupted = True
-    attrs = {
-        "wall_time_s": round(time.perf_counter() - started, 3),
-        "devices": ", ".join(str(d) for d in runner.devices),
-        "device_kind": ", ".join(sorted({d.device_kind for d in runner.devices})),
-        "lanes_per_device": runner.lanes,
-        "lanes_per_device_at_end": runner.lanes_at_end,
-    }
+    attrs = {"lanes_per_device": runner.lanes, "lanes_per_device_at_end": runner.lanes_at_end}
+    attrs |= _circumstances(started, _kinds(runner.devices))
     dataset = ensemble.dataset(block, ensemble.attrs | attrs)
     if interrupted:
         raise SweepInterrupted(dataset)
     _warn_of_failures(ended_as(dataset["result"].values))
     return dataset
+
+
+def _open(
+    path: Path, ensemble: Ensemble, chunks: dict[str, int] | None, lanes: int | None
+) -> Store:
+    """The store of a sweep, whether it is there already or not.
+
+    What is not given, of `chunks` and `lanes`, is as the store has it, or follows the sweep.
+    """
+    axes, layout = ensemble.axes, read_layout(path)
+    if layout is None:
+        most = lane_count(ensemble.task.chain.n, ensemble.total, jax.local_devices()[:1], lanes)
+        grid = Grid(axes, chunks_of(axes, _unit_size(ensemble, most)) | (chunks or {}))
+        used = min(most, grid.block_size) if lanes is None else lanes
+    else:
+        used = layout["fingerprint"]["lanes"] if lanes is None else lanes
+        grid = Grid(axes, layout["chunks"])
+        for dim, size in (chunks or {}).items():
+            if (
+                dim in layout["chunks"]
+                and min(size, layout["sizes"][dim]) != layout["chunks"][dim]
+            ):
+                raise ValueError(
+                    f"Argument `chunks` has {size} values along {dim!r}, but the store {path} has "
+                    f"{layout['chunks'][dim]}: leave it out, or give another `store`."
+                )
+    return Store(path, grid, fingerprint_of(ensemble, used), lambda: ensemble.sample(used))
+
+
+def _unit_size(ensemble: Ensemble, lanes: int) -> int:
+    """Jobs of a unit: some five seconds of work of a core, no more than fit, several units in all.
+
+    A unit has four jobs for each lane at least, so that few lanes idle at its end, and at most
+    2^24 numbers; a sweep has between 8 and 20,000 units, as each is some ten files.
+    """
+    task, total = ensemble.task, ensemble.total
+    # Of a lane: for each mass and time unit, and at least; roughly, for either kind of friction.
+    per_time = 3e-7 if isinstance(task.plan, EventDrivenPlan) else 2e-6
+    seconds = 1e-5 + per_time * task.chain.n * float(task.t1 - task.t0)
+    numbers = sum(math.prod(shape.shape) for shape in jtu.tree_leaves(ensemble.place.record))
+    wanted = max(4 * lanes, int(5.0 / seconds), -(-total // 20_000))
+    return max(1, min(wanted, (1 << 24) // numbers, -(-total // 8)))
+
+
+def _fill(
+    store: Store,
+    ensemble: Ensemble,
+    devices: Sequence[Any] | None,
+    client: Any,
+    progress: bool,
+    description: str,
+) -> Dataset:
+    """Computes the units that are left, on devices of this process or by workers of a client."""
+    grid, total, started = store.grid, ensemble.total, time.perf_counter()
+    blocks = (ensemble.block(grid, key) for key in store.left)
+    try:
+        with lane_bar(total, progress, description) as bar:
+            bar.n = total - sum(map(grid.size_of, store.left))
+            if not store.left:
+                devices_used = {}
+            elif client is None:
+                runner = Scheduler(ensemble, grid.block_size, total, devices, store.lanes)
+                devices_used = _kinds(runner.devices)
+                _run_and_write(runner, blocks, store, ensemble, bar)
+            else:
+                from .dask_engine import fill_by
+
+                devices_used = fill_by(client, store, ensemble, blocks, bar)
+        _warn_of_failures(store.finish(_circumstances(started, devices_used)))
+    except KeyboardInterrupt:
+        raise SweepInterrupted(store.dataset(), store.path) from None
+    finally:
+        store.close()
+    return store.dataset()
+
+
+def _run_and_write(
+    runner: Scheduler, blocks: Iterable[Block], store: Store, ensemble: Ensemble, bar: tqdm
+) -> None:
+    """Runs the blocks; each is written while the next ones run, and few wait for that."""
+    runner.finished = bar.n
+    with ThreadPoolExecutor(1, "store") as writer:
+        writing: list[Future] = []
+
+        def write(block: Block) -> None:
+            data = ensemble.dataset(block, {})
+            writing.append(writer.submit(store.write, block.key, data))
+            while writing and (writing[0].done() or len(writing) > len(runner.devices)):
+                writing.pop(0).result()
+
+        runner.run(blocks, bar, write)
+        for future in writing:
+            future.result()
+
+
+def _kinds(devices: Sequence[Any]) -> dict[str, str]:
+    return {str(device): device.device_kind for device in devices}
+
+
+def _circumstances(started: float, devices: Mapping[str, str]) -> dict[str, Any]:
+    """How long a sweep took, and on what: the kind of each device."""
+    return {
+        "wall_time_s": round(time.perf_counter() - started, 3),
+        "devices": ", ".join(devices),
+        "device_kind": ", ".join(sorted(set(devices.values()))),
+    }
 
 
 def _check_running(lanes: Any, devices: Any, client: Any, progress: Any, description: Any) -> None:
@@ -252,10 +342,11 @@ def _warn_of_failures(results: Mapping[str, int]) -> None:
 def _path_of(store: Any) -> Path:
     is_name = isinstance(store, str | os.PathLike)
     path = Path(store) if is_name else Path()
-    if path.name in ("", "..") or "\0" in str(path) or len(os.fsencode(path.name)) > _LONGEST_NAME:
+    # While it is laid out a store has its name and some letters more, 255 at most.
+    if path.name in ("", "..") or "\0" in str(path) or len(os.fsencode(path.name)) > 200:
         raise ValueError(
             "Argument `store` must be None or the name of a folder of its own, of "
-            f"{_LONGEST_NAME} bytes at most, but is "
+            "200 bytes at most, but is "
             f'{repr(str(store))[:60] if is_name else shown(store)}: give "sweep.zarr", say.'
         )
     return followed(path)

@@ -15,7 +15,7 @@ from jaxchain.localization.mistuning import (
     mistuned_stiffness,
 )
 from jaxchain.observers.quantities import participation_ratio
-from jaxchain.sweeps.starts import own_chain
+from jaxchain.sweeps.lanes import own_chain
 
 
 def test_participation_ratio_in_closed_form():

@@ -14,7 +14,7 @@ from jaxchain.model.tabulated import TabulatedFriction
 from jaxchain.observers.samples import Trajectory
 from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.simulation.run import build_plan, simulate
-from jaxchain.sweeps.dataset import describe
+from jaxchain.sweeps.ensemble import describe
 from jaxchain.sweeps.sweeping import sweep
 
 SPEED = [0.0, 0.2, 0.5, 0.8, 1.2, 2.0]

@@ -13,19 +13,16 @@ from synthetic import stored
 
 from jaxchain.cli import main
 from jaxchain.scenes import running
-from jaxchain.scenes.errors import SceneError, StorageError, TakenOverError
-from jaxchain.scenes.folders.datasets import mend, save, saved
+from jaxchain.scenes.errors import SceneError, StorageError
+from jaxchain.scenes.folders.datasets import mend, save
 from jaxchain.scenes.folders.groups import groups_of, is_store_of
 from jaxchain.scenes.folders.resuming import resume_scene
-from jaxchain.scenes.folders.saving import CLAIM, MARKER, mark, may_save, was_cut_off, who_saves
+from jaxchain.scenes.folders.saving import MARKER, filled, mark, was_cut_off
 from jaxchain.scenes.reading import load_scene
 from jaxchain.scenes.running import run_scene
 from jaxchain.scenes.scene import Experiment
-from jaxchain.scenes.storage import Results, listing
-from jaxchain.sweeps import fingerprint
-from jaxchain.sweeps.claims import Claims
-from jaxchain.sweeps.records import units_of
-from jaxchain.sweeps.status import status_of
+from jaxchain.scenes.storage import listing
+from jaxchain.sweeps import ensemble
 from jaxchain.sweeps.store import Store, StoreError
 
 SCENE = """
@@ -75,11 +72,11 @@ def stop_after(monkeypatch, units, error):
     """Lets so many units be written, then raises, until the function that it returns is called."""
     whole, written = Store.write, []
 
-    def write(self, block, found, about):
+    def write(self, key, data):
         if len(written) == units:
             raise error
-        written.append(block.key)
-        return whole(self, block, found, about)
+        written.append(key)
+        return whole(self, key, data)
 
     monkeypatch.setattr(Store, "write", write)
     return lambda: monkeypatch.setattr(Store, "write", whole)
@@ -98,7 +95,7 @@ def same(one, other):
 @pytest.mark.slow
 def test_what_went_through_a_store_is_what_would_have_stayed_in_memory(undisturbed, tmp_path):
     folder, reports = undisturbed
-    assert listing(folder) == ["report.html", "two.many.zarr", "two.many.zarr.units", "two.nc",
+    assert listing(folder) == ["report.html", "two.many.zarr", "two.nc",
                                "two.toml", "two.zarr"]  # fmt: skip
     change = ["experiment.many.numerics.store=false"]
     loaded = load_scene(str(folder.parent / "two.toml"), change)
@@ -137,7 +134,7 @@ def test_a_run_that_is_cut_off_goes_on_in_its_folder(
     assert f"jaxchain: {said}\n" in printed.err
     assert printed.err.endswith("jaxchain: `jaxchain resume out` goes on with it\n")
     assert "units         3 of 8 done" in printed.out
-    stores = ["two.many.zarr", "two.many.zarr.units"]
+    stores = ["two.many.zarr"]
     assert listing(folder) == ["report.html", *stores, "two.toml"]
     page = (folder / "report.html").read_text(encoding="utf-8")
     assert "Missing: many, few." in page
@@ -183,40 +180,13 @@ def test_who_runs_it_again_is_told_of_the_run_that_was_cut_off(workplace, capsys
     assert second == "jaxchain: this one goes to out-2"
 
 
-@pytest.mark.slow
-def test_beside_one_that_saves_others_fill_the_stores_only(undisturbed, workplace):
-    folder, reports = Path("out"), []
-    folder.mkdir()
+def test_a_folder_that_another_process_fills_is_refused(workplace):
+    Path("out").mkdir()
     Path("out/two.toml").write_text(SCENE, encoding="utf-8")
-    loaded = load_scene("out")
-    with Claims(folder) as other:
-        assert other.take(CLAIM)
-        resume_scene(loaded, folder, plot=False, report=reports.append)
-        who = who_saves(folder)
-        assert who is not None
-        assert who.startswith(f"process {os.getpid()} on ")
-        assert reports == [
-            f"all units of the stores are done; {who} saves what belongs beside them"
-        ]
-    assert status_of(Path(STORE))["units_done"] == 8
-    assert listing(folder) == ["two.many.zarr", "two.many.zarr.units", "two.toml"]
-    # He has died: whoever comes next saves.
-    resume_scene(loaded, folder, plot=False, report=reports.append)
-    assert same(stored(folder / "two"), stored(undisturbed[0] / "two"))
-
-
-def test_whoever_has_slept_saves_no_more(tmp_path):
-    data = xr.Dataset({"a": ("x", [1.0])})
-    with Claims(tmp_path) as late, may_save(tmp_path) as claims:
-        results = Results(tmp_path, "two")
-        results.claims = claims
-        results.save("one", data)
-        (tmp_path / f"{CLAIM}.claim").unlink()
-        results.save("other", data)  # a file that somebody has removed
-        assert late.take(CLAIM)
-        with pytest.raises(TakenOverError, match="another process saves into"):
-            results.save("third", data)
-    assert list(saved(tmp_path / "two")) == ["one", "other"]
+    with filled(Path("out")):
+        assert not was_cut_off(Path("out"))
+        with pytest.raises(SceneError, match="is being run in out by another process: wait"):
+            resume_scene(load_scene("out"), Path("out"), plot=False)
 
 
 @pytest.mark.slow
@@ -274,7 +244,7 @@ def test_what_does_not_fit_into_memory_stays_in_its_store(workplace, monkeypatch
     loaded = load_scene("one.toml")
     Path("alone").mkdir()
     data = run_scene(loaded, Path("alone"), report=lambda text: None)
-    stores = ["one.many.zarr", "one.many.zarr.units"]
+    stores = ["one.many.zarr"]
     assert listing(Path("alone")) == [*stores, "one.toml", "report.html"]
     page = Path("alone/report.html").read_text(encoding="utf-8")
     assert "Kept in a store: 16 of 16 runs are done." in page
@@ -282,7 +252,7 @@ def test_what_does_not_fit_into_memory_stays_in_its_store(workplace, monkeypatch
     assert "energy" not in data["many"]
     assert data["many"]["amplitude"].shape == (4, 4, 1)
     resume_scene(loaded, Path("alone"), report=lambda text: None)
-    stores = ["one.many.zarr", "one.many.zarr.units"]
+    stores = ["one.many.zarr"]
     assert listing(Path("alone")) == [*stores, "one.toml", "report.html"]
     page = Path("alone/report.html").read_text(encoding="utf-8")
     assert "Kept in a store: 16 of 16 runs are done." in page
@@ -296,7 +266,7 @@ def test_a_store_of_other_code_is_refused_and_run_again_elsewhere(
     lift = stop_after(monkeypatch, 1, KeyboardInterrupt())
     assert main(["run", "two.toml", "--output", "out", "--no-plot", "--quiet"]) == 130
     lift()
-    monkeypatch.setattr(fingerprint, "code", lambda: "sha256 other")
+    monkeypatch.setattr(ensemble, "code", lambda: "sha256 other")
     capsys.readouterr()
     assert main(["resume", "out", "--no-plot", "--quiet"]) == 2
     said = capsys.readouterr().err
@@ -319,12 +289,16 @@ def test_a_study_cannot_go_on(tmp_path):
         resume_scene(load_scene("ladder"), tmp_path)
 
 
+def laid_out(store, size):
+    """A store in which nothing is done."""
+    (store / "jaxchain").mkdir(parents=True)
+    layout = {"attributes": {"sizes": {"a": size}, "chunks": {"a": 2}}}
+    (store / "jaxchain" / "zarr.json").write_text(json.dumps(layout))
+
+
 def test_a_store_that_no_scene_has_made_is_gone_on_with_in_python(workplace, capsys):
     for folder in ("alone", "beside"):
-        units = units_of(Path(folder, "sweep.zarr"))
-        units.mkdir(parents=True)
-        layout = {"sizes": {"a": 1}, "chunks": {"a": 1}}
-        (units / "layout.json").write_text(json.dumps(layout))
+        laid_out(Path(folder, "sweep.zarr"), size=1)
     Path("beside/two.toml").write_text(SCENE, encoding="utf-8")
     for folder in ("alone", "beside"):
         assert main(["resume", f"{folder}/sweep.zarr"]) == 2
@@ -335,12 +309,9 @@ def test_a_store_that_no_scene_has_made_is_gone_on_with_in_python(workplace, cap
 def test_status_tells_programs_the_same(workplace, capsys):
     assert main(["status", "."]) == 2
     assert ". is no store, and no folder that holds one" in capsys.readouterr().err
-    units = units_of(Path("two.many.zarr"))
-    units.mkdir(parents=True)
-    layout = {"sizes": {"a": 3}, "chunks": {"a": 2}}
-    (units / "layout.json").write_text(json.dumps(layout))
+    laid_out(Path("two.many.zarr"), size=3)
     mark(Path())
-    for given in (".", "two.many.zarr", "two.many.zarr.units"):
+    for given in (".", "two.many.zarr"):
         assert main(["status", given, "--json"]) == 0
         told = json.loads(capsys.readouterr().out)
         (store,) = told["stores"]
@@ -357,7 +328,7 @@ def test_a_folder_that_cannot_be_written_is_a_readable_error(workplace, monkeypa
         raise PermissionError(13, "Permission denied")
 
     # The tests may be run by root, who may write everywhere.
-    monkeypatch.setattr("jaxchain.scenes.storage.mark", refused)
+    monkeypatch.setattr("jaxchain.scenes.folders.saving.mark", refused)
     with pytest.raises(StorageError, match="cannot write `two` into out: Permission denied"):
         resume_scene(loaded, Path("out"))
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jaxchain.sweeps import programs
-from jaxchain.sweeps.programs import Parts, Program, joined, map_lanes, map_on, place
+from jaxchain.sweeps.programs import Program, map_lanes
 
 
 class Logistic(eqx.Module):
@@ -31,71 +31,42 @@ def test_every_row_is_computed_once_whatever_the_number_of_devices(rows, monkeyp
     columns = [np.linspace(0.1, 0.4, rows), np.arange(float(rows))]
     task, devices = Logistic(jnp.asarray(3.9)), jax.local_devices()
     assert len(devices) > 1
-    found, counted = [], []
+    results, counted = [], []
     for own in (devices, devices[:1]):
         monkeypatch.setattr(jax, "local_devices", lambda own=own: own)
         counted.append([])
-        found.append(map_lanes(iterated, task, columns, lanes=2, done=counted[-1].append))
-    np.testing.assert_array_equal(found[0]["shifted"], columns[0] + columns[1])
-    np.testing.assert_array_equal(found[0]["x"], found[1]["x"])
-    assert np.unique(found[0]["x"]).size == rows
+        results.append(map_lanes(iterated, task, columns, lanes=2, done=counted[-1].append))
+    np.testing.assert_array_equal(results[0]["shifted"], columns[0] + columns[1])
+    np.testing.assert_array_equal(results[0]["x"], results[1]["x"])
+    assert np.unique(results[0]["x"]).size == rows
     assert [sum(counts) for counts in counted] == [rows, rows]
 
 
-def test_parts_on_any_devices_do_the_same():
-    devices, values = jax.local_devices()[:2], np.arange(8.0)
-    for own in (devices, devices[:1], [*devices, *devices]):
-        parts = Parts(own)
-        tasks, dealt = parts.place(Logistic(jnp.asarray(2.0))), parts.deal({"x": values})
-        doubled = joined(parts.map(lambda task, lane: task.rate * lane["x"], tasks, dealt))
-        np.testing.assert_array_equal(doubled, 2.0 * values)
+@pytest.mark.parametrize("movable", ["moved", "from the disk", "refused by JAX"])
+def test_what_was_compiled_for_one_device_is_loaded_on_the_next(movable, monkeypatch):
+    """With the same bits, and without another compilation, where JAX can do that."""
+    compiled, new = [], float(time.time_ns())  # which does not lie in a cache
 
+    def traced(x):
+        if movable == "from the disk":  # what XLA loaded once, it cannot move
+            hits.append(threading.get_ident())
+        return jax.lax.fori_loop(0, 200, lambda _, x: 3.9 * x * (1.0 - x), x) + new
 
-def test_what_was_compiled_for_one_device_is_loaded_on_the_next():
-    """With the same bits, and without another compilation."""
-    first, second = jax.local_devices()[:2]
-    compiled = []
+    def listen(event: str, duration_secs: float, **about: str | int) -> None:
+        del duration_secs, about
+        compiled.extend([event] * (event == "/jax/core/compile/backend_compile_duration"))
 
-    def heard(event: str, duration_secs: float, **about: str | int) -> None:
-        del duration_secs
-        if event == "/jax/core/compile/backend_compile_duration":
-            compiled.append(about)
-
-    new = float(time.time_ns())  # nor does it lie on the disk
-
-    def run(task, x):
-        return iterated(task, x, new)
-
-    jax.monitoring.register_event_duration_secs_listener(heard)
-    try:
-        task, found = Logistic(jnp.asarray(3.9)), []
-        for device in (first, second):
-            x = jax.device_put(np.linspace(0.1, 0.4, 5), device)
-            own = place(task, device)
-            compiled.clear()
-            found.append(map_on(run, device, own, x)["x"])
-            assert found[-1].devices() == {device}
-            assert len(compiled) == (device == first)
-    finally:
-        jax.monitoring.unregister_event_duration_listener(heard)
-    np.testing.assert_array_equal(*found)
-
-
-def test_a_program_from_the_disk_is_not_moved(monkeypatch):
-    """XLA cannot: what it loaded once lacks its functions when it is loaded again."""
-    moved = []
-    monkeypatch.setattr(programs, "_moved", lambda *a: moved.append(a))
     monkeypatch.setattr(programs, "_hits", hits := [])
-    made = Program(lambda x: hits.append(threading.get_ident()) or 2.0 * x)
-    for device in jax.local_devices()[:2]:
-        x = jax.device_put(np.arange(3.0), device)
-        np.testing.assert_array_equal(made.on(device, x)(x), [0.0, 2.0, 4.0])
-    assert not moved
-
-
-def test_where_jax_cannot_move_a_program_it_is_compiled_again(monkeypatch):
-    monkeypatch.setattr(programs, "serialize_executable", None)
-    made = Program(lambda x: 3.0 * x)
-    for device in jax.local_devices()[:2]:
-        x = jax.device_put(np.arange(3.0), device)
-        np.testing.assert_array_equal(made.on(device, x)(x), [0.0, 3.0, 6.0])
+    if movable == "refused by JAX":
+        monkeypatch.setattr(programs, "serialize_executable", None)
+    made, results = Program(traced), []
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    try:
+        for device in jax.local_devices()[:2]:
+            x = jax.device_put(np.linspace(0.1, 0.4, 5), device)
+            results.append(made.on(device, x)(x))
+            assert results[-1].devices() == {device}
+    finally:
+        jax.monitoring.unregister_event_duration_listener(listen)
+    np.testing.assert_array_equal(*results)
+    assert (len(compiled) == 1) == (movable == "moved")

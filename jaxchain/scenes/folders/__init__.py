@@ -3,5 +3,5 @@
 - `datasets`: datasets as groups of a Zarr store and of a NetCDF file, whole or not at all
 - `groups`: what a scene makes: its groups, and which of them are kept in stores
 - `resuming`: a run that was cut off goes on
-- `saving`: who of several processes saves, and what tells that a run was cut off
+- `saving`: what tells that a process fills a folder, or that its run was cut off
 """

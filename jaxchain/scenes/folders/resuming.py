@@ -1,8 +1,4 @@
-"""A run that was cut off goes on, in its own folder, in any number of processes at once.
-
-All of them fill the stores of the scene, unit by unit.  One saves what belongs beside them, runs
-what needs no store, and draws: whoever comes first, and once he has died another one.
-"""
+"""A run that was cut off goes on, in its own folder."""
 
 from __future__ import annotations
 
@@ -13,17 +9,16 @@ from typing import Any
 
 from ...model.friction import AbstractFrictionLaw
 from ...observers.base import AbstractObserver
-from ...sweeps.records import is_whole
 from ..building import checked_chains
 from ..errors import SceneError, StorageError
 from ..pages.page import page_behind
 from ..reading import LoadedScene
 from ..registry import StudyTable
-from ..running import draw, fill, in_words, run_experiment
+from ..running import draw, fill
 from ..storage import Results
 from ..writing import circumstances, circumstances_before
-from .groups import all_stored, groups_of
-from .saving import MARKER, may_save, who_saves
+from .groups import all_stored
+from .saving import MARKER, filled
 
 
 def resume_scene(
@@ -38,7 +33,7 @@ def resume_scene(
     command: str = "",
     client: Any = None,
 ) -> None:
-    """Goes on with the run that fills `folder`, or helps it where it still runs.
+    """Goes on with the run that filled `folder`.
 
     **Arguments:** `loaded`, what was run there, as `load_scene(folder)` reads it; the rest as for
     `run_scene`.
@@ -72,26 +67,19 @@ def resume_scene(
         "own_law": own_law, "own_observers": own_observers, "progress": progress,
         "client": client,
     }  # fmt: skip
-    for helped in (False, True):
-        with may_save(folder) as claims:
-            if claims is not None:
-                with _reopened(folder, loaded.name) as results:
-                    results.claims = claims
-                    with page_behind(results, loaded.scene):
-                        _complete(loaded, results, chains, how, plot, report, command)
-                return
-        if not helped:
-            _help(loaded, folder, how)
-    owner = who_saves(folder) or "another process"
-    report(f"all units of the stores are done; {owner} saves what belongs beside them")
-
-
-def _reopened(folder: Path, name: str) -> Results:
     try:
-        return Results.reopen(folder, name)
+        with filled(folder):
+            results = Results.reopen(folder, loaded.name)
+            with results, page_behind(results, loaded.scene):
+                _complete(loaded, results, chains, how, plot, report, command)
+    except BlockingIOError:
+        raise SceneError(
+            loaded.name,
+            [f"is being run in {folder} by another process: wait until that ends, or use "
+             "`--workers` there"],
+        ) from None  # fmt: skip
     except OSError as error:
-        reason = error.strerror or str(error)
-        raise StorageError(name, folder, reason, [], {}) from error
+        raise StorageError(loaded.name, folder, error.strerror or str(error), [], {}) from error
 
 
 def _complete(
@@ -119,14 +107,3 @@ def _complete(
     if plot and (more or not (folder / f"{loaded.name}.png").exists()):
         draw(results)
     (folder / MARKER).unlink(missing_ok=True)
-
-
-def _help(loaded: LoadedScene, folder: Path, how: Mapping[str, Any]) -> None:
-    """Fills stores beside the process that saves."""
-    for group in groups_of(loaded.scene):
-        store = group.store(folder, loaded.name)
-        if store is not None and not is_whole(store):
-            with in_words(loaded.name, f"experiment.{group.of}: "):
-                run_experiment(
-                    group.experiment, name=group.name, model=group.model, store=store, **how
-                )

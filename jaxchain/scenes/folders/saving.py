@@ -1,24 +1,18 @@
-"""Who of several processes saves into a folder of results, and what tells that a run was cut off.
-
-Any number of processes may fill the stores of a folder; one of them saves the groups and draws.
-It has a claim as those for units have it, so that another one takes over once it has died.
-"""
+"""What tells that a process fills a folder of results, or that its run was cut off."""
 
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 import socket
 import time
 from collections.abc import Iterator
 from pathlib import Path
-
-from ...sweeps.claims import Claims, living
+from typing import TextIO
 
 # In the folder of a run for as long as it runs; in that of a run that was cut off it stays.
 MARKER = "unfinished.txt"
-CLAIM = "saving"
-CLAIM_FILE = f"{CLAIM}.claim"
 _MARKED = """\
 Process {process} on {host} fills this folder since {since}.
 This file goes when the run ends. Where it stays, the run was cut off: what is here is whole, but
@@ -39,28 +33,35 @@ def mark(folder: Path) -> None:
 
 
 @contextlib.contextmanager
-def may_save(folder: Path) -> Iterator[Claims | None]:
-    """The claim of this process to save into a folder; None if another one has it and lives.
+def filled(folder: Path) -> Iterator[None]:
+    """Marks a folder as filled by this process, to the end of the block.
 
-    **Raises:** `OSError` if nothing can be written there.
+    **Raises:** `BlockingIOError` if another process fills it; `OSError` if nothing can be written.
     """
-    with Claims(folder) as claims:
-        yield claims if claims.take(CLAIM) else None
-
-
-def who_saves(folder: Path) -> str | None:
-    """ "process 12 on host", as far as one can tell; None if nobody does."""
-    owner = living(folder).get(CLAIM)
-    if owner is None:
-        return None
-    return f"process {owner['process']} on {owner['host'].partition(' ')[0]}"
+    with (folder / MARKER).open("a+", encoding="utf-8") as marker:
+        _lock(marker, fcntl.LOCK_EX)
+        mark(folder)
+        yield
 
 
 def was_cut_off(folder: Path) -> bool:
     """Whether the run of a folder has ended without an end."""
-    return (folder / MARKER).exists() and who_saves(folder) is None
+    try:
+        with (folder / MARKER).open(encoding="utf-8") as marker:
+            _lock(marker, fcntl.LOCK_SH)
+    except OSError:
+        return False
+    return True
 
 
-def superseded(claims: Claims | None) -> bool:
-    """Whether another process saves in the place of this one, which has slept for too long."""
-    return claims is not None and not claims.holds(CLAIM) and CLAIM in living(claims.folder)
+def _lock(marker: TextIO, kind: int) -> None:
+    """Locks the marker, on a file system that has locks.
+
+    **Raises:** `BlockingIOError` if another process has locked it.
+    """
+    try:
+        fcntl.flock(marker, kind | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise
+    except OSError:
+        pass

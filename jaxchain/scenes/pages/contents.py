@@ -13,8 +13,7 @@ from typing import Any
 
 import xarray as xr
 
-from ...sweeps.records import stores_in
-from ...sweeps.status import status_of
+from ...sweeps.store import status_of, stores_in
 from ..folders.groups import groups_of
 from ..registry import study_run
 from ..report import cycles_rows, rows

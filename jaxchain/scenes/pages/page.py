@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 import xarray as xr
 
 from ..._terminal import undisturbed
-from ...sweeps.records import stores_in
+from ...sweeps.store import stores_in
 from ..errors import SceneError
 from ..files import scene_file
 from ..folders.datasets import aside, saved
-from ..folders.saving import superseded, was_cut_off
+from ..folders.saving import was_cut_off
 from ..reading import load_scene
 from .contents import told
 from .picture import as_text
@@ -84,7 +84,7 @@ def page_behind(results: Results, scene: Any) -> Iterator[None]:
         yield
     finally:
         for folder, whole in results.whole.items():
-            if (whole or stores_in(folder)) and not superseded(results.claims):
+            if whole or stores_in(folder):
                 datasets = {key: results.datasets[key] for key in whole}
                 try:
                     with undisturbed():

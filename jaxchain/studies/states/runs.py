@@ -34,11 +34,11 @@ from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.simulation.run import build_plan, simulate
 from jaxchain.studies.states.phases import join_peaks, join_samples
 from jaxchain.studies.states.table import PhasePlots, States, TimeSeries
-from jaxchain.sweeps.dataset import describe, to_dataset
-from jaxchain.sweeps.lanes import Lane, Task, read_lane, start_lane
-from jaxchain.sweeps.programs import Parts, joined
-from jaxchain.sweeps.starts import Starts
+from jaxchain.sweeps.ensemble import describe, to_dataset
+from jaxchain.sweeps.lanes import Lane, Starts, Task, read_lane, start_lane
 from jaxchain.sweeps.sweeping import SweepInterrupted
+
+from .parts import Parts, joined
 
 # Of the fastest mode.  A vibrating mass has one maximum in a period, which is longer than this.
 STRETCH_PERIODS, CAPACITY = 10, 16

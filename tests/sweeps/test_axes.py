@@ -5,15 +5,14 @@ import itertools
 import numpy as np
 import pytest
 
-from jaxchain.sweeps.axes import jobs
-from jaxchain.sweeps.grid import Grid, check_chunks, chunks_of
+from jaxchain.sweeps.axes import Grid, check_chunks, chunks_of, jobs
 
 AXES = {
     "speed": {"speed": np.linspace(1.0, 2.0, 5)},
     "sample": {"mu": np.arange(3.0), "x0": np.arange(6.0).reshape(3, 2)},
     "excited": {"excited": np.arange(2)},
 }
-ALL = itertools.product(range(1, 7), range(1, 4), (1, 2, 5))
+ALL = itertools.product((1, 2, 6), (1, 2), (1, 5))
 
 
 @pytest.mark.parametrize("chunks", [*ALL])
@@ -21,35 +20,29 @@ def test_blocks_are_the_grid(chunks):
     grid = Grid(AXES, dict(zip(AXES, chunks, strict=True)))
     whole = jobs(AXES)
     found = {name: np.full((5, 3, 2, *v.shape[1:]), np.nan) for name, v in whole.items()}
-    blocks = list(grid.blocks())
+    blocks = [grid.block(key) for key in grid.all_keys()]
     assert len(blocks) == np.prod(grid.counts)
-    assert [block.key for block in blocks] == list(grid.places())
     for block in blocks:
+        region = tuple(grid.region(block.key).values())
         for name, values in block.jobs.items():
-            part = found[name][tuple(block.region.values())]
+            part = found[name][region]
             assert np.isnan(part).all()
             part[...] = values.reshape(part.shape)
-        assert block.size == grid.lanes_of(block.key) <= grid.block_size
+        assert block.size == grid.size_of(block.key) <= grid.block_size
     for name, values in whole.items():
         assert np.array_equal(found[name].reshape(values.shape), values)
-    assert sum(block.size for block in blocks) == grid.total == 30
-
-
-def test_a_block_is_named_by_its_place():
-    block = Grid(AXES, {"speed": 2, "sample": 2}).block((2, 1, 0))
-    assert block.name == "2.1.0"
-    assert block.region == {"speed": slice(4, 5), "sample": slice(2, 3), "excited": slice(0, 2)}
+    assert sum(block.size for block in blocks) == 30
 
 
 def test_a_grid_is_not_made_before_its_blocks_are():
     """10^12 jobs would not fit."""
     million = np.arange(10**6, dtype=float)
     grid = Grid({"a": {"a": million}, "b": {"b": million}}, {"a": 10, "b": 100})
-    assert (grid.total, grid.block_size, grid.counts) == (10**12, 1000, (10**5, 10**4))
-    assert next(grid.blocks()).size == grid.block((99_999, 9_999)).size == 1000
+    assert (grid.block_size, grid.counts) == (1000, (10**5, 10**4))
+    assert grid.block(next(grid.all_keys())).size == grid.block((99_999, 9_999)).size == 1000
 
 
-@pytest.mark.parametrize("size", [1, 2, 3, 5, 6, 7, 12, 29, 30, 1000])
+@pytest.mark.parametrize("size", [1, 5, 7, 29, 30, 1000])
 def test_chunks_hold_at_most_so_many_jobs(size):
     chunks = chunks_of(AXES, size)
     assert list(Grid(AXES, chunks).sizes) == list(AXES)

@@ -14,8 +14,8 @@ import pytest
 
 from jaxchain import Amplitude, equation_8, paper_chain, sweep
 from jaxchain.localization import mistuned_chain
-from jaxchain.sweeps.programs import KEPT_STARTS, Parts, program, start_program
-from jaxchain.sweeps.starts import Starts, own_chain
+from jaxchain.sweeps.lanes import Starts, own_chain
+from jaxchain.sweeps.programs import KEPT_STARTS, program, start_program, starts_on
 
 CHAIN = paper_chain(2, belt_speed=1.4, width=0.1)
 
@@ -46,30 +46,6 @@ def test_a_new_function_compiles_its_starts_alone():
     assert programs() == (large, small + 2)
 
 
-def test_another_function_of_that_kind_varies_without_another_large_program():
-    def states(factor):
-        return run(
-            lambda chain: equation_8(chain, 2), u=[0.9, 1.0],
-            vary=lambda chain, u: chain.with_(damping_ratio=0.05 * factor * u),
-        ).amplitude.values  # fmt: skip
-
-    once = states(1.0)
-    large, small = programs()
-    assert np.all(states(2.0) < once)
-    np.testing.assert_array_equal(states(1.0), once)
-    assert programs() == (large, small + 2)
-
-
-def test_the_same_function_compiles_nothing():
-    def initial(chain, pull) -> Any:
-        return pull, 0.0
-
-    run(initial, pull=[0.1, 0.2])
-    before = programs()
-    run(initial, pull=[0.3, 0.4])
-    assert programs() == before
-
-
 def test_a_partial_of_the_same_function_and_numbers_compiles_nothing():
     def initial(chain, size, k) -> Any:
         return size * k, 0.0
@@ -92,15 +68,15 @@ def test_a_partial_of_the_same_function_and_numbers_compiles_nothing():
 
 def test_the_programs_of_few_functions_are_kept():
     """JAX lets go of what it compiled, and of the functions with all that they hold."""
-    parts, alive = Parts(jax.devices()[:1]), []
+    alive = []
 
     def start(factor):
         def initial(chain, k) -> Any:
             return factor * k, 0.0
 
         alive.append(weakref.ref(initial))
-        place = parts.place(Starts(CHAIN, initial))
-        return parts.starts(place, parts.deal({"k": np.arange(2.0)}))[0].state[0]
+        values = {"k": jnp.arange(2.0)}
+        return starts_on(jax.devices()[0], Starts(CHAIN, initial), values).state[0]
 
     for factor in range(1, KEPT_STARTS + 4):
         assert start(factor).tolist() == [[0.0] * 2, [factor] * 2]
@@ -126,7 +102,7 @@ def test_what_vary_leaves_as_it_is_stays_one_number_for_all_lanes(vary, new):
     chain = paper_chain(4, width=None)
     jobs = {"u": np.array([1, 2]), "damping_ratio": np.array([0.05, 0.06])}
     starts = Starts(chain, equation_8(chain, 1), vary)
-    varied = starts.varied(jobs)
+    varied = starts.varied({name: jnp.asarray(values[0]) for name, values in jobs.items()})
     assert varied is not None
     assert varied.sources.count(None) == new
     row = {name: jnp.asarray(values[1]) for name, values in jobs.items()}
@@ -142,7 +118,7 @@ def test_what_is_no_array_is_none_of_the_data():
         return eqx.tree_at(lambda c: c.friction.mu_dynamic, chain.with_(mu_static=u), 0.25)
 
     starts = Starts(chain, equation_8(chain, 1), vary)
-    one, other = (starts.varied({"u": np.array([u])}) for u in (1.0, 2.0))
+    one, other = (starts.varied({"u": jnp.asarray(u)}) for u in (1.0, 2.0))
     assert one is not None
     assert hash(one) == hash(other)
     start = starts.of({"u": jnp.asarray(1.5)})

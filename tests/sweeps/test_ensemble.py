@@ -1,15 +1,20 @@
-"""A store knows its sweep: whatever decides a number is refused when it changes, by its name."""
+"""What a sweep is: results labelled, and whatever decides a number seen when it changes."""
 
+import re
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import equinox as eqx
+import h5py
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from stores import OVER, opened
+import xarray as xr
+from stores import OVER, small
 
 import jaxchain
 from jaxchain import (
@@ -23,9 +28,13 @@ from jaxchain import (
 )
 from jaxchain.model import AbstractFrictionLaw
 from jaxchain.model.tabulated import TabulatedFriction
+from jaxchain.observers import FrontTrack
 from jaxchain.observers.base import AbstractObserver, Variable
-from jaxchain.sweeps import fingerprint
-from jaxchain.sweeps.fingerprint import differences
+from jaxchain.observers.fronts import Fronts
+from jaxchain.result import NAMES
+from jaxchain.sweeps import ensemble as module
+from jaxchain.sweeps.ensemble import RunSettings, fingerprint_of, prepare, to_dataset
+from jaxchain.sweeps.store import differences
 
 CHAIN = paper_chain(2, belt_speed=1.4, width=None)
 SPEEDS = {"belt_speed": [1.0, 1.2]}
@@ -94,7 +103,7 @@ def pair(scale):
     return jnp.asarray(numbers(scale)), jnp.zeros(2)
 
 
-# Before, after, and what is said.
+# Before, after, and what has changed.
 CHANGES = {
     "rtol": ({"rtol": 1e-6}, {"rtol": 1e-7}, r"solver.rtol was 1e-06 and is 1e-07"),
     "atol": ({"atol": 1e-6}, {"atol": 1e-7}, r"solver.atol was 1e-06 and is 1e-07"),
@@ -137,7 +146,7 @@ CHANGES = {
     ),
     "law": (
         {"chain": own(Law())}, {"chain": own(ExponentialDecay(1.0, 0.5, 0.5))},
-        r"friction.law was .*Law and is ExponentialDecay",
+        r"friction.law was Law and is ExponentialDecay",
     ),
     "own law": ({"chain": own(Law())}, {"chain": own(Other())}, r"friction.curve has changed"),
     "own law's setting": (
@@ -198,57 +207,37 @@ CHANGES = {
          **smoothed()},
         r"over.set was \['belt_speed'\] and is \['belt_speed', 'width'\]",
     ),
-    "values": (
-        {}, {"over": OVER | {"excited": [0, 2, 1]}}, r"over\['excited'\] has other values of excit"
-    ),
-    "fewer values": (
-        {}, {"over": OVER | {"excited": [0, 1]}}, r"over\['excited'\] has fewer values of excited"
-    ),
-    "column": (
-        {"over": {"excited": [1], "set": {"belt_speed": [1.0, 1.1], "mu_static": [0.8, 0.9]}}},
-        {"over": {"excited": [1], "set": {"belt_speed": [1.0, 1.1], "mu_static": [0.8, 1.0]}}},
-        r"over\['set'\] has other values of mu_static",
-    ),
 }  # fmt: skip
 
 
+def known(lanes=4, over=OVER, **changes):
+    """By what a store would know such a sweep."""
+    given = {"chain": CHAIN, "initial": equation_8, "t1": 20.0, "observe": Amplitude(window=5.0)}
+    return fingerprint_of(prepare(RunSettings(**(given | changes)), over, 10**6), lanes)
+
+
 @pytest.mark.parametrize("change", CHANGES)
-def test_what_decides_a_number_is_refused_when_it_changes(tmp_path, change):
+def test_what_decides_a_number_is_seen_when_it_changes(change):
     before, after, message = CHANGES[change]
-    path = tmp_path / "a.zarr"
-    opened(path, None, **before)
-    opened(path, None, **before)
-    with pytest.raises(ValueError, match=message) as caught:
-        opened(path, None, **after)
-    assert "belongs to another sweep: " in str(caught.value)
-    assert str(caught.value).endswith(
-        "Sweep as before, with values added at the end of a dimension at most, or give another "
-        "`store`."
+    first = known(**before)
+    assert differences(first, known(**before)) == []
+    assert re.search(message, "; ".join(differences(first, known(**after))))
+
+
+def test_so_is_another_version_of_the_code_or_of_a_library(monkeypatch):
+    before, newer = known(), module.versions() | {"jax": "99.0", "python": "4"}
+    monkeypatch.setattr(module, "code", lambda: "sha256 other")
+    assert differences(before, known()) == ["code of jaxchain has changed"]
+    monkeypatch.setattr(module, "versions", lambda: newer)
+    assert re.search(
+        r"versions.jax was .* and is 99.0; code", "; ".join(differences(before, known()))
     )
 
 
-def test_so_is_another_version_of_the_code_or_of_a_library(tmp_path, monkeypatch):
-    path = tmp_path / "a.zarr"
-    opened(path)
-    with monkeypatch.context() as patch:
-        patch.setattr(fingerprint, "code", lambda: "sha256 other")
-        with pytest.raises(ValueError, match="code of jaxchain has changed"):
-            opened(path)
-    newer = fingerprint.versions() | {"jax": "99.0"}
-    monkeypatch.setattr(fingerprint, "versions", lambda: newer)
-    with pytest.raises(ValueError, match=r"versions.jax was .* and is 99.0"):
-        opened(path)
-    monkeypatch.setattr(fingerprint, "versions", lambda: newer | {"jax": "98.0", "python": "4"})
-    with pytest.raises(ValueError, match=r"98\.0"):
-        opened(path)
-
-
-def test_a_number_that_an_observer_finds_elsewhere_counts(tmp_path, monkeypatch):
-    path = tmp_path / "a.zarr"
-    opened(path, observe=Mine(abs))
+def test_a_number_that_an_observer_finds_elsewhere_counts(monkeypatch):
+    before = known(observe=Mine(abs))
     monkeypatch.setitem(globals(), "FACTOR", 2.0)
-    with pytest.raises(ValueError, match=r"observers.1.code has changed"):
-        opened(path, observe=Mine(abs))
+    assert differences(before, known(observe=Mine(abs))) == ["observers.1.code has changed"]
 
 
 @pytest.mark.parametrize(
@@ -256,14 +245,30 @@ def test_a_number_that_an_observer_finds_elsewhere_counts(tmp_path, monkeypatch)
     [
         {"initial": lambda chain, excited: equation_8(chain, excited)},  # under another name
         {"chain": CHAIN.with_(belt_speed=3.0)},  # which is swept
-        {"over": OVER | {"belt_speed": [*OVER["belt_speed"]]}},
+        {"over": OVER | {"belt_speed": [1.0, 7.0]}},  # a store compares the values itself
         {"t1": 20},
     ],
 )
-def test_what_decides_nothing_may_change(tmp_path, change):
-    path = tmp_path / "a.zarr"
-    opened(path)
-    opened(path, **change)
+def test_what_decides_nothing_may_change(change):
+    assert differences(known(), known(**change)) == []
+
+
+@pytest.mark.parametrize(
+    ("over", "message"),
+    [
+        (OVER | {"excited": [0, 2, 1]}, r"over\['excited'\] has other values of excited"),
+        (OVER | {"excited": [0, 1]}, r"over\['excited'\] has fewer values of excited"),
+    ],
+)
+def test_a_store_names_what_has_changed(tmp_path, over, message):
+    small(tmp_path / "a.zarr")
+    for change, words in (({"over": over}, message), ({"t1": 21.0}, "t1 was 20.0 and is 21.0")):
+        with pytest.raises(ValueError, match=f"belongs to another sweep: {words}") as caught:
+            small(tmp_path / "a.zarr", **change)
+        assert str(caught.value).endswith(
+            "Sweep as before, with values added at the end of a dimension at most, or give "
+            "another `store`."
+        )
 
 
 def test_numbers_that_are_not_finite_are_the_same_as_before():
@@ -276,7 +281,7 @@ def test_all_of_the_package_that_a_lane_runs_is_in_the_code_version():
     root = Path(jaxchain.__file__).parent
     covered = {
         file
-        for part in fingerprint._CODE
+        for part in module._CODE
         for file in ([root / part] if part.endswith(".py") else (root / part).rglob("*.py"))
     }
     assert all(file.exists() for file in covered)
@@ -288,15 +293,12 @@ import equinox as eqx, jax, json, sys
 import jaxchain
 jaxchain.configure()
 sys.path[:0] = sys.argv[1:]
-from test_fingerprint import CHAIN, Mine, loose
+from test_ensemble import Mine, known, loose
 from jaxchain import Amplitude, equation_8
-from jaxchain.sweeps.ensemble import prepare
-from jaxchain.sweeps.fingerprint import fingerprint_of
-ensemble = prepare(
-    CHAIN, lambda chain, excited: equation_8(chain, excited), 20.0, vary=loose(0.1),
-    over={"excited": [0, 1]}, observe=[Amplitude(window=5.0), Mine(abs), ],
-)
-print(json.dumps(fingerprint_of(ensemble, 4)))
+print(json.dumps(known(
+    initial=lambda chain, excited: equation_8(chain, excited), vary=loose(0.1),
+    over={"excited": [0, 1]}, observe=[Amplitude(window=5.0), Mine(abs)],
+)))
 """
 
 
@@ -308,3 +310,56 @@ def test_it_is_the_same_in_every_process():
     first, second = (subprocess.run(command, capture_output=True, text=True) for _ in range(2))
     assert (first.returncode, first.stderr) == (0, "")
     assert first.stdout == second.stdout
+
+
+COUNTS = {"active_count": 2.0, "front_count": 2.5, "steps": 250.0, "rejected": 20.0}
+
+
+@pytest.fixture
+def three():
+    """A lane that ended well, one that failed, and one that was interrupted."""
+    nan = np.nan
+    place = jnp.array([[2.0, 3.0], [nan, nan], [nan, nan]])
+    chain, watch = paper_chain(4), [Amplitude(window=20.0), FrontTrack(2)]
+    values = [
+        jnp.array([[1.5, 1.5, 0.1, 0.0], 4 * [nan], 4 * [nan]]), Fronts(place, place, place)
+    ]  # fmt: skip
+    observed = {}
+    for observer, value in zip(watch, values, strict=True):
+        observed |= jax.vmap(lambda one, o=observer: o.label(one, chain))(value)
+    records = {
+        "result": np.array([NAMES.index(r) for r in ("successful", "nonfinite", "interrupted")]),
+        "end_time": np.array([60.0, 7.0, nan]),
+        "steps": np.array([300, 200, 0]),
+        "rejected": np.array([30, 10, 0]),
+        "observed": jax.tree.map(np.asarray, observed),
+    }
+    return to_dataset(records, {"excited": {"excited": np.arange(3)}}, chain, {})
+
+
+def test_a_mean_over_lanes_leaves_out_those_that_know_no_count(three):
+    assert three["active_count"].values[0] == 2
+    for name, mean in COUNTS.items():
+        assert float(three[name].mean()) == mean
+        assert float(three[name].min()) > 0
+    assert int(three["active_count"].count()) == 1
+    assert int(three["steps"].count()) == 2  # a lane that failed knows how many steps it took
+    assert not any((three[name] < 0).any() for name in three.data_vars)
+
+
+def test_counts_are_integers_on_disk_and_missing_again_when_read(three, tmp_path):
+    three.to_netcdf(tmp_path / "r.nc", engine="h5netcdf")
+    three.to_zarr(tmp_path / "r2.zarr", zarr_format=2, consolidated=True)
+    three.to_zarr(tmp_path / "r3.zarr", zarr_format=3, consolidated=False)
+    with h5py.File(tmp_path / "r.nc") as file:
+        for name in COUNTS:
+            stored: Any = file[name]
+            assert np.issubdtype(stored.dtype, np.integer)
+            assert stored.attrs["_FillValue"] == -1
+    for name in ("r2.zarr", "r3.zarr"):
+        raw = xr.open_zarr(tmp_path / name, consolidated=False, mask_and_scale=False)
+        assert all(np.issubdtype(raw[count].dtype, np.integer) for count in COUNTS)
+        again = xr.open_zarr(tmp_path / name, consolidated=False).load()
+        xr.testing.assert_identical(again, three)
+    with xr.open_dataset(tmp_path / "r.nc", engine="h5netcdf") as file:
+        xr.testing.assert_identical(file.load(), three)
