@@ -239,18 +239,20 @@ class AbstractObserver(eqx.Module):
 
 
 class AbstractNotingObserver(AbstractObserver):
-    """One that can do with a number a mass of each step, and make its entries of many at once.
+    """One that can take notes of each step, and make its entries from many notes at once.
 
     What it keeps may be large: a loop over many runs copies all of that at every step.  A solver
-    that can calls `note` after each step, and `gather` after many, instead of `update`.
+    that can calls `note` after each step, and `gather` after many, instead of `update`.  Then the
+    step's `displacement` and `velocity` are modules, whose arrays may be part of a note.
     """
 
     @abc.abstractmethod
-    def note(self, step: Step) -> Float[Array, " n"]:
-        """What is to be known of one more accepted step."""
+    def note(self, step: Step) -> Any:
+        """What must be known of one more accepted step: a few arrays."""
 
     @abc.abstractmethod
-    def gather(
-        self, accumulator: Any, notes: Float[Array, "steps n"], count: Int[Array, ""]
-    ) -> Any:
-        """The accumulator after the first `count` of these steps, of which there may be none."""
+    def gather(self, accumulator: Any, notes: Any, count: Int[Array, ""]) -> Any:
+        """The accumulator after the first `count` of these notes, which are stacked along axis 0.
+
+        `count` may be 0.
+        """

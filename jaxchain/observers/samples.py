@@ -8,7 +8,9 @@ from typing import Any
 
 import equinox as eqx
 import equinox.internal as eqxi
+import jax
 import jax.numpy as jnp
+import jax.tree_util as jtu
 import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
@@ -30,7 +32,7 @@ from .._final import final
 from .._types import ScalarLike, State
 from ..model.oscillators import AbstractOscillators
 from ..model.springs import materialize
-from .base import AbstractObserver, Step, Variable, states_at_times
+from .base import AbstractNotingObserver, Step, Variable, states_at_times
 
 
 @final
@@ -72,6 +74,8 @@ class Trajectory(eqx.Module):
 
 # Share of an interval, or of a step, by which rounding may move a time.
 _ROUNDING = 1e-9
+# Samples that are made at once, of the steps of a round.
+_BLOCK = 32
 
 
 def _interval(value: Any) -> Any:
@@ -91,7 +95,7 @@ class _Samples(eqx.Module):
 
 
 @final
-class Samples(AbstractObserver):
+class Samples(AbstractNotingObserver):
     """Displacement and velocity of chosen masses at start, start + interval, ...
 
     For states at given times, which need not be regular, see `Trajectory`.
@@ -200,6 +204,40 @@ class Samples(AbstractObserver):
         args = accumulator, step.t0, length, state_at
         count, x, v = both_ways(partial(fill, lax.while_loop), partial(fill, back), args)
         return _Samples(accumulator.first, count, x, v)
+
+    def note(self, step: Step) -> tuple[Array, Array, Any, Any]:
+        return step.t0, step.t1, step.displacement, step.velocity
+
+    def gather(self, accumulator: _Samples, notes: Any, count: Int[Array, ""]) -> _Samples:
+        t0, t1, *motions = notes
+        masses = slice(None) if self.oscillators is None else np.array(self.oscillators)
+        last = jnp.maximum(count - 1, 0)
+        ends = jnp.where(jnp.arange(t1.size) < count, t1, jnp.inf)
+        end = jnp.where(count > 0, t1[last] + _ROUNDING * (t1[last] - t0[last]), -jnp.inf)
+
+        def state(time: Array) -> list[Array]:
+            k = jnp.minimum(jnp.searchsorted(ends, time), last)
+            theta = jnp.clip((time - t0[k]) / jnp.maximum(t1[k] - t0[k], 1e-300), 0.0, 1.0)
+            return [jtu.tree_map(lambda a: a[k], part)(theta)[masses] for part in motions]
+
+        def block(kept: _Samples) -> tuple[Array, Array, Array]:
+            place = kept.count + jnp.arange(_BLOCK)
+            time = kept.first + place * self.interval
+            return place, time, (time <= end) & (place < self.capacity)
+
+        def any_left(kept: _Samples) -> Array:
+            return eqxi.unvmap_any(block(kept)[2])
+
+        def keep(kept: _Samples) -> _Samples:
+            place, time, here = block(kept)
+            rows = jnp.where(here, place, self.capacity)  # beyond the last: left out
+            x, v = (
+                old.at[rows].set(new, mode="drop")
+                for old, new in zip((kept.x, kept.v), jax.vmap(state)(time), strict=True)
+            )
+            return _Samples(kept.first, kept.count + jnp.sum(here), x, v)
+
+        return lax.while_loop(any_left, keep, accumulator)
 
     def read(self, accumulator: _Samples) -> tuple[Array, Array, Array]:
         index = jnp.arange(self.capacity)

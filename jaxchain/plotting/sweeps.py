@@ -25,6 +25,7 @@ from .diagram import (
     swept,
 )
 from .groups import Panel, panels
+from .states import draw_states, picture_names
 from .style import (
     AMPLITUDE,
     BLUE,
@@ -84,7 +85,8 @@ def figure(datasets: Mapping[str, xr.Dataset], hopf: float | None = None) -> Fig
     """One panel for each dataset: amplitude for one oscillator, energy for a chain.
 
     What is called `NAME_nonsmooth` (the same runs with true dry friction) and `NAME_cycles` (the
-    branch of cycles) shares the panel of NAME, if there is one.
+    branch of cycles) shares the panel of NAME, if there is one.  Where experiments of a scene name
+    `pictures`, these are shown instead.
 
     **Arguments:** `datasets`, by name, as `sweep` or a scene returns them; `hopf`, the belt speed
     at which steady sliding loses its stability (default: `hopf_belt_speed` of each dataset).
@@ -115,6 +117,8 @@ def figure(datasets: Mapping[str, xr.Dataset], hopf: float | None = None) -> Fig
     if hopf is not None:
         as_array("hopf", hopf, 0, 0, "None takes that of each dataset.")
     shown = panels(datasets)
+    if pictured := [panel for panel in shown.values() if picture_names(panel.runs)]:
+        return draw_states(pictured)
     columns = min(2, len(shown))
     rows = -(-len(shown) // columns)
     width = PAGE_WIDTH if columns > 1 else 0.65 * PAGE_WIDTH

@@ -32,8 +32,6 @@ class LoadedScene:
         >>> loaded = load_scene("quickstart")
         >>> loaded.name, isinstance(loaded.scene, Scene)
         ('quickstart', True)
-        >>> load_scene("fig6").scene.study
-        'states'
     """
 
     name: str
@@ -93,8 +91,6 @@ def schema(model: type[Scene] | type[StudyTable] = Scene) -> dict[str, Any]:
         >>> from jaxchain.scenes import load_scene, schema
         >>> list(schema()["properties"])
         ['title', 'description', 'experiment']
-        >>> "panels" in schema(type(load_scene("fig6").scene))["properties"]
-        True
     """
 
     def of_files(part: Any) -> Any:

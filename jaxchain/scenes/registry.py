@@ -31,13 +31,6 @@ class StudyTable(Table):
 
     `LoadedScene.scene` is one for a file with the key `study`: its title and description, and the
     tables of that study; `schema(type(table))` describes them.
-
-    !!! example
-
-        >>> from jaxchain.scenes import StudyTable, load_scene
-        >>> study = load_scene("fig6", ["panels=['circles']"]).scene
-        >>> isinstance(study, StudyTable), study.study, study.panels
-        (True, 'states', ['circles'])
     """
 
     study: Annotated[str, WHICH]

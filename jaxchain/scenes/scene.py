@@ -9,10 +9,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Literal, TypeAlias
 
 import numpy as np
-from pydantic import Field, ModelWrapValidatorHandler, ValidationError, model_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    ModelWrapValidatorHandler,
+    ValidationError,
+    model_validator,
+)
 from pydantic_core import InitErrorDetails
 
 from .._final import final
@@ -20,7 +26,13 @@ from .._limits import MOST_LANES, MOST_STORED, MOST_UNSTORED
 from ..model.parameters import CHAIN, FRICTION, parameter
 from ..plotting.groups import CYCLES, NONSMOOTH
 from .errors import MOST_SHOWN, did_you_mean
-from .observing import FrontTrackTable, ObserveTable, OwnObserverTable, kept_numbers
+from .observing import (
+    FrontTrackTable,
+    ObserveTable,
+    OwnObserverTable,
+    SamplesTable,
+    kept_numbers,
+)
 from .tables import (
     KINDS,
     LAWS,
@@ -43,6 +55,7 @@ from .values import (
     Values,
     array,
     as_error,
+    distinct,
     raise_all,
     short_of_a_period,
 )
@@ -272,6 +285,14 @@ class SweepTable(Table):
         return ("sweep",), f"is {runs}, and {most} are the most: {MOST_LANES_REMEDY}"
 
 
+Picture: TypeAlias = Literal["circles", "orbit_diagram", "delays", "time_series", "phase_plots"]
+# What is kept for pictures, beside amplitudes.
+_OBSERVED = {
+    "orbit_diagram": "PeakTimes", "delays": "PeakTimes", "time_series": "Samples",
+    "phase_plots": "Samples",
+}  # fmt: skip
+
+
 @final
 class Experiment(SweepTable):
     """One sweep of a scene: what is computed in one go and stored as one dataset.
@@ -293,6 +314,8 @@ class Experiment(SweepTable):
     observe: ObserveTable = Field(default_factory=ObserveTable)
     """What is measured, and when a run may end early."""
     numerics: Annotated[StoredNumericsTable, NUMERICS] = Field(default_factory=StoredNumericsTable)
+    pictures: Annotated[list[Picture], Field(min_length=1), AfterValidator(distinct)] | None = None
+    """What the figure shows of a sweep over `excited`; absent: amplitude or energy."""
 
     def stored(self) -> bool:
         """Whether its runs are kept in a store."""
@@ -332,6 +355,24 @@ class Experiment(SweepTable):
                         f"would be parts of {part:.3g} time units, and {_TWO_PERIODS:.4g}, two "
                         f"periods, are the least: lower it, or lengthen the run",
                     )
+
+        yield from ((("pictures",), problem) for problem in self._lacks_for_pictures())
+
+    def _lacks_for_pictures(self) -> Iterator[str]:
+        pictures = self.pictures or []
+        others = {other.observer: other for other in self.observe.others or []}
+        if pictures and [*self.sweep] != ["excited"]:
+            yield "needs `excited` alone in `sweep`"
+        if pictures and "amplitude" not in self.observe.quantities:
+            yield "needs `amplitude` among `observe.quantities`"
+        for picture in pictures:
+            if _OBSERVED.get(picture) not in {None, *others}:
+                yield f"has `{picture}`, which needs `{_OBSERVED[picture]}` in `observe.others`"
+        if isinstance(samples := others.get("Samples"), SamplesTable):
+            if "phase_plots" in pictures and len(samples.oscillators or []) != 3:
+                yield "has `phase_plots`, which needs three `oscillators` of `Samples`"
+            if "time_series" in pictures and samples.oscillators is not None:
+                yield "has `time_series`, which needs `Samples` of all oscillators"
 
     def _too_large(self) -> Iterator[Problem]:
         if not self.stored():

@@ -89,16 +89,12 @@ class Record(eqx.Module):
 # Steps between two times that notes are gathered.
 ROUND = 64
 
-Notes = list[Float[Array, "steps n"]]
-
 
 def in_rounds(
     goes_on: Callable[[Any], Bool[Array, ""]],
-    step: Callable[[Any], tuple[Any, list[Float[Array, " n"]]]],
-    gather: Callable[[Any, Notes, Int[Array, ""]], Any],
+    step: Callable[[Any], tuple[Any, Any]],
+    gather: Callable[[Any, Any, Int[Array, ""]], Any],
     first: Any,
-    notes: int,
-    n: int,
 ) -> Any:
     """step, step, ... while it `goes_on`, and after a round of them what they noted is gathered.
 
@@ -106,8 +102,8 @@ def in_rounds(
     and some lanes are done with.  Here all lanes take steps until the last one ends; what `step`
     hands on as it is costs nothing.
 
-    **Arguments:** `step`: carry -> (carry, `notes` arrays of shape (n,)); `gather`: carry, notes
-    of shape (steps, n), how many of these count -> carry.
+    **Arguments:** `step`: carry -> (carry, notes, any arrays); `gather`: carry, the notes stacked
+    along axis 0, how many of these count -> carry.
     """
 
     def any_goes_on(carry: Any) -> Bool[Array, ""]:
@@ -121,10 +117,9 @@ def in_rounds(
         on = goes_on(old)
         new, noted = step(old)
         new = jtu.tree_map(lambda a, b: a if a is b else jnp.where(on, a, b), new, old)
-        notes = [
-            lax.dynamic_update_index_in_dim(all, own, place, 0)
-            for all, own in zip(notes, noted, strict=True)
-        ]
+        notes = jtu.tree_map(
+            lambda all, one: lax.dynamic_update_index_in_dim(all, one, place, 0), notes, noted
+        )
         return place + 1, new, notes, count + on
 
     def one_round(outer: Any) -> Any:
@@ -133,7 +128,9 @@ def in_rounds(
         _, carry, notes, count = lax.while_loop(more, one, (none, carry, notes, none))
         return gather(carry, notes, count), notes
 
-    begin = first, [jnp.zeros((ROUND, n)) for _ in range(notes)]
+    _, one_note = eqx.filter_eval_shape(step, first)
+    blank = jtu.tree_map(lambda a: jnp.zeros((ROUND, *a.shape), a.dtype), one_note)
+    begin = first, blank
     return lax.while_loop(lambda outer: any_goes_on(outer[0]), one_round, begin)[0]
 
 
@@ -219,6 +216,16 @@ def _step_length(plan: EventDrivenPlan, series: Series) -> Array:
     return jnp.minimum(jnp.minimum(lengths[0], lengths[1]), lengths[2])
 
 
+class _Motion(eqx.Module):
+    """A step's dense output: its Taylor series over theta in [0, 1]."""
+
+    coefficients: list[Array]
+    length: Array
+
+    def __call__(self, theta: Any) -> Array:
+        return value(self.coefficients, theta * self.length)
+
+
 class _Memory(eqx.Module):
     modes: Modes
     stalled: Int[Array, ""]  # steps in succession that did not move the time
@@ -277,7 +284,7 @@ class EventDrivenPlan(AbstractPlan):
 
         def step(
             carry: tuple[Progress, list[Record]], noting: bool = False
-        ) -> tuple[tuple[Progress, list[Record]], list[Array]]:
+        ) -> tuple[tuple[Progress, list[Record]], list]:
             now, records = carry
             end = t1
             for record in records:
@@ -303,9 +310,8 @@ class EventDrivenPlan(AbstractPlan):
             )  # fmt: skip
             carry = back(lambda carry: back(body, carry, max_steps=most_kept), carry)
         elif adjoint is None or isinstance(adjoint, dfx.ForwardMode):
-            if noting := sum(map(_notes, self.observers)):
-                own = partial(step, noting=True)
-                carry = in_rounds(goes_on, own, self._gather, carry, noting, n)
+            if any(map(_notes, self.observers)):
+                carry = in_rounds(goes_on, partial(step, noting=True), self._gather, carry)
             else:
                 carry = lax.while_loop(goes_on, body, carry)
             carry = forward_only(carry)
@@ -323,7 +329,7 @@ class EventDrivenPlan(AbstractPlan):
         return progress, [record.read() for record in records]
 
     def _gather(
-        self, carry: tuple[Progress, list[Record]], notes: Notes, count: Array
+        self, carry: tuple[Progress, list[Record]], notes: list, count: Array
     ) -> tuple[Progress, list[Record]]:
         """With what the steps of a round have told the observers that take notes."""
         (now, records), found = carry, iter(notes)
@@ -333,7 +339,7 @@ class EventDrivenPlan(AbstractPlan):
 
     def _step(
         self, field: Chain, progress: Progress, end: Any, noting: bool
-    ) -> tuple[Progress, list[Array]]:
+    ) -> tuple[Progress, list]:
         """One step: to the next event, to the end of what the series can bear, or to `end`.
 
         With the notes of observers that take some, if they are `noting`.
@@ -366,11 +372,8 @@ class EventDrivenPlan(AbstractPlan):
 
         accumulators, result, notes = progress.accumulators, progress.result, []
         if self.observers:
-            step = Step(
-                field, t0, t1, progress.state, state,
-                lambda theta: value(series.x_from_v(), theta * length),
-                lambda theta: value(series.v, theta * length),
-            )  # fmt: skip
+            x_of, v_of = _Motion(series.x_from_v(), length), _Motion(series.v, length)
+            step = Step(field, t0, t1, progress.state, state, x_of, v_of)
             pairs = zip(self.observers, accumulators, strict=True)
             notes = [o.note(step) for o in self.observers if noting and _notes(o)]
             accumulators = [a if noting and _notes(o) else o.update(a, step) for o, a in pairs]

@@ -4,5 +4,4 @@
 - `_reports`: what they found, in tables of text
 - `_study`: what all of them do: compute, describe, save, report, draw
 - `_tables`: tables that several of them share
-- `states`: the paper's Figures 4 to 10
 """

@@ -104,7 +104,6 @@ def test_a_swept_stiffness_that_has_no_period_is_refused(values):
             "sweep.law: must be a list or a range table, but is \"x\"",
         ),
         ("fig3", "experiment.ladder.chain.friction.law=[1]", "law: must be one of \"expon"),
-        ("fig5", "time_series.interval=100.0", "time_series.stop: must be at least `start` + `in"),
     ],
 )  # fmt: skip
 def test_an_error_names_the_key_its_value_and_what_is_allowed(scene, override, said):

@@ -23,7 +23,7 @@ def total(start, last):
         return now, seen + jnp.sum(jnp.where(jnp.arange(ROUND)[:, None] < count, own, 0.0), 0)
 
     first = start, jnp.zeros_like(start)
-    return in_rounds(lambda carry: carry[0][0] < last, step, gather, first, 1, 1)
+    return in_rounds(lambda carry: carry[0][0] < last, step, gather, first)
 
 
 @pytest.mark.parametrize("last", [0.0, 1.0, ROUND - 1.0, ROUND, ROUND + 1.0, 3.0 * ROUND])

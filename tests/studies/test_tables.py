@@ -89,7 +89,6 @@ def test_every_table_and_every_key_says_what_it_means(table):
         ),
         ("boundaries", f"coupling.masses={MANY}", "coupling.masses: must be at most 1000, but"),
         ("boundaries", "mu_static.start=0.1", "mu_static.start: must be at least `base.mu_dyn"),
-        ("fig6", f"panels={['circles'] * 9}".replace(" ", ""), "panels: has 9 entries, and 5"),
     ],
 )  # fmt: skip
 def test_what_is_beyond_a_bound_or_stands_twice_is_refused(study, override, problem):

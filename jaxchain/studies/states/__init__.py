@@ -1,1 +1,0 @@
-"""The paper's states: their motion, phases and delays."""
