@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import jaxchain as jc
-from jaxchain.plotting.films import loop, sticking
+from jaxchain.plotting.motions import loop, sticking
 
 WIDTH = 1e-4
 ONE, THREE = jc.paper_chain(1, width=None), jc.paper_chain(3, width=None)

@@ -14,8 +14,19 @@ from .._checks import check_kind, shown
 from ..continuation.branch import Branch
 from ..cycles.branches import CycleBranch
 from ..model.units import Scales
-from .labels import check_scales, scaled
-from .style import BLUE, GREEN, ORANGE, PURPLE, RED, SKY, add_legend, as_axes, on_axes
+from .style import (
+    BLUE,
+    GREEN,
+    ORANGE,
+    PURPLE,
+    RED,
+    SKY,
+    add_legend,
+    as_axes,
+    check_scales,
+    on_axes,
+    scaled,
+)
 
 DASHES: Any = (0, (3, 1.5))
 # Of the curve from one point of a branch to the next.

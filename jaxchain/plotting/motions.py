@@ -1,23 +1,69 @@
-"""A run as a picture: displacement or velocity over time, and velocity over displacement."""
+"""A run as a picture or as a film: over time, in the phase plane, masses on their moving belt."""
 
 from __future__ import annotations
 
+import io
+import itertools
+from pathlib import Path
 from typing import Any
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import matplotlib
 import numpy as np
+from matplotlib.animation import AbstractMovieWriter, FuncAnimation
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch, Rectangle
+from PIL import Image
 
-from .._checks import check_one_of
+from .._checks import (
+    as_array,
+    check_concrete,
+    check_finite,
+    check_kind,
+    check_one_of,
+    check_positive_number,
+    check_whole,
+    numbers_of,
+    shown,
+)
+from ..cycles.guesses import most_lively
+from ..model.arguments import as_chain, as_state
 from ..model.chain import Chain
 from ..model.parameters import SPEED
 from ..model.units import Scales
-from .films import checked_states, checked_times, picked_masses, sticking
-from .labels import axis, check_scales
-from .style import GREY, add_colour_bar, add_legend, looks, on_axes
+from ..observers.samples import Trajectory
+from ..observers.section import Section
+from ..simulation.accuracy import own_solver
+from ..simulation.run import Simulation, simulate
+from ..solvers.dry_friction import RESOLUTION
+from .model import zigzag
+from .style import (
+    BLUE,
+    GREY,
+    ORANGE,
+    PAGE_WIDTH,
+    STYLE,
+    add_colour_bar,
+    add_legend,
+    axis,
+    check_scales,
+    looks,
+    on_axes,
+)  # fmt: skip
 
+LEAST_FRAMES, MOST_FRAMES = 2, 10**6
+MOST_SHOWN = 8  # masses of a long chain
 _UNITS = {"displacement": "x0", "velocity": SPEED}
 # A stretch in which a mass sticks, drawn over its line.
 _STUCK: dict[str, Any] = {"linewidth": 3.2, "alpha": 0.45, "solid_capstyle": "butt", "zorder": 1}
+_STICKS: dict[str, Any] = {"facecolor": ORANGE, "hatch": "/////"}
+_SLIDES: dict[str, Any] = {"facecolor": BLUE, "hatch": ""}
+# Heights in the picture of the chain: a mass is 1 tall and stands on 0.
+_BELT, _SPRING, _COUPLING, _CEILING = -0.55, 0.72, 0.25, 1.45
 
 
 def plot_time_series(
@@ -61,20 +107,18 @@ def plot_time_series(
         >>> plot_time_series(times, states).get_ylabel()
         'displacement $\\\\tilde x_n$ (–)'
     """
-    times = checked_times(times)
-    x, v = checked_states(states, len(times))
+    times = _checked_times(times)
+    x, v = _checked_states(states, len(times))
     check_one_of("y", y, tuple(_UNITS))
     picked, stuck = _checked((x, v), masses, chain, scales)
     across, x_label = axis("time", {"units": "1 / omega_n"}, scales)
     up, y_label = axis(y, {"units": _UNITS[y]}, scales)
-    moved = up * (x if y == "displacement" else v)
-    with on_axes(ax) as axes:
-        lines = np.broadcast_to(across * times[:, None], x.shape), moved
-        _draw(axes, lines, picked, stuck, color, label)
-        if chain is not None and y == "velocity":
-            _draw_belt(axes, up * float(chain.belt_speed))
-        _name_axes(axes, x_label, y_label, beside=len(picked) > 2 and color is None)
-    return axes
+    lines = (
+        np.broadcast_to(across * times[:, None], x.shape),
+        up * (x if y == "displacement" else v),
+    )
+    belt = None if chain is None or y == "displacement" else up * float(chain.belt_speed)
+    return _draw_curves(ax, lines, (x_label, y_label), picked, stuck, belt, color, label)
 
 
 def plot_phase_portrait(
@@ -106,16 +150,13 @@ def plot_phase_portrait(
         >>> ax.get_xlabel(), len(ax.get_lines())
         ('displacement $\\\\tilde x_n$ (–)', 1)
     """
-    x, v = checked_states(states)
+    x, v = _checked_states(states)
     picked, stuck = _checked((x, v), masses, chain, scales)
     across, x_label = axis("displacement", {"units": "x0"}, scales)
     up, y_label = axis("velocity", {"units": SPEED}, scales)
-    with on_axes(ax) as axes:
-        _draw(axes, (across * x, up * v), picked, stuck, color, label)
-        if chain is not None:
-            _draw_belt(axes, up * float(chain.belt_speed))
-        _name_axes(axes, x_label, y_label, beside=len(picked) > 2 and color is None)
-    return axes
+    belt = None if chain is None else up * float(chain.belt_speed)
+    lines = across * x, up * v
+    return _draw_curves(ax, lines, (x_label, y_label), picked, stuck, belt, color, label)
 
 
 def _checked(
@@ -128,42 +169,515 @@ def _checked(
     return picked, None if chain is None else sticking(chain, states)
 
 
-def _draw(
-    axes: Axes,
+def _draw_curves(
+    ax: Axes | None,
     lines: tuple[np.ndarray, np.ndarray],
+    names: tuple[str, str],
     picked: list[int],
     stuck: np.ndarray | None,
+    belt: float | None,
     color: Any,
     label: str | None,
-) -> None:
+) -> Axes:
     shades, shade = looks(np.array(picked) + 1)
     several = len(picked) > 1 and color is None
-    for place, (mass, (own, _)) in enumerate(zip(picked, shades, strict=True)):
-        name = f"oscillator {mass + 1}" if several and shade is None else None
-        # Lines of one colour are one entry of the legend.
-        told = [label if several or place == 0 else None, name]
-        colour = own if color is None else color
-        across, up = (part[:, mass] for part in lines)
-        axes.plot(
-            across, up, color=colour, linewidth=1.0,
-            label=", ".join(word for word in told if word) or None,
-        )  # fmt: skip
-        if stuck is not None and stuck[:, mass].any():
-            axes.plot(across, np.where(stuck[:, mass], up, np.nan), color=colour, **_STUCK)
-    if stuck is not None and stuck[:, picked].any():
-        axes.plot([], [], color=GREY, **_STUCK, label="sticks")
-    if shade is not None and color is None:
-        add_colour_bar([axes], shade, "oscillator $n$")
+    with on_axes(ax) as axes:
+        for place, (mass, (shaded, _)) in enumerate(zip(picked, shades, strict=True)):
+            name = f"oscillator {mass + 1}" if several and shade is None else None
+            # Lines of one colour are one entry of the legend.
+            words = [label if several or place == 0 else None, name]
+            colour = shaded if color is None else color
+            across, up = (part[:, mass] for part in lines)
+            entry = ", ".join(filter(None, words)) or None
+            axes.plot(across, up, color=colour, linewidth=1.0, label=entry)
+            if stuck is not None and stuck[:, mass].any():
+                axes.plot(across, np.where(stuck[:, mass], up, np.nan), color=colour, **_STUCK)
+        if stuck is not None and stuck[:, picked].any():
+            axes.plot([], [], color=GREY, **_STUCK, label="sticks")
+        if shade is not None and color is None:
+            add_colour_bar([axes], shade, "oscillator $n$")
+        if belt is not None:
+            dashed: Any = {"linewidth": 0.7, "linestyle": (0, (4, 2)), "zorder": 0}
+            axes.axhline(belt, color="black", label="belt speed", **dashed)
+        axes.set(xlabel=names[0], ylabel=names[1])
+        axes.ticklabel_format(useOffset=False)  # of a mass that hardly moves
+        add_legend(axes, beside=len(picked) > 2 and color is None)
+    return axes
 
 
-def _name_axes(axes: Axes, across: str, up: str, beside: bool) -> None:
-    axes.set_xlabel(across)
-    axes.set_ylabel(up)
-    axes.ticklabel_format(useOffset=False)  # of a mass that hardly moves
-    add_legend(axes, beside=beside)
+def sticking(chain: Chain, states: Any) -> np.ndarray:
+    """Which masses stick, of the shape (times, n) of x and v: what `StickTime` adds up.
+
+    With dry friction a mass sticks while v = v_d; with smoothed friction while |v - v_d| is below
+    the speed of greatest friction and the force on it, without friction, does not exceed p mu_st.
+    States of a smoothed chain that `EventDriven` ran are those of `chain.with_(width=None)`.
+
+    **Arguments:** `chain`; `states`, (x, v), each of shape (times, n).
+
+    **Returns:** booleans of that shape.
+
+    !!! example
+
+        >>> import jax, numpy as np
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import Trajectory, equation_8, paper_chain, simulate
+        >>> from jaxchain.plotting import sticking
+        >>> chain = paper_chain(n=1, belt_speed=1.0, width=None)
+        >>> watch = Trajectory(np.linspace(40.0, 46.4325, 101))  # one period
+        >>> film = simulate(chain, equation_8(chain, 1), 60.0, observe=watch).observed
+        >>> sticks = sticking(chain, film)
+        >>> sticks.shape, round(float(sticks.mean()), 2)  # the share of the time
+        ((101, 1), 0.16)
+    """
+    as_chain(chain)
+    if not isinstance(states, tuple | list) or len(states) != 2:
+        raise ValueError(f"Argument `states` must be the pair (x, v), but is {shown(states)}.")
+    x, v = (as_array("states", part, 2, 2, "those of some times.") for part in states)
+    if x.shape != v.shape or x.shape[1] != chain.n:
+        raise ValueError(
+            f"Argument `states` has parts of shapes {x.shape} and {v.shape}, but for {chain.n} "
+            f"masses both have shape (times, {chain.n})."
+        )
+    rounding = RESOLUTION * (1.0 + jnp.abs(chain.belt_speed)) if chain.dry else 0.0
+    limit = chain.stick_speed() + rounding
+
+    @eqx.filter_jit
+    def held(x: Any, v: Any) -> Any:
+        w, _ = chain.switching(0.0, v)
+        return (jnp.abs(w) <= limit) & (chain.unheld_force(x, v) <= 0)
+
+    return np.asarray(jax.vmap(held)(x, v))
 
 
-def _draw_belt(axes: Axes, speed: float) -> None:
-    axes.axhline(
-        speed, color="black", linewidth=0.7, linestyle=(0, (4, 2)), zorder=0, label="belt speed"
+def loop(
+    chain: Any,
+    state: Any,
+    *,
+    frames: Any = 60,
+    solver: Any = None,
+    longest: Any = 100.0,
+    tolerance: Any = 1e-2,
+) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    """A whole number of periods of the vibration that goes through `state`, for a film in a loop.
+
+    The motion is cut where the liveliest mass turns, and closed at the first of these turns (after
+    up to `longest` time units) that comes back nearly as well as any: the greatest difference in a
+    displacement or velocity from the first turn is then at most `tolerance`.
+
+    **Arguments:** `state` = (x, v) after the transient; `frames`, how many; `solver` as for
+    `simulate`.
+
+    **Returns:** (times, (x, v)) of shapes (frames,) and (frames, n), from time 0; the next frame
+    would be the first again.
+
+    **Raises:** `ValueError` for bad input; `RuntimeError` where nothing vibrates or nothing comes
+    back.
+
+    ```python
+    chain = paper_chain(n=20, belt_speed=1.5, width=None)
+    last = simulate(chain, equation_8(chain, 3), 4000.0).state
+    times, states = loop(chain, last)
+    save_gif(animate(chain, times, states), "chain.gif")
+    ```
+    """
+    as_chain(chain)
+    check_whole("frames", frames, 1, MOST_FRAMES, "60 are usual.")
+    check_positive_number("longest", longest, "100 is some sixteen periods.")
+    check_positive_number("tolerance", tolerance, "1e-2 cannot be seen.")
+    state, solver = as_state(chain, state, "state"), own_solver(chain, solver)
+    turns = Section(most_lively(chain, state), capacity=256)
+    run = simulate(chain, state, longest, observe=turns, solver=solver)
+    at, x, v = (np.asarray(part) for part in run.observed)
+    if np.count_nonzero(np.isfinite(at)) < 2:
+        raise RuntimeError(
+            f"No loop was found: the liveliest mass does not turn twice within {longest} time "
+            "units. Start from a state that vibrates, or raise `longest`."
+        )
+    apart = np.maximum(np.abs(x[1:] - x[0]).max(1), np.abs(v[1:] - v[0]).max(1))
+    apart = np.where(np.isfinite(apart), apart, np.inf)
+    if apart.min() > tolerance:
+        raise RuntimeError(
+            f"No loop was found: within {longest} time units no turn of the liveliest mass comes "
+            f"closer than {apart.min():.1e} to the first. Let the transient pass, raise `longest` "
+            "or `tolerance`, or make a film that does not close: `animate` takes any times."
+        )
+    back = 1 + int(np.argmax(apart <= max(2.0 * apart.min(), 0.1 * tolerance)))
+    period = float(at[back] - at[0])
+    times = period * np.arange(frames) / frames
+    begin = (jnp.asarray(x[0]), jnp.asarray(v[0]))
+    film = simulate(chain, begin, period, observe=Trajectory(times), solver=solver)
+    return times, (np.asarray(film.observed[0]), np.asarray(film.observed[1]))
+
+
+def animate(
+    chain: Any,
+    times: Any,
+    states: Any,
+    *,
+    masses: Any = None,
+    frames_per_second: Any = 20,
+) -> FuncAnimation:
+    """The chain on its moving belt, with the displacements and the phase plane below.
+
+    Masses are displaced by x_n and hatched in orange while they stick; the belt moves at v_d in
+    the same unit, and carries on without a jump when the film starts again.
+
+    **Arguments:**
+
+    - `chain`, of which `times` and `states` are a run, see `sticking`.
+    - `times`: shape (frames,), dimensionless, increasing; each is one frame.
+    - `states`: (x, v), each of shape (frames, n), or a `Simulation` that observed
+      `Trajectory(times)`; for films that close see `loop`.
+    - `masses`: indices of those that are shown; by default up to eight around the liveliest.
+
+    **Returns:** an animation of matplotlib; `save_gif` writes it, and so does its own `save`.
+
+    **Raises:** `ValueError` for wrong shapes, numbers that are not finite, and too few frames.
+
+    !!! example
+
+        >>> import jax, tempfile, numpy as np
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import paper_chain
+        >>> from jaxchain.plotting import animate, save_gif
+        >>> times = np.linspace(0.0, 5.0, 4)[:, None]
+        >>> states = np.cos(times), -np.sin(times)  # any film of one mass
+        >>> film = animate(paper_chain(n=1), times[:, 0], states)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     print(save_gif(film, f"{folder}/film.gif", dpi=40).stat().st_size < 30_000)
+        True
+    """
+    times, states = _checked_film(chain, times, states)
+    check_positive_number("frames_per_second", frames_per_second, "20 is usual.")
+    picked = _livelier(chain, states[0], masses)
+    with matplotlib.rc_context(STYLE):
+        page = Figure(figsize=(PAGE_WIDTH, 2.9), layout="constrained")
+        page.get_layout_engine().set(h_pad=0.02)  # pyright: ignore
+        parts: Any = page.subplot_mosaic("AAA;BBC", height_ratios=(0.9, 1.0))
+        film = _Film(parts["A"], chain, times, states, picked)
+        film.add_curves(parts["B"], parts["C"])
+        film.explain()
+        page.draw_without_rendering()  # settles the layout once
+        page.set_layout_engine("none")
+    return FuncAnimation(
+        page, film.show, frames=len(times), interval=1000.0 / frames_per_second, blit=False
     )
+
+
+def save_gif(animation: FuncAnimation, path: Any, dpi: Any = 100) -> Path:
+    """Writes an animation as a GIF that repeats for ever, in few colours to keep it small.
+
+    **Arguments:** `animation`, what `animate` returned; `path` of the file; `dpi`, dots per inch.
+
+    **Returns:** the path of the file.
+
+    **Raises:** `ValueError` for a `dpi` that is not positive.
+
+    !!! example
+
+        >>> import jax, tempfile, numpy as np
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import paper_chain
+        >>> from jaxchain.plotting import animate, save_gif
+        >>> times = np.linspace(0.0, 5.0, 4)[:, None]
+        >>> film = animate(paper_chain(n=1), times[:, 0], (np.cos(times), -np.sin(times)))
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     print(save_gif(film, f"{folder}/film.gif", dpi=40).read_bytes()[:6])
+        b'GIF89a'
+    """
+    remedy = "`animate(...)` makes one."
+    check_kind("animation", animation, FuncAnimation, "a `FuncAnimation`", remedy)
+    check_kind("path", path, str | Path, "the name of a file")
+    path = Path(path)
+    if path.suffix.lower() != ".gif":
+        raise ValueError(f"Argument `path` must end with .gif, but is {str(path)!r}.")
+    check_positive_number("dpi", dpi, "100 is usual.")
+    timer: Any = animation.event_source
+    rate = 1000.0 / timer.interval
+    with matplotlib.rc_context(STYLE):
+        animation.save(path, writer=_GifWriter(fps=rate), dpi=dpi)
+    return path
+
+
+def film_strip(
+    chain: Any, times: Any, states: Any, *, stills: Any = 8, masses: Any = None
+) -> Figure:
+    """Stills of `animate` below each other, from the first time on at equal distances.
+
+    **Arguments:** as for `animate`; `stills`, how many, at most one for every frame.
+
+    **Returns:** a matplotlib figure, one panel for each still.
+
+    **Raises:** `ValueError` as `animate`, and for more stills than frames.
+
+    !!! example
+
+        >>> import jax, numpy as np
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import paper_chain
+        >>> from jaxchain.plotting import film_strip
+        >>> times = np.linspace(0.0, 5.0, 6)[:, None]
+        >>> states = np.cos(times), -np.sin(times)  # any film of one mass
+        >>> page = film_strip(paper_chain(n=1), times[:, 0], states, stills=3)
+        >>> [axes.get_title(loc="right")[-4:] for axes in page.axes]  # the time of each
+        ['0.00', '2.00', '4.00']
+    """
+    times, states = _checked_film(chain, times, states)
+    check_whole("stills", stills)
+    picked = _livelier(chain, states[0], masses)
+    if stills > len(times):
+        raise ValueError(
+            f"Argument `stills` must be at most the number of frames, {len(times)}, but is "
+            f"{stills}."
+        )
+    with matplotlib.rc_context(STYLE):
+        page = Figure(figsize=(PAGE_WIDTH, 0.65 * stills), layout="constrained")
+        panels = page.subplots(stills, 1, squeeze=False).ravel()
+        for still, axes in enumerate(panels):
+            film = _Film(axes, chain, times, states, picked)
+            film.show(still * len(times) // stills)
+            if still == 0:
+                film.explain()
+            title = rf"$\tau$ = {times[still * len(times) // stills]:.2f}"
+            axes.set_title(title, loc="right", pad=1.5)
+    return page
+
+
+class _GifWriter(AbstractMovieWriter):
+    """Frames with one small palette: less than half as large as by matplotlib's own writer."""
+
+    def setup(self, fig: Figure, outfile: Any, dpi: Any = None) -> None:
+        super().setup(fig, outfile, dpi)  # pyright: ignore[reportAbstractUsage]  # has a body
+        self.pictures: list[Image.Image] = []
+
+    def grab_frame(self, **savefig_kwargs: Any) -> None:
+        buffer = io.BytesIO()
+        self.fig.savefig(buffer, format="png", dpi=self.dpi, **savefig_kwargs)
+        self.pictures.append(Image.open(buffer).convert("RGB"))
+
+    def finish(self) -> None:
+        # 64 colours, chosen for some eight frames, and by coverage: few pixels count as well.
+        some = self.pictures[:: -(-len(self.pictures) // 8)]
+        sample = Image.fromarray(np.concatenate([np.asarray(picture) for picture in some]))
+        palette = sample.quantize(64, Image.Quantize.MAXCOVERAGE)
+        none = Image.Dither.NONE
+        first, *others = (p.quantize(palette=palette, dither=none) for p in self.pictures)
+        look: Any = {"loop": 0, "optimize": True, "duration": round(1000.0 / self.fps)}
+        first.save(self.outfile, save_all=True, append_images=others, **look)
+
+
+def _livelier(chain: Chain, x: np.ndarray, masses: Any) -> list[int]:
+    """The masses to draw: neighbours around the liveliest, round the ring if need be."""
+    n = chain.n
+    if masses is not None:
+        return picked_masses(n, masses)
+    weight = np.ptp(x, axis=0) ** 2
+    middle = np.angle(np.sum(weight * np.exp(2j * np.pi * np.arange(n) / n))) * n / (2 * np.pi)
+    start = round(float(middle) - (MOST_SHOWN - 1) / 2)
+    if chain.ends == "free":
+        start = min(max(start % n, 0), n - MOST_SHOWN)
+    return [*range(n)] if n <= MOST_SHOWN else [(start + i) % n for i in range(MOST_SHOWN)]
+
+
+class _Film:
+    """Masses, springs and belt, and points on the curves below, moved from frame to frame."""
+
+    def __init__(
+        self, axes: Axes, chain: Chain, times: np.ndarray, states: Any, picked: list[int]
+    ):
+        self.axes, self.chain, self.times, self.picked = axes, chain, times, picked
+        self.sticks = sticking(chain, states)[:, picked]
+        self.x, self.v = (part[:, picked] for part in states)
+        self.cursor, self.dots = None, []
+        low, high = float(self.x.min()), float(self.x.max())
+        swing = max(high - low, 0.5)
+        self.wide = 0.5 * swing
+        self.post = low - 0.5 * self.wide - 0.3 * swing  # from where a mass has x = 0
+        pitch = high + 0.5 * self.wide - self.post + 0.1 * swing
+        self.home = pitch * np.arange(len(picked))
+        self.left, self.right = self.post - 0.3 * swing, self.home[-1] + high + 0.6 * self.wide
+        # Those that are tied to the next one on the right.
+        ring = chain.ends == "cyclic"
+        pairs = enumerate(itertools.pairwise(picked) if chain.coupling is not None else ())
+        self.coupled = [i for i, (a, b) in pairs if b == a + 1 or (ring and b == 0)]
+        # A whole number of marks passes in one film, none so fast that they seem to run backward.
+        gap, speed = float(np.mean(np.diff(times))), abs(float(chain.belt_speed))
+        way = speed * (times[-1] - times[0] + gap)
+        marks = max(round(way / max(0.25 * pitch, 3.0 * speed * gap)), 1)
+        self.stripe = way / marks if way > 0 else 0.25 * pitch
+        self._draw_fixed()
+        look: dict[str, Any] = {"linewidth": 0.8, "edgecolor": "black"}
+        self.blocks: list[Any] = [
+            axes.add_patch(Rectangle((0, 0), self.wide, 1.0, **look)) for _ in picked
+        ]
+        halo: dict[str, Any] = {"facecolor": "white", "linewidth": 0, "pad": 0.8}
+        self.numbers = [
+            axes.text(0, 0.5, str(i + 1), ha="center", va="center", fontsize=7, bbox=halo)
+            for i in picked
+        ]
+        self.springs = LineCollection([], colors="black", linewidths=0.7)
+        self.stripes = LineCollection([], colors=GREY, linewidths=1.0)
+        for lines in (self.springs, self.stripes):
+            axes.add_collection(lines, autolim=False)
+
+    def _draw_fixed(self) -> None:
+        """The belt with its arrow, and the ceiling with its posts."""
+        axes = self.axes
+        black: Any = {"color": "black"}
+        axes.add_patch(
+            Rectangle(
+                (self.left, _BELT), self.right - self.left, -_BELT, facecolor="#eeeeee",
+                edgecolor="black", linewidth=0.9, zorder=0,
+            )
+        )  # fmt: skip
+        axes.plot([self.left, self.right], [_CEILING] * 2, linewidth=1.2, **black)
+        for post in self.home + self.post:
+            axes.plot([post] * 2, [_SPRING - 0.14, _CEILING], linewidth=1.4, **black)
+        axes.set_xlim(self.left, self.right)
+        axes.set_ylim(_BELT - 0.05, _CEILING + 0.05)
+        axes.set_axis_off()
+        way = 0.5 * self.wide * (1.0 if self.chain.belt_speed >= 0 else -1.0)
+        middle = 0.5 * (self.left + self.right)
+        arrow: Any = {"arrowstyle": "-|>", "shrinkA": 0, "shrinkB": 0, **black}
+        ends = (middle + way, _BELT / 2), (middle - way, _BELT / 2)
+        axes.annotate("", *ends, zorder=3, arrowprops=arrow)
+        axes.text(
+            middle + 1.1 * abs(way), _BELT / 2, r"$\tilde v_d$", va="center", fontsize=7, zorder=3,
+            bbox={"facecolor": "#eeeeee", "linewidth": 0, "pad": 1.0},
+        )  # fmt: skip
+
+    def explain(self) -> None:
+        """The legend, above the chain."""
+        kinds = (("sticks", _STICKS), ("slides", _SLIDES))
+        self.axes.legend(
+            handles=[Patch(edgecolor="black", label=word, **look) for word, look in kinds],
+            loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, frameon=False, borderpad=0.2,
+            borderaxespad=0.0,
+        )  # fmt: skip
+
+    def add_curves(self, strip: Axes, plane: Axes) -> None:
+        """x over time and v over x, with a point for every mass that moves along them."""
+        t, x, v, held = self._closed()
+        for axes, across, up in ((strip, np.broadcast_to(t[:, None], x.shape), x), (plane, x, v)):
+            axes.plot(across, up, color=BLUE, linewidth=0.7)
+            # What sticks is bold from the first frame on in which it does to the last.
+            bold: Any = {"linewidth": 2.2, "solid_capstyle": "butt"}
+            axes.plot(across, np.where(held, up, np.nan), color=ORANGE, **bold)
+            for marker, colour in (("s", ORANGE), ("o", BLUE)):
+                look: Any = {"color": colour, "markeredgecolor": "black", "markeredgewidth": 0.5}
+                self.dots += axes.plot([], [], marker, markersize=4.5, zorder=4, **look)
+            axes.tick_params(which="both", top=True, right=True)
+        self.cursor = strip.axvline(self.times[0], color=GREY, linewidth=0.7)
+        strip.set_xlim(t[0], t[-1])
+        speed = float(self.chain.belt_speed)
+        plane.axhline(speed, color=GREY, linewidth=0.7, linestyle="--", zorder=0)
+        plane.annotate(
+            r"$\tilde v_d$", (1.0, speed), xycoords=plane.get_yaxis_transform(), xytext=(3, 0),
+            textcoords="offset points", va="center", annotation_clip=False,
+        )  # fmt: skip
+        (_, time), (_, place), (_, rate) = (
+            axis(name, {"units": unit}, None) for name, unit in (("time", "1"), *_UNITS.items())
+        )
+        strip.set(xlabel=time, ylabel=place)
+        plane.set(xlabel=place, ylabel=rate)
+
+    def _closed(self) -> list[np.ndarray]:
+        """Times, x, v and who sticks; with the first frame once more behind a film that closes."""
+        parts = [self.times, self.x, self.v, self.sticks]
+        steps = [np.abs(np.diff(part, axis=0)).max() for part in (self.x, self.v)]
+        leap = [np.abs(part[-1] - part[0]).max() for part in (self.x, self.v)]
+        if not all(gap <= 1.5 * step for gap, step in zip(leap, steps, strict=True)):
+            return parts
+        after = self.times[-1] + np.mean(np.diff(self.times))
+        return [np.append(self.times, after), *(np.vstack([p, p[:1]]) for p in parts[1:])]
+
+    def show(self, frame: int) -> list[Any]:
+        """Moves everything to where it is in a frame; what has changed."""
+        time, x, v, stuck = (part[frame] for part in (self.times, self.x, self.v, self.sticks))
+        middles, half = self.home + x, 0.5 * self.wide
+        for block, number, middle, held in zip(
+            self.blocks, self.numbers, middles, stuck, strict=True
+        ):
+            block.set(x=middle - half, **(_STICKS if held else _SLIDES))
+            number.set_x(middle)
+        ends = zip(self.home + self.post, middles - half, strict=True)
+        ground = [zigzag((a, _SPRING), (b, _SPRING), 4, swing=0.1) for a, b in ends]
+        pairs = [(middles[i] + half, middles[i + 1] - half) for i in self.coupled]
+        between = [zigzag((a, _COUPLING), (b, _COUPLING), 7, swing=0.1) for a, b in pairs]
+        self.springs.set_segments([np.stack(line, axis=1) for line in (*ground, *between)])
+        start = float(self.chain.belt_speed) * (time - self.times[0]) % self.stripe
+        slant = 0.25 * self.stripe
+        marks = np.arange(self.left + start, self.right - slant, self.stripe)
+        self.stripes.set_segments([[(m, _BELT), (m + slant, 0.0)] for m in marks])
+        artists = [*self.blocks, *self.numbers, self.springs, self.stripes, *self.dots]
+        if self.cursor is None:
+            return artists
+        now = np.full_like(x, time)
+        for dots, across, up, which in zip(
+            self.dots, (now, now, x, x), (x, x, v, v), (stuck, ~stuck) * 2, strict=True
+        ):
+            dots.set_data(across[which], up[which])
+        self.cursor.set_xdata([time] * 2)
+        return [*artists, self.cursor]
+
+
+def _checked_film(chain: Any, times: Any, states: Any) -> tuple[np.ndarray, tuple[Any, Any]]:
+    """Times and (x, v) as arrays of fitting shapes, or `ValueError`."""
+    as_chain(chain)
+    times = _checked_times(times)
+    return times, _checked_states(states, len(times), chain.n)
+
+
+def _checked_times(times: Any) -> np.ndarray:
+    """Increasing times, or `ValueError`."""
+    check_concrete("draw what it returns.", times=times)
+    times = np.asarray(numbers_of("times", times, "one for each frame."))
+    check_finite("times", times, "leave out such times.")
+    if times.ndim != 1 or len(times) < LEAST_FRAMES or not np.all(np.diff(times) > 0):
+        raise ValueError(
+            f"Argument `times` must hold at least {LEAST_FRAMES} increasing times, one for each "
+            f"frame, but has shape {times.shape}: observe `Trajectory(jnp.linspace(t0, t1, 60))`."
+        )
+    return times
+
+
+def _checked_states(
+    states: Any, times: int | None = None, n: int | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """(x, v) of so many times and masses, or `ValueError`; None: of those that x has."""
+    check_concrete("draw what it returns.", states=states)
+    if isinstance(states, Simulation):
+        states = states.observed
+    if not isinstance(states, tuple | list) or len(states) != 2:
+        raise ValueError(
+            "Argument `states` must be the pair (x, v), or a `Simulation` that observed one "
+            f"`Trajectory` and nothing else, but is {type(states).__name__}."
+        )
+    x, v = (np.asarray(numbers_of("states", part)) for part in states)
+    if x.ndim != 2:
+        raise ValueError(
+            f"Argument `states` has displacements of shape {x.shape}, but those of some times and "
+            "masses have shape (times, n)."
+        )
+    times, n = len(x) if times is None else times, x.shape[1] if n is None else n
+    for name, part in (("displacements", x), ("velocities", v)):
+        if part.shape != (times, n):
+            raise ValueError(
+                f"Argument `states` has {name} of shape {part.shape}, but {times} times and "
+                f"{n} masses need {(times, n)}."
+            )
+        check_finite(name, part, "a run that failed ends with NaN; see its `result`.")
+    return x, v
+
+
+def picked_masses(n: int, masses: Any) -> list[int]:
+    """Different indices of some of n masses, or `ValueError`."""
+    given = masses if isinstance(masses, list | tuple | range | np.ndarray) else []
+    whole = all(isinstance(i, int | np.integer) for i in given)
+    picked = [int(i) for i in given] if whole else []
+    if not picked or len(set(picked)) < len(picked) or not all(0 <= i < n for i in picked):
+        raise ValueError(
+            f"Argument `masses` must hold different indices of masses, 0 ... {n - 1}, but is "
+            f"{shown(masses)}."
+        )
+    return picked

@@ -1,8 +1,11 @@
-"""Figures of sweeps: amplitude or energy over what was swept."""
+"""Figures of sweeps: amplitude or energy over what was swept, whole or one variable at a time."""
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import matplotlib
 import numpy as np
@@ -10,8 +13,12 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
-from .._checks import as_array, check_kind
+from .._checks import as_array, check_kind, shown
+from .._outcomes import WELL
+from ..model.units import Scales
+from ..result import NAMES
 from .diagram import (
     at_rest,
     basin_brackets,
@@ -29,6 +36,7 @@ from .states import draw_states, picture_names
 from .style import (
     AMPLITUDE,
     BLUE,
+    COLUMN_WIDTH,
     ENERGY,
     GREY,
     ORANGE,
@@ -37,6 +45,15 @@ from .style import (
     RED,
     STYLE,
     SYMBOLS,
+    add_colour_bar,
+    add_legend,
+    axis,
+    check_scales,
+    looks,
+    number_of,
+    on_axes,
+    scaled,
+    value_of,
     widen,
 )
 
@@ -218,19 +235,17 @@ def _draw_runs(
         axes.plot(x[vibrating], y[vibrating], "o", color=BLUE, markersize=3.2, label="vibrating")
     else:
         _draw_counts(axes, x[vibrating], y[vibrating], count[vibrating], masses(data))
-    if resting.any():
-        axes.plot(x[resting], y[resting], "s", color=ORANGE, markersize=2.8, label="at rest")
-    if unstable.any():
-        axes.plot(
-            x[unstable], y[unstable], "s", color=ORANGE, markersize=2.8, markerfacecolor="white",
-            markeredgewidth=0.8,
-            label=f"at rest, {'stability unknown' if stable is None else 'unstable'}",
-        )  # fmt: skip
-    if moving.any():
-        word = NOT_VIBRATING if found is not None else NONE_VIBRATES
-        axes.plot(
-            x[moving], y[moving], "^", color=PURPLE, markersize=3.6, markeredgewidth=0, label=word
-        )
+    square: dict[str, Any] = {"marker": "s", "color": ORANGE, "markersize": 2.8}
+    hollow = square | {"markerfacecolor": "white", "markeredgewidth": 0.8}
+    triangle = {"marker": "^", "color": PURPLE, "markersize": 3.6, "markeredgewidth": 0}
+    unsure = f"at rest, {'stability unknown' if stable is None else 'unstable'}"
+    for here, label, look in (
+        (resting, "at rest", square),
+        (unstable, unsure, hollow),
+        (moving, NONE_VIBRATES if found is None else NOT_VIBRATING, triangle),
+    ):
+        if here.any():
+            axes.plot(x[here], y[here], linestyle="none", label=label, **look)
 
 
 def _draw_cycles(axes: Axes, cycles: xr.Dataset) -> None:
@@ -297,3 +312,323 @@ def _draw_fronts(axes: Axes, data: xr.Dataset) -> None:
         [], [], facecolor=(RED, 0.08), edgecolor=RED, linewidth=0.8, linestyle="--",
         label="moving fronts",
     )  # fmt: skip
+
+
+# Of panels on a page, and side by side.
+MOST_PANELS, _COLUMNS = 24, 3
+# Over these the points are joined: they are times of the same runs.
+_TIMES = ("segment", "segment_end")
+_NOT_RUN = {"pending", "interrupted"}
+
+
+class _Hue(NamedTuple):
+    """By what the runs of a panel are told apart."""
+
+    of_runs: xr.DataArray  # the value of each run
+    values: xr.DataArray  # those that are there
+    is_variable: bool  # else a dimension, or what is swept along one
+
+
+def plot_sweep(
+    data: xr.Dataset,
+    y: str | None = None,
+    x: str | None = None,
+    *,
+    hue: str | None = None,
+    col: str | None = None,
+    row: str | None = None,
+    ax: Any = None,
+    scales: Scales | None = None,
+) -> Any:
+    """Every run of a sweep as a point: a variable over a swept number.
+
+    No dimension is averaged over or drawn on top of another without being asked: each that has
+    more than one value is `x`, a series (`hue`), or panels (`col`, `row`); those of which nothing
+    is said become panels, and if there is no place for them an error names them.
+
+    **Arguments:**
+
+    - `data`: a dataset of `sweep`, or part of one (`sel`).
+    - `y`: a variable of it; by default `energy`, or `amplitude` of a single oscillator.
+      "active_share" is the share of oscillators that vibrate, `active_count` / n.
+    - `x`: what it is drawn over: a dimension, or what is swept along one; by default
+      `belt_speed`, or else the first dimension.
+    - `hue`: the dimension whose values are told apart by colour and marker; more than seven by a
+      colour bar.  Or a variable such as `active_count`: then all runs that differ in its
+      dimensions alone share the axes.
+    - `col`, `row`: dimensions whose values are panels beside and below each other.
+    - `ax`: matplotlib axes; with panels an array of as many, a row after the other.  None makes
+      new ones: of a column's width (85 mm), panels of a page's.
+    - `scales`: for axes in SI units.
+
+    Runs that failed are red crosses at the lower edge, those that have not run (yet) grey ones.
+
+    **Returns:** the axes; with panels an array of them, of shape (columns,), (rows,) or (rows,
+    columns).
+
+    **Raises:** `ValueError` for bad input, for a dimension with no place, and for more than 24
+    panels.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import equation_8, paper_chain, sweep
+        >>> from jaxchain.plotting import plot_sweep
+        >>> runs = sweep(
+        ...     paper_chain(2), equation_8, 30.0,
+        ...     over={"belt_speed": [1.4, 1.6], "excited": [0, 1, 2]},
+        ... )
+        >>> ax = plot_sweep(runs, hue="excited")
+        >>> ax.get_ylabel()
+        'vibration energy $\\\\tilde E$ (–)'
+        >>> [panel.get_title() for panel in plot_sweep(runs, "active_share")]
+        ['excited = 0', 'excited = 1', 'excited = 2']
+    """
+    check_kind("data", data, xr.Dataset, "a dataset", "`sweep` makes them.")
+    check_scales(scales)
+    given = None if ax is None else _flat(ax)
+    values = _variable(data, y)
+    shades = _hue(data, values, hue)
+    places = _places(data, values, {"x": x, "hue": hue, "col": col, "row": row}, shades, given)
+    faceted = [name for role in ("row", "col") if (name := places[role])]
+    at = [[{_dim(data, name): k} for k in range(data[name].size)] for name in faceted]
+    panels = [dict(itertools.chain(*map(dict.items, parts))) for parts in itertools.product(*at)]
+    if len(panels) > MOST_PANELS:
+        raise ValueError(
+            f"Argument `data` has {len(panels)} values of {' and '.join(map(repr, faceted))}, and "
+            f"at most {MOST_PANELS} panels are legible: give `hue` one of these dimensions, or "
+            "take some values."
+        )
+    if given is not None and len(given) != len(panels):
+        raise ValueError(
+            f"Argument `ax` must hold axes for {len(panels)} panels, but holds {len(given)} Axes: "
+            "leave it out for new ones."
+        )
+    if not faceted:
+        with on_axes(None if given is None else given[0]) as axes:
+            _draw(axes, data, values, places["x"], shades, scales)
+            _explain([axes], shades, scales)
+        return axes
+    with matplotlib.rc_context(STYLE if given is None else {}):
+        grid = given or _new_panels([len(part) for part in at], places["col"] is None)
+        for axes, own in zip(grid, panels, strict=True):
+            part = data.isel(own)
+            mine = shades and shades._replace(
+                of_runs=shades.of_runs.isel(own, missing_dims="ignore")
+            )
+            _draw(axes, part, values.isel(own), places["x"], mine, scales)
+            axes.set_title("\n".join(value_of(part[name], scales) for name in faceted))
+            if given is None:
+                _label_outer(axes)
+        _explain(grid, shades, scales)
+    out = np.empty(len(grid), object)
+    out[:] = grid
+    return out.reshape([len(part) for part in at])
+
+
+def _variable(data: xr.Dataset, y: Any) -> xr.DataArray:
+    if y is None:
+        y = "amplitude" if _masses(data) == 1 and "amplitude" in data else "energy"
+    if y == "active_share" and "active_count" in data:
+        share = data["active_count"] / _masses(data)
+        return share.rename("active_share").assign_attrs(units="1")
+    if not isinstance(y, str) or y not in data.data_vars or data[y].dtype.kind not in "fiub":
+        allowed = [str(name) for name in data if data[name].dtype.kind in "fiub"]
+        more = ["active_share"] * ("active_count" in data)
+        raise ValueError(
+            f"Argument `y` must name a variable of the sweep, one of {', '.join(allowed + more)}, "
+            f"but is {shown(y)}."
+        )
+    return data[y]
+
+
+def _masses(data: xr.Dataset) -> int:
+    return data.sizes["oscillator"] if "oscillator" in data.sizes else masses(data)
+
+
+def _hue(data: xr.Dataset, values: xr.DataArray, hue: Any) -> _Hue | None:
+    if not isinstance(hue, str) or hue not in {*data.variables, *data.dims, "active_share"}:
+        return None
+    is_variable = hue in {*data.data_vars, "active_share"}
+    if not is_variable:
+        return _Hue(data[hue], data[hue], False)
+    of_runs = _variable(data, hue)
+    if extra := sorted({*map(str, of_runs.dims)} - {*map(str, values.dims)}):
+        raise ValueError(
+            f"Argument `hue` = {hue!r} has the dimension `{extra[0]}`, which {values.name!r} does "
+            f"not have: take one value, as `data.isel({extra[0]}=0)`, or name another variable."
+        )
+    present = np.unique(of_runs.values[~np.isnan(of_runs.values)])
+    whole = bool(np.all(present == np.round(present)))
+    present = present.astype(int) if whole else present
+    return _Hue(of_runs, xr.DataArray(present, dims=hue, name=hue, attrs=of_runs.attrs), True)
+
+
+def _places(
+    data: xr.Dataset, values: xr.DataArray, asked: dict[str, Any], hue: _Hue | None, ax: Any
+) -> dict[str, str | None]:
+    """Which variable is drawn where; every dimension of more than one value has its place."""
+    free = [str(dim) for dim in values.dims if values.sizes[dim] > 1]
+    places = dict(asked)
+    for role, name in asked.items():
+        if name is not None and not (role == "hue" and hue is not None and hue.is_variable):
+            _take(data, values, role, name, free)
+    if places["x"] is None:
+        names = free or [str(dim) for dim in values.dims]
+        if not names:
+            raise ValueError(
+                f"Argument `data` must have a dimension to draw {values.name!r} over, but has "
+                "one value of it: select fewer dimensions."
+            )
+        places["x"] = "belt_speed" if "belt_speed" in names else names[0]
+        free = [dim for dim in free if dim != places["x"]]
+    if hue is not None:
+        free = [dim for dim in free if dim not in hue.of_runs.dims]
+    for role in ("col", "row") if ax is None else ():
+        if free and places[role] is None:
+            places[role] = free.pop(0)
+    if free:
+        sizes = " and ".join(f"`{dim}` of {values.sizes[dim]} values" for dim in free)
+        raise ValueError(
+            f"Argument `data` has the dimension {sizes}, which none of `x`, `hue`, `col` and "
+            f"`row` takes: give one of them {free[0]!r}, or take one value, as "
+            f"`data.isel({free[0]}=0)`."
+        )
+    return places
+
+
+def _take(data: xr.Dataset, values: xr.DataArray, role: str, name: Any, free: list[str]) -> None:
+    """Takes the dimension that `name` is along from those that are free, or `ValueError`."""
+    dims = [str(dim) for dim in values.dims]
+    along = {str(k) for k, own in data.coords.items() if own.dims in zip(dims)}
+    if not isinstance(name, str) or name not in {*dims, *along}:
+        raise ValueError(
+            f"Argument `{role}` must name a dimension of {values.name!r} or what is swept along "
+            f"one, one of {[*dims, *sorted(along - {*dims})]}, but is {shown(name)}."
+        )
+    dim = _dim(data, name)
+    if dim in free:
+        free.remove(dim)
+    elif values.sizes[dim] > 1:
+        raise ValueError(
+            f"Argument `{role}` must name a dimension that has no other place, but is {name!r}, "
+            f"and `{dim}` is drawn already: leave it out, or name another."
+        )
+
+
+def _dim(data: xr.Dataset, name: str) -> str:
+    """The dimension of a coordinate; one without a coordinate is its own."""
+    return str(data[name].dims[0])
+
+
+def _draw(
+    axes: Axes, data: xr.Dataset, values: xr.DataArray, across: Any, hue: _Hue | None,
+    scales: Scales | None,
+) -> None:  # fmt: skip
+    x, x_label = scaled(data[across], scales)
+    y_factor, y_label = axis(str(values.name), values.attrs, scales)
+    dim = _dim(data, across)
+    order = [*(k for k in values.dims if k != dim), dim]
+
+    def flat(array: xr.DataArray) -> np.ndarray:
+        return array.broadcast_like(values).transpose(*order).values.ravel()
+
+    at = flat(data[across].copy(data=x))
+    bad = {word: flat(array) for word, array in _without_answer(data).items()}
+    known = ~np.logical_or.reduce([np.zeros(at.shape, bool), *bad.values()])
+    height = np.where(known, y_factor * flat(values), np.nan)
+    series = [(np.ones(at.shape, bool), "", (BLUE, "o"))]
+    # Points of several series may lie upon each other: hollow ones are all seen.
+    look: dict[str, Any] = {"markersize": 3.4}
+    if hue is not None:
+        of = flat(hue.of_runs)
+        styles, bar = looks(hue.values.values)
+        words = [number_of(one, scales) if bar is None else "" for one in hue.values]
+        here = [of == one for one in hue.values.values]
+        series = [*zip(here, words, styles, strict=True)]
+        unknown = known & np.array([value != value for value in of.tolist()])
+        series += [(unknown, "unknown", (GREY, "."))] if unknown.any() else []
+        look = {"markersize": 4.4, "markerfacecolor": "none"}
+    joined = across in _TIMES and not (hue and hue.is_variable)
+    for here, word, (colour, marker) in series:
+        axes.plot(
+            at[here], height[here], color=colour, marker=marker, linewidth=0.8, label=word,
+            linestyle="-" if joined else "none", **look,
+        )  # fmt: skip
+    for word, found in bad.items():
+        if found.any():
+            places = np.unique(at[found])
+            axes.plot(
+                places, np.full(places.size, 0.03), "x", color=RED if word == "failed" else GREY,
+                markersize=4.5, transform=axes.get_xaxis_transform(), label=word,
+            )  # fmt: skip
+    widen(axes, x)
+    axes.set_xlabel(x_label)
+    axes.set_ylabel(y_label)
+
+
+def _without_answer(data: xr.Dataset) -> dict[str, xr.DataArray]:
+    """Which runs failed, and which have not run; searches have codes of their own."""
+    if "result" not in data:
+        return {}
+    result = data["result"]
+    names = str(result.attrs.get("flag_meanings", " ".join(NAMES))).split()
+    kinds = {"not run": _NOT_RUN, "failed": {*names} - {*WELL} - _NOT_RUN}
+    return {
+        word: result.isin([code for code, name in enumerate(names) if name in kind])
+        for word, kind in kinds.items()
+    }
+
+
+def _explain(panels: list[Axes], hue: _Hue | None, scales: Scales | None) -> None:
+    """The legend of the series, or their colour bar."""
+    if hue is None:
+        return add_legend(panels)
+    values = hue.values
+    factor, title = axis(str(values.name), values.attrs, scales)
+    _, shade = looks(factor * values.values if factor != 1.0 else values.values)
+    if shade is None:
+        return add_legend(panels, title, beside=True)
+    bar = add_colour_bar(panels, shade, title)
+    if values.dtype.kind in "iu":
+        bar.locator = MaxNLocator(integer=True)
+    return add_legend(panels)
+
+
+def _flat(ax: Any) -> list[Axes]:
+    """Axes and arrays of them in order, or `ValueError`."""
+    given = np.ravel(np.asarray(ax, object)).tolist()
+    if not given or not all(isinstance(panel, Axes) for panel in given):
+        raise ValueError(
+            f"Argument `ax` must be None, matplotlib axes or an array of them, but is {shown(ax)}."
+        )
+    return given
+
+
+def _new_panels(shape: list[int], is_row: bool) -> list[Axes]:
+    from matplotlib import pyplot as plt  # it looks for a screen
+
+    count = math.prod(shape)
+    columns = shape[1] if len(shape) == 2 else 1 if is_row else min(count, _COLUMNS)
+    rows = -(-count // columns)
+    width = COLUMN_WIDTH if columns == 1 else PAGE_WIDTH
+    _, places = plt.subplots(
+        rows, columns, figsize=(width, 1.9 * rows + 0.2), sharex=True, sharey=True,
+        squeeze=False, layout="constrained",
+    )  # fmt: skip
+    flat = places.ravel().tolist()
+    for spare in flat[count:]:
+        spare.set_axis_off()
+    # Those above a place that is empty have nothing below to tell what is across.
+    for panel in flat[max(count - columns, 0) : count]:
+        panel.tick_params(labelbottom=True)
+    return flat[:count]
+
+
+def _label_outer(axes: Axes) -> None:
+    """Words at the left and at the lower edge of a page of panels only."""
+    if not axes.get_subplotspec().is_first_col():  # pyright: ignore[reportOptionalMemberAccess]
+        axes.set_ylabel("")
+    if not axes.xaxis.get_tick_params()["labelbottom"]:
+        axes.set_xlabel("")

@@ -11,7 +11,7 @@ from synthetic import cycle_branch
 
 from jaxchain.continuation.branch import Branch
 from jaxchain.model.units import Scales
-from jaxchain.plotting.branches import MARKS, PARTS, pieces, plot_branch, smooth
+from jaxchain.plotting.branches import MARKS, PARTS, plot_branch, smooth
 from jaxchain.plotting.style import COLUMN_WIDTH
 
 SCALES = Scales.from_dimensional(
@@ -137,23 +137,6 @@ def test_a_branch_of_anything_is_one_solid_line():
     assert line.get_linestyle() == "-"
 
 
-def test_the_cycles_that_scenes_save_are_drawn_too():
-    point = {name: ("point", [1.0, 1.5, 1.8, 1.2]) for name in ("belt_speed", "amplitude")}
-    data = xr.Dataset({**point, "stable": ("point", [True, True, False, False])})
-    (stable,), (unstable,) = (named(plot_branch(data))[k] for k in ("stable", "unstable"))
-    assert points(stable)[0].tolist() == [1.0, 1.5]
-    assert points(unstable)[1].tolist() == [1.5, 1.8, 1.2]
-
-
-def test_pieces_end_where_the_next_begins():
-    x = np.arange(6.0)
-    unstable = np.array([0, 0, 1, 1, 0, 0], bool)
-    found = pieces(x, x, unstable, np.array([2]), np.array([1.5]), np.array([1.5]))
-    assert [(good, own[::PARTS].tolist()) for good, own, _ in found] == [
-        (True, [0.0, 1.0, 1.5]), (False, [1.5, 2.0, 3.0, 4.0]), (True, [4.0, 5.0])
-    ]  # fmt: skip
-
-
 def turns(values):
     """Indices at which a line of numbers turns round."""
     return (np.flatnonzero(np.diff(np.sign(np.diff(values)))) + 1).tolist()
@@ -172,6 +155,14 @@ def test_the_line_has_no_corners_and_no_folds_of_its_own():
         return np.max(np.abs(np.diff(np.unwrap(np.arctan2(np.diff(y), np.diff(x))))))
 
     assert corner(x, y) < 0.25 * corner(t**2, t)
+
+
+def test_the_cycles_that_scenes_save_are_drawn_too():
+    point = {name: ("point", [1.0, 1.5, 1.8, 1.2]) for name in ("belt_speed", "amplitude")}
+    data = xr.Dataset({**point, "stable": ("point", [True, True, False, False])})
+    (stable,), (unstable,) = (named(plot_branch(data))[k] for k in ("stable", "unstable"))
+    assert points(stable)[0].tolist() == [1.0, 1.5]
+    assert points(unstable)[1].tolist() == [1.5, 1.8, 1.2]
 
 
 def test_a_line_is_straight_beside_a_missing_number_and_may_stand_still():

@@ -5,13 +5,13 @@ import matplotlib
 import numpy as np
 import pytest
 from matplotlib.colors import to_hex
-from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch, Rectangle
 
 from jaxchain.model.chain import paper_chain
-from jaxchain.model.friction import Coulomb, TanhFriction
-from jaxchain.plotting.model import draw_model, zigzag
-from jaxchain.plotting.style import BLUE, ORANGE, STYLE
+from jaxchain.model.friction import Coulomb, ExponentialDecay, TanhFriction
+from jaxchain.model.units import Scales
+from jaxchain.plotting.model import draw_model, plot_friction_law, zigzag
+from jaxchain.plotting.style import BLUE, STYLE
 
 
 def texts(axes):
@@ -50,18 +50,6 @@ def test_what_the_chain_has_not_is_not_drawn():
     left, _ = draw_model(paper_chain(1)).axes
     assert len(masses(left)) == 1
     assert not [name for name in texts(left) if "k_c" in name or name == "…"]
-
-
-def test_the_belt_points_where_it_goes():
-    for speed in (1.5, -1.5):
-        left, right = draw_model(paper_chain(2, belt_speed=speed)).axes
-        arrows = [patch for patch in left.patches if isinstance(patch, FancyArrowPatch)]
-        (belt,) = [arrow for arrow in arrows if to_hex(arrow.get_edgecolor()) == BLUE.lower()]
-        start, end = belt._posA_posB  # pyright: ignore[reportAttributeAccessIssue]
-        assert np.sign(end[0] - start[0]) == np.sign(speed)
-        at, force = curve(right, "steady sliding")
-        assert at[0] == -speed
-        np.testing.assert_allclose(force[0], np.sign(speed) * (0.5 + 0.5 * np.exp(-3.0)))
 
 
 def test_friction_is_that_of_eq_1_and_2_and_of_its_smoothing():
@@ -119,21 +107,50 @@ def test_a_spring_keeps_its_ends_and_its_coils():
     assert np.count_nonzero(np.diff(np.sign(across[2:-2]))) == 9
 
 
-def test_it_can_be_drawn_on_given_axes():
-    page = Figure()
-    axes = page.subplots(2, 1)
-    assert draw_model(axes=axes) is page
-    assert axes[0].patches
-    assert {line.get_color() for line in axes[1].get_lines()} >= {BLUE, ORANGE}
-
-
-@pytest.mark.parametrize(
-    ("argument", "value"),
-    [
-        *(("chain", "paper"), ("masses", 0), ("masses", 7), ("masses", True), ("masses", 2.5)),
-        *(("axes", 3), ("axes", (None, None))),
-    ],
+LAW = ExponentialDecay(1.0, 0.5, 0.5)
+SCALES = Scales.from_dimensional(
+    mass=2.0, damping=2.0, stiffness=200.0, coupling_stiffness=2.0, normal_load=10.0
 )
-def test_bad_input_is_named(argument, value):
-    with pytest.raises(ValueError, match=f"`{argument}`"):
-        draw_model(**{argument: value})
+
+
+def lines(axes):
+    return [np.asarray(line.get_xydata()) for line in axes.get_lines()]
+
+
+def legend(axes):
+    return [text.get_text() for text in axes.get_legend().get_texts()]
+
+
+def test_a_dry_law_has_two_branches_and_an_upright_line_between_them():
+    left, right, jump, _ = lines(plot_friction_law(LAW, reach=2.0))
+    for (w, force), sign in ((left.T, 1.0), (right.T, -1.0)):
+        np.testing.assert_allclose(force, sign * np.asarray(LAW.coefficient(jnp.abs(w))))
+        assert np.abs(w).max() == 2.0
+    np.testing.assert_array_equal(jump, [[0.0, -1.0], [0.0, 1.0]])
+
+
+def test_a_dry_chain_has_no_smoothed_law_and_masses_that_differ_show_the_first():
+    chain = paper_chain(2, width=None).with_(mu_static=jnp.array([0.9, 1.2]))
+    axes = plot_friction_law(chain)
+    assert len(axes.get_lines()) == 4
+    np.testing.assert_array_equal(lines(axes)[2][:, 1], [-0.9, 0.9])
+
+
+def test_axes_in_si_units():
+    axes = plot_friction_law(Coulomb(0.4), reach=1.0, scales=SCALES)
+    assert axes.get_xlabel() == "relative velocity $v_{rel}$ (m/s)"
+    assert axes.get_ylabel() == "friction force $F$ (N)"
+    np.testing.assert_allclose(lines(axes)[2][:, 1], [-4.0, 4.0])
+    assert axes.get_xlim() == (-0.5, 0.5)
+
+
+def test_the_belt_points_where_it_goes():
+    for speed in (1.5, -1.5):
+        left, right = draw_model(paper_chain(2, belt_speed=speed)).axes
+        arrows = [patch for patch in left.patches if isinstance(patch, FancyArrowPatch)]
+        (belt,) = [arrow for arrow in arrows if to_hex(arrow.get_edgecolor()) == BLUE.lower()]
+        start, end = belt._posA_posB  # pyright: ignore[reportAttributeAccessIssue]
+        assert np.sign(end[0] - start[0]) == np.sign(speed)
+        at, force = curve(right, "steady sliding")
+        assert at[0] == -speed
+        np.testing.assert_allclose(force[0], np.sign(speed) * (0.5 + 0.5 * np.exp(-3.0)))

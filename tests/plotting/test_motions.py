@@ -1,15 +1,32 @@
-"""Runs over time and in the phase plane: each line is one mass, and says where it sticks."""
+"""Runs over time, in the phase plane and as films: lines, who sticks, loops that close."""
+
+import itertools
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from PIL import Image
+from scipy.integrate import solve_ivp
 
-from jaxchain.model.chain import paper_chain
+from jaxchain.model.chain import paper_chain, steady_sliding
 from jaxchain.model.units import Scales
 from jaxchain.observers.samples import Trajectory
-from jaxchain.plotting.films import sticking
-from jaxchain.plotting.motions import plot_phase_portrait, plot_time_series
+from jaxchain.observers.stick_time import StickTime
+from jaxchain.plotting.motions import (
+    _Film,
+    animate,
+    film_strip,
+    loop,
+    plot_phase_portrait,
+    plot_time_series,
+    save_gif,
+    sticking,
+)
+from jaxchain.plotting.style import BLUE, ORANGE
+from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.simulation.run import simulate
 
 SCALES = Scales.from_dimensional(
@@ -71,14 +88,6 @@ def test_a_chain_adds_its_belt_and_where_a_mass_sticks():
     assert "belt speed" in legend(plot_time_series(times, run, "velocity", chain=chain))
 
 
-def test_runs_on_the_same_axes_are_told_apart_by_what_the_caller_says():
-    given = Figure().subplots()
-    for colour in ("red", "black"):
-        plot_time_series(TIMES, STATES, masses=[0, 1], ax=given, color=colour, label=colour)
-    assert legend(given) == ["red", "black"]
-    assert [line.get_color() for line in given.get_lines()] == ["red", "red", "black", "black"]
-
-
 def test_many_masses_have_a_colour_bar():
     many = tuple(np.tile(part, (1, 4)) for part in STATES)
     axes = plot_time_series(TIMES, many)
@@ -87,8 +96,212 @@ def test_many_masses_have_a_colour_bar():
     assert bar.get_ylabel() == "oscillator $n$"
 
 
-def test_another_run_than_a_trajectory_is_refused():
-    with pytest.raises(ValueError, match="`states` must be the pair"):
-        plot_phase_portrait((*STATES, STATES[0]))
-    with pytest.raises(ValueError, match="50 times and 3 masses"):
-        plot_time_series(TIMES, (STATES[0], STATES[1][:-1]))
+FRAMES = 64
+ONE = paper_chain(n=1, belt_speed=1.0, width=None)
+QUICK = EventDriven(order=6)  # compiles quickly
+
+
+def made_up(n, frames=24, belt_speed=1.0, width=None):
+    """A film of n masses in a circle of the phase plane, which closes, and is no solution."""
+    chain = paper_chain(n=n, belt_speed=belt_speed, width=width)
+    times = 2 * np.pi * np.arange(frames) / frames
+    phase = times[:, None] + np.pi * np.arange(n)
+    return chain, times, (0.5 + np.cos(phase), -np.sin(phase))
+
+
+@pytest.fixture(scope="module")
+def cycle():
+    """One period of one mass with true dry friction, let go where |2 xi v_d + x| = mu_st."""
+    return loop(ONE, (jnp.array([0.9]), jnp.array([1.0])), frames=FRAMES, solver=QUICK)
+
+
+def slips(t, state):
+    """One mass that is slower than the belt, for SciPy."""
+    x, v = state
+    return [v, 0.5 + 0.5 * np.exp((v - 1.0) / 0.5) - 0.1 * v - x]
+
+
+def slip_phase():
+    """(its duration, the displacement at its end)."""
+
+    def lands(t, state):
+        return state[1] - 1.0 if t > 1.0 else -1.0
+
+    lands.terminal = True  # pyright: ignore[reportFunctionMemberAccess]
+    run = solve_ivp(slips, (0.0, 20.0), [0.9, 1.0], events=lands, rtol=1e-11, atol=1e-12)
+    return run.t[-1], run.y[0, -1]
+
+
+def test_a_loop_closes_after_one_period(cycle):
+    times, (x, v) = cycle
+    duration, landing = slip_phase()
+    assert FRAMES * times[1] == pytest.approx(duration + (0.9 - landing) / 1.0, abs=1e-5)
+    assert times.shape == (FRAMES,)
+    assert x.shape == v.shape == (FRAMES, 1)
+    np.testing.assert_allclose(np.diff(times), times[1])
+    # One more frame is the first: it begins at a turn, before which the mass slips.
+    last = [x[-1, 0], v[-1, 0]]
+    after = solve_ivp(slips, (0.0, times[1]), last, rtol=1e-10, atol=1e-12).y[:, -1]
+    np.testing.assert_allclose(after, [x[0, 0], v[0, 0]], atol=1e-5)
+
+
+def test_frames_that_stick_add_up_to_the_time_of_sticking(cycle):
+    times, (x, v) = cycle
+    stuck = sticking(ONE, (x, v))
+    _, landing = slip_phase()
+    # One frame at either end.
+    assert stuck.sum() * times[1] == pytest.approx(0.9 - landing, abs=times[1])
+    np.testing.assert_array_equal(stuck, np.abs(v - 1.0) < 1e-12)
+    assert 5 < stuck.sum() < FRAMES / 2
+
+
+def test_a_mass_of_the_smoothed_law_sticks_if_it_is_slow_and_held():
+    chain = paper_chain(n=1, belt_speed=1.0, width=1e-3)
+    limit = float(chain.stick_speed())
+    assert 1e-3 < limit < 1e-2
+    # The force on it without friction, -0.1 v - x, reaches mu_st = 1 at x = 0.9 and x = -1.1.
+    x = np.array([0.5, 0.5, 0.5, 0.5, 0.89, 0.91, -1.09, -1.11])[:, None]
+    v = 1.0 + limit * np.array([0.0, -0.99, 1.01, -1.01, 0.0, 0.0, 0.0, 0.0])[:, None]
+    expected = [True, True, False, False, True, False, True, False]
+    assert sticking(chain, (x, v))[:, 0].tolist() == expected
+    assert sticking(chain.with_(width=None), (x, v))[:, 0].tolist()[:4] == [
+        True,
+        False,
+        False,
+        False,
+    ]
+
+
+@pytest.mark.long
+def test_frames_of_the_smoothed_law_add_up_to_its_stick_time():
+    chain = paper_chain(n=1, belt_speed=1.0, width=1e-3)
+    times = jnp.linspace(0.0, 15.0, 1501)
+    begin = jnp.array([0.5]), jnp.array([1.0])
+    run = simulate(chain, begin, 15.0, observe=[StickTime(), Trajectory(times)])
+    x, v = (np.asarray(part) for part in run.observed[1])
+    stuck = sticking(chain, (x, v))
+    changes = np.count_nonzero(np.diff(stuck[:, 0]))
+    assert changes == 5
+    total = float(run.observed[0][0])
+    assert stuck.sum() * 0.01 == pytest.approx(total, abs=0.5 * 0.01 * changes)
+    # By the speed alone it would stick longer: a mass that is let go leaves the belt slowly.
+    slow = np.abs(v - 1.0) <= float(chain.stick_speed())
+    assert slow.sum() > stuck.sum() + 5
+
+
+def test_a_loop_of_what_rests_or_does_not_come_back_is_refused():
+    with pytest.raises(RuntimeError, match="does not turn twice"):
+        loop(ONE, steady_sliding(ONE), solver=QUICK, longest=0.1)
+    fast = ONE.with_(belt_speed=2.5)  # beyond the fold every vibration decays
+    with pytest.raises(RuntimeError, match="Let the transient pass"):
+        loop(fast, (jnp.array([2.5]), jnp.array([0.0])), solver=QUICK, longest=15.0)
+
+
+def artists(width=None, n=3, frames=24, belt_speed=1.0):
+    chain, times, states = made_up(n, frames, belt_speed, width)
+    page = film_strip(chain, times, states, stills=1)
+    shown = list(range(n))
+    scene = _Film(page.axes[0], chain, times, states, shown)
+    return scene, (times, states)
+
+
+def test_masses_are_where_they_should_be_and_never_touch():
+    scene, (times, (x, _)) = artists()
+    for frame in range(len(times)):
+        scene.show(frame)
+        left = np.array([block.get_x() for block in scene.blocks])
+        right = left + scene.wide
+        np.testing.assert_allclose(left + scene.wide / 2 - scene.home, x[frame], atol=1e-12)
+        assert np.all(left[1:] > right[:-1])
+        # A mass stays between its own post and that of its neighbour.
+        assert np.all(left > scene.home + scene.post)
+        assert np.all(right[:-1] < (scene.home + scene.post)[1:])
+        # Springs to the ground, and one between neighbours, follow their masses.
+        segments = scene.springs.get_segments()
+        assert len(segments) == 3 + 2
+        np.testing.assert_allclose([line[-1, 0] for line in segments[:3]], left, atol=1e-12)
+        np.testing.assert_allclose(segments[3][[0, -1], 0], [right[0], left[1]], atol=1e-12)
+
+
+def test_sticking_masses_differ_by_colour_and_by_hatch():
+    scene, (_, (_, v)) = artists()
+    for frame in range(24):
+        scene.show(frame)
+        for block, speed in zip(scene.blocks, v[frame], strict=True):
+            assert isinstance(block, Rectangle)
+            stuck = abs(speed - 1.0) < 1e-13
+            assert to_hex(block.get_facecolor()) == (ORANGE if stuck else BLUE).lower()
+            assert bool(block.get_hatch()) == stuck
+    assert scene.sticks.sum() == 3
+
+
+@pytest.mark.parametrize("belt_speed", [1.0, -0.7, 0.0])
+def test_the_belt_carries_on_without_a_jump_when_the_film_starts_again(belt_speed):
+    scene, (times, _) = artists(belt_speed=belt_speed)
+    way = belt_speed * 2 * np.pi
+    assert way / scene.stripe == pytest.approx(round(way / scene.stripe))
+    # From frame to frame marks move with the belt, by less than half of their distance.
+    scene.show(3)
+    before = scene.stripes.get_segments()[1][0, 0]
+    scene.show(4)
+    after = np.array([mark[0, 0] for mark in scene.stripes.get_segments()])
+    moved = belt_speed * times[1]
+    assert np.min(np.abs(after - before - moved)) < 1e-12
+    assert abs(moved) < scene.stripe / 2
+
+
+def test_points_run_along_their_curves_and_a_loop_is_drawn_closed():
+    chain, times, states = made_up(2)
+    strip, plane = Figure().subplots(1, 2)
+    curves = _Film(Figure().subplots(), chain, times, states, [0, 1])
+    curves.add_curves(strip, plane)
+    closed = [
+        x for x in (np.ravel(line.get_xdata()) for line in plane.get_lines()) if len(x) == 25
+    ]
+    assert len(closed) == 4  # for each mass a thin line, and a bold one where it sticks
+    assert all(x[0] == x[-1] for x in closed)
+    for frame in (0, 7, 23):
+        curves.show(frame)
+        seen = np.concatenate([dots.get_xydata() for dots in curves.dots[2:]])
+        expected = np.stack([states[0][frame], states[1][frame]], axis=1)
+        np.testing.assert_allclose(np.sort(seen, axis=0), np.sort(expected, axis=0))
+    # A film that does not close has no line back.
+    half = slice(0, 12)
+    cut = (states[0][half], states[1][half])
+    open_ = _Film(Figure().subplots(), chain, times[half], cut, [0, 1])
+    assert len(open_._closed()[0]) == 12
+
+
+def test_a_gif_opens_with_every_frame_and_is_small(tmp_path):
+    chain, times, states = made_up(2, frames=8)
+    film = animate(chain, times, states, frames_per_second=10)
+    path = save_gif(film, tmp_path / "film.gif", dpi=50)
+    with Image.open(path) as picture:
+        assert picture.n_frames == 8  # pyright: ignore[reportAttributeAccessIssue]
+        assert picture.size == (350, 145)
+        assert picture.info["duration"] == 100
+        assert picture.info["loop"] == 0
+        pixels = []
+        for frame in range(8):
+            picture.seek(frame)
+            pixels.append(np.asarray(picture.convert("RGB")).astype(int))
+    assert all(np.abs(a - b).max() > 100 for a, b in itertools.pairwise(pixels))
+    # Sticking is seen: more of the orange than in the legend.
+    orange = np.array([np.sum(np.abs(p - [230, 159, 0]).sum(-1) < 60) for p in pixels])
+    stuck = sticking(chain, states).any(axis=1)
+    assert orange[stuck].min() > orange[~stuck].max() + 20
+    assert path.stat().st_size < 60_000
+
+
+def test_stills_are_at_equal_distances_and_numbered_round_the_ring():
+    chain = paper_chain(n=20)
+    times = np.linspace(0.0, 1.9, 20)
+    x = np.zeros((20, 20))
+    x[:, [0, 19]] = np.sin(times)[:, None]
+    page = film_strip(chain, times, (x, 0 * x), stills=4)
+    titles = [axes.get_title(loc="right") for axes in page.axes]
+    assert titles == [rf"$\tau$ = {t:.2f}" for t in (0.0, 0.5, 1.0, 1.5)]
+    numbers = [text.get_text() for text in page.axes[0].texts if text.get_text().isdigit()]
+    assert numbers == ["17", "18", "19", "20", "1", "2", "3", "4"]
+    free = film_strip(chain.with_(ends="free"), times, (x, 0 * x), stills=1).axes[0]
+    assert next(t.get_text() for t in free.texts if t.get_text().isdigit()) in ("1", "13")

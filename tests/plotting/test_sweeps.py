@@ -1,41 +1,42 @@
 """Figures and what they mark: the Hopf speed, moving fronts, the unstable cycle, failed runs."""
 
-import ast
-import inspect
+import itertools
 import json
+from typing import Any
 
 import matplotlib
 import numpy as np
 import pytest
 import xarray as xr
+from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
-from synthetic import ladder, results, single
+from matplotlib.figure import Figure
+from synthetic import cycle_branch, ladder, results, single
 
+from jaxchain.model.units import Scales
 from jaxchain.plotting import sweeps as plot
+from jaxchain.plotting.branches import plot_branch
 from jaxchain.plotting.diagram import basin_brackets, hopf_belt_speed, intervals, moving_fronts
-from jaxchain.plotting.style import RED, save_figure
-from jaxchain.plotting.sweeps import figure, figure_3
+from jaxchain.plotting.style import COLUMN_WIDTH, RED, SERIES, save_figure
+from jaxchain.plotting.sweeps import figure, figure_3, plot_sweep
+from jaxchain.result import NAMES
 from jaxchain.scenes.report import summary
 
 
-def lines(axes, label):
+def labelled(axes, label):
     return [line for line in axes.get_lines() if line.get_label() == label]
 
 
-def across(line):
+def where(line):
     return np.asarray(line.get_xdata()).tolist()
 
 
-def legend(axes):
-    return [text.get_text() for text in axes.get_legend().get_texts()]
-
-
-def panels(page):
+def named_panels(page):
     return [axes for axes in page.axes if axes.get_xlabel()]
 
 
 def test_figure_3_has_amplitude_on_the_left_and_energy_on_the_right():
-    left, right = panels(figure_3(ladder(), single()))
+    left, right = named_panels(figure_3(ladder(), single()))
     assert "amplitude" in left.get_ylabel()
     assert "energy" in right.get_ylabel()
     assert left.get_xlabel() == right.get_xlabel() == r"belt speed $\tilde v_d$ (–)"
@@ -46,10 +47,10 @@ def test_figure_3_has_amplitude_on_the_left_and_energy_on_the_right():
 
 def test_every_run_is_one_point_at_its_place():
     data = single()
-    (left,) = panels(figure({"single": data}))
-    (vibrating,), (resting,) = lines(left, "vibrating"), lines(left, "at rest")
-    assert len(across(vibrating)) == int((data.active_count == 1).sum())
-    assert len(across(resting)) == int((data.active_count == 0).sum())
+    (left,) = named_panels(figure({"single": data}))
+    (vibrating,), (resting,) = labelled(left, "vibrating"), labelled(left, "at rest")
+    assert len(where(vibrating)) == int((data.active_count == 1).sum())
+    assert len(where(resting)) == int((data.active_count == 0).sum())
     assert set(np.asarray(vibrating.get_ydata())) == {1.5}
     data = ladder()
     (right, _) = figure({"ladder": data}).axes
@@ -59,24 +60,10 @@ def test_every_run_is_one_point_at_its_place():
     np.testing.assert_allclose(np.asarray(points.get_offsets())[:, 1], 0.5 * 1.5**2 * count)
 
 
-def test_states_differ_by_marker_and_by_colour():
-    (axes,) = panels(figure({"single": single()}))
-    (vibrating,), (resting,) = lines(axes, "vibrating"), lines(axes, "at rest")
-    assert vibrating.get_marker() != resting.get_marker()
-    assert to_hex(vibrating.get_color()) != to_hex(resting.get_color())
-
-
-def test_rest_below_the_hopf_speed_is_drawn_hollow():
-    axes = panels(figure({"ladder": ladder()}))[0]
-    (unstable,) = lines(axes, "at rest, unstable")
-    assert across(unstable) == [1.0, 1.1]
-    assert to_hex(unstable.get_markerfacecolor()) == "#ffffff"
-
-
 def test_rest_is_drawn_as_stable_only_where_the_numbers_of_the_run_say_so():
     bare = ladder().drop_vars("hopf_belt_speed")  # as `sweep` returns it
-    (unstable,) = lines(panels(figure({"ladder": bare}))[0], "at rest, unstable")
-    assert across(unstable) == [1.0, 1.1]
+    (unstable,) = labelled(named_panels(figure({"ladder": bare}))[0], "at rest, unstable")
+    assert where(unstable) == [1.0, 1.1]
     assert "at rest       at belt speeds 1.2 to 1.9\n" in summary("ladder", bare)
     damped = results(
         {"damping_ratio": [0.05, 0.1], "belt_speed": [0.5, 1.0, 1.3]},
@@ -84,9 +71,9 @@ def test_rest_is_drawn_as_stable_only_where_the_numbers_of_the_run_say_so():
         2,
         damping_ratio="swept",
     ).drop_vars("hopf_belt_speed")  # v_H is ln(10) / 2, and ln(5) / 2
-    axes = panels(figure({"damped": damped}))[0]
-    assert across(*lines(axes, "at rest, unstable")) == [0.5, 1.0, 0.5]
-    assert across(*lines(axes, "at rest")) == [1.3, 1.0, 1.3]
+    axes = named_panels(figure({"damped": damped}))[0]
+    assert where(*labelled(axes, "at rest, unstable")) == [0.5, 1.0, 0.5]
+    assert where(*labelled(axes, "at rest")) == [1.3, 1.0, 1.3]
 
 
 @pytest.mark.parametrize("attrs", [{"vary": "the function `mistune`"}, {"law": "Rational"}])
@@ -94,9 +81,9 @@ def test_rest_of_a_chain_that_is_not_known_is_not_drawn_as_stable(attrs):
     law = attrs.pop("law", "ExponentialDecay")
     data = results({"belt_speed": [1.0, 1.3]}, np.zeros(2), 2, friction_law=law)
     data = data.drop_vars("hopf_belt_speed").assign_attrs(attrs)
-    axes = panels(figure({"two": data}))[0]
+    axes = named_panels(figure({"two": data}))[0]
     assert legend(axes) == ["at rest, stability unknown"]
-    assert to_hex(lines(axes, legend(axes)[0])[0].get_markerfacecolor()) == "#ffffff"
+    assert to_hex(labelled(axes, legend(axes)[0])[0].get_markerfacecolor()) == "#ffffff"
 
 
 def shaken():
@@ -111,11 +98,11 @@ def shaken():
 @pytest.mark.parametrize("left_out", ["energy", "amplitude"])
 def test_only_what_does_not_move_is_at_rest(left_out):
     data = shaken().drop_vars(left_out)
-    (axes,) = panels(figure({"single": data}))
-    (resting,), (moving,) = lines(axes, "at rest"), lines(axes, plot.NOT_VIBRATING)
-    (vibrating,) = lines(axes, "vibrating")
-    assert across(resting) == [1.9, 1.9]
-    assert across(moving) == [1.3, 1.3, 1.6, 1.6, 1.9, 1.9]
+    (axes,) = named_panels(figure({"single": data}))
+    (resting,), (moving,) = labelled(axes, "at rest"), labelled(axes, plot.NOT_VIBRATING)
+    (vibrating,) = labelled(axes, "vibrating")
+    assert where(resting) == [1.9, 1.9]
+    assert where(moving) == [1.3, 1.3, 1.6, 1.6, 1.9, 1.9]
     np.testing.assert_allclose(np.asarray(moving.get_ydata()), 0.3)
     three = (resting, moving, vibrating)
     assert len({str(line.get_marker()) for line in three}) == 3
@@ -125,15 +112,6 @@ def test_only_what_does_not_move_is_at_rest(left_out):
     assert "weak          at belt speeds 1.3 to 1.9: moves, but no mass above v_d / 2" in text
 
 
-def test_without_amplitudes_nobody_is_called_at_rest():
-    data = shaken()[["active_count", "result", "steps"]]
-    (axes,) = panels(figure({"single": data}))
-    assert not lines(axes, "at rest")
-    assert len(across(*lines(axes, plot.NONE_VIBRATES))) == 8
-    assert "at rest" not in summary("single", data)
-    assert "weak          at belt speeds 1.3 to 1.9: no mass above" in summary("single", data)
-
-
 def test_a_slow_start_below_the_hopf_speed_makes_no_unstable_cycle():
     data = single()
     data["active_count"][1, 0] = 0  # belt speed 1.0: not gone far enough yet
@@ -141,10 +119,10 @@ def test_a_slow_start_below_the_hopf_speed_makes_no_unstable_cycle():
 
 
 def test_the_hopf_speed_is_read_off_the_data():
-    for axes in panels(figure_3(ladder(), single())):
-        assert 0.5 * np.log(10) in [across(line)[0] for line in axes.get_lines()]
-    for axes in panels(figure_3(ladder(), single(), hopf=1.25)):
-        assert 1.25 in [across(line)[0] for line in axes.get_lines()]
+    for axes in named_panels(figure_3(ladder(), single())):
+        assert 0.5 * np.log(10) in [where(line)[0] for line in axes.get_lines()]
+    for axes in named_panels(figure_3(ladder(), single(), hopf=1.25)):
+        assert 1.25 in [where(line)[0] for line in axes.get_lines()]
 
 
 @pytest.mark.parametrize("values", [None, np.nan, [1.1, 1.2], [np.nan, 1.2]])
@@ -153,7 +131,9 @@ def test_no_hopf_speed_is_drawn_that_is_not_that_of_all_runs(values):
     if values is not None:
         data["hopf_belt_speed"] = (("coupling",) * np.ndim(values), values)
     assert hopf_belt_speed(data) is None
-    assert all(len(across(line)) > 1 for line in panels(figure({"single": data}))[0].get_lines())
+    assert all(
+        len(where(line)) > 1 for line in named_panels(figure({"single": data}))[0].get_lines()
+    )
 
 
 def branch():
@@ -170,11 +150,11 @@ def branch():
 
 
 def test_saved_cycles_are_drawn_through_their_fold_instead_of_brackets():
-    (axes,) = panels(figure({"single": single(), "single_cycles": branch()}))
-    (unstable,), (fold,) = lines(axes, "unstable cycle"), lines(axes, "fold")
-    assert across(unstable) == [1.15, 1.5, 1.8]
-    assert (across(fold), np.asarray(fold.get_ydata()).tolist()) == ([1.8], [1.7])
-    solid = [across(line) for line in axes.get_lines() if line.get_linestyle() == "-"]
+    (axes,) = named_panels(figure({"single": single(), "single_cycles": branch()}))
+    (unstable,), (fold,) = labelled(axes, "unstable cycle"), labelled(axes, "fold")
+    assert where(unstable) == [1.15, 1.5, 1.8]
+    assert (where(fold), np.asarray(fold.get_ydata()).tolist()) == ([1.8], [1.7])
+    solid = [where(line) for line in axes.get_lines() if line.get_linestyle() == "-"]
     assert [1.8, 1.4, 0.5] in solid
 
 
@@ -187,9 +167,9 @@ def test_fronts_move_where_the_active_count_changes():
         (1.0, pytest.approx(1.25)),
         (pytest.approx(1.65), pytest.approx(1.75)),
     ]
-    axes = panels(figure({"ladder": data}))[0]
+    axes = named_panels(figure({"ladder": data}))[0]
     dashed = [line for line in axes.get_lines() if to_hex(line.get_color()) == RED.lower()]
-    assert [across(line)[0] for line in dashed] == pytest.approx([1.0, 1.25, 1.65, 1.75])
+    assert [where(line)[0] for line in dashed] == pytest.approx([1.0, 1.25, 1.65, 1.75])
 
 
 def test_a_failed_run_is_neither_a_front_nor_the_death_of_all():
@@ -203,31 +183,15 @@ def test_a_failed_run_is_neither_a_front_nor_the_death_of_all():
     assert data.belt_speed.values[moving.values].tolist() == [1.0, 1.1, 1.2, 1.7]
 
 
-def test_no_fronts_are_looked_for_without_the_number_of_excited_masses():
-    assert moving_fronts(single()) is None
-
-
-def test_intervals_reach_half_way_to_the_next_value_and_stop_at_the_ends():
-    positions = np.array([3.0, 1.0, 2.0])  # in any order
-    assert intervals(positions, np.array([True, False, False])) == [(2.5, 3.0)]
-    assert intervals(positions, np.array([True, True, True])) == [(1.0, 3.0)]
-    assert intervals(positions, np.array([False, False, False])) == []
-
-
-def test_the_unstable_cycle_lies_between_starts_that_end_differently():
-    assert basin_brackets(single()) == [(1.3, 0.9, 1.1), (1.6, 0.9, 1.1)]
-    assert basin_brackets(ladder()) == []
-
-
 def test_failed_runs_are_crosses_and_are_listed_with_advice():
     data = single()
     data["result"][1, 2] = 6
     data["active_count"][1, 2] = np.nan
     data["energy"][1, 2] = np.nan
-    (axes,) = panels(figure({"single": data}))
-    (crosses,) = lines(axes, "failed")
+    (axes,) = named_panels(figure({"single": data}))
+    (crosses,) = labelled(axes, "failed")
     assert crosses.get_marker() == "x"
-    assert across(crosses) == [1.0]
+    assert where(crosses) == [1.0]
     text = summary("single", data)
     assert "19 successful, 1 nonfinite" in text
     assert "failed        belt_speed 1, displacement 1.1: nonfinite" in text
@@ -244,25 +208,11 @@ def test_a_summary_says_where_the_chain_vibrates():
     assert max(map(len, text.splitlines())) < 100
 
 
-def test_a_sweep_of_anything_else_is_drawn_over_its_first_number():
-    width = np.array([1e-4, 1e-3, 1e-2])
-    data = results({"width": width, "excited": np.arange(3)}, [[0, 1, 2]] * 3, 4, belt_speed=1.5)
-    (axes,) = panels(figure({"widths": data}))
-    assert "width" in axes.get_xlabel()
-    assert axes.get_xscale() == "log"
-    assert "Hopf" not in summary("widths", data)
-
-
 @pytest.mark.parametrize("kept", [["amplitude"], ["energy"], ["active_count"]])
 def test_a_figure_is_drawn_from_whatever_was_kept(kept):
     for data in (ladder(), single()):
         figure({"some": data[[*kept, "result", "steps"]]})
         assert "outcome" in summary("some", data[[*kept, "result", "steps"]])
-
-
-def test_a_sweep_in_which_everything_failed_still_gives_a_figure():
-    data = results({"belt_speed": np.array([1.0, 1.5])}, [-1, -1], 3)
-    assert len(across(lines(panels(figure({"bad": data}))[0], "failed")[0])) == 2
 
 
 def test_a_long_chain_and_a_large_sweep_are_drawn_too(tmp_path):
@@ -277,21 +227,252 @@ def test_a_long_chain_and_a_large_sweep_are_drawn_too(tmp_path):
 
 def test_more_than_two_experiments_fill_rows():
     page = figure({"a": ladder(), "b": single(), "c": single()})
-    assert [axes.get_title(loc="left") for axes in panels(page)] == ["(a)", "(b)", "(c)"]
-
-
-def test_figures_are_saved_as_png_and_pdf(tmp_path):
-    files = save_figure(figure_3(ladder(), single()), tmp_path / "name.with.dots")
-    assert [file.name for file in files] == ["name.with.dots.png", "name.with.dots.pdf"]
-    assert files[0].read_bytes().startswith(b"\x89PNG")
-    assert files[1].read_bytes().startswith(b"%PDF")
+    assert [axes.get_title(loc="left") for axes in named_panels(page)] == ["(a)", "(b)", "(c)"]
 
 
 def test_drawing_leaves_matplotlib_as_it_was():
     before = dict(matplotlib.rcParams)
     figure_3(ladder(), single())
     assert dict(matplotlib.rcParams) == before
-    tree = ast.parse(inspect.getsource(plot))
-    assert "pyplot" not in {
-        alias.name for node in ast.walk(tree) for alias in getattr(node, "names", [])
-    }
+
+
+SCALES = Scales.from_dimensional(
+    mass=2.0, damping=2.0, stiffness=200.0, coupling_stiffness=2.0, normal_load=10.0
+)
+
+
+def across(line):
+    return np.asarray(line.get_xdata())
+
+
+def height(line):
+    return np.asarray(line.get_ydata())
+
+
+def heights(axes):
+    return [height(line) for line in axes.get_lines()]
+
+
+def page_of(axes) -> Any:
+    return axes.get_figure(root=True)
+
+
+def legend_of(axes) -> Any:
+    return axes.get_legend()
+
+
+def legend(axes):
+    return [text.get_text() for text in legend_of(axes).get_texts()]
+
+
+def test_a_series_for_each_value_by_colour_and_marker():
+    data = ladder()
+    axes = plot_sweep(data, hue="excited")
+    assert isinstance(axes, Axes)
+    assert page_of(axes).get_figwidth() == COLUMN_WIDTH
+    for k, height in enumerate(heights(axes)):
+        np.testing.assert_array_equal(height, data.energy[:, k])
+    looks = [(line.get_color(), line.get_marker()) for line in axes.get_lines()]
+    assert len({colour for colour, _ in looks}) == len({str(marker) for _, marker in looks}) == 7
+    assert legend(axes) == [str(k) for k in range(7)]
+    title = legend_of(axes).get_title().get_text()
+    assert " ".join(title.split()) == "oscillators excited at the start"
+
+
+def test_a_branch_over_a_sweep_leaves_the_legend_its_title():
+    data = single()
+    axes = plot_sweep(data, hue="displacement")
+    plot_branch(cycle_branch(1), ax=axes)
+    assert legend(axes)[-4:] == ["stable", "unstable", "fold", "Hopf point"]
+    assert legend_of(axes).get_title().get_text() == "displacement\n$\\tilde x_n$ (–)"
+
+
+def test_many_series_have_a_colour_bar_and_as_many_colours():
+    data = ladder()
+    axes = plot_sweep(data, "active_share", "excited", hue="belt_speed")
+    assert data.sizes["belt_speed"] > len(SERIES)
+    shades = {line.get_color() for line in axes.get_lines()}
+    assert len(shades) == data.sizes["belt_speed"]
+    assert axes.get_legend() is None
+    (bar,) = [other for other in axes.figure.axes if other is not axes]
+    assert bar.get_ylabel() == r"belt speed $\tilde v_d$ (–)"
+    for row, height in zip(data.active_count.values, heights(axes), strict=True):
+        np.testing.assert_allclose(height, row / 6, rtol=1e-15)
+
+
+def test_every_value_of_every_dimension_is_somewhere():
+    data = results(
+        {"belt_speed": [1.0, 1.2], "damping_ratio": [0.04, 0.05, 0.06], "excited": [0, 1, 2, 3]},
+        np.tile([0, 1, 2, 3], (2, 3, 1)), 3,
+    )  # fmt: skip
+    data["energy"] = data.energy + np.arange(24.0).reshape(2, 3, 4)  # all different
+    for order in itertools.permutations(data.energy.dims):
+        names = dict(zip(("x", "hue", "col"), order, strict=True))
+        panels = plot_sweep(data, "energy", **names)
+        assert panels.shape == (data.sizes[names["col"]],)
+        drawn = np.concatenate([np.concatenate(heights(axes)) for axes in panels.ravel()])
+        np.testing.assert_array_equal(np.sort(drawn), np.sort(data.energy.values.ravel()))
+    panels = plot_sweep(data)
+    assert panels.shape == (4, 3)  # rows, columns
+    assert panels[2, 1].get_title() == "excited = 2\n$\\xi$ = 0.05"
+    np.testing.assert_array_equal(heights(panels[2, 1])[0], data.energy[:, 1, 2])
+
+
+def test_on_axes_that_are_given_a_dimension_without_a_place_is_named():
+    data = ladder()
+    given = Figure().subplots()
+    with pytest.raises(ValueError, match="dimension `excited` of 7 values"):
+        plot_sweep(data, ax=given)
+    with pytest.raises(ValueError, match="dimension `oscillator` of 6 values"):
+        plot_sweep(data, "amplitude", hue="excited", ax=given)
+    assert not given.get_lines()
+    assert plot_sweep(data.sel(excited=3), ax=given) is given
+    three = Figure().subplots(1, 3)
+    few = data.isel(excited=[1, 2, 3])
+    assert plot_sweep(few, col="excited", ax=three).tolist() == three.tolist()
+
+
+@pytest.mark.parametrize("layout", [None, "constrained"])
+def test_a_legend_stands_within_the_page_whatever_lays_it_out(layout):
+    data = ladder().isel(excited=[1, 2, 3])
+    page = Figure(layout=layout)
+    left, right = page.subplots(1, 2)
+    plot_sweep(data, hue="excited", ax=left)
+    page.draw_without_rendering()
+    beside = legend_of(left).get_window_extent().x0 > left.get_window_extent().x1 - 1
+    assert beside == (layout is not None)
+    assert legend_of(left).get_window_extent().x1 < right.get_window_extent().x0
+    page = Figure(layout=layout)
+    panels = page.subplots(1, 2)
+    runs = ladder().isel(excited=[1, 2, 3], belt_speed=[0, 3], oscillator=[0, 1])
+    plot_sweep(runs, "amplitude", "excited", hue="belt_speed", col="oscillator", ax=panels)
+    page.draw_without_rendering()
+    (own,) = page.legends or [legend_of(panels[0])]
+    assert own.get_window_extent().x1 <= page.bbox.x1 + 1
+
+
+def test_what_has_not_run_yet_is_not_called_failed():
+    data = results({"belt_speed": [1.0, 1.1, 1.2]}, np.array([1, 1, 1]), 1)
+    data["result"][:2] = [NAMES.index("pending"), NAMES.index("nonfinite")]
+    runs, *crosses = plot_sweep(data).get_lines()
+    np.testing.assert_array_equal(height(runs), [np.nan, np.nan, 1.5])
+    where = {line.get_label(): across(line).tolist() for line in crosses}
+    assert where == {"not run": [1.0], "failed": [1.1]}
+
+
+def test_what_is_swept_together_is_drawn_over_one_of_them():
+    data = results({"sample": [0, 1, 2]}, [0, 1, 2], 2).drop_vars("sample")
+    data = data.assign_coords(belt_speed=("sample", [1.3, 1.1, 1.2]))
+    (line,) = plot_sweep(data, x="belt_speed").get_lines()
+    np.testing.assert_array_equal(across(line), [1.3, 1.1, 1.2])
+    np.testing.assert_array_equal(height(line), data.energy)
+    with pytest.raises(ValueError, match="`sample` is drawn already"):
+        plot_sweep(data, x="belt_speed", hue="sample")
+
+
+def test_one_oscillator_shows_its_amplitude_in_si_if_asked():
+    data = single()
+    data["belt_speed"].attrs["units"] = "x0 omega_n"
+    data["amplitude"].attrs["units"] = "x0"
+    axes = plot_sweep(data.isel(displacement=-1), scales=SCALES)
+    assert axes.get_xlabel() == "belt speed $v_d$ (m/s)"
+    assert axes.get_ylabel() == "vibration amplitude $A_n$ (m)"
+    (line,) = axes.get_lines()
+    np.testing.assert_allclose(across(line), 0.5 * data.belt_speed, rtol=1e-14)
+    known = data.amplitude.isel(displacement=-1, oscillator=0)
+    np.testing.assert_allclose(height(line), 0.05 * known, rtol=1e-14)
+
+
+def test_segments_of_the_same_run_are_joined():
+    data = results({"belt_speed": [1.0], "segment": [1, 2, 3]}, [[1, 1, 1]], 1)
+    (line,) = plot_sweep(data, x="segment").get_lines()
+    assert line.get_linestyle() == "-"
+
+
+def test_a_variable_tells_all_runs_of_one_panel_apart():
+    data = ladder()
+    axes = plot_sweep(data, hue="active_count")
+    assert isinstance(axes, Axes)
+    counts = np.unique(data.active_count)
+    assert legend(axes) == [str(int(count)) for count in counts]
+    assert legend_of(axes).get_title().get_text() == "vibrating\noscillators"
+    speeds = data.belt_speed.broadcast_like(data.energy)
+    for count, line in zip(counts, axes.get_lines(), strict=True):
+        here = data.active_count.transpose(*data.energy.dims).values == count
+        drawn = sorted(zip(across(line), height(line), strict=True))
+        assert drawn == sorted(zip(speeds.values[here], data.energy.values[here], strict=True))
+
+
+def test_a_variable_has_the_same_colours_in_all_panels_and_a_bar_for_many_values():
+    data = ladder()
+    data["energy"] = data.energy + np.linspace(0.0, 1.0, 70).reshape(10, 7)
+    for hue in ("active_count", "energy"):
+        panels = plot_sweep(data, "energy", "excited", hue=hue, col="belt_speed")
+        drawn = [
+            (point, line.get_color())
+            for axes in panels
+            for line in axes.get_lines()
+            for point in height(line)
+        ]
+        assert sorted(point for point, _ in drawn) == sorted(data.energy.values.ravel())
+        of = {}
+        for point, colour in drawn:
+            value = data[hue].values[data.energy.values == point][0]
+            assert of.setdefault(value, colour) == colour
+        # A bar has 256 shades.
+        assert len(set(of.values())) == (7 if hue == "active_count" else pytest.approx(50, abs=10))
+    bar = page_of(panels[0]).axes[-1]
+    assert bar.get_ylabel() == r"vibration energy $\tilde E$ (–)"
+
+
+def test_a_run_without_a_value_of_the_hue_is_drawn_grey_and_a_failed_one_as_failed():
+    data = ladder()
+    data["shade"] = data.active_count.astype(float)
+    data["shade"][0, 0] = np.nan
+    data["result"][1, 1] = NAMES.index("nonfinite")
+    axes = plot_sweep(data, hue="shade")
+    *_, unknown, failed = axes.get_lines()
+    assert legend(axes)[-2:] == ["unknown", "failed"]
+    assert height(unknown).tolist() == [float(data.energy[0, 0])]
+    assert across(failed).tolist() == [float(data.belt_speed[1])]
+    assert sum(len(height(line)) for line in axes.get_lines()) - 1 == data.energy.size
+    with pytest.raises(ValueError, match="`hue` = 'amplitude' has the dimension `oscillator`"):
+        plot_sweep(data, hue="amplitude")
+
+
+def test_words_are_told_apart_by_name():
+    names = [f"state {k}" for k in range(9)]
+    data = results({"belt_speed": [1.0, 1.2], "state": names}, np.zeros((2, 9), int), 1)
+    axes = plot_sweep(data, hue="state")
+    assert legend(axes) == names
+    assert len({line.get_color() for line in axes.get_lines()}) == 9
+    assert plot_sweep(data.isel(belt_speed=0), x="state").get_xscale() == "linear"
+
+
+def test_times_are_joined_within_one_run_only():
+    data = ladder().rename(belt_speed="segment")
+    for hue, style in (("excited", "-"), ("active_count", "None")):
+        assert {line.get_linestyle() for line in plot_sweep(data, hue=hue).get_lines()} == {style}
+
+
+def test_a_number_that_spans_decades_has_a_logarithmic_axis():
+    data = results({"width": [1e-4, 1e-3, 1e-2]}, [1, 1, 1], 1)
+    assert plot_sweep(data).get_xscale() == "log"
+
+
+def test_without_amplitudes_nobody_is_called_at_rest():
+    data = shaken()[["active_count", "result", "steps"]]
+    (axes,) = named_panels(figure({"single": data}))
+    assert not labelled(axes, "at rest")
+    assert len(where(*labelled(axes, plot.NONE_VIBRATES))) == 8
+    assert "at rest" not in summary("single", data)
+    assert "weak          at belt speeds 1.3 to 1.9: no mass above" in summary("single", data)
+
+
+def test_more_panels_than_are_legible_are_refused():
+    data = single().rename(displacement="pull")
+    with pytest.raises(ValueError, match="at most 24 panels"):
+        plot_sweep(data.isel(pull=np.zeros(30, int)))
+    axes = {name: [0.1, 0.2] for name in ("belt_speed", "coupling", "width", "v_ref", "mu_static")}
+    with pytest.raises(ValueError, match=r"dimension `v_ref` of 2 values and `mu_static` of 2"):
+        plot_sweep(results(axes, np.zeros((2,) * 5, int), 2))

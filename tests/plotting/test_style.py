@@ -5,7 +5,7 @@ import pytest
 import xarray as xr
 
 from jaxchain.model.units import Scales
-from jaxchain.plotting.labels import axis, value_of
+from jaxchain.plotting.style import axis, value_of
 
 SCALES = Scales.from_dimensional(
     mass=2.0, damping=2.0, stiffness=200.0, coupling_stiffness=2.0, normal_load=10.0
@@ -32,12 +32,6 @@ def test_an_axis_has_words_symbol_and_unit(name, unit, plain, factor, label):
     found, text = axis(name, {"units": unit}, SCALES)
     assert found == pytest.approx(factor, rel=1e-14)
     assert text == label
-
-
-def test_what_has_no_unit_gets_none_and_long_words_two_lines():
-    assert axis("state", {}, None)[1] == "state"
-    _, label = axis("share", {"long_name": "share of the starts that end in the state"}, None)
-    assert label == "share of the starts that end in the\nstate"
 
 
 def test_a_value_is_told_with_its_symbol_or_its_name():
