@@ -16,7 +16,6 @@ What most scripts need stands here.  Everything else stands in its room:
 - `inverse`: design and identification
 - `plotting`: figures, drawings, films
 - `scenes`: experiments as TOML files
-- `studies`: questions that take more than one sweep
 
 `help(jaxchain.boundaries)` lists a room's files and names.  Nothing is imported before it is
 asked for.
@@ -31,7 +30,7 @@ __version__ = "0.1.0"
 
 ROOMS = (
     "model", "continuation", "observers", "solvers", "simulation", "sweeps", "cycles",
-    "boundaries", "chaos", "localization", "basins", "inverse", "plotting", "scenes", "studies",
+    "boundaries", "chaos", "localization", "basins", "inverse", "plotting", "scenes",
 )  # fmt: skip
 
 _show, __dir__, _shown = lazy_loader.attach_stub(__name__, __file__)

@@ -11,7 +11,6 @@ from . import plotting as plotting
 from . import scenes as scenes
 from . import simulation as simulation
 from . import solvers as solvers
-from . import studies as studies
 from . import sweeps as sweeps
 from ._configure import configure as configure
 from .boundaries.fold import fold_belt_speed as fold_belt_speed

@@ -1,49 +1,30 @@
 """The `jaxchain` command.
 
-A subcommand imports what it needs: help, and the list of scenes, are there at once.
+A subcommand imports what it needs: help, and the list of scenes, are printed at once.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
+import importlib.util
 import json
+import os
+import shlex
+import signal
 import sys
+import tempfile
+import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from . import __version__
-from ._commands import basin_words, boundary_words
-from ._commands import scenes as scene_commands
-from ._commands.scenes import add_no_cache, add_scene_options, configure_for
-from ._terminal import run_command
+from . import __version__, _answers
+from ._configure import configure
+from ._limits import MOST_WORKERS
 from .model.parameters import parameter
-from .scenes.errors import SceneError
+from .scenes.files import SceneError, builtin_scenes, read_scene, scene_file
 
-_RUN_MORE = """\
-examples:
-  jaxchain run quickstart          a ring of six: data and a figure, in seconds
-  jaxchain run quickstart --output first --set experiment.ladder.chain.n=10
-  jaxchain run first               the same again, into results/quickstart
-
-exit status:
-  0              done
-  1              a study, a figure, a store, or the writing of results failed
-  2              a scene, an option or a folder is wrong
-  130, 143, 129  stopped by Ctrl-C, SIGTERM, a closed terminal: what had ended is saved
-
-An experiment of more than 4096 runs is kept in a store as its runs end, unless the scene says
-numerics.store = false: `jaxchain status` tells how far it is, and `jaxchain resume` goes on where
-a run was cut off.
-"""
-_RESUME_MORE = """\
-examples:
-  jaxchain resume results/first    what `jaxchain run ... --output results/first` has left
-  jaxchain resume results/first & jaxchain resume results/first
-                                   two processes, which share what is left
-
-exit status: as that of `jaxchain run`
-"""
 _EXAMPLES = """\
 examples:
   jaxchain run quickstart          a first look, in seconds: results/quickstart
@@ -53,7 +34,13 @@ examples:
   jaxchain resume results/mine     goes on where one was cut off
   jaxchain report results/mine     renews its report.html
   jaxchain COMMAND --help          the options of a command
+
+exit status: 0 done, 1 failed, 2 misused, 130 stopped: what had ended is saved
 """
+
+
+class _MisusedError(Exception):
+    """An argument of the command line is wrong."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -62,145 +49,121 @@ def main(argv: Sequence[str] | None = None) -> int:
     **Returns:** the exit status:
 
     - 0: done;
-    - 1: failed: a study, a figure, results that could not be written where they were wanted,
-      output on a full disk;
+    - 1: failed: a figure, results that could not be written, output that is no longer read;
     - 2: misused: a scene, an option, a folder that cannot be made;
-    - 130, 143, 129: stopped by Ctrl-C, SIGTERM or a closed terminal; what had ended is saved.
+    - 130: stopped by Ctrl-C, SIGTERM or a closed terminal; what had ended is saved.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
-    # What `run` has done is in its folder; of other commands the print is all there is.
-    return run_command(
-        lambda: _run_command(arguments), print_matters=arguments[:1] not in (["run"], ["resume"])
-    )
-
-
-def _run_command(arguments: list[str]) -> int:
-    options = _parser().parse_args(arguments, argparse.Namespace(arguments=arguments))
+    for number in (signal.SIGTERM, signal.SIGHUP):  # end a command as Ctrl-C does
+        if signal.getsignal(number) is signal.SIG_DFL:
+            signal.signal(number, signal.default_int_handler)
     try:
-        return options.command(options)
-    except SceneError as error:
-        print(f"jaxchain: {error}", file=sys.stderr)
+        options = _parser().parse_args(arguments, argparse.Namespace(arguments=arguments))
+        status = options.command(options) or 0
+        sys.stdout.flush()
+        return status
+    except BrokenPipeError:  # the reader of the output has gone: Python must not flush at exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except KeyboardInterrupt:
+        _complain("interrupted")
+        return 130
+    except (SceneError, _MisusedError) as error:
+        _complain(str(error))
         return 2
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="jaxchain",
-        description="Simulates chains of friction-excited oscillators.",
-        epilog=_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    layout: Any = {"formatter_class": argparse.RawDescriptionHelpFormatter, "epilog": _EXAMPLES}
+    about = "Simulates chains of friction-excited oscillators."
+    parser = argparse.ArgumentParser("jaxchain", description=about, **layout)
     parser.add_argument("--version", action="version", version=f"jaxchain {__version__}")
-    parser.set_defaults(command=lambda options: parser.print_help() or 0)
+    parser.set_defaults(command=lambda options: parser.print_help())
     commands = parser.add_subparsers(metavar="COMMAND")
 
-    run = commands.add_parser(
-        "run",
-        help="run a scene or study and draw its figure",
-        description="Runs a scene or a study.",
-        epilog=_RUN_MORE,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    run.add_argument(
-        "scene",
-        help="name of a built-in scene or study, a TOML file, or a folder with results, to run "
-        "again what was run there",
-    )
-    run.add_argument(
-        "--output", metavar="DIR", type=_folder, help="folder for the results (results/SCENE)"
-    )
-    run.add_argument(
-        "--set", metavar="KEY=VALUE", action="append", default=[], dest="overrides",
-        help="change a key of the scene, e.g. experiment.ladder.chain.n=40 (repeatable)",
-    )  # fmt: skip
-    add_scene_options(run)
-    run.set_defaults(command=scene_commands.run)
+    def add(command: Callable[..., int | None], text: str, *options: Any) -> Any:
+        one = commands.add_parser(
+            command.__name__.strip("_"), help=text.partition(".")[0], description=text, **layout
+        )
+        one.set_defaults(command=command)
+        for option in options:
+            option(one)
+        return one
 
-    resume = commands.add_parser(
-        "resume",
-        help="go on with a run that was cut off, or help one that is under way",
-        description="Goes on with a run that was cut off, in its own folder: what is there stays, "
-        "what is missing is computed. Any number of processes may do so at once, also on several "
-        "computers that share a disk.",
-        epilog=_RESUME_MORE,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    resume.add_argument("folder", help="folder of results, or a store in it")
-    add_scene_options(resume)
-    resume.set_defaults(command=scene_commands.resume)
-
-    status = commands.add_parser(
-        "status",
-        help="what is done of a run with stores, how fast, and what is left",
-        description="Tells what is done of the stores of a run, by whom and how fast, while it is "
-        "under way or afterwards.",
-    )
+    run = add(_run, "Run a scene and draw its figure.", _add_scene_options)
+    help_ = "name of a built-in scene, a TOML file, or a folder with results, to run again"
+    run.add_argument("scene", help=help_)
+    run.add_argument("--output", metavar="DIR", type=_folder, help="folder (results/SCENE)")
+    help_ = "change a key, e.g. experiment.ladder.chain.n=40 (repeatable)"
+    run.add_argument("--set", metavar="KEY=VALUE", action="append", default=[], help=help_)
+    text = "Go on with a run that was cut off. What is there stays, what is missing is computed."
+    resume = add(_resume, text, _add_scene_options)
+    resume.add_argument("folder", help="folder of results")
+    status = add(_status, "Show how much of a run with stores is done.", _add_json)
     status.add_argument("folder", help="folder of results, or a store")
-    status.add_argument("--json", action="store_true", help="print one JSON object")
-    status.set_defaults(command=scene_commands.status)
-
-    report = commands.add_parser(
-        "report",
-        help="write report.html of a folder of results anew",
-        description="Writes report.html of a folder of results anew, from what lies there: one "
-        "file that tells what was asked and what was found, and opens without a network.",
-    )
+    report = add(_report, "Write report.html of a folder of results anew.")
     report.add_argument("folder", help="folder of results")
-    report.set_defaults(command=_report)
-
-    scenes = commands.add_parser(
-        "scenes",
-        help="list the built-in scenes and studies",
-        description="Shows the built-in scenes and studies.",
-    )
+    scenes = add(_scenes, "List the built-in scenes.")
     scenes.add_argument("scene", nargs="?", help="print this scene file, to start one's own from")
-    scenes.add_argument(
-        "--schema",
-        action="store_true",
-        help="print the JSON schema of scene files, or of the files of a study, for editors",
-    )
-    scenes.set_defaults(command=_scenes)
+    scenes.add_argument("--schema", action="store_true", help="print the JSON schema, for editors")
 
-    boundary = commands.add_parser(
-        "boundary",
-        help="at which belt speeds vibration starts by itself, and up to which it survives",
-        description="Finds the Hopf speed and the fold of a chain: at the width asked and for dry "
-        "friction, with error bars. Without options: one mass with the paper's parameters.",
+    boundary = add(
+        _boundary,
+        "Find the belt speeds where vibration starts and up to which it survives.\nThe Hopf speed "
+        "and the fold, at the width asked and for dry friction, with error bars.\nWithout "
+        "options: one mass with the paper's parameters.",
     )
     boundary.add_argument("--n", type=int, default=1, help="number of masses in the ring (1)")
-    _add_numbers(boundary, boundary_words.NUMBERS)
-    boundary.add_argument("--json", action="store_true", help="print one JSON object")
-    add_no_cache(boundary)
-    boundary.set_defaults(command=_boundary)
-
-    basins = commands.add_parser(
-        "basins",
-        help="from how many starts one mass slides, and how hard one must push it",
-        description="Finds the exact share of a box of starts from which one mass comes to slide "
-        "steadily, and the gentlest blows that make it vibrate: at the width asked and for dry "
-        "friction. Without options: the paper's parameters.",
+    _add_numbers(boundary, _answers.BOUNDARY)
+    basins = add(
+        _basins,
+        "Find from how many starts one mass slides, and how hard one must push it.\nThe exact "
+        "share of a box of starts, and the gentlest blows that make it vibrate: at the width\n"
+        "asked and for dry friction. Without options: the paper's parameters.",
     )
-    _add_numbers(basins, basin_words.NUMBERS)
-    for name, usual in (("displacement", (-2.0, 2.0)), ("velocity", (0.0, 2.0))):
-        basins.add_argument(
-            f"--{name}", type=float, nargs=2, metavar=("LOW", "HIGH"), default=usual,
-            help=f"{name} of the starts ({usual[0]:g} {usual[1]:g})",
-        )  # fmt: skip
-    basins.add_argument("--json", action="store_true", help="print one JSON object")
-    add_no_cache(basins)
-    basins.set_defaults(command=_basins)
-
+    _add_numbers(basins, _answers.BASINS)
+    for name, low in (("displacement", -2.0), ("velocity", 0.0)):
+        box: Any = {"nargs": 2, "metavar": ("LOW", "HIGH"), "default": (low, 2.0)}
+        basins.add_argument(f"--{name}", type=float, help=f"of the starts ({low:g} 2)", **box)
     return parser
 
 
+def _add_scene_options(parser: argparse.ArgumentParser) -> None:
+    """The options of `run` and of `resume`."""
+    custom: Any = {"metavar": "FILE.py:CLASS"}
+    help_ = "your friction law, a subclass of jaxchain.model.AbstractFrictionLaw; runs the file"
+    parser.add_argument("--law", help=help_, **custom)
+    help_ = "your observer, a subclass of jaxchain.observers.AbstractObserver (repeatable)"
+    parser.add_argument("--observer", action="append", default=[], help=help_, **custom)
+    where = parser.add_mutually_exclusive_group()
+    help_ = "compute in N processes of this computer, into stores"
+    where.add_argument("--workers", metavar="N", type=_workers, help=help_)
+    help_ = "compute in the workers of a Dask scheduler, such as tcp://host:8786"
+    where.add_argument("--scheduler", metavar="ADDRESS", type=_scheduler, help=help_)
+    parser.add_argument("--no-plot", action="store_true", help="compute and save only")
+    parser.add_argument("--netcdf", action="store_true", help="write SCENE.nc beside SCENE.zarr")
+    parser.add_argument("--quiet", action="store_true", help="print errors only")
+    _add_no_cache(parser)
+
+
+def _add_no_cache(parser: argparse.ArgumentParser) -> None:
+    help_ = "keep no compiled programs in XDG_CACHE_HOME/jaxchain or ~/.cache/jaxchain"
+    parser.add_argument("--no-cache", action="store_true", help=help_)
+
+
+def _add_json(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
 def _add_numbers(parser: argparse.ArgumentParser, names: Sequence[str]) -> None:
-    """An option for each of these numbers of a chain."""
+    """An option for each of these numbers of a chain, and those of all such commands."""
     for row in map(parameter, names):
         alone = row.per != "spring"
-        parser.add_argument(
-            f"--{row.name.replace('_', '-')}", type=float, default=row.usual if alone else None,
-            help=f"{row.long_name} ({row.usual}{'' if alone else ' for several masses'})",
-        )  # fmt: skip
+        help_ = f"{row.long_name} ({row.usual}{'' if alone else ' for several masses'})"
+        option, usual = f"--{row.name.replace('_', '-')}", row.usual if alone else None
+        parser.add_argument(option, type=float, default=usual, help=help_)
+    _add_json(parser)
+    _add_no_cache(parser)
 
 
 def _folder(text: str) -> Path:
@@ -213,80 +176,214 @@ def _folder(text: str) -> Path:
     return path
 
 
-def _scenes(options: argparse.Namespace) -> int:
-    from .scenes.files import builtin_scenes, read_scene, scene_file
-
-    wanted, builtin = options.scene, builtin_scenes()
-    if not options.schema and wanted is None:
-        for name in builtin:
-            _, data = read_scene(name)
-            print(f"{name:<12} {data['title']}")
-        return 0
-    # Here, as it takes longer than all of the list.
-    from .scenes.reading import load_scene, schema
-    from .scenes.scene import Scene
-
-    if options.schema:
-        model = Scene if wanted is None else type(load_scene(wanted).scene)
-        print(json.dumps(schema(model), indent=2))
-    else:
-        load_scene(wanted)
-        print(scene_file(wanted).read_text(encoding="utf-8"), end="")
-    return 0
+def _workers(text: str) -> int:
+    count = int(text) if text.isascii() and text.isdecimal() else 0
+    if not 1 <= count <= MOST_WORKERS:
+        raise argparse.ArgumentTypeError(f'must be a number of processes, but is "{text}"')
+    return int(_scheduler(text))
 
 
-def _boundary(options: argparse.Namespace) -> int:
-    def make() -> Any:
-        from .boundaries.overview import hopf_and_fold
-
-        if options.n == 1 and options.coupling is not None:
-            raise ValueError(
-                f"Argument `coupling` is {options.coupling:g}, but one mass has no neighbours: "
-                "leave it out, or raise `n`."
-            )
-        coupling = 0.01 if options.coupling is None and options.n > 1 else options.coupling
-        # The belt speed has no part in it.
-        return hopf_and_fold, _chain(options, options.n, belt_speed=1.0, coupling=coupling)
-
-    def find(hopf_and_fold: Any, chain: Any) -> tuple[Any, ...]:
-        return chain, hopf_and_fold(chain)
-
-    return _tell(options, make, find, boundary_words)
+def _scheduler(text: str) -> str:
+    if importlib.util.find_spec("distributed") is None:
+        raise argparse.ArgumentTypeError("needs Dask: pip install 'jaxchain[dask]'")
+    return text
 
 
-def _report(options: argparse.Namespace) -> int:
-    from ._configure import configure
-    from .scenes.pages.page import renew_page
+def _run(options: argparse.Namespace) -> int:
+    from .scenes.scene import load_scene
 
-    # What the page says is found with the precision of the run.
-    configure(devices=0, whole_loops=False, cache=False)
+    # Before JAX is imported, so that a wrong scene is refused at once.
+    loaded = load_scene(options.scene, options.set)
+    _configure(options)
+    from .scenes.folder import claimed, was_cut_off
+    from .scenes.running import run_scene
+
+    wanted = options.output or Path("results") / loaded.name
+    how = _how(options, loaded.name)
+    code = [given for given in (options.law, *options.observer) if given]
+    files = [Path(given.rpartition(":")[0]) for given in code]
+
+    def call(folder: Path, client: Any) -> None:
+        if folder != wanted:
+            cut = f"the run in {wanted} was cut off: {_goes_on(wanted)}"
+            _complain(cut if was_cut_off(wanted) else f"{wanted} is in use")
+            _complain(f"the results go to {folder}")
+        run_scene(loaded, folder, own_files=files, client=client, **how)
+
+    return _filled(options, loaded.name, wanted, claimed(wanted), call)
+
+
+def _resume(options: argparse.Namespace) -> int:
+    from .scenes.scene import load_scene
+
     folder = Path(options.folder)
+    if not os.path.isdir(folder) or folder.suffix == ".zarr":  # which never raises
+        begins = "`jaxchain run` begins one; a store of Python's goes on by the same `sweep`"
+        raise SceneError(
+            options.folder, [f"must be a folder of results, to go on there: {begins}"]
+        )
+    loaded = load_scene(
+        os.path.join(".", folder)
+    )  # a folder, also where a built-in scene has its name
+    _configure(options)
+    from .scenes.running import resume_scene
+
+    how = _how(options, loaded.name)
+
+    def call(folder: Path, client: Any) -> None:
+        resume_scene(loaded, folder, client=client, **how)
+
+    return _filled(options, loaded.name, folder, contextlib.nullcontext(folder), call)
+
+
+def _how(options: argparse.Namespace, scene: str) -> dict[str, Any]:
+    """What `run_scene` and `resume_scene` are given."""
+    from .scenes.building import load_law, load_observer
+
+    kinds = [load_observer(given, scene) for given in options.observer]
+    if options.netcdf and importlib.util.find_spec("h5netcdf") is None:
+        raise _MisusedError("--netcdf needs h5netcdf: pip install 'jaxchain[netcdf]'")
+    if options.quiet:
+        warnings.simplefilter("ignore")
+    return {
+        "own_law": None if options.law is None else load_law(options.law, scene),
+        "own_observers": {kind.__name__: kind for kind in kinds},
+        "plot": not options.no_plot,
+        "netcdf": options.netcdf,
+        "progress": not options.quiet,
+        "report": (lambda text: None) if options.quiet else _print,
+        "command": shlex.join(["jaxchain", *options.arguments]),
+    }
+
+
+def _filled(
+    options: argparse.Namespace,
+    name: str,
+    wanted: Path,
+    claim: contextlib.AbstractContextManager[Path],
+    call: Callable[[Path, Any], None],
+) -> int:
+    """The exit status of what fills a folder of results, with words for what went wrong."""
+    from .scenes.folder import FigureError, Results, StorageError, listing, was_cut_off
+    from .sweeps.store import StoreError
+
+    folder, status = None, 1
     try:
-        print(renew_page(folder))
-    except ValueError as error:
-        print(f"jaxchain: {error}", file=sys.stderr)
-        return 2
+        with _client(options) as client, claim as folder:
+            call(folder, client)
+        status = 0
+    except KeyboardInterrupt:
+        _complain("interrupted")
+        status = 130
+    except StorageError as error:
+        _complain(str(error))
+        rescued = Results(Path(tempfile.mkdtemp(prefix="jaxchain-")), name)
+        for group, data in error.datasets.items():
+            rescued.save(group, data)
+            _complain(f"`{group}` is saved in {rescued.store} instead")
+    except (FigureError, StoreError, MemoryError) as error:
+        _complain(str(error))
+        status = 1 if folder else 2
+    except SystemExit as error:  # of a law or an observer
+        _complain(f"your own code ended the run (SystemExit: {error}): take out its `sys.exit`")
     except OSError as error:
-        print(f"jaxchain: cannot write {folder}: {error.strerror or error}", file=sys.stderr)
-        return 1
-    return 0
+        if folder:  # not of the folder, which has errors of its own
+            raise
+        _complain(f"cannot write into {wanted}: {error.strerror}")
+        status = 2
+    if folder and status and was_cut_off(folder):
+        _complain(f"what was finished is in {folder}: {_goes_on(folder)}")
+    elif folder and not status and not options.quiet:
+        _print(f"\nresults in {folder}: {', '.join(listing(folder))}")
+        for store in sorted(folder.glob("*.zarr")):
+            reader = "open_datatree" if store.name == f"{name}.zarr" else "open_zarr"
+            _print(f"open with xarray.{reader}({str(store)!r})")
+    return status
 
 
-def _basins(options: argparse.Namespace) -> int:
-    def make() -> Any:
-        from .basins.regions import Box
+def _client(options: argparse.Namespace) -> contextlib.AbstractContextManager[Any]:
+    """A client of the workers that were asked for, or None."""
+    if options.workers is None and options.scheduler is None:
+        return contextlib.nullcontext()
+    from .sweeps.dask_engine import cluster
 
-        chain = _chain(options, 1, belt_speed=options.belt_speed)
-        return chain, Box(tuple(options.displacement), tuple(options.velocity))
+    return cluster(options.workers, options.scheduler, not options.quiet)
 
-    def find(chain: Any, box: Any) -> tuple[Any, ...]:
-        from .basins.single_mass import sliding_basin
-        from .boundaries.overview import hopf_and_fold
 
-        kinds = chain, chain.with_(width=None)
-        return chain, box, *(sliding_basin(own, box) for own in kinds), hopf_and_fold(chain)
+def _goes_on(folder: Path) -> str:
+    return f"`{shlex.join(['jaxchain', 'resume', str(folder)])}` goes on with it"
 
-    return _tell(options, make, find, basin_words)
+
+def _status(options: argparse.Namespace) -> None:
+    from .sweeps.store import in_lines, status_of, store_named, stores_in
+
+    path = Path(options.folder)
+    one = store_named(path)
+    stores = stores_in(path) if one is None else [one]
+    if not stores:
+        raise _MisusedError(f"{path} is no store, and no folder that holds one")
+    states = [status_of(store) for store in stores]
+
+    text = json.dumps({"stores": states}, indent=2)
+    print(text if options.json else "\n".join(map(in_lines, states)))
+
+
+def _report(options: argparse.Namespace) -> None:
+    configure(devices=0, whole_loops=False, cache=False)  # the page has the precision of the run
+    from .scenes.report import renew_page
+
+    try:
+        print(renew_page(Path(options.folder)))
+    except (ValueError, OSError) as error:
+        raise _MisusedError(str(error)) from None
+
+
+def _scenes(options: argparse.Namespace) -> None:
+    if options.schema:
+        from .scenes.scene import schema
+
+        print(json.dumps(schema(), indent=2))
+    elif options.scene is None:
+        for name in builtin_scenes():
+            print(f"{name:<12} {read_scene(name)[1]['title']}")
+    else:
+        from .scenes.scene import load_scene
+
+        load_scene(options.scene)
+        print(scene_file(options.scene).read_text(encoding="utf-8"), end="")
+
+
+def _boundary(options: argparse.Namespace) -> None:
+    _configure(options)
+    from .boundaries.overview import hopf_and_fold
+
+    coupling = options.coupling
+    if options.n == 1 and coupling is not None:
+        raise _MisusedError(
+            f"Argument `coupling` is {coupling:g}, but one mass has no neighbours: leave it out, "
+            "or raise `n`."
+        )
+    coupling = 0.01 if coupling is None and options.n > 1 else coupling
+    # The belt speed has no part in it.
+    chain = _chain(options, options.n, belt_speed=1.0, coupling=coupling)
+    report = _answers.boundary_report(chain, hopf_and_fold(chain))
+    print(json.dumps(report) if options.json else _answers.boundary_text(report))
+
+
+def _basins(options: argparse.Namespace) -> None:
+    _configure(options)
+    from .basins.regions import Box
+    from .basins.single_mass import sliding_basin
+    from .boundaries.overview import hopf_and_fold
+
+    chain = _chain(options, 1, belt_speed=options.belt_speed)
+    try:
+        box = Box(tuple(options.displacement), tuple(options.velocity))
+    except ValueError as error:
+        raise _MisusedError(str(error)) from None
+    smoothed, dry = (sliding_basin(one, box) for one in (chain, chain.with_(width=None)))
+    report = _answers.basins_report(chain, box, smoothed, dry, hopf_and_fold(chain))
+    print(json.dumps(report) if options.json else _answers.basins_text(report))
 
 
 def _chain(options: argparse.Namespace, n: int, **numbers: Any) -> Any:
@@ -294,28 +391,25 @@ def _chain(options: argparse.Namespace, n: int, **numbers: Any) -> Any:
     from .model.chain import Chain
     from .model.friction import ExponentialDecay, TanhFriction
 
-    law = ExponentialDecay(options.mu_static, options.mu_dynamic, options.v_ref)
-    friction = TanhFriction(law, options.width)
-    return Chain(n, friction, damping_ratio=options.damping_ratio, **numbers)
-
-
-def _tell(
-    options: argparse.Namespace,
-    make: Callable[[], Any],
-    find: Callable[..., tuple[Any, ...]],
-    words: Any,
-) -> int:
-    """Prints in `words` what `find` finds of what `make` makes, or what is wrong with that."""
-    configure_for(options)
     try:
-        asked = make()
+        law = ExponentialDecay(options.mu_static, options.mu_dynamic, options.v_ref)
+        friction = TanhFriction(law, options.width)
+        return Chain(n, friction, damping_ratio=options.damping_ratio, **numbers)
     except ValueError as error:
-        print(f"jaxchain: {error}", file=sys.stderr)
-        return 2
-    try:
-        found = find(*asked)
-    except KeyboardInterrupt:
-        print("jaxchain: interrupted", file=sys.stderr)
-        return 130
-    print(json.dumps(words.report(*found)) if options.json else words.in_words(*found))
-    return 0
+        raise _MisusedError(str(error)) from None
+
+
+def _configure(options: argparse.Namespace) -> None:
+    configure(cache=not options.no_cache)
+    if options.no_cache:
+        import jax
+
+        jax.config.update("jax_enable_compilation_cache", False)
+
+
+def _print(text: str) -> None:
+    print(text, flush=True)
+
+
+def _complain(text: str) -> None:
+    print(f"jaxchain: {text}", file=sys.stderr)

@@ -1,8 +1,6 @@
 """The tables of docs/reference/datasets.md: what a dataset must hold, and what it does hold.
 
-A table stands below a heading.  Below "Study `ladder`" the headings name the parts by their inline
-code, and one that begins with "Each" stands for all others.  A name with an asterisk is that of a
-coordinate, "…" are the dimensions that are swept, and a row that ends in "*if ...*" may be absent.
+A table stands below a heading.  A name with an asterisk is that of a coordinate, "…" are the dimensions that are swept, and a row that ends in "*if ...*" may be absent.
 """
 
 from __future__ import annotations
@@ -85,17 +83,6 @@ def tables() -> dict[tuple[str, str], dict[str, Row]]:
                 row = Row(name, dims, unit, said[1], said[2] is not None)
                 found.setdefault((chapter, section), {})[name] = row
     return found
-
-
-def section_of(study: str, part: str) -> tuple[str, str]:
-    """The table of a part of a study."""
-    chapter = f"Study `{study}`"
-    sections = [section for own, section in tables() if own == chapter]
-    for section in sections:
-        if part in re.findall(r"`(\w+)`", section):
-            return chapter, section
-    (each,) = [section for section in sections if section.startswith("Each")]
-    return chapter, each
 
 
 def differences(said: dict[str, Row], found: Iterable[Row]) -> list[str]:

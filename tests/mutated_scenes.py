@@ -1,6 +1,6 @@
 """Scene files with mistakes, made from those that come with jaxchain: the same ones for a seed.
 
-A mutant is a file of the library with one to three mistakes, in its tables, in its text, or in
+A mutant is a built-in scene with one to three mistakes, in its tables, in its text, or in
 assignments of `--set`.  `fault` loads it and says what is wrong with how it was taken.
 """
 
@@ -19,9 +19,8 @@ from typing import Any
 import numpy as np
 
 from jaxchain.model.parameters import PARAMETERS
-from jaxchain.scenes.errors import SceneError
-from jaxchain.scenes.files import builtin_scenes, read_scene
-from jaxchain.scenes.reading import LoadedScene, load_scene
+from jaxchain.scenes.files import SceneError, builtin_scenes, read_scene
+from jaxchain.scenes.scene import LoadedScene, load_scene
 
 # What a refusal may take, and how long its text may be.
 MOST_SECONDS, MOST_CHARACTERS = 2.0, 100_000
@@ -43,6 +42,7 @@ TEXTS = [
     "a\x00b", "\u202e", "naïve", "ü" * 300, "x" * 100_000, "$\\frac$", "nan", "none", "CON",
 ]  # fmt: skip
 NAMES = [*TEXTS, "amplitude", "belt_speed", "__x", "-x", "x.y", "time", "main", "n", "2"]
+FILES = [".toml", "...toml", "a b.toml", "-.toml", "x", "ü.toml", "..toml", "a\nb.toml"]
 SWEPT = [*PARAMETERS, "excited", "displacement", "velocity", "n"]
 OTHERS = [
     True, False, [], {}, [[]], [{}], {"x": 1}, [1, 1], [0.5, 0.5], ["a", "a"], [math.nan],
@@ -104,18 +104,7 @@ def mutants(seed: int, count: int, first: int = 0) -> Iterator[Mutant]:
             elif kind == "set":
                 mutant.overrides.append(_assignment(data, rng))
             elif kind == "name":
-                mutant.name = rng.choice(
-                    [
-                        ".toml",
-                        "...toml",
-                        "a b.toml",
-                        "-.toml",
-                        "x",
-                        "ü.toml",
-                        "..toml",
-                        "a\nb.toml",
-                    ]
-                )
+                mutant.name = rng.choice(FILES)
         yield mutant
 
 
@@ -164,15 +153,8 @@ def _wrong(rng: random.Random) -> Any:
 
 def _misspelt(key: str, rng: random.Random) -> str:
     at = rng.randrange(len(key) + 1)
-    return rng.choice(
-        [
-            key[:at] + key[at + 1 :],
-            key.upper(),
-            key[:at] + "x" + key[at:],
-            key.title(),
-            rng.choice(NAMES),
-        ]
-    )
+    longer, shorter = key[:at] + "x" + key[at:], key[:at] + key[at + 1 :]
+    return rng.choice([shorter, key.upper(), longer, key.title(), rng.choice(NAMES)])
 
 
 def _change(data: dict[str, Any], rng: random.Random) -> str:
@@ -188,9 +170,7 @@ def _change(data: dict[str, Any], rng: random.Random) -> str:
         [35, 8, 8, 4, 10, 6, 3, 25, 6],
     )[0]
     if kind == "name":
-        named = [
-            p for p in tables if p[2][0] in ("experiment", "ensemble", "case") and len(p[2]) == 2
-        ]
+        named = [p for p in tables if p[2][0] == "experiment" and len(p[2]) == 2]
         where, key, path = rng.choice(named or tables)
         kind = "misspell"
     elif kind == "sweep":
@@ -209,20 +189,12 @@ def _change(data: dict[str, Any], rng: random.Random) -> str:
         where[new] = own
         said += f" -> {new[:50]!r}"
     elif kind == "list" and isinstance(value, list):
-        value[:] = rng.choice(
-            [
-                [],
-                value * 2,
-                value[::-1],
-                [list(value)],
-                value + value[:1],
-                [-v if isinstance(v, int | float) else v for v in value],
-            ]
-        )
+        negative = [-v if isinstance(v, int | float) else v for v in value]
+        more = [value * 2, value[::-1], [list(value)], value + value[:1]]
+        value[:] = rng.choice([[], *more, negative])
     elif kind == "wrap":
-        where[key] = rng.choice(
-            [[value], {"x": value}, {key if isinstance(key, str) else "x": value}]
-        )
+        name = key if isinstance(key, str) else "x"
+        where[key] = rng.choice([[value], {"x": value}, {name: value}])
     elif kind == "scale" and isinstance(value, int | float) and abs(value) < 1e100:
         where[key] = value * rng.choice([-1, 2, 3, 10, 1000, 10**6, 0.5, 0.1, 1e-3, 1e-6])
     else:
@@ -272,25 +244,18 @@ def _assignment(data: dict[str, Any], rng: random.Random) -> str:
 
 
 def built(loaded: LoadedScene) -> list[tuple[Any, Any]]:
-    """(chain, start) as a scene or study makes them before anything runs.
+    """(chain, start) as a scene makes them before anything runs.
 
     **Raises:** `SceneError` for what must not be run.
     """
-    from jaxchain.scenes.building import build_chain, build_initial, checked_chains
-    from jaxchain.scenes.registry import StudyTable
-    from jaxchain.scenes.scene import SweepTable
+    from jaxchain.scenes.building import build_initial, checked_chains
 
-    scene = loaded.scene
-    study = isinstance(scene, StudyTable)
-    if not study:
-        checked_chains(loaded)
-    parts = [part for _, part in scene] if study else scene.experiment.values()
     pairs = []
-    for part in parts:
-        if isinstance(part, SweepTable):
-            chain, initial, grid = build_chain(part), build_initial(part), part.grid()
-            names = {"excited", "displacement", "velocity"} & grid.keys()
-            pairs.append((chain, initial(chain, **{name: grid[name][0] for name in names})))
+    for name, chain in checked_chains(loaded).items():
+        experiment = loaded.scene.experiment[name]
+        start = {"excited", "displacement", "velocity"} & experiment.grid().keys()
+        first = {key: experiment.grid()[key][0] for key in start}
+        pairs.append((chain, build_initial(experiment)(chain, **first)))
     return pairs
 
 

@@ -1,35 +1,32 @@
 """The `jaxchain` command: what it prints, what it writes, and that it loses nothing."""
 
+import errno
 import json
 import os
 import re
-import resource
 import signal
 import subprocess
 import sys
 import tempfile
 from itertools import pairwise
 from pathlib import Path
-from typing import get_args
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray as xr
-import zarr
 from synthetic import results, stored
 
 import jaxchain
-from jaxchain import paper_chain, steady_sliding
+from jaxchain import SearchResult
+from jaxchain.basins import SlidingBasin, single_mass
 from jaxchain.boundaries import overview
 from jaxchain.cli import main
 from jaxchain.result import NAMES
-from jaxchain.scenes import building, running
+from jaxchain.scenes import running
 from jaxchain.scenes.files import builtin_scenes
-from jaxchain.scenes.reading import load_scene
-from jaxchain.scenes.storage import listing
-from jaxchain.scenes.tables import Solver
-from jaxchain.scenes.wording import LAWS
+from jaxchain.scenes.folder import MARKER, Results, listing, was_cut_off
+from jaxchain.scenes.scene import load_scene
 from jaxchain.sweeps import SweepInterrupted
 
 SCENE = """
@@ -81,7 +78,7 @@ def made_up_sweep(monkeypatch):
 def test_a_scene_becomes_datasets_a_figure_and_a_summary(workplace, capsys):
     assert main(["run", "two.toml", "--output", "out"]) == 0
     files = {file.name for file in Path("out").iterdir()}
-    assert files == {"report.html", "two.toml", "two.zarr", "two.nc", "two.png", "two.pdf"}
+    assert files == {"report.html", "two.toml", "two.zarr", "two.png", "two.pdf"}
     found = stored(Path("out/two"))
     ring, one = found["second"], found["first"]
     assert ring.energy.dims == ("belt_speed", "excited")
@@ -96,9 +93,7 @@ def test_a_scene_becomes_datasets_a_figure_and_a_summary(workplace, capsys):
     printed = capsys.readouterr()
     assert "second: A ring of three" in printed.out
     assert "6 (2 belt_speed x 3 excited)" in printed.out
-    assert (
-        "results in out: report.html, two.nc, two.pdf, two.png, two.toml, two.zarr" in printed.out
-    )
+    assert "results in out: report.html, two.pdf, two.png, two.toml, two.zarr" in printed.out
 
 
 def test_results_are_never_overwritten(workplace, made_up_sweep, capsys):
@@ -107,30 +102,11 @@ def test_results_are_never_overwritten(workplace, made_up_sweep, capsys):
         assert Path("results", folder, "two.zarr").exists()
     said = capsys.readouterr().err.splitlines()
     assert said == [
-        "jaxchain: results/two is in use, the results go to results/two-2",
-        "jaxchain: results/two is in use, the results go to results/two-3",
+        "jaxchain: results/two is in use",
+        "jaxchain: the results go to results/two-2",
+        "jaxchain: results/two is in use",
+        "jaxchain: the results go to results/two-3",
     ]
-
-
-def test_an_empty_folder_is_used_and_a_file_in_the_way_is_not_touched(workplace, made_up_sweep):
-    Path("empty").mkdir()
-    Path("file").write_text("mine", encoding="utf-8")
-    assert main(["run", "two.toml", "--output", "empty", "--no-plot"]) == 0
-    assert main(["run", "two.toml", "--output", "file", "--no-plot"]) == 0
-    for folder in (Path("empty"), Path("file-2")):
-        files = {file.name for file in folder.iterdir()}
-        assert files == {"report.html", "two.toml", "two.zarr", "two.nc"}
-    assert Path("file").read_text(encoding="utf-8") == "mine"
-
-
-def test_every_experiment_is_a_group_and_the_root_says_whose_they_are(workplace, made_up_sweep):
-    assert main(["run", "two.toml", "--no-plot"]) == 0
-    root = zarr.open_consolidated("results/two/two.zarr", mode="r")
-    assert root.attrs["title"] == "Two experiments"
-    assert set(root.group_keys()) == {"first", "second"}
-    assert not list(root.array_keys())
-    for name, data in stored(Path("results/two/two")).items():
-        assert data.attrs["experiment"] == name
 
 
 def test_what_was_run_is_written_before_anything_is_computed(workplace, monkeypatch):
@@ -159,7 +135,7 @@ def test_a_folder_of_results_is_run_again_bit_for_bit(workplace, capsys):
     assert one.attrs["definition"] == other.attrs["definition"]
     for key, values in one.variables.items():
         assert values.values.tobytes() == other[key].values.tobytes(), key
-    with xr.open_datatree("results/two-2/two.nc") as tree:
+    with xr.open_datatree("results/two-2/two.zarr") as tree:
         assert tree.attrs["command"] == "jaxchain run results/two --no-plot --quiet"
         assert tree.attrs["started"] <= tree.attrs["ended"]
         assert json.loads(tree.attrs["versions"])["jaxchain"] == jaxchain.__version__
@@ -173,77 +149,33 @@ def test_a_folder_of_results_is_run_again_bit_for_bit(workplace, capsys):
     assert capsys.readouterr().out == Path("results/two-3/two.toml").read_text(encoding="utf-8")
 
 
-LAW = """
-from jaxchain.model import AbstractFrictionLaw
-
-
-class Mine(AbstractFrictionLaw):
-    mu_dynamic: float
-
-    @property
-    def mu_static(self):
-        return self.mu_dynamic
-
-    def coefficient(self, speed):
-        return self.mu_dynamic + 0.0 * speed
-"""
-
-
-def test_a_law_in_the_place_of_that_of_the_scene_is_asked_for_again(
-    workplace, made_up_sweep, capsys
-):
-    Path("two.toml").write_text(SCENE.partition("[experiment.second]")[0], encoding="utf-8")
-    Path("laws.py").write_text(LAW, encoding="utf-8")
-    assert main(["run", "two.toml", "--law", "laws.py:Mine", "--no-plot", "--quiet"]) == 0
-    own = {"law": "own", "mu_dynamic": 0.5, "width": 0.1}
-    assert load_scene("results/two").scene.experiment["first"].chain.friction.model_dump() == own
-    data = stored(Path("results/two/two"))["first"]
-    assert json.loads(data.attrs["definition"])["chain"]["friction"] == own
-    assert main(["run", "results/two", "--no-plot", "--quiet"]) == 2
-    assert "must be named on the command line: --law" in capsys.readouterr().err
-    again = ["run", "results/two", "--no-plot", "--quiet", "--law", "results/two/laws.py:Mine"]
-    assert main(again) == 0
-    assert Path("results/two-2/laws.py").read_text(encoding="utf-8") == LAW
-
-
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (
-            ["resume", "two.toml"],
-            "two.toml .*must be a folder of results, .* `jaxchain run`",
-        ),
-        (["resume", "quickstart"], "must be a folder of results"),
+        (["resume", "two.toml"], "two.toml .*must be a folder of results, .* `jaxchain run`"),
+        (["resume", "sweep.zarr"], "a store of Python's goes on by the same `sweep`"),
         (["resume", "/"], "is a folder without a scene"),
         (["resume", "x" * 300], "must be a folder of results"),
         (["status", "/"], "^jaxchain: / is no store, and no folder that holds one"),
         (["status", "x" * 300], "is no store, and no folder that holds one"),
-        (["status", "odd.zarr"], "is no store, and no folder that holds one"),
+        (["run", "empty"], "is a folder without a scene: it holds no TOML file"),
         (["run", "two.toml", "--law", f"{'x' * 300}.py:A"], "there is no file xxx"),
+        (["run", "two.toml", "--output", "two.toml/b"], "cannot write into .*: Not a directory"),
     ],
 )
 def test_what_is_no_folder_of_results_is_a_readable_error(workplace, capsys, arguments, said):
-    Path("odd.zarr/jaxchain").mkdir(parents=True)
-    Path("odd.zarr/jaxchain/zarr.json").write_text('{"a": 1}')
+    Path("empty").mkdir()
+    Path("sweep.zarr").mkdir()
     assert main(arguments) == 2
     assert re.search(said, capsys.readouterr().err.replace("\n", " "))
-
-
-def test_a_folder_without_a_scene_is_a_readable_error(workplace, capsys):
-    Path("empty").mkdir()
-    assert main(["run", "empty"]) == 2
-    assert "is a folder without a scene: it holds no TOML file" in capsys.readouterr().err
 
 
 def test_a_run_ends_with_a_line_that_opens_what_it_found(workplace, made_up_sweep, capsys):
     assert main(["run", "two.toml", "--no-plot", "--output", "it's here"]) == 0
     *_, files, last = capsys.readouterr().out.splitlines()
-    line, more = last.removeprefix("open with ").split("; ")
-    assert files == "results in it's here: report.html, two.nc, two.toml, two.zarr"
-    assert more == "two.nc holds the same"
-    for code in (line, line.replace(".zarr", ".nc")):
-        with eval(code, {"xarray": xr}) as tree:
-            assert set(tree.children) == {"first", "second"}
+    assert files == "results in it's here: report.html, two.toml, two.zarr"
+    with eval(last.removeprefix("open with "), {"xarray": xr}) as tree:
+        assert set(tree.children) == {"first", "second"}
 
 
 def test_what_the_scene_says_reaches_the_sweep(workplace, made_up_sweep):
@@ -264,29 +196,6 @@ def test_what_the_scene_says_reaches_the_sweep(workplace, made_up_sweep):
     assert (chain.n, chain.ends, float(chain.width)) == (3, "free", 0.2)
     np.testing.assert_array_equal(chain.coupling, [0.01, 0.02])
     assert call["over"]["width"].tolist() == [0.2, 0.1]
-
-
-@pytest.mark.parametrize(
-    ("initial", "displacements", "velocity"),
-    [
-        ('{ kind = "equation_8", excited = 2 }', [0, 2, -2], 0),
-        ('{ kind = "equation_10", excited = 2, block = "centred" }', [-2, 2, 0], 0.56),
-        ('{ kind = "excited", oscillators = [1, 3], displacement = 0.5 }', [-0.5, 0, -0.5], 0),
-        (
-            '{ kind = "excited", excited = 3, pattern = "in-phase", velocity = 0.1 }',
-            [2, 2, 2],
-            0.1,
-        ),
-    ],
-)
-def test_initial_states_are_those_asked_for(workplace, initial, displacements, velocity):
-    overrides = [f"initial={initial}", "sweep={belt_speed=[1.0]}"]
-    loaded = load_scene("two.toml", [f"experiment.second.{text}" for text in overrides])
-    experiment = loaded.scene.experiment["second"]
-    chain = building.build_chain(experiment)
-    x, v = building.build_initial(experiment)(chain)
-    np.testing.assert_allclose(x - steady_sliding(chain)[0], displacements, atol=1e-15)
-    np.testing.assert_array_equal(v, np.full(3, velocity))
 
 
 def test_a_wrong_scene_ends_with_2_and_no_traceback(workplace, capsys):
@@ -326,7 +235,9 @@ def test_a_figure_that_fails_costs_no_data(workplace, made_up_sweep, monkeypatch
     assert found["second"].sizes["belt_speed"] == found["first"].sizes["displacement"] == 2
 
 
-def test_ctrl_c_keeps_what_was_finished(workplace, made_up_sweep, monkeypatch, capsys):
+@pytest.mark.usefixtures("usual_signals")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_keeps_what_was_finished(workplace, made_up_sweep, monkeypatch, capsys, number):
     whole = running.sweep
 
     def stopped(chain, initial, t1, *, over, **options):
@@ -334,78 +245,59 @@ def test_ctrl_c_keeps_what_was_finished(workplace, made_up_sweep, monkeypatch, c
         if chain.n == 3:
             data["result"][1, 1] = NAMES.index("interrupted")
             data["energy"][1, 1] = np.nan
-            raise SweepInterrupted(data)
+            try:
+                os.kill(os.getpid(), number)
+            except KeyboardInterrupt:
+                raise SweepInterrupted(data) from None
         return data
 
     monkeypatch.setattr(running, "sweep", stopped)
     assert main(["run", "two.toml"]) == 130
     said = capsys.readouterr()
-    assert "Traceback" not in said.err
-    assert said.err == "jaxchain: interrupted; what was finished is in results/two\n"
+    assert said.err == (
+        "jaxchain: interrupted\njaxchain: what was finished is in results/two: "
+        "`jaxchain resume results/two` goes on with it\n"
+    )
     assert "5 successful, 1 interrupted" in said.out
     assert "failed" not in said.out
     found = stored(Path("results/two/two"))
     assert found["first"].result.sum() == 0
     assert int(found["second"].energy.isnull().sum()) == 1
+    assert was_cut_off(Path("results/two"))
+    assert main(["run", "two.toml", "--no-plot", "--output", "results/two"]) == 130
+    first, second, *_ = capsys.readouterr().err.splitlines()
+    assert first.startswith("jaxchain: the run in results/two was cut off: `jaxchain resume ")
+    assert second == "jaxchain: the results go to results/two-2"
+    monkeypatch.setattr(running, "sweep", whole)
+    assert main(["resume", "results/two", "--no-plot"]) == 0
+    assert "saved already: first\n" in capsys.readouterr().out
+    assert int(stored(Path("results/two/two"))["second"].energy.isnull().sum()) == 0
+    assert not Path("results/two", MARKER).exists()
 
 
-def test_ctrl_c_before_anything_is_finished_leaves_no_folder(workplace, monkeypatch):
-    def stopped(*arguments, **options):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(running, "sweep", stopped)
-    assert main(["run", "two.toml"]) == 130
-    assert not Path("results/two").exists()
-
-
-@pytest.mark.usefixtures("usual_signals")
-def test_what_asks_the_process_to_end_is_answered_as_ctrl_c_is(
+def test_results_that_do_not_fit_are_saved_elsewhere(
     workplace, made_up_sweep, monkeypatch, capsys
-):
-    whole = running.sweep
-
-    def stopped(chain, initial, t1, *, over, **options):
-        if chain.n == 3:
-            os.kill(os.getpid(), signal.SIGTERM)
-        return whole(chain, initial, t1, over=over, **options)
-
-    monkeypatch.setattr(running, "sweep", stopped)
-    assert main(["run", "two.toml", "--quiet"]) == 143
-    said = "jaxchain: interrupted; what was finished is in results/two\n"
-    assert capsys.readouterr() == ("", said)
-    assert xr.open_zarr("results/two/two.zarr", group="first").result.sum() == 0
-
-
-@pytest.mark.parametrize(("room", "what"), [(1000, "two.toml"), (6000, "first")])
-def test_results_that_can_be_written_nowhere_are_a_readable_error(
-    workplace, made_up_sweep, monkeypatch, capsys, room, what
 ):
     Path("tmp").mkdir()
     monkeypatch.setattr(tempfile, "tempdir", "tmp")
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (room, before[1]))  # Python ignores the signal
-    try:
-        status = main(["run", "two.toml", "--quiet"])
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    assert status == 1
-    first, then, second, last = capsys.readouterr().err.splitlines()
-    assert first == (
-        f"jaxchain: cannot write `{what}` into results/two: File too large. What was saved there "
-        "before stays whole: nothing."
+
+    def full(self, name):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    write = Results._write
+    monkeypatch.setattr(
+        Results,
+        "_write",
+        lambda self, name: (full if self.folder.name == "two" else write)(self, name),
     )
-    assert "the results go to tmp/jaxchain-" in then
-    assert f"cannot write `{what}` into tmp/jaxchain-" in second
-    assert last == f"jaxchain: stopped: `{what}` could not be saved"
-    assert len(made_up_sweep) == (what == "first")
+    assert main(["run", "two.toml", "--quiet"]) == 1
+    first, second, *_ = capsys.readouterr().err.splitlines()
+    message = "cannot write `first` into results/two: No space left on device."
+    assert first.startswith(f"jaxchain: {message} What was saved")
+    (store,) = Path("tmp").glob("jaxchain-*/two.zarr")
+    assert second == f"jaxchain: `first` is saved in {store} instead"
     assert not Path("results/two").exists()
-    assert not list(Path("tmp").glob("*/*"))
-
-
-def test_a_folder_that_cannot_be_made_is_a_readable_error(workplace, made_up_sweep, capsys):
-    Path("file").write_text("", encoding="utf-8")
-    assert main(["run", "two.toml", "--output", "file/below"]) == 2
-    assert "cannot create file/below: Not a directory" in capsys.readouterr().err
+    assert list(stored(store.with_suffix(""))) == ["first"]
 
 
 @pytest.mark.parametrize("folder", ["", " ", ".", "..", "/", "a/.."])
@@ -430,19 +322,6 @@ def test_scenes_lists_shows_and_describes(workplace, capsys):
     assert main(["scenes", "--schema"]) == 0
     assert json.loads(capsys.readouterr().out)["title"] == "Scene"
     assert main(["scenes", "nothing"]) == 2
-
-
-def test_every_solver_of_a_scene_exists():
-    for name in get_args(Solver):
-        assert (building.build_solver(name, paper_chain(), 1e-6, 0.5) is None) == (name == "auto")
-
-
-def test_every_law_of_a_scene_takes_the_numbers_of_its_class():
-    # A table has points instead of numbers, and a law of one's own whatever numbers it takes.
-    assert set(LAWS) == {*building.LAWS, "tabulated", "own"}
-    for name, law in building.LAWS.items():
-        fields = law.__dataclass_fields__
-        assert set(LAWS[name].model_fields) - {"law", "width"} == set(fields)
 
 
 def replace_search(monkeypatch, fold, fold_limit, fold_limit_error):
@@ -533,6 +412,121 @@ def test_a_bad_number_of_boundary_ends_with_2_and_names_it(
     assert found == []
 
 
+def record(share, up, down, result):
+    one = jnp.ones(1)
+    share, up, down, other = map(jnp.asarray, (share, up, down, np.nan))
+    return SlidingBasin(
+        share=share, area=other, state=(one, one), period=other, up=up, down=down, gap=other,
+        result=result,
+    )  # fmt: skip
+
+
+@pytest.fixture
+def basins_found(monkeypatch):
+    """Replaces the search of the cycle: with dry friction there is one, smoothed there is none."""
+    asked = []
+
+    def search(chain, box):
+        asked.append((chain, box))
+        if chain.dry:
+            return record(0.25, 1.1, 1.2, SearchResult.successful)
+        if chain.belt_speed == 0:
+            return record(np.nan, np.nan, np.nan, SearchResult.creeps)
+        return record(1.0, np.inf, np.inf, SearchResult.successful)
+
+    monkeypatch.setattr(single_mass, "sliding_basin", search)
+    return asked
+
+
+def test_basins_prints_one_object(found, basins_found, workplace, capsys):
+    arguments = ["--width", "0.01", "--belt-speed=-1.78", "--displacement", "-1", "0.5"]
+    assert main(["basins", "--json", *arguments]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert set(told["missing"]) == {"fold", "blow_up", "blow_down"}
+    assert "every motion comes to slide" in told["missing"]["blow_up"]
+    assert told["fold"] is told["blow_up"] is None
+    assert (told["share"], told["share_nonsmooth"], told["fold_nonsmooth"]) == (1.0, 0.25, 1.85)
+    assert (told["blow_up_nonsmooth"], told["blow_down_nonsmooth"]) == (1.1, 1.2)
+    assert told["box"] == {"displacement": [-1.0, 0.5], "velocity": [0.0, 2.0]}
+    assert told["parameters"] == {
+        "width": 0.01, "damping_ratio": 0.05, "mu_static": 1.0, "mu_dynamic": 0.5, "v_ref": 0.5,
+        "belt_speed": -1.78,
+    }  # fmt: skip
+    (chain,) = found
+    assert (chain.n, float(chain.width)) == (1, 0.01)
+    assert [own.dry for own, _ in basins_found] == [False, True]
+    assert all(box.displacement.tolist() == [-1.0, 0.5] for _, box in basins_found)
+
+
+def test_basins_says_what_is_missing(found, basins_found, workplace, capsys):
+    assert main(["basins"]) == 0
+    said = capsys.readouterr().out
+    assert "belt speed 1.5, starts with -2 <= x <= 2 and 0 <= v <= 2" in said
+    share = next(line for line in said.splitlines() if line.startswith("share"))
+    assert share.split()[1:3] == ["1.000000000", "0.250000000"]
+    assert "blow_up: every motion comes to slide steadily" in said
+    assert main(["basins", "--belt-speed", "0"]) == 0
+    assert "share: The belt rests" in capsys.readouterr().out
+
+
+@pytest.mark.long
+def test_what_basins_prints_is_what_is_found(found, workplace, capsys):
+    assert main(["basins", "--json", "--width", "0.01", "--belt-speed=-1.78"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    # The belt runs backward: up is what is down for one that runs ahead.
+    assert told["blow_down_nonsmooth"] == pytest.approx(1.7243769732, abs=1e-9)
+    assert told["blow_up"] == pytest.approx(1.7474999087, abs=1e-9)
+    assert 0 < told["share_nonsmooth"] < told["share"] < 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--velocity", "1", "0"], "`velocity` must be (low, high)"),
+        (["--displacement", "nan", "0"], "`displacement` must be finite"),
+        (["--belt-speed", "inf"], "`belt_speed` must be finite"),
+        (["--mu-static", "0.1"], "`mu_static` must be at least"),
+    ],
+)
+def test_a_bad_number_of_basins_ends_with_2_and_is_named(found, capsys, arguments, said):
+    assert main(["basins", *arguments]) == 2
+    printed = capsys.readouterr()
+    assert said in printed.err
+    assert printed.out == ""
+    assert found == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--workers", "2"], "needs Dask: pip install 'jaxchain[dask]'"),
+        (["--scheduler", "tcp://here:1"], "needs Dask: pip install 'jaxchain[dask]'"),
+        (["--workers", "0"], 'must be a number of processes, but is "0"'),
+        (["--workers", "two"], 'must be a number of processes, but is "two"'),
+    ],
+)
+def test_workers_that_cannot_be_started_are_refused_at_once(
+    workplace, monkeypatch, capsys, arguments, said
+):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    monkeypatch.setattr("importlib.util.find_spec", lambda package: None)
+    with pytest.raises(SystemExit) as stopped:
+        main(["run", "two.toml", *arguments])
+    assert stopped.value.code == 2
+    assert said in capsys.readouterr().err
+    assert main(["run", "two.toml", "--netcdf"]) == 2
+    assert "--netcdf needs h5netcdf: pip install 'jaxchain[netcdf]'" in capsys.readouterr().err
+    assert not Path("results").exists()
+
+
+def test_status_shows_what_is_done_of_a_store(workplace, monkeypatch, capsys):
+    status = {"store": "two.many.zarr", "lanes": 3, "lanes_done": 2}
+    monkeypatch.setattr("jaxchain.sweeps.status.status_of", lambda store: status)
+    monkeypatch.setattr("jaxchain.sweeps.records.stores_in", lambda folder: [folder / "a.zarr"])
+    assert main(["status", ".", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"stores": [status]}
+
+
 def test_without_a_command_it_prints_its_help(capsys):
     assert main([]) == 0
     said = capsys.readouterr()
@@ -566,21 +560,13 @@ def test_help_shows_an_example_that_is_understood(arguments, workplace, capsys):
 
 
 @pytest.mark.parametrize(
-    "arguments",
-    [[], ["run"], ["resume"], ["status"], ["scenes"], ["boundary"], ["basins"]],
+    "arguments", [[], ["run"], ["resume"], ["status"], ["scenes"], ["boundary"], ["basins"]]
 )
 def test_help_is_there(arguments, capsys):
     with pytest.raises(SystemExit) as done:
         main([*arguments, "--help"])
     assert done.value.code == 0
     assert "usage: jaxchain" in capsys.readouterr().out
-
-
-@pytest.mark.long
-def test_the_package_can_be_run_as_a_module():
-    command = [sys.executable, "-m", "jaxchain", "scenes"]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert "fig3" in done.stdout
 
 
 @pytest.mark.long

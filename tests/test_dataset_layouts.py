@@ -1,17 +1,13 @@
 """docs/reference/datasets.md says what every dataset holds: names, dimensions, units, meaning.
 
-Sweeps are laid out by the code that lays out their stores, which runs nothing.  Studies are
-compared twice: their labels here, and every dataset that a test of a study saves (see
-tests/studies/conftest.py).
+Sweeps are laid out by the code that lays out their stores, which runs nothing.
 """
 
-import importlib
 import re
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import xarray as xr
 from layouts import PAGE, Row, differences, row_of, rows, tables
 from synthetic import cycle_branch
 
@@ -32,11 +28,8 @@ from jaxchain.observers import (
     StickTime,
 )
 from jaxchain.result import NAMES, SearchResult, advice_of, message
-from jaxchain.scenes.boundaries import cycles, hopf_speed
-from jaxchain.scenes.registry import studies
-from jaxchain.scenes.writing import circumstances
-from jaxchain.studies._study import STANDARD, label
-from jaxchain.sweeps.ensemble import RunSettings, prepare
+from jaxchain.scenes.running import circumstances, cycles, hopf_speed
+from jaxchain.sweeps.ensemble import prepare
 
 SWEPT = ("belt_speed", "excited")
 TABLES = tables()
@@ -171,25 +164,6 @@ def test_the_cycles_of_a_scene():
     found = cycles(paper_chain(1, width=0.1), grid)
     said = TABLES["Folders of results", "Cycles of one oscillator"]
     assert not differences(said, rows(found))
-
-
-@pytest.mark.parametrize("study", studies())
-def test_the_tables_of_a_study_say_what_its_labels_say(study):
-    run = importlib.import_module(f"jaxchain.studies.{study}.study").run
-    parts = {
-        section: own for (chapter, section), own in TABLES.items() if chapter == f"Study `{study}`"
-    }
-    assert parts
-    names = {name.rstrip("*") for own in parts.values() for name in own}
-    assert set(run.labels) <= names
-    for own in parts.values():
-        blank = xr.Dataset({name.rstrip("*"): ((), 0) for name in own})
-        label(blank, STANDARD | dict(run.labels))
-        for name, row in own.items():
-            array = blank[name.rstrip("*")]
-            if array.attrs and name.rstrip("*") in run.labels:
-                told = row_of(name.rstrip("*"), array)
-                assert (told.unit, told.meaning) == (row.unit, row.meaning), name
 
 
 def test_a_table_that_is_not_true_is_found_out():

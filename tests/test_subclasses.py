@@ -17,7 +17,6 @@ from jaxchain.basins import AbstractClassifier, AbstractRegion, basin_shares
 from jaxchain.boundaries import nonsmooth_fold_belt_speed
 from jaxchain.model import AbstractFrictionLaw, AbstractOscillators
 from jaxchain.observers import AbstractObserver, Divergence, Variable
-from jaxchain.scenes import StudyTable
 from jaxchain.simulation.accuracy import fit_linear_solve
 from jaxchain.solvers import AbstractStructuredRosenbrock
 from jaxchain.solvers.rosenbrock import RODAS4, RODAS5P
@@ -29,9 +28,8 @@ CLASSES = sorted(
     (c for c in PUBLIC if inspect.isclass(c) and not issubclass(c, BaseException)),
     key=lambda c: c.__name__,
 )
-# A table of a scene file has fields and no methods of its own.
-OPEN = [c for c in CLASSES if c.__name__.startswith("Abstract") or c is StudyTable]
-HONOURED: dict[type, set[str]] = {StudyTable: {"study", "title", "description"}}
+OPEN = [c for c in CLASSES if c.__name__.startswith("Abstract")]
+HONOURED: dict[type, set[str]] = {}
 
 
 def names_of(cls):

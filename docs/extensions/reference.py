@@ -12,7 +12,6 @@ from sphinx.util.docutils import SphinxDirective
 
 import jaxchain
 from jaxchain.scenes import schema
-from jaxchain.scenes.registry import study_table
 
 COMMANDS = ("", "run", "resume", "status", "report", "scenes", "boundary", "basins")
 
@@ -60,21 +59,17 @@ def _kind(thing: object) -> str:
 
 
 class Keys(SphinxDirective):
-    """The keys of scene files, or of a study's file: their types, defaults and meanings."""
-
-    required_arguments = 1
+    """The keys of scene files: their types, defaults and meanings."""
 
     def run(self):
-        name = self.arguments[0]
-        whole = schema() if name == "scene" else schema(study_table(name))
+        whole = schema()
         tables = whole.pop("$defs", {})
-        text = "\n".join(_told("The file itself", whole, tables, name))
+        text = "\n".join(_told("The file itself", whole, tables))
         return self.parse_text_to_nodes(text, allow_section_headings=True)
 
 
-def _told(title: str, table: dict[str, Any], others: dict[str, Any], name: str) -> Iterator[str]:
-    level = "##" if name == "scene" else "###"
-    yield f"{level} {title.removesuffix('Table')}"
+def _told(title: str, table: dict[str, Any], others: dict[str, Any]) -> Iterator[str]:
+    yield f"## {title.removesuffix('Table')}"
     yield ""
     yield table.get("description", "")
     yield ""
@@ -89,7 +84,7 @@ def _told(title: str, table: dict[str, Any], others: dict[str, Any], name: str) 
             yield f"| `{key}` | {kind} | {default} | {meaning} |"
         yield ""
     for other, content in others.items():
-        yield from _told(other, content, {}, name)
+        yield from _told(other, content, {})
 
 
 def _type(said: dict[str, Any]) -> str:

@@ -1,35 +1,38 @@
-"""What an experiment is computed with: chain, start, observers and solver, from its tables."""
+"""What an experiment is computed with: chain, start, observers and solver, from its tables.
+
+A scene holds only the numbers of a friction law or observer of one's own: its code runs when its
+file is named on the command line.
+"""
 
 from __future__ import annotations
 
 import functools
+import importlib.util
+import inspect
+import os
+import sys
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any, TypeVar
 
 import diffrax as dfx
 import jax.numpy as jnp
 import numpy as np
 
-from .. import observers
-from .._types import ScalarLike, State
+from .. import observers, solvers
+from .._types import State
 from ..model import friction, initial_states
 from ..model.chain import Chain
+from ..model.friction import AbstractFrictionLaw
 from ..model.parameters import CHAIN
 from ..model.tabulated import TabulatedFriction
 from ..observers.base import AbstractObserver
 from ..simulation.accuracy import check_resolved, fit_linear_solve
-from ..solvers.rosenbrock import Rodas4, Rodas5P
 from ..sweeps.axes import check_axes
 from ..sweeps.ensemble import check_observers
-from .errors import SceneError
-from .observing import ObserveTable, OwnObserverTable
-from .own_code import make_law, make_observer
-from .reading import LoadedScene
-from .scene import Experiment, SweepTable
-from .tables import Equation8Table, Equation10Table, OwnLawTable, TabulatedTable
-
-if TYPE_CHECKING:
-    from xarray import Dataset
+from .files import SceneError, did_you_mean
+from .scene import Experiment, LoadedScene
+from .tables import ExcitedTable, ObserveTable, OwnLawTable, OwnObserverTable, TabulatedTable
 
 LAWS = {
     "exponential_decay": friction.ExponentialDecay,
@@ -37,17 +40,10 @@ LAWS = {
     "gaussian_stribeck": friction.GaussianStribeck,
     "coulomb": friction.Coulomb,
 }
-
-# What the numbers of a start mean: a sweep, for which they may be anything, does not know.
-_OF_THE_START = {
-    "displacement": ("how far excited masses are pulled away at the start", "x0"),
-    "velocity": ("velocity of every mass at the start", "x0 omega_n"),
-}
+_Made = TypeVar("_Made")
 
 
-def build_chain(
-    experiment: SweepTable, own_law: type[friction.AbstractFrictionLaw] | None = None
-) -> Chain:
+def build_chain(experiment: Experiment, own_law: type[AbstractFrictionLaw] | None = None) -> Chain:
     """The chain of an experiment, with the first value of everything that is swept.
 
     `own_law` takes the place of the law that the experiment names.
@@ -57,74 +53,48 @@ def build_chain(
     table, grid = experiment.chain, experiment.grid()
 
     def number(name: str) -> Any:
-        if name in grid:
-            return float(grid[name][0])
-        given = experiment.given(name)
+        given = float(grid[name][0]) if name in grid else experiment.given(name)
         return np.array(given, float) if isinstance(given, list) else given
 
-    law = {name: number(name) for name in experiment.friction_numbers()}
-    width = law.pop("width")
-    return Chain(
-        table.n,
-        friction.TanhFriction(_law(table.friction, law, own_law), width),
-        ends=table.ends,
-        **{name: number(name) for name in CHAIN},
-    )
-
-
-def _law(
-    table: Any, numbers: dict[str, Any], own: type[friction.AbstractFrictionLaw] | None
-) -> friction.AbstractFrictionLaw:
-    if own is not None:
-        return make_law(own, numbers)
-    if isinstance(table, OwnLawTable):
+    numbers = {name: number(name) for name in experiment.friction_numbers()}
+    width = numbers.pop("width")
+    if own_law is not None:
+        law = make(own_law, numbers, "chain.friction")
+    elif isinstance(table.friction, OwnLawTable):
         raise ValueError(
             'chain.friction.law: is "own", so the law must be named on the command line: '
             "--law FILE.py:CLASS"
         )
-    if isinstance(table, TabulatedTable):
-        return TabulatedFriction(table.speed, table.mu)
-    return LAWS[table.law](**numbers)
+    elif isinstance(table.friction, TabulatedTable):
+        law = TabulatedFriction(table.friction.speed, table.friction.mu)
+    else:
+        law = LAWS[table.friction.law](**numbers)
+    smoothed = friction.TanhFriction(law, width)
+    return Chain(table.n, smoothed, ends=table.ends, **{name: number(name) for name in CHAIN})
 
 
-def build_initial(experiment: SweepTable) -> Callable[..., State]:
+def build_initial(experiment: Experiment) -> Callable[..., State]:
     """The initial state as a function of the chain; what is swept are parameters of it."""
     table = experiment.initial
-    excited: dict[str, Any] = {} if table.excited is None else {"excited": table.excited}
-    if isinstance(table, Equation8Table):
-        return functools.partial(initial_states.equation_8, block=table.block, **excited)
-    if isinstance(table, Equation10Table):
-        return functools.partial(
-            initial_states.equation_10, block=table.block, reading=table.reading, **excited
-        )
-    who: Any = table.excited
-    if table.oscillators is not None:
-        mask = np.isin(np.arange(1, experiment.chain.n + 1), table.oscillators)
-        who = jnp.asarray(mask)
+    start = table.model_dump(exclude={"kind"}, exclude_none=True)
+    if not isinstance(table, ExcitedTable):
+        return functools.partial(getattr(initial_states, table.kind), **start)
+    masses, chosen = table.excited, start.pop("oscillators", None)
+    if chosen is not None:
+        masses = jnp.asarray(np.isin(np.arange(1, experiment.chain.n + 1), chosen))
 
     def pulled_away(
         chain: Chain,
-        excited: Any = who,
-        displacement: ScalarLike = table.displacement,
-        velocity: ScalarLike = table.velocity,
+        excited: Any = masses,
+        displacement: Any = table.displacement,
+        velocity: Any = table.velocity,
     ) -> State:
+        how: Any = {"block": table.block, "pattern": table.pattern}
         return initial_states.excited_state(
-            chain,
-            excited,
-            amplitude=displacement,
-            velocity=velocity,
-            block=table.block,
-            pattern=table.pattern,
+            chain, excited, amplitude=displacement, velocity=velocity, **how
         )
 
     return pulled_away
-
-
-def describe_start(data: Dataset) -> None:
-    """Says of the numbers of a start what they are, where they were swept; in place."""
-    for name in _OF_THE_START.keys() & set(map(str, data.coords)):
-        words, unit = _OF_THE_START[name]
-        data[name].attrs |= {"long_name": words, "units": unit}
 
 
 def build_observers(
@@ -134,47 +104,28 @@ def build_observers(
 ) -> list[AbstractObserver]:
     """Amplitudes in the window, what else the table names, and own observers that it does not.
 
-    **Raises:** `ValueError` for an observer of one's own that is not there, or cannot be made.
+    **Raises:** `ValueError` for an observer of one's own that is missing, or cannot be made.
     """
     how = table.model_dump(exclude={"quantities", "others"})
-    found: list[AbstractObserver] = [observers.Amplitude(window=window, **how)]
-    unnamed = given = dict(own_observers or {})
+    watch: list[AbstractObserver] = [observers.Amplitude(window=window, **how)]
+    unnamed = dict(own_observers or {})
     for i, other in enumerate(table.others or []):
         if isinstance(other, OwnObserverTable):
-            if other.name not in given:
+            if other.name not in (own_observers or {}):
                 raise ValueError(
                     f"observe.others[{i}].name: is `{other.name}`, so this observer must be named "
                     f"on the command line: --observer FILE.py:{other.name}"
                 )
-            numbers = other.model_extra or {}
-            place = f"observe.others[{i}]"
-            found.append(make_observer(given[other.name], numbers, place))
-            unnamed = {k: v for k, v in unnamed.items() if k != other.name}
+            kind = unnamed.pop(other.name)
+            watch.append(make(kind, other.model_extra or {}, f"observe.others[{i}]"))
             continue
-        own = other.model_dump(exclude={"observer"})
-        for key in own.keys() & {"oscillator", "middle"}:
-            own[key] = None if own[key] is None else own[key] - 1
-        if own.get("oscillators"):
-            own["oscillators"] = tuple(number - 1 for number in own["oscillators"])
-        found.append(getattr(observers, other.observer)(**own))
-    return found + [make_observer(kind, {}, "--observer") for kind in unnamed.values()]
-
-
-def check_experiment(
-    experiment: Experiment, chain: Chain, observe: list[AbstractObserver]
-) -> None:
-    """Raises `ValueError` for what only chain, start and observers together show.
-
-    What `sweep` would say, before anything runs.
-    """
-    numerics, time, initial = experiment.numerics, experiment.time, build_initial(experiment)
-    axes = check_axes(chain, initial, experiment.grid())
-    check_observers(observe, chain, 0.0, time.transient + time.window, None, axes)
-    if numerics.model != "nonsmooth":
-        build_solver(numerics.solver, chain, numerics.rtol, numerics.max_step)
-        swept: dict[str, Any] = {name: own[name] for name, own in axes.items()}
-        width, speed = swept.get("width", chain.width), swept.get("belt_speed", chain.belt_speed)
-        check_resolved(chain.n, width, speed, numerics.rtol, numerics.atol)
+        fields = other.model_dump(exclude={"observer"})
+        for key in ("oscillator", "middle", "oscillators"):  # counted from 1 in a scene
+            if fields.get(key) is not None:
+                numbers = np.subtract(fields[key], 1).tolist()
+                fields[key] = tuple(numbers) if key == "oscillators" else numbers
+        watch.append(getattr(observers, other.observer)(**fields))
+    return watch + [make(kind, {}, "--observer") for kind in unnamed.values()]
 
 
 def build_solver(
@@ -183,30 +134,161 @@ def build_solver(
     """A solver by its name in a scene; None leaves the choice to `sweep`."""
     if name == "auto":
         return None
-    own = {"Rodas4": Rodas4, "Rodas5P": Rodas5P}
-    if name in own:
-        return fit_linear_solve(own[name](), chain, rtol, max_step)
+    if name in ("Rodas4", "Rodas5P"):
+        return fit_linear_solve(getattr(solvers, name)(), chain, rtol, max_step)
     return getattr(dfx, name)()
 
 
 def checked_chains(
     loaded: LoadedScene,
-    own_law: type[friction.AbstractFrictionLaw] | None = None,
+    own_law: type[AbstractFrictionLaw] | None = None,
     own_observers: Mapping[str, type[AbstractObserver]] | None = None,
 ) -> dict[str, Chain]:
     """The chain of every experiment of a scene.
 
-    **Raises:** `SceneError` with everything that cannot be run, before anything is.
+    **Raises:** `SceneError` with everything that only chain, start, observers and tolerances
+    together show, before anything runs.
     """
     chains, problems = {}, []
     for name, experiment in loaded.scene.experiment.items():
         try:
             chains[name] = chain = build_chain(experiment, own_law)
-            window = experiment.time.window
-            observe = build_observers(experiment.observe, window, own_observers)
-            check_experiment(experiment, chain, observe)
+            observe = build_observers(experiment.observe, experiment.time.window, own_observers)
+            _check(experiment, chain, observe)
         except ValueError as error:
             problems.append(f"experiment.{name}: {error}")
     if problems:
         raise SceneError(loaded.name, problems)
     return chains
+
+
+def _check(experiment: Experiment, chain: Chain, observe: list[AbstractObserver]) -> None:
+    numerics, time = experiment.numerics, experiment.time
+    axes = check_axes(chain, build_initial(experiment), experiment.grid())
+    check_observers(observe, chain, 0.0, time.transient + time.window, None, axes)
+    if numerics.model != "nonsmooth":
+        build_solver(numerics.solver, chain, numerics.rtol, numerics.max_step)
+        swept: dict[str, Any] = {name: axis[name] for name, axis in axes.items()}
+        width, speed = swept.get("width", chain.width), swept.get("belt_speed", chain.belt_speed)
+        check_resolved(chain.n, width, speed, numerics.rtol, numerics.atol)
+
+
+def load_law(given: str, scene: str) -> type[AbstractFrictionLaw]:
+    """The law of "FILE.py:CLASS".  Runs the file.
+
+    **Arguments:** `given`, as above; `scene`, the name that an error bears.
+
+    **Returns:** the class, for `own_law` of `run_scene`; the numbers of the scene's friction table
+    are its fields.
+
+    **Raises:** `SceneError` if there is no such file or class, if the class is no friction law,
+    or if the file fails.
+
+    !!! example
+
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> from jaxchain.scenes import load_law
+        >>> code = '''
+        ... from jaxchain.model import AbstractFrictionLaw
+        ... class Rational(AbstractFrictionLaw):
+        ...     mu_static: float
+        ...     v_ref: float
+        ...     def coefficient(self, speed):
+        ...         return self.mu_static / (1.0 + speed / self.v_ref)
+        ... '''
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     file = Path(folder) / "laws.py"
+        ...     _ = file.write_text(code)
+        ...     law = load_law(f"{file}:Rational", "mine")
+        >>> law(mu_static=1.0, v_ref=1.5).coefficient(1.5)
+        0.5
+    """
+    return _load("--law", given, scene, AbstractFrictionLaw, "jaxchain.model")
+
+
+def load_observer(given: str, scene: str) -> type[AbstractObserver]:
+    """The observer of "FILE.py:CLASS".  Runs the file.
+
+    **Arguments:** `given`, as above; `scene`, the name that an error bears.
+
+    **Returns:** the class, for `own_observers` of `run_scene`, by its name.
+
+    **Raises:** `SceneError` if there is no such file or class, if the class is no observer, or if
+    the file fails.
+
+    !!! example
+
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> from jaxchain.scenes import load_observer
+        >>> code = '''
+        ... import jax.numpy as jnp
+        ... from jaxchain.observers import AbstractObserver, Variable
+        ... class Fastest(AbstractObserver):
+        ...     def init(self, field, t0, t1, y0):
+        ...         return jnp.max(y0[1])
+        ...     def update(self, accumulator, step):
+        ...         return jnp.maximum(accumulator, jnp.max(step.y1[1]))
+        ...     def read(self, accumulator):
+        ...         return accumulator
+        ...     def label(self, value, chain):
+        ...         return {"fastest": Variable(value, long_name="greatest velocity")}
+        ... '''
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     file = Path(folder) / "watch.py"
+        ...     _ = file.write_text(code)
+        ...     fastest = load_observer(f"{file}:Fastest", "mine")
+        >>> {fastest.__name__: fastest}.keys()  # `own_observers` of `run_scene`
+        dict_keys(['Fastest'])
+    """
+    return _load("--observer", given, scene, AbstractObserver, "jaxchain.observers")
+
+
+def _load(option: str, given: str, scene: str, base: type[_Made], module: str) -> type[_Made]:
+    """A subclass of `base`, a name of `module`, from "FILE.py:CLASS"."""
+
+    def wrong(what: str) -> SceneError:
+        return SceneError(scene, [f'{option} "{given}": {what}'])
+
+    file, _, name = given.rpartition(":")
+    if not file or not name:
+        raise wrong("must look like FILE.py:CLASS")
+    if not os.path.isfile(file):  # which never raises
+        raise wrong(f"there is no file {file}")
+    spec = importlib.util.spec_from_file_location(Path(file).stem, file)
+    if spec is None or spec.loader is None:
+        raise wrong(f"{file} is no Python file")
+    code = importlib.util.module_from_spec(spec)
+    # Dataclasses look their module up there; no name that is taken is replaced.
+    sys.modules.setdefault(spec.name, code)
+    try:
+        spec.loader.exec_module(code)
+    except (Exception, SystemExit) as error:
+        raise wrong(f"{file} fails: {type(error).__name__}: {error}") from error
+
+    def fits(value: Any) -> bool:
+        return inspect.isclass(value) and issubclass(value, base)
+
+    if not hasattr(code, name):
+        kinds = [key for key, value in vars(code).items() if fits(value) and value is not base]
+        near = did_you_mean(name, kinds)
+        raise wrong(f"{file} has no class {name}{near}; it has: {', '.join(kinds) or 'none'}")
+    if not fits(getattr(code, name)):
+        raise wrong(f"{name} is not a subclass of `{module}.{base.__name__}`")
+    return getattr(code, name)
+
+
+def make(kind: type[_Made], numbers: Mapping[str, Any], place: str) -> _Made:
+    """A law or observer of one's own with the numbers that a scene has at `place`.
+
+    **Raises:** `ValueError` for numbers that are no fields of it, or are missing.
+    """
+    fields = inspect.signature(kind)
+    try:
+        fields.bind(**{key: value for key, value in numbers.items() if value is not None})
+        return kind(**numbers)
+    except TypeError as error:
+        names = ", ".join(fields.parameters) or "none"
+        message = f"{place}: {kind.__name__} cannot be made: {error}; its fields: {names}"
+        raise ValueError(message) from error

@@ -1,22 +1,69 @@
-"""The TOML files of scenes and studies: found and read; what they say is not checked yet."""
+"""Scene files as TOML: found, read and written; what they say is not checked here.
+
+Nothing here needs JAX or pydantic, so that the list of scenes is printed at once.
+"""
 
 from __future__ import annotations
 
-import codecs
+import difflib
+import json
 import os
 import re
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
-from .errors import SceneError, did_you_mean, shortened
+# Problems that are shown; bytes of a scene file.
+MOST_SHOWN, MOST_BYTES = 50, 10 * 10**6
 
-MOST_BYTES = 10 * 10**6
-# Keys of one assignment, and characters of it that are shown.
-_DEEPEST, _SHOWN = 100, 200
+
+class SceneError(Exception):
+    """A scene that cannot be run: what is wrong, one line per problem.
+
+    - `name`: of the scene; `problems`: a list of texts, each with the key, its value and a remedy.
+
+    !!! example
+
+        >>> from jaxchain.scenes import SceneError, load_scene
+        >>> wrong = "experiment.ladder.chain.n=0", "experiment.ladder.time.window=0"
+        >>> try:
+        ...     scene = load_scene("quickstart", wrong)
+        ... except SceneError as error:
+        ...     print(error)
+        scene quickstart has 2 errors:
+          experiment.ladder.chain.n: must be at least 1, but is 0
+          experiment.ladder.time.window: must be at least 1e-15, but is 0
+    """
+
+    def __init__(self, name: str, problems: Sequence[str]):
+        super().__init__(name, problems)
+        self.name = name
+        self.problems = list(problems)
+
+    def __str__(self) -> str:
+        count = "an error" if len(self.problems) == 1 else f"{len(self.problems)} errors"
+        lines = [f"scene {shortened(self.name, 1000)} has {count}:"]
+        return "\n".join([*lines, *(f"  {shortened(p, 1000)}" for p in self.problems)])
+
+
+def did_you_mean(word: str, allowed: Iterable[str]) -> str:
+    """ " (did you mean `...`?)", or nothing if no allowed word is near."""
+    names = {name.lower(): name for name in allowed}
+    near = difflib.get_close_matches(word[:50].lower(), names, n=1)
+    return f" (did you mean `{names[near[0]]}`?)" if near else ""
+
+
+def shortened(text: str, most: int) -> str:
+    """One printable line: other characters as escapes, and no more than `most` of them, or so.
+
+    >>> shortened("a" * 20 + "b", 10)
+    'aaaaaaaaaa... (21 characters)'
+    """
+    cut = text if len(text) <= most else f"{text[:most]}... ({len(text)} characters)"
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in cut)
 
 
 def builtin_scenes() -> dict[str, Traversable]:
@@ -44,13 +91,13 @@ def scene_file(scene: str) -> Traversable:
     builtin, path = builtin_scenes(), Path(scene)
     if scene in builtin or not os.path.isdir(path):  # which never raises
         return builtin.get(scene, path)
-    found = sorted(path.glob("*.toml"))
-    if not found:
+    files = sorted(path.glob("*.toml"))
+    if not files:
         raise SceneError(scene, ["is a folder without a scene: it holds no TOML file"])
-    if len(found) > 1:
-        names = ", ".join(file.name for file in found)
+    if len(files) > 1:
+        names = ", ".join(file.name for file in files)
         raise SceneError(scene, [f"is a folder with several scenes: name one of {names}"])
-    return found[0]
+    return files[0]
 
 
 def read_scene(scene: str, overrides: Sequence[str] = ()) -> tuple[str, dict[str, Any]]:
@@ -69,53 +116,27 @@ def read_scene(scene: str, overrides: Sequence[str] = ()) -> tuple[str, dict[str
     try:
         if not name.strip(".") or not name.isprintable():
             raise ValueError("must have a name to call its results by, such as mine.toml")
-        text = _text(file)
-        data = _parsed(text)
+        with file.open("rb") as opened:
+            content = opened.read(MOST_BYTES + 1)
+        if len(content) > MOST_BYTES:
+            raise ValueError(
+                "is longer than 10 MB, which no scene needs: write a range for equally spaced "
+                "values, and measured friction into a CSV file"
+            )
+        data = _parsed(content.decode("utf-8"))
         for override in overrides:
             _override(data, override)
     except FileNotFoundError:
-        raise SceneError(
-            scene,
-            [
-                f"is neither a file nor built in{did_you_mean(scene, builtin)}; "
-                f"built in: {', '.join(builtin)}"
-            ],
-        ) from None
+        near = did_you_mean(scene, builtin)
+        problem = f"is neither a file nor built in{near}; built in: {', '.join(builtin)}"
+        raise SceneError(scene, [problem]) from None
     except OSError as error:
         raise SceneError(scene, [f"cannot be read: {error.strerror or error}"]) from None
+    except UnicodeDecodeError as error:
+        raise SceneError(scene, [f"is not a text file in UTF-8: {error}"]) from None
     except ValueError as error:
         raise SceneError(scene, [str(error)]) from None
     return name, data
-
-
-def _text(file: Traversable) -> str:
-    """What stands in a file, or `ValueError` if it is no text of a size to be read."""
-    with file.open("rb") as opened:
-        content = opened.read(MOST_BYTES + 1)
-    if len(content) > MOST_BYTES:
-        raise ValueError(
-            f"is longer than {MOST_BYTES // 10**6} MB, which no scene needs: write a range for "
-            "equally spaced values, and measured friction into a CSV file"
-        )
-    marks = {
-        codecs.BOM_UTF16_LE: "UTF-16",
-        codecs.BOM_UTF16_BE: "UTF-16",
-        codecs.BOM_UTF8: "UTF-8",
-    }
-    for mark, encoding in marks.items():
-        if content.startswith(mark):
-            raise ValueError(
-                f"begins with the byte-order mark of {encoding}: save it as UTF-8 without one"
-            )
-    try:
-        text = content.decode("utf-8")
-    except UnicodeDecodeError as error:
-        line = content.count(b"\n", 0, error.start) + 1
-        raise ValueError(
-            f"is not a text file in UTF-8: line {line} has the byte {content[error.start]:#x}"
-        ) from None
-    # As it is read from a file opened as text.
-    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def _parsed(text: str) -> dict[str, Any]:
@@ -124,8 +145,10 @@ def _parsed(text: str) -> dict[str, Any]:
     if long := re.search(r"0x[\da-fA-F_]{3500}|[\d_]{4301}", text):
         line = text.count("\n", 0, long.start()) + 1
         raise ValueError(f"has a number of thousands of digits in line {line}")
+    if text.startswith("\ufeff"):
+        raise ValueError("begins with a byte-order mark: save it as UTF-8 without one")
     try:
-        return tomllib.loads(text)
+        return tomllib.loads(text.replace("\r\n", "\n").replace("\r", "\n"))
     except tomllib.TOMLDecodeError as error:
         raise ValueError(f"is not valid TOML: {error}") from None
     except RecursionError:
@@ -134,26 +157,79 @@ def _parsed(text: str) -> dict[str, Any]:
 
 def _override(data: dict[str, Any], override: str) -> None:
     """Sets one key of `data` from "path.to.key=value", or raises `ValueError`."""
-    said = f'--set "{shortened(override, _SHOWN)}"'
+    option = f'--set "{shortened(override, 200)}"'
     path, equals, text = override.partition("=")
     keys = [key.strip() for key in path.split(".")]
     if not equals or not all(keys):
-        raise ValueError(f"{said}: must look like path.to.key=value")
-    if len(keys) > _DEEPEST:
-        raise ValueError(f"{said}: has {len(keys)} keys in a row, and {_DEEPEST} are the most")
+        raise ValueError(f"{option}: must look like path.to.key=value")
+    if len(keys) > 100:
+        raise ValueError(f"{option}: has {len(keys)} keys in a row, and 100 are the most")
     try:
         given = _parsed(f"value = {text}")
     except ValueError as error:
         # The shell eats quotes: a bare word stands for itself.
         if not re.fullmatch(r"[A-Za-z][\w-]*", text.strip()):
-            what = "is not a TOML value" if "TOML" in str(error) else f"{error}"
-            raise ValueError(f"{said}: `{shortened(text, _SHOWN)}` {what}") from None
+            raise ValueError(f"{option}: `{shortened(text, 200)}` {error}") from None
         given = {"value": text.strip()}
     if given.keys() != {"value"}:
-        raise ValueError(f"{said}: is more than one value")
+        raise ValueError(f"{option}: is more than one value")
     table: Any = data
     for depth, key in enumerate(keys[:-1], start=1):
         table = table.setdefault(key, {})
         if not isinstance(table, dict):
-            raise ValueError(f"{said}: {'.'.join(keys[:depth])} is not a table")
+            raise ValueError(f"{option}: {'.'.join(keys[:depth])} is not a table")
     table[keys[-1]] = given["value"]
+
+
+def to_toml(table: Mapping[str, Any], path: str = "") -> str:
+    """A table as TOML: its values, then the tables within it.
+
+    A range is a value as a list is, so that the order of a sweep, that of its axes, is kept; a
+    library that writes tables behind lists would change it.
+
+    >>> print(to_toml({"width": 1e-3, "sweep": {"k": {"start": 0, "stop": 2}, "v": [1.0]}}))
+    width = 0.001
+    <BLANKLINE>
+    [sweep]
+    k = { start = 0, stop = 2 }
+    v = [1.0]
+    """
+    inner = {
+        key: value
+        for key, value in table.items()
+        if isinstance(value, Mapping) and not {"start", "stop"} <= value.keys()
+    }
+    lines = [f"{as_key(k)} = {as_value(v)}" for k, v in table.items() if k not in inner]
+    if path and (lines or not inner):
+        lines = [f"[{path}]", *lines]
+    parts = ["\n".join(lines)] if lines else []
+    parts += [to_toml(value, f"{path}.{as_key(k)}".lstrip(".")) for k, value in inner.items()]
+    return "\n\n".join(parts)
+
+
+def as_key(key: str) -> str:
+    """A key as it stands in a file: in quotes where it must."""
+    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else f'"{escaped(key)}"'
+
+
+def as_value(value: Any) -> str:
+    """A value as it stands in a file.
+
+    >>> as_value(True), as_value("a")
+    ('true', '"a"')
+    """
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{as_key(k)} = {as_value(v)}" for k, v in value.items()) + " }"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(as_value, value)) + "]"
+    if isinstance(value, str) and "\n" in value:
+        lines = "\n".join(map(escaped, value.split("\n")))
+        return f'"""\n{lines}"""'
+    if isinstance(value, str):
+        return f'"{escaped(value)}"'
+    return str(value).lower() if isinstance(value, bool) else repr(value)
+
+
+def escaped(text: str) -> str:
+    """A text as it stands between quotes: as in JSON, but for the control character DEL."""
+    return json.dumps(text, ensure_ascii=False)[1:-1].replace("\x7f", "\\u007f")

@@ -1,171 +1,217 @@
-"""What a run of an experiment found, in a few lines of text."""
+"""What a run found: a few lines for the terminal, and the page `report.html`."""
 
 from __future__ import annotations
 
+import base64
+import shlex
 import textwrap
-from collections.abc import Iterable, Mapping
-from typing import Any
+from collections.abc import Iterator, Mapping
+from importlib import resources
+from pathlib import Path
 
 import numpy as np
 import xarray as xr
 
-from ..plotting.diagram import (
-    at_rest,
-    energy,
-    failed,
-    hopf_belt_speed,
-    moving_fronts,
-    parameters,
-    stable_sliding,
-    swept,
-)
+from ..plotting import diagram
+from ..plotting.diagram import failed, swept
 from ..result import NAMES, message
+from ..sweeps.records import stores_in
+from ..sweeps.status import in_lines, status_of
+from .files import SceneError, scene_file
+from .folder import saved, was_cut_off
+from .scene import LoadedScene, load_scene
 
-MOST_FAILURES = 5
-
-
-def summary(name: str, data: xr.Dataset) -> str:
-    """The size, cost and outcome of a sweep, and where it vibrates."""
-    return _text(name, data, [*rows(data), *_failures(data)])
-
-
-def rows(data: xr.Dataset) -> Iterable[tuple[str, str]]:
-    """The same as labels and texts, without the failures."""
-    yield "runs", _runs(data)
-    yield "chain", _chain(data)
-    yield "numerics", _numerics(data, f", {float(data['steps'].sum()):.3g} steps")
-    yield from _states(data)
+PAGE = "report.html"
 
 
-def stored_summary(name: str, data: xr.Dataset, told: Mapping[str, Any]) -> str:
-    """The same of a sweep that is too large to be looked at: what its store tells, `status_of`."""
-    counts = ", ".join(f"{count} {how}" for how, count in told["results"].items())
-    lines = [
-        ("runs", _runs(data)),
-        ("chain", _chain(data)),
-        ("numerics", _numerics(data, "")),
-        ("outcome", counts),
-        *(("advice", f"{how}: {message(how)}") for how in told["failed"]),
-        ("store", f"{told['store']}: too large for a figure and a copy beside other results"),
-    ]
-    return _text(name, data, lines)
+def summary(name: str, data: xr.Dataset, store: Path | None = None) -> str:
+    """The size, cost and outcome of a sweep, and where it vibrates; or where cycles fold.
 
-
-def cycles_summary(name: str, branch: xr.Dataset) -> str:
-    """Where the branch of cycles folds."""
-    head = f"{name}: cycles of one oscillator, stable and unstable"
-    return "\n".join([head, *(_line(label, text) for label, text in cycles_rows(branch))])
-
-
-def cycles_rows(branch: xr.Dataset) -> Iterable[tuple[str, str]]:
-    """The same as labels and texts."""
-    speed, amplitude = float(branch["fold_belt_speed"]), float(branch["fold_amplitude"])
-    yield "fold", f"at belt speed {speed:.5g}, amplitude {amplitude:.4g} (no cycle above)"
-
-
-def _text(name: str, data: xr.Dataset, lines: Iterable[tuple[str, str]]) -> str:
-    title = data.attrs.get("description", "")
+    **Arguments:** `store`, of a sweep that is too large to be looked at.
+    """
+    title, rows, more = data.attrs.get("description", ""), [], []
+    if "fold_belt_speed" in data:
+        speed, amplitude = float(data["fold_belt_speed"]), float(data["fold_amplitude"])
+        title = "cycles of one oscillator, stable and unstable"
+        rows = [("fold", f"at belt speed {speed:.5g}, amplitude {amplitude:.4g} (no cycle above)")]
+    elif store is not None:
+        rows = [*_settings(data), ("store", "too large for a figure and for memory")]
+        more = [in_lines(status_of(store))]
+    elif "result" in data:
+        rows = [*_settings(data), *_states(data), *(("failed", text) for text in failures(data))]
     head = f"{name}: {title}" if title else name
-    return "\n".join([head, *(_line(label, text) for label, text in lines)])
+    return "\n".join([head, *(_line(label, text) for label, text in rows), *more])
+
+
+def failures(data: xr.Dataset) -> Iterator[str]:
+    """Which runs have no answer, the first five, and for each kind of failure what to do."""
+    codes = data["result"].values
+    # The outcome counts those that were interrupted, which the user knows.
+    places = np.argwhere(failed(data).values & (codes != NAMES.index("interrupted")))
+    for place in places[:5]:
+        values = (data[dim].values[i] for dim, i in zip(swept(data), place, strict=True))
+        run = ", ".join(f"{dim} {v:g}" for dim, v in zip(swept(data), values, strict=True))
+        yield f"{run}: {NAMES[codes[tuple(place)]]}"
+    if len(places) > 5:
+        yield f"and {len(places) - 5} more, see `result`"
+    for kind in sorted({int(codes[tuple(place)]) for place in places}):
+        yield f"{NAMES[kind]}: {message(NAMES[kind])}"
 
 
 def _line(label: str, text: str) -> str:
-    return textwrap.fill(
-        text, 98, initial_indent=f"  {label:<14}", subsequent_indent=" " * 16,
-        break_long_words=False, break_on_hyphens=False,
-    )  # fmt: skip
+    first, more = f"  {label:<14}", " " * 16
+    return textwrap.fill(text, 98, initial_indent=first, subsequent_indent=more,
+                         break_long_words=False, break_on_hyphens=False)  # fmt: skip
 
 
-def _runs(data: xr.Dataset) -> str:
-    sizes = [f"{data.sizes[dim]} {dim}" for dim in swept(data)]
-    took = f" in {data.attrs['wall_time_s']:.3g} s" if "wall_time_s" in data.attrs else ""
-    return f"{data['result'].size} ({' x '.join(sizes)}){took} on {data.attrs['devices']}"
+def _settings(data: xr.Dataset) -> Iterator[tuple[str, str]]:
+    attrs, chain = data.attrs, diagram.parameters(data)
+    sizes = " x ".join(f"{data.sizes[dim]} {dim}" for dim in swept(data))
+    took = f" in {attrs['wall_time_s']:.3g} s" if "wall_time_s" in attrs else ""
+    yield "runs", f"{data['result'].size} ({sizes}){took} on {attrs['devices']}"
+    # A run with true dry friction has no width, whatever the chain of its scene has.
+    dry = attrs.get("model") == "nonsmooth" or chain.get("width") is None
+    left_out = {"n", "ends", "friction_law", "friction_table", *(["width"] if dry else [])}
+    numbers = [
+        f"{name} {'per mass' if isinstance(value, list) else value}"
+        for name, value in chain.items()
+        if name not in left_out and value is not None
+    ]
+    masses = "1 mass" if chain["n"] == 1 else f"{chain['n']} masses, {chain['ends']} ends"
+    law = f"{chain['friction_law']}{', truly dry' if dry else ''}"
+    yield "chain", f"{masses}; {law}; {', '.join(numbers)}"
+    how = f"{attrs['solver']}, rtol {attrs['rtol']:g}, to t = {attrs['t1']:g}"
+    yield "numerics", how
 
 
-def _chain(data: xr.Dataset) -> str:
-    own = parameters(data)
-    # A run of true dry friction has no width, whatever the chain of its scene has.
-    dry = data.attrs.get("model") == "nonsmooth" or own.get("width") is None
-    left_out = ("n", "ends", "friction_law", "friction_table", *(["width"] if dry else []))
-    numbers = [f"{k} {_number(v)}" for k, v in own.items() if k not in left_out and v is not None]
-    masses = "1 mass" if own["n"] == 1 else f"{own['n']} masses, {own['ends']} ends"
-    law = f"{own['friction_law']}, truly dry" if dry else own["friction_law"]
-    return f"{masses}; {law}; {', '.join(numbers)}"
-
-
-def _number(value: object) -> str:
-    if isinstance(value, list):
-        return "per mass"
-    return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _numerics(data: xr.Dataset, steps: str) -> str:
-    attrs = data.attrs
-    return f"{attrs['solver']}, rtol {attrs['rtol']:g}, to t = {attrs['t1']:g}{steps}"
-
-
-def _states(data: xr.Dataset) -> Iterable[tuple[str, str]]:
-    good = ~failed(data)
-    codes = data["result"].values
+def _states(data: xr.Dataset) -> Iterator[tuple[str, str]]:
+    good, codes = ~failed(data), data["result"].values
     counts = [(int(np.sum(codes == i)), name) for i, name in enumerate(NAMES)]
     yield "outcome", ", ".join(f"{count} {name}" for count, name in counts if count)
-    values = energy(data)
-    if values is not None and good.any():
-        reached = values.values[good.values]
-        yield "energy", f"{_tidy(reached.min())} to {_tidy(reached.max())}"
+    energies = diagram.energy(data)
+    if energies is not None and good.any():
+        reached = energies.values[good.values]
+        low, high = (0.0 if abs(e) < 1e-12 else e for e in (reached.min(), reached.max()))
+        yield "energy", f"{low:.4g} to {high:.4g}"
     if "belt_speed" not in swept(data):
         return
-    speeds = data["belt_speed"].values
-    hopf = hopf_belt_speed(data)
+    hopf, speeds = diagram.hopf_belt_speed(data), data["belt_speed"].values
     if hopf is not None:
         yield "Hopf speed", f"{hopf:.5g} (steady sliding is stable above)"
     if "active_count" in data:
         other = [dim for dim in swept(data) if dim != "belt_speed"]
-        vibrating = (good & (data["active_count"] > 0)).any(other).values
-        yield "vibrating", f"at belt speeds {_listed(speeds, vibrating)}"
-        none, still = good & (data["active_count"] == 0), at_rest(data)
+        none, still = good & (data["active_count"] == 0), diagram.at_rest(data)
+        stable = diagram.stable_sliding(data, hopf)
+        kinds = {"vibrating": good & (data["active_count"] > 0)}
         if still is not None:
-            stable = stable_sliding(data, hopf)
-            resting = (none & still & (True if stable is None else stable)).any(other).values
-            yield "at rest", f"at belt speeds {_listed(speeds, resting)}"
-            none = none & ~still
-        weak = none.any(other).values
-        if weak.any():
-            word = "no mass" if still is None else "moves, but no mass"
-            yield "weak", f"at belt speeds {_listed(speeds, weak)}: {word} above v_d / 2"
-    moving = moving_fronts(data)
+            kinds["sliding"] = none & still & (True if stable is None else stable)
+            kinds["weak"] = none & ~still  # moving, but no mass above v_d / 2
+        for label, runs in kinds.items():
+            if runs.any():
+                yield label, f"at belt speeds {_stretches(speeds, runs.any(other).values)}"
+    moving = diagram.moving_fronts(data)
     if moving is not None:
-        yield "moving fronts", f"at belt speeds {_listed(speeds, moving.values)}"
+        yield "moving fronts", f"at belt speeds {_stretches(speeds, moving.values)}"
 
 
-def _tidy(value: float) -> str:
-    """Rounding errors of a chain at rest are not worth their digits."""
-    return "0" if abs(value) < 1e-12 else f"{value:.4g}"
-
-
-def _listed(positions: np.ndarray, inside: np.ndarray) -> str:
+def _stretches(positions: np.ndarray, inside: np.ndarray) -> str:
     """ "1.0 to 1.3, 1.7": the swept values in each stretch where `inside` holds."""
     order = np.argsort(positions)
     positions, inside = positions[order], inside[order]
-    stretches = []
-    for run in np.split(np.arange(len(inside)), np.flatnonzero(np.diff(inside)) + 1):
-        if inside[run[0]]:
-            first, last = positions[run[0]], positions[run[-1]]
-            stretches.append(f"{first:g}" if len(run) == 1 else f"{first:g} to {last:g}")
-    return ", ".join(stretches) or "none"
+    runs = np.split(positions, np.flatnonzero(np.diff(inside)) + 1)
+    chosen = runs[0 if inside[0] else 1 :: 2]
+    ends = [f"{r[0]:g}" if len(r) == 1 else f"{r[0]:g} to {r[-1]:g}" for r in chosen]
+    return ", ".join(ends) or "none"
 
 
-def _failures(data: xr.Dataset) -> Iterable[tuple[str, str]]:
-    """Which runs have no answer, and for each kind of failure what to do about it."""
-    codes = data["result"].values
-    # Who interrupts a run knows why; the outcome says how many.
-    places = np.argwhere(failed(data).values & (codes != NAMES.index("interrupted")))
-    for place in places[:MOST_FAILURES]:
-        values = (
-            f"{dim} {data[dim].values[i]:g}" for dim, i in zip(swept(data), place, strict=True)
-        )
-        yield "failed", f"{', '.join(values)}: {NAMES[codes[tuple(place)]]}"
-    if len(places) > MOST_FAILURES:
-        yield "", f"and {len(places) - MOST_FAILURES} more, see `result`"
-    for kind in sorted({int(codes[tuple(place)]) for place in places}):
-        yield "advice", f"{NAMES[kind]}: {message(NAMES[kind])}"
+def write_page(
+    folder: Path, name: str, datasets: Mapping[str, xr.Dataset], loaded: LoadedScene | None = None
+) -> Path:
+    """Writes `report.html` of a folder: one file that needs no other and no network.
+
+    **Arguments:** `datasets`, those in the folder; `loaded`, what was run, if its file can be
+    read.
+
+    **Raises:** `OSError` if it cannot be written.
+    """
+    from jinja2 import Environment, StrictUndefined
+
+    template = resources.files("jaxchain.scenes").joinpath("page.html").read_text("utf-8")
+    # Texts of a scene or of data are escaped.
+    environment = Environment(
+        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    picture, toml = folder / f"{name}.png", folder / f"{name}.toml"
+    text = environment.from_string(template).render(
+        name=name,
+        title=loaded.scene.title if loaded else name,
+        description=loaded.scene.description if loaded else "",
+        missing=missing(folder, loaded, datasets) if loaded else [],
+        cut_off=was_cut_off(folder),
+        failures={
+            key: lines
+            for key, data in datasets.items()
+            if "result" in data and (lines := list(failures(data)))
+        },
+        picture=base64.b64encode(picture.read_bytes()).decode() if picture.exists() else None,
+        datasets={
+            key: (summary(key, data), data._repr_html_()) for key, data in sorted(datasets.items())
+        },
+        stores={store.name: in_lines(status_of(store)) for store in stores_in(folder)},
+        toml=toml.read_text("utf-8", errors="replace") if toml.exists() else "",
+        folder=shlex.quote(f"./{folder.absolute().name}"),
+    )
+    part = folder / f".{PAGE}.part"
+    try:
+        part.write_text(text, encoding="utf-8")
+        return part.replace(folder / PAGE)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def missing(folder: Path, loaded: LoadedScene, datasets: Mapping[str, xr.Dataset]) -> list[str]:
+    """The groups of a scene whose runs are not all done."""
+    whole = {
+        store.name
+        for store in stores_in(folder)
+        if (status := status_of(store))["lanes"] == status["lanes_done"]
+    }
+    names = [group.name for group in loaded.scene.groups() if group.name not in datasets]
+    return [name for name in names if f"{loaded.name}.{name}.zarr" not in whole]
+
+
+def renew_page(folder: Path) -> Path:
+    """Writes the page of a folder of results, `report.html`, anew, from what lies there.
+
+    **Returns:** the path of the page.
+
+    **Raises:** `ValueError` if it is no folder of results; `OSError` if the page cannot be
+    written.
+
+    !!! example
+
+        >>> import tempfile, xarray as xr
+        >>> from pathlib import Path
+        >>> from jaxchain.scenes import Results, renew_page
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     data = xr.Dataset({"amplitude": ("belt_speed", [1.6, 1.7])})
+        ...     Results(Path(folder), "mine").save("run", data)
+        ...     page = renew_page(Path(folder))
+        ...     print(page.name, "amplitude" in page.read_text())
+        report.html True
+    """
+    wanted = f"Argument `folder` must be a folder of results, but {folder}"
+    if not folder.is_dir():
+        it_is = f"a file: its folder is {folder.parent}" if folder.is_file() else "none"
+        raise ValueError(f"{wanted} is {it_is}.")
+    place = str(folder.absolute())  # a folder, also where a built-in scene has its name
+    loaded = None
+    try:
+        name = scene_file(place).name.removesuffix(".toml")
+        loaded = load_scene(place)
+    except SceneError as error:
+        stores = sorted(folder.glob("*.zarr"))
+        if not stores:
+            raise ValueError(f"{wanted} {error.problems[0]}.") from None
+        name = stores[0].stem.partition(".")[0]
+    return write_page(folder, name, saved(folder / f"{name}.zarr"), loaded)

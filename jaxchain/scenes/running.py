@@ -7,59 +7,301 @@ neither a later failure nor an interruption loses what was computed.
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import json
+import math
+import os
+import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import jax
+import jax.numpy as jnp
+import numpy as np
 import xarray as xr
 
-from .._types import State
+from .._limits import MOST_LANES
+from ..boundaries.fold import find_fold
+from ..boundaries.hopf import hopf_belt_speed
+from ..boundaries.single_mass import one_mass_branch
 from ..model.chain import Chain
 from ..model.friction import AbstractFrictionLaw
+from ..model.provenance import versions
+from ..model.sliding import has_uniform_damping
 from ..observers.base import AbstractObserver
 from ..plotting.groups import CYCLES
 from ..plotting.sweeps import figure
 from ..simulation.event_driven import EventDriven
-from ..sweeps.store import StoreError, describe, in_lines, read_layout, status_of, stores_in
+from ..sweeps.store import describe, stores_in
 from ..sweeps.sweeping import SweepInterrupted, sweep
-from .boundaries import cycles, hopf_speed
-from .building import (
-    build_chain,
-    build_initial,
-    build_observers,
-    build_solver,
-    checked_chains,
-    describe_start,
-)
-from .errors import SceneError, StudyFailedError, shortened
-from .folders.datasets import in_memory
-from .folders.groups import Group, all_stored, groups_of
-from .observing import ObserveTable
-from .pages.page import page_behind
-from .reading import LoadedScene
-from .registry import StudyTable, study_run
-from .report import cycles_summary, stored_summary, summary
-from .scene import Experiment, SweepTable
-from .storage import Results
-from .writing import as_run, circumstances, scene_files
+from .building import build_chain, build_initial, build_observers, build_solver, checked_chains
+from .files import SceneError, as_value, escaped, to_toml
+from .folder import Results, now, saved, unfinished
+from .report import PAGE, missing, summary, write_page
+from .scene import Experiment, Group, LoadedScene, Scene
+from .tables import OwnObserverTable
 
-# Of an error from elsewhere.
-_CHARACTERS = 1000
+# What the numbers of a start mean: a sweep, for which they may be anything, does not know.
+_OF_THE_START = {
+    "displacement": ("how far excited masses are pulled away at the start", "x0"),
+    "velocity": ("velocity of every mass at the start", "x0 omega_n"),
+}
+
+
+def run_scene(
+    loaded: LoadedScene,
+    folder: Path,
+    *,
+    own_law: type[AbstractFrictionLaw] | None = None,
+    own_observers: Mapping[str, type[AbstractObserver]] | None = None,
+    plot: bool = True,
+    netcdf: bool = False,
+    progress: bool = False,
+    report: Callable[[str], object] = print,
+    command: str = "",
+    own_files: Sequence[Path] = (),
+    client: Any = None,
+) -> dict[str, xr.Dataset]:
+    """Runs every experiment of a scene and fills `folder` with results.
+
+    `<scene>.zarr` holds each experiment as a group, to be opened by `xarray.open_datatree`; of an
+    experiment with both models the runs with true dry friction are the group
+    `<experiment>_nonsmooth`.  Of one oscillator from several starts over belt speed, the branch of
+    cycles with its fold is the group `<experiment>_cycles`.  `<scene>.png` and `<scene>.pdf` show
+    all of them.  `<scene>.toml` is what was run.  An experiment of many runs has a store of its
+    own beside them (`numerics.store`), from which a run that was cut off goes on; what does not
+    fit into memory stays there alone.  `report.html` shows all of this, also of a run that failed
+    or was interrupted.
+
+    **Arguments:** `folder` exists and is empty (see `claimed`); `own_law`, the friction law of
+    every experiment in place of that of the scene, whose numbers it takes; `own_observers`, by the
+    names of their classes, for every experiment; `plot`, whether to draw; `netcdf`, whether to
+    write all datasets into `<scene>.nc`, too, which needs h5netcdf; `report` is given a summary of
+    each experiment; `command`, the command line, and `own_files`, copied into the folder: where
+    the results come from; `client`, a `distributed.Client` whose workers run every experiment,
+    into stores.
+
+    **Returns:** the datasets by experiment.
+
+    **Raises:** `KeyboardInterrupt` on Ctrl-C, once the runs that had ended are written;
+    `StorageError` if something cannot be written; `FigureError` if everything is written but the
+    figure; `StoreError` if a store cannot be written, which `resume_scene` goes on with;
+    `SceneError` for numbers that do not go together.
+
+    !!! example
+
+        >>> import jax, tempfile
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from pathlib import Path
+        >>> from jaxchain.scenes import load_scene, run_scene
+        >>> small = "chain.n=3", "sweep.belt_speed=[1.5]", "sweep.excited=[0, 1]"  # seconds
+        >>> scene = load_scene("quickstart", [f"experiment.ladder.{key}" for key in small])
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     found = run_scene(scene, Path(folder), plot=False, report=lambda summary: None)
+        ...     print(sorted(file.name for file in Path(folder).iterdir()))
+        ['quickstart.toml', 'quickstart.zarr', 'report.html']
+        >>> found["ladder"].active_count.values.tolist()
+        [[0.0, 1.0]]
+    """
+    if saved(folder / f"{loaded.name}.zarr"):
+        remedy = "`resume_scene` goes on there, `claimed` finds another"
+        raise SceneError(loaded.name, [f"has results in {folder} already: {remedy}"])
+    results, about = Results(folder, loaded.name), circumstances(command)
+    how = {"own_law": own_law, "own_observers": own_observers, "progress": progress}
+    chains = checked_chains(loaded, own_law, own_observers)
+    scene = as_run(loaded.scene, own_law is not None, own_observers or ())
+    files = scene_files(loaded.name, scene, about, own_files)
+    results.about |= about
+    try:
+        results.keep(files)
+        return _fill(loaded, results, chains, {**how, "client": client}, report, plot, netcdf)
+    finally:
+        if not results.datasets and not stores_in(folder):  # nothing was found
+            for name in files:
+                (folder / name).unlink(missing_ok=True)
+
+
+def resume_scene(
+    loaded: LoadedScene,
+    folder: Path,
+    *,
+    own_law: type[AbstractFrictionLaw] | None = None,
+    own_observers: Mapping[str, type[AbstractObserver]] | None = None,
+    plot: bool = True,
+    netcdf: bool = False,
+    progress: bool = False,
+    report: Callable[[str], object] = print,
+    command: str = "",
+    client: Any = None,
+) -> dict[str, xr.Dataset]:
+    """Goes on with a run that was cut off, in its own folder: computes what is missing there.
+
+    **Arguments:** `loaded`, what was run there, as `load_scene(folder)` reads it; the rest, and
+    what is returned, as for `run_scene`.
+
+    **Raises:** as `run_scene`; `SceneError` where a store belongs to another version of jaxchain
+    or of the scene; `StorageError` if nothing can be written there, or another process runs.
+
+    !!! example
+
+        >>> import jax, tempfile
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from pathlib import Path
+        >>> from jaxchain.scenes import load_scene, resume_scene, run_scene
+        >>> small = "chain.n=3", "sweep.belt_speed=[1.5]", "sweep.excited=[0, 1]"  # seconds
+        >>> scene = load_scene("quickstart", [f"experiment.ladder.{key}" for key in small])
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     _ = run_scene(scene, Path(folder), plot=False, report=lambda text: None)
+        ...     _ = resume_scene(load_scene(folder), Path(folder), plot=False)  # what ran there
+        saved already: ladder
+        nothing is missing
+    """
+    chains = checked_chains(loaded, own_law, own_observers)
+    how = {"own_law": own_law, "own_observers": own_observers, "progress": progress}
+    with unfinished(folder, loaded.name):
+        results, about = Results.reopen(folder, loaded.name), circumstances(command)
+        toml = (folder / f"{loaded.name}.toml").read_text(encoding="utf-8")
+        first = re.findall(r'^# (command|started) = (".*")$', toml, re.MULTILINE)
+        about |= {"resumed": about["started"], "resumed_by": about["command"]}
+        results.about |= about | {key: json.loads(text) for key, text in first}
+        if results.datasets:
+            report(f"saved already: {', '.join(results.datasets)}")
+        if not missing(folder, loaded, results.datasets):
+            report("nothing is missing")
+        return _fill(loaded, results, chains, {**how, "client": client}, report, plot, netcdf)
+
+
+def _fill(
+    loaded: LoadedScene,
+    results: Results,
+    chains: Mapping[str, Chain],
+    how: Mapping[str, Any],
+    report: Callable[[str], object],
+    plot: bool,
+    netcdf: bool,
+) -> dict[str, xr.Dataset]:
+    """Runs and saves every group that is not saved yet, and draws."""
+    whole = {"title": loaded.scene.title, "scene": loaded.name}
+    results.about |= {"description": loaded.scene.description, **whole}
+    before = list(results.datasets)
+    scene = as_run(loaded.scene, how["own_law"] is not None, how["own_observers"] or ())
+    try:
+        for group in loaded.scene.groups():
+            about = {
+                **whole,
+                "description": group.experiment.description,
+                "experiment": group.of,
+                "model": group.model,
+                "definition": json.dumps(scene["experiment"][group.of]),
+            }
+            if group.name not in results.datasets:
+                _run_group(group, chains[group.of], results, about, how, report)
+            beside = group.of + CYCLES
+            if group.model == "smoothed" and beside not in results.datasets:
+                branch = cycles(chains[group.of], group.experiment.grid())
+                if branch is not None:
+                    results.save(beside, branch.assign_attrs(about))
+                    report(summary(beside, branch))
+        if netcdf:
+            results.write_netcdf()
+        large = {name + CYCLES for name in results.stored}
+        shown = {name: data for name, data in results.datasets.items() if name not in large}
+        drawn = (results.folder / f"{loaded.name}.png").exists()
+        if plot and shown and (list(results.datasets) != before or not drawn):
+            results.draw(lambda: figure(shown))
+    finally:
+        _write_page(results, loaded)
+    return results.datasets | results.stored
+
+
+def _run_group(
+    group: Group,
+    chain: Chain,
+    results: Results,
+    about: Mapping[str, str],
+    how: Mapping[str, Any],
+    report: Callable[[str], object],
+) -> None:
+    """Runs an experiment and saves it; once it is interrupted, what has ended."""
+    experiment, interrupt, store = group.experiment, None, None
+    if experiment.stored() or how["client"] is not None:
+        store = results.folder / f"{results.name}.{group.name}.zarr"
+    try:
+        with _located(results.name, f"experiment.{group.of}: "):
+            data = run_experiment(
+                experiment, name=group.name, model=group.model, store=store, **how
+            )
+    except SweepInterrupted as stopped:
+        if store is not None:
+            raise
+        data, interrupt = stopped.dataset, stopped
+    unwanted = {"amplitude", "energy", "active_count"} - set(experiment.observe.quantities)
+    data = data.drop_vars(unwanted & set(data.data_vars)).assign_attrs(about)
+    for name in _OF_THE_START.keys() & set(map(str, data.coords)):
+        words, unit = _OF_THE_START[name]
+        data[name].attrs |= {"long_name": words, "units": unit}
+    hopf = hopf_speed(chain, experiment.grid())
+    data = data if hopf is None else data.assign(hopf_belt_speed=hopf)
+    if store is not None:
+        describe(store, about)
+        if not experiment.fits_memory():
+            results.stored[group.name] = data
+            report(summary(group.name, data, store))
+            return
+        data = _in_memory(data)
+    results.save(group.name, data)
+    report(summary(group.name, data))
+    if interrupt is not None:
+        raise interrupt
+
+
+def _in_memory(data: xr.Dataset) -> xr.Dataset:
+    """What a store holds, read, and without how its files were written."""
+    read = data.load().copy()
+    read.encoding = {}
+    for variable in read.variables.values():
+        kept = {name: variable.encoding.get(name) for name in ("dtype", "_FillValue")}
+        variable.encoding = {name: value for name, value in kept.items() if value is not None}
+    return read
+
+
+def _write_page(results: Results, loaded: LoadedScene) -> None:
+    """The page of whatever was saved; a page that cannot be written is only warned of."""
+    if results.datasets or stores_in(results.folder):
+        try:
+            write_page(results.folder, loaded.name, results.datasets, loaded)
+        except OSError as error:
+            why = error.strerror or error
+            warnings.warn(f"cannot write {results.folder / PAGE}: {why}", stacklevel=2)
+
+
+@contextlib.contextmanager
+def _located(scene: str, place: str) -> Iterator[None]:
+    """Adds the experiment to an error that only a run shows: a width too small, say.
+
+    **Raises:** `SceneError` for a `ValueError`; `MemoryError` with a remedy for want of memory.
+    """
+    try:
+        yield
+    except ValueError as error:
+        raise SceneError(scene, [f"{place}{error}"]) from error
+    except (MemoryError, RuntimeError) as error:
+        # RESOURCE_EXHAUSTED is how the compiler says it.
+        if not isinstance(error, MemoryError) and "RESOURCE_EXHAUSTED" not in str(error):
+            raise
+        more = "" if "fewer" in str(error) else ": take fewer values, masses or chains at once"
+        raise MemoryError(f"{place}out of memory ({str(error)[:1000]}){more}") from error
 
 
 def run_experiment(
-    experiment: SweepTable,
+    experiment: Experiment,
     *,
     name: str = "sweep",
     model: str = "smoothed",
     own_law: type[AbstractFrictionLaw] | None = None,
     own_observers: Mapping[str, type[AbstractObserver]] | None = None,
     progress: bool = False,
-    initial: Callable[..., State] | None = None,
-    observe: Any = None,
     store: Path | None = None,
     client: Any = None,
 ) -> xr.Dataset:
@@ -68,8 +310,8 @@ def run_experiment(
     Failed runs are marked in `result` and warn of nothing.
 
     **Arguments:** `experiment`, one of a scene; `name`, of the progress bar; `model`, "smoothed"
-    or "nonsmooth"; `own_law`, `own_observers`, `progress` as for `run_scene`; `initial`,
-    `observe`: instead of what the experiment says; `store`, `client`: as for `sweep`.
+    or "nonsmooth"; `own_law`, `own_observers`, `progress` as for `run_scene`;
+    `store`, `client`: as for `sweep`.
 
     **Returns:** the dataset of `sweep`.
 
@@ -88,278 +330,137 @@ def run_experiment(
     """
     numerics, time = experiment.numerics, experiment.time
     chain = build_chain(experiment, own_law)
-    if observe is None:
-        table = experiment.observe if isinstance(experiment, Experiment) else ObserveTable()
-        observe = build_observers(table, time.window, own_observers)
-    if model == "nonsmooth":
-        solver = EventDriven()
-    else:
+    solver: Any = EventDriven()
+    if model != "nonsmooth":
         solver = build_solver(numerics.solver, chain, numerics.rtol, numerics.max_step)
     with warnings.catch_warnings():
         # The summary says it better.
         warnings.filterwarnings("ignore", message=r"\d+ of \d+ lanes ended with")
         return sweep(
             chain,
-            build_initial(experiment) if initial is None else initial,
+            build_initial(experiment),
             time.transient + time.window,
             over=experiment.grid(),
-            observe=observe,
+            observe=build_observers(experiment.observe, time.window, own_observers),
             solver=solver,
             **numerics.model_dump(exclude={"solver", "model", "store"}),
-            **({} if client is None else {"client": client}),
+            client=client,
             store=store,
             progress=progress,
             description=name,
         )
 
 
-@contextlib.contextmanager
-def in_words(scene: str, where: str = "") -> Iterator[None]:
-    """Says where an error is that only a run shows: a width too small, say, or too little memory.
+def hopf_speed(chain: Chain, grid: Mapping[str, np.ndarray]) -> xr.DataArray | None:
+    """The Hopf speed over whatever numbers of the chain are swept beside belt speed.
 
-    **Raises:** `SceneError` for a `ValueError`; `MemoryError` with a remedy for want of memory;
-    `StudyFailedError` for a run that fails.
+    None where no belt speed is swept, for numbers per mass, whose search costs eigenvalues, and
+    for more combinations than fit into memory.
     """
-    try:
-        yield
-    except ValueError as error:
-        raise SceneError(scene, [f"{where}{error}"]) from error
-    except MemoryError as error:
-        raise MemoryError(_short_of_memory(where, error)) from error
-    except StoreError:  # says it all
-        raise
-    except RuntimeError as error:
-        if "RESOURCE_EXHAUSTED" in str(error):  # how the compiler says it
-            raise MemoryError(_short_of_memory(where, error)) from error
-        raise StudyFailedError(f"{where}{shortened(str(error), _CHARACTERS)}") from error
+    if "belt_speed" not in grid or not has_uniform_damping(chain):
+        return None
+    swept = [name for name in grid if name in chain.numbers() and name != "belt_speed"]
+    if math.prod(len(grid[name]) for name in swept) > MOST_LANES:
+        return None
+    axes = np.meshgrid(*(grid[name] for name in swept), indexing="ij")
+
+    def speed(*values: jax.Array) -> jax.Array:
+        return hopf_belt_speed(chain.with_(**dict(zip(swept, values, strict=True))))
+
+    speeds = jnp.vectorize(speed)(*axes) if swept else speed()
+    attrs = {"long_name": "Hopf speed v_H: above it steady sliding is stable",
+             "units": "x0 omega_n"}  # fmt: skip
+    return xr.DataArray(np.asarray(speeds), dims=swept, attrs=attrs)
 
 
-def _short_of_memory(where: str, error: Exception) -> str:
-    said = shortened(str(error), _CHARACTERS)
-    if "fewer" in said:
-        return f"{where}{said}"
-    return (
-        f"{where}out of memory{f' ({said})' if said else ''}: take fewer values, masses or chains "
-        "at once"
-    )
+def cycles(chain: Chain, grid: Mapping[str, np.ndarray]) -> xr.Dataset | None:
+    """All cycles of one oscillator with smoothed friction over the belt speed, through their fold.
 
+    **Arguments:** `chain` and the swept values of the experiment whose runs they stand beside.
 
-def run_scene(
-    loaded: LoadedScene,
-    folder: Path | Results,
-    *,
-    own_law: type[AbstractFrictionLaw] | None = None,
-    own_observers: Mapping[str, type[AbstractObserver]] | None = None,
-    plot: bool = True,
-    progress: bool = False,
-    report: Callable[[str], object] = print,
-    command: str = "",
-    own_files: Sequence[Path] = (),
-    client: Any = None,
-) -> dict[str, xr.Dataset]:
-    """Runs every experiment of a scene, or a study, and fills `folder` with results.
-
-    `<scene>.zarr` and `<scene>.nc` hold each experiment as a group, to be opened by
-    `xarray.open_datatree`; of an experiment with both models the runs with true dry friction are
-    the group `<experiment>_nonsmooth`.  Of one oscillator from several starts over belt speed,
-    the branch of cycles with its fold is the group `<experiment>_cycles`.
-    `<scene>.png` and `<scene>.pdf` show all of them.  `<scene>.toml` is what was run (see
-    `scenes/writing.py`).  An experiment of many runs has a store of its own beside them
-    (`StoredNumericsTable.store`), from which a run that was cut off goes on; what does not fit
-    into memory stays there alone.  `report.html` tells all of this to people, also of a run that
-    failed or was interrupted.
-
-    **Arguments:** `folder` exists and is empty (see `claimed`); `own_law`, the friction law of
-    every experiment, in place of the one that is named there (see `load_law`); `own_observers`, by
-    the names of their classes (see `load_observer`); `plot`, draw the figure; `progress`, show a
-    progress bar; `report` receives the summary of each experiment; `command`, the command line,
-    and `own_files`, of which copies are kept, for whoever runs it again; `client`, a
-    `distributed.Client` whose workers run every experiment, into stores.
-
-    **Returns:** the datasets by experiment.
-
-    **Raises:** `KeyboardInterrupt` on Ctrl-C, once the runs that had ended are written;
-    `StorageError` if something cannot be written; `FigureError` if everything is written but the
-    figure; `StudyFailedError` if everything is written but a study found what must not be;
-    `StoreError` if a store cannot be written, which `resume_scene` goes on with; `SceneError`
-    for numbers that do not go together.
-
-    !!! example
-
-        >>> import jax, tempfile
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from pathlib import Path
-        >>> from jaxchain.scenes import load_scene, run_scene
-        >>> small = "chain.n=3", "sweep.belt_speed=[1.5]", "sweep.excited=[0, 1]"  # seconds
-        >>> scene = load_scene("quickstart", [f"experiment.ladder.{key}" for key in small])
-        >>> with tempfile.TemporaryDirectory() as folder:
-        ...     found = run_scene(scene, Path(folder), plot=False, report=lambda summary: None)
-        ...     print(sorted(file.name for file in Path(folder).iterdir()))
-        ['quickstart.nc', 'quickstart.toml', 'quickstart.zarr', 'report.html']
-        >>> found["ladder"].active_count.values.tolist()
-        [[0.0, 1.0]]
+    **Returns:** a dataset over `point`, from rest at the Hopf speed through the fold to
+    stick-slip; None for anything but one oscillator, with a sweep over at least ten belt speeds
+    and starts and no other number of the chain; or if its cycles do not fold.
     """
-    scene, chains = loaded.scene, {}
-    if isinstance(scene, StudyTable):
-        given = {"--law": own_law, "--observer": own_observers, "--workers": client}
-        if wrong := [option for option, value in given.items() if value]:
-            raise SceneError(loaded.name, [f"{wrong[0]}: is for scenes, and this is a study"])
-    else:
-        if client is not None:
-            scene = all_stored(scene)
-            loaded = dataclasses.replace(loaded, scene=scene)
-        chains = checked_chains(loaded, own_law, own_observers)
-    results, around = Results.of(folder, loaded.name), circumstances(command)
-    results.about |= {"title": scene.title, "description": scene.description}
-    results.about |= {"scene": loaded.name, **around}
-    run = as_run(scene, own_law is not None, own_observers or ())
-    with contextlib.ExitStack() as stack:
-        results.keep(scene_files(loaded.name, run, around, own_files))
-        stack.enter_context(page_behind(results, scene))
-        if isinstance(scene, StudyTable):
-            with in_words(loaded.name):
-                return study_run(scene.study)(
-                    scene, results, name=loaded.name, plot=plot, progress=progress, report=report
-                )
-        with _to_go_on(results):
-            fill(
-                loaded, results, chains, own_law=own_law, own_observers=own_observers,
-                progress=progress, report=report, client=client,
-            )  # fmt: skip
-        if plot:
-            draw(results)
-    return results.datasets | results.stored
-
-
-@contextlib.contextmanager
-def _to_go_on(results: Results) -> Iterator[None]:
-    """What is cut off within it leaves its stores, if it has any, and a mark beside them."""
-    folder = results.folder
-    try:
-        yield
-    except BaseException:
-        if stores_in(folder):
-            results.unfinished.add(folder)
-        raise
-
-
-def fill(
-    loaded: LoadedScene,
-    results: Results,
-    chains: Mapping[str, Chain],
-    *,
-    own_law: type[AbstractFrictionLaw] | None,
-    own_observers: Mapping[str, type[AbstractObserver]] | None,
-    progress: bool,
-    report: Callable[[str], object],
-    client: Any,
-) -> None:
-    """Runs and saves every group of a scene that is not saved yet."""
-    scene = loaded.scene
-    run = as_run(scene, own_law is not None, own_observers or ())
-    for group in groups_of(scene):
-        chain, grid = chains[group.of], group.experiment.grid()
-        about = {
-            "title": scene.title,
-            "description": group.experiment.description,
-            "scene": loaded.name,
-            "experiment": group.of,
-            "model": group.model,
-            "definition": json.dumps(run["experiment"][group.of]),
-        }
-        if group.name not in results.datasets:
-
-            def runs(store: Path | None, group: Group = group) -> xr.Dataset:
-                with in_words(loaded.name, f"experiment.{group.of}: "):
-                    return run_experiment(
-                        group.experiment, name=group.name, model=group.model, own_law=own_law,
-                        own_observers=own_observers, progress=progress, store=store, client=client,
-                    )  # fmt: skip
-
-            hopf = hopf_speed(chain, grid)
-            store = group.store(results.folder, loaded.name)
-            if store is None:
-                _keep(group, runs, about, hopf, results, report)
-            else:
-                _keep_stored(group, runs, store, about, hopf, results, report)
-        if group.model == "smoothed" and group.of + CYCLES not in results.datasets:
-            branch = cycles(chain, grid)
-            if branch is not None:
-                branch = branch.assign_attrs(about)
-                results.save(group.of + CYCLES, branch)
-                report(cycles_summary(group.of + CYCLES, branch))
-
-
-def _keep(
-    group: Group,
-    runs: Callable[[Path | None], xr.Dataset],
-    about: Mapping[str, str],
-    hopf: xr.DataArray | None,
-    results: Results,
-    report: Callable[[str], object],
-) -> None:
-    """Runs an experiment in memory and saves it; once it is interrupted, what has ended."""
-    interrupt = None
-    try:
-        data = runs(None)
-    except SweepInterrupted as stopped:
-        # Who goes on has no use for a part.
-        if results.reopened or stores_in(results.folder):
-            raise
-        data, interrupt = stopped.dataset, stopped
-    kept = _with_about(data, group, about, hopf)
-    results.save(group.name, kept)
-    report(summary(group.name, kept))
-    if interrupt is not None:
-        raise interrupt
-
-
-def _keep_stored(
-    group: Group,
-    runs: Callable[[Path | None], xr.Dataset],
-    store: Path,
-    about: Mapping[str, str],
-    hopf: xr.DataArray | None,
-    results: Results,
-    report: Callable[[str], object],
-) -> None:
-    """Fills the store of an experiment, and saves it beside others where it fits into memory."""
-    try:
-        data = runs(store)
-        describe(store, about)
-    except BaseException:
-        if read_layout(store) is not None:
-            report(in_lines(status_of(store)))
-        raise
-    kept = _with_about(data, group, about, hopf)
-    if group.experiment.fits_memory():
-        kept = in_memory(kept)
-        results.save(group.name, kept)
-        report(summary(group.name, kept))
-    else:
-        results.stored[group.name] = kept
-        report(stored_summary(group.name, kept, status_of(store)))
-
-
-def _with_about(
-    data: xr.Dataset, group: Group, about: Mapping[str, str], hopf: xr.DataArray | None
-) -> xr.Dataset:
-    """What the experiment asks for, and where it comes from."""
-    unwanted = {"amplitude", "energy", "active_count"} - set(group.experiment.observe.quantities)
-    kept = data.drop_vars(unwanted & set(data.data_vars))
-    kept.attrs |= about
-    describe_start(kept)
-    if hopf is not None:
-        kept["hopf_belt_speed"] = hopf
-    return kept
-
-
-def draw(results: Results) -> None:
-    """The figure of everything that fits into memory, if anything does."""
-    shown = {
-        name: data
-        for name, data in results.datasets.items()
-        if name.removesuffix(CYCLES) not in results.stored
+    swept = [name for name in grid if name in chain.numbers()]
+    if chain.n != 1 or swept != ["belt_speed"] or len(grid) < 2 or len(grid["belt_speed"]) < 10:
+        return None
+    fold = find_fold(chain)
+    if np.isnan(fold.belt_speed):
+        return None
+    # Down to where the runs begin; the sweep may lie above the fold altogether.
+    lowest = min(max(float(np.min(grid["belt_speed"])), 0.05), 0.5 * float(fold.belt_speed))
+    branch = one_mass_branch(chain, lowest, fold)
+    exists = np.isfinite(branch.belt_speed)
+    stable = np.arange(exists.size) > branch.fold
+    variables: dict[str, Any] = {
+        "stable": ("point", stable[exists], {"long_name": "whether the cycle is stable"})
     }
-    if shown:
-        results.draw(lambda: figure(shown))
+    for name, words, units, at_fold in (
+        ("belt_speed", "belt speed v_d", "x0 omega_n", "belt speed v_d of the fold"),
+        ("amplitude", "amplitude A, half peak-to-peak", "x0", "amplitude A at the fold"),
+        ("period", "period", "1 / omega_n", ""),
+    ):
+        values, attrs = getattr(branch, name), {"long_name": words, "units": units}
+        variables[name] = "point", np.asarray(values)[exists], attrs
+        if at_fold:
+            attrs = attrs | {"long_name": at_fold}
+            variables[f"fold_{name}"] = (), float(values[branch.fold]), attrs
+    return xr.Dataset(variables)
+
+
+def circumstances(command: str = "") -> dict[str, str]:
+    """What results depend on beside the scene; `command` is the one that was given."""
+    devices = jax.devices()
+    return {
+        # An argument may be bytes that are no text.
+        "command": command.encode("utf-8", "backslashreplace").decode(),
+        "started": now(),
+        "devices": f"{len(devices)} x {devices[0].device_kind}",
+        "xla_flags": os.environ.get("XLA_FLAGS", ""),
+        "versions": json.dumps(versions()),
+    }
+
+
+def scene_files(
+    name: str, scene: dict[str, Any], about: Mapping[str, str], own_files: Sequence[Path] = ()
+) -> dict[str, bytes]:
+    """The files by name: `scene` (see `as_run`) with `about` in its comments, and own code."""
+    head = [
+        "# What was run: every number of the scene, with what the command line changed.",
+        "# `jaxchain run` takes the folder of this file, or this file, and runs it again;",
+        "# `jaxchain resume` takes the folder and goes on where a run was cut off.",
+        *(f'# {key} = "{escaped(text)}"' for key, text in about.items() if key != "versions"),
+        f"# versions = {as_value(versions())}",
+    ]
+    files = {f"{name}.toml": "\n".join([*head, "", to_toml(scene), ""]).encode()}
+    for file in own_files:
+        content, copy, count = file.read_bytes(), file.name, 1
+        while files.get(copy, content) != content:
+            count += 1
+            copy = f"{file.stem}-{count}{file.suffix}"
+        files[copy] = content
+    return files
+
+
+def as_run(
+    scene: Scene, own_law: bool = False, own_observers: Mapping[str, Any] | Sequence[str] = ()
+) -> dict[str, Any]:
+    """What the file of a scene says, if it says all.
+
+    What was in the place of a law is named as one's own, and so are the observers that the scene
+    did not name, so that neither is forgotten on the next command line.
+    """
+    data = scene.model_dump(mode="json", exclude_none=True)
+    for name, experiment in scene.experiment.items():
+        table = data["experiment"][name]
+        if own_law:
+            numbers = {key: experiment.given(key) for key in experiment.friction_numbers()}
+            given = {key: value for key, value in numbers.items() if value is not None}
+            table["chain"]["friction"] = {"law": "own", **given}
+        others = experiment.observe.others or []
+        named = {other.name for other in others if isinstance(other, OwnObserverTable)}
+        more = [{"observer": "own", "name": own} for own in own_observers if own not in named]
+        if more:
+            table["observe"].setdefault("others", []).extend(more)
+    return data

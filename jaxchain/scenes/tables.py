@@ -1,17 +1,24 @@
 """The tables a scene file is made of, each a pydantic model.
 
-Nothing here needs JAX, so that a scene is found wrong in milliseconds.  Every number is
-dimensionless.  A number that is swept may be left out, so most are optional here; whether one is
-missing is for the experiment to say (`jaxchain.scenes.scene`).
+Nothing here needs JAX, so that a wrong scene is refused in milliseconds.  Every number is
+dimensionless.  A number that is swept may be left out, so most are optional here; the experiment
+checks whether one is missing (`jaxchain.scenes.scene`).
+
+Bounds are far beyond what means anything for such a chain: they keep squares and quotients finite,
+and counts within what can be computed and stored.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from decimal import Decimal
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias, TypeVar, get_args
 
+import numpy as np
 from pydantic import (
+    AfterValidator,
     BaseModel,
     ConfigDict,
     Discriminator,
@@ -21,80 +28,185 @@ from pydantic import (
     model_validator,
 )
 
-from .._limits import MOST_LANES
+from .._limits import LEAST_ATOL, LEAST_RTOL, MOST_LANES
 from ..model.measured import check_measured, read_curve
-from ..model.parameters import CHAIN, Parameter, parameter
-from .values import (
-    MOST_NUMBERS,
-    MOST_STEPS,
-    MOST_VALUES,
-    RTOL,
-    TRANSIENT,
-    WINDOW,
-    AbsoluteTolerance,
-    Masses,
-    NonNegative,
-    Number,
-    Positive,
-    PositiveTime,
-    StepLength,
-    Table,
-    Time,
-    Tolerance,
-    form,
-)
+from ..model.parameters import CHAIN, parameter
 
+# Of numbers other than 0, in magnitude; time units of a run: some days of one core.
+LEAST, MOST, MOST_TIME = 1e-15, 1e15, 1e9
+# Values of one list, and numbers that one experiment keeps: 0.8 GB.
+MOST_VALUES, MOST_NUMBERS = 10**6, 10**8
+FEWER = "take fewer values, or share them out over several experiments or scene files"
 T = TypeVar("T", bound=BaseModel)
 
 
-def by_tag(union: Any, key: str) -> dict[str, type[Table]]:
-    """The tables of a union by the values of `key` that tell them apart."""
-    tables = get_args(get_args(union)[0])
-    return {tag: t for t in tables for tag in get_args(t.model_fields[key].annotation)}
+class Table(BaseModel):
+    """A table of a scene file: unknown keys, wrong types, NaN and infinity are errors."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        strict=True,
+        frozen=True,
+        allow_inf_nan=False,
+        use_attribute_docstrings=True,
+    )
 
 
-_SIGNS: dict[str, Any] = {"any": Number, "nonnegative": NonNegative, "positive": Positive}
+def _not_tiny(value: float) -> float:
+    if 0 < abs(value) < LEAST:
+        raise ValueError(f"must be 0 or at least {LEAST:g} in size, but is {value!r}")
+    return value
 
 
-def _key(row: Parameter, several: bool) -> Any:
-    """Type and default of the key of a number; `several`: also one for each mass or spring."""
-    kind: Any = _SIGNS[row.sign]
-    if several and row.per != "chain":
-        many = Annotated[list[kind], Field(min_length=1, max_length=MOST_NUMBERS), Tag("list")]
-        kind = Annotated[Annotated[kind, Tag("number")] | many, Discriminator(form)]
-    kind = kind | None if row.default is None else kind
-    return Annotated[kind, Field(description=row.description)], row.default
+def _printable(text: str) -> str:
+    if bad := next((c for c in text if not (c.isprintable() or c in "\n\t")), None):
+        raise ValueError(f"must not hold the character {bad!r}, which cannot be printed")
+    return text
+
+
+def _form(value: Any) -> str:
+    """The tag of a value that may be a number, a list or a table."""
+    if isinstance(value, dict | BaseModel):
+        return "table"
+    return "list" if isinstance(value, list) else "number"
+
+
+def _one_of(forms: str) -> Discriminator:
+    return Discriminator(_form, "forms", f"Input should be {forms}")
+
+
+Number: TypeAlias = Annotated[float, Field(ge=-MOST, le=MOST), AfterValidator(_not_tiny)]
+NonNegative: TypeAlias = Annotated[float, Field(ge=0, le=MOST), AfterValidator(_not_tiny)]
+Positive: TypeAlias = Annotated[float, Field(ge=LEAST, le=MOST)]
+Time: TypeAlias = Annotated[float, Field(ge=0, le=MOST_TIME), AfterValidator(_not_tiny)]
+PositiveTime: TypeAlias = Annotated[float, Field(ge=LEAST, le=MOST_TIME)]
+Count: TypeAlias = Annotated[int, Field(ge=1, le=10**6)]
+Mass: TypeAlias = Annotated[int, Field(ge=1, le=MOST_NUMBERS)]  # counted from 1
+Text: TypeAlias = Annotated[str, Field(max_length=10_000), AfterValidator(_printable)]
+# Of an experiment: names a group of the results.
+Name: TypeAlias = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", max_length=64)]
+
+
+class Range(Table):
+    """Equally spaced values: start, start + step, ... stop, or `count` values with both ends."""
+
+    start: Number
+    """The first value."""
+    stop: Number
+    """The last value, unless the steps do not meet it; none lies beyond."""
+    step: Number | None = None
+    """Distance between values; negative to count down."""
+    count: Annotated[int, Field(ge=1)] | None = None
+    """Number of values, both ends included; instead of `step`."""
+
+    @model_validator(mode="after")
+    def _check(self) -> Range:
+        if (self.step is None) == (self.count is None):
+            raise ValueError("must have either `step` or `count` beside `start` and `stop`")
+        if self.step == 0:
+            raise ValueError("must have a `step` other than 0")
+        size = self._size()
+        if size < 1:
+            raise ValueError(
+                f"is empty: a step of {self.step:g} does not lead from {self.start:g} to "
+                f"{self.stop:g}"
+            )
+        if size > MOST_VALUES:
+            raise ValueError(
+                f"would be {size:.3g} values, and {MOST_VALUES} are the most: {FEWER}"
+            )
+        if self.start == self.stop and self.count not in (None, 1):
+            raise ValueError("has two equal ends: `count` must be 1")
+        if self.start != self.stop and math.floor(size) == 1:
+            raise ValueError(
+                f"has a step of {self.step:g} beyond its range: only {self.start:g} would be "
+                f"left. A `step` of at most {abs(self.stop - self.start):g} reaches further"
+                if self.step
+                else "cannot hold both ends in one value: raise `count`"
+            )
+        return self
+
+    def _size(self) -> float:
+        """Number of values; the last one may miss `stop` by rounding."""
+        if self.step is None:
+            return float(min(self.count or 0, MOST))
+        return (self.stop - self.start) / self.step + 1 + 1e-9
+
+    def array(self) -> np.ndarray:
+        """The values.  Steps are added in decimal, so that 1.0 + 3 * 0.05 is 1.15."""
+        count = math.floor(self._size())
+        if self.step is None:
+            return np.linspace(self.start, self.stop, count)
+        start, step = Decimal(repr(self.start)), Decimal(repr(self.step))
+        return np.array([float(start + i * step) for i in range(count)])
+
+
+def array(values: Range | list[Any]) -> np.ndarray:
+    """The numbers of a list or a range.
+
+    >>> array(Range(start=1.0, stop=2.0, step=0.5)).tolist()
+    [1.0, 1.5, 2.0]
+    """
+    return values.array() if isinstance(values, Range) else np.array(values)
+
+
+def distinct(values: Any) -> Any:
+    if isinstance(values, list) and len(set(values)) < len(values):
+        twice = next(one for i, one in enumerate(values) if one in values[:i])
+        raise ValueError(f"holds {twice!r} more than once")
+    return values
+
+
+Values: TypeAlias = Annotated[
+    Annotated[list[Number], Field(min_length=1, max_length=MOST_VALUES), Tag("list")]
+    | Annotated[Range, Tag("table")],
+    _one_of("a list or a range table"),
+    AfterValidator(distinct),
+]
+Masses: TypeAlias = Annotated[
+    list[Mass], Field(min_length=1, max_length=MOST_VALUES), AfterValidator(distinct)
+]
 
 
 def _numbers(*names: str, several: bool = False) -> Callable[[type[T]], type[T]]:
-    """Gives a table the keys of these numbers, after its own."""
+    """Gives a table the keys of these numbers of a chain or law, after its own.
+
+    `several`: also one for each mass or spring.
+    """
+    kinds: dict[str, Any] = {"any": Number, "nonnegative": NonNegative, "positive": Positive}
+    keys: dict[str, Any] = {}
+    for row in map(parameter, names):
+        kind: Any = kinds[row.sign]
+        if several and row.per != "chain":
+            many = Annotated[list[kind], Field(min_length=1, max_length=MOST_NUMBERS), Tag("list")]
+            kind = Annotated[Annotated[kind, Tag("number")] | many, _one_of("a number or a list")]
+        kind = kind | None if row.default is None else kind
+        keys[row.name] = Annotated[kind, Field(description=row.description)], row.default
 
     def with_keys(table: type[T]) -> type[T]:
-        keys: Any = {name: _key(parameter(name), several) for name in names}
         return create_model(table.__name__, __base__=table, __doc__=table.__doc__, **keys)
 
     return with_keys
 
 
-_WEAKENING = ("width", "mu_static", "mu_dynamic", "v_ref")
 _LAW = Field(description="Which friction law.")
 
 
-@_numbers(*_WEAKENING)
+@_numbers("width", "mu_static", "mu_dynamic", "v_ref")
 class ExponentialDecayTable(Table):
     """mu(s) = mu_dynamic + (mu_static - mu_dynamic) exp(-s / v_ref)."""
 
     law: Annotated[Literal["exponential_decay"], _LAW]
 
 
-@_numbers(*_WEAKENING, "mu_viscous")
+@_numbers("width", "mu_static", "mu_dynamic", "v_ref", "mu_viscous")
 class WeakeningStrengtheningTable(Table):
     """mu(s) = mu_dynamic + (mu_static - mu_dynamic) exp(-s / v_ref) + mu_viscous s / v_ref."""
 
     law: Annotated[Literal["weakening_strengthening"], _LAW]
 
 
-@_numbers(*_WEAKENING, "mu_viscous")
+@_numbers("width", "mu_static", "mu_dynamic", "v_ref", "mu_viscous")
 class GaussianStribeckTable(Table):
     """mu(s) = mu_dynamic + (mu_static - mu_dynamic) exp(-(s / v_ref)^2) + mu_viscous s / v_ref."""
 
@@ -136,9 +248,7 @@ class TabulatedTable(Table):
             speed, mu = read_curve(file)
         except (OSError, UnicodeDecodeError) as error:
             raise ValueError(f"has a `file` that cannot be read, {file}: {error}") from None
-        return {key: value for key, value in table.items() if key != "file"} | {
-            "speed": speed, "mu": mu,
-        }  # fmt: skip
+        return {**table, "file": None, "speed": speed, "mu": mu}
 
     @model_validator(mode="after")
     def _check(self) -> TabulatedTable:
@@ -173,7 +283,6 @@ FrictionTable: TypeAlias = Annotated[
     | OwnLawTable,
     Field(discriminator="law"),
 ]
-LAWS = by_tag(FrictionTable, "law")
 
 
 @_numbers(*CHAIN, several=True)
@@ -188,16 +297,13 @@ class ChainTable(Table):
     """A ring ("cyclic"), or a row whose first and last mass have one neighbour ("free")."""
 
 
-Block: TypeAlias = Literal["forward", "centred"]
-
-
 _KIND = Field(description="Which kind of start.")
 
 
 class _BlockTable(Table):
     excited: Annotated[int, Field(ge=0, le=MOST_NUMBERS)] | None = None
     """How many neighbouring masses are excited; left out where it is swept."""
-    block: Block = "forward"
+    block: Literal["forward", "centred"] = "forward"
     """Where they are: 11 ... 10 + k of 20 ("forward"), or round oscillator 11 ("centred")."""
 
 
@@ -232,14 +338,15 @@ class ExcitedTable(_BlockTable):
 InitialTable: TypeAlias = Annotated[
     Equation8Table | Equation10Table | ExcitedTable, Field(discriminator="kind")
 ]
-KINDS = by_tag(InitialTable, "kind")
 
 
 class TimeTable(Table):
     """A run lasts transient + window time units (one period of a free mass is about 2 pi)."""
 
-    transient: Annotated[Time, TRANSIENT]
-    window: Annotated[PositiveTime, WINDOW]
+    transient: Time
+    """Time units that are waited for before amplitudes are measured."""
+    window: PositiveTime
+    """Time units over which amplitudes are measured; a period is about 2 pi."""
 
 
 Solver: TypeAlias = Literal[
@@ -248,33 +355,164 @@ Solver: TypeAlias = Literal[
 ]  # fmt: skip
 
 
-class SolverTable(Table):
-    """How a run is computed."""
-
-    solver: Solver = "auto"
-    """For smoothed friction: a structured Rosenbrock solver, a stock diffrax solver, or the choice
-    left to jaxchain.  True dry friction is integrated event by event."""
-    rtol: Annotated[Tolerance, RTOL] = 1e-6
-    atol: AbsoluteTolerance | None = None
-    """Absolute tolerance of a time step; absent: rtol / 10."""
-    max_step: StepLength = 0.5
-    """No step is longer (time units)."""
-    max_steps: Annotated[int, Field(ge=1, le=MOST_STEPS)] | None = None
-    """Steps allowed for each run; absent: no limit."""
-    lanes: Annotated[int, Field(ge=1, le=MOST_LANES)] | None = None
-    """Runs computed at once; absent: as many as suit the machine."""
-
-
-class NumericsTable(SolverTable):
-    """How a run is computed, and with which friction."""
+class NumericsTable(Table):
+    """How the runs of an experiment are computed, with which friction, and where they are kept."""
 
     model: Literal["smoothed", "nonsmooth", "both"] = "smoothed"
     """Friction smoothed by its width, true dry friction, or one run of each."""
-
-
-class StoredNumericsTable(NumericsTable):
-    """How the runs of an experiment are computed, with which friction, and where they are kept."""
-
+    solver: Solver = "auto"
+    """For smoothed friction: a structured Rosenbrock solver, a stock diffrax solver, or the choice
+    left to jaxchain.  True dry friction is integrated event by event."""
+    rtol: Annotated[float, Field(ge=LEAST_RTOL, lt=1)] = 1e-6
+    """Relative tolerance of a time step: a smaller one is more accurate and slower."""
+    atol: Annotated[float, Field(ge=LEAST_ATOL, le=MOST)] | None = None
+    """Absolute tolerance of a time step; absent: rtol / 10."""
+    max_step: Annotated[float, Field(ge=1e-6, le=MOST_TIME)] = 0.5
+    """No step is longer (time units)."""
+    max_steps: Annotated[int, Field(ge=1, le=10**15)] | None = None
+    """Steps allowed for each run; absent: no limit."""
+    lanes: Annotated[int, Field(ge=1, le=MOST_LANES)] | None = None
+    """Runs computed at once; absent: as many as suit the machine."""
     store: bool | None = None
     """Whether they are kept in a store as they end, from which a run that was cut off goes on;
     absent: if there are more than 4096."""
+
+
+_OBSERVER = Field(description="Which observer.")
+
+
+class StickTimeTable(Table):
+    """For how long each mass sticks."""
+
+    observer: Annotated[Literal["StickTime"], _OBSERVER]
+    window: PositiveTime | None = None
+    """The last time units of the run that count; absent: all."""
+
+
+class _CrossingsTable(Table):
+    capacity: Count = 64
+    """How many maxima of each mass are kept, the first ones."""
+    start: Number = 0.0
+    """The time before which nothing is kept."""
+
+
+class PeakTimesTable(_CrossingsTable):
+    """When each mass is farthest out."""
+
+    observer: Annotated[Literal["PeakTimes"], _OBSERVER]
+
+
+class SectionTable(_CrossingsTable):
+    """The states in which one mass is farthest out, or fastest along the belt."""
+
+    observer: Annotated[Literal["Section"], _OBSERVER]
+    oscillator: Mass
+    """Which mass, counted from 1."""
+    of: Literal["displacement", "velocity"] = "displacement"
+    """Whether its displacement has a maximum then, or its velocity in the belt's direction."""
+
+
+class SamplesTable(Table):
+    """States at start, start + interval, ..."""
+
+    observer: Annotated[Literal["Samples"], _OBSERVER]
+    interval: PositiveTime
+    """Time units between them."""
+    capacity: Count
+    """How many are kept, the first ones."""
+    oscillators: Masses | None = None
+    """Of which masses, counted from 1; absent: of all."""
+    start: Time = 0.0
+    """Time of the first."""
+
+
+class FrontTrackTable(Table):
+    """Where the two fronts of a vibrating block are."""
+
+    observer: Annotated[Literal["FrontTrack"], _OBSERVER]
+    windows: Count
+    """Into how many equal parts the run is cut, of two periods each at least."""
+    middle: Mass | None = None
+    """An oscillator inside the block; absent: that in the middle."""
+
+
+class WholeRunTable(Table):
+    """Energy balance, integral of the divergence, or how many masses ever stick at once."""
+
+    observer: Annotated[Literal["EnergyBalance", "Divergence", "MostSticking"], _OBSERVER]
+
+
+class OwnObserverTable(Table):
+    """An observer of one's own, named on the command line: `--observer FILE.py:CLASS`.
+
+    The other keys are fields of its class.
+    """
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, Any] = Field(init=False)
+
+    observer: Annotated[Literal["own"], _OBSERVER]
+    name: Text
+    """The name of its class."""
+
+
+ObserverTable: TypeAlias = Annotated[
+    StickTimeTable
+    | PeakTimesTable
+    | SectionTable
+    | SamplesTable
+    | FrontTrackTable
+    | WholeRunTable
+    | OwnObserverTable,
+    Field(discriminator="observer"),
+]
+
+
+class ObserveTable(Table):
+    """What is kept of every run."""
+
+    quantities: Annotated[
+        list[Literal["amplitude", "energy", "active_count"]],
+        Field(min_length=1),
+        AfterValidator(distinct),
+    ] = Field(default_factory=lambda: ["amplitude", "energy", "active_count"])
+    """What is kept of the amplitudes A: each of them, the energy 1/2 sum A^2, and how many exceed
+    half the belt speed."""
+    stop: Literal["never", "quiet", "steady"] = "never"
+    """When a run may end early: once every mass rests for good ("quiet"), or also once the
+    amplitudes of successive windows agree ("steady")."""
+    tolerance: Positive = 1e-6
+    """How well they must agree for "steady"."""
+    repeats: Count = 5
+    """In how many windows in succession they must agree for "steady"."""
+    quiet_below: Positive = 1e-6
+    """Speed and acceleration below which a mass counts as at rest, for "quiet" and "steady"."""
+    others: Annotated[list[ObserverTable], Field(min_length=1, max_length=50)] | None = None
+    """What else is observed, such as `{ observer = "StickTime", window = 100.0 }`."""
+
+    @model_validator(mode="after")
+    def _check(self) -> ObserveTable:
+        kinds = [getattr(other, "name", other.observer) for other in self.others or []]
+        if twice := [kind for kind in kinds if kinds.count(kind) > 1]:
+            raise ValueError(f"must have no two `others` of one kind, but has two `{twice[0]}`")
+        return self
+
+
+def kept_numbers(table: ObserverTable, n: int) -> int:
+    """How many numbers are kept of one run of n masses."""
+    match table:
+        case SectionTable():
+            return table.capacity * (2 * n + 1)
+        case PeakTimesTable():
+            return table.capacity * n
+        case SamplesTable():
+            return table.capacity * (2 * len(table.oscillators or range(n)) + 1)
+        case FrontTrackTable():
+            return 3 * table.windows
+    return n
+
+
+def tags(table: type[BaseModel]) -> tuple[str, ...]:
+    """The values of the key by which a table is one of several kinds; none for other tables."""
+    keys = {"law", "kind", "observer"} & table.model_fields.keys()
+    return tuple(tag for key in keys for tag in get_args(table.model_fields[key].annotation))

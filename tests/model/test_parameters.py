@@ -13,7 +13,7 @@ from jaxchain import Chain, TanhFriction, WeakeningStrengthening, steady_sliding
 from jaxchain.model import friction
 from jaxchain.model.parameters import CHAIN, FRICTION, PARAMETERS, parameter
 from jaxchain.plotting.style import SYMBOLS
-from jaxchain.scenes.reading import schema
+from jaxchain.scenes.scene import schema
 
 N = 3
 LAW = friction.AbstractFrictionLaw

@@ -21,8 +21,8 @@ from jaxchain.model.units import Scales
 from jaxchain.observers.amplitude import Amplitude
 from jaxchain.observers.samples import Trajectory
 from jaxchain.observers.section import PeakTimes, Section
-from jaxchain.scenes.errors import SceneError
-from jaxchain.scenes.reading import load_scene
+from jaxchain.scenes.files import SceneError
+from jaxchain.scenes.scene import load_scene
 from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.simulation.run import simulate
 from jaxchain.sweeps.sweeping import sweep

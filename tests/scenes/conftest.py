@@ -1,21 +1,43 @@
-"""What the tests of several files on folders of results need."""
+"""Made-up sweeps, and files that cannot grow: what several tests of folders of results need."""
 
 import resource
 import signal
 
+import numpy as np
 import pytest
+import synthetic
+
+from jaxchain.scenes import running
 
 
 @pytest.fixture
 def short_of_room():
     """No file may grow beyond 60 kB, until the function is called that this returns."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    own = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 
-    def lift(*_):
+    def lift():
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
     resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, before[1]))
     yield lift
     lift()
-    signal.signal(signal.SIGXFSZ, own)
+    signal.signal(signal.SIGXFSZ, handler)
+
+
+@pytest.fixture(scope="module")
+def made_up_sweep():
+    """Replaces the computation: the last run of three masses fails; lists the calls."""
+    calls = []
+
+    def sweep(chain, initial, t1, *, over, **options):
+        calls.append({"chain": chain, "initial": initial, "t1": t1, "over": over, **options})
+        axes = {name: np.asarray(values) for name, values in over.items()}
+        vibrating = np.ones(tuple(map(len, axes.values())), int)
+        if chain.n == 3:
+            vibrating[-1, -1] = -1
+        return synthetic.results(axes, vibrating, chain.n)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(running, "sweep", sweep)
+        yield calls

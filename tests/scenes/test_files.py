@@ -1,74 +1,86 @@
-"""Scene files as text: found, read, and refused in words if they cannot be."""
+"""Scene files as text: found, read, refused with a reason, and written so that they come back."""
 
-import codecs
-import time
+import tomllib
 
 import pytest
 
-from jaxchain.scenes.errors import SceneError
-from jaxchain.scenes.files import MOST_BYTES, builtin_scenes
-from jaxchain.scenes.reading import load_scene
+from jaxchain.scenes.files import MOST_BYTES, SceneError, builtin_scenes, read_scene, to_toml
 
 TEXT = builtin_scenes()["quickstart"].read_text(encoding="utf-8")
 
 
 def problem(file, content: bytes | str = TEXT, *overrides):
-    """What is said of a file of this content."""
+    """What is wrong with a file of this content."""
     file.write_bytes(content if isinstance(content, bytes) else content.encode())
     with pytest.raises(SceneError) as error:
-        load_scene(str(file), overrides)
-    (found,) = error.value.problems
+        read_scene(str(file), overrides)
+    (message,) = error.value.problems
     assert str(error.value).isprintable() or str(error.value).count("\n") == 1
-    return found
+    return message
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "message"),
     [
-        (codecs.BOM_UTF8 + TEXT.encode(), "begins with the byte-order mark of UTF-8: save it as"),
-        (TEXT.encode("utf-16"), "begins with the byte-order mark of UTF-16"),
-        (b"# a\n# caf\xe9" + TEXT.encode(), "is not a text file in UTF-8: line 2 has the byte"),
+        ("\ufeff" + TEXT, "begins with a byte-order mark: save it as UTF-8 without one"),
+        (TEXT.encode("utf-16"), "is not a text file in UTF-8"),
+        (b"# a\n# caf\xe9" + TEXT.encode(), "is not a text file in UTF-8: 'utf-8' codec can't de"),
         ("x = " + "[" * 5000 + "]" * 5000, "has tables or lists within each other too deep"),
-        ("x = " + "{y = " * 5000 + "1" + "}" * 5000, "has tables or lists within each other too"),
         (f"a = 1\nx = {'7' * 5000}\n", "has a number of thousands of digits in line 2"),
         (f"a = 1\nb = 2\nx = 0x{'f' * 5000}\n", "has a number of thousands of digits in line 3"),
         (TEXT + "\n[experiment", "is not valid TOML: "),
+        (b"#" * (2 * MOST_BYTES), "is longer than 10 MB, which no scene needs: write a range"),
     ],
-)  # fmt: skip
-def test_what_is_no_toml_is_refused_with_the_reason(content, said, tmp_path):
-    assert problem(tmp_path / "a.toml", content).startswith(said)
+)
+def test_what_is_no_toml_is_refused_with_the_reason(content, message, tmp_path):
+    assert problem(tmp_path / "a.toml", content).startswith(message)
 
 
-def test_5000_nested_tables_are_refused_at_their_key(tmp_path):
-    nested = f"{TEXT}\n[{'.'.join('a' * 5000)}]\n"
-    assert problem(tmp_path / "a.toml", nested).startswith("a: is not a known key")
-
-
-@pytest.mark.parametrize("name", [".toml", "...toml", "..toml", "a\nb.toml"])
+@pytest.mark.parametrize("name", [".toml", "...toml", "a\nb.toml"])
 def test_a_file_without_a_name_for_its_results_is_refused(name, tmp_path):
     assert "must have a name to call its results by" in problem(tmp_path / name)
 
 
-def test_a_file_that_is_too_long_is_not_read(tmp_path):
-    begun = time.process_time()
-    found = problem(tmp_path / "a.toml", b"#" * (2 * MOST_BYTES))
-    assert found.startswith("is longer than 10 MB, which no scene needs: write a range")
-    assert time.process_time() - begun < 1
+def test_a_file_that_does_not_exist_is_refused_with_those_that_do(tmp_path):
+    for name, message in [
+        ("fig33", "is neither a file nor built in (did you mean `fig3`?); built in: "),
+        (str(tmp_path), "is a folder without a scene: it holds no TOML file"),
+    ]:
+        with pytest.raises(SceneError) as error:
+            read_scene(name)
+        assert error.value.problems[0].startswith(message)
 
 
 @pytest.mark.parametrize(
-    ("override", "said"),
+    ("override", "message"),
     [
-        ("title=1\n[value]", '--set "title=1\\n[value]": '),
+        ("title", '--set "title": must look like path.to.key=value'),
+        (".x=3", '--set ".x=3": must look like path.to.key=value'),
+        ("title=a b", '--set "title=a b": `a b` is not valid TOML'),
+        ("title.x=3", '--set "title.x=3": title is not a table'),
         ("title=1\nother=2", '--set "title=1\\nother=2": is more than one value'),
         ("a." * 5000 + "b=1", "has 5001 keys in a row, and 100 are the most"),
         ("title=" + "[" * 5000, "too deep"),
         ("title=" + "9" * 5000, "has a number of thousands of digits"),
-        ("title\x1b=1", "title\\x1b"),
         ("x" * 100_000, "... (100000 characters)"),
     ],
 )
-def test_a_wrong_assignment_is_shown_short_and_printable(override, said, tmp_path):
-    found = problem(tmp_path / "a.toml", TEXT, override)
-    assert said in found
-    assert len(found) < 1000
+def test_a_wrong_assignment_is_shown_short_and_printable(override, message, tmp_path):
+    error = problem(tmp_path / "a.toml", TEXT, override)
+    assert message in error
+    assert len(error) < 1000
+
+
+TEXTS = ["a\nb", 'quotes " and \\', "\x00\x1b\x7f\u2028", "ü", "", "'''", "a\r\nb", "# no comment"]
+
+
+@pytest.mark.parametrize("text", TEXTS)
+def test_any_text_comes_back_as_a_value_a_key_and_in_a_list(text):
+    data = {"a": text, text: [text, {text: text}], "t": {text: {"inner": text}, "b": []}, "e": {}}
+    assert tomllib.loads(to_toml(data)) == data
+
+
+def test_any_number_comes_back():
+    numbers = [1e-300, 1e16, 0.1 + 0.2, -0.0, 5e-324, 10**18, -3, True, False, float("inf")]
+    back = tomllib.loads(to_toml({"numbers": numbers}))["numbers"]
+    assert list(map(repr, back)) == list(map(repr, numbers))

@@ -1,12 +1,11 @@
-"""Thousands of broken scenes and studies: each a clear error or a valid run."""
+"""Thousands of broken scenes: each a clear error or a valid run."""
 
 import pytest
 from mutated_scenes import built, judge, means_nothing, mutants
 
-from jaxchain.scenes.errors import SceneError
-from jaxchain.scenes.reading import LoadedScene
+from jaxchain.scenes.files import SceneError
 from jaxchain.scenes.running import run_scene
-from jaxchain.scenes.scene import Scene
+from jaxchain.scenes.scene import LoadedScene
 
 SEED, FEW, COUNT = 14, 300, 1000
 pytestmark = pytest.mark.filterwarnings("ignore:.*If it is in SI units")
@@ -50,11 +49,6 @@ def test_hundreds_of_mutants_are_refused_in_words_or_valid(tmp_path):
 
 
 @pytest.mark.long
-def test_a_thousand_mutants_are_refused_in_words_or_valid(tmp_path):
-    assert_meaning(judged(tmp_path, SEED, COUNT)[:20])
-
-
-@pytest.mark.long
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_thousands_of_mutants_are_refused_in_words_or_mean_something(seed, tmp_path):
     assert_meaning(judged(tmp_path, seed, 3 * COUNT))
@@ -74,8 +68,7 @@ def tiny(experiment):
 
 @pytest.mark.long
 def test_scenes_that_are_accepted_run(tmp_path):
-    accepted = [s for _, s in judged(tmp_path, 7, COUNT) if isinstance(s.scene, Scene)]
-    for number, loaded in enumerate(accepted[:8]):
+    for number, loaded in judged(tmp_path, 7, COUNT)[:8]:
         parts = {name: tiny(part) for name, part in loaded.scene.experiment.items()}
         short = LoadedScene(loaded.name, loaded.scene.model_copy(update={"experiment": parts}))
         folder = tmp_path / f"results-{number}"

@@ -1,6 +1,8 @@
-"""Scenes with smoothed friction, with true dry friction, and with both on one picture."""
+"""Scenes become folders of results: both models, their files, and runs that go on."""
 
-from functools import partial
+import json
+import os
+import tomllib
 
 import jax.numpy as jnp
 import numpy as np
@@ -8,16 +10,24 @@ import pytest
 import xarray as xr
 from synthetic import stored
 
-from jaxchain import find_limit_cycle, fold_belt_speed, paper_chain, simulate
-from jaxchain.observers.stick_time import StickTime
+import jaxchain
+from jaxchain import find_limit_cycle, fold_belt_speed, paper_chain
 from jaxchain.plotting.sweeps import figure
 from jaxchain.scenes import running
-from jaxchain.scenes.boundaries import cycles, hopf_speed
-from jaxchain.scenes.building import build_chain, build_observers, describe_start
-from jaxchain.scenes.errors import SceneError, StudyFailedError
-from jaxchain.scenes.reading import load_scene
-from jaxchain.scenes.running import run_experiment, run_scene
-from jaxchain.scenes.tables import TimeTable
+from jaxchain.scenes.building import build_chain, build_observers
+from jaxchain.scenes.files import SceneError, builtin_scenes
+from jaxchain.scenes.folder import StorageError, listing, unfinished
+from jaxchain.scenes.running import (
+    as_run,
+    circumstances,
+    cycles,
+    hopf_speed,
+    resume_scene,
+    run_experiment,
+    run_scene,
+    scene_files,
+)
+from jaxchain.scenes.scene import Experiment, LoadedScene, load_scene
 
 SCENE = """
 title = "Three masses"
@@ -91,25 +101,6 @@ def test_true_dry_friction_alone_goes_by_the_name_of_the_experiment(tmp_path, mo
     assert data["ladder"].attrs["model"] == "nonsmooth"
 
 
-def test_who_runs_an_experiment_may_bring_a_start_and_an_observer(tmp_path):
-    experiment = scene(tmp_path, "nonsmooth").scene.experiment["ladder"]
-    short = experiment.model_copy(
-        update={
-            "time": TimeTable(transient=0.0, window=3.0),
-            "sweep": {"belt_speed": [0.5], "excited": [1.0]},
-        }
-    )
-    run = partial(run_experiment, short, model="nonsmooth")
-
-    def start(chain, excited):
-        return jnp.full(chain.n, 0.1 * excited), jnp.full(chain.n, 0.5)
-
-    data = run(initial=start, observe=StickTime())
-    assert "amplitude" not in data
-    # Carried from 0.1 to where k x = 1 - 2 xi v, all alike.
-    np.testing.assert_allclose(data["stick_time"].values.ravel(), (0.95 - 0.1) / 0.5, atol=1e-6)
-
-
 @pytest.mark.long
 def test_the_width_has_no_part_in_true_dry_friction(tmp_path):
     scene(tmp_path, "nonsmooth")
@@ -119,12 +110,6 @@ def test_the_width_has_no_part_in_true_dry_friction(tmp_path):
         loaded = load_scene(str(tmp_path / "three.toml"), [change])
         found.append(run_experiment(loaded.scene.experiment["ladder"], model="nonsmooth"))
     assert np.array_equal(found[0]["amplitude"], found[1]["amplitude"])
-
-
-def test_names_must_not_meet(tmp_path):
-    second = SCENE.split("\n\n")[1].replace("MODEL", "both").replace("ladder", "ladder_nonsmooth")
-    with pytest.raises(SceneError, match="ladder_nonsmooth"):
-        scene(tmp_path, "both", "\n" + second)
 
 
 def one_oscillator(tmp_path, count, model="smoothed"):
@@ -162,15 +147,6 @@ def ordered(cycles, which):
     return speed[order], amplitude[order]
 
 
-def test_what_a_start_is_made_of_has_its_unit():
-    data = xr.Dataset({"velocity": ("time", [0.0])}, coords={"displacement": [0.5, 2.0]})
-    data["displacement"].attrs["units"] = "1"
-    describe_start(data)
-    words = "how far excited masses are pulled away at the start"
-    assert data["displacement"].attrs == {"long_name": words, "units": "x0"}
-    assert not data["velocity"].attrs  # no coordinate, and so not swept
-
-
 def test_a_few_belt_speeds_have_no_branch(tmp_path):
     experiment = one_oscillator(tmp_path, 3).scene.experiment["ladder"]
     assert cycles(build_chain(experiment), experiment.grid()) is None
@@ -195,17 +171,6 @@ def test_the_hopf_speed_follows_what_is_swept():
     assert hopf_speed(uneven, {"belt_speed": np.array([1.0, 1.5])}) is None
 
 
-def test_no_experiment_is_named_like_the_cycles_of_another(tmp_path):
-    second = SCENE.split("\n\n")[1].replace("MODEL", "both").replace("ladder", "ladder_cycles")
-    with pytest.raises(SceneError, match="the cycles of `ladder`"):
-        scene(tmp_path, "both", "\n" + second)
-
-
-def test_an_unknown_model_is_refused(tmp_path):
-    with pytest.raises(SceneError, match="nonsmooth"):
-        scene(tmp_path, "rough")
-
-
 def test_what_only_the_numbers_together_show_is_told_of_all_experiments_before_any_runs(tmp_path):
     rough = [f"experiment.{name}.numerics.rtol=0.5" for name in ("single", "ladder")]
     with pytest.raises(SceneError) as error:
@@ -217,35 +182,17 @@ def test_what_only_the_numbers_together_show_is_told_of_all_experiments_before_a
 
 
 @pytest.mark.parametrize(
-    ("fails", "kind", "said"),
+    ("fails", "kind", "message"),
     [
-        (
-            lambda: jnp.ones(10**14),
-            MemoryError,
-            r"out of memory \(RESOURCE.*\): take fewer",
-        ),
-        (
-            lambda: np.ones(10**15),
-            MemoryError,
-            r"out of memory \(Unable to .*\): take fewer",
-        ),
-        (lambda: bytes(10**18), MemoryError, "^out of memory: take fewer values, masses or"),
-        (lambda: paper_chain(0), SceneError, "has an error:\n  Argument `n` must be an integer"),
-        (
-            lambda: simulate(
-                paper_chain(1, 1.9), (jnp.full(1, 0.6), jnp.zeros(1)), 9.0, max_steps=2
-            ),
-            StudyFailedError,
-            "max_steps_reached",
-        ),
+        (lambda: jnp.ones(10**14), MemoryError, r"ladder: out of memory \(RESOURCE.*\): take few"),
+        (lambda: bytes(10**18), MemoryError, "experiment.ladder: out of memory .* take fewer val"),
+        (lambda: paper_chain(0), SceneError, "experiment.ladder: Argument `n` must be an integer"),
     ],
 )
-def test_what_fails_on_the_way_through_a_study_is_said_in_words(
-    fails, kind, said, tmp_path, monkeypatch
-):
-    monkeypatch.setattr(running, "study_run", lambda name: lambda *table, **how: fails())
-    with pytest.raises(kind, match=said) as error:
-        run_scene(load_scene("fig6"), tmp_path)
+def test_what_fails_on_the_way_names_its_experiment(fails, kind, message, tmp_path, monkeypatch):
+    monkeypatch.setattr(running, "sweep", lambda *chain, **how: fails())
+    with pytest.raises(kind, match=message) as error:
+        run_scene(scene(tmp_path, "smoothed"), tmp_path)
     assert len(str(error.value)) < 2000
 
 
@@ -260,33 +207,11 @@ observe = { quantities = ["energy"], others = [
 """
 
 
-FEW = """
-observe = { quantities = ["energy"], others = [
-    { observer = "StickTime", window = 20.0 },
-    { observer = "Section", oscillator = 2, capacity = 2, start = 50.0 },
-    { observer = "EnergyBalance" },
-] }
-"""
-
-
-def test_a_scene_observes_what_it_names(tmp_path):
-    experiment = scene(tmp_path, "nonsmooth", OTHERS).scene.experiment["ladder"]
-    assert len(build_observers(experiment.observe, 20.0)) == 9
-    data = run_scene(scene(tmp_path, "nonsmooth", FEW), tmp_path, plot=False, report=str)
-    found = data["ladder"].sel(excited=1, belt_speed=1.4)
-    assert "amplitude" not in found
-    assert np.argmax(found.stick_time.values) == 1
-    assert np.argmax(found.section_displacement.values[0]) == 1
-    assert found.section_time.min() > 50.0
-    gained = found.belt_work - found.energy_lost
-    np.testing.assert_allclose(gained, found.energy_stored, atol=1e-3)
-    saved = stored(tmp_path / "three")["ladder"]
-    assert saved["stick_time"].attrs["units"] == "1 / omega_n"
-
-
 @pytest.mark.long
 def test_a_scene_has_what_all_observers_saw(tmp_path):
-    data = run_scene(scene(tmp_path, "nonsmooth", OTHERS), tmp_path, plot=False, report=str)
+    loaded = scene(tmp_path, "nonsmooth", OTHERS)
+    assert len(build_observers(loaded.scene.experiment["ladder"].observe, 20.0)) == 9
+    data = run_scene(loaded, tmp_path, plot=False, report=str)
     found = data["ladder"].sel(excited=1, belt_speed=1.4)
     assert "amplitude" not in found
     assert np.argmax(found.stick_time.values) == 1
@@ -298,3 +223,180 @@ def test_a_scene_has_what_all_observers_saw(tmp_path):
     np.testing.assert_allclose(gained, found.energy_stored, atol=1e-3)
     saved = stored(tmp_path / "three")["ladder"]
     assert saved["stick_time"].attrs["units"] == "1 / omega_n"
+
+
+def again(folder, loaded, **custom):
+    """The scene as it is read from the file that a run leaves."""
+    folder.mkdir()
+    files = scene_files(loaded.name, as_run(loaded.scene, **custom), circumstances())
+    for name, content in files.items():
+        (folder / name).write_bytes(content)
+    return load_scene(str(folder))
+
+
+@pytest.mark.parametrize("name", builtin_scenes())
+def test_every_built_in_scene_comes_back_as_it_was(name, tmp_path):
+    loaded = load_scene(name)
+    back = again(tmp_path / "results", loaded)
+    assert back == loaded
+    # An equal dictionary may have another order, and so may the axes of a sweep.
+    assert back.scene.model_dump_json() == loaded.scene.model_dump_json()
+
+
+def test_a_law_and_observers_of_ones_own_are_named_in_the_file(tmp_path):
+    loaded = scene(tmp_path, "smoothed")
+    custom = again(tmp_path / "own", loaded, own_law=True, own_observers=["Mine"]).scene
+    experiment = custom.experiment["ladder"]
+    assert experiment.chain.friction.law == "own"
+    assert experiment.friction_numbers() == ("mu_static", "mu_dynamic", "v_ref", "width")
+    others = experiment.model_dump()["observe"]["others"]
+    assert [other["name"] for other in others] == ["Mine"]
+
+
+def test_a_file_says_in_comments_what_else_the_results_depend_on(monkeypatch):
+    monkeypatch.setenv("XLA_FLAGS", "--some_flag=1")
+    about = circumstances("jaxchain run 'two\nlines' " + os.fsdecode(b"\xff"))
+    text = scene_files("x", {"title": "A"}, about)["x.toml"].decode()
+    assert tomllib.loads(text) == {"title": "A"}
+    comments = [line[2:] for line in text.splitlines() if line.startswith("# ") and " = " in line]
+    said = tomllib.loads("\n".join(comments))
+    assert said == {**about, "versions": json.loads(about["versions"])}
+    assert said["command"] == "jaxchain run 'two\nlines' \\udcff"
+    assert said["xla_flags"] == "--some_flag=1"
+    assert said["versions"]["jaxchain"] == jaxchain.__version__
+    assert said["started"].endswith("+00:00")
+
+
+def test_copies_of_own_code_do_not_hide_each_other(tmp_path):
+    for folder, text in (("a", "1"), ("b", "2"), ("c", "1")):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "own.py").write_text(text, encoding="utf-8")
+    files = scene_files("x", {}, {}, [tmp_path / folder / "own.py" for folder in "abca"])
+    del files["x.toml"]
+    assert files == {"own.py": b"1", "own-2.py": b"2"}
+
+
+TWO = """
+title = "Many runs of one mass, few of another"
+
+[experiment.many]
+description = "In a store"
+chain = { n = 1, damping_ratio = 0.05, friction = { law = "coulomb", mu_dynamic = 0.5, \
+width = 0.1 } }
+initial = { kind = "excited", excited = 1 }
+sweep = { belt_speed = [1.0, 1.2, 1.4, 1.6], displacement = [0.5, 1.0, 1.5, 2.0] }
+time = { transient = 10.0, window = 10.0 }
+numerics = { store = true, lanes = 2 }
+observe = { quantities = ["amplitude", "active_count"] }
+
+[experiment.few]
+chain = { n = 1, damping_ratio = 0.05, friction = { law = "coulomb", mu_dynamic = 0.5, \
+width = 0.1 } }
+initial = { kind = "excited", excited = 1 }
+sweep = { belt_speed = [1.0, 1.5], displacement = [0.5, 1.0] }
+time = { transient = 10.0, window = 10.0 }
+numerics = { lanes = 2 }
+"""
+
+
+@pytest.fixture(scope="module")
+def two(tmp_path_factory):
+    """A scene with a store, and the folder of its run."""
+    file = tmp_path_factory.mktemp("two") / "two.toml"
+    file.write_text(TWO, encoding="utf-8")
+    loaded, folder = load_scene(str(file)), file.parent / "out"
+    folder.mkdir()
+    run_scene(loaded, folder, plot=False, netcdf=True, report=lambda text: None)
+    return loaded, folder
+
+
+def same(one, other):
+    """Whether two runs have found the same, to the last bit."""
+    assert one.keys() == other.keys()
+    for name, data in one.items():
+        assert data.variables.keys() == other[name].variables.keys()
+        for key, variable in data.variables.items():
+            assert variable.values.tobytes() == other[name][key].values.tobytes(), (name, key)
+            assert variable.attrs == other[name][key].attrs
+    return True
+
+
+def test_what_went_through_a_store_is_what_would_have_stayed_in_memory(two, tmp_path):
+    loaded, folder = two
+    assert {"report.html", "two.many.zarr", "two.nc", "two.toml", "two.zarr"} <= {*listing(folder)}
+    change = ["experiment.many.numerics.store=false"]
+    run_scene(load_scene(str(folder), change), tmp_path, plot=False, report=lambda text: None)
+    assert listing(tmp_path) == ["report.html", "two.toml", "two.zarr"]
+    assert same(stored(folder / "two"), stored(tmp_path / "two"))
+    with xr.open_datatree(folder / "two.nc") as tree:
+        assert same(stored(folder / "two"), {k: v.to_dataset() for k, v in tree.children.items()})
+    # The store by itself says whose it is, and holds what the scene leaves out, too.
+    with xr.open_zarr(folder / "two.many.zarr") as store:
+        assert store.attrs["title"] == loaded.scene.title
+        assert (store.attrs["experiment"], store.attrs["model"]) == ("many", "smoothed")
+        assert json.loads(store.attrs["definition"])["chain"]["n"] == 1
+        assert store["energy"].dims == ("belt_speed", "displacement")
+    assert "energy" not in stored(folder / "two")["many"]
+    words = "how far excited masses are pulled away at the start"
+    start = stored(folder / "two")["many"]["displacement"]
+    assert start.attrs == {"long_name": words, "units": "x0"}
+
+
+def test_a_run_that_is_cut_off_goes_on_in_its_folder(two, tmp_path, monkeypatch):
+    loaded, folder = two
+    out, whole, calls, reports = tmp_path / "out", running.sweep, [], []
+    out.mkdir()
+
+    def sweep(*arguments, **options):
+        calls.append(options["description"])
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return whole(*arguments, **options)
+
+    monkeypatch.setattr(running, "sweep", sweep)
+    with pytest.raises(KeyboardInterrupt):
+        run_scene(loaded, out, plot=False, report=lambda text: None, command="first")
+    assert "Missing: few." in (out / "report.html").read_text(encoding="utf-8")
+    with unfinished(out, "two"), pytest.raises(StorageError, match="another process fills it"):
+        resume_scene(load_scene(str(out)), out)
+    resume_scene(load_scene(str(out)), out, plot=False, report=reports.append, command="second")
+    assert calls == ["many", "few", "few"]
+    assert reports[0] == "saved already: many"
+    assert same(stored(out / "two"), stored(folder / "two"))
+    with xr.open_datatree(out / "two.zarr") as tree:
+        assert (tree.attrs["command"], tree.attrs["resumed_by"]) == ("first", "second")
+        assert tree.attrs["started"] <= tree.attrs["resumed"] <= tree.attrs["ended"]
+    resume_scene(load_scene(str(out)), out, plot=False, report=reports.append)
+    assert reports[-1] == "nothing is missing"
+    assert len(calls) == 3
+    with pytest.raises(SceneError, match=r"has results in .* already: `resume_scene` goes on"):
+        run_scene(loaded, out)
+
+
+def test_what_does_not_fit_into_memory_stays_in_its_store(two, tmp_path, monkeypatch):
+    loaded, drawn, reports = two[0], [], []
+    monkeypatch.setattr(Experiment, "fits_memory", lambda self: self.lanes() < 10)
+    monkeypatch.setattr(running, "figure", lambda data: drawn.append(list(data)) or figure(data))
+    data = run_scene(loaded, tmp_path, report=reports.append)
+    assert "too large for a figure" in reports[0]
+    assert list(stored(tmp_path / "two")) == ["few"]
+    assert drawn == [["few"]]
+    assert data["many"]["amplitude"].shape == (4, 4, 1)
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "16 of 16 done" in page
+    assert "Failures" not in page
+
+
+def test_workers_take_every_experiment_into_stores(two, tmp_path, monkeypatch):
+    calls = []
+
+    def sweep(*arguments, store, client, **options):
+        calls.append((store.name, client))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(running, "sweep", sweep)
+    few = two[0].scene.model_copy(update={"experiment": {"few": two[0].scene.experiment["few"]}})
+    with pytest.raises(KeyboardInterrupt):
+        run_scene(LoadedScene("two", few), tmp_path, client="client", report=str)
+    assert calls == [("two.few.zarr", "client")]
+    assert not list(tmp_path.iterdir())

@@ -43,9 +43,9 @@ def test_help_and_the_list_of_scenes_do_not_even_check():
         assert not packages & {*HEAVY, "numpy", "pydantic"}
 
 
-def test_scenes_and_studies_are_checked_and_described_without_jax():
+def test_scenes_are_checked_and_described_without_jax():
     commands = [["scenes", name] for name in builtin_scenes()]
-    commands += [["scenes", "--schema"], ["scenes", "ladder", "--schema"]]
+    commands += [["scenes", "--schema"]]
     for command, (status, packages) in zip(commands, loaded_by(*commands), strict=True):
         assert status == 0, command
         assert not packages & HEAVY, command
@@ -56,8 +56,7 @@ def test_scenes_and_studies_are_checked_and_described_without_jax():
     "wrong",
     [
         ["fig3", "--set", "experiment.single.chain.n=-1"],
-        ["ladder", "--set", "nothing=1"],
-        ["fig3", "--set", "study=fig3"],
+        ["fig3", "--set", "nothing=1"],
         ["no_such_scene"],
     ],
 )
@@ -76,9 +75,9 @@ def test_a_look_at_a_store_needs_no_jax(tmp_path):
     (units / "jaxchain" / "zarr.json").write_text(layout)
     nothing = tmp_path / "nothing"
     commands = [["status", str(tmp_path)], ["status", str(tmp_path), "--json"]]
-    commands += [["status", str(nothing)], ["resume", str(units)], ["resume", str(nothing)]]
+    commands += [["status", str(nothing)], ["resume", str(nothing)]]
     found = loaded_by(*commands)
-    assert [status for status, _ in found] == [0, 0, 2, 2, 2]
+    assert [status for status, _ in found] == [0, 0, 2, 2]
     for _, packages in found:
         assert not packages & HEAVY - {"zarr"}
 

@@ -72,32 +72,17 @@ class Watched:
     def __init__(self, context, base):
         self.faults: list[str] = []
         self.tab = context.new_page()
-        self.tab.on("console", self._console)
-        self.tab.on("pageerror", lambda error: self.faults.append(f"error: {error}"))
-        self.tab.on("dialog", self._dialog)
-        self.tab.on("request", lambda request: self._request(request.url, base))
-        self.tab.on("requestfailed", self._failed)
-        self.tab.on("response", self._response)
+        self.tab.on("console", lambda m: self._see(m.type in ("error", "warning"), m.text))
+        self.tab.on("pageerror", lambda error: self._see(True, str(error)))
+        own = (base, "data:", "blob:")
+        self.tab.on("request", lambda r: self._see(not r.url.startswith(own), r.url))
+        # ERR_ABORTED: the next page was asked for before it came.
+        self.tab.on("requestfailed", lambda r: self._see(r.failure != "net::ERR_ABORTED", r.url))
+        self.tab.on("response", lambda r: self._see(r.status >= 400, r.url))
 
-    def _console(self, message):
-        if message.type in ("error", "warning"):
-            self.faults.append(f"{message.type}: {message.text}")
-
-    def _dialog(self, dialog):
-        self.faults.append(f"dialog: {dialog.message}")
-        dialog.dismiss()
-
-    def _request(self, url, base):
-        if not url.startswith((base, "data:", "blob:")):
-            self.faults.append(f"off this machine: {url}")
-
-    def _failed(self, request):
-        if request.failure != "net::ERR_ABORTED":  # the next page was asked for before it came
-            self.faults.append(f"{request.failure}: {request.url}")
-
-    def _response(self, response):
-        if response.status >= 400:
-            self.faults.append(f"{response.status}: {response.url}")
+    def _see(self, wrong, text):
+        if wrong:
+            self.faults.append(text)
 
 
 @pytest.fixture

