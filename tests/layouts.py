@@ -1,6 +1,7 @@
 """The tables of docs/reference/datasets.md: what a dataset must hold, and what it does hold.
 
-A table stands below a heading.  A name with an asterisk is that of a coordinate, "…" are the dimensions that are swept, and a row that ends in "*if ...*" may be absent.
+A table stands below a heading.  A name with an asterisk is that of a coordinate, "…" are
+the dimensions that are swept, and a row that ends in "*if ...*" may be absent.
 """
 
 from __future__ import annotations

@@ -521,8 +521,8 @@ def test_workers_that_cannot_be_started_are_refused_at_once(
 
 def test_status_shows_what_is_done_of_a_store(workplace, monkeypatch, capsys):
     status = {"store": "two.many.zarr", "lanes": 3, "lanes_done": 2}
-    monkeypatch.setattr("jaxchain.sweeps.status.status_of", lambda store: status)
-    monkeypatch.setattr("jaxchain.sweeps.records.stores_in", lambda folder: [folder / "a.zarr"])
+    monkeypatch.setattr("jaxchain.sweeps.store.status_of", lambda store: status)
+    monkeypatch.setattr("jaxchain.sweeps.store.stores_in", lambda folder: [folder / "a.zarr"])
     assert main(["status", ".", "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {"stores": [status]}
 

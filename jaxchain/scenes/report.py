@@ -15,8 +15,7 @@ import xarray as xr
 from ..plotting import diagram
 from ..plotting.diagram import failed, swept
 from ..result import NAMES, message
-from ..sweeps.records import stores_in
-from ..sweeps.status import in_lines, status_of
+from ..sweeps.store import in_lines, status_of, stores_in
 from .files import SceneError, scene_file
 from .folder import saved, was_cut_off
 from .scene import LoadedScene, load_scene
