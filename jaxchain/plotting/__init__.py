@@ -1,18 +1,13 @@
 """Pictures: figures of sweeps, drawings of the model, films.
 
-- `animation`: a chain in motion: animations, GIFs, strips of stills
 - `branches`: a branch with its stability and its special points
-- `chain_artist`: what moves in an animation
 - `diagram`: what a bifurcation diagram shows beside its points
-- `facets`: a sweep, a dimension across, others as series or as panels
-- `films`: who sticks when, and loops that close
-- `friction`: the friction law as a drawing
 - `groups`: which datasets of a scene are the same sweep, smoothed and dry
-- `labels`: words, symbols and units of axes, dimensionless or SI
-- `model`: the chain on its belt as a drawing
-- `motions`: a run over time, and in the phase plane
-- `style`: page width, colours, symbols, files of figures
-- `sweeps`: whole figures of sweeps: amplitude or energy over what was swept
+- `model`: the chain on its belt, and the friction law, as drawings
+- `motions`: a run over time, in the phase plane, and as a film
+- `states`: localized states as circles, their delays, time series and orbits
+- `style`: page width, colours, symbols, labels of axes, files of figures
+- `sweeps`: amplitude or energy over what was swept, as panels and as whole figures
 """
 
 import lazy_loader

@@ -117,7 +117,7 @@ def test_it_is_renewed_from_what_lies_there(ran, monkeypatch, capsys):
     assert main(["report", "out"]) == 0
     assert capsys.readouterr().out == f"out/{PAGE}\n"
     # Files keep no order of variables.
-    assert sorted(Reader(ran).shown.split()) == sorted(before.shown.split())
+    assert sorted(Reader(ran).shown) == sorted(before.shown)
     (ran / "mine.png").rename(ran / "other.png")
     (ran / "mine.toml").write_text("of another version", encoding="utf-8")
     renew_page(ran)

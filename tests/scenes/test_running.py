@@ -317,7 +317,11 @@ def same(one, other):
         assert data.variables.keys() == other[name].variables.keys()
         for key, variable in data.variables.items():
             assert variable.values.tobytes() == other[name][key].values.tobytes(), (name, key)
-            assert variable.attrs == other[name][key].attrs
+            attrs = (
+                {k: np.asarray(v).tolist() for k, v in one.attrs.items()}
+                for one in (variable, other[name][key])
+            )
+            assert next(attrs) == next(attrs)
     return True
 
 
