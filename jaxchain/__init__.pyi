@@ -21,7 +21,7 @@ from .chaos.lyapunov import lyapunov_spectrum as lyapunov_spectrum
 from .cycles.branches import continue_cycle as continue_cycle
 from .cycles.floquet import floquet_multipliers as floquet_multipliers
 from .cycles.floquet import monodromy_matrix as monodromy_matrix
-from .cycles.search import find_limit_cycle as find_limit_cycle
+from .cycles.limit_cycle import find_limit_cycle as find_limit_cycle
 from .model.chain import Chain as Chain
 from .model.chain import paper_chain as paper_chain
 from .model.chain import steady_sliding as steady_sliding

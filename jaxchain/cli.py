@@ -355,7 +355,7 @@ def _scenes(options: argparse.Namespace) -> None:
 
 def _boundary(options: argparse.Namespace) -> None:
     _configure(options)
-    from .boundaries.overview import hopf_and_fold
+    from .boundaries.ranges import hopf_and_fold
 
     coupling = options.coupling
     if options.n == 1 and coupling is not None:
@@ -374,7 +374,7 @@ def _basins(options: argparse.Namespace) -> None:
     _configure(options)
     from .basins.regions import Box
     from .basins.single_mass import sliding_basin
-    from .boundaries.overview import hopf_and_fold
+    from .boundaries.ranges import hopf_and_fold
 
     chain = _chain(options, 1, belt_speed=options.belt_speed)
     try:

@@ -6,9 +6,8 @@ import numpy as np
 import xarray as xr
 
 from jaxchain.continuation.branch import Branch, SpecialPoint
-from jaxchain.cycles.branches import CycleBranch
+from jaxchain.cycles.branches import CycleBranch, CyclePoint
 from jaxchain.cycles.shooting import Shooting
-from jaxchain.cycles.special_points import CyclePoint
 from jaxchain.model.chain import paper_chain
 from jaxchain.result import NAMES
 from jaxchain.solvers.rosenbrock import Rodas5P

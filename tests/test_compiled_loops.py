@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from jaxchain.cycles.search import find_limit_cycle
+from jaxchain.cycles.limit_cycle import find_limit_cycle
 from jaxchain.model.chain import paper_chain
 from jaxchain.model.initial_states import equation_8
 from jaxchain.observers.amplitude import Amplitude

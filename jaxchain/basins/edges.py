@@ -16,8 +16,8 @@ from jaxtyping import Array, Bool, Float, Int
 from .._checks import check_positive_number, is_traced, shown, to_float
 from .._final import final
 from .._types import State
-from ..cycles.limit_cycle import LimitCycle, can_be_cycle
-from ..cycles.search import find_limit_cycle
+from ..cycles.floquet import LimitCycle, can_be_cycle
+from ..cycles.limit_cycle import find_limit_cycle
 from ..model.arguments import as_chain, as_state
 from ..model.chain import Chain
 from ..observers.amplitude import Amplitude

@@ -19,8 +19,7 @@ from ..model.chain import Chain, require_smoothed
 from ..model.initial_states import check_vibrating
 from ..model.sliding import growth_rate
 from ..result import Outcome, SearchResult
-from .fold_search import Place, value_and_jacobian
-from .fold_start import first_guess, loose_rtol
+from .fold import Place, first_guess, loose_rtol, value_and_jacobian
 
 
 @final

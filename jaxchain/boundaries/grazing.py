@@ -23,31 +23,464 @@ Where V_+ + V_- < 0, as for a law that is flat at rest, the belt is faster for s
 not quite reach it.  The fold is then the greatest v_d(w), w < 0: a smooth saddle-node of slip
 cycles, with a multiplier of +1 and V_+ + V_- = 0.  As a parameter makes w -> 0 it merges with the
 touch.
+
+**What smoothing makes of the touch.**  There dry friction has w' = -kappa t, and
+smoothed friction lacks 2 exp(2 w / eps) of itself:
+
+    w' = -kappa t - 2 h exp(2 w / eps),        h = p mu_st.
+
+With tau = t (kappa / eps)^(1/2) this is linear in exp(-2 w / eps):
+
+    exp(-2 w / eps) = exp(tau^2) [exp(-2 w_- / eps) + Q Phi(tau)]
+    Q = 4 h [pi / (kappa eps)]^(1/2)
+
+Phi the normal distribution's, from 0 to 1, of variance 1/2: a cycle that would come back with w_-
+leaves as if with w_+.  Along v_d = V + V_+ w_+ + V_- w_- the belt is fastest at
+
+    w_- = (eps / 2) ln[(rho - 1) / Q],    w_+ = -(eps / 2) ln[Q rho / (rho - 1)]
+
+with rho = -V_+ / V_-.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from functools import partial
+from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float
+from jax.scipy.special import log_ndtr
+from jaxtyping import Array, Bool, Float, Int
 
 from .._final import final
 from .._types import ScalarLike, State
+from ..continuation.bracket import bisect
+from ..continuation.damped_newton import Factors, Iterate, advance, begin, factorise, where
 from ..continuation.elimination import solve
 from ..continuation.fold_points import fold_residual
 from ..continuation.implicit import attach_derivative, if_found
-from ..cycles.averaging import dry_summits, one_mass
-from ..cycles.limit_cycle import can_be_cycle
-from ..model.chain import Chain
+from ..cycles.averaging import dry_summits, graded, one_mass
+from ..cycles.floquet import can_be_cycle
+from ..model.chain import Chain, steady_sliding
 from ..model.initial_states import check_vibrating
 from ..model.sliding import damping_outweighs
 from ..result import Outcome, SearchResult
-from .fold_start import without_fold
-from .touch import Touch, shift, touch_residual, touch_slopes
-from .touch_search import find_dry_fold
+from ..solvers.dormand_prince import step as step_of_order_8
+
+
+class Touch(eqx.Module):
+    """The equations: unknowns q = (x_n, v_n for n != j, ln T, v_d), 2n of them."""
+
+    chain: Chain
+    steps: Int[Array, ""]
+    mass: int = eqx.field(static=True)
+
+    def unpack(self, q: Float[Array, " m"], leaving: Any = 0.0) -> tuple[State, Array, Array]:
+        """(state at the touch, period, belt speed); `leaving` = w_+."""
+        chain, j = self.chain, self.mass
+        speed = q[-1]
+        x = jnp.insert(q[: chain.n - 1], j, 0.0)
+        v = jnp.insert(q[chain.n - 1 : -2], j, speed + leaving)
+        unit = jnp.zeros(chain.n).at[j].set(1.0)
+        force = slip_force(chain, speed, v) + chain.restoring_force(x)
+        stiffness = -chain.restoring_force(unit)[j]
+        return (x + unit * (force[j] / stiffness), v), jnp.exp(q[-2]), speed
+
+    @property
+    def hold(self) -> Array:
+        """p mu_st of mass j."""
+        return jnp.broadcast_to(self.chain.greatest_hold(), (self.chain.n,))[self.mass]
+
+    def fall(self, v: Float[Array, " n"]) -> Array:
+        """kappa = -v_j'' at the touch."""
+        return -self.chain.restoring_force(v)[self.mass]
+
+    def pack(self, state: State, period: Any, speed: Any) -> Float[Array, " m"]:
+        """The inverse of `unpack`."""
+        x, v = (jnp.delete(part, self.mass, assume_unique_indices=True) for part in state)
+        return jnp.concatenate([x, v, jnp.stack([jnp.log(period), speed])])
+
+    def orbit(
+        self, q: Float[Array, " m"], leaving: Any = 0.0, arriving: Any = 0.0
+    ) -> tuple[State, Array]:
+        """(gap of the state half a period from the touch, greatest velocity of each mass).
+
+        From the touch forward and backward at once, to where they should meet.  Near the belt's
+        speed weakening friction drives motions apart, by rho = -V_+ / V_- in all and up to 1e4 for
+        a law that weakens fast: half of it on the way there, which going backward undoes.
+        """
+        (x, v), period, speed = self.unpack(q, leaving)
+        chain = self.chain
+        arrival = v.at[self.mass].add(arriving - leaving)
+        start = jnp.stack([x, x]), jnp.stack([v, arrival])
+        ways = jnp.asarray([1.0, -1.0])
+
+        def acceleration(x: Array, v: Array) -> Array:
+            return slip_force(chain, speed, v) + chain.restoring_force(x)
+
+        def rate(flat: Array) -> Array:
+            return jnp.stack([flat[1], acceleration(*flat)])
+
+        def time(k: Any) -> Array:
+            return period / (2.0 * jnp.pi) * graded(k * (2.0 * jnp.pi / self.steps))
+
+        def step(k: Array, carry: Any) -> Any:
+            begin, end = time(k), time(k + 1)
+
+            def one(way: Array, y: State, slope: Array, highest: Array) -> Any:
+                h = way * (end - begin)
+                flat, first = jnp.stack(y), jnp.stack([y[1], slope])
+                (x, v), _ = step_of_order_8(rate, flat, first, h)
+                new_slope = acceleration(x, v)
+                peak = _peak(y[1], v, h * slope, h * new_slope)
+                return (x, v), new_slope, jnp.maximum(highest, peak)
+
+            return jax.vmap(one)(ways, *carry)
+
+        slopes = jax.vmap(acceleration)(*start)
+        end, _, highest = lax.fori_loop(0, self.steps // 2, step, (start, slopes, start[1]))
+        gap = end[0][0] - end[0][1], end[1][0] - end[1][1]
+        return gap, lax.stop_gradient(jnp.max(highest, axis=0))
+
+
+def _peak(v0: Array, v1: Array, slope0: Array, slope1: Array) -> Array:
+    """The greatest value of the cubic with these values and slopes at 0 and 1."""
+    a = 2.0 * (v0 - v1) + slope0 + slope1
+    b = 3.0 * (v1 - v0) - 2.0 * slope0 - slope1
+    # The root of 3 a t^2 + 2 b t + slope0 where the slope falls; without cancellation.
+    root = jnp.sqrt(jnp.maximum(b * b - 3.0 * a * slope0, 0.0))
+    sound = b - root != 0.0
+    t = jnp.where(sound, -slope0 / jnp.where(sound, b - root, 1.0), 0.0)
+    t = jnp.clip(t, 0.0, 1.0)
+    return jnp.maximum(jnp.maximum(v0, v1), v0 + t * (slope0 + t * (b + t * a)))
+
+
+def slip_force(chain: Chain, speed: Any, v: Float[Array, " n"]) -> Float[Array, " n"]:
+    """p mu(v_d - v) - 2 xi v, the force on masses that slide behind the belt."""
+    force = chain.load * chain.law.coefficient(speed - v) * jnp.ones_like(v)
+    return force - 2.0 * chain.damping_ratio * v
+
+
+def touch_residual(
+    q: Float[Array, " m"], touch: Touch, leaving: Any = 0.0, arriving: Any = 0.0
+) -> Float[Array, " m"]:
+    """The gap after a period over the belt speed, so that rest (v_d = 0) is no solution.
+
+    `leaving` and `arriving` are w_+ and w_-.
+    """
+    (x, v), _ = touch.orbit(q, leaving, arriving)
+    return jnp.concatenate([x, v]) / q[-1]
+
+
+def touch_slopes(
+    touch: Touch, q: Float[Array, " m"], w: Any = 0.0
+) -> tuple[Float[Array, " m"], Float[Array, "m columns"], Float[Array, " n"]]:
+    """(residual, its slopes in (q, w_+, w_-), greatest velocity of each mass) at w_+ = w_- = w."""
+
+    def along(unknown: Array) -> tuple[Array, tuple[Array, Array]]:
+        q, leaving, arriving = unknown[:-2], unknown[-2], unknown[-1]
+        (x, v), highest = touch.orbit(q, leaving, arriving)
+        gap = jnp.concatenate([x, v]) / q[-1]
+        return gap, (gap, highest)
+
+    slopes, (gap, highest) = jax.jacfwd(along, has_aux=True)(jnp.append(q, w + jnp.zeros(2)))
+    return gap, slopes, highest
+
+
+# The greatest w is at tau > -8: Q Phi is below rounding before, exp(tau^2) above 1e27.
+_EARLIEST, _HALVINGS = -8.0, 44
+
+
+class Layer(NamedTuple):
+    """The fold of smoothed friction near a touch: w_+, w_-, the greatest w / eps, and its time."""
+
+    leaving: Float[Array, ""]
+    arriving: Float[Array, ""]
+    closeness: Float[Array, ""]
+    time: Float[Array, ""]
+
+
+def sides(
+    by_leaving: Any, by_arriving: Any, fall: Any, hold: Any, width: ScalarLike
+) -> tuple[Array, Array, Array]:
+    """(w_+, w_-, ln Q) at the fold from V_+, V_-, kappa, h, eps; NaN unless V_+ + V_- > 0 > V_-.
+
+    Errors: O(eps^(3/2)) in v_d.
+    """
+    rho = -by_leaving / by_arriving
+    log_q = jnp.log(4.0 * hold * jnp.sqrt(jnp.pi / (fall * width)))
+    arriving = 0.5 * width * (jnp.log(rho - 1.0) - log_q)
+    leaving = -0.5 * width * (log_q + jnp.log(rho / (rho - 1.0)))
+    return leaving, arriving, log_q
+
+
+def shift(by_leaving: Any, by_arriving: Any, fall: Any, hold: Any, width: ScalarLike) -> Array:
+    """v_d of the fold of smoothed friction less that of dry friction; arguments as in `sides`.
+
+    0 for V_+ + V_- <= 0: the mass of that fold stays below the belt's speed, where smoothing
+    changes nothing.
+    """
+    touches = (by_leaving + by_arriving > 0) & (by_arriving < 0)
+    # Where nothing is shifted, NaN must not reach the derivative.
+    first, second, kappa, held = (
+        jnp.where(touches, a, b)
+        for a, b in ((by_leaving, 2.0), (by_arriving, -1.0), (fall, 1.0), (hold, 1.0))
+    )
+    leaving, arriving, _ = sides(first, second, kappa, held, width)
+    return jnp.where(touches, first * leaving + second * arriving, 0.0)
+
+
+def layer(by_leaving: Any, by_arriving: Any, fall: Any, hold: Any, width: ScalarLike) -> Layer:
+    """The whole of the layer at the fold; arguments and errors as in `sides`."""
+    leaving, arriving, log_q = sides(by_leaving, by_arriving, fall, hold, width)
+    # exp(-2 w / eps) / Q = m, least where 2 tau m + 1 / pi^(1/2) = 0.
+    start = 1.0 / (-by_leaving / by_arriving - 1.0)
+
+    def least(tau: Array) -> Array:
+        return start * jnp.exp(tau**2) + jnp.exp(tau**2 + log_ndtr(jnp.sqrt(2.0) * tau))
+
+    def falls(tau: Array) -> Array:
+        return 2.0 * tau * least(tau) + jnp.pi**-0.5 < 0
+
+    tau, _ = bisect(falls, jnp.full_like(start, _EARLIEST), jnp.zeros_like(start), _HALVINGS)
+    closeness = -0.5 * (log_q + jnp.log(least(tau)))
+    return Layer(leaving, arriving, closeness, tau * jnp.sqrt(width / fall))
+
+
+# Steps of one length in a period. Of the paper's fold, 16 err by 1e-9, and 64 by rounding; they
+# are doubled until the fold moves by no more than `_SETTLED` of itself.
+_QUICK, _FIRST, _MOST = 32, 64, 1024
+_CLOSED, _SETTLED = 1e-9, 1e-11
+_ENTRIES, _LEAST_STRIDE = 600, 1e-3
+_JACOBIANS, _LEAST_SHARE = 16, 2.0**-12
+# Along the slip cycles, in y = (greatest velocity / v_d)^2: the first step, the step below which
+# they tell nothing about the curvature of v_d, the error of a summit, and what is taken for rest.
+_PROBE, _APART, _STATIONARY, _REST = 0.05, 1e-5, 1e-8, 1e-5
+# Of two summits of averaging the second is tried, too, if it is above this share of the first.
+_NEARLY_AS_FAST = 0.9
+
+
+class DryFold(NamedTuple):
+    """The fastest slip cycle of dry friction: one that touches the belt's speed, or none does.
+
+    `ratio` = 1 + w / v_d, with w the greatest velocity of the mass relative to the belt; 1 at the
+    touch.  `sides`: dq / d(w_+, w_-) of the equations at this ratio, V_+ and V_- in the last row
+    where the belt's speed is stationary or the ratio is 1.  `turns`: whether the belt is faster
+    than for all nearby slip cycles; if not, q is of the least that was reached.  `steps`: of
+    `Touch`, in a period.
+    """
+
+    q: Float[Array, " m"]
+    ratio: Float[Array, ""]
+    sides: Float[Array, "m two"]
+    turns: Bool[Array, ""]
+    steps: Int[Array, ""]
+
+    @property
+    def w(self) -> Array:
+        """The greatest relative velocity of the mass, 0 at the touch."""
+        return (self.ratio - 1.0) * self.q[-1]
+
+
+class _Way(eqx.Module):
+    """Where the search stands.  It goes along `share`, then along y = `ratio`^2."""
+
+    q: Float[Array, " m"]  # at `reached` and `y`
+    slope: Float[Array, " m"]  # dq / d share from there to where it was before
+    sides: Float[Array, "m two"]
+    reached: Float[Array, ""]
+    goal: Float[Array, ""]
+    y: Float[Array, ""]
+    target: Float[Array, ""]  # the next y
+    rise: Float[Array, ""]  # dv_d / dy at `y`; NaN before the first
+    curvature: Float[Array, ""]  # its derivative; NaN while unknown
+    low: Float[Array, ""]  # the greatest y with dv_d / dy > 0
+    high: Float[Array, ""]  # the least with dv_d / dy < 0
+    steps: Int[Array, ""]
+    coarse: Float[Array, ""]  # v_d of the fold with half as many; NaN for none
+    newton: Iterate  # `aux` is dq / d(w_+, w_-)
+    count: Int[Array, ""]
+    settled: Bool[Array, ""]
+    turns: Bool[Array, ""]
+
+
+def find_dry_fold(
+    chain: Chain, mass: int, exact: Any = True, averaged: tuple[Array, Array] | None = None
+) -> DryFold:
+    """The fold of dry friction, where mass `mass` alone vibrates; NaN where no cycle was found.
+
+    From averaging, which is exact for weak friction and damping, in one leap where that goes, else
+    by way of chains with weaker friction, damping and coupling; then along the slip cycles to the
+    one with the fastest belt.  If `exact`, which may be traced, it is then polished with more and
+    more steps.  `averaged` is `dry_summits`, if it is known; the second of these is tried where
+    it is nearly as fast as the first, or the first search fails.  Nothing in here is to be
+    differentiated.
+
+    Newton's method and the way are one loop, so that the lanes of a
+    batch need not wait for each other, and the orbit is compiled once.
+    """
+    alone = one_mass(chain, mass)
+    ratios, speeds = dry_summits(alone) if averaged is None else averaged
+
+    def also(best: DryFold, guess: tuple[Array, Array, Array]) -> tuple[DryFold, None]:
+        ratio, speed, first = guess
+        wanted = first | ~best.turns | (speed > _NEARLY_AS_FAST * speeds[0])
+        new = _climb(chain, mass, ratio, jnp.where(wanted, speed, jnp.nan), exact)
+        slower = best.turns & (~new.turns | (best.q[-1] >= new.q[-1]))
+        kept = slower | (jnp.isnan(new.q[-1]) & ~first)
+        return where(kept, best, new), None
+
+    m = 2 * chain.n
+    nothing = DryFold(
+        jnp.full(m, jnp.nan), jnp.ones(()), jnp.full((m, 2), jnp.nan), jnp.asarray(False),
+        jnp.asarray(_QUICK),
+    )  # fmt: skip
+    return lax.scan(also, nothing, (ratios, speeds, jnp.asarray([True, False])))[0]
+
+
+def _climb(chain: Chain, mass: int, ratio: Array, speed: Array, exact: Any) -> DryFold:
+    """`find_dry_fold` from the cycle of averaging with this ratio and belt speed."""
+    alone = one_mass(chain, mass)
+    x, v = steady_sliding(eqx.tree_at(lambda c: c.belt_speed, chain, speed))
+    first = Touch(chain, jnp.asarray(_QUICK), mass)
+    q = first.pack((x, v), 2 * jnp.pi / jnp.sqrt(alone.stiffness), speed)
+    zero, one, none = jnp.zeros(()), jnp.ones(()), jnp.zeros((), int)
+    nan, infinite = jnp.asarray(jnp.nan), jnp.asarray(jnp.inf)
+    weights = jnp.ones_like(q)
+
+    def linearise(goal: Array, y: Array, steps: Array, q: Array) -> tuple[Array, Factors, Array]:
+        part = Touch(weakened(chain, goal), steps, mass)
+        below = jnp.sqrt(y) - 1.0  # w / v_d
+        value, slopes, _ = touch_slopes(part, q, below * q[-1])
+        slopes = slopes.at[:, -3].add(below * (slopes[:, -2] + slopes[:, -1]))
+        factors = factorise(slopes[:, :-2], weights)
+        return value, factors, -jax.vmap(factors.solve, 1, 1)(slopes[:, -2:])
+
+    # Traced once, for its shapes and for the loop.
+    linearise = eqx.filter_closure_convert(linearise, one, one, first.steps, q)
+    nothing = begin(partial(linearise, one, one, first.steps), q)
+    start = _Way(
+        q=q, slope=jnp.zeros_like(q), sides=jnp.full((q.shape[0], 2), jnp.nan), reached=zero,
+        goal=one, y=ratio**2, target=ratio**2, rise=nan, curvature=nan, low=-infinite,
+        high=infinite, steps=first.steps, coarse=nan, newton=nothing, count=none,
+        settled=jnp.asarray(False), turns=jnp.asarray(False),
+    )  # fmt: skip
+
+    def goes_on(now: _Way) -> Array:
+        hopeful = (now.goal - now.reached > _LEAST_STRIDE) | (now.reached >= 1.0)
+        return ~now.settled & hopeful & (now.count < _ENTRIES) & jnp.isfinite(speed)
+
+    def body(now: _Way) -> _Way:
+        newton = advance(partial(linearise, now.goal, now.target, now.steps), now.newton, weights)
+        root = newton.u + newton.step
+        ended = newton.length <= _CLOSED * (1.0 + jnp.linalg.norm(newton.u))
+        good = ended & (root[-1] > 0)
+        spent = (newton.damping < _LEAST_SHARE) | (newton.evaluations >= _JACOBIANS)
+        hopeless = spent | jnp.isnan(newton.length)
+        over = ended | hopeless
+
+        stride = now.goal - now.reached
+        reached = jnp.where(good, now.goal, now.reached)
+        ahead = jnp.where(good, now.goal + stride, now.reached + 0.25 * stride)
+        goal = jnp.minimum(ahead, 1.0)
+        # At full strength: along the slip cycles, for a guess; with ever more steps for more.
+        full = reached >= 1.0
+        y, target, rise, curvature, low, high, there, turns = _uphill(now, root, newton.aux)
+        there = full & good & there
+        apart = now.target - now.y
+        lost = full & ~good & (jnp.abs(apart) <= _LEAST_STRIDE)
+        still = jnp.abs(root[-1] - now.coarse) <= _SETTLED * root[-1]
+        gone = there & ~turns
+        enough = there & (still | (now.steps >= _MOST) | ~jnp.asarray(exact))
+        enough = enough | lost | gone
+        more = jnp.where(now.steps > _QUICK, 2 * now.steps, _FIRST)
+        refined = there & ~enough
+        q = jnp.where(good, root, jnp.where(lost, jnp.nan, now.q))
+        slope = jnp.where(
+            good & (stride > 0), (root - now.q) / jnp.maximum(stride, 1e-9), now.slope
+        )
+        sides = jnp.where(good, newton.aux, now.sides)
+        climbs, misses = full & good, full & ~good
+        target = jnp.where(climbs, target, now.y + jnp.where(misses, 0.25, 1.0) * apart)
+        y = jnp.where(climbs, y, now.y)
+        # v_d sum(sides) is dq / d ratio.
+        along = q[-1] * jnp.sum(sides, axis=1) * (jnp.sqrt(target) - jnp.sqrt(y))
+        onward = _Way(
+            q=q,
+            slope=slope,
+            sides=sides,
+            reached=reached,
+            goal=goal,
+            y=y,
+            target=target,
+            rise=jnp.where(climbs, rise, now.rise),
+            curvature=jnp.where(climbs, curvature, now.curvature),
+            # With other steps the fold may lie outside the bracket, by a little.
+            low=jnp.where(refined, -jnp.inf, jnp.where(climbs, low, now.low)),
+            high=jnp.where(refined, jnp.inf, jnp.where(climbs, high, now.high)),
+            steps=jnp.where(refined, more, now.steps),
+            coarse=jnp.where(refined, root[-1], now.coarse),
+            newton=nothing._replace(
+                u=q + (goal - reached) * slope + jnp.where(target != y, along, 0.0)
+            ),
+            count=now.count + 1,
+            settled=enough,
+            turns=there & turns,
+        )
+        same = eqx.tree_at(lambda k: (k.newton, k.count), now, (newton, now.count + 1))
+        return where(over, onward, same)
+
+    last = lax.while_loop(goes_on, body, start)
+    q, sides = (jnp.where(last.settled, part, jnp.nan) for part in (last.q, last.sides))
+    turns = last.settled & last.turns & (q[-1] > 0)
+    return DryFold(q, jnp.sqrt(last.y), sides, turns, last.steps)
+
+
+def _uphill(now: _Way, q: Array, sides: Array) -> tuple[Array, ...]:
+    """(y, next y, dv_d / dy, its slope, bracket, whether it ends here, whether that is a fold).
+
+    In y, the square of the ratio, the belt speed is smooth down to rest, where dv_d / dy is not 0.
+    """
+    y = now.target
+    rise = 0.5 * q[-1] * jnp.sum(sides[-1]) / jnp.sqrt(y)
+    low, high = jnp.where(rise > 0, y, now.low), jnp.where(rise > 0, now.high, y)
+    gap = y - now.y
+    apart = jnp.abs(gap) > _APART
+    curvature = jnp.where(apart, (rise - now.rise) / jnp.where(apart, gap, 1.0), now.curvature)
+    # As far again as the last time and a half more, to where it might vanish, or half way.
+    farthest = 2.5 * jnp.maximum(jnp.abs(gap), _PROBE)
+    ahead = y + jnp.clip(-rise / curvature, -farthest, farthest)
+    inside = (curvature < 0) & (ahead > low) & (ahead < high)
+    bracketed = jnp.isfinite(low) & jnp.isfinite(high)
+    probe = jnp.where(bracketed, 0.5 * (low + high), y + jnp.sign(rise) * farthest)
+    target = jnp.clip(jnp.where(inside, ahead, probe), 0.25 * y, 1.0)
+    touches = (y >= 1.0) & (rise > 0)
+    rests = (y < _REST) & (rise <= 0)
+    flat = (jnp.abs(target - y) <= _STATIONARY) & ((curvature < 0) | bracketed)
+    there = touches | rests | flat
+    # At rest or at the touch nothing is to be gained by moving on.
+    target = jnp.where(touches | rests, y, target)
+    return y, target, rise, curvature, low, high, there, ~rests
+
+
+def weakened(chain: Chain, share: Any) -> Chain:
+    """`chain` with friction, damping and coupling weaker in proportion.
+
+    Averaging describes one mass of it exactly as the share vanishes.  What the springs lose
+    between the masses they gain to the ground.
+    """
+    weak = chain.with_(damping_ratio=share * chain.damping_ratio, normal_load=share * chain.load)
+    if chain.springs is None:
+        return weak
+    held = (1.0 - share) * chain.springs.row_sum(chain.n)
+    return eqx.tree_at(
+        lambda c: (c.stiffness, c.springs.constant),
+        weak,
+        (chain.stiffness + held, share * chain.springs.constant),
+    )
+
 
 # A velocity above the belt's by this share of it is one that passes it.
 _PASSES = 1e-9
@@ -100,8 +533,8 @@ class Grazing(Outcome):
     def smoothed(self, width: ScalarLike) -> Float[Array, ""]:
         """About where the fold of smoothed friction is, to O(width^(3/2)); NaN if none was found.
 
-        v_d = V - (V_+ + V_-) / 4 eps ln(1 / eps) + O(eps), the summit of the layer in
-        `boundaries/touch.py`; V itself for a saddle-node, which smoothing hardly moves.
+        v_d = V - (V_+ + V_-) / 4 eps ln(1 / eps) + O(eps), the summit of the layer at
+        the head of this module; V itself for a saddle-node, which smoothing hardly moves.
 
         **Arguments:** `width` = eps of the mass that grazes.
         """
@@ -152,6 +585,14 @@ def find_grazing(chain: Chain, vibrating: Any = None) -> Grazing:
     """
     mass = check_vibrating(chain, vibrating)
     return _find(chain, mass)
+
+
+def without_fold(failed: SearchResult, exists: Any, damped: Any, none: Any) -> SearchResult:
+    """Why no fold was found: `failed`, unless it was not to be expected."""
+    of = SearchResult
+    result = of.where(exists, failed, of.gentle)
+    result = of.where(damped, result, of.undamped)
+    return of.where(none, of.no_fold, result)
 
 
 @eqx.filter_jit

@@ -27,7 +27,7 @@ from .._final import final
 from .._progress import progress_bar
 from .._statistics import mean_interval
 from .._types import ScalarLike, State
-from ..cycles.closing import ClosedOrbit, close_orbit
+from ..cycles.limit_cycle import ClosedOrbit, close_orbit
 from ..model.arguments import as_chain, as_state
 from ..model.chain import Chain
 from ..model.oscillators import AbstractOscillators

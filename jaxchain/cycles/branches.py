@@ -1,40 +1,451 @@
-"""Branches of cycles: where a localized vibration begins, folds, loses its symmetry, and ends."""
+"""Branches of cycles: where a localized vibration begins, folds, loses its symmetry, and ends.
+
+A Jacobian of the shooting equations is one integration with the tangents of all 2n states and of
+the parameter.  It holds the monodromy matrix, so that the stability of a point costs next to
+nothing more, also that of an orbit with a symmetry, which has fewer equations.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import json
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Complex, Float
+from jaxtyping import Array, Bool, Complex, Float, Int
+from scipy.interpolate import BarycentricInterpolator
 
-from .._checks import check_kind
+from .._checks import check_concrete, check_kind, check_one_of, shown
 from .._final import final
 from ..continuation.arclength import (
     Switched,
     check_following,
     continue_branch,
+    make_corrector,
     switch_branch,
 )
-from ..continuation.branch import ENDINGS, Branch, Point
-from ..result import Printed
-from .bifurcation_tests import count_unstable, linearise, on_the_circle, orbit, special_tests
-from .equations import as_heading, cycle_equations, cycle_weights
-from .shooting import Shooting, residual
-from .special_points import (
-    RTOL,
-    CyclePoint,
-    as_cycle_point,
-    at_rest,
-    hardly_felt,
-    refine,
-    sharply,
-    without_symmetry,
+from ..continuation.branch import (
+    ENDINGS,
+    Branch,
+    Point,
+    SpecialPoint,
+    special_variables,
 )
+from ..continuation.corrector import Corrector
+from ..continuation.special_points import Located, Test, polish
+from ..model.arguments import as_images, as_mass
+from ..model.chain import require_smoothed
+from ..model.parameters import SPEED, parameter
+from ..model.provenance import circumstances, parameters_of
+from ..observers.amplitude import amplitude_variables
+from ..result import Printed
+from ..simulation.accuracy import fit_linear_solve
+from ..solvers.rosenbrock import Rodas5P
+from .floquet import as_orbit, can_be_cycle, check_orbit, floquet_multipliers, is_trusted
+from .shooting import Shooting, residual
+from .variational import Along, Returns, flow, push
 
 if TYPE_CHECKING:
     from xarray import Dataset
+
+
+# Of the integration and of Newton's method, at special points: no branch need be looser there.
+RTOL, _TOLERANCE = 3e-11, 1e-9
+# Arclengths: for the slope of a test, and from a loose place to the sharp one.
+_PROBE, _REACH = 1e-4, 0.1
+# Of multipliers.
+_NOISE = 1e-8
+# Distances from the Hopf point at which the branch is solved for to find that point by a limit.
+_NEAR_REST = (5e-3, 1e-2, 1.5e-2)
+
+
+@final
+@dataclass(frozen=True, repr=False)
+class CyclePoint(Printed):
+    """A special point of a branch of cycles.
+
+    `kind`: "fold"; "hopf" (the amplitude vanishes, and the branch ends in steady sliding);
+    "symmetry breaking" (a multiplier +1 of a disturbance that breaks the orbit's symmetry: a
+    branch of less symmetric cycles crosses); "branch point" (the same without a symmetry);
+    "period doubling" (-1); "torus" (a pair leaves the unit circle).  `parameter`, `x`, `v` (n,),
+    `period`, `amplitude` (n,), `multipliers` (2n - 1,) belong to the cycle there; `refined`:
+    whether it is one to the search's precision; `error`: of `parameter`, from the search and from
+    the integration, which is tight here whatever `rtol` and `tolerance` the branch has; `raw`: the
+    point of the shooting equations.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import continue_cycle, find_limit_cycle, paper_chain
+        >>> cycle = find_limit_cycle(paper_chain(1, belt_speed=1.5, width=1e-2))
+        >>> for point in continue_cycle(cycle).special:
+        ...     print(point.kind, round(point.parameter, 6), point.amplitude.round(3))
+        fold 1.792456 [1.781]
+        hopf 1.151293 [0.]
+    """
+
+    kind: str
+    parameter: float
+    x: Float[np.ndarray, " n"]
+    v: Float[np.ndarray, " n"]
+    period: float
+    amplitude: Float[np.ndarray, " n"]
+    multipliers: Complex[np.ndarray, " others"]
+    refined: bool
+    error: float
+    raw: SpecialPoint
+
+    @property
+    def index(self) -> int:
+        """It lies between this point of the branch and the next."""
+        return self.raw.index
+
+
+def as_cycle_point(raw: SpecialPoint) -> CyclePoint:
+    """A special point of the shooting equations as one of a branch of cycles."""
+    e = raw.extra
+    return CyclePoint(
+        raw.kind, raw.p, e.x, e.v, float(e.period), e.amplitude, e.multipliers, raw.refined,
+        float(raw.error), raw,
+    )  # fmt: skip
+
+
+def sharply(
+    shooting: Shooting, weights: Float[np.ndarray, " m_plus_1"], tolerance: float
+) -> tuple[Corrector, Corrector]:
+    """Correctors of a tight integration and of one with ten times its tolerance."""
+    rtol = min(float(shooting.rtol), RTOL)
+    return tuple(  # pyright: ignore
+        make_corrector(
+            residual, linearise, replace(shooting, rtol=share * rtol), weights.size - 1, weights,
+            min(tolerance, _TOLERANCE),
+        )
+        for share in (1.0, 10.0)
+    )  # fmt: skip
+
+
+def test_of(kind: str, tests: Mapping[str, Test], near: Point) -> Callable[[Point], float]:
+    """The function of a point that vanishes at a special point of this kind."""
+    if kind == "fold":
+        return lambda point: float(point.tangent[-1])
+    if kind == "branch point":
+        return lambda point: point.sign * float(np.exp(min(point.logdet - near.logdet, 300.0)))
+    return lambda point: float(tests[kind](point.u, point.p, point.tangent, point.extra))
+
+
+def hardly_felt(branch: Branch, raw: SpecialPoint, test: Test) -> bool:
+    """Whether `test` changes its sign by no more than the multipliers err.
+
+    A localized vibration of many masses hardly feels where it sits on the chain, and to shift it
+    is a disturbance with a multiplier that is 1 to rounding, all along the branch.
+    """
+    for k in (raw.index, min(raw.index + 1, branch.p.size - 1)):
+        extra = jax.tree.map(lambda leaf, k=k: leaf[k], branch.extra)
+        if abs(test(raw.u, raw.p, raw.tangent, extra)) < _NOISE:
+            return True
+    return False
+
+
+def refine(
+    correctors: tuple[Corrector, Corrector], raw: SpecialPoint, tests: Mapping[str, Test]
+) -> SpecialPoint:
+    """The special point of tightly integrated equations, however loose those of the branch are.
+
+    Its error is what a tolerance ten times as great changes, and what the search leaves.
+    """
+    tight, loose = (_refined(corrector, raw, tests) for corrector in correctors)
+    if tight is None:
+        return replace(raw, refined=False, error=np.inf)
+    integration = np.inf if loose is None else abs(tight.p - loose.p)
+    return replace(tight, error=tight.error + integration)
+
+
+def _refined(
+    corrector: Corrector, raw: SpecialPoint, tests: Mapping[str, Test]
+) -> SpecialPoint | None:
+    start = corrector(np.append(raw.u, raw.p), raw.tangent)
+    if start is None:
+        return None
+    beside = corrector(start.z + _PROBE * start.tangent, start.tangent, start)
+    if beside is None:
+        return None
+    test = test_of(raw.kind, tests, beside)
+    slope = (test(beside) - test(start)) / _PROBE
+    found = polish(corrector, Located(start, 0.0, 1.0, True, slope, np.inf), test, _REACH)
+    point = found.point
+    return replace(
+        raw, u=point.u, p=point.p, tangent=point.tangent, extra=point.extra,
+        residual=point.residual, left_over=abs(test(point)), error=found.error,
+    )  # fmt: skip
+
+
+def at_rest(correctors: tuple[Corrector, Corrector], raw: SpecialPoint) -> tuple[float, float]:
+    """p in the limit of no amplitude a, and its error, from p = p_H + c a^2 + d a^4 + O(a^6).
+
+    Three small amplitudes give it; the error is what the third one changes, and what a tolerance
+    of the integration ten times as great does.
+    """
+    (p, change), (other, _) = (_at_rest(corrector, raw) for corrector in correctors)
+    return p, change + abs(p - other)
+
+
+def _at_rest(corrector: Corrector, raw: SpecialPoint) -> tuple[float, float]:
+    z, squares, found = np.append(raw.u, raw.p), [], []
+    for length in _NEAR_REST:
+        point = corrector(z - length * raw.tangent, raw.tangent)
+        if point is None:
+            return raw.p, np.inf
+        squares.append(float(point.extra.speed) ** 2)
+        found.append(point.p)
+    if len(set(squares)) < len(squares):
+        return raw.p, np.inf
+    two, three = (float(BarycentricInterpolator(squares[:k], found[:k])(0.0)) for k in (2, 3))
+    return three, abs(three - two)
+
+
+def without_symmetry(shooting: Shooting, point: CyclePoint) -> tuple[Shooting, SpecialPoint]:
+    """The equations without the symmetry, and the point with the direction of what breaks it."""
+    n, p = len(shooting.images), point.parameter
+    full = replace(shooting, images=tuple(range(n)))
+    basis = symmetry_breaking_basis(shooting.images)
+    block = basis.T @ np.asarray(point.raw.extra.monodromy) @ basis
+    null = basis @ np.linalg.svd(block - np.eye(len(block)))[2][-1]
+
+    def packed(z: Any) -> Any:
+        _, state, period = shooting.unpack(z[:-1], z[-1])
+        return jnp.append(full.pack(state, period, z[-1]), z[-1])
+
+    def disturbed(share: Any) -> Any:
+        state = point.x + share * null[:n], point.v + share * null[n:]
+        return jnp.append(full.pack(state, point.period, p), p)
+
+    z = jnp.append(point.raw.u, p)
+    u, tangent = jax.jvp(packed, (z,), (jnp.asarray(point.raw.tangent),))
+    _, other = jax.jvp(disturbed, (jnp.zeros(()),), (jnp.ones(()),))
+    return full, replace(
+        point.raw, u=np.asarray(u)[:-1], tangent=np.asarray(tangent), other=np.asarray(other)
+    )
+
+
+# How far from 1 a modulus may be where its test function vanishes.
+_ON_THE_CIRCLE = 1e-4
+# A multiplier is beyond the unit circle if it is by more than the integration may err.
+_MARGIN = 1e-7
+# A vibration this slow is none.  The equations are divided by it: nearer to zero they are noise.
+_VANISHED = 1e-4
+
+
+def count_unstable(multipliers: Complex[np.ndarray, "k others"]) -> Int[np.ndarray, " k"]:
+    """How many multipliers of each cycle lie beyond the unit circle."""
+    return np.sum(np.abs(multipliers) > 1.0 + _MARGIN, axis=1)
+
+
+class CycleLinearisation(eqx.Module):
+    """What `linearise` finds besides.
+
+    - `x`, `v` (n,): the state on the section; `period`.
+    - `speed`: of the mass where the orbit is cut, its greatest in the direction of the belt.
+    - `times_round`: 2, 3, ... if the orbit closes after such a share of the period, else 1.
+    - `amplitude` (n,): half peak-to-peak of each displacement over a period.
+    - `monodromy` M = d(state after a period)/d(state), (2n, 2n), in the order (x, v).
+    - `multipliers` (2n - 1,): the nontrivial ones, the greatest modulus first; `trivial_defect`
+      = |M f - f| / |f|.
+    - `sound`: whether it can be a cycle, and its trivial multiplier is 1.
+    """
+
+    x: Float[Array, " n"]
+    v: Float[Array, " n"]
+    period: Float[Array, ""]
+    speed: Float[Array, ""]
+    times_round: Int[Array, ""]
+    amplitude: Float[Array, " n"]
+    monodromy: Float[Array, "two_n two_n"]
+    multipliers: Complex[Array, " others"]
+    trivial_defect: Float[Array, ""]
+    sound: Bool[Array, ""]
+
+
+def linearise(
+    u: Float[Array, " m"], parameter: Float[Array, ""], shooting: Shooting
+) -> tuple[Float[Array, " m"], Float[Array, "m m_plus_1"], CycleLinearisation]:
+    """(R, [R_u R_p], `CycleLinearisation`) of the shooting equations R, from one integration.
+
+    With y = (x, v), y_1 the state after a period: dy_1 = M dy + f(y_1) dT + (dy_1/dp) dp, and dR
+    follows from R = gap(u, y_1, p).
+    """
+    n, m = len(shooting.images), u.shape[0]
+    z = jnp.append(u, parameter)
+
+    def start(z: Array) -> Array:
+        _, (x, v), period = shooting.unpack(z[:-1], z[-1])
+        return jnp.concatenate([x, v, z[-1:], period[None]])
+
+    def gap(both: Array) -> tuple[Array, Array]:
+        u, p, y1 = both[:m], both[m], both[m + 1 :]
+        r = shooting.gap(u, (y1[:n], y1[n:]), p)
+        return r, r
+
+    def rate(y: Array) -> Array:
+        return jnp.concatenate(shooting.at(parameter)(0.0, (y[:n], y[n:])))
+
+    y, inner = start(z), jax.jacfwd(start)(z)
+    state, period = y[: 2 * n], y[-1]
+    run = push(
+        lambda y: (shooting.at(y[-1]), (y[:n], y[n:-1]), period), y[:-1],
+        rtol=shooting.rtol, solver=shooting.solver, observers=[Along(), Returns()],
+    )  # fmt: skip
+    y1, ((amplitude, fastest, _), returned) = jnp.concatenate(run.end), run.observed
+    outer = jnp.append(jnp.concatenate(run.slopes, axis=1), rate(y1)[None], axis=0).T
+    slope, r = jax.jacfwd(gap, has_aux=True)(jnp.concatenate([z, y1]))
+    jacobian = slope[:, : m + 1] + slope[:, m + 1 :] @ (outer @ inner)
+    monodromy = outer[:, : 2 * n]
+    found = floquet_multipliers(monodromy, rate(state))
+    speed = shooting.at(parameter).belt_direction() * state[n + shooting.mass]
+    sound = can_be_cycle(shooting.at(parameter), period, fastest)
+    extra = CycleLinearisation(
+        state[:n], state[n:], period, speed, returned.times_round, amplitude, monodromy,
+        found.multipliers, found.defect, sound & is_trusted(found.multipliers, found.defect),
+    )  # fmt: skip
+    return r, jacobian, extra
+
+
+@eqx.filter_jit
+def orbit(
+    u: Float[Array, " m"], parameter: Float[Array, ""], shooting: Shooting
+) -> tuple[Float[Array, " n"], Float[Array, " n"], Float[Array, ""], Float[Array, " n"]]:
+    """(x, v, period, amplitude) of a solution, which `linearise` has of the iterate before it."""
+    field, (x, v), period = shooting.unpack(u, parameter)
+    _, _, ((amplitude, _, _),) = flow(
+        field, (x, v), period, rtol=shooting.rtol, solver=shooting.solver,
+        observers=[Along()],
+    )  # fmt: skip
+    return x, v, period, amplitude
+
+
+def symmetry_breaking_basis(images: tuple[int, ...]) -> Float[np.ndarray, "two_n k"]:
+    """An orthonormal basis of the disturbances (x, v) that break the symmetry of `images`."""
+    own = np.asarray(images)[:, None] == np.unique(images)[None, :]
+    rest = np.linalg.svd(own.astype(float))[0][:, own.shape[1] :]
+    return np.kron(np.eye(2), rest)
+
+
+def _signed(factors: Any) -> float:
+    """Zero where one of the factors is: the least modulus, with the sign of their product.
+
+    Linear in a factor that passes zero, whatever the others are; a product of dozens is not.
+    """
+    if factors.size == 0:
+        return 1.0
+    return float(np.sign(np.prod(np.sign(factors.real[factors.imag == 0]))) * np.min(abs(factors)))
+
+
+def breaking(extra: CycleLinearisation, images: tuple[int, ...]) -> float:
+    """Zero where a disturbance A that breaks the symmetry has a multiplier +1: of A^T M A - 1.
+
+    M maps these onto themselves; the trivial multiplier belongs to those that do not.
+    """
+    basis = symmetry_breaking_basis(images)
+    return _signed(np.linalg.eigvals(basis.T @ np.asarray(extra.monodromy) @ basis) - 1.0 + 0.0j)
+
+
+def doubling(extra: CycleLinearisation) -> float:
+    """Zero where a multiplier is -1."""
+    return _signed(np.asarray(extra.multipliers) + 1.0)
+
+
+def encircling(extra: CycleLinearisation) -> float:
+    """Of |mu|^2 - 1 over pairs: it changes its sign as one leaves the unit circle.
+
+    Pairs of real multipliers count, too, as mu_i mu_j - 1, so that the sign does not change where
+    a pair becomes real.  Where such a factor vanishes nothing happens: `on_the_circle`.
+    """
+    mu: Any = np.asarray(extra.multipliers)
+    real = mu[mu.imag == 0].real
+    i, j = np.triu_indices(real.size, 1)
+    pairs = np.abs(mu[mu.imag > 0]) ** 2 - 1.0
+    return _signed(np.concatenate([pairs, real[i] * real[j] - 1.0]) + 0.0j)
+
+
+def on_the_circle(extra: CycleLinearisation) -> bool:
+    """Whether a complex pair of multipliers has modulus 1."""
+    mu: Any = np.asarray(extra.multipliers)
+    return bool(np.any(np.abs(np.abs(mu[mu.imag > 0]) - 1.0) < _ON_THE_CIRCLE))
+
+
+def special_tests(shooting: Shooting) -> dict[str, Callable[..., float]]:
+    """The tests of `continue_branch`: name -> function of (u, p, tangent, extra).
+
+    "hopf": the amplitude vanishes, and the branch goes on as its own mirror image.
+    """
+
+    def vanishing(extra: CycleLinearisation) -> float:
+        speed = float(extra.speed)
+        return 0.0 if abs(speed) < _VANISHED else speed
+
+    images = shooting.images
+    of: dict[str, Callable[[Any], float]] = {"hopf": vanishing}
+    if len(images) > 1:  # one mass has one multiplier besides the trivial one, never negative
+        of |= {"period doubling": doubling, "torus": encircling}
+    if len(set(images)) < len(images):
+        of["symmetry breaking"] = lambda extra: breaking(extra, images)
+    return {name: lambda u, p, tangent, extra, test=test: test(extra) for name, test in of.items()}
+
+
+def cycle_equations(
+    chain: Any, state: Any, period: Any, parameter: str, vibrating: Any, images: Any, rtol: Any
+) -> tuple[Shooting, np.ndarray, float]:
+    """The shooting equations, and u and p of the cycle that is given."""
+    if state is None and period is None and vibrating is None:
+        vibrating = getattr(chain, "mass", None)
+    chain, state, period = as_orbit(chain, state, period)
+    check_concrete("use `find_limit_cycle`.", chain=chain, state=state, period=period)
+    require_smoothed(chain, "follow `find_limit_cycle` from one belt speed to the next, or ")
+    x, v = check_orbit(chain, state, period, rtol)
+    n, fastest = x.size, int(np.argmax(float(chain.belt_direction()) * np.asarray(v)))
+    mass = as_mass(n, vibrating, fastest)
+    value = chain.numbers()
+    p = value.get(parameter) if isinstance(parameter, str) else None
+    if p is None or np.shape(p) != ():
+        single = sorted(name for name, number in value.items() if np.shape(number) == ())
+        raise ValueError(
+            f"Argument `parameter` must name a number of the chain, one of {single}, but is "
+            f"{shown(parameter)}."
+        )
+    shooting = Shooting(
+        field=chain,
+        rtol=rtol,
+        solver=fit_linear_solve(Rodas5P(), chain, float(rtol)),
+        mass=mass,
+        images=as_images(images, n, mass),
+        parameter=parameter,
+    )
+    u = np.asarray(shooting.pack((x, v), period, p))
+    return shooting, u, float(p)
+
+
+def cycle_weights(shooting: Shooting, p: float) -> np.ndarray:
+    """The masses but j share one unit; z_j, ln T and p / p_start have one each."""
+    m = len(shooting.others) + len(shooting.solved) + 1
+    weights = np.full(m + 1, len(shooting.solved) ** -0.5)
+    weights[[shooting.place, m - 1]] = 1.0
+    weights[m] = 1.0 / (abs(p) or 1.0)
+    return weights
+
+
+def as_heading(direction: Any, shooting: Shooting, m: int) -> Any:
+    """A direction as `continue_branch` takes it: "stick" and "slip" as vectors (m + 1,)."""
+    if not isinstance(direction, str):
+        return direction
+    check_one_of("direction", direction, ("stick", "slip"))
+    heading = np.zeros(m + 1)
+    heading[shooting.place] = 1.0 if direction == "stick" else -1.0
+    return heading
+
 
 # Share of the greatest velocity below which that of the mass where the orbit is cut is too little.
 _HARDLY = 1e-2
@@ -161,7 +572,6 @@ class CycleBranch(Printed):
             data.to_netcdf("branch.nc", engine="h5netcdf")
             ```
         """
-        from .dataset import branch_dataset
 
         return branch_dataset(self)
 
@@ -373,3 +783,102 @@ def _follow(
         shooting=shooting,
         branch=branch,
     )
+
+
+_OSCILLATOR, _MULTIPLIER = ("oscillator",), ("multiplier",)
+
+
+def branch_dataset(branch: CycleBranch) -> Dataset:
+    """See `CycleBranch.to_dataset`."""
+    # xarray brings pandas, which would double the time of the import.
+    from xarray import Dataset
+
+    field, n = branch.shooting.field, branch.x.shape[1]
+    row = parameter(branch.name)
+    own = _of_cycles(branch, branch.parameter, vars(branch))
+    unstable = count_unstable(branch.multipliers)
+    more = {
+        "unstable_count": ((), unstable, "multipliers beyond the unit circle", "1"),
+        "stable": ((), unstable == 0, "whether no multiplier is beyond the unit circle", "1"),
+        "trivial_defect": ((), branch.trivial_defect, "error of the trivial multiplier", "1"),
+    }
+    places = [(point.index, point.refined) for point in branch.special]
+    points = [(point.kind, point.parameter, point.error) for point in branch.special]
+    if points:
+        values = np.array([point.parameter for point in branch.special], float)
+        special = _of_cycles(branch, values, _stacked(branch, n))
+    else:
+        special = {name: (said[0], said[1][:0], *said[2:]) for name, said in own.items()}
+    return Dataset(
+        {
+            **_over("point", own | more),
+            **special_variables(points, places, row.unit),
+            **{f"special_{name}": v for name, v in _over("special", special).items()},
+        },
+        coords={
+            branch.name: ("point", branch.parameter, row.attrs),
+            "oscillator": ("oscillator", np.arange(1, n + 1), {"long_name": "oscillator n"}),
+        },
+        attrs={
+            "parameters": parameters_of(field, n, [branch.name]),
+            "parameter": branch.name,
+            "ended": branch.ended,
+            "message": branch.message,
+            "solver": repr(branch.shooting.solver),
+            "rtol": float(branch.shooting.rtol),
+            "cut_at_oscillator": branch.shooting.mass + 1,
+            "images": json.dumps(branch.shooting.images),
+            **circumstances(),
+        },
+    )
+
+
+def _stacked(branch: CycleBranch, n: int) -> dict[str, np.ndarray]:
+    """What is known of the special points, stacked along a first axis."""
+
+    def column(name: str, *shape: int, dtype: Any = float) -> np.ndarray:
+        values = [getattr(point, name) for point in branch.special]
+        return np.reshape(np.asarray(values, dtype), (-1, *shape))
+
+    found = {name: column(name, n) for name in ("x", "v", "amplitude")}
+    found["period"] = column("period")
+    found["multipliers"] = column("multipliers", branch.multipliers.shape[1], dtype=complex)
+    place = branch.shooting.place
+    closeness = [_closeness(point, place) for point in branch.special]
+    known = np.isfinite(branch.closeness).any()
+    found["closeness"] = np.where(known, np.array(closeness, float), np.nan)
+    return found
+
+
+def _closeness(point: CyclePoint, place: int) -> float:
+    return float(np.sinh(point.raw.u[place]))
+
+
+def _of_cycles(
+    branch: CycleBranch, values: np.ndarray, known: Mapping[str, Any]
+) -> dict[str, tuple[tuple[str, ...], np.ndarray, str | None, str]]:
+    """(dimensions, values, long name, unit) of what cycles are, one for each parameter value."""
+    speed = values if branch.name == "belt_speed" else getattr(
+        branch.shooting.field, "belt_speed", None
+    )  # fmt: skip
+    said = amplitude_variables(jnp.asarray(known["amplitude"]), speed)
+    found: dict[str, Any] = {
+        name: (label.dims, np.asarray(label.values), label.long_name, label.units)
+        for name, label in said.items()
+    }
+    multipliers = known["multipliers"]
+    return found | {
+        "period": ((), known["period"], "least period T", "1 / omega_n"),
+        "displacement": (_OSCILLATOR, known["x"], "displacement where the cycle is cut", "x0"),
+        "velocity": (_OSCILLATOR, known["v"], "velocity where the cycle is cut", SPEED),
+        "closeness": ((), known["closeness"], "max w / eps of the mass that is cut", "1"),
+        "multiplier_real": (_MULTIPLIER, multipliers.real, "real part of the multiplier", "1"),
+        "multiplier_imag": (_MULTIPLIER, multipliers.imag, "imaginary part of it", "1"),
+    }
+
+
+def _over(dim: str, variables: Mapping[str, tuple]) -> dict[str, tuple]:
+    return {
+        name: ((dim, *dims), values, {"long_name": text, "units": units})
+        for name, (dims, values, text, units) in variables.items()
+    }

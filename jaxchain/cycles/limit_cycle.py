@@ -1,169 +1,808 @@
-"""A limit cycle: its equations solved, its multipliers, its derivatives.
+"""Limit cycles from guesses of every kind, stable or not, smoothed or dry.
 
-Newton's method, one linearised integration a step, and of what it finds the least period.
+A guess is (state, period) with the state at the greatest velocity of the vibrating mass in the
+direction of the belt, where `Shooting` cuts the orbit.  Newton's method solves the equations of
+`cycles/shooting.py`, one linearised integration a step.
+
+With true dry friction the state itself is the unknown (`close_orbit`), and the derivative is that
+of the event-driven run, with its saltation at sticking and release.
+
+Near a fold the stick-slip cycle and the slip cycle are close to each other: averaging knows of no
+slip cycle there, a simulation may not settle within its time, and Newton's method may end on the
+other one.  There the cycle is followed along its branch from a belt speed at which it is easily
+found.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple, cast
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array, Bool, Complex, Float, Int
 
+from .._checks import (
+    check_flag,
+    check_nonnegative,
+    check_number,
+    check_one_of,
+    check_positive_number,
+    is_traced,
+    shown,
+    to_float,
+)
 from .._final import final
 from .._types import State
-from ..continuation.damped_newton import Factors, Iterate, ending, factorise
+from ..continuation.damped_newton import Factors, Iterate, check_tolerance, ending, factorise
 from ..continuation.implicit import attach_derivative
-from ..model.chain import Chain
+from ..model.arguments import as_chain, as_images, as_mass, as_state
+from ..model.chain import Chain, steady_sliding
+from ..model.initial_states import reference_site, release_state
 from ..model.oscillators import AbstractOscillators
+from ..model.sliding import damping_outweighs, sliding_damping, stiffness_matrix
 from ..observers.amplitude import Amplitude
-from ..observers.quantities import energy
-from ..result import Outcome, SearchResult
-from .floquet import floquet_multipliers, liouville_defect
-from .least_period import close_orbit_once, greatest_gap
-from .shooting import Shooting
-from .variational import Period, flow, linearised_period
+from ..observers.base import Step
+from ..observers.quantities import active
+from ..observers.section import AbstractSection, Section
+from ..observers.stick_time import MostSticking
+from ..result import SearchResult
+from ..simulation.accuracy import (
+    MAX_STEP,
+    check_tolerances,
+    choose_solver,
+    fit_linear_solve,
+    own_solver,
+)
+from ..simulation.event_driven import EventDriven
+from ..simulation.run import Simulation, simulate
+from ..solvers.dry_friction import start as on_the_belt
+from ..solvers.rosenbrock import Rodas5P
+from .averaging import cycle_speed, gain, greatest_speed, one_mass
+from .branches import NoBranchError, continue_cycle
+from .floquet import (
+    CYCLE_RTOL,
+    LEAST_VELOCITY,
+    LimitCycle,
+    as_orbit,
+    can_be_cycle,
+    check_orbit,
+    floquet_multipliers,
+    is_trusted,
+    liouville_defect,
+    multiplier_resolution,
+)
+from .shooting import Shooting, close_orbit_once, greatest_gap, packed
+from .variational import Along, Period, Returned, Returns, flow, linearised_period
 
-# A step that is shorter is rounding.
-_FINE = 1e-11
-# A mass that moves less rests.
-LEAST_VELOCITY = 1e-6
-# A trivial multiplier or a determinant that is off by more says that M is not to be believed.
-_WORST_DEFECT = 1e-3
-# Shares of the belt's speed at which mu is sampled; by how much its greatest value may exceed
-# that of the samples, and by what share a period may fall short of the least one.
-_SHARES, _BETWEEN, _ROUNDING = np.linspace(0.0, 1.0, 33), 2.0, 1e-6
+Guess = tuple[State, Array]
+# For which a simulation runs before it is looked at.
+TRANSIENT = 200.0
+_PEAKS = 12
+# Of the returns to the section, the first is taken that is nearly as good as the best.
+_AS_GOOD, _GOOD = 2.0, 1e-3
+_RATIOS = np.concatenate([np.geomspace(1e-3, 0.3, 24), np.linspace(0.32, 1.0, 35)])
+
+
+def _watched(chain: Any, state: State, t1: Any, watch: Section) -> Simulation:
+    """A run in which a sticking mass errs by little in units of the width, as Newton needs."""
+    rtol: Any = 1e-8
+    if isinstance(chain, Chain) and not chain.dry:
+        width = lax.stop_gradient(chain.width)
+        # Each operation of JAX on numbers is a program to be compiled.
+        of, width = (jnp, width) if is_traced(width) else (np, np.asarray(width))
+        rtol = of.clip(1e-4 * of.min(width), 1e-11, 1e-7)
+    solver = own_solver(chain, None) or choose_solver(chain, 1e-8)
+    return simulate(chain, state, t1, observe=watch, solver=solver, rtol=rtol, throw=False)
+
+
+def most_lively(chain: AbstractOscillators, state: State) -> int:
+    """The mass farthest from sliding, which is taken for the vibrating one; n // 2 if traced."""
+    x, v = state
+    if is_traced(chain, state):
+        return reference_site(x.shape[0])
+    rest = steady_sliding(chain)[0] if isinstance(chain, Chain) else jnp.zeros_like(x)
+    return int(jnp.argmax((x - rest) ** 2 + v**2))
+
+
+def guess_from_simulation(
+    chain: AbstractOscillators,
+    state: State,
+    vibrating: int | None = None,
+    *,
+    transient: Any = 0.0,
+    duration: Any = 40.0,
+) -> Guess:
+    """A point of the orbit on which `state` settles, and its period.
+
+    Integrates for `transient`, then for `duration`, and looks at the states in which mass
+    `vibrating` (by default the one farthest from sliding) is fastest in the direction of the belt:
+    the period is the time since the one that is most like the last of them, as a whole.  Of an
+    orbit that is not yet settled it may be a multiple; `find_limit_cycle` looks for the least.
+
+    **Returns:** (state, period), NaN where the mass has not two such maxima: it rests, or moves
+    too slowly for `duration`.  Works under `jit` and `vmap`, `vibrating` being given.
+
+    >>> import jax
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> from jaxchain import excited_state, paper_chain
+    >>> from jaxchain.cycles import guess_from_simulation
+    >>> chain = paper_chain(1, width=0.05)
+    >>> _, period = guess_from_simulation(chain, excited_state(chain, 1))
+    >>> round(float(period), 2)
+    6.3
+    """
+    as_chain(chain, AbstractOscillators)
+    state = as_state(chain, state, "state")
+    check_number("transient", transient, "200 is usual.")
+    check_nonnegative("transient", transient, "200 is usual.")
+    check_positive_number("duration", duration, "40 is some six periods.")
+    mass = as_mass(state[0].shape[0], vibrating)
+    mass = most_lively(chain, state) if mass is None else mass
+    watch = Section(mass, _PEAKS, transient, of="velocity")
+    run = _watched(chain, state, transient + duration, watch)
+    return _last_turn(*lax.stop_gradient(run.observed))
+
+
+@eqx.filter_jit
+def _last_turn(times: Array, xs: Array, vs: Array) -> Guess:
+    """The last state, and the time since the one that is most like it."""
+    last = jnp.sum(jnp.isfinite(times)) - 1
+    before = last - 1 - jnp.arange(_PEAKS - 1)  # one return ago, two, ...
+    gaps = [jnp.linalg.norm(part[before] - part[last][None], axis=1) for part in (xs, vs)]
+    distance = jnp.where(before >= 0, gaps[0] + gaps[1], jnp.inf)
+    size = jnp.linalg.norm(vs[last])
+    at = before[jnp.argmax(distance <= _AS_GOOD * jnp.min(distance) + _GOOD * size)]
+    period = jnp.where(last >= 1, times[last] - times[at], jnp.nan)
+    return (xs[last], vs[last]), period
+
+
+def guess_from_point(
+    chain: AbstractOscillators, state: State, period: Any, vibrating: int
+) -> State:
+    """The point of an orbit of known period at which mass `vibrating` is fastest along the belt.
+
+    Nothing is integrated if `state` is such a point; NaN if there is none.
+    """
+    if not is_traced(chain, state):
+        along = chain.belt_direction()
+        acceleration, velocity = chain(0.0, state)[1][vibrating], along * state[1][vibrating]
+        # A mass that sticks is accelerated by little, but by more than this.
+        if velocity > 0 and abs(acceleration) < 1e-9 * velocity:
+            return state
+    # A little more, for an orbit that begins at the maximum.
+    watch = Section(vibrating, _PEAKS, of="velocity")
+    run = _watched(chain, state, 1.05 * to_float(period), watch)
+    _, xs, vs = lax.stop_gradient(run.observed)
+    speeds = chain.belt_direction() * vs[:, vibrating]
+    fastest = jnp.argmax(jnp.where(jnp.isnan(speeds), -jnp.inf, speeds))
+    return xs[fastest], vs[fastest]
+
+
+def carried(state: State, before: AbstractOscillators, after: AbstractOscillators) -> State:
+    """A state of the field `before`, for `after`: a mass that sticks goes with the belt.
+
+    Where the belt runs the other way it is the mirror image.
+    """
+    turned = before.belt_direction() * after.belt_direction()
+    x, v = (turned * part for part in state)
+    old, new = before.switching(0.0, turned * v), after.switching(0.0, v)
+    if old is None or new is None:
+        return x, v
+    sticks = jnp.abs(old[0]) <= 10.0 * old[1]
+    wider = new[1] / jnp.where(old[1] > 0, old[1], 1.0)
+    return x, jnp.where(sticks, v - new[0] + turned * old[0] * wider, v)
+
+
+@eqx.filter_jit
+def slip_guess(chain: Chain, vibrating: int) -> Guess:
+    """The unstable cycle of a mass that slides throughout, to first harmonic; NaN for none.
+
+    Its amplitude A < v_d is where averaged friction begins to feed more than damping takes (see
+    `cycles/averaging.py`); the other masses move as its springs shake them, linearised about
+    sliding: (K - omega^2 + i omega D) u = 0 in their rows.
+    """
+    alone, speed = one_mass(chain, vibrating), jnp.abs(chain.belt_speed)
+    ratios = jnp.asarray(_RATIOS)
+    values = lax.map(lambda ratio: gain(alone, ratio, speed), ratios)
+    rises = (values[:-1] <= 0) & (values[1:] > 0)
+    at = jnp.argmax(rises)
+    share = -values[at] / (values[at + 1] - values[at])
+    ratio = ratios[at] + share * (ratios[at + 1] - ratios[at])
+    amplitude = jnp.where(jnp.any(rises), ratio * speed, jnp.nan) * chain.belt_direction()
+    omega = jnp.sqrt(alone.stiffness)
+    x, _ = steady_sliding(chain)
+    damping = jnp.broadcast_to(sliding_damping(chain, speed), (chain.n,))
+    A = stiffness_matrix(chain) - jnp.diag(omega**2 - 1j * omega * damping)
+    unit = jnp.zeros(chain.n).at[vibrating].set(1.0)
+    own = unit[:, None] > 0
+    right = jnp.where(unit > 0, 1.0, -A[:, vibrating])
+    shape = jnp.linalg.solve(jnp.where(own, jnp.diag(unit), jnp.where(own.T, 0.0, A)), right)
+    # v_j = A cos(omega t), hence x_n = Re[-i u_n exp(i omega t)] A / omega.
+    moved = amplitude / omega * jnp.real(-1j * shape)
+    return (x + moved, amplitude * jnp.real(shape)), 2 * jnp.pi / omega
+
+
+def guess_of_kind(chain: Chain, vibrating: int, kind: str) -> Guess:
+    """A guess of the stick-slip cycle ("stable") or of the slip cycle ("unstable") of one mass."""
+    if kind == "unstable":
+        return slip_guess(chain, vibrating)
+    released = release_state(chain, vibrating)
+    return guess_from_simulation(chain, released, vibrating, transient=TRANSIENT)
+
+
+# Integrations at most, and the step that is rounding.
+_MOST, _FINEST = 8, 1e-13
+# What may be left of the return, compared with the size of the orbit, where it is closed.
+_CLOSED = 1e-6
 
 
 @final
-class LimitCycle(Outcome):
-    """A periodic orbit.
+class ClosedOrbit(NamedTuple):
+    """A periodic orbit, or the attempt at one.
 
-    - `state`, `period`: the orbit is cut where mass `mass` moves fastest in the direction of the
-      belt; the period is the least one.
-    - `residual`: the gap after a period over the size of the orbit, or over the greatest velocity
-      of that mass, velocities measured in the width where it sticks.  `result`: successful if it
-      is a cycle.
-    - `multipliers`: the 2n - 1 Floquet multipliers other than 1, the greatest modulus first.
-    - `trivial_defect`: |M f - f| / |f| for f = (x', v'), which must be 0; `liouville_defect`: see
-      there, NaN for dry friction; both were measured on this orbit.
-    - `amplitude`: half peak-to-peak of each displacement; `fastest`: each greatest velocity in the
-      direction of the belt.
-    - `evaluations`: integrations of the linearised system it took; `chain`: whose cycle it is.
+    - `state` and `period`, the least one; `gap`, the greatest component of what is left of the
+      return, infinite where no cycle of the chain is so fast or has so short a period;
+      `distance`, of how far the iteration went from where it began (of the period, that of
+      one time round).
+    - `multipliers`: the Floquet multipliers but the trivial one, greatest modulus first.  With
+      true dry friction as many, the last ones, are exactly 0 as masses ever stick together; NaN
+      are others that are not told from zero, of a modulus below `resolution`, as sticking makes
+      them in smoothed friction.
+    - `defect`: |M f - f| / |f|, what the trivial one's vector misses, and any other may;
+      `resolution`: that, or rounding.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import paper_chain
+        >>> from jaxchain.cycles import close_orbit
+        >>> from jaxchain.model import on_the_belt
+        >>> chain = paper_chain(n=1, belt_speed=1.5, width=None)
+        >>> orbit = close_orbit(chain, on_the_belt(chain), 6.3)
+        >>> bool(orbit.gap < 1e-8), round(float(orbit.period), 4)
+        (True, 6.3163)
+        >>> orbit.multipliers.tolist(), orbit.exponents.tolist()  # sticking forgets everything
+        ([0j], [-inf])
+    """
+
+    state: State
+    period: Float[Array, ""]
+    gap: Float[Array, ""]
+    distance: Float[Array, ""]
+    multipliers: Complex[Array, " others"]
+    defect: Float[Array, ""]
+    resolution: Float[Array, ""]
+
+    @property
+    def exponents(self) -> Float[Array, " others"]:
+        """ln |multiplier| / period; -inf for what sticking annihilates, NaN if not resolved."""
+        return jnp.log(jnp.abs(self.multipliers)) / self.period
+
+    @property
+    def highest_exponents(self) -> Float[Array, " others"]:
+        """`exponents`, and what those that are not resolved lie below."""
+        below = jnp.log(self.resolution) / self.period
+        return jnp.where(jnp.isnan(self.multipliers), below, self.exponents)
+
+
+def close_orbit(
+    chain: Any,
+    state: Any = None,
+    period: Any = None,
+    *,
+    solver: Any = None,
+    rtol: Any = 1e-9,
+) -> ClosedOrbit:
+    """The periodic orbit near a state that nearly comes back after `period`, by Newton's method.
+
+    Solves flow(y, T) = y with the correction at right angles to the orbit:
+
+        [[M - 1, f], [f^T, 0]] (dy, dT) = (y - flow(y, T), 0),    f = d flow / dT,
+
+    with at most 8 integrations.  A mass that sticks at the start does so afterwards.  An orbit
+    that has come back after a share of `period` (up to 16 times round) is closed again with this
+    share.
+
+    **Arguments:** a `LimitCycle` alone; or a chain, `state` = (x, v), both of shape (n,), and
+    `period` > 0.  `solver` and `rtol` as for `simulate`.
+
+    **Returns:** `ClosedOrbit`; look at its `gap` and `distance` before anything else.  Works
+    under `jit` and `vmap`.
+
+    **Raises:** `ValueError` for bad input.
+
+    !!! example
+
+        >>> import jax, jax.numpy as jnp
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import paper_chain
+        >>> from jaxchain.cycles import close_orbit
+        >>> start = jnp.array([2.2]), jnp.zeros(1)
+        >>> orbit = close_orbit(paper_chain(n=1, belt_speed=1.5, width=None), start, 6.26)
+        >>> bool(orbit.gap < 1e-8), orbit.multipliers.tolist()  # 0: it sticks
+        (True, [0j])
+    """
+    chain, state, period = as_orbit(chain, state, period)
+    x, v = check_orbit(chain, state, period, rtol)
+    return _close(chain, (x, v), to_float(period), own_solver(chain, solver), rtol)
+
+
+class _Way(NamedTuple):
+    """What a run tells besides its end."""
+
+    slopes: Float[Array, "two_n m"]  # of the state at the end, in (x, v, T)
+    returned: Returned
+    sticking: Int[Array, ""]  # how many masses ever stick together, dry
+
+
+@eqx.filter_jit
+def _close(
+    chain: AbstractOscillators, state: State, period: Array, solver: Any, rtol: Any
+) -> ClosedOrbit:
+    start = jnp.concatenate([*state, period[None]])
+    n = state[0].shape[0]
+
+    observe: dict[str, Any] = {"returned": Returns()}
+    if isinstance(solver, EventDriven):
+        observe["sticking"] = MostSticking()
+
+    def flow(u: Array) -> tuple[Array, tuple[Array, Returned, Array]]:
+        run = simulate(
+            chain, (u[:n], u[n:-1]), u[-1], observe=observe, solver=solver, rtol=rtol,
+            throw=False,
+        )  # fmt: skip
+        end, seen = jnp.concatenate(run.state), run.observed
+        return end, (end, seen["returned"], seen.get("sticking", jnp.zeros((), int)))
+
+    weights = jnp.full(start.shape, start.shape[0] ** -0.5)
+
+    def linearise(u: Array) -> tuple[Array, Factors, _Way]:
+        slopes, (end, returned, sticking) = jax.jacfwd(flow, has_aux=True)(u)
+        f = slopes[:, -1]
+        matrix = jnp.block(
+            [
+                [slopes[:, :-1] - jnp.eye(2 * n) + _free_phases(chain, f), f[:, None]],
+                [f[None], jnp.zeros((1, 1))],
+            ]
+        )
+        way = _Way(slopes, returned, sticking)
+        return jnp.append(end - u[:-1], 0.0), factorise(matrix, weights), way
+
+    best = close_orbit_once(
+        linearise, start, weights, limit=_MOST, fine=_FINEST,
+        closed=lambda now: greatest_gap(now) <= _CLOSED * now.aux.returned.farthest,
+        state_at=lambda u: (u[:n], u[n:-1]),
+        shortened=lambda u, times: u.at[-1].divide(times),
+    )  # fmt: skip
+    failed = jnp.where(jnp.isfinite(best.length), 0.0, jnp.nan)
+    u, slopes = best.u + failed, best.aux.slopes + failed
+    possible = can_be_cycle(chain, u[-1], jnp.abs(u[n:-1]))
+    gap = jnp.where(possible, greatest_gap(best), jnp.inf) + failed
+    once = start.at[-1].divide(jnp.maximum(jnp.round(period / u[-1]), 1.0))
+    found = floquet_multipliers(slopes[:, :-1], slopes[:, -1])
+    resolution = jnp.maximum(found.defect, multiplier_resolution(slopes[:, :-1]))
+    multipliers = jnp.where(jnp.abs(found.multipliers) < resolution, jnp.nan, found.multipliers)
+    # Velocities of masses that stick together are all that of the belt.
+    kept = jnp.arange(2 * n - 1) < 2 * n - 1 - best.aux.sticking
+    multipliers = jnp.where(kept | ~jnp.isfinite(found.multipliers), multipliers, 0.0)
+    return ClosedOrbit(
+        (u[:n], u[n:-1]), u[-1], gap, jnp.max(jnp.abs(u - once)), multipliers,
+        found.defect, resolution,
+    )  # fmt: skip
+
+
+def _free_phases(chain: AbstractOscillators, f: Float[Array, " two_n"]) -> Array:
+    """sum_n f_n f_n^T / |f_n|^2, f_n the part of f of mass n, if masses are not coupled, else 0.
+
+    Their phases are free, M f_n = f_n for each of them: without this M - 1 is singular.
+    """
+    n = f.shape[0] // 2
+    if n == 1 or not chain.structured:
+        return jnp.zeros(())
+    parts = jnp.concatenate([jnp.diag(f[:n]), jnp.diag(f[n:])])  # column n is f_n
+    sizes = jnp.sum(parts**2, axis=0)
+    free = (parts / jnp.where(sizes > 0, sizes, 1.0)[None]) @ parts.T
+    return free if chain.springs is None else jnp.all(chain.springs.constant == 0) * free
+
+
+def dry_limit_cycle(
+    chain: Chain, mass: int, state: State, period: Any, *, rtol: Any, tolerance: Any
+) -> LimitCycle:
+    """The cycle of a dry chain near a guess, cut where mass `mass` is let go, or is fastest.
+
+    Derivatives as in `find_limit_cycle`.
+    """
+    frozen = lax.stop_gradient(chain)
+    state, period = lax.stop_gradient((state, to_float(period)))
+    cycle = _dry_cycle(frozen, mass, state, period, to_float(rtol), to_float(tolerance))
+    unknowns = jnp.concatenate([*cycle.state, cycle.period[None], cycle.amplitude])
+    equations = jax.tree_util.Partial(_dry_residual, mass)
+    unknowns = attach_derivative(equations, unknowns, (chain, to_float(rtol)))
+    x, v, period, amplitude = _parts(unknowns)
+    return eqx.tree_at(
+        lambda c: (c.chain, c.state, c.period, c.amplitude),
+        cycle,
+        (chain, (x, v), period, amplitude),
+    )
+
+
+@eqx.filter_jit
+def _dry_cycle(
+    chain: Chain, mass: int, state: State, period: Array, rtol: Array, tolerance: Array
+) -> LimitCycle:
+    orbit = close_orbit(chain, state, period, rtol=rtol)
+    # A little more, for an orbit that begins there.
+    watch = _Cuts(mass, 1, of="velocity")
+    cut = simulate(
+        chain, orbit.state, 1.05 * orbit.period, observe=watch, rtol=rtol, throw=False
+    ).observed
+    state, _ = on_the_belt(chain, (cut[1][0], cut[2][0]))
+    run = simulate(chain, state, orbit.period, observe=Along(), rtol=rtol, throw=False)
+    amplitude, fastest, _ = run.observed
+    gap = jnp.concatenate(run.state) - jnp.concatenate(state)
+    residual = jnp.max(jnp.abs(gap)) / fastest[mass]
+    closed = (residual <= tolerance) & is_trusted(orbit.multipliers, orbit.defect)
+    rests = closed & (fastest[mass] <= LEAST_VELOCITY)
+    result = SearchResult.where(closed, SearchResult.successful, SearchResult.no_step_helps)
+    result = SearchResult.where(rests, SearchResult.at_rest, result)
+    result = SearchResult.where(jnp.isfinite(residual), result, SearchResult.nonfinite)
+    result = SearchResult.where(jnp.isinf(orbit.gap), SearchResult.ran_away, result)
+    return LimitCycle(
+        chain=chain,
+        state=state,
+        period=orbit.period,
+        residual=residual,
+        result=result,
+        multipliers=orbit.multipliers,
+        trivial_defect=orbit.defect,
+        liouville_defect=jnp.full_like(orbit.defect, jnp.nan),
+        amplitude=amplitude,
+        fastest=fastest,
+        evaluations=jnp.asarray(_MOST),
+        mass=mass,
+    )
+
+
+class _Cuts(AbstractSection):
+    """States in which a mass that slides behind the belt is fastest, or is let go by the belt."""
+
+    def _slope(self, step: Step, t: Any, y: State) -> Array:
+        del t
+        field: Any = step.field
+        return field.belt_direction() * _slipping(field, *y)[self.oscillator]
+
+
+def _slipping(chain: Chain, x: Float[Array, " n"], v: Float[Array, " n"]) -> Float[Array, " n"]:
+    """v' of masses that slide behind the belt; 0 where one is let go, r = -p mu_st."""
+    pull = chain.load * chain.law.coefficient(jnp.abs(v - chain.belt_speed))
+    return chain.free_force(x, v) + chain.belt_direction() * pull
+
+
+def _parts(unknowns: Float[Array, " m"]) -> tuple[Array, Array, Array, Array]:
+    """(x, v, period, amplitudes), 3 n + 1 numbers in all."""
+    n = unknowns.shape[0] // 3
+    return unknowns[:n], unknowns[n : 2 * n], unknowns[2 * n], unknowns[2 * n + 1 :]
+
+
+def _dry_residual(
+    mass: int, unknowns: Float[Array, " m"], parameters: tuple[Chain, Array]
+) -> Float[Array, " m"]:
+    """What is left of the return, of the section, and of the amplitudes."""
+    chain, rtol = parameters
+    x, v, period, amplitude = _parts(unknowns)
+    run = simulate(chain, (x, v), period, observe=Amplitude(), rtol=rtol, throw=False)
+    section = _slipping(chain, x, v)[mass]
+    return jnp.concatenate(
+        [run.state[0] - x, run.state[1] - v, section[None], run.observed - amplitude]
+    )
+
+
+# Belt speeds to begin at: of slip cycles those at which averaging has amplitudes of such shares of
+# the belt speed, of stick-slip cycles such shares of the one that is asked for.
+_BEGIN_RATIOS = (0.95, 0.85, 0.7, 0.5, 0.3)
+_SHARES = (0.97, 0.9, 1.1, 0.8, 1.2, 1.3, 0.7, 0.6, 0.5)
+# By how much the closeness at a fold may differ from what is known of it.
+_DOUBT = 0.3
+
+
+class Reached(NamedTuple):
+    """(state, period) of the cycle, or None, and why not."""
+
+    guess: tuple[State, Array] | None
+    reason: str
+
+
+@eqx.filter_jit
+def is_of_kind(cycle: LimitCycle, kind: str) -> Bool[Array, ""]:
+    """Whether one mass vibrates, on the side of the fold that was asked for, as far as it shows.
+
+    Where vibration spreads, a run from one mass ends with several.
+    Slip cycles ("unstable") have a real multiplier beyond 1, which passes through 1 at the fold.
+    A stick-slip cycle ("stable") of a chain may have one, too, with the symmetry of its neighbours
+    lost, but its mass comes closer to the belt's speed than that of a fold, s = max w / eps =
+    ln(eps / v_d) / 4 - 1.
+    """
+    multipliers = cycle.multipliers
+    beyond = (jnp.imag(multipliers) == 0) & (jnp.real(multipliers) > 1.0 + cycle.uncertainty)
+    grows, n, chain = jnp.any(beyond), cycle.fastest.shape[0], cast(Chain, cycle.chain)
+    alone = jnp.sum(active(cycle.amplitude, chain.belt_speed)) <= 1
+    if kind == "unstable":
+        return alone & grows
+    if n == 1:
+        return ~grows
+    if chain.dry:
+        return alone & (cycle.closeness[cycle.mass] == 0)
+    eps = jnp.broadcast_to(chain.width, (n,))[cycle.mass]
+    fold = 0.25 * jnp.log(eps / jnp.maximum(jnp.abs(chain.belt_speed), eps)) - 1.0
+    return alone & ~(grows & (cycle.closeness[cycle.mass] < fold + _DOUBT))
+
+
+def reach_cycle(shooting: Shooting, kind: str, tolerance: Array, limit: Array) -> Reached:
+    """The cycle of one mass, of `kind`, at the belt speed of `shooting.field`, from elsewhere.
+
+    On the host.  The reason says where the branch turns or ends if it does not get there.
+    """
+    chain: Any = shooting.field
+    goal, along = abs(float(chain.belt_speed)), float(chain.belt_direction())
+    ended = ""
+    for speed in _speeds(chain, shooting.mass, kind, goal):
+        there = chain.with_(belt_speed=along * speed)
+        state, period = guess_of_kind(there, shooting.mass, kind)
+        if not bool(jnp.isfinite(jnp.sum(state[1]) + period)):
+            continue
+        own = Shooting(
+            field=there, rtol=shooting.rtol, solver=shooting.solver, mass=shooting.mass,
+            images=shooting.images,
+        )  # fmt: skip
+        cycle, _ = solve_cycle(own, packed(own, state, period), tolerance, limit)
+        if not bool(cycle.successful & is_of_kind(cycle, kind)):
+            continue
+        found, ended = _follow(cycle, shooting, goal, along)
+        if found is not None:
+            return Reached(found, "")
+        if ended:
+            break
+    return Reached(None, ended)
+
+
+def _speeds(chain: Chain, mass: int, kind: str, goal: float) -> list[float]:
+    """Where to begin, the nearest first."""
+    if kind == "stable":
+        return [share * goal for share in _SHARES]
+    alone = one_mass(chain, mass)
+    highest = greatest_speed(alone)
+    ratios = jnp.asarray(_BEGIN_RATIOS)
+    speeds = np.asarray(lax.map(lambda ratio: cycle_speed(alone, ratio, highest), ratios))
+    known = [float(speed) for speed in speeds[np.isfinite(speeds)] if speed > 0]
+    return sorted(known, key=lambda speed: abs(speed - goal))
+
+
+def _follow(
+    cycle: LimitCycle, shooting: Shooting, goal: float, along: float
+) -> tuple[tuple[State, Array] | None, str]:
+    """The cycle at the belt speed `goal`; if the branch does not get there, why."""
+    begin = abs(float(cast(Chain, cycle.chain).belt_speed))
+    ahead = 1.0 if goal > begin else -1.0
+    bounds = sorted((along * goal, along * (goal - 2.0 * ahead * abs(goal - begin) - ahead)))
+    farthest = begin
+
+    def turned(speed: float, _: Any) -> bool:
+        nonlocal farthest
+        back = ahead * (abs(speed) - farthest) < 0
+        farthest = abs(speed)
+        return back
+
+    try:
+        branch = continue_cycle(
+            cycle, direction=int(along * ahead), bounds=(bounds[0], bounds[1]),
+            images=shooting.images, rtol=float(shooting.rtol), stop=turned,
+        )  # fmt: skip
+    except NoBranchError:
+        return None, ""
+    if branch.ended == "left_bounds" and branch.parameter[-1] == along * goal:
+        state = jnp.asarray(branch.x[-1]), jnp.asarray(branch.v[-1])
+        return (state, jnp.asarray(branch.period[-1])), ""
+    for point in branch.special:
+        if point.kind in ("fold", "hopf"):
+            what = "turn at a fold" if point.kind == "fold" else "end in a Hopf point"
+            return None, (
+                f"the cycles of this kind, followed from belt speed {along * begin:.6g}, {what} "
+                f"at {point.parameter:.6g}"
+            )
+    return None, ""
+
+
+def find_limit_cycle(
+    chain: Any,
+    guess: Any = None,
+    *,
+    period: Any = None,
+    vibrating: Any = None,
+    branch: Any = "stable",
+    images: Any = None,
+    rtol: Any = CYCLE_RTOL,
+    tolerance: Any = 1e-9,
+    max_steps: Any = 30,
+    throw: bool = True,
+) -> LimitCycle:
+    """The limit cycle near a guess, stable or not, by Newton's method at fixed belt speed.
+
+    With smoothed friction unknowns and equations are those of `cycles/shooting.py`, the steps are
+    damped by Deuflhard's natural monotonicity test, and one linearised integration gives each
+    Jacobian and, in the end, the monodromy matrix.  With dry friction it is `close_orbit`, from
+    event to event; the orbit is cut where the mass that vibrates is let go by the belt, or is
+    fastest if it never sticks; `images` and `max_steps` have no part in it, and without a guess no
+    belt speed is tried but the one asked for.
+
+    **Arguments:**
+
+    - `chain`: a `Chain`, or with a guess any autonomous `AbstractOscillators`.
+    - `guess`: None, the vibration of one mass in which it sticks and slips (on which a simulation
+      settles), or the unstable one in which it slides throughout (`branch` = "unstable"), reached
+      from another belt speed if it is not found at once; a state (x, v), from which a
+      simulation starts, or with `period` a point near the orbit; a pair (state, period); a
+      `Simulation` (its last state); a `LimitCycle` of another chain.
+    - `vibrating`: index of the mass at whose greatest velocity the orbit is cut, by default n // 2
+      without a guess and else the one farthest from sliding.  Must be given under `jit`.
+    - `images`: for an orbit with a symmetry, entry i is the index of the mass that i does the same
+      as, see `continue_cycle`.
+    - `rtol`: of the integration; `tolerance`: of the residual; `max_steps`: integrations allowed.
+    - `throw`: raise an error where no cycle is found; otherwise its `result` tells.
+
+    **Returns:** a `LimitCycle`, of the least period: an orbit gone round up to 16 times is told by
+    its state after shares of the period, and solved for again.  Its state, period, amplitude and
+    energy have derivatives in every number of the chain, forward and in reverse (the rest of it is
+    constant); it works under `vmap` and `jit`, `throw` without effect; without a guess nothing is
+    tried there but the belt speed asked for.
+
+    **Raises:** `ValueError` for bad input; `RuntimeError`, with advice, if no cycle is found.
+    Rest is never taken for a cycle.
 
     !!! example
 
         >>> import jax
         >>> jax.config.update("jax_enable_x64", True)
         >>> from jaxchain import find_limit_cycle, paper_chain
-        >>> cycle = find_limit_cycle(paper_chain(1, belt_speed=1.5, width=1e-2))
-        >>> cycle.stable, bool(cycle.residual < 1e-9), round(float(cycle.period), 4)
-        (True, True, 6.3095)
-        >>> x, v = cycle.state
-        >>> x.shape, cycle.amplitude.shape, cycle.multipliers.shape
-        ((1,), (1,), (1,))
-        >>> slipping = find_limit_cycle(cycle.chain, branch="unstable")
-        >>> bool(slipping.closeness[0] < cycle.closeness[0])  # farther from the belt's speed
-        True
+        >>> cycle = find_limit_cycle(paper_chain(1, width=0.05))
+        >>> cycle.stable, round(float(cycle.period), 6)
+        (True, 6.297326)
+        >>> slipping = find_limit_cycle(paper_chain(1, width=0.05), branch="unstable")
+        >>> slipping.stable, bool(slipping.closeness[0] < 0)
+        (False, True)
     """
-
-    chain: AbstractOscillators
-    state: State
-    period: Float[Array, ""]
-    residual: Float[Array, ""]
-    result: SearchResult
-    multipliers: Complex[Array, " others"]
-    trivial_defect: Float[Array, ""]
-    liouville_defect: Float[Array, ""]
-    amplitude: Float[Array, " n"]
-    fastest: Float[Array, " n"]
-    evaluations: Int[Array, ""]
-    mass: int = eqx.field(static=True)
-
-    @property
-    def closeness(self) -> Float[Array, " n"]:
-        """max w / eps of each mass: one that never reaches the belt's speed has it below zero.
-
-        With dry friction -inf for that one, and 0 for one that sticks.
-        """
-        along = self.chain.belt_direction()
-        switching = self.chain.switching(0.0, along * self.fastest)
-        if switching is None:
-            return jnp.full_like(self.fastest, jnp.nan)
-        w = along * switching[0]
-        return jnp.where(w == 0, 0.0, w / switching[1])
-
-    @property
-    def energy(self) -> Float[Array, ""]:
-        """E = 1/2 sum A_n^2."""
-        return energy(self.amplitude)
-
-    @property
-    def uncertainty(self) -> Float[Array, ""]:
-        """Of the multipliers, as far as the two defects tell."""
-        defect = self.trivial_defect + jnp.nan_to_num(self.liouville_defect)
-        return 1e-8 + 10.0 * (defect + self.residual)
-
-    @property
-    def stability_margin(self) -> Float[Array, ""]:
-        """1 - the greatest modulus of a multiplier: negative for an unstable cycle."""
-        return 1.0 - jnp.abs(self.multipliers[0])
-
-    @property
-    def stable(self) -> bool | None:
-        """Whether disturbances die out; None if that is not known: no cycle, a defect, or |mu| = 1
-        within its uncertainty.  Of one cycle, not of a batch."""
-        uncertainty, margin = float(self.uncertainty), float(self.stability_margin)
-        sound = bool(self.successful) and uncertainty < _WORST_DEFECT
-        if not sound or not abs(margin) > uncertainty:
-            return None
-        return margin > 0
+    _check(chain, rtol)
+    check_flag("throw", throw)
+    if isinstance(chain, Chain):
+        as_images(images, chain.n)
+    limit = check_tolerance(tolerance, max_steps)
+    frozen = lax.stop_gradient(chain)
+    mass, state, period = resolve_guess(frozen, guess, period, vibrating, branch, throw)
+    n = state[0].shape[0]
+    if isinstance(chain, Chain) and chain.dry:
+        as_images(images, n, mass)
+        cycle = dry_limit_cycle(chain, mass, state, period, rtol=rtol, tolerance=tolerance)
+        cycle = _keep_kind(cycle, branch) if guess is None else cycle
+        if throw and not is_traced(cycle.successful) and not cycle.successful:
+            raise RuntimeError(_failure(cycle) if guess is not None else _missing(frozen, branch))
+        return cycle
+    shooting = Shooting(
+        field=frozen, rtol=rtol, mass=mass, images=as_images(images, n, mass),
+        solver=fit_linear_solve(Rodas5P(), frozen, 1e-9 if is_traced(rtol) else float(rtol)),
+    )  # fmt: skip
+    numbers = to_float(tolerance), jnp.asarray(np.asarray(limit, dtype=int))
+    start = packed(shooting, lax.stop_gradient(state), lax.stop_gradient(period))
+    cycle, u = solve_cycle(shooting, start, *numbers)
+    reason = ""
+    if guess is None:
+        cycle = _keep_kind(cycle, branch)
+        if not is_traced(cycle.successful) and not cycle.successful:
+            found, reason = reach_cycle(shooting, branch, *numbers)
+            if found is not None:
+                cycle, u = solve_cycle(shooting, packed(shooting, *found), *numbers)
+    if throw and not is_traced(cycle.successful) and not cycle.successful:
+        missing = _failure(cycle) if guess is not None else _missing(frozen, branch, reason)
+        raise RuntimeError(missing)
+    return with_derivatives(shooting, chain, cycle, u)
 
 
-def can_be_cycle(
-    field: AbstractOscillators, period: Any, speed: Float[Array, " n"]
-) -> Bool[Array, ""]:
-    """Whether a cycle of `field` can have this period, and masses as fast as `speed`.
-
-    For a `Chain`, x'' + 2 xi x' + K x = p F(x' - v_d), two means over a period T tell:
-
-    - Friction and damping depend on v_n alone, so that the mean of v_n' times them is 0, and with
-      L the greatest eigenvalue of K: <v'^T v'> = <v^T K v> <= L <v^T v>.  v has no mean, so that
-      <v^T v> <= (T / 2 pi)^2 <v'^T v'> (Wirtinger's inequality): T >= 2 pi / L^(1/2).
-    - Friction does work on a mass only between rest and the belt's speed, at most p M |v_d| with M
-      the greatest mu up to there.  Damping takes as much: 2 xi <v^T v> <= sum_n p_n M_n |v_d|, xi
-      the least xi_n > 0.  Each v_n passes through 0: max v_n^2 <= T <|v_n v_n'|>
-      <= T L^(1/2) <v^T v>.  Without damping, or with negative damping, nothing bounds v.
-
-    Always true for other oscillators, whose forces are not bounded here.
-    """
-    if not isinstance(field, Chain):
-        return jnp.asarray(True)
-    n, belt = field.n, jnp.abs(field.belt_speed)
-    stiffest = field.stiffness_diagonal(n)
-    if field.springs is not None:
-        stiffest = stiffest + field.springs.strength(n)  # Gershgorin's bound
-    frequency = jnp.sqrt(jnp.max(stiffest))
-    mu = jax.vmap(lambda share: field.law.coefficient(jnp.full(n, share * belt)))(_SHARES)
-    mu = jnp.maximum(_BETWEEN * jnp.max(mu, axis=0), field.law.mu_static)
-    work = belt * jnp.sum(field.load * mu * jnp.ones(n))
-    damping = 2.0 * jnp.min(field.damping_ratio)
-    slow = damping * jnp.max(speed**2) <= period * frequency * work
-    return (period * frequency >= (1.0 - _ROUNDING) * 2.0 * jnp.pi) & ((damping <= 0) | slow)
+@eqx.filter_jit
+def _keep_kind(cycle: LimitCycle, kind: str) -> LimitCycle:
+    """Not `successful` unless it is of the kind that was asked for."""
+    wrong = cycle.successful & ~is_of_kind(cycle, kind)
+    result = SearchResult.where(wrong, SearchResult.other_kind, cycle.result)
+    return replace(cycle, result=result)
 
 
-def is_trusted(
-    multipliers: Complex[Array, " others"], defect: Float[Array, ""]
-) -> Bool[Array, ""]:
-    """Whether the disturbance along the orbit comes back as it was, as that of a cycle does.
+def resolve_guess(
+    chain: AbstractOscillators, guess: Any, period: Any, vibrating: Any, branch: Any, throw: bool
+) -> tuple[int, State, Array]:
+    """(mass, state on the section, period) of whatever was given."""
+    check_one_of("branch", branch, ("stable", "unstable"))
+    if guess is None:
+        if not isinstance(chain, Chain):
+            raise ValueError(
+                "Argument `guess` is None, which is for a `Chain`: give a state and a period."
+            )
+        if period is not None:
+            raise ValueError(
+                f"Argument `period` is {shown(period)}, but there is no `guess`, whose period it "
+                "would be: give the state, too."
+            )
+        mass = as_mass(chain.n, vibrating, reference_site(chain.n))
+        state, period = guess_of_kind(chain, mass, branch)
+        return mass, state, period
+    if isinstance(guess, LimitCycle):
+        check_orbit(chain, guess.state, guess.period, CYCLE_RTOL)
+        mass = as_mass(guess.state[0].shape[0], vibrating, guess.mass)
+        return mass, *_sound(carried(guess.state, guess.chain, chain), guess.period, throw)
+    transient = TRANSIENT
+    if isinstance(guess, Simulation):
+        guess, transient = guess.state, 0.0
+    pair = isinstance(guess, tuple | list) and len(guess) == 2
+    if pair and isinstance(guess[0], tuple | list):
+        guess, period = guess
+    state = check_orbit(chain, guess, 1.0 if period is None else period, CYCLE_RTOL, "guess")
+    n = state[0].shape[0]
+    mass = as_mass(n, vibrating)
+    if mass is None:
+        mass = most_lively(chain, state)
+    if period is None:
+        state, period = guess_from_simulation(chain, state, mass, transient=transient)
+    else:
+        state = guess_from_point(chain, state, period, mass)
+    return mass, *_sound(state, to_float(period), throw)
 
-    An error of that disturbance grows as any other does.
-    """
-    growth = 1.0 + jnp.max(jnp.nan_to_num(jnp.abs(multipliers)))  # those not resolved are small
-    return defect <= _WORST_DEFECT * growth  # false for NaN
+
+def _sound(state: State, period: Any, throw: bool) -> tuple[State, Any]:
+    known = is_traced(state, period) or bool(jnp.isfinite(jnp.sum(state[1]) + period))
+    if throw and not known:
+        raise RuntimeError(
+            "No vibration was found to start from: the state that was given comes to rest. See "
+            "`fold_belt_speed` for the greatest belt speed of vibration, or give another `guess`."
+        )
+    return state, period
+
+
+def _missing(chain: Any, kind: str, reason: str = "") -> str:
+    if damping_outweighs(chain):
+        return (
+            "There is no limit cycle: damping outweighs the weakening of friction at every speed, "
+            "2 xi_n > p_n F'(w), so all motions approach steady sliding."
+        )
+    wanted = "stick-slip cycle" if kind == "stable" else "slip cycle"
+    where = reason or "neither at this belt speed nor at others, to follow it from"
+    return (
+        f"No {wanted} in which one mass vibrates was found: {where}. Other vibrations may exist. "
+        "Offer a run that ends in one as `guess`: `find_limit_cycle(chain, simulate(chain, start, "
+        "400.0))`. See `fold_belt_speed` for the greatest belt speed of this vibration and "
+        "`hopf_belt_speed` for the least of the slip cycle."
+    )
+
+
+def _failure(cycle: LimitCycle) -> str:
+    if cycle.result == SearchResult.ran_away:
+        return f"No limit cycle was found near the guess. {cycle.message}"
+    return (
+        f"No limit cycle was found near the guess: the residual is {float(cycle.residual):.1e} "
+        f"after {int(cycle.evaluations)} integrations, the greatest velocity "
+        f"{float(cycle.fastest[cycle.mass]):.1e}. Start closer (a longer simulation, a "
+        "`LimitCycle` at a belt speed nearby), or loosen `tolerance`. A branch of cycles may have "
+        "turned at a fold."
+    )
+
+
+def _check(chain: Any, rtol: Any) -> None:
+    as_chain(chain, AbstractOscillators)
+    check_tolerances(rtol, None, MAX_STEP)
+
+
+# A step that is shorter is rounding.
+_FINE = 1e-11
 
 
 @eqx.filter_jit

@@ -18,14 +18,17 @@ unknown, in its place among the x_n, and its acceleration at the cut one more eq
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jax import lax
+from jaxtyping import Array, Bool, Float
 
 from .._checks import to_float
 from .._types import State
+from ..continuation.damped_newton import Iterate, Linearise, begin, iterate, size, where
 from ..model.oscillators import AbstractOscillators
 from ..solvers.rosenbrock import AbstractStructuredRosenbrock
 from .variational import flow
@@ -167,3 +170,54 @@ def _layer(field: AbstractOscillators, v: Array) -> tuple[Any, Any]:
 
 def _image_mask(images: tuple[int, ...], mass: int) -> Array:
     return jnp.asarray([float(i == images[mass]) for i in images])
+
+
+class _Round(NamedTuple):
+    best: Iterate
+    start: Float[Array, " m"]  # of the next search
+    goes_on: Bool[Array, ""]
+
+
+def close_orbit_once(
+    linearise: Linearise,
+    start: Float[Array, " m"],
+    weights: Float[Array, " m"],
+    *,
+    limit: Any,
+    fine: float,
+    closed: Callable[[Iterate], Bool[Array, ""]],
+    state_at: Callable[[Array], State],
+    shortened: Callable[[Array, Array], Array],
+) -> Iterate:
+    """Newton's method for an orbit of its least period; one integration is compiled.
+
+    It goes on where the orbit is `closed`, until a step is shorter than `fine` (1 + |u|) or helps
+    no more.  An orbit that has come back after a share of its period is then searched for with
+    this share (`shortened(u, times round)`, of `limit` integrations, too), and kept if it is the
+    same one: it was gone round more than once.  `aux` of `linearise` has `returned`, a `Returned`.
+    """
+    # Traced once, for its shapes and for the loop.
+    linearise = eqx.filter_closure_convert(linearise, start)
+    nothing = begin(linearise, start)
+
+    def going(now: Iterate) -> Array:
+        done = now.length <= fine * (1.0 + size(now.u, weights))
+        return ~done & ~(now.refused & closed(now)) & (now.evaluations < limit)
+
+    def round_(now: _Round) -> _Round:
+        found = iterate(linearise, nothing._replace(u=now.start), weights, going)
+        count, returned = now.best.evaluations + found.evaluations, found.aux.returned
+        same = closed(found) & returned.same(state_at(now.best.u), state_at(found.u))
+        good = (now.best.evaluations == 0) | same
+        best = where(good, found, now.best)._replace(evaluations=count)
+        times = returned.times_round
+        again = good & closed(found) & (times > 1)
+        return _Round(best, shortened(found.u, times), again)
+
+    first = _Round(nothing, start, jnp.asarray(True))
+    return lax.while_loop(lambda now: now.goes_on, round_, first).best
+
+
+def greatest_gap(now: Iterate) -> Float[Array, ""]:
+    """max |F| where a search stands; infinite where the first integration failed."""
+    return jnp.where(jnp.isfinite(now.length), jnp.max(jnp.abs(now.value)), jnp.inf)

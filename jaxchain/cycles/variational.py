@@ -2,18 +2,27 @@
 
 One integration gives the monodromy matrix, which is what a Newton step of shooting needs, and
 everything else that is told of a cycle.
+
+To differentiate a loop, and that for several directions at once, JAX traces its body some six
+times, and carries derivatives of all that a step decides.  Here a step is traced once, with its
+derivatives in the state alone; its size, its error and its observers have none.
+
+An orbit of period T closes after 2 T, 3 T, ... as well, with no greater residual, and powers of
+its multipliers in their place: nothing in a search for (state, period) tells the least period.  So
+the state is looked at after T / k, too.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import diffrax as dfx
+import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from .._checks import to_float
 from .._types import ScalarLike, State
@@ -21,10 +30,197 @@ from ..model.oscillators import AbstractOscillators
 from ..observers.base import AbstractObserver, Step, gauss
 from ..result import Result
 from ..simulation.accuracy import MAX_STEP
+from ..simulation.plan import forward_only
 from ..simulation.smoothed import SmoothedPlan
 from ..solvers.rosenbrock import AbstractStructuredRosenbrock
-from .least_period import Returned, Returns
-from .pushing import MOST_STEPS, push
+
+# A period takes some hundreds; an orbit that is lost must not keep the others waiting.
+MOST_STEPS = 50_000
+# A step that would end nearer to the end, in units in the last place, ends there.
+_ULPS = 100
+
+Make = Callable[[Float[Array, " m"]], tuple[AbstractOscillators, State, Float[Array, ""]]]
+
+
+class Pushed(NamedTuple):
+    """The state after a run and its derivatives, along the first axis; NaN if it failed."""
+
+    end: State
+    slopes: State  # of shape (m, n)
+    observed: list
+    complete: Bool[Array, ""]
+
+
+class _Run(NamedTuple):
+    t: Float[Array, ""]
+    ahead: Float[Array, ""]  # where the next step ends
+    y: State
+    slopes: State
+    memory: Any  # of the step-size control
+    accumulators: list
+    result: Any
+    steps: Int[Array, ""]
+
+
+def push(
+    make: Make,
+    point: Float[Array, " m"],
+    *,
+    rtol: Any,
+    solver: AbstractStructuredRosenbrock,
+    observers: Sequence[AbstractObserver] = (),
+) -> Pushed:
+    """The state after a time, with its derivatives in the m numbers of `point`.
+
+    The derivatives are those of the steps with their sizes held fixed, but for the last one, which
+    ends when the run does.  To be called under `jit`.
+
+    **Arguments:** `make`: point -> (field, first state, time); `observers`, without derivatives.
+    """
+    unit = jnp.eye(point.shape[0])
+    field, start, length = make(point)
+    _, first, by_length = jax.vmap(lambda one: _tangents(make, point, one))(unit)
+    plan = SmoothedPlan(
+        solver=solver, observers=list(observers), rtol=rtol, atol=0.1 * rtol, max_step=MAX_STEP,
+        t1=length,
+    )  # fmt: skip
+    controller = plan.controller(field)
+    order: Any = solver.error_order(None)
+    begun = plan.begin(field, start, 0.0, length)
+    clipped = length - _ULPS * (length - jnp.nextafter(length, -jnp.inf))
+    of = dfx.RESULTS
+
+    def goes_on(now: _Run) -> Array:
+        return (now.t < length) & (now.result == of.successful) & (now.steps < MOST_STEPS)
+
+    def body(now: _Run) -> _Run:
+        last = now.ahead == length
+
+        def step(point: Array, y: State, ahead: Array) -> tuple[State, Any]:
+            terms: Any = dfx.ODETerm(make(point)[0])  # pyright: ignore[reportArgumentType]
+            y1, error, dense, _, result = solver.step(terms, now.t, ahead, y, None, None, False)
+            return y1, (error, dense, result)
+
+        def along(one: Array, slope: State, longer: Array) -> Any:
+            moved = one, slope, jnp.where(last, longer, 0.0)
+            return jax.jvp(step, (point, now.y, now.ahead), moved, has_aux=True)
+
+        y, slopes, (error, dense, result) = jax.vmap(along, out_axes=(None, 0, None))(
+            unit, now.slopes, by_length
+        )
+        error = jax.tree.map(lambda e: jnp.where(jnp.isnan(e), jnp.inf, e), error)
+        kept, t, ahead, _, memory, control = controller.adapt_step_size(
+            now.t, now.ahead, now.y, y, None, error, order, now.memory
+        )
+        t = jnp.minimum(t, length)
+        end = jnp.where(kept, length, t + 0.5 * (length - t))
+        ahead = jnp.where(ahead > clipped, end, ahead)
+        inside = solver.interpolation_cls(t0=now.t, t1=now.ahead, **dense)
+        seen = Step(
+            field, now.t, now.ahead, now.y, y,
+            lambda theta: inside.at(theta, 0), lambda theta: inside.at(theta, 1),
+        )  # fmt: skip
+        pairs = zip(observers, now.accumulators, strict=True)
+        accumulators = [o.update(accumulator, seen) for o, accumulator in pairs]
+        y, slopes, accumulators = jax.tree.map(
+            lambda new, old: jnp.where(kept, new, old),
+            (y, slopes, accumulators),
+            (now.y, now.slopes, now.accumulators),
+        )
+        result = of.where(kept, result, of.successful)
+        result = of.where(result == of.successful, control, result)
+        return _Run(t, ahead, y, slopes, memory, accumulators, result, now.steps + 1)
+
+    memory = begun.memory
+    result = of.where(begun.running, of.successful, of.internal_error)
+    begin = _Run(
+        begun.t, jnp.minimum(begun.t + memory.step_size, length), start, first, memory.controller,
+        begun.accumulators, result, jnp.zeros((), int),
+    )  # fmt: skip
+    ended = lax.while_loop(goes_on, body, begin)
+    good = (ended.t >= length) & (ended.result == of.successful)
+    good = good & jnp.all(jnp.isfinite(jnp.stack(ended.y)))
+    y, slopes = jax.tree.map(lambda a: jnp.where(good, a, jnp.nan), (ended.y, ended.slopes))
+    observed = [o.read(a) for o, a in zip(observers, ended.accumulators, strict=True)]
+    return forward_only(Pushed(y, slopes, observed, good))
+
+
+def _tangents(make: Make, point: Array, one: Array) -> tuple[None, State, Array]:
+    """Of the first state and of the time, along `one`."""
+
+    def rest(point: Array) -> tuple[State, Array]:
+        _, state, length = make(point)
+        return state, length
+
+    _, (state, length) = jax.jvp(rest, (point,), (one,))
+    return None, state, length
+
+
+# Every multiple up to 16 of a period has one of these as a factor.
+FACTORS = (2, 3, 5, 7, 11, 13)
+# Shares of the orbit's size: how near the state has come back, as far as it is known between
+# steps; and how near two closed orbits are that are the same.
+_CAME_BACK, _SAME = 1e-4, 1e-6
+
+
+class Returned(NamedTuple):
+    """How far a state is from the first one of a run: as the greatest |dx_n|, |dv_n|.
+
+    - `apart`: after a share 1 / k of the run, for each k in `FACTORS`.
+    - `farthest`: at most, at the ends of steps; what an orbit's size is.
+    """
+
+    apart: Float[Array, " factors"]
+    farthest: Float[Array, ""]
+
+    @property
+    def times_round(self) -> Int[Array, ""]:
+        """The greatest k after whose share the state has come back; 1 if there is none."""
+        came_back = self.apart <= _CAME_BACK * self.farthest
+        return jnp.max(jnp.where(came_back, jnp.asarray(FACTORS), 1))
+
+    def same(self, one: State, other: State) -> Bool[Array, ""]:
+        """Whether closed orbits are one and the same, given a state of each at the same section.
+
+        After a period doubling the orbit of twice the period and the one amidst it are not,
+        however near.
+        """
+        return _distance(one, other) <= _SAME * self.farthest
+
+
+def _distance(one: State, other: State) -> Float[Array, ""]:
+    gaps = [jnp.max(jnp.abs(a - b)) for a, b in zip(one, other, strict=True)]
+    return jnp.maximum(*gaps)
+
+
+class Returns(AbstractObserver):
+    """Whether a state has come back after a share of a run; value `Returned`, no derivatives."""
+
+    def init(self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State) -> Any:
+        del field
+        times = t0 + (t1 - t0) / jnp.asarray(FACTORS, float)
+        nowhere = Returned(jnp.full(len(FACTORS), jnp.inf, dtype=float), jnp.zeros(()))
+        return lax.stop_gradient((times, y0, nowhere))
+
+    def update(self, accumulator: Any, step: Step) -> Any:
+        times, start, known = accumulator
+        t0, t1, end = lax.stop_gradient((step.t0, step.t1, step.y1))
+        here = (t0 < times) & (times <= t1)
+
+        def look() -> Float[Array, " factors"]:
+            thetas = (times - t0) / jnp.where(t1 > t0, t1 - t0, 1.0)
+
+            def away(theta: Array) -> Array:
+                return _distance((step.displacement(theta), step.velocity(theta)), start)
+
+            return lax.stop_gradient(jax.vmap(away)(thetas))
+
+        found = lax.cond(eqxi.unvmap_any(here), look, lambda: known.apart)
+        farthest = jnp.maximum(known.farthest, _distance(end, start))
+        return times, start, Returned(jnp.where(here, found, known.apart), farthest)
+
+    def read(self, accumulator: Any) -> Returned:
+        return accumulator[2]
 
 
 class Period(NamedTuple):

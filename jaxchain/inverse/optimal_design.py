@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int, PyTree
 from .._checks import check_function, check_positive, check_positive_number, shown, to_float
 from .._final import final
 from ..basins.blows import Blow, gentlest_blow
-from ..boundaries.bistable import BistableRange, bistable_range
+from ..boundaries.ranges import BistableRange, bistable_range
 from ..continuation.damped_newton import where
 from ..continuation.gradient_descent import check_descent, unknowns
 from ..model.chain import Chain

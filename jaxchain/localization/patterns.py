@@ -30,7 +30,7 @@ from .._types import State
 from ..continuation.damped_newton import linearised, solve
 from ..cycles.averaging import one_mass
 from ..cycles.floquet import monodromy_matrix
-from ..cycles.search import find_limit_cycle
+from ..cycles.limit_cycle import find_limit_cycle
 from ..model.arguments import as_chain
 from ..model.chain import Chain, require_smoothed, steady_sliding
 from ..model.initial_states import BLOCKS, reference_site

@@ -30,7 +30,7 @@ from .._checks import (
     numbers_of,
     shown,
 )
-from ..cycles.guesses import most_lively
+from ..cycles.limit_cycle import most_lively
 from ..model.arguments import as_chain, as_state
 from ..model.chain import Chain
 from ..model.parameters import SPEED

@@ -10,9 +10,8 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import root_scalar
 
 from jaxchain import Chain, TanhFriction, paper_chain
-from jaxchain.boundaries.criticality import first_lyapunov_coefficient
 from jaxchain.boundaries.hopf import hopf_belt_speed
-from jaxchain.boundaries.hopf_scan import hopf_points
+from jaxchain.boundaries.hopf_scan import first_lyapunov_coefficient, hopf_points
 from jaxchain.model.friction import AbstractFrictionLaw
 
 # Second looks, or minutes of compilation: not in every run of the tests.

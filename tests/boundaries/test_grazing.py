@@ -8,8 +8,7 @@ import scipy.integrate
 import scipy.optimize
 
 from jaxchain import Chain, Coulomb, EventDriven, TanhFriction, paper_chain, simulate
-from jaxchain.boundaries.grazing import find_grazing, nonsmooth_fold_belt_speed
-from jaxchain.boundaries.touch import _peak
+from jaxchain.boundaries.grazing import _peak, find_grazing, nonsmooth_fold_belt_speed
 from jaxchain.model import GaussianStribeck
 from jaxchain.model.initial_states import check_vibrating
 from jaxchain.result import SearchResult

@@ -10,8 +10,8 @@ from scipy.optimize import brentq, fsolve
 
 from jaxchain import Amplitude, hopf_belt_speed, paper_chain, simulate
 from jaxchain.boundaries import find_fold
-from jaxchain.boundaries.criticality import generalised_hopf
-from jaxchain.boundaries.overview import hopf_and_fold
+from jaxchain.boundaries.hopf_scan import generalised_hopf
+from jaxchain.boundaries.ranges import hopf_and_fold
 from jaxchain.boundaries.single_mass import one_mass_branch
 from jaxchain.model.initial_states import on_the_belt
 

@@ -7,7 +7,7 @@ import pytest
 
 from jaxchain import Chain, fold_belt_speed, paper_chain
 from jaxchain.boundaries.grazing import find_grazing
-from jaxchain.boundaries.zero_width import extrapolate, fold_boundary, fold_in_the_limit
+from jaxchain.boundaries.limit import extrapolate, fold_boundary, fold_in_the_limit
 from jaxchain.model import GaussianStribeck
 
 # Second looks, or minutes of compilation: not in every run of the tests.

@@ -10,7 +10,7 @@ import pytest
 
 from jaxchain import EventDriven, equation_8, paper_chain, simulate
 from jaxchain.chaos.classification import verdict, verdicts
-from jaxchain.cycles.closing import close_orbit
+from jaxchain.cycles.limit_cycle import close_orbit
 from jaxchain.model.oscillators import AbstractOscillators
 from jaxchain.model.springs import Springs
 

@@ -8,16 +8,17 @@ from scipy.integrate import solve_ivp
 
 from jaxchain import paper_chain
 from jaxchain.boundaries.fold import find_fold
-from jaxchain.cycles.bifurcation_tests import (
+from jaxchain.cycles.branches import (
     CycleLinearisation,
     breaking,
+    continue_cycle,
     doubling,
     encircling,
     linearise,
     on_the_circle,
+    switch_cycle,
     symmetry_breaking_basis,
 )
-from jaxchain.cycles.branches import continue_cycle, switch_cycle
 from jaxchain.cycles.shooting import residual
 
 # Second looks, or minutes of compilation: not in every run of the tests.

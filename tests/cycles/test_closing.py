@@ -7,9 +7,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from jaxchain.boundaries.grazing import find_grazing
-from jaxchain.cycles.closing import close_orbit
 from jaxchain.cycles.floquet import floquet_multipliers
-from jaxchain.cycles.search import find_limit_cycle
+from jaxchain.cycles.limit_cycle import close_orbit, find_limit_cycle
 from jaxchain.model.chain import paper_chain
 
 # The fold by grazing and its derivatives are the quick look at dry cycles.

@@ -13,7 +13,7 @@ from systems.oscillators import VanDerPol
 
 from jaxchain.continuation.branch import Branch
 from jaxchain.cycles.branches import continue_cycle
-from jaxchain.cycles.search import find_limit_cycle
+from jaxchain.cycles.limit_cycle import find_limit_cycle
 from jaxchain.cycles.shooting import Shooting
 from jaxchain.model.chain import paper_chain
 from jaxchain.model.initial_states import on_the_belt

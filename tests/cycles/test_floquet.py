@@ -9,15 +9,15 @@ from scipy.linalg import expm
 from systems.oscillators import LinearRing
 
 from jaxchain import excited_state, paper_chain, simulate
-from jaxchain.cycles.closing import close_orbit
 from jaxchain.cycles.floquet import (
+    LimitCycle,
     floquet_multipliers,
     liouville_defect,
     liouville_determinant,
     monodromy_matrix,
     trace_integral,
 )
-from jaxchain.cycles.limit_cycle import LimitCycle
+from jaxchain.cycles.limit_cycle import close_orbit
 from jaxchain.model.springs import Springs
 from jaxchain.result import SearchResult
 

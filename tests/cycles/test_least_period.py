@@ -16,8 +16,8 @@ from jaxchain import (
     simulate,
 )
 from jaxchain.boundaries import hopf_points
-from jaxchain.cycles.closing import close_orbit
-from jaxchain.cycles.least_period import FACTORS, Returned, Returns
+from jaxchain.cycles.limit_cycle import close_orbit
+from jaxchain.cycles.variational import FACTORS, Returned, Returns
 from jaxchain.localization.patterns import locked_patterns, phase_model
 
 SMOOTH = paper_chain(1, width=0.05, belt_speed=0.5)

@@ -23,9 +23,8 @@ from jaxchain import (
 )
 from jaxchain.boundaries import hopf_points
 from jaxchain.boundaries.hopf_scan import guess_from_hopf
-from jaxchain.cycles.guesses import guess_from_simulation
-from jaxchain.cycles.limit_cycle import can_be_cycle
-from jaxchain.cycles.search import find_limit_cycle
+from jaxchain.cycles.floquet import can_be_cycle
+from jaxchain.cycles.limit_cycle import find_limit_cycle, guess_from_simulation
 from jaxchain.model.friction import GaussianStribeck
 from jaxchain.model.initial_states import release_state
 

@@ -11,7 +11,7 @@ import pytest
 from scipy import stats
 from scipy.optimize import least_squares
 
-from jaxchain.boundaries.bistable import try_boundary
+from jaxchain.boundaries.ranges import try_boundary
 from jaxchain.continuation.gradient_descent import descend
 from jaxchain.inverse.identification import identify
 from jaxchain.inverse.measurements import Measurements, predict

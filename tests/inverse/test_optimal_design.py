@@ -8,8 +8,8 @@ import pytest
 from scipy.optimize import minimize
 
 from jaxchain.basins.blows import gentlest_blow
-from jaxchain.boundaries.bistable import bistable_range, try_boundary
 from jaxchain.boundaries.grazing import nonsmooth_fold_belt_speed
+from jaxchain.boundaries.ranges import bistable_range, try_boundary
 from jaxchain.inverse.optimal_design import design
 from jaxchain.model.chain import paper_chain, steady_sliding
 from jaxchain.observers.amplitude import Amplitude

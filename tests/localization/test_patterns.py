@@ -7,7 +7,7 @@ import pytest
 
 from jaxchain import paper_chain
 from jaxchain.cycles.averaging import one_mass
-from jaxchain.cycles.search import find_limit_cycle
+from jaxchain.cycles.limit_cycle import find_limit_cycle
 from jaxchain.localization.patterns import (
     LockedPattern,
     PhaseModel,
