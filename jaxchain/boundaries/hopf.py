@@ -25,12 +25,7 @@ from ..model.sliding import (
     sliding_eigenvalues,
 )
 
-_EIGENVALUE_SPEEDS = 64  # between two belt speeds that are known to enclose the boundary
-_SETTLED = 1e-13  # change of the damping, relative, that no eigenvalue notices
-# Of the interval that is bisected; Newton's last step, and how many at most.
-_BISECTIONS, _CLOSE, _MOST = 26, 1e-9, 8
-# v_d / eps from which on tanh is 1 and sech^2 / eps is nothing, whatever the width.
-_SATURATED = 30.0
+_BISECTIONS = 26
 
 
 def hopf_belt_speed(chain: Chain) -> Float[Array, ""]:
@@ -101,7 +96,8 @@ def _uniform(chain: Chain) -> Array:
     if isinstance(law, ExponentialDecay):
         drop = chain.load * (law.mu_static - law.mu_dynamic)
         closed = law.v_ref * jnp.log(drop / (2.0 * chain.damping_ratio * law.v_ref))
-        speed = jnp.where(closed > _SATURATED * chain.width, closed, speed)
+        # From there on tanh is 1 and sech^2 / eps is nothing, whatever the width.
+        speed = jnp.where(closed > 30.0 * chain.width, closed, speed)
     return if_found(found, speed)
 
 
@@ -122,13 +118,14 @@ def _mistuned(chain: Chain) -> tuple[Array, Array, Array]:
     maybe = (least <= 0) | _dips(least)
     high = jnp.max(jnp.where(maybe[:-1], grid[1:], grid[0]))
     moved = jnp.max(jnp.abs(d - d[-1:]), axis=1)
-    settled = jnp.min(jnp.where(moved <= _SETTLED * jnp.max(jnp.abs(d[-1])), grid, jnp.inf))
+    # A change of the damping that no eigenvalue notices.
+    settled = jnp.min(jnp.where(moved <= 1e-13 * jnp.max(jnp.abs(d[-1])), grid, jnp.inf))
     high = jnp.where(least[-1] > 0, high, settled)
     # It is unstable, or all eigenvalues are on the axis, at `low`, if ever trace D <= 0.
     last = jnp.max(jnp.where(jnp.sum(d, axis=1) <= 0, grid, 0.0))
     first = jnp.min(jnp.where(maybe, grid, jnp.inf))
     low = jnp.minimum(jnp.where(last > 0, last, first), 0.97 * high)
-    inner = jnp.exp(jnp.linspace(jnp.log(low), jnp.log(high), _EIGENVALUE_SPEEDS))
+    inner = jnp.exp(jnp.linspace(jnp.log(low), jnp.log(high), 64))
     low, high, found = _last_rise(stability, inner)
     low, high = bisect(lambda v: stability(v) <= 0, low, high, _BISECTIONS)
 
@@ -184,5 +181,5 @@ def _polish(residual: Any, start: Array, parameters: Any, low: Array, high: Arra
 
     weights = jnp.ones_like(start)
     both = linearised(lambda u: residual(u, parameters), weights)
-    root, _, _ = solve(both, start, weights, _CLOSE, _MOST)
+    root, _, _ = solve(both, start, weights, 1e-9, 8)
     return root.at[0].set(jnp.clip(root[0], low - margin, high + margin))

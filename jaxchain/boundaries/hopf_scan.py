@@ -69,228 +69,7 @@ from ..model.sliding import (
 from ..result import Outcome, Printed, SearchResult
 from .hopf import hopf_belt_speed
 
-_RATIO = 1.1  # of an interval's ends
-_SAMPLES, _SAFETY = 17, 1.5  # per interval, and on the greatest change of d among them
-_RESOLUTION = 1e-5  # relative length of an interval that is searched, no longer divided
-_MOST_INTERVALS = 5000  # of a chain whose eigenvalues cross the axis, and do not move along it
-# Newton's last step, and how many at most; what is singular, and what is the same.
-_CLOSE, _MOST, _SINGULAR, _SAME = 1e-9, 30, 1e-10, 1e-8
-
-
-class Crossing(NamedTuple):
-    """|v_d|, omega, u, the wavenumber (NaN outside a ring), how many modes cross with this one."""
-
-    speed: float
-    frequency: float
-    shape: np.ndarray
-    wavenumber: float
-    multiplicity: int
-
-
-def find_crossings(chain: Chain, least: float, greatest: float) -> Iterator[Crossing]:
-    """Every crossing at speeds |v_d| from `least` to `greatest`; `hopf_points` has the proof.
-
-    Concrete numbers only.  **Raises:** `RuntimeError` if counts of eigenvalues contradict what was
-    found, or if an eigenvalue stays on the axis.
-    """
-    n, K = chain.n, np.asarray(stiffness_matrix(chain))
-    if has_uniform_damping(chain):
-        modes = list(_modes(chain, K))
-        for speed in _roots(chain, 0, least, greatest):
-            for frequency, shape, wavenumber, multiplicity in modes:
-                yield Crossing(speed, frequency, shape, wavenumber, multiplicity)
-    elif chain.springs is None or n == 1:  # no mass knows of the others
-        for mass in range(n):
-            for speed in _roots(chain, mass, least, greatest):
-                yield Crossing(speed, float(np.sqrt(K[mass, mass])), np.eye(n)[mass], np.nan, 1)
-    else:
-        yield from _coupled(chain, K, least, greatest)
-
-
-def _modes(chain: Chain, K: np.ndarray) -> Iterator[tuple[float, np.ndarray, float, int]]:
-    """(omega, u, wavenumber, multiplicity) of each mode of K."""
-    n, springs = chain.n, chain.springs
-    ring = springs is not None and springs.ends == "cyclic" and springs.constant.ndim == 0
-    if ring and chain.stiffness.ndim == 0:
-        for m in range(n // 2 + 1):
-            q = 2.0 * np.pi * m / n
-            wave = np.exp(1j * q * np.arange(n))
-            square = (K[0] * np.exp(1j * q * np.arange(n))).sum().real
-            yield float(np.sqrt(square)), wave, q, 1 if 2 * m in (0, n) else 2
-        return
-    # Of a diagonal matrix these are single masses.
-    squares, shapes = np.linalg.eigh(K)
-    for j in range(n):
-        same = np.abs(squares - squares[j]) <= _SAME * squares[j]
-        alone = springs is None
-        yield float(np.sqrt(squares[j])), shapes[:, j], np.nan, 1 if alone else int(same.sum())
-
-
-def _roots(chain: Chain, mass: int, least: float, greatest: float) -> list[float]:
-    """Belt speeds at which d of one mass vanishes."""
-
-    def damping(speed: float) -> float:
-        return float(_damping(chain, np.array([speed]))[0, mass])
-
-    found = []
-    for low, high in _unproven(chain, least, greatest, mass=mass):
-        at_low, at_high = damping(low), damping(high)
-        if at_low == 0.0:
-            found.append(low)
-        elif at_high != 0.0 and (at_low > 0) != (at_high > 0):
-            root = root_scalar(damping, bracket=(low, high), xtol=1e-300, rtol=1e-15).root
-            found.append(float(root))
-    return found
-
-
-def _unproven(
-    chain: Chain,
-    least: float,
-    greatest: float,
-    mass: int | None = None,
-    K: np.ndarray | None = None,
-) -> list[tuple[float, float]]:
-    """Short intervals, in order, outside of which nothing crosses: d of `mass`, or eigenvalues."""
-    start = float(least_belt_speed(chain))
-    count = max(2, 1 + int(np.ceil(np.log(max(greatest / start, 1.0)) / np.log(_RATIO))))
-    inner = np.geomspace(start, max(greatest, 2.0 * start), count)
-    edges = np.array([least, *inner[(inner > least) & (inner < greatest)], greatest])
-    low, high = edges[:-1], edges[1:]
-    left: list[tuple[float, float]] = []
-    while low.size:
-        parts = np.linspace(0.0, 1.0, _SAMPLES)
-        points = low[:, None] + (high - low)[:, None] * parts
-        d = _damping(chain, points.ravel()).reshape(low.size, _SAMPLES, chain.n)
-        if mass is not None:
-            d = d[:, :, mass : mass + 1]
-        middle = d[:, _SAMPLES // 2]
-        change = _SAFETY * np.abs(d - middle[:, None]).max(axis=1)
-        # All positive: stable. All negative: every mode grows. Neither changes inside.
-        proven = (middle > change).all(axis=1) | (middle < -change).all(axis=1)
-        proven |= (change == 0.0).all(axis=1)
-        if K is not None:
-            for i in np.flatnonzero(~proven):
-                proven[i] = not _reaches_axis(K, middle[i], change[i].max())
-        short = high - low <= _RESOLUTION * high
-        left += zip(low[~proven & short], high[~proven & short], strict=True)
-        low, high = low[~proven & ~short], high[~proven & ~short]
-        if low.size > _MOST_INTERVALS:
-            raise RuntimeError(
-                f"An eigenvalue of `chain` stays on the imaginary axis from {low.min()} to "
-                f"{high.max()}, or close by: a mode without damping, where Hopf points mean "
-                "nothing. Give every mass some damping, or narrow `belt_speeds`."
-            )
-        centre = 0.5 * (low + high)
-        low, high = np.concatenate([low, centre]), np.concatenate([centre, high])
-    return [(float(a), float(b)) for a, b in sorted(left)]
-
-
-def _reaches_axis(K: np.ndarray, damping: np.ndarray, change: float) -> bool:
-    """Whether some |E| <= `change` might put an eigenvalue of K and D + E on the imaginary axis.
-
-    1 / change is a singular value of i omega (K - omega^2 + i omega D)^-1 for some omega if and
-    only if this Hamiltonian matrix has the eigenvalue i omega.
-    """
-    n = damping.size
-    zero, one = np.zeros((n, n)), np.eye(n)
-    J = np.block([[zero, one], [-K, -np.diag(damping)]])
-    force = np.block([[zero, zero], [zero, change * one]])
-    values = np.linalg.eigvals(np.block([[J, force], [-force, -J.T]]))
-    # Rounding moves a double imaginary eigenvalue off the axis by the root of it.
-    return bool((np.abs(values.real) <= 1e-7 * np.abs(values).max()).any())
-
-
-def _coupled(chain: Chain, K: np.ndarray, least: float, greatest: float) -> Iterator[Crossing]:
-    """Crossings of a chain whose damping differs from mass to mass."""
-    n = chain.n
-
-    def eigenvalues(speed: float) -> np.ndarray:
-        D = np.diag(_damping(chain, np.array([speed]))[0])
-        return np.linalg.eigvals(np.block([[np.zeros((n, n)), np.eye(n)], [-K, -D]]))
-
-    clusters: list[list[tuple[float, float]]] = []
-    for low, high in _unproven(chain, least, greatest, K=K):
-        if clusters and low <= clusters[-1][-1][1] * (1.0 + 1e-12):
-            clusters[-1].append((low, high))
-        else:
-            clusters.append([(low, high)])
-
-    for cluster in clusters:
-        first, last = cluster[0][0], cluster[-1][1]
-        found: list[Crossing] = []
-        for low, high in cluster:
-            centre, margin = 0.5 * (low + high), high - low
-            d = _damping(chain, np.array([low, centre, high]))
-            near = 10.0 * np.abs(d - d[1]).max()
-            for value in eigenvalues(centre):
-                if value.imag <= 0 or abs(value.real) > near:
-                    continue
-                (speed, frequency), shape, size, count = _refined(
-                    chain, jnp.array([centre, value.imag])
-                )
-                speed, frequency = float(speed), float(frequency)
-                new = all(
-                    abs(speed - c.speed) > _SAME * speed
-                    or abs(frequency - c.frequency) > _SAME * frequency
-                    for c in found
-                )
-                inside = max(first, low - margin) <= speed <= min(last, high + margin)
-                if inside and new and frequency > 0 and float(size) <= _SINGULAR:
-                    found.append(Crossing(speed, frequency, np.asarray(shape), np.nan, int(count)))
-        # What has crossed must be what there is: pairs to the right of the axis, on either side.
-        unstable = [int((np.real(eigenvalues(speed)) > 0).sum()) // 2 for speed in (first, last)]
-        gained = sum(c.multiplicity * _turns(chain, c) for c in found)
-        if first > least and last < greatest and unstable[1] - unstable[0] != gained:
-            raise RuntimeError(
-                f"Between the belt speeds {first} and {last} the number of growing modes changes "
-                f"from {unstable[0]} to {unstable[1]}, but the {len(found)} Hopf points found "
-                f"there make that {gained:+d}. Two may be too close to tell apart: change a "
-                "parameter a little, and please report these."
-            )
-        yield from found
-
-
-def _turns(chain: Chain, crossing: Crossing) -> int:
-    """+1 if the mode begins to grow as the speed grows, -1 if it ceases to."""
-    step = 1e-7 * crossing.speed
-    up, down = _damping(chain, np.array([crossing.speed + step, crossing.speed - step]))
-    u, omega = crossing.shape, crossing.frequency
-    D = _damping(chain, np.array([crossing.speed]))[0]
-    slope = (u * u * (up - down)).sum() / (u * u * (2j * omega + D)).sum()
-    return 1 if complex(-1j * omega * slope).real > 0 else -1
-
-
-@eqx.filter_jit
-def _refined(chain: Chain, start: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-    """Newton's method: ((v_d, omega), u, relative least singular value, null vectors)."""
-
-    weights = jnp.ones(2)
-
-    def residual(z: jax.Array) -> jax.Array:
-        return crossing_residual(z, (chain, *null_shape(lax.stop_gradient(z), chain)))
-
-    z, _, _ = solve(linearised(residual, weights), start, weights, _CLOSE, _MOST)
-    shape, _ = null_shape(z, chain)
-    sizes = jnp.linalg.svd(crossing_matrix(z, chain), compute_uv=False)
-    return z, shape, sizes[-1] / sizes[0], jnp.sum(sizes <= _SAME * sizes[0])
-
-
-@eqx.filter_jit
-def _damping_at(chain: Chain, speeds: jax.Array) -> jax.Array:
-    return jax.vmap(lambda v: jnp.broadcast_to(sliding_damping(chain, v), (chain.n,)))(speeds)
-
-
-def _damping(chain: Chain, speeds: np.ndarray) -> np.ndarray:
-    """d_n at each of the speeds, of shape (speeds, n)."""
-    room = 1 << max(4, int(np.ceil(np.log2(speeds.size))))  # few shapes, few compilations
-    padded = np.concatenate([speeds, np.full(room - speeds.size, speeds[-1])])
-    return np.asarray(_damping_at(chain, jnp.asarray(padded)))[: speeds.size]
-
-
-# The zero of l1 lies close to the end of the Hopf curve where the width is small.
-_GRID, _ZOOMS = 48, 5
-# Third derivatives at a width eps err by rounding over eps^3.
-_TOLERANCE = 1e-8
+_SAME = 1e-8  # relative difference of speeds and frequencies of one point
 
 
 def first_lyapunov_coefficient(
@@ -338,19 +117,6 @@ def first_lyapunov_coefficient(
     return jnp.real(jnp.sum(_terms(chain, belt_speed, frequency, shape, left)))
 
 
-def relative_coefficient(
-    chain: Chain,
-    belt_speed: ScalarLike,
-    frequency: ScalarLike,
-    shape: Complex[Array, " {chain.n}"],
-    left: Complex[Array, " {chain.n}"] | None = None,
-) -> Float[Array, ""]:
-    """l1 over the sum of the sizes of its terms: rounding errors only if l1 is truly zero."""
-    terms = _terms(chain, belt_speed, frequency, shape, left)
-    size = jnp.sum(jnp.abs(terms))
-    return jnp.real(jnp.sum(terms)) / jnp.where(size > 0, size, 1.0)
-
-
 def _mode(name: str, mode: Any, n: int) -> Array:
     """A shape of n complex amplitudes; NaN, of what was not found, is good."""
     dtype = getattr(mode, "dtype", None)
@@ -386,53 +152,36 @@ def _terms(
     size = jnp.sqrt((1.0 + frequency**2) * jnp.sum(jnp.abs(shape) ** 2))
     u = shape / size
     v = 1j * frequency * u
-    # The velocities of the left eigenvector, of which the displacements follow.
+    # The velocities of the left eigenvector; the displacements follow from them.
     p = left / jnp.sum(left * (2j * frequency + D) * u)
     # (2 i omega - J)^-1 (0, f), its velocities.
     doubled = K - jnp.diag(4.0 * frequency**2 - 2j * frequency * D)
     response = 2j * frequency * jnp.linalg.solve(doubled, B * v * v)
-    cubic = p * C * v * v * jnp.conj(v)
-    quadratic = p * B * jnp.conj(v) * response
-    return jnp.concatenate([cubic, quadratic]) / (2.0 * frequency)
+    terms = [p * C * v * v * jnp.conj(v), p * B * jnp.conj(v) * response]
+    return jnp.concatenate(terms) / (2.0 * frequency)
 
 
-def growth_slopes(
-    chain: Chain,
-    belt_speed: ScalarLike,
-    frequency: ScalarLike,
-    shape: Complex[Array, " {chain.n}"],
-    left: Complex[Array, " {chain.n}"] | None = None,
-) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """d Re(lambda) / d|v_d| at a Hopf point: that of the chain, and what dry friction adds to it.
+@eqx.filter_jit
+def _numbers(
+    chain: Chain, speed: Array, frequency: Array, u: Array, left: Array
+) -> tuple[Array, Array, Array, Array, Array]:
+    """(l1, l1 over the sizes of its terms, growth slope, that of dry friction, d(A^2) / d|v_d|).
 
-    lambda' = -i omega l^T D' u / [l^T (2 i omega + D) u]; the second number has D' = p mu''.
+    - Of a coefficient that is truly zero only rounding errors are left of its terms.
+    - lambda' = -i omega l^T D' u / [l^T (2 i omega + D) u], and D' = p mu'' for dry friction.
+    - A = max_n |x_n - mean| = 2 |w| max|u| / (sqrt(1 + omega^2) |u|) to leading order, A the
+      greatest amplitude, and |w|^2 = -alpha' (v_d - v_H) / (omega l1).
     """
-    left = shape if left is None else left
-    speed = jnp.abs(jnp.asarray(belt_speed))
+    terms = _terms(chain, speed, frequency, u, left)
+    l1, size = jnp.real(jnp.sum(terms)), jnp.sum(jnp.abs(terms))
     one = jnp.ones_like(speed)
-    D, slope = jax.jvp(lambda s: sliding_damping(chain, s), (speed,), (one,))
+    D, changes = jax.jvp(lambda s: sliding_damping(chain, s), (speed,), (one,))
     _, dry = jax.jvp(lambda s: dry_damping(chain, s), (speed,), (one,))
-    weight = left * shape / jnp.sum(left * (2j * frequency + D) * shape)
-    return (
-        jnp.real(jnp.sum(-1j * frequency * slope * weight)),
-        jnp.real(jnp.sum(-1j * frequency * dry * weight)),
-    )
-
-
-def square_amplitude_slope(
-    coefficient: ScalarLike,
-    growth_slope: ScalarLike,
-    frequency: ScalarLike,
-    shape: Complex[Array, " n"],
-) -> Float[Array, ""]:
-    """d(A^2) / d|v_d| of the cycles that branch off a Hopf point, A the greatest amplitude.
-
-    A = max_n |x_n - mean| = 2 |w| max|u| / (sqrt(1 + omega^2) |u|) to leading order, and
-    |w|^2 = -alpha' (v_d - v_H) / (omega l1).  Positive: the cycles exist above the Hopf speed.
-    """
-    size = jnp.sum(jnp.abs(shape) ** 2) * (1.0 + frequency**2)
-    largest = jnp.max(jnp.abs(shape)) ** 2
-    return -4.0 * largest * growth_slope / (size * frequency * coefficient)
+    weight = left * u / jnp.sum(left * (2j * frequency + D) * u)
+    slope, dry = (jnp.real(jnp.sum(-1j * frequency * d * weight)) for d in (changes, dry))
+    square = jnp.sum(jnp.abs(u) ** 2) * (1.0 + frequency**2)
+    rise = -4.0 * jnp.max(jnp.abs(u)) ** 2 * slope / (square * frequency * l1)
+    return l1, l1 / jnp.where(size > 0, size, 1.0), slope, dry, rise
 
 
 @final
@@ -501,60 +250,249 @@ def generalised_hopf(chain: Chain, parameter: Any, low: Any, high: Any) -> Gener
 def _meeting(chain: Chain, parameter: str, low: Array, high: Array) -> GeneralisedHopf:
     frozen = jax.tree.map(lax.stop_gradient, chain)
 
-    def kind(logarithm: Array) -> Array:
-        own = frozen.with_(**{parameter: jnp.exp(logarithm)})
-        return _coefficient(own, hopf_belt_speed(own))
+    def coefficient(chain: Chain, belt_speed: Array) -> Array:
+        """l1 of one mass, whose modes are all alike."""
+        one = jnp.ones(1, dtype=complex)
+        return first_lyapunov_coefficient(chain, belt_speed, jnp.sqrt(chain.stiffness), one)
+
+    def l1_on_the_hopf_curve(logarithm: Array) -> Array:
+        varied = frozen.with_(**{parameter: jnp.exp(logarithm)})
+        return coefficient(varied, hopf_belt_speed(varied))
 
     def zoom(_: Any, now: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         """The last interval of a grid over which l1 changes sign, or else the Hopf curve ends."""
         low, high, _ = now
-        grid = jnp.linspace(low, high, _GRID)
-        kinds = jax.vmap(kind)(grid)
+        grid = jnp.linspace(low, high, 48)
+        kinds = jax.vmap(l1_on_the_hopf_curve)(grid)
         left, right = kinds[:-1], kinds[1:]
         changes = left * right <= 0  # false for NaN
         changed = jnp.any(changes)
         ends = jnp.isnan(left) != jnp.isnan(right)
-        at = jnp.max(jnp.where(jnp.where(changed, changes, ends), jnp.arange(_GRID - 1), -1))
+        at = jnp.max(jnp.where(jnp.where(changed, changes, ends), jnp.arange(47), -1))
         return grid[at], grid[at + 1], changed
 
-    ends = jnp.log(low), jnp.log(high), jnp.asarray(False)
-    start, _, changed = lax.fori_loop(0, _ZOOMS, zoom, ends)
-    value = jnp.exp(start)
-    speed = hopf_belt_speed(frozen.with_(**{parameter: value}))
-    unit = jnp.stack([value, speed])
-    system = _System(parameter)
-    begin = jnp.where(changed, jnp.ones(2), jnp.nan)
-    known = jnp.where(jnp.isnan(begin * unit), 1.0, begin)
-    root = newton(system.scaled, known, (frozen, unit), tolerance=_TOLERANCE)
-    result = SearchResult.where(changed, root.result, SearchResult.no_meeting)
-    found = changed & root.successful
-    both = attach_derivative(system, jnp.where(found, root.value * unit, jnp.nan), chain)
-    return GeneralisedHopf(value=both[0], belt_speed=both[1], result=result)
-
-
-class _System(eqx.Module):
-    """(d, l1) over (value of the parameter, belt speed)."""
-
-    parameter: str = eqx.field(static=True)
-
-    def __call__(self, u: Float[Array, "2"], chain: Chain) -> Float[Array, "2"]:
-        own = chain.with_(**{self.parameter: u[0]})
-        return jnp.stack([sliding_damping(own, u[1]), _coefficient(own, u[1])])
-
-    def scaled(self, u: Float[Array, "2"], args: tuple[Chain, Array]) -> Float[Array, "2"]:
+    def system(u: Float[Array, "2"], args: tuple[Chain, Array]) -> Float[Array, "2"]:
+        """(d, l1) over (value of the parameter, belt speed), in units."""
         chain, unit = args
-        return self(u * unit, chain)
+        value, speed = u * unit
+        varied = chain.with_(**{parameter: value})
+        return jnp.stack([sliding_damping(varied, speed), coefficient(varied, speed)])
+
+    # The zero of l1 lies close to the end of the Hopf curve where the width is small.
+    ends = jnp.log(low), jnp.log(high), jnp.asarray(False)
+    start, _, changed = lax.fori_loop(0, 5, zoom, ends)
+    value = jnp.exp(start)
+    unit = jnp.stack([value, hopf_belt_speed(frozen.with_(**{parameter: value}))])
+    # Third derivatives at a width eps err by rounding over eps^3.
+    root = newton(system, jnp.ones(2), (frozen, unit), tolerance=1e-8)
+    result = SearchResult.where(changed, root.result, SearchResult.no_meeting)
+    found = jnp.where(changed & root.successful, root.value, jnp.nan)
+    value, speed = attach_derivative(system, found, (chain, unit)) * unit
+    return GeneralisedHopf(value=value, belt_speed=speed, result=result)
 
 
-def _coefficient(chain: Chain, belt_speed: Array) -> Array:
-    """l1 of one mass, whose modes are all alike."""
-    one = jnp.ones(1, dtype=complex)
-    return first_lyapunov_coefficient(chain, belt_speed, jnp.sqrt(chain.stiffness), one)
+class Crossing(NamedTuple):
+    """|v_d|, omega, u, the wavenumber (NaN outside a ring), how many modes cross with this one."""
+
+    speed: float
+    frequency: float
+    shape: np.ndarray
+    wavenumber: float
+    multiplicity: int
 
 
-FLANK, WEAKENING = "rising flank of the smoothed law", "weakening friction"
-_TEXTS = ("direction", "criticality", "standing_criticality", "kind")
-_VANISHING = 1e-9  # of the terms that make it up: then l1 is zero up to rounding
+def find_crossings(chain: Chain, least: float, greatest: float) -> Iterator[Crossing]:
+    """Every crossing at speeds |v_d| from `least` to `greatest`; `hopf_points` has the proof.
+
+    Concrete numbers only.  **Raises:** `RuntimeError` if counts of eigenvalues contradict what was
+    found, or if an eigenvalue stays on the axis.
+    """
+    n, K = chain.n, np.asarray(stiffness_matrix(chain))
+    if has_uniform_damping(chain):
+        modes = list(_modes(chain, K))
+        for speed in _roots(chain, 0, least, greatest):
+            yield from (Crossing(speed, *mode) for mode in modes)
+    elif chain.springs is None or n == 1:  # no mass knows of the others
+        for mass in range(n):
+            for speed in _roots(chain, mass, least, greatest):
+                yield Crossing(speed, float(np.sqrt(K[mass, mass])), np.eye(n)[mass], np.nan, 1)
+    else:
+        yield from _coupled(chain, K, least, greatest)
+
+
+def _modes(chain: Chain, K: np.ndarray) -> Iterator[tuple[float, np.ndarray, float, int]]:
+    """(omega, u, wavenumber, multiplicity) of each mode of K."""
+    n, springs = chain.n, chain.springs
+    ring = springs is not None and springs.ends == "cyclic" and springs.constant.ndim == 0
+    if ring and chain.stiffness.ndim == 0:
+        for m in range(n // 2 + 1):
+            q = 2.0 * np.pi * m / n
+            wave = np.exp(1j * q * np.arange(n))
+            square = (K[0] * wave).sum().real
+            yield float(np.sqrt(square)), wave, q, 1 if 2 * m in (0, n) else 2
+        return
+    # Of a diagonal matrix these are single masses.
+    squares, shapes = np.linalg.eigh(K)
+    for j in range(n):
+        same = 1 if springs is None else int((np.abs(squares / squares[j] - 1.0) <= _SAME).sum())
+        yield float(np.sqrt(squares[j])), shapes[:, j], np.nan, same
+
+
+def _roots(chain: Chain, mass: int, least: float, greatest: float) -> Iterator[float]:
+    """Belt speeds at which d of one mass vanishes."""
+
+    def damping(speed: float) -> float:
+        return float(_damping(chain, np.array([speed]))[0, mass])
+
+    for low, high in _unproven(chain, least, greatest, mass=mass):
+        at_low, at_high = damping(low), damping(high)
+        if at_low == 0.0:
+            yield low
+        elif at_high != 0.0 and (at_low > 0) != (at_high > 0):
+            yield float(root_scalar(damping, bracket=(low, high), xtol=1e-300, rtol=1e-15).root)
+
+
+def _unproven(
+    chain: Chain,
+    least: float,
+    greatest: float,
+    mass: int | None = None,
+    K: np.ndarray | None = None,
+) -> list[tuple[float, float]]:
+    """Short intervals, in order, outside of which nothing crosses: d of `mass`, or eigenvalues.
+
+    Intervals whose ends are 1.1 times each other are halved down to 1e-5 of the speed.
+    """
+    start, samples = float(least_belt_speed(chain)), 17
+    count = max(2, 1 + int(np.ceil(np.log(max(greatest / start, 1.0)) / np.log(1.1))))
+    inner = np.geomspace(start, max(greatest, 2.0 * start), count)
+    edges = np.array([least, *inner[(inner > least) & (inner < greatest)], greatest])
+    low, high = edges[:-1], edges[1:]
+    left: list[tuple[float, float]] = []
+    while low.size:
+        points = low[:, None] + (high - low)[:, None] * np.linspace(0.0, 1.0, samples)
+        d = _damping(chain, points.ravel()).reshape(low.size, samples, chain.n)
+        if mass is not None:
+            d = d[:, :, mass : mass + 1]
+        middle = d[:, samples // 2]
+        change = 1.5 * np.abs(d - middle[:, None]).max(axis=1)  # half as much again, for safety
+        # All positive: stable. All negative: every mode grows. Neither changes inside.
+        proven = (middle > change).all(axis=1) | (middle < -change).all(axis=1)
+        proven |= (change == 0.0).all(axis=1)
+        if K is not None:
+            for i in np.flatnonzero(~proven):
+                proven[i] = not _reaches_axis(K, middle[i], change[i].max())
+        short = high - low <= 1e-5 * high
+        left += zip(low[~proven & short], high[~proven & short], strict=True)
+        low, high = low[~proven & ~short], high[~proven & ~short]
+        if low.size > 5000:
+            raise RuntimeError(
+                f"An eigenvalue of `chain` stays on the imaginary axis from {low.min()} to "
+                f"{high.max()}, or close by: a mode without damping, where Hopf points mean "
+                "nothing. Give every mass some damping, or narrow `belt_speeds`."
+            )
+        centre = 0.5 * (low + high)
+        low, high = np.concatenate([low, centre]), np.concatenate([centre, high])
+    return [(float(a), float(b)) for a, b in sorted(left)]
+
+
+def _reaches_axis(K: np.ndarray, damping: np.ndarray, change: float) -> bool:
+    """Whether some |E| <= `change` might put an eigenvalue of K and D + E on the imaginary axis.
+
+    1 / change is a singular value of i omega (K - omega^2 + i omega D)^-1 for some omega if and
+    only if this Hamiltonian matrix has the eigenvalue i omega.
+    """
+    n = damping.size
+    zero, one = np.zeros((n, n)), np.eye(n)
+    J = np.block([[zero, one], [-K, -np.diag(damping)]])
+    force = np.block([[zero, zero], [zero, change * one]])
+    values = np.linalg.eigvals(np.block([[J, force], [-force, -J.T]]))
+    # Rounding moves a double imaginary eigenvalue off the axis by the root of it.
+    return bool((np.abs(values.real) <= 1e-7 * np.abs(values).max()).any())
+
+
+def _coupled(chain: Chain, K: np.ndarray, least: float, greatest: float) -> Iterator[Crossing]:
+    """Crossings of a chain whose damping differs from mass to mass."""
+    n = chain.n
+
+    def eigenvalues(speed: float) -> np.ndarray:
+        D = np.diag(_damping(chain, np.array([speed]))[0])
+        return np.linalg.eigvals(np.block([[np.zeros((n, n)), np.eye(n)], [-K, -D]]))
+
+    def same(a: float, b: float) -> bool:
+        return abs(a - b) <= _SAME * abs(a)
+
+    clusters: list[list[tuple[float, float]]] = []
+    for low, high in _unproven(chain, least, greatest, K=K):
+        if clusters and low <= clusters[-1][-1][1] * (1.0 + 1e-12):
+            clusters[-1].append((low, high))
+        else:
+            clusters.append([(low, high)])
+
+    for cluster in clusters:
+        first, last = cluster[0][0], cluster[-1][1]
+        points: list[Crossing] = []
+        for low, high in cluster:
+            centre, margin = 0.5 * (low + high), high - low
+            d = _damping(chain, np.array([low, centre, high]))
+            values: Any = eigenvalues(centre)
+            near = np.abs(values.real) <= 10.0 * np.abs(d - d[1]).max()
+            for value in values[near & (values.imag > 0)]:
+                z, shape, size, count = _refined(chain, jnp.array([centre, value.imag]))
+                speed, frequency = map(float, z)
+                inside = max(first, low - margin) <= speed <= min(last, high + margin)
+                new = not any(
+                    same(speed, c.speed) and same(frequency, c.frequency) for c in points
+                )
+                if inside and new and frequency > 0 and float(size) <= 1e-10:  # singular
+                    shape = np.asarray(shape)
+                    points.append(Crossing(speed, frequency, shape, np.nan, int(count)))
+        # What has crossed must be what there is: pairs to the right of the axis, on either side.
+        unstable = [int((np.real(eigenvalues(speed)) > 0).sum()) // 2 for speed in (first, last)]
+        gained = sum(c.multiplicity * _turns(chain, c) for c in points)
+        if first > least and last < greatest and unstable[1] - unstable[0] != gained:
+            raise RuntimeError(
+                f"Between the belt speeds {first} and {last} the number of growing modes changes "
+                f"from {unstable[0]} to {unstable[1]}, but the {len(points)} Hopf points found "
+                f"there make that {gained:+d}. Two may be too close to tell apart: change a "
+                "parameter a little, and please report these."
+            )
+        yield from points
+
+
+def _turns(chain: Chain, crossing: Crossing) -> int:
+    """+1 if the mode begins to grow as the speed grows, -1 if it ceases to."""
+    speed, omega, u = crossing.speed, crossing.frequency, crossing.shape
+    D, up, down = _damping(chain, speed * np.array([1.0, 1.0 + 1e-7, 1.0 - 1e-7]))
+    slope = (u * u * (up - down)).sum() / (u * u * (2j * omega + D)).sum()
+    return 1 if complex(-1j * omega * slope).real > 0 else -1
+
+
+@eqx.filter_jit
+def _refined(chain: Chain, start: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+    """Newton's method: ((v_d, omega), u, relative least singular value, null vectors)."""
+
+    weights = jnp.ones(2)
+
+    def residual(z: jax.Array) -> jax.Array:
+        return crossing_residual(z, (chain, *null_shape(lax.stop_gradient(z), chain)))
+
+    z, _, _ = solve(linearised(residual, weights), start, weights, 1e-9, 30)
+    shape, _ = null_shape(z, chain)
+    sizes = jnp.linalg.svd(crossing_matrix(z, chain), compute_uv=False)
+    return z, shape, sizes[-1] / sizes[0], jnp.sum(sizes <= _SAME * sizes[0])
+
+
+def _damping(chain: Chain, speeds: np.ndarray) -> np.ndarray:
+    """d_n at each of the speeds, of shape (speeds, n)."""
+    size = 1 << max(4, int(np.ceil(np.log2(speeds.size))))  # few shapes, few compilations
+    padded = np.concatenate([speeds, np.full(size - speeds.size, speeds[-1])])
+    return np.asarray(_damping_at(chain, jnp.asarray(padded)))[: speeds.size]
+
+
+@eqx.filter_jit
+def _damping_at(chain: Chain, speeds: jax.Array) -> jax.Array:
+    return jax.vmap(lambda v: jnp.broadcast_to(sliding_damping(chain, v), (chain.n,)))(speeds)
 
 
 @final
@@ -655,23 +593,22 @@ def hopf_points(chain: Chain, belt_speeds: Any = (0.0, GREATEST_SPEED)) -> HopfP
     check_finite("belt_speeds", (low, high), "the default is (0, 1e6).")
     simple = _simplified(chain)
     least = 0.0 if low <= 0 <= high else min(abs(low), abs(high))
-    entries = []
+    rows = []
     for crossing in find_crossings(simple, least, max(abs(low), abs(high))):
-        entry = _described(simple, crossing)
+        row = _described(simple, crossing)
         signed = (crossing.speed, -crossing.speed)
-        entries += [{**entry, "belt_speed": v} for v in signed if low <= v <= high]
-    entries.sort(key=lambda entry: (entry["belt_speed"], entry["frequency"]))
-
-    def column(name: str) -> Any:
-        values = [entry[name] for entry in entries]
-        if name in _TEXTS:
-            return tuple(values)
-        if name == "mode_shape":
-            return jnp.asarray(np.reshape(values, (len(values), chain.n)).astype(complex))
-        return jnp.asarray(np.array(values, dtype=int if name == "multiplicity" else float))
-
+        rows += [{**row, "belt_speed": v} for v in signed if low <= v <= high]
+    rows.sort(key=lambda row: (row["belt_speed"], row["frequency"]))
     names = [name for name in HopfPoints.__dataclass_fields__ if name != "belt_speeds"]
-    return HopfPoints(**{name: column(name) for name in names}, belt_speeds=(low, high))
+    columns: dict[str, Any] = {name: [row[name] for row in rows] for name in names}
+    for name, kind in HopfPoints.__annotations__.items():
+        if kind.startswith("tuple"):
+            columns[name] = (low, high) if name == "belt_speeds" else tuple(columns[name])
+        else:
+            dtype = {"mode_shape": complex, "multiplicity": int}.get(name, float)
+            shape = (-1, chain.n) if name == "mode_shape" else (-1,)
+            columns[name] = jnp.asarray(np.array(columns[name], dtype).reshape(shape))
+    return HopfPoints(**columns)
 
 
 def _simplified(chain: Chain) -> Chain:
@@ -697,51 +634,35 @@ def _described(chain: Chain, crossing: Crossing) -> dict[str, Any]:
     if pair:
         standing = np.cos(wavenumber * np.arange(chain.n))
         shapes.append((standing, standing))
-    at = (jnp.asarray(speed), jnp.asarray(frequency))
-    results = [
-        _numbers(chain, *at, jnp.asarray(u, complex), jnp.asarray(left, complex))
-        for u, left in shapes
-    ]
-    if multiplicity > 1 and not pair:  # which combination of the modes, nothing tells
-        slope, dry = results[0][2:4]
-        results = [(np.nan, np.nan, slope, dry, np.nan)]
-    (wave, size, slope, dry, rise), (standing, standing_size, _, _, standing_rise) = (
-        results[0],
-        results[-1],
-    )
-    return {
+    at = jnp.asarray(speed), jnp.asarray(frequency)
+    waves = [_numbers(chain, *at, *jnp.asarray(both, complex)) for both in shapes]
+    _, _, slope, dry, _ = waves[0]
+    row = {
         "frequency": frequency,
         "mode_shape": shape,
         "wavenumber": wavenumber,
         "multiplicity": multiplicity,
         "growth_slope": float(slope),
-        "lyapunov_coefficient": float(wave),
-        "standing_lyapunov_coefficient": float(standing),
-        "square_amplitude_slope": float(rise),
-        "standing_square_amplitude_slope": float(standing_rise),
         "direction": "falling speed" if slope < 0 else "growing speed",
-        "criticality": _criticality(float(size)),
-        "standing_criticality": _criticality(float(standing_size)),
         # Without smoothing the mode would not begin to grow as the speed grows.
-        "kind": FLANK if slope > 0 >= dry else WEAKENING,
+        "kind": "rising flank of the smoothed law" if slope > 0 >= dry else "weakening friction",
     }
-
-
-@eqx.filter_jit
-def _numbers(
-    chain: Chain, speed: Array, frequency: Array, u: Array, left: Array
-) -> tuple[Array, ...]:
-    point = (chain, speed, frequency, u, left)
-    wave = first_lyapunov_coefficient(*point)
-    slope, dry = growth_slopes(*point)
-    rise = square_amplitude_slope(wave, slope, frequency, u)
-    return wave, relative_coefficient(*point), slope, dry, rise
+    for prefix, wave in (("", waves[0]), ("standing_", waves[-1])):
+        l1, relative, _, _, rise = map(float, wave)
+        if multiplicity > 1 and not pair:  # which combination of the modes, nothing tells
+            l1 = relative = rise = np.nan
+        row |= {
+            f"{prefix}lyapunov_coefficient": l1,
+            f"{prefix}square_amplitude_slope": rise,
+            f"{prefix}criticality": _criticality(relative),
+        }
+    return row
 
 
 def _criticality(relative: float) -> str:
     if np.isnan(relative):
         return "undetermined"
-    if abs(relative) <= _VANISHING:
+    if abs(relative) <= 1e-9:  # zero up to rounding
         return "degenerate"
     return "supercritical" if relative < 0 else "subcritical"
 
