@@ -135,6 +135,7 @@ LONG = {
         ).fold_belt_speed.values,
         1e-3,
     ),
+    "find_fold": (ONE, lambda c: jc.boundaries.find_fold(c).period, 1e-3),
     "find_grazing": (ONE, lambda c: jc.boundaries.find_grazing(c).period, 1e-12),
     "fold_in_the_limit": (ONE, lambda c: jc.boundaries.fold_in_the_limit(c).value, 1e-12),
     "fold_boundary": (ONE, jc.boundaries.fold_boundary, 1e-3),
@@ -205,7 +206,6 @@ REFUSED = {
         lambda c: jc.cycles.liouville_determinant(c, c_start(c), 6.0), "`close_orbit`"
     ),
     "continue_cycle": (lambda c: jc.continue_cycle(c, c_start(c), 6.0), "one belt speed to"),
-    "find_fold": (jc.boundaries.find_fold, "`find_grazing`"),
     "fold_by_descent": (jc.boundaries.fold_by_descent, "`find_grazing`"),
     "one_mass_branch": (jc.boundaries.one_mass_branch, "sliding_basin`"),
     "phase_model": (

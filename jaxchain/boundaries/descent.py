@@ -19,7 +19,7 @@ from ..model.chain import Chain, require_smoothed
 from ..model.initial_states import check_vibrating
 from ..model.sliding import growth_rate
 from ..result import Outcome, SearchResult
-from .fold import Place, first_guess, loose_rtol, value_and_jacobian
+from .fold import first_guess, loose_rtol, value_and_jacobian
 
 
 @final
@@ -86,14 +86,10 @@ def hopf_by_descent(
     start = jnp.abs(chain.belt_speed) if start is None else start
     check_positive_number("start", start, "it is a belt speed, such as 1.5.")
     check_positive_number("tolerance", tolerance, "it is a growth rate, such as 1e-10.")
-    optimiser = _ADAM if optimiser is None else optimiser
+    optimiser = _constant_adam() if optimiser is None else optimiser
     check_descent(optimiser, steps)
     begin, least = (jnp.asarray(value, float) for value in (start, tolerance))
     return _descend(chain, begin, optimiser, steps, least)
-
-
-# An optimiser is part of the compiled program, and compared by identity.
-_ADAM = optax.adam(0.1)
 
 
 @eqx.filter_jit
@@ -111,10 +107,11 @@ def _descend(
     )  # fmt: skip
 
 
-_CLOSED = 1e-4
+# An optimiser is part of the compiled program, and compared by identity.
+_constant_adam = ft.cache(lambda: optax.adam(0.1))
 
 
-@ft.cache  # an optimiser is part of the compiled program, and compared by identity
+@ft.cache
 def _adam(steps: int) -> optax.GradientTransformation:
     return optax.adam(optax.exponential_decay(0.1, steps, 0.003), b1=0.5)
 
@@ -204,44 +201,42 @@ def fold_by_descent(
 def _ascend(
     chain: Chain,
     mass: int,
-    start: Array | None,
+    first: Array | None,
     optimiser: optax.GradientTransformation,
     steps: int,
     tolerance: Array,
 ) -> FoldDescent:
-    began = first_guess(chain, mass)
-    guess = began.place
-    shooting = eqx.tree_at(lambda s: s.rtol, began.shooting, 1e-3 * loose_rtol(chain))
+    # `descend` is for a loss that is a function of the unknown alone; here each step closes the
+    # cycle, too, and what it has found of it goes along.
+    start = first_guess(chain, mass)
+    shooting = eqx.tree_at(lambda s: s.rtol, start.shooting, 1e-3 * loose_rtol(chain))
     width, index = jnp.min(chain.width), shooting.place
-    first = jnp.sinh(guess.z) - 0.7 if start is None else start
+    first = jnp.sinh(start.point[-1]) - 0.7 if first is None else first
 
-    def update(carry: tuple[Place, Any], _: None) -> tuple[tuple[Place, Any], tuple]:
-        place, state = carry
-        r, jacobian = value_and_jacobian(shooting, place)
+    def update(carry: tuple[Array, Any], _: None) -> tuple[tuple[Array, Any], tuple]:
+        point, state = carry
+        z = point[-1]
+        r, jacobian = value_and_jacobian(shooting, point)
         both = jnp.linalg.solve(jacobian[:, :-1], jnp.stack([r, jacobian[:, -1]], axis=1))
-        q, tangent = place.q - both[:, 0], -both[:, 1]
+        q, tangent = point[:-1] - both[:, 0], -both[:, 1]
         slope = tangent[index] / width
         # Before the cycle has closed its slope means little.
-        closed = jnp.max(jnp.abs(r)) < _CLOSED
-        change, new_state = optimiser.update(-slope, state, place.z)
+        closed = jnp.max(jnp.abs(r)) < 1e-4
+        change, moved = optimiser.update(-slope, state, z)
         change = jnp.where(closed, jnp.asarray(change), 0.0)
-        state = where(closed, new_state, state)
-        record = jnp.sinh(place.z), q[index], slope / jnp.cosh(place.z), closed
-        return (Place(q + tangent * change, place.z + change), state), record
+        record = jnp.sinh(z), q[index], slope / jnp.cosh(z), closed
+        point = jnp.append(q + tangent * change, z + change)
+        return (point, where(closed, moved, state)), record
 
-    place = Place(guess.q, jnp.arcsinh(first))
-    _, (closenesses, speeds, slopes, closed) = lax.scan(
-        update, (place, optimiser.init(place.z)), length=steps
-    )
-    best = jnp.argmax(jnp.where(closed, speeds, -jnp.inf))
-    nothing = ~jnp.any(closed)
+    begin = start.point.at[-1].set(jnp.arcsinh(first)), optimiser.init(jnp.arcsinh(first))
+    _, (closenesses, speeds, slopes, closed) = lax.scan(update, begin, length=steps)
+    best, some = jnp.argmax(jnp.where(closed, speeds, -jnp.inf)), jnp.any(closed)
     of = SearchResult
-    result = of.where(nothing, of.no_cycle, of.max_steps_reached)
-    flat = ~nothing & (jnp.abs(slopes[best]) <= tolerance)
-    result = of.where(flat, of.successful, result)
+    result = of.where(some, of.max_steps_reached, of.no_cycle)
+    result = of.where(some & (jnp.abs(slopes[best]) <= tolerance), of.successful, result)
     return FoldDescent(
-        belt_speed=jnp.where(nothing, jnp.nan, speeds[best]),
-        slope=jnp.where(nothing, jnp.nan, slopes[best]),
+        belt_speed=jnp.where(some, speeds[best], jnp.nan),
+        slope=jnp.where(some, slopes[best], jnp.nan),
         result=result,
         closenesses=closenesses,
         belt_speeds=jnp.where(closed, speeds, jnp.nan),

@@ -18,8 +18,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Mapping
-from concurrent.futures import Future, ThreadPoolExecutor, as_completed
-from queue import SimpleQueue
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
@@ -38,82 +37,186 @@ from ..continuation.damped_newton import where
 from ..continuation.elimination import solve
 from ..continuation.fold_points import fold_residual
 from ..continuation.implicit import attach_derivative, if_found
-from ..cycles.averaging import (
-    dry_fold_speed,
-    dry_summits,
-    fold_guess,
-    one_mass,
-    speed_scale,
-    usual_closeness,
-)
+from ..cycles.averaging import dry_summits, fold_guess, one_mass, speed_scale, usual_closeness
 from ..cycles.floquet import can_be_cycle
 from ..cycles.shooting import Shooting
 from ..cycles.shooting import residual as closure
 from ..cycles.variational import push
 from ..model.arguments import as_chain
-from ..model.chain import Chain, require_smoothed
+from ..model.chain import Chain
 from ..model.initial_states import check_vibrating
 from ..model.parameters import parameter
 from ..model.sliding import damping_outweighs
 from ..result import Outcome, SearchResult
 from ..simulation.accuracy import fit_linear_solve
 from ..solvers.rosenbrock import Rodas5P
-from ..sweeps.axes import Axes, check_axes, jobs, sizes
+from ..sweeps.axes import check_axes, jobs, sizes
 from ..sweeps.lanes import with_numbers
-from ..sweeps.programs import place, ready
+from ..sweeps.programs import map_lanes
 from ..sweeps.sweeping import SweepInterrupted
-from .grazing import Touch, find_dry_fold, find_grazing, layer, shift, slip_force, without_fold
+from .grazing import Slopes, Touch, find_dry_fold, find_grazing, slip_force, without_fold
 
 if TYPE_CHECKING:
     from xarray import Dataset
 
 
-# The tolerance of the integration at the fold; on the way there a loose one does.
-FOLD_RTOL = 3e-11
-# Residual of a closed cycle; relative distance of V from its maximum, loosely and in the end.
-CLOSED = 1e-9
-_NEAR, _STATIONARY = 1e-7, 1e-10
-_MOST = 250
-# A cycle is closed, too, where Newton's correction at fixed s is less: at small widths rounding in
-# the layer keeps the residual, which is measured in widths, above `CLOSED`.
-_SMALL = 1e-10
-_FEW_WIDTHS = 30.0
-# Widths by which a cycle fails to close from which V'(s) is already known well enough to move on.
-# Loosely, and in the end, where the slope there decides how exact s is.
-_NEARLY, _VERY_NEARLY = 0.1, 1e-3
-# Newton's first step, in the unknowns and relative in the belt speed; what it may grow by after a
-# success, shrinks by after a failure, and how often in succession it may.
-_FIRST, _GROWTH, _SHRINKAGE, _MOST_REFUSED = 0.1, 4.0, 0.3, 14
-_TINY, _MOST_TINY = 1e-11, 4
-# Y(s) = exp(2 s) + tau s, in which V'(s) is nearly linear: the friction lost to smoothing, or,
-# where that is nothing, the amplitude.
-_TAU = 1e-5
-# What the reach in s grows by where Newton's method gets there.
-_WIDENING = 2.0
-# How far from the first closed cycle the second one is tried, at least.
-_PROBE = 0.15
-# Two cycles whose s differ by less tell nothing about the curvature of V.
-_APART = 0.01
+@final
+@dataclass(frozen=True)
+class FoldSettings:
+    """Constants of the search for a fold with smoothed friction.
+
+    Of the start, in widths over the speed of the problem:
+
+    - `polish`: below it the dry cycle is wanted exactly; `thin`: below it the asymptotics of a
+      thin layer are the better guess; `thick`: above it they are none.
+    - `least_width`: below it a fold is searched for at that width, and moved on by the
+      asymptotics.  These err by 20 (3e-8)^(3/2) = 1e-10 and, where the slip cycle is very
+      unstable, from `least_unstable` on by 200 (3e-7)^(3/2) = 3e-8: 200 is above all that was
+      measured in 300 random sets, 20 above most.
+    - `unstable`: multiplier of the dry slip cycle, and `narrow`: width, from which on a loose
+      integration is no help.
+
+    Of the search, `loosely, tightly` where there are two:
+
+    - `rtol`: of the integration at the fold; on the way there a loose one does.
+    - `closed`: residual of a closed cycle.  It is closed, too, where Newton's correction at fixed
+      s is less than `small`: at small widths rounding in the layer keeps the residual, which is
+      measured in widths, above `closed`.
+    - `nearly`: closing error, in widths, below which the slope V'(s) is trusted.
+    - `stationary`: distance of V from its maximum over V.
+    - `few_widths`: of v_d that count as much as one of s in a step.
+    - `entries`: shooting Jacobians at most; `refused`: steps in succession that may make things
+      worse; `first_step`: Newton's first one, in the unknowns and relative in the belt speed, and
+      `shrinkage` after a failure.
+    - `tau`: Y(s) = exp(2 s) + tau s, in which V'(s) is nearly linear, is the friction lost to
+      smoothing, or, where that is nothing, the amplitude.
+    """
+
+    polish: float = 1e-4
+    thin: float = 3e-2
+    thick: float = 0.1
+    least_width: float = 3e-8
+    least_unstable: float = 3e-7
+    unstable: float = 30.0
+    narrow: float = 1e-5
+    rtol: float = 3e-11
+    closed: float = 1e-9
+    small: float = 1e-10
+    nearly: tuple[float, float] = (0.1, 1e-3)
+    stationary: tuple[float, float] = (1e-7, 1e-10)
+    few_widths: float = 30.0
+    entries: int = 250
+    refused: int = 14
+    first_step: float = 0.1
+    shrinkage: float = 0.3
+    tau: float = 1e-5
 
 
-class Place(eqx.Module):
-    """A point in the space of cycles."""
-
-    q: Float[Array, " m"]  # the unknowns of `Shooting`, with v_d in the place of z_j
-    z: Float[Array, ""]  # asinh s
+_SET = FoldSettings()
 
 
-class _Newton(eqx.Module):
+class Start(NamedTuple):
+    """Equations and a first guess of a fold.
+
+    `point`: see `unknowns`; `width`: the least width that the search is for; `loose`: the
+    tolerance on the way; `hopeful`: whether there is something to search for, and if not,
+    `result`: why not; `tame`: whether the slip cycle is known, and not very unstable; `slopes`: of
+    the touch.
+    """
+
+    shooting: Shooting
+    point: Float[Array, " m_plus_1"]
+    width: Float[Array, ""]
+    loose: Float[Array, ""]
+    hopeful: Bool[Array, ""]
+    result: SearchResult
+    tame: Bool[Array, ""]
+    slopes: Slopes
+
+
+def first_guess(chain: Chain, mass: int) -> Start:
+    """Equations and a place near the fold; nothing in here is to be differentiated."""
+    alone = one_mass(chain, mass)
+    summits = dry_summits(alone)
+    scale = speed_scale(alone, summits.touching)
+    dry = find_dry_fold(chain, mass, alone, summits, alone.width < _SET.polish * scale)
+    touch = Touch(chain, dry.steps, mass)
+    (_, v), _, dry_speed = touch.unpack(dry.q, dry.w)
+    leaving, arriving = dry.sides[-1]
+    slopes = Slopes(leaving, arriving, touch.fall(v), touch.hold)
+    multiplier = -slopes.leaving / slopes.arriving
+    unstable = multiplier > _SET.unstable
+    least = scale * jnp.where(unstable, _SET.least_unstable, _SET.least_width)
+    least = jnp.where(jnp.isfinite(least), least, 0.0)
+    chain, alone = at_least_wide(chain, least), at_least_wide(alone, least)
+    width = alone.width
+    averaged, averaged_s, exists = fold_guess(alone)
+    layer = slopes.layer(width)
+    # The layer is thin, or else averaging knows better where it is, and what belt speed it has.
+    narrow, touches = dry.turns & (width < _SET.thick * scale), dry.ratio >= 1.0
+    layered = narrow & touches & jnp.isfinite(layer.closeness)
+    # A fold without a touch stays where it is, but for what keeps it out of the layer.
+    free = narrow & ~touches
+    thin = (layered | free) & (width < _SET.thin * scale)
+    moved = dry.q + dry.sides @ jnp.stack([layer.leaving, layer.arriving])
+    moved = jnp.where(layered, moved, dry.q)
+    # Averaging errs by the same factor for smoothed as for dry friction, or nearly so.
+    factor = jnp.where(dry.turns, dry_speed / summits.speeds[0], 1.0)
+    speed = jnp.where(thin, moved[-1], averaged * factor)
+    s = jnp.where(layered, layer.closeness, averaged_s)
+    s = jnp.where(free, jnp.minimum(dry.w / width, usual_closeness(width / dry_speed)), s)
+    (x, v), period, _ = touch.unpack(moved, jnp.where(layered, 0.0, dry.w))
+    # The velocity of mass j is greatest a little before the touch.
+    early = jnp.where(layered, layer.time, 0.0)
+    force = slip_force(chain, moved[-1], v) + chain.restoring_force(x)
+    x, v = x + early * v, (v + early * force).at[mass].set(speed + width * s)
+
+    solver = fit_linear_solve(Rodas5P(), chain, _SET.rtol)
+    everyone = tuple(range(chain.n))
+    shooting = Shooting(
+        field=chain, rtol=_SET.rtol, solver=solver, mass=mass, images=everyone,
+        parameter="belt_speed",
+    )  # fmt: skip
+    u = shooting.pack((x, v), period, speed)
+    point = jnp.append(u.at[shooting.place].set(speed), u[shooting.place])
+    sound, exists = jnp.all(jnp.isfinite(point)), exists | thin
+    damped, none = alone.damping_ratio > 0, damping_outweighs(chain)
+    failed = SearchResult.where(sound, SearchResult.no_cycle, SearchResult.no_touch)
+    # A loose integration would spoil a guess that is better than it.
+    good = thin & (unstable | (width < _SET.narrow * scale))
+    return Start(
+        shooting=shooting,
+        point=point,
+        width=least,
+        loose=jnp.where(good, _SET.rtol, loose_rtol(chain)),
+        hopeful=~none & damped & exists & sound,
+        result=without_fold(failed, exists, damped, none),
+        tame=dry.turns & (multiplier <= _SET.unstable),
+        slopes=slopes,
+    )
+
+
+def at_least_wide(chain: Chain, least: Array) -> Chain:
+    """`chain` with no width below `least`."""
+    return chain.with_(width=jnp.maximum(chain.width, least))
+
+
+def loose_rtol(chain: Chain) -> Array:
+    """The tolerance of integration that does on the way to a fold."""
+    return jnp.clip(1e-3 * jnp.min(chain.width), 1e-9, 1e-6)
+
+
+class _Newton(NamedTuple):
     """Newton's method for a closed cycle."""
 
-    best: Place  # the last accepted one
+    best: Float[Array, " m_plus_1"]  # the last accepted one
     norm: Float[Array, ""]  # its residual; infinite before the first
-    step: Place  # the direction from there, its greatest entry 1
+    step: Float[Array, " m_plus_1"]  # the direction from there, its greatest entry 1
     length: Float[Array, ""]  # how far it went in it
     refused: Int[Array, ""]  # steps in succession that made things worse
 
 
-class _Secant(eqx.Module):
+class _Secant(NamedTuple):
     """What the cycles closed so far tell of V'(s), as a function of Y(s)."""
 
     s: Float[Array, ""]  # of the cycle before; NaN for none
@@ -125,42 +228,34 @@ class _Secant(eqx.Module):
     reach: Float[Array, ""]  # the farthest that an aim may be
 
 
-class Search(eqx.Module):
+class Search(NamedTuple):
     """Where the search stands; every entry made costs one shooting Jacobian."""
 
-    here: Place
+    point: Float[Array, " m_plus_1"]
     newton: _Newton
     secant: _Secant
     residual: Float[Array, ""]
-    jacobian: Float[Array, "m columns"]  # of the last entry, in (q, z)
-    count: Int[Array, ""]
+    jacobian: Float[Array, "m m_plus_1"]  # of the last entry
+    evaluations: Int[Array, ""]
     found: Bool[Array, ""]
 
 
-def unknowns(shooting: Shooting, place: Place) -> tuple[Array, Array]:
-    """(u, v_d)."""
-    return place.q.at[shooting.place].set(place.z), place.q[shooting.place]
+def unknowns(shooting: Shooting, point: Float[Array, " m_plus_1"]) -> tuple[Array, Array]:
+    """(u, v_d) of a point (u with v_d in the place of z_j, z_j = asinh s) of the search."""
+    return point[:-1].at[shooting.place].set(point[-1]), point[shooting.place]
 
 
-def as_place(shooting: Shooting, u: Array, belt_speed: Array) -> Place:
-    """The inverse of `unknowns`."""
-    return Place(u.at[shooting.place].set(belt_speed), u[shooting.place])
-
-
-def value_and_jacobian(shooting: Shooting, place: Place) -> tuple[Array, Array]:
-    """The residual, and its derivatives in (q, z), of shape (m, m + 1)."""
-
-    def at(point: Array) -> tuple[Array, Array]:
-        return unknowns(shooting, Place(point[:-1], point[-1]))
-
-    point = jnp.append(place.q, place.z)
+def value_and_jacobian(
+    shooting: Shooting, point: Float[Array, " m_plus_1"]
+) -> tuple[Float[Array, " m"], Float[Array, "m m_plus_1"]]:
+    """The residual, and its derivatives in `point`."""
     run = push(
-        lambda point: shooting.unpack(*at(point)), point, rtol=shooting.rtol,
+        lambda point: shooting.unpack(*unknowns(shooting, point)), point, rtol=shooting.rtol,
         solver=shooting.solver,
     )  # fmt: skip
 
     def gap(point: Array, end: State) -> tuple[Array, Array]:
-        u, speed = at(point)
+        u, speed = unknowns(shooting, point)
         r = shooting.gap(u, end, speed)
         return r, r
 
@@ -171,272 +266,149 @@ def value_and_jacobian(shooting: Shooting, place: Place) -> tuple[Array, Array]:
     return r, columns.T
 
 
-def search(shooting: Shooting, guess: Place, loose: Array, wanted: Array, tame: Array) -> Search:
-    """The fold from a cycle near it, for `shooting` at any tolerance; NaN if not `wanted`.
+def search(start: Start) -> Search:
+    """The fold from a cycle near it, for `shooting` at any tolerance; NaN if not `hopeful`.
 
-    `tame`: whether the slip cycle is not very unstable, so that V' is known before a cycle is
-    closed.
-
-    Loosely at first, then with `FOLD_RTOL`, which matters little: V is stationary in s, so the
+    Loosely at first, then with `rtol`, which matters little: V is stationary in s, so the
     error of s counts by its square.  One loop of one kind of work, so that the lanes of a batch
     need not wait for each other, and only one integration is compiled.
     """
-    nan = jnp.asarray(jnp.nan)
-    infinite = jnp.asarray(jnp.inf)
+    nan, infinite = jnp.asarray(jnp.nan), jnp.asarray(jnp.inf)
     secant = _Secant(nan, nan, nan, -infinite, infinite, nan, infinite)
-    m = guess.q.shape[0]
-    unknown = jnp.full((m, m + 1), jnp.nan)
-    start = Search(guess, _fresh(guess), secant, nan, unknown, jnp.zeros((), int), wanted)
-
-    def unbound(known: _Secant) -> _Secant:
-        return eqx.tree_at(lambda k: (k.low, k.high), known, (secant.low, secant.high))
+    unknown = jnp.full((start.point.size - 1, start.point.size), jnp.nan)
 
     def stage(before: Search, rtol: Array) -> tuple[Search, None]:
         # The same search again would end as it did.
-        done = (rtol == loose) & (before.count > 0)
+        done = (rtol == start.loose) & (before.evaluations > 0)
         # At another tolerance the fold may lie outside the bracket, by a little.
         # What failed loosely starts anew.
-        begin = where(before.found, before.here, guess)
-        again = eqx.tree_at(
-            lambda k: (k.here, k.newton, k.secant, k.found),
-            before,
-            (
-                begin,
-                _fresh(begin),
-                where(before.found, unbound(before.secant), secant),
-                done & before.found,
-            ),
-        )
-        exact = eqx.tree_at(lambda k: k.rtol, shooting, rtol)
-        tight = rtol <= FOLD_RTOL
+        begin = jnp.where(before.found, before.point, start.point)
+        unbound = before.secant._replace(low=-infinite, high=infinite)
+        again = before._replace(
+            point=begin, newton=_fresh(begin), secant=where(before.found, unbound, secant),
+            found=done & before.found,
+        )  # fmt: skip
+        shooting = eqx.tree_at(lambda k: k.rtol, start.shooting, rtol)
 
         def goes_on(now: Search) -> Array:
             newton = now.newton
             # A step that is refused again and again, and is of the size of rounding by now.
-            stuck = (newton.refused >= _MOST_TINY) & (newton.length < _TINY)
-            hopeful = (newton.refused < _MOST_REFUSED) & (now.count < _MOST) & ~stuck
-            return wanted & ~done & ~now.found & hopeful
+            stuck = (newton.refused >= 4) & (newton.length < 1e-11)
+            hopeful = (newton.refused < _SET.refused) & (now.evaluations < _SET.entries) & ~stuck
+            return start.hopeful & ~done & ~now.found & hopeful
 
-        return lax.while_loop(goes_on, lambda now: _entry(exact, now, tight, tame), again), None
+        def entry(now: Search) -> Search:
+            return _entry(shooting, now, rtol <= _SET.rtol, start.tame)
 
-    return lax.scan(stage, start, jnp.stack([loose, jnp.asarray(FOLD_RTOL)]))[0]
+        return lax.while_loop(goes_on, entry, again), None
+
+    none, point = jnp.zeros((), int), start.point
+    begin = Search(point, _fresh(point), secant, nan, unknown, none, start.hopeful)
+    return lax.scan(stage, begin, jnp.stack([start.loose, jnp.asarray(_SET.rtol)]))[0]
+
+
+def _fresh(point: Array) -> _Newton:
+    infinite, none = jnp.asarray(jnp.inf), jnp.zeros((), int)
+    return _Newton(point, infinite, jnp.zeros_like(point), jnp.asarray(_SET.first_step), none)
 
 
 def _entry(shooting: Shooting, now: Search, tight: Array, tame: Array) -> Search:
+    def either(pair: tuple[float, float]) -> Array:
+        return jnp.where(tight, pair[1], pair[0])
+
     index = shooting.place
-    q, z = now.here.q, now.here.z
-    r, jacobian = value_and_jacobian(shooting, now.here)
+    q, z = now.point[:-1], now.point[-1]
+    r, jacobian = value_and_jacobian(shooting, now.point)
     norm = jnp.max(jnp.abs(r))
     good = norm < now.newton.norm  # false for NaN
     both = solve(jacobian[:, :-1], jnp.stack([r, jacobian[:, -1]], axis=1))
-    tangent = -both[:, 1]
+    closing, tangent = -both[:, 0], -both[:, 1]
     # Of the corrections that close the cycle the one that moves s and the belt speed least: where
     # a mass sticks long before the cut, what is left of its approach tells nothing of the speed.
     narrow = jnp.min(shooting.field.width)  # pyright: ignore[reportAttributeAccessIssue]
-    few = _FEW_WIDTHS * narrow
-    per_width, sideways = tangent[index] / few, -both[:, 0][index] / few
+    few = _SET.few_widths * narrow
+    per_width, sideways = tangent[index] / few, closing[index] / few
     aside = -sideways * per_width / (1.0 + per_width**2)
-    step = tangent * aside - both[:, 0]
+    step = tangent * aside + closing
     scale = jnp.ones_like(step).at[index].set(jnp.abs(q[index]))
     size = jnp.maximum(jnp.max(jnp.abs(step) / scale), jnp.abs(aside))
-    misses = jnp.max(jnp.abs(both[:, 0]) / scale)
-    closed = good & (norm < jnp.maximum(CLOSED, 10.0 * shooting.rtol))
-    closed = closed | (misses < jnp.where(tight, _SMALL, 0.0))
+    misses = jnp.max(jnp.abs(closing) / scale)
+    closed = good & (norm < jnp.maximum(_SET.closed, 10.0 * shooting.rtol))
+    closed = closed | (misses < either((0.0, _SET.small)))
 
     # A closed cycle: where does V'(s) vanish?
     s, slope, speed = jnp.sinh(z), tangent[index] / jnp.cosh(z), jnp.abs(q[index])
     new_s, secant = _towards_fold(now.secant, s, slope, s - shooting.rest(q[index]), tame)
     # V misses its maximum by about half of this.
     missed = jnp.abs(slope * (new_s - s)) / speed
-    there = missed < jnp.where(tight, _STATIONARY, _NEAR)
+    there = missed < either(_SET.stationary)
     folds = closed & (secant.curvature < 0) & there
     # A cycle that is nearly closed tells V' well enough to move on from it.
-    share = jnp.where(tight, _VERY_NEARLY, _NEARLY)
-    nearly = tame & good & (misses * speed < share * narrow)
+    nearly = tame & good & (misses * speed < either(_SET.nearly) * narrow)
     closed = closed | (nearly & (secant.curvature < 0) & ~there)
     # In the end, too: V misses its maximum by next to nothing there, but s, which derivatives are
     # taken at, by the root of that.  V' falls to 0 on this way, so V gains half of its slope.
     new_z = jnp.arcsinh(new_s)
     gains = jnp.where(folds & tight, jnp.ones_like(tangent).at[index].set(0.5), 1.0)
-    moved = Place(q - both[:, 0] + gains * tangent * (new_z - z), new_z)
+    moved = jnp.append(q + closing + gains * tangent * (new_z - z), new_z)
 
     # Not closed: Newton's method, its steps shortened where they made things worse.
-    longest = jnp.where(jnp.isinf(now.newton.norm), _FIRST, _GROWTH * now.newton.length)
-    newton = _Newton(
-        best=where(good, now.here, now.newton.best),
-        norm=jnp.where(good, norm, now.newton.norm),
-        step=where(good, Place(step / size, aside / size), now.newton.step),
-        length=jnp.where(good, jnp.minimum(size, longest), _SHRINKAGE * now.newton.length),
-        refused=jnp.where(good, 0, now.newton.refused + 1),
+    longest = jnp.where(jnp.isinf(now.newton.norm), _SET.first_step, 4.0 * now.newton.length)
+    taken = _Newton(
+        now.point, norm, jnp.append(step, aside) / size, jnp.minimum(size, longest),
+        jnp.zeros((), int),
+    )  # fmt: skip
+    shorter = now.newton._replace(
+        length=_SET.shrinkage * now.newton.length, refused=now.newton.refused + 1
     )
-    onward = jax.tree.map(lambda a, b: a + newton.length * b, newton.best, newton.step)
-    here = where(closed, moved, onward)
+    newton = where(good, taken, shorter)
+    point = jnp.where(closed, moved, newton.best + newton.length * newton.step)
     return Search(
-        here=here,
-        newton=where(closed, _fresh(here), newton),
+        point=point,
+        newton=where(closed, _fresh(point), newton),
         secant=where(closed, secant, now.secant),
         residual=norm,
         jacobian=jacobian,
-        count=now.count + 1,
+        evaluations=now.evaluations + 1,
         found=folds,
     )
 
 
 def _towards_fold(
-    before: _Secant, s: Array, slope: Array, room: Array, tame: Array
+    before: _Secant, s: Array, slope: Array, distance_to_rest: Array, tame: Array
 ) -> tuple[Array, _Secant]:
     """The next s, and what to remember, from V' = dV/ds at s; V rises up to the fold.
 
-    `room` is how far from s the amplitude vanishes.
+    `distance_to_rest` is how far from s the amplitude vanishes.
     """
+
+    def ordinate(s: Array) -> Array:
+        return jnp.exp(2.0 * s) + _SET.tau * s
+
     low = jnp.where(slope > 0, s, before.low)
     high = jnp.where(slope > 0, before.high, s)
-    ordinate, gap = _ordinate(s), _ordinate(s) - _ordinate(before.s)
-    apart = jnp.abs(s - before.s) > _APART  # false for NaN
-    curvature = jnp.where(
-        apart, (slope - before.slope) / jnp.where(apart, gap, 1.0), before.curvature
-    )
-    far = jnp.where(tame, jnp.maximum(_PROBE, -0.5 * (s + 3.0)), _PROBE)
-    probe = s + jnp.sign(slope) * jnp.minimum(0.03 * room, far)
+    # Two cycles whose s differ by less tell nothing about the curvature of V.
+    apart = jnp.abs(s - before.s) > 0.01  # false for NaN
+    gap = jnp.where(apart, ordinate(s) - ordinate(before.s), 1.0)
+    curvature = jnp.where(apart, (slope - before.slope) / gap, before.curvature)
+    # How far from the first closed cycle the second one is tried.
+    far = jnp.where(tame, jnp.maximum(0.15, -0.5 * (s + 3.0)), 0.15)
+    probe = s + jnp.sign(slope) * jnp.minimum(0.03 * distance_to_rest, far)
     # Not far up into the layer, where V falls steeply, and not all the way down to rest.
-    highest = jnp.maximum(s + 0.7, jnp.minimum(s + 0.3 * room, -2.5))
-    lowest = s - jnp.minimum(0.3 * room, 2.5 + 0.1 * room)
-    target = _abscissa(ordinate - slope / curvature, lowest, highest)
+    highest = jnp.maximum(s + 0.7, jnp.minimum(s + 0.3 * distance_to_rest, -2.5))
+    lowest = s - jnp.minimum(0.3 * distance_to_rest, 2.5 + 0.1 * distance_to_rest)
+    summit = ordinate(s) - slope / curvature
+    # s of the summit between these, or the nearer of them; NaN for NaN.
+    ends = bisect(lambda s: ordinate(s) <= summit, lowest, highest, 40)
+    target = jnp.where(jnp.isnan(summit), jnp.nan, 0.5 * (ends[0] + ends[1]))
     middle = 0.5 * (low + high)
     target = jnp.where((target > low) & (target < high) & (curvature < 0), target, middle)
     target = jnp.where(jnp.isfinite(target), target, probe)
     # Newton's method slides back along the branch from an aim too far for its start: aim nearer.
     wanted, gone = jnp.abs(before.aim - before.s), jnp.abs(s - before.s)
-    reach = jnp.where(gone < 0.5 * wanted, _SHRINKAGE * wanted, _WIDENING * before.reach)
+    reach = jnp.where(gone < 0.5 * wanted, _SET.shrinkage * wanted, 2.0 * before.reach)
     target = jnp.clip(target, s - reach, s + reach)
     return target, _Secant(s, slope, curvature, low, high, target, reach)
-
-
-def _ordinate(s: Array) -> Array:
-    return jnp.exp(2.0 * s) + _TAU * s
-
-
-def _abscissa(ordinate: Array, low: Array, high: Array) -> Array:
-    """s of Y between `low` and `high`, or the nearer of them; NaN for NaN."""
-
-    low, high = bisect(lambda s: _ordinate(s) <= ordinate, low, high, 40)
-    return jnp.where(jnp.isnan(ordinate), jnp.nan, 0.5 * (low + high))
-
-
-def _fresh(place: Place) -> _Newton:
-    infinite, none = jnp.asarray(jnp.inf), jnp.zeros((), int)
-    return _Newton(place, infinite, jax.tree.map(jnp.zeros_like, place), jnp.asarray(_FIRST), none)
-
-
-# Widths over the speed of the problem: below the first two the dry cycle is wanted exactly, and
-# the asymptotics of a thin layer are the better guess; above the last they are none.
-_POLISH, _THIN, _THICK = 1e-4, 3e-2, 0.1
-# Below this a fold is searched for here, and moved on by the asymptotics.  Over the speed of the
-# problem these err by 20 (3e-8)^(3/2) = 1e-10 and, where the slip cycle is very unstable, by
-# 200 (3e-7)^(3/2) = 3e-8: 200 is above all that was measured in 300 random sets, 20 above most.
-_LEAST_WIDTH, _LEAST_UNSTABLE = 3e-8, 3e-7
-_LOOSE, _LOOSE_PER_WIDTH = 1e-6, 1e-3
-# Multiplier of the dry slip cycle, and width, from which on a loose integration is no help.
-_UNSTABLE, _NARROW = 30.0, 1e-5
-
-
-class Start(NamedTuple):
-    """Equations and a first guess of a fold.
-
-    `width`: the least width that the search is for; `loose`: the tolerance on the way; `hopeful`:
-    whether there is something to search for, and if not, `result`: why not; `tame`: whether the
-    slip cycle is known, and not very unstable; `sides`: V_+, V_-, kappa and h of the touch.
-    """
-
-    shooting: Shooting
-    place: Place
-    width: Float[Array, ""]
-    loose: Float[Array, ""]
-    hopeful: Bool[Array, ""]
-    result: SearchResult
-    tame: Bool[Array, ""]
-    sides: tuple[Array, Array, Array, Array]
-
-
-def first_guess(chain: Chain, mass: int) -> Start:
-    """Equations and a place near the fold; nothing in here is to be differentiated."""
-    alone = one_mass(chain, mass)
-    dry_averaged = dry_summits(alone)
-    scale = speed_scale(alone, dry_fold_speed(alone))
-    exact = alone.width < _POLISH * scale
-    dry = find_dry_fold(chain, mass, exact, dry_averaged)
-    touch = Touch(chain, dry.steps, mass)
-    (_, v), _, dry_speed = touch.unpack(dry.q, dry.w)
-    known = *dry.sides[-1], touch.fall(v), touch.hold
-    multiplier = -known[0] / known[1]
-    unstable, tame = multiplier > _UNSTABLE, dry.turns & (multiplier <= _UNSTABLE)
-    least = scale * jnp.where(unstable, _LEAST_UNSTABLE, _LEAST_WIDTH)
-    least = jnp.where(jnp.isfinite(least), least, 0.0)
-    chain, alone = at_least_wide(chain, least), at_least_wide(alone, least)
-    width = alone.width
-    averaged, averaged_s, exists = fold_guess(alone)
-    by_leaving, by_arriving, fall, hold = known
-    here = layer(by_leaving, by_arriving, fall, hold, width)
-    # The layer is thin, or else averaging knows better where it is, and what belt speed it has.
-    touches = dry.turns & (dry.ratio >= 1.0)
-    layered = touches & jnp.isfinite(here.closeness) & (width < _THICK * scale)
-    # A fold without a touch stays where it is, but for what keeps it out of the layer.
-    free = dry.turns & ~touches & (width < _THICK * scale)
-    thin = (layered | free) & (width < _THIN * scale)
-    moved = dry.q + dry.sides @ jnp.stack([here.leaving, here.arriving])
-    moved = jnp.where(layered, moved, dry.q)
-    # Averaging errs by the same factor for smoothed as for dry friction, or nearly so.
-    factor = jnp.where(dry.turns, dry_speed / dry_averaged[1][0], 1.0)
-    speed = jnp.where(thin, moved[-1], averaged * factor)
-    s = jnp.where(layered, here.closeness, averaged_s)
-    s = jnp.where(free, jnp.minimum(dry.w / width, usual_closeness(width / dry_speed)), s)
-    (x, v), period, _ = touch.unpack(moved, jnp.where(layered, 0.0, dry.w))
-    # The velocity of mass j is greatest a little before the touch.
-    early = jnp.where(layered, here.time, 0.0)
-    force = slip_force(chain, moved[-1], v) + chain.restoring_force(x)
-    x, v = x + early * v, (v + early * force).at[mass].set(speed + width * s)
-
-    shooting = Shooting(
-        field=chain, rtol=FOLD_RTOL, solver=fit_linear_solve(Rodas5P(), chain, FOLD_RTOL),
-        mass=mass, images=tuple(range(chain.n)), parameter="belt_speed",
-    )  # fmt: skip
-    place = as_place(shooting, shooting.pack((x, v), period, speed), speed)
-    exists = exists | thin
-    damped = alone.damping_ratio > 0
-    touches = jnp.all(jnp.isfinite(place.q)) & jnp.isfinite(place.z)
-    none = damping_outweighs(chain)
-    failed = SearchResult.where(touches, SearchResult.no_cycle, SearchResult.no_touch)
-    result = without_fold(failed, exists, damped, none)
-    # A loose integration would spoil a guess that is better than it.
-    good = thin & (unstable | (width < _NARROW * scale))
-    loose = jnp.where(good, FOLD_RTOL, loose_rtol(chain))
-    hopeful = ~none & damped & exists & touches
-    return Start(shooting, place, least, loose, hopeful, result, tame, known)
-
-
-def at_least_wide(chain: Chain, least: Array) -> Chain:
-    """`chain` with no width below `least`."""
-    return chain.with_(width=jnp.maximum(chain.width, least))
-
-
-def narrowed(start: Start, width: Array) -> Array:
-    """What the fold gains from the width of the search to a smaller `width`, else 0.
-
-    By the asymptotics of `boundaries/grazing.py`; differentiable in `width`.
-    """
-    by_leaving, by_arriving, fall, hold = jax.tree.map(lax.stop_gradient, start.sides)
-    tiny = width < start.width
-
-    def shifted(width: Array) -> Array:
-        width = jnp.where(tiny, width, 1.0)
-        return shift(by_leaving, by_arriving, fall, hold, width)
-
-    return jnp.where(tiny, shifted(width) - shifted(start.width), 0.0)
-
-
-def loose_rtol(chain: Chain) -> Array:
-    """The tolerance of integration that does on the way to a fold."""
-    return jnp.clip(_LOOSE_PER_WIDTH * jnp.min(chain.width), 1e-9, _LOOSE)
 
 
 @final
@@ -446,12 +418,13 @@ class Fold(Outcome):
     - `belt_speed`: v_d, NaN if no fold was found.
     - `period` and `state`: of the cycle there, cut at the greatest velocity of mass `mass`.
     - `closeness`: s = max w / eps of that mass; a mass with s < 0 never reaches the belt's speed.
+      With dry friction 0 for one that touches it, else -inf.
     - `residual`: the gap after a period over the amplitude of velocity.
     - `result`: a `SearchResult`: successful; no_fold, which is proved; or why the search failed,
       which says nothing about whether there is a fold.  `message` puts it into words.
     - `width`: of the friction with which the cycle was closed, that of the chain or a little more:
-      see `fold_belt_speed`.
-    - `evaluations`: shooting Jacobians it took.
+      see `fold_belt_speed`; 0 for dry friction.
+    - `evaluations`: Jacobians of the closing equations it took.
 
     !!! example
 
@@ -514,59 +487,45 @@ def fold_belt_speed(chain: Any, vibrating: Any = None) -> Float[Array, ""]:
         >>> round(float(slope), 3)  # more damping, less vibration
         -26.456
     """
-    return fold_and_result(chain, check_vibrating(chain, vibrating))[0]
+    return speed_and_closeness(chain, check_vibrating(chain, vibrating))[0]
 
 
-def fold_and_result(chain: Chain, mass: int) -> tuple[Float[Array, ""], SearchResult]:
-    """(`fold_belt_speed`, how the search for it ended)."""
-    if chain.dry:
-        fold = find_grazing(chain, mass)
-        return fold.belt_speed, fold.result
-    speed, _, result = smoothed_fold(chain, mass)
-    return speed, result
-
-
-def smoothed_fold(
+def speed_and_closeness(
     chain: Chain, mass: int
 ) -> tuple[Float[Array, ""], Float[Array, ""], SearchResult]:
-    """(`fold_belt_speed`, s = max w / eps there, how the search ended) with a width."""
+    """(`fold_belt_speed`, s = max w / eps there, how the search for it ended)."""
+    if chain.dry:
+        fold = find_fold(chain, mass)
+        return fold.belt_speed, fold.closeness, fold.result
     start, found = _find(lax.stop_gradient(chain), mass)
-    speed = _belt_speed(chain, mass, start, found)
-    return speed, jnp.sinh(found.here.z), _result(start, found)
-
-
-def _result(start: Start, found: Search) -> SearchResult:
-    return SearchResult.where(found.found, SearchResult.successful, start.result)
+    return _belt_speed(chain, mass, start, found), jnp.sinh(found.point[-1]), start.result
 
 
 @eqx.filter_jit
 def _belt_speed(chain: Chain, mass: int, start: Start, found: Search) -> Array:
     """v_d with its derivatives."""
     held = _held(chain, start)
-    q = attach_derivative(
-        held_residual, found.here.q, (held, lax.stop_gradient(found.here.z)), once=_ONCE
+    z = lax.stop_gradient(found.point[-1])
+    once = (
+        "`fold_belt_speed` can be differentiated once only. For second derivatives take "
+        "`find_fold(chain).belt_speed`."
     )
+    q = attach_derivative(held_residual, found.point[:-1], (held, z), once=once)
     return if_found(found.found, q[held.place] + _gained(chain, mass, start))
-
-
-_ONCE = (
-    "`fold_belt_speed` can be differentiated once only. For second derivatives take "
-    "`find_fold(chain).belt_speed`."
-)
 
 
 def held_residual(q: Float[Array, " m"], held: tuple[Shooting, Array]) -> Float[Array, " m"]:
     """The equations of the cycle whose mass j has max w / eps = sinh z."""
     shooting, z = held
-    return shooting.residual(*unknowns(shooting, Place(q, z)))
+    return shooting.residual(*unknowns(shooting, jnp.append(q, z)))
 
 
 def find_fold(chain: Any, vibrating: Any = None) -> Fold:
     """The fold of `fold_belt_speed` with its cycle, all of it differentiable.
 
-    Arguments, errors and transformations as there, but for smoothed friction alone (`find_grazing`
-    is for dry friction); derivatives of any order, which cost more, of
-    the whole orbit: they come from the bordered system [closure; singularity] = 0.
+    Arguments, errors and transformations as there; derivatives of any order, which cost more, of
+    the whole orbit: they come from the bordered system [closure; singularity] = 0, and for dry
+    friction from the equations of the touch.
 
     **Returns:** a `Fold`.
 
@@ -579,17 +538,31 @@ def find_fold(chain: Any, vibrating: Any = None) -> Fold:
     (True, 6.3028, -2.142)
     """
     mass = check_vibrating(chain, vibrating)
-    require_smoothed(chain, "use `find_grazing`, or ")
-    return _fold(chain, mass, *_find(lax.stop_gradient(chain), mass))
+    if not chain.dry:
+        return _fold(chain, mass, *_find(lax.stop_gradient(chain), mass))
+    touch = find_grazing(chain, mass)
+    return Fold(
+        belt_speed=touch.belt_speed,
+        period=touch.period,
+        state=touch.state,
+        closeness=jnp.where(touch.touches, 0.0, -jnp.inf),
+        residual=touch.residual,
+        result=touch.result,
+        width=jnp.zeros(()),
+        evaluations=touch.evaluations,
+        mass=mass,
+    )
 
 
 @eqx.filter_jit
 def _fold(chain: Chain, mass: int, start: Start, found: Search) -> Fold:
     """The fold with the derivatives of its cycle."""
     held = _held(chain, start)
-    u, speed = unknowns(start.shooting, found.here)
-    borders = _borders(start.shooting, found)
-    both = attach_derivative(_FOLD_RESIDUAL, jnp.append(u, speed), (held, borders))
+    # (left, right) null vectors of dR/du at the fold.
+    slope = found.jacobian[:, :-1].at[:, held.place].set(found.jacobian[:, -1])
+    left, _, right = jnp.linalg.svd(jnp.where(found.found, slope, jnp.eye(slope.shape[0])))
+    both = jnp.append(*unknowns(held, found.point))
+    both = attach_derivative(fold_residual(closure), both, (held, (left[:, -1], right[-1])))
     _, state, period = held.unpack(both[:-1], both[-1])
     return Fold(
         belt_speed=if_found(found.found, both[-1] + _gained(chain, mass, start)),
@@ -597,34 +570,25 @@ def _fold(chain: Chain, mass: int, start: Start, found: Search) -> Fold:
         state=state,
         closeness=jnp.sinh(both[held.place]),
         residual=found.residual,
-        result=_result(start, found),
+        result=start.result,
         width=held.field.width,  # pyright: ignore[reportAttributeAccessIssue]
-        evaluations=found.count,
+        evaluations=found.evaluations,
         mass=mass,
     )
 
 
-_FOLD_RESIDUAL = fold_residual(closure)
-
-
-def _borders(shooting: Shooting, found: Search) -> tuple[Array, Array]:
-    """(left, right) null vectors of dR/du at the fold."""
-    slope = found.jacobian[:, :-1].at[:, shooting.place].set(found.jacobian[:, -1])
-    left, _, right = jnp.linalg.svd(jnp.where(found.found, slope, jnp.eye(slope.shape[0])))
-    return left[:, -1], right[-1]
-
-
 @eqx.filter_jit
 def _find(chain: Chain, mass: int) -> tuple[Start, Search]:
-    """The start, and the fold; nothing in here is to be differentiated.
+    """The start, with how the search ended, and the fold; nothing in here is to be differentiated.
 
     A program by itself, which values, derivatives and the whole `Fold` share.
     """
     start = first_guess(chain, mass)
-    found = search(start.shooting, start.place, start.loose, start.hopeful, start.tame)
-    field, (_, v), period = start.shooting.unpack(*unknowns(start.shooting, found.here))
-    possible = can_be_cycle(field, period, jnp.abs(v))
-    return start, eqx.tree_at(lambda s: s.found, found, found.found & possible)
+    found = search(start)
+    field, (_, v), period = start.shooting.unpack(*unknowns(start.shooting, found.point))
+    found = found._replace(found=found.found & can_be_cycle(field, period, jnp.abs(v)))
+    result = SearchResult.where(found.found, SearchResult.successful, start.result)
+    return start._replace(result=result), found
 
 
 def _held(chain: Chain, start: Start) -> Shooting:
@@ -634,20 +598,18 @@ def _held(chain: Chain, start: Start) -> Shooting:
 
 
 def _gained(chain: Chain, mass: int, start: Start) -> Array:
-    """What the belt speed still gains from the width of the search to that of the chain."""
-    width = chain.width
-    return narrowed(start, width[mass] if width.ndim else width)
+    """What the belt speed gains from the width of the search to a smaller one of the chain.
+
+    By the asymptotics of `boundaries/grazing.py`; differentiable in the width.
+    """
+    width = chain.width[mass] if chain.width.ndim else chain.width
+    tiny, slopes = width < start.width, Slopes(*lax.stop_gradient(tuple(start.slopes)))
+    gained = slopes.shift(jnp.where(tiny, width, 1.0)) - slopes.shift(start.width)
+    return jnp.where(tiny, gained, 0.0)
 
 
 # Sets that a device takes at a time: some 10 ms of work, beside which the host's share is nothing.
 _AT_ONCE = 8
-_NAMES = (*SearchResult._name_to_item, "interrupted")  # pyright: ignore  # as in `result`
-_INTERRUPTED = len(_NAMES) - 1
-_LABELS = {
-    "fold_belt_speed": ("greatest belt speed of a vibration", parameter("belt_speed").attrs),
-    "period": ("period of the cycle there", {"units": "1 / omega_n"}),
-    "result": ("how the search ended", {"units": "1"}),
-}
 
 
 def fold_belt_speeds(
@@ -702,123 +664,81 @@ def fold_belt_speeds(
             "Argument `over` names 'belt_speed', which has no part in a fold: its belt speed is "
             "what is looked for. Leave it out."
         )
-    started = time.perf_counter()
-    records = _blank(next(iter(values.values())).size)
-    interrupted = False
-    try:
-        _compute(chain, mass, values, records, progress)
-    except KeyboardInterrupt:
-        interrupted = True
-    attrs = {"vibrating": mass, "wall_time_s": round(time.perf_counter() - started, 3)}
-    dataset = _to_dataset(chain, records, axes, attrs)
-    if interrupted:
-        raise SweepInterrupted(dataset)
-    return dataset
-
-
-def _blank(count: int) -> dict[str, np.ndarray]:
-    return {
-        "fold_belt_speed": np.full(count, np.nan),
-        "period": np.full(count, np.nan),
-        "result": np.full(count, _INTERRUPTED, np.int32),
-    }
-
-
-def _compute(
-    chain: Chain,
-    mass: int,
-    values: Mapping[str, np.ndarray],
-    records: dict[str, np.ndarray],
-    show: bool,
-) -> None:
-    """Fills `records`, a device with the next few sets as soon as it is free."""
-    total = records["result"].size
-    begins = range(0, total, _AT_ONCE)
-    devices = jax.local_devices()[: len(begins)]
-    free: SimpleQueue = SimpleQueue()
-    for device in devices:
-        free.put((device, place(_Search(chain, mass), device)))
-
-    def some(begin: int) -> tuple[slice, dict[str, Any]]:
-        rows = slice(begin, min(begin + _AT_ONCE, total))
-        count = rows.stop - rows.start
-        own = {name: np.resize(column[rows], _AT_ONCE) for name, column in values.items()}
-        device, here = free.get()
+    began, count = time.perf_counter(), next(iter(values.values())).size
+    # Rows of a few sets each; the last one is filled up with its last set, which is not computed.
+    index = np.arange(-(-count // _AT_ONCE) * _AT_ONCE).reshape(-1, _AT_ONCE)
+    columns = [np.minimum(np.sum(index < count, axis=1), _AT_ONCE)]
+    columns += [column[np.minimum(index, count - 1)] for column in values.values()]
+    names = (*SearchResult._name_to_item, "interrupted")  # pyright: ignore  # as in `result`
+    records = np.full((3, index.size), np.nan)
+    records[2] = len(names) - 1
+    task, rows, stopped = _Task(chain, mass, tuple(values)), len(jax.local_devices()), False
+    with progress_bar(total=count, desc="folds", unit="fold", show=progress) as bar:
         try:
-            given = jax.device_put((own, count), device)
-            found = jax.device_get(ready(_find_some, device, here, *given)(*given))
-        finally:
-            free.put((device, here))
-        return rows, {name: column[:count] for name, column in found.items()}
-
-    with (
-        progress_bar(total=total, desc="folds", unit="fold", show=show) as bar,
-        ThreadPoolExecutor(len(devices)) as pool,
-    ):
-        waiting: list[Future] = [pool.submit(some, begin) for begin in begins]
-        try:
-            for future in as_completed(waiting):
-                rows, found = future.result()
-                for name, column in found.items():
-                    records[name][rows] = column
-                bar.update(rows.stop - rows.start)
-        finally:  # after Ctrl-C or an error, what has not begun is left
-            pool.shutdown(wait=False, cancel_futures=True)
-
-
-class _Search(eqx.Module):
-    """What is the same for all sets."""
-
-    chain: Chain
-    mass: int = eqx.field(static=True)
-
-
-def _find_some(
-    search: _Search, values: dict[str, Array], count: Int[Array, ""]
-) -> dict[str, Array]:
-    """The folds of the first `count` sets, one after the other."""
-    chain, mass = search.chain, search.mass
-
-    def one(k: Array, found: dict[str, Array]) -> dict[str, Array]:
-        own = with_numbers(chain, {name: column[k] for name, column in values.items()})
-        fold = (find_grazing if chain.dry else find_fold)(own, mass)
-        new = {
-            "fold_belt_speed": fold.belt_speed,
-            "period": jnp.where(fold.successful, fold.period, jnp.nan),
-            "result": fold.result._value,  # pyright: ignore  # as in `result`
-        }
-        return {name: column.at[k].set(new[name]) for name, column in found.items()}
-
-    blank = {name: jnp.asarray(column) for name, column in _blank(_AT_ONCE).items()}
-    return lax.fori_loop(0, count, one, blank)
-
-
-def _to_dataset(
-    chain: Chain, records: Mapping[str, np.ndarray], axes: Axes, attrs: Mapping[str, Any]
-) -> Dataset:
+            for first in range(0, len(index), rows):
+                some = slice(first, first + rows)
+                found = map_lanes(_folds, task, [column[some] for column in columns], lanes=1)
+                records[:, index[some].ravel()] = np.moveaxis(found, 1, 0).reshape(3, -1)
+                bar.update(int(columns[0][some].sum()))
+        except KeyboardInterrupt:
+            stopped = True
     # xarray brings pandas, which would double the time of the import.
     import xarray as xr
 
     from ..model.provenance import versions
 
     shape = sizes(axes)
-    variables = {
-        name: (tuple(shape), column.reshape(tuple(shape.values())), {"long_name": title, **own})
-        for name, column in records.items()
-        for title, own in [_LABELS[name]]
+    speeds, periods, codes = records[:, :count].reshape(3, *shape.values())
+    flags = {
+        "flag_values": np.arange(len(names), dtype=np.int32),
+        "flag_meanings": " ".join(names),
     }
+    labels = {
+        "fold_belt_speed": ("greatest belt speed of a vibration", parameter("belt_speed").attrs),
+        "period": ("period of the cycle there", {"units": "1 / omega_n"}),
+        "result": ("how the search ended", {"units": "1"} | flags),
+    }
+    columns = speeds, periods, codes.astype(np.int32)
     coords = {
         name: (dim, column, parameter(name).attrs)
-        for dim, columns in axes.items()
-        for name, column in columns.items()
+        for dim, parts in axes.items()
+        for name, column in parts.items()
     }
-    about = {
-        "chain": eqx.tree_pformat(chain, short_arrays=False),
-        "versions": json.dumps(versions()),
-        **attrs,
-    }
-    dataset = xr.Dataset(variables, coords=coords, attrs=about)
-    dataset["result"].attrs |= {
-        "flag_values": np.arange(len(_NAMES), dtype=np.int32), "flag_meanings": " ".join(_NAMES),
-    }  # fmt: skip
+    wall = round(time.perf_counter() - began, 3)
+    dataset = xr.Dataset(
+        {
+            name: (tuple(shape), column, {"long_name": title} | more)
+            for column, (name, (title, more)) in zip(columns, labels.items(), strict=True)
+        },
+        coords,
+        {
+            "chain": eqx.tree_pformat(chain, short_arrays=False),
+            "versions": json.dumps(versions()),
+            "vibrating": mass,
+        }
+        | {"wall_time_s": wall},
+    )
+    if stopped:
+        raise SweepInterrupted(dataset)
     return dataset
+
+
+class _Task(eqx.Module):
+    """What is the same for all sets: their chain, and the names of the numbers that vary."""
+
+    chain: Chain
+    mass: int = eqx.field(static=True)
+    names: tuple[str, ...] = eqx.field(static=True)
+
+
+def _folds(task: _Task, count: Int[Array, ""], *values: Float[Array, " sets"]) -> Array:
+    """(belt speed, period, result) of the first `count` sets, one after the other."""
+
+    def one(k: Array, folds: Array) -> Array:
+        numbers = {name: column[k] for name, column in zip(task.names, values, strict=True)}
+        fold = find_fold(with_numbers(task.chain, numbers), task.mass)
+        period = jnp.where(fold.successful, fold.period, jnp.nan)
+        code = fold.result._value  # pyright: ignore  # as in `result`
+        return folds.at[:, k].set(jnp.stack([fold.belt_speed, period, code.astype(float)]))
+
+    return lax.fori_loop(0, count, one, jnp.full((3, _AT_ONCE), jnp.nan))

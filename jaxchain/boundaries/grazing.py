@@ -44,6 +44,7 @@ with rho = -V_+ / V_-.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -61,13 +62,39 @@ from ..continuation.damped_newton import Factors, Iterate, advance, begin, facto
 from ..continuation.elimination import solve
 from ..continuation.fold_points import fold_residual
 from ..continuation.implicit import attach_derivative, if_found
-from ..cycles.averaging import dry_summits, graded, one_mass
+from ..cycles.averaging import Summits, dry_summits, graded, one_mass
 from ..cycles.floquet import can_be_cycle
 from ..model.chain import Chain, steady_sliding
 from ..model.initial_states import check_vibrating
 from ..model.sliding import damping_outweighs
 from ..result import Outcome, SearchResult
 from ..solvers.dormand_prince import step as step_of_order_8
+
+
+@final
+@dataclass(frozen=True)
+class GrazingSettings:
+    """Constants of the search for the fold of dry friction.
+
+    - `coarse_steps`, `first_steps`, `most_steps`: steps of one length in a period.  Of the paper's
+      fold 16 err by 1e-9 and 64 by rounding; they are doubled from `first_steps` until the fold
+      moves by no more than `settled` of itself.
+    - `closed`: Newton's last step over |u|; `entries`: Jacobians of the whole search at most.
+    - `least_stride`: of the way from weaker friction, and in y = (greatest velocity / v_d)^2;
+      `stationary`: the error of a summit in y.
+    """
+
+    coarse_steps: int = 32
+    first_steps: int = 64
+    most_steps: int = 1024
+    settled: float = 1e-11
+    closed: float = 1e-9
+    entries: int = 600
+    least_stride: float = 1e-3
+    stationary: float = 1e-8
+
+
+_SET = GrazingSettings()
 
 
 class Touch(eqx.Module):
@@ -189,10 +216,6 @@ def touch_slopes(
     return gap, slopes, highest
 
 
-# The greatest w is at tau > -8: Q Phi is below rounding before, exp(tau^2) above 1e27.
-_EARLIEST, _HALVINGS = -8.0, 44
-
-
 class Layer(NamedTuple):
     """The fold of smoothed friction near a touch: w_+, w_-, the greatest w / eps, and its time."""
 
@@ -202,64 +225,49 @@ class Layer(NamedTuple):
     time: Float[Array, ""]
 
 
-def sides(
-    by_leaving: Any, by_arriving: Any, fall: Any, hold: Any, width: ScalarLike
-) -> tuple[Array, Array, Array]:
-    """(w_+, w_-, ln Q) at the fold from V_+, V_-, kappa, h, eps; NaN unless V_+ + V_- > 0 > V_-.
+class Slopes(NamedTuple):
+    """What the layer at a touch depends on: V_+, V_-, kappa and h."""
 
-    Errors: O(eps^(3/2)) in v_d.
-    """
-    rho = -by_leaving / by_arriving
-    log_q = jnp.log(4.0 * hold * jnp.sqrt(jnp.pi / (fall * width)))
-    arriving = 0.5 * width * (jnp.log(rho - 1.0) - log_q)
-    leaving = -0.5 * width * (log_q + jnp.log(rho / (rho - 1.0)))
-    return leaving, arriving, log_q
+    leaving: Float[Array, ""]
+    arriving: Float[Array, ""]
+    fall: Float[Array, ""]
+    hold: Float[Array, ""]
 
+    def _sides(self, width: ScalarLike) -> tuple[Array, Array, Array]:
+        """(w_+, w_-, ln Q) at the fold; NaN unless V_+ + V_- > 0 > V_-.  Errors O(eps^(3/2))."""
+        rho = -self.leaving / self.arriving
+        log_q = jnp.log(4.0 * self.hold * jnp.sqrt(jnp.pi / (self.fall * width)))
+        arriving = 0.5 * width * (jnp.log(rho - 1.0) - log_q)
+        return -0.5 * width * (log_q + jnp.log(rho / (rho - 1.0))), arriving, log_q
 
-def shift(by_leaving: Any, by_arriving: Any, fall: Any, hold: Any, width: ScalarLike) -> Array:
-    """v_d of the fold of smoothed friction less that of dry friction; arguments as in `sides`.
+    def shift(self, width: ScalarLike) -> Array:
+        """v_d of the fold of smoothed friction less that of dry friction.
 
-    0 for V_+ + V_- <= 0: the mass of that fold stays below the belt's speed, where smoothing
-    changes nothing.
-    """
-    touches = (by_leaving + by_arriving > 0) & (by_arriving < 0)
-    # Where nothing is shifted, NaN must not reach the derivative.
-    first, second, kappa, held = (
-        jnp.where(touches, a, b)
-        for a, b in ((by_leaving, 2.0), (by_arriving, -1.0), (fall, 1.0), (hold, 1.0))
-    )
-    leaving, arriving, _ = sides(first, second, kappa, held, width)
-    return jnp.where(touches, first * leaving + second * arriving, 0.0)
+        0 for V_+ + V_- <= 0: the mass of that fold stays below the belt's speed, where smoothing
+        changes nothing.
+        """
+        touches = (self.leaving + self.arriving > 0) & (self.arriving < 0)
+        # Where nothing is shifted, NaN must not reach the derivative.
+        safe = Slopes(*map(partial(jnp.where, touches), self, (2.0, -1.0, 1.0, 1.0)))
+        leaving, arriving, _ = safe._sides(width)
+        return jnp.where(touches, safe.leaving * leaving + safe.arriving * arriving, 0.0)
 
+    def layer(self, width: ScalarLike) -> Layer:
+        """The whole of the layer at the fold; errors as in `_sides`."""
+        leaving, arriving, log_q = self._sides(width)
+        # exp(-2 w / eps) / Q = m, least where 2 tau m + 1 / pi^(1/2) = 0.
+        start = 1.0 / (-self.leaving / self.arriving - 1.0)
 
-def layer(by_leaving: Any, by_arriving: Any, fall: Any, hold: Any, width: ScalarLike) -> Layer:
-    """The whole of the layer at the fold; arguments and errors as in `sides`."""
-    leaving, arriving, log_q = sides(by_leaving, by_arriving, fall, hold, width)
-    # exp(-2 w / eps) / Q = m, least where 2 tau m + 1 / pi^(1/2) = 0.
-    start = 1.0 / (-by_leaving / by_arriving - 1.0)
+        def least(tau: Array) -> Array:
+            return start * jnp.exp(tau**2) + jnp.exp(tau**2 + log_ndtr(jnp.sqrt(2.0) * tau))
 
-    def least(tau: Array) -> Array:
-        return start * jnp.exp(tau**2) + jnp.exp(tau**2 + log_ndtr(jnp.sqrt(2.0) * tau))
+        def falls(tau: Array) -> Array:
+            return 2.0 * tau * least(tau) + jnp.pi**-0.5 < 0
 
-    def falls(tau: Array) -> Array:
-        return 2.0 * tau * least(tau) + jnp.pi**-0.5 < 0
-
-    tau, _ = bisect(falls, jnp.full_like(start, _EARLIEST), jnp.zeros_like(start), _HALVINGS)
-    closeness = -0.5 * (log_q + jnp.log(least(tau)))
-    return Layer(leaving, arriving, closeness, tau * jnp.sqrt(width / fall))
-
-
-# Steps of one length in a period. Of the paper's fold, 16 err by 1e-9, and 64 by rounding; they
-# are doubled until the fold moves by no more than `_SETTLED` of itself.
-_QUICK, _FIRST, _MOST = 32, 64, 1024
-_CLOSED, _SETTLED = 1e-9, 1e-11
-_ENTRIES, _LEAST_STRIDE = 600, 1e-3
-_JACOBIANS, _LEAST_SHARE = 16, 2.0**-12
-# Along the slip cycles, in y = (greatest velocity / v_d)^2: the first step, the step below which
-# they tell nothing about the curvature of v_d, the error of a summit, and what is taken for rest.
-_PROBE, _APART, _STATIONARY, _REST = 0.05, 1e-5, 1e-8, 1e-5
-# Of two summits of averaging the second is tried, too, if it is above this share of the first.
-_NEARLY_AS_FAST = 0.9
+        # At tau < -8 Q Phi is below rounding, and exp(tau^2) above 1e27.
+        tau, _ = bisect(falls, jnp.full_like(start, -8.0), jnp.zeros_like(start), 44)
+        closeness = -0.5 * (log_q + jnp.log(least(tau)))
+        return Layer(leaving, arriving, closeness, tau * jnp.sqrt(width / self.fall))
 
 
 class DryFold(NamedTuple):
@@ -269,7 +277,7 @@ class DryFold(NamedTuple):
     touch.  `sides`: dq / d(w_+, w_-) of the equations at this ratio, V_+ and V_- in the last row
     where the belt's speed is stationary or the ratio is 1.  `turns`: whether the belt is faster
     than for all nearby slip cycles; if not, q is of the least that was reached.  `steps`: of
-    `Touch`, in a period.
+    `Touch`, in a period; `evaluations`: Jacobians it took.
     """
 
     q: Float[Array, " m"]
@@ -277,6 +285,7 @@ class DryFold(NamedTuple):
     sides: Float[Array, "m two"]
     turns: Bool[Array, ""]
     steps: Int[Array, ""]
+    evaluations: Int[Array, ""]
 
     @property
     def w(self) -> Array:
@@ -284,71 +293,78 @@ class DryFold(NamedTuple):
         return (self.ratio - 1.0) * self.q[-1]
 
 
-class _Way(eqx.Module):
-    """Where the search stands.  It goes along `share`, then along y = `ratio`^2."""
+class _Secant(NamedTuple):
+    """What slip cycles tell of v_d over y; `low` < the summit < `high`."""
 
-    q: Float[Array, " m"]  # at `reached` and `y`
-    slope: Float[Array, " m"]  # dq / d share from there to where it was before
-    sides: Float[Array, "m two"]
-    reached: Float[Array, ""]
-    goal: Float[Array, ""]
     y: Float[Array, ""]
-    target: Float[Array, ""]  # the next y
     rise: Float[Array, ""]  # dv_d / dy at `y`; NaN before the first
     curvature: Float[Array, ""]  # its derivative; NaN while unknown
     low: Float[Array, ""]  # the greatest y with dv_d / dy > 0
     high: Float[Array, ""]  # the least with dv_d / dy < 0
+
+
+class _Way(NamedTuple):
+    """Where the search stands.  It goes along `share`, then along y = `ratio`^2."""
+
+    q: Float[Array, " m"]  # at `reached` and `secant.y`
+    slope: Float[Array, " m"]  # dq / d share from there to where it was before
+    sides: Float[Array, "m two"]
+    reached: Float[Array, ""]
+    goal: Float[Array, ""]
+    secant: _Secant
+    target: Float[Array, ""]  # the next y
     steps: Int[Array, ""]
     coarse: Float[Array, ""]  # v_d of the fold with half as many; NaN for none
     newton: Iterate  # `aux` is dq / d(w_+, w_-)
-    count: Int[Array, ""]
+    evaluations: Int[Array, ""]
     settled: Bool[Array, ""]
     turns: Bool[Array, ""]
 
 
 def find_dry_fold(
-    chain: Chain, mass: int, exact: Any = True, averaged: tuple[Array, Array] | None = None
+    chain: Chain, mass: int, alone: Chain, summits: Summits, exact: Any = True
 ) -> DryFold:
     """The fold of dry friction, where mass `mass` alone vibrates; NaN where no cycle was found.
 
     From averaging, which is exact for weak friction and damping, in one leap where that goes, else
     by way of chains with weaker friction, damping and coupling; then along the slip cycles to the
     one with the fastest belt.  If `exact`, which may be traced, it is then polished with more and
-    more steps.  `averaged` is `dry_summits`, if it is known; the second of these is tried where
-    it is nearly as fast as the first, or the first search fails.  Nothing in here is to be
-    differentiated.
+    more steps.  `alone` is `one_mass` of the chain, and `summits` its `dry_summits`; the second of
+    these is tried where it is nearly as fast as the first, or the first search fails.  Nothing in
+    here is to be differentiated.
 
     Newton's method and the way are one loop, so that the lanes of a
     batch need not wait for each other, and the orbit is compiled once.
     """
-    alone = one_mass(chain, mass)
-    ratios, speeds = dry_summits(alone) if averaged is None else averaged
 
     def also(best: DryFold, guess: tuple[Array, Array, Array]) -> tuple[DryFold, None]:
         ratio, speed, first = guess
-        wanted = first | ~best.turns | (speed > _NEARLY_AS_FAST * speeds[0])
-        new = _climb(chain, mass, ratio, jnp.where(wanted, speed, jnp.nan), exact)
+        # The second of two summits of averaging that are nearly as fast is tried, too.
+        wanted = first | ~best.turns | (speed > 0.9 * summits.speeds[0])
+        new = _climb(chain, mass, alone, ratio, jnp.where(wanted, speed, jnp.nan), exact)
         slower = best.turns & (~new.turns | (best.q[-1] >= new.q[-1]))
         kept = slower | (jnp.isnan(new.q[-1]) & ~first)
-        return where(kept, best, new), None
+        return where(kept, best, new)._replace(
+            evaluations=best.evaluations + new.evaluations
+        ), None
 
-    m = 2 * chain.n
-    nothing = DryFold(
-        jnp.full(m, jnp.nan), jnp.ones(()), jnp.full((m, 2), jnp.nan), jnp.asarray(False),
-        jnp.asarray(_QUICK),
-    )  # fmt: skip
-    return lax.scan(also, nothing, (ratios, speeds, jnp.asarray([True, False])))[0]
+    m, no, steps = 2 * chain.n, jnp.asarray(False), jnp.asarray(_SET.coarse_steps)
+    nan, none = jnp.full((m, 2), jnp.nan), jnp.zeros((), int)
+    nothing = DryFold(nan[:, 0], jnp.ones(()), nan, no, steps, none)
+    guesses = summits.ratios, summits.speeds, jnp.asarray([True, False])
+    return lax.scan(also, nothing, guesses)[0]
 
 
-def _climb(chain: Chain, mass: int, ratio: Array, speed: Array, exact: Any) -> DryFold:
+def _climb(
+    chain: Chain, mass: int, alone: Chain, ratio: Array, speed: Array, exact: Any
+) -> DryFold:
     """`find_dry_fold` from the cycle of averaging with this ratio and belt speed."""
-    alone = one_mass(chain, mass)
-    x, v = steady_sliding(eqx.tree_at(lambda c: c.belt_speed, chain, speed))
-    first = Touch(chain, jnp.asarray(_QUICK), mass)
-    q = first.pack((x, v), 2 * jnp.pi / jnp.sqrt(alone.stiffness), speed)
-    zero, one, none = jnp.zeros(()), jnp.ones(()), jnp.zeros((), int)
+    rest = steady_sliding(eqx.tree_at(lambda c: c.belt_speed, chain, speed))
+    first = Touch(chain, jnp.asarray(_SET.coarse_steps), mass)
+    q = first.pack(rest, 2 * jnp.pi / jnp.sqrt(alone.stiffness), speed)
+    zero, one, no = jnp.zeros(()), jnp.ones(()), jnp.asarray(False)
     nan, infinite = jnp.asarray(jnp.nan), jnp.asarray(jnp.inf)
-    weights = jnp.ones_like(q)
+    weights, unknown = jnp.ones_like(q), jnp.full((q.shape[0], 2), jnp.nan)
 
     def linearise(goal: Array, y: Array, steps: Array, q: Array) -> tuple[Array, Factors, Array]:
         part = Touch(weakened(chain, goal), steps, mass)
@@ -361,108 +377,92 @@ def _climb(chain: Chain, mass: int, ratio: Array, speed: Array, exact: Any) -> D
     # Traced once, for its shapes and for the loop.
     linearise = eqx.filter_closure_convert(linearise, one, one, first.steps, q)
     nothing = begin(partial(linearise, one, one, first.steps), q)
+    secant = _Secant(ratio**2, nan, nan, -infinite, infinite)
     start = _Way(
-        q=q, slope=jnp.zeros_like(q), sides=jnp.full((q.shape[0], 2), jnp.nan), reached=zero,
-        goal=one, y=ratio**2, target=ratio**2, rise=nan, curvature=nan, low=-infinite,
-        high=infinite, steps=first.steps, coarse=nan, newton=nothing, count=none,
-        settled=jnp.asarray(False), turns=jnp.asarray(False),
-    )  # fmt: skip
+        *(q, jnp.zeros_like(q), unknown, zero, one, secant, ratio**2, first.steps),
+        *(nan, nothing, jnp.zeros((), int), no, no),
+    )
 
     def goes_on(now: _Way) -> Array:
-        hopeful = (now.goal - now.reached > _LEAST_STRIDE) | (now.reached >= 1.0)
-        return ~now.settled & hopeful & (now.count < _ENTRIES) & jnp.isfinite(speed)
+        hopeful = (now.goal - now.reached > _SET.least_stride) | (now.reached >= 1.0)
+        return ~now.settled & hopeful & (now.evaluations < _SET.entries) & jnp.isfinite(speed)
 
     def body(now: _Way) -> _Way:
         newton = advance(partial(linearise, now.goal, now.target, now.steps), now.newton, weights)
         root = newton.u + newton.step
-        ended = newton.length <= _CLOSED * (1.0 + jnp.linalg.norm(newton.u))
+        ended = newton.length <= _SET.closed * (1.0 + jnp.linalg.norm(newton.u))
+        spent = (newton.damping < 2.0**-12) | (newton.evaluations >= 16)
+        spent = spent | jnp.isnan(newton.length)
         good = ended & (root[-1] > 0)
-        spent = (newton.damping < _LEAST_SHARE) | (newton.evaluations >= _JACOBIANS)
-        hopeless = spent | jnp.isnan(newton.length)
-        over = ended | hopeless
 
-        stride = now.goal - now.reached
+        stride, apart = now.goal - now.reached, now.target - now.secant.y
         reached = jnp.where(good, now.goal, now.reached)
-        ahead = jnp.where(good, now.goal + stride, now.reached + 0.25 * stride)
-        goal = jnp.minimum(ahead, 1.0)
+        goal = jnp.where(good, now.goal + stride, now.reached + 0.25 * stride)
+        goal = jnp.minimum(goal, 1.0)
         # At full strength: along the slip cycles, for a guess; with ever more steps for more.
         full = reached >= 1.0
-        y, target, rise, curvature, low, high, there, turns = _uphill(now, root, newton.aux)
-        there = full & good & there
-        apart = now.target - now.y
-        lost = full & ~good & (jnp.abs(apart) <= _LEAST_STRIDE)
-        still = jnp.abs(root[-1] - now.coarse) <= _SETTLED * root[-1]
-        gone = there & ~turns
-        enough = there & (still | (now.steps >= _MOST) | ~jnp.asarray(exact))
-        enough = enough | lost | gone
-        more = jnp.where(now.steps > _QUICK, 2 * now.steps, _FIRST)
-        refined = there & ~enough
-        q = jnp.where(good, root, jnp.where(lost, jnp.nan, now.q))
-        slope = jnp.where(
-            good & (stride > 0), (root - now.q) / jnp.maximum(stride, 1e-9), now.slope
-        )
-        sides = jnp.where(good, newton.aux, now.sides)
         climbs, misses = full & good, full & ~good
-        target = jnp.where(climbs, target, now.y + jnp.where(misses, 0.25, 1.0) * apart)
-        y = jnp.where(climbs, y, now.y)
+        secant, target, summit, turns = _uphill(now.secant, now.target, root, newton.aux)
+        summit = climbs & summit
+        lost = misses & (jnp.abs(apart) <= _SET.least_stride)
+        still = jnp.abs(root[-1] - now.coarse) <= _SET.settled * root[-1]
+        enough = still | (now.steps >= _SET.most_steps) | ~jnp.asarray(exact)
+        settled = lost | (summit & (enough | ~turns))
+        refined = summit & ~settled
+        more = jnp.where(now.steps > _SET.coarse_steps, 2 * now.steps, _SET.first_steps)
+        # With other steps the fold may lie outside the bracket, by a little.
+        unbound = secant._replace(low=-infinite, high=infinite)
+        secant = where(refined, unbound, where(climbs, secant, now.secant))
+        shorter = now.secant.y + jnp.where(misses, 0.25, 1.0) * apart
+        target = jnp.where(climbs, target, shorter)
+        q = jnp.where(good, root, jnp.where(lost, jnp.nan, now.q))
+        strode = (root - now.q) / jnp.maximum(stride, 1e-9)
+        slope = jnp.where(good & (stride > 0), strode, now.slope)
+        sides = jnp.where(good, newton.aux, now.sides)
         # v_d sum(sides) is dq / d ratio.
-        along = q[-1] * jnp.sum(sides, axis=1) * (jnp.sqrt(target) - jnp.sqrt(y))
+        along = q[-1] * jnp.sum(sides, axis=1) * (jnp.sqrt(target) - jnp.sqrt(secant.y))
+        guess = q + (goal - reached) * slope + jnp.where(target != secant.y, along, 0.0)
+        steps = jnp.where(refined, more, now.steps)
+        coarse = jnp.where(refined, root[-1], now.coarse)
         onward = _Way(
-            q=q,
-            slope=slope,
-            sides=sides,
-            reached=reached,
-            goal=goal,
-            y=y,
-            target=target,
-            rise=jnp.where(climbs, rise, now.rise),
-            curvature=jnp.where(climbs, curvature, now.curvature),
-            # With other steps the fold may lie outside the bracket, by a little.
-            low=jnp.where(refined, -jnp.inf, jnp.where(climbs, low, now.low)),
-            high=jnp.where(refined, jnp.inf, jnp.where(climbs, high, now.high)),
-            steps=jnp.where(refined, more, now.steps),
-            coarse=jnp.where(refined, root[-1], now.coarse),
-            newton=nothing._replace(
-                u=q + (goal - reached) * slope + jnp.where(target != y, along, 0.0)
-            ),
-            count=now.count + 1,
-            settled=enough,
-            turns=there & turns,
+            *(q, slope, sides, reached, goal, secant, target, steps, coarse),
+            *(nothing._replace(u=guess), now.evaluations + 1, settled, summit & turns),
         )
-        same = eqx.tree_at(lambda k: (k.newton, k.count), now, (newton, now.count + 1))
-        return where(over, onward, same)
+        same = now._replace(newton=newton, evaluations=now.evaluations + 1)
+        return where(ended | spent, onward, same)
 
     last = lax.while_loop(goes_on, body, start)
     q, sides = (jnp.where(last.settled, part, jnp.nan) for part in (last.q, last.sides))
     turns = last.settled & last.turns & (q[-1] > 0)
-    return DryFold(q, jnp.sqrt(last.y), sides, turns, last.steps)
+    return DryFold(q, jnp.sqrt(last.secant.y), sides, turns, last.steps, last.evaluations)
 
 
-def _uphill(now: _Way, q: Array, sides: Array) -> tuple[Array, ...]:
-    """(y, next y, dv_d / dy, its slope, bracket, whether it ends here, whether that is a fold).
+def _uphill(
+    before: _Secant, y: Array, q: Array, sides: Array
+) -> tuple[_Secant, Array, Array, Array]:
+    """(what is known of v_d(y) now, the next y, whether it ends here, whether that is a fold).
 
     In y, the square of the ratio, the belt speed is smooth down to rest, where dv_d / dy is not 0.
     """
-    y = now.target
     rise = 0.5 * q[-1] * jnp.sum(sides[-1]) / jnp.sqrt(y)
-    low, high = jnp.where(rise > 0, y, now.low), jnp.where(rise > 0, now.high, y)
-    gap = y - now.y
-    apart = jnp.abs(gap) > _APART
-    curvature = jnp.where(apart, (rise - now.rise) / jnp.where(apart, gap, 1.0), now.curvature)
+    low, high = jnp.where(rise > 0, y, before.low), jnp.where(rise > 0, before.high, y)
+    gap = y - before.y
+    apart = jnp.abs(gap) > 1e-5  # or they tell nothing about the curvature
+    bend = (rise - before.rise) / jnp.where(apart, gap, 1.0)
+    curvature = jnp.where(apart, bend, before.curvature)
     # As far again as the last time and a half more, to where it might vanish, or half way.
-    farthest = 2.5 * jnp.maximum(jnp.abs(gap), _PROBE)
+    farthest = 2.5 * jnp.maximum(jnp.abs(gap), 0.05)
     ahead = y + jnp.clip(-rise / curvature, -farthest, farthest)
     inside = (curvature < 0) & (ahead > low) & (ahead < high)
     bracketed = jnp.isfinite(low) & jnp.isfinite(high)
     probe = jnp.where(bracketed, 0.5 * (low + high), y + jnp.sign(rise) * farthest)
     target = jnp.clip(jnp.where(inside, ahead, probe), 0.25 * y, 1.0)
     touches = (y >= 1.0) & (rise > 0)
-    rests = (y < _REST) & (rise <= 0)
-    flat = (jnp.abs(target - y) <= _STATIONARY) & ((curvature < 0) | bracketed)
-    there = touches | rests | flat
+    rests = (y < 1e-5) & (rise <= 0)
+    flat = (jnp.abs(target - y) <= _SET.stationary) & ((curvature < 0) | bracketed)
     # At rest or at the touch nothing is to be gained by moving on.
     target = jnp.where(touches | rests, y, target)
-    return y, target, rise, curvature, low, high, there, ~rests
+    return _Secant(y, rise, curvature, low, high), target, touches | rests | flat, ~rests
 
 
 def weakened(chain: Chain, share: Any) -> Chain:
@@ -482,10 +482,6 @@ def weakened(chain: Chain, share: Any) -> Chain:
     )
 
 
-# A velocity above the belt's by this share of it is one that passes it.
-_PASSES = 1e-9
-
-
 @final
 class Grazing(Outcome):
     """The slip cycle with the fastest belt: the fold of cycles for dry friction.
@@ -498,7 +494,8 @@ class Grazing(Outcome):
       mass, the multiplier of the slip cycle, about 2 at a touch and 1 at a saddle-node.
     - `fall`: kappa = -v_j'', how fast the mass loses its acceleration there; `hold`: the
       greatest friction force on it, p mu_st.
-    - `residual`: the greatest gap after a period over the belt speed.
+    - `residual`: the greatest gap after a period over the belt speed; `evaluations`: Jacobians it
+      took.
     - `result`: successful if the cycle closes, no mass passes the belt's speed anywhere on it, and
       it is a fold.
 
@@ -527,6 +524,7 @@ class Grazing(Outcome):
     fall: Float[Array, ""]
     hold: Float[Array, ""]
     residual: Float[Array, ""]
+    evaluations: Int[Array, ""]
     result: SearchResult
     mass: int = eqx.field(static=True)
 
@@ -538,8 +536,8 @@ class Grazing(Outcome):
 
         **Arguments:** `width` = eps of the mass that grazes.
         """
-        slopes = self.by_leaving, self.by_arriving
-        return self.belt_speed + shift(*slopes, self.fall, self.hold, width)
+        slopes = Slopes(self.by_leaving, self.by_arriving, self.fall, self.hold)
+        return self.belt_speed + slopes.shift(width)
 
 
 def nonsmooth_fold_belt_speed(chain: Chain, vibrating: Any = None) -> Float[Array, ""]:
@@ -599,38 +597,46 @@ def without_fold(failed: SearchResult, exists: Any, damped: Any, none: Any) -> S
 def _find(chain: Chain, mass: int) -> Grazing:
     frozen = lax.stop_gradient(chain)
     alone = one_mass(frozen, mass)
-    averaged = dry_summits(alone)
-    dry = find_dry_fold(frozen, mass, averaged=averaged)
-    q, w = dry.q, dry.w
+    summits = dry_summits(alone)
+    dry = find_dry_fold(frozen, mass, alone, summits)
     touch = Touch(frozen, dry.steps, mass)
-    gap, slopes, highest = touch_slopes(touch, q, w)
+    gap, slopes, highest = touch_slopes(touch, dry.q, dry.w)
     by_leaving, by_arriving = -solve(slopes[:, :-2], slopes[:, -2:])[-1]
-    (_, v), period, speed = touch.unpack(q, w)
+    (_, v), _, speed = touch.unpack(dry.q, dry.w)
     fall = touch.fall(v)
-    slides = jnp.all(highest <= (1.0 + _PASSES) * speed)
+    slides = jnp.all(highest <= (1.0 + 1e-9) * speed)
     touches = dry.ratio >= 1.0
     folds = dry.turns & (by_arriving < 0) & (fall > 0)
     at_speed = eqx.tree_at(lambda c: c.belt_speed, frozen, speed)
-    folds = folds & can_be_cycle(at_speed, period, jnp.abs(v))
+    folds = folds & can_be_cycle(at_speed, jnp.exp(dry.q[-2]), jnp.abs(v))
     exists = jnp.isfinite(speed) & slides & folds
     of = SearchResult
     result = of.where(slides | jnp.isnan(speed), of.no_touch, of.passed)
     result = of.where(dry.turns | jnp.isnan(speed), result, of.no_turn)
-    expected, damped = jnp.isfinite(averaged[1][0]), alone.damping_ratio > 0
+    expected, damped = jnp.isfinite(summits.speeds[0]), alone.damping_ratio > 0
     result = without_fold(result, expected, damped, damping_outweighs(frozen))
     result = of.where(exists, of.successful, result)
     # z = (q but for the belt speed, w, v_d), of the fold's equations.
-    z = jnp.concatenate([q[:-1], jnp.stack([w, speed])])
+    z = jnp.concatenate([dry.q[:-1], jnp.stack([dry.w, speed])])
     slope = jnp.concatenate([slopes[:, :-3], jnp.sum(slopes[:, -2:], axis=1)[:, None]], axis=1)
     left, _, right = jnp.linalg.svd(jnp.where(exists, slope, jnp.eye(slope.shape[0])))
     held = Touch(chain, dry.steps, mass), (left[:, -1], right[-1]), touches
     z = if_found(exists, attach_derivative(_fold_equations, z, held))
     state, period, speed = held[0].unpack(jnp.append(z[:-2], z[-1]), z[-2])
     return Grazing(
-        belt_speed=speed, period=period, state=state, touches=touches, by_leaving=by_leaving,
-        by_arriving=by_arriving, fall=fall, hold=touch.hold,
-        residual=jnp.max(jnp.abs(gap)), result=result, mass=mass,
-    )  # fmt: skip
+        belt_speed=speed,
+        period=period,
+        state=state,
+        touches=touches,
+        by_leaving=by_leaving,
+        by_arriving=by_arriving,
+        fall=fall,
+        hold=touch.hold,
+        residual=jnp.max(jnp.abs(gap)),
+        evaluations=dry.evaluations,
+        result=result,
+        mass=mass,
+    )
 
 
 def _closure(u: Float[Array, " m"], speed: Any, touch: Touch) -> Float[Array, " m"]:

@@ -24,22 +24,16 @@ from jaxtyping import Array, Float
 from .._checks import check_positive, check_positive_number, is_traced, require_x64, to_float
 from .._final import final
 from ..continuation.damped_newton import where
-from ..cycles.averaging import dry_fold_speed, one_mass, speed_scale
+from ..cycles.averaging import dry_summits, one_mass, speed_scale
 from ..model.chain import Chain
 from ..model.initial_states import check_vibrating
 from ..result import Printed
-from .fold import smoothed_fold
+from .fold import speed_and_closeness
 from .grazing import nonsmooth_fold_belt_speed
 
-_LEAST = 4
-# Two fits of fewer terms have to agree with the one that is taken; the least has the first order.
-_FEWER, _FEWEST = 2, 3
 # The widths of `fold_in_the_limit` over the speed of the problem.
 _WIDTHS = 6e-4 * 2.0 ** np.arange(6)
-# Relative error of a fold, see `fold_belt_speed`.
-_ACCURACY = 1e-9
-# Fall of s with the logarithm of the width beyond which a fold is out of the layer.
-_FREE = 0.85
+_ACCURACY = 1e-9  # relative error of a fold, see `fold_belt_speed`
 
 
 @final
@@ -145,7 +139,8 @@ def _extrapolate(values: Array, widths: Array, scale: Any, accuracy: Any) -> Ext
     count = min(len(columns), e.shape[0])
     fits = [
         _fit(jnp.stack(columns[:terms], axis=1), values, e**-2)
-        for terms in range(max(count - _FEWER, _FEWEST), count + 1)
+        # Two fits of fewer terms have to agree with the one that is taken.
+        for terms in range(max(count - 2, 3), count + 1)
     ]
     coefficients, gain = fits[-1]
     spread = jnp.stack([jnp.abs(fewer[0] - coefficients[0]) for fewer, _ in fits[:-1]])
@@ -165,7 +160,7 @@ def _unless_free(
     """
     least, next_one = jnp.argsort(widths)[:2]
     ratio = widths[next_one] / widths[least]
-    free = closeness[next_one] - closeness[least] > _FREE * jnp.log(ratio)
+    free = closeness[next_one] - closeness[least] > 0.85 * jnp.log(ratio)
     value, moved = folds[least], jnp.abs(folds[next_one] - folds[least])
     error = moved / (ratio - 1.0) + 2.0 * _ACCURACY * value
     constant = jnp.zeros_like(limit.coefficients).at[0].set(value)
@@ -186,21 +181,15 @@ def _fit(columns: Array, values: Array, weights: Array) -> tuple[Array, Array]:
 def check_widths(widths: Any) -> Float[Array, " widths"]:
     """`widths` as an array, or raises `ValueError` unless they can be extrapolated from."""
     found = to_float(widths, "widths")
-    if found.ndim != 1 or found.shape[0] < _LEAST:
+    if found.ndim != 1 or found.shape[0] < 4:
         raise ValueError(
-            f"Argument `widths` must be at least {_LEAST} regularization widths, but has shape "
+            f"Argument `widths` must be at least 4 regularization widths, but has shape "
             f"{found.shape}: [8e-3, 4e-3, 2e-3, 1e-3] is usual."
         )
     check_positive("widths", found, "[8e-3, 4e-3, 2e-3, 1e-3] is usual.")
     if not is_traced(found) and np.unique(found).size < found.shape[0]:
         raise ValueError(f"Argument `widths` must differ from each other, but is {found}.")
     return found
-
-
-def _scale(chain: Chain, mass: int) -> Float[Array, ""]:
-    """The speed that widths are to be compared with when mass `mass` vibrates."""
-    alone = one_mass(lax.stop_gradient(chain), mass)
-    return speed_scale(alone, dry_fold_speed(alone))
 
 
 def fold_in_the_limit(chain: Chain, vibrating: Any = None, widths: Any = None) -> Extrapolated:
@@ -233,7 +222,7 @@ def fold_in_the_limit(chain: Chain, vibrating: Any = None, widths: Any = None) -
         (1.8366, True)
     """
     mass = check_vibrating(chain, vibrating)
-    return _limit(chain, mass, None if widths is None else check_widths(widths))
+    return _limit(chain, mass, None if widths is None else check_widths(widths))[0]
 
 
 def fold_boundary(chain: Chain, vibrating: Any = None) -> FoldBoundary:
@@ -257,35 +246,26 @@ def fold_boundary(chain: Chain, vibrating: Any = None) -> FoldBoundary:
 
 
 @eqx.filter_jit
-def _limit(chain: Chain, mass: int, widths: Array | None) -> Extrapolated:
-    scale = _scale(chain, mass)
-    widths = scale * jnp.asarray(_WIDTHS) if widths is None else widths
-    folds, closeness = _folds(chain, mass, widths)
-    limit = _extrapolate(folds, widths, scale, _ACCURACY)
-    return _unless_free(limit, folds, closeness, widths)
+def _limit(
+    chain: Chain, mass: int, widths: Array | None = None, width: Array | None = None
+) -> tuple[Extrapolated, Array]:
+    """(the limit, the folds it is from and, if it is given, the one at `width`), in one call."""
+    alone = one_mass(lax.stop_gradient(chain), mass)
+    scale = speed_scale(alone, dry_summits(alone).touching)
+    each = widths = scale * jnp.asarray(_WIDTHS) if widths is None else widths
+    if width is not None:
+        each = jnp.stack([*(jnp.full_like(width, one) for one in widths), width])
+
+    def fold(width: Array) -> tuple[Array, Array]:
+        return speed_and_closeness(chain.with_(width=width), mass)[:2]
+
+    folds, closeness = jax.vmap(fold)(each)
+    limit = _extrapolate(folds[: len(widths)], widths, scale, _ACCURACY)
+    return _unless_free(limit, folds, closeness, widths), folds
 
 
 @eqx.filter_jit
 def _boundary(chain: Chain, mass: int) -> FoldBoundary:
-    scale = _scale(chain, mass)
-    widths = scale * jnp.asarray(_WIDTHS)
-    own = chain.width
-    each = jnp.broadcast_to(widths.reshape((-1,) + (1,) * own.ndim), (len(_WIDTHS), *own.shape))
     dry = nonsmooth_fold_belt_speed(chain, mass)
-    if chain.dry:
-        value, (folds, closeness) = dry, _folds(chain, mass, each)
-    else:
-        folds, closeness = _folds(chain, mass, jnp.concatenate([own[None], each]))
-        value, folds, closeness = folds[0], folds[1:], closeness[1:]
-    limit = _extrapolate(folds, widths, scale, _ACCURACY)
-    limit = _unless_free(limit, folds, closeness, widths)
-    return FoldBoundary(value, limit.value, limit.error, dry)
-
-
-def _folds(chain: Chain, mass: int, widths: Array) -> tuple[Array, Array]:
-    """The folds at all the widths and their max w / eps, in one call."""
-
-    def at(width: Array) -> tuple[Array, Array]:
-        return smoothed_fold(chain.with_(width=width), mass)[:2]
-
-    return jax.vmap(at)(widths)
+    limit, folds = _limit(chain, mass, width=None if chain.dry else chain.width)
+    return FoldBoundary(dry if chain.dry else folds[-1], limit.value, limit.error, dry)

@@ -23,12 +23,11 @@ from ..observers.quantities import active
 from ..result import Outcome, Printed, SearchResult
 from ..simulation.event_driven import EventDriven
 from ..simulation.run import simulate
-from .fold import fold_and_result
+from .fold import speed_and_closeness
 from .hopf import hopf_belt_speed
 from .limit import fold_boundary
 
-_WINDOW = 20.0
-_ORDER, _RTOL = 7, 1e-8
+_WINDOW = 20.0  # in which amplitudes are taken
 
 
 @final
@@ -94,7 +93,7 @@ def bistable_range(chain: Chain, vibrating: Any = None) -> BistableRange:
 @eqx.filter_jit
 def _range(chain: Chain, mass: int) -> BistableRange:
     of = SearchResult
-    fold, result = fold_and_result(chain, mass)
+    fold, _, result = speed_and_closeness(chain, mass)
     hopf = hopf_belt_speed(chain)
     none = result == of.no_fold
     # Masses without damping vibrate at every speed, which has no fold, either.
@@ -183,16 +182,12 @@ def _try(chain: Chain, belt_speed: Array, mass: int, margin: Array, time: Array)
         own = eqx.tree_at(lambda c: c.belt_speed, chain, speed)
         return simulate(
             own, on_the_belt(own, mass), time, observe=Amplitude(window=_WINDOW),
-            solver=EventDriven(_ORDER), rtol=_RTOL, throw=False,
+            solver=EventDriven(7), rtol=1e-8, throw=False,
         ).observed  # fmt: skip
 
     amplitudes = jax.vmap(amplitude)(speeds)
     vibrates = active(amplitudes, speeds)[:, mass]
     return Trial(speeds, amplitudes, vibrates, vibrates[0] & ~vibrates[1])
-
-
-# Relative errors of a Hopf speed, and of a fold of dry friction.
-_HOPF_ERROR, _DRY_ERROR = 1e-12, 1e-10
 
 
 @final
@@ -268,11 +263,11 @@ def _boundaries(chain: Chain, mass: int) -> Boundaries:
     direct = jnp.isfinite(fold.dry)
     apart = jnp.nan_to_num(jnp.abs(fold.dry - fold.limit))  # no second opinion, no contradiction
     contradicts = apart > jnp.nan_to_num(fold.error)
-    bar = jnp.where(contradicts, apart, _DRY_ERROR * jnp.abs(fold.dry))
+    bar = jnp.where(contradicts, apart, 1e-10 * jnp.abs(fold.dry))
     return Boundaries(
         hopf=hopf_dry if chain.dry else hopf_belt_speed(chain),
         hopf_nonsmooth=hopf_dry,
-        hopf_nonsmooth_error=_HOPF_ERROR * hopf_dry,
+        hopf_nonsmooth_error=1e-12 * hopf_dry,
         fold=fold.value,
         fold_nonsmooth=jnp.where(direct, fold.dry, fold.limit),
         fold_nonsmooth_error=jnp.where(direct, bar, fold.error),

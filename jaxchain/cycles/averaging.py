@@ -8,7 +8,7 @@ which is exact for weak friction and weak damping (averaging; Nayfeh and Mook, N
 Oscillations, section 3.3).  The frequency is that of the mass on its springs, sqrt(K_jj).
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -102,43 +102,44 @@ def _curve(chain: Chain) -> tuple[Array, Array]:
     return jax.vmap(lambda s: jax.jvp(chain.law.coefficient, (s,), (jnp.ones(()),)))(speeds)
 
 
-def dry_fold_speed(chain: Chain) -> Float[Array, ""]:
-    """The belt speed that the vibration of one mass just reaches, with dry friction."""
-    dry = chain.with_(width=None)
-    return cycle_speed(dry, 1.0, greatest_speed(dry))
+class Summits(NamedTuple):
+    """The two fastest summits of `cycle_speed` for dry slip cycles.
 
-
-def dry_summits(chain: Chain) -> tuple[Float[Array, " two"], Float[Array, " two"]]:
-    """(ratios, belt speeds) of the two fastest summits of `cycle_speed` for dry slip cycles.
-
-    The ratio is 1 where the belt's speed rises up to the touch.  Without a summit it is that of
-    the greatest slip cycle, and NaN are the speeds of what does not exist.
+    - `ratios`: amplitudes over belt speeds; 1 where the belt's speed rises up to the touch.
+      Without a summit the ratio is that of the greatest slip cycle.
+    - `speeds`: belt speeds, NaN for what does not exist.
+    - `touching`: the belt speed that the vibration of one mass just reaches.
     """
+
+    ratios: Float[Array, " two"]
+    speeds: Float[Array, " two"]
+    touching: Float[Array, ""]
+
+
+def dry_summits(chain: Chain) -> Summits:
+    """The fastest vibrations of one mass with dry friction."""
     dry, ratios = chain.with_(width=None), jnp.asarray(_SLIP_RATIOS)
     highest = greatest_speed(dry)
     speeds = jax.vmap(lambda ratio: cycle_speed(dry, ratio, highest))(ratios)
-    exists = jnp.isfinite(speeds)
-    finite = jnp.where(exists, speeds, -jnp.inf)
+    finite = jnp.where(jnp.isfinite(speeds), speeds, -jnp.inf)
     rises = finite[1:] > finite[:-1]
     summits = jnp.append(False, rises & jnp.append(~rises[1:], True))
     heights = jnp.where(summits, finite, -jnp.inf)
-    first = jnp.where(
-        jnp.any(summits),
-        jnp.argmax(heights),
-        jnp.max(jnp.where(exists, jnp.arange(len(ratios)), 0)),
-    )
+    greatest = jnp.max(jnp.where(jnp.isfinite(speeds), jnp.arange(len(ratios)), 0))
+    first = jnp.where(jnp.any(summits), jnp.argmax(heights), greatest)
     rest = heights.at[first].set(-jnp.inf)
     second = jnp.argmax(rest)
     # Where the first search fails, the greatest slip cycle is another place to begin.
     second = jnp.where(jnp.isfinite(rest[second]), second, len(ratios) - 1)
     at = jnp.stack([first, second])
-    return ratios[at], speeds[at].at[1].set(jnp.where(second == first, jnp.nan, speeds[second]))
+    fastest = speeds[at].at[1].set(jnp.where(second == first, jnp.nan, speeds[second]))
+    return Summits(ratios[at], fastest, speeds[-1])
 
 
 def speed_scale(chain: Chain, dry_speed: ScalarLike) -> Float[Array, ""]:
     """The speed that widths are to be compared with when one mass vibrates.
 
-    `dry_speed`, which is `dry_fold_speed`, or twice the speed over which friction weakens,
+    `dry_speed`, which is `Summits.touching`, or twice the speed over which friction weakens,
     mu_st / max(|mu'(0)|, -mu'(s)), if that is less.
     """
     _, slope = _curve(chain)

@@ -79,11 +79,10 @@ def _fold() -> Iterator[Row]:
     chain, bad = {"chain": CHAIN}, {"chain": A_CHAIN, "vibrating": VIBRATING}
     for name in (
         "fold_belt_speed", "find_grazing", "nonsmooth_fold_belt_speed", "bistable_range",
-        "fold_boundary", "hopf_and_fold",
+        "fold_boundary", "hopf_and_fold", "find_fold",
     ):  # fmt: skip
         yield Row(name, getattr(boundaries, name), chain, bad)
     smoothed = {**bad, "chain": (*A_CHAIN, NO_DRY)}
-    yield Row("find_fold", boundaries.find_fold, chain, smoothed)
     yield Row(
         "fold_by_descent", boundaries.fold_by_descent, chain,
         {
