@@ -55,12 +55,8 @@ if TYPE_CHECKING:
 
 # Of the integration and of Newton's method, at special points: no branch need be looser there.
 RTOL, _TOLERANCE = 3e-11, 1e-9
-# Arclengths: for the slope of a test, and from a loose place to the sharp one.
-_PROBE, _REACH = 1e-4, 0.1
-# Of multipliers.
-_NOISE = 1e-8
-# Distances from the Hopf point at which the branch is solved for to find that point by a limit.
-_NEAR_REST = (5e-3, 1e-2, 1.5e-2)
+# Arclength for the slope of a test.
+_PROBE = 1e-4
 
 
 @final
@@ -106,15 +102,6 @@ class CyclePoint(Printed):
         return self.raw.index
 
 
-def as_cycle_point(raw: SpecialPoint) -> CyclePoint:
-    """A special point of the shooting equations as one of a branch of cycles."""
-    e = raw.extra
-    return CyclePoint(
-        raw.kind, raw.p, e.x, e.v, float(e.period), e.amplitude, e.multipliers, raw.refined,
-        float(raw.error), raw,
-    )  # fmt: skip
-
-
 def sharply(
     shooting: Shooting, weights: Float[np.ndarray, " m_plus_1"], tolerance: float
 ) -> tuple[Corrector, Corrector]:
@@ -146,7 +133,7 @@ def hardly_felt(branch: Branch, raw: SpecialPoint, test: Test) -> bool:
     """
     for k in (raw.index, min(raw.index + 1, branch.p.size - 1)):
         extra = jax.tree.map(lambda leaf, k=k: leaf[k], branch.extra)
-        if abs(test(raw.u, raw.p, raw.tangent, extra)) < _NOISE:
+        if abs(test(raw.u, raw.p, raw.tangent, extra)) < 1e-8:
             return True
     return False
 
@@ -176,7 +163,7 @@ def _refined(
         return None
     test = test_of(raw.kind, tests, beside)
     slope = (test(beside) - test(start)) / _PROBE
-    found = polish(corrector, Located(start, 0.0, 1.0, True, slope, np.inf), test, _REACH)
+    found = polish(corrector, Located(start, 0.0, 1.0, True, slope, np.inf), test, 0.1)
     point = found.point
     return replace(
         raw, u=point.u, p=point.p, tangent=point.tangent, extra=point.extra,
@@ -196,7 +183,7 @@ def at_rest(correctors: tuple[Corrector, Corrector], raw: SpecialPoint) -> tuple
 
 def _at_rest(corrector: Corrector, raw: SpecialPoint) -> tuple[float, float]:
     z, squares, found = np.append(raw.u, raw.p), [], []
-    for length in _NEAR_REST:
+    for length in (5e-3, 1e-2, 1.5e-2):  # from the Hopf point
         point = corrector(z - length * raw.tangent, raw.tangent)
         if point is None:
             return raw.p, np.inf
@@ -230,19 +217,6 @@ def without_symmetry(shooting: Shooting, point: CyclePoint) -> tuple[Shooting, S
     return full, replace(
         point.raw, u=np.asarray(u)[:-1], tangent=np.asarray(tangent), other=np.asarray(other)
     )
-
-
-# How far from 1 a modulus may be where its test function vanishes.
-_ON_THE_CIRCLE = 1e-4
-# A multiplier is beyond the unit circle if it is by more than the integration may err.
-_MARGIN = 1e-7
-# A vibration this slow is none.  The equations are divided by it: nearer to zero they are noise.
-_VANISHED = 1e-4
-
-
-def count_unstable(multipliers: Complex[np.ndarray, "k others"]) -> Int[np.ndarray, " k"]:
-    """How many multipliers of each cycle lie beyond the unit circle."""
-    return np.sum(np.abs(multipliers) > 1.0 + _MARGIN, axis=1)
 
 
 class CycleLinearisation(eqx.Module):
@@ -374,7 +348,7 @@ def encircling(extra: CycleLinearisation) -> float:
 def on_the_circle(extra: CycleLinearisation) -> bool:
     """Whether a complex pair of multipliers has modulus 1."""
     mu: Any = np.asarray(extra.multipliers)
-    return bool(np.any(np.abs(np.abs(mu[mu.imag > 0]) - 1.0) < _ON_THE_CIRCLE))
+    return bool(np.any(np.abs(np.abs(mu[mu.imag > 0]) - 1.0) < 1e-4))
 
 
 def special_tests(shooting: Shooting) -> dict[str, Callable[..., float]]:
@@ -384,8 +358,9 @@ def special_tests(shooting: Shooting) -> dict[str, Callable[..., float]]:
     """
 
     def vanishing(extra: CycleLinearisation) -> float:
+        # The equations are divided by it: nearer to zero they are noise.
         speed = float(extra.speed)
-        return 0.0 if abs(speed) < _VANISHED else speed
+        return 0.0 if abs(speed) < 1e-4 else speed
 
     images = shooting.images
     of: dict[str, Callable[[Any], float]] = {"hopf": vanishing}
@@ -435,25 +410,6 @@ def cycle_weights(shooting: Shooting, p: float) -> np.ndarray:
     weights[[shooting.place, m - 1]] = 1.0
     weights[m] = 1.0 / (abs(p) or 1.0)
     return weights
-
-
-def as_heading(direction: Any, shooting: Shooting, m: int) -> Any:
-    """A direction as `continue_branch` takes it: "stick" and "slip" as vectors (m + 1,)."""
-    if not isinstance(direction, str):
-        return direction
-    check_one_of("direction", direction, ("stick", "slip"))
-    heading = np.zeros(m + 1)
-    heading[shooting.place] = 1.0 if direction == "stick" else -1.0
-    return heading
-
-
-# Share of the greatest velocity below which that of the mass where the orbit is cut is too little.
-_HARDLY = 1e-2
-_UNSOUND = (
-    "what was followed is no cycle any more, by its speed, its period or its trivial multiplier"
-)
-# Of `continue_branch`, for these unknowns.
-_DEFAULTS: dict[str, Any] = {"min_step": 1e-6, "max_step": 0.3, "max_points": 300}
 
 
 class NoBranchError(RuntimeError):
@@ -514,7 +470,7 @@ class CycleBranch(Printed):
     @property
     def unstable(self) -> Any:
         """How many multipliers of each cycle lie beyond the unit circle, of shape (k,)."""
-        return count_unstable(self.multipliers)
+        return np.sum(np.abs(self.multipliers) > 1.0 + 1e-7, axis=1)  # by more than rounding
 
     @property
     def ended(self) -> str:
@@ -573,7 +529,7 @@ class CycleBranch(Printed):
             ```
         """
 
-        return branch_dataset(self)
+        return _branch_dataset(self)
 
 
 def continue_cycle(
@@ -638,7 +594,11 @@ def continue_cycle(
     """
     check_following(stop, progress)
     shooting, u, p = cycle_equations(chain, state, period, parameter, vibrating, images, rtol)
-    heading = as_heading(direction, shooting, u.size)
+    heading = direction
+    if isinstance(direction, str):
+        check_one_of("direction", direction, ("stick", "slip"))
+        heading = np.zeros(u.size + 1)
+        heading[shooting.place] = 1.0 if direction == "stick" else -1.0
     return _follow(
         shooting, u, p, heading, bounds, stop,
         {"step": step, "min_step": min_step, "max_step": max_step, "max_points": max_points,
@@ -702,7 +662,7 @@ def switch_cycle(
     )  # fmt: skip
     if found.u is None or found.p is None:
         raise RuntimeError(found.reason)
-    options = {"step": step, **_DEFAULTS, **options}
+    options = {"step": step, "min_step": 1e-6, "max_step": 0.3, "max_points": 300, **options}
     return _follow(shooting, found.u, found.p, found.direction, bounds, stop, options)
 
 
@@ -726,10 +686,10 @@ def _follow(
             if times > 1:
                 return True
         if not extra.sound:
-            return _UNSOUND
+            return "it is no cycle any more, by its speed, period or trivial multiplier"
         if extra.speed <= 0:
             return "the amplitude vanishes"
-        if extra.speed < _HARDLY * np.max(np.abs(extra.v)):
+        if extra.speed < 1e-2 * np.max(np.abs(extra.v)):
             return f"mass {shooting.mass} hardly vibrates any more: cut the orbit at another"
         return stop is not None and stop(p, extra)
 
@@ -758,7 +718,21 @@ def _follow(
         else:
             point = refine(correctors, raw, tests) if raw.refined else raw
         if raw.kind != "torus" or on_the_circle(point.extra):
-            special.append(as_cycle_point(point))
+            e = point.extra
+            special.append(
+                CyclePoint(
+                    kind=point.kind,
+                    parameter=point.p,
+                    x=e.x,
+                    v=e.v,
+                    period=float(e.period),
+                    amplitude=e.amplitude,
+                    multipliers=e.multipliers,
+                    refined=point.refined,
+                    error=float(point.error),
+                    raw=point,
+                )
+            )
     extra, k = branch.extra, len(branch.p)
     # The last point may be its own mirror image, or no cycle.
     if k and not (extra.speed[-1] > 0 and extra.sound[-1]):
@@ -785,42 +759,41 @@ def _follow(
     )
 
 
-_OSCILLATOR, _MULTIPLIER = ("oscillator",), ("multiplier",)
-
-
-def branch_dataset(branch: CycleBranch) -> Dataset:
-    """See `CycleBranch.to_dataset`."""
+def _branch_dataset(branch: CycleBranch) -> Dataset:
     # xarray brings pandas, which would double the time of the import.
     from xarray import Dataset
 
-    field, n = branch.shooting.field, branch.x.shape[1]
-    row = parameter(branch.name)
-    own = _of_cycles(branch, branch.parameter, vars(branch))
-    unstable = count_unstable(branch.multipliers)
+    n, special, row = branch.x.shape[1], branch.special, parameter(branch.name)
+    points = {}
+    for name in ("x", "v", "period", "amplitude", "multipliers"):
+        like = getattr(branch, name)
+        values = np.asarray([getattr(point, name) for point in special], like.dtype)
+        points[name] = values.reshape(len(special), *like.shape[1:])
+    z = np.array([point.raw.u[branch.shooting.place] for point in special], float)
+    points["closeness"] = np.sinh(z) if np.isfinite(branch.closeness).any() else np.nan * z
+    there = np.array([point.parameter for point in special], float)
+    stable = branch.unstable == 0
     more = {
-        "unstable_count": ((), unstable, "multipliers beyond the unit circle", "1"),
-        "stable": ((), unstable == 0, "whether no multiplier is beyond the unit circle", "1"),
+        "unstable_count": ((), branch.unstable, "multipliers beyond the unit circle", "1"),
+        "stable": ((), stable, "whether no multiplier is beyond the unit circle", "1"),
         "trivial_defect": ((), branch.trivial_defect, "error of the trivial multiplier", "1"),
     }
-    places = [(point.index, point.refined) for point in branch.special]
-    points = [(point.kind, point.parameter, point.error) for point in branch.special]
-    if points:
-        values = np.array([point.parameter for point in branch.special], float)
-        special = _of_cycles(branch, values, _stacked(branch, n))
-    else:
-        special = {name: (said[0], said[1][:0], *said[2:]) for name, said in own.items()}
+    found = special_variables(
+        [(point.kind, point.parameter, point.error) for point in special],
+        [(point.index, point.refined) for point in special],
+        row.unit,
+    )
+    of_points = _of_cycles("special", branch, there, points)
     return Dataset(
-        {
-            **_over("point", own | more),
-            **special_variables(points, places, row.unit),
-            **{f"special_{name}": v for name, v in _over("special", special).items()},
-        },
+        _of_cycles("point", branch, branch.parameter, vars(branch), more)
+        | found
+        | {f"special_{name}": variable for name, variable in of_points.items()},
         coords={
             branch.name: ("point", branch.parameter, row.attrs),
             "oscillator": ("oscillator", np.arange(1, n + 1), {"long_name": "oscillator n"}),
         },
         attrs={
-            "parameters": parameters_of(field, n, [branch.name]),
+            "parameters": parameters_of(branch.shooting.field, n, [branch.name]),
             "parameter": branch.name,
             "ended": branch.ended,
             "message": branch.message,
@@ -833,52 +806,30 @@ def branch_dataset(branch: CycleBranch) -> Dataset:
     )
 
 
-def _stacked(branch: CycleBranch, n: int) -> dict[str, np.ndarray]:
-    """What is known of the special points, stacked along a first axis."""
-
-    def column(name: str, *shape: int, dtype: Any = float) -> np.ndarray:
-        values = [getattr(point, name) for point in branch.special]
-        return np.reshape(np.asarray(values, dtype), (-1, *shape))
-
-    found = {name: column(name, n) for name in ("x", "v", "amplitude")}
-    found["period"] = column("period")
-    found["multipliers"] = column("multipliers", branch.multipliers.shape[1], dtype=complex)
-    place = branch.shooting.place
-    closeness = [_closeness(point, place) for point in branch.special]
-    known = np.isfinite(branch.closeness).any()
-    found["closeness"] = np.where(known, np.array(closeness, float), np.nan)
-    return found
-
-
-def _closeness(point: CyclePoint, place: int) -> float:
-    return float(np.sinh(point.raw.u[place]))
-
-
 def _of_cycles(
-    branch: CycleBranch, values: np.ndarray, known: Mapping[str, Any]
-) -> dict[str, tuple[tuple[str, ...], np.ndarray, str | None, str]]:
-    """(dimensions, values, long name, unit) of what cycles are, one for each parameter value."""
-    speed = values if branch.name == "belt_speed" else getattr(
-        branch.shooting.field, "belt_speed", None
-    )  # fmt: skip
-    said = amplitude_variables(jnp.asarray(known["amplitude"]), speed)
-    found: dict[str, Any] = {
-        name: (label.dims, np.asarray(label.values), label.long_name, label.units)
-        for name, label in said.items()
+    dim: str,
+    branch: CycleBranch,
+    values: np.ndarray,
+    columns: Mapping[str, Any],
+    more: Mapping[str, tuple] | None = None,
+) -> dict[str, tuple]:
+    """Variables over `dim` of what cycles are, one for each of `values` of the parameter."""
+    speed = getattr(branch.shooting.field, "belt_speed", None)
+    speed = values if branch.name == "belt_speed" else speed
+    labels = amplitude_variables(jnp.asarray(columns["amplitude"]), speed)
+    each, multiplier = ("oscillator",), ("multiplier",)
+    multipliers = columns["multipliers"]
+    found: dict[str, tuple] = {
+        **{k: (v.dims, np.asarray(v.values), v.long_name, v.units) for k, v in labels.items()},
+        "period": ((), columns["period"], "least period T", "1 / omega_n"),
+        "displacement": (each, columns["x"], "displacement where the cycle is cut", "x0"),
+        "velocity": (each, columns["v"], "velocity where the cycle is cut", SPEED),
+        "closeness": ((), columns["closeness"], "max w / eps of the mass that is cut", "1"),
+        "multiplier_real": (multiplier, multipliers.real, "real part of the multiplier", "1"),
+        "multiplier_imag": (multiplier, multipliers.imag, "imaginary part of it", "1"),
+        **(more or {}),
     }
-    multipliers = known["multipliers"]
-    return found | {
-        "period": ((), known["period"], "least period T", "1 / omega_n"),
-        "displacement": (_OSCILLATOR, known["x"], "displacement where the cycle is cut", "x0"),
-        "velocity": (_OSCILLATOR, known["v"], "velocity where the cycle is cut", SPEED),
-        "closeness": ((), known["closeness"], "max w / eps of the mass that is cut", "1"),
-        "multiplier_real": (_MULTIPLIER, multipliers.real, "real part of the multiplier", "1"),
-        "multiplier_imag": (_MULTIPLIER, multipliers.imag, "imaginary part of it", "1"),
-    }
-
-
-def _over(dim: str, variables: Mapping[str, tuple]) -> dict[str, tuple]:
     return {
         name: ((dim, *dims), values, {"long_name": text, "units": units})
-        for name, (dims, values, text, units) in variables.items()
+        for name, (dims, values, text, units) in found.items()
     }

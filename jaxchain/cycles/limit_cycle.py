@@ -37,7 +37,7 @@ from .._checks import (
 )
 from .._final import final
 from .._types import State
-from ..continuation.damped_newton import Factors, Iterate, check_tolerance, ending, factorise
+from ..continuation.damped_newton import Factors, check_tolerance, ending, factorise
 from ..continuation.implicit import attach_derivative
 from ..model.arguments import as_chain, as_images, as_mass, as_state
 from ..model.chain import Chain, steady_sliding
@@ -79,16 +79,12 @@ from .shooting import Shooting, close_orbit_once, greatest_gap, packed
 from .variational import Along, Period, Returned, Returns, flow, linearised_period
 
 Guess = tuple[State, Array]
-# For which a simulation runs before it is looked at.
-TRANSIENT = 200.0
-_PEAKS = 12
-# Of the returns to the section, the first is taken that is nearly as good as the best.
-_AS_GOOD, _GOOD = 2.0, 1e-3
-_RATIOS = np.concatenate([np.geomspace(1e-3, 0.3, 24), np.linspace(0.32, 1.0, 35)])
+_TRANSIENT = 200.0  # of a simulation, before it is looked at
+_PEAKS = 12  # greatest velocities that are looked at
 
 
-def _watched(chain: Any, state: State, t1: Any, watch: Section) -> Simulation:
-    """A run in which a sticking mass errs by little in units of the width, as Newton needs."""
+def _watched(chain: Any, state: State, t1: Any, watch: Section) -> Any:
+    """What is seen in a run whose sticking masses err little in units of the width."""
     rtol: Any = 1e-8
     if isinstance(chain, Chain) and not chain.dry:
         width = lax.stop_gradient(chain.width)
@@ -96,7 +92,8 @@ def _watched(chain: Any, state: State, t1: Any, watch: Section) -> Simulation:
         of, width = (jnp, width) if is_traced(width) else (np, np.asarray(width))
         rtol = of.clip(1e-4 * of.min(width), 1e-11, 1e-7)
     solver = own_solver(chain, None) or choose_solver(chain, 1e-8)
-    return simulate(chain, state, t1, observe=watch, solver=solver, rtol=rtol, throw=False)
+    run = simulate(chain, state, t1, observe=watch, solver=solver, rtol=rtol, throw=False)
+    return lax.stop_gradient(run.observed)
 
 
 def most_lively(chain: AbstractOscillators, state: State) -> int:
@@ -143,8 +140,7 @@ def guess_from_simulation(
     mass = as_mass(state[0].shape[0], vibrating)
     mass = most_lively(chain, state) if mass is None else mass
     watch = Section(mass, _PEAKS, transient, of="velocity")
-    run = _watched(chain, state, transient + duration, watch)
-    return _last_turn(*lax.stop_gradient(run.observed))
+    return _last_turn(*_watched(chain, state, transient + duration, watch))
 
 
 @eqx.filter_jit
@@ -154,8 +150,9 @@ def _last_turn(times: Array, xs: Array, vs: Array) -> Guess:
     before = last - 1 - jnp.arange(_PEAKS - 1)  # one return ago, two, ...
     gaps = [jnp.linalg.norm(part[before] - part[last][None], axis=1) for part in (xs, vs)]
     distance = jnp.where(before >= 0, gaps[0] + gaps[1], jnp.inf)
-    size = jnp.linalg.norm(vs[last])
-    at = before[jnp.argmax(distance <= _AS_GOOD * jnp.min(distance) + _GOOD * size)]
+    # Of the returns, the first is taken that is nearly as good as the best.
+    enough = 2.0 * jnp.min(distance) + 1e-3 * jnp.linalg.norm(vs[last])
+    at = before[jnp.argmax(distance <= enough)]
     period = jnp.where(last >= 1, times[last] - times[at], jnp.nan)
     return (xs[last], vs[last]), period
 
@@ -175,8 +172,7 @@ def guess_from_point(
             return state
     # A little more, for an orbit that begins at the maximum.
     watch = Section(vibrating, _PEAKS, of="velocity")
-    run = _watched(chain, state, 1.05 * to_float(period), watch)
-    _, xs, vs = lax.stop_gradient(run.observed)
+    _, xs, vs = _watched(chain, state, 1.05 * to_float(period), watch)
     speeds = chain.belt_direction() * vs[:, vibrating]
     fastest = jnp.argmax(jnp.where(jnp.isnan(speeds), -jnp.inf, speeds))
     return xs[fastest], vs[fastest]
@@ -198,7 +194,7 @@ def carried(state: State, before: AbstractOscillators, after: AbstractOscillator
 
 
 @eqx.filter_jit
-def slip_guess(chain: Chain, vibrating: int) -> Guess:
+def _slip_guess(chain: Chain, vibrating: int) -> Guess:
     """The unstable cycle of a mass that slides throughout, to first harmonic; NaN for none.
 
     Its amplitude A < v_d is where averaged friction begins to feed more than damping takes (see
@@ -206,7 +202,7 @@ def slip_guess(chain: Chain, vibrating: int) -> Guess:
     sliding: (K - omega^2 + i omega D) u = 0 in their rows.
     """
     alone, speed = one_mass(chain, vibrating), jnp.abs(chain.belt_speed)
-    ratios = jnp.asarray(_RATIOS)
+    ratios = jnp.append(jnp.geomspace(1e-3, 0.3, 24), jnp.linspace(0.32, 1.0, 35))
     values = lax.map(lambda ratio: gain(alone, ratio, speed), ratios)
     rises = (values[:-1] <= 0) & (values[1:] > 0)
     at = jnp.argmax(rises)
@@ -218,9 +214,9 @@ def slip_guess(chain: Chain, vibrating: int) -> Guess:
     damping = jnp.broadcast_to(sliding_damping(chain, speed), (chain.n,))
     A = stiffness_matrix(chain) - jnp.diag(omega**2 - 1j * omega * damping)
     unit = jnp.zeros(chain.n).at[vibrating].set(1.0)
-    own = unit[:, None] > 0
+    row = unit[:, None] > 0
     right = jnp.where(unit > 0, 1.0, -A[:, vibrating])
-    shape = jnp.linalg.solve(jnp.where(own, jnp.diag(unit), jnp.where(own.T, 0.0, A)), right)
+    shape = jnp.linalg.solve(jnp.where(row, jnp.diag(unit), jnp.where(row.T, 0.0, A)), right)
     # v_j = A cos(omega t), hence x_n = Re[-i u_n exp(i omega t)] A / omega.
     moved = amplitude / omega * jnp.real(-1j * shape)
     return (x + moved, amplitude * jnp.real(shape)), 2 * jnp.pi / omega
@@ -229,15 +225,101 @@ def slip_guess(chain: Chain, vibrating: int) -> Guess:
 def guess_of_kind(chain: Chain, vibrating: int, kind: str) -> Guess:
     """A guess of the stick-slip cycle ("stable") or of the slip cycle ("unstable") of one mass."""
     if kind == "unstable":
-        return slip_guess(chain, vibrating)
+        return _slip_guess(chain, vibrating)
     released = release_state(chain, vibrating)
-    return guess_from_simulation(chain, released, vibrating, transient=TRANSIENT)
+    return guess_from_simulation(chain, released, vibrating, transient=_TRANSIENT)
 
 
-# Integrations at most, and the step that is rounding.
-_MOST, _FINEST = 8, 1e-13
-# What may be left of the return, compared with the size of the orbit, where it is closed.
-_CLOSED = 1e-6
+@eqx.filter_jit
+def solve_cycle(
+    shooting: Shooting, start: Array, tolerance: Array, limit: Array
+) -> tuple[LimitCycle, Array]:
+    """(the cycle, its unknowns u) near u = `start`; nothing in here is to be differentiated."""
+    weights = jnp.full(start.shape, start.shape[0] ** -0.5)
+
+    def linearise(u: Array) -> tuple[Array, Factors, Period]:
+        field, state, period = shooting.unpack(u)
+        whole = linearised_period(field, state, period, rtol=shooting.rtol, solver=shooting.solver)
+        by_u, by_end = jax.jacfwd(shooting.gap, argnums=(0, 1))(u, whole.end)
+
+        def orbit(u: Array) -> Array:
+            _, (x, v), period = shooting.unpack(u)
+            return jnp.concatenate([x, v, period[None]])
+
+        slope = jax.jacfwd(orbit)(u)
+        direction = jnp.concatenate(field(0.0, whole.end))
+        end = whole.monodromy @ slope[:-1] + direction[:, None] * slope[-1:]
+        jacobian = by_u + jnp.concatenate(by_end, axis=1) @ end
+        return shooting.gap(u, whole.end), factorise(jacobian, weights), whole
+
+    found = close_orbit_once(
+        linearise, start, weights, limit=limit, fine=1e-11,
+        closed=lambda now: greatest_gap(now) <= tolerance,
+        state_at=lambda u: shooting.unpack(u)[1],
+        shortened=lambda u, times: u.at[-1].add(-jnp.log(times)),
+    )  # fmt: skip
+    field, state, period = shooting.unpack(found.u)
+    whole = found.aux
+    # In the shooting equations velocities count by their distance from the belt's: a fast orbit
+    # that decays, or a piece of one, is closed there.  So the gap counts as a share of the
+    # orbit's size, too.
+    left = jnp.max(jnp.abs(jnp.stack(whole.end) - jnp.stack(state)))
+    residual = jnp.fmax(greatest_gap(found), left / whole.returned.farthest)
+    floquet = floquet_multipliers(whole.monodromy, jnp.concatenate(field(0.0, state)))
+    speed = field.belt_direction() * state[1][shooting.mass]
+    moves = (whole.fastest[shooting.mass] > LEAST_VELOCITY) & (speed > 0)
+    possible = can_be_cycle(field, period, whole.fastest)
+    closed = (residual <= tolerance) & is_trusted(floquet.multipliers, floquet.defect)
+    result = ending(found, closed, limit)
+    result = SearchResult.where(closed & ~moves, SearchResult.at_rest, result)
+    result = SearchResult.where(whole.complete & ~possible, SearchResult.ran_away, result)
+    cycle = LimitCycle(
+        chain=field,
+        state=state,
+        period=period,
+        residual=residual,
+        result=result,
+        multipliers=floquet.multipliers,
+        trivial_defect=floquet.defect,
+        liouville_defect=liouville_defect(whole.monodromy, whole.trace_integral),
+        amplitude=whole.amplitude,
+        fastest=whole.fastest,
+        evaluations=found.evaluations,
+        mass=shooting.mass,
+    )
+    return cycle, found.u
+
+
+@eqx.filter_jit
+def with_derivatives(
+    shooting: Shooting, chain: AbstractOscillators, cycle: LimitCycle, u: Array
+) -> LimitCycle:
+    """`cycle` with its derivatives in the numbers of `chain`."""
+    held = eqx.tree_at(lambda s: s.field, shooting, chain)
+    unknowns = attach_derivative(_residual, jnp.concatenate([u, cycle.amplitude]), held)
+    _, state, period = held.unpack(unknowns[: u.shape[0]])
+    return _moved(cycle, chain, state, period, unknowns[u.shape[0] :])
+
+
+def _moved(
+    cycle: LimitCycle, chain: AbstractOscillators, state: State, period: Array, amplitude: Array
+) -> LimitCycle:
+    return eqx.tree_at(
+        lambda c: (c.chain, c.state, c.period, c.amplitude),
+        cycle,
+        (chain, state, period, amplitude),
+    )
+
+
+def _residual(unknowns: Float[Array, " m"], shooting: Shooting) -> Float[Array, " m"]:
+    """The equations of the cycle and of its amplitudes."""
+    n = len(shooting.images)
+    u, amplitude = unknowns[:-n], unknowns[-n:]
+    field, state, period = shooting.unpack(u)
+    end, _, (seen,) = flow(
+        field, state, period, rtol=shooting.rtol, solver=shooting.solver, observers=[Amplitude()]
+    )
+    return jnp.concatenate([shooting.gap(u, end), seen - amplitude])
 
 
 @final
@@ -329,10 +411,10 @@ def close_orbit(
     """
     chain, state, period = as_orbit(chain, state, period)
     x, v = check_orbit(chain, state, period, rtol)
-    return _close(chain, (x, v), to_float(period), own_solver(chain, solver), rtol)
+    return _close(chain, (x, v), to_float(period), own_solver(chain, solver), rtol)[0]
 
 
-class _Way(NamedTuple):
+class _Run(NamedTuple):
     """What a run tells besides its end."""
 
     slopes: Float[Array, "two_n m"]  # of the state at the end, in (x, v, T)
@@ -343,57 +425,59 @@ class _Way(NamedTuple):
 @eqx.filter_jit
 def _close(
     chain: AbstractOscillators, state: State, period: Array, solver: Any, rtol: Any
-) -> ClosedOrbit:
+) -> tuple[ClosedOrbit, Int[Array, ""]]:
+    """(the orbit, how many integrations it took)."""
     start = jnp.concatenate([*state, period[None]])
     n = state[0].shape[0]
-
     observe: dict[str, Any] = {"returned": Returns()}
     if isinstance(solver, EventDriven):
         observe["sticking"] = MostSticking()
 
-    def flow(u: Array) -> tuple[Array, tuple[Array, Returned, Array]]:
+    def end_of(u: Array) -> tuple[Array, tuple[Array, Returned, Array]]:
         run = simulate(
-            chain, (u[:n], u[n:-1]), u[-1], observe=observe, solver=solver, rtol=rtol,
-            throw=False,
-        )  # fmt: skip
+            chain, (u[:n], u[n:-1]), u[-1], observe=observe, solver=solver, rtol=rtol, throw=False
+        )
         end, seen = jnp.concatenate(run.state), run.observed
         return end, (end, seen["returned"], seen.get("sticking", jnp.zeros((), int)))
 
     weights = jnp.full(start.shape, start.shape[0] ** -0.5)
 
-    def linearise(u: Array) -> tuple[Array, Factors, _Way]:
-        slopes, (end, returned, sticking) = jax.jacfwd(flow, has_aux=True)(u)
+    def linearise(u: Array) -> tuple[Array, Factors, _Run]:
+        slopes, (end, returned, sticking) = jax.jacfwd(end_of, has_aux=True)(u)
         f = slopes[:, -1]
-        matrix = jnp.block(
-            [
-                [slopes[:, :-1] - jnp.eye(2 * n) + _free_phases(chain, f), f[:, None]],
-                [f[None], jnp.zeros((1, 1))],
-            ]
-        )
-        way = _Way(slopes, returned, sticking)
-        return jnp.append(end - u[:-1], 0.0), factorise(matrix, weights), way
+        return_map = slopes[:, :-1] - jnp.eye(2 * n) + _free_phases(chain, f)
+        matrix = jnp.block([[return_map, f[:, None]], [f[None], jnp.zeros((1, 1))]])
+        run = _Run(slopes, returned, sticking)
+        return jnp.append(end - u[:-1], 0.0), factorise(matrix, weights), run
 
     best = close_orbit_once(
-        linearise, start, weights, limit=_MOST, fine=_FINEST,
-        closed=lambda now: greatest_gap(now) <= _CLOSED * now.aux.returned.farthest,
+        linearise, start, weights, limit=8, fine=1e-13,
+        # Closed by a share of the size of the orbit.
+        closed=lambda now: greatest_gap(now) <= 1e-6 * now.aux.returned.farthest,
         state_at=lambda u: (u[:n], u[n:-1]),
         shortened=lambda u, times: u.at[-1].divide(times),
     )  # fmt: skip
     failed = jnp.where(jnp.isfinite(best.length), 0.0, jnp.nan)
     u, slopes = best.u + failed, best.aux.slopes + failed
     possible = can_be_cycle(chain, u[-1], jnp.abs(u[n:-1]))
-    gap = jnp.where(possible, greatest_gap(best), jnp.inf) + failed
     once = start.at[-1].divide(jnp.maximum(jnp.round(period / u[-1]), 1.0))
-    found = floquet_multipliers(slopes[:, :-1], slopes[:, -1])
-    resolution = jnp.maximum(found.defect, multiplier_resolution(slopes[:, :-1]))
-    multipliers = jnp.where(jnp.abs(found.multipliers) < resolution, jnp.nan, found.multipliers)
+    floquet = floquet_multipliers(slopes[:, :-1], slopes[:, -1])
+    resolution = jnp.maximum(floquet.defect, multiplier_resolution(slopes[:, :-1]))
+    resolved = ~(jnp.abs(floquet.multipliers) < resolution)
     # Velocities of masses that stick together are all that of the belt.
     kept = jnp.arange(2 * n - 1) < 2 * n - 1 - best.aux.sticking
-    multipliers = jnp.where(kept | ~jnp.isfinite(found.multipliers), multipliers, 0.0)
-    return ClosedOrbit(
-        (u[:n], u[n:-1]), u[-1], gap, jnp.max(jnp.abs(u - once)), multipliers,
-        found.defect, resolution,
-    )  # fmt: skip
+    multipliers = jnp.where(resolved, floquet.multipliers, jnp.nan)
+    multipliers = jnp.where(kept | ~jnp.isfinite(floquet.multipliers), multipliers, 0.0)
+    orbit = ClosedOrbit(
+        state=(u[:n], u[n:-1]),
+        period=u[-1],
+        gap=jnp.where(possible, greatest_gap(best), jnp.inf) + failed,
+        distance=jnp.max(jnp.abs(u - once)),
+        multipliers=multipliers,
+        defect=floquet.defect,
+        resolution=resolution,
+    )
+    return orbit, best.evaluations
 
 
 def _free_phases(chain: AbstractOscillators, f: Float[Array, " two_n"]) -> Array:
@@ -417,25 +501,21 @@ def dry_limit_cycle(
 
     Derivatives as in `find_limit_cycle`.
     """
-    frozen = lax.stop_gradient(chain)
     state, period = lax.stop_gradient((state, to_float(period)))
-    cycle = _dry_cycle(frozen, mass, state, period, to_float(rtol), to_float(tolerance))
+    rtol = to_float(rtol)
+    cycle = _dry_cycle(lax.stop_gradient(chain), mass, state, period, rtol, to_float(tolerance))
     unknowns = jnp.concatenate([*cycle.state, cycle.period[None], cycle.amplitude])
     equations = jax.tree_util.Partial(_dry_residual, mass)
-    unknowns = attach_derivative(equations, unknowns, (chain, to_float(rtol)))
-    x, v, period, amplitude = _parts(unknowns)
-    return eqx.tree_at(
-        lambda c: (c.chain, c.state, c.period, c.amplitude),
-        cycle,
-        (chain, (x, v), period, amplitude),
-    )
+    unknowns, n = attach_derivative(equations, unknowns, (chain, rtol)), chain.n
+    x, v, period, amplitude = jnp.split(unknowns, [n, 2 * n, 2 * n + 1])
+    return _moved(cycle, chain, (x, v), period[0], amplitude)
 
 
 @eqx.filter_jit
 def _dry_cycle(
     chain: Chain, mass: int, state: State, period: Array, rtol: Array, tolerance: Array
 ) -> LimitCycle:
-    orbit = close_orbit(chain, state, period, rtol=rtol)
+    orbit, evaluations = _close(chain, state, period, own_solver(chain, None), rtol)
     # A little more, for an orbit that begins there.
     watch = _Cuts(mass, 1, of="velocity")
     cut = simulate(
@@ -447,23 +527,22 @@ def _dry_cycle(
     gap = jnp.concatenate(run.state) - jnp.concatenate(state)
     residual = jnp.max(jnp.abs(gap)) / fastest[mass]
     closed = (residual <= tolerance) & is_trusted(orbit.multipliers, orbit.defect)
-    rests = closed & (fastest[mass] <= LEAST_VELOCITY)
-    result = SearchResult.where(closed, SearchResult.successful, SearchResult.no_step_helps)
-    result = SearchResult.where(rests, SearchResult.at_rest, result)
-    result = SearchResult.where(jnp.isfinite(residual), result, SearchResult.nonfinite)
-    result = SearchResult.where(jnp.isinf(orbit.gap), SearchResult.ran_away, result)
+    of = SearchResult
+    result = of.where(closed, of.successful, of.no_step_helps)
+    result = of.where(closed & (fastest[mass] <= LEAST_VELOCITY), of.at_rest, result)
+    result = of.where(jnp.isfinite(residual), result, of.nonfinite)
     return LimitCycle(
         chain=chain,
         state=state,
         period=orbit.period,
         residual=residual,
-        result=result,
+        result=of.where(jnp.isinf(orbit.gap), of.ran_away, result),
         multipliers=orbit.multipliers,
         trivial_defect=orbit.defect,
         liouville_defect=jnp.full_like(orbit.defect, jnp.nan),
         amplitude=amplitude,
         fastest=fastest,
-        evaluations=jnp.asarray(_MOST),
+        evaluations=evaluations,
         mass=mass,
     )
 
@@ -483,38 +562,18 @@ def _slipping(chain: Chain, x: Float[Array, " n"], v: Float[Array, " n"]) -> Flo
     return chain.free_force(x, v) + chain.belt_direction() * pull
 
 
-def _parts(unknowns: Float[Array, " m"]) -> tuple[Array, Array, Array, Array]:
-    """(x, v, period, amplitudes), 3 n + 1 numbers in all."""
-    n = unknowns.shape[0] // 3
-    return unknowns[:n], unknowns[n : 2 * n], unknowns[2 * n], unknowns[2 * n + 1 :]
-
-
 def _dry_residual(
     mass: int, unknowns: Float[Array, " m"], parameters: tuple[Chain, Array]
 ) -> Float[Array, " m"]:
     """What is left of the return, of the section, and of the amplitudes."""
     chain, rtol = parameters
-    x, v, period, amplitude = _parts(unknowns)
-    run = simulate(chain, (x, v), period, observe=Amplitude(), rtol=rtol, throw=False)
+    n = chain.n
+    x, v, period, amplitude = jnp.split(unknowns, [n, 2 * n, 2 * n + 1])
+    run = simulate(chain, (x, v), period[0], observe=Amplitude(), rtol=rtol, throw=False)
     section = _slipping(chain, x, v)[mass]
     return jnp.concatenate(
         [run.state[0] - x, run.state[1] - v, section[None], run.observed - amplitude]
     )
-
-
-# Belt speeds to begin at: of slip cycles those at which averaging has amplitudes of such shares of
-# the belt speed, of stick-slip cycles such shares of the one that is asked for.
-_BEGIN_RATIOS = (0.95, 0.85, 0.7, 0.5, 0.3)
-_SHARES = (0.97, 0.9, 1.1, 0.8, 1.2, 1.3, 0.7, 0.6, 0.5)
-# By how much the closeness at a fold may differ from what is known of it.
-_DOUBT = 0.3
-
-
-class Reached(NamedTuple):
-    """(state, period) of the cycle, or None, and why not."""
-
-    guess: tuple[State, Array] | None
-    reason: str
 
 
 @eqx.filter_jit
@@ -525,7 +584,7 @@ def is_of_kind(cycle: LimitCycle, kind: str) -> Bool[Array, ""]:
     Slip cycles ("unstable") have a real multiplier beyond 1, which passes through 1 at the fold.
     A stick-slip cycle ("stable") of a chain may have one, too, with the symmetry of its neighbours
     lost, but its mass comes closer to the belt's speed than that of a fold, s = max w / eps =
-    ln(eps / v_d) / 4 - 1.
+    ln(eps / v_d) / 4 - 1, within 0.3.
     """
     multipliers = cycle.multipliers
     beyond = (jnp.imag(multipliers) == 0) & (jnp.real(multipliers) > 1.0 + cycle.uncertainty)
@@ -539,57 +598,54 @@ def is_of_kind(cycle: LimitCycle, kind: str) -> Bool[Array, ""]:
         return alone & (cycle.closeness[cycle.mass] == 0)
     eps = jnp.broadcast_to(chain.width, (n,))[cycle.mass]
     fold = 0.25 * jnp.log(eps / jnp.maximum(jnp.abs(chain.belt_speed), eps)) - 1.0
-    return alone & ~(grows & (cycle.closeness[cycle.mass] < fold + _DOUBT))
+    return alone & ~(grows & (cycle.closeness[cycle.mass] < fold + 0.3))
 
 
-def reach_cycle(shooting: Shooting, kind: str, tolerance: Array, limit: Array) -> Reached:
+def continue_to_belt_speed(
+    shooting: Shooting, kind: str, tolerance: Array, limit: Array
+) -> tuple[Guess | None, str]:
     """The cycle of one mass, of `kind`, at the belt speed of `shooting.field`, from elsewhere.
 
-    On the host.  The reason says where the branch turns or ends if it does not get there.
+    On the host.  Returns ((state, period) or None, where the branch turns or ends if it does not
+    get there).
     """
     chain: Any = shooting.field
-    goal, along = abs(float(chain.belt_speed)), float(chain.belt_direction())
-    ended = ""
+    goal, along, ended = abs(float(chain.belt_speed)), float(chain.belt_direction()), ""
     for speed in _speeds(chain, shooting.mass, kind, goal):
         there = chain.with_(belt_speed=along * speed)
         state, period = guess_of_kind(there, shooting.mass, kind)
         if not bool(jnp.isfinite(jnp.sum(state[1]) + period)):
             continue
-        own = Shooting(
-            field=there, rtol=shooting.rtol, solver=shooting.solver, mass=shooting.mass,
-            images=shooting.images,
-        )  # fmt: skip
-        cycle, _ = solve_cycle(own, packed(own, state, period), tolerance, limit)
+        elsewhere = eqx.tree_at(lambda s: s.field, shooting, there)
+        cycle, _ = solve_cycle(elsewhere, packed(elsewhere, state, period), tolerance, limit)
         if not bool(cycle.successful & is_of_kind(cycle, kind)):
             continue
-        found, ended = _follow(cycle, shooting, goal, along)
-        if found is not None:
-            return Reached(found, "")
-        if ended:
-            break
-    return Reached(None, ended)
+        guess, ended = _follow(cycle, shooting, goal, along)
+        if guess is not None or ended:
+            return guess, ended
+    return None, ended
 
 
 def _speeds(chain: Chain, mass: int, kind: str, goal: float) -> list[float]:
-    """Where to begin, the nearest first."""
+    """Where to begin, the nearest first.
+
+    Slip cycles begin where averaging has amplitudes of some shares of the belt speed.
+    """
     if kind == "stable":
-        return [share * goal for share in _SHARES]
+        return [share * goal for share in (0.97, 0.9, 1.1, 0.8, 1.2, 1.3, 0.7, 0.6, 0.5)]
     alone = one_mass(chain, mass)
-    highest = greatest_speed(alone)
-    ratios = jnp.asarray(_BEGIN_RATIOS)
+    highest, ratios = greatest_speed(alone), jnp.asarray([0.95, 0.85, 0.7, 0.5, 0.3])
     speeds = np.asarray(lax.map(lambda ratio: cycle_speed(alone, ratio, highest), ratios))
-    known = [float(speed) for speed in speeds[np.isfinite(speeds)] if speed > 0]
-    return sorted(known, key=lambda speed: abs(speed - goal))
+    return sorted((float(v) for v in speeds if v > 0), key=lambda speed: abs(speed - goal))
 
 
 def _follow(
     cycle: LimitCycle, shooting: Shooting, goal: float, along: float
-) -> tuple[tuple[State, Array] | None, str]:
+) -> tuple[Guess | None, str]:
     """The cycle at the belt speed `goal`; if the branch does not get there, why."""
-    begin = abs(float(cast(Chain, cycle.chain).belt_speed))
+    begin = farthest = abs(float(cast(Chain, cycle.chain).belt_speed))
     ahead = 1.0 if goal > begin else -1.0
     bounds = sorted((along * goal, along * (goal - 2.0 * ahead * abs(goal - begin) - ahead)))
-    farthest = begin
 
     def turned(speed: float, _: Any) -> bool:
         nonlocal farthest
@@ -607,12 +663,12 @@ def _follow(
     if branch.ended == "left_bounds" and branch.parameter[-1] == along * goal:
         state = jnp.asarray(branch.x[-1]), jnp.asarray(branch.v[-1])
         return (state, jnp.asarray(branch.period[-1])), ""
+    ways = {"fold": "turn at a fold", "hopf": "end in a Hopf point"}
     for point in branch.special:
-        if point.kind in ("fold", "hopf"):
-            what = "turn at a fold" if point.kind == "fold" else "end in a Hopf point"
+        if point.kind in ways:
             return None, (
-                f"the cycles of this kind, followed from belt speed {along * begin:.6g}, {what} "
-                f"at {point.parameter:.6g}"
+                f"the cycles of this kind, followed from belt speed {along * begin:.6g}, "
+                f"{ways[point.kind]} at {point.parameter:.6g}"
             )
     return None, ""
 
@@ -675,39 +731,41 @@ def find_limit_cycle(
         >>> slipping.stable, bool(slipping.closeness[0] < 0)
         (False, True)
     """
-    _check(chain, rtol)
+    as_chain(chain, AbstractOscillators)
+    check_tolerances(rtol, None, MAX_STEP)
     check_flag("throw", throw)
     if isinstance(chain, Chain):
         as_images(images, chain.n)
     limit = check_tolerance(tolerance, max_steps)
     frozen = lax.stop_gradient(chain)
     mass, state, period = resolve_guess(frozen, guess, period, vibrating, branch, throw)
-    n = state[0].shape[0]
-    if isinstance(chain, Chain) and chain.dry:
-        as_images(images, n, mass)
+    images = as_images(images, state[0].shape[0], mass)
+
+    def failed(cycle: LimitCycle) -> bool:
+        return not is_traced(cycle.successful) and not cycle.successful
+
+    reason, dry = "", isinstance(chain, Chain) and chain.dry
+    if dry:
         cycle = dry_limit_cycle(chain, mass, state, period, rtol=rtol, tolerance=tolerance)
         cycle = _keep_kind(cycle, branch) if guess is None else cycle
-        if throw and not is_traced(cycle.successful) and not cycle.successful:
-            raise RuntimeError(_failure(cycle) if guess is not None else _missing(frozen, branch))
-        return cycle
-    shooting = Shooting(
-        field=frozen, rtol=rtol, mass=mass, images=as_images(images, n, mass),
-        solver=fit_linear_solve(Rodas5P(), frozen, 1e-9 if is_traced(rtol) else float(rtol)),
-    )  # fmt: skip
-    numbers = to_float(tolerance), jnp.asarray(np.asarray(limit, dtype=int))
-    start = packed(shooting, lax.stop_gradient(state), lax.stop_gradient(period))
-    cycle, u = solve_cycle(shooting, start, *numbers)
-    reason = ""
-    if guess is None:
-        cycle = _keep_kind(cycle, branch)
-        if not is_traced(cycle.successful) and not cycle.successful:
-            found, reason = reach_cycle(shooting, branch, *numbers)
-            if found is not None:
-                cycle, u = solve_cycle(shooting, packed(shooting, *found), *numbers)
-    if throw and not is_traced(cycle.successful) and not cycle.successful:
-        missing = _failure(cycle) if guess is not None else _missing(frozen, branch, reason)
-        raise RuntimeError(missing)
-    return with_derivatives(shooting, chain, cycle, u)
+    else:
+        solver = fit_linear_solve(Rodas5P(), frozen, 1e-9 if is_traced(rtol) else float(rtol))
+        shooting = Shooting(field=frozen, rtol=rtol, solver=solver, mass=mass, images=images)
+        numbers = to_float(tolerance), jnp.asarray(np.asarray(limit, dtype=int))
+        start = packed(shooting, lax.stop_gradient(state), lax.stop_gradient(period))
+        cycle, u = solve_cycle(shooting, start, *numbers)
+        cycle = _keep_kind(cycle, branch) if guess is None else cycle
+        if guess is None and failed(cycle):
+            nearer, reason = continue_to_belt_speed(shooting, branch, *numbers)
+            if nearer is not None:
+                cycle, u = solve_cycle(shooting, packed(shooting, *nearer), *numbers)
+        if not failed(cycle) or not throw:
+            cycle = with_derivatives(shooting, chain, cycle, u)
+    if throw and failed(cycle):
+        raise RuntimeError(
+            _failure(cycle) if guess is not None else _missing(frozen, branch, reason)
+        )
+    return cycle
 
 
 @eqx.filter_jit
@@ -734,38 +792,32 @@ def resolve_guess(
                 "would be: give the state, too."
             )
         mass = as_mass(chain.n, vibrating, reference_site(chain.n))
-        state, period = guess_of_kind(chain, mass, branch)
-        return mass, state, period
+        return mass, *guess_of_kind(chain, mass, branch)
     if isinstance(guess, LimitCycle):
         check_orbit(chain, guess.state, guess.period, CYCLE_RTOL)
         mass = as_mass(guess.state[0].shape[0], vibrating, guess.mass)
-        return mass, *_sound(carried(guess.state, guess.chain, chain), guess.period, throw)
-    transient = TRANSIENT
-    if isinstance(guess, Simulation):
-        guess, transient = guess.state, 0.0
-    pair = isinstance(guess, tuple | list) and len(guess) == 2
-    if pair and isinstance(guess[0], tuple | list):
-        guess, period = guess
-    state = check_orbit(chain, guess, 1.0 if period is None else period, CYCLE_RTOL, "guess")
-    n = state[0].shape[0]
-    mass = as_mass(n, vibrating)
-    if mass is None:
-        mass = most_lively(chain, state)
-    if period is None:
-        state, period = guess_from_simulation(chain, state, mass, transient=transient)
+        state, period = carried(guess.state, guess.chain, chain), guess.period
     else:
-        state = guess_from_point(chain, state, period, mass)
-    return mass, *_sound(state, to_float(period), throw)
-
-
-def _sound(state: State, period: Any, throw: bool) -> tuple[State, Any]:
-    known = is_traced(state, period) or bool(jnp.isfinite(jnp.sum(state[1]) + period))
-    if throw and not known:
+        transient = _TRANSIENT
+        if isinstance(guess, Simulation):
+            guess, transient = guess.state, 0.0
+        pair = isinstance(guess, tuple | list) and len(guess) == 2
+        if pair and isinstance(guess[0], tuple | list):
+            guess, period = guess
+        state = check_orbit(chain, guess, 1.0 if period is None else period, CYCLE_RTOL, "guess")
+        mass = as_mass(state[0].shape[0], vibrating)
+        mass = most_lively(chain, state) if mass is None else mass
+        if period is None:
+            state, period = guess_from_simulation(chain, state, mass, transient=transient)
+        else:
+            state, period = guess_from_point(chain, state, period, mass), to_float(period)
+    vibrates = is_traced(state, period) or bool(jnp.isfinite(jnp.sum(state[1]) + period))
+    if throw and not vibrates:
         raise RuntimeError(
             "No vibration was found to start from: the state that was given comes to rest. See "
             "`fold_belt_speed` for the greatest belt speed of vibration, or give another `guess`."
         )
-    return state, period
+    return mass, state, period
 
 
 def _missing(chain: Any, kind: str, reason: str = "") -> str:
@@ -794,105 +846,3 @@ def _failure(cycle: LimitCycle) -> str:
         "`LimitCycle` at a belt speed nearby), or loosen `tolerance`. A branch of cycles may have "
         "turned at a fold."
     )
-
-
-def _check(chain: Any, rtol: Any) -> None:
-    as_chain(chain, AbstractOscillators)
-    check_tolerances(rtol, None, MAX_STEP)
-
-
-# A step that is shorter is rounding.
-_FINE = 1e-11
-
-
-@eqx.filter_jit
-def solve_cycle(
-    shooting: Shooting, start: Array, tolerance: Array, limit: Array
-) -> tuple[LimitCycle, Array]:
-    """(the cycle, its unknowns u) near u = `start`; nothing in here is to be differentiated."""
-    found = search_cycle(shooting, start, tolerance, limit)
-    field, state, period = shooting.unpack(found.u)
-    whole = found.aux
-    # In the shooting equations velocities count by their distance from the belt's: a fast orbit
-    # that decays, or a piece of one, is closed there.  So the gap counts as a share of the
-    # orbit's size, too.
-    left = jnp.max(jnp.abs(jnp.stack(whole.end) - jnp.stack(state)))
-    residual = jnp.fmax(greatest_gap(found), left / whole.returned.farthest)
-    direction = jnp.concatenate(field(0.0, state))
-    floquet = floquet_multipliers(whole.monodromy, direction)
-    speed = field.belt_direction() * state[1][shooting.mass]
-    moves = (whole.fastest[shooting.mass] > LEAST_VELOCITY) & (speed > 0)
-    possible = can_be_cycle(field, period, whole.fastest)
-    closed = (residual <= tolerance) & is_trusted(floquet.multipliers, floquet.defect)
-    result = ending(found, closed, limit)
-    result = SearchResult.where(closed & ~moves, SearchResult.at_rest, result)
-    result = SearchResult.where(whole.complete & ~possible, SearchResult.ran_away, result)
-    cycle = LimitCycle(
-        chain=field,
-        state=state,
-        period=period,
-        residual=residual,
-        result=result,
-        multipliers=floquet.multipliers,
-        trivial_defect=floquet.defect,
-        liouville_defect=liouville_defect(whole.monodromy, whole.trace_integral),
-        amplitude=whole.amplitude,
-        fastest=whole.fastest,
-        evaluations=found.evaluations,
-        mass=shooting.mass,
-    )
-    return cycle, found.u
-
-
-@eqx.filter_jit
-def with_derivatives(
-    shooting: Shooting, chain: AbstractOscillators, cycle: LimitCycle, u: Array
-) -> LimitCycle:
-    """`cycle` with its derivatives in the numbers of `chain`."""
-    held = eqx.tree_at(lambda s: s.field, shooting, chain)
-    unknowns = jnp.concatenate([u, cycle.amplitude])
-    unknowns = attach_derivative(_residual, unknowns, held)
-    _, state, period = held.unpack(unknowns[: u.shape[0]])
-    return eqx.tree_at(
-        lambda c: (c.chain, c.state, c.period, c.amplitude),
-        cycle,
-        (chain, state, period, unknowns[u.shape[0] :]),
-    )
-
-
-def _residual(unknowns: Float[Array, " m"], shooting: Shooting) -> Float[Array, " m"]:
-    """The equations of the cycle and of its amplitudes."""
-    n = len(shooting.images)
-    u, amplitude = unknowns[:-n], unknowns[-n:]
-    field, state, period = shooting.unpack(u)
-    end, _, (seen,) = flow(
-        field, state, period, rtol=shooting.rtol, solver=shooting.solver, observers=[Amplitude()]
-    )
-    return jnp.concatenate([shooting.gap(u, end), seen - amplitude])
-
-
-def search_cycle(shooting: Shooting, start: Array, tolerance: Array, limit: Array) -> Iterate:
-    """The search for a closed orbit near u = `start`; `aux` is its `Period`."""
-    weights = jnp.full(start.shape, start.shape[0] ** -0.5)
-
-    def linearise(u: Array) -> tuple[Array, Factors, Period]:
-        field, state, period = shooting.unpack(u)
-        whole = linearised_period(field, state, period, rtol=shooting.rtol, solver=shooting.solver)
-        by_u, by_end = jax.jacfwd(shooting.gap, argnums=(0, 1))(u, whole.end)
-
-        def orbit(u: Array) -> Array:
-            _, (x, v), period = shooting.unpack(u)
-            return jnp.concatenate([x, v, period[None]])
-
-        slope = jax.jacfwd(orbit)(u)
-        direction = jnp.concatenate(field(0.0, whole.end))
-        end = whole.monodromy @ slope[:-1] + direction[:, None] * slope[-1:]
-        jacobian = by_u + jnp.concatenate(by_end, axis=1) @ end
-        return shooting.gap(u, whole.end), factorise(jacobian, weights), whole
-
-    return close_orbit_once(
-        linearise, start, weights, limit=limit, fine=_FINE,
-        closed=lambda now: greatest_gap(now) <= tolerance,
-        state_at=lambda u: shooting.unpack(u)[1],
-        shortened=lambda u, times: u.at[-1].add(-jnp.log(times)),
-    )  # fmt: skip
