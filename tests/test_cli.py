@@ -20,7 +20,7 @@ from synthetic import results, stored
 import jaxchain
 from jaxchain import SearchResult
 from jaxchain.basins import SlidingBasin, single_mass
-from jaxchain.boundaries import overview
+from jaxchain.boundaries import ranges
 from jaxchain.cli import main
 from jaxchain.result import NAMES
 from jaxchain.scenes import running
@@ -331,9 +331,9 @@ def replace_search(monkeypatch, fold, fold_limit, fold_limit_error):
 
     def search(chain):
         asked.append(chain)
-        return overview.Boundaries(*map(jnp.asarray, values), mass=chain.n // 2)
+        return ranges.Boundaries(*map(jnp.asarray, values), mass=chain.n // 2)
 
-    monkeypatch.setattr(overview, "hopf_and_fold", search)
+    monkeypatch.setattr(ranges, "hopf_and_fold", search)
     return asked
 
 
@@ -387,7 +387,7 @@ def test_ctrl_c_ends_boundary_without_a_traceback(workplace, monkeypatch, capsys
     def stopped(chain):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(overview, "hopf_and_fold", stopped)
+    monkeypatch.setattr(ranges, "hopf_and_fold", stopped)
     assert main(["boundary"]) == 130
     assert capsys.readouterr() == ("", "jaxchain: interrupted\n")
 

@@ -117,7 +117,7 @@ def run_scene(
         results.keep(files)
         return _fill(loaded, results, chains, {**how, "client": client}, report, plot, netcdf)
     finally:
-        if not results.datasets and not stores_in(folder):  # nothing was found
+        if not results.store.exists() and not stores_in(folder):  # nothing was saved
             for name in files:
                 (folder / name).unlink(missing_ok=True)
 
@@ -268,7 +268,7 @@ def _in_memory(data: xr.Dataset) -> xr.Dataset:
 
 def _write_page(results: Results, loaded: LoadedScene) -> None:
     """The page of whatever was saved; a page that cannot be written is only warned of."""
-    if results.datasets or stores_in(results.folder):
+    if results.store.exists() or stores_in(results.folder):
         try:
             write_page(results.folder, loaded.name, results.datasets, loaded)
         except OSError as error:
