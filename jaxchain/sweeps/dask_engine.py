@@ -15,6 +15,7 @@ import os
 import sys
 import threading
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError
 from typing import Any
 
 import numpy as np
@@ -28,8 +29,6 @@ from .ensemble import DEVICES, Ensemble, circumstances_of_numbers, flags
 from .scheduler import Scheduler
 from .store import Store, StoreError, differences
 
-# Units handed out at a time for each worker: the one under way, and one that waits.
-_AHEAD = 2
 # What our own clusters are told.  Tracing and compiling hold the interpreter, so that a worker may
 # be silent for a while and is not dead: Dask's own limits are 30 s and 5 min.  A unit whose
 # worker died is handed out again; 3 deaths, as Dask has it, are few in a long sweep.
@@ -62,8 +61,9 @@ def fill_by(
     under_way: dict[str, Block] = {}
 
     def submit() -> Iterator[Any]:
+        # One for each worker, written before the next: so no more than that is ever lost.
         workers = len(client.scheduler_info(n_workers=-1)["workers"])
-        free = _AHEAD * max(1, workers) - len(under_way)
+        free = max(1, workers) - len(under_way)
         for block in itertools.islice(waiting, max(0, free)):
             future = client.submit(_compute, *same, block.jobs, pure=False)
             under_way[future.key] = block
@@ -76,15 +76,13 @@ def fill_by(
                 raise StoreError(_gone(store))
             block = under_way.pop(future.key)
             block.records, devices = future.result()
-            for more in submit():
-                running.add(more)
             store.write(block.key, ensemble.dataset(block, {}))
             kinds |= devices
             bar.n += block.size
             bar.refresh()
-    except (OSError, TimeoutError) as error:
-        if isinstance(error, StoreError) or client.status == "running":
-            raise
+            for more in submit():
+                running.add(more)
+    except (OSError, TimeoutError, CancelledError) as error:
         raise StoreError(_gone(store)) from error
     finally:
         with contextlib.suppress(Exception):  # where the scheduler is gone, so are they

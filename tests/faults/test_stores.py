@@ -61,15 +61,15 @@ class Place:
     def cluster(self):
         """The scheduler and the workers, started by hand, and the file of the scheduler."""
         file = self.folder / f"scheduler-{time.time_ns()}.json"
-        log = (self.folder / "dask.log").open("a")
         dask = sys.executable, "-m", "distributed.cli.dask_{}", "--scheduler-file", file
         more = ["--nthreads", "1", "--no-dashboard", "--death-timeout", "60", "--local-directory"]
         kinds = [("scheduler", ["--host", "127.0.0.1", "--port", "0", "--no-dashboard"])]
         kinds += [("worker", [*more, self.folder / "scratch", "--preload", CHILD])] * WORKERS
-        started = [
-            self.start(*(str(word).format(kind) for word in dask), *own, stdout=log, stderr=log)
-            for kind, own in kinds
-        ]
+        with (self.folder / "dask.log").open("a") as log:
+            started = [
+                self.start(*(str(w).format(kind) for w in dask), *own, stdout=log, stderr=log)
+                for kind, own in kinds
+            ]
         return started, file
 
     def count(self, word):
@@ -149,12 +149,15 @@ def test_with_dask_one_unit_for_each_worker_is_lost_at_most(place, undisturbed, 
     time.sleep(chance.uniform(0.0, 0.3))
     if killed == "worker":
         below = [psutil.Process(nanny.pid).children(recursive=True) for nanny in cluster[1:]]
-        workers = [p for own in below for p in own if "tracker" not in " ".join(p.cmdline())]
+        workers = [
+            p for own in below for p in own if "resource_tracker" not in " ".join(p.cmdline())
+        ]
         chance.choice(workers).kill()
     else:
         {"client": client, "scheduler": cluster[0]}[killed].kill()
     message, status = place.end(client)
-    assert status == {"worker": 0, "client": -signal.SIGKILL, "scheduler": REFUSED}[killed]
+    expected = {"worker": 0, "client": -signal.SIGKILL, "scheduler": REFUSED}[killed]
+    assert status == expected, message
     if killed == "scheduler":
         assert "The scheduler of Dask is gone" in message
         _, file = place.cluster()
