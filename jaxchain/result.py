@@ -343,8 +343,5 @@ def name_of(item: Any) -> str:
 
 def _is_one(item: Any) -> bool:
     codes = getattr(item, "_value", None)
-    return (
-        np.ndim(codes) == 0
-        and isinstance(codes, int | np.ndarray | jax.Array)
-        and not isinstance(codes, Tracer)
-    )
+    known = isinstance(codes, int | np.ndarray | jax.Array) and not isinstance(codes, Tracer)
+    return known and np.ndim(codes) == 0

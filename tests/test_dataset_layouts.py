@@ -29,7 +29,7 @@ from jaxchain.observers import (
 )
 from jaxchain.result import NAMES, SearchResult, advice_of, message
 from jaxchain.scenes.running import circumstances, cycles, hopf_speed
-from jaxchain.sweeps.ensemble import prepare
+from jaxchain.sweeps.ensemble import RunSettings, prepare
 
 SWEPT = ("belt_speed", "excited")
 TABLES = tables()
