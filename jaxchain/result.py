@@ -342,6 +342,6 @@ def name_of(item: Any) -> str:
 
 
 def _is_one(item: Any) -> bool:
-    codes = getattr(item, "_value", None)
+    codes: Any = getattr(item, "_value", None)
     known = isinstance(codes, int | np.ndarray | jax.Array) and not isinstance(codes, Tracer)
     return known and np.ndim(codes) == 0
