@@ -26,6 +26,7 @@ import xarray as xr
 from scipy import stats
 
 import jaxchain as jc
+from jaxchain.localization.front_theory import death_belt_speed, growth_coupling, spreading_speed
 
 COUPLING, PATTERNS, WORDS = 0.01, ["alternating", "in-phase"], ["shrinks", "stands", "grows", "-"]
 FULL = {
@@ -72,7 +73,7 @@ def block_start(chain, seed, in_phase, block):
 def spreading(speeds, coupling):
     """Speed of linear spreading at these belt speeds; without growth above the Hopf speed."""
     growth = jax.vmap(partial(jc.model.growth_rate, ALONE()))(jnp.asarray(speeds))
-    return np.asarray(jc.localization.spreading_speed(coupling, jnp.maximum(growth, 0.0)))
+    return np.asarray(spreading_speed(coupling, jnp.maximum(growth, 0.0)))
 
 
 def measure(store, ring, speeds, coupling=COUPLING, width=None, seeds=1):
@@ -121,7 +122,7 @@ def predicted():
     speeds = np.linspace(float(jc.hopf_belt_speed(ALONE())) + 0.01, SHRINKS, CURVE)
 
     def grows(speed):
-        chain, theory = ALONE(belt_speed=speed), jc.localization.growth_coupling
+        chain, theory = ALONE(belt_speed=speed), growth_coupling
         cycle = jc.find_limit_cycle(chain, throw=False)
         detuning = 2 * jnp.pi / cycle.period - 1
         both = (theory(chain, detuning, cycle.amplitude[0], cosine) for cosine in (-1.0, 0.0))
@@ -131,7 +132,7 @@ def predicted():
     # Where masses die the detuning hardly depends on the belt speed.
     late = np.interp(0.93 * SHRINKS, speeds, detuning)
     ways = {"detuning": late, "fold": jc.nonsmooth_fold_belt_speed}
-    dies = partial(jc.localization.death_belt_speed, ALONE(), **ways)
+    dies = partial(death_belt_speed, ALONE(), **ways)
     return speeds, worst, drifting, np.asarray(jax.jit(jax.vmap(dies))(jnp.asarray(DEATHS)))
 
 

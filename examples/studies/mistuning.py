@@ -25,6 +25,7 @@ import xarray as xr
 from scipy import stats
 
 import jaxchain as jc
+from jaxchain.localization.capture_theory import capture_interval
 
 N, COUPLING = 20, 0.01
 CHAINS, DISORDER = 1000, [0.0, 0.005, 0.01, 0.02, 0.03, 0.05, 0.1]
@@ -147,7 +148,7 @@ def captures(data):
         pairs = zip(rows.hits.tolist(), rows.total.tolist())
         bars = [stats.binomtest(*pair).proportion_ci(method="wilson") for pair in pairs]
         rows["low"], rows["high"] = np.transpose(bars)
-        theory = jc.localization.capture_interval(jc.paper_chain(N, width=None), speed)
+        theory = capture_interval(jc.paper_chain(N, width=None), speed)
         found[speed] = rows, np.asarray(theory)
     return found
 

@@ -1,7 +1,3 @@
-from .capture_theory import capture_interval as capture_interval
-from .front_theory import death_belt_speed as death_belt_speed
-from .front_theory import growth_coupling as growth_coupling
-from .front_theory import spreading_speed as spreading_speed
 from .fronts import Depinning as Depinning
 from .fronts import FrontSpeed as FrontSpeed
 from .fronts import depinning_belt_speed as depinning_belt_speed

@@ -68,7 +68,7 @@ def growth_coupling(
     -1 for the worst.  From rest, the response of the quiet masses stays low as long as there is a
     low one; where it folds, they reach the belt speed.  `chain` is one mass.
     """
-    speed = chain.belt_speed
+    speed = jnp.abs(chain.belt_speed)  # friction is odd: the direction of the belt is no matter
     ratios = jnp.linspace(1e-3, 1.0, 200)
     dampings = -jax.vmap(lambda r: gain(chain, r, speed))(ratios) / (ratios * speed)
 

@@ -14,6 +14,7 @@ from jaxtyping import Array, Float, Int
 
 from .._checks import (
     check_function,
+    check_kind,
     check_nonnegative,
     check_number,
     check_positive_number,
@@ -209,14 +210,15 @@ def front_speeds(runs: Dataset, transient: Any = None, *, level: Any = 0.95) -> 
         >>> front_speeds(runs).verdict.values.tolist()  # grows, stands
         [1, 0]
     """
+    import xarray as xr  # it brings pandas, which would double the time of `import jaxchain`
+
+    check_kind("runs", runs, xr.Dataset, "a dataset", "`sweep(..., observe=FrontTrack(20))`.")
     if "front_right" not in runs:
         raise ValueError(
             "Argument `runs` must be a sweep that observed a `FrontTrack`, but has the variables "
             f"{[str(name) for name in runs]}: call `sweep(..., observe=FrontTrack(windows))`."
         )
     check_share("level", level, "0.95 is usual.")
-    import xarray as xr  # it brings pandas, which would double the time of `import jaxchain`
-
     n, t0, t1 = runs.sizes["oscillator"], runs.attrs["t0"], runs.attrs["t1"]
     waits = xr.zeros_like(runs["result"], float)
     waits = waits + (0.2 * (t1 - t0) if transient is None else transient)

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import fields
 
 import jax.numpy as jnp
+import xarray as xr
 
 from jaxchain import chaos, localization
 from jaxchain.chaos import Criteria
@@ -90,6 +91,13 @@ def _fronts() -> Iterator[Row]:
         {
             **common, "initial": states(12), "t1": (*NUMBER, -1.0), "t0": NUMBER,
             "middle": (*optional(INDEX), 12), "level": (*NUMBER, 0.0, 1.0, 2.0),
+        },
+    )  # fmt: skip
+    yield Row(
+        "front_speeds", localization.front_speeds, {"runs": xr.Dataset({"front_right": 0.0})},
+        {
+            "runs": (None, "x", {}, Told(xr.Dataset(), r"variables \[\]")),
+            "level": (*NUMBER, 0.0, 1.0, 2.0),
         },
     )  # fmt: skip
     yield Row(
