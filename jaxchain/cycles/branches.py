@@ -816,11 +816,16 @@ def _of_cycles(
     """Variables over `dim` of what cycles are, one for each of `values` of the parameter."""
     speed = getattr(branch.shooting.field, "belt_speed", None)
     speed = values if branch.name == "belt_speed" else speed
-    labels = amplitude_variables(jnp.asarray(columns["amplitude"]), speed)
+    amplitude = columns["amplitude"]
+    some = amplitude if len(amplitude) else np.zeros((1, amplitude.shape[1]))  # no special point
+    labels = amplitude_variables(jnp.asarray(some), speed)
     each, multiplier = ("oscillator",), ("multiplier",)
     multipliers = columns["multipliers"]
     found: dict[str, tuple] = {
-        **{k: (v.dims, np.asarray(v.values), v.long_name, v.units) for k, v in labels.items()},
+        **{
+            k: (v.dims, np.asarray(v.values)[: len(amplitude)], v.long_name, v.units)
+            for k, v in labels.items()
+        },
         "period": ((), columns["period"], "least period T", "1 / omega_n"),
         "displacement": (each, columns["x"], "displacement where the cycle is cut", "x0"),
         "velocity": (each, columns["v"], "velocity where the cycle is cut", SPEED),

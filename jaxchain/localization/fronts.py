@@ -224,16 +224,18 @@ def front_speeds(runs: Dataset, transient: Any = None, *, level: Any = 0.95) -> 
     waits = waits + (0.2 * (t1 - t0) if transient is None else transient)
     well = xr.apply_ufunc(ended_well, runs["result"])
 
+    names = (
+        "speed", "error", "right", "left", "right_error", "left_error", "moved", "verdict",
+    )  # fmt: skip
+
     def measure(right: Array, left: Array, wait: Array, well: Array) -> tuple[Array, ...]:
-        return tuple(_measure(Fronts(right, left, left), n, t0, t1, wait, well, level).values())
+        found = _measure(Fronts(right, left, left), n, t0, t1, wait, well, level)
+        return tuple(found[name] for name in names)  # a compiled function sorts its dictionary
 
     numbers = xr.apply_ufunc(
         jnp.vectorize(measure, signature="(w),(w),(),()->" + ",".join(["()"] * 8)),
         runs["front_right"], runs["front_left"], waits, well,
         input_core_dims=[["window"], ["window"], [], []], output_core_dims=[[]] * 8,
-    )  # fmt: skip
-    names = (
-        "speed", "error", "right", "left", "right_error", "left_error", "moved", "verdict",
     )  # fmt: skip
     return runs[["result"]].assign(dict(zip(names, numbers, strict=True)))
 

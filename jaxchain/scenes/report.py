@@ -102,12 +102,14 @@ def _states(data: xr.Dataset) -> Iterator[tuple[str, str]]:
         none, still = good & (data["active_count"] == 0), diagram.at_rest(data)
         stable = diagram.stable_sliding(data, hopf)
         kinds = {"vibrating": good & (data["active_count"] > 0)}
+        word = "no mass"
         if still is not None:
             kinds["sliding"] = none & still & (True if stable is None else stable)
-            kinds["weak"] = none & ~still  # moving, but no mass above v_d / 2
-        for label, runs in kinds.items():
+            none, word = none & ~still, "moves, but no mass"
+        for label, runs in {**kinds, "weak": none}.items():
             if runs.any():
-                yield label, f"at belt speeds {_stretches(speeds, runs.any(other).values)}"
+                end = f": {word} above v_d / 2" if label == "weak" else ""
+                yield label, f"at belt speeds {_stretches(speeds, runs.any(other).values)}{end}"
     moving = diagram.moving_fronts(data)
     if moving is not None:
         yield "moving fronts", f"at belt speeds {_stretches(speeds, moving.values)}"

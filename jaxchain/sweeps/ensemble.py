@@ -104,7 +104,7 @@ DEVICES = "xla_force_host_platform_device_count"
 class RunSettings:
     """What is the same for all runs of a sweep: the arguments of `sweep` that decide numbers."""
 
-    chain: Chain
+    chain: Any  # a `Chain`, which `prepare` checks
     initial: State | Callable[..., State]
     t1: ScalarLike
     vary: Callable[..., Chain] | None = None

@@ -158,8 +158,12 @@ def test_the_scenes_are_the_figures_of_the_paper(number):
             "pictures=['time_series']",
             "pictures: has `time_series`, which needs `Sam",
         ),
-        ("fig7", "observe.others[0].interval=0.0", "observe.others"),
-        ("fig6", "observe.others[0].capacity=1000000000", "observe.others"),
+        (
+            "fig7",
+            "observe.others=[{observer='Samples',interval=0.0,capacity=9}]",
+            "observe.others",
+        ),
+        ("fig6", "observe.others=[{observer='PeakTimes',capacity=1000000000}]", "observe.others"),
     ],
 )
 def test_a_bad_experiment_is_refused_with_its_key(scene, override, problem):

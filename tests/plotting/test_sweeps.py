@@ -64,7 +64,7 @@ def test_rest_is_drawn_as_stable_only_where_the_numbers_of_the_run_say_so():
     bare = ladder().drop_vars("hopf_belt_speed")  # as `sweep` returns it
     (unstable,) = labelled(named_panels(figure({"ladder": bare}))[0], "at rest, unstable")
     assert where(unstable) == [1.0, 1.1]
-    assert "at rest       at belt speeds 1.2 to 1.9\n" in summary("ladder", bare)
+    assert "sliding       at belt speeds 1.2 to 1.9\n" in summary("ladder", bare)
     damped = results(
         {"damping_ratio": [0.05, 0.1], "belt_speed": [0.5, 1.0, 1.3]},
         np.zeros((2, 3)),
@@ -108,7 +108,7 @@ def test_only_what_does_not_move_is_at_rest(left_out):
     assert len({str(line.get_marker()) for line in three}) == 3
     assert len({to_hex(line.get_color()) for line in three}) == 3
     text = summary("single", data)
-    assert "at rest       at belt speeds 1.9\n" in text
+    assert "sliding       at belt speeds 1.9\n" in text
     assert "weak          at belt speeds 1.3 to 1.9: moves, but no mass above v_d / 2" in text
 
 
@@ -203,7 +203,7 @@ def test_a_summary_says_where_the_chain_vibrates():
     assert "70 (10 belt_speed x 7 excited)" in text
     assert "Hopf speed    1.1513" in text
     assert "vibrating     at belt speeds 1 to 1.7" in text
-    assert "at rest       at belt speeds 1.2 to 1.9" in text
+    assert "sliding       at belt speeds 1.2 to 1.9" in text
     assert "moving fronts at belt speeds 1 to 1.2, 1.7" in text
     assert max(map(len, text.splitlines())) < 100
 
@@ -465,7 +465,7 @@ def test_without_amplitudes_nobody_is_called_at_rest():
     (axes,) = named_panels(figure({"single": data}))
     assert not labelled(axes, "at rest")
     assert len(where(*labelled(axes, plot.NONE_VIBRATES))) == 8
-    assert "at rest" not in summary("single", data)
+    assert "sliding" not in summary("single", data)
     assert "weak          at belt speeds 1.3 to 1.9: no mass above" in summary("single", data)
 
 
