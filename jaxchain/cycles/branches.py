@@ -815,7 +815,7 @@ def _of_cycles(
 ) -> dict[str, tuple]:
     """Variables over `dim` of what cycles are, one for each of `values` of the parameter."""
     speed = getattr(branch.shooting.field, "belt_speed", None)
-    speed = values if branch.name == "belt_speed" else speed
+    speed = values if branch.name == "belt_speed" and len(values) else speed
     amplitude = columns["amplitude"]
     some = amplitude if len(amplitude) else np.zeros((1, amplitude.shape[1]))  # no special point
     labels = amplitude_variables(jnp.asarray(some), speed)
