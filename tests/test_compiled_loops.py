@@ -64,7 +64,7 @@ LONG = pytest.mark.long
     ("make", "n", "width", "observe", "most"),
     [
         pytest.param(_one, 1, 1e-3, None, 30, id="smoothed, one mass", marks=LONG),
-        pytest.param(_one, 20, 1e-3, None, 45, id="smoothed, one run"),
+        pytest.param(_one, 20, 1e-3, None, 45, id="smoothed, one run", marks=LONG),
         pytest.param(_one, 20, None, None, 90, id="dry, one run", marks=LONG),
         pytest.param(_many, 20, 1e-3, None, 50, id="smoothed, an ensemble", marks=LONG),
         pytest.param(_many, 20, None, None, 90, id="dry, an ensemble", marks=LONG),

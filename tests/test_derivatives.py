@@ -91,7 +91,7 @@ def test_values_and_derivatives_are_those_of_the_unrolled_loop():
     np.testing.assert_allclose(lanes, jax.jit(jax.vmap(jax.grad(plain)))(LANES), rtol=1e-12)
 
 
-@pytest.mark.parametrize("outer", [jax.jacfwd, jax.jacrev])
+@pytest.mark.parametrize("outer", [pytest.param(jax.jacfwd, marks=pytest.mark.long), jax.jacrev])
 def test_jacobians_of_lanes(outer):
     def several(k):
         return total(k) * k
@@ -101,7 +101,7 @@ def test_jacobians_of_lanes(outer):
     np.testing.assert_allclose(ours, theirs, rtol=1e-12)
 
 
-@pytest.mark.parametrize("inner", [jax.jacfwd, jax.jacrev])
+@pytest.mark.parametrize("inner", [pytest.param(jax.jacfwd, marks=pytest.mark.long), jax.jacrev])
 def test_second_derivatives(inner):
     ours = jax.jit(jax.jacfwd(inner(total)))(AT)
     np.testing.assert_allclose(ours, jax.jit(jax.hessian(plain))(AT), rtol=1e-11)

@@ -74,10 +74,8 @@ def test_rings_of_twenty_agree_with_scipy_to_1e_9(kind, solver, rtol):
     np.testing.assert_allclose(np.concatenate(run.state), expected, atol=1e-9, rtol=0)
 
 
-@pytest.mark.parametrize(
-    "solver",
-    [Rodas4(), *(pytest.param(s, marks=pytest.mark.long) for s in (Rodas5P(), dfx.Tsit5()))],
-)
+@pytest.mark.long
+@pytest.mark.parametrize("solver", [Rodas4(), Rodas5P(), dfx.Tsit5()])
 def test_a_cubic_spring_is_no_linear_one(solver):
     # x'' = -x^3 in all: -K x with K = 1 is given back by the local force.
     class OnlyCubic(AbstractOscillators):
@@ -299,7 +297,7 @@ class Late(VanDerPol):
         return -0.1 * v + jnp.where(t > 40.0, jnp.sin(t), 0.0)
 
 
-@pytest.mark.parametrize("kind", [Well, Late])
+@pytest.mark.parametrize("kind", [Well, pytest.param(Late, marks=pytest.mark.long)])
 def test_a_rest_that_does_not_last_is_not_quiet(kind):
     field = kind(strength=jnp.asarray(1.0), springs=None)
     start = jnp.array([1e-12]), jnp.zeros(1)

@@ -64,11 +64,6 @@ def test_every_row_runs_and_the_page_that_is_kept_is_such_a_page(tmp_path):
     assert kept.split("\n\n")[:5] == made.split("\n\n")[:5]
 
 
-def test_an_unknown_row_is_refused():
-    with pytest.raises(AssertionError, match="no row speed: choose from stock"):
-        run("speed")
-
-
 def test_sides_are_measured_in_turn_and_compared_turn_by_turn(timing):
     now, calls = [0.0], []
 
