@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-import xarray as xr
+from synthetic import stored
 
 from jaxchain.cli import main
 
@@ -34,9 +34,8 @@ def ran(tmp_path_factory):
     ):
         main(["run", str(place / "mine.toml"), "--quiet", "--output", str(place / name), *change])
         found[name] = place / name
-    with xr.open_dataset(found["failed"] / "mine.nc", group="ladder") as data:
-        lost = int(np.isnan(data.energy).sum())
-        assert 0 < lost < data.energy.size
+    energy = stored(found["failed"] / "mine")["ladder"].energy
+    assert 0 < int(np.isnan(energy).sum()) < energy.size
     return found
 
 
