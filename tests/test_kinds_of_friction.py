@@ -107,9 +107,9 @@ QUICK = {
         lambda c: jc.boundaries.first_lyapunov_coefficient(c, 1.15, 1.0, jnp.ones(1, complex)),
         1e-9,
     ),
-    "simulate": (THREE, run, 5e-3),
 }  # fmt: skip
 LONG = {
+    "simulate": (THREE, run, 5e-3),
     "sweep": (
         THREE,
         lambda c: jc.sweep(

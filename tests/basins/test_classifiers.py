@@ -100,7 +100,7 @@ def test_neighbours_that_exchange_their_vibration_both_vibrate():
         assert found.vibrates.tolist() == [True, True, False, False, False, False]
 
 
-@pytest.mark.parametrize("death", [230.0, 250.0, 270.0])
+@pytest.mark.parametrize("death", [230.0, 270.0])
 def test_a_mass_that_has_died_lately_is_not_decided(death):
     def motion(t):
         fading = 1.5 / (1.0 + jnp.exp(t - death))
@@ -191,7 +191,7 @@ def test_rotations_of_a_chain_whose_masses_differ_are_refused():
         VibratingMasses(by="ring").merge(np.ones((1, 6), int), chain)
 
 
-@pytest.mark.parametrize("width", [None, 1e-2])
+@pytest.mark.parametrize("width", [None, pytest.param(1e-2, marks=pytest.mark.long)])
 def test_it_says_what_amplitudes_say(width):
     chain = CHAIN.with_(width=width)
     data = sweep(

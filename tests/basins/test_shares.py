@@ -216,6 +216,7 @@ def test_states_are_judged_on_demand():
     assert found.verdict.sel(state="vibrating").values.tolist() == ["periodic", ""]
 
 
+@pytest.mark.long
 def test_seeds_are_different_starts_and_a_seed_is_the_same():
     first, second, third = (
         basin_shares(ONE, Box(), half_width=0.05, seed=seed, checked=0).share.values
@@ -232,6 +233,7 @@ def test_random_starts_have_the_bar_of_a_fraction():
     assert 0.99 < float(found.high[0] - found.low[0]) / 2 / binomial < 1.01
 
 
+@pytest.mark.long
 def test_above_the_fold_every_start_comes_to_rest():
     found = basin_shares(ONE.with_(belt_speed=1.9), Box(), half_width=0.02)
     assert found.state.values.tolist() == ["sliding", "undecided"]
@@ -239,6 +241,7 @@ def test_above_the_fold_every_start_comes_to_rest():
     assert 0.99 < found.low[0] < 1
 
 
+@pytest.mark.long
 def test_rotated_patterns_are_equally_likely():
     chain = paper_chain(3, belt_speed=1.5, width=None)
     region = Box(displacement=(-2, 2), velocity=(0, 2))
@@ -384,6 +387,7 @@ def test_several_dimensions_and_numbers_that_run_together():
     assert np.all(found.share.sel(state="sliding").diff("belt_speed") > 0)
 
 
+@pytest.mark.long
 def test_shares_of_a_smoothed_chain():
     found = basin_shares(ONE.with_(width=1e-2), Box(), half_width=0.05, t1=300.0, checked=0)
     dry = basin_shares(ONE, Box(), half_width=0.05, checked=0)

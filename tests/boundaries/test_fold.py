@@ -389,7 +389,7 @@ def test_derivatives_are_taken_at_the_fold_itself():
     assert float(jax.grad(fold)(1e-3)) == pytest.approx(expected, rel=2e-6)
 
 
-@pytest.mark.parametrize("width", [1e-2, None])
+@pytest.mark.parametrize("width", [1e-2, pytest.param(None, marks=pytest.mark.long)])
 def test_what_does_not_exist_has_no_derivative_either(width):
     chain = paper_chain(1, width=width)
 

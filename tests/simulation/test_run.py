@@ -229,7 +229,7 @@ def test_a_traced_end_that_is_no_time_after_the_start_is_a_failure(solver):
     assert "finite times in their order" in message("bad_span")
 
 
-@pytest.mark.parametrize("solver", [None, EventDriven()], ids=["smoothed", "nonsmooth"])
+@pytest.mark.parametrize("solver", [None, pytest.param(EventDriven(), marks=pytest.mark.long)])
 def test_a_window_longer_than_the_run_is_no_success(solver):
     chain = paper_chain(1)
     whole = partial(

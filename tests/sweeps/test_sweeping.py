@@ -277,6 +277,7 @@ def test_an_interrupted_sweep_hands_over_what_had_ended(monkeypatch):
         assert np.isnan(result[name].values).tolist() == unknown
 
 
+@pytest.mark.long
 def test_an_observer_of_ones_own_is_labelled():
     data = sweep(CHAIN, equation_8, 5.0, over={"excited": [0, 2]}, observe=Named("last"))
     run = simulate(CHAIN, equation_8(CHAIN, 2), 5.0, observe=Last())
