@@ -555,17 +555,7 @@ class Blow(Outcome):
       led to vibration.
     - `result`: successful if the search came to an end and the runs bear it out.
 
-    !!! example
-
-        >>> import jax
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import paper_chain
-        >>> from jaxchain.basins import gentlest_blow
-        >>> blow = gentlest_blow(paper_chain(n=1, belt_speed=1.5, width=None))
-        >>> round(float(blow.size), 6), int(blow.mass), blow.vibrating.tolist()
-        (1.239855, 0, [True])
-        >>> bool(blow.dies_at < blow.size < blow.vibrates_at)  # what the runs bear out
-        True
+    See `gentlest_blow` for an example.
     """
 
     size: Float[Array, ""]

@@ -336,19 +336,7 @@ class EdgeState(Outcome):
 
     Dimensionless: displacements in P/k, times in 1 / omega_n.
 
-    !!! example
-
-        >>> import jax
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import excited_state, paper_chain
-        >>> from jaxchain.basins import edge_state
-        >>> chain = paper_chain(1, belt_speed=1.7, width=None)
-        >>> weak, strong = (excited_state(chain, 1, amplitude=a) for a in (0.5, 2.5))
-        >>> edge = edge_state(chain, weak, strong)
-        >>> bool(edge.successful), edge.vibrates.tolist()  # from below, and from above
-        (True, [[False], [True]])
-        >>> bool(edge.distance < 1e-5), round(float(edge.period), 3)
-        (True, 6.301)
+    See `edge_state` for an example.
     """
 
     chain: Chain

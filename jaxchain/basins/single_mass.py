@@ -479,17 +479,7 @@ class SlidingBasin(Outcome):
 
     All but `gap` and `result` have derivatives.
 
-    !!! example
-
-        >>> import jax
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import paper_chain
-        >>> from jaxchain.basins import sliding_basin
-        >>> basin = sliding_basin(paper_chain(1, belt_speed=1.5, width=None))
-        >>> round(float(basin.share), 6), round(float(basin.area / 8.0), 6)  # of a box of 4 by 2
-        (0.307126, 0.307126)
-        >>> round(float(basin.up), 6), basin.state[1].shape  # a kick that leads out; the cycle
-        (1.239855, (1,))
+    See `sliding_basin` for an example.
     """
 
     share: Float[Array, ""]

@@ -30,17 +30,7 @@ class HopfDescent(Outcome):
     - `steps`: updates made.  `result`: successful if |growth rate| <= the tolerance.
     - `speeds`, `growth_rates`: of every iterate, from the start on; NaN after entry `steps`.
 
-    !!! example
-
-        >>> import jax
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import paper_chain
-        >>> from jaxchain.boundaries import hopf_by_descent
-        >>> found = hopf_by_descent(paper_chain(n=1))
-        >>> bool(abs(found.growth_rate) <= 1e-10), round(float(found.belt_speed), 6)
-        (True, 1.151293)
-        >>> float(found.speeds[0]), bool(found.growth_rates[0] < 0)  # it began in stable sliding
-        (1.5, True)
+    See `hopf_by_descent` for an example.
     """
 
     belt_speed: Float[Array, ""]
@@ -126,18 +116,7 @@ class FoldDescent(Outcome):
     - `closenesses`, `belt_speeds`: s = max w / eps and v_d of every step; NaN before the first
       cycle is closed.
 
-    !!! example
-
-        >>> import jax
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import paper_chain
-        >>> from jaxchain.boundaries import fold_by_descent
-        >>> found = fold_by_descent(paper_chain(n=1, width=1e-2))
-        >>> bool(found.successful), round(float(found.belt_speed), 5)
-        (True, 1.79246)
-        >>> climbed = found.belt_speeds[found.belt_speeds > 0]  # the way there
-        >>> bool(climbed[0] < climbed[-1] <= found.belt_speed), bool(abs(found.slope) <= 1e-3)
-        (True, True)
+    See `fold_by_descent` for an example.
     """
 
     belt_speed: Float[Array, ""]

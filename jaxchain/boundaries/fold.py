@@ -426,19 +426,7 @@ class Fold(Outcome):
       see `fold_belt_speed`; 0 for dry friction.
     - `evaluations`: Jacobians of the closing equations it took.
 
-    !!! example
-
-        >>> import jax
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import find_limit_cycle, paper_chain
-        >>> from jaxchain.boundaries import find_fold
-        >>> chain = paper_chain(1, width=1e-2)
-        >>> fold = find_fold(chain)
-        >>> round(float(fold.belt_speed), 6), bool(fold.successful)
-        (1.792456, True)
-        >>> there = chain.with_(belt_speed=fold.belt_speed - 1e-3)  # its cycle leads to others
-        >>> bool(find_limit_cycle(there, fold.state, period=fold.period).residual < 1e-9)
-        True
+    See `find_fold` for an example.
     """
 
     belt_speed: Float[Array, ""]

@@ -501,18 +501,7 @@ class Grazing(Outcome):
 
     `belt_speed`, `period` and `state` are differentiable; the rest is not.
 
-    !!! example
-
-        >>> import jax
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import paper_chain
-        >>> from jaxchain.boundaries import find_grazing
-        >>> grazing = find_grazing(paper_chain(n=1))
-        >>> x, v = grazing.state  # at the touch
-        >>> round(float(grazing.period), 4), bool(abs(v[0] - grazing.belt_speed) < 1e-9)
-        (6.304, True)
-        >>> [round(float(grazing.smoothed(width)), 3) for width in (1e-2, 1e-3)]
-        [1.792, 1.831]
+    See `find_grazing` for an example.
     """
 
     belt_speed: Float[Array, ""]

@@ -191,18 +191,7 @@ class GeneralisedHopf(Outcome):
     - `value` and `belt_speed`, dimensionless: where the fold ends upon the Hopf curve.
     - `result`: a `SearchResult`, no_meeting if l1 has one sign between `low` and `high`.
 
-    !!! example
-
-        >>> import jax
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import paper_chain
-        >>> from jaxchain.boundaries import generalised_hopf
-        >>> chain = paper_chain(n=1)
-        >>> meeting = generalised_hopf(chain, "width", 0.05, 1.0)
-        >>> round(float(meeting.value), 3), round(float(meeting.belt_speed), 3)
-        (0.349, 1.093)
-        >>> generalised_hopf(chain, "width", 0.001, 0.01).message.split(",")[0]
-        'The first Lyapunov coefficient does not change its sign between `low` and `high`'
+    See `generalised_hopf` for an example.
     """
 
     value: Float[Array, ""]
@@ -524,18 +513,7 @@ class HopfPoints(Printed, eqx.Module):
     with the differences of the frequencies.  If 4 q is a multiple of 2 pi there is a second
     standing wave, cos(q (n + 1/2)), with another coefficient.
 
-    !!! example
-
-        >>> import jax
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import paper_chain
-        >>> from jaxchain.boundaries import hopf_points
-        >>> points = hopf_points(paper_chain(4), (0.1, 5.0))
-        >>> for k, q in enumerate(points.wavenumber):
-        ...     print(f"{float(q):.4f} {int(points.multiplicity[k])} {points.criticality[k]}")
-        0.0000 1 subcritical
-        1.5708 2 subcritical
-        3.1416 1 subcritical
+    See `hopf_points` for an example.
     """
 
     belt_speed: Float[Array, " points"]

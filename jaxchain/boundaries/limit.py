@@ -45,17 +45,7 @@ class Extrapolated(Printed, eqx.Module):
     - `coefficients`: of 1, e ln(1/e), e, e^(3/2), (e ln e)^2, e^2 ln(1/e) with e = width / scale,
       as many as there are widths, at most six.
 
-    !!! example
-
-        >>> import jax, jax.numpy as jnp
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain.boundaries import extrapolate
-        >>> widths = jnp.array([8e-3, 4e-3, 2e-3, 1e-3])
-        >>> limit = extrapolate(1.5 + 2.0 * widths * jnp.log(1 / widths) - widths, widths)
-        >>> bool(abs(limit.value - 1.5) <= limit.error)  # what the bar promises
-        True
-        >>> print(limit.coefficients[:3].round(4))  # of 1, e ln(1/e) and e
-        [ 1.5  2.  -1. ]
+    See `extrapolate` for an example.
     """
 
     value: Float[Array, ""]
@@ -73,17 +63,7 @@ class FoldBoundary(Printed, eqx.Module):
 
     NaN for what does not exist or was not found.
 
-    !!! example
-
-        >>> import jax
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import paper_chain
-        >>> from jaxchain.boundaries import fold_boundary
-        >>> found = fold_boundary(paper_chain(1, width=1e-2))
-        >>> round(float(found.value), 6), round(float(found.dry), 6)  # what the width costs
-        (1.792456, 1.836601)
-        >>> bool(abs(found.limit - found.dry) < found.error)  # two methods for width 0
-        True
+    See `fold_boundary` for an example.
     """
 
     value: Float[Array, ""]

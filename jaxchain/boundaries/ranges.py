@@ -42,19 +42,7 @@ class BistableRange(Outcome):
     - `result`: successful where the fold was found, or there is proved to be none.  Where it is
       not, it says why the search failed, and `highest` and `width` are NaN.
 
-    !!! example
-
-        >>> import jax
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import paper_chain
-        >>> from jaxchain.boundaries import bistable_range
-        >>> chain = paper_chain(1, width=1e-2)
-        >>> both = bistable_range(chain)
-        >>> bool(both.hopf < 1.5 < both.highest)  # at 1.5 a mass may slide or vibrate
-        True
-        >>> damped = bistable_range(chain.with_(damping_ratio=0.6))  # no fold: nothing to choose
-        >>> bool(damped.successful), float(damped.width)
-        (True, 0.0)
+    See `bistable_range` for an example.
     """
 
     hopf: Float[Array, ""]
@@ -201,18 +189,7 @@ class Boundaries(Printed, eqx.Module):
     - `fold_limit`: extrapolated, a second opinion.
     - `..._error`: the bars of the values for dry friction.
 
-    !!! example
-
-        >>> import jax
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import paper_chain
-        >>> from jaxchain.boundaries import hopf_and_fold
-        >>> found = hopf_and_fold(paper_chain(1, width=1e-2))
-        >>> round(float(found.fold), 6), round(float(found.fold_nonsmooth), 6)
-        (1.792456, 1.836601)
-        >>> apart = abs(found.fold_limit - found.fold_nonsmooth)  # two methods for dry friction
-        >>> bool(apart < found.fold_limit_error), bool(found.fold_nonsmooth_error < 1e-9)
-        (True, True)
+    See `hopf_and_fold` for an example.
     """
 
     hopf: Float[Array, ""]

@@ -41,16 +41,7 @@ class OneMassBranch(Printed, eqx.Module):
 
     The first entry is the Hopf point, of amplitude 0; `fold` is the index of the fold.
 
-    !!! example
-
-        >>> import jax, numpy as np
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import paper_chain
-        >>> from jaxchain.boundaries import one_mass_branch
-        >>> branch = one_mass_branch(paper_chain(n=1, width=1e-2))
-        >>> speed, amplitude = np.asarray(branch.belt_speed), np.asarray(branch.amplitude)
-        >>> round(float(speed[branch.fold]), 4), round(float(amplitude[branch.fold]), 4)
-        (1.7925, 1.7808)
+    See `one_mass_branch` for an example.
     """
 
     belt_speed: Float[Array, " points"]

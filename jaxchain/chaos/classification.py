@@ -70,18 +70,7 @@ class Evidence(Printed):
     - `symmetry_time`, `symmetry`: see `symmetry_defect`.
     - `state`: (x, v) at the end.
 
-    !!! example
-
-        >>> import jax, jax.numpy as jnp
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import paper_chain, verdict
-        >>> chain = paper_chain(1, belt_speed=1.5, width=None)
-        >>> start = jnp.array([2.2]), jnp.zeros(1)
-        >>> found = verdict(chain, start, noise=(1e-3,), seeds=1)
-        >>> for run in found.runs:
-        ...     print(run.noise, run.kind, round(run.period, 3), run.active, run.relaxation_time)
-        0.0 cycle 6.316 [ True] 0.0
-        0.001 cycle 6.316 [ True] 0.0
+    See `verdict` for an example.
     """
 
     noise: float
@@ -149,18 +138,7 @@ class Verdict(Printed):
     - `undisturbed`: the verdict on the start itself; `depends_on_noise`: whether that differs.
     - `runs`: an `Evidence` each; `longest`: the longest time that was simulated.
 
-    !!! example
-
-        >>> import jax, jax.numpy as jnp
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import paper_chain, verdict
-        >>> chain = paper_chain(1, belt_speed=1.5, width=None)
-        >>> start = jnp.array([2.2]), jnp.zeros(1)
-        >>> found = verdict(chain, start, noise=(1e-3,), seeds=1)
-        >>> found.verdict, found.depends_on_noise, found.lead.kind
-        ('periodic', False, 'cycle')
-        >>> print(found.reason)
-        2 runs: 2 cycle; locked by 2000 to 2000, slowest relaxation time 0
+    See `verdict` for an example.
     """
 
     verdict: str

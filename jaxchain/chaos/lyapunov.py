@@ -80,18 +80,7 @@ class LyapunovSpectrum(Printed, eqx.Module):
     - `interval`: time between two QR decompositions.
     - `result`: see `Result`; if it is not `successful` the numbers are NaN.
 
-    !!! example
-
-        >>> import jax, jax.numpy as jnp
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import lyapunov_spectrum, paper_chain
-        >>> chain = paper_chain(1, belt_speed=2.5, width=None)  # it comes to slide
-        >>> start = jnp.array([0.6]), jnp.zeros(1)
-        >>> found = lyapunov_spectrum(chain, start, 200.0, transient=50.0)
-        >>> print(found.exponents.round(3))
-        [-0.047 -0.047]
-        >>> found.chaotic(), bool(abs(found.sum + 0.1) < 0.05)
-        (False, True)
+    See `lyapunov_spectrum` for an example.
     """
 
     exponents: Float[Array, " count"]

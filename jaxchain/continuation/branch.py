@@ -82,20 +82,7 @@ class SpecialPoint(Printed):
     greatest of what the last steps of the search still changed.  `other` is the direction in which
     another branch leaves a branch point, square to `tangent`.
 
-    !!! example
-
-        >>> import jax
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain.continuation import continue_branch
-        >>> def residual(u, p, args):
-        ...     return u**3 - u + p
-        >>> def middle(u, p, tangent, extra):  # a test of one's own: zero where u = 1/2
-        ...     return u[0] - 0.5
-        >>> branch = continue_branch(
-        ...     residual, [-1.2], 0.528, bounds=(-1, 1), direction=-1, tests={"middle": middle}
-        ... )
-        >>> [(point.kind, round(point.p, 6), point.refined) for point in branch.special]
-        [('fold', -0.3849, True), ('middle', 0.375, True), ('fold', 0.3849, True)]
+    See `continue_branch` for an example.
     """
 
     kind: str
@@ -136,16 +123,7 @@ class Branch(Printed):
       "interrupted"; `message` says what to do about it, and `reason` what `stop` returned.
     - `counts`: what it cost.
 
-    !!! example
-
-        >>> import jax
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain.continuation import continue_branch
-        >>> branch = continue_branch(lambda u, p, args: u**2 + p**2 - 1.0, [0.6], -0.8)
-        >>> branch.ended, branch.u.shape == (branch.p.size, 1)  # a circle
-        ('closed', True)
-        >>> [(point.kind, round(point.p, 6)) for point in branch.special]
-        [('fold', 1.0), ('fold', -1.0)]
+    See `continue_branch` for an example.
     """
 
     u: Float[np.ndarray, "k m"]

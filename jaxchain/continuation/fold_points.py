@@ -33,21 +33,7 @@ class FoldPoint(Outcome):
     F_p with psi the left null vector, in units of the rows of [F_u F_p] where the search began:
     not zero at a fold.  With `borders`, `fold_residual` is zero at (u, p).
 
-    !!! example
-
-        >>> import jax, jax.numpy as jnp
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain.continuation import attach_derivative, fold_point, fold_residual
-        >>> def residual(u, p, a):
-        ...     return u**3 - a * u + p
-        >>> def fold_at(a):  # the fold as a function of a number, with its derivative
-        ...     fold = jax.lax.stop_gradient(fold_point(residual, jnp.array([0.5]), 0.4, a))
-        ...     z = jnp.append(fold.u, fold.p)
-        ...     return attach_derivative(fold_residual(residual), z, (a, fold.borders))[-1]
-        >>> round(float(fold_at(1.0)), 6), round(float(jax.grad(fold_at)(1.0)), 6)
-        (0.3849, 0.57735)
-        >>> round(2 / 27**0.5, 6), round(1 / 3**0.5, 6)  # 2 (a / 3)^(3/2), and its slope
-        (0.3849, 0.57735)
+    See `fold_point` for an example.
     """
 
     u: Float[Array, " m"]

@@ -73,16 +73,7 @@ class CyclePoint(Printed):
     the integration, which is tight here whatever `rtol` and `tolerance` the branch has; `raw`: the
     point of the shooting equations.
 
-    !!! example
-
-        >>> import jax
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import continue_cycle, find_limit_cycle, paper_chain
-        >>> cycle = find_limit_cycle(paper_chain(1, belt_speed=1.5, width=1e-2))
-        >>> for point in continue_cycle(cycle).special:
-        ...     print(point.kind, round(point.parameter, 6), point.amplitude.round(3))
-        fold 1.792456 [1.781]
-        hopf 1.151293 [0.]
+    See `continue_cycle` for an example.
     """
 
     kind: str
@@ -432,21 +423,7 @@ class CycleBranch(Printed):
     - `special`: tuple of `CyclePoint`, in order; `ended`, `message`: why the branch ends.
     - `shooting`, `branch`: the equations, and the branch as their solution (with `counts`).
 
-    !!! example
-
-        >>> import jax
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import continue_cycle, find_limit_cycle, paper_chain
-        >>> cycle = find_limit_cycle(paper_chain(1, belt_speed=1.5, width=1e-2))
-        >>> branch = continue_cycle(cycle)
-        >>> branch.name, branch.amplitude.shape == (branch.parameter.size, 1)
-        ('belt_speed', True)
-        >>> stable = branch.unstable == 0
-        >>> top = branch.of_kind("fold")[0].parameter  # the greatest belt speed
-        >>> bool(stable[0]), bool(stable[-1]), bool(branch.parameter.max() <= top)
-        (True, False, True)
-        >>> sorted(branch.table())[:4]  # columns for a data frame
-        ['amplitude', 'belt_speed', 'closeness', 'energy']
+    See `continue_cycle` for an example.
     """
 
     name: str

@@ -290,20 +290,7 @@ class LimitCycle(Outcome):
       direction of the belt.
     - `evaluations`: integrations of the linearised system it took; `chain`: whose cycle it is.
 
-    !!! example
-
-        >>> import jax
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import find_limit_cycle, paper_chain
-        >>> cycle = find_limit_cycle(paper_chain(1, belt_speed=1.5, width=1e-2))
-        >>> cycle.stable, bool(cycle.residual < 1e-9), round(float(cycle.period), 4)
-        (True, True, 6.3095)
-        >>> x, v = cycle.state
-        >>> x.shape, cycle.amplitude.shape, cycle.multipliers.shape
-        ((1,), (1,), (1,))
-        >>> slipping = find_limit_cycle(cycle.chain, branch="unstable")
-        >>> bool(slipping.closeness[0] < cycle.closeness[0])  # farther from the belt's speed
-        True
+    See `find_limit_cycle` for an example.
     """
 
     chain: AbstractOscillators

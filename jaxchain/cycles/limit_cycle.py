@@ -337,19 +337,7 @@ class ClosedOrbit(NamedTuple):
     - `defect`: |M f - f| / |f|, what the trivial one's vector misses, and any other may;
       `resolution`: that, or rounding.
 
-    !!! example
-
-        >>> import jax
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import paper_chain
-        >>> from jaxchain.cycles import close_orbit
-        >>> from jaxchain.model import on_the_belt
-        >>> chain = paper_chain(n=1, belt_speed=1.5, width=None)
-        >>> orbit = close_orbit(chain, on_the_belt(chain), 6.3)
-        >>> bool(orbit.gap < 1e-8), round(float(orbit.period), 4)
-        (True, 6.3163)
-        >>> orbit.multipliers.tolist(), orbit.exponents.tolist()  # sticking forgets everything
-        ([0j], [-inf])
+    See `close_orbit` for an example.
     """
 
     state: State

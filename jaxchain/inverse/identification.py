@@ -51,23 +51,7 @@ class Identification(Outcome):
       squares, is about m - p if the model is right and much more if it is not.
     - `result`; `evaluations`: predictions with derivatives that it took.
 
-    !!! example
-
-        >>> import jax, jax.numpy as jnp
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import paper_chain
-        >>> from jaxchain.inverse import Measurements, identify
-        >>> speeds = [1.3, 1.5, 1.7, 2.5]
-        >>> displacements = (speeds, [0.55, 0.53, 0.52, 0.5], 0.01)
-        >>> lab = Measurements(hopf=(1.2, 0.01), displacements=displacements)
-        >>> def law(chain, theta):
-        ...     return chain.with_(mu_dynamic=theta[0], v_ref=theta[1])
-        >>> found = identify(paper_chain(n=1, width=None), law, jnp.array([0.4, 0.6]), lab)
-        >>> low, high = found.interval(0.95)
-        >>> bool(low[0] < found.theta[0] < high[0]), found.determined.tolist()
-        (True, [True, True])
-        >>> found.residuals.shape, bool(found.chi_squared < 5 - 2)  # the model fits the data
-        ((5,), True)
+    See `identify` for an example.
     """
 
     theta: PyTree

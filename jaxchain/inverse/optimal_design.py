@@ -47,22 +47,7 @@ class Design(Outcome):
     - `path`, `costs`, `aims`: every design tried, its cost, and the speed that was to fall, or the
       blow that was to rise; NaN from entry `evaluations` on.
 
-    !!! example
-
-        >>> import jax
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import paper_chain
-        >>> from jaxchain.inverse import design
-        >>> def damped(chain, xi):
-        ...     return chain.with_(damping_ratio=xi)
-        >>> found = design(paper_chain(n=1, width=None), damped, 0.05, highest_below=1.7)
-        >>> round(float(found.theta), 4), bool(found.successful)
-        (0.0555, True)
-        >>> bool(found.chain.damping_ratio == found.theta), bool(found.range.highest <= 1.7 + 1e-5)
-        (True, True)
-        >>> used = int(found.evaluations)  # every design that was tried
-        >>> bool(found.aims[0] > found.aims[used - 1]), float(found.cost) > 0.0
-        (True, True)
+    See `design` for an example.
     """
 
     theta: PyTree

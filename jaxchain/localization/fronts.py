@@ -52,18 +52,7 @@ class FrontSpeed(Printed, eqx.Module):
     - `times`, `fronts`: middles of the windows, and `Fronts`.
     - `result`: how the run ended.  A run that failed has NaN for numbers and verdict 2.
 
-    !!! example
-
-        >>> import jax
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import excited_state, paper_chain
-        >>> from jaxchain.localization import front_speed
-        >>> chain = paper_chain(16, belt_speed=1.5, width=1e-2)
-        >>> found = front_speed(chain, excited_state(chain, 6, block="centred"), 600.0)
-        >>> found.outcome, bool(abs(found.speed) <= found.error)
-        ('stands', True)
-        >>> found.times.shape == found.fronts.right.shape
-        True
+    See `front_speed` for an example.
     """
 
     speed: Float[Array, ""]
@@ -274,19 +263,7 @@ class Depinning(Printed, eqx.Module):
     `middle` lies between them and `error` is half their distance; NaN if the two ends of the
     search did not do what was said of them, or a run failed.
 
-    !!! example
-
-        >>> import jax
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import excited_state, paper_chain
-        >>> from jaxchain.localization import depinning_belt_speed
-        >>> def block(chain):
-        ...     return excited_state(chain, 6, block="centred")
-        >>> found = depinning_belt_speed(
-        ...     paper_chain(16), block, 400.0, stands=1.5, moves=1.2, halvings=1
-        ... )
-        >>> [round(float(v), 3) for v in (found.stands, found.moves, found.middle, found.error)]
-        [1.35, 1.2, 1.275, 0.075]
+    See `depinning_belt_speed` for an example.
     """
 
     stands: Float[Array, ""]

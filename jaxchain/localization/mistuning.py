@@ -143,17 +143,7 @@ class LinearModes(Printed, eqx.Module):
       given to mass n that stays there in the long run, 1 for a mass that moves alone in a mode of
       its own (Anderson's measure of localization).
 
-    !!! example
-
-        >>> import jax
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import paper_chain
-        >>> from jaxchain.localization import linear_modes
-        >>> modes = linear_modes(paper_chain(3))
-        >>> print((modes.frequency**2).round(6))  # 1, and twice 1 + 3 eta_c
-        [1.   1.03 1.03]
-        >>> print(abs(modes.shape[0]).round(4), float(modes.participation_ratio[0].round(6)))
-        [0.5774 0.5774 0.5774] 3.0
+    See `linear_modes` for an example.
     """
 
     frequency: Float[Array, " n"]

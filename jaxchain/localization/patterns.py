@@ -51,18 +51,7 @@ class PhaseModel(Printed, eqx.Module):
     - `interaction` (h,): H(s) = Re sum_h c_h exp(i h s), h = 0, 1, ...; `quiet`: H_q.
     - `displacement` (h,): x(theta) in the same way; `chain`: whose masses these are.
 
-    !!! example
-
-        >>> import jax, jax.numpy as jnp
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import paper_chain
-        >>> from jaxchain.localization import phase_model
-        >>> model = phase_model(paper_chain(4, belt_speed=1.5, width=1e-2))
-        >>> round(float(model.period), 4)
-        6.2469
-        >>> rates = model.rates(jnp.zeros(3))  # three in phase: the middle one differs
-        >>> bool(abs(rates[0] - rates[2]) < 1e-9), bool(abs(rates[0] - rates[1]) > 1e-3)
-        (True, True)
+    See `phase_model` for an example.
     """
 
     chain: Chain
@@ -295,17 +284,7 @@ class LockedPattern(Printed):
     `PhaseModel.rates`; `growth` of the disturbance of phases that grows fastest, in units of
     1 / time: negative for a stable pattern.
 
-    !!! example
-
-        >>> import jax
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import paper_chain
-        >>> from jaxchain.localization import locked_patterns, phase_model
-        >>> calmest, *others = locked_patterns(phase_model(paper_chain(4, width=1e-2)), 2)
-        >>> round(calmest.order, 3), calmest.growth < 0  # two neighbours
-        (-1.0, True)
-        >>> [(round(other.order, 3), other.growth < 0) for other in others]
-        [(1.0, False)]
+    See `locked_patterns` for an example.
     """
 
     phases: Float[np.ndarray, " k"]

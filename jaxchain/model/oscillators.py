@@ -32,17 +32,7 @@ class LocalSlopes(NamedTuple):
     dh_n/dt, dh_n/dx_n and dh_n/dv_n, each of shape (n,): what `local_force_and_slopes` of
     `AbstractOscillators` returns beside h.
 
-    !!! example
-
-        >>> import jax
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import paper_chain, steady_sliding
-        >>> chain = paper_chain(1, belt_speed=1.5, width=1e-2)
-        >>> _, slopes = chain.local_force_and_slopes(0.0, *steady_sliding(chain))
-        >>> slopes.time is None, slopes.displacement is None
-        (True, True)
-        >>> round(float(slopes.velocity[0]), 6)  # -d, what damps sliding: -2 xi + exp(-v_d / v0)
-        -0.050213
+    See `AbstractOscillators` for an example.
     """
 
     time: Float[Array, " n"] | None

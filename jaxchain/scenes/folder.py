@@ -44,19 +44,7 @@ class FigureError(Exception):
 
     Draw them yourself: `xarray.open_datatree` reads them, `jaxchain.plotting` has the pictures.
 
-    !!! example
-
-        >>> import tempfile
-        >>> from pathlib import Path
-        >>> from jaxchain.scenes import FigureError, Results
-        >>> def draw():
-        ...     raise ZeroDivisionError("an axis of no length")
-        >>> with tempfile.TemporaryDirectory() as folder:
-        ...     try:
-        ...         Results(Path(folder), "mine").draw(draw)
-        ...     except FigureError as error:
-        ...         print("no picture:", repr(error.__cause__))
-        no picture: ZeroDivisionError('an axis of no length')
+    See `run_scene` for an example.
     """
 
 
@@ -66,23 +54,7 @@ class StorageError(Exception):
     - `name`: of the dataset; `folder`: where it should go; `reason`: of the system.  Save
       `datasets` in another folder, by other `Results`.
 
-    !!! example
-
-        >>> import tempfile, xarray as xr
-        >>> from pathlib import Path
-        >>> from jaxchain.scenes import Results, StorageError
-        >>> data = xr.Dataset({"amplitude": ("belt_speed", [1.6, 1.7])})
-        >>> with tempfile.TemporaryDirectory() as folder:
-        ...     file = Path(folder) / "file"
-        ...     file.touch()  # no folder
-        ...     try:
-        ...         Results(file, "mine").save("run", data)
-        ...     except StorageError as error:
-        ...         elsewhere = Results(Path(folder), "mine")
-        ...         for name, kept in error.datasets.items():
-        ...             elsewhere.save(name, kept)
-        ...         print(error.reason, list(elsewhere.datasets))
-        Not a directory ['run']
+    See `run_scene` for an example.
     """
 
     def __init__(self, name: str, folder: Path, reason: str, datasets: Mapping[str, Any]):

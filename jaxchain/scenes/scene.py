@@ -354,12 +354,7 @@ class Scene(Table):
 class LoadedScene:
     """A scene with the `name` under which its results are stored.
 
-    !!! example
-
-        >>> from jaxchain.scenes import load_scene
-        >>> loaded = load_scene("quickstart")
-        >>> loaded.name, loaded.scene.title
-        ('quickstart', 'A ring of six at a few belt speeds: a first look, in seconds')
+    See `load_scene` for an example.
     """
 
     name: str

@@ -164,17 +164,7 @@ class Numerics(eqx.Module):
     - `width`: eps, a speed in units of x0 omega_n; `rtol`: the relative tolerance of the steps.
     - `solver`: a `Rodas4` or `Rodas5P`, with the number of Jacobi sweeps that the coupling allows.
 
-    !!! example
-
-        >>> import jax
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import equation_8, paper_chain, simulate
-        >>> chain = paper_chain(3, belt_speed=1.5)
-        >>> run = simulate(chain, equation_8(chain, 1), 30.0, accuracy=1e-2)
-        >>> chosen = run.numerics
-        >>> width, rtol = float(chosen.width), float(chosen.rtol)
-        >>> print(f"width {width:.1e}, rtol {rtol:.1e}, {chosen.solver}")
-        width 4.2e-04, rtol 2.8e-06, Rodas4(sweeps=1)
+    See `choose_numerics` for an example.
     """
 
     width: Array

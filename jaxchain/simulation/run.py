@@ -62,19 +62,7 @@ class Simulation(Printed, eqx.Module):
     - `steps`, `rejected`: accepted and rejected steps.
     - `numerics`: the width, tolerance and solver that `accuracy` picked, or None.
 
-    !!! example
-
-        >>> import jax
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import Amplitude, StickTime, equation_8, paper_chain, simulate
-        >>> chain = paper_chain(3, belt_speed=1.5, width=1e-2)
-        >>> watch = {"amplitude": Amplitude(window=20.0), "sticks": StickTime(window=20.0)}
-        >>> run = simulate(chain, equation_8(chain, 1), 60.0, observe=watch)
-        >>> run.outcome, float(run.t), sorted(run.observed)
-        ('successful', 60.0, ['amplitude', 'sticks'])
-        >>> on = simulate(chain, run.state, 80.0, t0=run.t, observe=watch)  # goes on from there
-        >>> on.observed["amplitude"].shape
-        (3,)
+    See `simulate` for an example.
     """
 
     t: Float[Array, ""]

@@ -57,16 +57,7 @@ class RosenbrockTableau:
 
     **Raises:** `ValueError` for anything else.
 
-    !!! example
-
-        >>> from jaxchain.solvers import RosenbrockTableau  # Rodas3, of order 3
-        >>> rodas3 = RosenbrockTableau(
-        ...     gamma=0.5, a=[[0.0], [2.0, 0.0], [2.0, 0.0, 1.0]],
-        ...     c_transformed=[[4.0], [1.0, -1.0], [1.0, -1.0, -8.0 / 3.0]],
-        ...     c=[0.0, 0.0, 1.0, 1.0], d=[0.5, 1.5, 0.0, 0.0], dense=[[3.0, -1.0, 0.0, 0.0]],
-        ... )
-        >>> rodas3.a[3].tolist()  # an `AbstractStructuredRosenbrock` has it as its `tableau`
-        [2.0, 0.0, 1.0, 0.0]
+    See `AbstractStructuredRosenbrock` for an example.
     """
 
     def __init__(

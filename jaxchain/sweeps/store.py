@@ -55,26 +55,7 @@ class StoreError(RuntimeError):
     The disk is full, say, or the folder was removed.  Units that are recorded are kept: mend what
     the message names, and make the same call of `sweep` again, which goes on from there.
 
-    !!! example
-
-        >>> import jax, pathlib, tempfile
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import Amplitude, equation_8, paper_chain, sweep
-        >>> from jaxchain.sweeps import StoreError
-        >>> folder = pathlib.Path(tempfile.mkdtemp())
-        >>> (folder / "results").touch()  # a file where a folder should be
-        >>> def run(store):
-        ...     over = {"belt_speed": [1.4, 1.5], "excited": [0, 1]}
-        ...     chain, watch = paper_chain(4), Amplitude(window=20.0)
-        ...     return sweep(chain, equation_8, 100.0, over=over, observe=watch, store=store)
-        >>> try:
-        ...     data = run(folder / "results" / "mine.zarr")
-        ... except StoreError as error:
-        ...     print("store" in str(error))
-        ...     data = run(folder / "mine.zarr")
-        True
-        >>> data.active_count.dims
-        ('belt_speed', 'excited')
+    See `sweep` for an example.
     """
 
 

@@ -46,20 +46,7 @@ class SweepInterrupted(KeyboardInterrupt):
     Those that had not are NaN, and "pending" in `result`.  With a `store` the same call goes on
     from there.
 
-    !!! example
-
-        >>> import jax
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import Amplitude, equation_8, paper_chain, sweep
-        >>> from jaxchain.sweeps import SweepInterrupted
-        >>> chain, watch = paper_chain(4), Amplitude(window=20.0)
-        >>> over = {"belt_speed": [1.4, 1.5], "excited": [0, 1]}
-        >>> try:
-        ...     data = sweep(chain, equation_8, 100.0, over=over, observe=watch)
-        ... except SweepInterrupted as stopped:
-        ...     data = stopped.dataset  # save what there is, and `raise` to end the script
-        >>> data.amplitude.dims
-        ('belt_speed', 'excited', 'oscillator')
+    See `sweep` for an example.
     """
 
     def __init__(self, dataset: Dataset, store: Path | None = None):
