@@ -194,9 +194,9 @@ def front_speeds(runs: Dataset, transient: Any = None, *, level: Any = 0.95) -> 
         ...     return excited_state(chain, 6, block="centred")
         >>> runs = sweep(
         ...     paper_chain(16, width=None), block, 400.0, over={"belt_speed": [1.1, 1.5]},
-        ...     observe=FrontTrack(20),
+        ...     observe=FrontTrack(40),
         ... )
-        >>> front_speeds(runs).verdict.values.tolist()  # grows, stands
+        >>> front_speeds(runs, transient=40.0).verdict.values.tolist()  # grows, stands
         [1, 0]
     """
     import xarray as xr  # it brings pandas, which would double the time of `import jaxchain`

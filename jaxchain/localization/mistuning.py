@@ -84,7 +84,7 @@ def mistuned_chain(chain: Chain, seed: Any, disorder: Any, distribution: str = "
     ```python
     states = sweep(
         paper_chain(width=None), lambda chain: equation_8(chain, 1), 600.0,
-        vary=mistuned_chain, over={"disorder": [0.0, 0.05], "seed": range(100)},
+        vary=mistuned_chain, over={"disorder": [0.0, 0.05], "seed": range(10)},
     )
     ```
 

@@ -274,8 +274,8 @@ def loop(
     back.
 
     ```python
-    chain = paper_chain(n=20, belt_speed=1.5, width=None)
-    last = simulate(chain, equation_8(chain, 3), 4000.0).state
+    chain = paper_chain(n=6, belt_speed=1.5, width=None)
+    last = simulate(chain, equation_8(chain, 1), 1000.0).state
     times, states = loop(chain, last)
     save_gif(animate(chain, times, states), "chain.gif")
     ```

@@ -438,11 +438,11 @@ class EventDriven(eqx.Module):
         >>> period = simulate(chain, cycle, 6.4325, solver=EventDriven(12), observe=StickTime())
         >>> round(float(period.observed[0]), 3)  # so long of a period it sticks
         1.007
-        >>> def sticks(stiffness):  # the gradient of a run of a period and a half
+        >>> def sticks(stiffness):  # the derivative of a run of a period and a half
         ...     softer = chain.with_(stiffness=stiffness)
         ...     run = simulate(softer, cycle, 9.0, solver=EventDriven(), observe=StickTime())
         ...     return run.observed[0]
-        >>> round(float(jax.grad(sticks)(1.0)), 3)
+        >>> round(float(jax.jacfwd(sticks)(1.0)), 3)
         -0.057
     """
 
