@@ -206,9 +206,11 @@ class Samples(AbstractNotingObserver):
         return _Samples(accumulator.first, count, x, v)
 
     def note(self, step: Step) -> tuple[Array, Array, Any, Any]:
+        """What `gather` needs of one step: its ends and its interpolants of x and v."""
         return step.t0, step.t1, step.displacement, step.velocity
 
     def gather(self, accumulator: _Samples, notes: Any, count: Int[Array, ""]) -> _Samples:
+        """The accumulator after the first `count` steps that were noted, a sample at each time."""
         t0, t1, *motions = notes
         masses = slice(None) if self.oscillators is None else np.array(self.oscillators)
         last = jnp.maximum(count - 1, 0)

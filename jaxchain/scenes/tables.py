@@ -151,6 +151,7 @@ def array(values: Range | list[Any]) -> np.ndarray:
 
 
 def distinct(values: Any) -> Any:
+    """The values; `ValueError` if a list holds one more than once."""
     if isinstance(values, list) and len(set(values)) < len(values):
         twice = next(one for i, one in enumerate(values) if one in values[:i])
         raise ValueError(f"holds {twice!r} more than once")
