@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -26,7 +27,6 @@ from .._checks import (
 from .._final import final
 from .._progress import progress_bar
 from .._statistics import mean_interval
-from .._types import ScalarLike, State
 from ..cycles.limit_cycle import ClosedOrbit, close_orbit
 from ..model.arguments import as_chain, as_state
 from ..model.chain import Chain
@@ -39,7 +39,7 @@ from ..simulation.accuracy import MAX_STEP, check_resolved, check_tolerances, ow
 from ..simulation.event_driven import EventDriven
 from ..simulation.run import simulate
 from ..sweeps.programs import map_lanes
-from .lyapunov import lyapunov_spectrum
+from .lyapunov import LyapunovSpectrum, lyapunov_spectrum
 
 KINDS = ("rest", "cycle", "unstable", "chaos", "torus", "open")
 VERDICTS = ("at rest", "periodic", "quasi-periodic", "chaotic", "transient", "failed")
@@ -351,21 +351,20 @@ def _remedy(runs: Sequence[Evidence]) -> str:
     )
 
 
+# A record may be one of many runs, and on the host.
+_Numbers: TypeAlias = Any
 # Returns of which an orbit may be made, and points of the section kept of a window, at least.
 MOST_RETURNS = 4
 _SPIRAL = 5.0
-# A record may be one of many runs, and on the host.
-_Numbers: TypeAlias = Array | np.ndarray
 
 
-class Record(eqx.Module):
+class Record(NamedTuple):
     """What was seen of a run, window by window; W windows of n masses.
 
-    - `t`: end of each window, (W,); `amplitude`: half peak-to-peak in it, (W, n).
-    - `peaks`: times of the maxima of every displacement, (W, peaks, n), NaN where none.
-    - `point_times`, `points`: when the reference mass was at a maximum, (W, points), and the
-      state (x_1 .. x_n, v_1 .. v_n) then, (W, points, 2n).
-    - `state`, `result`: how the run ended.
+    - `t`: end of each window; `amplitude`: half peak-to-peak in it.
+    - `peaks`: times of the maxima of every displacement, NaN where none.
+    - `point_times`, `points`: when the reference mass was at a maximum, and the state
+      (x_1 .. x_n, v_1 .. v_n) then.
     """
 
     t: Float[_Numbers, "*batch W"]
@@ -373,116 +372,62 @@ class Record(eqx.Module):
     peaks: Float[_Numbers, "*batch W peaks n"]
     point_times: Float[_Numbers, "*batch W points"]
     points: Float[_Numbers, "*batch W points two_n"]
-    state: tuple[_Numbers, _Numbers]
-    result: Any
-
-
-def watch(
-    chain: AbstractOscillators,
-    initial: State,
-    reference: Any,
-    *,
-    t0: ScalarLike = 0.0,
-    window: ScalarLike = 50.0,
-    windows: int = 20,
-    peaks: int = 16,
-    solver: Any = None,
-    rtol: Any = 1e-6,
-) -> Record:
-    """A run over `windows` windows of length `window`, from t0 on.
-
-    **Arguments:** `reference`, index of the mass whose maxima are the Poincare section, may be
-    traced; `peaks`, how many maxima of each mass are kept of a window (the first); `solver` and
-    `rtol` as for `simulate`.
-
-    **Returns:** `Record`; a run that failed says so in `result`.  Works under `jit` and `vmap`.
-
-    !!! example
-
-        ```python
-        from jaxchain import equation_8, paper_chain
-        chain = paper_chain(n=1, width=None)
-        seen = watch(chain, equation_8(chain, 1), 0, windows=4)
-        found = recurrence(seen, scale=1.6)
-        found.returns, round(found.period, 4)  # (1, 6.3163)
-        ```
-    """
-    run = simulate(
-        chain, initial, t0 + windows * jnp.asarray(window, float), t0=t0,
-        observe={
-            "amplitude": Amplitude(),
-            "peaks": PeakTimes(capacity=peaks),
-            "points": Section(jnp.asarray(reference), MOST_RETURNS + 1),
-        },
-        solver=solver, rtol=rtol, segments=windows, throw=False,
-    )  # fmt: skip
-    times, x, v = run.observed["points"]
-    ends = t0 + window * jnp.arange(1, windows + 1)
-    return Record(
-        t=ends, amplitude=run.observed["amplitude"], peaks=run.observed["peaks"],
-        point_times=times, points=jnp.concatenate([x, v], axis=-1),
-        state=run.state, result=run.result,
-    )  # fmt: skip
 
 
 class Recurrence(NamedTuple):
     """How well the points of a section come back.
 
-    - `returns`: q, after how many returns they do best (1 ... `MOST_RETURNS`).
     - `spread`: the greatest distance of a point of the second half of the record from the nearest
-      of the q last points; relative to the amplitude, in the greatest component.
-    - `gap`: distance after q returns in the last window; `period`: the time they take.
-    - `point`: the state where the last window's returns begin, (2n,).
+      of the `returns` last points, and of the last window's point from that so many returns later;
+      relative to the amplitude, in the greatest component.
+    - `returns`: after how many of them they do best (1 ... `MOST_RETURNS`); `period`: the time
+      they take.
     """
 
-    returns: int
     spread: float
-    gap: float
+    returns: int
     period: float
-    point: np.ndarray
 
 
-def recurrence(record: Any, *, scale: Any, closed: float = 1e-3) -> Recurrence:
+def recurrence(record: Record, *, scale: Any, closed: float = 1e-3) -> Recurrence:
     """Whether the second half of a record is q points of the section, over and over.
 
     The least q whose spread is below `closed`, or not more than 5 times the least of all (an
     orbit approached in a spiral does somewhat better after a turn of it).
     `scale`, what an amplitude is, makes distances relative.
     """
-    points, times = np.asarray(record.points), np.asarray(record.point_times)
+    points, times = record.points, record.point_times[-1]
     half, last = points[len(points) // 2 :], points[-1]
-    tried: list[Recurrence] = []
+    tried = []
     for q in range(1, MOST_RETURNS + 1):
         away = np.max(np.abs(half[:, :1] - last[None, :q]), axis=-1).min(axis=1)
-        spread, gap = np.max(away) / scale, np.max(np.abs(last[q] - last[0])) / scale
-        worst = float(np.nan_to_num(max(spread, gap), nan=np.inf))
-        period = float(times[-1, q] - times[-1, 0])
-        tried.append(Recurrence(q, worst, float(gap), period, last[0]))
-    limit = max(closed, _SPIRAL * min(found.spread for found in tried))
+        worst = max(np.max(away) / scale, np.max(np.abs(last[q] - last[0])) / scale)
+        spread = float(np.nan_to_num(worst, nan=np.inf))
+        tried.append(Recurrence(spread, q, float(times[q] - times[0])))
+    limit = max(closed, _SPIRAL * min(tried).spread)
     return next(found for found in tried if found.spread <= limit)
 
 
-def novelty(record: Any) -> float:
+def novelty(record: Record) -> float:
     """How new the states of the second half of a record are, 0 ... 1.
 
     Mean distance of its section points from the nearest of the first half, relative to the
     greatest distance of any two of the second half, in the greatest component.  A torus
     that is filled gives the spacing of its points, a steady drift a half.
     """
-    points = np.asarray(record.points)[:, 0]
-    before, after = np.array_split(points, 2)
+    before, after = np.array_split(record.points[:, 0], 2)
     away = [np.min(np.max(np.abs(before - point), axis=1)) for point in after]
     extent = np.max(np.ptp(after, axis=0))
     return float(np.mean(away) / extent) if extent > 0 else 0.0
 
 
-def phases(record: Any, masses: Any) -> Float[np.ndarray, "W active"]:
+def phases(record: Record, masses: Any) -> Float[np.ndarray, "W active"]:
     """Cycles that each of some masses has gone through since the first, one number a window.
 
     Between the maxima of a mass its phase grows evenly by one; that of the first mass in `masses`
     is taken away.  Locked masses keep theirs, others drift; whole numbers are phase slips.
     """
-    peaks = np.asarray(record.peaks)[:, :, masses]
+    peaks = record.peaks[:, :, masses]
     counts = np.sum(np.isfinite(peaks), axis=1)
     before = np.concatenate([np.zeros_like(counts[:1]), np.cumsum(counts, axis=0)[:-1]])
     # Of the second maximum of a window, so that the length of a period is known around it.
@@ -492,9 +437,9 @@ def phases(record: Any, masses: Any) -> Float[np.ndarray, "W active"]:
     return turned - turned[:, :1]
 
 
-def mean_periods(record: Any, masses: Any) -> Float[np.ndarray, " active"]:
+def mean_periods(record: Record, masses: Any) -> Float[np.ndarray, " active"]:
     """Mean time between the maxima of each of some masses over a record."""
-    peaks = np.asarray(record.peaks)[:, :, masses]
+    peaks = record.peaks[:, :, masses]
     count = np.sum(np.isfinite(peaks), axis=(0, 1))
     first, last = np.nanmin(peaks, axis=(0, 1)), np.nanmax(peaks, axis=(0, 1))
     return (last - first) / np.maximum(count - 1, 1)
@@ -510,7 +455,7 @@ def reflections(active: Bool[np.ndarray, " n"], ends: str) -> list[np.ndarray]:
 
 
 def symmetry_defect(
-    record: Any, active: Bool[np.ndarray, " n"], period: float, ends: str = "cyclic"
+    record: Record, active: Bool[np.ndarray, " n"], period: float, ends: str = "cyclic"
 ) -> Float[np.ndarray, " W"]:
     """How far the delays of a block are from a mirror image of themselves, window by window.
 
@@ -518,7 +463,7 @@ def symmetry_defect(
     the block, and s = 0 (the mirror image itself) or P/2 (half a period later); R and s are those
     of the first window.  0 is symmetric, 1/2 the most there can be.
     """
-    first = np.asarray(record.peaks)[:, 0]
+    first = record.peaks[:, 0]
     found = []
     for image in reflections(active, ends):
         moved = active & (image != np.arange(len(active)))
@@ -532,15 +477,6 @@ def symmetry_defect(
     return min(found, key=lambda series: series[0])
 
 
-def join(records: list[Any]) -> Any:
-    """Records of successive runs as one."""
-    parts = {
-        name: np.concatenate([np.asarray(getattr(r, name)) for r in records])
-        for name in ("t", "amplitude", "peaks", "point_times", "points")
-    }
-    return Record(**parts, state=records[-1].state, result=records[-1].result)
-
-
 # Windows of one compiled run; and maxima of a mass come no closer than this, half a free period.
 CHUNK = 20
 _LEAST_PERIOD = 3.0
@@ -549,208 +485,172 @@ _SETTLE = 0.2
 _BLOCKS = 20
 
 
-@dataclass
-class Numerics:
-    """How runs are computed: `lanes` at a time on each device, watched in windows."""
+class _Task(eqx.Module):
+    """What is the same for all runs; `window`: of a record; `time`, `count`: of exponents."""
 
+    chain: AbstractOscillators
     solver: Any
-    rtol: float
-    window: float
-    lanes: int
+    window: Array
+    time: Array
+    rtol: float = eqx.field(static=True)
+    peaks: int = eqx.field(static=True)  # kept of each mass and window
+    count: int = eqx.field(static=True)
 
 
 @dataclass
 class Trial:
     """A run under way; `reference` is the mass at whose maxima it is watched."""
 
-    state_index: int
+    start: int
     x: np.ndarray
     v: np.ndarray
     evidence: Evidence
-    reference: int = field(init=False)
-
-    def __post_init__(self):
-        self.reference = len(self.x) // 2
+    reference: int
+    outcome: str = "successful"
 
 
-class _Task(eqx.Module):
-    """What is the same for all runs of a batch."""
-
-    chain: AbstractOscillators
-    window: Array
-    rtol: float = eqx.field(static=True)
-    solver: Any
-    time: Array
-    peaks: int = eqx.field(static=True)
-    count: int = eqx.field(static=True, default=1)
-
-
-def _chunk(task: _Task, x: Array, v: Array, t0: Array, reference: Array) -> Record:
-    record = watch(
-        task.chain, (x, v), reference, t0=t0, window=task.window, windows=CHUNK,
-        peaks=task.peaks, solver=task.solver, rtol=task.rtol,
-    )  # fmt: skip
-    return eqx.tree_at(lambda r: r.result, record, code(record.result))
-
-
-def _spectrum(task: _Task, x: Array, v: Array) -> dict[str, Array]:
-    found = lyapunov_spectrum(
-        task.chain, (x, v), (1.0 + _SETTLE) * task.time, transient=_SETTLE * task.time,
-        count=task.count, blocks=_BLOCKS, solver=task.solver, rtol=task.rtol, throw=False,
-    )  # fmt: skip
-    return {
-        "exponents": found.exponents, "low": found.low, "high": found.high,
-        "smooth": found.smooth, "x": found.state[0], "v": found.state[1],
-    }  # fmt: skip
-
-
-def _task(chain: AbstractOscillators, numerics: Numerics, **more: Any) -> _Task:
-    peaks = int(numerics.window / _LEAST_PERIOD) + 2
-    own = {"time": jnp.zeros(()), "peaks": peaks, **more}
-    return _Task(chain, jnp.asarray(numerics.window), numerics.rtol, numerics.solver, **own)
+def _chunk(task: _Task, x: Array, v: Array, t0: Array, reference: Array) -> Any:
+    """(the record of the next windows, the state at their end, how the run ended)."""
+    watch = Amplitude(), PeakTimes(capacity=task.peaks), Section(reference, MOST_RETURNS + 1)
+    run = simulate(
+        task.chain,
+        (x, v),
+        t0 + CHUNK * task.window,
+        t0=t0,
+        observe=watch,
+        solver=task.solver,
+        rtol=task.rtol,
+        segments=CHUNK,
+        throw=False,
+    )
+    amplitude, peaks, (times, *states) = run.observed
+    ends = t0 + task.window * jnp.arange(1, CHUNK + 1)
+    record = Record(ends, amplitude, peaks, times, jnp.concatenate(states, axis=-1))
+    return record, run.state, code(run.result)
 
 
 def advance(
-    chain: AbstractOscillators, numerics: Numerics, trials: list[Trial], stage: float
+    task: _Task, lanes: int, trials: list[Trial], stage: float
 ) -> Iterator[tuple[Trial, Record]]:
     """Runs trials, all of them equally long, to the time `stage`; each with its record till then.
 
     They come in batches: no more records than one on each lane are kept at a time.
     """
-    task, width = _task(chain, numerics), numerics.lanes * len(jax.local_devices())
+    width = lanes * len(jax.local_devices())
     for first in range(0, len(trials), width):
-        batch = trials[first : first + width]
-        records: list[list[Record]] = [[] for _ in batch]
+        batch, records = trials[first : first + width], []
         while batch[0].evidence.time < stage:
-            columns = [
-                np.stack([t.x for t in batch]), np.stack([t.v for t in batch]),
-                np.array([t.evidence.time for t in batch]), np.array([t.reference for t in batch]),
-            ]  # fmt: skip
-            found = map_lanes(_chunk, task, columns, lanes=numerics.lanes)
+            rows = [(t.x, t.v, t.evidence.time, t.reference) for t in batch]
+            columns = [np.stack(column) for column in zip(*rows, strict=True)]
+            record, (x, v), ended = map_lanes(_chunk, task, columns, lanes=lanes)
+            records.append(record)
             for k, trial in enumerate(batch):
-                own = jax.tree.map(lambda a, k=k: a[k], found)
-                records[k].append(own)
-                trial.x, trial.v = own.state
-                trial.evidence.time += CHUNK * numerics.window
-        yield from zip(batch, map(join, records), strict=True)
+                trial.x, trial.v, trial.outcome = x[k], v[k], NAMES[ended[k]]
+                trial.evidence.time += CHUNK * float(task.window)
+        whole = Record(*(np.concatenate(parts, axis=1) for parts in zip(*records, strict=True)))
+        for k, trial in enumerate(batch):
+            yield trial, Record(*(part[k] for part in whole))
 
 
-def exponents_of(
-    chain: AbstractOscillators,
-    numerics: Numerics,
-    trials: list[Trial],
-    time: float,
-    count: int,
-    done: Callable[[int], object] = lambda number: None,
+def _spectrum(task: _Task, x: Array, v: Array) -> LyapunovSpectrum:
+    return lyapunov_spectrum(
+        task.chain,
+        (x, v),
+        (1.0 + _SETTLE) * task.time,
+        transient=_SETTLE * task.time,
+        count=task.count,
+        blocks=_BLOCKS,
+        solver=task.solver,
+        rtol=task.rtol,
+        throw=False,
+    )
+
+
+def measure_exponents(
+    task: _Task, lanes: int, trials: list[Trial], done: Callable[[int], object]
 ) -> None:
-    """Measures the leading exponents of runs and enters them into their evidence.
+    """Enters the leading exponents of runs into their evidence.
 
     `done` is called with the number of runs that have been measured since.
     """
     if not trials:
         return
-    task = _task(chain, numerics, time=jnp.asarray(time), count=count)
     columns = [np.stack([t.x for t in trials]), np.stack([t.v for t in trials])]
-    found = map_lanes(_spectrum, task, columns, lanes=numerics.lanes, done=done)
+    found = map_lanes(_spectrum, task, columns, lanes=lanes, done=done)
+    time = float(task.time)
     for k, trial in enumerate(trials):
-        own = trial.evidence
-        order = np.argsort(-found["exponents"][k])
-        own.exponents, own.low, own.high, own.smooth = (
-            found[name][k][order] for name in ("exponents", "low", "high", "smooth")
-        )
-        own.exponent_time = time
-        own.time += (1.0 + _SETTLE) * time
-        trial.x, trial.v = found["x"][k], found["v"][k]
+        order = np.argsort(-found.exponents[k])
+        for name in ("exponents", "low", "high", "smooth"):
+            setattr(trial.evidence, name, getattr(found, name)[k][order])
+        trial.evidence.exponent_time = time
+        trial.evidence.time += (1.0 + _SETTLE) * time
+        trial.x, trial.v = (part[k] for part in found.state)
 
 
 # Errors of an exponent within which it is taken for zero.
 _NEUTRAL = 10.0
-
-
-@dataclass(frozen=True)
-class Judgement:
-    """What a record says: new evidence, the mass to watch, and the orbit if one was closed."""
-
-    evidence: Evidence
-    reference: int
-    orbit: tuple[int, np.ndarray, ClosedOrbit] | None = None
+# Orbits that runs from one state have closed: the reference mass, a point of the section, the
+# orbit.
+Known = list[tuple[int, np.ndarray, ClosedOrbit]]
 
 
 def judge_orbit(
-    chain: AbstractOscillators,
-    numerics: Numerics,
-    criteria: Criteria,
-    trial: Trial,
-    record: Any,
-    known: Sequence[tuple[int, np.ndarray, ClosedOrbit]],
-) -> Judgement:
+    task: _Task, criteria: Criteria, trial: Trial, record: Record, known: Known
+) -> Evidence:
     """What a record adds to the evidence of its run, and whether that is decided.
 
-    `known` are the orbits that other runs from the same state have closed, so that a run that ends
-    on one of them does not close it again: (reference mass, a point of its section, the orbit).
+    A run that ends on one of the `known` orbits does not close it again; another one is added.
     """
     own = replace(trial.evidence, kind="open", state=(trial.x, trial.v))
-    outcome = NAMES[int(record.result)]
-    if not ended_well(outcome):
-        return Judgement(replace(own, kind=outcome), trial.reference)
-    amplitude = record.amplitude
-    half = len(amplitude) // 2
+    if not ended_well(trial.outcome):
+        return replace(own, kind=trial.outcome)
+    amplitude, reference = record.amplitude, trial.reference
+    half, n = len(amplitude) // 2, amplitude.shape[1]
     scale = float(np.max(amplitude[-1]))
     energies = np.asarray(energy(jnp.asarray(amplitude)))[half:]
     own.energy, own.energy_deviation = float(np.mean(energies)), float(np.std(energies))
     if scale < criteria.rest:
-        own.active = np.zeros(amplitude.shape[1], bool)
+        own.active = np.zeros(n, bool)
         own.kind, own.locked_at, own.spread = "rest", own.time, 0.0
-        return Judgement(own, trial.reference)
-    parts = np.array_split(energies, 2)
-    own.drift = float(abs(np.mean(parts[0]) - np.mean(parts[1])) / np.mean(energies))
+        return own
+    before, after = (np.mean(part) for part in np.array_split(energies, 2))
+    own.drift = float(abs(before - after) / np.mean(energies))
     own.active = amplitude[-1] > 0.5 * scale
     masses = np.flatnonzero(own.active)
     turned = phases(record, masses)
     own.slips = float(np.max(np.abs(turned[-1] - turned[half])))
     own.period = float(np.mean(mean_periods(record, masses)))
-    own.delays = np.asarray(record.peaks)[-1, 1, masses] / own.period
-    ends = chain.ends if isinstance(chain, Chain) else "free"
+    own.delays = record.peaks[-1, 1, masses] / own.period
+    ends = task.chain.ends if isinstance(task.chain, Chain) else "free"
     defect = symmetry_defect(record, own.active, own.period, ends)
     own.symmetry_time = np.append(own.symmetry_time, record.t)
     own.symmetry = np.append(own.symmetry, defect)
-    if trial.reference not in masses:
+    if reference not in masses:
         # The section was that of a mass that rests; the middle of what vibrates moves most evenly.
-        return Judgement(own, int(masses[np.argmin(np.abs(masses - len(own.active) // 2))]))
+        trial.reference = int(masses[np.argmin(np.abs(masses - n // 2))])
+        return own
     own.novelty = novelty(record)
-    found = recurrence(record, scale=scale, closed=criteria.sits)
-    own.spread, own.returns = found.spread, found.returns
-    if found.spread > criteria.near or not found.period > 0:
-        return Judgement(own, trial.reference)
-    orbit, closed = _known(known, trial.reference, found.point, criteria.sits * scale), None
+    own.spread, own.returns, period = recurrence(record, scale=scale, closed=criteria.sits)
+    if own.spread > criteria.near or not period > 0:
+        return own
+    point, sits = record.points[-1, 0], criteria.sits * scale
+    near = (o for mass, p, o in known if mass == reference and np.max(np.abs(p - point)) < sits)
+    orbit = next(near, None)
     if orbit is None:
-        n = len(own.active)
-        start = jnp.asarray(found.point[:n]), jnp.asarray(found.point[n:])
+        start = jnp.asarray(point[:n]), jnp.asarray(point[n:])
         orbit = close_orbit(
-            chain, start, found.period, solver=numerics.solver, rtol=min(numerics.rtol, 1e-9)
+            task.chain, start, period, solver=task.solver, rtol=min(task.rtol, 1e-9)
         )
         if not (orbit.gap < criteria.gap * scale and orbit.distance < 4 * criteria.near * scale):
-            return Judgement(own, trial.reference)
-        closed = trial.reference, found.point, orbit
-    _enter_orbit(own, orbit, found.spread < criteria.sits)
-    away = np.abs(record.points[:, :1] - record.points[-1][None, : found.returns]).max(-1).min(1)
+            return own
+        known.append((reference, point, orbit))
+    _enter_orbit(own, orbit, own.spread < criteria.sits)
+    away = np.abs(record.points[:, :1] - record.points[-1][None, : own.returns]).max(-1).min(1)
     outside = np.flatnonzero(~(away < criteria.near * scale))
     # Since when the run has kept close to where it ended.
     if own.kind in ("cycle", "unstable") and outside.size:
         own.locked_at = float(record.t[outside[-1]])
-    return Judgement(own, trial.reference, closed)
-
-
-def _known(
-    orbits: Sequence[tuple[int, np.ndarray, ClosedOrbit]],
-    reference: int,
-    point: np.ndarray,
-    near: float,
-) -> ClosedOrbit | None:
-    for other, place, orbit in orbits:
-        if other == reference and np.max(np.abs(place - point)) < near:
-            return orbit
-    return None
+    return own
 
 
 def _enter_orbit(own: Evidence, orbit: ClosedOrbit, sits: bool) -> None:
@@ -876,17 +776,15 @@ def verdicts(
     check_kind("criteria", criteria, Criteria, "None or `Criteria`", "`Criteria()` has them.")
     check_concrete(_INSTEAD, chain=chain, initials=initials)
     x, v = as_state(chain, initials, "initials", batch=True)
-    counts = {"seeds": seeds, "exponent_runs": exponent_runs, "lanes": lanes}
-    for name, value in counts.items():
+    counts = (seeds, "seeds"), (exponent_runs, "exponent_runs"), (lanes, "lanes")
+    for value, name in counts:
         check_whole(name, value, 1, _MOST_RUNS, "every one of them is a run.")
     check_whole("count", count, remedy="of the leading exponents 3 are usual.")
     check_whole("key", key, 0, remedy="it is the seed of the noise.")
     check_flag("progress", progress)
     check_kind("description", description, str, "the name of the progress bar")
-    times = {
-        "first": first, "longest": longest, "exponent_time": exponent_time, "window": window
-    }  # fmt: skip
-    for name, value in times.items():
+    times = (first, "first"), (longest, "longest"), (exponent_time, "exponent_time")
+    for value, name in (*times, (window, "window")):
         check_positive_number(name, value, "a period is about 2 pi; see the defaults.")
     check_tolerances(rtol, None, MAX_STEP)
     solver = own_solver(chain, solver)
@@ -898,19 +796,24 @@ def verdicts(
     if longest < first:
         raise ValueError(f"Argument `longest` = {longest} must be at least `first` = {first}.")
     trials = _starts(x, v, noise, seeds, key)
-    numerics = Numerics(solver, float(rtol), float(window), min(lanes, len(trials)))
-    orbits: list[list] = [[] for _ in range(x.shape[0])]
+    task = _Task(
+        chain,
+        solver,
+        jnp.asarray(float(window)),
+        jnp.asarray(float(exponent_time)),
+        float(rtol),
+        peaks=int(window / _LEAST_PERIOD) + 2,
+        count=min(int(count), 2 * x.shape[1]),
+    )
+    lanes = min(lanes, len(trials))
+    orbits: list[Known] = [[] for _ in x]
 
     def advance_and_judge(going: list[Trial], stage: float, *, again: bool = False) -> None:
-        for trial, record in advance(chain, numerics, going, stage):
-            known = orbits[trial.state_index]
-            found = judge_orbit(chain, numerics, criteria, trial, record, known)
-            trial.reference = found.reference
-            if found.orbit is not None:
-                known.append(found.orbit)
+        for trial, record in advance(task, lanes, going, stage):
+            found = judge_orbit(task, criteria, trial, record, orbits[trial.start])
             # Of a run that has not locked in a second look the longer record tells more.
-            if not again or found.evidence.decided:
-                trial.evidence = found.evidence
+            if not again or found.decided:
+                trial.evidence = found
 
     with progress_bar(total=len(trials), desc=description, unit="run", show=progress) as bar:
         stage = first
@@ -928,12 +831,11 @@ def verdicts(
                 break
         measured = _for_exponents(trials, exponent_runs)
         bar.update(sum(not trial.evidence.decided for trial in trials) - len(measured))
-        most = min(int(count), 2 * x.shape[1])
-        exponents_of(chain, numerics, measured, float(exponent_time), most, bar.update)
+        measure_exponents(task, lanes, measured, bar.update)
         # What has locked meanwhile is closed, too.
         end = max((trial.evidence.time for trial in measured), default=0.0)
         advance_and_judge(measured, end + 1.0, again=True)
-    groups = [[t.evidence for t in trials if t.state_index == i] for i in range(x.shape[0])]
+    groups = [[t.evidence for t in trials if t.start == i] for i in range(len(x))]
     for group in groups:
         torus = judge_torus(group, criteria)
         for run in group:
@@ -944,20 +846,19 @@ def verdicts(
 
 
 def _starts(x: Array, v: Array, noise: Sequence[float], seeds: int, key: int) -> list[Trial]:
-    trials = []
+    trials, (count, n) = [], x.shape
     rng = np.random.default_rng(key)
-    for i in range(x.shape[0]):
-        levels = [(0.0, 0)] + [(float(a), s) for a in noise for s in range(seeds)]
-        for level, seed in levels:
-            own = [np.asarray(a[i]) + level * rng.normal(size=x.shape[1]) for a in (x, v)]
-            trials.append(Trial(i, own[0], own[1], Evidence(level, seed)))
+    levels = [(0.0, 0)] + [(float(level), seed) for level in noise for seed in range(seeds)]
+    for i, (level, seed) in itertools.product(range(count), levels):
+        first, second = (np.asarray(part[i]) + level * rng.normal(size=n) for part in (x, v))
+        trials.append(Trial(i, first, second, Evidence(level, seed), n // 2))
     return trials
 
 
 def _for_exponents(trials: list[Trial], most: int) -> list[Trial]:
     """`most` of the open runs of each state: the one without noise, and then the noisiest."""
     chosen = []
-    for i in {trial.state_index for trial in trials}:
-        own = [t for t in trials if t.state_index == i and t.evidence.kind == "open"]
+    for i in {trial.start for trial in trials}:
+        own = [t for t in trials if t.start == i and t.evidence.kind == "open"]
         chosen += sorted(own, key=lambda t: -(t.evidence.noise or np.inf))[:most]
     return chosen

@@ -195,12 +195,13 @@ class Growth(eqx.Module):
     """What was gathered in a span.
 
     - `logs`: sum of log R_ii; `weighted`: that of w log R_ii with the weights of `bump`, and
-      `weights`: sum of w times the length of the interval.
+      `weights`: sum of w times the length of the interval.  `observed`: the observer's value.
     """
 
     logs: Float[Array, " count"]
     weighted: Float[Array, " count"]
     weights: Float[Array, ""]
+    observed: Any = None
 
 
 def random_basis(seed: Any, dimension: int, count: int) -> Float[Array, "{dimension} {count}"]:
@@ -277,6 +278,7 @@ def _resume(
     return eqx.tree_at(lambda p: p.memory, moved, memory)
 
 
+@eqx.filter_jit
 def advance_span(
     plan: AbstractPlan,
     field: AbstractOscillators,
@@ -309,7 +311,14 @@ def advance_span(
             growth.weights + weight * span.interval,
         )
 
-    return lax.fori_loop(0, span.number, one, (frame, Growth(zero, zero, jnp.zeros(()))))
+    frame, growth = lax.fori_loop(0, span.number, one, (frame, Growth(zero, zero, jnp.zeros(()))))
+    (observed,) = plan.read(frame.progress)
+    logs, weighted = growth.logs, growth.weighted
+    if isinstance(plan, EventDrivenPlan):
+        dimension, count = frame.basis.shape
+        lost = jnp.arange(count) >= dimension - observed
+        logs, weighted = (jnp.where(lost, -jnp.inf, a) for a in (logs, weighted))
+    return frame, Growth(logs, weighted, growth.weights, observed)
 
 
 _PERIOD = 2 * np.pi
@@ -410,10 +419,36 @@ def lyapunov_spectrum(
         check_resolved(chain.n, chain.width, chain.belt_speed, rtol, atol)
     check_flag("progress", progress)
     check_flag("throw", throw)
-    _check_seed(seed)
-    count = _check_numbers(t1, transient, count, blocks, 2 * state[0].shape[0], max_steps)
-    _check_interval(interval, t1, transient, blocks)
-    interval = _interval(chain, interval, count, dry)
+    if not isinstance(seed, jax.Array):
+        check_whole("seed", seed, -MOST_COUNT, remedy="of the directions at the start.")
+    elif seed.shape != () or not jnp.issubdtype(seed.dtype, jnp.integer):
+        raise ValueError(f"Argument `seed` must be a whole number, but is {shown(seed)}.")
+    check_number("t1", t1, "some hundred periods, about 2 pi each, are usual.")
+    check_number("transient", transient, "some ten periods, about 2 pi each, are usual.")
+    check_nonnegative("transient", transient, "it is left out of the averages.")
+    traced = is_traced(t1, transient)
+    if not traced and not float(t1) > float(transient):
+        raise ValueError(
+            f"Argument `t1` = {t1} must exceed `transient` = {transient}: averages are taken over "
+            "the time between them."
+        )
+    remedy = "errors come from the scatter of their means; 20 is usual."
+    check_whole("blocks", blocks, 2, _MOST_BLOCKS, remedy)
+    check_count("max_steps", max_steps)
+    dimension = 2 * state[0].shape[0]
+    remedy = "there are two exponents for each mass."
+    count = dimension if count is None else check_whole("count", count, 1, dimension, remedy)
+    if interval is None:
+        interval = _usual_interval(chain, count, dry)
+    else:
+        check_positive_number("interval", interval, "a period is about 2 pi.")
+        block = 0.0 if traced else (float(t1) - float(transient)) / blocks
+        if not traced and not is_traced(interval) and float(interval) > block * (1.0 + 1e-9):
+            raise ValueError(
+                f"Argument `interval` = {interval} is longer than a block, (t1 - transient) / "
+                f"`blocks` = {block:g}, at whose end disturbances are made orthonormal, too: "
+                "lower `interval` or `blocks`, or raise `t1`."
+            )
     if solver is None:
         known = 1e-6 if is_traced(rtol) else float(rtol)
         solver = choose_solver(chain, known, MAX_STEP if is_traced(max_step) else float(max_step))
@@ -424,13 +459,13 @@ def lyapunov_spectrum(
     frame, spans = _begin(plan, chain, state, window, seed, count, blocks, waits, max_steps)
     if is_traced(frame, spans):
         frame, growths = lax.scan(
-            lambda frame, span: _advance(plan, chain, frame, span, max_steps), frame, spans
+            lambda frame, span: advance_span(plan, chain, frame, span, max_steps), frame, spans
         )
     else:
         parts = []
         for k in progress_bar(range(blocks + 1), desc="lyapunov", unit="block", show=progress):
             span = jtu.tree_map(lambda a, k=k: a[k], spans)
-            frame, growth = _advance(plan, chain, frame, span, max_steps)
+            frame, growth = advance_span(plan, chain, frame, span, max_steps)
             parts.append(growth)
         growths = jtu.tree_map(lambda *rows: jnp.stack(rows), *parts)
     found = forward_only(_read(frame, growths, spans))
@@ -479,27 +514,8 @@ def _begin(
 
 
 @eqx.filter_jit
-def _advance(
-    plan: AbstractPlan,
-    chain: AbstractOscillators,
-    frame: Frame,
-    span: Span,
-    max_steps: int | None,
-) -> tuple[Frame, tuple[Growth, Array]]:
-    """(the frame after a span, (what it gathered, the observed value of it))."""
-    frame, growth = advance_span(plan, chain, frame, span, max_steps)
-    (observed,) = plan.read(frame.progress)
-    if isinstance(plan, EventDrivenPlan):
-        dimension, count = frame.basis.shape
-        lost = jnp.arange(count) >= dimension - observed
-        logs, weighted = (jnp.where(lost, -jnp.inf, a) for a in (growth.logs, growth.weighted))
-        growth = Growth(logs, weighted, growth.weights)
-    return frame, (growth, observed)
-
-
-@eqx.filter_jit
-def _read(frame: Frame, growths: tuple[Growth, Array], spans: Span) -> LyapunovSpectrum:
-    growth, observed = growths
+def _read(frame: Frame, growth: Growth, spans: Span) -> LyapunovSpectrum:
+    observed = growth.observed
     dry = jnp.issubdtype(observed.dtype, jnp.integer)
     progress = frame.progress
     nan = jnp.where(progress.running, 0.0, jnp.nan)
@@ -534,9 +550,7 @@ def _read(frame: Frame, growths: tuple[Growth, Array], spans: Span) -> LyapunovS
     )
 
 
-def _interval(chain: Any, interval: Any, count: int, dry: bool) -> Any:
-    if interval is not None:
-        return interval
+def _usual_interval(chain: Any, count: int, dry: bool) -> Any:
     if not isinstance(chain, Chain):
         return 1.0
     if count <= chain.n:
@@ -545,45 +559,3 @@ def _interval(chain: Any, interval: Any, count: int, dry: bool) -> Any:
         return 1.0
     rate = jnp.max(chain.load) * jnp.max(chain.law.mu_static) / jnp.min(chain.width)
     return jnp.minimum(_PERIOD, _LEAST_LOG / (rate + 2.0 * jnp.max(chain.damping_ratio)))
-
-
-def _check_interval(interval: Any, t1: Any, transient: Any, blocks: int) -> None:
-    if interval is None:
-        return
-    check_positive_number("interval", interval, "a period is about 2 pi.")
-    if is_traced(interval, t1, transient):
-        return
-    block = (float(t1) - float(transient)) / blocks
-    if float(interval) > block * (1.0 + 1e-9):
-        raise ValueError(
-            f"Argument `interval` = {interval} is longer than a block, (t1 - transient) / `blocks`"
-            f" = {block:g}, at whose end disturbances are made orthonormal, too: lower `interval` "
-            "or `blocks`, or raise `t1`."
-        )
-
-
-def _check_seed(seed: Any) -> None:
-    if not isinstance(seed, jax.Array):
-        check_whole("seed", seed, -MOST_COUNT, remedy="of the directions at the start.")
-    elif seed.shape != () or not jnp.issubdtype(seed.dtype, jnp.integer):
-        raise ValueError(f"Argument `seed` must be a whole number, but is {shown(seed)}.")
-
-
-def _check_numbers(
-    t1: Any, transient: Any, count: Any, blocks: Any, dimension: int, max_steps: Any
-) -> int:
-    """The number of exponents, or `ValueError`."""
-    check_number("t1", t1, "some hundred periods, about 2 pi each, are usual.")
-    check_number("transient", transient, "some ten periods, about 2 pi each, are usual.")
-    check_nonnegative("transient", transient, "it is left out of the averages.")
-    if not is_traced(t1, transient) and not float(t1) > float(transient):
-        raise ValueError(
-            f"Argument `t1` = {t1} must exceed `transient` = {transient}: averages are taken over "
-            "the time between them."
-        )
-    remedy = "errors come from the scatter of their means; 20 is usual."
-    check_whole("blocks", blocks, 2, _MOST_BLOCKS, remedy)
-    check_count("max_steps", max_steps)
-    if count is None:
-        return dimension
-    return check_whole("count", count, 1, dimension, "there are two exponents for each mass.")

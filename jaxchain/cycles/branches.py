@@ -47,7 +47,7 @@ from ..simulation.accuracy import fit_linear_solve
 from ..solvers.rosenbrock import Rodas5P
 from .floquet import as_orbit, can_be_cycle, check_orbit, floquet_multipliers, is_trusted
 from .shooting import Shooting, residual
-from .variational import Along, Returns, flow, push
+from .variational import Along, flow
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -93,57 +93,39 @@ class CyclePoint(Printed):
         return self.raw.index
 
 
-def sharply(
-    shooting: Shooting, weights: Float[np.ndarray, " m_plus_1"], tolerance: float
-) -> tuple[Corrector, Corrector]:
-    """Correctors of a tight integration and of one with ten times its tolerance."""
+def refined(
+    shooting: Shooting, weights: np.ndarray, tolerance: float, tests: Mapping[str, Test]
+) -> Callable[[SpecialPoint], SpecialPoint]:
+    """A function of a special point: that of tightly integrated equations.
+
+    However loose those of the branch are.  Its error is what a tolerance ten times as great
+    changes, and what the search leaves.
+    """
     rtol = min(float(shooting.rtol), RTOL)
-    return tuple(  # pyright: ignore
+    correctors = [
         make_corrector(
-            residual, linearise, replace(shooting, rtol=share * rtol), weights.size - 1, weights,
+            residual,
+            linearise,
+            replace(shooting, rtol=share * rtol),
+            weights.size - 1,
+            weights,
             min(tolerance, _TOLERANCE),
         )
         for share in (1.0, 10.0)
-    )  # fmt: skip
+    ]
+
+    def search(raw: SpecialPoint) -> SpecialPoint:
+        find = _at_rest if raw.kind == "hopf" else _located
+        tight, loose = (find(corrector, raw, tests) for corrector in correctors)
+        if tight is None:
+            return replace(raw, refined=False, error=np.inf)
+        integration = np.inf if loose is None else abs(tight.p - loose.p)
+        return replace(tight, error=tight.error + integration)
+
+    return search
 
 
-def test_of(kind: str, tests: Mapping[str, Test], near: Point) -> Callable[[Point], float]:
-    """The function of a point that vanishes at a special point of this kind."""
-    if kind == "fold":
-        return lambda point: float(point.tangent[-1])
-    if kind == "branch point":
-        return lambda point: point.sign * float(np.exp(min(point.logdet - near.logdet, 300.0)))
-    return lambda point: float(tests[kind](point.u, point.p, point.tangent, point.extra))
-
-
-def hardly_felt(branch: Branch, raw: SpecialPoint, test: Test) -> bool:
-    """Whether `test` changes its sign by no more than the multipliers err.
-
-    A localized vibration of many masses hardly feels where it sits on the chain, and to shift it
-    is a disturbance with a multiplier that is 1 to rounding, all along the branch.
-    """
-    for k in (raw.index, min(raw.index + 1, branch.p.size - 1)):
-        extra = jax.tree.map(lambda leaf, k=k: leaf[k], branch.extra)
-        if abs(test(raw.u, raw.p, raw.tangent, extra)) < 1e-8:
-            return True
-    return False
-
-
-def refine(
-    correctors: tuple[Corrector, Corrector], raw: SpecialPoint, tests: Mapping[str, Test]
-) -> SpecialPoint:
-    """The special point of tightly integrated equations, however loose those of the branch are.
-
-    Its error is what a tolerance ten times as great changes, and what the search leaves.
-    """
-    tight, loose = (_refined(corrector, raw, tests) for corrector in correctors)
-    if tight is None:
-        return replace(raw, refined=False, error=np.inf)
-    integration = np.inf if loose is None else abs(tight.p - loose.p)
-    return replace(tight, error=tight.error + integration)
-
-
-def _refined(
+def _located(
     corrector: Corrector, raw: SpecialPoint, tests: Mapping[str, Test]
 ) -> SpecialPoint | None:
     start = corrector(np.append(raw.u, raw.p), raw.tangent)
@@ -152,38 +134,49 @@ def _refined(
     beside = corrector(start.z + _PROBE * start.tangent, start.tangent, start)
     if beside is None:
         return None
-    test = test_of(raw.kind, tests, beside)
+
+    def test(point: Point) -> float:
+        """What vanishes at a special point of this kind."""
+        if raw.kind == "fold":
+            return float(point.tangent[-1])
+        if raw.kind == "branch point":
+            return point.sign * float(np.exp(min(point.logdet - beside.logdet, 300.0)))
+        return float(tests[raw.kind](point.u, point.p, point.tangent, point.extra))
+
     slope = (test(beside) - test(start)) / _PROBE
     found = polish(corrector, Located(start, 0.0, 1.0, True, slope, np.inf), test, 0.1)
-    point = found.point
-    return replace(
-        raw, u=point.u, p=point.p, tangent=point.tangent, extra=point.extra,
-        residual=point.residual, left_over=abs(test(point)), error=found.error,
-    )  # fmt: skip
+    own = {name: getattr(found.point, name) for name in ("u", "p", "tangent", "extra", "residual")}
+    return replace(raw, **own, left_over=abs(test(found.point)), error=found.error)
 
 
-def at_rest(correctors: tuple[Corrector, Corrector], raw: SpecialPoint) -> tuple[float, float]:
-    """p in the limit of no amplitude a, and its error, from p = p_H + c a^2 + d a^4 + O(a^6).
+def _at_rest(corrector: Corrector, raw: SpecialPoint, tests: Any) -> SpecialPoint | None:
+    """p in the limit of no amplitude a, from p = p_H + c a^2 + d a^4 + O(a^6).
 
-    Three small amplitudes give it; the error is what the third one changes, and what a tolerance
-    of the integration ten times as great does.
+    Three small amplitudes give it; the error is what the third one changes.
     """
-    (p, change), (other, _) = (_at_rest(corrector, raw) for corrector in correctors)
-    return p, change + abs(p - other)
-
-
-def _at_rest(corrector: Corrector, raw: SpecialPoint) -> tuple[float, float]:
-    z, squares, found = np.append(raw.u, raw.p), [], []
+    del tests
+    z, points = np.append(raw.u, raw.p), []
     for length in (5e-3, 1e-2, 1.5e-2):  # from the Hopf point
         point = corrector(z - length * raw.tangent, raw.tangent)
         if point is None:
-            return raw.p, np.inf
-        squares.append(float(point.extra.speed) ** 2)
-        found.append(point.p)
+            return None
+        points.append((float(point.extra.speed) ** 2, point.p))
+    squares, found = zip(*points, strict=True)
     if len(set(squares)) < len(squares):
-        return raw.p, np.inf
+        return None
     two, three = (float(BarycentricInterpolator(squares[:k], found[:k])(0.0)) for k in (2, 3))
-    return three, abs(three - two)
+    return replace(raw, p=three, error=abs(three - two))
+
+
+def hardly_felt(branch: Branch, raw: SpecialPoint, test: Test) -> bool:
+    """Whether `test` changes its sign by no more than the multipliers err.
+
+    A localized vibration of many masses hardly feels where it sits on the chain, and to shift it
+    is a disturbance with a multiplier that is 1 to rounding, all along the branch.
+    """
+    beside = raw.index, min(raw.index + 1, branch.p.size - 1)
+    extras = [jax.tree.map(lambda leaf, k=k: leaf[k], branch.extra) for k in beside]
+    return any(abs(test(raw.u, raw.p, raw.tangent, extra)) < 1e-8 for extra in extras)
 
 
 def without_symmetry(shooting: Shooting, point: CyclePoint) -> tuple[Shooting, SpecialPoint]:
@@ -238,57 +231,35 @@ class CycleLinearisation(eqx.Module):
 def linearise(
     u: Float[Array, " m"], parameter: Float[Array, ""], shooting: Shooting
 ) -> tuple[Float[Array, " m"], Float[Array, "m m_plus_1"], CycleLinearisation]:
-    """(R, [R_u R_p], `CycleLinearisation`) of the shooting equations R, from one integration.
-
-    With y = (x, v), y_1 the state after a period: dy_1 = M dy + f(y_1) dT + (dy_1/dp) dp, and dR
-    follows from R = gap(u, y_1, p).
-    """
-    n, m = len(shooting.images), u.shape[0]
-    z = jnp.append(u, parameter)
-
-    def start(z: Array) -> Array:
-        _, (x, v), period = shooting.unpack(z[:-1], z[-1])
-        return jnp.concatenate([x, v, z[-1:], period[None]])
-
-    def gap(both: Array) -> tuple[Array, Array]:
-        u, p, y1 = both[:m], both[m], both[m + 1 :]
-        r = shooting.gap(u, (y1[:n], y1[n:]), p)
-        return r, r
-
-    def rate(y: Array) -> Array:
-        return jnp.concatenate(shooting.at(parameter)(0.0, (y[:n], y[n:])))
-
-    y, inner = start(z), jax.jacfwd(start)(z)
-    state, period = y[: 2 * n], y[-1]
-    run = push(
-        lambda y: (shooting.at(y[-1]), (y[:n], y[n:-1]), period), y[:-1],
-        rtol=shooting.rtol, solver=shooting.solver, observers=[Along(), Returns()],
-    )  # fmt: skip
-    y1, ((amplitude, fastest, _), returned) = jnp.concatenate(run.end), run.observed
-    outer = jnp.append(jnp.concatenate(run.slopes, axis=1), rate(y1)[None], axis=0).T
-    slope, r = jax.jacfwd(gap, has_aux=True)(jnp.concatenate([z, y1]))
-    jacobian = slope[:, : m + 1] + slope[:, m + 1 :] @ (outer @ inner)
-    monodromy = outer[:, : 2 * n]
-    found = floquet_multipliers(monodromy, rate(state))
-    speed = shooting.at(parameter).belt_direction() * state[n + shooting.mass]
-    sound = can_be_cycle(shooting.at(parameter), period, fastest)
+    """(R, [R_u R_p], `CycleLinearisation`) of the shooting equations R, from one integration."""
+    r, jacobian, whole = shooting.linearise(u, parameter)
+    field, (x, v), period = shooting.unpack(u, parameter)
+    found = floquet_multipliers(whole.monodromy, jnp.concatenate(field(0.0, (x, v))))
+    sound = can_be_cycle(field, period, whole.fastest)
     extra = CycleLinearisation(
-        state[:n], state[n:], period, speed, returned.times_round, amplitude, monodromy,
-        found.multipliers, found.defect, sound & is_trusted(found.multipliers, found.defect),
-    )  # fmt: skip
+        x,
+        v,
+        period,
+        field.belt_direction() * v[shooting.mass],
+        whole.returned.times_round,
+        whole.amplitude,
+        whole.monodromy,
+        found.multipliers,
+        found.defect,
+        sound & is_trusted(found.multipliers, found.defect),
+    )
     return r, jacobian, extra
 
 
 @eqx.filter_jit
-def orbit(
+def cycle_at(
     u: Float[Array, " m"], parameter: Float[Array, ""], shooting: Shooting
 ) -> tuple[Float[Array, " n"], Float[Array, " n"], Float[Array, ""], Float[Array, " n"]]:
     """(x, v, period, amplitude) of a solution, which `linearise` has of the iterate before it."""
     field, (x, v), period = shooting.unpack(u, parameter)
     _, _, ((amplitude, _, _),) = flow(
-        field, (x, v), period, rtol=shooting.rtol, solver=shooting.solver,
-        observers=[Along()],
-    )  # fmt: skip
+        field, (x, v), period, rtol=shooting.rtol, solver=shooting.solver, observers=[Along()]
+    )
     return x, v, period, amplitude
 
 
@@ -360,38 +331,6 @@ def special_tests(shooting: Shooting) -> dict[str, Callable[..., float]]:
     if len(set(images)) < len(images):
         of["symmetry breaking"] = lambda extra: breaking(extra, images)
     return {name: lambda u, p, tangent, extra, test=test: test(extra) for name, test in of.items()}
-
-
-def cycle_equations(
-    chain: Any, state: Any, period: Any, parameter: str, vibrating: Any, images: Any, rtol: Any
-) -> tuple[Shooting, np.ndarray, float]:
-    """The shooting equations, and u and p of the cycle that is given."""
-    if state is None and period is None and vibrating is None:
-        vibrating = getattr(chain, "mass", None)
-    chain, state, period = as_orbit(chain, state, period)
-    check_concrete("use `find_limit_cycle`.", chain=chain, state=state, period=period)
-    require_smoothed(chain, "follow `find_limit_cycle` from one belt speed to the next, or ")
-    x, v = check_orbit(chain, state, period, rtol)
-    n, fastest = x.size, int(np.argmax(float(chain.belt_direction()) * np.asarray(v)))
-    mass = as_mass(n, vibrating, fastest)
-    value = chain.numbers()
-    p = value.get(parameter) if isinstance(parameter, str) else None
-    if p is None or np.shape(p) != ():
-        single = sorted(name for name, number in value.items() if np.shape(number) == ())
-        raise ValueError(
-            f"Argument `parameter` must name a number of the chain, one of {single}, but is "
-            f"{shown(parameter)}."
-        )
-    shooting = Shooting(
-        field=chain,
-        rtol=rtol,
-        solver=fit_linear_solve(Rodas5P(), chain, float(rtol)),
-        mass=mass,
-        images=as_images(images, n, mass),
-        parameter=parameter,
-    )
-    u = np.asarray(shooting.pack((x, v), period, p))
-    return shooting, u, float(p)
 
 
 def cycle_weights(shooting: Shooting, p: float) -> np.ndarray:
@@ -505,8 +444,77 @@ class CycleBranch(Printed):
             data.to_netcdf("branch.nc", engine="h5netcdf")
             ```
         """
+        # xarray brings pandas, which would double the time of the import.
+        from xarray import Dataset
 
-        return _branch_dataset(self)
+        special, k, row = self.special, len(self.parameter), parameter(self.name)
+        # Of all cycles, those of the special points behind the others.
+        parameters, x, v, period, amplitude, multipliers = (
+            np.stack([*getattr(self, name), *(getattr(point, name) for point in special)])
+            for name in ("parameter", "x", "v", "period", "amplitude", "multipliers")
+        )
+        u = np.reshape([point.raw.u for point in special], (-1, self.branch.u.shape[1]))
+        closeness = np.append(self.closeness, _closeness(self.shooting, u))
+        speed = getattr(self.shooting.field, "belt_speed", None)
+        speed = parameters if self.name == "belt_speed" else speed
+        labels = amplitude_variables(jnp.asarray(amplitude), speed)
+        each, multiplier = ("oscillator",), ("multiplier",)
+        of_cycles = {
+            **{
+                name: (v.dims, np.asarray(v.values), v.long_name, v.units)
+                for name, v in labels.items()
+            },
+            "period": ((), period, "least period T", "1 / omega_n"),
+            "displacement": (each, x, "displacement where the cycle is cut", "x0"),
+            "velocity": (each, v, "velocity where the cycle is cut", SPEED),
+            "closeness": ((), closeness, "max w / eps of the mass that is cut", "1"),
+            "multiplier_real": (
+                multiplier,
+                np.real(multipliers),
+                "real part of the multiplier",
+                "1",
+            ),
+            "multiplier_imag": (multiplier, np.imag(multipliers), "imaginary part of it", "1"),
+        }
+        unstable, defect = self.unstable, self.trivial_defect
+        of_points = {
+            "unstable_count": ((), unstable, "multipliers beyond the unit circle", "1"),
+            "stable": ((), unstable == 0, "whether no multiplier is beyond the unit circle", "1"),
+            "trivial_defect": ((), defect, "error of the trivial multiplier", "1"),
+        }
+
+        def variables(prefix: str, dim: str, rows: slice, columns: Mapping[str, tuple]) -> dict:
+            return {
+                prefix + name: ((dim, *dims), values[rows], {"long_name": text, "units": units})
+                for name, (dims, values, text, units) in columns.items()
+            }
+
+        found = special_variables(
+            [(point.kind, point.parameter, point.error) for point in special],
+            [(point.index, point.refined) for point in special],
+            row.unit,
+        )
+        n, shooting = self.x.shape[1], self.shooting
+        return Dataset(
+            variables("", "point", slice(k), of_cycles | of_points)
+            | found
+            | variables("special_", "special", slice(k, None), of_cycles),
+            coords={
+                self.name: ("point", self.parameter, row.attrs),
+                "oscillator": ("oscillator", np.arange(1, n + 1), {"long_name": "oscillator n"}),
+            },
+            attrs={
+                "parameters": parameters_of(shooting.field, n, [self.name]),
+                "parameter": self.name,
+                "ended": self.ended,
+                "message": self.message,
+                "solver": repr(shooting.solver),
+                "rtol": float(shooting.rtol),
+                "cut_at_oscillator": shooting.mass + 1,
+                "images": json.dumps(shooting.images),
+                **circumstances(),
+            },
+        )
 
 
 def continue_cycle(
@@ -570,17 +578,37 @@ def continue_cycle(
         [('fold', 1.792456), ('hopf', 1.151293)]
     """
     check_following(stop, progress)
-    shooting, u, p = cycle_equations(chain, state, period, parameter, vibrating, images, rtol)
+    if state is None and period is None and vibrating is None:
+        vibrating = getattr(chain, "mass", None)
+    chain, state, period = as_orbit(chain, state, period)
+    check_concrete("use `find_limit_cycle`.", chain=chain, state=state, period=period)
+    require_smoothed(chain, "follow `find_limit_cycle` from one belt speed to the next, or ")
+    x, v = check_orbit(chain, state, period, rtol)
+    mass = as_mass(x.size, vibrating, int(jnp.argmax(chain.belt_direction() * v)))
+    numbers = {name: value for name, value in chain.numbers().items() if np.shape(value) == ()}
+    if not isinstance(parameter, str) or parameter not in numbers:
+        raise ValueError(
+            "Argument `parameter` must name a number of the chain, one of "
+            f"{sorted(numbers)}, but is {shown(parameter)}."
+        )
+    solver = fit_linear_solve(Rodas5P(), chain, float(rtol))
+    shooting = Shooting(chain, rtol, solver, mass, as_images(images, x.size, mass), parameter)
+    p = float(numbers[parameter])
+    u = np.asarray(shooting.pack((x, v), period, p))
     heading = direction
     if isinstance(direction, str):
         check_one_of("direction", direction, ("stick", "slip"))
         heading = np.zeros(u.size + 1)
         heading[shooting.place] = 1.0 if direction == "stick" else -1.0
-    return _follow(
-        shooting, u, p, heading, bounds, stop,
-        {"step": step, "min_step": min_step, "max_step": max_step, "max_points": max_points,
-         "progress": progress, "tolerance": tolerance},
-    )  # fmt: skip
+    options = {
+        "step": step,
+        "min_step": min_step,
+        "max_step": max_step,
+        "max_points": max_points,
+        "progress": progress,
+        "tolerance": tolerance,
+    }
+    return _follow(shooting, u, p, heading, bounds, stop, options)
 
 
 def switch_cycle(
@@ -653,15 +681,14 @@ def _follow(
     options: dict[str, Any],
 ) -> CycleBranch:
     weights, tests = cycle_weights(shooting, p), special_tests(shooting)
-    times = None  # how often the first orbit is gone round within its period
+    first = True
 
     def ends(u: np.ndarray, p: float, tangent: np.ndarray, extra: Any) -> Any:
-        nonlocal times
+        nonlocal first
         del u, tangent
-        if times is None:
-            times = int(extra.times_round)
-            if times > 1:
-                return True
+        first, begins = False, first
+        if begins and extra.times_round > 1:
+            return True
         if not extra.sound:
             return "it is no cycle any more, by its speed, period or trivial multiplier"
         if extra.speed <= 0:
@@ -671,55 +698,46 @@ def _follow(
         return stop is not None and stop(p, extra)
 
     branch = continue_branch(
-        residual, u, p, shooting, direction=heading, weights=weights, tests=tests, stop=ends,
-        bounds=(-np.inf, np.inf) if bounds is None else bounds, value_and_jacobian=linearise,
+        residual,
+        u,
+        p,
+        shooting,
+        direction=heading,
+        weights=weights,
+        tests=tests,
+        stop=ends,
+        bounds=(-np.inf, np.inf) if bounds is None else bounds,
+        value_and_jacobian=linearise,
         **options,
-    )  # fmt: skip
-    if branch.extra is None or not branch.extra.sound[0]:
-        raise NoBranchError(branch.message if branch.extra is None else ENDINGS["no_start"])
-    if times is not None and times > 1:
-        once = branch.u[0] - np.append(np.zeros(u.size - 1), np.log(times))
+    )
+    extra, k = branch.extra, len(branch.p)
+    if extra is None or not extra.sound[0]:
+        raise NoBranchError(branch.message if extra is None else ENDINGS["no_start"])
+    if extra.times_round[0] > 1:  # gone round more than once within the period that was given
+        once = branch.u[0] - np.append(np.zeros(u.size - 1), np.log(extra.times_round[0]))
         return _follow(shooting, once, float(branch.p[0]), heading, bounds, stop, options)
-    correctors = sharply(shooting, weights, options["tolerance"])
+    refine = refined(shooting, weights, options["tolerance"], tests)
     hopf = {point.index for point in branch.special if point.kind == "hopf"}
     special = []
     for raw in branch.special:
         # Where the amplitude vanishes the branch meets its own mirror image, smoothly: no fold.
         if raw.kind in ("fold", "branch point") and raw.index in hopf:
             continue
-        if raw.kind == "hopf":
-            p, error = at_rest(correctors, raw)
-            point = replace(raw, p=p, error=error)
-        elif raw.kind in tests and hardly_felt(branch, raw, tests[raw.kind]):
+        if raw.kind in tests and raw.kind != "hopf" and hardly_felt(branch, raw, tests[raw.kind]):
             continue
-        else:
-            point = refine(correctors, raw, tests) if raw.refined else raw
+        point = refine(raw) if raw.refined or raw.kind == "hopf" else raw
         if raw.kind != "torus" or on_the_circle(point.extra):
             e = point.extra
-            special.append(
-                CyclePoint(
-                    kind=point.kind,
-                    parameter=point.p,
-                    x=e.x,
-                    v=e.v,
-                    period=float(e.period),
-                    amplitude=e.amplitude,
-                    multipliers=e.multipliers,
-                    refined=point.refined,
-                    error=float(point.error),
-                    raw=point,
-                )
-            )
-    extra, k = branch.extra, len(branch.p)
+            orbit = e.x, e.v, float(e.period), e.amplitude, e.multipliers
+            how = point.refined, float(point.error), point
+            special.append(CyclePoint(point.kind, point.p, *orbit, *how))
     # The last point may be its own mirror image, or no cycle.
-    if k and not (extra.speed[-1] > 0 and extra.sound[-1]):
+    if not (extra.speed[-1] > 0 and extra.sound[-1]):
         k -= 1
     if not k:
         raise NoBranchError("The branch ends in rest at its first point: begin farther from it.")
-    points = [orbit(u, p, shooting) for u, p in zip(branch.u[:k], branch.p[:k], strict=True)]
+    points = [cycle_at(u, p, shooting) for u, p in zip(branch.u[:k], branch.p[:k], strict=True)]
     x, v, period, amplitude = (np.stack(column) for column in zip(*points, strict=True))
-    switches = shooting.field.switching(0.0, points[0][1]) is not None
-    closeness = np.sinh(branch.u[:k, shooting.place]) if switches else np.full(k, np.nan)
     return CycleBranch(
         name=shooting.parameter or "",
         parameter=branch.p[:k],
@@ -727,7 +745,7 @@ def _follow(
         v=v,
         period=period,
         amplitude=amplitude,
-        closeness=closeness,
+        closeness=_closeness(shooting, branch.u[:k]),
         multipliers=extra.multipliers[:k],
         trivial_defect=extra.trivial_defect[:k],
         special=tuple(special),
@@ -736,82 +754,7 @@ def _follow(
     )
 
 
-def _branch_dataset(branch: CycleBranch) -> Dataset:
-    # xarray brings pandas, which would double the time of the import.
-    from xarray import Dataset
-
-    n, special, row = branch.x.shape[1], branch.special, parameter(branch.name)
-    points = {}
-    for name in ("x", "v", "period", "amplitude", "multipliers"):
-        like = getattr(branch, name)
-        values = np.asarray([getattr(point, name) for point in special], like.dtype)
-        points[name] = values.reshape(len(special), *like.shape[1:])
-    z = np.array([point.raw.u[branch.shooting.place] for point in special], float)
-    points["closeness"] = np.sinh(z) if np.isfinite(branch.closeness).any() else np.nan * z
-    there = np.array([point.parameter for point in special], float)
-    stable = branch.unstable == 0
-    more = {
-        "unstable_count": ((), branch.unstable, "multipliers beyond the unit circle", "1"),
-        "stable": ((), stable, "whether no multiplier is beyond the unit circle", "1"),
-        "trivial_defect": ((), branch.trivial_defect, "error of the trivial multiplier", "1"),
-    }
-    found = special_variables(
-        [(point.kind, point.parameter, point.error) for point in special],
-        [(point.index, point.refined) for point in special],
-        row.unit,
-    )
-    of_points = _of_cycles("special", branch, there, points)
-    return Dataset(
-        _of_cycles("point", branch, branch.parameter, vars(branch), more)
-        | found
-        | {f"special_{name}": variable for name, variable in of_points.items()},
-        coords={
-            branch.name: ("point", branch.parameter, row.attrs),
-            "oscillator": ("oscillator", np.arange(1, n + 1), {"long_name": "oscillator n"}),
-        },
-        attrs={
-            "parameters": parameters_of(branch.shooting.field, n, [branch.name]),
-            "parameter": branch.name,
-            "ended": branch.ended,
-            "message": branch.message,
-            "solver": repr(branch.shooting.solver),
-            "rtol": float(branch.shooting.rtol),
-            "cut_at_oscillator": branch.shooting.mass + 1,
-            "images": json.dumps(branch.shooting.images),
-            **circumstances(),
-        },
-    )
-
-
-def _of_cycles(
-    dim: str,
-    branch: CycleBranch,
-    values: np.ndarray,
-    columns: Mapping[str, Any],
-    more: Mapping[str, tuple] | None = None,
-) -> dict[str, tuple]:
-    """Variables over `dim` of what cycles are, one for each of `values` of the parameter."""
-    speed = getattr(branch.shooting.field, "belt_speed", None)
-    speed = values if branch.name == "belt_speed" and len(values) else speed
-    amplitude = columns["amplitude"]
-    some = amplitude if len(amplitude) else np.zeros((1, amplitude.shape[1]))  # no special point
-    labels = amplitude_variables(jnp.asarray(some), speed)
-    each, multiplier = ("oscillator",), ("multiplier",)
-    multipliers = columns["multipliers"]
-    found: dict[str, tuple] = {
-        **{
-            k: (v.dims, np.asarray(v.values)[: len(amplitude)], v.long_name, v.units)
-            for k, v in labels.items()
-        },
-        "period": ((), columns["period"], "least period T", "1 / omega_n"),
-        "displacement": (each, columns["x"], "displacement where the cycle is cut", "x0"),
-        "velocity": (each, columns["v"], "velocity where the cycle is cut", SPEED),
-        "closeness": ((), columns["closeness"], "max w / eps of the mass that is cut", "1"),
-        "multiplier_real": (multiplier, multipliers.real, "real part of the multiplier", "1"),
-        "multiplier_imag": (multiplier, multipliers.imag, "imaginary part of it", "1"),
-        **(more or {}),
-    }
-    return {
-        name: ((dim, *dims), values, {"long_name": text, "units": units})
-        for name, (dims, values, text, units) in found.items()
-    }
+def _closeness(shooting: Shooting, u: np.ndarray) -> np.ndarray:
+    s = np.sinh(u[:, shooting.place])
+    switches = shooting.field.switching(0.0, jnp.zeros(shooting.n)) is not None
+    return s if switches else np.full_like(s, np.nan)

@@ -32,9 +32,6 @@ CYCLE_RTOL = 1e-10
 _ROUNDINGS = 1e3
 
 
-_linearised = eqx.filter_jit(linearised_period)
-
-
 def monodromy_matrix(
     chain: Any, state: Any = None, period: Any = None, *, rtol: Any = CYCLE_RTOL
 ) -> Float[Array, "two_n two_n"]:
@@ -251,7 +248,16 @@ def _period(chain: Any, state: Any, period: Any, rtol: Any) -> Period:
     )
     given = 1e-9 if is_traced(rtol) else float(rtol)
     solver = fit_linear_solve(Rodas5P(), chain, given)
-    return _linearised(chain, state, to_float(period), rtol=to_float(rtol), solver=solver)
+    return _linearised(chain, state, to_float(period), to_float(rtol), solver)
+
+
+@eqx.filter_jit
+def _linearised(chain: Any, state: State, period: Array, rtol: Array, solver: Any) -> Period:
+    def make(y: Array) -> tuple[AbstractOscillators, State, Array]:
+        x, v = jnp.split(y, 2)
+        return chain, (x, v), period
+
+    return linearised_period(make, jnp.concatenate(state), rtol=rtol, solver=solver)
 
 
 def check_orbit(chain: Any, state: Any, period: Any, rtol: Any, name: str = "state") -> State:

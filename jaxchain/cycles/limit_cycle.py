@@ -23,7 +23,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Bool, Complex, Float, Int
+from jaxtyping import Array, Complex, Float, Int
 
 from .._checks import (
     check_flag,
@@ -37,7 +37,7 @@ from .._checks import (
 )
 from .._final import final
 from .._types import State
-from ..continuation.damped_newton import Factors, check_tolerance, ending, factorise
+from ..continuation.damped_newton import Factors, Iterate, check_tolerance, ending, factorise
 from ..continuation.implicit import attach_derivative
 from ..model.arguments import as_chain, as_images, as_mass, as_state
 from ..model.chain import Chain, steady_sliding
@@ -61,7 +61,7 @@ from ..simulation.event_driven import EventDriven
 from ..simulation.run import Simulation, simulate
 from ..solvers.dry_friction import start as on_the_belt
 from ..solvers.rosenbrock import Rodas5P
-from .averaging import cycle_speed, gain, greatest_speed, one_mass
+from .averaging import cycle_speed, gain, greatest_speed, one_mass, usual_closeness
 from .branches import NoBranchError, continue_cycle
 from .floquet import (
     CYCLE_RTOL,
@@ -75,8 +75,8 @@ from .floquet import (
     liouville_defect,
     multiplier_resolution,
 )
-from .shooting import Shooting, close_orbit_once, greatest_gap, packed
-from .variational import Along, Period, Returned, Returns, flow, linearised_period
+from .shooting import Shooting, close_orbit_once, greatest_gap
+from .variational import Along, Period, Returned, Returns
 
 Guess = tuple[State, Array]
 _TRANSIENT = 200.0  # of a simulation, before it is looked at
@@ -87,10 +87,7 @@ def _watched(chain: Any, state: State, t1: Any, watch: Section) -> Any:
     """What is seen in a run whose sticking masses err little in units of the width."""
     rtol: Any = 1e-8
     if isinstance(chain, Chain) and not chain.dry:
-        width = lax.stop_gradient(chain.width)
-        # Each operation of JAX on numbers is a program to be compiled.
-        of, width = (jnp, width) if is_traced(width) else (np, np.asarray(width))
-        rtol = of.clip(1e-4 * of.min(width), 1e-11, 1e-7)
+        rtol = jnp.clip(1e-4 * jnp.min(lax.stop_gradient(chain.width)), 1e-11, 1e-7)
     solver = own_solver(chain, None) or choose_solver(chain, 1e-8)
     run = simulate(chain, state, t1, observe=watch, solver=solver, rtol=rtol, throw=False)
     return lax.stop_gradient(run.observed)
@@ -103,6 +100,12 @@ def most_lively(chain: AbstractOscillators, state: State) -> int:
         return reference_site(x.shape[0])
     rest = steady_sliding(chain)[0] if isinstance(chain, Chain) else jnp.zeros_like(x)
     return int(jnp.argmax((x - rest) ** 2 + v**2))
+
+
+def _cut_at(chain: AbstractOscillators, state: State, vibrating: Any) -> int:
+    if vibrating is None:
+        return most_lively(chain, state)
+    return as_mass(state[0].shape[0], vibrating)
 
 
 def guess_from_simulation(
@@ -137,8 +140,7 @@ def guess_from_simulation(
     check_number("transient", transient, "200 is usual.")
     check_nonnegative("transient", transient, "200 is usual.")
     check_positive_number("duration", duration, "40 is some six periods.")
-    mass = as_mass(state[0].shape[0], vibrating)
-    mass = most_lively(chain, state) if mass is None else mass
+    mass = _cut_at(chain, state, vibrating)
     watch = Section(mass, _PEAKS, transient, of="velocity")
     return _last_turn(*_watched(chain, state, transient + duration, watch))
 
@@ -232,94 +234,78 @@ def guess_of_kind(chain: Chain, vibrating: int, kind: str) -> Guess:
 
 @eqx.filter_jit
 def solve_cycle(
-    shooting: Shooting, start: Array, tolerance: Array, limit: Array
+    shooting: Shooting, state: State, period: Array, tolerance: Array, limit: Array
 ) -> tuple[LimitCycle, Array]:
-    """(the cycle, its unknowns u) near u = `start`; nothing in here is to be differentiated."""
+    """(the cycle, its unknowns u) near a guess; nothing in here is to be differentiated."""
+    start = shooting.pack(state, period)
     weights = jnp.full(start.shape, start.shape[0] ** -0.5)
 
     def linearise(u: Array) -> tuple[Array, Factors, Period]:
-        field, state, period = shooting.unpack(u)
-        whole = linearised_period(field, state, period, rtol=shooting.rtol, solver=shooting.solver)
-        by_u, by_end = jax.jacfwd(shooting.gap, argnums=(0, 1))(u, whole.end)
+        value, jacobian, whole = shooting.linearise(u)
+        return value, factorise(jacobian, weights), whole
 
-        def orbit(u: Array) -> Array:
-            _, (x, v), period = shooting.unpack(u)
-            return jnp.concatenate([x, v, period[None]])
-
-        slope = jax.jacfwd(orbit)(u)
-        direction = jnp.concatenate(field(0.0, whole.end))
-        end = whole.monodromy @ slope[:-1] + direction[:, None] * slope[-1:]
-        jacobian = by_u + jnp.concatenate(by_end, axis=1) @ end
-        return shooting.gap(u, whole.end), factorise(jacobian, weights), whole
+    def closed(now: Iterate) -> Array:
+        return greatest_gap(now) <= tolerance
 
     found = close_orbit_once(
-        linearise, start, weights, limit=limit, fine=1e-11,
-        closed=lambda now: greatest_gap(now) <= tolerance,
-        state_at=lambda u: shooting.unpack(u)[1],
-        shortened=lambda u, times: u.at[-1].add(-jnp.log(times)),
-    )  # fmt: skip
+        shooting, linearise, start, weights, limit=limit, fine=1e-11, closed=closed
+    )
     field, state, period = shooting.unpack(found.u)
-    whole = found.aux
+    whole, mass = found.aux, shooting.mass
     # In the shooting equations velocities count by their distance from the belt's: a fast orbit
     # that decays, or a piece of one, is closed there.  So the gap counts as a share of the
     # orbit's size, too.
     left = jnp.max(jnp.abs(jnp.stack(whole.end) - jnp.stack(state)))
-    residual = jnp.fmax(greatest_gap(found), left / whole.returned.farthest)
     floquet = floquet_multipliers(whole.monodromy, jnp.concatenate(field(0.0, state)))
-    speed = field.belt_direction() * state[1][shooting.mass]
-    moves = (whole.fastest[shooting.mass] > LEAST_VELOCITY) & (speed > 0)
-    possible = can_be_cycle(field, period, whole.fastest)
-    closed = (residual <= tolerance) & is_trusted(floquet.multipliers, floquet.defect)
-    result = ending(found, closed, limit)
-    result = SearchResult.where(closed & ~moves, SearchResult.at_rest, result)
-    result = SearchResult.where(whole.complete & ~possible, SearchResult.ran_away, result)
-    cycle = LimitCycle(
-        chain=field,
-        state=state,
-        period=period,
-        residual=residual,
-        result=result,
+    forward = field.belt_direction() * state[1][mass] > 0
+    cycle = _cycle(
+        shooting,
+        found.u,
+        tolerance,
+        moves=(whole.fastest[mass] > LEAST_VELOCITY) & forward,
+        lost=whole.complete & ~can_be_cycle(field, period, whole.fastest),
+        ended=ending(found, jnp.asarray(False), limit),
+        residual=jnp.fmax(greatest_gap(found), left / whole.returned.farthest),
         multipliers=floquet.multipliers,
         trivial_defect=floquet.defect,
         liouville_defect=liouville_defect(whole.monodromy, whole.trace_integral),
         amplitude=whole.amplitude,
         fastest=whole.fastest,
         evaluations=found.evaluations,
-        mass=shooting.mass,
     )
     return cycle, found.u
 
 
+def _cycle(
+    equations: Any, u: Array, tolerance: Array, moves: Any, lost: Any, ended: Any, **found: Any
+) -> LimitCycle:
+    """The cycle with its result: how the search `ended` if it is not closed."""
+    of, (chain, state, period) = SearchResult, equations.unpack(u)
+    trusted = is_trusted(found["multipliers"], found["trivial_defect"])
+    closed = (found["residual"] <= tolerance) & trusted
+    result = of.where(closed, of.where(moves, of.successful, of.at_rest), ended)
+    result = of.where(lost, of.ran_away, result)
+    found |= {"chain": chain, "state": state, "period": period, "mass": equations.mass}
+    return LimitCycle(result=result, **found)
+
+
 @eqx.filter_jit
 def with_derivatives(
-    shooting: Shooting, chain: AbstractOscillators, cycle: LimitCycle, u: Array
+    equations: Any, chain: AbstractOscillators, cycle: LimitCycle, u: Array
 ) -> LimitCycle:
     """`cycle` with its derivatives in the numbers of `chain`."""
-    held = eqx.tree_at(lambda s: s.field, shooting, chain)
-    unknowns = attach_derivative(_residual, jnp.concatenate([u, cycle.amplitude]), held)
-    _, state, period = held.unpack(unknowns[: u.shape[0]])
-    return _moved(cycle, chain, state, period, unknowns[u.shape[0] :])
+    equations = eqx.tree_at(lambda own: own.field, equations, chain)
+    unknowns = attach_derivative(_residual, jnp.concatenate([u, cycle.amplitude]), equations)
+    _, state, period = equations.unpack(unknowns[: u.size])
+    amplitude = unknowns[u.size :]
+    return replace(cycle, chain=chain, state=state, period=period, amplitude=amplitude)
 
 
-def _moved(
-    cycle: LimitCycle, chain: AbstractOscillators, state: State, period: Array, amplitude: Array
-) -> LimitCycle:
-    return eqx.tree_at(
-        lambda c: (c.chain, c.state, c.period, c.amplitude),
-        cycle,
-        (chain, state, period, amplitude),
-    )
-
-
-def _residual(unknowns: Float[Array, " m"], shooting: Shooting) -> Float[Array, " m"]:
+def _residual(unknowns: Float[Array, " m"], equations: Any) -> Float[Array, " m"]:
     """The equations of the cycle and of its amplitudes."""
-    n = len(shooting.images)
-    u, amplitude = unknowns[:-n], unknowns[-n:]
-    field, state, period = shooting.unpack(u)
-    end, _, (seen,) = flow(
-        field, state, period, rtol=shooting.rtol, solver=shooting.solver, observers=[Amplitude()]
-    )
-    return jnp.concatenate([shooting.gap(u, end), seen - amplitude])
+    u, amplitude = unknowns[: -equations.n], unknowns[-equations.n :]
+    gap, seen = equations.closing(u)
+    return jnp.concatenate([gap, seen - amplitude])
 
 
 @final
@@ -399,10 +385,56 @@ def close_orbit(
     """
     chain, state, period = as_orbit(chain, state, period)
     x, v = check_orbit(chain, state, period, rtol)
-    return _close(chain, (x, v), to_float(period), own_solver(chain, solver), rtol)[0]
+    equations = _States(chain, rtol, own_solver(chain, solver))
+    return _close(equations, (x, v), to_float(period))[0]
 
 
-class _Run(NamedTuple):
+class _States(eqx.Module):
+    """The equations of a periodic orbit in its state and period, u = (x, v, T).
+
+    Those of `closing` cut it where mass `mass` is fastest, or is let go by the belt.
+    """
+
+    field: Any
+    rtol: Any
+    solver: Any
+    mass: int = eqx.field(static=True, default=0)
+
+    @property
+    def n(self) -> int:
+        """How many masses."""
+        return self.field.n
+
+    def pack(self, state: State, period: Array) -> Array:
+        """u of a state and a period."""
+        return jnp.concatenate([*state, period[None]])
+
+    def unpack(self, u: Array) -> tuple[AbstractOscillators, State, Array]:
+        """(field, state, period)."""
+        x, v = jnp.split(u[:-1], 2)
+        return self.field, (x, v), u[-1]
+
+    def run(self, u: Array, observe: Any, turns: float = 1.0) -> Simulation:
+        """Once round, or a little more."""
+        field, state, period = self.unpack(u)
+        return simulate(
+            field,
+            state,
+            turns * period,
+            observe=observe,
+            solver=self.solver,
+            rtol=self.rtol,
+            throw=False,
+        )
+
+    def closing(self, u: Array) -> tuple[Array, Array]:
+        """(what is left of the return and of the section, the amplitudes)."""
+        run, (x, v) = self.run(u, Amplitude()), self.unpack(u)[1]
+        section = _slipping(self.field, x, v)[self.mass]
+        return jnp.concatenate([run.state[0] - x, run.state[1] - v, section[None]]), run.observed
+
+
+class _Seen(NamedTuple):
     """What a run tells besides its end."""
 
     slopes: Float[Array, "two_n m"]  # of the state at the end, in (x, v, T)
@@ -411,40 +443,34 @@ class _Run(NamedTuple):
 
 
 @eqx.filter_jit
-def _close(
-    chain: AbstractOscillators, state: State, period: Array, solver: Any, rtol: Any
-) -> tuple[ClosedOrbit, Int[Array, ""]]:
+def _close(equations: _States, state: State, period: Array) -> tuple[ClosedOrbit, Int[Array, ""]]:
     """(the orbit, how many integrations it took)."""
-    start = jnp.concatenate([*state, period[None]])
+    chain, start = equations.field, equations.pack(state, period)
     n = state[0].shape[0]
-    observe: dict[str, Any] = {"returned": Returns()}
-    if isinstance(solver, EventDriven):
-        observe["sticking"] = MostSticking()
+    dry = isinstance(equations.solver, EventDriven)
+    observe = [Returns(), MostSticking()] if dry else [Returns()]
 
-    def end_of(u: Array) -> tuple[Array, tuple[Array, Returned, Array]]:
-        run = simulate(
-            chain, (u[:n], u[n:-1]), u[-1], observe=observe, solver=solver, rtol=rtol, throw=False
-        )
-        end, seen = jnp.concatenate(run.state), run.observed
-        return end, (end, seen["returned"], seen.get("sticking", jnp.zeros((), int)))
+    def end_of(u: Array) -> tuple[Array, tuple[Array, list]]:
+        run = equations.run(u, observe)
+        end = jnp.concatenate(run.state)
+        return end, (end, [*run.observed, jnp.zeros((), int)][:2])
 
     weights = jnp.full(start.shape, start.shape[0] ** -0.5)
 
-    def linearise(u: Array) -> tuple[Array, Factors, _Run]:
-        slopes, (end, returned, sticking) = jax.jacfwd(end_of, has_aux=True)(u)
+    def linearise(u: Array) -> tuple[Array, Factors, _Seen]:
+        slopes, (end, seen) = jax.jacfwd(end_of, has_aux=True)(u)
         f = slopes[:, -1]
         return_map = slopes[:, :-1] - jnp.eye(2 * n) + _free_phases(chain, f)
         matrix = jnp.block([[return_map, f[:, None]], [f[None], jnp.zeros((1, 1))]])
-        run = _Run(slopes, returned, sticking)
-        return jnp.append(end - u[:-1], 0.0), factorise(matrix, weights), run
+        return jnp.append(end - u[:-1], 0.0), factorise(matrix, weights), _Seen(slopes, *seen)
+
+    def closed(now: Iterate) -> Array:
+        # By a share of the size of the orbit.
+        return greatest_gap(now) <= 1e-6 * now.aux.returned.farthest
 
     best = close_orbit_once(
-        linearise, start, weights, limit=8, fine=1e-13,
-        # Closed by a share of the size of the orbit.
-        closed=lambda now: greatest_gap(now) <= 1e-6 * now.aux.returned.farthest,
-        state_at=lambda u: (u[:n], u[n:-1]),
-        shortened=lambda u, times: u.at[-1].divide(times),
-    )  # fmt: skip
+        equations, linearise, start, weights, limit=8, fine=1e-13, closed=closed
+    )
     failed = jnp.where(jnp.isfinite(best.length), 0.0, jnp.nan)
     u, slopes = best.u + failed, best.aux.slopes + failed
     possible = can_be_cycle(chain, u[-1], jnp.abs(u[n:-1]))
@@ -482,57 +508,39 @@ def _free_phases(chain: AbstractOscillators, f: Float[Array, " two_n"]) -> Array
     return free if chain.springs is None else jnp.all(chain.springs.constant == 0) * free
 
 
-def dry_limit_cycle(
-    chain: Chain, mass: int, state: State, period: Any, *, rtol: Any, tolerance: Any
-) -> LimitCycle:
-    """The cycle of a dry chain near a guess, cut where mass `mass` is let go, or is fastest.
-
-    Derivatives as in `find_limit_cycle`.
-    """
-    state, period = lax.stop_gradient((state, to_float(period)))
-    rtol = to_float(rtol)
-    cycle = _dry_cycle(lax.stop_gradient(chain), mass, state, period, rtol, to_float(tolerance))
-    unknowns = jnp.concatenate([*cycle.state, cycle.period[None], cycle.amplitude])
-    equations = jax.tree_util.Partial(_dry_residual, mass)
-    unknowns, n = attach_derivative(equations, unknowns, (chain, rtol)), chain.n
-    x, v, period, amplitude = jnp.split(unknowns, [n, 2 * n, 2 * n + 1])
-    return _moved(cycle, chain, (x, v), period[0], amplitude)
-
-
 @eqx.filter_jit
-def _dry_cycle(
-    chain: Chain, mass: int, state: State, period: Array, rtol: Array, tolerance: Array
-) -> LimitCycle:
-    orbit, evaluations = _close(chain, state, period, own_solver(chain, None), rtol)
+def dry_cycle(
+    equations: _States, state: State, period: Array, tolerance: Array, limit: Any
+) -> tuple[LimitCycle, Array]:
+    """(the cycle of a dry chain near a guess, its unknowns u), cut as `closing` does."""
+    del limit
+    chain, mass, of = equations.field, equations.mass, SearchResult
+    orbit, evaluations = _close(equations, state, period)
     # A little more, for an orbit that begins there.
-    watch = _Cuts(mass, 1, of="velocity")
-    cut = simulate(
-        chain, orbit.state, 1.05 * orbit.period, observe=watch, rtol=rtol, throw=False
-    ).observed
-    state, _ = on_the_belt(chain, (cut[1][0], cut[2][0]))
-    run = simulate(chain, state, orbit.period, observe=Along(), rtol=rtol, throw=False)
+    whole = equations.pack(orbit.state, orbit.period)
+    _, x, v = equations.run(whole, _Cuts(mass, 1, of="velocity"), 1.05).observed
+    state, _ = on_the_belt(chain, (x[0], v[0]))
+    u = equations.pack(state, orbit.period)
+    run = equations.run(u, Along())
     amplitude, fastest, _ = run.observed
     gap = jnp.concatenate(run.state) - jnp.concatenate(state)
     residual = jnp.max(jnp.abs(gap)) / fastest[mass]
-    closed = (residual <= tolerance) & is_trusted(orbit.multipliers, orbit.defect)
-    of = SearchResult
-    result = of.where(closed, of.successful, of.no_step_helps)
-    result = of.where(closed & (fastest[mass] <= LEAST_VELOCITY), of.at_rest, result)
-    result = of.where(jnp.isfinite(residual), result, of.nonfinite)
-    return LimitCycle(
-        chain=chain,
-        state=state,
-        period=orbit.period,
+    cycle = _cycle(
+        equations,
+        u,
+        tolerance,
+        moves=fastest[mass] > LEAST_VELOCITY,
+        lost=jnp.isinf(orbit.gap),
+        ended=of.where(jnp.isfinite(residual), of.no_step_helps, of.nonfinite),
         residual=residual,
-        result=of.where(jnp.isinf(orbit.gap), of.ran_away, result),
         multipliers=orbit.multipliers,
         trivial_defect=orbit.defect,
         liouville_defect=jnp.full_like(orbit.defect, jnp.nan),
         amplitude=amplitude,
         fastest=fastest,
         evaluations=evaluations,
-        mass=mass,
     )
+    return cycle, u
 
 
 class _Cuts(AbstractSection):
@@ -550,43 +558,33 @@ def _slipping(chain: Chain, x: Float[Array, " n"], v: Float[Array, " n"]) -> Flo
     return chain.free_force(x, v) + chain.belt_direction() * pull
 
 
-def _dry_residual(
-    mass: int, unknowns: Float[Array, " m"], parameters: tuple[Chain, Array]
-) -> Float[Array, " m"]:
-    """What is left of the return, of the section, and of the amplitudes."""
-    chain, rtol = parameters
-    n = chain.n
-    x, v, period, amplitude = jnp.split(unknowns, [n, 2 * n, 2 * n + 1])
-    run = simulate(chain, (x, v), period[0], observe=Amplitude(), rtol=rtol, throw=False)
-    section = _slipping(chain, x, v)[mass]
-    return jnp.concatenate(
-        [run.state[0] - x, run.state[1] - v, section[None], run.observed - amplitude]
-    )
-
-
 @eqx.filter_jit
-def is_of_kind(cycle: LimitCycle, kind: str) -> Bool[Array, ""]:
-    """Whether one mass vibrates, on the side of the fold that was asked for, as far as it shows.
+def keep_kind(cycle: LimitCycle, kind: str) -> LimitCycle:
+    """Not `successful` unless one mass vibrates, on the side of the fold that was asked for.
 
-    Where vibration spreads, a run from one mass ends with several.
+    As far as it shows.  Where vibration spreads, a run from one mass ends with several.
     Slip cycles ("unstable") have a real multiplier beyond 1, which passes through 1 at the fold.
     A stick-slip cycle ("stable") of a chain may have one, too, with the symmetry of its neighbours
     lost, but its mass comes closer to the belt's speed than that of a fold, s = max w / eps =
     ln(eps / v_d) / 4 - 1, within 0.3.
     """
-    multipliers = cycle.multipliers
+    multipliers, closeness = cycle.multipliers, cycle.closeness[cycle.mass]
     beyond = (jnp.imag(multipliers) == 0) & (jnp.real(multipliers) > 1.0 + cycle.uncertainty)
     grows, n, chain = jnp.any(beyond), cycle.fastest.shape[0], cast(Chain, cycle.chain)
     alone = jnp.sum(active(cycle.amplitude, chain.belt_speed)) <= 1
     if kind == "unstable":
-        return alone & grows
-    if n == 1:
-        return ~grows
-    if chain.dry:
-        return alone & (cycle.closeness[cycle.mass] == 0)
-    eps = jnp.broadcast_to(chain.width, (n,))[cycle.mass]
-    fold = 0.25 * jnp.log(eps / jnp.maximum(jnp.abs(chain.belt_speed), eps)) - 1.0
-    return alone & ~(grows & (cycle.closeness[cycle.mass] < fold + 0.3))
+        good = alone & grows
+    elif n == 1:
+        good = ~grows
+    elif chain.dry:
+        good = alone & (closeness == 0)
+    else:
+        eps = jnp.broadcast_to(chain.width, (n,))[cycle.mass]
+        fold = usual_closeness(eps / jnp.maximum(jnp.abs(chain.belt_speed), eps))
+        good = alone & ~(grows & (closeness < fold + 0.3))
+    wrong = cycle.successful & ~good
+    result = SearchResult.where(wrong, SearchResult.other_kind, cycle.result)
+    return replace(cycle, result=result)
 
 
 def continue_to_belt_speed(
@@ -605,8 +603,8 @@ def continue_to_belt_speed(
         if not bool(jnp.isfinite(jnp.sum(state[1]) + period)):
             continue
         elsewhere = eqx.tree_at(lambda s: s.field, shooting, there)
-        cycle, _ = solve_cycle(elsewhere, packed(elsewhere, state, period), tolerance, limit)
-        if not bool(cycle.successful & is_of_kind(cycle, kind)):
+        cycle, _ = solve_cycle(elsewhere, state, period, tolerance, limit)
+        if not keep_kind(cycle, kind).successful:
             continue
         guess, ended = _follow(cycle, shooting, goal, along)
         if guess is not None or ended:
@@ -732,36 +730,26 @@ def find_limit_cycle(
     def failed(cycle: LimitCycle) -> bool:
         return not is_traced(cycle.successful) and not cycle.successful
 
-    reason, dry = "", isinstance(chain, Chain) and chain.dry
-    if dry:
-        cycle = dry_limit_cycle(chain, mass, state, period, rtol=rtol, tolerance=tolerance)
-        cycle = _keep_kind(cycle, branch) if guess is None else cycle
-    else:
+    reason, solve, equations = "", dry_cycle, _States(frozen, to_float(rtol), EventDriven(), mass)
+    if not (isinstance(chain, Chain) and chain.dry):
         solver = fit_linear_solve(Rodas5P(), frozen, 1e-9 if is_traced(rtol) else float(rtol))
-        shooting = Shooting(field=frozen, rtol=rtol, solver=solver, mass=mass, images=images)
-        numbers = to_float(tolerance), jnp.asarray(np.asarray(limit, dtype=int))
-        start = packed(shooting, lax.stop_gradient(state), lax.stop_gradient(period))
-        cycle, u = solve_cycle(shooting, start, *numbers)
-        cycle = _keep_kind(cycle, branch) if guess is None else cycle
-        if guess is None and failed(cycle):
-            nearer, reason = continue_to_belt_speed(shooting, branch, *numbers)
+        solve, equations = solve_cycle, Shooting(frozen, rtol, solver, mass, images)
+    numbers = to_float(tolerance), jnp.asarray(np.asarray(limit, dtype=int))
+    start = lax.stop_gradient((state, period))
+    cycle, u = solve(equations, *start, *numbers)  # pyright: ignore
+    if guess is None:
+        cycle = keep_kind(cycle, branch)
+        if failed(cycle) and isinstance(equations, Shooting):
+            nearer, reason = continue_to_belt_speed(equations, branch, *numbers)
             if nearer is not None:
-                cycle, u = solve_cycle(shooting, packed(shooting, *nearer), *numbers)
-        if not failed(cycle) or not throw:
-            cycle = with_derivatives(shooting, chain, cycle, u)
+                cycle, u = solve_cycle(equations, *nearer, *numbers)
+    if not failed(cycle) or not throw:
+        cycle = with_derivatives(equations, chain, cycle, u)
     if throw and failed(cycle):
         raise RuntimeError(
             _failure(cycle) if guess is not None else _missing(frozen, branch, reason)
         )
     return cycle
-
-
-@eqx.filter_jit
-def _keep_kind(cycle: LimitCycle, kind: str) -> LimitCycle:
-    """Not `successful` unless it is of the kind that was asked for."""
-    wrong = cycle.successful & ~is_of_kind(cycle, kind)
-    result = SearchResult.where(wrong, SearchResult.other_kind, cycle.result)
-    return replace(cycle, result=result)
 
 
 def resolve_guess(
@@ -786,15 +774,13 @@ def resolve_guess(
         mass = as_mass(guess.state[0].shape[0], vibrating, guess.mass)
         state, period = carried(guess.state, guess.chain, chain), guess.period
     else:
-        transient = _TRANSIENT
-        if isinstance(guess, Simulation):
-            guess, transient = guess.state, 0.0
+        transient = 0.0 if isinstance(guess, Simulation) else _TRANSIENT
+        guess = guess.state if isinstance(guess, Simulation) else guess
         pair = isinstance(guess, tuple | list) and len(guess) == 2
         if pair and isinstance(guess[0], tuple | list):
             guess, period = guess
         state = check_orbit(chain, guess, 1.0 if period is None else period, CYCLE_RTOL, "guess")
-        mass = as_mass(state[0].shape[0], vibrating)
-        mass = most_lively(chain, state) if mass is None else mass
+        mass = _cut_at(chain, state, vibrating)
         if period is None:
             state, period = guess_from_simulation(chain, state, mass, transient=transient)
         else:

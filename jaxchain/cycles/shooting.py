@@ -22,6 +22,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
@@ -30,8 +31,9 @@ from .._checks import to_float
 from .._types import State
 from ..continuation.damped_newton import Iterate, Linearise, begin, iterate, size, where
 from ..model.oscillators import AbstractOscillators
+from ..observers.amplitude import Amplitude
 from ..solvers.rosenbrock import AbstractStructuredRosenbrock
-from .variational import flow
+from .variational import Period, flow, linearised_period
 
 
 class Shooting(eqx.Module):
@@ -55,6 +57,11 @@ class Shooting(eqx.Module):
     parameter: str | None = eqx.field(static=True, default=None)
 
     @property
+    def n(self) -> int:
+        """How many masses."""
+        return len(self.images)
+
+    @property
     def solved(self) -> list[int]:
         """The masses that are solved for."""
         return sorted(set(self.images))
@@ -62,7 +69,7 @@ class Shooting(eqx.Module):
     @property
     def balanced(self) -> bool:
         """Whether x_j is explicit, from the balance of forces at the cut."""
-        _, placed = self.field.uses(len(self.images))
+        _, placed = self.field.uses(self.n)
         return not placed
 
     @property
@@ -75,7 +82,7 @@ class Shooting(eqx.Module):
         """Where z_j stands in u."""
         return len(self.others) + self.solved.index(self.mass)
 
-    def at(self, parameter: Any) -> AbstractOscillators:
+    def at(self, parameter: Any = None) -> AbstractOscillators:
         """The field with the parameter set."""
         if self.parameter is None:
             return self.field
@@ -88,8 +95,8 @@ class Shooting(eqx.Module):
         x, v = state
         belt, width = _layer(self.at(parameter), v)
         z = v if width is None else jnp.arcsinh((v - belt) / width)
-        take = jnp.asarray(self.others, int), jnp.asarray(self.solved, int)
-        return jnp.concatenate([x[take[0]], z[take[1]], jnp.log(to_float(period))[None]])
+        own = x[jnp.asarray(self.others, int)], z[jnp.asarray(self.solved, int)]
+        return jnp.concatenate([*own, jnp.log(to_float(period))[None]])
 
     def unpack(
         self, u: Float[Array, " m"], parameter: Any = None
@@ -107,7 +114,7 @@ class Shooting(eqx.Module):
         spread = {n: i for i, n in enumerate(self.others)}
         at = jnp.asarray([spread.get(i, count) for i in self.images])
         x = jnp.concatenate([u[:count], jnp.zeros(1)])[at]
-        slopes = _image_mask(self.images, self.mass)
+        slopes = jnp.asarray([float(i == self.images[self.mass]) for i in self.images])
         force = field.local_force(0.0, x, v) + field.restoring_force(x)
         stiffness = -field.restoring_force(slopes)[self.mass]
         return field, (x + slopes * (force[self.mass] / stiffness), v), period
@@ -115,11 +122,40 @@ class Shooting(eqx.Module):
     def rest(self, parameter: Any = None) -> Array:
         """The sinh z_j of vanishing velocity: -|v_d| / eps."""
         field = self.at(parameter)
-        belt, width = _layer(field, jnp.zeros(len(self.images)))
+        belt, width = _layer(field, jnp.zeros(self.n))
         if width is None:
             return jnp.zeros(())
-        s = -belt / width
-        return s[self.mass]
+        return (-belt / width)[self.mass]
+
+    def linearise(
+        self, u: Float[Array, " m"], parameter: Any = None
+    ) -> tuple[Float[Array, " m"], Float[Array, "m columns"], Period]:
+        """(R, its derivatives in u and, if it is given, the parameter, the orbit).
+
+        One integration.  With y = (x, v), y_1 the state after a period: dy_1 = M dy + f(y_1) dT +
+        (dy_1/dp) dp, and dR follows from R = gap(u, y_1, p).
+        """
+        n, m = self.n, u.shape[0]
+        z = u if parameter is None else jnp.append(u, parameter)
+
+        def start(z: Array) -> Array:
+            _, (x, v), period = self.unpack(z[:m], *z[m:])
+            return jnp.concatenate([x, v, z[m:], period[None]])
+
+        def gap(z: Array, end: State) -> Array:
+            return self.gap(z[:m], end, *z[m:])
+
+        def make(y: Array) -> tuple[AbstractOscillators, State, Array]:
+            return self.at(*y[2 * n :]), (y[:n], y[n : 2 * n]), period
+
+        first, by_z = start(z), jax.jacfwd(start)(z)
+        period = first[-1]
+        whole = linearised_period(make, first[:-1], rtol=self.rtol, solver=self.solver)
+        rate = jnp.concatenate(self.at(parameter)(0.0, whole.end))
+        end = jnp.concatenate([whole.slopes, rate[:, None]], axis=1) @ by_z
+        direct, by_end = jax.jacfwd(gap, argnums=(0, 1))(z, whole.end)
+        jacobian = direct + jnp.concatenate(by_end, axis=1) @ end
+        return gap(z, whole.end), jacobian, whole
 
     def residual(self, u: Float[Array, " m"], parameter: Any = None) -> Float[Array, " m"]:
         """The gap of x and of z after a period, divided by the velocity amplitude of mass j.
@@ -128,9 +164,15 @@ class Shooting(eqx.Module):
 
         Rest solves the equations, too; a Newton iteration in the divided ones does not end there.
         """
-        field, state, period = self.unpack(u, parameter)
-        end, _, _ = flow(field, state, period, rtol=self.rtol, solver=self.solver)
+        end, _, _ = flow(*self.unpack(u, parameter), rtol=self.rtol, solver=self.solver)
         return self.gap(u, end, parameter)
+
+    def closing(self, u: Float[Array, " m"]) -> tuple[Float[Array, " m"], Float[Array, " n"]]:
+        """(the residual, the amplitudes)."""
+        end, _, (amplitude,) = flow(
+            *self.unpack(u), rtol=self.rtol, solver=self.solver, observers=[Amplitude()]
+        )
+        return self.gap(u, end), amplitude
 
     def gap(self, u: Float[Array, " m"], end: State, parameter: Any = None) -> Float[Array, " m"]:
         """The residual, given the state after a period."""
@@ -149,12 +191,6 @@ class Shooting(eqx.Module):
         return gaps / v[self.mass]
 
 
-@eqx.filter_jit
-def packed(shooting: Shooting, state: State, period: Any) -> Float[Array, " m"]:
-    """`Shooting.pack` as one program."""
-    return shooting.pack(state, period)
-
-
 def residual(u: Float[Array, " m"], parameter: Any, shooting: Shooting) -> Float[Array, " m"]:
     """`Shooting.residual` as a plain function, which keeps its identity from call to call."""
     return shooting.residual(u, parameter)
@@ -168,10 +204,6 @@ def _layer(field: AbstractOscillators, v: Array) -> tuple[Any, Any]:
     return -switching[0], field.belt_direction() * switching[1]
 
 
-def _image_mask(images: tuple[int, ...], mass: int) -> Array:
-    return jnp.asarray([float(i == images[mass]) for i in images])
-
-
 class _Round(NamedTuple):
     best: Iterate
     start: Float[Array, " m"]  # of the next search
@@ -179,6 +211,7 @@ class _Round(NamedTuple):
 
 
 def close_orbit_once(
+    equations: Any,
     linearise: Linearise,
     start: Float[Array, " m"],
     weights: Float[Array, " m"],
@@ -186,15 +219,14 @@ def close_orbit_once(
     limit: Any,
     fine: float,
     closed: Callable[[Iterate], Bool[Array, ""]],
-    state_at: Callable[[Array], State],
-    shortened: Callable[[Array, Array], Array],
 ) -> Iterate:
     """Newton's method for an orbit of its least period; one integration is compiled.
 
     It goes on where the orbit is `closed`, until a step is shorter than `fine` (1 + |u|) or helps
     no more.  An orbit that has come back after a share of its period is then searched for with
-    this share (`shortened(u, times round)`, of `limit` integrations, too), and kept if it is the
-    same one: it was gone round more than once.  `aux` of `linearise` has `returned`, a `Returned`.
+    this share (of `limit` integrations, too), and kept if it is the same one: it was gone round
+    more than once.  `equations` have `pack` and `unpack`; `aux` of `linearise` has `returned`, a
+    `Returned`.
     """
     # Traced once, for its shapes and for the loop.
     linearise = eqx.filter_closure_convert(linearise, start)
@@ -207,12 +239,13 @@ def close_orbit_once(
     def round_(now: _Round) -> _Round:
         found = iterate(linearise, nothing._replace(u=now.start), weights, going)
         count, returned = now.best.evaluations + found.evaluations, found.aux.returned
-        same = closed(found) & returned.same(state_at(now.best.u), state_at(found.u))
+        _, state, period = equations.unpack(found.u)
+        same = closed(found) & returned.same(equations.unpack(now.best.u)[1], state)
         good = (now.best.evaluations == 0) | same
         best = where(good, found, now.best)._replace(evaluations=count)
         times = returned.times_round
         again = good & closed(found) & (times > 1)
-        return _Round(best, shortened(found.u, times), again)
+        return _Round(best, equations.pack(state, period / times), again)
 
     first = _Round(nothing, start, jnp.asarray(True))
     return lax.while_loop(lambda now: now.goes_on, round_, first).best

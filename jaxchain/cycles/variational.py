@@ -24,7 +24,6 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from .._checks import to_float
 from .._types import ScalarLike, State
 from ..model.oscillators import AbstractOscillators
 from ..observers.base import AbstractObserver, Step, gauss
@@ -79,7 +78,11 @@ def push(
     """
     unit = jnp.eye(point.shape[0])
     field, start, length = make(point)
-    _, first, by_length = jax.vmap(lambda one: _tangents(make, point, one))(unit)
+
+    def begun_at(point: Array) -> tuple[State, Array]:
+        return make(point)[1:]
+
+    first, by_length = jax.vmap(lambda one: jax.jvp(begun_at, (point,), (one,))[1])(unit)
     plan = SmoothedPlan(
         solver=solver, observers=list(observers), rtol=rtol, atol=0.1 * rtol, max_step=MAX_STEP,
         t1=length,
@@ -143,17 +146,6 @@ def push(
     y, slopes = jax.tree.map(lambda a: jnp.where(good, a, jnp.nan), (ended.y, ended.slopes))
     observed = [o.read(a) for o, a in zip(observers, ended.accumulators, strict=True)]
     return forward_only(Pushed(y, slopes, observed, good))
-
-
-def _tangents(make: Make, point: Array, one: Array) -> tuple[None, State, Array]:
-    """Of the first state and of the time, along `one`."""
-
-    def rest(point: Array) -> tuple[State, Array]:
-        _, state, length = make(point)
-        return state, length
-
-    _, (state, length) = jax.jvp(rest, (point,), (one,))
-    return None, state, length
 
 
 # Every multiple up to 16 of a period has one of these as a factor.
@@ -226,22 +218,27 @@ class Returns(AbstractObserver):
 class Period(NamedTuple):
     """An orbit followed once, with what is linear in a disturbance of its start.
 
-    - `end`: the state after it; `monodromy`: its derivatives in the first, (2n, 2n).
-    - `trace_integral`: that of tr J along the orbit.
+    - `end`: the state after it; `slopes`: its derivatives, (2n, m), the first 2n in the state.
     - `amplitude`: half peak-to-peak of each displacement.
     - `fastest`: each greatest velocity in the belt's direction, among the ends of steps and five
       points in each.
+    - `trace_integral`: that of tr J along the orbit.
     - `returned`: how far the state is from the first one after shares of the period.
     - `complete`: whether the integration got there; everything else is NaN if not.
     """
 
     end: State
-    monodromy: Float[Array, "two_n two_n"]
-    trace_integral: Float[Array, ""]
+    slopes: Float[Array, "two_n m"]
     amplitude: Float[Array, " n"]
     fastest: Float[Array, " n"]
+    trace_integral: Float[Array, ""]
     returned: Returned
     complete: Bool[Array, ""]
+
+    @property
+    def monodromy(self) -> Float[Array, "two_n two_n"]:
+        """The derivatives in the first state."""
+        return self.slopes[:, : self.slopes.shape[0]]
 
 
 class Along(AbstractObserver):
@@ -300,26 +297,13 @@ def flow(
 
 
 def linearised_period(
-    field: AbstractOscillators,
-    state: State,
-    period: Any,
-    *,
-    rtol: Any,
-    solver: AbstractStructuredRosenbrock,
+    make: Make, point: Float[Array, " m"], *, rtol: Any, solver: AbstractStructuredRosenbrock
 ) -> Period:
-    """One integration over `period` that carries 2n disturbances; to be called under `jit`."""
-    n = state[0].shape[0]
-    run = push(
-        lambda flat: (field, (flat[:n], flat[n:]), to_float(period)),
-        jnp.concatenate(state),
-        rtol=rtol,
-        solver=solver,
-        observers=[Along(), Returns()],
+    """One integration that carries m disturbances, as `push`; `point` begins with the state."""
+    end, slopes, seen, good = push(
+        make, point, rtol=rtol, solver=solver, observers=[Along(), Returns()]
     )
-    monodromy, good = jnp.concatenate(run.slopes, axis=1).T, run.complete
-    (amplitude, fastest, trace), returned = run.observed
-    nan = jnp.where(good, 0.0, jnp.nan)
-    return Period(
-        run.end, monodromy + nan, trace + nan, amplitude + nan, fastest + nan,
-        returned, good,
-    )  # fmt: skip
+    along, returned = jax.tree.map(lambda a: jnp.where(good, a, jnp.nan), seen)
+    amplitude, fastest, trace = along
+    slopes = jnp.concatenate(slopes, axis=1).T
+    return Period(end, slopes, amplitude, fastest, trace, returned, good)

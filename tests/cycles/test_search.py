@@ -12,7 +12,6 @@ from jaxchain import (
     Amplitude,
     Chain,
     ExponentialDecay,
-    SearchResult,
     TanhFriction,
     WeakeningStrengthening,
     active,
@@ -249,15 +248,15 @@ def test_an_orbit_that_decays_from_a_great_speed_is_no_cycle(numbers):
     chain = Chain(1, TanhFriction(ExponentialDecay(*law), width), belt, damping)
     cycle = find_limit_cycle(chain, max_steps=60, throw=False)
     assert not cycle.successful
-    assert cycle.result == SearchResult.ran_away
     assert float(cycle.residual) > 0.1
     # Damping outweighs friction in the first chain.
     with pytest.raises(
         RuntimeError, match=r"There is no limit cycle|Offer a run that ends in one"
     ):
         find_limit_cycle(chain)
+    fast = jnp.zeros(1), jnp.full(1, 1e12 * np.sign(belt))
     with pytest.raises(RuntimeError, match="ran away from any cycle"):
-        find_limit_cycle(chain, (cycle.state, cycle.period))
+        find_limit_cycle(chain, (fast, 2 * np.pi))
 
 
 def test_bounds_on_a_cycle_hold_and_are_sharp():
@@ -278,8 +277,8 @@ def test_bounds_on_a_cycle_hold_and_are_sharp():
 
 
 LAWS = {
-    "exponential": (ExponentialDecay, (1.0, 0.5, 0.5)),
-    "strengthening": (WeakeningStrengthening, (1.0, 0.5, 0.5, 0.05)),
+    "exponential": (ExponentialDecay, (1.0, 0.5, 1.0)),
+    "strengthening": (WeakeningStrengthening, (1.0, 0.5, 1.0, 0.01)),
     "gaussian": (GaussianStribeck, (1.0, 0.5, 1.0, 0.02)),
 }
 
@@ -298,9 +297,7 @@ def test_what_is_found_closes_in_an_independent_integration(kind, branch):
     """At belt speeds below the fold and, of the Gaussian law, in a set far above it."""
     make, numbers = LAWS[kind]
     found = 0
-    for width, damping, belt in [
-        (0.05, 0.05, 1.4), (0.1, 0.12, -0.9), (0.02, 0.2, 0.4), (0.15, 0.25, 1.6),
-    ]:  # fmt: skip
+    for width, damping, belt in [(0.05, 0.05, 1.75), (0.02, 0.05, -1.8), (0.1, 0.12, -0.9)]:
         chain = Chain(1, TanhFriction(make(*numbers), width), belt, damping)
         cycle = find_limit_cycle(chain, branch=branch, max_steps=60, throw=False)
         if not cycle.successful:
@@ -319,7 +316,7 @@ def test_what_is_found_closes_in_an_independent_integration(kind, branch):
         assert np.ptp(run.y[0]) > 1e-2
         grows = abs(complex(cycle.multipliers[0])) > 1
         assert grows is (branch == "unstable")
-    assert found > 0
+    assert found > 1
 
 
 @pytest.mark.long
