@@ -289,9 +289,13 @@ def upwards(trials: Trials) -> tuple[Array, Array]:
 
 
 def threshold(
-    trials: Trials, direction: Float[Array, " n"], guess: Any, share: Any, precision: Any,
+    trials: Trials,
+    direction: Float[Array, " n"],
+    guess: Any,
+    share: Any,
+    precision: Any,
     wanted: Any = True,
-) -> Threshold:  # fmt: skip
+) -> Threshold:
     """r(u) between two sizes that are `precision` of themselves apart.
 
     From a guess, of which it differs by a `share` or more; see `upwards`.  In a batch, lanes that
@@ -323,11 +327,12 @@ def threshold(
             high=jnp.where(dead, high, size),
             dies=now.dies | dead | (low <= surely),
             vibrates=now.vibrates | ~dead,
-            share=jnp.where(now.dies & now.vibrates, now.share,
-                            jnp.minimum(2.0 * now.share, _RAISE - 1.0)),
+            share=jnp.where(
+                now.dies & now.vibrates, now.share, jnp.minimum(2.0 * now.share, _RAISE - 1.0)
+            ),
             time=jnp.where(dead, time, now.time),
             runs=now.runs + 1,
-        )  # fmt: skip
+        )
 
     no, none = jnp.asarray(False), jnp.zeros((), int)
     last = lax.while_loop(
@@ -499,9 +504,10 @@ def descend(
             u, found.high, precision, angle, z, step, longer, state, none, now.count + 1
         )
         refused = eqx.tree_at(
-            lambda d: (d.length, d.refused, d.count), now,
+            lambda d: (d.length, d.refused, d.count),
+            now,
             (_SHRINKAGE * now.length, now.refused + 1, now.count + 1),
-        )  # fmt: skip
+        )
         return where(sound, taken, refused)
 
     return lax.while_loop(going, round_, begin)
@@ -763,9 +769,11 @@ def _over(
 
 
 def _patiently(
-    chain: Chain, attempt: Callable[[Trials], _Attempt],
-    another: Callable[[Array, Array], Array], tries: int,
-) -> Blow:  # fmt: skip
+    chain: Chain,
+    attempt: Callable[[Trials], _Attempt],
+    another: Callable[[Array, Array], Array],
+    tries: int,
+) -> Blow:
     """The first attempt that its runs bear out, each with more patience than the one before."""
     trials = Trials.of(chain)
 
@@ -806,9 +814,12 @@ def _of_one_mass(chain: Chain, tries: int) -> Blow:
 
 
 def _blow(
-    trials: Trials, last: _Attempt, size: Array,
-    another: Callable[[Array, Array], Array], tries: int,
-) -> Blow:  # fmt: skip
+    trials: Trials,
+    last: _Attempt,
+    size: Array,
+    another: Callable[[Array, Array], Array],
+    tries: int,
+) -> Blow:
     """What is to be said of an attempt; `size` with its derivative."""
     u = last.direction
     below, _, above = last.sizes_tried()

@@ -271,13 +271,18 @@ class VibratingMasses(AbstractClassifier):
         # That of the first window is no answer yet: what starts may do anything in it.
         started = now.ends - self.window
         return _Looking(
-            low=step.y1[0], high=step.y1[0], ends=now.ends + self.window,
-            last=amplitude, code=code, quiet=quiet,
+            low=step.y1[0],
+            high=step.y1[0],
+            ends=now.ends + self.window,
+            last=amplitude,
+            code=code,
+            quiet=quiet,
             lull=jnp.where(above & (now.quiet <= self.agree), now.quiet, 0).clip(min=now.lull),
             calm=jnp.where(same & calm, now.calm + 1, 0),
             same=jnp.where(same, now.same + 1, 0),
-            since=jnp.where(same, now.since, started), peaks=now.peaks,
-        )  # fmt: skip
+            since=jnp.where(same, now.since, started),
+            peaks=now.peaks,
+        )
 
     def _code(self, now: _Looking, vibrates: Array, chain: Chain) -> Array:
         """0: quiet, 1: vibrates; with phases 2, 4, 6 more by its delay to the neighbour before."""

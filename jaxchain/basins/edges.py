@@ -125,9 +125,11 @@ def track(chain: Chain, quiet: State, vibrating: State, how: Tracking) -> Bracke
         runs, amplitude, sticks, well = jax.vmap(advance)(now.runs)
         now = replace(now, runs=runs, count=now.count + 1)
         stages = [
-            _settle(chain, now, amplitude, how), _cut(_judge(chain, now, amplitude, sticks), how),
-            _track(now, amplitude, how), _check(_judge(chain, now, amplitude, sticks), how),
-        ]  # fmt: skip
+            _settle(chain, now, amplitude, how),
+            _cut(_judge(chain, now, amplitude, sticks), how),
+            _track(now, amplitude, how),
+            _check(_judge(chain, now, amplitude, sticks), how),
+        ]
         new = jax.tree.map(lambda *own: lax.select_n(now.stage, *own), *stages)
         return _failed(new, ~jnp.all(well), SearchResult.nonfinite)
 
@@ -177,10 +179,14 @@ def _settle(chain: Chain, now: Bracket, amplitude: Array, how: Tracking) -> Brac
     same = jnp.all(~asked[None] | little)
     settled = ends & same & jnp.all(vibrates == before)
     new = replace(
-        now, low=low, high=high, vibrates=vibrates, sides=vibrates,
+        now,
+        low=low,
+        high=high,
+        vibrates=vibrates,
+        sides=vibrates,
         last_low=jnp.where(ends, low, now.last_low),
         last_high=jnp.where(ends, high, now.last_high),
-    )  # fmt: skip
+    )
     new = _either(settled, _begin_cut(new), new)
     new = _failed(new, settled & ~jnp.any(differs), SearchResult.same_state)
     return _failed(new, ~settled & (count >= how.patience), SearchResult.undecided)
@@ -469,10 +475,15 @@ def edge_state(
         check_resolved(chain.n, chain.width, chain.belt_speed, rtol, None)
     windows = _count(time, window)
     how = Tracking(
-        windows=windows, window=to_float(window), patience=to_float(patience) / to_float(window),
-        near=to_float(near), far=to_float(far), tolerance=to_float(tolerance),
-        rtol=float(rtol), solver=solver,
-    )  # fmt: skip
+        windows=windows,
+        window=to_float(window),
+        patience=to_float(patience) / to_float(window),
+        near=to_float(near),
+        far=to_float(far),
+        tolerance=to_float(tolerance),
+        rtol=float(rtol),
+        solver=solver,
+    )
     return _edge(chain, quiet, vibrating, how)
 
 
@@ -543,9 +554,14 @@ def _last(
     compared with later ones.
     """
     run = simulate(
-        chain, state, _LAST * how.window, observe=(Amplitude(), Section(mass, _RETURNS)),
-        solver=how.solver, rtol=how.rtol, throw=False,
-    )  # fmt: skip
+        chain,
+        state,
+        _LAST * how.window,
+        observe=(Amplitude(), Section(mass, _RETURNS)),
+        solver=how.solver,
+        rtol=how.rtol,
+        throw=False,
+    )
     amplitude, (times, x, v) = run.observed
     size = jnp.sqrt(jnp.sum(amplitude**2))
     away = jnp.sqrt(jnp.sum((x - x[:1]) ** 2 + (v - v[:1]) ** 2, axis=1)) / size

@@ -244,9 +244,14 @@ class Runs:
             # They are a state of their own.
             warnings.filterwarnings("ignore", message=".* lanes ended with")
             return sweep(
-                self.chain, self.initial, t1, over=over, observe=classify, description=name,
+                self.chain,
+                self.initial,
+                t1,
+                over=over,
+                observe=classify,
+                description=name,
                 **self.numerics,
-            )  # fmt: skip
+            )
 
     def starts(
         self, places: Int[np.ndarray, " runs"], points: Float[np.ndarray, "runs d"]
@@ -527,9 +532,12 @@ def basin_shares(
     check_region(region, chain)
     classify = VibratingMasses() if classify is None else classify
     check_kind(
-        "classify", classify, AbstractClassifier, "None or an `AbstractClassifier`",
+        "classify",
+        classify,
+        AbstractClassifier,
+        "None or an `AbstractClassifier`",
         "`VibratingMasses()` tells which masses vibrate.",
-    )  # fmt: skip
+    )
     check_positive_number("t1", t1, "1000 is usual.")
     if t1 < classify.least_time:
         raise ValueError(
@@ -571,11 +579,15 @@ def basin_shares(
         bars_kept = bars.widened(seen.lost, seen.gained)
         found = to_dataset(runs, tally, bars_kept, seen, at, judge)
         found.attrs |= {
-            "starts": len(at), "replicates": replicates, "points": points, "seed": seed,
-            "longest_half_width": bars.longest, "checked": seen.runs,
+            "starts": len(at),
+            "replicates": replicates,
+            "points": points,
+            "seed": seed,
+            "longest_half_width": bars.longest,
+            "checked": seen.runs,
             "region": eqx.tree_pformat(region, short_arrays=False),
             "wall_time_s": round(time.perf_counter() - began, 3),
-        }  # fmt: skip
+        }
         reach = np.max(bars_kept.high - bars_kept.low, axis=1) / 2
         changed = seen.leaving.sum(1)  # NaN where nothing was checked
         if np.any(late := changed > reach):

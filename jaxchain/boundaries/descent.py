@@ -92,9 +92,13 @@ def _descend(
     rates = jax.vmap(lambda speed: growth_rate(chain, speed))(found.path)
     rate = growth_rate(chain, found.solution)
     return HopfDescent(
-        belt_speed=found.solution, growth_rate=rate, steps=found.steps, result=found.result,
-        speeds=found.path, growth_rates=rates,
-    )  # fmt: skip
+        belt_speed=found.solution,
+        growth_rate=rate,
+        steps=found.steps,
+        result=found.result,
+        speeds=found.path,
+        growth_rates=rates,
+    )
 
 
 # An optimiser is part of the compiled program, and compared by identity.

@@ -178,9 +178,13 @@ def first_guess(chain: Chain, mass: int) -> Start:
     solver = fit_linear_solve(Rodas5P(), chain, _SET.rtol)
     everyone = tuple(range(chain.n))
     shooting = Shooting(
-        field=chain, rtol=_SET.rtol, solver=solver, mass=mass, images=everyone,
+        field=chain,
+        rtol=_SET.rtol,
+        solver=solver,
+        mass=mass,
+        images=everyone,
         parameter="belt_speed",
-    )  # fmt: skip
+    )
     u = shooting.pack((x, v), period, speed)
     point = jnp.append(u.at[shooting.place].set(speed), u[shooting.place])
     sound, exists = jnp.all(jnp.isfinite(point)), exists | thin
@@ -254,9 +258,11 @@ def value_and_jacobian(
 ) -> tuple[Float[Array, " m"], Float[Array, "m m_plus_1"]]:
     """The residual, and its derivatives in `point`."""
     run = push(
-        lambda point: shooting.unpack(*unknowns(shooting, point)), point, rtol=shooting.rtol,
+        lambda point: shooting.unpack(*unknowns(shooting, point)),
+        point,
+        rtol=shooting.rtol,
         solver=shooting.solver,
-    )  # fmt: skip
+    )
 
     def gap(point: Array, end: State) -> tuple[Array, Array]:
         u, speed = unknowns(shooting, point)
@@ -289,9 +295,11 @@ def search(start: Start) -> Search:
         begin = jnp.where(before.found, before.point, start.point)
         unbound = before.secant._replace(low=-infinite, high=infinite)
         again = before._replace(
-            point=begin, newton=_fresh(begin), secant=where(before.found, unbound, secant),
+            point=begin,
+            newton=_fresh(begin),
+            secant=where(before.found, unbound, secant),
             found=done & before.found,
-        )  # fmt: skip
+        )
         shooting = eqx.tree_at(lambda k: k.rtol, start.shooting, rtol)
 
         def goes_on(now: Search) -> Array:
@@ -359,9 +367,12 @@ def _entry(shooting: Shooting, now: Search, tight: Array, tame: Array) -> Search
     # Not closed: Newton's method, its steps shortened where they made things worse.
     longest = jnp.where(jnp.isinf(now.newton.norm), _SET.first_step, 4.0 * now.newton.length)
     taken = _Newton(
-        now.point, norm, jnp.append(step, aside) / size, jnp.minimum(size, longest),
+        now.point,
+        norm,
+        jnp.append(step, aside) / size,
+        jnp.minimum(size, longest),
         jnp.zeros((), int),
-    )  # fmt: skip
+    )
     shorter = now.newton._replace(
         length=_SET.shrinkage * now.newton.length, refused=now.newton.refused + 1
     )

@@ -169,9 +169,14 @@ def _try(chain: Chain, belt_speed: Array, mass: int, margin: Array, time: Array)
     def amplitude(speed: Array) -> Array:
         own = eqx.tree_at(lambda c: c.belt_speed, chain, speed)
         return simulate(
-            own, on_the_belt(own, mass), time, observe=Amplitude(window=_WINDOW),
-            solver=EventDriven(7), rtol=1e-8, throw=False,
-        ).observed  # fmt: skip
+            own,
+            on_the_belt(own, mass),
+            time,
+            observe=Amplitude(window=_WINDOW),
+            solver=EventDriven(7),
+            rtol=1e-8,
+            throw=False,
+        ).observed
 
     amplitudes = jax.vmap(amplitude)(speeds)
     vibrates = active(amplitudes, speeds)[:, mass]

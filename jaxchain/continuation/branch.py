@@ -200,10 +200,13 @@ def special_variables(
         "kind": (np.array(kinds, dtype=str), "kind of special point", None),
         "parameter": (np.array(values, float), "parameter there", units),
         "error": (np.array(errors, float), "error of the parameter there", units),
-        "index": (np.array(index, int), "it lies between this point of the branch and the next",
-                  "1"),
+        "index": (
+            np.array(index, int),
+            "it lies between this point of the branch and the next",
+            "1",
+        ),
         "refined": (np.array(refined, bool), "whether it is solved for", None),
-    }  # fmt: skip
+    }
     return {
         f"special_{name}": ("special", column, {"long_name": text, **_units(unit)})
         for name, (column, text, unit) in columns.items()

@@ -128,9 +128,13 @@ def descend(
     result = of.where(k < steps, of.nonfinite, of.max_steps_reached)
     result = of.where(now <= tolerance, of.successful, result)
     return Descent(
-        solution=unravel(x), loss=now, steps=k, result=result, path=jax.vmap(unravel)(path),
+        solution=unravel(x),
+        loss=now,
+        steps=k,
+        result=result,
+        path=jax.vmap(unravel)(path),
         losses=losses,
-    )  # fmt: skip
+    )
 
 
 def _forward(function: Callable[[Array], Array]) -> Callable[[Array], Array]:

@@ -641,9 +641,13 @@ def _follow(
 
     try:
         branch = continue_cycle(
-            cycle, direction=int(along * ahead), bounds=(bounds[0], bounds[1]),
-            images=shooting.images, rtol=float(shooting.rtol), stop=turned,
-        )  # fmt: skip
+            cycle,
+            direction=int(along * ahead),
+            bounds=(bounds[0], bounds[1]),
+            images=shooting.images,
+            rtol=float(shooting.rtol),
+            stop=turned,
+        )
     except NoBranchError:
         return None, ""
     if branch.ended == "left_bounds" and branch.parameter[-1] == along * goal:

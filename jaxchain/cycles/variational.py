@@ -84,9 +84,13 @@ def push(
 
     first, by_length = jax.vmap(lambda one: jax.jvp(begun_at, (point,), (one,))[1])(unit)
     plan = SmoothedPlan(
-        solver=solver, observers=list(observers), rtol=rtol, atol=0.1 * rtol, max_step=MAX_STEP,
+        solver=solver,
+        observers=list(observers),
+        rtol=rtol,
+        atol=0.1 * rtol,
+        max_step=MAX_STEP,
         t1=length,
-    )  # fmt: skip
+    )
     controller = plan.controller(field)
     order: Any = solver.error_order(None)
     begun = plan.begin(field, start, 0.0, length)
@@ -120,9 +124,14 @@ def push(
         ahead = jnp.where(ahead > clipped, end, ahead)
         inside = solver.interpolation_cls(t0=now.t, t1=now.ahead, **dense)
         seen = Step(
-            field, now.t, now.ahead, now.y, y,
-            lambda theta: inside.at(theta, 0), lambda theta: inside.at(theta, 1),
-        )  # fmt: skip
+            field,
+            now.t,
+            now.ahead,
+            now.y,
+            y,
+            lambda theta: inside.at(theta, 0),
+            lambda theta: inside.at(theta, 1),
+        )
         pairs = zip(observers, now.accumulators, strict=True)
         accumulators = [o.update(accumulator, seen) for o, accumulator in pairs]
         y, slopes, accumulators = jax.tree.map(
@@ -286,9 +295,13 @@ def flow(
     For forward-mode derivatives, which are those of the steps with their sizes held fixed.
     """
     plan = SmoothedPlan(
-        solver=solver, observers=list(observers), rtol=rtol, atol=0.1 * rtol, max_step=MAX_STEP,
+        solver=solver,
+        observers=list(observers),
+        rtol=rtol,
+        atol=0.1 * rtol,
+        max_step=MAX_STEP,
         t1=period,
-    )  # fmt: skip
+    )
     progress = plan.begin(field, state, 0.0, period)
     progress, _ = plan.advance(field, progress, period, max_steps=MOST_STEPS)
     good = progress.result == Result.successful

@@ -193,7 +193,7 @@ def _fit(problem: _Problem, start: Array, steps: int) -> Identification:
 
     blank = _Fit(
         start, jnp.zeros(m), jnp.zeros((m, p)), jnp.asarray(_FIRST), infinite, jnp.zeros((), int)
-    )  # fmt: skip
+    )
     last = lax.while_loop(going, body, blank)
 
     covariance, correlation, determined, condition = _curvature(last.slopes)

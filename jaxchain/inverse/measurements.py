@@ -160,9 +160,14 @@ def predict(chain: Chain, measurements: Measurements, vibrating: Any = None) -> 
 
     def amplitude(speed: Array) -> Array:
         found = simulate(
-            at(speed), on_the_belt(at(speed), mass), _SPAN, observe=Amplitude(window=_WINDOW),
-            solver=EventDriven(_ORDER) if chain.dry else None, rtol=_RTOL, throw=False,
-        ).observed  # fmt: skip
+            at(speed),
+            on_the_belt(at(speed), mass),
+            _SPAN,
+            observe=Amplitude(window=_WINDOW),
+            solver=EventDriven(_ORDER) if chain.dry else None,
+            rtol=_RTOL,
+            throw=False,
+        ).observed
         return jnp.where(active(found, speed)[mass], found[mass], jnp.nan)
 
     def displacement(speed: Array) -> Array:

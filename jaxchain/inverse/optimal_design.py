@@ -160,8 +160,11 @@ def design(
     (0.0555, 1.7)
     """
     mass = check_vibrating(chain, vibrating)
-    targets = {"width_below": width_below, "highest_below": highest_below,
-               "blow_above": blow_above}  # fmt: skip
+    targets = {
+        "width_below": width_below,
+        "highest_below": highest_below,
+        "blow_above": blow_above,
+    }
     given = {name: target for name, target in targets.items() if target is not None}
     if len(given) != 1:
         raise ValueError(
@@ -190,8 +193,9 @@ def design(
             )
         units = jnp.broadcast_to(changes, flat.shape)
     hit = None if vibrating is None else (mass,)
-    problem = _Problem(chain, flat, units, to_float(target), change, cost, mass, hit,
-                       name, unravel)  # fmt: skip
+    problem = _Problem(
+        chain, flat, units, to_float(target), change, cost, mass, hit, name, unravel
+    )
     return _solve(problem, optimiser, steps, to_float(tolerance))
 
 

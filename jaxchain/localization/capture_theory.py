@@ -59,9 +59,13 @@ def capture_interval(chain: Chain, belt_speed: ScalarLike) -> Float[Array, "2"]:
 def _driver(alone: Chain) -> tuple[Array, Array]:
     """Amplitude and frequency of one mass that sticks and slips."""
     run = simulate(
-        alone, excited_state(alone, 1), _TRANSIENT + _WINDOW, solver=EventDriven(),
+        alone,
+        excited_state(alone, 1),
+        _TRANSIENT + _WINDOW,
+        solver=EventDriven(),
         observe=[Amplitude(window=_WINDOW), PeakTimes(_PERIODS + 1, start=_TRANSIENT)],
-        rtol=_RTOL, throw=False,
-    )  # fmt: skip
+        rtol=_RTOL,
+        throw=False,
+    )
     amplitude, peaks = run.observed
     return amplitude[0], 2.0 * jnp.pi * _PERIODS / (peaks[-1, 0] - peaks[0, 0])

@@ -75,9 +75,14 @@ class FrontSpeed(Printed, eqx.Module):
 
 @eqx.filter_jit
 def _measure(
-    fronts: Fronts, n: int, t0: ScalarLike, t1: ScalarLike, transient: ScalarLike,
-    well: Any, level: Any,
-) -> dict[str, Array]:  # fmt: skip
+    fronts: Fronts,
+    n: int,
+    t0: ScalarLike,
+    t1: ScalarLike,
+    transient: ScalarLike,
+    well: Any,
+    level: Any,
+) -> dict[str, Array]:
     """The numbers of a `FrontSpeed` from the record of a `FrontTrack` over [t0, t1].
 
     What lies before t0 + transient, or after a front first came within two masses of the middle of
@@ -102,9 +107,14 @@ def _measure(
     verdict = jnp.where(jnp.abs(moved) < 1.0, 0, 2)
     verdict = jnp.where(jnp.abs(speed) > error, jnp.sign(speed).astype(int), verdict)
     numbers = {
-        "speed": speed, "error": error, "right": right[0], "left": left[0],
-        "right_error": right[1], "left_error": left[1], "moved": moved,
-    }  # fmt: skip
+        "speed": speed,
+        "error": error,
+        "right": right[0],
+        "left": left[0],
+        "right_error": right[1],
+        "left_error": left[1],
+        "moved": moved,
+    }
     return {name: jnp.where(well, value, jnp.nan) for name, value in numbers.items()} | {
         "verdict": jnp.where(jnp.isfinite(speed) & well, verdict, 2)
     }
@@ -223,9 +233,13 @@ def front_speeds(runs: Dataset, transient: Any = None, *, level: Any = 0.95) -> 
 
     numbers = xr.apply_ufunc(
         jnp.vectorize(measure, signature="(w),(w),(),()->" + ",".join(["()"] * 8)),
-        runs["front_right"], runs["front_left"], waits, well,
-        input_core_dims=[["window"], ["window"], [], []], output_core_dims=[[]] * 8,
-    )  # fmt: skip
+        runs["front_right"],
+        runs["front_left"],
+        waits,
+        well,
+        input_core_dims=[["window"], ["window"], [], []],
+        output_core_dims=[[]] * 8,
+    )
     return runs[["result"]].assign(dict(zip(names, numbers, strict=True)))
 
 
@@ -349,9 +363,7 @@ def depinning_belt_speed(
         speed = jnp.where(index == 0, still, jnp.where(index == 1, moving, 0.5 * (still + moving)))
         went, well = moved(speed)
         halves = index >= 2
-        new = (
-            jnp.where(halves & ~went, speed, still), jnp.where(halves & went, speed, moving)
-        )  # fmt: skip
+        new = (jnp.where(halves & ~went, speed, still), jnp.where(halves & went, speed, moving))
         return new, (went, well)
 
     (low, high), (went, well) = lax.scan(look, first, jnp.arange(halvings + 2))

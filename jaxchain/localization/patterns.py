@@ -116,9 +116,13 @@ def phase_model(chain: Any) -> PhaseModel:
     one = jnp.arange(chain.n) == 0
     answer = _shaken(chain, period, jnp.where(one[None, :], displacement[:, None], 0.0), one)[:, 1]
     return PhaseModel(
-        chain=chain, state=state, period=period, displacement=displacement,
-        interaction=jnp.conj(z) * displacement, quiet=jnp.real(jnp.vdot(z, answer)),
-    )  # fmt: skip
+        chain=chain,
+        state=state,
+        period=period,
+        displacement=displacement,
+        interaction=jnp.conj(z) * displacement,
+        quiet=jnp.real(jnp.vdot(z, answer)),
+    )
 
 
 def _check_ring(chain: Any) -> None:

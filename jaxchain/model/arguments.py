@@ -35,9 +35,13 @@ def as_chain(chain: Any, kind: type[_Kind] = Chain, remedy: str = "") -> _Kind:
 
 
 def as_state(
-    chain: AbstractOscillators, state: Any, name: str = "initial", *, t0: Any = 0.0,
+    chain: AbstractOscillators,
+    state: Any,
+    name: str = "initial",
+    *,
+    t0: Any = 0.0,
     batch: bool = False,
-) -> tuple[Float[Array, "*states n"], Float[Array, "*states n"]]:  # fmt: skip
+) -> tuple[Float[Array, "*states n"], Float[Array, "*states n"]]:
     """A state (x, v) as floats, both of shape (n,), or (states, n) if it is a `batch`.
 
     **Raises:** `ValueError` for anything else, for what is not finite, and for forces of what is

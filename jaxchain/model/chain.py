@@ -28,8 +28,11 @@ from .springs import Ends, Springs
 from .tridiagonal import exact_solver
 
 # Numbers beyond these are likely in SI units, and these.
-_PLAUSIBLE = {"damping_ratio": (10.0, "N s/m"), "stiffness": (100.0, "N/m"),
-              "normal_load": (100.0, "N")}  # fmt: skip
+_PLAUSIBLE = {
+    "damping_ratio": (10.0, "N s/m"),
+    "stiffness": (100.0, "N/m"),
+    "normal_load": (100.0, "N"),
+}
 MAKE_CHAIN = "make one with `paper_chain()` or `Chain(...)`."
 
 

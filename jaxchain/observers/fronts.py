@@ -167,10 +167,13 @@ class FrontTrack(AbstractObserver):
 
         fronts = lax.cond(eqxi.unvmap_any(over), closed, lambda: acc.fronts)
         return _Watch(
-            jnp.where(over, end, low), jnp.where(over, end, high),
+            jnp.where(over, end, low),
+            jnp.where(over, end, high),
             jnp.where(over, acc.boundary + acc.length, acc.boundary),
-            acc.index + over, acc.length, fronts,
-        )  # fmt: skip
+            acc.index + over,
+            acc.length,
+            fronts,
+        )
 
     def settled(self, accumulator: _Watch) -> Bool[Array, ""]:
         """Once both fronts have met, or the block is gone, no speed is left to measure."""

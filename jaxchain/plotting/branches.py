@@ -105,9 +105,13 @@ def plot_branch(
         for good, line_x, line_y in pieces(x, heights, ~own, at, x_at, y_at):
             word = "" if stable is None else "stable" if good else "unstable"
             axes.plot(
-                line_x, line_y, color=color, linewidth=1.3, linestyle="-" if good else DASHES,
+                line_x,
+                line_y,
+                color=color,
+                linewidth=1.3,
+                linestyle="-" if good else DASHES,
                 label=", ".join(filter(None, [label, word])) or None,
-            )  # fmt: skip
+            )
         kinds = data["special_kind"].values if known else np.zeros(0, str)
         for kind in sorted(set(map(str, kinds)), key=[*MARKS, *map(str, kinds)].index):
             marker, colour, word = MARKS.get(kind, ("P", SKY, kind))

@@ -38,8 +38,11 @@ _SPRING, _DASHPOT, _COUPLING, _CEILING = 1.4, 0.88, 0.28, 3.05
 _POST = 0.5  # from a mass to the post that holds the next one
 _RADIUS = 0.34
 _STROKE: dict[str, Any] = {
-    "color": "black", "linewidth": 0.9, "solid_joinstyle": "round", "solid_capstyle": "round"
-}  # fmt: skip
+    "color": "black",
+    "linewidth": 0.9,
+    "solid_joinstyle": "round",
+    "solid_capstyle": "round",
+}
 _BOLD: dict[str, Any] = _STROKE | {"linewidth": 1.6}
 
 
@@ -168,20 +171,30 @@ def draw_mechanism(axes: Axes, chain: Chain, masses: int) -> None:
 def _draw_ceiling(axes: Axes, start: float, end: float) -> None:
     axes.add_patch(
         Rectangle(
-            (start, _CEILING), end - start, 0.22, facecolor="white", edgecolor=GREY,
-            hatch="//////", linewidth=0,
+            (start, _CEILING),
+            end - start,
+            0.22,
+            facecolor="white",
+            edgecolor=GREY,
+            hatch="//////",
+            linewidth=0,
         )
-    )  # fmt: skip
+    )
     axes.plot([start, end], [_CEILING, _CEILING], **_STROKE)
 
 
 def _draw_mass(axes: Axes, middle: float, number: str) -> None:
     axes.add_patch(
         Rectangle(
-            (middle - 0.5, 0.0), 1.0, _TALL, facecolor="#cfe3f1", edgecolor="black",
-            linewidth=0.9, zorder=3,
+            (middle - 0.5, 0.0),
+            1.0,
+            _TALL,
+            facecolor="#cfe3f1",
+            edgecolor="black",
+            linewidth=0.9,
+            zorder=3,
         )
-    )  # fmt: skip
+    )
     _name(axes, middle, _TALL / 2, "$m$", va="center")
     # The load P from above, and the displacement x_n from a mark on the mass.
     axes.add_patch(_arrow((middle - 0.22, _TALL + 0.72), (middle - 0.22, _TALL + 0.02), RED))
@@ -210,11 +223,16 @@ def _draw_ground(axes: Axes, middle: float, named: bool) -> None:
 def _draw_belt(axes: Axes, start: float, end: float, belt_speed: float) -> None:
     axes.add_patch(
         FancyBboxPatch(
-            (start, -2 * _RADIUS), end - start, 2 * _RADIUS - 0.02, facecolor="#eeeeee",
-            boxstyle=f"round,pad=0,rounding_size={_RADIUS - 0.02}", edgecolor="black",
-            linewidth=1.4, zorder=1,
+            (start, -2 * _RADIUS),
+            end - start,
+            2 * _RADIUS - 0.02,
+            facecolor="#eeeeee",
+            boxstyle=f"round,pad=0,rounding_size={_RADIUS - 0.02}",
+            edgecolor="black",
+            linewidth=1.4,
+            zorder=1,
         )
-    )  # fmt: skip
+    )
     for middle in (start + _RADIUS, end - _RADIUS):
         axes.plot(
             middle, -_RADIUS, "o", color="white", markeredgecolor="black", markeredgewidth=0.9,
@@ -395,9 +413,12 @@ def _draw_curves(
         fine.sort()
         smooth = np.asarray(smoothed.force(jnp.asarray(fine)))
         axes.plot(
-            across * fine, up * smooth, color=BLUE, linewidth=1.0,
+            across * fine,
+            up * smooth,
+            color=BLUE,
+            linewidth=1.0,
             label=f"$\\varepsilon$ = {across * width:g}{unit}",
-        )  # fmt: skip
+        )
     return w, mu
 
 

@@ -53,7 +53,7 @@ from .style import (
     check_scales,
     looks,
     on_axes,
-)  # fmt: skip
+)
 
 LEAST_FRAMES, MOST_FRAMES = 2, 10**6
 MOST_SHOWN = 8  # masses of a long chain
@@ -551,9 +551,13 @@ class _Film:
         kinds = (("sticks", _STICKS), ("slides", _SLIDES))
         self.axes.legend(
             handles=[Patch(edgecolor="black", label=word, **look) for word, look in kinds],
-            loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, frameon=False, borderpad=0.2,
+            loc="lower left",
+            bbox_to_anchor=(0.0, 1.0),
+            ncols=2,
+            frameon=False,
+            borderpad=0.2,
             borderaxespad=0.0,
-        )  # fmt: skip
+        )
 
     def add_curves(self, strip: Axes, plane: Axes) -> None:
         """x over time and v over x, with a point for every mass that moves along them."""

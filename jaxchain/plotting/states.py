@@ -152,9 +152,13 @@ def draw_circles(axes: Any, runs: Runs) -> None:
         place: Any = {"xycoords": ("axes fraction", "data"), "xytext": (3, 0), "va": "center"}
         axes.annotate(text, (1.0, row), **place, **small)
     axes.legend(
-        loc="upper center", bbox_to_anchor=(0.5, -0.11), ncols=3, frameon=False,
-        handletextpad=0.1, columnspacing=1.0,
-    )  # fmt: skip
+        loc="upper center",
+        bbox_to_anchor=(0.5, -0.11),
+        ncols=3,
+        frameon=False,
+        handletextpad=0.1,
+        columnspacing=1.0,
+    )
 
 
 def add_delays(data: xr.Dataset) -> xr.Dataset:

@@ -140,9 +140,13 @@ def add_legend(panels: Axes | list[Axes], title: str | None = None, beside: bool
     beside = beside and page is not None and page.get_layout_engine() is not None
     size = 0.78 * float(panels[0].xaxis.label.get_fontsize())  # of whoever made the axes
     look: dict[str, Any] = {
-        "title": title and _wrapped(title), "handlelength": 1.6, "framealpha": 0.8,
-        "edgecolor": "none", "fontsize": size, "title_fontsize": size,
-    }  # fmt: skip
+        "title": title and _wrapped(title),
+        "handlelength": 1.6,
+        "framealpha": 0.8,
+        "edgecolor": "none",
+        "fontsize": size,
+        "title_fontsize": size,
+    }
     if beside and len(panels) > 1:
         panels[0].figure.legend([*own.values()], [*own], loc="outside right upper", **look)
     else:

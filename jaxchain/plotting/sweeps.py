@@ -294,9 +294,13 @@ def _draw_hopf(axes: Axes, data: xr.Dataset, hopf: float | None) -> None:
         return
     axes.axvline(hopf, color="black", linewidth=0.8, linestyle=(0, (6, 2, 1, 2)), zorder=1)
     axes.annotate(
-        r"$\tilde v_H$", (hopf, 1.0), xycoords=axes.get_xaxis_transform(), xytext=(0, 2),
-        textcoords="offset points", horizontalalignment="center",
-    )  # fmt: skip
+        r"$\tilde v_H$",
+        (hopf, 1.0),
+        xycoords=axes.get_xaxis_transform(),
+        xytext=(0, 2),
+        textcoords="offset points",
+        horizontalalignment="center",
+    )
 
 
 def _draw_fronts(axes: Axes, data: xr.Dataset) -> None:
@@ -523,9 +527,13 @@ def _dim(data: xr.Dataset, name: str) -> str:
 
 
 def _draw(
-    axes: Axes, data: xr.Dataset, values: xr.DataArray, across: Any, hue: _Hue | None,
+    axes: Axes,
+    data: xr.Dataset,
+    values: xr.DataArray,
+    across: Any,
+    hue: _Hue | None,
     scales: Scales | None,
-) -> None:  # fmt: skip
+) -> None:
     x, x_label = scaled(data[across], scales)
     y_factor, y_label = axis(str(values.name), values.attrs, scales)
     dim = _dim(data, across)

@@ -368,8 +368,10 @@ def hopf_speed(chain: Chain, grid: Mapping[str, np.ndarray]) -> xr.DataArray | N
         return hopf_belt_speed(chain.with_(**dict(zip(swept, values, strict=True))))
 
     speeds = jnp.vectorize(speed)(*axes) if swept else speed()
-    attrs = {"long_name": "Hopf speed v_H: above it steady sliding is stable",
-             "units": "x0 omega_n"}  # fmt: skip
+    attrs = {
+        "long_name": "Hopf speed v_H: above it steady sliding is stable",
+        "units": "x0 omega_n",
+    }
     return xr.DataArray(np.asarray(speeds), dims=swept, attrs=attrs)
 
 

@@ -52,9 +52,11 @@ def _raise_all(problems: Iterator[_Problem]) -> None:
 Picture: TypeAlias = Literal["circles", "orbit_diagram", "delays", "time_series", "phase_plots"]
 # What is kept for pictures, beside amplitudes.
 _OBSERVED = {
-    "orbit_diagram": "PeakTimes", "delays": "PeakTimes", "time_series": "Samples",
+    "orbit_diagram": "PeakTimes",
+    "delays": "PeakTimes",
+    "time_series": "Samples",
     "phase_plots": "Samples",
-}  # fmt: skip
+}
 
 
 @final

@@ -305,9 +305,12 @@ class EventDrivenPlan(AbstractPlan):
                 return [record.states for record in carry[1]]
 
             back: Any = partial(
-                eqxi.while_loop, goes_on, kind="checkpointed", checkpoints=most_kept,
+                eqxi.while_loop,
+                goes_on,
+                kind="checkpointed",
+                checkpoints=most_kept,
                 buffers=written_once,
-            )  # fmt: skip
+            )
             carry = back(lambda carry: back(body, carry, max_steps=most_kept), carry)
         elif adjoint is None or isinstance(adjoint, dfx.ForwardMode):
             if any(map(_notes, self.observers)):

@@ -225,8 +225,11 @@ def prepare(settings: RunSettings, over: Mapping[str, Any], most: int) -> Ensemb
     _check_vary(chain, vary, axes)
     smoothed = not isinstance(solver, EventDriven)
     rtol, atol, max_step, accuracy = (
-        settings.rtol, settings.atol, settings.max_step, settings.accuracy
-    )  # fmt: skip
+        settings.rtol,
+        settings.atol,
+        settings.max_step,
+        settings.accuracy,
+    )
     if accuracy is not None:
         require_smoothed(chain, NO_ACCURACY)
         if rtol is not None or "width" in columns:

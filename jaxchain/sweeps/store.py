@@ -83,9 +83,12 @@ class Store:
         self._arrays: dict[str, Any] = {}
         self._lock: int | None = None
         wanted = {
-            "format": _FORMAT, "fingerprint": fingerprint, "sizes": grid.sizes,
-            "chunks": grid.chunks, "columns": _digests(grid.axes, grid.sizes),
-        }  # fmt: skip
+            "format": _FORMAT,
+            "fingerprint": fingerprint,
+            "sizes": grid.sizes,
+            "chunks": grid.chunks,
+            "columns": _digests(grid.axes, grid.sizes),
+        }
         try:
             with _as_store_errors(path):
                 self.left = self._open(wanted, sample)
@@ -391,11 +394,15 @@ def _lay_out(path: Path, grid: Grid, sample: Dataset, layout: Mapping[str, Any])
             if one.dtype.kind in "iu":  # a count that is missing
                 fill = one.attrs.get("_FillValue", fill)
             array = group.create_array(
-                name, shape=shape, dtype=one.dtype, attributes=dict(one.attrs),
+                name,
+                shape=shape,
+                dtype=one.dtype,
+                attributes=dict(one.attrs),
                 chunks=tuple(min(most.get(d, n), n) for d, n in zip(dims, shape, strict=True)),
-                fill_value=_PENDING if name == "result" else fill, dimension_names=dims,
+                fill_value=_PENDING if name == "result" else fill,
+                dimension_names=dims,
                 compressors=ZstdCodec(checksum=True),  # what is torn is not read as numbers
-            )  # fmt: skip
+            )
         if name in sample.coords:
             array[...] = swept[name] if name in swept else one[...]
     _consolidate(path)
