@@ -265,6 +265,7 @@ def test_what_needs_a_width_says_what_to_do_without_one(name):
     assert "`chain.with_(width=1e-3)`" in str(caught.value)
 
 
+@pytest.mark.long
 def test_one_program_serves_all_dry_chains(compiled):
     traces = []
 
@@ -290,6 +291,7 @@ def test_one_program_serves_all_dry_chains(compiled):
     assert not compiled
 
 
+@pytest.mark.long
 def test_a_dry_chain_runs_as_a_smoothed_one_under_the_event_driven_solver():
     start = jc.equation_8(THREE, 1)
     dry, told = run(THREE, start), run(THREE.with_(width=0.3), start, solver=jc.EventDriven())

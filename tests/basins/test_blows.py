@@ -151,6 +151,7 @@ def test_what_is_not_found_has_no_derivative_and_spoils_no_other():
     assert jax.vmap(size)(speeds).tolist() == pytest.approx([0.0, 1.239855, np.inf], abs=1e-6)
 
 
+@pytest.mark.long
 def test_of_two_masses_the_blow_falls_on_one_and_a_little_on_the_other():
     found = gentlest_blow(TWO)
     assert found.successful

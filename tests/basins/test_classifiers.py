@@ -84,6 +84,7 @@ def test_where_some_vibrate_runs_go_on_to_their_end():
     assert found.vibrates.tolist() == [True, False, False, True, False, False]
 
 
+@pytest.mark.long
 def test_neighbours_that_exchange_their_vibration_both_vibrate():
     # Beats of 66 time units: each amplitude falls below the threshold of 0.75 in every third
     # window, never both in the same one.
@@ -204,6 +205,7 @@ def test_it_says_what_amplitudes_say(width):
     assert data.state.values.sum(1).tolist() == [0, 1, 2, 3, 6]
 
 
+@pytest.mark.long
 def test_under_jit_and_vmap():
     starts = jax.vmap(lambda k: equation_8(CHAIN, k))(jnp.arange(3))
 

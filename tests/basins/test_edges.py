@@ -15,7 +15,7 @@ from jaxchain import (
     simulate,
     steady_sliding,
 )
-from jaxchain.basins import VibratingMasses, edge_state
+from jaxchain.basins import edge_state
 from jaxchain.observers import Section, mean_period
 from jaxchain.result import name_of
 
@@ -90,16 +90,6 @@ def test_the_bracket_holds_the_edge(edges):
     )
     assert float(dying) < 1e-2
     assert float(vibrating) > FAST
-
-
-@pytest.mark.long
-def test_that_amplitudes_repeat_themselves_decides_nothing_near_the_edge(edges):
-    """Why the edge is not left to a rule that waits for steady amplitudes."""
-    chain = paper_chain(1, belt_speed=FAST, width=None)
-    told = simulate(chain, edges["usual"].below, 1500.0, observe=VibratingMasses(), rtol=1e-11)
-    assert bool(told.observed.decided)
-    assert bool(told.observed.vibrates[0])
-    assert float(told.t) < 200.0
 
 
 @pytest.mark.slow

@@ -199,6 +199,7 @@ def test_the_share_is_that_of_another_quadrature(speed):
     assert float(found.gap) < 1e-12
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("speed", [1.2, 1.5])
 @pytest.mark.parametrize("width", [None, 0.05])
 def test_edges_of_the_box_may_cut_the_cycle_anywhere(speed, width):

@@ -51,15 +51,6 @@ def test_descent_arrives_where_newton_does_after_many_more_steps():
     )
 
 
-@pytest.mark.exhaustive
-def test_descent_by_lbfgs_needs_few_steps_from_nearby_and_stalls_from_far_away():
-    found = jax.jit(
-        jax.vmap(lambda start: hopf_by_descent(paper_chain(4), start, optax.lbfgs(), 100))
-    )(jnp.array([0.05, 0.6, 1.5, 3.0, 6.0]))
-    assert found.successful.tolist() == [True] * 4 + [False]
-    assert int(found.steps[:4].max()) <= 12
-
-
 def test_plain_gradient_descent_stalls_far_above_the_boundary_and_says_so():
     found = hopf_by_descent(paper_chain(1), 6.0, optax.sgd(10.0), steps=50)
     assert not found.successful
@@ -100,15 +91,6 @@ def test_ascent_and_secant_find_the_same_fold():
     speeds = np.asarray(found.belt_speeds)
     assert np.nanmax(speeds) == float(found.belt_speed)
     assert np.nanmin(speeds) < float(found.belt_speed) - 1e-3
-
-
-@pytest.mark.exhaustive
-def test_any_optimiser_will_do_from_either_side():
-    chain = paper_chain(1, width=0.02)
-    sgd = optax.sgd(0.3)
-    for start in (-3.5, -1.6):
-        found = fold_by_descent(chain, start=start, optimiser=sgd, steps=150)
-        np.testing.assert_allclose(found.belt_speed, fold_belt_speed(chain), rtol=1e-6)
 
 
 def test_steps_and_tolerance_of_an_ascent_are_checked():

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from wild_sets import WILD, wild_chain, wild_sets
 
-from jaxchain import fold_belt_speed, nonsmooth_fold_belt_speed, paper_chain
+from jaxchain import fold_belt_speed, paper_chain
 from jaxchain.boundaries import fold_belt_speeds
 from jaxchain.result import SearchResult
 
@@ -83,15 +83,6 @@ def test_they_are_those_of_the_search_for_one(sets):
     speeds = folds_of(sets).fold_belt_speed
     np.testing.assert_array_equal(np.isnan(speeds), np.isnan(expected))
     np.testing.assert_allclose(speeds, expected, rtol=1e-10)
-
-
-@pytest.mark.long
-def test_of_dry_friction_over_a_grid():
-    over = {"damping_ratio": [0.04, 0.05, 0.06], "v_ref": [0.4, 0.5, 0.6]}
-    speeds = fold_belt_speeds(paper_chain(1, width=None), over=over).fold_belt_speed
-    assert speeds.dims == ("damping_ratio", "v_ref")
-    dry = nonsmooth_fold_belt_speed(paper_chain(1).with_(damping_ratio=0.06, v_ref=0.4))
-    np.testing.assert_allclose(speeds[2, 0], dry, rtol=1e-11)
 
 
 INTERRUPTED = """

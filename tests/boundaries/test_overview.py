@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq, fsolve
 
-from jaxchain import Amplitude, hopf_belt_speed, paper_chain, simulate
+from jaxchain import paper_chain
 from jaxchain.boundaries import find_fold
 from jaxchain.boundaries.hopf_scan import generalised_hopf
 from jaxchain.boundaries.ranges import hopf_and_fold
 from jaxchain.boundaries.single_mass import one_mass_branch
-from jaxchain.model.initial_states import on_the_belt
 
 WIDTH = 1e-2
 # The grazing fold of the paper's set, from an independent continuation of slip cycles.
@@ -139,59 +138,6 @@ def test_a_branch_that_is_left_near_its_fold_has_what_lies_above():
     assert np.all(np.isfinite(branch.belt_speed[branch.fold - 20 : branch.fold + 1]))
 
 
-@pytest.mark.exhaustive
-def test_the_fold_ends_on_the_hopf_curve_tangentially():
-    chain = paper_chain(1, width=0.1)
-    meeting = generalised_hopf(chain, "damping_ratio", 0.01, 1.0)
-    apart = jnp.array([0.02, 0.01, 0.005])
-
-    @jax.jit
-    @jax.vmap
-    def gap(xi):
-        own = chain.with_(damping_ratio=xi)
-        return find_fold(own).belt_speed - hopf_belt_speed(own)
-
-    gaps = gap(meeting.value * (1 - apart))
-    order = np.log2(gaps[:-1] / gaps[1:])
-    assert np.all(gaps > 0)
-    np.testing.assert_allclose(order, 2.0, atol=0.05)
-    assert abs(order[1] - 2) < abs(order[0] - 2)
-
-
 @pytest.fixture(scope="module")
 def branch():
     return one_mass_branch(paper_chain(1, width=WIDTH), 0.3)
-
-
-@pytest.mark.exhaustive
-def test_the_branch_turns_at_the_fold_and_starts_at_the_hopf_point(branch):
-    fold = find_fold(paper_chain(1, width=WIDTH))
-    speed = branch.belt_speed
-    assert int(np.nanargmax(speed)) == branch.fold
-    np.testing.assert_allclose(speed[branch.fold], fold.belt_speed, rtol=1e-9)
-    np.testing.assert_allclose(speed[0], np.log(10) / 2, rtol=1e-12)
-    assert branch.amplitude[0] == 0
-    known = np.isfinite(speed)
-    slip = np.flatnonzero(known[: branch.fold + 1])
-    stick = np.flatnonzero(known[branch.fold :]) + branch.fold
-    assert len(slip) > 20
-    assert len(stick) > 20
-    assert np.all(np.diff(speed[slip]) > 0)
-    assert np.all(np.diff(branch.amplitude[slip]) > 0)
-    assert np.all(np.diff(speed[stick]) < 0)
-    assert 0.3 <= speed[stick[-1]] < 0.4
-
-
-@pytest.mark.exhaustive
-def test_the_stable_side_is_what_time_integration_comes_to(branch):
-    at = np.flatnonzero(np.isfinite(branch.belt_speed))
-    at = at[at > branch.fold + 5][::9]
-    chain = paper_chain(1, width=WIDTH)
-
-    @jax.vmap
-    def settled(speed):
-        own = chain.with_(belt_speed=speed)
-        watch = Amplitude(window=20.0)
-        return simulate(own, on_the_belt(own), 200.0, observe=watch, rtol=1e-9).observed[0]
-
-    np.testing.assert_allclose(settled(branch.belt_speed[at]), branch.amplitude[at], rtol=1e-6)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from jaxchain import Chain, fold_belt_speed, paper_chain
-from jaxchain.boundaries.grazing import find_grazing
 from jaxchain.boundaries.limit import extrapolate, fold_boundary, fold_in_the_limit
 from jaxchain.model import GaussianStribeck
 
@@ -142,20 +141,6 @@ def test_the_bar_holds_for_random_sets(boundaries):
 @pytest.mark.parametrize(("wild", "least"), [(False, 0.99), (True, 0.97)])
 def test_the_bar_holds_for_a_hundred_random_sets(boundaries, wild, least):
     check_bars(boundaries(jnp.asarray(random_sets(12, 100, wild))), least)
-
-
-@pytest.mark.exhaustive
-def test_four_widths_and_the_theory_of_the_leading_term():
-    chain = paper_chain(n=1)
-    grazing = find_grazing(chain)
-    four = fold_in_the_limit(chain, widths=[8e-3, 4e-3, 2e-3, 1e-3])
-    wrong = abs(four.value - grazing.belt_speed)
-    assert wrong < 3e-5
-    assert wrong < four.error < 1e-4
-    six = fold_in_the_limit(chain, widths=1e-3 * 0.5 ** np.arange(6))
-    scale = grazing.belt_speed  # what e is measured in, up to averaging
-    leading = -0.25 * (grazing.by_leaving + grazing.by_arriving)
-    np.testing.assert_allclose(six.coefficients[1], leading * scale, rtol=0.02)
 
 
 @pytest.mark.exhaustive

@@ -271,24 +271,6 @@ def symmetric(fold_of_three):
 
 
 @pytest.mark.exhaustive
-def test_one_of_three_folds_where_the_search_for_folds_says(fold_of_three, symmetric):
-    chain, fold = fold_of_three
-    k = 3
-    found = continue_cycle(
-        chain.with_(belt_speed=symmetric.parameter[k]), (symmetric.x[k], symmetric.v[k]),
-        symmetric.period[k], direction="slip", images=MIRRORED, vibrating=1,
-    )  # fmt: skip
-    kinds = [point.kind for point in found.special]
-    assert kinds == ["fold", "torus", "symmetry breaking", "hopf"]
-    assert abs(found.special[0].parameter - float(fold.belt_speed)) < 1e-9
-    # It ends in the modes of wavenumber 1, of frequency sqrt(1 + 3 eta_c).
-    assert abs(found.special[-1].parameter - HOPF) < 1e-7
-    assert abs(found.special[-1].period - 2 * np.pi / 1.03**0.5) < 1e-5
-    modulus = np.abs(found.special[1].multipliers)
-    assert np.sum(np.abs(modulus - 1.0) < 1e-8) == 2
-
-
-@pytest.mark.exhaustive
 def test_the_symmetry_breaks_where_the_whole_equations_have_a_branch_point(symmetric):
     point = symmetric.of_kind("symmetry breaking")[0]
     assert np.min(np.abs(point.multipliers - 1.0)) < 1e-8

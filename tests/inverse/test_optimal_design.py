@@ -3,7 +3,6 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optax
 import pytest
 from scipy.optimize import minimize
 
@@ -171,31 +170,6 @@ def test_bad_input_is_named(options, message):
 def test_a_trial_names_bad_input(name):
     with pytest.raises(ValueError, match=f"`{name}` must be positive"):
         try_boundary(ONE, **{"belt_speed": 1.0, name: -1.0})
-
-
-@pytest.mark.exhaustive
-def test_adam_and_a_cost_of_ones_own_and_the_example(halved):
-    def cost(theta):
-        return 0.5 * jnp.sum((theta / START - 1.0) ** 2)
-
-    found = improve(0.3, cost=cost, optimiser=optax.adam(0.01), steps=2000)
-    assert found.successful
-    np.testing.assert_allclose(found.theta, halved.theta, rtol=1e-5)
-    # The example of the docstring: one parameter and an active aim leave no choice.
-    damped = design(ONE, lambda chain, xi: chain.with_(damping_ratio=xi), 0.05, highest_below=1.7)
-    assert damped.successful
-    assert float(damped.theta) == pytest.approx(0.0553, abs=5e-5)
-    assert float(boundaries(damped).fold) == pytest.approx(1.7, abs=1e-6)
-
-
-@pytest.mark.exhaustive
-def test_one_program_designs_for_many_aims(halved):
-    widths = jnp.array([0.3, 0.5, 0.9])
-    many = jax.jit(jax.vmap(improve))(widths)
-    assert many.successful.all()
-    np.testing.assert_allclose(many.range.width[:2], widths[:2], atol=1e-6)
-    np.testing.assert_allclose(many.theta[0], halved.theta, rtol=1e-5)
-    assert float(many.cost[2]) == 0.0
 
 
 @pytest.mark.exhaustive

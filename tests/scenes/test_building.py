@@ -141,6 +141,7 @@ def test_numbers_that_do_not_make_the_law_are_named(laws, name, numbers, problem
         make(load_law(f"{laws}:{name}", "test"), numbers, "chain.friction")
 
 
+@pytest.mark.long
 def test_the_command_runs_a_scene_with_it(laws, scene, tmp_path, capsys):
     folder = tmp_path / "results"
     arguments = ["run", scene, "--output", str(folder), "--no-plot"]

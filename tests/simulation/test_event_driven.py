@@ -77,6 +77,7 @@ def test_vibrating_cycle(belt_speed):
     assert abs(float(result.observed["stick"][0]) / 6 - expected.stick_time) < 1e-9
 
 
+@pytest.mark.long
 def test_the_chain_of_twenty_follows_the_witness():
     chain = paper_chain(20, 1.3)
     witness = against_witness(chain, equation_8(chain, 9), 120.0)

@@ -61,6 +61,7 @@ class EachStep(AbstractObserver):
         return self.own.read(accumulator)
 
 
+@pytest.mark.long
 def test_an_ensemble_notes_what_its_runs_see_at_every_step():
     chain = paper_chain(2, 1.4)
     watch = PeakTimes(12, start=20.0), EachStep(PeakTimes(12, start=20.0))

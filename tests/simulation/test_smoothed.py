@@ -14,6 +14,7 @@ from jaxchain.simulation.run import build_plan
 KEPT = 20  # states, of many more steps
 
 
+@pytest.mark.long
 def test_a_run_that_is_cut_takes_the_steps_of_one_that_is_not():
     chain = paper_chain(3, belt_speed=1.3)
     plan = build_plan(Rodas4(), [], 1e-6, 1e-7, 1.0, 20.0)
@@ -38,6 +39,7 @@ def test_a_run_that_is_cut_takes_the_steps_of_one_that_is_not():
     np.testing.assert_allclose(jnp.stack(parts.state), jnp.stack(whole.state), atol=1e-11)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_gradient_holds_along_the_steps_of_the_forward_derivative():
     """At this tolerance error estimates are rounding errors, also of the steps taken again."""
@@ -60,6 +62,7 @@ def test_a_gradient_holds_along_the_steps_of_the_forward_derivative():
     np.testing.assert_allclose(reverse, forward, rtol=1e-12)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("recorded", [20, 4096])
 def test_steps_that_are_taken_again_lead_to_the_same_end(recorded):
     """Also where only the first ones are recorded; here an observer ends the run."""

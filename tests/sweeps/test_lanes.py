@@ -33,6 +33,7 @@ def programs():
     return program.cache_info().misses, start_program.cache_info().misses
 
 
+@pytest.mark.long
 def test_a_new_function_compiles_its_starts_alone():
     first = run(lambda chain, pull: equation_8(chain, 1), pull=[0.0, 1.0])
     large, small = programs()

@@ -86,6 +86,7 @@ def test_a_store_holds_what_the_sweep_in_memory_returns(memory, path, chunks):
     assert_same(small(path, chunks=chunks), memory)
 
 
+@pytest.mark.long
 def test_it_does_so_for_all_that_can_be_observed_and_swept(path):
     """Of smoothed friction, with widths of its own for each lane; and columns of arrays."""
     together = {"belt_speed": [1.0, 1.2, 1.4], "x0": np.array([[-1.0], [0.5], [1.0]])}

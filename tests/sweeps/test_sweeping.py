@@ -139,6 +139,7 @@ def test_given_lanes_stay_so_many_however_long_the_last_ones_take(monkeypatch):
     assert ends() == (4, 1)
 
 
+@pytest.mark.long
 def test_what_waits_for_a_long_run_is_taken_back_by_an_idle_lane(monkeypatch):
     from jaxchain.sweeps.lanes import NOBODY
     from jaxchain.sweeps.scheduler import Pool
@@ -195,10 +196,11 @@ def test_of_a_thousand_lanes_one_fails_and_999_do_not_notice(solver):
         assert np.array_equal(whole[name].values[others], broken[name].values[others])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "solver",
     [
-        pytest.param(None, id="smoothed", marks=pytest.mark.long),
+        pytest.param(None, id="smoothed"),
         pytest.param(EventDriven(), id="nonsmooth"),
     ],
 )
@@ -298,10 +300,11 @@ def test_labels_know_the_chain_of_their_lane():
     assert float(data.amplitude.isel(speed=0).min()) > 1.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "solver",
     [
-        pytest.param(None, id="smoothed", marks=pytest.mark.long),
+        pytest.param(None, id="smoothed"),
         pytest.param(EventDriven(), id="nonsmooth"),
     ],
 )
@@ -399,6 +402,7 @@ def test_cores_that_lie_idle_are_told_of(cores, devices, monkeypatch, capsys):
     assert (told in capsys.readouterr().err) == (cores == 4 and devices is None)
 
 
+@pytest.mark.long
 def test_the_progress_bar_counts_lanes_that_have_ended(monkeypatch):
     counts = []
     monkeypatch.setattr(tqdm, "refresh", lambda bar, *_, **__: counts.append(bar.n))
