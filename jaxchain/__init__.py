@@ -44,10 +44,10 @@ def __getattr__(name: str) -> Any:
     if not name.startswith("_"):
         for room in ROOMS:
             if name in getattr(_show(room), "__all__", ()):
-                told = f"{__name__}.{name} moved to {__name__}.{room}.{name}"
+                message = f"{__name__}.{name} moved to {__name__}.{room}.{name}"
                 # `from jaxchain import name` asks whether it is there, and would hide the words of
                 # an AttributeError.
                 if sys._getframe(1).f_globals.get("__name__") == "importlib._bootstrap":
-                    raise ImportError(told)
-                raise AttributeError(told)
+                    raise ImportError(message)
+                raise AttributeError(message)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

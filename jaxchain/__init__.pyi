@@ -14,7 +14,7 @@ from . import solvers as solvers
 from . import sweeps as sweeps
 from ._configure import configure as configure
 from .boundaries.fold import fold_belt_speed as fold_belt_speed
-from .boundaries.grazing import nonsmooth_fold_belt_speed as nonsmooth_fold_belt_speed
+from .boundaries.grazing import dry_fold_belt_speed as dry_fold_belt_speed
 from .boundaries.hopf import hopf_belt_speed as hopf_belt_speed
 from .chaos.classification import verdict as verdict
 from .chaos.lyapunov import lyapunov_spectrum as lyapunov_spectrum

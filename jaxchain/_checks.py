@@ -100,15 +100,15 @@ def as_array(
     name: str, value: Any, least: int, most: int | None = None, remedy: str = ""
 ) -> Float[Array, "..."]:
     """`value` as floats of at least `least` and at most `most` dimensions, none of them empty."""
-    found = to_float(value, name, remedy)
-    if found.ndim < least or found.ndim > (found.ndim if most is None else most) or not found.size:
+    array = to_float(value, name, remedy)
+    if array.ndim < least or array.ndim > (array.ndim if most is None else most) or not array.size:
         axes = ["..."] * (most is None) + ["m", "n"][2 - least :]
         shape = f"({', '.join(axes)}{',' * (len(axes) == 1)})"
         raise ValueError(
             f"Argument `{name}` must have a shape like {shape} and not be empty, but has shape "
-            f"{found.shape}{_end(remedy)}"
+            f"{array.shape}{_end(remedy)}"
         )
-    return found
+    return array
 
 
 def require_x64() -> None:
@@ -154,11 +154,11 @@ def _check_each(
         return
     numbers = np.asarray(value)
     if numbers.ndim == 0:
-        found = f"is {numbers}"
+        shown_value = f"is {numbers}"
     else:
         first = tuple(int(i) for i in np.argwhere(~good)[0])
-        found = f"is {numbers[first]} at index {first}"
-    raise ValueError(f"Argument `{name}` must be {demand}, but {found}{_end(remedy)}")
+        shown_value = f"is {numbers[first]} at index {first}"
+    raise ValueError(f"Argument `{name}` must be {demand}, but {shown_value}{_end(remedy)}")
 
 
 def check_finite(name: str, value: Any, remedy: str = "") -> None:

@@ -185,9 +185,9 @@ def _set_devices(devices: int | None) -> bool:
     import jax
 
     now = jax.config.jax_num_cpu_devices  # pyright: ignore[reportAttributeAccessIssue]
-    told = os.environ.get("XLA_FLAGS", "") + "".join(os.environ)
+    variables = os.environ.get("XLA_FLAGS", "") + "".join(os.environ)
     if devices is None:
-        if now > 0 or any(name in told for name in _DEVICES):
+        if now > 0 or any(name in variables for name in _DEVICES):
             return True
         devices = cores()
     if has_computed():

@@ -58,9 +58,9 @@ def both_ways(
         def run(*leaves: Any) -> list[Any]:
             out = function(eqx.combine(treedef.unflatten(leaves), static))
             arrays, rest = eqx.partition(out, eqx.is_array)
-            found, tree = jtu.tree_flatten(arrays)
+            leaves_out, tree = jtu.tree_flatten(arrays)
             shape[:] = tree, rest
-            return found
+            return leaves_out
 
         return jax.jit(run, inline=True)  # traced once
 
@@ -81,9 +81,9 @@ def both_ways(
         values, slopes = outs[: ways.values], iter(outs[ways.values :])
         return values, [next(slopes) if eqx.is_inexact_array(v) else None for v in values]
 
-    found = call(leaves)
+    values = call(leaves)
     tree, rest = shape
-    return eqx.combine(tree.unflatten(found), rest)
+    return eqx.combine(tree.unflatten(values), rest)
 
 
 class _Ways:
@@ -112,17 +112,17 @@ class _Ways:
 class _Forth:
     """The way forth of the second program: all values, then what its way back keeps."""
 
-    def __init__(self, second: Flat, moved: list[bool], known: Sequence[Any]):
+    def __init__(self, second: Flat, moved: list[bool], arguments: Sequence[Any]):
         self.back: Any = None  # what the checkpoints are put into, known once it is traced
 
-        def run(*known: Any) -> list[Any]:
-            function = _of(second, known, moved)
-            _, pull, out = jax.vjp(function, *compress(known, moved), has_aux=True)
+        def run(*arguments: Any) -> list[Any]:
+            function = _of(second, arguments, moved)
+            _, pull, out = jax.vjp(function, *compress(arguments, moved), has_aux=True)
             checkpoints, self.back = jtu.tree_flatten(pull)
             return [*out, *checkpoints]
 
         self.run = jax.jit(run, inline=True)
-        self.shapes = _shapes(self.run, [jax.typeof(a) for a in known])
+        self.shapes = _shapes(self.run, [jax.typeof(a) for a in arguments])
 
 
 def _shapes(function: Flat, inputs: Sequence[Any]) -> list[Any]:
@@ -182,9 +182,9 @@ def _forward_again(run: Callable[..., list[Any]]) -> Callable[..., Any]:
         function = _of(lambda *args: run(*args, **params), primals, moved)
         at = list(compress(primals, moved))
         _, slopes, out = jax.jvp(function, at, list(compress(tangents, moved)), has_aux=True)
-        found = iter(slopes)
+        outputs = iter(slopes)
         none = [ad.Zero(jax.core.ShapedArray(o.shape, jax.dtypes.float0)) for o in out]
-        return out, [next(found) if _is_real(o) else z for o, z in zip(out, none, strict=True)]
+        return out, [next(outputs) if _is_real(o) else z for o, z in zip(out, none, strict=True)]
 
     return rule
 
@@ -223,13 +223,13 @@ def _many_pairs(args: Any, dims: Any, *, ways: _Ways) -> tuple[list[Any], list[A
 def _fall_apart(trace: Any, *tracers: Any, ways: _Ways) -> list[Any]:
     """The pair where the tangents are unknown: values now, and what is linear for later."""
     arguments, tangents, _ = ways.split(tracers)
-    known = [argument.pval.get_known() for argument in arguments]
+    values = [argument.pval.get_known() for argument in arguments]
     linear = any(not tangent.is_known() for tangent in tangents)
-    if ways.second is None or not linear or any(value is None for value in known):
+    if ways.second is None or not linear or any(value is None for value in values):
         return trace.default_process_primitive(_pair, tracers, {"ways": ways})
-    forth = _Forth(ways.second, ways.moved, known)
-    found = _once(_forth.bind(*known, forth=forth))
-    out, checkpoints = found[: ways.values], found[ways.values :]
+    forth = _Forth(ways.second, ways.moved, values)
+    outputs = _once(_forth.bind(*values, forth=forth))
+    out, checkpoints = outputs[: ways.values], outputs[ways.values :]
     params = {"ways": ways, "back": forth.back}
     inputs = [*tracers, *checkpoints]
     return [*out, *trace.default_process_primitive(_linear, inputs, params)]
@@ -244,7 +244,7 @@ def _once(tree: Any) -> Any:
 def _go_back(cotangents: Any, *args: Any, ways: _Ways, back: Any) -> list[Any]:
     arguments, tangents, checkpoints = ways.split(args)
     real = ways.shapes[ways.values :]
-    found = _once(
+    outputs = _once(
         back.unflatten(checkpoints)(
             [
                 jnp.zeros(s.shape, s.dtype) if c is None or type(c) is ad.Zero else c
@@ -253,7 +253,7 @@ def _go_back(cotangents: Any, *args: Any, ways: _Ways, back: Any) -> list[Any]:
         )
     )
     wanted = [
-        f if ad.is_undefined_primal(t) else None for f, t in zip(found, tangents, strict=True)
+        f if ad.is_undefined_primal(t) else None for f, t in zip(outputs, tangents, strict=True)
     ]
     return [*[None] * len(arguments), *wanted, *[None] * len(checkpoints)]
 

@@ -222,7 +222,7 @@ def _run(options: argparse.Namespace) -> int:
             cut = f"the run in {wanted} was cut off: {_goes_on(wanted)}"
             _complain(cut if was_cut_off(wanted) else f"{wanted} is in use")
             _complain(f"the results go to {folder}")
-        run_scene(loaded, folder, own_files=files, client=client, **how)
+        run_scene(loaded, folder, custom_files=files, client=client, **how)
 
     return _filled(options, loaded.name, wanted, claimed(wanted), call)
 
@@ -260,8 +260,8 @@ def _how(options: argparse.Namespace, scene: str) -> dict[str, Any]:
     if options.quiet:
         warnings.simplefilter("ignore")
     return {
-        "own_law": None if options.law is None else load_law(options.law, scene),
-        "own_observers": {kind.__name__: kind for kind in kinds},
+        "custom_law": None if options.law is None else load_law(options.law, scene),
+        "custom_observers": {kind.__name__: kind for kind in kinds},
         "plot": not options.no_plot,
         "netcdf": options.netcdf,
         "progress": not options.quiet,
@@ -400,24 +400,24 @@ def _basins(options: argparse.Namespace) -> None:
     print(json.dumps(report) if options.json else _basins_text(report))
 
 
-def _boundary_report(chain: Any, found: Any) -> dict[str, Any]:
+def _boundary_report(chain: Any, boundaries: Any) -> dict[str, Any]:
     """What `jaxchain boundary --json` prints: numbers, null with a reason in `missing`."""
     reasons = {
         "hopf": f"{_NO_HOPF}, at this width",
-        "hopf_nonsmooth": f"{_NO_HOPF}, for dry friction",
+        "hopf_dry": f"{_NO_HOPF}, for dry friction",
         "fold": f"{_NO_FOLD}, at this width",
-        "fold_nonsmooth": f"{_NO_FOLD}, for dry friction; for several masses, also where the "
+        "fold_dry": f"{_NO_FOLD}, for dry friction; for several masses, also where the "
         "neighbours reach the speed of the belt",
         "fold_limit": "a fold is not found at one of the widths that are extrapolated from",
     }
-    values = {name: value for name, value in vars(found).items() if name != "mass"}
-    mass = {"vibrating_oscillator": found.mass + 1}  # from 1, as the paper counts
+    values = {name: value for name, value in vars(boundaries).items() if name != "mass"}
+    mass = {"vibrating_oscillator": boundaries.mass + 1}  # from 1, as the paper counts
     return _answer(values, reasons, mass, {"n": chain.n, **_parameters(chain, _BOUNDARY)})
 
 
 def _boundary_text(report: dict[str, Any]) -> str:
     """Both boundaries as a table: at the width asked, for dry friction, with the bar."""
-    parameters, fold, dry = report["parameters"], report["fold"], report["fold_nonsmooth"]
+    parameters, fold, dry = report["parameters"], report["fold"], report["fold_dry"]
     single = f"the vibration of oscillator {report['vibrating_oscillator']} alone"
     who = "its vibration" if parameters["n"] == 1 else single
     rows = [
@@ -429,7 +429,7 @@ def _boundary_text(report: dict[str, Any]) -> str:
         limit = f"{report['fold_limit']:.9f} ± {report['fold_limit_error']:.0e}"
         rows.append(("", "", limit, "the same, extrapolated from smoothed friction"))
     lines = [f"{a:<12} {b:<14} {c:<24} {d}" for a, b, c, d in rows]
-    hopf = report["hopf_nonsmooth"]
+    hopf = report["hopf_dry"]
     if hopf is not None and dry is not None and hopf < dry:
         lines.append(f"From {hopf:.4f} to {dry:.4f} it depends on the start: rest or vibration.")
     if fold is not None and dry is not None:
@@ -437,12 +437,12 @@ def _boundary_text(report: dict[str, Any]) -> str:
     return "\n".join([*lines, *_reasons(report)])
 
 
-def _basins_report(chain: Any, box: Any, smoothed: Any, dry: Any, found: Any) -> dict[str, Any]:
+def _basins_report(chain: Any, box: Any, smoothed: Any, dry: Any, edges: Any) -> dict[str, Any]:
     """What `jaxchain basins --json` prints: numbers, null with a reason in `missing`."""
     values, reasons = {}, {}
     for ending, basin, kind in (
         ("", smoothed, "at this width"),
-        ("_nonsmooth", dry, "for dry friction"),
+        ("_dry", dry, "for dry friction"),
     ):
         for name, field in (("share", "share"), ("blow_up", "up"), ("blow_down", "down")):
             value = values[name + ending] = float(getattr(basin, field))
@@ -450,7 +450,7 @@ def _basins_report(chain: Any, box: Any, smoothed: Any, dry: Any, found: Any) ->
             why = why if math.isinf(value) else basin.message.rstrip(".")
             reasons[name + ending] = f"{why}, {kind}"
         for name in ("hopf", "fold"):
-            values[name + ending] = getattr(found, name + ending)
+            values[name + ending] = getattr(edges, name + ending)
             why = "there is none, or it was not found: `jaxchain boundary` says more"
             reasons[name + ending] = f"{why}, {kind}"
     sides = {"box": {key: getattr(box, key).tolist() for key in ("displacement", "velocity")}}
@@ -489,7 +489,7 @@ def _parameters(chain: Any, names: tuple[str, ...]) -> dict[str, float | None]:
 
 def _pair(report: dict[str, Any], name: str) -> Iterator[str]:
     """A number at this width and for dry friction, which may have an error bar."""
-    for key in (name, f"{name}_nonsmooth"):
+    for key in (name, f"{name}_dry"):
         value, bar = report[key], report.get(f"{key}_error")
         more = "" if bar is None else f" ± {bar:.0e}"
         yield "none" if value is None else f"{value:.9f}{more}"

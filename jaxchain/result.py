@@ -130,7 +130,7 @@ class SearchResult(eqx.Enumeration, metaclass=_Ways):  # pyright: ignore
         "No fold was found: the damping ratio of the mass is not positive, so that nothing ends "
         "its vibration at a high belt speed. Give it damping."
     )
-    gentle = (
+    supercritical = (
         "No fold was found: to first harmonic the belt is fastest for the least vibration of all, "
         "so that vibration seems to set in gently (supercritically), at the Hopf speed. That is "
         "no proof: see `hopf_points` for the criticality, and run `simulate` from a vibration "
@@ -153,7 +153,7 @@ class SearchResult(eqx.Enumeration, metaclass=_Ways):  # pyright: ignore
         "The belt speed is that of a Hopf point to within 1e-8 of itself: an unstable cycle, if "
         "there is one, is smaller than 1e-4 of the belt speed. Ask a little farther from it."
     )
-    creeps = (
+    belt_too_slow = (
         "The belt rests, or moves so slowly that friction grows with its speed: steady sliding "
         "and sticking are the same there. Take a faster belt, or a smaller width."
     )
@@ -343,5 +343,5 @@ def name_of(item: Any) -> str:
 
 def _is_one(item: Any) -> bool:
     codes: Any = getattr(item, "_value", None)
-    known = isinstance(codes, int | np.ndarray | jax.Array) and not isinstance(codes, Tracer)
-    return known and np.ndim(codes) == 0
+    concrete = isinstance(codes, int | np.ndarray | jax.Array) and not isinstance(codes, Tracer)
+    return concrete and np.ndim(codes) == 0

@@ -50,7 +50,7 @@ OTHERS = [
     [math.inf], {"start": 1.0, "stop": 2.0, "step": 0.1}, {"start": 1, "stop": 2, "count": 10**9},
     {"start": 0, "stop": 1, "count": 3}, {"start": -1, "stop": 1, "count": 3},
     {"start": 0.0, "stop": 1e300, "step": 1e-300}, {"start": 1, "stop": 1, "count": 1},
-    {"law": "coulomb", "width": 0.1, "mu_dynamic": 0.5}, {"law": "own", "width": 1e-3},
+    {"law": "coulomb", "width": 0.1, "mu_dynamic": 0.5}, {"law": "custom", "width": 1e-3},
     {"law": "tabulated", "width": 0.1, "speed": [0, 1], "mu": [1, 0.5]},
     {"kind": "excited", "excited": 1}, {"kind": "equation_10"}, {"observer": "StickTime"},
     [{"observer": "PeakTimes", "capacity": 10**9}], [{"observer": "Divergence"}] * 2,

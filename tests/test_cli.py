@@ -345,8 +345,8 @@ def found(monkeypatch):
 def test_boundary_prints_one_object_with_null_for_what_is_missing(workplace, found, capsys):
     assert main(["boundary", "--json", "--n", "3", "--width", "0.02", "--v-ref=0.4"]) == 0
     told = json.loads(capsys.readouterr().out)
-    assert (told["hopf"], told["fold"], told["fold_nonsmooth"]) == (1.2, None, 1.85)
-    assert told["fold_nonsmooth_error"] == 1e-10
+    assert (told["hopf"], told["fold"], told["fold_dry"]) == (1.2, None, 1.85)
+    assert told["fold_dry_error"] == 1e-10
     assert told["fold_limit"] is told["fold_limit_error"] is None
     assert set(told["missing"]) == {"fold", "fold_limit"}
     assert "at this width" in told["missing"]["fold"]
@@ -431,7 +431,7 @@ def basins_found(monkeypatch):
         if chain.dry:
             return record(0.25, 1.1, 1.2, SearchResult.successful)
         if chain.belt_speed == 0:
-            return record(np.nan, np.nan, np.nan, SearchResult.creeps)
+            return record(np.nan, np.nan, np.nan, SearchResult.belt_too_slow)
         return record(1.0, np.inf, np.inf, SearchResult.successful)
 
     monkeypatch.setattr(single_mass, "sliding_basin", search)
@@ -445,8 +445,8 @@ def test_basins_prints_one_object(found, basins_found, workplace, capsys):
     assert set(told["missing"]) == {"fold", "blow_up", "blow_down"}
     assert "every motion comes to slide" in told["missing"]["blow_up"]
     assert told["fold"] is told["blow_up"] is None
-    assert (told["share"], told["share_nonsmooth"], told["fold_nonsmooth"]) == (1.0, 0.25, 1.85)
-    assert (told["blow_up_nonsmooth"], told["blow_down_nonsmooth"]) == (1.1, 1.2)
+    assert (told["share"], told["share_dry"], told["fold_dry"]) == (1.0, 0.25, 1.85)
+    assert (told["blow_up_dry"], told["blow_down_dry"]) == (1.1, 1.2)
     assert told["box"] == {"displacement": [-1.0, 0.5], "velocity": [0.0, 2.0]}
     assert told["parameters"] == {
         "width": 0.01, "damping_ratio": 0.05, "mu_static": 1.0, "mu_dynamic": 0.5, "v_ref": 0.5,
@@ -474,9 +474,9 @@ def test_what_basins_prints_is_what_is_found(found, workplace, capsys):
     assert main(["basins", "--json", "--width", "0.01", "--belt-speed=-1.78"]) == 0
     told = json.loads(capsys.readouterr().out)
     # The belt runs backward: up is what is down for one that runs ahead.
-    assert told["blow_down_nonsmooth"] == pytest.approx(1.7243769732, abs=1e-9)
+    assert told["blow_down_dry"] == pytest.approx(1.7243769732, abs=1e-9)
     assert told["blow_up"] == pytest.approx(1.7474999087, abs=1e-9)
-    assert 0 < told["share_nonsmooth"] < told["share"] < 1
+    assert 0 < told["share_dry"] < told["share"] < 1
 
 
 @pytest.mark.parametrize(

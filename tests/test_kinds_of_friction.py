@@ -127,7 +127,7 @@ LONG = {
     "edge_state": (ONE, edge, 1e-6),
     "loop": (ONE, motion, 5e-3),
     "fold_belt_speed": (ONE, jc.fold_belt_speed, 1e-3),
-    "nonsmooth_fold_belt_speed": (ONE, jc.nonsmooth_fold_belt_speed, 1e-12),
+    "dry_fold_belt_speed": (ONE, jc.dry_fold_belt_speed, 1e-12),
     "fold_belt_speeds": (
         ONE,
         lambda c: jc.boundaries.fold_belt_speeds(
@@ -137,7 +137,7 @@ LONG = {
     ),
     "find_fold": (ONE, lambda c: jc.boundaries.find_fold(c).period, 1e-3),
     "find_grazing": (ONE, lambda c: jc.boundaries.find_grazing(c).period, 1e-12),
-    "fold_in_the_limit": (ONE, lambda c: jc.boundaries.fold_in_the_limit(c).value, 1e-12),
+    "extrapolated_fold": (ONE, lambda c: jc.boundaries.extrapolated_fold(c).value, 1e-12),
     "fold_boundary": (ONE, jc.boundaries.fold_boundary, 1e-3),
     "hopf_and_fold": (ONE, jc.boundaries.hopf_and_fold, 1e-3),
     "bistable_range": (ONE, jc.boundaries.bistable_range, 3e-3),

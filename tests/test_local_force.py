@@ -158,7 +158,7 @@ def test_the_period_has_its_derivative():
 
     def period(mu):
         field = VanDerPol(strength=mu, springs=None)
-        return find_limit_cycle(field, cycle, vibrating=0).period
+        return find_limit_cycle(field, cycle, mass=0).period
 
     h = 1e-4
     ends = [period(jnp.asarray(1.0 + s * h)) for s in (1, -1)]
@@ -178,7 +178,7 @@ def test_a_branch_follows_a_number_of_other_oscillators():
         (0.0, branch.period[-1]), [x[0], v[0]], method="DOP853", rtol=1e-13, atol=1e-13,
     ).y[:, -1]  # fmt: skip
     np.testing.assert_allclose(end, [x[0], v[0]], atol=1e-7)
-    assert np.all(np.isnan(branch.closeness))
+    assert np.all(np.isnan(branch.scaled_peak_velocity))
     with pytest.raises(ValueError, match=r"one of \['strength'\]"):
         continue_cycle(cycle)
 
@@ -241,7 +241,7 @@ def test_a_force_between_masses_is_no_local_one():
     at_rest = jnp.zeros(3), jnp.zeros(3)
     for use in (
         lambda: simulate(field, at_rest, 1.0),
-        lambda: find_limit_cycle(field, at_rest, period=6.0, vibrating=0),
+        lambda: find_limit_cycle(field, at_rest, period=6.0, mass=0),
         lambda: lyapunov_spectrum(field, at_rest, 10.0),
     ):
         with pytest.raises(ValueError, match="depends on the motion of another mass"):

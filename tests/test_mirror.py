@@ -91,8 +91,14 @@ def spectrum(solver):
 
 def cycle(chain, sign):
     state, period = jc.cycles.guess_from_simulation(chain, start(chain, sign), 0, transient=100.0)
-    found = jc.find_limit_cycle(chain, (state, period), vibrating=0)
-    parts = found.period, found.amplitude, found.fastest, found.closeness, found.multipliers
+    found = jc.find_limit_cycle(chain, (state, period), mass=0)
+    parts = (
+        found.period,
+        found.amplitude,
+        found.fastest,
+        found.scaled_peak_velocity,
+        found.multipliers,
+    )
     return (turned(sign, state), period, turned(sign, found.state), *parts)
 
 
@@ -145,10 +151,10 @@ LONG = {
 # The chain's own belt speed has no part in these.
 SPEEDLESS = {
     "fold_belt_speed": jc.fold_belt_speed,
-    "nonsmooth_fold_belt_speed": jc.nonsmooth_fold_belt_speed,
+    "dry_fold_belt_speed": jc.dry_fold_belt_speed,
     "find_fold": lambda chain: arrays(jc.boundaries.find_fold(chain)),
     "find_grazing": lambda chain: arrays(jc.boundaries.find_grazing(chain)),
-    "fold_in_the_limit": jc.boundaries.fold_in_the_limit,
+    "extrapolated_fold": jc.boundaries.extrapolated_fold,
     "fold_boundary": jc.boundaries.fold_boundary,
     "bistable_range": lambda chain: jc.boundaries.bistable_range(chain.with_(width=None)),
     "try_boundary": lambda chain: jc.boundaries.try_boundary(chain, 1.7, time=50.0),
@@ -229,7 +235,13 @@ def test_the_mirror_image_has_the_same_branch():
     for a, b in zip(ahead.special, back.special, strict=True):
         assert b.parameter == pytest.approx(-a.parameter, abs=1e-9)
         np.testing.assert_allclose(b.x, -a.x, atol=1e-7)
-    for name, sign in (("parameter", -1), ("x", -1), ("v", -1), ("period", 1), ("closeness", 1)):
+    for name, sign in (
+        ("parameter", -1),
+        ("x", -1),
+        ("v", -1),
+        ("period", 1),
+        ("scaled_peak_velocity", 1),
+    ):
         np.testing.assert_allclose(
             getattr(back, name), sign * getattr(ahead, name), rtol=1e-6, atol=1e-6
         )

@@ -14,7 +14,7 @@ from systems.oscillators import Rayleigh, VanDerPol
 
 import jaxchain as jc
 from jaxchain.basins import AbstractClassifier, AbstractRegion, basin_shares
-from jaxchain.boundaries import nonsmooth_fold_belt_speed
+from jaxchain.boundaries import dry_fold_belt_speed
 from jaxchain.model import AbstractFrictionLaw, AbstractOscillators
 from jaxchain.observers import AbstractObserver, Divergence, Variable
 from jaxchain.simulation.accuracy import fit_linear_solve
@@ -141,7 +141,7 @@ def test_a_law_is_honoured_in_runs_and_sweeps(width):
 @pytest.mark.exhaustive
 def test_a_law_is_honoured_in_folds_cycles_and_branches():
     same(jc.hopf_belt_speed)
-    same(nonsmooth_fold_belt_speed)
+    same(dry_fold_belt_speed)
     for width in (None, 1e-2):
         same(jc.fold_belt_speed, width=width)
         same(lambda chain: jc.find_limit_cycle(chain).period, width=width)
@@ -188,7 +188,7 @@ def test_forces_are_honoured_in_cycles_and_branches():
     state = jnp.array([0.0]), jnp.array([2.0])
     mine, plain = (
         jc.continue_cycle(
-            jc.find_limit_cycle(kind(jnp.asarray(0.3), None), state, period=6.3, vibrating=0),
+            jc.find_limit_cycle(kind(jnp.asarray(0.3), None), state, period=6.3, mass=0),
             parameter="strength", direction=1, bounds=(0.2, 0.5),
         )
         for kind in (Other, Rayleigh)
@@ -199,7 +199,7 @@ def test_forces_are_honoured_in_cycles_and_branches():
 def test_what_is_about_a_belt_refuses_other_forces():
     field = Plain(jnp.asarray(0.3))
     for use in (
-        jc.hopf_belt_speed, jc.fold_belt_speed, nonsmooth_fold_belt_speed, swept,
+        jc.hopf_belt_speed, jc.fold_belt_speed, dry_fold_belt_speed, swept,
         lambda field: jc.simulate(field, (jnp.ones(1), jnp.ones(1)), 1.0, solver=jc.EventDriven()),
     ):  # fmt: skip
         with pytest.raises((ValueError, TypeError), match=r"\bChain\b"):
@@ -225,7 +225,7 @@ class Told(Slow):
     def stick_speed(self):
         return jnp.asarray(0.5)
 
-    def unheld_force(self, x, v):
+    def excess_force(self, x, v):
         return -x
 
     def belt_direction(self):
@@ -240,7 +240,7 @@ class Told(Slow):
 
 @pytest.mark.long
 @honours(
-    AbstractOscillators, "switching", "stick_speed", "unheld_force", "belt_direction",
+    AbstractOscillators, "switching", "stick_speed", "excess_force", "belt_direction",
     "growth_time", "divergence",
 )  # fmt: skip
 def test_what_else_a_field_tells_is_honoured():

@@ -54,7 +54,7 @@ def boundaries(chain, rows):
             "hopf": jc.hopf_belt_speed(own),
             "hopf, dry": jc.hopf_belt_speed(own.with_(width=None)),
             "fold": jc.fold_belt_speed(own),
-            "fold, dry": jc.nonsmooth_fold_belt_speed(own),
+            "fold, dry": jc.dry_fold_belt_speed(own),
         }
 
     return rows.assign(**jax.device_get(both({name: jnp.asarray(rows[name]) for name in rows})))

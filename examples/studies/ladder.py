@@ -68,7 +68,7 @@ def cycle_near(model, pattern):
     mass = int(localization.block_sites(n, k)[k // 2])
     state, period = localization.pattern_guess(model, pattern.phases, first=mass)
     return jc.find_limit_cycle(
-        model.chain, state, period=period, vibrating=mass, images=pattern.images(n), rtol=1e-9,
+        model.chain, state, period=period, mass=mass, images=pattern.images(n), rtol=1e-9,
         throw=False,
     )  # fmt: skip
 

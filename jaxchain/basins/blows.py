@@ -75,8 +75,8 @@ def quiet_radius(chain: Chain) -> Float[Array, ""]:
     ahead = chain.with_(belt_speed=speed)
 
     def gains(velocity: Array) -> Array:
-        own = jnp.full(chain.n, velocity)
-        force = ahead.local_force(0.0, own, own) - ahead.local_force(0.0, own, 0.0 * own)
+        blow = jnp.full(chain.n, velocity)
+        force = ahead.local_force(0.0, blow, blow) - ahead.local_force(0.0, blow, 0.0 * blow)
         return jnp.any(velocity * force > 0.0)
 
     tried = jnp.asarray(np.stack([_SPEEDS, -_SPEEDS])) * speed
@@ -93,7 +93,7 @@ class _Watched(eqx.Module):
     vibrates: Bool[Array, " n"]
 
 
-class Fate(AbstractObserver):
+class DecayOrVibrate(AbstractObserver):
     """Whether a motion dies, or masses go on to stick period after period.
 
     It dies once sqrt(2 E) is less than `radius`; it vibrates once some mass has stuck in every
@@ -131,7 +131,7 @@ class Fate(AbstractObserver):
         assert switching is not None  # what rides on a belt switches
         speed: Any = field.stick_speed()
         held = jnp.abs(switching[0]) <= speed
-        held = held & (field.unheld_force(x, v) <= 0)
+        held = held & (field.excess_force(x, v) <= 0)
         period = 2.0 * jnp.pi / jnp.sqrt(field.stiffness_diagonal(x.shape[0]))
         anew = held & (step.t1 - now.last > _APART * period)
         since = jnp.where(anew, step.t1, now.since)
@@ -157,7 +157,7 @@ class Trials(eqx.Module):
     radius: Float[Array, ""]
     rate: Float[Array, ""]  # at which the least disturbance of steady sliding decays
     horizon: Float[Array, ""]
-    patience: Float[Array, ""]  # see `Fate`
+    patience: Float[Array, ""]  # see `DecayOrVibrate`
 
     @classmethod
     def of(cls, chain: Chain) -> Trials:
@@ -171,15 +171,17 @@ class Trials(eqx.Module):
             frozen, steady_sliding(frozen)[0], quiet_radius(frozen), rate, horizon, jnp.zeros(())
         )
 
-    def patiently(self, level: Int[Array, ""]) -> Trials:
+    def with_longer_runs(self, level: Int[Array, ""]) -> Trials:
         """For a mass that sticks once more and more often until it is said to vibrate."""
         decay = 1.0 / jnp.where(self.rate > 0, self.rate, 1.0)
         patience = jnp.asarray(_PATIENCE)[level] * decay
         return eqx.tree_at(lambda t: t.patience, self, patience)
 
     def run(self, kick: Float[Array, " n"], observe: Any = None) -> Simulation:
-        """The run after a kick from steady sliding; by default it is watched for its `Fate`."""
-        observe = Fate(self.rest, self.radius, self.patience) if observe is None else observe
+        """The run after a kick from steady sliding, by default observed by `DecayOrVibrate`."""
+        observe = (
+            DecayOrVibrate(self.rest, self.radius, self.patience) if observe is None else observe
+        )
         return _run(self.chain, (self.rest, kick), self.horizon, observe)
 
     def dies(self, kick: Float[Array, " n"]) -> tuple[Bool[Array, ""], Float[Array, ""]]:
@@ -239,22 +241,22 @@ _ONCE = (
 def hardest(chain: Chain) -> Float[Array, ""]:
     """The size of the hardest kick that is tried, in each of sqrt(n) directions."""
     stiffness = jnp.min(chain.stiffness_diagonal(chain.n))
-    held = jnp.max(chain.greatest_hold()) / jnp.sqrt(stiffness)
+    held = jnp.max(chain.static_limit()) / jnp.sqrt(stiffness)
     return _HARDEST * jnp.sqrt(chain.n) * (jnp.abs(chain.belt_speed) + held)
 
 
 def as_direction(n: int, direction: Any) -> Float[Array, "1 n"]:
     """A vector made one of length 1, in a batch of one, or `ValueError`."""
     remedy = f"give {n} numbers, one for each mass."
-    found = as_array("direction", direction, 1, 1, remedy)
-    if found.shape != (n,):
-        raise ValueError(f"Argument `direction` has shape {found.shape}, but: {remedy}")
-    check_finite("direction", found, remedy)
-    if not is_traced(found) and not np.any(numbers_of("direction", found)):
+    vector = as_array("direction", direction, 1, 1, remedy)
+    if vector.shape != (n,):
+        raise ValueError(f"Argument `direction` has shape {vector.shape}, but: {remedy}")
+    check_finite("direction", vector, remedy)
+    if not is_traced(vector) and not np.any(numbers_of("direction", vector)):
         raise ValueError(
             f"Argument `direction` must not vanish, but is {shown(direction)}: {remedy}"
         )
-    return (found / jnp.linalg.norm(found))[None, :]
+    return (vector / jnp.linalg.norm(vector))[None, :]
 
 
 class Threshold(eqx.Module):
@@ -270,7 +272,7 @@ class Threshold(eqx.Module):
     runs: Int[Array, ""]
 
 
-class _Bracket(eqx.Module):
+class _SizeBracket(eqx.Module):
     low: Float[Array, ""]
     high: Float[Array, ""]
     dies: Bool[Array, ""]  # whether `low` is known to
@@ -308,13 +310,13 @@ def threshold(
     share = jnp.where(first, _RAISE - 1.0, share)
     high = jnp.maximum(guess, surely) * (1.0 + share)
 
-    def going(now: _Bracket) -> Array:
+    def going(now: _SizeBracket) -> Array:
         wide = now.high - now.low > precision * now.high
         open_ = ~(now.dies & now.vibrates)
         more = (now.low < most) & (now.runs < _MOST_RUNS)
         return wanted & (wide | open_) & more
 
-    def halve(now: _Bracket) -> _Bracket:
+    def halve(now: _SizeBracket) -> _SizeBracket:
         middle = 0.5 * (now.low + now.high)
         size = jnp.where(now.vibrates, middle, now.high)
         size = jnp.where(now.dies, size, now.low)
@@ -322,7 +324,7 @@ def threshold(
         lower = jnp.maximum(surely, size * (1.0 - now.share))
         low = jnp.where(dead, size, jnp.where(now.dies, now.low, lower))
         high = jnp.where(dead & ~now.vibrates & now.dies, size * (1.0 + now.share), now.high)
-        return _Bracket(
+        return _SizeBracket(
             low=low,
             high=jnp.where(dead, high, size),
             dies=now.dies | dead | (low <= surely),
@@ -336,10 +338,10 @@ def threshold(
 
     no, none = jnp.asarray(False), jnp.zeros((), int)
     last = lax.while_loop(
-        going, halve, _Bracket(low, high, low <= surely, no, share, jnp.ones(()), none)
+        going, halve, _SizeBracket(low, high, low <= surely, no, share, jnp.ones(()), none)
     )
-    found = last.dies & last.vibrates & (last.runs < _MOST_RUNS)
-    return Threshold(last.low, jnp.where(found, last.high, jnp.inf), last.time, last.runs)
+    bracketed = last.dies & last.vibrates & (last.runs < _MOST_RUNS)
+    return Threshold(last.low, jnp.where(bracketed, last.high, jnp.inf), last.time, last.runs)
 
 
 def normal(
@@ -365,8 +367,8 @@ def with_derivative(
 
     def residual(u: Array, parameters: Any) -> Array:
         # Less a number, which has no derivative.
-        own, direction, time = parameters
-        return jnp.reshape(energy_after(own, u[0] * direction, time), 1)
+        with_numbers, direction, time = parameters
+        return jnp.reshape(energy_after(with_numbers, u[0] * direction, time), 1)
 
     fixed = lax.stop_gradient((direction, time))
     return attach_derivative(residual, jnp.reshape(size, 1), (chain, *fixed), once=_ONCE)[0]
@@ -430,8 +432,8 @@ def search(
 
     def chunk(best: Descended, number: Array) -> tuple[Descended, Array]:
         last = number == chunks
-        own = jax.vmap(fresh)(starts[jnp.minimum(number, chunks - 1)])
-        begin = where(last, best, own)
+        begins = jax.vmap(fresh)(starts[jnp.minimum(number, chunks - 1)])
+        begin = where(last, best, begins)
         begin = eqx.tree_at(lambda d: (d.count, d.refused), begin, replace_fn=jnp.zeros_like)
         until = jnp.where(last, tolerance, jnp.maximum(_ANGLE_APART, tolerance))
         fine = jnp.where(last, 10.0 * _FINE, 1.0)
@@ -467,8 +469,8 @@ def descend(
         hopeful = (now.refused < _MOST_REFUSED) & (now.count < steps)
         # No threshold along the start: nothing to descend.
         lost = jnp.isinf(now.size) & (now.count > 0)
-        there = (now.angle <= tolerance) & (now.precision <= fine)
-        return hopeful & ~there & ~lost
+        arrived = (now.angle <= tolerance) & (now.precision <= fine)
+        return hopeful & ~arrived & ~lost
 
     def round_(now: Descended) -> Descended:
         first, wanted = jnp.isinf(now.angle), going(now)
@@ -484,24 +486,24 @@ def descend(
         share = jnp.where(same, now.precision, share)
         precision = jnp.clip(_SHARE * now.angle**2, _FINE, _COARSE)
         precision = jnp.where(same, _FINE, precision)
-        found = threshold(trials, embed(u), guess, share, precision, wanted)
-        good = jnp.isfinite(found.high)
-        better = found.high <= now.size * (1.0 + 2.0 * _FINE)
+        edge = threshold(trials, embed(u), guess, share, precision, wanted)
+        good = jnp.isfinite(edge.high)
+        better = edge.high <= now.size * (1.0 + 2.0 * _FINE)
         good = good & (first | same | better)
-        z = normal(trials, embed, found.low * u, jnp.where(good & wanted, found.time, 0.0))
+        z = normal(trials, embed, edge.low * u, jnp.where(good & wanted, edge.time, 0.0))
 
         along = jnp.sum(z * u)
         tangent = z - along * u
         angle = jnp.arctan2(jnp.sqrt(jnp.sum(tangent**2)), along)
         slope = -tangent / along
-        step, state = transform.update(slope, now.state, u, value=jnp.log(found.high), grad=slope)
+        step, state = transform.update(slope, now.state, u, value=jnp.log(edge.high), grad=slope)
         far = jnp.sqrt(jnp.sum(step**2))
         step = step * jnp.minimum(1.0, _LONGEST_STEP / jnp.where(far > 0, far, 1.0))
         sound = good & jnp.isfinite(angle) & jnp.all(jnp.isfinite(step))
         # What was too long once may be again.
         longer, none = jnp.minimum(1.0, 2.0 * now.length), jnp.zeros((), int)
         taken = Descended(
-            u, found.high, precision, angle, z, step, longer, state, none, now.count + 1
+            u, edge.high, precision, angle, z, step, longer, state, none, now.count + 1
         )
         refused = eqx.tree_at(
             lambda d: (d.length, d.refused, d.count),
@@ -522,9 +524,9 @@ def some_starts(m: int, equal: bool, random: int) -> Float[np.ndarray, "chunks l
     some = np.concatenate([ways, ways + beside, ways - beside, np.ones((1, m)), [alternating]])
     random += -(2 * len(some) + random) % _LANES  # to fill the last chunk
     chance = np.random.default_rng(0).standard_normal((random, m))
-    found = np.concatenate([some, -some, chance])
-    found = found / np.linalg.norm(found, axis=1, keepdims=True)
-    return found.reshape(-1, _LANES, m)
+    starts = np.concatenate([some, -some, chance])
+    starts = starts / np.linalg.norm(starts, axis=1, keepdims=True)
+    return starts.reshape(-1, _LANES, m)
 
 
 def is_ring_of_equals(chain: Chain) -> bool:
@@ -681,7 +683,7 @@ class _Attempt(eqx.Module):
     """A blow and what became of its runs."""
 
     direction: Float[Array, " n"]
-    found: Threshold
+    threshold: Threshold
     angle: Float[Array, ""]
     sizes: Float[Array, " starts"]
     ended: SearchResult
@@ -690,26 +692,26 @@ class _Attempt(eqx.Module):
 
     def sizes_tried(self) -> Float[Array, " three"]:
         """1 % less, what just vibrates, 1 % more."""
-        return _around(self.found)
+        return _around(self.threshold)
 
     def holds(self) -> Bool[Array, ""]:
         return jnp.all(self.goes_on == jnp.array([False, True, True]))
 
     def none(self) -> Bool[Array, ""]:
         """Whether nothing vibrates."""
-        return jnp.isinf(self.found.high)
+        return jnp.isinf(self.threshold.high)
 
 
-def _around(found: Threshold) -> Float[Array, " three"]:
-    size = jnp.where(jnp.isinf(found.high), found.low, found.high)
+def _around(threshold: Threshold) -> Float[Array, " three"]:
+    size = jnp.where(jnp.isinf(threshold.high), threshold.low, threshold.high)
     return size * jnp.array([1.0 - _MARGIN, 1.0, 1.0 + _MARGIN])
 
 
 def _certified(
-    trials: Trials, u: Array, found: Threshold, angle: Array, sizes: Array, ended: SearchResult
+    trials: Trials, u: Array, threshold: Threshold, angle: Array, sizes: Array, ended: SearchResult
 ) -> _Attempt:
-    ends = jax.vmap(lambda size: trials.ends(size * u))(_around(found))
-    return _Attempt(u, found, angle, sizes, ended, *ends)
+    ends = jax.vmap(lambda size: trials.ends(size * u))(_around(threshold))
+    return _Attempt(u, threshold, angle, sizes, ended, *ends)
 
 
 @eqx.filter_jit
@@ -717,17 +719,17 @@ def _along(chain: Chain, directions: Float[Array, "ways n"], tries: int) -> Blow
     """The gentlest of one or two ways to kick, of which only the size is searched for."""
 
     def attempt(trials: Trials) -> _Attempt:
-        found = jax.vmap(lambda u: threshold(trials, u, *upwards(trials), _PRECISION))(directions)
-        best = jnp.argmin(found.high)
-        own = jax.tree.map(lambda leaf: leaf[best], found)
-        sizes, angle = jnp.sort(found.high), jnp.asarray(jnp.nan)
+        edges = jax.vmap(lambda u: threshold(trials, u, *upwards(trials), _PRECISION))(directions)
+        best = jnp.argmin(edges.high)
+        edge = jax.tree.map(lambda leaf: leaf[best], edges)
+        sizes, angle = jnp.sort(edges.high), jnp.asarray(jnp.nan)
         ended = SearchResult.successful
-        return _certified(trials, directions[best], own, angle, sizes, ended)
+        return _certified(trials, directions[best], edge, angle, sizes, ended)
 
     def another(key: Array, u: Array) -> Array:
         return jax.random.uniform(key) * u
 
-    return _patiently(chain, attempt, another, tries)
+    return _with_longer_runs(chain, attempt, another, tries)
 
 
 @eqx.filter_jit
@@ -747,14 +749,14 @@ def _over(
         u = embed(end.direction)
         if equal:
             u = jnp.roll(u, reference_site(n) - jnp.argmax(jnp.abs(u)))
-        own = threshold(trials, u, end.size, _NEARBY, _PRECISION)
+        edge = threshold(trials, u, end.size, _NEARBY, _PRECISION)
         of = SearchResult
         stalled = end.count < steps
         ended = of.where(stalled, of.no_step_helps, of.max_steps_reached)
         near = (end.angle <= tolerance) | (stalled & (end.angle <= NEARLY))
         # Where nothing vibrates there is no angle either.
         ended = of.where(near | jnp.isinf(end.size), of.successful, ended)
-        return _certified(trials, u, own, end.angle, sizes, ended)
+        return _certified(trials, u, edge, end.angle, sizes, ended)
 
     def another(key: Array, u: Array) -> Array:
         which, kind, far = jax.random.split(key, 3)
@@ -762,13 +764,13 @@ def _over(
         tangent = jnp.exp(jax.random.uniform(far, minval=least, maxval=most))
         any_ = jax.random.normal(which, (len(chosen),))
         any_ = embed(any_ / jnp.linalg.norm(any_))
-        there = jnp.where(jax.random.bernoulli(kind), any_, u + tangent * any_)
-        return there / jnp.linalg.norm(there)
+        direction = jnp.where(jax.random.bernoulli(kind), any_, u + tangent * any_)
+        return direction / jnp.linalg.norm(direction)
 
-    return _patiently(chain, attempt, another, tries)
+    return _with_longer_runs(chain, attempt, another, tries)
 
 
-def _patiently(
+def _with_longer_runs(
     chain: Chain,
     attempt: Callable[[Trials], _Attempt],
     another: Callable[[Array, Array], Array],
@@ -783,16 +785,16 @@ def _patiently(
         return wanted & (level < LEVELS) & ((level == 0) | (trials.rate > 0))
 
     def once_more(now: tuple[Array, _Attempt]) -> tuple[Array, _Attempt]:
-        return now[0] + 1, attempt(trials.patiently(now[0]))
+        return now[0] + 1, attempt(trials.with_longer_runs(now[0]))
 
     shapes = eqx.filter_eval_shape(attempt, trials)
     nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
     levels, last = lax.while_loop(going, once_more, (jnp.zeros((), int), nothing))
-    patient = trials.patiently(levels - 1)
-    size = 0.5 * (last.found.low + last.found.high)
+    patient = trials.with_longer_runs(levels - 1)
+    size = 0.5 * (last.threshold.low + last.threshold.high)
     # Of what was not found the derivative is that of a kick without a run.
     good = last.holds() & ~last.none() & (trials.rate > 0)
-    time, at = jnp.where(good, last.found.time, 0.0), jnp.where(good, size, 1.0)
+    time, at = jnp.where(good, last.threshold.time, 0.0), jnp.where(good, size, 1.0)
     attached = with_derivative(chain, at, last.direction, time)
     return _blow(patient, last, jnp.where(good, attached, size), another, tries)
 
@@ -805,9 +807,9 @@ def _of_one_mass(chain: Chain, tries: int) -> Blow:
     size = jnp.where(up, basin.up, basin.down)
     fixed = lax.stop_gradient(size)
     u = jnp.where(up, 1.0, -1.0)[None]
-    found = Threshold(fixed, fixed, jnp.zeros(()), jnp.zeros((), int))
+    limit = Threshold(fixed, fixed, jnp.zeros(()), jnp.zeros((), int))
     sizes = lax.stop_gradient(jnp.sort(jnp.stack([basin.up, basin.down])))
-    last = _certified(trials, u, found, jnp.zeros(()), sizes, basin.result)
+    last = _certified(trials, u, limit, jnp.zeros(()), sizes, basin.result)
     # Of what lies on the edge itself no run can tell.
     last = eqx.tree_at(lambda a: a.goes_on, last, last.goes_on.at[1].set(True))
     return _blow(trials, last, size, lambda key, u: jax.random.uniform(key) * u, tries)

@@ -340,14 +340,14 @@ class VibratingMasses(AbstractClassifier):
             return "vibrating"
         verb = "vibrates" if count == 1 else "vibrate"
         if self.by == "count":
-            told = ", ".join(
+            phases = ", ".join(
                 f"{c} {word}" for c, word in zip(code[1:], _PHASES, strict=False) if c
             )
-            return f"{count} {verb}" + (f": {told}" if told else "")
+            return f"{count} {verb}" + (f": {phases}" if phases else "")
         who = []
-        for mass, own in enumerate(code):
-            if own > 0:
-                phase = f" {_PHASES[own // 2 - 1]}" if own > 1 else ""
+        for mass, word in enumerate(code):
+            if word > 0:
+                phase = f" {_PHASES[word // 2 - 1]}" if word > 1 else ""
                 who.append(f"{mass + 1}{phase}")
         return f"{', '.join(who)} {verb}"
 
@@ -372,5 +372,5 @@ def _canonical(code: np.ndarray, chain: Chain) -> np.ndarray:
     # The phase of a pair stands at its second mass, which is the first one in the mirror.
     mirrored = vibrates[::-1] + 2 * np.roll(phase[::-1], 1)
     turns = range(len(code) if chain.ends == "cyclic" else 1)
-    images = [np.roll(own, turn) for own in (code, mirrored) for turn in turns]
+    images = [np.roll(image, turn) for image in (code, mirrored) for turn in turns]
     return max(images, key=tuple)

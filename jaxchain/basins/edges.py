@@ -25,7 +25,7 @@ from ..observers.quantities import active
 from ..observers.section import Section
 from ..observers.stick_time import StickTime
 from ..result import Outcome, SearchResult, ended_well
-from ..simulation.accuracy import MAX_STEP, check_resolved, check_tolerances, own_solver
+from ..simulation.accuracy import MAX_STEP, check_resolved, check_tolerances, custom_solver
 from ..simulation.run import MOST_SEGMENTS, simulate
 
 # Two states, stacked: on the quiet side, on the other.
@@ -57,7 +57,7 @@ class Tracking(eqx.Module):
     solver: Any
 
 
-class Bracket(eqx.Module):
+class EdgeSearch(eqx.Module):
     """The search under way; along an axis of 2 the quiet side is first, then the other."""
 
     stage: Int[Array, ""]
@@ -98,13 +98,13 @@ def gap(pair: Pair) -> Float[Array, ""]:
     return jnp.sqrt(sum(jnp.sum((part[1] - part[0]) ** 2) for part in pair))
 
 
-def track(chain: Chain, quiet: State, vibrating: State, how: Tracking) -> Bracket:
+def track(chain: Chain, quiet: State, vibrating: State, how: Tracking) -> EdgeSearch:
     """The bracket of the edge between two starts, after tracking."""
     x, v = (jnp.stack(parts) for parts in zip(quiet, vibrating, strict=True))
     n = x.shape[1]
     zero, blank = jnp.zeros((), int), jnp.full((2, n), jnp.nan, float)
     nobody = jnp.zeros((2, n), bool)
-    first = Bracket(
+    first = EdgeSearch(
         stage=zero + SETTLE, final=jnp.asarray(False), x=x, v=v, runs=(x, v), count=zero,
         low=blank, high=blank, last_low=blank, last_high=blank, vibrates=nobody, sides=nobody,
         pattern=nobody, agree=jnp.zeros(2, int), widened=zero, tracked=zero,
@@ -121,7 +121,7 @@ def track(chain: Chain, quiet: State, vibrating: State, how: Tracking) -> Bracke
         amplitude, held = run.observed
         return run.state, amplitude, held > 0, ended_well(run.result)
 
-    def window(now: Bracket) -> Bracket:
+    def window(now: EdgeSearch) -> EdgeSearch:
         runs, amplitude, sticks, well = jax.vmap(advance)(now.runs)
         now = replace(now, runs=runs, count=now.count + 1)
         stages = [
@@ -141,11 +141,11 @@ def _well() -> SearchResult:
     return SearchResult.where(jnp.asarray(True), good, good)  # an array, as in every later turn
 
 
-def _either(condition: Array, yes: Bracket, no: Bracket) -> Bracket:
+def _either(condition: Array, yes: EdgeSearch, no: EdgeSearch) -> EdgeSearch:
     return jax.tree.map(lambda a, b: jnp.where(condition, a, b), yes, no)
 
 
-def _failed(now: Bracket, bad: Array, why: SearchResult) -> Bracket:
+def _failed(now: EdgeSearch, bad: Array, why: SearchResult) -> EdgeSearch:
     """The same, ended if it is `bad`."""
     return replace(
         now,
@@ -154,7 +154,7 @@ def _failed(now: Bracket, bad: Array, why: SearchResult) -> Bracket:
     )
 
 
-def _settle(chain: Chain, now: Bracket, amplitude: Array, how: Tracking) -> Bracket:
+def _settle(chain: Chain, now: EdgeSearch, amplitude: Array, how: Tracking) -> EdgeSearch:
     """Both starts run on until the ranges of their amplitudes agree from block to block.
 
     Each block is twice as long as the one before it.  Only masses in which the states differ are
@@ -198,29 +198,29 @@ def _thirds(part: Array) -> Array:
     return jnp.stack([part[0] + step, part[1] - step])
 
 
-def _begin(now: Bracket, stage: int, runs: Pair) -> Bracket:
+def _begin(now: EdgeSearch, stage: int, runs: Pair) -> EdgeSearch:
     zero = jnp.zeros((), int)
     return replace(now, stage=zero + stage, runs=runs, count=zero, agree=jnp.zeros(2, int))
 
 
-def _begin_cut(now: Bracket) -> Bracket:
+def _begin_cut(now: EdgeSearch) -> EdgeSearch:
     return _begin(now, CUT, (_thirds(now.x), _thirds(now.v)))
 
 
-def _scale(now: Bracket) -> Array:
+def _scale(now: EdgeSearch) -> Array:
     """The greatest amplitude of the masses in question."""
     differs = now.vibrates[0] != now.vibrates[1]
     return jnp.max(jnp.where(differs, jnp.max(now.last_high, axis=0), 0.0))
 
 
-def _sides(now: Bracket) -> tuple[Array, Array, Array]:
+def _sides(now: EdgeSearch) -> tuple[Array, Array, Array]:
     """(masses in which the states differ, their amplitudes quiet and not), shape (1, n) each."""
     (one, other), low, high = now.vibrates, now.last_low, now.last_high
     quiet, lively = jnp.where(other, high[0], high[1]), jnp.where(other, low[1], low[0])
     return (one != other)[None], quiet[None], lively[None]
 
 
-def is_between(now: Bracket, amplitude: Float[Array, " n"]) -> Bool[Array, ""]:
+def is_between(now: EdgeSearch, amplitude: Float[Array, " n"]) -> Bool[Array, ""]:
     """Whether amplitudes on the edge are well above those that decide that a mass is quiet.
 
     Otherwise that may have been decided of runs that were not.
@@ -229,7 +229,7 @@ def is_between(now: Bracket, amplitude: Float[Array, " n"]) -> Bool[Array, ""]:
     return jnp.any(differs & (amplitude[None] > quiet + 2.0 * _NEAR_LOW * (lively - quiet)))
 
 
-def _judge(chain: Chain, now: Bracket, amplitude: Array, sticks: Array) -> Bracket:
+def _judge(chain: Chain, now: EdgeSearch, amplitude: Array, sticks: Array) -> EdgeSearch:
     """With what a window says of both runs."""
     differs, quiet, lively = _sides(now)
     way = lively - quiet
@@ -246,21 +246,21 @@ def _judge(chain: Chain, now: Bracket, amplitude: Array, sticks: Array) -> Brack
     return replace(now, pattern=pattern, agree=agree)
 
 
-def _decided(now: Bracket) -> tuple[Bool[Array, " 2"], Bool[Array, " 2"]]:
+def _decided(now: EdgeSearch) -> tuple[Bool[Array, " 2"], Bool[Array, " 2"]]:
     """(which of the runs are decided, which are quiet)."""
     differs = (now.vibrates[0] != now.vibrates[1])[None]
     quiet = jnp.all(~differs | (now.pattern == now.vibrates[:1]), axis=1)
     return now.agree >= _AGREE, quiet
 
 
-def _narrowed(now: Bracket, side: int, third: int) -> Bracket:
+def _narrowed(now: EdgeSearch, side: int, third: int) -> EdgeSearch:
     """The end on one side moved to a third of the bracket."""
     x = now.x.at[side].set(_thirds(now.x)[third])
     v = now.v.at[side].set(_thirds(now.v)[third])
     return replace(now, x=x, v=v, sides=now.sides.at[side].set(now.pattern[third]))
 
 
-def _cut(now: Bracket, how: Tracking) -> Bracket:
+def _cut(now: EdgeSearch, how: Tracking) -> EdgeSearch:
     """One end is moved as soon as the runs allow it."""
     decided, quiet = _decided(now)
     below, beyond = decided & quiet, decided & ~quiet
@@ -274,7 +274,7 @@ def _cut(now: Bracket, how: Tracking) -> Bracket:
     return _failed(new, ~done & (now.count >= how.patience), SearchResult.undecided)
 
 
-def _track(now: Bracket, amplitude: Array, how: Tracking) -> Bracket:
+def _track(now: EdgeSearch, amplitude: Array, how: Tracking) -> EdgeSearch:
     """Both ends go on; the motion between them is recorded."""
     scale, distance, mean = _scale(now), gap(now.runs), jnp.mean(amplitude, axis=0)
     sharp = distance <= how.tolerance * scale
@@ -295,7 +295,7 @@ def _track(now: Bracket, amplitude: Array, how: Tracking) -> Bracket:
     return _either(over, _begin(left, CHECK, (x, v)), new)
 
 
-def _check(now: Bracket, how: Tracking) -> Bracket:
+def _check(now: EdgeSearch, how: Tracking) -> EdgeSearch:
     """The ends must still lie on either side; errors of the runs may have moved both to one."""
     decided, quiet = _decided(now)
     both, same = jnp.all(decided), quiet[0] == quiet[1]
@@ -375,8 +375,8 @@ class EdgeState(Outcome):
                 "Argument `edge` is not periodic, so that there is no cycle to close: its `gap` "
                 f"after a turn is {float(self.gap):.1e}."
             )
-        vibrating = None if is_traced(self.mass) else int(self.mass)
-        how = {"vibrating": vibrating} | how
+        mass = None if is_traced(self.mass) else int(self.mass)
+        how = {"mass": mass} | how
         return find_limit_cycle(self.chain, (self.state, self.period), **how)
 
 
@@ -470,7 +470,7 @@ def edge_state(
             "the ends of the bracket run on from the one distance to the other."
         )
     check_tolerances(rtol, None, MAX_STEP)
-    solver = own_solver(chain, solver)
+    solver = custom_solver(chain, solver)
     if not chain.dry:
         check_resolved(chain.n, chain.width, chain.belt_speed, rtol, None)
     windows = _count(time, window)
@@ -506,41 +506,41 @@ def _edge(chain: Chain, quiet: State, vibrating: State, how: Tracking) -> EdgeSt
         "differentiated, and in there the cycle on it, `find_limit_cycle(chain, (edge.state, "
         "edge.period))`, which has them.",
     )
-    found = track(frozen, quiet, vibrating, how)
-    below, above = ((found.x[side], found.v[side]) for side in (0, 1))
+    bracket = track(frozen, quiet, vibrating, how)
+    below, above = ((bracket.x[side], bracket.v[side]) for side in (0, 1))
     state = 0.5 * (below[0] + above[0]), 0.5 * (below[1] + above[1])
-    difference = found.last_high[1] - found.last_high[0]
-    differs = found.vibrates[0] != found.vibrates[1]
+    difference = bracket.last_high[1] - bracket.last_high[0]
+    differs = bracket.vibrates[0] != bracket.vibrates[1]
     mass = jnp.argmax(jnp.where(differs, jnp.abs(difference), -1.0))
     amplitude, period, missing, well = _last(frozen, state, mass, how)
     result = SearchResult.where(
-        (found.result == SearchResult.successful) & ~well, SearchResult.nonfinite, found.result
+        (bracket.result == SearchResult.successful) & ~well, SearchResult.nonfinite, bracket.result
     )
-    close = (result == SearchResult.successful) & ~is_between(found, amplitude)
+    close = (result == SearchResult.successful) & ~is_between(bracket, amplitude)
     result = SearchResult.where(close, SearchResult.too_close, result)
     followed = result == SearchResult.successful
-    other = jnp.any(found.sides != found.vibrates)
-    late = SearchResult.where(found.settled, result, SearchResult.not_settled)
+    other = jnp.any(bracket.sides != bracket.vibrates)
+    late = SearchResult.where(bracket.settled, result, SearchResult.not_settled)
     late = SearchResult.where(other, SearchResult.other_state, late)
     result = SearchResult.where(followed, late, result)
 
-    def known(tree: Any) -> Any:
+    def if_exists(tree: Any) -> Any:
         return jax.tree.map(lambda a: jnp.where(followed, a, jnp.nan), tree)
 
     return EdgeState(
         chain=chain,
-        state=known(state),
-        below=known(below),
-        above=known(above),
-        distance=known(found.distance),
-        amplitude=known(amplitude),
-        period=known(period),
-        gap=known(missing),
-        vibrates=found.sides,
+        state=if_exists(state),
+        below=if_exists(below),
+        above=if_exists(above),
+        distance=if_exists(bracket.distance),
+        amplitude=if_exists(amplitude),
+        period=if_exists(period),
+        gap=if_exists(missing),
+        vibrates=bracket.sides,
         mass=mass,
         times=how.window * (1.0 + jnp.arange(how.windows)),
-        amplitudes=found.amplitudes,
-        distances=found.distances,
+        amplitudes=bracket.amplitudes,
+        distances=bracket.distances,
         result=result,
     )
 

@@ -149,11 +149,11 @@ class Box(AbstractRegion):
                     f"Argument `{name}` must be two numbers, but is {shown(edges)}: {_EDGES}"
                 )
             check_finite(name, edges, _EDGES)
-            known = None if is_traced(edges) else numbers_of(name, edges)
-            if known is not None and not known[0] < known[1]:
+            numbers = None if is_traced(edges) else numbers_of(name, edges)
+            if numbers is not None and not numbers[0] < numbers[1]:
                 raise ValueError(
                     f"Argument `{name}` must be (low, high) with low < high, but is "
-                    f"{tuple(known.tolist())}: {_EDGES}"
+                    f"{tuple(numbers.tolist())}: {_EDGES}"
                 )
         _check_masses(self.masses)
 
@@ -299,7 +299,7 @@ class Points:
     ):
         self.dimension, self.replicates = dimension, replicates
         seeds = np.random.SeedSequence(seed).spawn(replicates)
-        rngs = [np.random.default_rng(own) for own in seeds]
+        rngs = [np.random.default_rng(seed_i) for seed_i in seeds]
         if kind == "sobol":
             self._draw = [qmc.Sobol(dimension, rng=rng, bits=_BITS).random for rng in rngs]
         else:

@@ -38,7 +38,7 @@ from ..model.arguments import as_chain
 from ..model.chain import Chain
 from ..result import ended_well
 from ..sweeps.axes import Axes, check_axes, jobs, sizes
-from ..sweeps.lanes import Starts, with_numbers
+from ..sweeps.lanes import RunStarts, with_numbers
 from ..sweeps.programs import starts_on
 from ..sweeps.scheduler import lane_count
 from ..sweeps.sweeping import SweepInterrupted, sweep
@@ -122,15 +122,15 @@ class Tally:
         """The number of the state that each run was in when it ended; 0 of one that failed."""
         well = ~batch.failed
         different, places = np.unique(batch.codes[well], axis=0, return_inverse=True)
-        known = []
+        of_codes = []
         for code in different:
             key = code.tobytes()
             if key not in self._numbers:
                 self._numbers[key] = len(self.codes)
                 self.codes.append(code)
-            known.append(self._numbers[key])
+            of_codes.append(self._numbers[key])
         numbers = np.zeros(well.shape, int)
-        numbers[well] = np.array(known, int)[places.ravel()]
+        numbers[well] = np.array(of_codes, int)[places.ravel()]
         return numbers
 
     def add(self, batch: Batch) -> None:
@@ -166,13 +166,13 @@ class Tally:
 
     def bars(self, *, even: bool) -> Bars:
         """Of all states, "undecided" and "failed"; `even` if the points come in sequences."""
-        own = self.shares(self.state, self.states + 2)
-        mean, reach = of_replicates(own, 1)
-        total = own.shape[1] * self.starts
+        shares = self.shares(self.state, self.states + 2)
+        mean, reach = of_replicates(shares, 1)
+        total = shares.shape[1] * self.starts
         count = np.round(mean * total)
         low, high = wilson(count, total)
         if even:
-            enough = np.minimum(count, total - count) >= _FEW * own.shape[1]
+            enough = np.minimum(count, total - count) >= _FEW * shares.shape[1]
             low = np.where(enough, np.maximum(mean - reach, 0.0), low)
             high = np.where(enough, np.minimum(mean + reach, 1.0), high)
         return Bars(mean, low, high)
@@ -210,8 +210,8 @@ class Runs:
 
     def at(self, places: Int[np.ndarray, " runs"]) -> dict[str, np.ndarray]:
         """The parameters of these places."""
-        own = jobs(self.axes) if self.axes else {}
-        return {name: values[places] for name, values in own.items()}
+        columns = jobs(self.axes) if self.axes else {}
+        return {name: values[places] for name, values in columns.items()}
 
     @property
     def shape(self) -> dict[str, int]:
@@ -225,8 +225,8 @@ class Runs:
         data = self._sweep(over, self.classify, self.t1, name)
         first = data.isel(start=0, drop=True)
         named = {str(name): c.variable for name, c in first.coords.items()}
-        own = [name for name in named if name not in ("oscillator", "point")]
-        self.coords = {name: named[name] for name in own}
+        varied = [name for name in named if name not in ("oscillator", "point")]
+        self.coords = {name: named[name] for name in varied}
         self.attrs = data.attrs
         return Batch.read(data, self.classify, self.chain, (-1, *points.shape[:2]))
 
@@ -258,8 +258,8 @@ class Runs:
     ) -> tuple[np.ndarray, np.ndarray]:
         """(x, v), both of shape (runs, n), from these points at the parameters of these places."""
         values = {**self.at(places), "point": points}
-        own = {name: jnp.asarray(column) for name, column in values.items()}
-        made = starts_on(jax.local_devices()[0], Starts(self.chain, self.initial), own)
+        columns = {name: jnp.asarray(column) for name, column in values.items()}
+        made = starts_on(jax.local_devices()[0], RunStarts(self.chain, self.initial), columns)
         x, v = made.state
         return np.asarray(x), np.asarray(v)
 
@@ -268,16 +268,16 @@ def verdicts_of(
     runs: Runs, places: Int[np.ndarray, " runs"], x: np.ndarray, v: np.ndarray, progress: bool
 ) -> list[str]:
     """The verdicts on the motions from these starts, each at the parameters of its place."""
-    found = [""] * len(places)
+    words = [""] * len(places)
     for place in np.unique(places):
         here = np.nonzero(places == place)[0]
         values = runs.at(np.array([place]))
-        chain = with_numbers(runs.chain, {name: own[0] for name, own in values.items()})
+        chain = with_numbers(runs.chain, {name: value[0] for name, value in values.items()})
         settings: dict[str, Any] = {"solver": runs.numerics.get("solver"), "progress": progress}
-        own = verdicts(chain, (jnp.asarray(x[here]), jnp.asarray(v[here])), **settings)
-        for number, one in zip(here, own, strict=True):
-            found[number] = one.verdict
-    return found
+        judged = verdicts(chain, (jnp.asarray(x[here]), jnp.asarray(v[here])), **settings)
+        for number, one in zip(here, judged, strict=True):
+            words[number] = one.verdict
+    return words
 
 
 class Checked(NamedTuple):
@@ -306,16 +306,16 @@ def check_again(
     state = tally.state.reshape(tally.state.shape[0], -1)
     picks: list[tuple[int, int, int, float]] = []  # place, state, start, the share it stands for
     rng = np.random.default_rng([seed, 1])
-    for place, own in enumerate(state if runs.classify.patient() is not None else ()):
-        found, counts = np.unique(own[own < tally.states], return_counts=True)
+    for place, reached in enumerate(state if runs.classify.patient() is not None else ()):
+        present, counts = np.unique(reached[reached < tally.states], return_counts=True)
         left = 2 * most
         for k in np.argsort(-counts) if most else ():
-            wanted = max(1, round(float(most * counts[k] / own.size)))
+            wanted = max(1, round(float(most * counts[k] / reached.size)))
             count = min(int(counts[k]), wanted, left)
             left -= count
-            chosen = rng.choice(np.nonzero(own == found[k])[0], count, replace=False)
-            share = float(counts[k] / own.size / max(count, 1))
-            picks += [(place, int(found[k]), int(start), share) for start in chosen]
+            chosen = rng.choice(np.nonzero(reached == present[k])[0], count, replace=False)
+            share = float(counts[k] / reached.size / max(count, 1))
+            picks += [(place, int(present[k]), int(start), share) for start in chosen]
     if not picks:
         return not_checked(tally)
     places, before, starts, shares = (np.array(column) for column in zip(*picks, strict=True))
@@ -347,16 +347,16 @@ def to_dataset(
 
     from ..sweeps.ensemble import LONG_NAMES
 
-    chain, classify, known = runs.chain, runs.classify, tally.states
+    chain, classify, known_states = runs.chain, runs.classify, tally.states
     state, at_end = tally.state, tally.at_end
     numbers = [dict(classify.numbers(code, chain)) for code in tally.codes]
-    failed = np.any(state > known)
+    failed = np.any(state > known_states)
     # Those of which more masses vibrate later; then by how likely they are.
-    likely = -bars.share[:, :known].mean(0)
-    order = sorted(range(known), key=lambda k: (*numbers[k].values(), likely[k]))
-    order += [known, known + 1][: 1 + failed]
+    likely = -bars.share[:, :known_states].mean(0)
+    order = sorted(range(known_states), key=lambda k: (*numbers[k].values(), likely[k]))
+    order += [known_states, known_states + 1][: 1 + failed]
     names = [classify.name(code, chain) for code in tally.codes] + [UNDECIDED, FAILED]
-    first, settling = _of_states(state, tally.since, known + 2)
+    first, settling = _of_states(state, tally.since, known_states + 2)
     places, states = np.nonzero(first >= 0)
     x, v = (np.full((*first.shape, chain.n), np.nan) for _ in range(2))
     at = points[first[places, states]]
@@ -368,7 +368,7 @@ def to_dataset(
         values = np.take(values, order, axis) if states else values
         return (*dims, *more), values.reshape((*shape, *values.shape[1:]))
 
-    end = tally.shares(at_end, known + 2).mean(1)
+    end = tally.shares(at_end, known_states + 2).mean(1)
     about_k = {
         "share": (bars.share, "share of the starts that end in the state"),
         "low": (bars.low, "lower end of the 95 % interval of the share"),
@@ -382,37 +382,37 @@ def to_dataset(
         for name, (values, text) in about_k.items()
     }
     variables["replicate_share"] = (
-        *over(tally.shares(state, known + 2), "replicate", "state"),
+        *over(tally.shares(state, known_states + 2), "replicate", "state"),
         {"long_name": "share in one sequence of starts", "units": "1"},
     )
     for name, values, unit in (("displacement", x, "x0"), ("velocity", v, "x0 omega_n")):
-        told = {"long_name": f"{name} of a start that ends in the state", "units": unit}
-        variables[f"start_{name}"] = (*over(values, "state", "oscillator"), told)
+        attrs = {"long_name": f"{name} of a start that ends in the state", "units": unit}
+        variables[f"start_{name}"] = (*over(values, "state", "oscillator"), attrs)
     if judge:
         words = np.full(first.shape, "", dtype="<U32")
         progress = runs.numerics["progress"]
         words[places, states] = verdicts_of(
             runs, places, x[places, states], v[places, states], progress
         )
-        told = {"long_name": "verdict on the motion from that start", "units": "1"}
-        variables["verdict"] = (*over(words, "state"), told)
+        attrs = {"long_name": "verdict on the motion from that start", "units": "1"}
+        variables["verdict"] = (*over(words, "state"), attrs)
     alone = {
-        "undecided": (bars.share[:, known], "share of the starts that are not decided"),
+        "undecided": (bars.share[:, known_states], "share of the starts that are not decided"),
         "misclassified": (seen.lost.sum(1), "share of the starts decided too early"),
         "changed_later": (seen.leaving.sum(1), "share of the starts in another state later"),
     }
     for name, (values, text) in alone.items():
-        told = {"long_name": text, "units": "1"}
-        variables[name] = (*over(values, states=False), told)
+        attrs = {"long_name": text, "units": "1"}
+        variables[name] = (*over(values, states=False), attrs)
     coords = dict(runs.coords)
-    told = {"long_name": "state in which a run ends"}
-    coords["state"] = ("state", np.array([names[k] for k in order]), told)
+    attrs = {"long_name": "state in which a run ends"}
+    coords["state"] = ("state", np.array([names[k] for k in order]), attrs)
     masses = {"long_name": LONG_NAMES["oscillator"], "units": "1"}
     coords["oscillator"] = ("oscillator", np.arange(1, chain.n + 1), masses)
     for name in numbers[0] if numbers else ():
-        column = [numbers[k][name] if k < known else np.nan for k in order]
-        told = {"long_name": f"{name}, as the classifier says of the state", "units": "1"}
-        coords[name] = ("state", np.array(column, float), told)
+        column = [numbers[k][name] if k < known_states else np.nan for k in order]
+        attrs = {"long_name": f"{name}, as the classifier says of the state", "units": "1"}
+        coords[name] = ("state", np.array(column, float), attrs)
     return Dataset(variables, coords=coords, attrs=runs.attrs)
 
 
@@ -577,8 +577,8 @@ def basin_shares(
         at = np.concatenate(drawn, axis=1).reshape(-1, drawn[0].shape[-1])
         bars = tally.bars(even=points == "sobol")
         bars_kept = bars.widened(seen.lost, seen.gained)
-        found = to_dataset(runs, tally, bars_kept, seen, at, judge)
-        found.attrs |= {
+        data = to_dataset(runs, tally, bars_kept, seen, at, judge)
+        data.attrs |= {
             "starts": len(at),
             "replicates": replicates,
             "points": points,
@@ -592,13 +592,13 @@ def basin_shares(
         changed = seen.leaving.sum(1)  # NaN where nothing was checked
         if np.any(late := changed > reach):
             worst = int(np.argmax(np.where(late, changed - reach, -np.inf)))
-            found.attrs["warning"] = (
+            data.attrs["warning"] = (
                 f"{changed[worst]:.0%} of the starts are in another state at {LATER} t1, "
                 f"more than the bars of {reach[worst]:.1%}: these are the shares at t1 = "
                 f"{t1:g}, not the final ones. Raise `t1`, or say the time with the share."
             )
-            warnings.warn(found.attrs["warning"], stacklevel=3)
-        return found
+            warnings.warn(data.attrs["warning"], stacklevel=3)
+        return data
 
     try:
         while True:
@@ -658,11 +658,11 @@ def share_differences(shares: Dataset, dim: str) -> Dataset:
             "Argument `dim` must be a swept dimension of at least two values, but is "
             f"{shown(dim)} of {dict(shares.sizes)}."
         )
-    own = shares["replicate_share"].transpose(dim, ...)
-    change = own[1:].values - own[:-1].values
-    axis = own.dims.index("replicate")
+    replicates = shares["replicate_share"].transpose(dim, ...)
+    change = replicates[1:].values - replicates[:-1].values
+    axis = replicates.dims.index("replicate")
     mean, reach = of_replicates(change, axis)
-    dims = [name for name in own.dims if name != "replicate"]
+    dims = [name for name in replicates.dims if name != "replicate"]
     at = shares[dim].values
     coords = {name: c for name, c in shares.coords.items() if dim not in c.dims and name in dims}
     parts = {

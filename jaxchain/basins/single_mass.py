@@ -227,7 +227,7 @@ class Mass(eqx.Module):
         return -jax.jvp(self.force, (jnp.zeros(()),), (jnp.ones(()),))[1]
 
 
-class Turn(NamedTuple):
+class ReturnTime(NamedTuple):
     """What a turn ends with.
 
     - `fastest`: P(v); the velocity at which it sticks if it does; 1e-3 v if it comes to rest.
@@ -259,7 +259,7 @@ class _Now(NamedTuple):
     seen: Any  # (area, up, down), or ()
 
 
-def turn(mass: Mass, fastest: Any, box: tuple[Array, Array] | None = None) -> Turn:
+def return_map(mass: Mass, fastest: Any, box: tuple[Array, Array] | None = None) -> ReturnTime:
     """The turn that begins with the greatest velocity `fastest`.
 
     **Arguments:** `box`: (displacement, velocity), of which the area is wanted; None, where only
@@ -290,20 +290,20 @@ def turn(mass: Mass, fastest: Any, box: tuple[Array, Array] | None = None) -> Tu
         area = area + area_of_step(now.point + rest, point + rest, now.h, *box)
         x, v = hermite(now.point, point, now.h)
         s, crosses = crossing(x, jnp.zeros(()), jnp.ones(()))
-        there = sum(v[i] * s**i for i in range(5))
-        up = jnp.where(crosses & (there > 0), there, up)
-        return area, up, jnp.where(crosses & (there < 0), there, down)
+        velocity = sum(v[i] * s**i for i in range(5))
+        up = jnp.where(crosses & (velocity > 0), velocity, up)
+        return area, up, jnp.where(crosses & (velocity < 0), velocity, down)
 
     def body(now: _Now) -> _Now:
         flat, error = step(rate, now.point[:2], now.point[1:], now.h)
         point = jnp.append(flat, rate(flat)[1])
-        known, before = lax.stop_gradient((point, now.point))
+        fixed, before = lax.stop_gradient((point, now.point))
         miss = jnp.max(jnp.abs(lax.stop_gradient(error)))
         miss = miss / allowed
         good = miss <= 1.0
-        rising = now.back & (known[1] > 0) & (before[2] > 0)
-        beyond = rising & (known[2] <= 0)
-        left = -known[2] / lax.stop_gradient(jerk(point))
+        rising = now.back & (fixed[1] > 0) & (before[2] > 0)
+        beyond = rising & (fixed[2] <= 0)
+        left = -fixed[2] / lax.stop_gradient(jerk(point))
         landed = good & rising & (jnp.abs(left) * omega <= _NEAR)
         # Beyond the greatest velocity the step is made again, to it.
         accepted = good & (landed | ~beyond)
@@ -312,8 +312,8 @@ def turn(mass: Mass, fastest: Any, box: tuple[Array, Array] | None = None) -> Tu
             good & beyond, jnp.clip(now.h + left, 0.01 * now.h, 0.99 * now.h), share * now.h
         )
         h = jnp.where(jnp.isfinite(miss), h, 0.2 * now.h)
-        sticks = accepted & now.back & (known[1] >= lax.stop_gradient(mass.highest))
-        size = jnp.sqrt((omega * known[0]) ** 2 + known[1] ** 2)
+        sticks = accepted & now.back & (fixed[1] >= lax.stop_gradient(mass.highest))
+        size = jnp.sqrt((omega * fixed[0]) ** 2 + fixed[1] ** 2)
         dies = accepted & (size <= _DEAD * lax.stop_gradient(fastest))
         seen = jax.tree.map(
             lambda new, old: jnp.where(accepted, new, old), observe(now, point), now.seen
@@ -323,7 +323,7 @@ def turn(mass: Mass, fastest: Any, box: tuple[Array, Array] | None = None) -> Tu
             time=now.time + jnp.where(accepted, now.h, 0.0),
             h=lax.stop_gradient(jnp.minimum(h, longest)),
             steps=now.steps + 1,
-            back=now.back | accepted & (known[1] < 0),
+            back=now.back | accepted & (fixed[1] < 0),
             sticks=sticks,
             dies=dies,
             over=landed | sticks | dies,
@@ -347,7 +347,7 @@ def turn(mass: Mass, fastest: Any, box: tuple[Array, Array] | None = None) -> Tu
         area = area + left * boxed(*lax.stop_gradient(here), v, *box)
     next_one = jnp.where(last.sticks, mass.highest, v + 0.5 * left * a)
     next_one = jnp.where(last.dies, _DEAD * fastest, next_one)
-    return Turn(next_one, last.time + left, area, up, down, last.sticks, last.over)
+    return ReturnTime(next_one, last.time + left, area, up, down, last.sticks, last.over)
 
 
 # The least greatest velocity looked at, a share of that at which a mass sticks.
@@ -367,7 +367,7 @@ _STUCK = 1e-12
 _SLIDES = 2.0
 
 
-class Innermost(NamedTuple):
+class InnermostCycle(NamedTuple):
     """- `fastest`: its greatest velocity along the belt; NaN if there is no cycle, or none known.
     - `share_of_plane`: 1 where all motions come to slide, 0 where sliding is unstable; NaN where
       there is a cycle, or nothing is known.
@@ -379,7 +379,7 @@ class Innermost(NamedTuple):
     result: SearchResult
 
 
-def find_innermost(mass: Mass) -> Innermost:
+def innermost_unstable_cycle(mass: Mass) -> InnermostCycle:
     """Nothing in here is to be differentiated.
 
     A pair of cycles between two places of the grid shows as a summit of ln P(v) / v below zero:
@@ -392,7 +392,7 @@ def find_innermost(mass: Mass) -> Innermost:
         tops = jnp.sort(jnp.concatenate([tops, jnp.maximum(layer, tops[0])]))
 
     def gain(tops: Array) -> tuple[Array, Array]:
-        turns = jax.vmap(lambda top: turn(mass, top))(tops)
+        turns = jax.vmap(lambda top: return_map(mass, top))(tops)
         values = jnp.log(turns.fastest / tops)
         # What leaves the belt and sticks again has not lost anything.
         return jnp.where(turns.sticks, jnp.maximum(values, _STUCK), values), turns.ended
@@ -425,31 +425,31 @@ def find_innermost(mass: Mass) -> Innermost:
     last = tops.size - 1
     lows = jnp.stack([tops[jnp.maximum(summit - 1, 0)], tops[jnp.minimum(rise, last - 1)]])
     highs = jnp.stack([tops[jnp.minimum(summit + 1, last)], tops[jnp.minimum(rise + 1, last)]])
-    found, crosses = lax.map(look, jnp.stack([lows, highs], axis=1))
+    roots, crosses = lax.map(look, jnp.stack([lows, highs], axis=1))
     inner, outer = crosses & jnp.stack([jnp.any(summits), rise < tops.size])
-    fastest = jnp.where(inner, found[0], jnp.where(outer, found[1], jnp.nan))
+    fastest = jnp.where(inner, roots[0], jnp.where(outer, roots[1], jnp.nan))
     return _judged(mass, fastest, inner | outer, values, jnp.all(ended))
 
 
 def _judged(
     mass: Mass, fastest: Array, exists: Bool[Array, ""], values: Array, ended: Bool[Array, ""]
-) -> Innermost:
+) -> InnermostCycle:
     chain, damping = mass.chain, mass.damping()
-    creeps = chain.belt_speed <= _SLIDES * mass.chain.stick_speed()
+    belt_too_slow = chain.belt_speed <= _SLIDES * mass.chain.stick_speed()
     stable, unstable = damping > 0, damping < 0
     # The smallest turns must do as linear motions do.
     agrees = values[0] < 0
-    known = ended & ~creeps
-    cycle = known & stable & agrees & exists
-    none = known & stable & agrees & ~exists & (chain.damping_ratio > 0)
-    all_slide = jnp.where(unstable & ~creeps, 0.0, jnp.where(none, 1.0, jnp.nan))
+    valid = ended & ~belt_too_slow
+    cycle = valid & stable & agrees & exists
+    none = valid & stable & agrees & ~exists & (chain.damping_ratio > 0)
+    all_slide = jnp.where(unstable & ~belt_too_slow, 0.0, jnp.where(none, 1.0, jnp.nan))
     of = SearchResult
     result = of.where(stable & ~agrees | (damping == 0), of.at_hopf, of.undamped)
     result = of.where(ended, result, of.max_steps_reached)
-    result = of.where(creeps, of.creeps, result)
+    result = of.where(belt_too_slow, of.belt_too_slow, result)
     result = of.where(jnp.isfinite(damping + chain.belt_speed), result, of.nonfinite)
     result = of.where(cycle | jnp.isfinite(all_slide), of.successful, result)
-    return Innermost(jnp.where(cycle, fastest, jnp.nan), all_slide, result)
+    return InnermostCycle(jnp.where(cycle, fastest, jnp.nan), all_slide, result)
 
 
 # What may be left of the return, compared with the greatest velocity.
@@ -471,7 +471,7 @@ class SlidingBasin(Outcome):
     - `state`: (x, v) of the unstable cycle where its velocity along the belt is greatest, each of
       shape (1,), and `period`; NaN where there is no cycle, because all motions come to slide
       (`share` 1) or none (`share` 0).
-      `find_limit_cycle(chain, (basin.state, basin.period), vibrating=0)` tells more of it; near
+      `find_limit_cycle(chain, (basin.state, basin.period), mass=0)` tells more of it; near
       the fold it needs such a guess.
     - `up`, `down`: the kicks of `blow_of_one_mass`.
     - `gap`: by how much the greatest velocity differs after a period, relative; 0 without a cycle.
@@ -533,7 +533,7 @@ def sliding_basin(chain: Chain, box: Box | None = None) -> SlidingBasin:
     whose area within the box is integrated from step to step.
 
     **Result:** `at_hopf` so near a Hopf point that the cycle is smaller than the grid begins;
-    `creeps` for a belt that rests, or is slower than twice the speed of greatest friction;
+    `belt_too_slow` for a belt that rests, or is slower than twice the speed of greatest friction;
     `undamped` where no cycle is found, but no damping ends vibration, either;
     `max_steps_reached` where a turn does not end; `no_step_helps` where the cycle does not close
     to 1e-9, as one that multiplies disturbances by more than some 1e5.
@@ -591,17 +591,17 @@ def _basin(chain: Chain, box: Box) -> SlidingBasin:
     along = jnp.sign(lax.stop_gradient(chain.belt_speed))
     mass, edges = _ahead(chain, box)
     frozen = lax.stop_gradient(mass)
-    innermost = find_innermost(frozen)
+    innermost = innermost_unstable_cycle(frozen)
     exists = jnp.isfinite(innermost.fastest)
     # Without a cycle the equations are solved by numbers that nobody asks for, but are finite.
-    known = jnp.isfinite(frozen.highest) & (frozen.highest > 0)
-    safe = jax.tree.map(lambda of: jnp.where(known, of, 1.0), (mass, edges))
+    valid = jnp.isfinite(frozen.highest) & (frozen.highest > 0)
+    safe = jax.tree.map(lambda of: jnp.where(valid, of, 1.0), (mass, edges))
     top = jnp.where(exists, innermost.fastest, _ANY * lax.stop_gradient(safe[0].highest))
-    once = turn(*lax.stop_gradient((safe[0], top, safe[1])))
-    found = jnp.stack([top, once.period, once.area, once.up, once.down])
+    once = return_map(*lax.stop_gradient((safe[0], top, safe[1])))
+    numbers = jnp.stack([top, once.period, once.area, once.up, once.down])
     gap = jnp.where(exists, jnp.abs(once.fastest / top - 1.0), 0.0)
-    closed = once.ended & (gap <= _CLOSED) & jnp.all(jnp.isfinite(found))
-    found = attach_derivative(_left_of_turn, found, safe, once=_ONCE)
+    closed = once.ended & (gap <= _CLOSED) & jnp.all(jnp.isfinite(numbers))
+    numbers = attach_derivative(_left_of_turn, numbers, safe, once=_ONCE)
     result = SearchResult.where(exists & ~closed, SearchResult.no_step_helps, innermost.result)
     cycle, plain = exists & closed, jnp.isfinite(innermost.share_of_plane)
     rather = jnp.where(plain, innermost.share_of_plane, 0.0)
@@ -611,15 +611,15 @@ def _basin(chain: Chain, box: Box) -> SlidingBasin:
 
     (a, b), (c, d) = edges
     whole = (b - a) * (d - c)
-    area = where_it_is(found[2], rather * whole)
+    area = where_it_is(numbers[2], rather * whole)
     far = jnp.where(rather == 1.0, jnp.inf, 0.0)
-    up, down = where_it_is(found[3], far), where_it_is(-found[4], far)
-    x = mass.force(found[0]) / mass.stiffness
+    up, down = where_it_is(numbers[3], far), where_it_is(-numbers[4], far)
+    x = mass.force(numbers[0]) / mass.stiffness
     return SlidingBasin(
         share=area / whole,
         area=area,
-        state=(where_it_is(along * x)[None], where_it_is(along * found[0])[None]),
-        period=where_it_is(found[1]),
+        state=(where_it_is(along * x)[None], where_it_is(along * numbers[0])[None]),
+        period=where_it_is(numbers[1]),
         up=jnp.where(along < 0, down, up),
         down=jnp.where(along < 0, up, down),
         gap=gap,
@@ -635,13 +635,13 @@ def _ahead(chain: Chain, box: Box) -> tuple[Mass, tuple[Array, Array]]:
 
 
 def _left_of_turn(
-    found: Float[Array, "5"], given: tuple[Mass, tuple[Array, Array]]
+    unknowns: Float[Array, "5"], given: tuple[Mass, tuple[Array, Array]]
 ) -> Float[Array, "5"]:
     """What is left of the return, and of the other numbers of the turn."""
     mass, edges = given
-    once = turn(mass, found[0], edges)
+    once = return_map(mass, unknowns[0], edges)
     numbers = jnp.stack([once.period, once.area, once.up, once.down])
-    return jnp.append(numbers - found[1:], once.fastest / found[0] - 1.0)
+    return jnp.append(numbers - unknowns[1:], once.fastest / unknowns[0] - 1.0)
 
 
 def _check_single(chain: Any) -> None:

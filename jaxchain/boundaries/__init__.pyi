@@ -7,8 +7,8 @@ from .fold import find_fold as find_fold
 from .fold import fold_belt_speed as fold_belt_speed
 from .fold import fold_belt_speeds as fold_belt_speeds
 from .grazing import Grazing as Grazing
+from .grazing import dry_fold_belt_speed as dry_fold_belt_speed
 from .grazing import find_grazing as find_grazing
-from .grazing import nonsmooth_fold_belt_speed as nonsmooth_fold_belt_speed
 from .hopf import hopf_belt_speed as hopf_belt_speed
 from .hopf_scan import GeneralisedHopf as GeneralisedHopf
 from .hopf_scan import HopfPoints as HopfPoints
@@ -16,11 +16,11 @@ from .hopf_scan import first_lyapunov_coefficient as first_lyapunov_coefficient
 from .hopf_scan import generalised_hopf as generalised_hopf
 from .hopf_scan import guess_from_hopf as guess_from_hopf
 from .hopf_scan import hopf_points as hopf_points
-from .limit import Extrapolated as Extrapolated
+from .limit import Extrapolation as Extrapolation
 from .limit import FoldBoundary as FoldBoundary
 from .limit import extrapolate as extrapolate
+from .limit import extrapolated_fold as extrapolated_fold
 from .limit import fold_boundary as fold_boundary
-from .limit import fold_in_the_limit as fold_in_the_limit
 from .ranges import BistableRange as BistableRange
 from .ranges import Boundaries as Boundaries
 from .ranges import bistable_range as bistable_range

@@ -16,7 +16,7 @@ from ..continuation.damped_newton import where
 from ..continuation.gradient_descent import MOST_STEPS, check_descent, descend
 from ..model.arguments import as_chain
 from ..model.chain import Chain, require_smoothed
-from ..model.initial_states import check_vibrating
+from ..model.initial_states import check_mass
 from ..model.sliding import growth_rate
 from ..result import Outcome, SearchResult
 from .fold import first_guess, loose_rtol, value_and_jacobian
@@ -86,17 +86,17 @@ def hopf_by_descent(
 def _descend(
     chain: Chain, start: Any, optimiser: optax.GradientTransformation, steps: Any, tolerance: Array
 ) -> HopfDescent:
-    found = descend(
+    descent = descend(
         lambda speed: growth_rate(chain, speed) ** 2, start, optimiser, steps, tolerance**2
     )
-    rates = jax.vmap(lambda speed: growth_rate(chain, speed))(found.path)
-    rate = growth_rate(chain, found.solution)
+    rates = jax.vmap(lambda speed: growth_rate(chain, speed))(descent.path)
+    rate = growth_rate(chain, descent.solution)
     return HopfDescent(
-        belt_speed=found.solution,
+        belt_speed=descent.solution,
         growth_rate=rate,
-        steps=found.steps,
-        result=found.result,
-        speeds=found.path,
+        steps=descent.steps,
+        result=descent.result,
+        speeds=descent.path,
         growth_rates=rates,
     )
 
@@ -117,8 +117,8 @@ class FoldDescent(Outcome):
     - `belt_speed`, the greatest that was reached, and `slope` = d(v_d)/ds there in units of the
       width, zero at the fold.
     - `result`: successful if |slope| <= the tolerance.
-    - `closenesses`, `belt_speeds`: s = max w / eps and v_d of every step; NaN before the first
-      cycle is closed.
+    - `scaled_peak_velocities`, `belt_speeds`: s = max w / eps and v_d of every step; NaN before
+      the first cycle is closed.
 
     See `fold_by_descent` for an example.
     """
@@ -126,13 +126,13 @@ class FoldDescent(Outcome):
     belt_speed: Float[Array, ""]
     slope: Float[Array, ""]
     result: SearchResult
-    closenesses: Float[Array, " entries"]
+    scaled_peak_velocities: Float[Array, " entries"]
     belt_speeds: Float[Array, " entries"]
 
 
 def fold_by_descent(
     chain: Any,
-    vibrating: Any = None,
+    mass: Any = None,
     *,
     start: Any = None,
     optimiser: optax.GradientTransformation | None = None,
@@ -141,7 +141,7 @@ def fold_by_descent(
 ) -> FoldDescent:
     """The fold of `fold_belt_speed` by gradient ascent: the fastest belt that bears a vibration.
 
-    The cycles whose mass `vibrating` comes within s = max w / eps of the belt's speed form a curve
+    The cycles whose mass `mass` comes within s = max w / eps of the belt's speed form a curve
     v_d = V(s), and the fold is its summit.  Each step integrates a period with its tangents once:
     that gives Newton's correction, which closes the cycle, and by the implicit function theorem
     the slope dV/ds, along which the optimiser climbs.
@@ -151,7 +151,7 @@ def fold_by_descent(
     nothing but values and slopes; it is the one to extend when the boundary is part of a greater
     optimisation, or is to be sought under constraints.
 
-    **Arguments:** `chain` and `vibrating` as in `fold_belt_speed`; `start`, the first s (default:
+    **Arguments:** `chain` and `mass` as in `fold_belt_speed`; `start`, the first s (default:
     0.7 below that which averaging expects); `optimiser`, any optax transformation, in asinh s and
     for V / width (default: Adam with a rate that falls from 0.1 to 0.0003); `steps` in all;
     `tolerance` of the slope.
@@ -168,7 +168,7 @@ def fold_by_descent(
     >>> round(float(found.belt_speed), 5)
     1.79246
     """
-    mass = check_vibrating(chain, vibrating)
+    mass = check_mass(chain, mass)
     require_smoothed(chain, "use `find_grazing`, or ")
     check_positive_number("tolerance", tolerance, "1e-3 is usual.")
     if start is not None:
@@ -212,7 +212,7 @@ def _ascend(
         return (point, where(closed, moved, state)), record
 
     begin = start.point.at[-1].set(jnp.arcsinh(first)), optimiser.init(jnp.arcsinh(first))
-    _, (closenesses, speeds, slopes, closed) = lax.scan(update, begin, length=steps)
+    _, (scaled_peak_velocities, speeds, slopes, closed) = lax.scan(update, begin, length=steps)
     best, some = jnp.argmax(jnp.where(closed, speeds, -jnp.inf)), jnp.any(closed)
     of = SearchResult
     result = of.where(some, of.max_steps_reached, of.no_cycle)
@@ -221,6 +221,6 @@ def _ascend(
         belt_speed=jnp.where(some, speeds[best], jnp.nan),
         slope=jnp.where(some, slopes[best], jnp.nan),
         result=result,
-        closenesses=closenesses,
+        scaled_peak_velocities=scaled_peak_velocities,
         belt_speeds=jnp.where(closed, speeds, jnp.nan),
     )

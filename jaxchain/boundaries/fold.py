@@ -41,14 +41,14 @@ from ..continuation.damped_newton import where
 from ..continuation.elimination import solve
 from ..continuation.fold_points import fold_residual
 from ..continuation.implicit import attach_derivative, if_found
-from ..cycles.averaging import dry_summits, fold_guess, one_mass, speed_scale, usual_closeness
+from ..cycles.averaging import dry_summits, fold_guess, one_mass, speed_scale, usual_peak_velocity
 from ..cycles.floquet import can_be_cycle
 from ..cycles.shooting import Shooting
 from ..cycles.shooting import residual as closure
-from ..cycles.variational import push
+from ..cycles.variational import forward_sensitivity
 from ..model.arguments import as_chain
 from ..model.chain import Chain
-from ..model.initial_states import check_vibrating
+from ..model.initial_states import check_mass
 from ..model.parameters import parameter
 from ..model.sliding import damping_outweighs
 from ..result import Outcome, SearchResult
@@ -58,7 +58,7 @@ from ..sweeps.axes import check_axes, jobs, sizes
 from ..sweeps.lanes import with_numbers
 from ..sweeps.programs import map_lanes
 from ..sweeps.sweeping import SweepInterrupted
-from .grazing import Slopes, Touch, find_dry_fold, find_grazing, slip_force, without_fold
+from .grazing import GrazingOrbit, Slopes, find_dry_fold, find_grazing, slip_force, without_fold
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -119,13 +119,13 @@ class FoldSettings:
 _SET = FoldSettings()
 
 
-class Start(NamedTuple):
+class FoldGuess(NamedTuple):
     """Equations and a first guess of a fold.
 
     `point`: see `unknowns`; `width`: the least width that the search is for; `loose`: the
     tolerance on the way; `hopeful`: whether there is something to search for, and if not,
-    `result`: why not; `tame`: whether the slip cycle is known, and not very unstable; `slopes`: of
-    the touch.
+    `result`: why not; `weakly_unstable`: whether the slip cycle is known, and its multiplier is
+    not great; `slopes`: of the grazing cycle.
     """
 
     shooting: Shooting
@@ -134,20 +134,20 @@ class Start(NamedTuple):
     loose: Float[Array, ""]
     hopeful: Bool[Array, ""]
     result: SearchResult
-    tame: Bool[Array, ""]
+    weakly_unstable: Bool[Array, ""]
     slopes: Slopes
 
 
-def first_guess(chain: Chain, mass: int) -> Start:
+def first_guess(chain: Chain, mass: int) -> FoldGuess:
     """Equations and a place near the fold; nothing in here is to be differentiated."""
     alone = one_mass(chain, mass)
     summits = dry_summits(alone)
     scale = speed_scale(alone, summits.touching)
     dry = find_dry_fold(chain, mass, alone, summits, alone.width < _SET.polish * scale)
-    touch = Touch(chain, dry.steps, mass)
-    (_, v), _, dry_speed = touch.unpack(dry.q, dry.w)
-    leaving, arriving = dry.sides[-1]
-    slopes = Slopes(leaving, arriving, touch.fall(v), touch.hold)
+    grazing = GrazingOrbit(chain, dry.steps, mass)
+    (_, v), _, dry_speed = grazing.unpack(dry.q, dry.w)
+    leaving, arriving = dry.layer_velocities[-1]
+    slopes = Slopes(leaving, arriving, grazing.deceleration(v), grazing.static_force)
     multiplier = -slopes.leaving / slopes.arriving
     unstable = multiplier > _SET.unstable
     least = scale * jnp.where(unstable, _SET.least_unstable, _SET.least_width)
@@ -155,23 +155,25 @@ def first_guess(chain: Chain, mass: int) -> Start:
     chain, alone = at_least_wide(chain, least), at_least_wide(alone, least)
     width = alone.width
     averaged, averaged_s, exists = fold_guess(alone)
-    layer = slopes.layer(width)
+    boundary_layer = slopes.boundary_layer(width)
     # The layer is thin, or else averaging knows better where it is, and what belt speed it has.
     narrow, touches = dry.turns & (width < _SET.thick * scale), dry.ratio >= 1.0
-    layered = narrow & touches & jnp.isfinite(layer.closeness)
+    layered = narrow & touches & jnp.isfinite(boundary_layer.scaled_peak_velocity)
     # A fold without a touch stays where it is, but for what keeps it out of the layer.
     free = narrow & ~touches
     thin = (layered | free) & (width < _SET.thin * scale)
-    moved = dry.q + dry.sides @ jnp.stack([layer.leaving, layer.arriving])
+    moved = dry.q + dry.layer_velocities @ jnp.stack(
+        [boundary_layer.leaving, boundary_layer.arriving]
+    )
     moved = jnp.where(layered, moved, dry.q)
     # Averaging errs by the same factor for smoothed as for dry friction, or nearly so.
     factor = jnp.where(dry.turns, dry_speed / summits.speeds[0], 1.0)
     speed = jnp.where(thin, moved[-1], averaged * factor)
-    s = jnp.where(layered, layer.closeness, averaged_s)
-    s = jnp.where(free, jnp.minimum(dry.w / width, usual_closeness(width / dry_speed)), s)
-    (x, v), period, _ = touch.unpack(moved, jnp.where(layered, 0.0, dry.w))
+    s = jnp.where(layered, boundary_layer.scaled_peak_velocity, averaged_s)
+    s = jnp.where(free, jnp.minimum(dry.w / width, usual_peak_velocity(width / dry_speed)), s)
+    (x, v), period, _ = grazing.unpack(moved, jnp.where(layered, 0.0, dry.w))
     # The velocity of mass j is greatest a little before the touch.
-    early = jnp.where(layered, layer.time, 0.0)
+    early = jnp.where(layered, boundary_layer.time, 0.0)
     force = slip_force(chain, moved[-1], v) + chain.restoring_force(x)
     x, v = x + early * v, (v + early * force).at[mass].set(speed + width * s)
 
@@ -192,14 +194,14 @@ def first_guess(chain: Chain, mass: int) -> Start:
     failed = SearchResult.where(sound, SearchResult.no_cycle, SearchResult.no_touch)
     # A loose integration would spoil a guess that is better than it.
     good = thin & (unstable | (width < _SET.narrow * scale))
-    return Start(
+    return FoldGuess(
         shooting=shooting,
         point=point,
         width=least,
         loose=jnp.where(good, _SET.rtol, loose_rtol(chain)),
         hopeful=~none & damped & exists & sound,
         result=without_fold(failed, exists, damped, none),
-        tame=dry.turns & (multiplier <= _SET.unstable),
+        weakly_unstable=dry.turns & (multiplier <= _SET.unstable),
         slopes=slopes,
     )
 
@@ -224,7 +226,7 @@ class _Newton(NamedTuple):
     refused: Int[Array, ""]  # steps in succession that made things worse
 
 
-class _Secant(NamedTuple):
+class _SlopeSecant(NamedTuple):
     """What the cycles closed so far tell of V'(s), as a function of Y(s)."""
 
     s: Float[Array, ""]  # of the cycle before; NaN for none
@@ -236,16 +238,16 @@ class _Secant(NamedTuple):
     reach: Float[Array, ""]  # the farthest that an aim may be
 
 
-class Search(NamedTuple):
+class FoldSearch(NamedTuple):
     """Where the search stands; every entry made costs one shooting Jacobian."""
 
     point: Float[Array, " m_plus_1"]
     newton: _Newton
-    secant: _Secant
+    secant: _SlopeSecant
     residual: Float[Array, ""]
     jacobian: Float[Array, "m m_plus_1"]  # of the last entry
     evaluations: Int[Array, ""]
-    found: Bool[Array, ""]
+    converged: Bool[Array, ""]
 
 
 def unknowns(shooting: Shooting, point: Float[Array, " m_plus_1"]) -> tuple[Array, Array]:
@@ -257,7 +259,7 @@ def value_and_jacobian(
     shooting: Shooting, point: Float[Array, " m_plus_1"]
 ) -> tuple[Float[Array, " m"], Float[Array, "m m_plus_1"]]:
     """The residual, and its derivatives in `point`."""
-    run = push(
+    run = forward_sensitivity(
         lambda point: shooting.unpack(*unknowns(shooting, point)),
         point,
         rtol=shooting.rtol,
@@ -276,7 +278,7 @@ def value_and_jacobian(
     return r, columns.T
 
 
-def search(start: Start) -> Search:
+def search(start: FoldGuess) -> FoldSearch:
     """The fold from a cycle near it, for `shooting` at any tolerance; NaN if not `hopeful`.
 
     Loosely at first, then with `rtol`, which matters little: V is stationary in s, so the
@@ -284,38 +286,38 @@ def search(start: Start) -> Search:
     need not wait for each other, and only one integration is compiled.
     """
     nan, infinite = jnp.asarray(jnp.nan), jnp.asarray(jnp.inf)
-    secant = _Secant(nan, nan, nan, -infinite, infinite, nan, infinite)
+    secant = _SlopeSecant(nan, nan, nan, -infinite, infinite, nan, infinite)
     unknown = jnp.full((start.point.size - 1, start.point.size), jnp.nan)
 
-    def stage(before: Search, rtol: Array) -> tuple[Search, None]:
+    def stage(before: FoldSearch, rtol: Array) -> tuple[FoldSearch, None]:
         # The same search again would end as it did.
         done = (rtol == start.loose) & (before.evaluations > 0)
         # At another tolerance the fold may lie outside the bracket, by a little.
         # What failed loosely starts anew.
-        begin = jnp.where(before.found, before.point, start.point)
+        begin = jnp.where(before.converged, before.point, start.point)
         unbound = before.secant._replace(low=-infinite, high=infinite)
         again = before._replace(
             point=begin,
             newton=_fresh(begin),
-            secant=where(before.found, unbound, secant),
-            found=done & before.found,
+            secant=where(before.converged, unbound, secant),
+            converged=done & before.converged,
         )
         shooting = eqx.tree_at(lambda k: k.rtol, start.shooting, rtol)
 
-        def goes_on(now: Search) -> Array:
+        def goes_on(now: FoldSearch) -> Array:
             newton = now.newton
             # A step that is refused again and again, and is of the size of rounding by now.
             stuck = (newton.refused >= 4) & (newton.length < 1e-11)
             hopeful = (newton.refused < _SET.refused) & (now.evaluations < _SET.entries) & ~stuck
-            return start.hopeful & ~done & ~now.found & hopeful
+            return start.hopeful & ~done & ~now.converged & hopeful
 
-        def entry(now: Search) -> Search:
-            return _entry(shooting, now, rtol <= _SET.rtol, start.tame)
+        def entry(now: FoldSearch) -> FoldSearch:
+            return _entry(shooting, now, rtol <= _SET.rtol, start.weakly_unstable)
 
         return lax.while_loop(goes_on, entry, again), None
 
     none, point = jnp.zeros((), int), start.point
-    begin = Search(point, _fresh(point), secant, nan, unknown, none, start.hopeful)
+    begin = FoldSearch(point, _fresh(point), secant, nan, unknown, none, start.hopeful)
     return lax.scan(stage, begin, jnp.stack([start.loose, jnp.asarray(_SET.rtol)]))[0]
 
 
@@ -324,7 +326,9 @@ def _fresh(point: Array) -> _Newton:
     return _Newton(point, infinite, jnp.zeros_like(point), jnp.asarray(_SET.first_step), none)
 
 
-def _entry(shooting: Shooting, now: Search, tight: Array, tame: Array) -> Search:
+def _entry(
+    shooting: Shooting, now: FoldSearch, tight: Array, weakly_unstable: Array
+) -> FoldSearch:
     def either(pair: tuple[float, float]) -> Array:
         return jnp.where(tight, pair[1], pair[0])
 
@@ -350,14 +354,16 @@ def _entry(shooting: Shooting, now: Search, tight: Array, tame: Array) -> Search
 
     # A closed cycle: where does V'(s) vanish?
     s, slope, speed = jnp.sinh(z), tangent[index] / jnp.cosh(z), jnp.abs(q[index])
-    new_s, secant = _towards_fold(now.secant, s, slope, s - shooting.rest(q[index]), tame)
+    new_s, secant = _towards_fold(
+        now.secant, s, slope, s - shooting.rest(q[index]), weakly_unstable
+    )
     # V misses its maximum by about half of this.
     missed = jnp.abs(slope * (new_s - s)) / speed
-    there = missed < either(_SET.stationary)
-    folds = closed & (secant.curvature < 0) & there
+    arrived = missed < either(_SET.stationary)
+    folds = closed & (secant.curvature < 0) & arrived
     # A cycle that is nearly closed tells V' well enough to move on from it.
-    nearly = tame & good & (misses * speed < either(_SET.nearly) * narrow)
-    closed = closed | (nearly & (secant.curvature < 0) & ~there)
+    nearly = weakly_unstable & good & (misses * speed < either(_SET.nearly) * narrow)
+    closed = closed | (nearly & (secant.curvature < 0) & ~arrived)
     # In the end, too: V misses its maximum by next to nothing there, but s, which derivatives are
     # taken at, by the root of that.  V' falls to 0 on this way, so V gains half of its slope.
     new_z = jnp.arcsinh(new_s)
@@ -378,20 +384,20 @@ def _entry(shooting: Shooting, now: Search, tight: Array, tame: Array) -> Search
     )
     newton = where(good, taken, shorter)
     point = jnp.where(closed, moved, newton.best + newton.length * newton.step)
-    return Search(
+    return FoldSearch(
         point=point,
         newton=where(closed, _fresh(point), newton),
         secant=where(closed, secant, now.secant),
         residual=norm,
         jacobian=jacobian,
         evaluations=now.evaluations + 1,
-        found=folds,
+        converged=folds,
     )
 
 
 def _towards_fold(
-    before: _Secant, s: Array, slope: Array, distance_to_rest: Array, tame: Array
-) -> tuple[Array, _Secant]:
+    before: _SlopeSecant, s: Array, slope: Array, distance_to_rest: Array, weakly_unstable: Array
+) -> tuple[Array, _SlopeSecant]:
     """The next s, and what to remember, from V' = dV/ds at s; V rises up to the fold.
 
     `distance_to_rest` is how far from s the amplitude vanishes.
@@ -407,7 +413,7 @@ def _towards_fold(
     gap = jnp.where(apart, ordinate(s) - ordinate(before.s), 1.0)
     curvature = jnp.where(apart, (slope - before.slope) / gap, before.curvature)
     # How far from the first closed cycle the second one is tried.
-    far = jnp.where(tame, jnp.maximum(0.15, -0.5 * (s + 3.0)), 0.15)
+    far = jnp.where(weakly_unstable, jnp.maximum(0.15, -0.5 * (s + 3.0)), 0.15)
     probe = s + jnp.sign(slope) * jnp.minimum(0.03 * distance_to_rest, far)
     # Not far up into the layer, where V falls steeply, and not all the way down to rest.
     highest = jnp.maximum(s + 0.7, jnp.minimum(s + 0.3 * distance_to_rest, -2.5))
@@ -423,7 +429,7 @@ def _towards_fold(
     wanted, gone = jnp.abs(before.aim - before.s), jnp.abs(s - before.s)
     reach = jnp.where(gone < 0.5 * wanted, _SET.shrinkage * wanted, 2.0 * before.reach)
     target = jnp.clip(target, s - reach, s + reach)
-    return target, _Secant(s, slope, curvature, low, high, target, reach)
+    return target, _SlopeSecant(s, slope, curvature, low, high, target, reach)
 
 
 @final
@@ -432,8 +438,8 @@ class Fold(Outcome):
 
     - `belt_speed`: v_d, NaN if no fold was found.
     - `period` and `state`: of the cycle there, cut at the greatest velocity of mass `mass`.
-    - `closeness`: s = max w / eps of that mass; a mass with s < 0 never reaches the belt's speed.
-      With dry friction 0 for one that touches it, else -inf.
+    - `scaled_peak_velocity`: s = max w / eps of that mass; a mass with s < 0 never reaches the
+      belt's speed. With dry friction it is 0 if the mass reaches that speed, else -inf.
     - `residual`: the gap after a period over the amplitude of velocity.
     - `result`: a `SearchResult`: successful; no_fold, which is proved; or why the search failed,
       which says nothing about whether there is a fold.  `message` puts it into words.
@@ -447,7 +453,7 @@ class Fold(Outcome):
     belt_speed: Float[Array, ""]
     period: Float[Array, ""]
     state: State
-    closeness: Float[Array, ""]
+    scaled_peak_velocity: Float[Array, ""]
     residual: Float[Array, ""]
     result: SearchResult
     width: PerMass
@@ -455,15 +461,15 @@ class Fold(Outcome):
     mass: int = eqx.field(static=True)
 
 
-def fold_belt_speed(chain: Any, vibrating: Any = None) -> Float[Array, ""]:
+def fold_belt_speed(chain: Any, mass: Any = None) -> Float[Array, ""]:
     """The greatest belt speed at which the vibration of one mass survives.
 
-    For dry friction that of `nonsmooth_fold_belt_speed`; for smoothed friction, as follows.
+    For dry friction that of `dry_fold_belt_speed`; for smoothed friction, as follows.
 
-    The saddle-node of cycles at which the stick-slip cycle of mass `vibrating` (the others slide,
+    The saddle-node of cycles at which the stick-slip cycle of mass `mass` (the others slide,
     shaken by it) and the unstable slip cycle meet: at a greater speed every vibration dies out.
 
-    **Arguments:** `chain`, whose own `belt_speed` has no part in it; `vibrating`, the index (from
+    **Arguments:** `chain`, whose own `belt_speed` has no part in it; `mass`, the index (from
     0) of the mass, by default n // 2, oscillator 11 of 20.
 
     **Returns:** the dimensionless v_d, relative error about 1e-9; NaN where there is no fold or
@@ -474,7 +480,7 @@ def fold_belt_speed(chain: Any, vibrating: Any = None) -> Float[Array, ""]:
     cycle multiplies disturbances by more than 30.  Of its derivatives only that in the width knows
     of the move, so that the others err by about 1e-6.  Works under `jit`, `vmap` (no lane harms
     another), `grad` and `jvp`, in every number of the chain, once: as v_d is stationary along the
-    branch, its first derivatives are those of a cycle with the closeness max w / eps held.
+    branch, its first derivatives are those of a cycle with max w / eps held.
 
     **Raises:** `ValueError` for anything but a `Chain`, or a mass it does not have.
 
@@ -490,31 +496,35 @@ def fold_belt_speed(chain: Any, vibrating: Any = None) -> Float[Array, ""]:
         >>> round(float(slope), 3)  # more damping, less vibration
         -26.456
     """
-    return speed_and_closeness(chain, check_vibrating(chain, vibrating))[0]
+    return fold_speed_and_peak(chain, check_mass(chain, mass))[0]
 
 
-def speed_and_closeness(
+def fold_speed_and_peak(
     chain: Chain, mass: int
 ) -> tuple[Float[Array, ""], Float[Array, ""], SearchResult]:
     """(`fold_belt_speed`, s = max w / eps there, how the search for it ended)."""
     if chain.dry:
         fold = find_fold(chain, mass)
-        return fold.belt_speed, fold.closeness, fold.result
-    start, found = _find(lax.stop_gradient(chain), mass)
-    return _belt_speed(chain, mass, start, found), jnp.sinh(found.point[-1]), start.result
+        return fold.belt_speed, fold.scaled_peak_velocity, fold.result
+    start, search_end = _find(lax.stop_gradient(chain), mass)
+    return (
+        _belt_speed(chain, mass, start, search_end),
+        jnp.sinh(search_end.point[-1]),
+        start.result,
+    )
 
 
 @eqx.filter_jit
-def _belt_speed(chain: Chain, mass: int, start: Start, found: Search) -> Array:
+def _belt_speed(chain: Chain, mass: int, start: FoldGuess, search_end: FoldSearch) -> Array:
     """v_d with its derivatives."""
     held = _held(chain, start)
-    z = lax.stop_gradient(found.point[-1])
+    z = lax.stop_gradient(search_end.point[-1])
     once = (
         "`fold_belt_speed` can be differentiated once only. For second derivatives take "
         "`find_fold(chain).belt_speed`."
     )
-    q = attach_derivative(held_residual, found.point[:-1], (held, z), once=once)
-    return if_found(found.found, q[held.place] + _gained(chain, mass, start))
+    q = attach_derivative(held_residual, search_end.point[:-1], (held, z), once=once)
+    return if_found(search_end.converged, q[held.place] + _gained(chain, mass, start))
 
 
 def held_residual(q: Float[Array, " m"], held: tuple[Shooting, Array]) -> Float[Array, " m"]:
@@ -523,7 +533,7 @@ def held_residual(q: Float[Array, " m"], held: tuple[Shooting, Array]) -> Float[
     return shooting.residual(*unknowns(shooting, jnp.append(q, z)))
 
 
-def find_fold(chain: Any, vibrating: Any = None) -> Fold:
+def find_fold(chain: Any, mass: Any = None) -> Fold:
     """The fold of `fold_belt_speed` with its cycle, all of it differentiable.
 
     Arguments, errors and transformations as there; derivatives of any order, which cost more, of
@@ -537,70 +547,76 @@ def find_fold(chain: Any, vibrating: Any = None) -> Fold:
     >>> from jaxchain import paper_chain
     >>> from jaxchain.boundaries import find_fold
     >>> fold = find_fold(paper_chain(n=1, width=1e-2))
-    >>> bool(fold.successful), round(float(fold.period), 4), round(float(fold.closeness), 3)
-    (True, 6.3028, -2.142)
+    >>> bool(fold.successful), round(float(fold.period), 4)
+    (True, 6.3028)
+    >>> round(float(fold.scaled_peak_velocity), 3)
+    -2.142
     """
-    mass = check_vibrating(chain, vibrating)
+    mass = check_mass(chain, mass)
     if not chain.dry:
         return _fold(chain, mass, *_find(lax.stop_gradient(chain), mass))
-    touch = find_grazing(chain, mass)
+    grazing = find_grazing(chain, mass)
     return Fold(
-        belt_speed=touch.belt_speed,
-        period=touch.period,
-        state=touch.state,
-        closeness=jnp.where(touch.touches, 0.0, -jnp.inf),
-        residual=touch.residual,
-        result=touch.result,
+        belt_speed=grazing.belt_speed,
+        period=grazing.period,
+        state=grazing.state,
+        scaled_peak_velocity=jnp.where(grazing.touches, 0.0, -jnp.inf),
+        residual=grazing.residual,
+        result=grazing.result,
         width=jnp.zeros(()),
-        evaluations=touch.evaluations,
+        evaluations=grazing.evaluations,
         mass=mass,
     )
 
 
 @eqx.filter_jit
-def _fold(chain: Chain, mass: int, start: Start, found: Search) -> Fold:
+def _fold(chain: Chain, mass: int, start: FoldGuess, search_end: FoldSearch) -> Fold:
     """The fold with the derivatives of its cycle."""
     held = _held(chain, start)
     # (left, right) null vectors of dR/du at the fold.
-    slope = found.jacobian[:, :-1].at[:, held.place].set(found.jacobian[:, -1])
-    left, _, right = jnp.linalg.svd(jnp.where(found.found, slope, jnp.eye(slope.shape[0])))
-    both = jnp.append(*unknowns(held, found.point))
+    slope = search_end.jacobian[:, :-1].at[:, held.place].set(search_end.jacobian[:, -1])
+    left, _, right = jnp.linalg.svd(
+        jnp.where(search_end.converged, slope, jnp.eye(slope.shape[0]))
+    )
+    both = jnp.append(*unknowns(held, search_end.point))
     both = attach_derivative(fold_residual(closure), both, (held, (left[:, -1], right[-1])))
     _, state, period = held.unpack(both[:-1], both[-1])
     return Fold(
-        belt_speed=if_found(found.found, both[-1] + _gained(chain, mass, start)),
+        belt_speed=if_found(search_end.converged, both[-1] + _gained(chain, mass, start)),
         period=period,
         state=state,
-        closeness=jnp.sinh(both[held.place]),
-        residual=found.residual,
+        scaled_peak_velocity=jnp.sinh(both[held.place]),
+        residual=search_end.residual,
         result=start.result,
         width=held.field.width,  # pyright: ignore[reportAttributeAccessIssue]
-        evaluations=found.evaluations,
+        evaluations=search_end.evaluations,
         mass=mass,
     )
 
 
 @eqx.filter_jit
-def _find(chain: Chain, mass: int) -> tuple[Start, Search]:
+def _find(chain: Chain, mass: int) -> tuple[FoldGuess, FoldSearch]:
     """The start, with how the search ended, and the fold; nothing in here is to be differentiated.
 
     A program by itself, which values, derivatives and the whole `Fold` share.
     """
     start = first_guess(chain, mass)
-    found = search(start)
-    field, (_, v), period = start.shooting.unpack(*unknowns(start.shooting, found.point))
-    found = found._replace(found=found.found & can_be_cycle(field, period, jnp.abs(v)))
-    result = SearchResult.where(found.found, SearchResult.successful, start.result)
-    return start._replace(result=result), found
+    search_end = search(start)
+    field, (_, v), period = start.shooting.unpack(*unknowns(start.shooting, search_end.point))
+    search_end = search_end._replace(
+        converged=search_end.converged & can_be_cycle(field, period, jnp.abs(v))
+    )
+    result = SearchResult.where(search_end.converged, SearchResult.successful, start.result)
+    return start._replace(result=result), search_end
 
 
-def _held(chain: Chain, start: Start) -> Shooting:
+def _held(chain: Chain, start: FoldGuess) -> Shooting:
     """The equations with the numbers of `chain`."""
     wide = at_least_wide(chain, lax.stop_gradient(start.width))
     return eqx.tree_at(lambda s: s.field, start.shooting, wide)
 
 
-def _gained(chain: Chain, mass: int, start: Start) -> Array:
+def _gained(chain: Chain, mass: int, start: FoldGuess) -> Array:
     """What the belt speed gains from the width of the search to a smaller one of the chain.
 
     By the asymptotics of `boundaries/grazing.py`; differentiable in the width.
@@ -616,16 +632,16 @@ _AT_ONCE = 8
 
 
 def fold_belt_speeds(
-    chain: Any, vibrating: Any = None, *, over: Mapping[str, Any], progress: bool = False
+    chain: Any, mass: Any = None, *, over: Mapping[str, Any], progress: bool = False
 ) -> Dataset:
     """`fold_belt_speed` for every combination of the values in `over`, on every device.
 
-    The greatest belt speed v_d at which the vibration of mass `vibrating` survives, of smoothed or
+    The greatest belt speed v_d at which the vibration of mass `mass` survives, of smoothed or
     of dry friction, as `chain` is: for each set the same search, so the same numbers, as for one.
 
     **Arguments:**
 
-    - `chain`, `vibrating`: as for `fold_belt_speed`.
+    - `chain`, `mass`: as for `fold_belt_speed`.
     - `over`: as for `sweep`: from a number of the chain or of its friction law to its values, or
       from a dimension to a mapping or data frame of several that run along it together:
       `{"sample": {"damping_ratio": xi, "v_ref": speeds}}`.
@@ -658,7 +674,7 @@ def fold_belt_speeds(
     """
     chain = as_chain(chain)
     check_concrete("use `jax.vmap` of `fold_belt_speed`.", chain=chain, over=over)
-    mass = check_vibrating(chain, vibrating)
+    mass = check_mass(chain, mass)
     check_flag("progress", progress)
     axes = check_axes(chain, None, over)
     values = jobs(axes)
@@ -675,13 +691,13 @@ def fold_belt_speeds(
     names = (*SearchResult._name_to_item, "interrupted")  # pyright: ignore  # as in `result`
     records = np.full((3, index.size), np.nan)
     records[2] = len(names) - 1
-    task, rows, stopped = _Task(chain, mass, tuple(values)), len(jax.local_devices()), False
+    task, rows, stopped = _FoldTask(chain, mass, tuple(values)), len(jax.local_devices()), False
     with progress_bar(total=count, desc="folds", unit="fold", show=progress) as bar:
         try:
             for first in range(0, len(index), rows):
                 some = slice(first, first + rows)
-                found = map_lanes(_folds, task, [column[some] for column in columns], lanes=1)
-                records[:, index[some].ravel()] = np.moveaxis(found, 1, 0).reshape(3, -1)
+                folds = map_lanes(_folds, task, [column[some] for column in columns], lanes=1)
+                records[:, index[some].ravel()] = np.moveaxis(folds, 1, 0).reshape(3, -1)
                 bar.update(int(columns[0][some].sum()))
         except KeyboardInterrupt:
             stopped = True
@@ -717,7 +733,7 @@ def fold_belt_speeds(
         {
             "chain": eqx.tree_pformat(chain, short_arrays=False),
             "versions": json.dumps(versions()),
-            "vibrating": mass,
+            "mass": mass,
         }
         | {"wall_time_s": wall},
     )
@@ -726,7 +742,7 @@ def fold_belt_speeds(
     return dataset
 
 
-class _Task(eqx.Module):
+class _FoldTask(eqx.Module):
     """What is the same for all sets: their chain, and the names of the numbers that vary."""
 
     chain: Chain
@@ -734,7 +750,7 @@ class _Task(eqx.Module):
     names: tuple[str, ...] = eqx.field(static=True)
 
 
-def _folds(task: _Task, count: Int[Array, ""], *values: Float[Array, " sets"]) -> Array:
+def _folds(task: _FoldTask, count: Int[Array, ""], *values: Float[Array, " sets"]) -> Array:
     """(belt speed, period, result) of the first `count` sets, one after the other."""
 
     def one(k: Array, folds: Array) -> Array:

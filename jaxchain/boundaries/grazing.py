@@ -65,7 +65,7 @@ from ..continuation.implicit import attach_derivative, if_found
 from ..cycles.averaging import Summits, dry_summits, graded, one_mass
 from ..cycles.floquet import can_be_cycle
 from ..model.chain import Chain, steady_sliding
-from ..model.initial_states import check_vibrating
+from ..model.initial_states import check_mass
 from ..model.sliding import damping_outweighs
 from ..result import Outcome, SearchResult
 from ..solvers.dormand_prince import step as step_of_order_8
@@ -97,7 +97,7 @@ class GrazingSettings:
 _SET = GrazingSettings()
 
 
-class Touch(eqx.Module):
+class GrazingOrbit(eqx.Module):
     """The equations: unknowns q = (x_n, v_n for n != j, ln T, v_d), 2n of them."""
 
     chain: Chain
@@ -116,11 +116,11 @@ class Touch(eqx.Module):
         return (x + unit * (force[j] / stiffness), v), jnp.exp(q[-2]), speed
 
     @property
-    def hold(self) -> Array:
+    def static_force(self) -> Array:
         """p mu_st of mass j."""
-        return jnp.broadcast_to(self.chain.greatest_hold(), (self.chain.n,))[self.mass]
+        return jnp.broadcast_to(self.chain.static_limit(), (self.chain.n,))[self.mass]
 
-    def fall(self, v: Float[Array, " n"]) -> Array:
+    def deceleration(self, v: Float[Array, " n"]) -> Array:
         """kappa = -v_j'' at the touch."""
         return -self.chain.restoring_force(v)[self.mass]
 
@@ -190,25 +190,25 @@ def slip_force(chain: Chain, speed: Any, v: Float[Array, " n"]) -> Float[Array, 
     return force - 2.0 * chain.damping_ratio * v
 
 
-def touch_residual(
-    q: Float[Array, " m"], touch: Touch, leaving: Any = 0.0, arriving: Any = 0.0
+def grazing_equations(
+    q: Float[Array, " m"], grazing: GrazingOrbit, leaving: Any = 0.0, arriving: Any = 0.0
 ) -> Float[Array, " m"]:
     """The gap after a period over the belt speed, so that rest (v_d = 0) is no solution.
 
     `leaving` and `arriving` are w_+ and w_-.
     """
-    (x, v), _ = touch.orbit(q, leaving, arriving)
+    (x, v), _ = grazing.orbit(q, leaving, arriving)
     return jnp.concatenate([x, v]) / q[-1]
 
 
-def touch_slopes(
-    touch: Touch, q: Float[Array, " m"], w: Any = 0.0
+def grazing_slopes(
+    grazing: GrazingOrbit, q: Float[Array, " m"], w: Any = 0.0
 ) -> tuple[Float[Array, " m"], Float[Array, "m columns"], Float[Array, " n"]]:
     """(residual, its slopes in (q, w_+, w_-), greatest velocity of each mass) at w_+ = w_- = w."""
 
     def along(unknown: Array) -> tuple[Array, tuple[Array, Array]]:
         q, leaving, arriving = unknown[:-2], unknown[-2], unknown[-1]
-        (x, v), highest = touch.orbit(q, leaving, arriving)
+        (x, v), highest = grazing.orbit(q, leaving, arriving)
         gap = jnp.concatenate([x, v]) / q[-1]
         return gap, (gap, highest)
 
@@ -216,12 +216,12 @@ def touch_slopes(
     return gap, slopes, highest
 
 
-class Layer(NamedTuple):
+class BoundaryLayer(NamedTuple):
     """The fold of smoothed friction near a touch: w_+, w_-, the greatest w / eps, and its time."""
 
     leaving: Float[Array, ""]
     arriving: Float[Array, ""]
-    closeness: Float[Array, ""]
+    scaled_peak_velocity: Float[Array, ""]
     time: Float[Array, ""]
 
 
@@ -230,13 +230,13 @@ class Slopes(NamedTuple):
 
     leaving: Float[Array, ""]
     arriving: Float[Array, ""]
-    fall: Float[Array, ""]
-    hold: Float[Array, ""]
+    deceleration: Float[Array, ""]
+    static_force: Float[Array, ""]
 
-    def _sides(self, width: ScalarLike) -> tuple[Array, Array, Array]:
+    def _layer_velocities(self, width: ScalarLike) -> tuple[Array, Array, Array]:
         """(w_+, w_-, ln Q) at the fold; NaN unless V_+ + V_- > 0 > V_-.  Errors O(eps^(3/2))."""
         rho = -self.leaving / self.arriving
-        log_q = jnp.log(4.0 * self.hold * jnp.sqrt(jnp.pi / (self.fall * width)))
+        log_q = jnp.log(4.0 * self.static_force * jnp.sqrt(jnp.pi / (self.deceleration * width)))
         arriving = 0.5 * width * (jnp.log(rho - 1.0) - log_q)
         return -0.5 * width * (log_q + jnp.log(rho / (rho - 1.0))), arriving, log_q
 
@@ -249,12 +249,12 @@ class Slopes(NamedTuple):
         touches = (self.leaving + self.arriving > 0) & (self.arriving < 0)
         # Where nothing is shifted, NaN must not reach the derivative.
         safe = Slopes(*map(partial(jnp.where, touches), self, (2.0, -1.0, 1.0, 1.0)))
-        leaving, arriving, _ = safe._sides(width)
+        leaving, arriving, _ = safe._layer_velocities(width)
         return jnp.where(touches, safe.leaving * leaving + safe.arriving * arriving, 0.0)
 
-    def layer(self, width: ScalarLike) -> Layer:
-        """The whole of the layer at the fold; errors as in `_sides`."""
-        leaving, arriving, log_q = self._sides(width)
+    def boundary_layer(self, width: ScalarLike) -> BoundaryLayer:
+        """The whole of the layer at the fold; errors as in `_layer_velocities`."""
+        leaving, arriving, log_q = self._layer_velocities(width)
         # exp(-2 w / eps) / Q = m, least where 2 tau m + 1 / pi^(1/2) = 0.
         start = 1.0 / (-self.leaving / self.arriving - 1.0)
 
@@ -266,23 +266,25 @@ class Slopes(NamedTuple):
 
         # At tau < -8 Q Phi is below rounding, and exp(tau^2) above 1e27.
         tau, _ = bisect(falls, jnp.full_like(start, -8.0), jnp.zeros_like(start), 44)
-        closeness = -0.5 * (log_q + jnp.log(least(tau)))
-        return Layer(leaving, arriving, closeness, tau * jnp.sqrt(width / self.fall))
+        scaled_peak_velocity = -0.5 * (log_q + jnp.log(least(tau)))
+        return BoundaryLayer(
+            leaving, arriving, scaled_peak_velocity, tau * jnp.sqrt(width / self.deceleration)
+        )
 
 
 class DryFold(NamedTuple):
     """The fastest slip cycle of dry friction: one that touches the belt's speed, or none does.
 
     `ratio` = 1 + w / v_d, with w the greatest velocity of the mass relative to the belt; 1 at the
-    touch.  `sides`: dq / d(w_+, w_-) of the equations at this ratio, V_+ and V_- in the last row
+    touch.  `layer_velocities`: dq / d(w_+, w_-) at this ratio, V_+ and V_- in the last row
     where the belt's speed is stationary or the ratio is 1.  `turns`: whether the belt is faster
     than for all nearby slip cycles; if not, q is of the least that was reached.  `steps`: of
-    `Touch`, in a period; `evaluations`: Jacobians it took.
+    `GrazingOrbit`, in a period; `evaluations`: Jacobians it took.
     """
 
     q: Float[Array, " m"]
     ratio: Float[Array, ""]
-    sides: Float[Array, "m two"]
+    layer_velocities: Float[Array, "m two"]
     turns: Bool[Array, ""]
     steps: Int[Array, ""]
     evaluations: Int[Array, ""]
@@ -308,7 +310,7 @@ class _Way(NamedTuple):
 
     q: Float[Array, " m"]  # at `reached` and `secant.y`
     slope: Float[Array, " m"]  # dq / d share from there to where it was before
-    sides: Float[Array, "m two"]
+    layer_velocities: Float[Array, "m two"]
     reached: Float[Array, ""]
     goal: Float[Array, ""]
     secant: _Secant
@@ -360,16 +362,16 @@ def _climb(
 ) -> DryFold:
     """`find_dry_fold` from the cycle of averaging with this ratio and belt speed."""
     rest = steady_sliding(eqx.tree_at(lambda c: c.belt_speed, chain, speed))
-    first = Touch(chain, jnp.asarray(_SET.coarse_steps), mass)
+    first = GrazingOrbit(chain, jnp.asarray(_SET.coarse_steps), mass)
     q = first.pack(rest, 2 * jnp.pi / jnp.sqrt(alone.stiffness), speed)
     zero, one, no = jnp.zeros(()), jnp.ones(()), jnp.asarray(False)
     nan, infinite = jnp.asarray(jnp.nan), jnp.asarray(jnp.inf)
     weights, unknown = jnp.ones_like(q), jnp.full((q.shape[0], 2), jnp.nan)
 
     def linearise(goal: Array, y: Array, steps: Array, q: Array) -> tuple[Array, Factors, Array]:
-        part = Touch(weakened(chain, goal), steps, mass)
+        part = GrazingOrbit(weakened(chain, goal), steps, mass)
         below = jnp.sqrt(y) - 1.0  # w / v_d
-        value, slopes, _ = touch_slopes(part, q, below * q[-1])
+        value, slopes, _ = grazing_slopes(part, q, below * q[-1])
         slopes = slopes.at[:, -3].add(below * (slopes[:, -2] + slopes[:, -1]))
         factors = factorise(slopes[:, :-2], weights)
         return value, factors, -jax.vmap(factors.solve, 1, 1)(slopes[:, -2:])
@@ -418,33 +420,37 @@ def _climb(
         q = jnp.where(good, root, jnp.where(lost, jnp.nan, now.q))
         strode = (root - now.q) / jnp.maximum(stride, 1e-9)
         slope = jnp.where(good & (stride > 0), strode, now.slope)
-        sides = jnp.where(good, newton.aux, now.sides)
+        layer_velocities = jnp.where(good, newton.aux, now.layer_velocities)
         # v_d sum(sides) is dq / d ratio.
-        along = q[-1] * jnp.sum(sides, axis=1) * (jnp.sqrt(target) - jnp.sqrt(secant.y))
+        along = q[-1] * jnp.sum(layer_velocities, axis=1) * (jnp.sqrt(target) - jnp.sqrt(secant.y))
         guess = q + (goal - reached) * slope + jnp.where(target != secant.y, along, 0.0)
         steps = jnp.where(refined, more, now.steps)
         coarse = jnp.where(refined, root[-1], now.coarse)
         onward = _Way(
-            *(q, slope, sides, reached, goal, secant, target, steps, coarse),
+            *(q, slope, layer_velocities, reached, goal, secant, target, steps, coarse),
             *(nothing._replace(u=guess), now.evaluations + 1, settled, summit & turns),
         )
         same = now._replace(newton=newton, evaluations=now.evaluations + 1)
         return where(ended | spent, onward, same)
 
     last = lax.while_loop(goes_on, body, start)
-    q, sides = (jnp.where(last.settled, part, jnp.nan) for part in (last.q, last.sides))
+    q, layer_velocities = (
+        jnp.where(last.settled, part, jnp.nan) for part in (last.q, last.layer_velocities)
+    )
     turns = last.settled & last.turns & (q[-1] > 0)
-    return DryFold(q, jnp.sqrt(last.secant.y), sides, turns, last.steps, last.evaluations)
+    return DryFold(
+        q, jnp.sqrt(last.secant.y), layer_velocities, turns, last.steps, last.evaluations
+    )
 
 
 def _uphill(
-    before: _Secant, y: Array, q: Array, sides: Array
+    before: _Secant, y: Array, q: Array, layer_velocities: Array
 ) -> tuple[_Secant, Array, Array, Array]:
     """(what is known of v_d(y) now, the next y, whether it ends here, whether that is a fold).
 
     In y, the square of the ratio, the belt speed is smooth down to rest, where dv_d / dy is not 0.
     """
-    rise = 0.5 * q[-1] * jnp.sum(sides[-1]) / jnp.sqrt(y)
+    rise = 0.5 * q[-1] * jnp.sum(layer_velocities[-1]) / jnp.sqrt(y)
     low, high = jnp.where(rise > 0, y, before.low), jnp.where(rise > 0, before.high, y)
     gap = y - before.y
     apart = jnp.abs(gap) > 1e-5  # or they tell nothing about the curvature
@@ -490,10 +496,10 @@ class Grazing(Outcome):
       mass.
     - `touches`: whether that velocity is the belt's, so that the fold is a grazing; if not, it is
       a smooth saddle-node of slip cycles, see the head of this module.
-    - `by_leaving`, `by_arriving`: V_+ and V_-, see there.  Their ratio -V_+ / V_- is, for one
+    - `slope_plus`, `slope_minus`: V_+ and V_-, see there.  Their ratio -V_+ / V_- is, for one
       mass, the multiplier of the slip cycle, about 2 at a touch and 1 at a saddle-node.
-    - `fall`: kappa = -v_j'', how fast the mass loses its acceleration there; `hold`: the
-      greatest friction force on it, p mu_st.
+    - `deceleration`: kappa = -v_j'', how fast the mass loses its acceleration there;
+      `static_force`: the greatest friction force on it, p mu_st.
     - `residual`: the greatest gap after a period over the belt speed; `evaluations`: Jacobians it
       took.
     - `result`: successful if the cycle closes, no mass passes the belt's speed anywhere on it, and
@@ -508,10 +514,10 @@ class Grazing(Outcome):
     period: Float[Array, ""]
     state: State
     touches: Bool[Array, ""]
-    by_leaving: Float[Array, ""]
-    by_arriving: Float[Array, ""]
-    fall: Float[Array, ""]
-    hold: Float[Array, ""]
+    slope_plus: Float[Array, ""]
+    slope_minus: Float[Array, ""]
+    deceleration: Float[Array, ""]
+    static_force: Float[Array, ""]
     residual: Float[Array, ""]
     evaluations: Int[Array, ""]
     result: SearchResult
@@ -525,18 +531,18 @@ class Grazing(Outcome):
 
         **Arguments:** `width` = eps of the mass that grazes.
         """
-        slopes = Slopes(self.by_leaving, self.by_arriving, self.fall, self.hold)
+        slopes = Slopes(self.slope_plus, self.slope_minus, self.deceleration, self.static_force)
         return self.belt_speed + slopes.shift(width)
 
 
-def nonsmooth_fold_belt_speed(chain: Chain, vibrating: Any = None) -> Float[Array, ""]:
+def dry_fold_belt_speed(chain: Chain, mass: Any = None) -> Float[Array, ""]:
     """The greatest belt speed at which the vibration of one mass survives, for true dry friction.
 
     The limit of `fold_belt_speed` as the width vanishes, found directly: the grazing-sliding fold
     or, where friction is flat at rest, the saddle-node of slip cycles of the head of this module.
-    Mass `vibrating` vibrates, the others slide.
+    Mass `mass` vibrates, the others slide.
 
-    **Arguments:** `chain`, whose own `belt_speed` and width have no part in it; `vibrating`, the
+    **Arguments:** `chain`, whose own `belt_speed` and width have no part in it; `mass`, the
     index (from 0) of the mass, by default n // 2, oscillator 11 of 20.
 
     **Returns:** the dimensionless v_d, relative error about 1e-11; NaN where there is none or none
@@ -547,15 +553,15 @@ def nonsmooth_fold_belt_speed(chain: Chain, vibrating: Any = None) -> Float[Arra
 
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
-    >>> from jaxchain import nonsmooth_fold_belt_speed, paper_chain
-    >>> round(float(nonsmooth_fold_belt_speed(paper_chain(n=1))), 9)
+    >>> from jaxchain import dry_fold_belt_speed, paper_chain
+    >>> round(float(dry_fold_belt_speed(paper_chain(n=1))), 9)
     1.836600972
     """
-    return find_grazing(chain, vibrating).belt_speed
+    return find_grazing(chain, mass).belt_speed
 
 
-def find_grazing(chain: Chain, vibrating: Any = None) -> Grazing:
-    """The fold of `nonsmooth_fold_belt_speed` with its cycle.
+def find_grazing(chain: Chain, mass: Any = None) -> Grazing:
+    """The fold of `dry_fold_belt_speed` with its cycle.
 
     Arguments, errors and transformations as there.  Cycles on which other masses reach the belt's
     speed are not looked for: `belt_speed` is NaN then.
@@ -570,14 +576,14 @@ def find_grazing(chain: Chain, vibrating: Any = None) -> Grazing:
     >>> bool(grazing.successful), round(float(grazing.smoothed(1e-3)), 4)
     (True, 1.8311)
     """
-    mass = check_vibrating(chain, vibrating)
+    mass = check_mass(chain, mass)
     return _find(chain, mass)
 
 
 def without_fold(failed: SearchResult, exists: Any, damped: Any, none: Any) -> SearchResult:
     """Why no fold was found: `failed`, unless it was not to be expected."""
     of = SearchResult
-    result = of.where(exists, failed, of.gentle)
+    result = of.where(exists, failed, of.supercritical)
     result = of.where(damped, result, of.undamped)
     return of.where(none, of.no_fold, result)
 
@@ -588,14 +594,14 @@ def _find(chain: Chain, mass: int) -> Grazing:
     alone = one_mass(frozen, mass)
     summits = dry_summits(alone)
     dry = find_dry_fold(frozen, mass, alone, summits)
-    touch = Touch(frozen, dry.steps, mass)
-    gap, slopes, highest = touch_slopes(touch, dry.q, dry.w)
-    by_leaving, by_arriving = -solve(slopes[:, :-2], slopes[:, -2:])[-1]
-    (_, v), _, speed = touch.unpack(dry.q, dry.w)
-    fall = touch.fall(v)
+    grazing = GrazingOrbit(frozen, dry.steps, mass)
+    gap, slopes, highest = grazing_slopes(grazing, dry.q, dry.w)
+    slope_plus, slope_minus = -solve(slopes[:, :-2], slopes[:, -2:])[-1]
+    (_, v), _, speed = grazing.unpack(dry.q, dry.w)
+    deceleration = grazing.deceleration(v)
     slides = jnp.all(highest <= (1.0 + 1e-9) * speed)
     touches = dry.ratio >= 1.0
-    folds = dry.turns & (by_arriving < 0) & (fall > 0)
+    folds = dry.turns & (slope_minus < 0) & (deceleration > 0)
     at_speed = eqx.tree_at(lambda c: c.belt_speed, frozen, speed)
     folds = folds & can_be_cycle(at_speed, jnp.exp(dry.q[-2]), jnp.abs(v))
     exists = jnp.isfinite(speed) & slides & folds
@@ -609,7 +615,7 @@ def _find(chain: Chain, mass: int) -> Grazing:
     z = jnp.concatenate([dry.q[:-1], jnp.stack([dry.w, speed])])
     slope = jnp.concatenate([slopes[:, :-3], jnp.sum(slopes[:, -2:], axis=1)[:, None]], axis=1)
     left, _, right = jnp.linalg.svd(jnp.where(exists, slope, jnp.eye(slope.shape[0])))
-    held = Touch(chain, dry.steps, mass), (left[:, -1], right[-1]), touches
+    held = GrazingOrbit(chain, dry.steps, mass), (left[:, -1], right[-1]), touches
     z = if_found(exists, attach_derivative(_fold_equations, z, held))
     state, period, speed = held[0].unpack(jnp.append(z[:-2], z[-1]), z[-2])
     return Grazing(
@@ -617,10 +623,10 @@ def _find(chain: Chain, mass: int) -> Grazing:
         period=period,
         state=state,
         touches=touches,
-        by_leaving=by_leaving,
-        by_arriving=by_arriving,
-        fall=fall,
-        hold=touch.hold,
+        slope_plus=slope_plus,
+        slope_minus=slope_minus,
+        deceleration=deceleration,
+        static_force=grazing.static_force,
         residual=jnp.max(jnp.abs(gap)),
         evaluations=dry.evaluations,
         result=result,
@@ -628,9 +634,9 @@ def _find(chain: Chain, mass: int) -> Grazing:
     )
 
 
-def _closure(u: Float[Array, " m"], speed: Any, touch: Touch) -> Float[Array, " m"]:
+def _closure(u: Float[Array, " m"], speed: Any, grazing: GrazingOrbit) -> Float[Array, " m"]:
     """The equations of the slip cycle with the unknowns (q but for the belt speed, w)."""
-    return touch_residual(jnp.append(u[:-1], speed), touch, u[-1], u[-1])
+    return grazing_equations(jnp.append(u[:-1], speed), grazing, u[-1], u[-1])
 
 
 _SADDLE_NODE = fold_residual(_closure)
@@ -638,6 +644,6 @@ _SADDLE_NODE = fold_residual(_closure)
 
 def _fold_equations(z: Float[Array, " m_plus_1"], held: Any) -> Float[Array, " m_plus_1"]:
     """The slip cycle closes, and touches the belt's speed or is a saddle-node."""
-    touch, borders, touches = held
-    r = _SADDLE_NODE(z, (touch, borders))
+    grazing, borders, touches = held
+    r = _SADDLE_NODE(z, (grazing, borders))
     return r.at[-1].set(jnp.where(touches, z[-2], r[-1]))

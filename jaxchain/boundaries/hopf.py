@@ -74,8 +74,8 @@ def hopf_belt_speed(chain: Chain) -> Float[Array, ""]:
 def _speed(chain: Chain) -> Array:
     frozen = jax.tree.map(lax.stop_gradient, chain)  # nothing is differentiated through a search
     if has_uniform_damping(chain):
-        found = _uniform(frozen)
-        return attach_derivative(_damping_residual, jnp.reshape(found, (1,)), chain)[0]
+        speed = _uniform(frozen)
+        return attach_derivative(_damping_residual, jnp.reshape(speed, (1,)), chain)[0]
     crossing, shape, together = _mistuned(frozen)
     return attach_derivative(crossing_residual, crossing, (chain, shape, together))[0]
 
@@ -89,7 +89,7 @@ def _uniform(chain: Chain) -> Array:
         return jnp.reshape(sliding_damping(chain, speed), ())
 
     grid = belt_speed_grid(chain)
-    low, high, found = _last_rise(stability, grid)
+    low, high, exists = _last_rise(stability, grid)
     low, high = bisect(lambda v: stability(v) <= 0, low, high, _BISECTIONS)
     (speed,) = _polish(_damping_residual, jnp.stack([low]), chain, low, high)
     law = chain.law
@@ -98,7 +98,7 @@ def _uniform(chain: Chain) -> Array:
         closed = law.v_ref * jnp.log(drop / (2.0 * chain.damping_ratio * law.v_ref))
         # From there on tanh is 1 and sech^2 / eps is nothing, whatever the width.
         speed = jnp.where(closed > 30.0 * chain.width, closed, speed)
-    return if_found(found, speed)
+    return if_found(exists, speed)
 
 
 def _mistuned(chain: Chain) -> tuple[Array, Array, Array]:
@@ -126,7 +126,7 @@ def _mistuned(chain: Chain) -> tuple[Array, Array, Array]:
     first = jnp.min(jnp.where(maybe, grid, jnp.inf))
     low = jnp.minimum(jnp.where(last > 0, last, first), 0.97 * high)
     inner = jnp.exp(jnp.linspace(jnp.log(low), jnp.log(high), 64))
-    low, high, found = _last_rise(stability, inner)
+    low, high, exists = _last_rise(stability, inner)
     low, high = bisect(lambda v: stability(v) <= 0, low, high, _BISECTIONS)
 
     values = sliding_eigenvalues(chain, low)
@@ -134,7 +134,7 @@ def _mistuned(chain: Chain) -> tuple[Array, Array, Array]:
     start = jnp.stack([low, frequency])
     shape, together = null_shape(start, chain)
     crossing = _polish(crossing_residual, start, (chain, shape, together), low, high)
-    return if_found(found, crossing), shape, together
+    return if_found(exists, crossing), shape, together
 
 
 def _last_rise(

@@ -53,7 +53,7 @@ from ..continuation.implicit import attach_derivative
 from ..cycles.limit_cycle import Guess
 from ..model.arguments import as_chain, as_mass
 from ..model.chain import Chain, steady_sliding
-from ..model.initial_states import check_vibrating
+from ..model.initial_states import check_mass
 from ..model.parameters import CHAIN
 from ..model.sliding import (
     GREATEST_SPEED,
@@ -222,12 +222,12 @@ def generalised_hopf(chain: Chain, parameter: Any, low: Any, high: Any) -> Gener
     >>> round(float(meeting.value), 3)  # with wider layers vibration sets in gently
     0.349
     """
-    check_vibrating(chain, 0)
+    check_mass(chain, 0)
     if chain.n != 1:
         raise ValueError(f"Argument `chain` must have one mass, but has {chain.n}.")
-    own = [name for name, row in CHAIN.items() if row.per == "mass"]
-    known = {*own, *chain.friction.numbers(), "width"}
-    check_one_of("parameter", parameter, sorted(known))
+    per_mass = [name for name, row in CHAIN.items() if row.per == "mass"]
+    names = {*per_mass, *chain.friction.numbers(), "width"}
+    check_one_of("parameter", parameter, sorted(names))
     for name, end in (("low", low), ("high", high)):
         check_positive_number(name, end, "the values in between are spaced by their logarithm.")
     if not is_traced(low, high) and float(low) >= float(high):
@@ -275,8 +275,8 @@ def _meeting(chain: Chain, parameter: str, low: Array, high: Array) -> Generalis
     # Third derivatives at a width eps err by rounding over eps^3.
     root = newton(system, jnp.ones(2), (frozen, unit), tolerance=1e-8)
     result = SearchResult.where(changed, root.result, SearchResult.no_meeting)
-    found = jnp.where(changed & root.successful, root.value, jnp.nan)
-    value, speed = attach_derivative(system, found, (chain, unit)) * unit
+    value = jnp.where(changed & root.successful, root.value, jnp.nan)
+    value, speed = attach_derivative(system, value, (chain, unit)) * unit
     return GeneralisedHopf(value=value, belt_speed=speed, result=result)
 
 
@@ -650,11 +650,11 @@ def guess_from_hopf(
     points: HopfPoints,
     index: int = 0,
     amplitude: Any = None,
-    vibrating: int | None = None,
+    mass: int | None = None,
 ) -> Guess:
     """The small cycle that branches off Hopf point `index` of `points`, at the chain's belt speed.
 
-    x = x_s + A Re[u exp(i omega t)], when mass `vibrating` (by default the one that moves most)
+    x = x_s + A Re[u exp(i omega t)], when mass `mass` (by default the one that moves most)
     is fastest in the direction of the belt.
 
     **Arguments:** `points` from `hopf_points(chain, ...)`; `amplitude` = A > 0 of displacement, of
@@ -692,7 +692,7 @@ def guess_from_hopf(
             )
         amplitude = jnp.sqrt(square)
     check_positive_number("amplitude", amplitude, "0.1 is usual.")
-    mass = as_mass(chain.n, vibrating)
+    mass = as_mass(chain.n, mass)
     mass = int(jnp.argmax(jnp.abs(shape))) if mass is None else mass
     moving = 1j * omega * shape
     phase = chain.belt_direction() * jnp.conj(moving[mass]) / jnp.abs(moving[mass])

@@ -26,18 +26,18 @@ from .._final import final
 from ..continuation.damped_newton import where
 from ..cycles.averaging import dry_summits, one_mass, speed_scale
 from ..model.chain import Chain
-from ..model.initial_states import check_vibrating
+from ..model.initial_states import check_mass
 from ..result import Printed
-from .fold import speed_and_closeness
-from .grazing import nonsmooth_fold_belt_speed
+from .fold import fold_speed_and_peak
+from .grazing import dry_fold_belt_speed
 
-# The widths of `fold_in_the_limit` over the speed of the problem.
+# The widths of `extrapolated_fold` over the speed of the problem.
 _WIDTHS = 6e-4 * 2.0 ** np.arange(6)
 _ACCURACY = 1e-9  # relative error of a fold, see `fold_belt_speed`
 
 
 @final
-class Extrapolated(Printed, eqx.Module):
+class Extrapolation(Printed, eqx.Module):
     """A quantity in the limit of width 0.
 
     - `value`: NaN if it is not known at some of the widths.
@@ -74,10 +74,10 @@ class FoldBoundary(Printed, eqx.Module):
 
 def extrapolate(
     values: Any, widths: Any, *, scale: Any = 1.0, accuracy: Any = _ACCURACY
-) -> Extrapolated:
+) -> Extrapolation:
     """What `values`, found at several widths of smoothed friction, become for dry friction.
 
-    Least squares in the terms of `Extrapolated`, each residual measured in e^2, about the first
+    Least squares in the terms of `Extrapolation`, each residual measured in e^2, about the first
     term left out: an interpolation for up to six widths.  The error bar is the greatest difference
     from the fits with one and two terms fewer, plus what errors of the values make of the fit.
 
@@ -86,7 +86,7 @@ def extrapolate(
     2; `scale`, the speed they are to be compared with (it has a part in the logarithms only);
     `accuracy`, the relative error of the values.
 
-    **Returns:** an `Extrapolated`, NaN if a value is.  Works under `jit`, `vmap`, `grad`, `jvp`.
+    **Returns:** an `Extrapolation`, NaN if a value is.  Works under `jit`, `vmap`, `grad`, `jvp`.
 
     **Raises:** `ValueError` for fewer widths, equal ones, or such that are not positive.
 
@@ -112,7 +112,7 @@ def extrapolate(
 
 
 @eqx.filter_jit
-def _extrapolate(values: Array, widths: Array, scale: Any, accuracy: Any) -> Extrapolated:
+def _extrapolate(values: Array, widths: Array, scale: Any, accuracy: Any) -> Extrapolation:
     e = widths / scale
     log = jnp.log(1.0 / e)
     columns = [jnp.ones_like(e), e * log, e, e**1.5, (e * log) ** 2, e**2 * log]
@@ -125,12 +125,12 @@ def _extrapolate(values: Array, widths: Array, scale: Any, accuracy: Any) -> Ext
     coefficients, gain = fits[-1]
     spread = jnp.stack([jnp.abs(fewer[0] - coefficients[0]) for fewer, _ in fits[:-1]])
     noise = accuracy * gain * jnp.max(jnp.abs(values))
-    return Extrapolated(coefficients[0], jnp.max(spread) + noise, coefficients)
+    return Extrapolation(coefficients[0], jnp.max(spread) + noise, coefficients)
 
 
 def _unless_free(
-    limit: Extrapolated, folds: Array, closeness: Array, widths: Array
-) -> Extrapolated:
+    limit: Extrapolation, folds: Array, scaled_peak_velocity: Array, widths: Array
+) -> Extrapolation:
     """`limit`, or the fold at the least width where its mass stays out of the layer.
 
     In the layer s = max w / eps falls by no more than 3/4 of the logarithm as the width falls.
@@ -140,12 +140,12 @@ def _unless_free(
     """
     least, next_one = jnp.argsort(widths)[:2]
     ratio = widths[next_one] / widths[least]
-    free = closeness[next_one] - closeness[least] > 0.85 * jnp.log(ratio)
+    free = scaled_peak_velocity[next_one] - scaled_peak_velocity[least] > 0.85 * jnp.log(ratio)
     value, moved = folds[least], jnp.abs(folds[next_one] - folds[least])
     error = moved / (ratio - 1.0) + 2.0 * _ACCURACY * value
     constant = jnp.zeros_like(limit.coefficients).at[0].set(value)
     # A fold that is missing at another width is missed here, too.
-    both = Extrapolated(value, error, constant), limit
+    both = Extrapolation(value, error, constant), limit
     return where(free & jnp.isfinite(limit.value), *both)
 
 
@@ -160,26 +160,26 @@ def _fit(columns: Array, values: Array, weights: Array) -> tuple[Array, Array]:
 
 def check_widths(widths: Any) -> Float[Array, " widths"]:
     """`widths` as an array, or raises `ValueError` unless they can be extrapolated from."""
-    found = to_float(widths, "widths")
-    if found.ndim != 1 or found.shape[0] < 4:
+    array = to_float(widths, "widths")
+    if array.ndim != 1 or array.shape[0] < 4:
         raise ValueError(
             f"Argument `widths` must be at least 4 regularization widths, but has shape "
-            f"{found.shape}: [8e-3, 4e-3, 2e-3, 1e-3] is usual."
+            f"{array.shape}: [8e-3, 4e-3, 2e-3, 1e-3] is usual."
         )
-    check_positive("widths", found, "[8e-3, 4e-3, 2e-3, 1e-3] is usual.")
-    if not is_traced(found) and np.unique(found).size < found.shape[0]:
-        raise ValueError(f"Argument `widths` must differ from each other, but is {found}.")
-    return found
+    check_positive("widths", array, "[8e-3, 4e-3, 2e-3, 1e-3] is usual.")
+    if not is_traced(array) and np.unique(array).size < array.shape[0]:
+        raise ValueError(f"Argument `widths` must differ from each other, but is {array}.")
+    return array
 
 
-def fold_in_the_limit(chain: Chain, vibrating: Any = None, widths: Any = None) -> Extrapolated:
+def extrapolated_fold(chain: Chain, mass: Any = None, widths: Any = None) -> Extrapolation:
     """`fold_belt_speed` for width 0, extrapolated from several widths, with an error bar.
 
-    **Arguments:** `chain` and `vibrating` as for `fold_belt_speed`; the chain's own width has no
+    **Arguments:** `chain` and `mass` as for `fold_belt_speed`; the chain's own width has no
     part in it.  `widths`, at least four; by default six, 6e-4 ... 2e-2 of the speed of the problem
     (about 1e-3 ... 3e-2 for the paper's set).
 
-    **Returns:** an `Extrapolated`, in v_d, NaN where a fold is not found at one of the widths.
+    **Returns:** an `Extrapolation`, in v_d, NaN where a fold is not found at one of the widths.
     Where the mass stays below the belt's speed at the fold (`Grazing.touches` is false) there is
     no series in the width: the value is the fold at the least width, and the bar what the next
     width changes.
@@ -194,18 +194,18 @@ def fold_in_the_limit(chain: Chain, vibrating: Any = None, widths: Any = None) -
 
         >>> import jax
         >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import nonsmooth_fold_belt_speed, paper_chain
-        >>> from jaxchain.boundaries import fold_in_the_limit
-        >>> limit = fold_in_the_limit(paper_chain(n=1))
-        >>> exact = nonsmooth_fold_belt_speed(paper_chain(n=1))
+        >>> from jaxchain import dry_fold_belt_speed, paper_chain
+        >>> from jaxchain.boundaries import extrapolated_fold
+        >>> limit = extrapolated_fold(paper_chain(n=1))
+        >>> exact = dry_fold_belt_speed(paper_chain(n=1))
         >>> round(float(limit.value), 5), bool(abs(limit.value - exact) < limit.error < 1e-4)
         (1.8366, True)
     """
-    mass = check_vibrating(chain, vibrating)
+    mass = check_mass(chain, mass)
     return _limit(chain, mass, None if widths is None else check_widths(widths))[0]
 
 
-def fold_boundary(chain: Chain, vibrating: Any = None) -> FoldBoundary:
+def fold_boundary(chain: Chain, mass: Any = None) -> FoldBoundary:
     """The fold at the chain's width, in the limit of width 0 with an error bar, and the dry one.
 
     **Arguments**, errors and transformations as for `fold_belt_speed`.
@@ -222,13 +222,13 @@ def fold_boundary(chain: Chain, vibrating: Any = None) -> FoldBoundary:
         >>> [round(float(v), 6) for v in (found.value, found.limit, found.dry)]
         [1.792456, 1.836601, 1.836601]
     """
-    return _boundary(chain, check_vibrating(chain, vibrating))
+    return _boundary(chain, check_mass(chain, mass))
 
 
 @eqx.filter_jit
 def _limit(
     chain: Chain, mass: int, widths: Array | None = None, width: Array | None = None
-) -> tuple[Extrapolated, Array]:
+) -> tuple[Extrapolation, Array]:
     """(the limit, the folds it is from and, if it is given, the one at `width`), in one call."""
     alone = one_mass(lax.stop_gradient(chain), mass)
     scale = speed_scale(alone, dry_summits(alone).touching)
@@ -237,15 +237,15 @@ def _limit(
         each = jnp.stack([*(jnp.full_like(width, one) for one in widths), width])
 
     def fold(width: Array) -> tuple[Array, Array]:
-        return speed_and_closeness(chain.with_(width=width), mass)[:2]
+        return fold_speed_and_peak(chain.with_(width=width), mass)[:2]
 
-    folds, closeness = jax.vmap(fold)(each)
+    folds, scaled_peak_velocity = jax.vmap(fold)(each)
     limit = _extrapolate(folds[: len(widths)], widths, scale, _ACCURACY)
-    return _unless_free(limit, folds, closeness, widths), folds
+    return _unless_free(limit, folds, scaled_peak_velocity, widths), folds
 
 
 @eqx.filter_jit
 def _boundary(chain: Chain, mass: int) -> FoldBoundary:
-    dry = nonsmooth_fold_belt_speed(chain, mass)
+    dry = dry_fold_belt_speed(chain, mass)
     limit, folds = _limit(chain, mass, width=None if chain.dry else chain.width)
     return FoldBoundary(dry if chain.dry else folds[-1], limit.value, limit.error, dry)

@@ -17,13 +17,13 @@ from jaxtyping import Array, Bool, Float
 from .._checks import check_positive_number, is_traced, to_float
 from .._final import final
 from ..model.chain import Chain
-from ..model.initial_states import check_vibrating, on_the_belt
+from ..model.initial_states import check_mass, on_the_belt
 from ..observers.amplitude import Amplitude
 from ..observers.quantities import active
 from ..result import Outcome, Printed, SearchResult
 from ..simulation.event_driven import EventDriven
 from ..simulation.run import simulate
-from .fold import speed_and_closeness
+from .fold import fold_speed_and_peak
 from .hopf import hopf_belt_speed
 from .limit import fold_boundary
 
@@ -52,10 +52,10 @@ class BistableRange(Outcome):
     result: SearchResult
 
 
-def bistable_range(chain: Chain, vibrating: Any = None) -> BistableRange:
+def bistable_range(chain: Chain, mass: Any = None) -> BistableRange:
     """Hopf and fold of one vibrating mass, and what lies between, dimensionless.
 
-    **Arguments:** `chain`, dry or smoothed, whose own belt speed has no part in it; `vibrating`,
+    **Arguments:** `chain`, dry or smoothed, whose own belt speed has no part in it; `mass`,
     the index of the mass, as in `fold_belt_speed`.
 
     Where damping outweighs the weakening of friction there is no fold, which is no failure: the
@@ -74,14 +74,14 @@ def bistable_range(chain: Chain, vibrating: Any = None) -> BistableRange:
     >>> round(float(both.hopf), 6), round(float(both.fold), 6), round(float(both.width), 6)
     (1.151293, 1.836601, 0.685308)
     """
-    mass = check_vibrating(chain, vibrating)
+    mass = check_mass(chain, mass)
     return _range(chain, mass)
 
 
 @eqx.filter_jit
 def _range(chain: Chain, mass: int) -> BistableRange:
     of = SearchResult
-    fold, _, result = speed_and_closeness(chain, mass)
+    fold, _, result = fold_speed_and_peak(chain, mass)
     hopf = hopf_belt_speed(chain)
     none = result == of.no_fold
     # Masses without damping vibrate at every speed, which has no fold, either.
@@ -95,7 +95,7 @@ def _range(chain: Chain, mass: int) -> BistableRange:
     )
 
 
-class Trial(Printed, eqx.Module):
+class BoundaryTrial(Printed, eqx.Module):
     """What became of one vibrating mass a little below and a little above a belt speed.
 
     `speeds`; `amplitudes` at the end, one row of n for each; `vibrates`: whether the mass still
@@ -111,11 +111,11 @@ class Trial(Printed, eqx.Module):
 def try_boundary(
     chain: Chain,
     belt_speed: Any,
-    vibrating: Any = None,
+    mass: Any = None,
     *,
     margin: Any = 0.01,
     time: Any = 400.0,
-) -> Trial:
+) -> BoundaryTrial:
     """Two event-driven runs with true dry friction: does the vibration of one mass end there?
 
     One mass starts on the belt, which carries it along, at belt speeds v (1 - margin) and
@@ -123,12 +123,12 @@ def try_boundary(
     but with neighbours that are strongly coupled (0.05 for three equal masses) this start may
     come to rest where another would not.  Under `jit` and `vmap`.
 
-    **Arguments:** (dimensionless) `belt_speed` v, the boundary in question; `vibrating`, the index
+    **Arguments:** (dimensionless) `belt_speed` v, the boundary in question; `mass`, the index
     of the mass, by default n // 2; `margin`, a share of v; `time` long enough to die out: some
     multiples of 1 / xi.
 
-    **Returns:** a `Trial`: `speeds` (2,), `amplitudes` (2, n) at their ends, `vibrates` (2,), and
-    `holds`, whether the mass vibrated below and rested above.
+    **Returns:** a `BoundaryTrial`: `speeds` (2,), `amplitudes` (2, n) at their ends, `vibrates`
+    (2,), and `holds`, whether the mass vibrated below and rested above.
 
     **Raises:** `ValueError` for a speed, margin or time that is not positive.
 
@@ -136,16 +136,16 @@ def try_boundary(
 
         >>> import jax
         >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import nonsmooth_fold_belt_speed, paper_chain
+        >>> from jaxchain import dry_fold_belt_speed, paper_chain
         >>> from jaxchain.boundaries import try_boundary
         >>> chain = paper_chain(n=1)
-        >>> boundary = nonsmooth_fold_belt_speed(chain)
+        >>> boundary = dry_fold_belt_speed(chain)
         >>> try_boundary(chain, boundary).vibrates.tolist()
         [True, False]
         >>> bool(try_boundary(chain, 0.9 * boundary).holds)  # that is no boundary
         False
     """
-    mass = check_vibrating(chain, vibrating)
+    mass = check_mass(chain, mass)
     for name, value, remedy in (
         ("belt_speed", belt_speed, "1.8 is usual."),
         ("margin", margin, "it is a share of the belt speed, such as 0.01."),
@@ -163,14 +163,14 @@ def try_boundary(
 
 
 @eqx.filter_jit
-def _try(chain: Chain, belt_speed: Array, mass: int, margin: Array, time: Array) -> Trial:
+def _try(chain: Chain, belt_speed: Array, mass: int, margin: Array, time: Array) -> BoundaryTrial:
     speeds = belt_speed * (1.0 + margin * jnp.array([-1.0, 1.0]))
 
     def amplitude(speed: Array) -> Array:
-        own = eqx.tree_at(lambda c: c.belt_speed, chain, speed)
+        chain_i = eqx.tree_at(lambda c: c.belt_speed, chain, speed)
         return simulate(
-            own,
-            on_the_belt(own, mass),
+            chain_i,
+            on_the_belt(chain_i, mass),
             time,
             observe=Amplitude(window=_WINDOW),
             solver=EventDriven(7),
@@ -180,7 +180,7 @@ def _try(chain: Chain, belt_speed: Array, mass: int, margin: Array, time: Array)
 
     amplitudes = jax.vmap(amplitude)(speeds)
     vibrates = active(amplitudes, speeds)[:, mass]
-    return Trial(speeds, amplitudes, vibrates, vibrates[0] & ~vibrates[1])
+    return BoundaryTrial(speeds, amplitudes, vibrates, vibrates[0] & ~vibrates[1])
 
 
 @final
@@ -188,9 +188,9 @@ class Boundaries(Printed, eqx.Module):
     """Belt speeds, dimensionless; NaN for what does not exist or was not found.
 
     - `hopf`: above it sliding is stable, just below it is not, at the chain's width;
-      `hopf_nonsmooth`: for dry friction.
+      `hopf_dry`: for dry friction.
     - `fold`: up to it the vibration of one mass survives, at the chain's width.
-    - `fold_nonsmooth`: the same for dry friction: found directly, else extrapolated to width 0.
+    - `fold_dry`: the same for dry friction: found directly, else extrapolated to width 0.
     - `fold_limit`: extrapolated, a second opinion.
     - `..._error`: the bars of the values for dry friction.
 
@@ -198,23 +198,23 @@ class Boundaries(Printed, eqx.Module):
     """
 
     hopf: Float[Array, ""]
-    hopf_nonsmooth: Float[Array, ""]
-    hopf_nonsmooth_error: Float[Array, ""]
+    hopf_dry: Float[Array, ""]
+    hopf_dry_error: Float[Array, ""]
     fold: Float[Array, ""]
-    fold_nonsmooth: Float[Array, ""]
-    fold_nonsmooth_error: Float[Array, ""]
+    fold_dry: Float[Array, ""]
+    fold_dry_error: Float[Array, ""]
     fold_limit: Float[Array, ""]
     fold_limit_error: Float[Array, ""]
     mass: int = eqx.field(static=True)
 
 
-def hopf_and_fold(chain: Chain, vibrating: Any = None) -> Boundaries:
+def hopf_and_fold(chain: Chain, mass: Any = None) -> Boundaries:
     """Both boundaries of a chain at its width, for dry friction, and the bars of the latter.
 
     The bar of the fold is that of the direct method, and more if the extrapolation from smoothed
     friction contradicts it: by as much as the two differ beyond the bar of the extrapolation.
 
-    **Arguments:** `chain`, whose own `belt_speed` has no part in it; `vibrating`, the index of the
+    **Arguments:** `chain`, whose own `belt_speed` has no part in it; `mass`, the index of the
     mass whose vibration folds, by default n // 2.
 
     **Returns:** a `Boundaries`; works under `jit` and `vmap`, and is differentiable as
@@ -231,10 +231,10 @@ def hopf_and_fold(chain: Chain, vibrating: Any = None) -> Boundaries:
         >>> found = hopf_and_fold(paper_chain(n=1, width=1e-3))
         >>> round(float(found.hopf), 6), round(float(found.fold), 6)
         (1.151293, 1.83113)
-        >>> round(float(found.fold_nonsmooth), 9)
+        >>> round(float(found.fold_dry), 9)
         1.836600972
     """
-    mass = check_vibrating(chain, vibrating)
+    mass = check_mass(chain, mass)
     return _boundaries(chain, mass)
 
 
@@ -248,11 +248,11 @@ def _boundaries(chain: Chain, mass: int) -> Boundaries:
     bar = jnp.where(contradicts, apart, 1e-10 * jnp.abs(fold.dry))
     return Boundaries(
         hopf=hopf_dry if chain.dry else hopf_belt_speed(chain),
-        hopf_nonsmooth=hopf_dry,
-        hopf_nonsmooth_error=1e-12 * hopf_dry,
+        hopf_dry=hopf_dry,
+        hopf_dry_error=1e-12 * hopf_dry,
         fold=fold.value,
-        fold_nonsmooth=jnp.where(direct, fold.dry, fold.limit),
-        fold_nonsmooth_error=jnp.where(direct, bar, fold.error),
+        fold_dry=jnp.where(direct, fold.dry, fold.limit),
+        fold_dry_error=jnp.where(direct, bar, fold.error),
         fold_limit=fold.limit,
         fold_limit_error=fold.error,
         mass=mass,

@@ -20,7 +20,7 @@ from .._checks import check_concrete, check_kind, check_positive_number
 from .._final import final
 from ..cycles.branches import continue_cycle
 from ..model.chain import Chain, require_smoothed
-from ..model.initial_states import check_vibrating
+from ..model.initial_states import check_mass
 from ..result import Printed
 from .fold import Fold, find_fold
 from .hopf import hopf_belt_speed
@@ -37,7 +37,7 @@ class OneMassBranch(Printed, eqx.Module):
 
     - `belt_speed` v_d, `amplitude` A (half peak-to-peak of x), `period` T; dimensionless, NaN in
       places where there is no point, so drop these before drawing a line.
-    - `closeness`: s = max w / eps.
+    - `scaled_peak_velocity`: s = max w / eps.
 
     The first entry is the Hopf point, of amplitude 0; `fold` is the index of the fold.
 
@@ -46,7 +46,7 @@ class OneMassBranch(Printed, eqx.Module):
 
     belt_speed: Float[Array, " points"]
     amplitude: Float[Array, " points"]
-    closeness: Float[Array, " points"]
+    scaled_peak_velocity: Float[Array, " points"]
     period: Float[Array, " points"]
     fold: int = eqx.field(static=True)
 
@@ -96,10 +96,15 @@ def one_mass_branch(chain: Chain, lowest: Any = 0.1, fold: Fold | None = None) -
         step = float(length) / _POINTS
         side = continue_cycle(
             chain.with_(belt_speed=top), fold.state, fold.period, direction=direction, step=step,
-            max_step=step, max_points=_POINTS + 1, bounds=(least, np.inf), vibrating=0,
+            max_step=step, max_points=_POINTS + 1, bounds=(least, np.inf), mass=0,
         )  # fmt: skip
         places = _POINTS + 1 + way * np.arange(len(side.parameter))
-        rows[:, places] = side.parameter, side.amplitude[:, 0], side.closeness, side.period
+        rows[:, places] = (
+            side.parameter,
+            side.amplitude[:, 0],
+            side.scaled_peak_velocity,
+            side.period,
+        )
     hopf = float(hopf_belt_speed(chain))
     # The period of the smallest cycle found, which is near that of the Hopf point.
     first = rows[3, np.argmax(np.isfinite(rows[3]))]
@@ -118,7 +123,7 @@ def check_below_fold(lowest: Any, fold: Fold) -> None:
 
 
 def _check_single(chain: Any) -> None:
-    check_vibrating(chain, 0)
+    check_mass(chain, 0)
     if chain.n != 1:
         raise ValueError(
             f"Argument `chain` must have one mass, but has {chain.n}. For the cycles of several "

@@ -35,7 +35,7 @@ from ..observers.amplitude import Amplitude
 from ..observers.quantities import energy
 from ..observers.section import PeakTimes, Section
 from ..result import NAMES, Printed, code, ended_well, message
-from ..simulation.accuracy import MAX_STEP, check_resolved, check_tolerances, own_solver
+from ..simulation.accuracy import MAX_STEP, check_resolved, check_tolerances, custom_solver
 from ..simulation.event_driven import EventDriven
 from ..simulation.run import simulate
 from ..sweeps.programs import map_lanes
@@ -122,8 +122,8 @@ class Evidence(Printed):
         return self._time(self.high)
 
     def _time(self, exponents: np.ndarray) -> float:
-        known = self.kind == "cycle" and len(exponents) > 1
-        rate = abs(float(exponents[1])) if known else math.nan
+        fits = self.kind == "cycle" and len(exponents) > 1
+        rate = abs(float(exponents[1])) if fits else math.nan
         return 1.0 / rate if rate else math.inf
 
 
@@ -152,10 +152,10 @@ class Verdict(Printed):
     @property
     def lead(self) -> Evidence:
         """The run of most exponents among those that the verdict is about."""
-        own = [run for run in self.runs if MEANINGS.get(run.kind) == self.verdict]
+        agreeing = [run for run in self.runs if MEANINGS.get(run.kind) == self.verdict]
         worst = max(run.noise for run in self.runs)
         noisiest = [run for run in self.runs if run.noise == worst]
-        chosen = [r for r in own if r.noise == worst] or own or noisiest
+        chosen = [r for r in agreeing if r.noise == worst] or agreeing or noisiest
         return max(chosen, key=lambda run: len(run.exponents))
 
 
@@ -235,10 +235,10 @@ def judge_torus(runs: Sequence[Evidence], criteria: Criteria) -> bool:
     Mean +- t s / sqrt(m) over the m runs, Student's t at 95 %, lies within `zero` of 0 for both
     leading exponents, and the energies do not drift.
     """
-    own = [run for run in runs if run.kind == "open" and len(run.smooth) > 1]
-    if len(own) < 2 or not all(_comes_back(run, criteria) for run in own):
+    smooth = [run for run in runs if run.kind == "open" and len(run.smooth) > 1]
+    if len(smooth) < 2 or not all(_comes_back(run, criteria) for run in smooth):
         return False
-    values = np.array([np.sort(run.smooth)[::-1][:2] for run in own])
+    values = np.array([np.sort(run.smooth)[::-1][:2] for run in smooth])
     return bool(np.all(np.abs(mean_interval(values)) < criteria.zero))
 
 
@@ -258,21 +258,21 @@ def classify(runs: Sequence[Evidence]) -> Verdict:
     """
     strongest = max(run.noise for run in runs)
     voters = [run for run in runs if run.noise == strongest]
-    own = [run for run in runs if run.noise == 0.0] or voters
+    quiet = [run for run in runs if run.noise == 0.0] or voters
     verdict = _common(voters)
-    undisturbed = "periodic" if own[0].kind == "unstable" else _common(own)
+    undisturbed = "periodic" if quiet[0].kind == "unstable" else _common(quiet)
     counted = {kind: sum(run.kind == kind for run in runs) for kind in KINDS}
-    told = ", ".join(f"{count} {kind}" for kind, count in counted.items() if count)
+    counts = ", ".join(f"{count} {kind}" for kind, count in counted.items() if count)
     lost = [run.kind for run in runs if _failed(run)]
     failures = [f"{lost.count(name)} failed ({name})" for name in sorted(set(lost))]
-    reason = f"{len(runs)} runs: {', '.join([told] * bool(told) + failures)}"
+    reason = f"{len(runs)} runs: {', '.join([counts] * bool(counts) + failures)}"
     reason += "".join(f"; {text}" for text in _numbers(runs, verdict))
     return Verdict(
         verdict=verdict,
         reason=reason,
         remedy=_remedy(voters) if verdict in ("transient", "failed") else "",
         undisturbed=undisturbed,
-        depends_on_noise=verdict != undisturbed or any(run.kind == "unstable" for run in own),
+        depends_on_noise=verdict != undisturbed or any(run.kind == "unstable" for run in quiet),
         longest=max(run.time for run in runs),
         runs=tuple(runs),
     )
@@ -289,44 +289,44 @@ def _common(runs: Sequence[Evidence]) -> str:
     kinds = {run.kind for run in runs if len(run.exponents) or run.kind != "open"}
     if any(run.kind in ("cycle", "rest") for run in runs):
         kinds = {run.kind for run in runs}
-    found = {MEANINGS.get(kind) for kind in kinds}
-    only = found.pop() if len(found) == 1 else None
+    meanings = {MEANINGS.get(kind) for kind in kinds}
+    only = meanings.pop() if len(meanings) == 1 else None
     return "transient" if only is None else only
 
 
 def _numbers(runs: Sequence[Evidence], verdict: str) -> list[str]:
-    told = []
+    sentences = []
     closed = [run for run in runs if run.kind == "cycle"]
     if closed:
         times = [run.relaxation_time for run in closed]
         resolved = not any(map(math.isnan, times))
         slow = max(times) if resolved else max(run.longest_relaxation_time for run in closed)
-        told.append(
+        sentences.append(
             f"locked by {min(r.locked_at for r in closed):.0f} to "
             f"{max(r.locked_at for r in closed):.0f}, slowest relaxation time "
             + (f"{slow:.3g}" if resolved else f"below {slow:.3g} (not resolved)")
         )
         if math.isinf(slow):
-            told.append(
+            sentences.append(
                 "the orbit is one of a family: some disturbances neither grow nor decay, such as "
                 "those of the phases of masses that are not coupled"
             )
     unstable = [run for run in runs if run.kind == "unstable" and len(run.exponents)]
     if unstable:
-        told.append(f"an unstable orbit grows at {max(r.exponents[0] for r in unstable):.2e}")
+        sentences.append(f"an unstable orbit grows at {max(r.exponents[0] for r in unstable):.2e}")
     with_exponents = [r for r in runs if r.kind in ("chaos", "torus", "open") and len(r.exponents)]
     if with_exponents:
         least = min(run.low[0] for run in with_exponents)
         most = max(run.high[0] for run in with_exponents)
-        told.append(f"greatest exponents within [{least:.2e}, {most:.2e}]")
+        sentences.append(f"greatest exponents within [{least:.2e}, {most:.2e}]")
     never = [run for run in runs if run.kind in ("chaos", "torus", "open")]
     if never and verdict in ("chaotic", "quasi-periodic"):
         total = sum(run.time for run in never)
         # No event in a time t: with 95 % certainty the rate is below 3 / t.
-        told.append(
+        sentences.append(
             f"none of them locked, so that with 95 % the mean life is above {total / 3:.2g}"
         )
-    return told
+    return sentences
 
 
 def _remedy(runs: Sequence[Evidence]) -> str:
@@ -358,7 +358,7 @@ MOST_RETURNS = 4
 _SPIRAL = 5.0
 
 
-class Record(NamedTuple):
+class RunRecord(NamedTuple):
     """What was seen of a run, window by window; W windows of n masses.
 
     - `t`: end of each window; `amplitude`: half peak-to-peak in it.
@@ -389,7 +389,7 @@ class Recurrence(NamedTuple):
     period: float
 
 
-def recurrence(record: Record, *, scale: Any, closed: float = 1e-3) -> Recurrence:
+def recurrence(record: RunRecord, *, scale: Any, closed: float = 1e-3) -> Recurrence:
     """Whether the second half of a record is q points of the section, over and over.
 
     The least q whose spread is below `closed`, or not more than 5 times the least of all (an
@@ -405,10 +405,10 @@ def recurrence(record: Record, *, scale: Any, closed: float = 1e-3) -> Recurrenc
         spread = float(np.nan_to_num(worst, nan=np.inf))
         tried.append(Recurrence(spread, q, float(times[q] - times[0])))
     limit = max(closed, _SPIRAL * min(tried).spread)
-    return next(found for found in tried if found.spread <= limit)
+    return next(candidate for candidate in tried if candidate.spread <= limit)
 
 
-def novelty(record: Record) -> float:
+def novelty(record: RunRecord) -> float:
     """How new the states of the second half of a record are, 0 ... 1.
 
     Mean distance of its section points from the nearest of the first half, relative to the
@@ -421,7 +421,7 @@ def novelty(record: Record) -> float:
     return float(np.mean(away) / extent) if extent > 0 else 0.0
 
 
-def phases(record: Record, masses: Any) -> Float[np.ndarray, "W active"]:
+def phases(record: RunRecord, masses: Any) -> Float[np.ndarray, "W active"]:
     """Cycles that each of some masses has gone through since the first, one number a window.
 
     Between the maxima of a mass its phase grows evenly by one; that of the first mass in `masses`
@@ -437,7 +437,7 @@ def phases(record: Record, masses: Any) -> Float[np.ndarray, "W active"]:
     return turned - turned[:, :1]
 
 
-def mean_periods(record: Record, masses: Any) -> Float[np.ndarray, " active"]:
+def mean_periods(record: RunRecord, masses: Any) -> Float[np.ndarray, " active"]:
     """Mean time between the maxima of each of some masses over a record."""
     peaks = record.peaks[:, :, masses]
     count = np.sum(np.isfinite(peaks), axis=(0, 1))
@@ -450,12 +450,12 @@ def reflections(active: Bool[np.ndarray, " n"], ends: str) -> list[np.ndarray]:
     themselves: index arrays of shape (n,)."""
     n = len(active)
     sums = range(n) if ends == "cyclic" else [n - 1]
-    found = [(s - np.arange(n)) % n for s in sums]
-    return [image for image in found if np.array_equal(active[image], active)]
+    images = [(s - np.arange(n)) % n for s in sums]
+    return [image for image in images if np.array_equal(active[image], active)]
 
 
 def symmetry_defect(
-    record: Record, active: Bool[np.ndarray, " n"], period: float, ends: str = "cyclic"
+    record: RunRecord, active: Bool[np.ndarray, " n"], period: float, ends: str = "cyclic"
 ) -> Float[np.ndarray, " W"]:
     """How far the delays of a block are from a mirror image of themselves, window by window.
 
@@ -464,17 +464,17 @@ def symmetry_defect(
     of the first window.  0 is symmetric, 1/2 the most there can be.
     """
     first = record.peaks[:, 0]
-    found = []
+    motions = []
     for image in reflections(active, ends):
         moved = active & (image != np.arange(len(active)))
         difference = (first - first[:, image])[:, moved] / period
         shifts = (0.0,) if np.any(active & ~moved) else (0.0, 0.5)
         for shift in shifts:
             turns = difference - shift
-            found.append(np.max(np.abs(turns - np.round(turns)), axis=1, initial=0.0))
-    if not found:
+            motions.append(np.max(np.abs(turns - np.round(turns)), axis=1, initial=0.0))
+    if not motions:
         return np.full(len(first), np.nan)
-    return min(found, key=lambda series: series[0])
+    return min(motions, key=lambda series: series[0])
 
 
 # Windows of one compiled run; and maxima of a mass come no closer than this, half a free period.
@@ -485,7 +485,7 @@ _SETTLE = 0.2
 _BLOCKS = 20
 
 
-class _Task(eqx.Module):
+class _VerdictTask(eqx.Module):
     """What is the same for all runs; `window`: of a record; `time`, `count`: of exponents."""
 
     chain: AbstractOscillators
@@ -498,7 +498,7 @@ class _Task(eqx.Module):
 
 
 @dataclass
-class Trial:
+class VerdictRun:
     """A run under way; `reference` is the mass at whose maxima it is watched."""
 
     start: int
@@ -509,7 +509,7 @@ class Trial:
     outcome: str = "successful"
 
 
-def _chunk(task: _Task, x: Array, v: Array, t0: Array, reference: Array) -> Any:
+def _chunk(task: _VerdictTask, x: Array, v: Array, t0: Array, reference: Array) -> Any:
     """(the record of the next windows, the state at their end, how the run ended)."""
     watch = Amplitude(), PeakTimes(capacity=task.peaks), Section(reference, MOST_RETURNS + 1)
     run = simulate(
@@ -525,13 +525,13 @@ def _chunk(task: _Task, x: Array, v: Array, t0: Array, reference: Array) -> Any:
     )
     amplitude, peaks, (times, *states) = run.observed
     ends = t0 + task.window * jnp.arange(1, CHUNK + 1)
-    record = Record(ends, amplitude, peaks, times, jnp.concatenate(states, axis=-1))
+    record = RunRecord(ends, amplitude, peaks, times, jnp.concatenate(states, axis=-1))
     return record, run.state, code(run.result)
 
 
 def advance(
-    task: _Task, lanes: int, trials: list[Trial], stage: float
-) -> Iterator[tuple[Trial, Record]]:
+    task: _VerdictTask, lanes: int, trials: list[VerdictRun], stage: float
+) -> Iterator[tuple[VerdictRun, RunRecord]]:
     """Runs trials, all of them equally long, to the time `stage`; each with its record till then.
 
     They come in batches: no more records than one on each lane are kept at a time.
@@ -547,12 +547,12 @@ def advance(
             for k, trial in enumerate(batch):
                 trial.x, trial.v, trial.outcome = x[k], v[k], NAMES[ended[k]]
                 trial.evidence.time += CHUNK * float(task.window)
-        whole = Record(*(np.concatenate(parts, axis=1) for parts in zip(*records, strict=True)))
+        whole = RunRecord(*(np.concatenate(parts, axis=1) for parts in zip(*records, strict=True)))
         for k, trial in enumerate(batch):
-            yield trial, Record(*(part[k] for part in whole))
+            yield trial, RunRecord(*(part[k] for part in whole))
 
 
-def _spectrum(task: _Task, x: Array, v: Array) -> LyapunovSpectrum:
+def _spectrum(task: _VerdictTask, x: Array, v: Array) -> LyapunovSpectrum:
     return lyapunov_spectrum(
         task.chain,
         (x, v),
@@ -567,7 +567,7 @@ def _spectrum(task: _Task, x: Array, v: Array) -> LyapunovSpectrum:
 
 
 def measure_exponents(
-    task: _Task, lanes: int, trials: list[Trial], done: Callable[[int], object]
+    task: _VerdictTask, lanes: int, trials: list[VerdictRun], done: Callable[[int], object]
 ) -> None:
     """Enters the leading exponents of runs into their evidence.
 
@@ -576,15 +576,15 @@ def measure_exponents(
     if not trials:
         return
     columns = [np.stack([t.x for t in trials]), np.stack([t.v for t in trials])]
-    found = map_lanes(_spectrum, task, columns, lanes=lanes, done=done)
+    spectra = map_lanes(_spectrum, task, columns, lanes=lanes, done=done)
     time = float(task.time)
     for k, trial in enumerate(trials):
-        order = np.argsort(-found.exponents[k])
+        order = np.argsort(-spectra.exponents[k])
         for name in ("exponents", "low", "high", "smooth"):
-            setattr(trial.evidence, name, getattr(found, name)[k][order])
+            setattr(trial.evidence, name, getattr(spectra, name)[k][order])
         trial.evidence.exponent_time = time
         trial.evidence.time += (1.0 + _SETTLE) * time
-        trial.x, trial.v = (part[k] for part in found.state)
+        trial.x, trial.v = (part[k] for part in spectra.state)
 
 
 # Errors of an exponent within which it is taken for zero.
@@ -595,46 +595,48 @@ Known = list[tuple[int, np.ndarray, ClosedOrbit]]
 
 
 def judge_orbit(
-    task: _Task, criteria: Criteria, trial: Trial, record: Record, known: Known
+    task: _VerdictTask, criteria: Criteria, trial: VerdictRun, record: RunRecord, orbits: Known
 ) -> Evidence:
     """What a record adds to the evidence of its run, and whether that is decided.
 
     A run that ends on one of the `known` orbits does not close it again; another one is added.
     """
-    own = replace(trial.evidence, kind="open", state=(trial.x, trial.v))
+    evidence = replace(trial.evidence, kind="open", state=(trial.x, trial.v))
     if not ended_well(trial.outcome):
-        return replace(own, kind=trial.outcome)
+        return replace(evidence, kind=trial.outcome)
     amplitude, reference = record.amplitude, trial.reference
     half, n = len(amplitude) // 2, amplitude.shape[1]
     scale = float(np.max(amplitude[-1]))
     energies = np.asarray(energy(jnp.asarray(amplitude)))[half:]
-    own.energy, own.energy_deviation = float(np.mean(energies)), float(np.std(energies))
+    evidence.energy, evidence.energy_deviation = float(np.mean(energies)), float(np.std(energies))
     if scale < criteria.rest:
-        own.active = np.zeros(n, bool)
-        own.kind, own.locked_at, own.spread = "rest", own.time, 0.0
-        return own
+        evidence.active = np.zeros(n, bool)
+        evidence.kind, evidence.locked_at, evidence.spread = "rest", evidence.time, 0.0
+        return evidence
     before, after = (np.mean(part) for part in np.array_split(energies, 2))
-    own.drift = float(abs(before - after) / np.mean(energies))
-    own.active = amplitude[-1] > 0.5 * scale
-    masses = np.flatnonzero(own.active)
+    evidence.drift = float(abs(before - after) / np.mean(energies))
+    evidence.active = amplitude[-1] > 0.5 * scale
+    masses = np.flatnonzero(evidence.active)
     turned = phases(record, masses)
-    own.slips = float(np.max(np.abs(turned[-1] - turned[half])))
-    own.period = float(np.mean(mean_periods(record, masses)))
-    own.delays = record.peaks[-1, 1, masses] / own.period
+    evidence.slips = float(np.max(np.abs(turned[-1] - turned[half])))
+    evidence.period = float(np.mean(mean_periods(record, masses)))
+    evidence.delays = record.peaks[-1, 1, masses] / evidence.period
     ends = task.chain.ends if isinstance(task.chain, Chain) else "free"
-    defect = symmetry_defect(record, own.active, own.period, ends)
-    own.symmetry_time = np.append(own.symmetry_time, record.t)
-    own.symmetry = np.append(own.symmetry, defect)
+    defect = symmetry_defect(record, evidence.active, evidence.period, ends)
+    evidence.symmetry_time = np.append(evidence.symmetry_time, record.t)
+    evidence.symmetry = np.append(evidence.symmetry, defect)
     if reference not in masses:
         # The section was that of a mass that rests; the middle of what vibrates moves most evenly.
         trial.reference = int(masses[np.argmin(np.abs(masses - n // 2))])
-        return own
-    own.novelty = novelty(record)
-    own.spread, own.returns, period = recurrence(record, scale=scale, closed=criteria.sits)
-    if own.spread > criteria.near or not period > 0:
-        return own
+        return evidence
+    evidence.novelty = novelty(record)
+    evidence.spread, evidence.returns, period = recurrence(
+        record, scale=scale, closed=criteria.sits
+    )
+    if evidence.spread > criteria.near or not period > 0:
+        return evidence
     point, sits = record.points[-1, 0], criteria.sits * scale
-    near = (o for mass, p, o in known if mass == reference and np.max(np.abs(p - point)) < sits)
+    near = (o for mass, p, o in orbits if mass == reference and np.max(np.abs(p - point)) < sits)
     orbit = next(near, None)
     if orbit is None:
         start = jnp.asarray(point[:n]), jnp.asarray(point[n:])
@@ -642,18 +644,20 @@ def judge_orbit(
             task.chain, start, period, solver=task.solver, rtol=min(task.rtol, 1e-9)
         )
         if not (orbit.gap < criteria.gap * scale and orbit.distance < 4 * criteria.near * scale):
-            return own
-        known.append((reference, point, orbit))
-    _enter_orbit(own, orbit, own.spread < criteria.sits)
-    away = np.abs(record.points[:, :1] - record.points[-1][None, : own.returns]).max(-1).min(1)
+            return evidence
+        orbits.append((reference, point, orbit))
+    _enter_orbit(evidence, orbit, evidence.spread < criteria.sits)
+    away = (
+        np.abs(record.points[:, :1] - record.points[-1][None, : evidence.returns]).max(-1).min(1)
+    )
     outside = np.flatnonzero(~(away < criteria.near * scale))
     # Since when the run has kept close to where it ended.
-    if own.kind in ("cycle", "unstable") and outside.size:
-        own.locked_at = float(record.t[outside[-1]])
-    return own
+    if evidence.kind in ("cycle", "unstable") and outside.size:
+        evidence.locked_at = float(record.t[outside[-1]])
+    return evidence
 
 
-def _enter_orbit(own: Evidence, orbit: ClosedOrbit, sits: bool) -> None:
+def _enter_orbit(evidence: Evidence, orbit: ClosedOrbit, sits: bool) -> None:
     period = float(orbit.period)
     # Of an exponent that is not resolved, NaN, it is known below what it lies.
     rates, highest = (np.append(0.0, a) for a in (orbit.exponents, orbit.highest_exponents))
@@ -667,13 +671,13 @@ def _enter_orbit(own: Evidence, orbit: ClosedOrbit, sits: bool) -> None:
     neutral = sits and abs(highest[greatest]) <= _NEUTRAL * errors[greatest]
     if not (stable or neutral) and not (sits and highest[greatest] > errors[greatest]):
         return
-    own.kind = "cycle" if stable or neutral else "unstable"
+    evidence.kind = "cycle" if stable or neutral else "unstable"
     if neutral:
         rates = np.where(np.abs(rates) <= _NEUTRAL * errors, 0.0, rates)
     order = np.argsort(-highest, kind="stable")
-    own.period, own.locked_at = period, own.time
-    own.exponents, own.high = rates[order], (highest + errors)[order]
-    own.low = np.where(np.isnan(rates), -np.inf, rates - errors)[order]
+    evidence.period, evidence.locked_at = period, evidence.time
+    evidence.exponents, evidence.high = rates[order], (highest + errors)[order]
+    evidence.low = np.where(np.isnan(rates), -np.inf, rates - errors)[order]
 
 
 # Runs at most of one kind; and what to do where a verdict cannot be had.
@@ -787,7 +791,7 @@ def verdicts(
     for value, name in (*times, (window, "window")):
         check_positive_number(name, value, "a period is about 2 pi; see the defaults.")
     check_tolerances(rtol, None, MAX_STEP)
-    solver = own_solver(chain, solver)
+    solver = custom_solver(chain, solver)
     if isinstance(chain, Chain) and not isinstance(solver, EventDriven):
         check_resolved(chain.n, chain.width, chain.belt_speed, rtol, None)
     if np.shape(to_float(noise, "noise", _NOISE)) != (len(np.ravel(noise)),):
@@ -796,7 +800,7 @@ def verdicts(
     if longest < first:
         raise ValueError(f"Argument `longest` = {longest} must be at least `first` = {first}.")
     trials = _starts(x, v, noise, seeds, key)
-    task = _Task(
+    task = _VerdictTask(
         chain,
         solver,
         jnp.asarray(float(window)),
@@ -808,12 +812,12 @@ def verdicts(
     lanes = min(lanes, len(trials))
     orbits: list[Known] = [[] for _ in x]
 
-    def advance_and_judge(going: list[Trial], stage: float, *, again: bool = False) -> None:
+    def advance_and_judge(going: list[VerdictRun], stage: float, *, again: bool = False) -> None:
         for trial, record in advance(task, lanes, going, stage):
-            found = judge_orbit(task, criteria, trial, record, orbits[trial.start])
+            evidence = judge_orbit(task, criteria, trial, record, orbits[trial.start])
             # Of a run that has not locked in a second look the longer record tells more.
-            if not again or found.decided:
-                trial.evidence = found
+            if not again or evidence.decided:
+                trial.evidence = evidence
 
     with progress_bar(total=len(trials), desc=description, unit="run", show=progress) as bar:
         stage = first
@@ -845,20 +849,20 @@ def verdicts(
     return [classify(group) for group in groups]
 
 
-def _starts(x: Array, v: Array, noise: Sequence[float], seeds: int, key: int) -> list[Trial]:
+def _starts(x: Array, v: Array, noise: Sequence[float], seeds: int, key: int) -> list[VerdictRun]:
     trials, (count, n) = [], x.shape
     rng = np.random.default_rng(key)
     levels = [(0.0, 0)] + [(float(level), seed) for level in noise for seed in range(seeds)]
     for i, (level, seed) in itertools.product(range(count), levels):
         first, second = (np.asarray(part[i]) + level * rng.normal(size=n) for part in (x, v))
-        trials.append(Trial(i, first, second, Evidence(level, seed), n // 2))
+        trials.append(VerdictRun(i, first, second, Evidence(level, seed), n // 2))
     return trials
 
 
-def _for_exponents(trials: list[Trial], most: int) -> list[Trial]:
+def _for_exponents(trials: list[VerdictRun], most: int) -> list[VerdictRun]:
     """`most` of the open runs of each state: the one without noise, and then the noisiest."""
     chosen = []
     for i in {trial.start for trial in trials}:
-        own = [t for t in trials if t.start == i and t.evidence.kind == "open"]
-        chosen += sorted(own, key=lambda t: -(t.evidence.noise or np.inf))[:most]
+        open_trials = [t for t in trials if t.start == i and t.evidence.kind == "open"]
+        chosen += sorted(open_trials, key=lambda t: -(t.evidence.noise or np.inf))[:most]
     return chosen

@@ -43,8 +43,8 @@ from ..simulation.accuracy import (
     check_resolved,
     check_tolerances,
     choose_solver,
+    custom_solver,
     default_rtol,
-    own_solver,
 )
 from ..simulation.event_driven import EventDriven, EventDrivenPlan
 from ..simulation.plan import AbstractPlan, Progress, forward_only
@@ -109,8 +109,8 @@ class LyapunovSpectrum(Printed, eqx.Module):
         For regular vibration it is 0, and None the right answer.
         """
         check_share("level", level, "0.95 is usual.")
-        known = jnp.where(jnp.isnan(self.exponents), -jnp.inf, self.exponents)
-        first = int(jnp.argmax(known))
+        finite = jnp.where(jnp.isnan(self.exponents), -jnp.inf, self.exponents)
+        first = int(jnp.argmax(finite))
         freedom = self.block_exponents.shape[0] - 1
         reach = student_reach(level, freedom) * self.standard_error[first]
         if not jnp.abs(self.exponents[first]) > reach + ZERO:
@@ -129,8 +129,8 @@ def batch_error(
     """
     number = blocks.shape[0]
     gone = jnp.any(jnp.isneginf(blocks), axis=0, keepdims=True)
-    own = jnp.where(gone, 0.0, blocks)
-    apart = own - jnp.mean(own, axis=0, keepdims=True)
+    kept = jnp.where(gone, 0.0, blocks)
+    apart = kept - jnp.mean(kept, axis=0, keepdims=True)
     square = jnp.sum(apart**2, axis=0)
     product = jnp.sum(apart[1:] * apart[:-1], axis=0)
     repeats = jnp.where(square > 0, product / jnp.where(square > 0, square, 1.0), 0.0)
@@ -178,7 +178,7 @@ class Frame(eqx.Module):
     basis: Float[Array, "two_n count"]
 
 
-class Span(eqx.Module):
+class Interval(eqx.Module):
     """`number` intervals of length `interval` from `start` on.
 
     The middle of interval k lies at the share `phase` + k `phase_step` of the whole window.
@@ -283,7 +283,7 @@ def advance_span(
     plan: AbstractPlan,
     field: AbstractOscillators,
     frame: Frame,
-    span: Span,
+    span: Interval,
     max_steps: int | None,
 ) -> tuple[Frame, Growth]:
     """The frame after a span, orthonormal again after every interval of it.
@@ -408,7 +408,7 @@ def lyapunov_spectrum(
     """
     as_chain(chain, AbstractOscillators)
     state = as_state(chain, initial)
-    solver = own_solver(chain, solver)
+    solver = custom_solver(chain, solver)
     dry = isinstance(solver, EventDriven)
     if rtol is None:
         rtol = USUAL_RTOL
@@ -450,8 +450,10 @@ def lyapunov_spectrum(
                 "lower `interval` or `blocks`, or raise `t1`."
             )
     if solver is None:
-        known = 1e-6 if is_traced(rtol) else float(rtol)
-        solver = choose_solver(chain, known, MAX_STEP if is_traced(max_step) else float(max_step))
+        tolerance = 1e-6 if is_traced(rtol) else float(rtol)
+        solver = choose_solver(
+            chain, tolerance, MAX_STEP if is_traced(max_step) else float(max_step)
+        )
     observer = MostSticking() if dry else Divergence()
     plan = build_plan(solver, [observer], rtol, 0.1 * rtol if atol is None else atol, max_step, t1)
     window = to_float(transient), to_float(t1), to_float(interval)
@@ -468,16 +470,16 @@ def lyapunov_spectrum(
             frame, growth = advance_span(plan, chain, frame, span, max_steps)
             parts.append(growth)
         growths = jtu.tree_map(lambda *rows: jnp.stack(rows), *parts)
-    found = forward_only(_read(frame, growths, spans))
-    if throw and not is_traced(found) and not ended_well(found.outcome):
+    spectrum = forward_only(_read(frame, growths, spans))
+    if throw and not is_traced(spectrum) and not ended_well(spectrum.outcome):
         raise RuntimeError(
-            f"The run ended at t = {float(found.t):.6g} with `{found.outcome}`: "
-            f"{message(found.outcome)}"
+            f"The run ended at t = {float(spectrum.t):.6g} with `{spectrum.outcome}`: "
+            f"{message(spectrum.outcome)}"
         )
-    return found
+    return spectrum
 
 
-def _spans(start: Array, end: Array, interval: Array, blocks: int) -> Span:
+def _spans(start: Array, end: Array, interval: Array, blocks: int) -> Interval:
     """The second half of the transient and the blocks of [start, end], stacked along axis 0."""
     length = end - start
     starts = start + length * jnp.arange(blocks) / blocks
@@ -487,7 +489,7 @@ def _spans(start: Array, end: Array, interval: Array, blocks: int) -> Span:
     numbers = jnp.ceil(lengths / interval * (1.0 - 1e-12))
     intervals = lengths / jnp.maximum(numbers, 1.0)
     phases = (starts + 0.5 * intervals - start) / length
-    return jax.vmap(Span)(starts, intervals, numbers.astype(int), phases, intervals / length)
+    return jax.vmap(Interval)(starts, intervals, numbers.astype(int), phases, intervals / length)
 
 
 @eqx.filter_jit
@@ -501,7 +503,7 @@ def _begin(
     blocks: int,
     waits: bool,
     max_steps: int | None,
-) -> tuple[Frame, Span]:
+) -> tuple[Frame, Interval]:
     start, end, _ = window
     progress = plan.begin(chain, state, 0.0, end)
     forward = (start >= 0) & (end > start)  # false for NaN
@@ -514,7 +516,7 @@ def _begin(
 
 
 @eqx.filter_jit
-def _read(frame: Frame, growth: Growth, spans: Span) -> LyapunovSpectrum:
+def _read(frame: Frame, growth: Growth, spans: Interval) -> LyapunovSpectrum:
     observed = growth.observed
     dry = jnp.issubdtype(observed.dtype, jnp.integer)
     progress = frame.progress

@@ -23,7 +23,7 @@ from .._checks import (
     require_x64,
     shown,
 )
-from .branch import Branch, Point, Record, SpecialPoint
+from .branch import Branch, BranchRecorder, Point, SpecialPoint
 from .corrector import Corrector
 from .damped_newton import check_vector, check_weights
 from .special_points import (
@@ -63,14 +63,14 @@ class _Accepted(NamedTuple):
     next_step: float
 
 
-class Walk:
+class BranchWalk:
     """One walk along a branch."""
 
     def __init__(
         self,
         corrector: Corrector,
         steps: Steps,
-        record: Record,
+        record: BranchRecorder,
         bounds: tuple[float, float],
         tests: dict[str, Test],
         stop: Callable[..., Any] | None,
@@ -189,17 +189,17 @@ class Walk:
         points = [piece.left, *dips(corrector, piece), piece.right]
         for left, right in pairwise(points):
             part = piece if len(points) == 2 else segment(corrector, left, right)
-            found = changes(corrector, part, self.tests)
+            changed = changes(corrector, part, self.tests)
             at = crossing(corrector, part) if len(points) > 2 else met
             if at is not None and at.refined:
                 near = _SAME_PLACE * (1.0 + corrector.norm(at.point.z))
-                found = [
+                changed = [
                     item
-                    for item in found
+                    for item in changed
                     if item[0] != "fold" or corrector.norm(item[1].point.z - at.point.z) > near
                 ]
-                found.append(("branch point", at))
-            for kind, where in sorted(found, key=lambda item: item[1].fraction):
+                changed.append(("branch point", at))
+            for kind, where in sorted(changed, key=lambda item: item[1].fraction):
                 self._flag(kind, where, part)
             self._append(right, part.length)
 
@@ -349,10 +349,10 @@ def continue_branch(
         )
     heading = _heading(direction, u.size)
 
-    record = Record(u.size)
+    record = BranchRecorder(u.size)
     ended, reason = "interrupted", ""
     try:
-        walk = Walk(corrector, steps, record, (low, high), dict(tests or {}), stop, progress)
+        walk = BranchWalk(corrector, steps, record, (low, high), dict(tests or {}), stop, progress)
         ended, reason = walk.run(z, heading, np.inf if max_points is None else float(max_points))
     except KeyboardInterrupt:
         pass
@@ -452,16 +452,16 @@ def switch_branch(
     for length in (float(step), 0.1 * float(step), 3.0 * float(step)):
         for lean in (0.0, 1.0, -1.0):
             guess = z + length * (away + lean * point.tangent)
-            found = corrector(guess, away, radius=5.0 * length)
-            if found is None:
+            solution = corrector(guess, away, radius=5.0 * length)
+            if solution is None:
                 continue
-            went = found.z - z
+            went = solution.z - z
             along = corrector.dot(went, point.tangent)
             rest = corrector.norm(went - along * point.tangent - length * away)
             # The old branch lies along the tangent; a third one, off the plane of both directions.
             if abs(along) <= 5.0 * length and rest <= 0.5 * length:
-                ahead = np.sign(corrector.dot(found.tangent, went)) or 1.0
-                return Switched(found.u, found.p, ahead * found.tangent, "")
+                ahead = np.sign(corrector.dot(solution.tangent, went)) or 1.0
+                return Switched(solution.u, solution.p, ahead * solution.tangent, "")
     return Switched(
         None,
         None,

@@ -217,7 +217,7 @@ def _units(unit: str | None) -> dict[str, str]:
     return {} if unit is None else {"units": unit}
 
 
-class Record:
+class BranchRecorder:
     """A branch as it grows: plain lists, so that nothing is lost when it is interrupted."""
 
     def __init__(self, m: int) -> None:

@@ -27,10 +27,10 @@ _MAX_EVALUATIONS = 40
 _SHARP = 1e-10
 
 
-class _Search(NamedTuple):
+class _Iteration(NamedTuple):
     at: Iterate  # `aux` is (the Jacobian [F_u F_p], what F gave besides)
     fresh: Array  # whether the Jacobian is that of this point
-    known: Array  # whether there is one
+    exists: Array  # whether there is one
     good: Array
     failed: Array
     values: Array
@@ -56,7 +56,7 @@ def _correct(
     guess: Any,  # (m + 1,), as all that follow an array: of NumPy without, of JAX within
     normal: Any,  # (m + 1,), of weighted length 1
     jacobian: Any,  # (m, m + 1)
-    known: Any,  # whether `jacobian` is one
+    exists: Any,  # whether `jacobian` is one
     radius: Any,
     weights: Any,  # (m + 1,)
     tolerance: Any,
@@ -98,14 +98,14 @@ def _correct(
     def far(at: Iterate) -> Array:
         return size(at.u - guess, weights) > radius
 
-    def chords(search: _Search) -> Iterate:
+    def chords(search: _Iteration) -> Iterate:
         """Steps with the Jacobian as it is, as long as they converge quickly."""
-        known = search.at.factors, search.at.aux
+        previous = search.at.factors, search.at.aux
 
         def as_before(z: Array) -> tuple[Array, Factors, Any]:
             value, _ = _parts(residual(z[:-1], z[-1], args))
             _check_shape("residual", value, (m,))
-            return off(z, value), *known
+            return off(z, value), *previous
 
         def going(at: Iterate) -> Array:
             steps_left = jnp.log(enough(at) / at.length) / jnp.log(at.contraction)
@@ -118,13 +118,13 @@ def _correct(
         start = search.at._replace(evaluations=search.fresh.astype(int))
         return iterate(as_before, start, weights, going, least_damping=_LEAST_DAMPING)
 
-    def going(search: _Search) -> Array:
+    def going(search: _Iteration) -> Array:
         spent = search.values + search.jacobians >= _MAX_EVALUATIONS
         return ~(search.good | search.failed | spent)
 
-    def body(search: _Search) -> _Search:
-        at = lax.cond(search.known, chords, lambda search: search.at, search)
-        values = search.values + jnp.where(search.known, at.evaluations - search.fresh, 0)
+    def body(search: _Iteration) -> _Iteration:
+        at = lax.cond(search.exists, chords, lambda search: search.at, search)
+        values = search.values + jnp.where(search.exists, at.evaluations - search.fresh, 0)
         failed = far(at) | (search.fresh & (at.damping < _LEAST_DAMPING))
 
         def anew(at: Iterate) -> Iterate:
@@ -135,10 +135,10 @@ def _correct(
             return advance(newly, start, weights)
 
         at = lax.cond(failed, lambda at: at, anew, at)
-        return _Search(
+        return _Iteration(
             at,
             fresh=yes,
-            known=yes,
+            exists=yes,
             good=~failed & (at.length <= enough(at)),
             failed=failed | jnp.isnan(at.length),
             values=values,
@@ -148,7 +148,7 @@ def _correct(
     yes, none = jnp.asarray(True), jnp.zeros((), int)
     start = begin(newly, guess)
     start = start._replace(factors=factors_of(jacobian), aux=(jacobian, start.aux[1]))
-    search = _Search(start, ~yes, jnp.asarray(known), ~yes, ~yes, none, none)
+    search = _Iteration(start, ~yes, jnp.asarray(exists), ~yes, ~yes, none, none)
     search = lax.while_loop(going, body, search)
 
     # [F_z; normal] t = [0; 1]; and det [F_z; normal] = (normal, t) det [F_z; t] for |t| = 1.
@@ -228,14 +228,16 @@ class Corrector:
             self.weights,
             np.asarray(self.tolerance),
         )
-        found, good, values, jacobians = jax.device_get(solved)
+        points, good, values, jacobians = jax.device_get(solved)
         self.counts.values += int(values)
         self.counts.jacobians += int(jacobians)
         self.counts.solves += 1
         if not good:
             return None
-        single = {name: float(found[name]) for name in ("sign", "logdet", "residual", "last_step")}
-        return Point(**{**found, **single})
+        single = {
+            name: float(points[name]) for name in ("sign", "logdet", "residual", "last_step")
+        }
+        return Point(**{**points, **single})
 
     @property
     def sharp(self) -> "Corrector":

@@ -50,12 +50,12 @@ def attach_derivative(
     return _attach(lax.stop_gradient(solution), parameters, residual=residual, once=once)
 
 
-def if_found(found: Any, value: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+def if_found(exists: Any, value: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
     """`value` where it was `found`; else NaN, and NaN as its derivatives.
 
     Those of `jnp.where(found, value, jnp.nan)` are 0 in forward mode, as those of a constant.
     """
-    return value * jnp.where(found, 1.0, jnp.nan)
+    return value * jnp.where(exists, 1.0, jnp.nan)
 
 
 @eqx.filter_custom_jvp

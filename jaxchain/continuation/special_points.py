@@ -236,7 +236,7 @@ def changes(
     A fold is one where p turns by more than it errs: on a branch with p constant, the sign of
     dp/ds is rounding's.
     """
-    found = []
+    points = []
     ends = (piece.left, piece.right)
 
     def zero(test: Callable[[Point], float]) -> Located:
@@ -247,7 +247,7 @@ def changes(
     if (slopes[0] < 0) != (slopes[1] < 0) and max(map(abs, slopes)) > noise:
         fold = zero(lambda point: float(point.tangent[-1]))
         if max(abs(fold.point.p - point.p) for point in ends) > fold.error:
-            found.append(("fold", fold))
+            points.append(("fold", fold))
     for name, test in tests.items():
 
         def value(point: Point, test: Test = test) -> float:
@@ -255,5 +255,5 @@ def changes(
 
         a, b = map(value, ends)
         if np.isfinite(a) and np.isfinite(b) and (a < 0) != (b < 0):
-            found.append((name, zero(value)))
-    return sorted(found, key=lambda item: item[1].fraction)
+            points.append((name, zero(value)))
+    return sorted(points, key=lambda item: item[1].fraction)

@@ -45,11 +45,11 @@ _WEIGHT = 1.0 - _GRADING * np.cos(_PHASE)
 def one_mass(chain: Chain, mass: int) -> Chain:
     """Mass `mass` alone, its neighbours held: K_jj is its stiffness."""
 
-    def own(value: Any) -> Any:  # also a plain number, where a law is traced
+    def of_mass(value: Any) -> Any:  # also a plain number, where a law is traced
         return value[mass] if jnp.ndim(value) == 1 else value  # a table is of two dimensions
 
     held = chain.with_(stiffness=chain.stiffness_diagonal(chain.n), coupling=None)
-    return jax.tree.map(own, held).with_(n=1)
+    return jax.tree.map(of_mass, held).with_(n=1)
 
 
 def gain(chain: Chain, ratio: ScalarLike, belt_speed: ScalarLike) -> Float[Array, ""]:
@@ -87,8 +87,8 @@ def greatest_speed(chain: Chain) -> Float[Array, ""]:
     mu, _ = _curve(chain)
 
     # A loop: `lax.cummax` is a tree of some hundred operations, which take long to compile.
-    def further(known: tuple[Array, Array], here: Array) -> tuple[tuple[Array, Array], None]:
-        highest, fall = known
+    def further(extremes: tuple[Array, Array], here: Array) -> tuple[tuple[Array, Array], None]:
+        highest, fall = extremes
         highest = jnp.maximum(highest, here)
         return (highest, jnp.maximum(fall, highest - here)), None
 
@@ -148,7 +148,7 @@ def speed_scale(chain: Chain, dry_speed: ScalarLike) -> Float[Array, ""]:
     return jnp.fmin(dry_speed, weakens)  # without a fold there is no speed
 
 
-def usual_closeness(relative_width: ScalarLike) -> Float[Array, ""]:
+def usual_peak_velocity(relative_width: ScalarLike) -> Float[Array, ""]:
     """s = max w / eps at a smoothed fold in the layer, from folds at eps / v_d = 0.2 ... 1e-5."""
     return 0.25 * jnp.log(jnp.minimum(relative_width, 1.0)) - 1.0
 
@@ -162,14 +162,14 @@ def fold_guess(chain: Chain) -> tuple[Array, Array, Array]:
     """
     highest = greatest_speed(chain)
     speeds = jax.vmap(lambda ratio: cycle_speed(chain, ratio, highest))(jnp.asarray(_RATIOS))
-    known = jnp.where(jnp.isnan(speeds), -jnp.inf, speeds)
-    at = jnp.argmax(known)
-    exists = (at > 0) & jnp.isfinite(known[at]) & (known[at] > known[0])
-    speed = jnp.where(exists, known[at], 1.0)
+    finite = jnp.where(jnp.isnan(speeds), -jnp.inf, speeds)
+    at = jnp.argmax(finite)
+    exists = (at > 0) & jnp.isfinite(finite[at]) & (finite[at] > finite[0])
+    speed = jnp.where(exists, finite[at], 1.0)
     if chain.dry:
         return speed, jnp.zeros(()), exists
     width = chain.width
-    layer = 1.0 + width / speed * usual_closeness(width / speed)
+    layer = 1.0 + width / speed * usual_peak_velocity(width / speed)
     next_ratio = jnp.asarray([*_RATIOS[1:], 2.0])[at]
     ratio = jnp.where(next_ratio < layer, jnp.asarray(_RATIOS)[at], layer)
     better = cycle_speed(chain, ratio, highest)

@@ -144,9 +144,11 @@ def _located(
         return float(tests[raw.kind](point.u, point.p, point.tangent, point.extra))
 
     slope = (test(beside) - test(start)) / _PROBE
-    found = polish(corrector, Located(start, 0.0, 1.0, True, slope, np.inf), test, 0.1)
-    own = {name: getattr(found.point, name) for name in ("u", "p", "tangent", "extra", "residual")}
-    return replace(raw, **own, left_over=abs(test(found.point)), error=found.error)
+    located = polish(corrector, Located(start, 0.0, 1.0, True, slope, np.inf), test, 0.1)
+    numbers = {
+        name: getattr(located.point, name) for name in ("u", "p", "tangent", "extra", "residual")
+    }
+    return replace(raw, **numbers, left_over=abs(test(located.point)), error=located.error)
 
 
 def _at_rest(corrector: Corrector, raw: SpecialPoint, tests: Any) -> SpecialPoint | None:
@@ -161,10 +163,10 @@ def _at_rest(corrector: Corrector, raw: SpecialPoint, tests: Any) -> SpecialPoin
         if point is None:
             return None
         points.append((float(point.extra.speed) ** 2, point.p))
-    squares, found = zip(*points, strict=True)
+    squares, located = zip(*points, strict=True)
     if len(set(squares)) < len(squares):
         return None
-    two, three = (float(BarycentricInterpolator(squares[:k], found[:k])(0.0)) for k in (2, 3))
+    two, three = (float(BarycentricInterpolator(squares[:k], located[:k])(0.0)) for k in (2, 3))
     return replace(raw, p=three, error=abs(three - two))
 
 
@@ -234,7 +236,7 @@ def linearise(
     """(R, [R_u R_p], `CycleLinearisation`) of the shooting equations R, from one integration."""
     r, jacobian, whole = shooting.linearise(u, parameter)
     field, (x, v), period = shooting.unpack(u, parameter)
-    found = floquet_multipliers(whole.monodromy, jnp.concatenate(field(0.0, (x, v))))
+    floquet = floquet_multipliers(whole.monodromy, jnp.concatenate(field(0.0, (x, v))))
     sound = can_be_cycle(field, period, whole.fastest)
     extra = CycleLinearisation(
         x,
@@ -244,9 +246,9 @@ def linearise(
         whole.returned.times_round,
         whole.amplitude,
         whole.monodromy,
-        found.multipliers,
-        found.defect,
-        sound & is_trusted(found.multipliers, found.defect),
+        floquet.multipliers,
+        floquet.defect,
+        sound & is_trusted(floquet.multipliers, floquet.defect),
     )
     return r, jacobian, extra
 
@@ -265,8 +267,8 @@ def cycle_at(
 
 def symmetry_breaking_basis(images: tuple[int, ...]) -> Float[np.ndarray, "two_n k"]:
     """An orthonormal basis of the disturbances (x, v) that break the symmetry of `images`."""
-    own = np.asarray(images)[:, None] == np.unique(images)[None, :]
-    rest = np.linalg.svd(own.astype(float))[0][:, own.shape[1] :]
+    groups = np.asarray(images)[:, None] == np.unique(images)[None, :]
+    rest = np.linalg.svd(groups.astype(float))[0][:, groups.shape[1] :]
     return np.kron(np.eye(2), rest)
 
 
@@ -356,7 +358,8 @@ class CycleBranch(Printed):
       of the belt; `period` (k,).
     - `amplitude` (k, n): half peak-to-peak of each displacement; `energy` (k,): half the sum of
       squares of these.
-    - `closeness` (k,): max w / eps of that mass, negative for a slip cycle; NaN without friction.
+    - `scaled_peak_velocity` (k,): max w / eps of that mass, negative for a slip cycle; NaN without
+      friction.
     - `multipliers` (k, 2n - 1): but for the trivial one, whose error is `trivial_defect` (k,), the
       greatest modulus first; `unstable` (k,): how many lie beyond the unit circle.
     - `special`: tuple of `CyclePoint`, in order; `ended`, `message`: why the branch ends.
@@ -371,7 +374,7 @@ class CycleBranch(Printed):
     v: Float[np.ndarray, "k n"]
     period: Float[np.ndarray, " k"]
     amplitude: Float[np.ndarray, "k n"]
-    closeness: Float[np.ndarray, " k"]
+    scaled_peak_velocity: Float[np.ndarray, " k"]
     multipliers: Complex[np.ndarray, "k others"]
     trivial_defect: Float[np.ndarray, " k"]
     special: tuple[CyclePoint, ...]
@@ -409,7 +412,7 @@ class CycleBranch(Printed):
             "period": self.period,
             "amplitude": self.amplitude,
             "energy": self.energy,
-            "closeness": self.closeness,
+            "scaled_peak_velocity": self.scaled_peak_velocity,
             "greatest_multiplier": np.abs(self.multipliers[:, 0]),
             "unstable": self.unstable,
         }
@@ -425,7 +428,7 @@ class CycleBranch(Printed):
         - the parameter, a coordinate along `point` under its own name, such as `belt_speed`;
         - `amplitude` (point, oscillator), `energy`, `active_count`, as a sweep has them, so that
           both lie on top of each other; `period`; `displacement`, `velocity` (point, oscillator)
-          where the cycle is cut; `closeness`;
+          where the cycle is cut; `scaled_peak_velocity`;
         - `multiplier_real`, `multiplier_imag` (point, multiplier), because NetCDF has no complex
           numbers;
         - `unstable_count`, `stable`, `trivial_defect` (point);
@@ -454,7 +457,9 @@ class CycleBranch(Printed):
             for name in ("parameter", "x", "v", "period", "amplitude", "multipliers")
         )
         u = np.reshape([point.raw.u for point in special], (-1, self.branch.u.shape[1]))
-        closeness = np.append(self.closeness, _closeness(self.shooting, u))
+        scaled_peak_velocity = np.append(
+            self.scaled_peak_velocity, _scaled_peak_velocity(self.shooting, u)
+        )
         speed = getattr(self.shooting.field, "belt_speed", None)
         speed = parameters if self.name == "belt_speed" else speed
         labels = amplitude_variables(jnp.asarray(amplitude), speed)
@@ -467,7 +472,12 @@ class CycleBranch(Printed):
             "period": ((), period, "least period T", "1 / omega_n"),
             "displacement": (each, x, "displacement where the cycle is cut", "x0"),
             "velocity": (each, v, "velocity where the cycle is cut", SPEED),
-            "closeness": ((), closeness, "max w / eps of the mass that is cut", "1"),
+            "scaled_peak_velocity": (
+                (),
+                scaled_peak_velocity,
+                "max w / eps of the mass that is cut",
+                "1",
+            ),
             "multiplier_real": (
                 multiplier,
                 np.real(multipliers),
@@ -489,7 +499,7 @@ class CycleBranch(Printed):
                 for name, (dims, values, text, units) in columns.items()
             }
 
-        found = special_variables(
+        at_special = special_variables(
             [(point.kind, point.parameter, point.error) for point in special],
             [(point.index, point.refined) for point in special],
             row.unit,
@@ -497,7 +507,7 @@ class CycleBranch(Printed):
         n, shooting = self.x.shape[1], self.shooting
         return Dataset(
             variables("", "point", slice(k), of_cycles | of_points)
-            | found
+            | at_special
             | variables("special_", "special", slice(k, None), of_cycles),
             coords={
                 self.name: ("point", self.parameter, row.attrs),
@@ -525,7 +535,7 @@ def continue_cycle(
     parameter: Any = "belt_speed",
     direction: Any = 1,
     bounds: tuple[Any, Any] | None = None,
-    vibrating: Any = None,
+    mass: Any = None,
     images: Any = None,
     step: Any = 0.05,
     min_step: Any = 1e-6,
@@ -545,13 +555,13 @@ def continue_cycle(
     **Arguments:**
 
     - `chain`, `state` = (x, v), `period`: a cycle, or near one, at the greatest velocity of mass
-      `vibrating` (by default the fastest) in the direction of the belt; or all three in one
+      `mass` (by default the fastest) in the direction of the belt; or all three in one
       `LimitCycle`.  Of a period that is a multiple of the least one, the least is followed.  The
       chain may be any autonomous `AbstractOscillators`.
     - `parameter`: a scalar argument of `Chain.with_`, or a field of other oscillators that is a
       scalar array (`coupling` is their springs' constant); `bounds`: of it, where the branch ends;
       `direction`: 1 or -1, with which sign it begins to change.  At a fold nothing does:
-      "stick" or "slip" sets out towards greater or smaller closeness of that mass.
+      "stick" or "slip" sets out towards greater or smaller scaled_peak_velocity of that mass.
     - `images`: a symmetry of the cycle, entry i the index of the mass that i does the same as.
       The orbit is followed within it; multipliers are those of all disturbances.
     - `step`, `min_step`, `max_step`, `max_points`, `progress`, `tolerance`: see `continue_branch`;
@@ -578,13 +588,13 @@ def continue_cycle(
         [('fold', 1.792456), ('hopf', 1.151293)]
     """
     check_following(stop, progress)
-    if state is None and period is None and vibrating is None:
-        vibrating = getattr(chain, "mass", None)
+    if state is None and period is None and mass is None:
+        mass = getattr(chain, "mass", None)
     chain, state, period = as_orbit(chain, state, period)
     check_concrete("use `find_limit_cycle`.", chain=chain, state=state, period=period)
     require_smoothed(chain, "follow `find_limit_cycle` from one belt speed to the next, or ")
     x, v = check_orbit(chain, state, period, rtol)
-    mass = as_mass(x.size, vibrating, int(jnp.argmax(chain.belt_direction() * v)))
+    mass = as_mass(x.size, mass, int(jnp.argmax(chain.belt_direction() * v)))
     numbers = {name: value for name, value in chain.numbers().items() if np.shape(value) == ()}
     if not isinstance(parameter, str) or parameter not in numbers:
         raise ValueError(
@@ -640,7 +650,7 @@ def switch_cycle(
         >>> jax.config.update("jax_enable_x64", True)
         >>> from jaxchain import continue_cycle, find_limit_cycle, paper_chain
         >>> from jaxchain.cycles import switch_cycle
-        >>> cycle = find_limit_cycle(paper_chain(3, belt_speed=1.36, width=0.05), vibrating=1)
+        >>> cycle = find_limit_cycle(paper_chain(3, belt_speed=1.36, width=0.05), mass=1)
         >>> mirrored = continue_cycle(  # the middle one vibrates, the others do the same
         ...     cycle, images=(0, 1, 0), direction=-1, bounds=(1.345, 1.37)
         ... )
@@ -661,14 +671,14 @@ def switch_cycle(
             f'"{point.kind}": no other branch of cycles of this period crosses there.'
         )
     tolerance = options.setdefault("tolerance", 1e-9)
-    found: Switched = switch_branch(
+    switched: Switched = switch_branch(
         residual, raw, shooting, side=side, step=step, tolerance=tolerance,
         weights=cycle_weights(shooting, raw.p), value_and_jacobian=linearise,
     )  # fmt: skip
-    if found.u is None or found.p is None:
-        raise RuntimeError(found.reason)
+    if switched.u is None or switched.p is None:
+        raise RuntimeError(switched.reason)
     options = {"step": step, "min_step": 1e-6, "max_step": 0.3, "max_points": 300, **options}
-    return _follow(shooting, found.u, found.p, found.direction, bounds, stop, options)
+    return _follow(shooting, switched.u, switched.p, switched.direction, bounds, stop, options)
 
 
 def _follow(
@@ -745,7 +755,7 @@ def _follow(
         v=v,
         period=period,
         amplitude=amplitude,
-        closeness=_closeness(shooting, branch.u[:k]),
+        scaled_peak_velocity=_scaled_peak_velocity(shooting, branch.u[:k]),
         multipliers=extra.multipliers[:k],
         trivial_defect=extra.trivial_defect[:k],
         special=tuple(special),
@@ -754,7 +764,7 @@ def _follow(
     )
 
 
-def _closeness(shooting: Shooting, u: np.ndarray) -> np.ndarray:
+def _scaled_peak_velocity(shooting: Shooting, u: np.ndarray) -> np.ndarray:
     s = np.sinh(u[:, shooting.place])
     switches = shooting.field.switching(0.0, jnp.zeros(shooting.n)) is not None
     return s if switches else np.full_like(s, np.nan)

@@ -131,13 +131,13 @@ def liouville_defect(
 
 
 def _square(monodromy: Any) -> Array:
-    found = as_array("monodromy", monodromy, 2, 2, "see `monodromy_matrix`.")
-    if found.shape[0] != found.shape[1]:
+    matrix = as_array("monodromy", monodromy, 2, 2, "see `monodromy_matrix`.")
+    if matrix.shape[0] != matrix.shape[1]:
         raise ValueError(
-            f"Argument `monodromy` must be square, but has shape {found.shape}: see "
+            f"Argument `monodromy` must be square, but has shape {matrix.shape}: see "
             "`monodromy_matrix`."
         )
-    return found
+    return matrix
 
 
 class Floquet(NamedTuple):
@@ -313,7 +313,7 @@ class LimitCycle(Outcome):
     mass: int = eqx.field(static=True)
 
     @property
-    def closeness(self) -> Float[Array, " n"]:
+    def scaled_peak_velocity(self) -> Float[Array, " n"]:
         """max w / eps of each mass: one that never reaches the belt's speed has it below zero.
 
         With dry friction -inf for that one, and 0 for one that sticks.

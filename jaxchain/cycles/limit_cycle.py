@@ -54,14 +54,14 @@ from ..simulation.accuracy import (
     MAX_STEP,
     check_tolerances,
     choose_solver,
+    custom_solver,
     fit_linear_solve,
-    own_solver,
 )
 from ..simulation.event_driven import EventDriven
 from ..simulation.run import Simulation, simulate
 from ..solvers.dry_friction import start as on_the_belt
 from ..solvers.rosenbrock import Rodas5P
-from .averaging import cycle_speed, gain, greatest_speed, one_mass, usual_closeness
+from .averaging import cycle_speed, gain, greatest_speed, one_mass, usual_peak_velocity
 from .branches import NoBranchError, continue_cycle
 from .floquet import (
     CYCLE_RTOL,
@@ -88,7 +88,7 @@ def _watched(chain: Any, state: State, t1: Any, watch: Section) -> Any:
     rtol: Any = 1e-8
     if isinstance(chain, Chain) and not chain.dry:
         rtol = jnp.clip(1e-4 * jnp.min(lax.stop_gradient(chain.width)), 1e-11, 1e-7)
-    solver = own_solver(chain, None) or choose_solver(chain, 1e-8)
+    solver = custom_solver(chain, None) or choose_solver(chain, 1e-8)
     run = simulate(chain, state, t1, observe=watch, solver=solver, rtol=rtol, throw=False)
     return lax.stop_gradient(run.observed)
 
@@ -102,16 +102,16 @@ def most_lively(chain: AbstractOscillators, state: State) -> int:
     return int(jnp.argmax((x - rest) ** 2 + v**2))
 
 
-def _cut_at(chain: AbstractOscillators, state: State, vibrating: Any) -> int:
-    if vibrating is None:
+def _cut_at(chain: AbstractOscillators, state: State, mass: Any) -> int:
+    if mass is None:
         return most_lively(chain, state)
-    return as_mass(state[0].shape[0], vibrating)
+    return as_mass(state[0].shape[0], mass)
 
 
 def guess_from_simulation(
     chain: AbstractOscillators,
     state: State,
-    vibrating: int | None = None,
+    mass: int | None = None,
     *,
     transient: Any = 0.0,
     duration: Any = 40.0,
@@ -119,12 +119,12 @@ def guess_from_simulation(
     """A point of the orbit on which `state` settles, and its period.
 
     Integrates for `transient`, then for `duration`, and looks at the states in which mass
-    `vibrating` (by default the one farthest from sliding) is fastest in the direction of the belt:
+    `mass` (by default the one farthest from sliding) is fastest in the direction of the belt:
     the period is the time since the one that is most like the last of them, as a whole.  Of an
     orbit that is not yet settled it may be a multiple; `find_limit_cycle` looks for the least.
 
     **Returns:** (state, period), NaN where the mass has not two such maxima: it rests, or moves
-    too slowly for `duration`.  Works under `jit` and `vmap`, `vibrating` being given.
+    too slowly for `duration`.  Works under `jit` and `vmap`, `mass` being given.
 
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
@@ -140,7 +140,7 @@ def guess_from_simulation(
     check_number("transient", transient, "200 is usual.")
     check_nonnegative("transient", transient, "200 is usual.")
     check_positive_number("duration", duration, "40 is some six periods.")
-    mass = _cut_at(chain, state, vibrating)
+    mass = _cut_at(chain, state, mass)
     watch = Section(mass, _PEAKS, transient, of="velocity")
     return _last_turn(*_watched(chain, state, transient + duration, watch))
 
@@ -159,23 +159,21 @@ def _last_turn(times: Array, xs: Array, vs: Array) -> Guess:
     return (xs[last], vs[last]), period
 
 
-def guess_from_point(
-    chain: AbstractOscillators, state: State, period: Any, vibrating: int
-) -> State:
-    """The point of an orbit of known period at which mass `vibrating` is fastest along the belt.
+def guess_from_point(chain: AbstractOscillators, state: State, period: Any, mass: int) -> State:
+    """The point of an orbit of known period at which mass `mass` is fastest along the belt.
 
     Nothing is integrated if `state` is such a point; NaN if there is none.
     """
     if not is_traced(chain, state):
         along = chain.belt_direction()
-        acceleration, velocity = chain(0.0, state)[1][vibrating], along * state[1][vibrating]
+        acceleration, velocity = chain(0.0, state)[1][mass], along * state[1][mass]
         # A mass that sticks is accelerated by little, but by more than this.
         if velocity > 0 and abs(acceleration) < 1e-9 * velocity:
             return state
     # A little more, for an orbit that begins at the maximum.
-    watch = Section(vibrating, _PEAKS, of="velocity")
+    watch = Section(mass, _PEAKS, of="velocity")
     _, xs, vs = _watched(chain, state, 1.05 * to_float(period), watch)
-    speeds = chain.belt_direction() * vs[:, vibrating]
+    speeds = chain.belt_direction() * vs[:, mass]
     fastest = jnp.argmax(jnp.where(jnp.isnan(speeds), -jnp.inf, speeds))
     return xs[fastest], vs[fastest]
 
@@ -196,14 +194,14 @@ def carried(state: State, before: AbstractOscillators, after: AbstractOscillator
 
 
 @eqx.filter_jit
-def _slip_guess(chain: Chain, vibrating: int) -> Guess:
+def _slip_guess(chain: Chain, mass: int) -> Guess:
     """The unstable cycle of a mass that slides throughout, to first harmonic; NaN for none.
 
     Its amplitude A < v_d is where averaged friction begins to feed more than damping takes (see
     `cycles/averaging.py`); the other masses move as its springs shake them, linearised about
     sliding: (K - omega^2 + i omega D) u = 0 in their rows.
     """
-    alone, speed = one_mass(chain, vibrating), jnp.abs(chain.belt_speed)
+    alone, speed = one_mass(chain, mass), jnp.abs(chain.belt_speed)
     ratios = jnp.append(jnp.geomspace(1e-3, 0.3, 24), jnp.linspace(0.32, 1.0, 35))
     values = lax.map(lambda ratio: gain(alone, ratio, speed), ratios)
     rises = (values[:-1] <= 0) & (values[1:] > 0)
@@ -215,21 +213,21 @@ def _slip_guess(chain: Chain, vibrating: int) -> Guess:
     x, _ = steady_sliding(chain)
     damping = jnp.broadcast_to(sliding_damping(chain, speed), (chain.n,))
     A = stiffness_matrix(chain) - jnp.diag(omega**2 - 1j * omega * damping)
-    unit = jnp.zeros(chain.n).at[vibrating].set(1.0)
+    unit = jnp.zeros(chain.n).at[mass].set(1.0)
     row = unit[:, None] > 0
-    right = jnp.where(unit > 0, 1.0, -A[:, vibrating])
+    right = jnp.where(unit > 0, 1.0, -A[:, mass])
     shape = jnp.linalg.solve(jnp.where(row, jnp.diag(unit), jnp.where(row.T, 0.0, A)), right)
     # v_j = A cos(omega t), hence x_n = Re[-i u_n exp(i omega t)] A / omega.
     moved = amplitude / omega * jnp.real(-1j * shape)
     return (x + moved, amplitude * jnp.real(shape)), 2 * jnp.pi / omega
 
 
-def guess_of_kind(chain: Chain, vibrating: int, kind: str) -> Guess:
+def guess_of_kind(chain: Chain, mass: int, kind: str) -> Guess:
     """A guess of the stick-slip cycle ("stable") or of the slip cycle ("unstable") of one mass."""
     if kind == "unstable":
-        return _slip_guess(chain, vibrating)
-    released = release_state(chain, vibrating)
-    return guess_from_simulation(chain, released, vibrating, transient=_TRANSIENT)
+        return _slip_guess(chain, mass)
+    released = release_state(chain, mass)
+    return guess_from_simulation(chain, released, mass, transient=_TRANSIENT)
 
 
 @eqx.filter_jit
@@ -247,46 +245,46 @@ def solve_cycle(
     def closed(now: Iterate) -> Array:
         return greatest_gap(now) <= tolerance
 
-    found = close_orbit_once(
+    end = close_orbit_once(
         shooting, linearise, start, weights, limit=limit, fine=1e-11, closed=closed
     )
-    field, state, period = shooting.unpack(found.u)
-    whole, mass = found.aux, shooting.mass
+    field, state, period = shooting.unpack(end.u)
+    whole, mass = end.aux, shooting.mass
     # In the shooting equations velocities count by their distance from the belt's: a fast orbit
-    # that decays, or a piece of one, is closed there.  So the gap counts as a share of the
+    # that decays, or a piece of one, is end there.  So the gap counts as a share of the
     # orbit's size, too.
     left = jnp.max(jnp.abs(jnp.stack(whole.end) - jnp.stack(state)))
     floquet = floquet_multipliers(whole.monodromy, jnp.concatenate(field(0.0, state)))
     forward = field.belt_direction() * state[1][mass] > 0
     cycle = _cycle(
         shooting,
-        found.u,
+        end.u,
         tolerance,
         moves=(whole.fastest[mass] > LEAST_VELOCITY) & forward,
         lost=whole.complete & ~can_be_cycle(field, period, whole.fastest),
-        ended=ending(found, jnp.asarray(False), limit),
-        residual=jnp.fmax(greatest_gap(found), left / whole.returned.farthest),
+        ended=ending(end, jnp.asarray(False), limit),
+        residual=jnp.fmax(greatest_gap(end), left / whole.returned.farthest),
         multipliers=floquet.multipliers,
         trivial_defect=floquet.defect,
         liouville_defect=liouville_defect(whole.monodromy, whole.trace_integral),
         amplitude=whole.amplitude,
         fastest=whole.fastest,
-        evaluations=found.evaluations,
+        evaluations=end.evaluations,
     )
-    return cycle, found.u
+    return cycle, end.u
 
 
 def _cycle(
-    equations: Any, u: Array, tolerance: Array, moves: Any, lost: Any, ended: Any, **found: Any
+    equations: Any, u: Array, tolerance: Array, moves: Any, lost: Any, ended: Any, **fields: Any
 ) -> LimitCycle:
     """The cycle with its result: how the search `ended` if it is not closed."""
     of, (chain, state, period) = SearchResult, equations.unpack(u)
-    trusted = is_trusted(found["multipliers"], found["trivial_defect"])
-    closed = (found["residual"] <= tolerance) & trusted
+    trusted = is_trusted(fields["multipliers"], fields["trivial_defect"])
+    closed = (fields["residual"] <= tolerance) & trusted
     result = of.where(closed, of.where(moves, of.successful, of.at_rest), ended)
     result = of.where(lost, of.ran_away, result)
-    found |= {"chain": chain, "state": state, "period": period, "mass": equations.mass}
-    return LimitCycle(result=result, **found)
+    fields |= {"chain": chain, "state": state, "period": period, "mass": equations.mass}
+    return LimitCycle(result=result, **fields)
 
 
 @eqx.filter_jit
@@ -294,7 +292,7 @@ def with_derivatives(
     equations: Any, chain: AbstractOscillators, cycle: LimitCycle, u: Array
 ) -> LimitCycle:
     """`cycle` with its derivatives in the numbers of `chain`."""
-    equations = eqx.tree_at(lambda own: own.field, equations, chain)
+    equations = eqx.tree_at(lambda eqs: eqs.field, equations, chain)
     unknowns = attach_derivative(_residual, jnp.concatenate([u, cycle.amplitude]), equations)
     _, state, period = equations.unpack(unknowns[: u.size])
     amplitude = unknowns[u.size :]
@@ -385,7 +383,7 @@ def close_orbit(
     """
     chain, state, period = as_orbit(chain, state, period)
     x, v = check_orbit(chain, state, period, rtol)
-    equations = _States(chain, rtol, own_solver(chain, solver))
+    equations = _States(chain, rtol, custom_solver(chain, solver))
     return _close(equations, (x, v), to_float(period))[0]
 
 
@@ -568,7 +566,7 @@ def keep_kind(cycle: LimitCycle, kind: str) -> LimitCycle:
     lost, but its mass comes closer to the belt's speed than that of a fold, s = max w / eps =
     ln(eps / v_d) / 4 - 1, within 0.3.
     """
-    multipliers, closeness = cycle.multipliers, cycle.closeness[cycle.mass]
+    multipliers, scaled_peak_velocity = cycle.multipliers, cycle.scaled_peak_velocity[cycle.mass]
     beyond = (jnp.imag(multipliers) == 0) & (jnp.real(multipliers) > 1.0 + cycle.uncertainty)
     grows, n, chain = jnp.any(beyond), cycle.fastest.shape[0], cast(Chain, cycle.chain)
     alone = jnp.sum(active(cycle.amplitude, chain.belt_speed)) <= 1
@@ -577,11 +575,11 @@ def keep_kind(cycle: LimitCycle, kind: str) -> LimitCycle:
     elif n == 1:
         good = ~grows
     elif chain.dry:
-        good = alone & (closeness == 0)
+        good = alone & (scaled_peak_velocity == 0)
     else:
         eps = jnp.broadcast_to(chain.width, (n,))[cycle.mass]
-        fold = usual_closeness(eps / jnp.maximum(jnp.abs(chain.belt_speed), eps))
-        good = alone & ~(grows & (closeness < fold + 0.3))
+        fold = usual_peak_velocity(eps / jnp.maximum(jnp.abs(chain.belt_speed), eps))
+        good = alone & ~(grows & (scaled_peak_velocity < fold + 0.3))
     wrong = cycle.successful & ~good
     result = SearchResult.where(wrong, SearchResult.other_kind, cycle.result)
     return replace(cycle, result=result)
@@ -598,11 +596,11 @@ def continue_to_belt_speed(
     chain: Any = shooting.field
     goal, along, ended = abs(float(chain.belt_speed)), float(chain.belt_direction()), ""
     for speed in _speeds(chain, shooting.mass, kind, goal):
-        there = chain.with_(belt_speed=along * speed)
-        state, period = guess_of_kind(there, shooting.mass, kind)
+        chain_there = chain.with_(belt_speed=along * speed)
+        state, period = guess_of_kind(chain_there, shooting.mass, kind)
         if not bool(jnp.isfinite(jnp.sum(state[1]) + period)):
             continue
-        elsewhere = eqx.tree_at(lambda s: s.field, shooting, there)
+        elsewhere = eqx.tree_at(lambda s: s.field, shooting, chain_there)
         cycle, _ = solve_cycle(elsewhere, state, period, tolerance, limit)
         if not keep_kind(cycle, kind).successful:
             continue
@@ -668,7 +666,7 @@ def find_limit_cycle(
     guess: Any = None,
     *,
     period: Any = None,
-    vibrating: Any = None,
+    mass: Any = None,
     branch: Any = "stable",
     images: Any = None,
     rtol: Any = CYCLE_RTOL,
@@ -693,7 +691,7 @@ def find_limit_cycle(
       from another belt speed if it is not found at once; a state (x, v), from which a
       simulation starts, or with `period` a point near the orbit; a pair (state, period); a
       `Simulation` (its last state); a `LimitCycle` of another chain.
-    - `vibrating`: index of the mass at whose greatest velocity the orbit is cut, by default n // 2
+    - `mass`: index of the mass at whose greatest velocity the orbit is cut, by default n // 2
       without a guess and else the one farthest from sliding.  Must be given under `jit`.
     - `images`: for an orbit with a symmetry, entry i is the index of the mass that i does the same
       as, see `continue_cycle`.
@@ -718,7 +716,7 @@ def find_limit_cycle(
         >>> cycle.stable, round(float(cycle.period), 6)
         (True, 6.297326)
         >>> slipping = find_limit_cycle(paper_chain(1, width=0.05), branch="unstable")
-        >>> slipping.stable, bool(slipping.closeness[0] < 0)
+        >>> slipping.stable, bool(slipping.scaled_peak_velocity[0] < 0)
         (False, True)
     """
     as_chain(chain, AbstractOscillators)
@@ -728,7 +726,7 @@ def find_limit_cycle(
         as_images(images, chain.n)
     limit = check_tolerance(tolerance, max_steps)
     frozen = lax.stop_gradient(chain)
-    mass, state, period = resolve_guess(frozen, guess, period, vibrating, branch, throw)
+    mass, state, period = resolve_guess(frozen, guess, period, mass, branch, throw)
     images = as_images(images, state[0].shape[0], mass)
 
     def failed(cycle: LimitCycle) -> bool:
@@ -757,7 +755,7 @@ def find_limit_cycle(
 
 
 def resolve_guess(
-    chain: AbstractOscillators, guess: Any, period: Any, vibrating: Any, branch: Any, throw: bool
+    chain: AbstractOscillators, guess: Any, period: Any, mass: Any, branch: Any, throw: bool
 ) -> tuple[int, State, Array]:
     """(mass, state on the section, period) of whatever was given."""
     check_one_of("branch", branch, ("stable", "unstable"))
@@ -771,11 +769,11 @@ def resolve_guess(
                 f"Argument `period` is {shown(period)}, but there is no `guess`, whose period it "
                 "would be: give the state, too."
             )
-        mass = as_mass(chain.n, vibrating, reference_site(chain.n))
+        mass = as_mass(chain.n, mass, reference_site(chain.n))
         return mass, *guess_of_kind(chain, mass, branch)
     if isinstance(guess, LimitCycle):
         check_orbit(chain, guess.state, guess.period, CYCLE_RTOL)
-        mass = as_mass(guess.state[0].shape[0], vibrating, guess.mass)
+        mass = as_mass(guess.state[0].shape[0], mass, guess.mass)
         state, period = carried(guess.state, guess.chain, chain), guess.period
     else:
         transient = 0.0 if isinstance(guess, Simulation) else _TRANSIENT
@@ -784,7 +782,7 @@ def resolve_guess(
         if pair and isinstance(guess[0], tuple | list):
             guess, period = guess
         state = check_orbit(chain, guess, 1.0 if period is None else period, CYCLE_RTOL, "guess")
-        mass = _cut_at(chain, state, vibrating)
+        mass = _cut_at(chain, state, mass)
         if period is None:
             state, period = guess_from_simulation(chain, state, mass, transient=transient)
         else:

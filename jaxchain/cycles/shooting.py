@@ -95,8 +95,8 @@ class Shooting(eqx.Module):
         x, v = state
         belt, width = _layer(self.at(parameter), v)
         z = v if width is None else jnp.arcsinh((v - belt) / width)
-        own = x[jnp.asarray(self.others, int)], z[jnp.asarray(self.solved, int)]
-        return jnp.concatenate([*own, jnp.log(to_float(period))[None]])
+        numbers = x[jnp.asarray(self.others, int)], z[jnp.asarray(self.solved, int)]
+        return jnp.concatenate([*numbers, jnp.log(to_float(period))[None]])
 
     def unpack(
         self, u: Float[Array, " m"], parameter: Any = None
@@ -237,14 +237,14 @@ def close_orbit_once(
         return ~done & ~(now.refused & closed(now)) & (now.evaluations < limit)
 
     def round_(now: _Round) -> _Round:
-        found = iterate(linearise, nothing._replace(u=now.start), weights, going)
-        count, returned = now.best.evaluations + found.evaluations, found.aux.returned
-        _, state, period = equations.unpack(found.u)
-        same = closed(found) & returned.same(equations.unpack(now.best.u)[1], state)
+        end = iterate(linearise, nothing._replace(u=now.start), weights, going)
+        count, returned = now.best.evaluations + end.evaluations, end.aux.returned
+        _, state, period = equations.unpack(end.u)
+        same = closed(end) & returned.same(equations.unpack(now.best.u)[1], state)
         good = (now.best.evaluations == 0) | same
-        best = where(good, found, now.best)._replace(evaluations=count)
+        best = where(good, end, now.best)._replace(evaluations=count)
         times = returned.times_round
-        again = good & closed(found) & (times > 1)
+        again = good & closed(end) & (times > 1)
         return _Round(best, equations.pack(state, period / times), again)
 
     first = _Round(nothing, start, jnp.asarray(True))

@@ -41,7 +41,7 @@ _ULPS = 100
 Make = Callable[[Float[Array, " m"]], tuple[AbstractOscillators, State, Float[Array, ""]]]
 
 
-class Pushed(NamedTuple):
+class Sensitivity(NamedTuple):
     """The state after a run and its derivatives, along the first axis; NaN if it failed."""
 
     end: State
@@ -61,14 +61,14 @@ class _Run(NamedTuple):
     steps: Int[Array, ""]
 
 
-def push(
+def forward_sensitivity(
     make: Make,
     point: Float[Array, " m"],
     *,
     rtol: Any,
     solver: AbstractStructuredRosenbrock,
     observers: Sequence[AbstractObserver] = (),
-) -> Pushed:
+) -> Sensitivity:
     """The state after a time, with its derivatives in the m numbers of `point`.
 
     The derivatives are those of the steps with their sizes held fixed, but for the last one, which
@@ -154,7 +154,7 @@ def push(
     good = good & jnp.all(jnp.isfinite(jnp.stack(ended.y)))
     y, slopes = jax.tree.map(lambda a: jnp.where(good, a, jnp.nan), (ended.y, ended.slopes))
     observed = [o.read(a) for o, a in zip(observers, ended.accumulators, strict=True)]
-    return forward_only(Pushed(y, slopes, observed, good))
+    return forward_only(Sensitivity(y, slopes, observed, good))
 
 
 # Every multiple up to 16 of a period has one of these as a factor.
@@ -204,7 +204,7 @@ class Returns(AbstractObserver):
         return lax.stop_gradient((times, y0, nowhere))
 
     def update(self, accumulator: Any, step: Step) -> Any:
-        times, start, known = accumulator
+        times, start, previous = accumulator
         t0, t1, end = lax.stop_gradient((step.t0, step.t1, step.y1))
         here = (t0 < times) & (times <= t1)
 
@@ -216,9 +216,9 @@ class Returns(AbstractObserver):
 
             return lax.stop_gradient(jax.vmap(away)(thetas))
 
-        found = lax.cond(eqxi.unvmap_any(here), look, lambda: known.apart)
-        farthest = jnp.maximum(known.farthest, _distance(end, start))
-        return times, start, Returned(jnp.where(here, found, known.apart), farthest)
+        apart = lax.cond(eqxi.unvmap_any(here), look, lambda: previous.apart)
+        farthest = jnp.maximum(previous.farthest, _distance(end, start))
+        return times, start, Returned(jnp.where(here, apart, previous.apart), farthest)
 
     def read(self, accumulator: Any) -> Returned:
         return accumulator[2]
@@ -312,8 +312,8 @@ def flow(
 def linearised_period(
     make: Make, point: Float[Array, " m"], *, rtol: Any, solver: AbstractStructuredRosenbrock
 ) -> Period:
-    """One integration that carries m disturbances, as `push`; `point` begins with the state."""
-    end, slopes, seen, good = push(
+    """One `forward_sensitivity` over a period; `point` begins with the state."""
+    end, slopes, seen, good = forward_sensitivity(
         make, point, rtol=rtol, solver=solver, observers=[Along(), Returns()]
     )
     along, returned = jax.tree.map(lambda a: jnp.where(good, a, jnp.nan), seen)

@@ -24,7 +24,7 @@ from .._final import final
 from ..continuation.damped_newton import where
 from ..continuation.gradient_descent import MOST_STEPS, unknowns
 from ..model.chain import Chain
-from ..model.initial_states import check_vibrating
+from ..model.initial_states import check_mass
 from ..result import Outcome, SearchResult
 from .measurements import Measurements, check_change, check_measurements, predict
 
@@ -90,7 +90,7 @@ def identify(
     start: PyTree,
     measurements: Any,
     *,
-    vibrating: Any = None,
+    mass: Any = None,
     steps: Any = 60,
 ) -> Identification:
     """The parameters theta with which a chain comes closest to what was measured.
@@ -103,7 +103,7 @@ def identify(
 
     **Arguments:** `chain` for all that theta does not change; `change(chain, theta)`, the chain of
     theta; `start`, the first theta, any pytree: it must vibrate where vibrations were measured;
-    `vibrating` as in `predict`; `steps`: predictions with derivatives allowed.
+    `mass` as in `predict`; `steps`: predictions with derivatives allowed.
 
     Works under `jit` and `vmap` (over noisy copies of the measurements, say).  optimistix, whose
     `LevenbergMarquardt` finds the same, compiles every prediction three times.
@@ -124,19 +124,19 @@ def identify(
     >>> found.theta.round(3).tolist(), found.standard_errors.round(3).tolist()
     ([0.5, 0.539], [0.005, 0.008])
     """
-    mass = check_vibrating(chain, vibrating)
+    mass = check_mass(chain, mass)
     check_measurements(measurements)
     check_whole("steps", steps, 1, MOST_STEPS)
     flat, unravel = unknowns(start)
     check_change(change, chain, unravel(flat))
-    problem = _Problem(chain, measurements, change, mass, unravel)
-    found = _fit(problem, flat, steps)
-    if not is_traced(found):
-        _complain(problem, found, unravel(flat))
-    return found
+    problem = _FitProblem(chain, measurements, change, mass, unravel)
+    fit = _fit(problem, flat, steps)
+    if not is_traced(fit):
+        _complain(problem, fit, unravel(flat))
+    return fit
 
 
-class _Problem(eqx.Module):
+class _FitProblem(eqx.Module):
     chain: Chain
     measurements: Measurements
     change: Callable[[Chain, Any], Chain]
@@ -148,16 +148,16 @@ class _Problem(eqx.Module):
 
         def twice(flat: Array) -> tuple[Array, Array]:
             chain = self.change(self.chain, self.unravel(flat))
-            found = predict(chain, self.measurements, self.mass)
-            found = found / self.measurements.noise
-            return found, found
+            predicted = predict(chain, self.measurements, self.mass)
+            predicted = predicted / self.measurements.noise
+            return predicted, predicted
 
-        slopes, found = jax.jacfwd(twice, has_aux=True)(flat)
-        return self.measurements.values / self.measurements.noise - found, slopes
+        slopes, predicted = jax.jacfwd(twice, has_aux=True)(flat)
+        return self.measurements.values / self.measurements.noise - predicted, slopes
 
 
 @eqx.filter_jit
-def _fit(problem: _Problem, start: Array, steps: int) -> Identification:
+def _fit(problem: _FitProblem, start: Array, steps: int) -> Identification:
     infinite = jnp.asarray(jnp.inf)
     m, p = problem.measurements.count, start.size
 
@@ -234,28 +234,32 @@ def _curvature(slopes: Array) -> tuple[Array, Array, Array, Array]:
     inverse = jnp.where(null, 0.0, 1.0 / jnp.where(null, 1.0, size))
     root = right.T * inverse[None, :] / lengths[:, None]
     determined = sound & ~jnp.any(null[:, None] & (jnp.abs(right) > _PART), axis=0)
-    known = determined[:, None] & determined[None, :]
-    covariance = jnp.where(known, root @ root.T, jnp.nan)
+    both = determined[:, None] & determined[None, :]
+    covariance = jnp.where(both, root @ root.T, jnp.nan)
     deviation = jnp.sqrt(jnp.diagonal(covariance))
     correlation = covariance / (deviation[:, None] * deviation[None, :])
     condition = jnp.where(sound & (size[-1] > 0), size[0] / size[-1], jnp.inf)
     return covariance, correlation, determined, condition
 
 
-def _complain(problem: _Problem, found: Identification, start: PyTree) -> None:
-    if not np.all(np.isfinite(found.residuals)):
+def _complain(problem: _FitProblem, fit: Identification, start: PyTree) -> None:
+    if not np.all(np.isfinite(fit.residuals)):
         raise ValueError(
             "Argument `start` predicts no vibration, fold or Hopf point where one was measured: "
             "start from more friction at rest, or less damping."
         )
-    if np.all(found.determined):
+    if np.all(fit.determined):
         return
     names = [
         "theta" + jtu.keystr(path) + (f"[{i}]" if jnp.ndim(leaf) else "")
         for path, leaf in jtu.tree_leaves_with_path(start)
         for i in range(jnp.size(leaf))
     ]
-    which = [n for n, known in zip(names, np.asarray(found.determined), strict=True) if not known]
+    which = [
+        n
+        for n, is_determined in zip(names, np.asarray(fit.determined), strict=True)
+        if not is_determined
+    ]
     warnings.warn(
         f"The measurements do not determine {', '.join(which)}: a change of these together goes "
         "unnoticed. Fix one of them, or measure something else, such as a displacement in steady "

@@ -22,7 +22,7 @@ from .._final import final
 from ..boundaries.fold import fold_belt_speed
 from ..boundaries.hopf import hopf_belt_speed
 from ..model.chain import Chain, steady_sliding
-from ..model.initial_states import check_vibrating, on_the_belt
+from ..model.initial_states import check_mass, on_the_belt
 from ..observers.amplitude import Amplitude
 from ..observers.quantities import active
 from ..result import Printed
@@ -130,7 +130,7 @@ def check_change(change: Any, chain: Chain, theta: Any) -> None:
     check_kind("change", made, Chain, "a function that returns a `Chain`", "see `Chain.with_`.")
 
 
-def predict(chain: Chain, measurements: Measurements, vibrating: Any = None) -> Float[Array, " m"]:
+def predict(chain: Chain, measurements: Measurements, mass: Any = None) -> Float[Array, " m"]:
     """What `chain` would have shown in the place of `measurements.values`.
 
     Of a dry chain the Hopf speed, the grazing-sliding fold, and amplitudes half peak-to-peak of
@@ -139,7 +139,7 @@ def predict(chain: Chain, measurements: Measurements, vibrating: Any = None) -> 
     derivatives, which hold across sticking and release; `jit`; `vmap`.
 
     **Arguments:** `measurements`, of which the belt speeds count, not what was measured there;
-    `vibrating`, the index (from 0) of the mass, by default n // 2.
+    `mass`, the index (from 0) of the mass, by default n // 2.
 
     **Returns:** shape (m,), dimensionless, in the order of `measurements.values`.
 
@@ -151,7 +151,7 @@ def predict(chain: Chain, measurements: Measurements, vibrating: Any = None) -> 
     >>> predict(paper_chain(n=1, width=None), lab).round(4).tolist()
     [1.1513, 0.5249]
     """
-    mass = check_vibrating(chain, vibrating)
+    mass = check_mass(chain, mass)
     check_measurements(measurements)
     parts = []
 
@@ -159,7 +159,7 @@ def predict(chain: Chain, measurements: Measurements, vibrating: Any = None) -> 
         return eqx.tree_at(lambda c: c.belt_speed, chain, speed)
 
     def amplitude(speed: Array) -> Array:
-        found = simulate(
+        run = simulate(
             at(speed),
             on_the_belt(at(speed), mass),
             _SPAN,
@@ -168,7 +168,7 @@ def predict(chain: Chain, measurements: Measurements, vibrating: Any = None) -> 
             rtol=_RTOL,
             throw=False,
         ).observed
-        return jnp.where(active(found, speed)[mass], found[mass], jnp.nan)
+        return jnp.where(active(run, speed)[mass], run[mass], jnp.nan)
 
     def displacement(speed: Array) -> Array:
         return steady_sliding(at(speed))[0][mass]

@@ -20,7 +20,7 @@ from ..boundaries.ranges import BistableRange, bistable_range
 from ..continuation.damped_newton import where
 from ..continuation.gradient_descent import check_descent, unknowns
 from ..model.chain import Chain
-from ..model.initial_states import check_vibrating
+from ..model.initial_states import check_mass
 from ..result import Outcome, SearchResult
 from .measurements import check_change
 
@@ -65,7 +65,7 @@ class Design(Outcome):
     aims: Float[Array, " steps"]
 
 
-class _Point(eqx.Module):
+class _DesignPoint(eqx.Module):
     """A design in units of `scale`, and everything that is known there."""
 
     z: Float[Array, " m"]
@@ -74,7 +74,7 @@ class _Point(eqx.Module):
     cost_slope: Float[Array, " m"]
     g_slope: Float[Array, " m"]
     aim: Float[Array, ""]
-    found: BistableRange | Blow
+    boundary: BistableRange | Blow
 
     def multiplier(self, held: Array, penalty: Array) -> Array:
         return jnp.maximum(0.0, held + penalty * self.g)
@@ -86,8 +86,8 @@ class _Point(eqx.Module):
         return value, self.cost_slope + m * self.g_slope
 
 
-class _Search(eqx.Module):
-    best: _Point
+class _DesignSearch(eqx.Module):
+    best: _DesignPoint
     step: Float[Array, " m"]  # from there
     length: Float[Array, ""]
     state: PyTree  # of the optimiser
@@ -112,7 +112,7 @@ def design(
     blow_above: Any = None,
     cost: Callable[[Any], Any] | None = None,
     scale: Any = None,
-    vibrating: Any = None,
+    mass: Any = None,
     optimiser: optax.GradientTransformation | None = None,
     steps: Any = 200,
     tolerance: Any = 1e-6,
@@ -139,7 +139,7 @@ def design(
     - `cost(theta)`: by default 1/2 |(theta - start) / scale|^2.
     - `scale`: a change of theta that counts, one number or a pytree as `start`; by default |start|
       and 1 where that is 0.
-    - `vibrating`: as in `bistable_range`; with `blow_above` the only mass that is hit, by default
+    - `mass`: as in `bistable_range`; with `blow_above` the only mass that is hit, by default
       any may be.
     - `optimiser`: an optax transformation without a line search, `optax.adam(0.01)` say, for
       theta in units of `scale`; L-BFGS by default.  Steps that make things worse are shortened.
@@ -159,7 +159,7 @@ def design(
     >>> round(float(found.theta), 4), round(float(found.range.fold), 4)
     (0.0555, 1.7)
     """
-    mass = check_vibrating(chain, vibrating)
+    index = check_mass(chain, mass)
     targets = {
         "width_below": width_below,
         "highest_below": highest_below,
@@ -192,20 +192,20 @@ def design(
                 f"{shown(scale)}."
             )
         units = jnp.broadcast_to(changes, flat.shape)
-    hit = None if vibrating is None else (mass,)
-    problem = _Problem(
-        chain, flat, units, to_float(target), change, cost, mass, hit, name, unravel
+    hit = None if mass is None else (index,)
+    problem = _DesignProblem(
+        chain, flat, units, to_float(target), change, cost, index, hit, name, unravel
     )
     return _solve(problem, optimiser, steps, to_float(tolerance))
 
 
-class _Problem(eqx.Module):
+class _DesignProblem(eqx.Module):
     chain: Chain
     start: Float[Array, " m"]
     scale: Float[Array, " m"]
     target: Float[Array, ""]
     change: Callable[[Chain, Any], Chain]
-    own_cost: Callable[[Any], Any] | None
+    cost_function: Callable[[Any], Any] | None
     mass: int = eqx.field(static=True)
     hit: tuple[int] | None = eqx.field(static=True)
     name: str = eqx.field(static=True)
@@ -217,19 +217,19 @@ class _Problem(eqx.Module):
     def chain_at(self, z: Array) -> Chain:
         return self.change(self.chain, self.unravel(self.theta(z)))
 
-    def point(self, z: Array) -> _Point:
+    def point(self, z: Array) -> _DesignPoint:
         """Forward in every direction at once: the searches within have no reverse."""
 
         def both(z: Array) -> tuple[Array, tuple[Array, Array, BistableRange | Blow]]:
-            g, aim, found = self._aim(self.chain_at(z))
+            g, aim, boundary = self._aim(self.chain_at(z))
             cost = 0.5 * jnp.sum(z**2)
-            if self.own_cost is not None:
-                cost = to_float(self.own_cost(self.unravel(self.theta(z))))
+            if self.cost_function is not None:
+                cost = to_float(self.cost_function(self.unravel(self.theta(z))))
             values = jnp.stack([cost, g])
-            return values, (values, aim, found)
+            return values, (values, aim, boundary)
 
-        slopes, (values, aim, found) = jax.jacfwd(both, has_aux=True)(z)
-        return _Point(z, values[0], values[1], slopes[0], slopes[1], aim, found)
+        slopes, (values, aim, boundary) = jax.jacfwd(both, has_aux=True)(z)
+        return _DesignPoint(z, values[0], values[1], slopes[0], slopes[1], aim, boundary)
 
     def unknown(self) -> BistableRange | Blow:
         """What is known before the first point, in the same shapes."""
@@ -240,7 +240,7 @@ class _Problem(eqx.Module):
             return jnp.full(leaf.shape, jnp.inf if real else 0, leaf.dtype)
 
         nothing = jax.tree.map(blank, shapes)
-        return eqx.tree_at(lambda found: found.result, nothing, SearchResult.nonfinite)
+        return eqx.tree_at(lambda boundary: boundary.result, nothing, SearchResult.nonfinite)
 
     def _aim(self, chain: Chain) -> tuple[Array, Array, BistableRange | Blow]:
         """(g, the speed that it is made of, where that is from); g is NaN if it is not known."""
@@ -250,24 +250,24 @@ class _Problem(eqx.Module):
             # Without any vibration there is room enough, and nothing to differentiate.
             g = jnp.where(none, -self.target, self.target - jnp.where(none, 0.0, blow.size))
             return jnp.where(none | blow.successful, g, jnp.nan), blow.size, blow
-        found = bistable_range(chain, self.mass)
-        aim = found.width if self.name == "width_below" else found.highest
-        return jnp.where(found.successful, aim - self.target, jnp.nan), aim, found
+        boundary = bistable_range(chain, self.mass)
+        aim = boundary.width if self.name == "width_below" else boundary.highest
+        return jnp.where(boundary.successful, aim - self.target, jnp.nan), aim, boundary
 
 
 @eqx.filter_jit
-def _solve(problem: _Problem, optimiser: Any, steps: int, tolerance: Array) -> Design:
+def _solve(problem: _DesignProblem, optimiser: Any, steps: int, tolerance: Array) -> Design:
     transform: Any = optax.with_extra_args_support(optimiser)
     size = problem.start.size
     zero, infinite = jnp.zeros(size), jnp.asarray(jnp.inf)
     nothing = jnp.zeros((), int)
-    blank = _Point(zero, infinite, infinite, zero, zero, infinite, problem.unknown())
+    blank = _DesignPoint(zero, infinite, infinite, zero, zero, infinite, problem.unknown())
 
-    def going(now: _Search) -> Array:
+    def going(now: _DesignSearch) -> Array:
         hopeful = (now.refused < _MOST_REFUSED) & (now.count < steps)
         return hopeful & (now.residual > tolerance)
 
-    def round_(now: _Search) -> _Search:
+    def round_(now: _DesignSearch) -> _DesignSearch:
         trial = problem.point(now.best.z + now.length * now.step)
         first = jnp.isinf(now.best.cost)
         steepness = jnp.sum(trial.g_slope**2)
@@ -297,7 +297,7 @@ def _solve(problem: _Problem, optimiser: Any, steps: int, tolerance: Array) -> D
         step, memory = transform.update(slope, memory, best.z, value=value, grad=slope)
         longest = jnp.max(jnp.abs(step))
         step = step * jnp.minimum(1.0, _LONGEST / jnp.where(longest > 0, longest, 1.0))
-        return _Search(
+        return _DesignSearch(
             best=best,
             step=jnp.where(good, step, now.step),
             length=jnp.where(good, 1.0, _SHRINKAGE * now.length),
@@ -317,7 +317,7 @@ def _solve(problem: _Problem, optimiser: Any, steps: int, tolerance: Array) -> D
     last = lax.while_loop(
         going,
         round_,
-        _Search(blank, zero, jnp.ones(()), transform.init(zero), jnp.zeros(()), jnp.ones(()),
+        _DesignSearch(blank, zero, jnp.ones(()), transform.init(zero), jnp.zeros(()), jnp.ones(()),
                 infinite, infinite, nothing, nothing, path, record, record),
     )  # fmt: skip
     best = last.best
@@ -329,8 +329,8 @@ def _solve(problem: _Problem, optimiser: Any, steps: int, tolerance: Array) -> D
         theta=problem.unravel(problem.theta(best.z)),
         chain=problem.chain_at(best.z),
         cost=best.cost,
-        range=best.found if isinstance(best.found, BistableRange) else None,
-        blow=best.found if isinstance(best.found, Blow) else None,
+        range=best.boundary if isinstance(best.boundary, BistableRange) else None,
+        blow=best.boundary if isinstance(best.boundary, Blow) else None,
         multiplier=best.multiplier(last.held, last.penalty),
         angle=_angle(best.cost_slope, -best.g_slope),
         residual=last.residual,

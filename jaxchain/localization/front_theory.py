@@ -111,7 +111,7 @@ def death_belt_speed(
 
     vibration of one mass with that much more damping ends at the fold.  `chain` is one mass;
     `fold` gives the belt speed up to which its vibration survives, such as
-    `jaxchain.boundaries.nonsmooth_fold_belt_speed`.
+    `jaxchain.boundaries.dry_fold_belt_speed`.
     """
     eta = jnp.asarray(coupling, float)
 

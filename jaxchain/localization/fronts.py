@@ -26,7 +26,7 @@ from .._checks import (
 from .._final import final
 from .._types import ScalarLike
 from ..model.chain import Chain
-from ..model.initial_states import check_vibrating
+from ..model.initial_states import check_mass
 from ..observers.fronts import Fronts, FrontTrack, apart, mean_speed
 from ..result import Printed, Result, ended_well
 from ..simulation.accuracy import MAX_STEP, check_span, check_tolerances
@@ -163,7 +163,7 @@ def front_speed(
         >>> found.outcome, round(float(found.speed), 3)
         ('grows', 0.016)
     """
-    middle = check_vibrating(chain, middle, "middle")
+    middle = check_mass(chain, middle, "middle")
     _check_ring(chain)
     check_span(t0, t1)
     check_share("level", level, "0.95 is usual.")
@@ -176,9 +176,9 @@ def front_speed(
         chain, initial, t1, t0=t0, observe=FrontTrack(windows, middle), rtol=rtol,
         solver=solver, throw=False,
     )  # fmt: skip
-    found = _measure(run.observed, chain.n, t0, t1, transient, ended_well(run.result), level)
+    speed = _measure(run.observed, chain.n, t0, t1, transient, ended_well(run.result), level)
     times = t0 + (jnp.arange(windows) + 0.5) * (t1 - t0) / windows
-    return FrontSpeed(**found, times=times, fronts=run.observed, result=run.result)
+    return FrontSpeed(**speed, times=times, fronts=run.observed, result=run.result)
 
 
 def front_speeds(runs: Dataset, transient: Any = None, *, level: Any = 0.95) -> Dataset:
@@ -228,8 +228,8 @@ def front_speeds(runs: Dataset, transient: Any = None, *, level: Any = 0.95) -> 
     )  # fmt: skip
 
     def measure(right: Array, left: Array, wait: Array, well: Array) -> tuple[Array, ...]:
-        found = _measure(Fronts(right, left, left), n, t0, t1, wait, well, level)
-        return tuple(found[name] for name in names)  # a compiled function sorts its dictionary
+        speed = _measure(Fronts(right, left, left), n, t0, t1, wait, well, level)
+        return tuple(speed[name] for name in names)  # a compiled function sorts its dictionary
 
     numbers = xr.apply_ufunc(
         jnp.vectorize(measure, signature="(w),(w),(),()->" + ",".join(["()"] * 8)),
@@ -334,7 +334,7 @@ def depinning_belt_speed(
         >>> round(float(found.middle), 1), round(float(found.error), 4)
         (1.3, 0.002)
     """
-    check_vibrating(chain, None)
+    check_mass(chain, None)
     _check_ring(chain)
     # Steady sliding moves with the belt speed, and so must the initial state.
     check_function("initial", initial, "chain -> (x, v)", 1)
@@ -347,9 +347,15 @@ def depinning_belt_speed(
     count = _window_count(windows, 0.0, t1)
 
     def moved(speed: Array) -> tuple[Array, Array]:
-        own = chain.with_(belt_speed=speed)
+        chain_i = chain.with_(belt_speed=speed)
         run = front_speed(
-            own, initial(own), t1, transient=transient, windows=count, solver=solver, rtol=rtol
+            chain_i,
+            initial(chain_i),
+            t1,
+            transient=transient,
+            windows=count,
+            solver=solver,
+            rtol=rtol,
         )
         # Fronts that met before their speed could be measured have moved.
         went = (jnp.abs(run.moved) >= 1.0) | jnp.isnan(run.speed)
@@ -367,5 +373,5 @@ def depinning_belt_speed(
         return new, (went, well)
 
     (low, high), (went, well) = lax.scan(look, first, jnp.arange(halvings + 2))
-    known = ~went[0] & went[1] & jnp.all(well)
-    return Depinning(jnp.where(known, low, jnp.nan), jnp.where(known, high, jnp.nan))
+    bracketed = ~went[0] & went[1] & jnp.all(well)
+    return Depinning(jnp.where(bracketed, low, jnp.nan), jnp.where(bracketed, high, jnp.nan))

@@ -69,9 +69,9 @@ class PhaseModel(Printed, eqx.Module):
 
     def rates(self, phases: Float[Array, " k"]) -> Float[Array, " k"]:
         """(theta_n' / omega - 1) / eta_c of k neighbours, or of the whole ring for k = n."""
-        own, ring = phases, phases.shape[0] == self.chain.n
-        forth = self.pull(jnp.roll(own, -1) - own)
-        back = self.pull(jnp.roll(own, 1) - own)
+        theta, ring = phases, phases.shape[0] == self.chain.n
+        forth = self.pull(jnp.roll(theta, -1) - theta)
+        back = self.pull(jnp.roll(theta, 1) - theta)
         if not ring:
             forth = forth.at[-1].set(self.quiet)
             back = back.at[0].set(self.quiet)
@@ -98,7 +98,7 @@ def phase_model(chain: Any) -> PhaseModel:
         >>> model = phase_model(chain)
         >>> calmest, *_ = locked_patterns(model, 4)
         >>> state, period = pattern_guess(model, calmest.phases, first=10)
-        >>> cycle = find_limit_cycle(chain, state, period=period, vibrating=10)
+        >>> cycle = find_limit_cycle(chain, state, period=period, mass=10)
         >>> round(calmest.growth, 5), round(float(cycle.energy), 4)
         (-0.00093, 4.9056)
     """
@@ -199,7 +199,7 @@ def pattern_guess(
 
     Each is on the cycle of one mass; the masses that slide are shaken by them.  The state is that
     at the greatest velocity of mass `first`, for `find_limit_cycle(chain, state, period=period,
-    vibrating=first)`.
+    mass=first)`.
 
     **Arguments:** `phases`, shape (k,), k <= n, as in `LockedPattern`; `block`, where these
     masses are, see `excited_block`; `first`, the index of one of them, by default the middle one.
@@ -244,9 +244,9 @@ def pattern_guess(
     alone = one_mass(chain, 0)
     run = simulate(alone, model.state, model.period, observe=Trajectory(times), rtol=_rtol(chain))
     h = jnp.arange(model.displacement.shape[0])
-    own = model.displacement[:, None] * jnp.exp(1j * jnp.multiply.outer(h, theta))
+    wave = model.displacement[:, None] * jnp.exp(1j * jnp.multiply.outer(h, theta))
     vibrating = jnp.zeros(n, bool).at[sites].set(True)
-    shapes = jnp.zeros((h.shape[0], n), complex).at[:, sites].set(own)
+    shapes = jnp.zeros((h.shape[0], n), complex).at[:, sites].set(wave)
     shapes = _shaken(chain, model.period, shapes, vibrating)
     omega = 2.0 * jnp.pi / model.period
     x = jnp.real(jnp.sum(shapes, axis=0))
@@ -361,12 +361,12 @@ def locked_patterns(model: PhaseModel, count: Any) -> tuple[LockedPattern, ...]:
         rate = float(model.rates(jnp.zeros(1))[0])
         return (LockedPattern(np.zeros(1), rate, -np.inf),)
     starts = np.random.default_rng(0).uniform(-np.pi, np.pi, (_STARTS, k - 1))
-    found, told = jax.device_get(_lock(model, jnp.asarray(starts)))
+    locked, settled = jax.device_get(_lock(model, jnp.asarray(starts)))
     patterns: list[LockedPattern] = []
     kept: list[np.ndarray] = []
-    for step, gap, rate, slope in zip(found, *told, strict=True):
-        known = (np.max(np.abs(_wrap(step - old))) < _SAME for old in kept)
-        if not gap < _SOLVED or any(known):
+    for step, gap, rate, slope in zip(locked, *settled, strict=True):
+        repeated = (np.max(np.abs(_wrap(step - old))) < _SAME for old in kept)
+        if not gap < _SOLVED or any(repeated):
             continue
         kept += [step, -step[::-1]]
         phases = np.append(0.0, np.cumsum(_wrap(step)))

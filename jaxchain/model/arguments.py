@@ -69,12 +69,12 @@ def as_state(
     return x, v
 
 
-def as_mass(n: int, vibrating: Any, default: Any = None, name: str = "vibrating") -> Any:
+def as_mass(n: int, mass: Any, default: Any = None, name: str = "mass") -> Any:
     """The index of one of n masses, `default` for None, or `ValueError`."""
-    if vibrating is None:
+    if mass is None:
         return default
     remedy = "For several vibrating masses follow the branch of their cycle."
-    return check_whole(name, vibrating, 0, n - 1, f"it is the index of a mass. {remedy}")
+    return check_whole(name, mass, 0, n - 1, f"it is the index of a mass. {remedy}")
 
 
 def as_images(images: Any, n: int, mass: int | None = None) -> tuple[int, ...]:
@@ -86,7 +86,7 @@ def as_images(images: Any, n: int, mass: int | None = None) -> tuple[int, ...]:
     given = tuple(int(i) for i in given) if whole else ()
     good = len(given) == n and all(0 <= i < n and given[i] == i for i in given)
     if not good or (mass is not None and given[mass] != mass):
-        itself = "" if mass is None else f", mass {mass} (`vibrating`) among them"
+        itself = "" if mass is None else f", mass {mass} (`mass`) among them"
         raise ValueError(
             f"Argument `images` must name for each of {n} masses the one it does the same as, and "
             f"for that one itself{itself}, but is {shown(images)}."

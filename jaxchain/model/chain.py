@@ -182,15 +182,15 @@ class Chain(AbstractOscillators):
         """That of greatest friction, up to which a mass sticks; 0 with dry friction."""
         return self.friction.stick_speed()
 
-    def greatest_hold(self) -> PerMass:
+    def static_limit(self) -> PerMass:
         """p mu_st, the greatest friction force on a sticking mass."""
         return self.load * self.law.mu_static
 
-    def unheld_force(self, x: Float[Array, " n"], v: Float[Array, " n"]) -> Float[Array, " n"]:
+    def excess_force(self, x: Float[Array, " n"], v: Float[Array, " n"]) -> Float[Array, " n"]:
         """|r| - p mu_st, r the `free_force`; with dry friction what has w = 0 is held."""
         if self.dry:
-            return super().unheld_force(x, v)
-        return jnp.abs(self.free_force(x, v)) - self.greatest_hold()
+            return super().excess_force(x, v)
+        return jnp.abs(self.free_force(x, v)) - self.static_limit()
 
     def free_force(self, x: Float[Array, " n"], v: Float[Array, " n"]) -> Float[Array, " n"]:
         """r = -2 xi v - K x, the force on a mass without friction."""
@@ -220,18 +220,18 @@ class Chain(AbstractOscillators):
         >>> paper_chain().with_(width=None).dry
         True
         """
-        own = {"n": self.n, "friction": self.friction, "ends": self.ends, **self._own()}
+        fields = {"n": self.n, "friction": self.friction, "ends": self.ends, **self._own()}
         friction = {**self.friction.numbers(), "width": self.width}
-        unknown = [name for name in changes if name not in own and name not in friction]
+        unknown = [name for name in changes if name not in fields and name not in friction]
         if unknown:
             raise ValueError(
-                f"`Chain.with_` does not know {unknown}; it takes {sorted([*own, *friction])}."
+                f"`Chain.with_` does not know {unknown}; it takes {sorted([*fields, *friction])}."
             )
         of_friction = {name: changes.pop(name) for name in friction if name in changes}
-        own |= changes
+        fields |= changes
         if of_friction:
-            own["friction"] = own["friction"].with_(**of_friction)
-        return Chain(**own)
+            fields["friction"] = fields["friction"].with_(**of_friction)
+        return Chain(**fields)
 
     def numbers(self) -> dict[str, Array]:
         """The numbers that `with_` takes by name, those of the friction law among them."""
@@ -240,17 +240,17 @@ class Chain(AbstractOscillators):
 
 def _number(name: str, value: Any) -> Array:
     """As floats that the parameter of this name can have."""
-    found = to_float(value, name, parameter(name).remedy)
-    check_numbers({name: found})
+    array = to_float(value, name, parameter(name).remedy)
+    check_numbers({name: array})
     most, unit = _PLAUSIBLE.get(name, (np.inf, ""))
-    if not is_traced(found) and np.any(np.asarray(found) > most):
+    if not is_traced(array) and np.any(np.asarray(array) > most):
         warnings.warn(
-            f"Argument `{name}` is {np.max(found):g}, more than a dimensionless one is likely to "
+            f"Argument `{name}` is {np.max(array):g}, more than a dimensionless one is likely to "
             f"be: {parameter(name).usual:g} is usual. If it is in SI units ({unit}), take those "
             "of `Scales.from_dimensional`.",
             stacklevel=4,
         )
-    return found
+    return array
 
 
 def require_smoothed(chain: Any, instead: str) -> None:

@@ -234,8 +234,8 @@ class AbstractFrictionLaw(AbstractFriction):
 
     def with_(self, **changes: Any) -> Any:
         width = changes.pop("width", None)
-        own = {f.name: getattr(self, f.name) for f in fields(self)}
-        law = type(self)(**{**own, **changes}) if changes else self
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        law = type(self)(**{**values, **changes}) if changes else self
         return law if width is None else TanhFriction(law, width)
 
     def __check_init__(self) -> None:

@@ -30,10 +30,10 @@ def reference_site(n: int) -> int:
     return n // 2
 
 
-def check_vibrating(chain: Any, vibrating: Any, name: str = "vibrating") -> int:
+def check_mass(chain: Any, mass: Any, name: str = "mass") -> int:
     """The index of the vibrating mass (None: oscillator 11 of 20), or `ValueError`."""
     n = as_chain(chain).n
-    return as_mass(n, vibrating, reference_site(n), name)
+    return as_mass(n, mass, reference_site(n), name)
 
 
 def excited_block(
@@ -197,12 +197,12 @@ def equation_10(
     )
 
 
-def on_the_belt(chain: Chain, vibrating: Any = None) -> State:
+def on_the_belt(chain: Chain, mass: Any = None) -> State:
     """(x, v) with one mass carried by the belt past x = 0, and the others sliding.
 
     With one mass and dry friction it lies on the stick-slip cycle.
 
-    **Arguments:** `vibrating`, the index (from 0) of that mass, by default n // 2.
+    **Arguments:** `mass`, the index (from 0) of that mass, by default n // 2.
 
     **Returns:** (x, v), both of shape (n,).
 
@@ -218,7 +218,7 @@ def on_the_belt(chain: Chain, vibrating: Any = None) -> State:
         >>> print(x.round(3), v)
         [0.525 0.    0.525] [0.  1.5 0. ]
     """
-    return _carried(chain, check_vibrating(chain, vibrating))
+    return _carried(chain, check_mass(chain, mass))
 
 
 @eqx.filter_jit
@@ -257,6 +257,6 @@ def _released(chain: Chain, mass: int) -> State:
     x, v = steady_sliding(chain)
     unit = jnp.zeros(chain.n).at[mass].set(1.0)
     stiffness = -chain.restoring_force(unit)[mass]
-    hold = jnp.broadcast_to(chain.greatest_hold(), (chain.n,))[mass]
+    hold = jnp.broadcast_to(chain.static_limit(), (chain.n,))[mass]
     reach = 0.5 * jnp.sign(chain.belt_speed) * hold / stiffness
     return x + unit * (reach - x[mass]), v.at[mass].set(chain.belt_speed)

@@ -47,7 +47,7 @@ class AbstractOscillators(eqx.Module):
 
     A vector field in the sense of `diffrax.ODETerm`: call it with (t, (x, v), args).  A subclass
     gives `springs`, `local_force` and `stiffness_diagonal`, and may give `switching`,
-    `stick_speed`, `unheld_force` and `growth_time`.  What follows from these is final, and to
+    `stick_speed`, `excess_force` and `growth_time`.  What follows from these is final, and to
     define it a `TypeError`.  JAX finds the derivatives, and whether h depends on t or x at all.
 
     For stock diffrax solvers alone it may override `__call__`, and `divergence` with it.
@@ -111,7 +111,7 @@ class AbstractOscillators(eqx.Module):
         """Up to which |w| (see `switching`) a mass sticks; None if no mass can."""
         return None
 
-    def unheld_force(self, x: Float[Array, " n"], v: Float[Array, " n"]) -> Float[Array, " n"]:
+    def excess_force(self, x: Float[Array, " n"], v: Float[Array, " n"]) -> Float[Array, " n"]:
         """By how much the force on a mass exceeds what friction can hold; negative: it holds.
 
         No mass sticks where this is positive.
@@ -210,5 +210,5 @@ class AbstractOscillators(eqx.Module):
 
     def numbers(self) -> dict[str, Array]:
         """The arrays among the fields by name, and the springs' constant as `coupling`."""
-        own = {name: value for name, value in vars(self).items() if eqx.is_array(value)}
-        return own if self.springs is None else {"coupling": self.springs.constant, **own}
+        numbers = {name: value for name, value in vars(self).items() if eqx.is_array(value)}
+        return numbers if self.springs is None else {"coupling": self.springs.constant, **numbers}

@@ -23,7 +23,7 @@ class Parameter(NamedTuple):
     'belt speed $\\\\tilde v_d$ (–)'
     >>> PARAMETERS["belt_speed"].attrs
     {'long_name': 'belt speed v_d', 'units': 'x0 omega_n'}
-    >>> PARAMETERS["belt_speed"].in_words
+    >>> PARAMETERS["belt_speed"].label_text
     'belt speed v_d, in x0 omega_n'
     """
 
@@ -56,7 +56,7 @@ class Parameter(NamedTuple):
         return {"long_name": self.long_name, "units": self.unit}
 
     @property
-    def in_words(self) -> str:
+    def label_text(self) -> str:
         """What it is, with its unit."""
         return self.long_name if self.unit == "1" else f"{self.long_name}, in {self.unit}"
 
@@ -64,7 +64,7 @@ class Parameter(NamedTuple):
     def description(self) -> str:
         """Of its key in the tables of a chain and of a friction law."""
         must = " Required unless swept." if self.required else ""
-        return f"{self.in_words.capitalize()}. {self.meaning}{must}"
+        return f"{self.label_text.capitalize()}. {self.meaning}{must}"
 
 
 _MU = "a friction coefficient is a force ratio, such as 0.5."

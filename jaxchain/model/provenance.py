@@ -43,7 +43,7 @@ def parameters_of(field: AbstractOscillators, n: int, swept: Sequence[str]) -> s
     Of other oscillators: their kind, their number n and what `numbers` tells.
     """
     if isinstance(field, Chain):
-        found = {
+        parameters = {
             "n": field.n,
             "ends": field.ends,
             **{name: getattr(field, name) for name in CHAIN},
@@ -52,11 +52,13 @@ def parameters_of(field: AbstractOscillators, n: int, swept: Sequence[str]) -> s
             "width": field.numbers().get("width"),
         }
         if isinstance(field.law, TabulatedFriction):
-            found["friction_table"] = field.law.table
+            parameters["friction_table"] = field.law.table
     else:
-        found = {"n": n, "oscillators": type(field).__name__, **field.numbers()}
-    plain = {k: np.asarray(v).tolist() if hasattr(v, "shape") else v for k, v in found.items()}
-    return json.dumps(plain | {name: "swept" for name in swept if name in found})
+        parameters = {"n": n, "oscillators": type(field).__name__, **field.numbers()}
+    plain = {
+        k: np.asarray(v).tolist() if hasattr(v, "shape") else v for k, v in parameters.items()
+    }
+    return json.dumps(plain | {name: "swept" for name in swept if name in parameters})
 
 
 def chain_of(parameters: Mapping[str, Any]) -> Chain | None:

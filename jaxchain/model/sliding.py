@@ -108,11 +108,11 @@ def damping_outweighs(chain: Chain) -> Bool[Array, ""]:
     speeds = jnp.concatenate([jnp.zeros(1), belt_speed_grid(chain)])
 
     def sample(speed: Array) -> tuple[Array, Array, Array, Array]:
-        own = jnp.full(chain.n, speed)
-        mu, slope = jax.jvp(chain.law.coefficient, (own,), (jnp.ones_like(own),))
+        each = jnp.full(chain.n, speed)
+        mu, slope = jax.jvp(chain.law.coefficient, (each,), (jnp.ones_like(each),))
         if chain.dry:
-            return mu, slope, jnp.ones_like(own), jnp.zeros_like(own)
-        ratio = own / chain.width
+            return mu, slope, jnp.ones_like(each), jnp.zeros_like(each)
+        ratio = each / chain.width
         # 1 - tanh^2 would lose its digits, and cosh overflow.
         half = jnp.exp(-ratio)
         return mu, slope, jnp.tanh(ratio), (2.0 * half / (1.0 + half**2)) ** 2 / chain.width

@@ -203,7 +203,7 @@ def amplitude_variables(
 
     **Returns:** variables whose dimensions are those behind the batch.
     """
-    found = {
+    variables = {
         "amplitude": Variable(
             amplitude, ("oscillator",), "x0", "vibration amplitude A_n (half peak-to-peak)"
         ),
@@ -211,7 +211,7 @@ def amplitude_variables(
     }
     if belt_speed is not None:
         vibrate = jnp.sum(active(amplitude, belt_speed), axis=-1)
-        found["active_count"] = Variable(
+        variables["active_count"] = Variable(
             vibrate, (), "1", "masses with A_n > |v_d| / 2", is_count=True
         )
-    return found
+    return variables

@@ -161,9 +161,9 @@ class FrontTrack(AbstractObserver):
             threshold = active_above(speed[0])
             amplitude = (high - low) / 2
             right, left = front_positions(amplitude, threshold, self.middle)
-            found = Fronts(right, left, jnp.sum(amplitude > threshold).astype(float))
+            fronts = Fronts(right, left, jnp.sum(amplitude > threshold).astype(float))
             here = over & (jnp.arange(self.windows) == acc.index)
-            return jax.tree.map(lambda all, now: jnp.where(here, now, all), acc.fronts, found)
+            return jax.tree.map(lambda all, now: jnp.where(here, now, all), acc.fronts, fronts)
 
         fronts = lax.cond(eqxi.unvmap_any(over), closed, lambda: acc.fronts)
         return _Watch(

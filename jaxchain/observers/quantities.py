@@ -110,8 +110,8 @@ def active(
     amplitude, threshold = _amplitudes(amplitude, 1), active_above(belt_speed)
     states = amplitude.shape[:-1]
     if threshold.ndim > len(states) or any(
-        own not in (1, count)
-        for own, count in zip(threshold.shape[::-1], states[::-1], strict=False)
+        size not in (1, count)
+        for size, count in zip(threshold.shape[::-1], states[::-1], strict=False)
     ):
         raise ValueError(
             "Argument `belt_speed` must be one number, or one for each state, of shape "

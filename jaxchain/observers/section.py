@@ -86,11 +86,11 @@ class PeakTimes(AbstractNotingObserver):
         """Adds the first `count` notes to what is kept."""
         times, kept = accumulator
         steps, n = notes.shape
-        known = (jnp.arange(steps)[:, None] < count) & (notes > _NONE)
+        valid = (jnp.arange(steps)[:, None] < count) & (notes > _NONE)
         # Rows beyond the last are left out: those of no maximum, and those beyond the capacity.
-        rows = jnp.where(known, kept[None] + jnp.cumsum(known, axis=0) - 1, self.capacity)
+        rows = jnp.where(valid, kept[None] + jnp.cumsum(valid, axis=0) - 1, self.capacity)
         times = times.at[rows, jnp.arange(n)[None]].set(notes, mode="drop")
-        return times, kept + jnp.sum(known, axis=0)
+        return times, kept + jnp.sum(valid, axis=0)
 
     def read(self, accumulator: tuple[Array, Array]) -> Float[Array, "capacity n"]:
         times, _ = accumulator

@@ -90,12 +90,12 @@ def sticking(step: Step) -> tuple[Array, Array]:
     limit: Any = field.stick_speed()
 
     def too_fast(theta: Any) -> Array:
-        found = field.switching(step.t0, step.velocity(theta))
-        assert found is not None  # what can stick switches
-        return jnp.abs(found[0]) - limit
+        switching = field.switching(step.t0, step.velocity(theta))
+        assert switching is not None  # what can stick switches
+        return jnp.abs(switching[0]) - limit
 
     def let_go(theta: Any) -> Array:
-        return field.unheld_force(step.displacement(theta), step.velocity(theta))
+        return field.excess_force(step.displacement(theta), step.velocity(theta))
 
     begin, end = _where_negative(too_fast, step.y0[0])
     held, released = _where_negative(let_go, step.y0[0])
@@ -143,9 +143,9 @@ class MostSticking(AbstractObserver):
     def update(self, accumulator: Any, step: Step) -> Any:
         # A mass that sticks has the velocity of the belt to the last digit, all the time.
         velocities = jnp.stack([step.y0[1], step.y1[1], step.velocity(jnp.asarray(0.5))])
-        found = jax.vmap(lambda v: step.field.switching(step.t0, v))(velocities)
-        assert found is not None  # what can stick switches
-        return jnp.maximum(accumulator, jnp.sum(jnp.all(found[0] == 0, axis=0)))
+        switching = jax.vmap(lambda v: step.field.switching(step.t0, v))(velocities)
+        assert switching is not None  # what can stick switches
+        return jnp.maximum(accumulator, jnp.sum(jnp.all(switching[0] == 0, axis=0)))
 
     def read(self, accumulator: Any) -> Int[Array, ""]:
         return accumulator

@@ -93,16 +93,16 @@ def plot_branch(
         as_axes(ax)
     x, x_label = scaled(data[across], scales)
     heights, y_label = scaled(_line(data, y), scales)
-    known = "special_kind" in data and f"special_{y}" in data and data.sizes["special"] > 0
+    has_special = "special_kind" in data and f"special_{y}" in data and data.sizes["special"] > 0
     at, x_at, y_at = np.zeros(0, int), np.zeros(0), np.zeros(0)
-    if known:
+    if has_special:
         at = data["special_index"].values + 1
         x_at, _ = scaled(data["special_parameter"].rename(across), scales)
         y_at, _ = scaled(_line(data, f"special_{y}").rename(y), scales)
     stable = data["stable"].values if "stable" in data else None
-    own = np.ones(x.size, bool) if stable is None else stable
+    solid = np.ones(x.size, bool) if stable is None else stable
     with on_axes(ax) as axes:
-        for good, line_x, line_y in pieces(x, heights, ~own, at, x_at, y_at):
+        for good, line_x, line_y in pieces(x, heights, ~solid, at, x_at, y_at):
             word = "" if stable is None else "stable" if good else "unstable"
             axes.plot(
                 line_x,
@@ -112,7 +112,7 @@ def plot_branch(
                 linestyle="-" if good else DASHES,
                 label=", ".join(filter(None, [label, word])) or None,
             )
-        kinds = data["special_kind"].values if known else np.zeros(0, str)
+        kinds = data["special_kind"].values if has_special else np.zeros(0, str)
         for kind in sorted(set(map(str, kinds)), key=[*MARKS, *map(str, kinds)].index):
             marker, colour, word = MARKS.get(kind, ("P", SKY, kind))
             here = kinds == kind
@@ -196,7 +196,8 @@ def _parameter(data: xr.Dataset) -> str:
     if name not in data:
         raise ValueError(
             f"Argument `branch` must be a dataset with the parameter {name!r}, but has "
-            f"{sorted(map(str, data.variables))}: give it as `to_dataset()` makes it."
+            f"{sorted(str(v) for v in data.variables if not str(v).startswith('special_'))}: "
+            "give it as `to_dataset()` makes it."
         )
     return name
 

@@ -367,12 +367,12 @@ def plot_friction_law(
     kinds = Chain | AbstractFriction
     check_kind("friction", friction, kinds, "a `Chain` or a law of friction", remedy)
     check_scales(scales)
-    own, speed = friction, 0.0
+    contact, speed = friction, 0.0
     if isinstance(friction, Chain):
-        own, speed = as_chain(friction).friction, float(friction.belt_speed)
-    own = first_mass(own)
-    smoothed = isinstance(own, TanhFriction)
-    width = float(own.width) if smoothed else 0.0
+        contact, speed = as_chain(friction).friction, float(friction.belt_speed)
+    contact = first_mass(contact)
+    smoothed = isinstance(contact, TanhFriction)
+    width = float(contact.width) if smoothed else 0.0
     if reach is None:
         reach = max(1.25 * abs(speed), 5 * width, 1.0)
     else:
@@ -381,8 +381,8 @@ def plot_friction_law(
     up, y_label = axis("friction_force", {"units": "P"}, scales)
     unit = "" if scales is None else " m/s"
     with on_axes(ax) as axes:
-        law = own.law if smoothed else own
-        _draw_curves(axes, law, own if smoothed else None, float(reach), (across, up, unit))
+        law = contact.law if smoothed else contact
+        _draw_curves(axes, law, contact if smoothed else None, float(reach), (across, up, unit))
         axes.axhline(0.0, color=GREY, linewidth=0.5, zorder=0)
         axes.set_xlim(-across * reach, across * reach)
         axes.set_xlabel(x_label)

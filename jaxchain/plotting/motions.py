@@ -37,7 +37,7 @@ from ..model.parameters import SPEED
 from ..model.units import Scales
 from ..observers.samples import Trajectory
 from ..observers.section import Section
-from ..simulation.accuracy import own_solver
+from ..simulation.accuracy import custom_solver
 from ..simulation.run import Simulation, simulate
 from ..solvers.dry_friction import RESOLUTION
 from .model import zigzag
@@ -244,7 +244,7 @@ def sticking(chain: Chain, states: Any) -> np.ndarray:
     @eqx.filter_jit
     def held(x: Any, v: Any) -> Any:
         w, _ = chain.switching(0.0, v)
-        return (jnp.abs(w) <= limit) & (chain.unheld_force(x, v) <= 0)
+        return (jnp.abs(w) <= limit) & (chain.excess_force(x, v) <= 0)
 
     return np.asarray(jax.vmap(held)(x, v))
 
@@ -284,7 +284,7 @@ def loop(
     check_whole("frames", frames, 1, MOST_FRAMES, "60 are usual.")
     check_positive_number("longest", longest, "100 is some sixteen periods.")
     check_positive_number("tolerance", tolerance, "1e-2 cannot be seen.")
-    state, solver = as_state(chain, state, "state"), own_solver(chain, solver)
+    state, solver = as_state(chain, state, "state"), custom_solver(chain, solver)
     turns = Section(most_lively(chain, state), capacity=256)
     run = simulate(chain, state, longest, observe=turns, solver=solver)
     at, x, v = (np.asarray(part) for part in run.observed)

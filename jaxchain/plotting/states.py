@@ -111,13 +111,13 @@ def draw_circles(axes: Any, runs: Runs) -> None:
 
     The same with true dry friction are rings round the discs.
     """
-    data, dry = runs.runs, runs.nonsmooth
+    data, dry = runs.runs, runs.dry
     counts, sites = data["excited"].values, data["oscillator"].values
     across, up = np.meshgrid(sites, np.arange(counts.size))
     alive, greatest = vibrating(data), max(float(data["amplitude"].max()), 1e-12)
 
-    def circles(own: xr.Dataset, shown: np.ndarray, **look: Any) -> None:
-        size = 0.88 * np.nan_to_num(own["amplitude"].values)[shown] / greatest
+    def circles(states: xr.Dataset, shown: np.ndarray, **look: Any) -> None:
+        size = 0.88 * np.nan_to_num(states["amplitude"].values)[shown] / greatest
         places = np.column_stack([across[shown], up[shown]])
         ellipses = EllipseCollection(
             size, size, 0 * size, units="xy", offsets=places, transOffset=axes.transData, **look
@@ -223,13 +223,13 @@ def draw_orbit_diagram(axes: Any, runs: Runs) -> None:
     """All delays of the window over the number of the solution; dry ones a little to the right."""
     data, shades = add_delays(runs.runs), _shades(runs.runs)
     sets = [(data, 0.0, 0.5, True)]
-    if runs.nonsmooth is not None:
-        sets = [(data, -0.12, 0.2, True), (add_delays(runs.nonsmooth), 0.16, 0.2, False)]
-    for own, shift, width, coloured in sets:
-        for index, count in enumerate(own["excited"].values):
-            _, delay, numbers = _points(own.isel(excited=index), _window(data)[0])
+    if runs.dry is not None:
+        sets = [(data, -0.12, 0.2, True), (add_delays(runs.dry), 0.16, 0.2, False)]
+    for one, shift, width, coloured in sets:
+        for index, count in enumerate(one["excited"].values):
+            _, delay, numbers = _points(one.isel(excited=index), _window(data)[0])
             # The masses of a state side by side, so that none hides another.
-            place = count + shift + width * ((numbers - 0.5) / own.sizes["oscillator"] - 0.5)
+            place = count + shift + width * ((numbers - 0.5) / one.sizes["oscillator"] - 0.5)
             look: Any = {"c": numbers, **shades} if coloured else {"color": ORANGE}
             axes.scatter(place, delay, s=1.6, linewidths=0, rasterized=True, **look)
     counts = data["excited"].values
@@ -300,17 +300,17 @@ def _samples(data: xr.Dataset) -> tuple[np.ndarray, np.ndarray, np.ndarray, list
     table = next(other for other in others if other["observer"] == "Samples")
     x, v = (data[f"sample_{name}"].values for name in ("displacement", "velocity"))
     times = data["sample_time"].values
-    known = np.isfinite(times).any(axis=0)
-    shared = np.nanmax(np.where(known, times, 0.0), axis=0)[known]
+    finite = np.isfinite(times).any(axis=0)
+    shared = np.nanmax(np.where(finite, times, 0.0), axis=0)[finite]
     oscillators = table.get("oscillators") or data["oscillator"].values.tolist()
-    return shared, x[:, known], v[:, known], oscillators
+    return shared, x[:, finite], v[:, finite], oscillators
 
 
 def draw_time_series(part: Any, data: xr.Dataset, letters: Iterator[str]) -> None:
     """(a) x over time, (b) v over x, (c) v over time, of every mass of the first state."""
     times, x, v, _ = _samples(data)
     states, chain = (x[0], v[0]), chain_of(parameters(data))
-    if chain is not None and data.attrs.get("model") == "nonsmooth":
+    if chain is not None and data.attrs.get("model") == "dry":
         chain = chain.with_(width=None)
     alive = vibrating(data)[0]
     alive, quiet = (np.flatnonzero(which).tolist() for which in (alive, ~alive))
@@ -341,8 +341,8 @@ def draw_phase_plots(part: Any, data: xr.Dataset, letters: Iterator[str]) -> Non
     with matplotlib.rc_context(look):
         panels = _panels(part, data, subplot_kw={"projection": "3d"})
     # One box for all: what only one mass does must not look like what three do.
-    known = x[np.isfinite(x)]
-    limits = (known.min() - 0.05, known.max() + 0.05) if known.size else (-1.0, 1.0)
+    finite = x[np.isfinite(x)]
+    limits = (finite.min() - 0.05, finite.max() + 0.05) if finite.size else (-1.0, 1.0)
     shades = ListedColormap(matplotlib.colormaps["viridis"](np.linspace(0.0, 0.8, 64)))
     # About a period to a piece: where they lie close together they darken each other.
     pieces = max(1, round((times[-1] - times[0]) / (2.0 * np.pi)))

@@ -126,11 +126,11 @@ def add_legend(panels: Axes | list[Axes], title: str | None = None, beside: bool
     figure has a layout that makes room for it.
     """
     panels = [panels] if isinstance(panels, Axes) else panels
-    own: dict[str, Any] = {}
+    options: dict[str, Any] = {}
     for axes in panels:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
-            own.setdefault(label, handle)
-    if not own:
+            options.setdefault(label, handle)
+    if not options:
         return
     before = panels[0].get_legend()
     if before is not None:  # of the picture below: it keeps its place and its title
@@ -148,11 +148,11 @@ def add_legend(panels: Axes | list[Axes], title: str | None = None, beside: bool
         "title_fontsize": size,
     }
     if beside and len(panels) > 1:
-        panels[0].figure.legend([*own.values()], [*own], loc="outside right upper", **look)
+        panels[0].figure.legend([*options.values()], [*options], loc="outside right upper", **look)
     else:
         if beside:
             look |= {"loc": "upper left", "bbox_to_anchor": (1.0, 1.03), "borderaxespad": 0.2}
-        legend = panels[0].legend([*own.values()], [*own], **look)
+        legend = panels[0].legend([*options.values()], [*options], **look)
         legend.set_gid(_BESIDE if beside else "")
 
 
@@ -192,7 +192,7 @@ _NAMES: dict[str, tuple[str, str]] = {
     "active_count": ("vibrating oscillators", ""),
     "active_share": ("share of vibrating oscillators", ""),
     "period": ("period", r"\tilde T"),
-    "closeness": ("greatest speed over the belt", r"\tilde w_{max}/\varepsilon"),
+    "scaled_peak_velocity": ("greatest speed over the belt", r"\tilde w_{max}/\varepsilon"),
     "displacement": ("displacement", r"\tilde x_n"),
     "velocity": ("velocity", r"\dot{\tilde x}_n"),
     "time": ("time", r"\tau"),
@@ -248,8 +248,8 @@ def _said(
         words, symbol = PARAMETERS[name].words, PARAMETERS[name].symbol
     else:
         words, symbol = str(attrs.get("long_name", name)), ""
-    known = name in _NAMES or name in PARAMETERS
-    unit = str(attrs.get("units", "1" if known else ""))
+    has_name = name in _NAMES or name in PARAMETERS
+    unit = str(attrs.get("units", "1" if has_name else ""))
     if scales is not None and unit in _UNITS:
         of, called = _UNITS[unit]
         return words, _IN_SI.get(symbol, symbol.replace(r"\tilde ", "")), float(of(scales)), called

@@ -101,7 +101,7 @@ def figure_3(ladder: xr.Dataset, single: xr.Dataset, hopf: float | None = None) 
 def figure(datasets: Mapping[str, xr.Dataset], hopf: float | None = None) -> Figure:
     """One panel for each dataset: amplitude for one oscillator, energy for a chain.
 
-    What is called `NAME_nonsmooth` (the same runs with true dry friction) and `NAME_cycles` (the
+    What is called `NAME_dry` (the same runs with true dry friction) and `NAME_cycles` (the
     branch of cycles) shares the panel of NAME, if there is one.  Where experiments of a scene name
     `pictures`, these are shown instead.
 
@@ -156,7 +156,7 @@ def draw(axes: Axes, panel: Panel[xr.Dataset], hopf: float | None = None) -> Non
 
     Those with true dry friction are rings around the points.
     """
-    data, truth = panel.runs, panel.nonsmooth
+    data, truth = panel.runs, panel.dry
     names = swept(data)
     across = "belt_speed" if "belt_speed" in names else names[0]
     if across == "belt_speed":
@@ -224,9 +224,9 @@ def _draw_runs(
         axes.plot(x, y, "o", color=BLUE, markersize=3)
         return
     count = data["active_count"].values[good]
-    found = at_rest(data)
-    still = np.zeros_like(good) if found is None else found.values
-    moving = (count == 0) & ~still[good]
+    resting_runs = at_rest(data)
+    rests = np.zeros_like(good) if resting_runs is None else resting_runs.values
+    moving = (count == 0) & ~rests[good]
     still, vibrating = (count == 0) & ~moving, count > 0
     stable = stable_sliding(data, hopf) if still.any() else None
     resting = still & (False if stable is None else stable[good])
@@ -242,7 +242,7 @@ def _draw_runs(
     for here, label, look in (
         (resting, "at rest", square),
         (unstable, unsure, hollow),
-        (moving, NONE_VIBRATES if found is None else NOT_VIBRATING, triangle),
+        (moving, NONE_VIBRATES if resting_runs is None else NOT_VIBRATING, triangle),
     ):
         if here.any():
             axes.plot(x[here], y[here], linestyle="none", label=label, **look)
@@ -416,12 +416,12 @@ def plot_sweep(
         return axes
     with matplotlib.rc_context(STYLE if given is None else {}):
         grid = given or _new_panels([len(part) for part in at], places["col"] is None)
-        for axes, own in zip(grid, panels, strict=True):
-            part = data.isel(own)
+        for axes, panel in zip(grid, panels, strict=True):
+            part = data.isel(panel)
             mine = shades and shades._replace(
-                of_runs=shades.of_runs.isel(own, missing_dims="ignore")
+                of_runs=shades.of_runs.isel(panel, missing_dims="ignore")
             )
-            _draw(axes, part, values.isel(own), places["x"], mine, scales)
+            _draw(axes, part, values.isel(panel), places["x"], mine, scales)
             axes.set_title("\n".join(value_of(part[name], scales) for name in faceted))
             if given is None:
                 _label_outer(axes)
@@ -505,7 +505,7 @@ def _places(
 def _take(data: xr.Dataset, values: xr.DataArray, role: str, name: Any, free: list[str]) -> None:
     """Takes the dimension that `name` is along from those that are free, or `ValueError`."""
     dims = [str(dim) for dim in values.dims]
-    along = {str(k) for k, own in data.coords.items() if own.dims in zip(dims)}
+    along = {str(k) for k, coordinate in data.coords.items() if coordinate.dims in zip(dims)}
     if not isinstance(name, str) or name not in {*dims, *along}:
         raise ValueError(
             f"Argument `{role}` must name a dimension of {values.name!r} or what is swept along "
@@ -544,8 +544,8 @@ def _draw(
 
     at = flat(data[across].copy(data=x))
     bad = {word: flat(array) for word, array in _without_answer(data).items()}
-    known = ~np.logical_or.reduce([np.zeros(at.shape, bool), *bad.values()])
-    height = np.where(known, y_factor * flat(values), np.nan)
+    decided = ~np.logical_or.reduce([np.zeros(at.shape, bool), *bad.values()])
+    height = np.where(decided, y_factor * flat(values), np.nan)
     series = [(np.ones(at.shape, bool), "", (BLUE, "o"))]
     # Points of several series may lie upon each other: hollow ones are all seen.
     look: dict[str, Any] = {"markersize": 3.4}
@@ -555,7 +555,7 @@ def _draw(
         words = [number_of(one, scales) if bar is None else "" for one in hue.values]
         here = [of == one for one in hue.values.values]
         series = [*zip(here, words, styles, strict=True)]
-        unknown = known & np.array([value != value for value in of.tolist()])
+        unknown = decided & np.array([value != value for value in of.tolist()])
         series += [(unknown, "unknown", (GREY, "."))] if unknown.any() else []
         look = {"markersize": 4.4, "markerfacecolor": "none"}
     joined = across in _TIMES and not (hue and hue.is_variable)
@@ -564,9 +564,9 @@ def _draw(
             at[here], height[here], color=colour, marker=marker, linewidth=0.8, label=word,
             linestyle="-" if joined else "none", **look,
         )  # fmt: skip
-    for word, found in bad.items():
-        if found.any():
-            places = np.unique(at[found])
+    for word, missing in bad.items():
+        if missing.any():
+            places = np.unique(at[missing])
             axes.plot(
                 places, np.full(places.size, 0.03), "x", color=RED if word == "failed" else GREY,
                 markersize=4.5, transform=axes.get_xaxis_transform(), label=word,

@@ -32,7 +32,7 @@ from ..sweeps.axes import check_axes
 from ..sweeps.ensemble import check_observers
 from .files import SceneError, did_you_mean
 from .scene import Experiment, LoadedScene
-from .tables import ExcitedTable, ObserveTable, OwnLawTable, OwnObserverTable, TabulatedTable
+from .tables import CustomLawTable, CustomObserverTable, ExcitedTable, ObserveTable, TabulatedTable
 
 LAWS = {
     "exponential_decay": friction.ExponentialDecay,
@@ -43,10 +43,12 @@ LAWS = {
 _Made = TypeVar("_Made")
 
 
-def build_chain(experiment: Experiment, own_law: type[AbstractFrictionLaw] | None = None) -> Chain:
+def build_chain(
+    experiment: Experiment, custom_law: type[AbstractFrictionLaw] | None = None
+) -> Chain:
     """The chain of an experiment, with the first value of everything that is swept.
 
-    `own_law` takes the place of the law that the experiment names.
+    `custom_law` takes the place of the law that the experiment names.
 
     **Raises:** `ValueError` for numbers that do not go together, or do not make this law.
     """
@@ -58,11 +60,11 @@ def build_chain(experiment: Experiment, own_law: type[AbstractFrictionLaw] | Non
 
     numbers = {name: number(name) for name in experiment.friction_numbers()}
     width = numbers.pop("width")
-    if own_law is not None:
-        law = make(own_law, numbers, "chain.friction")
-    elif isinstance(table.friction, OwnLawTable):
+    if custom_law is not None:
+        law = make(custom_law, numbers, "chain.friction")
+    elif isinstance(table.friction, CustomLawTable):
         raise ValueError(
-            'chain.friction.law: is "own", so the law must be named on the command line: '
+            'chain.friction.law: is "custom", so the law must be named on the command line: '
             "--law FILE.py:CLASS"
         )
     elif isinstance(table.friction, TabulatedTable):
@@ -100,7 +102,7 @@ def build_initial(experiment: Experiment) -> Callable[..., State]:
 def build_observers(
     table: ObserveTable,
     window: float,
-    own_observers: Mapping[str, type[AbstractObserver]] | None = None,
+    custom_observers: Mapping[str, type[AbstractObserver]] | None = None,
 ) -> list[AbstractObserver]:
     """Amplitudes in the window, what else the table names, and own observers that it does not.
 
@@ -108,10 +110,10 @@ def build_observers(
     """
     how = table.model_dump(exclude={"quantities", "others"})
     watch: list[AbstractObserver] = [observers.Amplitude(window=window, **how)]
-    unnamed = dict(own_observers or {})
+    unnamed = dict(custom_observers or {})
     for i, other in enumerate(table.others or []):
-        if isinstance(other, OwnObserverTable):
-            if other.name not in (own_observers or {}):
+        if isinstance(other, CustomObserverTable):
+            if other.name not in (custom_observers or {}):
                 raise ValueError(
                     f"observe.others[{i}].name: is `{other.name}`, so this observer must be named "
                     f"on the command line: --observer FILE.py:{other.name}"
@@ -141,8 +143,8 @@ def build_solver(
 
 def checked_chains(
     loaded: LoadedScene,
-    own_law: type[AbstractFrictionLaw] | None = None,
-    own_observers: Mapping[str, type[AbstractObserver]] | None = None,
+    custom_law: type[AbstractFrictionLaw] | None = None,
+    custom_observers: Mapping[str, type[AbstractObserver]] | None = None,
 ) -> dict[str, Chain]:
     """The chain of every experiment of a scene.
 
@@ -152,8 +154,8 @@ def checked_chains(
     chains, problems = {}, []
     for name, experiment in loaded.scene.experiment.items():
         try:
-            chains[name] = chain = build_chain(experiment, own_law)
-            observe = build_observers(experiment.observe, experiment.time.window, own_observers)
+            chains[name] = chain = build_chain(experiment, custom_law)
+            observe = build_observers(experiment.observe, experiment.time.window, custom_observers)
             _check(experiment, chain, observe)
         except ValueError as error:
             problems.append(f"experiment.{name}: {error}")
@@ -166,7 +168,7 @@ def _check(experiment: Experiment, chain: Chain, observe: list[AbstractObserver]
     numerics, time = experiment.numerics, experiment.time
     axes = check_axes(chain, build_initial(experiment), experiment.grid())
     check_observers(observe, chain, 0.0, time.transient + time.window, None, axes)
-    if numerics.model != "nonsmooth":
+    if numerics.model != "dry":
         build_solver(numerics.solver, chain, numerics.rtol, numerics.max_step)
         swept: dict[str, Any] = {name: axis[name] for name, axis in axes.items()}
         width, speed = swept.get("width", chain.width), swept.get("belt_speed", chain.belt_speed)
@@ -178,8 +180,8 @@ def load_law(given: str, scene: str) -> type[AbstractFrictionLaw]:
 
     **Arguments:** `given`, as above; `scene`, the name that an error bears.
 
-    **Returns:** the class, for `own_law` of `run_scene`; the numbers of the scene's friction table
-    are its fields.
+    **Returns:** the class, for `custom_law` of `run_scene`; its fields are the numbers of the
+    scene's friction table.
 
     **Raises:** `SceneError` if there is no such file or class, if the class is no friction law,
     or if the file fails.
@@ -212,7 +214,7 @@ def load_observer(given: str, scene: str) -> type[AbstractObserver]:
 
     **Arguments:** `given`, as above; `scene`, the name that an error bears.
 
-    **Returns:** the class, for `own_observers` of `run_scene`, by its name.
+    **Returns:** the class, for `custom_observers` of `run_scene`, by its name.
 
     **Raises:** `SceneError` if there is no such file or class, if the class is no observer, or if
     the file fails.
@@ -239,7 +241,7 @@ def load_observer(given: str, scene: str) -> type[AbstractObserver]:
         ...     file = Path(folder) / "watch.py"
         ...     _ = file.write_text(code)
         ...     fastest = load_observer(f"{file}:Fastest", "mine")
-        >>> {fastest.__name__: fastest}.keys()  # `own_observers` of `run_scene`
+        >>> {fastest.__name__: fastest}.keys()  # `custom_observers` of `run_scene`
         dict_keys(['Fastest'])
     """
     return _load("--observer", given, scene, AbstractObserver, "jaxchain.observers")

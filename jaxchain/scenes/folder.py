@@ -62,10 +62,10 @@ class StorageError(Exception):
         self.name, self.folder, self.reason, self.datasets = name, folder, reason, datasets
 
     def __str__(self) -> str:
-        there = ", ".join(f"`{name}`" for name in self.datasets if name != self.name) or "nothing"
+        others = ", ".join(f"`{name}`" for name in self.datasets if name != self.name) or "nothing"
         return (
             f"cannot write `{self.name}` into {self.folder}: {self.reason}. "
-            f"What was saved there before stays whole: {there}."
+            f"What was saved there before stays whole: {others}."
         )
 
 

@@ -69,7 +69,7 @@ def _settings(data: xr.Dataset) -> Iterator[tuple[str, str]]:
     took = f" in {attrs['wall_time_s']:.3g} s" if "wall_time_s" in attrs else ""
     yield "runs", f"{data['result'].size} ({sizes}){took} on {attrs['devices']}"
     # A run with true dry friction has no width, whatever the chain of its scene has.
-    dry = attrs.get("model") == "nonsmooth" or chain.get("width") is None
+    dry = attrs.get("model") == "dry" or chain.get("width") is None
     left_out = {"n", "ends", "friction_law", "friction_table", *(["width"] if dry else [])}
     numbers = [
         f"{name} {'per mass' if isinstance(value, list) else value}"

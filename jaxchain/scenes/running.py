@@ -40,7 +40,7 @@ from .files import SceneError, as_value, escaped, to_toml
 from .folder import Results, now, saved, unfinished
 from .report import PAGE, missing, summary, write_page
 from .scene import Experiment, Group, LoadedScene, Scene
-from .tables import OwnObserverTable
+from .tables import CustomObserverTable
 
 # What the numbers of a start mean: a sweep, for which they may be anything, does not know.
 _OF_THE_START = {
@@ -53,32 +53,32 @@ def run_scene(
     loaded: LoadedScene,
     folder: Path,
     *,
-    own_law: type[AbstractFrictionLaw] | None = None,
-    own_observers: Mapping[str, type[AbstractObserver]] | None = None,
+    custom_law: type[AbstractFrictionLaw] | None = None,
+    custom_observers: Mapping[str, type[AbstractObserver]] | None = None,
     plot: bool = True,
     netcdf: bool = False,
     progress: bool = False,
     report: Callable[[str], object] = print,
     command: str = "",
-    own_files: Sequence[Path] = (),
+    custom_files: Sequence[Path] = (),
     client: Any = None,
 ) -> dict[str, xr.Dataset]:
     """Runs every experiment of a scene and fills `folder` with results.
 
     `<scene>.zarr` holds each experiment as a group, to be opened by `xarray.open_datatree`; of an
     experiment with both models the runs with true dry friction are the group
-    `<experiment>_nonsmooth`.  Of one oscillator from several starts over belt speed, the branch of
+    `<experiment>_dry`.  Of one oscillator from several starts over belt speed, the branch of
     cycles with its fold is the group `<experiment>_cycles`.  `<scene>.png` and `<scene>.pdf` show
     all of them.  `<scene>.toml` is what was run.  An experiment of many runs has a store of its
     own beside them (`numerics.store`), from which a run that was cut off goes on; what does not
     fit into memory stays there alone.  `report.html` shows all of this, also of a run that failed
     or was interrupted.
 
-    **Arguments:** `folder` exists and is empty (see `claimed`); `own_law`, the friction law of
-    every experiment in place of that of the scene, whose numbers it takes; `own_observers`, by the
-    names of their classes, for every experiment; `plot`, whether to draw; `netcdf`, whether to
+    **Arguments:** `folder` exists and is empty (see `claimed`); `custom_law`, the friction law of
+    every experiment in place of that of the scene, whose numbers it takes; `custom_observers`, by
+    the names of their classes, for every experiment; `plot`, whether to draw; `netcdf`, whether to
     write all datasets into `<scene>.nc`, too, which needs h5netcdf; `report` is given a summary of
-    each experiment; `command`, the command line, and `own_files`, copied into the folder: where
+    each experiment; `command`, the command line, and `custom_files`, copied into the folder: where
     the results come from; `client`, a `distributed.Client` whose workers run every experiment,
     into stores.
 
@@ -108,10 +108,10 @@ def run_scene(
         remedy = "`resume_scene` goes on there, `claimed` finds another"
         raise SceneError(loaded.name, [f"has results in {folder} already: {remedy}"])
     results, about = Results(folder, loaded.name), circumstances(command)
-    how = {"own_law": own_law, "own_observers": own_observers, "progress": progress}
-    chains = checked_chains(loaded, own_law, own_observers)
-    scene = as_run(loaded.scene, own_law is not None, own_observers or ())
-    files = scene_files(loaded.name, scene, about, own_files)
+    how = {"custom_law": custom_law, "custom_observers": custom_observers, "progress": progress}
+    chains = checked_chains(loaded, custom_law, custom_observers)
+    scene = as_run(loaded.scene, custom_law is not None, custom_observers or ())
+    files = scene_files(loaded.name, scene, about, custom_files)
     results.about |= about
     try:
         results.keep(files)
@@ -126,8 +126,8 @@ def resume_scene(
     loaded: LoadedScene,
     folder: Path,
     *,
-    own_law: type[AbstractFrictionLaw] | None = None,
-    own_observers: Mapping[str, type[AbstractObserver]] | None = None,
+    custom_law: type[AbstractFrictionLaw] | None = None,
+    custom_observers: Mapping[str, type[AbstractObserver]] | None = None,
     plot: bool = True,
     netcdf: bool = False,
     progress: bool = False,
@@ -157,8 +157,8 @@ def resume_scene(
         saved already: ladder
         nothing is missing
     """
-    chains = checked_chains(loaded, own_law, own_observers)
-    how = {"own_law": own_law, "own_observers": own_observers, "progress": progress}
+    chains = checked_chains(loaded, custom_law, custom_observers)
+    how = {"custom_law": custom_law, "custom_observers": custom_observers, "progress": progress}
     with unfinished(folder, loaded.name):
         results, about = Results.reopen(folder, loaded.name), circumstances(command)
         toml = (folder / f"{loaded.name}.toml").read_text(encoding="utf-8")
@@ -185,7 +185,7 @@ def _fill(
     whole = {"title": loaded.scene.title, "scene": loaded.name}
     results.about |= {"description": loaded.scene.description, **whole}
     before = list(results.datasets)
-    scene = as_run(loaded.scene, how["own_law"] is not None, how["own_observers"] or ())
+    scene = as_run(loaded.scene, how["custom_law"] is not None, how["custom_observers"] or ())
     try:
         for group in loaded.scene.groups():
             about = {
@@ -299,8 +299,8 @@ def run_experiment(
     *,
     name: str = "sweep",
     model: str = "smoothed",
-    own_law: type[AbstractFrictionLaw] | None = None,
-    own_observers: Mapping[str, type[AbstractObserver]] | None = None,
+    custom_law: type[AbstractFrictionLaw] | None = None,
+    custom_observers: Mapping[str, type[AbstractObserver]] | None = None,
     progress: bool = False,
     store: Path | None = None,
     client: Any = None,
@@ -310,7 +310,7 @@ def run_experiment(
     Failed runs are marked in `result` and warn of nothing.
 
     **Arguments:** `experiment`, one of a scene; `name`, of the progress bar; `model`, "smoothed"
-    or "nonsmooth"; `own_law`, `own_observers`, `progress` as for `run_scene`;
+    or "dry"; `custom_law`, `custom_observers`, `progress` as for `run_scene`;
     `store`, `client`: as for `sweep`.
 
     **Returns:** the dataset of `sweep`.
@@ -329,9 +329,9 @@ def run_experiment(
         ([[0.0, 1.0]], 3)
     """
     numerics, time = experiment.numerics, experiment.time
-    chain = build_chain(experiment, own_law)
+    chain = build_chain(experiment, custom_law)
     solver: Any = EventDriven()
-    if model != "nonsmooth":
+    if model != "dry":
         solver = build_solver(numerics.solver, chain, numerics.rtol, numerics.max_step)
     with warnings.catch_warnings():
         # The summary says it better.
@@ -341,7 +341,7 @@ def run_experiment(
             build_initial(experiment),
             time.transient + time.window,
             over=experiment.grid(),
-            observe=build_observers(experiment.observe, time.window, own_observers),
+            observe=build_observers(experiment.observe, time.window, custom_observers),
             solver=solver,
             **numerics.model_dump(exclude={"solver", "model", "store"}),
             client=client,
@@ -425,7 +425,7 @@ def circumstances(command: str = "") -> dict[str, str]:
 
 
 def scene_files(
-    name: str, scene: dict[str, Any], about: Mapping[str, str], own_files: Sequence[Path] = ()
+    name: str, scene: dict[str, Any], about: Mapping[str, str], custom_files: Sequence[Path] = ()
 ) -> dict[str, bytes]:
     """The files by name: `scene` (see `as_run`) with `about` in its comments, and own code."""
     head = [
@@ -436,7 +436,7 @@ def scene_files(
         f"# versions = {as_value(versions())}",
     ]
     files = {f"{name}.toml": "\n".join([*head, "", to_toml(scene), ""]).encode()}
-    for file in own_files:
+    for file in custom_files:
         content, copy, count = file.read_bytes(), file.name, 1
         while files.get(copy, content) != content:
             count += 1
@@ -446,7 +446,9 @@ def scene_files(
 
 
 def as_run(
-    scene: Scene, own_law: bool = False, own_observers: Mapping[str, Any] | Sequence[str] = ()
+    scene: Scene,
+    custom_law: bool = False,
+    custom_observers: Mapping[str, Any] | Sequence[str] = (),
 ) -> dict[str, Any]:
     """What the file of a scene says, if it says all.
 
@@ -456,13 +458,15 @@ def as_run(
     data = scene.model_dump(mode="json", exclude_none=True)
     for name, experiment in scene.experiment.items():
         table = data["experiment"][name]
-        if own_law:
+        if custom_law:
             numbers = {key: experiment.given(key) for key in experiment.friction_numbers()}
             given = {key: value for key, value in numbers.items() if value is not None}
-            table["chain"]["friction"] = {"law": "own", **given}
+            table["chain"]["friction"] = {"law": "custom", **given}
         others = experiment.observe.others or []
-        named = {other.name for other in others if isinstance(other, OwnObserverTable)}
-        more = [{"observer": "own", "name": own} for own in own_observers if own not in named]
+        named = {other.name for other in others if isinstance(other, CustomObserverTable)}
+        more = [
+            {"observer": "custom", "name": kind} for kind in custom_observers if kind not in named
+        ]
         if more:
             table["observe"].setdefault("others", []).extend(more)
     return data

@@ -21,7 +21,7 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 from .._final import final
 from .._limits import MOST_LANES, MOST_STORED, MOST_UNSTORED
 from ..model.parameters import CHAIN, FRICTION, parameter
-from ..plotting.groups import CYCLES, NONSMOOTH
+from ..plotting.groups import CYCLES, DRY
 from . import tables
 from .files import (
     MOST_SHOWN,
@@ -246,7 +246,7 @@ class Experiment(Table):
         n = self.chain.n
         for i, other in enumerate(self.observe.others or []):
             place = ("observe", "others", i)
-            if isinstance(other, tables.OwnObserverTable):
+            if isinstance(other, tables.CustomObserverTable):
                 continue
             masses = other.model_dump(include={"oscillator", "oscillators", "middle"})
             for key, given in masses.items():
@@ -299,7 +299,7 @@ class Group(NamedTuple):
     name: str
     of: str  # the name of the experiment
     experiment: Experiment
-    model: str  # "smoothed" or "nonsmooth"
+    model: str  # "smoothed" or "dry"
 
 
 @final
@@ -333,7 +333,7 @@ class Scene(Table):
 
     @model_validator(mode="after")
     def _check(self) -> Scene:
-        beside = {NONSMOOTH: "runs of the other model", CYCLES: "cycles"}
+        beside = {DRY: "runs of the other model", CYCLES: "cycles"}
         _raise_all(
             (("experiment", name), f"is where the {what} of `{other}` may go: rename it")
             for name in self.experiment
@@ -348,7 +348,7 @@ class Scene(Table):
             model = experiment.numerics.model
             yield Group(name, name, experiment, "smoothed" if model == "both" else model)
             if model == "both":
-                yield Group(f"{name}{NONSMOOTH}", name, experiment, "nonsmooth")
+                yield Group(f"{name}{DRY}", name, experiment, "dry")
 
 
 @final

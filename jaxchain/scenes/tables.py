@@ -260,16 +260,16 @@ class TabulatedTable(Table):
 
 
 @_numbers("width")
-class OwnLawTable(Table):
+class CustomLawTable(Table):
     """A law of one's own, named on the command line: `--law FILE.py:CLASS`."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, Number] = Field(init=False)
 
-    law: Annotated[Literal["own"], _LAW]
+    law: Annotated[Literal["custom"], _LAW]
 
     @model_validator(mode="after")
-    def _check(self) -> OwnLawTable:
+    def _check(self) -> CustomLawTable:
         if taken := sorted({*CHAIN, "n", "ends", "excited"} & set(self.model_extra or ())):
             raise ValueError(f"cannot have the key `{taken[0]}`, a number of the chain: rename it")
         return self
@@ -281,7 +281,7 @@ FrictionTable: TypeAlias = Annotated[
     | GaussianStribeckTable
     | CoulombTable
     | TabulatedTable
-    | OwnLawTable,
+    | CustomLawTable,
     Field(discriminator="law"),
 ]
 
@@ -359,7 +359,7 @@ Solver: TypeAlias = Literal[
 class NumericsTable(Table):
     """How the runs of an experiment are computed, with which friction, and where they are kept."""
 
-    model: Literal["smoothed", "nonsmooth", "both"] = "smoothed"
+    model: Literal["smoothed", "dry", "both"] = "smoothed"
     """Friction smoothed by its width, true dry friction, or one run of each."""
     solver: Solver = "auto"
     """For smoothed friction: a structured Rosenbrock solver, a stock diffrax solver, or the choice
@@ -443,7 +443,7 @@ class WholeRunTable(Table):
     observer: Annotated[Literal["EnergyBalance", "Divergence", "MostSticking"], _OBSERVER]
 
 
-class OwnObserverTable(Table):
+class CustomObserverTable(Table):
     """An observer of one's own, named on the command line: `--observer FILE.py:CLASS`.
 
     The other keys are fields of its class.
@@ -452,7 +452,7 @@ class OwnObserverTable(Table):
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, Any] = Field(init=False)
 
-    observer: Annotated[Literal["own"], _OBSERVER]
+    observer: Annotated[Literal["custom"], _OBSERVER]
     name: Text
     """The name of its class."""
 
@@ -464,7 +464,7 @@ ObserverTable: TypeAlias = Annotated[
     | SamplesTable
     | FrontTrackTable
     | WholeRunTable
-    | OwnObserverTable,
+    | CustomObserverTable,
     Field(discriminator="observer"),
 ]
 

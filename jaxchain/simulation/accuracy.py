@@ -53,7 +53,7 @@ def check_tolerances(rtol: ArrayLike, atol: ArrayLike | None, max_step: ArrayLik
             )
 
 
-def own_solver(chain: Any, solver: Any) -> Any:
+def custom_solver(chain: Any, solver: Any) -> Any:
     """`solver`, or `EventDriven()` where none is given and friction is dry; None otherwise."""
     if solver is not None and not isinstance(solver, EventDriven | dfx.AbstractAdaptiveSolver):
         raise ValueError(

@@ -41,15 +41,15 @@ from ..solvers.dry_friction import (
     Series,
     after,
     expand,
-    greatest_hold,
     next_event,
     start,
+    static_limit,
 )
 from ..solvers.taylor import value, value_and_slope
 from .plan import CHECKPOINTS, AbstractPlan, Progress, first_result, forward_only
 
 
-class Record(eqx.Module):
+class StateRecord(eqx.Module):
     """The states at given times, which the steps meet exactly."""
 
     times: Float[Array, " times"]
@@ -57,7 +57,7 @@ class Record(eqx.Module):
     count: Int[Array, ""]  # of the times that have passed
 
     @classmethod
-    def blank(cls, times: Array, n: int) -> Record:
+    def blank(cls, times: Array, n: int) -> StateRecord:
         """A record of n masses at these times, with nothing in it."""
         nothing = jnp.full((*times.shape, n), jnp.nan)
         return cls(times, (nothing, nothing), jnp.zeros((), int))
@@ -68,7 +68,7 @@ class Record(eqx.Module):
         ahead = self.times[jnp.minimum(self.count, last)]
         return jnp.where(self.count <= last, ahead, jnp.inf)
 
-    def keep(self, t: Array, state: State) -> Record:
+    def keep(self, t: Array, state: State) -> StateRecord:
         """With the state, if the time is one of those asked for."""
         here: Any = self.next_time() <= t
         place = jnp.minimum(self.count, self.times.shape[0] - 1)
@@ -78,7 +78,7 @@ class Record(eqx.Module):
             for kept, now in zip(self.states, state, strict=True)
         )
         passed = jnp.searchsorted(self.times, t, side="right")
-        return Record(self.times, states, jnp.maximum(self.count, passed))
+        return StateRecord(self.times, states, jnp.maximum(self.count, passed))
 
     def read(self) -> tuple[Array, Array]:
         first = jnp.searchsorted(self.times, self.times)
@@ -147,7 +147,7 @@ def shifts(
     r, drift = value_and_slope(series.r, t)
     w = v - field.belt_speed
     slides = modes.direction != STICK
-    excess = jnp.where(slides, w, r - jnp.sign(r) * greatest_hold(field))
+    excess = jnp.where(slides, w, r - jnp.sign(r) * static_limit(field))
     rate = lax.stop_gradient(jnp.where(slides, acceleration, drift))
     usable = hits & (rate != 0)
     each = jnp.where(usable, -excess, 0.0) / jnp.where(usable, rate, 1.0)
@@ -226,7 +226,7 @@ class _Motion(eqx.Module):
         return value(self.coefficients, theta * self.length)
 
 
-class _Memory(eqx.Module):
+class _StoredMotion(eqx.Module):
     modes: Modes
     stalled: Int[Array, ""]  # steps in succession that did not move the time
 
@@ -251,7 +251,7 @@ class EventDrivenPlan(AbstractPlan):
             t=to_float(t0),
             state=state,
             accumulators=[o.init(dry, t0, t1, state) for o in self.observers],
-            memory=_Memory(modes, jnp.zeros((), int)),
+            memory=_StoredMotion(modes, jnp.zeros((), int)),
             result=first_result(state, t0, t1),
             steps=jnp.zeros((), int),
             rejected=jnp.zeros((), int),
@@ -276,15 +276,15 @@ class EventDrivenPlan(AbstractPlan):
         if allowed is not None:
             most = jnp.minimum(most, progress.steps + allowed)
         n = progress.state[0].shape[0]
-        records = [Record.blank(ts, n).keep(progress.t, progress.state) for ts in times]
+        records = [StateRecord.blank(ts, n).keep(progress.t, progress.state) for ts in times]
 
-        def goes_on(carry: tuple[Progress, list[Record]]) -> Array:
+        def goes_on(carry: tuple[Progress, list[StateRecord]]) -> Array:
             now, _ = carry
             return now.running & (now.t < t1) & (now.steps < most)
 
         def step(
-            carry: tuple[Progress, list[Record]], noting: bool = False
-        ) -> tuple[tuple[Progress, list[Record]], list]:
+            carry: tuple[Progress, list[StateRecord]], noting: bool = False
+        ) -> tuple[tuple[Progress, list[StateRecord]], list]:
             now, records = carry
             end = t1
             for record in records:
@@ -292,7 +292,7 @@ class EventDrivenPlan(AbstractPlan):
             now, notes = self._step(dry, now, end, noting)
             return (now, [record.keep(now.t, now.state) for record in records]), notes
 
-        def body(carry: tuple[Progress, list[Record]]) -> tuple[Progress, list[Record]]:
+        def body(carry: tuple[Progress, list[StateRecord]]) -> tuple[Progress, list[StateRecord]]:
             return step(carry)[0]
 
         carry: Any = progress, records
@@ -332,12 +332,12 @@ class EventDrivenPlan(AbstractPlan):
         return progress, [record.read() for record in records]
 
     def _gather(
-        self, carry: tuple[Progress, list[Record]], notes: list, count: Array
-    ) -> tuple[Progress, list[Record]]:
+        self, carry: tuple[Progress, list[StateRecord]], notes: list, count: Array
+    ) -> tuple[Progress, list[StateRecord]]:
         """With what the steps of a round have told the observers that take notes."""
-        (now, records), found = carry, iter(notes)
+        (now, records), noted = carry, iter(notes)
         pairs = zip(self.observers, now.accumulators, strict=True)
-        accumulators = [o.gather(a, next(found), count) if _notes(o) else a for o, a in pairs]
+        accumulators = [o.gather(a, next(noted), count) if _notes(o) else a for o, a in pairs]
         return eqx.tree_at(lambda p: p.accumulators, now, accumulators), records
 
     def _step(
@@ -361,10 +361,10 @@ class EventDrivenPlan(AbstractPlan):
         # Each is computed once: see `materialize`.
         x = materialize(value(series.x, length))
         v, acceleration = map(materialize, value_and_slope(series.v, length))
-        own, shift = shifts(field, series, modes, length, hits, v, acceleration)
+        of_events, shift = shifts(field, series, modes, length, hits, v, acceleration)
         x, v, length = x + shift * v, v + shift * acceleration, length + shift
         state, new = after(field, (x, v), modes, hits, length > 0)
-        gain = head_start(field, state, modes, new, hits, shift - own)
+        gain = head_start(field, state, modes, new, hits, shift - of_events)
         state = state[0], state[1] + change_alone(gain)
         # NaN if any is NaN.
         greatest = jnp.max(materialize(jnp.maximum(jnp.abs(x), jnp.abs(v))))
@@ -391,7 +391,7 @@ class EventDrivenPlan(AbstractPlan):
             t=t1,
             state=state,
             accumulators=accumulators,
-            memory=_Memory(new, stalled),
+            memory=_StoredMotion(new, stalled),
             result=result,
             steps=progress.steps + 1,
             rejected=progress.rejected,

@@ -39,8 +39,8 @@ from .accuracy import (
     check_tolerances,
     choose_numerics,
     choose_solver,
+    custom_solver,
     default_rtol,
-    own_solver,
 )
 from .event_driven import EventDriven
 from .plan import CHECKPOINTS, AbstractPlan, Progress
@@ -148,7 +148,7 @@ def simulate(
         1
     """
     as_chain(chain, AbstractOscillators)
-    solver = own_solver(chain, solver)
+    solver = custom_solver(chain, solver)
     check_adjoint(adjoint, max_steps)
     check_flag("throw", throw)
     smoothed = not isinstance(solver, EventDriven)

@@ -257,7 +257,7 @@ class _Repeating(WrappingController):
         return end + (start - fixed)
 
 
-class _Memory(eqx.Module):
+class _StoredSteps(eqx.Module):
     """What a run keeps besides its state and its observers."""
 
     solver: Any
@@ -325,7 +325,7 @@ class SmoothedPlan(AbstractPlan):
             t=t0,
             state=initial,
             accumulators=state.accumulators,
-            memory=_Memory(state.inner, state.acceleration, state.step_size, controller),
+            memory=_StoredSteps(state.inner, state.acceleration, state.step_size, controller),
             result=Result.where(stuck, Result.nonfinite, result),
             steps=jnp.zeros((), int),
             rejected=jnp.zeros((), int),
@@ -380,7 +380,7 @@ class SmoothedPlan(AbstractPlan):
             t=solution.ts[0][-1],
             state=state,
             accumulators=last.accumulators,
-            memory=_Memory(last.inner, last.acceleration, step_size, controller),
+            memory=_StoredSteps(last.inner, last.acceleration, step_size, controller),
             result=Result.where(progress.running, result, progress.result),
             steps=progress.steps + solution.stats["num_accepted_steps"],
             rejected=progress.rejected + solution.stats["num_rejected_steps"] + rejected,

@@ -35,9 +35,9 @@ _FAR = 1e100
 _SLACK = 1e-13
 
 
-def greatest_hold(chain: Chain) -> PerMass:
+def static_limit(chain: Chain) -> PerMass:
     """p mu_st, and a little more: see `_SLACK`."""
-    return chain.greatest_hold() * (1.0 + _SLACK)
+    return chain.static_limit() * (1.0 + _SLACK)
 
 
 class Modes(eqx.Module):
@@ -114,7 +114,7 @@ def start(chain: Chain, state: State) -> tuple[State, Modes]:
 def _met(chain: Chain, state: State, modes: Modes, lands: Array, releases: Array) -> Modes:
     """The modes after some masses have come to w = 0 and others have been released from it."""
     r = chain.free_force(*state)
-    sticks = lands & (jnp.abs(r) <= greatest_hold(chain))
+    sticks = lands & (jnp.abs(r) <= static_limit(chain))
     direction = jnp.where(lands | releases, jnp.sign(r), modes.direction)
     contact = jnp.where(lands, 1, jnp.where(releases, 2, modes.contact))
     return Modes(jnp.where(sticks, STICK, direction), jnp.where(sticks, 0, contact))
@@ -151,7 +151,7 @@ def next_event(chain: Chain, series: Series, modes: Modes, length: Array) -> tup
         for a, b, c in zip(w, padded[1:], padded[2:], strict=False)
     ]
     watched = [materialize(jnp.where(slides, a, b)) for a, b in zip(left, series.r, strict=True)]
-    hold = greatest_hold(chain)
+    hold = static_limit(chain)
     speed = 1.0 + jnp.abs(chain.belt_speed)
     return first_exit(
         watched,

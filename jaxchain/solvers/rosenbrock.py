@@ -110,16 +110,16 @@ def _check_rows(name: str, rows: Any, lengths: Sequence[int], least: int) -> Non
     count = len(rows) if isinstance(rows, list | tuple | np.ndarray) else -1
     good = least <= count <= len(lengths)
     if good:
-        found = [numbers_of(name, row) for row in rows]
+        arrays = [numbers_of(name, row) for row in rows]
         good = all(
             row is not None and row.shape == (length,) and np.isfinite(row).all()
-            for row, length in zip(found, lengths, strict=False)
+            for row, length in zip(arrays, lengths, strict=False)
         )
     if not good:
-        told = ", ".join(map(str, lengths))
+        shown_lengths = ", ".join(map(str, lengths))
         raise ValueError(
-            f"Argument `{name}` must have rows of {told} finite numbers, {least} rows at least, "
-            f"but is {shown(rows)}."
+            f"Argument `{name}` must have rows of {shown_lengths} finite numbers, {least} rows "
+            f"at least, but is {shown(rows)}."
         )
 
 

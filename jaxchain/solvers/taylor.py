@@ -95,13 +95,13 @@ class _Expansion:
         return [series for series, _ in self._run(program, list(zip(inputs, above, strict=True)))]
 
     def _run(self, program: ClosedJaxpr, inputs: Sequence[tuple[Any, Any]]) -> list[Any]:
-        known: dict[Any, tuple[Any, Any]] = dict(zip(program.jaxpr.invars, inputs, strict=True))
-        known.update(
+        values: dict[Any, tuple[Any, Any]] = dict(zip(program.jaxpr.invars, inputs, strict=True))
+        values.update(
             (v, (c, c)) for v, c in zip(program.jaxpr.constvars, program.consts, strict=True)
         )
 
         def read(name: Any) -> tuple[Any, Any]:
-            return (name.val, name.val) if isinstance(name, Literal) else known[name]
+            return (name.val, name.val) if isinstance(name, Literal) else values[name]
 
         for step in program.jaxpr.eqns:
             operands = [read(name) for name in step.invars]
@@ -111,7 +111,7 @@ class _Expansion:
                 results = self._step(step, operands)
             else:
                 results = [(value, value) for value in _values(step, [a for a, _ in operands])]
-            known.update(zip(step.outvars, results, strict=True))
+            values.update(zip(step.outvars, results, strict=True))
         return [read(name) for name in program.jaxpr.outvars]
 
     def _step(self, step: Any, operands: list[tuple[Any, Any]]) -> list[tuple[Any, Any]]:
@@ -228,8 +228,10 @@ def _quotient(a: Any, b: Any) -> PowerSeries:
     def rule(k: int) -> Any:
         if k == 0:
             return _at(a, 0) / b[0]
-        known = sum(b[j] * q[k - j] for j in range(1, k + 1))
-        return _once((_at(a, k) - known if isinstance(a, PowerSeries) else -known) * inverse)
+        partial_sum = sum(b[j] * q[k - j] for j in range(1, k + 1))
+        return _once(
+            (_at(a, k) - partial_sum if isinstance(a, PowerSeries) else -partial_sum) * inverse
+        )
 
     q = PowerSeries(rule)
     return q
@@ -438,9 +440,9 @@ def _number(a: Any) -> Any:
 def _(primals: Any, tangents: Any) -> tuple[Any, Any]:
     (coefficients, t), (changes, dt) = primals, tangents
     curvature = value([k * (k - 1) * c for k, c in enumerate(coefficients)][2:], t)
-    found = value_and_slope(coefficients, t)
+    at_t = value_and_slope(coefficients, t)
     total, slope = value_and_slope(changes, t)
-    return found, (total + found[1] * dt, slope + curvature * dt)
+    return at_t, (total + at_t[1] * dt, slope + curvature * dt)
 
 
 def greatest_curvature(coefficients: Sequence[Any], end: Any) -> Any:

@@ -41,7 +41,7 @@ def check_axes(
         if callable(f) or (f is not None and title == "vary"):
             check_function(title, f, "of the chain, and of what else `over` names", 1)
     functions = {title: f for title, f in (("initial", initial), ("vary", vary)) if callable(f)}
-    own = [name for f in functions.values() for name in initial_names(f)]
+    of_functions = [name for f in functions.values() for name in initial_names(f)]
     numbers = chain_names(chain)
     remedy = '{"belt_speed": [1.0, 1.5]}, say.'
     check_kind("over", over, Mapping, "a dict of quantities and their values", remedy)
@@ -59,13 +59,13 @@ def check_axes(
     names = [name for columns in axes.values() for name in columns]
     for dim, columns in axes.items():
         for name in columns:
-            if name == "width" and name not in own:
+            if name == "width" and name not in of_functions:
                 require_smoothed(chain, "to sweep `width` ")
-            if name not in [*numbers, *own]:
+            if name not in [*numbers, *of_functions]:
                 raise ValueError(
                     f"Argument `over` names {name!r}, which is neither a number of the chain nor "
                     f"a parameter of `initial` or `vary`; allowed are "
-                    f"{sorted({*numbers, *own})}."
+                    f"{sorted({*numbers, *of_functions})}."
                 )
             _check_column(dim, name, columns, name not in numbers)
             if name in numbers:
@@ -136,20 +136,22 @@ def extremes(axes: Axes, names: Sequence[str]) -> list[dict[str, Any]]:
 
     Those along other dimensions have their first values.
     """
-    own = {k: (dim, v) for dim, columns in axes.items() for k, v in columns.items() if k in names}
+    swept = {
+        k: (dim, v) for dim, columns in axes.items() for k, v in columns.items() if k in names
+    }
     places: list[dict[str, int]] = []
-    for dim, v in own.values():
+    for dim, v in swept.values():
         ends = (np.argmin(v), np.argmax(v)) if v.ndim == 1 else (0, len(v) - 1)
         places += [{dim: int(end)} for end in ends]
-    if {"mu_static", "mu_dynamic"} <= own.keys():
-        (dim, static), (other, dynamic) = own["mu_static"], own["mu_dynamic"]
+    if {"mu_static", "mu_dynamic"} <= swept.keys():
+        (dim, static), (other, dynamic) = swept["mu_static"], swept["mu_dynamic"]
         if dim == other:
             places.append({dim: int(np.argmin(static - dynamic))})
         else:
             places.append({dim: int(np.argmin(static)), other: int(np.argmax(dynamic))})
     different = {tuple(sorted(place.items())): place for place in places}
     return [
-        {name: v[place.get(dim, 0)] for name, (dim, v) in own.items()}
+        {name: v[place.get(dim, 0)] for name, (dim, v) in swept.items()}
         for place in different.values()
     ]
 

@@ -207,10 +207,10 @@ def _client(workers: int | None, scheduler: str | None, progress: bool) -> Itera
                 {"nthreads": 1, "env": environment(number, count, gpus()), "silence_logs": quiet}
                 for number in range(count)
             ]
-            own = distributed.SpecCluster(
+            cluster = distributed.SpecCluster(
                 workers={
-                    number: {"cls": distributed.Nanny, "options": own}
-                    for number, own in enumerate(options)
+                    number: {"cls": distributed.Nanny, "options": option}
+                    for number, option in enumerate(options)
                 },
                 scheduler={
                     "cls": distributed.Scheduler,
@@ -219,7 +219,7 @@ def _client(workers: int | None, scheduler: str | None, progress: bool) -> Itera
                 name="jaxchain",
                 silence_logs=quiet,
             )
-            client = stack.enter_context(distributed.Client(stack.enter_context(own)))
+            client = stack.enter_context(distributed.Client(stack.enter_context(cluster)))
         if progress:
             print(f"Dask's dashboard: {client.dashboard_link}", file=sys.stderr)
         yield client
@@ -227,13 +227,13 @@ def _client(workers: int | None, scheduler: str | None, progress: bool) -> Itera
 
 def environment(number: int, workers: int, gpus: Sequence[str]) -> dict[str, str]:
     """What a worker of this computer finds: its share of the cores, or a GPU of its own."""
-    found = {"JAX_NUM_CPU_DEVICES": str(max(1, cores() // workers))}
+    variables = {"JAX_NUM_CPU_DEVICES": str(max(1, cores() // workers))}
     if gpus:
-        found["CUDA_VISIBLE_DEVICES"] = gpus[number % len(gpus)]
+        variables["CUDA_VISIBLE_DEVICES"] = gpus[number % len(gpus)]
         # Several share one: none may take three quarters of its memory, as JAX does by itself.
         if workers > len(gpus):
-            found["XLA_PYTHON_CLIENT_MEM_FRACTION"] = f"{0.75 * len(gpus) / workers:.2f}"
-    return found
+            variables["XLA_PYTHON_CLIENT_MEM_FRACTION"] = f"{0.75 * len(gpus) / workers:.2f}"
+    return variables
 
 
 def gpus() -> list[str]:
@@ -242,5 +242,5 @@ def gpus() -> list[str]:
 
     if jax.default_backend() != "gpu":
         return []
-    told = os.environ.get("CUDA_VISIBLE_DEVICES")
-    return told.split(",") if told else [str(device.id) for device in jax.local_devices()]
+    visible = os.environ.get("CUDA_VISIBLE_DEVICES")
+    return visible.split(",") if visible else [str(device.id) for device in jax.local_devices()]

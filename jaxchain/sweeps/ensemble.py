@@ -58,21 +58,21 @@ from ..simulation.accuracy import (
     check_tolerances,
     choose_numerics,
     choose_solver,
+    custom_solver,
     default_rtol,
-    own_solver,
 )
 from ..simulation.event_driven import EventDriven
 from ..simulation.plan import AbstractPlan
 from ..simulation.run import build_plan, check_fit, check_segments
 from .axes import Axes, Block, Grid, Key, check_axes, chunks_of, columns_of, extremes, sizes
 from .lanes import (
-    Starts,
-    Task,
-    blank_place,
+    RunStarts,
+    SweepTask,
+    blank_slot,
     chain_names,
+    chain_of_run,
     initial_names,
     known_again,
-    own_chain,
     start_of,
 )
 from .programs import shape_of
@@ -127,26 +127,33 @@ class Ensemble:
     axes: Axes
 
     @functools.cached_property
-    def starts(self) -> Starts:
+    def starts(self) -> RunStarts:
         """What makes the start of each job."""
-        own = self.settings
-        return Starts(own.chain, known_again(own.initial), known_again(own.vary))
+        settings = self.settings
+        return RunStarts(settings.chain, known_again(settings.initial), known_again(settings.vary))
 
     @functools.cached_property
-    def task(self) -> Task:
+    def task(self) -> SweepTask:
         """What is the same for all lanes."""
-        own = self.settings
-        plan = build_plan(own.solver, own.observe, own.rtol, own.atol, own.max_step, own.t1)  # pyright: ignore[reportArgumentType]
-        steps = None if own.max_steps is None else jnp.asarray(own.max_steps)
+        settings = self.settings
+        plan = build_plan(
+            settings.solver,  # pyright: ignore[reportArgumentType]
+            settings.observe,
+            settings.rtol,
+            settings.atol,
+            settings.max_step,
+            settings.t1,
+        )
+        steps = None if settings.max_steps is None else jnp.asarray(settings.max_steps)
         varied = self.starts.varied(self.first_job().first)
-        t0, t1 = to_float(own.t0), to_float(own.t1)
-        return Task(plan, own.chain, t0, t1, steps, varied, own.segments)
+        t0, t1 = to_float(settings.t0), to_float(settings.t1)
+        return SweepTask(plan, settings.chain, t0, t1, steps, varied, settings.segments)
 
     @functools.cached_property
     def place(self) -> Any:
         """The shapes of a lane's place in a pool."""
         start = eqx.filter_eval_shape(start_of, self.starts, self.first_job().first)
-        return shape_of(blank_place, self.task, start)
+        return shape_of(blank_slot, self.task, start)
 
     @property
     def total(self) -> int:
@@ -155,9 +162,11 @@ class Ensemble:
 
     def block(self, grid: Grid, key: Key) -> Block:
         """A block of the grid, with all that its jobs take and nothing known of them."""
-        block, own = grid.block(key), self.settings
-        if own.accuracy is not None:
-            block.jobs["width"], _ = _numerics(own.chain, own.vary, block.jobs, own.accuracy)
+        block, settings = grid.block(key), self.settings
+        if settings.accuracy is not None:
+            block.jobs["width"], _ = _numerics(
+                settings.chain, settings.vary, block.jobs, settings.accuracy
+            )
         return block
 
     def first_job(self) -> Block:
@@ -186,12 +195,12 @@ class Ensemble:
     @property
     def attrs(self) -> dict[str, Any]:
         """Where the numbers come from: all that is needed to repeat the computation."""
-        own, swept = self.settings, list(columns_of(self.axes))
+        settings, swept = self.settings, list(columns_of(self.axes))
         t0, t1 = float(self.task.t0), float(self.task.t1)
-        attrs = describe(own.chain, self.task.plan, t0=t0, t1=t1, swept=swept)
-        if own.vary is not None:
-            attrs["vary"] = shown(own.vary)
-        return attrs if own.accuracy is None else attrs | {"accuracy": own.accuracy}
+        attrs = describe(settings.chain, self.task.plan, t0=t0, t1=t1, swept=swept)
+        if settings.vary is not None:
+            attrs["vary"] = shown(settings.vary)
+        return attrs if settings.accuracy is None else attrs | {"accuracy": settings.accuracy}
 
     def dataset(self, block: Block, attrs: Mapping[str, Any]) -> Dataset:
         """The records of a block over the swept axes."""
@@ -218,7 +227,7 @@ def prepare(settings: RunSettings, over: Mapping[str, Any], most: int) -> Ensemb
     check_concrete("use `jax.vmap` of `simulate`.", chain=chain, t1=t1, t0=t0)
     check_concrete("use `jax.vmap` of `simulate`.", over=over)
     check_span(t0, t1)
-    solver = own_solver(chain, settings.solver)
+    solver = custom_solver(chain, settings.solver)
     axes = check_axes(chain, initial, over, vary, most)
     columns = columns_of(axes)
     _check_initial(chain, initial, columns)
@@ -272,15 +281,15 @@ def _numerics(
 ) -> tuple[np.ndarray, float]:
     """The width of every job, and one rtol for all."""
     names = [*chain_names(chain), *([] if vary is None else initial_names(vary))]
-    own = {name: jnp.asarray(v) for name, v in jobs.items() if name in names}
+    columns = {name: jnp.asarray(v) for name, v in jobs.items() if name in names}
 
     def of_one(values: dict[str, Any]) -> tuple[Any, Any]:
-        chosen = choose_numerics(own_chain(chain, vary, values), accuracy)
+        chosen = choose_numerics(chain_of_run(chain, vary, values), accuracy)
         return chosen.width, chosen.rtol
 
     count = next(iter(jobs.values())).size
-    if own:
-        widths, rtols = jax.vmap(of_one)(own)
+    if columns:
+        widths, rtols = jax.vmap(of_one)(columns)
     else:
         widths, rtols = (jnp.full(count, a) for a in of_one({}))
     return np.asarray(widths), float(jnp.min(rtols))
@@ -295,10 +304,10 @@ def _check_initial(
     """
     states: list[Any] = [initial]
     if callable(initial):
-        own = {name: v for name, v in columns.items() if name in initial_names(initial)}
-        first = {name: jnp.asarray(values[0]) for name, values in own.items()}
+        varied = {name: v for name, v in columns.items() if name in initial_names(initial)}
+        first = {name: jnp.asarray(values[0]) for name, values in varied.items()}
         rows = [first]
-        for name, values in own.items():
+        for name, values in varied.items():
             different = np.unique(values) if values.ndim == 1 else values[:0]
             kept = different if different.size <= 64 else different[[0, -1]]
             rows += [first | {name: jnp.asarray(value)} for value in kept]
@@ -428,20 +437,20 @@ def to_dataset(
     import xarray as xr  # brings pandas, which would double the time of `import jaxchain`
 
     shape = sizes(axes)
-    dims, own = tuple(shape), (*shape, *(() if edges is None else ("segment",)))
+    dims, all_sizes = tuple(shape), (*shape, *(() if edges is None else ("segment",)))
     records = jtu.tree_map(lambda a: a.reshape(*shape.values(), *a.shape[1:]), dict(records))
     code = records["result"]
     well = ended_well(code)
     variables: dict[str, Any] = {
-        name: _variable((*own, *said.dims), said, well)
-        for name, said in records["observed"].items()
+        name: _variable((*all_sizes, *variable.dims), variable, well)
+        for name, variable in records["observed"].items()
     }
     for name in ("result", "end_time"):
         variables[name] = dims, records[name]
     # Of a lane that was interrupted, none is known.
-    known = code != NAMES.index("interrupted")
+    finished = code != NAMES.index("interrupted")
     for name in ("steps", "rejected"):
-        variables[name] = dims, np.where(known, records[name], np.nan), None, _COUNT
+        variables[name] = dims, np.where(finished, records[name], np.nan), None, _COUNT
     coords: dict[str, Any] = {
         name: (_dims_of(dim, name, values, chain.n), values)
         for dim, columns in axes.items()
@@ -466,14 +475,14 @@ def to_dataset(
     return dataset
 
 
-def _variable(dims: tuple[str, ...], said: Variable, known: np.ndarray) -> tuple:
+def _variable(dims: tuple[str, ...], variable: Variable, finished: np.ndarray) -> tuple:
     """For `xarray.Dataset`: NaN where it is not known; a count is an integer on disk."""
-    attrs = {} if said.long_name is None else {"long_name": said.long_name}
-    values = said.values
-    if said.is_count or np.issubdtype(values.dtype, np.floating):
-        lanes = known.reshape(known.shape + (1,) * (values.ndim - known.ndim))
+    attrs = {} if variable.long_name is None else {"long_name": variable.long_name}
+    values = variable.values
+    if variable.is_count or np.issubdtype(values.dtype, np.floating):
+        lanes = finished.reshape(finished.shape + (1,) * (values.ndim - finished.ndim))
         values = np.where(lanes, values, np.nan)
-    return dims, values, attrs | {"units": said.units}, _COUNT if said.is_count else None
+    return dims, values, attrs | {"units": variable.units}, _COUNT if variable.is_count else None
 
 
 def _dims_of(dim: str, name: str, values: np.ndarray, n: int) -> tuple[str, ...]:
@@ -559,8 +568,10 @@ def _value(value: Any) -> Any:
 
 def _fields(module: eqx.Module) -> dict[str, Any]:
     """What a solver or an observer is, to say in an error what has changed."""
-    own = {field.name: _value(getattr(module, field.name)) for field in dataclasses.fields(module)}
-    return {"kind": type(module).__name__, **own}
+    fields = {
+        field.name: _value(getattr(module, field.name)) for field in dataclasses.fields(module)
+    }
+    return {"kind": type(module).__name__, **fields}
 
 
 def _words(value: Any) -> str:
@@ -592,8 +603,8 @@ def _seen(observer: Any, chain: Any, t0: Any, t1: Any) -> Any:
     x, v = (lambda theta, part=part: part + 0.0 * theta for part in start)
     kept = observer.init(chain, t0, t1, start)
     kept = observer.update(kept, Step(chain, t0, t1, start, start, x, v))
-    said = observer.label(observer.read(kept), chain)
-    return observer.settled(kept), observer.rests(kept), dict(said)
+    labels = observer.label(observer.read(kept), chain)
+    return observer.settled(kept), observer.rests(kept), dict(labels)
 
 
 def _program(function: Callable, tree: Any, *arguments: Any) -> str:

@@ -36,8 +36,8 @@ NOBODY, AS_IT_IS = -1, -2
 
 def chain_names(chain: Chain) -> list[str]:
     """What may differ from lane to lane: every number but the constant of springs that lack."""
-    own = [name for name in CHAIN if name != "coupling" or chain.coupling is not None]
-    return [*own, *chain.friction.numbers()]
+    names = [name for name in CHAIN if name != "coupling" or chain.coupling is not None]
+    return [*names, *chain.friction.numbers()]
 
 
 def initial_names(initial: Callable) -> list[str]:
@@ -47,11 +47,13 @@ def initial_names(initial: Callable) -> list[str]:
 
 def with_numbers(chain: Chain, values: Mapping[str, Any]) -> Chain:
     """The chain with those of the `values` that are its numbers."""
-    own = {k: v for k, v in values.items() if k in chain_names(chain)}
-    return chain.with_(**own) if own else chain
+    numbers = {k: v for k, v in values.items() if k in chain_names(chain)}
+    return chain.with_(**numbers) if numbers else chain
 
 
-def own_chain(chain: Chain, vary: Callable[..., Chain] | None, values: Mapping[str, Any]) -> Chain:
+def chain_of_run(
+    chain: Chain, vary: Callable[..., Chain] | None, values: Mapping[str, Any]
+) -> Chain:
     """The chain with the numbers of one job: those that it has, then what `vary` makes of them."""
     chain = with_numbers(chain, values)
     return chain if vary is None else _call(vary, chain, values)
@@ -115,28 +117,28 @@ class Varied(NamedTuple):
         return jtu.tree_unflatten(self.structure, map(leaf, self.sources))
 
 
-class Own(eqx.Module):
+class RunNumbers(eqx.Module):
     """What is a job's own in its chain, as data."""
 
     numbers: dict[str, Array]  # by name
     new: list[Array]  # the arrays that `vary` made
 
 
-class Start(eqx.Module):
+class RunStart(eqx.Module):
     """A job as a lane takes it."""
 
-    own: Own
+    numbers: RunNumbers
     state: State
 
 
-class Starts(eqx.Module):
+class RunStarts(eqx.Module):
     """The chain of a sweep, and the functions that make the start of each job."""
 
     chain: Chain
     initial: State | Callable[..., State]
     vary: Callable[..., Chain] | None = None
 
-    def of(self, values: Mapping[str, Any]) -> Start:
+    def of(self, values: Mapping[str, Any]) -> RunStart:
         """The start of the job with these values."""
         numbers = {k: v for k, v in values.items() if k in chain_names(self.chain)}
         given = chain = with_numbers(self.chain, numbers)
@@ -146,7 +148,7 @@ class Starts(eqx.Module):
             _, new = Varied.compare(given, chain)
         state = _call(self.initial, chain, values) if callable(self.initial) else self.initial
         x, v = (jnp.broadcast_to(jnp.asarray(p, float), (self.chain.n,)) for p in state)
-        return Start(Own(numbers, new), (x, v))
+        return RunStart(RunNumbers(numbers, new), (x, v))
 
     def varied(self, values: Mapping[str, Array]) -> Varied | None:
         """What `vary` leaves as it is, seen as a job with these values is traced."""
@@ -162,12 +164,12 @@ class Starts(eqx.Module):
         return seen[0]
 
 
-def start_of(starts: Starts, values: dict[str, Array]) -> Start:
+def start_of(starts: RunStarts, values: dict[str, Array]) -> RunStart:
     """The start of one lane from its own values."""
     return starts.of(values)
 
 
-class Task(eqx.Module):
+class SweepTask(eqx.Module):
     """What is the same for every lane of a sweep."""
 
     plan: AbstractPlan
@@ -182,17 +184,17 @@ class Task(eqx.Module):
         """The time at which a segment begins."""
         return self.t0 + (self.t1 - self.t0) * segment / self.segments
 
-    def own_chain(self, own: Own) -> Chain:
+    def chain_of_run(self, numbers: RunNumbers) -> Chain:
         """The chain of a lane, with its own numbers in it."""
-        chain = with_numbers(self.chain, own.numbers)
-        return chain if self.varied is None else self.varied.make(chain, own.new)
+        chain = with_numbers(self.chain, numbers.numbers)
+        return chain if self.varied is None else self.varied.make(chain, numbers.new)
 
     def observed(self, chain: Chain, progress: Progress) -> OrderedDict[str, Variable]:
         """What all observers say of a run so far, by the names of the variables."""
-        found = OrderedDict()  # JAX sorts a dict
+        labels = OrderedDict()  # JAX sorts a dict
         for observer, value in zip(self.plan.observers, self.plan.read(progress), strict=True):
-            found |= observer.label(value, chain)
-        return jtu.tree_map(jnp.asarray, found)
+            labels |= observer.label(value, chain)
+        return jtu.tree_map(jnp.asarray, labels)
 
 
 class Segments(eqx.Module):
@@ -206,27 +208,29 @@ class Segments(eqx.Module):
 class Lane(eqx.Module):
     """One lane under way, with what is its job's own; a pool of lanes is stacked along axis 0."""
 
-    own: Own
+    numbers: RunNumbers
     progress: Progress
     segments: Segments | None = None
 
 
-def start_lane(task: Task, start: Start) -> Lane:
+def start_lane(task: SweepTask, start: RunStart) -> Lane:
     """A lane at the beginning of its run."""
-    chain, initial = task.own_chain(start.own), start.state
+    chain, initial = task.chain_of_run(start.numbers), start.state
     if task.segments is None:
-        return Lane(start.own, task.plan.begin(chain, initial, task.t0, task.t1))
+        return Lane(start.numbers, task.plan.begin(chain, initial, task.t0, task.t1))
     progress = task.plan.begin(chain, initial, task.t0, task.edge(1))
     blank = jtu.tree_map(
         lambda a: jnp.zeros((task.segments, *a.shape), a.dtype), task.observed(chain, progress)
     )
     none = jnp.zeros((), int)
-    return Lane(start.own, progress, Segments(none, none, blank))
+    return Lane(start.numbers, progress, Segments(none, none, blank))
 
 
-def advance_lane(task: Task, lane: Lane, over: Bool[Array, ""]) -> tuple[Lane, Bool[Array, ""]]:
+def advance_lane(
+    task: SweepTask, lane: Lane, over: Bool[Array, ""]
+) -> tuple[Lane, Bool[Array, ""]]:
     """The lane after one more round, and whether it has ended; one that is `over` stays."""
-    chain, segments = task.own_chain(lane.own), lane.segments
+    chain, segments = task.chain_of_run(lane.numbers), lane.segments
     progress, left, most = lane.progress, None, task.max_steps
     end = task.t1 if segments is None else task.edge(segments.present + 1)
     end = jnp.where(over, progress.t, end)
@@ -243,12 +247,12 @@ def advance_lane(task: Task, lane: Lane, over: Bool[Array, ""]) -> tuple[Lane, B
     if segments is not None:
         progress, segments = _next_segment(task, chain, progress, segments, ended)
         ended = segments.present >= (task.segments or 1)
-    new = Lane(lane.own, progress, segments)
+    new = Lane(lane.numbers, progress, segments)
     return jtu.tree_map(lambda a, b: jnp.where(over, a, b), lane, new), over | ended
 
 
 def _next_segment(
-    task: Task, chain: Chain, progress: Progress, now: Segments, over: Bool[Array, ""]
+    task: SweepTask, chain: Chain, progress: Progress, now: Segments, over: Bool[Array, ""]
 ) -> tuple[Progress, Segments]:
     """The same, or, if the present segment is `over`, its record and observers that start anew."""
 
@@ -265,45 +269,47 @@ def _next_segment(
     return progress, Segments(present, tried, observed)
 
 
-def read_lane(task: Task, lane: Lane) -> dict[str, Any]:
+def read_lane(task: SweepTask, lane: Lane) -> dict[str, Any]:
     """What a lane has found, by name."""
     progress, segments = lane.progress, lane.segments
-    own = segments.observed if segments else task.observed(task.own_chain(lane.own), progress)
+    observed = (
+        segments.observed if segments else task.observed(task.chain_of_run(lane.numbers), progress)
+    )
     return {
         "result": code(progress.result),
         "end_time": progress.t,
         "steps": progress.steps,
         "rejected": progress.rejected,
-        "observed": own,
+        "observed": observed,
     }
 
 
-class Place(eqx.Module):
+class Slot(eqx.Module):
     """A lane, the job that comes next in it, and what the last one left; a pool is stacked."""
 
     lane: Lane
     job: Int[Array, ""]  # under way, or NOBODY
     over: Bool[Array, ""]  # whether that has ended
-    next_start: Start
+    next_start: RunStart
     next_job: Int[Array, ""]
     record: dict[str, Any]
     recorded: Int[Array, ""]  # the job of the record
 
 
-def blank_place(task: Task, start: Start) -> Place:
+def blank_slot(task: SweepTask, start: RunStart) -> Slot:
     """A place of the pool that nobody's lane holds yet."""
     lane, nobody = start_lane(task, start), jnp.asarray(NOBODY)
-    return Place(lane, nobody, jnp.asarray(True), start, nobody, read_lane(task, lane), nobody)
+    return Slot(lane, nobody, jnp.asarray(True), start, nobody, read_lane(task, lane), nobody)
 
 
 def advance_pool(
-    task: Task,
-    pool: Place,
-    fresh: Start,
+    task: SweepTask,
+    pool: Slot,
+    fresh: RunStart,
     jobs: Int[Array, " lanes"],
     more: Bool[Array, ""],
     rounds: Int[Array, ""],
-) -> tuple[Place, dict[str, Any]]:
+) -> tuple[Slot, dict[str, Any]]:
     """All lanes after so many rounds, or until one has to wait for the host.
 
     Where a lane ends, its record is kept and its next job begins, without the host.  `jobs`: what
@@ -322,19 +328,19 @@ def advance_pool(
         (begun, jnp.where(given, jobs, pool.next_job), jnp.full_like(jobs, NOBODY)),
     )
 
-    def goes_on(carry: tuple[Place, Array]) -> Array:
+    def goes_on(carry: tuple[Slot, Array]) -> Array:
         pool, done = carry
         busy = (pool.job >= 0) | (pool.next_job >= 0)
         full = (pool.job >= 0) & pool.over & (pool.recorded >= 0)
         stands = full | (~busy & more)
         return (done < rounds) & jnp.any(busy) & ~jnp.any(stands)
 
-    def one_more(carry: tuple[Place, Array]) -> tuple[Place, Array]:
+    def one_more(carry: tuple[Slot, Array]) -> tuple[Slot, Array]:
         pool, done = carry
-        lane, over = jax.vmap(lambda *own: advance_lane(task, *own))(pool.lane, pool.over)
+        lane, over = jax.vmap(lambda *each: advance_lane(task, *each))(pool.lane, pool.over)
         pool = eqx.tree_at(lambda p: (p.lane, p.over), pool, (lane, over))
         # Its cost is that of some steps.
-        turn = jax.vmap(lambda place: _turn(task, place))
+        turn = jax.vmap(lambda place: _next_run(task, place))
         return lax.cond(jnp.any(over), turn, lambda pool: pool, pool), done + 1
 
     pool, done = lax.while_loop(goes_on, one_more, (pool, jnp.zeros_like(rounds)))
@@ -348,7 +354,7 @@ def advance_pool(
     }
 
 
-def _turn(task: Task, place: Place) -> Place:
+def _next_run(task: SweepTask, place: Slot) -> Slot:
     """If the lane is over, its record is kept, and its next job begins."""
     leaves = (place.job >= 0) & place.over & (place.recorded < 0)
     job = jnp.where(leaves, NOBODY, place.job)
@@ -357,7 +363,7 @@ def _turn(task: Task, place: Place) -> Place:
     def either(take: Array, new: Any, old: Any) -> Any:
         return jtu.tree_map(lambda a, b: jnp.where(take, a, b), new, old)
 
-    return Place(
+    return Slot(
         either(begins, start_lane(task, place.next_start), place.lane),
         jnp.where(begins, place.next_job, job),
         place.over & ~begins,

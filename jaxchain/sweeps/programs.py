@@ -20,7 +20,7 @@ import numpy as np
 from jax.experimental import serialize_executable
 from jaxtyping import Array
 
-from .lanes import Start, Starts, start_of
+from .lanes import RunStart, RunStarts, start_of
 
 # Functions, with the structure of their task, whose programs are kept: the latest ones; and of
 # pairs of `initial` and `vary`, which a user may make anew for each sweep.
@@ -135,17 +135,17 @@ def ready(
     programs: Callable[..., Program] = program,
 ) -> Callable:
     """`function(task, ...)` as a function of arguments like these, which lie on the device."""
-    own, arrays = _own(programs, function, donated, task)
-    return functools.partial(own.on(device, arrays, *arguments), arrays)
+    program, arrays = _program_of(programs, function, donated, task)
+    return functools.partial(program.on(device, arrays, *arguments), arrays)
 
 
 def shape_of(function: Callable, task: Any, *arguments: Any) -> Any:
     """What `function(task, ...)` returns, without the numbers."""
-    own, arrays = _own(program, function, (), task)
-    return own.shape(arrays, *arguments)
+    compiled, arrays = _program_of(program, function, (), task)
+    return compiled.shape(arrays, *arguments)
 
 
-def _own(
+def _program_of(
     programs: Callable[..., Program], function: Callable, donated: tuple[int, ...], task: Any
 ) -> tuple[Program, Any]:
     """The program of a task, and its arrays."""
@@ -161,13 +161,13 @@ def place(tree: Any, device: Any) -> Any:
     return eqx.combine(jax.device_put(arrays, device), static)
 
 
-def starts_on(device: Any, starts: Starts, values: dict[str, Array]) -> Start:
+def starts_on(device: Any, starts: RunStarts, values: dict[str, Array]) -> RunStart:
     """The start of every lane; JAX forgets the functions of the user with their programs."""
     return ready(_starts_of, device, starts, values, programs=start_program)(values)
 
 
-def _starts_of(starts: Starts, values: dict[str, Array]) -> Start:
-    return jax.vmap(lambda own: start_of(starts, own))(values)
+def _starts_of(starts: RunStarts, values: dict[str, Array]) -> RunStart:
+    return jax.vmap(lambda row: start_of(starts, row))(values)
 
 
 @functools.lru_cache(maxsize=KEPT)
@@ -207,4 +207,4 @@ def map_lanes(
         for values, count in started:
             parts.append(jtu.tree_map(lambda a, count=count: np.asarray(a)[:count], values))
             done(count)
-    return jtu.tree_map(lambda *own: np.concatenate(own), *parts)
+    return jtu.tree_map(lambda *arrays: np.concatenate(arrays), *parts)

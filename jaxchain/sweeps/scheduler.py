@@ -24,7 +24,7 @@ from .._configure import cores
 from .._progress import progress_bar
 from .axes import Block
 from .ensemble import Ensemble
-from .lanes import AS_IT_IS, NOBODY, Place, Start, Starts, Task, advance_pool
+from .lanes import AS_IT_IS, NOBODY, RunStart, RunStarts, Slot, SweepTask, advance_pool
 from .programs import place, ready, starts_on
 
 # Numbers per array of one device's lanes: what keeps the arrays of a step within a core's cache.
@@ -40,7 +40,7 @@ _MEMORY_SHARE = 0.8
 class Pool:
     """The lanes of one device."""
 
-    def __init__(self, device: Any, task: Task, starts: Starts, width: int, blank: Place):
+    def __init__(self, device: Any, task: SweepTask, starts: RunStarts, width: int, blank: Slot):
         self.device, self.width = device, width
         self.task, self.starts = place(task, device), place(starts, device)
 
@@ -48,7 +48,7 @@ class Pool:
             return np.zeros((width, *shape.shape), shape.dtype)
 
         shapes, static = eqx.partition(blank, _is_shape)
-        empty: Place = jtu.tree_map(zeros, shapes)
+        empty: Slot = jtu.tree_map(zeros, shapes)
         for numbers in (empty.job, empty.next_job, empty.recorded):
             numbers[:] = NOBODY
         empty.over[:] = True
@@ -78,7 +78,7 @@ class Pool:
         """Which lanes have a job under way."""
         return self.job >= 0
 
-    def starts_of(self, values: dict[str, np.ndarray]) -> Start:
+    def starts_of(self, values: dict[str, np.ndarray]) -> RunStart:
         """The starts of jobs with these values, one for each lane; always by the same program."""
         return starts_on(self.device, self.starts, jax.device_put(values, self.device))
 
@@ -89,8 +89,10 @@ class Pool:
         new = numbers >= 0
         if new.any():
             self._fresh = self.starts_of(values_of(np.where(new, numbers, numbers[new][0])))
-        told = jax.device_put((numbers, np.asarray(more), np.asarray(self._rounds)), self.device)
-        given = self._places, self._fresh, *told
+        message = jax.device_put(
+            (numbers, np.asarray(more), np.asarray(self._rounds)), self.device
+        )
+        given = self._places, self._fresh, *message
         if self._program is None:
             self._program = ready(advance_pool, self.device, self.task, *given, donated=(1,))
         self._since = time.perf_counter()  # without the compilation
@@ -99,17 +101,17 @@ class Pool:
     def outcome(self) -> tuple[np.ndarray, dict[str, Any]]:
         """Which job has ended in each lane since it was asked (or NOBODY), and its record."""
         # Copies: what the device holds is overwritten.
-        found: Any = jtu.tree_map(np.array, self._asked)
+        arrays: Any = jtu.tree_map(np.array, self._asked)
         self._asked = None
         seconds = max(time.perf_counter() - self._since, 1e-9)
-        stays = (self.job == found["job"]) & self.busy
-        self.pace = np.where(stays, (found["t"] - self.t) / seconds, np.nan)
-        self.job, self.next_job, self.t = found["job"], found["next_job"], found["t"]
+        stays = (self.job == arrays["job"]) & self.busy
+        self.pace = np.where(stays, (arrays["t"] - self.t) / seconds, np.nan)
+        self.job, self.next_job, self.t = arrays["job"], arrays["next_job"], arrays["t"]
         if seconds > 2.0 * _SECONDS and self._rounds > 1:
             self._rounds //= 2
-        elif seconds < 0.5 * _SECONDS and int(found["rounds"]) == self._rounds:
+        elif seconds < 0.5 * _SECONDS and int(arrays["rounds"]) == self._rounds:
             self._rounds *= 2
-        return found["recorded"], found["record"]
+        return arrays["recorded"], arrays["record"]
 
     def shrink(self, width: int) -> None:
         """The busy lanes go on, and as many idle ones as there is room for."""
@@ -156,8 +158,8 @@ class Scheduler:
         self.ensemble, self.task, self.total = ensemble, task, total
         self.devices = list(jax.local_devices() if devices is None else devices)[:total]
         # Of the CPU, and wanted: nobody chose the devices, and there are jobs for more of them.
-        found = devices is None and self.devices[0].platform == "cpu"
-        self.idle_cores = max(0, cores() - len(self.devices)) if found else 0
+        on_cpu = devices is None and self.devices[0].platform == "cpu"
+        self.idle_cores = max(0, cores() - len(self.devices)) if on_cpu else 0
         self.idle_cores *= total > len(self.devices)
         self.fixed = lanes is not None
         self.lanes = lane_count(task.chain.n, total, self.devices, lanes)
@@ -176,7 +178,7 @@ class Scheduler:
         """Lanes at a time on each device when the sweep ended."""
         return max(pool.width for pool in self.pools)
 
-    def _check_memory(self, blank: Place, size: int) -> None:
+    def _check_memory(self, blank: Slot, size: int) -> None:
         """Raises before anything is compiled if blocks of this size cannot fit."""
         blocks = min(self.total, size * len(self.devices))
         lanes = self.lanes * len(self.devices)
@@ -233,19 +235,19 @@ class Scheduler:
         if (block := next(self._blocks, None)) is None:
             return
         block.records = self.ensemble.blank_records(block.size)
-        own = _Open(block, self._numbers, block.size)
-        self._open.append(own)
+        open_block = _Open(block, self._numbers, block.size)
+        self._open.append(open_block)
         self._numbers += block.size
-        self.waiting = np.concatenate([self.waiting, own.first + self._order(block.jobs)])
+        self.waiting = np.concatenate([self.waiting, open_block.first + self._order(block.jobs)])
 
     def _values(self, numbers: np.ndarray) -> dict[str, np.ndarray]:
         """The values of these jobs, of the blocks under way."""
         values: dict[str, np.ndarray] = {}
-        for own in self._open:
-            mine = own.mine(numbers)
-            for name, all in own.block.jobs.items():
+        for open_block in self._open:
+            mine = open_block.mine(numbers)
+            for name, all in open_block.block.jobs.items():
                 blank = np.empty((len(numbers), *all.shape[1:]), all.dtype)
-                values.setdefault(name, blank)[mine] = all[numbers[mine] - own.first]
+                values.setdefault(name, blank)[mine] = all[numbers[mine] - open_block.first]
         return values
 
     def _order(self, jobs: dict[str, np.ndarray]) -> np.ndarray:
@@ -269,7 +271,7 @@ class Scheduler:
 
     def _go_on(self, pool: Pool) -> None:
         """Idle lanes take the first jobs that wait; if there are plenty, busy ones the next."""
-        if self.waiting.size < sum(own.width for own in self.pools):
+        if self.waiting.size < sum(pool.width for pool in self.pools):
             self._next_block()
         numbers = np.full(pool.width, AS_IT_IS)
         free = np.flatnonzero(~pool.busy & (pool.next_job < 0))
@@ -280,7 +282,7 @@ class Scheduler:
             self.waiting = np.concatenate([self.waiting, pool.next_job[late]])
             numbers[late] = NOBODY
         self._hand_out(numbers, free)
-        if self.waiting.size > sum(own.width for own in self.pools):
+        if self.waiting.size > sum(pool.width for pool in self.pools):
             self._hand_out(numbers, np.flatnonzero(pool.busy & (pool.next_job < 0)))
         if not pool.busy.any() and not np.any((numbers >= 0) | (pool.next_job >= 0)):
             return
@@ -305,15 +307,17 @@ class Scheduler:
     def _collect(self, pool: Pool, ended: Callable[[Block], object]) -> int:
         """Stores the records of the lanes that have ended; how many."""
         jobs, record = pool.outcome()
-        for own in list(self._open):
-            mine = own.mine(jobs)
-            at = jobs[mine] - own.first
-            for all, one in zip(*map(jtu.tree_leaves, (own.block.records, record)), strict=True):
+        for open_block in list(self._open):
+            mine = open_block.mine(jobs)
+            at = jobs[mine] - open_block.first
+            for all, one in zip(
+                *map(jtu.tree_leaves, (open_block.block.records, record)), strict=True
+            ):
                 all[at] = one[mine]
-            own.left -= len(at)
-            if own.left == 0:
-                self._open.remove(own)
-                ended(own.block)
+            open_block.left -= len(at)
+            if open_block.left == 0:
+                self._open.remove(open_block)
+                ended(open_block.block)
         return int(np.sum(jobs >= 0))
 
     def _shrink(self, pool: Pool, numbers: np.ndarray) -> np.ndarray:

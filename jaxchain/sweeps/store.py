@@ -355,8 +355,8 @@ def _check_same(
             fewer = wanted["sizes"][dim] < sizes[dim]
             words += [
                 f"over[{dim!r}] has {'fewer' if fewer else 'other'} values of {name}"
-                for name, own in columns.items()
-                if own != layout["columns"][dim][name]
+                for name, column in columns.items()
+                if column != layout["columns"][dim][name]
             ]
     if words:
         raise ValueError(

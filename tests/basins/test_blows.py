@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 from jaxchain.basins.blows import (
     Blow,
-    Fate,
+    DecayOrVibrate,
     Trials,
     gentlest_blow,
     quiet_radius,
@@ -217,8 +217,8 @@ def test_a_fate_ends_a_run_as_soon_as_it_is_clear():
     trials = Trials.of(ONE)
     for size, level, dies, least in ((1.0, 0, True, 5.0), (1.5, 0, False, 30.0),
                                      (1.5, 1, False, 150.0)):  # fmt: skip
-        patience = trials.patiently(jnp.asarray(level)).patience
-        observe = Fate(trials.rest, trials.radius, patience)
+        patience = trials.with_longer_runs(jnp.asarray(level)).patience
+        observe = DecayOrVibrate(trials.rest, trials.radius, patience)
         start = trials.rest, jnp.array([size])
         run = simulate(ONE, start, float(trials.horizon), observe=observe)
         died, vibrates = run.observed

@@ -172,8 +172,8 @@ def test_patterns_are_the_same_up_to_the_symmetry_of_the_chain():
     codes = rng.integers(0, 2, (50, 6))
     ring = VibratingMasses(by="ring")
     same = ring.merge(codes, CHAIN)
-    for turn in range(6):
-        assert np.array_equal(ring.merge(np.roll(codes, turn, axis=1), CHAIN), same)
+    for return_map in range(6):
+        assert np.array_equal(ring.merge(np.roll(codes, return_map, axis=1), CHAIN), same)
     assert np.array_equal(ring.merge(codes[:, ::-1], CHAIN), same)
     # Necklaces of six beads of two colours that may be turned over: 13.
     every = (np.arange(64)[:, None] >> np.arange(6)) & 1

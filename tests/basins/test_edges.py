@@ -250,4 +250,6 @@ def test_edges_between_one_two_and_three_vibrating_masses():
     moduli = np.abs(cycle.multipliers)
     assert (moduli > 1.0).sum() == 1
     assert moduli[0] == pytest.approx(1.28442, abs=1e-4)
-    assert np.isneginf(cycle.closeness).tolist() == [i not in (10, 11) for i in range(20)]
+    assert np.isneginf(cycle.scaled_peak_velocity).tolist() == [
+        i not in (10, 11) for i in range(20)
+    ]

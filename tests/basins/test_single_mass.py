@@ -11,7 +11,7 @@ from scipy.integrate import quad
 
 import jaxchain as jc
 from jaxchain.basins import Box, blow_of_one_mass, sliding_basin, sliding_share
-from jaxchain.basins.single_mass import Mass, area_of_step, find_innermost, turn
+from jaxchain.basins.single_mass import Mass, area_of_step, innermost_unstable_cycle, return_map
 from jaxchain.model import AbstractFrictionLaw, Chain, Coulomb, GaussianStribeck
 from jaxchain.result import SearchResult, name_of
 
@@ -75,7 +75,7 @@ def mass(xi=XI):
 
 @jax.jit
 def around(mass, fastest):
-    return turn(mass, fastest, (jnp.array([-5.0, 5.0]), jnp.array([-5.0, 5.0])))
+    return return_map(mass, fastest, (jnp.array([-5.0, 5.0]), jnp.array([-5.0, 5.0])))
 
 
 def test_a_linear_turn_is_that_of_the_textbook():
@@ -136,7 +136,7 @@ class Wavy(AbstractFrictionLaw):
 def test_of_nested_cycles_it_is_the_innermost_unstable_one():
     """Three cycles round each other: unstable, stable, unstable; the stable one slips only."""
     chain = Chain(1, Wavy(1.0, 0.02), belt_speed=1.5, damping_ratio=1e-9)
-    found = find_innermost(Mass.of(chain))
+    found = innermost_unstable_cycle(Mass.of(chain))
     assert bool(found.result == SearchResult.successful)
     assert float(found.fastest) == pytest.approx(0.5, abs=0.02)
     x, _ = jc.steady_sliding(chain)
@@ -152,7 +152,8 @@ def test_it_ends_where_the_fold_is(width):
     chain = jc.paper_chain(1, 1.5, width)
     fold = float(jc.fold_belt_speed(chain))
     below, above = (
-        find_innermost(Mass.of(chain.with_(belt_speed=fold + off))) for off in (-1e-7, 1e-7)
+        innermost_unstable_cycle(Mass.of(chain.with_(belt_speed=fold + off)))
+        for off in (-1e-7, 1e-7)
     )
     assert 0.7 * fold < float(below.fastest) < fold
     assert np.isnan(above.fastest)
@@ -264,7 +265,7 @@ def test_what_cannot_be_known_is_refused_with_the_reason(chain):
         assert np.isnan(found.up)
         return name_of(found.result)
 
-    assert reason(belt_speed=0.0) == "creeps"
+    assert reason(belt_speed=0.0) == "belt_too_slow"
     assert reason(belt_speed=float(jc.hopf_belt_speed(chain)) * (1 + 1e-10)) == "at_hopf"
 
 
@@ -328,7 +329,7 @@ def test_its_cycle_is_that_of_find_limit_cycle(width, speed):
         assert (width, speed) == (1e-2, 1.83)
         return
     guess = found.state, found.period
-    cycle = jc.find_limit_cycle(chain, guess, vibrating=0, rtol=1e-11)
+    cycle = jc.find_limit_cycle(chain, guess, mass=0, rtol=1e-11)
     assert float(jnp.abs(cycle.multipliers[0])) > 1.0
     np.testing.assert_allclose(found.state, cycle.state, atol=1e-9)
     assert float(found.period) == pytest.approx(float(cycle.period), abs=1e-10)

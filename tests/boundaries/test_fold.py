@@ -12,9 +12,9 @@ from witnesses.smoothed import OneMass
 from jaxchain import (
     Amplitude,
     EventDriven,
+    dry_fold_belt_speed,
     fold_belt_speed,
     hopf_belt_speed,
-    nonsmooth_fold_belt_speed,
     paper_chain,
     simulate,
 )
@@ -146,7 +146,7 @@ def test_a_lane_without_a_fold_is_marked_and_harms_no_other(folds):
     expected = [folds[0.05].belt_speed, folds[0.01].belt_speed]
     np.testing.assert_allclose(speeds[jnp.asarray([0, 2])], expected, rtol=3e-9)
     outcomes = [find_fold(paper_chain(1, width=width)) for width in (0.6, 0.35)]
-    assert [fold.result for fold in outcomes] == [SearchResult.no_fold, SearchResult.gentle]
+    assert [fold.result for fold in outcomes] == [SearchResult.no_fold, SearchResult.supercritical]
     assert [fold.message.split(":")[0] for fold in outcomes] == [
         "There is no fold", "No fold was found"
     ]  # fmt: skip
@@ -161,15 +161,15 @@ def test_a_second_derivative_of_the_speed_alone_says_where_to_get_it():
 
 
 @pytest.mark.parametrize(
-    ("vibrating", "message"),
+    ("mass", "message"),
     [
-        (3, "`vibrating` must be an integer in 0 ... 2, but is 3"),
+        (3, "`mass` must be an integer in 0 ... 2, but is 3"),
         ((0, 1), "several"),
     ],
 )
-def test_a_mass_that_is_not_there_is_refused(vibrating, message):
+def test_a_mass_that_is_not_there_is_refused(mass, message):
     with pytest.raises(ValueError, match=message):
-        fold_belt_speed(paper_chain(3), vibrating)
+        fold_belt_speed(paper_chain(3), mass)
 
 
 def test_anything_but_a_chain_is_refused():
@@ -205,7 +205,7 @@ def test_the_fold_is_the_summit_of_scipys_branch():
             return -q[0]
 
         guess = [float(fold.belt_speed), float(fold.period)]
-        s = float(fold.closeness)
+        s = float(fold.scaled_peak_velocity)
         below = functools.partial(speed, guess=guess)
         summit = minimize_scalar(below, bracket=(s - 0.05, s, s + 0.05), options={"xtol": 1e-4})
         np.testing.assert_allclose(fold.belt_speed, -summit.fun, rtol=3e-9)
@@ -217,7 +217,9 @@ def test_the_whole_orbit_is_differentiable_and_twice():
 
     def quantities(xi):
         fold = find_fold(chain.with_(damping_ratio=xi))
-        return jnp.stack([fold.belt_speed, fold.period, fold.closeness, fold.state[0][0]])
+        return jnp.stack(
+            [fold.belt_speed, fold.period, fold.scaled_peak_velocity, fold.state[0][0]]
+        )
 
     compiled = jax.jit(quantities)
     tangent = jax.jit(lambda xi: jax.jvp(quantities, (xi,), (1.0,))[1])
@@ -249,7 +251,7 @@ def test_the_localized_fold_of_three_masses_differentiates_in_every_number():
 @pytest.mark.long
 def test_any_width_has_its_fold():
     """Down to widths that no integration resolves; without a step where the asymptotics begin."""
-    dry = float(nonsmooth_fold_belt_speed(paper_chain(1)))
+    dry = float(dry_fold_belt_speed(paper_chain(1)))
     numbers = np.array([[0.05, 0.5, 0.5, w] for w in (1e-7, 3e-8, 3e-9, 1e-12, 1e-30)])
     folds, _ = wild_folds(numbers)
     assert bool(jnp.all(folds.successful))
@@ -273,7 +275,7 @@ def test_below_the_least_width_gradients_are_those_of_dry_friction():
         return fold_belt_speed(paper_chain(1).with_(damping_ratio=xi, width=width))
 
     slopes = jax.jit(jax.grad(speed, (0, 1)))(0.05, 1e-9)
-    dry = jax.grad(lambda xi: nonsmooth_fold_belt_speed(paper_chain(1).with_(damping_ratio=xi)))
+    dry = jax.grad(lambda xi: dry_fold_belt_speed(paper_chain(1).with_(damping_ratio=xi)))
     np.testing.assert_allclose(slopes[0], dry(0.05), rtol=1e-5)
     grazing = find_grazing(paper_chain(1))
     np.testing.assert_allclose(slopes[1], jax.grad(grazing.smoothed)(1e-9), rtol=1e-6)

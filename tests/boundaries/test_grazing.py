@@ -8,9 +8,9 @@ import scipy.integrate
 import scipy.optimize
 
 from jaxchain import Chain, paper_chain
-from jaxchain.boundaries.grazing import _peak, find_grazing, nonsmooth_fold_belt_speed
+from jaxchain.boundaries.grazing import _peak, dry_fold_belt_speed, find_grazing
 from jaxchain.model import GaussianStribeck
-from jaxchain.model.initial_states import check_vibrating
+from jaxchain.model.initial_states import check_mass
 from jaxchain.result import SearchResult
 
 NAMES = ("damping_ratio", "mu_static", "mu_dynamic", "v_ref")
@@ -65,7 +65,7 @@ def of(parameters):
 @pytest.fixture(scope="module")
 def folds():
     """(v_d, its gradient) of many sets of parameters: one program for most tests."""
-    return jax.jit(jax.vmap(jax.value_and_grad(lambda p: nonsmooth_fold_belt_speed(of(p)))))
+    return jax.jit(jax.vmap(jax.value_and_grad(lambda p: dry_fold_belt_speed(of(p)))))
 
 
 @pytest.fixture(scope="module")
@@ -102,16 +102,16 @@ def test_the_cycle_of_the_paper(paper):
     np.testing.assert_allclose(paper.period, period, rtol=1e-10)
     x, v = paper.state
     np.testing.assert_allclose(v[0], paper.belt_speed, rtol=1e-15)
-    np.testing.assert_allclose(x[0], chain.greatest_hold() - 0.1 * v[0], rtol=1e-14)
+    np.testing.assert_allclose(x[0], chain.static_limit() - 0.1 * v[0], rtol=1e-14)
 
     def trace(t):
         return np.exp((run.sol(t)[1] - expected) / 0.5) - 0.1
 
     multiplier = np.exp(scipy.integrate.quad(trace, 0, period, epsabs=1e-11, limit=200)[0])
-    np.testing.assert_allclose(-paper.by_leaving / paper.by_arriving, multiplier, rtol=1e-8)
+    np.testing.assert_allclose(-paper.slope_plus / paper.slope_minus, multiplier, rtol=1e-8)
     # A fold seen from below: slip cycles and sticking ones both have lower belt speeds.
-    assert paper.by_leaving + paper.by_arriving > 0 > paper.by_arriving
-    np.testing.assert_allclose(paper.fall, expected, rtol=1e-12)  # k v_d for k = 1
+    assert paper.slope_plus + paper.slope_minus > 0 > paper.slope_minus
+    np.testing.assert_allclose(paper.deceleration, expected, rtol=1e-12)  # k v_d for k = 1
 
 
 def flat(parameters):
@@ -170,7 +170,7 @@ def test_friction_that_is_flat_at_rest_folds_below_the_speed_of_the_belt(flat_fo
         np.testing.assert_allclose(found.belt_speed[i], expected[2], rtol=1e-11)
     # It passes from one kind to the other without a step, and smoothing moves it no more.
     assert abs(v[1] / found.belt_speed[1] - 1) < 1e-3
-    assert abs(found.by_leaving[0] + found.by_arriving[0]) < 0.1
+    assert abs(found.slope_plus[0] + found.slope_minus[0]) < 0.1
     smoothed = jax.vmap(lambda fold: fold.smoothed(1e-3))(found)
     np.testing.assert_allclose(smoothed[1:3], found.belt_speed[1:3], rtol=1e-10)
     assert smoothed[0] < found.belt_speed[0] - 1e-5
@@ -194,9 +194,9 @@ def test_gradients_of_both_kinds_are_those_of_differences():
             for m in (1, 2)
         )
         np.testing.assert_allclose(exact[:, :, k], (4 * one - two) / 3, rtol=1e-6, atol=1e-6)
-    reverse = jax.jit(jax.vmap(jax.grad(lambda p: nonsmooth_fold_belt_speed(flat(p)))))
+    reverse = jax.jit(jax.vmap(jax.grad(lambda p: dry_fold_belt_speed(flat(p)))))
     np.testing.assert_allclose(reverse(jnp.asarray(FLAT[:3])), exact[:, 0], rtol=1e-11)
-    second = jax.jit(jax.hessian(lambda p: nonsmooth_fold_belt_speed(flat(p))))(FLAT[2])
+    second = jax.jit(jax.hessian(lambda p: dry_fold_belt_speed(flat(p))))(FLAT[2])
     ends = [reverse(jnp.asarray(FLAT[[2, 2, 2]] + s * h * np.eye(3))) for s in (1, -1)]
     np.testing.assert_allclose(second, (ends[0] - ends[1]) / (2 * h), rtol=1e-4, atol=1e-4)
 
@@ -229,21 +229,21 @@ def test_the_peak_of_a_cubic():
 
 
 @pytest.mark.parametrize(
-    ("chain", "vibrating", "message"),
+    ("chain", "mass", "message"),
     [
         ("chain", None, "`chain` must be a `Chain`"),
         (
             paper_chain(n=3),
             3,
-            "`vibrating` must be an integer in 0 ... 2, but is 3",
+            "`mass` must be an integer in 0 ... 2, but is 3",
         ),
-        (paper_chain(n=3), 1.0, "`vibrating` must be an integer in 0 ... 2"),
-        (paper_chain(n=3), True, "`vibrating` must be an integer in 0 ... 2"),
+        (paper_chain(n=3), 1.0, "`mass` must be an integer in 0 ... 2"),
+        (paper_chain(n=3), True, "`mass` must be an integer in 0 ... 2"),
     ],
 )
-def test_bad_input_is_named(chain, vibrating, message):
+def test_bad_input_is_named(chain, mass, message):
     with pytest.raises(ValueError, match=message):
-        check_vibrating(chain, vibrating)
+        check_mass(chain, mass)
 
 
 @pytest.mark.exhaustive
@@ -286,14 +286,14 @@ def test_derivatives_of_all_of_it():
     chain = paper_chain(n=1)
 
     def speed(p):
-        return nonsmooth_fold_belt_speed(of(p))
+        return dry_fold_belt_speed(of(p))
 
     point = jnp.asarray(PAPER)
     forward, reverse = jax.jacfwd(speed)(point), jax.grad(speed)(point)
     np.testing.assert_allclose(forward, reverse, rtol=1e-12)
-    assert jax.grad(lambda w: nonsmooth_fold_belt_speed(chain.with_(width=w)))(1e-3) == 0.0
+    assert jax.grad(lambda w: dry_fold_belt_speed(chain.with_(width=w)))(1e-3) == 0.0
     h = 1e-4
-    slope = jax.jit(jax.grad(lambda xi: nonsmooth_fold_belt_speed(chain.with_(damping_ratio=xi))))
+    slope = jax.jit(jax.grad(lambda xi: dry_fold_belt_speed(chain.with_(damping_ratio=xi))))
     second = jax.jacfwd(slope)(0.05)
     np.testing.assert_allclose(second, (slope(0.05 + h) - slope(0.05 - h)) / (2 * h), rtol=1e-4)
 

@@ -60,7 +60,7 @@ def test_it_is_labelled_like_a_sweep(found):
     assert set(found.coords) == set(WILD)
     assert found.damping_ratio.attrs["long_name"] == "damping ratio xi"
     assert all("units" in variable.attrs for variable in found.variables.values())
-    assert found.attrs["vibrating"] == 0
+    assert found.attrs["mass"] == 0
 
 
 def test_a_belt_speed_has_no_part_in_it():

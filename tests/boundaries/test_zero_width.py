@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxchain import Chain, fold_belt_speed, paper_chain
-from jaxchain.boundaries.limit import extrapolate, fold_boundary, fold_in_the_limit
+from jaxchain.boundaries.limit import extrapolate, extrapolated_fold, fold_boundary
 from jaxchain.model import GaussianStribeck
 
 # Second looks, or minutes of compilation: not in every run of the tests.
@@ -104,7 +104,7 @@ def test_bad_input_is_named(values, widths, change, message):
 
 def test_bad_widths_are_named_before_anything_long_starts():
     with pytest.raises(ValueError, match="`widths` must be at least 4"):
-        fold_in_the_limit(paper_chain(n=1), widths=[1e-3])
+        extrapolated_fold(paper_chain(n=1), widths=[1e-3])
 
 
 @pytest.fixture(scope="module")
@@ -149,7 +149,7 @@ def test_gradients_are_those_of_the_folds():
     widths = jnp.asarray([8e-3, 4e-3, 2e-3, 1e-3])
 
     def limit(xi):
-        return fold_in_the_limit(paper_chain(n=1).with_(damping_ratio=xi), widths=widths).value
+        return extrapolated_fold(paper_chain(n=1).with_(damping_ratio=xi), widths=widths).value
 
     value, slope = jax.jit(jax.value_and_grad(limit))(0.05)
     np.testing.assert_allclose(value, 1.8366, atol=3e-5)

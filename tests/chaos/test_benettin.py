@@ -12,7 +12,7 @@ from systems.oscillators import LinearRing
 from jaxchain import EventDriven, Rodas5P, excited_state, monodromy_matrix, paper_chain, simulate
 from jaxchain.chaos.lyapunov import (
     Frame,
-    Span,
+    Interval,
     advance_frame,
     advance_span,
     bump,
@@ -43,7 +43,7 @@ def images_after(solver, observer, field, state, ends, rtol, basis):
 
 def spans(start, end, number):
     step = (end - start) / number
-    return Span(
+    return Interval(
         start=jnp.asarray(start, float),
         interval=jnp.asarray(step, float),
         number=jnp.asarray(number),

@@ -3,7 +3,7 @@
 import numpy as np
 
 from jaxchain.chaos.classification import (
-    Record,
+    RunRecord,
     mean_periods,
     novelty,
     phases,
@@ -29,7 +29,7 @@ def made_up(delays, periods, windows=20, length=50.0, wander=0.0):
         angle = 2 * np.pi * (times[w][:, None] - delays) / periods
         points[w] = np.concatenate([np.cos(angle), -np.sin(angle)], axis=1)
         points[w] += wander * w
-    return Record(
+    return RunRecord(
         t=length * (1.0 + np.arange(windows)), amplitude=np.ones((windows, n)), peaks=peaks,
         point_times=times, points=points,
     )  # fmt: skip

@@ -51,9 +51,9 @@ def test_widths_are_compared_with_where_friction_weakens_most():
 
 def test_the_guess_is_near_the_fold_and_says_when_there_is_none():
     guess = jax.jit(fold_guess)
-    speed, closeness, exists = guess(paper_chain(1, width=0.05))
+    speed, scaled_peak_velocity, exists = guess(paper_chain(1, width=0.05))
     assert bool(exists)
-    np.testing.assert_allclose([speed, closeness], [1.659307, -1.8023], rtol=0.1)
+    np.testing.assert_allclose([speed, scaled_peak_velocity], [1.659307, -1.8023], rtol=0.1)
     np.testing.assert_allclose(speed, 1.659307, rtol=5e-3)
     assert not bool(guess(paper_chain(1, width=0.35))[2])
 

@@ -98,9 +98,12 @@ def test_a_point_is_a_cycle_with_these_numbers_for_scipy_too(branch, share):
     assert abs(np.trace(columns) - 1.0 - branch.multipliers[k, 0].real) < 1e-5
 
 
-def test_the_closeness_is_the_greatest_velocity_in_units_of_the_layer(branch):
+def test_the_scaled_peak_velocity_is_the_greatest_velocity_in_widths(branch):
     np.testing.assert_allclose(
-        branch.closeness, (branch.v[:, 0] - branch.parameter) / 0.05, rtol=1e-7, atol=1e-7
+        branch.scaled_peak_velocity,
+        (branch.v[:, 0] - branch.parameter) / 0.05,
+        rtol=1e-7,
+        atol=1e-7,
     )
 
 
@@ -161,7 +164,7 @@ def test_at_a_fold_a_side_is_named(branch):
     chain = paper_chain(1, belt_speed=fold.parameter, width=0.05)
     for side, sign in (("stick", 1), ("slip", -1)):
         found = continue_cycle(chain, (fold.x, fold.v), fold.period, direction=side, max_points=4)
-        assert np.all(sign * np.diff(found.closeness) > 0)
+        assert np.all(sign * np.diff(found.scaled_peak_velocity) > 0)
         assert np.all(np.diff(found.parameter) < 0)
 
 
@@ -227,7 +230,7 @@ def test_the_symmetry_test_sees_what_breaks_the_symmetry_alone():
         ({"parameter": "n"}, "`parameter`"),
         ({"direction": "up"}, "`direction`"),
         ({"images": (1,)}, "`images`"),
-        ({"vibrating": 4}, "`vibrating`"),
+        ({"mass": 4}, "`mass`"),
         ({"rtol": 0.0}, "`rtol`"),
         ({"bounds": (2.0, 3.0)}, "`bounds`"),
     ],
@@ -265,7 +268,7 @@ def symmetric(fold_of_three):
     """One mass of three vibrates, stick-slip, down to where its neighbours join in."""
     chain, fold = fold_of_three
     return continue_cycle(
-        chain, fold.state, fold.period, direction="stick", images=MIRRORED, vibrating=1,
+        chain, fold.state, fold.period, direction="stick", images=MIRRORED, mass=1,
         bounds=(1.345, 2.0),
     )  # fmt: skip
 
@@ -277,7 +280,7 @@ def test_the_symmetry_breaks_where_the_whole_equations_have_a_branch_point(symme
     k = point.index - 1
     chain = symmetric.shooting.field.with_(belt_speed=symmetric.parameter[k])
     whole = continue_cycle(
-        chain, (symmetric.x[k], symmetric.v[k]), symmetric.period[k], direction=-1, vibrating=1,
+        chain, (symmetric.x[k], symmetric.v[k]), symmetric.period[k], direction=-1, mass=1,
         max_points=8, step=0.02, max_step=0.05,
     )  # fmt: skip
     branch_point = whole.of_kind("branch point")[0]

@@ -49,7 +49,7 @@ def test_it_is_cut_where_the_belt_lets_go_and_forgets_what_was_before(cycle):
     (x,), (v,) = cycle.state
     assert float(x) == pytest.approx(RELEASE, abs=1e-12)
     assert float(v) == float(cycle.fastest[0]) == 1.5
-    assert float(cycle.closeness[0]) == 0.0
+    assert float(cycle.scaled_peak_velocity[0]) == 0.0
     assert complex(cycle.multipliers[0]) == 0.0
     assert cycle.stable
     assert np.isnan(cycle.liouville_defect)
@@ -65,7 +65,7 @@ def test_it_is_closed_again_from_the_cycle_alone(cycle):
 def test_the_slip_cycle_is_unstable_and_nearly_that_of_smoothed_friction():
     dry, smoothed = found(ONE, "unstable"), found(ONE.with_(width=1e-3), "unstable")
     assert dry.stable is False
-    assert np.isneginf(dry.closeness[0])
+    assert np.isneginf(dry.scaled_peak_velocity[0])
     for name in ("period", "amplitude", "fastest"):
         a, b = getattr(dry, name), getattr(smoothed, name)
         np.testing.assert_allclose(a, b, rtol=1e-7, err_msg=name)
@@ -119,12 +119,12 @@ def test_of_several_masses_one_sticks_and_many_chains_go_at_once():
     three = paper_chain(3, width=None)
     speeds = jnp.array([1.4, 1.5])
     several = jax.jit(
-        jax.vmap(lambda speed: find_limit_cycle(three.with_(belt_speed=speed), vibrating=1))
+        jax.vmap(lambda speed: find_limit_cycle(three.with_(belt_speed=speed), mass=1))
     )(speeds)
     assert several.successful.all()
-    closeness = np.asarray(jax.vmap(lambda one: one.closeness)(several))
-    np.testing.assert_array_equal(closeness[:, 1], 0.0)
-    assert np.isneginf(closeness[:, [0, 2]]).all()
+    scaled_peak_velocity = np.asarray(jax.vmap(lambda one: one.scaled_peak_velocity)(several))
+    np.testing.assert_array_equal(scaled_peak_velocity[:, 1], 0.0)
+    assert np.isneginf(scaled_peak_velocity[:, [0, 2]]).all()
     alone = found(three)
     np.testing.assert_allclose(several.period[1], alone.period, rtol=1e-9)
     orbit = close_orbit(three, alone.state, alone.period)

@@ -47,7 +47,7 @@ def test_a_dataset_says_what_the_branch_says():
     assert data.attrs["parameter"] == "belt_speed"
     for name, there in {"belt_speed": "parameter", "displacement": "x", "velocity": "v"}.items():
         np.testing.assert_array_equal(data[name], getattr(branch, there))
-    for name in ("period", "amplitude", "closeness", "trivial_defect"):
+    for name in ("period", "amplitude", "scaled_peak_velocity", "trivial_defect"):
         np.testing.assert_array_equal(data[name], getattr(branch, name))
     np.testing.assert_allclose(data.energy, branch.energy, rtol=1e-15)
     np.testing.assert_array_equal(data.unstable_count, branch.unstable)

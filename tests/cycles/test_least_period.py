@@ -127,7 +127,11 @@ def seen(width, speeds):
             once = int(np.sum(np.isfinite(peaks))) == 1
             sound = float(cycle.residual) < 1e-9 and cycle.stable is (branch == "stable")
             if not (once and sound and least < speed < fold):
-                yield speed, branch, (float(cycle.period), cycle.multipliers, cycle.closeness)
+                yield (
+                    speed,
+                    branch,
+                    (float(cycle.period), cycle.multipliers, cycle.scaled_peak_velocity),
+                )
 
 
 @pytest.mark.long

@@ -98,11 +98,11 @@ def test_one_mass_agrees_with_scipy(width, branch):
     assert float(cycle.trivial_defect) < 1e-7
     assert float(cycle.liouville_defect) < 1e-7
     assert float(cycle.energy) == pytest.approx(amplitude**2 / 2, rel=1e-7)
-    # Cut where it is fastest: there z = asinh(w / eps) of the mass is its closeness.
-    closeness = (float(cycle.state[1][0]) - 1.5) / width
-    assert float(cycle.closeness[0]) == pytest.approx(closeness, abs=1e-5)
+    # Cut where it is fastest: there z = asinh(w / eps) of the mass is its scaled_peak_velocity.
+    scaled_peak_velocity = (float(cycle.state[1][0]) - 1.5) / width
+    assert float(cycle.scaled_peak_velocity[0]) == pytest.approx(scaled_peak_velocity, abs=1e-5)
     if branch == "unstable":
-        assert closeness < -1
+        assert scaled_peak_velocity < -1
         # It separates what comes to rest from what ends on the stable cycle.
         x, v = cycle.state
         sliding = chain.friction.force(jnp.asarray(-1.5))
@@ -152,7 +152,7 @@ def test_period_and_amplitude_have_derivatives(slip):
     chain = slip.chain
 
     def measured(changes):
-        cycle = find_limit_cycle(chain.with_(**changes), slip, vibrating=0, rtol=1e-12)
+        cycle = find_limit_cycle(chain.with_(**changes), slip, mass=0, rtol=1e-12)
         return jnp.stack([cycle.period, cycle.amplitude[0], cycle.state[1][0], cycle.energy])
 
     point = {
@@ -171,7 +171,7 @@ def test_period_and_amplitude_have_derivatives(slip):
 def test_derivatives_also_go_in_reverse(slip):
     def amplitude(damping):
         chain = slip.chain.with_(damping_ratio=damping)
-        return find_limit_cycle(chain, slip, vibrating=0).amplitude[0]
+        return find_limit_cycle(chain, slip, mass=0).amplitude[0]
 
     backward = jax.jit(jax.grad(amplitude))(0.05)
     h = 2e-5
@@ -184,7 +184,7 @@ def test_chains_are_searched_in_one_batch_and_do_not_harm_each_other(slip):
     speeds = jnp.asarray([1.3, 1.5, 1.7, 2.5])
 
     def search(speed):
-        return find_limit_cycle(slip.chain.with_(belt_speed=speed), slip, vibrating=0)
+        return find_limit_cycle(slip.chain.with_(belt_speed=speed), slip, mass=0)
 
     batch = jax.jit(jax.vmap(search))(speeds)
     assert list(np.asarray(batch.successful)) == [True, True, False, False]  # fold at 1.659307
@@ -212,7 +212,7 @@ def test_rest_and_failure_are_told():
     assert lost.stable is None
     # Rest solves the equations of a closed orbit for any period.
     resting = find_limit_cycle(
-        fast, ((jnp.full(1, 0.5), jnp.full(1, 1e-4)), 6.28), vibrating=0, throw=False
+        fast, ((jnp.full(1, 0.5), jnp.full(1, 1e-4)), 6.28), mass=0, throw=False
     )
     assert not bool(resting.successful)
 
@@ -319,7 +319,7 @@ def test_cycles_near_the_fold_are_found_on_their_own_side(speed):
     stick = find_limit_cycle(chain)
     assert (slip.stable, stick.stable) == (False, True)
     # Closeness at the fold: -2.142.
-    assert float(slip.closeness[0]) < -2.142 < float(stick.closeness[0])
+    assert float(slip.scaled_peak_velocity[0]) < -2.142 < float(stick.scaled_peak_velocity[0])
     assert max(float(slip.residual), float(stick.residual)) < 1e-9
     assert isinstance(slip.chain, Chain)
     assert float(slip.chain.belt_speed) == speed
@@ -348,7 +348,7 @@ def test_a_belt_that_runs_the_other_way_has_the_mirrored_cycle(branch):
     carried = find_limit_cycle(chain, back)
     for cycle, sign in ((back, -1.0), (carried, 1.0)):
         np.testing.assert_allclose(cycle.state, sign * jnp.stack(ahead.state), atol=1e-9)
-        for name in ("period", "multipliers", "amplitude", "fastest", "closeness"):
+        for name in ("period", "multipliers", "amplitude", "fastest", "scaled_peak_velocity"):
             np.testing.assert_allclose(getattr(cycle, name), getattr(ahead, name), atol=1e-8)
 
 
@@ -369,12 +369,12 @@ def test_bad_input_is_named(slip):
         ({"chain": None}, "`chain` must be a `Chain`"),
         ({"guess": 3.0}, "`guess` must be the pair"),
         ({"guess": (state, -1.0)}, "`period` must be positive"),
-        ({"vibrating": 2}, "`vibrating` must be an integer in 0 ... 0"),
+        ({"mass": 2}, "`mass` must be an integer in 0 ... 0"),
         ({"branch": "upper"}, "`branch` must be"),
         ({"rtol": 0.0}, "`rtol`"),
         ({"tolerance": -1.0}, "`tolerance`"),
         ({"max_steps": 0}, "`max_steps`"),
-        ({"guess": (state, 6.0), "vibrating": 0, "images": (1,)}, "`images` must name"),
+        ({"guess": (state, 6.0), "mass": 0, "images": (1,)}, "`images` must name"),
         ({"guess": (jnp.ones(3), jnp.ones(3))}, r"shape \(1,\)"),
     ]:
         with pytest.raises(ValueError, match=words):

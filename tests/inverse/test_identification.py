@@ -160,7 +160,7 @@ def test_bad_measurements_are_named(arguments, message):
         ({"steps": None}, "`steps` must be an integer"),
         ({"start": ()}, "`start` must hold"),
         ({"start": jnp.array([np.nan])}, "`start` must be finite"),
-        ({"vibrating": 3}, "`vibrating` must be an integer in 0"),
+        ({"mass": 3}, "`mass` must be an integer in 0"),
     ],
 )
 def test_bad_input_is_named(options, message):

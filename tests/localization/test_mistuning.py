@@ -15,7 +15,7 @@ from jaxchain.localization.mistuning import (
     mistuned_stiffness,
 )
 from jaxchain.observers.quantities import participation_ratio
-from jaxchain.sweeps.lanes import own_chain
+from jaxchain.sweeps.lanes import chain_of_run
 
 
 def test_participation_ratio_in_closed_form():
@@ -240,10 +240,10 @@ def test_a_varied_lane_is_the_run_of_its_chain(thousand):
 
 def test_the_chain_of_a_lane_has_its_own_numbers_first_and_is_varied_then():
     values = {"seed": jnp.asarray(3), "disorder": 0.1, "belt_speed": 1.2, "excited": 2}
-    chain = own_chain(paper_chain(4), mistuned_chain, values | {"stiffness": 2.0})
+    chain = chain_of_run(paper_chain(4), mistuned_chain, values | {"stiffness": 2.0})
     assert float(chain.belt_speed) == 1.2
     np.testing.assert_array_equal(chain.stiffness, 2.0 * mistuned_stiffness(3, 4, 0.1))
-    assert own_chain(chain, None, {"excited": 2}) is chain
+    assert chain_of_run(chain, None, {"excited": 2}) is chain
 
 
 @pytest.mark.parametrize(

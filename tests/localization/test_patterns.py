@@ -201,7 +201,7 @@ def test_cycles_of_the_whole_chain_lie_near_locked_patterns(real):
     chain = real.chain
     for pattern in locked_patterns(real, 2):
         state, period = pattern_guess(real, pattern.phases)
-        cycle = find_limit_cycle(chain, state, period=period, vibrating=2)
+        cycle = find_limit_cycle(chain, state, period=period, mass=2)
         assert float(cycle.period) == pytest.approx(float(period), abs=3e-3)
         np.testing.assert_allclose(cycle.state[0], state[0], atol=0.08)
         growth = float(jnp.log(jnp.abs(cycle.multipliers)).max() / cycle.period)

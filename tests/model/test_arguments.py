@@ -35,7 +35,7 @@ def test_what_is_good_is_handed_on():
         (lambda: as_state(CHAIN, (jnp.ones(3), jnp.full(3, jnp.nan))), "velocity` must be finite"),
         (lambda: as_mass(3, 3), r"in 0 ... 2, but is 3: it is the index of a mass"),
         (lambda: as_mass(3, True), "but is True"),
-        (lambda: as_images((1, 1, 2), 3, 0), r"mass 0 \(`vibrating`\) among them"),
+        (lambda: as_images((1, 1, 2), 3, 0), r"mass 0 \(`mass`\) among them"),
         (lambda: as_images((0, 1), 3, 0), "for each of 3 masses"),
         (lambda: as_images((1, 2, 2), 3, 2), "`images` must name"),
     ],

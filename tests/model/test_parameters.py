@@ -130,7 +130,7 @@ def test_the_load_is_one_where_none_is_given():
     assert float(Chain(N, TanhFriction(law, 0.1), 1.0).load) == 1.0
     chain = Chain(N, TanhFriction(law, 0.1), 1.0, normal_load=loads)
     assert chain.load is chain.normal_load
-    assert chain.greatest_hold().tolist() == [0.0, 0.5, 1.0]
+    assert chain.static_limit().tolist() == [0.0, 0.5, 1.0]
 
 
 def test_no_jax_is_needed():

@@ -55,7 +55,7 @@ def made_up(*pictures: str) -> xr.Dataset:
         },
         coords={"excited": [1, 2, 3], "oscillator": np.arange(1, 7)},
         attrs={
-            "definition": json.dumps(definition), "model": "nonsmooth",
+            "definition": json.dumps(definition), "model": "dry",
             "parameters": parameters_of(paper_chain(6, SPEED), 6, ()),
         },
     )  # fmt: skip
@@ -90,7 +90,7 @@ def test_the_spread_follows_a_phase_that_slips():
 
 def test_circles_have_radii_in_proportion_to_amplitudes():
     data = made_up("circles")
-    axes: Any = figure({"states": data, "states_nonsmooth": data}).axes[0]
+    axes: Any = figure({"states": data, "states_dry": data}).axes[0]
     quiet, alive, dry = axes.collections
     np.testing.assert_allclose(alive.get_widths()[0] / quiet.get_widths()[0], 16.0, rtol=1e-12)
     places = alive.get_offsets()

@@ -76,9 +76,9 @@ def _hopf() -> Iterator[Row]:
 
 
 def _fold() -> Iterator[Row]:
-    chain, bad = {"chain": CHAIN}, {"chain": A_CHAIN, "vibrating": VIBRATING}
+    chain, bad = {"chain": CHAIN}, {"chain": A_CHAIN, "mass": VIBRATING}
     for name in (
-        "fold_belt_speed", "find_grazing", "nonsmooth_fold_belt_speed", "bistable_range",
+        "fold_belt_speed", "find_grazing", "dry_fold_belt_speed", "bistable_range",
         "fold_boundary", "hopf_and_fold", "find_fold",
     ):  # fmt: skip
         yield Row(name, getattr(boundaries, name), chain, bad)
@@ -98,7 +98,7 @@ def _fold() -> Iterator[Row]:
         "fold_belt_speeds", boundaries.fold_belt_speeds,
         {"chain": CHAIN, "over": {"width": [1e-2]}}, {**bad, "over": over, "progress": FLAG},
     )  # fmt: skip
-    yield Row("fold_in_the_limit", boundaries.fold_in_the_limit, chain, {**bad, "widths": WIDTHS})
+    yield Row("extrapolated_fold", boundaries.extrapolated_fold, chain, {**bad, "widths": WIDTHS})
     yield Row(
         "extrapolate", boundaries.extrapolate,
         {"values": jnp.ones(4), "widths": jnp.arange(1.0, 5.0)},
@@ -131,7 +131,7 @@ def _inverse() -> Iterator[Row]:
     )
     bad = {"hopf": one, "fold": one, "amplitudes": many, "displacements": many}
     yield Row("Measurements", Measurements, {}, bad)
-    bad = {"chain": A_CHAIN, "vibrating": VIBRATING}
+    bad = {"chain": A_CHAIN, "mass": VIBRATING}
     readings = {"measurements": (None, "x", {}, Measurements)}
     good = {"chain": DRY, "measurements": Measurements(hopf=(1.0, 0.1))}
     yield Row("predict", inverse.predict, good, {**bad, **readings})

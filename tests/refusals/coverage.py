@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 import jaxchain
 
 RESULT = "what a function returns; no caller makes one"
-BASE = "a base class, for subclasses: tests/test_own_laws.py, test_local_force.py, test_base.py"
+BASE = "a base class, for subclasses: tests/test_custom_laws.py, test_local_force.py, test_base.py"
 NO_ARGUMENT = "takes no argument"
 RECORD = "holds whatever it is given: no check, no meaning of its own"
 # Rooms whose input are files: their own tests have broken ones.
@@ -18,7 +18,7 @@ NOT_TRIED = {
         (
             "Result", "SearchResult", "Simulation", "Numerics", "GeneralisedHopf",
             "BistableRange", "FoldDescent", "HopfDescent", "Fold", "Grazing", "HopfPoints",
-            "Boundaries", "OneMassBranch", "Extrapolated", "FoldBoundary", "Evidence", "Verdict",
+            "Boundaries", "OneMassBranch", "Extrapolation", "FoldBoundary", "Evidence", "Verdict",
             "LyapunovSpectrum", "Branch", "SpecialPoint", "FoldPoint", "CycleBranch",
             "ClosedOrbit", "LimitCycle", "CyclePoint", "Identification", "Design", "Depinning",
             "FrontSpeed", "LinearModes", "LockedPattern", "PhaseModel", "LocalSlopes", "Step",

@@ -220,7 +220,7 @@ def _runs() -> Iterator[Refusal]:
     """Found out on the way."""
     failure = (RuntimeError,)
     chain, start = _small()
-    models = {"smoothed": None, "nonsmooth": EventDriven()}
+    models = {"smoothed": None, "dry": EventDriven()}
     for model, solver in models.items():
         spent = partial(simulate, chain, start, 50.0, max_steps=20, solver=solver)
         yield Refusal(f"max_steps used up, {model}", "max_steps_reached", [spent], failure)

@@ -110,7 +110,7 @@ def _initial_states() -> Iterator[Row]:
     bad = {"chain": A_CHAIN, "excited": excited, "block": WORD}
     yield Row("equation_8", model.equation_8, good, bad)
     yield Row("equation_10", model.equation_10, good, {**bad, "reading": WORD})
-    masses = {"chain": A_CHAIN, "vibrating": (*optional(INDEX), 3)}
+    masses = {"chain": A_CHAIN, "mass": (*optional(INDEX), 3)}
     yield Row("on_the_belt", model.on_the_belt, {"chain": CHAIN}, masses)
     mass = {"chain": A_CHAIN, "mass": (*INDEX, 3)}
     yield Row("release_state", model.release_state, {"chain": CHAIN, "mass": 0}, mass)

@@ -111,7 +111,7 @@ def _cycles() -> Iterator[Row]:
     yield Row(
         "find_limit_cycle", cycles.find_limit_cycle, {"chain": CHAIN},
         {
-            "chain": A_CHAIN, "guess": optional(states(3)), "vibrating": VIBRATING,
+            "chain": A_CHAIN, "guess": optional(states(3)), "mass": VIBRATING,
             "branch": WORD, "images": IMAGES, "rtol": (*POSITIVE, 2.0), "tolerance": POSITIVE,
             "max_steps": optional(COUNT), "throw": FLAG, "period": (6.0, "x"),
         },
@@ -129,7 +129,7 @@ def _cycles() -> Iterator[Row]:
         {
             **STEPS, **FOLLOWED, **of_orbit, "parameter": WORD,
             "direction": tuple(value for value in DIRECTION), "bounds": BOUNDS,
-            "vibrating": VIBRATING, "images": IMAGES, "max_points": optional(COUNT),
+            "mass": VIBRATING, "images": IMAGES, "max_points": optional(COUNT),
             "tolerance": POSITIVE,
         },
     )  # fmt: skip
@@ -158,7 +158,7 @@ def _cycles() -> Iterator[Row]:
     yield Row(
         "guess_from_simulation", cycles.guess_from_simulation, {"chain": CHAIN, "state": STATE},
         {
-            "chain": A_CHAIN, "state": states(3), "vibrating": VIBRATING,
+            "chain": A_CHAIN, "state": states(3), "mass": VIBRATING,
             "transient": NONNEGATIVE, "duration": POSITIVE,
         },
     )  # fmt: skip

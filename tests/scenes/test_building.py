@@ -51,7 +51,7 @@ SCENE = """
 title = "A test"
 
 [experiment.pair]
-chain = { n = 2, damping_ratio = 0.05, friction = { law = "own", mu_static = 1.0, decay = 0.5, \
+chain = { n = 2, damping_ratio = 0.05, friction = { law = "custom", mu_static = 1.0, decay = 0.5, \
 width = 1e-2 } }
 initial = { kind = "equation_8" }
 sweep = { belt_speed = [1.0], excited = [2], decay = [0.4, 0.5] }
@@ -161,7 +161,10 @@ def test_the_command_runs_a_scene_with_it(laws, scene, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "problem"),
     [
-        ([], 'chain.friction.law: is "own", so the law must be named on the command line: --law'),
+        (
+            [],
+            'chain.friction.law: is "custom", so the law must be named on the command line: --law',
+        ),
         (["--law", "{}:Linear"], "experiment.pair: Friction law `Linear` is negative at the"),
         (
             ["--law", "{}:Half"],
@@ -211,7 +214,7 @@ initial = { kind = "excited", excited = 1, displacement = 0.0, velocity = 3.0 }
 sweep = { belt_speed = [1.0, 2.0] }
 time = { transient = 0.5, window = 6.5 }
 """
-NAMED = 'observe = {{ others = [{{ observer = "own", name = "Overtaking", {} }}] }}\n'
+NAMED = 'observe = {{ others = [{{ observer = "custom", name = "Overtaking", {} }}] }}\n'
 
 
 @pytest.fixture
@@ -286,7 +289,7 @@ def test_every_solver_and_law_of_a_scene_exists():
         assert (build_solver(name, paper_chain(), 1e-6, 0.5) is None) == (name == "auto")
     # A table has points instead of numbers, and a law of one's own whatever numbers it takes.
     options = {tags(law)[0]: law for law in get_args(get_args(tables.FrictionTable)[0])}
-    assert set(options) == {*LAWS, "tabulated", "own"}
+    assert set(options) == {*LAWS, "tabulated", "custom"}
     for name, law in LAWS.items():
         assert set(options[name].model_fields) - {"law", "width"} == set(law.__dataclass_fields__)
 

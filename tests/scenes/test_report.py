@@ -151,7 +151,7 @@ def test_a_page_that_cannot_be_written_costs_nothing(tmp_path, made_up_sweep):
     loaded = load_scene(str(tmp_path / "mine.toml"))
     with pytest.warns(UserWarning, match=r"cannot write .*report.html: Is a directory"):
         found = run_scene(loaded, tmp_path / "out", plot=False, report=lambda text: None)
-    assert list(found) == ["ladder", "ladder_nonsmooth"]
+    assert list(found) == ["ladder", "ladder_dry"]
 
 
 def test_a_summary_names_the_speeds_that_vibrate_and_five_failures():

@@ -58,13 +58,13 @@ def both(tmp_path_factory):
 
 def test_both_models_share_a_file(both):
     folder, data, reports = both
-    assert list(data) == ["ladder", "ladder_nonsmooth"]
+    assert list(data) == ["ladder", "ladder_dry"]
     saved = stored(folder / "three")
     assert saved.keys() == data.keys()
     smoothed, dry = saved.values()
     assert smoothed.attrs["model"] == "smoothed"
     assert smoothed["amplitude"].dims == ("belt_speed", "excited", "oscillator")
-    assert dry.attrs["model"] == "nonsmooth"
+    assert dry.attrs["model"] == "dry"
     assert "EventDriven" in dry.attrs["solver"]
     assert len(reports) == 2
 
@@ -72,7 +72,7 @@ def test_both_models_share_a_file(both):
 def test_the_two_differ_by_the_width_and_by_no_more(both):
     """Relative amplitudes of the vibrating masses, at a width of 1e-2."""
     _, data, _ = both
-    smoothed, dry = data["ladder"], data["ladder_nonsmooth"]
+    smoothed, dry = data["ladder"], data["ladder_dry"]
     assert np.array_equal(smoothed["active_count"], dry["active_count"])
     vibrates = smoothed["amplitude"].values > 1.0
     ratio = smoothed["amplitude"].values[vibrates] / dry["amplitude"].values[vibrates]
@@ -88,7 +88,7 @@ def test_the_truth_is_drawn_around_the_points_of_its_own_panel(both):
     labels = [text.get_text() for text in legend.get_texts()]
     assert "true dry friction" in labels
     ring = next(a for a in page.axes[0].lines if a.get_label() == "true dry friction")
-    heights = data["ladder_nonsmooth"]["energy"].values.ravel()
+    heights = data["ladder_dry"]["energy"].values.ravel()
     np.testing.assert_allclose(np.sort(ring.get_ydata()), np.sort(heights))
     assert len([axes for axes in page.axes if axes.get_ylabel()]) <= 2  # a panel, a colour bar
 
@@ -96,19 +96,19 @@ def test_the_truth_is_drawn_around_the_points_of_its_own_panel(both):
 def test_true_dry_friction_alone_goes_by_the_name_of_the_experiment(tmp_path, monkeypatch):
     # Cycles are looked for with smoothed friction only.
     monkeypatch.setattr(running, "cycles", lambda *of: pytest.fail("asked for cycles"))
-    data = run_scene(scene(tmp_path, "nonsmooth"), tmp_path, plot=False, report=lambda text: None)
+    data = run_scene(scene(tmp_path, "dry"), tmp_path, plot=False, report=lambda text: None)
     assert list(data) == ["ladder"]
-    assert data["ladder"].attrs["model"] == "nonsmooth"
+    assert data["ladder"].attrs["model"] == "dry"
 
 
 @pytest.mark.long
 def test_the_width_has_no_part_in_true_dry_friction(tmp_path):
-    scene(tmp_path, "nonsmooth")
+    scene(tmp_path, "dry")
     found = []
     for width in (1e-2, 1e-6):
         change = f"experiment.ladder.chain.friction.width={width}"
         loaded = load_scene(str(tmp_path / "three.toml"), [change])
-        found.append(run_experiment(loaded.scene.experiment["ladder"], model="nonsmooth"))
+        found.append(run_experiment(loaded.scene.experiment["ladder"], model="dry"))
     assert np.array_equal(found[0]["amplitude"], found[1]["amplitude"])
 
 
@@ -154,7 +154,7 @@ def test_a_few_belt_speeds_have_no_branch(tmp_path):
 
 @pytest.mark.long
 def test_dry_friction_has_no_branch(tmp_path):
-    loaded = one_oscillator(tmp_path, 10, "nonsmooth")
+    loaded = one_oscillator(tmp_path, 10, "dry")
     data = run_scene(loaded, tmp_path, plot=False, report=lambda text: None)
     assert list(data) == ["ladder"]
 
@@ -209,7 +209,7 @@ observe = { quantities = ["energy"], others = [
 
 @pytest.mark.long
 def test_a_scene_has_what_all_observers_saw(tmp_path):
-    loaded = scene(tmp_path, "nonsmooth", OTHERS)
+    loaded = scene(tmp_path, "dry", OTHERS)
     assert len(build_observers(loaded.scene.experiment["ladder"].observe, 20.0)) == 9
     data = run_scene(loaded, tmp_path, plot=False, report=str)
     found = data["ladder"].sel(excited=1, belt_speed=1.4)
@@ -245,9 +245,9 @@ def test_every_built_in_scene_comes_back_as_it_was(name, tmp_path):
 
 def test_a_law_and_observers_of_ones_own_are_named_in_the_file(tmp_path):
     loaded = scene(tmp_path, "smoothed")
-    custom = again(tmp_path / "own", loaded, own_law=True, own_observers=["Mine"]).scene
+    custom = again(tmp_path / "own", loaded, custom_law=True, custom_observers=["Mine"]).scene
     experiment = custom.experiment["ladder"]
-    assert experiment.chain.friction.law == "own"
+    assert experiment.chain.friction.law == "custom"
     assert experiment.friction_numbers() == ("mu_static", "mu_dynamic", "v_ref", "width")
     others = experiment.model_dump()["observe"]["others"]
     assert [other["name"] for other in others] == ["Mine"]

@@ -126,7 +126,7 @@ observe.repeats=1000000000000000000000000000000 -> observe.repeats: must be at m
 observe.others=[{}] -> observe.others[0].observer: must be one of "StickTime", "PeakTi
 observe.others=[{observer="Sticktime"}] -> observe.others[0].observer: must be one of
 observe.others=[{observer="PeakTimes",start=1,capacty=2}] -> observe.others[0].capacty: is not a k
-numerics.model=rough -> numerics.model: must be 'smoothed', 'nonsmooth' or 'both', but
+numerics.model=rough -> numerics.model: must be 'smoothed', 'dry' or 'both', but
 numerics.solver=tsit5 -> numerics.solver: must be 'auto', 'Rodas4'
 numerics.rtol=1 -> numerics.rtol: must be less than 1, but is 1
 numerics.rtol=1e-300 -> numerics.rtol: must be at least 1e-15, but is
@@ -160,8 +160,8 @@ chain.friction={law="tabulated",file=3,width=1} -> chain.friction.file: must be 
 chain.friction={law="tabulated",file="mu.csv",speed=[0,1],width=1} -> chain.friction: must have ei
 chain.friction={law="tabulated",speed=[0.1,1],mu=[1,0.5],width=1} -> chain.friction: the first spe
 chain.friction={law="tabulated",speed=[0,1],mu=[1,0.5]} -> chain.friction.width: is miss
-chain.friction={law="own",width=1,mu_static="x"} -> chain.friction.mu_static: must be a
-chain.friction={law="own",width=1,stiffness=2} -> chain.friction: cannot have the key `
+chain.friction={law="custom",width=1,mu_static="x"} -> chain.friction.mu_static: must be a
+chain.friction={law="custom",width=1,stiffness=2} -> chain.friction: cannot have the key `
 chain.friction={law="gaussian_stribeck",width=1,mu_static=1,mu_dynamic=0.5,v_ref=1} -> chain.frict
 chain.friction={law="coulomb",mu_static=1} -> chain.friction.mu_static: is not a known
 """
@@ -200,7 +200,7 @@ def test_a_table_of_friction_is_read_beside_the_scene_and_kept_with_its_results(
 
 
 def test_the_numbers_of_a_law_of_ones_own_have_any_names_and_can_be_swept(scene_file):
-    law = f'{PAIR}chain.friction={{law="own",width=0.1,slope=2}}'
+    law = f'{PAIR}chain.friction={{law="custom",width=0.1,slope=2}}'
     loaded = load_scene(scene_file, [law, PAIR + "sweep.slope=[1, 2]"])
     experiment = loaded.scene.experiment["pair"]
     assert experiment.friction_numbers() == ("slope", "width")
@@ -290,7 +290,7 @@ def test_experiments_have_names_of_groups_that_do_not_meet(scene_file):
         error_of(scene_file, "experiment./a/b={}")
     )
     table = SCENE.partition("[experiment.pair]")[2]
-    for ending, message in (("nonsmooth", "runs of the other model"), ("cycles", "cycles")):
+    for ending, message in (("dry", "runs of the other model"), ("cycles", "cycles")):
         second = table.replace("[experiment.pair.", f"[experiment.pair_{ending}.")
         text = f"{SCENE}[experiment.pair_{ending}]{second}"
         Path(scene_file).write_text(text, encoding="utf-8")
@@ -300,7 +300,7 @@ def test_experiments_have_names_of_groups_that_do_not_meet(scene_file):
 def test_the_groups_of_a_scene_are_its_experiments_with_each_model(scene_file):
     both = load_scene(scene_file, [PAIR + "numerics.model=both"]).scene
     assert [(g.name, g.of, g.model) for g in both.groups()] == [
-        ("pair", "pair", "smoothed"), ("pair_nonsmooth", "pair", "nonsmooth"),
+        ("pair", "pair", "smoothed"), ("pair_dry", "pair", "dry"),
     ]  # fmt: skip
 
 

@@ -316,7 +316,7 @@ def test_the_derivative_in_an_end_that_falls_together_with_an_event(derivative, 
     """At r = -p mu_st the belt, which has carried the mass from x0, lets it go at the end."""
     chain = paper_chain(1, 1.2, width=None)
     x0 = 0.1
-    release = float(chain.greatest_hold() - 2.0 * chain.damping_ratio * chain.belt_speed)
+    release = float(chain.static_limit() - 2.0 * chain.damping_ratio * chain.belt_speed)
     t1 = (release - x0) / 1.2
     t1 += ulps * np.spacing(t1)
 

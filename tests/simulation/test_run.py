@@ -206,7 +206,7 @@ def test_without_64_bits_there_is_a_clear_error():
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("solver", [None, EventDriven()], ids=["smoothed", "nonsmooth"])
+@pytest.mark.parametrize("solver", [None, EventDriven()], ids=["smoothed", "dry"])
 def test_a_traced_end_that_is_no_time_after_the_start_is_a_failure(solver):
     chain = paper_chain(1)
 

@@ -13,7 +13,7 @@ pytestmark = pytest.mark.site
 PHONE = {"width": 360, "height": 740}
 # A newcomer's questions: what is typed into the search, where the answer stands, and words of it.
 QUESTIONS = [
-    ("own friction law", "guides/own_friction_law", "AbstractFrictionLaw"),
+    ("own friction law", "guides/custom_friction_law", "AbstractFrictionLaw"),
     ("active_count", "guides/reading_results", "how many masses vibrate"),
     ("NaN lanes", "guides/failures", "NaN"),
     ("resume", "guides/large_sweeps", "jaxchain resume"),

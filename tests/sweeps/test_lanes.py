@@ -14,7 +14,7 @@ import pytest
 
 from jaxchain import Amplitude, equation_8, paper_chain, sweep
 from jaxchain.localization import mistuned_chain
-from jaxchain.sweeps.lanes import Starts, own_chain
+from jaxchain.sweeps.lanes import RunStarts, chain_of_run
 from jaxchain.sweeps.programs import KEPT_STARTS, program, start_program, starts_on
 
 CHAIN = paper_chain(2, belt_speed=1.4, width=0.1)
@@ -77,7 +77,7 @@ def test_the_programs_of_few_functions_are_kept():
 
         alive.append(weakref.ref(initial))
         values = {"k": jnp.arange(2.0)}
-        return starts_on(jax.devices()[0], Starts(CHAIN, initial), values).state[0]
+        return starts_on(jax.devices()[0], RunStarts(CHAIN, initial), values).state[0]
 
     for factor in range(1, KEPT_STARTS + 4):
         assert start(factor).tolist() == [[0.0] * 2, [factor] * 2]
@@ -102,14 +102,14 @@ def test_what_vary_leaves_as_it_is_stays_one_number_for_all_lanes(vary, new):
     """A number that every lane has to itself costs time."""
     chain = paper_chain(4, width=None)
     jobs = {"u": np.array([1, 2]), "damping_ratio": np.array([0.05, 0.06])}
-    starts = Starts(chain, equation_8(chain, 1), vary)
+    starts = RunStarts(chain, equation_8(chain, 1), vary)
     varied = starts.varied({name: jnp.asarray(values[0]) for name, values in jobs.items()})
     assert varied is not None
     assert varied.sources.count(None) == new
     row = {name: jnp.asarray(values[1]) for name, values in jobs.items()}
     start = starts.of(row)
-    made = varied.make(chain.with_(**start.own.numbers), start.own.new)
-    assert eqx.tree_equal(made, own_chain(chain, vary, row))
+    made = varied.make(chain.with_(**start.numbers.numbers), start.numbers.new)
+    assert eqx.tree_equal(made, chain_of_run(chain, vary, row))
 
 
 def test_what_is_no_array_is_none_of_the_data():
@@ -118,11 +118,11 @@ def test_what_is_no_array_is_none_of_the_data():
     def vary(chain, u):
         return eqx.tree_at(lambda c: c.friction.mu_dynamic, chain.with_(mu_static=u), 0.25)
 
-    starts = Starts(chain, equation_8(chain, 1), vary)
+    starts = RunStarts(chain, equation_8(chain, 1), vary)
     one, other = (starts.varied({"u": jnp.asarray(u)}) for u in (1.0, 2.0))
     assert one is not None
     assert hash(one) == hash(other)
     start = starts.of({"u": jnp.asarray(1.5)})
-    friction: Any = one.make(chain, start.own.new).friction
+    friction: Any = one.make(chain, start.numbers.new).friction
     assert (float(friction.mu_static), friction.mu_dynamic) == (1.5, 0.25)
-    assert len(start.own.new) == 1
+    assert len(start.numbers.new) == 1

@@ -111,7 +111,7 @@ def bits(jobs, devices, lanes=4, solver=None):
     "solver",
     [
         pytest.param(None, id="smoothed"),
-        pytest.param(EventDriven(), id="nonsmooth"),
+        pytest.param(EventDriven(), id="dry"),
     ],
 )
 def test_the_same_lanes_give_the_same_bits_for_any_number_of_jobs_and_devices(solver):
@@ -170,7 +170,7 @@ def test_lanes_that_no_memory_holds_are_refused():
     "solver",
     [
         pytest.param(None, id="smoothed"),
-        pytest.param(EventDriven(), id="nonsmooth", marks=pytest.mark.long),
+        pytest.param(EventDriven(), id="dry", marks=pytest.mark.long),
     ],
 )
 def test_of_a_thousand_lanes_one_fails_and_999_do_not_notice(solver):
@@ -201,7 +201,7 @@ def test_of_a_thousand_lanes_one_fails_and_999_do_not_notice(solver):
     "solver",
     [
         pytest.param(None, id="smoothed"),
-        pytest.param(EventDriven(), id="nonsmooth"),
+        pytest.param(EventDriven(), id="dry"),
     ],
 )
 def test_a_lane_takes_as_many_steps_as_it_may_and_no_more(solver):
@@ -305,7 +305,7 @@ def test_labels_know_the_chain_of_their_lane():
     "solver",
     [
         pytest.param(None, id="smoothed"),
-        pytest.param(EventDriven(), id="nonsmooth"),
+        pytest.param(EventDriven(), id="dry"),
     ],
 )
 def test_segments_are_those_of_single_runs(solver):

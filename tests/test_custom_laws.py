@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jaxchain.boundaries.fold import fold_belt_speed
-from jaxchain.boundaries.grazing import nonsmooth_fold_belt_speed
+from jaxchain.boundaries.grazing import dry_fold_belt_speed
 from jaxchain.boundaries.hopf import hopf_belt_speed
 from jaxchain.boundaries.hopf_scan import hopf_points
 from jaxchain.model.chain import Chain, paper_chain
@@ -34,13 +34,13 @@ NUMBERS = {
 }  # fmt: skip
 
 
-def own_chain(n=1, belt_speed=1.0):
+def chain_of_run(n=1, belt_speed=1.0):
     chain = paper_chain(n, belt_speed)
     return chain.with_(friction=TanhFriction(Own(1.0, 0.5, 0.5), 1e-3))
 
 
 def pair(n=1, belt_speed=1.0):
-    return own_chain(n, belt_speed), paper_chain(n, belt_speed)
+    return chain_of_run(n, belt_speed), paper_chain(n, belt_speed)
 
 
 def agree(one, other, bound=1e-10):
@@ -52,7 +52,7 @@ def agree(one, other, bound=1e-10):
     "boundary",
     [
         hopf_belt_speed,
-        pytest.param(nonsmooth_fold_belt_speed, marks=pytest.mark.long),
+        pytest.param(dry_fold_belt_speed, marks=pytest.mark.long),
         pytest.param(fold_belt_speed, marks=pytest.mark.long),
     ],
 )
