@@ -42,6 +42,10 @@ exit status: 0 done, 1 failed, 2 misused, 130 stopped: what had ended is saved
 # The numbers that `boundary` and `basins` take, those of the paper by default.
 _BOUNDARY = ("width", "damping_ratio", "coupling", "mu_static", "mu_dynamic", "v_ref")
 _BASINS = ("width", "damping_ratio", "mu_static", "mu_dynamic", "v_ref", "belt_speed")
+_BOUNDARIES = (
+    *("hopf", "hopf_dry", "hopf_dry_error", "fold", "fold_dry", "fold_dry_error"),
+    *("fold_limit", "fold_limit_error"),
+)
 _NO_HOPF = (
     "steady sliding is stable at every belt speed, or at no high one: friction weakens too little "
     "for the damping, or damping does not exceed 0"
@@ -369,7 +373,7 @@ def _scenes(options: argparse.Namespace) -> None:
 
 def _boundary(options: argparse.Namespace) -> None:
     _configure(options)
-    from .boundaries.ranges import hopf_and_fold
+    from .boundaries.ranges import stability_range
 
     coupling = options.coupling
     if options.n == 1 and coupling is not None:
@@ -380,7 +384,7 @@ def _boundary(options: argparse.Namespace) -> None:
     coupling = 0.01 if coupling is None and options.n > 1 else coupling
     # The belt speed has no part in it.
     chain = _chain(options, options.n, belt_speed=1.0, coupling=coupling)
-    report = _boundary_report(chain, hopf_and_fold(chain))
+    report = _boundary_report(chain, stability_range(chain, error_bars=True))
     print(json.dumps(report) if options.json else _boundary_text(report))
 
 
@@ -388,7 +392,7 @@ def _basins(options: argparse.Namespace) -> None:
     _configure(options)
     from .basins.regions import Box
     from .basins.single_mass import sliding_basin
-    from .boundaries.ranges import hopf_and_fold
+    from .boundaries.ranges import stability_range
 
     chain = _chain(options, 1, belt_speed=options.belt_speed)
     try:
@@ -396,7 +400,7 @@ def _basins(options: argparse.Namespace) -> None:
     except ValueError as error:
         raise _MisusedError(str(error)) from None
     smoothed, dry = (sliding_basin(one, box) for one in (chain, chain.with_(width=None)))
-    report = _basins_report(chain, box, smoothed, dry, hopf_and_fold(chain))
+    report = _basins_report(chain, box, smoothed, dry, stability_range(chain, error_bars=True))
     print(json.dumps(report) if options.json else _basins_text(report))
 
 
@@ -410,7 +414,7 @@ def _boundary_report(chain: Any, boundaries: Any) -> dict[str, Any]:
         "neighbours reach the speed of the belt",
         "fold_limit": "a fold is not found at one of the widths that are extrapolated from",
     }
-    values = {name: value for name, value in vars(boundaries).items() if name != "mass"}
+    values = {name: getattr(boundaries, name) for name in _BOUNDARIES}
     mass = {"vibrating_oscillator": boundaries.mass + 1}  # from 1, as the paper counts
     return _answer(values, reasons, mass, {"n": chain.n, **_parameters(chain, _BOUNDARY)})
 
@@ -431,7 +435,9 @@ def _boundary_text(report: dict[str, Any]) -> str:
     lines = [f"{a:<12} {b:<14} {c:<24} {d}" for a, b, c, d in rows]
     hopf = report["hopf_dry"]
     if hopf is not None and dry is not None and hopf < dry:
-        lines.append(f"From {hopf:.4f} to {dry:.4f} it depends on the start: rest or vibration.")
+        lines.append(
+            f"From {hopf:.4f} to {dry:.4f} it depends on the start: steady sliding or vibration."
+        )
     if fold is not None and dry is not None:
         lines.append(f"The width moves the fold by {100 * (fold / dry - 1.0):+.3g} %.")
     return "\n".join([*lines, *_reasons(report)])

@@ -327,13 +327,19 @@ def test_scenes_lists_shows_and_describes(workplace, capsys):
 def replace_search(monkeypatch, fold, fold_limit, fold_limit_error):
     """Replaces the search of `jaxchain boundary`; a list of the chains that were asked for."""
     asked = []
-    values = (1.2, 1.2, 1e-12, fold, 1.85, 1e-10, fold_limit, fold_limit_error)
+    names = ("hopf", "fold", "highest", "width", "hopf_dry", "hopf_dry_error", "fold_dry")
+    values = (1.2, fold, fold, 0.0, 1.2, 1e-12, 1.85)
+    speeds = {name: jnp.asarray(value) for name, value in zip(names, values, strict=True)}
+    speeds |= {"fold_dry_error": jnp.asarray(1e-10), "fold_limit": jnp.asarray(fold_limit)}
+    speeds |= {"fold_limit_error": jnp.asarray(fold_limit_error)}
 
-    def search(chain):
+    def search(chain, *, error_bars):
+        assert error_bars
         asked.append(chain)
-        return ranges.Boundaries(*map(jnp.asarray, values), mass=chain.n // 2)
+        mass, result = chain.n // 2, SearchResult.successful
+        return ranges.StabilityRange(result=result, mass=mass, **speeds)
 
-    monkeypatch.setattr(ranges, "hopf_and_fold", search)
+    monkeypatch.setattr(ranges, "stability_range", search)
     return asked
 
 
@@ -384,10 +390,10 @@ def test_in_words_every_boundary_has_its_value_its_limit_and_its_bar(
 
 
 def test_ctrl_c_ends_boundary_without_a_traceback(workplace, monkeypatch, capsys):
-    def stopped(chain):
+    def stopped(chain, **_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(ranges, "hopf_and_fold", stopped)
+    monkeypatch.setattr(ranges, "stability_range", stopped)
     assert main(["boundary"]) == 130
     assert capsys.readouterr() == ("", "jaxchain: interrupted\n")
 

@@ -34,12 +34,6 @@ def cycle(chain, kind="stable"):
     return found.period, found.amplitude, found.energy, jnp.abs(found.multipliers)
 
 
-def orbit(chain):
-    start = jc.simulate(chain, jc.excited_state(chain, 1), 100.0, rtol=1e-9).state
-    found = jc.cycles.close_orbit(chain, start, 6.316)
-    return found.period, jnp.nan_to_num(found.multipliers)
-
-
 def edge(chain):
     starts = (jc.excited_state(chain, 1, amplitude=pull) for pull in (0.5, 2.5))
     how = {"time": 200.0, "near": 1e-8, "far": 1e-6, "tolerance": 1e-7, "rtol": 1e-9}
@@ -123,7 +117,6 @@ LONG = {
         ONE, lambda c: jc.cycles.guess_from_simulation(c, c_start(c), 0, transient=60.0)[1], 1e-3,
     ),
     "guess_from_hopf": (ONE, near_hopf, 1e-8),
-    "close_orbit": (ONE, orbit, 1e-3),
     "edge_state": (ONE, edge, 1e-6),
     "loop": (ONE, motion, 5e-3),
     "fold_belt_speed": (ONE, jc.fold_belt_speed, 1e-3),
@@ -138,9 +131,9 @@ LONG = {
     "find_fold": (ONE, lambda c: jc.boundaries.find_fold(c).period, 1e-3),
     "find_grazing": (ONE, lambda c: jc.boundaries.find_grazing(c).period, 1e-12),
     "extrapolated_fold": (ONE, lambda c: jc.boundaries.extrapolated_fold(c).value, 1e-12),
-    "fold_boundary": (ONE, jc.boundaries.fold_boundary, 1e-3),
-    "hopf_and_fold": (ONE, jc.boundaries.hopf_and_fold, 1e-3),
-    "bistable_range": (ONE, jc.boundaries.bistable_range, 3e-3),
+    "stability_range": (
+        ONE, lambda c: jc.boundaries.stability_range(c, error_bars=True), 3e-3
+    ),
     "try_boundary": (ONE, lambda c: jc.boundaries.try_boundary(c, 1.7, time=50.0), 1e-12),
     "hopf_by_descent": (ONE, lambda c: jc.boundaries.hopf_by_descent(c).belt_speed, 1e-9),
     "generalised_hopf": (
@@ -201,18 +194,15 @@ REFUSED = {
     "sweep width": (
         lambda c: jc.sweep(c, c_start(c), 1.0, over={"width": [0.1]}), "to sweep `width`"
     ),
-    "monodromy_matrix": (lambda c: jc.monodromy_matrix(c, c_start(c), 6.0), "`close_orbit`"),
+    "monodromy_matrix": (lambda c: jc.monodromy_matrix(c, c_start(c), 6.0), "`find_limit_cycle`"),
     "liouville_determinant": (
-        lambda c: jc.cycles.liouville_determinant(c, c_start(c), 6.0), "`close_orbit`"
+        lambda c: jc.cycles.liouville_determinant(c, c_start(c), 6.0), "`find_limit_cycle`"
     ),
     "continue_cycle": (lambda c: jc.continue_cycle(c, c_start(c), 6.0), "one belt speed to"),
     "fold_by_descent": (jc.boundaries.fold_by_descent, "`find_grazing`"),
     "one_mass_branch": (jc.boundaries.one_mass_branch, "sliding_basin`"),
     "phase_model": (
         lambda c: jc.localization.phase_model(jc.paper_chain(4, width=None)), "give it a width"
-    ),
-    "close_orbit": (
-        lambda c: jc.cycles.close_orbit(c, c_start(c), 6.0, solver=jc.Rodas4()), "leave out"
     ),
     "lyapunov_spectrum": (
         lambda c: jc.lyapunov_spectrum(c, c_start(c), 9.0, solver=jc.Rodas4()), "leave out"

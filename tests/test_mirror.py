@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import jaxchain as jc
+from jaxchain.cycles.limit_cycle import refine_orbit
 from jaxchain.localization.patterns import phase_model
 
 COUNT, N = 20, 3
@@ -104,7 +105,7 @@ def cycle(chain, sign):
 
 def dry_orbit(chain, sign):
     state = jc.simulate(chain, start(chain, sign), 200.0, solver=DRY, rtol=1e-9).state
-    orbit = jc.cycles.close_orbit(chain, state, 6.3 / jnp.sqrt(chain.stiffness), solver=DRY)
+    orbit = refine_orbit(chain, state, 6.3 / jnp.sqrt(chain.stiffness), solver=DRY)
     return turned(sign, orbit.state), orbit.period, jnp.abs(orbit.multipliers) > 1e-12
 
 
@@ -155,8 +156,7 @@ SPEEDLESS = {
     "find_fold": lambda chain: arrays(jc.boundaries.find_fold(chain)),
     "find_grazing": lambda chain: arrays(jc.boundaries.find_grazing(chain)),
     "extrapolated_fold": jc.boundaries.extrapolated_fold,
-    "fold_boundary": jc.boundaries.fold_boundary,
-    "bistable_range": lambda chain: jc.boundaries.bistable_range(chain.with_(width=None)),
+    "stability_range": lambda chain: arrays(jc.boundaries.stability_range(chain, error_bars=True)),
     "try_boundary": lambda chain: jc.boundaries.try_boundary(chain, 1.7, time=50.0),
     "hopf_by_descent": lambda chain: jc.boundaries.hopf_by_descent(chain, steps=20).belt_speed,
     "fold_by_descent": lambda chain: jc.boundaries.fold_by_descent(chain, steps=3).belt_speed,
@@ -164,11 +164,11 @@ SPEEDLESS = {
 }
 # Of chains one by one, on the host.
 SINGLE = (
-    "hopf_and_fold", "continue_cycle", "depinning_belt_speed", "equation_8", "equation_10",
+    "continue_cycle", "depinning_belt_speed", "equation_8", "equation_10",
     "find_limit_cycle", "first_lyapunov_coefficient", "front_speed", "generalised_hopf",
     "gentlest_blow",
     "guess_from_hopf", "hopf_points", "identify", "phase_model", "sweep", "verdict", "verdicts",
-    "close_orbit", "fold_belt_speeds", "guess_from_simulation", "liouville_determinant",
+    "fold_belt_speeds", "guess_from_simulation", "liouville_determinant",
     "one_mass_branch", "predict",
     # Their mirror images are in tests/basins.
     "basin_shares", "sliding_share", "sliding_basin", "blow_of_one_mass", "edge_state",

@@ -17,14 +17,10 @@ from .hopf_scan import generalised_hopf as generalised_hopf
 from .hopf_scan import guess_from_hopf as guess_from_hopf
 from .hopf_scan import hopf_points as hopf_points
 from .limit import Extrapolation as Extrapolation
-from .limit import FoldBoundary as FoldBoundary
 from .limit import extrapolate as extrapolate
 from .limit import extrapolated_fold as extrapolated_fold
-from .limit import fold_boundary as fold_boundary
-from .ranges import BistableRange as BistableRange
-from .ranges import Boundaries as Boundaries
-from .ranges import bistable_range as bistable_range
-from .ranges import hopf_and_fold as hopf_and_fold
+from .ranges import StabilityRange as StabilityRange
+from .ranges import stability_range as stability_range
 from .ranges import try_boundary as try_boundary
 from .single_mass import OneMassBranch as OneMassBranch
 from .single_mass import one_mass_branch as one_mass_branch

@@ -27,7 +27,7 @@ from ..continuation.damped_newton import where
 from ..cycles.averaging import dry_summits, one_mass, speed_scale
 from ..model.chain import Chain
 from ..model.initial_states import check_mass
-from ..result import Printed
+from ..result import Printed, SearchResult
 from .fold import fold_speed_and_peak
 from .grazing import dry_fold_belt_speed
 
@@ -51,25 +51,6 @@ class Extrapolation(Printed, eqx.Module):
     value: Float[Array, ""]
     error: Float[Array, ""]
     coefficients: Float[Array, " terms"]
-
-
-@final
-class FoldBoundary(Printed, eqx.Module):
-    """The greatest belt speed at which a vibration survives, and what to think of it.
-
-    - `value`: at the width of the chain, `dry` if it has none;
-    - `limit` and its `error` bar: for width 0, extrapolated from smoothed friction;
-    - `dry`: for dry friction itself, the grazing cycle: a second method for `limit`.
-
-    NaN for what does not exist or was not found.
-
-    See `fold_boundary` for an example.
-    """
-
-    value: Float[Array, ""]
-    limit: Float[Array, ""]
-    error: Float[Array, ""]
-    dry: Float[Array, ""]
 
 
 def extrapolate(
@@ -205,47 +186,30 @@ def extrapolated_fold(chain: Chain, mass: Any = None, widths: Any = None) -> Ext
     return _limit(chain, mass, None if widths is None else check_widths(widths))[0]
 
 
-def fold_boundary(chain: Chain, mass: Any = None) -> FoldBoundary:
-    """The fold at the chain's width, in the limit of width 0 with an error bar, and the dry one.
-
-    **Arguments**, errors and transformations as for `fold_belt_speed`.
-
-    **Returns:** a `FoldBoundary`, in v_d.
-
-    !!! example
-
-        >>> import jax
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import paper_chain
-        >>> from jaxchain.boundaries import fold_boundary
-        >>> found = fold_boundary(paper_chain(n=1, width=1e-2))
-        >>> [round(float(v), 6) for v in (found.value, found.limit, found.dry)]
-        [1.792456, 1.836601, 1.836601]
-    """
-    return _boundary(chain, check_mass(chain, mass))
+def fold_and_limit(chain: Chain, mass: int) -> tuple[Array, SearchResult, Extrapolation, Array]:
+    """(the fold at the chain's width, its result, the limit of width 0, the dry fold)."""
+    dry = dry_fold_belt_speed(chain, mass)
+    limit, folds, results = _limit(chain, mass, width=None if chain.dry else chain.width)
+    if chain.dry:
+        fold, _, result = fold_speed_and_peak(chain, mass)
+        return fold, result, limit, dry
+    return folds[-1], jax.tree.map(lambda leaf: leaf[-1], results), limit, dry
 
 
 @eqx.filter_jit
 def _limit(
     chain: Chain, mass: int, widths: Array | None = None, width: Array | None = None
-) -> tuple[Extrapolation, Array]:
-    """(the limit, the folds it is from and, if it is given, the one at `width`), in one call."""
+) -> tuple[Extrapolation, Array, SearchResult]:
+    """(the limit, the folds and results it is from, the last of them at `width` if given)."""
     alone = one_mass(lax.stop_gradient(chain), mass)
     scale = speed_scale(alone, dry_summits(alone).touching)
     each = widths = scale * jnp.asarray(_WIDTHS) if widths is None else widths
     if width is not None:
         each = jnp.stack([*(jnp.full_like(width, one) for one in widths), width])
 
-    def fold(width: Array) -> tuple[Array, Array]:
-        return fold_speed_and_peak(chain.with_(width=width), mass)[:2]
+    def fold(width: Array) -> tuple[Array, Array, SearchResult]:
+        return fold_speed_and_peak(chain.with_(width=width), mass)
 
-    folds, scaled_peak_velocity = jax.vmap(fold)(each)
+    folds, scaled_peak_velocity, results = jax.vmap(fold)(each)
     limit = _extrapolate(folds[: len(widths)], widths, scale, _ACCURACY)
-    return _unless_free(limit, folds, scaled_peak_velocity, widths), folds
-
-
-@eqx.filter_jit
-def _boundary(chain: Chain, mass: int) -> FoldBoundary:
-    dry = dry_fold_belt_speed(chain, mass)
-    limit, folds = _limit(chain, mass, width=None if chain.dry else chain.width)
-    return FoldBoundary(dry if chain.dry else folds[-1], limit.value, limit.error, dry)
+    return _unless_free(limit, folds, scaled_peak_velocity, widths), folds, results

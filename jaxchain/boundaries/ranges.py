@@ -1,8 +1,8 @@
-"""The range of belt speeds at which a mass slides or vibrates, as it started.
+"""Hopf speed, fold and the bistable range between them.
 
-Just below the Hopf speed, the greatest where there are several, steady sliding is unstable, so
-vibration starts by itself; up to the fold a vibration survives; between the two it depends on the
-start.
+Just below the Hopf speed (the greatest, if there are several) steady sliding is unstable and
+vibration starts by itself.  Up to the fold a vibration survives.  Between the two the start
+decides.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from .._checks import check_positive_number, is_traced, to_float
+from .._checks import check_flag, check_positive_number, is_traced, to_float
 from .._final import final
 from ..model.chain import Chain
 from ..model.initial_states import check_mass, on_the_belt
@@ -25,24 +25,31 @@ from ..simulation.event_driven import EventDriven
 from ..simulation.run import simulate
 from .fold import fold_speed_and_peak
 from .hopf import hopf_belt_speed
-from .limit import fold_boundary
+from .limit import fold_and_limit
 
 _WINDOW = 20.0  # in which amplitudes are taken
 
 
 @final
-class BistableRange(Outcome):
-    """The belt speeds at which a mass may slide or vibrate, depending on its start.
+class StabilityRange(Outcome):
+    """Belt speeds at which vibration sets in and up to which it survives, dimensionless.
 
-    - `hopf`: sliding is stable above it; NaN if it is at every speed.
-    - `fold`: one mass can vibrate up to it; NaN if there is no fold.
-    - `highest`: the greatest speed at which there is vibration at all, max(hopf, fold); 0 if there
-      is none at any speed.
-    - `width`: highest - hopf >= 0; 0 where there is proved to be no fold.
-    - `result`: successful where the fold was found, or there is proved to be none.  Where it is
-      not, it says why the search failed, and `highest` and `width` are NaN.
+    - `hopf`: steady sliding is stable above it; NaN if it is stable at every speed.
+    - `fold`: the vibration of one mass survives up to it; NaN if there is no fold.
+    - `highest`: the greatest speed with vibration, max(hopf, fold); 0 if there is none.
+    - `width`: highest - hopf >= 0, the bistable range; 0 if it is proved that there is no fold.
+    - `result`: successful if the fold was found or is proved not to exist; otherwise it gives the
+      reason, and `highest` and `width` are NaN.
+    - `mass`: index of the mass that vibrates.
 
-    See `bistable_range` for an example.
+    With `error_bars=True` also the following, which are None without:
+
+    - `hopf_dry`, `fold_dry`: the values for dry friction.  The fold is that of the grazing cycle,
+      or extrapolated where that is not found.
+    - `fold_limit`: the fold extrapolated from smoothed friction to width 0, a second method.
+    - `hopf_dry_error`, `fold_dry_error`, `fold_limit_error`: bars, |value - truth| <= bar.
+
+    See `stability_range` for an example.
     """
 
     hopf: Float[Array, ""]
@@ -50,39 +57,75 @@ class BistableRange(Outcome):
     highest: Float[Array, ""]
     width: Float[Array, ""]
     result: SearchResult
+    mass: int = eqx.field(static=True)
+    hopf_dry: Float[Array, ""] | None = None
+    hopf_dry_error: Float[Array, ""] | None = None
+    fold_dry: Float[Array, ""] | None = None
+    fold_dry_error: Float[Array, ""] | None = None
+    fold_limit: Float[Array, ""] | None = None
+    fold_limit_error: Float[Array, ""] | None = None
 
 
-def bistable_range(chain: Chain, mass: Any = None) -> BistableRange:
-    """Hopf and fold of one vibrating mass, and what lies between, dimensionless.
+def stability_range(chain: Chain, mass: Any = None, *, error_bars: Any = False) -> StabilityRange:
+    """Hopf speed, fold and the bistable range between them, for one vibrating mass.
 
-    **Arguments:** `chain`, dry or smoothed, whose own belt speed has no part in it; `mass`,
-    the index of the mass, as in `fold_belt_speed`.
+    **Arguments:**
 
-    Where damping outweighs the weakening of friction there is no fold, which is no failure: the
-    width is 0.  Where the fold is not found the width is NaN, and `result` says why.  Works under
-    `jit`, `vmap`, `jvp`, and, where there is a fold, `grad`.
+    - `chain`: dry or smoothed; its `belt_speed` is ignored.
+    - `mass`: index of the mass, by default n // 2.
+    - `error_bars`: also compute both speeds for dry friction, by two methods, with error bars.
+      This takes about ten times as long.
 
-    **Returns:** a `BistableRange`, in v_d.
+    The bar of the dry fold is that of the direct method; if the extrapolation contradicts it, the
+    bar is the difference of the two.  If damping outweighs the weakening of friction, there is no
+    fold; this is a success, with width 0.
 
-    **Raises:** `ValueError` for anything but a `Chain`, or a mass that it does not have.
+    **Returns:** a `StabilityRange`, in v_d.  Works under `jit`, `vmap`, `jvp`, and, where there is
+    a fold, `grad`.
+
+    **Raises:** `ValueError` unless `chain` is a `Chain` that has this mass.
 
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
     >>> from jaxchain import paper_chain
-    >>> from jaxchain.boundaries import bistable_range
-    >>> both = bistable_range(paper_chain(n=1, width=None))
-    >>> round(float(both.hopf), 6), round(float(both.fold), 6), round(float(both.width), 6)
+    >>> from jaxchain.boundaries import stability_range
+    >>> speeds = stability_range(paper_chain(n=1, width=None))
+    >>> round(float(speeds.hopf), 6), round(float(speeds.fold), 6), round(float(speeds.width), 6)
     (1.151293, 1.836601, 0.685308)
+
+    How far is the fold moved by a width of 0.01?
+
+    >>> speeds = stability_range(paper_chain(n=1, width=1e-2), error_bars=True)
+    >>> round(float(speeds.fold), 6), round(float(speeds.fold_dry), 6)
+    (1.792456, 1.836601)
     """
     mass = check_mass(chain, mass)
-    return _range(chain, mass)
+    check_flag("error_bars", error_bars)
+    return _range(chain, mass, bool(error_bars))
 
 
 @eqx.filter_jit
-def _range(chain: Chain, mass: int) -> BistableRange:
+def _range(chain: Chain, mass: int, error_bars: bool) -> StabilityRange:
     of = SearchResult
-    fold, _, result = fold_speed_and_peak(chain, mass)
     hopf = hopf_belt_speed(chain)
+    if error_bars:
+        fold, result, limit, dry = fold_and_limit(chain, mass)
+        # No second opinion, no contradiction.
+        difference = jnp.nan_to_num(jnp.abs(dry - limit.value))
+        contradicts = difference > jnp.nan_to_num(limit.error)
+        bar = jnp.where(contradicts, difference, 1e-10 * jnp.abs(dry))
+        direct = jnp.isfinite(dry)
+        hopf_dry = hopf if chain.dry else hopf_belt_speed(chain.with_(width=None))
+        bars = {
+            "hopf_dry": hopf_dry,
+            "hopf_dry_error": 1e-12 * hopf_dry,
+            "fold_dry": jnp.where(direct, dry, limit.value),
+            "fold_dry_error": jnp.where(direct, bar, limit.error),
+            "fold_limit": limit.value,
+            "fold_limit_error": limit.error,
+        }
+    else:
+        (fold, _, result), bars = fold_speed_and_peak(chain, mass), {}
     none = result == of.no_fold
     # Masses without damping vibrate at every speed, which has no fold, either.
     damped = jnp.min(chain.damping_ratio) > 0
@@ -90,8 +133,14 @@ def _range(chain: Chain, mass: int) -> BistableRange:
     lowest = jnp.where(jnp.isnan(hopf), 0.0, hopf)
     highest = jnp.where(none, lowest, jnp.maximum(fold, lowest))
     highest = jnp.where(result == of.successful, highest, jnp.nan)
-    return BistableRange(
-        hopf=hopf, fold=fold, highest=highest, width=highest - lowest, result=result
+    return StabilityRange(
+        hopf=hopf,
+        fold=fold,
+        highest=highest,
+        width=highest - lowest,
+        result=result,
+        mass=mass,
+        **bars,
     )
 
 
@@ -181,79 +230,3 @@ def _try(chain: Chain, belt_speed: Array, mass: int, margin: Array, time: Array)
     amplitudes = jax.vmap(amplitude)(speeds)
     vibrates = active(amplitudes, speeds)[:, mass]
     return BoundaryTrial(speeds, amplitudes, vibrates, vibrates[0] & ~vibrates[1])
-
-
-@final
-class Boundaries(Printed, eqx.Module):
-    """Belt speeds, dimensionless; NaN for what does not exist or was not found.
-
-    - `hopf`: above it sliding is stable, just below it is not, at the chain's width;
-      `hopf_dry`: for dry friction.
-    - `fold`: up to it the vibration of one mass survives, at the chain's width.
-    - `fold_dry`: the same for dry friction: found directly, else extrapolated to width 0.
-    - `fold_limit`: extrapolated, a second opinion.
-    - `..._error`: the bars of the values for dry friction.
-
-    See `hopf_and_fold` for an example.
-    """
-
-    hopf: Float[Array, ""]
-    hopf_dry: Float[Array, ""]
-    hopf_dry_error: Float[Array, ""]
-    fold: Float[Array, ""]
-    fold_dry: Float[Array, ""]
-    fold_dry_error: Float[Array, ""]
-    fold_limit: Float[Array, ""]
-    fold_limit_error: Float[Array, ""]
-    mass: int = eqx.field(static=True)
-
-
-def hopf_and_fold(chain: Chain, mass: Any = None) -> Boundaries:
-    """Both boundaries of a chain at its width, for dry friction, and the bars of the latter.
-
-    The bar of the fold is that of the direct method, and more if the extrapolation from smoothed
-    friction contradicts it: by as much as the two differ beyond the bar of the extrapolation.
-
-    **Arguments:** `chain`, whose own `belt_speed` has no part in it; `mass`, the index of the
-    mass whose vibration folds, by default n // 2.
-
-    **Returns:** a `Boundaries`; works under `jit` and `vmap`, and is differentiable as
-    `fold_boundary` is.
-
-    **Raises:** `ValueError` as `fold_belt_speed` does.
-
-    !!! example
-
-        >>> import jax
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import paper_chain
-        >>> from jaxchain.boundaries import hopf_and_fold
-        >>> found = hopf_and_fold(paper_chain(n=1, width=1e-3))
-        >>> round(float(found.hopf), 6), round(float(found.fold), 6)
-        (1.151293, 1.83113)
-        >>> round(float(found.fold_dry), 9)
-        1.836600972
-    """
-    mass = check_mass(chain, mass)
-    return _boundaries(chain, mass)
-
-
-@eqx.filter_jit
-def _boundaries(chain: Chain, mass: int) -> Boundaries:
-    hopf_dry = hopf_belt_speed(chain.with_(width=None))
-    fold = fold_boundary(chain, mass)
-    direct = jnp.isfinite(fold.dry)
-    apart = jnp.nan_to_num(jnp.abs(fold.dry - fold.limit))  # no second opinion, no contradiction
-    contradicts = apart > jnp.nan_to_num(fold.error)
-    bar = jnp.where(contradicts, apart, 1e-10 * jnp.abs(fold.dry))
-    return Boundaries(
-        hopf=hopf_dry if chain.dry else hopf_belt_speed(chain),
-        hopf_dry=hopf_dry,
-        hopf_dry_error=1e-12 * hopf_dry,
-        fold=fold.value,
-        fold_dry=jnp.where(direct, fold.dry, fold.limit),
-        fold_dry_error=jnp.where(direct, bar, fold.error),
-        fold_limit=fold.limit,
-        fold_limit_error=fold.error,
-        mass=mass,
-    )

@@ -27,7 +27,7 @@ from .._checks import (
 from .._final import final
 from .._progress import progress_bar
 from .._statistics import mean_interval
-from ..cycles.limit_cycle import ClosedOrbit, close_orbit
+from ..cycles.limit_cycle import RefinedOrbit, refine_orbit
 from ..model.arguments import as_chain, as_state
 from ..model.chain import Chain
 from ..model.oscillators import AbstractOscillators
@@ -591,7 +591,7 @@ def measure_exponents(
 _NEUTRAL = 10.0
 # Orbits that runs from one state have closed: the reference mass, a point of the section, the
 # orbit.
-Known = list[tuple[int, np.ndarray, ClosedOrbit]]
+Known = list[tuple[int, np.ndarray, RefinedOrbit]]
 
 
 def judge_orbit(
@@ -640,7 +640,7 @@ def judge_orbit(
     orbit = next(near, None)
     if orbit is None:
         start = jnp.asarray(point[:n]), jnp.asarray(point[n:])
-        orbit = close_orbit(
+        orbit = refine_orbit(
             task.chain, start, period, solver=task.solver, rtol=min(task.rtol, 1e-9)
         )
         if not (orbit.gap < criteria.gap * scale and orbit.distance < 4 * criteria.near * scale):
@@ -657,7 +657,7 @@ def judge_orbit(
     return evidence
 
 
-def _enter_orbit(evidence: Evidence, orbit: ClosedOrbit, sits: bool) -> None:
+def _enter_orbit(evidence: Evidence, orbit: RefinedOrbit, sits: bool) -> None:
     period = float(orbit.period)
     # Of an exponent that is not resolved, NaN, it is known below what it lies.
     rates, highest = (np.append(0.0, a) for a in (orbit.exponents, orbit.highest_exponents))

@@ -7,7 +7,5 @@ from .floquet import floquet_multipliers as floquet_multipliers
 from .floquet import liouville_defect as liouville_defect
 from .floquet import liouville_determinant as liouville_determinant
 from .floquet import monodromy_matrix as monodromy_matrix
-from .limit_cycle import ClosedOrbit as ClosedOrbit
-from .limit_cycle import close_orbit as close_orbit
 from .limit_cycle import find_limit_cycle as find_limit_cycle
 from .limit_cycle import guess_from_simulation as guess_from_simulation

@@ -243,9 +243,7 @@ def as_orbit(chain: Any, state: Any, period: Any) -> tuple[Any, Any, Any]:
 def _period(chain: Any, state: Any, period: Any, rtol: Any) -> Period:
     chain, state, period = as_orbit(chain, state, period)
     state = check_orbit(chain, state, period, rtol)
-    require_smoothed(
-        chain, "use `floquet_multipliers(cycle)` or `close_orbit` for its multipliers, or "
-    )
+    require_smoothed(chain, "use `find_limit_cycle` for its multipliers, or ")
     given = 1e-9 if is_traced(rtol) else float(rtol)
     solver = fit_linear_solve(Rodas5P(), chain, given)
     return _linearised(chain, state, to_float(period), to_float(rtol), solver)

@@ -4,7 +4,7 @@ A guess is (state, period) with the state at the greatest velocity of the vibrat
 direction of the belt, where `Shooting` cuts the orbit.  Newton's method solves the equations of
 `cycles/shooting.py`, one linearised integration a step.
 
-With true dry friction the state itself is the unknown (`close_orbit`), and the derivative is that
+With true dry friction the state itself is the unknown (`refine_orbit`), and the derivative is that
 of the event-driven run, with its saltation at sticking and release.
 
 Near a fold the stick-slip cycle and the slip cycle are close to each other: averaging knows of no
@@ -67,7 +67,6 @@ from .floquet import (
     CYCLE_RTOL,
     LEAST_VELOCITY,
     LimitCycle,
-    as_orbit,
     can_be_cycle,
     check_orbit,
     floquet_multipliers,
@@ -75,7 +74,7 @@ from .floquet import (
     liouville_defect,
     multiplier_resolution,
 )
-from .shooting import Shooting, close_orbit_once, greatest_gap
+from .shooting import Shooting, greatest_gap, newton_minimal_period
 from .variational import Along, Period, Returned, Returns
 
 Guess = tuple[State, Array]
@@ -245,7 +244,7 @@ def solve_cycle(
     def closed(now: Iterate) -> Array:
         return greatest_gap(now) <= tolerance
 
-    end = close_orbit_once(
+    end = newton_minimal_period(
         shooting, linearise, start, weights, limit=limit, fine=1e-11, closed=closed
     )
     field, state, period = shooting.unpack(end.u)
@@ -307,7 +306,7 @@ def _residual(unknowns: Float[Array, " m"], equations: Any) -> Float[Array, " m"
 
 
 @final
-class ClosedOrbit(NamedTuple):
+class RefinedOrbit(NamedTuple):
     """A periodic orbit, or the attempt at one.
 
     - `state` and `period`, the least one; `gap`, the greatest component of what is left of the
@@ -321,7 +320,6 @@ class ClosedOrbit(NamedTuple):
     - `defect`: |M f - f| / |f|, what the trivial one's vector misses, and any other may;
       `resolution`: that, or rounding.
 
-    See `close_orbit` for an example.
     """
 
     state: State
@@ -344,14 +342,9 @@ class ClosedOrbit(NamedTuple):
         return jnp.where(jnp.isnan(self.multipliers), below, self.exponents)
 
 
-def close_orbit(
-    chain: Any,
-    state: Any = None,
-    period: Any = None,
-    *,
-    solver: Any = None,
-    rtol: Any = 1e-9,
-) -> ClosedOrbit:
+def refine_orbit(
+    chain: Any, state: State, period: Any, *, solver: Any = None, rtol: Any = 1e-9
+) -> RefinedOrbit:
     """The periodic orbit near a state that nearly comes back after `period`, by Newton's method.
 
     Solves flow(y, T) = y with the correction at right angles to the orbit:
@@ -359,32 +352,11 @@ def close_orbit(
         [[M - 1, f], [f^T, 0]] (dy, dT) = (y - flow(y, T), 0),    f = d flow / dT,
 
     with at most 8 integrations.  A mass that sticks at the start does so afterwards.  An orbit
-    that has come back after a share of `period` (up to 16 times round) is closed again with this
-    share.
-
-    **Arguments:** a `LimitCycle` alone; or a chain, `state` = (x, v), both of shape (n,), and
-    `period` > 0.  `solver` and `rtol` as for `simulate`.
-
-    **Returns:** `ClosedOrbit`; look at its `gap` and `distance` before anything else.  Works
-    under `jit` and `vmap`.
-
-    **Raises:** `ValueError` for bad input.
-
-    !!! example
-
-        >>> import jax, jax.numpy as jnp
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import paper_chain
-        >>> from jaxchain.cycles import close_orbit
-        >>> start = jnp.array([2.2]), jnp.zeros(1)
-        >>> orbit = close_orbit(paper_chain(n=1, belt_speed=1.5, width=None), start, 6.26)
-        >>> bool(orbit.gap < 1e-8), orbit.multipliers.tolist()  # 0: it sticks
-        (True, [0j])
+    that comes back after a fraction of `period` (up to 16 times round) is solved again with that
+    fraction.  Look at `gap` and `distance` first.
     """
-    chain, state, period = as_orbit(chain, state, period)
-    x, v = check_orbit(chain, state, period, rtol)
     equations = _States(chain, rtol, custom_solver(chain, solver))
-    return _close(equations, (x, v), to_float(period))[0]
+    return _close(equations, state, to_float(period))[0]
 
 
 class _States(eqx.Module):
@@ -441,7 +413,7 @@ class _Seen(NamedTuple):
 
 
 @eqx.filter_jit
-def _close(equations: _States, state: State, period: Array) -> tuple[ClosedOrbit, Int[Array, ""]]:
+def _close(equations: _States, state: State, period: Array) -> tuple[RefinedOrbit, Int[Array, ""]]:
     """(the orbit, how many integrations it took)."""
     chain, start = equations.field, equations.pack(state, period)
     n = state[0].shape[0]
@@ -466,7 +438,7 @@ def _close(equations: _States, state: State, period: Array) -> tuple[ClosedOrbit
         # By a share of the size of the orbit.
         return greatest_gap(now) <= 1e-6 * now.aux.returned.farthest
 
-    best = close_orbit_once(
+    best = newton_minimal_period(
         equations, linearise, start, weights, limit=8, fine=1e-13, closed=closed
     )
     failed = jnp.where(jnp.isfinite(best.length), 0.0, jnp.nan)
@@ -480,7 +452,7 @@ def _close(equations: _States, state: State, period: Array) -> tuple[ClosedOrbit
     kept = jnp.arange(2 * n - 1) < 2 * n - 1 - best.aux.sticking
     multipliers = jnp.where(resolved, floquet.multipliers, jnp.nan)
     multipliers = jnp.where(kept | ~jnp.isfinite(floquet.multipliers), multipliers, 0.0)
-    orbit = ClosedOrbit(
+    orbit = RefinedOrbit(
         state=(u[:n], u[n:-1]),
         period=u[-1],
         gap=jnp.where(possible, greatest_gap(best), jnp.inf) + failed,
@@ -678,10 +650,10 @@ def find_limit_cycle(
 
     With smoothed friction unknowns and equations are those of `cycles/shooting.py`, the steps are
     damped by Deuflhard's natural monotonicity test, and one linearised integration gives each
-    Jacobian and, in the end, the monodromy matrix.  With dry friction it is `close_orbit`, from
-    event to event; the orbit is cut where the mass that vibrates is let go by the belt, or is
-    fastest if it never sticks; `images` and `max_steps` have no part in it, and without a guess no
-    belt speed is tried but the one asked for.
+    Jacobian and, in the end, the monodromy matrix.  With dry friction the integration is
+    event-driven and the unknown is the state itself; the orbit is cut where the belt releases the
+    mass that vibrates, or where this mass is fastest if it never sticks; `images` and `max_steps`
+    are ignored, and without a guess only the given belt speed is tried.
 
     **Arguments:**
 

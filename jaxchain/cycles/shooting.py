@@ -210,7 +210,7 @@ class _Round(NamedTuple):
     goes_on: Bool[Array, ""]
 
 
-def close_orbit_once(
+def newton_minimal_period(
     equations: Any,
     linearise: Linearise,
     start: Float[Array, " m"],

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int, PyTree
 from .._checks import check_function, check_positive, check_positive_number, shown, to_float
 from .._final import final
 from ..basins.blows import Blow, gentlest_blow
-from ..boundaries.ranges import BistableRange, bistable_range
+from ..boundaries.ranges import StabilityRange, stability_range
 from ..continuation.damped_newton import where
 from ..continuation.gradient_descent import check_descent, unknowns
 from ..model.chain import Chain
@@ -37,7 +37,7 @@ class Design(Outcome):
     """What `design` found.
 
     - `theta`, `chain`: the design and its chain; `cost` of it.
-    - `range`, its `BistableRange`, or `blow`, its `Blow`, by the aim; the other is None.
+    - `range`, its `StabilityRange`, or `blow`, its `Blow`, by the aim; the other is None.
     - `multiplier`: lambda of grad cost = -lambda grad g, what a further unit of g would cost;
       0 if the aim costs nothing.
     - `angle`: between grad cost and -grad g, in radians, 0 at an optimum; NaN if either vanishes.
@@ -53,7 +53,7 @@ class Design(Outcome):
     theta: PyTree
     chain: Chain
     cost: Float[Array, ""]
-    range: BistableRange | None
+    range: StabilityRange | None
     blow: Blow | None
     multiplier: Float[Array, ""]
     angle: Float[Array, ""]
@@ -74,7 +74,7 @@ class _DesignPoint(eqx.Module):
     cost_slope: Float[Array, " m"]
     g_slope: Float[Array, " m"]
     aim: Float[Array, ""]
-    boundary: BistableRange | Blow
+    boundary: StabilityRange | Blow
 
     def multiplier(self, held: Array, penalty: Array) -> Array:
         return jnp.maximum(0.0, held + penalty * self.g)
@@ -121,7 +121,7 @@ def design(
 
     minimise cost(theta)   subject to   g(theta) = aim(change(chain, theta)) - target <= 0
 
-    where the aim is the `width` of the `bistable_range` or its `highest` speed; or subject to
+    where the aim is the `width` of the `stability_range` or its `highest` speed; or subject to
     target - size <= 0, the size being that of the `gentlest_blow` at the chain's belt speed.  By
     the augmented Lagrangian (Nocedal and Wright, Numerical Optimization, chapter 17) in one
     compiled loop, which evaluates one boundary, or blow, with its derivatives per round.  A design
@@ -139,7 +139,7 @@ def design(
     - `cost(theta)`: by default 1/2 |(theta - start) / scale|^2.
     - `scale`: a change of theta that counts, one number or a pytree as `start`; by default |start|
       and 1 where that is 0.
-    - `mass`: as in `bistable_range`; with `blow_above` the only mass that is hit, by default
+    - `mass`: as in `stability_range`; with `blow_above` the only mass that is hit, by default
       any may be.
     - `optimiser`: an optax transformation without a line search, `optax.adam(0.01)` say, for
       theta in units of `scale`; L-BFGS by default.  Steps that make things worse are shortened.
@@ -220,7 +220,7 @@ class _DesignProblem(eqx.Module):
     def point(self, z: Array) -> _DesignPoint:
         """Forward in every direction at once: the searches within have no reverse."""
 
-        def both(z: Array) -> tuple[Array, tuple[Array, Array, BistableRange | Blow]]:
+        def both(z: Array) -> tuple[Array, tuple[Array, Array, StabilityRange | Blow]]:
             g, aim, boundary = self._aim(self.chain_at(z))
             cost = 0.5 * jnp.sum(z**2)
             if self.cost_function is not None:
@@ -231,7 +231,7 @@ class _DesignProblem(eqx.Module):
         slopes, (values, aim, boundary) = jax.jacfwd(both, has_aux=True)(z)
         return _DesignPoint(z, values[0], values[1], slopes[0], slopes[1], aim, boundary)
 
-    def unknown(self) -> BistableRange | Blow:
+    def unknown(self) -> StabilityRange | Blow:
         """What is known before the first point, in the same shapes."""
         shapes = eqx.filter_eval_shape(lambda z: self._aim(self.chain_at(z))[2], self.start)
 
@@ -242,7 +242,7 @@ class _DesignProblem(eqx.Module):
         nothing = jax.tree.map(blank, shapes)
         return eqx.tree_at(lambda boundary: boundary.result, nothing, SearchResult.nonfinite)
 
-    def _aim(self, chain: Chain) -> tuple[Array, Array, BistableRange | Blow]:
+    def _aim(self, chain: Chain) -> tuple[Array, Array, StabilityRange | Blow]:
         """(g, the speed that it is made of, where that is from); g is NaN if it is not known."""
         if self.name == "blow_above":
             blow = gentlest_blow(chain, self.hit)
@@ -250,7 +250,7 @@ class _DesignProblem(eqx.Module):
             # Without any vibration there is room enough, and nothing to differentiate.
             g = jnp.where(none, -self.target, self.target - jnp.where(none, 0.0, blow.size))
             return jnp.where(none | blow.successful, g, jnp.nan), blow.size, blow
-        boundary = bistable_range(chain, self.mass)
+        boundary = stability_range(chain, self.mass)
         aim = boundary.width if self.name == "width_below" else boundary.highest
         return jnp.where(boundary.successful, aim - self.target, jnp.nan), aim, boundary
 
@@ -329,7 +329,7 @@ def _solve(problem: _DesignProblem, optimiser: Any, steps: int, tolerance: Array
         theta=problem.unravel(problem.theta(best.z)),
         chain=problem.chain_at(best.z),
         cost=best.cost,
-        range=best.boundary if isinstance(best.boundary, BistableRange) else None,
+        range=best.boundary if isinstance(best.boundary, StabilityRange) else None,
         blow=best.boundary if isinstance(best.boundary, Blow) else None,
         multiplier=best.multiplier(last.held, last.penalty),
         angle=_angle(best.cost_slope, -best.g_slope),

@@ -11,7 +11,7 @@ from scipy.optimize import brentq, fsolve
 from jaxchain import paper_chain
 from jaxchain.boundaries import find_fold
 from jaxchain.boundaries.hopf_scan import generalised_hopf
-from jaxchain.boundaries.ranges import hopf_and_fold
+from jaxchain.boundaries.ranges import stability_range
 from jaxchain.boundaries.single_mass import one_mass_branch
 
 WIDTH = 1e-2
@@ -21,7 +21,7 @@ DRY_FOLD = 1.836600972208
 
 @pytest.fixture(scope="module")
 def found():
-    return hopf_and_fold(paper_chain(1, width=WIDTH))
+    return stability_range(paper_chain(1, width=WIDTH), error_bars=True)
 
 
 @pytest.mark.long
@@ -37,7 +37,7 @@ def test_the_boundaries_of_the_paper(found):
 
 def test_a_mass_that_is_none_of_the_chain_is_refused():
     with pytest.raises(ValueError, match="mass"):
-        hopf_and_fold(paper_chain(3), 3)
+        stability_range(paper_chain(3), 3)
 
 
 def friction(v, eps, static=1.0, drop=0.5, v0=0.5):

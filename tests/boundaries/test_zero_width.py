@@ -1,12 +1,15 @@
 """The limit of width 0 and its error bar: exact series, and the direct dry fold as a witness."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxchain import Chain, fold_belt_speed, paper_chain
-from jaxchain.boundaries.limit import extrapolate, extrapolated_fold, fold_boundary
+from jaxchain import Chain, dry_fold_belt_speed, fold_belt_speed, paper_chain
+from jaxchain.boundaries.limit import extrapolate, extrapolated_fold
+from jaxchain.boundaries.ranges import stability_range
 from jaxchain.model import GaussianStribeck
 
 # Second looks, or minutes of compilation: not in every run of the tests.
@@ -109,17 +112,17 @@ def test_bad_widths_are_named_before_anything_long_starts():
 
 @pytest.fixture(scope="module")
 def boundaries():
-    return jax.jit(jax.vmap(lambda p: fold_boundary(of(p))))
+    return jax.jit(jax.vmap(lambda p: stability_range(of(p), error_bars=True)))
 
 
 def check_bars(found, least):
     """The bar holds the direct dry fold, and is not absurdly wide."""
-    known = np.isfinite(found.limit) & np.isfinite(found.dry)
-    wrong, bar = np.abs(found.limit - found.dry)[known], found.error[known]
-    assert np.sum(known) >= 0.9 * np.sum(np.isfinite(found.dry)) > 0.7 * known.size
+    known = np.isfinite(found.fold_limit) & np.isfinite(found.fold_dry)
+    wrong, bar = np.abs(found.fold_limit - found.fold_dry)[known], found.fold_limit_error[known]
+    assert np.sum(known) >= 0.9 * np.sum(np.isfinite(found.fold_dry)) > 0.7 * known.size
     assert np.mean(wrong <= bar) >= least
-    assert np.median(bar / found.dry[known]) < 1e-5
-    assert np.median(wrong / found.dry[known]) < 1e-6
+    assert np.median(bar / found.fold_dry[known]) < 1e-5
+    assert np.median(wrong / found.fold_dry[known]) < 1e-6
     return known
 
 
@@ -130,11 +133,11 @@ def test_the_bar_holds_for_random_sets(boundaries):
     found = boundaries(jnp.asarray(sets))
     known = check_bars(found, 1.0)
     np.testing.assert_array_equal(known, [True, False, *[True] * 11])
-    assert jnp.isnan(found.value[1])
-    assert jnp.isnan(found.error[1])
+    assert jnp.isnan(found.fold[1])
+    assert jnp.isnan(found.fold_limit_error[1])
     # At the chain's own width, 1e-3, all are biased, by far more than the bar.
-    assert np.all((found.limit - found.value)[known] > 100 * found.error[known])
-    np.testing.assert_allclose(found.value[0], 1.831129820, rtol=1e-8)  # by continuation
+    assert np.all((found.fold_limit - found.fold)[known] > 100 * found.fold_limit_error[known])
+    np.testing.assert_allclose(found.fold[0], 1.831129820, rtol=1e-8)  # by continuation
 
 
 @pytest.mark.exhaustive
@@ -167,9 +170,9 @@ def test_gradients_are_those_of_the_folds():
 def test_widths_of_every_mass():
     """A chain with a width per mass has its value there; the limit does not depend on it."""
     chain = paper_chain(n=2).with_(width=jnp.array([1e-3, 2e-3]), coupling=0.002)
-    found = fold_boundary(chain, 0)
-    np.testing.assert_allclose(found.value, fold_belt_speed(chain, 0), rtol=1e-9)
-    assert abs(found.limit - found.dry) <= found.error
+    found: Any = stability_range(chain, 0, error_bars=True)
+    np.testing.assert_allclose(found.fold, fold_belt_speed(chain, 0), rtol=1e-9)
+    assert abs(found.fold_limit - found.fold_dry) <= found.fold_limit_error
 
 
 @pytest.mark.long
@@ -178,11 +181,13 @@ def test_a_fold_below_the_speed_of_the_belt_is_the_limit_of_the_least_width():
 
     @jax.jit
     def boundary(xi):
-        return fold_boundary(Chain(1, GaussianStribeck(1.0, 0.5, 1.0, 0.0), 1.2, xi))
+        return extrapolated_fold(Chain(1, GaussianStribeck(1.0, 0.5, 1.0, 0.0), 1.2, xi))
 
     near, far = boundary(0.05), boundary(0.1)
+    dry = dry_fold_belt_speed(Chain(1, GaussianStribeck(1.0, 0.5, 1.0, 0.0), 1.2, 0.05))
     # Both by shooting with SciPy for a multiplier of +1.
-    np.testing.assert_allclose(near.dry, 2.34851948, rtol=4e-9)
-    np.testing.assert_allclose(far.limit, 1.45751502, rtol=8e-9)
-    assert abs(near.limit - near.dry) <= near.error < 1e-4
-    assert abs(far.limit - far.dry) <= far.error < 1e-8
+    np.testing.assert_allclose(dry, 2.34851948, rtol=4e-9)
+    np.testing.assert_allclose(far.value, 1.45751502, rtol=8e-9)
+    assert abs(near.value - dry) <= near.error < 1e-4
+    far_dry = dry_fold_belt_speed(Chain(1, GaussianStribeck(1.0, 0.5, 1.0, 0.0), 1.2, 0.1))
+    assert abs(far.value - far_dry) <= far.error < 1e-8

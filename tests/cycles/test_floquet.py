@@ -17,7 +17,6 @@ from jaxchain.cycles.floquet import (
     monodromy_matrix,
     trace_integral,
 )
-from jaxchain.cycles.limit_cycle import close_orbit
 from jaxchain.model.springs import Springs
 from jaxchain.result import SearchResult
 
@@ -127,7 +126,7 @@ def test_a_cycle_alone_has_its_multipliers():
     assert many(jnp.array([6.2, 6.3])).multipliers.shape == (2, 3)
     with pytest.raises(ValueError, match="`flow_direction` must be given beside a matrix, but"):
         floquet_multipliers(jnp.eye(4))
-    for use in (monodromy_matrix, liouville_determinant, close_orbit):
+    for use in (monodromy_matrix, liouville_determinant):
         with pytest.raises(ValueError, match="`chain` must be a `LimitCycle`, or a chain for"):
             use(chain)
 

@@ -8,7 +8,7 @@ from scipy.optimize import minimize
 
 from jaxchain.basins.blows import gentlest_blow
 from jaxchain.boundaries.grazing import dry_fold_belt_speed
-from jaxchain.boundaries.ranges import bistable_range, try_boundary
+from jaxchain.boundaries.ranges import stability_range, try_boundary
 from jaxchain.inverse.optimal_design import design
 from jaxchain.model.chain import paper_chain, steady_sliding
 from jaxchain.observers.amplitude import Amplitude
@@ -113,23 +113,23 @@ def test_designs_without_any_vibration_on_the_way_do_no_harm():
 
 
 def test_the_range_of_the_paper_and_of_chains_without_a_fold():
-    paper = bistable_range(ONE)
+    paper = stability_range(ONE)
     assert float(paper.hopf) == pytest.approx(PAPER_HOPF, abs=1e-12)
     assert float(paper.width) == pytest.approx(PAPER_FOLD - PAPER_HOPF, abs=1e-9)
     # Weakening (mu_st - mu_d) / v0 = 1 never outweighs damping 2 xi = 1.2: there is no vibration.
-    quiet = bistable_range(ONE.with_(damping_ratio=0.6))
+    quiet = stability_range(ONE.with_(damping_ratio=0.6))
     assert np.isnan(quiet.hopf)
     assert np.isnan(quiet.fold)
     assert (bool(quiet.successful), float(quiet.highest), float(quiet.width)) == (True, 0.0, 0.0)
     assert not try_boundary(ONE.with_(damping_ratio=0.6), 0.5).vibrates.any()
     # Without damping vibration has no end, which is no fold, either, but no success.
-    undamped = bistable_range(ONE.with_(damping_ratio=0.0))
+    undamped = stability_range(ONE.with_(damping_ratio=0.0))
     assert undamped.result == SearchResult.undamped
     assert not undamped.successful
 
 
 def test_vibration_that_seems_to_set_in_gently_is_no_proof_of_no_fold():
-    gentle = bistable_range(paper_chain(1, width=0.35))
+    gentle = stability_range(paper_chain(1, width=0.35))
     assert np.isnan(gentle.fold)
     assert gentle.result == SearchResult.supercritical
     assert not gentle.successful
@@ -180,7 +180,7 @@ def test_a_design_with_smoothed_friction_is_off_by_what_the_width_costs():
     assert found.successful
     assert float(boundaries(found).fold) == pytest.approx(1.5, abs=1e-6)
     assert float(found.angle) < 1e-4
-    dry = float(bistable_range(found.chain.with_(width=None)).fold)
+    dry = float(stability_range(found.chain.with_(width=None)).fold)
     assert 0.02 < dry - 1.5 < 0.06
     assert try_boundary(found.chain, 1.5).vibrates.all()
     assert try_boundary(found.chain, dry).holds
@@ -199,7 +199,7 @@ def test_mistuned_neighbours_lower_the_fold_of_the_mass_between_them():
         )
 
     start = {"damping": jnp.zeros(3), "stiffness": jnp.zeros(3)}
-    old = bistable_range(three)
+    old = stability_range(three)
     found = design(three, mistuned, start, highest_below=1.6)
     assert found.successful
     assert float(boundaries(found).highest) == pytest.approx(1.6, abs=1e-6)
@@ -211,8 +211,8 @@ def test_mistuned_neighbours_lower_the_fold_of_the_mass_between_them():
     assert try_boundary(found.chain, boundaries(found).fold).holds
     # The gradient of the fold against differences, in the damping of a neighbour.
     raised = [three.with_(damping_ratio=jnp.array([0.05 + h, 0.05, 0.05])) for h in (1e-5, -1e-5)]
-    slope = (bistable_range(raised[0]).fold - bistable_range(raised[1]).fold) / 2e-5
-    gradient = jax.grad(lambda xi: bistable_range(three.with_(damping_ratio=xi)).fold)
+    slope = (stability_range(raised[0]).fold - stability_range(raised[1]).fold) / 2e-5
+    gradient = jax.grad(lambda xi: stability_range(three.with_(damping_ratio=xi)).fold)
     assert float(gradient(jnp.full(3, 0.05))[0]) == pytest.approx(float(slope), rel=1e-4)
 
 

@@ -78,10 +78,11 @@ def _hopf() -> Iterator[Row]:
 def _fold() -> Iterator[Row]:
     chain, bad = {"chain": CHAIN}, {"chain": A_CHAIN, "mass": VIBRATING}
     for name in (
-        "fold_belt_speed", "find_grazing", "dry_fold_belt_speed", "bistable_range",
-        "fold_boundary", "hopf_and_fold", "find_fold",
+        "fold_belt_speed", "find_grazing", "dry_fold_belt_speed", "find_fold",
     ):  # fmt: skip
         yield Row(name, getattr(boundaries, name), chain, bad)
+    flag = {**bad, "error_bars": FLAG}
+    yield Row("stability_range", boundaries.stability_range, chain, flag)
     smoothed = {**bad, "chain": (*A_CHAIN, NO_DRY)}
     yield Row(
         "fold_by_descent", boundaries.fold_by_descent, chain,

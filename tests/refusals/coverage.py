@@ -17,10 +17,10 @@ NOT_TRIED = {
     **dict.fromkeys(
         (
             "Result", "SearchResult", "Simulation", "Numerics", "GeneralisedHopf",
-            "BistableRange", "FoldDescent", "HopfDescent", "Fold", "Grazing", "HopfPoints",
-            "Boundaries", "OneMassBranch", "Extrapolation", "FoldBoundary", "Evidence", "Verdict",
+            "StabilityRange", "FoldDescent", "HopfDescent", "Fold", "Grazing", "HopfPoints",
+            "OneMassBranch", "Extrapolation", "Evidence", "Verdict",
             "LyapunovSpectrum", "Branch", "SpecialPoint", "FoldPoint", "CycleBranch",
-            "ClosedOrbit", "LimitCycle", "CyclePoint", "Identification", "Design", "Depinning",
+            "LimitCycle", "CyclePoint", "Identification", "Design", "Depinning",
             "FrontSpeed", "LinearModes", "LockedPattern", "PhaseModel", "LocalSlopes", "Step",
             "StoreError", "SlidingBasin", "EdgeState", "Blow",
             "SweepInterrupted", "Settled",

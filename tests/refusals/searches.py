@@ -11,7 +11,6 @@ import optax
 from jaxchain import continuation, cycles
 from jaxchain.model import paper_chain
 
-from .runs import SOLVERS
 from .table import (
     A_CHAIN,
     COUNT,
@@ -136,8 +135,6 @@ def _cycles() -> Iterator[Row]:
     yield Row("continue_cycle, cycle", cycles.continue_cycle, {}, {"chain": (*A_CHAIN, CHAIN)})
     wrong = {"branch": None, "point": None}
     yield Row("switch_cycle", cycles.switch_cycle, wrong, {"branch": (None, "x", 3)})
-    bad = {**of_orbit, "chain": A_CHAIN, "solver": SOLVERS}
-    yield Row("close_orbit", cycles.close_orbit, orbit, bad)
     for name in ("monodromy_matrix", "liouville_determinant"):
         yield Row(name, getattr(cycles, name), orbit, of_orbit)
     matrix = (None, "x", {}, 3.0, jnp.ones(2), jnp.ones((2, 3)))
