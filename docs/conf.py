@@ -53,11 +53,20 @@ html_favicon = "static/favicon.svg"
 html_context = {"default_mode": "auto"}
 html_static_path = ["static"]
 html_css_files = ["jaxchain.css"]
+html_js_files = ["enlarge.js"]
+html_search_scorer = str(Path(__file__).parent / "static" / "scorer.js")
+# Pages without siblings have no sidebar.
+html_sidebars = {page: [] for page in ("index", "start", "faq", "why", "cite", "examples/README")}
 html_show_sourcelink = False
 html_copy_source = False
 html_theme_options = {
-    "logo": {"text": "jaxchain"},
-    "header_links_before_dropdown": 8,
+    "logo": {
+        "image_light": "static/logo.svg",
+        "image_dark": "static/logo.svg",
+        "alt_text": "jaxchain",
+    },
+    "search_as_you_type": True,
+    "header_links_before_dropdown": 6,
     "navigation_with_keys": False,
     "show_toc_level": 2,
     "footer_start": ["copyright"],

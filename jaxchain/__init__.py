@@ -26,7 +26,7 @@ from typing import Any
 
 import lazy_loader
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 ROOMS = (
     "model", "continuation", "observers", "solvers", "simulation", "sweeps", "cycles",

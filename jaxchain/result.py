@@ -103,7 +103,7 @@ class SearchResult(eqx.Enumeration, metaclass=_Ways):  # pyright: ignore
     branches_cross = (
         "The point that was found is no fold: branches cross there, and none turns round."
     )
-    at_rest = (
+    steady_sliding = (
         "What was found is no vibration: the mass hardly moves. Start from a state farther from "
         "steady sliding."
     )

@@ -39,7 +39,7 @@ TEXT = {
     "fast": {"periodic": (*range(1, 18), 19, 20), "perhaps not": (18,)},
 }
 CAPTION = {"slow": {"periodic": (1, 2, 3, 4, 7, 20), "irregular": (5, 6, *range(9, 19))}}
-VERDICTS = ("at rest", "periodic", "quasi-periodic", "chaotic", "transient", "failed")
+VERDICTS = ("steady sliding", "periodic", "quasi-periodic", "chaotic", "transient", "failed")
 LOOKS = dict(zip(VERDICTS, zip(("black", BLUE, GREEN, RED, ORANGE, GREY), "_oDs^P")))
 LINEAR, LOWEST = 1e-4, -1e-1  # of the axis of exponents
 ENDS, SMOOTHED = ("exponent", "low", "high"), ("smoothed", "smoothed low", "smoothed high")
@@ -66,7 +66,9 @@ def decisive(found):
 def smoothed_exponents(chain, found, time):
     """(value, low, high) of the same exponent with smoothed friction, shape (states, 3)."""
     numbers = np.full((len(found), 3), np.nan)
-    rows = [i for i, state in enumerate(found) if state.verdict not in ("at rest", "failed")]
+    rows = [
+        i for i, state in enumerate(found) if state.verdict not in ("steady sliding", "failed")
+    ]
 
     @jax.jit
     @jax.vmap
@@ -124,7 +126,7 @@ def draw(table, runs):
         axes.axhline(0.0, color=GREY, linewidth=0.6)
         for verdict, (colour, marker) in LOOKS.items():
             some = rows[rows.verdict == verdict]
-            if verdict == "at rest":
+            if verdict == "steady sliding":
                 some = some.assign(exponent=0.0)
             below = some[some.high < LOWEST]  # such as -inf, where sticking annihilates
             axes.plot(below.k - 0.12, 0 * below.k + LOWEST, "v", color=colour, markersize=4.2)

@@ -42,9 +42,14 @@ from ..sweeps.programs import map_lanes
 from .lyapunov import LyapunovSpectrum, lyapunov_spectrum
 
 KINDS = ("rest", "cycle", "unstable", "chaos", "torus", "open")
-VERDICTS = ("at rest", "periodic", "quasi-periodic", "chaotic", "transient", "failed")
+VERDICTS = ("steady sliding", "periodic", "quasi-periodic", "chaotic", "transient", "failed")
 # The verdict that each kind stands for.
-MEANINGS = {"rest": "at rest", "cycle": "periodic", "torus": "quasi-periodic", "chaos": "chaotic"}
+MEANINGS = {
+    "rest": "steady sliding",
+    "cycle": "periodic",
+    "torus": "quasi-periodic",
+    "chaos": "chaotic",
+}
 
 
 @final
@@ -132,9 +137,10 @@ class Evidence(Printed):
 class Verdict(Printed):
     """What an ensemble of runs from one start says.
 
-    - `verdict`: "at rest", "periodic", "quasi-periodic", "chaotic", "transient" (not decided) or
-      "failed"; `reason`, a sentence with the numbers; `remedy`: what would decide a transient, or
-      what to do about a run that failed, else empty.
+    - `verdict`: "steady sliding" (for other oscillators: an equilibrium), "periodic",
+      "quasi-periodic", "chaotic", "transient" (not decided) or "failed"; `reason`, a sentence with
+      the numbers; `remedy`: what would decide a transient, or what to do about a run that failed,
+      else empty.
     - `undisturbed`: the verdict on the start itself; `depends_on_noise`: whether that differs.
     - `runs`: an `Evidence` each; `longest`: the longest time that was simulated.
 
@@ -773,7 +779,7 @@ def verdicts(
         >>> starts = jnp.array([[0.6], [2.2]]), jnp.zeros((2, 1))  # near sliding, and far from it
         >>> found = verdicts(chain, starts, noise=(1e-3,), seeds=1)
         >>> [one.verdict for one in found]
-        ['at rest', 'periodic']
+        ['steady sliding', 'periodic']
     """
     as_chain(chain, AbstractOscillators)
     criteria = Criteria() if criteria is None else criteria

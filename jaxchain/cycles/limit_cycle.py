@@ -280,7 +280,7 @@ def _cycle(
     of, (chain, state, period) = SearchResult, equations.unpack(u)
     trusted = is_trusted(fields["multipliers"], fields["trivial_defect"])
     closed = (fields["residual"] <= tolerance) & trusted
-    result = of.where(closed, of.where(moves, of.successful, of.at_rest), ended)
+    result = of.where(closed, of.where(moves, of.successful, of.steady_sliding), ended)
     result = of.where(lost, of.ran_away, result)
     fields |= {"chain": chain, "state": state, "period": period, "mass": equations.mass}
     return LimitCycle(result=result, **fields)

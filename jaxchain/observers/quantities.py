@@ -160,7 +160,7 @@ def settled(
     return change <= accuracy * jnp.max(amplitude, axis=(-2, -1))
 
 
-def at_rest(amplitude: Float[Array, "*batch n"]) -> Bool[Array, "*batch"]:
+def slides_steadily(amplitude: Float[Array, "*batch n"]) -> Bool[Array, "*batch"]:
     """Whether no mass moves: every A_n <= 1e-3, what rounding and tolerances can fake.
 
     A state in which no mass is `active` need not be at rest: a vibration that dies down still
@@ -171,8 +171,8 @@ def at_rest(amplitude: Float[Array, "*batch n"]) -> Bool[Array, "*batch"]:
     **Returns:** booleans of shape (...).
 
     >>> import jax.numpy as jnp
-    >>> from jaxchain.observers import at_rest
-    >>> at_rest(jnp.array([[1e-5, 0.0], [0.3, 0.0]])).tolist()
+    >>> from jaxchain.observers import slides_steadily
+    >>> slides_steadily(jnp.array([[1e-5, 0.0], [0.3, 0.0]])).tolist()
     [True, False]
     """
     return jnp.all(_amplitudes(amplitude, 1) <= LEAST_ACTIVE, axis=-1)

@@ -93,14 +93,14 @@ def energy(data: xr.Dataset) -> xr.DataArray | None:
     return 0.5 * (data["amplitude"] ** 2).sum("oscillator", skipna=False)
 
 
-def at_rest(data: xr.Dataset) -> xr.DataArray | None:
-    """Which runs ended at rest, see `quantities.at_rest`; None if no amplitude was kept.
+def slides_steadily(data: xr.Dataset) -> xr.DataArray | None:
+    """Which runs ended at rest, see `quantities.slides_steadily`; None if no amplitude was kept.
 
     Where only energies were kept, rest is E <= 1e-6 / 2, what one mass at the limit has.
     """
     if "amplitude" in data:
         amplitude = data["amplitude"].transpose(..., "oscillator")
-        rests = np.asarray(quantities.at_rest(jnp.asarray(amplitude.values)))
+        rests = np.asarray(quantities.slides_steadily(jnp.asarray(amplitude.values)))
         return xr.DataArray(rests, dims=amplitude.dims[:-1]).transpose(*swept(data))
     if "energy" in data:
         return data["energy"] <= 0.5 * LEAST_ACTIVE**2

@@ -20,7 +20,6 @@ from .._outcomes import WELL
 from ..model.units import Scales
 from ..result import NAMES
 from .diagram import (
-    at_rest,
     basin_brackets,
     energy,
     failed,
@@ -28,6 +27,7 @@ from .diagram import (
     intervals,
     masses,
     moving_fronts,
+    slides_steadily,
     stable_sliding,
     swept,
 )
@@ -224,7 +224,7 @@ def _draw_runs(
         axes.plot(x, y, "o", color=BLUE, markersize=3)
         return
     count = data["active_count"].values[good]
-    resting_runs = at_rest(data)
+    resting_runs = slides_steadily(data)
     rests = np.zeros_like(good) if resting_runs is None else resting_runs.values
     moving = (count == 0) & ~rests[good]
     still, vibrating = (count == 0) & ~moving, count > 0
@@ -238,9 +238,9 @@ def _draw_runs(
     square: dict[str, Any] = {"marker": "s", "color": ORANGE, "markersize": 2.8}
     hollow = square | {"markerfacecolor": "white", "markeredgewidth": 0.8}
     triangle = {"marker": "^", "color": PURPLE, "markersize": 3.6, "markeredgewidth": 0}
-    unsure = f"at rest, {'stability unknown' if stable is None else 'unstable'}"
+    unsure = "sliding, stability unknown" if stable is None else "unstable sliding"
     for here, label, look in (
-        (resting, "at rest", square),
+        (resting, "steady sliding", square),
         (unstable, unsure, hollow),
         (moving, NONE_VIBRATES if resting_runs is None else NOT_VIBRATING, triangle),
     ):

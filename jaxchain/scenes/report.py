@@ -99,7 +99,7 @@ def _states(data: xr.Dataset) -> Iterator[tuple[str, str]]:
         yield "Hopf speed", f"{hopf:.5g} (steady sliding is stable above)"
     if "active_count" in data:
         other = [dim for dim in swept(data) if dim != "belt_speed"]
-        none, still = good & (data["active_count"] == 0), diagram.at_rest(data)
+        none, still = good & (data["active_count"] == 0), diagram.slides_steadily(data)
         stable = diagram.stable_sliding(data, hopf)
         kinds = {"vibrating": good & (data["active_count"] > 0)}
         word = "no mass"

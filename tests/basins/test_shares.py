@@ -212,7 +212,10 @@ def test_bars_that_stay_too_long_are_told():
 def test_states_are_judged_on_demand():
     over = {"belt_speed": [1.4, 1.9]}
     found = basin_shares(ONE, Box(), over, half_width=0.1, checked=0, judge=True)
-    assert found.verdict.sel(state="sliding").values.tolist() == ["at rest", "at rest"]
+    assert found.verdict.sel(state="sliding").values.tolist() == [
+        "steady sliding",
+        "steady sliding",
+    ]
     assert found.verdict.sel(state="vibrating").values.tolist() == ["periodic", ""]
 
 

@@ -48,7 +48,7 @@ def test_a_torus_is_seen_by_an_ensemble_of_smooth_averages():
     ("kinds", "noisy", "verdict", "undisturbed", "depends"),
     [
         ("cycle", ["cycle", "cycle"], "periodic", "periodic", False),
-        ("rest", ["rest", "rest"], "at rest", "at rest", False),
+        ("rest", ["rest", "rest"], "steady sliding", "steady sliding", False),
         ("chaos", ["chaos", "chaos"], "chaotic", "chaotic", False),
         ("torus", ["torus", "torus"], "quasi-periodic", "quasi-periodic", False),
         ("unstable", ["chaos", "chaos"], "chaotic", "periodic", True),

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxchain.observers.quantities import active, at_rest, delays, mean_period, settled
+from jaxchain.observers.quantities import active, delays, mean_period, settled, slides_steadily
 
 PERIOD = 6.3
 
@@ -96,4 +96,4 @@ def test_too_few_windows_to_tell_are_refused():
 def test_what_is_shaken_neither_vibrates_nor_rests():
     amplitude = jnp.array([[1.6, 0.2], [0.6, 0.2], [1e-4, 0.0], [jnp.nan, 0.0]])
     assert active(amplitude, 1.5).any(-1).tolist() == [True, False, False, False]
-    assert at_rest(amplitude).tolist() == [False, False, True, False]
+    assert slides_steadily(amplitude).tolist() == [False, False, True, False]

@@ -40,15 +40,15 @@ def test_figure_3_has_amplitude_on_the_left_and_energy_on_the_right():
     assert "amplitude" in left.get_ylabel()
     assert "energy" in right.get_ylabel()
     assert left.get_xlabel() == right.get_xlabel() == r"belt speed $\tilde v_d$ (–)"
-    assert legend(left) == ["vibrating", "at rest", "unstable cycle"]
-    assert legend(right) == ["moving fronts", "at rest", "at rest, unstable"]
+    assert legend(left) == ["vibrating", "steady sliding", "unstable cycle"]
+    assert legend(right) == ["moving fronts", "steady sliding", "unstable sliding"]
     assert figure_3(ladder(), single()).get_figwidth() == 7.0
 
 
 def test_every_run_is_one_point_at_its_place():
     data = single()
     (left,) = named_panels(figure({"single": data}))
-    (vibrating,), (resting,) = labelled(left, "vibrating"), labelled(left, "at rest")
+    (vibrating,), (resting,) = labelled(left, "vibrating"), labelled(left, "steady sliding")
     assert len(where(vibrating)) == int((data.active_count == 1).sum())
     assert len(where(resting)) == int((data.active_count == 0).sum())
     assert set(np.asarray(vibrating.get_ydata())) == {1.5}
@@ -62,7 +62,7 @@ def test_every_run_is_one_point_at_its_place():
 
 def test_rest_is_drawn_as_stable_only_where_the_numbers_of_the_run_say_so():
     bare = ladder().drop_vars("hopf_belt_speed")  # as `sweep` returns it
-    (unstable,) = labelled(named_panels(figure({"ladder": bare}))[0], "at rest, unstable")
+    (unstable,) = labelled(named_panels(figure({"ladder": bare}))[0], "unstable sliding")
     assert where(unstable) == [1.0, 1.1]
     assert "sliding       at belt speeds 1.2 to 1.9\n" in summary("ladder", bare)
     damped = results(
@@ -72,8 +72,8 @@ def test_rest_is_drawn_as_stable_only_where_the_numbers_of_the_run_say_so():
         damping_ratio="swept",
     ).drop_vars("hopf_belt_speed")  # v_H is ln(10) / 2, and ln(5) / 2
     axes = named_panels(figure({"damped": damped}))[0]
-    assert where(*labelled(axes, "at rest, unstable")) == [0.5, 1.0, 0.5]
-    assert where(*labelled(axes, "at rest")) == [1.3, 1.0, 1.3]
+    assert where(*labelled(axes, "unstable sliding")) == [0.5, 1.0, 0.5]
+    assert where(*labelled(axes, "steady sliding")) == [1.3, 1.0, 1.3]
 
 
 @pytest.mark.parametrize("attrs", [{"vary": "the function `mistune`"}, {"law": "Rational"}])
@@ -82,7 +82,7 @@ def test_rest_of_a_chain_that_is_not_known_is_not_drawn_as_stable(attrs):
     data = results({"belt_speed": [1.0, 1.3]}, np.zeros(2), 2, friction_law=law)
     data = data.drop_vars("hopf_belt_speed").assign_attrs(attrs)
     axes = named_panels(figure({"two": data}))[0]
-    assert legend(axes) == ["at rest, stability unknown"]
+    assert legend(axes) == ["sliding, stability unknown"]
     assert to_hex(labelled(axes, legend(axes)[0])[0].get_markerfacecolor()) == "#ffffff"
 
 
@@ -99,7 +99,7 @@ def shaken():
 def test_only_what_does_not_move_is_at_rest(left_out):
     data = shaken().drop_vars(left_out)
     (axes,) = named_panels(figure({"single": data}))
-    (resting,), (moving,) = labelled(axes, "at rest"), labelled(axes, plot.NOT_VIBRATING)
+    (resting,), (moving,) = labelled(axes, "steady sliding"), labelled(axes, plot.NOT_VIBRATING)
     (vibrating,) = labelled(axes, "vibrating")
     assert where(resting) == [1.9, 1.9]
     assert where(moving) == [1.3, 1.3, 1.6, 1.6, 1.9, 1.9]
@@ -463,7 +463,7 @@ def test_a_number_that_spans_decades_has_a_logarithmic_axis():
 def test_without_amplitudes_nobody_is_called_at_rest():
     data = shaken()[["active_count", "result", "steps"]]
     (axes,) = named_panels(figure({"single": data}))
-    assert not labelled(axes, "at rest")
+    assert not labelled(axes, "steady sliding")
     assert len(where(*labelled(axes, plot.NONE_VIBRATES))) == 8
     assert "sliding" not in summary("single", data)
     assert "weak          at belt speeds 1.3 to 1.9: no mass above" in summary("single", data)

@@ -118,7 +118,7 @@ def _observers() -> Iterator[Row]:
 
 def _quantities() -> Iterator[Row]:
     state = Told((jnp.ones(3), jnp.zeros(3)), r"state \(x, v\) has no amplitude")
-    for name in ("energy", "at_rest", "participation_ratio"):
+    for name in ("energy", "slides_steadily", "participation_ratio"):
         yield Row(name, getattr(observers, name), {}, {"amplitude": (*ARRAY, state)})
     good = {"amplitude": jnp.ones(3), "belt_speed": 1.0}
     speeds = (None, "x", {}, object, [], Told([1.0, 2.0], r"\(2,\)"))

@@ -201,8 +201,10 @@ def test_a_narrow_width_has_a_tolerance_that_fits_it_by_default():
 
 
 @pytest.mark.long
-def test_what_the_readme_says_of_a_width_of_1e_3():
-    text = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+def test_what_the_page_on_trust_says_of_a_width_of_1e_3():
+    text = (Path(__file__).parents[2] / "docs" / "explanation" / "trust.md").read_text(
+        encoding="utf-8"
+    )
     rows = re.findall(r"^\| (?:belt speed|amplitude too small by) \|.*$", text, re.MULTILINE)
     speeds, said = np.array([re.findall(r"\d+\.\d+", row) for row in rows], dtype=float)
 
