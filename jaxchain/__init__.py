@@ -1,6 +1,6 @@
 """jaxchain: differentiable simulation of friction-excited oscillator chains on JAX.
 
-What most scripts need stands here.  Everything else stands in its room:
+What most scripts need stands here.  Everything else stands in its submodule:
 
 - `model`: the chain: masses on a moving belt, springs, friction, initial states
 - `continuation`: equations of any kind: roots, derivatives, branches of solutions
@@ -17,7 +17,7 @@ What most scripts need stands here.  Everything else stands in its room:
 - `plotting`: figures, drawings, films
 - `scenes`: experiments as TOML files
 
-`help(jaxchain.boundaries)` lists a room's files and names.  Nothing is imported before it is
+`help(jaxchain.boundaries)` lists a submodule's files and names.  Nothing is imported before it is
 asked for.
 """
 
@@ -28,23 +28,23 @@ import lazy_loader
 
 __version__ = "0.2.0"
 
-ROOMS = (
+SUBMODULES = (
     "model", "continuation", "observers", "solvers", "simulation", "sweeps", "cycles",
     "boundaries", "chaos", "localization", "basins", "inverse", "plotting", "scenes",
 )  # fmt: skip
 
 _show, __dir__, _shown = lazy_loader.attach_stub(__name__, __file__)
-__all__ = [name for name in _shown if name not in ROOMS]  # pyright: ignore[reportUnsupportedDunderAll]
+__all__ = [name for name in _shown if name not in SUBMODULES]  # pyright: ignore[reportUnsupportedDunderAll]
 
 
 def __getattr__(name: str) -> Any:
-    """A name of this door, or where else it stands."""
+    """A name of this module, or where else it stands."""
     if name in _shown:
         return _show(name)
     if not name.startswith("_"):
-        for room in ROOMS:
-            if name in getattr(_show(room), "__all__", ()):
-                message = f"{__name__}.{name} moved to {__name__}.{room}.{name}"
+        for submodule in SUBMODULES:
+            if name in getattr(_show(submodule), "__all__", ()):
+                message = f"{__name__}.{name} moved to {__name__}.{submodule}.{name}"
                 # `from jaxchain import name` asks whether it is there, and would hide the words of
                 # an AttributeError.
                 if sys._getframe(1).f_globals.get("__name__") == "importlib._bootstrap":

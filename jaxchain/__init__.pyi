@@ -51,4 +51,4 @@ from .solvers.rosenbrock import Rodas5P as Rodas5P
 from .sweeps.sweeping import sweep as sweep
 
 __version__: str
-ROOMS: tuple[str, ...]
+SUBMODULES: tuple[str, ...]

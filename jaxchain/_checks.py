@@ -295,7 +295,7 @@ def check_concrete(instead: str, **arguments: Any) -> None:
 
 
 def check_function(name: str, value: Any, wanted: str, takes: int) -> None:
-    """Raises `ValueError` unless `value` takes so many arguments, as `wanted` says."""
+    """Raises `ValueError` unless `value` takes `takes` arguments, as `wanted` says."""
     try:
         good = callable(value)
         if good:
@@ -309,7 +309,7 @@ def check_function(name: str, value: Any, wanted: str, takes: int) -> None:
 
 
 def check_pair(name: str, value: Any, remedy: str) -> tuple[float, float]:
-    """(low, high) with low < high, either of which may be infinite, or raises `ValueError`."""
+    """(low, high) with low < high, possibly infinite, or raises `ValueError`."""
     pair = np.shape(value) == (2,) and _is_real(value)
     if not pair or not value[0] < value[1]:
         raise ValueError(

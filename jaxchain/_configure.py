@@ -14,7 +14,7 @@ from pathlib import Path
 _EXTRA = "--xla_backend_extra_options="
 _OPTION = "xla_cpu_small_while_loop_byte_threshold"
 _WHOLE = f"{_OPTION}=1000000000"
-# What else may have told JAX how many devices the CPU shall be.
+# Other settings of the number of CPU devices.
 _DEVICES = ("xla_force_host_platform_device_count", "JAX_NUM_CPU_DEVICES")
 
 
@@ -38,8 +38,8 @@ def configure(
 
     What the user has chosen otherwise, in the environment or by an earlier call, stays.
 
-    **Arguments:** `bits`, 64, or None to leave the precision alone; `devices`, how many the CPU
-    shall be, None for one per core that this process may use, 0 to leave that alone;
+    **Arguments:** `bits`, 64, or None to leave the precision alone; `devices`, the number of
+    CPU devices, None for one per core that this process may use, 0 to leave that alone;
     `whole_loops`, whether to set the option; `cache`, whether compiled programs are kept for the
     next process: a folder, or True for `jaxchain` in the user's cache folder (XDG_CACHE_HOME).
 

@@ -236,7 +236,7 @@ def _fall_apart(trace: Any, *tracers: Any, ways: _Ways) -> list[Any]:
 
 
 def _once(tree: Any) -> Any:
-    """The same, but for whoever goes back through it, too, an error that says what to do."""
+    """Identity that raises a helpful error under reverse-mode differentiation."""
     numbers, rest = eqx.partition(tree, eqx.is_inexact_array)
     return eqx.combine(eqxi.nondifferentiable_backward(numbers, msg=_BACK_TWICE), rest)
 
@@ -263,7 +263,7 @@ def _derivative_of_forth(
 ) -> tuple[list[Any], list[Any]]:
     """Forward, or an error where a loop within a loop keeps checkpoints.
 
-    JAX finds that out far from here, when nobody knows any more what it belongs to.
+    JAX would report it far from here, without this context.
     """
     moved = [type(t) is not ad.Zero for t in tangents]
     function = _of(forth.run, primals, moved)

@@ -15,9 +15,9 @@ from pathlib import Path
 # Compiling is most of the time, and most programs run for a moment only: a compiler that optimizes
 # little takes less than half of it, and numbers differ in the last digits. (Level 0 takes less
 # again, but there the steps of a run are not repeated bit by bit on the way back of a gradient.)
-# Whoever sets XLA_FLAGS decides: with `XLA_FLAGS= pytest` the tests see what users see. A jaxlib
-# that does not know a flag ends the process, so another one asks. Workers, and the processes that
-# tests start, take over what the first process has found.
+# XLA_FLAGS of the environment takes precedence: with `XLA_FLAGS= pytest` the tests see what users
+# see. A jaxlib that does not know a flag ends the process, so another one asks. Workers, and the
+# processes that tests start, take over what the first process has found.
 if "XLA_FLAGS" not in os.environ and "JAX_PLATFORMS" not in os.environ:
     flags = "--xla_backend_optimization_level=1 --xla_cpu_use_fusion_emitters=false"
     asked = subprocess.run(

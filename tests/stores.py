@@ -11,7 +11,7 @@ from jaxchain.sweeps.store import Store
 
 # Of what `sweep` says about itself, and no number.
 ITS_OWN = {"created", "wall_time_s", "lanes_per_device_at_end"}
-# Five by three runs in six units, of which only two are whole: 2 x 2, 2 x 1, and 1 x 2, 1 x 1.
+# Five by three runs in six units; only two are whole: 2 x 2, 2 x 1, and 1 x 2, 1 x 1.
 OVER = {"belt_speed": np.linspace(1.0, 1.6, 5), "excited": [0, 1, 2]}
 CHUNKS = {"belt_speed": 2, "excited": 2}
 

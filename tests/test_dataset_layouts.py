@@ -46,7 +46,7 @@ OBSERVERS = {
 
 
 def laid_out(chain=DRY, observe=None, **more):
-    """What a sweep of one run returns, of which nothing is known."""
+    """What a sweep of one run returns, with unknown values."""
     over = {"belt_speed": [1.5], "excited": [1]}
     settings = RunSettings(chain, equation_8, 100.0, observe=observe, **more)
     return prepare(settings, over, 1).sample(1)

@@ -1,6 +1,6 @@
 """Every example in a docstring or in the README runs, and prints what it says.
 
-Every public name has one.  Some of the front door's run with the quick tests; `pytest -m examples`
+Every public name has one.  Some of the top level's run with the quick tests; `pytest -m examples`
 runs all.  What stands in a fence takes too long to wait for, or says nothing to compare.
 """
 
@@ -46,13 +46,13 @@ def prompts(text, name):
 
 
 def public():
-    """Of every public name "room.module.name", as the stubs say; imports nothing."""
+    """Of every public name "submodule.module.name", as the stubs say; imports nothing."""
     folder = Path(jaxchain.__path__[0])
     for stub in (folder / "__init__.pyi", *sorted(folder.glob("*/__init__.pyi"))):
-        room = [] if stub.parent == folder else [stub.parent.name]
+        submodule = [] if stub.parent == folder else [stub.parent.name]
         for node in ast.parse(stub.read_text(encoding="utf-8")).body:
             if isinstance(node, ast.ImportFrom) and node.module:
-                yield from (".".join([*room, node.module, name.name]) for name in node.names)
+                yield from (".".join([*submodule, node.module, name.name]) for name in node.names)
 
 
 PUBLIC = set(public())
@@ -111,7 +111,7 @@ def run(name):
 
 
 @pytest.mark.parametrize("name", [name for name in PROMPTS if name.rpartition(".")[2] in QUICK])
-def test_an_example_of_the_front_door_prints_what_it_says(name):
+def test_an_example_of_the_top_level_prints_what_it_says(name):
     run(name)
 
 
@@ -127,9 +127,9 @@ def test_an_example_prints_what_it_says(name, tmp_path, monkeypatch):
 def test_an_example_in_a_fence_runs(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     module, code = FENCES[name]
-    # Whatever a door exports may be used without a word.
-    doors = [jaxchain, *(getattr(jaxchain, room) for room in jaxchain.ROOMS)]
-    names = {n: getattr(door, n) for door in doors for n in getattr(door, "__all__", ())}
+    # Whatever a module exports may be used without a word.
+    modules = [jaxchain, *(getattr(jaxchain, submodule) for submodule in jaxchain.SUBMODULES)]
+    names = {n: getattr(module, n) for module in modules for n in getattr(module, "__all__", ())}
     exec(compile(code, name, "exec"), names | vars(importlib.import_module(module)))
 
 

@@ -188,8 +188,15 @@ def compare(case, chains, tolerance):
 def test_no_public_function_of_a_chain_is_forgotten():
     cases = {name.split()[0] for name in (*QUICK, *LONG, *SPEEDLESS, *SINGLE)}
     # Pictures are of runs, and these are compared.
-    rooms = [jc, *(getattr(jc, room) for room in jc.ROOMS if room != "plotting")]
-    public = [getattr(room, name) for room in rooms for name in getattr(room, "__all__", ())]
+    submodules = [
+        jc,
+        *(getattr(jc, submodule) for submodule in jc.SUBMODULES if submodule != "plotting"),
+    ]
+    public = [
+        getattr(submodule, name)
+        for submodule in submodules
+        for name in getattr(submodule, "__all__", ())
+    ]
     functions = [f for f in public if inspect.isfunction(f) or hasattr(f, "__wrapped__")]
     taking = {f.__name__ for f in functions if "chain" in inspect.signature(f).parameters}
     assert taking <= cases

@@ -14,7 +14,7 @@ import pytest
 import jaxchain
 
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "examples").glob("*.ipynb"))
-# What a page can show without a script of somebody else's.
+# What a page can show without a third party's script.
 KINDS = {"image/png", "text/plain", "text/html"}
 NOT_TO_BE_READ = re.compile(r"0x[0-9a-f]{6}|findfont|Warning|Traceback|/(tmp|home|root|work)/")
 
@@ -60,7 +60,7 @@ def test_a_notebook_uses_public_names_by_room(notebook):
             if module.partition(".")[0] != "jaxchain" or name is None:
                 assert not module.startswith("jaxchain.")
                 continue
-            assert module == "jaxchain" or module.removeprefix("jaxchain.") in jaxchain.ROOMS
+            assert module == "jaxchain" or module.removeprefix("jaxchain.") in jaxchain.SUBMODULES
             assert name in importlib.import_module(module).__all__
         assert not re.search(r"\.\_[a-z]", code)  # nothing private
 

@@ -75,7 +75,7 @@ def test_a_notebook_gets_a_bar_although_it_is_no_terminal(monkeypatch):
 
 
 @pytest.mark.parametrize("stream", [None, "log"])
-def test_nothing_is_shown_to_nobody(monkeypatch, stream):
+def test_nothing_is_shown_without_a_terminal(monkeypatch, stream):
     log = io.StringIO()
     monkeypatch.setattr("sys.stderr", None if stream is None else log)
     assert list(progress_bar(range(3), show=stream is None, desc="a", unit="b")) == [0, 1, 2]

@@ -61,7 +61,7 @@ def test_every_result_prints_alike():
     """A dataclass would bring a `__repr__` of its own."""
     import jaxchain
 
-    for module in jaxchain.ROOMS:
+    for module in jaxchain.SUBMODULES:
         for name in getattr(getattr(jaxchain, module), "__all__", ()):
             cls = getattr(getattr(jaxchain, module), name)
             if isinstance(cls, type) and issubclass(cls, Printed):

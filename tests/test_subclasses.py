@@ -21,8 +21,8 @@ from jaxchain.simulation.accuracy import fit_linear_solve
 from jaxchain.solvers import AbstractStructuredRosenbrock
 from jaxchain.solvers.rosenbrock import RODAS4, RODAS5P
 
-DOORS = (jc, *(importlib.import_module(f"jaxchain.{room}") for room in jc.ROOMS))
-PUBLIC = {getattr(door, name) for door in DOORS for name in getattr(door, "__all__", ())}
+MODULES = (jc, *(importlib.import_module(f"jaxchain.{submodule}") for submodule in jc.SUBMODULES))
+PUBLIC = {getattr(module, name) for module in MODULES for name in getattr(module, "__all__", ())}
 # Only raised, and caught by their kind: nothing calls a method of theirs.
 CLASSES = sorted(
     (c for c in PUBLIC if inspect.isclass(c) and not issubclass(c, BaseException)),

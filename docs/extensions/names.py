@@ -14,21 +14,21 @@ OWN = re.compile(r"jaxchain(\.[A-Za-z_]\w*)+")
 
 
 def names_of(module: ModuleType) -> list[str]:
-    """What a room, or the front door, exports."""
+    """What a submodule, or the top level, exports."""
     return list(getattr(module, "__all__", ()))
 
 
 def _public() -> dict[str, str]:
     """Every way to write a public name -> the name under which it is documented."""
-    rooms = {room: getattr(jaxchain, room) for room in jaxchain.ROOMS}
-    found = {name: f"jaxchain.{name}" for name in (*names_of(jaxchain), *rooms)}
-    for room, module in rooms.items():
+    submodules = {submodule: getattr(jaxchain, submodule) for submodule in jaxchain.SUBMODULES}
+    found = {name: f"jaxchain.{name}" for name in (*names_of(jaxchain), *submodules)}
+    for submodule, module in submodules.items():
         for name in names_of(module):
-            found[name] = found[f"{room}.{name}"] = f"jaxchain.{room}.{name}"
+            found[name] = found[f"{submodule}.{name}"] = f"jaxchain.{submodule}.{name}"
     whole = {name: name for name in found.values()}
-    at_the_door = {f"jaxchain.{name}": found[name] for name in (*names_of(jaxchain), *rooms)}
-    # A bare word such as `model` is seldom the room.
-    return {name: to for name, to in found.items() if name not in rooms} | whole | at_the_door
+    at_top = {f"jaxchain.{name}": found[name] for name in (*names_of(jaxchain), *submodules)}
+    # A bare word such as `model` is seldom the submodule.
+    return {name: to for name, to in found.items() if name not in submodules} | whole | at_top
 
 
 PUBLIC = _public()
@@ -42,7 +42,7 @@ OTHERS = {
 def meant(text: str) -> str | None:
     """The name that inline code refers to, if it is one that is documented somewhere.
 
-    One of jaxchain's that is not public is a broken link, of which the build tells.
+    One of jaxchain's that is not public is a broken link, which the build reports.
     """
     known = "." in text and text in OTHERS
     return PUBLIC.get(text) or (text if known or OWN.fullmatch(text) else None)

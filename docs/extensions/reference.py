@@ -1,4 +1,4 @@
-"""Pages that are read off the program: rooms, the keys of scene files, the command line."""
+"""Pages that are read off the program: submodules, the keys of scene files, the command line."""
 
 import inspect
 import os
@@ -16,17 +16,17 @@ from jaxchain.scenes import schema
 COMMANDS = ("", "run", "resume", "status", "report", "scenes", "boundary", "basins")
 
 
-class Room(SphinxDirective):
-    """Every public name of a room: a table of them, then each with its docstring."""
+class Submodule(SphinxDirective):
+    """Every public name of a submodule: a table of them, then each with its docstring."""
 
     required_arguments = 1
 
     def run(self):
-        door = self.arguments[0] == "jaxchain"
-        module = jaxchain if door else getattr(jaxchain, self.arguments[0])
+        top = self.arguments[0] == "jaxchain"
+        module = jaxchain if top else getattr(jaxchain, self.arguments[0])
         names = names_of(module)
         about = inspect.getdoc(module) or ""
-        if names and not door:  # the files that the docstring lists matter to those who read them
+        if names and not top:  # the files that the docstring lists matter to those who read them
             about = about.split("\n\n", 1)[0]
         about = [about, "", "| name | what it is |", "|---|---|"]
         for name in names:
@@ -37,8 +37,8 @@ class Room(SphinxDirective):
         table = "\n".join(about if names else about[:1])
         text += [f"   {line}" for line in table.splitlines()]
         for name in names:
-            if door and _home(name) != "jaxchain":
-                continue  # it is described in its room
+            if top and _home(name) != "jaxchain":
+                continue  # it is described in its submodule
             thing = getattr(module, name)
             members = ["   :members:"] if isinstance(thing, type) else []
             text += ["", f".. {_kind(thing)}:: {module.__name__}.{name}", *members, ""]
@@ -46,9 +46,9 @@ class Room(SphinxDirective):
 
 
 def _home(name: str) -> str:
-    for room in jaxchain.ROOMS:
-        if name in names_of(getattr(jaxchain, room)):
-            return f"jaxchain.{room}"
+    for submodule in jaxchain.SUBMODULES:
+        if name in names_of(getattr(jaxchain, submodule)):
+            return f"jaxchain.{submodule}"
     return "jaxchain"
 
 
@@ -126,7 +126,7 @@ def _help(command: str) -> str:
 
 
 def setup(app):
-    app.add_directive("room", Room)
+    app.add_directive("submodule", Submodule)
     app.add_directive("keys", Keys)
     app.add_directive("commands", Commands)
     return {"parallel_read_safe": True}

@@ -167,7 +167,7 @@ def main():
     energy, count = energies(n, excited, widths, STATE_RTOL)
     dry_states = energies(n, excited, widths[:1], DRY_RTOL, jc.EventDriven())
     true, true_count = (values.isel(width=0, drop=True) for values in dry_states)
-    # Where other masses vibrate it is another state, of which nothing is compared.
+    # Where other masses vibrate it is another state, which is not compared.
     energy_error = (energy / true - 1).where((count == true_count) & (true_count > 0))
 
     rows = [

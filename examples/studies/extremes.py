@@ -250,7 +250,7 @@ def cases():
     for n in (2, 3):
         yield "size", f"{n}, linear decay of a ring", linear_decay, n, 0.5, "cyclic", 50.0
     yield "size", f"{MASSES}, copies of a ring of 20", copies
-    yield "size", f"{MASSES}, one of which vibrates", lonely
+    yield "size", f"{MASSES}, one vibrates", lonely
     yield "start", "1e-12 from steady sliding", tiny
     yield "start", "1e6 from steady sliding", alone, replace(SOFT, x=SOFT.mu(1.2) + 1e6)
     for name, x in [("held", 0.2), ("about to slip", 0.88), ("torn off at once", 3.0)]:

@@ -42,7 +42,7 @@ ENSEMBLES = {
     "all": ("all", [1.65, 1.75], [COUPLING], 500.0),
 }
 WINDOW, DISTURBANCE = 100.0, 0.1
-# Has anything still moved?  So many of the chains again, with a longer transient.
+# Has anything still moved?  This number of chains again, with a longer transient.
 AGAIN, LONGER = 25, 2.0
 # Frequencies where all masses vibrate; no cycle is shorter than the period.
 LOCKING = [0.0, 5e-4, 1e-3, 2e-3, 5e-3, 0.01, 0.02, 0.05, 0.1]

@@ -53,7 +53,7 @@ def decisive(found):
     order, kind = (1, "cycle") if found.verdict == "periodic" else (0, "")
     noise = max(run.noise for run in found.runs)
     runs = [run for run in found.runs if run.noise == noise and len(run.exponents) > order]
-    # Of a state of which some runs have locked and the others were measured.
+    # States with some locked runs and some measured ones.
     runs = [run for run in runs if (run.kind == "cycle") == (kind == "cycle")] or runs
     if not runs:
         return np.full(3, np.nan)

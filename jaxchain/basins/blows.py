@@ -49,12 +49,12 @@ _LINEAR = 1e-3
 # Periods in succession in which a mass sticks (smoothed friction may hold it on an unstable cycle
 # for a while, close to the fold), and between two times at most.
 _STICKS, _SMOOTHED_STICKS, _APART = 5.0, 30.0, 1.6
-# A run is as long as so many times of decay, and at most this.
+# Length of a run in decay times, and its limit.
 _DECAYS, _LEAST, _LONGEST = 40.0, 200.0, 1e5
 # For how many times of decay masses stick until they are said to vibrate, if less was not enough.
 _PATIENCE = 0.0, 5.0, _DECAYS
 LEVELS = len(_PATIENCE)
-# The end of a run, of which amplitudes are taken; random tries that run together.
+# The end of a run, from which amplitudes are taken; random tries that run together.
 _WINDOW, _TOGETHER = 40.0, 256
 # A lower order than suits it best: a third more steps, and half the time to compile.
 _RTOL, _ORDER = 1e-9, 8
@@ -100,7 +100,7 @@ class DecayOrVibrate(AbstractObserver):
     period for the time `patience`, of five at least, or thirty with smoothed friction: on the
     cycles that a motion may follow for long, the unstable ones, all masses slip.  Where the
     belt is nearly too fast for it, a mass may stick for long and be stopped by its neighbours
-    nevertheless.  A motion of which neither is said vibrates without sticking, or has not had the
+    nevertheless.  A motion with neither flag vibrates without sticking, or has not had the
     time.
 
     **Value:** (whether it died, which masses vibrate).
@@ -198,7 +198,7 @@ class Trials(eqx.Module):
         return fastest > 0.5 * self.radius, active(amplitude, self.chain.belt_speed)
 
     def vibrating_among(self, another: Callable[[Array], Array], tries: int) -> Int[Array, ""]:
-        """How many of so many random kicks another(key) lead to vibration."""
+        """How many of `tries` random kicks another(key) lead to vibration."""
         if tries == 0:
             return jnp.zeros((), int)
 
@@ -300,7 +300,7 @@ def threshold(
 ) -> Threshold:
     """r(u) between two sizes that are `precision` of themselves apart.
 
-    From a guess, of which it differs by a `share` or more; see `upwards`.  In a batch, lanes that
+    From a guess, which differs by a `share` or more; see `upwards`.  In a batch, lanes that
     are not `wanted`, or done, hold up no others: they take no step.
     """
     most, surely = hardest(trials.chain), _SURELY * trials.radius
@@ -716,7 +716,7 @@ def _certified(
 
 @eqx.filter_jit
 def _along(chain: Chain, directions: Float[Array, "ways n"], tries: int) -> Blow:
-    """The gentlest of one or two ways to kick, of which only the size is searched for."""
+    """The gentlest of one or two ways to kick; only the size is searched for."""
 
     def attempt(trials: Trials) -> _Attempt:
         edges = jax.vmap(lambda u: threshold(trials, u, *upwards(trials), _PRECISION))(directions)

@@ -40,7 +40,7 @@ _BLOCK, _SAME, _OF_ITSELF, _RESTS = 16, 0.03, 0.05, 1e-3
 _NEAR_LOW, _NEAR_HIGH = 0.05, 0.1
 # Windows in succession that must say the same.
 _AGREE, _SETTLED = 3, 5
-# A bracket that has lost the edge is made so much wider, so many times.
+# Factor and number of times by which a bracket that has lost the edge is widened.
 _WIDER, _MOST_WIDER = 4.0, 8
 
 
@@ -103,11 +103,11 @@ def track(chain: Chain, quiet: State, vibrating: State, how: Tracking) -> EdgeSe
     x, v = (jnp.stack(parts) for parts in zip(quiet, vibrating, strict=True))
     n = x.shape[1]
     zero, blank = jnp.zeros((), int), jnp.full((2, n), jnp.nan, float)
-    nobody = jnp.zeros((2, n), bool)
+    no_mass = jnp.zeros((2, n), bool)
     first = EdgeSearch(
         stage=zero + SETTLE, final=jnp.asarray(False), x=x, v=v, runs=(x, v), count=zero,
-        low=blank, high=blank, last_low=blank, last_high=blank, vibrates=nobody, sides=nobody,
-        pattern=nobody, agree=jnp.zeros(2, int), widened=zero, tracked=zero,
+        low=blank, high=blank, last_low=blank, last_high=blank, vibrates=no_mass, sides=no_mass,
+        pattern=no_mass, agree=jnp.zeros(2, int), widened=zero, tracked=zero,
         amplitudes=jnp.full((how.windows, n), jnp.nan, float),
         distances=jnp.full(how.windows, jnp.nan, float), sharp=blank[0], repeats=zero,
         result=_well(),

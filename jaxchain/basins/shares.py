@@ -351,7 +351,7 @@ def to_dataset(
     state, at_end = tally.state, tally.at_end
     numbers = [dict(classify.numbers(code, chain)) for code in tally.codes]
     failed = np.any(state > known_states)
-    # Those of which more masses vibrate later; then by how likely they are.
+    # States with more vibrating masses later; then by how likely they are.
     likely = -bars.share[:, :known_states].mean(0)
     order = sorted(range(known_states), key=lambda k: (*numbers[k].values(), likely[k]))
     order += [known_states, known_states + 1][: 1 + failed]
@@ -488,7 +488,7 @@ def basin_shares(
     names the states; "undecided" is always the last, but for "failed" if a run did:
 
     - `share`; `low`, `high`: its 95 % interval.  Of Sobol points it is Student's t of the
-      replicates' shares, of random points, and of a state in or out of which are fewer than two
+      replicates' shares, of random points, and where a state has, or lacks, fewer than two
       starts a replicate, Wilson's interval of a fraction.  If of the checked decisions for k the
       part e(k, l) turns out l, `low` of k is lowered by share_k sum_l e(k, l), and `high` of l
       raised by sum_k share_k e(k, l).
@@ -498,7 +498,7 @@ def basin_shares(
     - `settling_time`: the median time from which nothing changed any more, NaN where none is.
     - `start_displacement`, `start_velocity` (..., oscillator): a start that ends there.
     - `verdict`, with `judge`: on that start, see `jaxchain.chaos.Verdict`.
-    - `replicate_share` (..., replicate, state), of which `share_differences` makes differences.
+    - `replicate_share` (..., replicate, state), the input of `share_differences`.
 
     Attributes: `starts` at each parameter, `longest_half_width` of the bars before the checks,
     `checked`, seed, tolerances, versions; `warning`, also given as one, where more starts change

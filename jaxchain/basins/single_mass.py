@@ -262,7 +262,7 @@ class _Now(NamedTuple):
 def return_map(mass: Mass, fastest: Any, box: tuple[Array, Array] | None = None) -> ReturnTime:
     """The turn that begins with the greatest velocity `fastest`.
 
-    **Arguments:** `box`: (displacement, velocity), of which the area is wanted; None, where only
+    **Arguments:** `box`: (displacement, velocity), whose area is wanted; None, where only
     what comes back is.
 
     Steps are of order 8 with their error controlled; the last one lands on the greatest velocity.
@@ -593,7 +593,7 @@ def _basin(chain: Chain, box: Box) -> SlidingBasin:
     frozen = lax.stop_gradient(mass)
     innermost = innermost_unstable_cycle(frozen)
     exists = jnp.isfinite(innermost.fastest)
-    # Without a cycle the equations are solved by numbers that nobody asks for, but are finite.
+    # Without a cycle the equations are solved by finite numbers that are not used.
     valid = jnp.isfinite(frozen.highest) & (frozen.highest > 0)
     safe = jax.tree.map(lambda of: jnp.where(valid, of, 1.0), (mass, edges))
     top = jnp.where(exists, innermost.fastest, _ANY * lax.stop_gradient(safe[0].highest))

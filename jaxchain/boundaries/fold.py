@@ -6,7 +6,7 @@ Unstable slip cycles have s << 0, stick-slip cycles s ~ 0, and the fold is the g
 things make it well conditioned at every width: s stretches the layer of thickness O(eps), and
 V'(s), which implicit differentiation of the shooting equations gives, is nearly linear in exp(2 s)
 there, since at s < 0 the smoothed friction lacks the share 2 exp(2 s).  So the search is a secant
-for V'(s) = 0 around Newton's method, each step of which is the least, in s and in 30 widths of
+for V'(s) = 0 around Newton's method, whose step is the least, in s and in 30 widths of
 v_d, of those that close the linearised cycle: at fixed s alone the slip cycle's multiplier, up to
 1e10 where friction weakens over a small part of v_d, would leave it no room to converge.
 

@@ -348,7 +348,7 @@ def _unproven(
     mass: int | None = None,
     K: np.ndarray | None = None,
 ) -> list[tuple[float, float]]:
-    """Short intervals, in order, outside of which nothing crosses: d of `mass`, or eigenvalues.
+    """Short intervals, in order, that contain all crossings: d of `mass`, or eigenvalues.
 
     Intervals whose ends are 1.1 times each other are halved down to 1e-5 of the speed.
     """

@@ -69,7 +69,7 @@ def extrapolate(
 
     **Returns:** an `Extrapolation`, NaN if a value is.  Works under `jit`, `vmap`, `grad`, `jvp`.
 
-    **Raises:** `ValueError` for fewer widths, equal ones, or such that are not positive.
+    **Raises:** `ValueError` unless there are at least four distinct positive widths.
 
     >>> import jax, jax.numpy as jnp
     >>> jax.config.update("jax_enable_x64", True)

@@ -58,7 +58,7 @@ def one_mass_branch(chain: Chain, lowest: Any = 0.1, fold: Fold | None = None) -
     speed at which the stick-slip branch is left, below that of the fold (near it only a few
     places have a point); `fold`, what `find_fold(chain)` returned, if it is known.
 
-    **Returns:** 146 places, of which 73 are slip cycles, NaN where a branch needs no more; for the
+    **Returns:** 146 points, 73 of them slip cycles, NaN where a branch needs no more; for the
     paper's set at width 1e-2 the fold is at v_d = 1.7925, A = 1.7808.  Of one chain, on the host;
     points err by some ten times the tolerance of the integration, 3e-11.  All NaN where there is
     no fold: then cycles, if any, are stable and grow out of the Hopf point as the belt slows down.

@@ -252,8 +252,8 @@ def classify(runs: Sequence[Evidence]) -> Verdict:
     """The verdict on an ensemble whose runs have their `kind`.
 
     The verdict is that of the strongest noise, because a state that survives exact symmetry only
-    is seen by nobody; what the start itself does without noise is `undisturbed`.  Runs on
-    unstable orbits have no say where others have left them.  If the runs of the strongest noise
+    is not observed in practice; what the start itself does without noise is `undisturbed`.  Runs
+    on unstable orbits have no say where others have left them.  If the runs of the strongest noise
     disagree, or any of them is open, the verdict is "transient"; if any of them failed, "failed".
 
     >>> still = [Evidence(noise, 0, kind="cycle") for noise in (0.0, 1e-3)]
@@ -359,7 +359,7 @@ def _remedy(runs: Sequence[Evidence]) -> str:
 
 # A record may be one of many runs, and on the host.
 _Numbers: TypeAlias = Any
-# Returns of which an orbit may be made, and points of the section kept of a window, at least.
+# Least returns that may make an orbit, and points of the section kept per window.
 MOST_RETURNS = 4
 _SPIRAL = 5.0
 
@@ -384,7 +384,7 @@ class Recurrence(NamedTuple):
     """How well the points of a section come back.
 
     - `spread`: the greatest distance of a point of the second half of the record from the nearest
-      of the `returns` last points, and of the last window's point from that so many returns later;
+      of the `returns` last points, and of the last window's point from the one `returns` later;
       relative to the amplitude, in the greatest component.
     - `returns`: after how many of them they do best (1 ... `MOST_RETURNS`); `period`: the time
       they take.

@@ -19,7 +19,7 @@ from jaxtyping import Array, Float, PyTree
 from .branch import Counts, Point
 from .damped_newton import Factors, Iterate, advance, arrays, begin, factorise, iterate, size
 
-# A Jacobian costs about as much as so many values: more chord steps than that do not pay.
+# A Jacobian costs about as much as this number of values: more chord steps than that do not pay.
 _CHORD_STEPS = 8
 _LEAST_DAMPING = 1 / 16
 _MAX_EVALUATIONS = 40

@@ -53,7 +53,7 @@ def unknowns(start: PyTree) -> tuple[Float[Array, " m"], Callable[[Array], PyTre
     return flat, unravel
 
 
-# The path is kept: so many steps at most.
+# The path is kept: at most this number of steps.
 MOST_STEPS = 10**6
 
 

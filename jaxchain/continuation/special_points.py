@@ -15,7 +15,8 @@ Test = Callable[[np.ndarray, float, np.ndarray, Any], Any]
 # Shares of the greater value at the two ends: what is called zero, and what is certainly not. A
 # determinant is known less well near its zero, where the corrector's own matrix is singular.
 _ZERO, _NOT_ZERO = 1e-7, 1e-3
-# A function that is still this great, as a share, after so many trials has no zero: it jumps.
+# A function that is still this great, as a share, after this number of trials has no zero: it
+# jumps.
 _PATIENCE, _JUMP = 10, 1e-2
 _MAX_DIPS = 12
 # Steps of `polish`, and by how much each must lessen the test at least.
@@ -72,7 +73,7 @@ def point_at(corrector: Corrector, piece: Segment, fraction: float) -> Point | N
 
 
 def slope_noise(corrector: Corrector, point: Point) -> float:
-    """The weighted dp/ds of which a point's own error leaves the sign open."""
+    """The weighted dp/ds below which a point's own error leaves the sign open."""
     return _CURVATURE * (point.last_step + corrector.rounding(point))
 
 
@@ -144,7 +145,7 @@ def polish(
         left = test(moved)
         change = abs(moved.p - point.p)
         if not abs(left) < max(_LESS * abs(value), np.finfo(float).tiny):
-            break  # no more is to be had; what it moved is what is not known
+            break  # no progress; the last change is the uncertainty
         if abs(length) > 1e-6 * reach and left != value:
             slope = (left - value) / length
         point, value = moved, left

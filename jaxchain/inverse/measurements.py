@@ -138,7 +138,7 @@ def predict(chain: Chain, measurements: Measurements, mass: Any = None) -> Float
     at its width.  NaN where there is no such fold or vibration.  Forward
     derivatives, which hold across sticking and release; `jit`; `vmap`.
 
-    **Arguments:** `measurements`, of which the belt speeds count, not what was measured there;
+    **Arguments:** `measurements`: only their belt speeds are used;
     `mass`, the index (from 0) of the mass, by default n // 2.
 
     **Returns:** shape (m,), dimensionless, in the order of `measurements.values`.

@@ -292,7 +292,7 @@ def _solve(problem: _DesignProblem, optimiser: Any, steps: int, tolerance: Array
         held = jnp.where(renew, m, now.held)
         new_penalty = jnp.where(slow, _GROWTH * penalty, penalty)
         value, slope = best.lagrangian(held, new_penalty)
-        # Another Lagrangian, of which the optimiser knows nothing.
+        # Another Lagrangian: the optimiser starts anew.
         memory = where(renew, transform.init(zero), now.state)
         step, memory = transform.update(slope, memory, best.z, value=value, grad=slope)
         longest = jnp.max(jnp.abs(step))

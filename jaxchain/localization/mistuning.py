@@ -29,7 +29,7 @@ from ..model.chain import Chain
 from ..observers.quantities import participation_ratio
 from ..result import Printed
 
-# Draws of a normal distribution end at so many standard deviations: no stiffness is negative.
+# Normal draws are cut at this number of standard deviations: no stiffness is negative.
 _NORMAL_END = 4.0
 _MOST = 10**8  # masses that are drawn
 # The greatest departure of a stiffness from its mean, in standard deviations.

@@ -273,7 +273,7 @@ def block_sites(n: int, k: int, block: str = "centred") -> np.ndarray:
         >>> block_sites(8, 3).tolist(), block_sites(8, 6, "forward").tolist()
         ([3, 4, 5], [4, 5, 6, 7, 0, 1])
     """
-    check_whole("k", k, 1, check_whole("n", n), "so many masses vibrate, of n.")
+    check_whole("k", k, 1, check_whole("n", n), "it is the number of vibrating masses, of n.")
     check_one_of("block", block, BLOCKS)
     start = reference_site(n) - (0 if block == "forward" else k // 2)
     return (start + np.arange(k)) % n

@@ -163,7 +163,7 @@ class AbstractFrictionLaw(AbstractFriction):
     A law of one's own needs a field or property `mu_static` and the method `coefficient`, written
     with `jax.numpy`.  It then does what the laws of this package do: it is smoothed by
     `TanhFriction`, integrated event by event, swept, differentiated.  Its fields are numbers, one
-    or one per mass, and leaves; what shall be none, such as a whole exponent, is a static field,
+    or one per mass, and leaves; anything else, such as a whole exponent, is a static field,
     `p: int = equinox.field(static=True)`.
 
     mu(s) must be continuous, and analytic but at the speeds that are listed in `knots`.

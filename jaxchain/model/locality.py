@@ -1,6 +1,6 @@
 """What holds the structured solvers together, checked: forces that act mass by mass.
 
-On which arguments a force depends is read off its trace, so that nobody has to declare it and no
+On which arguments a force depends is read off its trace, so that it need not be declared and no
 declaration can be wrong.
 """
 
@@ -95,7 +95,7 @@ def check_local(field: Any, t: Any, state: Any) -> None:
 
     `field` is an `AbstractOscillators`.  Its derivatives near the state (x, v), in a direction
     that differs from mass to mass, must be those of a diagonal matrix.  What is traced passes, and
-    what overrides `__call__`, whose structure nobody relies on.
+    what overrides `__call__`: its structure is not used.
     """
     x, v = state
     if x.shape[0] < 2 or not field.structured or is_traced(field, t, state):

@@ -127,7 +127,7 @@ class Amplitude(AbstractObserver):
             turns, theta = step.turning_points()
             low, high = acc.low, acc.high
             if not always:
-                # The step in which the window begins, of which there is one, counts from there on.
+                # The one step in which the window begins counts from there on.
                 opens = watching & (step.t0 <= acc.last_window)
                 length = jnp.maximum(step.t1 - step.t0, 1e-300)
                 start = jnp.where(opens, (acc.last_window - step.t0) / length, 0.0)
@@ -199,7 +199,7 @@ def amplitude_variables(
     """Amplitudes, their energy and who vibrates, as every dataset calls them.
 
     **Arguments:** `belt_speed`, one number or one for each state of a batch; None without a belt,
-    where nobody knows which masses vibrate on their own.
+    where it is unknown which masses vibrate on their own.
 
     **Returns:** variables whose dimensions are those behind the batch.
     """

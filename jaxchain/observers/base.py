@@ -1,4 +1,4 @@
-"""What is observed along a run; whatever nobody observes is not computed.
+"""Quantities observed along a run; nothing else is computed.
 
 An observer keeps a small accumulator that travels with the solver and is updated after every
 accepted step from the step's own dense output, so that turning points are found between steps and

@@ -115,7 +115,7 @@ class FrontTrack(AbstractObserver):
     both fronts have come within two masses of `middle` or three of the far side of the ring.
     Value: `Fronts`.
 
-    **Arguments:** `windows`, each of which should last two periods (4 pi) at least; `middle`, the
+    **Arguments:** `windows`: each should last at least two periods (4 pi); `middle`, the
     index of a mass inside the block (None: n // 2, the middle of a centred `excited_block`).
 
     !!! example

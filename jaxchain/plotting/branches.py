@@ -61,7 +61,7 @@ def plot_branch(
     **Arguments:**
 
     - `branch`: of `continue_cycle`, its `to_dataset()`, or a `Branch` of `continue_branch`, whose
-      stability nobody knows: a solid line.
+      unknown stability: a solid line.
     - `y`: a variable over `point` alone; by default `energy`, or `amplitude` of a single
       oscillator.  Special points are marked where the dataset has `special_<y>`, as it has for
       all but `unstable_count`, `stable` and `trivial_defect`.

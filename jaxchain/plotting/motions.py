@@ -324,7 +324,7 @@ def animate(
 
     **Arguments:**
 
-    - `chain`, of which `times` and `states` are a run, see `sticking`.
+    - `chain` whose run `times` and `states` are, see `sticking`.
     - `times`: shape (frames,), dimensionless, increasing; each is one frame.
     - `states`: (x, v), each of shape (frames, n), or a `Simulation` that observed
       `Trajectory(times)`; for films that close see `loop`.
@@ -648,7 +648,7 @@ def _checked_times(times: Any) -> np.ndarray:
 def _checked_states(
     states: Any, times: int | None = None, n: int | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(x, v) of so many times and masses, or `ValueError`; None: of those that x has."""
+    """(x, v) of the given numbers of times and masses, or `ValueError`; None: those of x."""
     check_concrete("draw what it returns.", states=states)
     if isinstance(states, Simulation):
         states = states.observed

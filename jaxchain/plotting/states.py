@@ -295,7 +295,7 @@ def _delay_axis(panels: list[Any], data: xr.Dataset) -> None:
 
 
 def _samples(data: xr.Dataset) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[int]]:
-    """Times, x and v of what `Samples` kept of each state, and of which oscillators."""
+    """Times, x and v of what `Samples` kept of each state, and the oscillators."""
     others = json.loads(data.attrs["definition"])["observe"]["others"]
     table = next(other for other in others if other["observer"] == "Samples")
     x, v = (data[f"sample_{name}"].values for name in ("displacement", "velocity"))

@@ -138,7 +138,7 @@ def add_legend(panels: Axes | list[Axes], title: str | None = None, beside: bool
         title = title or before.get_title().get_text() or None
     page = panels[0].get_figure(root=True)
     beside = beside and page is not None and page.get_layout_engine() is not None
-    size = 0.78 * float(panels[0].xaxis.label.get_fontsize())  # of whoever made the axes
+    size = 0.78 * float(panels[0].xaxis.label.get_fontsize())  # as the axes have it
     look: dict[str, Any] = {
         "title": title and _wrapped(title),
         "handlelength": 1.6,
@@ -157,7 +157,7 @@ def add_legend(panels: Axes | list[Axes], title: str | None = None, beside: bool
 
 
 def _wrapped(title: str) -> str:
-    """On several short lines, none of which ends within a formula."""
+    """On several short lines; none ends within a formula."""
     whole = re.sub(r"\$[^$]*\$", lambda formula: formula[0].replace(" ", "\0"), title)
     return textwrap.fill(whole, 18).replace("\0", " ")
 

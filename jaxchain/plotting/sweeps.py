@@ -347,7 +347,7 @@ def plot_sweep(
     """Every run of a sweep as a point: a variable over a swept number.
 
     No dimension is averaged over or drawn on top of another without being asked: each that has
-    more than one value is `x`, a series (`hue`), or panels (`col`, `row`); those of which nothing
+    more than one value is `x`, a series (`hue`), or panels (`col`, `row`); those for which nothing
     is said become panels, and if there is no place for them an error names them.
 
     **Arguments:**

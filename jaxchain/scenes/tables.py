@@ -422,7 +422,7 @@ class SamplesTable(Table):
     capacity: Count
     """How many are kept, the first ones."""
     oscillators: Masses | None = None
-    """Of which masses, counted from 1; absent: of all."""
+    """Masses, counted from 1; absent: all."""
     start: Time = 0.0
     """Time of the first."""
 

@@ -297,8 +297,8 @@ class EventDrivenPlan(AbstractPlan):
 
         carry: Any = progress, records
         if isinstance(adjoint, dfx.RecursiveCheckpointAdjoint):
-            # Parts of so many steps.  The start of each part is kept, and while going back through
-            # one of them every step of it.
+            # Parts of a fixed number of steps.  The start of each part is kept, and while going
+            # back through one of them every step of it.
             most_kept: int = adjoint.checkpoints or CHECKPOINTS
 
             def written_once(carry: Any) -> list:

@@ -30,7 +30,7 @@ _FORWARD = (
 
 
 def forward_only(tree: Any) -> Any:
-    """The same, but for whoever goes back through it an error that says what to do."""
+    """Identity that raises a helpful error under reverse-mode differentiation."""
     numbers, rest = eqx.partition(tree, eqx.is_inexact_array)
     return eqx.combine(eqxi.nondifferentiable_backward(numbers, msg=_FORWARD), rest)
 

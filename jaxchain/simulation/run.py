@@ -123,13 +123,13 @@ def simulate(
     - `adjoint`: None serves derivatives of both kinds, `jvp` and `jacfwd` as well as `grad` and
       `jacrev`, in bounded memory however long the run: some states are kept, steps between them
       are computed again.  A gradient costs as much as seven to nine runs whatever the number of
-      parameters, and `jacfwd` as much as five or six for twenty of them, so that it is cheaper
-      up to some thirty.  `diffrax.RecursiveCheckpointAdjoint(checkpoints=...)` keeps so many
+      parameters, and `jacfwd` as much as five or six for twenty of them, so that it is cheaper up
+      to some thirty.  `diffrax.RecursiveCheckpointAdjoint(checkpoints=...)` keeps that number of
       states, and `diffrax.ForwardMode()` serves the first kind alone.  Second derivatives are
-      those of `jax.hessian`, or `jacfwd` twice.  With smoothed friction a plain run decides on
-      the steps, and both kinds of derivatives follow them: the first 32,768 tried, or
-      `max_steps` if it is given (8 bytes each).  Later steps are decided on again on the way
-      back, which costs digits at tight tolerances.
+      those of `jax.hessian`, or `jacfwd` twice.  With smoothed friction a plain run decides on the
+      steps, and both kinds of derivatives follow them: the first 32,768 tried, or `max_steps` if
+      it is given (8 bytes each).  Later steps are decided on again on the way back, which costs
+      digits at tight tolerances.
     - `throw`: raise an error if the run fails; otherwise read `result`.
 
     **Returns:** a `Simulation`: the last time and state, what was observed, and how the run ended.
@@ -351,7 +351,7 @@ def _concrete(value: Any, default: float) -> float:
 
 def check_segments(segments: Any) -> None:
     """Raises `ValueError` unless it is None or a number of segments."""
-    check_count("segments", segments, MOST_SEGMENTS, "a run is cut into so many parts.")
+    check_count("segments", segments, MOST_SEGMENTS, "it is the number of parts of a run.")
 
 
 def _check_input(

@@ -106,7 +106,7 @@ class RosenbrockTableau:
 
 
 def _check_rows(name: str, rows: Any, lengths: Sequence[int], least: int) -> None:
-    """Raises `ValueError` unless there are `least` rows, or more, of so many finite numbers."""
+    """Raises `ValueError` unless at least `least` rows have these lengths and are finite."""
     count = len(rows) if isinstance(rows, list | tuple | np.ndarray) else -1
     good = least <= count <= len(lengths)
     if good:

@@ -501,7 +501,7 @@ def first_exit(
     inside = jnp.minimum(down, up) >= -resolution
     inside &= (down - slope * back >= bend) & (up + slope * back >= bend)
     distance = jnp.where(slope > 0, up, down)
-    # One array for both: whoever is not certain to stay, or leaves at t.
+    # One array for both: not certain to stay, or leaves at t.
     kind = jnp.where((back <= 0) | inside, jnp.where(distance <= resolution, 1, 0), -1)
     kind = materialize(kind.astype(t.dtype))
     until = jnp.min(jnp.where(kind < 0, sure, t))

@@ -128,7 +128,7 @@ def _set_up(circumstances: Mapping[str, Any]) -> None:
     """JAX as in the client's process, before anything is read that is of JAX.
 
     Otherwise floats of 32 bits would be made of it.  Where the environment says how many devices
-    a worker has, it has so many, else as many as threads.
+    a worker has, that number is used, else one per thread.
     """
     from distributed import get_worker
 
@@ -149,7 +149,7 @@ def _set_up(circumstances: Mapping[str, Any]) -> None:
 def cluster(
     workers: int | None = None, scheduler: str | None = None, progress: bool = False
 ) -> contextlib.AbstractContextManager[Any]:
-    """A client of Dask: of so many workers on this computer, or of a scheduler that runs.
+    """A client of Dask: of workers on this computer, or of a running scheduler.
 
     **Arguments:**
 

@@ -175,7 +175,7 @@ class Ensemble:
         return self.block(grid, (0,) * len(self.axes))
 
     def blank_records(self, size: int) -> dict[str, Any]:
-        """Host arrays for what so many jobs leave, of which nothing is known."""
+        """Host arrays for the results of `size` jobs, still unknown."""
 
         def nothing(s: jax.ShapeDtypeStruct) -> np.ndarray:
             fill = np.nan if np.issubdtype(s.dtype, np.floating) else 0
@@ -186,7 +186,7 @@ class Ensemble:
         return records
 
     def sample(self, lanes: int) -> Dataset:
-        """The dataset of one job that is pending, to be run by so many lanes."""
+        """The dataset of one pending job, to be run by this number of lanes."""
         block = self.first_job()
         block.records = self.blank_records(1)
         block.records["result"][:] = NAMES.index("pending")
@@ -217,7 +217,7 @@ class Ensemble:
 
 
 def prepare(settings: RunSettings, over: Mapping[str, Any], most: int) -> Ensemble:
-    """The sweep of these settings over these values, of at most so many jobs.
+    """The sweep of these settings over these values, of at most `most` jobs.
 
     **Raises:** `ValueError` for bad input.
     """

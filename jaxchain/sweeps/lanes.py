@@ -31,7 +31,7 @@ from ..simulation.plan import AbstractPlan, Progress
 # lane which has ended does not idle for long.
 ROUND = 64
 # In the place of the number of a job: there is none, or leave what is there.
-NOBODY, AS_IT_IS = -1, -2
+NO_JOB, AS_IT_IS = -1, -2
 
 
 def chain_names(chain: Chain) -> list[str]:
@@ -288,7 +288,7 @@ class Slot(eqx.Module):
     """A lane, the job that comes next in it, and what the last one left; a pool is stacked."""
 
     lane: Lane
-    job: Int[Array, ""]  # under way, or NOBODY
+    job: Int[Array, ""]  # under way, or NO_JOB
     over: Bool[Array, ""]  # whether that has ended
     next_start: RunStart
     next_job: Int[Array, ""]
@@ -297,9 +297,9 @@ class Slot(eqx.Module):
 
 
 def blank_slot(task: SweepTask, start: RunStart) -> Slot:
-    """A place of the pool that nobody's lane holds yet."""
-    lane, nobody = start_lane(task, start), jnp.asarray(NOBODY)
-    return Slot(lane, nobody, jnp.asarray(True), start, nobody, read_lane(task, lane), nobody)
+    """A place of the pool without a job."""
+    lane, no_job = start_lane(task, start), jnp.asarray(NO_JOB)
+    return Slot(lane, no_job, jnp.asarray(True), start, no_job, read_lane(task, lane), no_job)
 
 
 def advance_pool(
@@ -310,10 +310,10 @@ def advance_pool(
     more: Bool[Array, ""],
     rounds: Int[Array, ""],
 ) -> tuple[Slot, dict[str, Any]]:
-    """All lanes after so many rounds, or until one has to wait for the host.
+    """All lanes after a number of rounds, or until one has to wait for the host.
 
     Where a lane ends, its record is kept and its next job begins, without the host.  `jobs`: what
-    comes next in each place, with its `fresh` start; NOBODY takes back what would have come.
+    comes next in each place, with its `fresh` start; NO_JOB takes back what would have come.
     `more`: whether the host has other jobs, so that it is to be asked as soon as a lane is idle.
 
     **Returns:** the pool, and of each lane `job`, `next_job`, `recorded`, `record` and the time
@@ -325,7 +325,7 @@ def advance_pool(
         lambda p: (p.next_start, p.next_job, p.recorded),
         pool,
         # The host has the records.
-        (begun, jnp.where(given, jobs, pool.next_job), jnp.full_like(jobs, NOBODY)),
+        (begun, jnp.where(given, jobs, pool.next_job), jnp.full_like(jobs, NO_JOB)),
     )
 
     def goes_on(carry: tuple[Slot, Array]) -> Array:
@@ -357,7 +357,7 @@ def advance_pool(
 def _next_run(task: SweepTask, place: Slot) -> Slot:
     """If the lane is over, its record is kept, and its next job begins."""
     leaves = (place.job >= 0) & place.over & (place.recorded < 0)
-    job = jnp.where(leaves, NOBODY, place.job)
+    job = jnp.where(leaves, NO_JOB, place.job)
     begins = (job < 0) & (place.next_job >= 0)
 
     def either(take: Array, new: Any, old: Any) -> Any:
@@ -368,7 +368,7 @@ def _next_run(task: SweepTask, place: Slot) -> Slot:
         jnp.where(begins, place.next_job, job),
         place.over & ~begins,
         place.next_start,
-        jnp.where(begins, NOBODY, place.next_job),
+        jnp.where(begins, NO_JOB, place.next_job),
         either(leaves, read_lane(task, place.lane), place.record),
         jnp.where(leaves, place.job, place.recorded),
     )

@@ -24,7 +24,7 @@ from .._configure import cores
 from .._progress import progress_bar
 from .axes import Block
 from .ensemble import Ensemble
-from .lanes import AS_IT_IS, NOBODY, RunStart, RunStarts, Slot, SweepTask, advance_pool
+from .lanes import AS_IT_IS, NO_JOB, RunStart, RunStarts, Slot, SweepTask, advance_pool
 from .programs import place, ready, starts_on
 
 # Numbers per array of one device's lanes: what keeps the arrays of a step within a core's cache.
@@ -50,7 +50,7 @@ class Pool:
         shapes, static = eqx.partition(blank, _is_shape)
         empty: Slot = jtu.tree_map(zeros, shapes)
         for numbers in (empty.job, empty.next_job, empty.recorded):
-            numbers[:] = NOBODY
+            numbers[:] = NO_JOB
         empty.over[:] = True
         self._places: Any = place(eqx.combine(empty, static), device)
         self._fresh: Any = self._places.next_start
@@ -58,7 +58,7 @@ class Pool:
         self._program: Callable | None = None
         self._asked: dict[str, Any] | None = None
         self._since = 0.0
-        self.job = self.next_job = np.full(width, NOBODY)
+        self.job = self.next_job = np.full(width, NO_JOB)
         self.t = np.zeros(width)
         self.pace: np.ndarray | None = None  # of each lane, in the time of the runs per second
 
@@ -99,7 +99,7 @@ class Pool:
         self._places, self._asked = self._program(*given)
 
     def outcome(self) -> tuple[np.ndarray, dict[str, Any]]:
-        """Which job has ended in each lane since it was asked (or NOBODY), and its record."""
+        """Which job has ended in each lane since it was asked (or NO_JOB), and its record."""
         # Copies: what the device holds is overwritten.
         arrays: Any = jtu.tree_map(np.array, self._asked)
         self._asked = None
@@ -157,7 +157,7 @@ class Scheduler:
         task, starts = ensemble.task, ensemble.starts
         self.ensemble, self.task, self.total = ensemble, task, total
         self.devices = list(jax.local_devices() if devices is None else devices)[:total]
-        # Of the CPU, and wanted: nobody chose the devices, and there are jobs for more of them.
+        # Only for the CPU, if the devices were not chosen and there are jobs for more of them.
         on_cpu = devices is None and self.devices[0].platform == "cpu"
         self.idle_cores = max(0, cores() - len(self.devices)) if on_cpu else 0
         self.idle_cores *= total > len(self.devices)
@@ -280,7 +280,7 @@ class Scheduler:
             late = np.flatnonzero(pool.busy & (pool.next_job >= 0))
             late = late[: free.size - self.waiting.size]
             self.waiting = np.concatenate([self.waiting, pool.next_job[late]])
-            numbers[late] = NOBODY
+            numbers[late] = NO_JOB
         self._hand_out(numbers, free)
         if self.waiting.size > sum(pool.width for pool in self.pools):
             self._hand_out(numbers, np.flatnonzero(pool.busy & (pool.next_job < 0)))
@@ -336,7 +336,7 @@ class Scheduler:
 
 
 def lane_bar(total: int, show: bool, description: str) -> tqdm:
-    """A progress bar over so many lanes."""
+    """A progress bar over `total` runs."""
     return progress_bar(
         total=total,
         desc=description,

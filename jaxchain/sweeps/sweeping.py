@@ -3,7 +3,7 @@
 `vmap` of a whole integration runs until its slowest lane ends, and quiet lanes cost as much as
 vibrating ones.  Here a fixed number of lanes on every device goes on in short *rounds* of steps;
 lanes that have ended hand over their results and take the next job.  A lane sees nothing of its
-neighbours: its steps and rounds are the same whoever runs beside it.  How many run beside it does
+neighbours: its steps and rounds do not depend on them.  How many run beside it does
 matter, in the last bits: XLA compiles another program for another number of lanes, and a chaotic
 lane makes another motion of it.  `lanes` fixes the program.
 """
@@ -110,9 +110,10 @@ def sweep(
       of the dataset, and all have the least of their `rtol`.
     - `solver`, `rtol`, `atol`, `max_step`, `max_steps`: as for `simulate`, the same for all lanes.
     - `lanes`: lanes at a time on each device, for the same bits again: every device runs one
-      program, for just so many lanes, whatever the number of devices and of jobs.  By default as
-      many as fit its cache, no more than its share of the jobs, and fewer near the end of a long
-      sweep; that is fastest, but the last bits then depend on jobs, devices and the clock.
+      program, for exactly this number of lanes, whatever the number of devices and of jobs.  By
+      default as many as fit its cache, no more than its share of the jobs, and fewer near the end
+      of a long sweep; that is fastest, but the last bits then depend on jobs, devices and the
+      clock.
     - `devices`: default all local devices.
     - `store`: the name of a Zarr store that keeps the results on disk, unit by unit, as they come:
       if this process is killed, the same call goes on with what is missing.  One process at a time

@@ -218,7 +218,7 @@ def test_one_vibrating_mass_in_twenty():
 
 
 def next_one_pulled(speed, count, time):
-    """The edge between so many vibrating masses of twenty, and one more."""
+    """The edge between `count` vibrating masses of twenty, and one more."""
     chain = paper_chain(20, belt_speed=speed, width=None)
     x, v = simulate(chain, equation_8(chain, count), 2000.0, rtol=1e-11).state
     pulled = jnp.arange(20) == 10 + count

@@ -1,4 +1,4 @@
-"""Folds of many sets: those of the search for one, whoever runs beside them."""
+"""Folds of many sets: those of the search for one, independent of their neighbours."""
 
 import subprocess
 import sys

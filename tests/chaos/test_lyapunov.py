@@ -195,7 +195,7 @@ def test_a_smoothed_cycle_has_the_exponents_of_its_multipliers():
 
 @pytest.mark.long
 def test_the_sum_is_the_mean_divergence_and_lanes_do_not_mind_each_other():
-    """A smoothed chain of moderate width; three lanes, one of which cannot even start."""
+    """A smoothed chain of moderate width; three lanes; one cannot even start."""
     chain = paper_chain(2, 1.5, width=0.1)
     x, v = equation_8(chain, 1)
     starts = jnp.stack([x, x * jnp.nan, x + 0.1])

@@ -1,4 +1,4 @@
-"""Sweeps in a store of which a process is killed, or whose disk is full or read-only.
+"""Sweeps in a store whose process is killed, or whose disk is full or read-only.
 
 Real processes, signals and disks.  Every store must equal that of an undisturbed sweep.
 """

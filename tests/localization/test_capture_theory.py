@@ -27,5 +27,5 @@ def test_theory_and_runs_agree_on_who_is_drawn_in():
         over={"detuning": detuning}, observe=Amplitude(window=20.0), solver=EventDriven(),
     )  # fmt: skip
     np.testing.assert_array_equal(result["amplitude"][:, 3] > 0.6, [False, True, False])
-    # Far from the Hopf speed weak springs draw nobody in.
+    # Far from the Hopf speed weak springs draw no mass in.
     assert np.all(np.isnan(capture_interval(chain.with_(coupling=1e-4), 1.5)))

@@ -42,7 +42,7 @@ def test_fronts_are_where_a_walk_by_hand_finds_them(n):
         np.testing.assert_allclose(np.stack([right, left], 1), expected, rtol=1e-13)
 
 
-def test_nobody_vibrates_or_all_do():
+def test_no_mass_vibrates_or_all_do():
     right, left = front_positions(jnp.stack([jnp.zeros(10), jnp.ones(10)]), 0.5)
     assert right.tolist() == left.tolist() == [0.0, 6.0]
 

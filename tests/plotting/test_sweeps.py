@@ -96,7 +96,7 @@ def shaken():
 
 
 @pytest.mark.parametrize("left_out", ["energy", "amplitude"])
-def test_only_what_does_not_move_is_at_rest(left_out):
+def test_only_what_does_not_move_slides_steadily(left_out):
     data = shaken().drop_vars(left_out)
     (axes,) = named_panels(figure({"single": data}))
     (resting,), (moving,) = labelled(axes, "steady sliding"), labelled(axes, plot.NOT_VIBRATING)
@@ -460,7 +460,7 @@ def test_a_number_that_spans_decades_has_a_logarithmic_axis():
     assert plot_sweep(data).get_xscale() == "log"
 
 
-def test_without_amplitudes_nobody_is_called_at_rest():
+def test_without_amplitudes_no_run_is_called_steady_sliding():
     data = shaken()[["active_count", "result", "steps"]]
     (axes,) = named_panels(figure({"single": data}))
     assert not labelled(axes, "steady sliding")

@@ -25,8 +25,8 @@ def main() -> None:
         count = sum(len(row.attempts) for row in rows)
     else:
         signal.signal(signal.SIGALRM, too_slow)
-        rooms = (model, runs, searches, boundaries, basins, motions, pictures)
-        rows = [row for room in rooms for row in room.rows()]
+        submodules = (model, runs, searches, boundaries, basins, motions, pictures)
+        rows = [row for submodule in submodules for row in submodule.rows()]
         count = sum(row.attempts() for row in rows)
         print(*untried(row.name for row in rows), sep="\n", end="")
     for row in rows:

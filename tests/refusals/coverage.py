@@ -11,7 +11,7 @@ RESULT = "what a function returns; no caller makes one"
 BASE = "a base class, for subclasses: tests/test_custom_laws.py, test_local_force.py, test_base.py"
 NO_ARGUMENT = "takes no argument"
 RECORD = "holds whatever it is given: no check, no meaning of its own"
-# Rooms whose input are files: their own tests have broken ones.
+# Submodules whose input are files: their own tests have broken ones.
 FILES = {"scenes", "studies"}
 NOT_TRIED = {
     **dict.fromkeys(
@@ -41,10 +41,15 @@ NOT_TRIED = {
 
 
 def public() -> set[str]:
-    """The names of the front door and of all rooms but `FILES`."""
-    rooms = set(jaxchain.ROOMS) - FILES
-    doors = [jaxchain, *(importlib.import_module(f"jaxchain.{room}") for room in rooms)]
-    return {name for door in doors for name in door.__all__ if name not in jaxchain.ROOMS}
+    """The names of the top level and of all submodules but `FILES`."""
+    submodules = set(jaxchain.SUBMODULES) - FILES
+    modules = [
+        jaxchain,
+        *(importlib.import_module(f"jaxchain.{submodule}") for submodule in submodules),
+    ]
+    return {
+        name for module in modules for name in module.__all__ if name not in jaxchain.SUBMODULES
+    }
 
 
 def untried(names: Iterable[str]) -> Iterator[str]:

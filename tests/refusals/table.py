@@ -55,7 +55,7 @@ def states(n: int) -> tuple[Any, ...]:
 
 
 class Told(NamedTuple):
-    """A value of which the message does not say what it is, but this."""
+    """A value that the message describes by this text."""
 
     value: Any
     instead: str
@@ -64,7 +64,7 @@ class Told(NamedTuple):
 class Row(NamedTuple):
     """A public name, and calls of it with one argument replaced by each of some values.
 
-    `name` is that of the door, or begins with it; `says` must be matched by every message.
+    `name` is that of the module, or begins with it; `says` must be matched by every message.
     """
 
     name: str

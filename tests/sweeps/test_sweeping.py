@@ -1,4 +1,4 @@
-"""Sweeps: the same numbers as single runs, whoever runs beside them; labels, failures, input."""
+"""Sweeps: the same numbers as single runs; labels, failures, input."""
 
 import io
 
@@ -141,13 +141,13 @@ def test_given_lanes_stay_so_many_however_long_the_last_ones_take(monkeypatch):
 
 @pytest.mark.long
 def test_what_waits_for_a_long_run_is_taken_back_by_an_idle_lane(monkeypatch):
-    from jaxchain.sweeps.lanes import NOBODY
+    from jaxchain.sweeps.lanes import NO_JOB
     from jaxchain.sweeps.scheduler import Pool
 
     taken, original = [], Pool.go_on
 
     def go_on(self, jobs, numbers, more):
-        taken.extend(self.next_job[numbers == NOBODY])
+        taken.extend(self.next_job[numbers == NO_JOB])
         return original(self, jobs, numbers, more)
 
     monkeypatch.setattr(Pool, "go_on", go_on)

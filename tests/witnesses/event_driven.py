@@ -135,7 +135,7 @@ def integrate(
     max_step: float = 0.2,
     stop: Callable[[Event], bool] | None = None,
 ) -> Run:
-    """From (x, v) at time 0 to `t1`, or to the first event of which `stop` is true.
+    """From (x, v) at time 0 to `t1`, or to the first event for which `stop` is true.
 
     `times` (ascending, within 0 ... t1) are states asked for; each is a step of its own from the
     last step before it, and does not change the run. `max_step` must be short beside a period, so

@@ -1,4 +1,4 @@
-"""The rooms of the package: no function hides the module it stands in."""
+"""The submodules of the package: no function hides the module it stands in."""
 
 import ast
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The front door and the rooms: few names, each room in its place, and words for who is lost."""
+"""The top level and the submodules: few names, each in its place, clear errors."""
 
 import ast
 import importlib
@@ -21,13 +21,15 @@ SHOWN = {
 }
 
 
-def rooms():
+def submodules():
     folders = [info.name for info in pkgutil.iter_modules(jaxchain.__path__) if info.ispkg]
     return [name for name in folders if not name.startswith("_")]
 
 
-def files(room):
-    return [info.name for info in pkgutil.iter_modules(importlib.import_module(room).__path__)]
+def files(submodule):
+    return [
+        info.name for info in pkgutil.iter_modules(importlib.import_module(submodule).__path__)
+    ]
 
 
 def listed(module):
@@ -37,8 +39,8 @@ def listed(module):
     return re.findall(r"^- `(\w+)`: \S", ast.get_docstring(tree) or "", flags=re.MULTILINE)
 
 
-def exported(room):
-    return getattr(importlib.import_module(room), "__all__", [])
+def exported(submodule):
+    return getattr(importlib.import_module(submodule), "__all__", [])
 
 
 def fresh(code):
@@ -47,34 +49,34 @@ def fresh(code):
     return done.stdout
 
 
-def test_few_names_stand_at_the_door_and_those_of_before_among_them():
+def test_few_names_stand_at_top_and_those_of_before_among_them():
     names = exported("jaxchain")
     assert len(names) <= 40
     assert set(names) >= SHOWN
     assert all(getattr(jaxchain, name) is not None for name in names)
-    assert set(dir(jaxchain)) == {*names, *rooms()}
+    assert set(dir(jaxchain)) == {*names, *submodules()}
 
 
 def test_the_door_shows_every_room():
-    assert sorted(jaxchain.ROOMS) == sorted(rooms())
-    assert listed(jaxchain) == list(jaxchain.ROOMS)
+    assert sorted(jaxchain.SUBMODULES) == sorted(submodules())
+    assert listed(jaxchain) == list(jaxchain.SUBMODULES)
 
 
-@pytest.mark.parametrize("room", rooms())
-def test_a_room_lists_its_files_and_has_what_it_exports(room):
-    module = importlib.import_module(f"jaxchain.{room}")
-    assert sorted(listed(module)) == files(f"jaxchain.{room}")
-    for name in exported(f"jaxchain.{room}"):
+@pytest.mark.parametrize("submodule", submodules())
+def test_a_room_lists_its_files_and_has_what_it_exports(submodule):
+    module = importlib.import_module(f"jaxchain.{submodule}")
+    assert sorted(listed(module)) == files(f"jaxchain.{submodule}")
+    for name in exported(f"jaxchain.{submodule}"):
         assert getattr(module, name) is not None
-        assert name not in rooms()
+        assert name not in submodules()
 
 
 def test_a_name_stands_in_one_room():
-    names = [name for room in rooms() for name in exported(f"jaxchain.{room}")]
+    names = [name for submodule in submodules() for name in exported(f"jaxchain.{submodule}")]
     assert len(names) == len(set(names))
 
 
-def test_who_asks_at_the_door_is_sent_to_the_room():
+def test_who_asks_at_top_is_sent_to_the_room():
     told = "jaxchain.front_speed moved to jaxchain.localization.front_speed"
     with pytest.raises(AttributeError, match=told):
         _ = jaxchain.front_speed  # pyright: ignore[reportAttributeAccessIssue]
