@@ -1,24 +1,24 @@
 """jaxchain: differentiable simulation of friction-excited oscillator chains on JAX.
 
-What most scripts need stands here.  Everything else stands in its submodule:
+The most-used names can be imported from `jaxchain`; the rest live in submodules:
 
 - `model`: the chain: masses on a moving belt, springs, friction, initial states
-- `continuation`: equations of any kind: roots, derivatives, branches of solutions
-- `observers`: what is watched along a run
-- `solvers`: how a step is made
-- `simulation`: one run, smoothed or with true dry friction
+- `continuation`: roots of equations, their derivatives, and branches of solutions
+- `observers`: quantities to measure along a run
+- `solvers`: structured Rosenbrock methods and step-size control
+- `simulation`: one run, smoothed or dry
 - `sweeps`: ensembles, as labelled datasets
 - `cycles`: limit cycles, Floquet multipliers, branches of cycles
-- `boundaries`: where vibration starts (Hopf) and where it can survive (fold)
+- `boundaries`: where vibration sets in (Hopf) and up to where it survives (fold)
 - `chaos`: Lyapunov exponents and verdicts
 - `localization`: patterns, fronts, mistuning
-- `basins`: how likely each state is, and how hard one must push
+- `basins`: how likely each state is, and how hard a blow starts vibration
 - `inverse`: design and identification
 - `plotting`: figures, drawings, films
 - `scenes`: experiments as TOML files
 
-`help(jaxchain.boundaries)` lists a submodule's files and names.  Nothing is imported before it is
-asked for.
+`help(jaxchain.boundaries)` lists the files and names of a submodule.  Names are imported on first
+use.
 """
 
 import sys
@@ -38,7 +38,7 @@ __all__ = [name for name in _shown if name not in SUBMODULES]  # pyright: ignore
 
 
 def __getattr__(name: str) -> Any:
-    """A name of this module, or where else it stands."""
+    """A name of the top level, or an error that names its submodule."""
     if name in _shown:
         return _show(name)
     if not name.startswith("_"):

@@ -27,32 +27,34 @@ def configure(
 ) -> None:
     """Sets JAX up for jaxchain: call it first, before anything is computed.
 
-    `import jaxchain` changes nothing of JAX.  This does what a script for jaxchain needs, with one
-    line in place of three:
+    `import jaxchain` does not change JAX.  This function makes three settings:
 
     1. 64-bit floats, which jaxchain needs (`jax_enable_x64`);
-    2. one device of JAX for each core (`jax_num_cpu_devices`): `sweep` spreads its runs over all;
+    2. one JAX device per core (`jax_num_cpu_devices`), over which `sweep` distributes its runs;
     3. small loops compiled whole (an option of XLA for the CPU, added to the environment variable
        `XLA_FLAGS`): a single run, fold or cycle takes a third of the time, and results agree to
        rounding.  Tried with jax 0.10.2.
 
-    What the user has chosen otherwise, in the environment or by an earlier call, stays.
+    Settings of the environment, or of an earlier call, take precedence.
 
-    **Arguments:** `bits`, 64, or None to leave the precision alone; `devices`, the number of
-    CPU devices, None for one per core that this process may use, 0 to leave that alone;
-    `whole_loops`, whether to set the option; `cache`, whether compiled programs are kept for the
-    next process: a folder, or True for `jaxchain` in the user's cache folder (XDG_CACHE_HOME).
+    **Arguments:**
 
-    With `cache` a process finds what any other has compiled, the same to the last bit.  The folder
-    holds one folder for each version of jaxlib and each kind of CPU, and any number of processes
-    may share it.  Nothing is ever removed: some 20 MB for a day's work; delete the folder whenever
-    you like.  The environment variables JAX_COMPILATION_CACHE_DIR and JAX_PERSISTENT_CACHE_... go
-    first, and JAX_ENABLE_COMPILATION_CACHE=false switches it off.
+    - `bits`: 64, or None to keep the precision.
+    - `devices`: the number of CPU devices; None: one per core that this process may use; 0: keep.
+    - `whole_loops`: whether to set the option of XLA.
+    - `cache`: keep compiled programs for later processes, in a folder, or with True in `jaxchain`
+      in the user's cache folder (XDG_CACHE_HOME).
+
+    With `cache`, processes share compiled programs, which give the same bits.  The folder contains
+    one folder per version of jaxlib and kind of CPU.  It grows by some 20 MB in a day's work; you
+    can delete it at any time.  The environment variables JAX_COMPILATION_CACHE_DIR and
+    JAX_PERSISTENT_CACHE_... take precedence, and JAX_ENABLE_COMPILATION_CACHE=false switches it
+    off.
 
     **Raises:** `ValueError` for anything else.
 
-    **Warns:** of what could not be set, because JAX has computed something already; of a folder
-    asked for that cannot be written in.  Where the user's own cannot, nothing is kept.
+    **Warns:** if JAX has already computed something, so that a setting has no effect; if the given
+    folder is not writable.  If the user's cache folder is not writable, nothing is kept.
 
     >>> import jaxchain
     >>> jaxchain.configure()

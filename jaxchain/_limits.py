@@ -1,4 +1,4 @@
-"""How much, and how little, is taken: bounds that several submodules share.  Nothing here needs JAX."""
+"""Bounds that several submodules share.  This module does not need JAX."""
 
 # Runs of one sweep in memory, and of one in a store.
 MOST_LANES, MOST_STORED = 10**7, 10**12

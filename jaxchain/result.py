@@ -33,11 +33,11 @@ class _Ways(type(eqx.Enumeration)):
 
 @final
 class Result(eqx.Enumeration, metaclass=_Ways):  # pyright: ignore
-    """The outcome of one run or of one lane of an ensemble.
+    """The outcome of one run.
 
-    "successful" went to its end; "quiet" and "steady" stopped early, because nothing could change
-    any more; all others failed, and each has its advice: `Result[run.result]`.  In a dataset
-    `result` holds their numbers, and its attribute `flag_meanings` the names.
+    "successful" reached its end; "quiet" and "steady" stopped early because the answer could not
+    change; all others failed.  `Result[run.result]` gives advice.  In a dataset `result` holds the
+    numbers, and its attribute `flag_meanings` the names.
 
     !!! example
 
@@ -69,10 +69,10 @@ class Result(eqx.Enumeration, metaclass=_Ways):  # pyright: ignore
 
 @final
 class SearchResult(eqx.Enumeration, metaclass=_Ways):  # pyright: ignore
-    """How a search ended: for a root, a cycle, a boundary, a fit.
+    """The outcome of a search for a root, a cycle, a boundary or a fit.
 
-    Every record of a search has it as `result`, with the property `successful` for the one good
-    end, and `message` for what to do about any other.
+    Every result of a search has it as `result`, with the property `successful`, and a `message`
+    that gives the reason of a failure and a remedy.
 
     !!! example
 

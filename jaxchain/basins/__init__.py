@@ -1,9 +1,9 @@
-"""How likely each state is, and how hard one must push: basins of attraction.
+"""Basins of attraction: how likely each state is, and how hard a blow starts vibration.
 
 - `blows`: the gentlest blow that starts the vibration
-- `classifiers`: in which state a run ends
-- `edges`: edge states, what moves for ever on the edge between two basins
-- `regions`: from where a system may start, and points spread evenly over that
+- `classifiers`: the state in which a run ends
+- `edges`: edge states, which stay on the boundary between two basins
+- `regions`: regions of initial states, and their sampling
 - `shares`: how likely each state is
 - `single_mass`: the basin of steady sliding of one mass, and its gentlest blow, exactly
 """

@@ -549,19 +549,17 @@ _MASSES = "give None for all masses, or indices from 0, as (0, 1)."
 class Blow(Outcome):
     """The gentlest blow that `gentlest_blow` found.
 
-    - `size`: |Delta v|, dimensionless (its energy is size^2 / 2), differentiable in the numbers of
-      the chain; 0 if steady sliding is unstable, inf if no kick leads to vibration, NaN if the
-      search or its certificate failed.
-    - `kick`: Delta v itself, shape (n,), without derivatives; `mass`, the index of the one
-      that is hit hardest, and `share`, that of the energy which falls on it.
-    - `vibrating`: which masses vibrate after 1 % more.
-    - `dies_at`, `vibrates_at`: sizes 1 % below and above, NaN where the run did not do that.
-    - `angle`: between the kick and the normal of the edge between the basins, in radians: 0 at
-      a minimum over all directions.  `sizes` of the local minima to which the starts led, in
-      ascending order.
-    - `tried`, `lighter`: random kicks of 99 % of the size that were tried, and how many of these
-      led to vibration.
-    - `result`: successful if the search came to an end and the runs bear it out.
+        - `size`: |Delta v|, dimensionless (its energy is size^2 / 2), differentiable in the
+          numbers of       the chain; 0 if steady sliding is unstable, inf if no kick leads to
+          vibration, NaN if the       search or its check failed.     - `kick`: Delta v, shape
+          (n,), without derivatives; `mass`, the index of the mass with the       hardest kick, and
+          `share`, its share of the energy.     - `vibrating`: the masses that vibrate after a kick
+          that is 1 % harder.     - `dies_at`, `vibrates_at`: sizes 1 % below and above; NaN if the
+          run did not confirm this.     - `angle`: between the kick and the normal of the edge
+          between the basins, in radians: 0 at a       minimum over all directions.  `sizes`: of
+          the local minima found, in ascending order.     - `tried`, `lighter`: the number of
+          random kicks of 99 % of the size, and of those that led to       vibration.     -
+          `result`: successful if the search converged and the runs confirm it.
 
     See `gentlest_blow` for an example.
     """
@@ -595,37 +593,37 @@ def gentlest_blow(
 
     minimise |Delta v| = (sum_n Delta v_n^2)^(1/2)   over   Delta v: (x_s, Delta v) vibrates
 
-    with true dry friction, or smoothed.  Along a direction u the threshold r(u) is bracketed by
-    runs, from the size below which friction can nowhere gain on damping upwards.  Its gradient
-    over the directions is that of any late observable, d ln r / du = -z_t / (z . u): near the
-    threshold a motion follows the edge between the basins before it falls to either side.  An
-    optax optimiser descends it on the sphere, from many starts: single masses, pairs in and out of
-    phase, all masses, random ones; with and against the belt, which differ.
+    with dry or smoothed friction.  Along a direction u, runs bracket the threshold r(u), starting
+    from the size below which friction cannot exceed damping.  Its gradient over the directions is
+    that of any late observable, d ln r / du = -z_t / (z . u), because near the threshold a motion
+    follows the edge between the basins before it leaves to either side.  An optax optimiser
+    minimises r on the sphere, from many starts: single masses, pairs in and out of phase, all
+    masses, and random ones, with and against the belt.
 
     **Arguments:**
 
-    - `masses` that may be kicked: None for all of them, or different indices from 0.
-    - `direction`: a vector of shape (n,), to search for the size along it alone; then `masses`
-      must be None.
-    - `starts`: random ones, besides the others; `steps` of each; `tolerance`, the angle to the
-      edge's normal that ends them (the size errs by some tolerance^2 / 2); 1e-3 will do where no
-      step helps any more.
-    - `optimiser`: of optax, without a line search, for the logarithm of the size over the unit
-      vector.  By default `optax.sgd(1.0)`, which goes to the nearest point of the edge as if that
-      were a plane.  Steps that make it larger are shortened.
-    - `tries`: random kicks of 99 % of the size to be tried besides, half of them in directions
-      spread evenly over the sphere, half neighbours of the blow that was found.
+    - `masses`: indices (from 0) of the masses that may be kicked; None: all.
+    - `direction`: a vector of shape (n,), to search only along it; then `masses` must be None.
+    - `starts`: the number of additional random starts; `steps`: of each; `tolerance`: the angle to
+      the edge's normal that ends them (the relative error of the size is about tolerance^2 / 2);
+      if no step helps, 1e-3 is accepted.
+    - `optimiser`: an optax optimiser without a line search, for the logarithm of the size over the
+      unit vector.  The default `optax.sgd(1.0)` goes to the nearest point of a plane edge.  Steps
+      that increase the size are shortened.
+    - `tries`: the number of random kicks of 99 % of the size as a check, half of them uniform over
+      the sphere, half near the blow found.
 
-    **Returns:** `Blow`.  Of one mass it is the distance to the unstable cycle, `blow_of_one_mass`
-    (if no `direction` is given), to some 1e-10, else right to 1e-7.  On a ring of equal masses
-    all rotations of a blow are as gentle: the one that falls hardest on mass n // 2 is returned.
-    Works under `jit` and `vmap`; `size` has first derivatives in all numbers of the chain by the
-    implicit function theorem, with the direction held, as at a minimum its change makes no
-    difference.  It is a local minimum that is proved by the runs on both sides; that it is the
-    global one is as likely as `starts` and `tries` make it.  The search is one for a minimal seed:
-    R. R. Kerswell, Nonlinear nonmodal stability theory, Annu. Rev. Fluid Mech. 50, 319 (2018).
+    **Returns:** a `Blow`.  For one mass it is the distance to the unstable cycle,
+    `blow_of_one_mass` (without `direction`), with an error of some 1e-10; otherwise the error is
+    1e-7.  In a ring of equal masses all rotations of a blow are equivalent: the one with the
+    hardest kick on mass n // 2 is returned. It works under `jit` and `vmap`; `size` has first
+    derivatives in all numbers of the chain by the implicit function theorem, with a fixed
+    direction, whose change has no first-order effect at a minimum.  Runs on both sides prove that
+    it is a threshold; `starts` and `tries` make it likely, but do not prove, that it is the global
+    minimum.  The search is one for a minimal seed: R. R. Kerswell, Nonlinear nonmodal stability
+    theory, Annu. Rev. Fluid Mech. 50, 319 (2018).
 
-    **Raises:** `ValueError` for bad input.  Whatever else fails is told in `result`.
+    **Raises:** `ValueError` for bad input.  `result` reports other failures.
 
     !!! example
 

@@ -1,13 +1,13 @@
-"""Where vibration starts (Hopf) and up to where it can survive (fold), smoothed and dry.
+"""Where vibration sets in (Hopf) and up to where it survives (fold), smoothed and dry.
 
-- `descent`: both boundaries by gradient, with optax
-- `fold`: the greatest belt speed at which a vibration survives, of one chain or of many
-- `grazing`: the fold of true dry friction, and what smoothing makes of it
+- `descent`: both boundaries by gradient descent, with optax
+- `fold`: the greatest belt speed at which a vibration survives, for one chain or many
+- `grazing`: the fold of dry friction, and the effect of smoothing
 - `hopf`: the belt speed above which steady sliding stays stable
 - `hopf_scan`: every Hopf point in a range of belt speeds, super- or subcritical
 - `limit`: extrapolation to width zero, with its error bar
 - `ranges`: both boundaries of one chain with error bars, and the bistable range between them
-- `single_mass`: all vibrations of one mass over the belt speed
+- `single_mass`: all cycles of one mass over the belt speed
 """
 
 import lazy_loader

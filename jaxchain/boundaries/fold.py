@@ -438,14 +438,14 @@ class Fold(Outcome):
 
     - `belt_speed`: v_d, NaN if no fold was found.
     - `period` and `state`: of the cycle there, cut at the greatest velocity of mass `mass`.
-    - `scaled_peak_velocity`: s = max w / eps of that mass; a mass with s < 0 never reaches the
-      belt's speed. With dry friction it is 0 if the mass reaches that speed, else -inf.
+    - `scaled_peak_velocity`: s = max w / eps of that mass; if s < 0 the mass never reaches the
+      belt speed. With dry friction it is 0 if the mass reaches that speed, else -inf.
     - `residual`: the gap after a period over the amplitude of velocity.
-    - `result`: a `SearchResult`: successful; no_fold, which is proved; or why the search failed,
-      which says nothing about whether there is a fold.  `message` puts it into words.
-    - `width`: of the friction with which the cycle was closed, that of the chain or a little more:
+    - `result`: a `SearchResult`: successful; no_fold, which is proved; or the reason of a failure,
+      after which a fold may still exist.  `message` is its text.
+    - `width`: the regularization width of the computed cycle, that of the chain or a little more:
       see `fold_belt_speed`; 0 for dry friction.
-    - `evaluations`: Jacobians of the closing equations it took.
+    - `evaluations`: the number of Jacobians of the closing equations.
 
     See `find_fold` for an example.
     """
@@ -464,23 +464,22 @@ class Fold(Outcome):
 def fold_belt_speed(chain: Any, mass: Any = None) -> Float[Array, ""]:
     """The greatest belt speed at which the vibration of one mass survives.
 
-    For dry friction that of `dry_fold_belt_speed`; for smoothed friction, as follows.
+    This is the fold (saddle-node of cycles) at which the stick-slip cycle of mass `mass` and the
+    unstable slip cycle meet, while the other masses slide.  At a greater speed every vibration
+    dies out.  Dry friction uses `dry_fold_belt_speed`.
 
-    The saddle-node of cycles at which the stick-slip cycle of mass `mass` (the others slide,
-    shaken by it) and the unstable slip cycle meet: at a greater speed every vibration dies out.
+    **Arguments:** `chain`; its `belt_speed` is ignored.  `mass`, the index (from 0) of the mass,
+    by default n // 2, oscillator 11 of 20.
 
-    **Arguments:** `chain`, whose own `belt_speed` has no part in it; `mass`, the index (from
-    0) of the mass, by default n // 2, oscillator 11 of 20.
-
-    **Returns:** the dimensionless v_d, relative error about 1e-9; NaN where there is no fold or
-    none is found: `find_fold` tells which, and why.  Below a width of 3e-8 of the speed of the
-    problem (v_d, or twice that over which friction weakens) the fold is searched for at that width
-    and moved on by the asymptotics of `Grazing.smoothed`, which err by less than 1e-9 of that
-    speed there; below 3e-7, and by less than 3e-8, where friction weakens so fast that the slip
-    cycle multiplies disturbances by more than 30.  Of its derivatives only that in the width knows
-    of the move, so that the others err by about 1e-6.  Works under `jit`, `vmap` (no lane harms
-    another), `grad` and `jvp`, in every number of the chain, once: as v_d is stationary along the
-    branch, its first derivatives are those of a cycle with max w / eps held.
+    **Returns:** the dimensionless v_d, with a relative error of about 1e-9; NaN if there is no
+    fold or none is found (`find_fold` gives the reason).  For widths below 3e-8 of the speed of
+    the problem (v_d, or twice the speed over which friction weakens), the fold is computed at that
+    width and corrected by the asymptotics of `Grazing.smoothed`, with an error below 1e-9 of that
+    speed.  If friction weakens so fast that the slip cycle multiplies disturbances by more than
+    30, this holds for widths below 3e-7, with an error below 3e-8.  The correction enters only the
+    derivative in the width; other derivatives then have an error of about 1e-6.  It works under
+    `jit`, `vmap`, `grad` and `jvp`, in every number of the chain, for first derivatives: since v_d
+    is stationary along the branch, they are those of a cycle with fixed max w / eps.
 
     **Raises:** `ValueError` for anything but a `Chain`, or a mass it does not have.
 
@@ -536,9 +535,9 @@ def held_residual(q: Float[Array, " m"], held: tuple[Shooting, Array]) -> Float[
 def find_fold(chain: Any, mass: Any = None) -> Fold:
     """The fold of `fold_belt_speed` with its cycle, all of it differentiable.
 
-    Arguments, errors and transformations as there; derivatives of any order, which cost more, of
-    the whole orbit: they come from the bordered system [closure; singularity] = 0, and for dry
-    friction from the equations of the touch.
+    Arguments, errors and transformations are those of `fold_belt_speed`.  The whole orbit has
+    derivatives of any order, at a higher cost, from the bordered system [closure; singularity] =
+    0, or for dry friction from the grazing equations.
 
     **Returns:** a `Fold`.
 

@@ -536,17 +536,16 @@ class Grazing(Outcome):
 
 
 def dry_fold_belt_speed(chain: Chain, mass: Any = None) -> Float[Array, ""]:
-    """The greatest belt speed at which the vibration of one mass survives, for true dry friction.
+    """The greatest belt speed at which the vibration of one mass survives, for dry friction.
 
-    The limit of `fold_belt_speed` as the width vanishes, found directly: the grazing-sliding fold
-    or, where friction is flat at rest, the saddle-node of slip cycles of the head of this module.
-    Mass `mass` vibrates, the others slide.
+    This is the limit of `fold_belt_speed` for width 0, computed directly: the grazing-sliding fold
+    or, if mu'(0) = 0, a saddle-node of slip cycles.  Mass `mass` vibrates, the others slide.
 
-    **Arguments:** `chain`, whose own `belt_speed` and width have no part in it; `mass`, the
-    index (from 0) of the mass, by default n // 2, oscillator 11 of 20.
+    **Arguments:** `chain`; its `belt_speed` and width are ignored.  `mass`, the index (from 0) of
+    the mass, by default n // 2, oscillator 11 of 20.
 
-    **Returns:** the dimensionless v_d, relative error about 1e-11; NaN where there is none or none
-    is found: `find_grazing` says which kind it is, or why there is none.  Works under `jit`,
+    **Returns:** the dimensionless v_d, with a relative error of about 1e-11; NaN if there is no
+    fold or none is found.  `find_grazing` returns its kind, or the reason.  Works under `jit`,
     `vmap`, `grad`, `jvp` and `jax.hessian`, in every number of the chain.
 
     **Raises:** `ValueError` for anything but a `Chain`, or a mass it does not have.

@@ -31,17 +31,17 @@ _BISECTIONS = 26
 def hopf_belt_speed(chain: Chain) -> Float[Array, ""]:
     """The greatest belt speed v_H at which steady sliding loses its stability as the belt slows.
 
-    Above it sliding is stable, and just below it is not.  Far below it may be stable again, under
-    a second Hopf speed, where friction rises with speed: within a few widths of rest for smoothed
-    friction, and wherever else a law has a rising part.  `hopf_points` lists all of them.
+    Sliding is stable above it and unstable just below it.  Far below, under a second Hopf speed,
+    it may be stable again if friction rises with speed: within a few widths of zero for smoothed
+    friction, or where a law has a rising part.  `hopf_points` lists all Hopf speeds.
 
     At v_H a pair of eigenvalues +-i omega crosses the imaginary axis.  When damping, friction and
     load are the same for all masses, all modes cross together where
 
         d(v_H) = 2 xi - p F'(-v_H) = 0,
 
-    whatever stiffness and coupling are; with exponential weakening and negligible smoothing this
-    is v_H = v0 ln[p (mu_st - mu_d) / (2 xi v0)].  Otherwise (a number is given per mass) it is the
+    for any stiffness and coupling; with exponential weakening and negligible smoothing this is v_H
+    = v0 ln[p (mu_st - mu_d) / (2 xi v0)].  Otherwise (a number is given per mass) it is the
     greatest speed at which an eigenvalue of the 2n x 2n Jacobian crosses.
 
     **How:** a scan over 1024 speeds up to 1e6 encloses the last change of sign (of d; or of the
@@ -52,12 +52,12 @@ def hopf_belt_speed(chain: Chain) -> Float[Array, ""]:
     none is missing.  For numbers per mass it needs `jnp.linalg.eigvals`, which JAX has for CPU
     and GPU; for uniform ones nothing but elementary functions.
 
-    **Returns:** v_H > 0, dimensionless, whatever `chain.belt_speed` is; NaN if there is none:
-    friction weakens too little, or (negative or no damping) sliding is not stable at any high
-    speed.  Works under `jit` and `vmap` and has derivatives of every order in every number of the
-    chain.  Where several modes of a chain with numbers per mass cross together (all numbers the
-    same, say, or a symmetric pattern), v_H has a corner, and the derivative is that of one of
-    these modes, to first order only.
+    **Returns:** v_H > 0, dimensionless; `chain.belt_speed` is ignored.  NaN if there is none:
+    friction weakens too little, or sliding is unstable at high speed because damping is not
+    positive.  It works under `jit` and `vmap` and has derivatives of every order in every number
+    of the chain.  If several modes of a chain with numbers per mass cross together (for equal
+    numbers or a symmetric pattern), v_H has a corner, and the derivative is that of one of these
+    modes, to first order only.
 
     **Raises:** `RuntimeError` without 64-bit floats; `ValueError` for a chain of 32 bits.
 

@@ -87,8 +87,8 @@ def first_lyapunov_coefficient(
         l1 = 1 / (2 omega) Re [ <p, C(q, q, q*)> - 2 <p, B(q, J^-1 B(q, q*))>
                                 + <p, B(q*, (2 i omega - J)^-1 B(q, q))> ].
 
-    The middle term is zero here: a constant force moves the masses but gives them no velocity.
-    The size of l1 depends on the normalisation, here <q, q> = 1, Euclidean, over (x, v).  On the
+    The middle term is zero: a constant force displaces the masses but gives them no velocity. The
+    size of l1 depends on the normalisation, here <q, q> = 1, Euclidean, over (x, v).  On the
     centre manifold (x, v) = w q + w* q*, and w' = (alpha + i omega) w + omega l1 w |w|^2, so that
     cycles of |w|^2 = -alpha / (omega l1) branch off; see `square_amplitude_slope`.
 
@@ -98,7 +98,7 @@ def first_lyapunov_coefficient(
     homogeneous ring, one of a pair q, -q, it is conj u; for a standing wave u, real.  Both waves
     lie in a space that symmetry keeps to itself, so the formula holds for each of them.
 
-    F is smooth except at w = 0, that is v_d = 0, which is no Hopf point.
+    F is smooth except at w = 0, that is v_d = 0, which is not a Hopf point.
 
     Source: Kuznetsov, Elements of Applied Bifurcation Theory, eq. (3.20) for the plane and
     section 5.4 for any dimension.
@@ -188,7 +188,7 @@ def _numbers(
 class GeneralisedHopf(Outcome):
     """A Hopf point with l1 = 0, at `value` of the parameter; NaN unless `successful`.
 
-    - `value` and `belt_speed`, dimensionless: where the fold ends upon the Hopf curve.
+    - `value` and `belt_speed`, dimensionless: the point at which the fold ends on the Hopf curve.
     - `result`: a `SearchResult`, no_meeting if l1 has one sign between `low` and `high`.
 
     See `generalised_hopf` for an example.
@@ -200,14 +200,14 @@ class GeneralisedHopf(Outcome):
 
 
 def generalised_hopf(chain: Chain, parameter: Any, low: Any, high: Any) -> GeneralisedHopf:
-    """The point of the Hopf curve of one mass at which l1 = 0, where the fold ends.
+    """The generalised Hopf (Bautin) point of one mass: l1 = 0, the end of the fold.
 
-    Solves d(v_d) = 0, l1 = 0 in (v_d, parameter): ever finer grids between `low` and `high`, in
-    the logarithm, enclose the last change of sign of l1 along `hopf_belt_speed`; Newton's method
-    follows.
+    Solves d(v_d) = 0, l1 = 0 in (v_d, parameter): successively finer logarithmic grids between
+    `low` and `high` bracket the last change of sign of l1 along `hopf_belt_speed`; then Newton's
+    method converges.
 
-    **Arguments:** `chain` of one mass; `parameter`, the name of its number that varies, such as
-    "damping_ratio", "mu_static" or "width"; `low`, `high`, positive, between which.
+    **Arguments:** `chain` of one mass; `parameter`, the name of the varied number, such as
+    "damping_ratio", "mu_static" or "width"; `low`, `high`, its positive bounds.
 
     **Returns:** both dimensionless numbers, differentiable in every other number of the chain.
     Works under `jit` and `vmap`.
@@ -486,15 +486,16 @@ def _damping_at(chain: Chain, speeds: jax.Array) -> jax.Array:
 
 @final
 class HopfPoints(Printed, eqx.Module):
-    """Hopf points, sorted by belt speed, then frequency; one entry of every field for each.
+    """Hopf points, sorted by belt speed, then frequency; every field has one entry per point.
 
     - `belt_speed`, `frequency` = omega; `mode_shape` = u, complex, greatest entry 1: a
       disturbance moves as Re[u exp(i omega t)].
     - `wavenumber`: q = 2 pi m / n, m = 0 ... n // 2, of the wave u_n = exp(i q n) in a homogeneous
       ring; NaN elsewhere.
-    - `multiplicity`: how many modes cross at this speed with this frequency: 2 for a pair q, -q.
+    - `multiplicity`: the number of modes that cross at this speed and frequency: 2 for a pair q,
+      -q.
     - `growth_slope`: d Re(lambda) / d|v_d|.
-    - `direction`: "falling speed" if the mode begins to grow as |v_d| falls, else "growing speed".
+    - `direction`: "falling speed" if the mode starts to grow as |v_d| falls, else "growing speed".
     - `lyapunov_coefficient` = l1 as in `first_lyapunov_coefficient`, of the travelling wave where
       there is a pair q, -q; `standing_lyapunov_coefficient`, that of the standing wave cos(q n),
       and the same as l1 where there is no pair.  NaN, and `criticality` "undetermined", where
@@ -503,10 +504,10 @@ class HopfPoints(Printed, eqx.Module):
       small at first), "subcritical" (unstable ones, and a jump) or "degenerate" (l1 = 0).
     - `square_amplitude_slope`, `standing_square_amplitude_slope`: d(A^2) / d|v_d| of the cycles
       that branch off, A the greatest amplitude of a mass.
-    - `belt_speeds`: (low, high), between which every Hopf point is listed.
-    - `kind`: "weakening friction", the physical one; or "rising flank of the smoothed law", an
-      artefact of smoothing at a speed of a few widths, below which the belt drags the masses along
-      in a creep that stands for sticking.
+        - `belt_speeds`: (low, high), the range in which every Hopf point is listed.     - `kind`:
+          "weakening friction", the physical one; or "rising flank of the smoothed law", an
+          artefact of smoothing at a speed of a few widths, below which the masses creep with the
+          belt       instead of sticking.
 
     In a homogeneous chain all n modes cross at one belt speed; each coefficient then is that of
     one wave alone, and its cycles are those of the full chain while their growth is slow compared
@@ -536,7 +537,7 @@ class HopfPoints(Printed, eqx.Module):
 def hopf_points(chain: Chain, belt_speeds: Any = (0.0, GREATEST_SPEED)) -> HopfPoints:
     """Every Hopf point of steady sliding at belt speeds between `belt_speeds` = (low, high).
 
-    By default up to 1e6, as far as `hopf_belt_speed` looks.
+    The default upper bound is 1e6, as in `hopf_belt_speed`.
 
     **Why none is missed:** in an interval of belt speeds over which no d_n changes by more than
     delta from its value in the middle, no eigenvalue crosses the imaginary axis if the least
@@ -546,11 +547,11 @@ def hopf_points(chain: Chain, belt_speeds: Any = (0.0, GREATEST_SPEED)) -> HopfP
     Signals Systems 2 (1989)).  Intervals without this proof are halved down to 1e-5 of the speed,
     searched by Newton's method from every eigenvalue near the axis, and the number of unstable
     eigenvalues on either side is compared.  Two assumptions remain: d_n is sampled 17 times in
-    intervals of at most a tenth of the speed, so a law must not hide anything between; and two
-    points in opposite directions that are within 1e-5 of meeting may be taken for none.
+    intervals of at most a tenth of the speed, so a law must not have narrower features; and two
+    points of opposite direction within 1e-5 of each other may be missed.
 
     **Returns:** `HopfPoints`; at negative belt speeds the mirror image of those at positive ones.
-    Concrete numbers only: not for use under `jit` (`hopf_belt_speed` is).
+    It needs concrete numbers and does not work under `jit`; `hopf_belt_speed` does.
 
     **Raises:** `ValueError` for a traced chain or an impossible range; `RuntimeError` without
     64-bit floats, or if the number of unstable eigenvalues contradicts the points found.
@@ -663,7 +664,7 @@ def guess_from_hopf(
     **Returns:** ((x, v), period), as `find_limit_cycle` takes them; x and v of shape (n,).
 
     **Raises:** `ValueError` if there is no such point, or no small cycle at this belt speed: a
-    subcritical one lies on the stable side of its point.
+    subcritical cycle exists on the stable side of its point.
 
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)

@@ -1,13 +1,13 @@
-"""What smoothed friction tells of dry friction: extrapolation to width 0, with an error bar.
+"""Extrapolation from smoothed to dry friction, with an error bar.
 
-A mass that leaves the belt, or touches it, does so within a time O(eps^(1/2)); smoothed friction
-shifts its motion by O(eps ln eps) then (`examples/studies/crosscheck.py`; `Grazing.smoothed` for a
-fold), and what the chain makes of that is a series in
+A mass leaves the belt, or grazes its speed, within a time O(eps^(1/2)).  Smoothed friction then
+shifts its motion by O(eps ln eps) (`examples/studies/crosscheck.py`; `Grazing.smoothed` for a
+fold).  The response of the chain is a series in
 
     eps ln(1/eps),  eps;  eps^(3/2);  (eps ln eps)^2,  eps^2 ln(1/eps), ...
 
-the semicolons between orders.  Over widths of practical use eps^(3/2) stands for (eps ln eps)^2 as
-well, so four widths take the first two orders, and it takes six for the third.
+with semicolons between orders.  For practical widths eps^(3/2) also represents (eps ln eps)^2, so
+four widths determine the first two orders, and six the third.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ _ACCURACY = 1e-9  # relative error of a fold, see `fold_belt_speed`
 class Extrapolation(Printed, eqx.Module):
     """A quantity in the limit of width 0.
 
-    - `value`: NaN if it is not known at some of the widths.
+    - `value`: NaN if it is unknown at one of the widths.
     - `error`: a bar, |value - truth| <= error.
-    - `coefficients`: of 1, e ln(1/e), e, e^(3/2), (e ln e)^2, e^2 ln(1/e) with e = width / scale,
-      as many as there are widths, at most six.
+    - `coefficients`: of 1, e ln(1/e), e, e^(3/2), (e ln e)^2, e^2 ln(1/e) with e = width / scale;
+      one per width, at most six.
 
     See `extrapolate` for an example.
     """
@@ -56,18 +56,22 @@ class Extrapolation(Printed, eqx.Module):
 def extrapolate(
     values: Any, widths: Any, *, scale: Any = 1.0, accuracy: Any = _ACCURACY
 ) -> Extrapolation:
-    """What `values`, found at several widths of smoothed friction, become for dry friction.
+    """Extrapolates `values` at several widths of smoothed friction to width 0.
 
-    Least squares in the terms of `Extrapolation`, each residual measured in e^2, about the first
-    term left out: an interpolation for up to six widths.  The error bar is the greatest difference
-    from the fits with one and two terms fewer, plus what errors of the values make of the fit.
+    It is a least-squares fit of the terms of `Extrapolation`, with residuals weighted by 1 / e^2;
+    for up to six widths it interpolates.  The error bar is the greatest difference from the fits
+    with one and two terms fewer, plus the effect of errors of the values.
 
-    **Arguments:** `values`, shape (widths,): a boundary, an amplitude, ... of a cycle on which one
-    mass sticks or grazes; `widths` > 0, same shape, at least four, in any order, best in the ratio
-    2; `scale`, the speed they are to be compared with (it has a part in the logarithms only);
-    `accuracy`, the relative error of the values.
+    **Arguments:**
 
-    **Returns:** an `Extrapolation`, NaN if a value is.  Works under `jit`, `vmap`, `grad`, `jvp`.
+    - `values`: shape (widths,): a boundary, an amplitude, ... of a cycle on which one mass sticks
+      or grazes.
+    - `widths`: > 0, same shape, at least four, in any order, best in the ratio 2.
+    - `scale`: the speed to which widths are compared; it affects only the logarithms.
+    - `accuracy`: the relative error of the values.
+
+    **Returns:** an `Extrapolation`, NaN if a value is NaN.  Works under `jit`, `vmap`, `grad`,
+    `jvp`.
 
     **Raises:** `ValueError` unless there are at least four distinct positive widths.
 
@@ -156,18 +160,17 @@ def check_widths(widths: Any) -> Float[Array, " widths"]:
 def extrapolated_fold(chain: Chain, mass: Any = None, widths: Any = None) -> Extrapolation:
     """`fold_belt_speed` for width 0, extrapolated from several widths, with an error bar.
 
-    **Arguments:** `chain` and `mass` as for `fold_belt_speed`; the chain's own width has no
-    part in it.  `widths`, at least four; by default six, 6e-4 ... 2e-2 of the speed of the problem
-    (about 1e-3 ... 3e-2 for the paper's set).
+    **Arguments:** `chain` and `mass` as for `fold_belt_speed`; the chain's width is ignored.
+    `widths`, at least four; by default six, 6e-4 ... 2e-2 of the speed of the problem (about 1e-3
+    ... 3e-2 for the paper's set).
 
-    **Returns:** an `Extrapolation`, in v_d, NaN where a fold is not found at one of the widths.
-    Where the mass stays below the belt's speed at the fold (`Grazing.touches` is false) there is
-    no series in the width: the value is the fold at the least width, and the bar what the next
-    width changes.
-    Works under `jit`, `vmap`, `grad` and `jvp` like `fold_belt_speed`, of whose values it is a
-    linear combination.  Against the direct dry fold the bar held for all of 199 random sets (xi
-    0.02 ... 0.15, mu_st 0.6 ... 1.4, mu_d / mu_st 0.3 ... 0.8, v_ref 0.2 ... 1), where it was
-    about 12 times the error, 2e-7 of v_d; and for 240 of 242 from wider ranges.
+    **Returns:** an `Extrapolation`, in v_d; NaN if a fold is not found at one of the widths.  If
+    the mass stays below the belt speed at the fold (`Grazing.touches` is false), there is no
+    series in the width: the value is then the fold at the least width, and the bar is the change
+    to the next width.  It works under `jit`, `vmap`, `grad` and `jvp`, as a linear combination of
+    `fold_belt_speed`.  The bar contained the direct dry fold for all of 199 random sets (xi 0.02
+    ... 0.15, mu_st 0.6 ... 1.4, mu_d / mu_st 0.3 ... 0.8, v_ref 0.2 ... 1), where it was about 12
+    times the error, 2e-7 of v_d; and for 240 of 242 sets from wider ranges.
 
     **Raises:** `ValueError` as `fold_belt_speed` and `extrapolate` do.
 

@@ -145,10 +145,10 @@ def _range(chain: Chain, mass: int, error_bars: bool) -> StabilityRange:
 
 
 class BoundaryTrial(Printed, eqx.Module):
-    """What became of one vibrating mass a little below and a little above a belt speed.
+    """Two runs of one vibrating mass, a little below and a little above a belt speed.
 
-    `speeds`; `amplitudes` at the end, one row of n for each; `vibrates`: whether the mass still
-    did; `holds`: whether it did below and rested above.
+    `speeds`; `amplitudes` at the end, one row of n per speed; `vibrates`: whether the mass still
+    vibrates; `holds`: whether it vibrates below and not above.
     """
 
     speeds: Float[Array, " two"]
@@ -165,19 +165,19 @@ def try_boundary(
     margin: Any = 0.01,
     time: Any = 400.0,
 ) -> BoundaryTrial:
-    """Two event-driven runs with true dry friction: does the vibration of one mass end there?
+    """Tests a boundary by two event-driven runs with dry friction.
 
-    One mass starts on the belt, which carries it along, at belt speeds v (1 - margin) and
-    v (1 + margin), and runs for `time`.  At true boundaries it survives below and dies above;
-    but with neighbours that are strongly coupled (0.05 for three equal masses) this start may
-    come to rest where another would not.  Under `jit` and `vmap`.
+    One mass starts on the belt, which carries it along, at belt speeds v (1 - margin) and v (1 +
+    margin), and runs for `time`.  At a correct boundary the vibration survives below and dies out
+    above.  With strongly coupled neighbours (0.05 for three equal masses) the vibration from this
+    start may die out although another start would not.  It works under `jit` and `vmap`.
 
-    **Arguments:** (dimensionless) `belt_speed` v, the boundary in question; `mass`, the index
-    of the mass, by default n // 2; `margin`, a share of v; `time` long enough to die out: some
+    **Arguments:** (dimensionless) `belt_speed` v, the boundary to test; `mass`, the index of the
+    mass, by default n // 2; `margin`, relative to v; `time`, long enough to die out: some
     multiples of 1 / xi.
 
-    **Returns:** a `BoundaryTrial`: `speeds` (2,), `amplitudes` (2, n) at their ends, `vibrates`
-    (2,), and `holds`, whether the mass vibrated below and rested above.
+    **Returns:** a `BoundaryTrial`: `speeds` (2,), `amplitudes` (2, n) at the ends, `vibrates`
+    (2,), and `holds`, whether the mass vibrates below and not above.
 
     **Raises:** `ValueError` for a speed, margin or time that is not positive.
 

@@ -1,10 +1,10 @@
-"""All vibrations of one mass over the belt speed, from rest to stick-slip.
+"""All cycles of one mass over the belt speed, from steady sliding to stick-slip.
 
-The cycles of one mass form one branch: it leaves steady sliding at the Hopf speed, runs up as
-unstable slip cycles to the fold, and comes back as the stable stick-slip cycle.  Over
-z = asinh(max w / eps) it is smooth at every width, round the fold, too.  It is no graph over z:
-on the stick-slip cycles of the paper's set z has a maximum near v_d = 0.75.  So the branch is
-followed in both directions from its fold, by `continue_cycle`.
+The cycles of one mass form one branch.  It leaves steady sliding at the Hopf speed, continues as
+unstable slip cycles up to the fold, and returns as the stable stick-slip cycle.  As a function of
+z = asinh(max w / eps) it is smooth at every width, also around the fold.  It is not a graph over
+z: on the stick-slip cycles of the paper's set z has a maximum near v_d = 0.75.  So
+`continue_cycle` follows the branch in both directions from its fold.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ _STICKING, _SLACK = 5.0, 3.0
 
 @final
 class OneMassBranch(Printed, eqx.Module):
-    """The cycles of one mass in order: rest, unstable slip cycles, fold, stick-slip.
+    """The cycles of one mass in order: steady sliding, unstable slip cycles, fold, stick-slip.
 
-    - `belt_speed` v_d, `amplitude` A (half peak-to-peak of x), `period` T; dimensionless, NaN in
-      places where there is no point, so drop these before drawing a line.
+    - `belt_speed` v_d, `amplitude` A (half peak-to-peak of x), `period` T; dimensionless, filled
+      with NaN: drop these before drawing a line.
     - `scaled_peak_velocity`: s = max w / eps.
 
     The first entry is the Hopf point, of amplitude 0; `fold` is the index of the fold.
@@ -54,14 +54,15 @@ class OneMassBranch(Printed, eqx.Module):
 def one_mass_branch(chain: Chain, lowest: Any = 0.1, fold: Fold | None = None) -> OneMassBranch:
     """Every cycle of one mass, stable or not, with smoothed friction.
 
-    **Arguments:** `chain` of one mass, whose `belt_speed` has no part in it; `lowest`, the belt
-    speed at which the stick-slip branch is left, below that of the fold (near it only a few
-    places have a point); `fold`, what `find_fold(chain)` returned, if it is known.
+    **Arguments:** `chain` of one mass; its `belt_speed` is ignored.  `lowest`, the belt speed at
+    which the stick-slip branch ends, below the fold.  `fold`, the result of `find_fold(chain)`, if
+    you have it.
 
-    **Returns:** 146 points, 73 of them slip cycles, NaN where a branch needs no more; for the
-    paper's set at width 1e-2 the fold is at v_d = 1.7925, A = 1.7808.  Of one chain, on the host;
-    points err by some ten times the tolerance of the integration, 3e-11.  All NaN where there is
-    no fold: then cycles, if any, are stable and grow out of the Hopf point as the belt slows down.
+    **Returns:** 146 points, 73 of them slip cycles, filled with NaN; for the paper's set at width
+    1e-2 the fold is at v_d = 1.7925, A = 1.7808.  It works for one chain, on the host.  The error
+    of the points is some ten times the tolerance of the integration, 3e-11.  All are NaN if there
+    is no fold: then cycles, if any, are stable and grow out of the Hopf point as the belt slows
+    down.
 
     **Raises:** `ValueError` for a chain of several masses or a `lowest` that is not positive, or
     not below the fold.
@@ -113,7 +114,7 @@ def one_mass_branch(chain: Chain, lowest: Any = 0.1, fold: Fold | None = None) -
 
 
 def check_below_fold(lowest: Any, fold: Fold) -> None:
-    """Raises `ValueError` if a `lowest` is at or above a fold that was found."""
+    """Raises `ValueError` if `lowest` is at or above the fold."""
     speed = float(jnp.min(jnp.where(fold.successful, fold.belt_speed, jnp.inf)))
     if float(lowest) >= speed:
         raise ValueError(

@@ -135,14 +135,14 @@ class Evidence(Printed):
 @final
 @dataclass(frozen=True, repr=False)
 class Verdict(Printed):
-    """What an ensemble of runs from one start says.
+    """The verdict on the motion from one start, from an ensemble of runs.
 
     - `verdict`: "steady sliding" (for other oscillators: an equilibrium), "periodic",
       "quasi-periodic", "chaotic", "transient" (not decided) or "failed"; `reason`, a sentence with
       the numbers; `remedy`: what would decide a transient, or what to do about a run that failed,
       else empty.
-    - `undisturbed`: the verdict on the start itself; `depends_on_noise`: whether that differs.
-    - `runs`: an `Evidence` each; `longest`: the longest time that was simulated.
+    - `undisturbed`: the verdict without noise; `depends_on_noise`: whether it differs.
+    - `runs`: one `Evidence` per run; `longest`: the longest simulated time.
 
     See `verdict` for an example.
     """
@@ -157,7 +157,7 @@ class Verdict(Printed):
 
     @property
     def lead(self) -> Evidence:
-        """The run of most exponents among those that the verdict is about."""
+        """The run with the most exponents among those that decide the verdict."""
         agreeing = [run for run in self.runs if MEANINGS.get(run.kind) == self.verdict]
         worst = max(run.noise for run in self.runs)
         noisiest = [run for run in self.runs if run.noise == worst]
@@ -693,7 +693,7 @@ _NOISE = "it holds standard deviations, such as (1e-8, 1e-3)."
 
 
 def verdict(chain: AbstractOscillators, initial: Any, **settings: Any) -> Verdict:
-    """Whether the motion from `initial` comes to rest, is periodic, quasi-periodic or chaotic.
+    """Whether the motion from `initial` is steady, periodic, quasi-periodic or chaotic.
 
     **Arguments:** `chain`; `initial`, the pair (x, v), both of shape (n,); `settings` as for
     `verdicts`.

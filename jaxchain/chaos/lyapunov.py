@@ -57,26 +57,27 @@ ZERO = 1e-9
 
 @final
 class LyapunovSpectrum(Printed, eqx.Module):
-    """What `lyapunov_spectrum` found, per dimensionless time; arrays have shape (count,).
+    """Lyapunov exponents per dimensionless time; arrays have shape (count,).
 
-    - `exponents`: time averages over the window; -inf where a direction is annihilated, NaN
-      where one became too small to be seen between two QR decompositions.  They stand in the order
-      of that decomposition, which is descending but for some too close to be told apart.
+    - `exponents`: time averages over the window; -inf for a direction that sticking erases, NaN
+      for one that became too small between two QR decompositions.  Their order is that of the
+      decomposition: descending, except for nearly equal ones.
     - `smooth`: averages with the weight exp(-1 / (s (1 - s))) over the share s of the window.  For
-      regular motion (periodic, quasi-periodic, rest) of smooth systems they converge faster than
-      any power of the window's length, `exponents` like 1 / length; for chaos nothing is gained.
-      S. Das, Y. Saiki, E. Sander, J. A. Yorke, Quantitative quasiperiodicity, Nonlinearity 30,
-      4111 (2017).
+      regular motion (periodic, quasi-periodic, steady) of smooth systems they converge faster than
+      any power of the window's length, and `exponents` like 1 / length; for chaos they have no
+      advantage. S. Das, Y. Saiki, E. Sander, J. A. Yorke, Quantitative quasiperiodicity,
+      Nonlinearity 30, 4111 (2017).
     - `low`, `high`: 95 % confidence interval of `exponents` from the means over blocks, by
       Student's t; `standard_error`: widened by sqrt[(1 + r) / (1 - r)] where `autocorrelation` = r
-      of successive blocks is positive (then take longer blocks).  They know of scatter alone, not
-      of a transient too short for the motion or the disturbances.
+      of successive blocks is positive (then use longer blocks).  They measure scatter only, not
+      the effect of a transient that is too short.
     - `block_exponents`: (blocks, count).
-    - `sum`: of the exponents; for all of them the mean rate at which volumes grow.
-    - `mean_divergence`: time average of tr J, which that must be; NaN for dry friction.
+        - `sum`: the sum of the exponents; with all 2n of them the mean growth rate of volumes.
+          - `mean_divergence`: time average of tr J, which must equal that sum; NaN for dry
+          friction.
     - `kaplan_yorke`: dimension; exponents that are 0 within their interval count as 0.  NaN if
       more exponents are needed.
-    - `t`, `state`: end of the run; go on from there with a call of its own.
+    - `t`, `state`: the end of the run, from which another call can continue.
     - `interval`: time between two QR decompositions.
     - `result`: see `Result`; if it is not `successful` the numbers are NaN.
 
@@ -104,9 +105,9 @@ class LyapunovSpectrum(Printed, eqx.Module):
         return NAMES[int(code(self.result))]
 
     def chaotic(self, level: float = 0.95) -> bool | None:
-        """Whether the greatest exponent is positive; None if its interval at `level` holds 0.
+        """Whether the greatest exponent is positive; None if its interval at `level` contains 0.
 
-        For regular vibration it is 0, and None the right answer.
+        For regular vibration it is 0, and None is the correct answer.
         """
         check_share("level", level, "0.95 is usual.")
         finite = jnp.where(jnp.isnan(self.exponents), -jnp.inf, self.exponents)
@@ -347,16 +348,16 @@ def lyapunov_spectrum(
 ) -> LyapunovSpectrum:
     """The `count` leading Lyapunov exponents of the motion from `initial`, by Benettin's method.
 
-    Orthonormal disturbances are carried along the orbit by the derivative of the discrete steps
-    and made orthonormal again after every interval:
+    The derivative of the discrete steps transports orthonormal disturbances along the orbit; they
+    are orthonormalised again after every interval:
 
         M_k Q_{k-1} = Q_k R_k,      lambda_i = (1 / T) sum_k log |(R_k)_ii|
 
-    **Dry friction** (of the chain, or by `EventDriven()`): the derivative holds across sticking
-    and release.  A velocity cannot differ while its mass sticks.  A direction is lost for good
-    with each mass that sticks *at the same time* as others: as many exponents, the last ones, are
-    exactly -inf as masses ever stick together in the window (one if they take turns), and the
-    others are not affected.  Those of masses that take turns are finite and very negative, about
+    **Dry friction** (of the chain, or by `EventDriven()`): the derivative includes the jumps at
+    sticking and release.  A sticking mass has no velocity disturbance, so each mass that sticks
+    *at the same time* as others erases a direction.  The number of exponents that are exactly
+    -inf, the last ones, is the greatest number of masses that stick together in the window; the
+    others are not affected.  Masses that stick in turn give finite, very negative exponents, about
     log(coupling) per turn.
 
     **Smoothed friction:** a sticking mass contracts at the rate mu_st / eps instead.

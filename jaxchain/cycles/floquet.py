@@ -37,7 +37,7 @@ def monodromy_matrix(
 ) -> Float[Array, "two_n two_n"]:
     """M = d(state after `period`) / d(state), with states in the order (x_1 .. x_n, v_1 .. v_n).
 
-    The derivative of the discrete steps of the structured solver, sizes held, forward.
+    The forward derivative of the discrete steps of the structured solver, with fixed step sizes.
 
     **Arguments:** a `LimitCycle` alone; or a `Chain` or other autonomous `AbstractOscillators`,
     `state` = (x, v), both of shape (n,), on a periodic orbit or not, and `period`, any positive
@@ -45,8 +45,8 @@ def monodromy_matrix(
 
     **Returns:** shape (2n, 2n); NaN where the integration fails.  Works under `jit` and `vmap`.
 
-    **Raises:** `ValueError` for shapes that do not fit, numbers that are not finite, a period or
-    a tolerance that cannot be; `RuntimeError` without 64-bit floats.
+    **Raises:** `ValueError` for wrong shapes, numbers that are not finite, a period or a tolerance
+    that is not positive; `RuntimeError` without 64-bit floats.
 
     >>> import jax, jax.numpy as jnp
     >>> jax.config.update("jax_enable_x64", True)
@@ -155,19 +155,19 @@ class Floquet(NamedTuple):
 def floquet_multipliers(monodromy: Any, flow_direction: Any = None) -> Floquet:
     """Floquet multipliers of a `LimitCycle`, or the eigenvalues of a monodromy matrix.
 
-    The trivial one is known by its vector.
+    The trivial multiplier is removed by its eigenvector.
 
-    A disturbance along the orbit, f = (x', v') at its start, comes back as it was: M f = f.  In an
+    A disturbance along the orbit, f = (x', v') at its start, returns unchanged: M f = f.  In an
     orthonormal basis Q that begins with f, M is [[1, *], [0, B]], and the other multipliers are
-    those of B.  At a fold, where another one is 1 too and both are a defective pair of M, with an
-    error of sqrt(rounding), B has it once, and well conditioned.
+    the eigenvalues of B.  At a fold M has a defective pair of eigenvalues 1, whose error is
+    sqrt(rounding); B has a single one, which is well conditioned.
 
     **Arguments:** a `LimitCycle` alone; or M of shape (2n, 2n), with `flow_direction` = f, of
     shape (2n,) or as a pair (x', v').
 
-    **Returns:** `Floquet`; of a cycle the multipliers and the defect that it has, and NaN for
-    `trivial`, which it does not keep.  Works under `jit` and `vmap`; by `jnp.linalg.eigvals`,
-    which JAX has for CPU and GPU.  NaN in M gives NaN.
+    **Returns:** `Floquet`; for a cycle its stored multipliers and defect, and NaN for `trivial`.
+    Works under `jit` and `vmap`; by `jnp.linalg.eigvals`, which JAX has for CPU and GPU.  NaN in M
+    gives NaN.
 
     **Raises:** `ValueError` if the shapes do not fit.
 
@@ -282,17 +282,18 @@ _SHARES, _BETWEEN, _ROUNDING = np.linspace(0.0, 1.0, 33), 2.0, 1e-6
 class LimitCycle(Outcome):
     """A periodic orbit.
 
-    - `state`, `period`: the orbit is cut where mass `mass` moves fastest in the direction of the
-      belt; the period is the least one.
-    - `residual`: the gap after a period over the size of the orbit, or over the greatest velocity
-      of that mass, velocities measured in the width where it sticks.  `result`: successful if it
-      is a cycle.
-    - `multipliers`: the 2n - 1 Floquet multipliers other than 1, the greatest modulus first.
-    - `trivial_defect`: |M f - f| / |f| for f = (x', v'), which must be 0; `liouville_defect`: see
-      there, NaN for dry friction; both were measured on this orbit.
+    - `state`, `period`: a point where mass `mass` is fastest in the direction of the belt, and the
+      minimal period.
+    - `residual`: the gap after a period, relative to the size of the orbit or to the greatest
+      velocity of that mass; velocities of a sticking mass are measured in widths.  `result`:
+      successful for a cycle.
+    - `multipliers`: the 2n - 1 Floquet multipliers except the trivial one, the greatest modulus
+      first.
+    - `trivial_defect`: |M f - f| / |f| for f = (x', v'), ideally 0.  `liouville_defect`: see the
+      function of this name; NaN for dry friction.  Both are measured on this orbit.
     - `amplitude`: half peak-to-peak of each displacement; `fastest`: each greatest velocity in the
       direction of the belt.
-    - `evaluations`: integrations of the linearised system it took; `chain`: whose cycle it is.
+    - `evaluations`: the number of linearised integrations; `chain`: the chain of this cycle.
 
     See `find_limit_cycle` for an example.
     """
@@ -312,9 +313,9 @@ class LimitCycle(Outcome):
 
     @property
     def scaled_peak_velocity(self) -> Float[Array, " n"]:
-        """max w / eps of each mass: one that never reaches the belt's speed has it below zero.
+        """max w / eps of each mass; negative if the mass never reaches the belt speed.
 
-        With dry friction -inf for that one, and 0 for one that sticks.
+        With dry friction it is -inf for such a mass, and 0 for one that sticks.
         """
         along = self.chain.belt_direction()
         switching = self.chain.switching(0.0, along * self.fastest)
@@ -330,7 +331,7 @@ class LimitCycle(Outcome):
 
     @property
     def uncertainty(self) -> Float[Array, ""]:
-        """Of the multipliers, as far as the two defects tell."""
+        """The uncertainty of the multipliers, estimated from the two defects."""
         defect = self.trivial_defect + jnp.nan_to_num(self.liouville_defect)
         return 1e-8 + 10.0 * (defect + self.residual)
 
@@ -341,8 +342,8 @@ class LimitCycle(Outcome):
 
     @property
     def stable(self) -> bool | None:
-        """Whether disturbances die out; None if that is not known: no cycle, a defect, or |mu| = 1
-        within its uncertainty.  Of one cycle, not of a batch."""
+        """Whether disturbances die out; None if unknown: no cycle, a defect, or |mu| = 1 within
+        its uncertainty.  Of one cycle, not of a batch."""
         uncertainty, margin = float(self.uncertainty), float(self.stability_margin)
         sound = bool(self.successful) and uncertainty < _WORST_DEFECT
         if not sound or not abs(margin) > uncertainty:

@@ -648,36 +648,35 @@ def find_limit_cycle(
 ) -> LimitCycle:
     """The limit cycle near a guess, stable or not, by Newton's method at fixed belt speed.
 
-    With smoothed friction unknowns and equations are those of `cycles/shooting.py`, the steps are
-    damped by Deuflhard's natural monotonicity test, and one linearised integration gives each
-    Jacobian and, in the end, the monodromy matrix.  With dry friction the integration is
-    event-driven and the unknown is the state itself; the orbit is cut where the belt releases the
-    mass that vibrates, or where this mass is fastest if it never sticks; `images` and `max_steps`
-    are ignored, and without a guess only the given belt speed is tried.
+    With smoothed friction it solves the shooting equations of `cycles/shooting.py`.  Deuflhard's
+    natural monotonicity test damps the steps, and one linearised integration gives each Jacobian
+    and finally the monodromy matrix.  With dry friction the integration is event-driven and the
+    unknown is the state itself; the orbit is cut where the belt releases the mass that vibrates,
+    or where this mass is fastest if it never sticks; `images` and `max_steps` are ignored, and
+    without a guess only the given belt speed is tried.
 
     **Arguments:**
 
     - `chain`: a `Chain`, or with a guess any autonomous `AbstractOscillators`.
-    - `guess`: None, the vibration of one mass in which it sticks and slips (on which a simulation
-      settles), or the unstable one in which it slides throughout (`branch` = "unstable"), reached
-      from another belt speed if it is not found at once; a state (x, v), from which a
-      simulation starts, or with `period` a point near the orbit; a pair (state, period); a
-      `Simulation` (its last state); a `LimitCycle` of another chain.
-    - `mass`: index of the mass at whose greatest velocity the orbit is cut, by default n // 2
-      without a guess and else the one farthest from sliding.  Must be given under `jit`.
-    - `images`: for an orbit with a symmetry, entry i is the index of the mass that i does the same
-      as, see `continue_cycle`.
+    - `guess`: None for the vibration of one mass: its stable stick-slip cycle, or with `branch` =
+      "unstable" its slip cycle, found from another belt speed if necessary.  Otherwise a state (x,
+      v), from which a simulation starts; with `period` a point near the orbit; a pair (state,
+      period); a `Simulation` (its last state); or a `LimitCycle` of another chain.
+    - `mass`: index of the mass whose greatest velocity defines the section; by default n // 2
+      without a guess, otherwise the mass farthest from sliding.  Required under `jit`.
+    - `images`: for a symmetric orbit, entry i is the index of the mass that moves like mass i, see
+      `continue_cycle`.
     - `rtol`: of the integration; `tolerance`: of the residual; `max_steps`: integrations allowed.
-    - `throw`: raise an error where no cycle is found; otherwise its `result` tells.
+    - `throw`: raise an error if no cycle is found; otherwise check `result`.
 
-    **Returns:** a `LimitCycle`, of the least period: an orbit gone round up to 16 times is told by
-    its state after shares of the period, and solved for again.  Its state, period, amplitude and
-    energy have derivatives in every number of the chain, forward and in reverse (the rest of it is
-    constant); it works under `vmap` and `jit`, `throw` without effect; without a guess nothing is
-    tried there but the belt speed asked for.
+    **Returns:** a `LimitCycle` with its minimal period: a multiple (up to 16) of the minimal
+    period is detected, and the minimal one is solved for instead.  State, period, amplitude and
+    energy have derivatives in every number of the chain, forward and in reverse; the other fields
+    are constant. It works under `vmap` and `jit`; there `throw` has no effect, and without a guess
+    only the given belt speed is tried.
 
-    **Raises:** `ValueError` for bad input; `RuntimeError`, with advice, if no cycle is found.
-    Rest is never taken for a cycle.
+    **Raises:** `ValueError` for bad input; `RuntimeError`, with advice, if no cycle is found.  An
+    equilibrium is never returned as a cycle.
 
     !!! example
 

@@ -43,30 +43,31 @@ class Chain(AbstractOscillators):
     x_n'' + 2 xi_n x_n' + k_n x_n + c_{n-1/2} (x_n - x_{n-1}) + c_{n+1/2} (x_n - x_{n+1})
         = p_n F(x_n' - v_d)
 
-    with the friction force F of `friction`: dry, so that any number of masses may stick, or
-    smoothed across the belt's speed; whatever is computed takes the one or the other from the
-    chain.  For the homogeneous ring this is eq. (5) of Papangelo
-    et al., Multiple spatially localized dynamical states in friction-excited oscillator chains.
+    The friction force F is dry, so that any number of masses may stick, or smoothed around w = 0.
+    Every computation uses the friction of the chain.  For the homogeneous ring this is eq. (5) of
+    Papangelo et al., Multiple spatially localized dynamical states in friction-excited oscillator
+    chains.
 
     **Arguments** (all dimensionless; see `jaxchain.Scales` for SI input):
 
     - `n`: number of masses.
-    - `friction`: a friction law such as `ExponentialDecay(...)`, which is dry friction, or a
-      smoothed one, `TanhFriction(law, width)`.
+    - `friction`: a dry friction law such as `ExponentialDecay(...)`, or a smoothed one,
+      `TanhFriction(law, width)`.
     - `belt_speed`: v_d; negative for a belt that runs the other way.
     - `damping_ratio`: xi, one number or shape (n,).
-    - `coupling`: eta_c; None compiles no coupling at all, a number is the same spring everywhere,
-      an array gives one constant per spring (n springs in a ring, n - 1 with free ends; spring i
-      joins masses i and i + 1).
+    - `coupling`: eta_c.  None: no springs between masses.  A number: equal springs.  An array: one
+      constant per spring (n springs in a ring, n - 1 with free ends; spring i joins masses i and i
+      + 1).
     - `stiffness`: k_n, one number or shape (n,), 1 for the nominal mass.
     - `normal_load`: p_n relative to the nominal load, one number or shape (n,); None is 1.
     - `ends`: "cyclic" (a ring) or "free".
 
-    Every number is a leaf: `jit`, `vmap`, `grad` and `jvp` go through a chain, and
-    `chain.with_(belt_speed=...)` makes a changed copy.
+    Every number is a leaf of a pytree, so `jit`, `vmap`, `grad` and `jvp` work.
+    `chain.with_(belt_speed=...)` returns a changed copy.
 
-    **Raises:** `ValueError` for a wrong shape or a non-finite or impossible value.  It warns of a
-    damping ratio above 10 and of a relative stiffness or load above 100, likely SI units.
+    **Raises:** `ValueError` for a wrong shape or a non-finite or impossible value.  A damping
+    ratio above 10, and a relative stiffness or load above 100, give a warning: they are probably
+    SI units.
 
     !!! example
 
@@ -130,13 +131,13 @@ class Chain(AbstractOscillators):
 
     @property
     def law(self) -> AbstractFrictionLaw:
-        """mu(s), whether it is smoothed or not."""
+        """The friction law mu(s), without smoothing."""
         friction: Any = self.friction
         return friction.law
 
     @property
     def dry(self) -> bool:
-        """Whether friction is dry; not a number, so `jit` compiles both kinds apart."""
+        """Whether friction is dry; static, so `jit` compiles a program for each kind."""
         return not isinstance(self.friction, TanhFriction)
 
     @property
@@ -152,7 +153,7 @@ class Chain(AbstractOscillators):
 
     @property
     def ends(self) -> Ends:
-        """ "cyclic" or "free"; without coupling there is no difference."""
+        """ "cyclic" or "free"; irrelevant without coupling."""
         return "cyclic" if self.springs is None else self.springs.ends
 
     @property
@@ -175,11 +176,11 @@ class Chain(AbstractOscillators):
         return v - self.belt_speed, self.width
 
     def belt_direction(self) -> ScalarLike:
-        """The sign of v_d, 1 for a belt that rests."""
+        """The sign of v_d; 1 for v_d = 0."""
         return jnp.where(self.belt_speed < 0, -1.0, 1.0)
 
     def stick_speed(self) -> PerMass:
-        """That of greatest friction, up to which a mass sticks; 0 with dry friction."""
+        """The speed of greatest friction, up to which a mass sticks; 0 with dry friction."""
         return self.friction.stick_speed()
 
     def static_limit(self) -> PerMass:
@@ -210,9 +211,9 @@ class Chain(AbstractOscillators):
     def with_(self, **changes: Any) -> Chain:
         """A copy with other numbers; shapes may change, values may be traced.
 
-        Takes the names of the constructor, and `width`, `mu_static`, `mu_dynamic`, `v_ref` (or any
-        other field of the friction law) for the friction.  A `width` smooths dry friction, and
-        None makes it dry.
+        It takes the names of the constructor, and for the friction `width`, `mu_static`,
+        `mu_dynamic`, `v_ref` or any other field of the law.  A `width` smooths dry friction; None
+        makes it dry.
 
         >>> from jaxchain import paper_chain
         >>> float(paper_chain().with_(belt_speed=1.2, width=1e-4).width)
@@ -234,7 +235,7 @@ class Chain(AbstractOscillators):
         return Chain(**fields)
 
     def numbers(self) -> dict[str, Array]:
-        """The numbers that `with_` takes by name, those of the friction law among them."""
+        """The numbers that `with_` takes by name, including those of the friction law."""
         return {**self.friction.numbers(), **super().numbers()}
 
 
@@ -267,9 +268,9 @@ def paper_chain(
 ) -> Chain:
     """The parameter set of the paper, eq. (7): xi 0.05, mu_d 0.5, mu_st 1, v_0 0.5, eta_c 0.01.
 
-    **Arguments:** number of masses, dimensionless belt speed v_d, and the regularization width
-    of the friction law, or None for dry friction; any other number by its name in `Chain.with_`.
-    One mass has no neighbours and gets no coupling.
+    **Arguments:** number of masses, dimensionless belt speed v_d, and the regularization width of
+    the friction law, or None for dry friction; any other number by its name in `Chain.with_`. A
+    single mass has no coupling.
 
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)

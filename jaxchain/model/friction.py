@@ -253,8 +253,8 @@ class ExponentialDecay(AbstractFrictionLaw):
     Source: eq. (1) of "Multiple spatially localized dynamical states in friction-excited
     oscillator chains"; the example has its parameters, eq. (7).
 
-    **Arguments:** `mu_static` = mu_st and `mu_dynamic` = mu_d, friction coefficients at rest and
-    at high speed, 0 <= mu_d <= mu_st; `v_ref` = v0 > 0, a speed in units of x0 omega_n.
+    **Arguments:** `mu_static` = mu_st and `mu_dynamic` = mu_d, the friction coefficients at zero
+    and at high speed, 0 <= mu_d <= mu_st; `v_ref` = v0 > 0, a speed in units of x0 omega_n.
 
     **Raises:** `ValueError` for anything else.
 
@@ -281,17 +281,17 @@ class ExponentialDecay(AbstractFrictionLaw):
 class WeakeningStrengthening(AbstractFrictionLaw):
     """mu(s) = mu_d + (mu_st - mu_d) exp(-s / v0) + mu_v s / v0: weakens, then strengthens.
 
-    The exponential decay plus viscous friction. For 0 < mu_v < mu_st - mu_d friction is least at
-    s = v0 ln[(mu_st - mu_d) / mu_v]; for a greater mu_v it only grows; mu_v = 0 is
+    Exponential decay plus viscous friction. For 0 < mu_v < mu_st - mu_d friction has its minimum
+    at s = v0 ln[(mu_st - mu_d) / mu_v]. For a greater mu_v it only grows. For mu_v = 0 the law is
     `ExponentialDecay`.
 
-    Source: the Stribeck curve with an exponential and a linear term, in the same form
-    F_Coulomb + F_prop s + F_Stribeck exp(-f_exp s) in the Modelica Standard Library,
+    Source: the Stribeck curve with an exponential and a linear term, in the same form F_Coulomb +
+    F_prop s + F_Stribeck exp(-f_exp s) in the Modelica Standard Library,
     `Mechanics.Translational.Components.MassWithStopAndFriction`. A law of this kind on one mass is
     the subject of Papangelo, Ciavarella, Hoffmann, "Subcritical bifurcation in a self-excited
     single-degree-of-freedom system with velocity weakening-strengthening friction law", Nonlinear
-    Dynamics 90 (2017). How that paper writes and scales its terms was not compared: when
-    reproducing it, check its parameters against the formula above.
+    Dynamics 90 (2017). We have not compared how that paper scales its terms: to reproduce it,
+    check its parameters against the formula above.
 
     **Arguments:** `mu_static` = mu_st, `mu_dynamic` = mu_d and `v_ref` = v0 as in
     `ExponentialDecay`; `mu_viscous` = mu_v >= 0, the growth of friction per v0 of speed.
@@ -363,9 +363,9 @@ class GaussianStribeck(AbstractFrictionLaw):
 
 @final
 class Coulomb(AbstractFrictionLaw):
-    """mu(s) = mu_d: the same friction at every speed, and at rest.
+    """mu(s) = mu_d: the same friction at every speed.
 
-    It never feeds energy into a mass, so steady sliding is stable at every belt speed.
+    It feeds no energy into a mass, so steady sliding is stable at every belt speed.
 
     Source: Coulomb (1785); the limit v0 -> infinity or mu_st -> mu_d of `ExponentialDecay`.
 
@@ -426,14 +426,14 @@ def as_law(law: Any) -> AbstractFrictionLaw:
 
 @final
 class TanhFriction(AbstractFriction):
-    """F(w) = -mu(|w|) tanh(w / eps): a law made smooth across w = 0.
+    """F(w) = -mu(|w|) tanh(w / eps): a friction law smoothed around w = 0.
 
-    The force on a mass per unit of its normal load, against its velocity w relative to the belt.
-    eps is the regularization width: within |w| < eps, about, the jump of dry friction from +mu_st
-    to -mu_st becomes a steep slope -mu_st / eps, and a sticking mass creeps. F is once
+    F is the force on a mass per unit of its normal load, and w its velocity relative to the belt.
+    eps is the regularization width. For |w| below about eps, a steep slope -mu_st / eps replaces
+    the jump of dry friction from +mu_st to -mu_st, and a sticking mass creeps. F is once
     continuously differentiable; its second derivative jumps at w = 0, because mu depends on |w|.
-    The greatest force falls short of mu_st by O(eps ln 1/eps): for `ExponentialDecay` with
-    mu_st = 1 and mu_d = v0 = 0.5 it is mu_st - (eps / 2) [ln(4 / eps) + 1] + O(eps^2 ln^2 eps).
+    The greatest force falls short of mu_st by O(eps ln 1/eps): for `ExponentialDecay` with mu_st =
+    1 and mu_d = v0 = 0.5 it is mu_st - (eps / 2) [ln(4 / eps) + 1] + O(eps^2 ln^2 eps).
 
     **Arguments:** `law`, any `AbstractFrictionLaw`; `width` = eps > 0, a speed in units of
     x0 omega_n, one number or one per mass.
@@ -463,8 +463,8 @@ class TanhFriction(AbstractFriction):
     def stick_speed(self) -> PerMass:
         """The |w| of greatest friction, the end of the branch on which a mass sticks.
 
-        (eps / 2) ln [4 mu_st / (eps |mu'(0)|)] to leading order in eps; with friction that does
-        not weaken, which has no maximum, as if it weakened by 1e-3 of mu_st per unit of speed.
+        (eps / 2) ln [4 mu_st / (eps |mu'(0)|)] to leading order in eps.  Friction that does not
+        weaken has no maximum and is treated as if it weakened by 1e-3 of mu_st per unit of speed.
         """
         zero = jnp.zeros_like(self.width + self.law.mu_static)
         _, slope = jax.jvp(self.law.coefficient, (zero,), (jnp.ones_like(zero),))

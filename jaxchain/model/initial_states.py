@@ -67,24 +67,24 @@ def excited_state(
     pattern: str = "alternating",
     mirrored: bool = False,
 ) -> State:
-    """Steady sliding with some masses pulled away: eq. (8) of the paper by default.
+    """Steady sliding with some masses displaced; by default eq. (8) of the paper.
 
     x_n = x^s_n                          for a mass that is not excited,
     x_n = amplitude (-1)^n + x^s_n       for one that is (n counted from 1),   v_n = velocity.
 
     **Arguments:**
 
-    - `excited`: how many masses, as a contiguous block (see `excited_block`; may be traced), or a
-      boolean array of shape (n,).
+    - `excited`: the number of masses in a contiguous block (see `excited_block`; may be traced),
+      or a boolean array of shape (n,).
     - `amplitude`, `velocity`: dimensionless, one number or shape (n,).
-    - `block`: "forward", from mass n // 2 on (the paper's 11th of 20), or "centred" about it.
+    - `block`: "forward", from mass n // 2 on (the paper's 11th of 20), or "centred" around it.
     - `pattern`: "alternating" signs as in the paper, or "in-phase".
-    - `mirrored`: x^s is taken with the opposite sign, -x^s: with eq. (2) of the paper the friction
-      force obeys F(+v_d) = -F(-v_d), and eq. (10) has F(+v_d) where eq. (8) has F(-v_d).
+    - `mirrored`: use -x^s instead of x^s.  By eq. (2) of the paper F(+v_d) = -F(-v_d), and eq.
+      (10) has F(+v_d) where eq. (8) has F(-v_d).
 
     **Returns:** (x, v), both of shape (n,).
 
-    **Raises:** `ValueError` for a count that is not whole or not in 0 ... n, and for NaN.
+    **Raises:** `ValueError` for a count that is not an integer in 0 ... n, and for NaN.
 
     !!! example
 
@@ -149,7 +149,7 @@ def _pull_away(
 
 
 def equation_8(chain: Chain, excited: ArrayLike, block: str = "forward") -> State:
-    """Initial state of the paper's eq. (8): alternating displacements of 2, at rest.
+    """Initial state of the paper's eq. (8): alternating displacements of 2, velocities 0.
 
     **Arguments**, results and errors are those of `excited_state`.
 
@@ -173,9 +173,9 @@ def equation_10(
 ) -> State:
     """Initial state of the paper's eq. (10): alternating displacements of 2, all velocities 0.56.
 
-    **Arguments:** `chain`, `excited`, `block` as for `excited_state`; `reading` settles F(+v_d):
-    "as_printed" takes it literally, F(+v_d) = -F(-v_d), so that the masses start on the wrong side
-    of steady sliding; "as_equation_8" takes it for F(-v_d).
+    **Arguments:** `chain`, `excited`, `block` as for `excited_state`.  `reading` of F(+v_d):
+    "as_printed" is literal, F(+v_d) = -F(-v_d), and the masses start on the wrong side of steady
+    sliding; "as_equation_8" reads it as F(-v_d).
 
     **Returns:** (x, v), both of shape (n,).
 

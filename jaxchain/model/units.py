@@ -64,13 +64,13 @@ def _or_none(coupling: Any) -> Float[Array, ""] | None:
 
 @final
 class Scales(eqx.Module):
-    """The units in which a chain is dimensionless, and its two dimensionless parameters.
+    """The units of a dimensionless chain, and its two dimensionless parameters.
 
-    Displacement counts in x0 = P / k, time in 1 / omega_n, velocity in x0 omega_n, force in P (per
-    mass) and angular frequency in omega_n: `displacement` [m], `angular_frequency` [rad/s] and
-    `force` [N] hold these units, `damping_ratio` = c / (2 sqrt(k m)) and `coupling` = k_c / k the
-    parameters. Build it with `Scales.from_dimensional`. In a mistuned chain the parameters here
-    are those of the mass that all others are compared with.
+    The unit of displacement is x0 = P / k, that of time 1 / omega_n, that of velocity x0 omega_n,
+    that of force P (per mass). The fields `displacement` [m], `angular_frequency` [rad/s] and
+    `force` [N] hold the units; `damping_ratio` = c / (2 sqrt(k m)) and `coupling` = k_c / k are
+    the parameters. Create it with `Scales.from_dimensional`. In a mistuned chain they are those of
+    the nominal mass.
 
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
@@ -159,7 +159,7 @@ class Scales(eqx.Module):
         )
 
     def unit(self, quantity: Quantity) -> Float[Array, ""]:
-        """What the dimensionless number 1 stands for: in m, m/s, s, N or rad/s.
+        """The SI value of the dimensionless number 1, in m, m/s, s, N or rad/s.
 
         **Raises:** `ValueError` for a quantity that has no unit here.
         """

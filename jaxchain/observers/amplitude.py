@@ -44,20 +44,20 @@ class _History(eqx.Module):
 class Amplitude(AbstractObserver):
     """Half peak-to-peak of every displacement, A_n = (max x_n - min x_n) / 2, over a window.
 
-    The window is the last `window` time units of the run, which must not be shorter (None: the
-    whole run); peaks are found between steps.  Value: shape (n,), in the unit of displacement
+    The window is the last `window` time units of the run (None: the whole run); the run must not
+    be shorter.  Peaks are located between steps.  Value: shape (n,), in the unit of displacement
     (P/k).
 
     **Arguments:**
 
-    - `window`: its length in dimensionless time, at least one period (2 pi) to mean anything.
-    - `stop`: "never" runs to the end.  "quiet" lets the run stop when every mass rests (speed
-      and acceleration below `quiet_below`; the amplitude is then reported as 0) *and* that rest
-      attracts, i.e. every mass is damped, dF/dv < 2 xi, and held, and no force depends on time
-      (`AbstractOscillators.attracts`); that cannot change the answer.
-      "steady" also lets it stop when the amplitudes of `repeats` windows in succession agree
-      within `tolerance`; slow drifts of the phases, and instabilities that rounding has not yet
-      found, can then go unseen.  Both need a `window`.
+        - `window`: its length in dimensionless time, at least one period (2 pi).     - `stop`:
+          "never" runs to the end.  "quiet" stops the run when every mass is at its equilibrium
+          (speed and acceleration below `quiet_below`; the amplitude is then reported as 0) *and*
+          the       equilibrium is stable, that is, every mass is damped, dF/dv < 2 xi, and held,
+          and no force       depends on time (`AbstractOscillators.attracts`).  This cannot change
+          the answer.  "steady"       also stops it when the amplitudes of `repeats` successive
+          windows agree within `tolerance`.       It may miss slow drifts of the phases, and
+          instabilities that have not grown yet.  Both need       a `window`.
 
     **Raises:** `ValueError` for any other, and for numbers that are not positive.
 

@@ -91,12 +91,12 @@ def active(
 ) -> Bool[Array, "*batch n"]:
     """Which masses vibrate on their own: A_n > |v_d| / 2.
 
-    A mass that sticks moves at the belt's speed, so its amplitude is at least about v_d.  One that
-    is only shaken by its neighbours in the paper's chain reaches 0.21 of that at a belt speed of
-    1.5 and 0.37 at 1.36, near the end of the range in which it is not drawn in.
+    A mass that sticks moves at the belt speed, so its amplitude is at least about v_d.  In the
+    paper's chain, a mass that is only shaken by its neighbours reaches 0.21 v_d at a belt speed of
+    1.5, and 0.37 v_d at 1.36.
 
-    **Arguments:** amplitudes, in the unit of displacement P/k, and the belt speed, a number or one
-    for each state of a batch.
+    **Arguments:** amplitudes, in the unit of displacement P/k, and the belt speed: one number, or
+    one per state of a batch.
 
     **Returns:** booleans, of the shape of the amplitudes.
 
@@ -161,10 +161,10 @@ def settled(
 
 
 def slides_steadily(amplitude: Float[Array, "*batch n"]) -> Bool[Array, "*batch"]:
-    """Whether no mass moves: every A_n <= 1e-3, what rounding and tolerances can fake.
+    """Whether every mass slides steadily: every A_n <= 1e-3, the level of rounding and tolerances.
 
-    A state in which no mass is `active` need not be at rest: a vibration that dies down still
-    moves, and so do masses that are shaken.  NaN, of a run that failed, is not at rest.
+    In a state without `active` masses, masses may still move: a vibration may be decaying, or
+    neighbours may shake a mass.  NaN (of a failed run) gives False.
 
     **Arguments:** amplitudes, in the unit of displacement P/k, of shape (..., n).
 

@@ -39,8 +39,8 @@ from .base import AbstractNotingObserver, Step, Variable, states_at_times
 class Trajectory(eqx.Module):
     """The state at given times: value (x, v), both of shape (len(times), n).
 
-    **Arguments:** `times`, dimensionless and rising; they must lie within the run, and are served
-    by diffrax's `SaveAt`.
+    **Arguments:** `times`, dimensionless, increasing, within the run; they are passed to diffrax's
+    `SaveAt`.
 
     !!! example
 

@@ -24,11 +24,10 @@ _NONE = -1e300
 class PeakTimes(AbstractNotingObserver):
     """Times of the maxima of every displacement, located between steps.
 
-    **Arguments:** `capacity`, the greatest number of maxima kept for each mass (a run that has
-    more keeps the first `capacity`; see `segments` of `simulate` for long runs); `start`, the
-    time before which nothing is kept.
+    **Arguments:** `capacity`, the greatest number of maxima kept per mass (the first ones; for
+    long runs see `segments` of `simulate`); `start`, the time from which maxima are kept.
 
-    **Value:** shape (capacity, n), NaN where there is none.
+    **Value:** shape (capacity, n), filled with NaN.
 
     !!! example
 

@@ -21,15 +21,14 @@ from .base import AbstractObserver, Step, Variable, window_fits, zeros
 
 @final
 class StickTime(AbstractObserver):
-    """For how long each mass sticks to the belt during a window.
+    """The time for which each mass sticks to the belt during a window.
 
-    The window is the last `window` time units of the run, which must not be shorter (None: the
-    whole run); the ends of sticking are found between steps. Value: shape (n,), a dimensionless
-    time. With true dry friction a mass sticks while w = v - v_d is 0. With a smoothed law it does
-    while |w| is below the speed of greatest friction, `TanhFriction.stick_speed`, which goes to 0
-    with the width, *and* the force on it, without friction, does not exceed p mu_st: by the speed
-    alone it would stick sqrt[eps ln(1 / eps)] too long, because a mass that is let go leaves the
-    belt as t^2.
+    The window is the last `window` time units of the run (None: the whole run); the run must not
+    be shorter. The ends of sticking are located between steps. Value: shape (n,), a dimensionless
+    time. With dry friction a mass sticks while w = v - v_d is 0. With a smoothed law it sticks
+    while |w| is below the speed of greatest friction, `TanhFriction.stick_speed`, *and* the force
+    on it, without friction, does not exceed p mu_st. The speed alone would give a time too long by
+    sqrt[eps ln(1 / eps)], because a released mass leaves the belt like t^2.
 
     **Arguments:** `window`, its length in dimensionless time.
 

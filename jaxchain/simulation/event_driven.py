@@ -412,22 +412,20 @@ class EventDrivenPlan(AbstractPlan):
 
 @final
 class EventDriven(eqx.Module):
-    """The solver for true dry friction, and the one that a dry chain has unless told otherwise.
+    """The solver for dry friction, the default of a dry chain.
 
-    It integrates the set-valued equations themselves; of a smoothed chain
-    (`simulate(chain, initial, t1, solver=EventDriven())`) the width has no part in them.  Any
-    number of masses may stick at once:
+    It integrates the set-valued equations.  For a smoothed chain (`simulate(chain, initial, t1,
+    solver=EventDriven())`) it ignores the width.  Any number of masses may stick at once:
 
         slip (w != 0):   x'' + 2 xi x' + K x = -p mu(|w|) sign(w),      w = x' - v_d
         stick (w = 0):   |2 xi v_d + K x| <= p mu_st
 
-    Between events the motion is a Taylor series, whose error is controlled by `rtol` and `atol`;
-    events are roots of the series, found to rounding, and neither a touch nor two crossings
-    within a step are missed.  Under `jit`, `vmap`, `sweep` and derivatives of both kinds (`jvp`,
-    `jacfwd`, `grad`, `jacrev`), which hold across sticking and release, that is with their
-    saltation.
+    Between events the motion is a Taylor series; `rtol` and `atol` control its error.  Events are
+    roots of the series, found to rounding; no tangency and no pair of crossings within a step is
+    missed.  It works under `jit`, `vmap`, `sweep` and derivatives of both kinds (`jvp`, `jacfwd`,
+    `grad`, `jacrev`), which include the saltation at sticking and release.
 
-    **Arguments:** `order` of the series, 3 ... 40; None suits it to `rtol` (9 at 1e-6, say).
+    **Arguments:** `order` of the series, 3 ... 40; by default it depends on `rtol` (9 at 1e-6).
 
     **Raises:** `ValueError` for another order, or from `simulate` for anything but a `Chain`.
 

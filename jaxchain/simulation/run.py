@@ -53,14 +53,14 @@ def _is_observer(x: Any) -> bool:
 
 @final
 class Simulation(Printed, eqx.Module):
-    """What a run returned.
+    """The result of a run.
 
-    - `t`: the time at which it ended; earlier than asked if it stopped early or failed.
+    - `t`: the time at which it ended; earlier than `t1` if it stopped early or failed.
     - `state`: (x, v) at that time.
-    - `observed`: the values of what was asked for in `observe`, in the same structure.
+    - `observed`: the values of the observers in `observe`, in the same structure.
     - `result`: see `Result`; `outcome` is its name, such as "successful".
     - `steps`, `rejected`: accepted and rejected steps.
-    - `numerics`: the width, tolerance and solver that `accuracy` picked, or None.
+    - `numerics`: the width, tolerance and solver that `accuracy` chose, or None.
 
     See `simulate` for an example.
     """
@@ -96,7 +96,7 @@ def simulate(
     adjoint: dfx.AbstractAdjoint | None = None,
     throw: bool = True,
 ) -> Simulation:
-    """Integrates a chain from (x, v) = `initial` at t0 to t1 and observes what is asked for.
+    """Integrates a chain from (x, v) = `initial` at t0 to t1, and evaluates observers.
 
     **Arguments:**
 
@@ -105,34 +105,33 @@ def simulate(
     - `t1`, `t0`: dimensionless times, t1 >= t0.
     - `observe`: an observer (`Amplitude`, `PeakTimes`, `Section`, `Trajectory`) or any nested
       tuple, list or dict of them.  Nothing else is computed or stored.
-    - `solver`: None is `EventDriven()` for a chain with dry friction, and a structured solver (see
-      `choose_solver`) for any other; smoothed friction may take any diffrax solver, or
-      `EventDriven()`, which leaves out its width.
-    - `accuracy`: the error that is allowed against true dry friction, relative to the greatest
-      amplitude, for 30 time units from the start, and later of amplitudes that have `settled`
-      (while masses start or stop to vibrate it may be a hundred times greater, see
-      `choose_numerics`).  It picks the width, `rtol` and, if none is given, the solver, and says
-      so in `numerics`.
-    - `rtol`, `atol`: tolerances of the step-size control (default 1e-6, or less where the width
-      is so narrow that sticking needs it; and rtol / 10).
-    - `max_step`: no step is longer (dimensionless time; a period is about 2 pi).
-    - `max_steps`: steps allowed for the run (each segment), accepted or rejected; None is no
-      limit.
-    - `segments`: cut the run into this many parts of equal length and return the observed values
-      of each, stacked in front; observers start anew in each part.
-    - `adjoint`: None serves derivatives of both kinds, `jvp` and `jacfwd` as well as `grad` and
-      `jacrev`, in bounded memory however long the run: some states are kept, steps between them
-      are computed again.  A gradient costs as much as seven to nine runs whatever the number of
-      parameters, and `jacfwd` as much as five or six for twenty of them, so that it is cheaper up
-      to some thirty.  `diffrax.RecursiveCheckpointAdjoint(checkpoints=...)` keeps that number of
-      states, and `diffrax.ForwardMode()` serves the first kind alone.  Second derivatives are
-      those of `jax.hessian`, or `jacfwd` twice.  With smoothed friction a plain run decides on the
-      steps, and both kinds of derivatives follow them: the first 32,768 tried, or `max_steps` if
-      it is given (8 bytes each).  Later steps are decided on again on the way back, which costs
-      digits at tight tolerances.
-    - `throw`: raise an error if the run fails; otherwise read `result`.
+    - `solver`: the default is `EventDriven()` for dry friction and a structured solver (see
+      `choose_solver`) otherwise.  Smoothed friction also works with any diffrax solver, and with
+      `EventDriven()`, which ignores the width.
+    - `accuracy`: the allowed error against dry friction, relative to the greatest amplitude.  It
+      holds for 30 time units from the start, and later for amplitudes that have `settled`; while
+      masses start or stop vibrating, the error may be a hundred times greater (see
+      `choose_numerics`).  It determines the width, `rtol` and the default solver, which `numerics`
+      reports.
+    - `rtol`, `atol`: tolerances of the step-size control (default 1e-6, or less if a narrow width
+      needs it; and rtol / 10).
+    - `max_step`: the longest step (dimensionless time; a period is about 2 pi).
+    - `max_steps`: the greatest number of steps of the run (of each segment), accepted or rejected;
+      None: no limit.
+    - `segments`: the number of parts of equal length.  Observers start anew in each part, and
+      their values are stacked along a first axis.
+    - `adjoint`: the default works with `jvp`, `jacfwd`, `grad` and `jacrev`, in bounded memory for
+      any length of run: some states are kept, and the steps between them are computed again.  A
+      gradient costs as much as seven to nine runs for any number of parameters; `jacfwd` costs
+      five or six runs for twenty parameters, so it is cheaper up to about thirty.
+      `diffrax.RecursiveCheckpointAdjoint(checkpoints=...)` keeps that number of states;
+      `diffrax.ForwardMode()` works with `jvp` and `jacfwd` only.  For second derivatives use
+      `jax.hessian`, or `jacfwd` twice.  With smoothed friction, both kinds of derivatives use the
+      steps of the plain run: the first 32,768, or `max_steps` if it is given (8 bytes each).
+      Later steps are chosen again in reverse mode, which costs digits at tight tolerances.
+    - `throw`: raise an error if the run fails; otherwise check `result`.
 
-    **Returns:** a `Simulation`: the last time and state, what was observed, and how the run ended.
+    **Returns:** a `Simulation`: the last time and state, the observed values, and the result.
 
     **Raises:** `ValueError` for bad input before anything is compiled; `RuntimeError` with advice
     if the run fails and `throw` is set.

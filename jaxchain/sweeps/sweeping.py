@@ -87,64 +87,60 @@ def sweep(
 
     - `chain`: a `Chain`.
     - `initial`: the pair (x, v), or a function (chain, **own) -> (x, v) that JAX can trace; its
-      parameters beyond the chain are taken from `over`.
+      other parameters come from `over`.
     - `t1`, `t0`: dimensionless times.
-    - `over`: ordered mapping from a name to a one-dimensional array: any number of the chain or of
-      its friction law (`belt_speed`, `damping_ratio`, `coupling`, `width`, `mu_static`, ...), or a
-      parameter of `initial` or `vary` (`excited`, a seed, ...).  Or from a dimension to a mapping
-      or data frame of several of them that run along it together, such as measured sets or random
-      starts: `{"sample": {"belt_speed": speeds, "x0": starts}}`; what `initial` and `vary` take
-      may have further axes, of shape (samples, n), say.
-    - `vary`: a function (chain, **own) -> chain that JAX can trace, for what no single number of
-      the chain says, such as one random stiffness per mass
-      (`jaxchain.localization.mistuned_chain`); its parameters beyond the chain are taken from
-      `over`, too, and `initial` sees the new chain.
-    - `observe`: one observer or several (default: `Amplitude` over the last tenth of the run, or
-      of each segment), also of one's own, see `AbstractObserver`.  A `Trajectory` does not fit
-      into lanes; use `jax.vmap(simulate)`.
-    - `segments`: cut each run into this many parts of equal length, in which observers start anew;
-      what they observe has the dimension `segment` (1 ...), see `settled`.
-    - `accuracy`: as for `simulate`: kept for 30 time units and by amplitudes that have settled.
-      Lanes in which it may not be kept differ from those of a second sweep with four times the
-      accuracy by more than it (see `choose_numerics`).  Every lane has a width of its own, `width`
-      of the dataset, and all have the least of their `rtol`.
-    - `solver`, `rtol`, `atol`, `max_step`, `max_steps`: as for `simulate`, the same for all lanes.
-    - `lanes`: lanes at a time on each device, for the same bits again: every device runs one
-      program, for exactly this number of lanes, whatever the number of devices and of jobs.  By
-      default as many as fit its cache, no more than its share of the jobs, and fewer near the end
-      of a long sweep; that is fastest, but the last bits then depend on jobs, devices and the
-      clock.
-    - `devices`: default all local devices.
-    - `store`: the name of a Zarr store that keeps the results on disk, unit by unit, as they come:
-      if this process is killed, the same call goes on with what is missing.  One process at a time
-      writes a store.  Results are then read as they are used, and the grid may be larger than
-      memory.  See `jaxchain/sweeps/store.py` for what lies there.
+    - `over`: an ordered mapping from names to one-dimensional arrays.  A name is a number of the
+      chain or of its friction law (`belt_speed`, `damping_ratio`, `coupling`, `width`,
+      `mu_static`, ...), or a parameter of `initial` or `vary` (`excited`, a seed, ...).  To vary
+      several of them together, such as measured sets or random starts, map a dimension to a
+      mapping or data frame: `{"sample": {"belt_speed": speeds, "x0": starts}}`.  Parameters of
+      `initial` and `vary` may have further axes, such as shape (samples, n).
+    - `vary`: a function (chain, **own) -> chain that JAX can trace, for changes of several
+      numbers, such as one random stiffness per mass (`jaxchain.localization.mistuned_chain`).  Its
+      other parameters come from `over`, and `initial` receives the new chain.
+    - `observe`: one or several observers (default: `Amplitude` over the last tenth of the run, or
+      of each segment); for your own see `AbstractObserver`.  `Trajectory` is not supported; use
+      `jax.vmap(simulate)`.
+    - `segments`: the number of parts of equal length of each run.  Observers start anew in each,
+      and their values have the dimension `segment` (1 ...), see `settled`.
+    - `accuracy`: as for `simulate`; it holds for 30 time units and for settled amplitudes. To find
+      other runs, repeat the sweep with four times the accuracy: they differ by more than
+      `accuracy` (see `choose_numerics`).  Each run has its own width, the variable `width` of the
+      dataset, and all have the least `rtol`.
+    - `solver`, `rtol`, `atol`, `max_step`, `max_steps`: as for `simulate`, the same for all runs.
+    - `lanes`: the number of runs side by side on each device.  A fixed number gives reproducible
+      bits, for any number of devices and runs.  By default it is as many as fit the cache, at most
+      the share of the device, and fewer near the end of a long sweep.  The default is fastest, but
+      then the last bits depend on the number of runs, the devices and the timing.
+        - `devices`: default all local devices.     - `store`: the name of a Zarr store that keeps
+          the results on disk, unit by unit.  After a       crash, the same call computes the
+          missing units.  Only one process may write a store.       Results are read from it when
+          they are used, so the grid may be larger than memory.  See
+          `jaxchain/sweeps/store.py` for its layout.
     - `chunks`: of the store: values in a unit, by dimension; by default some seconds of work.
-    - `client`: a `distributed.Client`, whose workers compute the units of the `store`; this
-      process writes them.  See `jaxchain.sweeps.cluster`.
-    - `progress`: show a progress bar; it tells of cores that lie idle.
+    - `client`: a `distributed.Client`.  Its workers compute the units of the `store`; this process
+      writes them.  See `jaxchain.sweeps.cluster`.
+    - `progress`: show a progress bar; it also reports idle cores.
 
     **Returns:** an `xarray.Dataset` with the dimensions of `over` and `oscillator` (1 ... n), see
-    `sweeps/dataset.py`; what is swept along a dimension of another name is a coordinate along it.
-    Failed lanes are NaN and carry their reason in `result`.  Bit for bit, no lane depends on
-    *which* others run beside it, failed ones or not.  It does on *how many* do: results with other
-    `lanes`, or without, agree within the tolerances while the motion is regular, and chaotic
-    motions part.  The same `lanes`, on devices of the same kind and with the same versions of JAX
-    and jaxchain, give the same bits.  The attributes `devices`, `device_kind`, `lanes_per_device`
-    and `lanes_per_device_at_end` record them.  A `store` fixes `lanes` when it is laid out, and
-    holds the same bits whatever ran it, and however often it was cut off.
+    `sweeps/dataset.py`; numbers that vary together are coordinates along their dimension. A failed
+    run is NaN, and its `result` gives the reason.  The bits of a run do not depend on *which*
+    other runs are beside it, but on *how many*: with other `lanes`, results agree within the
+    tolerances if the motion is regular, and chaotic motions diverge.  The same `lanes` on the same
+    kind of device, with the same versions of JAX and jaxchain, give the same bits.  The attributes
+    `devices`, `device_kind`, `lanes_per_device` and `lanes_per_device_at_end` record them.  A
+    `store` fixes `lanes` when it is created; its bits do not depend on interruptions.
 
-    **Compiled** are the runs once for all numbers, states and functions, but anew for another
-    number of masses or lanes, another law, solver or observer; and, in a fraction of a second,
-    what makes the starts, for each new function: `def` one `initial` before a loop of sweeps, and
-    hand over what changes as a parameter of it, in `over`, instead of a new `lambda` each time (a
-    `functools.partial` of the same function and numbers is not new).
-    The programs of the latest eight functions are kept.
+    **Compilation:** the runs are compiled once for all numbers and states, and again for another
+    number of masses or lanes, another law, solver or observer.  Each new function `initial` or
+    `vary` compiles in a fraction of a second: define it once before a loop of sweeps and pass
+    changing values in `over`, instead of writing a new `lambda` each time (a `functools.partial`
+    of the same function and numbers is not new). The programs of the latest eight functions are
+    kept.
 
-    **Raises:** `ValueError` for bad input before anything is compiled, and for a `store` that
-    other numbers, functions or versions have made; `MemoryError` if the results cannot fit;
-    `StoreError` if the store cannot be written; `SweepInterrupted` on Ctrl-C, with what was
-    finished.
+    **Raises:** `ValueError` for bad input before anything is compiled, and for a `store` of other
+    numbers, functions or versions; `MemoryError` if the results do not fit; `StoreError` if the
+    store cannot be written; `SweepInterrupted` on Ctrl-C, with the finished runs.
 
     !!! example
 
