@@ -44,10 +44,10 @@ _PHASES = ("in phase", "out of phase", "in between")
 
 @final
 class Settled(Printed, eqx.Module):
-    """Where a run ended, as `VibratingMasses` observes it.
+    """The final state of a run, the value of `VibratingMasses`.
 
-    - `code`: the state, whole numbers of shape (n,); `vibrates`: which masses do, shape (n,).
-    - `decided`: whether that has been so for some time; `since`: from when on.
+    - `code`: the state, integers of shape (n,); `vibrates`: which masses vibrate, shape (n,).
+    - `decided`: whether the state has persisted; `since`: the time from which it holds.
 
     !!! example
 
@@ -69,11 +69,11 @@ class Settled(Printed, eqx.Module):
 
 
 class AbstractClassifier(AbstractObserver):
-    """An observer that says in which state a run ends, for `basin_shares`.
+    """An observer that classifies the final state of a run, for `basin_shares`.
 
-    Its `label` gives at least the variables `state`, whole numbers of any shape, `decided`,
-    whether that is settled, and `settling_time`; `settled` lets a run end that is decided.  Runs
-    whose `state` is the same after `merge` are in the same state.
+    Its `label` gives at least the variables `state`, integers of any shape, `decided`, whether the
+    state is final, and `settling_time`; `settled` ends a decided run.  Two runs are in the same
+    state if `state` is the same after `merge`.
 
     !!! example
 
@@ -105,24 +105,24 @@ class AbstractClassifier(AbstractObserver):
     """
 
     def merge(self, codes: Int[np.ndarray, "runs m"], chain: Chain) -> Int[np.ndarray, "runs k"]:
-        """Codes that stand for the same state made equal; by default none are."""
+        """Makes equivalent codes equal; by default all codes are different states."""
         del chain
         return codes
 
     def patient(self) -> Any:
-        """The same, but no run ends early, as a witness; None, the default, if there is none."""
+        """A variant that ends no run early, as a check; None, the default, if there is none."""
 
     @property
     def least_time(self) -> float:
-        """Before so long nothing is known of a state; 0 by default."""
+        """The least time after which a state can be known; 0 by default."""
         return 0.0
 
     @abc.abstractmethod
     def name(self, code: Int[np.ndarray, " k"], chain: Chain) -> str:
-        """A state in words, from its code as `merge` leaves it."""
+        """The name of a state, from its code after `merge`."""
 
     def numbers(self, code: Int[np.ndarray, " k"], chain: Chain) -> Mapping[str, int]:
-        """What else to say of a state, each a coordinate along `state`; by default nothing."""
+        """Further numbers of a state, each a coordinate along `state`; by default none."""
         del code, chain
         return {}
 
@@ -145,35 +145,34 @@ class _Looking(eqx.Module):
 class VibratingMasses(AbstractClassifier):
     """Which masses vibrate at the end of a run, and whether that can still change.
 
-    Amplitudes A_n (half peak-to-peak) are taken over windows; mass n vibrates if A_n > |v_d|/2
-    (see `active`) in one of the last `agree` + 1 windows, so that neighbours which exchange their
-    vibration in slow beats both vibrate; no mass does if none exceeds that in the last window.
-    The state is decided if it is the same in the last `agree` windows and the one before, and
-    each mass that is below at the end has come back from as long a lull before.  A run
-    ends before its time only where all masses do the same, none moves on, and nothing else can
-    make them move on: in `calm` windows in succession
+    Amplitudes A_n (half peak-to-peak) are measured in windows.  Mass n vibrates if A_n > |v_d|/2
+    (see `active`) in one of the last `agree` + 1 windows, so that neighbours with slow beats both
+    count.  No mass vibrates if none exceeds this value in the last window. The state is decided if
+    it is the same in the last `agree` windows and the one before, and each mass below at the end
+    has recovered from an equally long lull before.  A run ends early only if all masses do the
+    same and this cannot change: in `calm` successive windows
 
-    - all vibrate, each changes its amplitude by no more than `tolerance` of itself, and phases are
-      not asked for; or
-    - none does, and sum A_n^2 falls.
+        - all masses vibrate, each amplitude changes by at most the fraction `tolerance`, and
+          `phases` is
+      False; or
+    - no mass vibrates, and sum A_n^2 falls.
 
-    Where some vibrate and others do not, that may change after thousands of time units: what
-    masses far apart tell each other about their phases comes through the quiet ones between them.
-    So the time at which one looks is a part of the question.
+    If some masses vibrate and others do not, the state may change after thousands of time units,
+    because distant phases interact only through the masses between them.  So a state belongs to a
+    time.
 
-    The state in which no mass vibrates is called "sliding".  A vibration of less than |v_d|/2, to
-    which a law with a supercritical Hopf bifurcation may lead, is not told from it here; it is by
-    `jaxchain.verdict`, see `judge` of `basin_shares`.
+    The state in which no mass vibrates is called "sliding".  It includes vibrations below |v_d|/2,
+    which a law with a supercritical Hopf bifurcation may have; `jaxchain.verdict` distinguishes
+    them, see `judge` of `basin_shares`.
 
     **Arguments:**
 
-    - `by`: what makes two states the same: "count", how many vibrate; "masses", which ones;
-      "ring", which ones up to the rotations and reflections of a ring, or the reflection of a
-      chain with open ends (for masses that are all alike).
-    - `phases`: whether neighbours that vibrate in phase (delay of the second within 1/8 of a
-      period of 0), out of phase (within 1/8 of 1/2) or in between are told apart.
-    - `window`: at least a period, 2 pi; `tolerance`; `agree`; `calm`, infinite for runs that all
-      go to their end.
+        - `by`: the definition of a state: "count", the number of vibrating masses; "masses", the
+          set of       them; "ring", that set up to the rotations and reflections of a ring, or the
+          reflection of a       chain with free ends (for equal masses).     - `phases`: whether to
+          distinguish neighbours that vibrate in phase (delay within 1/8 of a period       of 0),
+          out of phase (within 1/8 of 1/2) or in between.     - `window`: at least a period, 2 pi;
+          `tolerance`; `agree`; `calm`, infinite to end no run early.
 
     **Value:** `Settled`.
 

@@ -324,21 +324,21 @@ RTOL = 1e-11
 
 @final
 class EdgeState(Outcome):
-    """The motion on the edge between two basins, as far as it was followed.
+    """The motion on the edge between two basins.
 
-    - `state`: (x, v) on the edge at the end; `below` and `above`: the ends of the bracket there,
-      on the quiet side and on the other; `distance`: between these, sqrt(|dx|^2 + |dv|^2).  Runs
-      from there go to both sides if their `rtol` is that of the search, no coarser.
-    - `amplitude`: half peak-to-peak of each mass over three windows from there, shape (n,).
-    - `period`: of a motion that closes, NaN for any other; `gap`: the least distance, relative to
-      the size of the orbit, at which it comes back within these.
-    - `vibrates`: which masses go on vibrating from below and from above, shape (2, n).
-    - `mass`: the one (from 0) in which the two sides differ most.
+    - `state`: (x, v) on the edge at the end; `below` and `above`: the ends of the bracket, on the
+      quiet and on the vibrating side; `distance`: between these, sqrt(|dx|^2 + |dv|^2).  Runs from
+      the two ends go to both sides if their `rtol` is at most that of the search.
+    - `amplitude`: half peak-to-peak of each mass over three further windows, shape (n,).
+    - `period`: of a periodic motion, NaN otherwise; `gap`: the least distance, relative to the
+      size of the orbit, at which the motion returns within these windows.
+    - `vibrates`: the masses that continue to vibrate from below and from above, shape (2, n).
+    - `mass`: the mass (from 0) in which the two sides differ most.
     - `times`, `amplitudes`, `distances`: ends of the windows of the tracking, shape (windows,),
-      the amplitude of each mass in them, (windows, n), mean of both ends of the bracket, and the
-      distance of the ends; NaN after the tracking has ended.
-    - `result`: how it ended.  Unless the tracking itself ended well, numbers are NaN.
-    - `chain`: whose state it is.
+      the amplitude of each mass in them, (windows, n), averaged over both ends of the bracket, and
+      the distance of the ends; NaN after the end of the tracking.
+    - `result`: the outcome.  If the tracking failed, numbers are NaN.
+    - `chain`: the chain of this state.
 
     Dimensionless: displacements in P/k, times in 1 / omega_n.
 
@@ -366,7 +366,7 @@ class EdgeState(Outcome):
         return jnp.isfinite(self.period)
 
     def cycle(self, **how: Any) -> LimitCycle:
-        """The limit cycle that closes at `state`, by Newton's method: see `find_limit_cycle`.
+        """The limit cycle through `state`, by Newton's method: see `find_limit_cycle`.
 
         **Raises:** `RuntimeError` if there is none, `ValueError` if the motion is not periodic.
         """
@@ -396,40 +396,39 @@ def edge_state(
 ) -> EdgeState:
     """The state on the edge between the basins of two starts, by bisection and edge tracking.
 
-    On the segment y(s) = y_quiet + s (y_vibrating - y_quiet) lies a point from which a run goes to
-    neither side.  The bracket [a, b] about it is cut into thirds, by runs from both points in
-    between, until |b - a| <= near A; then a and b run on as long as |b - a| <= far A, and the
-    segment between the states where they have got to is cut again, and so on: the bracket
-    stays about a motion that is unstable in one direction alone, and stable along the edge, to
-    which it converges.  A is the greatest amplitude of the masses in question.
+    On the segment y(s) = y_quiet + s (y_vibrating - y_quiet) there is a point on the edge.  Runs
+    from two points in between divide its bracket [a, b] into thirds, until |b - a| <= near A.
+    Then a and b are integrated while |b - a| <= far A, and the segment between the new states is
+    divided again, and so on.  The bracket converges to a motion that is unstable in one direction
+    and stable along the edge.  A is the greatest amplitude of the masses in question.
 
-    First both starts settle, and tell the masses in question: those that vibrate from the one and
-    not from the other.  A run is decided when each of these has for three windows been quiet, with
-    an amplitude within 5 % (of the way between those of the two states) of the quiet one, or
-    vibrated: within 10 % of the other amplitude, and sticking to the belt.  A mass on the edge
-    slides throughout.  That amplitudes repeat themselves decides nothing: so they do there, too.
+    First both starts settle.  The masses in question are those that vibrate from one start and not
+    from the other.  A run is decided when for three windows each of these masses has been quiet,
+    with an amplitude within 5 % (of the difference between the two states) of the quiet one, or
+    has vibrated, within 10 % of the other amplitude and sticking to the belt.  A mass on the edge
+    slides throughout, with repeating amplitudes.
 
     **Arguments:** (dimensionless)
 
     - `chain`: a `Chain`, with dry friction or smoothed.
-    - `quiet`, `vibrating`: (x, v), both of shape (n,), from which different masses go on
-      vibrating.
-    - `time`: how long the edge is followed, at most; it ends as soon as the amplitudes of five
-      windows (of a narrow bracket) agree within `tolerance` A.  `window`: at least a period, 2 pi
-      for masses as in the paper.  Both are numbers of Python.
+        - `quiet`, `vibrating`: (x, v), both of shape (n,), from which different masses continue to
+          vibrate.     - `time`: the greatest time for which the edge is followed; the search ends
+          as soon as the       amplitudes of five windows (of a narrow bracket) agree within
+          `tolerance` A.  `window`: at least       a period, 2 pi for the paper's masses.  Both are
+          Python numbers.
     - `patience`: the time after which a run must be decided.
     - `near`, `far`: see above.
-    - `rtol`, `solver`: as for `simulate`; the distance `near` asks for a small one.
+        - `rtol`, `solver`: as for `simulate`; a small `near` needs a small `rtol`.
 
-    **Returns:** an `EdgeState`.  Works under `jit` and `vmap`, and many pairs are followed side by
-    side, none waiting for another.  It has no derivatives (`RuntimeError`): those of the cycle on
-    the edge are `find_limit_cycle`'s.  Its `result` is one of
+    **Returns:** an `EdgeState`.  It works under `jit` and `vmap`; many pairs are followed side by
+    side. It has no derivatives (`RuntimeError`); differentiate the cycle on the edge with
+    `find_limit_cycle`.  Its `result` is one of
 
     - "successful": amplitudes on the edge have settled;
-    - "not_settled": followed for `time`, but amplitudes do not agree, as those of a motion with
-      two frequencies; what was found is returned all the same;
+    - "not_settled": followed for `time`, but amplitudes do not agree, as for a motion with two
+      frequencies; the numbers are returned nevertheless;
     - "other_state": beyond the edge other masses vibrate than from `vibrating`;
-    - "same_state", "undecided", "too_close", "edge_lost", "nonfinite": no edge is known.
+    - "same_state", "undecided", "too_close", "edge_lost", "nonfinite": the edge was not found.
 
     **Raises:** `ValueError` for bad input.
 

@@ -64,9 +64,9 @@ def _check_masses(masses: Any) -> None:
 
 
 class AbstractRegion(eqx.Module):
-    """Where a system may start: a map from the unit cube to states.
+    """A region of initial states: a map from the unit cube to states.
 
-    Points that fill the cube evenly make states with the region's distribution.  A subclass gives
+    Uniform points of the cube give states with the distribution of the region.  A subclass defines
     `dimension`, that of the cube, and `start`, which JAX must be able to trace.
 
     !!! example
@@ -89,11 +89,11 @@ class AbstractRegion(eqx.Module):
 
     @abc.abstractmethod
     def dimension(self, chain: Chain) -> int:
-        """Of the cube."""
+        """The dimension of the cube."""
 
     @abc.abstractmethod
     def start(self, chain: Chain, point: Float[Array, " dimension"]) -> State:
-        """The state (x, v), both of shape (n,), that a point of the cube stands for."""
+        """The state (x, v), both of shape (n,), of a point of the cube."""
 
 
 def _pushed(masses: tuple[int, ...] | None, chain: Chain) -> tuple[int, ...]:
@@ -120,10 +120,10 @@ def _normal(point: Array) -> Array:
 class Box(AbstractRegion):
     """Displacements and velocities between two numbers each, the same for every mass.
 
-    a <= x_n <= b, c <= v_n <= d, for the masses n that are pushed; the others slide steadily.
+    a <= x_n <= b, c <= v_n <= d, for the disturbed masses n; the others slide steadily.
 
     **Arguments:** `displacement` = (a, b) and `velocity` = (c, d), dimensionless, differentiable;
-    `masses`, None for all, or the indices (from 0) of those that are pushed.
+    `masses`, None for all, or the indices (from 0) of the disturbed ones.
 
     **Raises:** `ValueError` unless a < b and c < d are finite, and `masses` are different indices.
 
@@ -170,9 +170,9 @@ class Box(AbstractRegion):
 
 @final
 class Ball(AbstractRegion):
-    """All states no farther from steady sliding than `radius`, equally likely.
+    """The uniform distribution over a ball around steady sliding.
 
-    sum over the pushed masses of (x_n - x_s)^2 + v_n^2 <= radius^2.
+    sum over the disturbed masses of (x_n - x_s)^2 + v_n^2 <= radius^2.
 
     **Arguments:** `radius`, dimensionless; `masses` as in `Box`.
 
@@ -206,7 +206,7 @@ class Ball(AbstractRegion):
 
 @final
 class Gaussian(AbstractRegion):
-    """Displacements and velocities that scatter about steady sliding, each mass by itself.
+    """Independent normal displacements and velocities around steady sliding.
 
     x_n - x_s ~ N(0, `displacement`^2), v_n ~ N(0, `velocity`^2).
 
@@ -241,10 +241,10 @@ class Gaussian(AbstractRegion):
 
 @final
 class Sampler(AbstractRegion):
-    """A region of one's own: a function from the unit cube to states.
+    """Your own region: a function from the unit cube to states.
 
-    **Arguments:** `function`, (chain, point) -> (x, v), which JAX can trace; `points`, of how many
-    numbers in [0, 1) a point consists.
+    **Arguments:** `function`, (chain, point) -> (x, v), which JAX can trace; `points`, the number
+    of coordinates of a point, each in [0, 1).
 
     >>> import jax, jax.numpy as jnp
     >>> jax.config.update("jax_enable_x64", True)

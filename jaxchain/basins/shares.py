@@ -458,54 +458,53 @@ def basin_shares(
     progress: bool = False,
     **numerics: Any,
 ) -> Dataset:
-    """The share of a region from which a chain ends in each of its states, with error bars.
+    """The share of starts in a region that end in each state, with error bars.
 
-    share_k = 1/n sum_i [start i ends in state k], starts i spread over the region.
+    share_k = 1/n sum_i [start i ends in state k], with starts i from the region.
 
     **Arguments:**
 
     - `chain`: a `Chain`, best with dry friction (`width=None`): a width changes the shares.
     - `region`: a `Box`, `Ball`, `Gaussian` or `Sampler`.
-    - `over`: as for `sweep`, numbers of the chain such as `{"belt_speed": [1.2, 1.5]}`; at each of
-      them the same points are started from.
-    - `half_width`: that of the longest of the 95 % bars of all shares at which no more starts are
-      made; or `most` starts have been made at every parameter.
-    - `classify`: what a state is, an `AbstractClassifier`; by default `VibratingMasses()`, how
-      many masses vibrate.
-    - `t1`: the time at which a start is in its state.  Runs end earlier where that is decided; one
-      whose state still changes then is "undecided", which has a share like the others.
-    - `points`: "sobol", scrambled Sobol points, or "random"; `replicates`, how many independent
-      sequences of them; `seed`.
-    - `checked`: how many decisions at each parameter are looked at again, by runs that do not end
-      early, to `t1` and to four times that (`classify.patient()`; 0 for none).  Those that turn
-      out otherwise at `t1` lengthen the bars, see below.
-    - `judge`: whether `jaxchain.verdict` is asked of the motion from a start of each state at each
-      parameter, "periodic" or "chaotic", say: seconds for one mass, minutes for each of twenty.
+        - `over`: as for `sweep`, numbers of the chain such as `{"belt_speed": [1.2, 1.5]}`; all
+          use the       same starts.     - `half_width`: starts are added until every 95 % bar is
+          at most this half-width, or until there       are `most` starts at every parameter.     -
+          `classify`: the definition of a state, an `AbstractClassifier`; by default
+          `VibratingMasses()`,       the number of vibrating masses.     - `t1`: the time at which
+          the state is determined.  Decided runs end earlier; a run whose state       still changes
+          at `t1` is "undecided", which has a share like the others.     - `points`: "sobol"
+          (scrambled) or "random"; `replicates`: the number of independent sequences;       `seed`.
+          - `checked`: the number of decisions at each parameter that are checked by runs without
+          an early       end, to `t1` and to 4 `t1` (`classify.patient()`; 0: none).  Wrong
+          decisions lengthen the bars,       see below.     - `judge`: whether to call
+          `jaxchain.verdict` for one start of each state at each parameter:       seconds for one
+          mass, minutes for twenty.
     - `lanes`, `devices`, `progress`, and `solver`, `rtol`, `accuracy`, ... (`numerics`): as for
       `sweep`.
 
-    **Returns:** an `xarray.Dataset` over the dimensions of `over` and `state`, whose coordinate
-    names the states; "undecided" is always the last, but for "failed" if a run did:
+        **Returns:** an `xarray.Dataset` over the dimensions of `over` and `state`, whose
+        coordinate names
+    the states; the last one is "undecided", followed by "failed" if a run failed:
 
-    - `share`; `low`, `high`: its 95 % interval.  Of Sobol points it is Student's t of the
-      replicates' shares, of random points, and where a state has, or lacks, fewer than two
-      starts a replicate, Wilson's interval of a fraction.  If of the checked decisions for k the
-      part e(k, l) turns out l, `low` of k is lowered by share_k sum_l e(k, l), and `high` of l
-      raised by sum_k share_k e(k, l).
-    - `share_at_end`: of the starts that were in state k when their runs ended, decided or not.
-    - `undecided`, also as a variable of its own; `misclassified`: sum_kl share_k e(k, l);
-      `changed_later`: the share of starts that are in another state at four times `t1`.
-    - `settling_time`: the median time from which nothing changed any more, NaN where none is.
-    - `start_displacement`, `start_velocity` (..., oscillator): a start that ends there.
-    - `verdict`, with `judge`: on that start, see `jaxchain.chaos.Verdict`.
-    - `replicate_share` (..., replicate, state), the input of `share_differences`.
+    - `share`; `low`, `high`: its 95 % interval.  For Sobol points it is Student's t interval of
+      the replicates' shares.  For random points, and for states with (or without) fewer than two
+      starts per replicate, it is Wilson's interval of a fraction.  If the checks assign the
+      fraction e(k, l) of the decisions for k to l, `low` of k is lowered by share_k sum_l e(k, l),
+      and `high` of l is raised by sum_k share_k e(k, l).
+    - `share_at_end`: the share of starts in state k when their runs ended, decided or not.
+    - `undecided`: also a separate variable; `misclassified`: sum_kl share_k e(k, l);
+      `changed_later`: the share of starts that are in another state at 4 `t1`.
+    - `settling_time`: the median time after which the state did not change; NaN without starts.
+    - `start_displacement`, `start_velocity` (..., oscillator): a start that ends in this state.
+    - `verdict`, with `judge`: for that start, see `jaxchain.chaos.Verdict`.
+    - `replicate_share` (..., replicate, state): the input of `share_differences`.
 
     Attributes: `starts` at each parameter, `longest_half_width` of the bars before the checks,
-    `checked`, seed, tolerances, versions; `warning`, also given as one, where more starts change
-    later than the bars tell.
+    `checked`, seed, tolerances, versions; `warning`, also issued as a warning, if more starts
+    change later than the bars allow.
 
     **Raises:** `ValueError` for bad input before anything is compiled; `SweepInterrupted` on
-    Ctrl-C, with the shares of the rounds that were finished.
+    Ctrl-C, with the shares of the finished rounds.
 
     Sources: P. J. Menck, J. Heitzig, N. Marwan, J. Kurths, Nature Physics 9, 89 (2013); replicates
     of scrambled sequences: P. L'Ecuyer, C. Lemieux, Recent advances in randomized quasi-Monte
@@ -627,18 +626,18 @@ def basin_shares(
 
 
 def share_differences(shares: Dataset, dim: str) -> Dataset:
-    """By how much shares differ between neighbouring values of a parameter, with error bars.
+    """Differences of shares between neighbouring values of a parameter, with error bars.
 
-    d_k = share_k(next) - share_k.  Both are of the same starts, so that most of what is random in
-    them is the same: the error is that of the differences of the replicates, Student's t at 95 %,
-    many times smaller than that of two shares whose starts have nothing in common.
+    d_k = share_k(next) - share_k.  Both shares use the same starts, so their errors are
+    correlated. The error of the difference is Student's t interval at 95 % of the differences of
+    the replicates, much smaller than that of independent shares.
 
-    **Arguments:** `shares`, what `basin_shares` returns; `dim`, a dimension of it with numbers.
+    **Arguments:** `shares`, the result of `basin_shares`; `dim`, a numeric dimension of it.
 
     **Returns:** a dataset with `difference`, `low`, `high` over the other dimensions, `state`, and
-    `dim`, whose values are the middles.
+    `dim`, whose values are the midpoints.
 
-    **Raises:** `ValueError` for a dimension that is not there or has a single value.
+    **Raises:** `ValueError` for a dimension that does not exist or has a single value.
 
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)

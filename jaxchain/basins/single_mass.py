@@ -464,20 +464,18 @@ _ANY = 0.5
 
 @final
 class SlidingBasin(Outcome):
-    """From where one mass comes to slide steadily.
+    """The basin of steady sliding of one mass.
 
-    - `share`: of the box; `area`: of what the box and the basin have in common, in units of
-      x0^2 omega_n.
+    - `share`: of the box; `area`: of the intersection of box and basin, in units of x0^2 omega_n.
     - `state`: (x, v) of the unstable cycle where its velocity along the belt is greatest, each of
-      shape (1,), and `period`; NaN where there is no cycle, because all motions come to slide
-      (`share` 1) or none (`share` 0).
-      `find_limit_cycle(chain, (basin.state, basin.period), mass=0)` tells more of it; near
-      the fold it needs such a guess.
+      shape (1,), and `period`; NaN if there is no cycle, because all motions end in sliding
+      (`share` 1) or none (`share` 0).  `find_limit_cycle(chain, (basin.state, basin.period),
+      mass=0)` refines it; near the fold that search needs such a guess.
     - `up`, `down`: the kicks of `blow_of_one_mass`.
-    - `gap`: by how much the greatest velocity differs after a period, relative; 0 without a cycle.
-    - `result`: successful if the share is known, and else why it is NaN.
+        - `gap`: the relative change of the greatest velocity after a period; 0 without a cycle.
+    - `result`: successful if the share is known, otherwise the reason of NaN.
 
-    All but `gap` and `result` have derivatives.
+    All except `gap` and `result` have derivatives.
 
     See `sliding_basin` for an example.
     """
@@ -493,20 +491,20 @@ class SlidingBasin(Outcome):
 
 
 def sliding_share(chain: Chain, box: Box | None = None) -> Float[Array, ""]:
-    """The share of a box from which one mass comes to slide steadily, without sampling.
+    """The share of a box that ends in steady sliding, for one mass, without sampling.
 
-    share = area of the box inside the unstable cycle / area of the box, see the head of this
-    module; 1 where every motion comes to slide, as above the fold, and 0 where steady sliding is
-    unstable, as below the Hopf speed.
+    share = area of the box inside the unstable cycle / area of the box.  It is 1 if every motion
+    ends in sliding, as above the fold, and 0 if steady sliding is unstable, as below the Hopf
+    speed.
 
     **Arguments:** `chain` of one mass, dry or smoothed; `box`, a `Box` of displacements and
     velocities, by default -2 ... 2 and 0 ... 2.
 
-    **Returns:** a scalar, right to 1e-10 about; NaN where it is not known, for which
-    `sliding_basin` has the reason.  Works under `jit`, `vmap`, `grad`, `jvp` and `jacfwd`, once,
-    in every number of the chain and in the edges of the box.
+    **Returns:** a scalar with an error of about 1e-10; NaN if it is unknown (`sliding_basin` gives
+    the reason).  It works under `jit`, `vmap`, `grad`, `jvp` and `jacfwd`, for first derivatives
+    in every number of the chain and in the bounds of the box.
 
-    **Raises:** `ValueError` for a chain of several masses, or what is no `Box`.
+    **Raises:** `ValueError` for a chain of several masses, or anything but a `Box`.
 
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
@@ -523,20 +521,20 @@ def sliding_share(chain: Chain, box: Box | None = None) -> Float[Array, ""]:
 
 
 def sliding_basin(chain: Chain, box: Box | None = None) -> SlidingBasin:
-    """The share of `sliding_share`, with the unstable cycle, and with the reason if it is NaN.
+    """The share of `sliding_share`, with the unstable cycle and the reason of NaN.
 
-    Arguments, errors and transformations as there.
+    Arguments, errors and transformations are those of `sliding_share`.
 
-    **How:** the first fixed point of the return map of the greatest velocity that moves away, on
-    a grid of some 60 velocities up to the belt's, closer looks at the first that rises and at the
-    highest summit before it; then one turn of the cycle in steps of order 8,
-    whose area within the box is integrated from step to step.
+    **How:** the first unstable fixed point of the return map of the greatest velocity, on a grid
+    of some 60 velocities up to the belt speed, refined where the map first rises and at the
+    highest maximum before; then one turn of the cycle in steps of order 8, which integrates the
+    area within the box.
 
-    **Result:** `at_hopf` so near a Hopf point that the cycle is smaller than the grid begins;
-    `belt_too_slow` for a belt that rests, or is slower than twice the speed of greatest friction;
-    `undamped` where no cycle is found, but no damping ends vibration, either;
-    `max_steps_reached` where a turn does not end; `no_step_helps` where the cycle does not close
-    to 1e-9, as one that multiplies disturbances by more than some 1e5.
+    **Result:** `at_hopf` near a Hopf point, where the cycle is smaller than the grid;
+    `belt_too_slow` for a belt slower than twice the speed of greatest friction; `undamped` if no
+    cycle is found and no damping ends vibration; `max_steps_reached` if a turn does not end;
+    `no_step_helps` if the cycle does not close to 1e-9, as one that multiplies disturbances by
+    more than about 1e5.
 
     **Returns:** a `SlidingBasin`.
 
@@ -562,17 +560,17 @@ def sliding_basin(chain: Chain, box: Box | None = None) -> SlidingBasin:
 def blow_of_one_mass(chain: Chain) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """The gentlest blows from steady sliding that make one mass vibrate: (upward, downward).
 
-    A blow changes the velocity at once, from 0 to +u or to -w at the displacement x_s of steady
-    sliding.  The mass vibrates if that is outside of the unstable cycle: u and w are its
-    velocities where it passes x_s.  u is meant with the axis of v: against the belt's motion where
-    the belt speed is negative.
+    A blow changes the velocity at once from 0 to +u or -w at the displacement x_s of steady
+    sliding. The mass vibrates if this state is outside the unstable cycle: u and w are the
+    velocities of the cycle at x_s.  u is along the axis of v: against the belt if the belt speed
+    is negative.
 
     **Arguments:** `chain` of one mass, dry or smoothed.
 
-    **Returns:** (u, w), scalars, positive, in units of x0 omega_n; the energy of a blow is
-    u^2 / 2.  0 where steady sliding is unstable; infinite where all motions come to slide; NaN
-    where nothing is known, for which `sliding_basin` has the reason.  Errors and transformations
-    as those of `sliding_share`.
+    **Returns:** (u, w), scalars, positive, in units of x0 omega_n; the energy of a blow is u^2 /
+    2.  They are 0 if steady sliding is unstable, infinite if all motions end in sliding, and NaN
+    if unknown (`sliding_basin` gives the reason).  Errors and transformations are those of
+    `sliding_share`.
 
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)

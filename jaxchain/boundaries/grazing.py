@@ -494,16 +494,16 @@ class Grazing(Outcome):
 
     - `belt_speed`: V, NaN if none was found; `period`, and `state` at the greatest velocity of the
       mass.
-    - `touches`: whether that velocity is the belt's, so that the fold is a grazing; if not, it is
-      a smooth saddle-node of slip cycles, see the head of this module.
-    - `slope_plus`, `slope_minus`: V_+ and V_-, see there.  Their ratio -V_+ / V_- is, for one
-      mass, the multiplier of the slip cycle, about 2 at a touch and 1 at a saddle-node.
+    - `touches`: whether the mass reaches the belt speed, so that the fold is a grazing; otherwise
+      it is a smooth saddle-node of slip cycles.
+    - `slope_plus`, `slope_minus`: V_+ and V_-, the slopes of the belt speed in the relative
+      velocities after and before the grazing.  For one mass -V_+ / V_- is the multiplier of the
+      slip cycle, about 2 at a grazing and 1 at a saddle-node.
     - `deceleration`: kappa = -v_j'', how fast the mass loses its acceleration there;
       `static_force`: the greatest friction force on it, p mu_st.
-    - `residual`: the greatest gap after a period over the belt speed; `evaluations`: Jacobians it
-      took.
-    - `result`: successful if the cycle closes, no mass passes the belt's speed anywhere on it, and
-      it is a fold.
+        - `residual`: the greatest gap after a period over the belt speed; `evaluations`: the
+          number of       Jacobians.     - `result`: successful if the cycle closes, no mass
+          exceeds the belt speed on it, and it is a fold.
 
     `belt_speed`, `period` and `state` are differentiable; the rest is not.
 
@@ -524,7 +524,7 @@ class Grazing(Outcome):
     mass: int = eqx.field(static=True)
 
     def smoothed(self, width: ScalarLike) -> Float[Array, ""]:
-        """About where the fold of smoothed friction is, to O(width^(3/2)); NaN if none was found.
+        """The fold of smoothed friction to O(width^(3/2)); NaN if none was found.
 
         v_d = V - (V_+ + V_-) / 4 eps ln(1 / eps) + O(eps), the summit of the layer at
         the head of this module; V itself for a saddle-node, which smoothing hardly moves.
@@ -562,8 +562,8 @@ def dry_fold_belt_speed(chain: Chain, mass: Any = None) -> Float[Array, ""]:
 def find_grazing(chain: Chain, mass: Any = None) -> Grazing:
     """The fold of `dry_fold_belt_speed` with its cycle.
 
-    Arguments, errors and transformations as there.  Cycles on which other masses reach the belt's
-    speed are not looked for: `belt_speed` is NaN then.
+    Arguments, errors and transformations are those of `dry_fold_belt_speed`.  If another mass
+    reaches the belt speed, `belt_speed` is NaN.
 
     **Returns:** a `Grazing`.
 

@@ -66,12 +66,11 @@ class CyclePoint(Printed):
 
     `kind`: "fold"; "hopf" (the amplitude vanishes, and the branch ends in steady sliding);
     "symmetry breaking" (a multiplier +1 of a disturbance that breaks the orbit's symmetry: a
-    branch of less symmetric cycles crosses); "branch point" (the same without a symmetry);
-    "period doubling" (-1); "torus" (a pair leaves the unit circle).  `parameter`, `x`, `v` (n,),
-    `period`, `amplitude` (n,), `multipliers` (2n - 1,) belong to the cycle there; `refined`:
-    whether it is one to the search's precision; `error`: of `parameter`, from the search and from
-    the integration, which is tight here whatever `rtol` and `tolerance` the branch has; `raw`: the
-    point of the shooting equations.
+    branch of less symmetric cycles crosses); "branch point" (the same without a symmetry); "period
+    doubling" (-1); "torus" (a pair leaves the unit circle).  `parameter`, `x`, `v` (n,), `period`,
+    `amplitude` (n,), `multipliers` (2n - 1,) are those of the cycle at this point; `refined`:
+    whether the search converged; `error`: of `parameter`, from the search and from the
+    integration, which uses a tight tolerance; `raw`: the point of the shooting equations.
 
     See `continue_cycle` for an example.
     """
@@ -89,7 +88,7 @@ class CyclePoint(Printed):
 
     @property
     def index(self) -> int:
-        """It lies between this point of the branch and the next."""
+        """The index of the last point of the branch before it."""
         return self.raw.index
 
 
@@ -351,7 +350,7 @@ class NoBranchError(RuntimeError):
 @final
 @dataclass(frozen=True, repr=False)
 class CycleBranch(Printed):
-    """A branch of cycles, k points in order, as plain data on the host.
+    """A branch of k cycles in order, as data on the host.
 
     - `parameter` (k,): its values; `name`: which argument of `Chain.with_` it is.
     - `x`, `v` (k, n): the states at the greatest velocity of mass `shooting.mass` in the direction
@@ -360,8 +359,8 @@ class CycleBranch(Printed):
       squares of these.
     - `scaled_peak_velocity` (k,): max w / eps of that mass, negative for a slip cycle; NaN without
       friction.
-    - `multipliers` (k, 2n - 1): but for the trivial one, whose error is `trivial_defect` (k,), the
-      greatest modulus first; `unstable` (k,): how many lie beyond the unit circle.
+    - `multipliers` (k, 2n - 1): without the trivial one, whose error is `trivial_defect` (k,), the
+      greatest modulus first; `unstable` (k,): the number of multipliers outside the unit circle.
     - `special`: tuple of `CyclePoint`, in order; `ended`, `message`: why the branch ends.
     - `shooting`, `branch`: the equations, and the branch as their solution (with `counts`).
 
@@ -388,17 +387,17 @@ class CycleBranch(Printed):
 
     @property
     def unstable(self) -> Any:
-        """How many multipliers of each cycle lie beyond the unit circle, of shape (k,)."""
+        """The number of multipliers of each cycle outside the unit circle, of shape (k,)."""
         return np.sum(np.abs(self.multipliers) > 1.0 + 1e-7, axis=1)  # by more than rounding
 
     @property
     def ended(self) -> str:
-        """Why the branch ends, in a word: see `Branch`."""
+        """The reason why the branch ends: see `Branch`."""
         return self.branch.ended
 
     @property
     def message(self) -> str:
-        """Why the branch ends, with a remedy."""
+        """The text of the reason why the branch ends, with a remedy."""
         return self.branch.message
 
     def of_kind(self, kind: str) -> tuple[CyclePoint, ...]:
@@ -546,36 +545,35 @@ def continue_cycle(
     rtol: Any = RTOL,
     tolerance: Any = 1e-9,
 ) -> CycleBranch:
-    """Follows a cycle as a number of the chain changes, round folds, with stability and crossings.
+    """Follows a cycle as a number of the chain changes, around folds, with stability.
 
-    Pseudo-arclength continuation (`continue_branch`) of the shooting equations, cut at the
-    greatest velocity of one mass and measured by u = (x_n, z_n = asinh(w_n / eps), ln T): the
-    layer in which a smoothed fold happens, of thickness O(eps), is as wide there as for any width.
+    Pseudo-arclength continuation (`continue_branch`) of the shooting equations, with a section at
+    the greatest velocity of one mass, in the coordinates u = (x_n, z_n = asinh(w_n / eps), ln T).
+    In these the layer of a smoothed fold, of thickness O(eps), has the same width for all eps.
 
     **Arguments:**
 
     - `chain`, `state` = (x, v), `period`: a cycle, or near one, at the greatest velocity of mass
       `mass` (by default the fastest) in the direction of the belt; or all three in one
-      `LimitCycle`.  Of a period that is a multiple of the least one, the least is followed.  The
-      chain may be any autonomous `AbstractOscillators`.
+      `LimitCycle`.  A multiple of the minimal period is reduced to it.  The chain may be any
+      autonomous `AbstractOscillators`.
     - `parameter`: a scalar argument of `Chain.with_`, or a field of other oscillators that is a
-      scalar array (`coupling` is their springs' constant); `bounds`: of it, where the branch ends;
-      `direction`: 1 or -1, with which sign it begins to change.  At a fold nothing does:
-      "stick" or "slip" sets out towards greater or smaller scaled_peak_velocity of that mass.
-    - `images`: a symmetry of the cycle, entry i the index of the mass that i does the same as.
-      The orbit is followed within it; multipliers are those of all disturbances.
+      scalar array (`coupling` is the constant of their springs); `bounds`: its range, at whose
+      ends the branch ends; `direction`: 1 or -1, the sign of its first change.  At a fold use
+      "stick" or "slip" to start towards greater or smaller scaled_peak_velocity of that mass.
+      - `images`: a symmetry of the cycle; entry i is the index of the mass that moves like mass i.
+      The orbit keeps this symmetry; multipliers are those of all disturbances.
     - `step`, `min_step`, `max_step`, `max_points`, `progress`, `tolerance`: see `continue_branch`;
       lengths are (mean of x^2 and z^2 of the others + z_j^2 + ln^2 T + p^2)^(1/2).
-    - `stop(p, linearisation)`: ends the branch where it is true.  It also ends where the amplitude
-      vanishes, in a Hopf point.
+    - `stop(p, linearisation)`: ends the branch where it is true.  The branch also ends at a Hopf
+      point, where the amplitude vanishes.
     - `rtol`: tolerance of the integration.
 
-    **Returns:** a `CycleBranch`, however it ended, also after Ctrl-C.  Its points err by some ten
-    times `rtol`; its special points are those of an `rtol` of at most 3e-11, and each says its
-    `error`.
+    **Returns:** a `CycleBranch`, also after Ctrl-C.  The error of its points is about ten times
+    `rtol`.  Special points use an `rtol` of at most 3e-11, and each has an `error`.
 
-    **Raises:** `ValueError` for arguments that cannot be; `RuntimeError`, with a remedy, if no
-    cycle is found near the start.
+    **Raises:** `ValueError` for bad input; `RuntimeError`, with a remedy, if no cycle is found
+    near the start.
 
     !!! example
 
@@ -633,8 +631,8 @@ def switch_cycle(
 ) -> CycleBranch:
     """The other branch of cycles through a "symmetry breaking" or "branch point" of `branch`.
 
-    At a symmetry-breaking point it leaves along the disturbance with multiplier +1, and is
-    followed without the symmetry; the half of `side` = -1 is then the mirror image of that of 1.
+    At a symmetry-breaking point the other branch leaves along the disturbance with multiplier +1
+    and does not have the symmetry; the half of `side` = -1 is the mirror image of that of 1.
 
     **Arguments:** `point`, one of `branch.special`; `step`, the distance of the first point of the
     other branch; all others as in `continue_cycle`.

@@ -72,14 +72,14 @@ def trace_integral(
 def liouville_determinant(
     chain: Any, state: Any = None, period: Any = None, *, rtol: Any = CYCLE_RTOL
 ) -> Float[Array, ""]:
-    """exp(integral of tr J), what det M must be, by a quadrature that knows nothing of M.
+    """exp(integral of tr J), the exact det M, by a quadrature independent of M.
 
-    It underflows to zero where masses stick for long: at a width of 1e-3 tr J is -1000 then.
-    `liouville_defect` compares the two with due regard to that.
+    It underflows to zero if masses stick for long: at a width of 1e-3 tr J is then -1000.
+    `liouville_defect` compares the two in a way that allows for this.
 
     **Arguments** and errors are those of `monodromy_matrix`.
 
-    **Returns:** a number, 0 ... 1 where damping outweighs what friction gives.
+    **Returns:** a number, 0 ... 1 if damping exceeds the energy input of friction.
 
     !!! example
 
@@ -99,12 +99,12 @@ def liouville_determinant(
 def liouville_defect(
     monodromy: Float[Array, "two_n two_n"], trace: Float[ArrayLike, ""]
 ) -> Float[Array, ""]:
-    """By how much M would have to change for det M = exp(`trace`), `trace` the integral of tr J.
+    """The change of M that would give det M = exp(`trace`), `trace` the integral of tr J.
 
-    |det M - exp(L)| / (sum_i prod_{k != i} s_k) with the singular values s_k of M: what stands
-    below is by how much det M changes per unit of change of the s_k.  Where nothing contracts
-    much it is the relative error of det M over 2n, or so.  Where a mass sticks one s_k and both
-    determinants are zero to rounding, and the check says of that direction only that it is.
+    |det M - exp(L)| / (sum_i prod_{k != i} s_k) with the singular values s_k of M; the denominator
+    is the change of det M per unit change of the s_k.  Without strong contraction it is about the
+    relative error of det M over 2n.  If a mass sticks, one s_k and both determinants are zero to
+    rounding, and the check confirms only this.
 
     **Arguments:** M of shape (2n, 2n), see `monodromy_matrix`; `trace` = L, one number.
 

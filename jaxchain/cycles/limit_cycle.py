@@ -117,13 +117,13 @@ def guess_from_simulation(
 ) -> Guess:
     """A point of the orbit on which `state` settles, and its period.
 
-    Integrates for `transient`, then for `duration`, and looks at the states in which mass
-    `mass` (by default the one farthest from sliding) is fastest in the direction of the belt:
-    the period is the time since the one that is most like the last of them, as a whole.  Of an
-    orbit that is not yet settled it may be a multiple; `find_limit_cycle` looks for the least.
+    It integrates for `transient` and then for `duration`, and compares the states in which mass
+    `mass` (by default the one farthest from sliding) is fastest in the direction of the belt.  The
+    period is the time between the last of them and the one most similar to it.  If the orbit has
+    not settled, this may be a multiple of the period; `find_limit_cycle` reduces it.
 
-    **Returns:** (state, period), NaN where the mass has not two such maxima: it rests, or moves
-    too slowly for `duration`.  Works under `jit` and `vmap`, `mass` being given.
+    **Returns:** (state, period), NaN if the mass has fewer than two such maxima, because it does
+    not move or `duration` is too short.  It works under `jit` and `vmap` with a given `mass`.
 
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
