@@ -549,17 +549,18 @@ _MASSES = "give None for all masses, or indices from 0, as (0, 1)."
 class Blow(Outcome):
     """The gentlest blow that `gentlest_blow` found.
 
-        - `size`: |Delta v|, dimensionless (its energy is size^2 / 2), differentiable in the
-          numbers of       the chain; 0 if steady sliding is unstable, inf if no kick leads to
-          vibration, NaN if the       search or its check failed.     - `kick`: Delta v, shape
-          (n,), without derivatives; `mass`, the index of the mass with the       hardest kick, and
-          `share`, its share of the energy.     - `vibrating`: the masses that vibrate after a kick
-          that is 1 % harder.     - `dies_at`, `vibrates_at`: sizes 1 % below and above; NaN if the
-          run did not confirm this.     - `angle`: between the kick and the normal of the edge
-          between the basins, in radians: 0 at a       minimum over all directions.  `sizes`: of
-          the local minima found, in ascending order.     - `tried`, `lighter`: the number of
-          random kicks of 99 % of the size, and of those that led to       vibration.     -
-          `result`: successful if the search converged and the runs confirm it.
+    - `size`: |Delta v|, dimensionless (its energy is size^2 / 2), differentiable in the numbers of
+      the chain; 0 if steady sliding is unstable, inf if no kick leads to vibration, NaN if the
+      search or its check failed.
+    - `kick`: Delta v, shape (n,), without derivatives; `mass`, the index of the mass with the
+      hardest kick, and `share`, its share of the energy.
+    - `vibrating`: the masses that vibrate after a kick that is 1 % harder.
+    - `dies_at`, `vibrates_at`: sizes 1 % below and above; NaN if the run did not confirm this.
+    - `angle`: between the kick and the normal of the edge between the basins, in radians: 0 at a
+      minimum over all directions.  `sizes`: of the local minima found, in ascending order.
+    - `tried`, `lighter`: the number of random kicks of 99 % of the size, and of those that led to
+      vibration.
+    - `result`: successful if the search converged and the runs confirm it.
 
     See `gentlest_blow` for an example.
     """

@@ -167,12 +167,13 @@ class VibratingMasses(AbstractClassifier):
 
     **Arguments:**
 
-        - `by`: the definition of a state: "count", the number of vibrating masses; "masses", the
-          set of       them; "ring", that set up to the rotations and reflections of a ring, or the
-          reflection of a       chain with free ends (for equal masses).     - `phases`: whether to
-          distinguish neighbours that vibrate in phase (delay within 1/8 of a period       of 0),
-          out of phase (within 1/8 of 1/2) or in between.     - `window`: at least a period, 2 pi;
-          `tolerance`; `agree`; `calm`, infinite to end no run early.
+    - `by`: the definition of a state: "count", the number of vibrating masses; "masses", the set
+      of them; "ring", that set up to the rotations and reflections of a ring, or the reflection of
+      a chain with free ends (for equal masses).
+    - `phases`: whether to distinguish neighbours that vibrate in phase (delay within 1/8 of a
+      period of 0), out of phase (within 1/8 of 1/2) or in between.
+    - `window`: at least a period, 2 pi; `tolerance`; `agree`; `calm`, infinite to end no run
+      early.
 
     **Value:** `Settled`.
 

@@ -411,14 +411,14 @@ def edge_state(
     **Arguments:** (dimensionless)
 
     - `chain`: a `Chain`, with dry friction or smoothed.
-        - `quiet`, `vibrating`: (x, v), both of shape (n,), from which different masses continue to
-          vibrate.     - `time`: the greatest time for which the edge is followed; the search ends
-          as soon as the       amplitudes of five windows (of a narrow bracket) agree within
-          `tolerance` A.  `window`: at least       a period, 2 pi for the paper's masses.  Both are
-          Python numbers.
+    - `quiet`, `vibrating`: (x, v), both of shape (n,), from which different masses continue to
+      vibrate.
+    - `time`: the greatest time for which the edge is followed; the search ends as soon as the
+      amplitudes of five windows (of a narrow bracket) agree within `tolerance` A.  `window`: at
+      least a period, 2 pi for the paper's masses.  Both are Python numbers.
     - `patience`: the time after which a run must be decided.
     - `near`, `far`: see above.
-        - `rtol`, `solver`: as for `simulate`; a small `near` needs a small `rtol`.
+    - `rtol`, `solver`: as for `simulate`; a small `near` needs a small `rtol`.
 
     **Returns:** an `EdgeState`.  It works under `jit` and `vmap`; many pairs are followed side by
     side. It has no derivatives (`RuntimeError`); differentiate the cycle on the edge with

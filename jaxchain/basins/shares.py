@@ -466,25 +466,26 @@ def basin_shares(
 
     - `chain`: a `Chain`, best with dry friction (`width=None`): a width changes the shares.
     - `region`: a `Box`, `Ball`, `Gaussian` or `Sampler`.
-        - `over`: as for `sweep`, numbers of the chain such as `{"belt_speed": [1.2, 1.5]}`; all
-          use the       same starts.     - `half_width`: starts are added until every 95 % bar is
-          at most this half-width, or until there       are `most` starts at every parameter.     -
-          `classify`: the definition of a state, an `AbstractClassifier`; by default
-          `VibratingMasses()`,       the number of vibrating masses.     - `t1`: the time at which
-          the state is determined.  Decided runs end earlier; a run whose state       still changes
-          at `t1` is "undecided", which has a share like the others.     - `points`: "sobol"
-          (scrambled) or "random"; `replicates`: the number of independent sequences;       `seed`.
-          - `checked`: the number of decisions at each parameter that are checked by runs without
-          an early       end, to `t1` and to 4 `t1` (`classify.patient()`; 0: none).  Wrong
-          decisions lengthen the bars,       see below.     - `judge`: whether to call
-          `jaxchain.verdict` for one start of each state at each parameter:       seconds for one
-          mass, minutes for twenty.
+    - `over`: as for `sweep`, numbers of the chain such as `{"belt_speed": [1.2, 1.5]}`; all use
+      the same starts.
+    - `half_width`: starts are added until every 95 % bar is at most this half-width, or until
+      there are `most` starts at every parameter.
+    - `classify`: the definition of a state, an `AbstractClassifier`; by default
+      `VibratingMasses()`, the number of vibrating masses.
+    - `t1`: the time at which the state is determined.  Decided runs end earlier; a run whose state
+      still changes at `t1` is "undecided", which has a share like the others.
+    - `points`: "sobol" (scrambled) or "random"; `replicates`: the number of independent sequences;
+      `seed`.
+    - `checked`: the number of decisions at each parameter that are checked by runs without an
+      early end, to `t1` and to 4 `t1` (`classify.patient()`; 0: none).  Wrong decisions lengthen
+      the bars, see below.
+    - `judge`: whether to call `jaxchain.verdict` for one start of each state at each parameter:
+      seconds for one mass, minutes for twenty.
     - `lanes`, `devices`, `progress`, and `solver`, `rtol`, `accuracy`, ... (`numerics`): as for
       `sweep`.
 
-        **Returns:** an `xarray.Dataset` over the dimensions of `over` and `state`, whose
-        coordinate names
-    the states; the last one is "undecided", followed by "failed" if a run failed:
+    **Returns:** an `xarray.Dataset` over the dimensions of `over` and `state`, whose coordinate
+    names the states; the last one is "undecided", followed by "failed" if a run failed:
 
     - `share`; `low`, `high`: its 95 % interval.  For Sobol points it is Student's t interval of
       the replicates' shares.  For random points, and for states with (or without) fewer than two

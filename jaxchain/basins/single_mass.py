@@ -472,7 +472,7 @@ class SlidingBasin(Outcome):
       (`share` 1) or none (`share` 0).  `find_limit_cycle(chain, (basin.state, basin.period),
       mass=0)` refines it; near the fold that search needs such a guess.
     - `up`, `down`: the kicks of `blow_of_one_mass`.
-        - `gap`: the relative change of the greatest velocity after a period; 0 without a cycle.
+    - `gap`: the relative change of the greatest velocity after a period; 0 without a cycle.
     - `result`: successful if the share is known, otherwise the reason of NaN.
 
     All except `gap` and `result` have derivatives.

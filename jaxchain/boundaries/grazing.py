@@ -501,9 +501,10 @@ class Grazing(Outcome):
       slip cycle, about 2 at a grazing and 1 at a saddle-node.
     - `deceleration`: kappa = -v_j'', how fast the mass loses its acceleration there;
       `static_force`: the greatest friction force on it, p mu_st.
-        - `residual`: the greatest gap after a period over the belt speed; `evaluations`: the
-          number of       Jacobians.     - `result`: successful if the cycle closes, no mass
-          exceeds the belt speed on it, and it is a fold.
+    - `residual`: the greatest gap after a period over the belt speed; `evaluations`: the number of
+      Jacobians.
+    - `result`: successful if the cycle closes, no mass exceeds the belt speed on it, and it is a
+      fold.
 
     `belt_speed`, `period` and `state` are differentiable; the rest is not.
 

@@ -504,10 +504,10 @@ class HopfPoints(Printed, eqx.Module):
       small at first), "subcritical" (unstable ones, and a jump) or "degenerate" (l1 = 0).
     - `square_amplitude_slope`, `standing_square_amplitude_slope`: d(A^2) / d|v_d| of the cycles
       that branch off, A the greatest amplitude of a mass.
-        - `belt_speeds`: (low, high), the range in which every Hopf point is listed.     - `kind`:
-          "weakening friction", the physical one; or "rising flank of the smoothed law", an
-          artefact of smoothing at a speed of a few widths, below which the masses creep with the
-          belt       instead of sticking.
+    - `belt_speeds`: (low, high), the range in which every Hopf point is listed.
+    - `kind`: "weakening friction", the physical one; or "rising flank of the smoothed law", an
+      artefact of smoothing at a speed of a few widths, below which the masses creep with the belt
+      instead of sticking.
 
     In a homogeneous chain all n modes cross at one belt speed; each coefficient then is that of
     one wave alone, and its cycles are those of the full chain while their growth is slow compared

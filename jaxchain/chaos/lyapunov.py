@@ -72,9 +72,8 @@ class LyapunovSpectrum(Printed, eqx.Module):
       of successive blocks is positive (then use longer blocks).  They measure scatter only, not
       the effect of a transient that is too short.
     - `block_exponents`: (blocks, count).
-        - `sum`: the sum of the exponents; with all 2n of them the mean growth rate of volumes.
-          - `mean_divergence`: time average of tr J, which must equal that sum; NaN for dry
-          friction.
+    - `sum`: the sum of the exponents; with all 2n of them the mean growth rate of volumes. -
+      `mean_divergence`: time average of tr J, which must equal that sum; NaN for dry friction.
     - `kaplan_yorke`: dimension; exponents that are 0 within their interval count as 0.  NaN if
       more exponents are needed.
     - `t`, `state`: the end of the run, from which another call can continue.

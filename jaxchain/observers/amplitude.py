@@ -50,14 +50,14 @@ class Amplitude(AbstractObserver):
 
     **Arguments:**
 
-        - `window`: its length in dimensionless time, at least one period (2 pi).     - `stop`:
-          "never" runs to the end.  "quiet" stops the run when every mass is at its equilibrium
-          (speed and acceleration below `quiet_below`; the amplitude is then reported as 0) *and*
-          the       equilibrium is stable, that is, every mass is damped, dF/dv < 2 xi, and held,
-          and no force       depends on time (`AbstractOscillators.attracts`).  This cannot change
-          the answer.  "steady"       also stops it when the amplitudes of `repeats` successive
-          windows agree within `tolerance`.       It may miss slow drifts of the phases, and
-          instabilities that have not grown yet.  Both need       a `window`.
+    - `window`: its length in dimensionless time, at least one period (2 pi).
+    - `stop`: "never" runs to the end.  "quiet" stops the run when every mass is at its equilibrium
+      (speed and acceleration below `quiet_below`; the amplitude is then reported as 0) *and* the
+      equilibrium is stable, that is, every mass is damped, dF/dv < 2 xi, and held, and no force
+      depends on time (`AbstractOscillators.attracts`).  This cannot change the answer.  "steady"
+      also stops it when the amplitudes of `repeats` successive windows agree within `tolerance`.
+      It may miss slow drifts of the phases, and instabilities that have not grown yet.  Both need
+      a `window`.
 
     **Raises:** `ValueError` for any other, and for numbers that are not positive.
 

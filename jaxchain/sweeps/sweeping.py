@@ -112,11 +112,11 @@ def sweep(
       bits, for any number of devices and runs.  By default it is as many as fit the cache, at most
       the share of the device, and fewer near the end of a long sweep.  The default is fastest, but
       then the last bits depend on the number of runs, the devices and the timing.
-        - `devices`: default all local devices.     - `store`: the name of a Zarr store that keeps
-          the results on disk, unit by unit.  After a       crash, the same call computes the
-          missing units.  Only one process may write a store.       Results are read from it when
-          they are used, so the grid may be larger than memory.  See
-          `jaxchain/sweeps/store.py` for its layout.
+    - `devices`: default all local devices.
+    - `store`: the name of a Zarr store that keeps the results on disk, unit by unit.  After a
+      crash, the same call computes the missing units.  Only one process may write a store. Results
+      are read from it when they are used, so the grid may be larger than memory.  See
+      `jaxchain/sweeps/store.py` for its layout.
     - `chunks`: of the store: values in a unit, by dimension; by default some seconds of work.
     - `client`: a `distributed.Client`.  Its workers compute the units of the `store`; this process
       writes them.  See `jaxchain.sweeps.cluster`.
