@@ -55,23 +55,23 @@ MEANINGS = {
 @final
 @dataclass(repr=False)
 class Evidence(Printed):
-    """What is known of one run of an ensemble; NaN, or empty, is not known.
+    """The evidence of one run of an ensemble; unknown values are NaN or empty.
 
-    - `noise`: standard deviation of what was added to the start; `seed`.
-    - `kind`: one of `KINDS`, or the name of a failure; `time`: how long the run was; `locked_at`:
-      by when it was found on, or bound for, its orbit.
-    - `active`: who vibrates; `energy`, `energy_deviation`: mean and deviation over the windows of
-      the last record; `drift`: relative difference of the means of its halves; `novelty`: see
-      `recurrence.novelty`.
+    - `noise`: standard deviation of the noise of the start; `seed`.
+    - `kind`: one of `KINDS`, or the name of a failure; `time`: the length of the run; `locked_at`:
+      the time from which it was on its orbit, or approached it.
+    - `active`: which masses vibrate; `energy`, `energy_deviation`: mean and deviation over the
+      windows of the last record; `drift`: relative difference of the means of its halves;
+      `novelty`: see `recurrence.novelty`.
     - `period`, `returns`: of the orbit and of its maxima; `spread`: see `Recurrence`.
-    - `exponents`, `low`, `high`: the leading ones with 95 % intervals, descending; of a closed
-      orbit those of its multipliers, the first being the zero of the flow.  -inf is a direction
-      that sticking annihilates, NaN one that is too small to be told from rounding: of a closed
-      orbit, anything below `high`.
+    - `exponents`, `low`, `high`: the leading exponents with 95 % intervals, descending; for a
+      periodic orbit those of its multipliers, the first being the zero of the flow.  -inf is a
+      direction that sticking erases, NaN one below rounding: for a periodic orbit, any value below
+      `high`.
     - `smooth`: the same exponents by smoothly weighted averages, see `LyapunovSpectrum`;
-      `exponent_time`: over how long, 0 where they are those of multipliers.
-    - `slips`: most cycles that a vibrating mass gained on another in the second half of the last
-      record; `delays`: of each vibrating mass at the end, in periods.
+      `exponent_time`: the time of the averages, 0 for exponents of multipliers.
+    - `slips`: the greatest number of cycles that a vibrating mass gained on another in the second
+      half of the last record; `delays`: of each vibrating mass at the end, in periods.
     - `symmetry_time`, `symmetry`: see `symmetry_defect`.
     - `state`: (x, v) at the end.
 
@@ -104,26 +104,25 @@ class Evidence(Printed):
 
     @property
     def decided(self) -> bool:
-        """Whether a longer run would say nothing new.
+        """Whether a longer run would add nothing.
 
-        A run with noise has to leave an unstable orbit: noise of 1e-8 takes 18 e-folding times to
-        show.
+        A run with noise must leave an unstable orbit: noise of 1e-8 needs 18 e-folding times.
         """
         return self.kind != "open" and (self.kind != "unstable" or self.noise == 0.0)
 
     @property
     def relaxation_time(self) -> float:
-        """1 / |slowest exponent| of an attracting orbit: in so long the distance falls by e.
+        """1 / |slowest exponent| of an attracting orbit: the distance falls by e in this time.
 
-        0 where sticking annihilates every distance; infinite where the orbit is one of a family,
-        as that of masses which are not coupled; NaN where the exponent is not resolved: then it
-        is below `longest_relaxation_time`.
+        0 if sticking erases every distance; infinite if the orbit is one of a family, as for
+        uncoupled masses; NaN if the exponent is not resolved: then it is below
+        `longest_relaxation_time`.
         """
         return self._time(self.exponents)
 
     @property
     def longest_relaxation_time(self) -> float:
-        """The relaxation time of the greatest exponent that there may be."""
+        """The relaxation time of the upper bound of the exponents."""
         return self._time(self.high)
 
     def _time(self, exponents: np.ndarray) -> float:
@@ -171,16 +170,16 @@ class Criteria:
     """The thresholds, with their reasons.
 
     - `rest`: amplitude (x0) of a mass that does not move: above rounding, below any vibration.
-    - `near`: spread of section points, relative to the amplitude, from which on Newton's method
-      is asked; it converges from there, and a periodic orbit found much farther away is another.
-    - `sits`: spread of a run that does not move any more: above the solver's error of 1e-6, below
-      what a passage near an unstable orbit shows.
-    - `gap`: what Newton's method leaves, relative to the amplitude.
+    - `near`: spread of section points, relative to the amplitude, below which Newton's method is
+      tried; it converges from there, and a periodic orbit much farther away is a different one.
+    - `sits`: spread of a run that stays on its orbit: above the solver's error of 1e-6, below that
+      of a passage near an unstable orbit.
+    - `gap`: the residual of Newton's method, relative to the amplitude.
     - `zero`: exponents (per time unit) of neutral directions: a tenth of the weakest chaos and of
       the slowest relaxation seen in blocks of vibrating masses, 1e-3.
-    - `drift`: by how much the energies of the two halves of a record may differ on a torus.
-    - `novelty`: the most there may be on a torus, see `recurrence.novelty`: half of it is what a
-      steady drift has, and 0.3 what 100 points on a square have.
+    - `drift`: the greatest difference of the energies of both halves of a record on a torus.
+    - `novelty`: its greatest value on a torus, see `recurrence.novelty`: a steady drift has half
+      of it, and 100 points on a square have 0.3.
 
     !!! example
 
@@ -742,30 +741,30 @@ def verdicts(
 ) -> list[Verdict]:
     """A verdict for each of several initial states of a chain, with all their runs at once.
 
-    Every state is run as it is, and `seeds` times with each of the `noise` added to displacements
-    and velocities.  A run goes on, doubling its time, until it rests or is bound for a periodic
-    orbit that Newton's method has closed, at most to `longest`.  Of runs that never close
-    the leading exponents are measured.
+    Every state is run without noise, and `seeds` times with each level of `noise` added to
+    displacements and velocities.  A run continues, doubling its time, until it is steady or
+    approaches a periodic orbit that Newton's method has found, at most to `longest`.  The leading
+    exponents are measured for runs that never close.
 
     **Arguments:**
 
     - `chain`: a `Chain` or other autonomous `AbstractOscillators`; `initials`: (x, v), both of
       shape (states, n).
     - `noise`: standard deviations, ascending; () runs each state once.
-    - `first`, `longest`: the run is judged after `first` time units, and whenever its time has
-      doubled, up to `longest`; rounded up to whole chunks of 20 windows.
+    - `first`, `longest`: the run is examined after `first` time units, and whenever its time has
+      doubled, up to `longest`; rounded up to chunks of 20 windows.
     - `exponent_time`: window for exponents, after a fifth of it for directions to settle;
-      `exponent_runs`: of how many runs of a state, that without noise and then the noisiest
-      first; `count`: how many of them.
-    - `window`: time over which amplitudes are taken, some periods.
+      `exponent_runs`: the number of runs of a state to measure, first the one without noise, then
+      the noisiest; `count`: the number of exponents.
+    - `window`: time over which amplitudes are measured, some periods.
     - `solver`, `rtol`: as for `simulate`.
     - `criteria`: the thresholds; `key`: of the noise.
-    - `lanes`: runs at a time on each device; of their number the last bits of a run depend, not of
-      the number of devices.
+    - `lanes`: the number of runs side by side on each device; the last bits depend on it, but not
+      on the number of devices.
     - `progress`, `description`: a progress bar and its name.
 
-    **Returns:** `Verdict` for each state.  A run that fails says so in its `kind` and leaves the
-    others alone.
+    **Returns:** a `Verdict` for each state.  A failed run has the failure as its `kind` and does
+    not affect the others.
 
     **Raises:** `ValueError` for bad input.
 

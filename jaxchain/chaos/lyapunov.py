@@ -72,8 +72,8 @@ class LyapunovSpectrum(Printed, eqx.Module):
       of successive blocks is positive (then use longer blocks).  They measure scatter only, not
       the effect of a transient that is too short.
     - `block_exponents`: (blocks, count).
-    - `sum`: the sum of the exponents; with all 2n of them the mean growth rate of volumes. -
-      `mean_divergence`: time average of tr J, which must equal that sum; NaN for dry friction.
+    - `sum`: the sum of the exponents; with all 2n of them the mean growth rate of volumes.
+    - `mean_divergence`: time average of tr J, which must equal that sum; NaN for dry friction.
     - `kaplan_yorke`: dimension; exponents that are 0 within their interval count as 0.  NaN if
       more exponents are needed.
     - `t`, `state`: the end of the run, from which another call can continue.
@@ -365,17 +365,17 @@ def lyapunov_spectrum(
 
     - `chain`: a `Chain` or any autonomous `AbstractOscillators`; `initial`: the pair (x, v).
     - `t1`: the run goes from 0 to here; the window of the averages is [transient, t1].
-    - `count`: how many exponents; None is all 2n.
-    - `transient`: left out of the averages; in its second half disturbances are carried, too, so
-      that they find their directions.
-    - `interval`: greatest time between two QR decompositions, at most a block (in a traced call
-      a longer one is cut to it).  What has become smaller than 1e-10
-      of the rest meanwhile is lost to rounding, and its exponent NaN.  None is 2 pi for at most n
-      exponents, which no stiff direction is among; for more it is 1 for dry friction, and
-      10 eps / (p mu_st) for smoothed, in which nothing contracts by more than e^-10: costly for
-      small widths.  1 for what is not a `Chain`.
+    - `count`: the number of exponents; None: all 2n.
+    - `transient`: left out of the averages; in its second half disturbances are integrated, too,
+      so that their directions settle.
+    - `interval`: the greatest time between two QR decompositions, at most a block (in a traced
+      call a longer one is shortened).  A disturbance that falls below 1e-10 of the others
+      meanwhile is lost to rounding, and its exponent is NaN.  The default is 2 pi for at most n
+      exponents, which contain no stiff direction.  For more it is 1 for dry friction, and 10 eps /
+      (p mu_st) for smoothed friction, in which nothing contracts by more than e^-10: costly for
+      small widths.  It is 1 for other oscillators than a `Chain`.
     - `blocks`: number of equal parts of the window whose means give the errors; each should be
-      much longer than the motion remembers.
+      much longer than the correlation time of the motion.
     - `solver`, `rtol`, `atol`, `max_step`, `max_steps` (per interval): as for `simulate`.
     - `seed`: of the directions at the start.
     - `progress`: show a progress bar.
@@ -385,9 +385,10 @@ def lyapunov_spectrum(
     and seeds; one program serves all numbers.
 
     **Accuracy:** the exponents are those of the discrete steps.  Steps are as long as the *orbit*
-    allows, `max_step` at rest, and disturbances are followed as well as that.  In smoothed
-    friction an L-stable method makes many e-folds in one step, not as many as there are: exponents
-    of stiff directions, and the sum, are right only while steps are short against eps / mu_st.
+    allows, `max_step` in steady sliding, and disturbances use the same steps.  With smoothed
+    friction an L-stable method makes many e-folds in one step, but not the exact number: exponents
+    of stiff directions, and the sum, are accurate only if steps are short compared with eps /
+    mu_st.
 
     **Raises:** `ValueError` for bad input; `RuntimeError` if the run fails and `throw` is set.
 

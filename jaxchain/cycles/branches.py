@@ -561,7 +561,7 @@ def continue_cycle(
       scalar array (`coupling` is the constant of their springs); `bounds`: its range, at whose
       ends the branch ends; `direction`: 1 or -1, the sign of its first change.  At a fold use
       "stick" or "slip" to start towards greater or smaller scaled_peak_velocity of that mass.
-      - `images`: a symmetry of the cycle; entry i is the index of the mass that moves like mass i.
+    - `images`: a symmetry of the cycle; entry i is the index of the mass that moves like mass i.
       The orbit keeps this symmetry; multipliers are those of all disturbances.
     - `step`, `min_step`, `max_step`, `max_points`, `progress`, `tolerance`: see `continue_branch`;
       lengths are (mean of x^2 and z^2 of the others + z_j^2 + ln^2 T + p^2)^(1/2).

@@ -39,17 +39,17 @@ _SINGULAR, _PART = 1e-6, 1e-3
 
 @final
 class Identification(Outcome):
-    """What `identify` found; p parameters from m measurements.
+    """The result of `identify`: p parameters from m measurements.
 
     - `theta`, `chain`: the parameters of best fit, and the chain with them.
-    - `standard_errors`: a pytree as theta; infinite where the data do not tell.
+    - `standard_errors`: a pytree like theta; infinite where the data do not determine it.
     - `covariance`, `correlation`: shape (p, p), of theta flattened, from the curvature:
-      (J^T J)^-1 with J = d(prediction / noise)/d theta; NaN where the data do not tell.
-    - `determined`: shape (p,), false for what another parameter can make up for.
-    - `condition`: of J with its columns scaled to one length; errors of the data grow by as much.
+      (J^T J)^-1 with J = d(prediction / noise)/d theta; NaN where the data do not determine it.
+    - `determined`: shape (p,), false for a parameter that others can compensate.
+    - `condition`: of J with columns of equal length; the amplification of errors of the data.
     - `residuals`: (measured - predicted) / noise, shape (m,); `chi_squared`, the sum of their
-      squares, is about m - p if the model is right and much more if it is not.
-    - `result`; `evaluations`: predictions with derivatives that it took.
+      squares, is about m - p for a correct model and much more otherwise.
+    - `result`; `evaluations`: the number of predictions with derivatives.
 
     See `identify` for an example.
     """
@@ -67,7 +67,7 @@ class Identification(Outcome):
     evaluations: Int[Array, ""]
 
     def interval(self, confidence: Any = 0.95) -> tuple[PyTree, PyTree]:
-        """(lower, upper) bounds of each parameter by itself, pytrees as theta."""
+        """(lower, upper) bounds of each parameter separately, pytrees like theta."""
         check_share("confidence", confidence, "0.95 is usual.")
         times = jax.scipy.stats.norm.ppf(0.5 + 0.5 * to_float(confidence))
         lower = jax.tree.map(lambda t, e: t - times * e, self.theta, self.standard_errors)
@@ -93,20 +93,20 @@ def identify(
     mass: Any = None,
     steps: Any = 60,
 ) -> Identification:
-    """The parameters theta with which a chain comes closest to what was measured.
+    """The parameters theta of a chain that fit measurements best.
 
     minimise chi^2(theta) = sum_i [(measured_i - predict_i(change(chain, theta))) / noise_i]^2
 
     by Levenberg-Marquardt (More, The Levenberg-Marquardt algorithm, Lecture Notes in Mathematics
-    630, 1978) in one compiled loop, with confidence intervals from the curvature there: right for
-    Gaussian noise that is small enough for predictions to be linear in it.
+    630, 1978) in one compiled loop, with confidence intervals from the curvature, which are
+    correct for small Gaussian noise.
 
-    **Arguments:** `chain` for all that theta does not change; `change(chain, theta)`, the chain of
-    theta; `start`, the first theta, any pytree: it must vibrate where vibrations were measured;
-    `mass` as in `predict`; `steps`: predictions with derivatives allowed.
+    **Arguments:** `chain` with all other numbers; `change(chain, theta)`, the chain for theta;
+    `start`, the first theta, any pytree: its chain must vibrate where vibrations were measured;
+    `mass` as in `predict`; `steps`: the greatest number of predictions with derivatives.
 
-    Works under `jit` and `vmap` (over noisy copies of the measurements, say).  optimistix, whose
-    `LevenbergMarquardt` finds the same, compiles every prediction three times.
+    It works under `jit` and `vmap` (for example over noisy copies of the measurements).
+    `LevenbergMarquardt` of optimistix finds the same, but compiles every prediction three times.
 
     **Returns:** an `Identification`.
 

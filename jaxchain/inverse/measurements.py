@@ -37,19 +37,19 @@ _ORDER, _RTOL = 7, 1e-8
 
 @final
 class Measurements(Printed, eqx.Module):
-    """What was measured of a chain, with the standard deviation of its noise (dimensionless).
+    """Measurements of a chain, with the standard deviation of their noise (dimensionless).
 
-    **Arguments:** what was not measured is None.
+    **Arguments:** None for what was not measured.
 
     - `hopf`, `fold`: (belt speed, noise).
     - `amplitudes`: (belt speeds, amplitudes of the vibrating mass, noise), shapes (k,); the noise
       may be one number.
-    - `displacements`: (belt speeds, displacements of that mass in steady sliding, noise), alike.
-      Nothing else tells mu_static from mu_dynamic for one mass: both, moved by the same amount,
-      move its rest position alone.
+    - `displacements`: (belt speeds, displacements of that mass in steady sliding, noise), with the
+      same shapes. For one mass only these separate mu_static from mu_dynamic: an equal change of
+      both changes only its position in steady sliding.
 
-    **Raises:** `ValueError` for numbers that are not finite, noise that is not positive, shapes
-    that do not agree, and for no measurement at all.
+    **Raises:** `ValueError` for numbers that are not finite, noise that is not positive, different
+    shapes, or no measurement.
 
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
@@ -82,17 +82,17 @@ class Measurements(Printed, eqx.Module):
 
     @property
     def values(self) -> Float[Array, " m"]:
-        """Everything that was measured: Hopf, fold, amplitudes, displacements."""
+        """All measured values: Hopf, fold, amplitudes, displacements."""
         return jnp.concatenate([jnp.atleast_1d(reading[-2]) for reading in self._all()])
 
     @property
     def noise(self) -> Float[Array, " m"]:
-        """Standard deviations of all that was measured, in the order of `values`, shape (m,)."""
+        """Standard deviations of all measured values, in the order of `values`, shape (m,)."""
         return jnp.concatenate([jnp.atleast_1d(reading[-1]) for reading in self._all()])
 
     @property
     def count(self) -> int:
-        """How many numbers were measured, m."""
+        """The number of measured values, m."""
         return self.values.size
 
 
@@ -131,12 +131,12 @@ def check_change(change: Any, chain: Chain, theta: Any) -> None:
 
 
 def predict(chain: Chain, measurements: Measurements, mass: Any = None) -> Float[Array, " m"]:
-    """What `chain` would have shown in the place of `measurements.values`.
+    """The values that `chain` predicts for `measurements.values`.
 
-    Of a dry chain the Hopf speed, the grazing-sliding fold, and amplitudes half peak-to-peak of
-    event-driven runs that start on the belt (`on_the_belt`); of a smoothed one their counterparts
-    at its width.  NaN where there is no such fold or vibration.  Forward
-    derivatives, which hold across sticking and release; `jit`; `vmap`.
+    For a dry chain: the Hopf speed, the grazing-sliding fold, and amplitudes (half peak-to-peak)
+    of event-driven runs that start on the belt (`on_the_belt`).  For a smoothed chain: their
+    counterparts at its width.  NaN if there is no such fold or vibration.  It has forward
+    derivatives, including the jumps at sticking and release, and works under `jit` and `vmap`.
 
     **Arguments:** `measurements`: only their belt speeds are used;
     `mass`, the index (from 0) of the mass, by default n // 2.

@@ -34,18 +34,19 @@ _LBFGS = optax.chain(optax.scale_by_lbfgs(), optax.scale(-1.0))
 
 @final
 class Design(Outcome):
-    """What `design` found.
+    """The result of `design`.
 
-    - `theta`, `chain`: the design and its chain; `cost` of it.
-    - `range`, its `StabilityRange`, or `blow`, its `Blow`, by the aim; the other is None.
-    - `multiplier`: lambda of grad cost = -lambda grad g, what a further unit of g would cost;
-      0 if the aim costs nothing.
+    - `theta`, `chain`: the design and its chain; `cost`: its cost.
+    - `range`, its `StabilityRange`, or `blow`, its `Blow`, depending on the target; the other is
+      None.
+    - `multiplier`: lambda of grad cost = -lambda grad g, the cost of a further unit of g; 0 if the
+      target costs nothing.
     - `angle`: between grad cost and -grad g, in radians, 0 at an optimum; NaN if either vanishes.
-    - `residual`: the greater of |grad cost + lambda grad g| and what is missing of g <= 0.
-    - `result`: successful if it is at most the tolerance (a local optimum).
-    - `evaluations`: boundaries, or blows, with derivatives that it took.
-    - `path`, `costs`, `aims`: every design tried, its cost, and the speed that was to fall, or the
-      blow that was to rise; NaN from entry `evaluations` on.
+    - `residual`: the greater of |grad cost + lambda grad g| and the violation of g <= 0.
+    - `result`: successful if `residual` is at most the tolerance (a local optimum).
+    - `evaluations`: the number of boundaries, or blows, with derivatives.
+    - `path`, `costs`, `aims`: every design tried, its cost, and its speed or blow; NaN from entry
+      `evaluations` on.
 
     See `design` for an example.
     """
@@ -117,37 +118,36 @@ def design(
     steps: Any = 200,
     tolerance: Any = 1e-6,
 ) -> Design:
-    """The cheapest design theta whose vibration ends at a low speed, or takes a hard blow.
+    """The cheapest design theta whose vibration ends at a low speed, or needs a hard blow.
 
     minimise cost(theta)   subject to   g(theta) = aim(change(chain, theta)) - target <= 0
 
     where the aim is the `width` of the `stability_range` or its `highest` speed; or subject to
-    target - size <= 0, the size being that of the `gentlest_blow` at the chain's belt speed.  By
-    the augmented Lagrangian (Nocedal and Wright, Numerical Optimization, chapter 17) in one
-    compiled loop, which evaluates one boundary, or blow, with its derivatives per round.  A design
-    whose vibration vanishes altogether has reached the aim; one whose boundary or blow is not
-    found, or that slides unsteadily where a blow is asked for, is drawn back from.
+    target - size <= 0, the size being that of the `gentlest_blow` at the chain's belt speed.  The
+    method is the augmented Lagrangian (Nocedal and Wright, Numerical Optimization, chapter 17) in
+    one compiled loop, which evaluates one boundary, or blow, with its derivatives per round.  A
+    design without vibration meets the target.  A step is shortened if its boundary or blow is not
+    found, or if steady sliding is unstable where a blow is the target.
 
     **Arguments:**
 
-    - `change(chain, theta)`, the chain of a design, for instance
-      `lambda chain, xi: chain.with_(damping_ratio=xi)`; `start`, the first theta, any pytree.
-      What must stay positive is best given by its logarithm.
-    - `width_below`, `highest_below` or `blow_above`: the target, a dimensionless speed; one of
-      the three.  `blow_above` needs a first design that slides steadily, and has a kink where two
-      masses are as easily started as each other: change masses that are alike together.
+    - `change(chain, theta)`, the chain of a design, for instance `lambda chain, xi:
+      chain.with_(damping_ratio=xi)`; `start`, the first theta, any pytree. Use the logarithm of a
+      number that must stay positive.
+    - `width_below`, `highest_below` or `blow_above`: the target, a dimensionless speed; one of the
+      three.  `blow_above` needs a first design with stable sliding.  It has a kink where two
+      masses have the same gentlest blow: change equal masses together.
     - `cost(theta)`: by default 1/2 |(theta - start) / scale|^2.
-    - `scale`: a change of theta that counts, one number or a pytree as `start`; by default |start|
-      and 1 where that is 0.
-    - `mass`: as in `stability_range`; with `blow_above` the only mass that is hit, by default
-      any may be.
-    - `optimiser`: an optax transformation without a line search, `optax.adam(0.01)` say, for
-      theta in units of `scale`; L-BFGS by default.  Steps that make things worse are shortened.
-    - `steps`: boundaries, or blows, that may be computed.
+    - `scale`: a significant change of theta, one number or a pytree like `start`; by default
+      |start|, or 1 where that is 0.
+    - `mass`: as in `stability_range`; with `blow_above` the only mass that is hit, by default any.
+    - `optimiser`: an optax transformation without a line search, such as `optax.adam(0.01)`, for
+      theta in units of `scale`; by default L-BFGS.  Steps that do not improve are shortened.
+    - `steps`: the greatest number of boundaries, or blows.
 
     **Returns:** a `Design`.
 
-    **Raises:** `ValueError` for bad input.  What does not converge says so in its `result`.
+    **Raises:** `ValueError` for bad input.  `result` reports a search that does not converge.
 
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)

@@ -41,16 +41,16 @@ VERDICTS = ("shrinks", "stands", "grows", "unknown")
 
 @final
 class FrontSpeed(Printed, eqx.Module):
-    """How fast the fronts of a block move, in masses per dimensionless time; > 0 where it grows.
+    """The speed of the fronts of a block, in masses per dimensionless time; > 0 if it grows.
 
-    - `speed`, `error`: mean of both fronts, and half-width of its confidence interval (both fronts
-      of a symmetric block hop together, so it is no less than that of one).
+    - `speed`, `error`: the mean of both fronts, and the half-width of its confidence interval (at
+      least that of one front, because both fronts of a symmetric block move together).
     - `right`, `left`, `right_error`, `left_error`: each front.
-    - `moved`: how far the fronts got, in masses, mean of both.
-    - `verdict`: +1 grows, -1 shrinks: the interval lies above or below 0; 0 stands: it holds 0 and
-      the front moved by less than a mass; 2 unknown.  `outcome` is its name.
+    - `moved`: the distance in masses, averaged over both fronts.
+    - `verdict`: +1 grows, -1 shrinks: the interval is above or below 0; 0 stands: it contains 0
+      and the front moved by less than a mass; 2 unknown.  `outcome` is its name.
     - `times`, `fronts`: middles of the windows, and `Fronts`.
-    - `result`: how the run ended.  A run that failed has NaN for numbers and verdict 2.
+    - `result`: the outcome of the run.  A failed run has NaN for numbers and verdict 2.
 
     See `front_speed` for an example.
     """
@@ -139,14 +139,13 @@ def front_speed(
 
     - `initial`: (x, v), such as `excited_state(chain, n // 2, block="centred")`.
     - `t1`, `t0`: end and start of the run.
-    - `transient`: what is left out at its start (None: a fifth of it).
-    - `windows`: see `FrontTrack` (None: as many as last 20 time units; needed where t1 or t0 is
-      traced).
+    - `transient`: the time to leave out at the start (None: a fifth of the run).
+    - `windows`: see `FrontTrack` (None: windows of 20 time units; required if t1 or t0 is traced).
     - `middle`: a mass inside the block (None: n // 2).
     - `level`: confidence level of errors and verdict, see `mean_speed`.
     - `solver`, `rtol`: as for `simulate`.
 
-    Works under `jit` and `vmap`; a run that fails is marked, not raised.
+    It works under `jit` and `vmap`; a failed run is marked and raises no error.
 
     **Returns:** a `FrontSpeed`.
 
@@ -184,14 +183,14 @@ def front_speed(
 def front_speeds(runs: Dataset, transient: Any = None, *, level: Any = 0.95) -> Dataset:
     """The numbers of `front_speed` for every run of a sweep.
 
-    **Arguments:** `runs`, what `sweep(..., observe=FrontTrack(windows))` returned; `transient`,
-    what is left out at the start of a run (None: a fifth of it), one number or a data array over
+    **Arguments:** `runs`, from `sweep(..., observe=FrontTrack(windows))`; `transient`, the time to
+    leave out at the start of a run (None: a fifth of it), one number or a data array over
     dimensions of `runs`; `level` as for `front_speed`.
 
     **Returns:** a dataset over the dimensions of `runs`: `speed`, `error`, `right`, `left`,
     `right_error`, `left_error`, `moved` and `verdict` as in `FrontSpeed`, and `result`.
 
-    **Raises:** `ValueError` for a sweep that observed no fronts.
+    **Raises:** `ValueError` for a sweep without `FrontTrack`.
 
     !!! example
 
@@ -272,10 +271,10 @@ def _window_count(windows: Any, t0: Any, t1: Any) -> int:
 
 @final
 class Depinning(Printed, eqx.Module):
-    """Where fronts begin to move: they stand at `stands` and move at `moves`, two belt speeds.
+    """The depinning of fronts: they stand at the belt speed `stands` and move at `moves`.
 
-    `middle` lies between them and `error` is half their distance; NaN if the two ends of the
-    search did not do what was said of them, or a run failed.
+    `middle` is between them and `error` is half their distance; NaN if the fronts do not stand and
+    move at the given ends, or if a run failed.
 
     See `depinning_belt_speed` for an example.
     """
@@ -307,15 +306,15 @@ def depinning_belt_speed(
     solver: Any = None,
     rtol: Any = 1e-6,
 ) -> Depinning:
-    """The belt speed at which the fronts of a block come unstuck, by bisection.
+    """The belt speed at which the fronts of a block start to move, by bisection.
 
-    Fronts move if the block gained or lost a mass at each front, on average, between the transient
-    and t1: so speeds below 1 / (t1 - transient) count as standing, and a longer run moves the
-    answer towards `stands` (by the square of the time where depinning is a saddle-node).
+    Fronts move if the block gained or lost on average a mass at each front between the transient
+    and t1.  So speeds below 1 / (t1 - transient) count as standing, and a longer run moves the
+    answer towards `stands` (with the square of the time if depinning is a saddle-node).
 
     **Arguments:** `initial`, a function chain -> (x, v); `stands` and `moves`, belt speeds at
-    which fronts are known to do so, in either order; `halvings` of the distance between them; the
-    rest as in `front_speed`.
+    which fronts stand and move, in either order; `halvings` of the distance between them; the rest
+    as in `front_speed`.
 
     Works under `jit` and `vmap`.  **Raises:** `ValueError` for bad input.
 

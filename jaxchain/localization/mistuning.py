@@ -43,18 +43,18 @@ def mistuned_stiffness(
 
     **Arguments:**
 
-    - `seed`: a whole number, or a key of `jax.random`.  The u_n depend on nothing else (but n and
-      the distribution), so that one seed is one chain, whatever the disorder.
+    - `seed`: an integer, or a key of `jax.random`.  The u_n depend only on it, n and the
+      distribution, so one seed is the same chain for every disorder.
     - `n`: number of masses.
-    - `disorder`: the standard deviation of the stiffness relative to its mean: 0.05 is what the
-      literature on mistuning calls 5 % (of natural frequencies half of it).
+    - `disorder`: the standard deviation of the stiffness relative to its mean: 0.05 is called 5 %
+      in the literature on mistuning (2.5 % of the natural frequencies).
     - `distribution`: "uniform", within 1 +- sqrt(3) disorder (Anderson's box, of full width
       W = sqrt(12) disorder), or "normal", cut off at 4 standard deviations.
 
     **Returns:** shape (n,).  Seed and disorder may be traced.
 
-    **Raises:** `ValueError` for a negative disorder, one that lets a stiffness be zero (0.577 and
-    0.25), a distribution or a seed that is none.
+    **Raises:** `ValueError` for a negative disorder, one that allows a stiffness of zero (0.577
+    and 0.25), an unknown distribution or a bad seed.
 
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
@@ -73,7 +73,7 @@ def mistuned_stiffness(
 def mistuned_chain(chain: Chain, seed: Any, disorder: Any, distribution: str = "uniform") -> Chain:
     """The chain with each stiffness multiplied by one of `mistuned_stiffness`.
 
-    Made for `sweep(..., vary=mistuned_chain, over={"disorder": ..., "seed": ...})`.
+    Use it as `sweep(..., vary=mistuned_chain, over={"disorder": ..., "seed": ...})`.
 
     **Arguments:** `seed`, `disorder`, `distribution` as for `mistuned_stiffness`.
 
@@ -140,8 +140,8 @@ class LinearModes(Printed, eqx.Module):
     - `shape`: shape (mode, mass), orthonormal rows.
     - `participation_ratio`: of each mode, from 1 (one mass alone) to n; shape (n,).
     - `return_probability`: p_n = sum_j u_jn^4 of each mass, shape (n,): the share of the energy
-      given to mass n that stays there in the long run, 1 for a mass that moves alone in a mode of
-      its own (Anderson's measure of localization).
+      given to mass n that remains there in the long run; 1 for a mass that moves alone in one mode
+      (Anderson's measure of localization).
 
     See `linear_modes` for an example.
     """
@@ -156,9 +156,9 @@ def linear_modes(chain: Any) -> LinearModes:
     """Natural frequencies and mode shapes of a chain.
 
     In a tuned ring omega_q^2 = k + 2 eta_c (1 - cos q), q = 2 pi m / n: a band of width 4 eta_c.
-    Pairs q, -q are degenerate there, and only their plane has a meaning; any wave cos(q n + phase)
-    of it has the participation ratio 2 n / 3 (but for multiples of pi / 2).  Random stiffnesses
-    localize every mode of a long chain; what counts is disorder / eta_c.
+    Pairs q, -q are degenerate there, and only their plane is defined; any wave cos(q n + phase) in
+    it has the participation ratio 2 n / 3 (except for multiples of pi / 2).  Random stiffnesses
+    localize every mode of a long chain, depending on disorder / eta_c.
 
     **Returns:** `LinearModes`.
 
@@ -197,12 +197,12 @@ def localization_length(
     length: int = 100_000,
     distribution: str = "uniform",
 ) -> Float[Array, ""]:
-    """Over how many masses the modes of a long mistuned chain decay e-fold: 1 / gamma.
+    """The number of masses over which modes of a long mistuned chain decay by e: 1 / gamma.
 
     gamma is the mean of ln |r_n|, r_n = u_{n+1} / u_n, along a random chain (Lyapunov exponent of
-    the transfer matrix), with r_n = (k_n + 2 eta_c - omega^2) / eta_c - 1 / r_{n-1}.  For little
+    the transfer matrix), with r_n = (k_n + 2 eta_c - omega^2) / eta_c - 1 / r_{n-1}.  For weak
     disorder 1 / gamma = 8 eta_c^2 sin^2 q / disorder^2, and 105 / 96 of it in the middle of the
-    band; the ratio of the two matters, nothing else.
+    band; it depends only on the ratio of the two.
 
     **Arguments:** `disorder`, the standard deviation of the stiffness; `coupling` eta_c > 0;
     `position` in the band, (1 + 2 eta_c - omega^2) / (2 eta_c) = cos q: -1 ... 1, 0 its middle;

@@ -44,12 +44,12 @@ _SAMPLES, _HARMONICS = 256, 8
 
 @final
 class PhaseModel(Printed, eqx.Module):
-    """Phases of vibrating neighbours on a homogeneous ring, what `phase_model` returns.
+    """The phase model of vibrating neighbours on a homogeneous ring, from `phase_model`.
 
     - `state` = (x, v), shape (1,), and `period`: the cycle of one mass, its neighbours held, at
       its greatest velocity, where theta = 0.
     - `interaction` (h,): H(s) = Re sum_h c_h exp(i h s), h = 0, 1, ...; `quiet`: H_q.
-    - `displacement` (h,): x(theta) in the same way; `chain`: whose masses these are.
+    - `displacement` (h,): x(theta) in the same form; `chain`: the ring.
 
     See `phase_model` for an example.
     """
@@ -62,7 +62,7 @@ class PhaseModel(Printed, eqx.Module):
     quiet: Float[Array, ""]
 
     def pull(self, difference: Float[Array, "*any"]) -> Float[Array, "*any"]:
-        """H, of the phase of a neighbour less one's own."""
+        """H of the phase of a neighbour minus that of the mass."""
         h = jnp.arange(self.interaction.shape[0])
         turned = jnp.exp(1j * jnp.multiply.outer(difference, h))
         return jnp.real(turned @ self.interaction)
@@ -197,16 +197,17 @@ def pattern_guess(
 ) -> tuple[State, Float[Array, ""]]:
     """(state, period) near the locked cycle of k neighbours with the given phases.
 
-    Each is on the cycle of one mass; the masses that slide are shaken by them.  The state is that
-    at the greatest velocity of mass `first`, for `find_limit_cycle(chain, state, period=period,
+    Each of them is on the cycle of one mass; they shake the sliding masses.  The state is that at
+    the greatest velocity of mass `first`, for `find_limit_cycle(chain, state, period=period,
     mass=first)`.
 
-    **Arguments:** `phases`, shape (k,), k <= n, as in `LockedPattern`; `block`, where these
-    masses are, see `excited_block`; `first`, the index of one of them, by default the middle one.
+    **Arguments:** `phases`, shape (k,), k <= n, as in `LockedPattern`; `block`, the position of
+    these masses, see `excited_block`; `first`, the index of one of them, by default the middle
+    one.
 
     **Returns:** ((x, v), period); x and v of shape (n,).
 
-    **Raises:** `ValueError` for phases that cannot be and a mass that does not vibrate.
+    **Raises:** `ValueError` for bad phases, or a `first` that does not vibrate.
 
     !!! example
 
@@ -263,7 +264,7 @@ def block_sites(n: int, k: int, block: str = "centred") -> np.ndarray:
     **Arguments:** `n` masses in the ring, `k` of them; `block`, "centred" about mass n // 2 or
     "forward" from it.
 
-    **Returns:** whole numbers from 0, of shape (k,).
+    **Returns:** integers from 0, of shape (k,).
 
     **Raises:** `ValueError` for k not in 1 ... n, or another block.
 
@@ -282,11 +283,11 @@ def block_sites(n: int, k: int, block: str = "centred") -> np.ndarray:
 @final
 @dataclass(frozen=True, repr=False)
 class LockedPattern(Printed):
-    """Phases of k neighbours that stay as they are.
+    """Locked phases of k neighbours.
 
-    `phases` (k,), radians, theta = 0 of the first; `rate`, how fast all of them grow, as in
-    `PhaseModel.rates`; `growth` of the disturbance of phases that grows fastest, in units of
-    1 / time: negative for a stable pattern.
+    `phases` (k,), radians, theta = 0 of the first; `rate`, their common rate, as in
+    `PhaseModel.rates`; `growth`, the greatest growth rate of a phase disturbance, in units of 1 /
+    time: negative for a stable pattern.
 
     See `locked_patterns` for an example.
     """
@@ -308,8 +309,8 @@ class LockedPattern(Printed):
     def images(self, n: int) -> list[int] | None:
         """The symmetry of its centred cycle in a ring of n, for `find_limit_cycle(images=)`.
 
-        Of a mirrored block the left half does as the right half; of a ring in which every second
-        mass does the same, two masses differ, or one.  None without a symmetry.
+        In a mirrored block the left half moves like the right half.  In a ring with period two,
+        two masses differ, or one.  None without a symmetry.
 
         !!! example
 
@@ -335,14 +336,14 @@ class LockedPattern(Printed):
 def locked_patterns(model: PhaseModel, count: Any) -> tuple[LockedPattern, ...]:
     """The locked patterns of `count` neighbours, the most stable one first.
 
-    Newton's method from a few hundred spread starts, the same in every call: for more than about
-    eight masses some will be missed.  Of a pattern and its mirror image one is returned.
+    Newton's method from a few hundred fixed starts; for more than about eight masses it misses
+    some patterns.  Of a pattern and its mirror image one is returned.
 
-    **Arguments:** `model`, what `phase_model` returned; `count` of the masses that vibrate.
+    **Arguments:** `model`, from `phase_model`; `count`, the number of vibrating masses.
 
     **Returns:** a tuple of `LockedPattern`.
 
-    **Raises:** `ValueError` for a count that is no whole number in 1 ... n.
+    **Raises:** `ValueError` for a count that is not an integer in 1 ... n.
 
     !!! example
 
@@ -379,11 +380,11 @@ def rotating_wave(model: PhaseModel, turns: Any) -> LockedPattern:
 
     0 is in phase, n / 2 alternating; every such pattern is locked.
 
-    **Arguments:** `model`, what `phase_model` returned; `turns`, a whole number in -n ... n.
+    **Arguments:** `model`, from `phase_model`; `turns`, an integer in -n ... n.
 
     **Returns:** a `LockedPattern` of n phases.
 
-    **Raises:** `ValueError` for turns that are none.
+    **Raises:** `ValueError` for other `turns`.
 
     !!! example
 

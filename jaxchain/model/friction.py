@@ -158,15 +158,13 @@ class AbstractFriction(eqx.Module):
 class AbstractFrictionLaw(AbstractFriction):
     """The friction coefficient as a function of the sliding speed alone.
 
-    By itself it is dry friction, F(w) = -mu(|w|) sign(w) and anything up to mu_st at w = 0.
-
-    A law of one's own needs a field or property `mu_static` and the method `coefficient`, written
-    with `jax.numpy`.  It then does what the laws of this package do: it is smoothed by
-    `TanhFriction`, integrated event by event, swept, differentiated.  Its fields are numbers, one
-    or one per mass, and leaves; anything else, such as a whole exponent, is a static field,
+    It is dry friction: F(w) = -mu(|w|) sign(w), and any force up to mu_st at w = 0.  Your own law
+    needs a field or property `mu_static` and the method `coefficient`, written with `jax.numpy`.
+    You can then smooth it with `TanhFriction`, simulate, sweep and differentiate it.  Its fields
+    are numbers, one or one per mass; anything else, such as a whole exponent, is a static field,
     `p: int = equinox.field(static=True)`.
 
-    mu(s) must be continuous, and analytic but at the speeds that are listed in `knots`.
+    mu(s) must be continuous, and analytic except at the speeds in `knots`.
 
     !!! example
 
@@ -195,12 +193,12 @@ class AbstractFrictionLaw(AbstractFriction):
 
     @property
     def knots(self) -> ArrayLike | Sequence[float] | None:
-        """Speeds > 0, rising, at which an event-driven step ends; (knots,) or (knots, n), or None.
+        """Increasing speeds > 0 at which steps end, of shape (knots,) or (knots, n), or None.
 
-        They are those at which mu is not analytic: a law that chooses between cases by the speed
-        (`jnp.where`, `jnp.maximum`, ...) must say where, or be refused; `knots = ()` if nowhere.
-        A few more bring a step to where mu begins to change, if it is so constant before that no
-        Taylor coefficient tells.
+        These are the speeds at which mu is not analytic.  A law with cases (`jnp.where`,
+        `jnp.maximum`, ...) must list them, or `knots = ()` if there are none; otherwise it is
+        refused.  List also a speed at which mu starts to change after being constant, which Taylor
+        coefficients cannot show.
         """
         return None
 
@@ -218,16 +216,16 @@ class AbstractFrictionLaw(AbstractFriction):
         return -jnp.sign(w) * self.coefficient(jnp.abs(w))
 
     def stick_speed(self) -> PerMass:
-        """0: a mass sticks or it does not."""
+        """0, because friction is dry."""
         return jnp.zeros(())
 
     @property
     def law(self) -> "AbstractFrictionLaw":
-        """Itself."""
+        """This law."""
         return self
 
     def numbers(self) -> dict[str, Any]:
-        """The fields by name, but for static ones: what `with_`, of a chain too, takes."""
+        """The fields by name, except static ones: the names that `with_` accepts."""
         return {
             f.name: getattr(self, f.name) for f in fields(self) if not f.metadata.get("static")
         }
@@ -322,8 +320,8 @@ class WeakeningStrengthening(AbstractFrictionLaw):
 class GaussianStribeck(AbstractFrictionLaw):
     """mu(s) = mu_d + (mu_st - mu_d) exp(-(s / v_s)^2) + mu_v s / v_s: the Stribeck curve.
 
-    `WeakeningStrengthening` weakens most at rest; this one, flat there but for mu_v, weakens most
-    at s = v_s / sqrt(2), at the rate [(mu_st - mu_d) sqrt(2 / e) - mu_v] / v_s.
+    `WeakeningStrengthening` weakens most at s = 0.  This law has the slope mu_v / v_s there and
+    weakens most at s = v_s / sqrt(2), at the rate [(mu_st - mu_d) sqrt(2 / e) - mu_v] / v_s.
 
     Sources: B. Armstrong-Helouvry, P. Dupont, C. Canudas de Wit, A survey of models, analysis
     tools and compensation methods for the control of machines with friction, Automatica 30 (1994);

@@ -228,7 +228,7 @@ def _carried(chain: Chain, mass: int) -> State:
 
 
 def release_state(chain: Chain, mass: int) -> State:
-    """Steady sliding, but mass `mass` is carried by the belt, half way to where it is let go.
+    """Steady sliding, except that the belt carries mass `mass`, half way to its release.
 
     **Arguments:** `mass`, its index from 0.
 

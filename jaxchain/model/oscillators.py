@@ -27,10 +27,10 @@ from .springs import Springs
 
 @final
 class LocalSlopes(NamedTuple):
-    """Derivatives of the local force, mass by mass; None where it does not depend on that.
+    """Derivatives of the local force, mass by mass; None for one that is always zero.
 
-    dh_n/dt, dh_n/dx_n and dh_n/dv_n, each of shape (n,): what `local_force_and_slopes` of
-    `AbstractOscillators` returns beside h.
+    dh_n/dt, dh_n/dx_n and dh_n/dv_n, each of shape (n,), from `local_force_and_slopes` of
+    `AbstractOscillators`.
 
     See `AbstractOscillators` for an example.
     """
@@ -41,16 +41,16 @@ class LocalSlopes(NamedTuple):
 
 
 class AbstractOscillators(eqx.Module):
-    """Masses with any force of their own, coupled by linear springs.
+    """Masses with any local force, coupled by linear springs.
 
     x' = v,   v_n' = h_n(t, x_n, v_n) - k_n x_n + (C x)_n.
 
     A vector field in the sense of `diffrax.ODETerm`: call it with (t, (x, v), args).  A subclass
     gives `springs`, `local_force` and `stiffness_diagonal`, and may give `switching`,
-    `stick_speed`, `excess_force` and `growth_time`.  What follows from these is final, and to
-    define it a `TypeError`.  JAX finds the derivatives, and whether h depends on t or x at all.
-
-    For stock diffrax solvers alone it may override `__call__`, and `divergence` with it.
+    `stick_speed`, `excess_force` and `growth_time`.  All other methods are final: defining one
+    raises `TypeError`.  JAX computes the derivatives, and jaxchain detects whether h depends on t
+    or x. For use with stock diffrax solvers only, a subclass may override `__call__` and
+    `divergence`.
 
     !!! example
 
@@ -84,7 +84,7 @@ class AbstractOscillators(eqx.Module):
     def local_force(
         self, t: ScalarLike, x: Float[Array, " n"], v: Float[Array, " n"]
     ) -> Float[Array, " n"]:
-        """h(t, x, v), mass by mass: all forces but those linear in the displacements."""
+        """h(t, x, v), mass by mass: all forces except those of the springs."""
 
     @abc.abstractmethod
     def stiffness_diagonal(self, n: int) -> PerMass:
@@ -101,29 +101,29 @@ class AbstractOscillators(eqx.Module):
         return None
 
     def belt_direction(self) -> ScalarLike:
-        """The sign of the velocity at which forces switch, 1 or -1: which way the belt runs.
+        """The sign of the velocity at which forces switch, 1 or -1: the direction of the belt.
 
-        1 where no force switches.
+        1 if no force switches.
         """
         return 1.0
 
     def stick_speed(self) -> PerMass | None:
-        """Up to which |w| (see `switching`) a mass sticks; None if no mass can."""
+        """The |w| (see `switching`) up to which a mass sticks; None if no mass can stick."""
         return None
 
     def excess_force(self, x: Float[Array, " n"], v: Float[Array, " n"]) -> Float[Array, " n"]:
-        """By how much the force on a mass exceeds what friction can hold; negative: it holds.
+        """The force on a mass minus the greatest friction force; negative if friction can hold it.
 
-        No mass sticks where this is positive.
+        A mass does not stick if this is positive.
         """
         del v
         return jnp.full_like(x, -jnp.inf)
 
     def growth_time(self) -> ScalarLike | None:
-        """No step should be longer: velocities grow e-fold in it.  Infinite where none grows so.
+        """The time in which velocities grow by e, which bounds the step; infinite without growth.
 
-        A stiff solver takes a growth by more than e^2 within a step for a decay, and its error
-        estimate agrees.  None: structured solvers judge each step by the Jacobian at its start.
+        A stiff solver mistakes a growth by more than e^2 within a step for a decay, unnoticed by
+        its error estimate.  None: structured solvers use the Jacobian at the start of each step.
         """
         return None
 
@@ -144,7 +144,7 @@ class AbstractOscillators(eqx.Module):
 
     @property
     def structured(self) -> bool:
-        """Whether the structured solvers see all of it: `__call__` is that of this class."""
+        """Whether structured solvers apply: `__call__` is that of this class."""
         return type(self).__call__ is AbstractOscillators.__call__
 
     def uses(self, n: int) -> tuple[bool, ...]:
@@ -168,9 +168,9 @@ class AbstractOscillators(eqx.Module):
         return v, self.local_force(t, x, v) + self.restoring_force(x)
 
     def attracts(self, t: ScalarLike, x: Float[Array, " n"]) -> Bool[Array, ""]:
-        """Whether rest at x, if the forces balance there, is sure to attract for all time.
+        """Whether an equilibrium at x is certainly stable for all time.
 
-        So it is if nothing depends on time, dh/dv < 0, and K - diag(dh/dx) > 0 by dominance.
+        This holds if nothing depends on time, dh/dv < 0, and K - diag(dh/dx) > 0 by dominance.
         """
         _, slopes = self.local_force_and_slopes(t, x, jnp.zeros_like(x))
         if slopes.time is not None:

@@ -47,7 +47,7 @@ def has_uniform_damping(chain: Chain) -> bool:
 
 
 def sliding_damping(chain: Chain, belt_speed: Float[Array, ""]) -> PerMass:
-    """d = 2 xi - p F'(-v_d) of one mass, or of shape (n,): what damps steady sliding.
+    """The effective damping of steady sliding, d = 2 xi - p F'(-v_d), a number or of shape (n,).
 
     With F' = dF/dw of the smoothed law, d = 2 xi + p [mu'(v_d) tanh(v_d / eps) + mu(v_d)
     sech^2(v_d / eps) / eps], or 2 xi + p mu'(v_d) with dry friction: weakening makes it negative.
@@ -186,7 +186,7 @@ def sliding_eigenvalues(chain: Chain, belt_speed: Float[Array, ""]) -> Array:
 
 
 def growth_rate(chain: Chain, belt_speed: Float[Array, ""]) -> Float[Array, ""]:
-    """The rate at which a disturbance of steady sliding grows; negative where sliding is stable.
+    """The growth rate of disturbances of steady sliding; negative if sliding is stable.
 
     With uniform damping it is -d / 2, that of every mode that oscillates (of all of them near a
     Hopf point), which is smooth in v_d where the greatest real part of 2n equal ones is not.

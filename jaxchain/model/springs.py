@@ -136,7 +136,7 @@ class Springs(eqx.Module):
         return left * before + right * after
 
     def row_sum(self, n: int) -> PerMass:
-        """Sum of the constants of the springs at each mass: what they add to the diagonal of K.
+        """The sum of the spring constants at each mass, their share of the diagonal of K.
 
         A scalar for a uniform ring, otherwise of shape (n,).
         """

@@ -20,22 +20,21 @@ from .measured import check_measured, read_curve
 
 @final
 class TabulatedFriction(AbstractFrictionLaw):
-    """mu(s) through measured points (s_i, mu_i): cubics, with one slope where they meet.
+    """mu(s) through measured points (s_i, mu_i), by piecewise cubic interpolation.
 
-    The curve keeps the shape of the data (PCHIP): between two points it stays between their
-    values, rises where they rise and is level where they turn.  Beyond the last speed mu is
-    constant; its slope may jump there.  Nothing is made up at rest: the first speed must be 0, and
-    its mu is `mu_static`.  Where mu rises from there, it exceeds what holds a sticking mass.
+    The curve keeps the shape of the data (PCHIP): between two points it stays between their values
+    and is monotone; its slope is zero at extrema of the data.  Beyond the last speed mu is
+    constant; its slope may jump there.  The first speed must be 0, and its mu is `mu_static`.
 
-    mu'' jumps at every point.  An event-driven step ends there (`knots`); with smoothed friction
-    the error estimate sees to it.
+    mu'' jumps at every point.  Event-driven steps end there (`knots`); with smoothed friction the
+    error estimate accounts for it.
 
     Source: F. N. Fritsch, J. Butland, A method for constructing local monotone piecewise cubic
     interpolants, SIAM J. Sci. Stat. Comput. 5 (1984), as `scipy.interpolate.PchipInterpolator`.
 
-    **Arguments:** `speed` = s_0 ... s_K from 0, rising, in units of x0 omega_n; `mu` >= 0, as
-    many.  The same curve for every mass; it has no numbers that `Chain.with_` or a sweep could
-    change.
+    **Arguments:** `speed` = s_0 ... s_K, increasing from 0, in units of x0 omega_n; `mu` >= 0, of
+    the same length.  All masses have the same curve; `Chain.with_` and sweeps cannot change its
+    numbers.
 
     **Raises:** `ValueError` for anything else.
 
@@ -65,10 +64,10 @@ class TabulatedFriction(AbstractFrictionLaw):
 
     @classmethod
     def from_csv(cls, path: str | Path) -> TabulatedFriction:
-        """From a file of two columns, speed and mu: see `read_curve` in `model/measured.py`.
+        """Reads a file of two columns, speed and mu: see `read_curve` in `model/measured.py`.
 
-        **Raises:** `ValueError` as the class, or with the line that is no pair of numbers;
-        `OSError` if there is no such file.
+        **Raises:** `ValueError` as the class, or naming a line that is not a pair of numbers;
+        `OSError` if the file does not exist.
         """
         check_kind("path", path, str | Path, "the name of a file")
         try:
@@ -90,7 +89,7 @@ class TabulatedFriction(AbstractFrictionLaw):
         return self.pieces[0, 1:]
 
     def numbers(self) -> dict[str, Any]:
-        """None: the table is no number of a chain."""
+        """Empty: the table has no numbers for `Chain.with_`."""
         return {}
 
     def coefficient(self, speed: Float[ArrayLike, "..."]) -> Float[Array, "..."]:

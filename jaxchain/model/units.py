@@ -29,7 +29,7 @@ Quantity: TypeAlias = Literal["displacement", "velocity", "time", "force", "freq
 class DimensionalParameters(NamedTuple):
     """One mass of the chain in SI units, as in eq. (3) of the paper.
 
-    What `Scales.parameters` returns, and what `Scales.from_dimensional` takes.
+    The result of `Scales.parameters`, and the input of `Scales.from_dimensional`.
 
     !!! example
 

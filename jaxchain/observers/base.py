@@ -25,9 +25,9 @@ from ..model.oscillators import AbstractOscillators
 
 @final
 class Step(eqx.Module):
-    """One accepted step as an observer sees it: from (`t0`, `y0`) to (`t1`, `y1`).
+    """One accepted step, from (`t0`, `y0`) to (`t1`, `y1`).
 
-    `y0` and `y1` are pairs (x, v) of shape (n,); `field` is what is integrated, a `Chain` or other
+    `y0` and `y1` are pairs (x, v) of shape (n,); `field` is the `Chain` or other
     `AbstractOscillators`.
     `displacement(theta)` and `velocity(theta)` interpolate at theta in [0, 1], one number or one
     per mass.
@@ -81,7 +81,7 @@ class Step(eqx.Module):
         return (self.t1 - self.t0) * (weights @ rates)
 
     def frozen(self) -> Step:
-        """The step without derivatives, which may cost more than what is observed."""
+        """The step without derivatives, which may cost more than the observed value."""
         fixed = lax.stop_gradient((self.field, self.t0, self.t1, self.y0, self.y1))
         return Step(
             *fixed,
@@ -118,7 +118,7 @@ def zeros(
 
 @final
 class Variable(eqx.Module):
-    """What an observer says of one run, as a variable of a dataset.
+    """A value of an observer as a variable of a dataset.
 
     **Arguments:** `values`, with an axis for each name in `dims`; "oscillator" is the one over all
     n masses.  `units` and `long_name`, as in the CF conventions.  `is_count`: a count is an
@@ -172,8 +172,8 @@ def states_at_times(name: str, value: tuple[Array, ...], *dims: str) -> dict[str
 class AbstractObserver(eqx.Module):
     """init -> update after every accepted step -> read -> label.
 
-    `settled` says whether the observed value can be taken as final already; a run may stop early
-    when every observer says so.  `sweep` wants `label`, `simulate` does not.
+    `settled` returns whether the observed value is final; a run stops early when all observers
+    have settled.  `label` is needed by `sweep`, not by `simulate`.
 
     !!! example
 
@@ -212,7 +212,7 @@ class AbstractObserver(eqx.Module):
         """The accumulator after one more accepted step."""
 
     def fits(self, t0: ScalarLike, t1: ScalarLike) -> Any:
-        """Whether a run over [t0, t1] holds what it observes: all of its window, say."""
+        """Whether a run over [t0, t1] contains the observed part, such as a window."""
         del t0, t1
         return True
 
@@ -221,7 +221,7 @@ class AbstractObserver(eqx.Module):
         del accumulator
 
     def rests(self, accumulator: Any) -> Bool[Array, ""]:
-        """Whether it is final because every mass rests."""
+        """Whether it is final because every mass is at its equilibrium."""
         del accumulator
         return jnp.asarray(False)
 

@@ -45,10 +45,10 @@ class Fronts(eqx.Module):
 def front_positions(
     amplitude: Float[Array, "*batch n"], threshold: Any, middle: Any = None
 ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
-    """(right, left): how far from mass `middle` vibration reaches on a ring, in masses.
+    """(right, left): the distances of the fronts from mass `middle` on a ring, in masses.
 
-    Of the masses at the distances d = 0, 1, ... n // 2 on one side, let d be the last one with
-    A_d > c, the threshold.  The front is where the amplitude, linear in between, falls to c:
+    On each side, d is the distance (0, 1, ... n // 2) of the last mass with A_d > c, the
+    threshold. The front is where the linearly interpolated amplitude falls to c:
 
         d + (A_d - c) / (A_d - A_{d+1}),      0 if no mass on this side vibrates.
 
@@ -111,9 +111,8 @@ class FrontTrack(AbstractObserver):
     """Where the two fronts of a vibrating block are, in each of `windows` equal parts of a run.
 
     A mass vibrates if its half peak-to-peak within the part exceeds |v_d| / 2, as in
-    `jaxchain.active`; displacements are looked at after every step.  The run may end early, once
-    both fronts have come within two masses of `middle` or three of the far side of the ring.
-    Value: `Fronts`.
+    `jaxchain.active`; displacements are evaluated after every step.  The run ends early when both
+    fronts are within two masses of `middle` or three of the far side of the ring. Value: `Fronts`.
 
     **Arguments:** `windows`: each should last at least two periods (4 pi); `middle`, the
     index of a mass inside the block (None: n // 2, the middle of a centred `excited_block`).
@@ -176,7 +175,7 @@ class FrontTrack(AbstractObserver):
         )
 
     def settled(self, accumulator: _Watch) -> Bool[Array, ""]:
-        """Once both fronts have met, or the block is gone, no speed is left to measure."""
+        """True once both fronts have met or the block has vanished."""
         acc = accumulator
         n = acc.low.shape[0]
         out = ~(apart(acc.fronts.right, n) | apart(acc.fronts.left, n))

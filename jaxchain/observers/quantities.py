@@ -47,13 +47,13 @@ def energy(amplitude: Float[Array, "*batch n"]) -> Float[Array, "*batch"]:
 
 
 def participation_ratio(amplitude: Float[Array, "*batch n"]) -> Float[Array, "*batch"]:
-    """PR = (sum_n A_n^2)^2 / sum_n A_n^4, over how many masses the energy A_n^2 / 2 is spread.
+    """PR = (sum_n A_n^2)^2 / sum_n A_n^4, the number of masses that share the energy A_n^2 / 2.
 
-    From 1, one mass alone, to N, all alike; k equal amplitudes beside zeros give k.
+    It is 1 for one vibrating mass, N for equal amplitudes, and k for k equal amplitudes and zeros.
 
     **Arguments:** amplitudes, or a mode shape (its sign does not count), of shape (..., n).
 
-    **Returns:** shape (...); 0 where every amplitude is zero.
+    **Returns:** shape (...); 0 if every amplitude is zero.
 
     Source: Bell and Dean, Discuss. Faraday Soc. 50, 55 (1970).
 
@@ -129,13 +129,13 @@ def settled(
 ) -> Bool[Array, "*batch"]:
     """Whether amplitudes have settled: those of the last four windows agree within `accuracy`.
 
-    max over n of (greatest - least of the last four windows) <= accuracy * greatest amplitude.
-    Of such amplitudes `accuracy=` of `simulate` holds its promise at any time (see
-    `choose_numerics`).  It does not say that nothing will start later.
+    max over n of (greatest - least of the last four windows) <= accuracy * greatest amplitude. For
+    such amplitudes the promise of `accuracy=` of `simulate` holds at any time (see
+    `choose_numerics`).  Vibration may still start later.
 
     **Arguments:** amplitudes of successive windows, such as `simulate(..., segments=20,
     observe=Amplitude())` observes, of at least 20 time units (three periods) each; `accuracy` is
-    relative to the greatest of all that are given.
+    relative to the greatest given amplitude.
 
     **Returns:** shape (...); False where NaN is among the amplitudes.
 
@@ -204,11 +204,11 @@ def delays(
 ) -> Float[Array, "peaks n"]:
     """phi_i = tau_peak,i - tau_peak,reference of each peak to the nearest one of the reference.
 
-    **Arguments:** peak times as `PeakTimes` gives them (NaN where none, also in between), index of
-    the reference mass (10 for the paper's 11th), and the period used to bring delays into
-    [centre - period/2, centre + period/2): those of the first and last peaks, and with a `centre`
-    of period/4, say, all, so that neither motion in phase (0) nor out of phase (period/2) lies on
-    an edge.
+    **Arguments:** peak times from `PeakTimes` (with NaN, also in between); the index of the
+    reference mass (10 for the paper's 11th); the period that brings delays into [centre -
+    period/2, centre + period/2): those of the first and last peaks, or all with a `centre`.  With
+    a centre of period/4 neither motion in phase (0) nor out of phase (period/2) is at the end of
+    this interval.
 
     **Returns:** shape (peaks, n), NaN where there is no peak.
 

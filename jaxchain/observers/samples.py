@@ -100,16 +100,15 @@ class Samples(AbstractNotingObserver):
 
     For states at given times, which need not be regular, see `Trajectory`.
 
-    A run that begins later begins with the first of these times that lies within it.  The steps
-    are not cut to meet them, as a `Trajectory` makes true dry friction do, and the length of the
-    run has no part in the cost: with `segments`, or with the window's start and a `capacity` to
-    match, a long run stores no more than it shows.
+    A run uses the times that lie within it.  Unlike `Trajectory` with dry friction, it does not
+    shorten steps, and its cost does not depend on the length of the run: with `segments`, or with
+    `start` and `capacity`, a long run stores only the samples you want.
 
     **Arguments:** `interval` between samples; `capacity`, the greatest number kept (the first
     ones); `oscillators`, indices of the masses from 0 (None: all); `start`.
 
-    **Value:** (times, x, v) of shapes (capacity,), (capacity, masses), (capacity, masses); NaN
-    where none.
+    **Value:** (times, x, v) of shapes (capacity,), (capacity, masses), (capacity, masses), filled
+    with NaN.
 
     **Raises:** `ValueError` for an index that the chain does not have, and for bad numbers.
 
@@ -206,7 +205,7 @@ class Samples(AbstractNotingObserver):
         return _Samples(accumulator.first, count, x, v)
 
     def note(self, step: Step) -> tuple[Array, Array, Any, Any]:
-        """What `gather` needs of one step: its ends and its interpolants of x and v."""
+        """The data of one step for `gather`: its ends and its interpolants of x and v."""
         return step.t0, step.t1, step.displacement, step.velocity
 
     def gather(self, accumulator: _Samples, notes: Any, count: Int[Array, ""]) -> _Samples:

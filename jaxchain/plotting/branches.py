@@ -51,28 +51,28 @@ def plot_branch(
     label: str | None = None,
     scales: Scales | None = None,
 ) -> Axes:
-    """A branch over its parameter: stable solid, unstable dashed, special points marked and named.
+    """Draws a branch over its parameter: stable solid, unstable dashed, special points marked.
 
-    The line is a smooth curve through all points of the branch and through its special points, so
-    that it turns and changes its style in a fold.
-    Between a stable and an unstable point with no special one in between it is dashed.  It lies
-    on `plot_sweep` of the same numbers: `plot_branch(branch, ax=plot_sweep(runs))`.
+    The line is a smooth curve through all points of the branch, including its special points, so
+    that it turns and changes its style at a fold.  Between a stable and an unstable point without
+    a special point it is dashed.  To draw it over runs: `plot_branch(branch,
+    ax=plot_sweep(runs))`.
 
     **Arguments:**
 
     - `branch`: of `continue_cycle`, its `to_dataset()`, or a `Branch` of `continue_branch`, whose
       unknown stability: a solid line.
     - `y`: a variable over `point` alone; by default `energy`, or `amplitude` of a single
-      oscillator.  Special points are marked where the dataset has `special_<y>`, as it has for
-      all but `unstable_count`, `stable` and `trivial_defect`.
+      oscillator.  Special points are marked if the dataset has `special_<y>`, which is missing
+      only for `unstable_count`, `stable` and `trivial_defect`.
     - `ax`: matplotlib axes; None makes new ones of a column's width (85 mm).
-    - `color`, `label`: of the line, to tell several branches on the same axes apart.
+    - `color`, `label`: of the line, to distinguish several branches on the same axes.
     - `scales`: for axes in SI units.
 
     **Returns:** the axes.
 
-    **Raises:** `ValueError` for anything else, and for a `y` with a dimension beside `point`: pick
-    one value with `sel`.
+    **Raises:** `ValueError` for anything else, and for a `y` with another dimension than `point`:
+    select one value with `sel`.
 
     !!! example
 

@@ -47,17 +47,16 @@ _BOLD: dict[str, Any] = _STROKE | {"linewidth": 1.6}
 
 
 def draw_model(chain: Any = None, masses: Any = 4, axes: Any = None) -> Figure:
-    """The chain on its belt, as in Figure 2 of the paper, and its law of friction.
+    """Draws the chain on its belt, as in Figure 2 of the paper, and its friction law.
 
-    (a) Masses m on a belt that moves at v_d, each pressed down by P and tied to the ground by a
-    spring k and a dashpot c, neighbours by springs k_c; a ring is closed by the dashed line.
-    (b) F / P against v_rel = x' - v_d: the dry law with its set-valued segment |F| <= mu_st P at
-    v_rel = 0, the law as the chain smooths it, if it does (magnified in the inset), and steady
-    sliding, v_rel = -v_d.  Drawn from the chain's own law, that of mass 1 if they differ.
+    (a) Masses m on a belt with speed v_d, each with a load P, a spring k and a dashpot c to the
+    ground, and springs k_c to its neighbours; a dashed line closes a ring. (b) F / P against v_rel
+    = x' - v_d: the dry law with its set-valued segment |F| <= mu_st P at v_rel = 0, the smoothed
+    law of a smoothed chain (magnified in the inset), and steady sliding, v_rel = -v_d.  If the
+    laws differ, that of mass 1 is drawn.
 
-    **Arguments:** `chain`, by default that of the paper; `masses`, how many of its masses are
-    drawn, 1 ... 6 (no more than it has); `axes`, a pair of matplotlib axes to draw on instead of
-    a new figure of the width of a page.
+    **Arguments:** `chain`, by default that of the paper; `masses`, the number of masses to draw,
+    1 ... 6; `axes`, a pair of matplotlib axes, by default those of a new figure of a page's width.
 
     **Returns:** the figure; see `jaxchain.plotting.save_figure`.
 
@@ -115,10 +114,10 @@ def zigzag(
 def draw_mechanism(axes: Axes, chain: Chain, masses: int) -> None:
     """Masses, springs, dashpots and the belt, with the symbols of eq. (3).
 
-    **Arguments:** `axes`, where it is drawn; `chain`, which says whether masses are coupled, and
-    which way the belt runs; `masses`, how many are drawn, 1 ... 6.
+    **Arguments:** `axes`; `chain`, which determines the coupling and the direction of the belt;
+    `masses`, their number, 1 ... 6.
 
-    **Raises:** `ValueError` for more, or less.
+    **Raises:** `ValueError` for another number.
 
     !!! example
 
@@ -271,9 +270,9 @@ def _name(
 
 
 def draw_friction(axes: Axes, chain: Chain) -> None:
-    """F / P over the relative velocity: dry, and if it is, smoothed, near v_rel = 0 both.
+    """Draws F / P over the relative velocity: dry, and smoothed for a smoothed chain.
 
-    **Arguments:** `axes`, where it is drawn; `chain`, whose friction law it is.
+    **Arguments:** `axes`; `chain`, with the friction law.
 
     !!! example
 
@@ -335,18 +334,17 @@ def plot_friction_law(
     reach: Any = None,
     scales: Scales | None = None,
 ) -> Axes:
-    """F(w) / P over the relative velocity w = v - v_d: the dry law, and the smoothed one over it.
+    """Draws F(w) / P over the relative velocity w = v - v_d: the dry law and the smoothed one.
 
-    The dry law F = -mu(|w|) sign(w) has a set-valued jump at w = 0, the upright line from -mu_st
-    to mu_st; smoothed by a width it passes through there steeply.
+    The dry law F = -mu(|w|) sign(w) has a set-valued jump at w = 0, the vertical line from -mu_st
+    to mu_st; the smoothed law has a steep slope there.
 
     **Arguments:**
 
-    - `friction`: a `Chain` (if its masses differ, that of mass 1), a `TanhFriction`, or a law
-      alone.
+    - `friction`: a `Chain` (if its masses differ, mass 1), a `TanhFriction`, or a law.
     - `ax`: matplotlib axes; None makes new ones of a column's width (85 mm).
-    - `reach`: up to which speed on both sides, dimensionless; by default 1, or so far that the
-      belt speed of a chain and five widths are seen.
+    - `reach`: the greatest dimensionless speed on both sides; by default 1, or enough to show the
+      belt speed of a chain and five widths.
     - `scales`: for axes in SI units.
 
     **Returns:** the axes.

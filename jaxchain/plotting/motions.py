@@ -78,7 +78,7 @@ def plot_time_series(
     label: str | None = None,
     scales: Scales | None = None,
 ) -> Axes:
-    """Displacement or velocity of masses over time, a line each.
+    """Draws displacement or velocity of masses over time.
 
     **Arguments:**
 
@@ -86,12 +86,11 @@ def plot_time_series(
     - `states`: (x, v), each of shape (times, n), or a `Simulation` that observed
       `Trajectory(times)`.
     - `y`: "displacement" or "velocity".
-    - `masses`: indices of those that are drawn; by default all.  More than seven are told apart by
-      a colour bar.
-    - `chain`: what ran; with it a broad band behind a line shows where its mass sticks, and of
-      velocities the belt speed is drawn, too.
+    - `masses`: indices of the masses to draw; by default all.  More than seven have a colour bar.
+    - `chain`: adds a broad band behind a line where its mass sticks, and the belt speed to
+      velocities.
     - `ax`: matplotlib axes; None makes new ones of a column's width (85 mm).
-    - `color`, `label`: of the lines, to tell several runs on the same axes apart.
+    - `color`, `label`: of the lines, to distinguish several runs on the same axes.
     - `scales`: for axes in SI units.
 
     **Returns:** the axes.
@@ -131,10 +130,10 @@ def plot_phase_portrait(
     label: str | None = None,
     scales: Scales | None = None,
 ) -> Axes:
-    """Velocity over displacement of masses, a line each.
+    """Draws velocity over displacement of masses.
 
-    **Arguments:** as of `plot_time_series`; `chain` adds the belt speed, and a broad band where a
-    mass sticks, which is where the orbit runs along it.
+    **Arguments:** as for `plot_time_series`; `chain` adds the belt speed, and a broad band where a
+    mass sticks.
 
     **Returns:** the axes.
 
@@ -206,11 +205,11 @@ def _draw_curves(
 
 
 def sticking(chain: Chain, states: Any) -> np.ndarray:
-    """Which masses stick, of the shape (times, n) of x and v: what `StickTime` adds up.
+    """Which masses stick at each time, of shape (times, n).
 
     With dry friction a mass sticks while v = v_d; with smoothed friction while |v - v_d| is below
     the speed of greatest friction and the force on it, without friction, does not exceed p mu_st.
-    States of a smoothed chain that `EventDriven` ran are those of `chain.with_(width=None)`.
+    For states of a smoothed chain from `EventDriven`, use `chain.with_(width=None)`.
 
     **Arguments:** `chain`; `states`, (x, v), each of shape (times, n).
 
@@ -258,20 +257,20 @@ def loop(
     longest: Any = 100.0,
     tolerance: Any = 1e-2,
 ) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
-    """A whole number of periods of the vibration that goes through `state`, for a film in a loop.
+    """A whole number of periods of the vibration through `state`, for a film in a loop.
 
-    The motion is cut where the liveliest mass turns, and closed at the first of these turns (after
-    up to `longest` time units) that comes back nearly as well as any: the greatest difference in a
-    displacement or velocity from the first turn is then at most `tolerance`.
+    The motion begins at a turning point of the mass with the largest amplitude, and ends at a
+    later one (after up to `longest` time units) whose displacements and velocities differ from
+    those of the first by at most `tolerance`.
 
-    **Arguments:** `state` = (x, v) after the transient; `frames`, how many; `solver` as for
+    **Arguments:** `state` = (x, v) after the transient; `frames`, their number; `solver` as for
     `simulate`.
 
     **Returns:** (times, (x, v)) of shapes (frames,) and (frames, n), from time 0; the next frame
     would be the first again.
 
-    **Raises:** `ValueError` for bad input; `RuntimeError` where nothing vibrates or nothing comes
-    back.
+    **Raises:** `ValueError` for bad input; `RuntimeError` if nothing vibrates or the motion does
+    not return.
 
     ```python
     chain = paper_chain(n=6, belt_speed=1.5, width=None)
@@ -317,10 +316,10 @@ def animate(
     masses: Any = None,
     frames_per_second: Any = 20,
 ) -> FuncAnimation:
-    """The chain on its moving belt, with the displacements and the phase plane below.
+    """Animates the chain on its moving belt, with the displacements and the phase plane below.
 
-    Masses are displaced by x_n and hatched in orange while they stick; the belt moves at v_d in
-    the same unit, and carries on without a jump when the film starts again.
+    Masses are displaced by x_n and hatched in orange while they stick.  The belt moves at v_d in
+    the same unit, without a jump when the film repeats.
 
     **Arguments:**
 
@@ -328,9 +327,10 @@ def animate(
     - `times`: shape (frames,), dimensionless, increasing; each is one frame.
     - `states`: (x, v), each of shape (frames, n), or a `Simulation` that observed
       `Trajectory(times)`; for films that close see `loop`.
-    - `masses`: indices of those that are shown; by default up to eight around the liveliest.
+    - `masses`: indices of the masses to show; by default up to eight around the one with the
+      largest amplitude.
 
-    **Returns:** an animation of matplotlib; `save_gif` writes it, and so does its own `save`.
+    **Returns:** a matplotlib animation; write it with `save_gif` or its method `save`.
 
     **Raises:** `ValueError` for wrong shapes, numbers that are not finite, and too few frames.
 
@@ -365,9 +365,9 @@ def animate(
 
 
 def save_gif(animation: FuncAnimation, path: Any, dpi: Any = 100) -> Path:
-    """Writes an animation as a GIF that repeats for ever, in few colours to keep it small.
+    """Writes an animation as a repeating GIF with few colours.
 
-    **Arguments:** `animation`, what `animate` returned; `path` of the file; `dpi`, dots per inch.
+    **Arguments:** `animation`, from `animate`; `path` of the file; `dpi`, dots per inch.
 
     **Returns:** the path of the file.
 
@@ -402,11 +402,11 @@ def save_gif(animation: FuncAnimation, path: Any, dpi: Any = 100) -> Path:
 def film_strip(
     chain: Any, times: Any, states: Any, *, stills: Any = 8, masses: Any = None
 ) -> Figure:
-    """Stills of `animate` below each other, from the first time on at equal distances.
+    """Stills of `animate` below each other, at equal intervals from the first time.
 
-    **Arguments:** as for `animate`; `stills`, how many, at most one for every frame.
+    **Arguments:** as for `animate`; `stills`, their number, at most that of the frames.
 
-    **Returns:** a matplotlib figure, one panel for each still.
+    **Returns:** a matplotlib figure with one panel per still.
 
     **Raises:** `ValueError` as `animate`, and for more stills than frames.
 

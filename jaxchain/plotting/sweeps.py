@@ -101,16 +101,16 @@ def figure_3(ladder: xr.Dataset, single: xr.Dataset, hopf: float | None = None) 
 def figure(datasets: Mapping[str, xr.Dataset], hopf: float | None = None) -> Figure:
     """One panel for each dataset: amplitude for one oscillator, energy for a chain.
 
-    What is called `NAME_dry` (the same runs with true dry friction) and `NAME_cycles` (the
-    branch of cycles) shares the panel of NAME, if there is one.  Where experiments of a scene name
-    `pictures`, these are shown instead.
+    `NAME_dry` (the same runs with dry friction) and `NAME_cycles` (the branch of cycles) share the
+    panel of NAME, if there is one.  Experiments of a scene that name `pictures` show these
+    instead.
 
     **Arguments:** `datasets`, by name, as `sweep` or a scene returns them; `hopf`, the belt speed
     at which steady sliding loses its stability (default: `hopf_belt_speed` of each dataset).
 
     **Returns:** a matplotlib figure.
 
-    **Raises:** `ValueError` for what is no dataset, or none.
+    **Raises:** `ValueError` for anything but datasets, or for none.
 
     !!! example
 
@@ -344,28 +344,28 @@ def plot_sweep(
     ax: Any = None,
     scales: Scales | None = None,
 ) -> Any:
-    """Every run of a sweep as a point: a variable over a swept number.
+    """Draws every run of a sweep as a point: a variable over a swept number.
 
-    No dimension is averaged over or drawn on top of another without being asked: each that has
-    more than one value is `x`, a series (`hue`), or panels (`col`, `row`); those for which nothing
-    is said become panels, and if there is no place for them an error names them.
+    It never averages over a dimension.  Each dimension with more than one value is `x`, a series
+    (`hue`), or panels (`col`, `row`).  Other dimensions become panels; if there is no place for
+    them, an error names them.
 
     **Arguments:**
 
     - `data`: a dataset of `sweep`, or part of one (`sel`).
     - `y`: a variable of it; by default `energy`, or `amplitude` of a single oscillator.
-      "active_share" is the share of oscillators that vibrate, `active_count` / n.
-    - `x`: what it is drawn over: a dimension, or what is swept along one; by default
-      `belt_speed`, or else the first dimension.
-    - `hue`: the dimension whose values are told apart by colour and marker; more than seven by a
-      colour bar.  Or a variable such as `active_count`: then all runs that differ in its
-      dimensions alone share the axes.
+      "active_share" is the share of vibrating oscillators, `active_count` / n.
+    - `x`: a dimension, or a coordinate along one; by default `belt_speed`, or else the first
+      dimension.
+    - `hue`: a dimension shown by colour and marker, with a colour bar for more than seven values.
+      Or a variable such as `active_count`: then all runs that differ only in its dimensions share
+      the axes.
     - `col`, `row`: dimensions whose values are panels beside and below each other.
-    - `ax`: matplotlib axes; with panels an array of as many, a row after the other.  None makes
-      new ones: of a column's width (85 mm), panels of a page's.
+    - `ax`: matplotlib axes; for panels an array of them, row by row.  By default new ones are
+      made, of a column's width (85 mm), or of a page's width for panels.
     - `scales`: for axes in SI units.
 
-    Runs that failed are red crosses at the lower edge, those that have not run (yet) grey ones.
+    Failed runs are red crosses at the lower edge, pending ones grey crosses.
 
     **Returns:** the axes; with panels an array of them, of shape (columns,), (rows,) or (rows,
     columns).
