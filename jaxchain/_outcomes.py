@@ -1,23 +1,21 @@
-"""How a run may end, by name, with advice.  Nothing here needs JAX."""
+"""The outcomes of a run, with advice.  This module does not need JAX."""
 
 # In the order of the codes in results.
 ADVICE = {
     "successful": "",
     "quiet": (
-        "Stopped early: every mass rests in steady sliding, which attracts, and nothing that is "
-        "observed can change any more."
+        "Stopped early: every mass slides steadily, which is stable, and no observed value can "
+        "change."
     ),
-    "steady": (
-        "Stopped early: everything that is observed repeats itself within the tolerance asked."
-    ),
+    "steady": ("Stopped early: all observed values repeat within the requested tolerance."),
     "max_steps_reached": (
         "The run used up its steps before it reached its end. Allow more (`max_steps`), loosen "
         "`rtol`, or use a larger regularization width."
     ),
     "step_too_small": (
-        "The step size fell below what the time can resolve: the state ran away or became NaN, or "
+        "The step size fell below what the time can resolve: the state diverged or became NaN, or "
         "the regularization width is too small for these tolerances. Check the parameters, "
-        "a negative damping ratio above all, and loosen `rtol` or enlarge the width."
+        "first for a negative damping ratio, and loosen `rtol` or enlarge the width."
     ),
     "untrusted_linear_solve": (
         "The truncated linear solve of the structured solver is not proven accurate for this step "
@@ -25,25 +23,25 @@ ADVICE = {
         "an adaptive controller."
     ),
     "nonfinite": (
-        "The state is NaN or infinite. Check the initial state and the parameters of this lane; "
-        "a negative damping ratio lets the vibration grow without bound."
+        "The state is NaN or infinite. Check the initial state and the parameters of this run; "
+        "with a negative damping ratio vibration grows without bound."
     ),
     "solver_failed": (
         "The diffrax solver reported a failure. Loosen `rtol` or choose another solver."
     ),
     "events_accumulate": (
-        "Sticking and sliding alternate without time going on. Please report the parameters and "
-        "the state; a change of either in the last digits may help."
+        "Sticking and sliding alternate without progress in time. Please report the parameters "
+        "and the state; a small change of either may help."
     ),
-    "interrupted": "The ensemble was interrupted before this lane ended. Run it again.",
+    "interrupted": "The ensemble was interrupted before this run ended. Run it again.",
     "bad_span": (
         "The end of the run, or of its transient, is NaN, infinite, or lies before its start, or "
-        "an observer's window is longer than the run. Give finite times in their order, as dry "
+        "an observer's window is longer than the run. Give finite, increasing times, because dry "
         "friction cannot be integrated backward in time, and a window that fits."
     ),
     "pending": (
-        "This lane has not run yet: the sweep that its store is for is under way, or was cut off. "
-        "Make the same call again, or `jaxchain resume` it."
+        "This run has not been computed yet: the sweep of this store is under way or was "
+        "interrupted. Repeat the call, or use `jaxchain resume`."
     ),
 }
 WELL = ("successful", "quiet", "steady")

@@ -28,15 +28,15 @@ from .scenes.files import SceneError, builtin_scenes, read_scene, scene_file
 
 _EXAMPLES = """\
 examples:
-  jaxchain run quickstart          a first look, in seconds: results/quickstart
-  jaxchain scenes                  what else can be run
-  jaxchain scenes quickstart       a scene file, to start one's own from
-  jaxchain status results/mine     how far a large run is
-  jaxchain resume results/mine     goes on where one was cut off
-  jaxchain report results/mine     renews its report.html
-  jaxchain COMMAND --help          the options of a command
+  jaxchain run quickstart          draw a first figure, in seconds
+  jaxchain scenes                  list the built-in scenes
+  jaxchain scenes quickstart       print a scene file, to edit
+  jaxchain status results/mine     show the progress of a large run
+  jaxchain resume results/mine     continue an interrupted run
+  jaxchain report results/mine     write its report.html again
+  jaxchain COMMAND --help          list the options of a command
 
-exit status: 0 done, 1 failed, 2 misused, 130 stopped: what had ended is saved
+exit status: 0 success, 1 failure, 2 wrong use, 130 interrupted (finished runs are saved)
 """
 
 # The numbers that `boundary` and `basins` take, those of the paper by default.
@@ -51,9 +51,9 @@ _NO_HOPF = (
     "for the damping, or damping does not exceed 0"
 )
 _NO_FOLD = (
-    "no fold was found: a vibration of one mass does not exist, or sets in gently at the Hopf "
-    "speed, or does not end at any belt speed for want of damping, or the search failed "
-    "(`find_fold(chain).message` says why)"
+    "no fold was found: one mass cannot vibrate, or its vibration sets in supercritically at the "
+    "Hopf speed, or there is no damping to end it, or the search failed "
+    "(`find_fold(chain).message` gives the reason)"
 )
 
 
@@ -66,10 +66,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     **Returns:** the exit status:
 
-    - 0: done;
-    - 1: failed: a figure, results that could not be written, output that is no longer read;
-    - 2: misused: a scene, an option, a folder that cannot be made;
-    - 130: stopped by Ctrl-C, SIGTERM or a closed terminal; what had ended is saved.
+    - 0: success;
+    - 1: failure: of a figure, of writing results, or a closed output;
+    - 2: wrong use: a scene, an option, a folder;
+    - 130: interrupted by Ctrl-C, SIGTERM or a closed terminal; finished runs are saved.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     for number in (signal.SIGTERM, signal.SIGHUP):  # end a command as Ctrl-C does
@@ -114,30 +114,30 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--output", metavar="DIR", type=_folder, help="folder (results/SCENE)")
     help_ = "change a key, e.g. experiment.ladder.chain.n=40 (repeatable)"
     run.add_argument("--set", metavar="KEY=VALUE", action="append", default=[], help=help_)
-    text = "Go on with a run that was cut off. What is there stays, what is missing is computed."
+    text = "Continue an interrupted run. Finished runs are kept, missing ones are computed."
     resume = add(_resume, text, _add_scene_options)
     resume.add_argument("folder", help="folder of results")
-    status = add(_status, "Show how much of a run with stores is done.", _add_json)
+    status = add(_status, "Show the progress of a run with stores.", _add_json)
     status.add_argument("folder", help="folder of results, or a store")
-    report = add(_report, "Write report.html of a folder of results anew.")
+    report = add(_report, "Write report.html of a folder of results again.")
     report.add_argument("folder", help="folder of results")
     scenes = add(_scenes, "List the built-in scenes.")
-    scenes.add_argument("scene", nargs="?", help="print this scene file, to start one's own from")
+    scenes.add_argument("scene", nargs="?", help="print this scene file, to edit")
     scenes.add_argument("--schema", action="store_true", help="print the JSON schema, for editors")
 
     boundary = add(
         _boundary,
-        "Find the belt speeds where vibration starts and up to which it survives.\nThe Hopf speed "
-        "and the fold, at the width asked and for dry friction, with error bars.\nWithout "
+        "Find where vibration sets in and up to which belt speed it survives.\nThe Hopf speed "
+        "and the fold, at the given width and for dry friction, with error bars.\nWithout "
         "options: one mass with the paper's parameters.",
     )
     boundary.add_argument("--n", type=int, default=1, help="number of masses in the ring (1)")
     _add_numbers(boundary, _BOUNDARY)
     basins = add(
         _basins,
-        "Find from how many starts one mass slides, and how hard one must push it.\nThe exact "
-        "share of a box of starts, and the gentlest blows that make it vibrate: at the width\n"
-        "asked and for dry friction. Without options: the paper's parameters.",
+        "Find how many starts end in sliding, and how hard a blow starts vibration.\nThe exact "
+        "share of a box of starts, and the gentlest blows that make one mass vibrate, at the\n"
+        "given width and for dry friction. Without options: the paper's parameters.",
     )
     _add_numbers(basins, _BASINS)
     for name, low in (("displacement", -2.0), ("velocity", 0.0)):
@@ -425,7 +425,7 @@ def _boundary_text(report: dict[str, Any]) -> str:
     single = f"the vibration of oscillator {report['vibrating_oscillator']} alone"
     who = "its vibration" if parameters["n"] == 1 else single
     rows = [
-        ("belt speed", f"width {parameters['width']:g}", "dry friction", "what it says"),
+        ("belt speed", f"width {parameters['width']:g}", "dry friction", "meaning"),
         ("Hopf", *_pair(report, "hopf"), "just below it vibration starts by itself"),
         ("fold", *_pair(report, "fold"), f"up to it {who} survives"),
     ]
@@ -452,7 +452,7 @@ def _basins_report(chain: Any, box: Any, smoothed: Any, dry: Any, edges: Any) ->
     ):
         for name, field in (("share", "share"), ("blow_up", "up"), ("blow_down", "down")):
             value = values[name + ending] = float(getattr(basin, field))
-            why = "every motion comes to slide steadily, however hard the blow"
+            why = "every motion ends in steady sliding, for any blow"
             why = why if math.isinf(value) else basin.message.rstrip(".")
             reasons[name + ending] = f"{why}, {kind}"
         for name in ("hopf", "fold"):
@@ -468,9 +468,9 @@ def _basins_text(report: dict[str, Any]) -> str:
     (a, b), (c, d) = report["box"].values()
     parameters = report["parameters"]
     rows = [
-        ("", f"width {parameters['width']:g}", "dry friction", "what it says"),
-        ("share", *_pair(report, "share"), "of the starts that come to slide steadily"),
-        ("blow up", *_pair(report, "blow_up"), "velocity that makes a sliding mass vibrate"),
+        ("", f"width {parameters['width']:g}", "dry friction", "meaning"),
+        ("share", *_pair(report, "share"), "share of starts that end in steady sliding"),
+        ("blow up", *_pair(report, "blow_up"), "least velocity that makes a sliding mass vibrate"),
         ("blow down", *_pair(report, "blow_down"), "the same, downward"),
         ("Hopf", *_pair(report, "hopf"), "belt speed just below which vibration starts by itself"),
         ("fold", *_pair(report, "fold"), "belt speed up to which it survives"),

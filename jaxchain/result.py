@@ -90,120 +90,117 @@ class SearchResult(eqx.Enumeration, metaclass=_Ways):  # pyright: ignore
 
     successful = ""
     nonfinite = (
-        "The search met NaN, infinity or a singular Jacobian where it began. Check the numbers "
-        "that it was given, or start elsewhere."
+        "The search met NaN, infinity or a singular Jacobian at its start. Check the given "
+        "numbers, or start elsewhere."
     )
     no_step_helps = (
-        "No step came any nearer, however short. There may be no solution nearby: start closer, "
-        "or loosen the tolerance."
+        "No step reduced the residual. There may be no solution nearby: start closer, or loosen "
+        "the tolerance."
     )
     max_steps_reached = (
         "The search used up its steps. Allow more, start closer, or loosen the tolerance."
     )
-    branches_cross = (
-        "The point that was found is no fold: branches cross there, and none turns round."
-    )
+    branches_cross = "The point is not a fold: branches cross there, and none turns around."
     steady_sliding = (
-        "What was found is no vibration: the mass hardly moves. Start from a state farther from "
-        "steady sliding."
+        "The result is steady sliding, not a vibration: the mass hardly moves. Start from a "
+        "state farther from steady sliding."
     )
-    other_kind = "A cycle was found, but of the other kind than the one that was asked for."
+    other_kind = "A cycle was found, but of the other kind (stick-slip or slip) than requested."
     no_meeting = (
         "The first Lyapunov coefficient does not change its sign between `low` and `high`, or "
         "jumps there: the fold does not end on the Hopf curve in between."
     )
     passed = (
-        "No fold was found: on the cycle that touches the belt's speed another mass passes it. "
+        "No fold was found: on the grazing cycle another mass exceeds the belt speed. "
         "Follow the cycle in which several vibrate: with `chain.with_(width=1e-3)`, "
         "`find_limit_cycle` from the end of a run, then `continue_cycle`."
     )
     no_turn = (
         "No fold was found: the cycles grow out of steady sliding as the belt slows down, and "
-        "none turns round, so that vibration sets in gently (supercritically): it ends at "
-        "`hopf_belt_speed`. `hopf_points` tells the criticality."
+        "none turns around. Vibration sets in supercritically and ends at `hopf_belt_speed`. "
+        "`hopf_points` gives the criticality."
     )
     no_fold = (
         "There is no fold: damping outweighs the weakening of friction at every speed, 2 xi_n > "
         "p_n F'(w), so all motions approach steady sliding at every belt speed."
     )
     undamped = (
-        "No fold was found: the damping ratio of the mass is not positive, so that nothing ends "
-        "its vibration at a high belt speed. Give it damping."
+        "No fold was found: the damping ratio of the mass is not positive, so its vibration "
+        "survives at every belt speed. Give it damping."
     )
     supercritical = (
-        "No fold was found: to first harmonic the belt is fastest for the least vibration of all, "
-        "so that vibration seems to set in gently (supercritically), at the Hopf speed. That is "
-        "no proof: see `hopf_points` for the criticality, and run `simulate` from a vibration "
-        "above `hopf_belt_speed`."
+        "No fold was found: to first harmonic the belt is fastest for the smallest vibration, so "
+        "vibration probably sets in supercritically at the Hopf speed. This is not a proof: see "
+        "`hopf_points` for the criticality, and run `simulate` from a vibration above "
+        "`hopf_belt_speed`."
     )
     no_touch = (
-        "No fold was found, though averaging has one: the search for the dry cycle that touches "
-        "the belt's speed failed. With strong coupling one mass may not vibrate alone at any belt "
-        "speed: try a run. Weaken the coupling, or follow the cycle in which several vibrate: "
+        "No fold was found, although averaging predicts one: the search for the grazing cycle "
+        "failed. With strong coupling one mass may not vibrate alone at any belt speed: try a "
+        "run. Weaken the coupling, or follow the cycle in which several vibrate: "
         "with `chain.with_(width=1e-3)`, `find_limit_cycle` from the end of a run, then "
         "`continue_cycle`."
     )
     no_cycle = (
-        "No fold was found, though averaging has one: the search for a closed cycle failed. Where "
-        "friction weakens over speeds far below the belt's, the cycle is very unstable: "
-        "`find_grazing(chain).smoothed(width)` tells about where the fold is. Otherwise another "
+        "No fold was found, although averaging predicts one: the search for a cycle failed. If "
+        "friction weakens over speeds far below that of the belt, the cycle is very unstable: "
+        "`find_grazing(chain).smoothed(width)` estimates the fold. Otherwise another "
         "width may help, or `continue_cycle` from a cycle of `find_limit_cycle`."
     )
     at_hopf = (
-        "The belt speed is that of a Hopf point to within 1e-8 of itself: an unstable cycle, if "
-        "there is one, is smaller than 1e-4 of the belt speed. Ask a little farther from it."
+        "The belt speed equals that of a Hopf point to within 1e-8: an unstable cycle, if it "
+        "exists, is smaller than 1e-4 of the belt speed. Use a belt speed a little farther away."
     )
     belt_too_slow = (
-        "The belt rests, or moves so slowly that friction grows with its speed: steady sliding "
-        "and sticking are the same there. Take a faster belt, or a smaller width."
+        "The belt does not move, or moves so slowly that friction grows with its speed: steady "
+        "sliding and sticking are the same there. Use a faster belt, or a smaller width."
     )
     same_state = (
-        "There is no edge between the two starts: the same masses go on vibrating from both. Push "
-        "one of the starts more, or less."
+        "There is no edge between the two starts: the same masses continue to vibrate from both. "
+        "Disturb one of the starts more, or less."
     )
     undecided = (
-        "A run was not decided in the time allowed: the masses in question have neither become "
-        "quiet nor stuck to the belt. Allow more (`patience`), or give other starts; near the "
-        "Hopf speed decisions take long."
+        "A run was not decided in the allowed time: the masses in question neither became quiet "
+        "nor stuck to the belt. Allow more (`patience`), or use other starts; near the Hopf "
+        "speed decisions take long."
     )
     too_close = (
-        "The motion that was followed is not told from the quiet state, as happens next to the "
-        "Hopf speed. Choose another belt speed."
+        "The motion cannot be distinguished from the quiet state, as happens next to the Hopf "
+        "speed. Choose another belt speed."
     )
     edge_lost = (
-        "The edge was lost: its bracket came to lie on one side. Tighten `rtol`, or start the "
-        "bracket wider (`near`)."
+        "The edge was lost: both ends of the bracket are on one side. Tighten `rtol`, or use a "
+        "wider bracket (`near`)."
     )
     other_state = (
-        "The edge that was followed does not lie between the states of the two starts: other "
-        "masses vibrate on its sides, see `vibrates`."
+        "The edge is not between the states of the two starts: other masses vibrate on its "
+        "sides, see `vibrates`."
     )
     not_settled = (
-        "The edge was followed for the time asked, but the amplitudes of its windows do not "
+        "The edge was followed for the requested time, but the amplitudes of its windows do not "
         "agree. Follow it for longer (`time`); motion with two or more frequencies never repeats."
     )
     sliding_unstable = (
-        "Steady sliding is unstable, so that any blow starts the vibration, however gentle. Raise "
-        "the belt speed above `hopf_belt_speed`, or the damping."
+        "Steady sliding is unstable, so any blow starts vibration. Raise the belt speed above "
+        "`hopf_belt_speed`, or the damping."
     )
     no_vibration = (
-        "No kick that was tried leads to vibration: after all of them the motion dies. The belt "
-        "may be faster than any vibration can bear, see `fold_belt_speed`."
+        "No tried kick leads to vibration: the motion dies out after all of them. The belt may be "
+        "too fast for any vibration, see `fold_belt_speed`."
     )
     not_certified = (
-        "Runs with 1 % less and 1 % more than the blow that was found, or random tries, "
-        "contradict it. Allow more `starts` and `steps`; very close to the Hopf speed no run is "
-        "long enough."
+        "Runs with 1 % less and 1 % more than the blow, or random tries, contradict it. Allow "
+        "more `starts` and `steps`; very close to the Hopf speed no run is long enough."
     )
     ran_away = (
-        "The search ran away from any cycle: with this damping none has so great a velocity, or "
-        "with these springs none so short a period. Start from a run that vibrates, "
+        "The search left all cycles: with this damping no cycle has such a velocity, or with "
+        "these springs no cycle has such a period. Start from a vibrating run, "
         "`guess=simulate(...)`."
     )
 
 
 class Printed:
-    """Results print as a line for each field: numbers with their errors, arrays as their range.
+    """Results print one line per field: numbers with their errors, arrays as their range.
 
     The error of a field is the field `<name>_error`, or `error` if that comes next.  What is NaN
     or empty is left out.

@@ -470,7 +470,7 @@ def test_basins_says_what_is_missing(found, basins_found, workplace, capsys):
     assert "belt speed 1.5, starts with -2 <= x <= 2 and 0 <= v <= 2" in said
     share = next(line for line in said.splitlines() if line.startswith("share"))
     assert share.split()[1:3] == ["1.000000000", "0.250000000"]
-    assert "blow_up: every motion comes to slide steadily" in said
+    assert "blow_up: every motion ends in steady sliding" in said
     assert main(["basins", "--belt-speed", "0"]) == 0
     assert "share: The belt rests" in capsys.readouterr().out
 

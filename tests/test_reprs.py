@@ -37,7 +37,7 @@ def test_a_search_that_failed_prints_its_reason():
     failed = eqx.tree_at(lambda f: f.result, FOUND, SearchResult.no_cycle)
     assert repr(failed).splitlines()[:2] == [
         "Found: no_cycle",
-        "  No fold was found, though averaging has one: the search for a closed ...",
+        "  No fold was found, although averaging predicts one: the search for a ...",
     ]
 
 

@@ -148,8 +148,8 @@ class VibratingMasses(AbstractClassifier):
     Amplitudes A_n (half peak-to-peak) are measured in windows.  Mass n vibrates if A_n > |v_d|/2
     (see `active`) in one of the last `agree` + 1 windows, so that neighbours with slow beats both
     count.  No mass vibrates if none exceeds this value in the last window. The state is decided if
-    it is the same in the last `agree` windows and the one before, and each mass below at the end
-    has recovered from an equally long lull before.  A run ends early only if all masses do the
+    it is the same in the last `agree` windows and the one before, and if no mass has been below
+    the threshold for longer than in earlier beats.  A run ends early only if all masses do the
     same and this cannot change: in `calm` successive windows
 
         - all masses vibrate, each amplitude changes by at most the fraction `tolerance`, and

@@ -24,11 +24,11 @@ from .fold import first_guess, loose_rtol, value_and_jacobian
 
 @final
 class HopfDescent(Outcome):
-    """The Hopf speed by gradient descent, and the way there.
+    """The Hopf speed by gradient descent, with its iterates.
 
     - `belt_speed`, and `growth_rate` there, which is zero at the boundary.
-    - `steps`: updates made.  `result`: successful if |growth rate| <= the tolerance.
-    - `speeds`, `growth_rates`: of every iterate, from the start on; NaN after entry `steps`.
+    - `steps`: the number of updates.  `result`: successful if |growth rate| <= the tolerance.
+    - `speeds`, `growth_rates`: of every iterate from the start; NaN after entry `steps`.
 
     See `hopf_by_descent` for an example.
     """
@@ -50,15 +50,14 @@ def hopf_by_descent(
 ) -> HopfDescent:
     """A Hopf speed by gradient descent on g(v_d)^2, g the growth rate of steady sliding.
 
-    When to take which: `hopf_belt_speed`, a bracket and Newton's method, needs fewer than ten
-    steps and finds the uppermost boundary from nowhere.  The descent, of some 300 steps of Adam,
-    ends at the boundary that its start leads to; it is the one to extend where the growth rate is
-    part of a greater optimisation.  It has no derivatives of its own: take those of
-    `hopf_belt_speed`.
+    Prefer `hopf_belt_speed`: bracketing and Newton's method need fewer than ten steps and find the
+    uppermost boundary without a start.  The descent takes some 300 steps of Adam and ends at the
+    boundary near its start; use it as a part of a larger optimisation.  It has no derivatives; use
+    those of `hopf_belt_speed`.
 
-    **Arguments:** `chain`; `start`, a belt speed > 0 (default: the chain's own,
-    whichever way it runs); `optimiser`, any
-    optax transformation (default `optax.adam(0.1)`); `steps` at most, until |g| <= `tolerance`.
+    **Arguments:** `chain`; `start`, a belt speed > 0 (default: |v_d| of the chain); `optimiser`,
+    any optax transformation (default `optax.adam(0.1)`); `steps`, the greatest number until |g| <=
+    `tolerance`.
 
     **Returns:** a `HopfDescent`.
 
@@ -112,13 +111,13 @@ def _adam(steps: int) -> optax.GradientTransformation:
 
 @final
 class FoldDescent(Outcome):
-    """The fold by gradient, and the way there.
+    """The fold by gradient ascent, with its iterates.
 
-    - `belt_speed`, the greatest that was reached, and `slope` = d(v_d)/ds there in units of the
-      width, zero at the fold.
+    - `belt_speed`, the greatest one reached, and `slope` = d(v_d)/ds there in units of the width,
+      zero at the fold.
     - `result`: successful if |slope| <= the tolerance.
     - `scaled_peak_velocities`, `belt_speeds`: s = max w / eps and v_d of every step; NaN before
-      the first cycle is closed.
+      the first cycle is found.
 
     See `fold_by_descent` for an example.
     """
@@ -139,22 +138,20 @@ def fold_by_descent(
     steps: Any = 60,
     tolerance: Any = 1e-3,
 ) -> FoldDescent:
-    """The fold of `fold_belt_speed` by gradient ascent: the fastest belt that bears a vibration.
+    """The fold of `fold_belt_speed` by gradient ascent: the maximum belt speed of a vibration.
 
-    The cycles whose mass `mass` comes within s = max w / eps of the belt's speed form a curve
-    v_d = V(s), and the fold is its summit.  Each step integrates a period with its tangents once:
-    that gives Newton's correction, which closes the cycle, and by the implicit function theorem
-    the slope dV/ds, along which the optimiser climbs.
+    The cycles with s = max w / eps of mass `mass` form a curve v_d = V(s), and the fold is its
+    maximum.  Each step integrates one period with its tangents.  This gives Newton's correction,
+    which closes the cycle, and by the implicit function theorem the slope dV/ds for the optimiser.
 
-    When to take which: `fold_belt_speed`, a secant for dV/ds = 0, needs some 15 such integrations
-    for nine digits, and this one as many as it has steps, for eight.  The ascent wants
-    nothing but values and slopes; it is the one to extend when the boundary is part of a greater
-    optimisation, or is to be sought under constraints.
+    Prefer `fold_belt_speed`: a secant method for dV/ds = 0 needs some 15 such integrations for
+    nine digits; the ascent needs one per step, for eight digits.  It uses only values and slopes;
+    use it as a part of a larger optimisation, or with constraints.
 
-    **Arguments:** `chain` and `mass` as in `fold_belt_speed`; `start`, the first s (default:
-    0.7 below that which averaging expects); `optimiser`, any optax transformation, in asinh s and
-    for V / width (default: Adam with a rate that falls from 0.1 to 0.0003); `steps` in all;
-    `tolerance` of the slope.
+    **Arguments:** `chain` and `mass` as in `fold_belt_speed`; `start`, the first s (default: 0.7
+    below the prediction of averaging); `optimiser`, any optax transformation, in asinh s and for V
+    / width (default: Adam with a rate that falls from 0.1 to 0.0003); `steps` in all; `tolerance`
+    of the slope.
 
     **Returns:** a `FoldDescent`.
 

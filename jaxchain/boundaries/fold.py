@@ -635,27 +635,26 @@ def fold_belt_speeds(
 ) -> Dataset:
     """`fold_belt_speed` for every combination of the values in `over`, on every device.
 
-    The greatest belt speed v_d at which the vibration of mass `mass` survives, of smoothed or
-    of dry friction, as `chain` is: for each set the same search, so the same numbers, as for one.
+    Each combination uses the same search as `fold_belt_speed` and gives the same numbers.
 
     **Arguments:**
 
     - `chain`, `mass`: as for `fold_belt_speed`.
-    - `over`: as for `sweep`: from a number of the chain or of its friction law to its values, or
-      from a dimension to a mapping or data frame of several that run along it together:
+    - `over`: as for `sweep`: a mapping from numbers of the chain or of its friction law to values,
+      or from a dimension to a mapping or data frame of several numbers that vary together:
       `{"sample": {"damping_ratio": xi, "v_ref": speeds}}`.
     - `progress`: show a progress bar.
 
     **Returns:** an `xarray.Dataset` over the dimensions of `over`: `fold_belt_speed` and `period`
-    of the cycle there, dimensionless, NaN where there is no fold or none was found, and `result`,
-    an index into its `flag_meanings`, see `SearchResult`: how each search ended.  A set that fails
-    harms no other.  Not to be differentiated: for that use `jax.vmap` of `fold_belt_speed`, in
-    which all sets wait for the hardest one.
+    of the cycle there, dimensionless, NaN if there is no fold or none was found, and `result`, the
+    outcome of each search as an index into its `flag_meanings`, see `SearchResult`.  The searches
+    are independent.  It cannot be differentiated: for derivatives use `jax.vmap` of
+    `fold_belt_speed`, which takes the time of the hardest set for all.
 
     Compiled once for any number of sets and any numbers.
 
-    **Raises:** `ValueError` for what is not a chain, a mass it does not have, and values in `over`
-    that cannot be, before anything is compiled; `SweepInterrupted` on Ctrl-C, with what was found.
+    **Raises:** `ValueError` for anything but a `Chain`, a mass it does not have, and bad values in
+    `over`, before anything is compiled; `SweepInterrupted` on Ctrl-C, with the finished searches.
 
     !!! example
 

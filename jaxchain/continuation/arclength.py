@@ -281,41 +281,41 @@ def continue_branch(
     max_turn: Any = 0.25,
     max_bend: Any = 3e-3,
 ) -> Branch:
-    """Follows the solutions of F(u, p) = 0 from (start, parameter), round folds, on the host.
+    """Follows the solutions of F(u, p) = 0 from (start, parameter), around folds, on the host.
 
-    Each point z = [u; p] solves F(z) = 0 on the plane across the tangent, at a distance `step`.
-    A step is halved or more if Newton's method fails on it, if the tangent turns by more than
-    `max_turn`, if the tangents' mean and the chord differ by more than `max_bend` (a feature that
-    both ends do not show), or if det [F_z; tangent^T] changes its sign without going through zero
-    (a jump to another branch); it grows where all these are small.  Special points are solved
-    for tightly whatever `tolerance` the points have, and say how far p may be off (`error`):
+    Each point z = [u; p] solves F(z) = 0 on the plane across the tangent, at a distance `step`. A
+    step is shortened if Newton's method fails, if the tangent turns by more than `max_turn`, if
+    the chord differs from the mean of the tangents by more than `max_bend` (a feature between the
+    points), or if det [F_z; tangent^T] changes its sign without passing through zero (a jump to
+    another branch).  It grows if all these are small.  Special points are computed to a tight
+    tolerance and have an `error` of p:
 
-    - "fold": p turns, by more than it errs; also where two of them lie between two points;
+    - "fold": p turns, by more than its error; also two folds between two points;
     - "branch point": det [F_z; tangent^T] changes its sign, once for a simple crossing (an even
       number of branches that cross at one point, as for modes in pairs, does not show);
     - the name of each test whose value changes its sign.
 
     **Arguments** (dimensionless):
 
-    - `residual`: F(u, p, args) of shape (m,), or (F, extra) with arrays of the caller's choice,
-      pure, differentiated forward only.  Give the same function object to compile it once.
+    - `residual`: F(u, p, args) of shape (m,), or (F, extra) with further arrays; pure,
+      differentiated forward only.  Pass the same function object to compile it once.
     - `start` (m,) and `parameter`, near a solution; `args`, any pytree of arrays.
-    - `direction`: 1 or -1, with which sign p begins to change; or a vector (m + 1,) to go along,
-      such as `Switched.direction`.
+    - `direction`: 1 or -1, the sign of the first change of p; or a vector (m + 1,), such as
+      `Switched.direction`.
     - `step`, `min_step`, `max_step`: arclength; `weights` (m + 1,) of its norm
       |z|^2 = sum (weights_i z_i)^2, by default (mean of u_i^2) + p^2.
-    - `bounds`: of p; the last point lies on them.  `max_points`; `stop(u, p, tangent, extra)`
-      ends the branch where it is true (a text is kept as the reason).
+    - `bounds`: of p; the last point is on them.  `max_points`; `stop(u, p, tangent, extra)` ends
+      the branch where it is true (a text becomes the reason).
     - `tests`: name -> function of (u, p, tangent, extra), a number that changes its sign.
     - `progress(number of points, point)` is called after each point.
-    - `value_and_jacobian(u, p, args)` -> (F, [F_u F_p]) or (F, [F_u F_p], extra), if there is a
-      cheaper way than one jvp for each unknown.
-    - `tolerance`: the greatest error of a point, compared with 1 + |z|; where such an error would
-      hide a turn, a point is solved to 1e-10.
+    - `value_and_jacobian(u, p, args)` -> (F, [F_u F_p]) or (F, [F_u F_p], extra), if it is cheaper
+      than one jvp per unknown.
+    - `tolerance`: the greatest error of a point, relative to 1 + |z|; if such an error could hide
+      a turn, the point is solved to 1e-10.
 
-    **Returns:** a `Branch`, however it ended (`ended`, `message`), also after Ctrl-C.
+    **Returns:** a `Branch` (`ended` and `message` give the reason of its end), also after Ctrl-C.
 
-    **Raises:** `ValueError` for arguments that cannot be; `RuntimeError` without 64-bit floats.
+    **Raises:** `ValueError` for bad input; `RuntimeError` without 64-bit floats.
 
     >>> import jax, jax.numpy as jnp
     >>> jax.config.update("jax_enable_x64", True)
@@ -411,9 +411,8 @@ def switch_branch(
 ) -> Switched:
     """A point on the other branch through a simple branch point, to start `continue_branch` from.
 
-    The other branch is looked for on the plane at a distance `step` from the branch point, across
-    the null vector of F_z that is square to the known branch, which does not meet that plane
-    nearby.
+    It searches on the plane at a distance `step` from the branch point, normal to the null vector
+    of F_z that is orthogonal to the given branch.
 
     **Arguments:** `residual`, `args`, `weights`, `value_and_jacobian`, `tolerance` as for the
     branch; `point`, a "branch point" of it; `side`, 1 or -1, the half of the other branch.
@@ -421,7 +420,7 @@ def switch_branch(
     **Returns:** a `Switched`; with a reason, and no start, if only the old branch or a distant one
     is found.
 
-    **Raises:** `ValueError` if `point` is no branch point.
+    **Raises:** `ValueError` if `point` is not a branch point.
 
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)

@@ -20,12 +20,12 @@ def bisect(
 ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
     """(low, high) around where `before(x)` turns from true to false, 2^-`halvings` as far apart.
 
-    Entries of arrays are searched for each by itself.  The number of evaluations is known when
-    the program is compiled, so that no lane under `jax.vmap` waits for another, and derivatives go
-    through in reverse, too.  Where nothing changes, both are the end that `before` points to.
+    Each entry of an array is searched separately.  The number of evaluations is fixed, so runs
+    under `jax.vmap` take the same time, and reverse-mode derivatives work.  If `before` does not
+    change, both values are the end that it points to.
 
     **Arguments:** `before`, from x to booleans of its shape; `low`, `high`, the ends, of any
-    shape; `halvings`, a whole number.
+    shape; `halvings`, an integer.
 
     **Returns:** the new (low, high), of the same shape.
 

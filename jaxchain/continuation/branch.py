@@ -71,16 +71,15 @@ class Point:
 @final
 @dataclass(frozen=True, repr=False)
 class SpecialPoint(Printed):
-    """A fold, a branch point, or a zero of one of the caller's tests, on a branch.
+    """A fold, a branch point, or a zero of one of the given tests, on a branch.
 
     `kind` is "fold", "branch point" or the name of the test; it lies between the points `index`
     and `index` + 1 at `arclength`.  `u` (m,) and `p` are the solution there, `residual` = max |F|,
-    `tangent` (m + 1,) and `extra` as in `Branch`.  `left_over` is what the test function is there,
-    as a share of its values at these two points, and `refined` whether that is zero to the
-    search's precision (a test that jumps, for example, has no zero).  `error` bounds the error of
-    `p` as a solution of the equations that were given, whatever the branch's tolerance: the
-    greatest of what the last steps of the search still changed.  `other` is the direction in which
-    another branch leaves a branch point, square to `tangent`.
+    `tangent` (m + 1,) and `extra` as in `Branch`.  `left_over` is the test function there,
+    relative to its values at these two points, and `refined` whether it is zero (a test that jumps
+    has no zero).  `error` bounds the error of `p`: the greatest change in the last steps of the
+    search.  `other` is the direction in which another branch leaves a branch point, orthogonal to
+    `tangent`.
 
     See `continue_branch` for an example.
     """
@@ -112,16 +111,16 @@ class Counts:
 @final
 @dataclass(frozen=True, repr=False)
 class Branch(Printed):
-    """A branch of solutions of F(u, p) = 0, k points in order, as plain data on the host.
+    """A branch of k solutions of F(u, p) = 0 in order, as data on the host.
 
     - `u` (k, m), `p` (k,); `arclength` (k,) from the first point in the weighted norm; `tangents`
       (k, m + 1) = d[u; p]/ds.
-    - `residuals` (k,): max |F| before the last Newton step, which leaves much less.
-    - `extra`: what the residual gave besides, stacked along a first axis.
+    - `residuals` (k,): max |F| before the last Newton step.
+    - `extra`: the further arrays of the residual, stacked along a first axis.
     - `special`: tuple of `SpecialPoint`, in order of arclength.
     - `ended`: "left_bounds", "closed", "max_points", "stopped", "no_start", "step_too_small" or
-      "interrupted"; `message` says what to do about it, and `reason` what `stop` returned.
-    - `counts`: what it cost.
+      "interrupted"; `message` gives a remedy, and `reason` the value of `stop`.
+    - `counts`: the cost.
 
     See `continue_branch` for an example.
     """
@@ -139,7 +138,7 @@ class Branch(Printed):
 
     @property
     def message(self) -> str:
-        """Why the branch ended, with a remedy."""
+        """The reason why the branch ended, with a remedy."""
         by_itself = self.ended == "stopped" and self.reason
         return f"The branch ends here: {self.reason}." if by_itself else ENDINGS[self.ended]
 
@@ -151,8 +150,8 @@ class Branch(Printed):
         """The branch as an `xarray.Dataset` over `point`, with its special points over `special`.
 
         **Returns:** the coordinate `p` (point); `u` (point, unknown), `arclength` and `residual`
-        (point); of the special points what `special_variables` tells and `special_u`
-        (special, unknown); the attributes `parameter`, `ended` and `message`.
+        (point); for special points the variables of `special_variables` and `special_u` (special,
+        unknown); the attributes `parameter`, `ended` and `message`.
 
         !!! example
 

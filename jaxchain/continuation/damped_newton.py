@@ -252,25 +252,25 @@ def newton(
     max_steps: Any = 30,
     weights: Any = None,
 ) -> Root:
-    """Solves F(u) = 0 by Newton's method, damped where a full step would not help.
+    """Solves F(u) = 0 by damped Newton steps.
 
-    A step s = -l F_u^{-1} F is taken if |F_u(u)^{-1} F(u + s)| < (1 - l/4) |F_u^{-1} F(u)|, and
-    l is halved if not: the test does not change when rows of F are scaled (Deuflhard, Newton
-    Methods for Nonlinear Problems, Springer 2004, section 3.3).  The search ends when a full step
-    is at most `tolerance` (1 + |u|), takes that step, and then errs by about its square.
+    A step s = -l F_u^{-1} F is accepted if |F_u(u)^{-1} F(u + s)| < (1 - l/4) |F_u^{-1} F(u)|;
+    otherwise l is halved.  This test does not depend on the scale of the rows of F (Deuflhard,
+    Newton Methods for Nonlinear Problems, Springer 2004, section 3.3).  The search ends with a
+    full step of at most `tolerance` (1 + |u|); the remaining error is about its square.
 
     **Arguments:** `residual` = F(u, args), of shape (m,); `start`, shape (m,); `weights` w, shape
-    (m,), make |s|^2 = sum (w_i s_i)^2 and are 1/sqrt(m) without; `max_steps` bounds the Jacobians.
+    (m,), define |s|^2 = sum (w_i s_i)^2, by default 1/sqrt(m); `max_steps` bounds the Jacobians.
 
-    **Returns:** a `Root`.  A search that fails, meets NaN or a singular Jacobian says so in
-    its `result` and raises nothing, so that lanes under `jax.vmap` do not harm each other.
+    **Returns:** a `Root`.  `result` reports a failure, NaN or a singular Jacobian; no error is
+    raised, so searches under `jax.vmap` are independent.
 
-    **Raises:** `ValueError` for a start, tolerance, count or weights that cannot be;
-    `RuntimeError` without 64-bit floats.
+    **Raises:** `ValueError` for a bad start, tolerance, count or weights; `RuntimeError` without
+    64-bit floats.
 
-    F is differentiated forward only.  optimistix does not serve here: its `Dogleg` transposes the
-    Jacobian even with `jac="fwd"`, which fails for an F with a `while_loop`, its `Newton` is not
-    damped, and its `LevenbergMarquardt` stalls when rows differ in scale by 1e6.
+    F is differentiated forward only.  optimistix is not suitable: its `Dogleg` transposes the
+    Jacobian even with `jac="fwd"`, which fails for an F with a `while_loop`; its `Newton` is not
+    damped; its `LevenbergMarquardt` stalls if rows differ in scale by 1e6.
 
     >>> import jax, jax.numpy as jnp
     >>> jax.config.update("jax_enable_x64", True)

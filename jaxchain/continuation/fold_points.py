@@ -28,10 +28,10 @@ _LEAST_SLOPE = 1e-6
 class FoldPoint(Outcome):
     """A fold: F(u, p) = 0 with F_u(u, p) `null` = 0 and |null| = 1.
 
-    `u` and `null` are of shape (m,), `p` a number; `residual` is the greatest |R| that is left, of
-    `fold_residual`, after `steps` Jacobians; `result` says how the search ended.  `slope` is psi^T
-    F_p with psi the left null vector, in units of the rows of [F_u F_p] where the search began:
-    not zero at a fold.  With `borders`, `fold_residual` is zero at (u, p).
+    `u` and `null` are of shape (m,), `p` a number; `residual` is the greatest remaining |R| of
+    `fold_residual`, after `steps` Jacobians; `result` is the outcome.  `slope` is psi^T F_p with
+    psi the left null vector, in units of the rows of [F_u F_p] at the start: not zero at a fold.
+    With `borders`, `fold_residual` is zero at (u, p).
 
     See `fold_point` for an example.
     """
@@ -90,14 +90,14 @@ class fold_residual(eqx.Module):  # noqa: N801 - it is used as a function that m
     """R(z, (args, borders)) = [F(u, p, args); g(u, p, args)] with z = [u; p], zero at a fold.
 
     g comes from [F_u b; c^T 0] [phi; g] = [0; 1] with the borders (b, c) = `borders`, any vectors
-    that make the matrix regular.  They do not move the fold: R is constant in them as far as
-    derivatives go.
+    that make the matrix regular.  They do not move the fold, and derivatives treat them as
+    constants.
 
     **Arguments:** `residual` = F(u, p, args), of shape (m,).
 
     **Returns:** R, a pure function: `attach_derivative(R, z, (args, borders))` gives the fold
-    derivatives in everything that `args` holds.  Its own derivatives cost one nested jvp each.
-    Two made from one residual are equal, so that nothing is compiled twice.
+    derivatives in `args`.  Each derivative of R costs one nested jvp. Two functions R of one
+    residual are equal, so nothing is compiled twice.
 
     >>> import jax.numpy as jnp
     >>> from jaxchain.continuation import fold_residual
@@ -135,11 +135,11 @@ def fold_point(
     shape (m,) and p near the fold, for example from `continue_branch`; `tolerance` and
     `max_steps` as in `newton`.
 
-    **Returns:** a `FoldPoint`, not `successful` where there is no fold, or where branches
-    cross instead (psi^T F_p = 0).  Traceable: a thousand folds are one `jax.vmap`.  Its
-    derivatives come from `attach_derivative` with `fold_residual`.
+    **Returns:** a `FoldPoint`, not `successful` if there is no fold, or if branches cross (psi^T
+    F_p = 0).  It works under `jax.vmap`.  Use `attach_derivative` with `fold_residual` for
+    derivatives.
 
-    **Raises:** `ValueError` for numbers that cannot be; `RuntimeError` without 64-bit floats.
+    **Raises:** `ValueError` for bad input; `RuntimeError` without 64-bit floats.
 
     >>> import jax, jax.numpy as jnp
     >>> jax.config.update("jax_enable_x64", True)

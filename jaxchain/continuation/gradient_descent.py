@@ -73,20 +73,21 @@ def descend(
 ) -> Descent:
     """Minimises `loss` from `start` until it is at most `tolerance`, or for `steps` updates.
 
-    The loop is one `lax.while_loop`: nothing returns to the host between steps, and under `vmap`
-    each lane stops by itself.  It also stops at the first loss or iterate that is not finite.
-    The loss is differentiated *forward*, in one direction for each number in `start`, so it may
-    contain time integrations and other loops without a fixed length; optimisers with a line
-    search, such as `optax.lbfgs`, evaluate it as often as they like.
+    The loop is one `lax.while_loop`, without the host; under `vmap` each search stops separately.
+    It also stops at the first loss or iterate that is not finite. The loss is differentiated
+    *forward*, in one direction for each number in `start`, so it may contain time integrations and
+    other loops without a fixed length; optimisers with a line search, such as `optax.lbfgs`,
+    evaluate it several times per step.
 
-    **Arguments:** `loss`, from a pytree as `start` to a scalar; what it closes over may be traced
-    by `jit` and `vmap`, but not be differentiated: a derivative of a minimiser is the business of
+    **Arguments:** `loss`, from a pytree like `start` to a scalar; its closure may be traced by
+    `jit` and `vmap`, but not differentiated: for derivatives of a minimiser use
     `attach_derivative`.  `start`, a pytree of floats.  `optimiser`, any optax transformation.
 
-    **Returns:** a `Descent`: `solution`, a pytree as `start`, `loss` there, `steps` and `result`.
+    **Returns:** a `Descent`: `solution`, a pytree like `start`, `loss` there, `steps` and
+    `result`.
 
     **Raises:** `ValueError` if `steps` is not a positive integer, `tolerance` is negative, or
-    `start` holds no number.
+    `start` has no numbers.
 
     >>> import jax, optax
     >>> jax.config.update("jax_enable_x64", True)

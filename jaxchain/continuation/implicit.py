@@ -28,16 +28,16 @@ def attach_derivative(
     *,
     once: str | None = None,
 ) -> Float[Array, " m"]:
-    """`solution` itself, with the derivatives in `parameters` of the u that solves R = 0.
+    """`solution`, with its derivatives in `parameters` as the solution of R = 0.
 
-    **Arguments:** `residual` = R(u, theta), without anything traced in its closure; `solution`,
-    a u with R(u, theta) = 0 found by any means; `parameters` = theta, any pytree; `once`: where R
-    knows the first derivatives only, why, for the error that a second one raises.
+    **Arguments:** `residual` = R(u, theta), without anything traced in its closure; `solution`, a
+    u with R(u, theta) = 0 found by any means; `parameters` = theta, any pytree; `once`: if R has
+    only first derivatives, the text of the error for a second one.
 
-    **Returns:** u of shape (m,), to be differentiated in `parameters`, forward, in reverse, under
-    `vmap` and repeatedly.  R itself is differentiated forward only, in one direction for each
-    number in the leaves that are differentiated: the flow of a chain is a loop without a fixed
-    length, which nothing can go back through.  NaN in R_u (no solution) gives NaN.
+    **Returns:** u of shape (m,), differentiable in `parameters`, forward, in reverse, under `vmap`
+    and repeatedly.  R is differentiated forward only, in one direction per number of the
+    differentiated leaves, because reverse mode cannot pass the loop of a flow, whose length is not
+    fixed.  NaN in R_u (no solution) gives NaN.
 
     >>> import jax, jax.numpy as jnp
     >>> from jaxchain.continuation import attach_derivative

@@ -176,7 +176,7 @@ def _check(experiment: Experiment, chain: Chain, observe: list[AbstractObserver]
 
 
 def load_law(given: str, scene: str) -> type[AbstractFrictionLaw]:
-    """The law of "FILE.py:CLASS".  Runs the file.
+    """Loads the friction law "FILE.py:CLASS".  This runs the file.
 
     **Arguments:** `given`, as above; `scene`, the name that an error bears.
 
@@ -210,7 +210,7 @@ def load_law(given: str, scene: str) -> type[AbstractFrictionLaw]:
 
 
 def load_observer(given: str, scene: str) -> type[AbstractObserver]:
-    """The observer of "FILE.py:CLASS".  Runs the file.
+    """Loads the observer "FILE.py:CLASS".  This runs the file.
 
     **Arguments:** `given`, as above; `scene`, the name that an error bears.
 

@@ -21,7 +21,7 @@ MOST_SHOWN, MOST_BYTES = 50, 10 * 10**6
 
 
 class SceneError(Exception):
-    """A scene that cannot be run: what is wrong, one line per problem.
+    """A scene that cannot be run, with one line per problem.
 
     - `name`: of the scene; `problems`: a list of texts, each with the key, its value and a remedy.
 
@@ -67,9 +67,9 @@ def shortened(text: str, most: int) -> str:
 
 
 def builtin_scenes() -> dict[str, Traversable]:
-    """The scene files that come with jaxchain, by name.
+    """The built-in scene files by name.
 
-    **Returns:** a dict from the name that `load_scene` takes to the file, which can be read.
+    **Returns:** a dict from the name for `load_scene` to the readable file.
 
     !!! example
 

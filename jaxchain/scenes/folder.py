@@ -49,10 +49,10 @@ class FigureError(Exception):
 
 
 class StorageError(Exception):
-    """Results that cannot be written; `datasets` holds all of the run, in memory.
+    """Results that cannot be written; `datasets` holds all results in memory.
 
-    - `name`: of the dataset; `folder`: where it should go; `reason`: of the system.  Save
-      `datasets` in another folder, by other `Results`.
+    - `name`: of the dataset; `folder`: its destination; `reason`: the system's error.  Save
+      `datasets` in another folder with new `Results`.
 
     See `run_scene` for an example.
     """
@@ -71,10 +71,10 @@ class StorageError(Exception):
 
 @final
 class Results:
-    """What one run has found: in memory, and in a folder that it fills.
+    """The results of one run, in memory and in a folder.
 
-    **Arguments:** `folder` exists and nothing else writes there, see `claimed`; `name`, of the
-    files in it; `about`, the attributes of the store: what is true of all its datasets.
+    **Arguments:** `folder`, an existing one without another writer, see `claimed`; `name`, of the
+    files in it; `about`, the attributes of the store, common to all its datasets.
 
     !!! example
 
@@ -98,7 +98,7 @@ class Results:
 
     @classmethod
     def reopen(cls, folder: Path, name: str) -> Results:
-        """Those of a run that was cut off, with all datasets that it has finished."""
+        """The results of an interrupted run, with all finished datasets."""
         results = cls(folder, name)
         for part in folder.glob(".part-*"):
             shutil.rmtree(part, ignore_errors=True)
@@ -116,7 +116,7 @@ class Results:
         return self.folder / f"{self.name}.zarr"
 
     def keep(self, files: Mapping[str, bytes]) -> None:
-        """Writes files that say what the results come from, before there are any.
+        """Writes the files that document the origin of the results, before the run.
 
         **Raises:** `StorageError` as `save`.
         """
@@ -125,7 +125,7 @@ class Results:
                 (self.folder / name).write_bytes(content)
 
     def save(self, name: str, data: xr.Dataset) -> None:
-        """Writes a dataset as a group of the store, whole or not at all.
+        """Writes a dataset as a group of the store, completely or not at all.
 
         **Raises:** `ValueError` if there is one of this name; `StorageError` if it cannot be
         written.
@@ -208,12 +208,12 @@ def now() -> str:
 
 @contextlib.contextmanager
 def claimed(path: Path) -> Iterator[Path]:
-    """A folder for results that no other run uses or has used: `path`, or `path`-2, `path`-3, ...
+    """An unused folder for results: `path`, or `path`-2, `path`-3, ...
 
-    It is ours to the end of the block, and marked as unfinished; if nothing is in it then, it
-    goes.  An empty folder counts as unused.
+    Until the end of the block it is reserved and marked as unfinished; if it is empty then, it is
+    removed.  An existing empty folder counts as unused.
 
-    **Returns:** a context manager, of the folder.
+    **Returns:** a context manager that gives the folder.
 
     **Raises:** `OSError` if no folder can be made or filled there.
 

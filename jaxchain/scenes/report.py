@@ -182,11 +182,11 @@ def missing(folder: Path, loaded: LoadedScene, datasets: Mapping[str, xr.Dataset
 
 
 def renew_page(folder: Path) -> Path:
-    """Writes the page of a folder of results, `report.html`, anew, from what lies there.
+    """Writes `report.html` of a folder of results again, from its files.
 
     **Returns:** the path of the page.
 
-    **Raises:** `ValueError` if it is no folder of results; `OSError` if the page cannot be
+    **Raises:** `ValueError` if it is not a folder of results; `OSError` if the page cannot be
     written.
 
     !!! example

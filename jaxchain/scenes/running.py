@@ -65,29 +65,26 @@ def run_scene(
 ) -> dict[str, xr.Dataset]:
     """Runs every experiment of a scene and fills `folder` with results.
 
-    `<scene>.zarr` holds each experiment as a group, to be opened by `xarray.open_datatree`; of an
-    experiment with both models the runs with true dry friction are the group
-    `<experiment>_dry`.  Of one oscillator from several starts over belt speed, the branch of
-    cycles with its fold is the group `<experiment>_cycles`.  `<scene>.png` and `<scene>.pdf` show
-    all of them.  `<scene>.toml` is what was run.  An experiment of many runs has a store of its
-    own beside them (`numerics.store`), from which a run that was cut off goes on; what does not
-    fit into memory stays there alone.  `report.html` shows all of this, also of a run that failed
-    or was interrupted.
+    `<scene>.zarr` has each experiment as a group; open it with `xarray.open_datatree`.  For an
+    experiment with both models the dry runs are the group `<experiment>_dry`.  For one oscillator
+    from several starts over belt speed, the group `<experiment>_cycles` is the branch of cycles
+    with its fold.  `<scene>.png` and `<scene>.pdf` show all of them, and `<scene>.toml` is a copy
+    of the scene.  An experiment of many runs has a separate store (`numerics.store`), from which
+    an interrupted run continues; results that do not fit into memory are only there.
+    `report.html` summarises the folder, also after a failure or an interruption.
 
-    **Arguments:** `folder` exists and is empty (see `claimed`); `custom_law`, the friction law of
-    every experiment in place of that of the scene, whose numbers it takes; `custom_observers`, by
-    the names of their classes, for every experiment; `plot`, whether to draw; `netcdf`, whether to
-    write all datasets into `<scene>.nc`, too, which needs h5netcdf; `report` is given a summary of
-    each experiment; `command`, the command line, and `custom_files`, copied into the folder: where
-    the results come from; `client`, a `distributed.Client` whose workers run every experiment,
-    into stores.
+    **Arguments:** `folder`, an existing empty one (see `claimed`); `custom_law`, a friction law
+    for every experiment, with the numbers of the scene's law; `custom_observers`, by the names of
+    their classes, for every experiment; `plot`, whether to draw; `netcdf`, whether to write also
+    `<scene>.nc`, which needs h5netcdf; `report`, a function that receives a summary of each
+    experiment; `command`, the command line, and `custom_files`, copied into the folder, for the
+    record; `client`, a `distributed.Client` whose workers run every experiment, into stores.
 
     **Returns:** the datasets by experiment.
 
-    **Raises:** `KeyboardInterrupt` on Ctrl-C, once the runs that had ended are written;
-    `StorageError` if something cannot be written; `FigureError` if everything is written but the
-    figure; `StoreError` if a store cannot be written, which `resume_scene` goes on with;
-    `SceneError` for numbers that do not go together.
+    **Raises:** `KeyboardInterrupt` on Ctrl-C, after writing the finished runs; `StorageError` if
+    something cannot be written; `FigureError` if only the figure fails; `StoreError` if a store
+    cannot be written (continue with `resume_scene`); `SceneError` for inconsistent numbers.
 
     !!! example
 
@@ -135,13 +132,13 @@ def resume_scene(
     command: str = "",
     client: Any = None,
 ) -> dict[str, xr.Dataset]:
-    """Goes on with a run that was cut off, in its own folder: computes what is missing there.
+    """Continues an interrupted run in its folder.
 
-    **Arguments:** `loaded`, what was run there, as `load_scene(folder)` reads it; the rest, and
-    what is returned, as for `run_scene`.
+    **Arguments:** `loaded`, from `load_scene(folder)`; the others, and the result, are as for
+    `run_scene`.
 
-    **Raises:** as `run_scene`; `SceneError` where a store belongs to another version of jaxchain
-    or of the scene; `StorageError` if nothing can be written there, or another process runs.
+    **Raises:** as `run_scene`; `SceneError` if a store belongs to another version of jaxchain or
+    of the scene; `StorageError` if the folder is not writable, or if another process uses it.
 
     !!! example
 
@@ -305,9 +302,9 @@ def run_experiment(
     store: Path | None = None,
     client: Any = None,
 ) -> xr.Dataset:
-    """Runs one experiment with smoothed or with true dry friction.
+    """Runs one experiment with smoothed or dry friction.
 
-    Failed runs are marked in `result` and warn of nothing.
+    Failed runs are marked in `result`, without a warning.
 
     **Arguments:** `experiment`, one of a scene; `name`, of the progress bar; `model`, "smoothed"
     or "dry"; `custom_law`, `custom_observers`, `progress` as for `run_scene`;
@@ -315,7 +312,7 @@ def run_experiment(
 
     **Returns:** the dataset of `sweep`.
 
-    **Raises:** `SweepInterrupted` on Ctrl-C, with the runs that had ended.
+    **Raises:** `SweepInterrupted` on Ctrl-C, with the finished runs.
 
     !!! example
 

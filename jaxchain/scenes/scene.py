@@ -61,7 +61,7 @@ _OBSERVED = {
 
 @final
 class Experiment(Table):
-    """One sweep of a scene: what is computed in one go and stored as one dataset.
+    """One sweep of a scene, which gives one dataset.
 
     Its fields are the tables of `[experiment.NAME]` in the file: `chain`, `initial`, `sweep`,
     `time`, `observe` and `numerics`; `schema()` describes every key.
@@ -103,11 +103,11 @@ class Experiment(Table):
         return (*(table.model_extra or ()), *fields)
 
     def given(self, name: str) -> Any:
-        """A number of the chain or its friction as it stands in their tables."""
+        """A number of the chain or its friction, from their tables."""
         return getattr(self.chain if name in CHAIN else self.chain.friction, name)
 
     def sweepable(self) -> tuple[str, ...]:
-        """Every name that may stand in `sweep`."""
+        """Every name that is allowed in `sweep`."""
         start: tuple[str, ...] = ("excited",)
         if isinstance(self.initial, ExcitedTable):
             start = () if self.initial.oscillators is not None else start
@@ -129,12 +129,12 @@ class Experiment(Table):
         return math.prod(map(len, self.grid().values()))
 
     def stored(self) -> bool:
-        """Whether its runs are kept in a store."""
+        """Whether its runs use a store."""
         asked = self.numerics.store
         return self.lanes() > MOST_UNSTORED if asked is None else asked
 
     def fits_memory(self) -> bool:
-        """Whether all that is kept of its runs can be looked at in one go."""
+        """Whether its results fit into memory."""
         return next(self._beyond_memory(), None) is None
 
     @model_validator(mode="after")
@@ -343,7 +343,8 @@ class Scene(Table):
         return self
 
     def groups(self) -> Iterator[Group]:
-        """What is run, in this order; of two models the smoothed one has the experiment's name."""
+        """The groups to run, in this order; with both models the smoothed one has the name of the
+        experiment."""
         for name, experiment in self.experiment.items():
             model = experiment.numerics.model
             yield Group(name, name, experiment, "smoothed" if model == "both" else model)
@@ -367,12 +368,12 @@ def load_scene(scene: str, overrides: Sequence[str] = ()) -> LoadedScene:
     """Reads and checks a scene.
 
     **Arguments:** `scene`, the name of a built-in scene, the path of a TOML file, or that of a
-    folder with results, for what was run there; `overrides`, assignments such as
+    folder with results, for its scene; `overrides`, assignments such as
     "experiment.ladder.chain.n=40", applied before the check.
 
     **Returns:** a `LoadedScene`.
 
-    **Raises:** `SceneError` with every problem found.
+    **Raises:** `SceneError` with every problem.
 
     >>> from jaxchain.scenes import load_scene
     >>> list(load_scene("quickstart").scene.experiment)
@@ -395,8 +396,7 @@ def load_scene(scene: str, overrides: Sequence[str] = ()) -> LoadedScene:
 def schema() -> dict[str, Any]:
     """The JSON schema of scene files, for editors.
 
-    A key that may be left out is optional there, not null: TOML has no null.  Examples for Python
-    are left out.
+    Optional keys are optional, not null, because TOML has no null.  Python examples are omitted.
 
     **Returns:** a dict that `json.dumps` writes.
 

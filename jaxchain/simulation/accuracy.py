@@ -159,10 +159,10 @@ _RTOL_PER_WIDTH = 1e-2
 
 @final
 class Numerics(eqx.Module):
-    """What `choose_numerics` chose: a regularization width, a tolerance and a solver.
+    """The choice of `choose_numerics`: a regularization width, a tolerance and a solver.
 
     - `width`: eps, a speed in units of x0 omega_n; `rtol`: the relative tolerance of the steps.
-    - `solver`: a `Rodas4` or `Rodas5P`, with the number of Jacobi sweeps that the coupling allows.
+    - `solver`: a `Rodas4` or `Rodas5P`, with a number of Jacobi sweeps that suits the coupling.
 
     See `choose_numerics` for an example.
     """
@@ -173,39 +173,39 @@ class Numerics(eqx.Module):
 
 
 def choose_numerics(chain: Chain, accuracy: Any) -> Numerics:
-    """The cheapest smoothed computation that errs by no more than `accuracy` as long as it says.
+    """The cheapest smoothed computation with an error of at most `accuracy`.
 
-    The error is that against true dry friction, relative to the greatest amplitude of the run.
+    The error is relative to dry friction and to the greatest amplitude of the run.
 
     **Promised:**
 
     - for 30 time units from the start, some five periods: every displacement and velocity, and so
       every amplitude;
-    - at any later time: amplitudes that have settled, which means that those of four windows in
-      succession, of 20 time units or more each, agree within `accuracy` (`settled` tells).
+    - at any later time: settled amplitudes, those that agree within `accuracy` in four successive
+      windows of at least 20 time units each (see `settled`).
 
     Of 1000 random chains of two to six masses with couplings up to 0.05, run for 400 time units at
-    accuracies of 0.1, 1e-2 and 1e-3, no more than four at each broke the first promise, by a
-    factor of up to 6.4.  The second one was broken, by 21, 1 and 0 of them, where the smoothed
-    chain had settled upon another state than the true one.
+    accuracies of 0.1, 1e-2 and 1e-3, at most four at each accuracy broke the first promise, by a
+    factor of up to 6.4.  The second one was broken by 21, 1 and 0 of them, whose smoothed chain
+    had settled on another state than the dry one.
 
     **Not promised:** later states, because errors of the period add up; and later amplitudes that
-    still change: while a mass is being drawn into vibration or is coming to rest, when they beat,
-    or of irregular motion.  There the chain itself multiplies every disturbance, and smoothing
-    moves the time at which a mass starts or stops.  8 % of the same runs had such a window (15 %
-    above the Hopf speed, 2 % below), with errors of up to 110 times `accuracy`, and 2 % (4 % at
-    0.1) ended in one.  A tenth of the accuracy takes 40 % more steps and leaves 1 %.  A second
-    run with four times the accuracy shows them without windows: where the two differ by more than
-    `accuracy`, the error may be greater (of 1000 last windows that missed 0 at 1e-3 and 2 at
-    1e-2).  `EventDriven()` has no width at all.
+    still change, while a mass starts or stops vibrating, while amplitudes beat, or for irregular
+    motion.  There the chain amplifies every disturbance, and smoothing shifts the time at which a
+    mass starts or stops vibrating.  8 % of the same runs had such a window (15 % above the Hopf
+    speed, 2 % below), with errors of up to 110 times `accuracy`, and 2 % (4 % at 0.1) ended in
+    one.  A tenth of `accuracy` takes 40 % more steps and leaves 1 %.  A second run with four times
+    the accuracy reveals them: where the two differ by more than `accuracy`, the error may be
+    greater (of 1000 last windows this missed 0 at 1e-3 and 2 at 1e-2).  `EventDriven()` has no
+    width.
 
-    A smoothed force falls short of the true one by
+    The smoothed force is smaller than the dry one by
 
         dF = (eps s / 2) [ln(4 mu_st / (eps s)) + 1],    s = |mu'(0)|,
 
-    at its peak, and all of its transitions take times of order eps.  So the error is a multiple,
-    which was measured, of (dF + eps) / A, with A^2 = v_d^2 + (mu_st - mu(2 v_d))^2 / 4 as an
-    estimate of the amplitude.
+    at its maximum, and its transitions take times of order eps.  So the error is a measured
+    multiple of (dF + eps) / A, with A^2 = v_d^2 + (mu_st - mu(2 v_d))^2 / 4 as an estimate of the
+    amplitude.
 
     **Arguments:** `accuracy`, between 1e-8 and 0.3.
 

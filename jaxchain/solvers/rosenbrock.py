@@ -43,14 +43,14 @@ class RosenbrockTableau:
     Dense output (theta in [0, 1]): y = (1-theta) y_0 + theta (y_1 + (1-theta) (k_1 + theta (k_2 +
     theta k_3))), k_i = sum_j H_ij U_j.
 
-    From these follow the weights of the eliminated displacements:
-    the displacement part of U_j is h (alpha_j v + sum_m beta_jm b_m).
+    The displacements are eliminated: the displacement part of U_j is h (alpha_j v + sum_m beta_jm
+    b_m).
 
     **Arguments:** of a method of s stages,
 
     - `gamma`: the number on the diagonal.
-    - `a`: rows 2 ... s of a_jm, of 1 ... s - 1 numbers.  Rows that are left out, the last ones,
-      are the row before with U_{j-1} added.
+    - `a`: rows 2 ... s of a_jm, of 1 ... s - 1 numbers.  Omitted last rows repeat the previous
+      row, with U_{j-1} added.
     - `c_transformed`: rows 2 ... s of C_jm.
     - `c`, `d`: c_j and d_j, s numbers each.
     - `dense`: rows of H_ij, one to three of s numbers.
@@ -303,18 +303,18 @@ def _vector_field(terms: dfx.AbstractTerm) -> AbstractOscillators:
 
 
 class AbstractStructuredRosenbrock(dfx.AbstractAdaptiveSolver):
-    """A Rosenbrock method whose linear algebra is that of a chain.
+    """A Rosenbrock method with the linear algebra of a chain.
 
     **Arguments:**
 
-    - `sweeps`: None solves the (cyclic) tridiagonal system of each stage exactly, in O(N).
-      An integer solves it by that many Jacobi sweeps, several times faster for weak coupling.
-      What they leave out is bounded in every step, by rho^(sweeps+1) / (1-rho) of a stage with
-      rho <= 2 eta_c (h gamma)^2 to leading order, and the bound is part of the error estimate; a
-      step in which it exceeds 1e-3 is rejected, and is a failure with a constant step.
-      `simulate` makes the choice from the chain's numbers.
+    - `sweeps`: None solves the (cyclic) tridiagonal system of each stage exactly, in O(N). An
+      integer solves it by that many Jacobi sweeps, several times faster for weak coupling. Its
+      error is at most rho^(sweeps+1) / (1-rho) of a stage, with rho <= 2 eta_c (h gamma)^2 to
+      leading order.  This bound is part of the error estimate of each step.  A step with a bound
+      above 1e-3 is rejected, or fails with a constant step. `simulate` chooses `sweeps` from the
+      numbers of the chain.
 
-    Serves `diffeqsolve` with any controller, `SaveAt`, `vmap` and forward- or reverse-mode
+    It works with `diffeqsolve`, any controller, `SaveAt`, `vmap`, and forward- or reverse-mode
     differentiation; y0 is the pair (displacement, velocity).  Steps may run backward in time.
 
     !!! example
@@ -468,7 +468,7 @@ class Rodas4(AbstractStructuredRosenbrock):
     """Rodas4: order 4(3), 6 stages, stiffly accurate and L-stable; dense output of order 3.
 
     E. Hairer and G. Wanner, Solving Ordinary Differential Equations II, 2nd ed., Springer 1996,
-    section VI.4.  The workhorse at tolerances of 1e-4 to 1e-7.
+    section VI.4.  Use it at tolerances of 1e-4 to 1e-7.
 
     **Arguments:** `sweeps`, see `AbstractStructuredRosenbrock`.
 
@@ -500,9 +500,9 @@ class Rodas4(AbstractStructuredRosenbrock):
 class Rodas5P(AbstractStructuredRosenbrock):
     """Rodas5P: order 5(4), 8 stages, stiffly accurate and L-stable; dense output of order 4.
 
-    G. Steinebach, Construction of Rosenbrock-Wanner method Rodas5P and numerical benchmarks
-    within the Julia Differential Equations package, BIT Numerical Mathematics 63, 27 (2023).
-    The better choice below tolerances of 1e-7.
+    G. Steinebach, Construction of Rosenbrock-Wanner method Rodas5P and numerical benchmarks within
+    the Julia Differential Equations package, BIT Numerical Mathematics 63, 27 (2023). Use it at
+    tolerances below 1e-7.
 
     **Arguments:** `sweeps`, see `AbstractStructuredRosenbrock`.
 

@@ -54,34 +54,34 @@ class WrappingController(dfx.AbstractAdaptiveStepSizeController):
 
 @final
 class SwitchingController(WrappingController):
-    """Shortens the steps of another controller where a mass is about to meet the belt's speed.
+    """Shortens the steps of another controller before a mass reaches the belt speed.
 
-    A controller that looks back at errors runs into the layer |w| < 5 eps of a smoothed friction
-    force at full speed, fails, and gropes for its edge: two thirds of all rejected steps.  But
-    the way there is known.  With w = v - v_d at the end of an accepted step and a = dw/dt over
-    it, the next step is at most
+    A controller that uses only past errors enters the layer |w| < 5 eps of smoothed friction with
+    full steps, which are rejected: two thirds of all rejected steps.  This controller anticipates
+    the layer.  With w = v - v_d at the end of an accepted step and a = dw/dt over it, the next
+    step is at most
 
         (|w| - landing eps) / |a|   if |w| > near eps:  it ends at the edge of the layer,
-        crossing eps / |a|          otherwise:  it takes a part of the layer,
+        crossing eps / |a|          otherwise:  it crosses a part of the layer,
 
-    for every mass that moves towards w = 0.  All else is left to the other controller: the
-    acceptance of every step, its tolerances, and the step after a rejected one.  So the accuracy
-    is that of the tolerances, with fewer steps: in a ring of twenty by 21 to 46 % at rtol 1e-5 and
-    by 7 to 32 % at 1e-7 (widths 1e-3 to 1e-5; at 1e-2 by 10 and 3 %).  In a ring of thousands no
-    single mass matters to the norm of the error at a loose tolerance; there the steps become more,
-    by half at rtol 1e-5 and width 1e-2, and the error smaller than asked for.
+    for every mass that moves towards w = 0.  The other controller decides everything else:
+    acceptance, tolerances, and the step after a rejected one.  So the accuracy is that of the
+    tolerances, with fewer steps: in a ring of twenty by 21 to 46 % at rtol 1e-5 and by 7 to 32 %
+    at 1e-7 (widths 1e-3 to 1e-5; at 1e-2 by 10 and 3 %).  In a ring of thousands a single mass
+    hardly affects the norm of the error at a loose tolerance; there the number of steps grows, by
+    half at rtol 1e-5 and width 1e-2, and the error is smaller than requested.
 
     **Arguments:**
 
-    - `controller`: the adaptive controller to be led, such as `diffrax.PIDController`.
-    - `field`: the `Chain` that is integrated, or another `AbstractOscillators`; its `switching`
-      says where forces switch.  Where that is None, nothing is changed.
+    - `controller`: another adaptive controller, such as `diffrax.PIDController`.
+    - `field`: the `Chain` or other `AbstractOscillators`; its `switching` gives the velocities at
+      which forces switch.  If it is None, nothing changes.
     - `near`, `landing`, `crossing`: see above, `near` >= `landing` >= 0 and `crossing` > 0.
 
-    Serves `diffeqsolve` with any solver and every adjoint but `BacksolveAdjoint` (whose state is
-    another), under `jit` and `vmap`, forward and backward in time; y0 is the pair (displacement,
-    velocity).  Step sizes are held fixed in derivatives, as those of `diffrax.PIDController` are.
-    `simulate` and `sweep` use it by themselves.
+    It works with `diffeqsolve`, any solver and every adjoint except `BacksolveAdjoint`, under
+    `jit` and `vmap`, forward and backward in time; y0 is the pair (displacement, velocity).
+    Derivatives treat step sizes as constants, as those of `diffrax.PIDController`. `simulate` and
+    `sweep` use it by default.
 
     **Raises:** `ValueError` for anything else.
 

@@ -154,8 +154,8 @@ def cluster(
     **Arguments:**
 
     - `workers`: processes of one core each, or of one GPU each; None is 1.
-    - `scheduler`: the address of one that runs, in place of workers of one's own.
-    - `progress`: say on the standard error where the dashboard is.
+    - `scheduler`: the address of a running scheduler, instead of local workers.
+    - `progress`: print the address of the dashboard to standard error.
 
     **Returns:** a context manager of a `distributed.Client`, for `sweep(store=..., client=...)`.
 

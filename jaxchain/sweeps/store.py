@@ -52,8 +52,8 @@ _RECENT = 600.0
 class StoreError(RuntimeError):
     """A store that cannot be written or read.
 
-    The disk is full, say, or the folder was removed.  Units that are recorded are kept: mend what
-    the message names, and make the same call of `sweep` again, which goes on from there.
+    For example the disk is full, or the folder was removed.  Finished units are kept: solve the
+    problem in the message, and repeat the call of `sweep` to continue.
 
     See `sweep` for an example.
     """

@@ -41,10 +41,10 @@ if TYPE_CHECKING:
 
 
 class SweepInterrupted(KeyboardInterrupt):
-    """Ctrl-C during a sweep; `dataset` holds every lane that had ended.
+    """Ctrl-C during a sweep; `dataset` holds every finished run.
 
-    Those that had not are NaN, and "pending" in `result`.  With a `store` the same call goes on
-    from there.
+    Other runs are NaN, and "pending" in `result`.  With a `store` the same call continues the
+    sweep.
 
     See `sweep` for an example.
     """
