@@ -287,7 +287,7 @@ def test_a_search_that_fails_says_so_and_claims_nothing():
     fold = find_fold(paper_chain(2).with_(coupling=0.3))
     assert not bool(fold.successful)
     assert fold.result == SearchResult.no_touch
-    assert fold.message.startswith("No fold was found, though averaging has one")
+    assert fold.message.startswith("No fold was found, although averaging predicts one")
 
 
 @pytest.mark.long
