@@ -19,11 +19,10 @@ from ._final import final
 from ._outcomes import ADVICE, WELL
 
 
-class _Ways(type(eqx.Enumeration)):
-    """Enumerations of ways to end, whose items say their name and advice; many, how many of each.
+class _Outcomes(type(eqx.Enumeration)):
+    """Enumerations of outcomes that print their name and advice, or the counts of a batch.
 
-    `equinox` says the advice alone, which is empty for what is successful, and that of each lane
-    of a batch.
+    equinox prints only the advice, which is empty for success, and that of each item of a batch.
     """
 
     def __getitem__(cls, item: Any) -> str:
@@ -32,7 +31,7 @@ class _Ways(type(eqx.Enumeration)):
 
 
 @final
-class Result(eqx.Enumeration, metaclass=_Ways):  # pyright: ignore
+class Result(eqx.Enumeration, metaclass=_Outcomes):  # pyright: ignore
     """The outcome of one run.
 
     "successful" reached its end; "quiet" and "steady" stopped early because the answer could not
@@ -68,7 +67,7 @@ class Result(eqx.Enumeration, metaclass=_Ways):  # pyright: ignore
 
 
 @final
-class SearchResult(eqx.Enumeration, metaclass=_Ways):  # pyright: ignore
+class SearchResult(eqx.Enumeration, metaclass=_Outcomes):  # pyright: ignore
     """The outcome of a search for a root, a cycle, a boundary or a fit.
 
     Every result of a search has it as `result`, with the property `successful`, and a `message`

@@ -130,7 +130,7 @@ def track(chain: Chain, quiet: State, vibrating: State, how: Tracking) -> EdgeSe
             _track(now, amplitude, how),
             _check(_judge(chain, now, amplitude, sticks), how),
         ]
-        new = jax.tree.map(lambda *own: lax.select_n(now.stage, *own), *stages)
+        new = jax.tree.map(lambda *values: lax.select_n(now.stage, *values), *stages)
         return _failed(new, ~jnp.all(well), SearchResult.nonfinite)
 
     return lax.while_loop(lambda now: now.stage != DONE, window, first)
@@ -461,7 +461,7 @@ def edge_state(
         if is_traced(value):
             raise ValueError(
                 f"Argument `{name}` decides what is compiled, but is traced: use a number of "
-                "Python, the same for every lane."
+                "Python, the same for every run."
             )
     if not is_traced(near, far) and float(far) < 10.0 * float(near):
         raise ValueError(

@@ -242,7 +242,7 @@ class Runs:
     def _sweep(self, over: Mapping[str, Any], classify: Any, t1: Any, name: str) -> Dataset:
         with warnings.catch_warnings():
             # They are a state of their own.
-            warnings.filterwarnings("ignore", message=".* lanes ended with")
+            warnings.filterwarnings("ignore", message=".* runs ended with")
             return sweep(
                 self.chain,
                 self.initial,
@@ -422,11 +422,11 @@ def _of_states(state: np.ndarray, since: np.ndarray, states: int) -> tuple[np.nd
     first, median = np.full((len(state), states), -1), np.full((len(state), states), np.nan)
     # Replicates come one after another within a batch, as the points do.
     rows = zip(state.reshape(len(state), -1), since.reshape(len(since), -1), strict=True)
-    for place, (own, times) in enumerate(rows):
-        order = np.argsort(own, kind="stable")
-        found, begins = np.unique(own[order], return_index=True)
-        first[place, found] = order[begins]
-        for k, part in zip(found, np.split(times[order], begins[1:]), strict=True):
+    for place, (state_row, times) in enumerate(rows):
+        order = np.argsort(state_row, kind="stable")
+        kinds, begins = np.unique(state_row[order], return_index=True)
+        first[place, kinds] = order[begins]
+        for k, part in zip(kinds, np.split(times[order], begins[1:]), strict=True):
             median[place, k] = np.median(part) if k < states - 2 else np.nan
     return first, median
 

@@ -234,8 +234,8 @@ class _SlopeSecant(NamedTuple):
     curvature: Float[Array, ""]  # dV' / dY; NaN while unknown
     low: Float[Array, ""]  # the greatest s with V' > 0
     high: Float[Array, ""]  # the least with V' < 0
-    aim: Float[Array, ""]  # the s that was to come after it; NaN for none
-    reach: Float[Array, ""]  # the farthest that an aim may be
+    target: Float[Array, ""]  # the next s; NaN for none
+    trust_radius: Float[Array, ""]  # the greatest distance of a target
 
 
 class FoldSearch(NamedTuple):
@@ -425,11 +425,13 @@ def _towards_fold(
     middle = 0.5 * (low + high)
     target = jnp.where((target > low) & (target < high) & (curvature < 0), target, middle)
     target = jnp.where(jnp.isfinite(target), target, probe)
-    # Newton's method slides back along the branch from an aim too far for its start: aim nearer.
-    wanted, gone = jnp.abs(before.aim - before.s), jnp.abs(s - before.s)
-    reach = jnp.where(gone < 0.5 * wanted, _SET.shrinkage * wanted, 2.0 * before.reach)
-    target = jnp.clip(target, s - reach, s + reach)
-    return target, _SlopeSecant(s, slope, curvature, low, high, target, reach)
+    # Newton's method slides back along the branch from a target too far away: shorten the step.
+    wanted, gone = jnp.abs(before.target - before.s), jnp.abs(s - before.s)
+    trust_radius = jnp.where(
+        gone < 0.5 * wanted, _SET.shrinkage * wanted, 2.0 * before.trust_radius
+    )
+    target = jnp.clip(target, s - trust_radius, s + trust_radius)
+    return target, _SlopeSecant(s, slope, curvature, low, high, target, trust_radius)
 
 
 @final

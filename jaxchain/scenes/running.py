@@ -332,7 +332,7 @@ def run_experiment(
         solver = build_solver(numerics.solver, chain, numerics.rtol, numerics.max_step)
     with warnings.catch_warnings():
         # The summary says it better.
-        warnings.filterwarnings("ignore", message=r"\d+ of \d+ lanes ended with")
+        warnings.filterwarnings("ignore", message=r"\d+ of \d+ runs ended with")
         return sweep(
             chain,
             build_initial(experiment),

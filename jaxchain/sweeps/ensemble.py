@@ -8,7 +8,7 @@
 Variables of the dataset (… stands for the swept dimensions):
 
     amplitude (…, oscillator), peak_time (…, peak, oscillator), ...   what the observers `label`
-    result (…)                                    how the lane ended, see its flag_meanings
+    result (…)                                    outcome of the run, see its flag_meanings
     end_time, steps, rejected (…)
 
 With `segments` there is the dimension "segment" in front of those of an observer.
@@ -86,8 +86,8 @@ RESULTS = ("oscillator", "segment", "segment_end", "result", "end_time", "steps"
 LONG_NAMES = {
     "excited": "masses excited at the start",
     "oscillator": "oscillator n",
-    "result": "how the lane ended",
-    "end_time": "time at which the lane ended",
+    "result": "outcome of the run",
+    "end_time": "time at which the run ended",
     "steps": "accepted steps",
     "rejected": "rejected steps",
     "segment": "segment of the run",
@@ -357,8 +357,8 @@ def check_observers(
     for observer in observers:
         if isinstance(observer, Trajectory):
             raise ValueError(
-                "Argument `observe` holds a `Trajectory`, which lanes that come and go cannot "
-                "store. Use `jax.vmap(simulate)` for trajectories of a few lanes."
+                "Argument `observe` is a `Trajectory`, which a sweep cannot store. Use "
+                "`jax.vmap(simulate)` for trajectories of a few runs."
             )
         if not isinstance(observer, AbstractObserver):
             raise ValueError(

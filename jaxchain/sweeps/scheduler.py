@@ -340,7 +340,7 @@ def lane_bar(total: int, show: bool, description: str) -> tqdm:
     return progress_bar(
         total=total,
         desc=description,
-        unit="lane",
+        unit="run",
         show=show,
         bar_format="{desc}: {percentage:3.0f}%|{bar}| {n}/{total} lanes [{elapsed}<{remaining}]",
     )

@@ -50,7 +50,7 @@ class SweepInterrupted(KeyboardInterrupt):
     """
 
     def __init__(self, dataset: Dataset, store: Path | None = None):
-        kept = "`.dataset` holds the lanes that had ended."
+        kept = "`.dataset` holds the finished runs."
         if store is not None:
             kept = f"what had ended is kept in {store}: the same call goes on from there."
         super().__init__(f"The sweep was interrupted; {kept}")
@@ -318,7 +318,7 @@ def _warn_of_failures(results: Mapping[str, int]) -> None:
     for name, count in results.items():
         if not ended_well(name):
             warnings.warn(
-                f"{count} of {sum(results.values())} lanes ended with `{name}`: {message(name)}",
+                f"{count} of {sum(results.values())} runs ended with `{name}`: {message(name)}",
                 stacklevel=3,
             )
 

@@ -215,7 +215,7 @@ def test_a_lane_that_fails_has_its_reason_and_spoils_no_other(path):
 
     results = []
     for store in (None, path, path):
-        with pytest.warns(UserWarning, match="5 of 15 lanes ended with `nonfinite`"):
+        with pytest.warns(UserWarning, match="5 of 15 runs ended with `nonfinite`"):
             results.append(small(store, initial=start))
     assert_same(results[1], results[0])
     assert [NAMES[code] for code in results[1].result[0].values][1] == "nonfinite"
