@@ -499,7 +499,7 @@ class Grazing(Outcome):
     - `slope_plus`, `slope_minus`: V_+ and V_-, the slopes of the belt speed in the relative
       velocities after and before the grazing.  For one mass -V_+ / V_- is the multiplier of the
       slip cycle, about 2 at a grazing and 1 at a saddle-node.
-    - `deceleration`: kappa = -v_j'', how fast the mass loses its acceleration there;
+    - `deceleration`: kappa = -v_j'', the rate at which the acceleration of the mass falls there;
       `static_force`: the greatest friction force on it, p mu_st.
     - `residual`: the greatest gap after a period over the belt speed; `evaluations`: the number of
       Jacobians.

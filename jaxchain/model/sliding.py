@@ -52,7 +52,7 @@ def sliding_damping(chain: Chain, belt_speed: Float[Array, ""]) -> PerMass:
     With F' = dF/dw of the smoothed law, d = 2 xi + p [mu'(v_d) tanh(v_d / eps) + mu(v_d)
     sech^2(v_d / eps) / eps], or 2 xi + p mu'(v_d) with dry friction: weakening makes it negative.
 
-    **Arguments:** `belt_speed`, one dimensionless number, in place of the chain's own.
+    **Arguments:** `belt_speed`, one dimensionless number, instead of that of the chain.
 
     **Returns:** a number, or of shape (n,) where numbers of the chain are given per mass.
 
@@ -162,7 +162,7 @@ def sliding_eigenvalues(chain: Chain, belt_speed: Float[Array, ""]) -> Array:
     A disturbance grows as exp(lambda t); steady sliding is stable if every real part is negative.
     By `jnp.linalg.eigvals`, which JAX has for CPU and GPU, not for TPU.
 
-    **Arguments:** `belt_speed`, one dimensionless number, in place of the chain's own.
+    **Arguments:** `belt_speed`, one dimensionless number, instead of that of the chain.
 
     **Returns:** shape (2n,).
 
@@ -192,7 +192,7 @@ def growth_rate(chain: Chain, belt_speed: Float[Array, ""]) -> Float[Array, ""]:
     Hopf point), which is smooth in v_d where the greatest real part of 2n equal ones is not.
     Otherwise it is the greatest real part of all eigenvalues.
 
-    **Arguments:** `belt_speed`, one dimensionless number, in place of the chain's own.
+    **Arguments:** `belt_speed`, one dimensionless number, instead of that of the chain.
 
     **Returns:** a number, in units of omega_n.
 

@@ -181,7 +181,7 @@ def slides_steadily(amplitude: Float[Array, "*batch n"]) -> Bool[Array, "*batch"
 def mean_period(peak_times: Float[Array, " peaks"]) -> Float[Array, ""]:
     """T = (last peak - first peak) / (peaks - 1) of one mass, NaN with fewer than two peaks.
 
-    **Arguments:** peak times of one mass in any order, NaN where none.
+    **Arguments:** peak times of one mass in any order; NaN is ignored.
 
     **Returns:** a dimensionless time.
 

@@ -103,7 +103,7 @@ class Experiment(Table):
         return (*(table.model_extra or ()), *fields)
 
     def given(self, name: str) -> Any:
-        """A number of the chain or its friction, from their tables."""
+        """The value of a number of the chain or its friction in the scene."""
         return getattr(self.chain if name in CHAIN else self.chain.friction, name)
 
     def sweepable(self) -> tuple[str, ...]:
