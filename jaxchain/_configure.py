@@ -1,4 +1,4 @@
-"""JAX as jaxchain wants it: 64 bits, all cores, small loops compiled whole; by one call."""
+"""Settings of JAX for jaxchain: 64 bits, all cores, small loops compiled whole."""
 
 from __future__ import annotations
 

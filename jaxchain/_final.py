@@ -1,6 +1,6 @@
-"""What a subclass may not replace: an override that part of the package ignores is refused.
+"""Final methods and classes: an override that the package would ignore raises an error.
 
-Nothing here needs JAX.  Public classes are abstract, and made to be subclassed, or final.
+This module does not need JAX.  Public classes are either abstract, for subclasses, or final.
 """
 
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""The progress bar of everything that takes long: a bar in a terminal, lines in a log."""
+"""The progress bar of long computations: a bar in a terminal, lines in a log."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Which state a run ends in, told while it runs: which masses vibrate, and in which phases.
+"""Classifiers of the final state of a run: which masses vibrate, and in which phases.
 
-A state is a row of whole numbers, its code.  A run is over as soon as its code is decided, so that
-no trajectory is kept, and no shape of a cloud of features has to be guessed.
+A state is a row of integers, its code.  A run ends as soon as its code is decided; no trajectory
+is stored, and no features are clustered.
 """
 
 from __future__ import annotations

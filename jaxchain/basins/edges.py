@@ -1,4 +1,4 @@
-"""Edge states: what moves for ever on the boundary between two basins."""
+"""Edge states: motions that stay on the boundary between two basins."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Regions of the state space from which a system may start, and points spread over them.
+"""Regions of initial states, and their sampling.
 
-A region takes a point of the unit cube to a state: so the same points make starts at every value
-of every parameter, and a low-discrepancy sequence fills any region.
+A region maps a point of the unit cube to a state.  So the same points give starts at every
+parameter, and a low-discrepancy sequence fills any region.
 """
 
 from __future__ import annotations

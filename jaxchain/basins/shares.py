@@ -1,9 +1,8 @@
 """How likely each state is: shares of starts, with error bars, over parameters.
 
-A share is the mean of an indicator over a region.  The same points of the region are started from
-at every parameter, so that what differs between parameters is not the points.  Points come in
-replicates, sequences that are independent of each other, whose scatter is the error; they are
-added until every error bar is as short as asked for.
+A share is the mean of an indicator over a region.  All parameters use the same points, so that
+differences are not due to the points.  Points come in replicates, independent sequences whose
+scatter gives the error.  Points are added until every error bar is short enough.
 """
 
 from __future__ import annotations

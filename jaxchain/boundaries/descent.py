@@ -1,4 +1,4 @@
-"""Both boundaries by gradient with optax: the Hopf speed downhill, the fold of cycles uphill."""
+"""Both boundaries with optax: the Hopf speed by gradient descent, the fold by gradient ascent."""
 
 import functools as ft
 from typing import Any

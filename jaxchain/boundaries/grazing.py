@@ -1,31 +1,30 @@
-"""The fold of true dry friction: the slip cycle with the fastest belt, which mostly touches it.
+"""The fold of dry friction: the slip cycle with the fastest belt, which usually grazes.
 
 While a mass slides behind the belt, F = p mu(v_d - v), smooth up to v = v_d and beyond.  A slip
-cycle that touches the belt's speed has, at the touch,
+cycle that just reaches the belt speed has, at this grazing point,
 
     v_j = v_d,        v_j' = 0,        so        K_jj x_j = p_j mu_st - 2 xi_j v_d + (C x)_j,
 
-and this is where the branch of unstable slip cycles meets that of stick-slip cycles: the
-grazing-sliding fold (di Bernardo, Budd, Champneys, Kowalczyk, Piecewise-smooth Dynamical Systems,
-Springer 2008, section 8.6).  The equations of the cycle at the touch are smooth and regular, for
-one mass that grazes while all others slide.
+and there the branch of unstable slip cycles meets that of stick-slip cycles: the grazing-sliding
+fold (di Bernardo, Budd, Champneys, Kowalczyk, Piecewise-smooth Dynamical Systems, Springer 2008,
+section 8.6).  The equations of the grazing cycle are smooth and regular, for one mass that grazes
+while all others slide.
 
-Near the touch let a cycle leave with the greatest velocity v_d + w_+ and come back, if nothing
-held it, with v_d + w_-.  The chain gives one relation of them,
+Near the grazing let a cycle leave with the greatest velocity v_d + w_+ and return, without
+sticking, with v_d + w_-.  The chain gives one relation between them,
 
     v_d = V + V_+ w_+ + V_- w_-,
 
-and what happens at the belt the other: dry friction w_+ = min(w_-, 0).  So slip cycles lie along
-v_d = V + (V_+ + V_-) w, w < 0, sticking ones along v_d = V + V_- w_-, w_- > 0, and V is a fold,
-the greatest belt speed of both, where V_+ + V_- > 0 > V_-.
+and friction the other: w_+ = min(w_-, 0) for dry friction.  So slip cycles lie along v_d = V +
+(V_+ + V_-) w, w < 0, sticking ones along v_d = V + V_- w_-, w_- > 0, and V is a fold, the greatest
+belt speed of both, where V_+ + V_- > 0 > V_-.
 
-Where V_+ + V_- < 0, as for a law that is flat at rest, the belt is faster for slip cycles that do
-not quite reach it.  The fold is then the greatest v_d(w), w < 0: a smooth saddle-node of slip
-cycles, with a multiplier of +1 and V_+ + V_- = 0.  As a parameter makes w -> 0 it merges with the
-touch.
+If V_+ + V_- < 0, as for a law with mu'(0) = 0, the belt is faster for slip cycles that stay below
+it.  The fold is then the greatest v_d(w), w < 0: a smooth saddle-node of slip cycles, with a
+multiplier of +1 and V_+ + V_- = 0.  As w -> 0 it merges with the grazing.
 
-**What smoothing makes of the touch.**  There dry friction has w' = -kappa t, and
-smoothed friction lacks 2 exp(2 w / eps) of itself:
+**The effect of smoothing.**  Near the grazing dry friction gives w' = -kappa t, and smoothed
+friction is smaller by the fraction 2 exp(2 w / eps):
 
     w' = -kappa t - 2 h exp(2 w / eps),        h = p mu_st.
 
@@ -34,7 +33,7 @@ With tau = t (kappa / eps)^(1/2) this is linear in exp(-2 w / eps):
     exp(-2 w / eps) = exp(tau^2) [exp(-2 w_- / eps) + Q Phi(tau)]
     Q = 4 h [pi / (kappa eps)]^(1/2)
 
-Phi the normal distribution's, from 0 to 1, of variance 1/2: a cycle that would come back with w_-
+with Phi the normal distribution function of variance 1/2: a cycle that would return with w_-
 leaves as if with w_+.  Along v_d = V + V_+ w_+ + V_- w_- the belt is fastest at
 
     w_- = (eps / 2) ln[(rho - 1) / Q],    w_+ = -(eps / 2) ln[Q rho / (rho - 1)]

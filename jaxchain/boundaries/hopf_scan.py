@@ -1,24 +1,24 @@
-"""Every Hopf point of steady sliding in a range of belt speeds, none missed, and its criticality.
+"""Every Hopf point of steady sliding in a range of belt speeds, and its criticality.
 
-**Super- or subcritical?**  The first Lyapunov coefficient l1 tells.  The force on a mass depends
-on that mass's velocity only, so the second and third derivatives of the vector field, as forms B
-and C, are B(a, b)_n = g_n'' a_n b_n and C(a, b, c)_n = g_n''' a_n b_n c_n in the velocities, and
-nothing in the displacements.  They come from nested `jvp` and hold for complex vectors, because
-they are multilinear.
+**Super- or subcritical?**  The sign of the first Lyapunov coefficient l1 decides.  The force on a
+mass depends on that mass's velocity only, so the second and third derivatives of the vector field,
+as forms B and C, are B(a, b)_n = g_n'' a_n b_n and C(a, b, c)_n = g_n''' a_n b_n c_n in the
+velocities, and nothing in the displacements.  They come from nested `jvp` and hold for complex
+vectors, because they are multilinear.
 
 Where l1 = 0 the fold of cycles meets the Hopf point, the generalised Hopf (Bautin) point.  Along
-the Hopf curve in the plane of the belt speed and another number, vibration sets in abruptly
-where the first Lyapunov coefficient l1 is positive, with a stable state of rest beside a vibrating
-one up to the fold; and gently where l1 is negative, without a fold.  At l1 = 0 the fold ends,
-tangentially to the Hopf curve (Kuznetsov, Elements of Applied Bifurcation Theory, section 8.3).
+the Hopf curve in the plane of the belt speed and another number, vibration sets in abruptly if l1
+is positive, with a bistable range up to the fold; and gradually if l1 is negative, without a
+fold.  At l1 = 0 the fold ends, tangentially to the Hopf curve (Kuznetsov, Elements of Applied
+Bifurcation Theory, section 8.3).
 
-For one mass l1 has the sign of F'''(-v_d).  Dry friction that weakens exponentially has
-F''' > 0 throughout, so that its fold and Hopf point meet at a belt at rest only.  Smoothed
-friction mu tanh(v_d / eps) has a peak, and F''' < 0 up to a few widths beyond it:
+For one mass l1 has the sign of F'''(-v_d).  Dry friction that weakens exponentially has F''' > 0
+throughout, so that its fold and Hopf point meet only at v_d = 0.  Smoothed friction mu tanh(v_d /
+eps) has a peak, and F''' < 0 up to a few widths beyond it:
 
     v_d = (eps / 2) ln[16 mu_st v_0^3 / ((mu_st - mu_d) eps^3)]  to leading order,
 
-and the damping there is about p (mu_st - mu_d) / (2 v_0), that of dry friction at rest.
+and the damping there is about p (mu_st - mu_d) / (2 v_0), that of dry friction at v_d = 0.
 """
 
 from __future__ import annotations

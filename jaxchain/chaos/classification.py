@@ -1,4 +1,4 @@
-"""The verdict on a motion from an ensemble of long runs; `Criteria` says what decides."""
+"""The verdict on a motion from an ensemble of long runs, by the thresholds in `Criteria`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Lyapunov exponents: at which rates disturbances of a motion grow or die."""
+"""Lyapunov exponents: the growth rates of disturbances of a motion."""
 
 from __future__ import annotations
 

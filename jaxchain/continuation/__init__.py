@@ -1,8 +1,8 @@
-"""Equations of any kind: their roots, the derivatives of these, and branches of solutions.
+"""Roots of equations, their derivatives, and branches of solutions.
 
 - `arclength`: branches of F(u, p) = 0 by pseudo-arclength continuation
 - `bracket`: an interval around a change, halved
-- `branch`: what continuation returns: points, special points, why it ended
+- `branch`: the result of continuation: points, special points, the reason of its end
 - `corrector`: one point of a branch from a guess
 - `damped_newton`: a root from a guess
 - `elimination`: small linear systems, compiled with the loop around them

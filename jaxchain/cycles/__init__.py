@@ -1,11 +1,11 @@
-"""Limit cycles, stable or not: found, followed, with their multipliers and special points.
+"""Limit cycles, stable or not: searches, branches, multipliers and special points.
 
 - `averaging`: one vibrating mass to first harmonic, the first guess of every search
-- `branches`: `continue_cycle`: where a vibration folds, loses its symmetry, and ends
+- `branches`: `continue_cycle`: branches of cycles with folds, symmetry breakings and their ends
 - `floquet`: a limit cycle, its monodromy matrix and Floquet multipliers
 - `limit_cycle`: `find_limit_cycle`, from guesses of every kind, smoothed or dry
-- `shooting`: periodic orbits as equations: flow, section, coordinates, least period
-- `variational`: a run with its derivatives in what it starts from, in one loop
+- `shooting`: the equations of periodic orbits: flow, section, coordinates, minimal period
+- `variational`: a run with its derivatives in its initial state, in one loop
 """
 
 import lazy_loader

@@ -1,8 +1,8 @@
-"""From what is wanted or measured to the chain: optimal design and identification.
+"""Inverse problems: optimal design, and identification from measurements.
 
 - `identification`: friction and damping from measurements, with confidence intervals
-- `measurements`: what is measured, and what a chain would have shown
-- `optimal_design`: the least change of a chain that makes it quiet enough
+- `measurements`: measurements, and their prediction by a chain
+- `optimal_design`: the cheapest change of a chain that meets a target
 """
 
 import lazy_loader

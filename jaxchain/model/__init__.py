@@ -1,19 +1,19 @@
 """The chain: masses on a moving belt, their springs and friction, sliding, initial states.
 
-- `arguments`: a chain, a state, a mass and a symmetry that a function is given, checked
+- `arguments`: checks of a chain, a state, a mass and a symmetry
 - `chain`: the equations, the paper's chain, steady sliding
 - `friction`: laws mu(s), one class each, and their smoothing by a width
-- `initial_states`: eq. (8) and eq. (10) of the paper, and who is excited
+- `initial_states`: eq. (8) and eq. (10) of the paper, and blocks of excited masses
 - `locality`: checks that forces act mass by mass
 - `measured`: measured friction, read from CSV and checked
-- `oscillators`: what every chain shares; base class for oscillators of one's own
-- `parameters`: the numbers of a chain and of friction: symbol, unit, sign, words for each
-- `provenance`: where numbers come from, as attributes of datasets
+- `oscillators`: the base class of chains and of your own oscillators
+- `parameters`: the numbers of a chain and of friction: symbol, unit, sign, description
+- `provenance`: the origin of numbers, as attributes of datasets
 - `sliding`: linear stability of steady sliding: damping, stiffness, eigenvalues
 - `springs`: neighbours of a mass, and the springs between them
 - `tabulated`: measured friction as a law, a curve through points
 - `tridiagonal`: the springs' linear systems, solved in O(N)
-- `units`: between SI units and the dimensionless chain
+- `units`: conversion between SI units and the dimensionless chain
 """
 
 import lazy_loader

@@ -1,13 +1,13 @@
-"""What is watched along a run, and what amplitudes and peak times say.
+"""Quantities to measure along a run, and quantities derived from amplitudes and peak times.
 
-- `amplitude`: half peak-to-peak, and when a run need not go on for its sake
-- `base`: what an observer is; base class for observers of one's own
-- `energy_balance`: work of the belt, losses, what is stored; the integral of tr J
-- `fronts`: where the two fronts of a vibrating block are
-- `quantities`: what amplitudes and peak times say: energy, who vibrates, periods, delays
+- `amplitude`: half peak-to-peak of displacements, with early ends of runs
+- `base`: the base class of observers
+- `energy_balance`: work of the belt, losses, stored energy; the integral of tr J
+- `fronts`: the positions of the two fronts of a vibrating block
+- `quantities`: energy, vibrating masses, periods, delays, from amplitudes and peak times
 - `samples`: states at given times, some masses at regular times
 - `section`: Poincare sections, and the times of the maxima of every displacement
-- `stick_time`: for how long each mass sticks, and how many at once
+- `stick_time`: times of sticking, and numbers of masses that stick at once
 """
 
 import lazy_loader

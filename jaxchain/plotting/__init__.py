@@ -1,4 +1,4 @@
-"""Pictures: figures of sweeps, drawings of the model, films.
+"""Figures of sweeps and branches, drawings of the model, films.
 
 - `branches`: a branch with its stability and its special points
 - `diagram`: what a bifurcation diagram shows beside its points
@@ -7,7 +7,7 @@
 - `motions`: a run over time, in the phase plane, and as a film
 - `states`: localized states as circles, their delays, time series and orbits
 - `style`: page width, colours, symbols, labels of axes, files of figures
-- `sweeps`: amplitude or energy over what was swept, as panels and as whole figures
+- `sweeps`: amplitude or energy over a swept number, as panels and as whole figures
 """
 
 import lazy_loader

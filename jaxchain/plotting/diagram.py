@@ -1,7 +1,7 @@
-"""What a bifurcation diagram shows beside its points, read off a dataset.
+"""Lines and labels of a bifurcation diagram, from a dataset.
 
-All functions take a dataset as `jaxchain.sweep` returns it or as a results file holds it, which
-also has the Hopf speed.
+All functions take a dataset of `jaxchain.sweep` or of a results folder, which also has the Hopf
+speed.
 """
 
 from __future__ import annotations

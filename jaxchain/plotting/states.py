@@ -1,7 +1,7 @@
-"""Pictures of localized states, Figures 4 to 10 of the paper: who vibrates, and in which order.
+"""Figures of localized states, as Figures 4 to 10 of the paper.
 
-They are for sweeps over `excited` of scenes, whose experiments name them in `pictures`, and read
-what else they show off the experiment that a dataset keeps in its attribute `definition`.
+They draw sweeps over `excited` of scenes whose experiments name them in `pictures`.  Further
+settings come from the experiment in the attribute `definition` of a dataset.
 """
 
 from __future__ import annotations

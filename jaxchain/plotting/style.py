@@ -1,4 +1,4 @@
-"""How every figure looks, and what its axes say: widths, colours, words, symbols, units.
+"""The style of all figures: widths, colours, labels, symbols, units.
 
 What returns a figure uses matplotlib's object-oriented interface alone, and changes nothing
 global.  What draws on axes makes them with `pyplot` if it is given none, so that a notebook shows

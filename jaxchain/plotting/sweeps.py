@@ -1,4 +1,4 @@
-"""Figures of sweeps: amplitude or energy over what was swept, whole or one variable at a time."""
+"""Figures of sweeps: amplitude, energy or another variable over a swept number."""
 
 from __future__ import annotations
 

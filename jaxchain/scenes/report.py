@@ -1,4 +1,4 @@
-"""What a run found: a few lines for the terminal, and the page `report.html`."""
+"""The summary of a run: a few lines for the terminal, and the page `report.html`."""
 
 from __future__ import annotations
 

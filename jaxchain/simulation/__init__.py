@@ -1,8 +1,8 @@
-"""One run of a chain, smoothed or event by event, with the accuracy that is asked of it.
+"""One run of a chain, smoothed or dry, with a given accuracy.
 
-- `accuracy`: which solver, width and tolerance suit what is asked
-- `event_driven`: true dry friction, from event to event
-- `plan`: how a run goes forward, whatever integrates it
+- `accuracy`: solver, width and tolerance for a given accuracy
+- `event_driven`: dry friction, from event to event
+- `plan`: the interface of a run that can be continued
 - `run`: `simulate`, one run of a chain
 - `smoothed`: smoothed friction; the only place that calls `diffeqsolve`
 """

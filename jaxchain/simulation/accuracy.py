@@ -1,4 +1,4 @@
-"""Which solver, linear solve, width and tolerance suit a chain and what is asked of it."""
+"""The choice of solver, linear solve, width and tolerance for a chain and an accuracy."""
 
 from typing import Any
 

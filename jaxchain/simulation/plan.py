@@ -1,7 +1,7 @@
-"""How a run goes forward, whatever integrates it: begin, advance, advance, ...
+"""The interface of a run that can be continued: begin, advance, advance, ...
 
-A plan says how a run is computed.  What it returns can be advanced again: that is how a long run
-is cut into segments and how an ensemble refills its lanes.
+A plan computes a run.  Its result can be advanced again, which cuts a long run into segments and
+lets an ensemble refill its lanes.
 """
 
 import abc

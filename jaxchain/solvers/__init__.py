@@ -1,9 +1,9 @@
-"""How a step is made: Rosenbrock methods for smoothed friction, Taylor series for dry friction.
+"""Time steps: Rosenbrock methods for smoothed friction, Taylor series for dry friction.
 
 - `dormand_prince`: an explicit step of order 8, for motions between events
-- `dry_friction`: the equations of sticking and sliding, nothing smoothed
+- `dry_friction`: the equations of sticking and sliding with dry friction
 - `rosenbrock`: structured Rosenbrock solvers for `diffrax.diffeqsolve`
-- `step_control`: step sizes that see friction switch before a step fails on it
+- `step_control`: step sizes that anticipate the switching of friction
 - `taylor`: polynomials in time, and when they first leave a band
 """
 

@@ -1,4 +1,4 @@
-"""The chain with true dry friction: sticking and sliding as they are, nothing smoothed.
+"""The chain with dry friction: the equations of sticking and sliding.
 
 A mass sticks to the belt, slides forward (w = v - v_d > 0) or slides backward (w < 0):
 

@@ -1,4 +1,4 @@
-"""Step-size control that sees a friction force switch before a step fails on it."""
+"""Step-size control that anticipates the switching of friction."""
 
 from __future__ import annotations
 

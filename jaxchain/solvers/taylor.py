@@ -1,4 +1,4 @@
-"""Polynomials in time, and when they first leave a band: found for certain, never stepped over.
+"""Polynomials in time, and the certain detection of their first exit from a band.
 
 A polynomial is the sequence of its coefficients c_0, c_1, ..., c_p; each is an array, so that one
 call serves all masses.

@@ -2,11 +2,11 @@
 
 - `sweeping`: `sweep`
 - `axes`: checks of what is swept, and the grid of all combinations in blocks
-- `ensemble`: settings checked and completed, labels of results, and what a store knows a sweep by
+- `ensemble`: settings, labels of results, and the fingerprint of a sweep in a store
 - `lanes`: the traced part: starts, rounds and records of lanes
 - `programs`: programs for lanes, compiled once and loaded on every device
-- `scheduler`: lanes on every device, and the jobs that wait for them
-- `store`: a sweep on disk, and what is done of it
+- `scheduler`: lanes on every device, and the queue of jobs
+- `store`: a sweep on disk, and its progress
 - `dask_engine`: units of a store by workers of Dask
 """
 

@@ -1,4 +1,4 @@
-"""The host's side of a sweep: a pool of lanes on every device, and the jobs that wait for them.
+"""The host's part of a sweep: a pool of lanes on every device, and the queue of jobs.
 
 Every device goes on by itself: while one is asked what has ended and is given other jobs, the
 others compute, and its own lanes have a job in reserve each.  Jobs come in blocks, at most one
