@@ -186,7 +186,7 @@ def test_of_a_thousand_lanes_one_fails_and_999_do_not_notice(solver):
         )  # fmt: skip
 
     whole = run(damping)
-    with pytest.warns(UserWarning, match="1 of 1000 lanes"):
+    with pytest.warns(UserWarning, match="1 of 1000 runs"):
         broken = run(spoiled)
     assert NAMES[int(broken["result"][500])] in ("nonfinite", "step_too_small")
     assert np.all(np.isnan(broken["amplitude"][500]))
