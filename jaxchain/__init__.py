@@ -45,8 +45,8 @@ def __getattr__(name: str) -> Any:
         for submodule in SUBMODULES:
             if name in getattr(_show(submodule), "__all__", ()):
                 message = f"{__name__}.{name} moved to {__name__}.{submodule}.{name}"
-                # `from jaxchain import name` asks whether it is there, and would hide the words of
-                # an AttributeError.
+                # `from jaxchain import name` would replace the message of an AttributeError by its
+                # own.
                 if sys._getframe(1).f_globals.get("__name__") == "importlib._bootstrap":
                     raise ImportError(message)
                 raise AttributeError(message)

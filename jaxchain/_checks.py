@@ -23,7 +23,7 @@ _LONGEST = 60
 
 
 def shown(value: object) -> str:
-    """A value for an error: itself if that is short, else what kind it is.
+    """The text for a value in an error: the value itself if it is short, otherwise its kind.
 
     >>> shown(2.5), shown([1, "a"]), shown(int), shown(np.ones(3))
     ('2.5', "[1, 'a']", 'the class `int`', 'an array of shape (3,)')
@@ -41,14 +41,14 @@ def shown(value: object) -> str:
         return kind
     try:
         text = repr(value)
-    except Exception:  # an integer of 5000 digits, or whatever a foreign object raises
+    except Exception:  # an integer of 5000 digits, or a foreign object whose repr fails
         return kind
     fits = len(text) <= _LONGEST and "\n" not in text and " at 0x" not in text
     return text if fits else kind
 
 
 def _is_real(value: object) -> bool:
-    """Whether it is a real number, traced or not, an array or nested lists of such."""
+    """Whether it is a real number, traced or not, or an array or nested list of real numbers."""
     if isinstance(value, bool | int | float):
         return True
     if isinstance(value, list | tuple):
@@ -77,12 +77,12 @@ def to_float(value: Any, name: str = "", remedy: str = "") -> Float[Array, "..."
     Integers become floats, because only floats have tangents; and the result is never weakly
     typed, because a weakly typed leaf would compile everything once more.
 
-    **Raises:** `ValueError` for what is no number, complex numbers among them, whose imaginary
-    part would be lost.
+    **Raises:** `ValueError` for anything but real numbers; a complex number would lose its
+    imaginary part.
     """
     try:
         if _is_real(value):
-            # To convert an array of JAX is a program to be compiled, one of numpy is not.
+            # Converting a JAX array compiles a program; converting a NumPy array does not.
             if isinstance(value, int | float | np.ndarray | np.generic):
                 value = np.asarray(value, dtype=float)
             return jnp.asarray(value, dtype=float)
@@ -92,7 +92,7 @@ def to_float(value: Any, name: str = "", remedy: str = "") -> Float[Array, "..."
 
 
 def named(name: str, remedy: str = "") -> Callable[[Any], Float[Array, "..."]]:
-    """`to_float` as the converter of a field of this name, which its errors say."""
+    """`to_float` as the converter of a field; its errors give the name of the field."""
     return functools.partial(to_float, name=name, remedy=remedy)
 
 
@@ -124,7 +124,7 @@ def require_x64() -> None:
 def require_64_bits(name: str, tree: object) -> None:
     """Raises `ValueError` if a floating-point array in `tree` has fewer than 64 bits.
 
-    Such numbers come from before JAX was told to use 64 bits: 0.05 is 0.0500000007 there.
+    Such numbers were made before 64-bit floats were switched on: there 0.05 is 0.0500000007.
     """
     for leaf in jax.tree.leaves(tree):
         dtype = getattr(leaf, "dtype", None)
@@ -168,7 +168,7 @@ def check_finite(name: str, value: Any, remedy: str = "") -> None:
 
 
 def check_positive(name: str, value: Any, remedy: str = "") -> None:
-    """Raises `ValueError` if a concrete `value` is anywhere zero, negative or not finite.
+    """Raises `ValueError` if any entry of a concrete `value` is zero, negative or not finite.
 
     >>> check_positive("width", 0.01, "choose 1e-3, say.")
     >>> check_positive("width", -0.1, "choose 1e-3, say.")
@@ -184,7 +184,7 @@ def check_positive(name: str, value: Any, remedy: str = "") -> None:
 
 
 def check_nonnegative(name: str, value: Any, remedy: str = "") -> None:
-    """Raises `ValueError` if a concrete `value` is anywhere negative or not finite."""
+    """Raises `ValueError` if any entry of a concrete `value` is negative or not finite."""
     if (numbers := numbers_of(name, value, remedy)) is not None:
         good = np.isfinite(numbers) & (numbers >= 0)
         _check_each(name, value, good, "zero or positive, and finite", remedy)
@@ -193,7 +193,7 @@ def check_nonnegative(name: str, value: Any, remedy: str = "") -> None:
 def check_at_least(
     name: str, value: ArrayLike, floor_name: str, floor: ArrayLike, remedy: str = ""
 ) -> None:
-    """Raises `ValueError` if a concrete `value` is anywhere below a concrete `floor`."""
+    """Raises `ValueError` if any entry of a concrete `value` is below a concrete `floor`."""
     numbers, bounds = numbers_of(name, value), numbers_of(floor_name, floor)
     if numbers is None or bounds is None:
         return
@@ -202,7 +202,7 @@ def check_at_least(
 
 
 def check_per_mass(**arguments: ArrayLike) -> None:
-    """Raises `ValueError` unless each argument is one number or one per mass, all of one length.
+    """Raises `ValueError` unless each argument is one number or one per mass, with equal lengths.
 
     >>> check_per_mass(mu_static=1.0, v_ref=jnp.array([0.5, 0.6]))
     >>> check_per_mass(mu_static=jnp.ones(3), v_ref=jnp.ones(2))  # doctest: +ELLIPSIS
@@ -285,7 +285,7 @@ def check_kind(name: str, value: object, kind: Any, wanted: str, remedy: str = "
 
 
 def check_concrete(instead: str, **arguments: Any) -> None:
-    """Raises `ValueError` if any is traced, where a function runs on the host."""
+    """Raises `ValueError` if any value is traced, for a function that runs on the host."""
     for name, value in arguments.items():
         if is_traced(value):
             raise ValueError(

@@ -9,12 +9,13 @@ import tempfile
 import warnings
 from pathlib import Path
 
-# The bytes of a loop's state up to which XLA's CPU compiler makes one function of the loop. Of a
-# larger one it starts each operation by itself, some 50 ns each. So all states count as small.
+# Up to this size of a loop's state, in bytes, XLA's CPU compiler makes one function of the loop.
+# In larger loops it starts each operation separately, at some 50 ns each. So all states count as
+# small.
 _EXTRA = "--xla_backend_extra_options="
 _OPTION = "xla_cpu_small_while_loop_byte_threshold"
 _WHOLE = f"{_OPTION}=1000000000"
-# Other settings of the number of CPU devices.
+# Other ways to set the number of CPU devices.
 _DEVICES = ("xla_force_host_platform_device_count", "JAX_NUM_CPU_DEVICES")
 
 
@@ -83,7 +84,7 @@ def configure(
     if cache:
         try:
             _keep_programs(_user_cache() if cache is True else Path(cache).absolute())
-        except (OSError, RuntimeError) as error:  # the latter where there is no home
+        except (OSError, RuntimeError) as error:  # RuntimeError if there is no home directory
             if cache is not True:
                 warnings.warn(
                     f"Compiled programs cannot be kept in {os.fspath(cache)!r} (`cache`): "
@@ -108,10 +109,10 @@ def _user_cache() -> Path:
 
 
 def _keep_programs(root: Path) -> None:
-    """Has JAX keep what it compiles, in a folder of `root` for this jaxlib and this kind of CPU.
+    """Makes JAX keep compiled programs in a folder of `root` for this jaxlib and kind of CPU.
 
-    The machine code is for the CPU that compiled it: another one of a cluster, with the same home
-    folder, might not have its instructions.
+    Machine code is specific to a CPU: another computer of a cluster that shares the home folder
+    may lack some of its instructions.
     """
     import jax
     from jax.experimental.compilation_cache import compilation_cache
@@ -124,9 +125,9 @@ def _keep_programs(root: Path) -> None:
         tempfile.TemporaryFile(dir=folder).close()  # a disk may be full, or read-only
         if getattr(jax.config, "jax_compilation_cache_dir") != str(folder):  # noqa: B009
             jax.config.update("jax_compilation_cache_dir", str(folder))
-            # If something was compiled before, JAX has settled that it keeps nothing.
+            # If something was compiled before, JAX has already decided not to use a cache.
             compilation_cache.reset_cache()
-    # By itself JAX keeps what took a second: not the dozens of small programs of 20 to 60 ms.
+    # By default JAX keeps programs that took a second, not the dozens that take 20 to 60 ms.
     for name, usual, always in (
         ("jax_persistent_cache_min_compile_time_secs", 1.0, 0.0),
         ("jax_persistent_cache_min_entry_size_bytes", 0, -1),
@@ -146,14 +147,14 @@ def _cpu() -> str:
 
 
 def cores() -> int:
-    """What the machine, a container or a job scheduler leaves to this process."""
+    """The number of cores that the machine, container or job scheduler gives this process."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def has_computed() -> bool:
-    """Whether JAX has started its devices: it takes no other number of them then."""
+    """Whether JAX has started its devices: after that their number is fixed."""
     import jax
 
     now = jax.config.jax_num_cpu_devices  # pyright: ignore[reportAttributeAccessIssue]
@@ -166,13 +167,13 @@ def has_computed() -> bool:
 
 
 def _set_whole_loops(computed: bool) -> bool:
-    """Whether XLA is, or will be, told to; also if the user chose the threshold."""
+    """Sets the option, unless the user set it; whether it takes effect."""
     words = os.environ.get("XLA_FLAGS", "").split()
     if any(_OPTION in word for word in words):
         return True
     if computed:
         return False
-    # XLA reads only the last of several: the user's other options stand in the same word.
+    # XLA reads only the last of several such words, so add to the user's word.
     last = next((i for i in reversed(range(len(words))) if words[i].startswith(_EXTRA)), None)
     if last is None:
         words.append(_EXTRA + _WHOLE)
@@ -183,7 +184,7 @@ def _set_whole_loops(computed: bool) -> bool:
 
 
 def _set_devices(devices: int | None) -> bool:
-    """Whether JAX has that many, or will have; also if the user chose another number before."""
+    """Sets the number of devices, unless the user set it; whether it takes effect."""
     import jax
 
     now = jax.config.jax_num_cpu_devices  # pyright: ignore[reportAttributeAccessIssue]

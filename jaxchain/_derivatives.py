@@ -1,13 +1,13 @@
 """A computation with two programs: one for forward and one for reverse derivatives.
 
-A `while` loop of unknown length carries tangents along, but cannot go back; one that keeps
-checkpoints goes back, but carries no tangents.  `both_ways` joins them: values and tangents
-(`jvp`, `jacfwd`) are the first program's, cotangents (`vjp`, `grad`, `jacrev`) the second one's.
+A `while` loop of unknown length supports forward mode only; a loop with checkpoints supports
+reverse mode only.  `both_ways` joins them: the first program gives values and tangents (`jvp`,
+`jacfwd`), the second one cotangents (`vjp`, `grad`, `jacrev`).
 
-JAX asks for f and its tangent f' dx together.  That is one primitive here, `_pair`.  Before it
-goes back, JAX separates what is known, f, from what is linear in the unknown, f' dx.  There the
-pair falls into f, computed by the second program, and the primitive `_linear`, whose transpose
-goes back through that program's checkpoints.
+JAX asks for f and its tangent f' dx together, which is one primitive here, `_pair`.  For reverse
+mode JAX then separates the known value f from the part f' dx that is linear in the unknown.  The
+pair is split into f, computed by the second program, and the primitive `_linear`, whose transpose
+uses that program's checkpoints.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def both_ways(
     """
     arrays, static = eqx.partition(args, eqx.is_array)
     leaves, treedef = jtu.tree_flatten(arrays)
-    shape: list[Any] = []  # of what comes out: known once it is traced
+    shape: list[Any] = []  # of the output: known after tracing
 
     def flat(function: Callable[[Any], Any]) -> Flat:
         def run(*leaves: Any) -> list[Any]:
@@ -87,7 +87,7 @@ def both_ways(
 
 
 class _Ways:
-    """The second program, which of its arguments have a tangent, and the first one with them.
+    """The second program, the arguments that have a tangent, and the first program with tangents.
 
     `pair(*arguments, *tangents)` gives all values, then the tangents of the real ones.
     """
@@ -104,16 +104,16 @@ class _Ways:
         self.values = len(self.shapes) - sum(map(_is_real, self.shapes)) // 2
 
     def split(self, args: Sequence[Any]) -> tuple[list[Any], list[Any], list[Any]]:
-        """(arguments, tangents, what comes after them)."""
+        """(arguments, tangents, remaining values)."""
         n, both = len(self.moved), len(self.moved) + sum(self.moved)
         return list(args[:n]), list(args[n:both]), list(args[both:])
 
 
 class _Forth:
-    """The way forth of the second program: all values, then what its way back keeps."""
+    """The second program forward: all values, then what its reverse pass needs."""
 
     def __init__(self, second: Flat, moved: list[bool], arguments: Sequence[Any]):
-        self.back: Any = None  # what the checkpoints are put into, known once it is traced
+        self.back: Any = None  # the structure of the checkpoints, known after tracing
 
         def run(*arguments: Any) -> list[Any]:
             function = _of(second, arguments, moved)
@@ -136,7 +136,7 @@ def _is_real(array: Any) -> bool:
 
 
 def _of(function: Flat, args: Sequence[Any], moved: Sequence[bool]) -> Callable[..., Any]:
-    """(real values, all values) as a function of those arguments alone that are `moved`."""
+    """(real values, all values) as a function of the arguments that are `moved`."""
 
     def run(*changing: Any) -> tuple[list[Any], list[Any]]:
         values = iter(changing)
@@ -175,7 +175,7 @@ def _run_linear(*args: Any, ways: _Ways, back: Any) -> list[Any]:
 
 
 def _forward_again(run: Callable[..., list[Any]]) -> Callable[..., Any]:
-    """Derivatives of derivatives: those of the first program."""
+    """Higher derivatives: those of the first program."""
 
     def rule(primals: Any, tangents: Any, **params: Any) -> tuple[list[Any], list[Any]]:
         moved = [type(t) is not ad.Zero for t in tangents]
@@ -190,9 +190,9 @@ def _forward_again(run: Callable[..., list[Any]]) -> Callable[..., Any]:
 
 
 def _many_pairs(args: Any, dims: Any, *, ways: _Ways) -> tuple[list[Any], list[Any]]:
-    """Under `vmap`.  For reverse mode every tangent needs the axis of its argument.
+    """The rule for `vmap`.  For reverse mode every tangent needs the batch axis of its argument.
 
-    It has none of its own there; many tangents at one point are the business of forward mode.
+    Many tangents at one point occur in forward mode only.
     """
     arguments, tangents, _ = ways.split(args)
     axes, of_tangents, _ = ways.split(dims)
@@ -221,7 +221,7 @@ def _many_pairs(args: Any, dims: Any, *, ways: _Ways) -> tuple[list[Any], list[A
 
 
 def _fall_apart(trace: Any, *tracers: Any, ways: _Ways) -> list[Any]:
-    """The pair where the tangents are unknown: values now, and what is linear for later."""
+    """Partial evaluation with unknown tangents: values now, the linear part later."""
     arguments, tangents, _ = ways.split(tracers)
     values = [argument.pval.get_known() for argument in arguments]
     linear = any(not tangent.is_known() for tangent in tangents)
@@ -261,9 +261,9 @@ def _go_back(cotangents: Any, *args: Any, ways: _Ways, back: Any) -> list[Any]:
 def _derivative_of_forth(
     primals: Any, tangents: Any, *, forth: _Forth
 ) -> tuple[list[Any], list[Any]]:
-    """Forward, or an error where a loop within a loop keeps checkpoints.
+    """The derivative of the forward pass; an error where nested loops keep checkpoints.
 
-    JAX would report it far from here, without this context.
+    JAX would report this error elsewhere, without this context.
     """
     moved = [type(t) is not ad.Zero for t in tangents]
     function = _of(forth.run, primals, moved)
@@ -277,7 +277,7 @@ def _derivative_of_forth(
     return _forward_again(_run_forth)(primals, tangents, forth=forth)
 
 
-# Under `vmap` all values have an axis or none has, as those of `_pair`: `custom_jvp` needs that.
+# Under `vmap` all values have an axis or none has, as in `_pair`: `custom_jvp` needs that.
 _values = eqxi.create_vprim(
     "both_ways_values",
     _run_values,

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 else:
 
     def final(cls: type) -> type:
-        """Class decorator: to subclass `cls` is a `TypeError` that says what to do instead."""
+        """Class decorator: subclassing `cls` raises a `TypeError` that gives an alternative."""
         bases = [base.__name__ for base in cls.__mro__]
         instead = "write a function that takes one, or a class that holds one."
         instead = next((_INSTEAD[name] for name in bases if name in _INSTEAD), instead)
@@ -39,9 +39,9 @@ else:
 
 
 def refuse_overrides(cls: type, base: type, remedies: Mapping[str, str]) -> None:
-    """Raises `TypeError` if `cls` defines a name of `remedies`, as a method or as a field.
+    """Raises `TypeError` if `cls` defines a name in `remedies`, as a method or as a field.
 
-    Classes of this package may: the methods of `base` rely on no more than these keep.
+    Classes of this package may define them, because they keep what the methods of `base` rely on.
     """
     below = [c for c in cls.__mro__ if c is not base and issubclass(c, base)]
     users = [c for c in below if c.__module__.partition(".")[0] != __package__]

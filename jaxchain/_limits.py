@@ -1,14 +1,14 @@
 """Bounds that several submodules share.  This module does not need JAX."""
 
-# Runs of one sweep in memory, and of one in a store.
+# Most runs of a sweep in memory, and of one in a store.
 MOST_LANES, MOST_STORED = 10**7, 10**12
-# Of an experiment of a scene: with more it goes into a store, unless it says otherwise.
+# An experiment of a scene with more runs uses a store, unless the scene sets `store`.
 MOST_UNSTORED = 4096
-# Below this a step is judged by rounding errors alone, or by squares that underflow.
+# Below this, error estimates consist of rounding errors, or their squares underflow.
 LEAST_RTOL, LEAST_ATOL = 1e-15, 1e-30
-# Of smoothed friction against true dry friction, relative.
+# Relative error of smoothed friction against dry friction.
 LEAST_ACCURACY, MOST_ACCURACY = 1e-8, 0.3
-# The least positive number, and the greatest count: whatever is more is a slip of the pen.
+# The least positive number, and the greatest count: anything beyond is a typing error.
 LEAST_POSITIVE, MOST_COUNT = 1e-300, 10**9
-# Processes of a cluster of one's own.
+# Most processes of a local cluster.
 MOST_WORKERS = 10_000

@@ -21,10 +21,10 @@ def progress_bar(
     total: int | None = None,
     bar_format: str | None = None,
 ) -> tqdm:
-    """A bar over `items`, or one that is moved by its `update()` or `n`.
+    """A bar over `items`, or one that is advanced by its `update()` or `n`.
 
-    Where the standard error is a terminal or a notebook, it is drawn in place, as `bar_format`
-    says.  Elsewhere it is a line a minute and one at the end: what is done, time, time left, rate.
+    In a terminal or notebook it is drawn in place, in the format `bar_format`.  Elsewhere it
+    prints a line per minute and one at the end: progress, time, time left, rate.
     """
     off = not show or sys.stderr is None
     if off or _is_screen(sys.stderr):
@@ -33,7 +33,7 @@ def progress_bar(
 
 
 def _is_screen(stream: Any) -> bool:
-    # The stream of a notebook says that it is no terminal, and shows a bar all the same.
+    # The stream of a notebook is not a terminal, but shows a bar nevertheless.
     return stream.isatty() or type(stream).__module__.startswith("ipykernel")
 
 

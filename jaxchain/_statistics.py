@@ -31,7 +31,7 @@ def mean_interval(values: np.ndarray) -> np.ndarray:
 def wilson(successes: Any, total: Any) -> tuple[np.ndarray, np.ndarray]:
     """The 95 % interval of a fraction, Wilson's score interval (J. Am. Stat. Assoc. 22, 1927).
 
-    NaN of nothing.
+    NaN without trials.
 
     >>> low, high = wilson(0, 10)
     >>> round(float(low), 3), round(float(high), 3)

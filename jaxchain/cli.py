@@ -72,7 +72,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     - 130: interrupted by Ctrl-C, SIGTERM or a closed terminal; finished runs are saved.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
-    for number in (signal.SIGTERM, signal.SIGHUP):  # end a command as Ctrl-C does
+    for number in (signal.SIGTERM, signal.SIGHUP):  # end a command like Ctrl-C
         if signal.getsignal(number) is signal.SIG_DFL:
             signal.signal(number, signal.default_int_handler)
     try:
@@ -80,7 +80,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         status = options.command(options) or 0
         sys.stdout.flush()
         return status
-    except BrokenPipeError:  # the reader of the output has gone: Python must not flush at exit
+    except BrokenPipeError:  # the output is closed: Python must not flush at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except KeyboardInterrupt:
@@ -159,13 +159,13 @@ def _add_scene_options(parser: argparse.ArgumentParser) -> None:
     help_ = "compute in the workers of a Dask scheduler, such as tcp://host:8786"
     where.add_argument("--scheduler", metavar="ADDRESS", type=_scheduler, help=help_)
     parser.add_argument("--no-plot", action="store_true", help="compute and save only")
-    parser.add_argument("--netcdf", action="store_true", help="write SCENE.nc beside SCENE.zarr")
+    parser.add_argument("--netcdf", action="store_true", help="also write SCENE.nc")
     parser.add_argument("--quiet", action="store_true", help="print errors only")
     _add_no_cache(parser)
 
 
 def _add_no_cache(parser: argparse.ArgumentParser) -> None:
-    help_ = "keep no compiled programs in XDG_CACHE_HOME/jaxchain or ~/.cache/jaxchain"
+    help_ = "do not keep compiled programs in XDG_CACHE_HOME/jaxchain or ~/.cache/jaxchain"
     parser.add_argument("--no-cache", action="store_true", help=help_)
 
 
@@ -174,7 +174,7 @@ def _add_json(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_numbers(parser: argparse.ArgumentParser, names: Sequence[str]) -> None:
-    """An option for each of these numbers of a chain, and those of all such commands."""
+    """An option for each of these numbers of a chain, and the common options of such commands."""
     for row in map(parameter, names):
         alone = row.per != "spring"
         help_ = f"{row.long_name} ({row.usual}{'' if alone else ' for several masses'})"
@@ -185,7 +185,7 @@ def _add_numbers(parser: argparse.ArgumentParser, names: Sequence[str]) -> None:
 
 
 def _folder(text: str) -> Path:
-    """The folder of `--output`, which has a name of its own beside which others can stand."""
+    """The folder of `--output`, which must have a name that can be numbered."""
     path = Path(text)
     if not text.strip() or path.name in ("", ".."):
         raise argparse.ArgumentTypeError(
@@ -236,13 +236,11 @@ def _resume(options: argparse.Namespace) -> int:
 
     folder = Path(options.folder)
     if not os.path.isdir(folder) or folder.suffix == ".zarr":  # which never raises
-        begins = "`jaxchain run` begins one; a store of Python's goes on by the same `sweep`"
-        raise SceneError(
-            options.folder, [f"must be a folder of results, to go on there: {begins}"]
-        )
+        begins = "`jaxchain run` makes one; for a store made in Python repeat the same `sweep`"
+        raise SceneError(options.folder, [f"must be a folder of results to continue: {begins}"])
     loaded = load_scene(
         os.path.join(".", folder)
-    )  # a folder, also where a built-in scene has its name
+    )  # a folder, even if a built-in scene has its name
     _configure(options)
     from .scenes.running import resume_scene
 
@@ -255,7 +253,7 @@ def _resume(options: argparse.Namespace) -> int:
 
 
 def _how(options: argparse.Namespace, scene: str) -> dict[str, Any]:
-    """What `run_scene` and `resume_scene` are given."""
+    """The arguments of `run_scene` and `resume_scene`."""
     from .scenes.building import load_law, load_observer
 
     kinds = [load_observer(given, scene) for given in options.observer]
@@ -281,7 +279,7 @@ def _filled(
     claim: contextlib.AbstractContextManager[Path],
     call: Callable[[Path, Any], None],
 ) -> int:
-    """The exit status of what fills a folder of results, with words for what went wrong."""
+    """Fills a folder of results and reports errors; the exit status."""
     from .scenes.folder import FigureError, Results, StorageError, listing, was_cut_off
     from .sweeps.store import StoreError
 
@@ -303,9 +301,9 @@ def _filled(
         _complain(str(error))
         status = 1 if folder else 2
     except SystemExit as error:  # of a law or an observer
-        _complain(f"your own code ended the run (SystemExit: {error}): take out its `sys.exit`")
+        _complain(f"your own code ended the run (SystemExit: {error}): remove its `sys.exit`")
     except OSError as error:
-        if folder:  # not of the folder, which has errors of its own
+        if folder:  # not for the folder, which has its own errors
             raise
         _complain(f"cannot write into {wanted}: {error.strerror}")
         status = 2
@@ -320,7 +318,7 @@ def _filled(
 
 
 def _client(options: argparse.Namespace) -> contextlib.AbstractContextManager[Any]:
-    """A client of the workers that were asked for, or None."""
+    """A client for the requested workers, or None."""
     if options.workers is None and options.scheduler is None:
         return contextlib.nullcontext()
     from .sweeps.dask_engine import cluster
@@ -339,7 +337,7 @@ def _status(options: argparse.Namespace) -> None:
     one = store_named(path)
     stores = stores_in(path) if one is None else [one]
     if not stores:
-        raise _MisusedError(f"{path} is no store, and no folder that holds one")
+        raise _MisusedError(f"{path} is neither a store nor a folder that contains one")
     states = [status_of(store) for store in stores]
 
     text = json.dumps({"stores": states}, indent=2)
@@ -382,7 +380,7 @@ def _boundary(options: argparse.Namespace) -> None:
             "or raise `n`."
         )
     coupling = 0.01 if coupling is None and options.n > 1 else coupling
-    # The belt speed has no part in it.
+    # It does not depend on the belt speed.
     chain = _chain(options, options.n, belt_speed=1.0, coupling=coupling)
     report = _boundary_report(chain, stability_range(chain, error_bars=True))
     print(json.dumps(report) if options.json else _boundary_text(report))
@@ -405,7 +403,7 @@ def _basins(options: argparse.Namespace) -> None:
 
 
 def _boundary_report(chain: Any, boundaries: Any) -> dict[str, Any]:
-    """What `jaxchain boundary --json` prints: numbers, null with a reason in `missing`."""
+    """The output of `jaxchain boundary --json`: numbers, or null with a reason in `missing`."""
     reasons = {
         "hopf": f"{_NO_HOPF}, at this width",
         "hopf_dry": f"{_NO_HOPF}, for dry friction",
@@ -420,7 +418,7 @@ def _boundary_report(chain: Any, boundaries: Any) -> dict[str, Any]:
 
 
 def _boundary_text(report: dict[str, Any]) -> str:
-    """Both boundaries as a table: at the width asked, for dry friction, with the bar."""
+    """Both boundaries as a table: at the given width, and for dry friction with its bar."""
     parameters, fold, dry = report["parameters"], report["fold"], report["fold_dry"]
     single = f"the vibration of oscillator {report['vibrating_oscillator']} alone"
     who = "its vibration" if parameters["n"] == 1 else single
@@ -444,7 +442,7 @@ def _boundary_text(report: dict[str, Any]) -> str:
 
 
 def _basins_report(chain: Any, box: Any, smoothed: Any, dry: Any, edges: Any) -> dict[str, Any]:
-    """What `jaxchain basins --json` prints: numbers, null with a reason in `missing`."""
+    """The output of `jaxchain basins --json`: numbers, or null with a reason in `missing`."""
     values, reasons = {}, {}
     for ending, basin, kind in (
         ("", smoothed, "at this width"),
@@ -457,14 +455,14 @@ def _basins_report(chain: Any, box: Any, smoothed: Any, dry: Any, edges: Any) ->
             reasons[name + ending] = f"{why}, {kind}"
         for name in ("hopf", "fold"):
             values[name + ending] = getattr(edges, name + ending)
-            why = "there is none, or it was not found: `jaxchain boundary` says more"
+            why = "there is none, or it was not found: see `jaxchain boundary`"
             reasons[name + ending] = f"{why}, {kind}"
     sides = {"box": {key: getattr(box, key).tolist() for key in ("displacement", "velocity")}}
     return _answer(values, reasons, sides, _parameters(chain, _BASINS))
 
 
 def _basins_text(report: dict[str, Any]) -> str:
-    """The share, the gentlest blows and the boundaries as a table, with what is missing."""
+    """The share, the gentlest blows and the boundaries as a table, with reasons for gaps."""
     (a, b), (c, d) = report["box"].values()
     parameters = report["parameters"]
     rows = [
@@ -482,7 +480,7 @@ def _basins_text(report: dict[str, Any]) -> str:
 
 
 def _answer(values: Any, reasons: Any, more: Any, parameters: Any) -> dict[str, Any]:
-    """One object of JSON: numbers, null with its reason in `missing`."""
+    """A JSON object: numbers, or null with a reason in `missing`."""
     finite = {name: float(v) if math.isfinite(v) else None for name, v in values.items()}
     missing = {name: why for name, why in reasons.items() if finite[name] is None}
     return {**finite, "missing": missing, **more, "parameters": parameters}

@@ -42,30 +42,31 @@ from ..simulation.event_driven import EventDriven
 from ..simulation.run import Simulation, simulate
 from .single_mass import sliding_basin
 
-# Speeds at which friction is held against damping, in units of the belt's.
+# Speeds at which friction is compared with damping, in units of the belt speed.
 _SPEEDS = np.linspace(0.0, 1.0, 4097)[1:]
-# Where some mass gains at all speeds: a motion this small, in units of the belt speed, is linear.
+# Used if friction exceeds damping at all speeds for some mass: a motion this small, in units of
+# the belt speed, is linear.
 _LINEAR = 1e-3
-# Periods in succession in which a mass sticks (smoothed friction may hold it on an unstable cycle
-# for a while, close to the fold), and between two times at most.
+# Successive periods in which a mass must stick (close to the fold smoothed friction may hold it on
+# an unstable cycle for a while), and the most periods between two such times.
 _STICKS, _SMOOTHED_STICKS, _APART = 5.0, 30.0, 1.6
 # Length of a run in decay times, and its limit.
 _DECAYS, _LEAST, _LONGEST = 40.0, 200.0, 1e5
-# For how many times of decay masses stick until they are said to vibrate, if less was not enough.
+# Decay times for which a mass must stick to count as vibrating; the next one if it was too short.
 _PATIENCE = 0.0, 5.0, _DECAYS
 LEVELS = len(_PATIENCE)
-# The end of a run, from which amplitudes are taken; random tries that run together.
+# The window at the end of a run for amplitudes; random tries in one batch.
 _WINDOW, _TOGETHER = 40.0, 256
-# A lower order than suits it best: a third more steps, and half the time to compile.
+# A lower order than the optimum: a third more steps, and half the time to compile.
 _RTOL, _ORDER = 1e-9, 8
 
 
 def quiet_radius(chain: Chain) -> Float[Array, ""]:
-    """The sqrt(2 E) below which every motion dies where steady sliding attracts, min v*_n.
+    """The sqrt(2 E) below which every motion dies out if sliding is stable, min v*_n.
 
-    Friction is held against damping at 4096 speeds up to the belt's.  With masses that gain at
-    every speed, and others that make up for it, 1e-3 |v_d| takes its place: there the motion is
-    linear.
+    Friction is compared with damping at 4096 speeds up to the belt speed.  If friction exceeds
+    damping at every speed for some masses, and other masses compensate this, the result is 1e-3
+    |v_d|, below which the motion is linear.
 
     >>> from jaxchain import paper_chain
     >>> round(float(quiet_radius(paper_chain(1, belt_speed=1.5, width=None))), 2)
@@ -88,20 +89,19 @@ def quiet_radius(chain: Chain) -> Float[Array, ""]:
 
 class _Watched(eqx.Module):
     last: Float[Array, " n"]  # time at which it stuck last
-    since: Float[Array, " n"]  # from which on it has stuck in every period
+    since: Float[Array, " n"]  # time since which it has stuck in every period
     died: Bool[Array, ""]
     vibrates: Bool[Array, " n"]
 
 
 class DecayOrVibrate(AbstractObserver):
-    """Whether a motion dies, or masses go on to stick period after period.
+    """Whether a motion dies out, or masses keep sticking period after period.
 
-    It dies once sqrt(2 E) is less than `radius`; it vibrates once some mass has stuck in every
-    period for the time `patience`, of five at least, or thirty with smoothed friction: on the
-    cycles that a motion may follow for long, the unstable ones, all masses slip.  Where the
-    belt is nearly too fast for it, a mass may stick for long and be stopped by its neighbours
-    nevertheless.  A motion with neither flag vibrates without sticking, or has not had the
-    time.
+    It has died out once sqrt(2 E) is less than `radius`.  It vibrates once some mass has stuck in
+    every period for the time `patience`, and for at least five periods (thirty with smoothed
+    friction): on unstable cycles, which a motion may follow for long, all masses slip.  If the
+    belt is nearly too fast for vibration, a mass may stick for long and still be stopped by its
+    neighbours.  A motion with neither flag vibrates without sticking, or the run was too short.
 
     **Value:** (whether it died, which masses vibrate).
     """
@@ -128,7 +128,7 @@ class DecayOrVibrate(AbstractObserver):
         now, field = accumulator, step.field
         x, v = step.y1
         switching = field.switching(step.t1, v)
-        assert switching is not None  # what rides on a belt switches
+        assert switching is not None  # a field with a belt has `switching`
         speed: Any = field.stick_speed()
         held = jnp.abs(switching[0]) <= speed
         held = held & (field.excess_force(x, v) <= 0)
@@ -150,21 +150,21 @@ class DecayOrVibrate(AbstractObserver):
 
 
 class Trials(eqx.Module):
-    """Runs of a chain that begin with a kick of steady sliding."""
+    """Runs of a chain that begin with a kick from steady sliding."""
 
     chain: Chain
     rest: Float[Array, " n"]
     radius: Float[Array, ""]
-    rate: Float[Array, ""]  # at which the least disturbance of steady sliding decays
+    rate: Float[Array, ""]  # of the slowest disturbance of steady sliding
     horizon: Float[Array, ""]
     patience: Float[Array, ""]  # see `DecayOrVibrate`
 
     @classmethod
     def of(cls, chain: Chain) -> Trials:
-        """Trials of a chain: how fast sliding decays says how long a run takes to decide."""
+        """Trials of a chain; the decay rate of disturbances determines the length of the runs."""
         frozen = lax.stop_gradient(chain)
         rate = -growth_rate(frozen, frozen.belt_speed)
-        # NaN is as good as none.
+        # NaN counts as no decay.
         time = jnp.where(rate > 0, _DECAYS / jnp.where(rate > 0, rate, 1.0), _LEAST)
         horizon = jnp.clip(time + _LEAST, _LEAST, _LONGEST)
         return cls(
@@ -172,7 +172,7 @@ class Trials(eqx.Module):
         )
 
     def with_longer_runs(self, level: Int[Array, ""]) -> Trials:
-        """For a mass that sticks once more and more often until it is said to vibrate."""
+        """The trials with longer `patience`: masses must stick in more periods."""
         decay = 1.0 / jnp.where(self.rate > 0, self.rate, 1.0)
         patience = jnp.asarray(_PATIENCE)[level] * decay
         return eqx.tree_at(lambda t: t.patience, self, patience)
@@ -185,15 +185,15 @@ class Trials(eqx.Module):
         return _run(self.chain, (self.rest, kick), self.horizon, observe)
 
     def dies(self, kick: Float[Array, " n"]) -> tuple[Bool[Array, ""], Float[Array, ""]]:
-        """Whether it does, and the time at which that, or that it vibrates, was clear."""
+        """Whether the motion dies out, and the time at which this, or vibration, was decided."""
         run = self.run(kick)
         return run.observed[0], run.t
 
     def ends(self, kick: Float[Array, " n"]) -> tuple[Bool[Array, ""], Bool[Array, " n"]]:
-        """Whether any motion is left at the end of a long run, and which masses vibrate there."""
+        """Whether any motion is left at the end of a long run, and which masses vibrate."""
         amplitude = self.run(kick, observe=Amplitude(window=_WINDOW)).observed
         stiffness = self.chain.stiffness_diagonal(self.chain.n)
-        # A velocity, to be compared with one.
+        # A velocity, comparable with the belt speed.
         fastest = jnp.max(jnp.sqrt(stiffness) * amplitude)
         return fastest > 0.5 * self.radius, active(amplitude, self.chain.belt_speed)
 
@@ -219,23 +219,20 @@ def _run(chain: Chain, initial: State, t1: Any, observe: Any = None) -> Simulati
 
 
 def energy_after(chain: Chain, kick: Float[Array, " n"], time: ScalarLike) -> Float[Array, ""]:
-    """E at a time after a kick of steady sliding, to be differentiated forward."""
+    """E at a time after a kick from steady sliding, for forward derivatives."""
     rest = steady_sliding(chain)[0]
     x, v = _run(chain, (rest, kick), time).state
     d = x - rest
     return 0.5 * jnp.sum(v * v - d * chain.restoring_force(d))
 
 
-# By how much a size that dies is raised, and the runs that a threshold may take.
+# Factor by which a size that dies out is raised, and the most runs of a threshold search.
 _RAISE, _MOST_RUNS = 1.25, 200
-# Of the size below which all motions die: certain to.
+# A share of the size below which all motions die out: certain to die out.
 _SURELY = 0.999
-# The hardest kick tried: in units of the belt's speed and that of a mass let go.
+# The hardest kick tried: in units of the belt speed and of the speed of a released mass.
 _HARDEST = 8.0
-_ONCE = (
-    "The size of a blow knows its first derivatives only: what its normal changes by is not "
-    "computed."
-)
+_ONCE = "The size of a blow has first derivatives only: the change of its normal is not computed."
 
 
 def hardest(chain: Chain) -> Float[Array, ""]:
@@ -246,7 +243,7 @@ def hardest(chain: Chain) -> Float[Array, ""]:
 
 
 def as_direction(n: int, direction: Any) -> Float[Array, "1 n"]:
-    """A vector made one of length 1, in a batch of one, or `ValueError`."""
+    """The vector normalised to length 1, in a batch of one, or `ValueError`."""
     remedy = f"give {n} numbers, one for each mass."
     vector = as_array("direction", direction, 1, 1, remedy)
     if vector.shape != (n,):
@@ -260,10 +257,10 @@ def as_direction(n: int, direction: Any) -> Float[Array, "1 n"]:
 
 
 class Threshold(eqx.Module):
-    """Where along a direction motions begin to vibrate.
+    """The threshold of vibration along a direction.
 
-    `low` dies and `high` vibrates, infinite if nothing up to the hardest kick does; `time` at
-    which `low` was dead; `runs` that it took.
+    After `low` the motion dies out, after `high` it vibrates (infinite if nothing up to the
+    hardest kick does); `time`: when the motion of `low` had died out; `runs`: their number.
     """
 
     low: Float[Array, ""]
@@ -275,17 +272,17 @@ class Threshold(eqx.Module):
 class _SizeBracket(eqx.Module):
     low: Float[Array, ""]
     high: Float[Array, ""]
-    dies: Bool[Array, ""]  # whether `low` is known to
+    dies: Bool[Array, ""]  # whether `low` is known to die out
     vibrates: Bool[Array, ""]  # and `high`
-    share: Float[Array, ""]  # what the ends move by if they are on the wrong side
+    share: Float[Array, ""]  # by how much an end moves if it is on the wrong side
     time: Float[Array, ""]
     runs: Int[Array, ""]
 
 
 def upwards(trials: Trials) -> tuple[Array, Array]:
-    """(guess, share) to look for the first threshold there is along a direction.
+    """(guess, share) for a search for the first threshold along a direction.
 
-    From the size that is sure to die upwards, a quarter at a time.
+    It goes upwards from a size that certainly dies out, in steps of a quarter.
     """
     return _SURELY * trials.radius, jnp.zeros(())
 
@@ -298,10 +295,10 @@ def threshold(
     precision: Any,
     wanted: Any = True,
 ) -> Threshold:
-    """r(u) between two sizes that are `precision` of themselves apart.
+    """r(u), bracketed to a relative `precision`.
 
-    From a guess, which differs by a `share` or more; see `upwards`.  In a batch, lanes that
-    are not `wanted`, or done, hold up no others: they take no step.
+    It starts from a guess with an error of about `share`; see `upwards`.  In a batch, lanes that
+    are done or not `wanted` take no steps, so the others need not wait for them.
     """
     most, surely = hardest(trials.chain), _SURELY * trials.radius
     share = jnp.asarray(share)
@@ -347,10 +344,10 @@ def threshold(
 def normal(
     trials: Trials, embed: Any, parts: Float[Array, " m"], time: Float[Array, ""]
 ) -> Float[Array, " m"]:
-    """z / |z| at the kick embed(parts), out of the basin of steady sliding.
+    """z / |z| at the kick embed(parts), pointing out of the basin of steady sliding.
 
-    Forward in m directions at once, which takes a fifth of the time to compile that the way back
-    through a run does, and up to some thirty masses no longer to run.
+    Forward mode in m directions at once: it compiles in a fifth of the time of reverse mode, and
+    up to some thirty masses it runs no longer.
     """
     z = jax.jacfwd(lambda parts: energy_after(trials.chain, embed(parts), time))(parts)
     z = z / jnp.sqrt(jnp.sum(z**2))
@@ -360,13 +357,13 @@ def normal(
 def with_derivative(
     chain: Chain, size: Float[Array, ""], direction: Float[Array, " n"], time: Float[Array, ""]
 ) -> Float[Array, ""]:
-    """The size as a function of the numbers of the chain, the direction held.
+    """The size as a function of the numbers of the chain, with a fixed direction.
 
-    At the gentlest blow the direction's change makes no difference to first order.
+    At the gentlest blow a change of the direction has no first-order effect.
     """
 
     def residual(u: Array, parameters: Any) -> Array:
-        # Less a number, which has no derivative.
+        # The subtracted number has no derivative.
         with_numbers, direction, time = parameters
         return jnp.reshape(energy_after(with_numbers, u[0] * direction, time), 1)
 
@@ -374,30 +371,30 @@ def with_derivative(
     return attach_derivative(residual, jnp.reshape(size, 1), (chain, *fixed), once=_ONCE)[0]
 
 
-# What a step shrinks by if refused, and how often it may.
+# The factor by which a rejected step shrinks, and how often it may.
 _SHRINKAGE, _MOST_REFUSED = 0.3, 8
-# A plane's threshold falls by half the angle to its normal squared.  Thresholds are found to so
-# much of the angle squared, within these limits.
+# Towards the normal the threshold of a plane falls by half the square of the angle.  Thresholds
+# are computed to this share of the squared angle, within these limits.
 _SHARE, _FINE, _COARSE = 0.03, 1e-11, 1e-3
-# The angle that is good enough where no step helps any more.
+# The angle that is accepted if no step reduces the size any more.
 NEARLY = 1e-3
-# By how much what came to no end must be less than what did to count.
+# An unconverged descent counts only if its size is smaller by this share.
 _KINK = 1e-7
 # The longest step, on the unit sphere.
 _LONGEST_STEP = 0.7
-# What a threshold may differ by from that of a plane, in units of the angle squared.
+# The allowed difference of a threshold from that of a plane, in units of the squared angle.
 _BENT, _LEAST_BEND, _MOST_BEND = 1.0, 1e-7, 0.25
 # Starts that are followed together.
 _LANES = 4
-# The angle to which all starts descend; the size errs by half of its square.
+# The angle to which all starts descend; the error of the size is half its square.
 _ANGLE_APART = 3e-3
 
 
 class Descended(eqx.Module):
-    """Where a descent ended: a unit vector, r there, its angle to the normal, and how it went."""
+    """The end of a descent: a unit vector, r there, its angle to the normal, and the outcome."""
 
     direction: Float[Array, " m"]
-    size: Float[Array, ""]  # of a kick that vibrates; inf if none does
+    size: Float[Array, ""]  # of a kick that leads to vibration; inf if none does
     precision: Float[Array, ""]  # of the size, relative
     angle: Float[Array, ""]
     normal: Float[Array, " m"]
@@ -416,10 +413,11 @@ def search(
     tolerance: Float[Array, ""],
     optimiser: optax.GradientTransformation,
 ) -> tuple[Descended, Float[Array, " starts"]]:
-    """The end of the best descent, and the sizes in which all of them ended.
+    """The end of the best descent, and the final sizes of all descents.
 
-    All go on until the angle is small enough to tell them apart, one chunk after the other; then
-    the best ones do until it is `tolerance`.  One loop over all that, whose body is compiled once.
+    All descend, chunk by chunk, until the angle is small enough to distinguish them; then the best
+    ones continue until it is `tolerance`.  All this is one loop, so that its body is compiled
+    once.
     """
     chunks, lanes, _ = starts.shape
 
@@ -445,7 +443,7 @@ def search(
 
     nothing = jax.vmap(fresh)(starts[0])
     best, sizes = lax.scan(chunk, nothing, jnp.arange(chunks + 1))
-    # An edge with a kink leads nowhere on either side of it.
+    # At a kink of the edge no step on either side reduces the size.
     first = jnp.argmin(best.size * jnp.where(best.angle <= NEARLY, 1.0, 1.0 + _KINK))
     return jax.tree.map(lambda leaf: leaf[first], best), jnp.sort(sizes[:-1].reshape(-1))
 
@@ -459,9 +457,9 @@ def descend(
     fine: Float[Array, ""],
     optimiser: optax.GradientTransformation,
 ) -> Descended:
-    """Minimises ln r(u) from where another descent ended, or began; a kick is r embed(u).
+    """Minimises ln r(u) from the end, or the start, of another descent; a kick is r embed(u).
 
-    Until the angle is `tolerance`, and the size is known to `fine`.
+    It ends when the angle is at most `tolerance` and the size is known to `fine`.
     """
     transform: Any = optax.with_extra_args_support(optimiser)
 
@@ -474,11 +472,11 @@ def descend(
 
     def round_(now: Descended) -> Descended:
         first, wanted = jnp.isinf(now.angle), going(now)
-        # Where the angle is small enough the size alone is looked at once more.
+        # Where the angle is small enough, only the size is refined once more.
         same = now.angle <= tolerance
         u = now.direction + jnp.where(same, 0.0, now.length) * now.step
         u = u / jnp.sqrt(jnp.sum(u**2))
-        # That of the plane through the edge at the best point so far.
+        # The threshold of the tangent plane of the edge at the best point so far.
         plane = now.size * jnp.sum(now.normal * now.direction) / jnp.sum(now.normal * u)
         guess, share = upwards(trials)
         bend = jnp.clip(_BENT * (now.length * now.angle) ** 2, _LEAST_BEND, _MOST_BEND)
@@ -500,7 +498,7 @@ def descend(
         far = jnp.sqrt(jnp.sum(step**2))
         step = step * jnp.minimum(1.0, _LONGEST_STEP / jnp.where(far > 0, far, 1.0))
         sound = good & jnp.isfinite(angle) & jnp.all(jnp.isfinite(step))
-        # What was too long once may be again.
+        # After a rejected step the next one stays shorter.
         longer, none = jnp.minimum(1.0, 2.0 * now.length), jnp.zeros((), int)
         taken = Descended(
             u, edge.high, precision, angle, z, step, longer, state, none, now.count + 1
@@ -516,7 +514,7 @@ def descend(
 
 
 def some_starts(m: int, equal: bool, random: int) -> Float[np.ndarray, "chunks lanes m"]:
-    """Unit vectors: single masses, neighbours in and out of phase, all, and random ones."""
+    """Unit vectors: single masses, neighbours in and out of phase, all masses, random ones."""
     one = np.eye(m)
     ways = one[m // 2 :][:1] if equal else one
     beside = np.roll(ways, 1, axis=1)
@@ -530,16 +528,16 @@ def some_starts(m: int, equal: bool, random: int) -> Float[np.ndarray, "chunks l
 
 
 def is_ring_of_equals(chain: Chain) -> bool:
-    """Whether rotations leave the chain as it is, told by the shapes of its numbers alone."""
+    """Whether the chain is invariant under rotation, judged by the shapes of its numbers."""
     alike = all(a is None or jnp.ndim(a) == 0 for a in chain.numbers().values())
     return alike and (chain.springs is None or chain.ends == "cyclic")
 
 
-# A threshold of the result errs by this share, and by what a run errs.
+# Relative error of a threshold in the result, besides the error of a run.
 _PRECISION, _NEARBY = 1e-11, 1e-5
-# The certificate: so much less dies, so much more vibrates.
+# The certificate: a kick smaller by this share dies out, one larger by it vibrates.
 _MARGIN = 0.01
-# Random tries near the blow differ from it by these angles.
+# Angles between the blow and the random tries near it.
 _ANGLES = 1e-3, 1.0
 _MOST_STARTS, _MOST_TRIES = 10_000, 10**8
 _MASSES = "give None for all masses, or indices from 0, as (0, 1)."
@@ -617,7 +615,7 @@ def gentlest_blow(
     **Returns:** a `Blow`.  For one mass it is the distance to the unstable cycle,
     `blow_of_one_mass` (without `direction`), with an error of some 1e-10; otherwise the error is
     1e-7.  In a ring of equal masses all rotations of a blow are equivalent: the one with the
-    hardest kick on mass n // 2 is returned. It works under `jit` and `vmap`; `size` has first
+    hardest kick on mass n // 2 is returned.  It works under `jit` and `vmap`; `size` has first
     derivatives in all numbers of the chain by the implicit function theorem, with a fixed
     direction, whose change has no first-order effect at a minimum.  Runs on both sides prove that
     it is a threshold; `starts` and `tries` make it likely, but do not prove, that it is the global
@@ -644,7 +642,7 @@ def gentlest_blow(
     check_whole("starts", starts, 0, _MOST_STARTS, "8 are usual.")
     check_whole("steps", steps, 1, MOST_STEPS, "40 are usual.")
     check_positive_number("tolerance", tolerance, "an angle; 1e-5 is usual.")
-    check_whole("tries", tries, 0, _MOST_TRIES, "random kicks to be tried; 1000 say.")
+    check_whole("tries", tries, 0, _MOST_TRIES, "random kicks to try; 1000 is usual.")
     if optimiser is None:
         optimiser = optax.sgd(1.0)
     wanted = "one of optax", "make one, `optax.sgd(1.0)`."
@@ -679,7 +677,7 @@ def _chosen(n: int, masses: Any, direction: Any) -> tuple[int, ...]:
 
 
 class _Attempt(eqx.Module):
-    """A blow and what became of its runs."""
+    """A blow and the outcome of its runs."""
 
     direction: Float[Array, " n"]
     threshold: Threshold
@@ -690,7 +688,7 @@ class _Attempt(eqx.Module):
     vibrating: Bool[Array, "three n"]
 
     def sizes_tried(self) -> Float[Array, " three"]:
-        """1 % less, what just vibrates, 1 % more."""
+        """1 % less, the least that vibrates, 1 % more."""
         return _around(self.threshold)
 
     def holds(self) -> Bool[Array, ""]:
@@ -715,7 +713,7 @@ def _certified(
 
 @eqx.filter_jit
 def _along(chain: Chain, directions: Float[Array, "ways n"], tries: int) -> Blow:
-    """The gentlest of one or two ways to kick; only the size is searched for."""
+    """The gentlest kick along one or two given directions; only the size is searched for."""
 
     def attempt(trials: Trials) -> _Attempt:
         edges = jax.vmap(lambda u: threshold(trials, u, *upwards(trials), _PRECISION))(directions)
@@ -736,7 +734,7 @@ def _over(
     chain: Chain, chosen: tuple[int, ...], equal: bool, starts: int, steps: int,
     tolerance: Array, optimiser: optax.GradientTransformation, tries: int,
 ) -> Blow:  # fmt: skip
-    """The gentlest over all directions of the kick of some masses."""
+    """The gentlest kick of some masses, over all directions."""
     n, where = chain.n, np.array(chosen)
     first = jnp.asarray(some_starts(len(chosen), equal, starts))
 
@@ -753,7 +751,7 @@ def _over(
         stalled = end.count < steps
         ended = of.where(stalled, of.no_step_helps, of.max_steps_reached)
         near = (end.angle <= tolerance) | (stalled & (end.angle <= NEARLY))
-        # Where nothing vibrates there is no angle either.
+        # If nothing vibrates, there is no angle.
         ended = of.where(near | jnp.isinf(end.size), of.successful, ended)
         return _certified(trials, u, edge, end.angle, sizes, ended)
 
@@ -775,7 +773,7 @@ def _with_longer_runs(
     another: Callable[[Array, Array], Array],
     tries: int,
 ) -> Blow:
-    """The first attempt that its runs bear out, each with more patience than the one before."""
+    """The first attempt that its runs confirm, with more patience in each attempt."""
     trials = Trials.of(chain)
 
     def going(now: tuple[Array, _Attempt]) -> Array:
@@ -791,7 +789,7 @@ def _with_longer_runs(
     levels, last = lax.while_loop(going, once_more, (jnp.zeros((), int), nothing))
     patient = trials.with_longer_runs(levels - 1)
     size = 0.5 * (last.threshold.low + last.threshold.high)
-    # Of what was not found the derivative is that of a kick without a run.
+    # If nothing was found, differentiate the kick without a run.
     good = last.holds() & ~last.none() & (trials.rate > 0)
     time, at = jnp.where(good, last.threshold.time, 0.0), jnp.where(good, size, 1.0)
     attached = with_derivative(chain, at, last.direction, time)
@@ -800,7 +798,7 @@ def _with_longer_runs(
 
 @eqx.filter_jit
 def _of_one_mass(chain: Chain, tries: int) -> Blow:
-    """Exactly: the unstable cycle where it passes steady sliding."""
+    """The exact blow: the velocity of the unstable cycle at the displacement of steady sliding."""
     trials, basin = Trials.of(chain), sliding_basin(chain)
     up = basin.up <= basin.down
     size = jnp.where(up, basin.up, basin.down)
@@ -809,7 +807,7 @@ def _of_one_mass(chain: Chain, tries: int) -> Blow:
     limit = Threshold(fixed, fixed, jnp.zeros(()), jnp.zeros((), int))
     sizes = lax.stop_gradient(jnp.sort(jnp.stack([basin.up, basin.down])))
     last = _certified(trials, u, limit, jnp.zeros(()), sizes, basin.result)
-    # Of what lies on the edge itself no run can tell.
+    # A run from the edge itself decides nothing.
     last = eqx.tree_at(lambda a: a.goes_on, last, last.goes_on.at[1].set(True))
     return _blow(trials, last, size, lambda key, u: jax.random.uniform(key) * u, tries)
 
@@ -821,7 +819,7 @@ def _blow(
     another: Callable[[Array, Array], Array],
     tries: int,
 ) -> Blow:
-    """What is to be said of an attempt; `size` with its derivative."""
+    """The `Blow` of an attempt; `size` with its derivative."""
     u = last.direction
     below, _, above = last.sizes_tried()
     lighter = trials.vibrating_among(lambda key: below * another(key, u), tries)

@@ -36,7 +36,7 @@ from ..observers.base import AbstractObserver, Step, Variable
 from ..observers.quantities import active_above
 from ..result import Printed
 
-# Amplitudes that rounding may fake, as a share of the belt speed.
+# Amplitudes that may be rounding errors, as a share of the belt speed.
 _AT_REST = 1e-9
 # Pairs of neighbours by the delay of the second, in shares of a period.
 _PHASES = ("in phase", "out of phase", "in between")
@@ -122,7 +122,7 @@ class AbstractClassifier(AbstractObserver):
         """The name of a state, from its code after `merge`."""
 
     def numbers(self, code: Int[np.ndarray, " k"], chain: Chain) -> Mapping[str, int]:
-        """Further numbers of a state, each a coordinate along `state`; by default none."""
+        """Other numbers of a state, each a coordinate along `state`; by default none."""
         del code, chain
         return {}
 
@@ -134,9 +134,9 @@ class _Looking(eqx.Module):
     last: Float[Array, " n"]  # amplitude of the window before, NaN in the first
     code: Int[Array, " n"]
     quiet: Int[Array, " n"]  # windows since each mass last exceeded |v_d|/2
-    lull: Int[Array, " n"]  # the most of these after which it exceeded that again
+    lull: Int[Array, " n"]  # the greatest such number after which it exceeded that again
     same: Int[Array, ""]  # windows in succession that agree
-    calm: Int[Array, ""]  # ... and in which nothing moves on
+    calm: Int[Array, ""]  # ... and in which nothing changes
     since: Float[Array, ""]
     peaks: Float[Array, "two n"] | None  # times of the latest maximum, and of the one before
 
@@ -194,7 +194,7 @@ class VibratingMasses(AbstractClassifier):
 
     by: Literal["count", "masses", "ring"] = eqx.field(static=True, default="count")
     phases: bool = eqx.field(static=True, default=False)
-    # Numbers, not a part of the program: those of a longer look compile nothing.
+    # Data, not part of the program: other values need no compilation.
     window: Float[Array, ""] = eqx.field(converter=named("window"), default=20.0)
     tolerance: Float[Array, ""] = eqx.field(converter=named("tolerance"), default=1e-3)
     agree: Float[Array, ""] = eqx.field(converter=named("agree"), default=3)
@@ -246,29 +246,29 @@ class VibratingMasses(AbstractClassifier):
             before = jnp.where(peak, now.peaks[0], now.peaks[1])
             now = eqx.tree_at(lambda a: a.peaks, now, jnp.stack([latest, before]))
         over = step.t1 >= now.ends
-        # One branch for the whole batch; what is not over stays.
+        # One branch for the whole batch; lanes whose window is not over do not change.
         look = lambda: self._look(now, step)  # noqa: E731
         looked = lax.cond(eqxi.unvmap_any(over), look, lambda: now)
         return where(over, looked, now)
 
     def _look(self, now: _Looking, step: Step) -> _Looking:
-        """At the end of a window."""
+        """Updates the state at the end of a window."""
         field: Any = step.field
         amplitude = (now.high - now.low) / 2
         speed = jnp.abs(field.belt_speed)
         above = amplitude > active_above(speed)
         quiet = jnp.where(above, 0, now.quiet + 1)
-        # A mass whose vibration beats falls below the threshold for a window at a time.
+        # The amplitude of a beating mass falls below the threshold for a window at a time.
         vibrates = (quiet <= self.agree) & jnp.any(above)
         code = self._code(now, vibrates, field)
         same = jnp.all(code == now.code)
         steady = jnp.abs(amplitude - now.last) <= self.tolerance * amplitude
         rest = jnp.all(amplitude <= _AT_REST * speed)
         dies = (jnp.sum(amplitude**2) < jnp.sum(now.last**2)) | rest
-        # Phases drift long after amplitudes are steady.
+        # Phases still drift long after amplitudes are steady.
         even = jnp.all(above & steady) & (not self.phases)
         calm = even | (~jnp.any(above) & dies)
-        # That of the first window is no answer yet: what starts may do anything in it.
+        # The first window decides nothing: it contains the transient.
         started = now.ends - self.window
         return _Looking(
             low=step.y1[0],
@@ -285,7 +285,7 @@ class VibratingMasses(AbstractClassifier):
         )
 
     def _code(self, now: _Looking, vibrates: Array, chain: Chain) -> Array:
-        """0: quiet, 1: vibrates; with phases 2, 4, 6 more by its delay to the neighbour before."""
+        """0: quiet, 1: vibrates; with phases plus 2, 4 or 6 for the delay to the previous mass."""
         code = vibrates.astype(int)
         if now.peaks is None or chain.n == 1:
             return code
@@ -307,7 +307,7 @@ class VibratingMasses(AbstractClassifier):
     def read(self, accumulator: _Looking) -> Settled:
         now = accumulator
         vibrates = now.code > 0
-        # A mass that has not come back from so long a lull may have died.
+        # A mass that has stayed below the threshold for so long may have stopped vibrating.
         alive = jnp.all(~vibrates | (now.quiet <= now.lull))
         return Settled(now.code, vibrates, (now.same >= self.agree) & alive, now.since)
 
@@ -357,7 +357,7 @@ class VibratingMasses(AbstractClassifier):
 
 
 def _check_alike(chain: Chain) -> None:
-    """Raises unless a rotation, or the reflection of open ends, leaves the chain as it is."""
+    """Raises unless the chain is invariant under rotation, or reflection with free ends."""
     for name, value in chain.numbers().items():
         if value is not None and np.ndim(value) > 0 and np.ptp(np.asarray(value)) > 0:
             raise ValueError(
@@ -367,9 +367,9 @@ def _check_alike(chain: Chain) -> None:
 
 
 def _canonical(code: np.ndarray, chain: Chain) -> np.ndarray:
-    """Of all images of a code under the chain's symmetries the lexicographically greatest."""
+    """The lexicographically greatest image of a code under the chain's symmetries."""
     vibrates, phase = np.minimum(code, 1), code // 2
-    # The phase of a pair stands at its second mass, which is the first one in the mirror.
+    # The phase of a pair is stored at its second mass, which is the first one after reflection.
     mirrored = vibrates[::-1] + 2 * np.roll(phase[::-1], 1)
     turns = range(len(code) if chain.ends == "cyclic" else 1)
     images = [np.roll(image, turn) for image in (code, mirrored) for turn in turns]

@@ -31,21 +31,22 @@ from ..simulation.run import MOST_SEGMENTS, simulate
 # Two states, stacked: on the quiet side, on the other.
 Pair: TypeAlias = tuple[Float[Array, "2 n"], Float[Array, "2 n"]]
 SETTLE, CUT, TRACK, CHECK, DONE = range(5)
-# Windows of the first block, and by what shares ranges of amplitudes may differ from block to
-# block where a start has settled: of the way between the two states, and of themselves, unless
-# they are as small a share of the belt speed.
+# Windows of the first block, and how much ranges of amplitudes may differ from block to block once
+# a start has settled: shares of the distance between the two states and of the ranges themselves,
+# unless these are as small a share of the belt speed.
 _BLOCK, _SAME, _OF_ITSELF, _RESTS = 16, 0.03, 0.05, 1e-3
-# Of the way from the quiet amplitude to the other one: a mass that is nearer than this is quiet,
-# or vibrates if it sticks, too.  Other phases of its neighbours change its amplitude by 4 %.
+# Shares of the difference between quiet and vibrating amplitude: a mass within the first is quiet;
+# one within the second vibrates if it also sticks.  Other phases of its neighbours change its
+# amplitude by 4 %.
 _NEAR_LOW, _NEAR_HIGH = 0.05, 0.1
-# Windows in succession that must say the same.
+# Successive windows that must agree.
 _AGREE, _SETTLED = 3, 5
 # Factor and number of times by which a bracket that has lost the edge is widened.
 _WIDER, _MOST_WIDER = 4.0, 8
 
 
 class Tracking(eqx.Module):
-    """What is asked for: windows of time, their number, distances and tolerances."""
+    """Settings of the tracking: windows, their number, distances and tolerances."""
 
     windows: int = eqx.field(static=True)
     window: Float[Array, ""]
@@ -53,19 +54,19 @@ class Tracking(eqx.Module):
     near: Float[Array, ""]
     far: Float[Array, ""]
     tolerance: Float[Array, ""]
-    rtol: float = eqx.field(static=True)  # a number: the order of the series is chosen by it
+    rtol: float = eqx.field(static=True)  # a Python number: it sets the order of the series
     solver: Any
 
 
 class EdgeSearch(eqx.Module):
-    """The search under way; along an axis of 2 the quiet side is first, then the other."""
+    """The state of the search; along an axis of 2 the quiet side comes first."""
 
     stage: Int[Array, ""]
     final: Bool[Array, ""]  # no more tracking: the next cut is the last
     x: Float[Array, "2 n"]  # the ends of the bracket
     v: Float[Array, "2 n"]
-    runs: Pair  # where the two runs have got to
-    count: Int[Array, ""]  # windows since they began
+    runs: Pair  # the present states of the two runs
+    count: Int[Array, ""]  # windows since the runs began
     low: Float[Array, "2 n"]  # least and greatest amplitude of a block of windows
     high: Float[Array, "2 n"]
     last_low: Float[Array, "2 n"]  # of the block before
@@ -73,7 +74,7 @@ class EdgeSearch(eqx.Module):
     vibrates: Bool[Array, "2 n"]  # in the states on which the starts settle
     sides: Bool[Array, "2 n"]  # which masses vibrate on both sides, as last decided
     pattern: Bool[Array, "2 n"]  # and in the two runs
-    agree: Int[Array, " 2"]  # windows in succession in which it was that
+    agree: Int[Array, " 2"]  # successive windows with the same decision
     widened: Int[Array, ""]
     tracked: Int[Array, ""]  # windows
     amplitudes: Float[Array, "windows n"]
@@ -84,7 +85,7 @@ class EdgeSearch(eqx.Module):
 
     @property
     def settled(self) -> Bool[Array, ""]:
-        """Whether the motion on the edge repeats itself."""
+        """Whether the amplitudes on the edge have settled."""
         return self.repeats >= _SETTLED
 
     @property
@@ -146,7 +147,7 @@ def _either(condition: Array, yes: EdgeSearch, no: EdgeSearch) -> EdgeSearch:
 
 
 def _failed(now: EdgeSearch, bad: Array, why: SearchResult) -> EdgeSearch:
-    """The same, ended if it is `bad`."""
+    """The search, ended if it is `bad`."""
     return replace(
         now,
         stage=jnp.where(bad, DONE, now.stage),
@@ -157,8 +158,8 @@ def _failed(now: EdgeSearch, bad: Array, why: SearchResult) -> EdgeSearch:
 def _settle(chain: Chain, now: EdgeSearch, amplitude: Array, how: Tracking) -> EdgeSearch:
     """Both starts run on until the ranges of their amplitudes agree from block to block.
 
-    Each block is twice as long as the one before it.  Only masses in which the states differ are
-    asked: the others may go on beating.
+    Each block is twice as long as the previous one.  Only masses in which the states differ are
+    checked; the others may continue to beat.
     """
     count = now.count
     ends = (count >= _BLOCK) & (count & (count - 1) == 0)  # 16, 32, 64, ...
@@ -170,7 +171,7 @@ def _settle(chain: Chain, now: EdgeSearch, amplitude: Array, how: Tracking) -> E
     before = active(0.5 * (now.last_low + now.last_high), chain.belt_speed)
     differs = vibrates[0] != vibrates[1]
     speed = jnp.abs(chain.belt_speed)
-    # Of a decay that is slow the ranges hardly differ, but by much compared with themselves.
+    # In a slow decay the ranges differ little in absolute size, but much relative to themselves.
     way = jnp.abs(0.5 * (low[1] + high[1] - low[0] - high[0]))
     change = jnp.maximum(jnp.abs(low - now.last_low), jnp.abs(high - now.last_high))
     little = change <= _SAME * jnp.where(differs, way, speed)[None]  # false for NaN
@@ -193,7 +194,7 @@ def _settle(chain: Chain, now: EdgeSearch, amplitude: Array, how: Tracking) -> E
 
 
 def _thirds(part: Array) -> Array:
-    """What lies a third and two thirds of the way from one end to the other."""
+    """The points at a third and two thirds of the bracket."""
     step = (part[1] - part[0]) / 3.0
     return jnp.stack([part[0] + step, part[1] - step])
 
@@ -214,23 +215,23 @@ def _scale(now: EdgeSearch) -> Array:
 
 
 def _sides(now: EdgeSearch) -> tuple[Array, Array, Array]:
-    """(masses in which the states differ, their amplitudes quiet and not), shape (1, n) each."""
+    """(masses in which the states differ, amplitudes quiet and vibrating), shape (1, n) each."""
     (one, other), low, high = now.vibrates, now.last_low, now.last_high
     quiet, lively = jnp.where(other, high[0], high[1]), jnp.where(other, low[1], low[0])
     return (one != other)[None], quiet[None], lively[None]
 
 
 def is_between(now: EdgeSearch, amplitude: Float[Array, " n"]) -> Bool[Array, ""]:
-    """Whether amplitudes on the edge are well above those that decide that a mass is quiet.
+    """Whether amplitudes on the edge are well above the threshold for a quiet mass.
 
-    Otherwise that may have been decided of runs that were not.
+    Otherwise runs that are not quiet may have been classified as quiet.
     """
     differs, quiet, lively = _sides(now)
     return jnp.any(differs & (amplitude[None] > quiet + 2.0 * _NEAR_LOW * (lively - quiet)))
 
 
 def _judge(chain: Chain, now: EdgeSearch, amplitude: Array, sticks: Array) -> EdgeSearch:
-    """With what a window says of both runs."""
+    """The search after the evaluation of one more window of both runs."""
     differs, quiet, lively = _sides(now)
     way = lively - quiet
     is_low = amplitude <= quiet + _NEAR_LOW * way
@@ -238,7 +239,7 @@ def _judge(chain: Chain, now: EdgeSearch, amplitude: Array, sticks: Array) -> Ed
     pattern = jnp.where(differs, is_high, active(amplitude, chain.belt_speed))
     clear = jnp.all(~differs | is_low | is_high, axis=1)
     same = jnp.all(~differs | (pattern == now.pattern), axis=1) & (now.agree > 0)
-    # What has been decided stays so.
+    # A decision is final.
     before = now.agree >= _AGREE
     agree = jnp.where(clear, jnp.where(same, now.agree + 1, 1), 0)
     agree = jnp.where(before, now.agree, agree)
@@ -261,7 +262,7 @@ def _narrowed(now: EdgeSearch, side: int, third: int) -> EdgeSearch:
 
 
 def _cut(now: EdgeSearch, how: Tracking) -> EdgeSearch:
-    """One end is moved as soon as the runs allow it."""
+    """Moves one end as soon as the runs are decided."""
     decided, quiet = _decided(now)
     below, beyond = decided & quiet, decided & ~quiet
     middle = replace(now, x=_thirds(now.x), v=_thirds(now.v), sides=now.pattern)
@@ -275,7 +276,7 @@ def _cut(now: EdgeSearch, how: Tracking) -> EdgeSearch:
 
 
 def _track(now: EdgeSearch, amplitude: Array, how: Tracking) -> EdgeSearch:
-    """Both ends go on; the motion between them is recorded."""
+    """Integrates both ends by a window; the motion between them is recorded."""
     scale, distance, mean = _scale(now), gap(now.runs), jnp.mean(amplitude, axis=0)
     sharp = distance <= how.tolerance * scale
     same = jnp.max(jnp.abs(mean - now.sharp)) <= how.tolerance * scale
@@ -296,7 +297,7 @@ def _track(now: EdgeSearch, amplitude: Array, how: Tracking) -> EdgeSearch:
 
 
 def _check(now: EdgeSearch, how: Tracking) -> EdgeSearch:
-    """The ends must still lie on either side; errors of the runs may have moved both to one."""
+    """Checks that the ends are on different sides; errors may have moved both to one side."""
     decided, quiet = _decided(now)
     both, same = jnp.all(decided), quiet[0] == quiet[1]
 
@@ -315,9 +316,9 @@ def _check(now: EdgeSearch, how: Tracking) -> EdgeSearch:
     return _failed(new, ~both & (now.count >= how.patience), SearchResult.undecided)
 
 
-# Windows that are looked at in the end, and the states in them: one for each period.
+# Windows examined at the end, and the states in them: one for each period.
 _LAST, _RETURNS = 3, 24
-# Of the size of the orbit: what may be missing where it closes.
+# The closing error that is allowed, relative to the size of the orbit.
 _CLOSED = 1e-6
 RTOL = 1e-11
 
@@ -398,7 +399,7 @@ def edge_state(
 
     On the segment y(s) = y_quiet + s (y_vibrating - y_quiet) there is a point on the edge.  Runs
     from two points in between divide its bracket [a, b] into thirds, until |b - a| <= near A.
-    Then a and b are integrated while |b - a| <= far A, and the segment between the new states is
+    Then a and b are integrated while |b - a| <= far A, the segment between the new states is
     divided again, and so on.  The bracket converges to a motion that is unstable in one direction
     and stable along the edge.  A is the greatest amplitude of the masses in question.
 
@@ -501,8 +502,8 @@ def _count(time: Any, window: Any) -> int:
 def _edge(chain: Chain, quiet: State, vibrating: State, how: Tracking) -> EdgeState:
     frozen, quiet, vibrating = eqxi.nondifferentiable(
         (chain, quiet, vibrating),
-        msg="`edge_state` has no derivatives: find the edge state outside the function that is "
-        "differentiated, and in there the cycle on it, `find_limit_cycle(chain, (edge.state, "
+        msg="`edge_state` has no derivatives: find the edge state outside the differentiated "
+        "function, and inside it the cycle, `find_limit_cycle(chain, (edge.state, "
         "edge.period))`, which has them.",
     )
     bracket = track(frozen, quiet, vibrating, how)
@@ -547,10 +548,10 @@ def _edge(chain: Chain, quiet: State, vibrating: State, how: Tracking) -> EdgeSt
 def _last(
     chain: Chain, state: State, mass: Array, how: Tracking
 ) -> tuple[Array, Array, Array, Array]:
-    """(amplitudes, period, what is missing where it closes, whether the runs ended well).
+    """(amplitudes, period, closing error, whether the runs succeeded).
 
-    From the middle of the bracket.  Of the turning points of the mass in question the first is
-    compared with later ones.
+    The run starts from the middle of the bracket.  The first turning point of the mass in question
+    is compared with later ones.
     """
     run = simulate(
         chain,
@@ -565,7 +566,7 @@ def _last(
     size = jnp.sqrt(jnp.sum(amplitude**2))
     away = jnp.sqrt(jnp.sum((x - x[:1]) ** 2 + (v - v[:1]) ** 2, axis=1)) / size
     away = jnp.where(jnp.isnan(away).at[0].set(True), jnp.inf, away)
-    closes = jnp.argmax(away <= _CLOSED)  # the first time round, 0 for none
+    closes = jnp.argmax(away <= _CLOSED)  # the first return, 0 for none
     period = times[closes] - times[0]
     closed = (closes > 0) & can_be_cycle(chain, period, jnp.abs(state[1]))
     period = jnp.where(closed, period, jnp.nan)

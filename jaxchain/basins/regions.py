@@ -46,7 +46,7 @@ def _edges(name: str) -> Callable[[Any], Float[Array, "..."]]:
 
 
 def _indices(value: Any) -> Any:
-    """A tuple of whole numbers, or what was given, for the check to refuse."""
+    """A tuple of whole numbers, or the argument as given, which the check then rejects."""
     if isinstance(value, list | tuple | range | np.ndarray):
         return tuple(value.tolist() if isinstance(value, np.ndarray) else value)
     return value
@@ -97,7 +97,7 @@ class AbstractRegion(eqx.Module):
 
 
 def _pushed(masses: tuple[int, ...] | None, chain: Chain) -> tuple[int, ...]:
-    """The indices of the masses that are pushed; `ValueError` for one that is not there."""
+    """The indices of the disturbed masses; `ValueError` for one that does not exist."""
     masses = tuple(range(chain.n)) if masses is None else masses
     for mass in masses:
         check_whole("masses", mass, 0, chain.n - 1, _MASSES)
@@ -105,7 +105,7 @@ def _pushed(masses: tuple[int, ...] | None, chain: Chain) -> tuple[int, ...]:
 
 
 def _about_sliding(masses: tuple[int, ...] | None, chain: Chain, x: Array, v: Array) -> State:
-    """Steady sliding with (x, v) added for the masses that are pushed."""
+    """Steady sliding with (x, v) added for the disturbed masses."""
     sliding_x, sliding_v = steady_sliding(chain)
     at = jnp.asarray(_pushed(masses, chain))
     return sliding_x.at[at].add(x), sliding_v.at[at].add(v)
@@ -196,7 +196,7 @@ class Ball(AbstractRegion):
         return 2 * len(_pushed(self.masses, chain)) + 1
 
     def start(self, chain: Chain, point: Float[Array, " dimension"]) -> State:
-        # A normal vector points everywhere alike.
+        # The direction of a normal vector is uniform.
         direction = _normal(point[:-1])
         length = self.radius * point[-1] ** (1.0 / direction.size)
         direction = direction * (length / jnp.maximum(jnp.linalg.norm(direction), 1e-300))
@@ -287,11 +287,11 @@ def check_region(region: Any, chain: Chain) -> None:
 
 
 class Points:
-    """Sequences of points of the unit cube that are drawn independently of each other.
+    """Independent sequences of points of the unit cube.
 
-    "sobol": Sobol's sequence, scrambled anew for each replicate (A. B. Owen, J. Complexity 14, 466
-    (1998)); any 2^k of its points from the first one on, or as many again, fill the cube evenly.
-    "random": uniform and independent.
+    "sobol": Sobol's sequence, scrambled separately for each replicate (A. B. Owen, J. Complexity
+    14, 466 (1998)); its first 2^k points, and the next 2^k, fill the cube evenly. "random":
+    uniform and independent.
     """
 
     def __init__(

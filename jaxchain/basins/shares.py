@@ -48,12 +48,12 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
 UNDECIDED, FAILED = "undecided", "failed"
-# Runs in or out of a state, for each replicate, below which their scatter says too little.
+# With fewer runs in (or out of) a state per replicate, the scatter is not a reliable error.
 _FEW = 2
 
 
 class Batch(NamedTuple):
-    """How runs ended; of each one, over (parameters, replicates, starts)."""
+    """The outcome of each run, over (parameters, replicates, starts)."""
 
     codes: Int[np.ndarray, "p r s m"]  # as the classifier merges them
     decided: Bool[np.ndarray, "p r s"]
@@ -81,25 +81,25 @@ class Bars(NamedTuple):
 
     @property
     def longest(self) -> float:
-        """Half the length of the longest one."""
+        """Half the length of the longest bar."""
         return float(np.max(self.high - self.low) / 2)
 
     def widened(self, lost: Float[np.ndarray, "p k"], gained: Float[np.ndarray, "p k"]) -> Bars:
-        """By the shares that were taken for one state and are of another."""
+        """The bars, widened by the shares of wrong decisions."""
         lost, gained = np.nan_to_num(lost), np.nan_to_num(gained)
         low, high = np.maximum(self.low - lost, 0.0), np.minimum(self.high + gained, 1.0)
         return Bars(self.share, low, high)
 
 
 def of_replicates(values: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray]:
-    """Their mean, and the half-width of its 95 % interval by Student's t."""
+    """The mean over replicates, and the half-width of its 95 % interval by Student's t."""
     count = values.shape[axis]
     spread = np.std(values, axis=axis, ddof=1) / count**0.5
     return np.mean(values, axis=axis), student_reach(0.95, count - 1) * spread
 
 
 class Tally:
-    """All runs so far, by the number of their state in the order in which states were found."""
+    """All runs so far; states are numbered in the order in which they were found."""
 
     def __init__(self, classify: AbstractClassifier, chain: Chain):
         self.classify, self.chain = classify, chain
@@ -109,16 +109,16 @@ class Tally:
 
     @property
     def starts(self) -> int:
-        """Of each replicate."""
+        """The number of starts of each replicate."""
         return sum(batch[0].shape[2] for batch in self._batches)
 
     @property
     def states(self) -> int:
-        """That were found; "undecided" and "failed" come after them."""
+        """The number of states found; "undecided" and "failed" come after them."""
         return len(self.codes)
 
     def number(self, batch: Batch) -> Int[np.ndarray, "p r s"]:
-        """The number of the state that each run was in when it ended; 0 of one that failed."""
+        """The number of the state of each run when it ended; 0 for a failed run."""
         well = ~batch.failed
         different, places = np.unique(batch.codes[well], axis=0, return_inverse=True)
         of_codes = []
@@ -141,12 +141,12 @@ class Tally:
 
     @property
     def at_end(self) -> Int[np.ndarray, "p r s"]:
-        """The state that each run was in when it ended; -1 of one that failed."""
+        """The state of each run when it ended; -1 for a failed run."""
         return np.where(self._all(2), -1, self._all(0))
 
     @property
     def since(self) -> Float[np.ndarray, "p r s"]:
-        """From when on nothing changed any more, of every run."""
+        """The time after which the state of each run did not change."""
         return self._all(3)
 
     @property
@@ -156,7 +156,7 @@ class Tally:
         return np.where(self._all(2), self.states + 1, state)
 
     def shares(self, numbers: Int[np.ndarray, "p r s"], states: int) -> Float[np.ndarray, "p r k"]:
-        """Of each state in each replicate."""
+        """The share of each state in each replicate."""
         p, r, s = numbers.shape
         flat = np.where(numbers < 0, states, numbers).reshape(p * r, s)
         rows = np.arange(p * r)[:, None] * (states + 1) + flat
@@ -164,7 +164,7 @@ class Tally:
         return counts.reshape(p, r, states + 1)[..., :states] / s
 
     def bars(self, *, even: bool) -> Bars:
-        """Of all states, "undecided" and "failed"; `even` if the points come in sequences."""
+        """Bars of all states, "undecided" and "failed"; `even`: for points of a Sobol sequence."""
         shares = self.shares(self.state, self.states + 2)
         mean, reach = of_replicates(shares, 1)
         total = shares.shape[1] * self.starts
@@ -177,7 +177,7 @@ class Tally:
         return Bars(mean, low, high)
 
 
-# At how many times the time it is looked whether a state has changed later.
+# Later changes of state are checked at this multiple of the time.
 LATER = 4
 
 
@@ -200,7 +200,7 @@ class Runs:
         self.chain, self.over, self.classify, self.t1 = chain, over, classify, t1
         self.initial = _From(region)
         self.numerics: dict[str, Any] = {**numerics, "progress": progress}
-        # Of the parameters, without a start.
+        # Over the parameters, without a start.
         nowhere = {"start": {"point": np.zeros((1, region.dimension(chain)))}}
         self.axes: Axes = check_axes(chain, self.initial, {**over, **nowhere})
         del self.axes["start"]
@@ -208,17 +208,17 @@ class Runs:
         self.attrs: dict[str, Any] = {}
 
     def at(self, places: Int[np.ndarray, " runs"]) -> dict[str, np.ndarray]:
-        """The parameters of these places."""
+        """The parameters at these places."""
         columns = jobs(self.axes) if self.axes else {}
         return {name: values[places] for name, values in columns.items()}
 
     @property
     def shape(self) -> dict[str, int]:
-        """Of the parameters."""
+        """The shape of the grid of parameters."""
         return sizes(self.axes)
 
     def of(self, points: Float[np.ndarray, "replicates starts dimension"]) -> Batch:
-        """From all points at every parameter."""
+        """Runs from all points at every parameter."""
         over = {**self.over, "start": {"point": points.reshape(-1, points.shape[-1])}}
         name = f"shares of {points[..., 0].size} starts"
         data = self._sweep(over, self.classify, self.t1, name)
@@ -232,7 +232,7 @@ class Runs:
     def again(
         self, places: Int[np.ndarray, " runs"], points: Float[np.ndarray, "runs d"], times: int
     ) -> Batch:
-        """From some points, each at the parameters of one place, for `times` the time."""
+        """Runs from some points, each at the parameters of one place, for `times` the time."""
         over = {"start": {**self.at(places), "point": points}}
         name = f"{len(places)} starts again"
         data = self._sweep(over, self.classify.patient(), times * self.t1, name)
@@ -240,7 +240,7 @@ class Runs:
 
     def _sweep(self, over: Mapping[str, Any], classify: Any, t1: Any, name: str) -> Dataset:
         with warnings.catch_warnings():
-            # They are a state of their own.
+            # Failed runs are a separate state.
             warnings.filterwarnings("ignore", message=".* runs ended with")
             return sweep(
                 self.chain,
@@ -280,16 +280,16 @@ def verdicts_of(
 
 
 class Checked(NamedTuple):
-    """What was found by looking at some runs again, as shares over (parameters, states)."""
+    """The result of checking some runs again, as shares over (parameters, states)."""
 
-    lost: Float[np.ndarray, "p k"]  # taken for the state, and in another one at the time t1
+    lost: Float[np.ndarray, "p k"]  # decided for the state, but in another one at the time t1
     gained: Float[np.ndarray, "p k"]
     leaving: Float[np.ndarray, "p k"]  # in another one later
     runs: int
 
 
 def not_checked(tally: Tally) -> Checked:
-    """Nothing is known of later."""
+    """The result without checks."""
     unknown = np.full((tally.at_end.shape[0], tally.states + 2), np.nan)
     return Checked(unknown, unknown, unknown, 0)
 
@@ -297,10 +297,10 @@ def not_checked(tally: Tally) -> Checked:
 def check_again(
     runs: Runs, tally: Tally, points: Float[np.ndarray, "s d"], most: int, seed: int
 ) -> Checked:
-    """What was decided too early, and what changes later, by runs that do not end early.
+    """Wrong decisions and later changes of state, from runs that do not end early.
 
-    At each parameter about `most` of the decisions, as many of each state as its share, and at
-    least one of each as far as they go.
+    At each parameter it checks about `most` of the decisions, in proportion to the share of each
+    state, and at least one per state if possible.
     """
     state = tally.state.reshape(tally.state.shape[0], -1)
     picks: list[tuple[int, int, int, float]] = []  # place, state, start, the share it stands for
@@ -338,7 +338,7 @@ def to_dataset(
     points: Float[np.ndarray, "s d"],
     judge: bool,
 ) -> Dataset:
-    """Shares with their bars, and all else that is known of each state, over the parameters.
+    """Shares with their bars, and the other results for each state, over the parameters.
 
     **Arguments:** `points` of the cube, of all starts; `judge`, whether verdicts are wanted.
     """
@@ -416,10 +416,9 @@ def to_dataset(
 
 
 def _of_states(state: np.ndarray, since: np.ndarray, states: int) -> tuple[np.ndarray, np.ndarray]:
-    """Of each state at each parameter: the first start that ends there (-1 if none), and the
-    median time from which it did not change."""
+    """(first start, -1 if none; median settling time) of each state at each parameter."""
     first, median = np.full((len(state), states), -1), np.full((len(state), states), np.nan)
-    # Replicates come one after another within a batch, as the points do.
+    # Within a batch the replicates follow each other, like their points.
     rows = zip(state.reshape(len(state), -1), since.reshape(len(since), -1), strict=True)
     for place, (state_row, times) in enumerate(rows):
         order = np.argsort(state_row, kind="stable")
@@ -430,11 +429,11 @@ def _of_states(state: np.ndarray, since: np.ndarray, states: int) -> tuple[np.nd
     return first, median
 
 
-# What else of `sweep` may be given.
+# Other arguments of `sweep` that may be given.
 _NUMERICS = ("solver", "accuracy", "rtol", "atol", "max_step", "max_steps")
-# The names of dimensions that are not the caller's.
+# Reserved names of dimensions.
 _OWN = ("start", "point", "state", "replicate", "oscillator")
-# Points of a replicate to begin with: of so few a share of 0 or 1 is told from others.
+# Points of a replicate at first: enough to distinguish a share of 0 or 1 from others.
 _FIRST = 32
 
 
@@ -535,7 +534,7 @@ def basin_shares(
         classify,
         AbstractClassifier,
         "None or an `AbstractClassifier`",
-        "`VibratingMasses()` tells which masses vibrate.",
+        "`VibratingMasses()` counts the vibrating masses.",
     )
     check_positive_number("t1", t1, "1000 is usual.")
     if t1 < classify.least_time:
@@ -594,7 +593,7 @@ def basin_shares(
             data.attrs["warning"] = (
                 f"{changed[worst]:.0%} of the starts are in another state at {LATER} t1, "
                 f"more than the bars of {reach[worst]:.1%}: these are the shares at t1 = "
-                f"{t1:g}, not the final ones. Raise `t1`, or say the time with the share."
+                f"{t1:g}, not the final ones. Raise `t1`, or state the time with the share."
             )
             warnings.warn(data.attrs["warning"], stacklevel=3)
         return data
@@ -605,7 +604,7 @@ def basin_shares(
             tally.add(runs.of(new))
             drawn.append(new)
             longest = tally.bars(even=points == "sobol").longest
-            # As many as the bars want, which shrink with the root of that; twice as many at most.
+            # As many as the bars need, which shrink with the square root; at most twice as many.
             wanted = min((longest / half_width) ** 2, 2.0) * tally.starts
             count = _FIRST * math.ceil((wanted - tally.starts) / _FIRST)
             if longest <= half_width or replicates * (tally.starts + count) > most:
@@ -629,8 +628,8 @@ def share_differences(shares: Dataset, dim: str) -> Dataset:
     """Differences of shares between neighbouring values of a parameter, with error bars.
 
     d_k = share_k(next) - share_k.  Both shares use the same starts, so their errors are
-    correlated. The error of the difference is Student's t interval at 95 % of the differences of
-    the replicates, much smaller than that of independent shares.
+    correlated.  The error is Student's 95 % t interval of the differences of the replicates, much
+    smaller than that of independent shares.
 
     **Arguments:** `shares`, the result of `basin_shares`; `dim`, a numeric dimension of it.
 

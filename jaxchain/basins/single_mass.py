@@ -2,26 +2,25 @@
 
 Between Hopf and fold a mass may slide steadily or vibrate.  Around steady sliding (x_s, 0) lies an
 unstable cycle U on which it slides back and forth behind the belt, v < v_d throughout.  The starts
-from which it comes to slide steadily are the inside of U:
+that end in steady sliding are the inside of U:
 
-- Nothing crosses U, in either direction.  On U and near it friction is a function of v of bounded
-  slope, so that through each of its points there is one motion only, forward and backward in
-  time, and this is U itself.  Dry friction makes motions meet, in Filippov's sense, but only where
-  they stick, v = v_d, and there U is not.  So whatever starts outside stays outside: also what
-  sticks and is let go, at x with k x = p mu_st - 2 xi v_d, from where it goes round U.
-- What starts inside stays inside, where the field is that of sliding, with one state of rest.  If
-  no other cycle lies inside, all of it comes to rest there, by Poincare and Bendixson: it stays
-  bounded, and there is nothing else that it could approach.  Of several cycles around one another
-  U is therefore the innermost unstable one: the first fixed point of the return map that moves
-  away.
+- No motion crosses U, in either direction.  On U and near it friction is a function of v with
+  bounded slope, so the motion through each of its points is unique, forward and backward in time,
+  and is U itself.  Dry friction makes motions meet, in Filippov's sense, but only where they
+  stick, at v = v_d, which U does not reach.  So a motion that starts outside stays outside, also
+  one that sticks and is released, at x with k x = p mu_st - 2 xi v_d, and then goes round U.
+- A motion that starts inside stays inside, where the field is that of sliding, with one
+  equilibrium.  If no other cycle lies inside, every such motion approaches the equilibrium, by the
+  theorem of Poincare and Bendixson.  Therefore U is the innermost unstable cycle: the first
+  unstable fixed point of the return map.
 
-Where there is no cycle, above the fold, everything comes to slide: a motion that sticks is let go,
-and the turn that it begins there comes back slower, inside of itself.  Cycles that overtake the
-belt are not looked for.  By Green's theorem a cycle gains the integral of dF/dv over its inside.
-If the turn that the belt lets go loses, one around it, which is as wide as L at v = v_d, would
-have to make up for it: beyond that turn friction falls by 2 p mu_st L at the belt's speed, and
-weakening gives no more than p L times all the falls of mu, as the circles show that such motions
-nearly are.  Below the Hopf speed only steady sliding itself comes to slide.
+If there is no cycle, above the fold, every motion ends in sliding: a sticking mass is released,
+and the turn that begins there returns with a lower velocity, inside itself.  Cycles that overtake
+the belt are not searched for.  By Green's theorem a cycle gains the integral of dF/dv over its
+inside. If the turn from the release loses energy, a cycle around it, of width L at v = v_d, would
+have to compensate this: outside that turn friction falls by 2 p mu_st L at the belt speed, and
+weakening gives at most p L times all decreases of mu, as for circles, which such motions nearly
+are.  Below the Hopf speed only steady sliding itself ends in sliding.
 """
 
 from __future__ import annotations
@@ -61,7 +60,7 @@ def hermite(
     """
     (x, v, a), last = start, end
     one, two = h * v, 0.5 * h**2 * a
-    # What a parabola leaves at the end, of the displacement and of its derivatives in s.
+    # The errors of a parabola at the end, in the displacement and its derivatives in s.
     gap = last[0] - x - one - two
     slope = h * last[1] - one - 2.0 * two
     bend = 0.5 * h**2 * last[2] - two
@@ -88,9 +87,9 @@ def _derivative(coefficients: Array) -> Array:
 
 
 def crossing(polynomial: Array, low: Array, high: Array) -> tuple[Array, Array]:
-    """(s, whether): where polynomials change sign between `low` and `high`, monotonic there.
+    """(s, whether): where polynomials, monotonic between `low` and `high`, change sign there.
 
-    `high` where they do not.  s has derivatives in the coefficients, which are along the last
+    s is `high` if they do not.  s has derivatives in the coefficients, which are along the last
     axis: those of a Newton step.
     """
     fixed = lax.stop_gradient(polynomial)
@@ -112,10 +111,10 @@ def area_of_step(
     displacement: Float[Array, "2"],
     velocity: Float[Array, "2"],
 ) -> Float[Array, ""]:
-    """What one step of the curve gives to the area within the box.
+    """The contribution of one step of the curve to the area within the box.
 
-    **Arguments:** (x, v, v') at both ends of the step, a time `h` apart, in which x turns once at
-    most, and v, too; `displacement` = (a, b) and `velocity` = (c, d).
+    **Arguments:** (x, v, v') at both ends of the step, a time `h` apart, in which x and v each
+    turn at most once; `displacement` = (a, b) and `velocity` = (c, d).
 
     The integral has its derivatives in all of these, but not in `h`.
 
@@ -128,7 +127,7 @@ def area_of_step(
     3.141592654
     """
     x, v = hermite(start, end, h)
-    # Any place is good for a cut where the curve turns, so that it has no derivatives.
+    # The place of a cut at a turn of the curve has no effect, so it has no derivatives.
     turning = lax.stop_gradient(jnp.stack([v, jnp.append(_derivative(v), 0.0)]))
     turns, _ = crossing(turning, jnp.zeros(()), jnp.ones(()))
     ends = jnp.sort(jnp.concatenate([jnp.zeros(1), lax.stop_gradient(turns), jnp.ones(1)]))
@@ -155,9 +154,9 @@ def boxed(
     displacement: Float[Array, "2"],
     velocity: Float[Array, "2"],
 ) -> Float[Array, "*more"]:
-    """clip(speed) speed where x is within the box; which of the three it is, a `v` decides.
+    """clip(speed) speed where x is within the box; `v` selects one of the three cases.
 
-    `speed` may have an axis more than `x` and `v`, the last one.
+    `speed` may have one more axis than `x` and `v`, the last one.
     """
     (a, b), (c, d) = displacement, velocity
     inside = (x > a) & (x < b)
@@ -166,20 +165,21 @@ def boxed(
     return jnp.where(inside, jnp.where(below, c, jnp.where(above, d, speed)) * speed, 0.0)
 
 
-# Error of a step over the greatest velocity, and over the force, which is rounding; steps of a
-# turn, with those that are made again.
+# Error of a step over the greatest velocity, and over the force (rounding); most steps of a turn,
+# including repeated ones.
 _TOLERANCE, _ROUNDING, _MOST = 1e-13, 1e-15, 2000
-# Longest steps, times omega: of a turn alone, and of one whose area is wanted.
+# Longest steps, times omega: of a turn without and with its area.
 COARSE, FINE = 0.5, 0.05
-# A landing this near, in time, is mended to first order; motions that lose so much die.
+# A landing this near, in time, is corrected to first order; a motion that loses this share dies
+# out.
 _NEAR, _DEAD = 1e-8, 1e-3
-# A mass sticks that comes closer to the belt's speed than the cycle of a fold does, for which
-# w / eps = -1 - ln(v_d / eps) / 4; so much closer.
+# A mass counts as sticking if it comes closer to the belt speed, by this, than the cycle of a
+# fold, for which w / eps = -1 - ln(v_d / eps) / 4.
 _STICKS = 0.75
 
 
 class Mass(eqx.Module):
-    """A chain of one mass whose belt runs to the right, so that its mirror image is the same."""
+    """A chain of one mass whose belt runs forward; one that runs backward is mirrored."""
 
     chain: Chain
 
@@ -212,7 +212,7 @@ class Mass(eqx.Module):
         """f(v), that of a mass behind the belt."""
         chain = self.chain
         if chain.dry:
-            # 0 at least: laws are defined no further.
+            # At least 0: laws are not defined below.
             pull = chain.law.coefficient(jnp.maximum(chain.belt_speed - v, 0.0))
         else:
             pull = chain.friction.force(v - chain.belt_speed)
@@ -228,14 +228,14 @@ class Mass(eqx.Module):
 
 
 class ReturnTime(NamedTuple):
-    """What a turn ends with.
+    """The end of a turn of the return map.
 
-    - `fastest`: P(v); the velocity at which it sticks if it does; 1e-3 v if it comes to rest.
+    - `fastest`: P(v); the velocity of sticking if it sticks; 1e-3 v if it comes to rest.
     - `period`: the time of the turn.
-    - `area`: of the box, what is inside of the curve, if that closes.
+    - `area`: the part of the box inside the curve, if that closes.
     - `up`, `down`: the velocities at x_s.
-    - `sticks`: whether it came to stick.
-    - `ended`: whether it came back, or to rest, or stuck; if not, nothing is known.
+    - `sticks`: whether it sticks.
+    - `ended`: whether it returned, came to rest or stuck; if not, nothing is known.
     """
 
     fastest: Float[Array, ""]
@@ -262,11 +262,10 @@ class _Now(NamedTuple):
 def return_map(mass: Mass, fastest: Any, box: tuple[Array, Array] | None = None) -> ReturnTime:
     """The turn that begins with the greatest velocity `fastest`.
 
-    **Arguments:** `box`: (displacement, velocity), whose area is wanted; None, where only
-    what comes back is.
+    **Arguments:** `box`: (displacement, velocity), for the area; None: only the return.
 
-    Steps are of order 8 with their error controlled; the last one lands on the greatest velocity.
-    Derivatives, forward, are those of the steps, and to first order of the landing.
+    Steps are of order 8 with error control; the last one lands on the greatest velocity. Forward
+    derivatives are those of the steps, and of the landing to first order.
     """
     fastest = jnp.asarray(fastest)
     k = mass.stiffness
@@ -305,7 +304,7 @@ def return_map(mass: Mass, fastest: Any, box: tuple[Array, Array] | None = None)
         beyond = rising & (fixed[2] <= 0)
         left = -fixed[2] / lax.stop_gradient(jerk(point))
         landed = good & rising & (jnp.abs(left) * omega <= _NEAR)
-        # Beyond the greatest velocity the step is made again, to it.
+        # A step beyond the greatest velocity is repeated, to end at it.
         accepted = good & (landed | ~beyond)
         share = jnp.clip(0.9 * (miss + 1e-30) ** -0.125, 0.2, 3.0)
         h = jnp.where(
@@ -339,7 +338,7 @@ def return_map(mass: Mass, fastest: Any, box: tuple[Array, Array] | None = None)
     )  # fmt: skip
     last = lax.while_loop(lambda now: ~now.over & (now.steps < _MOST), body, now)
     _, v, a = last.point
-    # From where it landed to the greatest velocity, to first order.
+    # From the landing to the greatest velocity, to first order.
     left = jnp.where(last.sticks, 0.0, -a / lax.stop_gradient(jerk(last.point)))
     area, up, down = last.seen or (nothing,) * 3
     if box is not None:
@@ -350,27 +349,27 @@ def return_map(mass: Mass, fastest: Any, box: tuple[Array, Array] | None = None)
     return ReturnTime(next_one, last.time + left, area, up, down, last.sticks, last.over)
 
 
-# The least greatest velocity looked at, a share of that at which a mass sticks.
+# The lowest velocity of the grid, as a share of that at which a mass sticks.
 LEAST = 1e-4
 _INNER = np.geomspace(LEAST, 0.1, 16)
 _MIDDLE = np.linspace(0.1, 0.95, 30)[1:]
-# Ever finer near the belt's speed, where laws may weaken fast.
+# Finer towards the belt speed, where laws may weaken fast.
 _OUTER = 1.0 - np.geomspace(0.05, 1e-4, 14)[1:]
 _SHARES = np.concatenate([_INNER, _MIDDLE, _OUTER, [1.0]])
-# Below the velocity at which a mass sticks, in widths: the layer in which friction is smoothed.
+# In widths below the velocity at which a mass sticks: the layer in which friction is smoothed.
 _LAYER = np.geomspace(40.0, 0.05, 16)
-# Places of each closer look, and how many looks; what is left is a secant.
+# Points of each refinement, and their number; a secant does the rest.
 _PLACES, _LOOKS = 16, 8
-# Of a turn that begins where the mass leaves the belt, and ends there.
+# For a turn that begins and ends where the mass leaves the belt.
 _STUCK = 1e-12
-# In steady sliding friction that is smoothed falls as the speed rises, else a mass creeps.
+# In steady sliding, smoothed friction falls as the speed rises; otherwise the mass creeps.
 _SLIDES = 2.0
 
 
 class InnermostCycle(NamedTuple):
-    """- `fastest`: its greatest velocity along the belt; NaN if there is no cycle, or none known.
-    - `share_of_plane`: 1 where all motions come to slide, 0 where sliding is unstable; NaN where
-      there is a cycle, or nothing is known.
+    """- `fastest`: its greatest velocity along the belt; NaN if no cycle exists or is known.
+    - `share_of_plane`: 1 if all motions end in sliding, 0 if sliding is unstable; NaN if there is
+      a cycle, or nothing is known.
     - `result`: why nothing is known.
     """
 
@@ -380,10 +379,10 @@ class InnermostCycle(NamedTuple):
 
 
 def innermost_unstable_cycle(mass: Mass) -> InnermostCycle:
-    """Nothing in here is to be differentiated.
+    """The innermost unstable cycle, without derivatives.
 
-    A pair of cycles between two places of the grid shows as a summit of ln P(v) / v below zero:
-    the highest one is looked at closely, too.
+    A pair of cycles between two grid points appears as a maximum of ln P(v) / v below zero, so the
+    grid is also refined at the highest maximum.
     """
     highest = mass.highest
     tops = highest * jnp.asarray(_SHARES)
@@ -394,7 +393,7 @@ def innermost_unstable_cycle(mass: Mass) -> InnermostCycle:
     def gain(tops: Array) -> tuple[Array, Array]:
         turns = jax.vmap(lambda top: return_map(mass, top))(tops)
         values = jnp.log(turns.fastest / tops)
-        # What leaves the belt and sticks again has not lost anything.
+        # A mass that leaves the belt and sticks again has lost nothing.
         return jnp.where(turns.sticks, jnp.maximum(values, _STUCK), values), turns.ended
 
     values, ended = gain(tops)
@@ -437,7 +436,7 @@ def _judged(
     chain, damping = mass.chain, mass.damping()
     belt_too_slow = chain.belt_speed <= _SLIDES * mass.chain.stick_speed()
     stable, unstable = damping > 0, damping < 0
-    # The smallest turns must do as linear motions do.
+    # The smallest turns must agree with the linear motion.
     agrees = values[0] < 0
     valid = ended & ~belt_too_slow
     cycle = valid & stable & agrees & exists
@@ -452,13 +451,13 @@ def _judged(
     return InnermostCycle(jnp.where(cycle, fastest, jnp.nan), all_slide, result)
 
 
-# What may be left of the return, compared with the greatest velocity.
+# The allowed gap of the return, relative to the greatest velocity.
 _CLOSED = 1e-9
 _ONCE = (
-    "Exact shares and blows of one mass can be differentiated once only: what they are made of "
-    "knows its first derivatives."
+    "Exact shares and blows of one mass can be differentiated once only: the integration behind "
+    "them has first derivatives only."
 )
-# A turn about which nothing is asked: a share of the velocity at which a mass sticks.
+# A turn whose result is not used: a share of the velocity at which a mass sticks.
 _ANY = 0.5
 
 
@@ -533,8 +532,8 @@ def sliding_basin(chain: Chain, box: Box | None = None) -> SlidingBasin:
     **Result:** `at_hopf` near a Hopf point, where the cycle is smaller than the grid;
     `belt_too_slow` for a belt slower than twice the speed of greatest friction; `undamped` if no
     cycle is found and no damping ends vibration; `max_steps_reached` if a turn does not end;
-    `no_step_helps` if the cycle does not close to 1e-9, as one that multiplies disturbances by
-    more than about 1e5.
+    `no_step_helps` if the cycle does not close to 1e-9, as when it multiplies disturbances by more
+    than about 1e5.
 
     **Returns:** a `SlidingBasin`.
 
@@ -553,7 +552,7 @@ def sliding_basin(chain: Chain, box: Box | None = None) -> SlidingBasin:
     box = Box() if box is None else box
     wanted = "a `Box` of displacements and velocities"
     check_kind("box", box, Box, wanted, "`Box((-2, 2), (0, 2))` is usual.")
-    box.dimension(chain)  # raises for a mass that is not there
+    box.dimension(chain)  # raises for a mass that does not exist
     return _basin(chain, box)
 
 
@@ -591,7 +590,7 @@ def _basin(chain: Chain, box: Box) -> SlidingBasin:
     frozen = lax.stop_gradient(mass)
     innermost = innermost_unstable_cycle(frozen)
     exists = jnp.isfinite(innermost.fastest)
-    # Without a cycle the equations are solved by finite numbers that are not used.
+    # Without a cycle the equations get finite numbers that are not used.
     valid = jnp.isfinite(frozen.highest) & (frozen.highest > 0)
     safe = jax.tree.map(lambda of: jnp.where(valid, of, 1.0), (mass, edges))
     top = jnp.where(exists, innermost.fastest, _ANY * lax.stop_gradient(safe[0].highest))
@@ -635,7 +634,7 @@ def _ahead(chain: Chain, box: Box) -> tuple[Mass, tuple[Array, Array]]:
 def _left_of_turn(
     unknowns: Float[Array, "5"], given: tuple[Mass, tuple[Array, Array]]
 ) -> Float[Array, "5"]:
-    """What is left of the return, and of the other numbers of the turn."""
+    """The gap of the return, and the residuals of the other numbers of the turn."""
     mass, edges = given
     once = return_map(mass, unknowns[0], edges)
     numbers = jnp.stack([once.period, once.area, once.up, once.down])

@@ -186,8 +186,8 @@ def _ascend(
     steps: int,
     tolerance: Array,
 ) -> FoldDescent:
-    # `descend` is for a loss that is a function of the unknown alone; here each step closes the
-    # cycle, too, and what it has found of it goes along.
+    # `descend` is for a loss that depends on the unknown alone; here each step also corrects the
+    # cycle, which is carried along.
     start = first_guess(chain, mass)
     shooting = eqx.tree_at(lambda s: s.rtol, start.shooting, 1e-3 * loose_rtol(chain))
     width, index = jnp.min(chain.width), shooting.place
@@ -200,7 +200,7 @@ def _ascend(
         both = jnp.linalg.solve(jacobian[:, :-1], jnp.stack([r, jacobian[:, -1]], axis=1))
         q, tangent = point[:-1] - both[:, 0], -both[:, 1]
         slope = tangent[index] / width
-        # Before the cycle has closed its slope means little.
+        # Before the cycle closes, its slope is not accurate.
         closed = jnp.max(jnp.abs(r)) < 1e-4
         change, moved = optimiser.update(-slope, state, z)
         change = jnp.where(closed, jnp.asarray(change), 0.0)

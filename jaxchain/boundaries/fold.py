@@ -5,16 +5,17 @@ cycles is a graph over s = max w_j / eps, the greatest velocity relative to the 
 Unstable slip cycles have s << 0, stick-slip cycles s ~ 0, and the fold is the greatest V.  Two
 things make it well conditioned at every width: s stretches the layer of thickness O(eps), and
 V'(s), which implicit differentiation of the shooting equations gives, is nearly linear in exp(2 s)
-there, since at s < 0 the smoothed friction lacks the share 2 exp(2 s).  So the search is a secant
-for V'(s) = 0 around Newton's method, whose step is the least, in s and in 30 widths of
-v_d, of those that close the linearised cycle: at fixed s alone the slip cycle's multiplier, up to
-1e10 where friction weakens over a small part of v_d, would leave it no room to converge.
+there, because at s < 0 smoothed friction is smaller by the fraction 2 exp(2 s).  So the search is
+a secant for V'(s) = 0 around Newton's method.  A Newton step is the shortest one, in s and in 30
+widths of v_d, that closes the linearised cycle.  At fixed s the region of convergence would be too
+small, because the multiplier of the slip cycle is up to 1e10 if friction weakens over a small part
+of v_d.
 
 The search starts from averaging, the dry cycle of `boundaries/grazing.py`, and its layer.
 
 The bordered system of `continuation/fold_points.py` does not replace it: from the same start it
-finds 190 of the 272 folds of 300 random sets of one mass (`wild_sets(0, 300)` of the tests), goes
-to another one in 8, and takes twice the time.
+finds 190 of the 272 folds of 300 random sets of one mass (`wild_sets(0, 300)` of the tests), finds
+another one in 8, and takes twice the time.
 """
 
 from __future__ import annotations
@@ -69,31 +70,31 @@ if TYPE_CHECKING:
 class FoldSettings:
     """Constants of the search for a fold with smoothed friction.
 
-    Of the start, in widths over the speed of the problem:
+    For the start, as widths over the speed of the problem:
 
-    - `polish`: below it the dry cycle is wanted exactly; `thin`: below it the asymptotics of a
-      thin layer are the better guess; `thick`: above it they are none.
-    - `least_width`: below it a fold is searched for at that width, and moved on by the
-      asymptotics.  These err by 20 (3e-8)^(3/2) = 1e-10 and, where the slip cycle is very
-      unstable, from `least_unstable` on by 200 (3e-7)^(3/2) = 3e-8: 200 is above all that was
-      measured in 300 random sets, 20 above most.
-    - `unstable`: multiplier of the dry slip cycle, and `narrow`: width, from which on a loose
-      integration is no help.
+    - `polish`: below it the dry cycle is computed exactly; `thin`: below it the asymptotics of a
+      thin layer are the better guess; `thick`: above it they are not used.
+    - `least_width`: below it the fold is computed at this width and corrected by the asymptotics.
+      Their error is 20 (3e-8)^(3/2) = 1e-10 and, for very unstable slip cycles (below
+      `least_unstable`), 200 (3e-7)^(3/2) = 3e-8: 200 exceeds all values measured in 300 random
+      sets, 20 most of them.
+    - `unstable`: the multiplier of the dry slip cycle, and `narrow`: the width, beyond which a
+      loose integration does not help.
 
-    Of the search, `loosely, tightly` where there are two:
+    For the search, (loose, tight) if there are two:
 
-    - `rtol`: of the integration at the fold; on the way there a loose one does.
-    - `closed`: residual of a closed cycle.  It is closed, too, where Newton's correction at fixed
-      s is less than `small`: at small widths rounding in the layer keeps the residual, which is
+    - `rtol`: of the integration at the fold; on the way a looser one is enough.
+    - `closed`: residual of a closed cycle.  It also counts as closed if Newton's correction at
+      fixed s is below `small`: at small widths rounding in the layer keeps the residual, which is
       measured in widths, above `closed`.
     - `nearly`: closing error, in widths, below which the slope V'(s) is trusted.
     - `stationary`: distance of V from its maximum over V.
-    - `few_widths`: of v_d that count as much as one of s in a step.
-    - `entries`: shooting Jacobians at most; `refused`: steps in succession that may make things
-      worse; `first_step`: Newton's first one, in the unknowns and relative in the belt speed, and
-      `shrinkage` after a failure.
-    - `tau`: Y(s) = exp(2 s) + tau s, in which V'(s) is nearly linear, is the friction lost to
-      smoothing, or, where that is nothing, the amplitude.
+    - `few_widths`: the change of v_d, in widths, that counts as much in a step as 1 in s.
+    - `entries`: the most shooting Jacobians; `refused`: the most successive steps that increase
+      the residual; `first_step`: the longest first Newton step, in the unknowns and relative in
+      the belt speed, and its `shrinkage` after a failure.
+    - `tau`: V'(s) is nearly linear in Y(s) = exp(2 s) + tau s, which is the friction lost to
+      smoothing or, where that vanishes, the amplitude.
     """
 
     polish: float = 1e-4
@@ -122,10 +123,9 @@ _SET = FoldSettings()
 class FoldGuess(NamedTuple):
     """Equations and a first guess of a fold.
 
-    `point`: see `unknowns`; `width`: the least width that the search is for; `loose`: the
-    tolerance on the way; `hopeful`: whether there is something to search for, and if not,
-    `result`: why not; `weakly_unstable`: whether the slip cycle is known, and its multiplier is
-    not great; `slopes`: of the grazing cycle.
+    `point`: see `unknowns`; `width`: the least width of the search; `loose`: the tolerance on the
+    way; `hopeful`: whether a fold may exist; if not, `result` gives the reason; `weakly_unstable`:
+    whether the slip cycle is known and its multiplier is moderate; `slopes`: of the grazing cycle.
     """
 
     shooting: Shooting
@@ -139,7 +139,7 @@ class FoldGuess(NamedTuple):
 
 
 def first_guess(chain: Chain, mass: int) -> FoldGuess:
-    """Equations and a place near the fold; nothing in here is to be differentiated."""
+    """Equations and a guess near the fold, without derivatives."""
     alone = one_mass(chain, mass)
     summits = dry_summits(alone)
     scale = speed_scale(alone, summits.touching)
@@ -156,10 +156,10 @@ def first_guess(chain: Chain, mass: int) -> FoldGuess:
     width = alone.width
     averaged, averaged_s, exists = fold_guess(alone)
     boundary_layer = slopes.boundary_layer(width)
-    # The layer is thin, or else averaging knows better where it is, and what belt speed it has.
+    # In a thin layer use the asymptotics; otherwise averaging gives the better s and belt speed.
     narrow, touches = dry.turns & (width < _SET.thick * scale), dry.ratio >= 1.0
     layered = narrow & touches & jnp.isfinite(boundary_layer.scaled_peak_velocity)
-    # A fold without a touch stays where it is, but for what keeps it out of the layer.
+    # A saddle-node of slip cycles hardly moves, except to stay out of the layer.
     free = narrow & ~touches
     thin = (layered | free) & (width < _SET.thin * scale)
     moved = dry.q + dry.layer_velocities @ jnp.stack(
@@ -172,7 +172,7 @@ def first_guess(chain: Chain, mass: int) -> FoldGuess:
     s = jnp.where(layered, boundary_layer.scaled_peak_velocity, averaged_s)
     s = jnp.where(free, jnp.minimum(dry.w / width, usual_peak_velocity(width / dry_speed)), s)
     (x, v), period, _ = grazing.unpack(moved, jnp.where(layered, 0.0, dry.w))
-    # The velocity of mass j is greatest a little before the touch.
+    # The velocity of mass j is greatest a little before the grazing point.
     early = jnp.where(layered, boundary_layer.time, 0.0)
     force = slip_force(chain, moved[-1], v) + chain.restoring_force(x)
     x, v = x + early * v, (v + early * force).at[mass].set(speed + width * s)
@@ -192,7 +192,7 @@ def first_guess(chain: Chain, mass: int) -> FoldGuess:
     sound, exists = jnp.all(jnp.isfinite(point)), exists | thin
     damped, none = alone.damping_ratio > 0, damping_outweighs(chain)
     failed = SearchResult.where(sound, SearchResult.no_cycle, SearchResult.no_touch)
-    # A loose integration would spoil a guess that is better than it.
+    # A loose integration would spoil a guess that is more accurate.
     good = thin & (unstable | (width < _SET.narrow * scale))
     return FoldGuess(
         shooting=shooting,
@@ -212,7 +212,7 @@ def at_least_wide(chain: Chain, least: Array) -> Chain:
 
 
 def loose_rtol(chain: Chain) -> Array:
-    """The tolerance of integration that does on the way to a fold."""
+    """The tolerance of integration on the way to a fold."""
     return jnp.clip(1e-3 * jnp.min(chain.width), 1e-9, 1e-6)
 
 
@@ -222,14 +222,14 @@ class _Newton(NamedTuple):
     best: Float[Array, " m_plus_1"]  # the last accepted one
     norm: Float[Array, ""]  # its residual; infinite before the first
     step: Float[Array, " m_plus_1"]  # the direction from there, its greatest entry 1
-    length: Float[Array, ""]  # how far it went in it
-    refused: Int[Array, ""]  # steps in succession that made things worse
+    length: Float[Array, ""]  # the length of the step in it
+    refused: Int[Array, ""]  # successive steps that increased the residual
 
 
 class _SlopeSecant(NamedTuple):
-    """What the cycles closed so far tell of V'(s), as a function of Y(s)."""
+    """The secant model of V'(s), as a function of Y(s), from the cycles closed so far."""
 
-    s: Float[Array, ""]  # of the cycle before; NaN for none
+    s: Float[Array, ""]  # of the previous cycle; NaN for none
     slope: Float[Array, ""]  # V' there
     curvature: Float[Array, ""]  # dV' / dY; NaN while unknown
     low: Float[Array, ""]  # the greatest s with V' > 0
@@ -239,7 +239,7 @@ class _SlopeSecant(NamedTuple):
 
 
 class FoldSearch(NamedTuple):
-    """Where the search stands; every entry made costs one shooting Jacobian."""
+    """The state of the search; every entry costs one shooting Jacobian."""
 
     point: Float[Array, " m_plus_1"]
     newton: _Newton
@@ -281,9 +281,9 @@ def value_and_jacobian(
 def search(start: FoldGuess) -> FoldSearch:
     """The fold from a cycle near it, for `shooting` at any tolerance; NaN if not `hopeful`.
 
-    Loosely at first, then with `rtol`, which matters little: V is stationary in s, so the
-    error of s counts by its square.  One loop of one kind of work, so that the lanes of a batch
-    need not wait for each other, and only one integration is compiled.
+    It uses a loose tolerance first, then `rtol`.  The tolerance matters little, because V is
+    stationary in s: an error of s enters by its square.  All iterations are one loop, so that the
+    lanes of a batch need not wait for each other, and only one integration is compiled.
     """
     nan, infinite = jnp.asarray(jnp.nan), jnp.asarray(jnp.inf)
     secant = _SlopeSecant(nan, nan, nan, -infinite, infinite, nan, infinite)
@@ -293,7 +293,7 @@ def search(start: FoldGuess) -> FoldSearch:
         # The same search again would end as it did.
         done = (rtol == start.loose) & (before.evaluations > 0)
         # At another tolerance the fold may lie outside the bracket, by a little.
-        # What failed loosely starts anew.
+        # If the loose search failed, start again.
         begin = jnp.where(before.converged, before.point, start.point)
         unbound = before.secant._replace(low=-infinite, high=infinite)
         again = before._replace(
@@ -306,7 +306,7 @@ def search(start: FoldGuess) -> FoldSearch:
 
         def goes_on(now: FoldSearch) -> Array:
             newton = now.newton
-            # A step that is refused again and again, and is of the size of rounding by now.
+            # A step that was rejected until it reached the size of rounding.
             stuck = (newton.refused >= 4) & (newton.length < 1e-11)
             hopeful = (newton.refused < _SET.refused) & (now.evaluations < _SET.entries) & ~stuck
             return start.hopeful & ~done & ~now.converged & hopeful
@@ -339,8 +339,8 @@ def _entry(
     good = norm < now.newton.norm  # false for NaN
     both = solve(jacobian[:, :-1], jnp.stack([r, jacobian[:, -1]], axis=1))
     closing, tangent = -both[:, 0], -both[:, 1]
-    # Of the corrections that close the cycle the one that moves s and the belt speed least: where
-    # a mass sticks long before the cut, what is left of its approach tells nothing of the speed.
+    # Of the corrections that close the cycle, take the one that changes s and the belt speed
+    # least: if a mass sticks long before the cut, its gap does not depend on the belt speed.
     narrow = jnp.min(shooting.field.width)  # pyright: ignore[reportAttributeAccessIssue]
     few = _SET.few_widths * narrow
     per_width, sideways = tangent[index] / few, closing[index] / few
@@ -352,25 +352,26 @@ def _entry(
     closed = good & (norm < jnp.maximum(_SET.closed, 10.0 * shooting.rtol))
     closed = closed | (misses < either((0.0, _SET.small)))
 
-    # A closed cycle: where does V'(s) vanish?
+    # A closed cycle: update the secant for V'(s) = 0.
     s, slope, speed = jnp.sinh(z), tangent[index] / jnp.cosh(z), jnp.abs(q[index])
     new_s, secant = _towards_fold(
         now.secant, s, slope, s - shooting.rest(q[index]), weakly_unstable
     )
-    # V misses its maximum by about half of this.
+    # The distance of V from its maximum is about half of this.
     missed = jnp.abs(slope * (new_s - s)) / speed
     arrived = missed < either(_SET.stationary)
     folds = closed & (secant.curvature < 0) & arrived
-    # A cycle that is nearly closed tells V' well enough to move on from it.
+    # The slope V' of a nearly closed cycle is accurate enough for the next step.
     nearly = weakly_unstable & good & (misses * speed < either(_SET.nearly) * narrow)
     closed = closed | (nearly & (secant.curvature < 0) & ~arrived)
-    # In the end, too: V misses its maximum by next to nothing there, but s, which derivatives are
-    # taken at, by the root of that.  V' falls to 0 on this way, so V gains half of its slope.
+    # Also at the end: the error of V is negligible there, but that of s, at which derivatives are
+    # taken, is its square root.  V' falls to 0 over this step, so V gains half the slope times the
+    # step.
     new_z = jnp.arcsinh(new_s)
     gains = jnp.where(folds & tight, jnp.ones_like(tangent).at[index].set(0.5), 1.0)
     moved = jnp.append(q + closing + gains * tangent * (new_z - z), new_z)
 
-    # Not closed: Newton's method, its steps shortened where they made things worse.
+    # Not closed: Newton's method; a step that increases the residual is shortened.
     longest = jnp.where(jnp.isinf(now.newton.norm), _SET.first_step, 4.0 * now.newton.length)
     taken = _Newton(
         now.point,
@@ -398,9 +399,9 @@ def _entry(
 def _towards_fold(
     before: _SlopeSecant, s: Array, slope: Array, distance_to_rest: Array, weakly_unstable: Array
 ) -> tuple[Array, _SlopeSecant]:
-    """The next s, and what to remember, from V' = dV/ds at s; V rises up to the fold.
+    """The next s and the updated secant, from V' = dV/ds at s; V rises up to the fold.
 
-    `distance_to_rest` is how far from s the amplitude vanishes.
+    `distance_to_rest` is the distance in s to the point of zero amplitude.
     """
 
     def ordinate(s: Array) -> Array:
@@ -412,20 +413,20 @@ def _towards_fold(
     apart = jnp.abs(s - before.s) > 0.01  # false for NaN
     gap = jnp.where(apart, ordinate(s) - ordinate(before.s), 1.0)
     curvature = jnp.where(apart, (slope - before.slope) / gap, before.curvature)
-    # How far from the first closed cycle the second one is tried.
+    # The distance between the first closed cycle and the second one.
     far = jnp.where(weakly_unstable, jnp.maximum(0.15, -0.5 * (s + 3.0)), 0.15)
     probe = s + jnp.sign(slope) * jnp.minimum(0.03 * distance_to_rest, far)
     # Not far up into the layer, where V falls steeply, and not all the way down to rest.
     highest = jnp.maximum(s + 0.7, jnp.minimum(s + 0.3 * distance_to_rest, -2.5))
     lowest = s - jnp.minimum(0.3 * distance_to_rest, 2.5 + 0.1 * distance_to_rest)
     summit = ordinate(s) - slope / curvature
-    # s of the summit between these, or the nearer of them; NaN for NaN.
+    # s of the maximum between these, or the nearer end; NaN for NaN.
     ends = bisect(lambda s: ordinate(s) <= summit, lowest, highest, 40)
     target = jnp.where(jnp.isnan(summit), jnp.nan, 0.5 * (ends[0] + ends[1]))
     middle = 0.5 * (low + high)
     target = jnp.where((target > low) & (target < high) & (curvature < 0), target, middle)
     target = jnp.where(jnp.isfinite(target), target, probe)
-    # Newton's method slides back along the branch from a target too far away: shorten the step.
+    # From a target that is too far, Newton's method returns along the branch: shorten the step.
     wanted, gone = jnp.abs(before.target - before.s), jnp.abs(s - before.s)
     trust_radius = jnp.where(
         gone < 0.5 * wanted, _SET.shrinkage * wanted, 2.0 * before.trust_radius
@@ -503,7 +504,7 @@ def fold_belt_speed(chain: Any, mass: Any = None) -> Float[Array, ""]:
 def fold_speed_and_peak(
     chain: Chain, mass: int
 ) -> tuple[Float[Array, ""], Float[Array, ""], SearchResult]:
-    """(`fold_belt_speed`, s = max w / eps there, how the search for it ended)."""
+    """(`fold_belt_speed`, s = max w / eps there, the result of the search)."""
     if chain.dry:
         fold = find_fold(chain, mass)
         return fold.belt_speed, fold.scaled_peak_velocity, fold.result
@@ -597,9 +598,9 @@ def _fold(chain: Chain, mass: int, start: FoldGuess, search_end: FoldSearch) -> 
 
 @eqx.filter_jit
 def _find(chain: Chain, mass: int) -> tuple[FoldGuess, FoldSearch]:
-    """The start, with how the search ended, and the fold; nothing in here is to be differentiated.
+    """The start with the result of the search, and the fold, without derivatives.
 
-    A program by itself, which values, derivatives and the whole `Fold` share.
+    It is a separate program, which values, derivatives and the whole `Fold` share.
     """
     start = first_guess(chain, mass)
     search_end = search(start)
@@ -618,9 +619,9 @@ def _held(chain: Chain, start: FoldGuess) -> Shooting:
 
 
 def _gained(chain: Chain, mass: int, start: FoldGuess) -> Array:
-    """What the belt speed gains from the width of the search to a smaller one of the chain.
+    """The change of the fold speed from the width of the search to a smaller one of the chain.
 
-    By the asymptotics of `boundaries/grazing.py`; differentiable in the width.
+    It uses the asymptotics of `boundaries/grazing.py`, and is differentiable in the width.
     """
     width = chain.width[mass] if chain.width.ndim else chain.width
     tiny, slopes = width < start.width, Slopes(*lax.stop_gradient(tuple(start.slopes)))
@@ -628,7 +629,7 @@ def _gained(chain: Chain, mass: int, start: FoldGuess) -> Array:
     return jnp.where(tiny, gained, 0.0)
 
 
-# Sets that a device takes at a time: some 10 ms of work, beside which the host's share is nothing.
+# Sets per call of a device: some 10 ms of work, so the overhead of the host is negligible.
 _AT_ONCE = 8
 
 
@@ -653,7 +654,7 @@ def fold_belt_speeds(
     are independent.  It cannot be differentiated: for derivatives use `jax.vmap` of
     `fold_belt_speed`, which takes the time of the hardest set for all.
 
-    Compiled once for any number of sets and any numbers.
+    It is compiled once for any number of sets and any values.
 
     **Raises:** `ValueError` for anything but a `Chain`, a mass it does not have, and bad values in
     `over`, before anything is compiled; `SweepInterrupted` on Ctrl-C, with the finished searches.
@@ -680,8 +681,8 @@ def fold_belt_speeds(
     values = jobs(axes)
     if "belt_speed" in values:
         raise ValueError(
-            "Argument `over` names 'belt_speed', which has no part in a fold: its belt speed is "
-            "what is looked for. Leave it out."
+            "Argument `over` names 'belt_speed', on which a fold does not depend: it is the "
+            "unknown. Leave it out."
         )
     began, count = time.perf_counter(), next(iter(values.values())).size
     # Rows of a few sets each; the last one is filled up with its last set, which is not computed.
@@ -743,7 +744,7 @@ def fold_belt_speeds(
 
 
 class _FoldTask(eqx.Module):
-    """What is the same for all sets: their chain, and the names of the numbers that vary."""
+    """The data common to all sets: their chain, and the names of the numbers that vary."""
 
     chain: Chain
     mass: int = eqx.field(static=True)

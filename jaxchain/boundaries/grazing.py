@@ -7,8 +7,8 @@ cycle that just reaches the belt speed has, at this grazing point,
 
 and there the branch of unstable slip cycles meets that of stick-slip cycles: the grazing-sliding
 fold (di Bernardo, Budd, Champneys, Kowalczyk, Piecewise-smooth Dynamical Systems, Springer 2008,
-section 8.6).  The equations of the grazing cycle are smooth and regular, for one mass that grazes
-while all others slide.
+section 8.6).  The equations of the grazing cycle are smooth and regular if one mass grazes while
+all others slide.
 
 Near the grazing let a cycle leave with the greatest velocity v_d + w_+ and return, without
 sticking, with v_d + w_-.  The chain gives one relation between them,
@@ -16,8 +16,8 @@ sticking, with v_d + w_-.  The chain gives one relation between them,
     v_d = V + V_+ w_+ + V_- w_-,
 
 and friction the other: w_+ = min(w_-, 0) for dry friction.  So slip cycles lie along v_d = V +
-(V_+ + V_-) w, w < 0, sticking ones along v_d = V + V_- w_-, w_- > 0, and V is a fold, the greatest
-belt speed of both, where V_+ + V_- > 0 > V_-.
+(V_+ + V_-) w, w < 0, and sticking ones along v_d = V + V_- w_-, w_- > 0.  V is a fold, the
+greatest belt speed of both, if V_+ + V_- > 0 > V_-.
 
 If V_+ + V_- < 0, as for a law with mu'(0) = 0, the belt is faster for slip cycles that stay below
 it.  The fold is then the greatest v_d(w), w < 0: a smooth saddle-node of slip cycles, with a
@@ -75,12 +75,12 @@ from ..solvers.dormand_prince import step as step_of_order_8
 class GrazingSettings:
     """Constants of the search for the fold of dry friction.
 
-    - `coarse_steps`, `first_steps`, `most_steps`: steps of one length in a period.  Of the paper's
-      fold 16 err by 1e-9 and 64 by rounding; they are doubled from `first_steps` until the fold
-      moves by no more than `settled` of itself.
-    - `closed`: Newton's last step over |u|; `entries`: Jacobians of the whole search at most.
-    - `least_stride`: of the way from weaker friction, and in y = (greatest velocity / v_d)^2;
-      `stationary`: the error of a summit in y.
+    - `coarse_steps`, `first_steps`, `most_steps`: equal steps in a period.  For the paper's fold,
+      16 steps give an error of 1e-9 and 64 one of rounding; they are doubled from `first_steps`
+      until the relative change of the fold is at most `settled`.
+    - `closed`: Newton's last step over |u|; `entries`: the most Jacobians of the whole search.
+    - `least_stride`: the least step of the continuation from weaker friction, and in y = (greatest
+      velocity / v_d)^2; `stationary`: the error of a maximum in y.
     """
 
     coarse_steps: int = 32
@@ -104,7 +104,7 @@ class GrazingOrbit(eqx.Module):
     mass: int = eqx.field(static=True)
 
     def unpack(self, q: Float[Array, " m"], leaving: Any = 0.0) -> tuple[State, Array, Array]:
-        """(state at the touch, period, belt speed); `leaving` = w_+."""
+        """(state at the grazing point, period, belt speed); `leaving` = w_+."""
         chain, j = self.chain, self.mass
         speed = q[-1]
         x = jnp.insert(q[: chain.n - 1], j, 0.0)
@@ -120,7 +120,7 @@ class GrazingOrbit(eqx.Module):
         return jnp.broadcast_to(self.chain.static_limit(), (self.chain.n,))[self.mass]
 
     def deceleration(self, v: Float[Array, " n"]) -> Array:
-        """kappa = -v_j'' at the touch."""
+        """kappa = -v_j'' at the grazing point."""
         return -self.chain.restoring_force(v)[self.mass]
 
     def pack(self, state: State, period: Any, speed: Any) -> Float[Array, " m"]:
@@ -131,11 +131,12 @@ class GrazingOrbit(eqx.Module):
     def orbit(
         self, q: Float[Array, " m"], leaving: Any = 0.0, arriving: Any = 0.0
     ) -> tuple[State, Array]:
-        """(gap of the state half a period from the touch, greatest velocity of each mass).
+        """(gap of the state half a period from the grazing, greatest velocity of each mass).
 
-        From the touch forward and backward at once, to where they should meet.  Near the belt's
-        speed weakening friction drives motions apart, by rho = -V_+ / V_- in all and up to 1e4 for
-        a law that weakens fast: half of it on the way there, which going backward undoes.
+        It integrates forward and backward from the grazing point, to where the halves should meet.
+        Near the belt speed weakening friction drives motions apart, by rho = -V_+ / V_- in all, up
+        to 1e4 for a law that weakens fast.  Half of this growth is before the grazing, where
+        integration backward reverses it.
         """
         (x, v), period, speed = self.unpack(q, leaving)
         chain = self.chain
@@ -192,7 +193,7 @@ def slip_force(chain: Chain, speed: Any, v: Float[Array, " n"]) -> Float[Array, 
 def grazing_equations(
     q: Float[Array, " m"], grazing: GrazingOrbit, leaving: Any = 0.0, arriving: Any = 0.0
 ) -> Float[Array, " m"]:
-    """The gap after a period over the belt speed, so that rest (v_d = 0) is no solution.
+    """The gap after a period, divided by the belt speed, so that v_d = 0 is no solution.
 
     `leaving` and `arriving` are w_+ and w_-.
     """
@@ -216,7 +217,7 @@ def grazing_slopes(
 
 
 class BoundaryLayer(NamedTuple):
-    """The fold of smoothed friction near a touch: w_+, w_-, the greatest w / eps, and its time."""
+    """The fold of smoothed friction near a grazing: w_+, w_-, the greatest w / eps, its time."""
 
     leaving: Float[Array, ""]
     arriving: Float[Array, ""]
@@ -225,7 +226,7 @@ class BoundaryLayer(NamedTuple):
 
 
 class Slopes(NamedTuple):
-    """What the layer at a touch depends on: V_+, V_-, kappa and h."""
+    """The parameters of the layer at a grazing: V_+, V_-, kappa and h."""
 
     leaving: Float[Array, ""]
     arriving: Float[Array, ""]
@@ -240,19 +241,19 @@ class Slopes(NamedTuple):
         return -0.5 * width * (log_q + jnp.log(rho / (rho - 1.0))), arriving, log_q
 
     def shift(self, width: ScalarLike) -> Array:
-        """v_d of the fold of smoothed friction less that of dry friction.
+        """v_d of the fold of smoothed friction minus that of dry friction.
 
-        0 for V_+ + V_- <= 0: the mass of that fold stays below the belt's speed, where smoothing
-        changes nothing.
+        0 for V_+ + V_- <= 0: there the mass stays below the belt speed, and smoothing changes
+        nothing.
         """
         touches = (self.leaving + self.arriving > 0) & (self.arriving < 0)
-        # Where nothing is shifted, NaN must not reach the derivative.
+        # If the shift is 0, no NaN must reach the derivative.
         safe = Slopes(*map(partial(jnp.where, touches), self, (2.0, -1.0, 1.0, 1.0)))
         leaving, arriving, _ = safe._layer_velocities(width)
         return jnp.where(touches, safe.leaving * leaving + safe.arriving * arriving, 0.0)
 
     def boundary_layer(self, width: ScalarLike) -> BoundaryLayer:
-        """The whole of the layer at the fold; errors as in `_layer_velocities`."""
+        """The layer at the fold; errors as in `_layer_velocities`."""
         leaving, arriving, log_q = self._layer_velocities(width)
         # exp(-2 w / eps) / Q = m, least where 2 tau m + 1 / pi^(1/2) = 0.
         start = 1.0 / (-self.leaving / self.arriving - 1.0)
@@ -272,13 +273,13 @@ class Slopes(NamedTuple):
 
 
 class DryFold(NamedTuple):
-    """The fastest slip cycle of dry friction: one that touches the belt's speed, or none does.
+    """The slip cycle of dry friction with the fastest belt, grazing or not.
 
-    `ratio` = 1 + w / v_d, with w the greatest velocity of the mass relative to the belt; 1 at the
-    touch.  `layer_velocities`: dq / d(w_+, w_-) at this ratio, V_+ and V_- in the last row
-    where the belt's speed is stationary or the ratio is 1.  `turns`: whether the belt is faster
-    than for all nearby slip cycles; if not, q is of the least that was reached.  `steps`: of
-    `GrazingOrbit`, in a period; `evaluations`: Jacobians it took.
+    `ratio` = 1 + w / v_d, with w the greatest velocity of the mass relative to the belt; 1 at a
+    grazing.  `layer_velocities`: dq / d(w_+, w_-) at this ratio; its last row is V_+ and V_- if
+    the belt speed is stationary or the ratio is 1.  `turns`: whether the belt is faster than for
+    all nearby slip cycles; if not, q is the smallest cycle reached.  `steps`: of `GrazingOrbit`,
+    in a period; `evaluations`: the number of Jacobians.
     """
 
     q: Float[Array, " m"]
@@ -290,12 +291,12 @@ class DryFold(NamedTuple):
 
     @property
     def w(self) -> Array:
-        """The greatest relative velocity of the mass, 0 at the touch."""
+        """The greatest relative velocity of the mass, 0 at a grazing."""
         return (self.ratio - 1.0) * self.q[-1]
 
 
 class _Secant(NamedTuple):
-    """What slip cycles tell of v_d over y; `low` < the summit < `high`."""
+    """The secant model of v_d over y from slip cycles; `low` < the maximum < `high`."""
 
     y: Float[Array, ""]
     rise: Float[Array, ""]  # dv_d / dy at `y`; NaN before the first
@@ -305,10 +306,10 @@ class _Secant(NamedTuple):
 
 
 class _Way(NamedTuple):
-    """Where the search stands.  It goes along `share`, then along y = `ratio`^2."""
+    """The state of the search, which goes along `share`, then along y = `ratio`^2."""
 
     q: Float[Array, " m"]  # at `reached` and `secant.y`
-    slope: Float[Array, " m"]  # dq / d share from there to where it was before
+    slope: Float[Array, " m"]  # dq / d share from there to the previous point
     layer_velocities: Float[Array, "m two"]
     reached: Float[Array, ""]
     goal: Float[Array, ""]
@@ -327,20 +328,20 @@ def find_dry_fold(
 ) -> DryFold:
     """The fold of dry friction, where mass `mass` alone vibrates; NaN where no cycle was found.
 
-    From averaging, which is exact for weak friction and damping, in one leap where that goes, else
-    by way of chains with weaker friction, damping and coupling; then along the slip cycles to the
-    one with the fastest belt.  If `exact`, which may be traced, it is then polished with more and
-    more steps.  `alone` is `one_mass` of the chain, and `summits` its `dry_summits`; the second of
-    these is tried where it is nearly as fast as the first, or the first search fails.  Nothing in
-    here is to be differentiated.
+    It starts from averaging, which is exact for weak friction and damping, directly if possible,
+    otherwise through chains with weaker friction, damping and coupling.  Then it follows the slip
+    cycles to the one with the fastest belt.  If `exact`, which may be traced, the result is
+    refined with more and more steps.  `alone` is `one_mass` of the chain, and `summits` its
+    `dry_summits`; the second of these is tried if it is nearly as fast as the first, or the first
+    search fails.  The search is not differentiated.
 
-    Newton's method and the way are one loop, so that the lanes of a
-    batch need not wait for each other, and the orbit is compiled once.
+    Newton's method and the continuation are one loop, so that the lanes of a batch need not wait
+    for each other, and the orbit is compiled once.
     """
 
     def also(best: DryFold, guess: tuple[Array, Array, Array]) -> tuple[DryFold, None]:
         ratio, speed, first = guess
-        # The second of two summits of averaging that are nearly as fast is tried, too.
+        # The second maximum of averaging is also tried if it is nearly as fast.
         wanted = first | ~best.turns | (speed > 0.9 * summits.speeds[0])
         new = _climb(chain, mass, alone, ratio, jnp.where(wanted, speed, jnp.nan), exact)
         slower = best.turns & (~new.turns | (best.q[-1] >= new.q[-1]))
@@ -400,7 +401,7 @@ def _climb(
         reached = jnp.where(good, now.goal, now.reached)
         goal = jnp.where(good, now.goal + stride, now.reached + 0.25 * stride)
         goal = jnp.minimum(goal, 1.0)
-        # At full strength: along the slip cycles, for a guess; with ever more steps for more.
+        # At full strength: along the slip cycles for a guess, then with more and more steps.
         full = reached >= 1.0
         climbs, misses = full & good, full & ~good
         secant, target, summit, turns = _uphill(now.secant, now.target, root, newton.aux)
@@ -445,7 +446,7 @@ def _climb(
 def _uphill(
     before: _Secant, y: Array, q: Array, layer_velocities: Array
 ) -> tuple[_Secant, Array, Array, Array]:
-    """(what is known of v_d(y) now, the next y, whether it ends here, whether that is a fold).
+    """(updated secant of v_d(y), the next y, whether the search ends, whether at a fold).
 
     In y, the square of the ratio, the belt speed is smooth down to rest, where dv_d / dy is not 0.
     """
@@ -455,7 +456,7 @@ def _uphill(
     apart = jnp.abs(gap) > 1e-5  # or they tell nothing about the curvature
     bend = (rise - before.rise) / jnp.where(apart, gap, 1.0)
     curvature = jnp.where(apart, bend, before.curvature)
-    # As far again as the last time and a half more, to where it might vanish, or half way.
+    # 1.5 times the last step, to the predicted zero, or half way.
     farthest = 2.5 * jnp.maximum(jnp.abs(gap), 0.05)
     ahead = y + jnp.clip(-rise / curvature, -farthest, farthest)
     inside = (curvature < 0) & (ahead > low) & (ahead < high)
@@ -465,7 +466,7 @@ def _uphill(
     touches = (y >= 1.0) & (rise > 0)
     rests = (y < 1e-5) & (rise <= 0)
     flat = (jnp.abs(target - y) <= _SET.stationary) & ((curvature < 0) | bracketed)
-    # At rest or at the touch nothing is to be gained by moving on.
+    # At rest or at a grazing the search cannot go further.
     target = jnp.where(touches | rests, y, target)
     return _Secant(y, rise, curvature, low, high), target, touches | rests | flat, ~rests
 
@@ -473,8 +474,8 @@ def _uphill(
 def weakened(chain: Chain, share: Any) -> Chain:
     """`chain` with friction, damping and coupling weaker in proportion.
 
-    Averaging describes one mass of it exactly as the share vanishes.  What the springs lose
-    between the masses they gain to the ground.
+    As the share vanishes, averaging becomes exact for one mass of it.  The stiffness removed
+    between the masses is added to the ground.
     """
     weak = chain.with_(damping_ratio=share * chain.damping_ratio, normal_load=share * chain.load)
     if chain.springs is None:
@@ -526,8 +527,8 @@ class Grazing(Outcome):
     def smoothed(self, width: ScalarLike) -> Float[Array, ""]:
         """The fold of smoothed friction to O(width^(3/2)); NaN if none was found.
 
-        v_d = V - (V_+ + V_-) / 4 eps ln(1 / eps) + O(eps), the summit of the layer at
-        the head of this module; V itself for a saddle-node, which smoothing hardly moves.
+        v_d = V - (V_+ + V_-) / 4 eps ln(1 / eps) + O(eps), the maximum of the layer equations of
+        this module; V itself for a saddle-node, which smoothing hardly moves.
 
         **Arguments:** `width` = eps of the mass that grazes.
         """
@@ -580,7 +581,7 @@ def find_grazing(chain: Chain, mass: Any = None) -> Grazing:
 
 
 def without_fold(failed: SearchResult, exists: Any, damped: Any, none: Any) -> SearchResult:
-    """Why no fold was found: `failed`, unless it was not to be expected."""
+    """The reason why no fold was found: `failed`, unless none is expected."""
     of = SearchResult
     result = of.where(exists, failed, of.supercritical)
     result = of.where(damped, result, of.undamped)
@@ -610,7 +611,7 @@ def _find(chain: Chain, mass: int) -> Grazing:
     expected, damped = jnp.isfinite(summits.speeds[0]), alone.damping_ratio > 0
     result = without_fold(result, expected, damped, damping_outweighs(frozen))
     result = of.where(exists, of.successful, result)
-    # z = (q but for the belt speed, w, v_d), of the fold's equations.
+    # z = (q without the belt speed, w, v_d), the unknowns of the fold equations.
     z = jnp.concatenate([dry.q[:-1], jnp.stack([dry.w, speed])])
     slope = jnp.concatenate([slopes[:, :-3], jnp.sum(slopes[:, -2:], axis=1)[:, None]], axis=1)
     left, _, right = jnp.linalg.svd(jnp.where(exists, slope, jnp.eye(slope.shape[0])))
@@ -634,7 +635,7 @@ def _find(chain: Chain, mass: int) -> Grazing:
 
 
 def _closure(u: Float[Array, " m"], speed: Any, grazing: GrazingOrbit) -> Float[Array, " m"]:
-    """The equations of the slip cycle with the unknowns (q but for the belt speed, w)."""
+    """The equations of the slip cycle with the unknowns (q without the belt speed, w)."""
     return grazing_equations(jnp.append(u[:-1], speed), grazing, u[-1], u[-1])
 
 
@@ -642,7 +643,7 @@ _SADDLE_NODE = fold_residual(_closure)
 
 
 def _fold_equations(z: Float[Array, " m_plus_1"], held: Any) -> Float[Array, " m_plus_1"]:
-    """The slip cycle closes, and touches the belt's speed or is a saddle-node."""
+    """The slip cycle closes, and grazes the belt speed or is a saddle-node."""
     grazing, borders, touches = held
     r = _SADDLE_NODE(z, (grazing, borders))
     return r.at[-1].set(jnp.where(touches, z[-2], r[-1]))

@@ -97,7 +97,7 @@ def _uniform(chain: Chain) -> Array:
     if isinstance(law, ExponentialDecay):
         drop = chain.load * (law.mu_static - law.mu_dynamic)
         closed = law.v_ref * jnp.log(drop / (2.0 * chain.damping_ratio * law.v_ref))
-        # From there on tanh is 1 and sech^2 / eps is nothing, whatever the width.
+        # From there on tanh is 1 and sech^2 / eps is 0 for any width.
         speed = jnp.where(closed > 30.0 * chain.width, closed, speed)
     return if_found(exists, speed)
 
@@ -119,7 +119,7 @@ def _mistuned(chain: Chain) -> tuple[Array, Array, Array]:
     maybe = (least <= 0) | _dips(least)
     high = jnp.max(jnp.where(maybe[:-1], grid[1:], grid[0]))
     moved = jnp.max(jnp.abs(d - d[-1:]), axis=1)
-    # A change of the damping that no eigenvalue notices.
+    # A change of the damping that changes no eigenvalue.
     settled = jnp.min(jnp.where(moved <= 1e-13 * jnp.max(jnp.abs(d[-1])), grid, jnp.inf))
     high = jnp.where(least[-1] > 0, high, settled)
     # It is unstable, or all eigenvalues are on the axis, at `low`, if ever trace D <= 0.
@@ -143,8 +143,9 @@ def _last_rise(
 ) -> tuple[Array, Array, Bool[Array, ""]]:
     """(a, b, found): the last, small interval in which `function` rises through zero.
 
-    Not found unless the function is positive at the end of the grid.  Also looked at closely is
-    the last dip that a parabola through three points, or half its depth more, takes below zero.
+    Not found unless the function is positive at the end of the grid.  The grid is also refined at
+    the last minimum that a parabola through three points, or half its depth more, takes below
+    zero.
     """
     value = jax.vmap(function)(grid)
     index = jnp.arange(grid.size)
@@ -167,7 +168,7 @@ def _last_rise(
 
 
 def _dips(value: Array) -> Array:
-    """Whether a positive value is a minimum that a finer grid may find to reach zero."""
+    """Whether a positive value is a minimum that may reach zero on a finer grid."""
     left, middle, right = value[:-2], value[1:-1], value[2:]
     bend = jnp.maximum(left - 2.0 * middle + right, 1e-300)
     least = middle - (right - left) ** 2 / (8.0 * bend)
@@ -176,8 +177,8 @@ def _dips(value: Array) -> Array:
 
 
 def _polish(residual: Any, start: Array, parameters: Any, low: Array, high: Array) -> Array:
-    """Newton's method on `residual`, the belt speed (its first unknown) kept in the interval."""
-    # A little beyond: the ends come from eigenvalues, with their rounding errors.
+    """Newton's method on `residual`; the belt speed, its first unknown, stays in the interval."""
+    # With a margin, because the ends have the rounding errors of eigenvalues.
     margin = (high - low) + 1e-9 * high
 
     weights = jnp.ones_like(start)

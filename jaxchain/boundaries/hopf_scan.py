@@ -95,8 +95,8 @@ def first_lyapunov_coefficient(
     **Arguments:** the Hopf point (|v_d| counts), `shape` = u, over the masses, of any length;
     `left`, the left null vector l of K - omega^2 + i omega D, l^T A = 0, by default u, which is
     right for a simple pair, A being complex symmetric.  For a wave that travels around a
-    homogeneous ring, one of a pair q, -q, it is conj u; for a standing wave u, real.  Both waves
-    lie in a space that symmetry keeps to itself, so the formula holds for each of them.
+    homogeneous ring, one of a pair q, -q, it is conj u; for a standing wave u, real.  Each of
+    these waves lies in a subspace that is invariant by symmetry, so the formula holds for each.
 
     F is smooth except at w = 0, that is v_d = 0, which is not a Hopf point.
 
@@ -118,7 +118,7 @@ def first_lyapunov_coefficient(
 
 
 def _mode(name: str, mode: Any, n: int) -> Array:
-    """A shape of n complex amplitudes; NaN, of what was not found, is good."""
+    """A shape of n complex amplitudes; NaN, from a failed search, is allowed."""
     dtype = getattr(mode, "dtype", None)
     number = dtype is not None and jnp.issubdtype(dtype, jnp.number)
     if not number or mode.shape != (n,):
@@ -132,7 +132,7 @@ def _mode(name: str, mode: Any, n: int) -> Array:
 def _terms(
     chain: Chain, belt_speed: ScalarLike, frequency: ScalarLike, shape: Array, left: Array | None
 ) -> Array:
-    """What l1 is the real part of the sum of; of shape (2 n,), mass by mass."""
+    """Terms with Re(their sum) = l1, mass by mass; of shape (2 n,)."""
     as_chain(chain)
     belt_speed = as_array("belt_speed", belt_speed, 0, 0)
     frequency = as_array("frequency", frequency, 0, 0)
@@ -167,7 +167,7 @@ def _numbers(
 ) -> tuple[Array, Array, Array, Array, Array]:
     """(l1, l1 over the sizes of its terms, growth slope, that of dry friction, d(A^2) / d|v_d|).
 
-    - Of a coefficient that is truly zero only rounding errors are left of its terms.
+    - If a coefficient is exactly zero, the sum of its terms consists of rounding errors.
     - lambda' = -i omega l^T D' u / [l^T (2 i omega + D) u], and D' = p mu'' for dry friction.
     - A = max_n |x_n - mean| = 2 |w| max|u| / (sqrt(1 + omega^2) |u|) to leading order, A the
       greatest amplitude, and |w|^2 = -alpha' (v_d - v_H) / (omega l1).
@@ -249,7 +249,7 @@ def _meeting(chain: Chain, parameter: str, low: Array, high: Array) -> Generalis
         return coefficient(varied, hopf_belt_speed(varied))
 
     def zoom(_: Any, now: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        """The last interval of a grid over which l1 changes sign, or else the Hopf curve ends."""
+        """The last interval of a grid in which l1 changes sign, or in which the curve ends."""
         low, high, _ = now
         grid = jnp.linspace(low, high, 48)
         kinds = jax.vmap(l1_on_the_hopf_curve)(grid)
@@ -267,12 +267,12 @@ def _meeting(chain: Chain, parameter: str, low: Array, high: Array) -> Generalis
         varied = chain.with_(**{parameter: value})
         return jnp.stack([sliding_damping(varied, speed), coefficient(varied, speed)])
 
-    # The zero of l1 lies close to the end of the Hopf curve where the width is small.
+    # For a small width the zero of l1 lies close to the end of the Hopf curve.
     ends = jnp.log(low), jnp.log(high), jnp.asarray(False)
     start, _, changed = lax.fori_loop(0, 5, zoom, ends)
     value = jnp.exp(start)
     unit = jnp.stack([value, hopf_belt_speed(frozen.with_(**{parameter: value}))])
-    # Third derivatives at a width eps err by rounding over eps^3.
+    # The error of third derivatives at a width eps is rounding over eps^3.
     root = newton(system, jnp.ones(2), (frozen, unit), tolerance=1e-8)
     result = SearchResult.where(changed, root.result, SearchResult.no_meeting)
     value = jnp.where(changed & root.successful, root.value, jnp.nan)
@@ -293,15 +293,15 @@ class Crossing(NamedTuple):
 def find_crossings(chain: Chain, least: float, greatest: float) -> Iterator[Crossing]:
     """Every crossing at speeds |v_d| from `least` to `greatest`; `hopf_points` has the proof.
 
-    Concrete numbers only.  **Raises:** `RuntimeError` if counts of eigenvalues contradict what was
-    found, or if an eigenvalue stays on the axis.
+    It needs concrete numbers.  **Raises:** `RuntimeError` if counts of eigenvalues contradict the
+    crossings found, or if an eigenvalue stays on the axis.
     """
     n, K = chain.n, np.asarray(stiffness_matrix(chain))
     if has_uniform_damping(chain):
         modes = list(_modes(chain, K))
         for speed in _roots(chain, 0, least, greatest):
             yield from (Crossing(speed, *mode) for mode in modes)
-    elif chain.springs is None or n == 1:  # no mass knows of the others
+    elif chain.springs is None or n == 1:  # uncoupled masses
         for mass in range(n):
             for speed in _roots(chain, mass, least, greatest):
                 yield Crossing(speed, float(np.sqrt(K[mass, mass])), np.eye(n)[mass], np.nan, 1)
@@ -320,7 +320,7 @@ def _modes(chain: Chain, K: np.ndarray) -> Iterator[tuple[float, np.ndarray, flo
             square = (K[0] * wave).sum().real
             yield float(np.sqrt(square)), wave, q, 1 if 2 * m in (0, n) else 2
         return
-    # Of a diagonal matrix these are single masses.
+    # The modes of a diagonal matrix are single masses.
     squares, shapes = np.linalg.eigh(K)
     for j in range(n):
         same = 1 if springs is None else int((np.abs(squares / squares[j] - 1.0) <= _SAME).sum())
@@ -377,8 +377,8 @@ def _unproven(
         if low.size > 5000:
             raise RuntimeError(
                 f"An eigenvalue of `chain` stays on the imaginary axis from {low.min()} to "
-                f"{high.max()}, or close by: a mode without damping, where Hopf points mean "
-                "nothing. Give every mass some damping, or narrow `belt_speeds`."
+                f"{high.max()}, or close by: a mode without damping, for which Hopf points are "
+                "not defined. Give every mass some damping, or narrow `belt_speeds`."
             )
         centre = 0.5 * (low + high)
         low, high = np.concatenate([low, centre]), np.concatenate([centre, high])
@@ -396,7 +396,7 @@ def _reaches_axis(K: np.ndarray, damping: np.ndarray, change: float) -> bool:
     J = np.block([[zero, one], [-K, -np.diag(damping)]])
     force = np.block([[zero, zero], [zero, change * one]])
     values = np.linalg.eigvals(np.block([[J, force], [-force, -J.T]]))
-    # Rounding moves a double imaginary eigenvalue off the axis by the root of it.
+    # Rounding moves a double imaginary eigenvalue off the axis by the square root of the rounding.
     return bool((np.abs(values.real) <= 1e-7 * np.abs(values).max()).any())
 
 
@@ -436,7 +436,7 @@ def _coupled(chain: Chain, K: np.ndarray, least: float, greatest: float) -> Iter
                 if inside and new and frequency > 0 and float(size) <= 1e-10:  # singular
                     shape = np.asarray(shape)
                     points.append(Crossing(speed, frequency, shape, np.nan, int(count)))
-        # What has crossed must be what there is: pairs to the right of the axis, on either side.
+        # The crossings must explain the change of the number of unstable pairs.
         unstable = [int((np.real(eigenvalues(speed)) > 0).sum()) // 2 for speed in (first, last)]
         gained = sum(c.multiplicity * _turns(chain, c) for c in points)
         if first > least and last < greatest and unstable[1] - unstable[0] != gained:
@@ -591,7 +591,7 @@ def hopf_points(chain: Chain, belt_speeds: Any = (0.0, GREATEST_SPEED)) -> HopfP
 
 
 def _simplified(chain: Chain) -> Chain:
-    """The same chain with one number where all masses have the same, and no springs of zero."""
+    """The same chain; equal numbers per mass become one number, and zero springs are removed."""
 
     def one(value: Array) -> Array:
         if jnp.ndim(value) == 0 or not bool(jnp.all(value == value[0])):
@@ -623,12 +623,12 @@ def _described(chain: Chain, crossing: Crossing) -> dict[str, Any]:
         "multiplicity": multiplicity,
         "growth_slope": float(slope),
         "direction": "falling speed" if slope < 0 else "growing speed",
-        # Without smoothing the mode would not begin to grow as the speed grows.
+        # For dry friction the mode would not begin to grow as the speed grows.
         "kind": "rising flank of the smoothed law" if slope > 0 >= dry else "weakening friction",
     }
     for prefix, wave in (("", waves[0]), ("standing_", waves[-1])):
         l1, relative, _, _, rise = map(float, wave)
-        if multiplicity > 1 and not pair:  # which combination of the modes, nothing tells
+        if multiplicity > 1 and not pair:  # the combination of the modes is undetermined
             l1 = relative = rise = np.nan
         row |= {
             f"{prefix}lyapunov_coefficient": l1,

@@ -116,12 +116,12 @@ def _extrapolate(values: Array, widths: Array, scale: Any, accuracy: Any) -> Ext
 def _unless_free(
     limit: Extrapolation, folds: Array, scaled_peak_velocity: Array, widths: Array
 ) -> Extrapolation:
-    """`limit`, or the fold at the least width where its mass stays out of the layer.
+    """`limit`, or the fold at the least width if its mass stays out of the layer.
 
     In the layer s = max w / eps falls by no more than 3/4 of the logarithm as the width falls.
-    Where it falls faster, w itself has a limit below the belt's speed, from which the fold is
-    exponentially near as the width vanishes, which is no series.  Its distance falls at least
-    like the width.
+    If it falls faster, w itself has a limit below the belt speed, and the fold approaches its
+    limit exponentially as the width vanishes, which is not the series.  Its distance falls at
+    least like the width.
     """
     least, next_one = jnp.argsort(widths)[:2]
     ratio = widths[next_one] / widths[least]
@@ -129,7 +129,7 @@ def _unless_free(
     value, moved = folds[least], jnp.abs(folds[next_one] - folds[least])
     error = moved / (ratio - 1.0) + 2.0 * _ACCURACY * value
     constant = jnp.zeros_like(limit.coefficients).at[0].set(value)
-    # A fold that is missing at another width is missed here, too.
+    # If a fold is missing at another width, the limit is missing, too.
     both = Extrapolation(value, error, constant), limit
     return where(free & jnp.isfinite(limit.value), *both)
 
@@ -190,7 +190,7 @@ def extrapolated_fold(chain: Chain, mass: Any = None, widths: Any = None) -> Ext
 
 
 def fold_and_limit(chain: Chain, mass: int) -> tuple[Array, SearchResult, Extrapolation, Array]:
-    """(the fold at the chain's width, its result, the limit of width 0, the dry fold)."""
+    """(fold at the chain's width, its result, limit of width 0, dry fold)."""
     dry = dry_fold_belt_speed(chain, mass)
     limit, folds, results = _limit(chain, mass, width=None if chain.dry else chain.width)
     if chain.dry:
@@ -203,7 +203,7 @@ def fold_and_limit(chain: Chain, mass: int) -> tuple[Array, SearchResult, Extrap
 def _limit(
     chain: Chain, mass: int, widths: Array | None = None, width: Array | None = None
 ) -> tuple[Extrapolation, Array, SearchResult]:
-    """(the limit, the folds and results it is from, the last of them at `width` if given)."""
+    """(the limit, its folds and results; the last of them is at `width` if given)."""
     alone = one_mass(lax.stop_gradient(chain), mass)
     scale = speed_scale(alone, dry_summits(alone).touching)
     each = widths = scale * jnp.asarray(_WIDTHS) if widths is None else widths

@@ -127,7 +127,7 @@ def _range(chain: Chain, mass: int, error_bars: bool) -> StabilityRange:
     else:
         (fold, _, result), bars = fold_speed_and_peak(chain, mass), {}
     none = result == of.no_fold
-    # Masses without damping vibrate at every speed, which has no fold, either.
+    # Masses without damping vibrate at every speed, so there is no fold either.
     damped = jnp.min(chain.damping_ratio) > 0
     result = of.where(damped, of.where(none, of.successful, result), of.undamped)
     lowest = jnp.where(jnp.isnan(hopf), 0.0, hopf)

@@ -27,7 +27,7 @@ from .hopf import hopf_belt_speed
 
 # Points on each side of the fold, at most.
 _POINTS = 72
-# Lengths of the sides: of the slip cycles z runs over asinh(v_d / eps), about.
+# Lengths of the sides: on the slip cycles z covers about asinh(v_d / eps).
 _STICKING, _SLACK = 5.0, 3.0
 
 
@@ -35,8 +35,8 @@ _STICKING, _SLACK = 5.0, 3.0
 class OneMassBranch(Printed, eqx.Module):
     """The cycles of one mass in order: steady sliding, unstable slip cycles, fold, stick-slip.
 
-    - `belt_speed` v_d, `amplitude` A (half peak-to-peak of x), `period` T; dimensionless, filled
-      with NaN: drop these before drawing a line.
+    - `belt_speed` v_d, `amplitude` A (half peak-to-peak of x), `period` T; dimensionless, padded
+      with NaN, which must be dropped before a line is drawn.
     - `scaled_peak_velocity`: s = max w / eps.
 
     The first entry is the Hopf point, of amplitude 0; `fold` is the index of the fold.

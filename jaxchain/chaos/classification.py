@@ -71,7 +71,7 @@ class Evidence(Printed):
     - `smooth`: the same exponents by smoothly weighted averages, see `LyapunovSpectrum`;
       `exponent_time`: the time of the averages, 0 for exponents of multipliers.
     - `slips`: the greatest number of cycles that a vibrating mass gained on another in the second
-      half of the last record; `delays`: of each vibrating mass at the end, in periods.
+      half of the last record; `delays`: the delay of each vibrating mass at the end, in periods.
     - `symmetry_time`, `symmetry`: see `symmetry_defect`.
     - `state`: (x, v) at the end.
 
@@ -104,7 +104,7 @@ class Evidence(Printed):
 
     @property
     def decided(self) -> bool:
-        """Whether a longer run would add nothing.
+        """Whether a longer run would not change the evidence.
 
         A run with noise must leave an unstable orbit: noise of 1e-8 needs 18 e-folding times.
         """
@@ -220,7 +220,7 @@ def judge_exponents(run: Evidence, criteria: Criteria) -> str:
         return "open"
     if run.low[0] > 0:
         return "chaos"
-    # What is too small to be told from rounding, NaN, is below everything else.
+    # NaN, an exponent below rounding, is below all others.
     low, high = (np.where(np.isnan(run.exponents), -np.inf, a) for a in (run.low, run.high))
     neutral = (np.abs(low) < criteria.zero) & (np.abs(high) < criteria.zero)
     if len(neutral) < 2 or not neutral[0]:
@@ -235,7 +235,7 @@ def _comes_back(run: Evidence, criteria: Criteria) -> bool:
 
 
 def judge_torus(runs: Sequence[Evidence], criteria: Criteria) -> bool:
-    """Whether the open runs of an ensemble are on a torus, by their smooth averages.
+    """Whether the open runs of an ensemble are on a torus, judged by smooth averages.
 
     Mean +- t s / sqrt(m) over the m runs, Student's t at 95 %, lies within `zero` of 0 for both
     leading exponents, and the energies do not drift.
@@ -250,9 +250,9 @@ def judge_torus(runs: Sequence[Evidence], criteria: Criteria) -> bool:
 def classify(runs: Sequence[Evidence]) -> Verdict:
     """The verdict on an ensemble whose runs have their `kind`.
 
-    The verdict is that of the strongest noise, because a state that survives exact symmetry only
-    is not observed in practice; what the start itself does without noise is `undisturbed`.  Runs
-    on unstable orbits have no say where others have left them.  If the runs of the strongest noise
+    The verdict is that of the strongest noise, because a state that survives only in exact
+    symmetry is not observed in practice; `undisturbed` is the verdict without noise.  Runs on
+    unstable orbits do not count if others have left them.  If the runs of the strongest noise
     disagree, or any of them is open, the verdict is "transient"; if any of them failed, "failed".
 
     >>> still = [Evidence(noise, 0, kind="cycle") for noise in (0.0, 1e-3)]
@@ -290,7 +290,8 @@ def _failed(run: Evidence) -> bool:
 def _common(runs: Sequence[Evidence]) -> str:
     if any(map(_failed, runs)):
         return "failed"
-    # Not every run of an ensemble need have exponents: what else has not closed goes with those.
+    # Only some runs of an ensemble have exponents: other runs that have not closed count like
+    # those.
     kinds = {run.kind for run in runs if len(run.exponents) or run.kind != "open"}
     if any(run.kind in ("cycle", "rest") for run in runs):
         kinds = {run.kind for run in runs}
@@ -349,22 +350,22 @@ def _remedy(runs: Sequence[Evidence]) -> str:
             f"{10 * total / ended:.1g}, or more seeds, would tell."
         )
     if "unstable" in kinds:
-        return "Noise did not leave the unstable orbit: a longer run, or more noise, would."
+        return "Runs with noise stayed on the unstable orbit: take a longer run, or more noise."
     return (
         f"Exponents are not yet told from zero, or the motion still changes at {longest:.3g}: "
         "a longer `exponent_time` and `longest` would tell."
     )
 
 
-# A record may be one of many runs, and on the host.
+# A record may be that of many runs, and on the host.
 _Numbers: TypeAlias = Any
-# Least returns that may make an orbit, and points of the section kept per window.
+# The least number of returns for an orbit, and points of the section kept per window.
 MOST_RETURNS = 4
 _SPIRAL = 5.0
 
 
 class RunRecord(NamedTuple):
-    """What was seen of a run, window by window; W windows of n masses.
+    """The record of a run, window by window; W windows of n masses.
 
     - `t`: end of each window; `amplitude`: half peak-to-peak in it.
     - `peaks`: times of the maxima of every displacement, NaN where none.
@@ -380,13 +381,13 @@ class RunRecord(NamedTuple):
 
 
 class Recurrence(NamedTuple):
-    """How well the points of a section come back.
+    """How well the points of a section return.
 
     - `spread`: the greatest distance of a point of the second half of the record from the nearest
       of the `returns` last points, and of the last window's point from the one `returns` later;
       relative to the amplitude, in the greatest component.
-    - `returns`: after how many of them they do best (1 ... `MOST_RETURNS`); `period`: the time
-      they take.
+    - `returns`: the number of returns of the best fit (1 ... `MOST_RETURNS`); `period`: their
+      time.
     """
 
     spread: float
@@ -395,11 +396,11 @@ class Recurrence(NamedTuple):
 
 
 def recurrence(record: RunRecord, *, scale: Any, closed: float = 1e-3) -> Recurrence:
-    """Whether the second half of a record is q points of the section, over and over.
+    """Whether the second half of a record repeats the same q points of the section.
 
-    The least q whose spread is below `closed`, or not more than 5 times the least of all (an
-    orbit approached in a spiral does somewhat better after a turn of it).
-    `scale`, what an amplitude is, makes distances relative.
+    It takes the least q whose spread is below `closed`, or at most 5 times the least of all (an
+    orbit approached in a spiral has a smaller spread after a turn of the spiral).  Distances are
+    relative to the amplitude `scale`.
     """
     points, times = record.points, record.point_times[-1]
     half, last = points[len(points) // 2 :], points[-1]
@@ -416,9 +417,9 @@ def recurrence(record: RunRecord, *, scale: Any, closed: float = 1e-3) -> Recurr
 def novelty(record: RunRecord) -> float:
     """How new the states of the second half of a record are, 0 ... 1.
 
-    Mean distance of its section points from the nearest of the first half, relative to the
-    greatest distance of any two of the second half, in the greatest component.  A torus
-    that is filled gives the spacing of its points, a steady drift a half.
+    The mean distance of its section points from the nearest of the first half, relative to the
+    greatest distance of any two of the second half, in the greatest component.  A filled torus
+    gives the spacing of its points, a steady drift one half.
     """
     before, after = np.array_split(record.points[:, 0], 2)
     away = [np.min(np.max(np.abs(before - point), axis=1)) for point in after]
@@ -427,15 +428,16 @@ def novelty(record: RunRecord) -> float:
 
 
 def phases(record: RunRecord, masses: Any) -> Float[np.ndarray, "W active"]:
-    """Cycles that each of some masses has gone through since the first, one number a window.
+    """Cycles that each of some masses has completed since the first, one number per window.
 
-    Between the maxima of a mass its phase grows evenly by one; that of the first mass in `masses`
-    is taken away.  Locked masses keep theirs, others drift; whole numbers are phase slips.
+    Between the maxima of a mass its phase grows linearly by one; that of the first mass in
+    `masses` is subtracted.  The phases of locked masses are constant, others drift; whole numbers
+    are phase slips.
     """
     peaks = record.peaks[:, :, masses]
     counts = np.sum(np.isfinite(peaks), axis=1)
     before = np.concatenate([np.zeros_like(counts[:1]), np.cumsum(counts, axis=0)[:-1]])
-    # Of the second maximum of a window, so that the length of a period is known around it.
+    # At the second maximum of a window, so that the length of a period is known around it.
     length = np.nanmean(np.diff(peaks, axis=1), axis=(0, 1))
     start = peaks[:, 0, :1]
     turned = before + (start - peaks[:, 0]) / length
@@ -466,7 +468,7 @@ def symmetry_defect(
 
     min over R, s of max_i |phi_i - phi_{R i} - s| / P, wrapped, with the reflections R that keep
     the block, and s = 0 (the mirror image itself) or P/2 (half a period later); R and s are those
-    of the first window.  0 is symmetric, 1/2 the most there can be.
+    of the first window.  0 is symmetric, 1/2 the greatest possible value.
     """
     first = record.peaks[:, 0]
     motions = []
@@ -482,29 +484,29 @@ def symmetry_defect(
     return min(motions, key=lambda series: series[0])
 
 
-# Windows of one compiled run; and maxima of a mass come no closer than this, half a free period.
+# Windows of one compiled run; the least time between maxima of a mass, half a free period.
 CHUNK = 20
 _LEAST_PERIOD = 3.0
-# Of the transient of exponents to their window.
+# The ratio of the transient of exponents to their window.
 _SETTLE = 0.2
 _BLOCKS = 20
 
 
 class _VerdictTask(eqx.Module):
-    """What is the same for all runs; `window`: of a record; `time`, `count`: of exponents."""
+    """Settings of all runs; `window`: of a record; `time`, `count`: of exponents."""
 
     chain: AbstractOscillators
     solver: Any
     window: Array
     time: Array
     rtol: float = eqx.field(static=True)
-    peaks: int = eqx.field(static=True)  # kept of each mass and window
+    peaks: int = eqx.field(static=True)  # kept per mass and window
     count: int = eqx.field(static=True)
 
 
 @dataclass
 class VerdictRun:
-    """A run under way; `reference` is the mass at whose maxima it is watched."""
+    """The state of a run; the section is at the maxima of the mass `reference`."""
 
     start: int
     x: np.ndarray
@@ -537,9 +539,9 @@ def _chunk(task: _VerdictTask, x: Array, v: Array, t0: Array, reference: Array) 
 def advance(
     task: _VerdictTask, lanes: int, trials: list[VerdictRun], stage: float
 ) -> Iterator[tuple[VerdictRun, RunRecord]]:
-    """Runs trials, all of them equally long, to the time `stage`; each with its record till then.
+    """Advances trials of equal length to the time `stage`; each with its record until then.
 
-    They come in batches: no more records than one on each lane are kept at a time.
+    They run in batches, so that at most one record per lane is kept at a time.
     """
     width = lanes * len(jax.local_devices())
     for first in range(0, len(trials), width):
@@ -574,9 +576,9 @@ def _spectrum(task: _VerdictTask, x: Array, v: Array) -> LyapunovSpectrum:
 def measure_exponents(
     task: _VerdictTask, lanes: int, trials: list[VerdictRun], done: Callable[[int], object]
 ) -> None:
-    """Enters the leading exponents of runs into their evidence.
+    """Adds the leading exponents of runs to their evidence.
 
-    `done` is called with the number of runs that have been measured since.
+    `done` is called with the number of runs measured since the last call.
     """
     if not trials:
         return
@@ -592,19 +594,19 @@ def measure_exponents(
         trial.x, trial.v = (part[k] for part in spectra.state)
 
 
-# Errors of an exponent within which it is taken for zero.
+# An exponent within this number of its errors counts as zero.
 _NEUTRAL = 10.0
-# Orbits that runs from one state have closed: the reference mass, a point of the section, the
-# orbit.
+# Closed orbits found from one state: the reference mass, a point of the section, the orbit.
 Known = list[tuple[int, np.ndarray, RefinedOrbit]]
 
 
 def judge_orbit(
     task: _VerdictTask, criteria: Criteria, trial: VerdictRun, record: RunRecord, orbits: Known
 ) -> Evidence:
-    """What a record adds to the evidence of its run, and whether that is decided.
+    """The evidence of a run with its record, and whether it is decided.
 
-    A run that ends on one of the `known` orbits does not close it again; another one is added.
+    If a run ends on one of the `known` orbits, no new search is made; a new orbit is added to
+    them.
     """
     evidence = replace(trial.evidence, kind="open", state=(trial.x, trial.v))
     if not ended_well(trial.outcome):
@@ -631,7 +633,8 @@ def judge_orbit(
     evidence.symmetry_time = np.append(evidence.symmetry_time, record.t)
     evidence.symmetry = np.append(evidence.symmetry, defect)
     if reference not in masses:
-        # The section was that of a mass that rests; the middle of what vibrates moves most evenly.
+        # The reference mass does not move; the middle of the vibrating masses moves most
+        # regularly.
         trial.reference = int(masses[np.argmin(np.abs(masses - n // 2))])
         return evidence
     evidence.novelty = novelty(record)
@@ -656,7 +659,7 @@ def judge_orbit(
         np.abs(record.points[:, :1] - record.points[-1][None, : evidence.returns]).max(-1).min(1)
     )
     outside = np.flatnonzero(~(away < criteria.near * scale))
-    # Since when the run has kept close to where it ended.
+    # The time since which the run has stayed close to its end.
     if evidence.kind in ("cycle", "unstable") and outside.size:
         evidence.locked_at = float(record.t[outside[-1]])
     return evidence
@@ -664,15 +667,15 @@ def judge_orbit(
 
 def _enter_orbit(evidence: Evidence, orbit: RefinedOrbit, sits: bool) -> None:
     period = float(orbit.period)
-    # Of an exponent that is not resolved, NaN, it is known below what it lies.
+    # An unresolved exponent, NaN, has a known upper bound.
     rates, highest = (np.append(0.0, a) for a in (orbit.exponents, orbit.highest_exponents))
-    # What the trivial multiplier is off by, any other may be; rates of small ones feel it more.
+    # Every multiplier may have the error of the trivial one; it affects rates of small ones more.
     error = max(float(orbit.defect), 1e-9) / period
     finite = np.isfinite(rates)
     errors = np.where(finite, error * np.exp(-np.where(finite, rates, 0.0) * period), 0.0)
     greatest = np.argmax(highest[1:]) + 1
     stable = highest[greatest] < -errors[greatest]
-    # One of a family of orbits: phases of masses that are not coupled neither lock nor drift.
+    # One of a family of orbits: phases of uncoupled masses neither lock nor drift.
     neutral = sits and abs(highest[greatest]) <= _NEUTRAL * errors[greatest]
     if not (stable or neutral) and not (sits and highest[greatest] > errors[greatest]):
         return
@@ -685,7 +688,7 @@ def _enter_orbit(evidence: Evidence, orbit: RefinedOrbit, sits: bool) -> None:
     evidence.low = np.where(np.isnan(rates), -np.inf, rates - errors)[order]
 
 
-# Runs at most of one kind; and what to do where a verdict cannot be had.
+# The most runs of one kind; the remedy for systems without a verdict.
 _MOST_RUNS = 10**5
 _INSTEAD = "use `lyapunov_spectrum` or `simulate`."
 _NOISE = "it holds standard deviations, such as (1e-8, 1e-3)."
@@ -820,7 +823,8 @@ def verdicts(
     def advance_and_judge(going: list[VerdictRun], stage: float, *, again: bool = False) -> None:
         for trial, record in advance(task, lanes, going, stage):
             evidence = judge_orbit(task, criteria, trial, record, orbits[trial.start])
-            # Of a run that has not locked in a second look the longer record tells more.
+            # If a run has not locked at the second examination, its longer record is better
+            # evidence.
             if not again or evidence.decided:
                 trial.evidence = evidence
 
@@ -832,7 +836,7 @@ def verdicts(
             bar.update(sum(trial.evidence.decided for trial in going))
             if stage >= longest or all(trial.evidence.decided for trial in trials):
                 break
-            # Runs are a whole number of chunks long, and may have got farther than was asked.
+            # Runs have a whole number of chunks, so they may be longer than requested.
             reached = min(t.evidence.time for t in trials if not t.evidence.decided)
             while stage < longest and stage <= reached:
                 stage = min(2.0 * stage, longest)
@@ -841,7 +845,7 @@ def verdicts(
         measured = _for_exponents(trials, exponent_runs)
         bar.update(sum(not trial.evidence.decided for trial in trials) - len(measured))
         measure_exponents(task, lanes, measured, bar.update)
-        # What has locked meanwhile is closed, too.
+        # Runs that have locked meanwhile are closed, too.
         end = max((trial.evidence.time for trial in measured), default=0.0)
         advance_and_judge(measured, end + 1.0, again=True)
     groups = [[t.evidence for t in trials if t.start == i] for i in range(len(x))]
@@ -865,7 +869,7 @@ def _starts(x: Array, v: Array, noise: Sequence[float], seeds: int, key: int) ->
 
 
 def _for_exponents(trials: list[VerdictRun], most: int) -> list[VerdictRun]:
-    """`most` of the open runs of each state: the one without noise, and then the noisiest."""
+    """Up to `most` open runs of each state: the one without noise, then the noisiest."""
     chosen = []
     for i in {trial.start for trial in trials}:
         open_trials = [t for t in trials if t.start == i and t.evidence.kind == "open"]

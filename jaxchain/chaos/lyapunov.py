@@ -51,7 +51,7 @@ from ..simulation.plan import AbstractPlan, Progress, forward_only
 from ..simulation.run import build_plan
 from ..simulation.smoothed import SmoothedPlan
 
-# An exponent this small counts as 0: blocks of a periodic run scatter by less than rounding.
+# An exponent this small counts as 0: blocks of a periodic run may scatter by rounding only.
 ZERO = 1e-9
 
 
@@ -123,9 +123,8 @@ def batch_error(
 ) -> tuple[Float[Array, " count"], Float[Array, " count"]]:
     """(standard error of the mean over blocks, correlation r of successive blocks).
 
-    s / sqrt(blocks), times sqrt[(1 + r) / (1 - r)] where r > 0, as in a process in which the
-    memory of a block fades by r a block.  Where all are -inf the error is 0; where only some are
-    the mean is -inf without any doubt, too.
+    s / sqrt(blocks), times sqrt[(1 + r) / (1 - r)] if r > 0, as for a process whose memory decays
+    by the factor r per block.  If some or all blocks are -inf, the mean is -inf and its error 0.
     """
     number = blocks.shape[0]
     gone = jnp.any(jnp.isneginf(blocks), axis=0, keepdims=True)
@@ -144,7 +143,7 @@ def kaplan_yorke_dimension(exponents: Float[Array, " count"], complete: bool) ->
 
     **Arguments:** `exponents`, in descending order; `complete`, whether these are all.
 
-    **Returns:** a number; NaN if they are not, and no sum is negative.
+    **Returns:** a number; NaN if the exponents are not complete and no sum is negative.
 
     J. L. Kaplan, J. A. Yorke, Chaotic behavior of multidimensional difference equations, Lecture
     Notes in Mathematics 730, 204 (1979).
@@ -166,13 +165,13 @@ def kaplan_yorke_dimension(exponents: Float[Array, " count"], complete: bool) ->
     return jnp.where(jnp.any(jnp.isnan(exponents)), jnp.nan, dimension)
 
 
-# What is left of a column after the ones before it have been taken out of it, relative to its
-# length: below this it is rounding, that of some hundred steps times a condition of some thousand.
+# Below this share of its length, a column orthogonal to the previous ones is rounding: that of
+# some hundred steps times a condition number of some thousand.
 RESOLVED = 1e-10
 
 
 class Frame(eqx.Module):
-    """A run under way and orthonormal disturbances of its state, the columns of `basis`."""
+    """The state of a run, and orthonormal disturbances of it, the columns of `basis`."""
 
     progress: Progress
     basis: Float[Array, "two_n count"]
@@ -192,7 +191,7 @@ class Interval(eqx.Module):
 
 
 class Growth(eqx.Module):
-    """What was gathered in a span.
+    """The growth measured in a span.
 
     - `logs`: sum of log R_ii; `weighted`: that of w log R_ii with the weights of `bump`, and
       `weights`: sum of w times the length of the interval.  `observed`: the observer's value.
@@ -222,8 +221,8 @@ def orthonormalise(
 ) -> tuple[Float[Array, "two_n count"], Float[Array, " count"]]:
     """(Q, log |R_ii|) of images = Q R, by Householder reflections.
 
-    A column that depends on the ones before it, to rounding, has the log NaN.  Its place in Q is
-    taken by some direction at right angles to all others, and the columns before it do not notice.
+    A column that depends linearly on the previous ones, to rounding, has the log NaN.  In Q it is
+    replaced by a direction orthogonal to all others; the previous columns are not affected.
 
     >>> import jax.numpy as jnp
     >>> Q, logs = orthonormalise(jnp.array([[2.0, 2.0], [0.0, 0.0], [0.0, 0.0]]))
@@ -239,10 +238,10 @@ def orthonormalise(
 def advance_frame(
     plan: AbstractPlan, field: AbstractOscillators, frame: Frame, t1: Any, max_steps: int | None
 ) -> tuple[Frame, Float[Array, "two_n count"]]:
-    """(the run at t1, with the basis as it was; the images of the basis there).
+    """(the run at t1 with the old basis; the images of the basis there).
 
-    The derivative of the discrete steps, sizes held; the steps themselves are computed once,
-    however many disturbances there are.
+    The images use the derivative of the discrete steps with fixed sizes; the steps are computed
+    once for any number of disturbances.
     """
     n = frame.progress.state[0].shape[0]
 
@@ -263,7 +262,7 @@ def advance_frame(
 def _resume(
     plan: AbstractPlan, field: AbstractOscillators, progress: Progress, state: State, t1: Any
 ) -> Progress:
-    """The run with `state` in its place, and everything that depends on it smoothly made anew.
+    """The run with another `state`; everything that depends smoothly on it is recomputed.
 
     A Runge-Kutta method may keep the slope at the end of a step for the next one.
     """
@@ -286,9 +285,9 @@ def advance_span(
     span: Interval,
     max_steps: int | None,
 ) -> tuple[Frame, Growth]:
-    """The frame after a span, orthonormal again after every interval of it.
+    """The frame after a span, orthonormalised after every interval.
 
-    Observers start anew with it.
+    Observers start again with the span.
     """
     begun, end = frame.progress, span.start + span.number * span.interval
     fresh = [o.init(field, begun.t, end, begun.state) for o in plan.observers]
@@ -322,7 +321,7 @@ def advance_span(
 
 
 _PERIOD = 2 * np.pi
-# Between two QR decompositions the stiffest direction may shrink by e^-10 against the others.
+# Between two QR decompositions the stiffest direction may shrink by e^-10 relative to others.
 _LEAST_LOG = 10.0
 _MOST_BLOCKS = 10**6
 
@@ -381,8 +380,8 @@ def lyapunov_spectrum(
     - `progress`: show a progress bar.
     - `throw`: raise an error if the run fails (outside of transformations); else read `result`.
 
-    **Returns:** `LyapunovSpectrum`.  Works under `jit` and `vmap`, over initial states, chains
-    and seeds; one program serves all numbers.
+    **Returns:** `LyapunovSpectrum`.  It works under `jit` and `vmap`, over initial states, chains
+    and seeds; it is compiled once for all numbers.
 
     **Accuracy:** the exponents are those of the discrete steps.  Steps are as long as the *orbit*
     allows, `max_step` in steady sliding, and disturbances use the same steps.  With smoothed
@@ -486,7 +485,7 @@ def _spans(start: Array, end: Array, interval: Array, blocks: int) -> Interval:
     starts = start + length * jnp.arange(blocks) / blocks
     starts = jnp.concatenate([0.5 * start[None], starts])
     lengths = jnp.full(blocks + 1, length / blocks).at[0].set(0.5 * start)
-    # Rounding in a quotient must not cost an interval more.
+    # Rounding in a quotient must not add an interval.
     numbers = jnp.ceil(lengths / interval * (1.0 - 1e-12))
     intervals = lengths / jnp.maximum(numbers, 1.0)
     phases = (starts + 0.5 * intervals - start) / length
@@ -532,7 +531,7 @@ def _read(frame: Frame, growth: Growth, spans: Interval) -> LyapunovSpectrum:
     weighted = jnp.sum(growth.weighted[1:], axis=0) + nan
     divergence = jnp.nan * nan if dry else jnp.sum(observed[1:]) / jnp.sum(lengths) + nan
     settled = jnp.where(jnp.abs(exponents) <= reach + ZERO, 0.0, exponents)
-    # What is too small to be seen is below everything else.
+    # An exponent below rounding is below all others.
     settled = jnp.where(jnp.isnan(settled) & progress.running, -jnp.inf, settled)
     complete = exponents.shape[0] == 2 * progress.state[0].shape[0]
     return LyapunovSpectrum(

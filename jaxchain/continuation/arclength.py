@@ -39,16 +39,16 @@ from .special_points import (
     surely,
 )
 
-# A fold that lies so close to a branch point, compared with 1 + |z|, is the branch point.
+# A fold within this distance of a branch point, relative to 1 + |z|, is the branch point.
 _SAME_PLACE = 1e-5
-# What a point may err by, as a share of the length of its step: far below the greatest bend.
+# The allowed error of a point, as a share of its step: far below the greatest bend.
 _SURE = 1e-4
-# Steps grow and shrink by no more than this, and aim at this share of what is allowed.
+# The greatest change of a step, and the share of the allowed load that it aims at.
 _GROWTH, _SHRINK, _AIM = 2.0, 0.2, 0.7
 
 
 class Steps(NamedTuple):
-    """How far a step may go: lengths in the weighted norm, angles in radians."""
+    """Limits of a step: lengths in the weighted norm, angles in radians."""
 
     first: float
     least: float
@@ -80,7 +80,7 @@ class BranchWalk:
         self.bounds, self.tests, self.stop, self.progress = bounds, tests, stop, progress
 
     def run(self, z: np.ndarray, heading: np.ndarray, max_points: float) -> tuple[str, str]:
-        """Walks from a guess until something ends the branch: (a key of `ENDINGS`, a reason)."""
+        """Follows the branch from a guess to its end: (a key of `ENDINGS`, a reason)."""
         last = self.corrector(z, heading)
         if last is None:
             return "no_start", ""
@@ -107,7 +107,7 @@ class BranchWalk:
             bend = (last.tangent - piece.left.tangent) / piece.length
 
     def _step(self, left: Point, bend: np.ndarray, step: float) -> _Accepted | None:
-        """The next point on the same branch, at most `step` away; None if there is no such."""
+        """The next point on the same branch, at most `step` away; None if there is none."""
         corrector, steps = self.corrector, self.steps
         most = _GROWTH
         while step >= steps.least:
@@ -131,7 +131,7 @@ class BranchWalk:
         return None
 
     def _load(self, piece: Segment, guess: np.ndarray) -> float:
-        """How much of what is allowed the step takes; each share grows in proportion to it."""
+        """The load of a step: the greatest share of a limit, which grows with the step length."""
         left, right, norm = piece.left, piece.right, self.corrector.norm
         turn = self.corrector.angle(left.tangent, right.tangent) / self.steps.max_turn
         drift = norm(right.z - guess) / piece.length / self.steps.max_turn
@@ -161,13 +161,13 @@ class BranchWalk:
         if piece.left.p == bound:
             return None
         cut = locate(self.corrector, piece, lambda point: point.p - bound).point
-        # On the plane p = bound a Newton step keeps p to rounding.
+        # On the plane p = bound a Newton step changes p by rounding only.
         upright = np.append(np.zeros_like(cut.u), np.sign(bound - piece.left.p))
         exact = self.corrector(np.append(cut.u, bound), upright, cut, piece.length)
         return surely(self.corrector, cut if exact is None else exact, _SURE * piece.length)
 
     def _passes_start(self, piece: Segment) -> bool:
-        """Whether the branch comes through its first point within the segment, the same way."""
+        """Whether the segment passes the first point of the branch in the same direction."""
         corrector, first = self.corrector, self.record.points[0]
         along = corrector.dot(first.z - piece.left.z, piece.left.tangent) / piece.length
         if not 0.0 < along <= 1.0 or corrector.dot(first.tangent, piece.left.tangent) < 0.9:
@@ -249,7 +249,7 @@ def default_weights(m: int) -> Float[np.ndarray, " m_plus_1"]:
 def make_corrector(
     residual: Any, value_and_jacobian: Any, args: Any, m: int, weights: Any, tolerance: Any
 ) -> Corrector:
-    """A `Corrector` from what a caller gives, checked."""
+    """A `Corrector` from checked arguments."""
     require_x64()
     if value_and_jacobian is not None:
         check_function("value_and_jacobian", value_and_jacobian, "as `residual`", 3)
@@ -457,7 +457,8 @@ def switch_branch(
             went = solution.z - z
             along = corrector.dot(went, point.tangent)
             rest = corrector.norm(went - along * point.tangent - length * away)
-            # The old branch lies along the tangent; a third one, off the plane of both directions.
+            # The old branch lies along the tangent, a third branch off the plane of both
+            # directions.
             if abs(along) <= 5.0 * length and rest <= 0.5 * length:
                 ahead = np.sign(corrector.dot(solution.tangent, went)) or 1.0
                 return Switched(solution.u, solution.p, ahead * solution.tangent, "")

@@ -1,4 +1,4 @@
-"""One-dimensional search: an interval around a change, halved as often as is asked."""
+"""One-dimensional search: an interval around a change, halved a given number of times."""
 
 from collections.abc import Callable
 from typing import Any
@@ -18,11 +18,11 @@ def bisect(
     high: Float[Array, "*batch"],
     halvings: int,
 ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
-    """(low, high) around where `before(x)` turns from true to false, 2^-`halvings` as far apart.
+    """(low, high) around the x where `before(x)` turns false, 2^-`halvings` as far apart.
 
     Each entry of an array is searched separately.  The number of evaluations is fixed, so runs
-    under `jax.vmap` take the same time, and reverse-mode derivatives work.  If `before` does not
-    change, both values are the end that it points to.
+    under `jax.vmap` take the same time, and reverse-mode derivatives work.  If `before` is true
+    throughout, both values are the upper end; if false, the lower one.
 
     **Arguments:** `before`, from x to booleans of its shape; `low`, `high`, the ends, of any
     shape; `halvings`, an integer.

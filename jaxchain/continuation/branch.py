@@ -40,12 +40,13 @@ ENDINGS = {
 
 @dataclass(frozen=True)
 class Point:
-    """One solved point z = [u; p], with what its Jacobian tells.
+    """One solved point z = [u; p], with its tangent and the determinant of its Jacobian.
 
     `tangent` = dz/ds has length 1 in the weighted norm and looks ahead; `sign` and `logdet` belong
     to det [F_z; tangent^T], which is zero where branches cross; `residual` = max |F|
-    before the last Newton step, which leaves much less.  `last_step` is the weighted length of
-    that step: z errs by less, and the Jacobian and the tangent are those of a place so far away.
+    before the last Newton step, after which it is much smaller.  `last_step` is the weighted
+    length of that step: the error of z is smaller, but the Jacobian and the tangent belong to the
+    point before the step.
     """
 
     z: Float[np.ndarray, " m_plus_1"]
@@ -100,7 +101,7 @@ class SpecialPoint(Printed):
 
 @dataclass
 class Counts:
-    """The price of a branch: evaluations of F alone, of F with its Jacobian, and the steps."""
+    """The cost of a branch: evaluations of F, of F with its Jacobian, and steps."""
 
     values: int = 0
     jacobians: int = 0
@@ -163,7 +164,7 @@ class Branch(Printed):
             >>> data.u.dims, data.special_kind.values[0], data.special_parameter.values[0].round(9)
             (('point', 'unknown'), np.str_('fold'), np.float64(1.0))
         """
-        # xarray brings pandas, which would double the time of the import.
+        # xarray imports pandas, which would double the import time.
         from xarray import Dataset
 
         points = [(point.kind, point.p, point.error) for point in self.special]
@@ -217,7 +218,7 @@ def _units(unit: str | None) -> dict[str, str]:
 
 
 class BranchRecorder:
-    """A branch as it grows: plain lists, so that nothing is lost when it is interrupted."""
+    """A branch under construction: plain lists, so that an interruption loses nothing."""
 
     def __init__(self, m: int) -> None:
         self.m = m
@@ -231,7 +232,7 @@ class BranchRecorder:
         self.points.append(point)
 
     def branch(self, ended: str, reason: str, counts: Counts) -> Branch:
-        """What is there, as arrays."""
+        """The branch so far, as arrays."""
         points = self.points[: len(self.arclengths)]
         z = np.reshape([point.z for point in points], (-1, self.m + 1))
         extra = [point.extra for point in points]

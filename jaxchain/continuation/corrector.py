@@ -1,8 +1,8 @@
 """One point of a branch from a guess: Newton on a plane, in one compiled call.
 
-The Jacobian is what a point costs.  A search begins with that of the point before, as long as it
-converges quickly with values of F alone (chord steps), and asks for a new one only if not, and at
-the end, where it gives the tangent, the test functions, and the start of the next search.
+The Jacobian is the main cost of a point.  A search starts with the Jacobian of the previous point
+and uses values of F alone (chord steps) as long as it converges quickly.  A new Jacobian is
+computed if it does not, and at the end for the tangent, the test functions and the next search.
 """
 
 from collections.abc import Callable
@@ -19,16 +19,16 @@ from jaxtyping import Array, Float, PyTree
 from .branch import Counts, Point
 from .damped_newton import Factors, Iterate, advance, arrays, begin, factorise, iterate, size
 
-# A Jacobian costs about as much as this number of values: more chord steps than that do not pay.
+# A Jacobian costs about this number of values, so more chord steps are not worthwhile.
 _CHORD_STEPS = 8
 _LEAST_DAMPING = 1 / 16
 _MAX_EVALUATIONS = 40
-# What is found on a branch does not depend on how loosely its points are solved.
+# Special points do not depend on the tolerance of the points of the branch.
 _SHARP = 1e-10
 
 
 class _Iteration(NamedTuple):
-    at: Iterate  # `aux` is (the Jacobian [F_u F_p], what F gave besides)
+    at: Iterate  # `aux` is (the Jacobian [F_u F_p], the other results of F)
     fresh: Array  # whether the Jacobian is that of this point
     exists: Array  # whether there is one
     good: Array
@@ -53,7 +53,7 @@ def _correct(
     residual: Any,
     value_and_jacobian: Any,
     args: PyTree,
-    guess: Any,  # (m + 1,), as all that follow an array: of NumPy without, of JAX within
+    guess: Any,  # (m + 1,), a NumPy array outside compiled code and a JAX array inside, as below
     normal: Any,  # (m + 1,), of weighted length 1
     jacobian: Any,  # (m, m + 1)
     exists: Any,  # whether `jacobian` is one
@@ -64,7 +64,7 @@ def _correct(
     """F(z) = 0 with (z - guess, normal) = 0, where (a, b) = sum weights_i^2 a_i b_i.
 
     Returns the fields of `Point`, with (sign, log|.|) of det [F_z; tangent^T] / prod(weights);
-    whether it is one; how many values and Jacobians of F it took.
+    whether it converged; the numbers of values and Jacobians of F.
     """
     m = guess.shape[0] - 1
     across = weights**2 * normal
@@ -99,7 +99,7 @@ def _correct(
         return size(at.u - guess, weights) > radius
 
     def chords(search: _Iteration) -> Iterate:
-        """Steps with the Jacobian as it is, as long as they converge quickly."""
+        """Steps with a fixed Jacobian, as long as they converge quickly."""
         previous = search.at.factors, search.at.aux
 
         def as_before(z: Array) -> tuple[Array, Factors, Any]:
@@ -110,7 +110,7 @@ def _correct(
         def going(at: Iterate) -> Array:
             steps_left = jnp.log(enough(at) / at.length) / jnp.log(at.contraction)
             slow = steps_left > _CHORD_STEPS
-            # Where an old Jacobian fails a new one is due.
+            # If an old Jacobian fails, compute a new one.
             lost = (at.refused & ~search.fresh) | far(at)
             spent = search.values + search.jacobians + at.evaluations >= _MAX_EVALUATIONS
             return ~(slow | lost | spent | (at.length <= enough(at) / 2))
@@ -157,7 +157,7 @@ def _correct(
     length = size(tangent, weights)
     sign, logdet = at.factors.determinant()
     point = {  # the fields of a `Point`
-        "z": at.u + at.step,  # at most as long as the tolerance; errs by about its square
+        "z": at.u + at.step,  # at most as long as the tolerance; the error is about its square
         "tangent": tangent / length,
         "jacobian": at.aux[0],
         "sign": sign,
@@ -170,7 +170,7 @@ def _correct(
 
 
 class Corrector:
-    """Solves F(u, p, args) = 0 near a guess and across a direction, and counts what it takes.
+    """Solves F(u, p, args) = 0 near a guess, normal to a direction, and counts evaluations.
 
     Nothing is compiled again as long as `residual` and `value_and_jacobian` are the same functions
     and the arrays in `args` keep their shapes.
@@ -196,11 +196,11 @@ class Corrector:
         return float(np.sum(self.weights**2 * a * b))
 
     def norm(self, a: np.ndarray) -> float:
-        """(a, a)^(1/2), the length in which steps are measured."""
+        """(a, a)^(1/2), the norm of steps."""
         return float(np.linalg.norm(self.weights * a))
 
     def angle(self, a: np.ndarray, b: np.ndarray) -> float:
-        """The angle between two directions, exact also where it is 1e-12."""
+        """The angle between two directions, accurate even at 1e-12."""
         a, b = a / self.norm(a), b / self.norm(b)
         return 2.0 * float(np.arctan2(self.norm(a - b), self.norm(a + b)))
 
@@ -213,7 +213,7 @@ class Corrector:
     ) -> Point | None:
         """The point with (z - guess, normal) = 0, or None if no search ends within `radius`.
 
-        Its tangent looks along `normal`.  The search begins with the Jacobian of `near`.
+        Its tangent points along `normal`.  The search begins with the Jacobian of `near`.
         """
         m = guess.shape[0] - 1
         solved = _correct(
@@ -247,7 +247,7 @@ class Corrector:
         return tight
 
     def rounding(self, point: Point) -> float:
-        """The length by which the representation of a point's numbers errs."""
+        """The rounding error of the numbers of a point, as a length."""
         return float(np.finfo(float).eps) * (1.0 + self.norm(point.z))
 
     def sharpen(self, point: Point) -> Point:

@@ -47,7 +47,7 @@ class Factors(NamedTuple):
 
 
 def factorise(matrix: Float[Array, "m m"], weights: Float[Array, " m"]) -> Factors:
-    """LU with partial pivoting, which a row that is 1e6 times its neighbours would mislead."""
+    """LU with partial pivoting of scaled rows: pivoting fails if rows differ by 1e6."""
     scaled = matrix / weights[None, :]
     rows = jnp.max(jnp.abs(scaled), axis=1)
     rows = jnp.where(rows > 0, rows, 1.0)
@@ -91,19 +91,19 @@ def check_vector(name: str, value: Any) -> Float[Array, " m"]:
 
 
 def check_tolerance(tolerance: Any, max_steps: Any) -> int:
-    """The greatest number of steps, or raises `ValueError` if a search cannot go by these."""
+    """The greatest number of steps; raises `ValueError` for bad tolerances or numbers of steps."""
     check_positive_number("tolerance", tolerance, "1e-10 is usual.")
     check_count("max_steps", max_steps)
     return np.iinfo(np.int32).max if max_steps is None else int(max_steps)
 
 
 def arrays(tree: PyTree) -> PyTree:
-    """`tree` with its floats as arrays: a float would be compiled in, and each value anew."""
+    """`tree` with its floats as arrays, because each value of a float would be compiled again."""
     return jax.tree.map(lambda x: np.asarray(x) if isinstance(x, float) else x, tree)
 
 
 class Root(Outcome):
-    """What `newton` found: u, max |F(u)|, how the search ended, and the Jacobians it took."""
+    """The result of `newton`: u, max |F(u)|, the outcome, and the number of Jacobians."""
 
     value: Float[Array, " m"]
     residual: Float[Array, ""]
@@ -112,11 +112,11 @@ class Root(Outcome):
 
 
 class Iterate(NamedTuple):
-    """Where a search by Newton's method stands, the last u that it took.
+    """The state of a search by Newton's method, at the last accepted u.
 
-    `length`: of the step, infinite where nothing is evaluated yet, NaN where that failed;
-    `damping` l: the share of the step that is tried next; `refused`: whether the last trial was;
-    `contraction`: `length` over that of the step before; `evaluations` of F and its Jacobian.
+    `length`: of the step, infinite before the first evaluation, NaN if that failed; `damping` l:
+    the share of the step that is tried next; `refused`: whether the last trial was rejected;
+    `contraction`: `length` over that of the previous step; `evaluations` of F and its Jacobian.
     """
 
     u: Float[Array, " m"]
@@ -131,14 +131,14 @@ class Iterate(NamedTuple):
     aux: Any
 
 
-# u -> (F(u), what solves with F_u(u), anything else that is to be known there).
+# u -> (F(u), a solver of systems with F_u(u), other results there).
 Linearise = Callable[[Float[Array, " m"]], tuple[Float[Array, " m"], Any, Any]]
 
 
 def linearised(
     function: Callable[[Float[Array, " m"]], Float[Array, " m"]], weights: Float[Array, " m"]
 ) -> Linearise:
-    """F by itself, and LU of its Jacobian, one forward derivative for each unknown."""
+    """F and the LU factors of its Jacobian, one forward derivative per unknown."""
 
     def linearise(u: Array) -> tuple[Array, Factors, None]:
         def twice(u: Array) -> tuple[Array, Array]:
@@ -152,7 +152,7 @@ def linearised(
 
 
 def begin(linearise: Linearise, start: Float[Array, " m"]) -> Iterate:
-    """A search at `start`, where nothing is evaluated yet."""
+    """A search at `start`, before the first evaluation."""
     shapes = eqx.filter_eval_shape(linearise, start)
     value, factors, aux = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
     infinite, none = jnp.asarray(jnp.inf), jnp.zeros((), int)
@@ -163,9 +163,9 @@ def begin(linearise: Linearise, start: Float[Array, " m"]) -> Iterate:
 
 
 def advance(linearise: Linearise, now: Iterate, weights: Float[Array, " m"]) -> Iterate:
-    """One evaluation of F and its Jacobian, where the damped step leads: taken, or halved.
+    """One evaluation of F and its Jacobian after the damped step, which is accepted or halved.
 
-    Taken if |F_u(u)^{-1} F(u + l s)| < (1 - l/4) |s|, in the first place if all is finite.
+    It is accepted if |F_u(u)^{-1} F(u + l s)| < (1 - l/4) |s|; the first one if all is finite.
     """
     first = now.evaluations == 0
     trial = now.u + now.damping * now.step
@@ -173,7 +173,7 @@ def advance(linearise: Linearise, now: Iterate, weights: Float[Array, " m"]) -> 
     step = -factors.solve(value)
     length = size(step, weights)
     simplified = size(now.factors.solve(value), weights)
-    # NaN compares false: a step out of where F is defined is halved.
+    # NaN compares false: a step out of the domain of F is halved.
     better = first | (simplified < (1.0 - now.damping / 4.0) * now.length)
     better = better & jnp.isfinite(length)
     count = now.evaluations + 1
@@ -214,7 +214,7 @@ def solve(
     tolerance: Any,
     limit: Any,
 ) -> tuple[Float[Array, " m"], SearchResult, Int[Array, ""]]:
-    """(u, how it ended, evaluations); well if a step was at most `tolerance` (1 + |u|)."""
+    """(u, result, evaluations); successful if a step was at most `tolerance` (1 + |u|)."""
 
     def small(now: Iterate) -> Array:
         return now.length <= tolerance * (1.0 + size(now.u, weights))
@@ -231,7 +231,7 @@ def solve(
 
 
 def ending(now: Iterate, good: Bool[Array, ""], limit: Any) -> SearchResult:
-    """How a search ended that was to take `limit` evaluations at most, `good` or why not."""
+    """The result of a search of at most `limit` evaluations: `good`, or the reason of failure."""
     of = SearchResult
     result = of.where(now.evaluations < limit, of.no_step_helps, of.max_steps_reached)
     result = of.where(jnp.isfinite(now.length), result, of.nonfinite)

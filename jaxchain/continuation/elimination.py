@@ -1,8 +1,8 @@
-"""Small linear systems by elimination that XLA compiles as a part of the loop around it.
+"""Small linear systems by elimination that XLA compiles as part of the surrounding loop.
 
 `jnp.linalg` calls LAPACK.  A loop with such a call is not compiled whole (see `configure`): each
-operation around it is a function by itself, which takes XLA longer to compile than all of the
-loop, and 50 ns at every turn.  A system of few unknowns is no work for LAPACK, either.
+operation becomes a separate function, which takes longer to compile than the whole loop, and 50 ns
+per iteration.  For few unknowns LAPACK has no advantage.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _MOST = 48
 
 
 def factor(matrix: Float[Array, "m m"]) -> tuple[Float[Array, "m m"], Int[Array, " m"]]:
-    """LU with partial pivoting, as `jax.scipy.linalg.lu_factor` has it; a column of zeros stays.
+    """LU with partial pivoting, like `jax.scipy.linalg.lu_factor`; a column of zeros stays.
 
     >>> import jax.numpy as jnp
     >>> lu, pivots = factor(jnp.array([[0.0, 2.0], [4.0, 1.0]]))
@@ -49,7 +49,7 @@ def factor(matrix: Float[Array, "m m"]) -> tuple[Float[Array, "m m"], Int[Array,
 def substitute(
     factors: tuple[Float[Array, "m m"], Int[Array, " m"]], right: Float[Array, "m columns"]
 ) -> Float[Array, "m columns"]:
-    """A^{-1} right from the `factor`s of A; infinite or NaN where A is singular."""
+    """A^{-1} right from the result of `factor`; infinite or NaN if A is singular."""
     lu, pivots = factors
     m = lu.shape[0]
     if m > _MOST:

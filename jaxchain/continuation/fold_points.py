@@ -20,7 +20,7 @@ from .damped_newton import arrays, check_tolerance, check_vector, search
 
 Borders = tuple[Float[Array, " m"], Float[Array, " m"]]
 _WANTED = "u, p, args -> as many numbers as u"
-# Below this share of its row, psi^T F_p is zero: branches cross, and nothing turns round.
+# Below this share of its row, psi^T F_p counts as zero: branches cross, and none turns around.
 _LEAST_SLOPE = 1e-6
 
 
@@ -66,7 +66,7 @@ def _state_slope(residual: Any, z: Array, args: Any) -> Array:
 
 @eqx.filter_custom_jvp
 def _singularity(z: Array, args: Any, borders: Borders, *, residual: Any) -> Array:
-    """g(u, p), zero where F_u is singular, as det(F_u) is, but of order one elsewhere."""
+    """g(u, p), zero where F_u is singular, like det(F_u), but of order one elsewhere."""
     return _bordered(_state_slope(residual, z, args), borders)[2]
 
 

@@ -26,13 +26,13 @@ from ..result import Outcome, SearchResult
 
 
 class Descent(Outcome):
-    """What a descent found, and the way there.
+    """The result of a descent, with its iterates.
 
     - `solution`: the last iterate, a pytree as `start`; `loss` there.
-    - `steps`: how many updates were made.
+    - `steps`: the number of updates.
     - `result`: successful if `loss` <= the tolerance.
     - `path`, `losses`: every iterate from the start on, stacked, and its loss; entry `steps` is
-      the solution, and what follows it is NaN.
+      the solution, and later entries are NaN.
     """
 
     solution: PyTree
@@ -53,12 +53,12 @@ def unknowns(start: PyTree) -> tuple[Float[Array, " m"], Callable[[Array], PyTre
     return flat, unravel
 
 
-# The path is kept: at most this number of steps.
+# The most steps, because the path is kept.
 MOST_STEPS = 10**6
 
 
 def check_descent(optimiser: Any, steps: Any) -> None:
-    """Raises `ValueError` unless it is an optimiser of optax and a number of steps for it."""
+    """Raises `ValueError` unless `optimiser` is one of optax and the number of steps is valid."""
     remedy = "make one, `optax.adam(0.1)`."
     check_kind("optimiser", optimiser, optax.GradientTransformation, "one of optax", remedy)
     check_whole("steps", steps, 1, MOST_STEPS)

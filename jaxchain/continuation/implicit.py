@@ -1,7 +1,7 @@
-"""Derivatives of what solves an equation, by the implicit function theorem.
+"""Derivatives of the solution of an equation, by the implicit function theorem.
 
-A boundary is found by a search, and to differentiate the search would be slow and needless: from
-R(u, theta) = 0 follows du = -R_u^{-1} R_theta dtheta, whatever found u.
+A boundary is found by a search, whose differentiation would be slow and is not needed: from R(u,
+theta) = 0 follows du = -R_u^{-1} R_theta dtheta, for any method that found u.
 """
 
 from collections.abc import Callable
@@ -53,7 +53,8 @@ def attach_derivative(
 def if_found(exists: Any, value: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
     """`value` where it was `found`; else NaN, and NaN as its derivatives.
 
-    Those of `jnp.where(found, value, jnp.nan)` are 0 in forward mode, as those of a constant.
+    With `jnp.where(found, value, jnp.nan)` forward derivatives would be 0, like those of a
+    constant.
     """
     return value * jnp.where(exists, 1.0, jnp.nan)
 

@@ -12,16 +12,16 @@ from .branch import Point
 from .corrector import Corrector
 
 Test = Callable[[np.ndarray, float, np.ndarray, Any], Any]
-# Shares of the greater value at the two ends: what is called zero, and what is certainly not. A
-# determinant is known less well near its zero, where the corrector's own matrix is singular.
+# Shares of the greater value at the two ends: below the first a value is zero, above the second it
+# is certainly not.  A determinant is less accurate near its zero, where the corrector's own matrix
+# is singular.
 _ZERO, _NOT_ZERO = 1e-7, 1e-3
-# A function that is still this great, as a share, after this number of trials has no zero: it
-# jumps.
+# A function that is still above this share after this number of trials has no zero: it jumps.
 _PATIENCE, _JUMP = 10, 1e-2
 _MAX_DIPS = 12
-# Steps of `polish`, and by how much each must lessen the test at least.
+# Steps of `polish`, and the least factor by which each must reduce the test.
 _POLISHING, _LESS = 6, 0.5
-# How much farther than its points a tangent may err: by the last Newton step times the curvature.
+# The error of a tangent beyond that of its point: the last Newton step times the curvature.
 _CURVATURE = 100.0
 
 
@@ -45,7 +45,7 @@ class Segment(NamedTuple):
 
 
 class Located(NamedTuple):
-    """A zero of a test function: where, the share of it that is left, and whether it is one.
+    """A zero of a test function: its place, the remaining share, and whether it is a zero.
 
     `slope`: d(test)/d(arclength) there; `error`: of p.
     """
@@ -59,13 +59,13 @@ class Located(NamedTuple):
 
 
 def segment(corrector: Corrector, left: Point, right: Point) -> Segment:
-    """The two points with the arclength of the arc that turns as their tangents do."""
+    """The two points with the arclength of the arc that has their tangents."""
     turn = corrector.angle(left.tangent, right.tangent)
     return Segment(left, right, corrector.norm(right.z - left.z) * (1.0 + turn**2 / 24.0))
 
 
 def point_at(corrector: Corrector, piece: Segment, fraction: float) -> Point | None:
-    """The branch's point on the plane across the segment's cubic at `fraction`, as a sharp one."""
+    """The point of the branch on the plane normal to the cubic at `fraction`, solved sharply."""
     guess, slope = piece.at(fraction)
     near = piece.left if fraction < 0.5 else piece.right
     point = corrector.sharp(guess, slope, near, radius=piece.length)
@@ -73,14 +73,15 @@ def point_at(corrector: Corrector, piece: Segment, fraction: float) -> Point | N
 
 
 def slope_noise(corrector: Corrector, point: Point) -> float:
-    """The weighted dp/ds below which a point's own error leaves the sign open."""
+    """The weighted dp/ds below which its sign is uncertain because of the point's error."""
     return _CURVATURE * (point.last_step + corrector.rounding(point))
 
 
 def surely(corrector: Corrector, point: Point, share: float) -> Point:
-    """The point, solved sharply where its error may hide a turn.
+    """The point, solved to the tight tolerance if its error may hide a turn.
 
-    That is where it leaves the sign of dp/ds open, or is not small beside a length `share`.
+    That is the case if the sign of dp/ds is uncertain, or the error is not small relative to
+    `share`.
     """
     slope = abs(point.tangent[-1]) * corrector.weights[-1]
     if slope > slope_noise(corrector, point) and point.last_step <= share:
@@ -114,14 +115,14 @@ def locate(corrector: Corrector, piece: Segment, test: Callable[[Point], float])
     (point, value), (_, other) = tried[fraction], tried[beside]
     share = float(abs(value) / scale)
     slope = (other - value) / ((beside - fraction) * piece.length)
-    # To the zero, and once more as far, for what curves.
+    # To the zero, and the same distance again, because of the curvature.
     off = abs(2.0 * point.tangent[-1] * value / slope) if slope else np.inf
     error = off + _error(corrector, point)
     return Located(point, fraction, share, share <= _NOT_ZERO, float(slope), float(error))
 
 
 def _error(corrector: Corrector, point: Point) -> float:
-    """Of p, as Newton's method leaves it."""
+    """The error of p after Newton's method."""
     return (point.last_step + 8.0 * corrector.rounding(point)) / float(corrector.weights[-1])
 
 
@@ -130,7 +131,7 @@ def polish(
 ) -> Located:
     """The zero of `test` from near, by Newton's method along the tangent, and the error of p.
 
-    The slope is followed only by steps that are long enough to tell it.  No step goes farther
+    The slope is updated only from steps that are long enough to determine it.  No step is longer
     than `reach`.
     """
     point, slope, change = corrector.sharpen(at.point), at.slope, at.error
@@ -176,11 +177,12 @@ def crossing(corrector: Corrector, piece: Segment) -> Located | None:
 
 
 def dips(corrector: Corrector, piece: Segment, doubt: float = 0.0, depth: int = 0) -> list[Point]:
-    """Points between two others where dp/ds has one sign at both ends and nearly loses it between.
+    """Points between two points of equal sign of dp/ds where dp/ds comes near zero.
 
-    The cubic through the ends predicts how dp/ds goes.  Where it comes near zero, the branch is
-    solved for, and so again on both sides with the error of the prediction (`doubt`) in mind,
-    until each part has a fold or keeps well away: two folds between two points are found so.
+    The cubic through the ends predicts dp/ds.  Where it comes near zero, a point of the branch is
+    computed, and the same is done on both sides, allowing for the error of the prediction
+    (`doubt`), until each part has a fold or dp/ds stays well away from zero.  This finds two folds
+    between two points.
     """
     a, b = piece.left.tangent[-1], piece.right.tangent[-1]
     least = min(abs(a), abs(b))
@@ -212,12 +214,12 @@ def dips(corrector: Corrector, piece: Segment, doubt: float = 0.0, depth: int = 
 def directions(
     corrector: Corrector, piece: Segment, at: Located
 ) -> tuple[Float[np.ndarray, " m_plus_1"], Float[np.ndarray, " m_plus_1"]]:
-    """The tangents at a branch point: of the branch itself, and square to it in the null space.
+    """The tangent of the branch at a branch point, and the null vector orthogonal to it.
 
-    The null space of F_z has two dimensions there, and what `at` has for a tangent is any of its
-    vectors, as rounding will have it.  The branch's own is the one next to that of the cubic
-    through both ends.  Rows are scaled by their size beside the branch point: at it, a row may be
-    zero.
+    The null space of F_z has two dimensions there, and the tangent in `at` is an arbitrary vector
+    of it, depending on rounding.  The tangent of the branch is the one closest to that of the
+    cubic through both ends.  Rows are scaled by their size next to the branch point, because at
+    the point a row may be zero.
     """
     w = corrector.weights
     rows = np.maximum(np.abs(piece.left.jacobian / w), np.abs(piece.right.jacobian / w)).max(1)
@@ -234,8 +236,8 @@ def changes(
 ) -> list[tuple[str, Located]]:
     """Folds (dp/ds = 0) and zeros of `tests` between two points, in order.
 
-    A fold is one where p turns by more than it errs: on a branch with p constant, the sign of
-    dp/ds is rounding's.
+    At a fold p turns by more than its error: on a branch with constant p, rounding determines the
+    sign of dp/ds.
     """
     points = []
     ends = (piece.left, piece.right)

@@ -21,7 +21,7 @@ from ..model.chain import Chain
 
 _NODES, _SPEEDS, _HALVINGS = 32, 64, 24
 _GRADING = 0.9
-# Amplitudes in units of the belt speed; folds with a smaller one are taken for none.
+# Amplitudes in units of the belt speed; folds at smaller amplitudes are ignored.
 _RATIOS = np.concatenate([np.geomspace(3e-3, 0.3, 9), np.linspace(0.35, 1.02, 16)])
 _SLIP_RATIOS = np.append(_RATIOS[_RATIOS < 0.99], 1.0)
 
@@ -29,9 +29,9 @@ _SLIP_RATIOS = np.append(_RATIOS[_RATIOS < 0.99], 1.0)
 def graded(phase: Any) -> Any:
     """theta = u - 0.9 sin u: equal steps of u are ten times as fine near theta = 0, 2 pi, ...
 
-    There a mass comes closest to the belt's speed, and a law that weakens over v0 << v_d gives all
-    its work within a time of about (v0 / v_d)^(1/2).  Being smooth and odd it leaves sums over a
-    period as exact as equal steps do.
+    There a mass comes closest to the belt speed, and a law that weakens over v0 << v_d does all
+    its work within a time of about (v0 / v_d)^(1/2).  The map is smooth and odd, so sums over a
+    period stay as accurate as with equal steps.
     """
     return phase - _GRADING * jnp.sin(phase)
 
@@ -53,7 +53,7 @@ def one_mass(chain: Chain, mass: int) -> Chain:
 
 
 def gain(chain: Chain, ratio: ScalarLike, belt_speed: ScalarLike) -> Float[Array, ""]:
-    """What friction puts into a vibration of amplitude ratio v_d, less what damping takes out."""
+    """The energy gain from friction minus the loss by damping at amplitude ratio v_d."""
     amplitude = ratio * belt_speed
     cosine, weight = jnp.asarray(_COSINE), jnp.asarray(_WEIGHT)
     force = chain.load * chain.friction.force(amplitude * cosine - belt_speed)
@@ -61,9 +61,9 @@ def gain(chain: Chain, ratio: ScalarLike, belt_speed: ScalarLike) -> Float[Array
 
 
 def cycle_speed(chain: Chain, ratio: ScalarLike, highest: ScalarLike) -> Float[Array, ""]:
-    """The greatest belt speed at which a vibration of amplitude ratio v_d exists; NaN for none.
+    """The greatest belt speed at which a vibration of amplitude ratio v_d exists, or NaN.
 
-    Looked for below `highest`; `chain` is one mass.
+    It is searched for below `highest`; `chain` is one mass.
     """
     speeds = highest * jnp.asarray(np.geomspace(1e-4, 1.0, _SPEEDS))
     values = jax.vmap(lambda speed: gain(chain, ratio, speed))(speeds)
@@ -77,16 +77,16 @@ def cycle_speed(chain: Chain, ratio: ScalarLike, highest: ScalarLike) -> Float[A
 
 
 def greatest_speed(chain: Chain) -> Float[Array, ""]:
-    """A bound on the belt speeds at which one mass can vibrate: damping outweighs friction beyond.
+    """A bound on the belt speeds at which one mass can vibrate; beyond, damping dominates.
 
-    A vibration of amplitude A = c v_d gains at most 2 p M / pi and loses xi A; with no damping
-    there is none.  M is the most by which friction falls as the speed rises, or mu_st if that is
-    more, as it is for a law that is greatest at rest.
+    A vibration of amplitude A = c v_d gains at most 2 p M / pi and loses xi A; without damping
+    there is no bound.  M is the greater of mu_st and the greatest fall of friction as the speed
+    rises.
     """
     damping = jnp.maximum(chain.damping_ratio, 1e-6)
     mu, _ = _curve(chain)
 
-    # A loop: `lax.cummax` is a tree of some hundred operations, which take long to compile.
+    # A loop: `lax.cummax` consists of some hundred operations, which compile slowly.
     def further(extremes: tuple[Array, Array], here: Array) -> tuple[tuple[Array, Array], None]:
         highest, fall = extremes
         highest = jnp.maximum(highest, here)
@@ -97,18 +97,18 @@ def greatest_speed(chain: Chain) -> Float[Array, ""]:
 
 
 def _curve(chain: Chain) -> tuple[Array, Array]:
-    """(mu, mu') of one mass at rest and at speeds from where no law has changed yet."""
+    """(mu, mu') of one mass at rest and at speeds from below any change of a law."""
     speeds = jnp.asarray(np.append(0.0, np.geomspace(1e-6, 1e2, 512)))
     return jax.vmap(lambda s: jax.jvp(chain.law.coefficient, (s,), (jnp.ones(()),)))(speeds)
 
 
 class Summits(NamedTuple):
-    """The two fastest summits of `cycle_speed` for dry slip cycles.
+    """The two greatest maxima of `cycle_speed` for dry slip cycles.
 
-    - `ratios`: amplitudes over belt speeds; 1 where the belt's speed rises up to the touch.
-      Without a summit the ratio is that of the greatest slip cycle.
-    - `speeds`: belt speeds, NaN for what does not exist.
-    - `touching`: the belt speed that the vibration of one mass just reaches.
+    - `ratios`: amplitudes over belt speeds; 1 if the belt speed rises up to the grazing.  Without
+      a maximum the ratio is that of the greatest slip cycle.
+    - `speeds`: belt speeds, NaN if the maximum does not exist.
+    - `touching`: the belt speed at which the vibration of one mass grazes.
     """
 
     ratios: Float[Array, " two"]
@@ -129,7 +129,7 @@ def dry_summits(chain: Chain) -> Summits:
     first = jnp.where(jnp.any(summits), jnp.argmax(heights), greatest)
     rest = heights.at[first].set(-jnp.inf)
     second = jnp.argmax(rest)
-    # Where the first search fails, the greatest slip cycle is another place to begin.
+    # If the first search fails, the greatest slip cycle is another start.
     second = jnp.where(jnp.isfinite(rest[second]), second, len(ratios) - 1)
     at = jnp.stack([first, second])
     fastest = speeds[at].at[1].set(jnp.where(second == first, jnp.nan, speeds[second]))
@@ -137,7 +137,7 @@ def dry_summits(chain: Chain) -> Summits:
 
 
 def speed_scale(chain: Chain, dry_speed: ScalarLike) -> Float[Array, ""]:
-    """The speed that widths are to be compared with when one mass vibrates.
+    """The speed to compare widths with when one mass vibrates.
 
     `dry_speed`, which is `Summits.touching`, or twice the speed over which friction weakens,
     mu_st / max(|mu'(0)|, -mu'(s)), if that is less.
@@ -156,9 +156,9 @@ def usual_peak_velocity(relative_width: ScalarLike) -> Float[Array, ""]:
 def fold_guess(chain: Chain) -> tuple[Array, Array, Array]:
     """(v_d, s = max w / eps, whether there is one) of the fold of one vibrating mass.
 
-    The greatest of `cycle_speed` over the amplitudes.  Where it is that at which a mass would
-    begin to stick, the layer is too thin for the grid, and s is taken from its known size.
-    With dry friction the speed is that of the grid, and s = 0.
+    It is the maximum of `cycle_speed` over the amplitudes.  If the mass would begin to stick
+    there, the layer is too thin for the grid, and s is taken from its known size. With dry
+    friction the speed is that of the grid, and s = 0.
     """
     highest = greatest_speed(chain)
     speeds = jax.vmap(lambda ratio: cycle_speed(chain, ratio, highest))(jnp.asarray(_RATIOS))

@@ -1,8 +1,8 @@
 """Branches of cycles: where a localized vibration begins, folds, loses its symmetry, and ends.
 
 A Jacobian of the shooting equations is one integration with the tangents of all 2n states and of
-the parameter.  It holds the monodromy matrix, so that the stability of a point costs next to
-nothing more, also that of an orbit with a symmetry, which has fewer equations.
+the parameter.  It contains the monodromy matrix, so the stability of a point costs almost nothing
+more, even for a symmetric orbit, which has fewer equations.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
 
-# Of the integration and of Newton's method, at special points: no branch need be looser there.
+# Tolerances of the integration and of Newton's method at special points.
 RTOL, _TOLERANCE = 3e-11, 1e-9
 # Arclength for the slope of a test.
 _PROBE = 1e-4
@@ -95,10 +95,10 @@ class CyclePoint(Printed):
 def refined(
     shooting: Shooting, weights: np.ndarray, tolerance: float, tests: Mapping[str, Test]
 ) -> Callable[[SpecialPoint], SpecialPoint]:
-    """A function of a special point: that of tightly integrated equations.
+    """A result of a special point, from tightly integrated equations.
 
-    However loose those of the branch are.  Its error is what a tolerance ten times as great
-    changes, and what the search leaves.
+    It does not depend on the tolerance of the branch.  Its error is the change for a tolerance ten
+    times as great, plus the remaining error of the search.
     """
     rtol = min(float(shooting.rtol), RTOL)
     correctors = [
@@ -135,7 +135,7 @@ def _located(
         return None
 
     def test(point: Point) -> float:
-        """What vanishes at a special point of this kind."""
+        """The test function that vanishes at a special point of this kind."""
         if raw.kind == "fold":
             return float(point.tangent[-1])
         if raw.kind == "branch point":
@@ -153,7 +153,7 @@ def _located(
 def _at_rest(corrector: Corrector, raw: SpecialPoint, tests: Any) -> SpecialPoint | None:
     """p in the limit of no amplitude a, from p = p_H + c a^2 + d a^4 + O(a^6).
 
-    Three small amplitudes give it; the error is what the third one changes.
+    Three small amplitudes determine it; the error is the change due to the third one.
     """
     del tests
     z, points = np.append(raw.u, raw.p), []
@@ -170,10 +170,10 @@ def _at_rest(corrector: Corrector, raw: SpecialPoint, tests: Any) -> SpecialPoin
 
 
 def hardly_felt(branch: Branch, raw: SpecialPoint, test: Test) -> bool:
-    """Whether `test` changes its sign by no more than the multipliers err.
+    """Whether the change of sign of `test` is within the error of the multipliers.
 
-    A localized vibration of many masses hardly feels where it sits on the chain, and to shift it
-    is a disturbance with a multiplier that is 1 to rounding, all along the branch.
+    A localized vibration of many masses hardly depends on its position in the chain, so a shift is
+    a disturbance with a multiplier of 1 to rounding, along the whole branch.
     """
     beside = raw.index, min(raw.index + 1, branch.p.size - 1)
     extras = [jax.tree.map(lambda leaf, k=k: leaf[k], branch.extra) for k in beside]
@@ -181,7 +181,7 @@ def hardly_felt(branch: Branch, raw: SpecialPoint, test: Test) -> bool:
 
 
 def without_symmetry(shooting: Shooting, point: CyclePoint) -> tuple[Shooting, SpecialPoint]:
-    """The equations without the symmetry, and the point with the direction of what breaks it."""
+    """The equations without the symmetry, and the point with the direction that breaks it."""
     n, p = len(shooting.images), point.parameter
     full = replace(shooting, images=tuple(range(n)))
     basis = symmetry_breaking_basis(shooting.images)
@@ -205,11 +205,11 @@ def without_symmetry(shooting: Shooting, point: CyclePoint) -> tuple[Shooting, S
 
 
 class CycleLinearisation(eqx.Module):
-    """What `linearise` finds besides.
+    """Further results of `linearise`.
 
     - `x`, `v` (n,): the state on the section; `period`.
     - `speed`: of the mass where the orbit is cut, its greatest in the direction of the belt.
-    - `times_round`: 2, 3, ... if the orbit closes after such a share of the period, else 1.
+    - `times_round`: k = 2, 3, ... if the orbit already closes after 1/k of the period, else 1.
     - `amplitude` (n,): half peak-to-peak of each displacement over a period.
     - `monodromy` M = d(state after a period)/d(state), (2n, 2n), in the order (x, v).
     - `multipliers` (2n - 1,): the nontrivial ones, the greatest modulus first; `trivial_defect`
@@ -256,7 +256,7 @@ def linearise(
 def cycle_at(
     u: Float[Array, " m"], parameter: Float[Array, ""], shooting: Shooting
 ) -> tuple[Float[Array, " n"], Float[Array, " n"], Float[Array, ""], Float[Array, " n"]]:
-    """(x, v, period, amplitude) of a solution, which `linearise` has of the iterate before it."""
+    """(x, v, period, amplitude) of a solution; `linearise` has those of the previous iterate."""
     field, (x, v), period = shooting.unpack(u, parameter)
     _, _, ((amplitude, _, _),) = flow(
         field, (x, v), period, rtol=shooting.rtol, solver=shooting.solver, observers=[Along()]
@@ -272,9 +272,9 @@ def symmetry_breaking_basis(images: tuple[int, ...]) -> Float[np.ndarray, "two_n
 
 
 def _signed(factors: Any) -> float:
-    """Zero where one of the factors is: the least modulus, with the sign of their product.
+    """The least modulus of the factors, with the sign of their product.
 
-    Linear in a factor that passes zero, whatever the others are; a product of dozens is not.
+    It is linear in a factor that passes zero, for any other factors; a product of dozens is not.
     """
     if factors.size == 0:
         return 1.0
@@ -282,9 +282,9 @@ def _signed(factors: Any) -> float:
 
 
 def breaking(extra: CycleLinearisation, images: tuple[int, ...]) -> float:
-    """Zero where a disturbance A that breaks the symmetry has a multiplier +1: of A^T M A - 1.
+    """Zero where a disturbance A that breaks the symmetry has a multiplier +1; from A^T M A - 1.
 
-    M maps these onto themselves; the trivial multiplier belongs to those that do not.
+    M maps these disturbances onto themselves; the trivial multiplier belongs to the others.
     """
     basis = symmetry_breaking_basis(images)
     return _signed(np.linalg.eigvals(basis.T @ np.asarray(extra.monodromy) @ basis) - 1.0 + 0.0j)
@@ -296,10 +296,10 @@ def doubling(extra: CycleLinearisation) -> float:
 
 
 def encircling(extra: CycleLinearisation) -> float:
-    """Of |mu|^2 - 1 over pairs: it changes its sign as one leaves the unit circle.
+    """From |mu|^2 - 1 of all pairs: it changes its sign as a pair leaves the unit circle.
 
     Pairs of real multipliers count, too, as mu_i mu_j - 1, so that the sign does not change where
-    a pair becomes real.  Where such a factor vanishes nothing happens: `on_the_circle`.
+    a pair becomes real.  A zero of such a factor is not a bifurcation: see `on_the_circle`.
     """
     mu: Any = np.asarray(extra.multipliers)
     real = mu[mu.imag == 0].real
@@ -317,11 +317,11 @@ def on_the_circle(extra: CycleLinearisation) -> bool:
 def special_tests(shooting: Shooting) -> dict[str, Callable[..., float]]:
     """The tests of `continue_branch`: name -> function of (u, p, tangent, extra).
 
-    "hopf": the amplitude vanishes, and the branch goes on as its own mirror image.
+    "hopf": the amplitude vanishes, and the branch continues as its own mirror image.
     """
 
     def vanishing(extra: CycleLinearisation) -> float:
-        # The equations are divided by it: nearer to zero they are noise.
+        # The equations are divided by the amplitude: nearer to zero they are noise.
         speed = float(extra.speed)
         return 0.0 if abs(speed) < 1e-4 else speed
 
@@ -335,7 +335,7 @@ def special_tests(shooting: Shooting) -> dict[str, Callable[..., float]]:
 
 
 def cycle_weights(shooting: Shooting, p: float) -> np.ndarray:
-    """The masses but j share one unit; z_j, ln T and p / p_start have one each."""
+    """All masses except j share one unit; z_j, ln T and p / p_start have one each."""
     m = len(shooting.others) + len(shooting.solved) + 1
     weights = np.full(m + 1, len(shooting.solved) ** -0.5)
     weights[[shooting.place, m - 1]] = 1.0
@@ -431,8 +431,8 @@ class CycleBranch(Printed):
         - `multiplier_real`, `multiplier_imag` (point, multiplier), because NetCDF has no complex
           numbers;
         - `unstable_count`, `stable`, `trivial_defect` (point);
-        - of each special point `special_kind`, `special_parameter` with its `special_error`,
-          `special_index` (it lies between this point and the next) and `special_refined`; and its
+        - for each special point `special_kind`, `special_parameter` with its `special_error`,
+          `special_index` (it lies between this point and the next) and `special_refined`, and also
           `special_amplitude`, `special_energy` and so on, up to the multipliers;
         - the attributes `parameter`, `parameters`, `ended`, `message`, `solver`, `rtol`,
           `cut_at_oscillator`, `images`, `versions`, `platform`, `created`.
@@ -446,11 +446,11 @@ class CycleBranch(Printed):
             data.to_netcdf("branch.nc", engine="h5netcdf")
             ```
         """
-        # xarray brings pandas, which would double the time of the import.
+        # xarray imports pandas, which would double the import time.
         from xarray import Dataset
 
         special, k, row = self.special, len(self.parameter), parameter(self.name)
-        # Of all cycles, those of the special points behind the others.
+        # All cycles; those of the special points come last.
         parameters, x, v, period, amplitude, multipliers = (
             np.stack([*getattr(self, name), *(getattr(point, name) for point in special)])
             for name in ("parameter", "x", "v", "period", "amplitude", "multipliers")
@@ -698,11 +698,11 @@ def _follow(
         if begins and extra.times_round > 1:
             return True
         if not extra.sound:
-            return "it is no cycle any more, by its speed, period or trivial multiplier"
+            return "it is no longer a cycle, by its speed, period or trivial multiplier"
         if extra.speed <= 0:
             return "the amplitude vanishes"
         if extra.speed < 1e-2 * np.max(np.abs(extra.v)):
-            return f"mass {shooting.mass} hardly vibrates any more: cut the orbit at another"
+            return f"mass {shooting.mass} hardly vibrates: cut the orbit at another"
         return stop is not None and stop(p, extra)
 
     branch = continue_branch(
@@ -721,14 +721,14 @@ def _follow(
     extra, k = branch.extra, len(branch.p)
     if extra is None or not extra.sound[0]:
         raise NoBranchError(branch.message if extra is None else ENDINGS["no_start"])
-    if extra.times_round[0] > 1:  # gone round more than once within the period that was given
+    if extra.times_round[0] > 1:  # the given period is a multiple of the minimal one
         once = branch.u[0] - np.append(np.zeros(u.size - 1), np.log(extra.times_round[0]))
         return _follow(shooting, once, float(branch.p[0]), heading, bounds, stop, options)
     refine = refined(shooting, weights, options["tolerance"], tests)
     hopf = {point.index for point in branch.special if point.kind == "hopf"}
     special = []
     for raw in branch.special:
-        # Where the amplitude vanishes the branch meets its own mirror image, smoothly: no fold.
+        # At zero amplitude the branch continues smoothly in its mirror image, which is not a fold.
         if raw.kind in ("fold", "branch point") and raw.index in hopf:
             continue
         if raw.kind in tests and raw.kind != "hopf" and hardly_felt(branch, raw, tests[raw.kind]):
@@ -743,7 +743,7 @@ def _follow(
     if not (extra.speed[-1] > 0 and extra.sound[-1]):
         k -= 1
     if not k:
-        raise NoBranchError("The branch ends in rest at its first point: begin farther from it.")
+        raise NoBranchError("The amplitude is 0 at the first point: start at a larger one.")
     points = [cycle_at(u, p, shooting) for u, p in zip(branch.u[:k], branch.p[:k], strict=True)]
     x, v, period, amplitude = (np.stack(column) for column in zip(*points, strict=True))
     return CycleBranch(

@@ -27,8 +27,7 @@ from ..solvers.rosenbrock import Rodas5P
 from .variational import Period, linearised_period
 
 CYCLE_RTOL = 1e-10
-# Roundings between a monodromy matrix and its eigenvalues: those of some hundred steps, and of a
-# condition of some ten.
+# The error of eigenvalues in roundings: some hundred steps times a condition number of some ten.
 _ROUNDINGS = 1e3
 
 
@@ -212,7 +211,7 @@ def floquet_multipliers(monodromy: Any, flow_direction: Any = None) -> Floquet:
 
 
 def multiplier_resolution(monodromy: Float[Array, "two_n two_n"]) -> Float[Array, ""]:
-    """The modulus below which a computed multiplier is rounding: 1e3 times that of |M|.
+    """The modulus below which a computed multiplier is rounding: 1e3 times the rounding of |M|.
 
     >>> import jax.numpy as jnp
     >>> bool(multiplier_resolution(jnp.eye(2)) < 1e-12)
@@ -223,13 +222,13 @@ def multiplier_resolution(monodromy: Float[Array, "two_n two_n"]) -> Float[Array
 
 
 def is_cycle(given: Any) -> bool:
-    """Whether it is a `LimitCycle`."""
+    """Whether the argument is a `LimitCycle`."""
 
     return isinstance(given, LimitCycle)
 
 
 def as_orbit(chain: Any, state: Any, period: Any) -> tuple[Any, Any, Any]:
-    """The chain, a state and a period, also of a `LimitCycle` that is given alone."""
+    """The chain, a state and a period, from three arguments or a `LimitCycle` alone."""
     if state is not None or period is not None:
         return chain, state, period
     if not is_cycle(chain):
@@ -269,12 +268,12 @@ def check_orbit(chain: Any, state: Any, period: Any, rtol: Any, name: str = "sta
     return x, v
 
 
-# A mass that moves less rests.
+# A mass that moves less counts as not moving.
 LEAST_VELOCITY = 1e-6
-# A trivial multiplier or a determinant that is off by more says that M is not to be believed.
+# M is not trusted if the trivial multiplier or the determinant has a greater error.
 _WORST_DEFECT = 1e-3
-# Shares of the belt's speed at which mu is sampled; by how much its greatest value may exceed
-# that of the samples, and by what share a period may fall short of the least one.
+# Shares of the belt speed at which mu is sampled; by how much its maximum may exceed that of the
+# samples, and by which share a period may be below the bound.
 _SHARES, _BETWEEN, _ROUNDING = np.linspace(0.0, 1.0, 33), 2.0, 1e-6
 
 
@@ -343,7 +342,7 @@ class LimitCycle(Outcome):
     @property
     def stable(self) -> bool | None:
         """Whether disturbances die out; None if unknown: no cycle, a defect, or |mu| = 1 within
-        its uncertainty.  Of one cycle, not of a batch."""
+        its uncertainty.  For one cycle, not for a batch."""
         uncertainty, margin = float(self.uncertainty), float(self.stability_margin)
         sound = bool(self.successful) and uncertainty < _WORST_DEFECT
         if not sound or not abs(margin) > uncertainty:
@@ -356,15 +355,15 @@ def can_be_cycle(
 ) -> Bool[Array, ""]:
     """Whether a cycle of `field` can have this period, and masses as fast as `speed`.
 
-    For a `Chain`, x'' + 2 xi x' + K x = p F(x' - v_d), two means over a period T tell:
+    For a `Chain`, x'' + 2 xi x' + K x = p F(x' - v_d), two means over a period T give bounds:
 
     - Friction and damping depend on v_n alone, so that the mean of v_n' times them is 0, and with
-      L the greatest eigenvalue of K: <v'^T v'> = <v^T K v> <= L <v^T v>.  v has no mean, so that
-      <v^T v> <= (T / 2 pi)^2 <v'^T v'> (Wirtinger's inequality): T >= 2 pi / L^(1/2).
-    - Friction does work on a mass only between rest and the belt's speed, at most p M |v_d| with M
-      the greatest mu up to there.  Damping takes as much: 2 xi <v^T v> <= sum_n p_n M_n |v_d|, xi
-      the least xi_n > 0.  Each v_n passes through 0: max v_n^2 <= T <|v_n v_n'|>
-      <= T L^(1/2) <v^T v>.  Without damping, or with negative damping, nothing bounds v.
+      L the greatest eigenvalue of K: <v'^T v'> = <v^T K v> <= L <v^T v>.  v has mean 0, so <v^T v>
+      <= (T / 2 pi)^2 <v'^T v'> (Wirtinger's inequality): T >= 2 pi / L^(1/2).
+    - Friction does work on a mass only between rest and the belt speed, at most p M |v_d| with M
+      the greatest mu up to there.  Damping dissipates as much: 2 xi <v^T v> <= sum_n p_n M_n
+      |v_d|, xi the least xi_n > 0.  Each v_n passes through 0: max v_n^2 <= T <|v_n v_n'|> <= T
+      L^(1/2) <v^T v>.  Without damping, or with negative damping, nothing bounds v.
 
     Always true for other oscillators, whose forces are not bounded here.
     """
@@ -386,9 +385,9 @@ def can_be_cycle(
 def is_trusted(
     multipliers: Complex[Array, " others"], defect: Float[Array, ""]
 ) -> Bool[Array, ""]:
-    """Whether the disturbance along the orbit comes back as it was, as that of a cycle does.
+    """Whether the disturbance along the orbit returns unchanged, as on a cycle.
 
-    An error of that disturbance grows as any other does.
+    An error of that disturbance grows like any other.
     """
     growth = 1.0 + jnp.max(jnp.nan_to_num(jnp.abs(multipliers)))  # those not resolved are small
     return defect <= _WORST_DEFECT * growth  # false for NaN

@@ -7,9 +7,9 @@ direction of the belt, where `Shooting` cuts the orbit.  Newton's method solves 
 With true dry friction the state itself is the unknown (`refine_orbit`), and the derivative is that
 of the event-driven run, with its saltation at sticking and release.
 
-Near a fold the stick-slip cycle and the slip cycle are close to each other: averaging knows of no
-slip cycle there, a simulation may not settle within its time, and Newton's method may end on the
-other one.  There the cycle is followed along its branch from a belt speed at which it is easily
+Near a fold the stick-slip cycle and the slip cycle are close to each other: averaging gives no
+slip cycle there, a simulation may not settle in time, and Newton's method may converge to the
+other cycle.  There the cycle is followed along its branch from a belt speed at which it is easily
 found.
 """
 
@@ -78,12 +78,12 @@ from .shooting import Shooting, greatest_gap, newton_minimal_period
 from .variational import Along, Period, Returned, Returns
 
 Guess = tuple[State, Array]
-_TRANSIENT = 200.0  # of a simulation, before it is looked at
-_PEAKS = 12  # greatest velocities that are looked at
+_TRANSIENT = 200.0  # the transient of a simulation
+_PEAKS = 12  # the number of velocity maxima to examine
 
 
 def _watched(chain: Any, state: State, t1: Any, watch: Section) -> Any:
-    """What is seen in a run whose sticking masses err little in units of the width."""
+    """The maxima of a run whose sticking masses have small errors in units of the width."""
     rtol: Any = 1e-8
     if isinstance(chain, Chain) and not chain.dry:
         rtol = jnp.clip(1e-4 * jnp.min(lax.stop_gradient(chain.width)), 1e-11, 1e-7)
@@ -93,7 +93,7 @@ def _watched(chain: Any, state: State, t1: Any, watch: Section) -> Any:
 
 
 def most_lively(chain: AbstractOscillators, state: State) -> int:
-    """The mass farthest from sliding, which is taken for the vibrating one; n // 2 if traced."""
+    """The mass farthest from sliding, which is assumed to vibrate; n // 2 if traced."""
     x, v = state
     if is_traced(chain, state):
         return reference_site(x.shape[0])
@@ -146,12 +146,12 @@ def guess_from_simulation(
 
 @eqx.filter_jit
 def _last_turn(times: Array, xs: Array, vs: Array) -> Guess:
-    """The last state, and the time since the one that is most like it."""
+    """The last state, and the time since the most similar earlier one."""
     last = jnp.sum(jnp.isfinite(times)) - 1
     before = last - 1 - jnp.arange(_PEAKS - 1)  # one return ago, two, ...
     gaps = [jnp.linalg.norm(part[before] - part[last][None], axis=1) for part in (xs, vs)]
     distance = jnp.where(before >= 0, gaps[0] + gaps[1], jnp.inf)
-    # Of the returns, the first is taken that is nearly as good as the best.
+    # Take the first return that is nearly as good as the best.
     enough = 2.0 * jnp.min(distance) + 1e-3 * jnp.linalg.norm(vs[last])
     at = before[jnp.argmax(distance <= enough)]
     period = jnp.where(last >= 1, times[last] - times[at], jnp.nan)
@@ -166,10 +166,10 @@ def guess_from_point(chain: AbstractOscillators, state: State, period: Any, mass
     if not is_traced(chain, state):
         along = chain.belt_direction()
         acceleration, velocity = chain(0.0, state)[1][mass], along * state[1][mass]
-        # A mass that sticks is accelerated by little, but by more than this.
+        # The acceleration of a sticking mass is small, but greater than this.
         if velocity > 0 and abs(acceleration) < 1e-9 * velocity:
             return state
-    # A little more, for an orbit that begins at the maximum.
+    # A little more than a period, for an orbit that begins at the maximum.
     watch = Section(mass, _PEAKS, of="velocity")
     _, xs, vs = _watched(chain, state, 1.05 * to_float(period), watch)
     speeds = chain.belt_direction() * vs[:, mass]
@@ -178,9 +178,9 @@ def guess_from_point(chain: AbstractOscillators, state: State, period: Any, mass
 
 
 def carried(state: State, before: AbstractOscillators, after: AbstractOscillators) -> State:
-    """A state of the field `before`, for `after`: a mass that sticks goes with the belt.
+    """A state of the field `before`, adapted to `after`: sticking masses move with the belt.
 
-    Where the belt runs the other way it is the mirror image.
+    If the belt runs the other way, it is the mirror image.
     """
     turned = before.belt_direction() * after.belt_direction()
     x, v = (turned * part for part in state)
@@ -196,9 +196,9 @@ def carried(state: State, before: AbstractOscillators, after: AbstractOscillator
 def _slip_guess(chain: Chain, mass: int) -> Guess:
     """The unstable cycle of a mass that slides throughout, to first harmonic; NaN for none.
 
-    Its amplitude A < v_d is where averaged friction begins to feed more than damping takes (see
-    `cycles/averaging.py`); the other masses move as its springs shake them, linearised about
-    sliding: (K - omega^2 + i omega D) u = 0 in their rows.
+    At its amplitude A < v_d averaged friction begins to exceed damping (see
+    `cycles/averaging.py`); the other masses are driven by its springs, linearised about sliding:
+    (K - omega^2 + i omega D) u = 0 in their rows.
     """
     alone, speed = one_mass(chain, mass), jnp.abs(chain.belt_speed)
     ratios = jnp.append(jnp.geomspace(1e-3, 0.3, 24), jnp.linspace(0.32, 1.0, 35))
@@ -233,7 +233,7 @@ def guess_of_kind(chain: Chain, mass: int, kind: str) -> Guess:
 def solve_cycle(
     shooting: Shooting, state: State, period: Array, tolerance: Array, limit: Array
 ) -> tuple[LimitCycle, Array]:
-    """(the cycle, its unknowns u) near a guess; nothing in here is to be differentiated."""
+    """(the cycle, its unknowns u) near a guess, without derivatives."""
     start = shooting.pack(state, period)
     weights = jnp.full(start.shape, start.shape[0] ** -0.5)
 
@@ -249,9 +249,8 @@ def solve_cycle(
     )
     field, state, period = shooting.unpack(end.u)
     whole, mass = end.aux, shooting.mass
-    # In the shooting equations velocities count by their distance from the belt's: a fast orbit
-    # that decays, or a piece of one, is end there.  So the gap counts as a share of the
-    # orbit's size, too.
+    # In the shooting equations velocities are measured from the belt speed, so a fast decaying
+    # orbit, or a piece of one, seems to close.  So the gap is also compared with the orbit's size.
     left = jnp.max(jnp.abs(jnp.stack(whole.end) - jnp.stack(state)))
     floquet = floquet_multipliers(whole.monodromy, jnp.concatenate(field(0.0, state)))
     forward = field.belt_direction() * state[1][mass] > 0
@@ -276,7 +275,7 @@ def solve_cycle(
 def _cycle(
     equations: Any, u: Array, tolerance: Array, moves: Any, lost: Any, ended: Any, **fields: Any
 ) -> LimitCycle:
-    """The cycle with its result: how the search `ended` if it is not closed."""
+    """The cycle with its result, which is `ended` if the cycle is not closed."""
     of, (chain, state, period) = SearchResult, equations.unpack(u)
     trusted = is_trusted(fields["multipliers"], fields["trivial_defect"])
     closed = (fields["residual"] <= tolerance) & trusted
@@ -309,16 +308,15 @@ def _residual(unknowns: Float[Array, " m"], equations: Any) -> Float[Array, " m"
 class RefinedOrbit(NamedTuple):
     """A periodic orbit, or the attempt at one.
 
-    - `state` and `period`, the least one; `gap`, the greatest component of what is left of the
-      return, infinite where no cycle of the chain is so fast or has so short a period;
-      `distance`, of how far the iteration went from where it began (of the period, that of
-      one time round).
-    - `multipliers`: the Floquet multipliers but the trivial one, greatest modulus first.  With
-      true dry friction as many, the last ones, are exactly 0 as masses ever stick together; NaN
-      are others that are not told from zero, of a modulus below `resolution`, as sticking makes
-      them in smoothed friction.
-    - `defect`: |M f - f| / |f|, what the trivial one's vector misses, and any other may;
-      `resolution`: that, or rounding.
+    - `state` and `period`, the minimal one; `gap`, the greatest component of the closing error,
+      infinite if no cycle of the chain is so fast or has so short a period; `distance`, the
+      greatest component of the change during the iteration (of the minimal period).
+    - `multipliers`: the Floquet multipliers except the trivial one, greatest modulus first.  With
+      dry friction the last k are exactly 0, k the greatest number of masses that stick together.
+      Others with a modulus below `resolution`, which sticking causes with smoothed friction, are
+      NaN.
+    - `defect`: |M f - f| / |f|, the error of the trivial multiplier, which others may have, too;
+      `resolution`: the defect, or rounding.
 
     """
 
@@ -332,12 +330,12 @@ class RefinedOrbit(NamedTuple):
 
     @property
     def exponents(self) -> Float[Array, " others"]:
-        """ln |multiplier| / period; -inf for what sticking annihilates, NaN if not resolved."""
+        """ln |multiplier| / period; -inf for directions that sticking erases, NaN if unknown."""
         return jnp.log(jnp.abs(self.multipliers)) / self.period
 
     @property
     def highest_exponents(self) -> Float[Array, " others"]:
-        """`exponents`, and what those that are not resolved lie below."""
+        """`exponents`, with upper bounds for those that are not resolved."""
         below = jnp.log(self.resolution) / self.period
         return jnp.where(jnp.isnan(self.multipliers), below, self.exponents)
 
@@ -345,15 +343,15 @@ class RefinedOrbit(NamedTuple):
 def refine_orbit(
     chain: Any, state: State, period: Any, *, solver: Any = None, rtol: Any = 1e-9
 ) -> RefinedOrbit:
-    """The periodic orbit near a state that nearly comes back after `period`, by Newton's method.
+    """The periodic orbit near a state that nearly returns after `period`, by Newton's method.
 
     Solves flow(y, T) = y with the correction at right angles to the orbit:
 
         [[M - 1, f], [f^T, 0]] (dy, dT) = (y - flow(y, T), 0),    f = d flow / dT,
 
-    with at most 8 integrations.  A mass that sticks at the start does so afterwards.  An orbit
-    that comes back after a fraction of `period` (up to 16 times round) is solved again with that
-    fraction.  Look at `gap` and `distance` first.
+    with at most 8 integrations.  A mass that sticks at the start also sticks in the result.  If
+    the orbit already returns after 1/k of `period` (k up to 16), it is solved again with that
+    fraction. Check `gap` and `distance` first.
     """
     equations = _States(chain, rtol, custom_solver(chain, solver))
     return _close(equations, state, to_float(period))[0]
@@ -362,7 +360,7 @@ def refine_orbit(
 class _States(eqx.Module):
     """The equations of a periodic orbit in its state and period, u = (x, v, T).
 
-    Those of `closing` cut it where mass `mass` is fastest, or is let go by the belt.
+    Those of `closing` cut it where mass `mass` is fastest, or is released by the belt.
     """
 
     field: Any
@@ -372,7 +370,7 @@ class _States(eqx.Module):
 
     @property
     def n(self) -> int:
-        """How many masses."""
+        """The number of masses."""
         return self.field.n
 
     def pack(self, state: State, period: Array) -> Array:
@@ -385,7 +383,7 @@ class _States(eqx.Module):
         return self.field, (x, v), u[-1]
 
     def run(self, u: Array, observe: Any, turns: float = 1.0) -> Simulation:
-        """Once round, or a little more."""
+        """A run over one period, or a little more."""
         field, state, period = self.unpack(u)
         return simulate(
             field,
@@ -398,18 +396,18 @@ class _States(eqx.Module):
         )
 
     def closing(self, u: Array) -> tuple[Array, Array]:
-        """(what is left of the return and of the section, the amplitudes)."""
+        """(gaps of the return and of the section, the amplitudes)."""
         run, (x, v) = self.run(u, Amplitude()), self.unpack(u)[1]
         section = _slipping(self.field, x, v)[self.mass]
         return jnp.concatenate([run.state[0] - x, run.state[1] - v, section[None]]), run.observed
 
 
 class _Seen(NamedTuple):
-    """What a run tells besides its end."""
+    """Further results of a run."""
 
     slopes: Float[Array, "two_n m"]  # of the state at the end, in (x, v, T)
     returned: Returned
-    sticking: Int[Array, ""]  # how many masses ever stick together, dry
+    sticking: Int[Array, ""]  # the greatest number of masses that stick together, dry
 
 
 @eqx.filter_jit
@@ -435,7 +433,7 @@ def _close(equations: _States, state: State, period: Array) -> tuple[RefinedOrbi
         return jnp.append(end - u[:-1], 0.0), factorise(matrix, weights), _Seen(slopes, *seen)
 
     def closed(now: Iterate) -> Array:
-        # By a share of the size of the orbit.
+        # A share of the size of the orbit.
         return greatest_gap(now) <= 1e-6 * now.aux.returned.farthest
 
     best = newton_minimal_period(
@@ -448,7 +446,7 @@ def _close(equations: _States, state: State, period: Array) -> tuple[RefinedOrbi
     floquet = floquet_multipliers(slopes[:, :-1], slopes[:, -1])
     resolution = jnp.maximum(floquet.defect, multiplier_resolution(slopes[:, :-1]))
     resolved = ~(jnp.abs(floquet.multipliers) < resolution)
-    # Velocities of masses that stick together are all that of the belt.
+    # Masses that stick together all have the belt speed.
     kept = jnp.arange(2 * n - 1) < 2 * n - 1 - best.aux.sticking
     multipliers = jnp.where(resolved, floquet.multipliers, jnp.nan)
     multipliers = jnp.where(kept | ~jnp.isfinite(floquet.multipliers), multipliers, 0.0)
@@ -465,9 +463,9 @@ def _close(equations: _States, state: State, period: Array) -> tuple[RefinedOrbi
 
 
 def _free_phases(chain: AbstractOscillators, f: Float[Array, " two_n"]) -> Array:
-    """sum_n f_n f_n^T / |f_n|^2, f_n the part of f of mass n, if masses are not coupled, else 0.
+    """sum_n f_n f_n^T / |f_n|^2 for uncoupled masses, f_n the part of f of mass n; else 0.
 
-    Their phases are free, M f_n = f_n for each of them: without this M - 1 is singular.
+    Their phases are free, M f_n = f_n for each mass: without this term M - 1 is singular.
     """
     n = f.shape[0] // 2
     if n == 1 or not chain.structured:
@@ -486,7 +484,7 @@ def dry_cycle(
     del limit
     chain, mass, of = equations.field, equations.mass, SearchResult
     orbit, evaluations = _close(equations, state, period)
-    # A little more, for an orbit that begins there.
+    # A little more than a period, for an orbit that begins there.
     whole = equations.pack(orbit.state, orbit.period)
     _, x, v = equations.run(whole, _Cuts(mass, 1, of="velocity"), 1.05).observed
     state, _ = on_the_belt(chain, (x[0], v[0]))
@@ -514,7 +512,7 @@ def dry_cycle(
 
 
 class _Cuts(AbstractSection):
-    """States in which a mass that slides behind the belt is fastest, or is let go by the belt."""
+    """States in which a mass is released by the belt, or is fastest while it slides behind it."""
 
     def _slope(self, step: Step, t: Any, y: State) -> Array:
         del t
@@ -523,20 +521,20 @@ class _Cuts(AbstractSection):
 
 
 def _slipping(chain: Chain, x: Float[Array, " n"], v: Float[Array, " n"]) -> Float[Array, " n"]:
-    """v' of masses that slide behind the belt; 0 where one is let go, r = -p mu_st."""
+    """v' of masses that slide behind the belt; 0 at the release, r = -p mu_st."""
     pull = chain.load * chain.law.coefficient(jnp.abs(v - chain.belt_speed))
     return chain.free_force(x, v) + chain.belt_direction() * pull
 
 
 @eqx.filter_jit
 def keep_kind(cycle: LimitCycle, kind: str) -> LimitCycle:
-    """Not `successful` unless one mass vibrates, on the side of the fold that was asked for.
+    """`successful` only if one mass vibrates, on the requested side of the fold.
 
-    As far as it shows.  Where vibration spreads, a run from one mass ends with several.
-    Slip cycles ("unstable") have a real multiplier beyond 1, which passes through 1 at the fold.
-    A stick-slip cycle ("stable") of a chain may have one, too, with the symmetry of its neighbours
-    lost, but its mass comes closer to the belt's speed than that of a fold, s = max w / eps =
-    ln(eps / v_d) / 4 - 1, within 0.3.
+    This is checked as far as possible.  If vibration spreads, a run from one mass ends with
+    several. Slip cycles ("unstable") have a real multiplier above 1, which passes through 1 at the
+    fold.  A stick-slip cycle ("stable") of a chain may also have one, for a disturbance that
+    breaks the symmetry of its neighbours, but its mass comes closer to the belt speed than at a
+    fold, where s = max w / eps = ln(eps / v_d) / 4 - 1, within 0.3.
     """
     multipliers, scaled_peak_velocity = cycle.multipliers, cycle.scaled_peak_velocity[cycle.mass]
     beyond = (jnp.imag(multipliers) == 0) & (jnp.real(multipliers) > 1.0 + cycle.uncertainty)
@@ -560,10 +558,10 @@ def keep_kind(cycle: LimitCycle, kind: str) -> LimitCycle:
 def continue_to_belt_speed(
     shooting: Shooting, kind: str, tolerance: Array, limit: Array
 ) -> tuple[Guess | None, str]:
-    """The cycle of one mass, of `kind`, at the belt speed of `shooting.field`, from elsewhere.
+    """The cycle of one mass, of `kind`, at the belt speed of `shooting.field`, by continuation.
 
-    On the host.  Returns ((state, period) or None, where the branch turns or ends if it does not
-    get there).
+    It runs on the host.  Returns ((state, period) or None, the place where the branch turns or
+    ends if it does not reach that speed).
     """
     chain: Any = shooting.field
     goal, along, ended = abs(float(chain.belt_speed)), float(chain.belt_direction()), ""
@@ -583,9 +581,9 @@ def continue_to_belt_speed(
 
 
 def _speeds(chain: Chain, mass: int, kind: str, goal: float) -> list[float]:
-    """Where to begin, the nearest first.
+    """Belt speeds to start from, the nearest first.
 
-    Slip cycles begin where averaging has amplitudes of some shares of the belt speed.
+    For slip cycles, averaging has amplitudes of some shares of the belt speed there.
     """
     if kind == "stable":
         return [share * goal for share in (0.97, 0.9, 1.1, 0.8, 1.2, 1.3, 0.7, 0.6, 0.5)]
@@ -598,7 +596,7 @@ def _speeds(chain: Chain, mass: int, kind: str, goal: float) -> list[float]:
 def _follow(
     cycle: LimitCycle, shooting: Shooting, goal: float, along: float
 ) -> tuple[Guess | None, str]:
-    """The cycle at the belt speed `goal`; if the branch does not get there, why."""
+    """The cycle at the belt speed `goal`, or the reason why the branch does not reach it."""
     begin = farthest = abs(float(cast(Chain, cycle.chain).belt_speed))
     ahead = 1.0 if goal > begin else -1.0
     bounds = sorted((along * goal, along * (goal - 2.0 * ahead * abs(goal - begin) - ahead)))
@@ -728,17 +726,17 @@ def find_limit_cycle(
 def resolve_guess(
     chain: AbstractOscillators, guess: Any, period: Any, mass: Any, branch: Any, throw: bool
 ) -> tuple[int, State, Array]:
-    """(mass, state on the section, period) of whatever was given."""
+    """(mass, state on the section, period) from a guess of any kind."""
     check_one_of("branch", branch, ("stable", "unstable"))
     if guess is None:
         if not isinstance(chain, Chain):
             raise ValueError(
-                "Argument `guess` is None, which is for a `Chain`: give a state and a period."
+                "Argument `guess` is None, which needs a `Chain`: give a state and a period."
             )
         if period is not None:
             raise ValueError(
-                f"Argument `period` is {shown(period)}, but there is no `guess`, whose period it "
-                "would be: give the state, too."
+                f"Argument `period` is {shown(period)}, but there is no `guess` with this period: "
+                "give the state, too."
             )
         mass = as_mass(chain.n, mass, reference_site(chain.n))
         return mass, *guess_of_kind(chain, mass, branch)
@@ -761,7 +759,7 @@ def resolve_guess(
     vibrates = is_traced(state, period) or bool(jnp.isfinite(jnp.sum(state[1]) + period))
     if throw and not vibrates:
         raise RuntimeError(
-            "No vibration was found to start from: the state that was given comes to rest. See "
+            "No vibration was found to start from: the given state comes to rest. See "
             "`fold_belt_speed` for the greatest belt speed of vibration, or give another `guess`."
         )
     return mass, state, period
@@ -774,10 +772,10 @@ def _missing(chain: Any, kind: str, reason: str = "") -> str:
             "2 xi_n > p_n F'(w), so all motions approach steady sliding."
         )
     wanted = "stick-slip cycle" if kind == "stable" else "slip cycle"
-    where = reason or "neither at this belt speed nor at others, to follow it from"
+    where = reason or "neither at this belt speed nor by continuation from others"
     return (
         f"No {wanted} in which one mass vibrates was found: {where}. Other vibrations may exist. "
-        "Offer a run that ends in one as `guess`: `find_limit_cycle(chain, simulate(chain, start, "
+        "Give a run that ends in one as `guess`: `find_limit_cycle(chain, simulate(chain, start, "
         "400.0))`. See `fold_belt_speed` for the greatest belt speed of this vibration and "
         "`hopf_belt_speed` for the least of the slip cycle."
     )

@@ -1,19 +1,19 @@
 """Periodic orbits as solutions of equations: flow, section, coordinates.
 
-Shooting asks that a state comes back after a period.  Two choices keep it well conditioned at
+Shooting requires that a state returns after a period.  Two choices keep it well conditioned at
 every width of the smoothed friction:
 
-- *Where the orbit is cut.* At the greatest velocity of one vibrating mass j in the direction of
-  the belt.  There its acceleration vanishes, which gives x_j from everything else: no phase
-  condition is left to solve.
-- *In which coordinates.* Relative to the belt, w_n = v_n - v_d = sign(v_d) eps sinh z_n.  Within
+- *The section.* The orbit is cut at the greatest velocity of one vibrating mass j in the direction
+  of the belt.  There its acceleration vanishes, which determines x_j and replaces a phase
+  condition.
+- *The coordinates* are relative to the belt, w_n = v_n - v_d = sign(v_d) eps sinh z_n.  Within
   |w| < eps, where a mass sticks, z is |w| / eps; outside it is a logarithm.  The layer in which a
   smoothed fold happens, of thickness O(eps) in v, has thickness O(1) in z_j, which is the
   "greatest w / eps along the orbit".
 
 Unknowns u = (x_n for n != j, z_n for all n, ln T): 2n numbers, for 2n equations (return of x and
-of z).  Where forces depend on displacement by more than -K x, x_j is not explicit: it is one more
-unknown, in its place among the x_n, and its acceleration at the cut one more equation.
+of z).  If forces depend on displacement other than by -K x, x_j is not explicit: it is one more
+unknown, in its place among the x_n, and its acceleration at the cut is one more equation.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ class Shooting(eqx.Module):
 
     - `field`: a `Chain`, or other `AbstractOscillators` that do not depend on time.
     - `mass`: index j of the mass at whose greatest velocity the orbit is cut.
-    - `images`: orbits with a symmetry have as few unknowns as masses that differ: entry n is the
-      index of the mass that n does the same as, `images[i] = i` for those solved for.  None: no
+    - `images`: orbits with a symmetry have unknowns only for masses that differ: entry n is the
+      index of the mass that moves like mass n, `images[i] = i` for those solved for.  None: no
       symmetry.
-    - `parameter`: which argument of `Chain.with_` the residual's parameter is; None for none.
+    - `parameter`: the argument of `Chain.with_` that is the parameter of the residual, or None.
     """
 
     field: AbstractOscillators
@@ -58,7 +58,7 @@ class Shooting(eqx.Module):
 
     @property
     def n(self) -> int:
-        """How many masses."""
+        """The number of masses."""
         return len(self.images)
 
     @property
@@ -74,12 +74,12 @@ class Shooting(eqx.Module):
 
     @property
     def others(self) -> list[int]:
-        """The masses whose displacements are unknowns: not j where its own is explicit."""
+        """The masses whose displacements are unknowns: without j if x_j is explicit."""
         return [n for n in self.solved if n != self.mass or not self.balanced]
 
     @property
     def place(self) -> int:
-        """Where z_j stands in u."""
+        """The index of z_j in u."""
         return len(self.others) + self.solved.index(self.mass)
 
     def at(self, parameter: Any = None) -> AbstractOscillators:
@@ -91,7 +91,7 @@ class Shooting(eqx.Module):
         return self.field.with_(**{self.parameter: parameter})  # pyright: ignore
 
     def pack(self, state: State, period: Any, parameter: Any = None) -> Float[Array, " m"]:
-        """u of a state on the section (its x_j is left out where it is explicit)."""
+        """u of a state on the section (without x_j if it is explicit)."""
         x, v = state
         belt, width = _layer(self.at(parameter), v)
         z = v if width is None else jnp.arcsinh((v - belt) / width)
@@ -110,7 +110,7 @@ class Shooting(eqx.Module):
         v = z if width is None else belt + width * jnp.sinh(z)
         if not self.balanced:
             return field, (u[:count][jnp.asarray([position[i] for i in self.images])], v), period
-        # x_j = 0 for the moment: the force on j is then what K_jj x_j has to balance.
+        # With x_j = 0, the force on j is what K_jj x_j has to balance.
         spread = {n: i for i, n in enumerate(self.others)}
         at = jnp.asarray([spread.get(i, count) for i in self.images])
         x = jnp.concatenate([u[:count], jnp.zeros(1)])[at]
@@ -120,7 +120,7 @@ class Shooting(eqx.Module):
         return field, (x + slopes * (force[self.mass] / stiffness), v), period
 
     def rest(self, parameter: Any = None) -> Array:
-        """The sinh z_j of vanishing velocity: -|v_d| / eps."""
+        """sinh z_j at zero velocity: -|v_d| / eps."""
         field = self.at(parameter)
         belt, width = _layer(field, jnp.zeros(self.n))
         if width is None:
@@ -132,8 +132,8 @@ class Shooting(eqx.Module):
     ) -> tuple[Float[Array, " m"], Float[Array, "m columns"], Period]:
         """(R, its derivatives in u and, if it is given, the parameter, the orbit).
 
-        One integration.  With y = (x, v), y_1 the state after a period: dy_1 = M dy + f(y_1) dT +
-        (dy_1/dp) dp, and dR follows from R = gap(u, y_1, p).
+        It takes one integration.  With y = (x, v), y_1 the state after a period: dy_1 = M dy +
+        f(y_1) dT + (dy_1/dp) dp, and dR follows from R = gap(u, y_1, p).
         """
         n, m = self.n, u.shape[0]
         z = u if parameter is None else jnp.append(u, parameter)
@@ -160,9 +160,9 @@ class Shooting(eqx.Module):
     def residual(self, u: Float[Array, " m"], parameter: Any = None) -> Float[Array, " m"]:
         """The gap of x and of z after a period, divided by the velocity amplitude of mass j.
 
-        Where x_j is not explicit, its acceleration at the cut is one more, divided so as well.
+        If x_j is not explicit, its acceleration at the cut is one more, divided in the same way.
 
-        Rest solves the equations, too; a Newton iteration in the divided ones does not end there.
+        Rest also solves the undivided equations; Newton's method for the divided ones avoids it.
         """
         end, _, _ = flow(*self.unpack(u, parameter), rtol=self.rtol, solver=self.solver)
         return self.gap(u, end, parameter)
@@ -182,8 +182,7 @@ class Shooting(eqx.Module):
         rows = jnp.asarray(self.solved, int)
         gap = v1 - v
         if width is not None:
-            # To first order a gap of z; linear in v, which Newton's method far from the orbit
-            # needs.
+            # To first order a gap of z, but linear in v, for convergence far from the orbit.
             gap = gap / jnp.hypot(v - belt, width)
         gaps = jnp.concatenate([(x1 - x)[rows], gap[rows]])
         if not self.balanced:
@@ -192,12 +191,12 @@ class Shooting(eqx.Module):
 
 
 def residual(u: Float[Array, " m"], parameter: Any, shooting: Shooting) -> Float[Array, " m"]:
-    """`Shooting.residual` as a plain function, which keeps its identity from call to call."""
+    """`Shooting.residual` as a plain function, which is the same object in every call."""
     return shooting.residual(u, parameter)
 
 
 def _layer(field: AbstractOscillators, v: Array) -> tuple[Any, Any]:
-    """(the velocity v_d at which friction switches, sign(v_d) eps); (None, None) if none does."""
+    """(velocity v_d at which friction switches, sign(v_d) eps); (None, None) without switching."""
     switching = field.switching(0.0, jnp.zeros_like(v))
     if switching is None:
         return None, None
@@ -220,12 +219,12 @@ def newton_minimal_period(
     fine: float,
     closed: Callable[[Iterate], Bool[Array, ""]],
 ) -> Iterate:
-    """Newton's method for an orbit of its least period; one integration is compiled.
+    """Newton's method for an orbit with its minimal period; one integration is compiled.
 
-    It goes on where the orbit is `closed`, until a step is shorter than `fine` (1 + |u|) or helps
-    no more.  An orbit that has come back after a share of its period is then searched for with
-    this share (of `limit` integrations, too), and kept if it is the same one: it was gone round
-    more than once.  `equations` have `pack` and `unpack`; `aux` of `linearise` has `returned`, a
+    Once the orbit is `closed`, it continues until a step is shorter than `fine` (1 + |u|) or no
+    longer helps.  If the orbit also returns after a fraction of its period, it is solved for again
+    with that fraction (with at most `limit` integrations), and the result is kept if it is the
+    same orbit.  `equations` have `pack` and `unpack`; `aux` of `linearise` has `returned`, a
     `Returned`.
     """
     # Traced once, for its shapes and for the loop.
@@ -252,5 +251,5 @@ def newton_minimal_period(
 
 
 def greatest_gap(now: Iterate) -> Float[Array, ""]:
-    """max |F| where a search stands; infinite where the first integration failed."""
+    """max |F| at the present iterate; infinite if the first integration failed."""
     return jnp.where(jnp.isfinite(now.length), jnp.max(jnp.abs(now.value)), jnp.inf)

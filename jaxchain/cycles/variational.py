@@ -1,15 +1,15 @@
-"""An orbit followed once, with what is linear in a disturbance of its start.
+"""One integration along an orbit, with the derivatives in its initial state.
 
-One integration gives the monodromy matrix, which is what a Newton step of shooting needs, and
-everything else that is told of a cycle.
+One integration gives the monodromy matrix, which a Newton step of shooting needs, and all other
+results for a cycle.
 
-To differentiate a loop, and that for several directions at once, JAX traces its body some six
-times, and carries derivatives of all that a step decides.  Here a step is traced once, with its
-derivatives in the state alone; its size, its error and its observers have none.
+To differentiate a loop in several directions at once, JAX traces its body some six times and
+carries derivatives of everything in a step.  Here a step is traced once, with derivatives in the
+state only; its size, its error and its observers have none.
 
-An orbit of period T closes after 2 T, 3 T, ... as well, with no greater residual, and powers of
-its multipliers in their place: nothing in a search for (state, period) tells the least period.  So
-the state is looked at after T / k, too.
+An orbit of period T also closes after 2 T, 3 T, ..., with the same residual and with powers of its
+multipliers, so a search for (state, period) cannot identify the minimal period.  Therefore the
+state is also compared after T / k.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from ..simulation.plan import forward_only
 from ..simulation.smoothed import SmoothedPlan
 from ..solvers.rosenbrock import AbstractStructuredRosenbrock
 
-# A period takes some hundreds; an orbit that is lost must not keep the others waiting.
+# A period takes some hundred steps; a diverging orbit must not delay the others.
 MOST_STEPS = 50_000
-# A step that would end nearer to the end, in units in the last place, ends there.
+# A step that would end nearer to the end than this, in units in the last place, ends there.
 _ULPS = 100
 
 Make = Callable[[Float[Array, " m"]], tuple[AbstractOscillators, State, Float[Array, ""]]]
@@ -71,8 +71,8 @@ def forward_sensitivity(
 ) -> Sensitivity:
     """The state after a time, with its derivatives in the m numbers of `point`.
 
-    The derivatives are those of the steps with their sizes held fixed, but for the last one, which
-    ends when the run does.  To be called under `jit`.
+    The derivatives are those of the steps with fixed sizes, except the last one, which ends with
+    the run.  Call it under `jit`.
 
     **Arguments:** `make`: point -> (field, first state, time); `observers`, without derivatives.
     """
@@ -159,16 +159,16 @@ def forward_sensitivity(
 
 # Every multiple up to 16 of a period has one of these as a factor.
 FACTORS = (2, 3, 5, 7, 11, 13)
-# Shares of the orbit's size: how near the state has come back, as far as it is known between
-# steps; and how near two closed orbits are that are the same.
+# Shares of the orbit's size: the gap below which a state has returned, given the accuracy between
+# steps; and the distance below which two closed orbits are the same.
 _CAME_BACK, _SAME = 1e-4, 1e-6
 
 
 class Returned(NamedTuple):
-    """How far a state is from the first one of a run: as the greatest |dx_n|, |dv_n|.
+    """The distance of a state from the first one of a run: the greatest |dx_n|, |dv_n|.
 
-    - `apart`: after a share 1 / k of the run, for each k in `FACTORS`.
-    - `farthest`: at most, at the ends of steps; what an orbit's size is.
+    - `apart`: the distance after 1 / k of the run, for each k in `FACTORS`.
+    - `farthest`: the greatest distance at the ends of steps, which is the size of the orbit.
     """
 
     apart: Float[Array, " factors"]
@@ -176,15 +176,15 @@ class Returned(NamedTuple):
 
     @property
     def times_round(self) -> Int[Array, ""]:
-        """The greatest k after whose share the state has come back; 1 if there is none."""
+        """The greatest k for which the state returns after 1 / k of the run, or 1."""
         came_back = self.apart <= _CAME_BACK * self.farthest
         return jnp.max(jnp.where(came_back, jnp.asarray(FACTORS), 1))
 
     def same(self, one: State, other: State) -> Bool[Array, ""]:
-        """Whether closed orbits are one and the same, given a state of each at the same section.
+        """Whether closed orbits are the same, given a state of each on the same section.
 
-        After a period doubling the orbit of twice the period and the one amidst it are not,
-        however near.
+        After a period doubling the orbit of twice the period and the original one are different,
+        however close they are.
         """
         return _distance(one, other) <= _SAME * self.farthest
 
@@ -195,7 +195,7 @@ def _distance(one: State, other: State) -> Float[Array, ""]:
 
 
 class Returns(AbstractObserver):
-    """Whether a state has come back after a share of a run; value `Returned`, no derivatives."""
+    """Whether a state returns after a fraction of a run; value `Returned`, no derivatives."""
 
     def init(self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State) -> Any:
         del field
@@ -225,15 +225,16 @@ class Returns(AbstractObserver):
 
 
 class Period(NamedTuple):
-    """An orbit followed once, with what is linear in a disturbance of its start.
+    """One integration over a period: its end, its derivatives and its observed numbers.
 
-    - `end`: the state after it; `slopes`: its derivatives, (2n, m), the first 2n in the state.
+    - `end`: the state after the period; `slopes`: its derivatives, (2n, m), the first 2n in the
+      state.
     - `amplitude`: half peak-to-peak of each displacement.
     - `fastest`: each greatest velocity in the belt's direction, among the ends of steps and five
       points in each.
-    - `trace_integral`: that of tr J along the orbit.
-    - `returned`: how far the state is from the first one after shares of the period.
-    - `complete`: whether the integration got there; everything else is NaN if not.
+    - `trace_integral`: the integral of tr J along the orbit.
+    - `returned`: the distance of the state from the first one after fractions of the period.
+    - `complete`: whether the integration reached the end; if not, everything else is NaN.
     """
 
     end: State
@@ -246,15 +247,15 @@ class Period(NamedTuple):
 
     @property
     def monodromy(self) -> Float[Array, "two_n two_n"]:
-        """The derivatives in the first state."""
+        """The derivatives in the initial state."""
         return self.slopes[:, : self.slopes.shape[0]]
 
 
 class Along(AbstractObserver):
-    """The numbers of `Period` that are gathered along the way; value (amplitude, fastest, trace).
+    """The observed numbers of `Period`; value (amplitude, fastest, trace).
 
     Turning points are located between steps, and the trace is integrated by Gauss's rule of five
-    points in every step.  No derivatives, which would cost as much as the monodromy matrix does.
+    points in every step.  It has no derivatives; they would cost as much as the monodromy matrix.
     """
 
     def init(self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State) -> Any:
@@ -292,7 +293,7 @@ def flow(
 ) -> tuple[State, Bool[Array, ""], list]:
     """(the state after `period`, NaN if it was not reached; whether it was; what was observed).
 
-    For forward-mode derivatives, which are those of the steps with their sizes held fixed.
+    Forward derivatives are those of the steps with fixed sizes.
     """
     plan = SmoothedPlan(
         solver=solver,

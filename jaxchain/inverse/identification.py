@@ -30,10 +30,10 @@ from .measurements import Measurements, check_change, check_measurements, predic
 
 # Levenberg-Marquardt: damping at first, its factors after success and failure, and its bounds.
 _FIRST, _LESS, _MORE, _LEAST, _GREATEST = 1e-3, 0.2, 5.0, 1e-8, 1e8
-# A gain of chi^2 that no interval notices.
+# A gain of chi^2 that changes no interval.
 _GAIN = 1e-9
-# Singular values of the scaled Jacobian below this share of the greatest are errors of the
-# integration, and so are entries of a singular vector below the other.
+# Below the first share of the greatest, singular values of the scaled Jacobian are integration
+# errors; so are entries of a singular vector below the second share.
 _SINGULAR, _PART = 1e-6, 1e-3
 
 
@@ -106,7 +106,8 @@ def identify(
     `mass` as in `predict`; `steps`: the greatest number of predictions with derivatives.
 
     It works under `jit` and `vmap` (for example over noisy copies of the measurements).
-    `LevenbergMarquardt` of optimistix finds the same, but compiles every prediction three times.
+    `LevenbergMarquardt` of optimistix finds the same result, but compiles every prediction three
+    times.
 
     **Returns:** an `Identification`.
 
@@ -187,7 +188,7 @@ def _fit(problem: _FitProblem, start: Array, steps: int) -> Identification:
         new = _Fit(trial, residuals, slopes, damping, infinite, now.count + 1)
         old = _Fit(now.z, now.residuals, now.slopes, damping, infinite, now.count + 1)
         taken = where(good, new, old)
-        # Judged with little damping, so that short steps are not taken for the end.
+        # Judged with little damping, so that a short step does not count as convergence.
         _, gain = step(eqx.tree_at(lambda f: f.damping, taken, jnp.asarray(_LEAST)))
         return eqx.tree_at(lambda f: f.gain, taken, gain)
 
@@ -261,8 +262,9 @@ def _complain(problem: _FitProblem, fit: Identification, start: PyTree) -> None:
         if not is_determined
     ]
     warnings.warn(
-        f"The measurements do not determine {', '.join(which)}: a change of these together goes "
-        "unnoticed. Fix one of them, or measure something else, such as a displacement in steady "
+        f"The measurements do not determine {', '.join(which)}: a joint change of these has "
+        "no effect on them. Fix one of them, or measure something else, such as a displacement "
+        "in steady "
         "sliding.",
         stacklevel=3,
     )

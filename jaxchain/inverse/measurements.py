@@ -1,4 +1,4 @@
-"""What is measured of a chain, and what a chain would have shown instead."""
+"""Measurements of a chain, and their prediction by a chain."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ from ..result import Printed
 from ..simulation.event_driven import EventDriven
 from ..simulation.run import simulate
 
-# Some periods: from the belt a stick-slip cycle is reached within one or two.
+# Some periods: from the belt a run reaches its stick-slip cycle within one or two.
 _SPAN, _WINDOW = 40.0, 14.0
-# Errors of amplitudes about 1e-9; a series of low order is compiled in half the time.
+# Amplitudes have errors of about 1e-9; a series of low order compiles in half the time.
 _ORDER, _RTOL = 7, 1e-8
 
 
@@ -134,8 +134,8 @@ def predict(chain: Chain, measurements: Measurements, mass: Any = None) -> Float
     """The values that `chain` predicts for `measurements.values`.
 
     For a dry chain: the Hopf speed, the grazing-sliding fold, and amplitudes (half peak-to-peak)
-    of event-driven runs that start on the belt (`on_the_belt`).  For a smoothed chain: their
-    counterparts at its width.  NaN if there is no such fold or vibration.  It has forward
+    of event-driven runs that start on the belt (`on_the_belt`).  For a smoothed chain: the same
+    quantities at its width.  NaN if there is no such fold or vibration.  It has forward
     derivatives, including the jumps at sticking and release, and works under `jit` and `vmap`.
 
     **Arguments:** `measurements`: only their belt speeds are used;

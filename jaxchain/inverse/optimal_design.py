@@ -24,10 +24,10 @@ from ..model.initial_states import check_mass
 from ..result import Outcome, SearchResult
 from .measurements import check_change
 
-# Longest step, in units of `scale`; what a step shrinks by if refused, and how often it may.
+# Longest step, in units of `scale`; the factor by which a rejected step shrinks, and how often.
 _LONGEST, _SHRINKAGE, _MOST_REFUSED = 0.3, 0.3, 12
 _ARMIJO, _ROUNDING = 1e-4, 1e-10
-# The penalty in units of 1 / |grad g|^2, and its growth where g does not fall to a quarter.
+# The penalty in units of 1 / |grad g|^2, and its growth if g does not fall to a quarter.
 _PENALTY, _GROWTH, _ENOUGH = 10.0, 4.0, 0.25
 _LBFGS = optax.chain(optax.scale_by_lbfgs(), optax.scale(-1.0))
 
@@ -67,7 +67,7 @@ class Design(Outcome):
 
 
 class _DesignPoint(eqx.Module):
-    """A design in units of `scale`, and everything that is known there."""
+    """A design in units of `scale`, with its cost, target and their gradients."""
 
     z: Float[Array, " m"]
     cost: Float[Array, ""]
@@ -218,7 +218,7 @@ class _DesignProblem(eqx.Module):
         return self.change(self.chain, self.unravel(self.theta(z)))
 
     def point(self, z: Array) -> _DesignPoint:
-        """Forward in every direction at once: the searches within have no reverse."""
+        """The values at a design, with forward derivatives: the searches have no reverse mode."""
 
         def both(z: Array) -> tuple[Array, tuple[Array, Array, StabilityRange | Blow]]:
             g, aim, boundary = self._aim(self.chain_at(z))
@@ -232,7 +232,7 @@ class _DesignProblem(eqx.Module):
         return _DesignPoint(z, values[0], values[1], slopes[0], slopes[1], aim, boundary)
 
     def unknown(self) -> StabilityRange | Blow:
-        """What is known before the first point, in the same shapes."""
+        """Unknown values in the shapes of `point`, before the first one."""
         shapes = eqx.filter_eval_shape(lambda z: self._aim(self.chain_at(z))[2], self.start)
 
         def blank(leaf: Any) -> Array:
@@ -243,11 +243,11 @@ class _DesignProblem(eqx.Module):
         return eqx.tree_at(lambda boundary: boundary.result, nothing, SearchResult.nonfinite)
 
     def _aim(self, chain: Chain) -> tuple[Array, Array, StabilityRange | Blow]:
-        """(g, the speed that it is made of, where that is from); g is NaN if it is not known."""
+        """(g, its speed or blow, the result with them); g is NaN if unknown."""
         if self.name == "blow_above":
             blow = gentlest_blow(chain, self.hit)
             none = blow.result == SearchResult.no_vibration
-            # Without any vibration there is room enough, and nothing to differentiate.
+            # Without vibration the target is met, and there is nothing to differentiate.
             g = jnp.where(none, -self.target, self.target - jnp.where(none, 0.0, blow.size))
             return jnp.where(none | blow.successful, g, jnp.nan), blow.size, blow
         boundary = stability_range(chain, self.mass)
@@ -275,7 +275,7 @@ def _solve(problem: _DesignProblem, optimiser: Any, steps: int, tolerance: Array
         penalty = jnp.where(first, scaled, now.penalty)
         value, slope = trial.lagrangian(now.held, penalty)
         before, before_slope = now.best.lagrangian(now.held, penalty)
-        # A step of an optimiser with momentum may lead uphill: it need not do better.
+        # A step of an optimiser with momentum may increase the loss: accept it.
         descent = jnp.minimum(now.length * jnp.sum(before_slope * now.step), 0.0)
         limit = before + _ARMIJO * descent + _ROUNDING * (1.0 + jnp.abs(before))
         uphill = jnp.sum(before_slope * now.step) >= 0
@@ -286,13 +286,13 @@ def _solve(problem: _DesignProblem, optimiser: Any, steps: int, tolerance: Array
         m = best.multiplier(now.held, penalty)
         _, slope = best.lagrangian(now.held, penalty)
         missing, off = jnp.abs(m - now.held) / penalty, jnp.sqrt(jnp.sum(slope**2))
-        # Exact minima of early Lagrangians are of no use.
+        # Early Lagrangians need no exact minimum.
         renew = good & (off <= jnp.maximum(0.3 * missing, 0.3 * tolerance))
         slow = renew & (missing > _ENOUGH * now.missing)
         held = jnp.where(renew, m, now.held)
         new_penalty = jnp.where(slow, _GROWTH * penalty, penalty)
         value, slope = best.lagrangian(held, new_penalty)
-        # Another Lagrangian: the optimiser starts anew.
+        # Another Lagrangian: restart the optimiser.
         memory = where(renew, transform.init(zero), now.state)
         step, memory = transform.update(slope, memory, best.z, value=value, grad=slope)
         longest = jnp.max(jnp.abs(step))
@@ -343,6 +343,6 @@ def _solve(problem: _DesignProblem, optimiser: Any, steps: int, tolerance: Array
 
 
 def _angle(a: Array, b: Array) -> Array:
-    """In [0, pi], exact for small ones, too."""
+    """The angle, in [0, pi], accurate also for small angles."""
     a, b = a / jnp.sqrt(jnp.sum(a**2)), b / jnp.sqrt(jnp.sum(b**2))
     return 2.0 * jnp.arctan2(jnp.sqrt(jnp.sum((a - b) ** 2)), jnp.sqrt(jnp.sum((a + b) ** 2)))

@@ -1,4 +1,4 @@
-"""Which quiet neighbour does a vibrating mass draw in?"""
+"""When does a vibrating mass start the vibration of a quiet neighbour?"""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ from ..simulation.event_driven import EventDriven
 from ..simulation.run import simulate
 
 _AMPLITUDES = 400
-# The cycle attracts within a period; no period is longer than 10.
+# The cycle attracts within a period, and no period is longer than 10.
 _TRANSIENT, _WINDOW, _PERIODS, _RTOL = 60.0, 90.0, 8, 1e-9
 
 
 @eqx.filter_jit
 def capture_interval(chain: Chain, belt_speed: ScalarLike) -> Float[Array, "2"]:
-    """Detunings k_neighbour - k_driver at which a vibrating mass draws a quiet neighbour in.
+    """Detunings k_neighbour - k_driver at which a quiet neighbour starts to vibrate.
 
     The driver, of amplitude A and frequency omega, shakes its neighbour by eta_c A cos(omega t).
-    To first harmonic the neighbour answers with an amplitude a such that
+    To first harmonic the neighbour responds with an amplitude a for which
 
         a |kappa - omega^2 + i d(a)| = eta_c A,    kappa = k_neighbour + 2 eta_c, omega near 1,
 
-    where d(a) is the damping less what friction feeds in, per velocity; it falls to zero at the
-    unstable cycle.  It can stay quiet if there is a solution below that; so it is drawn in where
-    |kappa - omega^2| is less than a certain delta.  A start from rest overshoots, and is drawn in
-    from somewhat farther.
+    where d(a) is damping minus the gain from friction, per velocity; it falls to zero at the
+    unstable cycle.  The neighbour can stay quiet if there is a solution below that amplitude; so
+    it starts to vibrate if |kappa - omega^2| is below some delta.  A start from rest overshoots,
+    so its limit is somewhat larger.
 
-    **Returns:** (low, high), NaN where no detuning does.
+    **Returns:** (low, high), NaN if there is no such detuning.
     """
     tuned = chain.with_(stiffness=1.0, belt_speed=belt_speed)
     alone = one_mass(tuned, 0)
@@ -47,7 +47,7 @@ def capture_interval(chain: Chain, belt_speed: ScalarLike) -> Float[Array, "2"]:
     ratios = jnp.arange(1, _AMPLITUDES + 1) / _AMPLITUDES
     answers = ratios * tuned.belt_speed
     damping = -2.0 * jax.vmap(lambda r: gain(alone, r, tuned.belt_speed))(ratios) / answers
-    # Beyond the unstable cycle the answer grows by itself.
+    # Beyond the unstable cycle the response grows by itself.
     below = jnp.cumprod(damping > 0).astype(bool)
     rest = (force / answers) ** 2 - damping**2
     square = jnp.min(jnp.where(below, rest, jnp.inf))

@@ -1,4 +1,4 @@
-"""What the speed of fronts and the belt speeds at which they come unstuck should be.
+"""Predictions of the speed of fronts, and of the belt speeds of their depinning.
 
 With x_n = Re a_n exp(i w t), weak coupling and slow amplitudes,
 
@@ -22,7 +22,7 @@ from ..cycles.averaging import gain
 from ..model.chain import Chain
 from ..model.sliding import growth_rate
 
-# Quiet masses that the response is computed for, and its time: some multiples of 1 / damping.
+# Number of quiet masses in the response, and its time in multiples of 1 / damping.
 _QUIET, _STEPS, _STEP = 4, 1500, 1.0
 
 
@@ -53,7 +53,7 @@ def spreading_speed(coupling: Any, growth: Any) -> Float[Array, "*batch"]:
         ratio = jnp.maximum(u / eta, 1.0)
         return u * (jnp.arccosh(ratio) - jnp.sqrt(1.0 - 1.0 / ratio**2))
 
-    # At u = 4 eta + s the bracket is more than 1.
+    # At u = 4 eta + s the expression in brackets exceeds 1.
     low, high = bisect(lambda u: rate(u) < s, eta, 4.0 * eta + s, 60)
     return jnp.where(s < 0, jnp.nan, 0.5 * (low + high))
 
@@ -61,14 +61,14 @@ def spreading_speed(coupling: Any, growth: Any) -> Float[Array, "*batch"]:
 def growth_coupling(
     chain: Chain, detuning: Any, amplitude: Any, cosine: Any, highest: Any = 0.2
 ) -> Float[Array, ""]:
-    """The coupling above which the quiet neighbour of a block is drawn in.
+    """The coupling above which the quiet neighbour of a block starts to vibrate.
 
     The last mass of the block vibrates with its `amplitude` at 1 + detuning + eta (1 - cosine/2),
     `cosine` that of its phase to the next mass of the block: 0 where phases drift past each other,
     -1 for the worst.  From rest, the response of the quiet masses stays low as long as there is a
     low one; where it folds, they reach the belt speed.  `chain` is one mass.
     """
-    speed = jnp.abs(chain.belt_speed)  # friction is odd: the direction of the belt is no matter
+    speed = jnp.abs(chain.belt_speed)  # friction is odd: the direction has no effect
     ratios = jnp.linspace(1e-3, 1.0, 200)
     dampings = -jax.vmap(lambda r: gain(chain, r, speed))(ratios) / (ratios * speed)
 
@@ -102,14 +102,14 @@ def growth_coupling(
 def death_belt_speed(
     chain: Chain, coupling: Any, detuning: Any, fold: Callable[[Chain], Array]
 ) -> Float[Array, ""]:
-    """The belt speed above which the last mass of a block dies when its phase is at its worst.
+    """The belt speed above which the last mass of a block stops vibrating, at the worst phase.
 
-    Where it leads the next mass of the block by a quarter of a period, the spring between them
-    takes from it what a damping of eta / 2 would; the quiet chain on its other side takes
+    If it leads the next mass of the block by a quarter of a period, the spring between them acts
+    like an additional damping of eta / 2; the quiet chain on its other side acts like
 
         Re [sqrt(z^2 + eta^2) - z] / 2,      z = g(0) + i detuning;
 
-    vibration of one mass with that much more damping ends at the fold.  `chain` is one mass;
+    the vibration of one mass with this additional damping ends at the fold.  `chain` is one mass;
     `fold` gives the belt speed up to which its vibration survives, such as
     `jaxchain.boundaries.dry_fold_belt_speed`.
     """
@@ -120,6 +120,6 @@ def death_belt_speed(
         leak = 0.5 * jnp.real(jnp.sqrt(z**2 + eta**2) - z)
         return fold(chain.with_(damping_ratio=chain.damping_ratio + 0.5 * eta + leak))
 
-    # The leak hardly depends on the belt speed: a few repetitions settle it.
+    # The radiation loss hardly depends on the belt speed: a few iterations converge.
     speed = of(jnp.asarray(1.7))
     return of(of(speed))

@@ -1,4 +1,4 @@
-"""How fast the fronts of a vibrating block move, and at which belt speed they come unstuck.
+"""The speed of the fronts of a vibrating block, and the belt speed of their depinning.
 
 A front that moves does so in hops, from mass to mass; one that is pinned does not move at all.
 """
@@ -85,9 +85,9 @@ def _measure(
 ) -> dict[str, Array]:
     """The numbers of a `FrontSpeed` from the record of a `FrontTrack` over [t0, t1].
 
-    What lies before t0 + transient, or after a front first came within two masses of the middle of
-    its block or three of the far side of the ring, is left out; `well` is whether the run ended
-    well.
+    It leaves out the record before t0 + transient, and after a front first came within two masses
+    of the middle of its block or three of the far side of the ring; `well`: whether the run
+    succeeded.
     """
     windows = fronts.right.shape[-1]
     length = (t1 - t0) / windows
@@ -208,7 +208,7 @@ def front_speeds(runs: Dataset, transient: Any = None, *, level: Any = 0.95) -> 
         >>> front_speeds(runs, transient=40.0).verdict.values.tolist()  # grows, stands
         [1, 0]
     """
-    import xarray as xr  # it brings pandas, which would double the time of `import jaxchain`
+    import xarray as xr  # it imports pandas, which would double the time of `import jaxchain`
 
     check_kind("runs", runs, xr.Dataset, "a dataset", "`sweep(..., observe=FrontTrack(20))`.")
     if "front_right" not in runs:
@@ -289,7 +289,7 @@ class Depinning(Printed, eqx.Module):
 
     @property
     def error(self) -> Array:
-        """Half the distance of `stands` and `moves`."""
+        """Half the distance between `stands` and `moves`."""
         return 0.5 * jnp.abs(self.stands - self.moves)
 
 
@@ -308,9 +308,9 @@ def depinning_belt_speed(
 ) -> Depinning:
     """The belt speed at which the fronts of a block start to move, by bisection.
 
-    Fronts move if the block gained or lost on average a mass at each front between the transient
-    and t1.  So speeds below 1 / (t1 - transient) count as standing, and a longer run moves the
-    answer towards `stands` (with the square of the time if depinning is a saddle-node).
+    Fronts move if the block gained or lost, on average, one mass at each front between the
+    transient and t1.  So speeds below 1 / (t1 - transient) count as standing, and a longer run
+    moves the answer towards `stands` (with the square of the time if depinning is a saddle-node).
 
     **Arguments:** `initial`, a function chain -> (x, v); `stands` and `moves`, belt speeds at
     which fronts stand and move, in either order; `halvings` of the distance between them; the rest
@@ -356,14 +356,14 @@ def depinning_belt_speed(
             solver=solver,
             rtol=rtol,
         )
-        # Fronts that met before their speed could be measured have moved.
+        # Fronts that met before their speed could be measured count as moving.
         went = (jnp.abs(run.moved) >= 1.0) | jnp.isnan(run.speed)
         return went, ended_well(run.result)
 
     first = to_float(stands), to_float(moves)
 
     def look(ends: tuple[Array, Array], index: Array) -> tuple[Any, tuple[Array, Array]]:
-        """Both ends in turn, then the middle of what is left."""
+        """Runs at both ends, then at the middle of the remaining interval."""
         still, moving = ends
         speed = jnp.where(index == 0, still, jnp.where(index == 1, moving, 0.5 * (still + moving)))
         went, well = moved(speed)

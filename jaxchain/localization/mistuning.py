@@ -29,9 +29,9 @@ from ..model.chain import Chain
 from ..observers.quantities import participation_ratio
 from ..result import Printed
 
-# Normal draws are cut at this number of standard deviations: no stiffness is negative.
+# Normal draws are cut off at this number of standard deviations, so no stiffness is negative.
 _NORMAL_END = 4.0
-_MOST = 10**8  # masses that are drawn
+_MOST = 10**8  # most masses drawn
 # The greatest departure of a stiffness from its mean, in standard deviations.
 FARTHEST = {"uniform": math.sqrt(3.0), "normal": _NORMAL_END}
 
@@ -43,8 +43,8 @@ def mistuned_stiffness(
 
     **Arguments:**
 
-    - `seed`: an integer, or a key of `jax.random`.  The u_n depend only on it, n and the
-      distribution, so one seed is the same chain for every disorder.
+    - `seed`: an integer, or a key of `jax.random`.  The u_n depend only on the seed, n and the
+      distribution, so changing the disorder only scales them.
     - `n`: number of masses.
     - `disorder`: the standard deviation of the stiffness relative to its mean: 0.05 is called 5 %
       in the literature on mistuning (2.5 % of the natural frequencies).
@@ -229,7 +229,7 @@ def localization_length(
 
     def pass_on(ratio: Array, departure: Array) -> tuple[Array, Array]:
         following = departure + 2.0 * position - 1.0 / ratio
-        # A node: the mode goes on as if it were a little beside it.
+        # A node: the mode continues as if the node were slightly shifted.
         following = jnp.where(jnp.abs(following) < 1e-12, 1e-12, following)
         return following, jnp.log(jnp.abs(following))
 

@@ -1,7 +1,7 @@
-"""Localized vibrations of a few neighbours, to first order in the coupling: guesses for cycles.
+"""Localized vibrations of a few neighbours, to first order in the coupling: guesses of cycles.
 
-A pattern in which all phases of the phase model (`localization/phases.py`) grow alike is
-*locked*; a cycle of the chain is near it.
+A pattern in which all phases of the phase model grow at the same rate is *locked*; a cycle of the
+chain is near it.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class PhaseModel(Printed, eqx.Module):
     quiet: Float[Array, ""]
 
     def pull(self, difference: Float[Array, "*any"]) -> Float[Array, "*any"]:
-        """H of the phase of a neighbour minus that of the mass."""
+        """H at the phase of a neighbour minus that of the mass."""
         h = jnp.arange(self.interaction.shape[0])
         turned = jnp.exp(1j * jnp.multiply.outer(difference, h))
         return jnp.real(turned @ self.interaction)
@@ -131,13 +131,13 @@ def _check_ring(chain: Any) -> None:
     ring = chain.coupling is not None and jnp.ndim(chain.coupling) == 0 and chain.ends == "cyclic"
     if not (same and ring and chain.n > 2):
         raise ValueError(
-            "Argument `chain` must be a ring of three masses or more, all alike, with a number "
-            f"for `coupling`, but is one of {chain.n} that is not: phases of unlike masses drift."
+            "Argument `chain` must be a ring of at least three equal masses, with one number for "
+            f"`coupling`, but this one has n = {chain.n} which is not: unequal masses drift."
         )
 
 
 def _rtol(chain: Chain) -> Array:
-    """A sticking mass errs by little in units of the width."""
+    """A tolerance at which the error of a sticking mass is small in units of the width."""
     return jnp.clip(1e-4 * chain.width, 1e-11, 1e-7)
 
 
@@ -145,10 +145,10 @@ def _rtol(chain: Chain) -> Array:
 def _velocity_response(
     alone: Chain, xs: Float[Array, "m 1"], vs: Float[Array, "m 1"], period: Float[Array, ""]
 ) -> Float[Array, " m"]:
-    """d(time gained)/d(velocity given) along a cycle: of each left eigenvector l, l . f = 1."""
+    """d(time gained)/d(velocity given) along a cycle, from left eigenvectors l with l . f = 1."""
 
     def at(x: Array, v: Array) -> Array:
-        # M - 1 has rank one, and l is square to its columns.
+        # M - 1 has rank one, and l is orthogonal to its columns.
         columns = monodromy_matrix(alone, (x, v), period) - jnp.eye(2)
         greater = jnp.argmax(jnp.sum(columns**2, axis=0))
         left = jnp.array([-columns[1, greater], columns[0, greater]])
@@ -163,10 +163,10 @@ def _shaken(
     shapes: Complex[Array, "h n"],
     vibrating: Bool[Array, " n"],
 ) -> Complex[Array, "h n"]:
-    """`shapes`, harmonics of x_n, with those of the other masses filled in.
+    """`shapes`, harmonics of x_n, completed by those of the other masses.
 
-    These slide, and their neighbours shake them: (K - (h omega)^2 + i h omega d) x = 0 in their
-    rows, for x less that of steady sliding.
+    These slide, driven by their neighbours: (K - (h omega)^2 + i h omega d) x = 0 in their rows,
+    for x minus its value in steady sliding.
     """
     rest = jnp.zeros_like(shapes).at[0].set(steady_sliding(chain)[0])
     damping = sliding_damping(chain, chain.belt_speed)
@@ -183,8 +183,8 @@ def _shaken(
     return rest + jax.vmap(harmonic)(jnp.arange(shapes.shape[0]), shapes - rest)
 
 
-# Of the search for locked patterns: starts, Newton steps, the last of these, and what counts as
-# solved and as same.
+# The search for locked patterns: starts, Newton steps, the final ones, and tolerances for solved
+# and equal patterns.
 _STARTS, _NEWTON, _CLOSE, _SOLVED, _SAME = 300, 40, 1e-8, 1e-10, 1e-5
 
 
@@ -197,7 +197,7 @@ def pattern_guess(
 ) -> tuple[State, Float[Array, ""]]:
     """(state, period) near the locked cycle of k neighbours with the given phases.
 
-    Each of them is on the cycle of one mass; they shake the sliding masses.  The state is that at
+    Each of them is on the cycle of one mass; they drive the sliding masses.  The state is that at
     the greatest velocity of mass `first`, for `find_limit_cycle(chain, state, period=period,
     mass=first)`.
 
@@ -298,7 +298,7 @@ class LockedPattern(Printed):
 
     @property
     def order(self) -> float:
-        """Mean cosine of the steps of phase between neighbours: 1 in phase, -1 alternating."""
+        """Mean cosine of the phase differences of neighbours: 1 in phase, -1 alternating."""
         return float(np.mean(np.cos(np.diff(self.phases)))) if self.phases.size > 1 else 1.0
 
     @property
@@ -376,7 +376,7 @@ def locked_patterns(model: PhaseModel, count: Any) -> tuple[LockedPattern, ...]:
 
 
 def rotating_wave(model: PhaseModel, turns: Any) -> LockedPattern:
-    """The whole ring vibrates, each mass ahead of the one before by 2 pi `turns` / n.
+    """The whole ring vibrates, each mass ahead of the previous one by 2 pi `turns` / n.
 
     0 is in phase, n / 2 alternating; every such pattern is locked.
 
@@ -399,7 +399,7 @@ def rotating_wave(model: PhaseModel, turns: Any) -> LockedPattern:
     """
     _check_model(model)
     n = model.chain.n
-    check_whole("turns", turns, -n, n, "the phase turns so often round the ring.")
+    check_whole("turns", turns, -n, n, "it is the number of turns of the phase around the ring.")
     phases = 2.0 * np.pi * turns * np.arange(n) / n
     _, rate, slope = _told(model, jnp.diff(jnp.asarray(phases)))
     return LockedPattern(phases, float(rate), _growth(model, slope))
@@ -420,7 +420,7 @@ def _drift(model: PhaseModel, step: Array) -> Array:
 
 @eqx.filter_jit
 def _told(model: PhaseModel, step: Float[Array, " m"]) -> tuple[Array, Array, Array]:
-    """(how far from locked, rate, slope) at these steps of phase."""
+    """(residual of locking, rate, slope) at these phase differences."""
     gap = jnp.max(jnp.abs(_drift(model, step)))
     return gap, model.rates(_phases(step))[0], jax.jacfwd(partial(_drift, model))(step)
 
@@ -429,7 +429,7 @@ def _told(model: PhaseModel, step: Float[Array, " m"]) -> tuple[Array, Array, Ar
 def _lock(
     model: PhaseModel, starts: Float[Array, "s m"]
 ) -> tuple[Array, tuple[Array, Array, Array]]:
-    """(steps of phase, what is told there), for each of the starts."""
+    """(phase differences, the results of `_told` there), for each of the starts."""
     weights = jnp.ones(starts.shape[1])
     both = linearised(partial(_drift, model), weights)
 
@@ -441,5 +441,5 @@ def _lock(
 
 
 def _wrap(angle: Any) -> Any:
-    """Into [-pi, pi)."""
+    """An angle in [-pi, pi)."""
     return (angle + np.pi) % (2.0 * np.pi) - np.pi

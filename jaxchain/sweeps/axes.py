@@ -1,8 +1,8 @@
 """What is swept: the values in `over`, checked before anything is compiled, and their grid.
 
 The grid is every combination of the values, cut into blocks.  A block is computed, kept and lost
-as a whole: the whole grid where results stay in memory, or a unit of a store.  The grid itself is
-never written out: a block is made when its turn comes.
+as a whole: it is the whole grid for results in memory, or a unit of a store.  The grid is never
+stored: a block is made when it is needed.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def check_axes(
     vary: Callable[..., Chain] | None = None,
     most: int = MOST_LANES,
 ) -> Axes:
-    """`over` as arrays, or `ValueError`; `jobs` says what each lane gets."""
+    """`over` as arrays, or `ValueError`; `jobs` gives the values of each lane."""
     for title, f in (("initial", initial), ("vary", vary)):
         if callable(f) or (f is not None and title == "vary"):
             check_function(title, f, "of the chain, and of what else `over` names", 1)
@@ -51,7 +51,7 @@ def check_axes(
         )
     axes: Axes = {}
     for dim, given in over.items():
-        # A data frame has columns, but is no mapping.
+        # A data frame has columns, but is not a mapping.
         together = isinstance(given, Mapping) or hasattr(given, "columns")
         axes[dim] = {name: np.asarray(given[name]) for name in given} if together else {}
         if not together:
@@ -132,7 +132,7 @@ def columns_of(axes: Axes) -> dict[str, np.ndarray]:
 
 
 def extremes(axes: Axes, names: Sequence[str]) -> list[dict[str, Any]]:
-    """What these parameters are where one of them is least or greatest; of arrays, at the ends.
+    """The parameters where one of them is least or greatest; for arrays, at the ends.
 
     Those along other dimensions have their first values.
     """
@@ -163,7 +163,7 @@ def _has_default(function: Callable, name: str) -> bool:
 
 @dataclass
 class Block:
-    """Some neighbouring jobs, in the order of their numbers."""
+    """Neighbouring jobs, in the order of their numbers."""
 
     key: Key
     axes: Axes
@@ -171,23 +171,23 @@ class Block:
     jobs: dict[str, np.ndarray]
     """The values of every job, of shape (size, ...)."""
     records: dict[str, Any] = field(default_factory=dict)
-    """What is known of each job so far, of shape (size, ...), see `read_lane`."""
+    """The results of each job so far, of shape (size, ...), see `read_lane`."""
 
     @property
     def first(self) -> dict[str, Array]:
-        """What the first job takes."""
+        """The values of the first job."""
         return {name: jnp.asarray(values[0]) for name, values in self.jobs.items()}
 
     @property
     def size(self) -> int:
-        """How many jobs it holds."""
+        """The number of jobs."""
         return len(next(iter(self.jobs.values())))
 
 
 class Grid:
     """Every combination of the values in `axes`, in blocks of `chunks` values along a dimension.
 
-    The last block along a dimension is smaller where its chunks do not divide it.
+    The last block along a dimension is smaller if its chunks do not divide it.
     """
 
     def __init__(self, axes: Axes, chunks: Mapping[str, int]):
@@ -196,16 +196,16 @@ class Grid:
 
     @property
     def block_size(self) -> int:
-        """Jobs of the largest block."""
+        """The number of jobs of the largest block."""
         return math.prod(self.chunks.values())
 
     @property
     def counts(self) -> tuple[int, ...]:
-        """Of blocks, along each dimension."""
+        """The number of blocks along each dimension."""
         return tuple(-(-n // self.chunks[dim]) for dim, n in self.sizes.items())
 
     def all_keys(self) -> Iterator[Key]:
-        """Of all blocks, in order."""
+        """The keys of all blocks, in order."""
         return itertools.product(*map(range, self.counts))
 
     def region(self, key: Key) -> dict[str, slice]:
@@ -216,11 +216,11 @@ class Grid:
         }
 
     def size_of(self, key: Key) -> int:
-        """Jobs of this block."""
+        """The number of jobs of this block."""
         return math.prod(part.stop - part.start for part in self.region(key).values())
 
     def block(self, key: Key) -> Block:
-        """The block at a place of the grid."""
+        """The block with this key."""
         region = self.region(key)
         axes = {
             dim: {name: values[region[dim]] for name, values in columns.items()}
@@ -230,7 +230,7 @@ class Grid:
 
 
 def check_chunks(chunks: Any, axes: Axes) -> dict[str, int] | None:
-    """Raises `ValueError` for chunks that are not of the dimensions of a sweep."""
+    """Raises `ValueError` for bad chunks, or chunks of unknown dimensions."""
     if chunks is None:
         return None
     remedy = f"give the number of values in a unit along {' and '.join(axes)}."
@@ -238,7 +238,7 @@ def check_chunks(chunks: Any, axes: Axes) -> dict[str, int] | None:
     for dim, size in chunks.items():
         if dim not in axes:
             raise ValueError(
-                f"Argument `chunks` names {dim!r}, which is no dimension of the sweep: {remedy}"
+                f"Argument `chunks` names {dim!r}, which is not a dimension of the sweep: {remedy}"
             )
         check_whole(f"chunks[{dim!r}]", size, 1)
     return {dim: int(size) for dim, size in chunks.items()}

@@ -1,9 +1,9 @@
 """Units of a store as tasks of Dask, for any cluster that `distributed` can drive.
 
-The client hands out units and writes what comes back; it alone sees the store.  A worker is a
-process of its own, with its own devices.  Whatever dies costs the units that were under way: a
-worker is replaced and its unit handed out again, and where the scheduler or the client dies the
-same call goes on with what is missing.
+The client distributes units and writes the results; only the client accesses the store.  A worker
+is a separate process with its own devices.  A crash loses only the running units: a worker is
+replaced and its unit repeated; if the scheduler or the client ends, the same call computes the
+missing units.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ from .ensemble import DEVICES, Ensemble, circumstances_of_numbers, flags
 from .scheduler import Scheduler
 from .store import Store, StoreError, differences
 
-# What our own clusters are told.  Tracing and compiling hold the interpreter, so that a worker may
-# be silent for a while and is not dead: Dask's own limits are 30 s and 5 min.  A unit whose
-# worker died is handed out again; 3 deaths, as Dask has it, are few in a long sweep.
+# Settings of our own clusters.  Tracing and compiling block the interpreter, so a worker may not
+# answer for a while: Dask's default limits are 30 s and 5 min.  A unit is repeated if its worker
+# ends; Dask's default of 3 such failures is low for a long sweep.
 _SETTINGS = {
     "distributed.comm.timeouts.connect": "120s",
     "distributed.comm.timeouts.tcp": "120s",
     "distributed.scheduler.worker-ttl": "30 minutes",
     "distributed.scheduler.allowed-failures": 10,
-    # A silent event loop is no news here.
+    # An unresponsive event loop is expected here.
     "distributed.admin.tick.limit": "1h",
 }
 
@@ -45,12 +45,12 @@ _SETTINGS = {
 def fill_by(
     client: Any, store: Store, ensemble: Ensemble, blocks: Iterable[Block], bar: tqdm
 ) -> dict[str, str]:
-    """Has these units computed by the workers of a client, and writes them.
+    """Computes these units with the workers of a client, and writes them.
 
     **Returns:** the kind of each device, by its name.
 
-    **Raises:** `StoreError` if a unit cannot be written or the scheduler is gone; what a unit
-    raises otherwise.
+    **Raises:** `StoreError` if a unit cannot be written or the scheduler has ended; otherwise the
+    error of a unit.
     """
     import cloudpickle
     from distributed import as_completed
@@ -61,7 +61,7 @@ def fill_by(
     under_way: dict[str, Block] = {}
 
     def submit() -> Iterator[Any]:
-        # One for each worker, written before the next: so no more than that is ever lost.
+        # One unit per worker, written before the next, so that no more than these can be lost.
         workers = len(client.scheduler_info(n_workers=-1)["workers"])
         free = max(1, workers) - len(under_way)
         for block in itertools.islice(waiting, max(0, free)):
@@ -85,7 +85,7 @@ def fill_by(
     except (OSError, TimeoutError, CancelledError) as error:
         raise StoreError(_gone(store)) from error
     finally:
-        with contextlib.suppress(Exception):  # where the scheduler is gone, so are they
+        with contextlib.suppress(Exception):  # they end together with the scheduler
             client.cancel(list(running.futures))
     return kinds
 
@@ -98,7 +98,7 @@ def _gone(store: Store) -> str:
 
 
 _one_at_a_time = threading.Lock()
-# What runs the sweep that this worker computes.
+# The engine of the sweep that this worker computes.
 _latest: dict[tuple[bytes, int], Scheduler] = {}
 
 
@@ -125,10 +125,10 @@ def _compute(
 
 
 def _set_up(circumstances: Mapping[str, Any]) -> None:
-    """JAX as in the client's process, before anything is read that is of JAX.
+    """Configures JAX as in the client's process, before any JAX object is unpickled.
 
-    Otherwise floats of 32 bits would be made of it.  Where the environment says how many devices
-    a worker has, that number is used, else one per thread.
+    Otherwise its floats would have 32 bits.  The number of devices is that of the environment, or
+    one per thread.
     """
     from distributed import get_worker
 
@@ -226,18 +226,19 @@ def _client(workers: int | None, scheduler: str | None, progress: bool) -> Itera
 
 
 def environment(number: int, workers: int, gpus: Sequence[str]) -> dict[str, str]:
-    """What a worker of this computer finds: its share of the cores, or a GPU of its own."""
+    """The environment of a local worker: its share of the cores, or its own GPU."""
     variables = {"JAX_NUM_CPU_DEVICES": str(max(1, cores() // workers))}
     if gpus:
         variables["CUDA_VISIBLE_DEVICES"] = gpus[number % len(gpus)]
-        # Several share one: none may take three quarters of its memory, as JAX does by itself.
+        # Several workers share a GPU: none may reserve three quarters of its memory, JAX's
+        # default.
         if workers > len(gpus):
             variables["XLA_PYTHON_CLIENT_MEM_FRACTION"] = f"{0.75 * len(gpus) / workers:.2f}"
     return variables
 
 
 def gpus() -> list[str]:
-    """Those that JAX would use, by the names that CUDA has for them."""
+    """The GPUs that JAX would use, by their CUDA names."""
     import jax
 
     if jax.default_backend() != "gpu":

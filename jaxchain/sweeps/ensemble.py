@@ -1,9 +1,9 @@
-"""What a sweep computes, whatever runs it: one task for all lanes, a start for each, and the grid.
+"""The computation of a sweep on any engine: a common task, a start for each lane, and the grid.
 
-- `prepare` checks what `sweep` is given, before anything is compiled, and fixes solver,
+- `prepare` checks the arguments of `sweep` before anything is compiled, and fixes solver,
   tolerances and observers.
-- `Ensemble.dataset` labels what the lanes leave: names, units, and where the numbers come from.
-- `fingerprint_of` is all but the grid that decides the numbers: by it a store knows its sweep.
+- `Ensemble.dataset` labels the records of the lanes: names, units and provenance.
+- `fingerprint_of` identifies the sweep of a store: all that affects the numbers, except the grid.
 
 Variables of the dataset (… stands for the swept dimensions):
 
@@ -13,9 +13,9 @@ Variables of the dataset (… stands for the swept dimensions):
 
 With `segments` there is the dimension "segment" in front of those of an observer.
 
-What a lane does not know is missing, NaN, and xarray leaves it out of means: all that a failed
-lane observed, and the windows of a `FrontTrack` that a run did not reach.  Counts are therefore
-floats; in NetCDF and Zarr they are integers, with a `_FillValue`.
+Unknown values are NaN, and xarray leaves them out of means: all that a failed run observed, and
+the windows of a `FrontTrack` that a run did not reach.  Counts are therefore floats; in NetCDF and
+Zarr they are integers, with a `_FillValue`.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ from .store import digest
 if TYPE_CHECKING:
     from xarray import Dataset
 
-# What every sweep has, whatever is observed.
+# The variables of every sweep, for any observer.
 RESULTS = ("oscillator", "segment", "segment_end", "result", "end_time", "steps", "rejected")
 LONG_NAMES = {
     "excited": "masses excited at the start",
@@ -93,16 +93,16 @@ LONG_NAMES = {
     "segment": "segment of the run",
     "segment_end": "time at which the segment ends",
 }
-# How a count is written: an integer, and this one where it is missing.
+# A count is written as an integer, and a missing one as this.
 _COUNT = {"dtype": "int64", "_FillValue": -1}
-# Of this package, what decides numbers: all that a lane does and sees, and names of results.
+# The parts of this package that affect numbers, and names of results.
 _CODE = ("model", "observers", "solvers", "simulation", "sweeps/lanes.py", "result.py")
 DEVICES = "xla_force_host_platform_device_count"
 
 
 @dataclass(frozen=True)
 class RunSettings:
-    """What is the same for all runs of a sweep: the arguments of `sweep` that decide numbers."""
+    """The settings common to all runs of a sweep: the arguments that affect numbers."""
 
     chain: Any  # a `Chain`, which `prepare` checks
     initial: State | Callable[..., State]
@@ -121,20 +121,20 @@ class RunSettings:
 
 @dataclass
 class Ensemble:
-    """A sweep that is ready to run: settings as `prepare` completes them, and what is swept."""
+    """A sweep that is ready to run: settings completed by `prepare`, and the swept values."""
 
     settings: RunSettings
     axes: Axes
 
     @functools.cached_property
     def starts(self) -> RunStarts:
-        """What makes the start of each job."""
+        """The functions that make the start of each job."""
         settings = self.settings
         return RunStarts(settings.chain, known_again(settings.initial), known_again(settings.vary))
 
     @functools.cached_property
     def task(self) -> SweepTask:
-        """What is the same for all lanes."""
+        """The data common to all lanes."""
         settings = self.settings
         plan = build_plan(
             settings.solver,  # pyright: ignore[reportArgumentType]
@@ -151,17 +151,17 @@ class Ensemble:
 
     @functools.cached_property
     def place(self) -> Any:
-        """The shapes of a lane's place in a pool."""
+        """The shapes of a slot of a pool."""
         start = eqx.filter_eval_shape(start_of, self.starts, self.first_job().first)
         return shape_of(blank_slot, self.task, start)
 
     @property
     def total(self) -> int:
-        """Of jobs."""
+        """The number of jobs."""
         return Grid(self.axes, {}).block_size
 
     def block(self, grid: Grid, key: Key) -> Block:
-        """A block of the grid, with all that its jobs take and nothing known of them."""
+        """A block of the grid with the values of its jobs, and unknown results."""
         block, settings = grid.block(key), self.settings
         if settings.accuracy is not None:
             block.jobs["width"], _ = _numerics(
@@ -175,7 +175,7 @@ class Ensemble:
         return self.block(grid, (0,) * len(self.axes))
 
     def blank_records(self, size: int) -> dict[str, Any]:
-        """Host arrays for the results of `size` jobs, still unknown."""
+        """Host arrays for the results of `size` jobs, unknown so far."""
 
         def nothing(s: jax.ShapeDtypeStruct) -> np.ndarray:
             fill = np.nan if np.issubdtype(s.dtype, np.floating) else 0
@@ -194,7 +194,7 @@ class Ensemble:
 
     @property
     def attrs(self) -> dict[str, Any]:
-        """Where the numbers come from: all that is needed to repeat the computation."""
+        """The provenance: everything needed to repeat the computation."""
         settings, swept = self.settings, list(columns_of(self.axes))
         t0, t1 = float(self.task.t0), float(self.task.t1)
         attrs = describe(settings.chain, self.task.plan, t0=t0, t1=t1, swept=swept)
@@ -298,9 +298,9 @@ def _numerics(
 def _check_initial(
     chain: Chain, initial: State | Callable[..., State], columns: Mapping[str, np.ndarray]
 ) -> None:
-    """Raises what `initial` raises for a value of its own, and for a state that does not fit.
+    """Raises the errors of `initial` for its own values, and for a state of a wrong shape.
 
-    In a compiled program all values are traced, and 30 excited masses of 20 would pass for 20.
+    In a compiled program all values are traced, and 30 excited masses of 20 would count as 20.
     """
     states: list[Any] = [initial]
     if callable(initial):
@@ -331,7 +331,7 @@ def _check_initial(
 
 
 def _check_vary(chain: Chain, vary: Callable[..., Chain] | None, axes: Axes) -> None:
-    """Raises what `vary` raises at the extremes of its parameters, and if it makes no chain."""
+    """Raises the errors of `vary` at the extremes of its parameters, or if it returns no chain."""
     if vary is None:
         return
     for row in extremes(axes, initial_names(vary)) or [{}]:
@@ -346,7 +346,7 @@ def _check_vary(chain: Chain, vary: Callable[..., Chain] | None, axes: Axes) -> 
 def check_observers(
     observe: Any, chain: Chain, t0: float, t1: float, segments: int | None, axes: Axes
 ) -> list[AbstractObserver]:
-    """The observers of runs over [t0, t1], whose variables have names of their own."""
+    """The observers of runs over [t0, t1], whose variables must have different names."""
     length = (t1 - t0) / (segments or 1)
     if observe is None:
         observe = Amplitude(window=0.1 * length if length > 0 else None)
@@ -396,7 +396,7 @@ def check_observers(
 
 
 def _labels(observer: AbstractObserver, chain: Chain) -> dict[str, Variable]:
-    """The variables of an observer, their values known by shape only."""
+    """The variables of an observer, with the shapes of their values."""
 
     def labelled() -> OrderedDict[str, Variable]:
         still = jnp.zeros(chain.n), jnp.zeros(chain.n)
@@ -434,7 +434,7 @@ def to_dataset(
 
     `edges`: where the segments of the runs begin, and the end of the last; None without segments.
     """
-    import xarray as xr  # brings pandas, which would double the time of `import jaxchain`
+    import xarray as xr  # imports pandas, which would double the time of `import jaxchain`
 
     shape = sizes(axes)
     dims, all_sizes = tuple(shape), (*shape, *(() if edges is None else ("segment",)))
@@ -447,7 +447,7 @@ def to_dataset(
     }
     for name in ("result", "end_time"):
         variables[name] = dims, records[name]
-    # Of a lane that was interrupted, none is known.
+    # For an interrupted run all values are unknown.
     finished = code != NAMES.index("interrupted")
     for name in ("steps", "rejected"):
         variables[name] = dims, np.where(finished, records[name], np.nan), None, _COUNT
@@ -476,7 +476,7 @@ def to_dataset(
 
 
 def _variable(dims: tuple[str, ...], variable: Variable, finished: np.ndarray) -> tuple:
-    """For `xarray.Dataset`: NaN where it is not known; a count is an integer on disk."""
+    """A variable for `xarray.Dataset`: NaN if unknown; a count is an integer on disk."""
     attrs = {} if variable.long_name is None else {"long_name": variable.long_name}
     values = variable.values
     if variable.is_count or np.issubdtype(values.dtype, np.floating):
@@ -492,15 +492,15 @@ def _dims_of(dim: str, name: str, values: np.ndarray, n: int) -> tuple[str, ...]
 
 
 def fingerprint_of(ensemble: Ensemble, lanes: int) -> dict[str, Any]:
-    """All but the grid that decides what comes out of a lane, as JSON.
+    """Fingerprint of everything except the grid that determines a sweep's results, as JSON.
 
-    Numbers, words and digests, by names that say in an error what has changed.
+    It maps names, which an error can use, to numbers, words and digests.
     """
     task, starts, axes = ensemble.task, ensemble.starts, ensemble.axes
     chain, plan = starts.chain, task.plan
     swept = columns_of(axes)
     numbers = {**chain.numbers(), "n": chain.n, "ends": chain.ends}
-    # A table, say: arrays are data of a program, and not in its text.
+    # For example of a table: arrays are data of a program, not part of its text.
     data = [a for a in _arrays(chain.friction) if all(a is not b for b in numbers.values())]
     solver = eqx.tree_at(lambda p: p.observers, plan, None, is_leaf=lambda a: a is None)
     return {
@@ -534,7 +534,7 @@ def fingerprint_of(ensemble: Ensemble, lanes: int) -> dict[str, Any]:
 
 
 def circumstances_of_numbers() -> dict[str, Any]:
-    """What of this process decides numbers: versions, our code, and options of XLA."""
+    """Properties of this process that affect numbers: versions, our code, options of XLA."""
     return {
         "versions": {k: v for k, v in versions().items() if k != "python"},
         "code of jaxchain": code(),
@@ -543,21 +543,21 @@ def circumstances_of_numbers() -> dict[str, Any]:
 
 
 def flags() -> str:
-    """The options of XLA, which may change the last bits, but for the number of devices."""
+    """The options of XLA, which may change the last bits, except the number of devices."""
     words = os.environ.get("XLA_FLAGS", "").split()
     return " ".join(sorted(word for word in words if DEVICES not in word))
 
 
 @functools.cache
 def code() -> str:
-    """Of the source of this package, as far as it decides numbers."""
+    """A digest of the source of this package, as far as it affects numbers."""
     root = Path(__file__).parents[1]
     files = [f for part in _CODE for f in sorted((root / part).rglob("*.py")) or [root / part]]
     return digest(*(file.read_bytes() for file in files))
 
 
 def _value(value: Any) -> Any:
-    """A number, a few numbers, or the digest of many; anything else in words."""
+    """A number, a few numbers, or the digest of many; a text for anything else."""
     if value is None or isinstance(value, str | bool | int | float):
         return value
     if eqx.is_array_like(value):
@@ -567,7 +567,7 @@ def _value(value: Any) -> Any:
 
 
 def _fields(module: eqx.Module) -> dict[str, Any]:
-    """What a solver or an observer is, to say in an error what has changed."""
+    """The fields of a solver or an observer, so that an error can name a change."""
     fields = {
         field.name: _value(getattr(module, field.name)) for field in dataclasses.fields(module)
     }
@@ -575,7 +575,7 @@ def _fields(module: eqx.Module) -> dict[str, Any]:
 
 
 def _words(value: Any) -> str:
-    """Without the addresses of functions, which are others in each process."""
+    """A text without the addresses of functions, which differ between processes."""
     return re.sub(r" at 0x[0-9a-f]+", "", repr(value))
 
 
@@ -584,7 +584,7 @@ def _arrays(tree: Any) -> list[Any]:
 
 
 def _source(solver: Any) -> str:
-    """Of the class of a user's own solver, as far as it can be read."""
+    """The source of the class of a custom solver, if it can be read."""
     texts = []
     for kind in type(solver).__mro__:
         if not kind.__module__.startswith(("jaxchain.", "diffrax.", "builtins", "abc")):
@@ -598,7 +598,7 @@ def _force(friction: Any, speed: Any) -> Any:
 
 
 def _seen(observer: Any, chain: Any, t0: Any, t1: Any) -> Any:
-    """All that an observer makes of one step."""
+    """The result of an observer for one step."""
     start = jnp.ones(chain.n), jnp.ones(chain.n)
     x, v = (lambda theta, part=part: part + 0.0 * theta for part in start)
     kept = observer.init(chain, t0, t1, start)
@@ -608,10 +608,9 @@ def _seen(observer: Any, chain: Any, t0: Any, t1: Any) -> Any:
 
 
 def _program(function: Callable, tree: Any, *arguments: Any) -> str:
-    """Of what a function of the user computes, as JAX sees it: the text of its program.
+    """The traced program of a user's function, as text.
 
-    So a comment or another name changes nothing, and a number that a function has from elsewhere
-    does.
+    So a comment or a renamed variable has no effect, but a number from outside the function does.
     """
     arrays, static = eqx.partition(tree, eqx.is_array)
 

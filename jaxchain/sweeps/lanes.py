@@ -1,7 +1,7 @@
-"""What a lane does, from the start of its job to its record: the traced part of a sweep.
+"""The traced part of a sweep: a lane from the start of its job to its record.
 
-The large programs of a sweep, which run its lanes, take chains and states as data: they know
-neither `initial` nor `vary`, and a new function costs the compilation of a small program only.
+The large programs of a sweep, which run its lanes, take chains and states as data: they do not
+contain `initial` or `vary`, so a new function only compiles a small program.
 """
 
 from __future__ import annotations
@@ -27,21 +27,21 @@ from ..observers.base import Variable
 from ..result import Result, code
 from ..simulation.plan import AbstractPlan, Progress
 
-# Steps in a round: long enough that what is done between rounds costs nothing, short enough that a
-# lane which has ended does not idle for long.
+# Steps in a round: enough that the work between rounds is negligible, and few enough that a lane
+# that has ended does not idle for long.
 ROUND = 64
-# In the place of the number of a job: there is none, or leave what is there.
+# Instead of the number of a job: no job, or keep the present one.
 NO_JOB, AS_IT_IS = -1, -2
 
 
 def chain_names(chain: Chain) -> list[str]:
-    """What may differ from lane to lane: every number but the constant of springs that lack."""
+    """Numbers that may differ between lanes: all except `coupling` of an uncoupled chain."""
     names = [name for name in CHAIN if name != "coupling" or chain.coupling is not None]
     return [*names, *chain.friction.numbers()]
 
 
 def initial_names(initial: Callable) -> list[str]:
-    """What `initial`, or `vary`, takes beyond the chain."""
+    """The parameters of `initial` or `vary` besides the chain."""
     return list(inspect.signature(initial).parameters)[1:]
 
 
@@ -54,7 +54,7 @@ def with_numbers(chain: Chain, values: Mapping[str, Any]) -> Chain:
 def chain_of_run(
     chain: Chain, vary: Callable[..., Chain] | None, values: Mapping[str, Any]
 ) -> Chain:
-    """The chain with the numbers of one job: those that it has, then what `vary` makes of them."""
+    """The chain with the numbers of one job, and then changed by `vary`."""
     chain = with_numbers(chain, values)
     return chain if vary is None else _call(vary, chain, values)
 
@@ -65,9 +65,9 @@ def _call(function: Callable, chain: Chain, values: Mapping[str, Any]) -> Any:
 
 
 def known_again(function: Any) -> Any:
-    """The same; but a `functools.partial` with numbers and words as one that equals its like.
+    """The function; a `functools.partial` of numbers and words becomes comparable by value.
 
-    Python's own equals itself alone, so that one made anew for each sweep would be compiled anew.
+    Python compares them by identity, so one made for each sweep would be compiled each time.
     """
     fixed = (bool, int, float, complex, str, bytes, type(None), np.generic)  # cannot change
     if type(function) is functools.partial:
@@ -78,13 +78,13 @@ def known_again(function: Any) -> Any:
 
 
 class Constant(NamedTuple):
-    """A leaf that is no array, such as a function."""
+    """A leaf that is not an array, such as a function."""
 
     value: Any
 
 
 class Varied(NamedTuple):
-    """What `vary` makes of a chain, but for the arrays: known when a sweep is compiled."""
+    """The result of `vary` without its arrays, which is known when a sweep is compiled."""
 
     structure: Any
     # For each leaf: its place among those of the chain given, None for a new array, or the leaf.
@@ -92,7 +92,7 @@ class Varied(NamedTuple):
 
     @staticmethod
     def compare(given: Chain, made: Chain) -> tuple[Varied, list[Array]]:
-        """What is as it was, and the arrays that are new."""
+        """The unchanged leaves, and the new arrays."""
         places = {id(leaf): place for place, leaf in enumerate(jtu.tree_leaves(given))}
         leaves, structure = jtu.tree_flatten(made)
         sources, new = [], []
@@ -106,7 +106,7 @@ class Varied(NamedTuple):
         return Varied(structure, tuple(sources)), new
 
     def make(self, given: Chain, new: Sequence[Array]) -> Chain:
-        """The chain of a lane: what `vary` changes in the given one, and the rest of it."""
+        """The chain of a lane: the given one with the arrays from `vary`."""
         before, fresh = jtu.tree_leaves(given), iter(new)
 
         def leaf(source: int | Constant | None) -> Any:
@@ -118,14 +118,14 @@ class Varied(NamedTuple):
 
 
 class RunNumbers(eqx.Module):
-    """What is a job's own in its chain, as data."""
+    """The numbers of a chain that differ between jobs, as data."""
 
     numbers: dict[str, Array]  # by name
     new: list[Array]  # the arrays that `vary` made
 
 
 class RunStart(eqx.Module):
-    """A job as a lane takes it."""
+    """The start of a job, as a lane uses it."""
 
     numbers: RunNumbers
     state: State
@@ -151,7 +151,7 @@ class RunStarts(eqx.Module):
         return RunStart(RunNumbers(numbers, new), (x, v))
 
     def varied(self, values: Mapping[str, Array]) -> Varied | None:
-        """What `vary` leaves as it is, seen as a job with these values is traced."""
+        """The leaves that `vary` does not change, found by tracing a job with these values."""
         if self.vary is None:
             return None
         seen = []
@@ -165,12 +165,12 @@ class RunStarts(eqx.Module):
 
 
 def start_of(starts: RunStarts, values: dict[str, Array]) -> RunStart:
-    """The start of one lane from its own values."""
+    """The start of one lane from its values."""
     return starts.of(values)
 
 
 class SweepTask(eqx.Module):
-    """What is the same for every lane of a sweep."""
+    """The data common to every lane of a sweep."""
 
     plan: AbstractPlan
     chain: Chain
@@ -185,12 +185,12 @@ class SweepTask(eqx.Module):
         return self.t0 + (self.t1 - self.t0) * segment / self.segments
 
     def chain_of_run(self, numbers: RunNumbers) -> Chain:
-        """The chain of a lane, with its own numbers in it."""
+        """The chain of a lane, with its own numbers."""
         chain = with_numbers(self.chain, numbers.numbers)
         return chain if self.varied is None else self.varied.make(chain, numbers.new)
 
     def observed(self, chain: Chain, progress: Progress) -> OrderedDict[str, Variable]:
-        """What all observers say of a run so far, by the names of the variables."""
+        """The values of all observers so far, by the names of the variables."""
         labels = OrderedDict()  # JAX sorts a dict
         for observer, value in zip(self.plan.observers, self.plan.read(progress), strict=True):
             labels |= observer.label(value, chain)
@@ -198,15 +198,15 @@ class SweepTask(eqx.Module):
 
 
 class Segments(eqx.Module):
-    """Where a run in segments is, and what was observed in those that are complete."""
+    """The progress of a run in segments, and the observations of the complete ones."""
 
     present: Int[Array, ""]
-    tried: Int[Array, ""]  # steps before this one, accepted or rejected
+    tried: Int[Array, ""]  # steps in previous segments, accepted or rejected
     observed: OrderedDict[str, Variable]  # stacked along axis 0
 
 
 class Lane(eqx.Module):
-    """One lane under way, with what is its job's own; a pool of lanes is stacked along axis 0."""
+    """The state of one lane with the data of its job; a pool of lanes is stacked along axis 0."""
 
     numbers: RunNumbers
     progress: Progress
@@ -229,7 +229,7 @@ def start_lane(task: SweepTask, start: RunStart) -> Lane:
 def advance_lane(
     task: SweepTask, lane: Lane, over: Bool[Array, ""]
 ) -> tuple[Lane, Bool[Array, ""]]:
-    """The lane after one more round, and whether it has ended; one that is `over` stays."""
+    """The lane after one more round, and whether it has ended; no change if it is `over`."""
     chain, segments = task.chain_of_run(lane.numbers), lane.segments
     progress, left, most = lane.progress, None, task.max_steps
     end = task.t1 if segments is None else task.edge(segments.present + 1)
@@ -254,7 +254,7 @@ def advance_lane(
 def _next_segment(
     task: SweepTask, chain: Chain, progress: Progress, now: Segments, over: Bool[Array, ""]
 ) -> tuple[Progress, Segments]:
-    """The same, or, if the present segment is `over`, its record and observers that start anew."""
+    """The lane; if the present segment is `over`, with its record and restarted observers."""
 
     def keep(all: Array, one: Array) -> Array:
         return all.at[now.present].set(jnp.where(over, one, all[now.present]))
@@ -270,7 +270,7 @@ def _next_segment(
 
 
 def read_lane(task: SweepTask, lane: Lane) -> dict[str, Any]:
-    """What a lane has found, by name."""
+    """The results of a lane, by name."""
     progress, segments = lane.progress, lane.segments
     observed = (
         segments.observed if segments else task.observed(task.chain_of_run(lane.numbers), progress)
@@ -285,7 +285,7 @@ def read_lane(task: SweepTask, lane: Lane) -> dict[str, Any]:
 
 
 class Slot(eqx.Module):
-    """A lane, the job that comes next in it, and what the last one left; a pool is stacked."""
+    """A lane, its next job, and the record of its last one; a pool is stacked."""
 
     lane: Lane
     job: Int[Array, ""]  # under way, or NO_JOB
@@ -297,7 +297,7 @@ class Slot(eqx.Module):
 
 
 def blank_slot(task: SweepTask, start: RunStart) -> Slot:
-    """A place of the pool without a job."""
+    """A slot of the pool without a job."""
     lane, no_job = start_lane(task, start), jnp.asarray(NO_JOB)
     return Slot(lane, no_job, jnp.asarray(True), start, no_job, read_lane(task, lane), no_job)
 
@@ -310,13 +310,13 @@ def advance_pool(
     more: Bool[Array, ""],
     rounds: Int[Array, ""],
 ) -> tuple[Slot, dict[str, Any]]:
-    """All lanes after a number of rounds, or until one has to wait for the host.
+    """All lanes after a number of rounds, or when one has to wait for the host.
 
-    Where a lane ends, its record is kept and its next job begins, without the host.  `jobs`: what
-    comes next in each place, with its `fresh` start; NO_JOB takes back what would have come.
-    `more`: whether the host has other jobs, so that it is to be asked as soon as a lane is idle.
+    When a lane ends, its record is kept and its next job begins, without the host.  `jobs`: the
+    next job of each slot, with its `fresh` start; NO_JOB cancels it.  `more`: whether the host has
+    other jobs, so that the loop returns as soon as a lane is idle.
 
-    **Returns:** the pool, and of each lane `job`, `next_job`, `recorded`, `record` and the time
+    **Returns:** the pool, and for each lane `job`, `next_job`, `recorded`, `record` and the time
     `t`, and the number of `rounds`.
     """
     given = jobs != AS_IT_IS
@@ -339,7 +339,7 @@ def advance_pool(
         pool, done = carry
         lane, over = jax.vmap(lambda *each: advance_lane(task, *each))(pool.lane, pool.over)
         pool = eqx.tree_at(lambda p: (p.lane, p.over), pool, (lane, over))
-        # Its cost is that of some steps.
+        # This costs as much as some steps.
         turn = jax.vmap(lambda place: _next_run(task, place))
         return lax.cond(jnp.any(over), turn, lambda pool: pool, pool), done + 1
 
@@ -355,7 +355,7 @@ def advance_pool(
 
 
 def _next_run(task: SweepTask, place: Slot) -> Slot:
-    """If the lane is over, its record is kept, and its next job begins."""
+    """If the lane is over, keeps its record and begins its next job."""
     leaves = (place.job >= 0) & place.over & (place.recorded < 0)
     job = jnp.where(leaves, NO_JOB, place.job)
     begins = (job < 0) & (place.next_job >= 0)
@@ -375,5 +375,5 @@ def _next_run(task: SweepTask, place: Slot) -> Slot:
 
 
 def _where(take: Bool[Array, " lanes"], new: Array, old: Array) -> Array:
-    """`new` in the lanes that take it."""
+    """`new` in the selected lanes."""
     return jnp.where(take.reshape(take.shape + (1,) * (new.ndim - 1)), new, old)

@@ -1,7 +1,8 @@
 """Programs for lanes: compiled once, loaded on every device.
 
-XLA compiles a program for one device.  Another device of the same kind runs the same machine code,
-so what was compiled is loaded there, which takes a hundredth of the time, and gives the same bits.
+XLA compiles a program for one device.  Other devices of the same kind run the same machine code,
+so the compiled program is loaded there, which takes a hundredth of the time and gives the same
+bits.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ from jaxtyping import Array
 
 from .lanes import RunStart, RunStarts, start_of
 
-# Functions, with the structure of their task, whose programs are kept: the latest ones; and of
-# pairs of `initial` and `vary`, which a user may make anew for each sweep.
+# How many of the latest programs are kept: of functions with the structure of their task, and of
+# pairs of `initial` and `vary`, which a user may define again for each sweep.
 KEPT, KEPT_STARTS = 64, 8
 _hits: list[int] = []  # the thread, for each program that came from JAX's cache on disk
 
@@ -49,7 +50,7 @@ class Program:
         self._lock = threading.Lock()
 
     def shape(self, *arguments: Any) -> Any:
-        """What it returns, without the numbers; of arrays or their shapes."""
+        """The shapes of the result, for arrays or their shapes."""
         key = _key(arguments)
         if key not in self._shapes:
             self._shapes[key] = eqx.filter_eval_shape(self._function, *arguments)
@@ -58,7 +59,7 @@ class Program:
     def on(self, device: Any, *arguments: Any) -> Callable:
         """The executable for arguments like these, which lie on the device."""
         key = device.device_kind, _key(arguments)
-        with self._lock:  # threads that want the same one wait for it
+        with self._lock:  # threads that need the same program wait for it
             loaded = self._loaded.setdefault(key, {})
             if device not in loaded:
                 moved = _moved(self._movable[key], device) if key in self._movable else None
@@ -68,7 +69,7 @@ class Program:
     def _compile(self, key: Hashable, arguments: tuple) -> Any:
         before = _hits.count(threading.get_ident())
         executable = self._jitted.lower(*arguments).compile()
-        if _hits.count(threading.get_ident()) == before:  # one from the disk can be moved no more
+        if _hits.count(threading.get_ident()) == before:  # a program from the disk cannot be moved
             self._movable[key] = executable
         return executable
 
@@ -80,7 +81,7 @@ def _key(arguments: tuple) -> Hashable:
 
 
 def _moved(executable: Any, device: Any) -> Any:
-    """The same executable for another device, or None where JAX cannot do that."""
+    """The same executable for another device, or None if JAX cannot do this."""
     try:
         from jax._src.compiler import get_compile_options
         from jax._src.lib import xla_client  # pyright: ignore[reportPrivateImportUsage]
@@ -88,7 +89,7 @@ def _moved(executable: Any, device: Any) -> Any:
         options = get_compile_options(1, 1, device_assignment=np.array([[device.id]]))
 
         class Loader(pickle.Unpickler):
-            """JAX's own reads the number of the first device as that of a device given."""
+            """JAX's own loader takes the number of the first device for that of the given one."""
 
             def persistent_load(self, pid: Any) -> Any:
                 if pid[0] == "exec":
@@ -100,17 +101,17 @@ def _moved(executable: Any, device: Any) -> Any:
         unloaded, about, no_keywords = Loader(io.BytesIO(stored)).load()
         about = jtu.tree_unflatten(given, about)
         return jax.stages.Compiled(unloaded.load(), [], about, returned, no_kwargs=no_keywords)
-    except Exception:  # these are JAX's own parts, which may change: then it is compiled again
+    except Exception:  # these are internals of JAX, which may change: then compile again
         return None
 
 
 def _program(
     function: Callable, donated: tuple[int, ...], structure: Any, *leaves: Any
 ) -> Program:
-    """That of `function(task, ...)` for tasks that differ in their arrays alone.
+    """The program of `function(task, ...)` for tasks that differ in their arrays only.
 
-    JAX keeps what is compiled for as long as the function lives that was compiled; this one is
-    forgotten with its program.
+    JAX keeps a compiled program as long as its function exists; this function is released together
+    with its program.
     """
     static = jtu.tree_unflatten(structure, leaves)
 
@@ -140,7 +141,7 @@ def ready(
 
 
 def shape_of(function: Callable, task: Any, *arguments: Any) -> Any:
-    """What `function(task, ...)` returns, without the numbers."""
+    """The shapes that `function(task, ...)` returns."""
     compiled, arrays = _program_of(program, function, (), task)
     return compiled.shape(arrays, *arguments)
 
@@ -151,18 +152,18 @@ def _program_of(
     """The program of a task, and its arrays."""
     arrays, static = eqx.partition(task, eqx.is_array)
     leaves, structure = jtu.tree_flatten(static)
-    with _asking:  # or two threads would each be given another one
+    with _asking:  # otherwise two threads would get different programs
         return programs(function, donated, structure, *leaves), arrays
 
 
 def place(tree: Any, device: Any) -> Any:
-    """A copy on the device, of its arrays."""
+    """A copy of its arrays on the device."""
     arrays, static = eqx.partition(tree, eqx.is_array)
     return eqx.combine(jax.device_put(arrays, device), static)
 
 
 def starts_on(device: Any, starts: RunStarts, values: dict[str, Array]) -> RunStart:
-    """The start of every lane; JAX forgets the functions of the user with their programs."""
+    """The start of every lane; JAX releases the user's functions with their programs."""
     return ready(_starts_of, device, starts, values, programs=start_program)(values)
 
 
@@ -172,7 +173,7 @@ def _starts_of(starts: RunStarts, values: dict[str, Array]) -> RunStart:
 
 @functools.lru_cache(maxsize=KEPT)
 def _over_lanes(function: Callable) -> Callable:
-    """The same, for every lane of what is stacked along axis 0."""
+    """The function for every lane, stacked along axis 0."""
 
     def mapped(task: Any, *lanes: Any) -> Any:
         return jax.vmap(lambda *lane: function(task, *lane))(*lanes)
@@ -192,7 +193,7 @@ def map_lanes(
 
     Every local device takes `lanes` rows at a time (the last ones are padded), always by the same
     program: the results do not depend on the number of devices.  `done` is called with the number
-    of rows that have been computed since.
+    of rows computed since the last call.
     """
     devices, rows, parts = jax.local_devices(), len(columns[0]), []
     tasks = {device: place(task, device) for device in devices[: -(-rows // lanes)]}

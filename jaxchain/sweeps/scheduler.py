@@ -1,8 +1,8 @@
 """The host's part of a sweep: a pool of lanes on every device, and the queue of jobs.
 
-Every device goes on by itself: while one is asked what has ended and is given other jobs, the
-others compute, and its own lanes have a job in reserve each.  Jobs come in blocks, at most one
-under way for each device; while the last lanes of one end, others begin with the next.
+The devices work independently: while the host reads the results of one and gives it new jobs, the
+others compute, and each of its lanes has a job in reserve.  Jobs come in blocks, at most one at a
+time for each device; while the last lanes of a block end, others start the next.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from .ensemble import Ensemble
 from .lanes import AS_IT_IS, NO_JOB, RunStart, RunStarts, Slot, SweepTask, advance_pool
 from .programs import place, ready, starts_on
 
-# Numbers per array of one device's lanes: what keeps the arrays of a step within a core's cache.
+# Numbers per array of a device's lanes, so that the arrays of a step fit a core's cache.
 _NUMBERS_PER_DEVICE = {"cpu": 640, "gpu": 1 << 20}
-# Seconds that a device computes without the host, and rounds to begin with.
+# Seconds that a device computes without the host, and the first number of rounds.
 _SECONDS, _FIRST_ROUNDS = 0.2, 8
-# Seconds of work left that are worth another compilation, for fewer lanes.
+# Remaining seconds of work that justify another compilation, for fewer lanes.
 _WORTH_COMPILING = 15.0
 # Share of the free memory that results and lanes may take.
 _MEMORY_SHARE = 0.8
@@ -60,17 +60,17 @@ class Pool:
         self._since = 0.0
         self.job = self.next_job = np.full(width, NO_JOB)
         self.t = np.zeros(width)
-        self.pace: np.ndarray | None = None  # of each lane, in the time of the runs per second
+        self.pace: np.ndarray | None = None  # of each lane, in run time units per second
 
     @property
     def asked(self) -> bool:
-        """Whether rounds have been asked for, whose outcome is still to be read."""
+        """Whether rounds have been started whose outcome is not yet read."""
         return self._asked is not None
 
     @property
     def ready(self) -> bool:
-        """Whether the device has answered, so that asking does not wait."""
-        # What one program returns is there all at once.
+        """Whether the results can be read without waiting."""
+        # All results of a program become available together.
         return self._asked is not None and self._asked["rounds"].is_ready()
 
     @property
@@ -85,7 +85,7 @@ class Pool:
     def go_on(
         self, values_of: Callable[[np.ndarray], dict], numbers: np.ndarray, more: bool
     ) -> None:
-        """Some more rounds, with the `numbers` of the jobs that come next in each lane."""
+        """Starts some more rounds, with the `numbers` of the next job of each lane."""
         new = numbers >= 0
         if new.any():
             self._fresh = self.starts_of(values_of(np.where(new, numbers, numbers[new][0])))
@@ -99,8 +99,8 @@ class Pool:
         self._places, self._asked = self._program(*given)
 
     def outcome(self) -> tuple[np.ndarray, dict[str, Any]]:
-        """Which job has ended in each lane since it was asked (or NO_JOB), and its record."""
-        # Copies: what the device holds is overwritten.
+        """The job that has ended in each lane since the last call (or NO_JOB), and its record."""
+        # Copies, because the device overwrites its arrays.
         arrays: Any = jtu.tree_map(np.array, self._asked)
         self._asked = None
         seconds = max(time.perf_counter() - self._since, 1e-9)
@@ -114,7 +114,7 @@ class Pool:
         return arrays["recorded"], arrays["record"]
 
     def shrink(self, width: int) -> None:
-        """The busy lanes go on, and as many idle ones as there is room for."""
+        """Keeps the busy lanes, and as many idle ones as fit."""
         keep = np.argsort(~self.busy, kind="stable")[:width]
         arrays, static = eqx.partition((self._places, self._fresh), eqx.is_array)
         kept = jtu.tree_map(lambda a: np.array(a)[keep], arrays)
@@ -125,23 +125,22 @@ class Pool:
 
 @dataclass
 class _Open:
-    """A block under way."""
+    """A block whose jobs are running."""
 
     block: Block
     first: int  # number of its first job
     left: int  # jobs that have not ended
 
     def mine(self, numbers: np.ndarray) -> np.ndarray:
-        """Which of these jobs are its own."""
+        """Which of these jobs belong to the block."""
         return (numbers >= self.first) & (numbers < self.first + self.block.size)
 
 
 class Scheduler:
     """Hands the jobs of blocks to the lanes of all devices and fills the `records` of the blocks.
 
-    With `lanes` given, every device runs a program for that many lanes from first to last, idle
-    ones among them.  Without, their number is whatever is fastest, and follows jobs, devices and
-    the clock.
+    If `lanes` is given, every device runs a program for that many lanes throughout, including idle
+    ones.  Otherwise the fastest number is used, which depends on jobs, devices and timing.
 
     **Arguments:** `largest`, jobs of the largest block; `total`, of all blocks.
     """
@@ -157,7 +156,7 @@ class Scheduler:
         task, starts = ensemble.task, ensemble.starts
         self.ensemble, self.task, self.total = ensemble, task, total
         self.devices = list(jax.local_devices() if devices is None else devices)[:total]
-        # Only for the CPU, if the devices were not chosen and there are jobs for more of them.
+        # Only for the CPU, if the devices were not given and there are jobs for more of them.
         on_cpu = devices is None and self.devices[0].platform == "cpu"
         self.idle_cores = max(0, cores() - len(self.devices)) if on_cpu else 0
         self.idle_cores *= total > len(self.devices)
@@ -175,7 +174,7 @@ class Scheduler:
 
     @property
     def lanes_at_end(self) -> int:
-        """Lanes at a time on each device when the sweep ended."""
+        """The number of lanes on each device at the end of the sweep."""
         return max(pool.width for pool in self.pools)
 
     def _check_memory(self, blank: Slot, size: int) -> None:
@@ -197,9 +196,9 @@ class Scheduler:
         bar: tqdm,
         ended: Callable[[Block], object] = lambda block: None,
     ) -> None:
-        """Runs all jobs of the blocks; of each block `ended` is told once it is complete.
+        """Runs all jobs of the blocks, and calls `ended` with each complete block.
 
-        On an error, and on Ctrl-C, what has ended stands in the records of the blocks.
+        After an error or Ctrl-C the records of the blocks contain all finished jobs.
         """
         if self.idle_cores and not bar.disable:
             bar.write(
@@ -229,7 +228,7 @@ class Scheduler:
             raise
 
     def _next_block(self) -> None:
-        """Opens one more block, if there is one, and one fewer under way than devices."""
+        """Opens another block, if there is one and fewer are open than there are devices."""
         if len(self._open) >= len(self.pools):
             return
         if (block := next(self._blocks, None)) is None:
@@ -241,7 +240,7 @@ class Scheduler:
         self.waiting = np.concatenate([self.waiting, open_block.first + self._order(block.jobs)])
 
     def _values(self, numbers: np.ndarray) -> dict[str, np.ndarray]:
-        """The values of these jobs, of the blocks under way."""
+        """The values of these jobs, from the open blocks."""
         values: dict[str, np.ndarray] = {}
         for open_block in self._open:
             mine = open_block.mine(numbers)
@@ -251,9 +250,9 @@ class Scheduler:
         return values
 
     def _order(self, jobs: dict[str, np.ndarray]) -> np.ndarray:
-        """Jobs that start farthest from rest first: they take longest, and must not come last.
+        """The order of jobs: those that start farthest from rest take longest, so they come first.
 
-        So that every device gets some of these, the first ones are dealt out.
+        The first ones are distributed, so that every device gets some of them.
         """
         far, width, total = [], self.lanes, len(next(iter(jobs.values())))
         for begin in range(0, total, width):
@@ -270,13 +269,13 @@ class Scheduler:
         return np.concatenate([*dealt, order[width * count :]])
 
     def _go_on(self, pool: Pool) -> None:
-        """Idle lanes take the first jobs that wait; if there are plenty, busy ones the next."""
+        """Gives idle lanes the first waiting jobs and, if they suffice, busy lanes the next."""
         if self.waiting.size < sum(pool.width for pool in self.pools):
             self._next_block()
         numbers = np.full(pool.width, AS_IT_IS)
         free = np.flatnonzero(~pool.busy & (pool.next_job < 0))
         if self.waiting.size < free.size:
-            # Jobs that wait for a busy lane are for idle ones.
+            # Jobs in reserve for a busy lane go to idle ones.
             late = np.flatnonzero(pool.busy & (pool.next_job >= 0))
             late = late[: free.size - self.waiting.size]
             self.waiting = np.concatenate([self.waiting, pool.next_job[late]])
@@ -305,7 +304,7 @@ class Scheduler:
             pause = min(1.2 * pause, 2e-3)
 
     def _collect(self, pool: Pool, ended: Callable[[Block], object]) -> int:
-        """Stores the records of the lanes that have ended; how many."""
+        """Stores the records of the lanes that have ended; returns their number."""
         jobs, record = pool.outcome()
         for open_block in list(self._open):
             mine = open_block.mine(jobs)
@@ -321,9 +320,9 @@ class Scheduler:
         return int(np.sum(jobs >= 0))
 
     def _shrink(self, pool: Pool, numbers: np.ndarray) -> np.ndarray:
-        """Once few lanes are left, and long ones, a pool of a quarter of the width goes on.
+        """Once only a few long lanes are left, continues with a pool of a quarter of the width.
 
-        A step of the whole pool costs nearly the same however few of its lanes still run.
+        A step of the whole pool costs nearly the same for any number of running lanes.
         """
         small, busy = pool.width // 4, pool.busy
         settled = np.all(numbers == AS_IT_IS) and np.all(pool.next_job < 0)
@@ -347,7 +346,7 @@ def lane_bar(total: int, show: bool, description: str) -> tqdm:
 
 
 def lane_count(n: int, total: int, devices: Sequence[Any], lanes: int | None) -> int:
-    """Lanes at a time on each device, if not given: what fits its cache, and its share."""
+    """The default number of lanes on each device: as many as fit its cache, at most its share."""
     if lanes is not None:
         return lanes
     platform = "cpu" if devices[0].platform == "cpu" else "gpu"

@@ -1,16 +1,15 @@
 """A sweep on disk: a Zarr store that one process fills, unit by unit.
 
-    NAME.zarr/                  one group, over the dimensions of `over`, for `xarray.open_zarr` at
-                                any moment: where nothing is known yet `result` is "pending", the
-                                rest NaN
-    NAME.zarr/jaxchain/         its attributes: what decides the numbers, the grid, its chunks
+    NAME.zarr/ one group, over the dimensions of `over`, for `xarray.open_zarr` at
+                                any time: for unfinished runs `result` is "pending", the rest NaN
+    NAME.zarr/jaxchain/ its attributes: all that determines the numbers; the grid, its chunks
 
-A *unit* is a block of the grid that is one chunk of every variable: the unit of work and of loss.
+A *unit* is a block of the grid, one chunk of every variable; it is computed and lost as a whole.
 Its chunks reach the disk before that of `result` is written, so that a unit is done if and only if
-none of its results is "pending".  The process that fills a store has locked its folder: the system
-frees the lock with the process, however it ends.
+none of its results is "pending".  The process that fills a store locks its folder; the system
+releases the lock when the process ends, for any reason.
 
-Nothing here needs JAX to be imported, so that `jaxchain status` answers at once.
+This module does not import JAX, so `jaxchain status` is fast.
 """
 
 from __future__ import annotations
@@ -43,9 +42,9 @@ _NAMES = list(ADVICE)
 _PENDING = _NAMES.index("pending")
 # Values of a coordinate in one file.
 _COORDINATES = 1 << 20
-# Results that are read at a time.
+# Results read at a time.
 _AT_ONCE = 1 << 24
-# Seconds before the end of the latest unit over which a rate is taken.
+# The rate is that of the last seconds before the end of the latest unit.
 _RECENT = 600.0
 
 
@@ -60,13 +59,13 @@ class StoreError(RuntimeError):
 
 
 class Store:
-    """The store of one sweep, which this process fills: its layout, and what is left to do.
+    """The store of one sweep, which this process fills: its layout, and the missing units.
 
-    It is laid out if it is not there yet, and extended if the grid has grown.  One that is whole
-    is only read.
+    It is created if it does not exist, and extended if the grid has grown.  A complete store is
+    only read.
 
-    **Arguments:** `grid`, cut into units; `fingerprint`, of all else that decides the numbers;
-    `sample`, makes the dataset of one job that is pending.
+    **Arguments:** `grid`, cut into units; `fingerprint`, of everything else that determines the
+    numbers; `sample`, a function that makes the dataset of one pending job.
 
     **Raises:** `ValueError` if it belongs to another sweep; `StoreError` if it cannot be written,
     or another process writes it.
@@ -98,7 +97,7 @@ class Store:
             raise
 
     def _open(self, wanted: Mapping[str, Any], sample: Callable[[], Dataset]) -> list[Key]:
-        """Lays the store out or extends it, if need be, and locks it; what is not done."""
+        """Creates or extends the store, if needed, and locks it; returns the missing units."""
         path, grid, done = self.path, self.grid, set()
         layout = read_layout(path)
         if layout is None:
@@ -116,7 +115,7 @@ class Store:
         return [key for key in grid.all_keys() if key not in done]
 
     def _create(self, layout: Mapping[str, Any], sample: Callable[[], Dataset]) -> None:
-        """Lays the store out aside, where it is locked already, and moves it to its place."""
+        """Creates the store in a temporary folder, locked, and moves it to its place."""
         path = self.path
         if path.exists() and (not path.is_dir() or any(path.iterdir())):
             raise ValueError(
@@ -132,7 +131,7 @@ class Store:
         part.rename(path)
 
     def write(self, key: Key, data: Dataset) -> None:
-        """Writes what was computed of a unit; its `result`, which says that it is done, last.
+        """Writes the results of a unit; `result`, which marks it as done, last.
 
         **Raises:** `StoreError` if it cannot be written: then it is not done.
         """
@@ -144,11 +143,11 @@ class Store:
         with _as_store_errors(self.path):
             if read_layout(self.path) is None:
                 raise StoreError(
-                    f"The store {self.path} was removed while a sweep filled it. What it held is "
-                    "gone; make the same call again to begin anew."
+                    f"The store {self.path} was removed while a sweep filled it. "
+                    "Its contents are lost; repeat the same call to start again."
                 )
             for name in sorted(map(str, data.data_vars), key=lambda name: name == "result"):
-                if name == "result":  # all else must not be lost after it, as in a power cut
+                if name == "result":  # all else must be on disk before it
                     for file in files:
                         _sync(file)
                 if name not in self._arrays:
@@ -157,13 +156,13 @@ class Store:
                 encoded = conventions.encode_cf_variable(data[name].variable)
                 chunk = tuple(places.get(str(dim), 0) for dim in encoded.dims)
                 files.append(self.path / name / array.metadata.encode_chunk_key(chunk))
-                # At the edge of the grid zarr would read it first, and it may be torn.
+                # At the edge of the grid zarr would read it first, and it may be incomplete.
                 files[-1].unlink(missing_ok=True)
                 part = tuple(region.get(str(dim), slice(None)) for dim in encoded.dims)
                 array[part] = encoded.values
 
     def finish(self, attrs: Mapping[str, Any]) -> dict[str, int]:
-        """How many runs ended in which way; of a store that was written, with new attributes."""
+        """Counts the runs by their outcome; updates the attributes of a store that was written."""
         if self._lock is not None:
             describe(self.path, attrs)
         counts: Counter[str] = Counter()
@@ -172,20 +171,20 @@ class Store:
         return {name: counts[name] for name in _NAMES if counts[name]}
 
     def close(self) -> None:
-        """Lets another process write it."""
+        """Releases the lock, so that another process may write it."""
         if self._lock is not None:
             os.close(self._lock)
             self._lock = None
 
     def dataset(self) -> Dataset:
-        """What is in it, read as it is used."""
+        """The dataset, read when it is used."""
         import xarray as xr
 
         return xr.open_zarr(self.path, consolidated=True, chunks=None)
 
 
 def stores_in(folder: Path) -> list[Path]:
-    """The stores that a folder holds, by name."""
+    """The stores in a folder, by name."""
     if not os.path.isdir(folder):  # which never raises
         return []
     return [path for path in sorted(folder.glob("*.zarr")) if read_layout(path) is not None]
@@ -197,13 +196,13 @@ def followed(path: Path) -> Path:
 
 
 def store_named(path: Path) -> Path | None:
-    """The store that a path or a symbolic link is; None if it is none."""
+    """The store at a path or a symbolic link; None if there is none."""
     path = followed(path)
     return path if read_layout(path) is not None else None
 
 
 def read_layout(path: Path) -> dict[str, Any] | None:
-    """That of a store, or None if there is none."""
+    """The layout of a store, or None if there is none."""
     try:
         layout = json.loads((path / _LAYOUT / "zarr.json").read_text())["attributes"]
         return layout if {"sizes", "chunks"} <= layout.keys() else None
@@ -218,7 +217,7 @@ def is_whole(path: Path) -> bool:
 
 
 def describe(path: Path, attrs: Mapping[str, Any]) -> None:
-    """Writes into the attributes of a store what its dataset should say of itself.
+    """Writes the attributes of the dataset into the store.
 
     **Raises:** `StoreError` if it cannot be written.
     """
@@ -232,7 +231,7 @@ def describe(path: Path, attrs: Mapping[str, Any]) -> None:
 
 
 def status_of(path: Path) -> dict[str, Any]:
-    """What is done of a store and how fast, as JSON has it.
+    """The progress of a store and its rate, for JSON.
 
     The rate is that of the units that ended within ten minutes of the latest.
 
@@ -269,7 +268,7 @@ def status_of(path: Path) -> dict[str, Any]:
 
 
 def in_lines(status: Mapping[str, Any]) -> str:
-    """What `status_of` says of a store, for people."""
+    """The result of `status_of` as readable text."""
     done, units, ways = status["units_done"], status["units"], status["results"]
     listed = ", ".join(f"{count:,} {name}" for name, count in ways.items())
     runs = f"{status['lanes_done']:,} of {status['lanes']:,} done"
@@ -288,7 +287,7 @@ def in_lines(status: Mapping[str, Any]) -> str:
 
 
 def duration(seconds: float) -> str:
-    """In the unit that suits it.
+    """A duration in a suitable unit.
 
     >>> duration(90.0), duration(7200.0)
     ('1.5 min', '2 h')
@@ -300,7 +299,7 @@ def duration(seconds: float) -> str:
 
 
 def digest(*parts: Any) -> str:
-    """Of words, bytes and arrays: of these values, shape and kind."""
+    """A digest of words, bytes and arrays (their values, shape and type)."""
     made = hashlib.sha256()
     for part in parts:
         if not isinstance(part, str | bytes):
@@ -312,7 +311,7 @@ def digest(*parts: Any) -> str:
 
 
 def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    """What is not the same, in words."""
+    """The differences, in words."""
     old, new = dict(_flat(before)), dict(_flat(now))
     words = []
     for name in [*old, *(name for name in new if name not in old)]:
@@ -332,7 +331,7 @@ def _flat(tree: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]
 
 
 def _digests(axes: Axes, lengths: Mapping[str, int]) -> dict[str, dict[str, str]]:
-    """Of the first values of all that is swept, by dimension and name."""
+    """Digests of the first swept values, by dimension and name."""
     return {
         dim: {name: digest(values[: lengths[dim]]) for name, values in columns.items()}
         for dim, columns in axes.items()
@@ -345,8 +344,8 @@ def _check_same(
     """Raises `ValueError` if a store differs in more than values added at the end."""
     if layout.get("format") != wanted["format"]:
         raise ValueError(
-            f"Argument `store` names {path}, which another version of jaxchain has made: give "
-            "another `store`, or go on with that version."
+            f"Argument `store` names {path}, which another version of jaxchain has made: "
+            "give another `store`, or continue with that version."
         )
     words = differences(layout["fingerprint"], wanted["fingerprint"])
     if not words:
@@ -367,9 +366,9 @@ def _check_same(
 
 
 def _lay_out(path: Path, grid: Grid, sample: Dataset, layout: Mapping[str, Any]) -> None:
-    """All but the data, like the `sample` but for the sizes; the layout last: by it it is known.
+    """Writes everything except the data, like the `sample` in other sizes; the layout comes last.
 
-    A store that is there already is extended.
+    An existing store is extended.  A folder without a layout is not a store.
     """
     import zarr
     from zarr.codecs import ZstdCodec
@@ -401,7 +400,7 @@ def _lay_out(path: Path, grid: Grid, sample: Dataset, layout: Mapping[str, Any])
                 chunks=tuple(min(most.get(d, n), n) for d, n in zip(dims, shape, strict=True)),
                 fill_value=_PENDING if name == "result" else fill,
                 dimension_names=dims,
-                compressors=ZstdCodec(checksum=True),  # what is torn is not read as numbers
+                compressors=ZstdCodec(checksum=True),  # an incomplete chunk is not read as numbers
             )
         if name in sample.coords:
             array[...] = swept[name] if name in swept else one[...]
@@ -417,7 +416,7 @@ def _consolidate(path: Path) -> None:
     import zarr
 
     with warnings.catch_warnings():
-        # Of Zarr's format 3, which has no word of consolidated metadata yet; xarray reads them.
+        # Zarr's format 3 does not specify consolidated metadata yet; xarray reads them.
         warnings.filterwarnings("ignore", "Consolidated metadata is currently not part")
         zarr.consolidate_metadata(path, zarr_format=3)
 
@@ -427,7 +426,7 @@ def _unit_count(layout: Mapping[str, Any]) -> int:
 
 
 def _units(path: Path) -> Iterator[tuple[tuple[int, ...], np.ndarray, float]]:
-    """Of each unit that is done: its place, its results, and when they were written."""
+    """The place, results and time of writing of each complete unit."""
     import zarr
 
     try:
@@ -452,7 +451,7 @@ def _units(path: Path) -> Iterator[tuple[tuple[int, ...], np.ndarray, float]]:
                     results: Any = array[first, *rest]
                 else:
                     results = many[first.start - begin : first.stop - begin, *rest]
-            except RuntimeError:  # this one is torn
+            except RuntimeError:  # this one is incomplete
                 continue
             if not np.any(results == _PENDING):
                 file = path / "result" / array.metadata.encode_chunk_key(key)
@@ -460,13 +459,13 @@ def _units(path: Path) -> Iterator[tuple[tuple[int, ...], np.ndarray, float]]:
 
 
 def _counted(codes: np.ndarray) -> dict[str, int]:
-    """How many of these runs ended in which way."""
+    """Counts of these runs by their outcome."""
     values, counts = np.unique(codes, return_counts=True)
     return {_NAMES[value]: int(count) for value, count in zip(values, counts, strict=True)}
 
 
 def _locked(folder: Path, store: Path) -> int:
-    """The folder, open and locked for as long as this process has it open.
+    """The folder, opened and locked while this process has it open.
 
     **Raises:** `StoreError` if another process has locked it.
     """
@@ -480,7 +479,7 @@ def _locked(folder: Path, store: Path) -> int:
             "make the same call again; for more processes give a `client`."
         ) from None
     except OSError:
-        pass  # No locks on this disk: a second process would write the same numbers.
+        pass  # This disk has no locks, but a second process would write the same numbers.
     return opened
 
 
@@ -494,14 +493,14 @@ def _is_written(path: Path) -> bool:
 
 
 def _sync(file: Path) -> None:
-    """Waits until the disk has the file; one that zarr has not written has no numbers in it."""
+    """Waits until the file is on disk; zarr does not write chunks that hold no numbers."""
     with contextlib.suppress(FileNotFoundError), file.open("rb") as opened:
         os.fsync(opened.fileno())
 
 
 @contextlib.contextmanager
 def _as_store_errors(path: Path) -> Iterator[None]:
-    """Says of an error of the disk what is safe and what to do.
+    """Turns disk errors into errors that say which data are safe and what to do.
 
     **Raises:** `StoreError`.
     """
@@ -509,6 +508,6 @@ def _as_store_errors(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise StoreError(
-            f"The store {path} cannot be used: {error.strerror or error}. Units that are done are "
-            "kept; mend that, and make the same call again to go on."
+            f"The store {path} cannot be used: {error.strerror or error}. Finished units "
+            "are kept; solve the problem and repeat the same call to continue."
         ) from error

@@ -1,11 +1,11 @@
-"""Sweeps: one compiled program, many lanes, every device busy until the last lane is done.
+"""Sweeps: one compiled program, many lanes, all devices busy until the last lane is done.
 
 `vmap` of a whole integration runs until its slowest lane ends, and quiet lanes cost as much as
-vibrating ones.  Here a fixed number of lanes on every device goes on in short *rounds* of steps;
-lanes that have ended hand over their results and take the next job.  A lane sees nothing of its
-neighbours: its steps and rounds do not depend on them.  How many run beside it does
-matter, in the last bits: XLA compiles another program for another number of lanes, and a chaotic
-lane makes another motion of it.  `lanes` fixes the program.
+vibrating ones.  Here a fixed number of lanes on every device advances in short *rounds* of steps;
+lanes that have ended return their results and take the next job.  The steps and rounds of a lane
+do not depend on its neighbours.  Only the number of lanes affects the last bits, because XLA
+compiles another program for each number, and a chaotic run then diverges.  `lanes` fixes the
+program.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class SweepInterrupted(KeyboardInterrupt):
     def __init__(self, dataset: Dataset, store: Path | None = None):
         kept = "`.dataset` holds the finished runs."
         if store is not None:
-            kept = f"what had ended is kept in {store}: the same call goes on from there."
+            kept = f"finished runs are kept in {store}: repeat the same call to continue."
         super().__init__(f"The sweep was interrupted; {kept}")
         self.dataset = dataset
 
@@ -190,9 +190,9 @@ def sweep(
 def _open(
     path: Path, ensemble: Ensemble, chunks: dict[str, int] | None, lanes: int | None
 ) -> Store:
-    """The store of a sweep, whether it is there already or not.
+    """The store of a sweep, existing or new.
 
-    What is not given, of `chunks` and `lanes`, is as the store has it, or follows the sweep.
+    If `chunks` or `lanes` are not given, those of the store are used, or defaults.
     """
     axes, layout = ensemble.axes, read_layout(path)
     if layout is None:
@@ -215,13 +215,13 @@ def _open(
 
 
 def _unit_size(ensemble: Ensemble, lanes: int) -> int:
-    """Jobs of a unit: some five seconds of work of a core, no more than fit, several units in all.
+    """Jobs of a unit: some five seconds of one core, as far as they fit, in several units.
 
-    A unit has four jobs for each lane at least, so that few lanes idle at its end, and at most
-    2^24 numbers; a sweep has between 8 and 20,000 units, as each is some ten files.
+    A unit has at least four jobs per lane, so that few lanes idle at its end, and at most 2^24
+    numbers; a sweep has between 8 and 20,000 units, because each has some ten files.
     """
     task, total = ensemble.task, ensemble.total
-    # Of a lane: for each mass and time unit, and at least; roughly, for either kind of friction.
+    # Seconds per mass and time unit of a lane, and at least; rough values for any friction.
     per_time = 3e-7 if isinstance(task.plan, EventDrivenPlan) else 2e-6
     seconds = 1e-5 + per_time * task.chain.n * float(task.t1 - task.t0)
     numbers = sum(math.prod(shape.shape) for shape in jtu.tree_leaves(ensemble.place.record))
@@ -237,7 +237,7 @@ def _fill(
     progress: bool,
     description: str,
 ) -> Dataset:
-    """Computes the units that are left, on devices of this process or by workers of a client."""
+    """Computes the missing units, on devices of this process or by workers of a client."""
     grid, total, started = store.grid, ensemble.total, time.perf_counter()
     blocks = (ensemble.block(grid, key) for key in store.left)
     try:
@@ -264,7 +264,7 @@ def _fill(
 def _run_and_write(
     runner: Scheduler, blocks: Iterable[Block], store: Store, ensemble: Ensemble, bar: tqdm
 ) -> None:
-    """Runs the blocks; each is written while the next ones run, and few wait for that."""
+    """Runs the blocks; each is written while the next ones run, with a short queue."""
     runner.finished = bar.n
     with ThreadPoolExecutor(1, "store") as writer:
         writing: list[Future] = []
@@ -285,7 +285,7 @@ def _kinds(devices: Sequence[Any]) -> dict[str, str]:
 
 
 def _circumstances(started: float, devices: Mapping[str, str]) -> dict[str, Any]:
-    """How long a sweep took, and on what: the kind of each device."""
+    """The duration of a sweep and the kind of each device."""
     return {
         "wall_time_s": round(time.perf_counter() - started, 3),
         "devices": ", ".join(devices),

@@ -64,7 +64,7 @@ def test_it_is_labelled_like_a_sweep(found):
 
 
 def test_a_belt_speed_has_no_part_in_it():
-    with pytest.raises(ValueError, match="'belt_speed', which has no part"):
+    with pytest.raises(ValueError, match="'belt_speed', on which a fold does not depend"):
         fold_belt_speeds(ONE, over={"belt_speed": [1.0, 2.0]})
 
 

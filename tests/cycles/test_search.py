@@ -234,7 +234,7 @@ def test_an_orbit_that_decays_from_a_great_speed_is_no_cycle(numbers):
     assert float(cycle.residual) > 0.1
     # Damping outweighs friction in the first chain.
     with pytest.raises(
-        RuntimeError, match=r"There is no limit cycle|Offer a run that ends in one"
+        RuntimeError, match=r"There is no limit cycle|Give a run that ends in one"
     ):
         find_limit_cycle(chain)
     fast = jnp.zeros(1), jnp.full(1, 1e12 * np.sign(belt))

@@ -118,7 +118,7 @@ def test_what_is_not_done_is_pending_and_nan(memory, path, monkeypatch, usual_si
     chunks = {"belt_speed": 1, "excited": 1}
     with monkeypatch.context() as patch:
         patch.setattr(Store, "write", interrupt)
-        with pytest.raises(SweepInterrupted, match=r"kept in .*: the same call goes on") as caught:
+        with pytest.raises(SweepInterrupted, match=r"kept in .*: repeat the same call") as caught:
             small(path, chunks=chunks)
     seen = caught.value.dataset
     assert_same(xr.open_zarr(path), seen)
