@@ -9,7 +9,7 @@ The most-used names can be imported from `jaxchain`; the rest live in submodules
 - `simulation`: one run, smoothed or dry
 - `sweeps`: ensembles, as labelled datasets
 - `cycles`: limit cycles, Floquet multipliers, branches of cycles
-- `boundaries`: where vibration sets in (Hopf) and up to where it survives (fold)
+- `boundaries`: where vibration sets in (Hopf), and up to which belt speed it survives (fold)
 - `chaos`: Lyapunov exponents and verdicts
 - `localization`: patterns, fronts, mistuning
 - `basins`: how likely each state is, and how hard a blow starts vibration

@@ -130,7 +130,7 @@ def require_64_bits(name: str, tree: object) -> None:
         dtype = getattr(leaf, "dtype", None)
         if dtype is not None and jnp.issubdtype(dtype, jnp.floating) and dtype.itemsize < 8:
             raise ValueError(
-                f"Argument `{name}` holds {dtype} numbers: it was made before JAX was told to use "
+                f"Argument `{name}` holds {dtype} numbers: it was made before JAX was set to use "
                 "64-bit floats, or from an array of 32 bits. Make it again from 64-bit numbers."
             )
 

@@ -457,8 +457,8 @@ def _basins_report(chain: Any, box: Any, smoothed: Any, dry: Any, edges: Any) ->
             values[name + ending] = getattr(edges, name + ending)
             why = "there is none, or it was not found: see `jaxchain boundary`"
             reasons[name + ending] = f"{why}, {kind}"
-    sides = {"box": {key: getattr(box, key).tolist() for key in ("displacement", "velocity")}}
-    return _answer(values, reasons, sides, _parameters(chain, _BASINS))
+    bounds = {"box": {key: getattr(box, key).tolist() for key in ("displacement", "velocity")}}
+    return _answer(values, reasons, bounds, _parameters(chain, _BASINS))
 
 
 def _basins_text(report: dict[str, Any]) -> str:

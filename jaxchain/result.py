@@ -201,8 +201,8 @@ class SearchResult(eqx.Enumeration, metaclass=_Outcomes):  # pyright: ignore
 class Printed:
     """Results print one line per field: numbers with their errors, arrays as their range.
 
-    The error of a field is the field `<name>_error`, or `error` if that comes next.  What is NaN
-    or empty is left out.
+    The error of a field is the field `<name>_error`, or `error` if that comes next.  NaN and empty
+    fields are left out.
     """
 
     def __repr__(self) -> str:
@@ -266,18 +266,18 @@ def _text(value: Any, error: Any = None) -> str:
 
 
 class Outcome(Printed, eqx.Module):
-    """What every search returns besides what it found: how it ended."""
+    """The base class of results of searches: how the search ended."""
 
     result: eqx.AbstractVar[SearchResult]
 
     @property
     def successful(self) -> Bool[Array, "*batch"]:
-        """Whether it found what it was asked for."""
+        """Whether the search succeeded."""
         return self.result == SearchResult.successful
 
     @property
     def message(self) -> str:
-        """Why it failed and what to do, of one search; empty if it did not."""
+        """The reason of a failure, with a remedy, for one search; empty after success."""
         return advice_of(self.result)
 
 
@@ -289,13 +289,13 @@ _STOPPED_WELL = [NAMES.index(name) for name in WELL]
 def code(result: Result | SearchResult) -> Any:
     """The integer behind a (possibly traced or batched) `Result`: an index into `NAMES`.
 
-    Of a `SearchResult` it is one into the names of that.
+    For a `SearchResult` it is an index into its names.
     """
     return result._value  # pyright: ignore  # equinox offers no public accessor
 
 
 def ended_well(result: Any) -> Any:
-    """Whether runs went to their end, or stopped early because nothing could change any more.
+    """Whether runs reached their end, or stopped early because nothing could change.
 
     **Arguments:** a `Result`, a code or an array of codes, or the name of one outcome.
     """
@@ -306,7 +306,7 @@ def ended_well(result: Any) -> Any:
 
 
 def ended_as(codes: Any) -> dict[str, int]:
-    """How many of these runs ended in which way, in the order of the enumeration.
+    """Counts of these runs by their outcome, in the order of the enumeration.
 
     >>> ended_as([0, 3, 0])
     {'successful': 2, 'max_steps_reached': 1}
@@ -321,12 +321,12 @@ def message(name: str) -> str:
 
 
 def advice_of(item: Any) -> str:
-    """The advice that goes with one way to end, empty for success."""
+    """The advice for an outcome, empty for success."""
     return type(eqx.Enumeration).__getitem__(item._enumeration, item)  # pyright: ignore
 
 
 def name_of(item: Any) -> str:
-    """How a run or search ended, in a word; of a batch, how many in each way; traced, a shape."""
+    """The name of an outcome; for a batch, counts by outcome; for traced ones, a shape."""
     codes = getattr(item, "_value", item)
     if not isinstance(codes, int | np.ndarray | jax.Array) or isinstance(codes, Tracer):
         return "unknown"

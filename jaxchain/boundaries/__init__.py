@@ -1,4 +1,4 @@
-"""Where vibration sets in (Hopf) and up to where it survives (fold), smoothed and dry.
+"""Where vibration sets in (Hopf), up to which speed it survives (fold), smoothed and dry.
 
 - `descent`: both boundaries by gradient descent, with optax
 - `fold`: the greatest belt speed at which a vibration survives, for one chain or many

@@ -421,7 +421,7 @@ def _climb(
         strode = (root - now.q) / jnp.maximum(stride, 1e-9)
         slope = jnp.where(good & (stride > 0), strode, now.slope)
         layer_velocities = jnp.where(good, newton.aux, now.layer_velocities)
-        # v_d sum(sides) is dq / d ratio.
+        # v_d sum(layer_velocities) is dq / d ratio.
         along = q[-1] * jnp.sum(layer_velocities, axis=1) * (jnp.sqrt(target) - jnp.sqrt(secant.y))
         guess = q + (goal - reached) * slope + jnp.where(target != secant.y, along, 0.0)
         steps = jnp.where(refined, more, now.steps)

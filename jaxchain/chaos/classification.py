@@ -62,7 +62,7 @@ class Evidence(Printed):
       the time from which it was on its orbit, or approached it.
     - `active`: which masses vibrate; `energy`, `energy_deviation`: mean and deviation over the
       windows of the last record; `drift`: relative difference of the means of its halves;
-      `novelty`: see `recurrence.novelty`.
+      `novelty`: see `novelty`.
     - `period`, `returns`: of the orbit and of its maxima; `spread`: see `Recurrence`.
     - `exponents`, `low`, `high`: the leading exponents with 95 % intervals, descending; for a
       periodic orbit those of its multipliers, the first being the zero of the flow.  -inf is a
@@ -178,7 +178,7 @@ class Criteria:
     - `zero`: exponents (per time unit) of neutral directions: a tenth of the weakest chaos and of
       the slowest relaxation seen in blocks of vibrating masses, 1e-3.
     - `drift`: the greatest difference of the energies of both halves of a record on a torus.
-    - `novelty`: its greatest value on a torus, see `recurrence.novelty`: a steady drift has half
+    - `novelty`: its greatest value on a torus, see `novelty`: a steady drift has half
       of it, and 100 points on a square have 0.3.
 
     !!! example
@@ -352,7 +352,8 @@ def _remedy(runs: Sequence[Evidence]) -> str:
     if "unstable" in kinds:
         return "Runs with noise stayed on the unstable orbit: take a longer run, or more noise."
     return (
-        f"Exponents are not yet told from zero, or the motion still changes at {longest:.3g}: "
+        f"Exponents cannot yet be distinguished from zero, or the motion still changes at "
+        f"{longest:.3g}: "
         "a longer `exponent_time` and `longest` would tell."
     )
 

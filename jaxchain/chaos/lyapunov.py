@@ -252,10 +252,10 @@ def advance_frame(
 
     start = jnp.concatenate(frame.progress.state)
 
-    def push(direction: Array) -> tuple[Array, Array, Progress]:
+    def along(direction: Array) -> tuple[Array, Array, Progress]:
         return jax.jvp(after, (start,), (direction,), has_aux=True)
 
-    _, images, progress = jax.vmap(push, in_axes=1, out_axes=(None, 1, None))(frame.basis)
+    _, images, progress = jax.vmap(along, in_axes=1, out_axes=(None, 1, None))(frame.basis)
     return Frame(progress, frame.basis), images
 
 

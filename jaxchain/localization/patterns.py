@@ -132,7 +132,7 @@ def _check_ring(chain: Any) -> None:
     if not (same and ring and chain.n > 2):
         raise ValueError(
             "Argument `chain` must be a ring of at least three equal masses, with one number for "
-            f"`coupling`, but this one has n = {chain.n} which is not: unequal masses drift."
+            f"`coupling`, but is another chain, with n = {chain.n}: unequal masses drift."
         )
 
 
@@ -401,7 +401,7 @@ def rotating_wave(model: PhaseModel, turns: Any) -> LockedPattern:
     n = model.chain.n
     check_whole("turns", turns, -n, n, "it is the number of turns of the phase around the ring.")
     phases = 2.0 * np.pi * turns * np.arange(n) / n
-    _, rate, slope = _told(model, jnp.diff(jnp.asarray(phases)))
+    _, rate, slope = _locking(model, jnp.diff(jnp.asarray(phases)))
     return LockedPattern(phases, float(rate), _growth(model, slope))
 
 
@@ -419,7 +419,7 @@ def _drift(model: PhaseModel, step: Array) -> Array:
 
 
 @eqx.filter_jit
-def _told(model: PhaseModel, step: Float[Array, " m"]) -> tuple[Array, Array, Array]:
+def _locking(model: PhaseModel, step: Float[Array, " m"]) -> tuple[Array, Array, Array]:
     """(residual of locking, rate, slope) at these phase differences."""
     gap = jnp.max(jnp.abs(_drift(model, step)))
     return gap, model.rates(_phases(step))[0], jax.jacfwd(partial(_drift, model))(step)
@@ -429,13 +429,13 @@ def _told(model: PhaseModel, step: Float[Array, " m"]) -> tuple[Array, Array, Ar
 def _lock(
     model: PhaseModel, starts: Float[Array, "s m"]
 ) -> tuple[Array, tuple[Array, Array, Array]]:
-    """(phase differences, the results of `_told` there), for each of the starts."""
+    """(phase differences, the results of `_locking` there), for each of the starts."""
     weights = jnp.ones(starts.shape[1])
     both = linearised(partial(_drift, model), weights)
 
     def one(start: Array) -> tuple[Array, tuple[Array, Array, Array]]:
         step, _, _ = solve(both, start, weights, _CLOSE, _NEWTON)
-        return step, _told(model, step)
+        return step, _locking(model, step)
 
     return jax.vmap(one)(starts)
 

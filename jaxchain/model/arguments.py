@@ -44,8 +44,8 @@ def as_state(
 ) -> tuple[Float[Array, "*states n"], Float[Array, "*states n"]]:
     """A state (x, v) as floats, both of shape (n,), or (states, n) if it is a `batch`.
 
-    **Raises:** `ValueError` for anything else, for what is not finite, and for forces of what is
-    not a `Chain` that are not local there at the time `t0`.
+    **Raises:** `ValueError` for anything else, for numbers that are not finite, and for other
+    oscillators whose forces are not local there at the time `t0`.
     """
     if not isinstance(state, tuple | list) or len(state) != 2:
         raise ValueError(
@@ -78,7 +78,7 @@ def as_mass(n: int, mass: Any, default: Any = None, name: str = "mass") -> Any:
 
 
 def as_images(images: Any, n: int, mass: int | None = None) -> tuple[int, ...]:
-    """For each of n masses the one that it does the same as; None is no symmetry."""
+    """For each of n masses the index of the one that it moves like; None: no symmetry."""
     if images is None:
         return tuple(range(n))
     given = images if isinstance(images, tuple | list | np.ndarray) else ()

@@ -27,7 +27,7 @@ from .parameters import CHAIN, parameter
 from .springs import Ends, Springs
 from .tridiagonal import exact_solver
 
-# Numbers beyond these are likely in SI units, and these.
+# Numbers beyond these are probably in SI units.
 _PLAUSIBLE = {
     "damping_ratio": (10.0, "N s/m"),
     "stiffness": (100.0, "N/m"),
@@ -116,7 +116,7 @@ class Chain(AbstractOscillators):
     def _check_shapes(self, ends: Ends) -> None:
         springs = self.n if ends == "cyclic" else self.n - 1
         counts = {"chain": None, "mass": self.n, "spring": springs}
-        for name, value in {**self._own(), **self.friction.numbers()}.items():
+        for name, value in {**self._chain_numbers(), **self.friction.numbers()}.items():
             per, shape = parameter(name).per, np.shape(value)  # () for None
             if shape not in ((), (counts[per],)):
                 several = "" if per == "chain" else f" or one per {per}, of shape ({counts[per]},)"
@@ -125,8 +125,8 @@ class Chain(AbstractOscillators):
                     f"chain has {self.n} masses and {ends} ends; `jax.vmap` or `sweep` run many."
                 )
 
-    def _own(self) -> dict[str, Array | None]:
-        """Its numbers without those of friction, by name."""
+    def _chain_numbers(self) -> dict[str, Array | None]:
+        """The numbers of the chain without those of friction, by name."""
         return {name: getattr(self, name) for name in CHAIN}
 
     @property
@@ -171,7 +171,7 @@ class Chain(AbstractOscillators):
     def switching(
         self, t: ScalarLike, v: Float[Array, " n"]
     ) -> tuple[Float[Array, " n"], PerMass]:
-        """(v - v_d, eps or 0): friction turns round as a mass passes the belt's speed."""
+        """(v - v_d, eps or 0): friction changes direction as a mass passes the belt speed."""
         del t
         return v - self.belt_speed, self.width
 
@@ -188,7 +188,7 @@ class Chain(AbstractOscillators):
         return self.load * self.law.mu_static
 
     def excess_force(self, x: Float[Array, " n"], v: Float[Array, " n"]) -> Float[Array, " n"]:
-        """|r| - p mu_st, r the `free_force`; with dry friction what has w = 0 is held."""
+        """|r| - p mu_st with r the `free_force`; with dry friction a mass with w = 0 sticks."""
         if self.dry:
             return super().excess_force(x, v)
         return jnp.abs(self.free_force(x, v)) - self.static_limit()
@@ -221,7 +221,12 @@ class Chain(AbstractOscillators):
         >>> paper_chain().with_(width=None).dry
         True
         """
-        fields = {"n": self.n, "friction": self.friction, "ends": self.ends, **self._own()}
+        fields = {
+            "n": self.n,
+            "friction": self.friction,
+            "ends": self.ends,
+            **self._chain_numbers(),
+        }
         friction = {**self.friction.numbers(), "width": self.width}
         unknown = [name for name in changes if name not in fields and name not in friction]
         if unknown:
@@ -240,7 +245,7 @@ class Chain(AbstractOscillators):
 
 
 def _number(name: str, value: Any) -> Array:
-    """As floats that the parameter of this name can have."""
+    """`value` as floats, checked for the parameter of this name."""
     array = to_float(value, name, parameter(name).remedy)
     check_numbers({name: array})
     most, unit = _PLAUSIBLE.get(name, (np.inf, ""))
@@ -255,7 +260,7 @@ def _number(name: str, value: Any) -> Array:
 
 
 def require_smoothed(chain: Any, instead: str) -> None:
-    """Raises `ValueError` for a chain with dry friction; `instead`: what serves there, or ""."""
+    """Raises `ValueError` for a chain with dry friction; `instead`: an alternative, or ""."""
     if isinstance(chain, Chain) and chain.dry:
         raise ValueError(
             "Argument `chain` has dry friction, but this is for smoothed friction: "

@@ -3,8 +3,8 @@
 A law gives the friction coefficient at the sliding speed s = |w| >= 0, where w = v - v_d is the
 velocity of a mass relative to the belt. Everything is dimensionless: mu is friction force per
 normal load, and speeds are in units of x0 omega_n (`jaxchain.model.units`). Every parameter is one
-number, or one number per mass (shape (n,), for mistuned chains), and a leaf: `jit`, `vmap`, `grad`
-and `jvp` go through it.
+number, or one number per mass (shape (n,), for mistuned chains), and a leaf of a pytree: `jit`,
+`vmap`, `grad` and `jvp` work.
 """
 
 import abc
@@ -33,11 +33,11 @@ from .._final import final, refuse_overrides
 from .._types import PerMass
 from .parameters import CHAIN, parameter
 
-# Speeds at which a law is looked at: from where none has changed yet to where no mass gets.
+# Speeds at which a law is checked: from below any change to beyond any mass.
 _SPEEDS = np.concatenate([[0.0], np.geomspace(1e-12, 1e2, 1121)])
-# Of the greatest friction: what is a jump, and what may hide one and gets a closer look.
+# Shares of the greatest friction: a jump, and a difference that may hide one and is refined.
 _JUMP, _STEEP = 1e-6, 1e-9
-# A closer look takes the steepest part of an interval, again and again, down to rounding.
+# The refinement repeatedly takes the steepest part of an interval, down to rounding.
 _PARTS, _ROUNDS, _MOST = 16, 10, 32
 
 
@@ -85,7 +85,7 @@ def check_curve(name: str, coefficient: Callable[[Any], Any], mu_static: Any) ->
 def _greatest_jump(
     mu: Callable[[np.ndarray], np.ndarray], values: np.ndarray
 ) -> tuple[float, float]:
-    """(height, speed) of the greatest change between two speeds that are the same to rounding."""
+    """(height, speed) of the greatest change between two speeds that are equal to rounding."""
     rise = np.max(np.abs(np.diff(values, axis=0)), axis=1)
     beside = np.pad(rise, 1)
     stands_out = rise > 3 * (beside[:-2] + beside[2:]) + _STEEP * values.max()
@@ -105,7 +105,7 @@ def _greatest_jump(
 
 
 _SIGNS = {"any": check_finite, "nonnegative": check_nonnegative, "positive": check_positive}
-# What a law cannot define: its curve is `coefficient`, wherever it is used.
+# Names that a law cannot define: its curve is `coefficient` everywhere.
 _FINAL = {
     "force": "it is -coefficient(|w|) sign(w).",
     "force_and_slope": "JAX differentiates `coefficient` by itself; leave it out.",
@@ -123,7 +123,7 @@ def _number(name: str) -> Callable[[Any], Array]:
 
 
 class AbstractFriction(eqx.Module):
-    """F(w), the force on a mass per unit of its normal load; w is its velocity over the belt's.
+    """F(w), the force on a mass per normal load; w is its velocity relative to the belt.
 
     A subclass has mu(s) as `law`, smoothed or not.
     """
@@ -138,7 +138,7 @@ class AbstractFriction(eqx.Module):
 
     @abc.abstractmethod
     def numbers(self) -> dict[str, Any]:
-        """What `with_`, of a chain too, takes by name."""
+        """The names and numbers that `with_` accepts, also that of a chain."""
 
     @abc.abstractmethod
     def with_(self, **changes: Any) -> Any:
@@ -237,7 +237,7 @@ class AbstractFrictionLaw(AbstractFriction):
         return law if width is None else TanhFriction(law, width)
 
     def __check_init__(self) -> None:
-        # The laws of this module are sound where their numbers are.
+        # The laws of this module need no check beyond that of their numbers.
         if type(self).__module__ != __name__ and not is_traced(self):
             per_mass = any(jnp.ndim(number) for number in self.numbers().values())
             mu = jax.vmap(self.coefficient) if per_mass else self.coefficient
@@ -355,7 +355,7 @@ class GaussianStribeck(AbstractFrictionLaw):
 
     @property
     def knots(self) -> Float[Array, "3 ..."]:
-        # At 6 v_s weakening is below rounding: from beyond, steps would end in the midst of it.
+        # Beyond 6 v_s weakening is below rounding.
         return jnp.multiply.outer(jnp.array([2.0, 4.0, 6.0]), self.v_ref)
 
 
@@ -396,10 +396,10 @@ class Coulomb(AbstractFrictionLaw):
 
 
 def as_law(law: Any) -> AbstractFrictionLaw:
-    """`law` with JAX arrays for all numbers: Python's have no tangents, and compile once each.
+    """`law` with JAX arrays for all numbers: Python numbers have no tangents and are compiled in.
 
-    **Raises:** `ValueError` for anything but an `AbstractFrictionLaw`, and for a number of a name
-    that the chain has, too.
+    **Raises:** `ValueError` for anything but an `AbstractFrictionLaw`, and for a field with the
+    name of a number of the chain.
     """
     if not isinstance(law, AbstractFrictionLaw):
         raise ValueError(
@@ -454,7 +454,7 @@ class TanhFriction(AbstractFriction):
 
     def force(self, relative_velocity: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
         """F(w) of a velocity w relative to the belt, of the same shape."""
-        # One division for the chain, products for the masses: a twentieth of a step's time.
+        # One division for the chain and products for the masses save a twentieth of a step.
         direction = jnp.tanh(relative_velocity * (1.0 / self.width))
         return -self.law.coefficient(jnp.abs(relative_velocity)) * direction
 
@@ -478,7 +478,7 @@ class TanhFriction(AbstractFriction):
 
 
 def check_numbers(numbers: Mapping[str, Any]) -> None:
-    """Raises `ValueError` where one lacks the sign that `model/parameters.py` gives its name."""
+    """Raises `ValueError` for a number without the sign that `model/parameters.py` requires."""
     for name, value in numbers.items():
         row = parameter(name)
         _SIGNS[row.sign](name, value, row.remedy)

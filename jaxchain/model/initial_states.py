@@ -1,4 +1,4 @@
-"""Initial states: eq. (8) and eq. (10) of the paper, who is excited, and masses on the belt."""
+"""Initial states: eq. (8) and eq. (10) of the paper, excited blocks, and masses on the belt."""
 
 from __future__ import annotations
 
@@ -39,15 +39,15 @@ def check_mass(chain: Any, mass: Any, name: str = "mass") -> int:
 def excited_block(
     n: int, excited: int | Int[Array, ""], block: str = "forward"
 ) -> Bool[Array, " n"]:
-    """Which masses a contiguous block of `excited` masses holds, shape (n,).
+    """The masses of a contiguous block of `excited` masses, as booleans of shape (n,).
 
-    The block always holds oscillator 11 of 20 (index `n // 2`).  The paper does not say which one
-    it is: "forward" is 11 ... 10 + k, going round the ring past N; "centred" is
-    11 - floor(k / 2) ... 10 + ceil(k / 2).
+    The block always contains oscillator 11 of 20 (index `n // 2`).  The paper does not say which
+    block it is: "forward" is 11 ... 10 + k, going round the ring past N; "centred" is 11 - floor(k
+    / 2) ... 10 + ceil(k / 2).
     """
     check_one_of("block", block, BLOCKS)
     start = reference_site(n) - (0 if block == "forward" else excited // 2)
-    # With numpy where numbers are known: each small operation of JAX is compiled by itself.
+    # NumPy for concrete numbers, because JAX compiles each small operation separately.
     index = jnp.arange(n) if is_traced(excited) else np.arange(n)
     return jnp.asarray((index - start) % n < excited, dtype=bool)
 
@@ -117,7 +117,7 @@ def excited_state(
 
 
 def _mask(n: int, excited: Any, block: str) -> Array:
-    """Who is excited, as booleans of shape (n,)."""
+    """The excited masses, as booleans of shape (n,)."""
     given: Any = excited if is_traced(excited) else np.asarray(excited)
     if given.ndim == 1 and given.shape == (n,) and given.dtype == bool:
         return jnp.asarray(given)

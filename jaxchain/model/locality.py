@@ -1,7 +1,7 @@
-"""What holds the structured solvers together, checked: forces that act mass by mass.
+"""Checks of the assumption of the structured solvers: forces act mass by mass.
 
-On which arguments a force depends is read off its trace, so that it need not be declared and no
-declaration can be wrong.
+The arguments on which a force depends are found from its trace, so they need no declaration, which
+could be wrong.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from jax.extend.core import Literal
 
 from .._checks import is_traced
 
-# Relative to the greatest of a slope: what two ways of computing it may differ by.
+# The allowed difference of two computations of a slope, relative to its greatest entry.
 _ROUNDING = 1e-9
 _KNOWN: dict[Any, tuple[bool, ...]] = {}
 
-# What a subclass of `AbstractOscillators` cannot define, with the way to say it instead.
+# Names that a subclass of `AbstractOscillators` cannot define, with the alternative.
 FINAL = {
     "restoring_force": "it is -K x; give what is not linear in x as `local_force(t, x, v)`.",
     "velocity_force": "give the force as `local_force(t, x, v)`.",
@@ -40,8 +40,8 @@ FINAL = {
 def depends_on(function: Callable[..., Any], *arguments: Any) -> tuple[bool, ...]:
     """Which of the arguments (one array each) can change the result.
 
-    True is said of an argument that operations of the trace lead from to the result, even if they
-    cancel; False is certain.
+    True if operations of the trace lead from the argument to the result, even if they cancel;
+    False is certain.
 
     >>> import jax.numpy as jnp
     >>> depends_on(lambda a, b, c: a * jnp.sin(c), 1.0, 2.0, 3.0)
@@ -51,7 +51,7 @@ def depends_on(function: Callable[..., Any], *arguments: Any) -> tuple[bool, ...
 
 
 def _reaching(jaxpr: Any) -> list[bool]:
-    """Of each input, whether it reaches an output.  Inside loops and branches all inputs count."""
+    """Whether each input reaches an output.  Inside loops and branches all inputs count."""
     needed = {v for v in jaxpr.outvars if not isinstance(v, Literal)}
     for equation in reversed(jaxpr.eqns):
         if needed.isdisjoint(equation.outvars):
@@ -84,9 +84,9 @@ def check_autonomous(field: Any, n: int) -> None:
     part = jnp.zeros(n)
     if depends_on(lambda t, x, v: field(t, (x, v)), jnp.zeros(()), part, part)[0]:
         raise ValueError(
-            f"Argument `chain` is a {type(field).__name__} whose forces depend on time, and has "
-            "no cycle of a period of its own: this needs an autonomous system. Let one more mass "
-            "drive the others, or use `simulate` over periods of the drive."
+            f"Argument `chain` is a {type(field).__name__} whose forces depend on time, so it has "
+            "no cycle of its own period: this needs an autonomous system. Let one more mass drive "
+            "the others, or use `simulate` over periods of the drive."
         )
 
 
@@ -94,8 +94,8 @@ def check_local(field: Any, t: Any, state: Any) -> None:
     """Raises `ValueError` if the local force on a mass depends on the motion of another one.
 
     `field` is an `AbstractOscillators`.  Its derivatives near the state (x, v), in a direction
-    that differs from mass to mass, must be those of a diagonal matrix.  What is traced passes, and
-    what overrides `__call__`: its structure is not used.
+    that differs from mass to mass, must be those of a diagonal matrix.  Traced values pass, and so
+    do classes that override `__call__`, whose structure is not used.
     """
     x, v = state
     if x.shape[0] < 2 or not field.structured or is_traced(field, t, state):
@@ -112,7 +112,7 @@ def check_local(field: Any, t: Any, state: Any) -> None:
 @eqx.filter_jit
 def _is_local(field: Any, t: Any, x: Any, v: Any) -> Any:
     draws = jnp.asarray(np.random.default_rng(0).normal(size=(3, x.shape[0])))
-    # At rest an interaction may vanish: look near the state.
+    # At rest an interaction may vanish, so evaluate near the state.
     x, v = x + 0.1 * (1.0 + jnp.abs(x)) * draws[0], v + 0.1 * (1.0 + jnp.abs(v)) * draws[1]
     different = draws[2]
     good = jnp.asarray(True)

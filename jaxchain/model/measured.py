@@ -12,10 +12,10 @@ def read_curve(path: str | Path) -> tuple[list[float], list[float]]:
     """(speeds, friction coefficients) from two columns of a CSV file.
 
     Columns are separated by commas, semicolons or blanks.  The first line may be a heading; empty
-    lines and what follows a `#` are left out.
+    lines and text after a `#` are ignored.
 
-    **Raises:** `ValueError` with the line that is no pair of numbers; `OSError` if there is no
-    such file.
+    **Raises:** `ValueError` with the line that is not a pair of numbers; `OSError` if the file
+    does not exist.
     """
     rows: list[tuple[float, float]] = []
     lines = Path(path).read_text(encoding="utf-8-sig").splitlines()
@@ -39,7 +39,7 @@ def read_curve(path: str | Path) -> tuple[list[float], list[float]]:
 
 
 def check_measured(speed: Sequence[float] | np.ndarray, mu: Sequence[float] | np.ndarray) -> None:
-    """Raises `ValueError` unless speeds rise from 0 and friction coefficients are none below 0.
+    """Raises `ValueError` unless speeds rise from 0 and friction coefficients are at least 0.
 
     >>> check_measured([0.0, 0.5, 1.0], [1.0, 0.6, 0.5])
     >>> check_measured([0.1, 0.5], [1.0, 0.6])

@@ -1,4 +1,4 @@
-"""What every chain shares: the structure of its equations.
+"""The structure of the equations of every chain.
 
 A chain of N masses is the second-order system
 

@@ -1,8 +1,8 @@
 """The numbers of a chain and of the friction laws, each described once.
 
-Everything that lists them reads these tables: `Chain.with_` and its checks, sweeps, datasets with
-their units, the tables of scene files, the labels of axes.  A new number of the chain is one line
-here, and its physics in `model/chain.py`.  Nothing here needs JAX.
+These tables are used by `Chain.with_` and its checks, sweeps, datasets with their units, the
+tables of scene files and the labels of axes.  A new number of the chain needs one line here, and
+its physics in `model/chain.py`.  This module does not need JAX.
 """
 
 import re
@@ -12,12 +12,12 @@ SPEED = "x0 omega_n"
 
 
 class Parameter(NamedTuple):
-    """One number: what it is called, which values it may take, for how many things it stands.
+    """One number: its names, its allowed values, and whether it may be given per mass.
 
-    A `symbol` is LaTeX without its dollars, empty if there is none; `meaning` is what scene files
-    say beyond the name, and `remedy` the end of an error message.  `per` says for what it may be
-    given one by one; a `required` number has no value of its own in a scene, which `default` is
-    otherwise.  `usual` is its value in the paper, eq. (7).
+    `symbol` is LaTeX without dollars, empty if there is none; `meaning` is the description in
+    scene files, and `remedy` the end of an error message.  `per` is "mass" or "spring" if it may
+    be given for each; a `required` number must be given in a scene, others have a `default`.
+    `usual` is its value in the paper, eq. (7).
 
     >>> PARAMETERS["belt_speed"].label
     'belt speed $\\\\tilde v_d$ (–)'
@@ -41,28 +41,28 @@ class Parameter(NamedTuple):
 
     @property
     def label(self) -> str:
-        """Of an axis."""
+        """The label of an axis."""
         return f"{self.words} ${self.symbol}$ (–)" if self.symbol else f"{self.words} (–)"
 
     @property
     def long_name(self) -> str:
-        """In plain letters, for datasets and help."""
+        """The name in plain letters, for datasets and help."""
         plain = re.sub(r"\\tilde |\\(var)?|[{}]", "", self.symbol)
         return f"{self.words} {plain}".strip()
 
     @property
     def attrs(self) -> dict[str, str]:
-        """Of a variable in a dataset."""
+        """The attributes of a variable in a dataset."""
         return {"long_name": self.long_name, "units": self.unit}
 
     @property
     def label_text(self) -> str:
-        """What it is, with its unit."""
+        """The name with the unit."""
         return self.long_name if self.unit == "1" else f"{self.long_name}, in {self.unit}"
 
     @property
     def description(self) -> str:
-        """Of its key in the tables of a chain and of a friction law."""
+        """The description of its key in the tables of a chain and of a friction law."""
         must = " Required unless swept." if self.required else ""
         return f"{self.label_text.capitalize()}. {self.meaning}{must}"
 
@@ -117,8 +117,8 @@ _FRICTION_ROWS = (
     Parameter(
         "width", "regularization width", r"\varepsilon", SPEED, sign="positive", required=True,
         usual=1e-3,
-        meaning="Relative speed within which smoothed friction turns round; true dry friction "
-        "takes no notice of it.",
+        meaning="Relative speed within which smoothed friction changes direction; ignored for dry "
+        "friction.",
         remedy="1e-3 is usual; for dry friction give the law itself, or `width=None`.",
     ),
 )  # fmt: skip
@@ -130,7 +130,7 @@ PARAMETERS = CHAIN | FRICTION
 
 
 def parameter(name: str) -> Parameter:
-    """The row of a number; one of a friction law that is not shipped is called by its name.
+    """The row of a number; for a number of a custom friction law the name is the description.
 
     >>> parameter("mu_peak").label, parameter("mu_peak").sign
     ('mu_peak (–)', 'any')

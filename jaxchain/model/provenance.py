@@ -1,6 +1,6 @@
-"""Where numbers come from, as attributes that NetCDF can hold: a chain, versions, a clock.
+"""The provenance of numbers, as attributes that NetCDF can hold: chain, versions, time.
 
-Every dataset carries them: those of sweeps and those of branches.
+Every dataset of a sweep or a branch has them.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from .tabulated import TabulatedFriction
 
 
 def versions() -> dict[str, str]:
-    """Of jaxchain, and of what computes below it."""
+    """The versions of jaxchain and of the packages that it computes with."""
     return dict(_versions())
 
 
-@functools.cache  # to look for them takes longer than a small sweep
+@functools.cache  # looking them up takes longer than a small sweep
 def _versions() -> dict[str, str]:
     packages = ("jax", "jaxlib", "diffrax", "equinox", "numpy")
     below = {package: importlib.metadata.version(package) for package in packages}
@@ -38,9 +38,9 @@ def _versions() -> dict[str, str]:
 
 
 def parameters_of(field: AbstractOscillators, n: int, swept: Sequence[str]) -> str:
-    """The numbers of a chain and of its friction as JSON; "swept" for those that a result is over.
+    """The numbers of a chain and of its friction as JSON; "swept" for the swept ones.
 
-    Of other oscillators: their kind, their number n and what `numbers` tells.
+    For other oscillators: their class, their number n and their `numbers`.
     """
     if isinstance(field, Chain):
         parameters = {
@@ -73,7 +73,7 @@ def chain_of(parameters: Mapping[str, Any]) -> Chain | None:
     }
     names = [field.name for field in dataclasses.fields(kind) if field.init]
     table = given.get("friction_table")
-    if table is None and any(name not in given for name in names):  # another of this name
+    if table is None and any(name not in given for name in names):  # another class with this name
         return None
     law = kind(*[given[name] for name in names] if table is None else table)
     if given["width"] is not None:
@@ -82,7 +82,7 @@ def chain_of(parameters: Mapping[str, Any]) -> Chain | None:
 
 
 def circumstances() -> dict[str, Any]:
-    """With which versions, on what kind of device, and when."""
+    """The versions, the kind of device, and the time."""
     return {
         "versions": json.dumps(versions()),
         "platform": jax.default_backend(),

@@ -22,17 +22,17 @@ from .._types import PerMass
 from .arguments import as_chain
 from .chain import Chain
 
-# Belt speeds tried: from well inside the smoothed layer, or with dry friction from where no law
-# has weakened yet, to where friction no longer changes.
+# Range of belt speeds: from well inside the smoothed layer, or for dry friction from below any
+# weakening of a law, to where friction no longer changes.
 _LEAST_WIDTHS, _LEAST_SPEED, GREATEST_SPEED, _SPEEDS = 1e-2, 1e-11, 1e6, 1024
 # Singular values below this, relative to the greatest, belong to modes that cross together.
 _TOGETHER = 1e-8
-# What rounding may make of a sum of damping and weakening, relative to these.
+# The rounding error of a sum of damping and weakening, relative to these.
 _ROUNDING = 1e-12
 
 
 def _one_speed(chain: Chain, belt_speed: Any) -> Float[Array, ""]:
-    """The belt speed, one number; NaN, which is no boundary, is good."""
+    """The belt speed, one number; NaN, for a boundary that does not exist, is allowed."""
     as_chain(chain)
     return as_array("belt_speed", belt_speed, 0, 0, "use `jax.vmap` for several belt speeds.")
 
@@ -40,7 +40,7 @@ def _one_speed(chain: Chain, belt_speed: Any) -> Float[Array, ""]:
 def has_uniform_damping(chain: Chain) -> bool:
     """Whether damping, friction and load are one number each, so that D = d I.
 
-    Told by the shapes alone: numbers that are given per mass count as different.
+    Only the shapes count: numbers given per mass are treated as different.
     """
     numbers = [chain.damping_ratio, chain.load, *chain.friction.numbers().values()]
     return all(jnp.ndim(number) == 0 for number in numbers)
@@ -71,19 +71,19 @@ def sliding_damping(chain: Chain, belt_speed: Float[Array, ""]) -> PerMass:
 
 
 def dry_damping(chain: Chain, belt_speed: Float[Array, ""]) -> PerMass:
-    """2 xi + p mu'(v_d), what `sliding_damping` would be without smoothing."""
+    """2 xi + p mu'(v_d), the `sliding_damping` without smoothing."""
     speed = jnp.abs(belt_speed)
     _, slope = jax.jvp(chain.law.coefficient, (speed,), (jnp.ones_like(speed),))
     return 2.0 * chain.damping_ratio + chain.load * slope
 
 
 def least_belt_speed(chain: Chain) -> Float[Array, ""]:
-    """The belt speed from which on to look for changes."""
+    """The least belt speed of a search for changes."""
     return jnp.asarray(_LEAST_SPEED) if chain.dry else _LEAST_WIDTHS * jnp.min(chain.width)
 
 
 def belt_speed_grid(chain: Chain) -> Float[Array, " speeds"]:
-    """1024 belt speeds, equally far apart in the logarithm, at which to look for changes."""
+    """1024 belt speeds, equally spaced in the logarithm, for a search for changes."""
     least = jnp.log(least_belt_speed(chain))
     return jnp.exp(jnp.linspace(least, jnp.log(GREATEST_SPEED), _SPEEDS))
 
@@ -91,15 +91,14 @@ def belt_speed_grid(chain: Chain) -> Float[Array, " speeds"]:
 def damping_outweighs(chain: Chain) -> Bool[Array, ""]:
     """Whether 2 xi_n > p_n F'(w) for every mass at every relative velocity w.
 
-    Then any two motions approach each other: of their difference (x, v) the energy
-    (v^T v + x^T K x) / 2 falls at the rate sum_n v_n^2 (2 xi_n - p_n F'(w_n)) > 0, w_n some value
-    between theirs.  So no motion but steady sliding goes on, whatever the belt speed is.
+    Then any two motions approach each other: the energy (v^T v + x^T K x) / 2 of their difference
+    (x, v) falls at the rate sum_n v_n^2 (2 xi_n - p_n F'(w_n)) > 0, with w_n between their
+    relative velocities.  So every motion approaches steady sliding, at any belt speed.
 
     F' = -mu'(s) tanh(s / eps) - mu(s) sech^2(s / eps) / eps, or -mu'(s) with dry friction (whose
-    fall at w = 0 is but for the better), is bounded over each of the intervals
-    between 1024 speeds s, which takes for granted that mu and mu' rise or fall, not both, within
-    one, as they do for every law of this package but one: twice in all for
-    `WeakeningStrengthening`, whose mu falls first and rises then, mu' rising.
+    jump at w = 0 only adds damping), is bounded over each of the intervals between 1024 speeds s.
+    This assumes that mu and mu' are monotone in each interval, as for every law of this package
+    except in single intervals at their extrema.
 
     >>> from jaxchain import paper_chain
     >>> [bool(damping_outweighs(paper_chain(1).with_(damping_ratio=xi))) for xi in (0.4, 0.6)]
@@ -113,7 +112,7 @@ def damping_outweighs(chain: Chain) -> Bool[Array, ""]:
         if chain.dry:
             return mu, slope, jnp.ones_like(each), jnp.zeros_like(each)
         ratio = each / chain.width
-        # 1 - tanh^2 would lose its digits, and cosh overflow.
+        # 1 - tanh^2 would lose digits, and cosh would overflow.
         half = jnp.exp(-ratio)
         return mu, slope, jnp.tanh(ratio), (2.0 * half / (1.0 + half**2)) ** 2 / chain.width
 
@@ -149,8 +148,8 @@ def stiffness_matrix(chain: Chain) -> Float[Array, "n n"]:
     K = jnp.diag(jnp.broadcast_to(chain.stiffness_diagonal(n), (n,)))
     if chain.springs is None:
         return K
-    # By products with constants, which compile in no time, where the convolutions of
-    # `Springs.dense` take seconds in programs that need K in many places.
+    # Products with constants compile at once; the convolutions of `Springs.dense` take seconds in
+    # programs that use K in many places.
     before, after = np.roll(np.eye(n), -1, axis=1), np.roll(np.eye(n), 1, axis=1)
     lower, upper = chain.springs.off_diagonals(n)
     return K - lower[:, None] * before - upper[:, None] * after
@@ -224,8 +223,8 @@ def null_shape(
 ) -> tuple[Complex[Array, " {chain.n}"], Bool[Array, ""]]:
     """A unit null vector u of the crossing matrix, and whether there are several.
 
-    Of several (modes that cross together) it is the projection of an arbitrary real vector: real
-    if the null space has real vectors, so that u^T u, which is 0 for a travelling wave, is not.
+    If several modes cross together, it is the projection of an arbitrary real vector: real if the
+    null space has real vectors, so that u^T u is not 0, as it is for a travelling wave.
     """
     _, sizes, right = jnp.linalg.svd(crossing_matrix(crossing, chain))
     null = sizes <= _TOGETHER * sizes[0]
@@ -244,8 +243,8 @@ def crossing_residual(
     `parameters` = (chain, u, whether other modes cross with it).  g is the last unknown of the
     bordered system [[A, conj u], [u^H, 0]] [y; g] = [0; 1], which is regular at a simple crossing
     (Govaerts, Numerical Methods for Bifurcations of Dynamical Equilibria, section 3.3: A is
-    complex symmetric, so conj u is its left null vector).  Where several modes cross together it
-    is not, and g = -u^T A u, which is right to first order in the parameters.
+    complex symmetric, so conj u is its left null vector).  If several modes cross together, it is
+    singular, and g = -u^T A u, which is correct to first order in the parameters.
     """
     chain, shape, together = parameters
     A = crossing_matrix(crossing, chain)

@@ -38,7 +38,8 @@ def neighbour_sum(x: Float[Array, " n"], ends: Ends) -> Float[Array, " n"]:
     """
 
     def convolve(x: Array) -> Array:
-        # Padded by the convolution itself: ends of a ring that are put there cost as much again.
+        # The convolution pads its input: adding the ends of a ring separately would double the
+        # cost.
         kernel = jnp.asarray([[[1.0, 0.0, 1.0]]], x.dtype)
         inside = lax.conv_general_dilated(x.reshape(1, 1, -1), kernel, (1,), ((1, 1),))[0, 0]
         if ends == "free":
@@ -62,7 +63,7 @@ def materialize(x: Float[Array, " n"]) -> Float[Array, " n"]:
     """
 
     def convolve(x: Array) -> Array:
-        # Along an axis of length 1, whose other end is padding: no mass sees another.
+        # Along an axis of length 1, padded at the other end, so that masses do not interact.
         kernel = jnp.asarray([[[[1.0, 0.0]]]], x.dtype)
         column = x.reshape(1, 1, -1, 1)
         return lax.conv_general_dilated(column, kernel, (1, 1), ((0, 0), (0, 1))).reshape(x.shape)

@@ -94,7 +94,7 @@ class TabulatedFriction(AbstractFrictionLaw):
 
     def coefficient(self, speed: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
         s = jnp.asarray(speed)
-        # The default is a loop, for tables of thousands.
+        # The default is a loop, which suits tables of thousands of rows.
         piece = jnp.searchsorted(self.knots, s, side="right", method="compare_all")
         start, c0, c1, c2, c3 = self.pieces[:, piece]
         d = s - start

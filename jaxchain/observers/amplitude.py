@@ -1,4 +1,4 @@
-"""The amplitude of vibration, and when a run need not go on for its sake."""
+"""The amplitude of vibration, with an early end of runs."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ class _AmplitudeState(eqx.Module):
 
 
 class _Rest(eqx.Module):
-    """Whether every mass rests: a few numbers for a lane, no array."""
+    """Whether every mass is at rest: a few numbers per lane, no array."""
 
     boundary: Float[Array, ""]  # end of the present window
     quiet: Bool[Array, ""]
 
 
 class _History(eqx.Module):
-    """The amplitudes of the window before, and how often they came back."""
+    """The amplitudes of the previous window, and the number of repetitions."""
 
     last: Float[Array, " n"]
     repeats: Int[Array, ""]
@@ -59,7 +59,7 @@ class Amplitude(AbstractObserver):
       It may miss slow drifts of the phases, and instabilities that have not grown yet.  Both need
       a `window`.
 
-    **Raises:** `ValueError` for any other, and for numbers that are not positive.
+    **Raises:** `ValueError` for any other `stop`, and for numbers that are not positive.
 
     !!! example
 
@@ -105,8 +105,8 @@ class Amplitude(AbstractObserver):
         seen = x if self.stop == "steady" else jnp.where(start > t0, jnp.nan, x)
         if self.stop == "never":
             return _AmplitudeState(seen, seen, start, None, None)
-        # Windows end at t1, t1 - window, ...; the first takes what is left over at the start,
-        # because a shorter one would see less than it must.
+        # Windows end at t1, t1 - window, ...; the first one is longer by the remainder, because a
+        # shorter window would be too short.
         complete = jnp.maximum(jnp.floor((t1 - t0) / jnp.maximum(window, 1e-300)), 1.0)
         rest = _Rest(boundary=to_float(t1 - window * (complete - 1.0)), quiet=jnp.zeros((), bool))
         history = None
@@ -119,7 +119,7 @@ class Amplitude(AbstractObserver):
 
     def update(self, accumulator: _AmplitudeState, step: Step) -> _AmplitudeState:
         acc, end = accumulator, step.y1[0]
-        # Peaks before the last window are only looked for if its amplitudes are to be compared.
+        # Peaks before the last window are located only if amplitudes are compared.
         always = acc.history is not None
         watching = jnp.asarray(True) if always else step.t1 > acc.last_window
 
@@ -127,7 +127,7 @@ class Amplitude(AbstractObserver):
             turns, theta = step.turning_points()
             low, high = acc.low, acc.high
             if not always:
-                # The one step in which the window begins counts from there on.
+                # The step in which the window begins counts from that time.
                 opens = watching & (step.t0 <= acc.last_window)
                 length = jnp.maximum(step.t1 - step.t0, 1e-300)
                 start = jnp.where(opens, (acc.last_window - step.t0) / length, 0.0)
@@ -138,8 +138,8 @@ class Amplitude(AbstractObserver):
             least, most = jnp.minimum(extreme, end), jnp.maximum(extreme, end)
             return jnp.minimum(low, least), jnp.maximum(high, most)
 
-        # One branch for the whole batch, and nothing but this before the first window: a lane that
-        # does not watch has NaN, which stays.
+        # One branch for the whole batch, and nothing else before the first window: lanes outside
+        # the window keep NaN.
         nothing = lambda: (acc.low, acc.high)  # noqa: E731
         low, high = lax.cond(eqxi.unvmap_any(watching), with_peaks, nothing)
         rest = None if acc.rest is None else self._rest(acc.rest, step)
@@ -157,7 +157,7 @@ class Amplitude(AbstractObserver):
         return _AmplitudeState(low, high, acc.last_window, rest, history)
 
     def _rest(self, rest: _Rest, step: Step) -> _Rest:
-        """Looks once in a window: a state whose velocity and acceleration vanish is at rest."""
+        """Checks once per window: a state whose velocity and acceleration vanish is at rest."""
         over = step.t1 >= rest.boundary
 
         def look() -> Array:
@@ -196,12 +196,12 @@ class Amplitude(AbstractObserver):
 def amplitude_variables(
     amplitude: Float[Array, "*batch n"], belt_speed: ArrayLike | None
 ) -> dict[str, Variable]:
-    """Amplitudes, their energy and who vibrates, as every dataset calls them.
+    """Amplitudes, their energy and the number of vibrating masses, as variables of a dataset.
 
     **Arguments:** `belt_speed`, one number or one for each state of a batch; None without a belt,
     where it is unknown which masses vibrate on their own.
 
-    **Returns:** variables whose dimensions are those behind the batch.
+    **Returns:** variables with the dimensions after those of the batch.
     """
     variables = {
         "amplitude": Variable(

@@ -74,7 +74,7 @@ class Step(eqx.Module):
         return self.t0 + theta * (self.t1 - self.t0)
 
     def integral(self, rate: Callable[[Any, State], Array], points: int = 5) -> Array:
-        """That of rate(t, (x, v)) over the step, by Gauss's rule: exact to order 2 points - 1."""
+        """The integral of rate(t, (x, v)) over the step, by Gauss's rule of order 2 points - 1."""
         nodes, weights = gauss(points)
         states = jax.vmap(self.displacement)(nodes), jax.vmap(self.velocity)(nodes)
         rates = jax.vmap(rate)(self.t0 + nodes * (self.t1 - self.t0), states)
@@ -106,7 +106,7 @@ def zeros(
 ) -> Float[Array, "*masses"]:
     """The theta in [0, 1] at which function(theta) is zero where it `crosses`, mass by mass.
 
-    From its values at both ends: the secant, then two Newton steps.
+    It uses the secant through both ends, then two Newton steps.
     """
     theta = jnp.where(crosses, first / jnp.where(crosses, first - last, 1.0), elsewhere)
     for _ in range(2):
@@ -122,7 +122,7 @@ class Variable(eqx.Module):
 
     **Arguments:** `values`, with an axis for each name in `dims`; "oscillator" is the one over all
     n masses.  `units` and `long_name`, as in the CF conventions.  `is_count`: a count is an
-    integer on disk, missing where it is NaN, and of runs that failed.
+    integer on disk; it is missing if it is NaN, and for failed runs.
 
     !!! example
 
@@ -154,7 +154,7 @@ class Variable(eqx.Module):
 
 
 def window_fits(window: float | None, t0: ScalarLike, t1: ScalarLike) -> Any:
-    """Whether a run over [t0, t1] is as long as `window`, but for rounding; None always fits."""
+    """Whether a run over [t0, t1] is at least `window` long, to rounding; None always fits."""
     return True if window is None else t1 - t0 >= window - 1e-12 * (abs(t0) + abs(t1) + window)
 
 
@@ -239,16 +239,17 @@ class AbstractObserver(eqx.Module):
 
 
 class AbstractNotingObserver(AbstractObserver):
-    """One that can take notes of each step, and make its entries from many notes at once.
+    """An observer that notes data of each step and can process many notes at once.
 
-    What it keeps may be large: a loop over many runs copies all of that at every step.  A solver
-    that can calls `note` after each step, and `gather` after many, instead of `update`.  Then the
-    step's `displacement` and `velocity` are modules, whose arrays may be part of a note.
+    Its accumulator may be large, and a loop over many runs would copy it at every step.  A solver
+    that supports notes calls `note` after each step and `gather` after many steps, instead of
+    `update`.  Then the step's `displacement` and `velocity` are modules, whose arrays may be part
+    of a note.
     """
 
     @abc.abstractmethod
     def note(self, step: Step) -> Any:
-        """What must be known of one more accepted step: a few arrays."""
+        """The data of one more accepted step: a few arrays."""
 
     @abc.abstractmethod
     def gather(self, accumulator: Any, notes: Any, count: Int[Array, ""]) -> Any:

@@ -1,4 +1,4 @@
-"""Energy balance along a run: work of the belt, losses to friction and damping, what is stored.
+"""Energy balance along a run: work of the belt, losses to friction and damping, stored energy.
 
 v_d sum p_n F_n = sum p_n |F_n w_n| + sum 2 xi_n v_n^2 + d/dt 1/2 (v . v + x . K x)
 """
@@ -53,7 +53,7 @@ class Divergence(AbstractObserver):
         return {"divergence": Variable(value, (), "1", "integral of tr J over the run")}
 
 
-# A mass that the non-smooth solver holds on the belt has exactly its speed, but for interpolation.
+# A mass that sticks in an event-driven run has exactly the belt speed, except for interpolation.
 _STUCK = 1e-9
 
 
@@ -61,9 +61,10 @@ _STUCK = 1e-9
 class EnergyBalance(AbstractObserver):
     """(work of the belt, energy lost to friction and damping, growth of the stored energy).
 
-    Of a `Chain`, by Gauss's rule of three points in every step: better than what is interpolated.
+    For a `Chain`, by Gauss's rule of three points in every step, which is more accurate than the
+    interpolation.
 
-    **Value:** shape (3,), in units of (P/k)^2 k; the first is the sum of the others, but for the
+    **Value:** shape (3,), in units of (P/k)^2 k; the first is the sum of the others, within the
     errors of the run.
 
     !!! example
@@ -96,7 +97,7 @@ class EnergyBalance(AbstractObserver):
             w, width = field.switching(t, v)
             damping = 2.0 * damping_ratio * v
             sliding = field.local_force(t, x, v) + damping
-            # True dry friction, of no width, holds a mass on the belt.
+            # Dry friction, with no width, holds a mass on the belt.
             sticks = (width == 0) & (jnp.abs(w) < _STUCK)
             force = jnp.where(sticks, damping - field.restoring_force(x), sliding)
             work = jnp.sum((v - w) * force)

@@ -1,4 +1,4 @@
-"""Where the two fronts of a vibrating block are, and the mean speed of what moves in hops.
+"""The positions of the two fronts of a vibrating block, and their mean speed.
 
 Both fronts of one block are followed from a mass inside it, outward to the far side of the ring.
 """
@@ -23,8 +23,8 @@ from ..model.oscillators import AbstractOscillators
 from .base import AbstractObserver, Step, Variable
 from .quantities import active_above
 
-# Masses that a front keeps from the middle of its block and from the far side of the ring: closer,
-# it feels the other front.
+# The least distances, in masses, of a front from the middle of its block and from the far side of
+# the ring; closer, the fronts interact.
 _INNER, _OUTER = 2, 3
 
 
@@ -84,7 +84,7 @@ def _reach(excess: Float[Array, "*batch n"]) -> Float[Array, "*batch"]:
     vibrates = inside > 0
     place = jnp.broadcast_to(jnp.arange(half + 1), inside.shape)
     last = jnp.max(jnp.where(vibrates, place, -1), axis=-1)
-    # The last one that vibrates is followed by one that does not, or is the farthest.
+    # The mass after the last vibrating one does not vibrate, or does not exist.
     falls = inside > outside
     share = jnp.where(falls, inside, 1.0) / jnp.where(falls, inside - outside, 1.0)
     between = place + jnp.clip(share, 0.0, 1.0)
@@ -93,7 +93,7 @@ def _reach(excess: Float[Array, "*batch n"]) -> Float[Array, "*batch"]:
 
 
 def apart(place: Float[Array, "*batch"], n: int) -> Bool[Array, "*batch"]:
-    """Whether a front feels nothing of the other one."""
+    """Whether a front is far enough from the other one."""
     return (place >= _INNER) & (place <= n // 2 - _OUTER)
 
 
@@ -108,7 +108,7 @@ class _Watch(eqx.Module):
 
 @final
 class FrontTrack(AbstractObserver):
-    """Where the two fronts of a vibrating block are, in each of `windows` equal parts of a run.
+    """The positions of the two fronts of a vibrating block, in `windows` equal parts of a run.
 
     A mass vibrates if its half peak-to-peak within the part exceeds |v_d| / 2, as in
     `jaxchain.active`; displacements are evaluated after every step.  The run ends early when both
@@ -156,7 +156,7 @@ class FrontTrack(AbstractObserver):
 
         def closed() -> Fronts:
             speed = step.field.switching(step.t1, jnp.zeros_like(end))
-            assert speed is not None  # what can stick switches
+            assert speed is not None  # a field with sticking masses has `switching`
             threshold = active_above(speed[0])
             amplitude = (high - low) / 2
             right, left = front_positions(amplitude, threshold, self.middle)
@@ -211,12 +211,12 @@ def mean_speed(
 
         half-width = t_{batches - 1} s(v_b) / sqrt(batches),
 
-    which is right for a front that walks at random and too wide for regular hops.  Where the front
-    did not get as far as half a mass, no rate of hops below -ln(1 - level) / time can be excluded,
-    3 / time at 95 %, and the half-width is at least that.
+    which is correct for a random walk and too wide for regular hops.  If the front moved by less
+    than half a mass, no rate of hops below -ln(1 - level) / time can be excluded, 3 / time at 95
+    %, and the half-width is at least that.
 
-    **Arguments:** equally spaced times and positions; `valid`, the positions to use, which stand
-    in succession.  NaN for both where there are not more of them than batches.
+    **Arguments:** equally spaced times and positions; `valid`, the positions to use, which must be
+    successive.  NaN for both if they are not more than the batches.
 
     Source: G. S. Fishman, Grouping observations in digital simulation, Management Science 24,
     510 (1978).

@@ -1,4 +1,4 @@
-"""What amplitudes and peak times say: energy, who vibrates, whether it has settled, delays."""
+"""Quantities from amplitudes and peak times: energy, vibrating masses, settling, delays."""
 
 from typing import Any
 
@@ -20,7 +20,7 @@ from .._types import ScalarLike
 
 
 def _amplitudes(value: Any, dimensions: int, remedy: str = "") -> Array:
-    """`value` as amplitudes, or raises `ValueError` for what is not one array of them."""
+    """`value` as amplitudes, or raises `ValueError` unless it is one array of them."""
     if isinstance(value, tuple) and any(np.ndim(part) for part in value):
         raise ValueError(
             f"Argument `amplitude` must be one array, but is {shown(value)}: a state (x, v) has "
@@ -71,7 +71,7 @@ def participation_ratio(amplitude: Float[Array, "*batch n"]) -> Float[Array, "*b
     return jnp.sum(share, axis=-1) ** 2 / jnp.where(fourth > 0, fourth, 1.0)
 
 
-# An amplitude (x0) that rounding and solver tolerances cannot fake.
+# An amplitude (x0) above all errors of rounding and tolerances.
 LEAST_ACTIVE = 1e-3
 
 
@@ -120,7 +120,7 @@ def active(
     return amplitude > (threshold[..., None] if threshold.ndim else threshold)
 
 
-# Windows that must agree.  With two, three times as many wrong ones pass at an accuracy of 0.1.
+# Windows that must agree.  With two, three times as many wrong decisions pass at accuracy 0.1.
 _AGREEING = 4
 
 
@@ -221,7 +221,7 @@ def delays(
     peak_times = as_array("peak_times", peak_times, 2, 2, "see `PeakTimes`.")
     if not isinstance(reference, jax.Array):
         check_whole("reference", reference, 0, peak_times.shape[1] - 1, "the index of a mass.")
-    # NaN, of a mass that does not vibrate, makes all delays NaN.
+    # A reference mass that does not vibrate gives NaN for all delays.
     period = as_array("period", period, 0, 0)
     if not (is_traced(period) or jnp.isnan(period)):
         check_positive("period", period, "see `mean_period`.")
@@ -230,7 +230,7 @@ def delays(
     after = jnp.searchsorted(ref, peak_times)
     later = ref[jnp.minimum(after, ref.shape[0] - 1)]
     earlier = ref[jnp.maximum(after - 1, 0)]
-    # A peak beyond the last of the reference has NaN behind it, or itself.
+    # After the last peak of the reference there is only NaN, or itself.
     to_later = jnp.where(jnp.isnan(later), jnp.inf, jnp.abs(later - peak_times))
     nearer = jnp.where(to_later < jnp.abs(peak_times - earlier), later, earlier)
     lowest = centre - period / 2

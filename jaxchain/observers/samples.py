@@ -72,9 +72,9 @@ class Trajectory(eqx.Module):
             )
 
 
-# Share of an interval, or of a step, by which rounding may move a time.
+# The share of an interval, or of a step, by which rounding may move a time.
 _ROUNDING = 1e-9
-# Samples that are made at once, of the steps of a round.
+# Samples made at once from the steps of a round.
 _BLOCK = 32
 
 
@@ -209,7 +209,7 @@ class Samples(AbstractNotingObserver):
         return step.t0, step.t1, step.displacement, step.velocity
 
     def gather(self, accumulator: _Samples, notes: Any, count: Int[Array, ""]) -> _Samples:
-        """The accumulator after the first `count` steps that were noted, a sample at each time."""
+        """The accumulator after the first `count` notes, with a sample at each time."""
         t0, t1, *motions = notes
         masses = slice(None) if self.oscillators is None else np.array(self.oscillators)
         last = jnp.maximum(count - 1, 0)

@@ -63,8 +63,8 @@ class PeakTimes(AbstractNotingObserver):
     def update(self, accumulator: tuple[Array, Array], step: Step) -> tuple[Array, Array]:
         times, count = accumulator
         new = self.note(step)
-        # The row that `count` points to holds nothing yet.  A comparison with every row is several
-        # times faster than a scatter on a CPU.
+        # The row at index `count` is empty.  A comparison with every row is several times faster
+        # than a scatter on a CPU.
         here = jnp.arange(self.capacity)[:, None] == count[None, :]
         return jnp.where(here, new[None, :], times), count + (new > _NONE)
 
@@ -82,11 +82,11 @@ class PeakTimes(AbstractNotingObserver):
         notes: Float[Array, "steps n"],
         count: Int[Array, ""],
     ) -> tuple[Array, Array]:
-        """Adds the first `count` notes to what is kept."""
+        """Adds the first `count` notes to the accumulator."""
         times, kept = accumulator
         steps, n = notes.shape
         valid = (jnp.arange(steps)[:, None] < count) & (notes > _NONE)
-        # Rows beyond the last are left out: those of no maximum, and those beyond the capacity.
+        # Rows beyond the last are dropped: those without a maximum, and those beyond the capacity.
         rows = jnp.where(valid, kept[None] + jnp.cumsum(valid, axis=0) - 1, self.capacity)
         times = times.at[rows, jnp.arange(n)[None]].set(notes, mode="drop")
         return times, kept + jnp.sum(valid, axis=0)
@@ -156,7 +156,7 @@ class AbstractSection(AbstractObserver):
         )
 
     def _slope(self, step: Step, t: Any, y: State) -> Array:
-        """The rate of that which has the maximum."""
+        """The rate of the quantity whose maximum is taken."""
         if self.of == "displacement":
             return y[1][self.oscillator]
         return step.field.belt_direction() * step.field(t, y)[1][self.oscillator]

@@ -1,4 +1,4 @@
-"""For how long each mass sticks to the belt, and how many at once."""
+"""The time for which each mass sticks to the belt, and the number of masses that stick at once."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def sticking(step: Step) -> tuple[Array, Array]:
 def _where_negative(
     gap: Callable[[Any], Array], like: Float[Array, " n"]
 ) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
-    """From and to which theta in [0, 1] gap(theta) <= 0, if it changes its sign at most once."""
+    """The interval of theta in [0, 1] with gap(theta) <= 0, if it changes sign at most once."""
     half = jnp.full_like(like, 0.5)
     g0, middle, g1 = gap(jnp.zeros_like(half)), gap(half), gap(jnp.ones_like(half))
     crosses = (g0 > 0) != (g1 > 0)
@@ -140,7 +140,7 @@ class MostSticking(AbstractObserver):
         return jnp.zeros((), int)
 
     def update(self, accumulator: Any, step: Step) -> Any:
-        # A mass that sticks has the velocity of the belt to the last digit, all the time.
+        # A sticking mass has the velocity of the belt to the last digit.
         velocities = jnp.stack([step.y0[1], step.y1[1], step.velocity(jnp.asarray(0.5))])
         switching = jax.vmap(lambda v: step.field.switching(step.t0, v))(velocities)
         assert switching is not None  # what can stick switches

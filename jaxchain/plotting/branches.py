@@ -29,9 +29,9 @@ from .style import (
 )
 
 DASHES: Any = (0, (3, 1.5))
-# Of the curve from one point of a branch to the next.
+# Parts of the curve from one point of a branch to the next.
 PARTS = 12
-# What happens at a special point: marker, colour and name, in the order of the legend.
+# Special points: marker, colour and name, in the order of the legend.
 MARKS: dict[str, tuple[str, str, str]] = {
     "fold": ("*", RED, "fold"),
     "hopf": ("o", "white", "Hopf point"),
@@ -60,8 +60,8 @@ def plot_branch(
 
     **Arguments:**
 
-    - `branch`: of `continue_cycle`, its `to_dataset()`, or a `Branch` of `continue_branch`, whose
-      unknown stability: a solid line.
+    - `branch`: of `continue_cycle`, its `to_dataset()`, or a `Branch` of `continue_branch`, which
+      is drawn solid because its stability is unknown.
     - `y`: a variable over `point` alone; by default `energy`, or `amplitude` of a single
       oscillator.  Special points are marked if the dataset has `special_<y>`, which is missing
       only for `unstable_count`, `stable` and `trivial_defect`.
@@ -136,7 +136,7 @@ def pieces(
 ) -> list[tuple[bool, np.ndarray, np.ndarray]]:
     """(whether stable, x, y) of each piece of a branch, special points before point `at` inserted.
 
-    What is between a stable and an unstable point, and not cut by a special one, is unstable.
+    A piece between a stable and an unstable point without a special point is unstable.
     From one point to the next the line is a smooth curve in `PARTS` parts.
 
     >>> x, y, unstable = np.array([1.0, 3.0]), np.array([2.0, 1.0]), np.array([False, True])
@@ -160,8 +160,8 @@ def smooth(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A curve through all points, `PARTS` parts from each to the next; straight beside NaN.
 
     Monotone cubics (`scipy.interpolate.PchipInterpolator`) of x and of y over the length of the
-    line, as it is on the page: so neither turns anywhere but at a point, and a fold that is one
-    has an upright tangent.
+    line on the page: so both turn at points only, and a fold that is a point has a vertical
+    tangent.
     """
     points = np.stack([x, y], axis=1)
     share = np.linspace(0.0, 1.0, PARTS, endpoint=False)[:, None]
@@ -191,7 +191,7 @@ def _as_dataset(branch: Any) -> xr.Dataset:
 
 
 def _parameter(data: xr.Dataset) -> str:
-    """The name of the parameter; older datasets, of one oscillator over belt speed, tell none."""
+    """The name of the parameter; older datasets of one oscillator do not contain it."""
     name = data.attrs.get("parameter", "belt_speed")
     if name not in data:
         raise ValueError(

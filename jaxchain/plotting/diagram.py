@@ -29,7 +29,7 @@ def parameters(data: xr.Dataset) -> dict[str, Any]:
 
 
 def masses(data: xr.Dataset) -> int:
-    """N, also where nothing is kept of each mass."""
+    """N, even if no variable has the dimension of the masses."""
     return parameters(data)["n"]
 
 
@@ -41,7 +41,7 @@ def swept(data: xr.Dataset) -> list[str]:
 def hopf_belt_speed(data: xr.Dataset) -> float | None:
     """v_H of all runs: above it, steady sliding is stable.
 
-    None if `data` does not hold it, if it is another one for other runs, or if there is none.
+    None if `data` does not contain it, if it differs between runs, or if there is none.
     """
     if "hopf_belt_speed" not in data:
         return None
@@ -50,9 +50,9 @@ def hopf_belt_speed(data: xr.Dataset) -> float | None:
 
 
 def stable_sliding(data: xr.Dataset, hopf: float | None = None) -> np.ndarray | None:
-    """Whether steady sliding is stable with the numbers of each run; None if they do not tell.
+    """Whether steady sliding is stable for the numbers of each run; None if unknown.
 
-    **Arguments:** `hopf`, the belt speed above which it is, in place of what the numbers tell.
+    **Arguments:** `hopf`, the belt speed above which it is stable, instead of the computed one.
     """
     runs, given = data["result"], parameters(data)
 
@@ -80,12 +80,12 @@ def _growth_rate(chain: Chain, numbers: dict[str, Any]) -> Any:
 
 
 def failed(data: xr.Dataset) -> xr.DataArray:
-    """Which runs have no answer."""
+    """Which runs failed."""
     return ~ended_well(data["result"])
 
 
 def energy(data: xr.Dataset) -> xr.DataArray | None:
-    """E, from the amplitudes if only those were kept; None if neither was."""
+    """E, from the amplitudes if only these are stored; None if neither is."""
     if "energy" in data:
         return data["energy"]
     if "amplitude" not in data:
@@ -94,9 +94,9 @@ def energy(data: xr.Dataset) -> xr.DataArray | None:
 
 
 def slides_steadily(data: xr.Dataset) -> xr.DataArray | None:
-    """Which runs ended at rest, see `quantities.slides_steadily`; None if no amplitude was kept.
+    """Which runs ended at rest, see `quantities.slides_steadily`; None without amplitudes.
 
-    Where only energies were kept, rest is E <= 1e-6 / 2, what one mass at the limit has.
+    If only energies are stored, rest is E <= 1e-6 / 2, the energy of one mass at the limit.
     """
     if "amplitude" in data:
         amplitude = data["amplitude"].transpose(..., "oscillator")
@@ -110,9 +110,9 @@ def slides_steadily(data: xr.Dataset) -> xr.DataArray | None:
 def moving_fronts(data: xr.Dataset) -> xr.DataArray | None:
     """Where fronts move: the number of vibrating masses at the end is not that at the start.
 
-    Looks at starts with at least two masses on either side of a front, because a lone mass between
-    two neighbours of the other kind has no front; and at speeds where vibration of the whole chain
-    survives, because beyond it dies everywhere at once.
+    Considers starts with at least two masses on either side of a front, because a single mass
+    between two others of the other kind has no front; and speeds where vibration of the whole
+    chain survives, because at higher speeds it dies out everywhere.
 
     **Returns:** booleans over `belt_speed`; None if `belt_speed` and `excited` are not both swept.
     """
@@ -145,9 +145,9 @@ def basin_brackets(data: xr.Dataset) -> list[tuple[float, float, float]]:
     """(belt speed, largest start that ends without vibration, smallest that vibrates), one mass.
 
     The unstable cycle is the boundary between the two basins in the phase plane of one oscillator,
-    so that a start at rest, `displacement` away from steady sliding, lies within it or outside.
+    so a start at rest, `displacement` away from steady sliding, lies inside or outside it.
     Speeds at which all starts end alike are left out, and those below the Hopf speed, where steady
-    sliding does not attract and a start without vibration has not gone far enough yet.
+    sliding is unstable and a start without vibration has only not grown enough yet.
     """
     two = set(swept(data)) == {"belt_speed", "displacement"}
     if masses(data) != 1 or "active_count" not in data or not two:

@@ -1,6 +1,6 @@
-"""What the datasets of one scene are called, where several of them belong to one sweep.
+"""The names of the datasets of one scene that belong to one sweep.
 
-Nothing here needs JAX or matplotlib: scene files are checked against it.
+This module needs neither JAX nor matplotlib, because it is used to check scene files.
 """
 
 from __future__ import annotations
@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-# Endings of the groups beside that of an experiment: its runs with true dry friction, if it has
-# both models, and the cycles of its one oscillator.
+# Endings of further groups of an experiment: its runs with dry friction, if it has both models,
+# and the cycles of its single oscillator.
 DRY, CYCLES = "_dry", "_cycles"
 
 Data = TypeVar("Data")
@@ -18,7 +18,7 @@ Data = TypeVar("Data")
 
 @dataclass(frozen=True)
 class Panel(Generic[Data]):
-    """What one panel shows: the runs, the same with dry friction, and the branch of cycles."""
+    """The contents of a panel: the runs, the runs with dry friction, and the branch of cycles."""
 
     runs: Data
     dry: Data | None
@@ -26,7 +26,7 @@ class Panel(Generic[Data]):
 
 
 def panels(datasets: Mapping[str, Data]) -> dict[str, Panel[Data]]:
-    """Each sweep with what is called `NAME_dry` and `NAME_cycles`, or None.
+    """Each sweep with its datasets `NAME_dry` and `NAME_cycles`, or None.
 
     >>> found = panels({"one": 1, "one_dry": 2, "one_cycles": 3, "other_dry": 4})
     >>> found["one"], list(found)

@@ -32,7 +32,7 @@ from .style import (
 )
 
 HEIGHT = 2.45  # inches
-# Of the mechanism, in widths of a mass: pitch of the masses, their height, the rows of the links.
+# The mechanism, in widths of a mass: pitch and height of the masses, rows of the links.
 _PITCH, _TALL = 2.8, 1.7
 _SPRING, _DASHPOT, _COUPLING, _CEILING = 1.4, 0.88, 0.28, 3.05
 _POST = 0.5  # from a mass to the post that holds the next one
@@ -204,11 +204,11 @@ def _draw_mass(axes: Axes, middle: float, number: str) -> None:
 
 
 def _draw_ground(axes: Axes, middle: float, named: bool) -> None:
-    """The post on the left of a mass, and the spring and the dashpot that hang on it."""
+    """The post on the left of a mass, with its spring and dashpot."""
     post, side = middle - _PITCH + 0.5 + _POST, middle - 0.5
     axes.plot([post, post], [_CEILING, _DASHPOT - 0.16], **_BOLD)
     axes.plot(*zigzag((post, _SPRING), (side, _SPRING)), **_STROKE)
-    # The cup is open to the right, the piston of the rod comes in from there.
+    # The cup is open to the right, where the piston enters.
     cup, mouth = post + 0.5 * (side - post) - 0.28, post + 0.5 * (side - post) + 0.2
     axes.plot([post, cup], [_DASHPOT] * 2, **_STROKE)
     axes.plot([mouth, cup, cup, mouth], _DASHPOT + np.array([0.15, 0.15, -0.15, -0.15]), **_STROKE)
@@ -421,7 +421,7 @@ def _draw_curves(
 
 
 def _draw_layer(axes: Axes, friction: TanhFriction, width: float, static: float) -> None:
-    """What smoothing does: the layer |v_rel| < 4 widths, magnified."""
+    """The inset: the layer |v_rel| < 4 widths of smoothed friction, magnified."""
     inset = axes.inset_axes((0.635, 0.63, 0.335, 0.34))
     w = np.linspace(-4.0, 4.0, 201)
     law = np.asarray(friction.law.coefficient(jnp.abs(jnp.asarray(w * width))))
@@ -437,5 +437,5 @@ def _draw_layer(axes: Axes, friction: TanhFriction, width: float, static: float)
 
 
 def first_mass(parameters: Any) -> Any:
-    """Those of mass 1, where they differ from mass to mass."""
+    """The numbers of mass 1, if they differ between masses."""
     return jax.tree.map(lambda a: a[0] if jnp.ndim(a) == 1 else a, parameters)

@@ -58,7 +58,7 @@ from .style import (
 LEAST_FRAMES, MOST_FRAMES = 2, 10**6
 MOST_SHOWN = 8  # masses of a long chain
 _UNITS = {"displacement": "x0", "velocity": SPEED}
-# A stretch in which a mass sticks, drawn over its line.
+# The band behind a line where its mass sticks.
 _STUCK: dict[str, Any] = {"linewidth": 3.2, "alpha": 0.45, "solid_capstyle": "butt", "zorder": 1}
 _STICKS: dict[str, Any] = {"facecolor": ORANGE, "hatch": "/////"}
 _SLIDES: dict[str, Any] = {"facecolor": BLUE, "hatch": ""}
@@ -161,7 +161,7 @@ def plot_phase_portrait(
 def _checked(
     states: tuple[np.ndarray, np.ndarray], masses: Any, chain: Any, scales: Any
 ) -> tuple[list[int], np.ndarray | None]:
-    """The masses to draw, and where each of all masses sticks, if that can be known."""
+    """The masses to draw, and the times at which each mass sticks, if known."""
     check_scales(scales)
     n = states[0].shape[1]
     picked = [*range(n)] if masses is None else picked_masses(n, masses)
@@ -263,8 +263,8 @@ def loop(
     later one (after up to `longest` time units) whose displacements and velocities differ from
     those of the first by at most `tolerance`.
 
-    **Arguments:** `state` = (x, v) after the transient; `frames`, their number; `solver` as for
-    `simulate`.
+    **Arguments:** `state` = (x, v) after the transient; `frames`, the number of frames; `solver`
+    as for `simulate`.
 
     **Returns:** (times, (x, v)) of shapes (frames,) and (frames, n), from time 0; the next frame
     would be the first again.
@@ -444,7 +444,7 @@ def film_strip(
 
 
 class _GifWriter(AbstractMovieWriter):
-    """Frames with one small palette: less than half as large as by matplotlib's own writer."""
+    """A writer with one small palette: half the file size of matplotlib's own writer."""
 
     def setup(self, fig: Figure, outfile: Any, dpi: Any = None) -> None:
         super().setup(fig, outfile, dpi)  # pyright: ignore[reportAbstractUsage]  # has a body
@@ -467,7 +467,7 @@ class _GifWriter(AbstractMovieWriter):
 
 
 def _livelier(chain: Chain, x: np.ndarray, masses: Any) -> list[int]:
-    """The masses to draw: neighbours around the liveliest, round the ring if need be."""
+    """The masses to draw: neighbours of the one with the largest amplitude, around the ring."""
     n = chain.n
     if masses is not None:
         return picked_masses(n, masses)
@@ -496,11 +496,12 @@ class _Film:
         pitch = high + 0.5 * self.wide - self.post + 0.1 * swing
         self.home = pitch * np.arange(len(picked))
         self.left, self.right = self.post - 0.3 * swing, self.home[-1] + high + 0.6 * self.wide
-        # Those that are tied to the next one on the right.
+        # Masses that are coupled to the next one on the right.
         ring = chain.ends == "cyclic"
         pairs = enumerate(itertools.pairwise(picked) if chain.coupling is not None else ())
         self.coupled = [i for i, (a, b) in pairs if b == a + 1 or (ring and b == 0)]
-        # A whole number of marks passes in one film, none so fast that they seem to run backward.
+        # A whole number of marks passes in a film, slowly enough that they do not seem to run
+        # backward.
         gap, speed = float(np.mean(np.diff(times))), abs(float(chain.belt_speed))
         way = speed * (times[-1] - times[0] + gap)
         marks = max(round(way / max(0.25 * pitch, 3.0 * speed * gap)), 1)
@@ -564,7 +565,7 @@ class _Film:
         t, x, v, held = self._closed()
         for axes, across, up in ((strip, np.broadcast_to(t[:, None], x.shape), x), (plane, x, v)):
             axes.plot(across, up, color=BLUE, linewidth=0.7)
-            # What sticks is bold from the first frame on in which it does to the last.
+            # Curves are bold from the first to the last frame in which the mass sticks.
             bold: Any = {"linewidth": 2.2, "solid_capstyle": "butt"}
             axes.plot(across, np.where(held, up, np.nan), color=ORANGE, **bold)
             for marker, colour in (("s", ORANGE), ("o", BLUE)):
@@ -586,7 +587,7 @@ class _Film:
         plane.set(xlabel=place, ylabel=rate)
 
     def _closed(self) -> list[np.ndarray]:
-        """Times, x, v and who sticks; with the first frame once more behind a film that closes."""
+        """Times, x, v and sticking; for a closed film with the first frame appended."""
         parts = [self.times, self.x, self.v, self.sticks]
         steps = [np.abs(np.diff(part, axis=0)).max() for part in (self.x, self.v)]
         leap = [np.abs(part[-1] - part[0]).max() for part in (self.x, self.v)]
@@ -596,7 +597,7 @@ class _Film:
         return [np.append(self.times, after), *(np.vstack([p, p[:1]]) for p in parts[1:])]
 
     def show(self, frame: int) -> list[Any]:
-        """Moves everything to where it is in a frame; what has changed."""
+        """Moves everything to its place in a frame; returns what has changed."""
         time, x, v, stuck = (part[frame] for part in (self.times, self.x, self.v, self.sticks))
         middles, half = self.home + x, 0.5 * self.wide
         for block, number, middle, held in zip(

@@ -33,14 +33,14 @@ from .style import BLUE, GREY, ORANGE, PAGE_WIDTH, STYLE
 
 DELAY = r"delay $\phi_n$ (1/$\omega_n$)"
 SOLUTION = "solution: oscillators excited at the start"
-# More delays of one mass in a panel show no more than these.
+# The most delays of one mass in a panel; more are not visible.
 MOST_PER_MASS = 800
 
 Runs = Panel[xr.Dataset]
 
 
 def picture_names(data: xr.Dataset) -> list[str]:
-    """The pictures that the experiment of a dataset asks for; none for a sweep's own figure."""
+    """The pictures that the experiment of a dataset requests; empty for the default figure."""
     return json.loads(data.attrs.get("definition", "{}")).get("pictures", [])
 
 
@@ -83,7 +83,7 @@ def _height(data: xr.Dataset, row: tuple[str, ...]) -> float:
 def _title(
     axes: Any, letters: Iterator[str], state: xr.Dataset | None = None, **look: Any
 ) -> None:
-    """The panel's letter, and which state it shows."""
+    """The letter of the panel, and its state."""
     axes.set_title(f"({next(letters)})", loc="left", fontweight="bold", **look)
     if state is not None:
         alive = f"{int(vibrating(state).sum())} vibrate"
@@ -94,7 +94,7 @@ def _title(
 
 
 def vibrating(data: xr.Dataset) -> np.ndarray:
-    """Which oscillators vibrate, of each state."""
+    """The vibrating oscillators of each state."""
     return np.asarray(
         active(jnp.asarray(data["amplitude"].values), parameters(data)["belt_speed"])
     )
@@ -109,7 +109,7 @@ def _window(data: xr.Dataset) -> tuple[float, float]:
 def draw_circles(axes: Any, runs: Runs) -> None:
     """A row for each state, a circle for each oscillator, its radius proportional to A.
 
-    The same with true dry friction are rings round the discs.
+    Rings around the discs are the same states with dry friction.
     """
     data, dry = runs.runs, runs.dry
     counts, sites = data["excited"].values, data["oscillator"].values
@@ -126,7 +126,7 @@ def draw_circles(axes: Any, runs: Runs) -> None:
 
     circles(data, ~alive, facecolors=GREY, linewidths=0)
     circles(data, alive, facecolors=BLUE, linewidths=0)
-    # A mass that hardly moves is a dot one can still see.
+    # A mass that hardly moves is still a visible dot.
     axes.plot(across[~alive], up[~alive], ".", color=GREY, markersize=1.0, markeredgewidth=0)
     keys = [("vibrates", BLUE, 6.0), ("shaken by neighbours", GREY, 2.5)]
     for label, colour, size in keys:
@@ -166,10 +166,10 @@ def add_delays(data: xr.Dataset) -> xr.Dataset:
 
     phi_i = tau_peak,i - tau_peak,reference of the vibrating masses, in [-T/4, 3T/4) with the mean
     period T of the reference in the window, so that motion in phase (0) and out of phase (T/2)
-    both lie inside.  The reference is oscillator 11 of 20; where that does not vibrate, the first
-    one after it that does; 0 if none vibrates.  `delay_spread` is the greatest range of the delays
-    of one mass within the window, followed continuously: it grows beyond T where a phase slips.
-    Peaks of masses that do not vibrate are left out of `peak_time`.
+    both lie inside.  The reference is oscillator 11 of 20 or, if that does not vibrate, the next
+    one that does; 0 if none vibrates.  `delay_spread` is the greatest range of the delays of one
+    mass within the window, followed continuously: it grows beyond T where a phase slips. Peaks of
+    masses that do not vibrate are left out of `peak_time`.
     """
     alive, begin = vibrating(data), _window(data)[0]
     around = (reference_site(alive.shape[1]) + np.arange(alive.shape[1])) % alive.shape[1]
@@ -247,7 +247,7 @@ def _points(state: xr.Dataset, start: float = -np.inf) -> tuple[np.ndarray, ...]
     numbers = np.broadcast_to(state["oscillator"].values, times.shape)
     shown = np.isfinite(delay) & (times >= start)
     others = shown & (numbers != int(state["reference"]))
-    # A state of one mass has nothing but its reference.
+    # A state of one mass has only its reference.
     shown = others if others.any() else shown
     skip = max(1, int(np.max(shown.sum(axis=0), initial=0)) // MOST_PER_MASS)
     shown[np.arange(shown.shape[0]) % skip != 0] = False
@@ -267,7 +267,7 @@ def _panels(part: Any, data: xr.Dataset, **keywords: Any) -> list[Any]:
 def _shades(data: xr.Dataset) -> dict[str, Any]:
     """A colour for each oscillator: `cmap` and `norm`."""
     numbers = data["oscillator"].values
-    # The last yellow of viridis is lost on white.
+    # The last yellow of viridis is not visible on white.
     shades = ListedColormap(matplotlib.colormaps["viridis"](np.linspace(0.0, 0.93, numbers.size)))
     edges = np.arange(numbers[0], numbers[-1] + 2) - 0.5
     return {"cmap": shades, "norm": BoundaryNorm(edges, numbers.size)}
@@ -295,7 +295,7 @@ def _delay_axis(panels: list[Any], data: xr.Dataset) -> None:
 
 
 def _samples(data: xr.Dataset) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[int]]:
-    """Times, x and v of what `Samples` kept of each state, and the oscillators."""
+    """Times, x and v of the `Samples` of each state, and the oscillators."""
     others = json.loads(data.attrs["definition"])["observe"]["others"]
     table = next(other for other in others if other["observer"] == "Samples")
     x, v = (data[f"sample_{name}"].values for name in ("displacement", "velocity"))
@@ -340,11 +340,11 @@ def draw_phase_plots(part: Any, data: xr.Dataset, letters: Iterator[str]) -> Non
     look: Any = {"grid.linewidth": 0.3, "grid.color": "#cccccc"}
     with matplotlib.rc_context(look):
         panels = _panels(part, data, subplot_kw={"projection": "3d"})
-    # One box for all: what only one mass does must not look like what three do.
+    # The same box for all, so that the motion of one mass does not look like that of three.
     finite = x[np.isfinite(x)]
     limits = (finite.min() - 0.05, finite.max() + 0.05) if finite.size else (-1.0, 1.0)
     shades = ListedColormap(matplotlib.colormaps["viridis"](np.linspace(0.0, 0.8, 64)))
-    # About a period to a piece: where they lie close together they darken each other.
+    # Pieces of about a period: where they overlap they become darker.
     pieces = max(1, round((times[-1] - times[0]) / (2.0 * np.pi)))
     edges = np.linspace(0, len(times) - 1, pieces + 1).astype(int)
     for index, axes in enumerate(panels):

@@ -1,8 +1,8 @@
 """The style of all figures: widths, colours, labels, symbols, units.
 
-What returns a figure uses matplotlib's object-oriented interface alone, and changes nothing
-global.  What draws on axes makes them with `pyplot` if it is given none, so that a notebook shows
-them.  Colours are those of Okabe and Ito and of viridis, which colour-blind readers can tell
+Functions that return a figure use only matplotlib's object-oriented interface and change nothing
+global.  Functions that draw on axes make them with `pyplot` if none are given, so that a notebook
+shows them.  Colours are those of Okabe and Ito and of viridis, which colour-blind readers can tell
 apart; states differ by marker, too.
 """
 
@@ -31,7 +31,7 @@ PAGE_WIDTH, COLUMN_WIDTH = 7.0, 3.35  # inches
 BLUE, ORANGE, GREY, RED = "#0072B2", "#E69F00", "#777777", "#C8102E"
 PURPLE, GREEN = "#CC79A7", "#009E73"
 SKY, VERMILION = "#56B4E9", "#D55E00"
-# Of series that are told apart one by one; neighbours differ most.
+# Colours of individually distinguished series; neighbours differ most.
 SERIES = (BLUE, VERMILION, GREEN, PURPLE, SKY, "black", ORANGE)
 MARKERS = "osD^v<>P"
 STYLE: dict[Any, Any] = {
@@ -90,7 +90,7 @@ _BESIDE = "beside"
 
 @contextmanager
 def on_axes(ax: Axes | None, height: float = 2.4) -> Iterator[Axes]:
-    """The axes that are given, as they are; else new ones of a column's width, in our style."""
+    """The given axes unchanged, or new ones of a column's width in our style."""
     if ax is not None:
         yield as_axes(ax)
         return
@@ -112,7 +112,7 @@ def as_axes(ax: Any) -> Axes:
 
 
 def add_colour_bar(panels: Sequence[Axes], shade: Any, label: str | None) -> Any:
-    """What the shades of many series mean, beside all of these axes; returns matplotlib's bar."""
+    """Adds a colour bar for many series beside all of these axes; returns matplotlib's bar."""
     figure: Any = panels[0].figure
     bar = figure.colorbar(shade, ax=panels, pad=0.02, aspect=30, label=label)
     bar.outline.set_linewidth(0.6)
@@ -120,10 +120,10 @@ def add_colour_bar(panels: Sequence[Axes], shade: Any, label: str | None) -> Any
 
 
 def add_legend(panels: Axes | list[Axes], title: str | None = None, beside: bool = False) -> None:
-    """Each label of the panels once, also where several pictures lie on top of each other.
+    """Adds a legend with each label of the panels once, also for overlaid plots.
 
-    Within the first panel, or `beside` it, and of several panels beside all of them, where the
-    figure has a layout that makes room for it.
+    It is placed in the first panel, or `beside` it, and for several panels beside all of them, if
+    the layout of the figure makes room.
     """
     panels = [panels] if isinstance(panels, Axes) else panels
     options: dict[str, Any] = {}
@@ -157,13 +157,13 @@ def add_legend(panels: Axes | list[Axes], title: str | None = None, beside: bool
 
 
 def _wrapped(title: str) -> str:
-    """On several short lines; none ends within a formula."""
+    """The text on several short lines; none ends within a formula."""
     whole = re.sub(r"\$[^$]*\$", lambda formula: formula[0].replace(" ", "\0"), title)
     return textwrap.fill(whole, 18).replace("\0", " ")
 
 
 def widen(axes: Axes, positions: np.ndarray) -> None:
-    """A logarithmic axis where positions span decades."""
+    """Makes the axis logarithmic if positions span decades."""
     if (
         positions.dtype.kind in "fiu"
         and positions.min() > 0
@@ -173,7 +173,7 @@ def widen(axes: Axes, positions: np.ndarray) -> None:
 
 
 def looks(values: np.ndarray) -> tuple[list[tuple[Any, str]], ScalarMappable | None]:
-    """(colour, marker) of each series, and what a colour bar shows if there are many numbers."""
+    """(colour, marker) of each series, and the data of a colour bar for many numbers."""
     if len(values) <= len(SERIES):
         return list(zip(SERIES, MARKERS[: len(values)], strict=False)), None
     is_number = values.dtype.kind in "fiu"
@@ -185,7 +185,7 @@ def looks(values: np.ndarray) -> tuple[list[tuple[Any, str]], ScalarMappable | N
     return colours, shade if is_number else None
 
 
-# Words and symbols of what is no number of the chain.
+# Words and symbols of quantities that are not numbers of the chain.
 _NAMES: dict[str, tuple[str, str]] = {
     "amplitude": ("vibration amplitude", r"\tilde A_n"),
     "energy": ("vibration energy", r"\tilde E"),
@@ -203,12 +203,12 @@ _NAMES: dict[str, tuple[str, str]] = {
     "excited": ("oscillators excited at the start", ""),
     "oscillator": ("oscillator", "n"),
 }
-# What these symbols are in SI units.
+# The factors of these symbols in SI units.
 _IN_SI = {r"\tau": "t", r"\tilde F": "F"}
 _COUNTS = {"active_count", "excited", "oscillator", "segment", "steps", "rejected"}
-# Of one line of a label, in letters.
+# Length of a line of a label, in letters.
 _LONGEST = 38
-# Of the units in datasets: how many of SI they are, and what that one is called.
+# For the units of datasets: their size and name in SI.
 _UNITS: dict[str, tuple[Callable[[Scales], Any], str]] = {
     "x0": (lambda scales: scales.unit("displacement"), "m"),
     "x0^2": (lambda scales: scales.unit("displacement") ** 2, "m²"),
@@ -227,18 +227,18 @@ def check_scales(scales: Any) -> None:
 
 
 def axis(name: str, attrs: Mapping[str, Any], scales: Scales | None) -> tuple[float, str]:
-    """By what the values of a variable are multiplied, and the label of its axis.
+    """The factor for the values of a variable, and the label of its axis.
 
     >>> axis("belt_speed", {"units": "x0 omega_n"}, None)
     (1.0, 'belt speed $\\\\tilde v_d$ (–)')
     """
-    words, symbol, factor, unit = _said(name, attrs, scales)
+    words, symbol, factor, unit = _axis_parts(name, attrs, scales)
     label = f"{words} ${symbol}$" if symbol else words
     label = label if name in _COUNTS or not unit else f"{label} ({unit})"
     return factor, label if symbol else textwrap.fill(label, _LONGEST)
 
 
-def _said(
+def _axis_parts(
     name: str, attrs: Mapping[str, Any], scales: Scales | None
 ) -> tuple[str, str, float, str]:
     """Words, symbol, factor and unit."""
@@ -265,14 +265,14 @@ def number_of(one: xr.DataArray, scales: Scales | None) -> str:
 
 
 def value_of(one: xr.DataArray, scales: Scales | None) -> str:
-    """The same with its symbol, or else its name, and with its unit."""
+    """The value with its symbol, or else its name, and with its unit."""
     name = str(one.name)
-    _, symbol, _, unit = _said(name, one.attrs, scales)
+    _, symbol, _, unit = _axis_parts(name, one.attrs, scales)
     short = f"${symbol}$" if symbol else name
     return f"{short} = {number_of(one, scales)}" + ("" if unit in ("–", "") else f" {unit}")
 
 
 def scaled(data: xr.DataArray, scales: Scales | None) -> tuple[Any, str]:
-    """The values of a variable in the units of its axis, and the label of that."""
+    """The values of a variable in the units of its axis, and the label of the axis."""
     factor, label = axis(str(data.name), data.attrs, scales)
     return (data.values if factor == 1.0 else data.values * factor), label

@@ -182,7 +182,8 @@ def draw(axes: Axes, panel: Panel[xr.Dataset], hopf: float | None = None) -> Non
     axes.set_xlabel(SYMBOLS.get(across, across))
     axes.set_ylabel(label)
     widen(axes, data[across].values)
-    # Rest stands clear of the axis, failures below it, and rounding errors do not fill the panel.
+    # Rest is drawn above the axis and failures below it, and rounding errors do not fill the
+    # panel.
     top = max(float(np.max(y[good], initial=0.0)), 1e-3)
     axes.set_ylim(-0.14 * top if bad.any() else -0.05 * top, 1.08 * top)
     if bad.any():
@@ -198,7 +199,7 @@ def draw(axes: Axes, panel: Panel[xr.Dataset], hopf: float | None = None) -> Non
 
 
 def _heights(data: xr.Dataset) -> tuple[np.ndarray, str]:
-    """What the points show, of the shape of the runs, and its name."""
+    """The values of the points, of the shape of the runs, and their name."""
     values = energy(data)
     if values is None:
         return data["active_count"].values, "vibrating oscillators"
@@ -215,10 +216,10 @@ def _draw_runs(
     good: np.ndarray,
     hopf: float | None,
 ) -> None:
-    """Vibrating, at rest, unstable rest, and neither: told apart by colour and marker.
+    """Vibrating, at rest, unstable rest, and neither: distinguished by colour and marker.
 
-    Neither is what moves without a mass that vibrates: a vibration that dies down or has just
-    begun, or masses that are shaken.
+    "Neither" is motion without a vibrating mass: a vibration that dies out or has just begun, or
+    masses that are shaken by neighbours.
     """
     if "active_count" not in data:
         axes.plot(x, y, "o", color=BLUE, markersize=3)
@@ -249,7 +250,7 @@ def _draw_runs(
 
 
 def _draw_cycles(axes: Axes, cycles: xr.Dataset) -> None:
-    """The branch of cycles through its fold, which no run can show."""
+    """The branch of cycles through its fold, including unstable ones."""
     x, y, stable = (cycles[name].values for name in ("belt_speed", "amplitude", "stable"))
     top = int(np.argmax(stable))  # the first stable cycle, next to the fold
     axes.plot(x[top - 1 :], y[top - 1 :], color=BLUE, linewidth=0.9, zorder=2)
@@ -320,13 +321,13 @@ def _draw_fronts(axes: Axes, data: xr.Dataset) -> None:
 
 # Of panels on a page, and side by side.
 MOST_PANELS, _COLUMNS = 24, 3
-# Over these the points are joined: they are times of the same runs.
+# Points are joined along these: they are times of the same runs.
 _TIMES = ("segment", "segment_end")
 _NOT_RUN = {"pending", "interrupted"}
 
 
 class _Hue(NamedTuple):
-    """By what the runs of a panel are told apart."""
+    """The variable that distinguishes the runs of a panel."""
 
     of_runs: xr.DataArray  # the value of each run
     values: xr.DataArray  # those that are there
@@ -472,7 +473,7 @@ def _hue(data: xr.Dataset, values: xr.DataArray, hue: Any) -> _Hue | None:
 def _places(
     data: xr.Dataset, values: xr.DataArray, asked: dict[str, Any], hue: _Hue | None, ax: Any
 ) -> dict[str, str | None]:
-    """Which variable is drawn where; every dimension of more than one value has its place."""
+    """The place of each variable; every dimension of more than one value needs a place."""
     free = [str(dim) for dim in values.dims if values.sizes[dim] > 1]
     places = dict(asked)
     for role, name in asked.items():
@@ -547,7 +548,7 @@ def _draw(
     decided = ~np.logical_or.reduce([np.zeros(at.shape, bool), *bad.values()])
     height = np.where(decided, y_factor * flat(values), np.nan)
     series = [(np.ones(at.shape, bool), "", (BLUE, "o"))]
-    # Points of several series may lie upon each other: hollow ones are all seen.
+    # Points of several series may overlap: hollow ones all stay visible.
     look: dict[str, Any] = {"markersize": 3.4}
     if hue is not None:
         of = flat(hue.of_runs)
@@ -628,7 +629,7 @@ def _new_panels(shape: list[int], is_row: bool) -> list[Axes]:
     flat = places.ravel().tolist()
     for spare in flat[count:]:
         spare.set_axis_off()
-    # Those above a place that is empty have nothing below to tell what is across.
+    # Panels above an empty place need their own label below.
     for panel in flat[max(count - columns, 0) : count]:
         panel.tick_params(labelbottom=True)
     return flat[:count]

@@ -1,6 +1,6 @@
-"""What an experiment is computed with: chain, start, observers and solver, from its tables.
+"""The chain, start, observers and solver of an experiment, from its tables.
 
-A scene holds only the numbers of a friction law or observer of one's own: its code runs when its
+A scene contains only the numbers of a custom friction law or observer; its code runs only if its
 file is named on the command line.
 """
 
@@ -46,11 +46,11 @@ _Made = TypeVar("_Made")
 def build_chain(
     experiment: Experiment, custom_law: type[AbstractFrictionLaw] | None = None
 ) -> Chain:
-    """The chain of an experiment, with the first value of everything that is swept.
+    """The chain of an experiment, with the first value of every swept number.
 
     `custom_law` takes the place of the law that the experiment names.
 
-    **Raises:** `ValueError` for numbers that do not go together, or do not make this law.
+    **Raises:** `ValueError` for inconsistent numbers, or numbers that do not fit the law.
     """
     table, grid = experiment.chain, experiment.grid()
 
@@ -76,7 +76,7 @@ def build_chain(
 
 
 def build_initial(experiment: Experiment) -> Callable[..., State]:
-    """The initial state as a function of the chain; what is swept are parameters of it."""
+    """The initial state as a function of the chain and of the swept parameters."""
     table = experiment.initial
     start = table.model_dump(exclude={"kind"}, exclude_none=True)
     if not isinstance(table, ExcitedTable):
@@ -104,9 +104,9 @@ def build_observers(
     window: float,
     custom_observers: Mapping[str, type[AbstractObserver]] | None = None,
 ) -> list[AbstractObserver]:
-    """Amplitudes in the window, what else the table names, and own observers that it does not.
+    """Amplitudes in the window, the observers of the table, and further custom observers.
 
-    **Raises:** `ValueError` for an observer of one's own that is missing, or cannot be made.
+    **Raises:** `ValueError` for a custom observer that is missing or cannot be constructed.
     """
     how = table.model_dump(exclude={"quantities", "others"})
     watch: list[AbstractObserver] = [observers.Amplitude(window=window, **how)]
@@ -148,8 +148,8 @@ def checked_chains(
 ) -> dict[str, Chain]:
     """The chain of every experiment of a scene.
 
-    **Raises:** `SceneError` with everything that only chain, start, observers and tolerances
-    together show, before anything runs.
+    **Raises:** `SceneError`, before anything runs, with all problems that appear only when chain,
+    start, observers and tolerances are combined.
     """
     chains, problems = {}, []
     for name, experiment in loaded.scene.experiment.items():
@@ -183,8 +183,8 @@ def load_law(given: str, scene: str) -> type[AbstractFrictionLaw]:
     **Returns:** the class, for `custom_law` of `run_scene`; its fields are the numbers of the
     scene's friction table.
 
-    **Raises:** `SceneError` if there is no such file or class, if the class is no friction law,
-    or if the file fails.
+    **Raises:** `SceneError` if the file or class does not exist, if the class is not a friction
+    law, or if the file fails.
 
     !!! example
 
@@ -216,8 +216,8 @@ def load_observer(given: str, scene: str) -> type[AbstractObserver]:
 
     **Returns:** the class, for `custom_observers` of `run_scene`, by its name.
 
-    **Raises:** `SceneError` if there is no such file or class, if the class is no observer, or if
-    the file fails.
+    **Raises:** `SceneError` if the file or class does not exist, if the class is not an observer,
+    or if the file fails.
 
     !!! example
 
@@ -262,7 +262,7 @@ def _load(option: str, given: str, scene: str, base: type[_Made], module: str) -
     if spec is None or spec.loader is None:
         raise wrong(f"{file} is no Python file")
     code = importlib.util.module_from_spec(spec)
-    # Dataclasses look their module up there; no name that is taken is replaced.
+    # Dataclasses look up their module there; no existing name is replaced.
     sys.modules.setdefault(spec.name, code)
     try:
         spec.loader.exec_module(code)
@@ -282,9 +282,9 @@ def _load(option: str, given: str, scene: str, base: type[_Made], module: str) -
 
 
 def make(kind: type[_Made], numbers: Mapping[str, Any], place: str) -> _Made:
-    """A law or observer of one's own with the numbers that a scene has at `place`.
+    """A custom law or observer with the numbers at `place` of a scene.
 
-    **Raises:** `ValueError` for numbers that are no fields of it, or are missing.
+    **Raises:** `ValueError` for numbers that are not its fields, or are missing.
     """
     fields = inspect.signature(kind)
     try:

@@ -1,6 +1,6 @@
-"""Scene files as TOML: found, read and written; what they say is not checked here.
+"""Scene files as TOML: finding, reading and writing; their content is not checked here.
 
-Nothing here needs JAX or pydantic, so that the list of scenes is printed at once.
+This module needs neither JAX nor pydantic, so that listing the scenes is fast.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
-# Problems that are shown; bytes of a scene file.
+# The most problems shown, and the most bytes of a scene file.
 MOST_SHOWN, MOST_BYTES = 50, 10 * 10**6
 
 
@@ -57,7 +57,7 @@ def did_you_mean(word: str, allowed: Iterable[str]) -> str:
 
 
 def shortened(text: str, most: int) -> str:
-    """One printable line: other characters as escapes, and no more than `most` of them, or so.
+    """One printable line of about `most` characters; unprintable ones are escaped.
 
     >>> shortened("a" * 20 + "b", 10)
     'aaaaaaaaaa... (21 characters)'
@@ -86,7 +86,7 @@ def builtin_scenes() -> dict[str, Traversable]:
 def scene_file(scene: str) -> Traversable:
     """The file of a built-in scene, of a path, or of a folder with results.
 
-    **Raises:** `SceneError` for a folder that holds no scene, or several.
+    **Raises:** `SceneError` for a folder with no scene, or with several.
     """
     builtin, path = builtin_scenes(), Path(scene)
     if scene in builtin or not os.path.isdir(path):  # which never raises
@@ -101,12 +101,12 @@ def scene_file(scene: str) -> Traversable:
 
 
 def read_scene(scene: str, overrides: Sequence[str] = ()) -> tuple[str, dict[str, Any]]:
-    """The name under which the results of a scene are stored, and what its file says.
+    """The name under which the results of a scene are stored, and the content of its file.
 
     **Arguments:** `scene`, the name of a built-in scene, the path of a TOML file, or that of a
     folder with results; `overrides`, assignments such as "experiment.ladder.chain.n=40".
 
-    **Raises:** `SceneError` if there is no such file, or it is no TOML.
+    **Raises:** `SceneError` if the file does not exist or is not valid TOML.
 
     >>> read_scene("quickstart")[1]["experiment"]["ladder"]["chain"]["n"]
     6
@@ -140,8 +140,8 @@ def read_scene(scene: str, overrides: Sequence[str] = ()) -> tuple[str, dict[str
 
 
 def _parsed(text: str) -> dict[str, Any]:
-    """What a TOML text says, or `ValueError`."""
-    # Python writes no number of more than 4300 digits, and reads none but hexadecimal ones.
+    """The content of a TOML text, or `ValueError`."""
+    # Python neither reads nor writes decimal numbers of more than 4300 digits.
     if long := re.search(r"0x[\da-fA-F_]{3500}|[\d_]{4301}", text):
         line = text.count("\n", 0, long.start()) + 1
         raise ValueError(f"has a number of thousands of digits in line {line}")
@@ -167,7 +167,7 @@ def _override(data: dict[str, Any], override: str) -> None:
     try:
         given = _parsed(f"value = {text}")
     except ValueError as error:
-        # The shell eats quotes: a bare word stands for itself.
+        # The shell removes quotes, so a bare word is a string.
         if not re.fullmatch(r"[A-Za-z][\w-]*", text.strip()):
             raise ValueError(f"{option}: `{shortened(text, 200)}` {error}") from None
         given = {"value": text.strip()}
@@ -184,8 +184,8 @@ def _override(data: dict[str, Any], override: str) -> None:
 def to_toml(table: Mapping[str, Any], path: str = "") -> str:
     """A table as TOML: its values, then the tables within it.
 
-    A range is a value as a list is, so that the order of a sweep, that of its axes, is kept; a
-    library that writes tables behind lists would change it.
+    A range is written as a value, like a list, which keeps the order of the axes of a sweep; a
+    library that writes tables after lists would change it.
 
     >>> print(to_toml({"width": 1e-3, "sweep": {"k": {"start": 0, "stop": 2}, "v": [1.0]}}))
     width = 0.001
@@ -208,12 +208,12 @@ def to_toml(table: Mapping[str, Any], path: str = "") -> str:
 
 
 def as_key(key: str) -> str:
-    """A key as it stands in a file: in quotes where it must."""
+    """A key as written in a file: in quotes if necessary."""
     return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else f'"{escaped(key)}"'
 
 
 def as_value(value: Any) -> str:
-    """A value as it stands in a file.
+    """A value as written in a file.
 
     >>> as_value(True), as_value("a")
     ('true', '"a"')
@@ -231,5 +231,5 @@ def as_value(value: Any) -> str:
 
 
 def escaped(text: str) -> str:
-    """A text as it stands between quotes: as in JSON, but for the control character DEL."""
+    """A text as written between quotes: as in JSON, except for the control character DEL."""
     return json.dumps(text, ensure_ascii=False)[1:-1].replace("\x7f", "\\u007f")

@@ -1,11 +1,11 @@
-"""The folder of a run: its datasets as groups of one Zarr store, each whole or not there at all.
+"""The folder of a run: its datasets as groups of one Zarr store, each complete or absent.
 
-<scene>.toml                the scene as it was run, with every number left to jaxchain
-FILE.py                     copies of files with own code, to be read
+<scene>.toml                the scene as it was run, with all default numbers
+FILE.py                     copies of files with custom code, for reference
 <scene>.zarr                all datasets that fit into memory, a group each
-<scene>.<group>.zarr        the store of one group that its runs enter as they end
+<scene>.<group>.zarr        the store of one group, filled as its runs end
 <scene>.png, .pdf, report.html
-unfinished.txt              while the run is under way, and for good where it was cut off
+unfinished.txt              while the run is under way, or if it was cut off
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from ..result import NAMES
 MARKER = "unfinished.txt"
 _MARKED = """\
 Process {process} on {host} fills this folder since {since}.
-This file goes when the run ends. Where it stays, the run was cut off: what is here is whole, but
-not all. `jaxchain resume` with this folder goes on here; `jaxchain run` with it runs all again,
-into another one.
+This file is removed when the run ends. If it stays, the run was cut off: the results are intact,
+but not all. `jaxchain resume` with this folder goes on here; `jaxchain run` with it runs all
+again, into another one.
 """
 
 
@@ -74,7 +74,7 @@ class Results:
     """The results of one run, in memory and in a folder.
 
     **Arguments:** `folder`, an existing one without another writer, see `claimed`; `name`, of the
-    files in it; `about`, the attributes of the store, common to all its datasets.
+    files in it; `about`, the attributes of the store.
 
     !!! example
 
@@ -93,8 +93,8 @@ class Results:
         self.datasets: dict[str, xr.Dataset] = {}
         """All that was saved, by name."""
         self.stored: dict[str, xr.Dataset] = {}
-        """What is too large for that and stays in its store, read as it is used."""
-        self._again: set[str] = set()  # groups that were interrupted, to be written anew
+        """Results too large for memory: they stay in their store and are read when used."""
+        self._again: set[str] = set()  # interrupted groups, to be written again
 
     @classmethod
     def reopen(cls, folder: Path, name: str) -> Results:
@@ -136,7 +136,7 @@ class Results:
         with self._as_storage_errors(name):
             try:
                 self._write(name)
-            except KeyboardInterrupt:  # saved all the same, then stopped
+            except KeyboardInterrupt:  # saved nevertheless, then stopped
                 self._write(name)
                 raise
 
@@ -151,7 +151,7 @@ class Results:
     def _write(self, name: str) -> None:
         root = xr.Dataset(attrs={**self.about, "ended": now()})
         with self._aside() as part:
-            # Format 2 is what other tools read.
+            # Other tools read format 2.
             for group, data in ((None, root), (name, self.datasets[name])):
                 data.to_zarr(part, group=group, mode="a", zarr_format=2, consolidated=False)
             self.store.mkdir(exist_ok=True)
@@ -184,7 +184,7 @@ class Results:
 
     @contextlib.contextmanager
     def _aside(self) -> Iterator[Path]:
-        """A hidden folder beside the results, for what is renamed once it is whole."""
+        """A hidden folder next to the results, for data that are renamed when complete."""
         with tempfile.TemporaryDirectory(
             prefix=".part-", dir=self.folder, ignore_cleanup_errors=True
         ) as part:
@@ -192,7 +192,7 @@ class Results:
 
 
 def saved(store: Path) -> dict[str, xr.Dataset]:
-    """The groups of a store of results, read into memory; none of one that is not there."""
+    """The groups of a store of results, read into memory; empty if it does not exist."""
     return {
         group.parent.name: xr.open_zarr(
             store, group=group.parent.name, consolidated=False, chunks=None
@@ -210,8 +210,8 @@ def now() -> str:
 def claimed(path: Path) -> Iterator[Path]:
     """An unused folder for results: `path`, or `path`-2, `path`-3, ...
 
-    Until the end of the block it is reserved and marked as unfinished; if it is empty then, it is
-    removed.  An existing empty folder counts as unused.
+    It is reserved and marked as unfinished until the end of the block, and removed if it is then
+    empty.  An existing empty folder counts as unused.
 
     **Returns:** a context manager that gives the folder.
 
@@ -249,7 +249,7 @@ def claimed(path: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def unfinished(folder: Path, name: str) -> Iterator[None]:
-    """Marks a folder as one that this process fills; the mark stays if the run is cut off.
+    """Marks a folder as being filled by this process; the mark stays if the run is cut off.
 
     **Raises:** `StorageError` if it cannot be written, or another process fills it.
     """
@@ -281,17 +281,17 @@ def unfinished(folder: Path, name: str) -> Iterator[None]:
 
 
 def was_cut_off(folder: Path) -> bool:
-    """Whether the run of a folder has ended without an end."""
+    """Whether the run of a folder was cut off."""
     try:
         with (folder / MARKER).open() as marker:
             fcntl.flock(marker, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except OSError:  # no marker, or its process lives
+    except OSError:  # no marker, or its process still runs
         return False
     return True
 
 
 def listing(folder: Path) -> list[str]:
-    """What a run has left in a folder; nothing of a folder that cannot be read."""
+    """The files of a run in a folder; empty if the folder cannot be read."""
     try:
         return sorted(f for f in os.listdir(folder) if f != MARKER and not f.startswith("."))
     except OSError:

@@ -26,7 +26,7 @@ PAGE = "report.html"
 def summary(name: str, data: xr.Dataset, store: Path | None = None) -> str:
     """The size, cost and outcome of a sweep, and where it vibrates; or where cycles fold.
 
-    **Arguments:** `store`, of a sweep that is too large to be looked at.
+    **Arguments:** `store`, of a sweep that is too large for memory.
     """
     title, rows, more = data.attrs.get("description", ""), [], []
     if "fold_belt_speed" in data:
@@ -43,9 +43,9 @@ def summary(name: str, data: xr.Dataset, store: Path | None = None) -> str:
 
 
 def failures(data: xr.Dataset) -> Iterator[str]:
-    """Which runs have no answer, the first five, and for each kind of failure what to do."""
+    """The failed runs (the first five), and a remedy for each kind of failure."""
     codes = data["result"].values
-    # The outcome counts those that were interrupted, which the user knows.
+    # The outcome includes interrupted runs, which the user knows of.
     places = np.argwhere(failed(data).values & (codes != NAMES.index("interrupted")))
     for place in places[:5]:
         values = (data[dim].values[i] for dim, i in zip(swept(data), place, strict=True))
@@ -68,7 +68,7 @@ def _settings(data: xr.Dataset) -> Iterator[tuple[str, str]]:
     sizes = " x ".join(f"{data.sizes[dim]} {dim}" for dim in swept(data))
     took = f" in {attrs['wall_time_s']:.3g} s" if "wall_time_s" in attrs else ""
     yield "runs", f"{data['result'].size} ({sizes}){took} on {attrs['devices']}"
-    # A run with true dry friction has no width, whatever the chain of its scene has.
+    # A run with dry friction has no width, even if the chain of its scene has one.
     dry = attrs.get("model") == "dry" or chain.get("width") is None
     left_out = {"n", "ends", "friction_law", "friction_table", *(["width"] if dry else [])}
     numbers = [
@@ -128,10 +128,9 @@ def _stretches(positions: np.ndarray, inside: np.ndarray) -> str:
 def write_page(
     folder: Path, name: str, datasets: Mapping[str, xr.Dataset], loaded: LoadedScene | None = None
 ) -> Path:
-    """Writes `report.html` of a folder: one file that needs no other and no network.
+    """Writes `report.html` of a folder: one file that needs no other files and no network.
 
-    **Arguments:** `datasets`, those in the folder; `loaded`, what was run, if its file can be
-    read.
+    **Arguments:** `datasets`, those in the folder; `loaded`, the scene, if its file can be read.
 
     **Raises:** `OSError` if it cannot be written.
     """

@@ -1,4 +1,4 @@
-"""Runs a scene: experiments -> datasets -> a folder of results.
+"""Running a scene: experiments -> datasets -> a folder of results.
 
 Each dataset is written as soon as its experiment is done, before anything is drawn, so that
 neither a later failure nor an interruption loses what was computed.
@@ -42,7 +42,7 @@ from .report import PAGE, missing, summary, write_page
 from .scene import Experiment, Group, LoadedScene, Scene
 from .tables import CustomObserverTable
 
-# What the numbers of a start mean: a sweep, for which they may be anything, does not know.
+# Descriptions of the numbers of a start, which a sweep does not have.
 _OF_THE_START = {
     "displacement": ("how far excited masses are pulled away at the start", "x0"),
     "velocity": ("velocity of every mass at the start", "x0 omega_n"),
@@ -75,7 +75,7 @@ def run_scene(
 
     **Arguments:** `folder`, an existing empty one (see `claimed`); `custom_law`, a friction law
     for every experiment, with the numbers of the scene's law; `custom_observers`, by the names of
-    their classes, for every experiment; `plot`, whether to draw; `netcdf`, whether to write also
+    their classes, for every experiment; `plot`, whether to draw; `netcdf`, whether to also write
     `<scene>.nc`, which needs h5netcdf; `report`, a function that receives a summary of each
     experiment; `command`, the command line, and `custom_files`, copied into the folder, for the
     record; `client`, a `distributed.Client` whose workers run every experiment, into stores.
@@ -102,7 +102,7 @@ def run_scene(
         [[0.0, 1.0]]
     """
     if saved(folder / f"{loaded.name}.zarr"):
-        remedy = "`resume_scene` goes on there, `claimed` finds another"
+        remedy = "`resume_scene` continues it, `claimed` finds another folder"
         raise SceneError(loaded.name, [f"has results in {folder} already: {remedy}"])
     results, about = Results(folder, loaded.name), circumstances(command)
     how = {"custom_law": custom_law, "custom_observers": custom_observers, "progress": progress}
@@ -178,7 +178,7 @@ def _fill(
     plot: bool,
     netcdf: bool,
 ) -> dict[str, xr.Dataset]:
-    """Runs and saves every group that is not saved yet, and draws."""
+    """Runs and saves every group that is not saved yet, and draws the figure."""
     whole = {"title": loaded.scene.title, "scene": loaded.name}
     results.about |= {"description": loaded.scene.description, **whole}
     before = list(results.datasets)
@@ -220,7 +220,7 @@ def _run_group(
     how: Mapping[str, Any],
     report: Callable[[str], object],
 ) -> None:
-    """Runs an experiment and saves it; once it is interrupted, what has ended."""
+    """Runs an experiment and saves it, or after an interruption its finished runs."""
     experiment, interrupt, store = group.experiment, None, None
     if experiment.stored() or how["client"] is not None:
         store = results.folder / f"{results.name}.{group.name}.zarr"
@@ -254,7 +254,7 @@ def _run_group(
 
 
 def _in_memory(data: xr.Dataset) -> xr.Dataset:
-    """What a store holds, read, and without how its files were written."""
+    """The dataset of a store in memory, without the encoding of its files."""
     read = data.load().copy()
     read.encoding = {}
     for variable in read.variables.values():
@@ -264,7 +264,7 @@ def _in_memory(data: xr.Dataset) -> xr.Dataset:
 
 
 def _write_page(results: Results, loaded: LoadedScene) -> None:
-    """The page of whatever was saved; a page that cannot be written is only warned of."""
+    """Writes the page for the saved results; a failure gives only a warning."""
     if results.store.exists() or stores_in(results.folder):
         try:
             write_page(results.folder, loaded.name, results.datasets, loaded)
@@ -275,16 +275,16 @@ def _write_page(results: Results, loaded: LoadedScene) -> None:
 
 @contextlib.contextmanager
 def _located(scene: str, place: str) -> Iterator[None]:
-    """Adds the experiment to an error that only a run shows: a width too small, say.
+    """Adds the experiment to an error that appears only in a run, such as a width too small.
 
-    **Raises:** `SceneError` for a `ValueError`; `MemoryError` with a remedy for want of memory.
+    **Raises:** `SceneError` for a `ValueError`; `MemoryError` with a remedy if memory is short.
     """
     try:
         yield
     except ValueError as error:
         raise SceneError(scene, [f"{place}{error}"]) from error
     except (MemoryError, RuntimeError) as error:
-        # RESOURCE_EXHAUSTED is how the compiler says it.
+        # The compiler reports it as RESOURCE_EXHAUSTED.
         if not isinstance(error, MemoryError) and "RESOURCE_EXHAUSTED" not in str(error):
             raise
         more = "" if "fewer" in str(error) else ": take fewer values, masses or chains at once"
@@ -331,7 +331,7 @@ def run_experiment(
     if model != "dry":
         solver = build_solver(numerics.solver, chain, numerics.rtol, numerics.max_step)
     with warnings.catch_warnings():
-        # The summary says it better.
+        # The summary reports this in more detail.
         warnings.filterwarnings("ignore", message=r"\d+ of \d+ runs ended with")
         return sweep(
             chain,
@@ -349,10 +349,10 @@ def run_experiment(
 
 
 def hopf_speed(chain: Chain, grid: Mapping[str, np.ndarray]) -> xr.DataArray | None:
-    """The Hopf speed over whatever numbers of the chain are swept beside belt speed.
+    """The Hopf speed over the swept numbers of the chain other than the belt speed.
 
-    None where no belt speed is swept, for numbers per mass, whose search costs eigenvalues, and
-    for more combinations than fit into memory.
+    None if no belt speed is swept, for numbers per mass, whose search needs eigenvalues, and for
+    more combinations than fit into memory.
     """
     if "belt_speed" not in grid or not has_uniform_damping(chain):
         return None
@@ -375,7 +375,7 @@ def hopf_speed(chain: Chain, grid: Mapping[str, np.ndarray]) -> xr.DataArray | N
 def cycles(chain: Chain, grid: Mapping[str, np.ndarray]) -> xr.Dataset | None:
     """All cycles of one oscillator with smoothed friction over the belt speed, through their fold.
 
-    **Arguments:** `chain` and the swept values of the experiment whose runs they stand beside.
+    **Arguments:** `chain` and the swept values of the experiment that the cycles accompany.
 
     **Returns:** a dataset over `point`, from rest at the Hopf speed through the fold to
     stick-slip; None for anything but one oscillator, with a sweep over at least ten belt speeds
@@ -409,10 +409,10 @@ def cycles(chain: Chain, grid: Mapping[str, np.ndarray]) -> xr.Dataset | None:
 
 
 def circumstances(command: str = "") -> dict[str, str]:
-    """What results depend on beside the scene; `command` is the one that was given."""
+    """The circumstances of results besides the scene; `command` is the command line."""
     devices = jax.devices()
     return {
-        # An argument may be bytes that are no text.
+        # An argument may be bytes that are not text.
         "command": command.encode("utf-8", "backslashreplace").decode(),
         "started": now(),
         "devices": f"{len(devices)} x {devices[0].device_kind}",
@@ -424,11 +424,11 @@ def circumstances(command: str = "") -> dict[str, str]:
 def scene_files(
     name: str, scene: dict[str, Any], about: Mapping[str, str], custom_files: Sequence[Path] = ()
 ) -> dict[str, bytes]:
-    """The files by name: `scene` (see `as_run`) with `about` in its comments, and own code."""
+    """The files by name: `scene` (see `as_run`) with `about` as comments, and custom code."""
     head = [
         "# What was run: every number of the scene, with what the command line changed.",
         "# `jaxchain run` takes the folder of this file, or this file, and runs it again;",
-        "# `jaxchain resume` takes the folder and goes on where a run was cut off.",
+        "# `jaxchain resume` takes the folder and continues a run that was cut off.",
         *(f'# {key} = "{escaped(text)}"' for key, text in about.items() if key != "versions"),
         f"# versions = {as_value(versions())}",
     ]
@@ -447,10 +447,10 @@ def as_run(
     custom_law: bool = False,
     custom_observers: Mapping[str, Any] | Sequence[str] = (),
 ) -> dict[str, Any]:
-    """What the file of a scene says, if it says all.
+    """The complete content of a scene file, with all defaults.
 
-    What was in the place of a law is named as one's own, and so are the observers that the scene
-    did not name, so that neither is forgotten on the next command line.
+    A law given on the command line is marked as custom, and so are further observers, so that the
+    next command line must name them again.
     """
     data = scene.model_dump(mode="json", exclude_none=True)
     for name, experiment in scene.experiment.items():

@@ -1,8 +1,8 @@
 """Scenes: experiments described as data, read and checked as a whole before anything is compiled.
 
-The tables check each key by itself; here stands what concerns several keys at once: numbers that
-are neither given nor swept, lists that do not fit the chain, more excited masses than there are,
-sweeps that are too large.  Nothing here needs JAX.
+The tables check each key separately; this module checks several keys together: numbers that are
+neither given nor swept, lists that do not fit the chain, more excited masses than the chain has,
+sweeps that are too large.  It does not need JAX.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _Problem: TypeAlias = tuple[tuple[str | int, ...], str]
 
 
 def _raise_all(problems: Iterator[_Problem]) -> None:
-    """All at once, as pydantic raises what it finds itself."""
+    """Raises all problems at once, in the same way as pydantic."""
     details: list[InitErrorDetails] = [
         {"type": PydanticCustomError("problem", "{text}", {"text": text}), "loc": path, "input": 0}
         for path, text in problems
@@ -50,7 +50,7 @@ def _raise_all(problems: Iterator[_Problem]) -> None:
 
 
 Picture: TypeAlias = Literal["circles", "orbit_diagram", "delays", "time_series", "phase_plots"]
-# What is kept for pictures, beside amplitudes.
+# The observers that pictures need besides amplitudes.
 _OBSERVED = {
     "orbit_diagram": "PeakTimes",
     "delays": "PeakTimes",
@@ -77,7 +77,7 @@ class Experiment(Table):
     """
 
     description: Text = ""
-    """What it is about, in some sentences, which its results keep."""
+    """A description in some sentences, which is stored with the results."""
     chain: tables.ChainTable
     """Masses, springs, belt and friction."""
     initial: tables.InitialTable
@@ -327,7 +327,7 @@ class Scene(Table):
     title: Annotated[Text, Field(min_length=1)]
     """What it is called, in one line."""
     description: Text = ""
-    """What it is about, in some sentences, which its results keep."""
+    """A description in some sentences, which is stored with the results."""
     experiment: Annotated[dict[tables.Name, Experiment], Field(min_length=1, max_length=1000)]
     """The experiments by name; each makes one dataset of this name."""
 
@@ -343,8 +343,7 @@ class Scene(Table):
         return self
 
     def groups(self) -> Iterator[Group]:
-        """The groups to run, in this order; with both models the smoothed one has the name of the
-        experiment."""
+        """The groups to run, in order; the first of two models has the name of the experiment."""
         for name, experiment in self.experiment.items():
             model = experiment.numerics.model
             yield Group(name, name, experiment, "smoothed" if model == "both" else model)
@@ -380,7 +379,7 @@ def load_scene(scene: str, overrides: Sequence[str] = ()) -> LoadedScene:
     ['ladder']
     """
     name, data = read_scene(scene, overrides)
-    # Files that the scene names lie beside it.
+    # Files that the scene names are in the same folder.
     place = Path(scene)
     folder = place if scene not in builtin_scenes() and os.path.isdir(place) else place.parent
     try:
@@ -425,7 +424,7 @@ def schema() -> dict[str, Any]:
 
 
 def _problem(detail: Any) -> str:
-    """What pydantic finds wrong: the key, what it must be, and what it is."""
+    """A problem found by pydantic: the key, the requirement and the value."""
     kind, location, value = detail["type"], detail["loc"], detail["input"]
     message = detail["msg"].removeprefix("Value error, ")
     if kind == "extra_forbidden":
@@ -456,9 +455,9 @@ def _problem(detail: Any) -> str:
 
 
 def _place(location: Sequence[int | str]) -> tuple[list[str], list[type[Table]]]:
-    """(the keys in the file that lead to a location of pydantic, the tables that may stand there).
+    """(the keys in the file for a location of pydantic, the tables that may be there).
 
-    A location also names which of several kinds pydantic took a value for.
+    A location also names the kind that pydantic chose among several.
     """
     path: list[str] = []
     kind: Any = Scene
@@ -478,7 +477,7 @@ def _place(location: Sequence[int | str]) -> tuple[list[str], list[type[Table]]]
 
 
 def _tables(kind: Any) -> list[type[Table]]:
-    """Every table that a value of this type may be."""
+    """All tables that a value of this type may be."""
     if isinstance(kind, type) and issubclass(kind, Table):
         return [kind]
     return [table for part in get_args(kind) for table in _tables(part)]

@@ -1,11 +1,11 @@
 """The tables a scene file is made of, each a pydantic model.
 
-Nothing here needs JAX, so that a wrong scene is refused in milliseconds.  Every number is
-dimensionless.  A number that is swept may be left out, so most are optional here; the experiment
-checks whether one is missing (`jaxchain.scenes.scene`).
+This module does not need JAX, so that a wrong scene is refused in milliseconds.  Every number is
+dimensionless.  A swept number may be left out, so most are optional here; the experiment checks
+for missing ones (`jaxchain.scenes.scene`).
 
-Bounds are far beyond what means anything for such a chain: they keep squares and quotients finite,
-and counts within what can be computed and stored.
+Bounds are far beyond all meaningful values: they keep squares and quotients finite, and counts
+small enough to compute and store.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from .._limits import LEAST_ATOL, LEAST_RTOL, MOST_LANES
 from ..model.measured import check_measured, read_curve
 from ..model.parameters import CHAIN, parameter
 
-# Of numbers other than 0, in magnitude; time units of a run: some days of one core.
+# Bounds of nonzero numbers, in magnitude; time units of a run: some days of one core.
 LEAST, MOST, MOST_TIME = 1e-15, 1e15, 1e9
-# Values of one list, and numbers that one experiment keeps: 0.8 GB.
+# The most values of one list, and the most numbers kept by one experiment: 0.8 GB.
 MOST_VALUES, MOST_NUMBERS = 10**6, 10**8
 FEWER = "take fewer values, or share them out over several experiments or scene files"
 T = TypeVar("T", bound=BaseModel)
@@ -239,7 +239,7 @@ class TabulatedTable(Table):
     @model_validator(mode="before")
     @classmethod
     def _read(cls, table: Any, info: Any) -> Any:
-        """With the numbers of its file, so that results hold them."""
+        """Adds the numbers of the file, so that the results contain them."""
         if not isinstance(table, dict) or not isinstance(table.get("file"), str):
             return table
         if "speed" in table or "mu" in table:
@@ -261,7 +261,7 @@ class TabulatedTable(Table):
 
 @_numbers("width")
 class CustomLawTable(Table):
-    """A law of one's own, named on the command line: `--law FILE.py:CLASS`."""
+    """A custom law, named on the command line: `--law FILE.py:CLASS`."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, Number] = Field(init=False)
@@ -345,7 +345,7 @@ class TimeTable(Table):
     """A run lasts transient + window time units (one period of a free mass is about 2 pi)."""
 
     transient: Time
-    """Time units that are waited for before amplitudes are measured."""
+    """Time units before amplitudes are measured."""
     window: PositiveTime
     """Time units over which amplitudes are measured; a period is about 2 pi."""
 
@@ -357,7 +357,7 @@ Solver: TypeAlias = Literal[
 
 
 class NumericsTable(Table):
-    """How the runs of an experiment are computed, with which friction, and where they are kept."""
+    """The computation of the runs: model of friction, solver, tolerances and storage."""
 
     model: Literal["smoothed", "dry", "both"] = "smoothed"
     """Friction smoothed by its width, true dry friction, or one run of each."""
@@ -375,7 +375,7 @@ class NumericsTable(Table):
     lanes: Annotated[int, Field(ge=1, le=MOST_LANES)] | None = None
     """Runs computed at once; absent: as many as suit the machine."""
     store: bool | None = None
-    """Whether they are kept in a store as they end, from which a run that was cut off goes on;
+    """Whether runs are saved in a store as they end, from which an interrupted run continues;
     absent: if there are more than 4096."""
 
 
@@ -383,7 +383,7 @@ _OBSERVER = Field(description="Which observer.")
 
 
 class StickTimeTable(Table):
-    """For how long each mass sticks."""
+    """The time for which each mass sticks."""
 
     observer: Annotated[Literal["StickTime"], _OBSERVER]
     window: PositiveTime | None = None
@@ -398,13 +398,13 @@ class _CrossingsTable(Table):
 
 
 class PeakTimesTable(_CrossingsTable):
-    """When each mass is farthest out."""
+    """The times of the maxima of each displacement."""
 
     observer: Annotated[Literal["PeakTimes"], _OBSERVER]
 
 
 class SectionTable(_CrossingsTable):
-    """The states in which one mass is farthest out, or fastest along the belt."""
+    """The states in which the displacement or the velocity of one mass has a maximum."""
 
     observer: Annotated[Literal["Section"], _OBSERVER]
     oscillator: Mass
@@ -428,7 +428,7 @@ class SamplesTable(Table):
 
 
 class FrontTrackTable(Table):
-    """Where the two fronts of a vibrating block are."""
+    """The positions of the two fronts of a vibrating block."""
 
     observer: Annotated[Literal["FrontTrack"], _OBSERVER]
     windows: Count
@@ -444,7 +444,7 @@ class WholeRunTable(Table):
 
 
 class CustomObserverTable(Table):
-    """An observer of one's own, named on the command line: `--observer FILE.py:CLASS`.
+    """A custom observer, named on the command line: `--observer FILE.py:CLASS`.
 
     The other keys are fields of its class.
     """
@@ -470,7 +470,7 @@ ObserverTable: TypeAlias = Annotated[
 
 
 class ObserveTable(Table):
-    """What is kept of every run."""
+    """The observed quantities of every run."""
 
     quantities: Annotated[
         list[Literal["amplitude", "energy", "active_count"]],
@@ -500,7 +500,7 @@ class ObserveTable(Table):
 
 
 def kept_numbers(table: ObserverTable, n: int) -> int:
-    """How many numbers are kept of one run of n masses."""
+    """The number of stored numbers per run of n masses."""
     match table:
         case SectionTable():
             return table.capacity * (2 * n + 1)
@@ -514,6 +514,6 @@ def kept_numbers(table: ObserverTable, n: int) -> int:
 
 
 def tags(table: type[BaseModel]) -> tuple[str, ...]:
-    """The values of the key by which a table is one of several kinds; none for other tables."""
+    """The values of the key that selects one of several kinds of table; empty for others."""
     keys = {"law", "kind", "observer"} & table.model_fields.keys()
     return tuple(tag for key in keys for tag in get_args(table.model_fields[key].annotation))

@@ -19,7 +19,7 @@ from ..model.oscillators import AbstractOscillators
 from ..solvers.rosenbrock import AbstractStructuredRosenbrock, Rodas4, Rodas5P
 from .event_driven import EventDriven
 
-# Steps beyond this length would gain nothing for a vibration of period about 2 pi.
+# Longer steps have no advantage for a vibration of period about 2 pi.
 MAX_STEP = 0.5
 MOST_SWEEPS = 3
 
@@ -36,7 +36,7 @@ def check_span(t0: ArrayLike, t1: ArrayLike) -> None:
 
 
 def check_tolerances(rtol: ArrayLike, atol: ArrayLike | None, max_step: ArrayLike) -> None:
-    """Raises `ValueError` unless what is given of the step-size control can control a step."""
+    """Raises `ValueError` for bad tolerances or step limits."""
     check_positive_number("rtol", rtol, "1e-6 is usual.")
     check_positive_number("max_step", max_step, "0.5 is usual, where a period is about 2 pi.")
     if not is_traced(rtol) and not LEAST_RTOL <= float(np.asarray(rtol)) < 1:
@@ -54,7 +54,7 @@ def check_tolerances(rtol: ArrayLike, atol: ArrayLike | None, max_step: ArrayLik
 
 
 def custom_solver(chain: Any, solver: Any) -> Any:
-    """`solver`, or `EventDriven()` where none is given and friction is dry; None otherwise."""
+    """`solver`, or `EventDriven()` if none is given and friction is dry; otherwise None."""
     if solver is not None and not isinstance(solver, EventDriven | dfx.AbstractAdaptiveSolver):
         raise ValueError(
             "Argument `solver` must be None, `Rodas4()`, `Rodas5P()`, `EventDriven()` or another "
@@ -72,7 +72,7 @@ def custom_solver(chain: Any, solver: Any) -> Any:
 
 
 def _instead(solver: Any) -> str:
-    """The end of an error: what was meant."""
+    """The end of an error: what was probably meant."""
     if isinstance(solver, type) and issubclass(solver, EventDriven | dfx.AbstractSolver):
         return f": give an object of it, `{solver.__name__}()`."
     name = solver if isinstance(solver, str) else ""
@@ -82,7 +82,7 @@ def _instead(solver: Any) -> str:
 
 
 def check_adjoint(adjoint: Any, max_steps: Any) -> None:
-    """Raises `ValueError` for what a run cannot be differentiated by."""
+    """Raises `ValueError` for an unsupported `adjoint`."""
     kinds = (dfx.ForwardMode, dfx.RecursiveCheckpointAdjoint, dfx.DirectAdjoint)
     direct = isinstance(adjoint, dfx.DirectAdjoint)
     if adjoint is not None and (not isinstance(adjoint, kinds) or (direct and not max_steps)):
@@ -107,11 +107,11 @@ def fit_linear_solve(
     rtol: float,
     max_step: float = MAX_STEP,
 ) -> AbstractStructuredRosenbrock:
-    """The solver with as few sweeps as do not lengthen a run, or with the exact solve.
+    """The solver with the fewest sweeps that do not slow down a run, or with the exact solve.
 
-    Sweeps are never wrong: their bound is part of every step's error estimate.  They are slow if
-    that part decides how long a step may be; here it must stay below rtol for a step as long as
-    the tolerance allows a vibration.  Springs whose numbers are traced are taken for weak.
+    Sweeps are safe, because their error bound is part of the error estimate of each step.  They
+    are slow if this part limits the step; here it must stay below rtol for a step as long as the
+    tolerance allows for a vibration.  Traced springs are assumed to be weak.
     """
     if field.springs is None:
         return solver
@@ -128,10 +128,10 @@ def fit_linear_solve(
 
 
 USUAL_RTOL = 1e-6
-# Said where a dry chain is given an `accuracy`, the error of smoothing.
+# The remedy if `accuracy`, the error of smoothing, is given for a dry chain.
 NO_ACCURACY = "give `rtol` instead of `accuracy`, which picks a width, or "
-# A tolerance this many times below what tears a sticking mass off the belt is right to what it
-# promises, 10 times is too little (see `check_resolved`).
+# A tolerance smaller by this factor than one that tears a sticking mass off the belt keeps its
+# accuracy; a factor of 10 is too small (see `check_resolved`).
 _CLEAN, _LAYER, _NORM_MASSES = 30.0, 10.0, 20
 
 
@@ -149,11 +149,11 @@ def default_rtol(n: int, width: Any, belt_speed: Any) -> Any:
     return lax.stop_gradient(rtol) if traced else float(rtol)
 
 
-# Greatest factor but for one in fifty between the error that smoothing makes and `_bias`; measured
-# on 160 random chains of six masses, widths 0.03 to 1e-5, against true dry friction.
+# The ratio of the error of smoothing to `_bias` that one in fifty exceeds; measured on 160 random
+# chains of six masses, widths 0.03 to 1e-5, against dry friction.
 _WORST = 6.0
-# The error of integration is at most some 20 rtol while rtol stays below this share of the width,
-# and one beyond all bounds above a tenth of it.
+# The error of integration is at most some 20 rtol if rtol is below this share of the width, and
+# unbounded above a tenth of the width.
 _RTOL_PER_WIDTH = 1e-2
 
 
@@ -256,11 +256,11 @@ def check_resolved(
 ) -> None:
     """Raises `ValueError` if the tolerance on velocities is too coarse for the width.
 
-    Where a mass sticks, |w| < eps, about.  With an error of that order in its velocity,
-    atol + rtol |v_d|, a mass leaves the belt, or does not reach it, and no error estimate tells:
-    a single mass is off by 5e-3 after 50 time units at eps = 10 (atol + rtol |v_d|) and by what
-    the tolerance promises from 30 on.  The norm of the error is a mean over masses, and what one
-    of n may have is sqrt(n) times that; the norm lets no mass have more than one of 20.
+    A mass sticks with |w| < eps, about.  With an error of that order in its velocity, atol + rtol
+    |v_d|, it leaves the belt, or does not reach it, and no error estimate detects this: a single
+    mass is off by 5e-3 after 50 time units at eps = 10 (atol + rtol |v_d|) and by what the
+    tolerance promises from 30 on.  The norm of the error is a mean over masses, so one of n masses
+    may have sqrt(n) times that; the norm limits n to 20.
     """
     if is_traced(width, belt_speed, rtol, atol):
         return

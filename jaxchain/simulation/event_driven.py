@@ -2,10 +2,10 @@
 
 The equations are in `solvers/dry_friction.py`.
 
-A step expands the motion in a Taylor series, as long as the tolerance allows, and ends at the
-first event of any mass, which is a root of the series itself: no step is repeated to land on an
-event, and none is stepped over (`solvers/taylor.py`).  It is one loop in JAX; under `vmap`
-every lane goes to its own next event.
+A step expands the motion in a Taylor series, is as long as the tolerance allows, and ends at the
+first event of any mass, a root of the series itself: no step is repeated to land on an event, and
+no event is missed (`solvers/taylor.py`).  The integration is one loop in JAX; under `vmap` every
+lane goes to its own next event.
 
 Method: A. Jorba and M. Zou, A software package for the numerical integration of ODEs by means of
 high-order Taylor methods, Experimental Mathematics 14, 99 (2005).
@@ -50,15 +50,15 @@ from .plan import CHECKPOINTS, AbstractPlan, Progress, first_result, forward_onl
 
 
 class StateRecord(eqx.Module):
-    """The states at given times, which the steps meet exactly."""
+    """The states at given times, at which steps end exactly."""
 
     times: Float[Array, " times"]
-    states: Any  # (x, v), of shapes (times, n): that of equal times where the first of them stands
+    states: Any  # (x, v), of shapes (times, n): for equal times only the first row is used
     count: Int[Array, ""]  # of the times that have passed
 
     @classmethod
     def blank(cls, times: Array, n: int) -> StateRecord:
-        """A record of n masses at these times, with nothing in it."""
+        """An empty record of n masses at these times."""
         nothing = jnp.full((*times.shape, n), jnp.nan)
         return cls(times, (nothing, nothing), jnp.zeros((), int))
 
@@ -69,10 +69,10 @@ class StateRecord(eqx.Module):
         return jnp.where(self.count <= last, ahead, jnp.inf)
 
     def keep(self, t: Array, state: State) -> StateRecord:
-        """With the state, if the time is one of those asked for."""
+        """The record with the state, if the time is a requested one."""
         here: Any = self.next_time() <= t
         place = jnp.minimum(self.count, self.times.shape[0] - 1)
-        # On the way of reverse derivatives these are buffers, which are written to only like this.
+        # In reverse mode these are buffers, which must be written in this form.
         states = tuple(
             eqxi.buffer_at_set(kept, place, now, pred=here)
             for kept, now in zip(self.states, state, strict=True)
@@ -86,7 +86,7 @@ class StateRecord(eqx.Module):
         return x[first], v[first]
 
 
-# Steps between two times that notes are gathered.
+# Steps between two calls of `gather`.
 ROUND = 64
 
 
@@ -96,11 +96,11 @@ def in_rounds(
     gather: Callable[[Any, Any, Int[Array, ""]], Any],
     first: Any,
 ) -> Any:
-    """step, step, ... while it `goes_on`, and after a round of them what they noted is gathered.
+    """Takes steps while it `goes_on`, and gathers their notes after each round.
 
-    In a batch, JAX chooses between old and new at every step, for each array that a loop carries
-    and some lanes are done with.  Here all lanes take steps until the last one ends; what `step`
-    hands on as it is costs nothing.
+    In a batch, JAX selects between old and new values at every step, for each array of the loop,
+    if some lanes are done.  Here all lanes take steps until the last one ends; arrays that `step`
+    does not change cost nothing.
 
     **Arguments:** `step`: carry -> (carry, notes, any arrays); `gather`: carry, the notes stacked
     along axis 0, how many of these count -> carry.
@@ -138,7 +138,7 @@ def shifts(
     field: Chain, series: Series, modes: Modes, t: Array, hits: Array,
     v: Array, acceleration: Array,
 ) -> tuple[Array, Array]:  # fmt: skip
-    """One more Newton step to the events: nothing but rounding, and their whole derivative.
+    """One more Newton step to the events: a shift by rounding, with the full derivative.
 
     (the shift of each mass's event, of shape (n,); their mean over those that have one, by
     which the step is made longer.)  The search itself is not differentiated; this is the
@@ -156,16 +156,16 @@ def shifts(
 
 
 def at_the_end(field: Chain, progress: Progress, t1: Any) -> Progress:
-    """The same, where an event falls together with t1; but it moves with t1, not with the event.
+    """The shift if an event coincides with t1: the end moves with t1, not with the event.
 
-    A run over the period of a cycle that is cut at an event ends so.
+    This occurs for a run over the period of a cycle that is cut at an event.
     """
     x, v = progress.state
     direction = progress.memory.modes.direction
     mu = field.law.coefficient(jnp.abs(v - field.belt_speed))
     slides = field.free_force(x, v) - direction * field.load * mu
     acceleration = jnp.where(direction == STICK, 0.0, slides)
-    # Rounding, and 0 but for its derivative at any other end.
+    # Rounding only; 0 except for its derivative.
     rest = jnp.where(progress.running & (progress.t >= t1), t1 - progress.t, 0.0)
     state = x + rest * v, v + rest * acceleration
     return eqx.tree_at(lambda p: p.state, progress, state)
@@ -174,11 +174,11 @@ def at_the_end(field: Chain, progress: Progress, t1: Any) -> Progress:
 def head_start(
     field: Chain, state: State, modes: Modes, new: Modes, hits: Array, since: Array
 ) -> Array:
-    """What masses that slide on through w = 0 have gained in speed `since` their own events.
+    """The speed gained `since` their own events by masses that slide through w = 0.
 
-    Of masses whose events fall together each is disturbed in its own way, and the step ends at
-    their mean.  Zero but for rounding, which is left out, and its derivative.  One that comes to
-    stick, or is let go, has no acceleration then.
+    If several events coincide, each is disturbed differently, and the step ends at their mean.
+    The value is rounding, which is left out, so only the derivative remains.  A mass that starts
+    to stick, or is released, has no acceleration then.
     """
     through = hits & (modes.direction != STICK) & (new.direction != STICK)
     speed = jnp.zeros_like(state[1])
@@ -188,7 +188,7 @@ def head_start(
 
 @jax.custom_jvp
 def change_alone(a: Array) -> Array:
-    """Zero, with the derivatives of `a`: nothing is computed where there are none."""
+    """Zero, with the derivatives of `a`; without derivatives nothing is computed."""
     return jnp.zeros_like(a)
 
 
@@ -197,7 +197,7 @@ def _(primals: Any, tangents: Any) -> tuple[Array, Array]:
     return change_alone(*primals), tangents[0]
 
 
-# Steps in succession that may leave the time where it is: an event of every mass, and some more.
+# The most successive steps that do not change the time: an event of every mass, and some more.
 _STALLED_PER_MASS, _STALLED = 8, 64
 _RAN_AWAY = 1e8
 
@@ -228,7 +228,7 @@ class _Motion(eqx.Module):
 
 class _StoredMotion(eqx.Module):
     modes: Modes
-    stalled: Int[Array, ""]  # steps in succession that did not move the time
+    stalled: Int[Array, ""]  # successive steps that did not change the time
 
 
 class EventDrivenPlan(AbstractPlan):
@@ -269,7 +269,7 @@ class EventDrivenPlan(AbstractPlan):
         adjoint: Any = None,
         recorded: int | None = None,
     ) -> tuple[Progress, list[tuple[Array, Array]]]:
-        del recorded  # events decide about the steps, to rounding
+        del recorded  # steps end at events, to rounding
         dry = _dry(field)
         # No step is rejected here.
         most = progress.steps + (jnp.iinfo(int).max // 2 if max_steps is None else max_steps)
@@ -297,8 +297,8 @@ class EventDrivenPlan(AbstractPlan):
 
         carry: Any = progress, records
         if isinstance(adjoint, dfx.RecursiveCheckpointAdjoint):
-            # Parts of a fixed number of steps.  The start of each part is kept, and while going
-            # back through one of them every step of it.
+            # Parts of a fixed number of steps.  The start of each part is kept, and every step of
+            # the part that reverse mode is passing.
             most_kept: int = adjoint.checkpoints or CHECKPOINTS
 
             def written_once(carry: Any) -> list:
@@ -334,7 +334,7 @@ class EventDrivenPlan(AbstractPlan):
     def _gather(
         self, carry: tuple[Progress, list[StateRecord]], notes: list, count: Array
     ) -> tuple[Progress, list[StateRecord]]:
-        """With what the steps of a round have told the observers that take notes."""
+        """The state after the observers have gathered the notes of a round."""
         (now, records), noted = carry, iter(notes)
         pairs = zip(self.observers, now.accumulators, strict=True)
         accumulators = [o.gather(a, next(noted), count) if _notes(o) else a for o, a in pairs]
@@ -343,9 +343,9 @@ class EventDrivenPlan(AbstractPlan):
     def _step(
         self, field: Chain, progress: Progress, end: Any, noting: bool
     ) -> tuple[Progress, list]:
-        """One step: to the next event, to the end of what the series can bear, or to `end`.
+        """One step: to the next event, to the length that the tolerance allows, or to `end`.
 
-        With the notes of observers that take some, if they are `noting`.
+        If `noting`, it also returns the notes of observers that take notes.
         """
         frozen = lax.stop_gradient
         modes, t0 = progress.memory.modes, progress.t
@@ -381,7 +381,7 @@ class EventDrivenPlan(AbstractPlan):
             notes = [o.note(step) for o in self.observers if noting and _notes(o)]
             accumulators = [a if noting and _notes(o) else o.update(a, step) for o, a in pairs]
             result = self._stop(accumulators, result)
-        # Of a state this large the events lie closer than times that can be told apart.
+        # For a state this large, events are closer than the resolution of the time.
         large = greatest > _RAN_AWAY
         why = Result.where(large, Result.step_too_small, Result.events_accumulate)
         stuck = stalled > _STALLED_PER_MASS * x.shape[0] + _STALLED
@@ -456,7 +456,7 @@ class EventDriven(eqx.Module):
     def plan(
         self, observers: list[AbstractObserver], rtol: Any, atol: Any, max_step: Any, tight: float
     ) -> EventDrivenPlan:
-        """`tight` is rtol as a number, to choose an order by."""
+        """The plan of a run; `tight` is rtol as a Python number, which determines the order."""
         order = self.order
         if order is None:
             order = int(min(max(math.ceil(2.0 - 0.5 * math.log(tight)), 6), 20))

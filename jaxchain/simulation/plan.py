@@ -18,7 +18,7 @@ from ..model.oscillators import AbstractOscillators
 from ..observers.base import AbstractObserver
 from ..result import Result
 
-# States of a run that are kept to go back through it; others are computed again.
+# States of a run kept for reverse mode; others are computed again.
 CHECKPOINTS = 1024
 
 
@@ -53,7 +53,7 @@ class Progress(eqx.Module):
 
 
 def first_result(state: State, t0: Any, t1: Any) -> Result:
-    """How a run over [t0, t1] stands before its first step: at its end if it has no sense."""
+    """The result of a run over [t0, t1] before its first step; not running for a bad span."""
     finite = jnp.all(jnp.isfinite(state[0]) & jnp.isfinite(state[1]))
     result = Result.where(finite, Result.successful, Result.nonfinite)
     forward = jnp.isfinite(t0) & jnp.isfinite(t1) & (t1 >= t0)  # false for NaN
@@ -61,7 +61,7 @@ def first_result(state: State, t0: Any, t1: Any) -> Result:
 
 
 class AbstractPlan(eqx.Module):
-    """Integrator, tolerances, observers.  Static but for the numbers."""
+    """Integrator, tolerances and observers; static except for the numbers."""
 
     observers: eqx.AbstractVar[list[AbstractObserver]]
     rtol: eqx.AbstractVar[Array]
@@ -71,7 +71,7 @@ class AbstractPlan(eqx.Module):
     @property
     @abc.abstractmethod
     def method(self) -> str:
-        """The integrator in words, for the records."""
+        """The name of the integrator, for the records."""
 
     @abc.abstractmethod
     def begin(self, field: AbstractOscillators, initial: State, t0: Any, t1: Any) -> Progress:

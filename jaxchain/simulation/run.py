@@ -228,7 +228,7 @@ def build_plan(
     max_step: ArrayLike,
     t1: ScalarLike,
 ) -> AbstractPlan:
-    """How a run to t1 is computed: by diffrax, or event by event."""
+    """The plan of a run to t1: by diffrax, or event-driven."""
     if isinstance(solver, EventDriven):
         return solver.plan(observers, rtol, atol, max_step, _concrete(rtol, 1e-6))
     return SmoothedPlan(
@@ -252,12 +252,12 @@ def _run(
 
     def begin(end: Array) -> Progress:
         progress = plan.begin(chain, initial, t0, end)
-        # Marked, where the times were traced and could not be refused.
+        # Traced times cannot be refused, so the run is marked.
         result = Result.where(progress.running & ~fits, Result.bad_span, progress.result)
         return eqx.tree_at(lambda p: p.result, progress, result)
 
     def read(progress: Progress) -> list:
-        # Nothing is known of a run that does not begin: an amplitude of 0 would pass for rest.
+        # A run that does not begin has NaN: an amplitude of 0 would look like rest.
         return jtu.tree_map(
             lambda a: jnp.where(fits, a, jnp.nan) if eqx.is_inexact_array(a) else a,
             plan.read(progress),
@@ -283,7 +283,7 @@ def _run(
 
 
 def _fits(observer: AbstractObserver, t0: Any, t1: Any, segments: int | None) -> Any:
-    """Whether the run, or its last segment, holds what the observer looks at."""
+    """Whether the run, or its last segment, contains the observed part."""
     return observer.fits(t1 - (t1 - t0) / (segments or 1), t1)
 
 
@@ -303,11 +303,11 @@ def check_fit(observers: list[AbstractObserver], t0: Any, t1: Any, segments: int
             )
 
 
-# What is observed is kept of each.
+# The observed values of each segment are kept.
 MOST_SEGMENTS = 10**6
-# Bytes of all the states that are kept, and of the ends of steps.
+# The most bytes of the kept states, and of the ends of steps.
 _KEPT = 2**26
-# Steps whose ends are kept where `max_steps` does not bound them.
+# The number of stored ends of steps if `max_steps` does not bound it.
 _RECORDED = 2**15
 
 
@@ -344,7 +344,7 @@ def _advance(
 
 
 def _concrete(value: Any, default: float) -> float:
-    """A number to choose a method by; a traced one is taken for the default."""
+    """A concrete number to choose a method; for a traced one the default."""
     return default if is_traced(value) else float(value)
 
 
@@ -394,7 +394,7 @@ def _check_trajectory(trajectory: Trajectory, t0: Any, t1: Any, segments: int | 
 def _raise_on_failure(progress: Progress, values: Any) -> tuple[Progress, Any]:
     value = code(progress.result)
     if is_traced(value):
-        # Both, because a caller may use what was observed alone.
+        # Both, because a caller may use the observed values alone.
         return progress.result.error_if((progress, values), ~ended_well(value))
     name = NAMES[int(value)]
     if not ended_well(name):

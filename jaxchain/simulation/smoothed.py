@@ -25,13 +25,13 @@ from ..solvers.rosenbrock import AbstractStructuredRosenbrock, RosenbrockInterpo
 from ..solvers.step_control import SwitchingController, WrappingController
 from .plan import AbstractPlan, Progress, first_result, forward_only
 
-# How the observers' wish to stop leaves diffrax's loop: it overwrites an event that a solver
-# reports, and only a step-size controller that is not used here ever returns this one.
+# The result by which observers end diffrax's loop: diffrax overwrites an event reported by a
+# solver, and only a step-size controller that is not used here returns this one.
 SETTLED: Any = dfx.RESULTS.max_steps_rejected
 
 
 class ObservingState(eqx.Module):
-    """What is carried from step to step: the solver's state, and what observers keep."""
+    """The state between steps: that of the solver, and the accumulators of the observers."""
 
     inner: Any
     accumulators: list
@@ -43,12 +43,12 @@ class ObservingSolver(dfx.AbstractWrappedSolver, dfx.AbstractAdaptiveSolver):
     """A diffrax solver whose state also carries observers' accumulators.
 
     diffeqsolve keeps a solver's state only for accepted steps, so observers see accepted steps
-    only.  When every observer is settled the step says so and the run ends.
+    only.  When every observer has settled, the step reports it and the run ends.
     """
 
     solver: dfx.AbstractSolver
     observers: list[AbstractObserver]
-    repeated_to: Float[Array, ""] | None = None  # until then every step ends well
+    repeated_to: Float[Array, ""] | None = None  # until then every step is successful
 
     @property
     def term_structure(self):
@@ -63,7 +63,7 @@ class ObservingSolver(dfx.AbstractWrappedSolver, dfx.AbstractAdaptiveSolver):
         return self.solver.term_compatible_contr_kwargs
 
     @property
-    def scan_kind(self):  # diffrax asks every Runge-Kutta solver for it, wrapped or not
+    def scan_kind(self):  # diffrax requires it of every Runge-Kutta solver, wrapped or not
         return self.solver.scan_kind  # pyright: ignore[reportAttributeAccessIssue]
 
     @property
@@ -128,7 +128,7 @@ class ObservingSolver(dfx.AbstractWrappedSolver, dfx.AbstractAdaptiveSolver):
         if self.repeated_to is not None:
             repeated = t1 <= self.repeated_to
             result = dfx.RESULTS.where(repeated, dfx.RESULTS.successful, result)
-        # A last step that was clipped to the end of the run says little about the next one.
+        # A last step that was clipped to the end of the run does not predict the next one.
         step_size = jnp.maximum(t1 - t0, 0.5 * solver_state.step_size)
         state = ObservingState(inner, accumulators, acceleration, step_size)
         return y1, error, dense, state, result
@@ -160,10 +160,10 @@ def _quintic(
 
 
 class _Resumed(WrappingController):
-    """A controller that goes on where another call of `advance` left it.
+    """A controller that continues from the end of the previous call of `advance`.
 
-    diffeqsolve takes a first step only together with a check of its sign on the host, and a
-    program that calls the host cannot be kept in JAX's compilation cache.
+    diffeqsolve checks the sign of a given first step on the host, and a program that calls the
+    host cannot be kept in JAX's compilation cache.
 
     It also ends a run after `allowed` steps (None: no limit), because diffrax's own `max_steps`
     belongs to the program.  Its state is (that of the controller, steps still allowed, the length
@@ -208,11 +208,11 @@ class _Resumed(WrappingController):
 
 
 class _Repeating(WrappingController):
-    """Takes given steps, whatever their errors, and leaves it to a controller to go on from there.
+    """Takes given steps for any error, and then continues with a controller.
 
-    Derivatives of both kinds hold along the same steps.  Two programs that decide on them anew
-    take others, as error estimates near a tight tolerance are differences of few digits, and the
-    derivatives along others differ by much more than rounding.
+    So derivatives of both kinds use the same steps.  Two programs that choose steps separately get
+    different ones, because error estimates at a tight tolerance have few correct digits, and their
+    derivatives differ by much more than rounding.
 
     Its state is (that of the controller after the given steps, the number of steps taken).
     """
@@ -258,7 +258,7 @@ class _Repeating(WrappingController):
 
 
 class _StoredSteps(eqx.Module):
-    """What a run keeps besides its state and its observers."""
+    """The stored data of a run besides its state and its observers."""
 
     solver: Any
     acceleration: Float[Array, " n"] | None
@@ -266,7 +266,7 @@ class _StoredSteps(eqx.Module):
     controller: PyTree
 
 
-# A mean over masses hides what one mass errs by sqrt(n); here by no more than in a ring of twenty.
+# A mean over masses reduces the error of one mass by sqrt(n); here at most as in a ring of twenty.
 _MASSES = 20
 
 
@@ -302,7 +302,7 @@ class SmoothedPlan(AbstractPlan):
             rtol=self.rtol,
             atol=self.atol,
             dtmax=longest if growth_time is None else jnp.minimum(longest, growth_time),
-            # Below this a step no longer moves the time.
+            # A shorter step does not change the time.
             dtmin=8 * jnp.finfo(float).eps * jnp.maximum(jnp.abs(self.t1), 1e-2),
             force_dtmin=False,
             norm=_norm,
@@ -365,7 +365,7 @@ class SmoothedPlan(AbstractPlan):
         state, last = jtu.tree_map(lambda y: y[-1], ys), solution.solver_state
         cut = outcome == dfx.RESULTS.max_steps_reached
         if allowed is not None:
-            # The last step that was allowed may have been the last one of the run.
+            # The last allowed step may have reached the end of the run.
             complete = (outcome == dfx.RESULTS.max_steps_reached) & (solution.ts[0][-1] >= t1)
             outcome = dfx.RESULTS.where(complete, dfx.RESULTS.successful, outcome)
         stopped = outcome == SETTLED
@@ -374,7 +374,7 @@ class SmoothedPlan(AbstractPlan):
             quiet = quiet | observer.rests(accumulator)
         result = _translate(outcome, stopped & quiet, state)
         controller, _, ahead = last_control
-        # Where a run is cut between two steps, it goes on as if it were not.
+        # A run that is cut between two steps continues as if it were not.
         step_size = jnp.where(cut, ahead, last.step_size)
         new = Progress(
             t=solution.ts[0][-1],
@@ -415,7 +415,7 @@ class SmoothedPlan(AbstractPlan):
         controller: Any = _Resumed(
             self.controller(field), memory.step_size, memory.controller, allowed
         )
-        # A lane that has ended stays where it is.
+        # A lane that has ended does not change.
         runs, repeated_to = progress.running, None
         if first is not None:
             count = first.stats["num_accepted_steps"]

@@ -1,7 +1,7 @@
 """Dormand and Prince's explicit method of order 8, one step of it.
 
-For motions between events, on which nothing is stiff.  A loop over its stages is traced and
-compiled in a tenth of the time that diffrax's takes, which serves more than that.
+It is for motions between events, which are not stiff.  A loop over its stages is traced and
+compiled in a tenth of the time of diffrax's more general one.
 
 Source: Prince and Dormand, High order embedded Runge-Kutta formulae, Journal of Computational and
 Applied Mathematics 7 (1981); the coefficients are those of `diffrax.Dopri8`.

@@ -26,12 +26,12 @@ from ..model.springs import materialize
 from .taylor import CLEARANCE, composed, first_exit
 
 STICK, FORWARD, BACKWARD = 0.0, 1.0, -1.0
-# Shares of the natural scale below which a speed or a force is nothing but rounding.
+# Shares of the natural scale below which a speed or a force is rounding.
 RESOLUTION = 1e-13
 # No edge on this side.
 _FAR = 1e100
-# A sticking mass holds this share more than p mu_st, so that one that comes to stick exactly at
-# the limit does not leave again within rounding.
+# Sticking friction exceeds p mu_st by this share, so that a mass that starts to stick exactly at
+# the limit is not released by rounding.
 _SLACK = 1e-13
 
 
@@ -41,10 +41,10 @@ def static_limit(chain: Chain) -> PerMass:
 
 
 class Modes(eqx.Module):
-    """What every mass does.
+    """The mode of every mass.
 
-    `direction`: STICK, FORWARD or BACKWARD.  `contact`: the power of time with which w leaves 0
-    now: 0 where w is not 0, 1 after passing through w = 0, 2 after sticking.
+    `direction`: STICK, FORWARD or BACKWARD.  `contact`: the power of time with which w leaves 0: 0
+    if w is not 0, 1 after passing through w = 0, 2 after sticking.
     """
 
     direction: Float[Array, " n"]
@@ -59,7 +59,7 @@ class Series(eqx.Module):
     r: list[Array]
 
     def x_from_v(self) -> list[Array]:
-        """The same as `x`, computed anew: a branch that reads `v` alone copies half as much."""
+        """`x`, computed from `v`: a branch that reads only `v` copies half as much."""
         return [self.x[0], *(a / (k + 1) for k, a in enumerate(self.v[:-1]))]
 
 
@@ -77,7 +77,7 @@ def expand(chain: Chain, state: State, modes: Modes, order: int) -> Series:
     damping, stiffness = 2.0 * chain.damping_ratio, chain.stiffness_diagonal(n)
     x, v = [state[0]], [state[1]]
     speed = [direction * (v[0] - chain.belt_speed)]
-    # What the next terms are made of is computed once: see `materialize`.
+    # The inputs of the next terms are computed once: see `materialize`.
     springs = chain.springs
     pull: Any = 0.0 if springs is None else springs.product(x[0])  # C x_k
     pull_of_v: Any = 0.0 if springs is None else springs.product(v[0])  # C v_k
@@ -87,8 +87,8 @@ def expand(chain: Chain, state: State, modes: Modes, order: int) -> Series:
         r.append(pull - damping * v[k] - stiffness * x[k])
         change = jnp.where(slides, (r[k] - direction * load * friction[k]) / (k + 1), 0.0)
         if k == 0:
-            # What has just been let go has no acceleration yet; disturbed, it may have been let go
-            # earlier than the others whose events fall together with its own.
+            # A mass that has just been released has no acceleration yet; a disturbance may release
+            # it earlier than others whose events coincide.
             change = change - jnp.where(modes.contact == 2, lax.stop_gradient(change), 0.0)
         x.append(v[k] / (k + 1))
         v.append(materialize(change))
@@ -101,7 +101,7 @@ def expand(chain: Chain, state: State, modes: Modes, order: int) -> Series:
 
 
 def start(chain: Chain, state: State) -> tuple[State, Modes]:
-    """The state, with masses at the belt's speed exactly there, and what every mass does in it."""
+    """The state, with masses near the belt speed set to it, and the modes of the masses."""
     x, v = state
     speed = chain.belt_speed
     w = v - speed
@@ -137,8 +137,8 @@ def after(
 def next_event(chain: Chain, series: Series, modes: Modes, length: Array) -> tuple[Array, Array]:
     """(time for which all masses keep their modes, which of them have an event then).
 
-    It ends, with no event, where a mass slides past a knot of the friction law: there begins
-    another series.
+    It ends without an event where a mass slides past a knot of the friction law, because another
+    series begins there.
     """
     length = jnp.minimum(length, _next_knot(chain, series, modes, length))
     direction, contact = modes.direction, modes.contact
@@ -165,8 +165,8 @@ def next_event(chain: Chain, series: Series, modes: Modes, length: Array) -> tup
 def _next_knot(chain: Chain, series: Series, modes: Modes, length: Array) -> Array:
     """The time for which no mass slides past a knot of its friction law, at most `length`.
 
-    The masses go beyond it by what the series of friction looks ahead, twice: what this makes
-    wrong is its square, and none of them is left between two pieces.
+    The masses go beyond the knot by twice the offset of the friction series: the error is the
+    square of that, and no mass stays between two pieces.
     """
     given = chain.law.knots
     knots = jnp.asarray(() if given is None else given, float)

@@ -96,7 +96,7 @@ class RosenbrockTableau:
         # Stage displacement plus h gamma (first right-hand side): what the stiffness acts upon.
         self.stage_v = self.a @ self.alpha + self.alpha
         self.stage_b = self.a @ self.beta + self.beta - gamma * np.eye(s)
-        # How much the products C b may magnify what the sweeps leave out.
+        # How much the products C b may amplify the truncation of the sweeps.
         self.lag = 100.0 * (1.0 + np.max(np.sum(np.abs(self.stage_b), axis=1)) / gamma)
         # End of the step, and the dense output, in the same weights.
         self.end_v = self.stage_v[-1]
@@ -210,14 +210,14 @@ RODAS5P = RosenbrockTableau(
 )  # fmt: skip
 
 
-# A step that truncates more is not believed at any tolerance.
+# A step with a greater truncation is not trusted at any tolerance.
 MOST_TRUNCATION = 1e-3
-# Nor is one in which a disturbance grows by more than e to this: an L-stable method would damp it.
+# Nor is one in which a disturbance grows by more than exp of this: an L-stable method damps it.
 _MOST_GROWTH = 2.0
-# Every sweep is compiled anew; far fewer than these cost as much as the exact solve.
+# Every sweep adds to the compiled program; far fewer already cost as much as the exact solve.
 _MOST_SWEEPS = 100
 
-# What a method cannot define.
+# Names that a method cannot define.
 _SOLVER = (
     "step", "init", "func", "order", "error_order", "strong_order", "term_structure",
     "term_compatible_contr_kwargs", "interpolation_cls",
@@ -243,7 +243,7 @@ def _combine(weights: np.ndarray, arrays: _Arrays) -> Any:
 def _growth(field: AbstractOscillators, h: Array, held: Any, slope: Array) -> Array:
     """The greatest h Re(lambda) of single masses, lambda^2 - slope lambda + held = 0.
 
-    Their neighbours' springs are taken to push as hard as they can.
+    The springs of neighbours are assumed to have their greatest effect.
     """
     if field.springs is not None:
         held = held - field.springs.strength(slope.shape[0])
@@ -256,7 +256,7 @@ def _growth(field: AbstractOscillators, h: Array, held: Any, slope: Array) -> Ar
 class RosenbrockInterpolation(dfx.AbstractLocalInterpolation):
     """The method's own dense output between t0 and t1 (see `RosenbrockTableau`).
 
-    It keeps the stages and combines them when it is asked, which most steps never are.
+    It keeps the stages and combines them only on request, because most steps are not interpolated.
     """
 
     t0: Any

@@ -166,7 +166,7 @@ class SwitchingController(WrappingController):
         after = self.field.switching(self.direction * t1, y1[1])
         if before is None or after is None:
             return None
-        # Backward in time w, too, is followed in the time that counts upward: no sign changes.
+        # In backward runs w is also a function of the increasing time, so no sign changes.
         w, width, change, h = lax.stop_gradient((*after, after[0] - before[0], t1 - t0))
         approaching = kept & (w * change < 0.0)
         way = jnp.where(
@@ -179,7 +179,7 @@ class SwitchingController(WrappingController):
         return jnp.maximum(bound, self._shortest_step(lax.stop_gradient(t1)))
 
     def _shortest_step(self, t: Any) -> Float[Array, ""]:
-        """What no bound goes below: steps that move the time, and the other controller's own."""
+        """The lower limit of all bounds: a step that changes the time, or the controller's own."""
         t = jnp.asarray(t)
         shortest = 8 * jnp.finfo(t.dtype).eps * jnp.maximum(jnp.abs(t), 1e-2)
         if isinstance(self.controller, dfx.PIDController) and self.controller.dtmin is not None:

@@ -22,7 +22,7 @@ from ..model.springs import materialize
 
 
 class PowerSeries:
-    """c_0 + c_1 t + c_2 t^2 + ...: `rule(k)` gives c_k, and may use all that come before."""
+    """c_0 + c_1 t + c_2 t^2 + ...: `rule(k)` gives c_k, and may use all previous ones."""
 
     def __init__(self, rule: Callable[[int], Any]):
         self._rule, self._known = rule, []
@@ -40,11 +40,11 @@ def composed(
 
     **Arguments:** `function`, element by element; `argument` = s_0, s_1, ..., a list that may
     grow: c_k of the result asks for s_0 ... s_k.  `piecewise`: whether the function may choose
-    between cases by the size of s.  It then chooses by s_0 for all orders, just above s_0 where
-    the cases meet, and how far that holds is for the caller to see to.
+    between cases by the size of s.  It then chooses by s_0 for all orders, or just above s_0 where
+    the cases meet; the caller must limit the range in which this holds.
 
-    **Returns:** a `PowerSeries`.  By Taylor-mode differentiation, at the price of all lower orders
-    for every order, if the function uses an operation that is not known here.
+    **Returns:** a `PowerSeries`.  If the function uses an operation that is not known here, JAX's
+    Taylor mode is used, which repeats all lower orders for every order.
 
     **Raises:** `ValueError` if it chooses between cases and may not, or cannot be expanded at all.
 
@@ -64,7 +64,7 @@ def composed(
     return result if isinstance(result, PowerSeries) else _constant(result)
 
 
-# Cases are told apart at this distance above s_0, relative to 1 + s_0.
+# Cases are distinguished at this distance above s_0, relative to 1 + s_0.
 CLEARANCE = 1e-12
 
 
@@ -85,7 +85,7 @@ def _by_jet(function: Callable[[Any], Any], argument: Sequence[Any], k: int) -> 
 class _Expansion:
     """Walks through a program, with a series in place of whatever depends on time.
 
-    Every variable also has its value just above s_0, which decides between cases.
+    Every variable also has its value just above s_0, which selects the case.
     """
 
     def __init__(self, piecewise: bool, argument: PowerSeries):
@@ -147,7 +147,7 @@ class _Expansion:
 
 
 def _inner(step: Any) -> ClosedJaxpr:
-    """The program that an operation stands for."""
+    """The program inside an operation."""
     inner = step.params[_CALLS[step.primitive.name]]
     return inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ())
 
@@ -196,7 +196,7 @@ def _broadcast(a: Any, like: Any) -> Any:
 
 
 def _once(a: Any) -> Any:
-    """Not computed again by each of the many sums that it goes into."""
+    """An array that is computed once, not again in each of the many sums that use it."""
     return materialize(a) if jnp.ndim(a) == 1 else a
 
 
@@ -352,7 +352,7 @@ _LINEAR = {
     "convert_element_type", "reduce_precision", "copy", "copy_p", "real",
 }  # fmt: skip
 _BILINEAR = {"mul", "dot_general"}
-# Constant but for jumps, like all that is not a real number.
+# Piecewise constant, like everything that is not a real number.
 _STEPS = {"sign", "floor", "ceil", "round"}
 # Each takes the operands as series, and what they are just above s_0.
 _CHOICES: dict[str, Callable[[list[Any], list[Any]], PowerSeries]] = {
@@ -386,12 +386,12 @@ _RULES: dict[str, Callable[..., PowerSeries]] = {
 }
 
 
-# Rounds of the search: of all polynomials, and then of one.  They never pass an exit and close in
-# on it quadratically; the last are Newton's, allowed only where convergence is certain.
+# Rounds of the search: of all polynomials, and then of one.  They never pass an exit and converge
+# quadratically; the last are Newton's, allowed only where convergence is certain.
 _ROUNDS_OF_ALL = 2
 _SAFE_ROUNDS = 2
 _NEWTON_ROUNDS = 2
-# Of the sum of the absolute terms of a polynomial, what its value may err by.
+# The error of a polynomial's value, as a share of the sum of its absolute terms.
 _ROUNDING = 1e-15
 # Newton's method is trusted when it moves less than this share of |q'| / max|q''|.
 _NEWTON_REACH = 0.1
@@ -457,16 +457,16 @@ def first_exit(
     end: Float[Array, ""],
     resolution: Float[Array, " n"],
 ) -> tuple[Float[Array, ""], Bool[Array, " n"]]:
-    """Until when all polynomials stay in their bands lower <= q(t) <= upper, within [0, end].
+    """The time up to which all polynomials stay in their bands lower <= q(t) <= upper.
 
     From a point inside, q'' <= B on [0, end] bounds how soon q can reach either edge: not before
-    the first root of distance + speed s - B s^2 / 2.  Going there again and again never passes an
-    exit, however short, and converges quadratically to a transversal one; a touch is approached
-    geometrically and, if it was one, left behind.
+    the first root of distance + speed s - B s^2 / 2.  Repeating this never passes an exit, however
+    short, and converges quadratically to a transversal one; a tangency is approached geometrically
+    and then passed.
 
-    All go together as far as it takes to tell those that leave from the others, mostly; the one
-    that seems to leave first goes on alone, to where it leaves, which is when the others are
-    looked at: the same bound, backwards from there, has to meet what they have behind them.
+    All polynomials advance together until those that leave can usually be distinguished.  The one
+    that seems to leave first continues alone to its exit.  Then the others are checked: the same
+    bound, backward from there, must reach their last certain time.
 
     **Arguments:** coefficients, each of shape (n,), with at least three of them; `resolution`,
     the distance from an edge that counts as none (or what rounding makes of the terms, if more).
@@ -517,7 +517,7 @@ def _exit_of_one(
     end: Any,
     one: Any,
 ) -> Any:
-    """Where the search of this one ends."""
+    """The end of the search for one polynomial."""
     coefficients = [c[one] for c in coefficients]
     lower, upper, curvature, t = lower[one], upper[one], curvature[one], sure[one]
     for _ in range(_SAFE_ROUNDS):
@@ -533,10 +533,10 @@ def _exit_of_one(
 
 
 def _time_inside(q: Any, slope: Any, lower: Any, upper: Any, curvature: Any) -> Any:
-    """How long q is sure to stay between its edges: the first root of the bound, >= 0.
+    """The time for which q certainly stays between its edges: the first root of the bound, >= 0.
 
-    There is one for the edge ahead and one for the edge behind, to which q would have to turn
-    round.  With h = (ahead - behind) / (2 speed) the bounds meet at time h; the edge behind comes
+    There is a bound for the edge ahead and one for the edge behind, for which q would have to
+    turn.  With h = (ahead - behind) / (2 speed) the bounds meet at time h; the edge behind comes
     first if its bound is below zero there.
     """
     down, up = jnp.maximum(q - lower, 0.0), jnp.maximum(upper - q, 0.0)

@@ -123,13 +123,13 @@ def sweep(
     - `progress`: show a progress bar; it also reports idle cores.
 
     **Returns:** an `xarray.Dataset` with the dimensions of `over` and `oscillator` (1 ... n), see
-    `sweeps/dataset.py`; numbers that vary together are coordinates along their dimension. A failed
-    run is NaN, and its `result` gives the reason.  The bits of a run do not depend on *which*
-    other runs are beside it, but on *how many*: with other `lanes`, results agree within the
-    tolerances if the motion is regular, and chaotic motions diverge.  The same `lanes` on the same
-    kind of device, with the same versions of JAX and jaxchain, give the same bits.  The attributes
-    `devices`, `device_kind`, `lanes_per_device` and `lanes_per_device_at_end` record them.  A
-    `store` fixes `lanes` when it is created; its bits do not depend on interruptions.
+    `sweeps/ensemble.py`; numbers that vary together are coordinates along their dimension.  A
+    failed run is NaN, and its `result` gives the reason.  The bits of a run do not depend on
+    *which* other runs are beside it, but on *how many*: with other `lanes`, results agree within
+    the tolerances if the motion is regular, and chaotic motions diverge.  The same `lanes` on the
+    same kind of device, with the same versions of JAX and jaxchain, give the same bits.  The
+    attributes `devices`, `device_kind`, `lanes_per_device` and `lanes_per_device_at_end` record
+    them.  A `store` fixes `lanes` when it is created; its bits do not depend on interruptions.
 
     **Compilation:** the runs are compiled once for all numbers and states, and again for another
     number of masses or lanes, another law, solver or observer.  Each new function `initial` or

@@ -195,7 +195,7 @@ def test_chains_are_searched_in_one_batch_and_do_not_harm_each_other(slip):
 
 
 @pytest.mark.long
-def test_rest_and_failure_are_told():
+def test_rest_and_failure_are_reported():
     fast = paper_chain(1, belt_speed=2.5, width=0.05)
     for branch in ("stable", "unstable"):
         with pytest.raises(RuntimeError, match=r"No .* turn at a fold at 1.65931.*`guess`"):
@@ -233,9 +233,7 @@ def test_an_orbit_that_decays_from_a_great_speed_is_no_cycle(numbers):
     assert not cycle.successful
     assert float(cycle.residual) > 0.1
     # Damping outweighs friction in the first chain.
-    with pytest.raises(
-        RuntimeError, match=r"There is no limit cycle|Give a run that ends in one"
-    ):
+    with pytest.raises(RuntimeError, match=r"There is no limit cycle|Give a run that ends in one"):
         find_limit_cycle(chain)
     fast = jnp.zeros(1), jnp.full(1, 1e12 * np.sign(belt))
     with pytest.raises(RuntimeError, match="left all cycles"):

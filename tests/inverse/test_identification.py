@@ -106,7 +106,7 @@ def test_a_start_that_does_not_vibrate_is_refused():
         identify(ONE, change, jnp.array([1.0, 0.5, 0.5, 0.3]), measured(noisy(0)))
 
 
-def test_what_the_data_do_not_determine_is_said():
+def test_parameters_that_the_data_do_not_determine_are_named():
     """v_H = v0 ln[(mu_st - mu_d) / (2 xi v0)] alone: v0 makes up for any damping."""
     hopf = Measurements(hopf=(1.15, 0.01), displacements=([5.0], [0.5], 0.01))
 

@@ -95,7 +95,7 @@ class Row(NamedTuple):
             return f"{kind.__name__}: {message}"
         if not re.search(rf"rguments? .*`{argument}\b", message):
             return f"does not name the argument: {message}"
-        if not _is_told(value, message):
+        if not _is_shown(value, message):
             return f"does not say what was given: {message}"
         if not re.search(HELPS, message):
             return f"does not say what helps: {message}"
@@ -111,7 +111,7 @@ class Row(NamedTuple):
         return sum(map(len, self.bad.values()))
 
 
-def _is_told(value: Any, message: str) -> bool:
+def _is_shown(value: Any, message: str) -> bool:
     """Whether a message says a value, its kind or its shape, or that of a part of it."""
     if isinstance(value, Told):
         return bool(re.search(value.instead, message))
@@ -124,8 +124,8 @@ def _is_told(value: Any, message: str) -> bool:
     if any(text in message for text in own):
         return True
     if isinstance(value, Mapping):
-        return any(_is_told(part, message) for part in (*value, *value.values()))
-    return isinstance(value, list | tuple) and any(_is_told(part, message) for part in value)
+        return any(_is_shown(part, message) for part in (*value, *value.values()))
+    return isinstance(value, list | tuple) and any(_is_shown(part, message) for part in value)
 
 
 def _is_numbers(value: Any) -> bool:
