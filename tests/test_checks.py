@@ -29,7 +29,7 @@ def test_a_good_number_or_array_passes(check, value):
 
 @pytest.mark.parametrize("check", CHECKS)
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_what_is_not_finite_is_refused(check, bad):
+def test_nonfinite_values_are_refused(check, bad):
     with pytest.raises(ValueError, match="finite"):
         check("a", bad, "remedy.")
     with pytest.raises(ValueError, match="finite"):

@@ -109,7 +109,7 @@ def test_results_are_never_overwritten(workplace, made_up_sweep, capsys):
     ]
 
 
-def test_what_was_run_is_written_before_anything_is_computed(workplace, monkeypatch):
+def test_the_scene_is_written_before_anything_is_computed(workplace, monkeypatch):
     def stopped(*arguments, **options):
         assert listing(Path("results/two")) == ["two.toml"]
         assert load_scene("results/two").scene.experiment["first"].time.window == 7.0
@@ -163,14 +163,16 @@ def test_a_folder_of_results_is_run_again_bit_for_bit(workplace, capsys):
         (["run", "two.toml", "--output", "two.toml/b"], "cannot write into .*: Not a directory"),
     ],
 )
-def test_what_is_no_folder_of_results_is_a_readable_error(workplace, capsys, arguments, said):
+def test_another_folder_than_one_of_results_is_a_readable_error(
+    workplace, capsys, arguments, said
+):
     Path("empty").mkdir()
     Path("sweep.zarr").mkdir()
     assert main(arguments) == 2
     assert re.search(said, capsys.readouterr().err.replace("\n", " "))
 
 
-def test_a_run_ends_with_a_line_that_opens_what_it_found(workplace, made_up_sweep, capsys):
+def test_a_run_ends_with_a_line_that_opens_its_results(workplace, made_up_sweep, capsys):
     assert main(["run", "two.toml", "--no-plot", "--output", "it's here"]) == 0
     *_, files, last = capsys.readouterr().out.splitlines()
     assert files == "results in it's here: report.html, two.toml, two.zarr"
@@ -178,7 +180,7 @@ def test_a_run_ends_with_a_line_that_opens_what_it_found(workplace, made_up_swee
         assert set(tree.children) == {"first", "second"}
 
 
-def test_what_the_scene_says_reaches_the_sweep(workplace, made_up_sweep):
+def test_the_settings_of_the_scene_reach_the_sweep(workplace, made_up_sweep):
     arguments = [
         "experiment.second.numerics.rtol=1e-8",
         "experiment.second.numerics.max_steps=99",
@@ -237,7 +239,7 @@ def test_a_figure_that_fails_costs_no_data(workplace, made_up_sweep, monkeypatch
 
 @pytest.mark.usefixtures("usual_signals")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_keeps_what_was_finished(workplace, made_up_sweep, monkeypatch, capsys, number):
+def test_a_signal_keeps_finished_runs(workplace, made_up_sweep, monkeypatch, capsys, number):
     whole = running.sweep
 
     def stopped(chain, initial, t1, *, over, **options):
@@ -348,7 +350,7 @@ def found(monkeypatch):
     return replace_search(monkeypatch, np.nan, np.nan, np.nan)
 
 
-def test_boundary_prints_one_object_with_null_for_what_is_missing(workplace, found, capsys):
+def test_boundary_prints_one_object_with_null_for_missing_numbers(workplace, found, capsys):
     assert main(["boundary", "--json", "--n", "3", "--width", "0.02", "--v-ref=0.4"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert (told["hopf"], told["fold"], told["fold_dry"]) == (1.2, None, 1.85)
@@ -464,7 +466,7 @@ def test_basins_prints_one_object(found, basins_found, workplace, capsys):
     assert all(box.displacement.tolist() == [-1.0, 0.5] for _, box in basins_found)
 
 
-def test_basins_says_what_is_missing(found, basins_found, workplace, capsys):
+def test_basins_names_missing_numbers(found, basins_found, workplace, capsys):
     assert main(["basins"]) == 0
     said = capsys.readouterr().out
     assert "belt speed 1.5, starts with -2 <= x <= 2 and 0 <= v <= 2" in said
@@ -476,7 +478,7 @@ def test_basins_says_what_is_missing(found, basins_found, workplace, capsys):
 
 
 @pytest.mark.long
-def test_what_basins_prints_is_what_is_found(found, workplace, capsys):
+def test_basins_prints_the_computed_numbers(found, workplace, capsys):
     assert main(["basins", "--json", "--width", "0.01", "--belt-speed=-1.78"]) == 0
     told = json.loads(capsys.readouterr().out)
     # The belt runs backward: up is what is down for one that runs ahead.
@@ -525,7 +527,7 @@ def test_workers_that_cannot_be_started_are_refused_at_once(
     assert not Path("results").exists()
 
 
-def test_status_shows_what_is_done_of_a_store(workplace, monkeypatch, capsys):
+def test_status_shows_the_progress_of_a_store(workplace, monkeypatch, capsys):
     status = {"store": "two.many.zarr", "lanes": 3, "lanes_done": 2}
     monkeypatch.setattr("jaxchain.sweeps.store.status_of", lambda store: status)
     monkeypatch.setattr("jaxchain.sweeps.store.stores_in", lambda folder: [folder / "a.zarr"])
@@ -576,7 +578,7 @@ def test_help_is_there(arguments, capsys):
 
 
 @pytest.mark.long
-def test_compiled_programs_are_kept_in_the_cache_folder_unless_told_otherwise(workplace):
+def test_compiled_programs_are_kept_in_the_cache_folder_by_default(workplace):
     env = {k: v for k, v in os.environ.items() if not k.startswith("JAX_COMPILATION")}
     env |= {"XDG_CACHE_HOME": str(workplace / "cache")}
     command = [sys.executable, "-m", "jaxchain", "run", "two.toml", "--no-plot", "--quiet"]

@@ -57,7 +57,7 @@ def test_each_part_can_be_left_out():
     assert told("import jaxchain\njaxchain.configure(devices=3)")["devices"] == 3
 
 
-def test_what_the_user_has_chosen_stays(tmp_path):
+def test_settings_of_the_user_stay(tmp_path):
     mine = "--xla_cpu_enable_fast_math=false --xla_backend_extra_options=xla_cpu_use_mlir=1"
     code = "import jaxchain\njaxchain.configure(cache=True)"
     found = told(
@@ -76,7 +76,7 @@ def test_what_the_user_has_chosen_stays(tmp_path):
     assert told(code)["devices"] == 3
 
 
-def test_called_too_late_it_says_what_could_not_be_set():
+def test_called_too_late_it_names_the_settings_without_effect():
     late = "import jax\nimport jaxchain\njax.numpy.ones(3).sum()\n"
     found = told(late + "jaxchain.configure(devices=3)")
     (said,) = found["said"]

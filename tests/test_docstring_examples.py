@@ -76,7 +76,7 @@ QUICK = (
 )  # fmt: skip
 
 
-def test_every_public_name_has_an_example_or_names_what_has_one():
+def test_every_public_name_has_an_example_or_refers_to_one():
     """A record need not repeat the example of the function that returns it."""
     assert len(PUBLIC) > 150
     shown = PROMPTS.keys() | {name.rpartition("-")[0] for name in FENCES}
@@ -111,13 +111,13 @@ def run(name):
 
 
 @pytest.mark.parametrize("name", [name for name in PROMPTS if name.rpartition(".")[2] in QUICK])
-def test_an_example_of_the_top_level_prints_what_it_says(name):
+def test_an_example_of_the_top_level_prints_the_stated_output(name):
     run(name)
 
 
 @pytest.mark.examples
 @pytest.mark.parametrize("name", PROMPTS)
-def test_an_example_prints_what_it_says(name, tmp_path, monkeypatch):
+def test_an_example_prints_the_stated_output(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     run(name)
 

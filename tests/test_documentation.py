@@ -94,7 +94,7 @@ def test_the_commands_of_a_page_are_known(name, monkeypatch):
             pytest.fail(f"jaxchain {shlex.join(words)}")
 
 
-def test_the_page_on_failures_knows_every_way_to_end():
+def test_the_page_on_failures_lists_every_outcome():
     """Those of runs with their codes, in their order; those of searches in any."""
     tables = [
         line
@@ -109,7 +109,7 @@ def test_the_page_on_failures_knows_every_way_to_end():
     assert set(searches.replace("`", "").replace(",", "").split()) == known
 
 
-def test_code_headings_and_links_of_a_text_are_told_apart():
+def test_code_headings_and_links_of_a_text_are_distinguished():
     text = (
         "# One `name` (of *two*)\n\n[a](b.md#c-d) [web](https://x.org) ![](d.png) `[e](f)`\n"
         "- code:\n\n  ```python\n  # no heading\n  x = 1\n  ```\n\n```sh\n[g](h)\n```\n## Last\n"

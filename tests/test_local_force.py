@@ -268,7 +268,7 @@ def test_vmap_serves_as_a_sweep_of_other_oscillators():
         np.testing.assert_allclose(found, exact, atol=1e-7)
 
 
-def test_what_depends_on_time_has_no_cycle():
+def test_forces_that_depend_on_time_have_no_cycle():
     field, initial = ring(Swinging, n=2)
     with pytest.raises(ValueError, match="forces depend on time"):
         find_limit_cycle(field, initial)
@@ -330,6 +330,6 @@ def test_a_disturbance_of_rest_grows_and_is_not_damped_away():
         ({"observe": StickTime()}, "`StickTime` needs masses that can stick"),
     ],
 )
-def test_what_needs_a_belt_says_so(asked, message):
+def test_functions_that_need_a_belt_raise_an_error(asked, message):
     with pytest.raises(ValueError, match=message):
         simulate(ONE, START, 1.0, **asked)

@@ -65,7 +65,7 @@ def test_a_notebook_uses_public_names_by_room(notebook):
         assert not re.search(r"\.\_[a-z]", code)  # nothing private
 
 
-def test_a_notebook_ends_with_a_task_and_what_it_gives(notebook):
+def test_a_notebook_ends_with_an_exercise_and_its_answer(notebook):
     _, text, _ = notebook[-1]
     assert "## Try it" in text
     assert re.search(r"<details><summary>.+</summary>\n\n.+\n\n</details>", text, flags=re.DOTALL)

@@ -81,7 +81,7 @@ def test_a_method_of_an_abstract_class_is_honoured_or_final(cls):
         (jc.cycles.LimitCycle, "a function that takes one"),
     ],
 )
-def test_the_error_says_what_to_subclass_instead(cls, instead):
+def test_the_error_names_the_class_to_subclass_instead(cls, instead):
     with pytest.raises(TypeError, match=instead):
         define(cls)
 
@@ -196,7 +196,7 @@ def test_forces_are_honoured_in_cycles_and_branches():
     np.testing.assert_allclose(mine.amplitude, plain.amplitude, atol=1e-8)
 
 
-def test_what_is_about_a_belt_refuses_other_forces():
+def test_functions_for_a_belt_refuse_other_forces():
     field = Plain(jnp.asarray(0.3))
     for use in (
         jc.hopf_belt_speed, jc.fold_belt_speed, dry_fold_belt_speed, swept,
@@ -243,7 +243,7 @@ class Told(Slow):
     AbstractOscillators, "switching", "stick_speed", "excess_force", "belt_direction",
     "growth_time", "divergence",
 )  # fmt: skip
-def test_what_else_a_field_tells_is_honoured():
+def test_optional_methods_of_a_field_are_used():
     start = jnp.zeros(1), jnp.ones(1)  # x = sin t, v = cos t
     section = jc.Section(0, 1, of="velocity")
     observe = jc.StickTime(), section, Divergence()

@@ -123,7 +123,7 @@ def test_a_span_multiplies_up_to_the_monodromy_matrix():
     np.testing.assert_allclose(frame.basis.T @ frame.basis, jnp.eye(4), atol=1e-14)
 
 
-def test_orthonormalise_does_not_mind_what_is_annihilated():
+def test_orthonormalise_allows_dependent_columns():
     rng = np.random.default_rng(0)
     whole = rng.normal(size=(6, 4))
     full, logs = orthonormalise(jnp.asarray(whole))

@@ -84,13 +84,13 @@ def test_the_verdict_is_that_of_the_strongest_noise(kinds, noisy, verdict, undis
         assert found.lead.kind == "chaos"
 
 
-def test_what_sticking_annihilates_relaxes_at_once():
+def test_a_direction_that_sticking_erases_relaxes_at_once():
     gone = run_of("cycle", exponents=(0.0, -np.inf), locked_at=500.0)
     assert gone.relaxation_time == gone.longest_relaxation_time == 0.0
     assert "relaxation time 0;" in classify([gone]).reason + ";"
 
 
-def test_what_is_not_resolved_is_told_as_a_bound():
+def test_an_unresolved_exponent_is_reported_as_a_bound():
     unseen = run_of(
         "cycle", exponents=(0.0, np.nan), low=np.array([0.0, -np.inf]),
         high=np.array([0.0, -4.0]), locked_at=500.0,

@@ -35,7 +35,7 @@ def made_up(delays, periods, windows=20, length=50.0, wander=0.0):
     )  # fmt: skip
 
 
-def test_a_section_that_comes_back_is_told_from_one_that_creeps_or_drifts():
+def test_a_recurring_section_is_distinguished_from_one_that_drifts():
     still = recurrence(made_up([0.0, 1.0], [6.25, 6.25]), scale=1.0)
     assert still.returns == 1
     assert still.spread < 1e-12

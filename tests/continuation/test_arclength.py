@@ -332,7 +332,7 @@ def test_a_switch_that_falls_back_says_so():
         switch_branch(circle, fold)
 
 
-def test_what_ends_a_branch_is_named_and_nothing_is_lost():
+def test_the_end_of_a_branch_is_named_and_nothing_is_lost():
     few = continue_branch(hysteresis, [-1.2], 0.528, max_points=3)
     assert (few.ended, few.u.shape, few.tangents.shape) == ("max_points", (3, 1), (3, 2))
 
@@ -356,7 +356,7 @@ def test_what_ends_a_branch_is_named_and_nothing_is_lost():
     assert (outward.ended, len(outward.p)) == ("left_bounds", 1)
 
 
-def test_an_interruption_keeps_what_there_is():
+def test_an_interruption_keeps_all_points():
     seen = []
 
     def interrupt(count, point):

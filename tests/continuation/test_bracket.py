@@ -7,7 +7,7 @@ import numpy as np
 from jaxchain.continuation import bisect
 
 
-def test_the_change_lies_within_an_interval_of_the_length_asked():
+def test_the_change_lies_within_an_interval_of_the_requested_length():
     low, high = bisect(lambda x: x**3 < 5.0, jnp.asarray(1.0), jnp.asarray(2.0), 20)
     assert low < 5 ** (1 / 3) <= high
     np.testing.assert_allclose(high - low, 2.0**-20, rtol=1e-6)

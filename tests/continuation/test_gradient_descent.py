@@ -48,7 +48,7 @@ def test_a_loss_with_a_loop_that_nothing_can_go_back_through():
     assert float(found.solution) == pytest.approx(9.0, abs=1e-7)
 
 
-def test_lanes_stop_by_themselves_and_may_close_over_what_is_traced():
+def test_lanes_stop_separately_and_may_close_over_traced_values():
     @jax.jit
     @jax.vmap
     def batch(target, start):

@@ -55,7 +55,7 @@ def test_second_derivatives_and_batches():
     np.testing.assert_allclose(slopes, -0.5 * jnp.sqrt(3.0) * a**-1.5, rtol=1e-12)
 
 
-def test_what_is_right_once_only_refuses_a_second_time():
+def test_a_function_with_first_derivatives_only_refuses_second_ones():
     def f(a):
         return solved({**NUMBERS, "a": a}, once="once only")[0]
 

@@ -82,7 +82,7 @@ def test_no_sign_changes_no_point():
     assert changes(corrector, piece, {"far": lambda u, p, tangent, extra: p - 9.0}) == []
 
 
-def test_what_the_residual_gives_besides_reaches_the_tests():
+def test_further_results_of_the_residual_reach_the_tests():
     corrector, piece = piece_of(logistic, None, [0.64, 2.8], [0.69, 3.2])
     tests = {"doubling": lambda u, p, tangent, multiplier: multiplier[0] + 1.0}
     ((kind, at),) = changes(corrector, piece, tests)

@@ -77,13 +77,13 @@ def test_scipy_finds_the_same_without_derivatives_of_ours(halved):
     assert float(halved.cost) == pytest.approx(found.fun, rel=1e-5)
 
 
-def test_the_multiplier_is_what_a_little_more_of_the_aim_would_cost(halved):
+def test_the_multiplier_is_the_cost_of_a_further_unit_of_the_target(halved):
     tighter, looser = improve(0.299), improve(0.301)
     slope = (tighter.cost - looser.cost) / 0.002
     assert float(halved.multiplier) == pytest.approx(float(slope), rel=1e-4)
 
 
-def test_vibration_dies_above_the_new_fold_and_survives_below_it(halved):
+def test_vibration_dies_out_above_the_new_fold_and_survives_below_it(halved):
     fold = halved.range.fold
     assert float(fold) < PAPER_FOLD - 0.5
     assert try_boundary(halved.chain, fold).holds
@@ -173,7 +173,7 @@ def test_a_trial_names_bad_input(name):
 
 
 @pytest.mark.exhaustive
-def test_a_design_with_smoothed_friction_is_off_by_what_the_width_costs():
+def test_a_design_with_smoothed_friction_has_the_error_of_the_width():
     """The bias of the boundary goes into the design; dry friction still vibrates there."""
     smooth = ONE.with_(width=1e-2)
     found = design(smooth, change, START, highest_below=1.5)

@@ -11,7 +11,7 @@ from jaxchain.model.arguments import as_chain, as_images, as_mass, as_state
 CHAIN = paper_chain(3)
 
 
-def test_what_is_good_is_handed_on():
+def test_valid_values_are_returned():
     assert as_chain(CHAIN) is CHAIN
     x, v = as_state(CHAIN, (np.array([1, 2, 3]), np.zeros(3)))
     np.testing.assert_array_equal(x, [1.0, 2.0, 3.0])
@@ -40,6 +40,6 @@ def test_what_is_good_is_handed_on():
         (lambda: as_images((1, 2, 2), 3, 2), "`images` must name"),
     ],
 )
-def test_what_is_not_is_refused(check, message):
+def test_invalid_values_are_refused(check, message):
     with pytest.raises(ValueError, match=message):
         check()

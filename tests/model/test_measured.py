@@ -48,6 +48,6 @@ def test_a_line_that_is_no_pair_of_numbers_is_named(tmp_path, text, line):
         ([0.0, float("nan")], [1.0, 0.5], "every speed must .* one is nan"),
     ],
 )
-def test_what_is_no_curve_of_friction_is_refused(speed, mu, message):
+def test_an_impossible_curve_of_friction_is_refused(speed, mu, message):
     with pytest.raises(ValueError, match=message):
         check_measured(speed, mu)

@@ -63,7 +63,7 @@ def test_it_is_read_from_a_file(tmp_path):
     np.testing.assert_array_equal(TabulatedFriction.from_csv(file).pieces, law().pieces)
 
 
-def test_what_is_no_table_is_refused():
+def test_an_invalid_table_is_refused():
     with pytest.raises(ValueError, match="`speed` and `mu` are no friction law: the first speed"):
         TabulatedFriction([0.1, 1.0], [1.0, 0.5])
     with pytest.raises(ValueError, match="cannot be traced: make the law before"):

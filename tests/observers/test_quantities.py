@@ -93,7 +93,7 @@ def test_too_few_windows_to_tell_are_refused():
         settled(jnp.ones((3, 2)), 1e-3)
 
 
-def test_what_is_shaken_neither_vibrates_nor_rests():
+def test_a_shaken_mass_neither_vibrates_nor_rests():
     amplitude = jnp.array([[1.6, 0.2], [0.6, 0.2], [1e-4, 0.0], [jnp.nan, 0.0]])
     assert active(amplitude, 1.5).any(-1).tolist() == [True, False, False, False]
     assert slides_steadily(amplitude).tolist() == [False, False, True, False]

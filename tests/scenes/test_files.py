@@ -32,7 +32,7 @@ def problem(file, content: bytes | str = TEXT, *overrides):
         (b"#" * (2 * MOST_BYTES), "is longer than 10 MB, which no scene needs: write a range"),
     ],
 )
-def test_what_is_no_toml_is_refused_with_the_reason(content, message, tmp_path):
+def test_invalid_toml_is_refused_with_the_reason(content, message, tmp_path):
     assert problem(tmp_path / "a.toml", content).startswith(message)
 
 

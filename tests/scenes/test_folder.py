@@ -117,7 +117,7 @@ def test_groups_need_not_fit_each_other_and_are_not_replaced(tmp_path):
     assert saved(results.store)["seed"].attrs["title"] == "of 2"
 
 
-def test_who_goes_on_has_what_is_whole_and_computes_what_was_interrupted_again(tmp_path):
+def test_resuming_keeps_complete_groups_and_repeats_interrupted_ones(tmp_path):
     results = Results(tmp_path, "made_up")
     codes = xr.Dataset({"result": ("x", [0, NAMES.index("interrupted")])})
     results.save("whole", codes.isel(x=[0]))
@@ -132,7 +132,7 @@ def test_who_goes_on_has_what_is_whole_and_computes_what_was_interrupted_again(t
     assert os.listdir(tmp_path) == ["made_up.zarr"]
 
 
-def test_what_is_whole_stays_whole_where_the_next_does_not_fit(tmp_path, short_of_room):
+def test_complete_results_stay_complete_if_the_next_does_not_fit(tmp_path, short_of_room):
     results = Results(tmp_path, "made_up")
     results.save("first", data(1))
     with pytest.raises(StorageError) as refused:

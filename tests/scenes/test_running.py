@@ -159,7 +159,7 @@ def test_dry_friction_has_no_branch(tmp_path):
     assert list(data) == ["ladder"]
 
 
-def test_the_hopf_speed_follows_what_is_swept():
+def test_the_hopf_speed_follows_the_swept_numbers():
     chain, damping = paper_chain(4), np.array([0.05, 0.1])
     grid = {"belt_speed": np.array([1.0, 1.5]), "damping_ratio": damping, "excited": np.arange(2)}
     found = hopf_speed(chain, grid)
@@ -171,7 +171,7 @@ def test_the_hopf_speed_follows_what_is_swept():
     assert hopf_speed(uneven, {"belt_speed": np.array([1.0, 1.5])}) is None
 
 
-def test_what_only_the_numbers_together_show_is_told_of_all_experiments_before_any_runs(tmp_path):
+def test_inconsistent_numbers_of_all_experiments_are_reported_before_any_run(tmp_path):
     rough = [f"experiment.{name}.numerics.rtol=0.5" for name in ("single", "ladder")]
     with pytest.raises(SceneError) as error:
         run_scene(load_scene("fig3", rough), tmp_path, plot=False)
@@ -189,7 +189,7 @@ def test_what_only_the_numbers_together_show_is_told_of_all_experiments_before_a
         (lambda: paper_chain(0), SceneError, "experiment.ladder: Argument `n` must be an integer"),
     ],
 )
-def test_what_fails_on_the_way_names_its_experiment(fails, kind, message, tmp_path, monkeypatch):
+def test_a_failure_during_a_run_names_its_experiment(fails, kind, message, tmp_path, monkeypatch):
     monkeypatch.setattr(running, "sweep", lambda *chain, **how: fails())
     with pytest.raises(kind, match=message) as error:
         run_scene(scene(tmp_path, "smoothed"), tmp_path)
@@ -208,7 +208,7 @@ observe = { quantities = ["energy"], others = [
 
 
 @pytest.mark.long
-def test_a_scene_has_what_all_observers_saw(tmp_path):
+def test_a_scene_has_the_values_of_all_observers(tmp_path):
     loaded = scene(tmp_path, "dry", OTHERS)
     assert len(build_observers(loaded.scene.experiment["ladder"].observe, 20.0)) == 9
     data = run_scene(loaded, tmp_path, plot=False, report=str)
@@ -253,7 +253,7 @@ def test_a_law_and_observers_of_ones_own_are_named_in_the_file(tmp_path):
     assert [other["name"] for other in others] == ["Mine"]
 
 
-def test_a_file_says_in_comments_what_else_the_results_depend_on(monkeypatch):
+def test_a_file_lists_the_circumstances_of_the_results_in_comments(monkeypatch):
     monkeypatch.setenv("XLA_FLAGS", "--some_flag=1")
     about = circumstances("jaxchain run 'two\nlines' " + os.fsdecode(b"\xff"))
     text = scene_files("x", {"title": "A"}, about)["x.toml"].decode()
@@ -325,7 +325,7 @@ def same(one, other):
     return True
 
 
-def test_what_went_through_a_store_is_what_would_have_stayed_in_memory(two, tmp_path):
+def test_results_from_a_store_equal_those_in_memory(two, tmp_path):
     loaded, folder = two
     assert {"report.html", "two.many.zarr", "two.nc", "two.toml", "two.zarr"} <= {*listing(folder)}
     change = ["experiment.many.numerics.store=false"]
@@ -377,7 +377,7 @@ def test_a_run_that_is_cut_off_goes_on_in_its_folder(two, tmp_path, monkeypatch)
         run_scene(loaded, out)
 
 
-def test_what_does_not_fit_into_memory_stays_in_its_store(two, tmp_path, monkeypatch):
+def test_results_too_large_for_memory_stay_in_their_store(two, tmp_path, monkeypatch):
     loaded, drawn, reports = two[0], [], []
     monkeypatch.setattr(Experiment, "fits_memory", lambda self: self.lanes() < 10)
     monkeypatch.setattr(running, "figure", lambda data: drawn.append(list(data)) or figure(data))

@@ -168,7 +168,7 @@ chain.friction={law="coulomb",mu_static=1} -> chain.friction.mu_static: is not a
 
 
 @pytest.mark.parametrize("mistake", MISTAKES.strip().splitlines())
-def test_a_mistake_is_reported_by_key_value_and_what_is_allowed(scene_file, mistake):
+def test_a_mistake_is_reported_with_key_value_and_allowed_values(scene_file, mistake):
     override, _, problem = mistake.partition(" -> ")
     (message,) = error_of(scene_file, PAIR + override).problems
     assert message.startswith(PAIR + problem)
@@ -327,7 +327,7 @@ def test_the_steps_of_a_range_are_those_of_decimals(start, stop, step):
     assert values.tolist() == exact
 
 
-def test_the_schema_names_every_key_and_knows_no_null_and_no_python():
+def test_the_schema_names_every_key_without_null_and_python():
     text = json.dumps(schema())
     assert "null" not in text
     assert ">>>" in (Experiment.__doc__ or "")

@@ -248,7 +248,7 @@ def test_mirror_image():
 
 
 @pytest.mark.long
-def test_lanes_are_what_they_are_alone():
+def test_lanes_give_the_same_as_alone():
     chain = paper_chain(20, 1.3)
     speeds = jnp.array([0.5, 1.2, 1.6])
 

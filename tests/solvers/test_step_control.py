@@ -265,7 +265,7 @@ def test_a_surface_that_moves_is_met_where_it_will_be(direction):
     assert float(end - begin) == pytest.approx((0.25 - 0.054) / 0.5)
 
 
-def test_no_bound_goes_below_what_moves_the_time_or_the_other_controllers_least_step():
+def test_every_bound_allows_a_step_that_changes_the_time_and_the_controllers_own():
     chain = paper_chain(2, belt_speed=0.0, width=1e-13)
     w0, w1 = [0.2, 1.0], [1e-14, 1.0]
     late = next_step(chain, w0, w1, t=1e6)

@@ -116,7 +116,7 @@ def test_an_operation_without_a_rule_is_left_to_taylor_mode_differentiation():
     np.testing.assert_allclose(coefficients(function), by_jet(function), rtol=1e-12)
 
 
-def test_what_cannot_be_expanded_is_refused_in_words():
+def test_a_law_that_cannot_be_expanded_is_refused_with_a_reason():
     def function(s):
         return jax.lax.while_loop(lambda y: y[0] < 9.0, lambda y: y * (1.0 + s), 1.0 + s)
 
@@ -188,7 +188,7 @@ def test_one_more_order_costs_as_many_operations_as_its_number(name):
     assert large < 1.2 * 4**2 * small
 
 
-def test_lanes_are_what_they_are_alone():
+def test_lanes_give_the_same_as_alone():
     starts = jnp.stack([PATH[0], 2.0 * PATH[0]])
     lanes = jax.vmap(lambda s: coefficients(FUNCTIONS["divide"], [s, *PATH[1:]]))(starts)
     for lane, start in zip(lanes, starts, strict=True):
