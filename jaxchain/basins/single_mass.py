@@ -116,7 +116,7 @@ def area_of_step(
     **Arguments:** (x, v, v') at both ends of the step, a time `h` apart, in which x and v each
     turn at most once; `displacement` = (a, b) and `velocity` = (c, d).
 
-    The integral has its derivatives in all of these, but not in `h`.
+    The integral has derivatives in all of these except `h`.
 
     >>> import jax.numpy as jnp
     >>> times = jnp.linspace(0.0, 2.0 * jnp.pi, 65)  # a circle, clockwise

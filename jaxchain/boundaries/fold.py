@@ -251,7 +251,7 @@ class FoldSearch(NamedTuple):
 
 
 def unknowns(shooting: Shooting, point: Float[Array, " m_plus_1"]) -> tuple[Array, Array]:
-    """(u, v_d) of a point (u with v_d in the place of z_j, z_j = asinh s) of the search."""
+    """(u, v_d) from a point of the search, which is u with v_d in place of z_j = asinh s."""
     return point[:-1].at[shooting.place].set(point[-1]), point[shooting.place]
 
 

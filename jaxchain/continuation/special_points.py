@@ -129,7 +129,7 @@ def _error(corrector: Corrector, point: Point) -> float:
 def polish(
     corrector: Corrector, at: Located, test: Callable[[Point], float], reach: float
 ) -> Located:
-    """The zero of `test` from near, by Newton's method along the tangent, and the error of p.
+    """The zero of `test` from a nearby point, by Newton's method, and the error of p.
 
     The slope is updated only from steps that are long enough to determine it.  No step is longer
     than `reach`.

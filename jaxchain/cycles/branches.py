@@ -282,9 +282,10 @@ def _signed(factors: Any) -> float:
 
 
 def breaking(extra: CycleLinearisation, images: tuple[int, ...]) -> float:
-    """Zero where a disturbance A that breaks the symmetry has a multiplier +1; from A^T M A - 1.
+    """Zero if a disturbance that breaks the symmetry, in the basis A, has a multiplier +1.
 
-    M maps these disturbances onto themselves; the trivial multiplier belongs to the others.
+    It comes from A^T M A - 1.  M maps these disturbances onto themselves; the trivial multiplier
+    belongs to the others.
     """
     basis = symmetry_breaking_basis(images)
     return _signed(np.linalg.eigvals(basis.T @ np.asarray(extra.monodromy) @ basis) - 1.0 + 0.0j)

@@ -165,8 +165,8 @@ def floquet_multipliers(monodromy: Any, flow_direction: Any = None) -> Floquet:
     shape (2n,) or as a pair (x', v').
 
     **Returns:** `Floquet`; for a cycle its stored multipliers and defect, and NaN for `trivial`.
-    Works under `jit` and `vmap`; by `jnp.linalg.eigvals`, which JAX has for CPU and GPU.  NaN in M
-    gives NaN.
+    It works under `jit` and `vmap`, and uses `jnp.linalg.eigvals`, which JAX has for CPU and GPU.
+    NaN in M gives NaN.
 
     **Raises:** `ValueError` if the shapes do not fit.
 

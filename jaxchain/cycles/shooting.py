@@ -221,10 +221,10 @@ def newton_minimal_period(
 ) -> Iterate:
     """Newton's method for an orbit with its minimal period; one integration is compiled.
 
-    Once the orbit is `closed`, it continues until a step is shorter than `fine` (1 + |u|) or no
-    longer helps.  If the orbit also returns after a fraction of its period, it is solved for again
-    with that fraction (with at most `limit` integrations), and the result is kept if it is the
-    same orbit.  `equations` have `pack` and `unpack`; `aux` of `linearise` has `returned`, a
+    Once the orbit is `closed`, the search continues until a step is shorter than `fine` (1 + |u|)
+    or no longer helps.  If the orbit also returns after a fraction of its period, it is solved for
+    again with that fraction (with at most `limit` integrations), and the result is kept if it is
+    the same orbit.  `equations` have `pack` and `unpack`; `aux` of `linearise` has `returned`, a
     `Returned`.
     """
     # Traced once, for its shapes and for the loop.

@@ -35,8 +35,8 @@ def spreading_speed(coupling: Any, growth: Any) -> Float[Array, "*batch"]:
         u [arcosh(u / eta) - sqrt(1 - eta^2 / u^2)] = s,      u >= eta,
 
     which is u = eta, the greatest group velocity, at the Hopf speed, and s / ln(2 u / (e eta)) for
-    vanishing coupling: nearly independent of it.  A front that starts from a block reaches it as
-    u - 3 / (2 t arcosh(u / eta)).
+    vanishing coupling, on which it then hardly depends.  A front that starts from a block reaches
+    it as u - 3 / (2 t arcosh(u / eta)).
 
     Source: W. van Saarloos, Front propagation into unstable states, Physics Reports 386, 29
     (2003).

@@ -159,7 +159,7 @@ def sliding_eigenvalues(chain: Chain, belt_speed: Float[Array, ""]) -> Array:
     """All 2n eigenvalues lambda of steady sliding, complex, in no particular order.
 
     A disturbance grows as exp(lambda t); steady sliding is stable if every real part is negative.
-    By `jnp.linalg.eigvals`, which JAX has for CPU and GPU, not for TPU.
+    It uses `jnp.linalg.eigvals`, which JAX has for CPU and GPU, not for TPU.
 
     **Arguments:** `belt_speed`, one dimensionless number, instead of that of the chain.
 

@@ -46,7 +46,8 @@ def composed(
     **Returns:** a `PowerSeries`.  If the function uses an operation that is not known here, JAX's
     Taylor mode is used, which repeats all lower orders for every order.
 
-    **Raises:** `ValueError` if it chooses between cases and may not, or cannot be expanded at all.
+    **Raises:** `ValueError` if it chooses between cases without `piecewise`, or cannot be
+    expanded.
 
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
