@@ -207,7 +207,7 @@ class DryRing:
         ]
 
     def _switch(self, i: int) -> Callable[..., bool]:
-        """How mass i goes on after its event: heyoka's callback."""
+        """The mode of mass i after its event: heyoka's callback."""
         n, (damping, stiffness, eta, static_force) = self.n, self.numbers
         before, after, speed, slides = (i - 1) % n, (i + 1) % n, n + i, n + 1 + i
 

@@ -28,7 +28,7 @@ N, WIDTH, RTOL, EXCITED = 20, 1e-3, 1e-6, 10
 
 
 def sweep_row(repeats: int, quick: bool) -> list[dict]:
-    """What `sweep` with amplitudes adds to `vmap(simulate)`: core time of a step and lane.
+    """The cost of `sweep` with amplitudes over `vmap(simulate)`: core time of a step and lane.
 
     Steps include rejected ones. Two devices may take twice the core time of one, for twice as
     many runs.

@@ -1,13 +1,13 @@
-"""The speed of this machine: jaxchain against its peers, both sides of a comparison run in turn.
+"""Speed on this machine: jaxchain and other programs, measured alternately.
 
     pip install 'jaxchain[peers]'
     python benchmarks/run.py                              all rows, while nothing else runs
     python benchmarks/run.py stock lsoda --page page.md   two rows, also as a page
 
-Times are medians of the repeats with the least and the most. A ratio says how many times longer a
-side takes than the one with ratio 1, turn by turn. "error <= e" means that each side runs with
-the tolerance that costs it least while no displacement and no velocity errs by more than e at the
-end. Compiling is left out.
+Times are medians of the repeats, with the least and the greatest. A ratio is the time of a program
+over that of the one with ratio 1, in the same round. "error <= e": each program runs with its
+cheapest tolerance for which no displacement and no velocity has an error above e at the end.
+Compilation is excluded.
 """
 
 from __future__ import annotations

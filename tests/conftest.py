@@ -58,7 +58,7 @@ MOST_MEMORY = 3 * 2**30
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """What one run has compiled serves the next one."""
+    """Compiled programs are kept for the next run."""
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
         os.environ["JAX_COMPILATION_CACHE_DIR"] = str(_programs(config))
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")

@@ -27,7 +27,7 @@ def headings(text: str) -> list[tuple[int, str]]:
 
 
 def anchors(text: str) -> set[str]:
-    """What a link to a heading says behind its "#": small letters, hyphens for blanks."""
+    """The anchor of a heading, after the "#": small letters, hyphens for blanks."""
     words = (re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading) for _, heading in headings(text))
     return {re.sub(r"[^\w\- ]", "", word.lower()).strip().replace(" ", "-") for word in words}
 

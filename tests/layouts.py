@@ -19,7 +19,7 @@ _CODES = {"successful quiet": "codes of runs", "successful nonfinite": "codes of
 
 
 class Row(NamedTuple):
-    """One variable, as the page says it."""
+    """One variable, as on the page."""
 
     name: str
     dims: str
@@ -44,7 +44,7 @@ def row_of(name: str, array: Any, swept: Iterable[str] = (), *, coordinate: bool
 
 
 def rows(data: Any, swept: Iterable[str] = (), unless: Iterable[str] = ()) -> list[Row]:
-    """Every coordinate and variable of a dataset, but for those of these names."""
+    """Every coordinate and variable of a dataset, except those with these names."""
     skip, swept = set(unless), list(swept)
     names = [(str(name), True) for name in data.coords if name not in swept]
     names += [(str(name), False) for name in data.data_vars]
@@ -87,7 +87,7 @@ def tables() -> dict[tuple[str, str], dict[str, Row]]:
 
 
 def differences(said: dict[str, Row], found: Iterable[Row]) -> list[str]:
-    """What is otherwise in a dataset than the page says; each as the line that the page lacks."""
+    """Differences between a dataset and the page, each as the line that the page lacks."""
     told, there = [], {row.name: row for row in found}
     for name, row in there.items():
         if name not in said or said[name]._replace(may_be_absent=False) != row:

@@ -229,7 +229,7 @@ def _damage(mutant: Mutant, rng: random.Random) -> bytes:
 
 
 def _assignment(data: dict[str, Any], rng: random.Random) -> str:
-    """What stands after `--set`, with or without a mistake."""
+    """A text for `--set`, with or without a mistake."""
     places = list(_places(data)) or [(data, "x", ("x",))]
     path = ".".join(map(str, rng.choice(places)[2]))
     wrong = _value(_wrong(rng))
@@ -260,14 +260,14 @@ def built(loaded: LoadedScene) -> list[tuple[Any, Any]]:
 
 
 def means_nothing(chain: Any, state: Any) -> str:
-    """What is wrong with a chain and a start that were accepted, if anything is."""
+    """The faults of an accepted chain and start, if any."""
     numbers = [*state, *chain(0.0, state)]
     return "" if all(np.all(np.isfinite(a)) for a in numbers) else "forces are not finite"
 
 
 @dataclass
 class Verdict:
-    """What became of a mutant: the scene if it was accepted, and what is wrong with the answer."""
+    """The scene of a mutant if it was accepted, and the faults of the answer."""
 
     loaded: LoadedScene | None
     seconds: float

@@ -42,7 +42,7 @@ def assert_same(data, expected):
 
 
 def chunk_of(path, unit, name="result"):
-    """The file with what a unit knows of a variable."""
+    """The file with a variable of a unit."""
     rest = xr.open_zarr(path)[name].ndim - unit.count(".") - 1
     return Path(path, name, "c", *unit.split("."), *["0"] * rest)
 

@@ -152,7 +152,10 @@ def test_a_folder_of_results_is_run_again_bit_for_bit(workplace, capsys):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["resume", "two.toml"], "two.toml .*must be a folder of results, .* `jaxchain run`"),
+        (
+            ["resume", "two.toml"],
+            "two.toml .*must be a folder of results to continue.* `jaxchain run`",
+        ),
         (["resume", "sweep.zarr"], "for a store made in Python repeat the same `sweep`"),
         (["resume", "/"], "is a folder without a scene"),
         (["resume", "x" * 300], "must be a folder of results"),

@@ -1,4 +1,4 @@
-"""What XLA makes of the loops that take all the time: a speed test that no load disturbs.
+"""The compiled code of the critical loops: a speed test that does not depend on the load.
 
 A loop is fast on a CPU if it is compiled whole, `jaxchain.configure(whole_loops=True)`, which XLA
 does to loops without calls of anything else.

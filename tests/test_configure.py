@@ -30,7 +30,7 @@ print(json.dumps({{
 
 @functools.cache
 def told(code, **environment):
-    """What JAX is set to after `code`."""
+    """The settings of JAX after `code`."""
     ours = ("XLA_FLAGS", "JAX_ENABLE_X64", "JAX_NUM_CPU_DEVICES", "JAX_COMPILATION_CACHE_DIR")
     env = {k: v for k, v in os.environ.items() if k not in ours}
     env |= {"JAX_PLATFORMS": "cpu", **environment}

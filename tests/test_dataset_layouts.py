@@ -1,4 +1,4 @@
-"""docs/reference/datasets.md says what every dataset holds: names, dimensions, units, meaning.
+"""docs/reference/datasets.md describes every dataset: names, dimensions, units, meaning.
 
 Sweeps are laid out by the code that lays out their stores, which runs nothing.
 """
@@ -46,7 +46,7 @@ OBSERVERS = {
 
 
 def laid_out(chain=DRY, observe=None, **more):
-    """What a sweep of one run returns, with unknown values."""
+    """The dataset of a sweep of one run, with unknown values."""
     over = {"belt_speed": [1.5], "excited": [1]}
     settings = RunSettings(chain, equation_8, 100.0, observe=observe, **more)
     return prepare(settings, over, 1).sample(1)

@@ -1,4 +1,4 @@
-"""Every example in a docstring or in the README runs, and prints what it says.
+"""Every example in a docstring or in the README runs and prints the stated output.
 
 Every public name has one.  Some of the top level's run with the quick tests; `pytest -m examples`
 runs all.  What stands in a fence takes too long to wait for, or says nothing to compare.

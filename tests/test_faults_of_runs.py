@@ -1,4 +1,4 @@
-"""What `jaxchain run` loses when it is stopped, killed or cannot write: nothing that was saved.
+"""`jaxchain run` loses no saved results if it is stopped, killed or cannot write.
 
 Real processes, signals, pipes and disks; tests/scenes/test_folder.py tests the parts.
 """

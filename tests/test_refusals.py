@@ -1,4 +1,4 @@
-"""What cannot be is refused everywhere, by errors that help."""
+"""Impossible arguments are refused everywhere, by errors that help."""
 
 import os
 import subprocess

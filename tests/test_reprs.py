@@ -1,4 +1,4 @@
-"""What `repr` says of results."""
+"""The `repr` of results."""
 
 import equinox as eqx
 import jax

@@ -1,4 +1,4 @@
-"""What can be differentiated how; elsewhere the error says what to take instead."""
+"""Which derivatives are supported; other errors name an alternative."""
 
 import diffrax as dfx
 import jax

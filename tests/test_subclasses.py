@@ -1,4 +1,4 @@
-"""A subclass is honoured in whatever it overrides, or refused when it is defined."""
+"""Overrides of a subclass are used, or refused when it is defined."""
 # pyright: reportArgumentType=false, reportCallIssue=false, reportIncompatibleMethodOverride=false
 
 import importlib
@@ -207,7 +207,7 @@ def test_functions_for_a_belt_refuse_other_forces():
 
 
 class Slow(AbstractOscillators):
-    """A free mass, which tells no more than it must."""
+    """A free mass that defines only the required methods."""
 
     springs: None = None
 

@@ -14,7 +14,7 @@ MODULES = [
 
 
 def names_of(tree):
-    """What a module defines at its top level."""
+    """The names that a module defines at its top level."""
     for node in tree.body:
         if isinstance(node, ast.FunctionDef | ast.ClassDef):
             yield node.name

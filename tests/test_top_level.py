@@ -44,7 +44,7 @@ def exported(submodule):
 
 
 def fresh(code):
-    """What a fresh interpreter prints."""
+    """The output of a fresh interpreter."""
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     return done.stdout
 

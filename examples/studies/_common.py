@@ -1,4 +1,4 @@
-"""What several programs in this folder share: their options and the look of their figures."""
+"""Code shared by the programs in this folder: their options and the style of their figures."""
 
 import argparse
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What lies between dying and vibrating?
+"""Which motion separates decay from vibration?
 
 On the boundary between two basins of attraction there is a motion that goes to neither side.  For
 one mass it is the unstable cycle, on which the mass slides throughout.  Here it is found by

@@ -172,7 +172,7 @@ def tiny(model):
 
 
 def long(x, allowed, model):
-    """What a million time units leave is the cycle that Newton's method finds, or nothing."""
+    """After a million time units a run is on the cycle of Newton's method, or at rest."""
     chain, watch = replace(SOFT, width=1e-2).chain(), jc.Amplitude(window=20.0)
     options = {"rtol": 1e-5, "max_steps": None, "observe": watch}
     amplitude = run(model, chain, x, 0.0, LONG, **options).observed
@@ -216,7 +216,7 @@ def together(x, model):
 
 
 def balance(mass, coupling, model):
-    """The work of the belt is what is dissipated and stored."""
+    """The work of the belt equals the dissipated and stored energy."""
     chain = mass.chain(20, coupling=coupling)
     watch = {"rtol": 1e-8, "observe": EnergyBalance()}
     work, lost, grown = run(model, chain, *jc.equation_8(chain, 9), 50.0, **watch).observed

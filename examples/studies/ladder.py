@@ -1,4 +1,4 @@
-"""What lies behind the ladder of localized states: one snaking branch, or islands?
+"""The branches behind the ladder of localized states: one snaking branch, or islands?
 
 The cycles in which k neighbours of the paper's ring vibrate with locked phases, stable and
 unstable, followed over the belt speed round all folds: in phase, alternating, and in the calmest
@@ -141,7 +141,7 @@ def describe(chain, branches, points):
 
 
 def dry_runs(chain, points, s):
-    """What true dry friction makes of stable cycles, drawn by lot."""
+    """Runs with dry friction from stable cycles, chosen at random."""
     watch = (jc.Amplitude(window=WINDOW),
              jc.PeakTimes(capacity=24, start=s.dry_time - WINDOW))  # fmt: skip
     every = [(key, i) for key, own in points.items() for i in np.flatnonzero(own["unstable"] == 0)]

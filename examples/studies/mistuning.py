@@ -196,7 +196,7 @@ def draw_ratios(axes, groups, title, shared):
 
 
 def draw_captures(axes, caught):
-    """Which neighbours are drawn in, and between which detunings theory says so."""
+    """Which neighbours start to vibrate, and the detunings predicted by theory."""
     for i, (speed, (rows, theory)) in enumerate(caught.items()):
         bars = np.maximum([rows.share - rows.low, rows.high - rows.share], 0.0)
         look = {"color": common.COLOURS[i], "lw": 0.9, "ms": 2.6, "marker": "os"[i]}

@@ -132,7 +132,7 @@ def _check_ring(chain: Any) -> None:
     if not (same and ring and chain.n > 2):
         raise ValueError(
             "Argument `chain` must be a ring of at least three equal masses, with one number for "
-            f"`coupling`, but is another chain, with n = {chain.n}: unequal masses drift."
+            f"`coupling`, but is one of {chain.n} that is not: phases of unequal masses drift."
         )
 
 

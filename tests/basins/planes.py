@@ -1,4 +1,4 @@
-"""The plane of one mass by SciPy, which knows nothing of jaxchain: cycles, areas, runs."""
+"""The plane of one mass by SciPy, independent of jaxchain: cycles, areas, runs."""
 
 from itertools import pairwise
 

@@ -230,7 +230,7 @@ def test_a_fate_ends_a_run_as_soon_as_it_is_clear():
 
 @pytest.mark.long
 def test_where_one_mass_cannot_vibrate_alone_the_blow_falls_on_both():
-    """A mass that is hit alone sticks for more than five periods, and dies then."""
+    """A mass that is hit alone sticks for more than five periods before its motion dies out."""
     chain = TWO.with_(belt_speed=1.8)
     found = gentlest_blow(chain)
     assert found.successful

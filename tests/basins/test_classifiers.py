@@ -1,4 +1,4 @@
-"""Which masses vibrate, told while a run goes on."""
+"""Which masses vibrate, decided during a run."""
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +14,7 @@ CHAIN = paper_chain(6, belt_speed=1.5, width=None)
 
 
 def after(classify, motion, t1, chain=CHAIN, dt=0.25):
-    """What a classifier says of x(t), given as a function of time, after steps of `dt`."""
+    """The result of a classifier for x(t), given as a function of time, after steps of `dt`."""
     speed = jax.jacfwd(motion)
 
     @jax.jit

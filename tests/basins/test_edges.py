@@ -1,4 +1,4 @@
-"""Edge states: the unstable cycle for one mass, and what is refused or said to have failed."""
+"""Edge states: the unstable cycle for one mass, refused input, and reported failures."""
 
 import jax
 import jax.numpy as jnp

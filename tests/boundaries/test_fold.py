@@ -71,7 +71,7 @@ def vibrates(numbers, speeds, dry):
 def claims(seed, count, margin=0.01):
     """(results, speeds, hopf, sets that a run contradicts, sets not found that vibrate).
 
-    A fold found: runs from sticking go on `margin` below and die out `margin` above.  None: they
+    A fold found: runs from sticking vibrate `margin` below and die out `margin` above.  None: they
     die out at all speeds.  Not found: does one go on above the Hopf speed?
     """
     numbers = wild_sets(seed, count)

@@ -202,7 +202,7 @@ def test_gradients_of_both_kinds_are_those_of_differences():
 
 
 def test_what_it_says_of_smoothed_folds(paper):
-    """Found by continuation with another integrator; what is left is O(width^(3/2))."""
+    """Found by continuation with another integrator; the remaining error is O(width^(3/2))."""
     for width, fold in ((2e-4, 1.835367012), (1e-3, 1.831129820), (1e-2, 1.792455775)):
         assert abs(paper.smoothed(width) - fold) < width**1.5
 

@@ -199,7 +199,7 @@ def test_a_driven_oscillator_is_chaotic():
 
 
 def _disturbance(chain, orbit, returns):
-    """What a difference of mirror images grows to, per time unit, followed by two runs."""
+    """The growth rate of an antisymmetric disturbance, from two runs."""
     x, v = orbit.state
     push = jnp.zeros(chain.n).at[1].set(1e-5).at[3].set(-1e-5)
     left = []

@@ -1,4 +1,4 @@
-"""What decides on a motion: exponents, tori, and ensembles with noise."""
+"""The criteria of a verdict: exponents, tori, and ensembles with noise."""
 
 import numpy as np
 import pytest

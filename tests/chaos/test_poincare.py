@@ -1,4 +1,4 @@
-"""What comes back in a record of windows: sections, tori, phases, symmetries."""
+"""Recurrence in a record of windows: sections, tori, phases, symmetries."""
 
 import numpy as np
 

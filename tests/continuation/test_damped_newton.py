@@ -158,7 +158,7 @@ def test_it_runs_inside_a_loop():
 
 
 def cubic(u):
-    """(F, its Jacobian, what a caller wants to know besides) of u^3 = (1, 8)."""
+    """(F, its Jacobian, further results) of u^3 = (1, 8)."""
     value = u**3 - jnp.array([1.0, 8.0])
     return value, factorise(jnp.diag(3.0 * u**2), jnp.ones(2)), {"square": u**2}
 

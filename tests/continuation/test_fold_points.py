@@ -1,4 +1,4 @@
-"""Folds as roots: closed forms, a thousand lanes, derivatives, and what is no fold."""
+"""Folds as roots: closed forms, a thousand lanes, derivatives, and points that are not folds."""
 
 import jax
 import jax.numpy as jnp

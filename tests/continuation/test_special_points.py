@@ -1,4 +1,4 @@
-"""Special points between two points: where they are, and what is none."""
+"""Special points between two points: their places, and points that are not special."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""A branch as a dataset: it says what the branch says, survives NetCDF, and fits a sweep's."""
+"""A branch as a dataset: it agrees with the branch, survives NetCDF, and fits a sweep's."""
 
 import io
 import json

@@ -105,7 +105,7 @@ def test_phases_are_those_of_one_period():
 
 
 def seen(width, speeds):
-    """What is wrong with cycles at some belt speeds: (belt speed, branch, what)."""
+    """Faults of cycles at some belt speeds: (belt speed, branch, fault)."""
     chain = paper_chain(1, width=width)
     fold = float(fold_belt_speed(chain))
     low, hopf = hopf_points(chain, (1e-3, 3.0)).belt_speed

@@ -30,7 +30,7 @@ def noted(owner, name, word):
 
 
 def dask_setup(worker):
-    """What Dask calls in a worker that has loaded this."""
+    """The function that Dask calls in a worker that has loaded this."""
     from jaxchain.sweeps.scheduler import Scheduler
 
     noted(Scheduler, "run", "computed")

@@ -55,7 +55,7 @@ class Place:
         return self.start(*command, stderr=subprocess.PIPE)
 
     def end(self, process):
-        """What it returned and printed."""
+        """Its exit status and output."""
         return process.communicate(timeout=PATIENCE)[1], process.returncode
 
     def cluster(self):
@@ -192,8 +192,8 @@ def test_a_full_disk_loses_nothing_that_is_done(place, undisturbed):
     message, status = place.end(place.start(*private(script, disk), stderr=subprocess.PIPE))
     assert status == 0, message
     assert (
-        "s.zarr cannot be used: No space left on device. Units that are done are kept; mend that, "
-        "and make the same call again to go on.\n" in message
+        "s.zarr cannot be used: No space left on device. Finished units are kept; solve the "
+        "problem and repeat the same call to continue.\n" in message
     )
     part = xr.open_zarr(kept / "s.zarr").load()
     done = part.result.values != NAMES.index("pending")

@@ -142,7 +142,10 @@ def friction():
         (3.0, "Chain"),
         (Chain(4, friction(), 1.5, coupling=None), "coupling"),
         (Chain(4, friction(), 1.5, coupling=0.01, ends="free"), "ring"),
-        (Chain(4, friction(), 1.5, coupling=0.01, stiffness=np.array([1.0, 1, 1, 2])), "alike"),
+        (
+            Chain(4, friction(), 1.5, coupling=0.01, stiffness=np.array([1.0, 1, 1, 2])),
+            "equal masses",
+        ),
         (Chain(2, friction(), 1.5, coupling=0.01), "three"),
     ],
 )

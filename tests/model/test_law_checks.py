@@ -1,4 +1,4 @@
-"""What cannot be a law of friction is refused with the speed at which it shows."""
+"""Impossible friction laws are refused with the speed at which they fail."""
 
 from typing import Any
 

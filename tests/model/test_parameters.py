@@ -1,4 +1,4 @@
-"""One table of the numbers: whatever lists them reads it, and a number that it lacks is seen."""
+"""One table of the numbers is used by everything that lists them; a missing one is noticed."""
 
 import dataclasses
 import inspect

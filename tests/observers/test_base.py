@@ -61,7 +61,7 @@ def test_amplitude_looks_at_its_window_only():
 
 @pytest.fixture(scope="module")
 def watched():
-    """What several observers have seen in one run, which is compiled once."""
+    """The values of several observers in one run, which is compiled once."""
     watch = [PeakTimes(capacity=16), PeakTimes(capacity=2, start=10.0), Section(0, capacity=5)]
     return simulate(FREE, START, 40.0, observe=watch, solver=Rodas5P(), rtol=1e-9).observed
 

@@ -1,4 +1,4 @@
-"""Times of maxima, told one by one and many at once."""
+"""Times of maxima, one by one and many at once."""
 
 import jax
 import jax.numpy as jnp

@@ -1,4 +1,4 @@
-"""Samples: what a trajectory says, without its store and without cutting a step."""
+"""Samples: the states of a trajectory, without storing it or cutting a step."""
 
 from typing import Any
 

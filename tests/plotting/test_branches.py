@@ -1,4 +1,4 @@
-"""What is drawn of a branch is what its dataset says: line, style, special points, names."""
+"""The figure of a branch agrees with its dataset: line, style, special points, names."""
 
 from typing import Any
 

@@ -40,7 +40,7 @@ SCENE_NUMBERS = (
 
 
 class Refusal(NamedTuple):
-    """What must be refused: every attempt raises an error whose text matches `names`."""
+    """Calls that must be refused: every attempt raises an error whose text matches `names`."""
 
     name: str
     names: str

@@ -1,4 +1,4 @@
-"""What a row of the table of bad calls is, and what is asked of every refusal."""
+"""The rows of the table of bad calls, and the requirements on every refusal."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def optional(values: Sequence[Any]) -> tuple[Any, ...]:
 
 
 def states(n: int) -> tuple[Any, ...]:
-    """What is no state of n masses."""
+    """Values that are not a state of n masses."""
     x, nan = jnp.ones(n), jnp.full(n, math.nan)
     return (
         None, "x", 3.0, [], {"x": x}, simulate, (x,), (x, "v"), (x, nan), (nan, x),
@@ -112,7 +112,7 @@ class Row(NamedTuple):
 
 
 def _is_shown(value: Any, message: str) -> bool:
-    """Whether a message says a value, its kind or its shape, or that of a part of it."""
+    """Whether a message shows a value, its kind or its shape, or those of a part of it."""
     if isinstance(value, Told):
         return bool(re.search(value.instead, message))
     if isinstance(value, type):

@@ -1,4 +1,4 @@
-"""A friction law or an observer of one's own, from a file that is named on the command line."""
+"""A custom friction law or observer, from a file that is named on the command line."""
 
 from typing import get_args
 

@@ -10,7 +10,7 @@ TEXT = builtin_scenes()["quickstart"].read_text(encoding="utf-8")
 
 
 def problem(file, content: bytes | str = TEXT, *overrides):
-    """What is wrong with a file of this content."""
+    """The problems of a file with this content."""
     file.write_bytes(content if isinstance(content, bytes) else content.encode())
     with pytest.raises(SceneError) as error:
         read_scene(str(file), overrides)

@@ -34,7 +34,7 @@ def data(value, count=10):
 
 
 def groups(folder):
-    """What the description of the zarr store lists, as other tools read it."""
+    """The groups in the metadata of the zarr store, as other tools read it."""
     return sorted(zarr.open_consolidated(folder / "made_up.zarr").group_keys())
 
 

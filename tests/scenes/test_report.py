@@ -1,4 +1,4 @@
-"""`report.html`: one file that shows a folder of results, whatever a scene's author wrote."""
+"""`report.html`: one file that shows a folder of results, for any text in the scene."""
 
 import base64
 from html.parser import HTMLParser
@@ -30,7 +30,7 @@ EMPTY = {"meta", "img", "br", "hr", "link", "input", "use", "path"}
 
 
 class Reader(HTMLParser):
-    """What a page holds; fails where an element is not closed, or another one is."""
+    """The content of a page; fails if an element is not closed, or the wrong one is."""
 
     def __init__(self, folder):
         super().__init__()

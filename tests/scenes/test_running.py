@@ -1,4 +1,4 @@
-"""Scenes become folders of results: both models, their files, and runs that go on."""
+"""Scenes become folders of results: both models, their files, and resumed runs."""
 
 import json
 import os
@@ -373,7 +373,7 @@ def test_a_run_that_is_cut_off_goes_on_in_its_folder(two, tmp_path, monkeypatch)
     resume_scene(load_scene(str(out)), out, plot=False, report=reports.append)
     assert reports[-1] == "nothing is missing"
     assert len(calls) == 3
-    with pytest.raises(SceneError, match=r"has results in .* already: `resume_scene` goes on"):
+    with pytest.raises(SceneError, match=r"has results in .* already: `resume_scene` continues"):
         run_scene(loaded, out)
 
 

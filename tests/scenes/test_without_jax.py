@@ -1,4 +1,4 @@
-"""What needs no computation starts no JAX: seen in the modules that a fresh process has loaded."""
+"""Commands without computation do not import JAX: checked in a fresh process."""
 
 import json
 import subprocess

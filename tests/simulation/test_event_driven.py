@@ -384,7 +384,7 @@ def test_order_must_be_sensible(order):
 
 
 def everything(watch, belt_speed, stiffness, mu_static, x, v, t1):
-    """What a run of two masses returns, as one array."""
+    """The result of a run of two masses, as one array."""
     chain = paper_chain(2, belt_speed).with_(
         stiffness=stiffness, mu_static=mu_static, coupling=0.1, width=1e-3
     )

@@ -1,4 +1,4 @@
-"""What the wrapped solver takes from diffrax."""
+"""The interface of diffrax that the wrapped solver uses."""
 
 from pathlib import Path
 

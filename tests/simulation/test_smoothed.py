@@ -1,4 +1,4 @@
-"""Runs of smoothed friction: how one goes on that was cut, and steps that are taken again."""
+"""Runs with smoothed friction: continuation of a cut run, and repeated steps."""
 
 import diffrax as dfx
 import equinox as eqx

@@ -34,7 +34,7 @@ CUT = """() => [...document.querySelectorAll(
 
 
 class Links(HTMLParser):
-    """What a page refers to, and what in it may be referred to."""
+    """The links and anchors of a page."""
 
     def __init__(self, text):
         super().__init__()

@@ -1,4 +1,4 @@
-"""What a sweep is: results labelled, and whatever decides a number seen when it changes."""
+"""Sweeps: labels of results, and detection of every change that affects numbers."""
 
 import re
 import subprocess

@@ -1,4 +1,4 @@
-"""Starts of lanes: what the user's functions make, and what is compiled and kept for them."""
+"""Starts of lanes: the results of the user's functions, and their compiled programs."""
 
 import functools
 import gc

@@ -1,4 +1,4 @@
-"""Programs on devices: what is padded, counted and joined, and that devices choose nothing."""
+"""Programs on devices: padding, counting, joining, and independence of the devices."""
 
 import threading
 import time

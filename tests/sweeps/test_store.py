@@ -1,4 +1,4 @@
-"""A sweep in a store: the same numbers as in memory, whatever was there before; what is done."""
+"""A sweep in a store: the same numbers as in memory for any earlier state; its progress."""
 
 import json
 import os
@@ -255,7 +255,7 @@ def test_a_path_that_holds_something_else_is_refused(tmp_path, path):
     ("change", "message"),
     [
         ({"store": ""}, "Argument `store` must be"),
-        ({"chunks": {"speed": 3}}, "names 'speed', which is no dimension of the sweep"),
+        ({"chunks": {"speed": 3}}, "names 'speed', which is not a dimension of the sweep"),
         ({"chunks": {"excited": 1.5}}, r"chunks\['excited'\]"),
         ({"store": None}, "`chunks` is for a sweep that is kept in a `store`"),
     ],
@@ -304,7 +304,7 @@ def test_a_store_that_is_removed_under_way_is_an_error_and_can_be_begun_anew(
 
     with monkeypatch.context() as patch:
         patch.setattr(Store, "write", remove)
-        with pytest.raises(StoreError, match=r"was removed while a sweep filled it.*anew"):
+        with pytest.raises(StoreError, match=r"was removed while a sweep filled it.*start again"):
             small(path)
     assert not path.exists()
     assert_same(small(path), memory)
