@@ -97,8 +97,8 @@ def damping_outweighs(chain: Chain) -> Bool[Array, ""]:
 
     F' = -mu'(s) tanh(s / eps) - mu(s) sech^2(s / eps) / eps, or -mu'(s) with dry friction (whose
     jump at w = 0 only adds damping), is bounded over each of the intervals between 1024 speeds s.
-    This assumes that mu and mu' are monotone in each interval, as for every law of this package
-    except in single intervals at their extrema.
+    This assumes that mu and mu' are monotone in each interval, as they are for every law of this
+    package, except that mu of `WeakeningStrengthening` has a minimum in one of them.
 
     >>> from jaxchain import paper_chain
     >>> [bool(damping_outweighs(paper_chain(1).with_(damping_ratio=xi))) for xi in (0.4, 0.6)]
