@@ -16,14 +16,16 @@ from .._types import PerMass
 Ends = Literal["cyclic", "free"]
 
 
-def _pad(x: Float[Array, " n"], ends: Ends) -> Float[Array, " padded"]:
+def _pad(x: Float[Array, " n"], ends: str) -> Float[Array, " padded"]:
     if ends == "cyclic":
         return jnp.concatenate([x[-1:], x, x[:1]])
+    if ends == "mirrored":
+        return jnp.concatenate([x[:1], x, x[-1:]])
     zero = jnp.zeros_like(x[:1])
     return jnp.concatenate([zero, x, zero])
 
 
-def _correlate(x: Float[Array, " n"], kernel: np.ndarray, ends: Ends) -> Float[Array, "k n"]:
+def _correlate(x: Float[Array, " n"], kernel: np.ndarray, ends: str) -> Float[Array, "k n"]:
     # On a CPU a roll is fused into its producer, which is then evaluated once more for every
     # consumer and without SIMD; a convolution is a fusion boundary and runs ten times faster.
     padded = _pad(x, ends).reshape(1, 1, x.shape[0] + 2)
@@ -71,8 +73,8 @@ def materialize(x: Float[Array, " n"]) -> Float[Array, " n"]:
     return lax.platform_dependent(x, cpu=convolve, default=lambda x: x)
 
 
-def neighbours(x: Float[Array, " n"], ends: Ends) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
-    """(x_{n-1}, x_{n+1}), as in `neighbour_sum`."""
+def neighbours(x: Float[Array, " n"], ends: str) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
+    """(x_{n-1}, x_{n+1}), as in `neighbour_sum`; "mirrored": a copy of x_n beyond an end."""
 
     def convolve(x: Array) -> tuple[Array, Array]:
         both = _correlate(x, np.array([[[1.0, 0.0, 0.0]], [[0.0, 0.0, 1.0]]]), ends)

@@ -1,13 +1,12 @@
 """Systems (diag(d) - s C) b = r with the springs' matrix C: (cyclic) tridiagonal, in O(N)."""
 
-import functools as ft
 from collections.abc import Callable
 
 import jax.numpy as jnp
-from jax import lax
 from jaxtyping import Array, Float
 
 from .._types import ScalarLike
+from .blocks import neighbour_solver
 from .springs import Springs
 
 
@@ -46,43 +45,13 @@ def swept_solver(
 def exact_solver(
     diagonal: Float[Array, " n"], springs: Springs, scale: ScalarLike
 ) -> Callable[[Float[Array, " n"]], Float[Array, " n"]]:
-    """Solves (diag(diagonal) - scale C) b = rhs in O(N), whatever the strength of the springs.
+    """Solves (diag(diagonal) - scale C) b = rhs in O(N), by elimination from one end to the other.
 
-    A ring is a tridiagonal matrix plus the rank-one corner term u w^T (Sherman-Morrison; Golub
-    and Van Loan, section 2.1.4), so its solve is a tridiagonal one and one dot product.
+    The diagonal must dominate for the strength of the springs not to matter.
     """
-    n = diagonal.shape[0]
-    lower, upper = springs.off_diagonals(n)
-    lower, upper = -scale * lower, -scale * upper
-    if n == 1:
-        return lambda rhs: rhs / (diagonal + lower + upper)
-    if n == 2:  # both springs join the same two masses
-        a, b = upper[0] + lower[0], upper[1] + lower[1]
-        determinant = diagonal[0] * diagonal[1] - a * b
-        return lambda rhs: (
-            jnp.stack([diagonal[1] * rhs[0] - a * rhs[1], diagonal[0] * rhs[1] - b * rhs[0]])
-            / determinant
-        )
-
-    edge_lower = lower.at[0].set(0.0)
-    edge_upper = upper.at[-1].set(0.0)
-
-    def tridiagonal(diagonal: Array, rhs: Array) -> Array:
-        return lax.linalg.tridiagonal_solve(edge_lower, diagonal, edge_upper, rhs[:, None])[:, 0]
-
-    if springs.ends == "free":
-        return ft.partial(tridiagonal, diagonal)
-
-    # Corners lower[0] at (0, n-1) and upper[-1] at (n-1, 0) are u w^T with
-    # u = (g, 0, .., 0, upper[-1]) and w = (1, 0, .., 0, lower[0] / g).
-    g = -diagonal[0]
-    reduced = diagonal.at[0].add(-g).at[-1].add(-upper[-1] * lower[0] / g)
-    u = jnp.zeros_like(diagonal).at[0].set(g).at[-1].set(upper[-1])
-    q = tridiagonal(reduced, u)
-    denominator = 1.0 + q[0] + lower[0] / g * q[-1]
-
-    def solve(rhs: Float[Array, " n"]) -> Float[Array, " n"]:
-        b = tridiagonal(reduced, rhs)
-        return b - (b[0] + lower[0] / g * b[-1]) / denominator * q
-
-    return solve
+    lower, upper = (scale * part for part in springs.off_diagonals(diagonal.shape[0]))
+    if diagonal.shape[0] == 1:
+        return lambda rhs: rhs / (diagonal - lower - upper)
+    inverse = 1.0 / diagonal
+    solve = neighbour_solver([[inverse * lower]], [[inverse * upper]], springs.ends)
+    return lambda rhs: solve([inverse * rhs])[0]
