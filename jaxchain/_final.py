@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 _INSTEAD = {
     "AbstractOscillators": "subclass `jaxchain.model.AbstractOscillators` for other forces, or "
     "`jaxchain.model.AbstractFrictionLaw` for other friction.",
+    "AbstractCells": "subclass `jaxchain.model.AbstractCells`.",
     "AbstractFriction": "subclass `jaxchain.model.AbstractFrictionLaw`.",
     "AbstractClassifier": "subclass `jaxchain.basins.AbstractClassifier`.",
     "AbstractObserver": "subclass `jaxchain.observers.AbstractObserver`.",

@@ -8,5 +8,5 @@ from jaxtyping import Array, Float, Int
 ScalarLike: TypeAlias = float | int | Float[Array, ""] | Int[Array, ""]
 # One number for the whole chain, or one per mass, shape (n,).
 PerMass: TypeAlias = Float[Array, ""] | Float[Array, " n"]
-# (displacement, velocity), both of shape (n,).
-State: TypeAlias = tuple[Float[Array, " n"], Float[Array, " n"]]
+# (displacement, velocity), both of shape (n,); of other cells one array for each of their numbers.
+State: TypeAlias = tuple[Float[Array, " n"], ...]

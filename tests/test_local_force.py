@@ -25,7 +25,7 @@ from jaxchain import (
 from jaxchain.cycles.floquet import liouville_defect, trace_integral
 from jaxchain.model.oscillators import AbstractOscillators
 from jaxchain.model.springs import Springs
-from jaxchain.observers import EnergyBalance, StickTime
+from jaxchain.observers import EnergyBalance, Samples, StickTime
 
 PERIOD, AMPLITUDE = 6.6632868593, 2.0086198609
 SPRINGS = Springs(jnp.asarray(0.1), "cyclic")
@@ -248,23 +248,16 @@ def test_a_force_between_masses_is_no_local_one():
             use()
 
 
-def test_a_sweep_of_other_oscillators_is_refused():
-    with pytest.raises(ValueError, match=r"must be a `Chain`, but is a VanDerPol: .*`jax.vmap`"):
-        sweep(ONE, START, 1.0, over={"strength": [0.5, 1.0]})
-
-
-@pytest.mark.long
-def test_vmap_serves_as_a_sweep_of_other_oscillators():
-    def end(strength):
-        field = VanDerPol(strength=strength, springs=None)
-        return simulate(field, START, 3.0, rtol=1e-9, throw=False).state[0][0]
-
-    ends = jax.vmap(end)(jnp.array([0.5, 1.0]))
-    for found, mu in zip(ends, (0.5, 1.0), strict=True):
+def test_a_sweep_takes_other_oscillators():
+    over = {"strength": [0.5, 1.0]}
+    data = sweep(ONE, START, 3.0, over=over, observe=Samples(3.0, 2), rtol=1e-9)
+    assert data.strength.attrs == {"long_name": "strength", "units": "1"}
+    for mu in over["strength"]:
         exact = solve_ivp(
             lambda t, y, mu=mu: [y[1], mu * (1 - y[0] ** 2) * y[1] - y[0]],
             (0.0, 3.0), [2.0, 0.0], rtol=1e-12, atol=1e-12,
         ).y[0, -1]  # fmt: skip
+        found = data.sample_displacement.sel(strength=mu)[1, 0]
         np.testing.assert_allclose(found, exact, atol=1e-7)
 
 

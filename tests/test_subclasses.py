@@ -15,7 +15,7 @@ from systems.oscillators import Rayleigh, VanDerPol
 import jaxchain as jc
 from jaxchain.basins import AbstractClassifier, AbstractRegion, basin_shares
 from jaxchain.boundaries import dry_fold_belt_speed
-from jaxchain.model import AbstractFrictionLaw, AbstractOscillators
+from jaxchain.model import AbstractCells, AbstractFrictionLaw, AbstractOscillators
 from jaxchain.observers import AbstractObserver, Divergence, Variable
 from jaxchain.simulation.accuracy import fit_linear_solve
 from jaxchain.solvers import AbstractStructuredRosenbrock
@@ -258,6 +258,91 @@ def test_optional_methods_of_a_field_are_used():
     assert plain.observed[1] == 0.0
     assert plain.steps < 300
     assert not np.isclose(plain.observed[0][0][0], np.pi, atol=1.0)
+
+
+class Swing(AbstractOscillators):
+    """Driven by a force of period 2."""
+
+    springs: None = None
+
+    def local_force(self, t, x, v):
+        return jnp.cos(jnp.pi * t) - 0.5 * v
+
+    def stiffness_diagonal(self, n):
+        return 1.0
+
+    def forcing_period(self):
+        return 2.0
+
+
+class Mass(AbstractCells):
+    """x'' = -x with a weak spring to both neighbours; equal masses do not stretch it."""
+
+    def rate(self, t, left, own, right):
+        x, v = own
+        return v, -x + 0.1 * (left[0] - 2.0 * x + right[0])
+
+
+class Driven(Mass):
+    def rate(self, t, left, own, right):
+        v, force = super().rate(t, left, own, right)
+        return v, force + jnp.cos(jnp.pi * t) - 0.5 * v
+
+    def forcing_period(self):
+        return 2.0
+
+
+class Row(Mass):
+    ends = "free"
+    components = ("x", "speed")
+
+
+class Backward(Mass):
+    def belt_direction(self):
+        return -1.0
+
+
+class Hasty(Mass):
+    def growth_time(self):
+        return 0.01
+
+
+class Switching(Mass):
+    contact = 0
+
+    def switching(self, t, v):
+        return v - 0.1, jnp.asarray(1e-4)
+
+
+@honours(
+    AbstractCells, "rate", "forcing_period", "ends", "components", "contact", "switching",
+    "belt_direction", "growth_time",
+)  # fmt: skip
+@honours(AbstractOscillators, "forcing_period")
+def test_what_cells_define_is_honoured():
+    start = jnp.zeros(3), jnp.ones(3)  # x = sin t
+    fastest = jc.Section(0, 1, of="velocity")
+
+    def run(cells):
+        return jc.simulate(cells, start, 6.5, observe=fastest, rtol=1e-8)
+
+    plain, backward, hasty, switching = map(run, (Mass(), Backward(), Hasty(), Switching()))
+    assert plain.observed[0] == pytest.approx(2.0 * np.pi, abs=1e-6)
+    assert backward.observed[0] == pytest.approx(np.pi, abs=1e-6)
+    assert hasty.steps >= 650 > 300 > plain.steps
+    assert switching.steps > plain.steps
+    data = jc.sweep(
+        Row(), start, 6.5, vary=lambda cells, k: cells, over={"k": [0]},
+        observe=jc.Amplitude(component=1),
+    )  # fmt: skip
+    assert data.amplitude_speed.values == pytest.approx(1.0, abs=1e-4)
+    ring, row = (np.asarray(cells.jacobian(0.0, start)) for cells in (Mass(), Row()))
+    # The last mass pulls the first one in a ring; at a free end there is one spring only.
+    assert (ring[3, 2], row[3, 2]) == (0.1, 0.0)
+    assert (ring[3, 0], row[3, 0]) == pytest.approx((-1.2, -1.1))
+    for driven in (Driven(), Swing()):
+        cycle = jc.find_limit_cycle(driven, (jnp.zeros(3), jnp.zeros(3)))
+        assert (cycle.turns, float(cycle.period)) == (1, 2.0)
 
 
 class Count(AbstractObserver):

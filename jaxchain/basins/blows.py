@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 import diffrax as dfx
 import equinox as eqx
@@ -30,9 +30,9 @@ from ..continuation.damped_newton import where
 from ..continuation.gradient_descent import MOST_STEPS
 from ..continuation.implicit import attach_derivative
 from ..model.arguments import as_chain, as_mass
+from ..model.cells import AbstractField
 from ..model.chain import Chain, steady_sliding
 from ..model.initial_states import reference_site
-from ..model.oscillators import AbstractOscillators
 from ..model.sliding import growth_rate
 from ..observers.amplitude import Amplitude
 from ..observers.base import AbstractObserver, Step
@@ -110,22 +110,20 @@ class DecayOrVibrate(AbstractObserver):
     radius: Float[Array, ""]
     patience: Float[Array, ""]
 
-    def init(
-        self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State
-    ) -> _Watched:
+    def init(self, field: AbstractField, t0: ScalarLike, t1: ScalarLike, y0: State) -> _Watched:
         del t1
         never = jnp.full_like(y0[0], -jnp.inf)
         since = jnp.zeros_like(y0[0]) + t0
         none = jnp.zeros(y0[0].shape, bool)
         return _Watched(never, since, self._dead(field, y0), none)
 
-    def _dead(self, field: AbstractOscillators, state: State) -> Bool[Array, ""]:
+    def _dead(self, field: Any, state: State) -> Bool[Array, ""]:
         x, v = state
         d = x - self.rest
         return jnp.sum(v * v - d * field.restoring_force(d)) < self.radius**2
 
     def update(self, accumulator: _Watched, step: Step) -> _Watched:
-        now, field = accumulator, step.field
+        now, field = accumulator, cast(Chain, step.field)
         x, v = step.y1
         switching = field.switching(step.t1, v)
         assert switching is not None  # a field with a belt has `switching`

@@ -30,8 +30,8 @@ from .._final import final
 from .._types import ScalarLike, State
 from ..continuation.damped_newton import where
 from ..model.arguments import as_chain
+from ..model.cells import AbstractField
 from ..model.chain import Chain
-from ..model.oscillators import AbstractOscillators
 from ..observers.base import AbstractObserver, Step, Variable
 from ..observers.quantities import active_above
 from ..result import Printed
@@ -219,9 +219,7 @@ class VibratingMasses(AbstractClassifier):
     def patient(self) -> VibratingMasses:
         return eqx.tree_at(lambda c: c.calm, self, jnp.asarray(jnp.inf))
 
-    def init(
-        self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State
-    ) -> _Looking:
+    def init(self, field: AbstractField, t0: ScalarLike, t1: ScalarLike, y0: State) -> _Looking:
         del t1
         x, _ = y0
         as_chain(field, remedy="only its masses have a belt that they can stick to.")

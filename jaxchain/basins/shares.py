@@ -258,7 +258,8 @@ class Runs:
         """(x, v), both of shape (runs, n), from these points at the parameters of these places."""
         values = {**self.at(places), "point": points}
         columns = {name: jnp.asarray(column) for name, column in values.items()}
-        made = starts_on(jax.local_devices()[0], RunStarts(self.chain, self.initial), columns)
+        starts = RunStarts(self.chain, self.initial, n=self.chain.n)
+        made = starts_on(jax.local_devices()[0], starts, columns)
         x, v = made.state
         return np.asarray(x), np.asarray(v)
 

@@ -32,8 +32,8 @@ from .._progress import progress_bar
 from .._statistics import student_reach
 from .._types import State
 from ..model.arguments import as_chain, as_state
+from ..model.cells import AbstractField
 from ..model.chain import Chain
-from ..model.oscillators import AbstractOscillators
 from ..observers.energy_balance import Divergence
 from ..observers.stick_time import MostSticking
 from ..result import NAMES, Printed, Result, code, ended_well, message
@@ -236,17 +236,17 @@ def orthonormalise(
 
 
 def advance_frame(
-    plan: AbstractPlan, field: AbstractOscillators, frame: Frame, t1: Any, max_steps: int | None
+    plan: AbstractPlan, field: AbstractField, frame: Frame, t1: Any, max_steps: int | None
 ) -> tuple[Frame, Float[Array, "two_n count"]]:
     """(the run at t1 with the old basis; the images of the basis there).
 
     The images use the derivative of the discrete steps with fixed sizes; the steps are computed
     once for any number of disturbances.
     """
-    n = frame.progress.state[0].shape[0]
+    m = len(frame.progress.state)
 
     def after(flat: Array) -> tuple[Array, Progress]:
-        begun = _resume(plan, field, frame.progress, (flat[:n], flat[n:]), t1)
+        begun = _resume(plan, field, frame.progress, tuple(jnp.split(flat, m)), t1)
         progress, _ = plan.advance(field, begun, t1, max_steps=max_steps)
         return jnp.concatenate(progress.state), progress
 
@@ -260,7 +260,7 @@ def advance_frame(
 
 
 def _resume(
-    plan: AbstractPlan, field: AbstractOscillators, progress: Progress, state: State, t1: Any
+    plan: AbstractPlan, field: AbstractField, progress: Progress, state: State, t1: Any
 ) -> Progress:
     """The run with another `state`; everything that depends smoothly on it is recomputed.
 
@@ -280,7 +280,7 @@ def _resume(
 @eqx.filter_jit
 def advance_span(
     plan: AbstractPlan,
-    field: AbstractOscillators,
+    field: AbstractField,
     frame: Frame,
     span: Interval,
     max_steps: int | None,
@@ -362,7 +362,7 @@ def lyapunov_spectrum(
 
     **Arguments:**
 
-    - `chain`: a `Chain` or any autonomous `AbstractOscillators`; `initial`: the pair (x, v).
+    - `chain`: a `Chain`, `AbstractOscillators` or `AbstractCells`; `initial`: the pair (x, v).
     - `t1`: the run goes from 0 to here; the window of the averages is [transient, t1].
     - `count`: the number of exponents; None: all 2n.
     - `transient`: left out of the averages; in its second half disturbances are integrated, too,
@@ -406,7 +406,7 @@ def lyapunov_spectrum(
         print(found.exponents, found.low, found.high, found.chaotic())
         ```
     """
-    as_chain(chain, AbstractOscillators)
+    as_chain(chain, AbstractField)
     state = as_state(chain, initial)
     solver = custom_solver(chain, solver)
     dry = isinstance(solver, EventDriven)
@@ -435,8 +435,8 @@ def lyapunov_spectrum(
     remedy = "errors come from the scatter of their means; 20 is usual."
     check_whole("blocks", blocks, 2, _MOST_BLOCKS, remedy)
     check_count("max_steps", max_steps)
-    dimension = 2 * state[0].shape[0]
-    remedy = "there are two exponents for each mass."
+    dimension = len(state) * state[0].shape[0]
+    remedy = "there is an exponent for each number of the state."
     count = dimension if count is None else check_whole("count", count, 1, dimension, remedy)
     if interval is None:
         interval = _usual_interval(chain, count, dry)
@@ -452,7 +452,7 @@ def lyapunov_spectrum(
     if solver is None:
         tolerance = 1e-6 if is_traced(rtol) else float(rtol)
         solver = choose_solver(
-            chain, tolerance, MAX_STEP if is_traced(max_step) else float(max_step)
+            chain, tolerance, MAX_STEP if is_traced(max_step) else float(max_step), state
         )
     observer = MostSticking() if dry else Divergence()
     plan = build_plan(solver, [observer], rtol, 0.1 * rtol if atol is None else atol, max_step, t1)
@@ -495,7 +495,7 @@ def _spans(start: Array, end: Array, interval: Array, blocks: int) -> Interval:
 @eqx.filter_jit
 def _begin(
     plan: AbstractPlan,
-    chain: AbstractOscillators,
+    chain: AbstractField,
     state: State,
     window: tuple[Array, Array, Array],
     seed: Any,
@@ -511,7 +511,7 @@ def _begin(
     progress = eqx.tree_at(lambda p: p.result, progress, result)
     if waits:
         progress, _ = plan.advance(chain, progress, 0.5 * start, max_steps=max_steps)
-    basis = random_basis(seed, 2 * state[0].shape[0], count)
+    basis = random_basis(seed, len(state) * state[0].shape[0], count)
     return Frame(progress, basis), _spans(*window, blocks)
 
 
@@ -533,7 +533,7 @@ def _read(frame: Frame, growth: Growth, spans: Interval) -> LyapunovSpectrum:
     settled = jnp.where(jnp.abs(exponents) <= reach + ZERO, 0.0, exponents)
     # An exponent below rounding is below all others.
     settled = jnp.where(jnp.isnan(settled) & progress.running, -jnp.inf, settled)
-    complete = exponents.shape[0] == 2 * progress.state[0].shape[0]
+    complete = exponents.shape[0] == len(progress.state) * progress.state[0].shape[0]
     return LyapunovSpectrum(
         exponents=exponents,
         smooth=weighted / jnp.sum(growth.weights[1:]),

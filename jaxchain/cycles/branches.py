@@ -8,7 +8,7 @@ more, even for a symmetric orbit, which has fewer equations.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +21,7 @@ from scipy.interpolate import BarycentricInterpolator
 
 from .._checks import check_concrete, check_kind, check_one_of, shown
 from .._final import final
+from .._types import State
 from ..continuation.arclength import (
     Switched,
     check_following,
@@ -39,13 +40,22 @@ from ..continuation.corrector import Corrector
 from ..continuation.special_points import Located, Test, polish
 from ..model.arguments import as_images, as_mass
 from ..model.chain import require_smoothed
+from ..model.oscillators import AbstractOscillators
 from ..model.parameters import SPEED, parameter
 from ..model.provenance import circumstances, parameters_of
 from ..observers.amplitude import amplitude_variables
+from ..observers.base import component_name
 from ..result import Printed
 from ..simulation.accuracy import fit_linear_solve
 from ..solvers.rosenbrock import Rodas5P
-from .floquet import as_orbit, can_be_cycle, check_orbit, floquet_multipliers, is_trusted
+from .floquet import (
+    as_orbit,
+    can_be_cycle,
+    check_orbit,
+    is_trusted,
+    shooting_multipliers,
+    turns_of,
+)
 from .shooting import Shooting, residual
 from .variational import Along, flow
 
@@ -67,8 +77,8 @@ class CyclePoint(Printed):
     `kind`: "fold"; "hopf" (the amplitude vanishes, and the branch ends in steady sliding);
     "symmetry breaking" (a multiplier +1 of a disturbance that breaks the orbit's symmetry: a
     branch of less symmetric cycles crosses); "branch point" (the same without a symmetry); "period
-    doubling" (-1); "torus" (a pair leaves the unit circle).  `parameter`, `x`, `v` (n,), `period`,
-    `amplitude` (n,), `multipliers` (2n - 1,) are those of the cycle at this point; `refined`:
+    doubling" (-1); "torus" (a pair leaves the unit circle).  `parameter`, `state` (of a chain `x`
+    and `v`), `period`, `amplitude`, `multipliers` are those of the cycle at this point; `refined`:
     whether the search converged; `error`: of `parameter`, from the search and from the
     integration, which uses a tight tolerance; `raw`: the point of the shooting equations.
 
@@ -77,14 +87,23 @@ class CyclePoint(Printed):
 
     kind: str
     parameter: float
-    x: Float[np.ndarray, " n"]
-    v: Float[np.ndarray, " n"]
+    state: tuple[Float[np.ndarray, " n"], ...]
     period: float
     amplitude: Float[np.ndarray, " n"]
     multipliers: Complex[np.ndarray, " others"]
     refined: bool
     error: float
     raw: SpecialPoint
+
+    @property
+    def x(self) -> Float[np.ndarray, " n"]:
+        """The first number of each cell, of a chain the displacements."""
+        return self.state[0]
+
+    @property
+    def v(self) -> Float[np.ndarray, " n"]:
+        """The second number of each cell, of a chain the velocities."""
+        return self.state[1]
 
     @property
     def index(self) -> int:
@@ -182,9 +201,9 @@ def hardly_felt(branch: Branch, raw: SpecialPoint, test: Test) -> bool:
 
 def without_symmetry(shooting: Shooting, point: CyclePoint) -> tuple[Shooting, SpecialPoint]:
     """The equations without the symmetry, and the point with the direction that breaks it."""
-    n, p = len(shooting.images), point.parameter
+    m, n, p = shooting.m, len(shooting.images), point.parameter
     full = replace(shooting, images=tuple(range(n)))
-    basis = symmetry_breaking_basis(shooting.images)
+    basis = symmetry_breaking_basis(shooting.images, m)
     block = basis.T @ np.asarray(point.raw.extra.monodromy) @ basis
     null = basis @ np.linalg.svd(block - np.eye(len(block)))[2][-1]
 
@@ -193,7 +212,8 @@ def without_symmetry(shooting: Shooting, point: CyclePoint) -> tuple[Shooting, S
         return jnp.append(full.pack(state, period, z[-1]), z[-1])
 
     def disturbed(share: Any) -> Any:
-        state = point.x + share * null[:n], point.v + share * null[n:]
+        pushes = null.reshape(m, n)
+        state = tuple(a + share * b for a, b in zip(point.state, pushes, strict=True))
         return jnp.append(full.pack(state, point.period, p), p)
 
     z = jnp.append(point.raw.u, p)
@@ -207,8 +227,8 @@ def without_symmetry(shooting: Shooting, point: CyclePoint) -> tuple[Shooting, S
 class CycleLinearisation(eqx.Module):
     """Further results of `linearise`.
 
-    - `x`, `v` (n,): the state on the section; `period`.
-    - `speed`: of the mass where the orbit is cut, its greatest in the direction of the belt.
+    - `state`: that on the section; `period`.
+    - `speed`: the greatest velocity, along the belt, of the mass where the orbit is cut.
     - `times_round`: k = 2, 3, ... if the orbit already closes after 1/k of the period, else 1.
     - `amplitude` (n,): half peak-to-peak of each displacement over a period.
     - `monodromy` M = d(state after a period)/d(state), (2n, 2n), in the order (x, v).
@@ -217,8 +237,7 @@ class CycleLinearisation(eqx.Module):
     - `sound`: whether it can be a cycle, and its trivial multiplier is 1.
     """
 
-    x: Float[Array, " n"]
-    v: Float[Array, " n"]
+    state: State
     period: Float[Array, ""]
     speed: Float[Array, ""]
     times_round: Int[Array, ""]
@@ -234,14 +253,13 @@ def linearise(
 ) -> tuple[Float[Array, " m"], Float[Array, "m m_plus_1"], CycleLinearisation]:
     """(R, [R_u R_p], `CycleLinearisation`) of the shooting equations R, from one integration."""
     r, jacobian, whole = shooting.linearise(u, parameter)
-    field, (x, v), period = shooting.unpack(u, parameter)
-    floquet = floquet_multipliers(whole.monodromy, jnp.concatenate(field(0.0, (x, v))))
+    field, state, period = shooting.unpack(u, parameter)
+    floquet = shooting_multipliers(shooting, field, state, whole)
     sound = can_be_cycle(field, period, whole.fastest)
     extra = CycleLinearisation(
-        x,
-        v,
+        state,
         period,
-        field.belt_direction() * v[shooting.mass],
+        field.belt_direction() * field.value_and_rate(0.0, state)[1][shooting.mass],
         whole.returned.times_round,
         whole.amplitude,
         whole.monodromy,
@@ -255,20 +273,20 @@ def linearise(
 @eqx.filter_jit
 def cycle_at(
     u: Float[Array, " m"], parameter: Float[Array, ""], shooting: Shooting
-) -> tuple[Float[Array, " n"], Float[Array, " n"], Float[Array, ""], Float[Array, " n"]]:
-    """(x, v, period, amplitude) of a solution; `linearise` has those of the previous iterate."""
-    field, (x, v), period = shooting.unpack(u, parameter)
+) -> tuple[State, Float[Array, ""], Float[Array, " n"]]:
+    """(state, period, amplitude) of a solution; `linearise` has those of the previous iterate."""
+    field, state, period = shooting.unpack(u, parameter)
     _, _, ((amplitude, _, _),) = flow(
-        field, (x, v), period, rtol=shooting.rtol, solver=shooting.solver, observers=[Along()]
+        field, state, period, rtol=shooting.rtol, solver=shooting.solver, observers=[Along()]
     )
-    return x, v, period, amplitude
+    return state, period, amplitude
 
 
-def symmetry_breaking_basis(images: tuple[int, ...]) -> Float[np.ndarray, "two_n k"]:
-    """An orthonormal basis of the disturbances (x, v) that break the symmetry of `images`."""
+def symmetry_breaking_basis(images: tuple[int, ...], m: int = 2) -> Float[np.ndarray, "two_n k"]:
+    """An orthonormal basis of the disturbances of a state that break the symmetry of `images`."""
     groups = np.asarray(images)[:, None] == np.unique(images)[None, :]
     rest = np.linalg.svd(groups.astype(float))[0][:, groups.shape[1] :]
-    return np.kron(np.eye(2), rest)
+    return np.kron(np.eye(m), rest)
 
 
 def _signed(factors: Any) -> float:
@@ -281,13 +299,13 @@ def _signed(factors: Any) -> float:
     return float(np.sign(np.prod(np.sign(factors.real[factors.imag == 0]))) * np.min(abs(factors)))
 
 
-def breaking(extra: CycleLinearisation, images: tuple[int, ...]) -> float:
+def breaking(extra: CycleLinearisation, images: tuple[int, ...], m: int = 2) -> float:
     """Zero if a disturbance that breaks the symmetry, in the basis A, has a multiplier +1.
 
     It comes from A^T M A - 1.  M maps these disturbances onto themselves; the trivial multiplier
     belongs to the others.
     """
-    basis = symmetry_breaking_basis(images)
+    basis = symmetry_breaking_basis(images, m)
     return _signed(np.linalg.eigvals(basis.T @ np.asarray(extra.monodromy) @ basis) - 1.0 + 0.0j)
 
 
@@ -326,20 +344,23 @@ def special_tests(shooting: Shooting) -> dict[str, Callable[..., float]]:
         speed = float(extra.speed)
         return 0.0 if abs(speed) < 1e-4 else speed
 
-    images = shooting.images
-    of: dict[str, Callable[[Any], float]] = {"hopf": vanishing}
-    if len(images) > 1:  # one mass has one multiplier besides the trivial one, never negative
+    images, m, forced = shooting.images, shooting.m, shooting.turns is not None
+    of: dict[str, Callable[[Any], float]] = {} if forced else {"hopf": vanishing}
+    # One multiplier besides the trivial one is never negative.
+    if m * len(images) > 2 or forced:
         of |= {"period doubling": doubling, "torus": encircling}
     if len(set(images)) < len(images):
-        of["symmetry breaking"] = lambda extra: breaking(extra, images)
+        of["symmetry breaking"] = lambda extra: breaking(extra, images, m)
     return {name: lambda u, p, tangent, extra, test=test: test(extra) for name, test in of.items()}
 
 
 def cycle_weights(shooting: Shooting, p: float) -> np.ndarray:
     """All masses except j share one unit; z_j, ln T and p / p_start have one each."""
-    m = len(shooting.others) + len(shooting.solved) + 1
+    m = shooting.size
     weights = np.full(m + 1, len(shooting.solved) ** -0.5)
-    weights[[shooting.place, m - 1]] = 1.0
+    weights[shooting.place] = 1.0
+    if shooting.turns is None:
+        weights[m - 1] = 1.0
     weights[m] = 1.0 / (abs(p) or 1.0)
     return weights
 
@@ -354,8 +375,8 @@ class CycleBranch(Printed):
     """A branch of k cycles in order, as data on the host.
 
     - `parameter` (k,): its values; `name`: which argument of `Chain.with_` it is.
-    - `x`, `v` (k, n): the states at the greatest velocity of mass `shooting.mass` in the direction
-      of the belt; `period` (k,).
+    - `state`, of a chain `x`, `v` (k, n): the states at the greatest velocity of mass
+      `shooting.mass` in the direction of the belt (of what is forced, at t = 0); `period` (k,).
     - `amplitude` (k, n): half peak-to-peak of each displacement; `energy` (k,): half the sum of
       squares of these.
     - `scaled_peak_velocity` (k,): max w / eps of that mass, negative for a slip cycle; NaN without
@@ -370,8 +391,7 @@ class CycleBranch(Printed):
 
     name: str
     parameter: Float[np.ndarray, " k"]
-    x: Float[np.ndarray, "k n"]
-    v: Float[np.ndarray, "k n"]
+    state: tuple[Float[np.ndarray, "k n"], ...]
     period: Float[np.ndarray, " k"]
     amplitude: Float[np.ndarray, "k n"]
     scaled_peak_velocity: Float[np.ndarray, " k"]
@@ -380,6 +400,16 @@ class CycleBranch(Printed):
     special: tuple[CyclePoint, ...]
     shooting: Shooting
     branch: Branch
+
+    @property
+    def x(self) -> Float[np.ndarray, "k n"]:
+        """The first number of each cell, of a chain the displacements."""
+        return self.state[0]
+
+    @property
+    def v(self) -> Float[np.ndarray, "k n"]:
+        """The second number of each cell, of a chain the velocities."""
+        return self.state[1]
 
     @property
     def energy(self) -> Float[np.ndarray, " k"]:
@@ -417,6 +447,13 @@ class CycleBranch(Printed):
             "unstable": self.unstable,
         }
 
+    def _named(self, states: list[np.ndarray]) -> Iterator[tuple[str, np.ndarray, str]]:
+        """Name, values and unit of each number of a cell."""
+        field = self.shooting.field
+        units = ["x0", SPEED] if isinstance(field, AbstractOscillators) else ["1"] * len(states)
+        for i, (part, unit) in enumerate(zip(states, units, strict=True)):
+            yield component_name(field, i), part, unit
+
     def to_dataset(self) -> Dataset:
         """The branch as an `xarray.Dataset`, with the names and units of those of `sweep`.
 
@@ -452,10 +489,14 @@ class CycleBranch(Printed):
 
         special, k, row = self.special, len(self.parameter), parameter(self.name)
         # All cycles; those of the special points come last.
-        parameters, x, v, period, amplitude, multipliers = (
+        parameters, period, amplitude, multipliers = (
             np.stack([*getattr(self, name), *(getattr(point, name) for point in special)])
-            for name in ("parameter", "x", "v", "period", "amplitude", "multipliers")
+            for name in ("parameter", "period", "amplitude", "multipliers")
         )
+        states = [
+            np.stack([*part, *(point.state[i] for point in special)])
+            for i, part in enumerate(self.state)
+        ]
         u = np.reshape([point.raw.u for point in special], (-1, self.branch.u.shape[1]))
         scaled_peak_velocity = np.append(
             self.scaled_peak_velocity, _scaled_peak_velocity(self.shooting, u)
@@ -470,8 +511,10 @@ class CycleBranch(Printed):
                 for name, v in labels.items()
             },
             "period": ((), period, "least period T", "1 / omega_n"),
-            "displacement": (each, x, "displacement where the cycle is cut", "x0"),
-            "velocity": (each, v, "velocity where the cycle is cut", SPEED),
+            **{
+                name: (each, part, f"{name} where the cycle is cut", unit)
+                for name, part, unit in self._named(states)
+            },
             "scaled_peak_velocity": (
                 (),
                 scaled_peak_velocity,
@@ -557,7 +600,7 @@ def continue_cycle(
     - `chain`, `state` = (x, v), `period`: a cycle, or near one, at the greatest velocity of mass
       `mass` (by default the fastest) in the direction of the belt; or all three in one
       `LimitCycle`.  A multiple of the minimal period is reduced to it.  The chain may be any
-      autonomous `AbstractOscillators`.
+      `AbstractOscillators` or `AbstractCells`; forced ones are cut at t = 0.
     - `parameter`: a scalar argument of `Chain.with_`, or a field of other oscillators that is a
       scalar array (`coupling` is the constant of their springs); `bounds`: its range, at whose
       ends the branch ends; `direction`: 1 or -1, the sign of its first change.  At a fold use
@@ -592,18 +635,20 @@ def continue_cycle(
     chain, state, period = as_orbit(chain, state, period)
     check_concrete("use `find_limit_cycle`.", chain=chain, state=state, period=period)
     require_smoothed(chain, "follow `find_limit_cycle` from one belt speed to the next, or ")
-    x, v = check_orbit(chain, state, period, rtol)
-    mass = as_mass(x.size, mass, int(jnp.argmax(chain.belt_direction() * v)))
+    state = check_orbit(chain, state, period, rtol)
+    n, velocity = state[0].size, chain.value_and_rate(0.0, state)[1]
+    mass = as_mass(n, mass, int(jnp.argmax(chain.belt_direction() * velocity)))
     numbers = {name: value for name, value in chain.numbers().items() if np.shape(value) == ()}
     if not isinstance(parameter, str) or parameter not in numbers:
         raise ValueError(
             "Argument `parameter` must name a number of the chain, one of "
             f"{sorted(numbers)}, but is {shown(parameter)}."
         )
-    solver = fit_linear_solve(Rodas5P(), chain, float(rtol))
-    shooting = Shooting(chain, rtol, solver, mass, as_images(images, x.size, mass), parameter)
+    solver = fit_linear_solve(Rodas5P(), chain, float(rtol), state=state)
+    images, turns = as_images(images, n, mass), turns_of(chain, period)
+    shooting = Shooting(chain, rtol, solver, mass, images, parameter, len(state), turns)
     p = float(numbers[parameter])
-    u = np.asarray(shooting.pack((x, v), period, p))
+    u = np.asarray(shooting.pack(state, period, p))
     heading = direction
     if isinstance(direction, str):
         check_one_of("direction", direction, ("stick", "slip"))
@@ -690,19 +735,20 @@ def _follow(
     options: dict[str, Any],
 ) -> CycleBranch:
     weights, tests = cycle_weights(shooting, p), special_tests(shooting)
-    first = True
+    first, forced = True, shooting.turns is not None
 
     def ends(u: np.ndarray, p: float, tangent: np.ndarray, extra: Any) -> Any:
         nonlocal first
         del u, tangent
         first, begins = False, first
-        if begins and extra.times_round > 1:
+        if begins and extra.times_round > 1 and not forced:
             return True
         if not extra.sound:
             return "it is no longer a cycle, by its speed, period or trivial multiplier"
-        if extra.speed <= 0:
+        if extra.speed <= 0 and not forced:
             return "the amplitude vanishes"
-        if extra.speed < 1e-2 * np.max(np.abs(extra.v)):
+        greatest = np.max(np.abs(shooting.field.value_and_rate(0.0, extra.state)[1]))
+        if extra.speed < 1e-2 * greatest and not forced:
             return f"mass {shooting.mass} hardly vibrates: cut the orbit at another"
         return stop is not None and stop(p, extra)
 
@@ -722,7 +768,8 @@ def _follow(
     extra, k = branch.extra, len(branch.p)
     if extra is None or not extra.sound[0]:
         raise NoBranchError(branch.message if extra is None else ENDINGS["no_start"])
-    if extra.times_round[0] > 1:  # the given period is a multiple of the minimal one
+    # The given period is a multiple of the minimal one.
+    if extra.times_round[0] > 1 and not forced:
         once = branch.u[0] - np.append(np.zeros(u.size - 1), np.log(extra.times_round[0]))
         return _follow(shooting, once, float(branch.p[0]), heading, bounds, stop, options)
     refine = refined(shooting, weights, options["tolerance"], tests)
@@ -737,23 +784,24 @@ def _follow(
         point = refine(raw) if raw.refined or raw.kind == "hopf" else raw
         if raw.kind != "torus" or on_the_circle(point.extra):
             e = point.extra
-            orbit = e.x, e.v, float(e.period), e.amplitude, e.multipliers
+            state = tuple(map(np.asarray, e.state))
+            orbit = state, float(e.period), e.amplitude, e.multipliers
             how = point.refined, float(point.error), point
             special.append(CyclePoint(point.kind, point.p, *orbit, *how))
     # The last point may be its own mirror image, or no cycle.
-    if not (extra.speed[-1] > 0 and extra.sound[-1]):
+    if not ((forced or extra.speed[-1] > 0) and extra.sound[-1]):
         k -= 1
     if not k:
         raise NoBranchError("The amplitude is 0 at the first point: start at a larger one.")
     points = [cycle_at(u, p, shooting) for u, p in zip(branch.u[:k], branch.p[:k], strict=True)]
-    x, v, period, amplitude = (np.stack(column) for column in zip(*points, strict=True))
+    states, period, amplitude = zip(*points, strict=True)
+    state = tuple(np.stack(column) for column in zip(*states, strict=True))
     return CycleBranch(
         name=shooting.parameter or "",
         parameter=branch.p[:k],
-        x=x,
-        v=v,
-        period=period,
-        amplitude=amplitude,
+        state=state,
+        period=np.stack(period),
+        amplitude=np.stack(amplitude),
         scaled_peak_velocity=_scaled_peak_velocity(shooting, branch.u[:k]),
         multipliers=extra.multipliers[:k],
         trivial_defect=extra.trivial_defect[:k],
@@ -765,5 +813,7 @@ def _follow(
 
 def _scaled_peak_velocity(shooting: Shooting, u: np.ndarray) -> np.ndarray:
     s = np.sinh(u[:, shooting.place])
-    switches = shooting.field.switching(0.0, jnp.zeros(shooting.n)) is not None
+    field = shooting.field
+    switches = isinstance(field, AbstractOscillators)
+    switches = switches and field.switching(0.0, jnp.zeros(shooting.n)) is not None
     return s if switches else np.full_like(s, np.nan)

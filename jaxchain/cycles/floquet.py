@@ -17,6 +17,7 @@ from .._checks import as_array, check_positive_number, is_traced, shown, to_floa
 from .._final import final
 from .._types import State
 from ..model.arguments import as_chain, as_state
+from ..model.cells import AbstractField
 from ..model.chain import Chain, require_smoothed
 from ..model.locality import check_autonomous
 from ..model.oscillators import AbstractOscillators
@@ -38,9 +39,10 @@ def monodromy_matrix(
 
     The forward derivative of the discrete steps of the structured solver, with fixed step sizes.
 
-    **Arguments:** a `LimitCycle` alone; or a `Chain` or other autonomous `AbstractOscillators`,
+    **Arguments:** a `LimitCycle` alone; or a `Chain`, `AbstractOscillators` or `AbstractCells`,
     `state` = (x, v), both of shape (n,), on a periodic orbit or not, and `period`, any positive
-    dimensionless time.  `rtol`: the tolerance of the integration (absolute: a tenth).
+    dimensionless time (of what is forced, from t = 0).  `rtol`: the tolerance of the integration
+    (absolute: a tenth).
 
     **Returns:** shape (2n, 2n); NaN where the integration fails.  Works under `jit` and `vmap`.
 
@@ -210,6 +212,17 @@ def floquet_multipliers(monodromy: Any, flow_direction: Any = None) -> Floquet:
     return Floquet(values, f @ image / length**2, jnp.linalg.norm(image - f) / length)
 
 
+def shooting_multipliers(
+    shooting: Any, field: AbstractField, state: State, whole: Period
+) -> Floquet:
+    """Those of a linearised period; what is forced has no trivial one, and all are returned."""
+    if shooting.turns is None:
+        return floquet_multipliers(whole.monodromy, jnp.concatenate(field(0.0, state)))
+    values = jnp.linalg.eigvals(whole.monodromy)
+    defect = jnp.where(whole.complete, 0.0, jnp.nan)
+    return Floquet(values[jnp.argsort(-jnp.abs(values))], jnp.ones(()), defect)
+
+
 def multiplier_resolution(monodromy: Float[Array, "two_n two_n"]) -> Float[Array, ""]:
     """The modulus below which a computed multiplier is rounding: 1e3 times the rounding of |M|.
 
@@ -244,28 +257,43 @@ def _period(chain: Any, state: Any, period: Any, rtol: Any) -> Period:
     state = check_orbit(chain, state, period, rtol)
     require_smoothed(chain, "use `find_limit_cycle` for its multipliers, or ")
     given = 1e-9 if is_traced(rtol) else float(rtol)
-    solver = fit_linear_solve(Rodas5P(), chain, given)
+    solver = fit_linear_solve(Rodas5P(), chain, given, state=state)
     return _linearised(chain, state, to_float(period), to_float(rtol), solver)
 
 
 @eqx.filter_jit
 def _linearised(chain: Any, state: State, period: Array, rtol: Array, solver: Any) -> Period:
-    def make(y: Array) -> tuple[AbstractOscillators, State, Array]:
-        x, v = jnp.split(y, 2)
-        return chain, (x, v), period
+    def make(y: Array) -> tuple[AbstractField, State, Array]:
+        return chain, tuple(jnp.split(y, len(state))), period
 
     return linearised_period(make, jnp.concatenate(state), rtol=rtol, solver=solver)
 
 
 def check_orbit(chain: Any, state: Any, period: Any, rtol: Any, name: str = "state") -> State:
     """The state as arrays, or `ValueError`."""
-    as_chain(chain, AbstractOscillators)
-    x, v = as_state(chain, state, name)
+    as_chain(chain, AbstractField)
+    parts = as_state(chain, state, name)
     check_positive_number("period", period, "about 2 pi is usual.")
     check_tolerances(rtol, None, MAX_STEP)
-    if not isinstance(chain, Chain):
-        check_autonomous(chain, x.shape[0])
-    return x, v
+    if not isinstance(chain, Chain) and chain.forcing_period() is None:
+        check_autonomous(chain, parts)
+    return parts
+
+
+def turns_of(chain: AbstractField, period: Any) -> int | None:
+    """The period in periods of the force, or `ValueError`; None where nothing depends on time."""
+    forced = chain.forcing_period()
+    if forced is None:
+        return None
+    if is_traced(period, forced):
+        return 1
+    turns = round(float(period) / float(forced))
+    if turns < 1 or abs(turns * float(forced) / float(period) - 1.0) > 1e-6:
+        raise ValueError(
+            f"Argument `period` is {float(period):.9g}, but the cells are forced with the period "
+            f"{float(forced):.9g}: give a multiple of it, or leave `period` out."
+        )
+    return turns
 
 
 # A mass that moves less counts as not moving.
@@ -293,11 +321,13 @@ class LimitCycle(Outcome):
     - `amplitude`: half peak-to-peak of each displacement; `fastest`: each greatest velocity in the
       direction of the belt.
     - `evaluations`: the number of linearised integrations; `chain`: the chain of this cycle.
+    - `turns`: of a forced cycle, its period in periods of the force, its state that at t = 0, and
+      all m N multipliers; None where nothing depends on time.  `times_round` is 1.
 
     See `find_limit_cycle` for an example.
     """
 
-    chain: AbstractOscillators
+    chain: AbstractField
     state: State
     period: Float[Array, ""]
     residual: Float[Array, ""]
@@ -309,6 +339,8 @@ class LimitCycle(Outcome):
     fastest: Float[Array, " n"]
     evaluations: Int[Array, ""]
     mass: int = eqx.field(static=True)
+    times_round: Int[Array, ""] = eqx.field(default_factory=lambda: jnp.ones((), int))
+    turns: int | None = eqx.field(static=True, default=None)
 
     @property
     def scaled_peak_velocity(self) -> Float[Array, " n"]:
@@ -317,7 +349,9 @@ class LimitCycle(Outcome):
         With dry friction it is -inf for such a mass, and 0 for one that sticks.
         """
         along = self.chain.belt_direction()
-        switching = self.chain.switching(0.0, along * self.fastest)
+        switching = None
+        if isinstance(self.chain, AbstractOscillators):
+            switching = self.chain.switching(0.0, along * self.fastest)
         if switching is None:
             return jnp.full_like(self.fastest, jnp.nan)
         w = along * switching[0]
@@ -350,9 +384,7 @@ class LimitCycle(Outcome):
         return margin > 0
 
 
-def can_be_cycle(
-    field: AbstractOscillators, period: Any, speed: Float[Array, " n"]
-) -> Bool[Array, ""]:
+def can_be_cycle(field: AbstractField, period: Any, speed: Float[Array, " n"]) -> Bool[Array, ""]:
     """Whether a cycle of `field` can have this period, and masses as fast as `speed`.
 
     For a `Chain`, x'' + 2 xi x' + K x = p F(x' - v_d), two means over a period T give bounds:

@@ -15,6 +15,7 @@ found.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any, NamedTuple, cast
 
@@ -40,6 +41,7 @@ from .._types import State
 from ..continuation.damped_newton import Factors, Iterate, check_tolerance, ending, factorise
 from ..continuation.implicit import attach_derivative
 from ..model.arguments import as_chain, as_images, as_mass, as_state
+from ..model.cells import AbstractCells, AbstractField
 from ..model.chain import Chain, steady_sliding
 from ..model.initial_states import reference_site, release_state
 from ..model.oscillators import AbstractOscillators
@@ -47,6 +49,7 @@ from ..model.sliding import damping_outweighs, sliding_damping, stiffness_matrix
 from ..observers.amplitude import Amplitude
 from ..observers.base import Step
 from ..observers.quantities import active
+from ..observers.samples import Trajectory
 from ..observers.section import AbstractSection, Section
 from ..observers.stick_time import MostSticking
 from ..result import SearchResult
@@ -73,6 +76,8 @@ from .floquet import (
     is_trusted,
     liouville_defect,
     multiplier_resolution,
+    shooting_multipliers,
+    turns_of,
 )
 from .shooting import Shooting, greatest_gap, newton_minimal_period
 from .variational import Along, Period, Returned, Returns
@@ -80,6 +85,7 @@ from .variational import Along, Period, Returned, Returns
 Guess = tuple[State, Array]
 _TRANSIENT = 200.0  # the transient of a simulation
 _PEAKS = 12  # the number of velocity maxima to examine
+_MOST_TURNS = 16  # the greatest period of a forced cycle, in periods of the force
 
 
 def _watched(chain: Any, state: State, t1: Any, watch: Section) -> Any:
@@ -87,28 +93,28 @@ def _watched(chain: Any, state: State, t1: Any, watch: Section) -> Any:
     rtol: Any = 1e-8
     if isinstance(chain, Chain) and not chain.dry:
         rtol = jnp.clip(1e-4 * jnp.min(lax.stop_gradient(chain.width)), 1e-11, 1e-7)
-    solver = custom_solver(chain, None) or choose_solver(chain, 1e-8)
+    solver = custom_solver(chain, None) or choose_solver(chain, 1e-8, state=state)
     run = simulate(chain, state, t1, observe=watch, solver=solver, rtol=rtol, throw=False)
     return lax.stop_gradient(run.observed)
 
 
-def most_lively(chain: AbstractOscillators, state: State) -> int:
+def most_lively(chain: AbstractField, state: State) -> int:
     """The mass farthest from sliding, which is assumed to vibrate; n // 2 if traced."""
-    x, v = state
     if is_traced(chain, state):
-        return reference_site(x.shape[0])
-    rest = steady_sliding(chain)[0] if isinstance(chain, Chain) else jnp.zeros_like(x)
-    return int(jnp.argmax((x - rest) ** 2 + v**2))
+        return reference_site(state[0].shape[0])
+    rest = steady_sliding(chain) if isinstance(chain, Chain) else [0.0] * len(state)
+    apart = [(part - still) ** 2 for part, still in zip(state, rest, strict=True)]
+    return int(jnp.argmax(sum(apart)))
 
 
-def _cut_at(chain: AbstractOscillators, state: State, mass: Any) -> int:
+def _cut_at(chain: AbstractField, state: State, mass: Any) -> int:
     if mass is None:
         return most_lively(chain, state)
     return as_mass(state[0].shape[0], mass)
 
 
 def guess_from_simulation(
-    chain: AbstractOscillators,
+    chain: AbstractField,
     state: State,
     mass: int | None = None,
     *,
@@ -134,7 +140,7 @@ def guess_from_simulation(
     >>> round(float(period), 2)
     6.3
     """
-    as_chain(chain, AbstractOscillators)
+    as_chain(chain, AbstractField)
     state = as_state(chain, state, "state")
     check_number("transient", transient, "200 is usual.")
     check_nonnegative("transient", transient, "200 is usual.")
@@ -145,44 +151,63 @@ def guess_from_simulation(
 
 
 @eqx.filter_jit
-def _last_turn(times: Array, xs: Array, vs: Array) -> Guess:
+def _last_turn(times: Array, *parts: Array) -> Guess:
     """The last state, and the time since the most similar earlier one."""
     last = jnp.sum(jnp.isfinite(times)) - 1
-    before = last - 1 - jnp.arange(_PEAKS - 1)  # one return ago, two, ...
-    gaps = [jnp.linalg.norm(part[before] - part[last][None], axis=1) for part in (xs, vs)]
-    distance = jnp.where(before >= 0, gaps[0] + gaps[1], jnp.inf)
+    before = last - 1 - jnp.arange(times.size - 1)  # one return ago, two, ...
+    gaps = [jnp.linalg.norm(part[before] - part[last][None], axis=1) for part in parts]
+    distance = jnp.where(before >= 0, sum(gaps), jnp.inf)
     # Take the first return that is nearly as good as the best.
-    enough = 2.0 * jnp.min(distance) + 1e-3 * jnp.linalg.norm(vs[last])
+    enough = 2.0 * jnp.min(distance) + 1e-3 * jnp.linalg.norm(parts[-1][last])
     at = before[jnp.argmax(distance <= enough)]
     period = jnp.where(last >= 1, times[last] - times[at], jnp.nan)
-    return (xs[last], vs[last]), period
+    return tuple(part[last] for part in parts), period
 
 
-def guess_from_point(chain: AbstractOscillators, state: State, period: Any, mass: int) -> State:
+def _forced_guess(chain: AbstractField, state: State, transient: float) -> Guess:
+    """The state at the end of so many periods of the force, and after how many it comes back.
+
+    A run that is given as a guess must have ended at a multiple of the period, where it goes on.
+    """
+    forced = to_float(chain.forcing_period())
+    turns = max(2 * _MOST_TURNS, math.ceil(transient / float(forced)))
+    times = forced * jnp.arange(turns - _MOST_TURNS, turns + 1)
+    solver = choose_solver(chain, 1e-8, state=state)
+    run = simulate(
+        chain, state, times[-1], observe=Trajectory(times), solver=solver, rtol=1e-8, throw=False
+    )
+    return _last_turn(times, *lax.stop_gradient(run.observed))
+
+
+def guess_from_point(chain: AbstractField, state: State, period: Any, mass: int) -> State:
     """The point of an orbit of known period at which mass `mass` is fastest along the belt.
 
     Nothing is integrated if `state` is such a point; NaN if there is none.
     """
     if not is_traced(chain, state):
         along = chain.belt_direction()
-        acceleration, velocity = chain(0.0, state)[1][mass], along * state[1][mass]
+        acceleration = chain.second_rate(0.0, state)[mass]
+        velocity = along * chain.value_and_rate(0.0, state)[1][mass]
         # The acceleration of a sticking mass is small, but greater than this.
         if velocity > 0 and abs(acceleration) < 1e-9 * velocity:
             return state
     # A little more than a period, for an orbit that begins at the maximum.
     watch = Section(mass, _PEAKS, of="velocity")
-    _, xs, vs = _watched(chain, state, 1.05 * to_float(period), watch)
-    speeds = chain.belt_direction() * vs[:, mass]
+    _, *parts = _watched(chain, state, 1.05 * to_float(period), watch)
+    velocities = jax.vmap(lambda *state: chain.value_and_rate(0.0, state)[1][mass])(*parts)
+    speeds = chain.belt_direction() * velocities
     fastest = jnp.argmax(jnp.where(jnp.isnan(speeds), -jnp.inf, speeds))
-    return xs[fastest], vs[fastest]
+    return tuple(part[fastest] for part in parts)
 
 
-def carried(state: State, before: AbstractOscillators, after: AbstractOscillators) -> State:
-    """A state of the field `before`, adapted to `after`: sticking masses move with the belt.
+def carried(state: State, before: AbstractField, after: AbstractField) -> State:
+    """A state of the field `before`, for `after`: a mass that sticks goes with the belt.
 
     If the belt runs the other way, it is the mirror image.
     """
     turned = before.belt_direction() * after.belt_direction()
+    if not isinstance(after, AbstractOscillators):
+        return state
     x, v = (turned * part for part in state)
     old, new = before.switching(0.0, turned * v), after.switching(0.0, v)
     if old is None or new is None:
@@ -248,17 +273,18 @@ def solve_cycle(
         shooting, linearise, start, weights, limit=limit, fine=1e-11, closed=closed
     )
     field, state, period = shooting.unpack(end.u)
-    whole, mass = end.aux, shooting.mass
-    # In the shooting equations velocities are measured from the belt speed, so a fast decaying
-    # orbit, or a piece of one, seems to close.  So the gap is also compared with the orbit's size.
+    whole, mass, forced = end.aux, shooting.mass, shooting.turns is not None
+    # In the shooting equations velocities count by their distance from the belt's: a fast orbit
+    # that decays, or a piece of one, is end there.  So the gap counts as a share of the
+    # orbit's size, too.
     left = jnp.max(jnp.abs(jnp.stack(whole.end) - jnp.stack(state)))
-    floquet = floquet_multipliers(whole.monodromy, jnp.concatenate(field(0.0, state)))
-    forward = field.belt_direction() * state[1][mass] > 0
+    floquet = shooting_multipliers(shooting, field, state, whole)
+    forward = field.belt_direction() * field.value_and_rate(0.0, state)[1][mass] > 0
     cycle = _cycle(
         shooting,
         end.u,
         tolerance,
-        moves=(whole.fastest[mass] > LEAST_VELOCITY) & forward,
+        moves=((whole.fastest[mass] > LEAST_VELOCITY) & forward) | forced,
         lost=whole.complete & ~can_be_cycle(field, period, whole.fastest),
         ended=ending(end, jnp.asarray(False), limit),
         residual=jnp.fmax(greatest_gap(end), left / whole.returned.farthest),
@@ -268,6 +294,7 @@ def solve_cycle(
         amplitude=whole.amplitude,
         fastest=whole.fastest,
         evaluations=end.evaluations,
+        times_round=whole.returned.times_round,
     )
     return cycle, end.u
 
@@ -282,12 +309,12 @@ def _cycle(
     result = of.where(closed, of.where(moves, of.successful, of.steady_sliding), ended)
     result = of.where(lost, of.ran_away, result)
     fields |= {"chain": chain, "state": state, "period": period, "mass": equations.mass}
-    return LimitCycle(result=result, **fields)
+    return LimitCycle(result=result, turns=equations.turns, **fields)
 
 
 @eqx.filter_jit
 def with_derivatives(
-    equations: Any, chain: AbstractOscillators, cycle: LimitCycle, u: Array
+    equations: Any, chain: AbstractField, cycle: LimitCycle, u: Array
 ) -> LimitCycle:
     """`cycle` with its derivatives in the numbers of `chain`."""
     equations = eqx.tree_at(lambda eqs: eqs.field, equations, chain)
@@ -367,6 +394,7 @@ class _States(eqx.Module):
     rtol: Any
     solver: Any
     mass: int = eqx.field(static=True, default=0)
+    turns: None = None
 
     @property
     def n(self) -> int:
@@ -462,13 +490,13 @@ def _close(equations: _States, state: State, period: Array) -> tuple[RefinedOrbi
     return orbit, best.evaluations
 
 
-def _free_phases(chain: AbstractOscillators, f: Float[Array, " two_n"]) -> Array:
-    """sum_n f_n f_n^T / |f_n|^2 for uncoupled masses, f_n the part of f of mass n; else 0.
+def _free_phases(chain: AbstractField, f: Float[Array, " two_n"]) -> Array:
+    """sum_n f_n f_n^T / |f_n|^2, f_n the part of f of mass n, if masses are not coupled, else 0.
 
     Their phases are free, M f_n = f_n for each mass: without this term M - 1 is singular.
     """
     n = f.shape[0] // 2
-    if n == 1 or not chain.structured:
+    if n == 1 or not isinstance(chain, AbstractOscillators) or not chain.structured:
         return jnp.zeros(())
     parts = jnp.concatenate([jnp.diag(f[:n]), jnp.diag(f[n:])])  # column n is f_n
     sizes = jnp.sum(parts**2, axis=0)
@@ -507,6 +535,7 @@ def dry_cycle(
         amplitude=amplitude,
         fastest=fastest,
         evaluations=evaluations,
+        times_round=jnp.ones((), int),
     )
     return cycle, u
 
@@ -655,8 +684,10 @@ def find_limit_cycle(
 
     **Arguments:**
 
-    - `chain`: a `Chain`, or with a guess any autonomous `AbstractOscillators`.
-    - `guess`: None for the vibration of one mass: its stable stick-slip cycle, or with `branch` =
+    - `chain`: a `Chain`, or with a guess `AbstractOscillators` or `AbstractCells`.
+    - `guess`: of forced cells (see `AbstractCells.forcing_period`) a state at t = 0; `period` is a
+      multiple of that of the force, up to 16 times, and found by a simulation if it is not given.
+      None for the vibration of one mass: its stable stick-slip cycle, or with `branch` =
       "unstable" its slip cycle, found from another belt speed if necessary.  Otherwise a state (x,
       v), from which a simulation starts; with `period` a point near the orbit; a pair (state,
       period); a `Simulation` (its last state); or a `LimitCycle` of another chain.
@@ -688,7 +719,7 @@ def find_limit_cycle(
         >>> slipping.stable, bool(slipping.scaled_peak_velocity[0] < 0)
         (False, True)
     """
-    as_chain(chain, AbstractOscillators)
+    as_chain(chain, AbstractField)
     check_tolerances(rtol, None, MAX_STEP)
     check_flag("throw", throw)
     if isinstance(chain, Chain):
@@ -703,11 +734,23 @@ def find_limit_cycle(
 
     reason, solve, equations = "", dry_cycle, _States(frozen, to_float(rtol), EventDriven(), mass)
     if not (isinstance(chain, Chain) and chain.dry):
-        solver = fit_linear_solve(Rodas5P(), frozen, 1e-9 if is_traced(rtol) else float(rtol))
-        solve, equations = solve_cycle, Shooting(frozen, rtol, solver, mass, images)
+        given = 1e-9 if is_traced(rtol) else float(rtol)
+        solver = fit_linear_solve(Rodas5P(), frozen, given, state=state)
+        m, turns = len(state), turns_of(frozen, period)
+        solve, equations = (
+            solve_cycle,
+            Shooting(frozen, rtol, solver, mass, images, None, m, turns),
+        )
     numbers = to_float(tolerance), jnp.asarray(np.asarray(limit, dtype=int))
     start = lax.stop_gradient((state, period))
     cycle, u = solve(equations, *start, *numbers)  # pyright: ignore
+    while not is_traced(cycle) and cycle.turns and cycle.successful:
+        turns, rest = divmod(cycle.turns, int(cycle.times_round))
+        if turns == cycle.turns or rest:
+            break
+        # It has come back after a share of the given multiple of the force's period.
+        equations = replace(equations, turns=turns)
+        cycle, u = solve(equations, cycle.state, cycle.period, *numbers)  # pyright: ignore
     if guess is None:
         cycle = keep_kind(cycle, branch)
         if failed(cycle) and isinstance(equations, Shooting):
@@ -724,7 +767,7 @@ def find_limit_cycle(
 
 
 def resolve_guess(
-    chain: AbstractOscillators, guess: Any, period: Any, mass: Any, branch: Any, throw: bool
+    chain: AbstractField, guess: Any, period: Any, mass: Any, branch: Any, throw: bool
 ) -> tuple[int, State, Array]:
     """(mass, state on the section, period) from a guess of any kind."""
     check_one_of("branch", branch, ("stable", "unstable"))
@@ -744,6 +787,8 @@ def resolve_guess(
         check_orbit(chain, guess.state, guess.period, CYCLE_RTOL)
         mass = as_mass(guess.state[0].shape[0], mass, guess.mass)
         state, period = carried(guess.state, guess.chain, chain), guess.period
+        if guess.turns is not None:
+            period = guess.turns * to_float(chain.forcing_period())
     else:
         transient = 0.0 if isinstance(guess, Simulation) else _TRANSIENT
         guess = guess.state if isinstance(guess, Simulation) else guess
@@ -752,8 +797,15 @@ def resolve_guess(
             guess, period = guess
         state = check_orbit(chain, guess, 1.0 if period is None else period, CYCLE_RTOL, "guess")
         mass = _cut_at(chain, state, mass)
-        if period is None:
+        if chain.forcing_period() is not None:
+            if period is None:
+                state, period = _forced_guess(chain, state, transient)
+            turns_of(chain, period)
+            period = to_float(period)
+        elif period is None:
             state, period = guess_from_simulation(chain, state, mass, transient=transient)
+            if isinstance(chain, AbstractCells):  # whose last maximum may be a lesser one
+                state = guess_from_point(chain, state, period, mass)
         else:
             state, period = guess_from_point(chain, state, period, mass), to_float(period)
     vibrates = is_traced(state, period) or bool(jnp.isfinite(jnp.sum(state[1]) + period))

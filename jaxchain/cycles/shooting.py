@@ -12,12 +12,17 @@ every width of the smoothed friction:
   "greatest w / eps along the orbit".
 
 Unknowns u = (x_n for n != j, z_n for all n, ln T): 2n numbers, for 2n equations (return of x and
-of z).  If forces depend on displacement other than by -K x, x_j is not explicit: it is one more
-unknown, in its place among the x_n, and its acceleration at the cut is one more equation.
+of of z).  If forces depend on displacement other than by -K x, x_j is not explicit: it is one more
+unknown, in its place among the x_n, and its acceleration at the cut is one more equation.  The
+same holds for other cells, whose m numbers are all unknown; z replaces their number `contact`.
+
+A forced orbit is cut at t = 0, and its period is a multiple of that of the force: the m N numbers
+are the only unknowns, and their return gives the only equations.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -30,6 +35,7 @@ from jaxtyping import Array, Bool, Float
 from .._checks import to_float
 from .._types import State
 from ..continuation.damped_newton import Iterate, Linearise, begin, iterate, size, where
+from ..model.cells import AbstractField
 from ..model.oscillators import AbstractOscillators
 from ..observers.amplitude import Amplitude
 from ..solvers.rosenbrock import AbstractStructuredRosenbrock
@@ -41,20 +47,24 @@ class Shooting(eqx.Module):
 
     **Arguments:**
 
-    - `field`: a `Chain`, or other `AbstractOscillators` that do not depend on time.
+    - `field`: a `Chain`, or another model.
     - `mass`: index j of the mass at whose greatest velocity the orbit is cut.
     - `images`: orbits with a symmetry have unknowns only for masses that differ: entry n is the
       index of the mass that moves like mass n, `images[i] = i` for those solved for.  None: no
       symmetry.
     - `parameter`: the argument of `Chain.with_` that is the parameter of the residual, or None.
+    - `m`: the number of variables of a cell.
+    - `turns`: the period of a forced orbit in periods of the force; None without forcing.
     """
 
-    field: AbstractOscillators
+    field: AbstractField
     rtol: Float[Array, ""] = eqx.field(converter=to_float)
     solver: AbstractStructuredRosenbrock = eqx.field(static=True)
     mass: int = eqx.field(static=True)
     images: tuple[int, ...] = eqx.field(static=True)
     parameter: str | None = eqx.field(static=True, default=None)
+    m: int = eqx.field(static=True, default=2)
+    turns: int | None = eqx.field(static=True, default=None)
 
     @property
     def n(self) -> int:
@@ -69,6 +79,8 @@ class Shooting(eqx.Module):
     @property
     def balanced(self) -> bool:
         """Whether x_j is explicit, from the balance of forces at the cut."""
+        if self.turns is not None or not isinstance(self.field, AbstractOscillators):
+            return False
         _, placed = self.field.uses(self.n)
         return not placed
 
@@ -80,9 +92,20 @@ class Shooting(eqx.Module):
     @property
     def place(self) -> int:
         """The index of z_j in u."""
-        return len(self.others) + self.solved.index(self.mass)
+        return self._starts[self.field.contact % self.m] + self.solved.index(self.mass)
 
-    def at(self, parameter: Any = None) -> AbstractOscillators:
+    @property
+    def _starts(self) -> list[int]:
+        """The index in u at which each of the m numbers begins, and the end of the last one."""
+        count = len(self.others)
+        return [0, *(count + k * len(self.solved) for k in range(self.m))]
+
+    @property
+    def size(self) -> int:
+        """The number of unknowns."""
+        return self._starts[-1] + (self.turns is None)
+
+    def at(self, parameter: Any = None) -> AbstractField:
         """The field with the parameter set."""
         if self.parameter is None:
             return self.field
@@ -92,32 +115,51 @@ class Shooting(eqx.Module):
 
     def pack(self, state: State, period: Any, parameter: Any = None) -> Float[Array, " m"]:
         """u of a state on the section (without x_j if it is explicit)."""
-        x, v = state
-        belt, width = _layer(self.at(parameter), v)
-        z = v if width is None else jnp.arcsinh((v - belt) / width)
-        numbers = x[jnp.asarray(self.others, int)], z[jnp.asarray(self.solved, int)]
-        return jnp.concatenate([*numbers, jnp.log(to_float(period))[None]])
+        field, parts = self.at(parameter), list(state)
+        contact = field.contact % self.m
+        belt, width = _layer(field, parts[contact])
+        if width is not None:
+            parts[contact] = jnp.arcsinh((parts[contact] - belt) / width)
+        rows = [self.others, *[self.solved] * (self.m - 1)]
+        numbers = [part[jnp.asarray(row, int)] for part, row in zip(parts, rows, strict=True)]
+        if self.turns is None:
+            numbers.append(jnp.log(to_float(period))[None])
+        return jnp.concatenate(numbers)
 
     def unpack(
         self, u: Float[Array, " m"], parameter: Any = None
-    ) -> tuple[AbstractOscillators, State, Array]:
+    ) -> tuple[AbstractField, State, Array]:
         """(field, state on the section, period)."""
-        field = self.at(parameter)
-        count, position = len(self.others), {n: i for i, n in enumerate(self.solved)}
-        period = jnp.exp(u[-1])
-        z = u[count:-1][jnp.asarray([position[i] for i in self.images])]
-        belt, width = _layer(field, z)
-        v = z if width is None else belt + width * jnp.sinh(z)
+        field, starts = self.at(parameter), self._starts
+        position = {n: i for i, n in enumerate(self.solved)}
+        index = jnp.asarray([position[i] for i in self.images])
+        if self.turns is None:
+            period = jnp.exp(u[-1])
+        else:
+            period = self.turns * to_float(field.forcing_period())
+        parts = [u[first:last] for first, last in itertools.pairwise(starts)]
+        parts[1:] = [part[index] for part in parts[1:]]
         if not self.balanced:
-            return field, (u[:count][jnp.asarray([position[i] for i in self.images])], v), period
+            parts[0] = parts[0][index]
+        contact = field.contact % self.m
+        belt, width = _layer(field, parts[contact])
+        if width is not None:
+            parts[contact] = belt + width * jnp.sinh(parts[contact])
+        if not (self.balanced and isinstance(field, AbstractOscillators)):
+            return field, tuple(parts), period
         # With x_j = 0, the force on j is what K_jj x_j has to balance.
+        count, v = starts[1], parts[1]
         spread = {n: i for i, n in enumerate(self.others)}
         at = jnp.asarray([spread.get(i, count) for i in self.images])
-        x = jnp.concatenate([u[:count], jnp.zeros(1)])[at]
+        x = jnp.concatenate([parts[0], jnp.zeros(1)])[at]
         slopes = jnp.asarray([float(i == self.images[self.mass]) for i in self.images])
         force = field.local_force(0.0, x, v) + field.restoring_force(x)
         stiffness = -field.restoring_force(slopes)[self.mass]
         return field, (x + slopes * (force[self.mass] / stiffness), v), period
+
+    def speed(self, state: State, parameter: Any = None) -> Array:
+        """The velocity of mass j."""
+        return self.at(parameter).value_and_rate(0.0, state)[1][self.mass]
 
     def rest(self, parameter: Any = None) -> Array:
         """sinh z_j at zero velocity: -|v_d| / eps."""
@@ -135,18 +177,18 @@ class Shooting(eqx.Module):
         It takes one integration.  With y = (x, v), y_1 the state after a period: dy_1 = M dy +
         f(y_1) dT + (dy_1/dp) dp, and dR follows from R = gap(u, y_1, p).
         """
-        n, m = self.n, u.shape[0]
+        d, m = self.m * self.n, u.shape[0]
         z = u if parameter is None else jnp.append(u, parameter)
 
         def start(z: Array) -> Array:
-            _, (x, v), period = self.unpack(z[:m], *z[m:])
-            return jnp.concatenate([x, v, z[m:], period[None]])
+            _, state, period = self.unpack(z[:m], *z[m:])
+            return jnp.concatenate([*state, z[m:], period[None]])
 
         def gap(z: Array, end: State) -> Array:
             return self.gap(z[:m], end, *z[m:])
 
-        def make(y: Array) -> tuple[AbstractOscillators, State, Array]:
-            return self.at(*y[2 * n :]), (y[:n], y[n : 2 * n]), period
+        def make(y: Array) -> tuple[AbstractField, State, Array]:
+            return self.at(*y[d:]), tuple(jnp.split(y[:d], self.m)), period
 
         first, by_z = start(z), jax.jacfwd(start)(z)
         period = first[-1]
@@ -176,18 +218,19 @@ class Shooting(eqx.Module):
 
     def gap(self, u: Float[Array, " m"], end: State, parameter: Any = None) -> Float[Array, " m"]:
         """The residual, given the state after a period."""
-        field, (x, v), _ = self.unpack(u, parameter)
-        x1, v1 = end
-        belt, width = _layer(field, v)
-        rows = jnp.asarray(self.solved, int)
-        gap = v1 - v
+        field, state, _ = self.unpack(u, parameter)
+        contact, rows = field.contact % self.m, jnp.asarray(self.solved, int)
+        gaps = [after - before for after, before in zip(end, state, strict=True)]
+        belt, width = _layer(field, state[contact])
         if width is not None:
             # To first order a gap of z, but linear in v, for convergence far from the orbit.
-            gap = gap / jnp.hypot(v - belt, width)
-        gaps = jnp.concatenate([(x1 - x)[rows], gap[rows]])
+            gaps[contact] = gaps[contact] / jnp.hypot(state[contact] - belt, width)
+        gaps = jnp.concatenate([gap[rows] for gap in gaps])
+        if self.turns is not None:
+            return gaps
         if not self.balanced:
-            gaps = jnp.append(gaps, field(0.0, (x, v))[1][self.mass])
-        return gaps / v[self.mass]
+            gaps = jnp.append(gaps, field.second_rate(0.0, state)[self.mass])
+        return gaps / field.value_and_rate(0.0, state)[1][self.mass]
 
 
 def residual(u: Float[Array, " m"], parameter: Any, shooting: Shooting) -> Float[Array, " m"]:
@@ -195,7 +238,7 @@ def residual(u: Float[Array, " m"], parameter: Any, shooting: Shooting) -> Float
     return shooting.residual(u, parameter)
 
 
-def _layer(field: AbstractOscillators, v: Array) -> tuple[Any, Any]:
+def _layer(field: AbstractField, v: Array) -> tuple[Any, Any]:
     """(velocity v_d at which friction switches, sign(v_d) eps); (None, None) without switching."""
     switching = field.switching(0.0, jnp.zeros_like(v))
     if switching is None:
@@ -224,7 +267,8 @@ def newton_minimal_period(
     Once the orbit is `closed`, the search continues until a step is shorter than `fine` (1 + |u|)
     or no longer helps.  If the orbit also returns after a fraction of its period, it is solved for
     again with that fraction (with at most `limit` integrations), and the result is kept if it is
-    the same orbit.  `equations` have `pack` and `unpack`; `aux` of `linearise` has `returned`, a
+    the same orbit.  The period of a forced orbit stays as it is.  `equations` have `pack`,
+    `unpack` and `turns`; `aux` of `linearise` has `returned`, a
     `Returned`.
     """
     # Traced once, for its shapes and for the loop.
@@ -243,7 +287,7 @@ def newton_minimal_period(
         good = (now.best.evaluations == 0) | same
         best = where(good, end, now.best)._replace(evaluations=count)
         times = returned.times_round
-        again = good & closed(end) & (times > 1)
+        again = good & closed(end) & (times > 1) & (equations.turns is None)
         return _Round(best, equations.pack(state, period / times), again)
 
     first = _Round(nothing, start, jnp.asarray(True))

@@ -14,6 +14,7 @@ state is also compared after T / k.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -25,8 +26,8 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from .._types import ScalarLike, State
-from ..model.oscillators import AbstractOscillators
-from ..observers.base import AbstractObserver, Step, gauss
+from ..model.cells import AbstractField
+from ..observers.base import AbstractObserver, Step, gauss, step_of
 from ..result import Result
 from ..simulation.accuracy import MAX_STEP
 from ..simulation.plan import forward_only
@@ -38,7 +39,7 @@ MOST_STEPS = 50_000
 # A step that would end nearer to the end than this, in units in the last place, ends there.
 _ULPS = 100
 
-Make = Callable[[Float[Array, " m"]], tuple[AbstractOscillators, State, Float[Array, ""]]]
+Make = Callable[[Float[Array, " m"]], tuple[AbstractField, State, Float[Array, ""]]]
 
 
 class Sensitivity(NamedTuple):
@@ -123,15 +124,7 @@ def forward_sensitivity(
         end = jnp.where(kept, length, t + 0.5 * (length - t))
         ahead = jnp.where(ahead > clipped, end, ahead)
         inside = solver.interpolation_cls(t0=now.t, t1=now.ahead, **dense)
-        seen = Step(
-            field,
-            now.t,
-            now.ahead,
-            now.y,
-            y,
-            lambda theta: inside.at(theta, 0),
-            lambda theta: inside.at(theta, 1),
-        )
+        seen = step_of(field, now.t, now.ahead, now.y, y, inside.at)
         pairs = zip(observers, now.accumulators, strict=True)
         accumulators = [o.update(accumulator, seen) for o, accumulator in pairs]
         y, slopes, accumulators = jax.tree.map(
@@ -191,13 +184,13 @@ class Returned(NamedTuple):
 
 def _distance(one: State, other: State) -> Float[Array, ""]:
     gaps = [jnp.max(jnp.abs(a - b)) for a, b in zip(one, other, strict=True)]
-    return jnp.maximum(*gaps)
+    return functools.reduce(jnp.maximum, gaps)
 
 
 class Returns(AbstractObserver):
     """Whether a state returns after a fraction of a run; value `Returned`, no derivatives."""
 
-    def init(self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State) -> Any:
+    def init(self, field: AbstractField, t0: ScalarLike, t1: ScalarLike, y0: State) -> Any:
         del field
         times = t0 + (t1 - t0) / jnp.asarray(FACTORS, float)
         nowhere = Returned(jnp.full(len(FACTORS), jnp.inf, dtype=float), jnp.zeros(()))
@@ -212,7 +205,7 @@ class Returns(AbstractObserver):
             thetas = (times - t0) / jnp.where(t1 > t0, t1 - t0, 1.0)
 
             def away(theta: Array) -> Array:
-                return _distance((step.displacement(theta), step.velocity(theta)), start)
+                return _distance(step.state(theta), start)
 
             return lax.stop_gradient(jax.vmap(away)(thetas))
 
@@ -258,9 +251,9 @@ class Along(AbstractObserver):
     points in every step.  It has no derivatives; they would cost as much as the monodromy matrix.
     """
 
-    def init(self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State) -> Any:
-        del t0, t1
-        x, v = y0
+    def init(self, field: AbstractField, t0: ScalarLike, t1: ScalarLike, y0: State) -> Any:
+        del t1
+        x, v = field.value_and_rate(t0, y0)
         return x, x, field.belt_direction() * v, jnp.zeros(())
 
     def update(self, accumulator: Any, step: Step) -> Any:
@@ -274,7 +267,7 @@ class Along(AbstractObserver):
         velocities = jax.vmap(step.velocity)(gauss(5)[0])
         along = step.field.belt_direction()
         highest = jnp.max(along * velocities, axis=0)
-        fastest = jnp.maximum(fastest, jnp.maximum(highest, along * step.y1[1]))
+        fastest = jnp.maximum(fastest, jnp.maximum(highest, along * step.ends()[1][1]))
         return low, high, fastest, trace + step.integral(step.field.divergence)
 
     def read(self, accumulator: Any) -> tuple[Array, Array, Array]:
@@ -283,7 +276,7 @@ class Along(AbstractObserver):
 
 
 def flow(
-    field: AbstractOscillators,
+    field: AbstractField,
     state: State,
     period: Any,
     *,
@@ -306,8 +299,8 @@ def flow(
     progress = plan.begin(field, state, 0.0, period)
     progress, _ = plan.advance(field, progress, period, max_steps=MOST_STEPS)
     good = progress.result == Result.successful
-    x, v = progress.state
-    return (jnp.where(good, x, jnp.nan), jnp.where(good, v, jnp.nan)), good, plan.read(progress)
+    end = tuple(jnp.where(good, part, jnp.nan) for part in progress.state)
+    return end, good, plan.read(progress)
 
 
 def linearised_period(

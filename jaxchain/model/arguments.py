@@ -16,37 +16,41 @@ from .._checks import (
     shown,
     to_float,
 )
+from .cells import AbstractCells, AbstractField
 from .chain import MAKE_CHAIN, Chain
 from .locality import check_local
-from .oscillators import AbstractOscillators
 
 _STATES = "see `excited_state` for initial states."
 
-_Kind = TypeVar("_Kind", bound=AbstractOscillators)
+_Kind = TypeVar("_Kind", bound=AbstractField)
 
 
 def as_chain(chain: Any, kind: type[_Kind] = Chain, remedy: str = "") -> _Kind:
     """The chain, or `ValueError` unless it is of this kind and made of 64-bit numbers."""
     require_x64()
-    other = "" if kind is Chain else f" or another `{kind.__name__}`"
+    other = "" if kind is Chain else ", or other `AbstractOscillators` or `AbstractCells`"
     check_kind("chain", chain, kind, f"a `Chain`{other}", remedy or MAKE_CHAIN)
     require_64_bits("chain", chain)
     return chain
 
 
 def as_state(
-    chain: AbstractOscillators,
+    chain: AbstractField,
     state: Any,
     name: str = "initial",
     *,
     t0: Any = 0.0,
     batch: bool = False,
-) -> tuple[Float[Array, "*states n"], Float[Array, "*states n"]]:
+) -> tuple[Float[Array, "*states n"], ...]:
     """A state (x, v) as floats, both of shape (n,), or (states, n) if it is a `batch`.
+
+    The state of `AbstractCells` is a tuple of as many arrays as `rate` returns.
 
     **Raises:** `ValueError` for anything else, for numbers that are not finite, and for other
     oscillators whose forces are not local there at the time `t0`.
     """
+    if isinstance(chain, AbstractCells):
+        return _as_state_of_cells(chain, state, name, t0, batch)
     if not isinstance(state, tuple | list) or len(state) != 2:
         raise ValueError(
             f"Argument `{name}` must be the pair (displacement, velocity), but is "
@@ -67,6 +71,30 @@ def as_state(
     if not isinstance(chain, Chain) and not batch:
         check_local(chain, t0, (x, v))
     return x, v
+
+
+def _as_state_of_cells(
+    cells: AbstractCells, state: Any, name: str, t0: Any, batch: bool
+) -> tuple[Float[Array, "*states n"], ...]:
+    kind = type(cells).__name__
+    if not isinstance(state, tuple | list) or not state:
+        raise ValueError(
+            f"Argument `{name}` must be a tuple of arrays of shape (n,), one for each number of a "
+            f"cell of `{kind}`, but is {shown(state)}."
+        )
+    parts = tuple(to_float(part, f"{name}[{k}]") for k, part in enumerate(state))
+    shapes = {part.shape for part in parts}
+    if len(shapes) > 1 or parts[0].ndim != 1 + batch or not parts[0].size:
+        raise ValueError(
+            f"Argument `{name}` must hold arrays of one shape {'(states, n)' if batch else '(n,)'}"
+            f", one for each number of a cell, but has the shapes {[p.shape for p in parts]}."
+        )
+    for k, part in enumerate(parts):
+        check_finite(f"{name}[{k}]", part)
+    if not batch:
+        cells.dependence(parts)  # raises unless there is a rate for each number
+        check_local(cells, t0, parts)
+    return parts
 
 
 def as_mass(n: int, mass: Any, default: Any = None, name: str = "mass") -> Any:

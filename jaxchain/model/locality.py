@@ -6,12 +6,13 @@ could be wrong.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import jax.tree_util as jtu
 import numpy as np
 from jax.extend.core import Literal
 
@@ -19,7 +20,7 @@ from .._checks import is_traced
 
 # The allowed difference of two computations of a slope, relative to its greatest entry.
 _ROUNDING = 1e-9
-_KNOWN: dict[Any, tuple[bool, ...]] = {}
+_KNOWN: dict[Any, Any] = {}
 
 # Names that a subclass of `AbstractOscillators` cannot define, with the alternative.
 FINAL = {
@@ -32,9 +33,43 @@ FINAL = {
     "jacobian": "it follows from `local_force` and `stiffness_diagonal`; leave it out.",
     "structured": "it follows from whether `__call__` is overridden; leave it out.",
     "attracts": "it follows from `local_force` and `stiffness_diagonal`; leave it out.",
+    "value_and_rate": "it is (x, v); leave it out.",
+    "second_rate": "it is v'; leave it out.",
+    "components": "they are (displacement, velocity); leave it out.",
+    "contact": "it is the velocity; leave it out.",
+    "ends": "they are those of `springs`; leave it out.",
     "with_": "it changes the fields by their names; make each number a field.",
     "numbers": "they are the fields that are arrays; make each number a field.",
 }
+# The same for a subclass of `AbstractCells`.
+CELLS_FINAL = {
+    "__call__": "give the rate of a cell as `rate(t, left, own, right)`.",
+    "jacobian": "JAX differentiates `rate` by itself; leave it out.",
+    "linearised": "JAX differentiates `rate` by itself; leave it out.",
+    "dependence": "it is read off `rate(t, left, own, right)`; leave it out.",
+    "neighbours": 'they are those of a ring, or of a row with `ends` = "free".',
+    "divergence": "JAX differentiates `rate` by itself; leave it out.",
+    "value_and_rate": "it follows from `rate`; leave it out.",
+    "second_rate": "it follows from `rate`; leave it out.",
+    "structured": "structured solvers apply to all cells; leave it out.",
+    "attracts": "it is not known of cells; leave it out.",
+    "stick_speed": "masses that stick are those of a `Chain`; leave it out.",
+    "with_": "it changes the fields by their names; make each number a field.",
+    "numbers": "they are the fields that are arrays; make each number a field.",
+}
+
+
+class Dependence(NamedTuple):
+    """Which numbers the rates of a cell depend on: m rows, one for each rate, of m entries.
+
+    `time` (m entries): whether rate i depends on it; `left`, `own`, `right`: whether it depends on
+    number j of the cell before, of the cell itself and of the cell behind.
+    """
+
+    time: tuple[bool, ...]
+    left: tuple[tuple[bool, ...], ...]
+    own: tuple[tuple[bool, ...], ...]
+    right: tuple[tuple[bool, ...], ...]
 
 
 def depends_on(function: Callable[..., Any], *arguments: Any) -> tuple[bool, ...]:
@@ -47,18 +82,22 @@ def depends_on(function: Callable[..., Any], *arguments: Any) -> tuple[bool, ...
     >>> depends_on(lambda a, b, c: a * jnp.sin(c), 1.0, 2.0, 3.0)
     (True, False, True)
     """
-    return tuple(_reaching(jax.make_jaxpr(function)(*arguments).jaxpr))
+    jaxpr = jax.make_jaxpr(function)(*arguments).jaxpr
+    return tuple(_reaching(jaxpr, jaxpr.outvars))
 
 
-def _reaching(jaxpr: Any) -> list[bool]:
-    """Whether each input reaches an output.  Inside loops and branches all inputs count."""
-    needed = {v for v in jaxpr.outvars if not isinstance(v, Literal)}
+def _reaching(jaxpr: Any, outputs: Sequence[Any]) -> list[bool]:
+    """Whether each input reaches one of these outputs.  Inside loops and branches all count."""
+    needed = {v for v in outputs if not isinstance(v, Literal)}
     for equation in reversed(jaxpr.eqns):
         if needed.isdisjoint(equation.outvars):
             continue
         inputs = equation.invars
-        called = equation.primitive.name in ("jit", "pjit")
-        used = _reaching(equation.params["jaxpr"].jaxpr) if called else [True] * len(inputs)
+        used = [True] * len(inputs)
+        if equation.primitive.name in ("jit", "pjit"):
+            inner = equation.params["jaxpr"].jaxpr
+            pairs = zip(equation.outvars, inner.outvars, strict=True)
+            used = _reaching(inner, [within for outer, within in pairs if outer in needed])
         needed |= {
             v for v, u in zip(inputs, used, strict=True) if u and not isinstance(v, Literal)
         }
@@ -70,19 +109,54 @@ def local_dependence(field: Any, n: int) -> tuple[bool, ...]:
 
     Only the shapes of the numbers in `field` matter, so that one trace serves every call.
     """
+    part = jnp.zeros(n)
+    return _once(field, n, lambda: depends_on(field.local_force, jnp.zeros(()), part, part))
+
+
+def _once(field: Any, key: Any, find: Callable[[], Any]) -> Any:
     leaves, structure = jax.tree.flatten(field)
     shapes = [(a.shape, a.dtype) if eqx.is_array(a) else a for a in leaves]
-    key = (n, structure, *shapes)
+    key = (key, structure, *shapes)
     if key not in _KNOWN:
-        part = jnp.zeros(n)
-        _KNOWN[key] = depends_on(field.local_force, jnp.zeros(()), part, part)
+        _KNOWN[key] = find()
     return _KNOWN[key]
 
 
-def check_autonomous(field: Any, n: int) -> None:
-    """Raises `ValueError` if the vector field of an `AbstractOscillators` depends on time."""
-    part = jnp.zeros(n)
-    if depends_on(lambda t, x, v: field(t, (x, v)), jnp.zeros(()), part, part)[0]:
+def dependence(cells: Any, m: int, n: int) -> Dependence:
+    """The `Dependence` of n cells with m numbers each, read off the trace of their rate."""
+
+    def find() -> Dependence:
+        state = (jnp.zeros(n),) * m
+        jaxpr = jax.make_jaxpr(lambda t, *y: tuple(cells.rate(t, y[:m], y[m : 2 * m], y[2 * m :])))
+        try:
+            jaxpr = jaxpr(jnp.zeros(()), *state, *state, *state).jaxpr
+        except ValueError as error:
+            raise ValueError(
+                f"The `rate` of {type(cells).__name__} cannot take a state of {m} arrays of shape "
+                f"({n},): {str(error).splitlines()[0]}. A state has one array for each rate."
+            ) from error
+        if len(jaxpr.outvars) != m:
+            raise ValueError(
+                f"The `rate` of {type(cells).__name__} returns {len(jaxpr.outvars)} arrays, but a "
+                f"state of {m} was given: a state has one array for each rate, of shape ({n},)."
+            )
+        reach = [tuple(_reaching(jaxpr, [output])) for output in jaxpr.outvars]
+        left, own, right = (
+            tuple(row[1 + k * m : 1 + (k + 1) * m] for row in reach) for k in range(3)
+        )
+        return Dependence(tuple(row[0] for row in reach), left, own, right)
+
+    return _once(cells, (m, n), find)
+
+
+def depends_on_time(field: Any, state: Any) -> bool:
+    """Whether the rate of a state, a tuple of arrays, can depend on time."""
+    return depends_on(lambda t, *y: field(t, y), jnp.zeros(()), *state)[0]
+
+
+def check_autonomous(field: Any, state: Any) -> None:
+    """Raises `ValueError` if the vector field depends on time."""
+    if depends_on_time(field, state):
         raise ValueError(
             f"Argument `chain` is a {type(field).__name__} whose forces depend on time, so it has "
             "no cycle of its own period: this needs an autonomous system. Let one more mass drive "
@@ -93,14 +167,21 @@ def check_autonomous(field: Any, n: int) -> None:
 def check_local(field: Any, t: Any, state: Any) -> None:
     """Raises `ValueError` if the local force on a mass depends on the motion of another one.
 
-    `field` is an `AbstractOscillators`.  Its derivatives near the state (x, v), in a direction
-    that differs from mass to mass, must be those of a diagonal matrix.  Traced values pass, and so
-    do classes that override `__call__`, whose structure is not used.
+    `field` is an `AbstractOscillators` or `AbstractCells`.  Its derivatives near the state, in a
+    direction that differs from mass to mass, must be those of a diagonal matrix.  Traced values
+    pass, and so do classes that override `__call__`, whose structure is not used.
     """
-    x, v = state
-    if x.shape[0] < 2 or not field.structured or is_traced(field, t, state):
+    if state[0].shape[0] < 2 or not field.structured or is_traced(field, t, state):
         return
-    if bool(_is_local(field, jnp.asarray(t, float), x, v)):
+    now = jnp.asarray(t, float)
+    if hasattr(field, "rate") and not hasattr(field, "local_force"):
+        if bool(_is_local(jtu.Partial(_rate_of_parts, field, len(state)), (now, *state * 3))):
+            return
+        raise ValueError(
+            f"The `rate` of {type(field).__name__} mixes cells: give the rate of one cell, from "
+            "its own numbers and those in `left` and `right`, elementwise."
+        )
+    if bool(_is_local(field.local_force, (now, *state))):
         return
     raise ValueError(
         f"The `local_force` of {type(field).__name__} on a mass depends on the motion of another "
@@ -109,20 +190,29 @@ def check_local(field: Any, t: Any, state: Any) -> None:
     )
 
 
+def _rate_of_parts(field: Any, m: int, t: Any, *parts: Any) -> Any:
+    rates = field.rate(t, parts[:m], parts[m : 2 * m], parts[2 * m :])
+    return jnp.stack([jnp.broadcast_to(rate, parts[0].shape) for rate in rates])
+
+
 @eqx.filter_jit
-def _is_local(field: Any, t: Any, x: Any, v: Any) -> Any:
-    draws = jnp.asarray(np.random.default_rng(0).normal(size=(3, x.shape[0])))
+def _is_local(force: Any, arguments: Any) -> Any:
+    t, *parts = arguments
+    draws = jnp.asarray(np.random.default_rng(0).normal(size=(len(parts) + 1, parts[0].shape[0])))
     # At rest an interaction may vanish, so evaluate near the state.
-    x, v = x + 0.1 * (1.0 + jnp.abs(x)) * draws[0], v + 0.1 * (1.0 + jnp.abs(v)) * draws[1]
-    different = draws[2]
+    parts = [
+        part + 0.1 * (1.0 + jnp.abs(part)) * draw for part, draw in zip(parts, draws, strict=False)
+    ]
+    different = draws[-1]
     good = jnp.asarray(True)
-    for force, at in (
-        (lambda x: field.local_force(t, x, v), x),
-        (lambda v: field.local_force(t, x, v), v),
-    ):
-        _, slope = jax.jvp(force, (at,), (jnp.ones_like(at),))
-        _, change = jax.jvp(force, (at,), (different,))
-        gap = jnp.abs(change - slope * different)
+    for k, part in enumerate(parts):
+
+        def of(part: Any, k: int = k) -> Any:
+            return force(t, *parts[:k], part, *parts[k + 1 :])
+
+        _, slope = jax.jvp(of, (part,), (jnp.ones_like(part),))
+        _, change = jax.jvp(of, (part,), (different,))
+        gap = jnp.abs(change - slope * jnp.broadcast_to(different, slope.shape))
         size = jnp.max(jnp.abs(change)) + jnp.max(jnp.abs(slope))
         good = good & ~jnp.any(gap > _ROUNDING * size)
     return good

@@ -21,8 +21,9 @@ from jaxtyping import Array, Bool, Float
 from .._checks import to_float
 from .._final import final, refuse_overrides
 from .._types import PerMass, ScalarLike, State
+from .cells import AbstractField
 from .locality import FINAL, local_dependence
-from .springs import Springs
+from .springs import Ends, Springs
 
 
 @final
@@ -40,17 +41,17 @@ class LocalSlopes(NamedTuple):
     velocity: Float[Array, " n"]
 
 
-class AbstractOscillators(eqx.Module):
+class AbstractOscillators(AbstractField):
     """Masses with any local force, coupled by linear springs.
 
     x' = v,   v_n' = h_n(t, x_n, v_n) - k_n x_n + (C x)_n.
 
     A vector field in the sense of `diffrax.ODETerm`: call it with (t, (x, v), args).  A subclass
     gives `springs`, `local_force` and `stiffness_diagonal`, and may give `switching`,
-    `stick_speed`, `excess_force` and `growth_time`.  All other methods are final: defining one
-    raises `TypeError`.  JAX computes the derivatives, and jaxchain detects whether h depends on t
-    or x. For use with stock diffrax solvers only, a subclass may override `__call__` and
-    `divergence`.
+    `forcing_period`, `stick_speed`, `excess_force` and `growth_time`.  All other methods are
+    final: defining one raises `TypeError`.  JAX computes the derivatives, and jaxchain detects
+    whether h depends on t or x. For use with stock diffrax solvers only, a subclass may override
+    `__call__` and `divergence`.
 
     !!! example
 
@@ -75,10 +76,16 @@ class AbstractOscillators(eqx.Module):
     """
 
     springs: eqx.AbstractVar[Springs | None]
+    components = ("displacement", "velocity")
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
         refuse_overrides(cls, AbstractOscillators, FINAL)
+        if callable(vars(cls).get("rate")):  # a number of this name is welcome
+            raise TypeError(
+                f"Class `{cls.__name__}` defines `rate`, which some computations would ignore: "
+                "give the forces in `local_force` and `springs`, or subclass `AbstractCells`."
+            )
 
     @abc.abstractmethod
     def local_force(
@@ -90,27 +97,6 @@ class AbstractOscillators(eqx.Module):
     def stiffness_diagonal(self, n: int) -> PerMass:
         """The diagonal k of K, a scalar or of shape (n,); add the springs' `row_sum(n)` to it."""
 
-    def switching(
-        self, t: ScalarLike, v: Float[Array, " n"]
-    ) -> tuple[Float[Array, " n"], PerMass] | None:
-        """(w, width): velocities w whose sign a force follows within |w| < width, mass by mass.
-
-        None if no force switches.  `SwitchingController` steps by it.
-        """
-        del t, v
-        return None
-
-    def belt_direction(self) -> ScalarLike:
-        """The sign of the velocity at which forces switch, 1 or -1: the direction of the belt.
-
-        1 if no force switches.
-        """
-        return 1.0
-
-    def stick_speed(self) -> PerMass | None:
-        """The |w| (see `switching`) up to which a mass sticks; None if no mass can stick."""
-        return None
-
     def excess_force(self, x: Float[Array, " n"], v: Float[Array, " n"]) -> Float[Array, " n"]:
         """The force on a mass minus the greatest friction force; negative if friction can hold it.
 
@@ -118,14 +104,6 @@ class AbstractOscillators(eqx.Module):
         """
         del v
         return jnp.full_like(x, -jnp.inf)
-
-    def growth_time(self) -> ScalarLike | None:
-        """The time in which velocities grow by e, which bounds the step; infinite without growth.
-
-        A stiff solver mistakes a growth by more than e^2 within a step for a decay, unnoticed by
-        its error estimate.  None: structured solvers use the Jacobian at the start of each step.
-        """
-        return None
 
     def local_force_and_slopes(
         self, t: ScalarLike, x: Float[Array, " n"], v: Float[Array, " n"]
@@ -141,6 +119,21 @@ class AbstractOscillators(eqx.Module):
         if placed:
             by_place = jax.jvp(lambda x: self.local_force(t, x, v), (x,), (ones,))[1]
         return force, LocalSlopes(by_time, by_place, by_velocity)
+
+    @property
+    def ends(self) -> Ends:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """ "cyclic" or "free"; irrelevant without springs."""
+        return "cyclic" if self.springs is None else self.springs.ends
+
+    def value_and_rate(
+        self, t: ScalarLike, y: State, component: int = 0
+    ) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
+        """(x, v), or (v, v') for component 1."""
+        return (y[0], y[1]) if component == 0 else (y[1], self(t, y)[1])
+
+    def second_rate(self, t: ScalarLike, y: State, component: int = 0) -> Float[Array, " n"]:
+        """v', or v'' for component 1."""
+        return self(t, y)[1] if component == 0 else super().second_rate(t, y, component)
 
     @property
     def structured(self) -> bool:
@@ -167,11 +160,12 @@ class AbstractOscillators(eqx.Module):
         x, v = y
         return v, self.local_force(t, x, v) + self.restoring_force(x)
 
-    def attracts(self, t: ScalarLike, x: Float[Array, " n"]) -> Bool[Array, ""]:
-        """Whether an equilibrium at x is certainly stable for all time.
+    def attracts(self, t: ScalarLike, y: State) -> Bool[Array, ""]:
+        """Whether an equilibrium at y is certainly stable for all time.
 
         This holds if nothing depends on time, dh/dv < 0, and K - diag(dh/dx) > 0 by dominance.
         """
+        x = y[0]
         _, slopes = self.local_force_and_slopes(t, x, jnp.zeros_like(x))
         if slopes.time is not None:
             return jnp.asarray(False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any, Literal
 
 import equinox as eqx
@@ -13,8 +14,8 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 from .._checks import check_one_of, check_positive_number, check_whole, to_float
 from .._final import final
 from .._types import ScalarLike, State
-from ..model.oscillators import AbstractOscillators
-from .base import AbstractObserver, Step, Variable, window_fits
+from ..model.cells import AbstractField
+from .base import AbstractObserver, Step, Variable, renamed, window_fits
 from .quantities import active, energy
 
 
@@ -58,6 +59,7 @@ class Amplitude(AbstractObserver):
       also stops it when the amplitudes of `repeats` successive windows agree within `tolerance`.
       It may miss slow drifts of the phases, and instabilities that have not grown yet.  Both need
       a `window`.
+    - `component`: which number of a cell is observed, 0 for the first one (see `AbstractCells`).
 
     **Raises:** `ValueError` for any other `stop`, and for numbers that are not positive.
 
@@ -82,6 +84,7 @@ class Amplitude(AbstractObserver):
     tolerance: float = eqx.field(static=True, default=1e-6)
     repeats: int = eqx.field(static=True, default=5)
     quiet_below: float = eqx.field(static=True, default=1e-6)
+    component: int = eqx.field(static=True, default=0)
 
     def __check_init__(self) -> None:
         if self.window is not None:
@@ -89,6 +92,7 @@ class Amplitude(AbstractObserver):
         check_positive_number("tolerance", self.tolerance, "1e-6 is usual.")
         check_positive_number("quiet_below", self.quiet_below, "1e-6 is usual.")
         check_whole("repeats", self.repeats)
+        check_whole("component", self.component, 0, remedy="0 is the first number of a cell.")
         check_one_of("stop", self.stop, ("never", "quiet", "steady"))
         if self.stop != "never" and self.window is None:
             raise ValueError(
@@ -97,9 +101,9 @@ class Amplitude(AbstractObserver):
             )
 
     def init(
-        self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State
+        self, field: AbstractField, t0: ScalarLike, t1: ScalarLike, y0: State
     ) -> _AmplitudeState:
-        x, _ = y0
+        x = field.value_and_rate(t0, y0, self.component)[0]
         window = t1 - t0 if self.window is None else self.window
         start = to_float(t1 - window)
         seen = x if self.stop == "steady" else jnp.where(start > t0, jnp.nan, x)
@@ -118,7 +122,8 @@ class Amplitude(AbstractObserver):
         return window_fits(self.window, t0, t1)
 
     def update(self, accumulator: _AmplitudeState, step: Step) -> _AmplitudeState:
-        acc, end = accumulator, step.y1[0]
+        step = step.of(self.component)
+        acc, end = accumulator, step.y1[self.component]
         # Peaks before the last window are located only if amplitudes are compared.
         always = acc.history is not None
         watching = jnp.asarray(True) if always else step.t1 > acc.last_window
@@ -161,9 +166,9 @@ class Amplitude(AbstractObserver):
         over = step.t1 >= rest.boundary
 
         def look() -> Array:
-            velocity, acceleration = step.field(step.t1, step.y1)
-            motion = jnp.max(jnp.maximum(jnp.abs(velocity), jnp.abs(acceleration)))
-            attracts = step.field.attracts(step.t1, step.y1[0])
+            rates = step.field(step.t1, step.y1)
+            motion = jnp.max(functools.reduce(jnp.maximum, map(jnp.abs, rates)))
+            attracts = step.field.attracts(step.t1, step.y1)
             return attracts & (motion < self.quiet_below)
 
         quiet = lax.cond(eqxi.unvmap_any(over), look, lambda: jnp.asarray(False))
@@ -190,7 +195,8 @@ class Amplitude(AbstractObserver):
         return jnp.where(self.rests(accumulator), 0.0, amplitude)
 
     def label(self, value: Float[Array, " n"], chain: Any) -> dict[str, Variable]:
-        return amplitude_variables(value, chain.belt_speed)
+        variables = amplitude_variables(value, getattr(chain, "belt_speed", None))
+        return renamed(variables, chain, self.component)
 
 
 def amplitude_variables(

@@ -20,6 +20,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._final import final
 from .._types import ScalarLike, State
+from ..model.cells import AbstractCells, AbstractField
 from ..model.oscillators import AbstractOscillators
 
 
@@ -27,10 +28,10 @@ from ..model.oscillators import AbstractOscillators
 class Step(eqx.Module):
     """One accepted step, from (`t0`, `y0`) to (`t1`, `y1`).
 
-    `y0` and `y1` are pairs (x, v) of shape (n,); `field` is the `Chain` or other
-    `AbstractOscillators`.
-    `displacement(theta)` and `velocity(theta)` interpolate at theta in [0, 1], one number or one
-    per mass.
+    `y0` and `y1` are pairs (x, v) of shape (n,), of other cells m arrays; `field` is the `Chain`
+    or other model.  `displacement(theta)` and `velocity(theta)` interpolate at theta in
+    [0, 1], one number or one per mass; of cells that is the number `component` and its rate, see
+    `of`, and `state(theta)` is all of them.
 
     !!! example
 
@@ -51,13 +52,38 @@ class Step(eqx.Module):
         59
     """
 
-    field: AbstractOscillators
+    field: AbstractField
     t0: Any
     t1: Any
     y0: State
     y1: State
     displacement: Callable[[Any], Array]
     velocity: Callable[[Any], Array]
+    parts: Callable[[Any], State] | None = None  # of cells: the whole state
+    component: int = eqx.field(static=True, default=0)
+
+    def state(self, theta: Any) -> tuple[Array, ...]:
+        """The whole state at theta."""
+        if self.parts is None:
+            return self.displacement(theta), self.velocity(theta)
+        return self.parts(theta)
+
+    def of(self, component: int) -> Step:
+        """The step as seen by an observer of another of the numbers of a cell."""
+        if component == self.component:
+            return self
+        return step_of(
+            self.field, self.t0, self.t1, self.y0, self.y1,
+            lambda theta, part: self.state(theta)[part], component,
+        )  # fmt: skip
+
+    def ends(self) -> tuple[State, State]:
+        """(displacement, velocity) at the start and at the end."""
+        field, component = self.field, self.component
+        return (
+            field.value_and_rate(self.t0, self.y0, component),
+            field.value_and_rate(self.t1, self.y1, component),
+        )
 
     def turning_points(self) -> tuple[Bool[Array, " n"], Float[Array, " n"]]:
         """(which masses turn within the step, at which theta).
@@ -65,7 +91,7 @@ class Step(eqx.Module):
         Secant for the zero of the velocity, then two Newton steps on the interpolant; the
         displacement there is accurate to second order in the error of theta.
         """
-        v0, v1 = self.y0[1], self.y1[1]
+        (_, v0), (_, v1) = self.ends()
         turns = (v0 > 0) & (v1 <= 0) | (v0 < 0) & (v1 >= 0)
         return turns, lax.stop_gradient(zeros(self.velocity, turns, v0, v1, elsewhere=1.0))
 
@@ -76,18 +102,65 @@ class Step(eqx.Module):
     def integral(self, rate: Callable[[Any, State], Array], points: int = 5) -> Array:
         """The integral of rate(t, (x, v)) over the step, by Gauss's rule of order 2 points - 1."""
         nodes, weights = gauss(points)
-        states = jax.vmap(self.displacement)(nodes), jax.vmap(self.velocity)(nodes)
+        states = jax.vmap(self.state)(nodes)
         rates = jax.vmap(rate)(self.t0 + nodes * (self.t1 - self.t0), states)
         return (self.t1 - self.t0) * (weights @ rates)
 
     def frozen(self) -> Step:
         """The step without derivatives, which may cost more than the observed value."""
         fixed = lax.stop_gradient((self.field, self.t0, self.t1, self.y0, self.y1))
+        parts = self.parts
         return Step(
             *fixed,
             lambda theta: lax.stop_gradient(self.displacement(theta)),
             lambda theta: lax.stop_gradient(self.velocity(theta)),
+            None if parts is None else lambda theta: lax.stop_gradient(parts(theta)),
+            self.component,
         )
+
+
+def _is_alone(field: AbstractField, y: State, component: int) -> bool:
+    """Whether the rate of this number depends on nothing but the cell itself."""
+    if not isinstance(field, AbstractCells):
+        return False
+    of = field.dependence(y)
+    return not (of.time[component] or any(of.left[component]) or any(of.right[component]))
+
+
+def step_of(
+    field: AbstractField,
+    t0: Any,
+    t1: Any,
+    y0: State,
+    y1: State,
+    part: Callable[[Any, int], Array],
+    component: int = 0,
+) -> Step:
+    """The `Step` of a solver whose dense output has each part of the state at theta."""
+    if isinstance(field, AbstractOscillators) and component == 0:
+        return Step(
+            field, t0, t1, y0, y1, lambda theta: part(theta, 0), lambda theta: part(theta, 1)
+        )
+    m, alone = len(y0), _is_alone(field, y0, component)
+
+    def displacement(theta: Any) -> Array:
+        return part(theta, component)
+
+    def velocity(theta: Any) -> Array:
+        """From the rate if it is that of the cell alone, else the slope of the dense output.
+
+        theta may differ from cell to cell, so that a neighbour at the same time is not known.
+        """
+        if alone:
+            return field(t0, tuple(part(theta, k) for k in range(m)))[component]
+        theta = jnp.asarray(theta, float)
+        _, slope = jax.jvp(displacement, (theta,), (jnp.ones_like(theta),))
+        return slope / jnp.where(t1 == t0, 1.0, t1 - t0)
+
+    return Step(
+        field, t0, t1, y0, y1, displacement, velocity,
+        lambda theta: tuple(part(theta, k) for k in range(m)), component,
+    )  # fmt: skip
 
 
 def gauss(points: int) -> tuple[Float[Array, " points"], Float[Array, " points"]]:
@@ -158,15 +231,48 @@ def window_fits(window: float | None, t0: ScalarLike, t1: ScalarLike) -> Any:
     return True if window is None else t1 - t0 >= window - 1e-12 * (abs(t0) + abs(t1) + window)
 
 
-def states_at_times(name: str, value: tuple[Array, ...], *dims: str) -> dict[str, Variable]:
-    """(times, x, v) as `<name>_time`, `<name>_displacement` and `<name>_velocity`."""
-    times, x, v = value
+def states_at_times(
+    name: str, value: tuple[Array, ...], chain: Any, *dims: str
+) -> dict[str, Variable]:
+    """(times, x, v) as `<name>_time`, `<name>_displacement` and `<name>_velocity`.
+
+    Of other cells, `<name>_<component>` of each of their numbers.
+    """
+    times, *parts = value
     of = f"of that {dims[0]}"
-    return {
-        f"{name}_time": Variable(times, dims[:1], "1 / omega_n", f"time {of}"),
-        f"{name}_displacement": Variable(x, dims, "x0", f"displacements x_n {of}"),
-        f"{name}_velocity": Variable(v, dims, "x0 omega_n", f"velocities v_n {of}"),
+    labelled = {f"{name}_time": Variable(times, dims[:1], "1 / omega_n", f"time {of}")}
+    if isinstance(chain, AbstractOscillators):
+        x, v = parts
+        return labelled | {
+            f"{name}_displacement": Variable(x, dims, "x0", f"displacements x_n {of}"),
+            f"{name}_velocity": Variable(v, dims, "x0 omega_n", f"velocities v_n {of}"),
+        }
+    names = [component_name(chain, k) for k in range(len(parts))]
+    return labelled | {
+        f"{name}_{part}": Variable(values, dims, "1", f"{part} {of}")
+        for part, values in zip(names, parts, strict=True)
     }
+
+
+def component_name(chain: Any, component: int) -> str:
+    """The name of one of the numbers of a cell, or its index as text."""
+    names = chain.components
+    return names[component] if component < len(names) else str(component)
+
+
+def renamed(variables: dict[str, Variable], chain: Any, component: int) -> dict[str, Variable]:
+    """With the name of the component behind those of the variables, unless it is the first.
+
+    The units of other models than oscillators are not known here.
+    """
+    if not isinstance(chain, AbstractOscillators):
+        variables = {
+            name: Variable(v.values, v.dims, "1", v.long_name, v.is_count)
+            for name, v in variables.items()
+        }
+    if component == 0:
+        return variables
+    return {f"{name}_{component_name(chain, component)}": v for name, v in variables.items()}
 
 
 class AbstractObserver(eqx.Module):
@@ -204,7 +310,7 @@ class AbstractObserver(eqx.Module):
     """
 
     @abc.abstractmethod
-    def init(self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State) -> Any:
+    def init(self, field: AbstractField, t0: ScalarLike, t1: ScalarLike, y0: State) -> Any:
         """The accumulator at the start of a run of `field` over [t0, t1]."""
 
     @abc.abstractmethod

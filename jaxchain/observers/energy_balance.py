@@ -13,8 +13,8 @@ from jaxtyping import Array, Float
 
 from .._final import final
 from .._types import ScalarLike, State
+from ..model.cells import AbstractField
 from ..model.chain import Chain
-from ..model.oscillators import AbstractOscillators
 from .base import AbstractObserver, Step, Variable
 
 
@@ -37,7 +37,7 @@ class Divergence(AbstractObserver):
         -3.0
     """
 
-    def init(self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State) -> Any:
+    def init(self, field: AbstractField, t0: ScalarLike, t1: ScalarLike, y0: State) -> Any:
         del field, t0, t1, y0
         return jnp.zeros(())
 

@@ -19,7 +19,7 @@ from .._checks import as_array, check_share, check_whole, to_float
 from .._final import final
 from .._statistics import student_reach
 from .._types import ScalarLike, State
-from ..model.oscillators import AbstractOscillators
+from ..model.cells import AbstractField
 from .base import AbstractObserver, Step, Variable
 from .quantities import active_above
 
@@ -138,10 +138,9 @@ class FrontTrack(AbstractObserver):
         if self.middle is not None:
             check_whole("middle", self.middle, 0, remedy="it is the index of a mass in the block.")
 
-    def init(
-        self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State
-    ) -> _Watch:
-        del field
+    def init(self, field: AbstractField, t0: ScalarLike, t1: ScalarLike, y0: State) -> _Watch:
+        if field.stick_speed() is None:
+            raise ValueError("`FrontTrack` needs masses on a belt, a `Chain`.")
         x, _ = y0
         length = to_float((t1 - t0) / self.windows)
         nowhere = jnp.full(self.windows, jnp.nan)

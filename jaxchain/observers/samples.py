@@ -30,14 +30,14 @@ from .._checks import (
 from .._derivatives import both_ways
 from .._final import final
 from .._types import ScalarLike, State
-from ..model.oscillators import AbstractOscillators
+from ..model.cells import AbstractField
 from ..model.springs import materialize
 from .base import AbstractNotingObserver, Step, Variable, states_at_times
 
 
 @final
 class Trajectory(eqx.Module):
-    """The state at given times: value (x, v), both of shape (len(times), n).
+    """The state at given times: value (x, v), both of shape (len(times), n), or all m arrays.
 
     **Arguments:** `times`, dimensionless, increasing, within the run; they are passed to diffrax's
     `SaveAt`.
@@ -90,8 +90,7 @@ def _interval(value: Any) -> Any:
 class _Samples(eqx.Module):
     first: Float[Array, ""]  # time of sample 0
     count: Int[Array, ""]  # of those that are known
-    x: Float[Array, "capacity masses"]
-    v: Float[Array, "capacity masses"]
+    parts: tuple[Float[Array, "capacity masses"], ...]  # x and v
 
 
 @final
@@ -108,7 +107,7 @@ class Samples(AbstractNotingObserver):
     ones); `oscillators`, indices of the masses from 0 (None: all); `start`.
 
     **Value:** (times, x, v) of shapes (capacity,), (capacity, masses), (capacity, masses), filled
-    with NaN.
+    with NaN; of other cells all m of their numbers behind the times.
 
     **Raises:** `ValueError` for an index that the chain does not have, and for bad numbers.
 
@@ -152,17 +151,15 @@ class Samples(AbstractNotingObserver):
             check_whole(f"oscillators[{place}]", index, 0, n - 1, f"the chain has {n} masses.")
         return np.array(self.oscillators, int)
 
-    def init(
-        self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State
-    ) -> _Samples:
+    def init(self, field: AbstractField, t0: ScalarLike, t1: ScalarLike, y0: State) -> _Samples:
         del field, t1
         masses = self._masses(y0[0].shape[0])
         gone = jnp.ceil((to_float(t0) - self.start) / self.interval - _ROUNDING)
         first = self.start + self.interval * jnp.maximum(gone, 0.0)
         none = jnp.full((self.capacity, masses.size), jnp.nan)
         # The initial state itself, which ends no step.
-        x, v = (none.at[0].set(jnp.where(first <= t0, part[masses], jnp.nan)) for part in y0)
-        return _Samples(first, jnp.where(first <= t0, 1, 0), x, v)
+        parts = (none.at[0].set(jnp.where(first <= t0, part[masses], jnp.nan)) for part in y0)
+        return _Samples(first, jnp.where(first <= t0, 1, 0), tuple(parts))
 
     def fits(self, t0: ScalarLike, t1: ScalarLike) -> Any:
         del t0
@@ -171,38 +168,34 @@ class Samples(AbstractNotingObserver):
     def update(self, accumulator: _Samples, step: Step) -> _Samples:
         masses = self._masses(step.y0[0].shape[0])
         length = jnp.maximum(step.t1 - step.t0, 1e-300)
-        state_at = eqx.filter_closure_convert(
-            lambda theta: (step.displacement(theta), step.velocity(theta)), length
-        )
+        state_at = eqx.filter_closure_convert(step.state, length)
 
-        def fill(loop: Callable[..., Any], args: Any) -> tuple[Array, Array, Array]:
+        def fill(loop: Callable[..., Any], args: Any) -> tuple[Array, tuple[Array, ...]]:
             accumulator, t0, length, state_at = args
 
             def theta(count: Array) -> Array:
                 return (accumulator.first + count * self.interval - t0) / length
 
-            def within(carry: tuple[Array, Array, Array]) -> Array:
+            def within(carry: tuple[Array, tuple[Array, ...]]) -> Array:
                 count = carry[0]
                 return (theta(count) <= 1.0 + _ROUNDING) & (count < self.capacity)
 
-            def keep(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-                count, x, v = carry
+            def keep(carry: tuple[Array, tuple[Array, ...]]) -> tuple[Array, tuple[Array, ...]]:
+                count, kept = carry
                 here = (jnp.arange(self.capacity) == count)[:, None]
                 state = state_at(jnp.clip(theta(count), 0.0, 1.0))
                 # Once, not once for every row.
                 now = (materialize(part[masses]) for part in state)
-                x, v = (
-                    jnp.where(here, new[None, :], old)
-                    for new, old in zip(now, (x, v), strict=True)
+                return count + 1, tuple(
+                    jnp.where(here, new[None, :], old) for new, old in zip(now, kept, strict=True)
                 )
-                return count + 1, x, v
 
-            return loop(within, keep, (accumulator.count, accumulator.x, accumulator.v))
+            return loop(within, keep, (accumulator.count, accumulator.parts))
 
         back = partial(eqxi.while_loop, kind="checkpointed", max_steps=self.capacity)
         args = accumulator, step.t0, length, state_at
-        count, x, v = both_ways(partial(fill, lax.while_loop), partial(fill, back), args)
-        return _Samples(accumulator.first, count, x, v)
+        count, parts = both_ways(partial(fill, lax.while_loop), partial(fill, back), args)
+        return _Samples(accumulator.first, count, parts)
 
     def note(self, step: Step) -> tuple[Array, Array, Any, Any]:
         """The data of one step for `gather`: its ends and its interpolants of x and v."""
@@ -232,19 +225,18 @@ class Samples(AbstractNotingObserver):
         def keep(kept: _Samples) -> _Samples:
             place, time, here = block(kept)
             rows = jnp.where(here, place, self.capacity)  # beyond the last: left out
-            x, v = (
+            parts = tuple(
                 old.at[rows].set(new, mode="drop")
-                for old, new in zip((kept.x, kept.v), jax.vmap(state)(time), strict=True)
+                for old, new in zip(kept.parts, jax.vmap(state)(time), strict=True)
             )
-            return _Samples(kept.first, kept.count + jnp.sum(here), x, v)
+            return _Samples(kept.first, kept.count + jnp.sum(here), parts)
 
         return lax.while_loop(any_left, keep, accumulator)
 
-    def read(self, accumulator: _Samples) -> tuple[Array, Array, Array]:
+    def read(self, accumulator: _Samples) -> tuple[Array, ...]:
         index = jnp.arange(self.capacity)
         times = accumulator.first + index * self.interval
-        return jnp.where(index < accumulator.count, times, jnp.nan), accumulator.x, accumulator.v
+        return jnp.where(index < accumulator.count, times, jnp.nan), *accumulator.parts
 
     def label(self, value: Any, chain: Any) -> dict[str, Variable]:
-        del chain
-        return states_at_times("sample", value, "sample", "sampled_oscillator")
+        return states_at_times("sample", value, chain, "sample", "sampled_oscillator")

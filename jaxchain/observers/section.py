@@ -12,9 +12,17 @@ from jaxtyping import Array, Float, Int
 from .._checks import check_number, check_one_of, check_whole
 from .._final import final
 from .._types import ScalarLike, State
-from ..model.oscillators import AbstractOscillators
+from ..model.cells import AbstractField
 from ..model.springs import materialize
-from .base import AbstractNotingObserver, AbstractObserver, Step, Variable, states_at_times, zeros
+from .base import (
+    AbstractNotingObserver,
+    AbstractObserver,
+    Step,
+    Variable,
+    renamed,
+    states_at_times,
+    zeros,
+)
 
 # Before all times; finite, as `materialize` multiplies by 0.
 _NONE = -1e300
@@ -25,7 +33,8 @@ class PeakTimes(AbstractNotingObserver):
     """Times of the maxima of every displacement, located between steps.
 
     **Arguments:** `capacity`, the greatest number of maxima kept per mass (the first ones; for
-    long runs see `segments` of `simulate`); `start`, the time from which maxima are kept.
+    long runs see `segments` of `simulate`); `start`, the time from which maxima are kept;
+    `component`, the number of a cell that is observed.
 
     **Value:** shape (capacity, n), filled with NaN.
 
@@ -44,16 +53,18 @@ class PeakTimes(AbstractNotingObserver):
 
     capacity: int = eqx.field(static=True, default=64)
     start: float = eqx.field(static=True, default=0.0)
+    component: int = eqx.field(static=True, default=0)
 
     def __check_init__(self) -> None:
         check_whole("capacity", self.capacity)
         check_number("start", self.start, "nothing is kept before this time; 0 is usual.")
+        check_whole("component", self.component, 0, remedy="0 is the first number of a cell.")
 
     def init(
-        self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State
+        self, field: AbstractField, t0: ScalarLike, t1: ScalarLike, y0: State
     ) -> tuple[Array, Array]:
-        del field, t0, t1
-        x, _ = y0
+        del t1
+        x = field.value_and_rate(t0, y0, self.component)[0]
         return jnp.full((self.capacity, *x.shape), _NONE), jnp.zeros(x.shape, int)
 
     def fits(self, t0: ScalarLike, t1: ScalarLike) -> Any:
@@ -70,9 +81,10 @@ class PeakTimes(AbstractNotingObserver):
 
     def note(self, step: Step) -> Float[Array, " n"]:
         """The time of each mass's maximum in this step, of shape (n,)."""
+        step = step.of(self.component)
         turns, theta = step.turning_points()
         time = step.time(theta)
-        peak = turns & (step.y0[1] > 0) & (time >= self.start)
+        peak = turns & (step.ends()[0][1] > 0) & (time >= self.start)
         # Once, not once for every row.
         return materialize(jnp.where(peak, time, _NONE))
 
@@ -96,9 +108,9 @@ class PeakTimes(AbstractNotingObserver):
         return jnp.where(times > _NONE, times, jnp.nan)
 
     def label(self, value: Float[Array, "capacity n"], chain: Any) -> dict[str, Variable]:
-        del chain
         name = "times of the maxima of the displacement"
-        return {"peak_time": Variable(value, ("peak", "oscillator"), "1 / omega_n", name)}
+        times = {"peak_time": Variable(value, ("peak", "oscillator"), "1 / omega_n", name)}
+        return renamed(times, chain, self.component)
 
 
 # Trials to locate a greatest velocity: regula falsi gains a digit or two with each.
@@ -121,21 +133,21 @@ class AbstractSection(AbstractObserver):
             check_whole("oscillator", self.oscillator, 0, remedy="it is the index of a mass.")
 
     def init(
-        self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State
+        self, field: AbstractField, t0: ScalarLike, t1: ScalarLike, y0: State
     ) -> tuple[Array, ...]:
         del field, t0, t1
         n = y0[0].shape[0]
         if not isinstance(self.oscillator, Array):
             check_whole("oscillator", self.oscillator, 0, n - 1, f"the chain has {n} masses.")
         empty = jnp.full((self.capacity, n), jnp.nan)
-        return empty[:, 0], empty, empty, jnp.zeros((), int)
+        return empty[:, 0], *(empty for _ in y0), jnp.zeros((), int)
 
     def fits(self, t0: ScalarLike, t1: ScalarLike) -> Any:
         del t0
         return self.start <= t1
 
     def update(self, accumulator: tuple[Array, ...], step: Step) -> tuple[Array, ...]:
-        times, xs, vs, count = accumulator
+        times, *kept, count = accumulator
         first = self._slope(step, step.t0, step.y0)
         last = self._slope(step, step.t1, step.y1)
         peaks = (first > 0) & (last <= 0)
@@ -147,19 +159,22 @@ class AbstractSection(AbstractObserver):
         hit = peaks & (step.time(theta) >= self.start)
         here = hit & (jnp.arange(self.capacity) == count)
         # Once, not once for every row.
-        x, v = materialize(step.displacement(theta)), materialize(step.velocity(theta))
+        state = [materialize(part) for part in step.state(theta)]
         return (
             jnp.where(here, step.time(theta), times),
-            jnp.where(here[:, None], x[None, :], xs),
-            jnp.where(here[:, None], v[None, :], vs),
+            *(
+                jnp.where(here[:, None], part[None, :], old)
+                for part, old in zip(state, kept, strict=True)
+            ),
             count + hit,
         )
 
     def _slope(self, step: Step, t: Any, y: State) -> Array:
         """The rate of the quantity whose maximum is taken."""
+        field = step.field
         if self.of == "displacement":
-            return y[1][self.oscillator]
-        return step.field.belt_direction() * step.field(t, y)[1][self.oscillator]
+            return field.value_and_rate(t, y)[1][self.oscillator]
+        return field.belt_direction() * field.second_rate(t, y)[self.oscillator]
 
     def _fastest(self, step: Step, peaks: Array, first: Array, last: Array) -> Array:
         """By the Illinois rule: the value at an end that stays twice is halved."""
@@ -167,8 +182,7 @@ class AbstractSection(AbstractObserver):
         def nearer(_: Any, bracket: tuple[Array, ...]) -> tuple[Array, ...]:
             a, fa, b, fb, side = bracket
             theta = a + (b - a) * fa / jnp.where(peaks, fa - fb, 1.0)
-            state = step.displacement(theta), step.velocity(theta)
-            f = self._slope(step, step.time(theta), state)
+            f = self._slope(step, step.time(theta), step.state(theta))
             rises = f > 0
             fa = jnp.where(rises, f, jnp.where(side < 0, 0.5 * fa, fa))
             fb = jnp.where(rises, jnp.where(side > 0, 0.5 * fb, fb), f)
@@ -181,11 +195,10 @@ class AbstractSection(AbstractObserver):
         return jnp.where(peaks, a + (b - a) * fa / jnp.where(peaks, fa - fb, 1.0), 1.0)
 
     def read(self, accumulator: tuple[Array, ...]) -> tuple[Array, ...]:
-        return accumulator[:3]
+        return accumulator[:-1]
 
     def label(self, value: tuple[Array, ...], chain: Any) -> dict[str, Variable]:
-        del chain
-        return states_at_times("section", value, "point", "oscillator")
+        return states_at_times("section", value, chain, "point", "oscillator")
 
 
 @final
@@ -197,6 +210,7 @@ class Section(AbstractSection):
     belt's direction, v' = 0 and v'' < 0.
 
     **Value:** (times, x, v) of shapes (capacity,), (capacity, n), (capacity, n); NaN where none.
+    With other cells the maximum is that of their first number, and the value contains all m.
 
     !!! example
 

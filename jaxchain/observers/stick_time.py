@@ -15,7 +15,7 @@ from jaxtyping import Array, Float, Int
 from .._checks import check_positive_number, to_float
 from .._final import final
 from .._types import ScalarLike, State
-from ..model.oscillators import AbstractOscillators
+from ..model.cells import AbstractField
 from .base import AbstractObserver, Step, Variable, window_fits, zeros
 
 
@@ -50,7 +50,7 @@ class StickTime(AbstractObserver):
             check_positive_number("window", self.window, "some periods of about 2 pi.")
 
     def init(
-        self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State
+        self, field: AbstractField, t0: ScalarLike, t1: ScalarLike, y0: State
     ) -> tuple[Array, Array]:
         if field.stick_speed() is None:
             raise ValueError("`StickTime` needs masses that can stick to a belt, a `Chain`.")
@@ -85,7 +85,7 @@ class StickTime(AbstractObserver):
 
 def sticking(step: Step) -> tuple[Array, Array]:
     """The part of a step during which each mass sticks, as thetas from and to."""
-    field = step.field
+    field: Any = step.field
     limit: Any = field.stick_speed()
 
     def too_fast(theta: Any) -> Array:
@@ -133,7 +133,7 @@ class MostSticking(AbstractObserver):
         [0, 2]
     """
 
-    def init(self, field: AbstractOscillators, t0: ScalarLike, t1: ScalarLike, y0: State) -> Any:
+    def init(self, field: AbstractField, t0: ScalarLike, t1: ScalarLike, y0: State) -> Any:
         del t0, t1, y0
         if field.stick_speed() is None:
             raise ValueError("`MostSticking` needs masses on a belt, a `Chain`.")

@@ -167,7 +167,7 @@ def checked_chains(
 def _check(experiment: Experiment, chain: Chain, observe: list[AbstractObserver]) -> None:
     numerics, time = experiment.numerics, experiment.time
     axes = check_axes(chain, build_initial(experiment), experiment.grid())
-    check_observers(observe, chain, 0.0, time.transient + time.window, None, axes)
+    check_observers(observe, chain, (2, chain.n), 0.0, time.transient + time.window, None, axes)
     if numerics.model != "dry":
         build_solver(numerics.solver, chain, numerics.rtol, numerics.max_step)
         swept: dict[str, Any] = {name: axis[name] for name, axis in axes.items()}

@@ -13,7 +13,10 @@ from jaxtyping import Array, ArrayLike
 from .._checks import check_number, check_positive_number, is_traced, shown
 from .._final import final
 from .._limits import LEAST_ACCURACY, LEAST_ATOL, LEAST_RTOL, MOST_ACCURACY
+from .._types import State
 from ..model.arguments import as_chain
+from ..model.blocks import cell_solver, factor, shifted
+from ..model.cells import AbstractCells, AbstractField
 from ..model.chain import Chain
 from ..model.oscillators import AbstractOscillators
 from ..solvers.rosenbrock import AbstractStructuredRosenbrock, Rodas4, Rodas5P
@@ -95,36 +98,53 @@ def check_adjoint(adjoint: Any, max_steps: Any) -> None:
 
 
 def choose_solver(
-    field: AbstractOscillators, rtol: float, max_step: float = MAX_STEP
+    field: AbstractField, rtol: float, max_step: float = MAX_STEP, state: State | None = None
 ) -> AbstractStructuredRosenbrock:
     """Rodas4 down to rtol 1e-7 and Rodas5P below, with the linear solve that fits the coupling."""
-    return fit_linear_solve(Rodas4() if rtol >= 1e-7 else Rodas5P(), field, rtol, max_step)
+    solver = Rodas4() if rtol >= 1e-7 else Rodas5P()
+    return fit_linear_solve(solver, field, rtol, max_step, state)
 
 
 def fit_linear_solve(
     solver: AbstractStructuredRosenbrock,
-    field: AbstractOscillators,
+    field: AbstractField,
     rtol: float,
     max_step: float = MAX_STEP,
+    state: State | None = None,
 ) -> AbstractStructuredRosenbrock:
     """The solver with the fewest sweeps that do not slow down a run, or with the exact solve.
 
     Sweeps are safe, because their error bound is part of the error estimate of each step.  They
     are slow if this part limits the step; here it must stay below rtol for a step as long as the
-    tolerance allows for a vibration.  Traced springs are assumed to be weak.
+    tolerance allows for a vibration.  Traced springs are assumed to be weak.  For `AbstractCells`
+    the coupling is measured at `state`; if it is traced, the solve is exact.
     """
-    if field.springs is None:
-        return solver
-    if is_traced(field.springs.constant):
-        return solver.with_sweeps(MOST_SWEEPS)
     # A vibration of period 2 pi takes steps of about 0.1 at 1e-6.
     step = min(max_step, 0.1 * (rtol / 1e-6) ** (1 / (solver.method_order + 1)))
-    strongest = float(np.max(np.abs(field.springs.constant)))
-    rho = (solver.tableau.gamma * step) ** 2 * 2.0 * strongest
+    if isinstance(field, AbstractCells):
+        if state is None or is_traced(field, state):
+            return solver.with_sweeps(None)
+        rho = float(_contraction(field, state, solver.tableau.gamma * step))
+    elif not isinstance(field, AbstractOscillators) or field.springs is None:
+        return solver
+    elif is_traced(field.springs.constant):
+        return solver.with_sweeps(MOST_SWEEPS)
+    else:
+        strongest = float(np.max(np.abs(field.springs.constant)))
+        rho = (solver.tableau.gamma * step) ** 2 * 2.0 * strongest
     for sweeps in range(1, MOST_SWEEPS + 1):
         if solver.tableau.lag * rho ** (sweeps + 1) <= rtol * (1.0 - min(rho, 1.0)):
             return solver.with_sweeps(sweeps)
     return solver.with_sweeps(None)
+
+
+@eqx.filter_jit
+def _contraction(cells: AbstractCells, state: State, step: float) -> Array:
+    """By which a sweep contracts at a state, for a step of this length; 0 without neighbours."""
+    here = cells.linearised(0.0, state)
+    lu, _ = factor(shifted(here.own, 1.0 / step))
+    _, rho = cell_solver(lu, here.left, here.right, cells.ends, 1)
+    return jnp.zeros(()) if rho is None else rho
 
 
 USUAL_RTOL = 1e-6

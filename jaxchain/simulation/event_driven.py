@@ -30,8 +30,8 @@ from jaxtyping import Array, Bool, Float, Int
 from .._checks import check_whole, to_float
 from .._final import final
 from .._types import State
+from ..model.cells import AbstractField
 from ..model.chain import Chain
-from ..model.oscillators import AbstractOscillators
 from ..model.springs import materialize
 from ..observers.base import AbstractNotingObserver, AbstractObserver, Step
 from ..result import Result
@@ -244,7 +244,7 @@ class EventDrivenPlan(AbstractPlan):
     def method(self) -> str:
         return f"EventDriven(order={self.order})"
 
-    def begin(self, field: AbstractOscillators, initial: State, t0: Any, t1: Any) -> Progress:
+    def begin(self, field: AbstractField, initial: State, t0: Any, t1: Any) -> Progress:
         dry = _dry(field)
         state, modes = start(dry, initial)
         return Progress(
@@ -259,7 +259,7 @@ class EventDrivenPlan(AbstractPlan):
 
     def advance(
         self,
-        field: AbstractOscillators,
+        field: AbstractField,
         progress: Progress,
         t1: Any,
         *,
@@ -465,7 +465,7 @@ class EventDriven(eqx.Module):
         )
 
 
-def _dry(field: AbstractOscillators) -> Chain:
+def _dry(field: AbstractField) -> Chain:
     if not isinstance(field, Chain):
         raise ValueError(
             f"The event-driven solver needs a `Chain`, but has {type(field).__name__}. Use a "

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PyTree
 
 from .._types import State
-from ..model.oscillators import AbstractOscillators
+from ..model.cells import AbstractField
 from ..observers.base import AbstractObserver
 from ..result import Result
 
@@ -54,7 +54,7 @@ class Progress(eqx.Module):
 
 def first_result(state: State, t0: Any, t1: Any) -> Result:
     """The result of a run over [t0, t1] before its first step; not running for a bad span."""
-    finite = jnp.all(jnp.isfinite(state[0]) & jnp.isfinite(state[1]))
+    finite = jnp.all(jnp.isfinite(jnp.stack(state)))
     result = Result.where(finite, Result.successful, Result.nonfinite)
     forward = jnp.isfinite(t0) & jnp.isfinite(t1) & (t1 >= t0)  # false for NaN
     return Result.where(forward, result, Result.bad_span)
@@ -74,13 +74,13 @@ class AbstractPlan(eqx.Module):
         """The name of the integrator, for the records."""
 
     @abc.abstractmethod
-    def begin(self, field: AbstractOscillators, initial: State, t0: Any, t1: Any) -> Progress:
+    def begin(self, field: AbstractField, initial: State, t0: Any, t1: Any) -> Progress:
         """A run over [t0, t1] before its first step; ended already if nothing can be computed."""
 
     @abc.abstractmethod
     def advance(
         self,
-        field: AbstractOscillators,
+        field: AbstractField,
         progress: Progress,
         t1: Any,
         *,
@@ -89,7 +89,7 @@ class AbstractPlan(eqx.Module):
         times: Sequence[Array] = (),
         adjoint: Any = None,
         recorded: int | None = None,
-    ) -> tuple[Progress, list[tuple[Array, Array]]]:
+    ) -> tuple[Progress, list[tuple[Array, ...]]]:
         """Moves on to t1, or by `max_steps`, or by `allowed`, whichever comes first.
 
         Both count every step that is tried, accepted or rejected, and None is no limit; `allowed`,

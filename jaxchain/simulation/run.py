@@ -23,8 +23,8 @@ from .._derivatives import both_ways
 from .._final import final
 from .._types import ScalarLike, State
 from ..model.arguments import as_chain, as_state
+from ..model.cells import AbstractField
 from ..model.chain import Chain, require_smoothed
-from ..model.oscillators import AbstractOscillators
 from ..observers.base import AbstractObserver
 from ..observers.samples import Trajectory
 from ..result import NAMES, Printed, Result, code, ended_well, message
@@ -80,7 +80,7 @@ class Simulation(Printed, eqx.Module):
 
 
 def simulate(
-    chain: AbstractOscillators,
+    chain: AbstractField,
     initial: Any,
     t1: ScalarLike,
     *,
@@ -100,8 +100,9 @@ def simulate(
 
     **Arguments:**
 
-    - `chain`: a `Chain` (or any other `AbstractOscillators`).
-    - `initial`: the pair (x, v), both of shape (n,); see `excited_state`, `equation_8`.
+    - `chain`: a `Chain`, `AbstractOscillators` or `AbstractCells`.
+    - `initial`: the pair (x, v), both of shape (n,); see `excited_state`, `equation_8`.  Of other
+      cells a tuple of m arrays of shape (n,).
     - `t1`, `t0`: dimensionless times, t1 >= t0.
     - `observe`: an observer (`Amplitude`, `PeakTimes`, `Section`, `Trajectory`) or any nested
       tuple, list or dict of them.  Nothing else is computed or stored.
@@ -146,7 +147,7 @@ def simulate(
         >>> int(active(run.observed, 1.5).sum())
         1
     """
-    as_chain(chain, AbstractOscillators)
+    as_chain(chain, AbstractField)
     solver = custom_solver(chain, solver)
     check_adjoint(adjoint, max_steps)
     check_flag("throw", throw)
@@ -178,7 +179,9 @@ def simulate(
         chain, initial, t0, t1, tolerance, atol, max_step, max_steps, segments, smoothed
     )
     if solver is None:
-        solver = choose_solver(chain, _concrete(tolerance, 1e-6), _concrete(max_step, MAX_STEP))
+        solver = choose_solver(
+            chain, _concrete(tolerance, 1e-6), _concrete(max_step, MAX_STEP), initial
+        )
     leaves, treedef = jtu.tree_flatten(observe, is_leaf=_is_observer)
     for leaf in leaves:
         if not _is_observer(leaf):
@@ -239,7 +242,7 @@ def build_plan(
 @eqx.filter_jit
 def _run(
     plan: AbstractPlan,
-    chain: AbstractOscillators,
+    chain: AbstractField,
     initial: State,
     t0: Array,
     t1: Array,
@@ -312,7 +315,7 @@ _RECORDED = 2**15
 
 
 def _advance(
-    plan: AbstractPlan, chain: AbstractOscillators, progress: Progress, t1: Array, times: list,
+    plan: AbstractPlan, chain: AbstractField, progress: Progress, t1: Array, times: list,
     max_steps: int | None, adjoint: dfx.AbstractAdjoint | None, parts: int = 1,
 ) -> tuple[Progress, list]:  # fmt: skip
     """`plan.advance`, with derivatives of both kinds if `adjoint` is None."""
@@ -354,7 +357,7 @@ def check_segments(segments: Any) -> None:
 
 
 def _check_input(
-    chain: AbstractOscillators,
+    chain: AbstractField,
     initial: Any,
     t0: Any,
     t1: Any,

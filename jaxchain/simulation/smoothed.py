@@ -18,8 +18,9 @@ from optimistix import rms_norm
 
 from .._checks import to_float
 from .._types import State
+from ..model.cells import AbstractField
 from ..model.oscillators import AbstractOscillators
-from ..observers.base import AbstractObserver, Step
+from ..observers.base import AbstractObserver, step_of
 from ..result import Result
 from ..solvers.rosenbrock import AbstractStructuredRosenbrock, RosenbrockInterpolation
 from ..solvers.step_control import SwitchingController, WrappingController
@@ -90,6 +91,7 @@ class ObservingSolver(dfx.AbstractWrappedSolver, dfx.AbstractAdaptiveSolver):
         """The solver state at the start of a run over [t0, t1] with first step dt0."""
         structured = isinstance(self.solver, AbstractStructuredRosenbrock)
         watched = bool(self.observers) and not structured
+        watched = watched and isinstance(field, AbstractOscillators)
         return ObservingState(
             inner=jtu.tree_map(jnp.asarray, self.solver.init(terms, t0, t0 + dt0, y0, None)),
             accumulators=[o.init(field, t0, t1, y0) for o in self.observers],
@@ -104,16 +106,18 @@ class ObservingSolver(dfx.AbstractWrappedSolver, dfx.AbstractAdaptiveSolver):
         accumulators = solver_state.accumulators
         acceleration = solver_state.acceleration
         if self.observers:
-            field = terms.term.vector_field
+            field: Any = terms.term.vector_field
             interpolation = self.solver.interpolation_cls(t0=t0, t1=t1, **dense)
             if isinstance(interpolation, RosenbrockInterpolation):
-                displacement = lambda theta: interpolation.at(theta, 0)  # noqa: E731
-                velocity = lambda theta: interpolation.at(theta, 1)  # noqa: E731
-            else:
-                end = field(t1, y1, None)[1]
-                displacement, velocity = _quintic(t1 - t0, y0, y1, acceleration, end)
+                part = interpolation.at
+            elif isinstance(field, AbstractOscillators):
+                end = field(jnp.asarray(t1), y1, None)[1]
+                part = _quintic(t1 - t0, y0, y1, acceleration, end)
                 acceleration = end
-            step = Step(field, t0, t1, y0, y1, displacement, velocity)
+            else:
+                first, last = field(t0, y0, None), field(t1, y1, None)
+                part = _cubic(t1 - t0, y0, y1, first, last)
+            step = step_of(field, t0, t1, y0, y1, part)
             accumulators = [
                 o.update(a, step) for o, a in zip(self.observers, accumulators, strict=True)
             ]
@@ -134,9 +138,18 @@ class ObservingSolver(dfx.AbstractWrappedSolver, dfx.AbstractAdaptiveSolver):
         return y1, error, dense, state, result
 
 
-def _quintic(
-    h: Any, y0: State, y1: State, a0: Any, a1: Array
-) -> tuple[Callable[[Any], Array], Callable[[Any], Array]]:
+def _cubic(h: Any, y0: State, y1: State, f0: State, f1: State) -> Callable[[Any, int], Array]:
+    """Each part of the state from the cubic Hermite interpolant through both ends and rates."""
+
+    def part(theta: Any, k: int) -> Array:
+        rest = 1.0 - theta
+        slopes = rest * (h * f0[k]) - theta * (h * f1[k]) + (1.0 - 2.0 * theta) * (y0[k] - y1[k])
+        return rest * y0[k] + theta * y1[k] + theta * rest * slopes
+
+    return part
+
+
+def _quintic(h: Any, y0: State, y1: State, a0: Any, a1: Array) -> Callable[[Any, int], Array]:
     """Displacement and velocity from the quintic Hermite interpolant through x, v, a at both ends.
 
     diffrax interpolates at one time for all masses; turning points need one theta per mass.
@@ -156,7 +169,7 @@ def _quintic(
     def velocity(th: Any) -> Array:
         return (c1 + th * (2 * c2 + th * (3 * c3 + th * (4 * c4 + th * 5 * c5)))) / h
 
-    return displacement, velocity
+    return lambda theta, k: velocity(theta) if k else displacement(theta)
 
 
 class _Resumed(WrappingController):
@@ -294,7 +307,7 @@ class SmoothedPlan(AbstractPlan):
     def method(self) -> str:
         return repr(self.solver)
 
-    def controller(self, field: AbstractOscillators) -> SwitchingController:
+    def controller(self, field: AbstractField) -> SwitchingController:
         """The step-size control of a run; plain PID control where no force of `field` switches."""
         growth_time = field.growth_time()
         longest = self.max_step
@@ -309,7 +322,7 @@ class SmoothedPlan(AbstractPlan):
         )
         return SwitchingController(pid, field)
 
-    def begin(self, field: AbstractOscillators, initial: State, t0: Any, t1: Any) -> Progress:
+    def begin(self, field: AbstractField, initial: State, t0: Any, t1: Any) -> Progress:
         t0 = to_float(t0)
         terms: Any = dfx.ODETerm(field)  # pyright: ignore[reportArgumentType]
         solver = ObservingSolver(self.solver, self.observers)
@@ -333,7 +346,7 @@ class SmoothedPlan(AbstractPlan):
 
     def advance(
         self,
-        field: AbstractOscillators,
+        field: AbstractField,
         progress: Progress,
         t1: Any,
         *,
@@ -342,7 +355,7 @@ class SmoothedPlan(AbstractPlan):
         times: Sequence[Array] = (),
         adjoint: dfx.AbstractAdjoint | None = None,
         recorded: int | None = None,
-    ) -> tuple[Progress, list[tuple[Array, Array]]]:
+    ) -> tuple[Progress, list[tuple[Array, ...]]]:
         adjoint = dfx.ForwardMode() if adjoint is None else adjoint
         if recorded is None:
             solution = self._solve(field, progress, t1, allowed, max_steps, adjoint, times)
@@ -391,7 +404,7 @@ class SmoothedPlan(AbstractPlan):
 
     def _solve(
         self,
-        field: AbstractOscillators,
+        field: AbstractField,
         progress: Progress,
         t1: Any,
         allowed: Int[Array, ""] | None,
@@ -447,7 +460,7 @@ class SmoothedPlan(AbstractPlan):
 
 
 def _translate(outcome: Any, quiet: Any, state: State) -> Result:
-    finite = jnp.all(jnp.isfinite(state[0])) & jnp.all(jnp.isfinite(state[1]))
+    finite = jnp.all(jnp.isfinite(jnp.stack(state)))
     result = Result.solver_failed
     pairs = {
         "successful": Result.successful,

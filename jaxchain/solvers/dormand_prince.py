@@ -1,4 +1,4 @@
-"""Dormand and Prince's explicit method of order 8, one step of it.
+"""One step of Dormand and Prince's explicit method of order 8.
 
 It is for motions between events, which are not stiff.  A loop over its stages is traced and
 compiled in a tenth of the time of diffrax's more general one.

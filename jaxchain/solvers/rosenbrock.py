@@ -29,6 +29,8 @@ from jaxtyping import Array, Float
 from .._checks import check_positive_number, check_whole, numbers_of, shown
 from .._final import final, refuse_overrides
 from .._types import ScalarLike, State
+from ..model.blocks import cell_solver, factor, shifted
+from ..model.cells import AbstractCells
 from ..model.oscillators import AbstractOscillators
 from ..model.springs import materialize
 from ..model.tridiagonal import contraction, exact_solver, swept_solver
@@ -264,7 +266,7 @@ class RosenbrockInterpolation(dfx.AbstractLocalInterpolation):
     y0: Any
     y1: Any
     h: Any  # signed step
-    b: Any  # velocity parts of the stages
+    b: Any  # velocity parts of the stages; of cells all parts, a list for each stage
     tableau: RosenbrockTableau = eqx.field(static=True)
 
     def at(self, theta: ScalarLike | Array, part: int) -> Array:
@@ -272,7 +274,9 @@ class RosenbrockInterpolation(dfx.AbstractLocalInterpolation):
         tab = self.tableau
         poly: Any = 0.0
         for i in reversed(range(tab.H.shape[0])):
-            if part == 0:
+            if isinstance(self.b[0], list):
+                k = _combine(tab.H[i], [stage[part] for stage in self.b])
+            elif part == 0:
                 k = self.h * (tab.dense_v[i] * self.y0[1] + _combine(tab.dense_b[i], self.b))
             else:
                 k = _combine(tab.H[i], self.b)
@@ -286,18 +290,18 @@ class RosenbrockInterpolation(dfx.AbstractLocalInterpolation):
             return jtu.tree_map(jnp.subtract, self.evaluate(t1), self.evaluate(t0))
         length = self.t1 - self.t0
         theta = jnp.where(length == 0, 0.0, (t0 - self.t0) / jnp.where(length == 0, 1.0, length))
-        return self.at(theta, 0), self.at(theta, 1)
+        return tuple(self.at(theta, part) for part in range(len(self.y0)))
 
 
-def _vector_field(terms: dfx.AbstractTerm) -> AbstractOscillators:
+def _vector_field(terms: dfx.AbstractTerm) -> AbstractOscillators | AbstractCells:
     # diffeqsolve wraps the term to handle reversed time; the field sits below.
     inner = terms if isinstance(terms, dfx.ODETerm) else getattr(terms, "term", None)
     field = inner.vector_field if isinstance(inner, dfx.ODETerm) else None
-    if not isinstance(field, AbstractOscillators):
+    if not isinstance(field, AbstractOscillators | AbstractCells):
         raise ValueError(
             "A structured Rosenbrock solver needs `terms = ODETerm(chain)` with a `Chain` (or "
-            f"another `AbstractOscillators`) as its vector field, but has {field!r}. Use a stock "
-            "diffrax solver such as `Kvaerno5` for any other vector field."
+            "other `AbstractOscillators` or `AbstractCells`) as its vector field, but has "
+            f"{field!r}. Use a stock diffrax solver such as `Kvaerno5` for any other one."
         )
     return field
 
@@ -382,6 +386,8 @@ class AbstractStructuredRosenbrock(dfx.AbstractAdaptiveSolver):
         h = terms.contr(t0, t1)  # signed: negative when time runs backward
         # diffrax counts wrapped time upward; the field's own time is direction * t.
         t = jnp.where(h * (t1 - t0) < 0, -t0, t0)
+        if not isinstance(field, AbstractOscillators):
+            return self._step_of_cells(field, t, h, y0)
         x, v = y0
         n = x.shape[0]
         per_h = 1.0 / h
@@ -438,6 +444,50 @@ class AbstractStructuredRosenbrock(dfx.AbstractAdaptiveSolver):
         dense = {"y0": y0, "y1": y1, "h": h, "b": tuple(b)}
         return y1, error, dense, None, result
 
+    def _step_of_cells(
+        self, field: AbstractCells, t: Array, h: Array, y0: State
+    ) -> tuple[State, State, dict, None, dfx.RESULTS]:
+        """The same with all m numbers of every stage: one block tridiagonal solve each."""
+        tab, m = self.tableau, len(y0)
+        per_h = 1.0 / h
+        here = field.linearised(t, y0)
+        lu, pivot = factor(shifted(here.own, per_h / tab.gamma))
+        solve, rho = cell_solver(lu, here.left, here.right, field.ends, self.sweeps)
+        stages: list[list[Array]] = []
+        rate, place = here.rate, y0
+        for j in range(len(tab.c)):
+            if j > 0:
+                place = tuple(
+                    y0[k] + _combine(tab.a[j], [stage[k] for stage in stages]) for k in range(m)
+                )
+                rate = field(t + float(tab.c[j]) * h, place)
+            right = [
+                rate[k] + per_h * _combine(tab.C[j], [stage[k] for stage in stages])
+                for k in range(m)
+            ]
+            if tab.d[j] != 0.0:
+                right = [
+                    part if slope is None else part + (float(tab.d[j]) * h) * slope
+                    for part, slope in zip(right, here.time, strict=True)
+                ]
+            stages.append(solve(right))
+        y1 = tuple(place[k] + stages[-1][k] for k in range(m))
+        # A pivot that is not positive: something grows by more than e^(1/gamma) within the step.
+        trusted = pivot * h > 0
+        error = tuple(stages[-1])
+        if rho is not None:
+            truncation = self._truncation(rho)
+            trusted = trusted & (truncation <= MOST_TRUNCATION)
+            error = tuple(
+                jnp.abs(error[k]) + truncation * sum(jnp.abs(stage[k]) for stage in stages)
+                for k in range(m)
+            )
+        trusted = jnp.all(trusted)
+        error = jtu.tree_map(lambda e: jnp.where(trusted, e, jnp.inf), error)
+        untrusted: Any = dfx.RESULTS.nonlinear_divergence
+        result = dfx.RESULTS.where(trusted, dfx.RESULTS.successful, untrusted)
+        return y1, error, {"y0": y0, "y1": y1, "h": h, "b": tuple(stages)}, None, result
+
     def _linear_solver(
         self, field: AbstractOscillators, diagonal: Array, hg: Array
     ) -> tuple[Callable[[Array], tuple[Array, Array | None]], Array | None]:
@@ -459,8 +509,12 @@ class AbstractStructuredRosenbrock(dfx.AbstractAdaptiveSolver):
 
             return solve, None
         rho = contraction(diagonal, springs, hg)
-        truncation = self.tableau.lag * rho ** (self.sweeps + 1) / jnp.maximum(1.0 - rho, 1e-3)
-        return swept_solver(diagonal, springs, hg, self.sweeps), truncation
+        return swept_solver(diagonal, springs, hg, self.sweeps), self._truncation(rho)
+
+    def _truncation(self, rho: Array) -> Array:
+        """What Jacobi sweeps that contract by rho leave out of a step, relative to its stages."""
+        sweeps = self.sweeps or 0
+        return self.tableau.lag * rho ** (sweeps + 1) / jnp.maximum(1.0 - rho, 1e-3)
 
 
 @final

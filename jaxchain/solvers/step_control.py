@@ -21,8 +21,8 @@ from .._checks import (
 )
 from .._final import final
 from .._types import ScalarLike, State
+from ..model.cells import AbstractField
 from ..model.chain import MAKE_CHAIN
-from ..model.oscillators import AbstractOscillators
 
 # In units of the width, measured on the ring of twenty for widths 1e-2 to 1e-5 and tolerances 1e-4
 # to 1e-9.  The optimum is flat: 4 or 8 for 6 and 2 or 4 for 3 change the steps by less than 3 %.
@@ -74,8 +74,8 @@ class SwitchingController(WrappingController):
     **Arguments:**
 
     - `controller`: another adaptive controller, such as `diffrax.PIDController`.
-    - `field`: the `Chain` or other `AbstractOscillators`; its `switching` gives the velocities at
-      which forces switch.  If it is None, nothing changes.
+    - `field`: the `Chain`, `AbstractOscillators` or `AbstractCells`; its `switching` gives the
+      velocities at which forces switch.  If it is None, nothing changes.
     - `near`, `landing`, `crossing`: see above, `near` >= `landing` >= 0 and `crossing` > 0.
 
     It works with `diffeqsolve`, any solver and every adjoint except `BacksolveAdjoint`, under
@@ -103,7 +103,7 @@ class SwitchingController(WrappingController):
     """
 
     controller: dfx.AbstractAdaptiveStepSizeController
-    field: AbstractOscillators
+    field: AbstractField
     near: Float[Array, ""]
     landing: Float[Array, ""]
     crossing: Float[Array, ""]
@@ -120,8 +120,8 @@ class SwitchingController(WrappingController):
         kind = dfx.AbstractAdaptiveStepSizeController
         remedy = "such as `diffrax.PIDController(rtol=1e-6, atol=1e-7)`."
         check_kind("controller", controller, kind, "an adaptive step-size controller", remedy)
-        wanted = "the `Chain` (or another `AbstractOscillators`) that is integrated"
-        check_kind("field", field, AbstractOscillators, wanted, MAKE_CHAIN)
+        wanted = "the `Chain` (`AbstractOscillators`, `AbstractCells`) that is integrated"
+        check_kind("field", field, AbstractField, wanted, MAKE_CHAIN)
         check_number("landing", landing, f"{LANDING} is usual.")
         check_number("near", near, f"{NEAR} is usual.")
         check_nonnegative("landing", landing, f"{LANDING} is usual.")
@@ -140,10 +140,11 @@ class SwitchingController(WrappingController):
         )
 
     def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
-        if not isinstance(y0, tuple) or len(y0) != 2 or jnp.shape(y0[0]) != jnp.shape(y0[1]):
+        if not isinstance(y0, tuple) or len({jnp.shape(part) for part in y0}) != 1:
             raise ValueError(
                 "`SwitchingController` needs a state y0 that is the pair (displacement, "
-                f"velocity), both of shape (n,), but has {jtu.tree_structure(y0)}."
+                "velocity), both of shape (n,), or of other cells a tuple of such arrays, but has "
+                f"{jtu.tree_structure(y0)}."
             )
         return self.controller.init(terms, t0, t1, y0, dt0, args, func, error_order)
 
@@ -162,8 +163,9 @@ class SwitchingController(WrappingController):
         self, t0: Any, t1: Any, y0: State, y1: State, kept: bool | Bool[ArrayLike, ""]
     ) -> Float[Array, ""] | None:
         """The least of the bounds over all masses; infinite where none is about to switch."""
-        before = self.field.switching(self.direction * t0, y0[1])
-        after = self.field.switching(self.direction * t1, y1[1])
+        contact = self.field.contact
+        before = self.field.switching(self.direction * t0, y0[contact])
+        after = self.field.switching(self.direction * t1, y1[contact])
         if before is None or after is None:
             return None
         # In backward runs w is also a function of the increasing time, so no sign changes.

@@ -20,7 +20,8 @@ from jaxtyping import Array
 
 from .._checks import check_finite, check_function, check_kind, check_whole
 from .._limits import MOST_LANES
-from ..model.chain import Chain, require_smoothed
+from ..model.cells import AbstractField
+from ..model.chain import require_smoothed
 from .lanes import chain_names, initial_names
 
 # Dimension -> parameter -> its values along the dimension, of shape (size, ...).
@@ -30,10 +31,10 @@ Key: TypeAlias = tuple[int, ...]
 
 
 def check_axes(
-    chain: Chain,
+    chain: AbstractField,
     initial: Any,
     over: Mapping[str, Any],
-    vary: Callable[..., Chain] | None = None,
+    vary: Callable[..., Any] | None = None,
     most: int = MOST_LANES,
 ) -> Axes:
     """`over` as arrays, or `ValueError`; `jobs` gives the values of each lane."""

@@ -24,6 +24,7 @@ import contextlib
 import dataclasses
 import functools
 import inspect
+import math
 import os
 import re
 from collections import OrderedDict
@@ -39,14 +40,16 @@ import jax.numpy as jnp
 import jax.tree_util as jtu
 import numpy as np
 
-from .._checks import check_concrete, check_count, check_finite, shown, to_float
+from .._checks import check_concrete, check_count, check_finite, check_kind, shown, to_float
 from .._types import ScalarLike, State
 from ..model.arguments import as_chain
+from ..model.cells import AbstractCells, AbstractField
 from ..model.chain import Chain, require_smoothed
-from ..model.parameters import parameter
+from ..model.oscillators import AbstractOscillators
+from ..model.parameters import Parameter, parameter
 from ..model.provenance import circumstances, parameters_of, versions
 from ..observers.amplitude import Amplitude
-from ..observers.base import AbstractObserver, Step, Variable
+from ..observers.base import AbstractObserver, Variable, step_of
 from ..observers.samples import Trajectory
 from ..result import NAMES, ended_well
 from ..simulation.accuracy import (
@@ -107,7 +110,7 @@ class RunSettings:
     chain: Any  # a `Chain`, which `prepare` checks
     initial: State | Callable[..., State]
     t1: ScalarLike
-    vary: Callable[..., Chain] | None = None
+    vary: Callable[..., Any] | None = None
     observe: Any = None
     t0: ScalarLike = 0.0
     solver: dfx.AbstractSolver | EventDriven | None = None
@@ -117,6 +120,7 @@ class RunSettings:
     max_step: ScalarLike = MAX_STEP
     max_steps: int | None = None
     segments: int | None = None
+    n: int | None = None  # of masses or cells; `prepare` reads it off chain and `initial`
 
 
 @dataclass
@@ -126,11 +130,17 @@ class Ensemble:
     settings: RunSettings
     axes: Axes
 
+    @property
+    def n(self) -> int:
+        """How many masses, or cells."""
+        return self.settings.n or 1
+
     @functools.cached_property
     def starts(self) -> RunStarts:
         """The functions that make the start of each job."""
         settings = self.settings
-        return RunStarts(settings.chain, known_again(settings.initial), known_again(settings.vary))
+        functions = known_again(settings.initial), known_again(settings.vary)
+        return RunStarts(settings.chain, *functions, self.n)
 
     @functools.cached_property
     def task(self) -> SweepTask:
@@ -147,7 +157,7 @@ class Ensemble:
         steps = None if settings.max_steps is None else jnp.asarray(settings.max_steps)
         varied = self.starts.varied(self.first_job().first)
         t0, t1 = to_float(settings.t0), to_float(settings.t1)
-        return SweepTask(plan, settings.chain, t0, t1, steps, varied, settings.segments)
+        return SweepTask(plan, settings.chain, t0, t1, steps, varied, settings.segments, self.n)
 
     @functools.cached_property
     def place(self) -> Any:
@@ -197,7 +207,7 @@ class Ensemble:
         """The provenance: everything needed to repeat the computation."""
         settings, swept = self.settings, list(columns_of(self.axes))
         t0, t1 = float(self.task.t0), float(self.task.t1)
-        attrs = describe(settings.chain, self.task.plan, t0=t0, t1=t1, swept=swept)
+        attrs = describe(settings.chain, self.n, self.task.plan, t0=t0, t1=t1, swept=swept)
         if settings.vary is not None:
             attrs["vary"] = shown(settings.vary)
         return attrs if settings.accuracy is None else attrs | {"accuracy": settings.accuracy}
@@ -207,7 +217,7 @@ class Ensemble:
         task, edges = self.task, None
         if task.segments is not None:
             edges = np.asarray(task.edge(np.arange(task.segments + 1)))
-        labelled = to_dataset(block.records, block.axes, self.settings.chain, attrs, edges)
+        labelled = to_dataset(block.records, block.axes, self.settings.chain, self.n, attrs, edges)
         if self.settings.accuracy is not None:
             about = parameter("width").attrs
             about["long_name"] += " that `accuracy` picked"
@@ -221,16 +231,15 @@ def prepare(settings: RunSettings, over: Mapping[str, Any], most: int) -> Ensemb
 
     **Raises:** `ValueError` for bad input.
     """
-    remedy = "for other oscillators use `jax.vmap` of `simulate`, with `throw=False`."
-    chain = as_chain(settings.chain, remedy=remedy)
+    chain: Any = as_chain(settings.chain, AbstractField)
     initial, vary, t0, t1 = settings.initial, settings.vary, settings.t0, settings.t1
     check_concrete("use `jax.vmap` of `simulate`.", chain=chain, t1=t1, t0=t0)
     check_concrete("use `jax.vmap` of `simulate`.", over=over)
     check_span(t0, t1)
     solver = custom_solver(chain, settings.solver)
     axes = check_axes(chain, initial, over, vary, most)
-    columns = columns_of(axes)
-    _check_initial(chain, initial, columns)
+    columns, known = columns_of(axes), isinstance(chain, Chain)
+    m, n = _check_initial(chain, initial, columns)
     _check_vary(chain, vary, axes)
     smoothed = not isinstance(solver, EventDriven)
     rtol, atol, max_step, accuracy = (
@@ -241,6 +250,7 @@ def prepare(settings: RunSettings, over: Mapping[str, Any], most: int) -> Ensemb
     )
     if accuracy is not None:
         require_smoothed(chain, NO_ACCURACY)
+        check_kind("chain", chain, Chain, "a `Chain`, whose friction has a width, for `accuracy`")
         if rtol is not None or "width" in columns:
             raise ValueError(
                 "Argument `accuracy` picks the width and `rtol`: leave out `rtol`, and `width` of "
@@ -249,26 +259,30 @@ def prepare(settings: RunSettings, over: Mapping[str, Any], most: int) -> Ensemb
         grid = Grid(axes, chunks_of(axes, 100_000))
         blocks = map(grid.block, grid.all_keys())
         rtol = min(_numerics(chain, vary, block.jobs, accuracy)[1] for block in blocks)
-    width: Any = columns.get("width", chain.width)
-    speed: Any = columns.get("belt_speed", chain.belt_speed)
+    width: Any = columns.get("width", chain.width) if known else None
+    speed: Any = columns.get("belt_speed", chain.belt_speed) if known else None
     if rtol is None:
-        rtol = default_rtol(chain.n, width, speed) if smoothed else USUAL_RTOL
+        rtol = default_rtol(n, width, speed) if smoothed and known else USUAL_RTOL
     check_tolerances(rtol, atol, max_step)
-    if smoothed and accuracy is None:
-        check_resolved(chain.n, width, speed, rtol, atol)
+    if smoothed and known and accuracy is None:
+        check_resolved(n, width, speed, rtol, atol)
     check_segments(settings.segments)
     observers = check_observers(
-        settings.observe, chain, float(t0), float(t1), settings.segments, axes
+        settings.observe, chain, (m, n), float(t0), float(t1), settings.segments, axes
     )
     check_count("max_steps", settings.max_steps)
     if solver is None:
-        strongest = chain
+        strongest, state = chain, None
         if "coupling" in columns:  # decides the linear solve
             strongest = chain.with_(coupling=float(np.max(columns["coupling"])))
-        solver = choose_solver(strongest, float(rtol), float(max_step))
+        if isinstance(chain, AbstractCells):
+            first = {name: jnp.asarray(values[0]) for name, values in columns.items()}
+            state = RunStarts(strongest, initial, vary, n).of(first).state
+        solver = choose_solver(strongest, float(rtol), float(max_step), state)
     complete = dataclasses.replace(
         settings, chain=chain, observe=observers, solver=solver, rtol=rtol,
         atol=0.1 * rtol if atol is None else atol, accuracy=accuracy if smoothed else None,
+        n=n,
     )  # fmt: skip
     return Ensemble(complete, axes)
 
@@ -296,11 +310,13 @@ def _numerics(
 
 
 def _check_initial(
-    chain: Chain, initial: State | Callable[..., State], columns: Mapping[str, np.ndarray]
-) -> None:
+    chain: AbstractField, initial: State | Callable[..., State], columns: Mapping[str, np.ndarray]
+) -> tuple[int, int]:
     """Raises the errors of `initial` for its own values, and for a state of a wrong shape.
 
     In a compiled program all values are traced, and 30 excited masses of 20 would count as 20.
+
+    **Returns:** the number of variables of a cell, and the number of cells.
     """
     states: list[Any] = [initial]
     if callable(initial):
@@ -312,40 +328,53 @@ def _check_initial(
             kept = different if different.size <= 64 else different[[0, -1]]
             rows += [first | {name: jnp.asarray(value)} for value in kept]
         states = [eqx.filter_eval_shape(functools.partial(initial, chain, **row)) for row in rows]
+    cells = isinstance(chain, AbstractCells)
+    m = len(states[0]) if cells and isinstance(states[0], tuple | list) else 2
+    n = chain.n if isinstance(chain, Chain) else 1
     for state in states:
-        if not isinstance(state, tuple | list) or len(state) != 2:
+        if not isinstance(state, tuple | list) or len(state) != m:
+            wanted = f"a tuple of {m} arrays" if cells else "the pair (displacement, velocity)"
             raise ValueError(
-                "Argument `initial` must be the pair (displacement, velocity) or return it, but "
+                f"Argument `initial` must be {wanted} or return it, but "
                 f"that is {shown(state)}: see `excited_state`."
             )
-        for name, part in zip(("displacement", "velocity"), state, strict=True):
+        if not isinstance(chain, Chain):
+            n = max(n, *(math.prod(jnp.shape(part)) for part in state))
+        for i, part in enumerate(state):
+            name = str(i) if cells else ("displacement", "velocity")[i]
             if not isinstance(part, jax.ShapeDtypeStruct):
                 to_float(part, f"initial {name}", "see `excited_state` for initial states.")
-            if jnp.shape(part) not in ((), (chain.n,)):
+            if jnp.shape(part) not in ((), (n,)):
                 raise ValueError(
                     f"Argument `initial` has a {name} of shape {jnp.shape(part)}, but the chain "
-                    f"has {chain.n} masses."
+                    f"has {n} masses."
                 )
             if not callable(initial):
                 check_finite(f"initial {name}", part, "see `excited_state` for initial states.")
+    if cells:
+        chain.dependence((jnp.zeros(n),) * m)  # raises unless there is a rate for each number
+    return m, n
 
 
-def _check_vary(chain: Chain, vary: Callable[..., Chain] | None, axes: Axes) -> None:
+def _check_vary(chain: AbstractField, vary: Callable[..., Any] | None, axes: Axes) -> None:
     """Raises the errors of `vary` at the extremes of its parameters, or if it returns no chain."""
     if vary is None:
         return
     for row in extremes(axes, initial_names(vary)) or [{}]:
         varied: Any = vary(chain, **row)
-        if not isinstance(varied, Chain) or varied.n != chain.n:
+        masses = getattr(chain, "n", None)
+        if type(varied) is not type(chain) or getattr(varied, "n", None) != masses:
+            of = f" of {masses} masses" if isinstance(chain, Chain) else ""
             raise ValueError(
-                f"Argument `vary` must return a `Chain` of {chain.n} masses, but returns "
+                f"Argument `vary` must return a `{type(chain).__name__}`{of}, but returns "
                 f"{shown(varied)}."
             )
 
 
 def check_observers(
-    observe: Any, chain: Chain, t0: float, t1: float, segments: int | None, axes: Axes
-) -> list[AbstractObserver]:
+    observe: Any, chain: Any, size: tuple[int, int], t0: float, t1: float,
+    segments: int | None, axes: Axes,
+) -> list[AbstractObserver]:  # fmt: skip
     """The observers of runs over [t0, t1], whose variables must have different names."""
     length = (t1 - t0) / (segments or 1)
     if observe is None:
@@ -353,7 +382,7 @@ def check_observers(
     observers = list(observe) if isinstance(observe, list | tuple) else [observe]
     check_fit([o for o in observers if isinstance(o, AbstractObserver)], t0, t1, segments)
     givers: dict[str, str] = dict.fromkeys(RESULTS, "every sweep")
-    lengths = {"oscillator": chain.n}
+    lengths = {"oscillator": size[1]}
     for observer in observers:
         if isinstance(observer, Trajectory):
             raise ValueError(
@@ -366,7 +395,7 @@ def check_observers(
                 f"{shown(observer)}: see `jaxchain.observers`."
             )
         kind = f"`{type(observer).__name__}`"
-        for name, variable in _labels(observer, chain).items():
+        for name, variable in _labels(observer, chain, size).items():
             if name in givers:
                 raise ValueError(
                     f"Argument `observe` holds {kind}, which names a variable {name!r} as "
@@ -395,11 +424,11 @@ def check_observers(
     return observers
 
 
-def _labels(observer: AbstractObserver, chain: Chain) -> dict[str, Variable]:
+def _labels(observer: AbstractObserver, chain: Any, size: tuple[int, int]) -> dict[str, Variable]:
     """The variables of an observer, with the shapes of their values."""
 
     def labelled() -> OrderedDict[str, Variable]:
-        still = jnp.zeros(chain.n), jnp.zeros(chain.n)
+        still = tuple(jnp.zeros(size))
         value = observer.read(observer.init(chain, 0.0, 1.0, still))
         return OrderedDict(observer.label(value, chain))
 
@@ -407,11 +436,11 @@ def _labels(observer: AbstractObserver, chain: Chain) -> dict[str, Variable]:
 
 
 def describe(
-    chain: Chain, plan: AbstractPlan, *, t0: float, t1: float, swept: Sequence[str]
+    chain: Any, n: int, plan: AbstractPlan, *, t0: float, t1: float, swept: Sequence[str]
 ) -> dict[str, Any]:
     """Provenance: everything needed to repeat the computation, as NetCDF-safe attributes."""
     return {
-        "parameters": parameters_of(chain, chain.n, swept),
+        "parameters": parameters_of(chain, n, swept),
         "solver": plan.method,
         "rtol": float(plan.rtol),
         "atol": float(plan.atol),
@@ -426,7 +455,8 @@ def describe(
 def to_dataset(
     records: Mapping[str, Any],
     axes: Axes,
-    chain: Chain,
+    chain: Any,
+    n: int,
     attrs: Mapping[str, Any],
     edges: np.ndarray | None = None,
 ) -> Dataset:
@@ -452,11 +482,11 @@ def to_dataset(
     for name in ("steps", "rejected"):
         variables[name] = dims, np.where(finished, records[name], np.nan), None, _COUNT
     coords: dict[str, Any] = {
-        name: (_dims_of(dim, name, values, chain.n), values)
+        name: (_dims_of(dim, name, values, n), values)
         for dim, columns in axes.items()
         for name, values in columns.items()
     }
-    coords["oscillator"] = np.arange(1, chain.n + 1)
+    coords["oscillator"] = np.arange(1, n + 1)
     if edges is not None:
         coords["segment"] = np.arange(1, len(edges))
         coords["segment_end"] = ("segment", edges[1:])
@@ -465,9 +495,11 @@ def to_dataset(
         if name in LONG_NAMES:
             dataset[name].attrs["long_name"] = LONG_NAMES[name]
         timed = name in ("end_time", "segment_end")
-        dataset[name].attrs["units"] = "1 / omega_n" if timed else "1"
+        known = isinstance(chain, AbstractOscillators)
+        dataset[name].attrs["units"] = "1 / omega_n" if timed and known else "1"
     for name in set(columns_of(axes)) & set(chain_names(chain)):
-        dataset[name].attrs |= parameter(name).attrs
+        row = parameter(name) if isinstance(chain, Chain) else Parameter(name, name)
+        dataset[name].attrs |= row.attrs
     dataset["result"].attrs |= {
         "flag_values": np.arange(len(NAMES), dtype=code.dtype),
         "flag_meanings": " ".join(NAMES),
@@ -499,21 +531,26 @@ def fingerprint_of(ensemble: Ensemble, lanes: int) -> dict[str, Any]:
     task, starts, axes = ensemble.task, ensemble.starts, ensemble.axes
     chain, plan = starts.chain, task.plan
     swept = columns_of(axes)
-    numbers = {**chain.numbers(), "n": chain.n, "ends": chain.ends}
+    at_rest = ensemble.place.next_start.state
+    numbers = {**chain.numbers(), "n": ensemble.n, "ends": chain.ends}
+    forces: Any = chain
+    force, at, kind = _rate, ensemble.place.next_start.state, type(chain)
+    if isinstance(chain, Chain):
+        forces, force, at, kind = chain.friction, _force, jnp.zeros(()), type(chain.friction)
     # For example of a table: arrays are data of a program, not part of its text.
-    data = [a for a in _arrays(chain.friction) if all(a is not b for b in numbers.values())]
+    data = [a for a in _arrays(forces) if all(a is not b for b in numbers.values())]
     solver = eqx.tree_at(lambda p: p.observers, plan, None, is_leaf=lambda a: a is None)
     return {
         "chain": {k: _value(v) for k, v in numbers.items() if k not in swept and v is not None},
         "friction": {
-            "law": type(chain.friction).__name__,
-            "curve": digest(_program(_force, chain.friction, jnp.zeros(())), *data),
+            "law": kind.__name__,
+            "curve": digest(_program(force, forces, at), *data),
         },
         "solver": _fields(solver)
         | {"code": digest(_source(getattr(plan, "solver", None)), *_arrays(solver))},
         "observers": {
             str(i): _fields(o)
-            | {"code": digest(_program(_seen, o, chain, task.t0, task.t1), *_arrays(o))}
+            | {"code": digest(_program(_seen, o, chain, task.t0, task.t1, at_rest), *_arrays(o))}
             for i, o in enumerate(plan.observers, start=1)
         },
         "t0": float(task.t0),
@@ -597,12 +634,15 @@ def _force(friction: Any, speed: Any) -> Any:
     return friction.force_and_slope(speed), friction.law.mu_static
 
 
-def _seen(observer: Any, chain: Any, t0: Any, t1: Any) -> Any:
+def _rate(field: Any, state: State) -> Any:
+    return field(jnp.zeros(()), state)
+
+
+def _seen(observer: Any, chain: Any, t0: Any, t1: Any, start: State) -> Any:
     """The result of an observer for one step."""
-    start = jnp.ones(chain.n), jnp.ones(chain.n)
-    x, v = (lambda theta, part=part: part + 0.0 * theta for part in start)
     kept = observer.init(chain, t0, t1, start)
-    kept = observer.update(kept, Step(chain, t0, t1, start, start, x, v))
+    step = step_of(chain, t0, t1, start, start, lambda theta, k: start[k] + 0.0 * theta)
+    kept = observer.update(kept, step)
     labels = observer.label(observer.read(kept), chain)
     return observer.settled(kept), observer.rests(kept), dict(labels)
 

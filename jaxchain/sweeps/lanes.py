@@ -21,6 +21,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Int
 
 from .._types import State
+from ..model.cells import AbstractField
 from ..model.chain import Chain
 from ..model.parameters import CHAIN
 from ..observers.base import Variable
@@ -34,8 +35,10 @@ ROUND = 64
 NO_JOB, AS_IT_IS = -1, -2
 
 
-def chain_names(chain: Chain) -> list[str]:
+def chain_names(chain: AbstractField) -> list[str]:
     """Numbers that may differ between lanes: all except `coupling` of an uncoupled chain."""
+    if not isinstance(chain, Chain):
+        return list(chain.numbers())
     names = [name for name in CHAIN if name != "coupling" or chain.coupling is not None]
     return [*names, *chain.friction.numbers()]
 
@@ -45,21 +48,19 @@ def initial_names(initial: Callable) -> list[str]:
     return list(inspect.signature(initial).parameters)[1:]
 
 
-def with_numbers(chain: Chain, values: Mapping[str, Any]) -> Chain:
+def with_numbers(chain: Any, values: Mapping[str, Any]) -> Any:
     """The chain with those of the `values` that are its numbers."""
     numbers = {k: v for k, v in values.items() if k in chain_names(chain)}
     return chain.with_(**numbers) if numbers else chain
 
 
-def chain_of_run(
-    chain: Chain, vary: Callable[..., Chain] | None, values: Mapping[str, Any]
-) -> Chain:
+def chain_of_run(chain: Any, vary: Callable[..., Any] | None, values: Mapping[str, Any]) -> Any:
     """The chain with the numbers of one job, and then changed by `vary`."""
     chain = with_numbers(chain, values)
     return chain if vary is None else _call(vary, chain, values)
 
 
-def _call(function: Callable, chain: Chain, values: Mapping[str, Any]) -> Any:
+def _call(function: Callable, chain: Any, values: Mapping[str, Any]) -> Any:
     names = initial_names(function)
     return function(chain, **{k: v for k, v in values.items() if k in names})
 
@@ -91,7 +92,7 @@ class Varied(NamedTuple):
     sources: tuple[int | Constant | None, ...]
 
     @staticmethod
-    def compare(given: Chain, made: Chain) -> tuple[Varied, list[Array]]:
+    def compare(given: AbstractField, made: AbstractField) -> tuple[Varied, list[Array]]:
         """The unchanged leaves, and the new arrays."""
         places = {id(leaf): place for place, leaf in enumerate(jtu.tree_leaves(given))}
         leaves, structure = jtu.tree_flatten(made)
@@ -105,7 +106,7 @@ class Varied(NamedTuple):
             sources.append(place)
         return Varied(structure, tuple(sources)), new
 
-    def make(self, given: Chain, new: Sequence[Array]) -> Chain:
+    def make(self, given: AbstractField, new: Sequence[Array]) -> Any:
         """The chain of a lane: the given one with the arrays from `vary`."""
         before, fresh = jtu.tree_leaves(given), iter(new)
 
@@ -134,9 +135,10 @@ class RunStart(eqx.Module):
 class RunStarts(eqx.Module):
     """The chain of a sweep, and the functions that make the start of each job."""
 
-    chain: Chain
+    chain: AbstractField
     initial: State | Callable[..., State]
-    vary: Callable[..., Chain] | None = None
+    vary: Callable[..., Any] | None = None
+    n: int = eqx.field(static=True, default=1)
 
     def of(self, values: Mapping[str, Any]) -> RunStart:
         """The start of the job with these values."""
@@ -147,8 +149,8 @@ class RunStarts(eqx.Module):
             chain = _call(self.vary, given, values)
             _, new = Varied.compare(given, chain)
         state = _call(self.initial, chain, values) if callable(self.initial) else self.initial
-        x, v = (jnp.broadcast_to(jnp.asarray(p, float), (self.chain.n,)) for p in state)
-        return RunStart(RunNumbers(numbers, new), (x, v))
+        parts = (jnp.broadcast_to(jnp.asarray(part, float), (self.n,)) for part in state)
+        return RunStart(RunNumbers(numbers, new), tuple(parts))
 
     def varied(self, values: Mapping[str, Array]) -> Varied | None:
         """The leaves that `vary` does not change, found by tracing a job with these values."""
@@ -173,23 +175,24 @@ class SweepTask(eqx.Module):
     """The data common to every lane of a sweep."""
 
     plan: AbstractPlan
-    chain: Chain
+    chain: AbstractField
     t0: Array
     t1: Array
     max_steps: Array | None = None  # of a lane, accepted or rejected
     varied: Varied | None = eqx.field(static=True, default=None)
     segments: int | None = eqx.field(static=True, default=None)
+    n: int = eqx.field(static=True, default=1)
 
     def edge(self, segment: Any) -> Array:
         """The time at which a segment begins."""
         return self.t0 + (self.t1 - self.t0) * segment / self.segments
 
-    def chain_of_run(self, numbers: RunNumbers) -> Chain:
+    def chain_of_run(self, numbers: RunNumbers) -> AbstractField:
         """The chain of a lane, with its own numbers."""
         chain = with_numbers(self.chain, numbers.numbers)
         return chain if self.varied is None else self.varied.make(chain, numbers.new)
 
-    def observed(self, chain: Chain, progress: Progress) -> OrderedDict[str, Variable]:
+    def observed(self, chain: AbstractField, progress: Progress) -> OrderedDict[str, Variable]:
         """The values of all observers so far, by the names of the variables."""
         labels = OrderedDict()  # JAX sorts a dict
         for observer, value in zip(self.plan.observers, self.plan.read(progress), strict=True):
@@ -252,7 +255,7 @@ def advance_lane(
 
 
 def _next_segment(
-    task: SweepTask, chain: Chain, progress: Progress, now: Segments, over: Bool[Array, ""]
+    task: SweepTask, chain: AbstractField, progress: Progress, now: Segments, over: Bool[Array, ""]
 ) -> tuple[Progress, Segments]:
     """The lane; if the present segment is `over`, with its record and restarted observers."""
 

@@ -161,7 +161,7 @@ class Scheduler:
         self.idle_cores = max(0, cores() - len(self.devices)) if on_cpu else 0
         self.idle_cores *= total > len(self.devices)
         self.fixed = lanes is not None
-        self.lanes = lane_count(task.chain.n, total, self.devices, lanes)
+        self.lanes = lane_count(task.n, total, self.devices, lanes)
         blank = ensemble.place
         self._check_memory(blank, largest)
         self.pools = [Pool(device, task, starts, self.lanes, blank) for device in self.devices]
@@ -259,10 +259,11 @@ class Scheduler:
             index = np.minimum(np.arange(begin, begin + width), total - 1)
             pool = self.pools[begin // width % len(self.pools)]
             start = pool.starts_of({name: values[index] for name, values in jobs.items()})
-            x, v = map(np.asarray, start.state)
+            x, *others = map(np.asarray, start.state)
             with np.errstate(invalid="ignore"):  # a start that is not finite fails in its own lane
                 rest = np.median(x, axis=1, keepdims=True)
-                far.append(np.sum((x - rest) ** 2 + v**2, axis=1))
+                parts = [x - rest, *others]
+                far.append(np.sum(sum(part**2 for part in parts), axis=1))
         order = np.argsort(-np.concatenate(far)[:total], kind="stable")
         count = len(self.pools)
         dealt = [order[: width * count][i::count] for i in range(count)]

@@ -27,7 +27,6 @@ from tqdm import tqdm
 from .._checks import check_count, check_flag, check_kind, shown
 from .._limits import MOST_LANES, MOST_STORED
 from .._types import ScalarLike, State
-from ..model.chain import Chain
 from ..result import ended_as, ended_well, message
 from ..simulation.accuracy import MAX_STEP
 from ..simulation.event_driven import EventDriven, EventDrivenPlan
@@ -63,7 +62,7 @@ def sweep(
     t1: ScalarLike,
     *,
     over: Mapping[str, Any],
-    vary: Callable[..., Chain] | None = None,
+    vary: Callable[..., Any] | None = None,
     observe: Any = None,
     t0: ScalarLike = 0.0,
     solver: dfx.AbstractSolver | EventDriven | None = None,
@@ -85,9 +84,9 @@ def sweep(
 
     **Arguments:**
 
-    - `chain`: a `Chain`.
-    - `initial`: the pair (x, v), or a function (chain, **own) -> (x, v) that JAX can trace; its
-      other parameters come from `over`.
+    - `chain`: a `Chain`, or other `AbstractOscillators` or `AbstractCells`.
+    - `initial`: the pair (x, v) (of cells a tuple of m arrays), or a function (chain, **own) ->
+      (x, v) that JAX can trace; its other parameters come from `over`.
     - `t1`, `t0`: dimensionless times.
     - `over`: an ordered mapping from names to one-dimensional arrays.  A name is a number of the
       chain or of its friction law (`belt_speed`, `damping_ratio`, `coupling`, `width`,
@@ -196,7 +195,7 @@ def _open(
     """
     axes, layout = ensemble.axes, read_layout(path)
     if layout is None:
-        most = lane_count(ensemble.task.chain.n, ensemble.total, jax.local_devices()[:1], lanes)
+        most = lane_count(ensemble.task.n, ensemble.total, jax.local_devices()[:1], lanes)
         grid = Grid(axes, chunks_of(axes, _unit_size(ensemble, most)) | (chunks or {}))
         used = min(most, grid.block_size) if lanes is None else lanes
     else:
@@ -223,7 +222,7 @@ def _unit_size(ensemble: Ensemble, lanes: int) -> int:
     task, total = ensemble.task, ensemble.total
     # Seconds per mass and time unit of a lane, and at least; rough values for any friction.
     per_time = 3e-7 if isinstance(task.plan, EventDrivenPlan) else 2e-6
-    seconds = 1e-5 + per_time * task.chain.n * float(task.t1 - task.t0)
+    seconds = 1e-5 + per_time * task.n * float(task.t1 - task.t0)
     numbers = sum(math.prod(shape.shape) for shape in jtu.tree_leaves(ensemble.place.record))
     wanted = max(4 * lanes, int(5.0 / seconds), -(-total // 20_000))
     return max(1, min(wanted, (1 << 24) // numbers, -(-total // 8)))

@@ -182,7 +182,7 @@ def synthetic(*multipliers, monodromy=None):
     n = (mu.size + 1) // 2
     monodromy = jnp.eye(2 * n) if monodromy is None else jnp.asarray(monodromy)
     return CycleLinearisation(
-        x=jnp.zeros(n), v=jnp.zeros(n), period=zero, speed=zero, times_round=jnp.asarray(1),
+        state=(jnp.zeros(n), jnp.zeros(n)), period=zero, speed=zero, times_round=jnp.asarray(1),
         amplitude=jnp.zeros(n), monodromy=monodromy, multipliers=mu, trivial_defect=zero,
         sound=jnp.asarray(True),
     )  # fmt: skip

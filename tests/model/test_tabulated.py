@@ -82,7 +82,7 @@ def test_a_chain_keeps_its_table_through_changes_and_gives_it_to_every_mass():
 
 def test_a_dataset_says_from_which_table_it_comes():
     plan = build_plan(EventDriven(), [], 1e-6, 1e-7, 0.5, 1.0)
-    attrs = describe(chain(), plan, t0=0.0, t1=1.0, swept=["belt_speed"])
+    attrs = describe(chain(), 1, plan, t0=0.0, t1=1.0, swept=["belt_speed"])
     assert str(SPEED) in attrs["parameters"]
     assert str(MU) in attrs["parameters"]
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from jaxchain import Amplitude, equation_8, paper_chain, simulate
-from jaxchain.observers import Step
+from jaxchain.observers.base import step_of
 
 CHAIN = paper_chain(1, 1.5)
 
@@ -20,8 +20,14 @@ def cosine(edges, window):
         return jnp.cos(jnp.array([t])), -jnp.sin(jnp.array([t]))
 
     def step(a, b):
-        within = (lambda theta, i=i: state(a + theta * (b - a))[i].reshape(1) for i in (0, 1))
-        return Step(CHAIN, a, b, state(a), state(b), *within)
+        return step_of(
+            CHAIN,
+            a,
+            b,
+            state(a),
+            state(b),
+            lambda theta, i: state(a + theta * (b - a))[i].reshape(1),
+        )
 
     seen = observer.init(CHAIN, edges[0], t1, state(edges[0]))
     for a, b in itertools.pairwise(edges):

@@ -55,7 +55,7 @@ def test_chunks_are_whole_numbers_along_dimensions():
     assert check_chunks({"speed": np.int64(2)}, AXES) == {"speed": 2}
     for chunks, message in (
         ([2, 3], "Argument `chunks` must be a dict"),
-        ({"mu": 2}, "names 'mu', which is no dimension of the sweep: give the number"),
+        ({"mu": 2}, "names 'mu', which is not a dimension of the sweep: give the number"),
         ({"speed": 0}, r"`chunks\['speed'\]`"),
         ({"speed": 2.0}, r"`chunks\['speed'\]`"),
         ({"speed": True}, r"`chunks\['speed'\]`"),

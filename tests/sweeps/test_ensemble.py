@@ -334,7 +334,7 @@ def three():
         "rejected": np.array([30, 10, 0]),
         "observed": jax.tree.map(np.asarray, observed),
     }
-    return to_dataset(records, {"excited": {"excited": np.arange(3)}}, chain, {})
+    return to_dataset(records, {"excited": {"excited": np.arange(3)}}, chain, chain.n, {})
 
 
 def test_a_mean_over_lanes_leaves_out_those_that_know_no_count(three):

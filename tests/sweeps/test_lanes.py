@@ -77,7 +77,7 @@ def test_the_programs_of_few_functions_are_kept():
 
         alive.append(weakref.ref(initial))
         values = {"k": jnp.arange(2.0)}
-        return starts_on(jax.devices()[0], RunStarts(CHAIN, initial), values).state[0]
+        return starts_on(jax.devices()[0], RunStarts(CHAIN, initial, n=CHAIN.n), values).state[0]
 
     for factor in range(1, KEPT_STARTS + 4):
         assert start(factor).tolist() == [[0.0] * 2, [factor] * 2]
@@ -102,7 +102,7 @@ def test_what_vary_leaves_as_it_is_stays_one_number_for_all_lanes(vary, new):
     """A number that every lane has to itself costs time."""
     chain = paper_chain(4, width=None)
     jobs = {"u": np.array([1, 2]), "damping_ratio": np.array([0.05, 0.06])}
-    starts = RunStarts(chain, equation_8(chain, 1), vary)
+    starts = RunStarts(chain, equation_8(chain, 1), vary, chain.n)
     varied = starts.varied({name: jnp.asarray(values[0]) for name, values in jobs.items()})
     assert varied is not None
     assert varied.sources.count(None) == new
@@ -118,7 +118,7 @@ def test_what_is_no_array_is_none_of_the_data():
     def vary(chain, u):
         return eqx.tree_at(lambda c: c.friction.mu_dynamic, chain.with_(mu_static=u), 0.25)
 
-    starts = RunStarts(chain, equation_8(chain, 1), vary)
+    starts = RunStarts(chain, equation_8(chain, 1), vary, chain.n)
     one, other = (starts.varied({"u": jnp.asarray(u)}) for u in (1.0, 2.0))
     assert one is not None
     assert hash(one) == hash(other)

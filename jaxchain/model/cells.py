@@ -1,0 +1,288 @@
+"""Equal-shaped cells in a ring or a row, each coupled to its two neighbours.
+
+    y_n' = f(t, y_{n-1}, y_n, y_{n+1}; p_n),     n = 1 ... N.
+
+A state is a tuple of m arrays of shape (N,), one for each number of a cell, so that a rate is
+written once and computed for all cells side by side.  A chain is the case m = 2, y = (x, v).
+"""
+
+from __future__ import annotations
+
+import abc
+import operator
+from typing import Any, ClassVar, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from .._checks import to_float
+from .._final import refuse_overrides
+from .._types import PerMass, ScalarLike, State
+from .blocks import Entries
+from .locality import CELLS_FINAL, Dependence, dependence
+from .springs import neighbours
+
+
+class Linearisation(NamedTuple):
+    """The rate of cells and its derivatives at a state; None for one that is always zero.
+
+    `rate`: m arrays (N,); `time`: df_i/dt; `own`, `left`, `right`: m rows of m entries, df_i/dy_j
+    of the cell itself and of its neighbours.  At a free end, and in a ring of one, the neighbour
+    is the cell itself, whose derivatives are in `own`.
+    """
+
+    rate: State
+    time: list[Float[Array, " n"] | None]
+    own: Entries
+    left: Entries
+    right: Entries
+
+
+class AbstractField(eqx.Module):
+    """What all models share: a `Chain`, other `AbstractOscillators`, and `AbstractCells`.
+
+    A vector field in the sense of `diffrax.ODETerm`: `field(t, y)` is the time derivative of a
+    state y, a tuple of arrays of shape (n,), one for each number of a cell; of a chain the pair
+    (x, v).  Subclass one of those, not this class.
+
+    See `AbstractCells` for an example.
+    """
+
+    # None of these is a field unless a subclass makes it one.
+    ends = "cyclic"  # with an annotation it would be the first field of a subclass
+    components: ClassVar[tuple[str, ...]] = ()
+    contact: ClassVar[int] = 1
+
+    @abc.abstractmethod
+    def __call__(self, t: ScalarLike, y: State, args: object = None) -> State:
+        """The time derivative of the state y."""
+
+    @abc.abstractmethod
+    def divergence(self, t: ScalarLike, y: State) -> Float[Array, ""]:
+        """tr J, the trace of the derivatives of y' in y."""
+
+    def forcing_period(self) -> ScalarLike | None:
+        """The period of what depends on time; None if nothing does."""
+        return None
+
+    def switching(
+        self, t: ScalarLike, v: Float[Array, " n"]
+    ) -> tuple[Float[Array, " n"], PerMass] | None:
+        """(w, width): velocities w whose sign a force follows within |w| < width, cell by cell.
+
+        v is the number `contact` of each cell.  None if no force switches.  Steps are shortened as
+        a w approaches 0, see `SwitchingController`.
+        """
+        del t, v
+        return None
+
+    def belt_direction(self) -> ScalarLike:
+        """The sign of the velocity at which forces switch, 1 or -1; 1 if no force switches."""
+        return 1.0
+
+    def stick_speed(self) -> PerMass | None:
+        """The |w| (see `switching`) up to which a mass sticks; None if no mass can stick."""
+        return None
+
+    def growth_time(self) -> ScalarLike | None:
+        """The time in which velocities grow by e, which bounds the step; None if it is not known.
+
+        A stiff solver mistakes a growth by more than e^2 within a step for a decay, unnoticed by
+        its error estimate.  None: structured solvers use the Jacobian at the start of each step.
+        """
+        return None
+
+    def attracts(self, t: ScalarLike, y: State) -> Bool[Array, ""]:
+        """Whether an equilibrium at y is certainly stable for all time; here it is not known."""
+        del t, y
+        return jnp.asarray(False)
+
+    def value_and_rate(
+        self, t: ScalarLike, y: State, component: int = 0
+    ) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
+        """(y_i, y_i'): one of the m numbers of each cell, and its rate."""
+        return y[component], self(t, y)[component]
+
+    def second_rate(self, t: ScalarLike, y: State, component: int = 0) -> Float[Array, " n"]:
+        """y_i'', the rate of y_i' along the motion."""
+
+        def velocity(t: Any, y: State) -> Array:
+            return self(t, y)[component]
+
+        now = jnp.asarray(t, float)
+        return jax.jvp(velocity, (now, y), (jnp.ones_like(now), self(t, y)))[1]
+
+    def jacobian(self, t: ScalarLike, y: State) -> Float[Array, "mn mn"]:
+        """dy'/dy, dense, in the order of the concatenated state."""
+        n, m = y[0].shape[0], len(y)
+
+        def rate(flat: Array) -> Array:
+            return jnp.concatenate(self(t, tuple(flat.reshape(m, n))))
+
+        return jax.jacfwd(rate)(jnp.concatenate(y))
+
+    def with_(self, **changes: Any) -> Any:
+        """A copy with other numbers, by the names of fields."""
+        field = self
+        for name, value in changes.items():
+            if name not in self.numbers():
+                raise ValueError(
+                    f"`{type(self).__name__}.with_` does not know {name!r}; it takes "
+                    f"{sorted(self.numbers())}."
+                )
+            field = eqx.tree_at(operator.attrgetter(name), field, to_float(value))
+        return field
+
+    def numbers(self) -> dict[str, Array]:
+        """The arrays among the fields by name."""
+        return {name: value for name, value in vars(self).items() if eqx.is_array(value)}
+
+
+class AbstractCells(AbstractField):
+    """N cells with m numbers each, coupled to their nearest neighbours.
+
+    y_n' = f(t, y_{n-1}, y_n, y_{n+1}; p_n).
+
+    A subclass gives `rate`.  Its numbers are fields: one number, or one per cell, of shape (n,).
+    A state is a tuple of m arrays of shape (n,), and `rate` gets three of them, so that it is
+    written for one cell and computes all of them.  JAX computes the derivatives, and jaxchain
+    detects which of the m numbers of a neighbour matter.
+
+    `ends` is "cyclic", or "free": beyond a free end stands a copy of the last cell, so that
+    forces that depend on differences between neighbours vanish there.  Override it by a static
+    field or a class attribute.  `components` names the m numbers; the first one is what observers
+    see unless they are given another `component`.
+
+    Optional: `forcing_period` for cells whose rate depends on time; `switching` for a force that
+    turns round steeply with the velocity number `contact`.  All other methods are final.
+
+    !!! example
+
+        Two displacements x, y of each mass, coupled by a spring; x also to its neighbours:
+
+        >>> import jax, jax.numpy as jnp
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import Amplitude, simulate
+        >>> from jaxchain.model import AbstractCells
+        >>> class Pairs(AbstractCells):
+        ...     spring: jax.Array
+        ...     coupling: jax.Array
+        ...     components = ("x", "y", "x'", "y'")
+        ...     def rate(self, t, left, own, right):
+        ...         x, y, vx, vy = own
+        ...         pull = self.spring * (y - x)
+        ...         push = self.coupling * (left[0] - 2 * x + right[0])
+        ...         return vx, vy, pull + push - x, -pull - y
+        >>> ring = Pairs(jnp.asarray(0.5), jnp.asarray(0.1))
+        >>> start = (jnp.array([1.0, 0.0, 0.0]), *jnp.zeros((3, 3)))
+        >>> run = simulate(ring, start, 20.0, observe=Amplitude(component=1))
+        >>> run.observed.shape  # the amplitude of each y
+        (3,)
+    """
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        refuse_overrides(cls, AbstractCells, CELLS_FINAL)
+
+    @abc.abstractmethod
+    def rate(
+        self, t: ScalarLike, left: State, own: State, right: State
+    ) -> tuple[Float[Array, " n"], ...]:
+        """f(t, y_{n-1}, y_n, y_{n+1}): m arrays like those of `own`."""
+
+    @property
+    def structured(self) -> bool:
+        """Whether structured solvers apply."""
+        return True
+
+    def dependence(self, y: State) -> Dependence:
+        """The numbers on which each rate depends, see `Dependence`."""
+        return dependence(self, len(y), y[0].shape[0])
+
+    def neighbours(self, y: State) -> tuple[State, State]:
+        """(left, right): the states of both neighbours of each cell."""
+        ends = "mirrored" if self.ends == "free" else "cyclic"
+        pairs = [neighbours(part, ends) for part in y]
+        return tuple(pair[0] for pair in pairs), tuple(pair[1] for pair in pairs)
+
+    def __call__(self, t: ScalarLike, y: State, args: object = None) -> State:
+        """The time derivative of the state y."""
+        left, right = self.neighbours(y)
+        return tuple(
+            jnp.broadcast_to(jnp.asarray(part, float), y[0].shape)
+            for part in self.rate(t, left, y, right)
+        )
+
+    def linearised(self, t: ScalarLike, y: State) -> Linearisation:
+        """The rate and its derivatives; a tangent of ones carries those of all cells at once."""
+        n, m = y[0].shape[0], len(y)
+        left, right = self.neighbours(y)
+        of, ones = self.dependence(y), jnp.ones(n)
+
+        def rate(t: Any, left: State, y: State, right: State) -> tuple[Array, ...]:
+            parts = self.rate(t, left, y, right)
+            return tuple(jnp.broadcast_to(jnp.asarray(part, float), (n,)) for part in parts)
+
+        def column(which: int, j: int) -> tuple[Array, ...]:
+            states = [left, y, right]
+
+            def along(part: Array) -> tuple[Array, ...]:
+                changed = [list(state) for state in states]
+                changed[which][j] = part
+                before, here, after = (tuple(state) for state in changed)
+                return rate(t, before, here, after)
+
+            return jax.jvp(along, (states[which][j],), (ones,))[1]
+
+        def entries(which: int, pattern: tuple[tuple[bool, ...], ...]) -> Entries:
+            used = [any(row[j] for row in pattern) for j in range(m)]
+            columns = [column(which, j) if used[j] else () for j in range(m)]
+            return [[columns[j][i] if pattern[i][j] else None for j in range(m)] for i in range(m)]
+
+        by_time: list[Array | None] = [None] * m
+        if any(of.time):
+            now = jnp.asarray(t, float)
+            _, slopes = jax.jvp(lambda t: rate(t, left, y, right), (now,), (jnp.ones(()),))
+            by_time = [
+                slope if used else None for slope, used in zip(slopes, of.time, strict=True)
+            ]
+        own, before, after = (
+            entries(k, getattr(of, name)) for k, name in ((1, "own"), (0, "left"), (2, "right"))
+        )
+        own, before, after = _fold_ends(own, before, after, self.ends, n)
+        return Linearisation(rate(t, left, y, right), by_time, own, before, after)
+
+    def divergence(self, t: ScalarLike, y: State) -> Float[Array, ""]:
+        """tr J, the sum of the derivatives of every rate in its own number."""
+        own = self.linearised(t, y).own
+        diagonal = [own[i][i] for i in range(len(y))]
+        return sum((jnp.sum(part) for part in diagonal if part is not None), jnp.zeros(()))
+
+
+def _fold_ends(
+    own: Entries, left: Entries, right: Entries, ends: str, n: int
+) -> tuple[Entries, Entries, Entries]:
+    """What a neighbour that is the cell itself contributes belongs to `own`."""
+    index = jnp.arange(n)
+    first, last = jnp.where(index == 0, 1.0, 0.0), jnp.where(index == n - 1, 1.0, 0.0)
+    if n > 1 and ends == "cyclic":
+        return own, left, right
+
+    def moved(here: Any, part: Any, share: Any) -> Any:
+        if part is None:
+            return here
+        return share * part if here is None else here + share * part
+
+    m = range(len(own))
+    if n == 1:
+        first = last = jnp.ones(1)
+    own = [[moved(moved(own[i][j], left[i][j], first), right[i][j], last) for j in m] for i in m]
+    kept = [
+        [[None if part is None else (1.0 - share) * part for part in row] for row in entries]
+        for entries, share in ((left, first), (right, last))
+    ]
+    if n == 1:
+        kept = [[[None for _ in m] for _ in m]] * 2
+    return own, kept[0], kept[1]

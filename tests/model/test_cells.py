@@ -1,0 +1,270 @@
+"""Cells with any rate: their derivatives, their linear systems, runs against SciPy, refusals."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from jaxchain import (
+    Amplitude,
+    Rodas4,
+    Rodas5P,
+    Section,
+    Trajectory,
+    find_limit_cycle,
+    lyapunov_spectrum,
+    monodromy_matrix,
+    simulate,
+    sweep,
+)
+from jaxchain.model import AbstractCells
+from jaxchain.model.blocks import cell_solver, factor
+from jaxchain.observers import Divergence, Samples, StickTime
+
+
+class Pairs(AbstractCells):
+    """Two displacements a mass, cubic springs and dampers between neighbours, and a force."""
+
+    spring: jax.Array
+    frequency: jax.Array
+    ends: str = eqx.field(static=True, default="cyclic")
+    components = ("x", "y", "vx", "vy")
+
+    def rate(self, t, left, own, right):
+        x, y, vx, vy = own
+        pull = self.spring * (y - x) + 0.3 * jnp.sin(y)
+        push = 0.2 * (left[0] + right[0] - 2 * x) + 0.1 * (
+            (left[0] - x) ** 3 + (right[0] - x) ** 3
+        )
+        drag = 0.05 * (left[2] + right[2] - 2 * vx)
+        return vx, vy, pull + push + drag - x + 0.4 * jnp.cos(self.frequency * t), -pull - 0.1 * vy
+
+    def forcing_period(self):
+        return 2.0 * jnp.pi / self.frequency
+
+
+class Wave(AbstractCells):
+    """FitzHugh and Nagumo: no velocity at all, and a rate that depends on the neighbours."""
+
+    shift: jax.Array
+
+    def rate(self, t, left, own, right):
+        u, w = own
+        spread = 0.3 * (left[0] - 2.0 * u + right[0])
+        return u - u**3 / 3.0 - w + self.shift + spread, 0.08 * (u + 0.7 - 0.8 * w)
+
+
+def pairs(ends="cyclic"):
+    return Pairs(jnp.asarray(0.5), jnp.asarray(1.3), ends)
+
+
+def state(n, m=4, seed=0) -> Any:
+    return tuple(jnp.asarray(np.random.default_rng(seed).normal(size=(m, n))))
+
+
+def exact(cells, start, t1):
+    m, n = len(start), start[0].size
+    rate = jax.jit(lambda t, y: jnp.concatenate(cells(t, tuple(y.reshape(m, n)))))
+    run = solve_ivp(
+        lambda t, y: np.asarray(rate(t, y)), (0.0, t1), np.concatenate(start), method="DOP853",
+        rtol=1e-12, atol=1e-12,
+    )  # fmt: skip
+    return run.y[:, -1].reshape(m, n)
+
+
+@pytest.mark.parametrize("ends", ["cyclic", "free"])
+@pytest.mark.parametrize("n", [1, 2, 3, 5])
+def test_the_blocks_are_the_jacobian(n, ends):
+    cells, y = pairs(ends), state(n)
+    here = cells.linearised(0.3, y)
+    dense = np.zeros((4, n, 4, n))
+    for part, offset in ((here.left, -1), (here.own, 0), (here.right, 1)):
+        for i in range(4):
+            for j in range(4):
+                if part[i][j] is not None:
+                    for k in range(n):
+                        dense[i, k, j, (k + offset) % n] += part[i][j][k]
+    np.testing.assert_allclose(dense.reshape(4 * n, -1), cells.jacobian(0.3, y), atol=1e-13)
+    assert float(cells.divergence(0.3, y)) == pytest.approx(
+        float(jnp.trace(cells.jacobian(0.3, y)))
+    )
+    # Only x and its velocity are seen by neighbours, and only vx depends on time.
+    of = cells.dependence(y)
+    assert of.time == (False, False, True, False)
+    assert [row for row in of.left if any(row)] == [(True, False, True, False)]
+
+
+@pytest.mark.parametrize("ends", ["cyclic", "free"])
+@pytest.mark.parametrize("n", [2, 3, 8])
+@pytest.mark.parametrize("sweeps", [None, 40])
+def test_a_block_tridiagonal_system_is_solved(n, ends, sweeps):
+    rng, m = np.random.default_rng(n), 3
+
+    def entries(scale, which) -> Any:
+        return [
+            [jnp.asarray(scale * rng.normal(size=n)) if which[i][j] else None for j in range(m)]
+            for i in range(m)
+        ]
+
+    D = entries(1.0, np.ones((m, m)))
+    for i in range(m):
+        D[i][i] = D[i][i] + 6.0
+    sides = [entries(1.0, [[0, 0, 0], [1, 0, 1], [1, 0, 0]]) for _ in range(2)]
+    if ends == "free":
+        for side, end in zip(sides, (0, -1), strict=True):
+            side[:] = [[e if e is None else e.at[end].set(0.0) for e in row] for row in side]
+    dense = np.zeros((n, m, n, m))
+    for part, offset, sign in ((D, 0, 1.0), (sides[0], -1, -1.0), (sides[1], 1, -1.0)):
+        for k in range(n):
+            for i in range(m):
+                for j in range(m):
+                    if part[i][j] is not None:
+                        dense[k, i, (k + offset) % n, j] += sign * part[i][j][k]
+    right = rng.normal(size=(m, n))
+    wanted = np.linalg.solve(dense.reshape(m * n, -1), right.T.ravel()).reshape(n, m).T
+    lu, pivot = factor(D)
+    solve, rho = cell_solver(lu, sides[0], sides[1], ends, sweeps)
+    assert bool(jnp.all(pivot > 0))
+    assert rho is None or float(rho) < 1.0
+    np.testing.assert_allclose(jnp.stack(solve(list(jnp.asarray(right)))), wanted, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("cells", "m"), [(pairs(), 4), (pairs("free"), 4), (Wave(jnp.asarray(0.5)), 2)]
+)
+@pytest.mark.parametrize("solver", [Rodas4(), Rodas5P(2)])
+def test_a_run_ends_where_scipy_ends(cells, m, solver):
+    start = state(5, m)
+    run = simulate(cells, start, 12.0, solver=solver, rtol=1e-9, max_step=2.0)
+    np.testing.assert_allclose(run.state, exact(cells, start, 12.0), atol=2e-7)
+
+
+def test_the_order_is_that_of_the_method_with_time_and_neighbours():
+    start, wanted = state(3), exact(pairs(), state(3), 2.0)
+    errors = []
+    for steps in (40, 80):
+        run = simulate(
+            pairs(), start, 2.0, solver=Rodas4(), rtol=0.5, atol=10.0, max_step=2.0 / steps
+        )
+        assert int(run.steps) == pytest.approx(steps, abs=4)
+        errors.append(np.max(np.abs(np.stack(run.state) - wanted)))
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(4.0, abs=0.4)
+
+
+def test_observers_see_what_a_trajectory_sees():
+    cells, start = Wave(jnp.asarray(0.5)), state(3, 2)
+    times = jnp.linspace(0.0, 120.0, 24001)
+    watch = Amplitude(), Amplitude(component=1), Section(1, 2), Samples(40.0, 4)
+    run = simulate(cells, start, 120.0, observe=(*watch, Trajectory(times)), rtol=1e-9)
+    first, second, (at, *seen), (_, *samples), path = run.observed
+    for amplitude, part in zip((first, second), path, strict=True):
+        np.testing.assert_allclose(2.0 * amplitude, np.ptp(part, axis=0), atol=2e-5)
+    u = np.asarray(path[0][:, 1])
+    peaks = np.flatnonzero((u[1:-1] > u[:-2]) & (u[1:-1] >= u[2:]))[:2] + 1
+    np.testing.assert_allclose(at, times[peaks], atol=1e-2)
+    for part, known, sample in zip(seen, path, samples, strict=True):
+        np.testing.assert_allclose(part, known[peaks], atol=2e-2)
+        np.testing.assert_allclose(sample, known[::8000], atol=1e-5)
+
+
+def test_a_sweep_is_its_runs_and_names_the_components(tmp_path):
+    def start(cells, kick):
+        zero = jnp.zeros(4)
+        return zero.at[0].set(kick), zero, zero, zero
+
+    grid = {"spring": [0.3, 0.5], "kick": [0.5, 2.0]}
+    observe = [Amplitude(window=10.0), Amplitude(window=10.0, component=1)]
+    data = sweep(pairs(), start, 30.0, over=grid, observe=observe, store=tmp_path / "kept.zarr")
+    run = simulate(pairs().with_(spring=0.3), start(None, 2.0), 30.0, observe=observe)
+    found = data.sel(spring=0.3, kick=2.0)
+    for name, value in zip(("amplitude", "amplitude_y"), run.observed, strict=True):
+        np.testing.assert_allclose(found[name], value, atol=1e-6)
+        assert data[name].attrs["units"] == "1"
+    assert data.spring.attrs["long_name"] == "spring"
+    again = sweep(pairs(), start, 30.0, over=grid, observe=observe, store=tmp_path / "kept.zarr")
+    assert again.identical(data)
+    with pytest.raises(ValueError, match="belongs to another sweep"):
+        sweep(pairs("free"), start, 30.0, over=grid, observe=observe, store=tmp_path / "kept.zarr")
+
+
+@pytest.mark.parametrize("argument", ["spring", "frequency"])
+def test_a_run_has_the_slopes_of_differences(argument):
+    cells, start = pairs("free"), state(2)
+
+    def end(value):
+        return simulate(cells.with_(**{argument: value}), start, 5.0, rtol=1e-9).state[1][0]
+
+    at = getattr(cells, argument)
+    difference = (end(at + 1e-5) - end(at - 1e-5)) / 2e-5
+    forward = float(jax.jvp(end, (at,), (jnp.ones(()),))[1])
+    assert forward == pytest.approx(float(difference), rel=1e-5)
+    assert float(jax.grad(end)(at)) == pytest.approx(forward, rel=1e-9)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("argument", ["spring", "frequency"])
+def test_a_forced_cycle_has_the_slopes_of_differences(argument):
+    cells = pairs("free")
+    guess = find_limit_cycle(cells, state(2))
+
+    def closed(value):
+        return find_limit_cycle(cells.with_(**{argument: value}), guess, mass=0).state[1][0]
+
+    at = getattr(cells, argument)
+    difference = (closed(at + 1e-5) - closed(at - 1e-5)) / 2e-5
+    slope = jax.jvp(closed, (at,), (jnp.ones(()),))[1]
+    assert float(slope) == pytest.approx(float(difference), rel=1e-5)
+
+
+def test_a_forced_cycle_comes_back_with_all_its_multipliers():
+    cells = pairs("free")
+    cycle = find_limit_cycle(cells, state(2), period=3.0 * float(cells.forcing_period()))
+    assert (cycle.turns, cycle.multipliers.shape) == (1, (8,))  # three times round once
+    back = exact(cells, cycle.state, float(cycle.period))
+    np.testing.assert_allclose(back, np.stack(cycle.state), atol=1e-8)
+    M = monodromy_matrix(cells, cycle.state, cycle.period)
+    determinant = float(jnp.prod(cycle.multipliers).real)
+    assert determinant == pytest.approx(float(jnp.linalg.det(M)), rel=1e-6)
+    loss = simulate(cells, cycle.state, cycle.period, observe=Divergence(), rtol=1e-9).observed
+    assert determinant == pytest.approx(float(jnp.exp(loss)), rel=1e-6)
+
+
+def test_a_cycle_without_a_velocity_is_found_with_its_exponents():
+    cells = Wave(jnp.asarray(0.5))
+    cycle = find_limit_cycle(cells, state(1, 2))
+    back = exact(cells, cycle.state, float(cycle.period))
+    np.testing.assert_allclose(back, np.stack(cycle.state), atol=1e-8)
+    assert cycle.stable
+    loss = simulate(cells, cycle.state, cycle.period, observe=Divergence(), rtol=1e-9).observed
+    turns = 10.0 * cycle.period
+    exponents = lyapunov_spectrum(cells, cycle.state, turns, blocks=5, rtol=1e-8).exponents
+    assert float(exponents[0]) == pytest.approx(0.0, abs=1e-2)
+    assert float(exponents[1]) == pytest.approx(float(loss / cycle.period), rel=1e-2)
+
+
+class Mixed(Wave):
+    def rate(self, t, left, own, right):
+        u, w = super().rate(t, left, own, right)
+        return u + jnp.mean(own[0]), w
+
+
+def test_what_is_not_a_cell_is_refused():
+    with pytest.raises(ValueError, match="`rate` of Mixed mixes cells"):
+        simulate(Mixed(jnp.asarray(0.5)), state(3, 2), 1.0)
+    with pytest.raises(ValueError, match=r"cannot take a state of 3 arrays of shape \(3,\)"):
+        simulate(Wave(jnp.asarray(0.5)), state(3, 3), 1.0)
+    with pytest.raises(ValueError, match="arrays of one shape"):
+        simulate(Wave(jnp.asarray(0.5)), (jnp.zeros(3), jnp.zeros(2)), 1.0)
+    with pytest.raises(ValueError, match="`StickTime` needs masses"):
+        simulate(Wave(jnp.asarray(0.5)), state(3, 2), 1.0, observe=StickTime())
+    with pytest.raises(ValueError, match=r"forced with the period 4\.83"):
+        find_limit_cycle(pairs(), state(3), period=5.0)
+    with pytest.raises(TypeError, match=r"defines `__call__`"):
+
+        class Own(Wave):
+            def __call__(self, t, y, args=None):
+                return y
