@@ -127,6 +127,9 @@ def design(chain):
 
 
 QUICK = {
+    "find_equilibrium": lambda chain, sign: turned(
+        sign, jc.boundaries.find_equilibrium(chain, jc.steady_sliding(chain)).state
+    ),
     "steady_sliding": lambda chain, sign: turned(sign, jc.steady_sliding(chain)),
     "excited_state": lambda chain, sign: turned(sign, excited(chain, sign)),
     "on_the_belt": lambda chain, sign: turned(sign, jc.model.on_the_belt(chain)),
@@ -164,6 +167,7 @@ SPEEDLESS = {
 }
 # Of chains one by one, on the host.
 SINGLE = (
+    "find_hopf_point", "continue_equilibrium",
     "continue_cycle", "depinning_belt_speed", "equation_8", "equation_10",
     "find_limit_cycle", "first_lyapunov_coefficient", "front_speed", "generalised_hopf",
     "gentlest_blow",

@@ -1,6 +1,7 @@
 """Where vibration sets in (Hopf), up to which speed it survives (fold), smoothed and dry.
 
 - `descent`: both boundaries by gradient descent, with optax
+- `equilibria`: equilibria of any model, their branches and Hopf points
 - `fold`: the greatest belt speed at which a vibration survives, for one chain or many
 - `grazing`: the fold of dry friction, and the effect of smoothing
 - `hopf`: the belt speed above which steady sliding stays stable

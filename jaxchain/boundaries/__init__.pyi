@@ -2,6 +2,11 @@ from .descent import FoldDescent as FoldDescent
 from .descent import HopfDescent as HopfDescent
 from .descent import fold_by_descent as fold_by_descent
 from .descent import hopf_by_descent as hopf_by_descent
+from .equilibria import Equilibrium as Equilibrium
+from .equilibria import HopfPoint as HopfPoint
+from .equilibria import continue_equilibrium as continue_equilibrium
+from .equilibria import find_equilibrium as find_equilibrium
+from .equilibria import find_hopf_point as find_hopf_point
 from .fold import Fold as Fold
 from .fold import find_fold as find_fold
 from .fold import fold_belt_speed as fold_belt_speed

@@ -33,10 +33,35 @@ OPTIMISER = ("x", 3, optax.adam)
 SEVERAL = Told(CHAIN, "has 3")
 
 
+REST = jnp.zeros(3), jnp.zeros(3)
+
+
 def rows() -> Iterator[Row]:
+    yield from _equilibria()
     yield from _hopf()
     yield from _fold()
     yield from _inverse()
+
+
+def _equilibria() -> Iterator[Row]:
+    unequal, unknown = (REST[0], jnp.zeros(2)), (REST[0], [math.nan] * 3)
+    model = {
+        "chain": (*A_CHAIN, NO_DRY),
+        "guess": (None, "x", 3.0, REST[0], (REST[0],), unequal, unknown),
+    }
+    search = {"tolerance": POSITIVE, "max_steps": optional(COUNT), "throw": FLAG}
+    good = {"chain": CHAIN, "guess": REST}
+    yield Row("find_equilibrium", boundaries.find_equilibrium, good, model | search)
+    named = model | {"parameter": WORD}
+    yield Row(
+        "find_hopf_point", boundaries.find_hopf_point, good | {"parameter": "belt_speed"},
+        named | search | {"frequency": optional(NUMBER)},
+    )  # fmt: skip
+    pairs = (None, "x", {}, 3.0, (1,), (2, 1), (math.nan, 1), ("a", "b"), (0, 1j))
+    yield Row(
+        "continue_equilibrium", boundaries.continue_equilibrium,
+        good | {"parameter": "belt_speed", "bounds": (0.5, 1.5)}, named | {"bounds": pairs},
+    )  # fmt: skip
 
 
 def _hopf() -> Iterator[Row]:

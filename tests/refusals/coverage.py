@@ -17,7 +17,8 @@ NOT_TRIED = {
     **dict.fromkeys(
         (
             "Result", "SearchResult", "Simulation", "Numerics", "GeneralisedHopf",
-            "StabilityRange", "FoldDescent", "HopfDescent", "Fold", "Grazing", "HopfPoints",
+            "StabilityRange", "FoldDescent", "HopfDescent", "Equilibrium", "HopfPoint", "Fold",
+            "Grazing", "HopfPoints",
             "OneMassBranch", "Extrapolation", "Evidence", "Verdict",
             "LyapunovSpectrum", "Branch", "SpecialPoint", "FoldPoint", "CycleBranch",
             "LimitCycle", "CyclePoint", "Identification", "Design", "Depinning",
@@ -29,7 +30,7 @@ NOT_TRIED = {
     ),
     **dict.fromkeys(
         (
-            "AbstractFrictionLaw", "AbstractOscillators", "AbstractObserver",
+            "AbstractFrictionLaw", "AbstractCells", "AbstractOscillators", "AbstractObserver",
             "AbstractStructuredRosenbrock", "AbstractRegion", "AbstractClassifier",
         ),
         BASE,

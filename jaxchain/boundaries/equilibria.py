@@ -1,0 +1,391 @@
+"""Equilibria of any model, their branches, and the Hopf points on them.
+
+Steady sliding of a `Chain` is known in closed form, see `hopf_belt_speed` and `hopf_points`; here
+equilibria are found by Newton's method from a guess.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Complex, Float, Int
+
+from .._checks import check_concrete, check_flag, check_number, is_traced, shown, to_float
+from .._final import final
+from .._types import State
+from ..continuation.arclength import continue_branch
+from ..continuation.branch import Branch
+from ..continuation.damped_newton import check_tolerance, search
+from ..continuation.implicit import attach_derivative
+from ..model.arguments import as_chain, as_state
+from ..model.cells import AbstractField
+from ..model.chain import require_smoothed
+from ..model.locality import check_autonomous
+from ..result import Outcome, SearchResult
+
+# Beside the frequency: the real part of a pair of eigenvalues that counts as zero.
+_ON_AXIS = 1e-6
+# The relative difference of eigenvalues that are taken together.
+_SAME = 1e-6
+
+
+@final
+class Equilibrium(Outcome):
+    """A state at which nothing changes.
+
+    - `state`: m arrays of shape (n,); of a chain (x, v).
+    - `eigenvalues` (m n,): of the Jacobian there, the greatest real part first.
+    - `residual`: the greatest |rate|; `result`: the outcome; `steps`: the number of Jacobians.
+
+    See `find_equilibrium` for an example.
+    """
+
+    chain: AbstractField
+    state: State
+    eigenvalues: Complex[Array, " mn"]
+    residual: Float[Array, ""]
+    result: SearchResult
+    steps: Int[Array, ""]
+
+    @property
+    def stable(self) -> bool | None:
+        """Whether all eigenvalues have negative real parts; None if no equilibrium was found."""
+        return bool(jnp.real(self.eigenvalues[0]) < 0) if self.successful else None
+
+
+@final
+class HopfPoint(Outcome):
+    """An equilibrium with a pair of eigenvalues +-i omega.
+
+    - `parameter`: the name of the number that was varied; `value`: its value at the point.
+    - `state`; `frequency`: omega > 0; `mode`: the complex eigenvector as m arrays of shape (n,):
+      a disturbance moves as Re[mode exp(i omega t)].
+    - `growth_slope`: d Re(lambda) / d(value); the equilibrium loses its stability in the direction
+      of its sign if all other eigenvalues have negative real parts.
+    - `chain`: the model with this value; `residual`, `result`, `steps`: of the search.
+
+    See `find_hopf_point` for an example.
+    """
+
+    chain: AbstractField
+    value: Float[Array, ""]
+    state: State
+    frequency: Float[Array, ""]
+    mode: tuple[Complex[Array, " n"], ...]
+    growth_slope: Float[Array, ""]
+    residual: Float[Array, ""]
+    result: SearchResult
+    steps: Int[Array, ""]
+    parameter: str = eqx.field(static=True)
+
+    def guess(self, amplitude: Any) -> tuple[State, Array]:
+        """(state, period) of a small cycle, for `find_limit_cycle` close to the point.
+
+        `amplitude` is that of the greatest entry of the mode.
+        """
+        greatest = jnp.max(jnp.abs(jnp.stack(self.mode)))
+        size = to_float(amplitude, "amplitude") / greatest
+        state = tuple(a + size * jnp.real(b) for a, b in zip(self.state, self.mode, strict=True))
+        return state, 2.0 * jnp.pi / self.frequency
+
+
+class _Rates(eqx.Module):
+    """The rates of a model as a function of the concatenated state, and of one of its numbers."""
+
+    field: AbstractField
+    m: int = eqx.field(static=True)
+    parameter: str | None = eqx.field(static=True, default=None)
+
+    def at(self, p: Any = None) -> AbstractField:
+        """The model, with the number set to p."""
+        return self.field if p is None else self.field.with_(**{str(self.parameter): p})  # pyright: ignore
+
+    def __call__(self, u: Float[Array, " mn"], p: Any = None) -> Float[Array, " mn"]:
+        return jnp.concatenate(self.at(p)(0.0, tuple(jnp.split(u, self.m))))
+
+
+def _residual(u: Array, rates: _Rates) -> Array:
+    return rates(u)
+
+
+def find_equilibrium(
+    chain: Any, guess: Any, *, tolerance: Any = 1e-12, max_steps: Any = 50, throw: bool = True
+) -> Equilibrium:
+    """The equilibrium of a model near a state, stable or not, by damped Newton steps.
+
+    **Arguments:** `chain`: `AbstractCells`, `AbstractOscillators` or a smoothed `Chain`, without
+    forcing; `guess`: a state; `tolerance` and `max_steps`: see `jaxchain.continuation.newton`.
+
+    **Returns:** an `Equilibrium`, whose state has derivatives in every number of the model.  It
+    works under `jit` and `vmap`; there `throw` has no effect.
+
+    **Raises:** `ValueError` for bad input, `RuntimeError` if no equilibrium is found.
+
+    !!! example
+
+        >>> import jax, jax.numpy as jnp
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import paper_chain, steady_sliding
+        >>> from jaxchain.boundaries import find_equilibrium
+        >>> chain = paper_chain(3, belt_speed=1.5, width=1e-2)
+        >>> found = find_equilibrium(chain, (jnp.ones(3), jnp.zeros(3)))
+        >>> bool(abs(found.state[0] - steady_sliding(chain)[0]).max() < 1e-12), found.stable
+        (True, True)
+    """
+    state, limit = _checked(chain, guess, tolerance, max_steps)
+    check_flag("throw", throw)
+    found = _equilibrium(chain, state, to_float(tolerance), jnp.asarray(limit))
+    if throw and not is_traced(found.successful) and not found.successful:
+        raise RuntimeError(
+            f"No equilibrium was found near `guess`: {found.message} The greatest rate is "
+            f"{float(found.residual):.1e}. Start closer, for example from a run that has settled."
+        )
+    return found
+
+
+def _checked(chain: Any, guess: Any, tolerance: Any, max_steps: Any) -> tuple[State, int]:
+    as_chain(chain, AbstractField)
+    require_smoothed(chain, "use `steady_sliding`, or ")
+    state = as_state(chain, guess, "guess")
+    check_autonomous(chain, state)
+    return state, check_tolerance(tolerance, max_steps)
+
+
+@eqx.filter_jit
+def _equilibrium(chain: Any, guess: State, tolerance: Array, limit: Array) -> Equilibrium:
+    rates, start = _Rates(lax.stop_gradient(chain), len(guess)), jnp.concatenate(guess)
+    weights = jnp.full(start.shape, start.shape[0] ** -0.5)
+    root = search(_residual, lax.stop_gradient(start), rates, tolerance, limit, weights)
+    u = attach_derivative(_residual, root.value, _Rates(chain, len(guess)))
+    values = jnp.linalg.eigvals(jax.jacfwd(rates)(root.value))
+    return Equilibrium(
+        chain=chain,
+        state=tuple(jnp.split(u, len(guess))),
+        eigenvalues=values[jnp.argsort(-jnp.real(values))],
+        residual=root.residual,
+        result=root.result,
+        steps=root.steps,
+    )
+
+
+class _HopfSystem(eqx.Module):
+    """f(y, p) = 0 and lambda(y, p) = i omega, in u = (y, omega, p).
+
+    lambda is the mean of the eigenvalues that agree with the one closest to `near`.  In a ring of
+    equal cells they are double, and their mean is smooth where a single one is not.
+    """
+
+    rates: _Rates
+    near: Complex[Array, ""]
+
+    def eigenvalue(self, y: Array, p: Array) -> Complex[Array, ""]:
+        """lambda; JAX differentiates eigenvalues, not eigenvectors."""
+        values = jnp.linalg.eigvals(jax.jacfwd(self.rates)(y, p))
+        fixed = lax.stop_gradient(values)
+        at = fixed[jnp.argmin(jnp.abs(fixed - lax.stop_gradient(self.near)))]
+        same = jnp.abs(fixed - at) <= _SAME * jnp.abs(at)
+        return jnp.sum(jnp.where(same, values, 0.0)) / jnp.sum(same)
+
+    def slope(self, y: Array, p: Array) -> Array:
+        """d Re(lambda) / dp along the equilibria: dy/dp = -J^{-1} f_p."""
+        J, by_p = jax.jacfwd(self.rates, argnums=(0, 1))(y, p)
+        moved = -jnp.linalg.solve(J, by_p)
+        return jnp.real(jax.jvp(self.eigenvalue, (y, p), (moved, jnp.ones_like(p)))[1])
+
+
+def _hopf_residual(u: Array, system: _HopfSystem) -> Array:
+    y, omega, p = u[:-2], u[-2], u[-1]
+    value = system.eigenvalue(y, p)
+    ends = jnp.stack([jnp.real(value), jnp.imag(value) - omega])
+    return jnp.concatenate([system.rates(y, p), ends])
+
+
+def find_hopf_point(
+    chain: Any,
+    parameter: str,
+    guess: Any,
+    *,
+    frequency: Any = None,
+    tolerance: Any = 1e-12,
+    max_steps: Any = 50,
+    throw: bool = True,
+) -> HopfPoint:
+    """The Hopf point of an equilibrium near a state and the present value of one number.
+
+    It solves f(y, p) = 0 and lambda(y, p) = i omega together by damped Newton steps; lambda is the
+    eigenvalue that is closest to the imaginary axis at `guess`.  Waves q and -q of a ring, whose
+    eigenvalues are equal, are found as well.  To find all Hopf points in a range, see
+    `continue_equilibrium`.
+
+    **Arguments:** `chain`, `guess`, `tolerance`, `max_steps`: as for `find_equilibrium`;
+    `parameter`: the name of a number that `chain.with_` takes, one for all cells; `frequency`:
+    choose the pair whose frequency is closest to this instead.
+
+    **Returns:** a `HopfPoint`.  `value`, `state` and `frequency` have derivatives in all other
+    numbers of the model.  It works under `jit` and `vmap`; there `throw` has no effect.
+
+    **Raises:** `ValueError` for bad input; `RuntimeError` if no point is found.
+
+    !!! example
+
+        >>> import jax, jax.numpy as jnp
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import hopf_belt_speed, paper_chain, steady_sliding
+        >>> from jaxchain.boundaries import find_hopf_point
+        >>> chain = paper_chain(1, belt_speed=1.3, width=1e-2)
+        >>> point = find_hopf_point(chain, "belt_speed", steady_sliding(chain))
+        >>> bool(abs(point.value - hopf_belt_speed(chain)) < 1e-10)
+        True
+        >>> round(float(point.frequency), 9)
+        1.0
+    """
+    state, limit = _checked(chain, guess, tolerance, max_steps)
+    check_flag("throw", throw)
+    _check_parameter(chain, parameter)
+    if frequency is not None:
+        check_number("frequency", frequency, "it chooses one of several pairs of eigenvalues.")
+    found = _hopf_point(
+        chain, parameter, state, None if frequency is None else to_float(frequency),
+        to_float(tolerance), jnp.asarray(limit),
+    )  # fmt: skip
+    if throw and not is_traced(found.successful) and not found.successful:
+        raise RuntimeError(
+            f"No Hopf point in `{parameter}` was found near `guess`: {found.message} Start "
+            "closer, from a point of `continue_equilibrium`."
+        )
+    return found
+
+
+def _check_parameter(chain: Any, parameter: Any) -> None:
+    numbers = {name for name, value in chain.numbers().items() if np.shape(value) == ()}
+    if not isinstance(parameter, str) or parameter not in numbers:
+        raise ValueError(
+            f"Argument `parameter` must be one of {sorted(numbers)}, the numbers of the model "
+            f"that are the same for all cells, but is {shown(parameter)}."
+        )
+
+
+@eqx.filter_jit
+def _hopf_point(
+    chain: Any, parameter: str, guess: State, frequency: Any, tolerance: Array, limit: Array
+) -> HopfPoint:
+    m, frozen = len(guess), lax.stop_gradient(chain)
+    rates = _Rates(frozen, m, parameter)
+    p = to_float(frozen.numbers()[parameter])
+    y = lax.stop_gradient(jnp.concatenate(guess))
+    weights = jnp.full(y.shape, y.shape[0] ** -0.5)
+    y = search(_residual, y, _Rates(frozen, m), tolerance, limit, weights).value
+    values = jnp.linalg.eigvals(jax.jacfwd(rates)(y, p))
+    far = jnp.abs(jnp.real(values)) / jnp.abs(values)
+    if frequency is not None:
+        far = jnp.abs(jnp.imag(values) - frequency)
+    near = values[jnp.argmin(jnp.where(jnp.imag(values) > 0, far, jnp.inf))]
+    omega = jnp.imag(near)
+    start = jnp.concatenate([y, jnp.stack([omega, p])])
+    size = jnp.concatenate([1.0 + jnp.abs(y), jnp.abs(start[-2:]) + 1e-300])
+    system = _HopfSystem(rates, near)
+    root = search(_hopf_residual, start, system, tolerance, limit, 1.0 / size)
+    # A real eigenvalue that vanishes solves the equations as well.
+    good = root.successful & (root.value[-2] > _ON_AXIS * omega) & (omega > 0)
+    none = SearchResult.where(root.successful, SearchResult.no_step_helps, root.result)
+    u = attach_derivative(
+        _hopf_residual, root.value, _HopfSystem(_Rates(chain, m, parameter), near)
+    )
+    y, p = (root.value[:-2], root.value[-1])
+    values, vectors = jnp.linalg.eig(jax.jacfwd(rates)(y, p))
+    mode = vectors[:, jnp.argmin(jnp.abs(values - 1j * root.value[-2]))]
+    return HopfPoint(
+        chain=rates.at(p),
+        parameter=parameter,
+        value=u[-1],
+        state=tuple(jnp.split(u[:-2], m)),
+        frequency=u[-2],
+        mode=tuple(jnp.split(mode, m)),
+        growth_slope=system.slope(y, p),
+        residual=root.residual,
+        result=SearchResult.where(good, root.result, none),
+        steps=root.steps,
+    )
+
+
+def _linearised(u: Array, p: Array, rates: _Rates) -> tuple[Array, Array, Array]:
+    """(f, [f_u f_p], the eigenvalues of f_u)."""
+    by_u, by_p = jax.jacfwd(rates, argnums=(0, 1))(u, p)
+    values = jnp.linalg.eigvals(by_u)
+    columns = jnp.concatenate([by_u, by_p[:, None]], axis=1)
+    return rates(u, p), columns, values[jnp.argsort(-jnp.real(values))]
+
+
+def _plain(u: Array, p: Array, rates: _Rates) -> Array:
+    return rates(u, p)
+
+
+def _pair_sums(values: Any) -> np.ndarray:
+    """Sums of two eigenvalues that are real: one of them is 0 at a Hopf point."""
+    real = values[values.imag == 0].real
+    i, j = np.triu_indices(real.size, 1)
+    return np.concatenate([2.0 * values[values.imag > 0].real, real[i] + real[j]])
+
+
+def _hopf_test(u: np.ndarray, p: float, tangent: np.ndarray, values: Any) -> float:
+    del u, p, tangent
+    sums = _pair_sums(np.asarray(values))
+    return float(np.prod(np.sign(sums)) * np.min(np.abs(sums))) if sums.size else 1.0
+
+
+def continue_equilibrium(
+    chain: Any, guess: Any, parameter: str, bounds: tuple[Any, Any], **options: Any
+) -> Branch:
+    """Follows an equilibrium as a number of the model changes, around folds, with its Hopf points.
+
+    **Arguments:** `chain`, `guess`: as for `find_equilibrium`; `parameter`: the name of a number
+    that `chain.with_` takes, one for all cells; `bounds`: its range, at whose ends the branch
+    ends; `options`: `direction`, `step`, `max_step`, `max_points`, ... of
+    `jaxchain.continuation.continue_branch`.
+
+    **Returns:** a `Branch`: `u` (k, m n) the concatenated states, `p` (k,) the number, `extra` (k,
+    m n) the eigenvalues, the greatest real part first, and `special`, the points of kind "fold",
+    "branch point" and "hopf".  `find_hopf_point` gives such a point to all digits, with
+    derivatives.
+
+    **Raises:** `ValueError` for bad input; `RuntimeError` if there is no equilibrium near `guess`.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import paper_chain, steady_sliding
+        >>> from jaxchain.boundaries import continue_equilibrium
+        >>> chain = paper_chain(1, belt_speed=1.0, width=1e-2)
+        >>> branch = continue_equilibrium(chain, steady_sliding(chain), "belt_speed", (0.9, 1.4))
+        >>> [(point.kind, round(point.p, 6)) for point in branch.special]
+        [('hopf', 1.151293)]
+    """
+    check_concrete("use `find_hopf_point`.", chain=chain, guess=guess)
+    state = find_equilibrium(chain, guess).state
+    _check_parameter(chain, parameter)
+    rates = _Rates(chain, len(state), parameter)
+    branch = continue_branch(
+        _plain,
+        jnp.concatenate(state),
+        float(chain.numbers()[parameter]),
+        rates,
+        bounds=bounds,
+        tests={"hopf": _hopf_test},
+        value_and_jacobian=_linearised,
+        **options,
+    )
+
+    def happens(point: Any) -> bool:
+        """False where the sum of two real eigenvalues vanishes, which is no Hopf point."""
+        values: Any = np.asarray(point.extra)
+        on_axis = np.abs(values.real) <= _ON_AXIS * np.abs(values)
+        return point.kind != "hopf" or bool(np.any(on_axis & (values.imag > 0)))
+
+    return replace(branch, special=tuple(filter(happens, branch.special)))

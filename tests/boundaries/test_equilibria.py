@@ -1,0 +1,118 @@
+"""Equilibria, Hopf points and their slopes: closed forms, eigenvalues, finite differences."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxchain import find_limit_cycle, hopf_belt_speed, paper_chain, steady_sliding
+from jaxchain.boundaries import continue_equilibrium, find_equilibrium, find_hopf_point
+from jaxchain.model import AbstractCells
+
+
+class Brusselator(AbstractCells):
+    """x' = a - (b + 1) x + x^2 y, y' = b x - x^2 y: Hopf at b = 1 + a^2, omega = a."""
+
+    a: jax.Array
+    b: jax.Array
+
+    def rate(self, t, left, own, right):
+        x, y = own
+        spread = 0.1 * (left[0] - 2.0 * x + right[0])
+        return self.a - (self.b + 1) * x + x**2 * y + spread, self.b * x - x**2 * y
+
+
+class Bistable(AbstractCells):
+    """x' = p + x - x^3 folds at p = -+ 2 / sqrt(27); y' = -y."""
+
+    p: jax.Array
+
+    def rate(self, t, left, own, right):
+        x, y = own
+        return self.p + x - x**3, -y
+
+
+def brusselator(b=1.8):
+    return Brusselator(jnp.asarray(1.2), jnp.asarray(b))
+
+
+def test_an_equilibrium_is_that_of_the_closed_form_with_its_slopes():
+    found = find_equilibrium(brusselator(), (jnp.full(2, 1.0), jnp.full(2, 2.0)))
+    np.testing.assert_allclose(found.state, [[1.2] * 2, [1.5] * 2], atol=1e-12)
+    np.testing.assert_allclose(
+        found.eigenvalues[0].real, np.linalg.eigvals([[0.8, 1.44], [-1.8, -1.44]]).real.max(),
+        atol=1e-12,
+    )  # fmt: skip
+    assert found.stable
+    start = found.state
+    y = lambda b: find_equilibrium(brusselator().with_(b=b), start).state[1][0]  # noqa: E731
+    assert float(jax.grad(y)(1.8)) == pytest.approx(1 / 1.2, rel=1e-12)  # y = b / a
+    many = jax.vmap(y)(jnp.array([1.0, 2.0]))
+    np.testing.assert_allclose(many, [1 / 1.2, 2 / 1.2], rtol=1e-12)
+
+
+def test_a_hopf_point_is_that_of_the_closed_form_with_its_slopes():
+    cells = brusselator()
+    start = find_equilibrium(cells, (jnp.full(1, 1.0), jnp.full(1, 2.0))).state
+    point = find_hopf_point(cells, "b", start)
+    assert float(point.value) == pytest.approx(2.44, abs=1e-13)
+    assert float(point.frequency) == pytest.approx(1.2, abs=1e-13)
+    assert float(point.growth_slope) == pytest.approx(0.5, abs=1e-12)  # Re = (b - 1 - a^2) / 2
+    at = lambda a: find_hopf_point(cells.with_(a=a), "b", start)  # noqa: E731
+    slope, second = (jax.jvp(f, (1.2,), (1.0,))[1] for f in (
+        lambda a: at(a).value, lambda a: at(a).frequency
+    ))  # fmt: skip
+    assert (float(slope), float(second)) == pytest.approx((2.4, 1.0), abs=1e-11)
+    # Just beyond it there is a small cycle (supercritical).
+    state, period = point.guess(0.1)
+    cycle = find_limit_cycle(cells.with_(b=2.45), state, period=period)
+    assert cycle.stable
+    assert 0.0 < float(cycle.amplitude[0]) < 0.5
+
+
+def test_in_a_ring_the_named_frequency_is_found():
+    """A wave of wavenumber q has the damping .1 (2 - 2 cos q): another Hopf point, later."""
+    cells = brusselator(2.44)
+    start = find_equilibrium(cells, (jnp.full(3, 1.2), jnp.full(3, 2.0))).state
+    first = find_hopf_point(cells, "b", start)
+    assert float(first.value) == pytest.approx(2.44, abs=1e-12)
+    branch = continue_equilibrium(cells.with_(b=2.0), start, "b", (1.5, 4.0), max_step=0.1)
+    later = 2.44 + 0.1 * 3.0  # trace = b - 1 - a^2 - .1 (2 - 2 cos q)
+    found = sorted({round(point.p, 6) for point in branch.of_kind("hopf")})
+    assert found[0] == pytest.approx(2.44, abs=1e-6)
+    omega = np.sqrt(1.44 * (1.0 + 0.3))  # det = a^2 (1 + .1 (2 - 2 cos q))
+    second = find_hopf_point(cells.with_(b=later - 0.02), "b", start, frequency=omega)
+    assert float(second.value) == pytest.approx(later, abs=1e-11)
+    assert float(second.frequency) == pytest.approx(omega, abs=1e-11)
+
+
+def test_sliding_is_found_with_its_hopf_speed():
+    chain = paper_chain(1, belt_speed=1.3, width=1e-2)
+    point = find_hopf_point(chain, "belt_speed", steady_sliding(chain))
+    assert float(point.value) == pytest.approx(float(hopf_belt_speed(chain)), abs=1e-12)
+    assert float(point.growth_slope) < 0  # it is lost as the belt slows
+
+
+def test_a_branch_turns_at_its_folds():
+    cells = Bistable(jnp.asarray(-0.6))
+    branch = continue_equilibrium(cells, (jnp.full(1, -1.3), jnp.zeros(1)), "p", (-0.7, 0.7))
+    folds = [point.p for point in branch.of_kind("fold")]
+    assert folds == pytest.approx([2 / 27**0.5, -2 / 27**0.5], abs=1e-9)
+    assert not branch.of_kind("hopf")  # real eigenvalues pass 0, and their sum, too
+    assert branch.p[-1] == pytest.approx(0.7)
+
+
+def test_failures_are_named():
+    with pytest.raises(RuntimeError, match=r"No Hopf point in `p` was found near `guess`"):
+        find_hopf_point(Bistable(jnp.asarray(0.6)), "p", (jnp.ones(1), jnp.zeros(1)))
+    with pytest.raises(ValueError, match=r"`parameter` must be one of \['a', 'b'\]"):
+        find_hopf_point(brusselator(), "c", (jnp.ones(1), jnp.ones(1)))
+    with pytest.raises(ValueError, match="dry friction"):
+        find_equilibrium(paper_chain(1, width=None), (jnp.ones(1), jnp.zeros(1)))
+
+    class Never(Bistable):
+        def rate(self, t, left, own, right):
+            return 1.0 + own[0] ** 2, -own[1]
+
+    with pytest.raises(RuntimeError, match="No equilibrium was found near `guess`"):
+        find_equilibrium(Never(jnp.asarray(0.0)), (jnp.ones(1), jnp.zeros(1)))
