@@ -1,3 +1,4 @@
+from .cells import AbstractCells as AbstractCells
 from .chain import Chain as Chain
 from .chain import paper_chain as paper_chain
 from .chain import steady_sliding as steady_sliding
@@ -14,6 +15,14 @@ from .initial_states import on_the_belt as on_the_belt
 from .initial_states import release_state as release_state
 from .oscillators import AbstractOscillators as AbstractOscillators
 from .oscillators import LocalSlopes as LocalSlopes
+from .ready_made import BurridgeKnopoff as BurridgeKnopoff
+from .ready_made import Dahl as Dahl
+from .ready_made import Duffing as Duffing
+from .ready_made import LuGre as LuGre
+from .ready_made import ModeCoupling as ModeCoupling
+from .ready_made import Pendulums as Pendulums
+from .ready_made import RateAndState as RateAndState
+from .ready_made import VanDerPol as VanDerPol
 from .sliding import growth_rate as growth_rate
 from .sliding import sliding_damping as sliding_damping
 from .sliding import sliding_eigenvalues as sliding_eigenvalues

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from typing import Any
 
 import jax.numpy as jnp
 
 from jaxchain import model
-from jaxchain.model import Chain, ExponentialDecay, Scales, paper_chain
+from jaxchain.model import Chain, ExponentialDecay, Scales, TanhFriction, paper_chain
 
 from .table import (
     A_CHAIN,
@@ -68,6 +69,58 @@ def rows() -> Iterator[Row]:
     bad = {"constant": (*SPEED[:4], math.nan, math.inf, 1j, [[1.0]]), "ends": WORD}
     yield Row("Springs", model.Springs, springs, bad)
     yield from _units()
+    yield from _ready_made()
+
+
+# Of the ready-made models, by their sign: the numbers one for each cell, and those of all cells.
+READY_MADE = {
+    model.BurridgeKnopoff: {"positive": "stiffness mass", "any": "speed coupling"},
+    model.Dahl: {
+        "positive": "stiffness bristle_stiffness coulomb_force mass",
+        "nonnegative": "viscosity",
+        "any": "speed coupling",
+    },
+    model.Duffing: {
+        "positive": "mass", "any": "force damping stiffness cubic coupling",
+        "one": "frequency",
+    },
+    model.LuGre: {
+        "positive": "mass stiffness speed bristle_stiffness coulomb_force static_force "
+        "stribeck_speed",
+        "nonnegative": "bristle_damping viscosity",
+        "any": "coupling",
+    },
+    model.ModeCoupling: {
+        "positive": "stiffness_x stiffness_y contact_stiffness",
+        "nonnegative": "friction damping_x damping_y cubic",
+        "any": "stiffness_xy coupling",
+    },
+    model.Pendulums: {
+        "positive": "length", "nonnegative": "damping", "any": "coupling",
+        "one": "frequency amplitude",
+    },
+    model.RateAndState: {
+        "positive": "mass stiffness speed normal_stress direct_effect evolution_effect "
+        "slip_length reference_speed",
+        "any": "reference_friction coupling",
+    },
+    model.VanDerPol: {"any": "mu coupling"},
+}  # fmt: skip
+
+
+def _ready_made() -> Iterator[Row]:
+    wrong = (None, "x", {}, object, [[1.0]], math.nan, math.inf, 1j)
+    bad_of = {"positive": PER_MASS, "nonnegative": PER_MASS_0, "any": wrong, "one": NUMBER}
+    for cls, signs in READY_MADE.items():
+        bad = {name: bad_of[sign] for sign, names in signs.items() for name in names.split()}
+        if "frequency" in bad:
+            bad["frequency"] = POSITIVE
+        good: dict[str, Any] = dict.fromkeys(bad, 1.0)
+        if cls is model.BurridgeKnopoff:
+            good["friction"], bad["friction"] = TanhFriction(LAW, 1e-2), (None, "x", {}, LAW, 0.5)
+        if cls is model.RateAndState:
+            bad["law"] = WORD
+        yield Row(cls.__name__, cls, good, {**bad, "ends": WORD})
 
 
 def _laws() -> Iterator[Row]:

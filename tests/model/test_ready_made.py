@@ -1,0 +1,484 @@
+"""The ready-made models against their published numbers, closed forms and SciPy."""
+# pyright: reportArgumentType=false
+
+import inspect
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from refusals.model import READY_MADE
+from scipy.integrate import solve_ivp
+
+from jaxchain import ExponentialDecay, TanhFriction, find_limit_cycle, simulate
+from jaxchain.model import (
+    BurridgeKnopoff,
+    Dahl,
+    Duffing,
+    LuGre,
+    ModeCoupling,
+    Pendulums,
+    RateAndState,
+    VanDerPol,
+)
+from jaxchain.observers import PeakTimes, Trajectory
+
+FRICTION = TanhFriction(ExponentialDecay(1.0, 0.5, 0.5), 1e-2)
+
+
+def some(cls, n, **static):
+    """The model with different numbers in each cell, but one frequency, amplitude and so on."""
+    rng = np.random.default_rng(n)
+    numbers = {}
+    for name, parameter in inspect.signature(cls).parameters.items():
+        if name in ("frequency", "amplitude"):
+            numbers[name] = float(rng.uniform(0.5, 2.0))
+        elif name == "friction" and cls is BurridgeKnopoff:
+            numbers[name] = FRICTION
+        elif parameter.default not in ("cyclic", "aging"):
+            numbers[name] = rng.uniform(0.5, 2.0, n)
+    return cls(**numbers, **static)
+
+
+# The right-hand sides once more, one cell at a time, from the formulas of the docstrings; `d` is
+# the sum of the differences of the first number to both neighbours.
+
+
+def mode_coupling(p, t, y, d):
+    x, y, vx, vy = y
+    along = -p.damping_x * vx - p.stiffness_x * x - p.cubic * x**3 + p.coupling * d
+    along -= (p.stiffness_xy - p.friction * p.contact_stiffness) * y
+    return vx, vy, along, -p.damping_y * vy - p.stiffness_xy * x - p.stiffness_y * y
+
+
+def lugre(p, t, y, d):
+    u, v, force = y
+    z = force / p.bristle_stiffness
+    drop = p.static_force - p.coulomb_force
+    g = p.coulomb_force + drop * np.exp(-((v / p.stribeck_speed) ** 2))
+    dz = v - p.bristle_stiffness * abs(v) * z / g
+    friction = p.bristle_stiffness * z + p.bristle_damping * dz + p.viscosity * v
+    dv = (p.stiffness * u - friction - p.coupling * d) / p.mass
+    return p.speed - v, dv, p.bristle_stiffness * dz
+
+
+def dahl(p, t, y, d):
+    u, v, force = y
+    z = force / p.bristle_stiffness
+    dz = v - p.bristle_stiffness * abs(v) * z / p.coulomb_force
+    friction = p.bristle_stiffness * z + p.viscosity * v
+    dv = (p.stiffness * u - friction - p.coupling * d) / p.mass
+    return p.speed - v, dv, p.bristle_stiffness * dz
+
+
+def rate_and_state(p, t, y, d):
+    u, v, age = y[0], np.exp(y[1]), np.exp(y[2])
+    friction = p.reference_friction + p.direct_effect * np.log(v / p.reference_speed)
+    friction += p.evolution_effect * np.log(p.reference_speed * age / p.slip_length)
+    dv = (p.stiffness * u - p.coupling * d - p.normal_stress * friction) / p.mass
+    ratio = v * age / p.slip_length
+    d_age = 1 - ratio if p.law == "aging" else -ratio * np.log(ratio)
+    return p.speed - v, dv / v, d_age / age
+
+
+def duffing(p, t, y, d):
+    x, v = y
+    force = p.force * np.cos(p.frequency * t) - p.damping * v - p.stiffness * x - p.cubic * x**3
+    return v, (force + p.coupling * d) / p.mass
+
+
+def van_der_pol(p, t, y, d):
+    x, v = y
+    return v, p.mu * (1 - x**2) * v - x + p.coupling * d
+
+
+def burridge_knopoff(p, t, y, d):
+    u, v = y
+    friction = -(0.5 + 0.5 * np.exp(-abs(v) / 0.5)) * np.tanh(v / 1e-2)
+    return p.speed - v, (p.stiffness * u - p.coupling * d + friction) / p.mass
+
+
+def pendulums(p, t, angle, lengths):
+    """Of three neighbouring pendulums (angles, lengths): the force on the bob in the middle.
+
+    Springs between bobs, without the force that they have where all pendulums hang.
+    """
+    place = [
+        length * np.array([np.sin(a), -np.cos(a)])
+        for a, length in zip(angle, lengths, strict=True)
+    ]
+    hangs = [length * np.array([0.0, -1.0]) for length in lengths]
+    gravity = 1 + p.amplitude * p.frequency**2 * np.cos(p.frequency * t)
+    force = gravity * np.array([0.0, -1.0])
+    for k in (0, 2):
+        force = force + p.coupling * ((place[k] - place[1]) - (hangs[k] - hangs[1]))
+    return force @ [np.cos(angle[1]), np.sin(angle[1])] / lengths[1]
+
+
+BY_HAND = {
+    ModeCoupling: mode_coupling, LuGre: lugre, Dahl: dahl, RateAndState: rate_and_state,
+    Duffing: duffing, VanDerPol: van_der_pol, BurridgeKnopoff: burridge_knopoff,
+}  # fmt: skip
+CLASSES = [*BY_HAND, Pendulums]
+
+
+def one_of(cells, n, k):
+    """The numbers of cell k of n."""
+    numbers = {
+        name: np.broadcast_to(np.asarray(value), (n,))[k]
+        for name, value in cells.numbers().items()
+    }
+    return SimpleNamespace(law=getattr(cells, "law", None), **numbers)
+
+
+def rate_by_hand(cells, t, y):
+    """All rates of a state of shape (m, n)."""
+    n = y.shape[1]
+    rates = np.zeros_like(y)
+    for k in range(n):
+        before, behind = (k - 1) % n, (k + 1) % n
+        if cells.ends == "free":
+            before, behind = max(k - 1, 0), min(k + 1, n - 1)
+        one = one_of(cells, n, k)
+        if isinstance(cells, Pendulums):
+            at = [before, k, behind]
+            lengths = np.broadcast_to(np.asarray(cells.length), (n,))
+            push = pendulums(one, t, y[0, at], lengths[at])
+            rates[:, k] = y[1, k], push - one.damping * y[1, k]
+        else:
+            d = y[0, before] + y[0, behind] - 2 * y[0, k]
+            rates[:, k] = BY_HAND[type(cells)](one, t, y[:, k], d)
+    return rates
+
+
+@pytest.mark.parametrize("ends", ["cyclic", "free"])
+@pytest.mark.parametrize("n", [1, 2, 5])
+@pytest.mark.parametrize("cls", CLASSES)
+def test_rates_are_those_of_the_formulas(cls, n, ends):
+    cells = some(cls, n, ends=ends)
+    y = np.random.default_rng(1).normal(size=(len(cells.components), n))
+    found = np.stack(cells(0.7, tuple(map(jnp.asarray, y))))
+    np.testing.assert_allclose(found, rate_by_hand(cells, 0.7, y), rtol=1e-11, atol=1e-12)
+
+
+def test_both_laws_of_state_are_those_of_the_formulas():
+    y = np.random.default_rng(2).normal(size=(3, 4))
+    rates = []
+    for law in ("aging", "slip"):
+        cells = some(RateAndState, 4, law=law)
+        rates.append(np.stack(cells(0.0, tuple(map(jnp.asarray, y)))))
+        np.testing.assert_allclose(rates[-1], rate_by_hand(cells, 0.0, y), rtol=1e-11)
+    assert np.all(np.abs(rates[0][2] - rates[1][2]) > 1e-3)
+
+
+# Mode coupling.
+
+
+def modes(cells):
+    return np.linalg.eigvals(cells.jacobian(0.0, (jnp.zeros(1),) * 4))
+
+
+def test_two_modes_meet_at_the_friction_of_the_closed_form():
+    numbers = (2.3, 1.1, 0.7, 1.7)  # k11, k22, k12, k_c
+    critical = (0.7 + (2.3 - 1.1) ** 2 / (4 * 0.7)) / 1.7
+    squares = np.sort(modes(ModeCoupling(*numbers, friction=critical)) ** 2)
+    np.testing.assert_allclose(squares, -(2.3 + 1.1) / 2, atol=1e-6)  # rounding, square root
+    assert np.max(np.abs(squares - squares[0])) ** 2 < 1e-9
+    below = modes(ModeCoupling(*numbers, friction=critical - 1e-6))
+    above = modes(ModeCoupling(*numbers, friction=critical + 1e-6))
+    assert np.max(np.abs(below.real)) < 1e-9
+    assert np.max(above.real) > 1e-4
+
+
+def test_damped_modes_are_those_of_the_matrix():
+    k11, k22, k12, kc, mu, c1, c2 = 2.3, 1.1, 0.7, 1.7, 0.9, 0.05, 0.2
+    matrix = [
+        [0, 0, 1, 0], [0, 0, 0, 1], [-k11, mu * kc - k12, -c1, 0], [-k12, -k22, 0, -c2],
+    ]  # fmt: skip
+    found = modes(ModeCoupling(k11, k22, k12, kc, mu, c1, c2))
+    np.testing.assert_allclose(np.sort(found), np.sort(np.linalg.eigvals(matrix)), atol=1e-12)
+
+
+# Blocks.
+
+
+def test_a_lugre_block_sticks_and_slips_with_the_period_of_scipy_and_of_the_table():
+    block, rest = LuGre(), (jnp.zeros(1),) * 3
+    run = simulate(block, rest, 30.0, rtol=1e-9, observe=PeakTimes(capacity=5))
+    period = np.diff(run.observed[:, 0])[-2]
+    assert abs(period - 6.36272) < 1e-5
+
+    def rate(t, y):  # with the deflection z itself
+        u, v, z = y
+        g = 1.0 + 0.5 * np.exp(-((v / 0.001) ** 2))
+        dz = v - 1e5 * abs(v) * z / g
+        return 0.1 - v, 2 * u - 1e5 * z - np.sqrt(1e5) * dz - 0.4 * v, dz
+
+    def top(t, y):
+        return 0.1 - y[1]
+
+    top.direction = -1  # pyright: ignore
+    tight = {"method": "Radau", "rtol": 1e-9, "atol": 1e-12}
+    times = solve_ivp(rate, (0, 30), [0, 0, 0], events=top, **tight).t_events[0]
+    np.testing.assert_allclose(period, np.diff(times)[-2], rtol=1e-6)
+
+
+@pytest.mark.slow
+def test_the_cycle_of_a_lugre_block_advances_by_the_way_of_the_spring():
+    block = LuGre()
+    run = simulate(block, (jnp.zeros(1),) * 3, 50.0)
+    cycle = find_limit_cycle(block, run, period=6.4)
+    assert cycle.stable
+    assert cycle.state[1][0] > 0.3  # cut where the block slips
+    assert abs(cycle.period - 6.36272) < 1e-5
+    again = simulate(block, cycle.state, cycle.period, rtol=1e-9)
+    np.testing.assert_allclose(again.state, cycle.state, atol=1e-6)
+    advance = block.speed * cycle.period - (again.state[0] - cycle.state[0])
+    assert abs(advance[0] - 0.636272) < 1e-6
+
+
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_the_force_of_dahls_bristles_depends_on_the_path_alone(direction):
+    block = Dahl(
+        2.0, 0.5 * direction, bristle_stiffness=10.0, coulomb_force=0.8, viscosity=0.3, mass=2.0
+    )
+    start = (jnp.array([1.5 * direction]), jnp.array([0.2 * direction]), jnp.array([0.4]))
+    times = jnp.linspace(0.0, 1.5, 16)
+    run = simulate(block, start, 1.5, rtol=1e-11, observe=Trajectory(times))
+    u, v, force = (np.asarray(part)[:, 0] for part in run.observed)
+    assert np.all(v * direction > 0)
+    path = direction * (0.5 * direction * np.asarray(times) - (u - u[0]))
+    assert path[-1] > 0.5
+    limit = 0.8 * direction
+    expected = limit + (0.4 - limit) * np.exp(-10.0 * path / 0.8)
+    np.testing.assert_allclose(force, expected, atol=1e-9)
+
+
+NUMBERS = {"mass": 0.02, "speed": 1.3, "normal_stress": 10.0, "direct_effect": 0.5,
+           "evolution_effect": 0.9, "slip_length": 0.7, "reference_friction": 0.6,
+           "reference_speed": 0.4}  # fmt: skip
+
+
+def steady(stiffness, law="aging"):
+    """(the block, its state of steady sliding)."""
+    block = RateAndState(stiffness=stiffness, law=law, **NUMBERS)
+    stress = 10.0 * (0.6 + (0.5 - 0.9) * jnp.log(1.3 / 0.4))
+    rest = (stress / stiffness, jnp.log(1.3), jnp.log(0.7 / 1.3))
+    return block, tuple(jnp.asarray(part, float)[None] for part in rest)
+
+
+def linearised(stiffness, law="aging"):
+    """The Jacobian at steady sliding."""
+    block, rest = steady(stiffness, law)
+    return block.jacobian(0.0, rest)
+
+
+CRITICAL = 10.0 * (0.9 - 0.5) / 0.7 * (1 + 0.02 * 1.3**2 / (10.0 * 0.5 * 0.7))
+
+
+@pytest.mark.parametrize("law", ["aging", "slip"])
+def test_steady_sliding_loses_stability_at_the_stiffness_of_rice_and_ruina(law):
+    block, rest = steady(CRITICAL, law)
+    np.testing.assert_allclose(np.stack(block(0.0, rest)), 0.0, atol=1e-12)
+    values = np.linalg.eigvals(linearised(CRITICAL, law))
+    pair = values[np.abs(values.imag) > 0]
+    np.testing.assert_allclose(pair.real, 0, atol=1e-9)
+    square = (CRITICAL * 1.3 / 0.7) / (0.02 * 1.3 / 0.7 + 10.0 * 0.5 / 1.3)
+    np.testing.assert_allclose(np.abs(pair.imag), np.sqrt(square), rtol=1e-9)
+    assert np.max(np.linalg.eigvals(linearised(0.99 * CRITICAL, law)).real) > 1e-3
+    assert np.max(np.linalg.eigvals(linearised(1.01 * CRITICAL, law)).real) < -1e-3
+
+
+def test_both_laws_of_state_are_the_same_near_steady_sliding():
+    aging, slip = (linearised(3.0, law) for law in ("aging", "slip"))
+    np.testing.assert_allclose(aging, slip, rtol=1e-13, atol=1e-13)
+
+
+def test_the_slope_of_the_growth_rate_is_that_of_finite_differences():
+    def growth(stiffness):
+        return jnp.max(jnp.linalg.eigvals(linearised(stiffness)).real)
+
+    step = 1e-4
+    between = (growth(CRITICAL + step) - growth(CRITICAL - step)) / (2 * step)
+    assert between < -0.01
+    for slope in (jax.grad, jax.jacfwd):
+        np.testing.assert_allclose(slope(growth)(CRITICAL), between, rtol=1e-7)
+
+
+def test_a_fault_moves_as_scipy_says():
+    fault = BurridgeKnopoff(FRICTION, speed=0.3, coupling=2.0, ends="free")
+    start = np.stack([0.3 * np.sin(np.arange(5.0)), np.zeros(5)])
+
+    numbers = one_of(fault, 1, 0)
+
+    def rate(t, y):
+        u, v = y.reshape(2, 5)
+        d = np.diff(np.pad(u, 1, mode="edge"), 2)
+        return np.concatenate(burridge_knopoff(numbers, t, (u, v), d))
+
+    tight = {"method": "LSODA", "rtol": 1e-11, "atol": 1e-13}
+    expected = solve_ivp(rate, (0, 15), start.ravel(), **tight).y[:, -1].reshape(2, 5)
+    run = simulate(fault, tuple(map(jnp.asarray, start)), 15.0, rtol=1e-10)
+    assert np.max(np.abs(expected[1])) > 0.1  # some block slips
+    np.testing.assert_allclose(np.stack(run.state), expected, atol=1e-6)
+    velocities, width = fault.switching(0.0, run.state[1])
+    np.testing.assert_array_equal(velocities, run.state[1])
+    assert width == 1e-2
+
+
+# Driven and self-excited oscillators.
+
+RING = Duffing(1.0, 2.0, damping=0.1, stiffness=1.0, cubic=2.0, mass=1.0, coupling=0.1)
+WAVE = (jnp.sin(jnp.arange(10.0)), 0.5 * jnp.cos(3.0 * jnp.arange(10.0)))
+
+
+def test_a_ring_of_duffing_oscillators_moves_as_scipy_says():
+    def rate(t, y):
+        x, v = y.reshape(2, 10)
+        springs = 0.1 * (np.roll(x, 1) - 2 * x + np.roll(x, -1))
+        return np.concatenate([v, np.cos(2 * t) - 0.1 * v - x - 2 * x**3 + springs])
+
+    tight = {"method": "DOP853", "rtol": 1e-13, "atol": 1e-15}
+    expected = solve_ivp(rate, (0, 20), np.concatenate(WAVE), **tight).y[:, -1]
+    run = simulate(RING, WAVE, 20.0, rtol=1e-12)
+    np.testing.assert_allclose(np.concatenate(run.state), expected, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_the_forced_cycle_of_a_duffing_ring_closes():
+    cycle = find_limit_cycle(RING, WAVE)
+    assert cycle.turns == 1
+    np.testing.assert_allclose(cycle.period, np.pi, rtol=1e-14)
+    end = simulate(RING, cycle.state, cycle.period, rtol=1e-11).state
+    np.testing.assert_allclose(np.stack(end), np.stack(cycle.state), atol=1e-8)
+
+
+def multipliers(n, amplitude):
+    """Floquet's, of the flat state of alternating pendulums."""
+    length = 1.0 + 0.25 * (-1.0) ** jnp.arange(n)
+    flat = (jnp.zeros(n), jnp.zeros(n))
+
+    # The flat state itself does not bound the steps.
+    short = {"max_step": 0.02}
+
+    @jax.jit
+    def monodromy(amplitude):
+        ring = Pendulums(length, amplitude, frequency=3.5, damping=0.1, coupling=1.0)
+
+        def flow(y):
+            end = simulate(ring, (y[:n], y[n:]), 2 * np.pi / 3.5, rtol=1e-9, **short).state
+            return jnp.concatenate(end)
+
+        return jax.jacfwd(flow)(jnp.concatenate(flat))
+
+    return [np.linalg.eigvals(monodromy(a)) for a in amplitude]
+
+
+def test_flat_pendulums_have_the_multipliers_of_scipy():
+    n, a, w = 4, 0.05, 3.5
+    length = 1 + 0.25 * (-1.0) ** np.arange(n)
+
+    def rate(t, y):
+        angle, v = y.reshape(2, n, 2 * n)
+        x = length[:, None] * angle
+        # Springs pull in proportion to the horizontal distance of the bobs.
+        force = np.roll(x, 1, 0) + np.roll(x, -1, 0) - 2 * x
+        force -= (1 + a * w**2 * np.cos(w * t)) * angle
+        return np.stack([v, force / length[:, None] - 0.1 * v]).ravel()
+
+    tight = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-13}
+    y = solve_ivp(rate, (0, 2 * np.pi / w), np.eye(2 * n).ravel(), **tight).y[:, -1]
+    expected = np.linalg.eigvals(y.reshape(2 * n, 2 * n))
+    (found,) = multipliers(n, [a])
+    np.testing.assert_allclose(np.sort(np.abs(found)), np.sort(np.abs(expected)), atol=1e-7)
+
+
+def test_flat_pendulums_lose_stability_at_the_published_amplitude():
+    below, above = 0.03993, 0.03995
+    low, high = (np.max(np.abs(m)) - 1 for m in multipliers(32, [below, above]))
+    assert low < 0 < high
+    critical = below - low * (above - below) / (high - low)
+    assert abs(critical - 0.03994278) < 1e-7
+
+
+def test_van_der_pols_oscillator_has_the_known_period():
+    ring = VanDerPol(1.0, coupling=0.3)
+    start = (jnp.full(3, 2.0), jnp.zeros(3))
+    run = simulate(ring, start, 60.0, rtol=1e-11, observe=PeakTimes(capacity=12))
+    periods = np.diff(run.observed, axis=0)[5:8]
+    np.testing.assert_allclose(periods, 6.66328686, atol=1e-7)
+
+
+# Input.
+
+
+@pytest.mark.parametrize("cls", CLASSES)
+def test_wrong_numbers_are_refused_by_name(cls):
+    good = some(cls, 2)
+    arguments = {name: getattr(good, name) for name in inspect.signature(cls).parameters}
+    numbers = [(sign, name) for sign, of in READY_MADE[cls].items() for name in of.split()]
+    assert {name for _, name in numbers} == arguments.keys() - {"ends", "law"} - (
+        {"friction"} if cls is BurridgeKnopoff else set()
+    )
+    for sign, name in numbers:
+        cls(**arguments | {name: 1.0})
+        if sign == "nonnegative":
+            cls(**arguments | {name: 0.0})
+        values = {"positive": (0.0, -1.0), "nonnegative": (-1.0,)}.get(sign, ())
+        for wrong in (*values, np.nan, np.inf, "x", None, 1j):
+            with pytest.raises(ValueError, match=f"Argument `{name}` must be"):
+                cls(**arguments | {name: wrong})
+        if sign == "any":
+            cls(**arguments | {name: -1.0})
+
+
+def test_wrong_shapes_are_refused_by_name():
+    with pytest.raises(ValueError, match="given per mass must agree"):
+        VanDerPol(jnp.ones(2), jnp.ones(3))
+    with pytest.raises(ValueError, match="Argument `frequency` must be one number"):
+        Duffing(1.0, jnp.ones(2))
+    for two in ({"amplitude": jnp.ones(2)}, {"frequency": jnp.ones(2)}):
+        with pytest.raises(ValueError, match=f"Argument `{next(iter(two))}` must be one number"):
+            Pendulums(**{"length": 1.0, "amplitude": 0.1, "frequency": 3.5} | two)
+
+
+@pytest.mark.parametrize("cls", CLASSES)
+def test_with_changes_one_number(cls):
+    cells = some(cls, 2)
+    for name, value in cells.numbers().items():
+        changed = cells.with_(**{name: 0.9 * value})
+        assert type(changed) is cls
+        for other, number in changed.numbers().items():
+            np.testing.assert_array_equal(
+                number, (0.9 if other == name else 1.0) * cells.numbers()[other]
+            )
+    with pytest.raises(ValueError, match="does not know 'nothing'"):
+        cells.with_(nothing=1.0)
+
+
+def test_a_fault_takes_the_numbers_of_its_friction():
+    fault = BurridgeKnopoff(FRICTION, 0.3)
+    assert fault.numbers().keys() > FRICTION.numbers().keys()
+    assert fault.with_(width=0.02, mu_dynamic=0.4, speed=0.1).friction.law.mu_dynamic == 0.4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("cells", "name", "slope"),
+    [
+        (RateAndState(stiffness=3.0, **NUMBERS), "stiffness", jax.jacfwd),
+        (BurridgeKnopoff(FRICTION, 0.3), "width", jax.grad),
+    ],
+)
+def test_runs_can_be_differentiated_and_batched(cells, name, slope):
+    start = tuple(0.1 * jnp.sin(k + jnp.arange(2.0)) for k in range(len(cells.components)))
+
+    def end(value):
+        run = simulate(cells.with_(**{name: value}), start, 2.0, rtol=1e-10)
+        return jnp.sum(run.state[0] ** 2)
+
+    at = float(cells.numbers()[name])
+    low, middle, high = jax.vmap(end)(jnp.array([0.999, 1.0, 1.001]) * at)
+    np.testing.assert_allclose(middle, end(at), rtol=1e-9)
+    np.testing.assert_allclose(slope(end)(at), (high - low) / (0.002 * at), rtol=1e-4)
