@@ -747,7 +747,8 @@ def _follow(
             return "it is no longer a cycle, by its speed, period or trivial multiplier"
         if extra.speed <= 0 and not forced:
             return "the amplitude vanishes"
-        greatest = np.max(np.abs(shooting.field.value_and_rate(0.0, extra.state)[1]))
+        state = tuple(map(jnp.asarray, extra.state))
+        greatest = np.max(np.abs(shooting.field.value_and_rate(0.0, state)[1]))
         if extra.speed < 1e-2 * greatest and not forced:
             return f"mass {shooting.mass} hardly vibrates: cut the orbit at another"
         return stop is not None and stop(p, extra)
