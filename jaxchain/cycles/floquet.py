@@ -275,22 +275,45 @@ def check_orbit(chain: Any, state: Any, period: Any, rtol: Any, name: str = "sta
     parts = as_state(chain, state, name)
     check_positive_number("period", period, "about 2 pi is usual.")
     check_tolerances(rtol, None, MAX_STEP)
-    if not isinstance(chain, Chain) and chain.forcing_period() is None:
-        check_autonomous(chain, parts)
+    if not isinstance(chain, Chain):
+        forced = chain.forcing_period()
+        if forced is None:
+            check_autonomous(chain, parts)
+        else:
+            _check_force(chain, forced, parts)
     return parts
 
 
-def turns_of(chain: AbstractField, period: Any) -> int | None:
+def _check_force(chain: AbstractField, forced: Any, state: State) -> None:
+    """Raises `ValueError` unless the rate comes back after the period of the force."""
+    check_positive_number("forcing_period()", forced, "it is that of what depends on time.")
+    if is_traced(chain, forced, state):
+        return
+    for share in (0.0, 0.3, 0.7):
+        now, later = (jnp.stack(chain(t * forced, state)) for t in (share, share + 1.0))
+        size = jnp.max(jnp.abs(now)) + jnp.max(jnp.abs(later))
+        if bool(jnp.max(jnp.abs(now - later)) > 1e-9 * size):
+            raise ValueError(
+                f"The method `forcing_period` of {type(chain).__name__} returns "
+                f"{float(forced):.9g}, but the rate at a time and a period later differ: give "
+                "the period of the force."
+            )
+
+
+def turns_of(chain: AbstractField, period: Any, name: str = "period") -> int | None:
     """The period in periods of the force, or `ValueError`; None where nothing depends on time."""
     forced = chain.forcing_period()
     if forced is None:
         return None
     if is_traced(period, forced):
-        return 1
+        raise ValueError(
+            "Argument `period` is traced, or the period of the force is, so that the number of "
+            "turns of the cycle is not known: give a forced `LimitCycle` as `guess`."
+        )
     turns = round(float(period) / float(forced))
     if turns < 1 or abs(turns * float(forced) / float(period) - 1.0) > 1e-6:
         raise ValueError(
-            f"Argument `period` is {float(period):.9g}, but the cells are forced with the period "
+            f"Argument `{name}` is {float(period):.9g}, but the cells are forced with the period "
             f"{float(forced):.9g}: give a multiple of it, or leave `period` out."
         )
     return turns

@@ -736,7 +736,9 @@ def find_limit_cycle(
     if not (isinstance(chain, Chain) and chain.dry):
         given = 1e-9 if is_traced(rtol) else float(rtol)
         solver = fit_linear_solve(Rodas5P(), frozen, given, state=state)
-        m, turns = len(state), turns_of(frozen, period)
+        m, forced = len(state), frozen.forcing_period() is not None
+        turns = guess.turns if forced and isinstance(guess, LimitCycle) else None
+        turns = turns_of(frozen, period) if turns is None else turns
         solve, equations = (
             solve_cycle,
             Shooting(frozen, rtol, solver, mass, images, None, m, turns),
@@ -787,10 +789,12 @@ def resolve_guess(
         check_orbit(chain, guess.state, guess.period, CYCLE_RTOL)
         mass = as_mass(guess.state[0].shape[0], mass, guess.mass)
         state, period = carried(guess.state, guess.chain, chain), guess.period
-        if guess.turns is not None:
+        if guess.turns is not None and chain.forcing_period() is not None:
             period = guess.turns * to_float(chain.forcing_period())
     else:
         transient = 0.0 if isinstance(guess, Simulation) else _TRANSIENT
+        if isinstance(guess, Simulation) and chain.forcing_period() is not None:
+            turns_of(chain, guess.t, "guess.t")  # the state belongs to the phase 0 of the force
         guess = guess.state if isinstance(guess, Simulation) else guess
         pair = isinstance(guess, tuple | list) and len(guess) == 2
         if pair and isinstance(guess[0], tuple | list):

@@ -92,7 +92,7 @@ class Shooting(eqx.Module):
     @property
     def place(self) -> int:
         """The index of z_j in u."""
-        return self._starts[self.field.contact % self.m] + self.solved.index(self.mass)
+        return self._starts[min(self.field.contact, self.m - 1)] + self.solved.index(self.mass)
 
     @property
     def _starts(self) -> list[int]:
@@ -116,7 +116,7 @@ class Shooting(eqx.Module):
     def pack(self, state: State, period: Any, parameter: Any = None) -> Float[Array, " m"]:
         """u of a state on the section (without x_j if it is explicit)."""
         field, parts = self.at(parameter), list(state)
-        contact = field.contact % self.m
+        contact = min(field.contact, self.m - 1)
         belt, width = _layer(field, parts[contact])
         if width is not None:
             parts[contact] = jnp.arcsinh((parts[contact] - belt) / width)
@@ -141,7 +141,7 @@ class Shooting(eqx.Module):
         parts[1:] = [part[index] for part in parts[1:]]
         if not self.balanced:
             parts[0] = parts[0][index]
-        contact = field.contact % self.m
+        contact = min(field.contact, self.m - 1)
         belt, width = _layer(field, parts[contact])
         if width is not None:
             parts[contact] = belt + width * jnp.sinh(parts[contact])
@@ -156,10 +156,6 @@ class Shooting(eqx.Module):
         force = field.local_force(0.0, x, v) + field.restoring_force(x)
         stiffness = -field.restoring_force(slopes)[self.mass]
         return field, (x + slopes * (force[self.mass] / stiffness), v), period
-
-    def speed(self, state: State, parameter: Any = None) -> Array:
-        """The velocity of mass j."""
-        return self.at(parameter).value_and_rate(0.0, state)[1][self.mass]
 
     def rest(self, parameter: Any = None) -> Array:
         """sinh z_j at zero velocity: -|v_d| / eps."""
@@ -219,7 +215,7 @@ class Shooting(eqx.Module):
     def gap(self, u: Float[Array, " m"], end: State, parameter: Any = None) -> Float[Array, " m"]:
         """The residual, given the state after a period."""
         field, state, _ = self.unpack(u, parameter)
-        contact, rows = field.contact % self.m, jnp.asarray(self.solved, int)
+        contact, rows = min(field.contact, self.m - 1), jnp.asarray(self.solved, int)
         gaps = [after - before for after, before in zip(end, state, strict=True)]
         belt, width = _layer(field, state[contact])
         if width is not None:

@@ -267,7 +267,7 @@ class Along(AbstractObserver):
         velocities = jax.vmap(step.velocity)(gauss(5)[0])
         along = step.field.belt_direction()
         highest = jnp.max(along * velocities, axis=0)
-        fastest = jnp.maximum(fastest, jnp.maximum(highest, along * step.ends()[1][1]))
+        fastest = jnp.maximum(fastest, jnp.maximum(highest, along * step.at_ends()[1][1]))
         return low, high, fastest, trace + step.integral(step.field.divergence)
 
     def read(self, accumulator: Any) -> tuple[Array, Array, Array]:

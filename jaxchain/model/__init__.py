@@ -1,7 +1,6 @@
 """The chain: masses on a moving belt, their springs and friction, sliding, initial states.
 
 - `arguments`: checks of a chain, a state, a mass and a symmetry
-- `blocks`: linear systems of cells that see their neighbours, solved in O(N)
 - `cells`: the base class of all models, and equal-shaped cells with m numbers each
 - `chain`: the equations, the paper's chain, steady sliding
 - `friction`: laws mu(s), one class each, and their smoothing by a width
@@ -15,7 +14,7 @@
 - `sliding`: linear stability of steady sliding: damping, stiffness, eigenvalues
 - `springs`: neighbours of a mass, and the springs between them
 - `tabulated`: measured friction as a law, a curve through points
-- `tridiagonal`: the springs' linear systems, solved in O(N)
+- `tridiagonal`: linear systems of cells that see their neighbours, solved in O(N)
 - `units`: conversion between SI units and the dimensionless chain
 """
 

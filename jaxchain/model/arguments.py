@@ -18,7 +18,8 @@ from .._checks import (
 )
 from .cells import AbstractCells, AbstractField
 from .chain import MAKE_CHAIN, Chain
-from .locality import check_local
+from .locality import check_cells, check_local
+from .oscillators import AbstractOscillators
 
 _STATES = "see `excited_state` for initial states."
 
@@ -28,7 +29,8 @@ _Kind = TypeVar("_Kind", bound=AbstractField)
 def as_chain(chain: Any, kind: type[_Kind] = Chain, remedy: str = "") -> _Kind:
     """The chain, or `ValueError` unless it is of this kind and made of 64-bit numbers."""
     require_x64()
-    other = "" if kind is Chain else ", or other `AbstractOscillators` or `AbstractCells`"
+    others = {Chain: "", AbstractOscillators: " or other `AbstractOscillators`"}
+    other = others.get(kind, ", or other `AbstractOscillators` or `AbstractCells`")
     check_kind("chain", chain, kind, f"a `Chain`{other}", remedy or MAKE_CHAIN)
     require_64_bits("chain", chain)
     return chain
@@ -93,7 +95,7 @@ def _as_state_of_cells(
         check_finite(f"{name}[{k}]", part)
     if not batch:
         cells.dependence(parts)  # raises unless there is a rate for each number
-        check_local(cells, t0, parts)
+        check_cells(cells, t0, parts)
     return parts
 
 

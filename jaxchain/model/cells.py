@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import abc
 import operator
+from dataclasses import fields
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
@@ -20,9 +21,9 @@ from jaxtyping import Array, Bool, Float
 from .._checks import to_float
 from .._final import refuse_overrides
 from .._types import PerMass, ScalarLike, State
-from .blocks import Entries
 from .locality import CELLS_FINAL, Dependence, dependence
 from .springs import neighbours
+from .tridiagonal import Entries
 
 
 class Linearisation(NamedTuple):
@@ -78,6 +79,10 @@ class AbstractField(eqx.Module):
         del t, v
         return None
 
+    def layer(self, t: ScalarLike, y: State) -> tuple[Float[Array, " n"], PerMass] | None:
+        """`switching` at a state: of its number `contact`, or of the last one if it has fewer."""
+        return self.switching(t, y[min(self.contact, len(y) - 1)])
+
     def belt_direction(self) -> ScalarLike:
         """The sign of the velocity at which forces switch, 1 or -1; 1 if no force switches."""
         return 1.0
@@ -103,6 +108,11 @@ class AbstractField(eqx.Module):
         self, t: ScalarLike, y: State, component: int = 0
     ) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
         """(y_i, y_i'): one of the m numbers of each cell, and its rate."""
+        if component >= len(y):
+            raise ValueError(
+                f"Argument `component` is {component}, but a cell of {type(self).__name__} has "
+                f"{len(y)} numbers, counted from 0."
+            )
         return y[component], self(t, y)[component]
 
     def second_rate(self, t: ScalarLike, y: State, component: int = 0) -> Float[Array, " n"]:
@@ -124,16 +134,25 @@ class AbstractField(eqx.Module):
         return jax.jacfwd(rate)(jnp.concatenate(y))
 
     def with_(self, **changes: Any) -> Any:
-        """A copy with other numbers, by the names of fields."""
+        """A copy with other numbers, by the names of fields, checked as those of a new one."""
         field = self
+        converters = {f.name: f.metadata.get("converter", to_float) for f in fields(self)}
         for name, value in changes.items():
             if name not in self.numbers():
                 raise ValueError(
                     f"`{type(self).__name__}.with_` does not know {name!r}; it takes "
                     f"{sorted(self.numbers())}."
                 )
-            field = eqx.tree_at(operator.attrgetter(name), field, to_float(value))
+            number = to_float(converters.get(name, to_float)(value))
+            field = eqx.tree_at(operator.attrgetter(self._place(name)), field, number)
+        for kind in type(field).__mro__:
+            if check := vars(kind).get("__check_init__"):
+                check(field)
         return field
+
+    def _place(self, name: str) -> str:
+        """The attribute that a number is kept in."""
+        return name
 
     def numbers(self) -> dict[str, Array]:
         """The arrays among the fields by name."""

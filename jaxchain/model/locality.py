@@ -159,35 +159,40 @@ def check_autonomous(field: Any, state: Any) -> None:
     if depends_on_time(field, state):
         raise ValueError(
             f"Argument `chain` is a {type(field).__name__} whose forces depend on time, so it has "
-            "no cycle of its own period: this needs an autonomous system. Let one more mass drive "
-            "the others, or use `simulate` over periods of the drive."
+            "no cycle of its own period: this needs an autonomous system. Define the method "
+            "`forcing_period`, or use `simulate` over periods of the drive."
         )
 
 
 def check_local(field: Any, t: Any, state: Any) -> None:
     """Raises `ValueError` if the local force on a mass depends on the motion of another one.
 
-    `field` is an `AbstractOscillators` or `AbstractCells`.  Its derivatives near the state, in a
-    direction that differs from mass to mass, must be those of a diagonal matrix.  Traced values
-    pass, and so do classes that override `__call__`, whose structure is not used.
+    `field` is an `AbstractOscillators`.  Its derivatives near the state, in a direction that
+    differs from mass to mass, must be those of a diagonal matrix.  Traced values pass, and so do
+    classes that override `__call__`, whose structure is not used.
     """
-    if state[0].shape[0] < 2 or not field.structured or is_traced(field, t, state):
-        return
-    now = jnp.asarray(t, float)
-    if hasattr(field, "rate") and not hasattr(field, "local_force"):
-        if bool(_is_local(jtu.Partial(_rate_of_parts, field, len(state)), (now, *state * 3))):
-            return
+    if field.structured and not _acts_by_cell(field.local_force, t, state):
         raise ValueError(
-            f"The `rate` of {type(field).__name__} mixes cells: give the rate of one cell, from "
+            f"The `local_force` of {type(field).__name__} on a mass depends on the motion of "
+            "another mass, which the structured solvers cannot see: couple masses by `springs`, "
+            "or override `__call__` and use a stock diffrax solver, `solver=diffrax.Tsit5()`."
+        )
+
+
+def check_cells(cells: Any, t: Any, state: Any) -> None:
+    """Raises `ValueError` if the `rate` of an `AbstractCells` mixes cells; traced values pass."""
+    rate = jtu.Partial(_rate_of_parts, cells, len(state))
+    if not _acts_by_cell(rate, t, state * 3):
+        raise ValueError(
+            f"The `rate` of {type(cells).__name__} mixes cells: give the rate of one cell, from "
             "its own numbers and those in `left` and `right`, elementwise."
         )
-    if bool(_is_local(field.local_force, (now, *state))):
-        return
-    raise ValueError(
-        f"The `local_force` of {type(field).__name__} on a mass depends on the motion of another "
-        "mass, which the structured solvers cannot see: couple masses by `springs`, or override "
-        "`__call__` and use a stock diffrax solver, `solver=diffrax.Tsit5()`."
-    )
+
+
+def _acts_by_cell(function: Any, t: Any, parts: Any) -> bool:
+    if parts[0].shape[0] < 2 or is_traced(function, t, parts):
+        return True
+    return bool(_is_local(function, (jnp.asarray(t, float), *parts)))
 
 
 def _rate_of_parts(field: Any, m: int, t: Any, *parts: Any) -> Any:

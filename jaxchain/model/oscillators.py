@@ -10,7 +10,6 @@ one (cyclic) tridiagonal system per stage, which `model/tridiagonal.py` solves.
 """
 
 import abc
-import operator
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -18,7 +17,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from .._checks import to_float
 from .._final import final, refuse_overrides
 from .._types import PerMass, ScalarLike, State
 from .cells import AbstractField
@@ -129,7 +127,7 @@ class AbstractOscillators(AbstractField):
         self, t: ScalarLike, y: State, component: int = 0
     ) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
         """(x, v), or (v, v') for component 1."""
-        return (y[0], y[1]) if component == 0 else (y[1], self(t, y)[1])
+        return (y[0], y[1]) if component == 0 else super().value_and_rate(t, y, component)
 
     def second_rate(self, t: ScalarLike, y: State, component: int = 0) -> Float[Array, " n"]:
         """v', or v'' for component 1."""
@@ -189,18 +187,8 @@ class AbstractOscillators(AbstractField):
 
         return jax.jacfwd(rate)(jnp.concatenate(y))
 
-    def with_(self, **changes: Any) -> Any:
-        """A copy with other numbers, by the names of fields; `coupling` is that of the springs."""
-        field = self
-        for name, value in changes.items():
-            if name not in self.numbers():
-                raise ValueError(
-                    f"`{type(self).__name__}.with_` does not know {name!r}; it takes "
-                    f"{sorted(self.numbers())}."
-                )
-            at = operator.attrgetter("springs.constant" if name == "coupling" else name)
-            field = eqx.tree_at(at, field, to_float(value))
-        return field
+    def _place(self, name: str) -> str:
+        return "springs.constant" if name == "coupling" else name
 
     def numbers(self) -> dict[str, Array]:
         """The arrays among the fields by name, and the springs' constant as `coupling`."""

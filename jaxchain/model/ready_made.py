@@ -177,7 +177,7 @@ class LuGre(_AbstractPulled):
     stribeck_speed: PerMass = eqx.field(converter=_number("stribeck_speed"), default=0.001)
     coupling: PerMass = eqx.field(converter=_number("coupling", check_finite), default=0.0)
     ends: Ends = eqx.field(static=True, default="cyclic")
-    components = ("stretch", "velocity", "bristle force")
+    components = ("stretch", "velocity", "bristle_force")
 
     def __check_init__(self) -> None:
         _check(self)
@@ -233,7 +233,7 @@ class Dahl(_AbstractPulled):
     viscosity: PerMass = eqx.field(converter=_number("viscosity", check_nonnegative), default=0.0)
     coupling: PerMass = eqx.field(converter=_number("coupling", check_finite), default=0.0)
     ends: Ends = eqx.field(static=True, default="cyclic")
-    components = ("stretch", "velocity", "bristle force")
+    components = ("stretch", "velocity", "bristle_force")
 
     def __check_init__(self) -> None:
         _check(self)

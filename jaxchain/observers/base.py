@@ -77,7 +77,7 @@ class Step(eqx.Module):
             lambda theta, part: self.state(theta)[part], component,
         )  # fmt: skip
 
-    def ends(self) -> tuple[State, State]:
+    def at_ends(self) -> tuple[State, State]:
         """(displacement, velocity) at the start and at the end."""
         field, component = self.field, self.component
         return (
@@ -91,7 +91,7 @@ class Step(eqx.Module):
         Secant for the zero of the velocity, then two Newton steps on the interpolant; the
         displacement there is accurate to second order in the error of theta.
         """
-        (_, v0), (_, v1) = self.ends()
+        (_, v0), (_, v1) = self.at_ends()
         turns = (v0 > 0) & (v1 <= 0) | (v0 < 0) & (v1 >= 0)
         return turns, lax.stop_gradient(zeros(self.velocity, turns, v0, v1, elsewhere=1.0))
 

@@ -84,7 +84,7 @@ class PeakTimes(AbstractNotingObserver):
         step = step.of(self.component)
         turns, theta = step.turning_points()
         time = step.time(theta)
-        peak = turns & (step.ends()[0][1] > 0) & (time >= self.start)
+        peak = turns & (step.at_ends()[0][1] > 0) & (time >= self.start)
         # Once, not once for every row.
         return materialize(jnp.where(peak, time, _NONE))
 

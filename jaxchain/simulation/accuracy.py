@@ -15,10 +15,10 @@ from .._final import final
 from .._limits import LEAST_ACCURACY, LEAST_ATOL, LEAST_RTOL, MOST_ACCURACY
 from .._types import State
 from ..model.arguments import as_chain
-from ..model.blocks import cell_solver, factor, shifted
 from ..model.cells import AbstractCells, AbstractField
 from ..model.chain import Chain
 from ..model.oscillators import AbstractOscillators
+from ..model.tridiagonal import cell_solver, factor, shifted
 from ..solvers.rosenbrock import AbstractStructuredRosenbrock, Rodas4, Rodas5P
 from .event_driven import EventDriven
 
@@ -142,7 +142,7 @@ def fit_linear_solve(
 def _contraction(cells: AbstractCells, state: State, step: float) -> Array:
     """By which a sweep contracts at a state, for a step of this length; 0 without neighbours."""
     here = cells.linearised(0.0, state)
-    lu, _ = factor(shifted(here.own, 1.0 / step))
+    lu = factor(shifted(here.own, 1.0 / step))
     _, rho = cell_solver(lu, here.left, here.right, cells.ends, 1)
     return jnp.zeros(()) if rho is None else rho
 

@@ -279,6 +279,8 @@ class _StoredSteps(eqx.Module):
     controller: PyTree
 
 
+# The least number of steps in a period of the force.
+_STEPS_OF_FORCE = 32
 # A mean over masses reduces the error of one mass by sqrt(n); here at most as in a ring of twenty.
 _MASSES = 20
 
@@ -309,8 +311,11 @@ class SmoothedPlan(AbstractPlan):
 
     def controller(self, field: AbstractField) -> SwitchingController:
         """The step-size control of a run; plain PID control where no force of `field` switches."""
-        growth_time = field.growth_time()
+        growth_time, forced = field.growth_time(), field.forcing_period()
         longest = self.max_step
+        if forced is not None:
+            # A state that stands still has no error of its own; disturbances of it have.
+            longest = jnp.minimum(longest, lax.stop_gradient(to_float(forced)) / _STEPS_OF_FORCE)
         pid = dfx.PIDController(
             rtol=self.rtol,
             atol=self.atol,

@@ -29,11 +29,17 @@ from jaxtyping import Array, Float
 from .._checks import check_positive_number, check_whole, numbers_of, shown
 from .._final import final, refuse_overrides
 from .._types import ScalarLike, State
-from ..model.blocks import cell_solver, factor, shifted
 from ..model.cells import AbstractCells
 from ..model.oscillators import AbstractOscillators
 from ..model.springs import materialize
-from ..model.tridiagonal import contraction, exact_solver, swept_solver
+from ..model.tridiagonal import (
+    cell_solver,
+    contraction,
+    exact_solver,
+    factor,
+    shifted,
+    swept_solver,
+)
 
 
 @final
@@ -451,7 +457,7 @@ class AbstractStructuredRosenbrock(dfx.AbstractAdaptiveSolver):
         tab, m = self.tableau, len(y0)
         per_h = 1.0 / h
         here = field.linearised(t, y0)
-        lu, pivot = factor(shifted(here.own, per_h / tab.gamma))
+        lu = factor(shifted(here.own, per_h / tab.gamma))
         solve, rho = cell_solver(lu, here.left, here.right, field.ends, self.sweeps)
         stages: list[list[Array]] = []
         rate, place = here.rate, y0
@@ -472,8 +478,8 @@ class AbstractStructuredRosenbrock(dfx.AbstractAdaptiveSolver):
                 ]
             stages.append(solve(right))
         y1 = tuple(place[k] + stages[-1][k] for k in range(m))
-        # A pivot that is not positive: something grows by more than e^(1/gamma) within the step.
-        trusted = pivot * h > 0
+        # A pivot of another sign than h: something grows by more than e^(1/gamma) in the step.
+        trusted = jnp.stack([lu[k][k] * h for k in range(m)]) > 0
         error = tuple(stages[-1])
         if rho is not None:
             truncation = self._truncation(rho)

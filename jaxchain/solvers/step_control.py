@@ -163,9 +163,8 @@ class SwitchingController(WrappingController):
         self, t0: Any, t1: Any, y0: State, y1: State, kept: bool | Bool[ArrayLike, ""]
     ) -> Float[Array, ""] | None:
         """The least of the bounds over all masses; infinite where none is about to switch."""
-        contact = self.field.contact
-        before = self.field.switching(self.direction * t0, y0[contact])
-        after = self.field.switching(self.direction * t1, y1[contact])
+        before = self.field.layer(self.direction * t0, y0)
+        after = self.field.layer(self.direction * t1, y1)
         if before is None or after is None:
             return None
         # In backward runs w is also a function of the increasing time, so no sign changes.

@@ -224,7 +224,7 @@ def test_a_lugre_block_sticks_and_slips_with_the_period_of_scipy_and_of_the_tabl
     np.testing.assert_allclose(period, np.diff(times)[-2], rtol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_cycle_of_a_lugre_block_advances_by_the_way_of_the_spring():
     block = LuGre()
     run = simulate(block, (jnp.zeros(1),) * 3, 50.0)
@@ -345,7 +345,7 @@ def test_a_ring_of_duffing_oscillators_moves_as_scipy_says():
     np.testing.assert_allclose(np.concatenate(run.state), expected, atol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_forced_cycle_of_a_duffing_ring_closes():
     cycle = find_limit_cycle(RING, WAVE)
     assert cycle.turns == 1
@@ -375,6 +375,7 @@ def multipliers(n, amplitude):
     return [np.linalg.eigvals(monodromy(a)) for a in amplitude]
 
 
+@pytest.mark.long
 def test_flat_pendulums_have_the_multipliers_of_scipy():
     n, a, w = 4, 0.05, 3.5
     length = 1 + 0.25 * (-1.0) ** np.arange(n)
@@ -443,6 +444,15 @@ def test_wrong_shapes_are_refused_by_name():
             Pendulums(**{"length": 1.0, "amplitude": 0.1, "frequency": 3.5} | two)
 
 
+def test_what_a_constructor_refuses_with_refuses_too():
+    with pytest.raises(ValueError, match="`mass`"):
+        LuGre().with_(mass=-1.0)
+    with pytest.raises(ValueError, match="`coupling`"):
+        VanDerPol(1.0).with_(coupling=np.nan)
+    with pytest.raises(ValueError, match="`stiffness`"):
+        LuGre(mass=jnp.ones(3)).with_(stiffness=jnp.ones(2))
+
+
 @pytest.mark.parametrize("cls", CLASSES)
 def test_with_changes_one_number(cls):
     cells = some(cls, 2)
@@ -463,7 +473,7 @@ def test_a_fault_takes_the_numbers_of_its_friction():
     assert fault.with_(width=0.02, mu_dynamic=0.4, speed=0.1).friction.law.mu_dynamic == 0.4
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("cells", "name", "slope"),
     [

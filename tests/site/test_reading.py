@@ -25,7 +25,7 @@ QUESTIONS = {
     "gradient": ("guides/gradients",),
     "accuracy": ("guides/accuracy",),
     "cite": ("cite",),
-    "brake squeal": ("why", "examples/09_your_own_cell"),
+    "brake squeal": ("why",),
 }  # fmt: skip
 # Elements of a page that are wider than their place: they would be cut, or have to be scrolled.
 CUT = """() => [...document.querySelectorAll(
