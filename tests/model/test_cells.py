@@ -270,18 +270,37 @@ def test_what_is_not_a_cell_is_refused():
                 return y
 
 
+class Parametric(AbstractCells):
+    """A modulated spring: below half its frequency a mass swings once in two periods."""
+
+    frequency: jax.Array
+
+    def rate(self, t, left, own, right):
+        x, v = own
+        return v, -(1.0 + 0.5 * jnp.cos(self.frequency * t)) * x - 0.1 * v - x**3
+
+    def forcing_period(self):
+        return 2.0 * jnp.pi / self.frequency
+
+
 def test_a_forced_cycle_keeps_its_turns_where_the_force_is_traced():
-    cells, rest = pairs("free"), state(2)
-    cycle = find_limit_cycle(cells, rest)
+    cells, start = Parametric(jnp.asarray(2.2)), (jnp.full(1, 0.5), jnp.zeros(1))
+    cycle = find_limit_cycle(cells, start)
+    assert (cycle.turns, cycle.stable) == (2, True)
+    half = exact(cells, cycle.state, float(cycle.period) / 2.0)
+    np.testing.assert_allclose(half, -np.stack(cycle.state), atol=1e-7)
 
     def closed(frequency):
-        return find_limit_cycle(cells.with_(frequency=frequency), cycle, mass=0).period
+        found = find_limit_cycle(cells.with_(frequency=frequency), cycle, mass=0)
+        return found.period, found.amplitude
 
-    at = jnp.array([1.3, 1.31])
-    np.testing.assert_allclose(jax.jit(jax.vmap(closed))(at), 2.0 * jnp.pi / at, rtol=1e-14)
+    at = jnp.array([2.2, 2.21])
+    period, amplitude = jax.jit(jax.vmap(closed))(at)
+    np.testing.assert_allclose(period, 4.0 * jnp.pi / at, rtol=1e-14)
+    assert bool(jnp.all(amplitude > 0.1))  # not the rest, which comes back as well
     with pytest.raises(ValueError, match="give a forced `LimitCycle` as `guess`"):
-        jax.jit(lambda f: find_limit_cycle(cells.with_(frequency=f), (rest, 4.0), mass=0).period)(
-            1.3
+        jax.jit(lambda f: find_limit_cycle(cells.with_(frequency=f), (start, 4.0), mass=0).period)(
+            2.2
         )
 
 

@@ -360,14 +360,12 @@ def multipliers(n, amplitude):
     flat = (jnp.zeros(n), jnp.zeros(n))
 
     # The flat state itself does not bound the steps.
-    short = {"max_step": 0.02}
-
     @jax.jit
     def monodromy(amplitude):
         ring = Pendulums(length, amplitude, frequency=3.5, damping=0.1, coupling=1.0)
 
         def flow(y):
-            end = simulate(ring, (y[:n], y[n:]), 2 * np.pi / 3.5, rtol=1e-9, **short).state
+            end = simulate(ring, (y[:n], y[n:]), 2 * np.pi / 3.5, rtol=1e-9).state
             return jnp.concatenate(end)
 
         return jax.jacfwd(flow)(jnp.concatenate(flat))
