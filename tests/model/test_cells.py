@@ -341,12 +341,12 @@ def test_cells_of_one_number_run_and_others_are_refused():
 
 def test_a_run_of_cells_goes_backward_to_where_it_began():
     cells, start = pairs(), state(3)
-    terms = dfx.ODETerm(cells)
-    options = {
+    terms: Any = dfx.ODETerm(cells)  # pyright: ignore[reportArgumentType]
+    options: Any = {
         "stepsize_controller": dfx.PIDController(rtol=1e-9, atol=1e-10), "dt0": None,
         "max_steps": 20000,
     }  # fmt: skip
-    ahead = dfx.diffeqsolve(terms, Rodas5P(), 0.0, 3.0, y0=start, **options)
+    ahead: Any = dfx.diffeqsolve(terms, Rodas5P(), 0.0, 3.0, y0=start, **options)
     end = tuple(part[-1] for part in ahead.ys)
-    back = dfx.diffeqsolve(terms, Rodas5P(), 3.0, 0.0, y0=end, **options)
+    back: Any = dfx.diffeqsolve(terms, Rodas5P(), 3.0, 0.0, y0=end, **options)
     np.testing.assert_allclose(np.stack(back.ys)[:, -1], np.stack(start), atol=1e-6)
