@@ -42,7 +42,7 @@ from ..continuation.damped_newton import Factors, Iterate, check_tolerance, endi
 from ..continuation.implicit import attach_derivative
 from ..model.arguments import as_chain, as_images, as_mass, as_state
 from ..model.cells import AbstractCells, AbstractField
-from ..model.chain import Chain, steady_sliding
+from ..model.chain import Chain, require_smoothed, steady_sliding
 from ..model.initial_states import reference_site, release_state
 from ..model.oscillators import AbstractOscillators
 from ..model.sliding import damping_outweighs, sliding_damping, stiffness_matrix
@@ -515,7 +515,7 @@ def dry_cycle(
     # A little more than a period, for an orbit that begins there.
     whole = equations.pack(orbit.state, orbit.period)
     _, x, v = equations.run(whole, _Cuts(mass, 1, of="velocity"), 1.05).observed
-    state, _ = on_the_belt(chain, (x[0], v[0]))
+    state, _ = on_the_belt(chain, 0.0, (x[0], v[0]))
     u = equations.pack(state, orbit.period)
     run = equations.run(u, Along())
     amplitude, fastest, _ = run.observed
@@ -724,6 +724,8 @@ def find_limit_cycle(
     check_flag("throw", throw)
     if isinstance(chain, Chain):
         as_images(images, chain.n)
+    else:
+        require_smoothed(chain, "")
     limit = check_tolerance(tolerance, max_steps)
     frozen = lax.stop_gradient(chain)
     mass, state, period = resolve_guess(frozen, guess, period, mass, branch, throw)

@@ -27,7 +27,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._types import ScalarLike, State
 from ..model.cells import AbstractField
-from ..observers.base import AbstractObserver, Step, gauss, step_of
+from ..observers.base import AbstractObserver, Step, gauss
 from ..result import Result
 from ..simulation.accuracy import MAX_STEP
 from ..simulation.plan import forward_only
@@ -124,7 +124,7 @@ def forward_sensitivity(
         end = jnp.where(kept, length, t + 0.5 * (length - t))
         ahead = jnp.where(ahead > clipped, end, ahead)
         inside = solver.interpolation_cls(t0=now.t, t1=now.ahead, **dense)
-        seen = step_of(field, now.t, now.ahead, now.y, y, inside.at)
+        seen = Step(field, now.t, now.ahead, now.y, y, inside.at)
         pairs = zip(observers, now.accumulators, strict=True)
         accumulators = [o.update(accumulator, seen) for o, accumulator in pairs]
         y, slopes, accumulators = jax.tree.map(

@@ -7,6 +7,7 @@
 - `initial_states`: eq. (8) and eq. (10) of the paper, and blocks of excited masses
 - `locality`: checks that forces act mass by mass
 - `measured`: measured friction, read from CSV and checked
+- `mechanical`: cells of several displacements, from matrices, springs, friction and forcing
 - `oscillators`: the base class of chains and of your own oscillators
 - `parameters`: the numbers of a chain and of friction: symbol, unit, sign, description
 - `provenance`: the origin of numbers, as attributes of datasets

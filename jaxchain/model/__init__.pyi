@@ -13,6 +13,7 @@ from .initial_states import equation_10 as equation_10
 from .initial_states import excited_state as excited_state
 from .initial_states import on_the_belt as on_the_belt
 from .initial_states import release_state as release_state
+from .mechanical import MechanicalCells as MechanicalCells
 from .oscillators import AbstractOscillators as AbstractOscillators
 from .oscillators import LocalSlopes as LocalSlopes
 from .ready_made import BurridgeKnopoff as BurridgeKnopoff

@@ -21,6 +21,7 @@ from jaxtyping import Array, Bool, Float
 from .._checks import to_float
 from .._final import refuse_overrides
 from .._types import PerMass, ScalarLike, State
+from .friction import AbstractFriction
 from .locality import CELLS_FINAL, Dependence, dependence
 from .springs import neighbours
 from .tridiagonal import Entries
@@ -136,6 +137,13 @@ class AbstractField(eqx.Module):
     def with_(self, **changes: Any) -> Any:
         """A copy with other numbers, by the names of fields, checked as those of a new one."""
         field = self
+        if self._given_friction is not None:
+            numbers = {k: changes.pop(k) for k in self._given_friction.numbers() if k in changes}
+            if "width" in changes:  # smooths dry friction
+                numbers["width"] = changes.pop("width")
+            if numbers:
+                friction = self._given_friction.with_(**numbers)
+                field = eqx.tree_at(lambda f: f.friction, field, friction)
         converters = {f.name: f.metadata.get("converter", to_float) for f in fields(self)}
         for name, value in changes.items():
             if name not in self.numbers():
@@ -154,9 +162,22 @@ class AbstractField(eqx.Module):
         """The attribute that a number is kept in."""
         return name
 
+    @property
+    def _given_friction(self) -> AbstractFriction | None:
+        """The field `friction` if it is a law or a smoothed one, whose numbers are the model's."""
+        friction = vars(self).get("friction")
+        return friction if isinstance(friction, AbstractFriction) else None
+
+    @property
+    def dry(self) -> bool:
+        """Whether friction is dry, which only `EventDriven` integrates."""
+        return False
+
     def numbers(self) -> dict[str, Array]:
-        """The arrays among the fields by name."""
-        return {name: value for name, value in vars(self).items() if eqx.is_array(value)}
+        """The arrays among the fields, and the numbers of the field `friction`, by name."""
+        friction = {} if self._given_friction is None else self._given_friction.numbers()
+        arrays = {name: value for name, value in vars(self).items() if eqx.is_array(value)}
+        return {**friction, **arrays}
 
 
 class AbstractCells(AbstractField):

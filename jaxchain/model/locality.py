@@ -39,6 +39,7 @@ FINAL = {
     "contact": "it is the velocity; leave it out.",
     "layer": "it follows from `switching`; leave it out.",
     "ends": "they are those of `springs`; leave it out.",
+    "dry": "friction is dry in a `Chain` or `MechanicalCells` only; leave it out.",
     "with_": "it changes the fields by their names; make each number a field.",
     "numbers": "they are the fields that are arrays; make each number a field.",
 }
@@ -56,6 +57,7 @@ CELLS_FINAL = {
     "attracts": "it is not known of cells; leave it out.",
     "layer": "it follows from `switching` and `contact`; leave it out.",
     "stick_speed": "masses that stick are those of a `Chain`; leave it out.",
+    "dry": "friction is dry in a `Chain` or `MechanicalCells` only; leave it out.",
     "with_": "it changes the fields by their names; make each number a field.",
     "numbers": "they are the fields that are arrays; make each number a field.",
 }

@@ -192,5 +192,5 @@ class AbstractOscillators(AbstractField):
 
     def numbers(self) -> dict[str, Array]:
         """The arrays among the fields by name, and the springs' constant as `coupling`."""
-        numbers = {name: value for name, value in vars(self).items() if eqx.is_array(value)}
+        numbers = super().numbers()
         return numbers if self.springs is None else {"coupling": self.springs.constant, **numbers}

@@ -528,16 +528,6 @@ class BurridgeKnopoff(_AbstractPulled):
         """(v, width): friction turns round as a block comes to rest."""
         return v, self.friction.width
 
-    def numbers(self) -> dict[str, Array]:
-        """The arrays among the fields, and the numbers of the friction, by name."""
-        return {**self.friction.numbers(), **super().numbers()}
-
-    def with_(self, **changes: Any) -> Any:
-        """A copy with other numbers, of the friction too, by name."""
-        friction = {k: changes.pop(k) for k in self.friction.numbers() if k in changes}
-        cells = super().with_(**changes)
-        return eqx.tree_at(lambda c: c.friction, cells, self.friction.with_(**friction))
-
     def rate(self, t: ScalarLike, left: State, own: State, right: State) -> Rates:
         u, v = own
         pull = self.stiffness * u - self.coupling * _bend(left, own, right)

@@ -57,25 +57,34 @@ class Step(eqx.Module):
     t1: Any
     y0: State
     y1: State
-    displacement: Callable[[Any], Array]
-    velocity: Callable[[Any], Array]
-    parts: Callable[[Any], State] | None = None  # of cells: the whole state
+    part: Callable[[Any, int], Array]  # number k of each cell at theta
     component: int = eqx.field(static=True, default=0)
 
-    def state(self, theta: Any) -> tuple[Array, ...]:
+    def displacement(self, theta: Any) -> Float[Array, " n"]:
+        """The number `component` of each cell."""
+        return self.part(theta, self.component)
+
+    def velocity(self, theta: Any) -> Float[Array, " n"]:
+        """Its rate: from the field if it is that of the cell alone, else the interpolant's slope.
+
+        theta may differ from cell to cell, so that a neighbour at the same time is not known.
+        """
+        field, component = self.field, self.component
+        if isinstance(field, AbstractOscillators) and component == 0:
+            return self.part(theta, 1)
+        if _is_alone(field, self.y0, component):
+            return field(self.t0, self.state(theta))[component]
+        theta = jnp.asarray(theta, float)
+        _, slope = jax.jvp(self.displacement, (theta,), (jnp.ones_like(theta),))
+        return slope / jnp.where(self.t1 == self.t0, 1.0, self.t1 - self.t0)
+
+    def state(self, theta: Any) -> State:
         """The whole state at theta."""
-        if self.parts is None:
-            return self.displacement(theta), self.velocity(theta)
-        return self.parts(theta)
+        return tuple(self.part(theta, k) for k in range(len(self.y0)))
 
     def of(self, component: int) -> Step:
         """The step as seen by an observer of another of the numbers of a cell."""
-        if component == self.component:
-            return self
-        return step_of(
-            self.field, self.t0, self.t1, self.y0, self.y1,
-            lambda theta, part: self.state(theta)[part], component,
-        )  # fmt: skip
+        return Step(self.field, self.t0, self.t1, self.y0, self.y1, self.part, component)
 
     def at_ends(self) -> tuple[State, State]:
         """(displacement, velocity) at the start and at the end."""
@@ -109,14 +118,10 @@ class Step(eqx.Module):
     def frozen(self) -> Step:
         """The step without derivatives, which may cost more than the observed value."""
         fixed = lax.stop_gradient((self.field, self.t0, self.t1, self.y0, self.y1))
-        parts = self.parts
+        part = self.part
         return Step(
-            *fixed,
-            lambda theta: lax.stop_gradient(self.displacement(theta)),
-            lambda theta: lax.stop_gradient(self.velocity(theta)),
-            None if parts is None else lambda theta: lax.stop_gradient(parts(theta)),
-            self.component,
-        )
+            *fixed, lambda theta, k: lax.stop_gradient(part(theta, k)), self.component
+        )  # fmt: skip
 
 
 def _is_alone(field: AbstractField, y: State, component: int) -> bool:
@@ -125,42 +130,6 @@ def _is_alone(field: AbstractField, y: State, component: int) -> bool:
         return False
     of = field.dependence(y)
     return not (of.time[component] or any(of.left[component]) or any(of.right[component]))
-
-
-def step_of(
-    field: AbstractField,
-    t0: Any,
-    t1: Any,
-    y0: State,
-    y1: State,
-    part: Callable[[Any, int], Array],
-    component: int = 0,
-) -> Step:
-    """The `Step` of a solver whose dense output has each part of the state at theta."""
-    if isinstance(field, AbstractOscillators) and component == 0:
-        return Step(
-            field, t0, t1, y0, y1, lambda theta: part(theta, 0), lambda theta: part(theta, 1)
-        )
-    m, alone = len(y0), _is_alone(field, y0, component)
-
-    def displacement(theta: Any) -> Array:
-        return part(theta, component)
-
-    def velocity(theta: Any) -> Array:
-        """From the rate if it is that of the cell alone, else the slope of the dense output.
-
-        theta may differ from cell to cell, so that a neighbour at the same time is not known.
-        """
-        if alone:
-            return field(t0, tuple(part(theta, k) for k in range(m)))[component]
-        theta = jnp.asarray(theta, float)
-        _, slope = jax.jvp(displacement, (theta,), (jnp.ones_like(theta),))
-        return slope / jnp.where(t1 == t0, 1.0, t1 - t0)
-
-    return Step(
-        field, t0, t1, y0, y1, displacement, velocity,
-        lambda theta: tuple(part(theta, k) for k in range(m)), component,
-    )  # fmt: skip
 
 
 def gauss(points: int) -> tuple[Float[Array, " points"], Float[Array, " points"]]:

@@ -197,13 +197,13 @@ class Samples(AbstractNotingObserver):
         count, parts = both_ways(partial(fill, lax.while_loop), partial(fill, back), args)
         return _Samples(accumulator.first, count, parts)
 
-    def note(self, step: Step) -> tuple[Array, Array, Any, Any]:
-        """The data of one step for `gather`: its ends and its interpolants of x and v."""
-        return step.t0, step.t1, step.displacement, step.velocity
+    def note(self, step: Step) -> tuple[Array, Array, Any]:
+        """The data of one step for `gather`: its ends and its interpolants."""
+        return step.t0, step.t1, step.part
 
     def gather(self, accumulator: _Samples, notes: Any, count: Int[Array, ""]) -> _Samples:
         """The accumulator after the first `count` notes, with a sample at each time."""
-        t0, t1, *motions = notes
+        t0, t1, motion = notes
         masses = slice(None) if self.oscillators is None else np.array(self.oscillators)
         last = jnp.maximum(count - 1, 0)
         ends = jnp.where(jnp.arange(t1.size) < count, t1, jnp.inf)
@@ -212,7 +212,8 @@ class Samples(AbstractNotingObserver):
         def state(time: Array) -> list[Array]:
             k = jnp.minimum(jnp.searchsorted(ends, time), last)
             theta = jnp.clip((time - t0[k]) / jnp.maximum(t1[k] - t0[k], 1e-300), 0.0, 1.0)
-            return [jtu.tree_map(lambda a: a[k], part)(theta)[masses] for part in motions]
+            part = jtu.tree_map(lambda a: a[k], motion)
+            return [part(theta, i)[masses] for i in range(len(accumulator.parts))]
 
         def block(kept: _Samples) -> tuple[Array, Array, Array]:
             place = kept.count + jnp.arange(_BLOCK)

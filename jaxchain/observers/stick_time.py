@@ -53,7 +53,10 @@ class StickTime(AbstractObserver):
         self, field: AbstractField, t0: ScalarLike, t1: ScalarLike, y0: State
     ) -> tuple[Array, Array]:
         if field.stick_speed() is None:
-            raise ValueError("`StickTime` needs masses that can stick to a belt, a `Chain`.")
+            raise ValueError(
+                "`StickTime` needs masses that can stick to a belt: a `Chain`, or "
+                "`MechanicalCells` with dry friction."
+            )
         window = t1 - t0 if self.window is None else self.window
         return jnp.zeros_like(y0[0]), to_float(t1 - window)
 
@@ -89,7 +92,7 @@ def sticking(step: Step) -> tuple[Array, Array]:
     limit: Any = field.stick_speed()
 
     def too_fast(theta: Any) -> Array:
-        switching = field.switching(step.t0, step.velocity(theta))
+        switching = field.switching(step.t0, step.part(theta, field.contact))
         assert switching is not None  # what can stick switches
         return jnp.abs(switching[0]) - limit
 
@@ -97,6 +100,8 @@ def sticking(step: Step) -> tuple[Array, Array]:
         return field.excess_force(step.displacement(theta), step.velocity(theta))
 
     begin, end = _where_negative(too_fast, step.y0[0])
+    if field.dry:
+        return begin, end
     held, released = _where_negative(let_go, step.y0[0])
     return jnp.maximum(begin, held), jnp.minimum(end, released)
 
@@ -136,12 +141,16 @@ class MostSticking(AbstractObserver):
     def init(self, field: AbstractField, t0: ScalarLike, t1: ScalarLike, y0: State) -> Any:
         del t0, t1, y0
         if field.stick_speed() is None:
-            raise ValueError("`MostSticking` needs masses on a belt, a `Chain`.")
+            raise ValueError(
+                "`MostSticking` needs masses that can stick to a belt: a `Chain`, or "
+                "`MechanicalCells` with dry friction."
+            )
         return jnp.zeros((), int)
 
     def update(self, accumulator: Any, step: Step) -> Any:
         # A sticking mass has the velocity of the belt to the last digit.
-        velocities = jnp.stack([step.y0[1], step.y1[1], step.velocity(jnp.asarray(0.5))])
+        k = step.field.contact
+        velocities = jnp.stack([step.y0[k], step.y1[k], step.part(jnp.asarray(0.5), k)])
         switching = jax.vmap(lambda v: step.field.switching(step.t0, v))(velocities)
         assert switching is not None  # what can stick switches
         return jnp.maximum(accumulator, jnp.sum(jnp.all(switching[0] == 0, axis=0)))

@@ -63,7 +63,7 @@ def custom_solver(chain: Any, solver: Any) -> Any:
             "Argument `solver` must be None, `Rodas4()`, `Rodas5P()`, `EventDriven()` or another "
             f"diffrax solver that estimates its errors, but is {shown(solver)}{_instead(solver)}"
         )
-    if not (isinstance(chain, Chain) and chain.dry) or isinstance(solver, EventDriven):
+    if not chain.dry or isinstance(solver, EventDriven):
         return solver
     if solver is None:
         return EventDriven()

@@ -13,9 +13,9 @@ high-order Taylor methods, Experimental Mathematics 14, 99 (2005).
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Any, TypeGuard
 
 import diffrax as dfx
@@ -32,16 +32,21 @@ from .._final import final
 from .._types import State
 from ..model.cells import AbstractField
 from ..model.chain import Chain
+from ..model.mechanical import MechanicalCells
 from ..model.springs import materialize
 from ..observers.base import AbstractNotingObserver, AbstractObserver, Step
 from ..result import Result
 from ..solvers.dry_friction import (
     STICK,
+    Dry,
     Modes,
     Series,
     after,
     expand,
+    friction_at_rest,
+    motion,
     next_event,
+    shares,
     start,
     static_limit,
 )
@@ -53,14 +58,14 @@ class StateRecord(eqx.Module):
     """The states at given times, at which steps end exactly."""
 
     times: Float[Array, " times"]
-    states: Any  # (x, v), of shapes (times, n): for equal times only the first row is used
+    states: Any  # m arrays of shape (times, n): for equal times only the first row is used
     count: Int[Array, ""]  # of the times that have passed
 
     @classmethod
-    def blank(cls, times: Array, n: int) -> StateRecord:
-        """An empty record of n masses at these times."""
-        nothing = jnp.full((*times.shape, n), jnp.nan)
-        return cls(times, (nothing, nothing), jnp.zeros((), int))
+    def blank(cls, times: Array, state: State) -> StateRecord:
+        """An empty record of states like this one at these times."""
+        nothing = tuple(jnp.full((*times.shape, *part.shape), jnp.nan) for part in state)
+        return cls(times, nothing, jnp.zeros((), int))
 
     def next_time(self) -> Array:
         """The first of the times that is not recorded yet; infinite after the last."""
@@ -80,10 +85,9 @@ class StateRecord(eqx.Module):
         passed = jnp.searchsorted(self.times, t, side="right")
         return StateRecord(self.times, states, jnp.maximum(self.count, passed))
 
-    def read(self) -> tuple[Array, Array]:
+    def read(self) -> tuple[Array, ...]:
         first = jnp.searchsorted(self.times, self.times)
-        x, v = self.states
-        return x[first], v[first]
+        return tuple(part[first] for part in self.states)
 
 
 # Steps between two calls of `gather`.
@@ -135,14 +139,14 @@ def in_rounds(
 
 
 def shifts(
-    field: Chain, series: Series, modes: Modes, t: Array, hits: Array,
+    field: Dry, series: Series, modes: Modes, t: Array, hits: Array,
     v: Array, acceleration: Array,
 ) -> tuple[Array, Array]:  # fmt: skip
     """One more Newton step to the events: a shift by rounding, with the full derivative.
 
     (the shift of each mass's event, of shape (n,); their mean over those that have one, by
     which the step is made longer.)  The search itself is not differentiated; this is the
-    implicit function theorem.
+    implicit function theorem.  `v`, `acceleration`: of the contacts.
     """
     r, drift = value_and_slope(series.r, t)
     w = v - field.belt_speed
@@ -155,35 +159,39 @@ def shifts(
     return jnp.where(usable, each, mean), mean
 
 
-def at_the_end(field: Chain, progress: Progress, t1: Any) -> Progress:
+def at_the_end(field: Dry, progress: Progress, t1: Any) -> Progress:
     """The shift if an event coincides with t1: the end moves with t1, not with the event.
 
     This occurs for a run over the period of a cycle that is cut at an event.
     """
-    x, v = progress.state
-    direction = progress.memory.modes.direction
-    mu = field.law.coefficient(jnp.abs(v - field.belt_speed))
-    slides = field.free_force(x, v) - direction * field.load * mu
-    acceleration = jnp.where(direction == STICK, 0.0, slides)
+    rates = motion(field, progress.t, progress.state, progress.memory.modes.direction)
     # Rounding only; 0 except for its derivative.
     rest = jnp.where(progress.running & (progress.t >= t1), t1 - progress.t, 0.0)
-    state = x + rest * v, v + rest * acceleration
-    return eqx.tree_at(lambda p: p.state, progress, state)
+    pairs = zip(progress.state, rates, strict=True)
+    return eqx.tree_at(lambda p: p.state, progress, tuple(a + rest * b for a, b in pairs))
 
 
 def head_start(
-    field: Chain, state: State, modes: Modes, new: Modes, hits: Array, since: Array
-) -> Array:
-    """The speed gained `since` their own events by masses that slide through w = 0.
+    field: Dry, t: Any, state: State, modes: Modes, new: Modes, hits: Array, since: Array
+) -> list[Array]:
+    """The velocities gained `since` their own events by masses that slide through w = 0.
 
     If several events coincide, each is disturbed differently, and the step ends at their mean.
     The value is rounding, which is left out, so only the derivative remains.  A mass that starts
-    to stick, or is released, has no acceleration then.
+    to stick, or is released, has no acceleration then.  The other displacements of its cell feel
+    the change of friction.
     """
+    d, place = len(state) // 2, field.contact
     through = hits & (modes.direction != STICK) & (new.direction != STICK)
-    speed = jnp.zeros_like(state[1])
-    friction = new.direction * field.load * field.law.coefficient(speed)
-    return jnp.where(through, since * (field.free_force(*state) - friction), 0.0)
+    rates = motion(field, t, state, new.direction)[d:]
+    gains = [jnp.where(through, since * rates[place - d], 0.0)] * d
+    if d > 1:
+        change = friction_at_rest(field, t, state, new.direction)
+        change = since * (change - friction_at_rest(field, t, state, modes.direction))
+        for i, share in enumerate(shares(field)):
+            if i != place - d:
+                gains[i] = jnp.where(hits, 0.0 if share is None else -share * change, 0.0)
+    return gains
 
 
 @jax.custom_jvp
@@ -208,10 +216,12 @@ def _notes(observer: AbstractObserver) -> TypeGuard[AbstractNotingObserver]:
 
 def _step_length(plan: EventDrivenPlan, series: Series) -> Array:
     """The step whose last two terms stay within the tolerance (Jorba and Zou)."""
-    scale = plan.atol + plan.rtol * jnp.maximum(jnp.abs(series.x[0]), jnp.abs(series.v[0]))
+    pairs = list(zip(series.x, series.v, strict=True))
+    scales = [plan.atol + plan.rtol * jnp.maximum(jnp.abs(x[0]), jnp.abs(v[0])) for x, v in pairs]
     lengths = [plan.max_step]
     for k in (plan.order - 1, plan.order):
-        term = jnp.max(jnp.abs(series.v[k]) / scale)
+        terms = [jnp.max(jnp.abs(v[k]) / s) for (_, v), s in zip(pairs, scales, strict=True)]
+        term = functools.reduce(jnp.maximum, terms)
         lengths.append(jnp.maximum(term, 1e-300) ** (-1.0 / k))
     return jnp.minimum(jnp.minimum(lengths[0], lengths[1]), lengths[2])
 
@@ -219,11 +229,11 @@ def _step_length(plan: EventDrivenPlan, series: Series) -> Array:
 class _Motion(eqx.Module):
     """A step's dense output: its Taylor series over theta in [0, 1]."""
 
-    coefficients: list[Array]
+    coefficients: list[list[Array]]
     length: Array
 
-    def __call__(self, theta: Any) -> Array:
-        return value(self.coefficients, theta * self.length)
+    def __call__(self, theta: Any, part: int) -> Array:
+        return value(self.coefficients[part], theta * self.length)
 
 
 class _StoredMotion(eqx.Module):
@@ -246,7 +256,7 @@ class EventDrivenPlan(AbstractPlan):
 
     def begin(self, field: AbstractField, initial: State, t0: Any, t1: Any) -> Progress:
         dry = _dry(field)
-        state, modes = start(dry, initial)
+        state, modes = start(dry, t0, initial)
         return Progress(
             t=to_float(t0),
             state=state,
@@ -275,8 +285,8 @@ class EventDrivenPlan(AbstractPlan):
         most = progress.steps + (jnp.iinfo(int).max // 2 if max_steps is None else max_steps)
         if allowed is not None:
             most = jnp.minimum(most, progress.steps + allowed)
-        n = progress.state[0].shape[0]
-        records = [StateRecord.blank(ts, n).keep(progress.t, progress.state) for ts in times]
+        state = progress.state
+        records = [StateRecord.blank(ts, state).keep(progress.t, state) for ts in times]
 
         def goes_on(carry: tuple[Progress, list[StateRecord]]) -> Array:
             now, _ = carry
@@ -304,7 +314,7 @@ class EventDrivenPlan(AbstractPlan):
             def written_once(carry: Any) -> list:
                 return [record.states for record in carry[1]]
 
-            back: Any = partial(
+            back: Any = functools.partial(
                 eqxi.while_loop,
                 goes_on,
                 kind="checkpointed",
@@ -314,7 +324,9 @@ class EventDrivenPlan(AbstractPlan):
             carry = back(lambda carry: back(body, carry, max_steps=most_kept), carry)
         elif adjoint is None or isinstance(adjoint, dfx.ForwardMode):
             if any(map(_notes, self.observers)):
-                carry = in_rounds(goes_on, partial(step, noting=True), self._gather, carry)
+                carry = in_rounds(
+                    goes_on, functools.partial(step, noting=True), self._gather, carry
+                )
             else:
                 carry = lax.while_loop(goes_on, body, carry)
             carry = forward_only(carry)
@@ -341,7 +353,7 @@ class EventDrivenPlan(AbstractPlan):
         return eqx.tree_at(lambda p: p.accumulators, now, accumulators), records
 
     def _step(
-        self, field: Chain, progress: Progress, end: Any, noting: bool
+        self, field: Dry, progress: Progress, end: Any, noting: bool
     ) -> tuple[Progress, list]:
         """One step: to the next event, to the length that the tolerance allows, or to `end`.
 
@@ -349,7 +361,7 @@ class EventDrivenPlan(AbstractPlan):
         """
         frozen = lax.stop_gradient
         modes, t0 = progress.memory.modes, progress.t
-        series = expand(field, progress.state, modes, self.order)
+        series = expand(field, t0, progress.state, modes, self.order)
         left = end - t0
         bearable = frozen(_step_length(self, series))
         last = left <= bearable
@@ -359,24 +371,32 @@ class EventDrivenPlan(AbstractPlan):
         length = jnp.where(early, until, length)
 
         # Each is computed once: see `materialize`.
-        x = materialize(value(series.x, length))
-        v, acceleration = map(materialize, value_and_slope(series.v, length))
-        of_events, shift = shifts(field, series, modes, length, hits, v, acceleration)
-        x, v, length = x + shift * v, v + shift * acceleration, length + shift
-        state, new = after(field, (x, v), modes, hits, length > 0)
-        gain = head_start(field, state, modes, new, hits, shift - of_events)
-        state = state[0], state[1] + change_alone(gain)
+        d, place = len(series.x), field.contact
+        x = [materialize(value(part, length)) for part in series.x]
+        moving = [value_and_slope(part, length) for part in series.v]
+        v, rates = ([materialize(pair[i]) for pair in moving] for i in (0, 1))
+        here = v[place - d], rates[place - d]
+        of_events, shift = shifts(field, series, modes, length, hits, *here)
+        x = [a + shift * b for a, b in zip(x, v, strict=True)]
+        v = [a + shift * b for a, b in zip(v, rates, strict=True)]
+        length = length + shift
+        t1 = t0 + length
+        state, new = after(field, t1, (*x, *v), modes, hits, length > 0)
+        gains = head_start(field, t1, state, modes, new, hits, shift - of_events)
+        gained = [a + change_alone(b) for a, b in zip(state[d:], gains, strict=True)]
+        state = (*state[:d], *gained)
         # NaN if any is NaN.
-        greatest = jnp.max(materialize(jnp.maximum(jnp.abs(x), jnp.abs(v))))
+        sizes = [jnp.abs(part) for part in (*x, *v)]
+        greatest = jnp.max(materialize(functools.reduce(jnp.maximum, sizes)))
         finite = jnp.isfinite(greatest)
         meets = last & ~early & ~jnp.any(hits)
-        t1 = jnp.where(finite, jnp.where(meets, end, t0 + length), t0)
+        t1 = jnp.where(finite, jnp.where(meets, end, t1), t0)
         stalled = jnp.where(t1 > t0, 0, progress.memory.stalled + 1)
 
         accumulators, result, notes = progress.accumulators, progress.result, []
         if self.observers:
-            x_of, v_of = _Motion(series.x_from_v(), length), _Motion(series.v, length)
-            step = Step(field, t0, t1, progress.state, state, x_of, v_of)
+            motion_of = _Motion([series.part(k) for k in range(2 * d)], length)
+            step = Step(field, t0, t1, progress.state, state, motion_of)
             pairs = zip(self.observers, accumulators, strict=True)
             notes = [o.note(step) for o in self.observers if noting and _notes(o)]
             accumulators = [a if noting and _notes(o) else o.update(a, step) for o, a in pairs]
@@ -384,7 +404,7 @@ class EventDrivenPlan(AbstractPlan):
         # For a state this large, events are closer than the resolution of the time.
         large = greatest > _RAN_AWAY
         why = Result.where(large, Result.step_too_small, Result.events_accumulate)
-        stuck = stalled > _STALLED_PER_MASS * x.shape[0] + _STALLED
+        stuck = stalled > _STALLED_PER_MASS * x[0].shape[0] + _STALLED
         result = Result.where(stuck, why, result)
         result = Result.where(finite, result, Result.nonfinite)
         progress = Progress(
@@ -465,10 +485,13 @@ class EventDriven(eqx.Module):
         )
 
 
-def _dry(field: AbstractField) -> Chain:
-    if not isinstance(field, Chain):
+def _dry(field: AbstractField) -> Dry:
+    if not (
+        isinstance(field, Chain)
+        or (isinstance(field, MechanicalCells) and field.friction is not None)
+    ):
         raise ValueError(
-            f"The event-driven solver needs a `Chain`, but has {type(field).__name__}. Use a "
-            "structured or a stock solver for any other system."
+            "The event-driven solver needs a `Chain`, or `MechanicalCells` with friction, but has "
+            f"{type(field).__name__}. Use a structured or a stock solver for any other system."
         )
     return field.with_(width=None)

@@ -20,7 +20,7 @@ from .._checks import to_float
 from .._types import State
 from ..model.cells import AbstractField
 from ..model.oscillators import AbstractOscillators
-from ..observers.base import AbstractObserver, step_of
+from ..observers.base import AbstractObserver, Step
 from ..result import Result
 from ..solvers.rosenbrock import AbstractStructuredRosenbrock, RosenbrockInterpolation
 from ..solvers.step_control import SwitchingController, WrappingController
@@ -117,7 +117,7 @@ class ObservingSolver(dfx.AbstractWrappedSolver, dfx.AbstractAdaptiveSolver):
             else:
                 first, last = field(t0, y0, None), field(t1, y1, None)
                 part = _cubic(t1 - t0, y0, y1, first, last)
-            step = step_of(field, t0, t1, y0, y1, part)
+            step = Step(field, t0, t1, y0, y1, part)
             accumulators = [
                 o.update(a, step) for o, a in zip(self.observers, accumulators, strict=True)
             ]

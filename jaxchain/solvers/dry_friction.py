@@ -1,4 +1,4 @@
-"""The chain with dry friction: the equations of sticking and sliding.
+"""Masses with dry friction: the equations of sticking and sliding.
 
 A mass sticks to the belt, slides forward (w = v - v_d > 0) or slides backward (w < 0):
 
@@ -9,11 +9,16 @@ with r = -2 xi v - k x + C x, the force on the mass without friction.  Where w r
 sticks if |r| <= p mu_st and slides on in the direction of r otherwise (Filippov's solution of the
 set-valued equations; it is unique forward in time).  Between two such events the motion is
 analytic, and given here as a Taylor series.
+
+In `MechanicalCells` a unit force at the contact gives the displacements of a cell the
+accelerations b = M^{-1} e_u.  With the accelerations a without friction, r = a_u / b_u, and
+v' = a - b p mu(|w|) sign(w) while it slides, v' = a - b r while it sticks.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeAlias
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -22,8 +27,11 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._types import PerMass, State
 from ..model.chain import Chain
+from ..model.mechanical import MechanicalCells
 from ..model.springs import materialize
-from .taylor import CLEARANCE, composed, first_exit
+from .taylor import CLEARANCE, PowerSeries, composed, first_exit
+
+Dry: TypeAlias = Chain | MechanicalCells
 
 STICK, FORWARD, BACKWARD = 0.0, 1.0, -1.0
 # Shares of the natural scale below which a speed or a force is rounding.
@@ -35,9 +43,57 @@ _FAR = 1e100
 _SLACK = 1e-13
 
 
-def static_limit(chain: Chain) -> PerMass:
+def static_limit(chain: Dry) -> PerMass:
     """p mu_st, and a little more: see `_SLACK`."""
     return chain.static_limit() * (1.0 + _SLACK)
+
+
+def _load(chain: Dry) -> PerMass:
+    return chain.load if isinstance(chain, Chain) else chain.normal_load
+
+
+def shares(chain: Dry) -> list[Any]:
+    """b: the accelerations by a unit force at the contact; None for 0."""
+    return [1.0] if isinstance(chain, Chain) else chain.compliance()
+
+
+def accelerations(chain: Dry, t: Any, y: State) -> tuple[Array, ...]:
+    """The accelerations without friction."""
+    if isinstance(chain, Chain):
+        return (chain.free_force(*y),)
+    left, right = chain.neighbours(y)
+    return chain.free_acceleration(t, left, y, right)
+
+
+def _sliding(chain: Dry) -> int:
+    """Which displacement slides."""
+    return 0 if isinstance(chain, Chain) else chain.sliding
+
+
+def free_force(chain: Dry, t: Any, y: State) -> Array:
+    """r, the force that would hold a mass."""
+    u = _sliding(chain)
+    free = accelerations(chain, t, y)[u]
+    return free if isinstance(chain, Chain) else free / shares(chain)[u]
+
+
+def friction_at_rest(chain: Dry, t: Any, y: State, direction: Array) -> Array:
+    """The friction force against `direction` of masses with w = 0 in their modes."""
+    mu = chain.law.coefficient(jnp.zeros_like(direction))
+    return jnp.where(direction == STICK, free_force(chain, t, y), direction * _load(chain) * mu)
+
+
+def motion(chain: Dry, t: Any, y: State, direction: Array) -> State:
+    """y' of masses in their modes."""
+    d, u, b = len(y) // 2, _sliding(chain), shares(chain)
+    v = y[d:]
+    free = accelerations(chain, t, y)
+    mu = chain.law.coefficient(jnp.abs(v[u] - chain.belt_speed))
+    r = free[u] if isinstance(chain, Chain) else free[u] / b[u]
+    friction = jnp.where(direction == STICK, r, direction * _load(chain) * mu)
+    rates = [a if s is None else a - s * friction for a, s in zip(free, b, strict=True)]
+    rates[u] = jnp.where(direction == STICK, 0.0, rates[u])
+    return (*v, *rates)
 
 
 class Modes(eqx.Module):
@@ -52,68 +108,112 @@ class Modes(eqx.Module):
 
 
 class Series(eqx.Module):
-    """Taylor coefficients of x, v and r about the present time: lists of arrays of shape (n,)."""
+    """Taylor coefficients about the present time: lists of arrays of shape (n,).
 
-    x: list[Array]
-    v: list[Array]
+    `x` and `v`: one list for each displacement and its velocity; `w` and `r`: of the contact.
+    """
+
+    x: list[list[Array]]
+    v: list[list[Array]]
+    w: list[Array]
     r: list[Array]
 
-    def x_from_v(self) -> list[Array]:
-        """`x`, computed from `v`: a branch that reads only `v` copies half as much."""
-        return [self.x[0], *(a / (k + 1) for k, a in enumerate(self.v[:-1]))]
+    def part(self, k: int) -> list[Array]:
+        """Number k of the state.
+
+        A displacement is computed from its velocity: a branch that reads only the velocity copies
+        half as much.
+        """
+        d = len(self.x)
+        if k >= d:
+            return self.v[k - d]
+        return [self.x[k][0], *(a / (j + 1) for j, a in enumerate(self.v[k][:-1]))]
 
 
-def expand(chain: Chain, state: State, modes: Modes, order: int) -> Series:
+def expand(chain: Dry, t: Any, state: State, modes: Modes, order: int) -> Series:
     """The motion as a Taylor series up to `order`, every mass in its mode.
 
-    v_{k+1} = (r_k - direction p m_k) / (k + 1),   x_{k+1} = v_k / (k + 1),
+    v_{k+1} = (a_k - b direction p m_k) / (k + 1),   x_{k+1} = v_k / (k + 1),
 
     with m_k the coefficients of mu(direction (v - v_d)).
     """
-    law, load = chain.law, chain.load
-    direction = modes.direction
+    law, load, direction = chain.law, _load(chain), modes.direction
     slides = direction != STICK
-    n = direction.shape[0]
-    damping, stiffness = 2.0 * chain.damping_ratio, chain.stiffness_diagonal(n)
-    x, v = [state[0]], [state[1]]
-    speed = [direction * (v[0] - chain.belt_speed)]
-    # The inputs of the next terms are computed once: see `materialize`.
-    springs = chain.springs
-    pull: Any = 0.0 if springs is None else springs.product(x[0])  # C x_k
-    pull_of_v: Any = 0.0 if springs is None else springs.product(v[0])  # C v_k
+    d, u, b = len(state) // 2, _sliding(chain), shares(chain)
+    x, v = [[part] for part in state[:d]], [[part] for part in state[d:]]
+    speed = [direction * (v[u][0] - chain.belt_speed)]
     friction = composed(law.coefficient, speed, piecewise=law.knots is not None)
+    free = _free_series(chain, t, x, v)
     r: list[Array] = []
-    for k in range(order):
-        r.append(pull - damping * v[k] - stiffness * x[k])
-        change = jnp.where(slides, (r[k] - direction * load * friction[k]) / (k + 1), 0.0)
-        if k == 0:
-            # A mass that has just been released has no acceleration yet; a disturbance may release
-            # it earlier than others whose events coincide.
-            change = change - jnp.where(modes.contact == 2, lax.stop_gradient(change), 0.0)
-        x.append(v[k] / (k + 1))
-        v.append(materialize(change))
-        if springs is not None:
-            pull = pull_of_v / (k + 1)
-            pull_of_v = springs.product(v[k + 1])
-        speed.append(direction * v[k + 1])
-    r.append(pull - damping * v[order] - stiffness * x[order])
-    return Series(x, v, r)
+    for k in range(order + 1):
+        a = free(k)
+        r.append(a[u] if isinstance(chain, Chain) else a[u] / b[u])
+        if k == order:
+            break
+        force = direction * load * friction[k]
+        for i in range(d):
+            if i == u:
+                held = a[i] - force if isinstance(chain, Chain) else a[i] - b[i] * force
+                change = jnp.where(slides, held / (k + 1), 0.0)
+                if k == 0:
+                    # A mass that has just been released has no acceleration yet; a disturbance may
+                    # release it earlier than others whose events coincide.
+                    resting = jnp.where(modes.contact == 2, lax.stop_gradient(change), 0.0)
+                    change = change - resting
+            else:
+                holding = jnp.where(slides, force, r[k])
+                change = (a[i] if b[i] is None else a[i] - b[i] * holding) / (k + 1)
+            x[i].append(v[i][k] / (k + 1))
+            v[i].append(materialize(change))
+        speed.append(direction * v[u][k + 1])
+    return Series(x, v, [v[u][0] - chain.belt_speed, *v[u][1:]], r)
 
 
-def start(chain: Chain, state: State) -> tuple[State, Modes]:
+def _free_series(chain: Dry, t: Any, x: list, v: list) -> Callable[[int], tuple[Array, ...]]:
+    """The coefficients of the accelerations without friction, from those of x and v."""
+    if isinstance(chain, MechanicalCells):
+        cells = chain
+        time = [jnp.asarray(t, float), 1.0]
+        own = [*x, *v]
+        sides = [
+            [PowerSeries(lambda k, s=s, i=i: cells.neighbours((s[k],))[i][0]) for s in own]
+            for i in (0, 1)
+        ]
+        m = len(own)
+
+        def rate(t: Any, *y: Any) -> tuple[Array, ...]:
+            return cells.free_acceleration(t, y[:m], y[m : 2 * m], y[2 * m :])
+
+        clock = PowerSeries(lambda k: jnp.asarray(time[k] if k < 2 else 0.0, float))
+        series = composed(rate, clock, *sides[0], *own, *sides[1])
+        return lambda k: tuple(part[k] for part in series)
+    springs, n = chain.springs, x[0][0].shape[0]
+    damping, stiffness = 2.0 * chain.damping_ratio, chain.stiffness_diagonal(n)
+    # The inputs of the next terms are computed once: see `materialize`.
+    pull = PowerSeries(  # C x_k
+        lambda k: (
+            0.0 if springs is None
+            else springs.product(x[0][0]) if k == 0
+            else springs.product(v[0][k - 1]) / k
+        )
+    )  # fmt: skip
+    return lambda k: (pull[k] - damping * v[0][k] - stiffness * x[0][k],)
+
+
+def start(chain: Dry, t: Any, state: State) -> tuple[State, Modes]:
     """The state, with masses near the belt speed set to it, and the modes of the masses."""
-    x, v = state
-    speed = chain.belt_speed
+    place, speed = chain.contact, chain.belt_speed
+    v = state[place]
     w = v - speed
     touching = jnp.abs(w) <= RESOLUTION * (1.0 + jnp.abs(speed))
-    state = (x, jnp.where(touching, speed, v))
-    resting = Modes(jnp.sign(w), jnp.zeros(x.shape, int))
-    return state, _met(chain, state, resting, touching, jnp.zeros_like(touching))
+    state = (*state[:place], jnp.where(touching, speed, v), *state[place + 1 :])
+    resting = Modes(jnp.sign(w), jnp.zeros(v.shape, int))
+    return state, _met(chain, t, state, resting, touching, jnp.zeros_like(touching))
 
 
-def _met(chain: Chain, state: State, modes: Modes, lands: Array, releases: Array) -> Modes:
+def _met(chain: Dry, t: Any, state: State, modes: Modes, lands: Array, releases: Array) -> Modes:
     """The modes after some masses have come to w = 0 and others have been released from it."""
-    r = chain.free_force(*state)
+    r = free_force(chain, t, state)
     sticks = lands & (jnp.abs(r) <= static_limit(chain))
     direction = jnp.where(lands | releases, jnp.sign(r), modes.direction)
     contact = jnp.where(lands, 1, jnp.where(releases, 2, modes.contact))
@@ -121,20 +221,20 @@ def _met(chain: Chain, state: State, modes: Modes, lands: Array, releases: Array
 
 
 def after(
-    chain: Chain, state: State, modes: Modes, hits: Bool[Array, " n"], moved: Bool[Array, ""]
+    chain: Dry, t: Any, state: State, modes: Modes, hits: Bool[Array, " n"], moved: Bool[Array, ""]
 ) -> tuple[State, Modes]:
     """State and modes after a step at whose end the masses in `hits` have their events.
 
     `moved`: whether time went on; if so, the others have left w = 0 behind.
     """
-    lands = hits & (modes.direction != STICK)
-    x, v = state
-    state = (x, jnp.where(lands, chain.belt_speed, v))
+    lands, place = hits & (modes.direction != STICK), chain.contact
+    v = jnp.where(lands, chain.belt_speed, state[place])
+    state = (*state[:place], v, *state[place + 1 :])
     modes = Modes(modes.direction, jnp.where(moved, 0, modes.contact))
-    return state, _met(chain, state, modes, lands, hits & ~lands)
+    return state, _met(chain, t, state, modes, lands, hits & ~lands)
 
 
-def next_event(chain: Chain, series: Series, modes: Modes, length: Array) -> tuple[Array, Array]:
+def next_event(chain: Dry, series: Series, modes: Modes, length: Array) -> tuple[Array, Array]:
     """(time for which all masses keep their modes, which of them have an event then).
 
     It ends without an event where a mass slides past a knot of the friction law, because another
@@ -143,7 +243,7 @@ def next_event(chain: Chain, series: Series, modes: Modes, length: Array) -> tup
     length = jnp.minimum(length, _next_knot(chain, series, modes, length))
     direction, contact = modes.direction, modes.contact
     slides = direction != STICK
-    w = [series.v[0] - chain.belt_speed, *series.v[1:]]
+    w = series.w
     # A mass that has just left w = 0 returns to it where w / t or w / t^2 vanishes.
     padded = [*w, jnp.zeros_like(w[0]), jnp.zeros_like(w[0])]
     left = [
@@ -162,7 +262,7 @@ def next_event(chain: Chain, series: Series, modes: Modes, length: Array) -> tup
     )
 
 
-def _next_knot(chain: Chain, series: Series, modes: Modes, length: Array) -> Array:
+def _next_knot(chain: Dry, series: Series, modes: Modes, length: Array) -> Array:
     """The time for which no mass slides past a knot of its friction law, at most `length`.
 
     The masses go beyond the knot by twice the offset of the friction series: the error is the
@@ -172,8 +272,7 @@ def _next_knot(chain: Chain, series: Series, modes: Modes, length: Array) -> Arr
     knots = jnp.asarray(() if given is None else given, float)
     if knots.size == 0:
         return length
-    w = [jnp.abs(series.v[0] - chain.belt_speed)]
-    w += [modes.direction * v for v in series.v[1:]]
+    w = [jnp.abs(series.w[0]), *(modes.direction * v for v in series.w[1:])]
     ahead = CLEARANCE * (1.0 + w[0])
     n = w[0].size
     knots = jnp.broadcast_to(knots if knots.ndim == 2 else knots[:, None], (len(knots), n))

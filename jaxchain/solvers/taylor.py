@@ -12,6 +12,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import jax.tree_util as jtu
 import numpy as np
 from jax.custom_derivatives import SymbolicZero
 from jax.experimental.jet import jet
@@ -34,17 +35,18 @@ class PowerSeries:
 
 
 def composed(
-    function: Callable[[Any], Any], argument: Sequence[Any], piecewise: bool = False
-) -> PowerSeries:
-    """The series of function(s(t)).
+    function: Callable[..., Any], *arguments: Sequence[Any] | PowerSeries, piecewise: bool = False
+) -> Any:
+    """The series of function(s(t)), or of function(s(t), ...) of several arguments.
 
-    **Arguments:** `function`, element by element; `argument` = s_0, s_1, ..., a list that may
-    grow: c_k of the result asks for s_0 ... s_k.  `piecewise`: whether the function may choose
-    between cases by the size of s.  It then chooses by s_0 for all orders, or just above s_0 where
-    the cases meet; the caller must limit the range in which this holds.
+    **Arguments:** `function`, element by element, of one or more arrays, and returning one or a
+    tuple; each of `arguments` = s_0, s_1, ..., a list that may grow: c_k of the result asks for
+    s_0 ... s_k.  A single argument is a speed, which is not negative.  `piecewise`: whether the
+    function may choose between cases by the size of s.  It then chooses by s_0 for all orders, or
+    just above s_0 where the cases meet; the caller must limit the range in which this holds.
 
-    **Returns:** a `PowerSeries`.  If the function uses an operation that is not known here, JAX's
-    Taylor mode is used, which repeats all lower orders for every order.
+    **Returns:** a `PowerSeries`, or a tuple of them.  If the function uses an operation that is
+    not known here, JAX's Taylor mode is used, which repeats all lower orders for every order.
 
     **Raises:** `ValueError` if it chooses between cases without `piecewise`, or cannot be
     expanded.
@@ -55,32 +57,43 @@ def composed(
     >>> [float(half[k]) for k in range(3)]
     [1.0, 0.5, 0.125]
     """
-    s = PowerSeries(lambda k: argument[k])
-    traced = jax.make_jaxpr(function)(s[0])
-    above = s[0] + CLEARANCE * (1.0 + jnp.abs(s[0]))
+    series = [PowerSeries(lambda k, s=s: s[k]) for s in arguments]
+    first = [s[0] for s in series]
+    traced, shape = jax.make_jaxpr(function, return_shape=True)(*first)
+    above = [a + CLEARANCE * (1.0 + jnp.abs(a)) for a in first]
     try:
-        (result,) = _Expansion(piecewise, s).of(traced, [s], [above])
+        results = _Expansion(piecewise, series).of(traced, series, above)
     except NotImplementedError:
-        return PowerSeries(lambda k: _by_jet(function, argument, k))
-    return result if isinstance(result, PowerSeries) else _constant(result)
+        derivatives = PowerSeries(lambda k: jtu.tree_leaves(_by_jet(function, arguments, k)))
+        results = [
+            PowerSeries(lambda k, i=i: derivatives[k][i]) for i in range(len(traced.out_avals))
+        ]
+    results = [r if isinstance(r, PowerSeries) else _constant(r) for r in results]
+    return tuple(results) if isinstance(shape, tuple) else results[0]
 
 
 # Cases are distinguished at this distance above s_0, relative to 1 + s_0.
 CLEARANCE = 1e-12
 
 
-def _by_jet(function: Callable[[Any], Any], argument: Sequence[Any], k: int) -> Any:
+def _by_jet(function: Callable[..., Any], arguments: Sequence[Any], k: int) -> Any:
+    first = [s[0] for s in arguments]
     if k == 0:
-        return function(argument[0])
-    derivatives = [math.factorial(j) * argument[j] for j in range(1, k + 1)]
+        return function(*first)
+    derivatives = [[math.factorial(j) * s[j] for j in range(1, k + 1)] for s in arguments]
     try:
-        _, series = jet(function, (argument[0],), (derivatives,))
+        _, series = jet(function, first, derivatives)
     except (NotImplementedError, KeyError) as error:  # a missing rule is a missing key there
         raise ValueError(
-            f"A friction law cannot be expanded in a Taylor series: no rule for {error}. Write it "
-            "with other functions, or use smoothed friction."
+            f"A {_what(arguments)} cannot be expanded in a Taylor series: no rule for {error}. "
+            "Write it with other functions, or use smoothed friction."
         ) from error
-    return series[k - 1] / math.factorial(k)
+    results = series if isinstance(series, tuple) else (series,)
+    return [terms[k - 1] / math.factorial(k) for terms in results]
+
+
+def _what(arguments: Sequence[Any]) -> str:
+    return "friction law" if len(arguments) == 1 else "force"
 
 
 class _Expansion:
@@ -89,8 +102,8 @@ class _Expansion:
     Every variable also has its value just above s_0, which selects the case.
     """
 
-    def __init__(self, piecewise: bool, argument: PowerSeries):
-        self.piecewise, self.argument = piecewise, argument
+    def __init__(self, piecewise: bool, arguments: Sequence[PowerSeries]):
+        self.piecewise, self.arguments = piecewise, arguments
 
     def of(self, program: ClosedJaxpr, inputs: Sequence[Any], above: Sequence[Any]) -> list[Any]:
         return [series for series, _ in self._run(program, list(zip(inputs, above, strict=True)))]
@@ -122,13 +135,17 @@ class _Expansion:
         here = [a for _, a in operands]
         above = _values(step, here)
         decides = name in _STEPS or not jnp.issubdtype(step.outvars[0].aval.dtype, jnp.floating)
-        if name == "abs" and series[0] is self.argument:  # a speed is not negative
+        alone = len(self.arguments) == 1
+        if name == "abs" and alone and series[0] is self.arguments[0]:  # of a speed
             return [operands[0]]
         if (decides or name in _CHOICES) and not self.piecewise:
             raise ValueError(
                 f"A friction law chooses between cases by the speed (`{name}`), and a Taylor step "
                 "must not pass from one to the next: give the law the field or property `knots`, "
                 "the speeds > 0 at which it does, or `knots = ()` if mu is smooth all the same."
+                if alone
+                else f"A force chooses between cases (`{name}`), and a Taylor step must not pass "
+                "from one to the next: write a smooth force, or use smoothed friction."
             )
         if decides:
             return [(value, value) for value in above]

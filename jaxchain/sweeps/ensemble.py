@@ -49,7 +49,7 @@ from ..model.oscillators import AbstractOscillators
 from ..model.parameters import Parameter, parameter
 from ..model.provenance import circumstances, parameters_of, versions
 from ..observers.amplitude import Amplitude
-from ..observers.base import AbstractObserver, Variable, step_of
+from ..observers.base import AbstractObserver, Step, Variable
 from ..observers.samples import Trajectory
 from ..result import NAMES, ended_well
 from ..simulation.accuracy import (
@@ -641,7 +641,7 @@ def _rate(field: Any, state: State) -> Any:
 def _seen(observer: Any, chain: Any, t0: Any, t1: Any, start: State) -> Any:
     """The result of an observer for one step."""
     kept = observer.init(chain, t0, t1, start)
-    step = step_of(chain, t0, t1, start, start, lambda theta, k: start[k] + 0.0 * theta)
+    step = Step(chain, t0, t1, start, start, lambda theta, k: start[k] + 0.0 * theta)
     kept = observer.update(kept, step)
     labels = observer.label(observer.read(kept), chain)
     return observer.settled(kept), observer.rests(kept), dict(labels)

@@ -27,7 +27,8 @@ def after(classify, motion, t1, chain=CHAIN, dt=0.25):
             return at
 
         first, last = ((motion(t), speed(t)) for t in (a, a + dt))
-        step = Step(chain, a, a + dt, first, last, along(motion), along(speed))
+        x, v = along(motion), along(speed)
+        step = Step(chain, a, a + dt, first, last, lambda theta, k: v(theta) if k else x(theta))
         return classify.update(seen, step)
 
     t = jnp.asarray(0.0)

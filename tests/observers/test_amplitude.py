@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from jaxchain import Amplitude, equation_8, paper_chain, simulate
-from jaxchain.observers.base import step_of
+from jaxchain.observers.base import Step
 
 CHAIN = paper_chain(1, 1.5)
 
@@ -20,7 +20,7 @@ def cosine(edges, window):
         return jnp.cos(jnp.array([t])), -jnp.sin(jnp.array([t]))
 
     def step(a, b):
-        return step_of(
+        return Step(
             CHAIN,
             a,
             b,

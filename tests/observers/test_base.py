@@ -106,7 +106,7 @@ def test_integrals_and_turning_points_of_a_step_of_known_motion():
     step = Step(
         FREE, 0.0, jnp.asarray(2.0), (jnp.zeros(1), jnp.full(1, -3.0)),
         (jnp.full(1, 2.0), jnp.full(1, 9.0)),
-        lambda theta: (2 * theta) ** 3 - 6 * theta, lambda theta: 3 * (2 * theta) ** 2 - 3,
+        lambda theta, k: 3 * (2 * theta) ** 2 - 3 if k else (2 * theta) ** 3 - 6 * theta,
     )  # fmt: skip
     turns, theta = step.turning_points()
     assert turns.tolist() == [True]

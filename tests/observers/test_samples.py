@@ -39,8 +39,7 @@ def test_samples_lie_on_the_dense_output_of_steps_of_any_length():
             t0, t1 = ends
             step = Step(
                 FREE, t0, t1, motion(t0), motion(t1),
-                lambda theta: motion(t0 + theta * (t1 - t0))[0],
-                lambda theta: motion(t0 + theta * (t1 - t0))[1],
+                lambda theta, k: motion(t0 + theta * (t1 - t0))[k],
             )  # fmt: skip
             return watch.update(store, step), None
 

@@ -70,6 +70,19 @@ def rows() -> Iterator[Row]:
     yield Row("Springs", model.Springs, springs, bad)
     yield from _units()
     yield from _ready_made()
+    matrix = {"stiffness": [[1.0, 0.3], [0.3, 2.0]], "force": 1.0, "frequency": 1.0}
+    wrong, shape = (None, "x", {}, object, math.nan, math.inf, 1j), [[[[1.0]]]]
+    yield Row(
+        "MechanicalCells", model.MechanicalCells, {**matrix, "friction": LAW},
+        {
+            "stiffness": (*wrong, [1.0, math.nan], shape), "mass": (*wrong, 0.0, -1.0, shape),
+            "damping": (*wrong, [1.0] * 3, shape), "coupling": (*wrong[1:], [1.0] * 3, shape),
+            "spring": ("x", 1.0, lambda x, y: (x, y, y)), "local_force": ("x", 1.0),
+            "friction": ("x", 0.5, {}, ExponentialDecay), "belt_speed": NUMBER,
+            "normal_load": PER_MASS_0, "sliding": (*COUNT[:5], 2), "force": (*wrong, [1.0] * 3),
+            "frequency": POSITIVE, "ends": WORD, "names": (("x",), "xyz"),
+        },
+    )  # fmt: skip
 
 
 # Of the ready-made models, by their sign: the numbers one for each cell, and those of all cells.

@@ -21,14 +21,14 @@ def test_the_series_has_every_force_of_the_chain():
     )  # fmt: skip
     # Two slide forward, two backward; none sticks.
     x, v = jnp.array([0.5, -1.2, 2.0, 0.1]), jnp.array([1.0, 0.7, -0.4, 0.0])
-    _, modes = start(chain, (x, v))
-    series = jax.jit(lambda x, v, modes: expand(chain, (x, v), modes, 4))(x, v, modes)
+    _, modes = start(chain, 0.0, (x, v))
+    series = jax.jit(lambda x, v, modes: expand(chain, 0.0, (x, v), modes, 4))(x, v, modes)
 
     def polynomial(t: Any, coefficients: list[Array]) -> Array:
         return jnp.polyval(jnp.stack(coefficients)[::-1], t)
 
     def force(t):
-        return chain.free_force(polynomial(t, series.x), polynomial(t, series.v))
+        return chain.free_force(polynomial(t, series.x[0]), polynomial(t, series.v[0]))
 
     derivative, factorial = force, 1.0
     for k in range(4):
@@ -36,7 +36,7 @@ def test_the_series_has_every_force_of_the_chain():
         derivative, factorial = jax.jacfwd(derivative), factorial * (k + 1)
 
     def relative(t):
-        return polynomial(t, series.v) - chain.belt_speed
+        return polynomial(t, series.v[0]) - chain.belt_speed
 
     # And the equation of motion, v' = r - direction p mu, at t = 0 and in its first derivative.
     def friction(t):
@@ -46,5 +46,5 @@ def test_the_series_has_every_force_of_the_chain():
         return force(t) + friction(t)
 
     value, slope = jax.jit(lambda t: (total(t), jax.jacfwd(total)(t)))(0.0)
-    np.testing.assert_allclose(series.v[1], value, rtol=1e-12)
-    np.testing.assert_allclose(2.0 * series.v[2], slope, rtol=1e-12)
+    np.testing.assert_allclose(series.v[0][1], value, rtol=1e-12)
+    np.testing.assert_allclose(2.0 * series.v[0][2], slope, rtol=1e-12)

@@ -1,0 +1,189 @@
+"""Cells from matrices and laws, with dry and smoothed friction."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from jaxchain import (
+    Amplitude,
+    Coulomb,
+    EventDriven,
+    ExponentialDecay,
+    StickTime,
+    Trajectory,
+    simulate,
+    sweep,
+)
+from jaxchain.model import Chain, MechanicalCells, ModeCoupling
+
+# Of low order, which compiles sooner.
+SOLVER = EventDriven(8)
+QUICK = {"solver": EventDriven(6), "rtol": 1e-9}
+LAW = ExponentialDecay(1.0, 0.5, 0.5)
+
+
+def cubic(*elongations):
+    return tuple(0.3 * e**3 for e in elongations)
+
+
+def two_of_each(**changes) -> MechanicalCells:
+    """Three cells of two displacements with every part that there is."""
+    numbers = {
+        "stiffness": [[1.0, 0.3], [0.1, 2.0]], "mass": [[1.0, 0.2], [0.2, 0.7]],
+        "damping": [0.05, 0.1], "coupling": [[0.2, 0.0], [0.05, 0.1]], "force": [0.1, 0.3],
+        "frequency": 1.3, "belt_speed": 0.4, "normal_load": [1.0, 0.8, 1.2],
+    }  # fmt: skip
+    laws = {"spring": cubic, "local_force": lambda q, v: (-0.2 * q[1] * q[0], -0.1 * v[1] ** 3)}
+    return MechanicalCells(friction=LAW, **{**numbers, **laws, **changes})
+
+
+START = (
+    jnp.array([0.5, -0.2, 1.0]), jnp.array([0.1, 0.0, -0.3]),
+    jnp.array([0.4, 0.0, -0.2]), jnp.array([0.0, 0.5, 0.1]),
+)  # fmt: skip
+
+
+def by_events(cells: MechanicalCells, t1: float) -> np.ndarray:
+    """The state at t1 by SciPy, which stops at every event: matrices and modes by hand."""
+    M, K = np.asarray(cells.mass), np.asarray(cells.stiffness)
+    D, C = np.diag(np.asarray(cells.damping)), np.asarray(cells.coupling)
+    u, speed, load = cells.sliding, float(cells.belt_speed), np.asarray(cells.normal_load)
+    unit = np.eye(2)[u]
+    b = np.linalg.solve(M, unit)
+
+    def free(t, y):
+        q, v = y[:6].reshape(2, 3), y[6:].reshape(2, 3)
+        ahead, behind = np.roll(q, -1, 1) - q, q - np.roll(q, 1, 1)
+        h = -K @ q - D @ v + C @ (ahead - behind) + 0.3 * (ahead**3 - behind**3)
+        h += np.stack([-0.2 * q[1] * q[0], -0.1 * v[1] ** 3])
+        h += np.array([[0.1], [0.3]]) * np.cos(1.3 * t)
+        return np.linalg.solve(M, h)
+
+    def reaction(t, y):
+        return free(t, y)[u] / b[u]
+
+    def rate(t, y, modes):
+        v = y[6:].reshape(2, 3)
+        s = np.abs(v[u] - speed)
+        friction = modes * load * (0.5 + 0.5 * np.exp(-s / 0.5))
+        a = free(t, y)
+        a = a - np.outer(b, np.where(modes == 0, a[u] / b[u], friction))
+        return np.concatenate([v.ravel(), a.ravel()])
+
+    t, y = 0.0, np.concatenate(START)
+    modes = np.sign(y[6:].reshape(2, 3)[u] - speed)
+    while t < t1:
+        events = []
+        for i in range(3):
+            place = 6 + 3 * u + i
+            if modes[i] == 0:
+                event = lambda t, y, *_, i=i: load[i] - abs(reaction(t, y)[i])  # noqa: E731
+            else:
+                event = lambda t, y, *_, p=place, m=modes[i]: m * (y[p] - speed)  # noqa: E731
+            vars(event).update(terminal=True, direction=-1)
+            events.append(event)
+        out = solve_ivp(rate, (t, t1), y, "DOP853", args=(modes,), events=events, rtol=1e-12,
+                        atol=1e-13)  # fmt: skip
+        t, y, modes = out.t[-1], out.y[:, -1].copy(), modes.copy()
+        for i, times in enumerate(out.t_events):
+            if len(times):
+                r = reaction(t, y)[i]
+                if modes[i] == 0:
+                    modes[i] = np.sign(r)
+                    continue
+                y[6 + 3 * u + i] = speed
+                modes[i] = 0 if abs(r) <= load[i] else np.sign(r)
+    return y
+
+
+@pytest.mark.parametrize("sliding", [pytest.param(0, marks=pytest.mark.long), 1])
+def test_dry_friction_at_one_of_two_displacements_agrees_with_scipys_events(sliding):
+    cells = two_of_each(sliding=sliding)
+    run = simulate(cells, START, 30.0, solver=SOLVER, rtol=1e-12, observe=StickTime())
+    assert np.count_nonzero(np.asarray(run.observed) > 1.0) >= 2
+    np.testing.assert_allclose(np.concatenate(run.state), by_events(cells, 30.0), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "differentiate", [jax.jacfwd, pytest.param(jax.jacrev, marks=pytest.mark.long)]
+)
+def test_derivatives_of_dry_cells_are_those_of_differences(differentiate):
+    mass, shift = jnp.array([[1.0, 0.2], [0.2, 0.7]]), jnp.array([[0.3, 0.1], [0.1, 0.0]])
+
+    def end(a):
+        numbers = {"belt_speed": 0.4 + a, "mass": mass + a * shift, "frequency": 1.3 + a}
+        cells = two_of_each(spring=None, local_force=None, **numbers)
+        start = (*START[:2], START[2] - 0.2, START[3])  # none on the belt
+        return jnp.concatenate(simulate(cells, start, 12.0, **QUICK).state)
+
+    slope = (end(1e-5) - end(-1e-5)) / 2e-5
+    np.testing.assert_allclose(differentiate(end)(0.0), slope, atol=1e-6)
+
+
+def test_three_blocks_come_to_rest_together():
+    """Source: D. E. Stewart; masses without a spring to ground, all stuck at t = 3.92710442."""
+    start = jnp.array([-1.0, 1.0, -1.0]), jnp.array([-1.0, 1.0, 1.0])
+    rest = [0.11308084, 0.18657982, 0.23411724]
+    ground = np.array([1.0, 0.0, 0.0])
+    how = {"belt_speed": 0.0, "coupling": 1.0, "friction": Coulomb(0.3), "ends": "free"}
+    cells = MechanicalCells(ground[:, None, None], damping=1.0, **how)
+    for blocks in (cells, Chain(3, damping_ratio=0.5, stiffness=ground, **how)):
+        for t, stuck in ((3.927104, 2), (3.927105, 3)):
+            run = simulate(blocks, start, t, rtol=1e-11)
+            assert np.count_nonzero(np.asarray(run.state[1]) == 0.0) == stuck
+            np.testing.assert_allclose(run.state[0], rest, atol=1e-7)
+
+
+def test_one_displacement_is_a_chain_dry_and_smoothed():
+    rng = np.random.default_rng(0)
+    xi, k, p = (rng.uniform(*span, 5) for span in ((0.02, 0.1), (0.5, 1.5), (0.7, 1.2)))
+    chain = Chain(5, LAW, 0.7, xi, coupling=0.2, stiffness=k, normal_load=p)
+    cells = MechanicalCells(
+        k[:, None, None], damping=2 * xi[:, None, None], coupling=0.2, friction=LAW,
+        belt_speed=0.7, normal_load=p,
+    )  # fmt: skip
+    start = tuple(jnp.asarray(rng.normal(size=(2, 5))))
+    observe = Amplitude(window=20.0), StickTime(), Trajectory(jnp.array([7.0, 33.0]))
+    runs = [simulate(one, start, 40.0, rtol=1e-10, observe=observe) for one in (chain, cells)]
+    pairs = zip(*(jax.tree.leaves((run.state, run.observed)) for run in runs), strict=True)
+    for expected, computed in pairs:
+        np.testing.assert_allclose(computed, expected, atol=1e-12)
+    runs = [simulate(one.with_(width=1e-2), start, 10.0, rtol=1e-10) for one in (chain, cells)]
+    np.testing.assert_allclose(runs[1].state, runs[0].state, atol=1e-9)
+    # With dry friction the sweep is that of the chain, too.
+    over = {"belt_speed": [0.5, 0.7], "mu_dynamic": [0.4, 0.5]}
+    sweeps = [sweep(one, start, 40.0, over=over, observe=observe[0]) for one in (chain, cells)]
+    np.testing.assert_allclose(sweeps[1].amplitude, sweeps[0].amplitude, atol=1e-12)
+
+
+def test_mode_coupling_from_matrices():
+    """The force of friction that changes with y makes the stiffness unsymmetric."""
+    ready = ModeCoupling(2.0, 1.0, 0.5, 1.0, 1.2, 0.02, 0.03, cubic=0.7, coupling=0.1)
+    cells = MechanicalCells(
+        [[2.0, 0.5 - 1.2], [0.5, 1.0]], damping=[0.02, 0.03], coupling=[0.1, 0.0],
+        local_force=lambda q, v: (-0.7 * q[0] ** 3, 0.0 * q[1]), names=("x", "y"),
+    )  # fmt: skip
+    assert cells.components == ready.components
+    runs = [simulate(one, START, 20.0, rtol=1e-10) for one in (ready, cells)]
+    np.testing.assert_allclose(runs[1].state, runs[0].state, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("changes", "names"),
+    [
+        ({"mass": [[1.0, 2.0], [2.0, 1.0]]}, "Argument `mass` must be symmetric and positive"),
+        ({"damping": [1.0, 2.0, 3.0]}, r"Argument `damping` must be one number, or of shape \(2,"),
+        ({"sliding": 2}, "Argument `sliding`"),
+        ({"frequency": None}, "Arguments `force` and `frequency` belong together"),
+        ({"spring": lambda a, b: (a + 1.0, b)}, "Argument `spring` must return 2 forces that"),
+        ({"normal_load": -1.0}, "Argument `normal_load`"),
+        ({"belt_speed": [1.0, 2.0]}, "Argument `belt_speed`"),
+        ({"names": ("x",)}, "Argument `names` must have 2 names"),
+        ({"local_force": lambda q, v: (abs(q[0]), q[1])}, "A force chooses between cases"),
+    ],
+)
+def test_bad_parts_are_refused(changes, names):
+    with pytest.raises(ValueError, match=names):
+        simulate(two_of_each(**changes), START, 1.0)
