@@ -106,7 +106,7 @@ class MechanicalCells(AbstractCells):
         >>> start = tuple(jnp.zeros((4, 1)))
         >>> run = simulate(cells, start, 100.0, observe=Amplitude(window=20.0, component=1))
         >>> round(float(run.observed[0]), 4)
-        0.1487
+        0.1931
     """
 
     stiffness: Matrix = eqx.field(converter=named("stiffness"))
