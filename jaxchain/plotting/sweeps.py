@@ -27,9 +27,11 @@ from .diagram import (
     intervals,
     masses,
     moving_fronts,
+    parameters,
     slides_steadily,
     stable_sliding,
     swept,
+    variable,
 )
 from .groups import Panel, panels
 from .states import draw_states, picture_names
@@ -179,7 +181,8 @@ def draw(axes: Axes, panel: Panel[xr.Dataset], hopf: float | None = None) -> Non
             x[shown], heights[shown], "o", color="black", markersize=4.6, markerfacecolor="none",
             markeredgewidth=0.35, zorder=4, label="true dry friction",
         )  # fmt: skip
-    axes.set_xlabel(SYMBOLS.get(across, across))
+    label_x = axis(across, data[across].attrs, None)[1]
+    axes.set_xlabel(label_x if "oscillators" in parameters(data) else SYMBOLS.get(across, across))
     axes.set_ylabel(label)
     widen(axes, data[across].values)
     # Rest is drawn above the axis and failures below it, and rounding errors do not fill the
@@ -203,9 +206,11 @@ def _heights(data: xr.Dataset) -> tuple[np.ndarray, str]:
     values = energy(data)
     if values is None:
         return data["active_count"].values, "vibrating oscillators"
-    if masses(data) == 1:
-        return (2 * values.values) ** 0.5, AMPLITUDE
-    return values.values, ENERGY
+    single = masses(data) == 1
+    label = AMPLITUDE if single else ENERGY
+    if of := str(values.attrs.get("long_name", "")).partition(" of ")[2]:  # a component
+        label = f"{'amplitude' if single else 'energy'} of {of} (–)"
+    return (2 * values.values) ** 0.5 if single else values.values, label
 
 
 def _draw_runs(
@@ -434,7 +439,8 @@ def plot_sweep(
 
 def _variable(data: xr.Dataset, y: Any) -> xr.DataArray:
     if y is None:
-        y = "amplitude" if _masses(data) == 1 and "amplitude" in data else "energy"
+        single = variable(data, "amplitude") if _masses(data) == 1 else None
+        y = single or variable(data, "energy") or "energy"
     if y == "active_share" and "active_count" in data:
         share = data["active_count"] / _masses(data)
         return share.rename("active_share").assign_attrs(units="1")
