@@ -457,6 +457,7 @@ def _load(option: str, given: str, scene: str, base: type[_Made], module: str) -
     code = importlib.util.module_from_spec(spec)
     # Dataclasses look up their module there; no existing name is replaced.
     sys.modules.setdefault(spec.name, code)
+    sys.path.insert(0, str(Path(file).parent.resolve()))  # workers import the file by its name
     try:
         spec.loader.exec_module(code)
     except (Exception, SystemExit) as error:
