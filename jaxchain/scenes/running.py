@@ -481,10 +481,6 @@ def as_run(
     data = scene.model_dump(mode="json", exclude_none=True)
     for name, experiment in scene.experiment.items():
         table = data["experiment"][name]
-        first = {
-            k: table.pop(k) for k in ("description", "chain", "model", "initial") if k in table
-        }
-        data["experiment"][name] = table = first | table
         if custom_law and isinstance(experiment.friction, Table):
             numbers = {key: experiment.given(key) for key in experiment.friction_numbers()}
             given = {key: value for key, value in numbers.items() if value is not None}

@@ -13,7 +13,16 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, TypeAlias, get_args, get_origin
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    Literal,
+    NamedTuple,
+    TypeAlias,
+    get_args,
+    get_origin,
+)
 
 import numpy as np
 from pydantic import (
@@ -71,17 +80,12 @@ _OBSERVED = {
 class AbstractExperiment(Table):
     """The tables and methods that experiments with a chain and with other cells share."""
 
-    description: Text = ""
-    """A description in some sentences, which is stored with the results."""
-    time: tables.TimeTable
-    """How long the runs are."""
-    sweep: Annotated[dict[str, tables.Values], Field(max_length=32)] = Field(default_factory=dict)
-    """Numbers of the chain, its friction or the initial state, with the values they take; they
-    replace the single number given there, which may be left out."""
-    observe: tables.ObserveTable = Field(default_factory=tables.ObserveTable)
-    """What is measured, and when a run may end early."""
-    numerics: tables.NumericsTable = Field(default_factory=tables.NumericsTable)
-    """Solver, tolerances and limits; absent: their defaults."""
+    # In each subclass, after its model: errors come in the order of the fields.
+    if TYPE_CHECKING:
+        time: tables.TimeTable
+        sweep: dict[str, tables.Values]
+        observe: tables.ObserveTable
+        numerics: tables.NumericsTable
 
     @property
     @abc.abstractmethod
@@ -212,10 +216,21 @@ class Experiment(AbstractExperiment):
         ({'belt_speed': 11, 'excited': 7}, 77)
     """
 
+    description: Text = ""
+    """A description in some sentences, which is stored with the results."""
     chain: tables.ChainTable
     """Masses, springs, belt and friction."""
     initial: tables.InitialTable
     """Displacements and velocities at the start."""
+    time: tables.TimeTable
+    """How long the runs are."""
+    sweep: Annotated[dict[str, tables.Values], Field(max_length=32)] = Field(default_factory=dict)
+    """Numbers of the chain, its friction or the initial state, with the values they take; they
+    replace the single number given there, which may be left out."""
+    observe: tables.ObserveTable = Field(default_factory=tables.ObserveTable)
+    """What is measured, and when a run may end early."""
+    numerics: tables.NumericsTable = Field(default_factory=tables.NumericsTable)
+    """Solver, tolerances and limits; absent: their defaults."""
     pictures: (
         Annotated[list[Picture], Field(min_length=1), AfterValidator(tables.distinct)] | None
     ) = None
@@ -360,6 +375,8 @@ class CellsExperiment(AbstractExperiment):
         2
     """
 
+    description: Text = ""
+    """A description in some sentences, which is stored with the results."""
     model: tables.ModelTable
     """The class of the cells, their number and their numbers."""
     initial: Annotated[dict[str, tables.PerCell], Field(max_length=100)] = Field(
@@ -367,6 +384,11 @@ class CellsExperiment(AbstractExperiment):
     )
     """The numbers of a cell at the start, by their names or numbers from 0: one number, or a list
     with one per cell; absent: 0."""
+    time: tables.TimeTable
+    """How long the runs are."""
+    sweep: Annotated[dict[str, tables.Values], Field(max_length=32)] = Field(default_factory=dict)
+    """Numbers of the model, its friction or the initial state, with the values they take; they
+    replace the single number given there, which may be left out."""
     observe: tables.CellsObserveTable = Field(default_factory=tables.CellsObserveTable)
     """What is measured, and when a run may end early."""
     numerics: tables.CellsNumericsTable = Field(default_factory=tables.CellsNumericsTable)

@@ -11,7 +11,6 @@ from synthetic import stored
 from jaxchain import (
     Amplitude,
     Chain,
-    PeakTimes,
     cli,
     excited_state,
     paper_chain,
@@ -370,7 +369,7 @@ model = { kind = "TwoModes", n = 2, stiffness = [2.0, 2.5] }
 initial = { x = [0.5, 0.1], 1 = 0.2 }
 sweep = { friction = [0.5, 1.5], x = [0.3] }
 time = { transient = 8.0, window = 7.0 }
-observe = { component = "y", others = [{ observer = "PeakTimes", component = 1, capacity = 2 }] }
+observe = { component = "y" }
 numerics = { store = true, lanes = 2 }
 """
 
@@ -392,12 +391,13 @@ def test_a_scene_of_ones_own_cells_has_the_numbers_of_a_sweep_bit_for_bit(modes,
     assert (folder / "my_cells.py").read_text(encoding="utf-8") == CELLS
     assert (folder / "modes.png").exists()
 
-    cells = load_model(f"{code}:TwoModes", "test")(jnp.asarray(0.5), jnp.array([2.0, 2.5]))
+    kind: Any = load_model(f"{code}:TwoModes", "test")
+    cells = kind(jnp.asarray(0.5), jnp.array([2.0, 2.5]))
 
     def start(_, x):
         return jnp.full(2, x), jnp.full(2, 0.2), jnp.zeros(2), jnp.zeros(2)
 
-    watch = [Amplitude(window=7.0, component=1), PeakTimes(2, component=1)]
+    watch = Amplitude(window=7.0, component=1)
     over = {"friction": [0.5, 1.5], "x": [0.3]}
     direct = sweep(cells, start, 15.0, over=over, observe=watch, rtol=1e-6, lanes=2)
     for name in direct:
@@ -470,7 +470,7 @@ def test_a_model_that_no_experiment_names_or_that_has_a_known_name_is_refused(mo
         load_model(f"{code}:jax", "test")
 
 
-def _built(scene, *changes, **kinds):
+def _built(scene, *changes, **kinds) -> Any:
     loaded = load_scene(scene, [f"experiment.modes.{text}" for text in changes])
     experiment: Any = loaded.scene.experiment["modes"]
     return build(experiment, custom_models=kinds)
@@ -492,9 +492,12 @@ def test_ready_made_cells_are_made_from_their_tables(modes):
     numbers = "mass=1,stiffness=1,speed=1,normal_stress=1,direct_effect=1,evolution_effect=1"
     more = "slip_length=1,reference_friction=0,law='slip'"
     table = f"model={{kind='RateAndState', n=2, {numbers}, {more}}}"
-    sweep_ = "sweep={component_1=[0.5]}", "observe={component='log age'}"
-    cells, start, (amplitude,) = _built(modes[1], table, "initial={'log velocity'=2}", *sweep_)
-    assert (cells.law, amplitude.component) == ("slip", 2)
+    peaks = "{observer='PeakTimes', component='log velocity'}"
+    sweep_ = "sweep={component_1=[0.5]}", f"observe={{component='log age', others=[{peaks}]}}"
+    cells, start, (amplitude, times) = _built(
+        modes[1], table, "initial={'log velocity'=2}", *sweep_
+    )
+    assert (cells.law, amplitude.component, times.component) == ("slip", 2, 1)
     np.testing.assert_array_equal(start(cells)[1], [2.0, 2.0])
     np.testing.assert_array_equal(start(cells, component_1=0.5)[1], [0.5, 0.5])
     assert set(READY_MADE) == {
