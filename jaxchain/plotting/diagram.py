@@ -97,7 +97,7 @@ def energy(data: xr.Dataset) -> xr.DataArray | None:
         return data[name]
     if (name := variable(data, "amplitude")) is None:
         return None
-    return 0.5 * (data[name] ** 2).sum("oscillator", skipna=False, keep_attrs=True)
+    return 0.5 * (data[name] ** 2).sum("oscillator", skipna=False)
 
 
 def slides_steadily(data: xr.Dataset) -> xr.DataArray | None:

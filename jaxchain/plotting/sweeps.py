@@ -156,10 +156,18 @@ def figure(datasets: Mapping[str, xr.Dataset], hopf: float | None = None) -> Fig
 def draw(axes: Axes, panel: Panel[xr.Dataset], hopf: float | None = None) -> None:
     """Every run of a sweep as a point over the belt speed, or over the first swept number.
 
-    Those with true dry friction are rings around the points.
+    Those with true dry friction are rings around the points.  Of other models than a chain, the
+    second swept number is told by colour and marker.
     """
     data, truth = panel.runs, panel.dry
     names = swept(data)
+    if "oscillators" in parameters(data) and "active_count" not in data:
+        values = _variable(data, None)
+        hue = _hue(data, values, names[1] if len(names) > 1 else None)
+        _draw(axes, data, values, names[0], hue, None)
+        axes.tick_params(which="both", top=True, right=True)
+        _explain([axes], hue, None)
+        return
     across = "belt_speed" if "belt_speed" in names else names[0]
     if across == "belt_speed":
         hopf = hopf_belt_speed(data) if hopf is None else hopf
@@ -181,8 +189,7 @@ def draw(axes: Axes, panel: Panel[xr.Dataset], hopf: float | None = None) -> Non
             x[shown], heights[shown], "o", color="black", markersize=4.6, markerfacecolor="none",
             markeredgewidth=0.35, zorder=4, label="true dry friction",
         )  # fmt: skip
-    label_x = axis(across, data[across].attrs, None)[1]
-    axes.set_xlabel(label_x if "oscillators" in parameters(data) else SYMBOLS.get(across, across))
+    axes.set_xlabel(SYMBOLS.get(across, across))
     axes.set_ylabel(label)
     widen(axes, data[across].values)
     # Rest is drawn above the axis and failures below it, and rounding errors do not fill the
@@ -206,11 +213,9 @@ def _heights(data: xr.Dataset) -> tuple[np.ndarray, str]:
     values = energy(data)
     if values is None:
         return data["active_count"].values, "vibrating oscillators"
-    single = masses(data) == 1
-    label = AMPLITUDE if single else ENERGY
-    if of := str(values.attrs.get("long_name", "")).partition(" of ")[2]:  # a component
-        label = f"{'amplitude' if single else 'energy'} of {of} (–)"
-    return (2 * values.values) ** 0.5 if single else values.values, label
+    if masses(data) == 1:
+        return (2 * values.values) ** 0.5, AMPLITUDE
+    return values.values, ENERGY
 
 
 def _draw_runs(
@@ -440,7 +445,7 @@ def plot_sweep(
 def _variable(data: xr.Dataset, y: Any) -> xr.DataArray:
     if y is None:
         single = variable(data, "amplitude") if _masses(data) == 1 else None
-        y = single or variable(data, "energy") or "energy"
+        y = single or variable(data, "energy") or variable(data, "amplitude") or "energy"
     if y == "active_share" and "active_count" in data:
         share = data["active_count"] / _masses(data)
         return share.rename("active_share").assign_attrs(units="1")

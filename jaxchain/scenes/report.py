@@ -78,7 +78,7 @@ def _settings(data: xr.Dataset) -> Iterator[tuple[str, str]]:
         if name not in left_out and value is not None
     ]
     if "oscillators" in chain:  # cells
-        yield "model", f"{chain['n']} cells; {', '.join([chain['oscillators'], *numbers])}"
+        yield "model", "; ".join([f"{chain['oscillators']}, n {chain['n']}", *numbers])
     else:
         masses = "1 mass" if chain["n"] == 1 else f"{chain['n']} masses, {chain['ends']} ends"
         law = f"{chain['friction_law']}{', truly dry' if dry else ''}"
