@@ -108,13 +108,9 @@ def run_scene(
         remedy = "`resume_scene` continues it, `claimed` finds another folder"
         raise SceneError(loaded.name, [f"has results in {folder} already: {remedy}"])
     results, about = Results(folder, loaded.name), circumstances(command)
-    custom = {
-        "custom_law": custom_law,
-        "custom_observers": custom_observers,
-        "custom_models": custom_models,
-    }
-    chains = checked_chains(loaded, **custom)
-    how = {**custom, "progress": progress}
+    chains = checked_chains(loaded, custom_law, custom_observers, custom_models)
+    how = {"custom_law": custom_law, "custom_observers": custom_observers}
+    how |= {"custom_models": custom_models, "progress": progress}
     scene = as_run(loaded.scene, custom_law is not None, custom_observers or ())
     files = scene_files(loaded.name, scene, about, custom_files)
     results.about |= about
@@ -163,13 +159,9 @@ def resume_scene(
         saved already: ladder
         nothing is missing
     """
-    custom = {
-        "custom_law": custom_law,
-        "custom_observers": custom_observers,
-        "custom_models": custom_models,
-    }
-    chains = checked_chains(loaded, **custom)
-    how = {**custom, "progress": progress}
+    chains = checked_chains(loaded, custom_law, custom_observers, custom_models)
+    how = {"custom_law": custom_law, "custom_observers": custom_observers}
+    how |= {"custom_models": custom_models, "progress": progress}
     with unfinished(folder, loaded.name):
         results, about = Results.reopen(folder, loaded.name), circumstances(command)
         toml = (folder / f"{loaded.name}.toml").read_text(encoding="utf-8")
