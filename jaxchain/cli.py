@@ -151,6 +151,8 @@ def _add_scene_options(parser: argparse.ArgumentParser) -> None:
     custom: Any = {"metavar": "FILE.py:CLASS"}
     help_ = "your friction law, a subclass of jaxchain.model.AbstractFrictionLaw; runs the file"
     parser.add_argument("--law", help=help_, **custom)
+    help_ = "your model, a subclass of jaxchain.model.AbstractCells (repeatable)"
+    parser.add_argument("--model", action="append", default=[], help=help_, **custom)
     help_ = "your observer, a subclass of jaxchain.observers.AbstractObserver (repeatable)"
     parser.add_argument("--observer", action="append", default=[], help=help_, **custom)
     where = parser.add_mutually_exclusive_group()
@@ -218,7 +220,7 @@ def _run(options: argparse.Namespace) -> int:
 
     wanted = options.output or Path("results") / loaded.name
     how = _how(options, loaded.name)
-    code = [given for given in (options.law, *options.observer) if given]
+    code = [given for given in (options.law, *options.model, *options.observer) if given]
     files = [Path(given.rpartition(":")[0]) for given in code]
 
     def call(folder: Path, client: Any) -> None:
@@ -254,9 +256,10 @@ def _resume(options: argparse.Namespace) -> int:
 
 def _how(options: argparse.Namespace, scene: str) -> dict[str, Any]:
     """The arguments of `run_scene` and `resume_scene`."""
-    from .scenes.building import load_law, load_observer
+    from .scenes.building import load_law, load_model, load_observer
 
     kinds = [load_observer(given, scene) for given in options.observer]
+    models = [load_model(given, scene) for given in options.model]
     if options.netcdf and importlib.util.find_spec("h5netcdf") is None:
         raise _MisusedError("--netcdf needs h5netcdf: pip install 'jaxchain[netcdf]'")
     if options.quiet:
@@ -264,6 +267,7 @@ def _how(options: argparse.Namespace, scene: str) -> dict[str, Any]:
     return {
         "custom_law": None if options.law is None else load_law(options.law, scene),
         "custom_observers": {kind.__name__: kind for kind in kinds},
+        "custom_models": {kind.__name__: kind for kind in models},
         "plot": not options.no_plot,
         "netcdf": options.netcdf,
         "progress": not options.quiet,

@@ -252,7 +252,7 @@ def built(loaded: LoadedScene) -> list[tuple[Any, Any]]:
 
     pairs = []
     for name, chain in checked_chains(loaded).items():
-        experiment = loaded.scene.experiment[name]
+        experiment: Any = loaded.scene.experiment[name]
         start = {"excited", "displacement", "velocity"} & experiment.grid().keys()
         first = {key: experiment.grid()[key][0] for key in start}
         pairs.append((chain, build_initial(experiment)(chain, **first)))

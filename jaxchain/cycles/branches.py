@@ -39,12 +39,12 @@ from ..continuation.branch import (
 from ..continuation.corrector import Corrector
 from ..continuation.special_points import Located, Test, polish
 from ..model.arguments import as_images, as_mass
-from ..model.chain import require_smoothed
+from ..model.chain import Chain, require_smoothed
 from ..model.oscillators import AbstractOscillators
-from ..model.parameters import SPEED, parameter
+from ..model.parameters import SPEED, Parameter, parameter
 from ..model.provenance import circumstances, parameters_of
 from ..observers.amplitude import amplitude_variables
-from ..observers.base import component_name
+from ..observers.base import component_name, renamed
 from ..result import Printed
 from ..simulation.accuracy import fit_linear_solve
 from ..solvers.rosenbrock import Rodas5P
@@ -487,7 +487,10 @@ class CycleBranch(Printed):
         # xarray imports pandas, which would double the import time.
         from xarray import Dataset
 
-        special, k, row = self.special, len(self.parameter), parameter(self.name)
+        special, k = self.special, len(self.parameter)
+        row = parameter(self.name)
+        if not isinstance(self.shooting.field, Chain):
+            row = Parameter(self.name, self.name)
         # All cycles; those of the special points come last.
         parameters, period, amplitude, multipliers = (
             np.stack([*getattr(self, name), *(getattr(point, name) for point in special)])
@@ -501,16 +504,18 @@ class CycleBranch(Printed):
         scaled_peak_velocity = np.append(
             self.scaled_peak_velocity, _scaled_peak_velocity(self.shooting, u)
         )
-        speed = getattr(self.shooting.field, "belt_speed", None)
+        field = self.shooting.field
+        time = "1 / omega_n" if isinstance(field, AbstractOscillators) else "1"
+        speed = getattr(field, "belt_speed", None)
         speed = parameters if self.name == "belt_speed" else speed
-        labels = amplitude_variables(jnp.asarray(amplitude), speed)
+        labels = renamed(amplitude_variables(jnp.asarray(amplitude), speed), field, 0)
         each, multiplier = ("oscillator",), ("multiplier",)
         of_cycles = {
             **{
                 name: (v.dims, np.asarray(v.values), v.long_name, v.units)
                 for name, v in labels.items()
             },
-            "period": ((), period, "least period T", "1 / omega_n"),
+            "period": ((), period, "least period T", time),
             **{
                 name: (each, part, f"{name} where the cycle is cut", unit)
                 for name, part, unit in self._named(states)

@@ -208,8 +208,10 @@ def states_at_times(
     Of other cells, `<name>_<component>` of each of their numbers.
     """
     times, *parts = value
-    of = f"of that {dims[0]}"
-    labelled = {f"{name}_time": Variable(times, dims[:1], "1 / omega_n", f"time {of}")}
+    of, unit = f"of that {dims[0]}", "1"
+    if isinstance(chain, AbstractOscillators):
+        unit = "1 / omega_n"
+    labelled = {f"{name}_time": Variable(times, dims[:1], unit, f"time {of}")}
     if isinstance(chain, AbstractOscillators):
         x, v = parts
         return labelled | {
@@ -232,11 +234,14 @@ def component_name(chain: Any, component: int) -> str:
 def renamed(variables: dict[str, Variable], chain: Any, component: int) -> dict[str, Variable]:
     """With the name of the component behind those of the variables, unless it is the first.
 
-    The units of other models than oscillators are not known here.
+    The units of other models than oscillators are not known here, and only the component says
+    what the variables are of.
     """
     if not isinstance(chain, AbstractOscillators):
+        of = component_name(chain, component)
+        of = of if chain.components else f"component {of}"
         variables = {
-            name: Variable(v.values, v.dims, "1", v.long_name, v.is_count)
+            name: Variable(v.values, v.dims, "1", f"{name.replace('_', ' ')} of {of}", v.is_count)
             for name, v in variables.items()
         }
     if component == 0:

@@ -7,6 +7,7 @@ from .motions import animate as animate
 from .motions import film_strip as film_strip
 from .motions import loop as loop
 from .motions import plot_phase_portrait as plot_phase_portrait
+from .motions import plot_space_time as plot_space_time
 from .motions import plot_time_series as plot_time_series
 from .motions import save_gif as save_gif
 from .motions import sticking as sticking

@@ -33,6 +33,13 @@ def masses(data: xr.Dataset) -> int:
     return parameters(data)["n"]
 
 
+def variable(data: xr.Dataset, quantity: str) -> str | None:
+    """The variable that is the "amplitude" or "energy", for cells of any component; or None."""
+    cells = "oscillators" in json.loads(data.attrs.get("parameters", "{}"))
+    others = [str(name) for name in data if cells and str(name).startswith(f"{quantity}_")]
+    return next((name for name in (quantity, *others) if name in data), None)
+
+
 def swept(data: xr.Dataset) -> list[str]:
     """The swept dimensions, in their order."""
     return [str(name) for name in data["result"].dims]
@@ -86,11 +93,11 @@ def failed(data: xr.Dataset) -> xr.DataArray:
 
 def energy(data: xr.Dataset) -> xr.DataArray | None:
     """E, from the amplitudes if only these are stored; None if neither is."""
-    if "energy" in data:
-        return data["energy"]
-    if "amplitude" not in data:
+    if (name := variable(data, "energy")) is not None:
+        return data[name]
+    if (name := variable(data, "amplitude")) is None:
         return None
-    return 0.5 * (data["amplitude"] ** 2).sum("oscillator", skipna=False)
+    return 0.5 * (data[name] ** 2).sum("oscillator", skipna=False)
 
 
 def slides_steadily(data: xr.Dataset) -> xr.DataArray | None:

@@ -17,6 +17,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
+from matplotlib.ticker import MaxNLocator
 from PIL import Image
 
 from .._checks import (
@@ -24,7 +25,6 @@ from .._checks import (
     check_concrete,
     check_finite,
     check_kind,
-    check_one_of,
     check_positive_number,
     check_whole,
     numbers_of,
@@ -32,6 +32,7 @@ from .._checks import (
 )
 from ..cycles.limit_cycle import most_lively
 from ..model.arguments import as_chain, as_state
+from ..model.cells import AbstractCells, AbstractField
 from ..model.chain import Chain
 from ..model.parameters import SPEED
 from ..model.units import Scales
@@ -69,26 +70,26 @@ _BELT, _SPRING, _COUPLING, _CEILING = -0.55, 0.72, 0.25, 1.45
 def plot_time_series(
     times: Any,
     states: Any,
-    y: str = "displacement",
+    y: str | int = 0,
     *,
     masses: Any = None,
-    chain: Chain | None = None,
+    chain: AbstractField | None = None,
     ax: Axes | None = None,
     color: Any = None,
     label: str | None = None,
     scales: Scales | None = None,
 ) -> Axes:
-    """Draws displacement or velocity of masses over time.
+    """Draws the displacement, the velocity or another component of masses over time.
 
     **Arguments:**
 
     - `times`: shape (times,), dimensionless, increasing.
     - `states`: (x, v), each of shape (times, n), or a `Simulation` that observed
-      `Trajectory(times)`.
-    - `y`: "displacement" or "velocity".
+      `Trajectory(times)`; of cells all m arrays.
+    - `y`: "displacement" or "velocity"; of cells the name of a component.  Or its number, from 0.
     - `masses`: indices of the masses to draw; by default all.  More than seven have a colour bar.
     - `chain`: adds a broad band behind a line where its mass sticks, and the belt speed to
-      velocities.
+      velocities.  Of `AbstractCells` it gives the names of the components.
     - `ax`: matplotlib axes; None makes new ones of a column's width (85 mm).
     - `color`, `label`: of the lines, to distinguish several runs on the same axes.
     - `scales`: for axes in SI units.
@@ -107,33 +108,30 @@ def plot_time_series(
         'displacement $\\\\tilde x_n$ (–)'
     """
     times = _checked_times(times)
-    x, v = _checked_states(states, len(times))
-    check_one_of("y", y, tuple(_UNITS))
-    picked, stuck = _checked((x, v), masses, chain, scales)
-    across, x_label = axis("time", {"units": "1 / omega_n"}, scales)
-    up, y_label = axis(y, {"units": _UNITS[y]}, scales)
-    lines = (
-        np.broadcast_to(across * times[:, None], x.shape),
-        up * (x if y == "displacement" else v),
-    )
-    belt = None if chain is None or y == "displacement" else up * float(chain.belt_speed)
+    states = _checked_states(states, len(times))
+    (part, up, y_label), (across, x_label) = _named(states, chain, scales, y=y)
+    picked, stuck = _checked(states, masses, chain)
+    lines = np.broadcast_to(across * times[:, None], part.shape), up * part
+    belt = _belt(chain, part is states[1], up)
     return _draw_curves(ax, lines, (x_label, y_label), picked, stuck, belt, color, label)
 
 
 def plot_phase_portrait(
     states: Any,
     *,
+    x: str | int = 0,
+    y: str | int = 1,
     masses: Any = None,
-    chain: Chain | None = None,
+    chain: AbstractField | None = None,
     ax: Axes | None = None,
     color: Any = None,
     label: str | None = None,
     scales: Scales | None = None,
 ) -> Axes:
-    """Draws velocity over displacement of masses.
+    """Draws velocity over displacement of masses, or two other components of cells.
 
-    **Arguments:** as for `plot_time_series`; `chain` adds the belt speed, and a broad band where a
-    mass sticks.
+    **Arguments:** as for `plot_time_series`; `x`, `y`, the components; `chain` adds the belt
+    speed, and a broad band where a mass sticks.
 
     **Returns:** the axes.
 
@@ -149,23 +147,95 @@ def plot_phase_portrait(
         >>> ax.get_xlabel(), len(ax.get_lines())
         ('displacement $\\\\tilde x_n$ (–)', 1)
     """
-    x, v = _checked_states(states)
-    picked, stuck = _checked((x, v), masses, chain, scales)
-    across, x_label = axis("displacement", {"units": "x0"}, scales)
-    up, y_label = axis("velocity", {"units": SPEED}, scales)
-    belt = None if chain is None else up * float(chain.belt_speed)
-    lines = across * x, up * v
+    states = _checked_states(states)
+    (over, across, x_label), (part, up, y_label), _ = _named(states, chain, scales, x=x, y=y)
+    picked, stuck = _checked(states, masses, chain)
+    lines, belt = (across * over, up * part), _belt(chain, part is states[1], up)
     return _draw_curves(ax, lines, (x_label, y_label), picked, stuck, belt, color, label)
 
 
+def plot_space_time(
+    times: Any,
+    states: Any,
+    y: str | int = 0,
+    *,
+    chain: AbstractField | None = None,
+    ax: Axes | None = None,
+    scales: Scales | None = None,
+) -> Axes:
+    """Draws a component of all masses as colour, over time and the number of the mass.
+
+    **Arguments:** as for `plot_time_series`.
+
+    **Returns:** the axes, with a colour bar beside them.
+
+    **Raises:** `ValueError` for wrong shapes, numbers that are not finite, and bad arguments.
+
+    !!! example
+
+        >>> import numpy as np
+        >>> from jaxchain.plotting import plot_space_time
+        >>> times, phase = np.linspace(0.0, 20.0, 200)[:, None], np.arange(12) / 2
+        >>> states = np.cos(times - phase), -np.sin(times - phase)  # a wave
+        >>> plot_space_time(times[:, 0], states).get_ylabel()
+        'oscillator $n$'
+    """
+    times = _checked_times(times)
+    states = _checked_states(states, len(times))
+    (part, up, label), (across, x_label) = _named(states, chain, scales, y=y)
+    with on_axes(ax) as axes:
+        mesh = axes.pcolormesh(
+            across * times, np.arange(1, part.shape[1] + 1), up * part.T, rasterized=True
+        )
+        add_colour_bar([axes], mesh, label)
+        axes.set(xlabel=x_label, ylabel="oscillator $n$")
+        axes.yaxis.set_major_locator(MaxNLocator(integer=True))
+    return axes
+
+
+def _named(states: tuple[np.ndarray, ...], chain: Any, scales: Any, **asked: Any) -> list[Any]:
+    """(values, factor, label) of each component asked for, and (factor, label) of time."""
+    check_scales(scales)
+    if chain is not None:
+        chain = as_chain(chain, AbstractField)
+    cells = isinstance(chain, AbstractCells) or len(states) != 2
+    if cells and scales is not None:
+        raise ValueError("Argument `scales` is for a chain: leave it out for cells.")
+    names: tuple[str, ...] = tuple(map(str, range(len(states))))
+    names = tuple(_UNITS) if not cells else getattr(chain, "components", ()) or names
+    if len(names) != len(states):
+        raise ValueError(
+            f"Argument `states` has {len(states)} parts, but a cell of `{type(chain).__name__}` "
+            f"has the {len(names)} components {', '.join(names)}."
+        )
+    drawn: list[Any] = []
+    for key, given in asked.items():
+        if given not in names and given not in range(len(names)):
+            raise ValueError(
+                f"Argument `{key}` must be one of {', '.join(names)}, or its number from 0, but "
+                f"is {shown(given)}."
+            )
+        k = names.index(given) if given in names else int(given)
+        attrs = {"units": _UNITS.get(names[k], "")}
+        if cells:
+            attrs = {"units": "1", "long_name": names[k] if chain else f"component {k}"}
+        drawn.append((states[k], *axis(names[k], attrs, scales)))
+    time = {"units": "1", "long_name": "time $t$"} if cells else {"units": "1 / omega_n"}
+    return [*drawn, axis("time", time, scales)]
+
+
+def _belt(chain: Any, is_velocity: bool, factor: float) -> float | None:
+    known = isinstance(chain, Chain) and is_velocity
+    return factor * float(chain.belt_speed) if known else None
+
+
 def _checked(
-    states: tuple[np.ndarray, np.ndarray], masses: Any, chain: Any, scales: Any
+    states: tuple[np.ndarray, ...], masses: Any, chain: Any
 ) -> tuple[list[int], np.ndarray | None]:
     """The masses to draw, and the times at which each mass sticks, if known."""
-    check_scales(scales)
     n = states[0].shape[1]
     picked = [*range(n)] if masses is None else picked_masses(n, masses)
-    return picked, None if chain is None else sticking(chain, states)
+    return picked, sticking(chain, states) if isinstance(chain, Chain) else None
 
 
 def _draw_curves(
@@ -626,7 +696,7 @@ class _Film:
         return [*artists, self.cursor]
 
 
-def _checked_film(chain: Any, times: Any, states: Any) -> tuple[np.ndarray, tuple[Any, Any]]:
+def _checked_film(chain: Any, times: Any, states: Any) -> tuple[np.ndarray, Any]:
     """Times and (x, v) as arrays of fitting shapes, or `ValueError`."""
     as_chain(chain)
     times = _checked_times(times)
@@ -648,31 +718,34 @@ def _checked_times(times: Any) -> np.ndarray:
 
 def _checked_states(
     states: Any, times: int | None = None, n: int | None = None
-) -> tuple[np.ndarray, np.ndarray]:
-    """(x, v) of the given numbers of times and masses, or `ValueError`; None: those of x."""
+) -> tuple[np.ndarray, ...]:
+    """(x, v), or m arrays if `n` is None, of these many times and masses, or `ValueError`."""
     check_concrete("draw what it returns.", states=states)
     if isinstance(states, Simulation):
         states = states.observed
-    if not isinstance(states, tuple | list) or len(states) != 2:
+    pair = isinstance(states, tuple | list) and len(states) == 2
+    if not isinstance(states, tuple | list) or not states or (n is not None and not pair):
         raise ValueError(
             "Argument `states` must be the pair (x, v), or a `Simulation` that observed one "
             f"`Trajectory` and nothing else, but is {type(states).__name__}."
         )
-    x, v = (np.asarray(numbers_of("states", part)) for part in states)
-    if x.ndim != 2:
+    parts = tuple(np.asarray(numbers_of("states", part)) for part in states)
+    names = ("displacements", "velocities") if pair else map(str, range(len(parts)))
+    first = parts[0]
+    if first.ndim != 2:
         raise ValueError(
-            f"Argument `states` has displacements of shape {x.shape}, but those of some times and "
-            "masses have shape (times, n)."
+            f"Argument `states` has displacements of shape {first.shape}, but those of some times "
+            "and masses have shape (times, n)."
         )
-    times, n = len(x) if times is None else times, x.shape[1] if n is None else n
-    for name, part in (("displacements", x), ("velocities", v)):
+    times, n = len(first) if times is None else times, first.shape[1] if n is None else n
+    for name, part in zip(names, parts, strict=True):
         if part.shape != (times, n):
             raise ValueError(
                 f"Argument `states` has {name} of shape {part.shape}, but {times} times and "
                 f"{n} masses need {(times, n)}."
             )
         check_finite(name, part, "a run that failed ends with NaN; see its `result`.")
-    return x, v
+    return parts
 
 
 def picked_masses(n: int, masses: Any) -> list[int]:

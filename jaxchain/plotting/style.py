@@ -206,6 +206,11 @@ _NAMES: dict[str, tuple[str, str]] = {
 # The factors of these symbols in SI units.
 _IN_SI = {r"\tau": "t", r"\tilde F": "F"}
 _COUNTS = {"active_count", "excited", "oscillator", "segment", "steps", "rejected"}
+# Of a chain these have a unit.  Of other models it is not known, and the long name is their label.
+_WITH_UNIT = {
+    *("amplitude", "energy", "displacement", "velocity"),
+    *("period", "time", "segment_end", "end_time"),
+}
 # Length of a line of a label, in letters.
 _LONGEST = 38
 # For the units of datasets: their size and name in SI.
@@ -242,12 +247,13 @@ def _axis_parts(
     name: str, attrs: Mapping[str, Any], scales: Scales | None
 ) -> tuple[str, str, float, str]:
     """Words, symbol, factor and unit."""
-    if name in _NAMES:
-        words, symbol = _NAMES[name]
-    elif name in PARAMETERS:
-        words, symbol = PARAMETERS[name].words, PARAMETERS[name].symbol
-    else:
-        words, symbol = str(attrs.get("long_name", name)), ""
+    words, symbol = str(attrs.get("long_name", name)), ""
+    other = words == name or (name in _WITH_UNIT and attrs.get("units") == "1")
+    if "long_name" not in attrs or not other:  # else of another model than a chain
+        if name in _NAMES:
+            words, symbol = _NAMES[name]
+        elif name in PARAMETERS:
+            words, symbol = PARAMETERS[name].words, PARAMETERS[name].symbol
     has_name = name in _NAMES or name in PARAMETERS
     unit = str(attrs.get("units", "1" if has_name else ""))
     if scales is not None and unit in _UNITS:

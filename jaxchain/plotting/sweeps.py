@@ -27,9 +27,11 @@ from .diagram import (
     intervals,
     masses,
     moving_fronts,
+    parameters,
     slides_steadily,
     stable_sliding,
     swept,
+    variable,
 )
 from .groups import Panel, panels
 from .states import draw_states, picture_names
@@ -154,10 +156,18 @@ def figure(datasets: Mapping[str, xr.Dataset], hopf: float | None = None) -> Fig
 def draw(axes: Axes, panel: Panel[xr.Dataset], hopf: float | None = None) -> None:
     """Every run of a sweep as a point over the belt speed, or over the first swept number.
 
-    Those with true dry friction are rings around the points.
+    Those with true dry friction are rings around the points.  Of other models than a chain, the
+    second swept number is told by colour and marker.
     """
     data, truth = panel.runs, panel.dry
     names = swept(data)
+    if "oscillators" in parameters(data) and "active_count" not in data:
+        values = _variable(data, None)
+        hue = _hue(data, values, names[1] if len(names) > 1 else None)
+        _draw(axes, data, values, names[0], hue, None)
+        axes.tick_params(which="both", top=True, right=True)
+        _explain([axes], hue, None)
+        return
     across = "belt_speed" if "belt_speed" in names else names[0]
     if across == "belt_speed":
         hopf = hopf_belt_speed(data) if hopf is None else hopf
@@ -434,7 +444,8 @@ def plot_sweep(
 
 def _variable(data: xr.Dataset, y: Any) -> xr.DataArray:
     if y is None:
-        y = "amplitude" if _masses(data) == 1 and "amplitude" in data else "energy"
+        single = variable(data, "amplitude") if _masses(data) == 1 else None
+        y = single or variable(data, "energy") or variable(data, "amplitude") or "energy"
     if y == "active_share" and "active_count" in data:
         share = data["active_count"] / _masses(data)
         return share.rename("active_share").assign_attrs(units="1")

@@ -3,7 +3,7 @@
 - `files`: scene files as TOML: found, read and written
 - `tables`: the tables a scene file is made of
 - `scene`: an experiment as data, read and checked as a whole
-- `building`: chain, start, observers and solver from the tables; your laws and observers
+- `building`: chain or cells, start, observers and solver from the tables; your own classes
 - `running`: `run_scene`: experiments to datasets to a folder
 - `folder`: the folder of results
 - `report`: the summary of a run, in a few lines and as `report.html`

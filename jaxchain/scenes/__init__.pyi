@@ -1,4 +1,5 @@
 from .building import load_law as load_law
+from .building import load_model as load_model
 from .building import load_observer as load_observer
 from .files import SceneError as SceneError
 from .files import builtin_scenes as builtin_scenes
@@ -10,6 +11,7 @@ from .report import renew_page as renew_page
 from .running import resume_scene as resume_scene
 from .running import run_experiment as run_experiment
 from .running import run_scene as run_scene
+from .scene import CellsExperiment as CellsExperiment
 from .scene import Experiment as Experiment
 from .scene import LoadedScene as LoadedScene
 from .scene import Scene as Scene

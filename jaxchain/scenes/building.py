@@ -1,17 +1,19 @@
-"""The chain, start, observers and solver of an experiment, from its tables.
+"""The chain or cells, start, observers and solver of an experiment, from its tables.
 
-A scene contains only the numbers of a custom friction law or observer; its code runs only if its
-file is named on the command line.
+A scene contains only the numbers of a custom friction law, model or observer; its code runs only
+if its file is named on the command line.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import importlib.util
 import inspect
+import keyword
 import os
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -20,8 +22,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import observers, solvers
+from .._checks import to_float
 from .._types import State
-from ..model import friction, initial_states
+from ..model import friction, initial_states, ready_made
+from ..model.arguments import as_state
+from ..model.cells import AbstractCells, AbstractField
 from ..model.chain import Chain
 from ..model.friction import AbstractFrictionLaw
 from ..model.parameters import CHAIN
@@ -31,14 +36,34 @@ from ..simulation.accuracy import check_resolved, fit_linear_solve
 from ..sweeps.axes import check_axes
 from ..sweeps.ensemble import check_observers
 from .files import SceneError, did_you_mean
-from .scene import Experiment, LoadedScene
-from .tables import CustomLawTable, CustomObserverTable, ExcitedTable, ObserveTable, TabulatedTable
+from .scene import (
+    AbstractExperiment,
+    AnyExperiment,
+    CellsExperiment,
+    Experiment,
+    LoadedScene,
+)
+from .tables import (
+    CustomLawTable,
+    CustomObserverTable,
+    ExcitedTable,
+    ObserveTable,
+    Table,
+    TabulatedTable,
+)
 
 LAWS = {
     "exponential_decay": friction.ExponentialDecay,
     "weakening_strengthening": friction.WeakeningStrengthening,
     "gaussian_stribeck": friction.GaussianStribeck,
     "coulomb": friction.Coulomb,
+}
+# The classes of cells that a scene may name without a file.
+READY_MADE: dict[str, type[AbstractCells]] = {
+    name: kind
+    for name, kind in vars(ready_made).items()
+    if inspect.isclass(kind) and issubclass(kind, AbstractCells)
+    if kind.__module__ == ready_made.__name__ and not name.startswith("_")
 }
 _Made = TypeVar("_Made")
 
@@ -58,21 +83,118 @@ def build_chain(
         given = float(grid[name][0]) if name in grid else experiment.given(name)
         return np.array(given, float) if isinstance(given, list) else given
 
-    numbers = {name: number(name) for name in experiment.friction_numbers()}
+    smoothed = _build_friction(experiment, "chain", custom_law)
+    return Chain(table.n, smoothed, ends=table.ends, **{name: number(name) for name in CHAIN})
+
+
+def _build_friction(
+    experiment: AbstractExperiment, place: str, custom_law: type[AbstractFrictionLaw] | None
+) -> friction.TanhFriction:
+    table, grid = experiment.friction, experiment.grid()
+    numbers: dict[str, Any] = {
+        name: float(grid[name][0]) if name in grid else getattr(table, name)
+        for name in experiment.friction_numbers()
+    }
     width = numbers.pop("width")
     if custom_law is not None:
-        law = make(custom_law, numbers, "chain.friction")
-    elif isinstance(table.friction, CustomLawTable):
+        law = make(custom_law, numbers, f"{place}.friction")
+    elif isinstance(table, CustomLawTable):
         raise ValueError(
-            'chain.friction.law: is "custom", so the law must be named on the command line: '
+            f'{place}.friction.law: is "custom", so the law must be named on the command line: '
             "--law FILE.py:CLASS"
         )
-    elif isinstance(table.friction, TabulatedTable):
-        law = TabulatedFriction(table.friction.speed, table.friction.mu)
+    elif isinstance(table, TabulatedTable):
+        law = TabulatedFriction(table.speed, table.mu)
     else:
-        law = LAWS[table.friction.law](**numbers)
-    smoothed = friction.TanhFriction(law, width)
-    return Chain(table.n, smoothed, ends=table.ends, **{name: number(name) for name in CHAIN})
+        law = LAWS[table.law](**numbers)
+    return friction.TanhFriction(law, width)
+
+
+def build_cells(
+    experiment: CellsExperiment,
+    custom_law: type[AbstractFrictionLaw] | None = None,
+    custom_models: Mapping[str, type[AbstractCells]] | None = None,
+) -> AbstractCells:
+    """The cells of an experiment, with the first value of every swept number.
+
+    **Raises:** `ValueError` for a class that is not known, and for numbers that do not fit it.
+    """
+    table, known = experiment.model, READY_MADE | dict(custom_models or {})
+    if table.kind not in known:
+        raise ValueError(
+            f"model.kind: is `{table.kind}`, so this class must be named on the command line: "
+            f"--model FILE.py:{table.kind}{did_you_mean(table.kind, known)}; ready-made are "
+            f"{', '.join(READY_MADE)}"
+        )
+    kind = known[table.kind]
+    static = {f.name: f.metadata.get("static", False) for f in dataclasses.fields(kind)}
+    given = table.model_dump(exclude={"kind", "n", "friction"}, exclude_none=True)
+    given |= {name: float(v[0]) for name, v in experiment.grid().items() if name in static}
+    numbers = {k: v if static.get(k, True) else to_float(v, k) for k, v in given.items()}
+    if isinstance(table.friction, Table):
+        numbers["friction"] = _build_friction(experiment, "model", custom_law)
+    elif table.friction is not None:
+        numbers["friction"] = to_float(table.friction, "friction")
+    return make(kind, numbers, "model")
+
+
+def component_names(experiment: CellsExperiment, cells: AbstractCells) -> tuple[str, ...]:
+    """The names of the m numbers of a cell; if it has none, their numbers 0 ... m - 1."""
+    names = cells.components or tuple(map(str, range(len(experiment.initial))))
+    if not names:
+        raise ValueError(
+            "initial: must have all numbers of a cell, such as `0 = 0.0`, because "
+            f"`{experiment.model.kind}` does not name them in `components`"
+        )
+    return names
+
+
+def _component(given: str | int, names: Sequence[str], place: str) -> int:
+    """The number of a component from its name or number, or `ValueError`."""
+    numbers = {str(k): k for k in range(len(names))} | {name: k for k, name in enumerate(names)}
+    if str(given) not in numbers:
+        near = did_you_mean(str(given), numbers)
+        raise ValueError(f"{place} is not a number of a cell{near}; it has: {', '.join(numbers)}")
+    return numbers[str(given)]
+
+
+def build_start(experiment: CellsExperiment, cells: AbstractCells) -> Callable[..., State]:
+    """The initial state as a function of the cells and of the swept numbers of the start.
+
+    A number that is swept has its name as a parameter, or `component_K` if its name cannot be one.
+    """
+    names, n, given = component_names(experiment, cells), experiment.n, {}
+    for key, value in experiment.initial.items():
+        k = _component(key, names, f"initial.{key}:")
+        if k in given:
+            raise ValueError(
+                f"initial.{key}: is given twice, by name and by number: leave one out"
+            )
+        given[k] = np.asarray(value, float)
+    fields = cells.numbers()
+    parameters = [
+        f"component_{k}"
+        if name in fields or keyword.iskeyword(name) or not name.isidentifier()
+        else name
+        for k, name in enumerate(names)
+    ]
+    allowed = [*fields, *parameters]
+    for name in experiment.sweep:
+        if name not in allowed:
+            near = did_you_mean(name, allowed)
+            raise ValueError(f"sweep.{name}: cannot be swept{near}; allowed: {', '.join(allowed)}")
+
+    def start(_: AbstractCells, **own: Any) -> State:
+        parts = (own.get(name, given.get(k, 0.0)) for k, name in enumerate(parameters))
+        return tuple(jnp.broadcast_to(jnp.asarray(part, float), (n,)) for part in parts)
+
+    taken = [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None)
+        for name in parameters
+    ]
+    first = inspect.Parameter("_", inspect.Parameter.POSITIONAL_ONLY)
+    start.__signature__ = inspect.Signature([first, *taken])  # pyright: ignore
+    return start
 
 
 def build_initial(experiment: Experiment) -> Callable[..., State]:
@@ -103,12 +225,17 @@ def build_observers(
     table: ObserveTable,
     window: float,
     custom_observers: Mapping[str, type[AbstractObserver]] | None = None,
+    components: Sequence[str] = (),
 ) -> list[AbstractObserver]:
     """Amplitudes in the window, the observers of the table, and further custom observers.
+
+    `components`, the names of the numbers of a cell, which a table may refer to.
 
     **Raises:** `ValueError` for a custom observer that is missing or cannot be constructed.
     """
     how = table.model_dump(exclude={"quantities", "others"})
+    if "component" in how:
+        how["component"] = _component(how["component"], components, "observe.component:")
     watch: list[AbstractObserver] = [observers.Amplitude(window=window, **how)]
     unnamed = dict(custom_observers or {})
     for i, other in enumerate(table.others or []):
@@ -126,12 +253,31 @@ def build_observers(
             if fields.get(key) is not None:
                 numbers = np.subtract(fields[key], 1).tolist()
                 fields[key] = tuple(numbers) if key == "oscillators" else numbers
+        if "component" in fields:
+            place = f"observe.others[{i}].component:"
+            fields["component"] = _component(fields["component"], components, place)
         watch.append(getattr(observers, other.observer)(**fields))
     return watch + [make(kind, {}, "--observer") for kind in unnamed.values()]
 
 
+def build(
+    experiment: AnyExperiment,
+    custom_law: type[AbstractFrictionLaw] | None = None,
+    custom_observers: Mapping[str, type[AbstractObserver]] | None = None,
+    custom_models: Mapping[str, type[AbstractCells]] | None = None,
+) -> tuple[Chain | AbstractCells, Callable[..., State], list[AbstractObserver]]:
+    """The chain or cells of an experiment, the initial state as a function, and the observers."""
+    observed = experiment.observe, experiment.time.window, custom_observers
+    if isinstance(experiment, Experiment):
+        chain = build_chain(experiment, custom_law)
+        return chain, build_initial(experiment), build_observers(*observed)
+    cells = build_cells(experiment, custom_law, custom_models)
+    names = component_names(experiment, cells)
+    return cells, build_start(experiment, cells), build_observers(*observed, names)
+
+
 def build_solver(
-    name: str, chain: Chain, rtol: float, max_step: float
+    name: str, chain: AbstractField, rtol: float, max_step: float
 ) -> dfx.AbstractSolver | None:
     """A solver by its name in a scene; None leaves the choice to `sweep`."""
     if name == "auto":
@@ -145,18 +291,25 @@ def checked_chains(
     loaded: LoadedScene,
     custom_law: type[AbstractFrictionLaw] | None = None,
     custom_observers: Mapping[str, type[AbstractObserver]] | None = None,
-) -> dict[str, Chain]:
-    """The chain of every experiment of a scene.
+    custom_models: Mapping[str, type[AbstractCells]] | None = None,
+) -> dict[str, Chain | AbstractCells]:
+    """The chain or cells of every experiment of a scene.
 
     **Raises:** `SceneError`, before anything runs, with all problems that appear only when chain,
     start, observers and tolerances are combined.
     """
-    chains, problems = {}, []
-    for name, experiment in loaded.scene.experiment.items():
+    chains, problems, experiments = {}, [], loaded.scene.experiment
+    used = {one.model.kind for one in experiments.values() if isinstance(one, CellsExperiment)}
+    for name in custom_models or {}:
+        if name in READY_MADE:
+            problems.append(f"--model: {name} is a ready-made class: give yours another name")
+        elif name not in used:
+            problems.append(f'--model: no experiment has `model.kind` = "{name}"')
+    for name, experiment in experiments.items():
         try:
-            chains[name] = chain = build_chain(experiment, custom_law)
-            observe = build_observers(experiment.observe, experiment.time.window, custom_observers)
-            _check(experiment, chain, observe)
+            built = build(experiment, custom_law, custom_observers, custom_models)
+            chains[name] = built[0]
+            _check(experiment, *built)
         except ValueError as error:
             problems.append(f"experiment.{name}: {error}")
     if problems:
@@ -164,15 +317,55 @@ def checked_chains(
     return chains
 
 
-def _check(experiment: Experiment, chain: Chain, observe: list[AbstractObserver]) -> None:
-    numerics, time = experiment.numerics, experiment.time
-    axes = check_axes(chain, build_initial(experiment), experiment.grid())
-    check_observers(observe, chain, (2, chain.n), 0.0, time.transient + time.window, None, axes)
+def _check(
+    experiment: AnyExperiment, chain: Any, initial: Any, observe: list[AbstractObserver]
+) -> None:
+    numerics, time, m = experiment.numerics, experiment.time, 2
+    axes = check_axes(chain, initial, experiment.grid())
+    if isinstance(chain, AbstractCells):
+        m = len(as_state(chain, initial(chain)))  # raises for a `rate` that does not fit
+    size = m, experiment.n
+    check_observers(observe, chain, size, 0.0, time.transient + time.window, None, axes)
     if numerics.model != "dry":
         build_solver(numerics.solver, chain, numerics.rtol, numerics.max_step)
+    if numerics.model != "dry" and isinstance(chain, Chain):
         swept: dict[str, Any] = {name: axis[name] for name, axis in axes.items()}
         width, speed = swept.get("width", chain.width), swept.get("belt_speed", chain.belt_speed)
         check_resolved(chain.n, width, speed, numerics.rtol, numerics.atol)
+
+
+def load_model(given: str, scene: str) -> type[AbstractCells]:
+    """Loads the model "FILE.py:CLASS".  This runs the file.
+
+    **Arguments:** `given`, as above; `scene`, the name that an error bears.
+
+    **Returns:** the class, for `custom_models` of `run_scene`, by its name.
+
+    **Raises:** `SceneError` if the file or class does not exist, if the class is not a subclass of
+    `AbstractCells`, or if the file fails.
+
+    !!! example
+
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> from jaxchain.scenes import load_model
+        >>> code = '''
+        ... import jax
+        ... from jaxchain.model import AbstractCells
+        ... class Decay(AbstractCells):
+        ...     speed: jax.Array
+        ...     components = ("x",)
+        ...     def rate(self, t, left, own, right):
+        ...         return (-self.speed * own[0],)
+        ... '''
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     file = Path(folder) / "cells.py"
+        ...     _ = file.write_text(code)
+        ...     decay = load_model(f"{file}:Decay", "mine")
+        >>> {decay.__name__: decay}.keys()  # `custom_models` of `run_scene`
+        dict_keys(['Decay'])
+    """
+    return _load("--model", given, scene, AbstractCells, "jaxchain.model")
 
 
 def load_law(given: str, scene: str) -> type[AbstractFrictionLaw]:
@@ -264,6 +457,7 @@ def _load(option: str, given: str, scene: str, base: type[_Made], module: str) -
     code = importlib.util.module_from_spec(spec)
     # Dataclasses look up their module there; no existing name is replaced.
     sys.modules.setdefault(spec.name, code)
+    sys.path.insert(0, str(Path(file).parent.resolve()))  # workers import the file by its name
     try:
         spec.loader.exec_module(code)
     except (Exception, SystemExit) as error:
@@ -282,7 +476,7 @@ def _load(option: str, given: str, scene: str, base: type[_Made], module: str) -
 
 
 def make(kind: type[_Made], numbers: Mapping[str, Any], place: str) -> _Made:
-    """A custom law or observer with the numbers at `place` of a scene.
+    """A custom law, model or observer with the numbers at `place` of a scene.
 
     **Raises:** `ValueError` for numbers that are not its fields, or are missing.
     """
@@ -292,5 +486,7 @@ def make(kind: type[_Made], numbers: Mapping[str, Any], place: str) -> _Made:
         return kind(**numbers)
     except TypeError as error:
         names = ", ".join(fields.parameters) or "none"
+        unknown = next((name for name in numbers if name not in fields.parameters), "")
+        names += did_you_mean(unknown, fields.parameters)
         message = f"{place}: {kind.__name__} cannot be made: {error}; its fields: {names}"
         raise ValueError(message) from error

@@ -70,15 +70,19 @@ def _settings(data: xr.Dataset) -> Iterator[tuple[str, str]]:
     yield "runs", f"{data['result'].size} ({sizes}){took} on {attrs['devices']}"
     # A run with dry friction has no width, even if the chain of its scene has one.
     dry = attrs.get("model") == "dry" or chain.get("width") is None
-    left_out = {"n", "ends", "friction_law", "friction_table", *(["width"] if dry else [])}
+    left_out = {"n", "ends", "friction_law", "friction_table", "oscillators"}
+    left_out |= {"width"} if dry else set()
     numbers = [
         f"{name} {'per mass' if isinstance(value, list) else value}"
         for name, value in chain.items()
         if name not in left_out and value is not None
     ]
-    masses = "1 mass" if chain["n"] == 1 else f"{chain['n']} masses, {chain['ends']} ends"
-    law = f"{chain['friction_law']}{', truly dry' if dry else ''}"
-    yield "chain", f"{masses}; {law}; {', '.join(numbers)}"
+    if "oscillators" in chain:  # cells
+        yield "model", "; ".join([f"{chain['oscillators']}, n {chain['n']}", *numbers])
+    else:
+        masses = "1 mass" if chain["n"] == 1 else f"{chain['n']} masses, {chain['ends']} ends"
+        law = f"{chain['friction_law']}{', truly dry' if dry else ''}"
+        yield "chain", f"{masses}; {law}; {', '.join(numbers)}"
     how = f"{attrs['solver']}, rtol {attrs['rtol']:g}, to t = {attrs['t1']:g}"
     yield "numerics", how
 

@@ -25,6 +25,7 @@ from .._limits import MOST_LANES
 from ..boundaries.fold import find_fold
 from ..boundaries.hopf import hopf_belt_speed
 from ..boundaries.single_mass import one_mass_branch
+from ..model.cells import AbstractCells
 from ..model.chain import Chain
 from ..model.friction import AbstractFrictionLaw
 from ..model.provenance import versions
@@ -35,12 +36,12 @@ from ..plotting.sweeps import figure
 from ..simulation.event_driven import EventDriven
 from ..sweeps.store import describe, stores_in
 from ..sweeps.sweeping import SweepInterrupted, sweep
-from .building import build_chain, build_initial, build_observers, build_solver, checked_chains
+from .building import build, build_solver, checked_chains, component_names
 from .files import SceneError, as_value, escaped, to_toml
 from .folder import Results, now, saved, unfinished
 from .report import PAGE, missing, summary, write_page
-from .scene import Experiment, Group, LoadedScene, Scene
-from .tables import CustomObserverTable
+from .scene import AnyExperiment, CellsExperiment, Experiment, Group, LoadedScene, Scene
+from .tables import CustomObserverTable, Table
 
 # Descriptions of the numbers of a start, which a sweep does not have.
 _OF_THE_START = {
@@ -55,6 +56,7 @@ def run_scene(
     *,
     custom_law: type[AbstractFrictionLaw] | None = None,
     custom_observers: Mapping[str, type[AbstractObserver]] | None = None,
+    custom_models: Mapping[str, type[AbstractCells]] | None = None,
     plot: bool = True,
     netcdf: bool = False,
     progress: bool = False,
@@ -75,7 +77,8 @@ def run_scene(
 
     **Arguments:** `folder`, an existing empty one (see `claimed`); `custom_law`, a friction law
     for every experiment, with the numbers of the scene's law; `custom_observers`, by the names of
-    their classes, for every experiment; `plot`, whether to draw; `netcdf`, whether to also write
+    their classes, for every experiment; `custom_models`, classes of cells by their names, for
+    those whose `model.kind` names them; `plot`, whether to draw; `netcdf`, whether to also write
     `<scene>.nc`, which needs h5netcdf; `report`, a function that receives a summary of each
     experiment; `command`, the command line, and `custom_files`, copied into the folder, for the
     record; `client`, a `distributed.Client` whose workers run every experiment, into stores.
@@ -105,8 +108,9 @@ def run_scene(
         remedy = "`resume_scene` continues it, `claimed` finds another folder"
         raise SceneError(loaded.name, [f"has results in {folder} already: {remedy}"])
     results, about = Results(folder, loaded.name), circumstances(command)
-    how = {"custom_law": custom_law, "custom_observers": custom_observers, "progress": progress}
-    chains = checked_chains(loaded, custom_law, custom_observers)
+    chains = checked_chains(loaded, custom_law, custom_observers, custom_models)
+    how = {"custom_law": custom_law, "custom_observers": custom_observers}
+    how |= {"custom_models": custom_models, "progress": progress}
     scene = as_run(loaded.scene, custom_law is not None, custom_observers or ())
     files = scene_files(loaded.name, scene, about, custom_files)
     results.about |= about
@@ -125,6 +129,7 @@ def resume_scene(
     *,
     custom_law: type[AbstractFrictionLaw] | None = None,
     custom_observers: Mapping[str, type[AbstractObserver]] | None = None,
+    custom_models: Mapping[str, type[AbstractCells]] | None = None,
     plot: bool = True,
     netcdf: bool = False,
     progress: bool = False,
@@ -154,8 +159,9 @@ def resume_scene(
         saved already: ladder
         nothing is missing
     """
-    chains = checked_chains(loaded, custom_law, custom_observers)
-    how = {"custom_law": custom_law, "custom_observers": custom_observers, "progress": progress}
+    chains = checked_chains(loaded, custom_law, custom_observers, custom_models)
+    how = {"custom_law": custom_law, "custom_observers": custom_observers}
+    how |= {"custom_models": custom_models, "progress": progress}
     with unfinished(folder, loaded.name):
         results, about = Results.reopen(folder, loaded.name), circumstances(command)
         toml = (folder / f"{loaded.name}.toml").read_text(encoding="utf-8")
@@ -172,7 +178,7 @@ def resume_scene(
 def _fill(
     loaded: LoadedScene,
     results: Results,
-    chains: Mapping[str, Chain],
+    chains: Mapping[str, Chain | AbstractCells],
     how: Mapping[str, Any],
     report: Callable[[str], object],
     plot: bool,
@@ -214,7 +220,7 @@ def _fill(
 
 def _run_group(
     group: Group,
-    chain: Chain,
+    chain: Chain | AbstractCells,
     results: Results,
     about: Mapping[str, str],
     how: Mapping[str, Any],
@@ -234,9 +240,15 @@ def _run_group(
             raise
         data, interrupt = stopped.dataset, stopped
     unwanted = {"amplitude", "energy", "active_count"} - set(experiment.observe.quantities)
+    starts = _OF_THE_START
+    if isinstance(chain, AbstractCells) and isinstance(experiment, CellsExperiment):
+        names = component_names(experiment, chain)
+        unwanted |= {f"{quantity}_{name}" for quantity in unwanted for name in names}
+        swept = set(experiment.sweep) - chain.numbers().keys()
+        starts = {name: (f"{name} at the start", "1") for name in swept}
     data = data.drop_vars(unwanted & set(data.data_vars)).assign_attrs(about)
-    for name in _OF_THE_START.keys() & set(map(str, data.coords)):
-        words, unit = _OF_THE_START[name]
+    for name in starts.keys() & set(map(str, data.coords)):
+        words, unit = starts[name]
         data[name].attrs |= {"long_name": words, "units": unit}
     hopf = hopf_speed(chain, experiment.grid())
     data = data if hopf is None else data.assign(hopf_belt_speed=hopf)
@@ -292,12 +304,13 @@ def _located(scene: str, place: str) -> Iterator[None]:
 
 
 def run_experiment(
-    experiment: Experiment,
+    experiment: AnyExperiment,
     *,
     name: str = "sweep",
     model: str = "smoothed",
     custom_law: type[AbstractFrictionLaw] | None = None,
     custom_observers: Mapping[str, type[AbstractObserver]] | None = None,
+    custom_models: Mapping[str, type[AbstractCells]] | None = None,
     progress: bool = False,
     store: Path | None = None,
     client: Any = None,
@@ -307,7 +320,7 @@ def run_experiment(
     Failed runs are marked in `result`, without a warning.
 
     **Arguments:** `experiment`, one of a scene; `name`, of the progress bar; `model`, "smoothed"
-    or "dry"; `custom_law`, `custom_observers`, `progress` as for `run_scene`;
+    or "dry"; `custom_law`, `custom_observers`, `custom_models`, `progress` as for `run_scene`;
     `store`, `client`: as for `sweep`.
 
     **Returns:** the dataset of `sweep`.
@@ -326,7 +339,7 @@ def run_experiment(
         ([[0.0, 1.0]], 3)
     """
     numerics, time = experiment.numerics, experiment.time
-    chain = build_chain(experiment, custom_law)
+    chain, initial, observe = build(experiment, custom_law, custom_observers, custom_models)
     solver: Any = EventDriven()
     if model != "dry":
         solver = build_solver(numerics.solver, chain, numerics.rtol, numerics.max_step)
@@ -335,10 +348,10 @@ def run_experiment(
         warnings.filterwarnings("ignore", message=r"\d+ of \d+ runs ended with")
         return sweep(
             chain,
-            build_initial(experiment),
+            initial,
             time.transient + time.window,
             over=experiment.grid(),
-            observe=build_observers(experiment.observe, time.window, custom_observers),
+            observe=observe,
             solver=solver,
             **numerics.model_dump(exclude={"solver", "model", "store"}),
             client=client,
@@ -348,13 +361,16 @@ def run_experiment(
         )
 
 
-def hopf_speed(chain: Chain, grid: Mapping[str, np.ndarray]) -> xr.DataArray | None:
+def hopf_speed(
+    chain: Chain | AbstractCells, grid: Mapping[str, np.ndarray]
+) -> xr.DataArray | None:
     """The Hopf speed over the swept numbers of the chain other than the belt speed.
 
-    None if no belt speed is swept, for numbers per mass, whose search needs eigenvalues, and for
-    more combinations than fit into memory.
+    None for cells, if no belt speed is swept, for numbers per mass, whose search needs
+    eigenvalues, and for more combinations than fit into memory.
     """
-    if "belt_speed" not in grid or not has_uniform_damping(chain):
+    known = isinstance(chain, Chain) and has_uniform_damping(chain)
+    if "belt_speed" not in grid or not known:
         return None
     swept = [name for name in grid if name in chain.numbers() and name != "belt_speed"]
     if math.prod(len(grid[name]) for name in swept) > MOST_LANES:
@@ -372,7 +388,7 @@ def hopf_speed(chain: Chain, grid: Mapping[str, np.ndarray]) -> xr.DataArray | N
     return xr.DataArray(np.asarray(speeds), dims=swept, attrs=attrs)
 
 
-def cycles(chain: Chain, grid: Mapping[str, np.ndarray]) -> xr.Dataset | None:
+def cycles(chain: Chain | AbstractCells, grid: Mapping[str, np.ndarray]) -> xr.Dataset | None:
     """All cycles of one oscillator with smoothed friction over the belt speed, through their fold.
 
     **Arguments:** `chain` and the swept values of the experiment that the cycles accompany.
@@ -382,7 +398,9 @@ def cycles(chain: Chain, grid: Mapping[str, np.ndarray]) -> xr.Dataset | None:
     and starts and no other number of the chain; or if its cycles do not fold.
     """
     swept = [name for name in grid if name in chain.numbers()]
-    if chain.n != 1 or swept != ["belt_speed"] or len(grid) < 2 or len(grid["belt_speed"]) < 10:
+    if not isinstance(chain, Chain) or chain.n != 1:
+        return None
+    if swept != ["belt_speed"] or len(grid) < 2 or len(grid["belt_speed"]) < 10:
         return None
     fold = find_fold(chain)
     if np.isnan(fold.belt_speed):
@@ -455,10 +473,11 @@ def as_run(
     data = scene.model_dump(mode="json", exclude_none=True)
     for name, experiment in scene.experiment.items():
         table = data["experiment"][name]
-        if custom_law:
+        if custom_law and isinstance(experiment.friction, Table):
             numbers = {key: experiment.given(key) for key in experiment.friction_numbers()}
             given = {key: value for key, value in numbers.items() if value is not None}
-            table["chain"]["friction"] = {"law": "custom", **given}
+            of = "chain" if isinstance(experiment, Experiment) else "model"
+            table[of]["friction"] = {"law": "custom", **given}
         others = experiment.observe.others or []
         named = {other.name for other in others if isinstance(other, CustomObserverTable)}
         more = [

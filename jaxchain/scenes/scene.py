@@ -7,15 +7,32 @@ sweeps that are too large.  It does not need JAX.
 
 from __future__ import annotations
 
+import abc
 import math
 import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, TypeAlias, get_args, get_origin
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    Literal,
+    NamedTuple,
+    TypeAlias,
+    get_args,
+    get_origin,
+)
 
 import numpy as np
-from pydantic import AfterValidator, Field, ValidationError, model_validator
+from pydantic import (
+    AfterValidator,
+    Discriminator,
+    Field,
+    Tag,
+    ValidationError,
+    model_validator,
+)
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from .._final import final
@@ -50,6 +67,7 @@ def _raise_all(problems: Iterator[_Problem]) -> None:
 
 
 Picture: TypeAlias = Literal["circles", "orbit_diagram", "delays", "time_series", "phase_plots"]
+_MISSING = "is missing: give it here or in `sweep`"
 # The observers that pictures need besides amplitudes.
 _OBSERVED = {
     "orbit_diagram": "PeakTimes",
@@ -59,9 +77,131 @@ _OBSERVED = {
 }
 
 
+class AbstractExperiment(Table):
+    """The tables and methods that experiments with a chain and with other cells share."""
+
+    # In each subclass, after its model: errors come in the order of the fields.
+    if TYPE_CHECKING:
+        time: tables.TimeTable
+        sweep: dict[str, tables.Values]
+        observe: tables.ObserveTable
+        numerics: tables.NumericsTable
+
+    @property
+    @abc.abstractmethod
+    def n(self) -> int:
+        """Number of masses or cells."""
+
+    @property
+    @abc.abstractmethod
+    def friction(self) -> Any:
+        """The table of friction; for cells it may be a number or None."""
+
+    @abc.abstractmethod
+    def given(self, name: str) -> Any:
+        """The value of a number of the model or its friction in the scene."""
+
+    @abc.abstractmethod
+    def _problems(self) -> Iterator[_Problem]:
+        """What is wrong with several keys together."""
+
+    def friction_numbers(self) -> tuple[str, ...]:
+        """Names of the numbers of the friction law, width last."""
+        table = self.friction
+        fields = tuple(name for name in FRICTION if name in type(table).model_fields)
+        return (*(table.model_extra or ()), *fields)
+
+    def grid(self) -> dict[str, np.ndarray]:
+        """The swept values by name, in the order of the file, each of shape (values,).
+
+        Without a sweep this is one run, at the belt speed of the chain.
+        """
+        if not self.sweep:
+            return {"belt_speed": np.array([self.given("belt_speed")])}
+        grid = {name: array(values) for name, values in self.sweep.items()}
+        return {k: v.astype(int) if k == "excited" else v for k, v in grid.items()}
+
+    def lanes(self) -> int:
+        """Number of runs."""
+        return math.prod(map(len, self.grid().values()))
+
+    def stored(self) -> bool:
+        """Whether its runs use a store."""
+        asked = self.numerics.store
+        return self.lanes() > MOST_UNSTORED if asked is None else asked
+
+    def fits_memory(self) -> bool:
+        """Whether its results fit into memory."""
+        return next(self._beyond_memory(), None) is None
+
+    @model_validator(mode="after")
+    def _check(self) -> AbstractExperiment:
+        _raise_all(self._sweep_problems())
+        _raise_all(self._problems())
+        return self
+
+    def _sweep_problems(self) -> Iterator[_Problem]:
+        yield from ()
+
+    def _missing_friction(self, table: str) -> Iterator[_Problem]:
+        fields = type(self.friction).model_fields
+        for name in FRICTION:
+            if name in fields and name not in self.sweep and getattr(self.friction, name) is None:
+                yield (table, "friction", name), _MISSING
+
+    def _observer_misfits(self) -> Iterator[_Problem]:
+        n = self.n
+        for i, other in enumerate(self.observe.others or []):
+            place = ("observe", "others", i)
+            if isinstance(other, tables.CustomObserverTable):
+                continue
+            masses = other.model_dump(include={"oscillator", "oscillators", "middle"})
+            for key, given in masses.items():
+                if given is not None and np.max(given) > n:
+                    message = f"must lie in 1 ... {n} (`n`), but is {given}"
+                    yield (*place, key), message
+            if isinstance(other, tables.FrontTrackTable):
+                part = (self.time.transient + self.time.window) / other.windows
+                if part < 4 * math.pi:
+                    yield (
+                        (*place, "windows"),
+                        f"would be parts of {part:.3g} time units, and {4 * math.pi:.4g}, two "
+                        "periods, are the least: lower it, or lengthen the run",
+                    )
+
+    def _size_problems(self) -> Iterator[_Problem]:
+        if not self.stored():
+            yield from self._beyond_memory()
+        elif self.lanes() > MOST_STORED:
+            yield self._too_many(MOST_STORED)
+
+    def _too_many(self, most: int) -> _Problem:
+        product = " x ".join(f"{len(v)} {k}" for k, v in self.grid().items())
+        runs = f"{self.lanes():.3g} runs ({product})"
+        return ("sweep",), f"is {runs}, and {most} are the most: {FEWER}"
+
+    def _beyond_memory(self) -> Iterator[_Problem]:
+        lanes, n = self.lanes(), self.n
+        instead = "or keep them in a store (`numerics.store = true`)"
+        if lanes > MOST_LANES:
+            path, message = self._too_many(MOST_LANES)
+            yield path, f"{message}, {instead}"
+            return
+        kept: list[tuple[Any, int, str]] = [(("sweep",), n, "amplitudes")]
+        for i, other in enumerate(self.observe.others or []):
+            kept.append((("observe", "others", i), tables.kept_numbers(other, n), "numbers"))
+        for path, count, what in kept:
+            if lanes * count > MOST_NUMBERS:
+                yield (
+                    path,
+                    f"would keep {lanes * count:.3g} {what} of {lanes} runs of {n} masses, and "
+                    f"{MOST_NUMBERS:.0e} are the most: keep less of each run, {FEWER}, {instead}",
+                )
+
+
 @final
-class Experiment(Table):
-    """One sweep of a scene, which gives one dataset.
+class Experiment(AbstractExperiment):
+    """One sweep of a chain in a scene, which gives one dataset.
 
     Its fields are the tables of `[experiment.NAME]` in the file: `chain`, `initial`, `sweep`,
     `time`, `observe` and `numerics`; `schema()` describes every key.
@@ -96,11 +236,15 @@ class Experiment(Table):
     ) = None
     """What the figure shows of a sweep over `excited`; absent: amplitude or energy."""
 
-    def friction_numbers(self) -> tuple[str, ...]:
-        """Names of the numbers of the friction law, width last."""
-        table = self.chain.friction
-        fields = tuple(name for name in FRICTION if name in type(table).model_fields)
-        return (*(table.model_extra or ()), *fields)
+    @property
+    def n(self) -> int:
+        """Number of masses."""
+        return self.chain.n
+
+    @property
+    def friction(self) -> tables.FrictionTable:
+        """The table of the friction law."""
+        return self.chain.friction
 
     def given(self, name: str) -> Any:
         """The value of a number of the chain or its friction in the scene."""
@@ -113,35 +257,6 @@ class Experiment(Table):
             start = () if self.initial.oscillators is not None else start
             start = (*start, "displacement", "velocity")
         return (*CHAIN, *self.friction_numbers(), *start)
-
-    def grid(self) -> dict[str, np.ndarray]:
-        """The swept values by name, in the order of the file, each of shape (values,).
-
-        Without a sweep this is one run, at the belt speed of the chain.
-        """
-        if not self.sweep:
-            return {"belt_speed": np.array([self.given("belt_speed")])}
-        grid = {name: array(values) for name, values in self.sweep.items()}
-        return {k: v.astype(int) if k == "excited" else v for k, v in grid.items()}
-
-    def lanes(self) -> int:
-        """Number of runs."""
-        return math.prod(map(len, self.grid().values()))
-
-    def stored(self) -> bool:
-        """Whether its runs use a store."""
-        asked = self.numerics.store
-        return self.lanes() > MOST_UNSTORED if asked is None else asked
-
-    def fits_memory(self) -> bool:
-        """Whether its results fit into memory."""
-        return next(self._beyond_memory(), None) is None
-
-    @model_validator(mode="after")
-    def _check(self) -> Experiment:
-        _raise_all(self._sweep_problems())
-        _raise_all(self._problems())
-        return self
 
     def _sweep_problems(self) -> Iterator[_Problem]:
         n = self.chain.n
@@ -167,7 +282,11 @@ class Experiment(Table):
                 yield ("sweep", name), message
 
     def _problems(self) -> Iterator[_Problem]:
-        for path, message in (*self._missing(), *self._chain_misfits()):
+        for name, row in CHAIN.items():
+            if row.required and name not in self.sweep and self.given(name) is None:
+                yield ("chain", name), _MISSING
+        yield from self._missing_friction("chain")
+        for path, message in self._chain_misfits():
             yield ("chain", *path), message
         yield from self._start_misfits()
         softest = self._extreme("stiffness", min) or 1.0
@@ -176,11 +295,7 @@ class Experiment(Table):
             message = f"must hold at least one period, {period:.4g}, but is {window:g}"
             yield ("time", "window"), message
         yield from self._observer_misfits()
-        if not self.stored():
-            yield from self._beyond_memory()
-        elif self.lanes() > MOST_STORED:
-            yield self._too_many(MOST_STORED)
-
+        yield from self._size_problems()
         yield from ((("pictures",), message) for message in self._lacks_for_pictures())
 
     def _lacks_for_pictures(self) -> Iterator[str]:
@@ -198,14 +313,6 @@ class Experiment(Table):
                 yield "has `phase_plots`, which needs three `oscillators` of `Samples`"
             if "time_series" in pictures and samples.oscillators is not None:
                 yield "has `time_series`, which needs `Samples` of all oscillators"
-
-    def _missing(self) -> Iterator[_Problem]:
-        required = [((name,), name) for name, row in CHAIN.items() if row.required]
-        fields = type(self.chain.friction).model_fields
-        required += [(("friction", name), name) for name in FRICTION if name in fields]
-        for path, name in required:
-            if name not in self.sweep and self.given(name) is None:
-                yield path, "is missing: give it here or in `sweep`"
 
     def _chain_misfits(self) -> Iterator[_Problem]:
         chain = self.chain
@@ -232,7 +339,7 @@ class Experiment(Table):
         n, initial = self.chain.n, self.initial
         masses = initial.oscillators if isinstance(initial, ExcitedTable) else None
         if initial.excited is None and masses is None and "excited" not in self.sweep:
-            yield ("initial", "excited"), "is missing: give it here or in `sweep`"
+            yield ("initial", "excited"), _MISSING
         if initial.excited is not None and initial.excited > n:
             message = f"must not exceed {n} (`chain.n`), but is {initial.excited}"
             yield ("initial", "excited"), message
@@ -242,26 +349,6 @@ class Experiment(Table):
             message = f"must lie in 1 ... {n} (`chain.n`), but holds {max(masses)}"
             yield ("initial", "oscillators"), message
 
-    def _observer_misfits(self) -> Iterator[_Problem]:
-        n = self.chain.n
-        for i, other in enumerate(self.observe.others or []):
-            place = ("observe", "others", i)
-            if isinstance(other, tables.CustomObserverTable):
-                continue
-            masses = other.model_dump(include={"oscillator", "oscillators", "middle"})
-            for key, given in masses.items():
-                if given is not None and np.max(given) > n:
-                    message = f"must lie in 1 ... {n} (`chain.n`), but is {given}"
-                    yield (*place, key), message
-            if isinstance(other, tables.FrontTrackTable):
-                part = (self.time.transient + self.time.window) / other.windows
-                if part < 4 * math.pi:
-                    yield (
-                        (*place, "windows"),
-                        f"would be parts of {part:.3g} time units, and {4 * math.pi:.4g}, two "
-                        "periods, are the least: lower it, or lengthen the run",
-                    )
-
     def _extreme(self, name: str, choose: Callable[..., float]) -> float | None:
         """The least or greatest value that a number of chain or friction takes."""
         if name in self.sweep:
@@ -269,28 +356,85 @@ class Experiment(Table):
         value = self.given(name)
         return choose(value) if isinstance(value, list) else value
 
-    def _too_many(self, most: int) -> _Problem:
-        product = " x ".join(f"{len(v)} {k}" for k, v in self.grid().items())
-        runs = f"{self.lanes():.3g} runs ({product})"
-        return ("sweep",), f"is {runs}, and {most} are the most: {FEWER}"
 
-    def _beyond_memory(self) -> Iterator[_Problem]:
-        lanes, n = self.lanes(), self.chain.n
-        instead = "or keep them in a store (`numerics.store = true`)"
-        if lanes > MOST_LANES:
-            path, message = self._too_many(MOST_LANES)
-            yield path, f"{message}, {instead}"
-            return
-        kept: list[tuple[Any, int, str]] = [(("sweep",), n, "amplitudes")]
-        for i, other in enumerate(self.observe.others or []):
-            kept.append((("observe", "others", i), tables.kept_numbers(other, n), "numbers"))
-        for path, count, what in kept:
-            if lanes * count > MOST_NUMBERS:
-                yield (
-                    path,
-                    f"would keep {lanes * count:.3g} {what} of {lanes} runs of {n} masses, and "
-                    f"{MOST_NUMBERS:.0e} are the most: keep less of each run, {FEWER}, {instead}",
-                )
+@final
+class CellsExperiment(AbstractExperiment):
+    """One sweep of other cells than a chain: its table `model` stands instead of `chain`.
+
+    !!! example
+
+        >>> from jaxchain.scenes import LoadedScene, Scene
+        >>> tables = {
+        ...     "model": {"kind": "VanDerPol", "n": 3},
+        ...     "initial": {"displacement": [0.1, 0.2, 0.3]},
+        ...     "sweep": {"mu": [0.5, 1.0]},
+        ...     "time": {"transient": 100.0, "window": 20.0},
+        ... }
+        >>> scene = Scene.model_validate({"title": "Three", "experiment": {"three": tables}})
+        >>> scene.experiment["three"].lanes()
+        2
+    """
+
+    description: Text = ""
+    """A description in some sentences, which is stored with the results."""
+    model: tables.ModelTable
+    """The class of the cells, their number and their numbers."""
+    initial: Annotated[dict[str, tables.PerCell], Field(max_length=100)] = Field(
+        default_factory=dict
+    )
+    """The numbers of a cell at the start, by their names or numbers from 0: one number, or a list
+    with one per cell; absent: 0."""
+    time: tables.TimeTable
+    """How long the runs are."""
+    sweep: Annotated[dict[str, tables.Values], Field(max_length=32)] = Field(default_factory=dict)
+    """Numbers of the model, its friction or the initial state, with the values they take; they
+    replace the single number given there, which may be left out."""
+    observe: tables.CellsObserveTable = Field(default_factory=tables.CellsObserveTable)
+    """What is measured, and when a run may end early."""
+    numerics: tables.CellsNumericsTable = Field(default_factory=tables.CellsNumericsTable)
+    """Solver, tolerances and limits; absent: their defaults."""
+
+    def _sweep_problems(self) -> Iterator[_Problem]:
+        if not self.sweep:
+            yield ("sweep",), "is missing: name a number with its values, such as one value"
+
+    @property
+    def n(self) -> int:
+        """Number of cells."""
+        return self.model.n
+
+    @property
+    def friction(self) -> tables.FrictionTable | float | list[float] | None:
+        """The key `friction` of the model."""
+        return self.model.friction
+
+    def given(self, name: str) -> Any:
+        """The value of a number of the friction in the scene."""
+        return getattr(self.friction, name)
+
+    def _problems(self) -> Iterator[_Problem]:
+        for table, values in (("model", dict(self.model)), ("initial", self.initial)):
+            for name, value in values.items():
+                if isinstance(value, list) and len(value) != self.n:
+                    must = f"must be one number or {self.n} in a list (one per cell)"
+                    yield (table, name), f"{must}, but has {len(value)}"
+        if isinstance(self.friction, Table):
+            yield from self._missing_friction("model")
+        yield from self._observer_misfits()
+        yield from self._size_problems()
+
+
+def _kind(experiment: Any) -> str:
+    """The class of `[experiment.NAME]`, which has a table `chain` or a table `model`."""
+    if isinstance(experiment, dict):
+        return "CellsExperiment" if "model" in experiment else "Experiment"
+    return type(experiment).__name__
+
+
+AnyExperiment: TypeAlias = Annotated[
+    Annotated[Experiment, Tag("Experiment")] | Annotated[CellsExperiment, Tag("CellsExperiment")],
+    Discriminator(_kind),
+]
 
 
 class Group(NamedTuple):
@@ -298,7 +442,7 @@ class Group(NamedTuple):
 
     name: str
     of: str  # the name of the experiment
-    experiment: Experiment
+    experiment: AnyExperiment
     model: str  # "smoothed" or "dry"
 
 
@@ -328,7 +472,7 @@ class Scene(Table):
     """What it is called, in one line."""
     description: Text = ""
     """A description in some sentences, which is stored with the results."""
-    experiment: Annotated[dict[tables.Name, Experiment], Field(min_length=1, max_length=1000)]
+    experiment: Annotated[dict[tables.Name, AnyExperiment], Field(min_length=1, max_length=1000)]
     """The experiments by name; each makes one dataset of this name."""
 
     @model_validator(mode="after")
@@ -464,14 +608,14 @@ def _place(location: Sequence[int | str]) -> tuple[list[str], list[type[Table]]]
     for i, part in enumerate(location, start=1):
         options = _tables(kind)
         fields = [t.model_fields[part] for t in options if part in t.model_fields]
-        member = [table for table in options if part in tags(table)]
+        member = [table for table in options if part in (table.__name__, *tags(table))]
         if isinstance(part, int):
             path[-1] += f"[{part}]"
         elif get_origin(kind) is dict:
             path, kind = [*path, as_key(part)], get_args(kind)[1]
         elif member and len(options) > 1 and not (fields and i == len(location)):
             kind = member[0]
-        elif part not in ("number", "list", "table", "[key]"):
+        elif part not in ("number", "whole", "text", "list", "table", "[key]"):
             path, kind = [*path, as_key(part)], fields[0].annotation if fields else None
     return path, _tables(kind)
 

@@ -158,11 +158,35 @@ def distinct(values: Any) -> Any:
     return values
 
 
+def _form_of_field(value: Any) -> str:
+    """The tag of the value of a field of a model, which may also be a text or a whole number."""
+    if isinstance(value, int) and not isinstance(value, bool):
+        return "whole"
+    return "text" if isinstance(value, str) else _form(value)
+
+
 Values: TypeAlias = Annotated[
     Annotated[list[Number], Field(min_length=1, max_length=MOST_VALUES), Tag("list")]
     | Annotated[Range, Tag("table")],
     _one_of("a list or a range table"),
     AfterValidator(distinct),
+]
+_One: TypeAlias = Annotated[Number, Tag("number")]
+_Several: TypeAlias = Annotated[
+    list[Number], Field(min_length=1, max_length=MOST_NUMBERS), Tag("list")
+]
+PerCell: TypeAlias = Annotated[_One | _Several, _one_of("a number or a list")]
+FieldValue: TypeAlias = Annotated[
+    _One
+    | _Several
+    | Annotated[int, Field(ge=-MOST, le=MOST), Tag("whole")]
+    | Annotated[Text, Tag("text")],
+    Discriminator(_form_of_field, "forms", "Input should be a number, a list or a text"),
+]
+# The name or the number, from 0, of one of the numbers of a cell.
+Component: TypeAlias = Annotated[
+    Annotated[int, Field(ge=0, le=100), Tag("whole")] | Annotated[Text, Tag("text")],
+    Discriminator(_form_of_field, "forms", "Input should be a name or a number from 0"),
 ]
 Masses: TypeAlias = Annotated[
     list[Mass], Field(min_length=1, max_length=MOST_VALUES), AfterValidator(distinct)
@@ -298,6 +322,32 @@ class ChainTable(Table):
     """A ring ("cyclic"), or a row whose first and last mass have one neighbour ("free")."""
 
 
+class ModelTable(Table):
+    """Cells of another model: a class of `jaxchain.model`, or yours, named by `--model`.
+
+    The other keys are fields of the class: a number, or a list with one per cell; for static
+    fields also a text or a whole number.  A swept number may be left out.
+    """
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, FieldValue] = Field(init=False)
+
+    kind: Text
+    """The name of the class, such as "LuGre"."""
+    n: Annotated[int, Field(ge=1, le=MOST_NUMBERS)]
+    """Number of cells."""
+    ends: Literal["cyclic", "free"] | None = None
+    """A ring or a row, if the class has this field; absent: as the class has it."""
+    friction: (
+        Annotated[
+            _One | _Several | Annotated[FrictionTable, Tag("table")],
+            _one_of("a number, a list or a table with a `law`"),
+        ]
+        | None
+    ) = None
+    """Of a class with this field: a number or a list; or a table, for smoothed friction."""
+
+
 _KIND = Field(description="Which kind of start.")
 
 
@@ -379,6 +429,13 @@ class NumericsTable(Table):
     absent: if there are more than 4096."""
 
 
+class CellsNumericsTable(NumericsTable):
+    """Like `Numerics`; dry friction needs a chain."""
+
+    model: Literal["smoothed"] = "smoothed"
+    """Cells are integrated as they are; `dry` and `both` need a chain."""
+
+
 _OBSERVER = Field(description="Which observer.")
 
 
@@ -401,6 +458,13 @@ class PeakTimesTable(_CrossingsTable):
     """The times of the maxima of each displacement."""
 
     observer: Annotated[Literal["PeakTimes"], _OBSERVER]
+
+
+class CellsPeakTimesTable(PeakTimesTable):
+    """The times of the maxima of one of the numbers of each cell."""
+
+    component: Component = 0
+    """Its name, or its number from 0."""
 
 
 class SectionTable(_CrossingsTable):
@@ -443,6 +507,12 @@ class WholeRunTable(Table):
     observer: Annotated[Literal["EnergyBalance", "Divergence", "MostSticking"], _OBSERVER]
 
 
+class DivergenceTable(Table):
+    """Integral of the divergence over the run."""
+
+    observer: Annotated[Literal["Divergence"], _OBSERVER]
+
+
 class CustomObserverTable(Table):
     """A custom observer, named on the command line: `--observer FILE.py:CLASS`.
 
@@ -457,6 +527,10 @@ class CustomObserverTable(Table):
     """The name of its class."""
 
 
+CellsObserverTable: TypeAlias = Annotated[
+    CellsPeakTimesTable | SectionTable | SamplesTable | DivergenceTable | CustomObserverTable,
+    Field(discriminator="observer"),
+]
 ObserverTable: TypeAlias = Annotated[
     StickTimeTable
     | PeakTimesTable
@@ -499,7 +573,22 @@ class ObserveTable(Table):
         return self
 
 
-def kept_numbers(table: ObserverTable, n: int) -> int:
+class CellsObserveTable(ObserveTable):
+    """The observed quantities of every run of other cells than a chain."""
+
+    component: Component = 0
+    """Which of the numbers of a cell the amplitude is of: its name, or its number from 0."""
+    quantities: Annotated[
+        list[Literal["amplitude", "energy"]], Field(min_length=1), AfterValidator(distinct)
+    ] = Field(default_factory=lambda: ["amplitude", "energy"])
+    """What is kept of the amplitudes A: each of them, and 1/2 sum A^2."""
+    stop: Literal["never", "steady"] = "never"
+    """When a run may end early: once the amplitudes of successive windows agree ("steady")."""
+    others: Annotated[list[CellsObserverTable], Field(min_length=1, max_length=50)] | None = None
+    """What else is observed, such as `{ observer = "PeakTimes", component = 1 }`."""
+
+
+def kept_numbers(table: ObserverTable | CellsObserverTable, n: int) -> int:
     """The number of stored numbers per run of n masses."""
     match table:
         case SectionTable():

@@ -1,5 +1,6 @@
 """The figure of a branch agrees with its dataset: line, style, special points, names."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,9 +11,12 @@ from matplotlib.figure import Figure
 from synthetic import cycle_branch
 
 from jaxchain.continuation.branch import Branch
+from jaxchain.cycles.shooting import Shooting
+from jaxchain.model.ready_made import VanDerPol
 from jaxchain.model.units import Scales
 from jaxchain.plotting.branches import MARKS, PARTS, plot_branch, smooth
 from jaxchain.plotting.style import COLUMN_WIDTH
+from jaxchain.solvers.rosenbrock import Rodas5P
 
 SCALES = Scales.from_dimensional(
     mass=2.0, damping=2.0, stiffness=200.0, coupling_stiffness=2.0, normal_load=10.0
@@ -53,6 +57,19 @@ def test_the_line_is_the_energy_solid_while_stable_and_dashed_beyond_the_fold():
     x, y = points(unstable)
     np.testing.assert_array_equal(x, [1.85, *branch.parameter[4:], 1.15])
     np.testing.assert_allclose(y, [fold, *branch.energy[4:], hopf], rtol=1e-14)
+
+
+def test_a_branch_of_cells_bears_no_symbols_of_a_chain():
+    branch = cycle_branch(1)
+    shooting = Shooting(VanDerPol(mu=1.0), 1e-10, Rodas5P(), 0, (0,), "mu")
+    data = replace(branch, name="mu", shooting=shooting).to_dataset()
+    axes = plot_branch(data)
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("mu (–)", "amplitude of displacement (–)")
+    x, y = points(named(axes)["stable"][0])
+    np.testing.assert_array_equal(x[:4], branch.parameter[:4])
+    np.testing.assert_array_equal(y[:4], branch.amplitude[:4, 0])
+    assert plot_branch(data, "period").get_ylabel() == "least period T (–)"
+    assert data.period.attrs["units"] == "1"
 
 
 def test_special_points_are_marked_where_they_are_and_named():

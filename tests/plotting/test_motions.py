@@ -12,6 +12,7 @@ from PIL import Image
 from scipy.integrate import solve_ivp
 
 from jaxchain.model.chain import paper_chain, steady_sliding
+from jaxchain.model.ready_made import ModeCoupling
 from jaxchain.model.units import Scales
 from jaxchain.observers.samples import Trajectory
 from jaxchain.observers.stick_time import StickTime
@@ -21,6 +22,7 @@ from jaxchain.plotting.motions import (
     film_strip,
     loop,
     plot_phase_portrait,
+    plot_space_time,
     plot_time_series,
     save_gif,
     sticking,
@@ -94,6 +96,56 @@ def test_many_masses_have_a_colour_bar():
     assert len({line.get_color() for line in axes.get_lines()}) == 12
     (bar,) = [other for other in axes.figure.axes if other is not axes]
     assert bar.get_ylabel() == "oscillator $n$"
+
+
+MODES = ModeCoupling(2.0, 1.0, 0.5, contact_stiffness=1.0, friction=1.2)
+FOUR = tuple(np.sin(TIMES[:, None] + np.arange(3) + k) for k in range(4))
+
+
+@pytest.mark.parametrize("y", ["y", 1])
+def test_a_component_of_cells_is_drawn_by_its_name_or_number(y):
+    axes = plot_time_series(TIMES, FOUR, y, chain=MODES, masses=[2])
+    (line,) = axes.get_lines()
+    np.testing.assert_array_equal(height(line), FOUR[1][:, 2])
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("time $t$ (–)", "y (–)")
+    (line,) = plot_time_series(TIMES, FOUR, chain=MODES, masses=[0]).get_lines()
+    np.testing.assert_array_equal(height(line), FOUR[0][:, 0])
+    axes = plot_phase_portrait(FOUR, x=y, y="x'", chain=MODES, masses=[1])
+    (line,) = axes.get_lines()
+    np.testing.assert_array_equal(line.get_xydata(), np.stack([FOUR[1][:, 1], FOUR[2][:, 1]], 1))
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("y (–)", "x' (–)")
+    assert plot_time_series(TIMES, FOUR, 2).get_ylabel() == "component 2 (–)"
+
+
+def test_space_and_time_show_one_component_of_all_cells():
+    axes = plot_space_time(TIMES, FOUR, "x'", chain=MODES)
+    (mesh,) = axes.collections
+    np.testing.assert_array_equal(np.asarray(mesh.get_array()), FOUR[2].T)
+    low, high = axes.dataLim.intervaly
+    assert (low, high) == (0.5, 3.5)
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("time $t$ (–)", "oscillator $n$")
+    (bar,) = [other for other in axes.figure.axes if other is not axes]
+    assert bar.get_ylabel() == "x' (–)"
+    axes = plot_space_time(TIMES, STATES, "velocity", scales=SCALES)
+    (mesh,) = axes.collections
+    np.testing.assert_allclose(np.asarray(mesh.get_array()), 0.5 * STATES[1].T, rtol=1e-14)
+    assert axes.get_xlabel() == "time $t$ (s)"
+
+
+@pytest.mark.parametrize(
+    ("draw", "problem"),
+    [
+        (lambda: plot_time_series(TIMES, FOUR, "z", chain=MODES), "`y` must be one of x, y, x', "),
+        (lambda: plot_time_series(TIMES, FOUR, 4, chain=MODES), "its number from 0, but is 4"),
+        (lambda: plot_phase_portrait(FOUR[:3], chain=MODES), "has the 4 components x, y, x', y'"),
+        (lambda: plot_time_series(TIMES, FOUR, chain=MODES, scales=SCALES), "`scales` is for a"),
+        (lambda: animate(MODES, TIMES, STATES), "`chain` must be a `Chain`, but is a ModeC"),
+        (lambda: loop(MODES, STATES), "`chain` must be a `Chain`, but is a ModeC"),
+    ],
+)
+def test_what_cells_do_not_have_is_refused(draw, problem):
+    with pytest.raises(ValueError, match=problem):
+        draw()
 
 
 FRAMES = 64

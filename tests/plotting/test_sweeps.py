@@ -4,6 +4,7 @@ import itertools
 import json
 from typing import Any
 
+import jax.numpy as jnp
 import matplotlib
 import numpy as np
 import pytest
@@ -13,6 +14,8 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from synthetic import cycle_branch, ladder, results, single
 
+from jaxchain import Amplitude, sweep
+from jaxchain.model.ready_made import VanDerPol
 from jaxchain.model.units import Scales
 from jaxchain.plotting import sweeps as plot
 from jaxchain.plotting.branches import plot_branch
@@ -234,6 +237,47 @@ def test_drawing_leaves_matplotlib_as_it_was():
     before = dict(matplotlib.rcParams)
     figure_3(ladder(), single())
     assert dict(matplotlib.rcParams) == before
+
+
+@pytest.fixture(scope="module")
+def pairs():
+    """Two van der Pol's cells over mu and the start, their velocities observed, too."""
+    watch = [Amplitude(window=7.0, component=k) for k in (1, 0)]
+    over = {"mu": [0.5, 1.0, 2.0], "x": [0.5, 1.0]}
+
+    def start(cells, x):
+        return jnp.stack([x, 2 * x]), jnp.zeros(2)
+
+    return sweep(VanDerPol(mu=1.0, coupling=0.1), start, 15.0, over=over, observe=watch)
+
+
+def test_a_sweep_of_cells_is_drawn_with_the_names_of_its_components(pairs):
+    axes = plot_sweep(pairs, hue="x")
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("mu (–)", "energy of displacement (–)")
+    for k, line in enumerate(axes.get_lines()):
+        np.testing.assert_array_equal(height(line), pairs.energy[:, k])
+    axes = plot_sweep(pairs.isel(oscillator=1, x=0), "amplitude_velocity")
+    assert axes.get_ylabel() == "amplitude of velocity (–)"
+    np.testing.assert_array_equal(heights(axes)[0], pairs.amplitude_velocity[:, 0, 1])
+    only = pairs[["amplitude_velocity", "energy_velocity", "result"]]
+    np.testing.assert_array_equal(
+        heights(plot_sweep(only, hue="x"))[0], only.energy_velocity[:, 0]
+    )
+
+
+@pytest.mark.parametrize("kept", ["energy_velocity", "amplitude_velocity"])
+def test_the_figure_of_a_scene_of_cells_shows_every_run(pairs, kept):
+    data = pairs[[kept, "result", "steps"]]
+    (axes,) = named_panels(figure({"pairs": data}))
+    word = kept.partition("_")[0]
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("mu (–)", f"{word} of velocity (–)")
+    assert legend(axes) == ["0.5", "1"]
+    for k, line in enumerate(axes.get_lines()):
+        expected = pairs[kept].values[:, k]
+        np.testing.assert_array_equal(np.sort(height(line)), np.sort(expected.ravel()))
+    text = summary("pairs", data)
+    assert "model         VanDerPol, n 2; mu swept; coupling 0.1" in text
+    assert "6 successful" in text
 
 
 SCALES = Scales.from_dimensional(

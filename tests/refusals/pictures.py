@@ -90,6 +90,8 @@ def _plots() -> Iterator[Row]:
     bad = {**motion, "times": times, "y": WORD}
     yield Row("plot_time_series", plotting.plot_time_series, film, bad)
     yield Row("plot_phase_portrait", plotting.plot_phase_portrait, {"states": FILM}, motion)
+    del bad["masses"]
+    yield Row("plot_space_time", plotting.plot_space_time, film, bad)
     bad = {**every, "friction": (*A_CHAIN, None), "reach": optional(POSITIVE)}
     yield Row("plot_friction_law", plotting.plot_friction_law, {"friction": CHAIN}, bad)
     runs = ladder()

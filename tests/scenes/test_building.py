@@ -1,20 +1,36 @@
-"""A custom friction law or observer, from a file that is named on the command line."""
+"""A custom friction law, model or observer, from a file that is named on the command line."""
 
-from typing import get_args
+import shutil
+from typing import Any, get_args
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from synthetic import stored
 
-from jaxchain import Chain, cli, excited_state, paper_chain, simulate, steady_sliding
+from jaxchain import (
+    Amplitude,
+    Chain,
+    cli,
+    excited_state,
+    paper_chain,
+    simulate,
+    steady_sliding,
+    sweep,
+)
 from jaxchain.model.friction import Coulomb, TanhFriction
+from jaxchain.model.ready_made import BurridgeKnopoff
 from jaxchain.scenes import tables
 from jaxchain.scenes.building import (
     LAWS,
+    READY_MADE,
+    build,
     build_chain,
     build_initial,
     build_solver,
+    checked_chains,
     load_law,
+    load_model,
     load_observer,
     make,
 )
@@ -310,8 +326,196 @@ def test_every_solver_and_law_of_a_scene_exists():
 def test_initial_states_are_those_asked_for(initial, displacements, velocity):
     changes = ["chain.n=3", f"initial={initial}", "sweep={belt_speed=[1.0]}"]
     loaded = load_scene("quickstart", [f"experiment.ladder.{text}" for text in changes])
-    experiment = loaded.scene.experiment["ladder"]
+    experiment: Any = loaded.scene.experiment["ladder"]
     chain = build_chain(experiment)
     x, v = build_initial(experiment)(chain)
     np.testing.assert_allclose(x - steady_sliding(chain)[0], displacements, atol=1e-15)
     np.testing.assert_array_equal(v, np.full(3, velocity))
+
+
+CELLS = """
+import jax
+from jaxchain.model import AbstractCells
+
+
+class TwoModes(AbstractCells):
+    friction: jax.Array
+    stiffness: jax.Array
+    cubic: jax.Array = 1.0
+    components = ("x", "y", "x'", "y'")
+
+    def rate(self, t, left, own, right):
+        x, y, vx, vy = own
+        pull = 0.05 * (left[0] - 2 * x + right[0]) - self.cubic * x**3
+        return vx, vy, pull - self.stiffness * x - (0.5 - self.friction) * y, -0.5 * x - y
+
+
+class Unnamed(AbstractCells):
+    speed: jax.Array
+    x: jax.Array = 1.0
+
+    def rate(self, t, left, own, right):
+        return self.speed * own[1], own[0] - self.x
+
+
+class LuGre(TwoModes):
+    pass
+"""
+MODES = """
+title = "Two modes"
+
+[experiment.modes]
+model = { kind = "TwoModes", n = 2, stiffness = [2.0, 2.5] }
+initial = { x = [0.5, 0.1], 1 = 0.2 }
+sweep = { friction = [0.5, 1.5], x = [0.3] }
+time = { transient = 8.0, window = 7.0 }
+observe = { component = "y" }
+numerics = { store = true, lanes = 2 }
+"""
+
+
+@pytest.fixture
+def modes(tmp_path):
+    """The file of the classes, and that of the scene."""
+    code, scene = tmp_path / "my_cells.py", tmp_path / "modes.toml"
+    code.write_text(CELLS, encoding="utf-8")
+    scene.write_text(MODES, encoding="utf-8")
+    return code, str(scene)
+
+
+def test_a_scene_of_ones_own_cells_has_the_numbers_of_a_sweep_bit_for_bit(modes, tmp_path, capsys):
+    code, scene = modes
+    folder, option = tmp_path / "results", ["--model", f"{code}:TwoModes"]
+    assert cli.main(["run", scene, "--output", str(folder), "--quiet", *option]) == 0
+    data = stored(folder / "modes")["modes"]
+    assert (folder / "my_cells.py").read_text(encoding="utf-8") == CELLS
+    assert (folder / "modes.png").exists()
+
+    kind: Any = load_model(f"{code}:TwoModes", "test")
+    cells = kind(jnp.asarray(0.5), jnp.array([2.0, 2.5]))
+
+    def start(_, x):
+        return jnp.full(2, x), jnp.full(2, 0.2), jnp.zeros(2), jnp.zeros(2)
+
+    watch = Amplitude(window=7.0, component=1)
+    over = {"friction": [0.5, 1.5], "x": [0.3]}
+    direct = sweep(cells, start, 15.0, over=over, observe=watch, rtol=1e-6, lanes=2)
+    for name in direct:
+        np.testing.assert_array_equal(data[name], direct[name], err_msg=str(name))
+    assert float(abs(data.amplitude_y[0] - data.amplitude_y[1]).min()) > 1e-3
+    assert data.x.attrs == {"long_name": "x at the start", "units": "1"}
+
+    # A store goes on with the same cells only.  The copy of the scene names them.
+    shutil.rmtree(folder / "modes.zarr")
+    capsys.readouterr()
+    assert cli.main(["resume", str(folder)]) == 2
+    assert "must be named on the command line: --model FILE.py:TwoModes" in capsys.readouterr().err
+    other = tmp_path / "other" / "my_cells.py"
+    other.parent.mkdir()
+    other.write_text(CELLS.replace("0.5 - self", "0.4 - self"), encoding="utf-8")
+    again = ["resume", str(folder), "--quiet", "--no-plot", "--model"]
+    assert cli.main([*again, f"{other}:TwoModes"]) == 2
+    assert "experiment.modes: " in capsys.readouterr().err
+    assert cli.main([*again, f"{code}:TwoModes"]) == 0
+    assert stored(folder / "modes")["modes"].equals(data)
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        ("model.kind='Paris'", "model.kind: is `Paris`, so this class must be named on the"),
+        ("model.kind='LuGer'", "FILE.py:LuGer (did you mean `LuGre`?); ready-made are"),
+        ("model.cubc=2", "'cubc'; its fields: friction, stiffness, cubic (did you mean `cubic`?)"),
+        ("model.ends='free'", "got an unexpected keyword argument 'ends'; its fields: friction"),
+        ("model.cubic='hard'", "Argument `cubic` must"),
+        ("model.stiffness=[1, 2, 3]", "model.stiffness: must be one number or 2 in a list"),
+        ("initial.z=1", "initial.z: is not a number of a cell; it has: 0, 1, 2, 3, x, y, x', y'"),
+        ("initial.y=1", "initial.y: is given twice, by name and by number: leave one out"),
+        ("initial.kind='equation_8'", "initial.kind: must be a valid number"),
+        ("initial=0.1", "initial: must be a valid dictionary"),
+        ("sweep.frictoin=[1]", "sweep.frictoin: cannot be swept (did you mean `friction`?); "),
+        ("sweep={}", "sweep: is missing: name a number with its values"),
+        ("observe.component='z'", "observe.component: is not a number of a cell; it has: 0, 1"),
+        ("observe.component=4", "observe.component: is not a number of a cell"),
+        ("observe.stop='quiet'", "observe.stop: must be 'never' or 'steady', but is \"quiet\""),
+        ("observe.quantities=['active_count']", "observe.quantities[0]: must be 'amplitude' or"),
+        ("observe.others=[{observer='StickTime'}]", 'others[0].observer: must be one of "PeakT'),
+        ("observe.others=[{observer='Section',oscillator=3}]", "must lie in 1 ... 2 (`n`)"),
+        ("numerics.model='dry'", "numerics.model: must be 'smoothed', but is \"dry\""),
+        ("pictures=['circles']", "pictures: is not a known key"),
+        ("chain={}", "chain: is not a known key"),
+        ("model.kind=3", "model.kind: must be a valid string, but is 3"),
+        ("model.cubic=true", "model.cubic: must be a valid number, but is true"),
+        ("model.friction={law='coulomb'}", "model.friction.width: is missing: give it here or in"),
+    ],
+)
+def test_what_cells_cannot_have_is_refused_with_its_key(modes, change, problem):
+    code, scene = modes
+    kinds = {"TwoModes": load_model(f"{code}:TwoModes", "test")}
+    with pytest.raises(SceneError) as error:
+        checked_chains(load_scene(scene, [f"experiment.modes.{change}"]), custom_models=kinds)
+    found = "\n".join(error.value.problems)
+    assert problem in found
+    assert found.startswith("experiment.modes") or "--model: no experiment" in found
+
+
+def test_a_model_that_no_experiment_names_or_that_has_a_known_name_is_refused(modes):
+    code, scene = modes
+    kinds = {name: load_model(f"{code}:{name}", "test") for name in ("TwoModes", "LuGre")}
+    with pytest.raises(SceneError, match="--model: LuGre is a ready-made class"):
+        checked_chains(load_scene(scene), custom_models=kinds)
+    with pytest.raises(SceneError, match=r'no experiment has `model.kind` = "TwoModes"'):
+        checked_chains(load_scene("quickstart"), custom_models={"TwoModes": kinds["TwoModes"]})
+    with pytest.raises(SceneError, match=r"--model .* is not a subclass of `jaxchain.model.Abs"):
+        load_model(f"{code}:jax", "test")
+
+
+def _built(scene, *changes, **kinds) -> Any:
+    loaded = load_scene(scene, [f"experiment.modes.{text}" for text in changes])
+    experiment: Any = loaded.scene.experiment["modes"]
+    return build(experiment, custom_models=kinds)
+
+
+def test_ready_made_cells_are_made_from_their_tables(modes):
+    friction = "{law='coulomb', mu_dynamic=0.5, width=0.1}"
+    table = (
+        f"model={{kind='BurridgeKnopoff', n=2, speed=[0.1,0.2], ends='free', friction={friction}}}"
+    )
+    reset = "initial={stretch=0.1}", "sweep={width=[0.2, 0.3], coupling=[2]}", "observe={}"
+    made, start, _ = _built(modes[1], table, *reset)
+    smoothed = TanhFriction(Coulomb(0.5), 0.2)
+    wanted = BurridgeKnopoff(smoothed, jnp.array([0.1, 0.2]), coupling=2.0, ends="free")
+    assert str(made) == str(wanted)
+    for name, value in wanted.numbers().items():
+        np.testing.assert_array_equal(made.numbers()[name], value)
+    np.testing.assert_array_equal(start(made), [[0.1, 0.1], [0.0, 0.0]])
+    numbers = "mass=1,stiffness=1,speed=1,normal_stress=1,direct_effect=1,evolution_effect=1"
+    more = "slip_length=1,reference_friction=0,law='slip'"
+    table = f"model={{kind='RateAndState', n=2, {numbers}, {more}}}"
+    peaks = "{observer='PeakTimes', component='log velocity'}"
+    sweep_ = "sweep={component_1=[0.5]}", f"observe={{component='log age', others=[{peaks}]}}"
+    cells, start, (amplitude, times) = _built(
+        modes[1], table, "initial={'log velocity'=2}", *sweep_
+    )
+    assert (cells.law, amplitude.component, times.component) == ("slip", 2, 1)
+    np.testing.assert_array_equal(start(cells)[1], [2.0, 2.0])
+    np.testing.assert_array_equal(start(cells, component_1=0.5)[1], [0.5, 0.5])
+    assert set(READY_MADE) == {
+        *("ModeCoupling", "LuGre", "Dahl", "RateAndState", "Duffing", "Pendulums", "VanDerPol"),
+        "BurridgeKnopoff",
+    }
+
+
+def test_numbers_of_a_cell_without_names_are_counted(modes):
+    code, scene = modes
+    kind = load_model(f"{code}:Unnamed", "test")
+    table = "model={kind='Unnamed', n=2, speed=2}"
+    rest = "sweep={component_0=[1, 2], x=[3]}", "observe={component=1}"
+    cells, start, (amplitude,) = _built(scene, table, "initial={1=[1,2],0=0}", *rest, Unnamed=kind)
+    np.testing.assert_array_equal(start(cells), [[0.0, 0.0], [1.0, 2.0]])
+    np.testing.assert_array_equal(start(cells, component_0=5.0)[0], [5.0, 5.0])
+    assert amplitude.component == 1
+    with pytest.raises(ValueError, match="initial: must have all numbers of a cell"):
+        _built(scene, table, "initial={}", *rest, Unnamed=kind)
+    with pytest.raises(ValueError, match=r"initial\.7: is not a number of a cell"):
+        _built(scene, table, "initial={0=1,7=2}", *rest, Unnamed=kind)

@@ -3,6 +3,7 @@
 import json
 import os
 import tomllib
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -148,7 +149,7 @@ def ordered(cycles, which):
 
 
 def test_a_few_belt_speeds_have_no_branch(tmp_path):
-    experiment = one_oscillator(tmp_path, 3).scene.experiment["ladder"]
+    experiment: Any = one_oscillator(tmp_path, 3).scene.experiment["ladder"]
     assert cycles(build_chain(experiment), experiment.grid()) is None
 
 
@@ -246,7 +247,7 @@ def test_every_built_in_scene_comes_back_as_it_was(name, tmp_path):
 def test_a_law_and_observers_of_ones_own_are_named_in_the_file(tmp_path):
     loaded = scene(tmp_path, "smoothed")
     custom = again(tmp_path / "own", loaded, custom_law=True, custom_observers=["Mine"]).scene
-    experiment = custom.experiment["ladder"]
+    experiment: Any = custom.experiment["ladder"]
     assert experiment.chain.friction.law == "custom"
     assert experiment.friction_numbers() == ("mu_static", "mu_dynamic", "v_ref", "width")
     others = experiment.model_dump()["observe"]["others"]

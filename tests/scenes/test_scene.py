@@ -64,7 +64,7 @@ def test_every_built_in_scene_is_valid_and_so_is_a_copy_of_it(name, tmp_path):
 
 
 def test_fig3_holds_the_experiment_of_the_paper():
-    loaded = load_scene("fig3").scene
+    loaded: Any = load_scene("fig3").scene
     ladder, single = loaded.experiment["ladder"], loaded.experiment["single"]
     assert ladder.grid()["belt_speed"].tolist() == [round(1 + 0.05 * i, 2) for i in range(19)]
     assert ladder.grid()["excited"].tolist() == list(range(21))
@@ -193,7 +193,7 @@ def test_a_single_mass_has_no_coupling(scene_file):
 def test_a_table_of_friction_is_read_beside_the_scene_and_kept_with_its_results(scene_file):
     Path(scene_file).with_name("mu.csv").write_text("s,mu\n0,1\n2,0.5\n", encoding="utf-8")
     law = f'{PAIR}chain.friction={{law="tabulated",file="mu.csv",width=0.1}}'
-    experiment = load_scene(scene_file, [law]).scene.experiment["pair"]
+    experiment: Any = load_scene(scene_file, [law]).scene.experiment["pair"]
     friction: Any = experiment.chain.friction
     assert (friction.speed, friction.mu, friction.file) == ([0.0, 2.0], [1.0, 0.5], None)
     assert '"speed":[0.0,2.0],"mu":[1.0,0.5]' in experiment.model_dump_json()
