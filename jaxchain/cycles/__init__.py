@@ -2,6 +2,7 @@
 
 - `averaging`: one vibrating mass to first harmonic, the first guess of every search
 - `branches`: `continue_cycle`: branches of cycles with folds, symmetry breakings and their ends
+- `deflation`: `find_limit_cycles`: cycles that are not known yet, from many starts
 - `floquet`: a limit cycle, its monodromy matrix and Floquet multipliers
 - `limit_cycle`: `find_limit_cycle`, from guesses of every kind, smoothed or dry
 - `shooting`: the equations of periodic orbits: flow, section, coordinates, minimal period

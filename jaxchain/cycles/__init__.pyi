@@ -2,6 +2,8 @@ from .branches import CycleBranch as CycleBranch
 from .branches import CyclePoint as CyclePoint
 from .branches import continue_cycle as continue_cycle
 from .branches import switch_cycle as switch_cycle
+from .deflation import CycleSearch as CycleSearch
+from .deflation import find_limit_cycles as find_limit_cycles
 from .floquet import LimitCycle as LimitCycle
 from .floquet import floquet_multipliers as floquet_multipliers
 from .floquet import liouville_defect as liouville_defect

@@ -88,7 +88,7 @@ _PEAKS = 12  # the number of velocity maxima to examine
 _MOST_TURNS = 16  # the greatest period of a forced cycle, in periods of the force
 
 
-def _watched(chain: Any, state: State, t1: Any, watch: Section) -> Any:
+def watched(chain: Any, state: State, t1: Any, watch: Section) -> Any:
     """The maxima of a run whose sticking masses have small errors in units of the width."""
     rtol: Any = 1e-8
     if isinstance(chain, Chain) and not chain.dry:
@@ -147,7 +147,7 @@ def guess_from_simulation(
     check_positive_number("duration", duration, "40 is some six periods.")
     mass = _cut_at(chain, state, mass)
     watch = Section(mass, _PEAKS, transient, of="velocity")
-    return _last_turn(*_watched(chain, state, transient + duration, watch))
+    return _last_turn(*watched(chain, state, transient + duration, watch))
 
 
 @eqx.filter_jit
@@ -193,7 +193,7 @@ def guess_from_point(chain: AbstractField, state: State, period: Any, mass: int)
             return state
     # A little more than a period, for an orbit that begins at the maximum.
     watch = Section(mass, _PEAKS, of="velocity")
-    _, *parts = _watched(chain, state, 1.05 * to_float(period), watch)
+    _, *parts = watched(chain, state, 1.05 * to_float(period), watch)
     velocities = jax.vmap(lambda *state: chain.value_and_rate(0.0, state)[1][mass])(*parts)
     speeds = chain.belt_direction() * velocities
     fastest = jnp.argmax(jnp.where(jnp.isnan(speeds), -jnp.inf, speeds))
@@ -256,14 +256,26 @@ def guess_of_kind(chain: Chain, mass: int, kind: str) -> Guess:
 
 @eqx.filter_jit
 def solve_cycle(
-    shooting: Shooting, state: State, period: Array, tolerance: Array, limit: Array
+    shooting: Shooting,
+    state: State,
+    period: Array,
+    tolerance: Array,
+    limit: Array,
+    known: Float[Array, "cycles points m"] | None = None,
 ) -> tuple[LimitCycle, Array]:
-    """(the cycle, its unknowns u) near a guess, without derivatives."""
+    """(the cycle, its unknowns u) near a guess, without derivatives.
+
+    The points of `known` cycles repel the search; infinite ones do not (`cycles/deflation.py`).
+    """
     start = shooting.pack(state, period)
     weights = jnp.full(start.shape, start.shape[0] ** -0.5)
 
     def linearise(u: Array) -> tuple[Array, Factors, Period]:
         value, jacobian, whole = shooting.linearise(u)
+        if known is not None:
+            factor, slope = jax.value_and_grad(_repulsion)(u, known)
+            jacobian = factor * jacobian + jnp.outer(value, slope)
+            value = factor * value
         return value, factorise(jacobian, weights), whole
 
     def closed(now: Iterate) -> Array:
@@ -297,6 +309,16 @@ def solve_cycle(
         times_round=whole.returned.times_round,
     )
     return cycle, end.u
+
+
+def _repulsion(u: Array, known: Float[Array, "cycles points m"]) -> Float[Array, ""]:
+    """prod_k (1 + 1 / d_k^2), d_k the distance from the closest point of cycle k."""
+    given = jnp.all(jnp.isfinite(known), axis=2)
+    gaps = jnp.where(
+        given[..., None], u[None, None] - jnp.where(given[..., None], known, 0.0), 1.0
+    )
+    squares = jnp.min(jnp.where(given, jnp.mean(gaps**2, axis=2), jnp.inf), axis=1)
+    return jnp.prod(1.0 + 1.0 / squares)
 
 
 def _cycle(

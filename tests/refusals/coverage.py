@@ -21,7 +21,7 @@ NOT_TRIED = {
             "Grazing", "HopfPoints",
             "OneMassBranch", "Extrapolation", "Evidence", "Verdict",
             "LyapunovSpectrum", "Branch", "SpecialPoint", "FoldPoint", "CycleBranch",
-            "LimitCycle", "CyclePoint", "Identification", "Design", "Depinning",
+            "LimitCycle", "CyclePoint", "CycleSearch", "Identification", "Design", "Depinning",
             "FrontSpeed", "LinearModes", "LockedPattern", "PhaseModel", "LocalSlopes", "Step",
             "StoreError", "SlidingBasin", "EdgeState", "Blow",
             "SweepInterrupted", "Settled",

@@ -118,6 +118,17 @@ def _cycles() -> Iterator[Row]:
     given = {"chain": CHAIN, "guess": STATE, "period": 6.0}
     yield Row("find_limit_cycle, guess", cycles.find_limit_cycle, given,
               {"period": optional(POSITIVE)})  # fmt: skip
+    many = tuple(jnp.stack([jnp.asarray(part)] * 2) for part in STATE)
+    yield Row(
+        "find_limit_cycles", cycles.find_limit_cycles,
+        {"chain": CHAIN, "guesses": (many, jnp.full(2, 6.0))},
+        {
+            "chain": (*A_CHAIN, NO_DRY), "known": (None, 1.0, [STATE]), "mass": VIBRATING,
+            "guesses": (None, "x", {}, object, 0, (STATE, 6.0), (many, jnp.full(3, 6.0))),
+            "rounds": COUNT, "lanes": COUNT, "key": (None, "x", -1, 1.5), "rtol": (*POSITIVE, 2.0),
+            "tolerance": POSITIVE, "max_steps": optional(COUNT), "progress": FLAG,
+        },
+    )  # fmt: skip
     orbit = {"chain": CHAIN, "state": STATE, "period": 6.0}
     of_orbit = {
         "chain": (*A_CHAIN, NO_DRY), "state": states(3), "period": POSITIVE,
