@@ -400,7 +400,7 @@ class RunRecord(NamedTuple):
     peaks: Float[_Numbers, "*batch W peaks n"]
     point_times: Float[_Numbers, "*batch W points"]
     points: Float[_Numbers, "*batch W points two_n"]
-    sizes: Float[_Numbers, "*batch W m"] | None = None
+    sizes: Any = None  # (*batch, W, m)
 
 
 class Recurrence(NamedTuple):
@@ -645,8 +645,8 @@ def judge_orbit(
         return replace(evidence, kind=trial.outcome)
     amplitude, reference = record.amplitude, trial.reference
     half, n = len(amplitude) // 2, amplitude.shape[1]
-    sizes: Any = record.sizes
-    moves = sizes[-1] >= criteria.rest
+    size = record.sizes[-1]
+    moves = size >= criteria.rest
     energies = np.asarray(energy(jnp.asarray(amplitude)))[half:]
     evidence.energy, evidence.energy_deviation = float(np.mean(energies)), float(np.std(energies))
     if not np.any(moves):
@@ -654,9 +654,9 @@ def judge_orbit(
         evidence.kind, evidence.locked_at, evidence.spread = "rest", evidence.time, 0.0
         return evidence
     # The size of the orbit in each component; one that does not move is noise.
-    scale = np.repeat(np.where(moves, sizes[-1], np.inf), n) if len(moves) > 1 else sizes[-1]
+    scale = np.repeat(np.where(moves, size, np.inf), n) if len(moves) > 1 else size
     least = float(np.min(scale))
-    evidence.active = amplitude[-1] > max(0.5 * sizes[-1, 0], 0.5 * criteria.rest)
+    evidence.active = amplitude[-1] > 0.5 * max(size[0], criteria.rest)
     masses = np.flatnonzero(evidence.active)
     if masses.size:
         before, after = (np.mean(part) for part in np.array_split(energies, 2))

@@ -72,7 +72,6 @@ from .floquet import (
     LimitCycle,
     can_be_cycle,
     check_orbit,
-    floquet_multipliers,
     is_trusted,
     liouville_defect,
     multiplier_resolution,
