@@ -1,7 +1,8 @@
 """Classifiers of the final state of a run: which masses vibrate, and in which phases.
 
-A state is a row of integers, its code.  A run ends as soon as its code is decided; no trajectory
-is stored, and no features are clustered.
+They see runs of any model; `VibratingMasses` needs a `Chain`, or the amplitude `above` which a
+cell vibrates.  A state is a row of integers, its code.  A run ends as soon as its code is decided;
+no trajectory is stored, and no features are clustered.
 """
 
 from __future__ import annotations

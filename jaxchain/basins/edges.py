@@ -1,4 +1,7 @@
-"""Edge states: motions that stay on the boundary between two basins."""
+"""Edge states: motions that stay on the boundary between two basins.
+
+Of a `Chain` a side is known by the masses that vibrate; of any model by a classifier.
+"""
 
 from __future__ import annotations
 
@@ -471,7 +474,8 @@ def edge_state(
     - `time`: the greatest time for which the edge is followed; the search ends as soon as the
       amplitudes of five windows (of a narrow bracket) agree within `tolerance` A.  `window`: at
       least a period, 2 pi for the paper's masses; of forced cells rounded up to a multiple of the
-      period of the force.  Both are Python numbers.
+      period of the force.  Within it the two ends must separate by less than `far` / `near`.
+      Both are Python numbers.
     - `patience`: the time after which a run must be decided.
     - `near`, `far`: see above.
     - `rtol`, `solver`: as for `simulate`; a small `near` needs a small `rtol`.
@@ -538,10 +542,10 @@ def edge_state(
     solver = custom_solver(chain, solver)
     if isinstance(chain, Chain) and not chain.dry:
         check_resolved(chain.n, chain.width, chain.belt_speed, rtol, None)
-    windows = _count(time, window)
     length, forced = to_float(window), _forced(chain)
     if forced is not None:
         length = jnp.ceil(length / forced) * forced  # every run starts at the phase 0 of the force
+    windows = _count(time, window if is_traced(length) else float(length))
     how = Tracking(
         windows=windows,
         window=length,

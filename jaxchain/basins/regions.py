@@ -1,7 +1,8 @@
 """Regions of initial states, and their sampling.
 
 A region maps a point of the unit cube to a state.  So the same points give starts at every
-parameter, and a low-discrepancy sequence fills any region.
+parameter, and a low-discrepancy sequence fills any region.  `Box`, `Ball` and `Gaussian` need the
+steady sliding of a `Chain`; `Ranges` and `Sampler` make states of any model.
 """
 
 from __future__ import annotations

@@ -1,4 +1,8 @@
-"""The verdict on a motion from an ensemble of long runs, by the thresholds in `Criteria`."""
+"""The verdict on a motion of any model from an ensemble of long runs, by the thresholds in
+`Criteria`.
+
+A motion is cut at the maxima of one cell, a forced one at multiples of the period of the force.
+"""
 
 from __future__ import annotations
 
