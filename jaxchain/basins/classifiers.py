@@ -8,7 +8,7 @@ no trajectory is stored, and no features are clustered.
 from __future__ import annotations
 
 import abc
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Literal
 
 import equinox as eqx
@@ -143,7 +143,7 @@ class _Looking(eqx.Module):
     peaks: Float[Array, "two n"] | None  # times of the latest maximum, and of the one before
 
 
-def _optional(name: str) -> Any:
+def _optional(name: str) -> Callable[[Any], Array | None]:
     return lambda value: None if value is None else named(name)(value)
 
 

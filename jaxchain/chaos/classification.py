@@ -110,7 +110,7 @@ class Evidence(Printed):
     delays: np.ndarray = field(default_factory=lambda: np.zeros(0))
     symmetry_time: np.ndarray = field(default_factory=lambda: np.zeros(0))
     symmetry: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    state: tuple[np.ndarray, ...] | None = None
+    state: tuple[np.ndarray, ...] = ()
 
     @property
     def decided(self) -> bool:

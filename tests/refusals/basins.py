@@ -50,7 +50,7 @@ def rows() -> Iterator[Row]:
     yield Row("Ball", basins.Ball, {"radius": 1.0}, radius)
     scatter = {"displacement": POSITIVE, "velocity": POSITIVE, "masses": MASSES}
     yield Row("Gaussian", basins.Gaussian, {"displacement": 1.0, "velocity": 1.0}, scatter)
-    bad = (None, "x", {}, 3.0, (), ([math.nan],), (["a"],), ([1.0, 1.0],), ([1.0], [1.0]))
+    bad = (None, "x", {}, 3.0, (), ([math.nan],), (["a"],))
     good = {"low": ([0.0],), "high": ([1.0],)}
     yield Row("Ranges", basins.Ranges, good, {"low": (*bad, ([2.0],)), "high": (*bad, ([-1.0],))})
     own = {"function": FUNCTION, "points": COUNT}
