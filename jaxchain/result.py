@@ -155,13 +155,14 @@ class SearchResult(eqx.Enumeration, metaclass=_Outcomes):  # pyright: ignore
         "sliding and sticking are the same there. Use a faster belt, or a smaller width."
     )
     same_state = (
-        "There is no edge between the two starts: the same masses continue to vibrate from both. "
+        "There is no edge between the two starts: the same masses continue to vibrate from both, "
+        "or `classify` finds the same state. "
         "Disturb one of the starts more, or less."
     )
     undecided = (
         "A run was not decided in the allowed time: the masses in question neither became quiet "
-        "nor stuck to the belt. Allow more (`patience`), or use other starts; near the Hopf "
-        "speed decisions take long."
+        "nor stuck to the belt, or `classify` did not decide. Allow more (`patience`), or use "
+        "other starts; near the Hopf speed decisions take long."
     )
     too_close = (
         "The motion cannot be distinguished from the quiet state, as happens next to the Hopf "
@@ -177,7 +178,8 @@ class SearchResult(eqx.Enumeration, metaclass=_Outcomes):  # pyright: ignore
     )
     not_settled = (
         "The edge was followed for the requested time, but the amplitudes of its windows do not "
-        "agree. Follow it for longer (`time`); motion with two or more frequencies never repeats."
+        "agree. Follow it for longer (`time`); motion with two or more frequencies never repeats. "
+        "If its `distances` exceed `far` at once, take a shorter `window`."
     )
     sliding_unstable = (
         "Steady sliding is unstable, so any blow starts vibration. Raise the belt speed above "

@@ -9,6 +9,7 @@ from .regions import AbstractRegion as AbstractRegion
 from .regions import Ball as Ball
 from .regions import Box as Box
 from .regions import Gaussian as Gaussian
+from .regions import Ranges as Ranges
 from .regions import Sampler as Sampler
 from .shares import basin_shares as basin_shares
 from .shares import share_differences as share_differences

@@ -1,13 +1,14 @@
 """Classifiers of the final state of a run: which masses vibrate, and in which phases.
 
-A state is a row of integers, its code.  A run ends as soon as its code is decided; no trajectory
-is stored, and no features are clustered.
+They see runs of any model; `VibratingMasses` needs a `Chain`, or the amplitude `above` which a
+cell vibrates.  A state is a row of integers, its code.  A run ends as soon as its code is decided;
+no trajectory is stored, and no features are clustered.
 """
 
 from __future__ import annotations
 
 import abc
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Literal
 
 import equinox as eqx
@@ -22,6 +23,7 @@ from .._checks import (
     check_one_of,
     check_positive_number,
     check_share,
+    check_whole,
     is_traced,
     named,
     shown,
@@ -32,11 +34,11 @@ from ..continuation.damped_newton import where
 from ..model.arguments import as_chain
 from ..model.cells import AbstractField
 from ..model.chain import Chain
-from ..observers.base import AbstractObserver, Step, Variable
+from ..observers.base import AbstractObserver, Step, Variable, renamed
 from ..observers.quantities import active_above
 from ..result import Printed
 
-# Amplitudes that may be rounding errors, as a share of the belt speed.
+# Amplitudes that may be rounding errors, as a share of the belt speed or of `above`.
 _AT_REST = 1e-9
 # Pairs of neighbours by the delay of the second, in shares of a period.
 _PHASES = ("in phase", "out of phase", "in between")
@@ -104,7 +106,7 @@ class AbstractClassifier(AbstractObserver):
         ['right', 'undecided']
     """
 
-    def merge(self, codes: Int[np.ndarray, "runs m"], chain: Chain) -> Int[np.ndarray, "runs k"]:
+    def merge(self, codes: Int[np.ndarray, "runs m"], chain: Any) -> Int[np.ndarray, "runs k"]:
         """Makes equivalent codes equal; by default all codes are different states."""
         del chain
         return codes
@@ -118,10 +120,10 @@ class AbstractClassifier(AbstractObserver):
         return 0.0
 
     @abc.abstractmethod
-    def name(self, code: Int[np.ndarray, " k"], chain: Chain) -> str:
+    def name(self, code: Int[np.ndarray, " k"], chain: Any) -> str:
         """The name of a state, from its code after `merge`."""
 
-    def numbers(self, code: Int[np.ndarray, " k"], chain: Chain) -> Mapping[str, int]:
+    def numbers(self, code: Int[np.ndarray, " k"], chain: Any) -> Mapping[str, int]:
         """Other numbers of a state, each a coordinate along `state`; by default none."""
         del code, chain
         return {}
@@ -141,16 +143,20 @@ class _Looking(eqx.Module):
     peaks: Float[Array, "two n"] | None  # times of the latest maximum, and of the one before
 
 
+def _optional(name: str) -> Callable[[Any], Array | None]:
+    return lambda value: None if value is None else named(name)(value)
+
+
 @final
 class VibratingMasses(AbstractClassifier):
     """Which masses vibrate at the end of a run, and whether that can still change.
 
     Amplitudes A_n (half peak-to-peak) are measured in windows.  Mass n vibrates if A_n > |v_d|/2
-    (see `active`) in one of the last `agree` + 1 windows, so that neighbours with slow beats both
-    count.  No mass vibrates if none exceeds this value in the last window. The state is decided if
-    it is the same in the last `agree` windows and the one before, and if no mass has been below
-    the threshold for longer than in earlier beats.  A run ends early only if all masses do the
-    same and this cannot change: in `calm` successive windows
+    (see `active`), or if A_n > `above`, in one of the last `agree` + 1 windows, so that neighbours
+    with slow beats both count.  No mass vibrates if none exceeds this value in the last window.
+    The state is decided if it is the same in the last `agree` windows and the one before, and if
+    no mass has been below the threshold for longer than in earlier beats.  A run ends early only
+    if all masses do the same and this cannot change: in `calm` successive windows
 
         - all masses vibrate, each amplitude changes by at most the fraction `tolerance`, and
           `phases` is
@@ -161,9 +167,9 @@ class VibratingMasses(AbstractClassifier):
     because distant phases interact only through the masses between them.  So a state belongs to a
     time.
 
-    The state in which no mass vibrates is called "sliding".  It includes vibrations below |v_d|/2,
-    which a law with a supercritical Hopf bifurcation may have; `jaxchain.verdict` distinguishes
-    them, see `judge` of `basin_shares`.
+    The state in which no mass vibrates is called "sliding", of other models "quiet".  It includes
+    vibrations below |v_d|/2, which a law with a supercritical Hopf bifurcation may have;
+    `jaxchain.verdict` distinguishes them, see `judge` of `basin_shares`.
 
     **Arguments:**
 
@@ -174,6 +180,8 @@ class VibratingMasses(AbstractClassifier):
       period of 0), out of phase (within 1/8 of 1/2) or in between.
     - `window`: at least a period, 2 pi; `tolerance`; `agree`; `calm`, infinite to end no run
       early.
+    - `above`: the amplitude above which a mass or cell vibrates; None for |v_d|/2 of a `Chain`,
+      which other models do not have.  `component`: the number of a cell that is observed.
 
     **Value:** `Settled`.
 
@@ -199,6 +207,8 @@ class VibratingMasses(AbstractClassifier):
     tolerance: Float[Array, ""] = eqx.field(converter=named("tolerance"), default=1e-3)
     agree: Float[Array, ""] = eqx.field(converter=named("agree"), default=3)
     calm: Float[Array, ""] = eqx.field(converter=named("calm"), default=3)
+    above: Float[Array, ""] | None = eqx.field(converter=_optional("above"), default=None)
+    component: int = eqx.field(static=True, default=0)
 
     def __check_init__(self) -> None:
         check_one_of("by", self.by, ("count", "masses", "ring"))
@@ -211,6 +221,9 @@ class VibratingMasses(AbstractClassifier):
                 f"Argument `calm` must be a number of windows, but is {shown(self.calm)}: 3 are "
                 "usual."
             )
+        if self.above is not None:
+            check_positive_number("above", self.above, "it is an amplitude.")
+        check_whole("component", self.component, 0, remedy="0 is the first number of a cell.")
 
     @property
     def least_time(self) -> float:
@@ -221,8 +234,9 @@ class VibratingMasses(AbstractClassifier):
 
     def init(self, field: AbstractField, t0: ScalarLike, t1: ScalarLike, y0: State) -> _Looking:
         del t1
-        x, _ = y0
-        as_chain(field, remedy="only its masses have a belt that they can stick to.")
+        x = field.value_and_rate(t0, y0, self.component)[0]
+        if self.above is None:
+            as_chain(field, remedy="for other models give `above` to `VibratingMasses`.")
         none = jnp.zeros((), int)
         return _Looking(
             x, x, jnp.asarray(t0 + self.window, float), jnp.full_like(x, jnp.nan),
@@ -232,14 +246,15 @@ class VibratingMasses(AbstractClassifier):
         )  # fmt: skip
 
     def update(self, accumulator: _Looking, step: Step) -> _Looking:
-        now, end = accumulator, step.y1[0]
+        now, step = accumulator, step.of(self.component)
+        end = step.y1[self.component]
         turns, theta = step.turning_points()
         extreme = jnp.where(turns, step.displacement(theta), end)
         low = jnp.minimum(now.low, jnp.minimum(extreme, end))
         high = jnp.maximum(now.high, jnp.maximum(extreme, end))
         now = eqx.tree_at(lambda a: (a.low, a.high), now, (low, high))
         if now.peaks is not None:
-            peak = turns & (step.y0[1] > 0)
+            peak = turns & (step.at_ends()[0][1] > 0)
             latest = jnp.where(peak, step.time(theta), now.peaks[0])
             before = jnp.where(peak, now.peaks[0], now.peaks[1])
             now = eqx.tree_at(lambda a: a.peaks, now, jnp.stack([latest, before]))
@@ -253,15 +268,15 @@ class VibratingMasses(AbstractClassifier):
         """Updates the state at the end of a window."""
         field: Any = step.field
         amplitude = (now.high - now.low) / 2
-        speed = jnp.abs(field.belt_speed)
-        above = amplitude > active_above(speed)
+        size = jnp.abs(field.belt_speed) if self.above is None else self.above
+        above = amplitude > (active_above(size) if self.above is None else size)
         quiet = jnp.where(above, 0, now.quiet + 1)
         # The amplitude of a beating mass falls below the threshold for a window at a time.
         vibrates = (quiet <= self.agree) & jnp.any(above)
         code = self._code(now, vibrates, field)
         same = jnp.all(code == now.code)
         steady = jnp.abs(amplitude - now.last) <= self.tolerance * amplitude
-        rest = jnp.all(amplitude <= _AT_REST * speed)
+        rest = jnp.all(amplitude <= _AT_REST * size)
         dies = (jnp.sum(amplitude**2) < jnp.sum(now.last**2)) | rest
         # Phases still drift long after amplitudes are steady.
         even = jnp.all(above & steady) & (not self.phases)
@@ -269,8 +284,8 @@ class VibratingMasses(AbstractClassifier):
         # The first window decides nothing: it contains the transient.
         started = now.ends - self.window
         return _Looking(
-            low=step.y1[0],
-            high=step.y1[0],
+            low=step.y1[self.component],
+            high=step.y1[self.component],
             ends=now.ends + self.window,
             last=amplitude,
             code=code,
@@ -282,16 +297,17 @@ class VibratingMasses(AbstractClassifier):
             peaks=now.peaks,
         )
 
-    def _code(self, now: _Looking, vibrates: Array, chain: Chain) -> Array:
+    def _code(self, now: _Looking, vibrates: Array, chain: Any) -> Array:
         """0: quiet, 1: vibrates; with phases plus 2, 4 or 6 for the delay to the previous mass."""
         code = vibrates.astype(int)
-        if now.peaks is None or chain.n == 1:
+        n = vibrates.shape[0]
+        if now.peaks is None or n == 1:
             return code
         latest, before = now.peaks
         share = ((latest - jnp.roll(latest, 1)) / (latest - before)) % 1.0
         beside = vibrates & jnp.roll(vibrates, 1)
         if chain.ends != "cyclic":
-            beside = beside & (jnp.arange(chain.n) > 0)
+            beside = beside & (jnp.arange(n) > 0)
         phase = jnp.where(jnp.abs(share - 0.5) < 0.125, 1, 2)
         phase = jnp.where(jnp.abs(share - 0.5) > 0.375, 0, phase)
         return code + jnp.where(beside, 2 * (phase + 1), 0)
@@ -310,16 +326,16 @@ class VibratingMasses(AbstractClassifier):
         return Settled(now.code, vibrates, (now.same >= self.agree) & alive, now.since)
 
     def label(self, value: Settled, chain: Any) -> dict[str, Variable]:
-        del chain
-        return {
+        variables = {
             "state": Variable(value.code, ("oscillator",), "1", "0: quiet, else vibrates"),
             "decided": Variable(value.decided, (), "1", "whether the state is settled"),
             "settling_time": Variable(
                 value.since, (), "1 / omega_n", "time from which the same masses vibrate"
             ),
         }
+        return renamed(variables, chain, 0)
 
-    def merge(self, codes: Int[np.ndarray, "runs m"], chain: Chain) -> Int[np.ndarray, "runs k"]:
+    def merge(self, codes: Int[np.ndarray, "runs m"], chain: Any) -> Int[np.ndarray, "runs k"]:
         if self.by == "count":
             pairs = [np.sum(codes // 2 == kind + 1, axis=1) for kind in range(len(_PHASES))]
             counts = [np.sum(codes > 0, axis=1), *(pairs if self.phases else [])]
@@ -330,11 +346,11 @@ class VibratingMasses(AbstractClassifier):
             return np.array([_canonical(code, chain) for code in different])[places.ravel()]
         return codes
 
-    def name(self, code: Int[np.ndarray, " k"], chain: Chain) -> str:
+    def name(self, code: Int[np.ndarray, " k"], chain: Any) -> str:
         count = self.numbers(code, chain)["vibrating"]
         if count == 0:
-            return "sliding"
-        if chain.n == 1:
+            return "sliding" if isinstance(chain, Chain) else "quiet"
+        if isinstance(chain, Chain) and chain.n == 1:
             return "vibrating"
         verb = "vibrates" if count == 1 else "vibrate"
         if self.by == "count":
@@ -349,12 +365,12 @@ class VibratingMasses(AbstractClassifier):
                 who.append(f"{mass + 1}{phase}")
         return f"{', '.join(who)} {verb}"
 
-    def numbers(self, code: Int[np.ndarray, " k"], chain: Chain) -> Mapping[str, int]:
+    def numbers(self, code: Int[np.ndarray, " k"], chain: Any) -> Mapping[str, int]:
         del chain
         return {"vibrating": int(code[0] if self.by == "count" else np.sum(code > 0))}
 
 
-def _check_alike(chain: Chain) -> None:
+def _check_alike(chain: Any) -> None:
     """Raises unless the chain is invariant under rotation, or reflection with free ends."""
     for name, value in chain.numbers().items():
         if value is not None and np.ndim(value) > 0 and np.ptp(np.asarray(value)) > 0:
@@ -364,7 +380,7 @@ def _check_alike(chain: Chain) -> None:
             )
 
 
-def _canonical(code: np.ndarray, chain: Chain) -> np.ndarray:
+def _canonical(code: np.ndarray, chain: Any) -> np.ndarray:
     """The lexicographically greatest image of a code under the chain's symmetries."""
     vibrates, phase = np.minimum(code, 1), code // 2
     # The phase of a pair is stored at its second mass, which is the first one after reflection.

@@ -1,4 +1,7 @@
-"""Edge states: motions that stay on the boundary between two basins."""
+"""Edge states: motions that stay on the boundary between two basins.
+
+Of a `Chain` a side is known by the masses that vibrate; of any model by a classifier.
+"""
 
 from __future__ import annotations
 
@@ -13,23 +16,26 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from .._checks import check_positive_number, is_traced, shown, to_float
+from .._checks import check_kind, check_positive_number, is_traced, shown, to_float
 from .._final import final
 from .._types import State
-from ..cycles.floquet import LimitCycle, can_be_cycle
+from ..cycles.floquet import LimitCycle, can_be_cycle, check_force
 from ..cycles.limit_cycle import find_limit_cycle
 from ..model.arguments import as_chain, as_state
+from ..model.cells import AbstractField
 from ..model.chain import Chain
 from ..observers.amplitude import Amplitude
 from ..observers.quantities import active
+from ..observers.samples import Samples
 from ..observers.section import Section
 from ..observers.stick_time import StickTime
 from ..result import Outcome, SearchResult, ended_well
 from ..simulation.accuracy import MAX_STEP, check_resolved, check_tolerances, custom_solver
 from ..simulation.run import MOST_SEGMENTS, simulate
+from .classifiers import AbstractClassifier
 
 # Two states, stacked: on the quiet side, on the other.
-Pair: TypeAlias = tuple[Float[Array, "2 n"], Float[Array, "2 n"]]
+Pair: TypeAlias = tuple[Float[Array, "2 n"], ...]
 SETTLE, CUT, TRACK, CHECK, DONE = range(5)
 # Windows of the first block, and how much ranges of amplitudes may differ from block to block once
 # a start has settled: shares of the distance between the two states and of the ranges themselves,
@@ -56,6 +62,7 @@ class Tracking(eqx.Module):
     tolerance: Float[Array, ""]
     rtol: float = eqx.field(static=True)  # a Python number: it sets the order of the series
     solver: Any
+    classify: AbstractClassifier | None = None
 
 
 class EdgeSearch(eqx.Module):
@@ -63,17 +70,17 @@ class EdgeSearch(eqx.Module):
 
     stage: Int[Array, ""]
     final: Bool[Array, ""]  # no more tracking: the next cut is the last
-    x: Float[Array, "2 n"]  # the ends of the bracket
-    v: Float[Array, "2 n"]
+    ends: Pair  # of the bracket
     runs: Pair  # the present states of the two runs
     count: Int[Array, ""]  # windows since the runs began
     low: Float[Array, "2 n"]  # least and greatest amplitude of a block of windows
     high: Float[Array, "2 n"]
     last_low: Float[Array, "2 n"]  # of the block before
     last_high: Float[Array, "2 n"]
-    vibrates: Bool[Array, "2 n"]  # in the states on which the starts settle
-    sides: Bool[Array, "2 n"]  # which masses vibrate on both sides, as last decided
-    pattern: Bool[Array, "2 n"]  # and in the two runs
+    # Which masses vibrate, or the states as a classifier codes them, of shape (2, k):
+    vibrates: Array  # where the starts settle
+    sides: Array  # on both sides, as last decided
+    pattern: Array  # and in the two runs
     agree: Int[Array, " 2"]  # successive windows with the same decision
     widened: Int[Array, ""]
     tracked: Int[Array, ""]  # windows
@@ -82,6 +89,7 @@ class EdgeSearch(eqx.Module):
     sharp: Float[Array, " n"]  # the last amplitude of a narrow bracket
     repeats: Int[Array, ""]
     result: SearchResult
+    size: Float[Array, ""] | None = None  # the distance of the starts, with a classifier
 
     @property
     def settled(self) -> Bool[Array, ""]:
@@ -91,7 +99,7 @@ class EdgeSearch(eqx.Module):
     @property
     def distance(self) -> Float[Array, ""]:
         """Between the ends, in displacement and velocity together."""
-        return gap((self.x, self.v))
+        return gap(self.ends)
 
 
 def gap(pair: Pair) -> Float[Array, ""]:
@@ -99,28 +107,57 @@ def gap(pair: Pair) -> Float[Array, ""]:
     return jnp.sqrt(sum(jnp.sum((part[1] - part[0]) ** 2) for part in pair))
 
 
-def track(chain: Chain, quiet: State, vibrating: State, how: Tracking) -> EdgeSearch:
+def track(chain: Any, quiet: State, vibrating: State, how: Tracking) -> EdgeSearch:
     """The bracket of the edge between two starts, after tracking."""
-    x, v = (jnp.stack(parts) for parts in zip(quiet, vibrating, strict=True))
-    n = x.shape[1]
+    pair = tuple(jnp.stack(parts) for parts in zip(quiet, vibrating, strict=True))
+    n = pair[0].shape[1]
     zero, blank = jnp.zeros((), int), jnp.full((2, n), jnp.nan, float)
     no_mass = jnp.zeros((2, n), bool)
+    if how.classify is not None:
+        ends_in = eqx.filter_eval_shape(lambda y: _ends_in(chain, y, how)[0], quiet)
+        no_mass = jnp.zeros((2, *ends_in.shape), ends_in.dtype)
     first = EdgeSearch(
-        stage=zero + SETTLE, final=jnp.asarray(False), x=x, v=v, runs=(x, v), count=zero,
+        stage=zero + SETTLE, final=jnp.asarray(False), ends=pair, runs=pair, count=zero,
         low=blank, high=blank, last_low=blank, last_high=blank, vibrates=no_mass, sides=no_mass,
         pattern=no_mass, agree=jnp.zeros(2, int), widened=zero, tracked=zero,
         amplitudes=jnp.full((how.windows, n), jnp.nan, float),
         distances=jnp.full(how.windows, jnp.nan, float), sharp=blank[0], repeats=zero,
-        result=_well(),
+        result=_well(), size=None if how.classify is None else gap(pair),
     )  # fmt: skip
+
+    watch = (Amplitude(), StickTime()) if how.classify is None else (Amplitude(),)
 
     def advance(start: State) -> tuple[State, Array, Array, Array]:
         run = simulate(
-            chain, start, how.window, observe=(Amplitude(), StickTime()), solver=how.solver,
+            chain, start, how.window, observe=watch, solver=how.solver,
             rtol=how.rtol, adjoint=dfx.ForwardMode(), throw=False,
         )  # fmt: skip
-        amplitude, held = run.observed
-        return run.state, amplitude, held > 0, ended_well(run.result)
+        amplitude, *held = run.observed
+        sticks = held[0] > 0 if held else jnp.zeros(n, bool)
+        return run.state, amplitude, sticks, ended_well(run.result)
+
+    def classified(now: EdgeSearch) -> EdgeSearch:
+        """The same by the states in which whole runs end; only tracking goes by windows."""
+
+        def follow() -> tuple[Pair, Array, Array, Array]:
+            runs, amplitude, _, well = jax.vmap(advance)(now.runs)
+            return runs, amplitude, now.pattern, well
+
+        def decide() -> tuple[Pair, Array, Array, Array]:
+            codes, decided = jax.vmap(lambda y: _ends_in(chain, y, how))(now.runs)
+            return now.runs, blank, codes, decided
+
+        runs, amplitude, codes, well = lax.cond(now.stage == TRACK, follow, decide)
+        late = ~jnp.all(well) & (now.stage != TRACK)
+        count = jnp.where(late, jnp.ceil(how.patience).astype(int), now.count + 1)
+        now = replace(now, runs=runs, count=count, pattern=codes)
+        now = replace(now, agree=jnp.where(well, _AGREE, 0))
+        settled = replace(_begin_cut(now), vibrates=codes, sides=codes)
+        settled = _failed(settled, ~jnp.all(well), SearchResult.undecided)
+        settled = _failed(settled, jnp.all(codes[0] == codes[1]), SearchResult.same_state)
+        stages = [settled, _cut(now, how), _track(now, amplitude, how), _check(now, how)]
+        new = jax.tree.map(lambda *values: lax.select_n(now.stage, *values), *stages)
+        return _failed(new, (now.stage == TRACK) & ~jnp.all(well), SearchResult.nonfinite)
 
     def window(now: EdgeSearch) -> EdgeSearch:
         runs, amplitude, sticks, well = jax.vmap(advance)(now.runs)
@@ -134,7 +171,20 @@ def track(chain: Chain, quiet: State, vibrating: State, how: Tracking) -> EdgeSe
         new = jax.tree.map(lambda *values: lax.select_n(now.stage, *values), *stages)
         return _failed(new, ~jnp.all(well), SearchResult.nonfinite)
 
-    return lax.while_loop(lambda now: now.stage != DONE, window, first)
+    turn = window if how.classify is None else classified
+    return lax.while_loop(lambda now: now.stage != DONE, turn, first)
+
+
+def _ends_in(chain: Any, start: State, how: Tracking) -> tuple[Array, Array]:
+    """(the code of the state in which a run ends, whether it is decided)."""
+    classify: Any = how.classify
+    run = simulate(
+        chain, start, how.patience * how.window, observe=classify, solver=how.solver,
+        rtol=how.rtol, adjoint=dfx.ForwardMode(), throw=False,
+    )  # fmt: skip
+    found = classify.label(run.observed, chain)
+    decided = jnp.asarray(found["decided"].values) != 0
+    return jnp.ravel(found["state"].values), decided & ended_well(run.result)
 
 
 def _well() -> SearchResult:
@@ -205,11 +255,13 @@ def _begin(now: EdgeSearch, stage: int, runs: Pair) -> EdgeSearch:
 
 
 def _begin_cut(now: EdgeSearch) -> EdgeSearch:
-    return _begin(now, CUT, (_thirds(now.x), _thirds(now.v)))
+    return _begin(now, CUT, tuple(map(_thirds, now.ends)))
 
 
 def _scale(now: EdgeSearch) -> Array:
     """The greatest amplitude of the masses in question."""
+    if now.size is not None:
+        return now.size
     differs = now.vibrates[0] != now.vibrates[1]
     return jnp.max(jnp.where(differs, jnp.max(now.last_high, axis=0), 0.0))
 
@@ -256,20 +308,19 @@ def _decided(now: EdgeSearch) -> tuple[Bool[Array, " 2"], Bool[Array, " 2"]]:
 
 def _narrowed(now: EdgeSearch, side: int, third: int) -> EdgeSearch:
     """The end on one side moved to a third of the bracket."""
-    x = now.x.at[side].set(_thirds(now.x)[third])
-    v = now.v.at[side].set(_thirds(now.v)[third])
-    return replace(now, x=x, v=v, sides=now.sides.at[side].set(now.pattern[third]))
+    ends = tuple(part.at[side].set(_thirds(part)[third]) for part in now.ends)
+    return replace(now, ends=ends, sides=now.sides.at[side].set(now.pattern[third]))
 
 
 def _cut(now: EdgeSearch, how: Tracking) -> EdgeSearch:
     """Moves one end as soon as the runs are decided."""
     decided, quiet = _decided(now)
     below, beyond = decided & quiet, decided & ~quiet
-    middle = replace(now, x=_thirds(now.x), v=_thirds(now.v), sides=now.pattern)
+    middle = replace(now, ends=tuple(map(_thirds, now.ends)), sides=now.pattern)
     cut = _either(below[1], _narrowed(now, 0, 1), _either(beyond[0], _narrowed(now, 1, 0), middle))
     done = below[1] | beyond[0] | (below[0] & beyond[1])
     narrow = cut.distance <= how.near * _scale(now)
-    follow = _begin(cut, TRACK, (cut.x, cut.v))
+    follow = _begin(cut, TRACK, cut.ends)
     follow = replace(follow, stage=jnp.where(now.final, DONE, TRACK))
     new = _either(done, _either(narrow, follow, _begin_cut(cut)), now)
     return _failed(new, ~done & (now.count >= how.patience), SearchResult.undecided)
@@ -291,9 +342,8 @@ def _track(now: EdgeSearch, amplitude: Array, how: Tracking) -> EdgeSearch:
     )
     final = new.settled | (new.tracked >= how.windows)
     over = final | (distance > how.far * scale)
-    x, v = now.runs
-    left = replace(new, x=x, v=v, final=final, widened=jnp.zeros((), int))
-    return _either(over, _begin(left, CHECK, (x, v)), new)
+    left = replace(new, ends=now.runs, final=final, widened=jnp.zeros((), int))
+    return _either(over, _begin(left, CHECK, now.runs), new)
 
 
 def _check(now: EdgeSearch, how: Tracking) -> EdgeSearch:
@@ -308,9 +358,9 @@ def _check(now: EdgeSearch, how: Tracking) -> EdgeSearch:
         sorted_ = jnp.where(quiet[0], part, part[::-1])
         return jnp.where(same, jnp.where(quiet[0], up, down), sorted_)
 
-    x, v = moved(now.x), moved(now.v)
-    good = replace(now, x=x, v=v, sides=jnp.where(quiet[0], now.pattern, now.pattern[::-1]))
-    again = replace(_begin(now, CHECK, (x, v)), x=x, v=v, widened=now.widened + 1)
+    ends = tuple(map(moved, now.ends))
+    good = replace(now, ends=ends, sides=jnp.where(quiet[0], now.pattern, now.pattern[::-1]))
+    again = replace(_begin(now, CHECK, ends), ends=ends, widened=now.widened + 1)
     new = _either(both, _either(same, again, _begin_cut(good)), now)
     new = _failed(new, both & (new.widened > _MOST_WIDER), SearchResult.edge_lost)
     return _failed(new, ~both & (now.count >= how.patience), SearchResult.undecided)
@@ -327,13 +377,15 @@ RTOL = 1e-11
 class EdgeState(Outcome):
     """The motion on the edge between two basins.
 
-    - `state`: (x, v) on the edge at the end; `below` and `above`: the ends of the bracket, on the
-      quiet and on the vibrating side; `distance`: between these, sqrt(|dx|^2 + |dv|^2).  Runs from
-      the two ends go to both sides if their `rtol` is at most that of the search.
+    - `state`: (x, v), or all m arrays of other cells, on the edge at the end; `below` and `above`:
+      the ends of the bracket, on the quiet and on the vibrating side; `distance`: between these,
+      sqrt(|dx|^2 + |dv|^2).  Runs from the two ends go to both sides if their `rtol` is at most
+      that of the search.
     - `amplitude`: half peak-to-peak of each mass over three further windows, shape (n,).
     - `period`: of a periodic motion, NaN otherwise; `gap`: the least distance, relative to the
       size of the orbit, at which the motion returns within these windows.
-    - `vibrates`: the masses that continue to vibrate from below and from above, shape (2, n).
+    - `vibrates`: the masses that continue to vibrate from below and from above, shape (2, n); with
+      `classify` the codes of both states, shape (2, k).
     - `mass`: the mass (from 0) in which the two sides differ most.
     - `times`, `amplitudes`, `distances`: ends of the windows of the tracking, shape (windows,),
       the amplitude of each mass in them, (windows, n), averaged over both ends of the bracket, and
@@ -346,7 +398,7 @@ class EdgeState(Outcome):
     See `edge_state` for an example.
     """
 
-    chain: Chain
+    chain: AbstractField
     state: State
     below: State
     above: State
@@ -354,7 +406,7 @@ class EdgeState(Outcome):
     amplitude: Float[Array, " n"]
     period: Float[Array, ""]
     gap: Float[Array, ""]
-    vibrates: Bool[Array, "2 n"]
+    vibrates: Array
     mass: Int[Array, ""]
     times: Float[Array, " windows"]
     amplitudes: Float[Array, "windows n"]
@@ -382,10 +434,11 @@ class EdgeState(Outcome):
 
 
 def edge_state(
-    chain: Chain,
+    chain: AbstractField,
     quiet: Any,
     vibrating: Any,
     *,
+    classify: Any = None,
     time: Any = 1000.0,
     window: Any = 20.0,
     patience: Any = 20000.0,
@@ -411,12 +464,18 @@ def edge_state(
 
     **Arguments:** (dimensionless)
 
-    - `chain`: a `Chain`, with dry friction or smoothed.
+    - `chain`: a `Chain`, with dry friction or smoothed; `AbstractOscillators` or `AbstractCells`
+      with `classify`.
     - `quiet`, `vibrating`: (x, v), both of shape (n,), from which different masses continue to
-      vibrate.
+      vibrate; of other cells m arrays.
+    - `classify`: an `AbstractClassifier`, whose `state` at the end of a run says to which side it
+      belongs, any state but that from `quiet` to the other.  Runs take `patience` unless its
+      `settled` ends them, and must be `decided`; A is the distance of the two starts.
     - `time`: the greatest time for which the edge is followed; the search ends as soon as the
       amplitudes of five windows (of a narrow bracket) agree within `tolerance` A.  `window`: at
-      least a period, 2 pi for the paper's masses.  Both are Python numbers.
+      least a period, 2 pi for the paper's masses; of forced cells rounded up to a multiple of the
+      period of the force.  Within it the two ends must separate by less than `far` / `near`.
+      Both are Python numbers.
     - `patience`: the time after which a run must be decided.
     - `near`, `far`: see above.
     - `rtol`, `solver`: as for `simulate`; a small `near` needs a small `rtol`.
@@ -451,8 +510,18 @@ def edge_state(
         >>> bool(abs(edge.amplitude[0] - exact.amplitude[0]) < 1e-6), bool(edge.periodic)
         (True, True)
     """
-    as_chain(chain)
+    if classify is None:
+        as_chain(chain, remedy="give `classify` for other models.")
+    else:
+        as_chain(chain, AbstractField)
+        check_kind("classify", classify, AbstractClassifier, "None or an `AbstractClassifier`")
     quiet, vibrating = as_state(chain, quiet, "quiet"), as_state(chain, vibrating, "vibrating")
+    check_force(chain, quiet)
+    if len(quiet) != len(vibrating) or quiet[0].shape != vibrating[0].shape:
+        raise ValueError(
+            "Arguments `quiet` and `vibrating` must have the same shapes, but have "
+            f"{[p.shape for p in quiet]} and {[p.shape for p in vibrating]}."
+        )
     check_positive_number("window", window, "20, some three periods, is usual.")
     check_positive_number("time", time, "1000 is usual.")
     check_positive_number("patience", patience, "20000 is usual.")
@@ -471,20 +540,28 @@ def edge_state(
         )
     check_tolerances(rtol, None, MAX_STEP)
     solver = custom_solver(chain, solver)
-    if not chain.dry:
+    if isinstance(chain, Chain) and not chain.dry:
         check_resolved(chain.n, chain.width, chain.belt_speed, rtol, None)
-    windows = _count(time, window)
+    length, forced = to_float(window), _forced(chain)
+    if forced is not None:
+        length = jnp.ceil(length / forced) * forced  # every run starts at the phase 0 of the force
+    windows = _count(time, window if is_traced(length) else float(length))
     how = Tracking(
         windows=windows,
-        window=to_float(window),
-        patience=to_float(patience) / to_float(window),
+        window=length,
+        patience=to_float(patience) / length,
         near=to_float(near),
         far=to_float(far),
         tolerance=to_float(tolerance),
         rtol=float(rtol),
         solver=solver,
+        classify=classify,
     )
     return _edge(chain, quiet, vibrating, how)
+
+
+def _forced(chain: AbstractField) -> Any:
+    return None if isinstance(chain, Chain) else chain.forcing_period()
 
 
 def _count(time: Any, window: Any) -> int:
@@ -499,7 +576,7 @@ def _count(time: Any, window: Any) -> int:
 
 
 @eqx.filter_jit
-def _edge(chain: Chain, quiet: State, vibrating: State, how: Tracking) -> EdgeState:
+def _edge(chain: AbstractField, quiet: State, vibrating: State, how: Tracking) -> EdgeState:
     frozen, quiet, vibrating = eqxi.nondifferentiable(
         (chain, quiet, vibrating),
         msg="`edge_state` has no derivatives: find the edge state outside the differentiated "
@@ -507,17 +584,22 @@ def _edge(chain: Chain, quiet: State, vibrating: State, how: Tracking) -> EdgeSt
         "edge.period))`, which has them.",
     )
     bracket = track(frozen, quiet, vibrating, how)
-    below, above = ((bracket.x[side], bracket.v[side]) for side in (0, 1))
-    state = 0.5 * (below[0] + above[0]), 0.5 * (below[1] + above[1])
-    difference = bracket.last_high[1] - bracket.last_high[0]
-    differs = bracket.vibrates[0] != bracket.vibrates[1]
-    mass = jnp.argmax(jnp.where(differs, jnp.abs(difference), -1.0))
+    below, above = (tuple(part[side] for part in bracket.ends) for side in (0, 1))
+    state = tuple(0.5 * (low + high) for low, high in zip(below, above, strict=True))
+    if how.classify is None:
+        difference = bracket.last_high[1] - bracket.last_high[0]
+        differs = bracket.vibrates[0] != bracket.vibrates[1]
+        mass = jnp.argmax(jnp.where(differs, jnp.abs(difference), -1.0))
+    else:
+        apart = [(a - b) ** 2 for a, b in zip(vibrating, quiet, strict=True)]
+        mass = jnp.argmax(sum(apart))
     amplitude, period, missing, well = _last(frozen, state, mass, how)
     result = SearchResult.where(
         (bracket.result == SearchResult.successful) & ~well, SearchResult.nonfinite, bracket.result
     )
-    close = (result == SearchResult.successful) & ~is_between(bracket, amplitude)
-    result = SearchResult.where(close, SearchResult.too_close, result)
+    if how.classify is None:
+        close = (result == SearchResult.successful) & ~is_between(bracket, amplitude)
+        result = SearchResult.where(close, SearchResult.too_close, result)
     followed = result == SearchResult.successful
     other = jnp.any(bracket.sides != bracket.vibrates)
     late = SearchResult.where(bracket.settled, result, SearchResult.not_settled)
@@ -546,28 +628,30 @@ def _edge(chain: Chain, quiet: State, vibrating: State, how: Tracking) -> EdgeSt
 
 
 def _last(
-    chain: Chain, state: State, mass: Array, how: Tracking
+    chain: AbstractField, state: State, mass: Array, how: Tracking
 ) -> tuple[Array, Array, Array, Array]:
     """(amplitudes, period, closing error, whether the runs succeeded).
 
     The run starts from the middle of the bracket.  The first turning point of the mass in question
-    is compared with later ones.
+    is compared with later ones; of forced cells the first state with those after whole periods.
     """
+    forced = _forced(chain)
+    section = Section(mass, _RETURNS) if forced is None else Samples(forced, _RETURNS)
     run = simulate(
         chain,
         state,
         _LAST * how.window,
-        observe=(Amplitude(), Section(mass, _RETURNS)),
+        observe=(Amplitude(), section),
         solver=how.solver,
         rtol=how.rtol,
         throw=False,
     )
-    amplitude, (times, x, v) = run.observed
+    amplitude, (times, *parts) = run.observed
     size = jnp.sqrt(jnp.sum(amplitude**2))
-    away = jnp.sqrt(jnp.sum((x - x[:1]) ** 2 + (v - v[:1]) ** 2, axis=1)) / size
+    away = jnp.sqrt(jnp.sum(sum((part - part[:1]) ** 2 for part in parts), axis=1)) / size
     away = jnp.where(jnp.isnan(away).at[0].set(True), jnp.inf, away)
     closes = jnp.argmax(away <= _CLOSED)  # the first return, 0 for none
     period = times[closes] - times[0]
-    closed = (closes > 0) & can_be_cycle(chain, period, jnp.abs(state[1]))
+    closed = (closes > 0) & can_be_cycle(chain, period, jnp.abs(state[-1]))
     period = jnp.where(closed, period, jnp.nan)
     return amplitude, period, jnp.min(away), ended_well(run.result)

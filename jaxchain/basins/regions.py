@@ -1,12 +1,14 @@
 """Regions of initial states, and their sampling.
 
 A region maps a point of the unit cube to a state.  So the same points give starts at every
-parameter, and a low-discrepancy sequence fills any region.
+parameter, and a low-discrepancy sequence fills any region.  `Box`, `Ball` and `Gaussian` need the
+steady sliding of a `Chain`; `Ranges` and `Sampler` make states of any model.
 """
 
 from __future__ import annotations
 
 import abc
+import math
 from collections.abc import Callable
 from typing import Any, Literal
 
@@ -31,9 +33,12 @@ from .._checks import (
 )
 from .._final import final
 from .._types import State
+from ..model.arguments import as_chain
+from ..model.cells import AbstractCells, AbstractField
 from ..model.chain import Chain, steady_sliding
 
 _EDGES = "give (low, high), as (-2, 2)."
+_STATE = "give m arrays of shape (n,), one for each number of a cell."
 _MASSES = "give None for all masses, or indices from 0, as (0, 1)."
 # The longest sequence of `scipy.stats.qmc.Sobol`: as many points of 64 bits.
 _BITS = 62
@@ -88,16 +93,17 @@ class AbstractRegion(eqx.Module):
     """
 
     @abc.abstractmethod
-    def dimension(self, chain: Chain) -> int:
+    def dimension(self, chain: AbstractField) -> int:
         """The dimension of the cube."""
 
     @abc.abstractmethod
-    def start(self, chain: Chain, point: Float[Array, " dimension"]) -> State:
-        """The state (x, v), both of shape (n,), of a point of the cube."""
+    def start(self, chain: AbstractField, point: Float[Array, " dimension"]) -> State:
+        """The state of a point of the cube: (x, v), both of shape (n,), or all m arrays."""
 
 
-def _pushed(masses: tuple[int, ...] | None, chain: Chain) -> tuple[int, ...]:
+def _pushed(masses: tuple[int, ...] | None, chain: Any) -> tuple[int, ...]:
     """The indices of the disturbed masses; `ValueError` for one that does not exist."""
+    as_chain(chain, remedy="`Ranges` and `Sampler` are regions of other models.")
     masses = tuple(range(chain.n)) if masses is None else masses
     for mass in masses:
         check_whole("masses", mass, 0, chain.n - 1, _MASSES)
@@ -157,10 +163,10 @@ class Box(AbstractRegion):
                 )
         _check_masses(self.masses)
 
-    def dimension(self, chain: Chain) -> int:
+    def dimension(self, chain: Any) -> int:
         return 2 * len(_pushed(self.masses, chain))
 
-    def start(self, chain: Chain, point: Float[Array, " dimension"]) -> State:
+    def start(self, chain: Any, point: Float[Array, " dimension"]) -> State:
         (a, b), (c, d) = self.displacement, self.velocity
         x, v = jnp.split(point, 2)
         at = jnp.asarray(_pushed(self.masses, chain))
@@ -192,10 +198,10 @@ class Ball(AbstractRegion):
         check_positive_number("radius", self.radius, "it is a distance, such as 1.")
         _check_masses(self.masses)
 
-    def dimension(self, chain: Chain) -> int:
+    def dimension(self, chain: Any) -> int:
         return 2 * len(_pushed(self.masses, chain)) + 1
 
-    def start(self, chain: Chain, point: Float[Array, " dimension"]) -> State:
+    def start(self, chain: Any, point: Float[Array, " dimension"]) -> State:
         # The direction of a normal vector is uniform.
         direction = _normal(point[:-1])
         length = self.radius * point[-1] ** (1.0 / direction.size)
@@ -231,20 +237,81 @@ class Gaussian(AbstractRegion):
             check_positive_number(name, getattr(self, name), "it is a standard deviation.")
         _check_masses(self.masses)
 
-    def dimension(self, chain: Chain) -> int:
+    def dimension(self, chain: Any) -> int:
         return 2 * len(_pushed(self.masses, chain))
 
-    def start(self, chain: Chain, point: Float[Array, " dimension"]) -> State:
+    def start(self, chain: Any, point: Float[Array, " dimension"]) -> State:
         x, v = jnp.split(_normal(point), 2)
         return _about_sliding(self.masses, chain, self.displacement * x, self.velocity * v)
+
+
+def _state(name: str) -> Callable[[Any], State]:
+    def convert(value: Any) -> State:
+        if not isinstance(value, tuple | list) or not value:
+            raise ValueError(f"Argument `{name}` must be a state, but is {shown(value)}: {_STATE}")
+        parts = tuple(as_array(name, part, 1, 1, _STATE) for part in value)
+        for part in parts:
+            check_finite(name, part, _STATE)
+        return parts
+
+    return convert
+
+
+@final
+class Ranges(AbstractRegion):
+    """Every number of every cell of any model between those of two states.
+
+    low <= y <= high, uniformly; a number with low = high is fixed.
+
+    **Arguments:** `low` and `high`, states: m arrays of shape (n,) each, (x, v) of masses.
+
+    **Raises:** `ValueError` for anything else, or unless low <= high everywhere and low < high
+    somewhere.
+
+    >>> import jax, jax.numpy as jnp
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> from jaxchain.basins import Ranges
+    >>> from jaxchain.model import Duffing
+    >>> wells = Duffing(force=0.0, frequency=1.0, damping=0.1, stiffness=-1.0, cubic=1.0)
+    >>> box = Ranges(([-2.0], [-1.0]), ([2.0], [1.0]))
+    >>> [part.tolist() for part in box.start(wells, jnp.array([0.25, 0.5]))]
+    [[-1.0], [0.0]]
+    """
+
+    low: State = eqx.field(converter=_state("low"))
+    high: State = eqx.field(converter=_state("high"))
+
+    def __check_init__(self) -> None:
+        shapes = [[part.shape for part in state] for state in (self.low, self.high)]
+        if shapes[0] != shapes[1] or len(set(shapes[0])) > 1:
+            raise ValueError(
+                f"Arguments `low` and `high` must hold arrays of one shape, but have the shapes "
+                f"{shapes[0]} and {shapes[1]}: {_STATE}"
+            )
+        low, high = jnp.stack(self.low), jnp.stack(self.high)
+        if not is_traced(low, high) and not (jnp.all(low <= high) and jnp.any(low < high)):
+            raise ValueError(
+                f"Arguments `low` = {shown(low)} and `high` = {shown(high)} must have low <= high "
+                "everywhere and low < high somewhere."
+            )
+
+    def dimension(self, chain: AbstractField) -> int:
+        del chain
+        return sum(part.size for part in self.low)
+
+    def start(self, chain: AbstractField, point: Float[Array, " dimension"]) -> State:
+        del chain
+        shares = jnp.split(point, len(self.low))
+        ranges = zip(self.low, self.high, shares, strict=True)
+        return tuple(low + (high - low) * share for low, high, share in ranges)
 
 
 @final
 class Sampler(AbstractRegion):
     """Your own region: a function from the unit cube to states.
 
-    **Arguments:** `function`, (chain, point) -> (x, v), which JAX can trace; `points`, the number
-    of coordinates of a point, each in [0, 1).
+    **Arguments:** `function`, (chain, point) -> (x, v), or all m arrays of other cells, which JAX
+    can trace; `points`, the number of coordinates of a point, each in [0, 1).
 
     >>> import jax, jax.numpy as jnp
     >>> jax.config.update("jax_enable_x64", True)
@@ -258,32 +325,37 @@ class Sampler(AbstractRegion):
     [0.5, 0.5]
     """
 
-    function: Callable[[Chain, Array], State] = eqx.field(static=True)
+    function: Callable[[Any, Array], State] = eqx.field(static=True)
     points: int = eqx.field(static=True)
 
     def __check_init__(self) -> None:
         check_function("function", self.function, "(chain, point) -> (x, v)", 2)
         check_whole("points", self.points, remedy="it is the length of a point.")
 
-    def dimension(self, chain: Chain) -> int:
+    def dimension(self, chain: AbstractField) -> int:
         del chain
         return self.points
 
-    def start(self, chain: Chain, point: Float[Array, " dimension"]) -> Any:
+    def start(self, chain: AbstractField, point: Float[Array, " dimension"]) -> Any:
         return self.function(chain, point)
 
 
-def check_region(region: Any, chain: Chain) -> None:
-    """Raises `ValueError` unless it is a region of states of this chain."""
-    kinds = "a `Box`, `Ball`, `Gaussian` or `Sampler`"
+def check_region(region: Any, chain: Any) -> int:
+    """The number of cells, or `ValueError` unless it is a region of states of this chain."""
+    kinds = "a `Box`, `Ball`, `Gaussian`, `Ranges` or `Sampler`"
     check_kind("region", region, AbstractRegion, kinds, "`Box()` is that of the literature.")
     state: Any = eqx.filter_eval_shape(region.start, chain, jnp.zeros(region.dimension(chain)))
-    good = isinstance(state, tuple | list) and len(state) == 2
-    if not (good and all(part.shape in ((), (chain.n,)) for part in state)):
+    cells = isinstance(chain, AbstractCells)
+    shapes = [part.shape for part in state] if isinstance(state, tuple | list) else []
+    n = chain.n if isinstance(chain, Chain) else max(map(math.prod, shapes), default=1)
+    if not (shapes and (cells or len(shapes) == 2) and set(shapes) <= {(), (n,)}):
+        wanted = "tuples of arrays" if cells else "pairs (x, v)"
         raise ValueError(
-            f"Argument `region` must make pairs (x, v) of shape ({chain.n},), but makes "
-            f"{shown(state)}."
+            f"Argument `region` must make {wanted} of shape ({n},), but makes {shown(state)}."
         )
+    if isinstance(chain, AbstractCells):
+        chain.dependence((jnp.zeros(n),) * len(shapes))  # raises unless there are m numbers
+    return n
 
 
 class Points:

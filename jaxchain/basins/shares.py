@@ -34,7 +34,9 @@ from .._statistics import student_reach, wilson
 from .._types import ScalarLike, State
 from ..chaos.classification import verdicts
 from ..model.arguments import as_chain
-from ..model.chain import Chain
+from ..model.cells import AbstractField
+from ..model.oscillators import AbstractOscillators
+from ..observers.base import component_name
 from ..result import ended_well
 from ..sweeps.axes import Axes, check_axes, jobs, sizes
 from ..sweeps.lanes import RunStarts, with_numbers
@@ -61,7 +63,7 @@ class Batch(NamedTuple):
     since: Float[np.ndarray, "p r s"]
 
     @staticmethod
-    def read(data: Any, classify: AbstractClassifier, chain: Chain, shape: tuple) -> Batch:
+    def read(data: Any, classify: AbstractClassifier, chain: Any, shape: tuple) -> Batch:
         """From a dataset of `sweep`, whose last swept dimension is `start`."""
         lanes = data["result"].values
         codes = data["state"].values.reshape(lanes.size, -1)
@@ -101,7 +103,7 @@ def of_replicates(values: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray
 class Tally:
     """All runs so far; states are numbered in the order in which they were found."""
 
-    def __init__(self, classify: AbstractClassifier, chain: Chain):
+    def __init__(self, classify: AbstractClassifier, chain: AbstractField):
         self.classify, self.chain = classify, chain
         self.codes: list[np.ndarray] = []
         self._numbers: dict[bytes, int] = {}
@@ -186,7 +188,7 @@ class _From(eqx.Module):
 
     region: Any
 
-    def __call__(self, chain: Chain, point: Float[Array, " dimension"]) -> State:
+    def __call__(self, chain: AbstractField, point: Float[Array, " dimension"]) -> State:
         return self.region.start(chain, point)
 
 
@@ -194,10 +196,11 @@ class Runs:
     """The runs from points of a region, at every combination of the parameters."""
 
     def __init__(
-        self, chain: Chain, region: Any, over: Mapping[str, Any], classify: Any, t1: Any,
-        progress: bool, numerics: dict[str, Any],
+        self, chain: AbstractField, region: Any, n: int, over: Mapping[str, Any], classify: Any,
+        t1: Any, progress: bool, numerics: dict[str, Any],
     ):  # fmt: skip
         self.chain, self.over, self.classify, self.t1 = chain, over, classify, t1
+        self.n = n
         self.initial = _From(region)
         self.numerics: dict[str, Any] = {**numerics, "progress": progress}
         # Over the parameters, without a start.
@@ -254,18 +257,18 @@ class Runs:
 
     def starts(
         self, places: Int[np.ndarray, " runs"], points: Float[np.ndarray, "runs d"]
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """(x, v), both of shape (runs, n), from these points at the parameters of these places."""
+    ) -> tuple[np.ndarray, ...]:
+        """(x, v), or all m arrays of other cells, of shape (runs, n), from these points at the
+        parameters of these places."""
         values = {**self.at(places), "point": points}
         columns = {name: jnp.asarray(column) for name, column in values.items()}
-        starts = RunStarts(self.chain, self.initial, n=self.chain.n)
+        starts = RunStarts(self.chain, self.initial, n=self.n)
         made = starts_on(jax.local_devices()[0], starts, columns)
-        x, v = made.state
-        return np.asarray(x), np.asarray(v)
+        return tuple(np.asarray(part) for part in made.state)
 
 
 def verdicts_of(
-    runs: Runs, places: Int[np.ndarray, " runs"], x: np.ndarray, v: np.ndarray, progress: bool
+    runs: Runs, places: Int[np.ndarray, " runs"], state: tuple[np.ndarray, ...], progress: bool
 ) -> list[str]:
     """The verdicts on the motions from these starts, each at the parameters of its place."""
     words = [""] * len(places)
@@ -274,7 +277,7 @@ def verdicts_of(
         values = runs.at(np.array([place]))
         chain = with_numbers(runs.chain, {name: value[0] for name, value in values.items()})
         settings: dict[str, Any] = {"solver": runs.numerics.get("solver"), "progress": progress}
-        judged = verdicts(chain, (jnp.asarray(x[here]), jnp.asarray(v[here])), **settings)
+        judged = verdicts(chain, tuple(jnp.asarray(part[here]) for part in state), **settings)
         for number, one in zip(here, judged, strict=True):
             words[number] = one.verdict
     return words
@@ -358,9 +361,10 @@ def to_dataset(
     names = [classify.name(code, chain) for code in tally.codes] + [UNDECIDED, FAILED]
     first, settling = _of_states(state, tally.since, known_states + 2)
     places, states = np.nonzero(first >= 0)
-    x, v = (np.full((*first.shape, chain.n), np.nan) for _ in range(2))
-    at = points[first[places, states]]
-    x[places, states], v[places, states] = runs.starts(places, at)
+    started = runs.starts(places, points[first[places, states]])
+    starts = [np.full((*first.shape, runs.n), np.nan) for _ in started]
+    for part, values in zip(starts, started, strict=True):
+        part[places, states] = values
     dims, shape = tuple(runs.shape), tuple(runs.shape.values())
 
     def over(values: np.ndarray, *more: str, states: bool = True) -> tuple:
@@ -376,7 +380,8 @@ def to_dataset(
         "share_at_end": (end, "share of the starts in the state when their runs ended"),
         "settling_time": (settling, "median time from which nothing changed"),
     }
-    units = {"settling_time": "1 / omega_n"}
+    known = isinstance(chain, AbstractOscillators)
+    units = {"settling_time": "1 / omega_n" if known else "1"}
     variables: dict[str, Any] = {
         name: (*over(values, "state"), {"long_name": text, "units": units.get(name, "1")})
         for name, (values, text) in about_k.items()
@@ -385,15 +390,15 @@ def to_dataset(
         *over(tally.shares(state, known_states + 2), "replicate", "state"),
         {"long_name": "share in one sequence of starts", "units": "1"},
     )
-    for name, values, unit in (("displacement", x, "x0"), ("velocity", v, "x0 omega_n")):
+    for k, values in enumerate(starts):
+        unit = ("x0", "x0 omega_n")[k] if known else "1"
+        name = component_name(chain, k)
         attrs = {"long_name": f"{name} of a start that ends in the state", "units": unit}
         variables[f"start_{name}"] = (*over(values, "state", "oscillator"), attrs)
     if judge:
         words = np.full(first.shape, "", dtype="<U32")
         progress = runs.numerics["progress"]
-        words[places, states] = verdicts_of(
-            runs, places, x[places, states], v[places, states], progress
-        )
+        words[places, states] = verdicts_of(runs, places, started, progress)
         attrs = {"long_name": "verdict on the motion from that start", "units": "1"}
         variables["verdict"] = (*over(words, "state"), attrs)
     alone = {
@@ -408,7 +413,7 @@ def to_dataset(
     attrs = {"long_name": "state in which a run ends"}
     coords["state"] = ("state", np.array([names[k] for k in order]), attrs)
     masses = {"long_name": LONG_NAMES["oscillator"], "units": "1"}
-    coords["oscillator"] = ("oscillator", np.arange(1, chain.n + 1), masses)
+    coords["oscillator"] = ("oscillator", np.arange(1, runs.n + 1), masses)
     for name in numbers[0] if numbers else ():
         column = [numbers[k][name] if k < known_states else np.nan for k in order]
         attrs = {"long_name": f"{name}, as the classifier says of the state", "units": "1"}
@@ -463,14 +468,15 @@ def basin_shares(
 
     **Arguments:**
 
-    - `chain`: a `Chain`, best with dry friction (`width=None`): a width changes the shares.
-    - `region`: a `Box`, `Ball`, `Gaussian` or `Sampler`.
+    - `chain`: a `Chain`, best with dry friction (`width=None`): a width changes the shares.  Or
+      `AbstractOscillators` or `AbstractCells`, with `classify`; forced ones start at t = 0.
+    - `region`: a `Box`, `Ball` or `Gaussian` of a `Chain`; a `Ranges` or `Sampler` of any model.
     - `over`: as for `sweep`, numbers of the chain such as `{"belt_speed": [1.2, 1.5]}`; all use
       the same starts.
     - `half_width`: starts are added until every 95 % bar is at most this half-width, or until
       there are `most` starts at every parameter.
     - `classify`: the definition of a state, an `AbstractClassifier`; by default
-      `VibratingMasses()`, the number of vibrating masses.
+      `VibratingMasses()`, the number of vibrating masses, which needs a `Chain` or its `above`.
     - `t1`: the time at which the state is determined.  Decided runs end earlier; a run whose state
       still changes at `t1` is "undecided", which has a share like the others.
     - `points`: "sobol" (scrambled) or "random"; `replicates`: the number of independent sequences;
@@ -495,7 +501,8 @@ def basin_shares(
     - `undecided`: also a separate variable; `misclassified`: sum_kl share_k e(k, l);
       `changed_later`: the share of starts that are in another state at 4 `t1`.
     - `settling_time`: the median time after which the state did not change; NaN without starts.
-    - `start_displacement`, `start_velocity` (..., oscillator): a start that ends in this state.
+    - `start_displacement`, `start_velocity` (..., oscillator): a start that ends in this state;
+      of cells `start_<component>` for each of their numbers.
     - `verdict`, with `judge`: for that start, see `jaxchain.chaos.Verdict`.
     - `replicate_share` (..., replicate, state): the input of `share_differences`.
 
@@ -524,12 +531,16 @@ def basin_shares(
         >>> bool(sliding.low < 0.307126 < sliding.high)  # what `sliding_share` says
         True
     """
-    chain = as_chain(chain)
+    chain = as_chain(chain, AbstractField)
     check_concrete(
         "shares are counted on the host; `sliding_share` has derivatives.", chain=chain, over=over
     )
-    check_region(region, chain)
-    classify = VibratingMasses() if classify is None else classify
+    n = check_region(region, chain)
+    if classify is None:
+        as_chain(
+            chain, remedy="give `classify` for other models, as `VibratingMasses(above=1.0)`."
+        )
+        classify = VibratingMasses()
     check_kind(
         "classify",
         classify,
@@ -565,9 +576,9 @@ def basin_shares(
             f"{', '.join(f'`{name}`' for name in _NUMERICS)}."
         )
     devices = jax.local_devices() if devices is None else devices
-    lanes = lane_count(chain.n, replicates * _FIRST, devices, lanes)
+    lanes = lane_count(n, replicates * _FIRST, devices, lanes)
     numerics |= {"lanes": lanes, "devices": devices}
-    runs = Runs(chain, region, over, classify, t1, progress, numerics)
+    runs = Runs(chain, region, n, over, classify, t1, progress, numerics)
     cube = Points(region.dimension(chain), replicates, points, seed)
     began, tally = time.perf_counter(), Tally(classify, chain)
     count, drawn = _FIRST, []

@@ -1,4 +1,8 @@
-"""The verdict on a motion from an ensemble of long runs, by the thresholds in `Criteria`."""
+"""The verdict on a motion of any model from an ensemble of long runs, by the thresholds in
+`Criteria`.
+
+A motion is cut at the maxima of one cell, a forced one at multiples of the period of the force.
+"""
 
 from __future__ import annotations
 
@@ -27,12 +31,14 @@ from .._checks import (
 from .._final import final
 from .._progress import progress_bar
 from .._statistics import mean_interval
+from ..cycles.floquet import check_force
 from ..cycles.limit_cycle import RefinedOrbit, refine_orbit
 from ..model.arguments import as_chain, as_state
+from ..model.cells import AbstractCells, AbstractField
 from ..model.chain import Chain
-from ..model.oscillators import AbstractOscillators
 from ..observers.amplitude import Amplitude
 from ..observers.quantities import energy
+from ..observers.samples import Samples
 from ..observers.section import PeakTimes, Section
 from ..result import NAMES, Printed, code, ended_well, message
 from ..simulation.accuracy import MAX_STEP, check_resolved, check_tolerances, custom_solver
@@ -63,17 +69,20 @@ class Evidence(Printed):
     - `active`: which masses vibrate; `energy`, `energy_deviation`: mean and deviation over the
       windows of the last record; `drift`: relative difference of the means of its halves;
       `novelty`: see `novelty`.
-    - `period`, `returns`: of the orbit and of its maxima; `spread`: see `Recurrence`.
+    - `period`, `returns`: of the orbit and of its section; `spread`: see `Recurrence`.
+    - `forcing_period`: of forced cells, whose periodic orbits have a multiple of it.
     - `exponents`, `low`, `high`: the leading exponents with 95 % intervals, descending; for a
-      periodic orbit those of its multipliers, the first being the zero of the flow.  -inf is a
+      periodic orbit those of its multipliers, the first being the zero of the flow unless it is
+      forced.  -inf is a
       direction that sticking erases, NaN one below rounding: for a periodic orbit, any value below
       `high`.
     - `smooth`: the same exponents by smoothly weighted averages, see `LyapunovSpectrum`;
       `exponent_time`: the time of the averages, 0 for exponents of multipliers.
     - `slips`: the greatest number of cycles that a vibrating mass gained on another in the second
       half of the last record; `delays`: the delay of each vibrating mass at the end, in periods.
+      Both are unknown if a window has less than two maxima, or more than one in 3 time units.
     - `symmetry_time`, `symmetry`: see `symmetry_defect`.
-    - `state`: (x, v) at the end.
+    - `state`: (x, v), or all m arrays of other cells, at the end.
 
     See `verdict` for an example.
     """
@@ -89,6 +98,7 @@ class Evidence(Printed):
     drift: float = math.nan
     novelty: float = math.nan
     period: float = math.nan
+    forcing_period: float = math.nan
     returns: int = 0
     spread: float = math.nan
     exponents: np.ndarray = field(default_factory=lambda: np.zeros(0))
@@ -100,7 +110,7 @@ class Evidence(Printed):
     delays: np.ndarray = field(default_factory=lambda: np.zeros(0))
     symmetry_time: np.ndarray = field(default_factory=lambda: np.zeros(0))
     symmetry: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    state: tuple[np.ndarray, np.ndarray] | None = None
+    state: tuple[np.ndarray, ...] = ()
 
     @property
     def decided(self) -> bool:
@@ -109,6 +119,11 @@ class Evidence(Printed):
         A run with noise must leave an unstable orbit: noise of 1e-8 needs 18 e-folding times.
         """
         return self.kind != "open" and (self.kind != "unstable" or self.noise == 0.0)
+
+    @property
+    def neutral(self) -> int:
+        """The number of exponents that are always zero: that of the flow, unless it is forced."""
+        return int(math.isnan(self.forcing_period))
 
     @property
     def relaxation_time(self) -> float:
@@ -126,8 +141,8 @@ class Evidence(Printed):
         return self._time(self.high)
 
     def _time(self, exponents: np.ndarray) -> float:
-        fits = self.kind == "cycle" and len(exponents) > 1
-        rate = abs(float(exponents[1])) if fits else math.nan
+        fits = self.kind == "cycle" and len(exponents) > self.neutral
+        rate = abs(float(exponents[self.neutral])) if fits else math.nan
         return 1.0 / rate if rate else math.inf
 
 
@@ -170,13 +185,17 @@ class Criteria:
     """The thresholds, with their reasons.
 
     - `rest`: amplitude (x0) of a mass that does not move: above rounding, below any vibration.
-    - `near`: spread of section points, relative to the amplitude, below which Newton's method is
-      tried; it converges from there, and a periodic orbit much farther away is a different one.
+      Of other cells it is that of each of the m numbers, in its own unit; a number below it counts
+      in no other criterion.
+    - `near`: spread of section points, relative to the amplitude (of each of the m numbers of
+      other cells), below which Newton's method is tried; it converges from there, and a periodic
+      orbit much farther away is a different one.
     - `sits`: spread of a run that stays on its orbit: above the solver's error of 1e-6, below that
       of a passage near an unstable orbit.
-    - `gap`: the residual of Newton's method, relative to the amplitude.
+    - `gap`: the residual of Newton's method, relative to the (least) amplitude.
     - `zero`: exponents (per time unit) of neutral directions: a tenth of the weakest chaos and of
-      the slowest relaxation seen in blocks of vibrating masses, 1e-3.
+      the slowest relaxation seen in blocks of vibrating masses, 1e-3.  Give a smaller one for
+      cells that are damped more weakly, or whose periods are much longer than 2 pi.
     - `drift`: the greatest difference of the energies of both halves of a record on a torus.
     - `novelty`: its greatest value on a torus, see `novelty`: a steady drift has half
       of it, and 100 points on a square have 0.3.
@@ -210,6 +229,8 @@ class Criteria:
 def judge_exponents(run: Evidence, criteria: Criteria) -> str:
     """The kind of a run that did not close, from its exponents: chaos, cycle, torus or open.
 
+    The flow has one exponent 0, a torus one more; a forced motion lacks that of the flow.
+
     >>> import numpy as np
     >>> run = Evidence(0.0, 0, exponents=np.array([2e-3, 0.0]), low=np.array([1e-3, -1e-5]))
     >>> run.high = np.array([3e-3, 1e-5])
@@ -223,11 +244,12 @@ def judge_exponents(run: Evidence, criteria: Criteria) -> str:
     # NaN, an exponent below rounding, is below all others.
     low, high = (np.where(np.isnan(run.exponents), -np.inf, a) for a in (run.low, run.high))
     neutral = (np.abs(low) < criteria.zero) & (np.abs(high) < criteria.zero)
-    if len(neutral) < 2 or not neutral[0]:
+    k = run.neutral
+    if len(neutral) <= k or not all(neutral[:k]):
         return "open"
-    if high[1] < -criteria.zero:
+    if high[k] < -criteria.zero:
         return "cycle"
-    return "torus" if neutral[1] and _comes_back(run, criteria) else "open"
+    return "torus" if neutral[k] and _comes_back(run, criteria) else "open"
 
 
 def _comes_back(run: Evidence, criteria: Criteria) -> bool:
@@ -238,12 +260,13 @@ def judge_torus(runs: Sequence[Evidence], criteria: Criteria) -> bool:
     """Whether the open runs of an ensemble are on a torus, judged by smooth averages.
 
     Mean +- t s / sqrt(m) over the m runs, Student's t at 95 %, lies within `zero` of 0 for both
-    leading exponents, and the energies do not drift.
+    leading exponents (of a forced motion for the first one), and the energies do not drift.
     """
-    smooth = [run for run in runs if run.kind == "open" and len(run.smooth) > 1]
+    zeros = 1 + runs[0].neutral
+    smooth = [run for run in runs if run.kind == "open" and len(run.smooth) >= zeros]
     if len(smooth) < 2 or not all(_comes_back(run, criteria) for run in smooth):
         return False
-    values = np.array([np.sort(run.smooth)[::-1][:2] for run in smooth])
+    values = np.array([np.sort(run.smooth)[::-1][:zeros] for run in smooth])
     return bool(np.all(np.abs(mean_interval(values)) < criteria.zero))
 
 
@@ -371,7 +394,9 @@ class RunRecord(NamedTuple):
     - `t`: end of each window; `amplitude`: half peak-to-peak in it.
     - `peaks`: times of the maxima of every displacement, NaN where none.
     - `point_times`, `points`: when the reference mass was at a maximum, and the state
-      (x_1 .. x_n, v_1 .. v_n) then.
+      (x_1 .. x_n, v_1 .. v_n) then; of forced cells at multiples of the forcing period.
+    - `sizes`: the greatest amplitude over the cells, of each number of a cell; of masses only that
+      of the displacement.
     """
 
     t: Float[_Numbers, "*batch W"]
@@ -379,6 +404,7 @@ class RunRecord(NamedTuple):
     peaks: Float[_Numbers, "*batch W peaks n"]
     point_times: Float[_Numbers, "*batch W points"]
     points: Float[_Numbers, "*batch W points two_n"]
+    sizes: Any = None  # (*batch, W, m)
 
 
 class Recurrence(NamedTuple):
@@ -401,14 +427,14 @@ def recurrence(record: RunRecord, *, scale: Any, closed: float = 1e-3) -> Recurr
 
     It takes the least q whose spread is below `closed`, or at most 5 times the least of all (an
     orbit approached in a spiral has a smaller spread after a turn of the spiral).  Distances are
-    relative to the amplitude `scale`.
+    relative to the amplitude `scale`, one number or one for each component.
     """
     points, times = record.points, record.point_times[-1]
     half, last = points[len(points) // 2 :], points[-1]
     tried = []
     for q in range(1, MOST_RETURNS + 1):
-        away = np.max(np.abs(half[:, :1] - last[None, :q]), axis=-1).min(axis=1)
-        worst = max(np.max(away) / scale, np.max(np.abs(last[q] - last[0])) / scale)
+        away = np.max(np.abs(half[:, :1] - last[None, :q]) / scale, axis=-1).min(axis=1)
+        worst = max(np.max(away), np.max(np.abs(last[q] - last[0]) / scale))
         spread = float(np.nan_to_num(worst, nan=np.inf))
         tried.append(Recurrence(spread, q, float(times[q] - times[0])))
     limit = max(closed, _SPIRAL * min(tried).spread)
@@ -494,12 +520,16 @@ _BLOCKS = 20
 
 
 class _VerdictTask(eqx.Module):
-    """Settings of all runs; `window`: of a record; `time`, `count`: of exponents."""
+    """Settings of all runs; `window`: of a record; `time`, `count`: of exponents.
 
-    chain: AbstractOscillators
+    `forced`: the period of the force, or None.
+    """
+
+    chain: AbstractField
     solver: Any
     window: Array
     time: Array
+    forced: Array | None
     rtol: float = eqx.field(static=True)
     peaks: int = eqx.field(static=True)  # kept per mass and window
     count: int = eqx.field(static=True)
@@ -510,19 +540,23 @@ class VerdictRun:
     """The state of a run; the section is at the maxima of the mass `reference`."""
 
     start: int
-    x: np.ndarray
-    v: np.ndarray
+    state: tuple[np.ndarray, ...]
     evidence: Evidence
     reference: int
     outcome: str = "successful"
 
 
-def _chunk(task: _VerdictTask, x: Array, v: Array, t0: Array, reference: Array) -> Any:
+def _chunk(task: _VerdictTask, t0: Array, reference: Array, *state: Array) -> Any:
     """(the record of the next windows, the state at their end, how the run ended)."""
-    watch = Amplitude(), PeakTimes(capacity=task.peaks), Section(reference, MOST_RETURNS + 1)
+    section, others = Section(reference, MOST_RETURNS + 1), []
+    if task.forced is not None:
+        section = Samples(task.forced, MOST_RETURNS + 1)
+    if isinstance(task.chain, AbstractCells):
+        others = [Amplitude(component=k) for k in range(1, len(state))]
+    watch = Amplitude(), PeakTimes(capacity=task.peaks), section, others
     run = simulate(
         task.chain,
-        (x, v),
+        state,
         t0 + CHUNK * task.window,
         t0=t0,
         observe=watch,
@@ -531,10 +565,11 @@ def _chunk(task: _VerdictTask, x: Array, v: Array, t0: Array, reference: Array) 
         segments=CHUNK,
         throw=False,
     )
-    amplitude, peaks, (times, *states) = run.observed
+    amplitude, peaks, (times, *states), more = run.observed
     ends = t0 + task.window * jnp.arange(1, CHUNK + 1)
-    record = RunRecord(ends, amplitude, peaks, times, jnp.concatenate(states, axis=-1))
-    return record, run.state, code(run.result)
+    sizes = jnp.stack([jnp.max(part, axis=-1) for part in (amplitude, *more)], axis=-1)
+    points = jnp.concatenate(states, axis=-1)
+    return RunRecord(ends, amplitude, peaks, times, points, sizes), run.state, code(run.result)
 
 
 def advance(
@@ -548,22 +583,22 @@ def advance(
     for first in range(0, len(trials), width):
         batch, records = trials[first : first + width], []
         while batch[0].evidence.time < stage:
-            rows = [(t.x, t.v, t.evidence.time, t.reference) for t in batch]
+            rows = [(t.evidence.time, t.reference, *t.state) for t in batch]
             columns = [np.stack(column) for column in zip(*rows, strict=True)]
-            record, (x, v), ended = map_lanes(_chunk, task, columns, lanes=lanes)
+            record, state, ended = map_lanes(_chunk, task, columns, lanes=lanes)
             records.append(record)
             for k, trial in enumerate(batch):
-                trial.x, trial.v, trial.outcome = x[k], v[k], NAMES[ended[k]]
+                trial.state, trial.outcome = tuple(part[k] for part in state), NAMES[ended[k]]
                 trial.evidence.time += CHUNK * float(task.window)
         whole = RunRecord(*(np.concatenate(parts, axis=1) for parts in zip(*records, strict=True)))
         for k, trial in enumerate(batch):
             yield trial, RunRecord(*(part[k] for part in whole))
 
 
-def _spectrum(task: _VerdictTask, x: Array, v: Array) -> LyapunovSpectrum:
+def _spectrum(task: _VerdictTask, *state: Array) -> LyapunovSpectrum:
     return lyapunov_spectrum(
         task.chain,
-        (x, v),
+        state,
         (1.0 + _SETTLE) * task.time,
         transient=_SETTLE * task.time,
         count=task.count,
@@ -583,7 +618,7 @@ def measure_exponents(
     """
     if not trials:
         return
-    columns = [np.stack([t.x for t in trials]), np.stack([t.v for t in trials])]
+    columns = [np.stack(parts) for parts in zip(*(t.state for t in trials), strict=True)]
     spectra = map_lanes(_spectrum, task, columns, lanes=lanes, done=done)
     time = float(task.time)
     for k, trial in enumerate(trials):
@@ -592,7 +627,7 @@ def measure_exponents(
             setattr(trial.evidence, name, getattr(spectra, name)[k][order])
         trial.evidence.exponent_time = time
         trial.evidence.time += (1.0 + _SETTLE) * time
-        trial.x, trial.v = (part[k] for part in spectra.state)
+        trial.state = tuple(part[k] for part in spectra.state)
 
 
 # An exponent within this number of its errors counts as zero.
@@ -609,34 +644,42 @@ def judge_orbit(
     If a run ends on one of the `known` orbits, no new search is made; a new orbit is added to
     them.
     """
-    evidence = replace(trial.evidence, kind="open", state=(trial.x, trial.v))
+    evidence = replace(trial.evidence, kind="open", state=trial.state)
     if not ended_well(trial.outcome):
         return replace(evidence, kind=trial.outcome)
     amplitude, reference = record.amplitude, trial.reference
     half, n = len(amplitude) // 2, amplitude.shape[1]
-    scale = float(np.max(amplitude[-1]))
+    size = record.sizes[-1]
+    moves = size >= criteria.rest
     energies = np.asarray(energy(jnp.asarray(amplitude)))[half:]
     evidence.energy, evidence.energy_deviation = float(np.mean(energies)), float(np.std(energies))
-    if scale < criteria.rest:
+    if not np.any(moves):
         evidence.active = np.zeros(n, bool)
         evidence.kind, evidence.locked_at, evidence.spread = "rest", evidence.time, 0.0
         return evidence
-    before, after = (np.mean(part) for part in np.array_split(energies, 2))
-    evidence.drift = float(abs(before - after) / np.mean(energies))
-    evidence.active = amplitude[-1] > 0.5 * scale
+    # The size of the orbit in each component; one that does not move is noise.
+    scale = np.repeat(np.where(moves, size, np.inf), n) if len(moves) > 1 else size
+    least = float(np.min(scale))
+    evidence.active = amplitude[-1] > 0.5 * max(size[0], criteria.rest)
     masses = np.flatnonzero(evidence.active)
-    turned = phases(record, masses)
-    evidence.slips = float(np.max(np.abs(turned[-1] - turned[half])))
-    evidence.period = float(np.mean(mean_periods(record, masses)))
-    evidence.delays = record.peaks[-1, 1, masses] / evidence.period
-    ends = task.chain.ends if isinstance(task.chain, Chain) else "free"
-    defect = symmetry_defect(record, evidence.active, evidence.period, ends)
-    evidence.symmetry_time = np.append(evidence.symmetry_time, record.t)
-    evidence.symmetry = np.append(evidence.symmetry, defect)
-    if reference not in masses:
+    if masses.size:
+        before, after = (np.mean(part) for part in np.array_split(energies, 2))
+        evidence.drift = float(abs(before - after) / np.mean(energies))
+    counted = np.isfinite(record.peaks[:, :, masses])
+    if masses.size and counted[:, 1].any(axis=0).all() and not counted[:, -1].any():
+        turned = phases(record, masses)
+        evidence.slips = float(np.max(np.abs(turned[-1] - turned[half])))
+        evidence.period = float(np.mean(mean_periods(record, masses)))
+        evidence.delays = record.peaks[-1, 1, masses] / evidence.period
+        ends = task.chain.ends if isinstance(task.chain, Chain | AbstractCells) else "free"
+        defect = symmetry_defect(record, evidence.active, evidence.period, ends)
+        evidence.symmetry_time = np.append(evidence.symmetry_time, record.t)
+        evidence.symmetry = np.append(evidence.symmetry, defect)
+    if task.forced is None and reference not in masses:
         # The reference mass does not move; the middle of the vibrating masses moves most
         # regularly.
-        trial.reference = int(masses[np.argmin(np.abs(masses - n // 2))])
+        if masses.size:
+            trial.reference = int(masses[np.argmin(np.abs(masses - n // 2))])
         return evidence
     evidence.novelty = novelty(record)
     evidence.spread, evidence.returns, period = recurrence(
@@ -644,22 +687,23 @@ def judge_orbit(
     )
     if evidence.spread > criteria.near or not period > 0:
         return evidence
-    point, sits = record.points[-1, 0], criteria.sits * scale
-    near = (o for mass, p, o in orbits if mass == reference and np.max(np.abs(p - point)) < sits)
+    point = record.points[-1, 0]
+    near = (
+        o for mass, p, o in orbits
+        if mass == reference and np.max(np.abs(p - point) / scale) < criteria.sits
+    )  # fmt: skip
     orbit = next(near, None)
     if orbit is None:
-        start = jnp.asarray(point[:n]), jnp.asarray(point[n:])
+        start = tuple(jnp.asarray(part) for part in np.split(point, len(trial.state)))
         orbit = refine_orbit(
             task.chain, start, period, solver=task.solver, rtol=min(task.rtol, 1e-9)
         )
-        if not (orbit.gap < criteria.gap * scale and orbit.distance < 4 * criteria.near * scale):
+        if not (orbit.gap < criteria.gap * least and orbit.distance < 4 * criteria.near * least):
             return evidence
         orbits.append((reference, point, orbit))
     _enter_orbit(evidence, orbit, evidence.spread < criteria.sits)
-    away = (
-        np.abs(record.points[:, :1] - record.points[-1][None, : evidence.returns]).max(-1).min(1)
-    )
-    outside = np.flatnonzero(~(away < criteria.near * scale))
+    apart = np.abs(record.points[:, :1] - record.points[-1][None, : evidence.returns]) / scale
+    outside = np.flatnonzero(~(apart.max(-1).min(1) < criteria.near))
     # The time since which the run has stayed close to its end.
     if evidence.kind in ("cycle", "unstable") and outside.size:
         evidence.locked_at = float(record.t[outside[-1]])
@@ -669,12 +713,13 @@ def judge_orbit(
 def _enter_orbit(evidence: Evidence, orbit: RefinedOrbit, sits: bool) -> None:
     period = float(orbit.period)
     # An unresolved exponent, NaN, has a known upper bound.
-    rates, highest = (np.append(0.0, a) for a in (orbit.exponents, orbit.highest_exponents))
+    flow = np.zeros(evidence.neutral)
+    rates, highest = (np.append(flow, a) for a in (orbit.exponents, orbit.highest_exponents))
     # Every multiplier may have the error of the trivial one; it affects rates of small ones more.
     error = max(float(orbit.defect), 1e-9) / period
     finite = np.isfinite(rates)
     errors = np.where(finite, error * np.exp(-np.where(finite, rates, 0.0) * period), 0.0)
-    greatest = np.argmax(highest[1:]) + 1
+    greatest = np.argmax(highest[flow.size :]) + flow.size
     stable = highest[greatest] < -errors[greatest]
     # One of a family of orbits: phases of uncoupled masses neither lock nor drift.
     neutral = sits and abs(highest[greatest]) <= _NEUTRAL * errors[greatest]
@@ -695,11 +740,11 @@ _INSTEAD = "use `lyapunov_spectrum` or `simulate`."
 _NOISE = "it holds standard deviations, such as (1e-8, 1e-3)."
 
 
-def verdict(chain: AbstractOscillators, initial: Any, **settings: Any) -> Verdict:
+def verdict(chain: AbstractField, initial: Any, **settings: Any) -> Verdict:
     """Whether the motion from `initial` is steady, periodic, quasi-periodic or chaotic.
 
-    **Arguments:** `chain`; `initial`, the pair (x, v), both of shape (n,); `settings` as for
-    `verdicts`.
+    **Arguments:** `chain`; `initial`, the pair (x, v), both of shape (n,), or all m arrays of
+    other cells; `settings` as for `verdicts`.
 
     **Returns:** a `Verdict`.
 
@@ -717,14 +762,14 @@ def verdict(chain: AbstractOscillators, initial: Any, **settings: Any) -> Verdic
         >>> print(found.reason)  # a mass that sticks forgets everything
         7 runs: 7 cycle; locked by 2000 to 2000, slowest relaxation time 0
     """
-    as_chain(chain, AbstractOscillators)
+    as_chain(chain, AbstractField)
     check_concrete(_INSTEAD, chain=chain, initial=initial)
-    x, v = as_state(chain, initial)
-    return verdicts(chain, (x[None], v[None]), **settings)[0]
+    state = as_state(chain, initial)
+    return verdicts(chain, tuple(part[None] for part in state), **settings)[0]
 
 
 def verdicts(
-    chain: AbstractOscillators,
+    chain: AbstractField,
     initials: Any,
     *,
     noise: Sequence[float] = (1e-8, 1e-3),
@@ -746,21 +791,28 @@ def verdicts(
     """A verdict for each of several initial states of a chain, with all their runs at once.
 
     Every state is run without noise, and `seeds` times with each level of `noise` added to
-    displacements and velocities.  A run continues, doubling its time, until it is steady or
-    approaches a periodic orbit that Newton's method has found, at most to `longest`.  The leading
-    exponents are measured for runs that never close.
+    displacements and velocities, or to all m numbers of other cells.  A run continues, doubling
+    its time, until it is steady or approaches a periodic orbit that Newton's method has found, at
+    most to `longest`.  The leading exponents are measured for runs that never close.
+
+    A forced motion (see `AbstractCells.forcing_period`) is examined at multiples of the period of
+    the force, and is periodic if it repeats after one to four of them, or if all its exponents
+    are negative.  Without forcing, states at the maxima of the first number of a cell are
+    examined; if only other numbers move, and for an angle that grows, the exponents decide.
 
     **Arguments:**
 
-    - `chain`: a `Chain` or other autonomous `AbstractOscillators`; `initials`: (x, v), both of
-      shape (states, n).
-    - `noise`: standard deviations, ascending; () runs each state once.
+    - `chain`: a `Chain`, `AbstractOscillators` or `AbstractCells`; `initials`: (x, v), both of
+      shape (states, n), or all m arrays of other cells.  Forced ones start at t = 0.
+    - `noise`: standard deviations, ascending, in the units of the numbers: far below the size of
+      the motion; () runs each state once.
     - `first`, `longest`: the run is examined after `first` time units, and whenever its time has
       doubled, up to `longest`; rounded up to chunks of 20 windows.
     - `exponent_time`: window for exponents, after a fifth of it for directions to settle;
       `exponent_runs`: the number of runs of a state to measure, first the one without noise, then
       the noisiest; `count`: the number of exponents.
-    - `window`: time over which amplitudes are measured, some periods.
+    - `window`: time over which amplitudes are measured, at least five periods; of a forced motion
+      rounded up to a multiple of the period of the force, at least five of them.
     - `solver`, `rtol`: as for `simulate`.
     - `criteria`: the thresholds; `key`: of the noise.
     - `lanes`: the number of runs side by side on each device; the last bits depend on it, but not
@@ -784,11 +836,13 @@ def verdicts(
         >>> [one.verdict for one in found]
         ['steady sliding', 'periodic']
     """
-    as_chain(chain, AbstractOscillators)
+    as_chain(chain, AbstractField)
     criteria = Criteria() if criteria is None else criteria
     check_kind("criteria", criteria, Criteria, "None or `Criteria`", "`Criteria()` has them.")
     check_concrete(_INSTEAD, chain=chain, initials=initials)
-    x, v = as_state(chain, initials, "initials", batch=True)
+    states = as_state(chain, initials, "initials", batch=True)
+    first_state = as_state(chain, tuple(part[0] for part in states), "initials")
+    check_force(chain, first_state)
     counts = (seeds, "seeds"), (exponent_runs, "exponent_runs"), (lanes, "lanes")
     for value, name in counts:
         check_whole(name, value, 1, _MOST_RUNS, "every one of them is a run.")
@@ -808,18 +862,26 @@ def verdicts(
     check_nonnegative("noise", noise, _NOISE)
     if longest < first:
         raise ValueError(f"Argument `longest` = {longest} must be at least `first` = {first}.")
-    trials = _starts(x, v, noise, seeds, key)
+    forced = None if isinstance(chain, Chain) else chain.forcing_period()
+    if forced is not None:
+        # Whole periods, so that every part of a run starts at the phase 0 of the force.
+        forced = float(forced)
+        window = max(math.ceil(window / forced), MOST_RETURNS + 1) * forced
+        whole = math.ceil((1.0 + _SETTLE) * exponent_time / forced) * forced
+        exponent_time = whole / (1.0 + _SETTLE)
+    trials = _starts(states, noise, seeds, key, math.nan if forced is None else forced)
     task = _VerdictTask(
         chain,
         solver,
         jnp.asarray(float(window)),
         jnp.asarray(float(exponent_time)),
+        None if forced is None else jnp.asarray(forced),
         float(rtol),
         peaks=int(window / _LEAST_PERIOD) + 2,
-        count=min(int(count), 2 * x.shape[1]),
+        count=min(int(count), sum(part.size for part in first_state)),
     )
     lanes = min(lanes, len(trials))
-    orbits: list[Known] = [[] for _ in x]
+    orbits: list[Known] = [[] for _ in states[0]]
 
     def advance_and_judge(going: list[VerdictRun], stage: float, *, again: bool = False) -> None:
         for trial, record in advance(task, lanes, going, stage):
@@ -849,7 +911,7 @@ def verdicts(
         # Runs that have locked meanwhile are closed, too.
         end = max((trial.evidence.time for trial in measured), default=0.0)
         advance_and_judge(measured, end + 1.0, again=True)
-    groups = [[t.evidence for t in trials if t.start == i] for i in range(len(x))]
+    groups = [[t.evidence for t in trials if t.start == i] for i in range(len(orbits))]
     for group in groups:
         torus = judge_torus(group, criteria)
         for run in group:
@@ -859,13 +921,16 @@ def verdicts(
     return [classify(group) for group in groups]
 
 
-def _starts(x: Array, v: Array, noise: Sequence[float], seeds: int, key: int) -> list[VerdictRun]:
-    trials, (count, n) = [], x.shape
+def _starts(
+    states: tuple[Array, ...], noise: Sequence[float], seeds: int, key: int, forced: float
+) -> list[VerdictRun]:
+    trials, (count, n) = [], states[0].shape
     rng = np.random.default_rng(key)
     levels = [(0.0, 0)] + [(float(level), seed) for level in noise for seed in range(seeds)]
     for i, (level, seed) in itertools.product(range(count), levels):
-        first, second = (np.asarray(part[i]) + level * rng.normal(size=n) for part in (x, v))
-        trials.append(VerdictRun(i, first, second, Evidence(level, seed), n // 2))
+        state = tuple(np.asarray(part[i]) + level * rng.normal(size=n) for part in states)
+        evidence = Evidence(level, seed, forcing_period=forced)
+        trials.append(VerdictRun(i, state, evidence, n // 2))
     return trials
 
 

@@ -53,7 +53,7 @@ from .floquet import (
     can_be_cycle,
     check_orbit,
     is_trusted,
-    shooting_multipliers,
+    orbit_multipliers,
     turns_of,
 )
 from .shooting import Shooting, residual
@@ -254,7 +254,8 @@ def linearise(
     """(R, [R_u R_p], `CycleLinearisation`) of the shooting equations R, from one integration."""
     r, jacobian, whole = shooting.linearise(u, parameter)
     field, state, period = shooting.unpack(u, parameter)
-    floquet = shooting_multipliers(shooting, field, state, whole)
+    f = None if shooting.turns else jnp.concatenate(field(0.0, state))
+    floquet = orbit_multipliers(whole.monodromy, f)
     sound = can_be_cycle(field, period, whole.fastest)
     extra = CycleLinearisation(
         state,

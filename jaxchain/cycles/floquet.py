@@ -212,14 +212,12 @@ def floquet_multipliers(monodromy: Any, flow_direction: Any = None) -> Floquet:
     return Floquet(values, f @ image / length**2, jnp.linalg.norm(image - f) / length)
 
 
-def shooting_multipliers(
-    shooting: Any, field: AbstractField, state: State, whole: Period
-) -> Floquet:
-    """Those of a linearised period; what is forced has no trivial one, and all are returned."""
-    if shooting.turns is None:
-        return floquet_multipliers(whole.monodromy, jnp.concatenate(field(0.0, state)))
-    values = jnp.linalg.eigvals(whole.monodromy)
-    defect = jnp.where(whole.complete, 0.0, jnp.nan)
+def orbit_multipliers(monodromy: Float[Array, "d d"], f: Float[Array, " d"] | None) -> Floquet:
+    """`floquet_multipliers`; all d of a forced orbit (f None), which has no trivial one."""
+    if f is not None:
+        return floquet_multipliers(monodromy, f)
+    values = jnp.linalg.eigvals(monodromy)
+    defect = jnp.where(jnp.all(jnp.isfinite(monodromy)), 0.0, jnp.nan)
     return Floquet(values[jnp.argsort(-jnp.abs(values))], jnp.ones(()), defect)
 
 
@@ -275,17 +273,18 @@ def check_orbit(chain: Any, state: Any, period: Any, rtol: Any, name: str = "sta
     parts = as_state(chain, state, name)
     check_positive_number("period", period, "about 2 pi is usual.")
     check_tolerances(rtol, None, MAX_STEP)
-    if not isinstance(chain, Chain):
-        forced = chain.forcing_period()
-        if forced is None:
-            check_autonomous(chain, parts)
-        else:
-            _check_force(chain, forced, parts)
+    check_force(chain, parts)
     return parts
 
 
-def _check_force(chain: AbstractField, forced: Any, state: State) -> None:
-    """Raises `ValueError` unless the rate comes back after the period of the force."""
+def check_force(chain: AbstractField, state: State) -> None:
+    """Raises `ValueError` unless the rate is periodic in time, as `forcing_period` says."""
+    if isinstance(chain, Chain):
+        return
+    forced = chain.forcing_period()
+    if forced is None:
+        check_autonomous(chain, state)
+        return
     check_positive_number("forcing_period()", forced, "it is that of what depends on time.")
     if is_traced(chain, forced, state):
         return

@@ -72,11 +72,10 @@ from .floquet import (
     LimitCycle,
     can_be_cycle,
     check_orbit,
-    floquet_multipliers,
     is_trusted,
     liouville_defect,
     multiplier_resolution,
-    shooting_multipliers,
+    orbit_multipliers,
     turns_of,
 )
 from .shooting import Shooting, greatest_gap, newton_minimal_period
@@ -290,7 +289,8 @@ def solve_cycle(
     # that decays, or a piece of one, is end there.  So the gap counts as a share of the
     # orbit's size, too.
     left = jnp.max(jnp.abs(jnp.stack(whole.end) - jnp.stack(state)))
-    floquet = shooting_multipliers(shooting, field, state, whole)
+    f = None if forced else jnp.concatenate(field(0.0, state))
+    floquet = orbit_multipliers(whole.monodromy, f)
     forward = field.belt_direction() * field.value_and_rate(0.0, state)[1][mass] > 0
     cycle = _cycle(
         shooting,
@@ -400,14 +400,15 @@ def refine_orbit(
 
     with at most 8 integrations.  A mass that sticks at the start also sticks in the result.  If
     the orbit already returns after 1/k of `period` (k up to 16), it is solved again with that
-    fraction. Check `gap` and `distance` first.
+    fraction. Check `gap` and `distance` first.  The period of a forced orbit, whose `state` is
+    that at t = 0, is kept, dT = 0, or divided so that it is still a multiple of that of the force.
     """
-    equations = _States(chain, rtol, custom_solver(chain, solver))
+    equations = _States(chain, rtol, custom_solver(chain, solver), m=len(state))
     return _close(equations, state, to_float(period))[0]
 
 
 class _States(eqx.Module):
-    """The equations of a periodic orbit in its state and period, u = (x, v, T).
+    """The equations of a periodic orbit in its state and period, u = (x, v, T) for m = 2.
 
     Those of `closing` cut it where mass `mass` is fastest, or is released by the belt.
     """
@@ -416,6 +417,7 @@ class _States(eqx.Module):
     rtol: Any
     solver: Any
     mass: int = eqx.field(static=True, default=0)
+    m: int = eqx.field(static=True, default=2)
     turns: None = None
 
     @property
@@ -427,10 +429,9 @@ class _States(eqx.Module):
         """u of a state and a period."""
         return jnp.concatenate([*state, period[None]])
 
-    def unpack(self, u: Array) -> tuple[AbstractOscillators, State, Array]:
+    def unpack(self, u: Array) -> tuple[AbstractField, State, Array]:
         """(field, state, period)."""
-        x, v = jnp.split(u[:-1], 2)
-        return self.field, (x, v), u[-1]
+        return self.field, tuple(jnp.split(u[:-1], self.m)), u[-1]
 
     def run(self, u: Array, observe: Any, turns: float = 1.0) -> Simulation:
         """A run over one period, or a little more."""
@@ -455,7 +456,7 @@ class _States(eqx.Module):
 class _Seen(NamedTuple):
     """Further results of a run."""
 
-    slopes: Float[Array, "two_n m"]  # of the state at the end, in (x, v, T)
+    slopes: Float[Array, "two_n m"]  # of the state at the end, in the state and T
     returned: Returned
     sticking: Int[Array, ""]  # the greatest number of masses that stick together, dry
 
@@ -464,7 +465,7 @@ class _Seen(NamedTuple):
 def _close(equations: _States, state: State, period: Array) -> tuple[RefinedOrbit, Int[Array, ""]]:
     """(the orbit, how many integrations it took)."""
     chain, start = equations.field, equations.pack(state, period)
-    n = state[0].shape[0]
+    d, forced = start.shape[0] - 1, chain.forcing_period() is not None
     dry = isinstance(equations.solver, EventDriven)
     observe = [Returns(), MostSticking()] if dry else [Returns()]
 
@@ -477,9 +478,13 @@ def _close(equations: _States, state: State, period: Array) -> tuple[RefinedOrbi
 
     def linearise(u: Array) -> tuple[Array, Factors, _Seen]:
         slopes, (end, seen) = jax.jacfwd(end_of, has_aux=True)(u)
-        f = slopes[:, -1]
-        return_map = slopes[:, :-1] - jnp.eye(2 * n) + _free_phases(chain, f)
-        matrix = jnp.block([[return_map, f[:, None]], [f[None], jnp.zeros((1, 1))]])
+        f, corner = slopes[:, -1], jnp.zeros((1, 1))
+        return_map = slopes[:, :-1] - jnp.eye(d)
+        if forced:
+            f, corner = jnp.zeros(d), jnp.ones((1, 1))
+        else:
+            return_map = return_map + _free_phases(chain, state, slopes[:, :-1], f)
+        matrix = jnp.block([[return_map, f[:, None]], [f[None], corner]])
         return jnp.append(end - u[:-1], 0.0), factorise(matrix, weights), _Seen(slopes, *seen)
 
     def closed(now: Iterate) -> Array:
@@ -491,17 +496,19 @@ def _close(equations: _States, state: State, period: Array) -> tuple[RefinedOrbi
     )
     failed = jnp.where(jnp.isfinite(best.length), 0.0, jnp.nan)
     u, slopes = best.u + failed, best.aux.slopes + failed
-    possible = can_be_cycle(chain, u[-1], jnp.abs(u[n:-1]))
+    _, found, _ = equations.unpack(u)
+    possible = can_be_cycle(chain, u[-1], jnp.abs(found[-1]))
     once = start.at[-1].divide(jnp.maximum(jnp.round(period / u[-1]), 1.0))
-    floquet = floquet_multipliers(slopes[:, :-1], slopes[:, -1])
+    floquet = orbit_multipliers(slopes[:, :-1], None if forced else slopes[:, -1])
     resolution = jnp.maximum(floquet.defect, multiplier_resolution(slopes[:, :-1]))
     resolved = ~(jnp.abs(floquet.multipliers) < resolution)
     # Masses that stick together all have the belt speed.
-    kept = jnp.arange(2 * n - 1) < 2 * n - 1 - best.aux.sticking
+    others = floquet.multipliers.shape[0]
+    kept = jnp.arange(others) < others - best.aux.sticking
     multipliers = jnp.where(resolved, floquet.multipliers, jnp.nan)
     multipliers = jnp.where(kept | ~jnp.isfinite(floquet.multipliers), multipliers, 0.0)
     orbit = RefinedOrbit(
-        state=(u[:n], u[n:-1]),
+        state=found,
         period=u[-1],
         gap=jnp.where(possible, greatest_gap(best), jnp.inf) + failed,
         distance=jnp.max(jnp.abs(u - once)),
@@ -512,17 +519,19 @@ def _close(equations: _States, state: State, period: Array) -> tuple[RefinedOrbi
     return orbit, best.evaluations
 
 
-def _free_phases(chain: AbstractField, f: Float[Array, " two_n"]) -> Array:
+def _free_phases(chain: Any, state: State, monodromy: Array, f: Array) -> Array:
     """sum_n f_n f_n^T / |f_n|^2, f_n the part of f of mass n, if masses are not coupled, else 0.
 
     Their phases are free, M f_n = f_n for each mass: without this term M - 1 is singular.
     """
-    n = f.shape[0] // 2
-    if n == 1 or not isinstance(chain, AbstractOscillators) or not chain.structured:
+    m, n = len(state), state[0].shape[0]
+    if n == 1 or not chain.structured:
         return jnp.zeros(())
-    parts = jnp.concatenate([jnp.diag(f[:n]), jnp.diag(f[n:])])  # column n is f_n
+    parts = jnp.concatenate([jnp.diag(part) for part in jnp.split(f, m)])  # column n is f_n
     sizes = jnp.sum(parts**2, axis=0)
     free = (parts / jnp.where(sizes > 0, sizes, 1.0)[None]) @ parts.T
+    if isinstance(chain, AbstractCells):
+        return jnp.all((monodromy == 0) | (jnp.tile(jnp.eye(n), (m, m)) > 0)) * free
     return free if chain.springs is None else jnp.all(chain.springs.constant == 0) * free
 
 

@@ -263,9 +263,9 @@ def newton_minimal_period(
     Once the orbit is `closed`, the search continues until a step is shorter than `fine` (1 + |u|)
     or no longer helps.  If the orbit also returns after a fraction of its period, it is solved for
     again with that fraction (with at most `limit` integrations), and the result is kept if it is
-    the same orbit.  The period of a forced orbit stays as it is.  `equations` have `pack`,
-    `unpack` and `turns`; `aux` of `linearise` has `returned`, a
-    `Returned`.
+    the same orbit.  A forced orbit keeps a multiple of the period of the force, and its whole
+    period if the equations have `turns`.  `equations` have `pack`, `unpack` and `turns`; `aux` of
+    `linearise` has `returned`, a `Returned`.
     """
     # Traced once, for its shapes and for the loop.
     linearise = eqx.filter_closure_convert(linearise, start)
@@ -278,12 +278,15 @@ def newton_minimal_period(
     def round_(now: _Round) -> _Round:
         end = iterate(linearise, nothing._replace(u=now.start), weights, going)
         count, returned = now.best.evaluations + end.evaluations, end.aux.returned
-        _, state, period = equations.unpack(end.u)
+        field, state, period = equations.unpack(end.u)
         same = closed(end) & returned.same(equations.unpack(now.best.u)[1], state)
         good = (now.best.evaluations == 0) | same
         best = where(good, end, now.best)._replace(evaluations=count)
         times = returned.times_round
         again = good & closed(end) & (times > 1) & (equations.turns is None)
+        if (forced := field.forcing_period()) is not None:
+            turns = period / times / forced
+            again &= jnp.abs(turns - jnp.round(turns)) < 1e-6
         return _Round(best, equations.pack(state, period / times), again)
 
     first = _Round(nothing, start, jnp.asarray(True))

@@ -124,7 +124,7 @@ class Samples(AbstractNotingObserver):
         ([3.0, 3.5, 4.0, 4.5], (4, 1))
     """
 
-    interval: float = eqx.field(converter=_interval, static=True)
+    interval: float | Float[Array, ""] = eqx.field(converter=_interval)
     capacity: int = eqx.field(static=True, default=0)
     oscillators: tuple[int, ...] | None = eqx.field(static=True, default=None)
     start: float = eqx.field(static=True, default=0.0)
@@ -171,10 +171,10 @@ class Samples(AbstractNotingObserver):
         state_at = eqx.filter_closure_convert(step.state, length)
 
         def fill(loop: Callable[..., Any], args: Any) -> tuple[Array, tuple[Array, ...]]:
-            accumulator, t0, length, state_at = args
+            accumulator, interval, t0, length, state_at = args
 
             def theta(count: Array) -> Array:
-                return (accumulator.first + count * self.interval - t0) / length
+                return (accumulator.first + count * interval - t0) / length
 
             def within(carry: tuple[Array, tuple[Array, ...]]) -> Array:
                 count = carry[0]
@@ -193,7 +193,7 @@ class Samples(AbstractNotingObserver):
             return loop(within, keep, (accumulator.count, accumulator.parts))
 
         back = partial(eqxi.while_loop, kind="checkpointed", max_steps=self.capacity)
-        args = accumulator, step.t0, length, state_at
+        args = accumulator, self.interval, step.t0, length, state_at
         count, parts = both_ways(partial(fill, lax.while_loop), partial(fill, back), args)
         return _Samples(accumulator.first, count, parts)
 

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from systems.double_well import Well, by_scipy, double_well
 
 from jaxchain import (
     Amplitude,
@@ -253,3 +254,55 @@ def test_edges_between_one_two_and_three_vibrating_masses():
     assert np.isneginf(cycle.scaled_peak_velocity).tolist() == [
         i not in (10, 11) for i in range(20)
     ]
+
+
+LEFT, RIGHT = ([-0.8], [0.6]), ([0.5], [0.6])
+BETWEEN = {"classify": Well(), "window": 2.0, "patience": 500.0}
+
+
+@pytest.mark.slow
+def test_the_edge_between_two_wells_is_the_stable_manifold_of_their_saddle():
+    wells = double_well(0.5)
+    edge = edge_state(wells, LEFT, RIGHT, time=7.0, **BETWEEN)
+    assert edge.vibrates.tolist() == [[0], [1]]
+    a, b = np.ravel(LEFT), np.ravel(RIGHT)
+    low, high = 0.0, 1.0
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        right = by_scipy(0.5, a + middle * (b - a))[0] > 0
+        low, high = (low, middle) if right else (middle, high)
+    # A window is a whole period of the force, though the force is 0.
+    exact = by_scipy(0.5, a + low * (b - a), 2 * np.pi, until_kept=False)
+    np.testing.assert_allclose(np.ravel(edge.state), exact, atol=1e-8)
+    # Of the two eigenvectors of the saddle the one that shrinks.
+    shrinks = (-0.5 - np.hypot(0.5, 2.0)) / 2
+    np.testing.assert_allclose(edge.state[1] / edge.state[0], shrinks, atol=1e-4)
+    for side, end in ((False, edge.below), (True, edge.above)):
+        assert (by_scipy(0.5, np.ravel(end))[0] > 0) == side
+
+
+@pytest.mark.long
+def test_the_edge_between_two_wells_ends_in_their_saddle():
+    edge = edge_state(double_well(0.5), RIGHT, LEFT, time=100.0, tolerance=1e-6, **BETWEEN)
+    assert name_of(edge.result) == "successful"
+    assert edge.vibrates.tolist() == [[1], [0]]
+    np.testing.assert_allclose(edge.state, 0.0, atol=1e-7)
+    assert not edge.periodic
+    both = edge_state(double_well(0.5), RIGHT, ([0.6], [0.6]), time=7.0, **BETWEEN)
+    assert name_of(both.result) == "same_state"
+    late = edge_state(double_well(0.5), LEFT, RIGHT, time=7.0, **BETWEEN | {"patience": 1.0})
+    assert name_of(late.result) == "undecided"
+
+
+@pytest.mark.long
+def test_the_edge_of_a_forced_motion_has_the_period_of_its_force():
+    wells = double_well(0.5, force=0.05)
+    edge = edge_state(wells, LEFT, RIGHT, time=100.0, tolerance=1e-6, **BETWEEN)
+    assert name_of(edge.result) == "successful"
+    assert float(edge.period) == pytest.approx(2 * np.pi, rel=1e-12)
+    cycle = edge.cycle(tolerance=1e-7)
+    assert cycle.turns == 1
+    np.testing.assert_allclose(edge.state, cycle.state, atol=1e-8)
+    # At the saddle x'' + c x' - x = F cos t, nearly.
+    assert abs(float(edge.amplitude[0]) - 0.05 / np.hypot(2.0, 0.5)) < 1e-4
+    assert abs(cycle.multipliers[0]) > 100

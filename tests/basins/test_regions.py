@@ -9,8 +9,9 @@ import pytest
 import scipy.stats
 
 from jaxchain import paper_chain, steady_sliding
-from jaxchain.basins import Ball, Box, Gaussian, Sampler
+from jaxchain.basins import Ball, Box, Gaussian, Ranges, Sampler
 from jaxchain.basins.regions import Points, check_region
+from jaxchain.model import LuGre
 
 CHAIN = paper_chain(3, belt_speed=1.5, width=None)
 SLIDING = np.asarray(steady_sliding(CHAIN)[0])
@@ -83,6 +84,50 @@ def test_a_sampler_must_make_states():
     with pytest.raises(ValueError, match=r"make pairs \(x, v\) of shape \(3,\)"):
         check_region(Sampler(lambda chain, point: (point, point), 2), CHAIN)
     check_region(Sampler(lambda chain, point: (point, point), 3), CHAIN)
+
+
+def test_ranges_fill_a_box_between_two_states_of_any_cell():
+    low, high = ([-1.0, 0.0], [2.0, 2.0], [5.0, 0.5]), ([1.0, 3.0], [2.0, 4.0], [6.0, 0.5])
+    region, cells = Ranges(low, high), LuGre()
+    assert check_region(region, cells) == 2
+    points = np.random.default_rng(0).random((1000, region.dimension(cells)))
+    starts = jax.vmap(lambda point: region.start(cells, point))(jnp.asarray(points))
+    for part, a, b in zip(starts, low, high, strict=True):
+        np.testing.assert_allclose(np.min(part, axis=0), a, atol=0.02)
+        np.testing.assert_allclose(np.max(part, axis=0), b, atol=0.02)
+        np.testing.assert_allclose(np.mean(part, axis=0), np.add(a, b) / 2, atol=0.07)
+    corner = jax.grad(
+        lambda top: jnp.sum(Ranges(([0.0],), (top,)).start(cells, jnp.full(1, 0.3))[0])
+    )
+    np.testing.assert_allclose(corner(jnp.ones(1)), 0.3)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "match"),
+    [
+        (3.0, ([1.0], [1.0]), "`low` must be a state"),
+        ((), (), "`low` must be a state"),
+        ((["a"],), ([1.0],), "`low`"),
+        (([np.nan],), ([1.0],), "`low`"),
+        (([0.0],), ([0.0],), "low < high"),
+        (([0.0, 2.0],), ([1.0, 1.0],), "low <= high"),
+        (([0.0],), ([1.0, 1.0],), "arrays of one shape"),
+        (([0.0], [0.0]), ([1.0],), "arrays of one shape"),
+    ],
+)
+def test_ranges_that_are_none_are_refused(low, high, match):
+    with pytest.raises(ValueError, match=match):
+        Ranges(low, high)
+
+
+def test_a_region_that_does_not_fit_the_cells_is_refused():
+    with pytest.raises(ValueError, match="cannot take a state of 2 arrays"):
+        check_region(Ranges(([0.0], [0.0]), ([1.0], [1.0])), LuGre())
+    for region in (Box(), Ball(1.0), Gaussian(1.0, 1.0)):
+        with pytest.raises(ValueError, match=r"`Chain`.*`Ranges` and `Sampler`"):
+            check_region(region, LuGre())
+    with pytest.raises(ValueError, match=r"make pairs \(x, v\)"):
+        check_region(Ranges(([0.0],), ([1.0],)), CHAIN)
 
 
 @pytest.mark.parametrize("kind", ["sobol", "random"])

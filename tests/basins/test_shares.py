@@ -6,18 +6,22 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.stats
+from systems.double_well import Well, by_scipy, double_well
 
 from jaxchain import equation_8, paper_chain, simulate, steady_sliding, sweep
 from jaxchain.basins import (
     AbstractClassifier,
     Box,
     Gaussian,
+    Ranges,
     Sampler,
     VibratingMasses,
     basin_shares,
     share_differences,
 )
+from jaxchain.basins.regions import Points
 from jaxchain.basins.shares import Bars, Batch, Tally, of_replicates
+from jaxchain.model import LuGre, VanDerPol
 from jaxchain.observers import Variable
 from jaxchain.sweeps import SweepInterrupted
 
@@ -409,3 +413,51 @@ def test_equation_8_states_under_all_pushes_of_nothing():
     found = basin_shares(chain, region, replicates=4, half_width=0.05, t1=200.0, checked=4)
     assert found.state.values.tolist() == ["2 vibrate", "undecided"]
     assert found.share[0] == 1
+
+
+WELLS = Ranges(([-2.0], [-2.0]), ([2.0], [2.0]))
+
+
+@pytest.mark.slow
+def test_shares_of_two_wells_are_those_that_scipy_counts():
+    how = {"classify": Well(), "t1": 500.0, "half_width": 0.5, "replicates": 4, "most": 128}
+    found = basin_shares(double_well(0.1), WELLS, {"damping": [0.2, 0.4]}, **how)
+    points = Points(2, 4, "sobol", 0).more(32).reshape(-1, 2)  # the same starts
+    for damping in (0.2, 0.4):
+        right = [by_scipy(damping, 4.0 * point - 2.0)[0] > 0 for point in points]
+        share = found.share.sel(damping=damping)
+        assert float(share.sel(state="right")) == np.mean(right)
+        assert float(share.sel(state="left")) == 1 - np.mean(right)
+    first = found.sel(damping=0.4, state="right")
+    start = [float(first[f"start_{name}"][0]) for name in ("displacement", "velocity")]
+    assert by_scipy(0.4, start)[0] > 0
+    assert found.start_velocity.attrs["units"] == "1"
+
+
+@pytest.mark.long
+def test_the_verdicts_on_the_wells_are_equilibria():
+    how = {"classify": Well(), "t1": 500.0, "half_width": 0.5, "replicates": 4, "most": 128}
+    found = basin_shares(double_well(0.2), WELLS, judge=True, **how)
+    assert found.verdict.values.tolist() == ["steady sliding", "steady sliding", ""]
+
+
+@pytest.mark.long
+def test_cells_that_vibrate_are_counted_above_an_amplitude():
+    """Van der Pol's oscillator runs to 0 from within its unstable cycle if mu < 0."""
+    cells = VanDerPol(jnp.array([-0.5, 0.5]))
+    region = Ranges(([-1.0, 0.1], [-1.0, 0.1]), ([1.0, 1.0], [1.0, 1.0]))
+    found = basin_shares(
+        cells, region, classify=VibratingMasses(by="masses", above=1.0), t1=200.0, checked=4,
+        half_width=0.5, replicates=4, most=128,
+    )  # fmt: skip
+    assert found.state.values.tolist() == ["2 vibrates", "undecided"]
+    assert found.share.values.tolist() == [1.0, 0.0]
+
+
+def test_what_a_share_needs_of_other_models_is_said():
+    with pytest.raises(ValueError, match="give `classify` for other models"):
+        basin_shares(double_well(0.1), WELLS)
+    with pytest.raises(ValueError, match="give `above`"):
+        basin_shares(double_well(0.1), WELLS, classify=VibratingMasses())
+    with pytest.raises(ValueError, match="cannot take a state of 2 arrays"):
+        basin_shares(LuGre(), WELLS, classify=Well())

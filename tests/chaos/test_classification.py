@@ -7,10 +7,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from jaxchain import EventDriven, equation_8, paper_chain, simulate
 from jaxchain.chaos.classification import verdict, verdicts
 from jaxchain.cycles.limit_cycle import refine_orbit
+from jaxchain.model import (
+    AbstractCells,
+    Duffing,
+    LuGre,
+    ModeCoupling,
+    Pendulums,
+    VanDerPol,
+)
 from jaxchain.model.oscillators import AbstractOscillators
 from jaxchain.model.springs import Springs
 
@@ -221,3 +230,213 @@ def test_the_multipliers_of_a_symmetric_dry_orbit_hold_though_its_masses_stick_t
     np.testing.assert_allclose(x[1], x[3], atol=1e-9)
     assert float(orbit.exponents[0]) > 1e-3
     np.testing.assert_allclose(_disturbance(chain, orbit, 60), orbit.exponents[0], rtol=0.05)
+
+
+def alone(*numbers):
+    return tuple(jnp.full(1, float(number)) for number in numbers)
+
+
+def double_well(force):
+    return Duffing(force=force, frequency=1.2, damping=0.3, stiffness=-1.0, cubic=1.0)
+
+
+BRIEF = {"seeds": 1, "noise": (1e-3,), "longest": 4000.0, "exponent_time": 3000.0}
+
+
+def stroboscope(force, turns, state):
+    """The state of the Duffing oscillator that returns after so many periods, by SciPy."""
+
+    def rate(t, y):
+        return y[1], force * np.cos(1.2 * t) - 0.3 * y[1] + y[0] - y[0] ** 3
+
+    span = 0.0, turns * 2 * np.pi / 1.2
+    return solve_ivp(rate, span, state, method="DOP853", rtol=1e-11, atol=1e-12).y[:, -1]
+
+
+@pytest.mark.slow
+def test_a_forced_motion_is_periodic_with_a_multiple_of_the_period_of_its_force():
+    for force, turns in ((0.2, 1), (0.28, 2), (0.29, 4)):
+        found = verdict(double_well(force), alone(1, 0), **BRIEF)
+        assert found.verdict == "periodic", found.reason
+        lead = found.lead
+        np.testing.assert_allclose(lead.period, turns * 2 * np.pi / 1.2, rtol=1e-12)
+        # No exponent of the flow: their sum is that of the damping.
+        assert lead.exponents.max() < -0.01
+        np.testing.assert_allclose(lead.exponents.sum(), -0.3, atol=1e-6)
+        assert lead.relaxation_time == -1 / lead.exponents[0]
+        state = np.ravel(lead.state)
+        np.testing.assert_allclose(stroboscope(force, turns, state), state, atol=1e-4)
+        if turns > 1:
+            assert np.abs(stroboscope(force, turns // 2, state) - state).max() > 1e-2
+
+
+def greatest_exponent(force, time):
+    """By SciPy, from the tangent along one orbit."""
+
+    def rate(t, y):
+        x, v, a, b = y
+        pull = force * np.cos(1.2 * t) - 0.3 * v + x - x**3
+        return v, pull, b, (1 - 3 * x**2) * a - 0.3 * b
+
+    grown, y, step = 0.0, np.array([1.0, 0.0, 1.0, 0.0]), 2 * np.pi / 1.2
+    for k in range(int(time / step)):
+        y = solve_ivp(rate, (k * step, (k + 1) * step), y, rtol=1e-8, atol=1e-10).y[:, -1]
+        length = np.hypot(*y[2:])
+        grown, y[2:] = grown + np.log(length), y[2:] / length
+    return grown / time
+
+
+@pytest.mark.long
+def test_a_forced_motion_is_chaotic_with_the_exponent_that_scipy_finds():
+    found = verdict(double_well(0.5), alone(1, 0), **BRIEF)
+    assert found.verdict == "chaotic", found.reason
+    assert found.lead.low[0] > 0.08
+    assert abs(found.lead.exponents[0] - greatest_exponent(0.5, 3000.0)) < 0.02
+    np.testing.assert_allclose(found.lead.exponents.sum(), -0.3, atol=1e-5)
+
+
+class ForcedVanDerPol(AbstractCells):
+    force: jax.Array
+    frequency: jax.Array
+
+    def rate(self, t, left, own, right):
+        x, v = own
+        return v, 0.3 * (1 - x**2) * v - x + self.force * jnp.cos(self.frequency * t)
+
+    def forcing_period(self):
+        return 2 * jnp.pi / self.frequency
+
+
+@pytest.mark.long
+def test_a_forced_motion_with_two_frequencies_is_not_periodic():
+    free = verdict(ForcedVanDerPol(jnp.asarray(0.3), jnp.asarray(1.7)), alone(1, 0), **BRIEF)
+    assert free.verdict == "quasi-periodic", free.reason
+    assert abs(free.lead.exponents[0]) < 1e-3 < -free.lead.exponents[1]
+    # Near its own frequency it follows the force.
+    locked = verdict(ForcedVanDerPol(jnp.asarray(0.3), jnp.asarray(1.02)), alone(1, 0), **BRIEF)
+    assert locked.verdict == "periodic", locked.reason
+    np.testing.assert_allclose(locked.lead.period, 2 * np.pi / 1.02, rtol=1e-12)
+
+
+@pytest.mark.slow
+def test_cells_that_are_not_coupled_are_one_of_a_family_or_on_a_torus():
+    start = jnp.array([2.0, 1.0]), jnp.zeros(2)
+    equal = verdict(VanDerPol(1.0), start, **BRIEF)
+    assert equal.verdict == "periodic", equal.reason
+    assert "one of a family" in equal.reason
+    np.testing.assert_allclose(equal.lead.period, 6.6632868593231301, rtol=1e-8)
+    assert equal.lead.relaxation_time == np.inf
+    coupled = verdict(VanDerPol(1.0, coupling=0.05), start, **BRIEF)
+    assert coupled.verdict == "periodic", coupled.reason
+    assert 10 < coupled.lead.relaxation_time < 100
+
+
+@pytest.mark.long
+def test_cells_of_two_frequencies_that_are_not_coupled_are_on_a_torus():
+    start = jnp.array([2.0, 1.0]), jnp.zeros(2)
+    found = verdict(VanDerPol(jnp.array([0.5, 1.3])), start, **BRIEF)
+    assert found.verdict == "quasi-periodic", found.reason
+
+
+@pytest.mark.long
+def test_a_block_on_bristles_is_periodic_and_one_that_slides_is_at_rest():
+    found = verdict(LuGre(), alone(0, 0, 0), **BRIEF)
+    assert found.verdict == "periodic", found.reason
+    np.testing.assert_allclose(found.lead.period, 6.36272, atol=2e-5)  # as the docstring says
+    assert len(found.lead.state) == 3
+    sliding = verdict(LuGre(speed=2.0), alone(2.0, 2.0, 1.0), **BRIEF)
+    assert sliding.verdict == "steady sliding", sliding.reason
+
+
+@pytest.mark.long
+def test_two_modes_below_and_beyond_flutter():
+    modes = ModeCoupling(
+        2.0, 1.0, 0.5, contact_stiffness=1.0, friction=0.5, damping_x=0.05, damping_y=0.05,
+        cubic=1.0,
+    )  # fmt: skip
+    assert verdict(modes, alone(1, 0, 0, 0), **BRIEF).verdict == "steady sliding"
+    beyond = verdict(modes.with_(friction=1.5), alone(1, 0, 0, 0), **BRIEF)
+    assert beyond.verdict == "periodic", beyond.reason
+    # A divergence of -0.1: the four exponents have this sum.
+    np.testing.assert_allclose(beyond.lead.exponents.sum(), -0.1, atol=1e-6)
+
+
+@pytest.mark.long
+def test_pendulums_hang_below_the_threshold_and_beyond_it_repeat_after_two_shakes():
+    small = BRIEF | {"first": 500.0}
+    # Mathieu: l = 1, omega = 2, A omega^2 > 2 c loses stability.
+    flat = verdict(Pendulums(1.0, 0.02, 2.0), alone(0.1, 0), **small)
+    assert flat.verdict == "steady sliding", flat.reason
+    swings = verdict(Pendulums(1.0, 0.08, 2.0), alone(0.1, 0), **small)
+    assert swings.verdict == "periodic", swings.reason
+    np.testing.assert_allclose(swings.lead.period, 2 * np.pi, rtol=1e-12)
+
+
+class Hidden(AbstractCells):
+    """Van der Pol's oscillator behind a first number that comes to rest, in other units."""
+
+    decay: jax.Array
+
+    def rate(self, t, left, own, right):
+        first, x, v = own
+        return -self.decay * first, 1e-3 * v, 1e3 * ((1 - x**2) * 1e-3 * v - x)
+
+
+@pytest.mark.long
+def test_a_cell_whose_first_number_rests_is_not_at_rest():
+    found = verdict(Hidden(jnp.asarray(1.0)), alone(1, 1, 0), **BRIEF)
+    assert found.verdict == "transient", found.reason  # the maxima of the first number are none
+    assert all(not run.active.any() for run in found.runs)
+    longer = verdict(Hidden(jnp.asarray(1.0)), alone(1, 1, 0), **BRIEF | {"exponent_time": 3e5})
+    assert longer.verdict == "periodic", longer.reason
+    np.testing.assert_allclose(longer.lead.exponents[2], -1.0593770, rtol=1e-4)
+
+
+class InUnits(AbstractCells):
+    """Van der Pol's oscillator with velocities, and times, in other units."""
+
+    unit: jax.Array
+    pace: jax.Array
+
+    def rate(self, t, left, own, right):
+        x, v = own[0], own[1] / self.unit
+        return self.pace * v, self.pace * self.unit * ((1 - x**2) * v - x)
+
+
+@pytest.mark.long
+def test_the_verdict_does_not_depend_on_the_units_of_a_number():
+    found = verdict(InUnits(jnp.asarray(1e4), jnp.asarray(1.0)), alone(2, 0), **BRIEF)
+    assert found.verdict == "periodic", found.reason
+    np.testing.assert_allclose(found.lead.period, 6.6632868593231301, rtol=1e-8)
+    # More maxima than are kept: the period is that of the orbit all the same.
+    fast = InUnits(jnp.asarray(1.0), jnp.asarray(20.0))
+    found = verdict(fast, alone(2, 0), **BRIEF | {"first": 500.0, "longest": 500.0})
+    assert found.verdict == "periodic", found.reason
+    np.testing.assert_allclose(found.lead.period, 6.6632868593231301 / 20, rtol=1e-8)
+    assert np.isnan(found.lead.slips)
+
+
+class Clocked(AbstractCells):
+    """A force without a word of its period."""
+
+    force: jax.Array
+
+    def rate(self, t, left, own, right):
+        x, v = own
+        return v, self.force * jnp.cos(t) - x - v
+
+
+@pytest.mark.parametrize(
+    ("cells", "initial", "match"),
+    [
+        (Clocked(jnp.asarray(1.0)), alone(1, 0), "forcing_period"),
+        (VanDerPol(1.0), alone(1, 0, 0), "cannot take a state of 3 arrays"),
+        (VanDerPol(1.0), jnp.ones(2), "must be a tuple of arrays"),
+    ],
+)
+def test_a_state_or_force_of_cells_that_does_not_fit_is_refused(cells, initial, match):
+    with pytest.raises(ValueError, match=match):
+        verdict(cells, initial)
+    if isinstance(initial, tuple):
+        with pytest.raises(ValueError, match=match):
+            verdicts(cells, tuple(part[None] for part in initial))

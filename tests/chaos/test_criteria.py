@@ -112,3 +112,24 @@ def test_runs_without_exponents_go_with_those_that_have_them():
     assert found.verdict == "transient"
     assert "1 of 2 runs have ended" in found.remedy
     assert locked.relaxation_time == 1e3
+
+
+def test_a_forced_motion_has_no_exponent_of_the_flow():
+    def forced(*exponents, **more):
+        return run_of(exponents=exponents, width=5e-5, forcing_period=5.0, **more)
+
+    limits = Criteria()
+    assert judge_exponents(forced(-1e-3, -2e-3), limits) == "cycle"
+    assert judge_exponents(forced(1e-5, -1e-3), limits) == "torus"
+    assert judge_exponents(forced(1e-5), limits) == "torus"
+    assert judge_exponents(forced(-1e-4, -1e-3), limits) == "open"
+    assert judge_exponents(forced(1e-3, -1e-3), limits) == "chaos"
+    assert judge_exponents(forced(1e-5, -1e-3, novelty=0.5), limits) == "open"
+    # The same exponents without a force are those of a cycle, or of none.
+    assert judge_exponents(run_of(exponents=(1e-5, -1e-3), width=5e-5), limits) == "cycle"
+    assert judge_exponents(run_of(exponents=(-1e-3, -2e-3), width=5e-5), limits) == "open"
+    runs = [forced(e, -1e-3) for e in (1e-5, 2e-5, 3e-5)]
+    assert judge_torus(runs, limits)
+    assert not judge_torus([run_of(exponents=(e, -1e-3)) for e in (1e-5, 2e-5, 3e-5)], limits)
+    slow = run_of("cycle", exponents=(-1e-3, -2e-3), forcing_period=5.0, locked_at=500.0)
+    assert slow.relaxation_time == 1e3

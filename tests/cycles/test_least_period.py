@@ -18,6 +18,7 @@ from jaxchain.boundaries import hopf_points
 from jaxchain.cycles.limit_cycle import refine_orbit
 from jaxchain.cycles.variational import FACTORS, Returned, Returns
 from jaxchain.localization.patterns import locked_patterns, phase_model
+from jaxchain.model import Duffing
 
 SMOOTH = paper_chain(1, width=0.05, belt_speed=0.5)
 PERIOD = 6.686743645  # by SciPy, from one crossing of the velocity to the next
@@ -135,3 +136,21 @@ def seen(width, speeds):
 @pytest.mark.parametrize("width", [0.1, 0.003])
 def test_every_cycle_is_found_once_round(width):
     assert list(seen(width, [0.3, 0.55, 1.1, 1.2, 1.4, 1.526, 1.68, 1.82, 1.9])) == []
+
+
+@pytest.mark.long
+def test_a_forced_orbit_is_refined_at_a_multiple_of_the_period_of_its_force():
+    well = Duffing(force=0.28, frequency=1.2, damping=0.3, stiffness=-1.0, cubic=1.0)
+    forced = 2 * np.pi / 1.2
+    run = simulate(well, (jnp.ones(1), jnp.zeros(1)), 40 * forced)
+    cycle = find_limit_cycle(well, run, period=2 * forced)
+    assert cycle.turns == 2
+    for times in (1, 2, 3):  # gone round so often
+        orbit = refine_orbit(well, run.state, 2 * times * forced)
+        assert float(orbit.gap) < 1e-11
+        np.testing.assert_allclose(orbit.period, 2 * forced, rtol=1e-12)
+        np.testing.assert_allclose(orbit.state, cycle.state, atol=1e-8)
+        np.testing.assert_allclose(orbit.multipliers, cycle.multipliers, atol=1e-7)
+    # Half of the period is that of another orbit, which is unstable.
+    once = refine_orbit(well, run.state, forced)
+    assert not (once.gap < 1e-9 and np.abs(once.multipliers).max() < 1)

@@ -18,6 +18,7 @@ from .table import (
     COUNT,
     FLAG,
     FUNCTION,
+    INDEX,
     NUMBER,
     POSITIVE,
     WORD,
@@ -49,11 +50,15 @@ def rows() -> Iterator[Row]:
     yield Row("Ball", basins.Ball, {"radius": 1.0}, radius)
     scatter = {"displacement": POSITIVE, "velocity": POSITIVE, "masses": MASSES}
     yield Row("Gaussian", basins.Gaussian, {"displacement": 1.0, "velocity": 1.0}, scatter)
+    bad = (None, "x", {}, 3.0, (), ([math.nan],), (["a"],))
+    good = {"low": ([0.0],), "high": ([1.0],)}
+    yield Row("Ranges", basins.Ranges, good, {"low": (*bad, ([2.0],)), "high": (*bad, ([-1.0],))})
     own = {"function": FUNCTION, "points": COUNT}
     yield Row("Sampler", basins.Sampler, {"function": _still, "points": 1}, own)
     windows = {
         "by": WORD, "phases": FLAG, "window": POSITIVE, "tolerance": (*NUMBER, 0.0, 1.0, -1.0),
         "agree": POSITIVE, "calm": tuple(x for x in POSITIVE if x is not math.inf),
+        "above": optional(POSITIVE), "component": INDEX,
     }  # fmt: skip
     yield Row("VibratingMasses", basins.VibratingMasses, {}, windows)
     yield from _shares()
@@ -70,7 +75,7 @@ def rows() -> Iterator[Row]:
         {
             "chain": A_CHAIN, "quiet": states(3), "vibrating": states(3), **times,
             "time": (*POSITIVE, 5.0, 1e9), "far": (*POSITIVE, 1e-10), "rtol": (None, *TOLERANCE),
-            "solver": SOLVERS,
+            "solver": SOLVERS, "classify": ("x", 3.0, {}, basins.Box()),
         },
     )  # fmt: skip
     yield from _blows()
