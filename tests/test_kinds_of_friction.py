@@ -202,6 +202,7 @@ REFUSED = {
     "liouville_determinant": (
         lambda c: jc.cycles.liouville_determinant(c, c_start(c), 6.0), "`find_limit_cycle`"
     ),
+    "find_limit_cycles": (lambda c: jc.cycles.find_limit_cycles(c, 2), "`find_limit_cycle`"),
     "continue_cycle": (lambda c: jc.continue_cycle(c, c_start(c), 6.0), "one belt speed to"),
     "fold_by_descent": (jc.boundaries.fold_by_descent, "`find_grazing`"),
     "one_mass_branch": (jc.boundaries.one_mass_branch, "sliding_basin`"),

@@ -234,7 +234,7 @@ def find_limit_cycles(
         True
     """
     as_chain(chain, AbstractField)
-    require_smoothed(chain, "")
+    require_smoothed(chain, "use `find_limit_cycle`, ")
     check_tolerances(rtol, None, MAX_STEP)
     limit = check_tolerance(tolerance, max_steps)
     for name, value in (("rounds", rounds), ("lanes", lanes)):
