@@ -60,11 +60,11 @@ class Step(eqx.Module):
     part: Callable[[Any, int], Array]  # number k of each cell at theta
     component: int = eqx.field(static=True, default=0)
 
-    def displacement(self, theta: Any) -> Float[Array, " n"]:
+    def displacement(self, theta: Any) -> Array:
         """The number `component` of each cell."""
         return self.part(theta, self.component)
 
-    def velocity(self, theta: Any) -> Float[Array, " n"]:
+    def velocity(self, theta: Any) -> Array:
         """Its rate: from the field if it is that of the cell alone, else the interpolant's slope.
 
         theta may differ from cell to cell, so that a neighbour at the same time is not known.
@@ -78,7 +78,7 @@ class Step(eqx.Module):
         _, slope = jax.jvp(self.displacement, (theta,), (jnp.ones_like(theta),))
         return slope / jnp.where(self.t1 == self.t0, 1.0, self.t1 - self.t0)
 
-    def state(self, theta: Any) -> State:
+    def state(self, theta: Any) -> tuple[Array, ...]:
         """The whole state at theta."""
         return tuple(self.part(theta, k) for k in range(len(self.y0)))
 
