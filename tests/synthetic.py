@@ -106,7 +106,9 @@ def cycle_branch(n=2, special=("fold", "hopf")):
         raw = SpecialPoint(kind, index, 0.0, u[0], p, np.ones(2 * n + 1), 0.0, 0.0, True, 1e-9)
         state, own = np.full(n, top), top * 0.1 ** np.arange(n)
         points.append(
-            CyclePoint(kind, p, (state, -state), 6.3, own, multipliers[0], True, 1e-9, raw)
+            CyclePoint(
+                kind, p, (state, -state), 6.3, own, multipliers[0], True, 1e-9, raw, shooting
+            )
         )
     tangents, none = np.ones((8, 2 * n + 1)), np.zeros(8)
     return CycleBranch(
