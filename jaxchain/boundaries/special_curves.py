@@ -48,13 +48,19 @@ from ..continuation.arclength import continue_branch
 from ..continuation.branch import ENDINGS, Branch
 from ..continuation.damped_newton import check_tolerance, factorise, solve
 from ..continuation.implicit import attach_derivative, if_found
-from ..cycles.branches import RTOL, CyclePoint, cycle_at, cycle_weights, linearise
-from ..cycles.branches import symmetry_breaking_basis
+from ..cycles.branches import (
+    CyclePoint,
+    cycle_at,
+    cycle_weights,
+    linearise,
+    symmetry_breaking_basis,
+)
 from ..cycles.floquet import LEAST_VELOCITY
 from ..cycles.shooting import Shooting
 from ..cycles.variational import flow
 from ..model.arguments import as_chain
 from ..model.cells import AbstractField
+from ..model.chain import require_smoothed
 from ..model.parameters import parameter
 from ..model.provenance import circumstances, parameters_of
 from ..result import Outcome, Printed, SearchResult
@@ -68,8 +74,10 @@ _KINDS = ("fold", "period doubling", "symmetry breaking", "torus")
 _SMALL = 1e-3
 # Beside the length of the tangent: slopes of both numbers that vanish together at a cusp.
 _CUSP = 1e-4
-# The greatest relative distance of the last fold of a curve from the generalised Hopf point.
+# The greatest distance of the last fold from the generalised Hopf point, as a share of the curve.
 _NEAR = 1e-2
+# Below it a number has no scale of its own.
+_TINY = 1e-6
 
 
 class _CycleEquations(eqx.Module):
@@ -83,7 +91,7 @@ class _CycleEquations(eqx.Module):
         """The number of unknowns besides those of the cycle and the parameters."""
         return int(self.kind == "torus")
 
-    def split(self, U: Array) -> tuple[Array, tuple[Array, ...], Any]:
+    def split(self, U: Any) -> tuple[Array, tuple[Array, ...], Any]:
         """(u, parameters, kappa)."""
         m, k = self.shooting.size, self._extra
         return U[:m], tuple(U[m + k :]), U[m]
@@ -103,7 +111,7 @@ class _CycleEquations(eqx.Module):
         elif self.kind == "period doubling":
             g, left, right = _signed_least(M + jnp.eye(len(M)))
         else:
-            basis = symmetry_breaking_basis(self.shooting.images, self.shooting.m)
+            basis = jnp.asarray(symmetry_breaking_basis(self.shooting.images, self.shooting.m))
             g, left, right = _signed_least(basis.T @ M @ basis - jnp.eye(basis.shape[1]))
             left, right = basis @ left, basis @ right
         return jnp.append(r, g), slopes, extra, left, right
@@ -141,6 +149,17 @@ class _CycleEquations(eqx.Module):
         return self.shooting.field
 
     @property
+    def names(self) -> tuple[str, str]:
+        """The first and the second number."""
+        return self.shooting.parameter  # pyright: ignore[reportReturnType]
+
+    def weights(self, U: np.ndarray) -> np.ndarray:
+        """Of the norm of steps, see `cycle_weights`."""
+        m = self.shooting.size
+        of_cycle = cycle_weights(self.shooting, 1.0)[:m]
+        return np.concatenate([of_cycle, np.ones(self._extra), _relative(U[-2:])])
+
+    @property
     def ends(self) -> tuple[str, ...]:
         """The tests at whose zero the curve ends."""
         return ("1:1", "1:2") if self.kind == "torus" else ()
@@ -172,7 +191,7 @@ class _CycleEquations(eqx.Module):
     def cycle(self, U: np.ndarray) -> tuple[Any, Any, Any]:
         """(state, period, amplitude)."""
         u, parameters, _ = self.split(U)
-        return cycle_at(u, parameters, self.shooting)
+        return cycle_at(u, parameters, self.shooting)  # pyright: ignore[reportArgumentType]
 
     def residual(self, U: Array) -> Array:
         """R, with derivatives, in every number of the model as well."""
@@ -202,6 +221,11 @@ def _test_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
 
     _, tangent = eqx.filter_jvp(frozen, primals, tangents)
     return r[primals[1].shooting.size :], tangent
+
+
+def _relative(values: np.ndarray) -> np.ndarray:
+    """1 / |value|, or 1 for a value without a scale of its own."""
+    return 1.0 / np.where(np.abs(values) < _TINY, 1.0, np.abs(values))
 
 
 def _signed_least(matrix: Array, rows: Any = 1.0) -> tuple[Array, Array, Array]:
@@ -241,6 +265,16 @@ class _HopfEquations(eqx.Module):
     ends = ("Bogdanov-Takens",)
 
     @property
+    def names(self) -> tuple[str, str]:
+        """The first and the second number."""
+        return str(self.rates.parameter), self.second
+
+    def weights(self, U: np.ndarray) -> np.ndarray:
+        """Of the norm of steps."""
+        m = U.size - 3
+        return np.append(np.full(m, m**-0.5), _relative(U[m:]))
+
+    @property
     def field(self) -> AbstractField:
         """The model."""
         return self.rates.field
@@ -259,8 +293,9 @@ class _HopfEquations(eqx.Module):
 
     def cycle(self, U: np.ndarray) -> tuple[Any, Any, Any]:
         """(state, period, amplitude) of a cycle of no amplitude."""
-        state = tuple(np.split(U[:-3], self.rates.m))
-        return state, 2 * np.pi / np.sqrt(max(U[-3], 0.0)), np.zeros_like(state[0])
+        state, kappa = tuple(np.split(U[:-3], self.rates.m)), U[-3]
+        period = 2 * np.pi / np.sqrt(kappa) if kappa > 0 else np.inf
+        return state, period, np.zeros_like(state[0])
 
     def at(self, U: Array) -> tuple[Array, Rates, Array]:
         """(y, the rates with q set, p)."""
@@ -351,16 +386,17 @@ def find_special_cycle(
         >>> round(float(speed(0.05)), 8), round(float(jax.grad(speed)(0.05)), 3)
         (1.65930737, -24.069)
     """
-    shooting, kind, names, U = _start(point)
+    shooting, kind, name, U = _start(point)
     check_flag("throw", throw)
     limit = check_tolerance(tolerance, max_steps)
     chain = shooting.field if chain is None else as_chain(chain, AbstractField)
+    require_smoothed(chain, "")
     check_kind("chain", chain, type(shooting.field), "the model of `point`", "change its numbers.")
-    found = _find(shooting, chain, kind, names[0], U, to_float(tolerance), jnp.asarray(limit))
+    found = _find(shooting, chain, kind, name, U, to_float(tolerance), jnp.asarray(limit))
     if throw and not is_traced(found.successful) and not found.successful:
         raise RuntimeError(
-            f"No {kind} in `{names[0]}` was found near `point`: {found.message} Change the numbers "
-            "of `chain` in smaller steps, or use `continue_special`."
+            f"No {kind} in `{name}` was found near `point`: {found.message} Change the "
+            "numbers of `chain` in smaller steps, or use `continue_special`."
         )
     return found
 
@@ -400,8 +436,8 @@ def _solved(U: Array, equations: _CycleEquations) -> Array:
     return equations.residual(U)
 
 
-def _start(point: Any) -> tuple[Shooting, str, tuple[str, ...], Array]:
-    """(equations of the cycle, kind, names of the parameters, unknowns) of a special cycle."""
+def _start(point: Any) -> tuple[Shooting, str, str, Array]:
+    """(equations of the cycle, kind, name of the parameter, unknowns) of a special cycle."""
     remedy = "`continue_cycle(...).special` has them."
     check_kind("point", point, CyclePoint | SpecialCycle, "a special point of cycles", remedy)
     if point.kind not in _KINDS:
@@ -410,16 +446,17 @@ def _start(point: Any) -> tuple[Shooting, str, tuple[str, ...], Array]:
             f'"{point.kind}". {remedy}'
         )
     if isinstance(point, SpecialCycle):
-        return point.shooting, point.kind, (point.parameter,), point.unknowns
-    mu: Any = point.multipliers[np.argmin(abs(abs(point.multipliers) - 1.0) - (
-        10.0 * (point.multipliers.imag != 0)
-    ))]  # fmt: skip
+        return point.shooting, point.kind, point.parameter, point.unknowns
+    pairs = point.multipliers[point.multipliers.imag > 0]
+    mu = pairs[np.abs(np.abs(pairs) - 1.0).argmin()] if point.kind == "torus" else 0j
     kappa = [mu.real] if point.kind == "torus" else []
     U = jnp.asarray([*point.raw.u, *kappa, point.parameter])
-    return point.shooting, point.kind, (str(point.shooting.parameter),), U
+    return point.shooting, point.kind, str(point.shooting.parameter), U
 
 
-class CurvePoint(NamedTuple):
+@final
+@dataclass(frozen=True, repr=False)
+class CurvePoint(Printed):
     """A point of a `SpecialCurve` at which more happens.
 
     `kind`, the numbers `first` and `second`; `error` of `second`, from the search; `index`: it
@@ -493,7 +530,8 @@ class SpecialCurve(Printed):
         u = self.unknowns[range(len(self.first))[index]]
         if not np.all(np.isfinite(u)):
             raise ValueError(
-                f"Argument `index` = {shown(index)} is the end of the curve, where no cycle is left."
+                f"Argument `index` = {shown(index)} is the end of the curve, where the amplitude "
+                "is 0: give one next to it."
             )
         first, second = self.names
         if chain is None:
@@ -518,8 +556,10 @@ class SpecialCurve(Printed):
         from xarray import Dataset
 
         rows = [parameter(name) for name in self.names]
-        columns = zip(*self.special, strict=True) if self.special else [[]] * 6
-        kinds, *values, error, index, _ = map(np.asarray, columns)
+        kinds, *values, error, index = (
+            np.array([getattr(point, name) for point in self.special])
+            for name in ("kind", "first", "second", "error", "index")
+        )
         n = self.amplitude.shape[1]
         of_special = {
             "kind": (kinds.astype(str), {"long_name": "kind of special point"}),
@@ -584,7 +624,7 @@ def continue_special(
 
     **Returns:** a `SpecialCurve`.
 
-    **Raises:** `ValueError` for bad input; `RuntimeError` if there is no such point near the start.
+    **Raises:** `ValueError` for bad input; `RuntimeError` if there is no curve near the start.
 
     !!! example
 
@@ -601,20 +641,15 @@ def continue_special(
     """
     if isinstance(point, CyclePoint) and point.kind == "hopf":
         point = _hopf_of(point)
-    if isinstance(point, HopfPoint):
-        field, first, y = point.chain, point.parameter, jnp.concatenate(point.state)
-        U = jnp.append(y, jnp.stack([point.frequency**2, point.value]))
-    else:
-        shooting, kind, (first,), U = _start(point)
-        field = shooting.field
-    check_concrete("use `find_special_cycle` or `find_hopf_point`.", chain=field)
-    numbers = {n: v for n, v in field.numbers().items() if np.shape(v) == () and n != first}
-    check_one_of("second", second, sorted(numbers))
-    ranges, p, q = _ranges(bounds, first, second), float(U[-1]), float(numbers[second])
-    for name, value in ((first, p), (second, q)):
+    equations, U = _equations(point, second)
+    first, q = equations.names[0], equations.field.numbers()
+    check_concrete("use `find_special_cycle` or `find_hopf_point`.", chain=equations.field)
+    check_one_of("second", second, sorted(n for n in q if np.shape(q[n]) == () and n != first))
+    U, ranges = np.append(U, float(q[second])), _ranges(bounds, first, second)
+    for name, value in zip(ranges, U[-2:], strict=True):
         if not ranges[name][0] <= value <= ranges[name][1]:
             raise ValueError(
-                f"Argument `bounds` must contain the start, {name} = {value:.6g}, but has "
+                f"Argument `bounds` must contain the start, {name} = {value:.6g}, but is "
                 f"{ranges[name]} for it."
             )
     options = {
@@ -623,19 +658,21 @@ def continue_special(
         "max_points": max_points,
         "tolerance": tolerance,
     }
-    U = np.append(U, q)
-    weights = 1.0 / np.where(U == 0.0, 1.0, np.abs(U))
-    if isinstance(point, HopfPoint):
-        equations = _HopfEquations(Rates(field, len(point.state), first), second)
-        weights[:-3] = (U.size - 3) ** -0.5
-    else:
-        equations = _CycleEquations(replace(shooting, parameter=(first, second)), kind)
-        m = shooting.size
-        weights[:m], weights[m:-2] = cycle_weights(shooting, p)[:m], 1.0
-    sides = [_side(equations, U, weights, 1, ranges, options)]
+    sides = [_side(equations, U, 1, ranges, options)]
     if sides[0].ended != "closed":
-        sides.append(_side(equations, U, weights, -1, ranges, options))
-    return _joined(equations, (first, second), sides)
+        sides.append(_side(equations, U, -1, ranges, options))
+    return _joined(equations, sides)
+
+
+def _equations(point: Any, second: Any) -> tuple[Any, Array]:
+    """(the equations of the curve, their unknowns at its start)."""
+    if isinstance(point, HopfPoint):
+        y, field, first = jnp.concatenate(point.state), point.chain, point.parameter
+        rates = Rates(field, len(point.state), first)
+        U = jnp.append(y, jnp.stack([point.frequency**2, point.value]))
+        return _HopfEquations(rates, second), U
+    shooting, kind, first, U = _start(point)
+    return _CycleEquations(replace(shooting, parameter=(first, second)), kind), U
 
 
 def _hopf_of(point: CyclePoint) -> HopfPoint:
@@ -674,12 +711,12 @@ class _Side(NamedTuple):
 def _side(
     equations: Any,
     U: np.ndarray,
-    weights: np.ndarray,
     direction: int,
     ranges: Mapping[str, tuple[float, float]],
     options: dict[str, Any],
 ) -> _Side:
     tests, ((low, high), second), first = equations.tests(), ranges.values(), []
+    weights = equations.weights(U)
 
     def edge(u: np.ndarray, *_: Any) -> float:
         return float(min(u[-1] - low, high - u[-1]))
@@ -707,7 +744,7 @@ def _side(
             kind = "cusp" if equations.kind == "fold" and max(slopes) < _CUSP else "extremum"
         if kind != "edge":
             error = raw.error if raw.refined else np.inf
-            special.append(CurvePoint(kind, z[-2], z[-1], error, raw.index, z))
+            special.append(CurvePoint(kind, float(z[-2]), float(z[-1]), error, raw.index, z))
         if kind in (*equations.ends, "edge"):
             unknowns[raw.index + 1 :] = [z]
             residual[raw.index + 1 :] = [raw.residual]
@@ -715,8 +752,9 @@ def _side(
             break
     cycles = [equations.cycle(U) for U in unknowns]
     if equations.kind == "fold" and ended in ("stopped", "step_too_small"):
-        if (meeting := _end_of_folds(equations, unknowns[-1], ranges)) is not None:
-            ended, special = meeting.kind, [*special, meeting._replace(index=len(cycles) - 1)]
+        meeting = _end_of_folds(equations, np.array(unknowns), ranges)
+        if meeting is not None:
+            ended, special = meeting.kind, [*special, replace(meeting, index=len(cycles) - 1)]
             *y, kappa, p, q = meeting.unknowns
             state = tuple(np.split(np.array(y), equations.shooting.m))
             unknowns.append(np.append(np.full(U.size - 2, np.nan), [p, q]))
@@ -726,31 +764,31 @@ def _side(
 
 
 def _end_of_folds(
-    equations: _CycleEquations, U: np.ndarray, ranges: Mapping[str, Any]
+    equations: _CycleEquations, unknowns: np.ndarray, ranges: Mapping[str, Any]
 ) -> CurvePoint | None:
     """The generalised Hopf point near a fold of almost no amplitude, on the curve of Hopf points.
 
     There it is well conditioned; on the curve of folds the equations are noise divided by the
     amplitude.
     """
-    (first, second), (p, q) = ranges, U[-2:]
-    state, period, _ = equations.cycle(U)
+    (first, second), (p, q) = ranges, unknowns[-1, -2:]
+    state, period, _ = equations.cycle(unknowns[-1])
     chain = equations.field.with_(**{first: p, second: q})
     frequency = 2 * np.pi / period
     hopf = find_hopf_point(chain, first, state, frequency=frequency, throw=False)
     if not hopf.successful:
         return None
     curve = continue_special(hopf, second, step=1e-3, max_points=30)
-    meetings = curve.of_kind("generalised Hopf")
+    size = np.max(np.abs(unknowns[:, -2:]), axis=0)
 
     def distance(point: CurvePoint) -> float:
-        return max(abs(point.first / p - 1.0), abs(point.second / q - 1.0))
+        return float(np.max(np.abs([point.first - p, point.second - q]) / size))
 
-    nearest = min(meetings, key=distance, default=None)
+    nearest = min(curve.of_kind("generalised Hopf"), key=distance, default=None)
     return None if nearest is None or distance(nearest) > _NEAR else nearest
 
 
-def _joined(equations: Any, names: tuple[str, str], sides: list[_Side]) -> SpecialCurve:
+def _joined(equations: Any, sides: list[_Side]) -> SpecialCurve:
     """The curve of both sides, from the end of the second to that of the first."""
     ahead, back = sides[0], sides[-1]
     before = len(back.unknowns) - 1 if len(sides) > 1 else 0
@@ -758,12 +796,12 @@ def _joined(equations: Any, names: tuple[str, str], sides: list[_Side]) -> Speci
     def both(name: str) -> list[Any]:
         return [*getattr(back, name)[before:0:-1], *getattr(ahead, name)]
 
-    special = [p._replace(index=before - 1 - p.index) for p in back.special[::-1] if before]
-    special += [p._replace(index=before + p.index) for p in ahead.special]
+    special = [replace(p, index=before - 1 - p.index) for p in back.special[::-1] if before]
+    special += [replace(p, index=before + p.index) for p in ahead.special]
     unknowns = np.array(both("unknowns"))
     states, period, amplitude = zip(*both("cycles"), strict=True)
     return SpecialCurve(
-        kind=equations.kind, names=names, first=unknowns[:, -2], second=unknowns[:, -1],
+        kind=equations.kind, names=equations.names, first=unknowns[:, -2], second=unknowns[:, -1],
         state=tuple(map(np.stack, zip(*states, strict=True))), period=np.stack(period),
         amplitude=np.stack(amplitude), residual=np.array(both("residual")),
         special=tuple(special), ended=(back.ended, ahead.ended), equations=equations,

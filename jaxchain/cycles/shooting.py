@@ -52,8 +52,8 @@ class Shooting(eqx.Module):
     - `images`: orbits with a symmetry have unknowns only for masses that differ: entry n is the
       index of the mass that moves like mass n, `images[i] = i` for those solved for.  None: no
       symmetry.
-    - `parameter`: the argument of `Chain.with_` that is the parameter of the residual, or the names
-      of several, or None.
+    - `parameter`: the argument of `Chain.with_` that is the parameter of the residual, a tuple of
+      several, or None.
     - `m`: the number of variables of a cell.
     - `turns`: the period of a forced orbit in periods of the force; None without forcing.
     """
