@@ -91,7 +91,7 @@ class _CycleEquations(eqx.Module):
         """The number of unknowns besides those of the cycle and the parameters."""
         return int(self.kind == "torus")
 
-    def split(self, U: Any) -> tuple[Array, tuple[Array, ...], Any]:
+    def split(self, U: Array) -> tuple[Array, tuple[Array, ...], Any]:
         """(u, parameters, kappa)."""
         m, k = self.shooting.size, self._extra
         return U[:m], tuple(U[m + k :]), U[m]
@@ -190,8 +190,8 @@ class _CycleEquations(eqx.Module):
 
     def cycle(self, U: np.ndarray) -> tuple[Any, Any, Any]:
         """(state, period, amplitude)."""
-        u, parameters, _ = self.split(U)
-        return cycle_at(u, parameters, self.shooting)  # pyright: ignore[reportArgumentType]
+        u, parameters, _ = self.split(jnp.asarray(U))
+        return cycle_at(u, parameters, self.shooting)
 
     def residual(self, U: Array) -> Array:
         """R, with derivatives, in every number of the model as well."""
@@ -352,7 +352,7 @@ class SpecialCycle(Outcome):
 
 
 def find_special_cycle(
-    point: CyclePoint | SpecialCycle,
+    point: Any,
     chain: Any = None,
     *,
     tolerance: Any = 1e-10,
@@ -598,12 +598,12 @@ class SpecialCurve(Printed):
 
 
 def continue_special(
-    point: CyclePoint | SpecialCycle | HopfPoint,
+    point: Any,
     second: Any,
     *,
     bounds: Mapping[str, tuple[Any, Any]] | None = None,
     step: Any = 0.05,
-    max_step: Any = 0.3,
+    max_step: Any = 0.1,
     max_points: Any = 200,
     tolerance: Any = 1e-9,
 ) -> SpecialCurve:
