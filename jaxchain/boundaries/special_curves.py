@@ -555,34 +555,56 @@ class SpecialCurve(Printed):
         # xarray imports pandas, which would double the import time.
         from xarray import Dataset
 
-        rows = [parameter(name) for name in self.names]
-        kinds, *values, error, index = (
-            np.array([getattr(point, name) for point in self.special])
-            for name in ("kind", "first", "second", "error", "index")
-        )
-        n = self.amplitude.shape[1]
-        of_special = {
-            "kind": (kinds.astype(str), {"long_name": "kind of special point"}),
-            **{
-                row.name: (v.astype(float), row.attrs) for row, v in zip(rows, values, strict=True)
-            },
-            "error": (error.astype(float), {"long_name": f"error of the {rows[1].words} there"}),
-            "index": (index.astype(int), {"long_name": "it lies between this point and the next"}),
+        rows, n = [parameter(name) for name in self.names], self.amplitude.shape[1]
+
+        def special(name: str) -> np.ndarray:
+            return np.array([getattr(point, name) for point in self.special])
+
+        each = ("point", "oscillator")
+        height = "vibration amplitude A_n (half peak-to-peak)"
+        there = "it lies between this point of the curve and the next"
+        table = {
+            "period": (
+                "point",
+                self.period,
+                "period T, at a Hopf point 2 pi / omega",
+                "1 / omega_n",
+            ),
+            "amplitude": (each, self.amplitude, height, "x0"),
+            "residual": ("point", self.residual, "greatest residual, last but one", "1"),
+            "special_kind": (
+                "special",
+                special("kind").astype(str),
+                "kind of special point",
+                None,
+            ),
+            "special_error": (
+                "special",
+                special("error"),
+                "error of the second number there",
+                "1",
+            ),
+            "special_index": ("special", special("index").astype(int), there, "1"),
         }
+        named = dict(zip(("first", "second"), rows, strict=True))
         return Dataset(
             {
-                "period": ("point", self.period, {"long_name": "period", "units": "1 / omega_n"}),
-                "amplitude": (
-                    ("point", "oscillator"),
-                    self.amplitude,
-                    {"long_name": "half peak-to-peak", "units": "x0"},
-                ),
-                "residual": ("point", self.residual, {"long_name": "greatest residual"}),
-                **{f"special_{k}": ("special", *column) for k, column in of_special.items()},
+                name: (
+                    dims,
+                    values,
+                    {"long_name": text} | ({} if unit is None else {"units": unit}),
+                )
+                for name, (dims, values, text, unit) in table.items()
+            }
+            | {
+                f"special_{row.name}": ("special", special(name).astype(float), row.attrs)
+                for name, row in named.items()
             },
             coords={
-                rows[0].name: ("point", self.first, rows[0].attrs),
-                rows[1].name: ("point", self.second, rows[1].attrs),
+                **{
+                    row.name: ("point", getattr(self, name), row.attrs)
+                    for name, row in named.items()
+                },
                 "oscillator": ("oscillator", np.arange(1, n + 1), {"long_name": "oscillator n"}),
             },
             attrs={

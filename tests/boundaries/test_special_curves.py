@@ -11,6 +11,8 @@ from scipy.optimize import brentq
 from synthetic import cycle_branch
 
 from jaxchain import (
+    ExponentialDecay,
+    TanhFriction,
     WeakeningStrengthening,
     continue_cycle,
     continue_special,
@@ -252,9 +254,9 @@ def test_folds_end_in_the_generalised_hopf_point():
 
 
 LAWS = {
-    "exponential": {},
-    "strengthening": {"law": WeakeningStrengthening(1.0, 0.5, 0.5, 0.02)},
-    "gaussian": {"law": GaussianStribeck(1.0, 0.5, 0.5, 0.01)},
+    "exponential": ExponentialDecay(1.0, 0.5, 0.5),
+    "strengthening": WeakeningStrengthening(1.0, 0.5, 0.5, 0.02),
+    "gaussian": GaussianStribeck(1.0, 0.5, 0.5, 0.01),
 }
 
 
@@ -262,7 +264,7 @@ LAWS = {
 @pytest.mark.parametrize("law", LAWS)
 def test_folds_are_those_of_single_searches(law):
     for width in (1e-1, 1e-2, 1e-3, 1e-4):
-        chain = paper_chain(1, belt_speed=1.2, width=width, **LAWS[law])
+        chain = paper_chain(1, friction=TanhFriction(LAWS[law], width), belt_speed=SPEEDS[law])
         curve = continue_special(
             fold_of(chain), "damping_ratio", bounds={"damping_ratio": (0.02, 0.12)}, max_step=0.06
         )
