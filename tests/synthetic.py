@@ -1,10 +1,12 @@
 """Made-up results that look like those of `sweep`, for everything that comes after it."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import xarray as xr
 
+from jaxchain.boundaries.special_curves import CurvePoint, SpecialCurve
 from jaxchain.continuation.branch import Branch, SpecialPoint
 from jaxchain.cycles.branches import CycleBranch, CyclePoint
 from jaxchain.cycles.shooting import Shooting
@@ -106,11 +108,25 @@ def cycle_branch(n=2, special=("fold", "hopf")):
         raw = SpecialPoint(kind, index, 0.0, u[0], p, np.ones(2 * n + 1), 0.0, 0.0, True, 1e-9)
         state, own = np.full(n, top), top * 0.1 ** np.arange(n)
         points.append(
-            CyclePoint(kind, p, (state, -state), 6.3, own, multipliers[0], True, 1e-9, raw)
+            CyclePoint(
+                kind, p, (state, -state), 6.3, own, multipliers[0], True, 1e-9, raw, shooting
+            )
         )
     tangents, none = np.ones((8, 2 * n + 1)), np.zeros(8)
     return CycleBranch(
         "belt_speed", speed, (amplitude, -amplitude), np.linspace(6.31, 6.28, 8), amplitude,
         np.linspace(3.0, -10.0, 8), multipliers, np.full(8, 1e-9), tuple(points), shooting,
         Branch(u, speed, np.arange(8.0), tangents, none, None, (), "stopped"),
+    )  # fmt: skip
+
+
+def special_curve(kind="fold"):
+    """A made-up curve of folds or Hopf points that meet at (0.5, 0.3)."""
+    second = np.array([0.1, 0.2, 0.3])
+    first = 0.5 + (0.3 - second) * {"fold": 4.0, "hopf": 2.0}[kind]
+    meeting = CurvePoint("generalised Hopf", 0.5, 0.3, 1e-9, 1, np.zeros(4))
+    parts, equations = np.zeros((3, 1)), SimpleNamespace(field=paper_chain(1, width=1e-2))
+    return SpecialCurve(
+        kind, ("belt_speed", "damping_ratio"), first, second, (parts, parts), np.full(3, 6.3),
+        parts, np.zeros(3), (meeting,), ("left_bounds", "generalised Hopf"), equations, parts,
     )  # fmt: skip

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from layouts import PAGE, Row, differences, row_of, rows, tables
-from synthetic import cycle_branch
+from synthetic import cycle_branch, special_curve
 
 from jaxchain.basins import Box, basin_shares, share_differences
 from jaxchain.boundaries import fold_belt_speeds
@@ -149,6 +149,10 @@ def test_branches():
     circle = continue_branch(lambda u, p, _: u**2 + p**2 - 1.0, jnp.ones(1), 0.0).to_dataset()
     assert not differences(TABLES["Branches", "Of equations"], rows(circle))
     assert set(circle.attrs) <= attributes("Branches", "Of equations")
+    numbers = "belt_speed", "damping_ratio"
+    curve, unless = special_curve().to_dataset(), [*numbers, *(f"special_{n}" for n in numbers)]
+    assert not differences(TABLES["Branches", "Of special points"], rows(curve, unless=unless))
+    assert set(curve.attrs) <= attributes("Branches", "Of special points")
 
 
 def test_the_hopf_speed_of_a_scene():

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from synthetic import cycle_branch
 
 import jaxchain as jc
 from jaxchain.plotting.motions import loop, sticking
@@ -204,6 +205,10 @@ REFUSED = {
     ),
     "find_limit_cycles": (lambda c: jc.cycles.find_limit_cycles(c, 2), "`find_limit_cycle`"),
     "continue_cycle": (lambda c: jc.continue_cycle(c, c_start(c), 6.0), "one belt speed to"),
+    "find_special_cycle": (
+        lambda c: jc.boundaries.find_special_cycle(cycle_branch(1).special[0], c),
+        "give it a width",
+    ),
     "fold_by_descent": (jc.boundaries.fold_by_descent, "`find_grazing`"),
     "one_mass_branch": (jc.boundaries.one_mass_branch, "sliding_basin`"),
     "phase_model": (

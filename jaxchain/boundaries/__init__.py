@@ -9,6 +9,7 @@
 - `limit`: extrapolation to width zero, with its error bar
 - `ranges`: both boundaries of one chain with error bars, and the bistable range between them
 - `single_mass`: all cycles of one mass over the belt speed
+- `special_curves`: curves of special points in two numbers, and special cycles to all digits
 """
 
 import lazy_loader

@@ -29,3 +29,8 @@ from .ranges import stability_range as stability_range
 from .ranges import try_boundary as try_boundary
 from .single_mass import OneMassBranch as OneMassBranch
 from .single_mass import one_mass_branch as one_mass_branch
+from .special_curves import CurvePoint as CurvePoint
+from .special_curves import SpecialCurve as SpecialCurve
+from .special_curves import SpecialCycle as SpecialCycle
+from .special_curves import continue_special as continue_special
+from .special_curves import find_special_cycle as find_special_cycle

@@ -84,6 +84,12 @@ class HopfPoint(Outcome):
     steps: Int[Array, ""]
     parameter: str = eqx.field(static=True)
 
+    @property
+    def lyapunov_coefficient(self) -> Float[Array, ""]:
+        """l1, the first Lyapunov coefficient: see `lyapunov_coefficient`."""
+        rates = Rates(self.chain, len(self.state))
+        return lyapunov_coefficient(rates, jnp.concatenate(self.state), self.frequency)
+
     def guess(self, amplitude: Any) -> tuple[State, Array]:
         """(state, period) of a small cycle, for `find_limit_cycle` close to the point.
 
@@ -95,7 +101,7 @@ class HopfPoint(Outcome):
         return state, 2.0 * jnp.pi / self.frequency
 
 
-class _Rates(eqx.Module):
+class Rates(eqx.Module):
     """The rates of a model as a function of the concatenated state, and of one of its numbers."""
 
     field: AbstractField
@@ -110,8 +116,50 @@ class _Rates(eqx.Module):
         return jnp.concatenate(self.at(p)(0.0, tuple(jnp.split(u, self.m))))
 
 
-def _residual(u: Array, rates: _Rates) -> Array:
+def _residual(u: Array, rates: Rates) -> Array:
     return rates(u)
+
+
+@eqx.filter_jit
+def lyapunov_coefficient(
+    rates: Any, y: Float[Array, " mn"], frequency: Float[Array, ""]
+) -> Float[Array, ""]:
+    """The first Lyapunov coefficient of a Hopf point y of y' = rates(y) of frequency omega.
+
+        l1 = 1 / (2 omega) Re [ <p, C(q, q, q*)> - 2 <p, B(q, J^-1 B(q, q*))>
+                                + <p, B(q*, (2 i omega - J)^-1 B(q, q))> ],
+
+    with the right and left eigenvectors q and p of i omega, <q, q> = <p, q> = 1 (Euclidean), and B
+    and C the second and third derivatives of the rates, from nested `jvp`.  If l1 < 0, a stable
+    cycle grows out of the point (supercritical), if l1 > 0, an unstable one.  NaN if several pairs
+    of eigenvalues cross together: the combination of modes is undetermined.
+
+    Source: Kuznetsov, Elements of Applied Bifurcation Theory, section 5.4.
+    """
+    J = jax.jacfwd(rates)(y)
+    values, vectors = jnp.linalg.eig(J)
+    at = jnp.argmin(jnp.abs(values - 1j * frequency))
+    q = vectors[:, at] / jnp.linalg.norm(vectors[:, at])
+    p = jnp.linalg.solve(vectors.T, jnp.zeros_like(q).at[at].set(1.0))
+    p = p / (p @ q)
+
+    def along(function: Any, direction: Array) -> Any:
+        """The derivative of a function along a complex direction."""
+
+        def slope(y: Array) -> Array:
+            parts = (jax.jvp(function, (y,), (d,))[1] for d in (direction.real, direction.imag))
+            return next(parts) + 1j * next(parts)
+
+        return slope
+
+    second = along(along(rates, q), jnp.conj(q))
+    constant = jnp.linalg.solve(J.astype(q.dtype), second(y))
+    doubled = 2j * frequency * jnp.eye(y.size) - J
+    doubled = jnp.linalg.solve(doubled, along(along(rates, q), q)(y))
+    terms = along(second, q)(y) - 2.0 * along(along(rates, q), constant)(y)
+    terms = terms + along(along(rates, jnp.conj(q)), doubled)(y)
+    several = jnp.sum(jnp.abs(values - values[at]) <= _SAME * jnp.abs(values[at])) > 1
+    return jnp.where(several, jnp.nan, jnp.real(p @ terms) / (2.0 * frequency))
 
 
 def find_equilibrium(
@@ -159,10 +207,10 @@ def _checked(chain: Any, guess: Any, tolerance: Any, max_steps: Any) -> tuple[St
 
 @eqx.filter_jit
 def _equilibrium(chain: Any, guess: State, tolerance: Array, limit: Array) -> Equilibrium:
-    rates, start = _Rates(lax.stop_gradient(chain), len(guess)), jnp.concatenate(guess)
+    rates, start = Rates(lax.stop_gradient(chain), len(guess)), jnp.concatenate(guess)
     weights = jnp.full(start.shape, start.shape[0] ** -0.5)
     root = search(_residual, lax.stop_gradient(start), rates, tolerance, limit, weights)
-    u = attach_derivative(_residual, root.value, _Rates(chain, len(guess)))
+    u = attach_derivative(_residual, root.value, Rates(chain, len(guess)))
     values = jnp.linalg.eigvals(jax.jacfwd(rates)(root.value))
     return Equilibrium(
         chain=chain,
@@ -174,14 +222,14 @@ def _equilibrium(chain: Any, guess: State, tolerance: Array, limit: Array) -> Eq
     )
 
 
-class _HopfSystem(eqx.Module):
+class HopfSystem(eqx.Module):
     """f(y, p) = 0 and lambda(y, p) = i omega, in u = (y, omega, p).
 
     lambda is the mean of the eigenvalues that agree with the one closest to `near`.  In a ring of
     equal cells they are double, and their mean is smooth where a single one is not.
     """
 
-    rates: _Rates
+    rates: Rates
     near: Complex[Array, ""]
 
     def eigenvalue(self, y: Array, p: Array) -> Complex[Array, ""]:
@@ -199,7 +247,7 @@ class _HopfSystem(eqx.Module):
         return jnp.real(jax.jvp(self.eigenvalue, (y, p), (moved, jnp.ones_like(p)))[1])
 
 
-def _hopf_residual(u: Array, system: _HopfSystem) -> Array:
+def _hopf_residual(u: Array, system: HopfSystem) -> Array:
     y, omega, p = u[:-2], u[-2], u[-1]
     value = system.eigenvalue(y, p)
     ends = jnp.stack([jnp.real(value), jnp.imag(value) - omega])
@@ -276,11 +324,11 @@ def _hopf_point(
     chain: Any, parameter: str, guess: State, frequency: Any, tolerance: Array, limit: Array
 ) -> HopfPoint:
     m, frozen = len(guess), lax.stop_gradient(chain)
-    rates = _Rates(frozen, m, parameter)
+    rates = Rates(frozen, m, parameter)
     p = to_float(frozen.numbers()[parameter])
     y = lax.stop_gradient(jnp.concatenate(guess))
     weights = jnp.full(y.shape, y.shape[0] ** -0.5)
-    y = search(_residual, y, _Rates(frozen, m), tolerance, limit, weights).value
+    y = search(_residual, y, Rates(frozen, m), tolerance, limit, weights).value
     values = jnp.linalg.eigvals(jax.jacfwd(rates)(y, p))
     far = jnp.abs(jnp.real(values)) / jnp.abs(values)
     if frequency is not None:
@@ -289,14 +337,12 @@ def _hopf_point(
     omega = jnp.imag(near)
     start = jnp.concatenate([y, jnp.stack([omega, p])])
     size = jnp.concatenate([1.0 + jnp.abs(y), jnp.abs(start[-2:]) + 1e-300])
-    system = _HopfSystem(rates, near)
+    system = HopfSystem(rates, near)
     root = search(_hopf_residual, start, system, tolerance, limit, 1.0 / size)
     # A real eigenvalue that vanishes solves the equations as well.
     good = root.successful & (root.value[-2] > _ON_AXIS * omega) & (omega > 0)
     none = SearchResult.where(root.successful, SearchResult.no_step_helps, root.result)
-    u = attach_derivative(
-        _hopf_residual, root.value, _HopfSystem(_Rates(chain, m, parameter), near)
-    )
+    u = attach_derivative(_hopf_residual, root.value, HopfSystem(Rates(chain, m, parameter), near))
     y, p = (root.value[:-2], root.value[-1])
     values, vectors = jnp.linalg.eig(jax.jacfwd(rates)(y, p))
     mode = vectors[:, jnp.argmin(jnp.abs(values - 1j * root.value[-2]))]
@@ -314,7 +360,7 @@ def _hopf_point(
     )
 
 
-def _linearised(u: Array, p: Array, rates: _Rates) -> tuple[Array, Array, Array]:
+def _linearised(u: Array, p: Array, rates: Rates) -> tuple[Array, Array, Array]:
     """(f, [f_u f_p], the eigenvalues of f_u)."""
     by_u, by_p = jax.jacfwd(rates, argnums=(0, 1))(u, p)
     values = jnp.linalg.eigvals(by_u)
@@ -322,7 +368,7 @@ def _linearised(u: Array, p: Array, rates: _Rates) -> tuple[Array, Array, Array]
     return rates(u, p), columns, values[jnp.argsort(-jnp.real(values))]
 
 
-def _plain(u: Array, p: Array, rates: _Rates) -> Array:
+def _plain(u: Array, p: Array, rates: Rates) -> Array:
     return rates(u, p)
 
 
@@ -370,7 +416,7 @@ def continue_equilibrium(
     check_concrete("use `find_hopf_point`.", chain=chain, guess=guess)
     state = find_equilibrium(chain, guess).state
     _check_parameter(chain, parameter)
-    rates = _Rates(chain, len(state), parameter)
+    rates = Rates(chain, len(state), parameter)
     branch = continue_branch(
         _plain,
         jnp.concatenate(state),

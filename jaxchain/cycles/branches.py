@@ -80,7 +80,8 @@ class CyclePoint(Printed):
     doubling" (-1); "torus" (a pair leaves the unit circle).  `parameter`, `state` (of a chain `x`
     and `v`), `period`, `amplitude`, `multipliers` are those of the cycle at this point; `refined`:
     whether the search converged; `error`: of `parameter`, from the search and from the
-    integration, which uses a tight tolerance; `raw`: the point of the shooting equations.
+    integration, which uses a tight tolerance; `raw`: the point of the shooting equations,
+    `shooting`.
 
     See `continue_cycle` for an example.
     """
@@ -94,6 +95,7 @@ class CyclePoint(Printed):
     refined: bool
     error: float
     raw: SpecialPoint
+    shooting: Shooting
 
     @property
     def x(self) -> Float[np.ndarray, " n"]:
@@ -249,11 +251,15 @@ class CycleLinearisation(eqx.Module):
 
 
 def linearise(
-    u: Float[Array, " m"], parameter: Float[Array, ""], shooting: Shooting
-) -> tuple[Float[Array, " m"], Float[Array, "m m_plus_1"], CycleLinearisation]:
-    """(R, [R_u R_p], `CycleLinearisation`) of the shooting equations R, from one integration."""
-    r, jacobian, whole = shooting.linearise(u, parameter)
-    field, state, period = shooting.unpack(u, parameter)
+    u: Float[Array, " m"], parameter: Any, shooting: Shooting
+) -> tuple[Float[Array, " m"], Float[Array, "m more"], CycleLinearisation]:
+    """(R, [R_u R_p], `CycleLinearisation`) of the shooting equations R, from one integration.
+
+    `parameter`: a number, or a tuple of those that `shooting.parameter` names.
+    """
+    parameters = parameter if isinstance(parameter, tuple) else (parameter,)
+    r, jacobian, whole = shooting.linearise(u, *parameters)
+    field, state, period = shooting.unpack(u, *parameters)
     f = None if shooting.turns else jnp.concatenate(field(0.0, state))
     floquet = orbit_multipliers(whole.monodromy, f)
     sound = can_be_cycle(field, period, whole.fastest)
@@ -273,10 +279,11 @@ def linearise(
 
 @eqx.filter_jit
 def cycle_at(
-    u: Float[Array, " m"], parameter: Float[Array, ""], shooting: Shooting
+    u: Float[Array, " m"], parameter: Any, shooting: Shooting
 ) -> tuple[State, Float[Array, ""], Float[Array, " n"]]:
     """(state, period, amplitude) of a solution; `linearise` has those of the previous iterate."""
-    field, state, period = shooting.unpack(u, parameter)
+    parameters = parameter if isinstance(parameter, tuple) else (parameter,)
+    field, state, period = shooting.unpack(u, *parameters)
     _, _, ((amplitude, _, _),) = flow(
         field, state, period, rtol=shooting.rtol, solver=shooting.solver, observers=[Along()]
     )
@@ -793,7 +800,7 @@ def _follow(
             e = point.extra
             state = tuple(map(np.asarray, e.state))
             orbit = state, float(e.period), e.amplitude, e.multipliers
-            how = point.refined, float(point.error), point
+            how = point.refined, float(point.error), point, shooting
             special.append(CyclePoint(point.kind, point.p, *orbit, *how))
     # The last point may be its own mirror image, or no cycle.
     if not ((forced or extra.speed[-1] > 0) and extra.sound[-1]):
@@ -804,7 +811,7 @@ def _follow(
     states, period, amplitude = zip(*points, strict=True)
     state = tuple(np.stack(column) for column in zip(*states, strict=True))
     return CycleBranch(
-        name=shooting.parameter or "",
+        name=str(shooting.parameter or ""),
         parameter=branch.p[:k],
         state=state,
         period=np.stack(period),

@@ -52,7 +52,8 @@ class Shooting(eqx.Module):
     - `images`: orbits with a symmetry have unknowns only for masses that differ: entry n is the
       index of the mass that moves like mass n, `images[i] = i` for those solved for.  None: no
       symmetry.
-    - `parameter`: the argument of `Chain.with_` that is the parameter of the residual, or None.
+    - `parameter`: the argument of `Chain.with_` that is the parameter of the residual, a tuple of
+      several, or None.
     - `m`: the number of variables of a cell.
     - `turns`: the period of a forced orbit in periods of the force; None without forcing.
     """
@@ -62,7 +63,7 @@ class Shooting(eqx.Module):
     solver: AbstractStructuredRosenbrock = eqx.field(static=True)
     mass: int = eqx.field(static=True)
     images: tuple[int, ...] = eqx.field(static=True)
-    parameter: str | None = eqx.field(static=True, default=None)
+    parameter: str | tuple[str, ...] | None = eqx.field(static=True, default=None)
     m: int = eqx.field(static=True, default=2)
     turns: int | None = eqx.field(static=True, default=None)
 
@@ -105,17 +106,18 @@ class Shooting(eqx.Module):
         """The number of unknowns."""
         return self._starts[-1] + (self.turns is None)
 
-    def at(self, parameter: Any = None) -> AbstractField:
-        """The field with the parameter set."""
+    def at(self, *parameter: Any) -> AbstractField:
+        """The field with the parameter, or several, set."""
         if self.parameter is None:
             return self.field
         if self.parameter == "belt_speed":  # the usual one, without the checks of a new chain
-            return eqx.tree_at(lambda f: f.belt_speed, self.field, parameter)
-        return self.field.with_(**{self.parameter: parameter})  # pyright: ignore
+            return eqx.tree_at(lambda f: f.belt_speed, self.field, *parameter)
+        names = [self.parameter] if isinstance(self.parameter, str) else self.parameter
+        return self.field.with_(**dict(zip(names, parameter, strict=True)))  # pyright: ignore
 
-    def pack(self, state: State, period: Any, parameter: Any = None) -> Float[Array, " m"]:
+    def pack(self, state: State, period: Any, *parameter: Any) -> Float[Array, " m"]:
         """u of a state on the section (without x_j if it is explicit)."""
-        field, parts = self.at(parameter), list(state)
+        field, parts = self.at(*parameter), list(state)
         contact = min(field.contact, self.m - 1)
         belt, width = _layer(field, parts[contact])
         if width is not None:
@@ -126,11 +128,9 @@ class Shooting(eqx.Module):
             numbers.append(jnp.log(to_float(period))[None])
         return jnp.concatenate(numbers)
 
-    def unpack(
-        self, u: Float[Array, " m"], parameter: Any = None
-    ) -> tuple[AbstractField, State, Array]:
+    def unpack(self, u: Float[Array, " m"], *parameter: Any) -> tuple[AbstractField, State, Array]:
         """(field, state on the section, period)."""
-        field, starts = self.at(parameter), self._starts
+        field, starts = self.at(*parameter), self._starts
         position = {n: i for i, n in enumerate(self.solved)}
         index = jnp.asarray([position[i] for i in self.images])
         if self.turns is None:
@@ -157,16 +157,16 @@ class Shooting(eqx.Module):
         stiffness = -field.restoring_force(slopes)[self.mass]
         return field, (x + slopes * (force[self.mass] / stiffness), v), period
 
-    def rest(self, parameter: Any = None) -> Array:
+    def rest(self, *parameter: Any) -> Array:
         """sinh z_j at zero velocity: -|v_d| / eps."""
-        field = self.at(parameter)
+        field = self.at(*parameter)
         belt, width = _layer(field, jnp.zeros(self.n))
         if width is None:
             return jnp.zeros(())
         return (-belt / width)[self.mass]
 
     def linearise(
-        self, u: Float[Array, " m"], parameter: Any = None
+        self, u: Float[Array, " m"], *parameter: Any
     ) -> tuple[Float[Array, " m"], Float[Array, "m columns"], Period]:
         """(R, its derivatives in u and, if it is given, the parameter, the orbit).
 
@@ -174,7 +174,7 @@ class Shooting(eqx.Module):
         f(y_1) dT + (dy_1/dp) dp, and dR follows from R = gap(u, y_1, p).
         """
         d, m = self.m * self.n, u.shape[0]
-        z = u if parameter is None else jnp.append(u, parameter)
+        z = jnp.append(u, jnp.stack(parameter)) if parameter else u
 
         def start(z: Array) -> Array:
             _, state, period = self.unpack(z[:m], *z[m:])
@@ -189,21 +189,21 @@ class Shooting(eqx.Module):
         first, by_z = start(z), jax.jacfwd(start)(z)
         period = first[-1]
         whole = linearised_period(make, first[:-1], rtol=self.rtol, solver=self.solver)
-        rate = jnp.concatenate(self.at(parameter)(0.0, whole.end))
+        rate = jnp.concatenate(self.at(*parameter)(0.0, whole.end))
         end = jnp.concatenate([whole.slopes, rate[:, None]], axis=1) @ by_z
         direct, by_end = jax.jacfwd(gap, argnums=(0, 1))(z, whole.end)
         jacobian = direct + jnp.concatenate(by_end, axis=1) @ end
         return gap(z, whole.end), jacobian, whole
 
-    def residual(self, u: Float[Array, " m"], parameter: Any = None) -> Float[Array, " m"]:
+    def residual(self, u: Float[Array, " m"], *parameter: Any) -> Float[Array, " m"]:
         """The gap of x and of z after a period, divided by the velocity amplitude of mass j.
 
         If x_j is not explicit, its acceleration at the cut is one more, divided in the same way.
 
         Rest also solves the undivided equations; Newton's method for the divided ones avoids it.
         """
-        end, _, _ = flow(*self.unpack(u, parameter), rtol=self.rtol, solver=self.solver)
-        return self.gap(u, end, parameter)
+        end, _, _ = flow(*self.unpack(u, *parameter), rtol=self.rtol, solver=self.solver)
+        return self.gap(u, end, *parameter)
 
     def closing(self, u: Float[Array, " m"]) -> tuple[Float[Array, " m"], Float[Array, " n"]]:
         """(the residual, the amplitudes)."""
@@ -212,9 +212,9 @@ class Shooting(eqx.Module):
         )
         return self.gap(u, end), amplitude
 
-    def gap(self, u: Float[Array, " m"], end: State, parameter: Any = None) -> Float[Array, " m"]:
+    def gap(self, u: Float[Array, " m"], end: State, *parameter: Any) -> Float[Array, " m"]:
         """The residual, given the state after a period."""
-        field, state, _ = self.unpack(u, parameter)
+        field, state, _ = self.unpack(u, *parameter)
         contact, rows = min(field.contact, self.m - 1), jnp.asarray(self.solved, int)
         gaps = [after - before for after, before in zip(end, state, strict=True)]
         belt, width = _layer(field, state[contact])

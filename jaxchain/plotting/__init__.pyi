@@ -1,4 +1,5 @@
 from .branches import plot_branch as plot_branch
+from .branches import plot_special_curves as plot_special_curves
 from .model import draw_friction as draw_friction
 from .model import draw_mechanism as draw_mechanism
 from .model import draw_model as draw_model

@@ -1,4 +1,4 @@
-"""A branch of solutions as a picture: stability by the line's style, special points marked."""
+"""Branches and curves of special points as pictures, with their special points marked."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from scipy.interpolate import PchipInterpolator
 
 from .._checks import check_kind, shown
+from ..boundaries.special_curves import SpecialCurve
 from ..continuation.branch import Branch
 from ..cycles.branches import CycleBranch
 from ..model.units import Scales
@@ -39,6 +40,14 @@ MARKS: dict[str, tuple[str, str, str]] = {
     "branch point": ("v", PURPLE, "branch point"),
     "torus": ("s", ORANGE, "torus"),
     "period doubling": ("D", GREEN, "period doubling"),
+}
+# Points of a curve of special points at which more happens.
+CURVE_MARKS = {
+    "generalised Hopf": "o",
+    "Bogdanov-Takens": "s",
+    "cusp": "v",
+    "1:1": "D",
+    "1:2": "^",
 }
 
 
@@ -124,6 +133,100 @@ def plot_branch(
         axes.set_ylabel(y_label)
         add_legend(axes)
     return axes
+
+
+def plot_special_curves(
+    curves: Any, *, ax: Axes | None = None, scales: Scales | None = None
+) -> Axes:
+    """Draws curves of special points in the plane of their two numbers, with their special points.
+
+    The region between a curve of Hopf points and one of folds is shaded: there the cycles between
+    both coexist with the equilibrium.  Its side is the greatest |first number| of the Hopf points.
+
+    **Arguments:** `curves`: one of `continue_special` or its `to_dataset()`, or several in the
+    same two numbers; `ax`, `scales`: as for `plot_branch`.
+
+    **Returns:** the axes, the first number across, the second one up.
+
+    **Raises:** `ValueError` for anything else.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import continue_special, paper_chain, steady_sliding
+        >>> from jaxchain.boundaries import find_hopf_point
+        >>> from jaxchain.plotting import plot_special_curves
+        >>> chain = paper_chain(1, width=0.05)
+        >>> point = find_hopf_point(chain, "belt_speed", steady_sliding(chain))
+        >>> curve = continue_special(point, "damping_ratio", bounds={"belt_speed": (0.2, 2.0)})
+        >>> ax = plot_special_curves(curve)
+        >>> [text.get_text() for text in ax.get_legend().get_texts()]
+        ['Hopf point', 'generalised Hopf']
+    """
+    given = curves if isinstance(curves, list | tuple) else [curves]
+    data = [curve.to_dataset() if isinstance(curve, SpecialCurve) else curve for curve in given]
+    remedy = "`continue_special` makes them."
+    if not data or any(not isinstance(d, xr.Dataset) or "second" not in d.attrs for d in data):
+        raise ValueError(
+            f"Argument `curves` must be a curve of special points, its dataset or a list of them, "
+            f"but is {shown(curves)}: {remedy}"
+        )
+    names = [(d.attrs["first"], d.attrs["second"]) for d in data]
+    if len(set(names)) > 1:
+        raise ValueError(
+            f"Argument `curves` must hold curves in the same two numbers, but has {names}."
+        )
+    check_scales(scales)
+    if ax is not None:
+        as_axes(ax)
+    lines = [[scaled(d[name], scales) for name in names[0]] for d in data]
+    kinds = [d.attrs["kind"] for d in data]
+    with on_axes(ax) as axes:
+        if {"hopf", "fold"} <= set(kinds):
+            hopf, fold = (
+                np.stack([v for v, _ in lines[kinds.index(kind)]]) for kind in ("hopf", "fold")
+            )
+            _shade_between(axes, hopf, fold)
+        for d, kind, ((x, x_label), (y, y_label)) in zip(data, kinds, lines, strict=True):
+            _, colour, word = MARKS[kind]
+            colour = BLUE if colour == "white" else colour
+            axes.plot(*smooth(x, y), color=colour, linewidth=1.3, label=word)
+            special = d["special_kind"].values
+            for one in sorted(set(map(str, special)) - {"extremum"}):
+                at = [
+                    scaled(d[f"special_{name}"].rename(name), scales)[0][special == one]
+                    for name in names[0]
+                ]
+                axes.plot(*at, CURVE_MARKS.get(one, "P"), color="black", markersize=5, label=one)
+            axes.set_xlabel(x_label)
+            axes.set_ylabel(y_label)
+        add_legend(axes)
+    return axes
+
+
+def _shade_between(axes: Axes, hopf: np.ndarray, fold: np.ndarray) -> None:
+    """Shades between the outermost Hopf points and the folds, over the second numbers of both."""
+    second = np.unique(np.concatenate([hopf[1], fold[1]]))
+    ends = [(np.min(line[1]), np.max(line[1])) for line in (hopf, fold)]
+    low, high = np.max(ends, axis=0)[0], np.min(ends, axis=0)[1]
+    second = second[(second >= low) & (second <= high)]
+
+    def outermost(line: np.ndarray) -> np.ndarray:
+        """The greatest |first| at each second number, over all pieces of the line."""
+        x, y = line
+        found = np.full(second.size, np.nan)
+        for (a, b), (c, d) in zip(itertools.pairwise(x), itertools.pairwise(y), strict=True):
+            inside = (second >= min(c, d)) & (second <= max(c, d))
+            here = a + (b - a) * ((second[inside] - c) / (d - c) if d != c else 0.0)
+            before = found[inside]
+            found[inside] = np.where(np.abs(here) < np.abs(before), before, here)
+        return found
+
+    axes.fill_betweenx(
+        second, outermost(hopf), outermost(fold), color=SKY, alpha=0.25, linewidth=0.0,
+        label="between Hopf points and folds",
+    )  # fmt: skip
 
 
 def pieces(

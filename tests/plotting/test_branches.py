@@ -8,13 +8,13 @@ import pytest
 import xarray as xr
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
-from synthetic import cycle_branch
+from synthetic import cycle_branch, special_curve
 
 from jaxchain.continuation.branch import Branch
 from jaxchain.cycles.shooting import Shooting
 from jaxchain.model.ready_made import VanDerPol
 from jaxchain.model.units import Scales
-from jaxchain.plotting.branches import MARKS, PARTS, plot_branch, smooth
+from jaxchain.plotting.branches import MARKS, PARTS, plot_branch, plot_special_curves, smooth
 from jaxchain.plotting.style import COLUMN_WIDTH
 from jaxchain.solvers.rosenbrock import Rodas5P
 
@@ -190,3 +190,28 @@ def test_a_line_is_straight_beside_a_missing_number_and_may_stand_still():
     still = np.array([0.0, 1.0, 1.0, 2.0])
     for y in (still**2, 0.0 * still):
         np.testing.assert_array_equal(smooth(still, y)[1][::PARTS], y)
+
+
+def test_special_curves_meet_and_the_region_between_them_is_shaded():
+    curves = [special_curve(kind) for kind in ("hopf", "fold")]
+    axes = plot_special_curves([curves[0], curves[1].to_dataset()])
+    assert legend(axes) == [
+        "between Hopf points and folds", "Hopf point", "generalised Hopf", "fold",
+    ]  # fmt: skip
+    for curve, word in zip(curves, ("Hopf point", "fold"), strict=True):
+        (line,) = named(axes)[word]
+        np.testing.assert_allclose(points(line), [curve.first, curve.second])
+    for mark in named(axes)["generalised Hopf"]:
+        assert mark.get_xydata().tolist() == [[0.5, 0.3]]
+    (shaded,) = axes.collections
+    region = shaded.get_paths()[0]
+    inside, outside = [(1.0, 0.15), (0.65, 0.25)], [(0.75, 0.15), (1.15, 0.15), (0.5, 0.29)]
+    assert region.contains_points(inside).all()
+    assert not region.contains_points(outside).any()
+    assert "damping" in axes.get_ylabel()
+
+
+def test_special_curves_in_other_numbers_are_refused():
+    other = special_curve().to_dataset().assign_attrs(second="width")
+    with pytest.raises(ValueError, match="in the same two numbers"):
+        plot_special_curves([special_curve(), other])

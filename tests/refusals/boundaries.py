@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import jax.numpy as jnp
 import optax
+from synthetic import cycle_branch
 
 from jaxchain import boundaries, inverse
 from jaxchain.inverse import Measurements
@@ -61,6 +62,25 @@ def _equilibria() -> Iterator[Row]:
     yield Row(
         "continue_equilibrium", boundaries.continue_equilibrium,
         good | {"parameter": "belt_speed", "bounds": (0.5, 1.5)}, named | {"bounds": pairs},
+    )  # fmt: skip
+    one = boundaries.find_hopf_point(ONE, "belt_speed", (jnp.ones(1), jnp.zeros(1)))
+    speeds = [{"belt_speed": pair} for pair in pairs]
+    yield Row(
+        "continue_special", boundaries.continue_special, {"point": one, "second": "damping_ratio"},
+        {
+            "point": (None, "x", {}, 3.0, ONE), "second": (*WORD, "belt_speed"),
+            "bounds": ("x", 3.0, [], {"width": (0.1, 0.2)}, {3: (0.1, 0.2)}, *speeds),
+            "step": POSITIVE, "max_step": POSITIVE, "max_points": optional(COUNT),
+            "tolerance": POSITIVE,
+        },
+    )  # fmt: skip
+    fold, hopf = cycle_branch(1).special
+    yield Row(
+        "find_special_cycle", boundaries.find_special_cycle, {"point": fold},
+        {
+            "point": (None, "x", {}, 3.0, ONE, Told(hopf, "hopf")), "chain": optional(A_CHAIN),
+            **search,
+        },
     )  # fmt: skip
 
 

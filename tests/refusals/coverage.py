@@ -18,7 +18,7 @@ NOT_TRIED = {
         (
             "Result", "SearchResult", "Simulation", "Numerics", "GeneralisedHopf",
             "StabilityRange", "FoldDescent", "HopfDescent", "Equilibrium", "HopfPoint", "Fold",
-            "Grazing", "HopfPoints",
+            "Grazing", "HopfPoints", "CurvePoint", "SpecialCurve", "SpecialCycle",
             "OneMassBranch", "Extrapolation", "Evidence", "Verdict",
             "LyapunovSpectrum", "Branch", "SpecialPoint", "FoldPoint", "CycleBranch",
             "LimitCycle", "CyclePoint", "CycleSearch", "Identification", "Design", "Depinning",

@@ -12,7 +12,7 @@ mpl.use("Agg")
 import jax.numpy as jnp
 import numpy as np
 from matplotlib.figure import Figure
-from synthetic import cycle_branch, ladder
+from synthetic import cycle_branch, ladder, special_curve
 
 from jaxchain import plotting
 from jaxchain.model import paper_chain
@@ -115,3 +115,7 @@ def _plots() -> Iterator[Row]:
         ),
     }  # fmt: skip
     yield Row("plot_branch", plotting.plot_branch, {"branch": branch}, bad)
+    wrong = {**every, "curves": (None, "x", {}, [], 3.0, Told(data, "Dataset"))}
+    yield Row(
+        "plot_special_curves", plotting.plot_special_curves, {"curves": special_curve()}, wrong
+    )

@@ -1,0 +1,831 @@
+"""Curves of special points in two numbers of a model, and special cycles to all digits.
+
+A special point solves the equations F(u, p) = 0 of its cycle or equilibrium and one more, g = 0;
+with a second number q free such points form a curve (Govaerts, Numerical Methods for Bifurcations
+of Dynamical Equilibria, SIAM 2000, chapters 4 and 5; Kuznetsov, Elements of Applied Bifurcation
+Theory, chapters 8 to 10).  M is the monodromy matrix.
+
+| kind | g |
+|---|---|
+| fold | s of F_u, where F holds the phase condition |
+| period doubling | s of M + 1 |
+| symmetry breaking | s of A^T M A - 1, A a basis of the disturbances that break the symmetry |
+| torus | mu_1 mu_2 - 1, for a pair of multipliers with the mean kappa, one more unknown |
+| hopf | lambda_1 + lambda_2, for a pair of eigenvalues with the product kappa = omega^2 |
+
+s is the least singular value with the sign of the determinant.  With its singular vectors a and b,
+ds = a^T dA b, so the slopes of g take one nested derivative of the flow, along b, and no borders
+that would have to follow the null vectors along the curve.  Sums and products of a pair are smooth
+where its two values meet, at the ends of the curve.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float, Int
+
+from .._checks import (
+    check_concrete,
+    check_flag,
+    check_kind,
+    check_one_of,
+    check_pair,
+    is_traced,
+    shown,
+    to_float,
+)
+from .._final import final
+from .._types import State
+from ..continuation.arclength import continue_branch
+from ..continuation.branch import ENDINGS, Branch
+from ..continuation.damped_newton import check_tolerance, factorise, solve
+from ..continuation.implicit import attach_derivative, if_found
+from ..cycles.branches import (
+    CyclePoint,
+    cycle_at,
+    cycle_weights,
+    linearise,
+    symmetry_breaking_basis,
+)
+from ..cycles.floquet import LEAST_VELOCITY
+from ..cycles.shooting import Shooting
+from ..cycles.variational import flow
+from ..model.arguments import as_chain
+from ..model.cells import AbstractField
+from ..model.chain import require_smoothed
+from ..model.parameters import parameter
+from ..model.provenance import circumstances, parameters_of
+from ..result import Outcome, Printed, SearchResult
+from .equilibria import HopfPoint, HopfSystem, Rates, find_hopf_point, lyapunov_coefficient
+
+if TYPE_CHECKING:
+    from xarray import Dataset
+
+_KINDS = ("fold", "period doubling", "symmetry breaking", "torus")
+# The amplitude, as a share of the first one, at which a curve of folds counts as ended.
+_SMALL = 1e-3
+# Beside the length of the tangent: slopes of both numbers that vanish together at a cusp.
+_CUSP = 1e-4
+# The greatest distance of the last fold from the generalised Hopf point, as a share of the curve.
+_NEAR = 1e-2
+# Below it a number has no scale of its own.
+_TINY = 1e-6
+
+
+class _CycleEquations(eqx.Module):
+    """R(U) = [F; g] with U = (u, p, ...) or, for a torus, (u, kappa, p, ...)."""
+
+    shooting: Shooting
+    kind: str = eqx.field(static=True)
+
+    @property
+    def _extra(self) -> int:
+        """The number of unknowns besides those of the cycle and the parameters."""
+        return int(self.kind == "torus")
+
+    def split(self, U: Array) -> tuple[Array, tuple[Array, ...], Any]:
+        """(u, parameters, kappa)."""
+        m, k = self.shooting.size, self._extra
+        return U[:m], tuple(U[m + k :]), U[m]
+
+    def values(self, U: Array) -> tuple[Array, Array, Any, Array, Array]:
+        """(R, [F_u F_p ...], further results, a, b) from one integration."""
+        u, parameters, kappa = self.split(U)
+        r, slopes, extra = linearise(u, parameters, self.shooting)
+        M = extra.monodromy
+        if self.kind == "torus":
+            left, right = _pair(M, kappa)
+            return jnp.append(r, _of_pair(left @ M @ right, kappa)), slopes, extra, left, right
+        if self.kind == "fold":
+            # Rows count by all their slopes: at the fold of one mass a row of F_u vanishes.
+            rows = jnp.max(jnp.abs(slopes), axis=1)
+            g, left, right = _signed_least(slopes[:, : u.size], rows)
+        elif self.kind == "period doubling":
+            g, left, right = _signed_least(M + jnp.eye(len(M)))
+        else:
+            basis = jnp.asarray(symmetry_breaking_basis(self.shooting.images, self.shooting.m))
+            g, left, right = _signed_least(basis.T @ M @ basis - jnp.eye(basis.shape[1]))
+            left, right = basis @ left, basis @ right
+        return jnp.append(r, g), slopes, extra, left, right
+
+    def value(self, U: Array) -> Array:
+        """R, for steps without new derivatives."""
+        return self.values(U)[0]
+
+    def frozen(self, U: Array, left: Array, right: Array) -> Array:
+        """A function that has the slopes of g at the point of a = `left` and b = `right`."""
+        u, parameters, kappa = self.split(U)
+        shooting = self.shooting
+
+        def end(y: Array) -> Array:
+            field, _, period = shooting.unpack(u, *parameters)
+            state = tuple(jnp.split(y, shooting.m))
+            return jnp.concatenate(
+                flow(field, state, period, rtol=shooting.rtol, solver=shooting.solver)[0]
+            )
+
+        def image(one: Array) -> Array:
+            if self.kind == "fold":
+                return jax.jvp(lambda u: shooting.residual(u, *parameters), (u,), (one,))[1]
+            state = jnp.concatenate(shooting.unpack(u, *parameters)[1])
+            return jax.jvp(end, (state,), (one,))[1]
+
+        if self.kind != "torus":
+            return jnp.sum(left * image(right))[None]
+        images = jax.vmap(image, 1, 1)(jnp.concatenate([right.real, right.imag], axis=1))
+        return _of_pair(left @ lax.complex(images[:, :2], images[:, 2:]), kappa)
+
+    @property
+    def field(self) -> AbstractField:
+        """The model."""
+        return self.shooting.field
+
+    @property
+    def names(self) -> tuple[str, str]:
+        """The first and the second number."""
+        return self.shooting.parameter  # pyright: ignore[reportReturnType]
+
+    def weights(self, U: np.ndarray) -> np.ndarray:
+        """Of the norm of steps, see `cycle_weights`."""
+        m = self.shooting.size
+        of_cycle = cycle_weights(self.shooting, 1.0)[:m]
+        return np.concatenate([of_cycle, np.ones(self._extra), _relative(U[-2:])])
+
+    @property
+    def ends(self) -> tuple[str, ...]:
+        """The tests at whose zero the curve ends."""
+        return ("1:1", "1:2") if self.kind == "torus" else ()
+
+    def tests(self) -> dict[str, Callable[..., float]]:
+        """The tests of `continue_branch`."""
+        if self.kind == "torus":  # kappa = cos(2 pi / n)
+            lines = {"1:1": (-1, 1.0), "1:2": (1, 1.0), "1:3": (1, 0.5), "1:4": (1, 0.0)}
+            return {
+                name: lambda u, *_, a=a, b=b: float(a * u[-2] + b)
+                for name, (a, b) in lines.items()
+            }
+        at = {"fold": 1.0, "period doubling": -1.0}.get(self.kind)
+        if at is None:
+            return {}
+
+        def another(u: Any, p: Any, tangent: Any, extra: Any) -> float:
+            """Sum over i of the product of mu_j - at over j != i: zero for two that equal `at`."""
+            apart: Any = np.asarray(extra.multipliers) - at
+            return float(np.sum([np.prod(np.delete(apart, i)) for i in range(apart.size)]).real)
+
+        return {"1:1" if at > 0 else "1:2": another}
+
+    def stop(self, first: Any, extra: Any) -> bool:
+        """Whether the amplitude vanishes, or there is no cycle."""
+        vanishes = self.shooting.turns is None and extra.speed < _SMALL * first.speed
+        return bool(vanishes or not extra.sound)
+
+    def cycle(self, U: np.ndarray) -> tuple[Any, Any, Any]:
+        """(state, period, amplitude)."""
+        u, parameters, _ = self.split(jnp.asarray(U))
+        return cycle_at(u, parameters, self.shooting)
+
+    def residual(self, U: Array) -> Array:
+        """R, with derivatives, in every number of the model as well."""
+        u, parameters, _ = self.split(U)
+        return jnp.append(self.shooting.residual(u, *parameters), _test(U, self))
+
+    def linearise(self, U: Array) -> tuple[Array, Array, Any]:
+        """(R, its derivatives, further results)."""
+        r, slopes, extra, left, right = self.values(U)
+        m, k = self.shooting.size, self._extra
+        top = [slopes[:, :m], jnp.zeros((m, k)), slopes[:, m:]]
+        last = jax.jacfwd(self.frozen)(U, left, right)
+        return r, jnp.concatenate([jnp.concatenate(top, axis=1), last]), extra
+
+
+@eqx.filter_custom_jvp
+def _test(U: Array, equations: _CycleEquations) -> Array:
+    return equations.values(U)[0][equations.shooting.size :]
+
+
+@_test.def_jvp
+def _test_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
+    r, _, _, *vectors = primals[1].values(primals[0])
+
+    def frozen(U: Array, equations: _CycleEquations) -> Array:
+        return equations.frozen(U, *vectors)
+
+    _, tangent = eqx.filter_jvp(frozen, primals, tangents)
+    return r[primals[1].shooting.size :], tangent
+
+
+def _relative(values: np.ndarray) -> np.ndarray:
+    """1 / |value|, or 1 for a value without a scale of its own."""
+    return 1.0 / np.where(np.abs(values) < _TINY, 1.0, np.abs(values))
+
+
+def _signed_least(matrix: Array, rows: Any = 1.0) -> tuple[Array, Array, Array]:
+    """(s, a, b) of the matrix with its rows divided by `rows`; ds = a^T dA b."""
+    rows = jnp.where(rows > 0, rows, 1.0) * jnp.ones(len(matrix))
+    scaled = matrix / rows[:, None]
+    left, sizes, right = jnp.linalg.svd(scaled)
+    sign = jnp.where(jnp.linalg.det(scaled) < 0, -1.0, 1.0)
+    return sign * sizes[-1], sign * left[:, -1] / rows, right[-1]
+
+
+def _pair(matrix: Array, kappa: Array) -> tuple[Array, Array]:
+    """Left and right eigenvectors, (2, d) and (d, 2), of the pair with the product 1.
+
+    Of all pairs it is the one whose product is closest to 1 and whose mean is closest to kappa.
+    """
+    values, vectors = jnp.linalg.eig(matrix)
+    i, j = np.triu_indices(len(matrix), 1)
+    product, mean = values[i] * values[j], 0.5 * (values[i] + values[j])
+    at = jnp.argmin(jnp.abs(product - 1.0) + jnp.abs(mean - kappa))
+    both = jnp.stack([jnp.asarray(i)[at], jnp.asarray(j)[at]])
+    return jnp.linalg.inv(vectors)[both], vectors[:, both]
+
+
+def _of_pair(block: Array, kappa: Array) -> Array:
+    """(mu_1 mu_2 - 1, their mean - kappa) of a block with these eigenvalues."""
+    product = block[0, 0] * block[1, 1] - block[0, 1] * block[1, 0]
+    return jnp.stack([product - 1.0, 0.5 * jnp.trace(block) - kappa]).real
+
+
+class _HopfEquations(eqx.Module):
+    """R(U) = (f, g, product - kappa) with U = (y, kappa, p, q)."""
+
+    rates: Rates
+    second: str = eqx.field(static=True)
+    kind = "hopf"
+    ends = ("Bogdanov-Takens",)
+
+    @property
+    def names(self) -> tuple[str, str]:
+        """The first and the second number."""
+        return str(self.rates.parameter), self.second
+
+    def weights(self, U: np.ndarray) -> np.ndarray:
+        """Of the norm of steps."""
+        m = U.size - 3
+        return np.append(np.full(m, m**-0.5), _relative(U[m:]))
+
+    @property
+    def field(self) -> AbstractField:
+        """The model."""
+        return self.rates.field
+
+    def tests(self) -> dict[str, Callable[..., float]]:
+        """The tests of `continue_branch`; l1 jumps through infinity at no special point."""
+        return {
+            "Bogdanov-Takens": lambda u, *_: float(u[-2]),
+            "generalised Hopf": lambda u, p, tangent, l1: float(l1),
+        }
+
+    def stop(self, first: Any, extra: Any) -> bool:
+        """Never, but at an end."""
+        del first, extra
+        return False
+
+    def cycle(self, U: np.ndarray) -> tuple[Any, Any, Any]:
+        """(state, period, amplitude) of a cycle of no amplitude."""
+        state, kappa = tuple(np.split(U[:-3], self.rates.m)), U[-3]
+        period = 2 * np.pi / np.sqrt(kappa) if kappa > 0 else np.inf
+        return state, period, np.zeros_like(state[0])
+
+    def at(self, U: Array) -> tuple[Array, Rates, Array]:
+        """(y, the rates with q set, p)."""
+        field = self.rates.field.with_(**{self.second: U[-1]})
+        return U[:-3], eqx.tree_at(lambda rates: rates.field, self.rates, field), U[-2]
+
+    def residual(self, U: Array) -> Array:
+        y, rates, p = self.at(U)
+        near = jnp.sqrt(lax.complex(-lax.stop_gradient(U[-3]), jnp.zeros(())))
+        one, other = (HopfSystem(rates, sign * near).eigenvalue(y, p) for sign in (1.0, -1.0))
+        pair = jnp.stack([jnp.real(one + other), jnp.real(one * other) - U[-3]])
+        return jnp.concatenate([rates(y, p), pair])
+
+    value = residual
+
+    def linearise(self, U: Array) -> tuple[Array, Array, Any]:
+        y, rates, p = self.at(U)
+        frequency = jnp.sqrt(jnp.maximum(U[-3], 0.0))
+        l1 = lyapunov_coefficient(lambda y: rates(y, p), y, frequency)
+        return self.residual(U), jax.jacfwd(self.residual)(U), l1
+
+
+def _residual(U: Array, q: Any, equations: Any) -> Array:
+    return equations.value(jnp.append(U, q))
+
+
+def _linearise(U: Array, q: Any, equations: Any) -> tuple[Array, Array, Any]:
+    return equations.linearise(jnp.append(U, q))
+
+
+@final
+class SpecialCycle(Outcome):
+    """A cycle at a special point, to all digits.
+
+    - `kind`: "fold", "period doubling", "symmetry breaking" or "torus"; `parameter`: the name of
+      the number that was solved for, and `value` its value there.
+    - `state`, `period`: of the cycle, as `find_limit_cycle` has them.
+    - `residual`: of the equations, after `steps` Jacobians; `result`: the outcome.
+    - `shooting`, `unknowns`: the equations of the cycle, and what solves them.
+
+    See `find_special_cycle` for an example.
+    """
+
+    kind: str = eqx.field(static=True)
+    parameter: str = eqx.field(static=True)
+    value: Float[Array, ""]
+    state: State
+    period: Float[Array, ""]
+    residual: Float[Array, ""]
+    result: SearchResult
+    steps: Int[Array, ""]
+    shooting: Shooting
+    unknowns: Float[Array, " more"]
+
+
+def find_special_cycle(
+    point: Any,
+    chain: Any = None,
+    *,
+    tolerance: Any = 1e-10,
+    max_steps: Any = 30,
+    throw: bool = True,
+) -> SpecialCycle:
+    """The special cycle near a special point of a branch, of the same kind, for other numbers.
+
+    Solves the equations of the cycle and of the special point together, by damped Newton steps.
+
+    **Arguments:** `point`: a "fold", "period doubling", "symmetry breaking" or "torus" of
+    `continue_cycle(...).special`, of any model; `chain`: the model with other numbers close by, by
+    default the same; its own value of the parameter is ignored.  `tolerance`, `max_steps`: see
+    `jaxchain.continuation.newton`.
+
+    **Returns:** a `SpecialCycle`; `value`, `state` and `period` have first derivatives in every
+    number of `chain`.  It works under `jit` and `vmap`; there `throw` has no effect.
+
+    **Raises:** `ValueError` for bad input, `RuntimeError` if no such cycle is found.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import continue_cycle, find_limit_cycle, paper_chain
+        >>> from jaxchain.boundaries import find_special_cycle
+        >>> chain = paper_chain(1, belt_speed=1.5, width=0.05)
+        >>> fold = continue_cycle(find_limit_cycle(chain)).of_kind("fold")[0]
+        >>> def speed(damping):
+        ...     return find_special_cycle(fold, chain.with_(damping_ratio=damping)).value
+        >>> round(float(speed(0.05)), 8), round(float(jax.grad(speed)(0.05)), 3)
+        (1.65930737, -24.069)
+    """
+    shooting, kind, name, U = _start(point)
+    check_flag("throw", throw)
+    limit = check_tolerance(tolerance, max_steps)
+    chain = shooting.field if chain is None else as_chain(chain, AbstractField)
+    require_smoothed(chain, "")
+    check_kind("chain", chain, type(shooting.field), "the model of `point`", "change its numbers.")
+    found = _find(shooting, chain, kind, name, U, to_float(tolerance), jnp.asarray(limit))
+    if throw and not is_traced(found.successful) and not found.successful:
+        raise RuntimeError(
+            f"No {kind} in `{name}` was found near `point`: {found.message} Change the "
+            "numbers of `chain` in smaller steps, or use `continue_special`."
+        )
+    return found
+
+
+@eqx.filter_jit
+def _find(
+    shooting: Shooting, chain: Any, kind: str, name: str, U: Array, tolerance: Array, limit: Array
+) -> SpecialCycle:
+    def equations(field: Any) -> _CycleEquations:
+        return _CycleEquations(replace(shooting, field=field, parameter=(name,)), kind)
+
+    frozen, weights = equations(lax.stop_gradient(chain)), 1.0 / (1.0 + jnp.abs(U))
+
+    def both(U: Array) -> tuple[Array, Any, Any]:
+        value, slopes, extra = frozen.linearise(U)
+        return value, factorise(slopes, weights), (jnp.max(jnp.abs(value)), extra)
+
+    root, result, steps = solve(both, lax.stop_gradient(U), weights, tolerance, limit)
+    left, extra = both(root)[2]
+    result = SearchResult.where(jnp.isfinite(left), result, SearchResult.nonfinite)
+    moves = extra.sound & ((extra.speed > LEAST_VELOCITY) | (shooting.turns is not None))
+    lost = (result == SearchResult.successful) & ~moves
+    result = SearchResult.where(lost, SearchResult.steady_sliding, result)
+    once = "A special cycle can be differentiated once only."
+    live = equations(chain)
+    root = attach_derivative(_solved, root, live, once=once)
+    root = if_found(result == SearchResult.successful, root)
+    u, (value,), _ = live.split(root)
+    _, state, period = live.shooting.unpack(u, value)
+    return SpecialCycle(
+        kind=kind, parameter=name, value=value, state=state, period=period, residual=left,
+        result=result, steps=steps, shooting=frozen.shooting, unknowns=root,
+    )  # fmt: skip
+
+
+def _solved(U: Array, equations: _CycleEquations) -> Array:
+    return equations.residual(U)
+
+
+def _start(point: Any) -> tuple[Shooting, str, str, Array]:
+    """(equations of the cycle, kind, name of the parameter, unknowns) of a special cycle."""
+    remedy = "`continue_cycle(...).special` has them."
+    check_kind("point", point, CyclePoint | SpecialCycle, "a special point of cycles", remedy)
+    if point.kind not in _KINDS:
+        raise ValueError(
+            f"Argument `point` must be of one of the kinds {', '.join(_KINDS)}, but is a "
+            f'"{point.kind}". {remedy}'
+        )
+    if isinstance(point, SpecialCycle):
+        return point.shooting, point.kind, point.parameter, point.unknowns
+    pairs = point.multipliers[point.multipliers.imag > 0]
+    mu = pairs[np.abs(np.abs(pairs) - 1.0).argmin()] if point.kind == "torus" else 0j
+    kappa = [mu.real] if point.kind == "torus" else []
+    U = jnp.asarray([*point.raw.u, *kappa, point.parameter])
+    return point.shooting, point.kind, str(point.shooting.parameter), U
+
+
+@final
+@dataclass(frozen=True, repr=False)
+class CurvePoint(Printed):
+    """A point of a `SpecialCurve` at which more happens.
+
+    `kind`, the numbers `first` and `second`; `error` of `second`, from the search; `index`: it
+    lies between this point of the curve and the next; `unknowns`: as in `SpecialCurve`.
+    """
+
+    kind: str
+    first: float
+    second: float
+    error: float
+    index: int
+    unknowns: Float[np.ndarray, " more"]
+
+
+@final
+@dataclass(frozen=True, repr=False)
+class SpecialCurve(Printed):
+    """A curve of k special points in two numbers of a model, in order, as data on the host.
+
+    - `kind`: "hopf", or that of a `SpecialCycle`; `names` of both numbers, `first` and `second`
+      (k,): their values.
+    - `state`, m arrays (k, n); `period` (k,), of a Hopf point 2 pi / omega; `amplitude` (k, n);
+      `residual` (k,): the greatest one of the equations.
+    - `special`: tuple of `CurvePoint`, in order.  On curves of Hopf points "generalised Hopf" (l1
+      = 0, where a curve of folds begins) and "Bogdanov-Takens" (omega = 0); on curves of folds
+      "cusp"; on those of folds, period doublings and tori "1:1" and "1:2", where one more
+      multiplier is 1 or -1, and "1:3", "1:4" for the angle of a torus; on all of them "extremum",
+      where `second` turns back.
+    - `ended`: the reasons at the first and the last point: "generalised Hopf" (of folds, whose
+      amplitude vanishes there), "Bogdanov-Takens", "1:1" or "1:2" (of a torus), "left_bounds",
+      "closed", "max_points", ...; `message`: their texts.
+    - `equations`, `unknowns` (k, ...): what is solved, and its solutions; NaN without a cycle.
+
+    See `continue_special` for an example.
+    """
+
+    kind: str
+    names: tuple[str, str]
+    first: Float[np.ndarray, " k"]
+    second: Float[np.ndarray, " k"]
+    state: tuple[Float[np.ndarray, "k n"], ...]
+    period: Float[np.ndarray, " k"]
+    amplitude: Float[np.ndarray, "k n"]
+    residual: Float[np.ndarray, " k"]
+    special: tuple[CurvePoint, ...]
+    ended: tuple[str, str]
+    equations: Any
+    unknowns: Float[np.ndarray, "k more"]
+
+    @property
+    def message(self) -> str:
+        """The texts of both reasons."""
+        return " ".join(
+            ENDINGS.get(end, f"It ends in a point of kind {end}.") for end in self.ended
+        )
+
+    @property
+    def chain(self) -> AbstractField:
+        """The model, with the numbers of the point that the curve was started from."""
+        return self.equations.field
+
+    def of_kind(self, kind: str) -> tuple[CurvePoint, ...]:
+        """The special points of one kind."""
+        return tuple(point for point in self.special if point.kind == kind)
+
+    def at(self, index: int, chain: Any = None) -> SpecialCycle | HopfPoint:
+        """Point `index`, solved again for the first number, with derivatives in the others.
+
+        `chain`: the model with numbers close to those of the point, by default these.
+        """
+        u = self.unknowns[range(len(self.first))[index]]
+        if not np.all(np.isfinite(u)):
+            raise ValueError(
+                f"Argument `index` = {shown(index)} is the end of the curve, where the amplitude "
+                "is 0: give one next to it."
+            )
+        first, second = self.names
+        if chain is None:
+            chain = self.chain.with_(**{second: u[-1]})
+        if self.kind == "hopf":
+            state = tuple(part[index] for part in self.state)
+            there = chain.with_(**{first: u[-2]})
+            return find_hopf_point(there, first, state, frequency=2 * np.pi / self.period[index])
+        shooting, settings = self.equations.shooting, (to_float(1e-10), jnp.asarray(30))
+        return _find(shooting, chain, self.kind, first, jnp.asarray(u[:-1]), *settings)
+
+    def to_dataset(self) -> Dataset:
+        """The curve as an `xarray.Dataset` over `point`, with its special points over `special`.
+
+        **Returns:** both numbers as coordinates along `point`, under their own names; `period`,
+        `residual` (point), `amplitude` (point, oscillator); for special points `special_kind`,
+        `special_<number>` of both, `special_error`, `special_index`; the attributes `kind`,
+        `first`, `second`, `ended_first`, `ended_last`, `parameters` and those of
+        `CycleBranch.to_dataset`.
+        """
+        # xarray imports pandas, which would double the import time.
+        from xarray import Dataset
+
+        rows, n = [parameter(name) for name in self.names], self.amplitude.shape[1]
+
+        def special(name: str) -> np.ndarray:
+            return np.array([getattr(point, name) for point in self.special])
+
+        each = ("point", "oscillator")
+        height = "vibration amplitude A_n (half peak-to-peak)"
+        there = "it lies between this point of the curve and the next"
+        table = {
+            "period": (
+                "point",
+                self.period,
+                "period T, at a Hopf point 2 pi / omega",
+                "1 / omega_n",
+            ),
+            "amplitude": (each, self.amplitude, height, "x0"),
+            "residual": ("point", self.residual, "greatest residual, last but one", "1"),
+            "special_kind": (
+                "special",
+                special("kind").astype(str),
+                "kind of special point",
+                None,
+            ),
+            "special_error": (
+                "special",
+                special("error"),
+                "error of the second number there",
+                "1",
+            ),
+            "special_index": ("special", special("index").astype(int), there, "1"),
+        }
+        named = dict(zip(("first", "second"), rows, strict=True))
+        return Dataset(
+            {
+                name: (
+                    dims,
+                    values,
+                    {"long_name": text} | ({} if unit is None else {"units": unit}),
+                )
+                for name, (dims, values, text, unit) in table.items()
+            }
+            | {
+                f"special_{row.name}": ("special", special(name).astype(float), row.attrs)
+                for name, row in named.items()
+            },
+            coords={
+                **{
+                    row.name: ("point", getattr(self, name), row.attrs)
+                    for name, row in named.items()
+                },
+                "oscillator": ("oscillator", np.arange(1, n + 1), {"long_name": "oscillator n"}),
+            },
+            attrs={
+                "kind": self.kind,
+                "first": rows[0].name,
+                "second": rows[1].name,
+                "ended_first": self.ended[0],
+                "ended_last": self.ended[1],
+                "parameters": parameters_of(self.chain, n, list(self.names)),
+                **circumstances(),
+            },
+        )
+
+
+def continue_special(
+    point: Any,
+    second: Any,
+    *,
+    bounds: Mapping[str, tuple[Any, Any]] | None = None,
+    step: Any = 0.05,
+    max_step: Any = 0.1,
+    max_points: Any = 200,
+    tolerance: Any = 1e-9,
+) -> SpecialCurve:
+    """Follows a special point as two numbers of the model change together, in both directions.
+
+    Pseudo-arclength continuation of the equations of the cycle or equilibrium and of the special
+    point, see `jaxchain.boundaries.special_curves`.
+
+    **Arguments:**
+
+    - `point`: a "fold", "period doubling", "symmetry breaking", "torus" or "hopf" of
+      `continue_cycle(...).special`; a `HopfPoint` of `find_hopf_point`; or a `SpecialCycle`.  Its
+      parameter is the first number.
+    - `second`: the name of the second number, one for all cells.
+    - `bounds`: the ranges of both, name -> (low, high), in which the curve stays.
+    - `step`, `max_step`, `max_points` in each direction, `tolerance`: see `continue_branch`;
+      lengths are those of `continue_cycle`, with the second number relative to its first value.
+
+    **Returns:** a `SpecialCurve`.
+
+    **Raises:** `ValueError` for bad input; `RuntimeError` if there is no curve near the start.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import continue_cycle, continue_special, find_limit_cycle, paper_chain
+        >>> chain = paper_chain(1, belt_speed=1.5, width=0.05)
+        >>> fold = continue_cycle(find_limit_cycle(chain)).of_kind("fold")[0]
+        >>> curve = continue_special(fold, "damping_ratio", bounds={"damping_ratio": (0.04, 1.0)})
+        >>> curve.ended
+        ('left_bounds', 'generalised Hopf')
+        >>> round(float(curve.second[-1]), 9), round(float(curve.first[-1]), 9)
+        (0.291637021, 0.26834438)
+    """
+    if isinstance(point, CyclePoint) and point.kind == "hopf":
+        point = _hopf_of(point)
+    equations, U = _equations(point, second)
+    first, q = equations.names[0], equations.field.numbers()
+    check_concrete("use `find_special_cycle` or `find_hopf_point`.", chain=equations.field)
+    check_one_of("second", second, sorted(n for n in q if np.shape(q[n]) == () and n != first))
+    U, ranges = np.append(U, float(q[second])), _ranges(bounds, first, second)
+    for name, value in zip(ranges, U[-2:], strict=True):
+        if not ranges[name][0] <= value <= ranges[name][1]:
+            raise ValueError(
+                f"Argument `bounds` must contain the start, {name} = {value:.6g}, but is "
+                f"{ranges[name]} for it."
+            )
+    options = {
+        "step": step,
+        "max_step": max_step,
+        "max_points": max_points,
+        "tolerance": tolerance,
+    }
+    sides = [_side(equations, U, 1, ranges, options)]
+    if sides[0].ended != "closed":
+        sides.append(_side(equations, U, -1, ranges, options))
+    return _joined(equations, sides)
+
+
+def _equations(point: Any, second: Any) -> tuple[Any, Array]:
+    """(the equations of the curve, their unknowns at its start)."""
+    if isinstance(point, HopfPoint):
+        y, field, first = jnp.concatenate(point.state), point.chain, point.parameter
+        rates = Rates(field, len(point.state), first)
+        U = jnp.append(y, jnp.stack([point.frequency**2, point.value]))
+        return _HopfEquations(rates, second), U
+    shooting, kind, first, U = _start(point)
+    return _CycleEquations(replace(shooting, parameter=(first, second)), kind), U
+
+
+def _hopf_of(point: CyclePoint) -> HopfPoint:
+    """The Hopf point at which a branch of cycles ends."""
+    name, state = str(point.shooting.parameter), tuple(map(jnp.asarray, point.state))
+    chain = point.shooting.field.with_(**{name: point.parameter})
+    return find_hopf_point(chain, name, state, frequency=2 * np.pi / point.period)
+
+
+def _ranges(bounds: Any, *names: str) -> dict[str, tuple[float, float]]:
+    bounds = {} if bounds is None else bounds
+    check_kind("bounds", bounds, Mapping, "a mapping from names to (low, high)")
+    for name in bounds:
+        check_one_of("bounds", name, names)
+    everything = (-np.inf, np.inf)
+    remedy = "it is the range of a number."
+    return {
+        name: check_pair(f"bounds[{name!r}]", bounds.get(name, everything), remedy)
+        for name in names
+    }
+
+
+class _Side(NamedTuple):
+    """One half of a curve, from its start: its solutions and why it ends.
+
+    `cycles`: (state, period, amplitude) of each.
+    """
+
+    unknowns: list[np.ndarray]
+    residual: list[float]
+    cycles: list[tuple[Any, Any, Any]]
+    special: list[CurvePoint]
+    ended: str
+
+
+def _side(
+    equations: Any,
+    U: np.ndarray,
+    direction: int,
+    ranges: Mapping[str, tuple[float, float]],
+    options: dict[str, Any],
+) -> _Side:
+    tests, ((low, high), second), first = equations.tests(), ranges.values(), []
+    weights = equations.weights(U)
+
+    def edge(u: np.ndarray, *_: Any) -> float:
+        return float(min(u[-1] - low, high - u[-1]))
+
+    def stop(u: np.ndarray, *others: Any) -> Any:
+        first.append(others[-1])
+        passed = any(tests[name](u, *others) < 0 for name in equations.ends)
+        return passed or edge(u) < 0 or equations.stop(first[0], first[-1])
+
+    branch: Branch = continue_branch(
+        _residual, U[:-1], U[-1], equations, direction=direction, bounds=second, weights=weights,
+        tests={**tests, "edge": edge}, stop=stop, value_and_jacobian=_linearise, **options,
+    )  # fmt: skip
+    if not branch.p.size:
+        raise RuntimeError(
+            f"No curve was found: {branch.message} The given point may not be one of its kind, or "
+            "may not depend on the second number."
+        )
+    unknowns, residual = [*np.column_stack([branch.u, branch.p])], [*branch.residuals]
+    ended, special = branch.ended, []
+    for raw in branch.special:
+        kind, z = raw.kind, np.append(raw.u, raw.p)
+        if kind == "fold":
+            slopes = np.abs(weights * raw.tangent)[-2:]
+            kind = "cusp" if equations.kind == "fold" and max(slopes) < _CUSP else "extremum"
+        if kind != "edge":
+            error = raw.error if raw.refined else np.inf
+            special.append(CurvePoint(kind, float(z[-2]), float(z[-1]), error, raw.index, z))
+        if kind in (*equations.ends, "edge"):
+            unknowns[raw.index + 1 :] = [z]
+            residual[raw.index + 1 :] = [raw.residual]
+            ended = "left_bounds" if kind == "edge" else kind
+            break
+    cycles = [equations.cycle(U) for U in unknowns]
+    if equations.kind == "fold" and ended in ("stopped", "step_too_small"):
+        meeting = _end_of_folds(equations, np.array(unknowns), ranges)
+        if meeting is not None:
+            ended, special = meeting.kind, [*special, replace(meeting, index=len(cycles) - 1)]
+            *y, kappa, p, q = meeting.unknowns
+            state = tuple(np.split(np.array(y), equations.shooting.m))
+            unknowns.append(np.append(np.full(U.size - 2, np.nan), [p, q]))
+            residual.append(residual[-1])
+            cycles.append((state, 2 * np.pi / np.sqrt(kappa), np.zeros_like(state[0])))
+    return _Side(unknowns, residual, cycles, special, ended)
+
+
+def _end_of_folds(
+    equations: _CycleEquations, unknowns: np.ndarray, ranges: Mapping[str, Any]
+) -> CurvePoint | None:
+    """The generalised Hopf point near a fold of almost no amplitude, on the curve of Hopf points.
+
+    There it is well conditioned; on the curve of folds the equations are noise divided by the
+    amplitude.
+    """
+    (first, second), (p, q) = ranges, unknowns[-1, -2:]
+    state, period, _ = equations.cycle(unknowns[-1])
+    chain = equations.field.with_(**{first: p, second: q})
+    frequency = 2 * np.pi / period
+    hopf = find_hopf_point(chain, first, state, frequency=frequency, throw=False)
+    if not hopf.successful:
+        return None
+    curve = continue_special(hopf, second, step=1e-3, max_points=30)
+    size = np.max(np.abs(unknowns[:, -2:]), axis=0)
+
+    def distance(point: CurvePoint) -> float:
+        return float(np.max(np.abs([point.first - p, point.second - q]) / size))
+
+    nearest = min(curve.of_kind("generalised Hopf"), key=distance, default=None)
+    return None if nearest is None or distance(nearest) > _NEAR else nearest
+
+
+def _joined(equations: Any, sides: list[_Side]) -> SpecialCurve:
+    """The curve of both sides, from the end of the second to that of the first."""
+    ahead, back = sides[0], sides[-1]
+    before = len(back.unknowns) - 1 if len(sides) > 1 else 0
+
+    def both(name: str) -> list[Any]:
+        return [*getattr(back, name)[before:0:-1], *getattr(ahead, name)]
+
+    special = [replace(p, index=before - 1 - p.index) for p in back.special[::-1] if before]
+    special += [replace(p, index=before + p.index) for p in ahead.special]
+    unknowns = np.array(both("unknowns"))
+    states, period, amplitude = zip(*both("cycles"), strict=True)
+    return SpecialCurve(
+        kind=equations.kind, names=equations.names, first=unknowns[:, -2], second=unknowns[:, -1],
+        state=tuple(map(np.stack, zip(*states, strict=True))), period=np.stack(period),
+        amplitude=np.stack(amplitude), residual=np.array(both("residual")),
+        special=tuple(special), ended=(back.ended, ahead.ended), equations=equations,
+        unknowns=unknowns,
+    )  # fmt: skip

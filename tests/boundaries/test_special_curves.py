@@ -1,0 +1,395 @@
+"""Curves of special points against closed forms, SciPy and single searches."""
+
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
+from synthetic import cycle_branch
+
+from jaxchain import (
+    ExponentialDecay,
+    TanhFriction,
+    WeakeningStrengthening,
+    continue_cycle,
+    continue_special,
+    find_limit_cycle,
+    fold_belt_speed,
+    hopf_belt_speed,
+    paper_chain,
+    steady_sliding,
+)
+from jaxchain.boundaries import (
+    find_fold,
+    find_hopf_point,
+    find_special_cycle,
+    first_lyapunov_coefficient,
+    generalised_hopf,
+)
+from jaxchain.boundaries.special_curves import _CycleEquations
+from jaxchain.model import AbstractCells, Duffing, GaussianStribeck, ModeCoupling
+
+# The generalised Hopf point of one mass of the paper at width 0.05: (belt speed, damping ratio).
+MEETING = 0.268344380439181, 0.291637020981561
+
+
+class BogdanovTakens(AbstractCells):
+    """x' = y, y' = a + b x + x^2 - x y: Hopf points x = 0 at a = 0 of frequency sqrt(-b)."""
+
+    a: jax.Array
+    b: jax.Array
+
+    def rate(self, t, left, own, right):
+        x, y = own
+        return y, self.a + self.b * x + x**2 - x * y
+
+
+class Rotating(AbstractCells):
+    """z' = (a + i + b R + c R^2 - R^3) z, R = |z|^2.
+
+    Folds have b = 3 R^2 - 2 c R and a = c R^2 - 2 R^3.
+    """
+
+    a: jax.Array
+    b: jax.Array
+    c: jax.Array
+
+    def rate(self, t, left, own, right):
+        x, y = own
+        R = x**2 + y**2
+        growth = self.a + self.b * R + self.c * R**2 - R**3
+        return growth * x - y, growth * y + x
+
+
+class Driven(AbstractCells):
+    """z' = (1 + i (3 + delta) - |z|^2) z + F exp(3 i t): cycles of constant R = |z|^2.
+
+    F^2 = R [(1 - R)^2 + delta^2]; a torus where R = 1/2 and delta > 1/2, of the frequency
+    (delta^2 - 1/4)^(1/2); a fold where 3 R^2 - 4 R + 1 + delta^2 = 0.
+    """
+
+    delta: jax.Array
+    force: jax.Array
+
+    def forcing_period(self):
+        return 2 * np.pi / 3.0
+
+    def rate(self, t, left, own, right):
+        x, y = own
+        grows, turns = 1.0 - x**2 - y**2, 3.0 + self.delta
+        return (
+            grows * x - turns * y + self.force * jnp.cos(3.0 * t),
+            grows * y + turns * x + self.force * jnp.sin(3.0 * t),
+        )
+
+
+class Pair(AbstractCells):
+    """z' = (1 + 2 i) z - (1 + i c) |z|^2 z + K (1 + 2 i) (z_other - z).
+
+    Both move alike up to K = -(1 + 2 c) / 5.
+    """
+
+    K: jax.Array
+    c: jax.Array
+
+    def rate(self, t, left, own, right):
+        x, y = own
+        R = x**2 + y**2
+        dx, dy = (0.5 * (a + b) - c for a, b, c in zip(left, right, own, strict=True))
+        return (
+            x - 2 * y - R * (x - self.c * y) + self.K * (dx - 2 * dy),
+            y + 2 * x - R * (y + self.c * x) + self.K * (dy + 2 * dx),
+        )
+
+
+def numbers(*values):
+    return tuple(map(jnp.asarray, values))
+
+
+def at_rest(m):
+    return (jnp.zeros(1),) * m
+
+
+def fold_of(chain):
+    return continue_cycle(find_limit_cycle(chain)).of_kind("fold")[0]
+
+
+def test_hopf_points_end_where_their_frequency_is_zero():
+    cells = BogdanovTakens(*numbers(0.05, -1.0))
+    curve = continue_special(find_hopf_point(cells, "a", at_rest(2)), "b", bounds={"b": (-2, 2)})
+    assert curve.ended == ("left_bounds", "Bogdanov-Takens")
+    assert curve.second[0] == -2.0
+    np.testing.assert_allclose(curve.first, 0.0, atol=1e-12)
+    np.testing.assert_allclose(curve.period[:-1], 2 * np.pi / np.sqrt(-curve.second[:-1]))
+    (end,) = curve.of_kind("Bogdanov-Takens")
+    assert (end.first, end.second) == pytest.approx((0.0, 0.0), abs=1e-9)
+    assert end.index == len(curve.first) - 2
+
+
+def test_hopf_points_of_cells_are_those_of_eigenvalues():
+    cells = ModeCoupling(
+        2.0, 1.0, 0.5, contact_stiffness=1.0, friction=1.05, damping_x=0.05, damping_y=0.04,
+        cubic=0.3,
+    )  # fmt: skip
+    point = find_hopf_point(cells, "friction", at_rest(4))
+    curve = continue_special(point, "damping_x", bounds={"damping_x": (0.01, 0.4)})
+    assert curve.ended == ("left_bounds", "left_bounds")
+
+    def growth(friction, damping):
+        J = np.zeros((4, 4))
+        J[:2, 2:] = np.eye(2)
+        J[2] = -2.0, friction - 0.5, -damping, 0.0
+        J[3] = -0.5, -1.0, 0.0, -0.04
+        return np.linalg.eigvals(J).real.max()
+
+    for p, q in zip(curve.first, curve.second, strict=True):
+        root = brentq(growth, p - 0.02, p + 0.02, args=(q,), xtol=1e-14)
+        assert p == pytest.approx(root, abs=1e-9)
+
+
+def test_the_hopf_curve_of_a_chain_has_its_speeds_slopes_and_generalised_hopf_point():
+    chain = paper_chain(1, width=0.05)
+    point = find_hopf_point(chain, "belt_speed", steady_sliding(chain))
+    curve = continue_special(
+        point, "damping_ratio", bounds={"belt_speed": (0.2, 1.3), "damping_ratio": (0.01, 1.0)}
+    )
+    assert curve.ended == ("left_bounds", "left_bounds")
+    assert sorted(curve.first[[0, -1]]) == pytest.approx([0.2, 1.3], abs=1e-9)
+    speeds = jax.vmap(lambda q: hopf_belt_speed(chain.with_(damping_ratio=q)))(curve.second)
+    np.testing.assert_allclose(curve.first, speeds, atol=1e-9)
+    (meeting,) = curve.of_kind("generalised Hopf")
+    assert (meeting.first, meeting.second) == pytest.approx(MEETING, abs=1e-10)
+    known = generalised_hopf(chain, "damping_ratio", 0.1, 0.5)
+    assert (meeting.second, meeting.first) == pytest.approx(
+        (float(known.value), float(known.belt_speed)), abs=1e-9
+    )
+    assert curve.second[meeting.index] < meeting.second < curve.second[meeting.index + 1]
+    varied = chain.with_(damping_ratio=curve.second[3])
+    slopes, known = (
+        jax.grad(f)(varied).numbers() for f in (lambda c: curve.at(3, c).value, hopf_belt_speed)
+    )
+    for name, slope in known.items():
+        assert float(slopes[name]) == pytest.approx(float(slope), abs=1e-8)
+
+
+@pytest.mark.parametrize("damping", [0.05, 0.25, 0.3])
+def test_the_lyapunov_coefficient_is_that_of_one_mass(damping):
+    chain = paper_chain(1, belt_speed=0.3, width=0.05).with_(damping_ratio=damping)
+    point = find_hopf_point(chain, "belt_speed", steady_sliding(chain))
+    known = first_lyapunov_coefficient(chain, point.value, 1.0, jnp.ones(1, dtype=complex))
+    assert float(point.lyapunov_coefficient) == pytest.approx(float(known), rel=1e-9)
+    assert (damping < MEETING[1]) == (float(known) > 0)
+
+
+def test_the_lyapunov_coefficient_of_several_numbers_is_that_of_the_normal_form():
+    """z' = (a + i) z + b |z|^2 z has l1 = b / |q|^2 scale 1; a third, fast number y adds to it."""
+
+    class Slaved(AbstractCells):
+        """y' = -4 y + x^2 + ..., so that y = R / 4 along and l1 changes by the middle term."""
+
+        a: jax.Array
+        b: jax.Array
+
+        def rate(self, t, left, own, right):
+            x, v, y = own
+            R = x**2 + v**2
+            grows = self.a + self.b * R + y
+            return grows * x - v, grows * v + x, -4.0 * y + R
+
+    point = find_hopf_point(Slaved(*numbers(0.1, -1.0)), "a", at_rest(3))
+    # z = sqrt(2) w in the coordinates of <q, q> = 1, and R = 2 |w|^2: (b + 1/4) 2 |w|^2 / 1.
+    assert float(point.lyapunov_coefficient) == pytest.approx(2.0 * (-1.0 + 0.25), rel=1e-12)
+
+
+def test_modes_that_cross_together_have_no_lyapunov_coefficient():
+    chain = paper_chain(3)
+    point = find_hopf_point(chain, "belt_speed", steady_sliding(chain), frequency=1.03**0.5)
+    assert np.isnan(point.lyapunov_coefficient)
+
+
+def test_another_multiplier_at_the_same_place_changes_the_sign():
+    for kind, name, at in (("fold", "1:1", 1.0), ("period doubling", "1:2", -1.0)):
+        test = _CycleEquations(cycle_branch(1).shooting, kind).tests()[name]
+        one, other = (
+            test(None, 0.0, None, SimpleNamespace(multipliers=np.array([at, at + d, 0.3])))
+            for d in (0.01, -0.01)
+        )
+        assert one * other < 0
+
+
+def test_bad_input_is_refused():
+    chain = paper_chain(1, width=0.05)
+    point = find_hopf_point(chain, "belt_speed", steady_sliding(chain))
+    with pytest.raises(ValueError, match=r"`second` must be .*damping_ratio"):
+        continue_special(point, "belt_speed")
+    with pytest.raises(ValueError, match=r"contain the start, damping_ratio = 0\.05"):
+        continue_special(point, "damping_ratio", bounds={"damping_ratio": (0.1, 0.2)})
+    with pytest.raises(ValueError, match="`bounds`"):
+        continue_special(point, "damping_ratio", bounds={"width": (0.1, 0.2)})
+    with pytest.raises(ValueError, match="`point`"):
+        find_special_cycle(point)
+
+
+@pytest.mark.long
+def test_folds_end_in_the_generalised_hopf_point():
+    fold = fold_of(paper_chain(1, belt_speed=1.5, width=0.05))
+    curve = continue_special(fold, "damping_ratio", bounds={"damping_ratio": (0.04, 1.0)})
+    assert curve.ended == ("left_bounds", "generalised Hopf")
+    assert (curve.first[-1], curve.second[-1]) == pytest.approx(MEETING, abs=1e-9)
+    assert curve.amplitude[-1, 0] == 0.0
+    # The amplitude falls with the square root of the distance, so the last folds lie close by.
+    assert curve.amplitude[-2, 0] < 5e-3
+    assert np.all(np.diff(curve.amplitude[:, 0]) < 0)
+    again = curve.at(4)
+    assert float(again.value) == pytest.approx(curve.first[4], abs=1e-10)
+    with pytest.raises(ValueError, match="amplitude is 0"):
+        curve.at(-1)
+    data = curve.to_dataset()
+    assert data.damping_ratio.attrs["units"] == "1"
+    assert data.special_kind.values.tolist() == ["generalised Hopf"]
+    assert data.attrs["ended_last"] == "generalised Hopf"
+
+
+LAWS = {
+    "exponential": ExponentialDecay(1.0, 0.5, 0.5),
+    "strengthening": WeakeningStrengthening(1.0, 0.5, 0.5, 0.02),
+    "gaussian": GaussianStribeck(1.0, 0.5, 0.5, 0.01),
+}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("law", LAWS)
+def test_folds_are_those_of_single_searches(law):
+    for width in (1e-1, 1e-2, 1e-3, 1e-4):
+        chain = paper_chain(1, friction=TanhFriction(LAWS[law], width))
+        chain = chain.with_(belt_speed=0.95 * find_fold(chain).belt_speed)
+        curve = continue_special(
+            fold_of(chain), "damping_ratio", bounds={"damping_ratio": (0.02, 0.12)}, max_step=0.06
+        )
+        assert curve.ended == ("left_bounds", "left_bounds")
+        assert len(curve.first) > 30
+        folds = [find_fold(chain.with_(damping_ratio=q)).belt_speed for q in curve.second]
+        np.testing.assert_allclose(curve.first, folds, atol=1e-8)
+
+
+@pytest.mark.long
+def test_a_special_cycle_has_the_slopes_of_the_fold_in_all_numbers():
+    chain = paper_chain(1, belt_speed=1.5, width=0.05)
+    fold = fold_of(chain)
+    slopes, known = (
+        jax.grad(f)(chain).numbers()
+        for f in (lambda c: find_special_cycle(fold, c).value, fold_belt_speed)
+    )
+    for name, slope in known.items():
+        assert float(slopes[name]) == pytest.approx(float(slope), abs=1e-6)
+
+    def speed(damping):
+        return find_special_cycle(fold, chain.with_(damping_ratio=damping)).value
+
+    many = jax.vmap(speed)(jnp.array([0.05, 0.052, 0.054]))
+    expected = [fold_belt_speed(chain.with_(damping_ratio=q)) for q in (0.05, 0.052, 0.054)]
+    np.testing.assert_allclose(many, expected, atol=1e-10)
+    with pytest.raises(RuntimeError, match="No fold in `belt_speed` was found"):
+        find_special_cycle(fold, chain.with_(damping_ratio=0.6))
+
+
+@pytest.mark.long
+def test_folds_of_cells_have_their_cusp_and_meet_the_hopf_points():
+    # A stable cycle of R near 0.87, whose branch folds at small a.
+    cells = Rotating(*numbers(0.02, -0.2, 1.0))
+    cycle = find_limit_cycle(cells, ((jnp.array([0.88]), jnp.zeros(1)), 2 * np.pi))
+    fold = continue_cycle(cycle, parameter="a", direction=-1, bounds=(-1, 1)).of_kind("fold")[0]
+    curve = continue_special(fold, "b", bounds={"b": (-0.6, 0.1)})
+    R = curve.amplitude[:, 0] ** 2
+    np.testing.assert_allclose(curve.second, 3 * R**2 - 2 * R, atol=1e-8)
+    np.testing.assert_allclose(curve.first, R**2 - 2 * R**3, atol=1e-8)
+    (cusp,) = curve.of_kind("cusp")
+    assert (cusp.first, cusp.second) == pytest.approx((1 / 27, -1 / 3), abs=1e-9)
+    assert set(curve.ended) == {"generalised Hopf", "left_bounds"}
+    (meeting,) = curve.of_kind("generalised Hopf")
+    assert (meeting.first, meeting.second) == pytest.approx((0.0, 0.0), abs=1e-9)
+
+
+@pytest.mark.long
+def test_folds_and_tori_of_driven_cells_are_those_of_the_closed_form():
+    cells = Driven(*numbers(0.3, 1.2))
+    cycle = find_limit_cycle(cells, (jnp.array([0.5]), jnp.zeros(1)))
+    branch = continue_cycle(cycle, parameter="force", direction=-1, bounds=(0.1, 2.0))
+    curve = continue_special(branch.of_kind("fold")[0], "delta", bounds={"delta": (0.1, 1.0)})
+    R = np.sum([part[:, 0] ** 2 for part in curve.state], axis=0)
+    np.testing.assert_allclose(3 * R**2 - 4 * R + 1 + curve.second**2, 0.0, atol=1e-8)
+    np.testing.assert_allclose(curve.first**2, R * ((1 - R) ** 2 + curve.second**2), atol=1e-8)
+    (cusp,), (meeting,) = curve.of_kind("cusp"), curve.of_kind("1:1")
+    assert (cusp.first, cusp.second) == pytest.approx(((8 / 27) ** 0.5, 3**-0.5), abs=1e-9)
+    assert (meeting.first, meeting.second) == pytest.approx((0.5, 0.5), abs=1e-9)
+
+    cycle = find_limit_cycle(cells.with_(delta=0.8), (jnp.array([0.5]), jnp.zeros(1)))
+    branch = continue_cycle(cycle, parameter="force", direction=-1, bounds=(0.2, 2.0))
+    curve = continue_special(branch.of_kind("torus")[0], "delta", bounds={"delta": (0.1, 2.0)})
+    assert sorted(curve.ended) == ["1:1", "left_bounds"]
+    np.testing.assert_allclose(curve.first, np.sqrt((0.25 + curve.second**2) / 2), atol=1e-9)
+    (end,) = curve.of_kind("1:1")
+    assert (end.first, end.second) == pytest.approx((0.5, 0.5), abs=1e-9)
+    angle = 2 * np.pi / 3  # of the frequency 1 after a period: multipliers exp(+-2 pi i / 3)
+    assert curve.of_kind("1:3")[0].second == pytest.approx(
+        (0.25 + (1.5 * angle / np.pi) ** 2) ** 0.5
+    )
+    # Slopes: F^2 = (1/4 + delta^2) / 2, so dF/d(delta) = delta / (2 F).
+    p, q = curve.first[5], curve.second[5]
+    slope = jax.grad(lambda d: curve.at(5, cells.with_(delta=d)).value)(q)
+    assert float(slope) == pytest.approx(q / (2 * p), abs=1e-8)
+
+
+@pytest.mark.long
+def test_period_doublings_are_those_of_scipy():
+    cells = Duffing(force=0.25, frequency=1.2, damping=0.3, stiffness=-1.0, cubic=1.0)
+    cycle = find_limit_cycle(cells, (jnp.ones(1), jnp.zeros(1)))
+    branch = continue_cycle(cycle, parameter="force", bounds=(0.2, 0.4))
+    curve = continue_special(
+        branch.of_kind("period doubling")[0], "frequency", bounds={"frequency": (1.0, 1.5)}
+    )
+    assert curve.ended == ("left_bounds", "left_bounds")
+    for k in range(0, len(curve.first), 5):
+        force, omega = curve.first[k], curve.second[k]
+
+        def rate(t, y, force=force, omega=omega):
+            x, v, *M = y
+            a, b, c, d = M
+            pull = 1.0 - 3.0 * x**2
+            drive = force * np.cos(omega * t) - 0.3 * v + x - x**3
+            return [v, drive, b, pull * a - 0.3 * b, d, pull * c - 0.3 * d]
+
+        start = [part[k, 0] for part in curve.state]
+        end = solve_ivp(
+            rate, (0.0, 2 * np.pi / omega), [*start, 1, 0, 0, 1], method="DOP853", rtol=1e-12,
+            atol=1e-13,
+        ).y[:, -1]  # fmt: skip
+        np.testing.assert_allclose(end[:2], start, atol=1e-9)
+        multipliers = np.linalg.eigvals(end[2:].reshape(2, 2))
+        assert np.min(abs(multipliers + 1.0)) < 1e-8
+
+    # Slopes in another number, by solving again.
+    def force_at(cubic):
+        return curve.at(4, cells.with_(frequency=curve.second[4], cubic=cubic)).value
+
+    h = 1e-4
+    difference = (force_at(1.0 + h) - force_at(1.0 - h)) / (2 * h)
+    assert float(jax.grad(force_at)(1.0)) == pytest.approx(float(difference), rel=1e-6)
+
+
+@pytest.mark.long
+def test_a_symmetry_breaks_where_the_closed_form_says():
+    cells = Pair(*numbers(0.3, -1.0))
+    start = (jnp.ones(2), jnp.zeros(2)), 2 * np.pi / 3
+    cycle = find_limit_cycle(cells, start, images=(0, 0))
+    branch = continue_cycle(
+        cycle, parameter="K", direction=-1, bounds=(0.05, 1.0), images=(0, 0), max_step=0.1
+    )
+    curve = continue_special(
+        branch.of_kind("symmetry breaking")[0], "c", bounds={"c": (-2.0, -0.7)}
+    )
+    assert curve.ended == ("left_bounds", "left_bounds")
+    np.testing.assert_allclose(curve.first, -(1 + 2 * curve.second) / 5, atol=1e-9)
