@@ -297,11 +297,6 @@ class Row(Mass):
     components = ("x", "speed")
 
 
-class Backward(Mass):
-    def belt_direction(self):
-        return -1.0
-
-
 class Hasty(Mass):
     def growth_time(self):
         return 0.01
@@ -312,6 +307,9 @@ class Switching(Mass):
 
     def switching(self, t, v):
         return v - 0.1, jnp.asarray(1e-4)
+
+    def belt_direction(self):
+        return -1.0
 
 
 @honours(
@@ -324,11 +322,11 @@ def test_what_cells_define_is_honoured():
     fastest = jc.Section(0, 1, of="velocity")
 
     def run(cells):
-        return jc.simulate(cells, start, 6.5, observe=fastest, rtol=1e-8)
+        return jc.simulate(cells, start, 6.5, solver=jc.Rodas4(), observe=fastest, rtol=1e-8)
 
-    plain, backward, hasty, switching = map(run, (Mass(), Backward(), Hasty(), Switching()))
+    plain, hasty, switching = map(run, (Mass(), Hasty(), Switching()))
     assert plain.observed[0] == pytest.approx(2.0 * np.pi, abs=1e-6)
-    assert backward.observed[0] == pytest.approx(np.pi, abs=1e-6)
+    assert switching.observed[0] == pytest.approx(np.pi, abs=1e-6)  # the belt runs backward
     assert hasty.steps >= 650 > 300 > plain.steps
     assert switching.steps > plain.steps
     data = jc.sweep(
@@ -340,9 +338,10 @@ def test_what_cells_define_is_honoured():
     # The last mass pulls the first one in a ring; at a free end there is one spring only.
     assert (ring[3, 2], row[3, 2]) == (0.1, 0.0)
     assert (ring[3, 0], row[3, 0]) == pytest.approx((-1.2, -1.1))
-    for driven in (Driven(), Swing()):
-        cycle = jc.find_limit_cycle(driven, (jnp.zeros(3), jnp.zeros(3)))
-        assert (cycle.turns, float(cycle.period)) == (1, 2.0)
+    with pytest.raises(ValueError, match="forced with the period 2"):
+        jc.find_limit_cycle(Driven(), start, period=3.0)
+    cycle = jc.find_limit_cycle(Swing(), (jnp.zeros(3), jnp.zeros(3)))
+    assert (cycle.turns, float(cycle.period)) == (1, 2.0)
 
 
 class Count(AbstractObserver):
