@@ -103,7 +103,7 @@ def exact(cells, start, t1):
 
 
 @pytest.mark.parametrize("ends", ["cyclic", "free"])
-@pytest.mark.parametrize("n", [1, 2, 3, 5])
+@pytest.mark.parametrize("n", [1, 2, 3, pytest.param(5, marks=pytest.mark.long)])
 def test_the_blocks_are_the_jacobian(n, ends):
     cells, y = pairs(ends), state(n)
     here = cells.linearised(0.3, y)
@@ -206,19 +206,19 @@ def test_a_sweep_is_its_runs_and_names_the_components(tmp_path):
     def start(cells, kick):
         return jnp.zeros(4).at[0].set(kick), jnp.zeros(4)
 
-    grid = {"spring": [0.3, 0.5], "kick": [0.5, 2.0]}
+    grid, kept = {"spring": [0.3, 0.5], "kick": [0.5, 2.0]}, tmp_path / "kept.zarr"
     observe = [Amplitude(window=10.0), Amplitude(window=10.0, component=1)]
-    data = sweep(driven(), start, 30.0, over=grid, observe=observe, store=tmp_path / "kept.zarr")
+    data = sweep(driven(), start, 30.0, over=grid, observe=observe, store=kept)
     run = simulate(driven().with_(spring=0.3), start(None, 2.0), 30.0, observe=observe)
     found = data.sel(spring=0.3, kick=2.0)
     for name, value in zip(("amplitude", "amplitude_vx"), run.observed, strict=True):
         np.testing.assert_allclose(found[name], value, atol=1e-6)
         assert data[name].attrs["units"] == "1"
     assert data.spring.attrs["long_name"] == "spring"
-    again = sweep(driven(), start, 30.0, over=grid, observe=observe, store=tmp_path / "kept.zarr")
+    again = sweep(driven(), start, 30.0, over=grid, observe=observe, store=kept)
     assert again.identical(data)
     with pytest.raises(ValueError, match="belongs to another sweep"):
-        sweep(driven("free"), start, 30.0, over=grid, observe=observe, store=tmp_path / "kept.zarr")
+        sweep(driven("free"), start, 30.0, over=grid, observe=observe, store=kept)
 
 
 @pytest.mark.parametrize(

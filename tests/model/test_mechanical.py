@@ -1,5 +1,7 @@
 """Cells from matrices and laws, with dry and smoothed friction."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -147,17 +149,17 @@ def test_one_displacement_is_a_chain_dry_and_smoothed():
     )  # fmt: skip
     start = tuple(jnp.asarray(rng.normal(size=(2, 5))))
     observe = Amplitude(window=20.0), StickTime(), Trajectory(jnp.array([7.0, 33.0]))
-    how = {"solver": SOLVER, "rtol": 1e-10, "observe": observe}
-    runs = [simulate(one, start, 40.0, **how) for one in (chain, cells)]
+    how: dict[str, Any] = {"solver": SOLVER, "rtol": 1e-10}
+    runs = [simulate(one, start, 40.0, **how, observe=observe) for one in (chain, cells)]
     pairs = zip(*(jax.tree.leaves((run.state, run.observed)) for run in runs), strict=True)
     for expected, computed in pairs:
         np.testing.assert_allclose(computed, expected, atol=1e-12)
     # So are the runs of a sweep.
     over = {"belt_speed": [0.5, 0.7], "mu_dynamic": [0.4, 0.5]}
-    data = sweep(cells, start, 40.0, over=over, **how | {"observe": observe[0]}).amplitude
+    data = sweep(cells, start, 40.0, over=over, **how, observe=observe[0]).amplitude
     np.testing.assert_allclose(data[1, 1], runs[0].observed[0], atol=1e-12)
     assert all(np.all(data.diff(name) != 0.0) for name in over)
-    how = {"solver": Rodas4(), "rtol": 1e-10}
+    how["solver"] = Rodas4()
     runs = [simulate(one.with_(width=1e-2), start, 10.0, **how) for one in (chain, cells)]
     np.testing.assert_allclose(runs[1].state, runs[0].state, atol=1e-9)
 
