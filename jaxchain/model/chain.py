@@ -34,8 +34,6 @@ _PLAUSIBLE = {
     "stiffness": (100.0, "N/m"),
     "normal_load": (100.0, "N"),
 }
-# The least stiffness, relative to the nominal one, that holds a mass.
-_LEAST = 1e-12
 MAKE_CHAIN = "make one with `paper_chain()` or `Chain(...)`."
 
 
@@ -61,8 +59,7 @@ class Chain(AbstractOscillators):
     - `coupling`: eta_c.  None: no springs between masses.  A number: equal springs.  An array: one
       constant per spring (n springs in a ring, n - 1 with free ends; spring i joins masses i and i
       + 1).
-    - `stiffness`: k_n >= 0, one number or shape (n,), 1 for the nominal mass.  A mass with 0 is
-      held by its neighbours only.
+    - `stiffness`: k_n, one number or shape (n,), 1 for the nominal mass.
     - `normal_load`: p_n relative to the nominal load, one number or shape (n,); None is 1.
     - `ends`: "cyclic" (a ring) or "free".
 
@@ -116,7 +113,6 @@ class Chain(AbstractOscillators):
         kind: Ends = "cyclic" if ends == "cyclic" else "free"
         self.springs = None if coupling is None else Springs(_number("coupling", coupling), kind)
         self._check_shapes(kind)
-        self._check_held()
 
     def _check_shapes(self, ends: Ends) -> None:
         springs = self.n if ends == "cyclic" else self.n - 1
@@ -129,23 +125,6 @@ class Chain(AbstractOscillators):
                     f"Argument `{name}` must be one number{several}, but has shape {shape}: the "
                     f"chain has {self.n} masses and {ends} ends; `jax.vmap` or `sweep` run many."
                 )
-
-    def _check_held(self) -> None:
-        """Masses without a spring to ground must be held by others: K is positive definite."""
-        numbers = self.stiffness, self.coupling
-        if is_traced(*numbers) or np.all(np.asarray(self.stiffness) > _LEAST):
-            return
-        held = False
-        if self.springs is not None:
-            K = np.diag(np.broadcast_to(self.stiffness_diagonal(self.n), self.n))
-            stiffness = K - np.asarray(self.springs.dense(self.n))
-            held = np.min(np.linalg.eigvalsh(stiffness)) > _LEAST
-        if not held:
-            raise ValueError(
-                f"Argument `stiffness` must hold every mass, but is {shown(self.stiffness)}: a "
-                "mass without a spring to ground needs springs to one that has one; 1 is the "
-                "nominal spring to ground."
-            )
 
     def _chain_numbers(self) -> dict[str, Array | None]:
         """The numbers of the chain without those of friction, by name."""

@@ -208,6 +208,7 @@ class MechanicalCells(AbstractCells):
 
     @property
     def dry(self) -> bool:
+        """Whether friction is a law without smoothing."""
         return isinstance(self.friction, AbstractFrictionLaw)
 
     @property

@@ -85,9 +85,8 @@ _ROWS = (
         remedy="it is a spring constant, such as 0.01.",
     ),
     Parameter(
-        "stiffness", "relative stiffness", sign="nonnegative", default=1.0, usual=1.0,
-        meaning="Of the spring to ground, 1 for the nominal one, 0 for none; one number, or one "
-        "per mass.",
+        "stiffness", "relative stiffness", sign="positive", default=1.0, usual=1.0,
+        meaning="Of the spring to ground, 1 for the nominal one; one number, or one per mass.",
         remedy="1 is the nominal spring to ground.",
     ),
     Parameter(
