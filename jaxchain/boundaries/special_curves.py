@@ -461,6 +461,8 @@ class CurvePoint(Printed):
 
     `kind`, the numbers `first` and `second`; `error` of `second`, from the search; `index`: it
     lies between this point of the curve and the next; `unknowns`: as in `SpecialCurve`.
+
+    See `continue_special` for an example.
     """
 
     kind: str
