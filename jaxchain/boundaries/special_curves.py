@@ -634,7 +634,7 @@ def continue_special(
     """Follows a special point as two numbers of the model change together, in both directions.
 
     Pseudo-arclength continuation of the equations of the cycle or equilibrium and of the special
-    point, see `jaxchain.boundaries.special_curves`.
+    point, by damped Newton steps.
 
     **Arguments:**
 
