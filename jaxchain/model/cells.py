@@ -136,20 +136,20 @@ class AbstractField(eqx.Module):
 
     def with_(self, **changes: Any) -> Any:
         """A copy with other numbers, by the names of fields, checked as those of a new one."""
-        field = self
+        field, known = self, self.numbers()
         if self._given_friction is not None:
             numbers = {k: changes.pop(k) for k in self._given_friction.numbers() if k in changes}
-            if "width" in changes:  # smooths dry friction
+            if "width" in changes and "width" not in known:  # smooths dry friction
                 numbers["width"] = changes.pop("width")
             if numbers:
                 friction = self._given_friction.with_(**numbers)
                 field = eqx.tree_at(lambda f: f.friction, field, friction)
         converters = {f.name: f.metadata.get("converter", to_float) for f in fields(self)}
         for name, value in changes.items():
-            if name not in self.numbers():
+            if name not in known:
                 raise ValueError(
                     f"`{type(self).__name__}.with_` does not know {name!r}; it takes "
-                    f"{sorted(self.numbers())}."
+                    f"{sorted(known)}."
                 )
             number = to_float(converters.get(name, to_float)(value))
             field = eqx.tree_at(operator.attrgetter(self._place(name)), field, number)
@@ -177,6 +177,11 @@ class AbstractField(eqx.Module):
         """The arrays among the fields, and the numbers of the field `friction`, by name."""
         friction = {} if self._given_friction is None else self._given_friction.numbers()
         arrays = {name: value for name, value in vars(self).items() if eqx.is_array(value)}
+        if taken := sorted(friction.keys() & arrays.keys()):
+            raise ValueError(
+                f"Friction law `{type(self._given_friction).__name__}` cannot have the field "
+                f"`{taken[0]}`, which is the name of a number of {type(self).__name__}: rename it."
+            )
         return {**friction, **arrays}
 
 

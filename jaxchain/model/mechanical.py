@@ -217,6 +217,11 @@ class MechanicalCells(AbstractCells):
         friction: Any = self.friction
         return friction.law
 
+    @property
+    def load(self) -> PerMass:
+        """p, as a `Chain` calls it."""
+        return self.normal_load
+
     def static_limit(self) -> PerMass:
         """p mu_st, the greatest friction force on a sticking mass."""
         return self.normal_load * self.law.mu_static

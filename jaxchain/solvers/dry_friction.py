@@ -48,10 +48,6 @@ def static_limit(chain: Dry) -> PerMass:
     return chain.static_limit() * (1.0 + _SLACK)
 
 
-def _load(chain: Dry) -> PerMass:
-    return chain.load if isinstance(chain, Chain) else chain.normal_load
-
-
 def shares(chain: Dry) -> list[Any]:
     """b: the accelerations by a unit force at the contact; None for 0."""
     return [1.0] if isinstance(chain, Chain) else chain.compliance()
@@ -65,32 +61,25 @@ def accelerations(chain: Dry, t: Any, y: State) -> tuple[Array, ...]:
     return chain.free_acceleration(t, left, y, right)
 
 
-def _sliding(chain: Dry) -> int:
-    """Which displacement slides."""
-    return 0 if isinstance(chain, Chain) else chain.sliding
-
-
 def free_force(chain: Dry, t: Any, y: State) -> Array:
     """r, the force that would hold a mass."""
-    u = _sliding(chain)
-    free = accelerations(chain, t, y)[u]
-    return free if isinstance(chain, Chain) else free / shares(chain)[u]
+    u = chain.contact - len(y) // 2
+    return accelerations(chain, t, y)[u] / shares(chain)[u]
 
 
 def friction_at_rest(chain: Dry, t: Any, y: State, direction: Array) -> Array:
     """The friction force against `direction` of masses with w = 0 in their modes."""
     mu = chain.law.coefficient(jnp.zeros_like(direction))
-    return jnp.where(direction == STICK, free_force(chain, t, y), direction * _load(chain) * mu)
+    return jnp.where(direction == STICK, free_force(chain, t, y), direction * chain.load * mu)
 
 
 def motion(chain: Dry, t: Any, y: State, direction: Array) -> State:
     """y' of masses in their modes."""
-    d, u, b = len(y) // 2, _sliding(chain), shares(chain)
-    v = y[d:]
+    d, b = len(y) // 2, shares(chain)
+    u, v = chain.contact - d, y[d:]
     free = accelerations(chain, t, y)
     mu = chain.law.coefficient(jnp.abs(v[u] - chain.belt_speed))
-    r = free[u] if isinstance(chain, Chain) else free[u] / b[u]
-    friction = jnp.where(direction == STICK, r, direction * _load(chain) * mu)
+    friction = jnp.where(direction == STICK, free[u] / b[u], direction * chain.load * mu)
     rates = [a if s is None else a - s * friction for a, s in zip(free, b, strict=True)]
     rates[u] = jnp.where(direction == STICK, 0.0, rates[u])
     return (*v, *rates)
@@ -137,9 +126,10 @@ def expand(chain: Dry, t: Any, state: State, modes: Modes, order: int) -> Series
 
     with m_k the coefficients of mu(direction (v - v_d)).
     """
-    law, load, direction = chain.law, _load(chain), modes.direction
+    law, load, direction = chain.law, chain.load, modes.direction
     slides = direction != STICK
-    d, u, b = len(state) // 2, _sliding(chain), shares(chain)
+    d, b = len(state) // 2, shares(chain)
+    u = chain.contact - d
     x, v = [[part] for part in state[:d]], [[part] for part in state[d:]]
     speed = [direction * (v[u][0] - chain.belt_speed)]
     friction = composed(law.coefficient, speed, piecewise=law.knots is not None)
@@ -147,14 +137,13 @@ def expand(chain: Dry, t: Any, state: State, modes: Modes, order: int) -> Series
     r: list[Array] = []
     for k in range(order + 1):
         a = free(k)
-        r.append(a[u] if isinstance(chain, Chain) else a[u] / b[u])
+        r.append(a[u] / b[u])
         if k == order:
             break
         force = direction * load * friction[k]
         for i in range(d):
             if i == u:
-                held = a[i] - force if isinstance(chain, Chain) else a[i] - b[i] * force
-                change = jnp.where(slides, held / (k + 1), 0.0)
+                change = jnp.where(slides, (a[i] - b[i] * force) / (k + 1), 0.0)
                 if k == 0:
                     # A mass that has just been released has no acceleration yet; a disturbance may
                     # release it earlier than others whose events coincide.
