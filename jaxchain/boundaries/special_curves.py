@@ -393,10 +393,15 @@ def find_special_cycle(
     require_smoothed(chain, "")
     check_kind("chain", chain, type(shooting.field), "the model of `point`", "change its numbers.")
     found = _find(shooting, chain, kind, name, U, to_float(tolerance), jnp.asarray(limit))
-    if throw and not is_traced(found.successful) and not found.successful:
+    return _checked(found) if throw else found
+
+
+def _checked(found: SpecialCycle) -> SpecialCycle:
+    if not is_traced(found.successful) and not found.successful:
         raise RuntimeError(
-            f"No {kind} in `{name}` was found near `point`: {found.message} Change the "
-            "numbers of `chain` in smaller steps, or use `continue_special`."
+            f"No {found.kind} in `{found.parameter}` was found near the given point: "
+            f"{found.message} Change the numbers of `chain` in smaller steps, or use "
+            "`continue_special`."
         )
     return found
 
@@ -528,6 +533,8 @@ class SpecialCurve(Printed):
         """Point `index`, solved again for the first number, with derivatives in the others.
 
         `chain`: the model with numbers close to those of the point, by default these.
+
+        **Raises:** `RuntimeError` if no such point is found.
         """
         u = self.unknowns[range(len(self.first))[index]]
         if not np.all(np.isfinite(u)):
@@ -543,7 +550,8 @@ class SpecialCurve(Printed):
             there = chain.with_(**{first: u[-2]})
             return find_hopf_point(there, first, state, frequency=2 * np.pi / self.period[index])
         shooting, settings = self.equations.shooting, (to_float(1e-10), jnp.asarray(30))
-        return _find(shooting, chain, self.kind, first, jnp.asarray(u[:-1]), *settings)
+        found = _find(shooting, chain, self.kind, first, jnp.asarray(u[:-1]), *settings)
+        return _checked(found)
 
     def to_dataset(self) -> Dataset:
         """The curve as an `xarray.Dataset` over `point`, with its special points over `special`.

@@ -40,7 +40,7 @@ from ..simulation.run import simulate
 from ..solvers.rosenbrock import Rodas5P
 from .averaging import one_mass
 from .floquet import LimitCycle
-from .limit_cycle import find_limit_cycle, solve_cycle, watched
+from .limit_cycle import find_limit_cycle, guess_from_point, solve_cycle, watched
 from .shooting import Shooting
 
 # Points of the section kept of each image of a cycle; the least number of cycles that a program
@@ -49,6 +49,8 @@ _POINTS, _KNOWN = 6, 8
 # Two cycles are one if they cross the section this close, relative to the size of its unknowns.
 _SAME = 1e-5
 _PHASES = 64
+# Of the force, beside 0, at which a symmetry must hold, too.
+_PHASE = 0.37
 
 
 @final
@@ -59,7 +61,9 @@ class CycleSearch(Printed):
     - `cycles`: new ones, none a copy of another or of a known one under time shift, rotation or
       reflection, in the order in which they were found.
     - `outcomes`, shape (rounds, starts): the index of the cycle to which each start led, or -1.
-    - `failures`: how often a start led to nothing, by reason; "copy": to a known cycle.
+    - `failures`: how often a start led to nothing new, by reason; "copy": to a known cycle; "not
+      isolated": a multiplier is so close to 1 that copies cannot be told from other cycles, as for
+      masses that are not coupled; "shorter period": a forced cycle that closes sooner.
     - `gave_up`: why the search ended.
 
     See `find_limit_cycles` for an example.
@@ -75,7 +79,8 @@ def ring_motions(field: AbstractField, state: State) -> list[np.ndarray]:
     """The rotations and reflections under which the equations keep their form.
 
     **Returns:** index arrays of shape (n,): the image of a state has y[image] for y.  A motion
-    counts if the rate of an image is the image of the rate, at the state and near it.
+    counts if the rate of an image is the image of the rate near the state, of a forced model at
+    two phases of the force.
 
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
@@ -89,17 +94,18 @@ def ring_motions(field: AbstractField, state: State) -> list[np.ndarray]:
     n, sites = state[0].shape[0], np.arange(state[0].shape[0])
     draws = np.random.default_rng(0).normal(size=(len(state), n))
     near = tuple(part + (1.0 + jnp.abs(part)) * d for part, d in zip(state, draws, strict=True))
-    rate = [np.asarray(part) for part in field(0.0, near)]
-    size = max(float(np.max(np.abs(part))) for part in rate)
+    forced = field.forcing_period()
+    times = (0.0,) if forced is None else (0.0, _PHASE * float(forced))
+
+    def rate(at: np.ndarray) -> np.ndarray:
+        moved = tuple(part[at] for part in near)
+        return np.stack([np.stack([np.asarray(part) for part in field(t, moved)]) for t in times])
+
+    here = rate(sites)
     images = {tuple((s + way * sites) % n) for s in range(n) for way in (1, -1)}
-    motions = []
-    for image in sorted(images):
-        at = np.array(image)
-        moved = field(0.0, tuple(part[at] for part in near))
-        pairs = zip(moved, rate, strict=True)
-        if all(np.max(np.abs(np.asarray(a) - b[at])) <= 1e-9 * size for a, b in pairs):
-            motions.append(at)
-    return motions
+    motions = [np.array(image) for image in sorted(images)]
+    least = 1e-9 * np.max(np.abs(here))
+    return [at for at in motions if np.max(np.abs(rate(at) - here[..., at])) <= least]
 
 
 class _Search(eqx.Module):
@@ -123,12 +129,36 @@ def _solve_all(search: _Search, states: Any, periods: Array) -> tuple[LimitCycle
 
 
 @eqx.filter_jit
+def _on_the_section(shooting: Shooting, states: Any, periods: Array) -> Any:
+    """The starts; one in which the mass does not move along the belt, run to where it is fastest.
+
+    The equations divide by this velocity.
+    """
+    field, mass = shooting.field, shooting.mass
+
+    def point(start: Any) -> State:
+        state, period = start
+        fastest = guess_from_point(field, state, period, mass)
+        along = field.belt_direction() * field.value_and_rate(0.0, state)[1][mass]
+        return jax.tree.map(lambda a, b: jnp.where(along > 0, a, b), state, fastest)
+
+    return jax.lax.map(point, (states, periods))
+
+
+@eqx.filter_jit
 def _crossings(shooting: Shooting, images: Any, period: Array) -> Float[Array, "images p m"]:
-    """Where each image of a cycle crosses the section, NaN in the rows that are left."""
+    """Where each image of a cycle crosses the section, NaN in the rows that are left.
+
+    A forced cycle is cut at every period of the force.
+    """
+    turns, forced = shooting.turns, shooting.field.forcing_period()
     watch = Section(shooting.mass, _POINTS, of="velocity")
+    if turns is not None:
+        watch = Trajectory(to_float(forced) * jnp.arange(turns))
 
     def of(state: State) -> Array:
-        _, *parts = watched(shooting.field, state, 1.05 * period, watch)
+        parts = watched(shooting.field, state, 1.05 * period, watch)
+        parts = parts[1:] if turns is None else parts
         return jax.vmap(lambda *point: shooting.pack(point, period))(*parts)
 
     return jax.lax.map(of, images)
@@ -137,12 +167,9 @@ def _crossings(shooting: Shooting, images: Any, period: Array) -> Float[Array, "
 def _points(shooting: Shooting, cycle: LimitCycle, motions: list[np.ndarray]) -> np.ndarray:
     """The unknowns at all crossings of a cycle and its images, of shape (points, m)."""
     images = tuple(jnp.stack([part[at] for at in motions]) for part in cycle.state)
-    if shooting.turns is None:
-        points = np.asarray(_crossings(shooting, images, cycle.period))
-        points = points.reshape(-1, points.shape[-1])
-        return points[np.all(np.isfinite(points), axis=1)]
-    rows = [shooting.pack(tuple(p[i] for p in images), 1.0) for i in range(len(motions))]
-    return np.stack(rows)
+    points = np.asarray(_crossings(shooting, images, cycle.period))
+    points = points.reshape(-1, points.shape[-1])
+    return points[np.all(np.isfinite(points), axis=1)]
 
 
 def _distance(points: np.ndarray, u: np.ndarray) -> float:
@@ -151,6 +178,13 @@ def _distance(points: np.ndarray, u: np.ndarray) -> float:
         return np.inf
     gaps = np.sqrt(np.mean((points - u) ** 2, axis=1))
     return float(np.min(gaps) / (1.0 + np.sqrt(np.mean(u**2))))
+
+
+def _is_isolated(cycle: LimitCycle, rtol: float) -> bool:
+    """Whether errors of the orbit, divided by |1 - mu|, stay below what tells cycles apart."""
+    gaps = np.abs(1.0 - np.asarray(cycle.multipliers))
+    error = max(float(cycle.residual), rtol)
+    return bool(error < _SAME * np.nanmin(gaps, initial=np.inf))
 
 
 def random_starts(
@@ -209,9 +243,9 @@ def find_limit_cycles(
     **Arguments:**
 
     - `chain`: a `Chain` with smoothed friction, or any other model.
-    - `guesses`: (states, periods), a state with a first axis over the starts and periods of shape
-      (starts,).  For a `Chain` also a number: so many starts from `random_starts`, with the seed
-      `key`.
+    - `guesses`: (states, periods), a state with a first axis over the starts, best where mass
+      `mass` is fastest, and periods of shape (starts,).  For a `Chain` also a number: so many
+      starts from `random_starts`, with the seed `key`.
     - `known`: cycles of this model that are not looked for.
     - `mass`: the index of the mass at whose greatest velocity cycles are cut.  Only cycles in
       which it vibrates are found; in a ring of equal masses these are all, up to rotations.
@@ -267,6 +301,8 @@ def find_limit_cycles(
     solver = fit_linear_solve(Rodas5P(), chain, float(rtol), state=one)
     images = as_images(None, n, mass)
     shooting = Shooting(chain, rtol, solver, mass, images, None, m, turns)
+    if turns is None:
+        states = _on_the_section(shooting, states, jnp.asarray(periods))
     motions = ring_motions(chain, one)
     points = [_points(shooting, cycle, motions) for cycle in known]
     search = _Search(shooting, _stacked([], shooting.size), to_float(tolerance), np.asarray(limit))
@@ -285,18 +321,23 @@ def find_limit_cycles(
                 period = jnp.where(rough.successful, rough.period, jnp.nan)  # no second search
                 fine, unknowns = _solve_all(free, rough.state, period)
                 for k, i in enumerate(index[: len(periods) - first]):
-                    one = [jax.tree.map(lambda a, k=k: a[k], cycle) for cycle in (rough, fine)]
-                    names = [name_of(cycle.result) for cycle in one]
+                    pair = [jax.tree.map(lambda a, k=k: a[k], cycle) for cycle in (rough, fine)]
+                    names = [name_of(cycle.result) for cycle in pair]
+                    cycle = eqx.tree_at(lambda c: c.chain, pair[1], chain)
                     reason = next((name for name in names if name != "successful"), "")
+                    if not reason and not _is_isolated(cycle, float(rtol)):
+                        reason = "not isolated"
                     u = np.asarray(unknowns[k])
-                    if not reason and min((_distance(p, u) for p in points), default=1) < _SAME:
+                    near = [j for j, p in enumerate(points) if _distance(p, u) < _SAME]
+                    if not reason and near:
                         reason = "copy"
-                        new = [j for j, p in enumerate(points) if _distance(p, u) < _SAME]
-                        row[i] = new[0] - (len(points) - len(cycles))
+                        row[i] = near[0] - (len(points) - len(cycles))
+                    if not reason and int(cycle.times_round) > 1:
+                        reason = "shorter period"
+                        points.insert(0, _points(shooting, cycle, motions))  # known from now on
                     if reason:
                         failures[reason] = failures.get(reason, 0) + 1
                         continue
-                    cycle = eqx.tree_at(lambda c: c.chain, one[1], chain)
                     points.append(_points(shooting, cycle, motions))
                     row[i] = len(cycles)
                     cycles.append(cycle)

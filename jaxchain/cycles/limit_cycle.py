@@ -87,7 +87,7 @@ _PEAKS = 12  # the number of velocity maxima to examine
 _MOST_TURNS = 16  # the greatest period of a forced cycle, in periods of the force
 
 
-def watched(chain: Any, state: State, t1: Any, watch: Section) -> Any:
+def watched(chain: Any, state: State, t1: Any, watch: Section | Trajectory) -> Any:
     """The maxima of a run whose sticking masses have small errors in units of the width."""
     rtol: Any = 1e-8
     if isinstance(chain, Chain) and not chain.dry:

@@ -1,13 +1,15 @@
 """Cycles that are not known yet."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from jaxchain import paper_chain
+from jaxchain import Trajectory, find_limit_cycle, paper_chain, simulate
 from jaxchain.cycles import find_limit_cycles
-from jaxchain.model import VanDerPol
+from jaxchain.cycles.deflation import ring_motions
+from jaxchain.model import AbstractCells, Duffing, VanDerPol
 
 # Two in a row: in phase they move as one alone, in antiphase as one with a spring of 1 + 2 eta.
 MU, ETA = 0.5, 0.2
@@ -45,6 +47,53 @@ def test_the_cycles_of_two_oscillators_are_found_once_each_and_then_no_more():
     )
     assert again.cycles == []
     assert sum(again.failures.values()) == 4
+
+
+def test_a_forced_cycle_is_one_at_every_period_of_its_force_and_shorter_ones_are_left_out():
+    """Of the two wells of Duffing's oscillator one is visited with twice the forcing period."""
+    well = Duffing(force=0.28, frequency=1.2, damping=0.3, stiffness=-1.0, cubic=1.0)
+    forced = float(well.forcing_period())
+    times = forced * jnp.array([200.0, 201.0])
+    run = simulate(well, (jnp.ones(1), jnp.zeros(1)), times[-1], observe=Trajectory(times))
+    once = find_limit_cycle(well, (jnp.ones(1), jnp.zeros(1)), period=forced, throw=False)
+    assert once.turns == 1
+    assert bool(once.successful)
+    states = tuple(
+        jnp.concatenate([part, one[None]])
+        for part, one in zip(run.observed, once.state, strict=True)
+    )
+    assert float(jnp.abs(states[0][1] - states[0][0])[0]) > 0.1
+    periods = jnp.full(3, 2.0 * forced)
+    search = find_limit_cycles(well, (states, periods), rounds=1, lanes=3)
+    (cycle,) = search.cycles
+    assert (cycle.turns, int(cycle.times_round)) == (2, 1)
+    assert search.outcomes.tolist() == [[0, 0, -1]]
+    assert search.failures == {"copy": 1, "shorter period": 1}
+
+
+def test_cycles_of_a_family_are_not_counted():
+    """Oscillators that are hardly coupled almost have one for every difference of phases."""
+    apart = PAIR.with_(coupling=1e-7)
+    states = jnp.array([[2.0, 2.0], [2.0, -2.0]]), jnp.zeros((2, 2))
+    search = find_limit_cycles(apart, (states, jnp.full(2, 6.4)), mass=0, rounds=1, lanes=2)
+    assert search.cycles == []
+    assert search.failures == {"not isolated": 2}
+
+
+def test_a_symmetry_must_hold_at_every_phase_of_the_force():
+    class Waves(AbstractCells):
+        height: jax.Array
+
+        def rate(self, t, left, own, right):
+            x, v = own
+            return v, self.height * jnp.sin(t) - x - 0.1 * v + left[0] - 2 * x + right[0]
+
+        def forcing_period(self):
+            return 2 * jnp.pi
+
+    state = (jnp.zeros(4), jnp.zeros(4))
+    assert len(ring_motions(Waves(jnp.ones(4)), state)) == 8
+    assert len(ring_motions(Waves(jnp.array([1.0, 1.0, 1.0, 2.0])), state)) == 2
 
 
 @pytest.mark.parametrize(

@@ -125,6 +125,22 @@ def test_derivatives_of_dry_cells_are_those_of_differences(differentiate):
     np.testing.assert_allclose(differentiate(end)(0.0), slope, atol=1e-6)
 
 
+def test_derivatives_at_events_of_both_cells_at_once_are_those_of_differences():
+    """Two equal cells slide through the belt's speed together; one of them is disturbed."""
+    cells = MechanicalCells(
+        [[1.0, 0.3], [0.3, 2.0]], [[1.0, 0.2], [0.2, 0.7]], damping=0.05, coupling=[0.1, 0.05],
+        friction=Coulomb(0.3), belt_speed=0.5,
+    )  # fmt: skip
+    start = tuple(jnp.full(2, value) for value in (-2.0, 1.5, 0.0, 0.3))
+
+    def end(a):
+        moved = (start[0] + jnp.array([a, 0.0]), *start[1:])
+        return jnp.concatenate(simulate(cells, moved, 2.0, **QUICK).state)
+
+    slope = (end(1e-6) - end(-1e-6)) / 2e-6
+    np.testing.assert_allclose(jax.jacfwd(end)(0.0), slope, atol=1e-6)
+
+
 def test_three_blocks_come_to_rest_together():
     """Source: D. E. Stewart; masses without a spring to ground, all stuck at t = 3.92710442."""
     start = jnp.array([-1.0, 1.0, -1.0]), jnp.array([-1.0, 1.0, 1.0])
