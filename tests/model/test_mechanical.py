@@ -19,7 +19,7 @@ from jaxchain import (
     simulate,
     sweep,
 )
-from jaxchain.model import Chain, MechanicalCells, ModeCoupling
+from jaxchain.model import AbstractFrictionLaw, Chain, MechanicalCells, ModeCoupling
 
 # Of low order, which compiles sooner.
 SOLVER = EventDriven(8)
@@ -39,7 +39,7 @@ def two_of_each(**changes) -> MechanicalCells:
         "frequency": 1.3, "belt_speed": 0.4, "normal_load": [1.0, 0.8, 1.2],
     }  # fmt: skip
     laws = {"spring": cubic, "local_force": lambda q, v: (-0.2 * q[1] * q[0], -0.1 * v[1] ** 3)}
-    return MechanicalCells(friction=LAW, **{**numbers, **laws, **changes})
+    return MechanicalCells(**{"friction": LAW, **numbers, **laws, **changes})
 
 
 START = (
@@ -190,6 +190,19 @@ def test_mode_coupling_from_matrices():
     assert cells.components == ready.components
     rates = [one(0.0, START) for one in (ready, cells)]
     np.testing.assert_allclose(rates[1], rates[0], atol=1e-14)
+
+
+def test_a_law_cannot_have_a_number_of_the_cell():
+    class Heavy(AbstractFrictionLaw):
+        mu_static: float
+        mass: float
+
+        def coefficient(self, speed: Any) -> jax.Array:
+            return self.mu_static / (1.0 + self.mass * speed)
+
+    cells = two_of_each(friction=Heavy(1.0, 0.5))
+    with pytest.raises(ValueError, match="law `Heavy` cannot have the field `mass`"):
+        cells.with_(mass=2.0)
 
 
 @pytest.mark.parametrize(
