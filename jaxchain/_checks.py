@@ -96,6 +96,11 @@ def named(name: str, remedy: str = "") -> Callable[[Any], Float[Array, "..."]]:
     return functools.partial(to_float, name=name, remedy=remedy)
 
 
+def optional(name: str) -> Callable[[Any], Float[Array, "..."] | None]:
+    """`named` for a field that may be None."""
+    return lambda value: None if value is None else to_float(value, name)
+
+
 def as_array(
     name: str, value: Any, least: int, most: int | None = None, remedy: str = ""
 ) -> Float[Array, "..."]:

@@ -8,7 +8,7 @@ no trajectory is stored, and no features are clustered.
 from __future__ import annotations
 
 import abc
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, Literal
 
 import equinox as eqx
@@ -26,6 +26,7 @@ from .._checks import (
     check_whole,
     is_traced,
     named,
+    optional,
     shown,
 )
 from .._final import final
@@ -143,10 +144,6 @@ class _Looking(eqx.Module):
     peaks: Float[Array, "two n"] | None  # times of the latest maximum, and of the one before
 
 
-def _optional(name: str) -> Callable[[Any], Array | None]:
-    return lambda value: None if value is None else named(name)(value)
-
-
 @final
 class VibratingMasses(AbstractClassifier):
     """Which masses vibrate at the end of a run, and whether that can still change.
@@ -207,7 +204,7 @@ class VibratingMasses(AbstractClassifier):
     tolerance: Float[Array, ""] = eqx.field(converter=named("tolerance"), default=1e-3)
     agree: Float[Array, ""] = eqx.field(converter=named("agree"), default=3)
     calm: Float[Array, ""] = eqx.field(converter=named("calm"), default=3)
-    above: Float[Array, ""] | None = eqx.field(converter=_optional("above"), default=None)
+    above: Float[Array, ""] | None = eqx.field(converter=optional("above"), default=None)
     component: int = eqx.field(static=True, default=0)
 
     def __check_init__(self) -> None:

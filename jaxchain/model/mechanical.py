@@ -22,6 +22,7 @@ from .._checks import (
     check_whole,
     is_traced,
     named,
+    optional,
     shown,
     to_float,
 )
@@ -35,10 +36,6 @@ from .tridiagonal import Entries, factor, substitute
 Parts = tuple[Float[Array, " n"], ...]
 # One number, (d,) for a diagonal, (d, d), or (n, d, d) for a matrix of each cell.
 Matrix = Float[Array, "..."]
-
-
-def _optional(name: str) -> Callable[[Any], Any]:
-    return lambda value: None if value is None else to_float(value, name)
 
 
 def _forces(name: str) -> Callable[[Any], Any]:
@@ -112,7 +109,7 @@ class MechanicalCells(AbstractCells):
     stiffness: Matrix = eqx.field(converter=named("stiffness"))
     mass: Matrix = eqx.field(converter=named("mass"), default=1.0)
     damping: Matrix = eqx.field(converter=named("damping"), default=0.0)
-    coupling: Matrix | None = eqx.field(converter=_optional("coupling"), default=None)
+    coupling: Matrix | None = eqx.field(converter=optional("coupling"), default=None)
     spring: Callable[..., Any] | None = eqx.field(converter=_forces("spring"), default=None)
     local_force: Callable[..., Any] | None = eqx.field(
         converter=_forces("local_force"), default=None
@@ -120,8 +117,8 @@ class MechanicalCells(AbstractCells):
     friction: AbstractFriction | None = eqx.field(converter=_friction, default=None)
     belt_speed: Array = eqx.field(converter=named("belt_speed"), default=0.0)
     normal_load: PerMass = eqx.field(converter=named("normal_load"), default=1.0)
-    force: Array | None = eqx.field(converter=_optional("force"), default=None)
-    frequency: Array | None = eqx.field(converter=_optional("frequency"), default=None)
+    force: Array | None = eqx.field(converter=optional("force"), default=None)
+    frequency: Array | None = eqx.field(converter=optional("frequency"), default=None)
     sliding: int = eqx.field(static=True, default=0)
     ends: Ends = eqx.field(static=True, default="cyclic")
     names: tuple[str, ...] | None = eqx.field(static=True, default=None)
