@@ -63,6 +63,7 @@ from ..continuation.fold_points import fold_residual
 from ..continuation.implicit import attach_derivative, if_found
 from ..cycles.averaging import Summits, dry_summits, graded, one_mass
 from ..cycles.floquet import can_be_cycle
+from ..cycles.phases import peak
 from ..model.chain import Chain, steady_sliding
 from ..model.initial_states import check_mass
 from ..model.sliding import damping_outweighs
@@ -161,8 +162,8 @@ class GrazingOrbit(eqx.Module):
                 flat, first = jnp.stack(y), jnp.stack([y[1], slope])
                 (x, v), _ = step_of_order_8(rate, flat, first, h)
                 new_slope = acceleration(x, v)
-                peak = _peak(y[1], v, h * slope, h * new_slope)
-                return (x, v), new_slope, jnp.maximum(highest, peak)
+                top = peak(y[1], v, h * slope, h * new_slope)
+                return (x, v), new_slope, jnp.maximum(highest, top)
 
             return jax.vmap(one)(ways, *carry)
 
@@ -170,18 +171,6 @@ class GrazingOrbit(eqx.Module):
         end, _, highest = lax.fori_loop(0, self.steps // 2, step, (start, slopes, start[1]))
         gap = end[0][0] - end[0][1], end[1][0] - end[1][1]
         return gap, lax.stop_gradient(jnp.max(highest, axis=0))
-
-
-def _peak(v0: Array, v1: Array, slope0: Array, slope1: Array) -> Array:
-    """The greatest value of the cubic with these values and slopes at 0 and 1."""
-    a = 2.0 * (v0 - v1) + slope0 + slope1
-    b = 3.0 * (v1 - v0) - 2.0 * slope0 - slope1
-    # The root of 3 a t^2 + 2 b t + slope0 where the slope falls; without cancellation.
-    root = jnp.sqrt(jnp.maximum(b * b - 3.0 * a * slope0, 0.0))
-    sound = b - root != 0.0
-    t = jnp.where(sound, -slope0 / jnp.where(sound, b - root, 1.0), 0.0)
-    t = jnp.clip(t, 0.0, 1.0)
-    return jnp.maximum(jnp.maximum(v0, v1), v0 + t * (slope0 + t * (b + t * a)))
 
 
 def slip_force(chain: Chain, speed: Any, v: Float[Array, " n"]) -> Float[Array, " n"]:
@@ -505,6 +494,7 @@ class Grazing(Outcome):
       Jacobians.
     - `result`: successful if the cycle closes, no mass exceeds the belt speed on it, and it is a
       fold.
+    - `chain`: at this belt speed; `mass`: the index of the mass.
 
     `belt_speed`, `period` and `state` are differentiable; the rest is not.
 
@@ -522,6 +512,7 @@ class Grazing(Outcome):
     residual: Float[Array, ""]
     evaluations: Int[Array, ""]
     result: SearchResult
+    chain: Chain
     mass: int = eqx.field(static=True)
 
     def smoothed(self, width: ScalarLike) -> Float[Array, ""]:
@@ -630,6 +621,7 @@ def _find(chain: Chain, mass: int) -> Grazing:
         residual=jnp.max(jnp.abs(gap)),
         evaluations=dry.evaluations,
         result=result,
+        chain=eqx.tree_at(lambda c: c.belt_speed, chain, speed),
         mass=mass,
     )
 

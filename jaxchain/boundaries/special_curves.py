@@ -11,12 +11,17 @@ Theory, chapters 8 to 10).  M is the monodromy matrix.
 | period doubling | s of M + 1 |
 | symmetry breaking | s of A^T M A - 1, A a basis of the disturbances that break the symmetry |
 | torus | mu_1 mu_2 - 1, for a pair of multipliers with the mean kappa, one more unknown |
+| grazing, release, stick onset | see `cycles/phases.py` |
 | hopf | lambda_1 + lambda_2, for a pair of eigenvalues with the product kappa = omega^2 |
 
 s is the least singular value with the sign of the determinant.  With its singular vectors a and b,
 ds = a^T dA b, so the slopes of g take one nested derivative of the flow, along b, and no borders
 that would have to follow the null vectors along the curve.  Sums and products of a pair are smooth
 where its two values meet, at the ends of the curve.
+
+With dry friction a curve of folds consists of two kinds of pieces: slip cycles that graze, and
+smooth folds of slip cycles that do not.  They meet, with one tangent, at a degenerate grazing, V_+
++ V_- = 0 (see `boundaries/grazing.py`), and the curve is followed from one piece to the next.
 """
 
 from __future__ import annotations
@@ -55,16 +60,22 @@ from ..cycles.branches import (
     linearise,
     symmetry_breaking_basis,
 )
-from ..cycles.floquet import LEAST_VELOCITY
+from ..cycles.floquet import LEAST_VELOCITY, check_orbit, is_cycle
+from ..cycles.phases import KINDS as DRY_KINDS
+from ..cycles.phases import Phases, phases_of, slip_phases
 from ..cycles.shooting import Shooting
 from ..cycles.variational import flow
-from ..model.arguments import as_chain
+from ..model.arguments import as_chain, as_mass
 from ..model.cells import AbstractField
 from ..model.chain import require_smoothed
 from ..model.parameters import parameter
 from ..model.provenance import circumstances, parameters_of
+from ..observers.amplitude import Amplitude
 from ..result import Outcome, Printed, SearchResult
+from ..simulation.event_driven import EventDriven
+from ..simulation.run import simulate
 from .equilibria import HopfPoint, HopfSystem, Rates, find_hopf_point, lyapunov_coefficient
+from .grazing import Grazing
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -72,6 +83,9 @@ if TYPE_CHECKING:
 _KINDS = ("fold", "period doubling", "symmetry breaking", "torus")
 # The amplitude, as a share of the first one, at which a curve of folds counts as ended.
 _SMALL = 1e-3
+# What else may happen on a cycle with dry friction, in the order of `Seen.margins`.
+_MET = 1e-9  # the margin up to which it is rounding
+_OTHER_EVENTS = ("another grazing", "another release", "another stick onset", "two events")
 # Beside the length of the tangent: slopes of both numbers that vanish together at a cusp.
 _CUSP = 1e-4
 # The greatest distance of the last fold from the generalised Hopf point, as a share of the curve.
@@ -83,8 +97,19 @@ _TINY = 1e-6
 class _CycleEquations(eqx.Module):
     """R(U) = [F; g] with U = (u, p, ...) or, for a torus, (u, kappa, p, ...)."""
 
-    shooting: Shooting
+    shooting: Any
     kind: str = eqx.field(static=True)
+
+    @property
+    def dry(self) -> bool:
+        """Whether the cycle consists of phases."""
+        return isinstance(self.shooting, Phases)
+
+    @property
+    def turned(self) -> _CycleEquations:
+        """The equations of the other piece of a curve of folds, beyond a degenerate grazing."""
+        kind = "grazing" if self.kind == "fold" else "fold"
+        return _CycleEquations(self.shooting.of_kind(kind), kind)
 
     @property
     def _extra(self) -> int:
@@ -99,8 +124,12 @@ class _CycleEquations(eqx.Module):
     def values(self, U: Array) -> tuple[Array, Array, Any, Array, Array]:
         """(R, [F_u F_p ...], further results, a, b) from one integration."""
         u, parameters, kappa = self.split(U)
-        r, slopes, extra = linearise(u, parameters, self.shooting)
-        M = extra.monodromy
+        if self.dry:
+            r, slopes, extra = self.shooting.linearise(u, *parameters)
+            M = jnp.zeros(())
+        else:
+            r, slopes, extra = linearise(u, parameters, self.shooting)
+            M = extra.monodromy
         if self.kind == "torus":
             left, right = _pair(M, kappa)
             return jnp.append(r, _of_pair(left @ M @ right, kappa)), slopes, extra, left, right
@@ -118,7 +147,7 @@ class _CycleEquations(eqx.Module):
 
     def value(self, U: Array) -> Array:
         """R, for steps without new derivatives."""
-        return self.values(U)[0]
+        return self.values(U)[0] if self.kind not in DRY_KINDS else self.residual(U)
 
     def frozen(self, U: Array, left: Array, right: Array) -> Array:
         """A function that has the slopes of g at the point of a = `left` and b = `right`."""
@@ -156,16 +185,28 @@ class _CycleEquations(eqx.Module):
     def weights(self, U: np.ndarray) -> np.ndarray:
         """Of the norm of steps, see `cycle_weights`."""
         m = self.shooting.size
-        of_cycle = cycle_weights(self.shooting, 1.0)[:m]
+        of_cycle = np.full(m, m**-0.5) if self.dry else cycle_weights(self.shooting, 1.0)[:m]
         return np.concatenate([of_cycle, np.ones(self._extra), _relative(U[-2:])])
 
     @property
     def ends(self) -> tuple[str, ...]:
         """The tests at whose zero the curve ends."""
+        if self.dry:
+            return ("degenerate grazing", *_OTHER_EVENTS)
         return ("1:1", "1:2") if self.kind == "torus" else ()
 
     def tests(self) -> dict[str, Callable[..., float]]:
         """The tests of `continue_branch`."""
+        if self.dry:
+            tests = {
+                name: lambda u, p, tangent, extra, i=i: -float(extra.margins[i])
+                for i, name in enumerate(_OTHER_EVENTS)
+            }
+            if self.shooting.slips:
+                tests["degenerate grazing"] = lambda u, p, tangent, extra: (
+                    float(extra.below) if self.kind == "fold" else float(extra.rho) - 1.0
+                )
+            return tests
         if self.kind == "torus":  # kappa = cos(2 pi / n)
             lines = {"1:1": (-1, 1.0), "1:2": (1, 1.0), "1:3": (1, 0.5), "1:4": (1, 0.0)}
             return {
@@ -191,15 +232,23 @@ class _CycleEquations(eqx.Module):
     def cycle(self, U: np.ndarray) -> tuple[Any, Any, Any]:
         """(state, period, amplitude)."""
         u, parameters, _ = self.split(jnp.asarray(U))
-        return cycle_at(u, parameters, self.shooting)
+        if not self.dry:
+            return cycle_at(u, parameters, self.shooting)
+        field, state, period = self.shooting.unpack(u, *parameters)
+        run = simulate(field, state, period, observe=Amplitude(), solver=EventDriven())
+        return state, period, run.observed
 
     def residual(self, U: Array) -> Array:
         """R, with derivatives, in every number of the model as well."""
         u, parameters, _ = self.split(U)
-        return jnp.append(self.shooting.residual(u, *parameters), _test(U, self))
+        gaps = self.shooting.residual(u, *parameters)
+        return gaps if self.kind in DRY_KINDS else jnp.append(gaps, _test(U, self))
 
     def linearise(self, U: Array) -> tuple[Array, Array, Any]:
         """(R, its derivatives, further results)."""
+        if self.kind in DRY_KINDS:
+            u, parameters, _ = self.split(U)
+            return self.shooting.linearise(u, *parameters)
         r, slopes, extra, left, right = self.values(U)
         m, k = self.shooting.size, self._extra
         top = [slopes[:, :m], jnp.zeros((m, k)), slopes[:, m:]]
@@ -355,18 +404,29 @@ def find_special_cycle(
     point: Any,
     chain: Any = None,
     *,
+    kind: Any = None,
+    mass: Any = None,
+    parameter: Any = "belt_speed",
     tolerance: Any = 1e-10,
     max_steps: Any = 30,
     throw: bool = True,
 ) -> SpecialCycle:
-    """The special cycle near a special point of a branch, of the same kind, for other numbers.
+    """The special cycle near a given point, of the same kind, for other numbers of the model.
 
     Solves the equations of the cycle and of the special point together, by damped Newton steps.
 
-    **Arguments:** `point`: a "fold", "period doubling", "symmetry breaking" or "torus" of
-    `continue_cycle(...).special`, of any model; `chain`: the model with other numbers close by, by
-    default the same; its own value of the parameter is ignored.  `tolerance`, `max_steps`: see
-    `jaxchain.continuation.newton`.
+    **Arguments:**
+
+    - `point`: a "fold", "period doubling", "symmetry breaking" or "torus" of
+      `continue_cycle(...).special`, of any model.  With dry friction a `Grazing` of
+      `find_grazing`; or a cycle close to a special one, a `LimitCycle` or (state, period).
+    - `chain`: the model with other numbers close by, by default the same; its own value of the
+      parameter is ignored.
+    - `kind`, `mass`, `parameter`, for such a cycle: "grazing" (the mass, while it slides, just
+      reaches the speed of the belt), "release" (while it sticks, the force just reaches the static
+      limit) or "stick onset" (it begins to stick where it passed the speed of the belt), and the
+      name of the number that is solved for.
+    - `tolerance`, `max_steps`: see `jaxchain.continuation.newton`.
 
     **Returns:** a `SpecialCycle`; `value`, `state` and `period` have first derivatives in every
     number of `chain`.  It works under `jit` and `vmap`; there `throw` has no effect.
@@ -386,11 +446,15 @@ def find_special_cycle(
         >>> round(float(speed(0.05)), 8), round(float(jax.grad(speed)(0.05)), 3)
         (1.65930737, -24.069)
     """
-    shooting, kind, name, U = _start(point)
     check_flag("throw", throw)
     limit = check_tolerance(tolerance, max_steps)
+    if kind is None:
+        shooting, kind, name, U = _start(point)
+    else:
+        shooting, kind, name, U = _of_dry_cycle(point, chain, kind, mass, parameter)
     chain = shooting.field if chain is None else as_chain(chain, AbstractField)
-    require_smoothed(chain, "")
+    if not isinstance(shooting, Phases):
+        require_smoothed(chain, "")
     check_kind("chain", chain, type(shooting.field), "the model of `point`", "change its numbers.")
     found = _find(shooting, chain, kind, name, U, to_float(tolerance), jnp.asarray(limit))
     return _checked(found) if throw else found
@@ -425,6 +489,9 @@ def _find(
     moves = extra.sound & ((extra.speed > LEAST_VELOCITY) | (shooting.turns is not None))
     lost = (result == SearchResult.successful) & ~moves
     result = SearchResult.where(lost, SearchResult.steady_sliding, result)
+    if frozen.dry:
+        more = (result == SearchResult.successful) & (jnp.max(extra.margins) > _MET)
+        result = SearchResult.where(more, SearchResult.other_events, result)
     once = "A special cycle can be differentiated once only."
     live = equations(chain)
     root = attach_derivative(_solved, root, live, once=once)
@@ -441,11 +508,21 @@ def _solved(U: Array, equations: _CycleEquations) -> Array:
     return equations.residual(U)
 
 
-def _start(point: Any) -> tuple[Shooting, str, str, Array]:
+def _start(point: Any) -> tuple[Any, str, str, Array]:
     """(equations of the cycle, kind, name of the parameter, unknowns) of a special cycle."""
-    remedy = "`continue_cycle(...).special` has them."
-    check_kind("point", point, CyclePoint | SpecialCycle, "a special point of cycles", remedy)
-    if point.kind not in _KINDS:
+    remedy = "`continue_cycle(...).special` and `find_grazing` have them."
+    given = CyclePoint | SpecialCycle | Grazing
+    check_kind("point", point, given, "a special point of cycles", remedy)
+    if isinstance(point, Grazing):
+        check_concrete("use `dry_fold_belt_speed`.", point=point)
+        if not point.successful:
+            raise ValueError(f"Argument `point` is a search that failed. {point.message}")
+        chain, kind = point.chain, "grazing" if point.touches else "fold"
+        shooting, u = slip_phases(
+            chain, point.state, point.period, point.mass, bool(point.touches)
+        )
+        return shooting, kind, "belt_speed", jnp.append(u, point.belt_speed)
+    if point.kind not in (*_KINDS, *DRY_KINDS):
         raise ValueError(
             f"Argument `point` must be of one of the kinds {', '.join(_KINDS)}, but is a "
             f'"{point.kind}". {remedy}'
@@ -457,6 +534,34 @@ def _start(point: Any) -> tuple[Shooting, str, str, Array]:
     kappa = [mu.real] if point.kind == "torus" else []
     U = jnp.asarray([*point.raw.u, *kappa, point.parameter])
     return point.shooting, point.kind, str(point.shooting.parameter), U
+
+
+def _of_dry_cycle(
+    point: Any, chain: Any, kind: Any, mass: Any, name: Any
+) -> tuple[Phases, str, str, Array]:
+    """The same of a cycle with dry friction near a special one."""
+    check_one_of("kind", kind, DRY_KINDS)
+    if is_cycle(point):
+        field, state, period = point.chain, point.state, point.period
+    elif isinstance(point, tuple | list) and len(point) == 2 and chain is not None:
+        field, (state, period) = chain, point
+    else:
+        raise ValueError(
+            "Argument `point` must be a `LimitCycle`, or (state, period) with a `chain`, if there "
+            f"is a `kind`, but is {shown(point)}."
+        )
+    check_concrete("give a `SpecialCycle` as `point`.", chain=field, state=state, period=period)
+    if not field.dry:
+        raise ValueError(
+            f'Argument `kind` = "{kind}" needs dry friction: "fold" and others of smoothed '
+            "friction are found by `continue_cycle`."
+        )
+    state = check_orbit(field, state, period, 1e-9, "point")
+    mass = as_mass(state[0].shape[0], mass, None)
+    numbers = field.numbers()
+    check_one_of("parameter", name, sorted(n for n in numbers if np.shape(numbers[n]) == ()))
+    shooting, u = phases_of(field, state, period, kind, mass)
+    return shooting, kind, name, jnp.append(u, numbers[name])
 
 
 @final
@@ -483,24 +588,29 @@ class CurvePoint(Printed):
 class SpecialCurve(Printed):
     """A curve of k special points in two numbers of a model, in order, as data on the host.
 
-    - `kind`: "hopf", or that of a `SpecialCycle`; `names` of both numbers, `first` and `second`
-      (k,): their values.
+    - `kind`: "hopf", or that of a `SpecialCycle`, at the start; `kinds`: that of each point, which
+      with dry friction changes between "grazing" and "fold"; `names` of both numbers, `first` and
+      `second` (k,): their values.
     - `state`, m arrays (k, n); `period` (k,), of a Hopf point 2 pi / omega; `amplitude` (k, n);
       `residual` (k,): the greatest one of the equations.
     - `special`: tuple of `CurvePoint`, in order.  On curves of Hopf points "generalised Hopf" (l1
       = 0, where a curve of folds begins) and "Bogdanov-Takens" (omega = 0); on curves of folds
       "cusp"; on those of folds, period doublings and tori "1:1" and "1:2", where one more
       multiplier is 1 or -1, and "1:3", "1:4" for the angle of a torus; on all of them "extremum",
-      where `second` turns back.
+      where `second` turns back.  With dry friction "degenerate grazing", from where on slip cycles
+      fold without a grazing.
     - `ended`: the reasons at the first and the last point: "generalised Hopf" (of folds, whose
       amplitude vanishes there), "Bogdanov-Takens", "1:1" or "1:2" (of a torus), "left_bounds",
-      "closed", "max_points", ...; `message`: their texts.
+      "closed", "max_points", ...; with dry friction also
+      "another grazing", "another release", "another stick onset" and "two events", at one time;
+      `message`: their texts.
     - `equations`, `unknowns` (k, ...): what is solved, and its solutions; NaN without a cycle.
 
     See `continue_special` for an example.
     """
 
     kind: str
+    kinds: tuple[str, ...]
     names: tuple[str, str]
     first: Float[np.ndarray, " k"]
     second: Float[np.ndarray, " k"]
@@ -550,7 +660,10 @@ class SpecialCurve(Printed):
             there = chain.with_(**{first: u[-2]})
             return find_hopf_point(there, first, state, frequency=2 * np.pi / self.period[index])
         shooting, settings = self.equations.shooting, (to_float(1e-10), jnp.asarray(30))
-        found = _find(shooting, chain, self.kind, first, jnp.asarray(u[:-1]), *settings)
+        kind = self.kinds[index]
+        if kind != self.kind:
+            shooting = shooting.of_kind(kind)
+        found = _find(shooting, chain, kind, first, jnp.asarray(u[:-1]), *settings)
         return _checked(found)
 
     def to_dataset(self) -> Dataset:
@@ -736,11 +849,33 @@ class _Side(NamedTuple):
     unknowns: list[np.ndarray]
     residual: list[float]
     cycles: list[tuple[Any, Any, Any]]
+    kinds: list[str]
     special: list[CurvePoint]
     ended: str
 
 
 def _side(
+    equations: Any,
+    U: np.ndarray,
+    direction: int,
+    ranges: Mapping[str, tuple[float, float]],
+    options: dict[str, Any],
+) -> _Side:
+    side = _piece(equations, U, direction, ranges, options)
+    while side.ended == "degenerate grazing":
+        # Both pieces have one tangent there.
+        (before, meeting), equations = side.unknowns[-2:], equations.turned
+        more = _piece(equations, meeting, int(np.sign(meeting[-1] - before[-1])), ranges, options)
+        shifted = [replace(p, index=p.index + len(side.kinds) - 1) for p in more.special]
+        side = _Side(
+            *([*a[:-1], *b] for a, b in zip(side[:4], more[:4], strict=True)),
+            [*side.special, *shifted],
+            more.ended,
+        )
+    return side
+
+
+def _piece(
     equations: Any,
     U: np.ndarray,
     direction: int,
@@ -755,7 +890,7 @@ def _side(
 
     def stop(u: np.ndarray, *others: Any) -> Any:
         first.append(others[-1])
-        passed = any(tests[name](u, *others) < 0 for name in equations.ends)
+        passed = any(tests[name](u, *others) < -_MET for name in equations.ends if name in tests)
         return passed or edge(u) < 0 or equations.stop(first[0], first[-1])
 
     branch: Branch = continue_branch(
@@ -771,6 +906,8 @@ def _side(
     ended, special = branch.ended, []
     for raw in branch.special:
         kind, z = raw.kind, np.append(raw.u, raw.p)
+        if kind == "degenerate grazing" and np.allclose(z, U, rtol=1e-9, atol=1e-9):
+            continue  # where this piece begins
         if kind == "fold":
             slopes = np.abs(weights * raw.tangent)[-2:]
             kind = "cusp" if equations.kind == "fold" and max(slopes) < _CUSP else "extremum"
@@ -792,7 +929,7 @@ def _side(
             unknowns.append(np.append(np.full(U.size - 2, np.nan), [p, q]))
             residual.append(residual[-1])
             cycles.append((state, 2 * np.pi / np.sqrt(kappa), np.zeros_like(state[0])))
-    return _Side(unknowns, residual, cycles, special, ended)
+    return _Side(unknowns, residual, cycles, [equations.kind] * len(cycles), special, ended)
 
 
 def _end_of_folds(
@@ -836,6 +973,6 @@ def _joined(equations: Any, sides: list[_Side]) -> SpecialCurve:
         kind=equations.kind, names=equations.names, first=unknowns[:, -2], second=unknowns[:, -1],
         state=tuple(map(np.stack, zip(*states, strict=True))), period=np.stack(period),
         amplitude=np.stack(amplitude), residual=np.array(both("residual")),
-        special=tuple(special), ended=(back.ended, ahead.ended), equations=equations,
-        unknowns=unknowns,
+        special=tuple(special), kinds=tuple(both("kinds")), ended=(back.ended, ahead.ended),
+        equations=equations, unknowns=unknowns,
     )  # fmt: skip

@@ -78,7 +78,8 @@ def motion(chain: Dry, t: Any, y: State, direction: Array) -> State:
     d, b = len(y) // 2, shares(chain)
     u, v = chain.contact - d, y[d:]
     free = accelerations(chain, t, y)
-    mu = chain.law.coefficient(jnp.abs(v[u] - chain.belt_speed))
+    # Beyond w = 0 the law is continued, so that a grazing is smooth.
+    mu = chain.law.coefficient(direction * (v[u] - chain.belt_speed))
     friction = jnp.where(direction == STICK, free[u] / b[u], direction * chain.load * mu)
     rates = [a if s is None else a - s * friction for a, s in zip(free, b, strict=True)]
     rates[u] = jnp.where(direction == STICK, 0.0, rates[u])

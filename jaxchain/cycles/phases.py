@@ -1,0 +1,415 @@
+"""Cycles of dry friction as sequences of phases.
+
+From one event to the next every mass keeps its mode, and the motion is smooth.  With the state y
+at the start and the durations tau_k of the phases as unknowns a cycle solves
+
+    y(tau_1 + ... + tau_K) = y,        e_k = 0 at the end of phase k.
+
+| event | e |
+|---|---|
+| landing | w_i = 0 |
+| release | \\|r_i\\| - p mu_st of a mass that sticks |
+| peak | w_i' = 0 |
+| turn | r_i' = 0 of a mass that sticks |
+| clock | t_0 = 0 of a forced cycle without events |
+
+These equations are smooth in the numbers of the chain, also where a mass only just touches the
+belt speed or the static limit, so that such a cycle needs one more of them:
+
+| kind | at | one more equation |
+|---|---|---|
+| grazing | the peak of a mass that slides | w_i = 0 |
+| release | the turn of r of a mass that sticks | \\|r_i\\| = p mu_st |
+| stick onset | a landing | \\|r_i\\| = p mu_st |
+
+Beyond the first, a mass that slid begins to stick; beyond the second, one that stuck slides in
+between; at the third, one that passed through w = 0 begins to stick there (Dankowicz and Schilder,
+Recipes for Continuation, SIAM 2013, part IV, have such sequences).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool, Float
+
+from .._checks import to_float
+from .._types import State
+from ..observers.samples import Trajectory
+from ..simulation.event_driven import EventDriven
+from ..simulation.run import simulate
+from ..solvers.dormand_prince import step as step_of_order_8
+from ..solvers.dry_friction import RESOLUTION, STICK, Dry, free_force, motion
+from .averaging import graded
+from .floquet import turns_of
+from .shooting import Shooting
+
+KINDS = ("grazing", "release", "stick onset")
+# Samples of a period, from which the order of events is read.
+_SAMPLES = 4000
+# Steps of order 8 in a phase, and in a time of 2 pi; below 1e-12 for the chain of the paper.
+_STEPS = 64
+# The greatest estimated error of a period.
+_ACCURATE = 1e-8
+_VALUES = ("landing", "peak", "release", "turn", "clock")
+
+
+class Seen(NamedTuple):
+    """Further results of a cycle.
+
+    - `state` at the start, `period`; `speed`: |v| there of the mass that is cut; `below`: how much
+      slower than the belt it is.
+    - `sound`: finite and accurate, with positive durations.
+    - `margins`: of the nearest further "grazing", "release", "stick onset", and the least duration
+      with the sign -1, relative to the belt speed, the static limit or the period: a sequence
+      whose margins are negative is that of the motion.
+    - `rho`: -V_+ / V_- of a slip cycle that grazes, see `boundaries/grazing.py`; else NaN.
+    """
+
+    state: State
+    period: Float[Array, ""]
+    speed: Float[Array, ""]
+    below: Float[Array, ""]
+    sound: Bool[Array, ""]
+    margins: Float[Array, " four"]
+    rho: Float[Array, ""]
+
+
+class Phases(eqx.Module):
+    """The equations of a cycle: u = (y, t_0 if forced, tau_1 ... tau_K).
+
+    - `modes`: of each phase, the mode of each mass (see `solvers/dry_friction.py`).
+    - `events`: at the end of each phase (event, mass, sign of r at a release).
+    - `special`: (index of the event, kind, sign of r) of a special cycle, or None.
+    - `apart`: which events of the cycle follow the one before after some time; `onsets`: (event,
+      mass, -1 if it sticks there) of landings that are no image of the special event; `alike`: the
+      masses that move like that of the special event.
+    - `parameter`, `m`, `turns`: as in `Shooting`; `steps` in each phase.
+    """
+
+    field: Any
+    modes: tuple[tuple[float, ...], ...] = eqx.field(static=True)
+    events: tuple[tuple[str, int, float], ...] = eqx.field(static=True)
+    special: tuple[int, str, float] | None = eqx.field(static=True)
+    apart: tuple[bool, ...] = eqx.field(static=True)
+    onsets: tuple[tuple[int, int, float], ...] = eqx.field(static=True)
+    alike: tuple[int, ...] = eqx.field(static=True)
+    steps: int = eqx.field(static=True)
+    parameter: str | tuple[str, ...] | None = eqx.field(static=True)
+    m: int = eqx.field(static=True)
+    turns: int | None = eqx.field(static=True)
+
+    at = Shooting.at
+
+    @property
+    def n(self) -> int:
+        """The number of masses."""
+        return len(self.modes[0])
+
+    @property
+    def size(self) -> int:
+        """The number of unknowns."""
+        return self.m * self.n + (self.turns is not None) + len(self.events)
+
+    @property
+    def slips(self) -> bool:
+        """Whether the cycle is cut at the peak of a mass, and has no other event."""
+        return len(self.events) == 1 and self.events[0][0] == "peak"
+
+    @property
+    def mass(self) -> int:
+        """The mass at whose event the cycle is cut."""
+        return self.events[-1][1]
+
+    def unpack(self, u: Float[Array, " m"], *parameter: Any) -> tuple[Any, State, Array]:
+        """(field, state at the start, period)."""
+        d, count = self.m * self.n, len(self.events)
+        return self.at(*parameter), tuple(jnp.split(u[:d], self.m)), jnp.sum(u[-count:])
+
+    def of_kind(self, kind: str) -> Phases:
+        """The same slip cycle, which grazes if this is the `kind`."""
+        return replace(self, special=(0, kind, 0.0) if kind == "grazing" else None)
+
+    def residual(self, u: Float[Array, " m"], *parameter: Any) -> Float[Array, " m"]:
+        """The gaps of the return and of all events, that of the special one last."""
+        return self.run(u, *parameter)[0]
+
+    def run(self, u: Float[Array, " m"], *parameter: Any) -> tuple[Array, Any]:
+        """(`residual`, (margins, error))."""
+        field, state, period = self.unpack(u, *parameter)
+        durations, d = u[-len(self.events) :], self.m * self.n
+        place, limit = field.contact, jnp.broadcast_to(field.static_limit(), (self.n,))
+        modes = jnp.asarray(self.modes)
+        scale = 1.0 + jnp.abs(field.belt_speed)
+        begin = u[d] if self.turns is not None else jnp.zeros(())
+
+        def parts(z: Array) -> tuple[Array, State]:
+            return z[0], tuple(jnp.split(z[1:], self.m))
+
+        def phase(z: Array, given: tuple[Array, Array, Array, Array]) -> tuple[Array, Any]:
+            mode, duration, first, last = given
+
+            def rate(z: Array) -> Array:
+                return jnp.concatenate([jnp.ones(1), *motion(field, *parts(z), mode)])
+
+            def forces(z: Array) -> Array:
+                return free_force(field, *parts(z))
+
+            def near(z: Array) -> Array:
+                """How far each mass is from an event, in shares; the event is at 0."""
+                t, y = parts(z)
+                w, r = y[place] - field.belt_speed, jnp.abs(free_force(field, t, y))
+                return jnp.where(mode == STICK, r / limit - 1.0, -mode * w / scale)
+
+            def time(k: Any) -> Array:
+                return duration / (2 * jnp.pi) * graded(k * (2 * jnp.pi / self.steps))
+
+            def step(k: Array, carry: Any) -> Any:
+                z, slope, highest, error = carry
+                h = time(k + 1) - time(k)
+                end, missed = step_of_order_8(rate, z, slope, h)
+                new, fixed = rate(end), lax.stop_gradient
+                a, b = ((fixed(z), fixed(slope)), (fixed(end), fixed(new)))
+                (low, up), (high, down) = (jax.jvp(near, (p,), (s,)) for p, s in (a, b))
+                inside = (up > 0) & (down < 0)
+                inside &= ~((k == 0) & first) & ~((k == self.steps - 1) & last)
+                top = jnp.where(inside, peak(low, high, fixed(h) * up, fixed(h) * down), -1.0)
+                lost = jnp.max(jnp.abs(fixed(missed)))
+                return end, new, jnp.maximum(highest, top), error + lost
+
+            start = z, rate(z), jnp.full(self.n, -1.0), jnp.zeros(())
+            z, slope, highest, error = lax.fori_loop(0, self.steps, step, start)
+            r, rising = jax.jvp(forces, (z,), (slope,))
+            _, y = parts(z)
+            w, slowing = y[place] - field.belt_speed, parts(slope)[1][place]
+            values = jnp.stack([w, slowing, r, rising, jnp.broadcast_to(begin, w.shape)])
+            return z, (values, highest, error)
+
+        # The cut, or the special event, is itself no further event.
+        around = np.zeros((2, len(self.events), self.n), bool)
+        for k, (event, i, _) in enumerate(self.events):
+            if event in ("peak", "turn"):
+                masses = [i, *self.alike]
+                around[0, (k + 1) % len(self.events), masses] = around[1, k, masses] = True
+        z, (values, highest, errors) = lax.scan(
+            phase,
+            jnp.concatenate([begin[None], *state]),
+            (modes, durations, *map(jnp.asarray, around)),
+        )
+
+        def value(k: int, event: str, sign: float) -> Array:
+            i = self.events[k][1]
+            return values[k, _VALUES.index(event), i] - (
+                sign * limit[i] if event == "release" else 0.0
+            )
+
+        gap = z[1:] - u[:d]
+        if self.slips:  # or steady sliding would be a solution
+            gap = gap / state[place][self.mass]
+        gaps = [gap, *(value(k, *e[::2])[None] for k, e in enumerate(self.events))]
+        if self.turns is not None:
+            gaps.append((period - self.turns * to_float(field.forcing_period()))[None])
+        if self.special is not None:
+            k, kind, sign = self.special
+            gaps.append(value(k, "landing" if kind == "grazing" else "release", sign)[None])
+        margins = self._margins(values, highest, durations, limit)
+        return jnp.concatenate(gaps), (margins, jnp.sum(errors))
+
+    def _margins(self, values: Array, highest: Array, durations: Array, limit: Array) -> Array:
+        """See `Seen`."""
+        stick, none = jnp.asarray(self.modes) == STICK, jnp.asarray([-1.0])
+        onset = [s * (1.0 - jnp.abs(values[k, 2, i]) / limit[i]) for k, i, s in self.onsets]
+        apart = [-durations[k] / jnp.sum(durations) for k, far in enumerate(self.apart) if far]
+        margins = [
+            jnp.max(jnp.where(stick, -1.0, highest)),
+            jnp.max(jnp.where(stick, highest, -1.0)),
+            *(jnp.max(jnp.append(none, jnp.asarray(part))) for part in (onset, apart)),
+        ]
+        return lax.stop_gradient(jnp.stack(margins))
+
+    def linearise(
+        self, u: Float[Array, " m"], *parameter: Any
+    ) -> tuple[Float[Array, " m"], Float[Array, "m more"], Seen]:
+        """(`residual`, its slopes in u and the parameters, `Seen`)."""
+        z = jnp.append(u, jnp.stack(parameter)) if parameter else u
+
+        def both(z: Array) -> tuple[Array, Any]:
+            gaps, seen = self.run(z[: u.size], *z[u.size :])
+            return gaps, (gaps, seen)
+
+        slopes, (gaps, (margins, error)) = jax.jacfwd(both, has_aux=True)(z)
+        field, state, period = self.unpack(u, *parameter)
+        j = field.contact * self.n + self.mass
+        rho = jnp.asarray(jnp.nan)
+        if self.slips and parameter:
+            # dp for w_+ = w_- = w, and for w_+ = 0, where the gap of v_j is w_-.
+            cut = jax.jacfwd(lambda z: z[j] - self.at(*z[u.size :]).belt_speed)(z)
+            square = jnp.concatenate([slopes[: u.size], cut[None]])[:, : u.size + 1]
+            right = jnp.zeros((2, u.size + 1)).at[0, -1].set(1.0).at[1, j].set(1.0 / u[j])
+            along, arriving = (jnp.linalg.solve(square, one)[-1] for one in right)
+            rho = 1.0 - along / arriving
+        seen = Seen(
+            state,
+            period,
+            speed=jnp.abs(u[j]),
+            below=jnp.sign(field.belt_speed) * (field.belt_speed - u[j]),
+            sound=jnp.all(jnp.isfinite(gaps)) & (error < _ACCURATE) & (period > 0),
+            margins=margins,
+            rho=rho,
+        )
+        return gaps, slopes, seen
+
+
+def peak(v0: Array, v1: Array, slope0: Array, slope1: Array) -> Array:
+    """The greatest value of the cubic with these values and slopes at 0 and 1."""
+    a = 2.0 * (v0 - v1) + slope0 + slope1
+    b = 3.0 * (v1 - v0) - 2.0 * slope0 - slope1
+    # The root of 3 a t^2 + 2 b t + slope0 where the slope falls; without cancellation.
+    root = jnp.sqrt(jnp.maximum(b * b - 3.0 * a * slope0, 0.0))
+    sound = b - root != 0.0
+    t = jnp.where(sound, -slope0 / jnp.where(sound, b - root, 1.0), 0.0)
+    t = jnp.clip(t, 0.0, 1.0)
+    return jnp.maximum(jnp.maximum(v0, v1), v0 + t * (slope0 + t * (b + t * a)))
+
+
+class _Event(NamedTuple):
+    """An event at sample `k`, the first one after it; `sign` is that of r."""
+
+    k: int
+    event: str
+    mass: int
+    sign: float
+
+
+def slip_phases(
+    chain: Dry, state: State, period: Any, mass: int, grazes: bool
+) -> tuple[Phases, Float[Array, " m"]]:
+    """`phases_of` of a slip cycle, from the peak of a mass, which grazes or not."""
+    n = state[0].shape[0]
+    phases = Phases(
+        field=chain,
+        modes=((float(-jnp.sign(chain.belt_speed)),) * n,),
+        events=(("peak", mass, 0.0),),
+        special=(0, "grazing", 0.0) if grazes else None,
+        apart=(True,),
+        onsets=(),
+        alike=(),
+        steps=_STEPS,
+        parameter=None,
+        m=len(state),
+        turns=None,
+    )
+    return phases, jnp.append(jnp.concatenate(state), period)
+
+
+def phases_of(
+    chain: Dry, state: State, period: Any, kind: str | None = None, mass: int | None = None
+) -> tuple[Phases, Float[Array, " m"]]:
+    """(the equations, their unknowns) of a cycle with dry friction, from an event-driven run.
+
+    `kind` and `mass` of the special event: the peak, turn or landing that is closest to it.
+
+    **Raises:** `ValueError` if the cycle has none.
+    """
+    times = np.linspace(0.0, float(period), _SAMPLES + 1)
+    run = simulate(
+        chain, state, period, observe=Trajectory(jnp.asarray(times)), solver=EventDriven()
+    )
+    samples = [np.asarray(part)[:-1] for part in run.observed]
+    still = 10 * RESOLUTION * (1.0 + abs(float(chain.belt_speed)))
+    w = samples[chain.contact] - float(chain.belt_speed)
+    modes = np.where(np.abs(w) <= still, STICK, np.sign(w))
+    r = np.asarray(jax.vmap(lambda t, *y: free_force(chain, t, y))(times[:-1], *samples))
+    events = []
+    for k, i in np.argwhere(modes != np.roll(modes, 1, axis=0)).tolist():
+        released = modes[k - 1, i] == STICK
+        sign = modes[k, i] if released else np.sign(r[k, i])
+        events.append(_Event(k, "release" if released else "landing", i, float(sign)))
+    forced, special = chain.forcing_period(), None
+    if kind is None or mass is None:
+        if not events:
+            i = int(np.argmax(np.ptp(w, axis=0)))
+            cut = _Event(int(np.argmax(-modes[:, i] * w[:, i])), "peak", i, 0.0)
+            events = [cut if forced is None else _Event(0, "clock", 0, 0.0)]
+    else:
+        special = _closest(kind, mass, events, modes, w, r, np.asarray(chain.static_limit()))
+        if kind != "stick onset":
+            events = sorted([*events, special])
+    # The cycle begins after the event that the longest phase follows.
+    ks = np.array([event.k for event in events])
+    lengths = (np.roll(ks, -1) - ks - 1) % _SAMPLES + 1
+    first = int(np.argmax(lengths)) + 1
+    events, lengths = events[first:] + events[:first], np.roll(lengths, 1 - first)
+    begin = events[-1].k
+    mode, sequence = modes[begin].copy(), []
+    for event in events:
+        sequence.append(tuple(mode.tolist()))
+        if event.event in ("landing", "release"):
+            mode[event.mass] = modes[event.k, event.mass]
+
+    def is_alike(event: _Event, one: _Event) -> bool:
+        """Whether the mass of one event moves like that of the other, or opposite to it."""
+        a, b = (np.roll(w[:, e.mass], -e.k) for e in (event, one))
+        return bool(min(np.max(np.abs(a - b)), np.max(np.abs(a + b))) < 1e-2 * np.ptp(a))
+
+    onsets, alike = [], []
+    for k, event in enumerate(events):
+        if event.event == "landing" and not (special and is_alike(event, special)):
+            sticks = modes[event.k, event.mass] == STICK
+            onsets.append((k, event.mass, -1.0 if sticks else 1.0))
+    for i in range(w.shape[1]):
+        alike += [i] if special and is_alike(special._replace(mass=i), special) else []
+    durations = lengths * (float(period) / _SAMPLES)
+    u = np.concatenate([*(part[begin] for part in samples), durations])
+    if forced is not None:
+        u = np.insert(u, u.size - len(events), times[begin])
+    phases = Phases(
+        field=chain,
+        modes=tuple(sequence),
+        events=tuple(event[1:] for event in events),
+        special=None if special is None else (events.index(special), str(kind), special.sign),
+        apart=tuple((lengths > 2).tolist()),
+        onsets=tuple(onsets),
+        alike=tuple(alike),
+        steps=_STEPS * int(np.ceil(np.max(durations) / (2 * np.pi))),
+        parameter=None,
+        m=len(state),
+        turns=turns_of(chain, period),
+    )
+    return phases, jnp.asarray(u)
+
+
+def _closest(
+    kind: str, mass: int, events: list[_Event], modes: Any, w: Any, r: Any, limit: Any
+) -> _Event:
+    """The event of `mass` at which `kind` is closest."""
+    limit = np.broadcast_to(limit, modes.shape[1])[mass]
+    mode, force = modes[:, mass], r[:, mass]
+    near = {"grazing": -mode * w[:, mass], "release": np.abs(force) / limit}
+    if kind == "stick onset":
+        ks = np.array([e.k for e in events if e[1:3] == ("landing", mass)], int)
+        found = ks[np.argsort(np.abs(np.abs(force[ks]) / limit - 1.0))]
+        event, missing = "landing", "it never comes to the speed of the belt"
+    else:
+        before, after = np.roll(near[kind], 1), np.roll(near[kind], -1)
+        same = (np.roll(mode, 1) == mode) & (np.roll(mode, -1) == mode)
+        same &= (mode == STICK) if kind == "release" else (mode != STICK)
+        ks = np.flatnonzero(same & (near[kind] >= before) & (near[kind] > after))
+        found = ks[np.argsort(-near[kind][ks])]
+        event, missing = (
+            ("peak", "no peak of its velocity while it slides")
+            if kind == "grazing"
+            else ("turn", "no turn of its force while it sticks")
+        )
+    if not found.size:
+        raise ValueError(
+            f'Argument `kind` = "{kind}" needs another cycle: mass {mass} of the given one has '
+            f"{missing}."
+        )
+    return _Event(int(found[0]), event, mass, float(np.sign(force[found[0]])))
