@@ -67,7 +67,7 @@ from ..cycles.shooting import Shooting
 from ..cycles.variational import flow
 from ..model.arguments import as_chain, as_mass
 from ..model.cells import AbstractField
-from ..model.chain import require_smoothed
+from ..model.chain import Chain, require_smoothed
 from ..model.parameters import parameter
 from ..model.provenance import circumstances, parameters_of
 from ..observers.amplitude import Amplitude
@@ -88,6 +88,11 @@ _MET = 1e-9  # the margin up to which it is rounding
 _OTHER_EVENTS = ("another grazing", "another release", "another stick onset", "two events")
 # Beside the length of the tangent: slopes of both numbers that vanish together at a cusp.
 _CUSP = 1e-4
+# Reasons besides those of a branch.
+_ENDINGS = {
+    "small": "The amplitude vanishes at the last point, at no known Hopf point.",
+    "lost": "The last point is no cycle, by its speed, period or multipliers.",
+}
 # The greatest distance of the last fold from the generalised Hopf point, as a share of the curve.
 _NEAR = 1e-2
 # Below it a number has no scale of its own.
@@ -192,7 +197,7 @@ class _CycleEquations(eqx.Module):
     def ends(self) -> tuple[str, ...]:
         """The tests at whose zero the curve ends."""
         if self.dry:
-            return ("degenerate grazing", *_OTHER_EVENTS)
+            return ("degenerate grazing", "persistence", *_OTHER_EVENTS)
         return ("1:1", "1:2") if self.kind == "torus" else ()
 
     def tests(self) -> dict[str, Callable[..., float]]:
@@ -202,10 +207,13 @@ class _CycleEquations(eqx.Module):
                 name: lambda u, p, tangent, extra, i=i: -float(extra.margins[i])
                 for i, name in enumerate(_OTHER_EVENTS)
             }
-            if self.shooting.slips:
-                tests["degenerate grazing"] = lambda u, p, tangent, extra: (
-                    float(extra.below) if self.kind == "fold" else float(extra.rho) - 1.0
-                )
+            if self.shooting.slips and self.kind == "fold":
+                tests["degenerate grazing"] = lambda u, p, tangent, extra: float(extra.below)
+            elif self.shooting.slips:  # a grazing is a fold for rho > 1; each jumps at the other
+                for name, power in ("degenerate grazing", 1), ("persistence", -1):
+                    tests[name] = lambda u, p, tangent, extra, power=power: float(
+                        np.sin(np.arctan((extra.rho - 1.0) ** power))
+                    )
             return tests
         if self.kind == "torus":  # kappa = cos(2 pi / n)
             lines = {"1:1": (-1, 1.0), "1:2": (1, 1.0), "1:3": (1, 0.5), "1:4": (1, 0.0)}
@@ -224,10 +232,12 @@ class _CycleEquations(eqx.Module):
 
         return {"1:1" if at > 0 else "1:2": another}
 
-    def stop(self, first: Any, extra: Any) -> bool:
-        """Whether the amplitude vanishes, or there is no cycle."""
-        vanishes = self.shooting.turns is None and extra.speed < _SMALL * first.speed
-        return bool(vanishes or not extra.sound)
+    def stop(self, first: Any, extra: Any) -> str:
+        """ "small" if the amplitude vanishes, "lost" if there is no cycle, else "". """
+        if not extra.sound:
+            return "lost"
+        small = self.shooting.turns is None and extra.speed < _SMALL * first.speed
+        return "small" if small else ""
 
     def cycle(self, U: np.ndarray) -> tuple[Any, Any, Any]:
         """(state, period, amplitude)."""
@@ -310,7 +320,7 @@ class _HopfEquations(eqx.Module):
 
     rates: Rates
     second: str = eqx.field(static=True)
-    kind = "hopf"
+    kind, dry = "hopf", False
     ends = ("Bogdanov-Takens",)
 
     @property
@@ -335,10 +345,10 @@ class _HopfEquations(eqx.Module):
             "generalised Hopf": lambda u, p, tangent, l1: float(l1),
         }
 
-    def stop(self, first: Any, extra: Any) -> bool:
+    def stop(self, first: Any, extra: Any) -> str:
         """Never, but at an end."""
         del first, extra
-        return False
+        return ""
 
     def cycle(self, U: np.ndarray) -> tuple[Any, Any, Any]:
         """(state, period, amplitude) of a cycle of no amplitude."""
@@ -453,7 +463,9 @@ def find_special_cycle(
     else:
         shooting, kind, name, U = _of_dry_cycle(point, chain, kind, mass, parameter)
     chain = shooting.field if chain is None else as_chain(chain, AbstractField)
-    if not isinstance(shooting, Phases):
+    if isinstance(shooting, Phases):
+        chain = chain.with_(width=None) if isinstance(chain, Chain) else chain
+    else:
         require_smoothed(chain, "")
     check_kind("chain", chain, type(shooting.field), "the model of `point`", "change its numbers.")
     found = _find(shooting, chain, kind, name, U, to_float(tolerance), jnp.asarray(limit))
@@ -598,10 +610,12 @@ class SpecialCurve(Printed):
       "cusp"; on those of folds, period doublings and tori "1:1" and "1:2", where one more
       multiplier is 1 or -1, and "1:3", "1:4" for the angle of a torus; on all of them "extremum",
       where `second` turns back.  With dry friction "degenerate grazing", from where on slip cycles
-      fold without a grazing.
+      fold without a grazing, and as an end "persistence", V_- = 0, from where on a grazing is no
+      fold.
     - `ended`: the reasons at the first and the last point: "generalised Hopf" (of folds, whose
       amplitude vanishes there), "Bogdanov-Takens", "1:1" or "1:2" (of a torus), "left_bounds",
-      "closed", "max_points", ...; with dry friction also
+      "closed", "max_points", "small" (the amplitude vanishes
+      elsewhere), "lost", ...; with dry friction also
       "another grazing", "another release", "another stick onset" and "two events", at one time;
       `message`: their texts.
     - `equations`, `unknowns` (k, ...): what is solved, and its solutions; NaN without a cycle.
@@ -627,7 +641,8 @@ class SpecialCurve(Printed):
     def message(self) -> str:
         """The texts of both reasons."""
         return " ".join(
-            ENDINGS.get(end, f"It ends in a point of kind {end}.") for end in self.ended
+            _ENDINGS.get(end) or ENDINGS.get(end, f"It ends in a point of kind {end}.")
+            for end in self.ended
         )
 
     @property
@@ -890,8 +905,8 @@ def _piece(
 
     def stop(u: np.ndarray, *others: Any) -> Any:
         first.append(others[-1])
-        passed = any(tests[name](u, *others) < -_MET for name in equations.ends if name in tests)
-        return passed or edge(u) < 0 or equations.stop(first[0], first[-1])
+        passed = [name for name in equations.ends if tests.get(name, edge)(u, *others) < -_MET]
+        return (passed or [edge(u) < 0 or equations.stop(first[0], first[-1])])[0]
 
     branch: Branch = continue_branch(
         _residual, U[:-1], U[-1], equations, direction=direction, bounds=second, weights=weights,
@@ -903,11 +918,12 @@ def _piece(
             "may not depend on the second number."
         )
     unknowns, residual = [*np.column_stack([branch.u, branch.p])], [*branch.residuals]
-    ended, special = branch.ended, []
+    ended, special = branch.reason or branch.ended, []
     for raw in branch.special:
         kind, z = raw.kind, np.append(raw.u, raw.p)
-        if kind == "degenerate grazing" and np.allclose(z, U, rtol=1e-9, atol=1e-9):
-            continue  # where this piece begins
+        begins = kind == "degenerate grazing" and np.allclose(z, U, rtol=1e-9, atol=1e-9)
+        if begins or (equations.dry and not raw.refined):  # a jump of the test
+            continue
         if kind == "fold":
             slopes = np.abs(weights * raw.tangent)[-2:]
             kind = "cusp" if equations.kind == "fold" and max(slopes) < _CUSP else "extremum"
@@ -920,7 +936,7 @@ def _piece(
             ended = "left_bounds" if kind == "edge" else kind
             break
     cycles = [equations.cycle(U) for U in unknowns]
-    if equations.kind == "fold" and ended in ("stopped", "step_too_small"):
+    if equations.kind == "fold" and ended in ("small", "step_too_small"):
         meeting = _end_of_folds(equations, np.array(unknowns), ranges)
         if meeting is not None:
             ended, special = meeting.kind, [*special, replace(meeting, index=len(cycles) - 1)]
@@ -942,8 +958,9 @@ def _end_of_folds(
     """
     (first, second), (p, q) = ranges, unknowns[-1, -2:]
     state, period, _ = equations.cycle(unknowns[-1])
-    chain = equations.field.with_(**{first: p, second: q})
-    frequency = 2 * np.pi / period
+    chain, frequency = equations.field.with_(**{first: p, second: q}), 2 * np.pi / period
+    if equations.dry:  # of sliding masses it is the same to rounding
+        chain = chain.with_(width=1e-3 * jnp.abs(chain.belt_speed))
     hopf = find_hopf_point(chain, first, state, frequency=frequency, throw=False)
     if not hopf.successful:
         return None

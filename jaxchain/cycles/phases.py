@@ -191,12 +191,11 @@ class Phases(eqx.Module):
             values = jnp.stack([w, slowing, r, rising, jnp.broadcast_to(begin, w.shape)])
             return z, (values, highest, error)
 
-        # The cut, or the special event, is itself no further event.
+        # In the steps beside its own events a mass has no further one but by rounding.
         around = np.zeros((2, len(self.events), self.n), bool)
         for k, (event, i, _) in enumerate(self.events):
-            if event in ("peak", "turn"):
-                masses = [i, *self.alike]
-                around[0, (k + 1) % len(self.events), masses] = around[1, k, masses] = True
+            masses = [i, *(self.alike if event in ("peak", "turn") else ())]
+            around[0, (k + 1) % len(self.events), masses] = around[1, k, masses] = True
         z, (values, highest, errors) = lax.scan(
             phase,
             jnp.concatenate([begin[None], *state]),
@@ -246,7 +245,7 @@ class Phases(eqx.Module):
         slopes, (gaps, (margins, error)) = jax.jacfwd(both, has_aux=True)(z)
         field, state, period = self.unpack(u, *parameter)
         j = field.contact * self.n + self.mass
-        rho = jnp.asarray(jnp.nan)
+        rho = jnp.nan * period
         if self.slips and parameter:
             # dp for w_+ = w_- = w, and for w_+ = 0, where the gap of v_j is w_-.
             cut = jax.jacfwd(lambda z: z[j] - self.at(*z[u.size :]).belt_speed)(z)
