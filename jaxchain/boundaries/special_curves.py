@@ -110,11 +110,17 @@ class _CycleEquations(eqx.Module):
         """Whether the cycle consists of phases."""
         return isinstance(self.shooting, Phases)
 
-    @property
-    def turned(self) -> _CycleEquations:
-        """The equations of the other piece of a curve of folds, beyond a degenerate grazing."""
-        kind = "grazing" if self.kind == "fold" else "fold"
-        return _CycleEquations(self.shooting.of_kind(kind), kind)
+    def beyond(self, ended: str, U: np.ndarray) -> _CycleEquations | None:
+        """The equations of the next piece, if the curve goes on where this one has ended."""
+        if ended == "degenerate grazing":
+            kind = "grazing" if self.kind == "fold" else "fold"
+            return _CycleEquations(self.shooting.of_kind(kind), kind)
+        if ended != "two events":
+            return None
+        u, _, _ = self.split(U)
+        durations = np.where(self.shooting.apart, u[-len(self.shooting.events) :], np.inf)
+        shooting = self.shooting.swapped(int(np.argmin(durations)))
+        return shooting and _CycleEquations(shooting, self.kind)
 
     @property
     def _extra(self) -> int:
@@ -618,13 +624,13 @@ class SpecialCurve(Printed):
       elsewhere), "lost", ...; with dry friction also
       "another grazing", "another release", "another stick onset" and "two events", at one time;
       `message`: their texts.
-    - `equations`, `unknowns` (k, ...): what is solved, and its solutions; NaN without a cycle.
+    - `equations`, `unknowns` (k, ...): of each point what is solved, and its solution; NaN without
+      a cycle.
 
     See `continue_special` for an example.
     """
 
     kind: str
-    kinds: tuple[str, ...]
     names: tuple[str, str]
     first: Float[np.ndarray, " k"]
     second: Float[np.ndarray, " k"]
@@ -634,8 +640,13 @@ class SpecialCurve(Printed):
     residual: Float[np.ndarray, " k"]
     special: tuple[CurvePoint, ...]
     ended: tuple[str, str]
-    equations: Any
+    equations: tuple[Any, ...]
     unknowns: Float[np.ndarray, "k more"]
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """The kind of each point."""
+        return tuple(equations.kind for equations in self.equations)
 
     @property
     def message(self) -> str:
@@ -648,7 +659,7 @@ class SpecialCurve(Printed):
     @property
     def chain(self) -> AbstractField:
         """The model, with the numbers of the point that the curve was started from."""
-        return self.equations.field
+        return self.equations[0].field
 
     def of_kind(self, kind: str) -> tuple[CurvePoint, ...]:
         """The special points of one kind."""
@@ -674,12 +685,9 @@ class SpecialCurve(Printed):
             state = tuple(part[index] for part in self.state)
             there = chain.with_(**{first: u[-2]})
             return find_hopf_point(there, first, state, frequency=2 * np.pi / self.period[index])
-        shooting, settings = self.equations.shooting, (to_float(1e-10), jnp.asarray(30))
-        kind = self.kinds[index]
-        if kind != self.kind:
-            shooting = shooting.of_kind(kind)
-        found = _find(shooting, chain, kind, first, jnp.asarray(u[:-1]), *settings)
-        return _checked(found)
+        shooting, kind = self.equations[index].shooting, self.kinds[index]
+        settings = to_float(1e-10), jnp.asarray(30)
+        return _checked(_find(shooting, chain, kind, first, jnp.asarray(u[:-1]), *settings))
 
     def to_dataset(self) -> Dataset:
         """The curve as an `xarray.Dataset` over `point`, with its special points over `special`.
@@ -864,7 +872,7 @@ class _Side(NamedTuple):
     unknowns: list[np.ndarray]
     residual: list[float]
     cycles: list[tuple[Any, Any, Any]]
-    kinds: list[str]
+    equations: list[Any]
     special: list[CurvePoint]
     ended: str
 
@@ -877,11 +885,11 @@ def _side(
     options: dict[str, Any],
 ) -> _Side:
     side = _piece(equations, U, direction, ranges, options)
-    while side.ended == "degenerate grazing":
+    while equations.dry and (equations := equations.beyond(side.ended, side.unknowns[-1])):
         # Both pieces have one tangent there.
-        (before, meeting), equations = side.unknowns[-2:], equations.turned
+        before, meeting = side.unknowns[-2:]
         more = _piece(equations, meeting, int(np.sign(meeting[-1] - before[-1])), ranges, options)
-        shifted = [replace(p, index=p.index + len(side.kinds) - 1) for p in more.special]
+        shifted = [replace(p, index=p.index + len(side.unknowns) - 1) for p in more.special]
         side = _Side(
             *([*a[:-1], *b] for a, b in zip(side[:4], more[:4], strict=True)),
             [*side.special, *shifted],
@@ -921,7 +929,7 @@ def _piece(
     ended, special = branch.reason or branch.ended, []
     for raw in branch.special:
         kind, z = raw.kind, np.append(raw.u, raw.p)
-        begins = kind == "degenerate grazing" and np.allclose(z, U, rtol=1e-9, atol=1e-9)
+        begins = kind in equations.ends and np.allclose(z, U, rtol=1e-9, atol=1e-9)
         if begins or (equations.dry and not raw.refined):  # a jump of the test
             continue
         if kind == "fold":
@@ -945,7 +953,7 @@ def _piece(
             unknowns.append(np.append(np.full(U.size - 2, np.nan), [p, q]))
             residual.append(residual[-1])
             cycles.append((state, 2 * np.pi / np.sqrt(kappa), np.zeros_like(state[0])))
-    return _Side(unknowns, residual, cycles, [equations.kind] * len(cycles), special, ended)
+    return _Side(unknowns, residual, cycles, [equations] * len(cycles), special, ended)
 
 
 def _end_of_folds(
@@ -990,6 +998,6 @@ def _joined(equations: Any, sides: list[_Side]) -> SpecialCurve:
         kind=equations.kind, names=equations.names, first=unknowns[:, -2], second=unknowns[:, -1],
         state=tuple(map(np.stack, zip(*states, strict=True))), period=np.stack(period),
         amplitude=np.stack(amplitude), residual=np.array(both("residual")),
-        special=tuple(special), kinds=tuple(both("kinds")), ended=(back.ended, ahead.ended),
-        equations=equations, unknowns=unknowns,
+        special=tuple(special), ended=(back.ended, ahead.ended),
+        equations=tuple(both("equations")), unknowns=unknowns,
     )  # fmt: skip

@@ -63,8 +63,8 @@ _VALUES = ("landing", "peak", "release", "turn", "clock")
 class Seen(NamedTuple):
     """Further results of a cycle.
 
-    - `state` at the start, `period`; `speed`: |v| there of the mass that is cut; `below`: how much
-      slower than the belt it is.
+    - `state` at the start, `period`; `speed`: |v| there of the mass that is cut, of a slip cycle,
+      else infinite; `below`: how much slower than the belt it is.
     - `sound`: finite and accurate, with positive durations.
     - `margins`: of the nearest further "grazing", "release", "stick onset", and the least duration
       with the sign -1, relative to the belt speed, the static limit or the period: a sequence
@@ -135,6 +135,21 @@ class Phases(eqx.Module):
     def of_kind(self, kind: str) -> Phases:
         """The same slip cycle, which grazes if this is the `kind`."""
         return replace(self, special=(0, kind, 0.0) if kind == "grazing" else None)
+
+    def swapped(self, k: int) -> Phases | None:
+        """The order in which event k comes before the one before it; None for one mass."""
+        count, events, modes = len(self.events), list(self.events), list(self.modes)
+        if events[k][1] == events[k - 1][1]:
+            return None
+        after, mass = modes[(k + 1) % count], events[k][1]
+        mode = list(modes[k - 1])
+        mode[mass] = after[mass]
+        modes[k], (events[k - 1], events[k]) = tuple(mode), (events[k], events[k - 1])
+        place = {k: (k - 1) % count, (k - 1) % count: k}
+        special = self.special and (place.get(self.special[0], self.special[0]), *self.special[1:])
+        onsets = tuple((place.get(at, at), *rest) for at, *rest in self.onsets)
+        changed = {"events": tuple(events), "modes": tuple(modes), "special": special}
+        return replace(self, onsets=onsets, **changed)
 
     def residual(self, u: Float[Array, " m"], *parameter: Any) -> Float[Array, " m"]:
         """The gaps of the return and of all events, that of the special one last."""
@@ -256,7 +271,7 @@ class Phases(eqx.Module):
         seen = Seen(
             state,
             period,
-            speed=jnp.abs(u[j]),
+            speed=jnp.abs(u[j]) if self.slips else jnp.asarray(jnp.inf) + 0.0 * period,
             below=jnp.sign(field.belt_speed) * (field.belt_speed - u[j]),
             sound=jnp.all(jnp.isfinite(gaps)) & (error < _ACCURATE) & (period > 0),
             margins=margins,
