@@ -11,7 +11,7 @@ Theory, chapters 8 to 10).  M is the monodromy matrix.
 | period doubling | s of M + 1 |
 | symmetry breaking | s of A^T M A - 1, A a basis of the disturbances that break the symmetry |
 | torus | mu_1 mu_2 - 1, for a pair of multipliers with the mean kappa, one more unknown |
-| grazing, release, stick onset | see `cycles/phases.py` |
+| grazing, release, stick onset | that of `cycles/phases.py`; "grazing fold" of a slip cycle |
 | hopf | lambda_1 + lambda_2, for a pair of eigenvalues with the product kappa = omega^2 |
 
 s is the least singular value with the sign of the determinant.  With its singular vectors a and b,
@@ -19,9 +19,10 @@ ds = a^T dA b, so the slopes of g take one nested derivative of the flow, along 
 that would have to follow the null vectors along the curve.  Sums and products of a pair are smooth
 where its two values meet, at the ends of the curve.
 
-With dry friction a curve of folds consists of two kinds of pieces: slip cycles that graze, and
-smooth folds of slip cycles that do not.  They meet, with one tangent, at a degenerate grazing, V_+
-+ V_- = 0 (see `boundaries/grazing.py`), and the curve is followed from one piece to the next.
+With dry friction a curve of folds consists of two kinds of pieces: grazing folds, and smooth folds
+of slip cycles that stay slower than the belt.  They meet, with one tangent, at a degenerate
+grazing, V_+ + V_- = 0 (see `boundaries/grazing.py`), and the curve is followed from one piece to
+the next.  It is also followed where events of two masses change their order.
 """
 
 from __future__ import annotations
@@ -110,14 +111,19 @@ class _CycleEquations(eqx.Module):
         """Whether the cycle consists of phases."""
         return isinstance(self.shooting, Phases)
 
+    @property
+    def smooth(self) -> bool:
+        """Whether g is that of the smooth kinds, and no event."""
+        return not self.dry or self.kind == "fold"
+
     def beyond(self, ended: str, U: np.ndarray) -> _CycleEquations | None:
         """The equations of the next piece, if the curve goes on where this one has ended."""
         if ended == "degenerate grazing":
-            kind = "grazing" if self.kind == "fold" else "fold"
-            return _CycleEquations(self.shooting.of_kind(kind), kind)
+            kind = "grazing fold" if self.kind == "fold" else "fold"
+            return _CycleEquations(self.shooting.touching(kind != "fold"), kind)
         if ended != "two events":
             return None
-        u, _, _ = self.split(U)
+        u, _, _ = self.split(jnp.asarray(U))
         durations = np.where(self.shooting.apart, u[-len(self.shooting.events) :], np.inf)
         shooting = self.shooting.swapped(int(np.argmin(durations)))
         return shooting and _CycleEquations(shooting, self.kind)
@@ -158,7 +164,7 @@ class _CycleEquations(eqx.Module):
 
     def value(self, U: Array) -> Array:
         """R, for steps without new derivatives."""
-        return self.values(U)[0] if self.kind not in DRY_KINDS else self.residual(U)
+        return self.values(U)[0] if self.smooth else self.residual(U)
 
     def frozen(self, U: Array, left: Array, right: Array) -> Array:
         """A function that has the slopes of g at the point of a = `left` and b = `right`."""
@@ -209,17 +215,20 @@ class _CycleEquations(eqx.Module):
     def tests(self) -> dict[str, Callable[..., float]]:
         """The tests of `continue_branch`."""
         if self.dry:
-            tests = {
+            tests: dict[str, Any] = {
                 name: lambda u, p, tangent, extra, i=i: -float(extra.margins[i])
                 for i, name in enumerate(_OTHER_EVENTS)
             }
             if self.shooting.slips and self.kind == "fold":
                 tests["degenerate grazing"] = lambda u, p, tangent, extra: float(extra.below)
-            elif self.shooting.slips:  # a grazing is a fold for rho > 1; each jumps at the other
+            elif self.shooting.slips:
+                # A grazing is a fold for rho > 1; each test jumps where the other is zero.
+                def share(rho: Any, power: int) -> float:
+                    x = float(rho) - 1.0
+                    return 1.0 if power < 0 and abs(x) < _MET else np.sin(np.arctan(x**power))
+
                 for name, power in ("degenerate grazing", 1), ("persistence", -1):
-                    tests[name] = lambda u, p, tangent, extra, power=power: float(
-                        np.sin(np.arctan((extra.rho - 1.0) ** power))
-                    )
+                    tests[name] = lambda u, p, tangent, extra, power=power: share(extra.rho, power)
             return tests
         if self.kind == "torus":  # kappa = cos(2 pi / n)
             lines = {"1:1": (-1, 1.0), "1:2": (1, 1.0), "1:3": (1, 0.5), "1:4": (1, 0.0)}
@@ -239,7 +248,7 @@ class _CycleEquations(eqx.Module):
         return {"1:1" if at > 0 else "1:2": another}
 
     def stop(self, first: Any, extra: Any) -> str:
-        """ "small" if the amplitude vanishes, "lost" if there is no cycle, else "". """
+        """ "small" if the amplitude vanishes, "lost" if there is no cycle, else ""."""
         if not extra.sound:
             return "lost"
         small = self.shooting.turns is None and extra.speed < _SMALL * first.speed
@@ -258,11 +267,11 @@ class _CycleEquations(eqx.Module):
         """R, with derivatives, in every number of the model as well."""
         u, parameters, _ = self.split(U)
         gaps = self.shooting.residual(u, *parameters)
-        return gaps if self.kind in DRY_KINDS else jnp.append(gaps, _test(U, self))
+        return jnp.append(gaps, _test(U, self)) if self.smooth else gaps
 
     def linearise(self, U: Array) -> tuple[Array, Array, Any]:
         """(R, its derivatives, further results)."""
-        if self.kind in DRY_KINDS:
+        if not self.smooth:
             u, parameters, _ = self.split(U)
             return self.shooting.linearise(u, *parameters)
         r, slopes, extra, left, right = self.values(U)
@@ -395,11 +404,13 @@ def _linearise(U: Array, q: Any, equations: Any) -> tuple[Array, Array, Any]:
 class SpecialCycle(Outcome):
     """A cycle at a special point, to all digits.
 
-    - `kind`: "fold", "period doubling", "symmetry breaking" or "torus"; `parameter`: the name of
-      the number that was solved for, and `value` its value there.
+    - `kind`: "fold", "period doubling", "symmetry breaking" or "torus"; with dry friction "fold",
+      "grazing fold", "grazing", "release" or "stick onset"; `parameter`: the name of the number
+      that was solved for, and `value` its value there.
     - `state`, `period`: of the cycle, as `find_limit_cycle` has them.
     - `residual`: of the equations, after `steps` Jacobians; `result`: the outcome.
-    - `shooting`, `unknowns`: the equations of the cycle, and what solves them.
+    - `shooting`, `unknowns`: the equations of the cycle, and what solves them.  With dry friction
+      the state is that after one of the events.
 
     See `find_special_cycle` for an example.
     """
@@ -412,7 +423,7 @@ class SpecialCycle(Outcome):
     residual: Float[Array, ""]
     result: SearchResult
     steps: Int[Array, ""]
-    shooting: Shooting
+    shooting: Shooting | Phases
     unknowns: Float[Array, " more"]
 
 
@@ -438,8 +449,8 @@ def find_special_cycle(
       `find_grazing`; or a cycle close to a special one, a `LimitCycle` or (state, period).
     - `chain`: the model with other numbers close by, by default the same; its own value of the
       parameter is ignored.
-    - `kind`, `mass`, `parameter`, for such a cycle: "grazing" (the mass, while it slides, just
-      reaches the speed of the belt), "release" (while it sticks, the force just reaches the static
+    - `kind`, `mass` (by default that of the cycle), `parameter`, for such a cycle: "grazing" (the
+      mass, while it slides, just reaches the speed of the belt), "release" (while it sticks, the force just reaches the static
       limit) or "stick onset" (it begins to stick where it passed the speed of the belt), and the
       name of the number that is solved for.
     - `tolerance`, `max_steps`: see `jaxchain.continuation.newton`.
@@ -490,7 +501,13 @@ def _checked(found: SpecialCycle) -> SpecialCycle:
 
 @eqx.filter_jit
 def _find(
-    shooting: Shooting, chain: Any, kind: str, name: str, U: Array, tolerance: Array, limit: Array
+    shooting: Shooting | Phases,
+    chain: Any,
+    kind: str,
+    name: str,
+    U: Array,
+    tolerance: Array,
+    limit: Array,
 ) -> SpecialCycle:
     def equations(field: Any) -> _CycleEquations:
         return _CycleEquations(replace(shooting, field=field, parameter=(name,)), kind)
@@ -535,12 +552,11 @@ def _start(point: Any) -> tuple[Any, str, str, Array]:
         check_concrete("use `dry_fold_belt_speed`.", point=point)
         if not point.successful:
             raise ValueError(f"Argument `point` is a search that failed. {point.message}")
-        chain, kind = point.chain, "grazing" if point.touches else "fold"
-        shooting, u = slip_phases(
-            chain, point.state, point.period, point.mass, bool(point.touches)
-        )
+        chain, touches = point.chain.with_(width=None), bool(point.touches)
+        shooting, u = slip_phases(chain, point.state, point.period, point.mass, touches)
+        kind = "grazing fold" if touches else "fold"
         return shooting, kind, "belt_speed", jnp.append(u, point.belt_speed)
-    if point.kind not in (*_KINDS, *DRY_KINDS):
+    if point.kind not in (*_KINDS, "grazing fold", *DRY_KINDS):
         raise ValueError(
             f"Argument `point` must be of one of the kinds {', '.join(_KINDS)}, but is a "
             f'"{point.kind}". {remedy}'
@@ -575,10 +591,11 @@ def _of_dry_cycle(
             "friction are found by `continue_cycle`."
         )
     state = check_orbit(field, state, period, 1e-9, "point")
-    mass = as_mass(state[0].shape[0], mass, None)
+    mass = as_mass(state[0].shape[0], mass, getattr(point, "mass", 0))
     numbers = field.numbers()
     check_one_of("parameter", name, sorted(n for n in numbers if np.shape(numbers[n]) == ()))
     shooting, u = phases_of(field, state, period, kind, mass)
+    kind = "grazing fold" if shooting.slips else kind
     return shooting, kind, name, jnp.append(u, numbers[name])
 
 
@@ -607,8 +624,8 @@ class SpecialCurve(Printed):
     """A curve of k special points in two numbers of a model, in order, as data on the host.
 
     - `kind`: "hopf", or that of a `SpecialCycle`, at the start; `kinds`: that of each point, which
-      with dry friction changes between "grazing" and "fold"; `names` of both numbers, `first` and
-      `second` (k,): their values.
+      with dry friction changes between "grazing fold" and "fold"; `names` of both numbers,
+      `first` and `second` (k,): their values.
     - `state`, m arrays (k, n); `period` (k,), of a Hopf point 2 pi / omega; `amplitude` (k, n);
       `residual` (k,): the greatest one of the equations.
     - `special`: tuple of `CurvePoint`, in order.  On curves of Hopf points "generalised Hopf" (l1
@@ -693,7 +710,8 @@ class SpecialCurve(Printed):
         """The curve as an `xarray.Dataset` over `point`, with its special points over `special`.
 
         **Returns:** both numbers as coordinates along `point`, under their own names; `period`,
-        `residual` (point), `amplitude` (point, oscillator); for special points `special_kind`,
+        `residual`, `point_kind` (point), `amplitude` (point, oscillator); for special points
+        `special_kind`,
         `special_<number>` of both, `special_error`, `special_index`; the attributes `kind`,
         `first`, `second`, `ended_first`, `ended_last`, `parameters` and those of
         `CycleBranch.to_dataset`.
@@ -718,6 +736,7 @@ class SpecialCurve(Printed):
             ),
             "amplitude": (each, self.amplitude, height, "x0"),
             "residual": ("point", self.residual, "greatest residual, last but one", "1"),
+            "point_kind": ("point", np.array(self.kinds), "kind of the point", None),
             "special_kind": (
                 "special",
                 special("kind").astype(str),
@@ -890,11 +909,8 @@ def _side(
         before, meeting = side.unknowns[-2:]
         more = _piece(equations, meeting, int(np.sign(meeting[-1] - before[-1])), ranges, options)
         shifted = [replace(p, index=p.index + len(side.unknowns) - 1) for p in more.special]
-        side = _Side(
-            *([*a[:-1], *b] for a, b in zip(side[:4], more[:4], strict=True)),
-            [*side.special, *shifted],
-            more.ended,
-        )
+        rows = ([*a[:-1], *b] for a, b in zip(side[:4], more[:4], strict=True))
+        side = _Side(*rows, special=[*side.special, *shifted], ended=more.ended)  # pyright: ignore
     return side
 
 

@@ -11,7 +11,6 @@ at the start and the durations tau_k of the phases as unknowns a cycle solves
 | release | \\|r_i\\| - p mu_st of a mass that sticks |
 | peak | w_i' = 0 |
 | turn | r_i' = 0 of a mass that sticks |
-| clock | t_0 = 0 of a forced cycle without events |
 
 These equations are smooth in the numbers of the chain, also where a mass only just touches the
 belt speed or the static limit, so that such a cycle needs one more of them:
@@ -57,7 +56,7 @@ _SAMPLES = 4000
 _STEPS = 64
 # The greatest estimated error of a period.
 _ACCURATE = 1e-8
-_VALUES = ("landing", "peak", "release", "turn", "clock")
+_VALUES = ("landing", "peak", "release", "turn")
 
 
 class Seen(NamedTuple):
@@ -87,7 +86,8 @@ class Phases(eqx.Module):
     - `modes`: of each phase, the mode of each mass (see `solvers/dry_friction.py`).
     - `events`: at the end of each phase (event, mass, sign of r at a release).
     - `special`: (index of the event, kind, sign of r) of a special cycle, or None.
-    - `apart`: which events of the cycle follow the one before after some time; `onsets`: (event,
+    - `apart`: which events follow the one before after some time (at the end of a short stick its
+      landing is a "stick onset"); `onsets`: (event,
       mass, -1 if it sticks there) of landings that are no image of the special event; `alike`: the
       masses that move like that of the special event.
     - `parameter`, `m`, `turns`: as in `Shooting`; `steps` in each phase.
@@ -97,13 +97,13 @@ class Phases(eqx.Module):
     modes: tuple[tuple[float, ...], ...] = eqx.field(static=True)
     events: tuple[tuple[str, int, float], ...] = eqx.field(static=True)
     special: tuple[int, str, float] | None = eqx.field(static=True)
-    apart: tuple[bool, ...] = eqx.field(static=True)
-    onsets: tuple[tuple[int, int, float], ...] = eqx.field(static=True)
-    alike: tuple[int, ...] = eqx.field(static=True)
-    steps: int = eqx.field(static=True)
-    parameter: str | tuple[str, ...] | None = eqx.field(static=True)
     m: int = eqx.field(static=True)
-    turns: int | None = eqx.field(static=True)
+    apart: tuple[bool, ...] = eqx.field(static=True, default=(True,))
+    onsets: tuple[tuple[int, int, float], ...] = eqx.field(static=True, default=())
+    alike: tuple[int, ...] = eqx.field(static=True, default=())
+    steps: int = eqx.field(static=True, default=_STEPS)
+    parameter: str | tuple[str, ...] | None = eqx.field(static=True, default=None)
+    turns: int | None = eqx.field(static=True, default=None)
 
     at = Shooting.at
 
@@ -132,9 +132,9 @@ class Phases(eqx.Module):
         d, count = self.m * self.n, len(self.events)
         return self.at(*parameter), tuple(jnp.split(u[:d], self.m)), jnp.sum(u[-count:])
 
-    def of_kind(self, kind: str) -> Phases:
-        """The same slip cycle, which grazes if this is the `kind`."""
-        return replace(self, special=(0, kind, 0.0) if kind == "grazing" else None)
+    def touching(self, grazes: bool) -> Phases:
+        """The same slip cycle, which grazes or not."""
+        return replace(self, special=(0, "grazing", 0.0) if grazes else None)
 
     def swapped(self, k: int) -> Phases | None:
         """The order in which event k comes before the one before it; None for one mass."""
@@ -151,7 +151,7 @@ class Phases(eqx.Module):
         changed = {"events": tuple(events), "modes": tuple(modes), "special": special}
         return replace(self, onsets=onsets, **changed)
 
-    def residual(self, u: Float[Array, " m"], *parameter: Any) -> Float[Array, " m"]:
+    def residual(self, u: Float[Array, " m"], *parameter: Any) -> Float[Array, " equations"]:
         """The gaps of the return and of all events, that of the special one last."""
         return self.run(u, *parameter)[0]
 
@@ -173,14 +173,14 @@ class Phases(eqx.Module):
             def rate(z: Array) -> Array:
                 return jnp.concatenate([jnp.ones(1), *motion(field, *parts(z), mode)])
 
-            def forces(z: Array) -> Array:
-                return free_force(field, *parts(z))
+            def contact(z: Array) -> tuple[Array, Array]:
+                t, y = parts(z)
+                return y[place] - field.belt_speed, free_force(field, t, y)
 
             def near(z: Array) -> Array:
                 """How far each mass is from an event, in shares; the event is at 0."""
-                t, y = parts(z)
-                w, r = y[place] - field.belt_speed, jnp.abs(free_force(field, t, y))
-                return jnp.where(mode == STICK, r / limit - 1.0, -mode * w / scale)
+                w, r = contact(z)
+                return jnp.where(mode == STICK, jnp.abs(r) / limit - 1.0, -mode * w / scale)
 
             def time(k: Any) -> Array:
                 return duration / (2 * jnp.pi) * graded(k * (2 * jnp.pi / self.steps))
@@ -189,44 +189,38 @@ class Phases(eqx.Module):
                 z, slope, highest, error = carry
                 h = time(k + 1) - time(k)
                 end, missed = step_of_order_8(rate, z, slope, h)
-                new, fixed = rate(end), lax.stop_gradient
-                a, b = ((fixed(z), fixed(slope)), (fixed(end), fixed(new)))
-                (low, up), (high, down) = (jax.jvp(near, (p,), (s,)) for p, s in (a, b))
+                new = rate(end)
+                sides, width = lax.stop_gradient((((z, slope), (end, new)), h))
+                (low, up), (high, down) = (jax.jvp(near, (p,), (s,)) for p, s in sides)
                 inside = (up > 0) & (down < 0)
                 inside &= ~((k == 0) & first) & ~((k == self.steps - 1) & last)
-                top = jnp.where(inside, peak(low, high, fixed(h) * up, fixed(h) * down), -1.0)
-                lost = jnp.max(jnp.abs(fixed(missed)))
-                return end, new, jnp.maximum(highest, top), error + lost
+                top = jnp.where(inside, peak(low, high, width * up, width * down), -1.0)
+                error += lax.stop_gradient(jnp.max(jnp.abs(missed)))
+                return end, new, jnp.maximum(highest, top), error
 
             start = z, rate(z), jnp.full(self.n, -1.0), jnp.zeros(())
             z, slope, highest, error = lax.fori_loop(0, self.steps, step, start)
-            r, rising = jax.jvp(forces, (z,), (slope,))
-            _, y = parts(z)
-            w, slowing = y[place] - field.belt_speed, parts(slope)[1][place]
-            values = jnp.stack([w, slowing, r, rising, jnp.broadcast_to(begin, w.shape)])
-            return z, (values, highest, error)
+            (w, r), (slowing, rising) = jax.jvp(contact, (z,), (slope,))
+            return z, (jnp.stack([w, slowing, r, rising]), highest, error)
 
         # In the steps beside its own events a mass has no further one but by rounding.
         around = np.zeros((2, len(self.events), self.n), bool)
         for k, (event, i, _) in enumerate(self.events):
             masses = [i, *(self.alike if event in ("peak", "turn") else ())]
             around[0, (k + 1) % len(self.events), masses] = around[1, k, masses] = True
-        z, (values, highest, errors) = lax.scan(
-            phase,
-            jnp.concatenate([begin[None], *state]),
-            (modes, durations, *map(jnp.asarray, around)),
-        )
+        start = jnp.concatenate([begin[None], *state])
+        given = modes, durations, jnp.asarray(around[0]), jnp.asarray(around[1])
+        z, (values, highest, errors) = lax.scan(phase, start, given)
 
         def value(k: int, event: str, sign: float) -> Array:
             i = self.events[k][1]
-            return values[k, _VALUES.index(event), i] - (
-                sign * limit[i] if event == "release" else 0.0
-            )
+            at = sign * limit[i] if event == "release" else 0.0
+            return values[k, _VALUES.index(event), i] - at
 
         gap = z[1:] - u[:d]
         if self.slips:  # or steady sliding would be a solution
             gap = gap / state[place][self.mass]
-        gaps = [gap, *(value(k, *e[::2])[None] for k, e in enumerate(self.events))]
+        gaps = [gap, *(value(k, e, sign)[None] for k, (e, _, sign) in enumerate(self.events))]
         if self.turns is not None:
             gaps.append((period - self.turns * to_float(field.forcing_period()))[None])
         if self.special is not None:
@@ -249,7 +243,7 @@ class Phases(eqx.Module):
 
     def linearise(
         self, u: Float[Array, " m"], *parameter: Any
-    ) -> tuple[Float[Array, " m"], Float[Array, "m more"], Seen]:
+    ) -> tuple[Float[Array, " equations"], Float[Array, "equations more"], Seen]:
         """(`residual`, its slopes in u and the parameters, `Seen`)."""
         z = jnp.append(u, jnp.stack(parameter)) if parameter else u
 
@@ -263,21 +257,15 @@ class Phases(eqx.Module):
         rho = jnp.nan * period
         if self.slips and parameter:
             # dp for w_+ = w_- = w, and for w_+ = 0, where the gap of v_j is w_-.
-            cut = jax.jacfwd(lambda z: z[j] - self.at(*z[u.size :]).belt_speed)(z)
+            cut = jax.jacfwd(lambda z: z[j] - self.unpack(u, *z[u.size :])[0].belt_speed)(z)
             square = jnp.concatenate([slopes[: u.size], cut[None]])[:, : u.size + 1]
             right = jnp.zeros((2, u.size + 1)).at[0, -1].set(1.0).at[1, j].set(1.0 / u[j])
             along, arriving = (jnp.linalg.solve(square, one)[-1] for one in right)
             rho = 1.0 - along / arriving
-        seen = Seen(
-            state,
-            period,
-            speed=jnp.abs(u[j]) if self.slips else jnp.asarray(jnp.inf) + 0.0 * period,
-            below=jnp.sign(field.belt_speed) * (field.belt_speed - u[j]),
-            sound=jnp.all(jnp.isfinite(gaps)) & (error < _ACCURATE) & (period > 0),
-            margins=margins,
-            rho=rho,
-        )
-        return gaps, slopes, seen
+        speed = jnp.abs(u[j]) if self.slips else jnp.inf * period
+        below = jnp.sign(field.belt_speed) * (field.belt_speed - u[j])
+        sound = jnp.all(jnp.isfinite(gaps)) & (error < _ACCURATE) & (period > 0)
+        return gaps, slopes, Seen(state, period, speed, below, sound, margins, rho)
 
 
 def peak(v0: Array, v1: Array, slope0: Array, slope1: Array) -> Array:
@@ -305,29 +293,18 @@ def slip_phases(
     chain: Dry, state: State, period: Any, mass: int, grazes: bool
 ) -> tuple[Phases, Float[Array, " m"]]:
     """`phases_of` of a slip cycle, from the peak of a mass, which grazes or not."""
-    n = state[0].shape[0]
-    phases = Phases(
-        field=chain,
-        modes=((float(-jnp.sign(chain.belt_speed)),) * n,),
-        events=(("peak", mass, 0.0),),
-        special=(0, "grazing", 0.0) if grazes else None,
-        apart=(True,),
-        onsets=(),
-        alike=(),
-        steps=_STEPS,
-        parameter=None,
-        m=len(state),
-        turns=None,
-    )
+    mode = (float(-jnp.sign(chain.belt_speed)),) * state[0].shape[0]
+    special = (0, "grazing", 0.0) if grazes else None
+    phases = Phases(chain, (mode,), (("peak", mass, 0.0),), special, len(state))
     return phases, jnp.append(jnp.concatenate(state), period)
 
 
 def phases_of(
-    chain: Dry, state: State, period: Any, kind: str | None = None, mass: int | None = None
+    chain: Dry, state: State, period: Any, kind: str, mass: int
 ) -> tuple[Phases, Float[Array, " m"]]:
     """(the equations, their unknowns) of a cycle with dry friction, from an event-driven run.
 
-    `kind` and `mass` of the special event: the peak, turn or landing that is closest to it.
+    `kind` and `mass` of the special event: it is put at the peak, turn or landing closest to one.
 
     **Raises:** `ValueError` if the cycle has none.
     """
@@ -345,16 +322,9 @@ def phases_of(
         released = modes[k - 1, i] == STICK
         sign = modes[k, i] if released else np.sign(r[k, i])
         events.append(_Event(k, "release" if released else "landing", i, float(sign)))
-    forced, special = chain.forcing_period(), None
-    if kind is None or mass is None:
-        if not events:
-            i = int(np.argmax(np.ptp(w, axis=0)))
-            cut = _Event(int(np.argmax(-modes[:, i] * w[:, i])), "peak", i, 0.0)
-            events = [cut if forced is None else _Event(0, "clock", 0, 0.0)]
-    else:
-        special = _closest(kind, mass, events, modes, w, r, np.asarray(chain.static_limit()))
-        if kind != "stick onset":
-            events = sorted([*events, special])
+    special = _closest(kind, mass, events, modes, w, r, np.asarray(chain.static_limit()))
+    if kind != "stick onset":
+        events = sorted([*events, special])
     # The cycle begins after the event that the longest phase follows.
     ks = np.array([event.k for event in events])
     lengths = (np.roll(ks, -1) - ks - 1) % _SAMPLES + 1
@@ -374,25 +344,28 @@ def phases_of(
 
     onsets, alike = [], []
     for k, event in enumerate(events):
-        if event.event == "landing" and not (special and is_alike(event, special)):
+        if event.event == "landing" and not is_alike(event, special):
             sticks = modes[event.k, event.mass] == STICK
             onsets.append((k, event.mass, -1.0 if sticks else 1.0))
     for i in range(w.shape[1]):
-        alike += [i] if special and is_alike(special._replace(mass=i), special) else []
+        alike += [i] if is_alike(special._replace(mass=i), special) else []
     durations = lengths * (float(period) / _SAMPLES)
     u = np.concatenate([*(part[begin] for part in samples), durations])
-    if forced is not None:
+    if chain.forcing_period() is not None:
         u = np.insert(u, u.size - len(events), times[begin])
     phases = Phases(
         field=chain,
         modes=tuple(sequence),
         events=tuple(event[1:] for event in events),
-        special=None if special is None else (events.index(special), str(kind), special.sign),
-        apart=tuple((lengths > 2).tolist()),
+        special=(events.index(special), kind, special.sign),
+        apart=tuple(
+            bool(length > 2)
+            and (event.event, one.event, one.mass) != ("release", "landing", event.mass)
+            for length, one, event in zip(lengths, events[-1:] + events[:-1], events, strict=True)
+        ),
         onsets=tuple(onsets),
         alike=tuple(alike),
         steps=_STEPS * int(np.ceil(np.max(durations) / (2 * np.pi))),
-        parameter=None,
         m=len(state),
         turns=turns_of(chain, period),
     )

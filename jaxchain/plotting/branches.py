@@ -40,6 +40,10 @@ MARKS: dict[str, tuple[str, str, str]] = {
     "branch point": ("v", PURPLE, "branch point"),
     "torus": ("s", ORANGE, "torus"),
     "period doubling": ("D", GREEN, "period doubling"),
+    "grazing fold": ("X", "black", "grazing fold"),
+    "grazing": ("X", SKY, "grazing"),
+    "release": ("<", ORANGE, "release"),
+    "stick onset": (">", GREEN, "stick onset"),
 }
 # Points of a curve of special points at which more happens.
 CURVE_MARKS = {
@@ -142,6 +146,9 @@ def plot_special_curves(
 
     The region between a curve of Hopf points and one of folds is shaded: there the cycles between
     both coexist with the equilibrium.  Its side is the greatest |first number| of the Hopf points.
+    If the first number is the belt speed, three regions are named: up to the Hopf points,
+    or between them, the masses vibrate by themselves, up to the folds they do either, and beyond
+    they slide.
 
     **Arguments:** `curves`: one of `continue_special` or its `to_dataset()`, or several in the
     same two numbers; `ax`, `scales`: as for `plot_branch`.
@@ -183,15 +190,19 @@ def plot_special_curves(
     lines = [[scaled(d[name], scales) for name in names[0]] for d in data]
     kinds = [d.attrs["kind"] for d in data]
     with on_axes(ax) as axes:
-        if {"hopf", "fold"} <= set(kinds):
-            hopf, fold = (
-                np.stack([v for v, _ in lines[kinds.index(kind)]]) for kind in ("hopf", "fold")
-            )
-            _shade_between(axes, hopf, fold)
-        for d, kind, ((x, x_label), (y, y_label)) in zip(data, kinds, lines, strict=True):
-            _, colour, word = MARKS[kind]
-            colour = BLUE if colour == "white" else colour
-            axes.plot(*smooth(x, y), color=colour, linewidth=1.3, label=word)
+        folds = [i for i, kind in enumerate(kinds) if kind in ("fold", "grazing fold")]
+        if "hopf" in kinds and folds:
+            both = (np.stack([v for v, _ in lines[i]]) for i in (kinds.index("hopf"), folds[0]))
+            _shade_between(axes, *both, names[0][0] == "belt_speed")
+        for d, ((x, x_label), (y, y_label)) in zip(data, lines, strict=True):
+            of = [str(kind) for kind in d["point_kind"].values]
+            starts = [k for k in range(len(of)) if k == 0 or of[k] != of[k - 1]]
+            for begin, end in itertools.pairwise([*starts, len(of)]):
+                _, colour, word = MARKS[of[begin]]
+                colour = BLUE if colour == "white" else colour
+                to = slice(max(begin - 1, 0), end)  # from the end of the piece before it
+                line: Any = smooth(x[to], y[to])
+                axes.plot(*line, color=colour, linewidth=1.3, label=word)
             special = d["special_kind"].values
             for one in sorted(set(map(str, special)) - {"extremum"}):
                 at = [
@@ -205,28 +216,43 @@ def plot_special_curves(
     return axes
 
 
-def _shade_between(axes: Axes, hopf: np.ndarray, fold: np.ndarray) -> None:
-    """Shades between the outermost Hopf points and the folds, over the second numbers of both."""
+def _shade_between(axes: Axes, hopf: np.ndarray, fold: np.ndarray, named: bool) -> None:
+    """Shades between the outermost Hopf points and the folds, over the second numbers of both.
+
+    `named`: below the Hopf points, too, with names for all regions.
+    """
     second = np.unique(np.concatenate([hopf[1], fold[1]]))
     ends = [(np.min(line[1]), np.max(line[1])) for line in (hopf, fold)]
     low, high = np.max(ends, axis=0)[0], np.min(ends, axis=0)[1]
     second = second[(second >= low) & (second <= high)]
 
-    def outermost(line: np.ndarray) -> np.ndarray:
-        """The greatest |first| at each second number, over all pieces of the line."""
-        x, y = line
-        found = np.full(second.size, np.nan)
-        for (a, b), (c, d) in zip(itertools.pairwise(x), itertools.pairwise(y), strict=True):
-            inside = (second >= min(c, d)) & (second <= max(c, d))
-            here = a + (b - a) * ((second[inside] - c) / (d - c) if d != c else 0.0)
-            before = found[inside]
-            found[inside] = np.where(np.abs(here) < np.abs(before), before, here)
-        return found
+    def sides(line: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The firsts of least and greatest modulus at each second number, over all pieces.
 
-    axes.fill_betweenx(
-        second, outermost(hopf), outermost(fold), color=SKY, alpha=0.25, linewidth=0.0,
-        label="between Hopf points and folds",
-    )  # fmt: skip
+        The least one is 0 for an odd number of them.
+        """
+        x, y = line
+        least, most = np.full((2, second.size), np.nan)
+        odd = np.zeros(second.size, bool)
+        for (a, b), (c, d) in zip(itertools.pairwise(x), itertools.pairwise(y), strict=True):
+            inside = (second >= min(c, d)) & (second < max(c, d))
+            here = a + (b - a) * ((second[inside] - c) / (d - c) if d != c else 0.0)
+            for found, order in ((least, 1), (most, -1)):
+                before = found[inside]
+                nearer = order * np.abs(here) >= order * np.abs(before)
+                found[inside] = np.where(nearer, before, here)
+            odd[inside] = ~odd[inside]
+        return np.where(odd, 0.0, least), most
+
+    shade: dict[str, Any] = {"alpha": 0.25, "linewidth": 0.0}
+    label = "either" if named else "between Hopf points and folds"
+    outer = sides(hopf, second)[1], sides(fold, second)[1]
+    axes.fill_betweenx(second, *outer, color=SKY, label=label, **shade)
+    if named:
+        here = np.unique(hopf[1])
+        own = "vibrates by itself"
+        axes.fill_betweenx(here, *sides(hopf, here), color=ORANGE, label=own, **shade)
+        axes.fill_betweenx([], [], [], facecolor="white", edgecolor="0.6", label="slides")
 
 
 def pieces(

@@ -7,30 +7,44 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.optimize import brentq
+from scipy.linalg import expm
+from scipy.optimize import brentq, fsolve
 from synthetic import cycle_branch
 
 from jaxchain import (
+    Coulomb,
     ExponentialDecay,
+    StickTime,
     TanhFriction,
+    Trajectory,
     WeakeningStrengthening,
     continue_cycle,
     continue_special,
+    dry_fold_belt_speed,
+    equation_8,
     find_limit_cycle,
     fold_belt_speed,
     hopf_belt_speed,
     paper_chain,
+    simulate,
     steady_sliding,
 )
 from jaxchain.boundaries import (
     find_fold,
+    find_grazing,
     find_hopf_point,
     find_special_cycle,
     first_lyapunov_coefficient,
     generalised_hopf,
 )
 from jaxchain.boundaries.special_curves import _CycleEquations
-from jaxchain.model import AbstractCells, Duffing, GaussianStribeck, ModeCoupling
+from jaxchain.model import (
+    AbstractCells,
+    Duffing,
+    GaussianStribeck,
+    MechanicalCells,
+    ModeCoupling,
+)
 
 # The generalised Hopf point of one mass of the paper at width 0.05: (belt speed, damping ratio).
 MEETING = 0.268344380439181, 0.291637020981561
@@ -231,6 +245,178 @@ def test_bad_input_is_refused():
         continue_special(point, "damping_ratio", bounds={"width": (0.1, 0.2)})
     with pytest.raises(ValueError, match="`point`"):
         find_special_cycle(point)
+
+
+def smooth_orbit(chain, v, state, period, sign=-1.0):
+    """SciPy's slip cycle of one mass: (gaps, greatest w, the multiplier by Liouville)."""
+    law, xi = chain.law, float(chain.damping_ratio)
+
+    def rate(t, y):
+        s = sign * (y[1] - v)
+        mu, slope = (float(f(s)) for f in (law.coefficient, jax.grad(law.coefficient)))
+        return [y[1], -2 * xi * y[1] - y[0] - sign * mu, -2 * xi - slope]
+
+    run = solve_ivp(
+        rate, (0.0, period), [*state, 0.0], method="DOP853", rtol=1e-12, atol=1e-13, max_step=0.1
+    )
+    return run.y[:2, -1] - state, np.max(run.y[1]) - v, np.exp(run.y[2, -1])
+
+
+def test_a_dry_fold_curve_passes_from_grazing_to_smooth_folds():
+    chain = paper_chain(1, friction=GaussianStribeck(1.0, 0.5, 0.5, 0.0))
+    curves = [
+        continue_special(find_grazing(chain.with_(v_ref=v)), "v_ref", bounds={"v_ref": (0.5, 1.3)})
+        for v in (0.6, 1.1)
+    ]
+    assert [curve.kind for curve in curves] == ["grazing fold", "fold"]
+    meetings = [curve.of_kind("degenerate grazing")[0] for curve in curves]
+    assert meetings[0].second == pytest.approx(meetings[1].second, abs=1e-10)
+    assert meetings[0].first == pytest.approx(meetings[1].first, abs=1e-10)
+    for curve in curves:
+        assert curve.ended == ("left_bounds", "left_bounds")
+        grazes = [kind == "grazing fold" for kind in curve.kinds]
+        away = np.abs(curve.second - meetings[0].second) > 1e-9
+        assert np.array_equal(np.array(grazes)[away], (curve.second < meetings[0].second)[away])
+        folds = jax.vmap(lambda q: dry_fold_belt_speed(chain.with_(v_ref=q)))(curve.second)
+        np.testing.assert_allclose(curve.first, folds, atol=1e-9)
+        for k in (0, len(grazes) // 2, -1):
+            there, state = chain.with_(v_ref=curve.second[k]), [p[k, 0] for p in curve.state]
+            gaps, highest, multiplier = smooth_orbit(there, curve.first[k], state, curve.period[k])
+            np.testing.assert_allclose(gaps, 0.0, atol=1e-9)
+            assert highest == pytest.approx(0.0, abs=1e-9) if grazes[k] else highest < -1e-3
+            assert multiplier > 1.01 if grazes[k] else multiplier == pytest.approx(1, abs=1e-7)
+    # There the cycle that grazes has the multiplier 1.
+    u = meetings[0].unknowns
+    there = chain.with_(v_ref=meetings[0].second)
+    _, highest, multiplier = smooth_orbit(there, meetings[0].first, u[:2], u[2])
+    assert (highest, multiplier) == pytest.approx((0.0, 1.0), abs=1e-8)
+    assert curves[0].to_dataset().point_kind.values.tolist() == list(curves[0].kinds)
+
+
+def test_a_dry_fold_has_its_slopes_and_ends_in_the_generalised_hopf_point():
+    chain = paper_chain(1, width=None, friction=GaussianStribeck(1.0, 0.5, 1.2, 0.0))
+    grazing = find_grazing(chain)
+    curve = continue_special(grazing, "damping_ratio", bounds={"damping_ratio": (0.02, 0.5)})
+    assert curve.ended == ("left_bounds", "generalised Hopf")
+    known = generalised_hopf(chain, "damping_ratio", 0.1, 0.5)
+    assert (curve.second[-1], curve.first[-1]) == pytest.approx(
+        (float(known.value), float(known.belt_speed)), abs=1e-8
+    )
+
+    def value(chain):
+        return find_special_cycle(grazing, chain).value
+
+    slopes, expected = (jax.grad(f)(chain).numbers() for f in (value, dry_fold_belt_speed))
+    for name, slope in expected.items():
+        assert float(slopes[name]) == pytest.approx(float(slope), abs=1e-7)
+    many = jax.vmap(lambda q: value(chain.with_(damping_ratio=q)))(jnp.array([0.05, 0.055]))
+    expected = [dry_fold_belt_speed(chain.with_(damping_ratio=q)) for q in (0.05, 0.055)]
+    np.testing.assert_allclose(many, expected, atol=1e-9)
+
+
+def settled(cells, period, turns, start=(1.0, 0.0)):
+    run = simulate(cells, tuple(jnp.array([s]) for s in start), turns * period)
+    return run.state
+
+
+def test_the_onset_of_sticking_of_a_forced_mass_is_that_of_the_matrix_exponential():
+    """x'' + x'/10 + x + sign x' = F cos(omega t); it slides for half a period, F cos(phi) = x - 1.
+
+    Den Hartog, Forced vibrations with combined Coulomb and viscous friction, Transactions of the
+    ASME 53, 1931.
+    """
+    cells = MechanicalCells(1.0, damping=0.1, friction=Coulomb(1.0), force=1.8, frequency=0.9)
+    period = 2 * np.pi / 0.9
+    point = find_special_cycle(
+        (settled(cells, period, 40), period), cells, kind="stick onset", mass=0, parameter="force"
+    )
+    curve = continue_special(point, "frequency", bounds={"frequency": (0.5, 1.4)})
+    assert curve.ended == ("left_bounds", "left_bounds")
+
+    def gaps(z, omega):  # of (x, F cos(phi), F sin(phi)) at the beginning of a half period
+        A = np.zeros((5, 5))  # of (x, v, F cos, F sin, 1)
+        A[0, 1], A[1] = 1.0, [-1.0, -0.1, 1.0, 0.0, 1.0]
+        A[2, 3], A[3, 2] = -omega, omega
+        y = expm(A * np.pi / omega) @ [z[0], 0.0, z[1], z[2], 1.0]
+        return [y[0] + z[0], y[1], z[1] - z[0] + 1.0]
+
+    for (x, _, t, *_), force, omega in zip(curve.unknowns, curve.first, curve.second, strict=True):
+        start = np.sign(x) * np.array([x, force * np.cos(omega * t), force * np.sin(omega * t)])
+        z = fsolve(gaps, start + 1e-3, (omega,), xtol=1e-12)
+        assert np.max(np.abs(gaps(z, omega))) < 1e-10
+        assert force == pytest.approx(np.hypot(z[1], z[2]), abs=1e-9)
+
+
+def test_a_mass_that_sticks_slides_in_between_beyond_a_release():
+    law = ExponentialDecay(1.0, 0.5, 0.5)
+    cells = MechanicalCells(
+        1.0, damping=0.1, friction=law, belt_speed=0.2, force=0.2, frequency=2.5
+    )
+    turns, step = 3, 2 * np.pi / 2.5
+    start = settled(cells, step, 60 * turns), turns * step
+    point = find_special_cycle(start, cells, kind="release", mass=0, parameter="force")
+    times = jnp.linspace(0.0, turns * step, 4001)
+
+    def sticks(force):  # how often, in a period
+        there = cells.with_(force=force)
+        begin = settled(there, step, 60 * turns, (float(point.state[0][0]), 0.2))
+        run = simulate(there, begin, turns * step, observe=Trajectory(times))
+        held = np.abs(np.asarray(run.observed[1])[:-1, 0] - 0.2) < 1e-12
+        return np.sum(held & ~np.roll(held, 1))
+
+    assert [sticks(point.value + d) for d in (-1e-4, 1e-4)] == [1, 2]
+    # SciPy's slip phase, then x grows linearly and r = F cos(omega t) - v_d / 10 - x.
+    assert [event[0] for event in point.shooting.events] == ["landing", "turn", "release"]
+    x, v, t, *lengths, force = map(float, point.unknowns)
+
+    def rate(t, y):
+        mu = 0.5 + 0.5 * np.exp(-(0.2 - y[1]) / 0.5)
+        return [y[1], force * np.cos(2.5 * t) - 0.1 * y[1] - y[0] + mu]
+
+    run = solve_ivp(rate, (t, t + lengths[0]), [x, v], method="DOP853", rtol=1e-12, atol=1e-13)
+    landed, t = run.y[0, -1], t + lengths[0]
+    assert run.y[1, -1] == pytest.approx(0.2, abs=1e-9)
+    turn, end = t + lengths[1], t + lengths[1] + lengths[2]
+    for time in (turn, end):
+        r = force * np.cos(2.5 * time) - 0.02 - landed - 0.2 * (time - t)
+        assert r == pytest.approx(-1.0, abs=1e-9)
+    assert -2.5 * force * np.sin(2.5 * turn) == pytest.approx(0.2, abs=1e-9)
+    assert (landed + 0.2 * (end - t), 0.2) == pytest.approx((x, v), abs=1e-9)
+
+
+def test_another_mass_sticks_beyond_its_grazing_through_a_change_of_order():
+    chain = paper_chain(2, width=None, belt_speed=0.6).with_(
+        coupling=0.1, damping_ratio=jnp.array([0.05, 0.3])
+    )
+    cycle = find_limit_cycle(chain, simulate(chain, equation_8(chain, 1), 300.0), mass=0)
+    point = find_special_cycle(cycle, kind="grazing", mass=1, parameter="coupling")
+    curve = continue_special(point, "belt_speed", bounds={"belt_speed": (0.3, 2.0)})
+    assert curve.ended == ("left_bounds", "another stick onset")
+    # The peak of mass 1 comes before or after an event of mass 0.
+    (swap,) = curve.of_kind("two events")
+    for k in (swap.index - 2, swap.index + 3):
+        there = chain.with_(belt_speed=curve.second[k])
+        state = tuple(jnp.asarray(part[k]) for part in curve.state)
+        for change, expected in ((-1e-4, False), (1e-4, True)):
+            changed = there.with_(coupling=curve.first[k] + change)
+            run = simulate(changed, state, 300.0)
+            stuck = simulate(changed, run.state, 30.0, observe=StickTime()).observed
+            assert bool(stuck[1] > 0) == expected
+
+
+def test_bad_dry_input_is_refused():
+    chain = paper_chain(1, width=None)
+    cycle = find_limit_cycle(chain)
+    with pytest.raises(ValueError, match="no peak of its velocity"):
+        find_special_cycle(cycle, kind="grazing", mass=0)
+    with pytest.raises(ValueError, match="`kind`"):
+        find_special_cycle(cycle, kind="fold", mass=0)
+    with pytest.raises(ValueError, match="`parameter`"):
+        find_special_cycle(cycle, kind="release", mass=0, parameter="load")
+    with pytest.raises(ValueError, match="needs dry friction"):
+        find_special_cycle((cycle.state, cycle.period), chain.with_(width=0.01), kind="release")
+    with pytest.raises(ValueError, match="a search that failed"):
+        continue_special(find_grazing(chain.with_(damping_ratio=2.0)), "v_ref")
 
 
 @pytest.mark.long
