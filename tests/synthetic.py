@@ -125,7 +125,8 @@ def special_curve(kind="fold"):
     second = np.array([0.1, 0.2, 0.3])
     first = 0.5 + (0.3 - second) * {"fold": 4.0, "hopf": 2.0}[kind]
     meeting = CurvePoint("generalised Hopf", 0.5, 0.3, 1e-9, 1, np.zeros(4))
-    parts, equations = np.zeros((3, 1)), SimpleNamespace(field=paper_chain(1, width=1e-2))
+    parts = np.zeros((3, 1))
+    equations = (SimpleNamespace(field=paper_chain(1, width=1e-2), kind=kind),) * 3
     return SpecialCurve(
         kind, ("belt_speed", "damping_ratio"), first, second, (parts, parts), np.full(3, 6.3),
         parts, np.zeros(3), (meeting,), ("left_bounds", "generalised Hopf"), equations, parts,

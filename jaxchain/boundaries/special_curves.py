@@ -450,9 +450,9 @@ def find_special_cycle(
     - `chain`: the model with other numbers close by, by default the same; its own value of the
       parameter is ignored.
     - `kind`, `mass` (by default that of the cycle), `parameter`, for such a cycle: "grazing" (the
-      mass, while it slides, just reaches the speed of the belt), "release" (while it sticks, the force just reaches the static
-      limit) or "stick onset" (it begins to stick where it passed the speed of the belt), and the
-      name of the number that is solved for.
+      mass, while it slides, just reaches the speed of the belt), "release" (while it sticks, the
+      force just reaches the static limit) or "stick onset" (it begins to stick where it passed the
+      speed of the belt), and the name of the number that is solved for.
     - `tolerance`, `max_steps`: see `jaxchain.continuation.newton`.
 
     **Returns:** a `SpecialCycle`; `value`, `state` and `period` have first derivatives in every

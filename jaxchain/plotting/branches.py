@@ -41,7 +41,7 @@ MARKS: dict[str, tuple[str, str, str]] = {
     "torus": ("s", ORANGE, "torus"),
     "period doubling": ("D", GREEN, "period doubling"),
     "grazing fold": ("X", "black", "grazing fold"),
-    "grazing": ("X", SKY, "grazing"),
+    "grazing": ("h", SKY, "grazing"),
     "release": ("<", ORANGE, "release"),
     "stick onset": (">", GREEN, "stick onset"),
 }
@@ -192,8 +192,10 @@ def plot_special_curves(
     with on_axes(ax) as axes:
         folds = [i for i, kind in enumerate(kinds) if kind in ("fold", "grazing fold")]
         if "hopf" in kinds and folds:
-            both = (np.stack([v for v, _ in lines[i]]) for i in (kinds.index("hopf"), folds[0]))
-            _shade_between(axes, *both, names[0][0] == "belt_speed")
+            hopf, fold = (
+                np.stack([v for v, _ in lines[i]]) for i in (kinds.index("hopf"), folds[0])
+            )
+            _shade_between(axes, hopf, fold, names[0][0] == "belt_speed")
         for d, ((x, x_label), (y, y_label)) in zip(data, lines, strict=True):
             of = [str(kind) for kind in d["point_kind"].values]
             starts = [k for k in range(len(of)) if k == 0 or of[k] != of[k - 1]]
@@ -234,14 +236,15 @@ def _shade_between(axes: Axes, hopf: np.ndarray, fold: np.ndarray, named: bool) 
         x, y = line
         least, most = np.full((2, second.size), np.nan)
         odd = np.zeros(second.size, bool)
+        below = np.minimum(second, np.max(y) - 1e-9 * np.ptp(y))  # its uppermost point is one end
         for (a, b), (c, d) in zip(itertools.pairwise(x), itertools.pairwise(y), strict=True):
-            inside = (second >= min(c, d)) & (second < max(c, d))
+            inside = (second >= min(c, d)) & (second <= max(c, d))
             here = a + (b - a) * ((second[inside] - c) / (d - c) if d != c else 0.0)
             for found, order in ((least, 1), (most, -1)):
                 before = found[inside]
                 nearer = order * np.abs(here) >= order * np.abs(before)
                 found[inside] = np.where(nearer, before, here)
-            odd[inside] = ~odd[inside]
+            odd ^= (below >= min(c, d)) & (below < max(c, d))
         return np.where(odd, 0.0, least), most
 
     shade: dict[str, Any] = {"alpha": 0.25, "linewidth": 0.0}

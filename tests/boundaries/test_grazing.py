@@ -8,7 +8,7 @@ import scipy.integrate
 import scipy.optimize
 
 from jaxchain import Chain, paper_chain
-from jaxchain.boundaries.grazing import _peak, dry_fold_belt_speed, find_grazing
+from jaxchain.boundaries.grazing import dry_fold_belt_speed, find_grazing
 from jaxchain.model import GaussianStribeck
 from jaxchain.model.initial_states import check_mass
 from jaxchain.result import SearchResult
@@ -213,19 +213,6 @@ def test_nothing_is_found_where_friction_does_not_weaken():
     assert not grazing.successful
     assert jnp.isnan(grazing.belt_speed)
     assert jnp.isnan(grazing.smoothed(1e-3))
-
-
-def test_the_peak_of_a_cubic():
-    rng = np.random.default_rng(3)
-    v0, v1, a, b = rng.normal(size=(4, 200))
-    a[:3], b[:3] = [0.0, 1.0, -1.0], [0.0, 1.0, -1.0]
-    v1[1:3] = v0[1:3] + a[1:3]  # straight lines
-    t = np.linspace(0, 1, 2001)[:, None]
-    # Hermite's polynomials.
-    rise, start, end = t * t * (3 - 2 * t), t * (1 - t) ** 2, t * t * (t - 1)
-    dense = np.max(v0 * (1 - rise) + v1 * rise + a * start + b * end, axis=0)
-    peak = _peak(*(jnp.asarray(z) for z in (v0, v1, a, b)))
-    np.testing.assert_allclose(peak, dense, atol=2e-6)
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """Curves of special points against closed forms, SciPy and single searches."""
 
 from types import SimpleNamespace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -342,7 +343,7 @@ def test_the_onset_of_sticking_of_a_forced_mass_is_that_of_the_matrix_exponentia
 
     for (x, _, t, *_), force, omega in zip(curve.unknowns, curve.first, curve.second, strict=True):
         start = np.sign(x) * np.array([x, force * np.cos(omega * t), force * np.sin(omega * t)])
-        z = fsolve(gaps, start + 1e-3, (omega,), xtol=1e-12)
+        z: Any = fsolve(gaps, start + 1e-3, (omega,), xtol=1e-12)
         assert np.max(np.abs(gaps(z, omega))) < 1e-10
         assert force == pytest.approx(np.hypot(z[1], z[2]), abs=1e-9)
 
@@ -366,7 +367,8 @@ def test_a_mass_that_sticks_slides_in_between_beyond_a_release():
 
     assert [sticks(point.value + d) for d in (-1e-4, 1e-4)] == [1, 2]
     # SciPy's slip phase, then x grows linearly and r = F cos(omega t) - v_d / 10 - x.
-    assert [event[0] for event in point.shooting.events] == ["landing", "turn", "release"]
+    phases: Any = point.shooting
+    assert [event[0] for event in phases.events] == ["landing", "turn", "release"]
     x, v, t, *lengths, force = map(float, point.unknowns)
 
     def rate(t, y):
@@ -390,6 +392,10 @@ def test_another_mass_sticks_beyond_its_grazing_through_a_change_of_order():
     )
     cycle = find_limit_cycle(chain, simulate(chain, equation_8(chain, 1), 300.0), mass=0)
     point = find_special_cycle(cycle, kind="grazing", mass=1, parameter="coupling")
+    # A belt that runs the other way.
+    back = chain.with_(belt_speed=-0.6), (tuple(-part for part in cycle.state), cycle.period)
+    mirrored = find_special_cycle(*back[::-1], kind="grazing", mass=1, parameter="coupling")
+    assert float(mirrored.value) == pytest.approx(float(point.value), abs=1e-10)
     curve = continue_special(point, "belt_speed", bounds={"belt_speed": (0.3, 2.0)})
     assert curve.ended == ("left_bounds", "another stick onset")
     # The peak of mass 1 comes before or after an event of mass 0.

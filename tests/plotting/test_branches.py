@@ -1,6 +1,7 @@
 """The figure of a branch agrees with its dataset: line, style, special points, names."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -195,19 +196,19 @@ def test_a_line_is_straight_beside_a_missing_number_and_may_stand_still():
 def test_special_curves_meet_and_the_region_between_them_is_shaded():
     curves = [special_curve(kind) for kind in ("hopf", "fold")]
     axes = plot_special_curves([curves[0], curves[1].to_dataset()])
-    assert legend(axes) == [
-        "between Hopf points and folds", "Hopf point", "generalised Hopf", "fold",
-    ]  # fmt: skip
+    regions = ["either", "vibrates by itself", "slides"]
+    assert legend(axes) == [*regions, "Hopf point", "generalised Hopf", "fold"]
     for curve, word in zip(curves, ("Hopf point", "fold"), strict=True):
         (line,) = named(axes)[word]
         np.testing.assert_allclose(points(line), [curve.first, curve.second])
     for mark in named(axes)["generalised Hopf"]:
         assert mark.get_xydata().tolist() == [[0.5, 0.3]]
-    (shaded,) = axes.collections
-    region = shaded.get_paths()[0]
+    either, alone, _ = (shaded.get_paths() for shaded in axes.collections)
     inside, outside = [(1.0, 0.15), (0.65, 0.25)], [(0.75, 0.15), (1.15, 0.15), (0.5, 0.29)]
-    assert region.contains_points(inside).all()
-    assert not region.contains_points(outside).any()
+    assert either[0].contains_points(inside).all()
+    assert not either[0].contains_points(outside).any()
+    assert alone[0].contains_points([(0.75, 0.15), (0.1, 0.25)]).all()
+    assert not alone[0].contains_points(inside).any()
     assert "damping" in axes.get_ylabel()
 
 
@@ -215,3 +216,21 @@ def test_special_curves_in_other_numbers_are_refused():
     other = special_curve().to_dataset().assign_attrs(second="width")
     with pytest.raises(ValueError, match="in the same two numbers"):
         plot_special_curves([special_curve(), other])
+
+
+def test_masses_vibrate_by_themselves_between_two_hopf_points_and_pieces_have_their_kinds():
+    hopf, fold = special_curve("hopf"), special_curve("fold")
+    # Up to (0.5, 0.3) and back to smaller speeds, as for a law whose weakening has a maximum.
+    hopf = replace(
+        hopf, first=np.array([0.9, 0.5, 0.2]), second=np.array([0.1, 0.3, 0.15]), special=()
+    )
+    touching = SimpleNamespace(field=fold.chain, kind="grazing fold")
+    pieces = touching, touching, fold.equations[2]
+    axes = plot_special_curves([hopf, replace(fold, equations=pieces, kind="grazing fold")])
+    assert legend(axes)[3:] == ["Hopf point", "grazing fold", "fold", "generalised Hopf"]
+    alone = axes.collections[1].get_paths()
+    assert any(path.contains_point((0.5, 0.2)) for path in alone)
+    assert not any(path.contains_point((0.1, 0.2)) for path in alone)
+    (first,), (second,) = named(axes)["grazing fold"], named(axes)["fold"]
+    np.testing.assert_allclose(points(first)[0], fold.first[:2])
+    np.testing.assert_allclose(points(second)[0], fold.first[1:])

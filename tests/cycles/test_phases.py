@@ -1,0 +1,59 @@
+"""Cycles of dry friction as sequences of phases."""
+
+from dataclasses import replace
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxchain import find_limit_cycle, paper_chain
+from jaxchain.boundaries import find_grazing
+from jaxchain.cycles.phases import peak, phases_of, slip_phases
+
+
+def test_the_peak_of_a_cubic():
+    rng = np.random.default_rng(3)
+    v0, v1, a, b = rng.normal(size=(4, 200))
+    a[:3], b[:3] = [0.0, 1.0, -1.0], [0.0, 1.0, -1.0]
+    v1[1:3] = v0[1:3] + a[1:3]  # straight lines
+    t = np.linspace(0, 1, 2001)[:, None]
+    # Hermite's polynomials.
+    rise, start, end = t * t * (3 - 2 * t), t * (1 - t) ** 2, t * t * (t - 1)
+    dense = np.max(v0 * (1 - rise) + v1 * rise + a * start + b * end, axis=0)
+    top = peak(*(jnp.asarray(z) for z in (v0, v1, a, b)))
+    np.testing.assert_allclose(top, dense, atol=2e-6)
+
+
+@pytest.mark.parametrize("n", [1, 3])
+def test_a_slip_cycle_that_grazes_solves_the_equations(n):
+    chain = paper_chain(n, width=None)
+    grazing = find_grazing(chain)
+    phases, u = slip_phases(grazing.chain, grazing.state, grazing.period, n // 2, True)
+    phases = replace(phases, parameter=("belt_speed",))
+    value, _, seen = phases.linearise(u, grazing.belt_speed)
+    assert np.max(np.abs(value)) < 1e-11
+    assert seen.sound
+    assert np.max(seen.margins) < 0
+    assert float(seen.rho) == pytest.approx(float(-grazing.slope_plus / grazing.slope_minus), 1e-8)
+
+
+def test_the_events_of_a_cycle_and_their_other_order():
+    chain = paper_chain(1, width=None)
+    cycle = find_limit_cycle(chain)
+    phases: Any
+    phases, u = phases_of(chain, cycle.state, cycle.period, "stick onset", 0)
+    assert phases.events == (("landing", 0, -1.0), ("release", 0, -1.0))
+    assert phases.modes == ((-1.0,), (0.0,))
+    assert jnp.sum(u[-2:]) == pytest.approx(float(cycle.period), rel=1e-12)
+    assert phases.swapped(1) is None  # both are events of one mass
+    landing, release = phases.events
+    two: Any = replace(
+        phases, modes=((-1.0, -1.0), (0.0, -1.0), (0.0, -1.0)),
+        events=(landing, ("peak", 1, 0.0), release),
+    )  # fmt: skip
+    other = two.swapped(1)
+    assert other.events[:2] == (("peak", 1, 0.0), ("landing", 0, -1.0))
+    assert other.modes == ((-1.0, -1.0), (-1.0, -1.0), (0.0, -1.0))
+    assert other.special == (1, *phases.special[1:])
+    assert other.swapped(1) == two
