@@ -109,10 +109,6 @@ class SearchResult(eqx.Enumeration, metaclass=_Outcomes):  # pyright: ignore
         "The first Lyapunov coefficient does not change its sign between `low` and `high`, or "
         "jumps there: the fold does not end on the Hopf curve in between."
     )
-    other_events = (
-        "A cycle was found, but on it a mass sticks or slides at one more place than on the given "
-        "one, or two events have changed their order."
-    )
     passed = (
         "No fold was found: on the grazing cycle another mass exceeds the belt speed. "
         "Follow the cycle in which several vibrate: with `chain.with_(width=1e-3)`, "
@@ -201,6 +197,10 @@ class SearchResult(eqx.Enumeration, metaclass=_Outcomes):  # pyright: ignore
         "The search left all cycles: with this damping no cycle has such a velocity, or with "
         "these springs no cycle has such a period. Start from a vibrating run, "
         "`guess=simulate(...)`."
+    )
+    other_events = (
+        "A cycle was found, but on it a mass sticks or slides at one more place than on the given "
+        "one, or two events have changed their order."
     )
 
 

@@ -5,6 +5,7 @@
 - `deflation`: `find_limit_cycles`: cycles that are not known yet, from many starts
 - `floquet`: a limit cycle, its monodromy matrix and Floquet multipliers
 - `limit_cycle`: `find_limit_cycle`, from guesses of every kind, smoothed or dry
+- `phases`: cycles of dry friction as sequences of phases, which may only just touch an event
 - `shooting`: the equations of periodic orbits: flow, section, coordinates, minimal period
 - `variational`: a run with its derivatives in its initial state, in one loop
 """
