@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Complex, Float, Int
 from scipy.interpolate import BarycentricInterpolator
 
-from .._checks import check_concrete, check_kind, check_one_of, shown
+from .._checks import check_concrete, check_kind, check_one_of, check_whole, shown
 from .._final import final
 from .._types import State
 from ..continuation.arclength import (
@@ -57,6 +57,7 @@ from .floquet import (
     turns_of,
 )
 from .shooting import Shooting, residual
+from .symmetry import CycleSymmetry, finer, isotropy, label_of, ring_motions
 from .variational import Along, flow
 
 if TYPE_CHECKING:
@@ -65,6 +66,10 @@ if TYPE_CHECKING:
 
 # Tolerances of the integration and of Newton's method at special points.
 RTOL, _TOLERANCE = 3e-11, 1e-9
+_BREAKING = "symmetry breaking"
+# How close to +1 multipliers of one special point are.
+_UNIT = 1e-5
+_SUBGROUPS = "it is the index of one of `point.symmetries`."
 # Arclength for the slope of a test.
 _PROBE = 1e-4
 
@@ -81,7 +86,8 @@ class CyclePoint(Printed):
     and `v`), `period`, `amplitude`, `multipliers` are those of the cycle at this point; `refined`:
     whether the search converged; `error`: of `parameter`, from the search and from the
     integration, which uses a tight tolerance; `raw`: the point of the shooting equations,
-    `shooting`.
+    `shooting`; `symmetries` of a "symmetry breaking": the subgroups, as `CycleSymmetry`, along
+    which other branches leave, one of each class of conjugate ones.
 
     See `continue_cycle` for an example.
     """
@@ -96,6 +102,7 @@ class CyclePoint(Printed):
     error: float
     raw: SpecialPoint
     shooting: Shooting
+    symmetries: tuple[CycleSymmetry, ...] = ()
 
     @property
     def x(self) -> Float[np.ndarray, " n"]:
@@ -201,17 +208,32 @@ def hardly_felt(branch: Branch, raw: SpecialPoint, test: Test) -> bool:
     return any(abs(test(raw.u, raw.p, raw.tangent, extra)) < 1e-8 for extra in extras)
 
 
-def without_symmetry(shooting: Shooting, point: CyclePoint) -> tuple[Shooting, SpecialPoint]:
-    """The equations without the symmetry, and the point with the direction that breaks it."""
-    m, n, p = shooting.m, len(shooting.images), point.parameter
-    full = replace(shooting, images=tuple(range(n)))
-    basis = symmetry_breaking_basis(shooting.images, m)
-    block = basis.T @ np.asarray(point.raw.extra.monodromy) @ basis
-    null = basis @ np.linalg.svd(block - np.eye(len(block)))[2][-1]
+def with_less_symmetry(
+    shooting: Shooting, point: CyclePoint, symmetry: CycleSymmetry
+) -> tuple[Shooting, SpecialPoint]:
+    """The equations with this symmetry only, and the point with the direction that keeps it."""
+    m, n, p, mass = shooting.m, shooting.n, point.parameter, shooting.mass
+    own = symmetry.images[mass]  # the section is at the representative of its class
+    images = tuple(mass if image == own else image for image in symmetry.images)
+    full = replace(shooting, images=images)
+    _, null = breaking_disturbance(point.raw.extra, shooting.images, symmetry.images, m)
 
     def packed(z: Any) -> Any:
         _, state, period = shooting.unpack(z[:-1], z[-1])
         return jnp.append(full.pack(state, period, z[-1]), z[-1])
+
+    if shooting.turns is None:  # along the motion to the section
+        field, start = full.at(p), tuple(map(jnp.asarray, point.state))
+        pushes = tuple(jnp.asarray(part) for part in null.reshape(m, n))
+
+        def turn(change: State) -> Array:
+            def rate(y: State) -> Array:
+                return field.second_rate(0.0, y)[mass]
+
+            return jax.jvp(rate, (start,), (change,))[1]
+
+        flow = field(0.0, start)
+        null = null - float(turn(pushes) / turn(flow)) * np.concatenate(flow)
 
     def disturbed(share: Any) -> Any:
         pushes = null.reshape(m, n)
@@ -290,11 +312,42 @@ def cycle_at(
     return state, period, amplitude
 
 
-def symmetry_breaking_basis(images: tuple[int, ...], m: int = 2) -> Float[np.ndarray, "two_n k"]:
-    """An orthonormal basis of the disturbances of a state that break the symmetry of `images`."""
+def symmetry_breaking_basis(
+    images: tuple[int, ...], m: int = 2, kept: tuple[int, ...] | None = None
+) -> Float[np.ndarray, "two_n k"]:
+    """An orthonormal basis of the disturbances of a state that break the symmetry of `images`.
+
+    Those only that keep the symmetry of `kept`, by default none.
+    """
     groups = np.asarray(images)[:, None] == np.unique(images)[None, :]
-    rest = np.linalg.svd(groups.astype(float))[0][:, groups.shape[1] :]
-    return np.kron(np.eye(m), rest)
+    less = np.asarray(range(len(images)) if kept is None else kept)
+    within = (less[:, None] == np.unique(less)[None, :]).astype(float)
+    within /= np.sqrt(np.sum(within, axis=0))
+    rest = np.linalg.svd(within.T @ groups)[0][:, groups.shape[1] :]
+    return np.kron(np.eye(m), within @ rest)
+
+
+def breaking_disturbance(
+    extra: CycleLinearisation, images: tuple[int, ...], kept: tuple[int, ...], m: int
+) -> tuple[int, Float[np.ndarray, " two_n"]]:
+    """(how many multipliers are +1, a disturbance of the last of them), see `breaking`."""
+    basis = symmetry_breaking_basis(images, m, kept)
+    block = basis.T @ np.asarray(extra.monodromy) @ basis
+    null = basis @ np.linalg.svd(block - np.eye(len(block)))[2][-1]
+    return int(np.sum(np.abs(np.linalg.eigvals(block) - 1.0) < _UNIT)), null
+
+
+def symmetries_of(
+    extra: CycleLinearisation, shooting: Shooting, motions: list[np.ndarray]
+) -> tuple[CycleSymmetry, ...]:
+    """The subgroups along which branches leave a symmetry breaking."""
+    images, found = shooting.images, []
+    for kept in finer(motions, images):
+        count, null = breaking_disturbance(extra, images, kept, shooting.m)
+        less, mirrored = isotropy(motions, images, null.reshape(shooting.m, -1))
+        if count == 1 and less == kept:
+            found.append(CycleSymmetry(label_of(motions, kept), kept, mirrored))
+    return tuple(found)
 
 
 def _signed(factors: Any) -> float:
@@ -307,13 +360,18 @@ def _signed(factors: Any) -> float:
     return float(np.sign(np.prod(np.sign(factors.real[factors.imag == 0]))) * np.min(abs(factors)))
 
 
-def breaking(extra: CycleLinearisation, images: tuple[int, ...], m: int = 2) -> float:
+def breaking(
+    extra: CycleLinearisation,
+    images: tuple[int, ...],
+    m: int = 2,
+    kept: tuple[int, ...] | None = None,
+) -> float:
     """Zero if a disturbance that breaks the symmetry, in the basis A, has a multiplier +1.
 
     It comes from A^T M A - 1.  M maps these disturbances onto themselves; the trivial multiplier
     belongs to the others.
     """
-    basis = symmetry_breaking_basis(images, m)
+    basis = symmetry_breaking_basis(images, m, kept)
     return _signed(np.linalg.eigvals(basis.T @ np.asarray(extra.monodromy) @ basis) - 1.0 + 0.0j)
 
 
@@ -341,10 +399,13 @@ def on_the_circle(extra: CycleLinearisation) -> bool:
     return bool(np.any(np.abs(np.abs(mu[mu.imag > 0]) - 1.0) < 1e-4))
 
 
-def special_tests(shooting: Shooting) -> dict[str, Callable[..., float]]:
+def special_tests(
+    shooting: Shooting, motions: list[np.ndarray]
+) -> dict[str, Callable[..., float]]:
     """The tests of `continue_branch`: name -> function of (u, p, tangent, extra).
 
-    "hopf": the amplitude vanishes, and the branch continues as its own mirror image.
+    "hopf": the amplitude vanishes, and the branch continues as its own mirror image.  Where the
+    symmetry makes two multipliers pass +1 together, disturbances of less symmetry have one.
     """
 
     def vanishing(extra: CycleLinearisation) -> float:
@@ -358,7 +419,9 @@ def special_tests(shooting: Shooting) -> dict[str, Callable[..., float]]:
     if m * len(images) > 2 or forced:
         of |= {"period doubling": doubling, "torus": encircling}
     if len(set(images)) < len(images):
-        of["symmetry breaking"] = lambda extra: breaking(extra, images, m)
+        for kept in finer(motions, images):
+            name = f"{_BREAKING} {kept}"
+            of[name] = lambda extra, kept=kept: breaking(extra, images, m, kept)
     return {name: lambda u, p, tangent, extra, test=test: test(extra) for name, test in of.items()}
 
 
@@ -430,6 +493,13 @@ class CycleBranch(Printed):
         return np.sum(np.abs(self.multipliers) > 1.0 + 1e-7, axis=1)  # by more than rounding
 
     @property
+    def symmetry(self) -> str:
+        """The rotations and reflections of its cycles, "Z1" for none, see `CycleSymmetry`."""
+        state = tuple(jnp.asarray(part[0]) for part in self.state)
+        field = self.shooting.at(*[self.parameter[0]] * (self.shooting.parameter is not None))
+        return label_of(ring_motions(field, state), self.shooting.images)
+
+    @property
     def ended(self) -> str:
         """The reason why the branch ends: see `Branch`."""
         return self.branch.ended
@@ -481,7 +551,7 @@ class CycleBranch(Printed):
           `special_index` (it lies between this point and the next) and `special_refined`, and also
           `special_amplitude`, `special_energy` and so on, up to the multipliers;
         - the attributes `parameter`, `parameters`, `ended`, `message`, `solver`, `rtol`,
-          `cut_at_oscillator`, `images`, `versions`, `platform`, `created`.
+          `cut_at_oscillator`, `images`, `symmetry`, `versions`, `platform`, `created`.
 
         !!! example
 
@@ -578,6 +648,7 @@ class CycleBranch(Printed):
                 "rtol": float(shooting.rtol),
                 "cut_at_oscillator": shooting.mass + 1,
                 "images": json.dumps(shooting.images),
+                "symmetry": self.symmetry,
                 **circumstances(),
             },
         )
@@ -682,6 +753,7 @@ def switch_cycle(
     branch: CycleBranch,
     point: CyclePoint,
     *,
+    symmetry: Any = 0,
     side: Any = 1,
     step: Any = 0.02,
     bounds: tuple[Any, Any] | None = None,
@@ -690,11 +762,14 @@ def switch_cycle(
 ) -> CycleBranch:
     """The other branch of cycles through a "symmetry breaking" or "branch point" of `branch`.
 
-    At a symmetry-breaking point the other branch leaves along the disturbance with multiplier +1
-    and does not have the symmetry; the half of `side` = -1 is the mirror image of that of 1.
+    At a symmetry breaking the other branch leaves along a disturbance with multiplier +1 and keeps
+    a part of the symmetry only.  In a ring two multipliers may be +1 together; then one branch
+    leaves for each of `point.symmetries`.  If it is `mirrored`, a rotation, a reflection or both
+    map the half of `side` = -1 onto that of 1; otherwise they are two different ones.
 
-    **Arguments:** `point`, one of `branch.special`; `step`, the distance of the first point of the
-    other branch; all others as in `continue_cycle`.
+    **Arguments:** `point`, one of `branch.special`; `symmetry`, the index of one of its
+    `symmetries`; `step`, the distance of the first point of the other branch; all others as in
+    `continue_cycle`.
 
     **Returns:** a `CycleBranch` that begins at that first point.
 
@@ -721,7 +796,8 @@ def switch_cycle(
     check_kind("point", point, CyclePoint, "one of `branch.special`")
     shooting, raw = branch.shooting, point.raw
     if point.kind == "symmetry breaking":
-        shooting, raw = without_symmetry(shooting, point)
+        check_whole("symmetry", symmetry, 0, len(point.symmetries) - 1, _SUBGROUPS)
+        shooting, raw = with_less_symmetry(shooting, point, point.symmetries[symmetry])
     elif point.kind != "branch point":
         raise ValueError(
             'Argument `point` must be of kind "symmetry breaking" or "branch point", but is a '
@@ -747,7 +823,9 @@ def _follow(
     stop: Callable[[float, Any], Any] | None,
     options: dict[str, Any],
 ) -> CycleBranch:
-    weights, tests = cycle_weights(shooting, p), special_tests(shooting)
+    less = len(set(shooting.images)) < shooting.n
+    motions = ring_motions(shooting.field, shooting.unpack(jnp.asarray(u), p)[1]) if less else []
+    weights, tests = cycle_weights(shooting, p), special_tests(shooting, motions)
     first, forced = True, shooting.turns is not None
 
     def ends(u: np.ndarray, p: float, tangent: np.ndarray, extra: Any) -> Any:
@@ -801,7 +879,12 @@ def _follow(
             state = tuple(map(np.asarray, e.state))
             orbit = state, float(e.period), e.amplitude, e.multipliers
             how = point.refined, float(point.error), point, shooting
-            special.append(CyclePoint(point.kind, point.p, *orbit, *how))
+            kind, subgroups = point.kind, ()
+            if kind.startswith(_BREAKING):
+                kind, subgroups = _BREAKING, symmetries_of(e, shooting, motions)
+                if any(other.kind == kind and _same_place(other, point) for other in special):
+                    continue  # it was seen in other disturbances, too
+            special.append(CyclePoint(kind, point.p, *orbit, *how, subgroups))
     # The last point may be its own mirror image, or no cycle.
     if not ((forced or extra.speed[-1] > 0) and extra.sound[-1]):
         k -= 1
@@ -822,6 +905,13 @@ def _follow(
         special=tuple(special),
         shooting=shooting,
         branch=branch,
+    )
+
+
+def _same_place(one: CyclePoint, other: SpecialPoint) -> bool:
+    apart = abs(one.parameter - other.p)
+    return apart <= max(one.error, other.error, 1e-8 * abs(other.p)) and (
+        abs(one.raw.index - other.index) <= 1
     )
 
 

@@ -42,6 +42,7 @@ from .averaging import one_mass
 from .floquet import LimitCycle
 from .limit_cycle import find_limit_cycle, guess_from_point, solve_cycle, watched
 from .shooting import Shooting
+from .symmetry import ring_motions
 
 # Points of the section kept of each image of a cycle; the least number of cycles that a program
 # can know, which doubles.
@@ -49,8 +50,6 @@ _POINTS, _KNOWN = 6, 8
 # Two cycles are one if they cross the section this close, relative to the size of its unknowns.
 _SAME = 1e-5
 _PHASES = 64
-# Of the force, beside 0, at which a symmetry must hold, too.
-_PHASE = 0.37
 
 
 @final
@@ -73,39 +72,6 @@ class CycleSearch(Printed):
     outcomes: np.ndarray
     failures: dict[str, int]
     gave_up: str
-
-
-def ring_motions(field: AbstractField, state: State) -> list[np.ndarray]:
-    """The rotations and reflections under which the equations keep their form.
-
-    **Returns:** index arrays of shape (n,): the image of a state has y[image] for y.  A motion
-    counts if the rate of an image is the image of the rate near the state, of a forced model at
-    two phases of the force.
-
-    >>> import jax
-    >>> jax.config.update("jax_enable_x64", True)
-    >>> from jaxchain import paper_chain, steady_sliding
-    >>> from jaxchain.cycles.deflation import ring_motions
-    >>> ring = paper_chain(6)
-    >>> row = ring.with_(ends="free")
-    >>> [len(ring_motions(chain, steady_sliding(chain))) for chain in (ring, row)]
-    [12, 2]
-    """
-    n, sites = state[0].shape[0], np.arange(state[0].shape[0])
-    draws = np.random.default_rng(0).normal(size=(len(state), n))
-    near = tuple(part + (1.0 + jnp.abs(part)) * d for part, d in zip(state, draws, strict=True))
-    forced = field.forcing_period()
-    times = (0.0,) if forced is None else (0.0, _PHASE * float(forced))
-
-    def rate(at: np.ndarray) -> np.ndarray:
-        moved = tuple(part[at] for part in near)
-        return np.stack([np.stack([np.asarray(part) for part in field(t, moved)]) for t in times])
-
-    here = rate(sites)
-    images = {tuple((s + way * sites) % n) for s in range(n) for way in (1, -1)}
-    motions = [np.array(image) for image in sorted(images)]
-    least = 1e-9 * np.max(np.abs(here))
-    return [at for at in motions if np.max(np.abs(rate(at) - here[..., at])) <= least]
 
 
 class _Search(eqx.Module):

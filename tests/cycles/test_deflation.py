@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 
 from jaxchain import Trajectory, find_limit_cycle, paper_chain, simulate
 from jaxchain.cycles import find_limit_cycles
-from jaxchain.cycles.deflation import ring_motions
+from jaxchain.cycles.symmetry import ring_motions
 from jaxchain.model import AbstractCells, Duffing, VanDerPol
 
 # Two in a row: in phase they move as one alone, in antiphase as one with a spring of 1 + 2 eta.
