@@ -96,6 +96,8 @@ _ENDINGS = {
 }
 # The greatest distance of the last fold from the generalised Hopf point, as a share of the curve.
 _NEAR = 1e-2
+# Of the last Newton step; the error is its square, or that of the integration.
+_TOLERANCE = 1e-8
 # Below it a number has no scale of its own.
 _TINY = 1e-6
 
@@ -105,6 +107,8 @@ class _CycleEquations(eqx.Module):
 
     shooting: Any
     kind: str = eqx.field(static=True)
+    # The `images` of the disturbances that break a symmetry; None: none.
+    kept: tuple[int, ...] | None = eqx.field(static=True, default=None)
 
     @property
     def dry(self) -> bool:
@@ -157,7 +161,8 @@ class _CycleEquations(eqx.Module):
         elif self.kind == "period doubling":
             g, left, right = _signed_least(M + jnp.eye(len(M)))
         else:
-            basis = jnp.asarray(symmetry_breaking_basis(self.shooting.images, self.shooting.m))
+            images, m = self.shooting.images, self.shooting.m
+            basis = jnp.asarray(symmetry_breaking_basis(images, m, self.kept))
             g, left, right = _signed_least(basis.T @ M @ basis - jnp.eye(basis.shape[1]))
             left, right = basis @ left, basis @ right
         return jnp.append(r, g), slopes, extra, left, right
@@ -409,7 +414,7 @@ class SpecialCycle(Outcome):
       that was solved for, and `value` its value there.
     - `state`, `period`: of the cycle, as `find_limit_cycle` has them.
     - `residual`: of the equations, after `steps` Jacobians; `result`: the outcome.
-    - `shooting`, `unknowns`: the equations of the cycle, and what solves them.  With dry friction
+    - `equations`, `unknowns`: those of the special cycle, and what solves them.  With dry friction
       the state is that after one of the events.
 
     See `find_special_cycle` for an example.
@@ -423,8 +428,13 @@ class SpecialCycle(Outcome):
     residual: Float[Array, ""]
     result: SearchResult
     steps: Int[Array, ""]
-    shooting: Shooting | Phases
+    equations: _CycleEquations
     unknowns: Float[Array, " more"]
+
+    @property
+    def shooting(self) -> Shooting | Phases:
+        """The equations of the cycle."""
+        return self.equations.shooting
 
 
 def find_special_cycle(
@@ -434,7 +444,7 @@ def find_special_cycle(
     kind: Any = None,
     mass: Any = None,
     parameter: Any = "belt_speed",
-    tolerance: Any = 1e-10,
+    tolerance: Any = _TOLERANCE,
     max_steps: Any = 30,
     throw: bool = True,
 ) -> SpecialCycle:
@@ -476,16 +486,17 @@ def find_special_cycle(
     check_flag("throw", throw)
     limit = check_tolerance(tolerance, max_steps)
     if kind is None:
-        shooting, kind, name, U = _start(point)
+        equations, name, U = _start(point)
     else:
-        shooting, kind, name, U = _of_dry_cycle(point, chain, kind, mass, parameter)
-    chain = shooting.field if chain is None else as_chain(chain, AbstractField)
-    if isinstance(shooting, Phases):
+        equations, name, U = _of_dry_cycle(point, chain, kind, mass, parameter)
+    model = equations.field
+    chain = model if chain is None else as_chain(chain, AbstractField)
+    if equations.dry:
         chain = chain.with_(width=None) if isinstance(chain, Chain) else chain
     else:
         require_smoothed(chain, "")
-    check_kind("chain", chain, type(shooting.field), "the model of `point`", "change its numbers.")
-    found = _find(shooting, chain, kind, name, U, to_float(tolerance), jnp.asarray(limit))
+    check_kind("chain", chain, type(model), "the model of `point`", "change its numbers.")
+    found = _find(equations, chain, name, U, to_float(tolerance), jnp.asarray(limit))
     return _checked(found) if throw else found
 
 
@@ -501,16 +512,10 @@ def _checked(found: SpecialCycle) -> SpecialCycle:
 
 @eqx.filter_jit
 def _find(
-    shooting: Shooting | Phases,
-    chain: Any,
-    kind: str,
-    name: str,
-    U: Array,
-    tolerance: Array,
-    limit: Array,
+    given: _CycleEquations, chain: Any, name: str, U: Array, tolerance: Array, limit: Array
 ) -> SpecialCycle:
     def equations(field: Any) -> _CycleEquations:
-        return _CycleEquations(replace(shooting, field=field, parameter=(name,)), kind)
+        return replace(given, shooting=replace(given.shooting, field=field, parameter=(name,)))
 
     frozen, weights = equations(lax.stop_gradient(chain)), 1.0 / (1.0 + jnp.abs(U))
 
@@ -521,7 +526,7 @@ def _find(
     root, result, steps = solve(both, lax.stop_gradient(U), weights, tolerance, limit)
     left, extra = both(root)[2]
     result = SearchResult.where(jnp.isfinite(left), result, SearchResult.nonfinite)
-    moves = extra.sound & ((extra.speed > LEAST_VELOCITY) | (shooting.turns is not None))
+    moves = extra.sound & ((extra.speed > LEAST_VELOCITY) | (given.shooting.turns is not None))
     lost = (result == SearchResult.successful) & ~moves
     result = SearchResult.where(lost, SearchResult.steady_sliding, result)
     if frozen.dry:
@@ -534,8 +539,8 @@ def _find(
     u, (value,), _ = live.split(root)
     _, state, period = live.shooting.unpack(u, value)
     return SpecialCycle(
-        kind=kind, parameter=name, value=value, state=state, period=period, residual=left,
-        result=result, steps=steps, shooting=frozen.shooting, unknowns=root,
+        kind=given.kind, parameter=name, value=value, state=state, period=period, residual=left,
+        result=result, steps=steps, equations=frozen, unknowns=root,
     )  # fmt: skip
 
 
@@ -543,8 +548,8 @@ def _solved(U: Array, equations: _CycleEquations) -> Array:
     return equations.residual(U)
 
 
-def _start(point: Any) -> tuple[Any, str, str, Array]:
-    """(equations of the cycle, kind, name of the parameter, unknowns) of a special cycle."""
+def _start(point: Any) -> tuple[_CycleEquations, str, Array]:
+    """(equations, name of the parameter, unknowns) of a special cycle."""
     remedy = "`continue_cycle(...).special` and `find_grazing` have them."
     given = CyclePoint | SpecialCycle | Grazing
     check_kind("point", point, given, "a special point of cycles", remedy)
@@ -554,25 +559,27 @@ def _start(point: Any) -> tuple[Any, str, str, Array]:
             raise ValueError(f"Argument `point` is a search that failed. {point.message}")
         chain, touches = point.chain.with_(width=None), bool(point.touches)
         shooting, u = slip_phases(chain, point.state, point.period, point.mass, touches)
-        kind = "grazing fold" if touches else "fold"
-        return shooting, kind, "belt_speed", jnp.append(u, point.belt_speed)
+        equations = _CycleEquations(shooting, "grazing fold" if touches else "fold")
+        return equations, "belt_speed", jnp.append(u, point.belt_speed)
     if point.kind not in (*_KINDS, "grazing fold", *DRY_KINDS):
         raise ValueError(
             f"Argument `point` must be of one of the kinds {', '.join(_KINDS)}, but is a "
             f'"{point.kind}". {remedy}'
         )
     if isinstance(point, SpecialCycle):
-        return point.shooting, point.kind, point.parameter, point.unknowns
+        return point.equations, point.parameter, point.unknowns
     pairs = point.multipliers[point.multipliers.imag > 0]
     mu = pairs[np.abs(np.abs(pairs) - 1.0).argmin()] if point.kind == "torus" else 0j
     kappa = [mu.real] if point.kind == "torus" else []
     U = jnp.asarray([*point.raw.u, *kappa, point.parameter])
-    return point.shooting, point.kind, str(point.shooting.parameter), U
+    kept = point.symmetries[0].images if point.symmetries else None
+    equations = _CycleEquations(point.shooting, point.kind, kept)
+    return equations, str(point.shooting.parameter), U
 
 
 def _of_dry_cycle(
     point: Any, chain: Any, kind: Any, mass: Any, name: Any
-) -> tuple[Phases, str, str, Array]:
+) -> tuple[_CycleEquations, str, Array]:
     """The same of a cycle with dry friction near a special one."""
     check_one_of("kind", kind, DRY_KINDS)
     if is_cycle(point):
@@ -595,8 +602,8 @@ def _of_dry_cycle(
     numbers = field.numbers()
     check_one_of("parameter", name, sorted(n for n in numbers if np.shape(numbers[n]) == ()))
     shooting, u = phases_of(field, state, period, kind, mass)
-    kind = "grazing fold" if shooting.slips else kind
-    return shooting, kind, name, jnp.append(u, numbers[name])
+    equations = _CycleEquations(shooting, "grazing fold" if shooting.slips else kind)
+    return equations, name, jnp.append(u, numbers[name])
 
 
 @final
@@ -702,9 +709,8 @@ class SpecialCurve(Printed):
             state = tuple(part[index] for part in self.state)
             there = chain.with_(**{first: u[-2]})
             return find_hopf_point(there, first, state, frequency=2 * np.pi / self.period[index])
-        shooting, kind = self.equations[index].shooting, self.kinds[index]
-        settings = to_float(1e-10), jnp.asarray(30)
-        return _checked(_find(shooting, chain, kind, first, jnp.asarray(u[:-1]), *settings))
+        settings = to_float(_TOLERANCE), jnp.asarray(30)
+        return _checked(_find(self.equations[index], chain, first, jnp.asarray(u[:-1]), *settings))
 
     def to_dataset(self) -> Dataset:
         """The curve as an `xarray.Dataset` over `point`, with its special points over `special`.
@@ -858,8 +864,9 @@ def _equations(point: Any, second: Any) -> tuple[Any, Array]:
         rates = Rates(field, len(point.state), first)
         U = jnp.append(y, jnp.stack([point.frequency**2, point.value]))
         return _HopfEquations(rates, second), U
-    shooting, kind, first, U = _start(point)
-    return _CycleEquations(replace(shooting, parameter=(first, second)), kind), U
+    equations, first, U = _start(point)
+    shooting = replace(equations.shooting, parameter=(first, second))
+    return replace(equations, shooting=shooting), U
 
 
 def _hopf_of(point: CyclePoint) -> HopfPoint:

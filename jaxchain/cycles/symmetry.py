@@ -75,9 +75,8 @@ class CycleSymmetry(NamedTuple):
 
 def alike(motions: list[np.ndarray], n: int) -> tuple[int, ...]:
     """`images` of the cycles that all these motions leave unchanged."""
-    images, before = np.arange(n), None
-    while not np.array_equal(images, before):
-        before = images
+    images = np.arange(n)
+    for _ in range(n):
         for at in motions:
             images = np.minimum(images, images[at])
     return tuple(images.tolist())

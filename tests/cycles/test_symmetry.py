@@ -1,0 +1,200 @@
+"""Rings that lose their symmetry: closed forms, and averaged equations solved by SciPy."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import fsolve
+
+from jaxchain import continue_cycle, find_limit_cycle
+from jaxchain.cycles import switch_cycle
+from jaxchain.cycles.symmetry import finer, isotropy, label_of
+from jaxchain.model import AbstractCells
+
+
+class Ring(AbstractCells):
+    """z' = (1 + 2 i) z - (1 - i) |z|^2 z + K (1 + 2 i) (mean of both neighbours - z).
+
+    All alike up to a disturbance cos(q n) at K = 2 / [5 (1 - cos q)].
+    """
+
+    K: jax.Array
+
+    def rate(self, t, left, own, right):
+        x, y = own
+        R = x**2 + y**2
+        dx, dy = (0.5 * (a + b) - c for a, b, c in zip(left, right, own, strict=True))
+        return (
+            x - 2 * y - R * (x + y) + self.K * (dx - 2 * dy),
+            y + 2 * x - R * (y - x) + self.K * (dy + 2 * dx),
+        )
+
+
+class VanDerPolDuffing(AbstractCells):
+    """x'' + x = e [(1 - x^2) x' - x^3 / 3 + K (mean of x' - x') - 2 K (mean of x - x)].
+
+    With x = A exp(i t) + c.c. the averaged equations are those of `Ring` for the time e t / 2,
+    without the frequency 2: A' = (e / 2) [A - (1 - i) |A|^2 A + K (1 + 2 i) (mean - A)].
+    """
+
+    K: jax.Array
+    e: jax.Array
+
+    def rate(self, t, left, own, right):
+        x, v = own
+        dx, dv = (0.5 * (a + b) - c for a, b, c in zip(left, right, own, strict=True))
+        force = (1 - x**2) * v - x**3 / 3 + self.K * dv - 2 * self.K * dx
+        return v, -x + self.e * force
+
+
+def rotation(n, s, way=1):
+    return (s + way * np.arange(n)) % n
+
+
+def dihedral(n):
+    return [rotation(n, s, way) for s in range(n) for way in (1, -1)]
+
+
+def branches_of(cells, n, start, bounds, step=0.05, max_points=3):
+    """(branch of cycles that are all alike, [(point, symmetry, side, other branch)])."""
+    cycle = find_limit_cycle(cells, start, images=(0,) * n, mass=0)
+    branch = continue_cycle(
+        cycle, parameter="K", direction=-1, bounds=bounds, images=(0,) * n, max_step=0.1
+    )
+    found = []
+    for point in branch.of_kind("symmetry breaking"):
+        for i, symmetry in enumerate(point.symmetries):
+            for side in (1, -1):
+                other = switch_cycle(branch, point, symmetry=i, side=side, step=0.05, max_points=3)
+                found.append((point, symmetry, side, other))
+    return branch, found
+
+
+def apart(one, other):
+    """The least distance of two patterns under rotations and reflections."""
+    return min(np.max(np.abs(one[at] - other)) for at in dihedral(len(one)))
+
+
+def check_different(found):
+    """None is a copy of another one but the halves that are said to be."""
+    ends = [(symmetry, side, other.amplitude[0]) for _, symmetry, side, other in found]
+    for k, (symmetry, side, pattern) in enumerate(ends):
+        assert np.ptp(pattern) > 1e-2
+        for other, other_side, another in ends[:k]:
+            if other is symmetry and symmetry.mirrored:
+                assert (side, other_side) == (-1, 1)
+                # The other half at a distance that differs by the next order.
+                assert apart(pattern, another) < 0.2 * np.ptp(pattern)
+            else:
+                assert apart(pattern, another) > 1e-3
+
+
+def start_of_ring(n):
+    return (jnp.ones(n), jnp.zeros(n)), 2 * np.pi / 3
+
+
+def check_ring(found, crossings):
+    for point, symmetry, _, other in found:
+        assert min(abs(point.parameter - K) for K in crossings) < 1e-9
+        assert point.error < 1e-9
+        assert other.symmetry == symmetry.label
+        # A cycle of this model turns like a rigid body: z_n(t) = z_n(0) exp(i omega t).
+        for x, y, period, K in zip(*other.state, other.period, other.parameter, strict=True):
+            z, omega = x + 1j * y, 2 * np.pi / period
+            mean = 0.5 * (np.roll(z, 1) + np.roll(z, -1))
+            rate = (1 + 2j) * z - (1 - 1j) * abs(z) ** 2 * z + K * (1 + 2j) * (mean - z)
+            np.testing.assert_allclose(rate, 1j * omega * z, atol=1e-8)
+            images = np.array(symmetry.images)
+            np.testing.assert_allclose(z, z[images], atol=1e-12)
+
+
+def test_a_ring_of_five_loses_its_symmetry_in_two_ways():
+    branch, found = branches_of(Ring(jnp.asarray(0.62)), 5, start_of_ring(5), (0.55, 0.65))
+    assert branch.symmetry == "D5"
+    (point,) = branch.special
+    (symmetry,) = point.symmetries
+    assert symmetry.label == "D1 (axis through mass 0)"
+    assert not symmetry.mirrored
+    check_ring(found, [2 / (5 * (1 - np.cos(2 * np.pi / 5)))])
+    check_different(found)
+    with pytest.raises(ValueError, match="`symmetry`"):
+        switch_cycle(branch, point, symmetry=1)
+    assert branch.to_dataset().attrs["symmetry"] == "D5"
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("n", "bounds"), [(4, (0.15, 0.45)), (6, (0.15, 0.85))])
+def test_a_ring_of_an_even_number_has_two_kinds_of_axes(n, bounds):
+    start = Ring(jnp.asarray(bounds[1] - 0.02))
+    branch, found = branches_of(start, n, start_of_ring(n), bounds)
+    check_ring(found, [2 / (5 * (1 - np.cos(2 * np.pi * k / n))) for k in range(1, n // 2 + 1)])
+    check_different(found)
+    labels = [[s.label for s in point.symmetries] for point in branch.special]
+    axes = ["D1 (axis between masses)", "D1 (axis through mass 0)"]
+    assert [sorted(some) for some in labels] == {4: [axes, ["D2"]], 6: [axes, ["D2"], ["D3"]]}[n]
+    mirrored = [[s.mirrored for s in point.symmetries] for point in branch.special]
+    assert mirrored == {4: [[True] * 2, [True]], 6: [[True] * 2, [False], [True]]}[n]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("n", [4, 5])
+def test_van_der_pol_rings_lose_their_symmetry_as_averaging_says(n):
+    e, crossing = 0.05, 2 / (5 * (1 - np.cos(2 * np.pi / n)))
+    cells = VanDerPolDuffing(jnp.asarray(crossing + 0.05), jnp.asarray(e))
+    start = (jnp.zeros(n), jnp.full(n, 2.0)), 2 * np.pi
+    branch, found = branches_of(cells, n, start, (crossing - 0.1, crossing + 0.1), 0.1, 5)
+    (point,) = branch.of_kind("symmetry breaking")
+    assert point.parameter == pytest.approx(crossing, abs=2 * e)
+    assert len(found) == {4: 4, 5: 2}[n]
+    check_different(found)
+    for _, symmetry, _, other in found:
+        assert other.symmetry == symmetry.label
+        x, v = (part[-1] for part in other.state)
+        K, period = other.parameter[-1], other.period[-1]
+
+        def rate(t, y, K=K):
+            x, v = np.split(y, 2)
+            dx, dv = (0.5 * (np.roll(a, 1) + np.roll(a, -1)) - a for a in (x, v))
+            force = (1 - x**2) * v - x**3 / 3 + K * dv - 2 * K * dx
+            return np.concatenate([v, -x + e * force])
+
+        y = np.concatenate([x, v])
+        end = solve_ivp(rate, (0, period), y, method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
+        np.testing.assert_allclose(end, y, atol=1e-8)
+        # The averaged equations, as far from their own crossing, from this cycle's A.
+        A, K = 0.5 * (x - 1j * v), K - point.parameter + crossing
+
+        def averaged(u, K=K):  # of the real and imaginary parts and the frequency
+            A, omega = u[:n] + 1j * u[n:-1], u[-1]
+            mean = 0.5 * (np.roll(A, 1) + np.roll(A, -1))
+            rate = A - (1 - 1j) * abs(A) ** 2 * A + K * (1 + 2j) * (mean - A) - 1j * omega * A
+            return [*rate.real, *rate.imag, u[n]]
+
+        A = A * np.exp(-1j * np.angle(A[0]))
+        guess = [*A.real, *A.imag, 2 / e * (2 * np.pi / period - 1)]
+        root: Any = fsolve(averaged, guess, xtol=1e-12)
+        assert np.max(np.abs(averaged(root))) < 1e-9
+        pattern = 2 * np.abs(root[:n] + 1j * root[n:-1])
+        assert np.ptp(pattern) > 0.02
+        np.testing.assert_allclose(other.amplitude[-1], pattern, atol=0.3 * np.ptp(pattern))
+
+
+def test_subgroups_of_a_ring_one_of_each_class():
+    motions, alike = dihedral(4), (0, 0, 0, 0)
+    less = {label_of(motions, images): images for images in finer(motions, alike)}
+    assert less == {
+        "Z1": (0, 1, 2, 3),
+        "D1 (axis through mass 0)": (0, 1, 2, 1),
+        "D1 (axis between masses)": (0, 0, 2, 2),
+        "D2": (0, 1, 0, 1),
+    }
+    assert len(finer(dihedral(5), (0,) * 5)) == 2
+    assert label_of(dihedral(4), alike) == "D4"
+    # One mass differs: a reflection is left, and what it leaves unchanged.
+    mirror = [np.arange(4), rotation(4, 0, -1)]
+    assert finer(mirror, (0, 1, 2, 1)) == [(0, 1, 2, 3)]
+    v = np.array([[0.0, 1.0, 0.0, -1.0], np.zeros(4)]) / np.sqrt(2)
+    assert isotropy(mirror, (0, 1, 2, 1), v) == ((0, 1, 2, 3), True)
