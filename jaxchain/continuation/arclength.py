@@ -8,8 +8,6 @@ from collections.abc import Callable, Mapping
 from itertools import pairwise
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, PyTree
 
@@ -41,8 +39,6 @@ from .special_points import (
     surely,
 )
 
-# The step of second differences at a branch point.
-_DIFFERENCE = 1e-3
 # A fold within this distance of a branch point, relative to 1 + |z|, is the branch point.
 _SAME_PLACE = 1e-5
 # The allowed error of a point, as a share of its step: far below the greatest bend.
@@ -452,20 +448,19 @@ def switch_branch(
     )
     z = np.append(point.u, point.p)
     away = float(side) * point.other / corrector.norm(point.other)
-    slope = _other_slope(residual, value_and_jacobian, point, args, away)
+    tangent = point.tangent / corrector.norm(point.tangent)
     for length in (float(step), 0.1 * float(step), 3.0 * float(step)):
-        for lean in (0.0, slope, 1.0, -1.0):
-            guess = z + length * (away + lean * point.tangent)
-            farthest = max(5.0, 2.0 * abs(lean)) * length
-            solution = corrector(guess, away, radius=farthest)
+        for lean in (0.0, 1.0, -1.0):
+            guess = z + length * (away + lean * tangent)
+            solution = corrector(guess, away, radius=5.0 * length)
             if solution is None:
                 continue
             went = solution.z - z
-            along = corrector.dot(went, point.tangent)
-            rest = corrector.norm(went - along * point.tangent - length * away)
+            along = corrector.dot(went, tangent)
+            rest = corrector.norm(went - along * tangent - length * away)
             # The old branch lies along the tangent, a third branch off the plane of both
             # directions.
-            if abs(along) <= farthest and rest <= 0.5 * length:
+            if abs(along) <= 5.0 * length and rest <= 0.5 * length:
                 ahead = np.sign(corrector.dot(solution.tangent, went)) or 1.0
                 return Switched(solution.u, solution.p, ahead * solution.tangent, "")
     return Switched(
@@ -475,32 +470,3 @@ def switch_branch(
         "Every search fell back onto the known branch, onto a distant one, or failed. Try another "
         "`step`; several branches may cross here.",
     )
-
-
-def _other_slope(
-    residual: Any, value_and_jacobian: Any, point: SpecialPoint, args: Any, away: np.ndarray
-) -> float:
-    """-a22 / (2 a12): how far the other branch leads along the known one, per length of `away`.
-
-    a_ij = psi^T F_zz z_i z_j, psi the left null vector of F_z, z_1 the tangent of the known branch
-    and z_2 `away`: the quadratic terms vanish along both branches, so that a11 = 0.
-    """
-    size = point.u.size
-
-    def value(z: Any) -> Any:
-        found = residual(z[:size], z[size], args)
-        return found[0] if isinstance(found, tuple) else found
-
-    def second(z: Any) -> Any:
-        steps = [0.0 * away, point.tangent, away, point.tangent + away, -away]
-        return jnp.stack([value(z + _DIFFERENCE * step) for step in steps])
-
-    z = jnp.append(point.u, point.p)
-    if value_and_jacobian is None:
-        slopes = jax.jit(jax.jacfwd(value))(z)
-    else:
-        slopes = value_and_jacobian(jnp.asarray(point.u), jnp.asarray(point.p), args)[1]
-    psi = np.linalg.svd(np.asarray(slopes))[0][:, -1]
-    here, along, across, both, back = psi @ np.asarray(jax.jit(second)(z)).T
-    mixed, square = both - along - across + here, across - 2.0 * here + back
-    return float(-square / (2.0 * mixed)) if mixed else 0.0

@@ -1,6 +1,5 @@
 """Cycles that are not known yet."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -8,8 +7,7 @@ from scipy.integrate import solve_ivp
 
 from jaxchain import Trajectory, find_limit_cycle, paper_chain, simulate
 from jaxchain.cycles import find_limit_cycles
-from jaxchain.cycles.symmetry import ring_motions
-from jaxchain.model import AbstractCells, Duffing, VanDerPol
+from jaxchain.model import Duffing, VanDerPol
 
 # Two in a row: in phase they move as one alone, in antiphase as one with a spring of 1 + 2 eta.
 MU, ETA = 0.5, 0.2
@@ -78,22 +76,6 @@ def test_cycles_of_a_family_are_not_counted():
     search = find_limit_cycles(apart, (states, jnp.full(2, 6.4)), mass=0, rounds=1, lanes=2)
     assert search.cycles == []
     assert search.failures == {"not isolated": 2}
-
-
-def test_a_symmetry_must_hold_at_every_phase_of_the_force():
-    class Waves(AbstractCells):
-        height: jax.Array
-
-        def rate(self, t, left, own, right):
-            x, v = own
-            return v, self.height * jnp.sin(t) - x - 0.1 * v + left[0] - 2 * x + right[0]
-
-        def forcing_period(self):
-            return 2 * jnp.pi
-
-    state = (jnp.zeros(4), jnp.zeros(4))
-    assert len(ring_motions(Waves(jnp.ones(4)), state)) == 8
-    assert len(ring_motions(Waves(jnp.array([1.0, 1.0, 1.0, 2.0])), state)) == 2
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from scipy.optimize import fsolve
 
 from jaxchain import continue_cycle, find_limit_cycle
 from jaxchain.cycles import switch_cycle
-from jaxchain.cycles.symmetry import finer, isotropy, label_of
+from jaxchain.cycles.symmetry import finer, isotropy, label_of, ring_motions
 from jaxchain.model import AbstractCells
 
 
@@ -198,3 +198,19 @@ def test_subgroups_of_a_ring_one_of_each_class():
     assert finer(mirror, (0, 1, 2, 1)) == [(0, 1, 2, 3)]
     v = np.array([[0.0, 1.0, 0.0, -1.0], np.zeros(4)]) / np.sqrt(2)
     assert isotropy(mirror, (0, 1, 2, 1), v) == ((0, 1, 2, 3), True)
+
+
+def test_a_symmetry_must_hold_at_every_phase_of_the_force():
+    class Waves(AbstractCells):
+        height: jax.Array
+
+        def rate(self, t, left, own, right):
+            x, v = own
+            return v, self.height * jnp.sin(t) - x - 0.1 * v + left[0] - 2 * x + right[0]
+
+        def forcing_period(self):
+            return 2 * jnp.pi
+
+    state = (jnp.zeros(4), jnp.zeros(4))
+    assert len(ring_motions(Waves(jnp.ones(4)), state)) == 8
+    assert len(ring_motions(Waves(jnp.array([1.0, 1.0, 1.0, 2.0])), state)) == 2
