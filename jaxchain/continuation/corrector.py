@@ -123,12 +123,14 @@ def _correct(
         return ~(search.good | search.failed | spent)
 
     def body(search: _Iteration) -> _Iteration:
-        before = search.at
         if residual is None:
-            at, values = before._replace(u=before.u + before.step), search.values
-        else:
-            at = lax.cond(search.exists, chords, lambda search: search.at, search)
-            values = search.values + jnp.where(search.exists, at.evaluations - search.fresh, 0)
+            at = advance(newly, search.at, weights)
+            failed = far(at) | (at.damping < _LEAST_DAMPING)
+            good = ~failed & ~at.refused & (at.length <= enough(at))
+            failed |= jnp.isnan(at.length)
+            return _Iteration(at, yes, yes, good, failed, none, search.jacobians + 1)
+        at = lax.cond(search.exists, chords, lambda search: search.at, search)
+        values = search.values + jnp.where(search.exists, at.evaluations - search.fresh, 0)
         failed = far(at) | (search.fresh & (at.damping < _LEAST_DAMPING))
 
         def anew(at: Iterate) -> Iterate:
@@ -139,8 +141,6 @@ def _correct(
             return advance(newly, start, weights)
 
         at = lax.cond(failed, lambda at: at, anew, at)
-        if residual is None:
-            failed |= search.fresh & (at.length > before.length)
         return _Iteration(
             at,
             fresh=yes,
@@ -184,7 +184,7 @@ class Corrector:
 
     def __init__(
         self,
-        residual: Callable[..., Any],
+        residual: Callable[..., Any] | None,
         value_and_jacobian: Callable[..., Any] | None,
         args: PyTree,
         weights: Float[np.ndarray, " m_plus_1"],
