@@ -123,12 +123,6 @@ def _correct(
         return ~(search.good | search.failed | spent)
 
     def body(search: _Iteration) -> _Iteration:
-        if residual is None:
-            at = advance(newly, search.at, weights)
-            failed = far(at) | (at.damping < _LEAST_DAMPING)
-            good = ~failed & ~at.refused & (at.length <= enough(at))
-            failed |= jnp.isnan(at.length)
-            return _Iteration(at, yes, yes, good, failed, none, search.jacobians + 1)
         at = lax.cond(search.exists, chords, lambda search: search.at, search)
         values = search.values + jnp.where(search.exists, at.evaluations - search.fresh, 0)
         failed = far(at) | (search.fresh & (at.damping < _LEAST_DAMPING))
@@ -184,7 +178,7 @@ class Corrector:
 
     def __init__(
         self,
-        residual: Callable[..., Any] | None,
+        residual: Callable[..., Any],
         value_and_jacobian: Callable[..., Any] | None,
         args: PyTree,
         weights: Float[np.ndarray, " m_plus_1"],
