@@ -84,8 +84,9 @@ if TYPE_CHECKING:
 _KINDS = ("fold", "period doubling", "symmetry breaking", "torus")
 # The amplitude, as a share of the first one, at which a curve of folds counts as ended.
 _SMALL = 1e-3
+# A margin of rounding.
+_MET = 1e-9
 # What else may happen on a cycle with dry friction, in the order of `Seen.margins`.
-_MET = 1e-9  # the margin up to which it is rounding
 _OTHER_EVENTS = ("another grazing", "another release", "another stick onset", "two events")
 # Beside the length of the tangent: slopes of both numbers that vanish together at a cusp.
 _CUSP = 1e-4
@@ -813,8 +814,8 @@ def continue_special(
     **Arguments:**
 
     - `point`: a "fold", "period doubling", "symmetry breaking", "torus" or "hopf" of
-      `continue_cycle(...).special`; a `HopfPoint` of `find_hopf_point`; or a `SpecialCycle`.  Its
-      parameter is the first number.
+      `continue_cycle(...).special`; a `HopfPoint` of `find_hopf_point`; a `SpecialCycle`; or, with
+      dry friction, a `Grazing` of `find_grazing`.  Its parameter is the first number.
     - `second`: the name of the second number, one for all cells.
     - `bounds`: the ranges of both, name -> (low, high), in which the curve stays.
     - `step`, `max_step`, `max_points` in each direction, `tolerance`: see `continue_branch`;

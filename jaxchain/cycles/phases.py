@@ -87,9 +87,9 @@ class Phases(eqx.Module):
     - `events`: at the end of each phase (event, mass, sign of r at a release).
     - `special`: (index of the event, kind, sign of r) of a special cycle, or None.
     - `apart`: which events follow the one before after some time (at the end of a short stick its
-      landing is a "stick onset"); `onsets`: (event,
-      mass, -1 if it sticks there) of landings that are no image of the special event; `alike`: the
-      masses that move like that of the special event.
+      landing is a "stick onset"); `onsets`: (event, mass, -1 if it sticks there) of landings that
+      are no image of the special event; `alike`: the masses that move like that of the special
+      event.
     - `parameter`, `m`, `turns`: as in `Shooting`; `steps` in each phase.
     """
 
