@@ -167,6 +167,10 @@ class _CycleEquations(eqx.Module):
             left, right = basis @ left, basis @ right
         return jnp.append(r, g), slopes, extra, left, right
 
+    def value(self, U: Array) -> Array:
+        """R, for steps without new derivatives."""
+        return self.values(U)[0] if self.smooth else self.residual(U)
+
     def frozen(self, U: Array, left: Array, right: Array) -> Array:
         """A function that has the slopes of g at the point of a = `left` and b = `right`."""
         u, parameters, kappa = self.split(U)
@@ -257,7 +261,12 @@ class _CycleEquations(eqx.Module):
 
     def cycle(self, U: np.ndarray) -> tuple[Any, Any, Any]:
         """(state, period, amplitude)."""
-        return jax.device_get(_cycle(jnp.asarray(U), self))
+        u, parameters, _ = self.split(jnp.asarray(U))
+        if not self.dry:
+            return cycle_at(u, parameters, self.shooting)
+        field, state, period = self.shooting.unpack(u, *parameters)
+        run = simulate(field, state, period, observe=Amplitude(), solver=EventDriven())
+        return state, period, run.observed
 
     def residual(self, U: Array) -> Array:
         """R, with derivatives, in every number of the model as well."""
@@ -379,6 +388,8 @@ class _HopfEquations(eqx.Module):
         pair = jnp.stack([jnp.real(one + other), jnp.real(one * other) - U[-3]])
         return jnp.concatenate([rates(y, p), pair])
 
+    value = residual
+
     def linearise(self, U: Array) -> tuple[Array, Array, Any]:
         y, rates, p = self.at(U)
         frequency = jnp.sqrt(jnp.maximum(U[-3], 0.0))
@@ -386,14 +397,8 @@ class _HopfEquations(eqx.Module):
         return self.residual(U), jax.jacfwd(self.residual)(U), l1
 
 
-@eqx.filter_jit
-def _cycle(U: Array, equations: _CycleEquations) -> tuple[Any, Any, Any]:
-    u, parameters, _ = equations.split(U)
-    if not equations.dry:
-        return cycle_at(u, parameters, equations.shooting)
-    field, state, period = equations.shooting.unpack(u, *parameters)
-    run = simulate(field, state, period, observe=Amplitude(), solver=EventDriven())
-    return state, period, run.observed
+def _residual(U: Array, q: Any, equations: Any) -> Array:
+    return equations.value(jnp.append(U, q))
 
 
 def _linearise(U: Array, q: Any, equations: Any) -> tuple[Array, Array, Any]:
@@ -935,7 +940,7 @@ def _piece(
         return (passed or [edge(u) < 0 or equations.stop(first[0], first[-1])])[0]
 
     branch: Branch = continue_branch(
-        None, U[:-1], U[-1], equations, direction=direction, bounds=second, weights=weights,
+        _residual, U[:-1], U[-1], equations, direction=direction, bounds=second, weights=weights,
         tests={**tests, "edge": edge}, stop=stop, value_and_jacobian=_linearise, **options,
     )  # fmt: skip
     if not branch.p.size:

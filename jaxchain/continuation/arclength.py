@@ -261,7 +261,7 @@ def make_corrector(
 
 
 def continue_branch(
-    residual: Callable[..., Any] | None,
+    residual: Callable[..., Any],
     start: Any,
     parameter: Any,
     args: PyTree = None,
@@ -298,8 +298,7 @@ def continue_branch(
     **Arguments** (dimensionless):
 
     - `residual`: F(u, p, args) of shape (m,), or (F, extra) with further arrays; pure,
-      differentiated forward only.  Pass the same function object to compile it once.  None if
-      `value_and_jacobian` costs hardly more: then each step is one of Newton's.
+      differentiated forward only.  Pass the same function object to compile it once.
     - `start` (m,) and `parameter`, near a solution; `args`, any pytree of arrays.
     - `direction`: 1 or -1, the sign of the first change of p; or a vector (m + 1,), such as
       `Switched.direction`.
@@ -327,8 +326,7 @@ def continue_branch(
     >>> branch.ended, [round(fold.p, 9) for fold in branch.of_kind("fold")]
     ('left_bounds', [-0.384900179, 0.384900179])
     """
-    if residual is not None or value_and_jacobian is None:
-        check_function("residual", residual, "u, p, args -> as many numbers as u", 3)
+    check_function("residual", residual, "u, p, args -> as many numbers as u", 3)
     check_following(stop, progress)
     if tests is not None:
         check_kind("tests", tests, Mapping, "a dict of functions")

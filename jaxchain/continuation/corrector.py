@@ -123,12 +123,8 @@ def _correct(
         return ~(search.good | search.failed | spent)
 
     def body(search: _Iteration) -> _Iteration:
-        before = search.at
-        if residual is None:
-            at, values = before._replace(u=before.u + before.step), search.values
-        else:
-            at = lax.cond(search.exists, chords, lambda search: search.at, search)
-            values = search.values + jnp.where(search.exists, at.evaluations - search.fresh, 0)
+        at = lax.cond(search.exists, chords, lambda search: search.at, search)
+        values = search.values + jnp.where(search.exists, at.evaluations - search.fresh, 0)
         failed = far(at) | (search.fresh & (at.damping < _LEAST_DAMPING))
 
         def anew(at: Iterate) -> Iterate:
@@ -139,8 +135,6 @@ def _correct(
             return advance(newly, start, weights)
 
         at = lax.cond(failed, lambda at: at, anew, at)
-        if residual is None:
-            failed |= search.fresh & (at.length > before.length)
         return _Iteration(
             at,
             fresh=yes,
