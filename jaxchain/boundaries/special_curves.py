@@ -27,7 +27,7 @@ the next.  It is also followed where events of two masses change their order.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -56,7 +56,7 @@ from ..continuation.damped_newton import check_tolerance, factorise, solve
 from ..continuation.implicit import attach_derivative, if_found
 from ..cycles.branches import (
     CyclePoint,
-    cycle_at,
+    cycles_at,
     cycle_weights,
     linearise,
     symmetry_breaking_basis,
@@ -259,14 +259,13 @@ class _CycleEquations(eqx.Module):
         small = self.shooting.turns is None and extra.speed < _SMALL * first.speed
         return "small" if small else ""
 
-    def cycle(self, U: np.ndarray) -> tuple[Any, Any, Any]:
-        """(state, period, amplitude)."""
-        u, parameters, _ = self.split(jnp.asarray(U))
-        if not self.dry:
-            return cycle_at(u, parameters, self.shooting)
-        field, state, period = self.shooting.unpack(u, *parameters)
-        run = simulate(field, state, period, observe=Amplitude(), solver=EventDriven())
-        return state, period, run.observed
+    def cycles(self, unknowns: Sequence[np.ndarray]) -> list[tuple[Any, Any, Any]]:
+        """(state, period, amplitude) of each."""
+        if self.dry:
+            return [jax.device_get(_dry_cycle(jnp.asarray(U), self)) for U in unknowns]
+        U, shooting = np.array(unknowns), self.shooting
+        states, *others = cycles_at(U[:, : shooting.size], U[:, -2:], shooting)
+        return list(zip(zip(*states, strict=True), *others, strict=True))
 
     def residual(self, U: Array) -> Array:
         """R, with derivatives, in every number of the model as well."""
@@ -370,11 +369,14 @@ class _HopfEquations(eqx.Module):
         del first, extra
         return ""
 
-    def cycle(self, U: np.ndarray) -> tuple[Any, Any, Any]:
-        """(state, period, amplitude) of a cycle of no amplitude."""
-        state, kappa = tuple(np.split(U[:-3], self.rates.m)), U[-3]
-        period = 2 * np.pi / np.sqrt(kappa) if kappa > 0 else np.inf
-        return state, period, np.zeros_like(state[0])
+    def cycles(self, unknowns: Sequence[np.ndarray]) -> list[tuple[Any, Any, Any]]:
+        """(state, period, amplitude) of each, cycles of no amplitude."""
+        of = []
+        for *y, kappa, _, _ in unknowns:
+            state = tuple(np.split(np.array(y), self.rates.m))
+            period = 2 * np.pi / np.sqrt(kappa) if kappa > 0 else np.inf
+            of.append((state, period, np.zeros_like(state[0])))
+        return of
 
     def at(self, U: Array) -> tuple[Array, Rates, Array]:
         """(y, the rates with q set, p)."""
@@ -395,6 +397,14 @@ class _HopfEquations(eqx.Module):
         frequency = jnp.sqrt(jnp.maximum(U[-3], 0.0))
         l1 = lyapunov_coefficient(lambda y: rates(y, p), y, frequency)
         return self.residual(U), jax.jacfwd(self.residual)(U), l1
+
+
+@eqx.filter_jit
+def _dry_cycle(U: Array, equations: _CycleEquations) -> tuple[Any, Any, Any]:
+    u, parameters, _ = equations.split(U)
+    field, state, period = equations.shooting.unpack(u, *parameters)
+    run = simulate(field, state, period, observe=Amplitude(), solver=EventDriven())
+    return state, period, run.observed
 
 
 def _residual(U: Array, q: Any, equations: Any) -> Array:
@@ -966,7 +976,7 @@ def _piece(
             residual[raw.index + 1 :] = [raw.residual]
             ended = "left_bounds" if kind == "edge" else kind
             break
-    cycles = [equations.cycle(U) for U in unknowns]
+    cycles = equations.cycles(unknowns)
     if equations.kind == "fold" and ended in ("small", "step_too_small"):
         meeting = _end_of_folds(equations, np.array(unknowns), ranges)
         if meeting is not None:
@@ -988,7 +998,7 @@ def _end_of_folds(
     amplitude.
     """
     (first, second), (p, q) = ranges, unknowns[-1, -2:]
-    state, period, _ = equations.cycle(unknowns[-1])
+    ((state, period, _),) = equations.cycles(unknowns[-1:])
     chain, frequency = equations.field.with_(**{first: p, second: q}), 2 * np.pi / period
     if equations.dry:  # of sliding masses it is the same to rounding
         chain = chain.with_(width=1e-3 * jnp.abs(chain.belt_speed))

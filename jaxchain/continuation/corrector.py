@@ -98,6 +98,10 @@ def _correct(
     def far(at: Iterate) -> Array:
         return size(at.u - guess, weights) > radius
 
+    def arrives(at: Iterate) -> Array:
+        """Whether the next step is expected to be small enough, so that it needs no value."""
+        return (at.contraction > 0) & (at.length * at.contraction <= enough(at) / 2)
+
     def chords(search: _Iteration) -> Iterate:
         """Steps with a fixed Jacobian, as long as they converge quickly."""
         previous = search.at.factors, search.at.aux
@@ -113,7 +117,7 @@ def _correct(
             # If an old Jacobian fails, compute a new one.
             lost = (at.refused & ~search.fresh) | far(at)
             spent = search.values + search.jacobians + at.evaluations >= _MAX_EVALUATIONS
-            return ~(slow | lost | spent | (at.length <= enough(at) / 2))
+            return ~(slow | lost | spent | (at.length <= enough(at) / 2) | arrives(at))
 
         start = search.at._replace(evaluations=search.fresh.astype(int))
         return iterate(as_before, start, weights, going, least_damping=_LEAST_DAMPING)
@@ -129,8 +133,9 @@ def _correct(
 
         def anew(at: Iterate) -> Iterate:
             nowhere = jnp.asarray(jnp.inf)
+            step = jnp.where(arrives(at), at.step, 0.0)
             start = at._replace(
-                step=jnp.zeros_like(guess), length=nowhere, damping=jnp.ones(()), evaluations=none
+                step=step, length=nowhere, damping=jnp.ones(()), evaluations=none
             )
             return advance(newly, start, weights)
 
@@ -228,7 +233,7 @@ class Corrector:
             self.weights,
             np.asarray(self.tolerance),
         )
-        points, good, values, jacobians = jax.device_get(solved)
+        points, good, values, jacobians = jax.tree.map(np.asarray, solved)
         self.counts.values += int(values)
         self.counts.jacobians += int(jacobians)
         self.counts.solves += 1
