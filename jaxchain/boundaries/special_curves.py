@@ -56,8 +56,8 @@ from ..continuation.damped_newton import check_tolerance, factorise, solve
 from ..continuation.implicit import attach_derivative, if_found
 from ..cycles.branches import (
     CyclePoint,
-    cycles_at,
     cycle_weights,
+    cycles_at,
     linearise,
     symmetry_breaking_basis,
 )
@@ -940,14 +940,16 @@ def _piece(
 ) -> _Side:
     tests, ((low, high), second), first = equations.tests(), ranges.values(), []
     weights = equations.weights(U)
+    # Each look at a method makes a new object, which takes longer than the test.
+    ends, done = equations.ends, equations.stop
 
     def edge(u: np.ndarray, *_: Any) -> float:
         return float(min(u[-1] - low, high - u[-1]))
 
     def stop(u: np.ndarray, *others: Any) -> Any:
         first.append(others[-1])
-        passed = [name for name in equations.ends if tests.get(name, edge)(u, *others) < -_MET]
-        return (passed or [edge(u) < 0 or equations.stop(first[0], first[-1])])[0]
+        passed = [name for name in ends if tests.get(name, edge)(u, *others) < -_MET]
+        return (passed or [edge(u) < 0 or done(first[0], first[-1])])[0]
 
     branch: Branch = continue_branch(
         _residual, U[:-1], U[-1], equations, direction=direction, bounds=second, weights=weights,
@@ -998,7 +1000,7 @@ def _end_of_folds(
     amplitude.
     """
     (first, second), (p, q) = ranges, unknowns[-1, -2:]
-    ((state, period, _),) = equations.cycles(unknowns[-1:])
+    ((state, period, _),) = equations.cycles([unknowns[-1]])
     chain, frequency = equations.field.with_(**{first: p, second: q}), 2 * np.pi / period
     if equations.dry:  # of sliding masses it is the same to rounding
         chain = chain.with_(width=1e-3 * jnp.abs(chain.belt_speed))

@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, PyTree
-from scipy.interpolate import KroghInterpolator
 from scipy.optimize import brentq
 
 from .._checks import (
@@ -139,19 +138,19 @@ class BranchWalk:
         return None
 
     def _ahead(self, recent: Sequence[Point], step: float) -> tuple[np.ndarray, np.ndarray]:
-        """(z, Jacobian) of polynomials through the points, on the plane at `step`.
+        """(z, Jacobian) on the plane at `step`, of polynomials through the points.
 
-        That of z has their tangents.
+        That of z has their tangents.  Both are functions of the distance along the last tangent.
         """
-        dot, last = self.corrector.dot, recent[-1]
-        along = [dot(point.z - last.z, last.tangent) for point in recent]
-        both = [
-            row
-            for point in recent
-            for row in (point.z, point.tangent / dot(point.tangent, last.tangent))
-        ]
-        z = KroghInterpolator(np.repeat(along, 2), both)(step)
-        return z, KroghInterpolator(along, [point.jacobian for point in recent])(step)
+        dot, last, k = self.corrector.dot, recent[-1], np.arange(2 * len(recent))
+        s = np.array([[dot(point.z - last.z, last.tangent)] for point in recent]) / step
+        z = [point.z for point in recent]
+        z += [step / dot(point.tangent, last.tangent) * point.tangent for point in recent]
+        powers = s**k
+        both = np.concatenate([powers, k * s ** np.maximum(k - 1, 0)])
+        # The weights with which rows of values (and slopes) give the value at 1.
+        plain, full = (np.linalg.solve(m.T, np.ones(len(m))) for m in (powers[:, : len(s)], both))
+        return full @ z, np.tensordot(plain, [point.jacobian for point in recent], 1)
 
     def _load(self, piece: Segment, guess: np.ndarray) -> float:
         """The load of a step: the greatest share of a limit, which grows with the step length."""
