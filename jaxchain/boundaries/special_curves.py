@@ -27,7 +27,7 @@ the next.  It is also followed where events of two masses change their order.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -56,8 +56,8 @@ from ..continuation.damped_newton import check_tolerance, factorise, solve
 from ..continuation.implicit import attach_derivative, if_found
 from ..cycles.branches import (
     CyclePoint,
-    cycle_at,
     cycle_weights,
+    cycles_at,
     linearise,
     symmetry_breaking_basis,
 )
@@ -260,9 +260,13 @@ class _CycleEquations(eqx.Module):
         small = self.shooting.turns is None and extra.speed < _SMALL * first.speed
         return "small" if small else ""
 
-    def cycle(self, U: np.ndarray) -> tuple[Any, Any, Any]:
-        """(state, period, amplitude)."""
-        return jax.device_get(_cycle(jnp.asarray(U), self))
+    def cycles(self, unknowns: Sequence[np.ndarray]) -> list[tuple[Any, Any, Any]]:
+        """(state, period, amplitude) of each."""
+        if self.dry:
+            return [jax.device_get(_dry_cycle(jnp.asarray(U), self)) for U in unknowns]
+        U, shooting = np.array(unknowns), self.shooting
+        states, *others = cycles_at(U[:, : shooting.size], U[:, -2:], shooting)
+        return list(zip(zip(*states, strict=True), *others, strict=True))
 
     def residual(self, U: Array) -> Array:
         """R, with derivatives, in every number of the model as well."""
@@ -366,11 +370,14 @@ class _HopfEquations(eqx.Module):
         del first, extra
         return ""
 
-    def cycle(self, U: np.ndarray) -> tuple[Any, Any, Any]:
-        """(state, period, amplitude) of a cycle of no amplitude."""
-        state, kappa = tuple(np.split(U[:-3], self.rates.m)), U[-3]
-        period = 2 * np.pi / np.sqrt(kappa) if kappa > 0 else np.inf
-        return state, period, np.zeros_like(state[0])
+    def cycles(self, unknowns: Sequence[np.ndarray]) -> list[tuple[Any, Any, Any]]:
+        """(state, period, amplitude) of each, cycles of no amplitude."""
+        of = []
+        for *y, kappa, _, _ in unknowns:
+            state = tuple(np.split(np.array(y), self.rates.m))
+            period = 2 * np.pi / np.sqrt(kappa) if kappa > 0 else np.inf
+            of.append((state, period, np.zeros_like(state[0])))
+        return of
 
     def at(self, U: Array) -> tuple[Array, Rates, Array]:
         """(y, the rates with q set, p)."""
@@ -394,10 +401,8 @@ class _HopfEquations(eqx.Module):
 
 
 @eqx.filter_jit
-def _cycle(U: Array, equations: _CycleEquations) -> tuple[Any, Any, Any]:
+def _dry_cycle(U: Array, equations: _CycleEquations) -> tuple[Any, Any, Any]:
     u, parameters, _ = equations.split(U)
-    if not equations.dry:
-        return cycle_at(u, parameters, equations.shooting)
     field, state, period = equations.shooting.unpack(u, *parameters)
     run = simulate(field, state, period, observe=Amplitude(), solver=EventDriven())
     return state, period, run.observed
@@ -936,14 +941,16 @@ def _piece(
 ) -> _Side:
     tests, ((low, high), second), first = equations.tests(), ranges.values(), []
     weights = equations.weights(U)
+    # Each look at a method makes a new object, which takes longer than the test.
+    ends, done = equations.ends, equations.stop
 
     def edge(u: np.ndarray, *_: Any) -> float:
         return float(min(u[-1] - low, high - u[-1]))
 
     def stop(u: np.ndarray, *others: Any) -> Any:
         first.append(others[-1])
-        passed = [name for name in equations.ends if tests.get(name, edge)(u, *others) < -_MET]
-        return (passed or [edge(u) < 0 or equations.stop(first[0], first[-1])])[0]
+        passed = [name for name in ends if tests.get(name, edge)(u, *others) < -_MET]
+        return (passed or [edge(u) < 0 or done(first[0], first[-1])])[0]
 
     branch: Branch = continue_branch(
         _residual, U[:-1], U[-1], equations, direction=direction, bounds=second, weights=weights,
@@ -972,7 +979,7 @@ def _piece(
             residual[raw.index + 1 :] = [raw.residual]
             ended = "left_bounds" if kind == "edge" else kind
             break
-    cycles = [equations.cycle(U) for U in unknowns]
+    cycles = equations.cycles(unknowns)
     if equations.kind == "fold" and ended in ("small", "step_too_small"):
         meeting = _end_of_folds(equations, np.array(unknowns), ranges)
         if meeting is not None:
@@ -994,7 +1001,7 @@ def _end_of_folds(
     amplitude.
     """
     (first, second), (p, q) = ranges, unknowns[-1, -2:]
-    state, period, _ = equations.cycle(unknowns[-1])
+    ((state, period, _),) = equations.cycles([unknowns[-1]])
     chain, frequency = equations.field.with_(**{first: p, second: q}), 2 * np.pi / period
     if equations.dry:  # of sliding masses it is the same to rounding
         chain = chain.with_(width=1e-3 * jnp.abs(chain.belt_speed))

@@ -4,12 +4,14 @@ Source: Allgower and Georg, Numerical Continuation Methods, Springer 1990; Govae
 Methods for Bifurcations of Dynamical Equilibria, SIAM 2000.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, PyTree
+from scipy.optimize import brentq
 
 from .._checks import (
     check_at_least,
@@ -45,6 +47,10 @@ _SAME_PLACE = 1e-5
 _SURE = 1e-4
 # The greatest change of a step, and the share of the allowed load that it aims at.
 _GROWTH, _SHRINK, _AIM = 2.0, 0.2, 0.7
+# The greatest error of the cubic between two points, as a share of their distance.
+_NEAR = 0.1
+# The points, with their tangents, that predict the next one.
+_RECENT = 3
 
 
 class Steps(NamedTuple):
@@ -86,7 +92,7 @@ class BranchWalk:
             return "no_start", ""
         last = surely(self.corrector, last, _SURE * self.steps.first)
         self._append(last, 0.0)
-        bend, step = np.zeros_like(z), self.steps.first
+        recent, step = [last], self.steps.first
         while True:
             if self.stop is not None:
                 answer = self.stop(last.u, last.p, last.tangent, last.extra)
@@ -94,7 +100,7 @@ class BranchWalk:
                     return "stopped", answer if isinstance(answer, str) else ""
             if len(self.record.points) >= max_points:
                 return "max_points", ""
-            accepted = self._step(last, bend, step)
+            accepted = self._step(recent, step)
             if accepted is None:
                 return "step_too_small", ""
             piece, met, step = accepted
@@ -104,15 +110,16 @@ class BranchWalk:
             if piece is None or ended:
                 return ended, ""
             last = piece.right
-            bend = (last.tangent - piece.left.tangent) / piece.length
+            recent = [*recent[1 - _RECENT :], last]
 
-    def _step(self, left: Point, bend: np.ndarray, step: float) -> _Accepted | None:
+    def _step(self, recent: Sequence[Point], step: float) -> _Accepted | None:
         """The next point on the same branch, at most `step` away; None if there is none."""
         corrector, steps = self.corrector, self.steps
-        most = _GROWTH
+        left, most = recent[-1], _GROWTH
         while step >= steps.least:
-            guess = left.z + step * left.tangent + 0.5 * step**2 * bend
-            right = corrector(guess, left.tangent, left, radius=step)
+            guess, jacobian = self._ahead(recent, step)
+            near = replace(left, jacobian=jacobian)
+            right = corrector(guess, left.tangent, near, radius=step)
             if right is not None:
                 right = surely(corrector, right, _SURE * step)
                 piece = segment(corrector, left, right)
@@ -129,6 +136,21 @@ class BranchWalk:
             corrector.counts.rejected += 1
             most = 1.0
         return None
+
+    def _ahead(self, recent: Sequence[Point], step: float) -> tuple[np.ndarray, np.ndarray]:
+        """(z, Jacobian) on the plane at `step`, of polynomials through the points.
+
+        That of z has their tangents.  Both are functions of the distance along the last tangent.
+        """
+        dot, last, k = self.corrector.dot, recent[-1], np.arange(2 * len(recent))
+        s = np.array([[dot(point.z - last.z, last.tangent)] for point in recent]) / step
+        z = [point.z for point in recent]
+        z += [step / dot(point.tangent, last.tangent) * point.tangent for point in recent]
+        powers = s**k
+        both = np.concatenate([powers, k * s ** np.maximum(k - 1, 0)])
+        # The weights with which rows of values (and slopes) give the value at 1.
+        plain, full = (np.linalg.solve(m.T, np.ones(len(m))) for m in (powers[:, : len(s)], both))
+        return full @ z, np.tensordot(plain, [point.jacobian for point in recent], 1)
 
     def _load(self, piece: Segment, guess: np.ndarray) -> float:
         """The load of a step: the greatest share of a limit, which grows with the step length."""
@@ -160,11 +182,15 @@ class BranchWalk:
         """Where the segment crosses p = bound, to rounding; None if it only starts there."""
         if piece.left.p == bound:
             return None
-        cut = locate(self.corrector, piece, lambda point: point.p - bound).point
         # On the plane p = bound a Newton step changes p by rounding only.
-        upright = np.append(np.zeros_like(cut.u), np.sign(bound - piece.left.p))
-        exact = self.corrector(np.append(cut.u, bound), upright, cut, piece.length)
-        return surely(self.corrector, cut if exact is None else exact, _SURE * piece.length)
+        upright = np.append(np.zeros_like(piece.left.u), np.sign(bound - piece.left.p))
+        share: Any = brentq(lambda x: piece.at(x)[0][-1] - bound, 0.0, 1.0)
+        guess = np.append(piece.at(share)[0][:-1], bound)
+        exact = self.corrector(guess, upright, piece.right, _NEAR * piece.length)
+        if exact is None:
+            cut = locate(self.corrector, piece, lambda point: point.p - bound).point
+            exact = self.corrector(np.append(cut.u, bound), upright, cut, piece.length) or cut
+        return surely(self.corrector, exact, _SURE * piece.length)
 
     def _passes_start(self, piece: Segment) -> bool:
         """Whether the segment passes the first point of the branch in the same direction."""

@@ -56,6 +56,7 @@ class Point:
     logdet: float
     residual: float
     last_step: float
+    contraction: float
     extra: Any = None
 
     @property

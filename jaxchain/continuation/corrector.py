@@ -22,6 +22,8 @@ from .damped_newton import Factors, Iterate, advance, arrays, begin, factorise, 
 # A Jacobian costs about this number of values, so more chord steps are not worthwhile.
 _CHORD_STEPS = 8
 _LEAST_DAMPING = 1 / 16
+# The greatest growth of the contraction of chord steps from one point to the next.
+_DOUBT = 10.0
 _MAX_EVALUATIONS = 40
 # Special points do not depend on the tolerance of the points of the branch.
 _SHARP = 1e-10
@@ -57,6 +59,7 @@ def _correct(
     normal: Any,  # (m + 1,), of weighted length 1
     jacobian: Any,  # (m, m + 1)
     exists: Any,  # whether `jacobian` is one
+    expected: Any,  # contraction of its chord steps, 0 if unknown
     radius: Any,
     weights: Any,  # (m + 1,)
     tolerance: Any,
@@ -98,6 +101,11 @@ def _correct(
     def far(at: Iterate) -> Array:
         return size(at.u - guess, weights) > radius
 
+    def arrives(at: Iterate) -> Array:
+        """Whether the next step is expected to be small enough, so that it needs no value."""
+        share = jnp.where(at.contraction > 0, at.contraction, expected)
+        return (share > 0) & (at.length * share <= enough(at) / 2)
+
     def chords(search: _Iteration) -> Iterate:
         """Steps with a fixed Jacobian, as long as they converge quickly."""
         previous = search.at.factors, search.at.aux
@@ -113,7 +121,7 @@ def _correct(
             # If an old Jacobian fails, compute a new one.
             lost = (at.refused & ~search.fresh) | far(at)
             spent = search.values + search.jacobians + at.evaluations >= _MAX_EVALUATIONS
-            return ~(slow | lost | spent | (at.length <= enough(at) / 2))
+            return ~(slow | lost | spent | (at.length <= enough(at) / 2) | arrives(at))
 
         start = search.at._replace(evaluations=search.fresh.astype(int))
         return iterate(as_before, start, weights, going, least_damping=_LEAST_DAMPING)
@@ -128,9 +136,12 @@ def _correct(
         failed = far(at) | (search.fresh & (at.damping < _LEAST_DAMPING))
 
         def anew(at: Iterate) -> Iterate:
-            nowhere = jnp.asarray(jnp.inf)
+            steps = arrives(at)
             start = at._replace(
-                step=jnp.zeros_like(guess), length=nowhere, damping=jnp.ones(()), evaluations=none
+                step=jnp.where(steps, at.step, 0.0),
+                length=jnp.where(steps, at.length, jnp.inf),
+                damping=jnp.ones(()),
+                evaluations=none,
             )
             return advance(newly, start, weights)
 
@@ -164,6 +175,7 @@ def _correct(
         "logdet": logdet + jnp.log(length),
         "residual": jnp.max(jnp.abs(at.value[:-1])),
         "last_step": at.length,
+        "contraction": at.contraction,
         "extra": at.aux[1],
     }
     return point, search.good & jnp.isfinite(length), search.values, search.jacobians
@@ -224,18 +236,20 @@ class Corrector:
             normal / self.norm(normal),
             np.zeros((m, m + 1)) if near is None else near.jacobian,
             np.asarray(near is not None),
+            np.asarray(0.0 if near is None else _DOUBT * near.contraction),
             np.asarray(float(radius)),
             self.weights,
             np.asarray(self.tolerance),
         )
-        points, good, values, jacobians = jax.device_get(solved)
+        points, good, values, jacobians = jax.tree.map(np.asarray, solved)
         self.counts.values += int(values)
         self.counts.jacobians += int(jacobians)
         self.counts.solves += 1
         if not good:
             return None
         single = {
-            name: float(points[name]) for name in ("sign", "logdet", "residual", "last_step")
+            name: float(points[name])
+            for name in ("sign", "logdet", "residual", "last_step", "contraction")
         }
         return Point(**{**points, **single})
 

@@ -18,6 +18,8 @@ Test = Callable[[np.ndarray, float, np.ndarray, Any], Any]
 _ZERO, _NOT_ZERO = 1e-7, 1e-3
 # A function that is still above this share after this number of trials has no zero: it jumps.
 _PATIENCE, _JUMP = 10, 1e-2
+# The distance, as a share of a segment, to the point that is tried in place of one that fails.
+_BESIDE = 1e-9
 _MAX_DIPS = 12
 # Steps of `polish`, and the least factor by which each must reduce the test.
 _POLISHING, _LESS = 6, 0.5
@@ -102,7 +104,9 @@ def locate(corrector: Corrector, piece: Segment, test: Callable[[Point], float])
             best = min(abs(value) for _, value in tried.values())
             if len(tried) > _PATIENCE and best > _JUMP * scale:
                 raise ArithmeticError
-            point = point_at(corrector, piece, fraction)
+            # At a double eigenvalue derivatives are infinite, but not beside it.
+            beside = (point_at(corrector, piece, x) for x in (fraction, fraction + _BESIDE))
+            point = next((point for point in beside if point is not None), None)
             if point is None:  # near a branch point the corrector's own matrix is singular
                 raise ArithmeticError
             tried[fraction] = (point, test(point))

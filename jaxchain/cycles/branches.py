@@ -70,6 +70,8 @@ _BREAKING = "symmetry breaking"
 # How close to +1 multipliers of one special point are.
 _UNIT = 1e-5
 _SUBGROUPS = "it is the index of one of `point.symmetries`."
+# Cycles that are integrated at once, in a sixth of the time.
+_TOGETHER = 8
 # Arclength for the slope of a test.
 _PROBE = 1e-4
 
@@ -299,17 +301,26 @@ def linearise(
     return r, jacobian, extra
 
 
+def cycles_at(
+    u: Float[np.ndarray, "k m"], parameters: Float[np.ndarray, "k more"], shooting: Shooting
+) -> tuple[Any, Float[np.ndarray, " k"], Float[np.ndarray, "k n"]]:
+    """(state, period, amplitude) of k solutions; `linearise` has those of the iterates before."""
+    k = len(u)
+    rows = [np.minimum(first + np.arange(_TOGETHER), k - 1) for first in range(0, k, _TOGETHER)]
+    parts = [_cycles_at(u[row], parameters[row], shooting) for row in rows]
+    return jax.tree.map(lambda *part: np.concatenate(part)[:k], *parts)
+
+
 @eqx.filter_jit
-def cycle_at(
-    u: Float[Array, " m"], parameter: Any, shooting: Shooting
-) -> tuple[State, Float[Array, ""], Float[Array, " n"]]:
-    """(state, period, amplitude) of a solution; `linearise` has those of the previous iterate."""
-    parameters = parameter if isinstance(parameter, tuple) else (parameter,)
-    field, state, period = shooting.unpack(u, *parameters)
-    _, _, ((amplitude, _, _),) = flow(
-        field, state, period, rtol=shooting.rtol, solver=shooting.solver, observers=[Along()]
-    )
-    return state, period, amplitude
+def _cycles_at(u: Any, parameters: Any, shooting: Shooting) -> tuple[Any, Array, Array]:
+    def one(u: Array, parameters: Array) -> tuple[State, Array, Array]:
+        field, state, period = shooting.unpack(u, *parameters)
+        _, _, ((amplitude, _, _),) = flow(
+            field, state, period, rtol=shooting.rtol, solver=shooting.solver, observers=[Along()]
+        )
+        return state, period, amplitude
+
+    return jax.vmap(one)(u, parameters)
 
 
 def symmetry_breaking_basis(
@@ -890,15 +901,13 @@ def _follow(
         k -= 1
     if not k:
         raise NoBranchError("The amplitude is 0 at the first point: start at a larger one.")
-    points = [cycle_at(u, p, shooting) for u, p in zip(branch.u[:k], branch.p[:k], strict=True)]
-    states, period, amplitude = zip(*points, strict=True)
-    state = tuple(np.stack(column) for column in zip(*states, strict=True))
+    state, period, amplitude = cycles_at(branch.u[:k], branch.p[:k, None], shooting)
     return CycleBranch(
         name=str(shooting.parameter or ""),
         parameter=branch.p[:k],
         state=state,
-        period=np.stack(period),
-        amplitude=np.stack(amplitude),
+        period=period,
+        amplitude=amplitude,
         scaled_peak_velocity=_scaled_peak_velocity(shooting, branch.u[:k]),
         multipliers=extra.multipliers[:k],
         trivial_defect=extra.trivial_defect[:k],
