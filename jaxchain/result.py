@@ -104,7 +104,10 @@ class SearchResult(eqx.Enumeration, metaclass=_Outcomes):  # pyright: ignore
         "The result is steady sliding, not a vibration: the mass hardly moves. Start from a "
         "state farther from steady sliding."
     )
-    other_kind = "A cycle was found, but of the other kind (stick-slip or slip) than requested."
+    other_kind = (
+        "A cycle was found, but not as requested: of the other kind (stick-slip or slip), or with "
+        "a shorter period, for which the given shift of time is another one."
+    )
     no_meeting = (
         "The first Lyapunov coefficient does not change its sign between `low` and `high`, or "
         "jumps there: the fold does not end on the Hopf curve in between."

@@ -102,6 +102,11 @@ QUICK = {
         lambda c: jc.boundaries.first_lyapunov_coefficient(c, 1.15, 1.0, jnp.ones(1, complex)),
         1e-9,
     ),
+    "cycle_symmetry": (
+        THREE,
+        lambda c: jnp.asarray(jc.cycles.cycle_symmetry(c, jc.steady_sliding(c), 6.0).images),
+        0,
+    ),
 }  # fmt: skip
 LONG = {
     "simulate": (THREE, run, 5e-3),

@@ -168,6 +168,7 @@ SPEEDLESS = {
 # Of chains one by one, on the host.
 SINGLE = (
     "find_hopf_point", "continue_equilibrium", "find_special_cycle", "find_limit_cycles",
+    "cycle_symmetry",
     "continue_cycle", "depinning_belt_speed", "equation_8", "equation_10",
     "find_limit_cycle", "first_lyapunov_coefficient", "front_speed", "generalised_hopf",
     "gentlest_blow",

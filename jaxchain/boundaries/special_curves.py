@@ -29,7 +29,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import equinox as eqx
 import jax
@@ -59,13 +59,13 @@ from ..cycles.branches import (
     cycle_weights,
     cycles_at,
     linearise,
-    symmetry_breaking_basis,
+    return_of_broken,
 )
 from ..cycles.floquet import LEAST_VELOCITY, check_orbit, is_cycle
 from ..cycles.phases import KINDS as DRY_KINDS
 from ..cycles.phases import Phases, phases_of, slip_phases
 from ..cycles.shooting import Shooting
-from ..cycles.variational import flow
+from ..cycles.symmetry import Symmetry
 from ..model.arguments import as_chain, as_mass
 from ..model.cells import AbstractField
 from ..model.chain import Chain, require_smoothed
@@ -108,8 +108,8 @@ class _CycleEquations(eqx.Module):
 
     shooting: Any
     kind: str = eqx.field(static=True)
-    # The `images` of the disturbances that break a symmetry; None: none.
-    kept: tuple[int, ...] | None = eqx.field(static=True, default=None)
+    # What remains of a symmetry that breaks; None: none breaks.
+    kept: Symmetry | None = eqx.field(static=True, default=None)
 
     @property
     def dry(self) -> bool:
@@ -162,9 +162,10 @@ class _CycleEquations(eqx.Module):
         elif self.kind == "period doubling":
             g, left, right = _signed_least(M + jnp.eye(len(M)))
         else:
-            images, m = self.shooting.images, self.shooting.m
-            basis = jnp.asarray(symmetry_breaking_basis(images, m, self.kept))
-            g, left, right = _signed_least(basis.T @ M @ basis - jnp.eye(basis.shape[1]))
+            basis, block, at = return_of_broken(
+                extra.part, self.shooting, cast(Symmetry, self.kept)
+            )
+            g, left, right = _signed_least(block - at * jnp.eye(len(block)))
             left, right = basis @ left, basis @ right
         return jnp.append(r, g), slopes, extra, left, right
 
@@ -178,11 +179,11 @@ class _CycleEquations(eqx.Module):
         shooting = self.shooting
 
         def end(y: Array) -> Array:
+            to_end, kept = shooting, self.kept
+            if kept is None or kept[0] != shooting.images:  # see `return_of_broken`
+                to_end = replace(shooting, shift=kept and kept[1])
             field, _, period = shooting.unpack(u, *parameters)
-            state = tuple(jnp.split(y, shooting.m))
-            return jnp.concatenate(
-                flow(field, state, period, rtol=shooting.rtol, solver=shooting.solver)[0]
-            )
+            return jnp.concatenate(to_end.end(field, tuple(jnp.split(y, shooting.m)), period))
 
         def image(one: Array) -> Array:
             if self.kind == "fold":
@@ -583,7 +584,11 @@ def _start(point: Any) -> tuple[_CycleEquations, str, Array]:
     mu = pairs[np.abs(np.abs(pairs) - 1.0).argmin()] if point.kind == "torus" else 0j
     kappa = [mu.real] if point.kind == "torus" else []
     U = jnp.asarray([*point.raw.u, *kappa, point.parameter])
-    kept = point.symmetries[0].images if point.symmetries else None
+    kept = None
+    if point.kind == "symmetry breaking":
+        kept = tuple(range(point.shooting.n)), None
+        for symmetry in point.symmetries[:1]:
+            kept = symmetry.images, symmetry.shift
     equations = _CycleEquations(point.shooting, point.kind, kept)
     return equations, str(point.shooting.parameter), U
 

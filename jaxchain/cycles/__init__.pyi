@@ -11,3 +11,5 @@ from .floquet import liouville_determinant as liouville_determinant
 from .floquet import monodromy_matrix as monodromy_matrix
 from .limit_cycle import find_limit_cycle as find_limit_cycle
 from .limit_cycle import guess_from_simulation as guess_from_simulation
+from .symmetry import CycleSymmetry as CycleSymmetry
+from .symmetry import cycle_symmetry as cycle_symmetry

@@ -38,7 +38,7 @@ from ..continuation.branch import (
 )
 from ..continuation.corrector import Corrector
 from ..continuation.special_points import Located, Test, polish
-from ..model.arguments import as_images, as_mass
+from ..model.arguments import as_mass
 from ..model.chain import Chain, require_smoothed
 from ..model.oscillators import AbstractOscillators
 from ..model.parameters import SPEED, Parameter, parameter
@@ -57,7 +57,17 @@ from .floquet import (
     turns_of,
 )
 from .shooting import Shooting, residual
-from .symmetry import CycleSymmetry, finer, isotropy, label_of, ring_motions
+from .symmetry import (
+    CycleSymmetry,
+    Symmetry,
+    action,
+    as_symmetry,
+    elements,
+    finer,
+    isotropy,
+    label_of,
+    ring_motions,
+)
 from .variational import Along, flow
 
 if TYPE_CHECKING:
@@ -217,8 +227,8 @@ def with_less_symmetry(
     m, n, p, mass = shooting.m, shooting.n, point.parameter, shooting.mass
     own = symmetry.images[mass]  # the section is at the representative of its class
     images = tuple(mass if image == own else image for image in symmetry.images)
-    full = replace(shooting, images=images)
-    _, null = breaking_disturbance(point.raw.extra, shooting.images, symmetry.images, m)
+    full = replace(shooting, images=images, shift=symmetry.shift)
+    _, null = breaking_disturbance(point.raw.extra, shooting, (symmetry.images, symmetry.shift))
 
     def packed(z: Any) -> Any:
         _, state, period = shooting.unpack(z[:-1], z[-1])
@@ -257,7 +267,8 @@ class CycleLinearisation(eqx.Module):
     - `speed`: the greatest velocity, along the belt, of the mass where the orbit is cut.
     - `times_round`: k = 2, 3, ... if the orbit already closes after 1/k of the period, else 1.
     - `amplitude` (n,): half peak-to-peak of each displacement over a period.
-    - `monodromy` M = d(state after a period)/d(state), (2n, 2n), in the order (x, v).
+    - `monodromy` M = d(state after a period)/d(state), (2n, 2n), in the order (x, v); `part`: Q of
+      `Period`, which is M without a shift.
     - `multipliers` (2n - 1,): the nontrivial ones, the greatest modulus first; `trivial_defect`
       = |M f - f| / |f|.
     - `sound`: whether it can be a cycle, and its trivial multiplier is 1.
@@ -269,6 +280,7 @@ class CycleLinearisation(eqx.Module):
     times_round: Int[Array, ""]
     amplitude: Float[Array, " n"]
     monodromy: Float[Array, "two_n two_n"]
+    part: Float[Array, "two_n two_n"]
     multipliers: Complex[Array, " others"]
     trivial_defect: Float[Array, ""]
     sound: Bool[Array, ""]
@@ -294,6 +306,7 @@ def linearise(
         whole.returned.times_round,
         whole.amplitude,
         whole.monodromy,
+        whole.part,
         floquet.multipliers,
         floquet.defect,
         sound & is_trusted(floquet.multipliers, floquet.defect),
@@ -315,10 +328,10 @@ def cycles_at(
 def _cycles_at(u: Any, parameters: Any, shooting: Shooting) -> tuple[Any, Array, Array]:
     def one(u: Array, parameters: Array) -> tuple[State, Array, Array]:
         field, state, period = shooting.unpack(u, *parameters)
-        _, _, ((amplitude, _, _),) = flow(
+        _, _, ((low, high, _, _),) = flow(
             field, state, period, rtol=shooting.rtol, solver=shooting.solver, observers=[Along()]
         )
-        return state, period, amplitude
+        return state, period, (high - low) / 2
 
     return jax.vmap(one)(u, parameters)
 
@@ -328,36 +341,51 @@ def symmetry_breaking_basis(
 ) -> Float[np.ndarray, "two_n k"]:
     """An orthonormal basis of the disturbances of a state that break the symmetry of `images`.
 
-    Those only that keep the symmetry of `kept`, by default none.
+    Those only that keep the symmetry of `kept`, by default none; all of these if it is the same.
     """
     groups = np.asarray(images)[:, None] == np.unique(images)[None, :]
     less = np.asarray(range(len(images)) if kept is None else kept)
     within = (less[:, None] == np.unique(less)[None, :]).astype(float)
     within /= np.sqrt(np.sum(within, axis=0))
     rest = np.linalg.svd(within.T @ groups)[0][:, groups.shape[1] :]
-    return np.kron(np.eye(m), within @ rest)
+    return np.kron(np.eye(m), within if kept == images else within @ rest)
+
+
+def return_of_broken(part: Any, shooting: Shooting, kept: Symmetry) -> tuple[Any, Any, float]:
+    """(basis A, block, at): all but `kept` breaks where the block has the eigenvalue `at`.
+
+    The block is A^T Q A, with Q after the shift of `kept`, from `part`, after that of `shooting`.
+    If only shifts are lost, it is Q itself in disturbances that keep `images`, and `at` = -1.
+    """
+    images, shift, m = shooting.images, shooting.shift, shooting.m
+    basis = symmetry_breaking_basis(images, m, kept[0])
+    if kept[0] == images:
+        return basis, basis.T @ part @ basis, -1.0
+    at, share = kept[1] or (range(shooting.n), 1)
+    return basis, basis.T @ action(part, shift, at, shooting.parts // share, m) @ basis, 1.0
 
 
 def breaking_disturbance(
-    extra: CycleLinearisation, images: tuple[int, ...], kept: tuple[int, ...], m: int
+    extra: CycleLinearisation, shooting: Shooting, kept: Symmetry
 ) -> tuple[int, Float[np.ndarray, " two_n"]]:
     """(how many multipliers are +1, a disturbance of the last of them), see `breaking`."""
-    basis = symmetry_breaking_basis(images, m, kept)
-    block = basis.T @ np.asarray(extra.monodromy) @ basis
-    null = basis @ np.linalg.svd(block - np.eye(len(block)))[2][-1]
-    return int(np.sum(np.abs(np.linalg.eigvals(block) - 1.0) < _UNIT)), null
+    basis, block, at = return_of_broken(np.asarray(extra.part), shooting, kept)
+    null = basis @ np.linalg.svd(block - at * np.eye(len(block)))[2][-1]
+    return int(np.sum(np.abs(np.linalg.eigvals(block) - at) < _UNIT)), null
 
 
 def symmetries_of(
     extra: CycleLinearisation, shooting: Shooting, motions: list[np.ndarray]
 ) -> tuple[CycleSymmetry, ...]:
     """The subgroups along which branches leave a symmetry breaking."""
-    images, found = shooting.images, []
-    for kept in finer(motions, images):
-        count, null = breaking_disturbance(extra, images, kept, shooting.m)
-        less, mirrored = isotropy(motions, images, null.reshape(shooting.m, -1))
-        if count == 1 and less == kept:
-            found.append(CycleSymmetry(label_of(motions, kept), kept, mirrored))
+    images, shift, found = shooting.images, shooting.shift, []
+    for kept in finer(motions, images, shift):
+        count, null = breaking_disturbance(extra, shooting, kept)
+        v, part = null.reshape(shooting.m, -1), np.asarray(extra.part)
+        less, mirrored = isotropy(motions, images, v, shift, part)
+        if count == 1 and elements(motions, *less) == elements(motions, *kept):
+            label = label_of(motions, *kept)
+            found.append(CycleSymmetry(label, kept[0], mirrored, kept[1]))
     return tuple(found)
 
 
@@ -371,19 +399,14 @@ def _signed(factors: Any) -> float:
     return float(np.sign(np.prod(np.sign(factors.real[factors.imag == 0]))) * np.min(abs(factors)))
 
 
-def breaking(
-    extra: CycleLinearisation,
-    images: tuple[int, ...],
-    m: int = 2,
-    kept: tuple[int, ...] | None = None,
-) -> float:
-    """Zero if a disturbance that breaks the symmetry, in the basis A, has a multiplier +1.
+def breaking(extra: CycleLinearisation, shooting: Shooting, kept: Symmetry) -> float:
+    """Zero if a disturbance that breaks the symmetry but for `kept` has a multiplier +1.
 
     It comes from A^T M A - 1.  M maps these disturbances onto themselves; the trivial multiplier
     belongs to the others.
     """
-    basis = symmetry_breaking_basis(images, m, kept)
-    return _signed(np.linalg.eigvals(basis.T @ np.asarray(extra.monodromy) @ basis) - 1.0 + 0.0j)
+    _, block, at = return_of_broken(np.asarray(extra.part), shooting, kept)
+    return _signed(np.linalg.eigvals(block) - at + 0.0j)
 
 
 def doubling(extra: CycleLinearisation) -> float:
@@ -425,14 +448,13 @@ def special_tests(
         return 0.0 if abs(speed) < 1e-4 else speed
 
     images, m, forced = shooting.images, shooting.m, shooting.turns is not None
+    symmetric = len(set(images)) < len(images) or shooting.shift is not None
     of: dict[str, Callable[[Any], float]] = {} if forced else {"hopf": vanishing}
     # One multiplier besides the trivial one is never negative.
     if m * len(images) > 2 or forced:
         of |= {"period doubling": doubling, "torus": encircling}
-    if len(set(images)) < len(images):
-        for kept in finer(motions, images):
-            name = f"{_BREAKING} {kept}"
-            of[name] = lambda extra, kept=kept: breaking(extra, images, m, kept)
+    for kept in finer(motions, images, shooting.shift) if symmetric else []:
+        of[f"{_BREAKING} {kept}"] = lambda extra, kept=kept: breaking(extra, shooting, kept)
     return {name: lambda u, p, tangent, extra, test=test: test(extra) for name, test in of.items()}
 
 
@@ -505,10 +527,10 @@ class CycleBranch(Printed):
 
     @property
     def symmetry(self) -> str:
-        """The rotations and reflections of its cycles, "Z1" for none, see `CycleSymmetry`."""
+        """The label of the symmetry of its cycles, "Z1" for none, see `CycleSymmetry`."""
         state = tuple(jnp.asarray(part[0]) for part in self.state)
         field = self.shooting.at(*[self.parameter[0]] * (self.shooting.parameter is not None))
-        return label_of(ring_motions(field, state), self.shooting.images)
+        return label_of(ring_motions(field, state), self.shooting.images, self.shooting.shift)
 
     @property
     def ended(self) -> str:
@@ -562,7 +584,7 @@ class CycleBranch(Printed):
           `special_index` (it lies between this point and the next) and `special_refined`, and also
           `special_amplitude`, `special_energy` and so on, up to the multipliers;
         - the attributes `parameter`, `parameters`, `ended`, `message`, `solver`, `rtol`,
-          `cut_at_oscillator`, `images`, `symmetry`, `versions`, `platform`, `created`.
+          `cut_at_oscillator`, `images`, `shift`, `symmetry`, `versions`, `platform`, `created`.
 
         !!! example
 
@@ -659,6 +681,7 @@ class CycleBranch(Printed):
                 "rtol": float(shooting.rtol),
                 "cut_at_oscillator": shooting.mass + 1,
                 "images": json.dumps(shooting.images),
+                "shift": json.dumps(shooting.shift),
                 "symmetry": self.symmetry,
                 **circumstances(),
             },
@@ -701,7 +724,8 @@ def continue_cycle(
       ends the branch ends; `direction`: 1 or -1, the sign of its first change.  At a fold use
       "stick" or "slip" to start towards greater or smaller scaled_peak_velocity of that mass.
     - `images`: a symmetry of the cycle; entry i is the index of the mass that moves like mass i.
-      The orbit keeps this symmetry; multipliers are those of all disturbances.
+      Or a `CycleSymmetry`, as of `cycle_symmetry`, whose shift of time is kept, too.  The orbit
+      keeps this symmetry; multipliers are those of all disturbances.
     - `step`, `min_step`, `max_step`, `max_points`, `progress`, `tolerance`: see `continue_branch`;
       lengths are (mean of x^2 and z^2 of the others + z_j^2 + ln^2 T + p^2)^(1/2).
     - `stop(p, linearisation)`: ends the branch where it is true.  The branch also ends at a Hopf
@@ -740,8 +764,8 @@ def continue_cycle(
             f"{sorted(numbers)}, but is {shown(parameter)}."
         )
     solver = fit_linear_solve(Rodas5P(), chain, float(rtol), state=state)
-    images, turns = as_images(images, n, mass), turns_of(chain, period)
-    shooting = Shooting(chain, rtol, solver, mass, images, parameter, len(state), turns)
+    (images, shift), turns = as_symmetry(images, chain, state, mass), turns_of(chain, period)
+    shooting = Shooting(chain, rtol, solver, mass, images, parameter, len(state), turns, shift)
     p = float(numbers[parameter])
     u = np.asarray(shooting.pack(state, period, p))
     heading = direction
@@ -834,7 +858,7 @@ def _follow(
     stop: Callable[[float, Any], Any] | None,
     options: dict[str, Any],
 ) -> CycleBranch:
-    less = len(set(shooting.images)) < shooting.n
+    less = len(set(shooting.images)) < shooting.n or shooting.shift is not None
     motions = ring_motions(shooting.field, shooting.unpack(jnp.asarray(u), p)[1]) if less else []
     weights, tests = cycle_weights(shooting, p), special_tests(shooting, motions)
     first, forced = True, shooting.turns is not None

@@ -40,7 +40,7 @@ from .._final import final
 from .._types import State
 from ..continuation.damped_newton import Factors, Iterate, check_tolerance, ending, factorise
 from ..continuation.implicit import attach_derivative
-from ..model.arguments import as_chain, as_images, as_mass, as_state
+from ..model.arguments import as_chain, as_mass, as_state
 from ..model.cells import AbstractCells, AbstractField
 from ..model.chain import Chain, require_smoothed, steady_sliding
 from ..model.initial_states import reference_site, release_state
@@ -79,6 +79,7 @@ from .floquet import (
     turns_of,
 )
 from .shooting import Shooting, greatest_gap, newton_minimal_period
+from .symmetry import CycleSymmetry, as_symmetry
 from .variational import Along, Period, Returned, Returns
 
 Guess = tuple[State, Array]
@@ -330,6 +331,9 @@ def _cycle(
     closed = (fields["residual"] <= tolerance) & trusted
     result = of.where(closed, of.where(moves, of.successful, of.steady_sliding), ended)
     result = of.where(lost, of.ran_away, result)
+    if getattr(equations, "shift", None) is not None:
+        shorter = (result == of.successful) & (fields["times_round"] > 1)
+        result = of.where(shorter, of.other_kind, result)
     fields |= {"chain": chain, "state": state, "period": period, "mass": equations.mass}
     return LimitCycle(result=result, turns=equations.turns, **fields)
 
@@ -549,7 +553,7 @@ def dry_cycle(
     state, _ = on_the_belt(chain, 0.0, (x[0], v[0]))
     u = equations.pack(state, orbit.period)
     run = equations.run(u, Along())
-    amplitude, fastest, _ = run.observed
+    low, high, fastest, _ = run.observed
     gap = jnp.concatenate(run.state) - jnp.concatenate(state)
     residual = jnp.max(jnp.abs(gap)) / fastest[mass]
     cycle = _cycle(
@@ -563,7 +567,7 @@ def dry_cycle(
         multipliers=orbit.multipliers,
         trivial_defect=orbit.defect,
         liouville_defect=jnp.full_like(orbit.defect, jnp.nan),
-        amplitude=amplitude,
+        amplitude=(high - low) / 2,
         fastest=fastest,
         evaluations=evaluations,
         times_round=jnp.ones((), int),
@@ -672,7 +676,7 @@ def _follow(
             cycle,
             direction=int(along * ahead),
             bounds=(bounds[0], bounds[1]),
-            images=shooting.images,
+            images=CycleSymmetry("", shooting.images, shift=shooting.shift),
             rtol=float(shooting.rtol),
             stop=turned,
         )
@@ -724,8 +728,8 @@ def find_limit_cycle(
       period); a `Simulation` (its last state); or a `LimitCycle` of another chain.
     - `mass`: index of the mass whose greatest velocity defines the section; by default n // 2
       without a guess, otherwise the mass farthest from sliding.  Required under `jit`.
-    - `images`: for a symmetric orbit, entry i is the index of the mass that moves like mass i, see
-      `continue_cycle`.
+    - `images`: for a symmetric orbit, entry i is the index of the mass that moves like mass i, or
+      a `CycleSymmetry`, see `continue_cycle`.
     - `rtol`: of the integration; `tolerance`: of the residual; `max_steps`: integrations allowed.
     - `throw`: raise an error if no cycle is found; otherwise check `result`.
 
@@ -753,14 +757,14 @@ def find_limit_cycle(
     as_chain(chain, AbstractField)
     check_tolerances(rtol, None, MAX_STEP)
     check_flag("throw", throw)
-    if isinstance(chain, Chain):
-        as_images(images, chain.n)
-    else:
+    if not isinstance(chain, Chain):
         require_smoothed(chain, "")
     limit = check_tolerance(tolerance, max_steps)
     frozen = lax.stop_gradient(chain)
+    if isinstance(chain, Chain):
+        as_symmetry(images, frozen, steady_sliding(frozen))
     mass, state, period = resolve_guess(frozen, guess, period, mass, branch, throw)
-    images = as_images(images, state[0].shape[0], mass)
+    images, shift = as_symmetry(images, frozen, state, mass)
 
     def failed(cycle: LimitCycle) -> bool:
         return not is_traced(cycle.successful) and not cycle.successful
@@ -774,7 +778,7 @@ def find_limit_cycle(
         turns = turns_of(frozen, period) if turns is None else turns
         solve, equations = (
             solve_cycle,
-            Shooting(frozen, rtol, solver, mass, images, None, m, turns),
+            Shooting(frozen, rtol, solver, mass, images, None, m, turns, shift),
         )
     numbers = to_float(tolerance), jnp.asarray(np.asarray(limit, dtype=int))
     start = lax.stop_gradient((state, period))

@@ -16,6 +16,8 @@ of of z).  If forces depend on displacement other than by -K x, x_j is not expli
 unknown, in its place among the x_n, and its acceleration at the cut is one more equation.  The
 same holds for other cells, whose m numbers are all unknown; z replaces their number `contact`.
 
+An orbit with x_motion[n](t + T / k) = x_n(t), a `shift`, returns after T / k already, moved.
+
 A forced orbit is cut at t = 0, and its period is a multiple of that of the force: the m N numbers
 are the only unknowns, and their return gives the only equations.
 """
@@ -29,6 +31,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
@@ -39,7 +42,7 @@ from ..model.cells import AbstractField
 from ..model.oscillators import AbstractOscillators
 from ..observers.amplitude import Amplitude
 from ..solvers.rosenbrock import AbstractStructuredRosenbrock
-from .variational import Period, flow, linearised_period
+from .variational import Period, Shift, flow, linearised_period
 
 
 class Shooting(eqx.Module):
@@ -56,6 +59,7 @@ class Shooting(eqx.Module):
       several, or None.
     - `m`: the number of variables of a cell.
     - `turns`: the period of a forced orbit in periods of the force; None without forcing.
+    - `shift`: (motion, k) of orbits with x_motion[n](t + T / k) = x_n(t), or None.
     """
 
     field: AbstractField
@@ -66,11 +70,17 @@ class Shooting(eqx.Module):
     parameter: str | tuple[str, ...] | None = eqx.field(static=True, default=None)
     m: int = eqx.field(static=True, default=2)
     turns: int | None = eqx.field(static=True, default=None)
+    shift: Shift | None = eqx.field(static=True, default=None)
 
     @property
     def n(self) -> int:
         """The number of masses."""
         return len(self.images)
+
+    @property
+    def parts(self) -> int:
+        """k, or 1 without a shift."""
+        return 1 if self.shift is None else self.shift[1]
 
     @property
     def solved(self) -> list[int]:
@@ -171,14 +181,15 @@ class Shooting(eqx.Module):
         """(R, its derivatives in u and, if it is given, the parameter, the orbit).
 
         It takes one integration.  With y = (x, v), y_1 the state after a period: dy_1 = M dy +
-        f(y_1) dT + (dy_1/dp) dp, and dR follows from R = gap(u, y_1, p).
+        f(y_1) dT + (dy_1/dp) dp, and dR follows from R = gap(u, y_1, p).  With a shift y_1 is the
+        state after T / k, moved.
         """
         d, m = self.m * self.n, u.shape[0]
         z = jnp.append(u, jnp.stack(parameter)) if parameter else u
 
         def start(z: Array) -> Array:
             _, state, period = self.unpack(z[:m], *z[m:])
-            return jnp.concatenate([*state, z[m:], period[None]])
+            return jnp.concatenate([*state, z[m:], (period / self.parts)[None]])
 
         def gap(z: Array, end: State) -> Array:
             return self.gap(z[:m], end, *z[m:])
@@ -188,7 +199,8 @@ class Shooting(eqx.Module):
 
         first, by_z = start(z), jax.jacfwd(start)(z)
         period = first[-1]
-        whole = linearised_period(make, first[:-1], rtol=self.rtol, solver=self.solver)
+        numerics = {"rtol": self.rtol, "solver": self.solver, "shift": self.shift}
+        whole = linearised_period(make, first[:-1], **numerics)
         rate = jnp.concatenate(self.at(*parameter)(0.0, whole.end))
         end = jnp.concatenate([whole.slopes, rate[:, None]], axis=1) @ by_z
         direct, by_end = jax.jacfwd(gap, argnums=(0, 1))(z, whole.end)
@@ -202,11 +214,16 @@ class Shooting(eqx.Module):
 
         Rest also solves the undivided equations; Newton's method for the divided ones avoids it.
         """
-        end, _, _ = flow(*self.unpack(u, *parameter), rtol=self.rtol, solver=self.solver)
-        return self.gap(u, end, *parameter)
+        field, state, period = self.unpack(u, *parameter)
+        return self.gap(u, self.end(field, state, period), *parameter)
+
+    def end(self, field: AbstractField, state: State, period: Array) -> State:
+        """The state after the period, or after T / k, moved."""
+        end, _, _ = flow(field, state, period / self.parts, rtol=self.rtol, solver=self.solver)
+        return end if self.shift is None else tuple(p[np.asarray(self.shift[0])] for p in end)
 
     def closing(self, u: Float[Array, " m"]) -> tuple[Float[Array, " m"], Float[Array, " n"]]:
-        """(the residual, the amplitudes)."""
+        """(the residual after the whole period, the amplitudes)."""
         end, _, (amplitude,) = flow(
             *self.unpack(u), rtol=self.rtol, solver=self.solver, observers=[Amplitude()]
         )

@@ -2,23 +2,39 @@
 
 A motion is an index array: the image of a state has y[motion] for y.  The motions that leave a
 cycle unchanged make masses move alike: `images` has for each mass the least index of those that
-move like it.  A disturbance v of a multiplier +1 has an isotropy subgroup, the motions with
-v[motion] = v.  Where several multipliers are +1 together, a branch leaves along each v whose
-subgroup leaves no other disturbance of these unchanged, up to a factor (the equivariant branching
-lemma: Golubitsky, Stewart, Schaeffer, Singularities and Groups in Bifurcation Theory II, Springer
-1988, chapter XIII).  Among the disturbances with this subgroup it is a simple branch point.
+move like it.  Others leave it unchanged up to a shift of time, x_motion[n](t + T j / k) = x_n(t),
+as in antiphase states and rotating waves; they are those of `shift` = (motion, k), j = 1, and
+what it makes together with the first.  One motion has one shift.
+
+An element acts on a disturbance v of a multiplier +1 as v -> (D v)[motion], D the derivative of
+the flow over the time of its shift.  The isotropy subgroup of v has the elements that leave it
+unchanged.  Where several multipliers are +1 together, a branch leaves along each v whose subgroup
+leaves no other disturbance of these unchanged, up to a factor (the equivariant branching lemma:
+Golubitsky, Stewart, Schaeffer, Singularities and Groups in Bifurcation Theory II, Springer 1988,
+chapter XIII).  Among the disturbances with this subgroup it is a simple branch point.
 """
 
 from __future__ import annotations
 
+import functools
 import itertools
-from typing import NamedTuple
+import operator
+from collections.abc import Iterable
+from fractions import Fraction
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
+from .._checks import check_concrete, check_positive_number, is_traced, shown
+from .._final import final
 from .._types import State
+from ..model.arguments import as_images
 from ..model.cells import AbstractField
+from ..observers.samples import Trajectory
+from ..simulation.run import simulate
+from .floquet import CYCLE_RTOL, as_orbit, check_orbit
+from .variational import Shift, powers
 
 # Of the force, beside 0, at which a symmetry must hold, too.
 _PHASE = 0.37
@@ -59,73 +75,232 @@ def ring_motions(field: AbstractField, state: State) -> list[np.ndarray]:
     return [at for at in motions if np.max(np.abs(rate(at) - here[..., at])) <= least]
 
 
+@final
 class CycleSymmetry(NamedTuple):
-    """A subgroup to which a cycle may lose its symmetry.
+    """The symmetry of a cycle, or a subgroup to which it may lose it.
 
     - `label`: "D4" for 4 rotations and as many reflections, "Z4" without reflections; of a single
-      reflection also where its axis passes.
+      reflection also where its axis passes; "Z4, T/4" if some belong to shifts of time, by a
+      quarter of the period at least.
     - `images`: entry i is the index of the mass that moves like mass i.
-    - `mirrored`: whether both halves of the branch are images of each other.
+    - `mirrored`: whether both halves of the branch that leaves are images of each other.
+    - `shift`: (motion, k) if mass motion[n] moves like mass n a time T / k later, or None.
     """
 
     label: str
     images: tuple[int, ...]
-    mirrored: bool
+    mirrored: bool = False
+    shift: Shift | None = None
 
 
-def alike(motions: list[np.ndarray], n: int) -> tuple[int, ...]:
-    """`images` of the cycles that all these motions leave unchanged."""
-    images = np.arange(n)
-    for _ in range(n):
-        for at in motions:
-            images = np.minimum(images, images[at])
-    return tuple(images.tolist())
+# `images` and `shift`.
+Symmetry = tuple[tuple[int, ...], Shift | None]
+# What a cycle keeps: its motions as tuples, with their shifts as shares of the period.
+Elements = dict[tuple[int, ...], Fraction]
 
 
-def keeping(motions: list[np.ndarray], images: tuple[int, ...]) -> list[np.ndarray]:
-    """The motions that leave cycles with these `images` unchanged."""
+def cycle_symmetry(
+    chain: Any, state: Any = None, period: Any = None, *, tolerance: Any = 1e-6
+) -> CycleSymmetry:
+    """The rotations and reflections of a ring that leave a cycle unchanged, also up to a shift.
+
+    **Arguments:** a `LimitCycle` alone, or a model with a state on the cycle and its period;
+    `tolerance`: the greatest distance of two states that are the same, relative to the size of
+    the orbit.
+
+    **Returns:** a `CycleSymmetry`, for the argument `images` of `find_limit_cycle` and
+    `continue_cycle`.  A forced cycle has no shift.
+
+    **Raises:** `ValueError` for bad input.
+
+    !!! example
+
+        >>> import jax, jax.numpy as jnp
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import find_limit_cycle, paper_chain
+        >>> from jaxchain.cycles import cycle_symmetry
+        >>> alone = find_limit_cycle(paper_chain(1, belt_speed=1.2, width=0.1))
+        >>> half = (-alone.state[0] + 0.6, -alone.state[1])  # nearly half a period later
+        >>> start = tuple(jnp.tile(jnp.concatenate(pair), 2) for pair in zip(alone.state, half))
+        >>> ring = paper_chain(4, belt_speed=1.2, width=0.1)
+        >>> cycle_symmetry(find_limit_cycle(ring, (start, alone.period))).label
+        'D4, T/2'
+    """
+    chain, state, period = as_orbit(chain, state, period)
+    check_concrete("call it outside `jit`.", chain=chain, state=state, period=period)
+    state = check_orbit(chain, state, period, CYCLE_RTOL)
+    check_positive_number("tolerance", tolerance, "1e-6 is usual.")
+    n, forced = state[0].size, chain.forcing_period() is not None
+    motions, k = ring_motions(chain, state), 1 if forced else int(np.lcm(n, 2))
+    times = float(period) * np.arange(k + 1) / k
+    run = simulate(chain, state, times[-1], observe=Trajectory(times), rtol=1e-9)
+    orbit = np.stack(run.observed)  # (m, k + 1, n)
+    size = np.max(np.ptp(orbit, axis=1)) or 1.0
+    found: Elements = {}
+    for at in motions:
+        gaps = np.max(np.abs(orbit[:, :-1, at] - np.stack(state)[:, None]), axis=(0, 2))
+        if np.any(same := gaps <= tolerance * size):
+            found[tuple(at.tolist())] = Fraction(int(np.argmax(same)), k)
+    images, shift = _described(found)
+    return CycleSymmetry(label_of(motions, images, shift), images, shift=shift)
+
+
+def as_symmetry(
+    images: Any, chain: AbstractField, state: State, mass: int | None = None
+) -> Symmetry:
+    """(`images`, `shift`) from `images` or a `CycleSymmetry`, with `mass` solved for."""
+    n = state[0].shape[0]
+    if not isinstance(images, CycleSymmetry):
+        return as_images(images, n, mass), None
+    same, shift = as_images(images.images, n), images.shift
+    if mass is not None:
+        same = tuple(mass if image == same[mass] else image for image in same)
+    if shift is None:
+        return same, None
+    motion, k = shift
+    if chain.forcing_period() is not None:
+        raise ValueError(
+            f"Argument `images` has the shift {shown(shift)}, but the cells are forced: a force "
+            "that acts on all of them has no symmetry under a shift of time."
+        )
+    traced = is_traced(chain, state)
+    every = [] if traced else [tuple(at.tolist()) for at in ring_motions(chain, state)]
+    whole = isinstance(k, int) and k > 1 and (traced or tuple(motion) in every)
+    if not whole or not _fits(same, (tuple(motion), k)):
+        raise ValueError(
+            f"Argument `images` has the shift {shown(shift)}, but it must be (motion, k) with a "
+            "rotation or reflection of the ring that leads after k times to masses that move "
+            "alike: `cycle_symmetry` finds it."
+        )
+    return same, (tuple(motion), k)
+
+
+def _fits(images: tuple[int, ...], shift: Shift) -> bool:
+    """Whether masses that move alike do so after the motion, and k motions lead to such."""
+    motion, k = shift
     classes = np.asarray(images)
-    return [at for at in motions if np.array_equal(classes[at], classes)]
+    last = powers((motion, k + 1))[-1]
+    moved = classes[np.asarray(motion)]
+    alike = moved[:, None] == moved
+    kept = np.array_equal(alike, classes[:, None] == classes)
+    return kept and np.array_equal(classes[last], classes)
 
 
-def label_of(motions: list[np.ndarray], images: tuple[int, ...]) -> str:
-    """The name of the subgroup of motions that leave cycles with these `images` unchanged."""
-    kept, sites = keeping(motions, images), np.arange(len(images))
+def alike(motions: Iterable[Any], n: int) -> tuple[int, ...]:
+    """`images` of the cycles that a group of motions leaves unchanged."""
+    return tuple(np.min([np.arange(n), *map(np.asarray, motions)], axis=0).tolist())
+
+
+def elements(
+    motions: list[np.ndarray], images: tuple[int, ...], shift: Shift | None = None
+) -> Elements:
+    """What leaves cycles with these `images` and this `shift` unchanged."""
+    classes = np.asarray(images)
+    kept = [at for at in motions if np.array_equal(classes[at], classes)]
+    every = [np.arange(len(images))] if shift is None else powers(shift)
+    return {
+        tuple(at[power].tolist()): Fraction(j, len(every))
+        for j, power in enumerate(every)
+        for at in kept
+    }
+
+
+def _described(group: Elements) -> Symmetry:
+    """`images` and `shift` of what leaves a cycle unchanged."""
+    n = len(next(iter(group)))
+    images = alike((at for at, share in group.items() if share == 0), n)
+    least, at = min(((share, at) for at, share in group.items() if share > 0), default=(1, ()))
+    return images, (at, Fraction(least).denominator) if at else None
+
+
+def label_of(
+    motions: list[np.ndarray], images: tuple[int, ...], shift: Shift | None = None
+) -> str:
+    """The name of the subgroup that leaves cycles with this symmetry unchanged."""
+    kept, sites = [np.array(at) for at in elements(motions, images, shift)], np.arange(len(images))
     turns = [at for at in kept if np.array_equal(at, (at[0] + sites) % len(sites))]
-    if len(sites) < 3 or len(turns) == len(kept):
-        return f"Z{len(kept)}"
-    if len(turns) > 1:
-        return f"D{len(turns)}"
-    (axis,) = (at for at in kept if not np.array_equal(at, sites))
-    through = np.flatnonzero(axis == sites)
-    return f"D1 (axis through mass {through[0]})" if through.size else "D1 (axis between masses)"
+    name = f"Z{len(kept)}"
+    if len(sites) > 2 and len(turns) < len(kept):
+        name = f"D{len(turns)}"
+    if name == "D1":
+        (axis,) = (at for at in kept if not np.array_equal(at, sites))
+        through = np.flatnonzero(axis == sites)
+        where = f"through mass {through[0]}" if through.size else "between masses"
+        name = f"D1 (axis {where})"
+    return name if shift is None else f"{name}, T/{shift[1]}"
 
 
-def finer(motions: list[np.ndarray], images: tuple[int, ...]) -> list[tuple[int, ...]]:
-    """The `images` of cycles with less symmetry, one of each class of conjugate subgroups.
+def _composed(one: tuple[int, ...], other: tuple[int, ...]) -> tuple[int, ...]:
+    """One motion after the other."""
+    return tuple(one[i] for i in other)
+
+
+def _generated(group: Elements, pair: Iterable[tuple[int, ...]]) -> Elements:
+    """What two elements make together."""
+    first = tuple(range(len(next(iter(group)))))
+    found, new, pair = {first: Fraction(0)}, [first], list(pair)
+    while new:
+        at = new.pop()
+        for other in pair:
+            both = _composed(other, at)
+            if both not in found:
+                found[both] = group[both]
+                new.append(both)
+    return found
+
+
+def finer(
+    motions: list[np.ndarray], images: tuple[int, ...], shift: Shift | None = None
+) -> list[Symmetry]:
+    """(`images`, `shift`) of cycles with less symmetry, one of each class of conjugate subgroups.
 
     The first has none.
     """
-    n, group = len(images), keeping(motions, images)
-    found = {tuple(range(n)): tuple(range(n))}
+    group = elements(motions, images, shift)
+    seen: set[frozenset] = set()
+    found = []
     for pair in itertools.combinations_with_replacement(group, 2):
-        less = alike(list(pair), n)
-        if len(set(less)) > len(set(images)):
-            conjugate = min(_canonical(np.asarray(less)[at]) for at in group)
-            found.setdefault(conjugate, less)
-    return list(found.values())
+        # All that leaves the cycles of these two unchanged.
+        fewer, later = _described(_generated(group, pair))
+        own = elements(motions, fewer, later)
+        if len(set(fewer)) == len(set(images)):
+            fewer = images
+        # Masses that move alike and lose a part of their shifts only: a half, by a multiplier -1.
+        thirds = fewer == images and len(group) != 2 * len(own)
+        if len(own) == len(group) or thirds or frozenset(own) in seen:
+            continue
+        for at in group:
+            back = tuple(np.argsort(at).tolist())
+            seen.add(frozenset(_composed(at, _composed(g, back)) for g in own))
+        found.append((fewer, later))
+    return sorted(found, key=lambda less: (-len(set(less[0])), less[1] is not None))
 
 
-def _canonical(classes: np.ndarray) -> tuple[int, ...]:
-    first = {c: i for i, c in reversed(list(enumerate(classes.tolist())))}
-    return tuple(first[c] for c in classes.tolist())
+def action(part: Any, shift: Shift | None, at: Iterable[int], turns: int, m: int) -> Any:
+    """The matrix of v -> (D v)[at], D over the time `turns` T / k; `part` is Q of `shift`.
+
+    D = P^-turns Q^turns, P the motion of `shift`; without one k = 1 and Q = M.
+    """
+    Q = functools.reduce(operator.matmul, [part] * turns) if turns else np.eye(len(part))
+    at, n = np.asarray(at), len(part) // m
+    if shift is not None:
+        at = np.argsort(powers((shift[0], turns + 1))[-1])[at]
+    return Q.reshape(m, n, -1)[:, at].reshape(m * n, -1)
 
 
 def isotropy(
-    motions: list[np.ndarray], images: tuple[int, ...], v: np.ndarray
-) -> tuple[tuple[int, ...], bool]:
-    """(`images` of cycles disturbed by v of shape (m, n), whether a motion maps v onto -v)."""
-    group = keeping(motions, images)
-    same = [at for at in group if np.max(np.abs(v[:, at] - v)) < _SAME]
-    opposite = any(np.max(np.abs(v[:, at] + v)) < _SAME for at in group)
-    return alike(same, v.shape[1]), opposite
+    motions: list[np.ndarray],
+    images: tuple[int, ...],
+    v: np.ndarray,
+    shift: Shift | None = None,
+    part: Any = None,
+) -> tuple[Symmetry, bool]:
+    """((`images`, `shift`) of cycles disturbed by v of shape (m, n), whether v maps onto -v).
+
+    With a shift `part` is its Q.
+    """
+    group, (m, n), k = elements(motions, images, shift), v.shape, 1 if shift is None else shift[1]
+    part, w = np.eye(m * n) if part is None else part, v.reshape(-1)
+    moved = {g: action(part, shift, g, int(share * k), m) @ w for g, share in group.items()}
+    same = {g: group[g] for g, image in moved.items() if np.max(np.abs(image - w)) < _SAME}
+    return _described(same), any(np.max(np.abs(image + w)) < _SAME for image in moved.values())

@@ -19,9 +19,11 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import diffrax as dfx
+import equinox as eqx
 import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
@@ -40,6 +42,17 @@ MOST_STEPS = 50_000
 _ULPS = 100
 
 Make = Callable[[Float[Array, " m"]], tuple[AbstractField, State, Float[Array, ""]]]
+# (motion, k) of orbits with x_motion[n](t + T / k) = x_n(t), motion an index array.
+Shift = tuple[tuple[int, ...], int]
+
+
+def powers(shift: Shift) -> list[np.ndarray]:
+    """The motions that belong to shifts by 0, T / k, ..., (k - 1) T / k."""
+    motion, k = shift
+    found = [np.arange(len(motion))]
+    for _ in range(k - 1):
+        found.append(np.asarray(motion)[found[-1]])
+    return found
 
 
 class Sensitivity(NamedTuple):
@@ -160,7 +173,7 @@ _CAME_BACK, _SAME = 1e-4, 1e-6
 class Returned(NamedTuple):
     """The distance of a state from the first one of a run: the greatest |dx_n|, |dv_n|.
 
-    - `apart`: the distance after 1 / k of the run, for each k in `FACTORS`.
+    - `apart`: the distance after 1 / k of the period, for each k in `FACTORS`.
     - `farthest`: the greatest distance at the ends of steps, which is the size of the orbit.
     """
 
@@ -188,30 +201,46 @@ def _distance(one: State, other: State) -> Float[Array, ""]:
 
 
 class Returns(AbstractObserver):
-    """Whether a state returns after a fraction of a run; value `Returned`, no derivatives."""
+    """Whether a state returns after a fraction of a period; value `Returned`, no derivatives.
+
+    The run is one period T, or T / k if the orbit has a `shift`.  After T / m = (r + j / k) T the
+    state is that after r T, moved.
+    """
+
+    shift: Shift | None = eqx.field(static=True, default=None)
 
     def init(self, field: AbstractField, t0: ScalarLike, t1: ScalarLike, y0: State) -> Any:
         del field
-        times = t0 + (t1 - t0) / jnp.asarray(FACTORS, float)
+        k = 1 if self.shift is None else self.shift[1]
+        parts = [-(-k // factor) - 1 for factor in FACTORS]  # j, with r in (0, 1 / k]
+        shares = [k / factor - j for factor, j in zip(FACTORS, parts, strict=True)]
+        times = t0 + (t1 - t0) * jnp.asarray(shares)
+        begun: Any = y0
+        if self.shift is not None:
+            moved = np.stack([powers(self.shift)[j] for j in parts])
+            begun = tuple(part[moved] for part in y0), y0
         nowhere = Returned(jnp.full(len(FACTORS), jnp.inf, dtype=float), jnp.zeros(()))
-        return lax.stop_gradient((times, y0, nowhere))
+        return lax.stop_gradient((times, begun, nowhere))
 
     def update(self, accumulator: Any, step: Step) -> Any:
-        times, start, previous = accumulator
+        times, begun, previous = accumulator
+        # Where it returns to after each fraction; the same state without a shift.
+        goals, start = (begun, begun) if self.shift is None else begun
+        axis = None if self.shift is None else 0
         t0, t1, end = lax.stop_gradient((step.t0, step.t1, step.y1))
         here = (t0 < times) & (times <= t1)
 
         def look() -> Float[Array, " factors"]:
             thetas = (times - t0) / jnp.where(t1 > t0, t1 - t0, 1.0)
 
-            def away(theta: Array) -> Array:
-                return _distance(step.state(theta), start)
+            def away(theta: Array, goal: State) -> Array:
+                return _distance(step.state(theta), goal)
 
-            return lax.stop_gradient(jax.vmap(away)(thetas))
+            return lax.stop_gradient(jax.vmap(away, (0, axis))(thetas, goals))
 
         apart = lax.cond(eqxi.unvmap_any(here), look, lambda: previous.apart)
         farthest = jnp.maximum(previous.farthest, _distance(end, start))
-        return times, start, Returned(jnp.where(here, apart, previous.apart), farthest)
+        return times, begun, Returned(jnp.where(here, apart, previous.apart), farthest)
 
     def read(self, accumulator: Any) -> Returned:
         return accumulator[2]
@@ -220,8 +249,9 @@ class Returns(AbstractObserver):
 class Period(NamedTuple):
     """One integration over a period: its end, its derivatives and its observed numbers.
 
-    - `end`: the state after the period; `slopes`: its derivatives, (2n, m), the first 2n in the
-      state.
+    - `end`: the state after the period, or after T / k, moved, if the orbit has a shift; `slopes`:
+      its derivatives, (2n, m), the first 2n in the state.
+    - `monodromy`: M, the derivatives after the whole period.
     - `amplitude`: half peak-to-peak of each displacement.
     - `fastest`: each greatest velocity in the belt's direction, among the ends of steps and five
       points in each.
@@ -232,6 +262,7 @@ class Period(NamedTuple):
 
     end: State
     slopes: Float[Array, "two_n m"]
+    monodromy: Float[Array, "two_n two_n"]
     amplitude: Float[Array, " n"]
     fastest: Float[Array, " n"]
     trace_integral: Float[Array, ""]
@@ -239,13 +270,13 @@ class Period(NamedTuple):
     complete: Bool[Array, ""]
 
     @property
-    def monodromy(self) -> Float[Array, "two_n two_n"]:
-        """The derivatives in the initial state."""
+    def part(self) -> Float[Array, "two_n two_n"]:
+        """Q, the derivatives of `end` in the initial state: M = P^-k Q^k with a shift by P."""
         return self.slopes[:, : self.slopes.shape[0]]
 
 
 class Along(AbstractObserver):
-    """The observed numbers of `Period`; value (amplitude, fastest, trace).
+    """The observed numbers of `Period`; value (least x, greatest x, fastest, trace).
 
     Turning points are located between steps, and the trace is integrated by Gauss's rule of five
     points in every step.  It has no derivatives; they would cost as much as the monodromy matrix.
@@ -270,9 +301,8 @@ class Along(AbstractObserver):
         fastest = jnp.maximum(fastest, jnp.maximum(highest, along * step.at_ends()[1][1]))
         return low, high, fastest, trace + step.integral(step.field.divergence)
 
-    def read(self, accumulator: Any) -> tuple[Array, Array, Array]:
-        low, high, fastest, trace = accumulator
-        return (high - low) / 2, fastest, trace
+    def read(self, accumulator: Any) -> tuple[Array, Array, Array, Array]:
+        return accumulator
 
 
 def flow(
@@ -304,13 +334,35 @@ def flow(
 
 
 def linearised_period(
-    make: Make, point: Float[Array, " m"], *, rtol: Any, solver: AbstractStructuredRosenbrock
+    make: Make,
+    point: Float[Array, " m"],
+    *,
+    rtol: Any,
+    solver: AbstractStructuredRosenbrock,
+    shift: Shift | None = None,
 ) -> Period:
-    """One `forward_sensitivity` over a period; `point` begins with the state."""
+    """One `forward_sensitivity` over a period; `point` begins with the state.
+
+    Of orbits with a `shift` the time of `make` is T / k.
+    """
     end, slopes, seen, good = forward_sensitivity(
-        make, point, rtol=rtol, solver=solver, observers=[Along(), Returns()]
+        make, point, rtol=rtol, solver=solver, observers=[Along(), Returns(shift)]
     )
     along, returned = jax.tree.map(lambda a: jnp.where(good, a, jnp.nan), seen)
-    amplitude, fastest, trace = along
+    low, high, fastest, trace = along
+    d, k = len(end) * low.shape[0], 1
+    if shift is not None:
+        motion, k = np.asarray(shift[0]), shift[1]
+        end, slopes = jax.tree.map(lambda part: part[..., motion], (end, slopes))
+        low, high, fastest = (
+            best(part[np.stack(powers(shift))], axis=0)
+            for best, part in ((jnp.min, low), (jnp.max, high), (jnp.max, fastest))
+        )
     slopes = jnp.concatenate(slopes, axis=1).T
-    return Period(end, slopes, amplitude, fastest, trace, returned, good)
+    monodromy = slopes[:, :d]
+    if shift is not None:
+        back = np.argsort(powers((shift[0], k + 1))[-1])  # where k motions lead
+        monodromy = jnp.linalg.matrix_power(monodromy, k).reshape(len(end), -1, d)
+        monodromy = monodromy[:, back].reshape(d, d)
+    amplitude, trace = (high - low) / 2, k * trace
+    return Period(end, slopes, monodromy, amplitude, fastest, trace, returned, good)

@@ -19,7 +19,8 @@ from jaxchain.cycles.branches import (
     switch_cycle,
     symmetry_breaking_basis,
 )
-from jaxchain.cycles.shooting import residual
+from jaxchain.cycles.shooting import Shooting, residual
+from jaxchain.solvers.rosenbrock import Rodas5P
 
 # Second looks, or minutes of compilation: not in every run of the tests.
 pytestmark = pytest.mark.long
@@ -183,8 +184,8 @@ def synthetic(*multipliers, monodromy=None):
     monodromy = jnp.eye(2 * n) if monodromy is None else jnp.asarray(monodromy)
     return CycleLinearisation(
         state=(jnp.zeros(n), jnp.zeros(n)), period=zero, speed=zero, times_round=jnp.asarray(1),
-        amplitude=jnp.zeros(n), monodromy=monodromy, multipliers=mu, trivial_defect=zero,
-        sound=jnp.asarray(True),
+        amplitude=jnp.zeros(n), monodromy=monodromy, part=monodromy, multipliers=mu,
+        trivial_defect=zero, sound=jnp.asarray(True),
     )  # fmt: skip
 
 
@@ -217,7 +218,9 @@ def test_the_symmetry_test_sees_what_breaks_the_symmetry_alone():
     np.testing.assert_allclose(basis[[1, 4]], 0.0, atol=1e-15)
     growth = np.diag([0.5, 0.4])
     M = np.eye(6) + basis @ (growth - np.eye(2)) @ basis.T  # 1 for symmetric disturbances
-    assert breaking(synthetic(*np.ones(5), monodromy=M), MIRRORED) == pytest.approx(0.5)
+    shooting = Shooting(None, 1e-9, Rodas5P(), 1, MIRRORED)  # pyright: ignore[reportArgumentType]
+    test = breaking(synthetic(*np.ones(5), monodromy=M), shooting, ((0, 1, 2), None))
+    assert test == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize(

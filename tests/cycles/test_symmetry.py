@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,27 +10,29 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import fsolve
 
-from jaxchain import continue_cycle, find_limit_cycle
-from jaxchain.cycles import switch_cycle
+from jaxchain import SearchResult, continue_cycle, find_limit_cycle
+from jaxchain.boundaries import continue_special
+from jaxchain.cycles import CycleSymmetry, cycle_symmetry, switch_cycle
 from jaxchain.cycles.symmetry import finer, isotropy, label_of, ring_motions
 from jaxchain.model import AbstractCells
 
 
 class Ring(AbstractCells):
-    """z' = (1 + 2 i) z - (1 - i) |z|^2 z + K (1 + 2 i) (mean of both neighbours - z).
+    """z' = (a + 2 i) z - (1 - i) |z|^2 z + K (1 + 2 i) (mean of both neighbours - z).
 
-    All alike up to a disturbance cos(q n) at K = 2 / [5 (1 - cos q)].
+    For a = 1 all alike up to a disturbance cos(q n) at K = 2 / [5 (1 - cos q)].
     """
 
     K: jax.Array
+    a: jax.Array = eqx.field(default_factory=lambda: jnp.ones(()))
 
     def rate(self, t, left, own, right):
         x, y = own
         R = x**2 + y**2
         dx, dy = (0.5 * (a + b) - c for a, b, c in zip(left, right, own, strict=True))
         return (
-            x - 2 * y - R * (x + y) + self.K * (dx - 2 * dy),
-            y + 2 * x - R * (y - x) + self.K * (dy + 2 * dx),
+            self.a * x - 2 * y - R * (x + y) + self.K * (dx - 2 * dy),
+            self.a * y + 2 * x - R * (y - x) + self.K * (dy + 2 * dx),
         )
 
 
@@ -58,11 +61,12 @@ def dihedral(n):
     return [rotation(n, s, way) for s in range(n) for way in (1, -1)]
 
 
-def branches_of(cells, n, start, bounds, step=0.05, max_points=3):
-    """(branch of cycles that are all alike, [(point, symmetry, side, other branch)])."""
-    cycle = find_limit_cycle(cells, start, images=(0,) * n, mass=0)
+def branches_of(cells, n, start, bounds, symmetry=None):
+    """(branch of cycles that are all alike, or so, [(point, symmetry, side, other branch)])."""
+    kept = symmetry or (0,) * n
+    cycle = find_limit_cycle(cells, start, images=kept, mass=0)
     branch = continue_cycle(
-        cycle, parameter="K", direction=-1, bounds=bounds, images=(0,) * n, max_step=0.1
+        cycle, parameter="K", direction=-1, bounds=bounds, images=kept, max_step=0.1
     )
     found = []
     for point in branch.of_kind("symmetry breaking"):
@@ -96,10 +100,10 @@ def start_of_ring(n):
     return (jnp.ones(n), jnp.zeros(n)), 2 * np.pi / 3
 
 
-def check_ring(found, crossings):
+def check_ring(found, crossings, error=1e-9):
     for point, symmetry, _, other in found:
         assert min(abs(point.parameter - K) for K in crossings) < 1e-9
-        assert point.error < 1e-9
+        assert point.error < error
         assert other.symmetry == symmetry.label
         # A cycle of this model turns like a rigid body: z_n(t) = z_n(0) exp(i omega t).
         for x, y, period, K in zip(*other.state, other.period, other.parameter, strict=True):
@@ -109,6 +113,10 @@ def check_ring(found, crossings):
             np.testing.assert_allclose(rate, 1j * omega * z, atol=1e-8)
             images = np.array(symmetry.images)
             np.testing.assert_allclose(z, z[images], atol=1e-12)
+            if symmetry.shift is not None:  # a shift of T / k turns it by 2 pi / k
+                motion, k = symmetry.shift
+                later = z[np.array(motion)] * np.exp(2j * np.pi / k)
+                np.testing.assert_allclose(later, z, atol=1e-8)
 
 
 def test_a_ring_of_five_loses_its_symmetry_in_two_ways():
@@ -145,7 +153,7 @@ def test_van_der_pol_rings_lose_their_symmetry_as_averaging_says(n):
     e, crossing = 0.05, 2 / (5 * (1 - np.cos(2 * np.pi / n)))
     cells = VanDerPolDuffing(jnp.asarray(crossing + 0.05), jnp.asarray(e))
     start = (jnp.zeros(n), jnp.full(n, 2.0)), 2 * np.pi
-    branch, found = branches_of(cells, n, start, (crossing - 0.1, crossing + 0.1), 0.1, 5)
+    branch, found = branches_of(cells, n, start, (crossing - 0.1, crossing + 0.1))
     (point,) = branch.of_kind("symmetry breaking")
     assert point.parameter == pytest.approx(crossing, abs=2 * e)
     assert len(found) == {4: 4, 5: 2}[n]
@@ -182,22 +190,108 @@ def test_van_der_pol_rings_lose_their_symmetry_as_averaging_says(n):
         np.testing.assert_allclose(other.amplitude[-1], pattern, atol=0.3 * np.ptp(pattern))
 
 
+def wave(n, p, K):
+    """(start, its period) of z_n = r exp(i omega t + 2 i pi p n / n), a solution of `Ring`."""
+    c = np.cos(2 * np.pi * p / n)
+    R, turned = 1 + K * (c - 1), np.exp(2j * np.pi * p * np.arange(n) / n)
+    z, omega = np.sqrt(R) * turned, 2 + R + 2 * K * (c - 1)
+    return (jnp.asarray(z.real), jnp.asarray(z.imag)), 2 * np.pi / omega
+
+
+def test_a_rotating_wave_of_six_loses_half_of_its_shifts():
+    # Of a disturbance (-1)^n: -2 c K (1 + 2 i), which has a zero eigenvalue at K = 1 / (1 + 4 c).
+    cells = Ring(jnp.asarray(0.36))
+    start = wave(6, 1, 0.36)
+    symmetry = cycle_symmetry(cells, *start)
+    assert symmetry == ("Z6, T/6", tuple(range(6)), False, ((5, 0, 1, 2, 3, 4), 6))
+    branch, found = branches_of(cells, 6, start, (0.3, 0.38), symmetry)
+    assert branch.symmetry == "Z6, T/6"
+    for row, K in zip(branch.amplitude, branch.parameter, strict=True):
+        np.testing.assert_allclose(row, np.sqrt(1 - 0.5 * K), rtol=1e-8)
+    (point,) = branch.of_kind("symmetry breaking")
+    ((label, images, mirrored, shift),) = point.symmetries
+    assert (label, images, mirrored) == ("Z3, T/3", tuple(range(6)), True)
+    assert shift == ((4, 5, 0, 1, 2, 3), 3)
+    check_ring(found, [1 / 3])
+    # The multipliers of a period, from a sixth of it.
+    whole = find_limit_cycle(branch.shooting.at(0.36), start, mass=0)
+    assert whole.period == pytest.approx(start[1], rel=1e-9)
+    np.testing.assert_allclose(
+        np.sort(np.abs(branch.multipliers[0])), np.sort(np.abs(whole.multipliers)), atol=1e-8
+    )
+
+
+@pytest.mark.long
+def test_a_lost_shift_is_followed_in_two_numbers():
+    # K is proportional to a.
+    start = wave(6, 1, 0.36)
+    symmetry = cycle_symmetry(Ring(jnp.asarray(0.36)), *start)
+    branch, _ = branches_of(Ring(jnp.asarray(0.36)), 6, start, (0.3, 0.38), symmetry)
+    (point,) = branch.of_kind("symmetry breaking")
+    data = continue_special(point, second="a", max_points=5).to_dataset()
+    assert np.ptp(data.a.values) > 0.3
+    np.testing.assert_allclose(data.K, data.a / 3, rtol=1e-9)
+
+
+@pytest.mark.long
+def test_antiphase_cycles_lose_their_symmetry_in_three_ways():
+    # Of a disturbance (-1)^n cos(q n): zero at K = -2 / [5 (1 - cos q) - 4].
+    cells, start = Ring(jnp.asarray(-0.25)), wave(4, 2, -0.25)
+    symmetry = cycle_symmetry(cells, *start)
+    assert symmetry[:2] == ("D4, T/2", (0, 1, 0, 1))
+    branch, found = branches_of(cells, 4, start, (-2.1, -0.2), symmetry)
+    check_ring(found, [-1 / 3, -2.0], error=5e-9)
+    labels = [[(s.label, s.mirrored) for s in point.symmetries] for point in branch.special]
+    axes = [("D1 (axis between masses), T/2", True), ("D1 (axis through mass 0)", True)]
+    assert labels == [[("D2", True)], axes]
+    check_different(
+        [(*some, other) for *some, other in found if np.ptp(other.amplitude[0]) > 0.01]
+    )
+    for _, symmetry, _, other in found:
+        field = other.shooting.at(other.parameter[0])
+        state = tuple(jnp.asarray(part[0]) for part in other.state)
+        assert cycle_symmetry(field, state, other.period[0]).label == symmetry.label
+
+
+def test_a_shift_that_the_cycle_has_not_is_no_success():
+    cells, (start, period) = Ring(jnp.asarray(0.62)), wave(4, 0, 0.62)
+    wrong = CycleSymmetry("Z4, T/4", (0, 1, 2, 3), shift=((3, 0, 1, 2), 4))
+    # Four turns of a cycle that is all alike close after one of them.
+    found = find_limit_cycle(cells, (start, 4 * period), images=wrong, mass=0, throw=False)
+    assert not found.successful
+    assert found.result == SearchResult.other_kind
+    for shift in (((1, 0, 2, 3), 2), ((3, 0, 1, 2), 3), ((3, 0, 1, 2), 1)):
+        with pytest.raises(ValueError, match="has the shift"):
+            find_limit_cycle(cells, (start, period), images=wrong._replace(shift=shift))
+
+
 def test_subgroups_of_a_ring_one_of_each_class():
     motions, alike = dihedral(4), (0, 0, 0, 0)
-    less = {label_of(motions, images): images for images in finer(motions, alike)}
+    less = {label_of(motions, *kept): kept for kept in finer(motions, alike)}
     assert less == {
-        "Z1": (0, 1, 2, 3),
-        "D1 (axis through mass 0)": (0, 1, 2, 1),
-        "D1 (axis between masses)": (0, 0, 2, 2),
-        "D2": (0, 1, 0, 1),
+        "Z1": ((0, 1, 2, 3), None),
+        "D1 (axis through mass 0)": ((0, 1, 2, 1), None),
+        "D1 (axis between masses)": ((0, 0, 2, 2), None),
+        "D2": ((0, 1, 0, 1), None),
     }
     assert len(finer(dihedral(5), (0,) * 5)) == 2
     assert label_of(dihedral(4), alike) == "D4"
+    # An antiphase state, however its masses are counted.
+    for images in ((0, 1, 0, 1), (0, 3, 0, 3)):
+        less = {
+            label_of(motions, *kept): kept for kept in finer(motions, images, ((1, 0, 3, 2), 2))
+        }
+        assert less.pop("D2") == (images, None)
+        assert less == {
+            "Z1": ((0, 1, 2, 3), None),
+            "D1 (axis through mass 0)": ((0, 1, 2, 1), None),
+            "D1 (axis between masses), T/2": ((0, 1, 2, 3), ((1, 0, 3, 2), 2)),
+        }
     # One mass differs: a reflection is left, and what it leaves unchanged.
     mirror = [np.arange(4), rotation(4, 0, -1)]
-    assert finer(mirror, (0, 1, 2, 1)) == [(0, 1, 2, 3)]
+    assert finer(mirror, (0, 1, 2, 1)) == [((0, 1, 2, 3), None)]
     v = np.array([[0.0, 1.0, 0.0, -1.0], np.zeros(4)]) / np.sqrt(2)
-    assert isotropy(mirror, (0, 1, 2, 1), v) == ((0, 1, 2, 3), True)
+    assert isotropy(mirror, (0, 1, 2, 1), v) == (((0, 1, 2, 3), None), True)
 
 
 def test_a_symmetry_must_hold_at_every_phase_of_the_force():

@@ -144,6 +144,12 @@ def _cycles() -> Iterator[Row]:
         },
     )  # fmt: skip
     yield Row("continue_cycle, cycle", cycles.continue_cycle, {}, {"chain": (*A_CHAIN, CHAIN)})
+    yield Row(
+        "cycle_symmetry",
+        cycles.cycle_symmetry,
+        orbit,
+        {"chain": A_CHAIN, "state": states(3), "period": POSITIVE, "tolerance": POSITIVE},
+    )
     wrong = {"branch": None, "point": None}
     yield Row("switch_cycle", cycles.switch_cycle, wrong, {"branch": (None, "x", 3)})
     for name in ("monodromy_matrix", "liouville_determinant"):
