@@ -99,6 +99,8 @@ _ENDINGS = {
 _NEAR = 1e-2
 # Of the last Newton step; the error is its square, or that of the integration.
 _TOLERANCE = 1e-8
+# The least share of the way to another model.
+_LEAST_STEP = 1e-3
 # Below it a number has no scale of its own.
 _TINY = 1e-6
 
@@ -469,8 +471,8 @@ def find_special_cycle(
     - `point`: a "fold", "period doubling", "symmetry breaking" or "torus" of
       `continue_cycle(...).special`, of any model.  With dry friction a `Grazing` of
       `find_grazing`; or a cycle close to a special one, a `LimitCycle` or (state, period).
-    - `chain`: the model with other numbers close by, by default the same; its own value of the
-      parameter is ignored.
+    - `chain`: the model with other numbers, by default the same; its own value of the parameter is
+      ignored.  If the search fails, it goes there in steps, unless `chain` is traced.
     - `kind`, `mass` (by default that of the cycle), `parameter`, for such a cycle: "grazing" (the
       mass, while it slides, just reaches the speed of the belt), "release" (while it sticks, the
       force just reaches the static limit) or "stick onset" (it begins to stick where it passed the
@@ -508,15 +510,39 @@ def find_special_cycle(
     else:
         require_smoothed(chain, "")
     check_kind("chain", chain, type(model), "the model of `point`", "change its numbers.")
-    found = _find(equations, chain, name, U, to_float(tolerance), jnp.asarray(limit))
+    found = _in_steps(equations, chain, name, U, to_float(tolerance), jnp.asarray(limit))
     return _checked(found) if throw else found
+
+
+def _in_steps(
+    equations: _CycleEquations, chain: Any, name: str, U: Array, *settings: Array
+) -> SpecialCycle:
+    """The special cycle of `chain`; one that is too far is reached by models in between."""
+    found, begin, done, step = (
+        _find(equations, chain, name, U, *settings),
+        equations.field,
+        0.0,
+        0.5,
+    )
+    if is_traced(found.successful) or jax.tree.structure(begin) != jax.tree.structure(chain):
+        return found
+    while not found.successful and step > _LEAST_STEP:
+        share = min(done + step, 1.0)
+        there = jax.tree.map(lambda a, b, share=share: a + share * (b - a), begin, chain)
+        near = _find(equations, there, name, U, *settings)
+        if near.successful:
+            U, done, step = near.unknowns, share, 2.0 * step
+            found = near if share == 1.0 else found
+        else:
+            step *= 0.5
+    return found
 
 
 def _checked(found: SpecialCycle) -> SpecialCycle:
     if not is_traced(found.successful) and not found.successful:
         raise RuntimeError(
             f"No {found.kind} in `{found.parameter}` was found near the given point: "
-            f"{found.message} Change the numbers of `chain` in smaller steps, or use "
+            f"{found.message} The branch of these points may turn on the way: follow it with "
             "`continue_special`."
         )
     return found
@@ -708,7 +734,7 @@ class SpecialCurve(Printed):
     def at(self, index: int, chain: Any = None) -> SpecialCycle | HopfPoint:
         """Point `index`, solved again for the first number, with derivatives in the others.
 
-        `chain`: the model with numbers close to those of the point, by default these.
+        `chain`: the model with other numbers, by default those of the point.
 
         **Raises:** `RuntimeError` if no such point is found.
         """
@@ -726,7 +752,8 @@ class SpecialCurve(Printed):
             there = chain.with_(**{first: u[-2]})
             return find_hopf_point(there, first, state, frequency=2 * np.pi / self.period[index])
         settings = to_float(_TOLERANCE), jnp.asarray(30)
-        return _checked(_find(self.equations[index], chain, first, jnp.asarray(u[:-1]), *settings))
+        U = jnp.asarray(u[:-1])
+        return _checked(_in_steps(self.equations[index], chain, first, U, *settings))
 
     def to_dataset(self) -> Dataset:
         """The curve as an `xarray.Dataset` over `point`, with its special points over `special`.
