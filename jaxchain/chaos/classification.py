@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, NamedTuple, TypeAlias
 
@@ -48,7 +48,12 @@ from ..sweeps.programs import map_lanes
 from .lyapunov import LyapunovSpectrum, lyapunov_spectrum
 
 KINDS = ("rest", "cycle", "unstable", "chaos", "torus", "open")
-VERDICTS = ("steady sliding", "periodic", "quasi-periodic", "chaotic", "transient", "failed")
+VERDICTS = (
+    "steady sliding", "periodic", "quasi-periodic", "chaotic", "several attractors", "transient",
+    "failed",
+)  # fmt: skip
+# Below this probability runs that do not lock are on another attractor.
+_BY_CHANCE = 0.05
 # The verdict that each kind stands for.
 MEANINGS = {
     "rest": "steady sliding",
@@ -152,9 +157,10 @@ class Verdict(Printed):
     """The verdict on the motion from one start, from an ensemble of runs.
 
     - `verdict`: "steady sliding" (for other oscillators: an equilibrium), "periodic",
-      "quasi-periodic", "chaotic", "transient" (not decided) or "failed"; `reason`, a sentence with
-      the numbers; `remedy`: what would decide a transient, or what to do about a run that failed,
-      else empty.
+      "quasi-periodic", "chaotic", "several attractors" (with their `shares`), "transient" (not
+      decided) or "failed"; `reason`, a sentence with the numbers; `remedy`: what would decide a
+      transient, or what to do about a run that failed, else empty.
+    - `shares`: which share of the runs with the strongest noise has which verdict by itself.
     - `undisturbed`: the verdict without noise; `depends_on_noise`: whether it differs.
     - `runs`: one `Evidence` per run; `longest`: the longest simulated time.
 
@@ -168,6 +174,7 @@ class Verdict(Printed):
     depends_on_noise: bool
     longest: float
     runs: tuple[Evidence, ...]
+    shares: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def lead(self) -> Evidence:
@@ -277,6 +284,9 @@ def classify(runs: Sequence[Evidence]) -> Verdict:
     symmetry is not observed in practice; `undisturbed` is the verdict without noise.  Runs on
     unstable orbits do not count if others have left them.  If the runs of the strongest noise
     disagree, or any of them is open, the verdict is "transient"; if any of them failed, "failed".
+    Where some lock so early that the others would have done so as well, with the same rate, it is
+    "several attractors": of k runs that lock within t, of n in the total time T, (n t / T)^k is
+    the probability of this by chance, and it is below 0.05.
 
     >>> still = [Evidence(noise, 0, kind="cycle") for noise in (0.0, 1e-3)]
     >>> classify(still).verdict
@@ -303,6 +313,10 @@ def classify(runs: Sequence[Evidence]) -> Verdict:
         depends_on_noise=verdict != undisturbed or any(run.kind == "unstable" for run in quiet),
         longest=max(run.time for run in runs),
         runs=tuple(runs),
+        shares={
+            name: sum(MEANINGS.get(run.kind, "transient") == name for run in voters) / len(voters)
+            for name in dict.fromkeys(MEANINGS.get(run.kind, "transient") for run in voters)
+        },
     )
 
 
@@ -319,8 +333,18 @@ def _common(runs: Sequence[Evidence]) -> str:
     if any(run.kind in ("cycle", "rest") for run in runs):
         kinds = {run.kind for run in runs}
     meanings = {MEANINGS.get(kind) for kind in kinds}
+    if len(meanings) > 1 and None not in meanings and _end_apart(runs):
+        return "several attractors"
     only = meanings.pop() if len(meanings) == 1 else None
     return "transient" if only is None else only
+
+
+def _end_apart(runs: Sequence[Evidence]) -> bool:
+    """Whether runs that never locked are unlikely to be late ones, see `classify`."""
+    ended = [run.locked_at for run in runs if run.kind in ("cycle", "rest")]
+    total = sum(ended) + sum(run.time for run in runs if run.kind not in ("cycle", "rest"))
+    # False for NaN, a run that was at rest from the start.
+    return bool(ended) and (len(runs) * max(ended) / total) ** len(ended) < _BY_CHANCE
 
 
 def _numbers(runs: Sequence[Evidence], verdict: str) -> list[str]:

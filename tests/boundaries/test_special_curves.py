@@ -488,8 +488,8 @@ def test_a_special_cycle_has_the_slopes_of_the_fold_in_all_numbers():
         find_special_cycle(fold, chain.with_(damping_ratio=0.6))
     # Too far for Newton's method from there: in steps.
     far = chain.with_(width=1e-2, damping_ratio=0.08)
-    speed = find_special_cycle(fold, far).value
-    assert float(speed) == pytest.approx(float(fold_belt_speed(far)), abs=1e-9)
+    value = find_special_cycle(fold, far).value
+    assert float(value) == pytest.approx(float(fold_belt_speed(far)), abs=1e-9)
 
 
 @pytest.mark.long

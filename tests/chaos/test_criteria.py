@@ -84,6 +84,22 @@ def test_the_verdict_is_that_of_the_strongest_noise(kinds, noisy, verdict, undis
         assert found.lead.kind == "chaos"
 
 
+def test_runs_that_would_have_locked_by_now_are_on_another_attractor():
+    def classified(locked_at):
+        never = [run_of("torus", 1e-3, (0.0, 0.0)) for _ in range(4)]
+        return classify([run_of("cycle", 1e-3, (0.0, -1e-3), locked_at=locked_at), *never])
+
+    found = classified(200.0)
+    assert found.verdict == "several attractors"
+    assert found.shares == {"periodic": 0.2, "quasi-periodic": 0.8}
+    assert not found.remedy
+    # By chance, the first of five events has come by then with a probability of 5 * 500 / 40500.
+    late = classified(500.0)
+    assert late.verdict == "transient"
+    assert late.shares == found.shares
+    assert classified(np.nan).verdict == "transient"
+
+
 def test_a_direction_that_sticking_erases_relaxes_at_once():
     gone = run_of("cycle", exponents=(0.0, -np.inf), locked_at=500.0)
     assert gone.relaxation_time == gone.longest_relaxation_time == 0.0
