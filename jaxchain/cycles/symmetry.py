@@ -85,6 +85,8 @@ class CycleSymmetry(NamedTuple):
     - `images`: entry i is the index of the mass that moves like mass i.
     - `mirrored`: whether both halves of the branch that leaves are images of each other.
     - `shift`: (motion, k) if mass motion[n] moves like mass n a time T / k later, or None.
+
+    See `cycle_symmetry` for an example.
     """
 
     label: str

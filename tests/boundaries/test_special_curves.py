@@ -263,6 +263,7 @@ def smooth_orbit(chain, v, state, period, sign=-1.0):
     return run.y[:2, -1] - state, np.max(run.y[1]) - v, np.exp(run.y[2, -1])
 
 
+@pytest.mark.long
 def test_a_dry_fold_curve_passes_from_grazing_to_smooth_folds():
     chain = paper_chain(1, friction=GaussianStribeck(1.0, 0.5, 0.5, 0.0))
     curves = [
@@ -386,6 +387,7 @@ def test_a_mass_that_sticks_slides_in_between_beyond_a_release():
     assert (landed + 0.2 * (end - t), 0.2) == pytest.approx((x, v), abs=1e-9)
 
 
+@pytest.mark.long
 def test_another_mass_sticks_beyond_its_grazing_through_a_change_of_order():
     chain = paper_chain(2, width=None, belt_speed=0.6).with_(
         coupling=0.1, damping_ratio=jnp.array([0.05, 0.3])

@@ -318,6 +318,7 @@ def test_a_forced_motion_with_two_frequencies_is_not_periodic():
     np.testing.assert_allclose(locked.lead.period, 2 * np.pi / 1.02, rtol=1e-12)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_cells_that_are_not_coupled_are_one_of_a_family_or_on_a_torus():
     start = jnp.array([2.0, 1.0]), jnp.zeros(2)

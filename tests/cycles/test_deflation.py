@@ -47,6 +47,7 @@ def test_the_cycles_of_two_oscillators_are_found_once_each_and_then_no_more():
     assert sum(again.failures.values()) == 4
 
 
+@pytest.mark.long
 def test_a_forced_cycle_is_one_at_every_period_of_its_force_and_shorter_ones_are_left_out():
     """Of the two wells of Duffing's oscillator one is visited with twice the forcing period."""
     well = Duffing(force=0.28, frequency=1.2, damping=0.3, stiffness=-1.0, cubic=1.0)
@@ -69,6 +70,7 @@ def test_a_forced_cycle_is_one_at_every_period_of_its_force_and_shorter_ones_are
     assert search.failures == {"copy": 1, "shorter period": 1}
 
 
+@pytest.mark.long
 def test_cycles_of_a_family_are_not_counted():
     """Oscillators that are hardly coupled almost have one for every difference of phases."""
     apart = PAIR.with_(coupling=1e-7)

@@ -224,10 +224,14 @@ def test_a_sweep_is_its_runs_and_names_the_components(tmp_path):
 @pytest.mark.parametrize(
     ("make", "m", "argument", "differentiate"),
     [
-        (driven, 2, "frequency", jax.grad),
+        (driven, 2, "frequency", jax.jacfwd),
         *(
-            pytest.param(pairs, 4, name, mode, marks=pytest.mark.long)
-            for name, mode in (("frequency", jax.jacfwd), ("spring", jax.grad))
+            pytest.param(make, m, name, mode, marks=pytest.mark.long)
+            for make, m, name, mode in (
+                (driven, 2, "frequency", jax.grad),
+                (pairs, 4, "frequency", jax.jacfwd),
+                (pairs, 4, "spring", jax.grad),
+            )
         ),
     ],
 )
@@ -271,6 +275,7 @@ def test_a_forced_cycle_comes_back_with_all_its_multipliers():
     assert determinant == pytest.approx(np.exp(-0.3 * float(cycle.period)), rel=1e-6)
 
 
+@pytest.mark.long
 def test_a_cycle_without_a_velocity_is_found_with_its_exponents():
     cells = Wave(jnp.asarray(0.5))
     cycle = find_limit_cycle(cells, state(1, 2))
@@ -321,6 +326,7 @@ class Parametric(AbstractCells):
         return 2.0 * jnp.pi / self.frequency
 
 
+@pytest.mark.long
 def test_a_forced_cycle_keeps_its_turns_where_the_force_is_traced():
     cells, start = Parametric(jnp.asarray(2.2)), (jnp.full(1, 0.5), jnp.zeros(1))
     cycle = find_limit_cycle(cells, start)

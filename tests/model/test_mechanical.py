@@ -125,6 +125,7 @@ def test_derivatives_of_dry_cells_are_those_of_differences(differentiate):
     np.testing.assert_allclose(differentiate(end)(0.0), slope, atol=1e-6)
 
 
+@pytest.mark.long
 def test_derivatives_at_events_of_both_cells_at_once_are_those_of_differences():
     """Two equal cells slide through the belt's speed together; one of them is disturbed."""
     cells = MechanicalCells(

@@ -372,6 +372,7 @@ def multipliers(amplitudes):
     return [np.linalg.eigvals(monodromy(a)) for a in amplitudes]
 
 
+@pytest.mark.long
 def test_flat_pendulums_have_the_multipliers_of_scipy_and_the_published_amplitude():
     n, a, w = 4, 0.05, 3.5
     length = 1 + 0.25 * (-1.0) ** np.arange(n)
