@@ -2,18 +2,22 @@
 
 The cycles in which k neighbours of the paper's ring vibrate with locked phases, stable and
 unstable, followed over the belt speed round all folds: in phase, alternating, and in the calmest
-pattern, whose phases keep together best.  Upon them runs of true dry friction from eq. (8), as in
-Fig. 3(b) of the paper; and between which belt speeds the calmest patterns are stable, over the
-coupling.
+pattern, whose phases keep together best; and the branches that leave them where they lose their
+symmetry.  Upon them runs of true dry friction from eq. (8), as in Fig. 3(b) of the paper; and
+between which belt speeds the calmest patterns are stable, over the coupling.
 
-Prints for each branch its belt speeds, where it is stable, by how much its orbits fail to close
-when they are integrated ten times finer, why it ends, and its special points; what true dry
-friction makes of stable cycles drawn by lot; and the ends of stability over the coupling.  Half an
-hour on two cores:
+A branch ends where it closes, where it meets a branch of more symmetric cycles, beyond which it is
+its own mirror image, or at the end of the range.
+
+Prints for each branch its symmetry and belt speeds, where it is stable, by how much its orbits
+fail to close when they are integrated ten times finer, how both ways end, and its special points;
+what true dry friction makes of stable cycles drawn by lot; and the ends of stability over the
+coupling.  An hour and a half on two cores:
 
     python examples/studies/ladder.py
 """
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import equinox as eqx
@@ -25,13 +29,13 @@ from _common import BLUE, COUPLING, GREEN, GREY, PURPLE, SPEED, VERMILION, lette
 
 import jaxchain as jc
 from jaxchain import localization
-from jaxchain.cycles import switch_cycle
+from jaxchain.cycles import cycle_symmetry, switch_cycle
 from jaxchain.plotting import plot_branch, save_figure
 
 FULL = {
     "n": 20, "coupling": 0.01, "width": 1e-3,
-    "counts": (1, 2, 3, 20, 4, 5, 6), "points": 60,  # on each of the two ways of a branch
-    "switched": (2,),  # of these the branch that crosses beyond the fold is followed, too
+    "counts": (1, 2, 3, 20, 4, 5, 6), "points": 1500,  # on each of the two ways of a branch
+    "switched": (1, 2, 3),  # of these the branches that leave where a symmetry breaks, too
     "speeds": np.arange(1.05, 1.86, 0.05), "transient": 1400.0,  # of the runs from eq. (8)
     "dry": 6, "dry_time": 2000.0,  # runs of dry friction from stable cycles
     # Tails of a localized vibration do not reach round a ring of ten.
@@ -43,7 +47,7 @@ QUICK = FULL | {
     "transient": 50.0, "dry": 1, "dry_time": 150.0,
     "couplings": (0.01,), "coupled": (1,), "coupled_n": 4, "coupled_points": 4,
 }  # fmt: skip
-START, WINDOW, RTOL, FINE_RTOL = 1.5, 100.0, 1e-10, 1e-11
+START, WINDOW, RTOL, FINE_RTOL = 1.5, 100.0, 1e-11, 1e-12
 HOW = {"bounds": (1.1, 1.9), "tolerance": 1e-9, "min_step": 1e-5}  # branches are followed
 PATTERNS = {"in-phase": BLUE, "alternating": "black", "calmest": GREEN}
 LOSSES = ("fold", "symmetry breaking", "branch point", "period doubling", "torus")
@@ -73,22 +77,58 @@ def cycle_near(model, pattern):
     )  # fmt: skip
 
 
-def follow(cycle, images, points, **more):
+def follow(cycle, points, **more):
     """The branch through a cycle, towards greater and towards smaller belt speeds."""
-    more |= {"images": images, "rtol": RTOL, "max_points": points, **HOW}
+    more |= {"images": cycle_symmetry(cycle), "rtol": RTOL, "max_points": points, **HOW}
     return [jc.continue_cycle(cycle, direction=way, **more) for way in (1, -1)]
 
 
-def crossing(branch, points):
-    """The branch that crosses at the first symmetry breaking beyond the fold, if one is found."""
-    folds = [point.index for point in branch.of_kind("fold")]
+def meeting(branch):
+    """(the first point where the cycle has more symmetry than the branch, its symmetry)."""
+    for point in branch.of_kind("branch point"):
+        there = branch.shooting.at(point.parameter)
+        found = cycle_symmetry(there, point.state, point.period, tolerance=1e-4).label
+        if found != branch.symmetry:
+            return point, found
+    return None, ""
+
+
+def own(branch):
+    """The branch up to its meeting with a more symmetric one."""
+    point, _ = meeting(branch)
+    if point is None:
+        return branch
+    names = ("parameter", "period", "amplitude", "scaled_peak_velocity", "multipliers",
+             "trivial_defect")  # fmt: skip
+    cut = {name: getattr(branch, name)[: point.index + 1] for name in names}
+    special = tuple(p for p in branch.special if p.index <= point.index)
+    return replace(
+        branch, **cut, state=tuple(part[: point.index + 1] for part in branch.state),
+        special=special,
+    )  # fmt: skip
+
+
+def end_of(branch):
+    """How a branch ends, in words."""
+    point, symmetry = meeting(branch)
+    if point is not None:
+        return f"meets {symmetry} at {point.parameter:.6f}"
+    if hopf := branch.of_kind("hopf"):
+        return f"Hopf point at {hopf[-1].parameter:.6f}"
+    return f"{branch.ended} at {branch.parameter[-1]:.6f}"
+
+
+def leaving(branch, points):
+    """The branches that leave where the symmetry breaks, by their names."""
     for point in branch.of_kind("symmetry breaking"):
-        if not folds or point.index >= folds[0]:
-            try:
-                return [switch_cycle(branch, point, max_points=points, **HOW)]
-            except RuntimeError:
-                continue
-    return []
+        for index, symmetry in enumerate(point.symmetries):
+            for side in (1,) if symmetry.mirrored else (1, -1):
+                name = f"{symmetry.label} from {point.parameter:.5f}" + " back" * (side < 0)
+                how = {"symmetry": index, "side": side, "max_points": points, **HOW}
+                try:
+                    yield name, own(switch_cycle(branch, point, **how))
+                except RuntimeError as error:
+                    print(f"{name}: {error}", flush=True)
 
 
 def all_branches(chain, s):
@@ -99,9 +139,10 @@ def all_branches(chain, s):
             cycle = cycle_near(model, pattern)
             print(f"k = {k}, {name}: {'' if cycle.successful else 'no '}cycle found", flush=True)
             if cycle.successful:
-                branches[k, name] = follow(cycle, pattern.images(s.n), s.points)
-                if k in s.switched and (other := crossing(branches[k, name][0], s.points)):
-                    branches[k, f"{name}, switched"] = other
+                branches[k, name] = ways = [own(way) for way in follow(cycle, s.points)]
+                for way in ways if k in s.switched else ():
+                    for other, branch in leaving(way, s.points):
+                        branches[k, f"{name}, {other}"] = [branch]
     return branches
 
 
@@ -133,9 +174,10 @@ def describe(chain, branches, points):
         stable = [np.sort(speeds[a:b])[[0, -1]] for a, b in edges]
         special = sorted((p.kind, p.parameter) for way in ways for p in way.special)
         yield {
-            "k": k, "pattern": name, "points": speeds.size, "from": min(speeds), "to": max(speeds),
+            "k": k, "pattern": name, "symmetry": ways[0].symmetry, "points": speeds.size,
+            "from": min(speeds), "to": max(speeds),
             "stable at": ", ".join(f"{low:.4f} ... {high:.4f}" for low, high in stable),
-            "closing error": float(max(errors)), "ends": ", ".join(way.ended for way in ways),
+            "closing error": float(max(errors)), "ends": ", ".join(map(end_of, ways)),
             "special points": ", ".join(f"{kind} {speed:.5f}" for kind, speed in special),
         }  # fmt: skip
 
@@ -172,7 +214,7 @@ def stable_ends(s):
                 row["grows as"] = float(np.log(abs(cycle.multipliers[0])) / cycle.period)
             if cycle.successful and cycle.stable:
                 lost = lambda p, at: abs(at.multipliers[0]) > 1.0 + 1e-7  # noqa: E731
-                ways = follow(cycle, pattern.images(s.coupled_n), s.coupled_points, stop=lost)
+                ways = follow(cycle, s.coupled_points, stop=lost)
                 for end, way in zip(("upper", "lower"), ways):
                     at = way.parameter[-1] if way.ended in ("stopped", "left_bounds") else np.nan
                     row |= {end: at, f"{end} end": way.ended}

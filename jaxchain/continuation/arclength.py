@@ -473,11 +473,13 @@ def switch_branch(
         residual, value_and_jacobian, args, point.u.size, weights, tolerance
     )
     z = np.append(point.u, point.p)
-    away = float(side) * point.other / corrector.norm(point.other)
     tangent = point.tangent / corrector.norm(point.tangent)
+    # The plane is normal to `away`; `other` may lean towards the given branch.
+    across = point.other - corrector.dot(point.other, tangent) * tangent
+    away, towards = (float(side) * v / corrector.norm(across) for v in (across, point.other))
     for length in (float(step), 0.1 * float(step), 3.0 * float(step)):
         for lean in (0.0, 1.0, -1.0):
-            guess = z + length * (away + lean * tangent)
+            guess = z + length * (towards + lean * tangent)
             solution = corrector(guess, away, radius=5.0 * length)
             if solution is None:
                 continue

@@ -1,5 +1,7 @@
 """Branches against closed forms, through folds, crossings and near misses; and what ends them."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -287,8 +289,15 @@ def test_weights_measure_the_steps():
 @pytest.mark.parametrize("side", [1, -1])
 def test_the_other_branch_of_a_pitchfork(side):
     known = continue_branch(pitchfork, [0.0], -0.5, jnp.array(0.0), bounds=(-1, 1))
-    switched = switch_branch(pitchfork, known.special[0], jnp.array(0.0), side=side)
+    (point,) = known.special
+    switched = switch_branch(pitchfork, point, jnp.array(0.0), side=side)
     assert switched.u is not None
+    # Another direction in the plane of both branches will do.
+    assert point.other is not None
+    leaning = replace(point, other=point.other + 3.0 * point.tangent)
+    again = switch_branch(pitchfork, leaning, jnp.array(0.0), side=side)
+    assert again.u is not None
+    np.testing.assert_allclose(again.u, switched.u, atol=1e-9)
     branch = continue_branch(
         pitchfork,
         switched.u,

@@ -222,7 +222,7 @@ def test_a_rotating_wave_of_six_loses_half_of_its_shifts():
         own = [[-(1 - 1j) * R] * 2, [-(1 + 1j) * R] * 2]
         rates += [*np.linalg.eigvals(own + np.diag([(1 + 2j) * ahead, (1 - 2j) * back]))]
     others = np.delete(rates, np.argmin(np.abs(rates)))  # 0 along the orbit
-    known = np.sort(np.exp(others.real * start[1]))[::-1]
+    known = np.sort(np.exp(np.real(others) * start[1]))[::-1]
     np.testing.assert_allclose(np.abs(branch.multipliers[0]), known, atol=1e-8)
     # Six turns of a cycle that is all alike close after one of them.
     (alike, period), how = wave(6, 0, 0.36), {"images": symmetry, "mass": 0, "throw": False}
