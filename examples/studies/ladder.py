@@ -35,7 +35,7 @@ from jaxchain.plotting import plot_branch, save_figure
 FULL = {
     "n": 20, "coupling": 0.01, "width": 1e-3,
     "counts": (1, 2, 3, 20, 4, 5, 6), "points": 1500,  # on each of the two ways of a branch
-    "switched": (1, 2, 3),  # of these the branches that leave where a symmetry breaks, too
+    "switched": (1, 2),  # of these the branches that leave where a symmetry breaks, too
     "speeds": np.arange(1.05, 1.86, 0.05), "transient": 1400.0,  # of the runs from eq. (8)
     "dry": 6, "dry_time": 2000.0,  # runs of dry friction from stable cycles
     # Tails of a localized vibration do not reach round a ring of ten.
@@ -83,39 +83,38 @@ def follow(cycle, points, **more):
     return [jc.continue_cycle(cycle, direction=way, **more) for way in (1, -1)]
 
 
-def meeting(branch):
-    """(the first point where the cycle has more symmetry than the branch, its symmetry)."""
-    for point in branch.of_kind("branch point"):
-        there = branch.shooting.at(point.parameter)
-        found = cycle_symmetry(there, point.state, point.period, tolerance=1e-4).label
-        if found != branch.symmetry:
-            return point, found
-    return None, ""
+def symmetry_at(branch, parameter, state, period, **tolerance):
+    """The label of the symmetry of a cycle of the branch."""
+    return cycle_symmetry(branch.shooting.at(parameter), state, period, **tolerance).label
 
 
 def own(branch):
-    """The branch up to its meeting with a more symmetric one."""
-    point, _ = meeting(branch)
-    if point is None:
-        return branch
+    """(the branch up to where it meets one of more symmetric cycles, how it ends).
+
+    Beyond such a point it is its own mirror image, or the other branch.
+    """
+    last, end = branch.parameter.size - 1, f"{branch.ended} at {branch.parameter[-1]:.6f}"
+    if hopf := branch.of_kind("hopf"):
+        end = f"Hopf point at {hopf[-1].parameter:.6f}"
+    for p in branch.of_kind("branch point"):
+        more = symmetry_at(branch, p.parameter, p.state, p.period, tolerance=1e-4)
+        if more != branch.symmetry:
+            last, end = p.index, f"meets {more} at {p.parameter:.6f}"
+            break
+    low, high = 0, last + 1  # the first cycle with more symmetry is in (low, high]
+    while high - low > 1:
+        i = last if high > last else (low + high) // 2
+        state = tuple(part[i] for part in branch.state)
+        more = symmetry_at(branch, branch.parameter[i], state, branch.period[i])
+        if more == branch.symmetry:
+            low = i
+        else:
+            high, end = i, f"meets {more} near {branch.parameter[i]:.6f}"
     names = ("parameter", "period", "amplitude", "scaled_peak_velocity", "multipliers",
              "trivial_defect")  # fmt: skip
-    cut = {name: getattr(branch, name)[: point.index + 1] for name in names}
-    special = tuple(p for p in branch.special if p.index <= point.index)
-    return replace(
-        branch, **cut, state=tuple(part[: point.index + 1] for part in branch.state),
-        special=special,
-    )  # fmt: skip
-
-
-def end_of(branch):
-    """How a branch ends, in words."""
-    point, symmetry = meeting(branch)
-    if point is not None:
-        return f"meets {symmetry} at {point.parameter:.6f}"
-    if hopf := branch.of_kind("hopf"):
-        return f"Hopf point at {hopf[-1].parameter:.6f}"
-    return f"{branch.ended} at {branch.parameter[-1]:.6f}"
+    cut = {name: getattr(branch, name)[:high] for name in names}
+    cut["state"] = tuple(part[:high] for part in branch.state)
+    return replace(branch, **cut, special=tuple(p for p in branch.special if p.index < high)), end
 
 
 def leaving(branch, points):
@@ -132,18 +131,21 @@ def leaving(branch, points):
 
 
 def all_branches(chain, s):
-    """By (k, pattern) both ways of a branch, or the one way of what crosses it."""
-    model, branches = localization.phase_model(chain), {}
+    """By (k, pattern) both ways of a branch, or the one way of what crosses it; and the ends."""
+    model, branches, ends = localization.phase_model(chain), {}, {}
     for k in s.counts:
         for name, pattern in locked(model, k, [*PATTERNS]).items():
             cycle = cycle_near(model, pattern)
             print(f"k = {k}, {name}: {'' if cycle.successful else 'no '}cycle found", flush=True)
             if cycle.successful:
-                branches[k, name] = ways = [own(way) for way in follow(cycle, s.points)]
-                for way in ways if k in s.switched else ():
-                    for other, branch in leaving(way, s.points):
-                        branches[k, f"{name}, {other}"] = [branch]
-    return branches
+                ways = [own(way) for way in follow(cycle, s.points)]
+                every = {name: ways}
+                for way, _ in ways if k in s.switched else ():
+                    every |= {f"{name}, {to}": [found] for to, found in leaving(way, s.points)}
+                for to, ways in every.items():
+                    branches[k, to] = [way for way, _ in ways]
+                    ends[k, to] = ", ".join(end for _, end in ways)
+    return branches, ends
 
 
 def points_of(branches):
@@ -164,7 +166,7 @@ def closing_error(chain, x, v, period):
     return jnp.max(jnp.maximum(abs(x1 - x), abs(v1 - v) / layer)) / jnp.max(v)
 
 
-def describe(chain, branches, points):
+def describe(chain, branches, ends, points):
     """A row for each branch; it is stable where no multiplier is beyond the unit circle."""
     for (k, name), ways in branches.items():
         speeds, x, v, period, _, unstable = points[k, name].values()
@@ -177,7 +179,7 @@ def describe(chain, branches, points):
             "k": k, "pattern": name, "symmetry": ways[0].symmetry, "points": speeds.size,
             "from": min(speeds), "to": max(speeds),
             "stable at": ", ".join(f"{low:.4f} ... {high:.4f}" for low, high in stable),
-            "closing error": float(max(errors)), "ends": ", ".join(map(end_of, ways)),
+            "closing error": float(max(errors)), "ends": ends[k, name],
             "special points": ", ".join(f"{kind} {speed:.5f}" for kind, speed in special),
         }  # fmt: skip
 
@@ -266,15 +268,17 @@ def main():
     quick, folder = options(__file__, __doc__)
     s = SimpleNamespace(**(QUICK if quick else FULL))
     chain = jc.paper_chain(s.n, START, s.width, coupling=s.coupling)
-    branches = all_branches(chain, s)
+    branches, ways_end = all_branches(chain, s)
     points = points_of(branches)
     runs = jc.sweep(
         chain.with_(width=None), jc.equation_8, s.transient + WINDOW,
         over={"belt_speed": s.speeds, "excited": np.arange(s.n + 1)},
         observe=jc.Amplitude(window=WINDOW), store=folder / "ensemble.zarr", progress=True,
     )  # fmt: skip
-    tables = {"branches": describe(chain, branches, points), "dry": dry_runs(chain, points, s),
-              "couplings": stable_ends(s)}  # fmt: skip
+    tables = {
+        "branches": describe(chain, branches, ways_end, points),
+        "dry": dry_runs(chain, points, s), "couplings": stable_ends(s),
+    }  # fmt: skip
     for name, rows in tables.items():
         tables[name] = pd.DataFrame(rows)
         tables[name].to_csv(folder / f"{name}.csv", index=False)
