@@ -12,7 +12,7 @@ its own mirror image, or at the end of the range.
 Prints for each branch its symmetry and belt speeds, where it is stable, by how much its orbits
 fail to close when they are integrated ten times finer, how both ways end, and its special points;
 what true dry friction makes of stable cycles drawn by lot; and the ends of stability over the
-coupling.  An hour and a half on two cores:
+coupling.  Some twenty minutes on two cores:
 
     python examples/studies/ladder.py
 """
@@ -40,7 +40,7 @@ FULL = {
     "dry": 6, "dry_time": 2000.0,  # runs of dry friction from stable cycles
     # Tails of a localized vibration do not reach round a ring of ten.
     "couplings": (1e-3, 3e-3, 1e-2, 3e-2, 1e-1), "coupled": (1, 2, 3, 4), "coupled_n": 10,
-    "coupled_points": 25,
+    "coupled_points": 100,
 }  # fmt: skip
 QUICK = FULL | {
     "n": 4, "width": 0.05, "counts": (1, 2), "points": 6, "switched": (), "speeds": (1.4, 1.5),
@@ -48,7 +48,7 @@ QUICK = FULL | {
     "couplings": (0.01,), "coupled": (1,), "coupled_n": 4, "coupled_points": 4,
 }  # fmt: skip
 START, WINDOW, RTOL, FINE_RTOL = 1.5, 100.0, 1e-11, 1e-12
-HOW = {"bounds": (1.1, 1.9), "tolerance": 1e-9, "min_step": 1e-5}  # branches are followed
+HOW = {"bounds": (1.1, 1.9), "tolerance": 1e-9, "min_step": 1e-8}  # branches are followed
 PATTERNS = {"in-phase": BLUE, "alternating": "black", "calmest": GREEN}
 LOSSES = ("fold", "symmetry breaking", "branch point", "period doubling", "torus")
 
