@@ -199,6 +199,26 @@ def wave(n, p, K):
     return (jnp.asarray(z.real), jnp.asarray(z.imag)), 2 * np.pi / omega
 
 
+def multipliers(n, p, K):
+    """Those of `wave`, of disturbances z (a exp(i q n) + b* exp(-i q n)) of z."""
+    angle, (_, period) = 2 * np.pi * p / n, wave(n, p, K)
+    c, rates = np.cos(angle), []
+    R = 1 + K * (c - 1)
+    for q in 2 * np.pi / n * np.arange(n):
+        ahead, back = (K * (np.cos(q + s * angle) - c) for s in (1, -1))
+        own = [[-(1 - 1j) * R] * 2, [-(1 + 1j) * R] * 2]
+        rates += [*np.linalg.eigvals(own + np.diag([(1 + 2j) * ahead, (1 - 2j) * back]))]
+    others = np.delete(rates, np.argmin(np.abs(rates)))  # 0 along the orbit
+    return np.exp(others * period)
+
+
+def check_same(found, known):
+    """Each is one of the others, in any order."""
+    gaps = np.abs(np.asarray(found)[:, None] - np.asarray(known))
+    assert gaps.shape[0] == gaps.shape[1]
+    assert max(np.max(np.min(gaps, axis=axis)) for axis in (0, 1)) < 1e-7
+
+
 def test_a_rotating_wave_of_six_loses_half_of_its_shifts():
     # Of a disturbance (-1)^n: -2 c K (1 + 2 i), which has a zero eigenvalue at K = 1 / (1 + 4 c).
     cells = Ring(jnp.asarray(0.36))
@@ -214,16 +234,8 @@ def test_a_rotating_wave_of_six_loses_half_of_its_shifts():
     assert (label, images, mirrored) == ("Z3, T/3", tuple(range(6)), True)
     assert shift == ((4, 5, 0, 1, 2, 3), 3)
     check_ring(found, [1 / 3])
-    # The multipliers of a period, from a sixth of it; z (1 + a exp(i q n) + b* exp(-i q n)).
-    K, R, c = 0.36, 1 - 0.5 * 0.36, np.cos(np.pi / 3)
-    rates = []
-    for q in np.pi / 3 * np.arange(6):
-        ahead, back = (K * (np.cos(q + s * np.pi / 3) - c) for s in (1, -1))
-        own = [[-(1 - 1j) * R] * 2, [-(1 + 1j) * R] * 2]
-        rates += [*np.linalg.eigvals(own + np.diag([(1 + 2j) * ahead, (1 - 2j) * back]))]
-    others = np.delete(rates, np.argmin(np.abs(rates)))  # 0 along the orbit
-    known = np.sort(np.exp(np.real(others) * start[1]))[::-1]
-    np.testing.assert_allclose(np.abs(branch.multipliers[0]), known, atol=1e-8)
+    # Of a period, from a sixth of it.
+    check_same(branch.multipliers[0], multipliers(6, 1, 0.36))
     # Six turns of a cycle that is all alike close after one of them.
     (alike, period), how = wave(6, 0, 0.36), {"images": symmetry, "mass": 0, "throw": False}
     found = find_limit_cycle(cells, (alike, 6 * period), **how)
@@ -260,6 +272,14 @@ def test_antiphase_cycles_lose_their_symmetry_in_three_ways():
         field = other.shooting.at(other.parameter[0])
         state = tuple(jnp.asarray(part[0]) for part in other.state)
         assert cycle_symmetry(field, state, other.period[0]).label == symmetry.label
+
+
+def test_two_shifts_may_lead_to_masses_that_move_alike():
+    # Two rotations by one mass are none of the identity.
+    cells, start = Ring(jnp.asarray(-0.25)), wave(4, 2, -0.25)
+    symmetry = CycleSymmetry("", (0, 1, 0, 1), shift=((3, 0, 1, 2), 2))
+    found = find_limit_cycle(cells, start, images=symmetry, mass=0)
+    check_same(found.multipliers, multipliers(4, 2, -0.25))
 
 
 def test_a_wrong_shift_is_refused():
