@@ -211,7 +211,7 @@ def main():
         settings = {
             "seeds": 1 if quick else SEEDS, "noise": NOISE[1:] if quick else NOISE,
             "first": max(FIRST * share, 1000.0), "longest": LONGEST * share,
-            "exponent_time": EXPONENT_TIME * share, "exponent_runs": SEEDS, "count": EXPONENTS,
+            "exponent_time": EXPONENT_TIME * share, "exponent_runs": SEEDS + 1, "count": EXPONENTS,
         }  # fmt: skip
         found = kept(folder / f"{case}.pickle", dry, starts, settings)
         open_ = [i for i, state in enumerate(found) if state.verdict == "transient"]
