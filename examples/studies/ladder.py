@@ -150,7 +150,7 @@ def all_branches(chain, s):
 
 def points_of(branches):
     """All points of each branch, from the end of the way down to the end of the way up."""
-    names = ("parameter", "x", "v", "period", "energy", "unstable")
+    names = ("parameter", "x", "v", "period", "energy", "unstable", "amplitude")
     return {
         key: {name: np.concatenate([*(getattr(way, name)[:0:-1] for way in down),
                                     getattr(up, name)]) for name in names}
@@ -169,7 +169,8 @@ def closing_error(chain, x, v, period):
 def describe(chain, branches, ends, points):
     """A row for each branch; it is stable where no multiplier is beyond the unit circle."""
     for (k, name), ways in branches.items():
-        speeds, x, v, period, _, unstable = points[k, name].values()
+        speeds, x, v, period, _, unstable, amplitude = points[k, name].values()
+        vibrate = jc.active(amplitude, speeds).sum(axis=1)
         errors = [closing_error(chain.with_(belt_speed=jnp.asarray(speed)), *orbit)
                   for speed, *orbit in zip(speeds, x, v, period)]  # fmt: skip
         edges = np.flatnonzero(np.diff([0, *(unstable == 0), 0])).reshape(-1, 2)
@@ -178,6 +179,7 @@ def describe(chain, branches, ends, points):
         yield {
             "k": k, "pattern": name, "symmetry": ways[0].symmetry, "points": speeds.size,
             "from": min(speeds), "to": max(speeds),
+            "vibrate": ", ".join(map(str, np.unique(vibrate))),
             "stable at": ", ".join(f"{low:.4f} ... {high:.4f}" for low, high in stable),
             "closing error": float(max(errors)), "ends": ends[k, name],
             "special points": ", ".join(f"{kind} {speed:.5f}" for kind, speed in special),
