@@ -1,6 +1,7 @@
 """Code shared by the programs in this folder: their options and the style of their figures."""
 
 import argparse
+import pickle
 from pathlib import Path
 
 import jax
@@ -40,6 +41,17 @@ def options(program, question):
     # Compiling is most of the time of small sizes.
     jax.config.update("jax_disable_most_optimizations", given.quick)
     return given.quick, folder
+
+
+def kept(file, settings, compute):
+    """What `compute` returns, from the file if that was computed with the same settings."""
+    if file.exists():
+        known, found = pickle.loads(file.read_bytes())
+        if known == settings:
+            return found
+    found = compute()
+    file.write_bytes(pickle.dumps((settings, found)))
+    return found
 
 
 def letters(panels, first="a"):

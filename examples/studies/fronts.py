@@ -3,11 +3,14 @@
 Figure 3(b) of the paper marks belt speeds at which fronts move between vibrating and quiet masses,
 and leaves them for later.  Here their speed is measured over the belt speed and over the coupling,
 with true dry friction, together with the belt speeds at which they come unstuck, and compared with
-what linear spreading and averaging predict.
+what linear spreading and averaging predict.  Shiroky, Papangelo, Hoffmann and Gendelman (2020)
+find a speed that is linear in the coupling above a critical one, in this chain and in one of
+van der Pol's oscillators; so such a chain is measured, too.
 
 Prints the speed over the belt speed; between which belt speeds fronts come unstuck, beside the
-prediction; p of speed ~ coupling^p; and how far the speed has converged in the length of the ring
-and in the width.  If it is stopped, the same call continues:
+prediction; p of speed ~ coupling^p, and the line speed = slope (coupling - critical) with its
+coefficient of determination R^2; and how far the speed has converged in the length of the ring and
+in the width.  If it is stopped, the same call continues:
 
     python examples/studies/fronts.py
 """
@@ -32,7 +35,7 @@ COUPLING, PATTERNS, WORDS = 0.01, ["alternating", "in-phase"], ["shrinks", "stan
 FULL = {
     # Rings: masses, how many of them vibrate at the start, and time.
     "pictures": (64, 24, 1200.0), "speeds": (64, 24, 2000.0), "couplings": (48, 16, 3000.0),
-    "pinning": (40, 14, 3000.0), "convergence": (40, 14, 1000.0),
+    "pinning": (40, 14, 3000.0), "convergence": (64, 24, 3000.0), "oscillators": (200, 40, 2000.0),
     "windows": 200, "seeds": 2, "halvings": 6,
     "belt_speed": [*np.arange(0.9, 1.14, 0.05).round(2), *np.arange(1.15, 1.31, 0.025).round(3),
                    1.32, 1.34, 1.36, 1.4, 1.5, 1.6, 1.66, 1.68, 1.69, 1.7, 1.725, 1.75, 1.775, 1.8,
@@ -40,14 +43,17 @@ FULL = {
     # Over the coupling: the second belt speed is v_H, about.
     "some_speeds": [0.95, 1.1513, 1.2, 1.3, 1.7, 1.75],
     "coupling": [0.001, 0.002, 0.004, 0.007, 0.01, 0.014, 0.02, 0.03, 0.05, 0.1],
+    "other_coupling": [0.005, 0.01, 0.0125, 0.015, 0.02, 0.025, 0.03, 0.04, 0.05, 0.07],
     "edge_coupling": [0.002, 0.003, 0.005, 0.007, 0.01, 0.014, 0.02],
     # Convergence: other rings, and smoothed friction on the first one.
-    "few_speeds": [1.0, 1.2, 1.75], "rings": [64, 100, 200], "widths": [1e-3, 3e-3, 1e-2],
+    "few_speeds": [1.0, 1.2, 1.75], "rings": [100, 200, 400], "widths": [1e-3, 3e-3, 1e-2],
 }  # fmt: skip
-RINGS = ["pictures", "speeds", "couplings", "pinning", "convergence"]
+RINGS = ["pictures", "speeds", "couplings", "pinning", "convergence", "oscillators"]
 QUICK = dict.fromkeys(RINGS, (20, 8, 400.0)) | {
-    "windows": 30, "seeds": 1, "halvings": 2, "belt_speed": [1.05, 1.5, 1.75],
+    "oscillators": (100, 20, 600.0), "windows": 30, "seeds": 1, "halvings": 2,
+    "belt_speed": [1.05, 1.5, 1.75],
     "some_speeds": [0.95, 1.2, 1.75], "coupling": [0.01, 0.02, 0.03], "edge_coupling": [0.02],
+    "other_coupling": [0.03, 0.05, 0.1],
     "rings": [], "widths": [],
 }  # fmt: skip
 # Belt speeds at which blocks grow, stand and shrink.
@@ -57,6 +63,21 @@ GROWS, STANDS, SHRINKS = 1.1, 1.5, 1.82
 NOISE, PASSED, SHARE, PERIOD = 0.1, 2.0, 0.2, 6.6
 CURVE, DEATHS = 41, np.geomspace(1e-3, 0.05, 41)
 ALONE = partial(jc.paper_chain, 1, width=None)
+UNSTABLE, STABLE = 1.0, 2.0  # amplitudes of van der Pol's cycles, for small damping
+
+
+class VanDerPol(jc.model.AbstractCells):
+    """x'' + d (1 - 5 x^2 + 2 x^4) x' + x = eta (x_{n-1} - 2 x_n + x_{n+1}): by averaging the
+    amplitude decays as A' = -d A (1 - A^2) (4 - A^2) / 8, so it rests or vibrates."""
+
+    coupling: jax.Array
+    damping: jax.Array = 0.05
+    components = ("x", "v")
+
+    def rate(self, t, left, own, right):
+        x, v = own
+        force = self.coupling * (left[0] - 2 * x + right[0]) - x
+        return v, force - self.damping * (1 - 5 * x**2 + 2 * x**4) * v
 
 
 def block_start(chain, seed, in_phase, block):
@@ -92,6 +113,22 @@ def measure(store, ring, speeds, coupling=COUPLING, width=None, seeds=1):
     scatter = stats.t.ppf(0.975, np.maximum(count - 1, 1)) * found.speed.std(both, ddof=1)
     bar = np.fmax(scatter, found.error.mean(both)) / np.sqrt(count)
     return found.assign(mean=found.speed.mean(both), bar=bar)
+
+
+def oscillators(store, ring, couplings):
+    """Front speeds of a ring of van der Pol's oscillators over the coupling."""
+    n, block, time = ring
+
+    def start(_, in_phase):
+        inside = np.abs(np.arange(n) - n // 2) < block // 2
+        signs = jnp.where(in_phase, 1.0, (-1.0) ** np.arange(n))
+        return jnp.where(inside, STABLE * signs, 0.0), jnp.zeros(n)
+
+    watch = jc.observers.FrontTrack(int(time / 20.0), threshold=UNSTABLE)
+    over = {"coupling": couplings, "in_phase": [0, 1]}
+    runs = jc.sweep(VanDerPol(jnp.ones(())), start, time, over=over, observe=watch, store=store)
+    found = jc.localization.front_speeds(runs, 100.0)
+    return found.assign(mean=found.speed.mean("in_phase"), bar=found.error.mean("in_phase"))
 
 
 def pinning(ring, couplings, halvings):
@@ -137,15 +174,15 @@ def predicted():
 
 
 def exponents(moving):
-    """p of |speed| ~ coupling^p at each belt speed."""
-    rows = {}
-    for speed in moving.belt_speed.values:
-        own = moving["mean"].sel(belt_speed=speed).dropna("coupling")
-        rows[speed] = {"p": np.nan, "+-": np.nan, "couplings": own.size}
-        if own.size > 2:
-            fit = stats.linregress(np.log(own.coupling), np.log(np.abs(own)))
-            rows[speed] |= {"p": fit.slope, "+-": stats.t.ppf(0.975, own.size - 2) * fit.stderr}
-    return pd.DataFrame.from_dict(rows, "index").rename_axis("belt speed")
+    """p of |speed| ~ coupling^p, and the line |speed| = slope (coupling - critical)."""
+    row = {"p": np.nan, "+-": np.nan, "couplings": moving.size}
+    if moving.size > 2:
+        fit = stats.linregress(np.log(moving.coupling), np.log(np.abs(moving)))
+        row |= {"p": fit.slope, "+-": stats.t.ppf(0.975, moving.size - 2) * fit.stderr}
+        line = stats.linregress(moving.coupling, np.abs(moving))
+        row |= {"slope": line.slope, "critical": -line.intercept / line.slope}
+        row |= {"R^2": line.rvalue**2}
+    return row
 
 
 def draw_pictures(part, runs):
@@ -208,20 +245,23 @@ def draw_plane(axes, data, edges, theory):
     axes.legend(loc="lower center", ncols=2, fontsize=5.6, labelspacing=0.15)
 
 
-def draw_coupling(axes, moving, powers):
+def draw_coupling(axes, moving, other, powers):
     """|speed| over the coupling with its exponents, and linear spreading below v_H."""
     values = moving.coupling.values
     axes.plot(values, values, color=common.GREY, ls=":", label=r"$|c| = \eta_c$")
-    for (speed, row), colour, marker in zip(powers.iterrows(), common.COLOURS, "osD^v<"):
-        own, look = moving.sel(belt_speed=speed), {"fmt": marker, "ms": 3.4, "lw": 0.8}
-        look["label"] = rf"$\tilde v_d = {speed:g}$: $p = {row.p:.2f} \pm {row['+-']:.2f}$"
-        axes.errorbar(values, np.abs(own["mean"]), own.bar, color=colour, **look)
+    series = [(rf"$\tilde v_d = {speed:g}$", moving.sel(belt_speed=speed))
+              for speed in moving.belt_speed.values] + [("van der Pol", other)]  # fmt: skip
+    for (label, own), row, colour, marker in zip(series, powers, common.COLOURS, "osD^v<*"):
+        look = {"fmt": marker, "ms": 3.4, "lw": 0.8, "color": colour}
+        look["label"] = rf"{label}: $p = {row['p']:.2f} \pm {row['+-']:.2f}$"
+        axes.errorbar(own.coupling, np.abs(own["mean"]), own.bar, **look)
+    for speed, colour in zip(moving.belt_speed.values, common.COLOURS):
         if speed < jc.hopf_belt_speed(ALONE()):
             line = [spreading(np.array([speed]), value)[0] for value in values]
             axes.plot(values, line, color=colour, lw=0.9)
     axes.set(xscale="log", yscale="log", xlabel=common.COUPLING)
     axes.set(ylabel=r"$|c|$ (masses per time)", ylim=(0.06 * values[0], None))
-    axes.legend(loc="lower right", fontsize=6)
+    axes.legend(loc="lower right", fontsize=5.6)
 
 
 def draw_convergence(axes, data):
@@ -260,15 +300,19 @@ def main():
         name, ring = f"{other} masses, {width or 'dry'}", (other, round(block * other / n), time)
         parts[name] = measure(folder / name, ring, size.few_speeds, width=width)
     converged = xr.concat(parts.values(), pd.Index([*parts], name="case"))
-    moving = over_coupling.where(np.abs(over_coupling["mean"]) > over_coupling.bar)  # for certain
-    theory, powers = predicted(), exponents(moving)
+    surely = lambda data: data.where(np.abs(data["mean"]) > data.bar)  # noqa: E731
+    moving = surely(over_coupling)
+    other = surely(oscillators(folder / "van der Pol.zarr", size.oscillators, size.other_coupling))
+    every = [moving.sel(belt_speed=speed) for speed in moving.belt_speed.values] + [other]
+    theory, powers = predicted(), [exponents(own["mean"].dropna("coupling")) for own in every]
 
     print(speeds[["mean", "bar"]].to_dataframe().round(5).to_string())
     low = np.interp(edges.coupling, np.maximum.accumulate(theory[1]), theory[0])
     high = np.interp(edges.coupling, DEATHS, theory[3])
     edges["predicted"] = np.where(edges.edge == "grows", low, high)
     print(edges.round(4).to_string(index=False))
-    print(powers.round(3).to_string())
+    print(pd.DataFrame(powers, [*moving.belt_speed.values, "van der Pol"]).round(4).to_string())
+    print(other[["mean", "bar"]].to_dataframe().round(5).to_string())
     print(converged[["mean", "bar"]].to_dataframe().round(5).to_string())
 
     page = plt.figure(figsize=(7.0, 7.4))
@@ -277,7 +321,7 @@ def main():
     panels = lower.subplots(2, 2)
     draw_speeds(panels[0, 0], speeds)
     draw_plane(panels[0, 1], over_coupling, edges, theory)
-    draw_coupling(panels[1, 0], moving, powers)
+    draw_coupling(panels[1, 0], moving, other, powers)
     draw_convergence(panels[1, 1], converged)
     common.letters(panels, "b")
     jc.plotting.save_figure(page, folder / "fronts")

@@ -1,60 +1,64 @@
-"""The branches behind the ladder of localized states: one snaking branch, or islands?
+"""The branches behind the ladder of localized states: snakes, islands or a stack?
 
 The cycles in which k neighbours of the paper's ring vibrate with locked phases, stable and
-unstable, followed over the belt speed round all folds: in phase, alternating, and in the calmest
-pattern, whose phases keep together best; and the branches that leave them where they lose their
-symmetry.  Upon them runs of true dry friction from eq. (8), as in Fig. 3(b) of the paper; and
-between which belt speeds the calmest patterns are stable, over the coupling.
+unstable, followed over the belt speed round all folds at four couplings: in phase, alternating,
+and in the calmest pattern, whose phases keep together best; at the paper's coupling also the
+branches that leave them where they lose their symmetry.  Beside each smoothed cycle the cycle of
+true dry friction, and beside each fold the grazing at which dry cycles fold; upon them runs of dry
+friction from eq. (8), as in Fig. 3(b) of the paper.
 
 A branch ends where it closes, where it meets a branch of more symmetric cycles, beyond which it is
-its own mirror image, or at the end of the range.
+its own mirror image, at a Hopf point, or at the end of the range.  It is named after Taylor and
+Dawes, Snaking and isolas of localised states in bistable discrete lattices (2010): an isola is
+closed; along a snake the number of vibrating masses changes at folds; in a stack each number has a
+branch of its own.
 
-Prints for each branch its symmetry and belt speeds, where it is stable, by how much its orbits
-fail to close when they are integrated ten times finer, how both ways end, and its special points;
-what true dry friction makes of stable cycles drawn by lot; and the ends of stability over the
-coupling.  Some twenty minutes on two cores:
+Prints for each branch its name, its symmetry and belt speeds, how many masses vibrate, where it is
+stable, by how much its orbits fail to close when they are integrated ten times finer, how both
+ways end, branches with the same folds, the dry cycles, and its special points.  What has been
+followed is kept in the folder of the results.  Half an hour for each coupling on one core:
 
     python examples/studies/ladder.py
 """
 
-from dataclasses import replace
+import itertools
+from functools import partial
 from types import SimpleNamespace
 
-import equinox as eqx
+import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-from _common import BLUE, COUPLING, GREEN, GREY, PURPLE, SPEED, VERMILION, letters, options
+import xarray as xr
+from _common import BLUE, COUPLING, GREEN, GREY, SPEED, VERMILION, kept, letters, options
 
 import jaxchain as jc
 from jaxchain import localization
+from jaxchain.boundaries import find_special_cycle
 from jaxchain.cycles import cycle_symmetry, switch_cycle
 from jaxchain.plotting import plot_branch, save_figure
 
 FULL = {
-    "n": 20, "coupling": 0.01, "width": 1e-3,
-    "counts": (1, 2, 3, 20, 4, 5, 6), "points": 1500,  # on each of the two ways of a branch
-    "switched": (1, 2),  # of these the branches that leave where a symmetry breaks, too
+    "n": 20, "width": 1e-3, "couplings": (1e-2, 3e-3, 2e-2, 1e-3), "counts": (1, 2, 3, 4, 5, 6),
+    "more": (20,), "switched": (1, 2),  # at the first coupling; the branches that leave these
+    "points": 1500,  # on each of the two ways of a branch
     "speeds": np.arange(1.05, 1.86, 0.05), "transient": 1400.0,  # of the runs from eq. (8)
-    "dry": 6, "dry_time": 2000.0,  # runs of dry friction from stable cycles
-    # Tails of a localized vibration do not reach round a ring of ten.
-    "couplings": (1e-3, 3e-3, 1e-2, 3e-2, 1e-1), "coupled": (1, 2, 3, 4), "coupled_n": 10,
-    "coupled_points": 100,
 }  # fmt: skip
 QUICK = FULL | {
-    "n": 4, "width": 0.05, "counts": (1, 2), "points": 6, "switched": (), "speeds": (1.4, 1.5),
-    "transient": 50.0, "dry": 1, "dry_time": 150.0,
-    "couplings": (0.01,), "coupled": (1,), "coupled_n": 4, "coupled_points": 4,
+    "n": 4, "width": 0.05, "couplings": (0.01,), "counts": (1, 2), "more": (), "switched": (),
+    "points": 6, "speeds": (1.4, 1.5), "transient": 50.0,
 }  # fmt: skip
 START, WINDOW, RTOL, FINE_RTOL = 1.5, 100.0, 1e-11, 1e-12
 HOW = {"bounds": (1.1, 1.9), "tolerance": 1e-9, "min_step": 1e-8}  # branches are followed
+NEAR = 0.02  # amplitudes of a dry cycle and the smoothed one, or their folds
+DRY = (1, 2, 3)  # k of which dry cycles are found, too
 PATTERNS = {"in-phase": BLUE, "alternating": "black", "calmest": GREEN}
-LOSSES = ("fold", "symmetry breaking", "branch point", "period doubling", "torus")
+NAMES = {"snake": "s", "isola": "o", "stack": "_", "not named": "x"}
 
 
-def locked(model, k, names):
-    """The locked patterns of k neighbours that go by these names, each once."""
+def locked(model, k):
+    """The locked patterns of k neighbours that have names, each once."""
     n = model.chain.n
     waves = (localization.rotating_wave(model, turns) for turns in range(n // 2 + 1))
     every = (
@@ -62,7 +66,7 @@ def locked(model, k, names):
     )
     orders = [pattern.order for pattern in every]
     index = {"in-phase": np.argmax(orders), "alternating": np.argmin(orders), "calmest": 0}
-    first = {index[name]: name for name in reversed(names)}
+    first = {index[name]: name for name in reversed(PATTERNS)}
     return {"single" if k == 1 else first[i]: every[i] for i in sorted(first)}
 
 
@@ -71,94 +75,70 @@ def cycle_near(model, pattern):
     n, k = model.chain.n, pattern.phases.size
     mass = int(localization.block_sites(n, k)[k // 2])
     state, period = localization.pattern_guess(model, pattern.phases, first=mass)
-    return jc.find_limit_cycle(
-        model.chain, state, period=period, mass=mass, images=pattern.images(n), rtol=1e-9,
-        throw=False,
-    )  # fmt: skip
-
-
-def follow(cycle, points, **more):
-    """The branch through a cycle, towards greater and towards smaller belt speeds."""
-    more |= {"images": cycle_symmetry(cycle), "rtol": RTOL, "max_points": points, **HOW}
-    return [jc.continue_cycle(cycle, direction=way, **more) for way in (1, -1)]
-
-
-def symmetry_at(branch, parameter, state, period, **tolerance):
-    """The label of the symmetry of a cycle of the branch."""
-    return cycle_symmetry(branch.shooting.at(parameter), state, period, **tolerance).label
+    how = {"images": pattern.images(n), "rtol": 1e-9, "throw": False}
+    return jc.find_limit_cycle(model.chain, state, period=period, mass=mass, **how)
 
 
 def own(branch):
-    """(the branch up to where it meets one of more symmetric cycles, how it ends).
-
-    Beyond such a point it is its own mirror image, or the other branch.
-    """
+    """The branch up to where it meets one of more symmetric cycles, beyond which it is its own
+    mirror image or the other branch; `end` says how it ends."""
     last, end = branch.parameter.size - 1, f"{branch.ended} at {branch.parameter[-1]:.6f}"
     if hopf := branch.of_kind("hopf"):
         end = f"Hopf point at {hopf[-1].parameter:.6f}"
+
+    def more(parameter, state, period, **tolerance):
+        at = branch.shooting.at(parameter)
+        label = cycle_symmetry(at, tuple(state), period, **tolerance).label
+        return label if label != branch.symmetry else None
+
     for p in branch.of_kind("branch point"):
-        more = symmetry_at(branch, p.parameter, p.state, p.period, tolerance=1e-4)
-        if more != branch.symmetry:
-            last, end = p.index, f"meets {more} at {p.parameter:.6f}"
+        if label := more(p.parameter, p.state, p.period, tolerance=1e-4):
+            last, end = p.index, f"meets {label} at {p.parameter:.6f}"
             break
     low, high = 0, last + 1  # the first cycle with more symmetry is in (low, high]
     while high - low > 1:
         i = last if high > last else (low + high) // 2
-        state = tuple(part[i] for part in branch.state)
-        more = symmetry_at(branch, branch.parameter[i], state, branch.period[i])
-        if more == branch.symmetry:
-            low = i
+        if label := more(
+            branch.parameter[i], (part[i] for part in branch.state), branch.period[i]
+        ):
+            high, end = i, f"meets {label} near {branch.parameter[i]:.6f}"
         else:
-            high, end = i, f"meets {more} near {branch.parameter[i]:.6f}"
-    names = ("parameter", "period", "amplitude", "scaled_peak_velocity", "multipliers",
-             "trivial_defect")  # fmt: skip
-    cut = {name: getattr(branch, name)[:high] for name in names}
-    cut["state"] = tuple(part[:high] for part in branch.state)
-    return replace(branch, **cut, special=tuple(p for p in branch.special if p.index < high)), end
+            low = i
+    data = branch.to_dataset().isel(point=slice(high))
+    return data.isel(special=data.special_index.values < high).assign_attrs(end=end)
 
 
 def leaving(branch, points):
-    """The branches that leave where the symmetry breaks, by their names."""
+    """By their names the branches that leave where the symmetry breaks."""
     for point in branch.of_kind("symmetry breaking"):
         for index, symmetry in enumerate(point.symmetries):
             for side in (1,) if symmetry.mirrored else (1, -1):
                 name = f"{symmetry.label} from {point.parameter:.5f}" + " back" * (side < 0)
                 how = {"symmetry": index, "side": side, "max_points": points, **HOW}
                 try:
-                    yield name, own(switch_cycle(branch, point, **how))
+                    yield name, [own(switch_cycle(branch, point, **how))]
                 except RuntimeError as error:
                     print(f"{name}: {error}", flush=True)
 
 
-def all_branches(chain, s):
-    """By (k, pattern) both ways of a branch, or the one way of what crosses it; and the ends."""
-    model, branches, ends = localization.phase_model(chain), {}, {}
-    for k in s.counts:
-        for name, pattern in locked(model, k, [*PATTERNS]).items():
-            cycle = cycle_near(model, pattern)
-            print(f"k = {k}, {name}: {'' if cycle.successful else 'no '}cycle found", flush=True)
-            if cycle.successful:
-                ways = [own(way) for way in follow(cycle, s.points)]
-                every = {name: ways}
-                for way, _ in ways if k in s.switched else ():
-                    every |= {f"{name}, {to}": [found] for to, found in leaving(way, s.points)}
-                for to, ways in every.items():
-                    branches[k, to] = [way for way, _ in ways]
-                    ends[k, to] = ", ".join(end for _, end in ways)
-    return branches, ends
+def follow(k, points, switched, **numbers):
+    """By pattern the branches of k neighbours: towards greater and towards smaller belt speeds;
+    and what leaves them, in one direction."""
+    model, found = localization.phase_model(jc.paper_chain(belt_speed=START, **numbers)), {}
+    for name, pattern in locked(model, k).items():
+        cycle = cycle_near(model, pattern)
+        print(f"k = {k}, {name}: {'' if cycle.successful else 'no '}cycle found", flush=True)
+        if cycle.successful:
+            more = {"images": cycle_symmetry(cycle), "rtol": RTOL, "max_points": points, **HOW}
+            ways = [jc.continue_cycle(cycle, direction=way, **more) for way in (1, -1)]
+            found[name] = [own(way) for way in ways]
+            for way in ways if switched else ():
+                found |= {f"{name}, {to}": branch for to, branch in leaving(way, points)}
+    return found
 
 
-def points_of(branches):
-    """All points of each branch, from the end of the way down to the end of the way up."""
-    names = ("parameter", "x", "v", "period", "energy", "unstable", "amplitude")
-    return {
-        key: {name: np.concatenate([*(getattr(way, name)[:0:-1] for way in down),
-                                    getattr(up, name)]) for name in names}
-        for key, (up, *down) in branches.items()
-    }  # fmt: skip
-
-
-@eqx.filter_jit
+@jax.jit
+@jax.vmap
 def closing_error(chain, x, v, period):
     """The residual of the shooting equations, integrated ten times finer."""
     x1, v1 = jc.simulate(chain, (x, v), period, rtol=FINE_RTOL, throw=False).state
@@ -166,82 +146,105 @@ def closing_error(chain, x, v, period):
     return jnp.max(jnp.maximum(abs(x1 - x), abs(v1 - v) / layer)) / jnp.max(v)
 
 
-def describe(chain, branches, ends, points):
-    """A row for each branch; it is stable where no multiplier is beyond the unit circle."""
-    for (k, name), ways in branches.items():
-        speeds, x, v, period, _, unstable, amplitude = points[k, name].values()
-        vibrate = jc.active(amplitude, speeds).sum(axis=1)
-        errors = [closing_error(chain.with_(belt_speed=jnp.asarray(speed)), *orbit)
-                  for speed, *orbit in zip(speeds, x, v, period)]  # fmt: skip
-        edges = np.flatnonzero(np.diff([0, *(unstable == 0), 0])).reshape(-1, 2)
-        stable = [np.sort(speeds[a:b])[[0, -1]] for a, b in edges]
-        special = sorted((p.kind, p.parameter) for way in ways for p in way.special)
-        yield {
-            "k": k, "pattern": name, "symmetry": ways[0].symmetry, "points": speeds.size,
-            "from": min(speeds), "to": max(speeds),
-            "vibrate": ", ".join(map(str, np.unique(vibrate))),
-            "stable at": ", ".join(f"{low:.4f} ... {high:.4f}" for low, high in stable),
-            "closing error": float(max(errors)), "ends": ends[k, name],
-            "special points": ", ".join(f"{kind} {speed:.5f}" for kind, speed in special),
+def dry_cycles(chain, data):
+    """The cycles of dry friction beside smoothed ones, and which are their neighbours."""
+    dry, mass = chain.with_(width=None), int(data.attrs["cut_at_oscillator"]) - 1
+
+    @jax.jit
+    @jax.vmap
+    def near(speed, x, v, period):
+        there = dry.with_(belt_speed=speed)
+        return jc.find_limit_cycle(there, (x, v), period=period, mass=mass, throw=False)
+
+    parts = (data[name].values for name in ("belt_speed", "displacement", "velocity", "period"))
+    found = near(*map(jnp.asarray, parts))
+    apart = np.abs(found.amplitude - data.amplitude.values).max(axis=1)
+    return found, np.asarray(found.successful) & (apart < NEAR)
+
+
+def grazings(data, found, there):
+    """For each fold the belt speed of the dry fold beside it, NaN if none touches the belt."""
+    cycles = np.flatnonzero(there)
+    for fold, at in zip(data.special_parameter.values, data.special_index.values + 0.5):
+        sides = cycles[cycles > at][:1], cycles[cycles < at][-1:]
+        vibrate = np.flatnonzero(jc.active(data.amplitude[int(at)].values, fold))
+        pairs = itertools.product(np.concatenate(sides), vibrate)
+        tried = (touching(found, *pair, fold) for pair in pairs)
+        yield next((speed for speed in tried if np.isfinite(speed)), np.nan)
+
+
+def touching(found, i, mass, fold):
+    """The belt speed near a fold at which a mass of cycle i just reaches the belt, else NaN."""
+    cycle = jax.tree.map(lambda leaf: leaf[i], found)
+    try:
+        near = find_special_cycle(cycle, kind="grazing", mass=int(mass), throw=False)
+    except ValueError:  # it sticks at each of its peaks
+        return np.nan
+    return float(near.value) if near.successful and abs(near.value - fold) < NEAR else np.nan
+
+
+def name_of(ways):
+    """(the name of a branch, the numbers of vibrating masses at its folds)."""
+    ends = [way.attrs["end"] for way in ways]
+    counts = np.concatenate([way.special_active_count[way.special_kind == "fold"] for way in ways])
+    counts = np.unique(counts[counts > 0].astype(int)).tolist()
+    if any(word in end for end in ends for word in ("max_points", "step_too_small", "failed")):
+        return "not named", counts
+    if all("closed" in end for end in ends):
+        return "isola", counts
+    return ("snake" if len(counts) > 1 else "stack"), counts
+
+
+def describe(numbers, branches, compared):
+    """A row for each branch, and by (k, pattern) its dry cycles and grazings."""
+    chain, dry, rows = jc.paper_chain(**numbers), {}, []
+    folds = {key: np.concatenate([way.special_parameter[way.special_kind == "fold"]
+                                  for way in ways]) for key, ways in branches.items()}  # fmt: skip
+    for (k, pattern), ways in branches.items():
+        data = xr.concat([way.drop_dims("special") for way in ways], "point")
+        parts = (data[name].values for name in ("displacement", "velocity", "period"))
+        chains = jax.vmap(lambda speed: chain.with_(belt_speed=speed))(data.belt_speed.values)
+        name, counts = name_of(ways)
+        shared = [f"{other} {at}" for (other, at), found in folds.items()
+                  if (other, at) != (k, pattern) and np.isclose(
+                      found[:, None], folds[k, pattern], rtol=0, atol=1e-6).any()]  # fmt: skip
+        special = sorted(zip(*(np.concatenate([way[f"special_{part}"] for way in ways])
+                               for part in ("kind", "parameter"))))  # fmt: skip
+        stable = np.sort(data.belt_speed.values[data.stable.values])
+        row = {
+            "coupling": numbers["coupling"], "k": k, "pattern": pattern, "name": name,
+            "vibrate at folds": counts, "symmetry": ways[0].attrs["symmetry"],
+            "points": data.point.size, "from": data.belt_speed.values.min(),
+            "to": data.belt_speed.values.max(),
+            "stable": f"{stable[0]:.4f} ... {stable[-1]:.4f}" if stable.size else "nowhere",
+            "closing error": float(jnp.max(closing_error(chains, *map(jnp.asarray, parts)))),
+            "ends": ", ".join(way.attrs["end"] for way in ways), "shares folds": ", ".join(shared),
         }  # fmt: skip
+        if k in compared:
+            dry[k, pattern] = [(way, *dry_cycles(chain, way)) for way in ways]
+            there = np.concatenate([there for *_, there in dry[k, pattern]])
+            residuals = [found.residual[there] for _, found, there in dry[k, pattern]]
+            edges = [speed for parts in dry[k, pattern] for speed in grazings(*parts)]
+            row |= {"dry cycles": f"{there.sum()} of {there.size}",
+                    "dry residual": float(np.max(np.concatenate(residuals), initial=0.0)),
+                    "grazings": ", ".join(f"{speed:.5f}" for speed in edges)}  # fmt: skip
+        row["special points"] = ", ".join(f"{kind} {speed:.5f}" for kind, speed in special)
+        rows.append(row)
+    return pd.DataFrame(rows), dry
 
 
-def dry_runs(chain, points, s):
-    """Runs with dry friction from stable cycles, chosen at random."""
-    watch = (jc.Amplitude(window=WINDOW),
-             jc.PeakTimes(capacity=24, start=s.dry_time - WINDOW))  # fmt: skip
-    every = [(key, i) for key, own in points.items() for i in np.flatnonzero(own["unstable"] == 0)]
-    for pick in np.sort(np.random.default_rng(11).permutation(len(every))[: s.dry]):
-        (k, name), i = every[pick]
-        p = {part: values[i] for part, values in points[k, name].items()}
-        own = chain.with_(width=None, belt_speed=float(p["parameter"]))
-        run = jc.simulate(own, (p["x"], p["v"]), s.dry_time, observe=watch, rtol=1e-8)
-        amplitude, times = run.observed
-        gaps = np.diff(times[:, jc.active(amplitude, own.belt_speed)], axis=0)
-        gaps = gaps[np.isfinite(gaps)]
-        yield {"k": k, "pattern": name, "belt speed": p["parameter"],
-               "E dry / smoothed": float(jc.energy(amplitude)) / p["energy"],
-               "T dry / smoothed": np.mean(gaps) / p["period"] if gaps.size else np.nan,
-               "spread of T": np.ptp(gaps) if gaps.size else np.nan}  # fmt: skip
-
-
-def stable_ends(s):
-    """Between which belt speeds the calmest cycles are stable, over the coupling."""
-    for coupling in s.couplings:
-        chain = jc.paper_chain(s.coupled_n, START, s.width, coupling=coupling)
-        model = localization.phase_model(chain)
-        for k in s.coupled:
-            ((_, pattern),) = locked(model, k, ["calmest"]).items()
-            cycle = cycle_near(model, pattern)
-            row = {"coupling": coupling, "k": k, "phases alone": pattern.growth}
-            if cycle.successful:
-                row["grows as"] = float(np.log(abs(cycle.multipliers[0])) / cycle.period)
-            if cycle.successful and cycle.stable:
-                lost = lambda p, at: abs(at.multipliers[0]) > 1.0 + 1e-7  # noqa: E731
-                ways = follow(cycle, s.coupled_points, stop=lost)
-                for end, way in zip(("upper", "lower"), ways):
-                    at = way.parameter[-1] if way.ended in ("stopped", "left_bounds") else np.nan
-                    row |= {end: at, f"{end} end": way.ended}
-                    for p in way.special[::-1] if way.ended == "stopped" else ():
-                        if p.index >= way.parameter.size - 2 and p.kind in LOSSES:
-                            row |= {end: p.parameter, f"{end} end": p.kind}
-            yield row
-
-
-def draw(branches, runs, ends):
-    """(a) All branches and the runs, (b) the lowest rungs, (c) ends of stability."""
+def draw(branches, dry, runs, table):
+    """(a) All branches and the runs, (b) the lowest with dry cycles, (c) names of all."""
     page, panels = plt.subplot_mosaic("AA;BC", figsize=(7.0, 6.2), height_ratios=(1.1, 1.0))
-    whole, zoom, limits = panels.values()
+    whole, zoom, names = panels.values()
     low = {key: ways for key, ways in branches.items() if key[0] <= 3}
     for axes, some, size in ((whole, branches, 3.0), (zoom, low, 6.0)):
         for (_, name), ways in some.items():
-            for way in ways:
-                data = way.to_dataset()
+            for data in ways:
                 if axes is whole:
                     data = data.isel(special=data.special_kind.values == "fold")
-                plot_branch(
-                    data, "energy", ax=axes, color=PATTERNS.get(name.split(",")[0], "black")
-                )
+                colour = PATTERNS.get(name.split(",")[0], "black")
+                plot_branch(data, "energy", ax=axes, color=colour)
         for line in axes.lines:
             line.set(markersize=0.8 * size, linewidth=0.9)
         top = axes.get_ylim()[1]
@@ -251,41 +254,59 @@ def draw(branches, runs, ends):
         axes.set(xlabel=SPEED, ylabel=r"vibration energy $\tilde E$ (–)")
         axes.set_ylim(0.0, None if axes is whole else top)
         axes.get_legend().remove()
-    colours = BLUE, VERMILION, GREEN, PURPLE, GREY
-    for colour, (k, rows) in zip(colours, ends.groupby("k")):
-        for end, marker in (("upper", "v-"), ("lower", "^--")):
-            look = {"color": colour, "markersize": 3.5, "label": f"$k = {k}$, {end} end"}
-            limits.plot(rows.coupling, rows[end], marker, **look)
-    limits.set(xscale="log", xlabel=COUPLING, ylabel="belt speed, ends of stability")
-    limits.legend()
+    for data, found, there in (part for parts in dry.values() for part in parts):
+        look = {"color": VERMILION, "s": 2.0, "zorder": 4, "linewidths": 0}
+        zoom.scatter(data.belt_speed[there], found.energy[there], **look)
+    places = {key: i for i, key in enumerate(sorted({*zip(table.k, table.pattern)}))}
+    for (name, pattern), rows in table.groupby(["name", "pattern"]):
+        height = [places[key] for key in zip(rows.k, rows.pattern)]
+        names.scatter(
+            rows.coupling, height, marker=NAMES[name], s=24, color=PATTERNS.get(pattern, "black")
+        )
+    names.set(xscale="log", xlabel=COUPLING)
+    names.set_yticks(range(len(places)), [f"{k} {pattern}" for k, pattern in places], fontsize=6)
     letters([*panels.values()])
     handles = dict(zip(*zoom.get_legend_handles_labels()[::-1]))
     handles |= {name: plt.Line2D([], [], color=colour) for name, colour in PATTERNS.items()}
-    handles["runs, dry friction"] = plt.Line2D([], [], color=GREY, marker=".", linestyle="")
-    page.legend(handles.values(), handles, loc="outside lower center", ncols=4, frameon=False)
+    dots = {"runs, dry friction": (GREY, "."), "dry cycles": (VERMILION, ".")}
+    dots |= {name: ("black", marker) for name, marker in NAMES.items()}
+    handles |= {name: plt.Line2D([], [], color=colour, marker=marker, linestyle="")
+                for name, (colour, marker) in dots.items()}  # fmt: skip
+    page.legend(handles.values(), handles, loc="outside lower center", ncols=5, frameon=False)
     return page
 
 
 def main():
     quick, folder = options(__file__, __doc__)
     s = SimpleNamespace(**(QUICK if quick else FULL))
-    chain = jc.paper_chain(s.n, START, s.width, coupling=s.coupling)
-    branches, ways_end = all_branches(chain, s)
-    points = points_of(branches)
+    tables = []
+    for coupling in s.couplings:
+        first, branches = not tables, {}
+        numbers = {"n": s.n, "width": s.width, "coupling": coupling}
+        for k in (*s.counts, *(s.more if first else ())):
+            settings = {
+                "k": k,
+                "points": s.points,
+                "switched": first and k in s.switched,
+                **numbers,
+            }
+            file = folder / f"{coupling:g}_{k}.pickle"
+            found = kept(file, settings, partial(follow, **settings))
+            branches |= {(k, pattern): ways for pattern, ways in found.items()}
+        table, dry = describe(numbers, branches, DRY if first else ())
+        print(f"\n{table.to_string(index=False, float_format='%.6g')}", flush=True)
+        tables.append(table)
+        if first:
+            shown = branches, dry
+    table = pd.concat(tables)
+    table.to_csv(folder / "branches.csv", index=False)
     runs = jc.sweep(
-        chain.with_(width=None), jc.equation_8, s.transient + WINDOW,
+        jc.paper_chain(s.n, START, None), jc.equation_8, s.transient + WINDOW,
         over={"belt_speed": s.speeds, "excited": np.arange(s.n + 1)},
         observe=jc.Amplitude(window=WINDOW), store=folder / "ensemble.zarr", progress=True,
     )  # fmt: skip
-    tables = {
-        "branches": describe(chain, branches, ways_end, points),
-        "dry": dry_runs(chain, points, s), "couplings": stable_ends(s),
-    }  # fmt: skip
-    for name, rows in tables.items():
-        tables[name] = pd.DataFrame(rows)
-        tables[name].to_csv(folder / f"{name}.csv", index=False)
-        print(f"\n{name}\n{tables[name].to_string(index=False, float_format='%.6g')}", flush=True)
-    save_figure(draw(branches, runs, tables["couplings"]), folder / "ladder")
+    main_ones = table[~table.pattern.str.contains(",")]
+    save_figure(draw(*shown, runs, main_ones), folder / "ladder")
 
 
 if __name__ == "__main__":

@@ -17,14 +17,12 @@ some ten minutes more for each state that is run again:
     python examples/studies/verdicts.py
 """
 
-import pickle
-
 import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-from _common import BLUE, GREEN, GREY, ORANGE, PURPLE, RED, letters, options
+from _common import BLUE, GREEN, GREY, ORANGE, PURPLE, RED, kept, letters, options
 
 from jaxchain import equation_8, equation_10, lyapunov_spectrum, paper_chain
 from jaxchain.chaos import verdicts
@@ -183,18 +181,11 @@ def draw_symmetry(axes, table, runs):
     axes.legend(loc="lower right", frameon=False, ncols=2)
 
 
-def kept(file, chain, starts, settings):
-    """The verdicts on some starts, from the file if it has those of these settings."""
-    if file.exists():
-        known, found = pickle.loads(file.read_bytes())
-        if known == settings and len(found) == len(starts):
-            return found
+def judged(file, chain, starts, settings):
+    """The verdicts on some starts, kept in a file."""
     many = tuple(map(jnp.stack, zip(*starts)))
-    found = verdicts(
-        chain, many, lanes=24, progress=True, description=file.stem, **settings
-    )  # fmt: skip
-    file.write_bytes(pickle.dumps((settings, found)))
-    return found
+    how = {"lanes": 24, "progress": True, "description": file.stem, **settings}
+    return kept(file, {"starts": len(starts), **settings}, lambda: verdicts(chain, many, **how))
 
 
 def main():
@@ -213,12 +204,12 @@ def main():
             "first": max(FIRST * share, 1000.0), "longest": LONGEST * share,
             "exponent_time": EXPONENT_TIME * share, "exponent_runs": SEEDS + 1, "count": EXPONENTS,
         }  # fmt: skip
-        found = kept(folder / f"{case}.pickle", dry, starts, settings)
+        found = judged(folder / f"{case}.pickle", dry, starts, settings)
         open_ = [i for i, state in enumerate(found) if state.verdict == "transient"]
         if open_ and not quick:
             longer = {"noise": NOISE[1:], "longest": AGAIN, "exponent_time": AGAIN}
             file = folder / f"{case}_again.pickle"
-            again = kept(file, dry, [starts[i] for i in open_], settings | longer)
+            again = judged(file, dry, [starts[i] for i in open_], settings | longer)
             for i, state in zip(open_, again):
                 found[i] = state
         second = smoothed_exponents(chain, found, SMOOTHED_TIME * share)

@@ -15,7 +15,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from .._checks import as_array, check_share, check_whole, to_float
+from .._checks import as_array, check_positive_number, check_share, check_whole, to_float
 from .._final import final
 from .._statistics import student_reach
 from .._types import ScalarLike, State
@@ -110,12 +110,14 @@ class _Watch(eqx.Module):
 class FrontTrack(AbstractObserver):
     """The positions of the two fronts of a vibrating block, in `windows` equal parts of a run.
 
-    A mass vibrates if its half peak-to-peak within the part exceeds |v_d| / 2, as in
-    `jaxchain.active`; displacements are evaluated after every step.  The run ends early when both
-    fronts are within two masses of `middle` or three of the far side of the ring. Value: `Fronts`.
+    A mass vibrates if its half peak-to-peak within the part exceeds `threshold`, of masses on a
+    belt |v_d| / 2, as in `jaxchain.active`; displacements are evaluated after every step.  The run
+    ends early when both fronts are within two masses of `middle` or three of the far side of the
+    ring. Value: `Fronts`.
 
     **Arguments:** `windows`: each should last at least two periods (4 pi); `middle`, the
-    index of a mass inside the block (None: n // 2, the middle of a centred `excited_block`).
+    index of a mass inside the block (None: n // 2, the middle of a centred `excited_block`);
+    `threshold`, required of cells without a belt.
 
     !!! example
 
@@ -132,16 +134,22 @@ class FrontTrack(AbstractObserver):
 
     windows: int = eqx.field(static=True)
     middle: int | None = eqx.field(static=True, default=None)
+    threshold: float | None = eqx.field(static=True, default=None)
 
     def __check_init__(self) -> None:
         check_whole("windows", self.windows, remedy="one for 20 time units is usual.")
+        if self.threshold is not None:
+            check_positive_number("threshold", self.threshold, "it is an amplitude.")
         if self.middle is not None:
             check_whole("middle", self.middle, 0, remedy="it is the index of a mass in the block.")
 
     def init(self, field: AbstractField, t0: ScalarLike, t1: ScalarLike, y0: State) -> _Watch:
-        if field.stick_speed() is None:
-            raise ValueError("`FrontTrack` needs masses on a belt, a `Chain`.")
-        x, _ = y0
+        if self.threshold is None and field.stick_speed() is None:
+            raise ValueError(
+                "Argument `threshold` of `FrontTrack` must be an amplitude for cells without a "
+                "belt, but is None: half the amplitude of the cycle is usual."
+            )
+        x = y0[0]
         length = to_float((t1 - t0) / self.windows)
         nowhere = jnp.full(self.windows, jnp.nan)
         fronts = Fronts(nowhere, nowhere, nowhere)
@@ -154,9 +162,11 @@ class FrontTrack(AbstractObserver):
         over = step.t1 >= acc.boundary - 1e-9 * acc.length
 
         def closed() -> Fronts:
-            speed = step.field.switching(step.t1, jnp.zeros_like(end))
-            assert speed is not None  # a field with sticking masses has `switching`
-            threshold = active_above(speed[0])
+            threshold = self.threshold
+            if threshold is None:
+                speed = step.field.switching(step.t1, jnp.zeros_like(end))
+                assert speed is not None  # a field with sticking masses has `switching`
+                threshold = active_above(speed[0])
             amplitude = (high - low) / 2
             right, left = front_positions(amplitude, threshold, self.middle)
             fronts = Fronts(right, left, jnp.sum(amplitude > threshold).astype(float))

@@ -9,6 +9,7 @@ import xarray as xr
 from jaxchain.localization.fronts import depinning_belt_speed, front_speed, front_speeds
 from jaxchain.model.chain import paper_chain
 from jaxchain.model.initial_states import excited_state
+from jaxchain.model.ready_made import VanDerPol
 from jaxchain.observers.amplitude import Amplitude
 from jaxchain.observers.fronts import FrontTrack, front_positions, mean_speed
 from jaxchain.observers.quantities import active
@@ -268,3 +269,22 @@ def test_bad_input_of_the_bisection_is_refused():
         depinning_belt_speed(chain, lambda c: state, 10.0, stands=1.5, moves=-1.2)
     with pytest.raises(ValueError, match="windows"):
         FrontTrack(0)
+
+
+def test_a_threshold_counts_masses_with_and_without_a_belt():
+    chain = paper_chain(12, 1.5, 1e-2)
+    block = excited_state(chain, 4, block="centred")
+
+    def fronts(cells, **threshold):
+        watch = FrontTrack(3, **threshold)
+        return simulate(cells, block, 60.0, observe=watch).observed
+
+    own = fronts(chain)
+    np.testing.assert_array_equal(own.right, fronts(chain, threshold=0.75).right)
+    assert fronts(chain, threshold=3.0).count[0] == 0
+    still = VanDerPol(jnp.full(12, -1e-9))  # free oscillators: those of the block go on
+    amplitude = np.hypot(block[0], block[1])
+    count = np.sum(amplitude > 0.75)
+    assert fronts(still, threshold=0.75).count.tolist() == [count] * 3
+    with pytest.raises(ValueError, match="`threshold` of `FrontTrack` must be an amplitude"):
+        fronts(still)

@@ -112,7 +112,7 @@ def _observers() -> Iterator[Row]:
     yield Row("StickTime", observers.StickTime, {}, {"window": window})
     times = (*ARRAY, [[1.0]], [math.nan], Told([2.0, 1.0], "2 is followed by 1"))
     yield Row("Trajectory", Trajectory, {}, {"times": times})
-    bad = {"windows": COUNT, "middle": optional(INDEX)}
+    bad = {"windows": COUNT, "middle": optional(INDEX), "threshold": optional(POSITIVE)}
     yield Row("FrontTrack", observers.FrontTrack, {"windows": 4}, bad)
 
 
