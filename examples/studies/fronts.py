@@ -46,7 +46,7 @@ FULL = {
     "other_coupling": [0.005, 0.01, 0.0125, 0.015, 0.02, 0.025, 0.03, 0.04, 0.05, 0.07],
     "edge_coupling": [0.002, 0.003, 0.005, 0.007, 0.01, 0.014, 0.02],
     # Convergence: other rings, and smoothed friction on the first one.
-    "few_speeds": [1.0, 1.2, 1.75], "rings": [100, 200, 400], "widths": [1e-3, 3e-3, 1e-2],
+    "few_speeds": [1.0, 1.2, 1.75], "rings": [100, 200, 400], "widths": [1e-3, 3e-3],
 }  # fmt: skip
 RINGS = ["pictures", "speeds", "couplings", "pinning", "convergence", "oscillators"]
 QUICK = dict.fromkeys(RINGS, (20, 8, 400.0)) | {
@@ -273,7 +273,7 @@ def draw_convergence(axes, data):
         axes.errorbar(places + 0.12 * i, np.abs(own["mean"]), own.bar, fmt=marker, **look)
     axes.axhline(1.0, color=common.GREY, lw=0.7)
     axes.set_xticks(places, [name.replace(", ", "\n") for name in data.case.values], size=6.5)
-    axes.set(xlabel=r"ring, and dry friction or width $\varepsilon$")
+    axes.set(xlabel=r"masses, and dry friction or width $\varepsilon$")
     axes.set(ylabel="front speed / that of the first")
     axes.legend(loc="upper left")
 
@@ -297,8 +297,12 @@ def main():
     (n, block, time), parts = size.convergence, {}
     cases = [(other, None) for other in (n, *size.rings)] + [(n, width) for width in size.widths]
     for other, width in cases:
-        name, ring = f"{other} masses, {width or 'dry'}", (other, round(block * other / n), time)
-        parts[name] = measure(folder / name, ring, size.few_speeds, width=width)
+        name, ring = (
+            f"{other}, {f'{width:g}' if width else 'dry'}",
+            (other, round(block * other / n), time),
+        )
+        how = {"width": width, "seeds": 2 * size.seeds}
+        parts[name] = measure(folder / name, ring, size.few_speeds, **how)
     converged = xr.concat(parts.values(), pd.Index([*parts], name="case"))
     surely = lambda data: data.where(np.abs(data["mean"]) > data.bar)  # noqa: E731
     moving = surely(over_coupling)
