@@ -185,14 +185,15 @@ def touching(found, i, mass, fold):
 
 def name_of(ways):
     """(the name of a branch, the numbers of vibrating masses at its folds)."""
-    ends = [way.attrs["end"] for way in ways]
+    ends = " ".join(way.attrs["end"] for way in ways)
     counts = np.concatenate([way.special_active_count[way.special_kind == "fold"] for way in ways])
     counts = np.unique(counts[counts > 0].astype(int)).tolist()
-    if any(word in end for end in ends for word in ("max_points", "step_too_small", "failed")):
-        return "not named", counts
-    if all("closed" in end for end in ends):
+    if "closed" in ends:
         return "isola", counts
-    return ("snake" if len(counts) > 1 else "stack"), counts
+    if len(counts) > 1:
+        return "snake", counts
+    lost = any(word in ends for word in ("max_points", "step_too_small", "failed", "stopped"))
+    return ("not named" if lost else "stack"), counts
 
 
 def describe(numbers, branches, compared):

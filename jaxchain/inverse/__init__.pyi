@@ -1,6 +1,10 @@
 from .identification import Identification as Identification
+from .identification import Profile as Profile
 from .identification import identify as identify
+from .identification import profile as profile
 from .measurements import Measurements as Measurements
+from .measurements import Signal as Signal
+from .measurements import log_likelihood as log_likelihood
 from .measurements import predict as predict
 from .optimal_design import Design as Design
 from .optimal_design import design as design

@@ -15,6 +15,8 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from .._checks import (
+    check_kind,
+    check_positive_number,
     check_share,
     check_whole,
     is_traced,
@@ -25,13 +27,24 @@ from ..continuation.damped_newton import where
 from ..continuation.gradient_descent import MOST_STEPS, unknowns
 from ..model.chain import Chain
 from ..model.initial_states import check_mass
-from ..result import Outcome, SearchResult
-from .measurements import Measurements, check_change, check_measurements, predict
+from ..result import Outcome, Printed, SearchResult
+from .measurements import (
+    Measurements,
+    Signal,
+    Waveform,
+    check_change,
+    check_measurements,
+    predict,
+)
 
 # Levenberg-Marquardt: damping at first, its factors after success and failure, and its bounds.
 _FIRST, _LESS, _MORE, _LEAST, _GREATEST = 1e-3, 0.2, 5.0, 1e-8, 1e8
-# A gain of chi^2 that changes no interval.
-_GAIN = 1e-9
+# A gain of chi^2 that changes no interval; that of a signal has errors of the integration.
+_GAIN, _SIGNAL_GAIN = 1e-9, 1e-4
+# The share of a step at which its curvature is measured, and the greatest share of the bend.
+_AHEAD, _BEND = 0.1, 0.75
+# Further starts are off by this share; a first fit has the period of a signal to this share.
+_SPREAD, _CLOCK = 0.2, 1e-3
 # Below the first share of the greatest, singular values of the scaled Jacobian are integration
 # errors; so are entries of a singular vector below the second share.
 _SINGULAR, _PART = 1e-6, 1e-3
@@ -49,6 +62,7 @@ class Identification(Outcome):
     - `condition`: of J with columns of equal length; the amplification of errors of the data.
     - `residuals`: (measured - predicted) / noise, shape (m,); `chi_squared`, the sum of their
       squares, is about m - p for a correct model and much more otherwise.
+    - `phase`: of a `Signal`, at its first time, in periods after the state of `find_limit_cycle`.
     - `result`; `evaluations`: the number of predictions with derivatives.
 
     See `identify` for an example.
@@ -63,6 +77,7 @@ class Identification(Outcome):
     condition: Float[Array, ""]
     residuals: Float[Array, " m"]
     chi_squared: Float[Array, ""]
+    phase: Float[Array, ""]
     result: SearchResult
     evaluations: Int[Array, ""]
 
@@ -91,6 +106,7 @@ def identify(
     measurements: Any,
     *,
     mass: Any = None,
+    starts: Any = 1,
     steps: Any = 60,
 ) -> Identification:
     """The parameters theta of a chain that fit measurements best.
@@ -98,12 +114,15 @@ def identify(
     minimise chi^2(theta) = sum_i [(measured_i - predict_i(change(chain, theta))) / noise_i]^2
 
     by Levenberg-Marquardt (More, The Levenberg-Marquardt algorithm, Lecture Notes in Mathematics
-    630, 1978) in one compiled loop, with confidence intervals from the curvature, which are
-    correct for small Gaussian noise.
+    630, 1978) with steps that bend along curved valleys (Transtrum, Sethna, Improvements to the
+    Levenberg-Marquardt algorithm, arXiv:1201.5885, 2012) in one compiled loop, with confidence
+    intervals from the curvature, which are correct for small Gaussian noise.
 
     **Arguments:** `chain` with all other numbers; `change(chain, theta)`, the chain for theta;
     `start`, the first theta, any pytree: its chain must vibrate where vibrations were measured;
-    `mass` as in `predict`; `steps`: the greatest number of predictions with derivatives.
+    `measurements`: `Measurements`, or a `Signal`, of which first the shape of the cycle is fitted
+    and then every value; `mass` as in `predict`; `starts`: how many starts are tried at once, the
+    others a fifth off at random; `steps`: the greatest number of predictions with derivatives.
 
     It works under `jit` and `vmap` (for example over noisy copies of the measurements).
     `LevenbergMarquardt` of optimistix finds the same result, but compiles every prediction three
@@ -128,10 +147,13 @@ def identify(
     mass = check_mass(chain, mass)
     check_measurements(measurements)
     check_whole("steps", steps, 1, MOST_STEPS)
+    check_whole("starts", starts)
     flat, unravel = unknowns(start)
     check_change(change, chain, unravel(flat))
     problem = _FitProblem(chain, measurements, change, mass, unravel)
-    fit = _fit(problem, flat, steps)
+    draws = np.random.default_rng(0).standard_normal((starts, flat.size))
+    draws[0] = 0.0
+    fit = _best_fit(problem, flat * (1.0 + _SPREAD * draws), steps)
     if not is_traced(fit):
         _complain(problem, fit, unravel(flat))
     return fit
@@ -139,46 +161,214 @@ def identify(
 
 class _FitProblem(eqx.Module):
     chain: Chain
-    measurements: Measurements
+    measurements: Measurements | Signal
     change: Callable[[Chain, Any], Chain]
     mass: int = eqx.field(static=True)
     unravel: Callable[[Array], Any] = eqx.field(static=True)
+    # The period of a signal, NaN for that of the chain: phases need not be followed.
+    clock: Array = eqx.field(default_factory=lambda: jnp.asarray(jnp.nan))
+    # A number of theta that is not fitted: its place and value.
+    place: int | None = eqx.field(static=True, default=None)
+    value: Array | None = None
 
-    def linearised(self, flat: Array) -> tuple[Array, Array]:
-        """((measured - predicted) / noise, d(predicted / noise)/d theta), the latter forward."""
+    @property
+    def extra(self) -> int:
+        """A signal has one more unknown, its phase, and one more residual, that of its period."""
+        return int(isinstance(self.measurements, Signal))
 
-        def twice(flat: Array) -> tuple[Array, Array]:
-            chain = self.change(self.chain, self.unravel(flat))
-            predicted = predict(chain, self.measurements, self.mass)
-            predicted = predicted / self.measurements.noise
-            return predicted, predicted
+    def at(self, z: Array) -> tuple[PyTree, Chain]:
+        """theta, and the chain."""
+        flat = z[: z.size - self.extra]
+        if self.place is not None and self.value is not None:
+            flat = jnp.insert(flat, self.place, self.value)
+        theta = self.unravel(flat)
+        return theta, self.change(self.chain, theta)
 
-        slopes, predicted = jax.jacfwd(twice, has_aux=True)(flat)
-        return self.measurements.values / self.measurements.noise - predicted, slopes
+    def residuals(self, z: Array) -> Array:
+        """(measured - predicted) / noise, of a signal also of a period that is held."""
+        chain, measured = self.at(z)[1], self.measurements
+        if not isinstance(measured, Signal):
+            return (measured.values - predict(chain, measured, self.mass)) / measured.noise
+        cycle = Waveform(chain, self.mass, measured.what)
+        free = jnp.isnan(self.clock)
+        clock = jnp.where(free, cycle.period, self.clock)
+        values = cycle((measured.times - measured.times[0]) / clock + z[-1])
+        late = jnp.where(free, 0.0, (1.0 - cycle.period / clock) / _CLOCK)
+        return jnp.append((measured.values - values) / measured.noise, late)
+
+    def linearised(self, z: Array) -> tuple[Array, Array]:
+        """((measured - predicted) / noise, d(predicted / noise)/dz), the latter forward."""
+
+        def twice(z: Array) -> tuple[Array, Array]:
+            gaps = self.residuals(z)
+            return -gaps, gaps
+
+        slopes, residuals = jax.jacfwd(twice, has_aux=True)(z)
+        return residuals, slopes
+
+
+@final
+class Profile(Printed, eqx.Module):
+    """How well a number of theta fits, whatever the others are.
+
+    - `values` of the number, and `chi_squared` of the best fit with each, shape (k,).
+    - `low`, `high`: the interval in which chi^2 exceeds its least value by less than the quantile
+      of `confidence`; infinite where it does not end among the values.
+
+    See `profile` for an example.
+    """
+
+    values: Float[Array, " k"]
+    chi_squared: Float[Array, " k"]
+    low: Float[Array, ""]
+    high: Float[Array, ""]
+    confidence: Float[Array, ""]
+
+
+def profile(
+    found: Identification,
+    chain: Chain,
+    change: Callable[[Chain, Any], Chain],
+    measurements: Any,
+    place: Any,
+    *,
+    mass: Any = None,
+    reach: Any = 5.0,
+    points: Any = 41,
+    confidence: Any = 0.95,
+    steps: Any = 60,
+) -> Profile:
+    """The profile likelihood of one number: all others are fitted anew for each of its values.
+
+    Its interval is right, too, where the model is not linear within the errors, and that of
+    `Identification.interval` is not.
+
+    **Arguments:** `found` = identify(chain, change, start, measurements), and its arguments;
+    `place` of the number in theta flattened; `reach` of the values on each side, in standard
+    errors, and how many `points` there are.
+
+    **Returns:** a `Profile`.  It works under `jit` and `vmap`.
+
+    **Raises:** `ValueError` for bad input, and if the data do not determine the number.
+
+    >>> import jax, jax.numpy as jnp
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> from jaxchain import paper_chain
+    >>> from jaxchain.inverse import Measurements, identify, profile
+    >>> chain, law = paper_chain(n=1, width=None), lambda chain, v: chain.with_(v_ref=v)
+    >>> lab = Measurements(hopf=(1.2, 0.05))
+    >>> of_v = profile(identify(chain, law, jnp.array(0.6), lab), chain, law, lab, 0)
+    >>> round(float(of_v.low), 3), round(float(of_v.high), 3)
+    (0.428, 0.638)
+    """
+    mass = check_mass(chain, mass)
+    check_kind("found", found, Identification, "an `Identification`", "it is that of `identify`.")
+    check_measurements(measurements)
+    check_positive_number("reach", reach, "5 is usual.")
+    check_whole("points", points, 3)
+    check_share("confidence", confidence, "0.95 is usual.")
+    check_whole("steps", steps, 1, MOST_STEPS)
+    flat, unravel = unknowns(found.theta)
+    check_change(change, chain, unravel(flat))
+    check_whole("place", place, 0, flat.size - 1, "it is the place of a number in theta.")
+    if not is_traced(found) and not found.determined[place]:
+        raise ValueError(
+            f"Argument `place` = {place} must be that of a number that the data determine, but "
+            "others can compensate it: fix one of them."
+        )
+    place, blank = int(place), jnp.zeros(())
+    problem = _FitProblem(chain, measurements, change, mass, unravel, place=place, value=blank)
+    return _profile(problem, found, flat, to_float(reach), points, to_float(confidence), steps)
 
 
 @eqx.filter_jit
-def _fit(problem: _FitProblem, start: Array, steps: int) -> Identification:
-    infinite = jnp.asarray(jnp.inf)
-    m, p = problem.measurements.count, start.size
+def _profile(
+    problem: _FitProblem,
+    found: Identification,
+    flat: Array,
+    reach: Array,
+    points: int,
+    confidence: Array,
+    steps: int,
+) -> Profile:
+    place: Any = problem.place
+    error = jnp.sqrt(found.covariance[place, place])
+    values = flat[place] + error * reach * jnp.linspace(-1.0, 1.0, points)
 
-    def step(now: _Fit) -> tuple[Array, Array]:
+    def best(value: Array) -> Array:
+        others = flat + found.covariance[place] / error**2 * (value - flat[place])
+        start = jnp.delete(others, place)
+        if problem.extra:
+            start = jnp.append(start, found.phase)
+        return _fit(eqx.tree_at(lambda p: p.value, problem, value), start, steps)[0].chi_squared
+
+    chi = jax.vmap(best)(values)
+    root = jnp.sign(values - flat[place]) * jnp.sqrt(jnp.maximum(chi - found.chi_squared, 0.0))
+    limit = jax.scipy.stats.norm.ppf(0.5 + 0.5 * confidence)
+    # Values without a fit are left out: they come last, beyond all others.
+    there = jnp.isfinite(root)
+    order = jnp.argsort(~there, stable=True)
+    x, rise = jnp.where(there, values, jnp.inf)[order], jnp.where(there, root, 1e9)[order]
+    least, most = rise[0], jnp.max(jnp.where(there, root, -jnp.inf))
+    low = jnp.where(least <= -limit, jnp.interp(-limit, rise, x), -jnp.inf)
+    high = jnp.where(most >= limit, jnp.interp(limit, rise, x), jnp.inf)
+    return Profile(values, chi, low, high, confidence)
+
+
+@eqx.filter_jit
+def _best_fit(
+    problem: _FitProblem, starts: Float[Array, "starts p"], steps: int
+) -> Identification:
+    """The fit with the least chi^2 of those from several starts."""
+    measured = problem.measurements
+    if isinstance(measured, Signal):
+        clock = _waveform(problem, starts[0]).period
+        clock = measured.period(clock)
+        phases = jax.vmap(lambda z: _waveform(problem, z).phase(measured, clock))(starts)
+        starts = jnp.concatenate([starts, phases[:, None]], axis=1)
+        held = eqx.tree_at(lambda p: p.clock, problem, clock)
+        starts = jax.vmap(lambda z: _fit(held, z, steps)[1])(starts)
+    fits = jax.vmap(lambda z: _fit(problem, z, steps)[0])(starts)
+    chi = jnp.where(jnp.isfinite(fits.chi_squared), fits.chi_squared, jnp.inf)
+    return jax.tree.map(lambda leaf: leaf[jnp.argmin(chi)], fits)
+
+
+def _waveform(problem: _FitProblem, theta: Array) -> Waveform:
+    chain = problem.change(problem.chain, problem.unravel(theta))
+    measured: Any = problem.measurements
+    return Waveform(chain, problem.mass, measured.what)
+
+
+def _fit(problem: _FitProblem, start: Array, steps: int) -> tuple[Identification, Array]:
+    """(the fit, all its unknowns)."""
+    infinite = jnp.asarray(jnp.inf)
+    m, p = problem.measurements.count + problem.extra, start.size
+    enough = _SIGNAL_GAIN if problem.extra else _GAIN
+
+    def step(now: _Fit, curved: bool = False) -> tuple[Array, Array]:
         """(step, the fall of chi^2 that a linear model expects of it)."""
         lengths = _lengths(now.slopes)
         scaled = now.slopes / lengths[None, :]
         matrix = scaled.T @ scaled + now.damping * jnp.eye(p)
         slope = scaled.T @ now.residuals
         move = jnp.linalg.solve(matrix, slope)
-        return move / lengths, jnp.sum(move * (slope + now.damping * move))
+        gain = jnp.sum(move * (slope + now.damping * move))
+        if curved:
+            ahead = problem.residuals(now.z + _AHEAD * move / lengths)
+            bend = (now.residuals - ahead) / _AHEAD - scaled @ move
+            bend = -jnp.linalg.solve(matrix, scaled.T @ bend) / _AHEAD
+            slight = jnp.linalg.norm(bend) <= _BEND * jnp.linalg.norm(move)
+            move = move + jnp.where(slight, bend, 0.0)
+        return move / lengths, gain
 
     def going(now: _Fit) -> Array:
         # The start itself has no gain yet; a start that predicts nothing ends the search.
         sound = jnp.all(jnp.isfinite(now.residuals)) | (now.count == 0)
-        return sound & (now.count < steps) & (now.gain > _GAIN) & (now.damping < _GREATEST)
+        return sound & (now.count < steps) & (now.gain > enough) & (now.damping < _GREATEST)
 
     def body(now: _Fit) -> _Fit:
         first = now.count == 0
-        move, _ = step(now)
+        move, _ = step(now, curved=True)
         trial = now.z + jnp.where(first, 0.0, move)
         residuals, slopes = problem.linearised(trial)
         sound = jnp.all(jnp.isfinite(residuals)) & jnp.all(jnp.isfinite(slopes))
@@ -198,24 +388,28 @@ def _fit(problem: _FitProblem, start: Array, steps: int) -> Identification:
     last = lax.while_loop(going, body, blank)
 
     covariance, correlation, determined, condition = _curvature(last.slopes)
+    own = slice(p - problem.extra)
     of = SearchResult
     result = of.where(last.count < steps, of.no_step_helps, of.max_steps_reached)
     result = of.where(jnp.all(jnp.isfinite(last.residuals)), result, of.nonfinite)
-    result = of.where(last.gain <= _GAIN, of.successful, result)
+    result = of.where(last.gain <= enough, of.successful, result)
     errors = jnp.where(determined, jnp.sqrt(jnp.diagonal(covariance)), jnp.inf)
-    return Identification(
-        theta=problem.unravel(last.z),
-        chain=problem.change(problem.chain, problem.unravel(last.z)),
-        standard_errors=problem.unravel(errors),
-        covariance=covariance,
-        correlation=correlation,
-        determined=determined,
+    theta, chain = problem.at(last.z)
+    fit = Identification(
+        theta=theta,
+        chain=chain,
+        standard_errors=errors[own] if problem.value is not None else problem.unravel(errors[own]),
+        covariance=covariance[own, own],
+        correlation=correlation[own, own],
+        determined=determined[own],
         condition=condition,
-        residuals=last.residuals,
+        residuals=last.residuals[: problem.measurements.count],
         chi_squared=jnp.sum(last.residuals**2),
+        phase=last.z[-1] if problem.extra else jnp.asarray(jnp.nan),
         result=result,
         evaluations=last.count,
     )
+    return fit, last.z
 
 
 def _lengths(slopes: Array) -> Array:

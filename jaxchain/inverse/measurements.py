@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
-from typing import Any
+from functools import partial
+from typing import Any, Literal, get_args
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax import lax
 from jaxtyping import Array, Float
 
 from .._checks import (
     check_finite,
     check_function,
     check_kind,
+    check_number,
+    check_one_of,
     check_positive,
+    is_traced,
     require_x64,
     shown,
     to_float,
@@ -21,11 +27,14 @@ from .._checks import (
 from .._final import final
 from ..boundaries.fold import fold_belt_speed
 from ..boundaries.hopf import hopf_belt_speed
+from ..cycles.limit_cycle import find_limit_cycle
 from ..model.chain import Chain, steady_sliding
 from ..model.initial_states import check_mass, on_the_belt
 from ..observers.amplitude import Amplitude
 from ..observers.quantities import active
-from ..result import Printed
+from ..observers.samples import Trajectory
+from ..observers.stick_time import StickTime
+from ..result import Printed, SearchResult
 from ..simulation.event_driven import EventDriven
 from ..simulation.run import simulate
 
@@ -33,6 +42,14 @@ from ..simulation.run import simulate
 _SPAN, _WINDOW = 40.0, 14.0
 # Amplitudes have errors of about 1e-9; a series of low order compiles in half the time.
 _ORDER, _RTOL = 7, 1e-8
+# The period of a signal is sought between these multiples of a chain's own, at this many values
+# at most, with this number of harmonics.
+_SHORTEST, _LONGEST, _MOST_PERIODS, _HARMONICS = 0.7, 1.4, 2048, 3
+# Points of a cycle, and Newton steps, for the phase of a signal.
+_PHASES, _PHASE_STEPS = 128, 4
+# Nodes of the interpolation of a dry cycle while it slips and sticks.
+_NODES = 129, 17
+What = Literal["displacement", "velocity", "friction_force"]
 
 
 @final
@@ -44,6 +61,8 @@ class Measurements(Printed, eqx.Module):
     - `hopf`, `fold`: (belt speed, noise).
     - `amplitudes`: (belt speeds, amplitudes of the vibrating mass, noise), shapes (k,); the noise
       may be one number.
+    - `periods`, `means`, `stick_shares`: the same of the period of its limit cycle, of its mean
+      displacement, and of the share of the period for which it sticks.
     - `displacements`: (belt speeds, displacements of that mass in steady sliding, noise), with the
       same shapes. For one mass only these separate mu_static from mu_dynamic: an equal change of
       both changes only its position in steady sliding.
@@ -61,28 +80,39 @@ class Measurements(Printed, eqx.Module):
     hopf: tuple[Array, Array] | None
     fold: tuple[Array, Array] | None
     amplitudes: tuple[Array, Array, Array] | None
+    periods: tuple[Array, Array, Array] | None
+    means: tuple[Array, Array, Array] | None
+    stick_shares: tuple[Array, Array, Array] | None
     displacements: tuple[Array, Array, Array] | None
 
     def __init__(
-        self, hopf: Any = None, fold: Any = None, amplitudes: Any = None, displacements: Any = None
+        self,
+        hopf: Any = None,
+        fold: Any = None,
+        amplitudes: Any = None,
+        displacements: Any = None,
+        *,
+        periods: Any = None,
+        means: Any = None,
+        stick_shares: Any = None,
     ):
         require_x64()
-        self.hopf = None if hopf is None else _reading("hopf", hopf, 0)
-        self.fold = None if fold is None else _reading("fold", fold, 0)
-        self.amplitudes = None if amplitudes is None else _reading("amplitudes", amplitudes, 1)
-        self.displacements = (
-            None if displacements is None else _reading("displacements", displacements, 1)
-        )
+        given = {
+            "hopf": hopf, "fold": fold, "amplitudes": amplitudes, "periods": periods,
+            "means": means, "stick_shares": stick_shares, "displacements": displacements,
+        }  # fmt: skip
+        for name, reading in given.items():
+            ndim = int(name not in ("hopf", "fold"))
+            setattr(self, name, None if reading is None else _reading(name, reading, ndim))
         if not self._all():
             raise ValueError("`Measurements` must hold at least one measurement, but has none.")
 
     def _all(self) -> list:
-        every = (self.hopf, self.fold, self.amplitudes, self.displacements)
-        return [reading for reading in every if reading is not None]
+        return [reading for reading in vars(self).values() if reading is not None]
 
     @property
     def values(self) -> Float[Array, " m"]:
-        """All measured values: Hopf, fold, amplitudes, displacements."""
+        """All measured values, in the order of the fields."""
         return jnp.concatenate([jnp.atleast_1d(reading[-2]) for reading in self._all()])
 
     @property
@@ -94,6 +124,75 @@ class Measurements(Printed, eqx.Module):
     def count(self) -> int:
         """The number of measured values, m."""
         return self.values.size
+
+
+@final
+class Signal(Printed, eqx.Module):
+    """A record of one mass in its limit cycle, with the standard deviation of its noise.
+
+    **Arguments:** (dimensionless)
+
+    - `times`, increasing, and `values`, both of shape (m,); `noise`: of a value, one number or
+      (m,).
+    - `what`: "displacement" x, "velocity" v, or "friction_force", the force of the belt on the
+      mass.  A block that is pulled by a spring over a floor at rest is a mass on a moving belt: x
+      is then the stretch of the spring, and its force k x.
+
+    At which phase of its cycle the mass is at the first time is unknown: `identify` finds it with
+    the other unknowns, and `log_likelihood` takes the one that fits best.
+
+    **Raises:** `ValueError` for other shapes, numbers that are not finite, times that do not
+    increase, or noise that is not positive.
+
+    >>> import jax, jax.numpy as jnp
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> from jaxchain.inverse import Signal
+    >>> times = jnp.linspace(0.0, 20.0, 100)
+    >>> Signal(times, jnp.sin(times), noise=0.01).count
+    100
+    """
+
+    times: Float[Array, " m"]
+    values: Float[Array, " m"]
+    noise: Float[Array, " m"]
+    what: What = eqx.field(static=True)
+
+    def __init__(self, times: Any, values: Any, noise: Any, what: What = "displacement"):
+        self.times, self.values, self.noise = _reading("signal", (times, values, noise), 1)
+        if not is_traced(self.times) and np.any(np.diff(self.times) <= 0):
+            raise ValueError("Argument `times` of `Signal` must increase: sort them.")
+        check_one_of("what", what, get_args(What))
+        self.what = what
+
+    @property
+    def count(self) -> int:
+        """The number of values, m."""
+        return self.values.size
+
+    def period(self, near: Any) -> Float[Array, ""]:
+        """The period of the signal, sought from 0.7 to 1.4 of the period `near`.
+
+        It is that of the sum of three harmonics that fits best (Lomb and Scargle's periodogram,
+        with harmonics).
+        """
+        times = self.times - self.times[0]
+        length = 2.0 * self.count if is_traced((times, near)) else times[-1] / near
+        many = int(min(_MOST_PERIODS, max(64, np.ceil(8.0 * float(length)))))
+        weights = 1.0 / self.noise**2
+        values = self.values - jnp.sum(weights * self.values) / jnp.sum(weights)
+
+        def power(frequency: Array) -> Array:
+            angles = 2.0 * jnp.pi * frequency * times * jnp.arange(1, _HARMONICS + 1)[:, None]
+            waves = weights * values * jnp.stack([jnp.cos(angles), jnp.sin(angles)])
+            return jnp.sum(jnp.sum(waves, axis=-1) ** 2)
+
+        def greatest(low: Array, high: Array) -> tuple[Array, Array]:
+            grid = jnp.linspace(low, high, many)
+            return grid[jnp.argmax(lax.map(power, grid))], grid[1] - grid[0]
+
+        near = jnp.asarray(near)
+        best, step = greatest(1.0 / (_LONGEST * near), 1.0 / (_SHORTEST * near))
+        return 1.0 / greatest(best - step, best + step)[0]
 
 
 def _reading(name: str, given: Any, ndim: int) -> Any:
@@ -118,9 +217,10 @@ def _reading(name: str, given: Any, ndim: int) -> Any:
 
 
 def check_measurements(measurements: Any) -> None:
-    """Raises `ValueError` unless they are `Measurements`."""
+    """Raises `ValueError` unless they are `Measurements` or a `Signal`."""
     remedy = "`Measurements(hopf=(1.15, 0.01))`, say."
-    check_kind("measurements", measurements, Measurements, "`Measurements`", remedy)
+    kinds = Measurements | Signal
+    check_kind("measurements", measurements, kinds, "`Measurements` or a `Signal`", remedy)
 
 
 def check_change(change: Any, chain: Chain, theta: Any) -> None:
@@ -130,15 +230,21 @@ def check_change(change: Any, chain: Chain, theta: Any) -> None:
     check_kind("change", made, Chain, "a function that returns a `Chain`", "see `Chain.with_`.")
 
 
-def predict(chain: Chain, measurements: Measurements, mass: Any = None) -> Float[Array, " m"]:
+def predict(
+    chain: Chain, measurements: Measurements | Signal, mass: Any = None, phase: Any = 0.0
+) -> Float[Array, " m"]:
     """The values that `chain` predicts for `measurements.values`.
 
     For a dry chain: the Hopf speed, the grazing-sliding fold, and amplitudes (half peak-to-peak)
-    of event-driven runs that start on the belt (`on_the_belt`).  For a smoothed chain: the same
-    quantities at its width.  NaN if there is no such fold or vibration.  It has forward
-    derivatives, including the jumps at sticking and release, and works under `jit` and `vmap`.
+    of event-driven runs that start on the belt (`on_the_belt`); the rest from the stable limit
+    cycle of `find_limit_cycle(chain)`.  For a smoothed chain: the same quantities at its width.
+    NaN if there is no such fold or vibration.  It has forward derivatives, including the jumps at
+    sticking and release, and works under `jit` and `vmap`.
 
-    **Arguments:** `measurements`: only their belt speeds are used;
+    For a `Signal` they are those of the stable limit cycle of `find_limit_cycle(chain)`, at the
+    `phase` of the first time, in periods after the state of this cycle.
+
+    **Arguments:** `measurements`: only their belt speeds or times are used;
     `mass`, the index (from 0) of the mass, by default n // 2.
 
     **Returns:** shape (m,), dimensionless, in the order of `measurements.values`.
@@ -153,6 +259,11 @@ def predict(chain: Chain, measurements: Measurements, mass: Any = None) -> Float
     """
     mass = check_mass(chain, mass)
     check_measurements(measurements)
+    if isinstance(measurements, Signal):
+        check_number("phase", phase)
+        cycle = Waveform(chain, mass, measurements.what)
+        times = measurements.times - measurements.times[0]
+        return cycle(times / cycle.period + phase)
     parts = []
 
     def at(speed: Array) -> Chain:
@@ -179,6 +290,173 @@ def predict(chain: Chain, measurements: Measurements, mass: Any = None) -> Float
         parts.append(fold_belt_speed(chain, mass)[None])
     if measurements.amplitudes is not None:
         parts.append(jax.vmap(amplitude)(measurements.amplitudes[0]))
+
+    def of_cycle(name: str, speed: Array) -> Array:
+        wave = Waveform(at(speed), mass, "displacement")
+        if name == "periods":
+            return wave.period
+        if name == "means":
+            return jnp.mean(wave(jnp.arange(_PHASES) / _PHASES))
+        return wave.stick() / wave.period
+
+    for name in ("periods", "means", "stick_shares"):
+        if (reading := getattr(measurements, name)) is not None:
+            parts.append(jax.vmap(partial(of_cycle, name))(reading[0]))
     if measurements.displacements is not None:
         parts.append(jax.vmap(displacement)(measurements.displacements[0]))
     return jnp.concatenate(parts)
+
+
+class Waveform:
+    """What a signal shows of a cycle, over the time in periods after the state of the cycle.
+
+    A dry cycle begins where the belt releases the mass, which sticks once: it is interpolated by
+    cubics (Hermite) in both parts, for samples in the loop of a run would take ten times as long.
+    """
+
+    def __init__(self, chain: Chain, mass: int, what: str):
+        self.cycle = find_limit_cycle(chain, mass=mass, throw=False)
+        self.chain, self.mass, self.what, self.period = chain, mass, what, self.cycle.period
+        if chain.dry:
+            stick = self.stick()
+            slip = self.period - stick
+            ends = jnp.array([0.0, 1.0]) * slip, slip + jnp.array([0.0, 1.0]) * stick
+            nodes = [jnp.linspace(ends[i][0], ends[i][1], count) for i, count in enumerate(_NODES)]
+            within = jnp.minimum(jnp.concatenate(nodes), self.period)  # rounding may go beyond
+            x, v = self._run(Trajectory(within))
+            both = (
+                jax.vmap(partial(self._with_slope, sticks=False)),
+                jax.vmap(partial(self._with_slope, sticks=True)),
+            )
+            split = _NODES[0]
+            self.slip, self.parts = (
+                slip / self.period,
+                ((both[0](x[:split], v[:split]), slip), (both[1](x[split:], v[split:]), stick)),
+            )
+
+    def stick(self) -> Float[Array, ""]:
+        """The time in a period for which the mass sticks."""
+        return self._run(StickTime())[self.mass]
+
+    def _run(self, observe: Any) -> Any:
+        return simulate(
+            self.chain,
+            self.cycle.state,
+            self.period,
+            observe=observe,
+            solver=EventDriven(_ORDER) if self.chain.dry else None,
+            rtol=_RTOL,
+            throw=False,
+        ).observed
+
+    def __call__(self, shares: Float[Array, " m"]) -> Float[Array, " m"]:
+        within = jnp.mod(shares, 1.0)
+        if self.chain.dry:
+            slides = within < self.slip
+            places = within / self.slip, (within - self.slip) / (1.0 - self.slip)
+            parts = (
+                _cubic(jnp.clip(place, 0.0, 1.0), *values, length)
+                for place, (values, length) in zip(places, self.parts, strict=True)
+            )
+            found = jnp.where(slides, *parts)
+        else:
+            order = jnp.argsort(within)
+            x, v = self._run(Trajectory(within[order] * self.period))
+            found, _ = jax.vmap(partial(self._with_slope, sticks=False))(x, v)
+            found = jnp.zeros_like(shares).at[order].set(found)
+        return jnp.where(self.cycle.result == SearchResult.successful, found, jnp.nan)
+
+    def _with_slope(
+        self, x: Float[Array, " n"], v: Float[Array, " n"], sticks: bool
+    ) -> tuple[Array, Array]:
+        """What is shown of a state, and its rate."""
+        chain, one = self.chain, self.mass
+
+        def friction(x: Array, v: Array) -> Array:
+            if sticks:
+                return -chain.free_force(x, v)
+            if not chain.dry:
+                return chain.load * chain.friction.force(v - chain.belt_speed)
+            # Where it lands and leaves, too, the mass is slower than the belt.
+            mu = chain.law.coefficient(jnp.abs(v - chain.belt_speed))
+            return chain.belt_direction() * chain.load * mu
+
+        def shown(x: Array, v: Array) -> Array:
+            if self.what == "friction_force":
+                return friction(x, v)[one]
+            return (x if self.what == "displacement" else v)[one]
+
+        rate = v, chain.free_force(x, v) + friction(x, v)
+        return jax.jvp(shown, (x, v), rate)
+
+    def phase(self, signal: Signal, clock: Array) -> Float[Array, ""]:
+        """The phase at the first time that fits best, for a signal of the period `clock`."""
+        times = (signal.times - signal.times[0]) / clock
+        grid = jnp.arange(_PHASES) / _PHASES
+        wave = self(grid)
+
+        def misfit(phase: Array) -> Array:
+            values = jnp.interp(times + phase, grid, wave, period=1.0)
+            return jnp.sum(((signal.values - values) / signal.noise) ** 2)
+
+        return grid[jnp.argmin(lax.map(misfit, grid))]
+
+
+def _cubic(
+    place: Float[Array, " m"],
+    values: Float[Array, " k"],
+    slopes: Float[Array, " k"],
+    length: Array,
+) -> Float[Array, " m"]:
+    """Hermite's interpolation between k equal steps over a length, at places from 0 to 1."""
+    cells = values.size - 1
+    i = jnp.clip(jnp.floor(place * cells), 0, cells - 1).astype(int)
+    u, h = place * cells - i, length / cells
+    rise = values[i + 1] - values[i]
+    a, b = h * slopes[i] - rise, rise - h * slopes[i + 1]
+    return values[i] + u * rise + u * (1 - u) * ((1 - u) * a + u * b)
+
+
+def log_likelihood(
+    chain: Chain, measurements: Measurements | Signal, mass: Any = None, phase: Any = None
+) -> Float[Array, ""]:
+    """The logarithm of the probability density of measurements with Gaussian noise.
+
+    log L = -1/2 sum_i [(measured_i - predicted_i) / noise_i]^2 - sum_i log(noise_i sqrt(2 pi)).
+
+    **Arguments:** as for `predict`; `phase` of a `Signal`, None for the one that fits best (a
+    profile likelihood).
+
+    **Returns:** a number with derivatives in every number of the chain, forward; NaN where the
+    chain predicts no vibration or fold.  It works under `jit` and `vmap`.
+
+    >>> import jax
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> from jaxchain import paper_chain
+    >>> from jaxchain.inverse import Measurements, log_likelihood
+    >>> lab = Measurements(displacements=([1.5], [0.53], 0.01))
+    >>> round(float(log_likelihood(paper_chain(n=1, width=None), lab)), 4)
+    3.5559
+    """
+    mass = check_mass(chain, mass)
+    check_measurements(measurements)
+    if isinstance(measurements, Signal) and phase is None:
+        phase = best_phase(lax.stop_gradient(chain), measurements, mass)
+    if phase is None:
+        phase = 0.0
+    predicted = predict(chain, measurements, mass, phase)
+    gaps = (measurements.values - predicted) / measurements.noise
+    return -jnp.sum(gaps**2 / 2 + jnp.log(measurements.noise * jnp.sqrt(2 * jnp.pi)))
+
+
+def best_phase(chain: Chain, signal: Signal, mass: int) -> Float[Array, ""]:
+    """The phase at which the prediction of a signal fits best, by Gauss and Newton's method."""
+    first = Waveform(chain, mass, signal.what)
+    phase = first.phase(signal, first.period)
+    for _ in range(_PHASE_STEPS):
+        values, slope = jax.jvp(
+            lambda phase: predict(chain, signal, mass, phase), (phase,), (jnp.ones(()),)
+        )
+        slope, gaps = slope / signal.noise, (signal.values - values) / signal.noise
+        phase = phase + jnp.sum(slope * gaps) / jnp.sum(slope**2)
+    return lax.stop_gradient(phase)
