@@ -168,6 +168,7 @@ LONG = {
         THREE.with_(belt_speed=1.6), lambda c: jc.basins.gentlest_blow(c).kick, 1e-4
     ),
     "predict": (ONE, lambda c: jc.inverse.predict(c, lab(c)), 1e-3),
+    "log_likelihood": (ONE, lambda c: jc.inverse.log_likelihood(c, lab(c)) / 10, 1e-2),
     "identify": (ONE, lambda c: jc.inverse.identify(c, damped, 0.06, lab(c)).theta, 1e-2),
     "design": (
         ONE, lambda c: jc.inverse.design(c, damped, 0.05, highest_below=1.7, steps=3).costs, 0.1
@@ -175,7 +176,7 @@ LONG = {
 }  # fmt: skip
 # Of these others of the table are made, or their only part of friction is.
 ELSEWHERE = {
-    "verdicts": "verdict", "depinning_belt_speed": "front_speed",
+    "verdicts": "verdict", "depinning_belt_speed": "front_speed", "profile": "identify",
     # These refuse dry friction, see `tests/refusals`.
     "find_equilibrium": "", "find_hopf_point": "", "continue_equilibrium": "",
 }  # fmt: skip

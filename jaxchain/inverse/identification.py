@@ -43,6 +43,8 @@ _FIRST, _LESS, _MORE, _LEAST, _GREATEST = 1e-3, 0.2, 5.0, 1e-8, 1e8
 _GAIN, _SIGNAL_GAIN = 1e-9, 1e-4
 # The share of a step at which its curvature is measured, and the greatest share of the bend.
 _AHEAD, _BEND = 0.1, 0.75
+# Above this multiple of the number of values, chi^2 tells of a wrong fit.
+_BAD = 2.0
 # Further starts are off by this share; a first fit has the period of a signal to this share.
 _SPREAD, _CLOCK = 0.2, 1e-3
 # Below the first share of the greatest, singular values of the scaled Jacobian are integration
@@ -131,7 +133,8 @@ def identify(
     **Returns:** an `Identification`.
 
     **Raises:** `ValueError` for bad input, and if the start predicts no vibration or fold where
-    one was measured.  **Warns** if the data do not determine every parameter.
+    one was measured.  **Warns** if the data do not determine every parameter, and if a signal is
+    not fitted to its noise.
 
     >>> import jax, jax.numpy as jnp
     >>> jax.config.update("jax_enable_x64", True)
@@ -153,7 +156,7 @@ def identify(
     problem = _FitProblem(chain, measurements, change, mass, unravel)
     draws = np.random.default_rng(0).standard_normal((starts, flat.size))
     draws[0] = 0.0
-    fit = _best_fit(problem, flat * (1.0 + _SPREAD * draws), steps)
+    fit = _best_fit(problem, flat[None, :] * (1.0 + _SPREAD * jnp.asarray(draws)), steps)
     if not is_traced(fit):
         _complain(problem, fit, unravel(flat))
     return fit
@@ -442,6 +445,14 @@ def _complain(problem: _FitProblem, fit: Identification, start: PyTree) -> None:
         raise ValueError(
             "Argument `start` predicts no vibration, fold or Hopf point where one was measured: "
             "start from more friction at rest, or less damping."
+        )
+    count = problem.measurements.count
+    if problem.extra and fit.chi_squared > _BAD * count:
+        warnings.warn(
+            f"The fit leaves a chi^2 of {float(fit.chi_squared):.3g} for {count} values: model or "
+            "noise are not those of the signal, or the search stopped at a wrong phase. Look at "
+            "`residuals`, or try more `starts`.",
+            stacklevel=3,
         )
     if np.all(fit.determined):
         return

@@ -44,7 +44,7 @@ _SPAN, _WINDOW = 40.0, 14.0
 _ORDER, _RTOL = 7, 1e-8
 # The period of a signal is sought between these multiples of a chain's own, at this many values
 # at most, with this number of harmonics.
-_SHORTEST, _LONGEST, _MOST_PERIODS, _HARMONICS = 0.7, 1.4, 2048, 3
+_SHORTEST, _LONGEST, _MOST_PERIODS, _HARMONICS = 0.7, 1.4, 2048, 4
 # Points of a cycle, and Newton steps, for the phase of a signal.
 _PHASES, _PHASE_STEPS = 128, 4
 # Nodes of the interpolation of a dry cycle while it slips and sticks.
@@ -136,7 +136,8 @@ class Signal(Printed, eqx.Module):
       (m,).
     - `what`: "displacement" x, "velocity" v, or "friction_force", the force of the belt on the
       mass.  A block that is pulled by a spring over a floor at rest is a mass on a moving belt: x
-      is then the stretch of the spring, and its force k x.
+      is then the stretch of the spring, and its force k x.  Where friction jumps as the mass comes
+      to the belt, a search may stop at a wrong time of the jump; it warns then.
 
     At which phase of its cycle the mass is at the first time is unknown: `identify` finds it with
     the other unknowns, and `log_likelihood` takes the one that fits best.
@@ -158,9 +159,27 @@ class Signal(Printed, eqx.Module):
     what: What = eqx.field(static=True)
 
     def __init__(self, times: Any, values: Any, noise: Any, what: What = "displacement"):
-        self.times, self.values, self.noise = _reading("signal", (times, values, noise), 1)
-        if not is_traced(self.times) and np.any(np.diff(self.times) <= 0):
-            raise ValueError("Argument `times` of `Signal` must increase: sort them.")
+        require_x64()
+        parts = {"times": times, "values": values, "noise": noise}
+        parts = {name: to_float(value, name) for name, value in parts.items()}
+        shape = parts["times"].shape
+        for name, value in parts.items():
+            check_finite(name, value, "leave out what could not be measured.")
+            if len(shape) != 1 or value.shape not in (shape, () if name == "noise" else shape):
+                raise ValueError(
+                    f"Argument `{name}` must be of the shape (m,) of `times`, but has shape "
+                    f"{value.shape} beside {shape}: give one for each time."
+                )
+        check_positive("noise", parts["noise"], "it is a standard deviation, such as 0.01.")
+        times = parts["times"]
+        if not is_traced(times) and np.any(np.diff(times) <= 0):
+            at = int(np.argmax(np.diff(times) <= 0))
+            raise ValueError(
+                f"Argument `times` must increase, but {times[at]:g} is followed by "
+                f"{times[at + 1]:g}: sort them."
+            )
+        self.times, self.values = parts["times"], parts["values"]
+        self.noise = jnp.broadcast_to(parts["noise"], shape)
         check_one_of("what", what, get_args(What))
         self.what = what
 
@@ -172,19 +191,21 @@ class Signal(Printed, eqx.Module):
     def period(self, near: Any) -> Float[Array, ""]:
         """The period of the signal, sought from 0.7 to 1.4 of the period `near`.
 
-        It is that of the sum of three harmonics that fits best (Lomb and Scargle's periodogram,
-        with harmonics).
+        It is that of the sum of a constant and four harmonics that fits best by least squares.
         """
         times = self.times - self.times[0]
         length = 2.0 * self.count if is_traced((times, near)) else times[-1] / near
         many = int(min(_MOST_PERIODS, max(64, np.ceil(8.0 * float(length)))))
-        weights = 1.0 / self.noise**2
-        values = self.values - jnp.sum(weights * self.values) / jnp.sum(weights)
+        values = self.values / self.noise
 
         def power(frequency: Array) -> Array:
-            angles = 2.0 * jnp.pi * frequency * times * jnp.arange(1, _HARMONICS + 1)[:, None]
-            waves = weights * values * jnp.stack([jnp.cos(angles), jnp.sin(angles)])
-            return jnp.sum(jnp.sum(waves, axis=-1) ** 2)
+            """By how much the harmonics and a constant lower chi^2."""
+            harmonics = jnp.arange(1.0, _HARMONICS + 1.0)[:, None]
+            angles = 2.0 * jnp.pi * frequency * times[None, :] * harmonics
+            waves = jnp.concatenate([jnp.ones_like(angles[:1]), jnp.cos(angles), jnp.sin(angles)])
+            waves = waves / self.noise[None, :]
+            slope = waves @ values
+            return slope @ jnp.linalg.solve(waves @ waves.T, slope)
 
         def greatest(low: Array, high: Array) -> tuple[Array, Array]:
             grid = jnp.linspace(low, high, many)

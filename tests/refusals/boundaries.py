@@ -175,19 +175,37 @@ def _inverse() -> Iterator[Row]:
         (["a"], [1.0], 0.1),
         lengths,
     )
-    bad = {"hopf": one, "fold": one, "amplitudes": many, "displacements": many}
+    names = ("amplitudes", "displacements", "periods", "means", "stick_shares")
+    bad = {"hopf": one, "fold": one, **dict.fromkeys(names, many)}
     yield Row("Measurements", Measurements, {}, bad)
+    values = ("a", [1.0, math.nan], {})
+    bad = {
+        "times": (*values, Told([1.0, 0.5], "1 is followed by 0.5")),
+        "values": (*values, Told([1.0], r"\(1,\) beside \(2,\)")),
+        "noise": (0.0, -1.0, math.nan, "a"), "what": ("speed", 3),
+    }  # fmt: skip
+    signal = {"times": [0.0, 1.0], "values": [1.0, 2.0], "noise": 0.1}
+    yield Row("Signal", inverse.Signal, signal, bad)
     bad = {"chain": A_CHAIN, "mass": VIBRATING}
     readings = {"measurements": (None, "x", {}, Measurements)}
     good = {"chain": DRY, "measurements": Measurements(hopf=(1.0, 0.1))}
     yield Row("predict", inverse.predict, good, {**bad, **readings})
+    yield Row("log_likelihood", inverse.log_likelihood, good, {**bad, **readings})
     more = {"change": lambda chain, xi: chain.with_(damping_ratio=xi), "start": 0.05}
     bad = {
         **bad,
         "change": (*FUNCTION, lambda chain: chain, Told(lambda chain, xi: 3, "is 3")),
         "start": TREE, "steps": COUNT,
     }  # fmt: skip
-    yield Row("identify", inverse.identify, {**good, **more}, {**bad, **readings})
+    starts = {"starts": COUNT}
+    yield Row("identify", inverse.identify, {**good, **more}, {**bad, **readings, **starts})
+    fit = inverse.identify(DRY, more["change"], more["start"], good["measurements"])
+    of_profile = {
+        "found": (3, {}), "place": (1, -1, 0.5, "a"), "reach": POSITIVE, "points": (2, 2.5, "a"),
+        "confidence": (0.0, 1.0, "a"), "steps": COUNT, **readings,
+    }  # fmt: skip
+    known = {**good, "found": fit, "change": more["change"], "place": 0}
+    yield Row("profile", inverse.profile, known, of_profile)
     yield Row(
         "design", inverse.design, {"chain": DRY, **more, "width_below": 0.1},
         {

@@ -22,7 +22,7 @@ NOT_TRIED = {
             "OneMassBranch", "Extrapolation", "Evidence", "Verdict",
             "LyapunovSpectrum", "Branch", "SpecialPoint", "FoldPoint", "CycleBranch",
             "LimitCycle", "CyclePoint", "CycleSearch", "CycleSymmetry",
-            "Identification", "Design", "Depinning",
+            "Identification", "Profile", "Design", "Depinning",
             "FrontSpeed", "LinearModes", "LockedPattern", "PhaseModel", "LocalSlopes", "Step",
             "StoreError", "SlidingBasin", "EdgeState", "Blow",
             "SweepInterrupted", "Settled",

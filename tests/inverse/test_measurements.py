@@ -1,0 +1,143 @@
+"""Signals against runs of the same chain; their periods, phases and likelihood."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+from jaxchain import StickTime, Trajectory, find_limit_cycle, paper_chain, simulate
+from jaxchain.inverse import (
+    Measurements,
+    Signal,
+    identify,
+    log_likelihood,
+    predict,
+    profile,
+)
+
+ONE = paper_chain(1, belt_speed=1.2, width=None)
+TRUE = jnp.array([1.05, 0.5, 0.55, 0.045])
+TIMES = 0.3 * np.arange(400.0)
+
+
+def change(chain, theta):
+    return chain.with_(
+        mu_static=theta[0], mu_dynamic=theta[1], v_ref=theta[2], damping_ratio=theta[3]
+    )
+
+
+def shown(chain, x, v, what):
+    """What a run shows, from its states."""
+    if what != "friction_force":
+        return x if what == "displacement" else v
+    w, law = v - float(chain.belt_speed), chain.law
+    slides = -np.sign(w) * np.asarray(law.coefficient(np.abs(w)))
+    return np.where(np.abs(w) < 1e-7, x + 2 * float(chain.damping_ratio) * v, slides)
+
+
+@pytest.mark.parametrize("what", ["displacement", "velocity", "friction_force"])
+def test_a_dry_signal_is_that_of_a_run_through_many_cycles(what: Any):
+    cycle = find_limit_cycle(ONE)
+    times = jnp.asarray(TIMES)
+    run = simulate(ONE, cycle.state, TIMES[-1] + 10.0, observe=Trajectory(times + 2.0), rtol=1e-11)
+    x, v = (np.asarray(part)[:, 0] for part in run.observed)
+    blank = Signal(times, jnp.zeros_like(times), 1.0, what)
+    found = predict(ONE, blank, phase=2.0 / cycle.period)
+    np.testing.assert_allclose(found, shown(ONE, x, v, what), atol=3e-7)
+
+
+def made_up(chain, seed=0, what: Any = "displacement", noise=0.01):
+    blank = Signal(TIMES, np.zeros_like(TIMES), 1.0, what)
+    values = np.asarray(predict(change(chain, TRUE), blank, phase=0.37))
+    error = noise * np.ptp(values) / 2
+    draws = np.random.default_rng(seed).standard_normal(TIMES.size)
+    return Signal(TIMES, values + error * draws, error, what)
+
+
+def test_a_signal_determines_friction_and_damping_and_its_phase():
+    signal, start = made_up(ONE), jnp.array([1.0, 0.45, 0.5, 0.04])
+    found = identify(ONE, change, start, signal, starts=3)
+    assert found.successful
+    assert np.all(np.abs(found.theta - TRUE) < 4 * found.standard_errors)
+    assert np.all(found.standard_errors < 0.3 * TRUE)
+    assert found.phase == pytest.approx(0.37, abs=2e-3)
+    assert abs(found.chi_squared - 395) < 4 * np.sqrt(2 * 395)
+    # The likelihood is greatest there, and its slope is that of differences.
+    best = log_likelihood(found.chain, signal)
+    assert best == pytest.approx(
+        np.sum(stats.norm.logpdf(found.residuals)) - TIMES.size * np.log(signal.noise[0]), abs=1e-3
+    )
+
+    def along(step):
+        return log_likelihood(change(ONE, found.theta + step * found.standard_errors), signal)
+
+    assert along(0.3) < best > along(-0.3)
+    slope = jax.jvp(along, (0.02,), (1.0,))[1]
+    np.testing.assert_allclose(slope, (along(0.0201) - along(0.0199)) / 2e-4, rtol=1e-4)
+
+
+def test_the_period_of_a_signal_is_that_of_its_harmonics():
+    times = np.sort(np.random.default_rng(0).uniform(0.0, 300.0, 500))
+    angle = 2 * np.pi * times / 6.1
+    values = 2.0 + np.cos(angle) + 0.6 * np.sin(2 * angle)
+    assert Signal(times, values, 0.1).period(near=5.0) == pytest.approx(6.1, rel=1e-4)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("width", [None, 1e-3])
+def test_features_of_a_cycle_are_those_of_a_run_with_slopes_of_differences(width):
+    chain, speeds = ONE.with_(width=width), jnp.array([0.5, 1.2])
+    kinds = ("periods", "means", "stick_shares")
+    lab = Measurements(**{kind: (speeds, [1.0, 1.0], 0.1) for kind in kinds})
+    found = predict(chain, lab).reshape(3, 2)
+    for k, speed in enumerate(speeds):
+        own = chain.with_(belt_speed=speed)
+        cycle = find_limit_cycle(own)
+        times = cycle.period * jnp.arange(4000) / 4000
+        watch = StickTime(), Trajectory(times)
+        stick, (x, _) = simulate(own, cycle.state, cycle.period, observe=watch).observed
+        expected = cycle.period, jnp.mean(x), stick[0] / cycle.period
+        np.testing.assert_allclose(found[:, k], jnp.stack(expected), rtol=1e-4)
+
+    def of(damping):
+        return predict(chain.with_(damping_ratio=damping), lab)
+
+    between = (of(0.05 + 1e-5) - of(0.05 - 1e-5)) / 2e-5
+    np.testing.assert_allclose(jax.jacfwd(of)(0.05), between, rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.long
+def test_a_signal_of_a_smoothed_chain_is_fitted_or_said_not_to_be():
+    chain, off = ONE.with_(width=1e-3), TRUE * jnp.array([0.9, 1.1, 1.1, 0.9])
+    found = identify(chain, change, off, made_up(chain, 1, "velocity"))
+    assert found.successful
+    assert np.all(np.abs(found.theta - TRUE) < 4 * found.standard_errors)
+    with pytest.warns(UserWarning, match="leaves a chi"):
+        identify(chain, change, off, made_up(chain, 1, "friction_force"))
+
+
+@pytest.mark.long
+def test_a_profile_holds_the_truth_and_is_a_parabola_for_small_noise():
+    signal = made_up(ONE, 2, noise=1e-4)
+    found = identify(ONE, change, TRUE, signal)
+    for place in (0, 3):
+        own = profile(found, ONE, change, signal, place)
+        low, high = (bound[place] for bound in found.interval())
+        np.testing.assert_allclose([own.low, own.high], [low, high], rtol=1e-3)
+        rise = ((own.values - found.theta[place]) / found.standard_errors[place]) ** 2
+        assert np.all(np.abs(own.chi_squared - found.chi_squared - rise) < 0.02 * rise + 0.01)
+
+
+def test_what_the_data_do_not_tell_apart_has_no_profile():
+    lab = Measurements(hopf=(1.15, 0.01))
+
+    def both(chain, theta):
+        return chain.with_(mu_dynamic=theta[0], v_ref=theta[1])
+
+    with pytest.warns(UserWarning, match="do not determine theta"):
+        found = identify(ONE, both, jnp.array([0.5, 0.5]), lab)
+    with pytest.raises(ValueError, match="`place` = 1 must be that of a number that the data"):
+        profile(found, ONE, both, lab, 1)
