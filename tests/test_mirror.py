@@ -172,7 +172,8 @@ SINGLE = (
     "continue_cycle", "depinning_belt_speed", "equation_8", "equation_10",
     "find_limit_cycle", "first_lyapunov_coefficient", "front_speed", "generalised_hopf",
     "gentlest_blow",
-    "guess_from_hopf", "hopf_points", "identify", "phase_model", "sweep", "verdict", "verdicts",
+    "guess_from_hopf", "hopf_points", "identify", "profile", "log_likelihood",
+    "phase_model", "sweep", "verdict", "verdicts",
     "fold_belt_speeds", "guess_from_simulation", "liouville_determinant",
     "one_mass_branch", "predict",
     # Their mirror images are in tests/basins.

@@ -163,12 +163,16 @@ def dry_cycles(chain, data):
 
 
 def grazings(data, found, there):
-    """For each fold the belt speed of the dry fold beside it, NaN if none touches the belt."""
-    cycles = np.flatnonzero(there)
+    """For each fold the belt speed of the dry fold beside it, NaN if none touches the belt.
+
+    As many multipliers of a dry cycle are 0 as masses stick: at a grazing this number changes.
+    """
+    cycles, stuck = np.flatnonzero(there), (np.abs(found.multipliers) < 1e-9).sum(axis=1)
     for fold, at in zip(data.special_parameter.values, data.special_index.values + 0.5):
-        sides = cycles[cycles > at][:1], cycles[cycles < at][-1:]
+        sides = np.concatenate([cycles[cycles < at][-1:], cycles[cycles > at][:1]])
         vibrate = np.flatnonzero(jc.active(data.amplitude[int(at)].values, fold))
-        pairs = itertools.product(np.concatenate(sides), vibrate)
+        changes = len({int(stuck[i]) for i in sides}) > 1
+        pairs = itertools.product(sides, vibrate) if changes else ()
         tried = (touching(found, *pair, fold) for pair in pairs)
         yield next((speed for speed in tried if np.isfinite(speed)), np.nan)
 

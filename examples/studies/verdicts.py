@@ -11,8 +11,8 @@ Prints for each state: the masses that vibrate, what the paper says, the verdict
 each attractor where a start leads to several, the verdict without noise, the exponent that decides
 (the slowest of a periodic orbit, else the greatest) with its 95 % interval, and the longest run.
 States that stay undecided are run again, for 1e6 time units.  What has been found for a belt speed
-is kept in the folder of the results.  A quarter of an hour on one core for three belt speeds, and some
-four minutes more for each state that is run again:
+is kept in the folder of the results.  A quarter of an hour on one core for three belt speeds, and
+some four minutes more for each state that is run again:
 
     python examples/studies/verdicts.py
 """

@@ -262,7 +262,7 @@ def profile(
     >>> lab = Measurements(hopf=(1.2, 0.05))
     >>> of_v = profile(identify(chain, law, jnp.array(0.6), lab), chain, law, lab, 0)
     >>> round(float(of_v.low), 3), round(float(of_v.high), 3)
-    (0.428, 0.638)
+    (0.463, 0.623)
     """
     mass = check_mass(chain, mass)
     check_kind("found", found, Identification, "an `Identification`", "it is that of `identify`.")
@@ -279,8 +279,7 @@ def profile(
             f"Argument `place` = {place} must be that of a number that the data determine, but "
             "others can compensate it: fix one of them."
         )
-    place, blank = int(place), jnp.zeros(())
-    problem = _FitProblem(chain, measurements, change, mass, unravel, place=place, value=blank)
+    problem = _FitProblem(chain, measurements, change, mass, unravel, place=int(place))
     return _profile(problem, found, flat, to_float(reach), points, to_float(confidence), steps)
 
 
@@ -303,7 +302,13 @@ def _profile(
         start = jnp.delete(others, place)
         if problem.extra:
             start = jnp.append(start, found.phase)
-        return _fit(eqx.tree_at(lambda p: p.value, problem, value), start, steps)[0].chi_squared
+        fixed = _FitProblem(
+            problem.chain, problem.measurements, problem.change, problem.mass, problem.unravel,
+            place=place, value=value,
+        )  # fmt: skip
+        if not start.size:
+            return jnp.sum(fixed.residuals(start) ** 2)
+        return _fit(fixed, start, steps)[0].chi_squared
 
     chi = jax.vmap(best)(values)
     root = jnp.sign(values - flat[place]) * jnp.sqrt(jnp.maximum(chi - found.chi_squared, 0.0))
