@@ -168,11 +168,12 @@ def grazings(data, found, there):
     As many multipliers of a dry cycle are 0 as masses stick: at a grazing this number changes.
     """
     cycles, stuck = np.flatnonzero(there), (np.abs(found.multipliers) < 1e-9).sum(axis=1)
-    for fold, at in zip(data.special_parameter.values, data.special_index.values + 0.5):
-        sides = np.concatenate([cycles[cycles < at][-1:], cycles[cycles > at][:1]])
+    folds = data.isel(special=data.special_kind.values == "fold")
+    for fold, at in zip(folds.special_parameter.values, folds.special_index.values + 0.5):
+        below, above = cycles[cycles < at][-3:][::-1], cycles[cycles > at][:3]
         vibrate = np.flatnonzero(jc.active(data.amplitude[int(at)].values, fold))
-        changes = len({int(stuck[i]) for i in sides}) > 1
-        pairs = itertools.product(sides, vibrate) if changes else ()
+        changes = {int(stuck[i]) for i in below} != {int(stuck[i]) for i in above}
+        pairs = itertools.product([*above, *below], vibrate) if changes else ()
         tried = (touching(found, *pair, fold) for pair in pairs)
         yield next((speed for speed in tried if np.isfinite(speed)), np.nan)
 
@@ -262,13 +263,16 @@ def draw(branches, dry, runs, table):
     for data, found, there in (part for parts in dry.values() for part in parts):
         look = {"color": VERMILION, "s": 2.0, "zorder": 4, "linewidths": 0}
         zoom.scatter(data.belt_speed[there], found.energy[there], **look)
+    couplings = sorted({*table.coupling})
     places = {key: i for i, key in enumerate(sorted({*zip(table.k, table.pattern)}))}
     for (name, pattern), rows in table.groupby(["name", "pattern"]):
         height = [places[key] for key in zip(rows.k, rows.pattern)]
         names.scatter(
             rows.coupling, height, marker=NAMES[name], s=24, color=PATTERNS.get(pattern, "black")
         )
-    names.set(xscale="log", xlabel=COUPLING)
+    names.set(xscale="log", xlabel=COUPLING, xlim=(0.8 * couplings[0], 1.25 * couplings[-1]))
+    names.set_xticks(couplings, [f"{c:g}" for c in couplings])
+    names.minorticks_off()
     names.set_yticks(range(len(places)), [f"{k} {pattern}" for k, pattern in places], fontsize=6)
     letters([*panels.values()])
     handles = dict(zip(*zoom.get_legend_handles_labels()[::-1]))

@@ -1,6 +1,6 @@
 """Which friction does a measured record need, and does it predict records at other speeds?
 
-A slider of paper is pulled over paper by a spring (`examples/data/README.md`).  The features of
+A slider of paper is pulled over paper by a spring (`examples/data/README.txt`).  The features of
 its force at 1100 micrometres per second (period, mean, half peak-to-peak, and the share of time
 in which it rises as in a stick) determine static and dynamic friction of one mass, which predicts
 the other two speeds; they do not determine its damping, nor at which speed friction weakens.  The
