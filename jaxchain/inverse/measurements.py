@@ -49,6 +49,8 @@ _SHORTEST, _LONGEST, _MOST_PERIODS, _HARMONICS = 0.7, 1.4, 2048, 4
 _PHASES, _PHASE_STEPS = 128, 4
 # Nodes of the interpolation of a dry cycle while it slips and sticks.
 _NODES = 129, 17
+# How close to the speed of the belt a mass that sticks is.
+_HELD = 1e-6
 What = Literal["displacement", "velocity", "friction_force"]
 
 
@@ -331,13 +333,15 @@ def predict(
 class Waveform:
     """What a signal shows of a cycle, over the time in periods after the state of the cycle.
 
-    A dry cycle begins where the belt releases the mass, which sticks once: it is interpolated by
-    cubics (Hermite) in both parts, for samples in the loop of a run would take ten times as long.
+    A dry cycle begins where the belt releases the mass.  If it sticks once, the cycle is
+    interpolated by cubics (Hermite) in both parts, for samples in the loop of a run would take ten
+    times as long; a mass that sticks more often has no waveform (NaN).
     """
 
     def __init__(self, chain: Chain, mass: int, what: str):
         self.cycle = find_limit_cycle(chain, mass=mass, throw=False)
         self.chain, self.mass, self.what, self.period = chain, mass, what, self.cycle.period
+        self.sound = self.cycle.result == SearchResult.successful
         if chain.dry:
             stick = self.stick()
             slip = self.period - stick
@@ -345,15 +349,12 @@ class Waveform:
             nodes = [jnp.linspace(ends[i][0], ends[i][1], count) for i, count in enumerate(_NODES)]
             within = jnp.minimum(jnp.concatenate(nodes), self.period)  # rounding may go beyond
             x, v = self._run(Trajectory(within))
-            both = (
-                jax.vmap(partial(self._with_slope, sticks=False)),
-                jax.vmap(partial(self._with_slope, sticks=True)),
-            )
-            split = _NODES[0]
-            self.slip, self.parts = (
-                slip / self.period,
-                ((both[0](x[:split], v[:split]), slip), (both[1](x[split:], v[split:]), stick)),
-            )
+            k = _NODES[0]
+            held = jnp.abs(v[k:, mass] - chain.belt_speed) < _HELD
+            self.sound &= jnp.all(held) | (stick == 0.0)
+            slides = jax.vmap(partial(self._with_slope, sticks=False))(x[:k], v[:k])
+            sticks = jax.vmap(partial(self._with_slope, sticks=True))(x[k:], v[k:])
+            self.slip, self.parts = slip / self.period, ((slides, slip), (sticks, stick))
 
     def stick(self) -> Float[Array, ""]:
         """The time in a period for which the mass sticks."""
@@ -385,7 +386,7 @@ class Waveform:
             x, v = self._run(Trajectory(within[order] * self.period))
             found, _ = jax.vmap(partial(self._with_slope, sticks=False))(x, v)
             found = jnp.zeros_like(shares).at[order].set(found)
-        return jnp.where(self.cycle.result == SearchResult.successful, found, jnp.nan)
+        return jnp.where(self.sound, found, jnp.nan)
 
     def _with_slope(
         self, x: Float[Array, " n"], v: Float[Array, " n"], sticks: bool
