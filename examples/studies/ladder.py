@@ -51,7 +51,8 @@ QUICK = FULL | {
 }  # fmt: skip
 START, WINDOW, RTOL, FINE_RTOL = 1.5, 100.0, 1e-11, 1e-12
 HOW = {"bounds": (1.1, 1.9), "tolerance": 1e-9, "min_step": 1e-8}  # branches are followed
-NEAR = 0.02  # amplitudes of a dry cycle and the smoothed one, or their folds
+NEAR = 0.02  # amplitudes of a dry cycle and the smoothed one
+BESIDE = 8.0  # belt speeds of a fold and a grazing, in widths; smoothing moves it by some five
 DRY = (1, 2, 3)  # k of which dry cycles are found, too
 PATTERNS = {"in-phase": BLUE, "alternating": "black", "calmest": GREEN}
 NAMES = {"snake": "s", "isola": "o", "stack": "_", "not named": "x"}
@@ -185,7 +186,8 @@ def touching(found, i, mass, fold):
         near = find_special_cycle(cycle, kind="grazing", mass=int(mass), throw=False)
     except ValueError:  # it sticks at each of its peaks
         return np.nan
-    return float(near.value) if near.successful and abs(near.value - fold) < NEAR else np.nan
+    beside = abs(near.value - fold) < BESIDE * FULL["width"]
+    return float(near.value) if near.successful and beside else np.nan
 
 
 def name_of(ways):
