@@ -328,15 +328,20 @@ def _best_fit(
     problem: _FitProblem, starts: Float[Array, "starts p"], steps: int
 ) -> Identification:
     """The fit with the least chi^2 of those from several starts."""
-    measured = problem.measurements
+    measured, clocks = problem.measurements, problem.clock[None]
     if isinstance(measured, Signal):
-        clock = _waveform(problem, starts[0]).period
-        clock = measured.period(clock)
+        clock = measured.period(_waveform(problem, starts[0]).period)
         phases = jax.vmap(lambda z: _waveform(problem, z).phase(measured, clock))(starts)
         starts = jnp.concatenate([starts, phases[:, None]], axis=1)
-        held = eqx.tree_at(lambda p: p.clock, problem, clock)
-        starts = jax.vmap(lambda z: _fit(held, z, steps)[1])(starts)
-    fits = jax.vmap(lambda z: _fit(problem, z, steps)[0])(starts)
+        clocks = jnp.append(clock[None], clocks)  # first the shape of the cycle, then every value
+
+    def stage(z: Array, clock: Array) -> tuple[Array, Identification]:
+        fit, z = _fit(eqx.tree_at(lambda p: p.clock, problem, clock), z, steps)
+        return z, fit
+
+    # One after the other in a loop, so that a fit is compiled once.
+    fits = jax.vmap(lambda z: lax.scan(stage, z, clocks)[1])(starts)
+    fits = jax.tree.map(lambda leaf: leaf[:, -1], fits)
     chi = jnp.where(jnp.isfinite(fits.chi_squared), fits.chi_squared, jnp.inf)
     return jax.tree.map(lambda leaf: leaf[jnp.argmin(chi)], fits)
 
