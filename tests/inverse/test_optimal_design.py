@@ -134,7 +134,7 @@ def test_vibration_that_seems_to_set_in_gently_is_no_proof_of_no_fold():
     assert gentle.result == SearchResult.supercritical
     assert not gentle.successful
     assert np.isnan([gentle.highest, gentle.width]).all()
-    assert "no proof" in gentle.message
+    assert "not a proof" in gentle.message
 
 
 def test_a_start_whose_boundary_is_not_known_does_not_pretend_to_converge():
