@@ -42,15 +42,15 @@ from jaxchain.plotting import plot_branch, save_figure
 FULL = {
     "n": 20, "width": 1e-3, "couplings": (1e-2, 3e-3, 2e-2, 1e-3), "counts": (1, 2, 3, 4, 5, 6),
     "more": (20,), "switched": (1, 2),  # at the first coupling; the branches that leave these
-    "points": 1500,  # on each of the two ways of a branch
+    "points": 8000,  # on each of the two ways of a branch
     "speeds": np.arange(1.05, 1.86, 0.05), "transient": 1400.0,  # of the runs from eq. (8)
 }  # fmt: skip
 QUICK = FULL | {
     "n": 4, "width": 0.05, "couplings": (0.01,), "counts": (1, 2), "more": (), "switched": (),
     "points": 6, "speeds": (1.4, 1.5), "transient": 50.0,
 }  # fmt: skip
-START, WINDOW, RTOL, FINE_RTOL = 1.5, 100.0, 1e-11, 1e-12
-HOW = {"bounds": (1.1, 1.9), "tolerance": 1e-9, "min_step": 1e-8}  # branches are followed
+START, WINDOW, RTOL, FINE_RTOL = 1.5, 100.0, 1e-12, 1e-13
+HOW = {"bounds": (1.1, 1.9), "tolerance": 1e-10, "min_step": 1e-11}  # branches are followed
 NEAR = 0.02  # amplitudes of a dry cycle and the smoothed one
 BESIDE = 8.0  # belt speeds of a fold and a grazing, in widths; smoothing moves it by some five
 DRY = (1, 2, 3)  # k of which dry cycles are found, too

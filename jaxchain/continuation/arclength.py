@@ -41,7 +41,8 @@ from .special_points import (
     surely,
 )
 
-# A fold within this distance of a branch point, relative to 1 + |z|, is the branch point.
+# A fold within this distance of a branch point, relative to 1 + |z|, or within the error of its p,
+# is the branch point.
 _SAME_PLACE = 1e-5
 # The allowed error of a point, as a share of its step: far below the greatest bend.
 _SURE = 1e-4
@@ -222,7 +223,11 @@ class BranchWalk:
                 changed = [
                     item
                     for item in changed
-                    if item[0] != "fold" or corrector.norm(item[1].point.z - at.point.z) > near
+                    if item[0] != "fold"
+                    or (
+                        corrector.norm(item[1].point.z - at.point.z) > near
+                        and abs(item[1].point.p - at.point.p) > at.error
+                    )
                 ]
                 changed.append(("branch point", at))
             for kind, where in sorted(changed, key=lambda item: item[1].fraction):

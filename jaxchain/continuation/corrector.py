@@ -260,6 +260,12 @@ class Corrector:
         tight.tolerance = min(self.tolerance, _SHARP)
         return tight
 
+    def loose(self, z: np.ndarray, length: float) -> "Corrector":
+        """This corrector for points near z with an error of `length`."""
+        rough = copy(self)
+        rough.tolerance = max(self.tolerance, length / (1.0 + self.norm(z)))
+        return rough
+
     def rounding(self, point: Point) -> float:
         """The rounding error of the numbers of a point, as a length."""
         return float(np.finfo(float).eps) * (1.0 + self.norm(point.z))

@@ -20,6 +20,9 @@ _ZERO, _NOT_ZERO = 1e-7, 1e-3
 _PATIENCE, _JUMP = 10, 1e-2
 # The distance, as a share of a segment, to the point that is tried in place of one that fails.
 _BESIDE = 1e-9
+# The tolerance, as a share of a segment, next to a branch point, where the corrector's own matrix
+# is nearly singular and multiplies errors of F.
+_LOOSE = 1e-4
 _MAX_DIPS = 12
 # Steps of `polish`, and the least factor by which each must reduce the test.
 _POLISHING, _LESS = 6, 0.5
@@ -98,20 +101,25 @@ def locate(corrector: Corrector, piece: Segment, test: Callable[[Point], float])
     """
     tried = {0.0: (piece.left, test(piece.left)), 1.0: (piece.right, test(piece.right))}
     scale = max(abs(value) for _, value in tried.values())
+    loosely, loose = False, corrector.loose(piece.left.z, _LOOSE * piece.length)
 
     def value_at(fraction: float) -> float:
+        nonlocal loosely
         if fraction not in tried:
             best = min(abs(value) for _, value in tried.values())
             if len(tried) > _PATIENCE and best > _JUMP * scale:
                 raise ArithmeticError
             # At a double eigenvalue derivatives are infinite, but not beside it.
-            beside = (point_at(corrector, piece, x) for x in (fraction, fraction + _BESIDE))
-            point = next((point for point in beside if point is not None), None)
-            if point is None:  # near a branch point the corrector's own matrix is singular
+            trials = [(loose, 0.0)] if loosely else [(corrector, 0.0), (corrector, _BESIDE)]
+            points = (point_at(search, piece, fraction + beside) for search, beside in trials)
+            point = next((point for point in points if point is not None), None)
+            if point is None and not loosely:
+                loosely, point = True, point_at(loose, piece, fraction)
+            if point is None:
                 raise ArithmeticError
             tried[fraction] = (point, test(point))
         value = tried[fraction][1]
-        return 0.0 if abs(value) <= _ZERO * scale else value
+        return 0.0 if abs(value) <= (_LOOSE if loosely else _ZERO) * scale else value
 
     with suppress(ArithmeticError):
         brentq(value_at, 0.0, 1.0, xtol=1e-13, maxiter=60, disp=False)
@@ -119,15 +127,22 @@ def locate(corrector: Corrector, piece: Segment, test: Callable[[Point], float])
     (point, value), (_, other) = tried[fraction], tried[beside]
     share = float(abs(value) / scale)
     slope = (other - value) / ((beside - fraction) * piece.length)
-    # To the zero, and the same distance again, because of the curvature.
-    off = abs(2.0 * point.tangent[-1] * value / slope) if slope else np.inf
-    error = off + _error(corrector, point)
-    return Located(point, fraction, share, share <= _NOT_ZERO, float(slope), float(error))
+    error = zero_error(corrector, point, value, slope)
+    return Located(point, fraction, share, share <= _NOT_ZERO, float(slope), error)
 
 
 def _error(corrector: Corrector, point: Point) -> float:
     """The error of p after Newton's method."""
     return (point.last_step + 8.0 * corrector.rounding(point)) / float(corrector.weights[-1])
+
+
+def zero_error(corrector: Corrector, point: Point, value: float, slope: float) -> float:
+    """The error of p of a point as the zero of a test that has this value and slope there.
+
+    It is twice the distance to the zero, because of the curvature, and that of Newton's method.
+    """
+    off = abs(2.0 * point.tangent[-1] * value / slope) if slope else np.inf
+    return float(off + _error(corrector, point))
 
 
 def polish(

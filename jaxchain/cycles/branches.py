@@ -37,7 +37,7 @@ from ..continuation.branch import (
     special_variables,
 )
 from ..continuation.corrector import Corrector
-from ..continuation.special_points import Located, Test, polish
+from ..continuation.special_points import Located, Test, polish, zero_error
 from ..model.arguments import as_mass
 from ..model.chain import Chain, require_smoothed
 from ..model.oscillators import AbstractOscillators
@@ -82,8 +82,8 @@ _UNIT = 1e-5
 _SUBGROUPS = "it is the index of one of `point.symmetries`."
 # Cycles that are integrated at once, in a sixth of the time.
 _TOGETHER = 8
-# Arclength for the slope of a test.
-_PROBE = 1e-4
+# Arclength for the slope of a test; the error of a point where no better one can be solved.
+_PROBE, _LOOSE = 1e-4, 1e-6
 
 
 @final
@@ -167,10 +167,12 @@ def refined(
 def _located(
     corrector: Corrector, raw: SpecialPoint, tests: Mapping[str, Test]
 ) -> SpecialPoint | None:
-    start = corrector(np.append(raw.u, raw.p), raw.tangent)
+    z, loose = np.append(raw.u, raw.p), corrector.loose(np.append(raw.u, raw.p), _LOOSE)
+    start = corrector(z, raw.tangent) or loose(z, raw.tangent)
     if start is None:
         return None
-    beside = corrector(start.z + _PROBE * start.tangent, start.tangent, start)
+    z = start.z + _PROBE * start.tangent
+    beside = corrector(z, start.tangent, start) or loose(z, start.tangent, start)
     if beside is None:
         return None
 
@@ -183,7 +185,8 @@ def _located(
         return float(tests[raw.kind](point.u, point.p, point.tangent, point.extra))
 
     slope = (test(beside) - test(start)) / _PROBE
-    located = polish(corrector, Located(start, 0.0, 1.0, True, slope, np.inf), test, 0.1)
+    error = zero_error(corrector, start, test(start), slope)
+    located = polish(corrector, Located(start, 0.0, 1.0, True, slope, error), test, 0.1)
     numbers = {
         name: getattr(located.point, name) for name in ("u", "p", "tangent", "extra", "residual")
     }

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax import lax
 from systems.normal_forms import (
     bratu,
     circle,
@@ -143,6 +144,22 @@ def test_along_the_crossing_branch_its_extremum_is_the_branch_point():
     assert [point.kind for point in branch.special] == ["branch point"]
     np.testing.assert_allclose(branch.special[0].p, 0.0, atol=1e-8)
     assert branch.u[-1, 0] < -1.0
+
+
+@pytest.mark.parametrize("step", [0.02, 0.05, 0.08])
+def test_errors_of_the_residual_do_not_end_a_branch_where_another_crosses(step):
+    def rough(u, p, args):
+        noise = args * jnp.sin(1e10 * (u + 2.0 * p))
+        exact = jnp.stack([u[0] * (p - 1.2 - u[0] ** 2), u[1] - jnp.sin(p) - u[0]])
+        return exact + lax.stop_gradient(noise)
+
+    start, size = [0.3, np.sin(1.29) + 0.3], jnp.array(1e-12)
+    how = {"direction": -1, "step": step, "max_step": 0.1, "max_points": 40, "tolerance": 1e-9}
+    branch = continue_branch(rough, start, 1.29, size, **how)
+    assert branch.u[-1, 0] < -0.3
+    (point,) = branch.special
+    assert point.kind == "branch point"
+    assert abs(point.p - 1.2) <= point.error < 1e-5
 
 
 @pytest.mark.parametrize(
