@@ -8,10 +8,10 @@ true dry friction, and beside each fold the grazing at which dry cycles fold; up
 friction from eq. (8), as in Fig. 3(b) of the paper.
 
 A branch ends where it closes, where it meets a branch of more symmetric cycles, beyond which it is
-its own mirror image, at a Hopf point, or at the end of the range.  It is named after Taylor and
-Dawes, Snaking and isolas of localised states in bistable discrete lattices (2010): an isola is
-closed; along a snake the number of vibrating masses changes at folds; in a stack each number has a
-branch of its own.
+its own mirror image, at a Hopf point, where it fills the ring, or at the end of the range.  It is
+named after Taylor and Dawes, Snaking and isolas of localised states in bistable discrete lattices
+(2010): an isola is closed; along a snake the number of vibrating masses changes at folds; in a
+stack each number has a branch of its own.
 
 Prints for each branch its name, its symmetry and belt speeds, how many masses vibrate, where it is
 stable, by how much its orbits fail to close when they are integrated ten times finer, how both
@@ -53,6 +53,7 @@ START, WINDOW, RTOL, FINE_RTOL = 1.5, 100.0, 1e-12, 1e-13
 HOW = {"bounds": (1.1, 1.9), "tolerance": 1e-10, "min_step": 1e-11}  # branches are followed
 NEAR = 0.02  # amplitudes of a dry cycle and the smoothed one
 BESIDE = 8.0  # belt speeds of a fold and a grazing, in widths; smoothing moves it by some five
+FILLS = "fills the ring"
 DRY = (1, 2, 3)  # k of which dry cycles are found, too
 PATTERNS = {"in-phase": BLUE, "alternating": "black", "calmest": GREEN}
 NAMES = {"snake": "s", "isola": "o", "stack": "_", "not named": "x"}
@@ -84,6 +85,8 @@ def own(branch):
     """The branch up to where it meets one of more symmetric cycles, beyond which it is its own
     mirror image or the other branch; `end` says how it ends."""
     last, end = branch.parameter.size - 1, f"{branch.ended} at {branch.parameter[-1]:.6f}"
+    if FILLS in branch.message:
+        end = end.replace(branch.ended, FILLS)
     if hopf := branch.of_kind("hopf"):
         end = f"Hopf point at {hopf[-1].parameter:.6f}"
 
@@ -92,9 +95,12 @@ def own(branch):
         label = cycle_symmetry(at, tuple(state), period, **tolerance).label
         return label if label != branch.symmetry else None
 
-    for p in branch.of_kind("branch point"):
-        if label := more(p.parameter, p.state, p.period, tolerance=1e-4):
-            last, end = p.index, f"meets {label} at {p.parameter:.6f}"
+    met = [(p.index, p.parameter, p.state, p.period) for p in branch.of_kind("branch point")]
+    if branch.ended == "step_too_small":  # the equations are singular where branches meet
+        met.append((last, branch.parameter[-1], [x[-1] for x in branch.state], branch.period[-1]))
+    for index, *cycle in met:
+        if label := more(*cycle, tolerance=1e-4):
+            last, end = index, f"meets {label} at {cycle[0]:.6f}"
             break
     low, high = 0, last + 1  # the first cycle with more symmetry is in (low, high]
     while high - low > 1:
@@ -107,6 +113,11 @@ def own(branch):
             low = i
     data = branch.to_dataset().isel(point=slice(high))
     return data.isel(special=data.special_index.values < high).assign_attrs(end=end)
+
+
+def fills(speed, at):
+    """Ends a branch where all masses vibrate: from there on nothing is localized."""
+    return FILLS if np.all(jc.active(at.amplitude, speed)) else False
 
 
 def leaving(branch, points):
@@ -131,6 +142,7 @@ def follow(k, points, switched, **numbers):
         print(f"k = {k}, {name}: {'' if cycle.successful else 'no '}cycle found", flush=True)
         if cycle.successful:
             more = {"images": cycle_symmetry(cycle), "rtol": RTOL, "max_points": points, **HOW}
+            more["stop"] = fills if k < model.chain.n else None
             ways = [jc.continue_cycle(cycle, direction=way, **more) for way in (1, -1)]
             found[name] = [own(way) for way in ways]
             for way in ways if switched else ():

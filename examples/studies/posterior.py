@@ -1,0 +1,125 @@
+"""Which friction does a record allow?  Samples of the posterior, and whether they are right.
+
+The displacement of one mass of dry friction in its limit cycle, with noise, determines its dynamic
+coefficient of friction and its reference speed.  NUTS of numpyro samples both, and the phase at
+the first time, from `log_likelihood`.  The samples are right if, over many made-up records whose
+truths are drawn from the prior, the rank of the truth among the samples is uniform (Talts et al.,
+Validating Bayesian inference algorithms with simulation-based calibration, 2018).
+
+Prints the p-value of uniform ranks for each number, and how many samples diverged; draws the ranks
+and the posterior of the first record with the interval of `identify`.  Needs numpyro, as
+`pip install '.[inference]'`.  Some ten minutes on two cores:
+
+    python examples/studies/posterior.py
+"""
+
+import time
+
+import jax
+import jax.numpy as jnp
+import matplotlib.pyplot as plt
+import numpy as np
+import numpyro
+from _common import BLUE, GREY, VERMILION, kept, letters, options
+from numpyro import distributions as dist
+from numpyro.infer import MCMC, NUTS, init_to_value
+from scipy.stats import chisquare
+
+import jaxchain as jc
+from jaxchain.inverse import Signal, identify, log_likelihood, predict
+from jaxchain.plotting import save_figure
+
+FULL = {"records": 100, "warmup": 150, "samples": 200, "depth": 5}
+QUICK = {"records": 2, "warmup": 3, "samples": 20, "depth": 1}
+THIN, BINS = 10, 7  # neighbouring samples are not independent
+NOISE, TIMES = 0.02, 0.5 * np.arange(40.0)
+LOW, HIGH = np.array([0.40, 0.45, 0.2]), np.array([0.60, 0.65, 0.8])  # of the prior
+NAMES = (
+    r"dynamic coefficient $\mu_d$ (–)",
+    r"reference speed $\tilde v_0$ (–)",
+    "phase (periods)",
+)
+
+
+def change(chain, theta):
+    return chain.with_(mu_dynamic=theta[0], v_ref=theta[1])
+
+
+def with_numbers(theta):
+    return change(jc.paper_chain(1, 1.2, width=None), theta)
+
+
+def record(values):
+    return Signal(TIMES, values, NOISE)
+
+
+def model(values):
+    theta = numpyro.sample("theta", dist.Uniform(LOW, HIGH).to_event(1))
+    fit = log_likelihood(with_numbers(theta), record(values), phase=theta[2])
+    numpyro.factor("signal", fit)
+
+
+def sampler(warmup, samples, depth):
+    """A function of (key, values, where to start): samples of (3,), and which diverged."""
+
+    @jax.jit
+    @jax.vmap
+    def run(key, values, start):
+        kernel = NUTS(
+            model, dense_mass=True, max_tree_depth=depth, forward_mode_differentiation=True,
+            init_strategy=init_to_value(values={"theta": start}),
+        )  # fmt: skip
+        chains = MCMC(kernel, num_warmup=warmup, num_samples=samples, progress_bar=False)
+        chains.run(key, values)
+        return chains.get_samples()["theta"], chains.get_extra_fields()["diverging"]
+
+    return run
+
+
+def study(records, **numbers):
+    """(truths, values, samples, which diverged, seconds) of made-up records."""
+    keys = jax.random.split(jax.random.key(1), 3)
+    truths = jax.random.uniform(keys[0], (records, 3), minval=LOW, maxval=HIGH)
+    exact = jax.vmap(lambda t: predict(with_numbers(t), record(0.0 * TIMES), phase=t[2]))(truths)
+    values = exact + NOISE * jax.random.normal(keys[1], exact.shape)
+    start = time.perf_counter()
+    found = sampler(**numbers)(jax.random.split(keys[2], records), values, truths)
+    found = jax.tree.map(np.asarray, (truths, values, *found))
+    return *found, time.perf_counter() - start
+
+
+def main():
+    quick, folder = options(__file__, __doc__)
+    s = QUICK if quick else FULL
+    truths, values, samples, diverged, seconds = kept(
+        folder / "samples.pickle", s, lambda: study(**s)
+    )
+    print(f"{len(truths)} records in {seconds:.0f} s, {diverged.mean():.2%} of samples diverged")
+    few = samples[:, ::THIN]
+    ranks = (few < truths[:, None]).sum(axis=1)
+    edges = np.linspace(-0.5, few.shape[1] + 0.5, BINS + 1)
+    guess = jnp.asarray(truths[0, :2])
+    found = identify(with_numbers(guess), change, guess, record(values[0]))
+    low, high = found.interval()
+    page, panels = plt.subplots(2, 3, figsize=(7.0, 4.0))
+    expected = len(ranks) / BINS
+    usual = expected + 2 * np.sqrt(expected) * np.array([-1, 1])
+    for i, name in enumerate(NAMES):
+        counts, _ = np.histogram(ranks[:, i], edges)
+        print(f"{name}: ranks {counts}, p = {chisquare(counts).pvalue:.2f}")
+        above, below = panels[:, i]
+        above.bar(range(1, BINS + 1), counts, color=BLUE, width=0.9)
+        above.axhline(expected, color=GREY)
+        above.axhspan(*usual, color=GREY, alpha=0.3)
+        above.set(xlabel="rank of the truth (seventh)", ylabel="records", title=name)
+        below.hist(samples[0, :, i], 20, color=BLUE)
+        below.axvline(truths[0, i], color=VERMILION)
+        if i < 2:
+            below.axvspan(float(low[i]), float(high[i]), color=GREY, alpha=0.3)
+        below.set(xlabel=name, ylabel="samples")
+    letters(panels)
+    save_figure(page, folder / "posterior")
+
+
+if __name__ == "__main__":
+    main()
