@@ -51,6 +51,7 @@ QUICK = FULL | {
 }  # fmt: skip
 START, WINDOW, RTOL, FINE_RTOL = 1.5, 100.0, 1e-12, 1e-13
 HOW = {"bounds": (1.1, 1.9), "tolerance": 1e-10, "min_step": 1e-11}  # branches are followed
+ROUGHLY = {"rtol": 10 * RTOL, "tolerance": 1e-9, "min_step": 1e-8}  # past bends too sharp for that
 NEAR = 0.02  # amplitudes of a dry cycle and the smoothed one
 BESIDE = 8.0  # belt speeds of a fold and a grazing, in widths; smoothing moves it by some five
 FILLS = "fills the ring"
@@ -145,6 +146,11 @@ def follow(k, points, switched, **numbers):
             more["stop"] = fills if k < model.chain.n else None
             ways = [jc.continue_cycle(cycle, direction=way, **more) for way in (1, -1)]
             found[name] = [own(way) for way in ways]
+            for i in (0, 1):
+                if "step_too_small" in found[name][i].end:
+                    more |= {"direction": (1, -1)[i], **ROUGHLY}
+                    ways[i] = jc.continue_cycle(cycle, **more)
+                    found[name][i] = own(ways[i])
             for way in ways if switched else ():
                 found |= {f"{name}, {to}": branch for to, branch in leaving(way, points)}
     return found

@@ -108,14 +108,14 @@ def main():
         counts, _ = np.histogram(ranks[:, i], edges)
         print(f"{name}: ranks {counts}, p = {chisquare(counts).pvalue:.2f}")
         above, below = panels[:, i]
-        above.bar(range(1, BINS + 1), counts, color=BLUE, width=0.9)
+        above.bar(range(1, BINS + 1), counts, color=BLUE, width=0.8)
         above.axhline(expected, color=GREY)
-        above.axhspan(*usual, color=GREY, alpha=0.3)
-        above.set(xlabel="rank of the truth (seventh)", ylabel="records", title=name)
+        above.axhspan(*usual, color=GREY, alpha=0.3, zorder=0)
+        above.set(xlabel=f"seventh of the ranks\n{name}", ylabel="records")
         below.hist(samples[0, :, i], 20, color=BLUE)
         below.axvline(truths[0, i], color=VERMILION)
         if i < 2:
-            below.axvspan(float(low[i]), float(high[i]), color=GREY, alpha=0.3)
+            below.axvspan(float(low[i]), float(high[i]), color=GREY, alpha=0.3, zorder=0)
         below.set(xlabel=name, ylabel="samples")
     letters(panels)
     save_figure(page, folder / "posterior")
