@@ -147,7 +147,7 @@ def follow(k, points, switched, **numbers):
             ways = [jc.continue_cycle(cycle, direction=way, **more) for way in (1, -1)]
             found[name] = [own(way) for way in ways]
             for i in (0, 1):
-                if "step_too_small" in found[name][i].end:
+                if "step_too_small" in found[name][i].attrs["end"]:
                     more |= {"direction": (1, -1)[i], **ROUGHLY}
                     ways[i] = jc.continue_cycle(cycle, **more)
                     found[name][i] = own(ways[i])

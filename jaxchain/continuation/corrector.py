@@ -260,11 +260,11 @@ class Corrector:
         tight.tolerance = min(self.tolerance, _SHARP)
         return tight
 
-    def loose(self, z: np.ndarray, length: float) -> "Corrector":
-        """This corrector for points near z with an error of `length`."""
-        rough = copy(self)
-        rough.tolerance = max(self.tolerance, length / (1.0 + self.norm(z)))
-        return rough
+    def rough(self, z: np.ndarray, length: float) -> "Corrector":
+        """This corrector for points near z whose error may be as great as `length`."""
+        other = copy(self)
+        other.tolerance = max(self.tolerance, length / (1.0 + self.norm(z)))
+        return other
 
     def rounding(self, point: Point) -> float:
         """The rounding error of the numbers of a point, as a length."""

@@ -69,12 +69,15 @@ def segment(corrector: Corrector, left: Point, right: Point) -> Segment:
     return Segment(left, right, corrector.norm(right.z - left.z) * (1.0 + turn**2 / 24.0))
 
 
-def point_at(corrector: Corrector, piece: Segment, fraction: float) -> Point | None:
-    """The point of the branch on the plane normal to the cubic at `fraction`, solved sharply."""
+def point_at(piece: Segment, fraction: float, *searches: Corrector) -> Point | None:
+    """The point of the branch on the plane normal to the cubic at `fraction`.
+
+    It is that of the first search that finds one.
+    """
     guess, slope = piece.at(fraction)
     near = piece.left if fraction < 0.5 else piece.right
-    point = corrector.sharp(guess, slope, near, radius=piece.length)
-    return corrector(guess, slope, near, radius=piece.length) if point is None else point
+    found = (search(guess, slope, near, radius=piece.length) for search in searches)
+    return next((point for point in found if point is not None), None)
 
 
 def slope_noise(corrector: Corrector, point: Point) -> float:
@@ -101,7 +104,8 @@ def locate(corrector: Corrector, piece: Segment, test: Callable[[Point], float])
     """
     tried = {0.0: (piece.left, test(piece.left)), 1.0: (piece.right, test(piece.right))}
     scale = max(abs(value) for _, value in tried.values())
-    loosely, loose = False, corrector.loose(piece.left.z, _LOOSE * piece.length)
+    exact, loosely = (corrector.sharp, corrector), False
+    rough = corrector.rough(piece.left.z, _LOOSE * piece.length)
 
     def value_at(fraction: float) -> float:
         nonlocal loosely
@@ -109,12 +113,12 @@ def locate(corrector: Corrector, piece: Segment, test: Callable[[Point], float])
             best = min(abs(value) for _, value in tried.values())
             if len(tried) > _PATIENCE and best > _JUMP * scale:
                 raise ArithmeticError
-            # At a double eigenvalue derivatives are infinite, but not beside it.
-            trials = [(loose, 0.0)] if loosely else [(corrector, 0.0), (corrector, _BESIDE)]
-            points = (point_at(search, piece, fraction + beside) for search, beside in trials)
-            point = next((point for point in points if point is not None), None)
-            if point is None and not loosely:
-                loosely, point = True, point_at(loose, piece, fraction)
+            point = None
+            if not loosely:  # at a double eigenvalue derivatives are infinite, but not beside it
+                beside = (point_at(piece, x, *exact) for x in (fraction, fraction + _BESIDE))
+                point = next((point for point in beside if point is not None), None)
+            if point is None:
+                loosely, point = True, point_at(piece, fraction, rough)
             if point is None:
                 raise ArithmeticError
             tried[fraction] = (point, test(point))
@@ -218,7 +222,7 @@ def dips(corrector: Corrector, piece: Segment, doubt: float = 0.0, depth: int = 
     predicted = abs(a) + where * d + where**2 * e
     if predicted - doubt >= 0.5 * least:
         return []
-    middle = point_at(corrector, piece, where)
+    middle = point_at(piece, where, corrector.sharp, corrector)
     if middle is None:
         return []
     doubt = abs(sign * middle.tangent[-1] - predicted)

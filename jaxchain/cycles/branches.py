@@ -83,7 +83,7 @@ _SUBGROUPS = "it is the index of one of `point.symmetries`."
 # Cycles that are integrated at once, in a sixth of the time.
 _TOGETHER = 8
 # Arclength for the slope of a test; the error of a point where no better one can be solved.
-_PROBE, _LOOSE = 1e-4, 1e-6
+_PROBE, _ROUGH = 1e-4, 1e-6
 
 
 @final
@@ -167,12 +167,13 @@ def refined(
 def _located(
     corrector: Corrector, raw: SpecialPoint, tests: Mapping[str, Test]
 ) -> SpecialPoint | None:
-    z, loose = np.append(raw.u, raw.p), corrector.loose(np.append(raw.u, raw.p), _LOOSE)
-    start = corrector(z, raw.tangent) or loose(z, raw.tangent)
+    z = np.append(raw.u, raw.p)
+    rough = corrector.rough(z, _ROUGH)
+    start = corrector(z, raw.tangent) or rough(z, raw.tangent)
     if start is None:
         return None
     z = start.z + _PROBE * start.tangent
-    beside = corrector(z, start.tangent, start) or loose(z, start.tangent, start)
+    beside = corrector(z, start.tangent, start) or rough(z, start.tangent, start)
     if beside is None:
         return None
 
