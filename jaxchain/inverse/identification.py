@@ -214,7 +214,9 @@ class _FitProblem(eqx.Module):
 class Profile(Printed, eqx.Module):
     """How well a number of theta fits, whatever the others are.
 
-    - `values` of the number, and `chi_squared` of the best fit with each, shape (k,).
+    - `values` of the number, and `chi_squared` of the best fit with each, shape (k,); NaN where
+      none was found.
+    - `least`: the chi^2 of the best fit of all.
     - `low`, `high`: the interval in which chi^2 exceeds its least value by less than the quantile
       of `confidence`; infinite where it does not end among the values.
 
@@ -223,6 +225,7 @@ class Profile(Printed, eqx.Module):
 
     values: Float[Array, " k"]
     chi_squared: Float[Array, " k"]
+    least: Float[Array, ""]
     low: Float[Array, ""]
     high: Float[Array, ""]
     confidence: Float[Array, ""]
@@ -320,7 +323,7 @@ def _profile(
     least, most = rise[0], jnp.max(jnp.where(there, root, -jnp.inf))
     low = jnp.where(least <= -limit, jnp.interp(-limit, rise, x), -jnp.inf)
     high = jnp.where(most >= limit, jnp.interp(limit, rise, x), jnp.inf)
-    return Profile(values, chi, low, high, confidence)
+    return Profile(values, chi, found.chi_squared, low, high, confidence)
 
 
 @eqx.filter_jit

@@ -2,6 +2,7 @@
 
 - `branches`: a branch with its stability and its special points
 - `diagram`: what a bifurcation diagram shows beside its points
+- `fits`: the profile likelihood of a fitted number
 - `groups`: which datasets of a scene are the same sweep, smoothed and dry
 - `model`: the chain on its belt, and the friction law, as drawings
 - `motions`: a run over time, in the phase plane, and as a film

@@ -1,5 +1,6 @@
 from .branches import plot_branch as plot_branch
 from .branches import plot_special_curves as plot_special_curves
+from .fits import plot_profile as plot_profile
 from .model import draw_friction as draw_friction
 from .model import draw_mechanism as draw_mechanism
 from .model import draw_model as draw_model

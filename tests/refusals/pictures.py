@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from synthetic import cycle_branch, ladder, special_curve
 
 from jaxchain import plotting
+from jaxchain.inverse import Profile
 from jaxchain.model import paper_chain
 
 from .runs import SOLVERS
@@ -94,6 +95,10 @@ def _plots() -> Iterator[Row]:
     yield Row("plot_space_time", plotting.plot_space_time, film, bad)
     bad = {**every, "friction": (*A_CHAIN, None), "reach": optional(POSITIVE)}
     yield Row("plot_friction_law", plotting.plot_friction_law, {"friction": CHAIN}, bad)
+    bad = {"profile": (None, "x", {}, 3.0), "name": (None, 3), "ax": axes}
+    parts = map(jnp.asarray, (TIMES, (TIMES - 1.0) ** 2, 0.0, 0.0, 2.0, 0.68))
+    good = {"profile": Profile(*parts), "name": "$v_0$"}
+    yield Row("plot_profile", plotting.plot_profile, good, bad)
     runs = ladder()
     words = (3, "nonsense", ["a"])
     bad = {
