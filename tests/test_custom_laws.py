@@ -1,5 +1,6 @@
 """A law of seven lines does what a law of this package does: the same numbers, by other text."""
 
+import json
 from typing import Any
 
 import equinox as eqx
@@ -12,9 +13,11 @@ from jaxchain.boundaries.fold import fold_belt_speed
 from jaxchain.boundaries.grazing import dry_fold_belt_speed
 from jaxchain.boundaries.hopf import hopf_belt_speed
 from jaxchain.boundaries.hopf_scan import hopf_points
+from jaxchain.cycles.averaging import dry_summits, one_mass
 from jaxchain.model.chain import Chain, paper_chain
 from jaxchain.model.friction import AbstractFrictionLaw, TanhFriction
 from jaxchain.model.initial_states import equation_8
+from jaxchain.observers.amplitude import Amplitude
 from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.simulation.run import simulate
 from jaxchain.sweeps.sweeping import sweep
@@ -32,6 +35,26 @@ class Own(AbstractFrictionLaw):
 NUMBERS = {
     "damping_ratio": 0.05, "mu_static": 1.0, "mu_dynamic": 0.5, "v_ref": 0.5, "width": 1e-3,
 }  # fmt: skip
+
+
+class Neural(AbstractFrictionLaw):
+    mu_static: jax.Array
+    net: eqx.nn.MLP
+
+    def coefficient(self, speed: Any) -> Any:
+        return self.mu_static + jnp.vectorize(self.net)(speed) - self.net(jnp.zeros(()))
+
+
+BIASES = [2.0, -2.0]
+
+
+def network():
+    """Two hidden units that together are the paper's 0.5 + 0.5 exp(-s / 0.5)."""
+    net = eqx.nn.MLP("scalar", "scalar", 2, 1, activation=jnp.exp, key=jax.random.key(0))
+    numbers = [[-2.0], [-2.0]], BIASES, [[0.2 * np.exp(-2.0), 0.3 * np.exp(2.0)]], [0.5]
+    arrays, functions = eqx.partition(net, eqx.is_array)
+    shaped = jax.tree.unflatten(jax.tree.structure(arrays), map(jnp.asarray, numbers))
+    return Neural(jnp.asarray(1.0), eqx.combine(shaped, functions))
 
 
 def chain_of_run(n=1, belt_speed=1.0):
@@ -106,3 +129,27 @@ def test_one_program_for_all_numbers_of_the_law():
         found = speed(Chain(1, TanhFriction(law, 1e-3), 1.0))
         np.testing.assert_allclose(found, 0.5 * np.log((mu_static - 0.5) / 0.05), rtol=1e-12)
     assert len(traced) == 1
+
+
+@pytest.mark.parametrize("width", [None, 1e-2])
+def test_a_neural_network_is_a_law(width):
+    paper = paper_chain(3, 1.5, width)
+    law = network() if width is None else TanhFriction(network(), width)
+    own = paper.with_(friction=law)
+    one, other = (
+        simulate(chain, equation_8(chain, 2), 20.0, observe=Amplitude(window=10.0)).observed
+        for chain in (own, paper)
+    )
+    agree(one, other, 1e-7)
+    agree(hopf_belt_speed(own), hopf_belt_speed(paper))
+    agree(*(dry_summits(one_mass(chain, 0)) for chain in (own, paper)))
+    alone, of_paper = (chain.with_(n=1, coupling=None) for chain in (own, paper))
+    agree(fold_belt_speed(alone), fold_belt_speed(of_paper), 1e-9)
+    agree(hopf_points(own, (0.5, 3.0)).belt_speed, hopf_points(paper, (0.5, 3.0)).belt_speed)
+
+
+def test_runs_say_the_weights_of_a_network():
+    chain = paper_chain(2, 1.5, 1e-2).with_(friction=TanhFriction(network(), 1e-2))
+    runs = sweep(chain, equation_8, 5.0, over={"excited": [1, 2]}, observe=Amplitude(window=2.0))
+    weights, biases, *_ = json.loads(runs.attrs["parameters"])["net"]
+    assert (weights, biases) == ([[-2.0], [-2.0]], BIASES)

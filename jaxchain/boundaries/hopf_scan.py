@@ -52,7 +52,7 @@ from ..continuation.damped_newton import linearised, newton, solve
 from ..continuation.implicit import attach_derivative
 from ..cycles.limit_cycle import Guess
 from ..model.arguments import as_chain, as_mass
-from ..model.chain import Chain, steady_sliding
+from ..model.chain import Chain, map_numbers, steady_sliding
 from ..model.initial_states import check_mass
 from ..model.parameters import CHAIN
 from ..model.sliding import (
@@ -598,7 +598,7 @@ def _simplified(chain: Chain) -> Chain:
             return value
         return value[0]
 
-    chain = jax.tree.map(one, chain)
+    chain = map_numbers(one, chain)
     if chain.coupling is not None and (chain.n == 1 or not bool(jnp.any(chain.coupling))):
         chain = chain.with_(coupling=None)
     return chain

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 
 from .._types import ScalarLike
 from ..continuation.bracket import bisect
-from ..model.chain import Chain
+from ..model.chain import Chain, map_numbers
 
 _NODES, _SPEEDS, _HALVINGS = 32, 64, 24
 _GRADING = 0.9
@@ -49,7 +49,7 @@ def one_mass(chain: Chain, mass: int) -> Chain:
         return value[mass] if jnp.ndim(value) == 1 else value  # a table is of two dimensions
 
     held = chain.with_(stiffness=chain.stiffness_diagonal(chain.n), coupling=None)
-    return jax.tree.map(of_mass, held).with_(n=1)
+    return map_numbers(of_mass, held).with_(n=1)
 
 
 def gain(chain: Chain, ratio: ScalarLike, belt_speed: ScalarLike) -> Float[Array, ""]:

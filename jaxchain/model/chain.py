@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from typing import Any, get_args
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -258,6 +260,19 @@ def _number(name: str, value: Any) -> Array:
             stacklevel=4,
         )
     return array
+
+
+def map_numbers(change: Callable[[Any], Any], part: Any) -> Any:
+    """A chain, or parts of one, with change(number) for each number, of all masses or one each.
+
+    The weights of a neural network in a friction law are no such numbers.
+    """
+    own = Chain | AbstractFriction | Springs
+
+    def foreign(inner: Any) -> bool:
+        return isinstance(inner, eqx.Module) and not isinstance(inner, own)
+
+    return jax.tree.map(lambda a: a if foreign(a) else change(a), part, is_leaf=foreign)
 
 
 def require_smoothed(chain: Any, instead: str) -> None:

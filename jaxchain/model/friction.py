@@ -239,7 +239,7 @@ class AbstractFrictionLaw(AbstractFriction):
     def __check_init__(self) -> None:
         # The laws of this module need no check beyond that of their numbers.
         if type(self).__module__ != __name__ and not is_traced(self):
-            per_mass = any(jnp.ndim(number) for number in self.numbers().values())
+            per_mass = any(np.ndim(number) for number in self.numbers().values())
             mu = jax.vmap(self.coefficient) if per_mass else self.coefficient
             check_curve(type(self).__name__, mu, self.mu_static)
 
@@ -398,6 +398,8 @@ class Coulomb(AbstractFrictionLaw):
 def as_law(law: Any) -> AbstractFrictionLaw:
     """`law` with JAX arrays for all numbers: Python numbers have no tangents and are compiled in.
 
+    A function in it, such as the activation of a neural network, becomes part of its structure.
+
     **Raises:** `ValueError` for anything but an `AbstractFrictionLaw`, and for a field with the
     name of a number of the chain.
     """
@@ -414,6 +416,8 @@ def as_law(law: Any) -> AbstractFrictionLaw:
     kinds = (int, float, np.number, np.ndarray, jax.Array)
 
     def converted(leaf: Any) -> Any:
+        if callable(leaf):
+            return jax.tree_util.Partial(leaf)
         number = isinstance(leaf, kinds) and jnp.issubdtype(jnp.result_type(leaf), jnp.number)
         return to_float(leaf) if number else leaf
 

@@ -58,7 +58,12 @@ def parameters_of(field: AbstractField, n: int, swept: Sequence[str]) -> str:
     plain = {
         k: np.asarray(v).tolist() if hasattr(v, "shape") else v for k, v in parameters.items()
     }
-    return json.dumps(plain | {name: "swept" for name in swept if name in parameters})
+
+    def leaves(part: Any) -> list[Any]:  # of a law that holds a neural network
+        return [np.asarray(leaf).tolist() for leaf in jax.tree.leaves(part)]
+
+    plain |= {name: "swept" for name in swept if name in parameters}
+    return json.dumps(plain, default=leaves)
 
 
 def chain_of(parameters: Mapping[str, Any]) -> Chain | None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import matplotlib
 import numpy as np
@@ -14,7 +13,7 @@ from matplotlib.patches import FancyArrowPatch, FancyBboxPatch, Rectangle
 
 from .._checks import check_kind, check_positive_number, check_whole, shown
 from ..model.arguments import as_chain
-from ..model.chain import Chain, paper_chain
+from ..model.chain import Chain, map_numbers, paper_chain
 from ..model.friction import AbstractFriction, TanhFriction
 from ..model.parameters import SPEED
 from ..model.units import Scales
@@ -438,4 +437,4 @@ def _draw_layer(axes: Axes, friction: TanhFriction, width: float, static: float)
 
 def first_mass(parameters: Any) -> Any:
     """The numbers of mass 1, if they differ between masses."""
-    return jax.tree.map(lambda a: a[0] if jnp.ndim(a) == 1 else a, parameters)
+    return map_numbers(lambda a: a[0] if np.ndim(a) == 1 else a, parameters)
