@@ -203,17 +203,20 @@ def test_it_stays_on_its_sheet(gap):
 
 
 def test_bratu_converges_to_the_known_fold_with_second_order():
-    known, errors, counts = 3.513830719, [], []
+    known, errors, branches = 3.513830719, [], []
     for m in (19, 39):
         branch = continue_branch(
             bratu, np.zeros(m), 0.0, np.ones(m), bounds=(-1, 4), max_points=30
         )
         errors.append(fold_values(branch)[0] - known)
-        counts.append(branch.counts)
+        branches.append(branch)
     np.testing.assert_allclose(errors[0] / errors[1], 4.0, rtol=5e-3)
     assert abs((4 * errors[1] - errors[0]) / 3) < 1e-6
-    # Steps do not know how fine the mesh is.
-    assert counts[0].solves == counts[1].solves
+    # Steps do not know how fine the mesh is.  How often Newton's method evaluates depends on how a
+    # processor rounds.
+    coarse, fine = branches
+    assert coarse.counts.rejected == fine.counts.rejected
+    np.testing.assert_allclose(coarse.p, fine.p, rtol=3e-3)
 
 
 def test_rows_of_very_different_scale_change_nothing():
@@ -223,7 +226,9 @@ def test_rows_of_very_different_scale_change_nothing():
         continue_branch(bratu, np.zeros(m), 0.0, r, bounds=(-1, 4), max_points=30)
         for r in (np.ones(m), rows)
     )
-    assert scaled.counts == plain.counts
+    assert scaled.counts.rejected == plain.counts.rejected
+    assert abs(scaled.counts.values - plain.counts.values) <= 2  # a processor may round otherwise
+    np.testing.assert_allclose(scaled.p, plain.p, rtol=1e-9)
     np.testing.assert_allclose(scaled.u, plain.u, rtol=1e-9, atol=1e-12)
 
 
