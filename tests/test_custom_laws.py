@@ -142,7 +142,7 @@ def test_a_neural_network_is_a_law(width):
     )
     agree(one, other, 1e-7)
     agree(hopf_belt_speed(own), hopf_belt_speed(paper))
-    agree(*(dry_summits(one_mass(chain, 0)) for chain in (own, paper)))
+    agree(dry_summits(one_mass(own, 0)), dry_summits(one_mass(paper, 0)))
     alone, of_paper = (chain.with_(n=1, coupling=None) for chain in (own, paper))
     agree(fold_belt_speed(alone), fold_belt_speed(of_paper), 1e-9)
     agree(hopf_points(own, (0.5, 3.0)).belt_speed, hopf_points(paper, (0.5, 3.0)).belt_speed)
