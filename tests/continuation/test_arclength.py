@@ -216,6 +216,7 @@ def test_bratu_converges_to_the_known_fold_with_second_order():
     # processor rounds.
     coarse, fine = branches
     assert coarse.counts.rejected == fine.counts.rejected
+    assert abs(coarse.counts.solves - fine.counts.solves) <= 2
     np.testing.assert_allclose(coarse.p, fine.p, rtol=3e-3)
 
 
@@ -227,7 +228,8 @@ def test_rows_of_very_different_scale_change_nothing():
         for r in (np.ones(m), rows)
     )
     assert scaled.counts.rejected == plain.counts.rejected
-    assert abs(scaled.counts.values - plain.counts.values) <= 2  # a processor may round otherwise
+    for name in ("values", "jacobians", "solves"):  # a processor may round otherwise
+        assert abs(getattr(scaled.counts, name) - getattr(plain.counts, name)) <= 2
     np.testing.assert_allclose(scaled.p, plain.p, rtol=1e-9)
     np.testing.assert_allclose(scaled.u, plain.u, rtol=1e-9, atol=1e-12)
 
