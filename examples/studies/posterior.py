@@ -10,7 +10,7 @@ calibration, 2018).
 
 Prints the p-value of uniform ranks for each number, and how many samples diverged; draws the ranks
 and the posterior of the first record with the interval of `identify`.  Needs numpyro, as
-`pip install '.[inference]'`.  Half an hour on two loaded cores:
+`pip install '.[inference]'`.  An hour beside other programs:
 
     python examples/studies/posterior.py
 """
