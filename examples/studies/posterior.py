@@ -8,13 +8,16 @@ over many made-up records whose truths are drawn from the prior, the rank of the
 samples is uniform (Talts et al., Validating Bayesian inference algorithms with simulation-based
 calibration, 2018).
 
-Prints the p-value of uniform ranks for each number, and how many samples diverged; draws the ranks
-and the posterior of the first record with the interval of `identify`.  Needs numpyro, as
-`pip install '.[inference]'`.  An hour beside other programs:
+Prints the p-value of uniform ranks for each number, and how many samples diverged; of four long
+chains for the first record, how many diverged, split R-hat, the number of independent samples that
+they are worth, and their time with compiling.  Draws the ranks and the posterior of the first
+record with the interval of `identify`.  Needs numpyro, as `pip install '.[inference]'`.  An hour
+beside other programs:
 
     python examples/studies/posterior.py
 """
 
+import functools
 import time
 
 import jax
@@ -24,6 +27,7 @@ import numpy as np
 import numpyro
 from _common import BLUE, GREY, VERMILION, kept, letters, options
 from numpyro import distributions as dist
+from numpyro.diagnostics import effective_sample_size, split_gelman_rubin
 from numpyro.infer import MCMC, NUTS, init_to_value
 from scipy.stats import chisquare
 
@@ -33,6 +37,7 @@ from jaxchain.plotting import save_figure
 
 FULL = {"records": 100, "warmup": 150, "samples": 480, "depth": 6}
 QUICK = {"records": 2, "warmup": 3, "samples": 60, "depth": 1}
+LONG = {"records": 4, "warmup": 300, "samples": 1000, "depth": 8}  # four times the first one
 THIN, BINS = 10, 7  # neighbouring samples are not independent; each bin holds as many ranks
 NOISE, TIMES = 0.02, 0.5 * np.arange(40.0)
 LOW, HIGH = np.array([0.40, 0.45, 0.2]), np.array([0.60, 0.65, 0.8])  # of the prior
@@ -80,6 +85,7 @@ def best_fit(values):
     return u, jnp.linalg.inv(slopes.T @ slopes + prior)
 
 
+@functools.cache
 def sampler(warmup, samples, depth):
     """A function of (key, values): samples of (3,), and which diverged."""
 
@@ -112,6 +118,18 @@ def study(records, **numbers):
     return *found, time.perf_counter() - start
 
 
+def long_chains(values, records, **numbers):
+    """Prints what several chains for one record are worth."""
+    keys, start = jax.random.split(jax.random.key(2), records), time.perf_counter()
+    found = sampler(**numbers)(keys, jnp.tile(jnp.asarray(values), (records, 1)))
+    samples, diverged = map(np.asarray, found)
+    seconds = time.perf_counter() - start
+    print(f"{records} chains in {seconds:.0f} s, {diverged.sum()} of {diverged.size} diverged")
+    worth, ratios = effective_sample_size(samples), split_gelman_rubin(samples)
+    for name, each, ratio in zip(NAMES, worth, ratios):
+        print(f"{name}: worth {each:.0f} samples, R-hat {ratio:.3f}")
+
+
 def main():
     quick, folder = options(__file__, __doc__)
     s = QUICK if quick else FULL
@@ -119,6 +137,7 @@ def main():
         folder / "samples.pickle", s, lambda: study(**s)
     )
     print(f"{len(truths)} records in {seconds:.0f} s, {diverged.mean():.2%} of samples diverged")
+    long_chains(values[0], **(QUICK if quick else LONG))
     few = samples[:, ::THIN]
     ranks = (few < truths[:, None]).sum(axis=1)
     edges = np.linspace(-0.5, few.shape[1] + 0.5, BINS + 1)
