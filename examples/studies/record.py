@@ -33,7 +33,7 @@ SPEED = GRAVITY / OMEGA * 1e6  # micrometres per second, the unit of speed
 PROMINENCE = 0.03  # of a drop of the force that counts
 V_REF, DAMPING = 1e-3, 0.02  # not determined by these records
 FEATURES, SHOWN = (
-    ("periods", "means", "amplitudes", "stick_shares"),
+    ("amplitudes", "periods", "means", "stick_shares"),  # as in `Measurements`
     {42: 10.0, 1100: 0.6, 4300: 0.5},
 )
 
@@ -46,7 +46,7 @@ def cycles(force, step, speed):
     rises = np.gradient(smooth, step * OMEGA) > 0.5 * speed / SPEED
     tops, _ = find_peaks(smooth, prominence=PROMINENCE)
     rows = [
-        (step * OMEGA * (b - a), smooth[a:b].mean(), np.ptp(smooth[a:b]) / 2, rises[a:b].mean())
+        (np.ptp(smooth[a:b]) / 2, step * OMEGA * (b - a), smooth[a:b].mean(), rises[a:b].mean())
         for a, b in pairwise(tops)
     ]
     return smooth, pd.DataFrame(rows, columns=FEATURES)
@@ -59,6 +59,12 @@ def middle(values):
     how = {"method": "percentile", "rng": np.random.default_rng(0)}
     found = bootstrap((values,), np.median, n_resamples=2000, **how).confidence_interval
     return np.median(values), max((found.high - found.low) / 2, 1e-3)
+
+
+def correlation(rows):
+    """That of the medians of the columns, from cycles drawn anew."""
+    draws = np.random.default_rng(0).integers(len(rows), size=(2000, len(rows)))
+    return np.corrcoef(np.median(rows.to_numpy()[draws], axis=1), rowvar=False)
 
 
 def of_model(chain, speed, step, count):
@@ -83,7 +89,7 @@ def main():
         v: {name: middle(rows[name]) for name in FEATURES} for v, (_, rows) in records.items()
     }
     at = jnp.array([FITTED / SPEED])
-    lab = Measurements(**{
+    lab = Measurements(correlation=correlation(records[FITTED][1]), **{
         name: (at, jnp.array([value]), bar / 1.96) for name, (value, bar) in known[FITTED].items()
     })  # fmt: skip
     start = {"static": 0.37, "dynamic": 0.33}

@@ -34,6 +34,7 @@ from .measurements import (
     Waveform,
     check_change,
     check_measurements,
+    in_noise,
     predict,
 )
 
@@ -62,7 +63,8 @@ class Identification(Outcome):
       (J^T J)^-1 with J = d(prediction / noise)/d theta; NaN where the data do not determine it.
     - `determined`: shape (p,), false for a parameter that others can compensate.
     - `condition`: of J with columns of equal length; the amplification of errors of the data.
-    - `residuals`: (measured - predicted) / noise, shape (m,); `chi_squared`, the sum of their
+    - `residuals`: (measured - predicted) / noise, shape (m,), with a `correlation` L L^T of the
+      measurements L^-1 times that; `chi_squared`, the sum of their
       squares, is about m - p for a correct model and much more otherwise.
     - `phase`: of a `Signal`, at its first time, in periods after the state of `find_limit_cycle`.
     - `result`; `evaluations`: the number of predictions with derivatives.
@@ -115,6 +117,7 @@ def identify(
 
     minimise chi^2(theta) = sum_i [(measured_i - predict_i(change(chain, theta))) / noise_i]^2
 
+    (with the inverse covariance of the noise where measurements are correlated)
     by Levenberg-Marquardt (More, The Levenberg-Marquardt algorithm, Lecture Notes in Mathematics
     630, 1978) with steps that bend along curved valleys (Transtrum, Sethna, Improvements to the
     Levenberg-Marquardt algorithm, arXiv:1201.5885, 2012) in one compiled loop, with confidence
@@ -191,7 +194,7 @@ class _FitProblem(eqx.Module):
         """(measured - predicted) / noise, of a signal also of a period that is held."""
         chain, measured = self.at(z)[1], self.measurements
         if not isinstance(measured, Signal):
-            return (measured.values - predict(chain, measured, self.mass)) / measured.noise
+            return in_noise(measured, measured.values - predict(chain, measured, self.mass))[0]
         cycle = Waveform(chain, self.mass, measured.what)
         free = jnp.isnan(self.clock)
         clock = jnp.where(free, cycle.period, self.clock)

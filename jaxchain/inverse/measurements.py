@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
+from scipy.linalg import eigvalsh
 
 from .._checks import (
     check_finite,
@@ -45,8 +46,10 @@ _ORDER, _RTOL = 7, 1e-8
 # The period of a signal is sought between these multiples of a chain's own, at this many values
 # at most, with this number of harmonics.
 _SHORTEST, _LONGEST, _MOST_PERIODS, _HARMONICS = 0.7, 1.4, 2048, 4
-# Points of a cycle, and Newton steps, for the phase of a signal.
-_PHASES, _PHASE_STEPS = 128, 4
+# Points of a cycle, Newton steps for the phase of a signal, and the most harmonics.
+_PHASES, _PHASE_STEPS, _MOST_HARMONICS = 128, 4, 32
+# How far a matrix of correlations may be from symmetric, with a diagonal of 1.
+_ROUNDING = 1e-9
 # Nodes of the interpolation of a dry cycle while it slips and sticks.
 _NODES = 129, 17
 # How close to the speed of the belt a mass that sticks is.
@@ -65,12 +68,16 @@ class Measurements(Printed, eqx.Module):
       may be one number.
     - `periods`, `means`, `stick_shares`: the same of the period of its limit cycle, of its mean
       displacement, and of the share of the period for which it sticks.
+    - `harmonics`: the same of the spectrum of its displacement, amplitudes A_1 ... A_h in
+      x = mean + sum_j A_j cos(2 pi j t / T + phase_j), of shape (k, h); h is at most 32.
     - `displacements`: (belt speeds, displacements of that mass in steady sliding, noise), with the
       same shapes. For one mass only these separate mu_static from mu_dynamic: an equal change of
       both changes only its position in steady sliding.
+    - `correlation`: of the noise of all m values, (m, m) in the order of `values`; by default each
+      has noise of its own.  Features of one record are correlated: resample its cycles.
 
     **Raises:** `ValueError` for numbers that are not finite, noise that is not positive, different
-    shapes, or no measurement.
+    shapes, no measurement, or a `correlation` that is none.
 
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
@@ -85,7 +92,9 @@ class Measurements(Printed, eqx.Module):
     periods: tuple[Array, Array, Array] | None
     means: tuple[Array, Array, Array] | None
     stick_shares: tuple[Array, Array, Array] | None
+    harmonics: tuple[Array, Array, Array] | None
     displacements: tuple[Array, Array, Array] | None
+    correlation: Float[Array, "m m"] | None
 
     def __init__(
         self,
@@ -97,30 +106,36 @@ class Measurements(Printed, eqx.Module):
         periods: Any = None,
         means: Any = None,
         stick_shares: Any = None,
+        harmonics: Any = None,
+        correlation: Any = None,
     ):
         require_x64()
         given = {
             "hopf": hopf, "fold": fold, "amplitudes": amplitudes, "periods": periods,
-            "means": means, "stick_shares": stick_shares, "displacements": displacements,
+            "means": means, "stick_shares": stick_shares, "harmonics": harmonics,
+            "displacements": displacements,
         }  # fmt: skip
         for name, reading in given.items():
-            ndim = int(name not in ("hopf", "fold"))
+            ndim = {"hopf": 0, "fold": 0, "harmonics": 2}.get(name, 1)
             setattr(self, name, None if reading is None else _reading(name, reading, ndim))
+        self.correlation = None
         if not self._all():
             raise ValueError("`Measurements` must hold at least one measurement, but has none.")
+        if correlation is not None:
+            self.correlation = _correlation(correlation, self.count)
 
     def _all(self) -> list:
-        return [reading for reading in vars(self).values() if reading is not None]
+        return [reading for reading in vars(self).values() if isinstance(reading, tuple)]
 
     @property
     def values(self) -> Float[Array, " m"]:
         """All measured values, in the order of the fields."""
-        return jnp.concatenate([jnp.atleast_1d(reading[-2]) for reading in self._all()])
+        return jnp.concatenate([jnp.ravel(reading[-2]) for reading in self._all()])
 
     @property
     def noise(self) -> Float[Array, " m"]:
         """Standard deviations of all measured values, in the order of `values`, shape (m,)."""
-        return jnp.concatenate([jnp.atleast_1d(reading[-1]) for reading in self._all()])
+        return jnp.concatenate([jnp.ravel(reading[-1]) for reading in self._all()])
 
     @property
     def count(self) -> int:
@@ -219,17 +234,23 @@ class Signal(Printed, eqx.Module):
 
 
 def _reading(name: str, given: Any, ndim: int) -> Any:
-    length = 2 + ndim
+    length = 2 + (ndim > 0)
     if not isinstance(given, tuple) or len(given) != length:
         wanted = "(belt speed, noise)" if ndim == 0 else "(belt speeds, values, noise)"
         raise ValueError(f"Argument `{name}` must be a tuple {wanted}, but is {shown(given)}.")
     parts = [to_float(part, name) for part in given]
-    shape = parts[0].shape
-    fits = len(shape) == ndim and parts[-2].shape == shape and parts[-1].shape in ((), shape)
-    if not fits or parts[0].size == 0:
+    shape = parts[-2].shape
+    fits = len(shape) == ndim and parts[0].shape == shape[:1] and parts[-1].shape in ((), shape)
+    if not fits or parts[-2].size == 0:
+        wanted = ("numbers", "arrays of one length", "(k,) belt speeds and (k, h) amplitudes")
         raise ValueError(
-            f"Argument `{name}` must hold {'numbers' if ndim == 0 else 'arrays of one length'}, "
+            f"Argument `{name}` must hold {wanted[ndim]}, "
             f"but has shapes {[part.shape for part in parts]}."
+        )
+    if ndim == 2 and shape[1] > _MOST_HARMONICS:
+        raise ValueError(
+            f"Argument `{name}` must have at most {_MOST_HARMONICS} harmonics, but has "
+            f"{shape[1]}: leave out the last ones."
         )
     for part in parts[:-1]:
         check_finite(name, part, "leave out what could not be measured.")
@@ -237,6 +258,37 @@ def _reading(name: str, given: Any, ndim: int) -> Any:
         f"{name}[-1]", parts[-1], "the last is the noise, a standard deviation such as 0.01."
     )
     return (*parts[:-1], jnp.broadcast_to(parts[-1], shape))
+
+
+def _correlation(given: Any, count: int) -> Float[Array, "m m"]:
+    matrix = to_float(given, "correlation")
+    check_finite("correlation", matrix, "leave out what could not be measured.")
+    if matrix.shape != (count, count):
+        raise ValueError(
+            f"Argument `correlation` must be of shape ({count}, {count}), in the order of "
+            f"`values`, but has shape {matrix.shape}."
+        )
+    if is_traced(matrix):
+        return matrix
+    known = np.asarray(matrix)
+    unequal, least = np.abs(known - known.T) + np.diag(np.diag(known) - 1), eigvalsh(known)[0]
+    if np.max(np.abs(unequal)) > _ROUNDING or least <= 0:
+        raise ValueError(
+            "Argument `correlation` must be symmetric and positive definite with a diagonal of 1, "
+            f"but is {shown(given)} with least eigenvalue {least:.3g}: draw more samples, and "
+            "divide a covariance by both standard deviations, as `np.corrcoef` does."
+        )
+    return matrix
+
+
+def in_noise(measurements: Any, gaps: Float[Array, " m"]) -> tuple[Array, Array]:
+    """(L^-1 gaps, log det L) with the covariance L L^T of the noise."""
+    gaps, scale = gaps / measurements.noise, jnp.sum(jnp.log(measurements.noise))
+    if isinstance(measurements, Signal) or measurements.correlation is None:
+        return gaps, scale
+    L = jnp.linalg.cholesky(measurements.correlation)
+    gaps = jax.scipy.linalg.solve_triangular(L, gaps, lower=True)
+    return gaps, scale + jnp.sum(jnp.log(jnp.diag(L)))
 
 
 def check_measurements(measurements: Any) -> None:
@@ -314,17 +366,21 @@ def predict(
     if measurements.amplitudes is not None:
         parts.append(jax.vmap(amplitude)(measurements.amplitudes[0]))
 
-    def of_cycle(name: str, speed: Array) -> Array:
+    def of_cycle(name: str, harmonics: tuple[int, ...], speed: Array) -> Array:
         wave = Waveform(at(speed), mass, "displacement")
         if name == "periods":
             return wave.period
+        if name == "stick_shares":
+            return wave.stick() / wave.period
+        waves = jnp.fft.rfft(wave(jnp.arange(_PHASES) / _PHASES)) / _PHASES
         if name == "means":
-            return jnp.mean(wave(jnp.arange(_PHASES) / _PHASES))
-        return wave.stick() / wave.period
+            return waves[0].real
+        return 2.0 * jnp.abs(waves[1 : 1 + harmonics[0]])
 
-    for name in ("periods", "means", "stick_shares"):
+    for name in ("periods", "means", "stick_shares", "harmonics"):
         if (reading := getattr(measurements, name)) is not None:
-            parts.append(jax.vmap(partial(of_cycle, name))(reading[0]))
+            at_each = jax.vmap(partial(of_cycle, name, reading[1].shape[1:]))
+            parts.append(at_each(reading[0]).ravel())
     if measurements.displacements is not None:
         parts.append(jax.vmap(displacement)(measurements.displacements[0]))
     return jnp.concatenate(parts)
@@ -444,7 +500,9 @@ def log_likelihood(
 ) -> Float[Array, ""]:
     """The logarithm of the probability density of measurements with Gaussian noise.
 
-    log L = -1/2 sum_i [(measured_i - predicted_i) / noise_i]^2 - sum_i log(noise_i sqrt(2 pi)).
+    log L = -1/2 sum_i [(measured_i - predicted_i) / noise_i]^2 - sum_i log(noise_i sqrt(2 pi)),
+
+    and the same with the full covariance where `measurements` have a `correlation`.
 
     **Arguments:** as for `predict`; `phase` of a `Signal`, None for the one that fits best (a
     profile likelihood).
@@ -467,8 +525,8 @@ def log_likelihood(
     if phase is None:
         phase = 0.0
     predicted = predict(chain, measurements, mass, phase)
-    gaps = (measurements.values - predicted) / measurements.noise
-    return -jnp.sum(gaps**2 / 2 + jnp.log(measurements.noise * jnp.sqrt(2 * jnp.pi)))
+    gaps, scale = in_noise(measurements, measurements.values - predicted)
+    return -jnp.sum(gaps**2 / 2 + jnp.log(jnp.sqrt(2 * jnp.pi))) - scale
 
 
 def best_phase(chain: Chain, signal: Signal, mass: int) -> Float[Array, ""]:

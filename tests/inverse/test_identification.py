@@ -145,6 +145,13 @@ def test_parameters_that_the_data_do_not_determine_are_named():
         ({"amplitudes": (1.0, 1.0, 0.1)}, "`amplitudes` must hold arrays"),
         ({"amplitudes": ([1.0], [1.0, 2.0], 0.1)}, "arrays of one length"),
         ({"displacements": ([1.0], 0.1)}, "`displacements` must be a tuple"),
+        ({"harmonics": ([1.0], [1.0], 0.1)}, r"`harmonics` must hold \(k,\) belt speeds and"),
+        ({"harmonics": ([1.0], np.ones((1, 40)), 0.1)}, "at most 32 harmonics, but has 40"),
+        ({"hopf": (1.15, 0.1), "correlation": np.eye(2)}, r"shape \(1, 1\).*\(2, 2\)"),
+        (
+            {"periods": ([1.0, 2.0], [6.0, 6.0], 0.1), "correlation": np.ones((2, 2))},
+            "`correlation` must be symmetric and positive definite",
+        ),
     ],
 )
 def test_bad_measurements_are_named(arguments, message):

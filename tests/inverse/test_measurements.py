@@ -96,8 +96,10 @@ def test_the_period_of_a_signal_is_that_of_its_harmonics():
 def test_features_of_a_cycle_are_those_of_a_run_with_slopes_of_differences(width):
     chain, speeds = ONE.with_(width=width), jnp.array([0.5, 1.2])
     kinds = ("periods", "means", "stick_shares")
-    lab = Measurements(**{kind: (speeds, [1.0, 1.0], 0.1) for kind in kinds})
-    found = predict(chain, lab).reshape(3, 2)
+    lab = {kind: (speeds, [1.0, 1.0], 0.1) for kind in kinds}
+    lab = Measurements(**lab, harmonics=(speeds, jnp.ones((2, 5)), 0.1))
+    found = predict(chain, lab)
+    spectra, found = found[6:].reshape(2, 5), found[:6].reshape(3, 2)
     for k, speed in enumerate(speeds):
         own = chain.with_(belt_speed=speed)
         cycle = find_limit_cycle(own)
@@ -106,12 +108,42 @@ def test_features_of_a_cycle_are_those_of_a_run_with_slopes_of_differences(width
         stick, (x, _) = simulate(own, cycle.state, cycle.period, observe=watch).observed
         expected = cycle.period, jnp.mean(x), stick[0] / cycle.period
         np.testing.assert_allclose(found[:, k], jnp.stack(expected), rtol=1e-4)
+        waves = 2 * np.abs(np.fft.rfft(x[:, 0])) / times.size
+        np.testing.assert_allclose(spectra[k], waves[1:6], atol=1e-5)
 
     def of(damping):
         return predict(chain.with_(damping_ratio=damping), lab)
 
     between = (of(0.05 + 1e-5) - of(0.05 - 1e-5)) / 2e-5
     np.testing.assert_allclose(jax.jacfwd(of)(0.05), between, rtol=1e-4, atol=1e-6)
+
+
+def test_correlated_measurements_have_the_density_of_scipy_and_the_best_fit_of_gauss():
+    draws = np.random.default_rng(0).standard_normal((50, 4))
+    correlation = np.corrcoef(draws + draws[:, :1], rowvar=False)
+    speeds, noise = [2.0, 2.5, 3.0], np.array([0.02, 0.01, 0.03, 0.01])
+    values = np.array([1.2, 0.60, 0.55, 0.52])
+    lab = Measurements(
+        hopf=(values[0], noise[0]),
+        displacements=(speeds, values[1:], noise[1:]),
+        correlation=correlation,
+    )
+
+    def change(chain, theta):
+        return chain.with_(mu_dynamic=theta[0], v_ref=theta[1])
+
+    covariance = correlation * np.outer(noise, noise)
+    density: Any = stats.multivariate_normal  # the checker takes `cov` for an integer
+    expected = density.logpdf(values, predict(ONE, lab), covariance)
+    assert log_likelihood(ONE, lab) == pytest.approx(expected, rel=1e-12)
+    found = identify(ONE, change, jnp.array([0.5, 0.5]), lab)
+    # At the best fit J^T C^-1 (values - predicted) is 0, and (J^T C^-1 J)^-1 the covariance.
+    slopes = jax.jacfwd(lambda theta: predict(change(ONE, theta), lab))(found.theta)
+    gaps = values - np.asarray(predict(found.chain, lab))
+    weighted = np.linalg.solve(covariance, slopes).T
+    np.testing.assert_allclose(weighted @ gaps, 0.0, atol=1e-6 * np.abs(weighted).max())
+    np.testing.assert_allclose(found.covariance, np.linalg.inv(weighted @ slopes), rtol=1e-6)
+    assert found.chi_squared == pytest.approx(gaps @ np.linalg.solve(covariance, gaps), rel=1e-9)
 
 
 @pytest.mark.long

@@ -177,7 +177,9 @@ def _inverse() -> Iterator[Row]:
     )
     names = ("amplitudes", "displacements", "periods", "means", "stick_shares")
     bad = {"hopf": one, "fold": one, **dict.fromkeys(names, many)}
-    yield Row("Measurements", Measurements, {}, bad)
+    bad["harmonics"] = ("x", 3, {}, ([1.0], [[math.nan]], 0.1), Told(([1.0], [1.0], 0.1), "(1,)"))
+    bad["correlation"] = ("x", {}, [[math.nan]], Told([[2.0]], "diagonal of 1"), [1.0])
+    yield Row("Measurements", Measurements, {"hopf": (1.15, 0.1)}, bad)
     values = ("a", [1.0, math.nan], {})
     bad = {
         "times": (*values, Told([1.0, 0.5], "1 is followed by 0.5")),
