@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
 import jax.tree_util as jtu
@@ -504,26 +505,38 @@ def first_exit(
         sure = materialize(
             jnp.minimum(sure + _time_inside(q, slope, lower, upper, curvature), end)
         )
-    distance = jnp.where(slope > 0, upper - q, q - lower)
-    guess = before + distance / jnp.maximum(jnp.abs(slope), 1e-300)
-    one = jnp.argmin(materialize(jnp.where(sure < end, guess, 1e300)))
-    t = _exit_of_one(coefficients, lower, upper, curvature, sure, end, one)
 
-    q, slope = value_and_slope(coefficients, t)
-    # All terms beyond the first two are less than the bound of their second derivatives.
-    greatest = jnp.abs(coefficients[0]) + end * (jnp.abs(coefficients[1]) + 0.5 * end * curvature)
-    resolution = resolution + _ROUNDING * greatest
-    down, up = q - lower, upper - q
-    back = t - sure
-    bend = 0.5 * curvature * back**2 - resolution
-    inside = jnp.minimum(down, up) >= -resolution
-    inside &= (down - slope * back >= bend) & (up + slope * back >= bend)
-    distance = jnp.where(slope > 0, up, down)
-    # One array for both: not certain to stay, or leaves at t.
-    kind = jnp.where((back <= 0) | inside, jnp.where(distance <= resolution, 1, 0), -1)
-    kind = materialize(kind.astype(t.dtype))
-    until = jnp.min(jnp.where(kind < 0, sure, t))
-    return until, (kind > 0) & (until >= t)
+    def search() -> tuple[Array, Array]:
+        ahead = jnp.where(slope > 0, upper - q, q - lower)
+        guess = before + ahead / jnp.maximum(jnp.abs(slope), 1e-300)
+        one = jnp.argmin(materialize(jnp.where(sure < end, guess, 1e300)))
+        t = _exit_of_one(coefficients, lower, upper, curvature, sure, end, one)
+
+        there, rate = value_and_slope(coefficients, t)
+        # All terms beyond the first two are less than the bound of their second derivatives.
+        tail = jnp.abs(coefficients[1]) + 0.5 * end * curvature
+        least = resolution + _ROUNDING * (jnp.abs(coefficients[0]) + end * tail)
+        down, up = there - lower, upper - there
+        back = t - sure
+        bend = 0.5 * curvature * back**2 - least
+        inside = jnp.minimum(down, up) >= -least
+        inside &= (down - rate * back >= bend) & (up + rate * back >= bend)
+        distance = jnp.where(rate > 0, up, down)
+        # One array for both: not certain to stay, or leaves at t.
+        kind = jnp.where((back <= 0) | inside, jnp.where(distance <= least, 1, 0), -1)
+        kind = materialize(kind.astype(t.dtype))
+        until = jnp.min(jnp.where(kind < 0, sure, t))
+        return until, (kind > 0) & (until >= t)
+
+    def search_if_needed() -> tuple[Array, Array]:
+        # Most steps of a few masses have no event.  Of a batch no lane may have one: JAX would
+        # compute both cases for each lane, and select.
+        quiet: Any = eqxi.unvmap_all(jnp.all(sure >= end))
+        nothing = end, jnp.zeros(lower.shape, bool)
+        return jax.lax.cond(quiet, lambda: nothing, search)
+
+    # A GPU would wait for the answer at every step.
+    return jax.lax.platform_dependent(cpu=search_if_needed, default=search)
 
 
 def _exit_of_one(
