@@ -16,7 +16,7 @@ stack each number has a branch of its own.
 Prints for each branch its name, its symmetry and belt speeds, how many masses vibrate, where it is
 stable, by how much its orbits fail to close when they are integrated ten times finer, how both
 ways end, branches with the same folds, the dry cycles, and its special points.  What has been
-followed is kept in the folder of the results.  Half an hour for each coupling on one core:
+followed is kept in the folder of the results.  Three to four hours on one core:
 
     python examples/studies/ladder.py
 """
@@ -156,27 +156,39 @@ def follow(k, points, switched, **numbers):
     return found
 
 
+def in_blocks(function, *arrays, size=64):
+    """A function of arrays, point by point; in blocks of one size it compiles once."""
+    count, pad = len(arrays[0]), -len(arrays[0]) % size
+    arrays = [np.concatenate([array, np.repeat(array[-1:], pad, axis=0)]) for array in arrays]
+    parts = [function(*(array[i : i + size] for array in arrays)) for i in range(0, count, size)]
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *parts)
+
+
 @jax.jit
-@jax.vmap
-def closing_error(chain, x, v, period):
+@partial(jax.vmap, in_axes=(None, 0, 0, 0, 0))
+def closing_error(chain, speed, x, v, period):
     """The residual of the shooting equations, integrated ten times finer."""
+    chain = chain.with_(belt_speed=speed)
     x1, v1 = jc.simulate(chain, (x, v), period, rtol=FINE_RTOL, throw=False).state
-    layer = jnp.hypot(v - chain.belt_speed, chain.width)
+    layer = jnp.hypot(v - speed, chain.width)
     return jnp.max(jnp.maximum(abs(x1 - x), abs(v1 - v) / layer)) / jnp.max(v)
+
+
+@partial(jax.jit, static_argnums=1)
+@partial(jax.vmap, in_axes=(None, None, 0, 0, 0, 0))
+def dry_cycle(dry, mass, speed, x, v, period):
+    dry = dry.with_(belt_speed=speed)
+    return jc.find_limit_cycle(dry, (x, v), period=period, mass=mass, throw=False)
+
+
+def points_of(data):
+    return [data[name].values for name in ("belt_speed", "displacement", "velocity", "period")]
 
 
 def dry_cycles(chain, data):
     """The cycles of dry friction beside smoothed ones, and which are their neighbours."""
     dry, mass = chain.with_(width=None), int(data.attrs["cut_at_oscillator"]) - 1
-
-    @jax.jit
-    @jax.vmap
-    def near(speed, x, v, period):
-        there = dry.with_(belt_speed=speed)
-        return jc.find_limit_cycle(there, (x, v), period=period, mass=mass, throw=False)
-
-    parts = (data[name].values for name in ("belt_speed", "displacement", "velocity", "period"))
-    found = near(*map(jnp.asarray, parts))
+    found = in_blocks(partial(dry_cycle, dry, mass), *points_of(data))
     apart = np.abs(found.amplitude - data.amplitude.values).max(axis=1)
     return found, np.asarray(found.successful) & (apart < NEAR)
 
@@ -228,8 +240,7 @@ def describe(numbers, branches, compared):
                                   for way in ways]) for key, ways in branches.items()}  # fmt: skip
     for (k, pattern), ways in branches.items():
         data = xr.concat([way.drop_dims("special") for way in ways], "point")
-        parts = (data[name].values for name in ("displacement", "velocity", "period"))
-        chains = jax.vmap(lambda speed: chain.with_(belt_speed=speed))(data.belt_speed.values)
+        errors = in_blocks(partial(closing_error, chain), *points_of(data))
         name, counts = name_of(ways)
         shared = [f"{other} {at}" for (other, at), found in folds.items()
                   if (other, at) != (k, pattern) and np.isclose(
@@ -243,7 +254,7 @@ def describe(numbers, branches, compared):
             "points": data.point.size, "from": data.belt_speed.values.min(),
             "to": data.belt_speed.values.max(),
             "stable": f"{stable[0]:.4f} ... {stable[-1]:.4f}" if stable.size else "nowhere",
-            "closing error": float(jnp.max(closing_error(chains, *map(jnp.asarray, parts)))),
+            "closing error": float(np.max(errors)),
             "ends": ", ".join(way.attrs["end"] for way in ways), "shares folds": ", ".join(shared),
         }  # fmt: skip
         if k in compared:
@@ -298,7 +309,7 @@ def draw(branches, dry, runs, table):
     handles = dict(zip(*zoom.get_legend_handles_labels()[::-1]))
     handles |= {name: plt.Line2D([], [], color=colour) for name, colour in PATTERNS.items()}
     dots = {"runs, dry friction": (GREY, "."), "dry cycles": (VERMILION, ".")}
-    dots |= {name: ("black", marker) for name, marker in NAMES.items()}
+    dots |= {name: ("black", NAMES[name]) for name in NAMES if name in {*table.name}}
     handles |= {name: plt.Line2D([], [], color=colour, marker=marker, linestyle="")
                 for name, (colour, marker) in dots.items()}  # fmt: skip
     page.legend(handles.values(), handles, loc="outside lower center", ncols=5, frameon=False)
