@@ -505,6 +505,9 @@ def first_exit(
         sure = materialize(
             jnp.minimum(sure + _time_inside(q, slope, lower, upper, curvature), end)
         )
+    # All terms beyond the first two are less than the bound of their second derivatives.
+    tail = jnp.abs(coefficients[1]) + 0.5 * end * curvature
+    least = resolution + _ROUNDING * (jnp.abs(coefficients[0]) + end * tail)
 
     def search() -> tuple[Array, Array]:
         ahead = jnp.where(slope > 0, upper - q, q - lower)
@@ -513,9 +516,6 @@ def first_exit(
         t = _exit_of_one(coefficients, lower, upper, curvature, sure, end, one)
 
         there, rate = value_and_slope(coefficients, t)
-        # All terms beyond the first two are less than the bound of their second derivatives.
-        tail = jnp.abs(coefficients[1]) + 0.5 * end * curvature
-        least = resolution + _ROUNDING * (jnp.abs(coefficients[0]) + end * tail)
         down, up = there - lower, upper - there
         back = t - sure
         bend = 0.5 * curvature * back**2 - least
@@ -529,11 +529,13 @@ def first_exit(
         return until, (kind > 0) & (until >= t)
 
     def search_if_needed() -> tuple[Array, Array]:
-        # Most steps of a few masses have no event.  Of a batch no lane may have one: JAX would
-        # compute both cases for each lane, and select.
-        quiet: Any = eqxi.unvmap_all(jnp.all(sure >= end))
-        nothing = end, jnp.zeros(lower.shape, bool)
-        return jax.lax.cond(quiet, lambda: nothing, search)
+        # Most steps of a few masses have no event: the bound reaches no edge up to the end.  Of a
+        # batch no lane may have one: JAX would compute both cases for each lane, and select.
+        ahead = end - before
+        nearest = jnp.minimum(q - lower + slope * ahead, upper - q - slope * ahead)
+        inside = jnp.all(nearest - 0.5 * curvature * ahead**2 > 2.0 * least)
+        quiet: Any = eqxi.unvmap_all(inside & jnp.all(sure >= end))
+        return jax.lax.cond(quiet, lambda: (end, jnp.zeros(lower.shape, bool)), search)
 
     # A GPU would wait for the answer at every step.
     return jax.lax.platform_dependent(cpu=search_if_needed, default=search)

@@ -62,6 +62,14 @@ def test_a_transversal_exit_is_found_to_rounding(root):
     assert abs(t - root) < 1e-13
 
 
+@pytest.mark.parametrize("late", [0.0, 1e-14, 1e-9])
+@pytest.mark.parametrize("others", [(), (3.0, 5.0)])
+def test_an_exit_at_the_very_end_counts_and_one_just_behind_does_not(others, late):
+    t, out = _until_final(from_roots(1.0 + late, *others, scale=-1.0), 1.0)
+    assert t == pytest.approx(1.0, abs=1e-13)
+    assert bool(out) == (late < 1e-13)
+
+
 @pytest.mark.parametrize("gap", [1e-2, 1e-4, 1e-6])
 def test_two_crossings_inside_one_step_are_not_missed(gap):
     """w dips below zero between 0.4 and 0.4 + gap: the sign at the end of the step is the same."""
