@@ -405,9 +405,8 @@ _RULES: dict[str, Callable[..., PowerSeries]] = {
 }
 
 
-# Rounds of the search: of all polynomials, and then of one.  They never pass an exit and converge
+# Rounds of the search of one polynomial, after two of all.  They never pass an exit and converge
 # quadratically; the last are Newton's, allowed only where convergence is certain.
-_ROUNDS_OF_ALL = 2
 _SAFE_ROUNDS = 2
 _NEWTON_ROUNDS = 2
 # The error of a polynomial's value, as a share of the sum of its absolute terms.
@@ -496,20 +495,16 @@ def first_exit(
     """
     # Each round is computed once: see `materialize`.
     curvature = materialize(greatest_curvature(coefficients, end))
-    q, slope = coefficients[0], coefficients[1]
-    before = jnp.zeros_like(lower)
-    sure = materialize(jnp.minimum(_time_inside(q, slope, lower, upper, curvature), end))
-    for _ in range(_ROUNDS_OF_ALL - 1):
-        q, slope = value_and_slope(coefficients, sure)
-        before = sure
-        sure = materialize(
-            jnp.minimum(sure + _time_inside(q, slope, lower, upper, curvature), end)
-        )
+    first = _time_inside(coefficients[0], coefficients[1], lower, upper, curvature)
+    before = materialize(jnp.minimum(first, end))
+    q, slope = value_and_slope(coefficients, before)
     # All terms beyond the first two are less than the bound of their second derivatives.
     tail = jnp.abs(coefficients[1]) + 0.5 * end * curvature
     least = resolution + _ROUNDING * (jnp.abs(coefficients[0]) + end * tail)
 
     def search() -> tuple[Array, Array]:
+        further = _time_inside(q, slope, lower, upper, curvature)
+        sure = materialize(jnp.minimum(before + further, end))
         ahead = jnp.where(slope > 0, upper - q, q - lower)
         guess = before + ahead / jnp.maximum(jnp.abs(slope), 1e-300)
         one = jnp.argmin(materialize(jnp.where(sure < end, guess, 1e300)))
@@ -533,8 +528,8 @@ def first_exit(
         # batch no lane may have one: JAX would compute both cases for each lane, and select.
         ahead = end - before
         nearest = jnp.minimum(q - lower + slope * ahead, upper - q - slope * ahead)
-        inside = jnp.all(nearest - 0.5 * curvature * ahead**2 > 2.0 * least)
-        quiet: Any = eqxi.unvmap_all(inside & jnp.all(sure >= end))
+        inside = nearest - 0.5 * curvature * ahead**2 > 2.0 * least
+        quiet: Any = eqxi.unvmap_all(jnp.all(inside))
         return jax.lax.cond(quiet, lambda: (end, jnp.zeros(lower.shape, bool)), search)
 
     # A GPU would wait for the answer at every step.
