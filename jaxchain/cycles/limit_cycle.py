@@ -495,9 +495,11 @@ def _close(equations: _States, state: State, period: Array) -> tuple[RefinedOrbi
         # A share of the size of the orbit.
         return greatest_gap(now) <= 1e-6 * now.aux.returned.farthest
 
+    # A dry run often starts where a mass begins to stick: a kink, which the first step may cross.
     best = newton_minimal_period(
-        equations, linearise, start, weights, limit=8, fine=1e-13, closed=closed
-    )
+        equations, linearise, start, weights, limit=8, fine=1e-13, closed=closed,
+        least_damping=0.25 if dry else 0.5,
+    )  # fmt: skip
     failed = jnp.where(jnp.isfinite(best.length), 0.0, jnp.nan)
     u, slopes = best.u + failed, best.aux.slopes + failed
     _, found, _ = equations.unpack(u)

@@ -274,15 +274,16 @@ def newton_minimal_period(
     limit: Any,
     fine: float,
     closed: Callable[[Iterate], Bool[Array, ""]],
+    least_damping: float = 0.5,
 ) -> Iterate:
     """Newton's method for an orbit with its minimal period; one integration is compiled.
 
     Once the orbit is `closed`, the search continues until a step is shorter than `fine` (1 + |u|)
-    or no longer helps.  If the orbit also returns after a fraction of its period, it is solved for
-    again with that fraction (with at most `limit` integrations), and the result is kept if it is
-    the same orbit.  A forced orbit keeps a multiple of the period of the force, and its whole
-    period if the equations have `turns`.  `equations` have `pack`, `unpack` and `turns`; `aux` of
-    `linearise` has `returned`, a `Returned`.
+    or no longer helps, halved down to `least_damping`.  If the orbit also returns after a fraction
+    of its period, it is solved for again with that fraction (with at most `limit` integrations),
+    and the result is kept if it is the same orbit.  A forced orbit keeps a multiple of the period
+    of the force, and its whole period if the equations have `turns`.  `equations` have `pack`,
+    `unpack` and `turns`; `aux` of `linearise` has `returned`, a `Returned`.
     """
     # Traced once, for its shapes and for the loop.
     linearise = eqx.filter_closure_convert(linearise, start)
@@ -290,7 +291,8 @@ def newton_minimal_period(
 
     def going(now: Iterate) -> Array:
         done = now.length <= fine * (1.0 + size(now.u, weights))
-        return ~done & ~(now.refused & closed(now)) & (now.evaluations < limit)
+        hopeless = now.refused & (now.damping <= least_damping)
+        return ~done & ~(hopeless & closed(now)) & (now.evaluations < limit)
 
     def round_(now: _Round) -> _Round:
         end = iterate(linearise, nothing._replace(u=now.start), weights, going)

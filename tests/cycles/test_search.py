@@ -194,6 +194,20 @@ def test_chains_are_searched_in_one_batch_and_do_not_harm_each_other(slip):
         np.testing.assert_allclose(batch.multipliers[k], alone.multipliers, atol=1e-8)
 
 
+def test_a_dry_cycle_is_found_at_every_belt_speed():
+    """The guess is where the mass begins to stick; at 1.36 the first step ends before that."""
+    speeds = np.arange(1.2, 1.8, 0.005)
+
+    def at(speed):
+        found = find_limit_cycle(paper_chain(1, speed, width=None), throw=False)
+        return found.successful, found.residual, found.amplitude[0]
+
+    successful, residual, amplitude = jax.jit(jax.vmap(at))(speeds)
+    assert np.all(successful)
+    assert np.max(residual) < 1e-9
+    assert np.max(np.abs(np.diff(amplitude, 3))) < 1e-7
+
+
 @pytest.mark.long
 def test_rest_and_failure_are_reported():
     fast = paper_chain(1, belt_speed=2.5, width=0.05)
