@@ -153,7 +153,7 @@ def devices_row(repeats: int, quick: bool) -> list[dict]:
 
 
 def gpu_row(repeats: int, quick: bool) -> list[dict]:
-    """Time of a lane on a GPU against a CPU core, each with as many lanes as it likes best."""
+    """Time of a lane on a GPU, with few lanes and with many, against a CPU core."""
     try:
         gpu = jax.devices("gpu")[0]
     except RuntimeError:

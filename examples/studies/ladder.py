@@ -249,7 +249,8 @@ def describe(numbers, branches, compared):
                                for part in ("kind", "parameter"))))  # fmt: skip
         stable = np.sort(data.belt_speed.values[data.stable.values])
         row = {
-            "coupling": numbers["coupling"], "k": k, "pattern": pattern, "name": name,
+            "coupling": numbers["coupling"], "k": k, "pattern": pattern,
+            "name": "" if "," in pattern else name,  # what leaves a branch has none
             "vibrate at folds": counts, "symmetry": ways[0].attrs["symmetry"],
             "points": data.point.size, "from": data.belt_speed.values.min(),
             "to": data.belt_speed.values.max(),

@@ -526,9 +526,9 @@ def first_exit(
     def search_if_needed() -> tuple[Array, Array]:
         # Most steps of a few masses have no event: the bound reaches no edge up to the end.  Of a
         # batch no lane may have one: JAX would compute both cases for each lane, and select.
-        ahead = end - before
-        nearest = jnp.minimum(q - lower + slope * ahead, upper - q - slope * ahead)
-        inside = nearest - 0.5 * curvature * ahead**2 > 2.0 * least
+        left = end - before
+        nearest = jnp.minimum(q - lower + slope * left, upper - q - slope * left)
+        inside = nearest - 0.5 * curvature * left**2 > 2.0 * least
         quiet: Any = eqxi.unvmap_all(jnp.all(inside))
         return jax.lax.cond(quiet, lambda: (end, jnp.zeros(lower.shape, bool)), search)
 
