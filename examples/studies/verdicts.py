@@ -12,7 +12,7 @@ each attractor where a start leads to several, the verdict without noise, the ex
 (the slowest of a periodic orbit, else the greatest) with its 95 % interval, and the longest run.
 States that stay undecided are run again, for 1e6 time units.  What has been found for a belt speed
 is kept in the folder of the results.  A quarter of an hour on one core for three belt speeds, and
-some four minutes more for each state that is run again:
+some ten minutes more for each state that is run again:
 
     python examples/studies/verdicts.py
 """
@@ -207,7 +207,7 @@ def main():
         found = judged(folder / f"{case}.pickle", dry, starts, settings)
         open_ = [i for i, state in enumerate(found) if state.verdict == "transient"]
         if open_ and not quick:
-            longer = {"noise": NOISE[1:], "longest": AGAIN, "exponent_time": AGAIN}
+            longer = {"longest": AGAIN, "exponent_time": AGAIN}
             file = folder / f"{case}_again.pickle"
             again = judged(file, dry, [starts[i] for i in open_], settings | longer)
             for i, state in zip(open_, again):
