@@ -25,6 +25,7 @@ from .._checks import (
 from .._final import final
 from ..continuation.damped_newton import where
 from ..continuation.gradient_descent import MOST_STEPS, unknowns
+from ..model.arguments import as_state
 from ..model.chain import Chain
 from ..model.initial_states import check_mass
 from ..result import Outcome, Printed, SearchResult
@@ -48,6 +49,9 @@ _AHEAD, _BEND = 0.1, 0.75
 _BAD = 2.0
 # Further starts are off by this share; a first fit has the period of a signal to this share.
 _SPREAD, _CLOCK = 0.2, 1e-3
+# The time of the beginning of a signal with a start, some periods, and how many parts of it are
+# fitted, each longer than the one before, before all of it is.
+_BEGINNING, _PARTS = 20.0, 4
 # Below the first share of the greatest, singular values of the scaled Jacobian are integration
 # errors; so are entries of a singular vector below the second share.
 _SINGULAR, _PART = 1e-6, 1e-3
@@ -67,6 +71,7 @@ class Identification(Outcome):
       measurements L^-1 times that; `chi_squared`, the sum of their
       squares, is about m - p for a correct model and much more otherwise.
     - `phase`: of a `Signal`, at its first time, in periods after the state of `find_limit_cycle`.
+    - `start`: of a `Signal` that has one, the start of best fit.
     - `result`; `evaluations`: the number of predictions with derivatives.
 
     See `identify` for an example.
@@ -82,6 +87,7 @@ class Identification(Outcome):
     residuals: Float[Array, " m"]
     chi_squared: Float[Array, ""]
     phase: Float[Array, ""]
+    start: tuple[Float[Array, " n"], Float[Array, " n"]] | None
     result: SearchResult
     evaluations: Int[Array, ""]
 
@@ -126,8 +132,10 @@ def identify(
     **Arguments:** `chain` with all other numbers; `change(chain, theta)`, the chain for theta;
     `start`, the first theta, any pytree: its chain must vibrate where vibrations were measured;
     `measurements`: `Measurements`, or a `Signal`, of which first the shape of the cycle is fitted
-    and then every value; `mass` as in `predict`; `starts`: how many starts are tried at once, the
-    others a fifth off at random; `steps`: the greatest number of predictions with derivatives.
+    and then every value; or, if it has a `start`, first the beginning, and then more and more of
+    it, so that phases are followed; `mass` as in `predict`; `starts`: how many starts are tried at
+    once, the others a fifth off at random; `steps`: the greatest number of predictions with
+    derivatives.
 
     It works under `jit` and `vmap` (for example over noisy copies of the measurements).
     `LevenbergMarquardt` of optimistix finds the same result, but compiles every prediction three
@@ -171,7 +179,8 @@ class _FitProblem(eqx.Module):
     change: Callable[[Chain, Any], Chain]
     mass: int = eqx.field(static=True)
     unravel: Callable[[Array], Any] = eqx.field(static=True)
-    # The period of a signal, NaN for that of the chain: phases need not be followed.
+    # The period of a signal, NaN for that of the chain: phases need not be followed.  With a start
+    # the time up to which it is fitted, NaN for all.
     clock: Array = eqx.field(default_factory=lambda: jnp.asarray(jnp.nan))
     # A number of theta that is not fitted: its place and value.
     place: int | None = eqx.field(static=True, default=None)
@@ -179,8 +188,22 @@ class _FitProblem(eqx.Module):
 
     @property
     def extra(self) -> int:
-        """A signal has one more unknown, its phase, and one more residual, that of its period."""
-        return int(isinstance(self.measurements, Signal))
+        """How many more unknowns a signal has: its phase or all numbers of its start."""
+        if not isinstance(self.measurements, Signal):
+            return 0
+        return 1 if self.measurements.start is None else 2 * self.chain.n
+
+    @property
+    def count(self) -> int:
+        """The number of residuals: that of a period is one more."""
+        return self.measurements.count + (self.extra == 1)
+
+    def start(self, z: Array) -> tuple[Array, Array] | None:
+        """Of a signal that has one, the start."""
+        if self.extra < 2:
+            return None
+        x, v = z[z.size - self.extra :].reshape(2, -1)
+        return x, v
 
     def at(self, z: Array) -> tuple[PyTree, Chain]:
         """theta, and the chain."""
@@ -195,10 +218,14 @@ class _FitProblem(eqx.Module):
         chain, measured = self.at(z)[1], self.measurements
         if not isinstance(measured, Signal):
             return in_noise(measured, measured.values - predict(chain, measured, self.mass))[0]
+        free, times = jnp.isnan(self.clock), measured.times - measured.times[0]
+        if (start := self.start(z)) is not None:
+            measured = eqx.tree_at(lambda signal: signal.start, measured, start)
+            gaps = (measured.values - predict(chain, measured, self.mass)) / measured.noise
+            return jnp.where(free | (times <= self.clock), gaps, 0.0)
         cycle = Waveform(chain, self.mass, measured.what)
-        free = jnp.isnan(self.clock)
         clock = jnp.where(free, cycle.period, self.clock)
-        values = cycle((measured.times - measured.times[0]) / clock + z[-1])
+        values = cycle(times / clock + z[-1])
         late = jnp.where(free, 0.0, (1.0 - cycle.period / clock) / _CLOCK)
         return jnp.append((measured.values - values) / measured.noise, late)
 
@@ -307,7 +334,8 @@ def _profile(
         others = flat + found.covariance[place] / error**2 * (value - flat[place])
         start = jnp.delete(others, place)
         if problem.extra:
-            start = jnp.append(start, found.phase)
+            more = found.phase if found.start is None else jnp.concatenate(found.start)
+            start = jnp.append(start, more)
         fixed = _FitProblem(
             problem.chain, problem.measurements, problem.change, problem.mass, problem.unravel,
             place=place, value=value,
@@ -335,7 +363,12 @@ def _best_fit(
 ) -> Identification:
     """The fit with the least chi^2 of those from several starts."""
     measured, clocks = problem.measurements, problem.clock[None]
-    if isinstance(measured, Signal):
+    if isinstance(measured, Signal) and measured.start is not None:
+        given = jnp.concatenate(as_state(problem.chain, measured.start, "measurements.start"))
+        given = jnp.broadcast_to(given, (len(starts), problem.extra))
+        starts, length = jnp.concatenate([starts, given], axis=1), jnp.ptp(measured.times)
+        clocks = jnp.append(jnp.geomspace(jnp.minimum(_BEGINNING, length), length, _PARTS), clocks)
+    elif isinstance(measured, Signal):
         clock = measured.period(_waveform(problem, starts[0]).period)
         phases = jax.vmap(lambda z: _waveform(problem, z).phase(measured, clock))(starts)
         starts = jnp.concatenate([starts, phases[:, None]], axis=1)
@@ -361,7 +394,7 @@ def _waveform(problem: _FitProblem, theta: Array) -> Waveform:
 def _fit(problem: _FitProblem, start: Array, steps: int) -> tuple[Identification, Array]:
     """(the fit, all its unknowns)."""
     infinite = jnp.asarray(jnp.inf)
-    m, p = problem.measurements.count + problem.extra, start.size
+    m, p = problem.count, start.size
     enough = _SIGNAL_GAIN if problem.extra else _GAIN
 
     def step(now: _Fit, curved: bool = False) -> tuple[Array, Array]:
@@ -424,7 +457,8 @@ def _fit(problem: _FitProblem, start: Array, steps: int) -> tuple[Identification
         condition=condition,
         residuals=last.residuals[: problem.measurements.count],
         chi_squared=jnp.sum(last.residuals**2),
-        phase=last.z[-1] if problem.extra else jnp.asarray(jnp.nan),
+        phase=last.z[-1] if problem.extra == 1 else jnp.asarray(jnp.nan),
+        start=problem.start(last.z),
         result=result,
         evaluations=last.count,
     )

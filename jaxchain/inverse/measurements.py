@@ -29,6 +29,7 @@ from .._final import final
 from ..boundaries.fold import fold_belt_speed
 from ..boundaries.hopf import hopf_belt_speed
 from ..cycles.limit_cycle import find_limit_cycle
+from ..model.arguments import as_state
 from ..model.chain import Chain, steady_sliding
 from ..model.initial_states import check_mass, on_the_belt
 from ..observers.amplitude import Amplitude
@@ -145,7 +146,8 @@ class Measurements(Printed, eqx.Module):
 
 @final
 class Signal(Printed, eqx.Module):
-    """A record of one mass in its limit cycle, with the standard deviation of its noise.
+    """A record of one mass, with the standard deviation of its noise: in its limit cycle, or from
+    a given start.
 
     **Arguments:** (dimensionless)
 
@@ -155,9 +157,12 @@ class Signal(Printed, eqx.Module):
       mass.  A block that is pulled by a spring over a floor at rest is a mass on a moving belt: x
       is then the stretch of the spring, and its force k x.  Where friction jumps as the mass comes
       to the belt, a search may stop at a wrong time of the jump; it warns then.
+    - `start`: the state (x, v) of all masses at the first time, for a record that is not one of a
+      limit cycle, such as a decay.  `identify` takes it for a guess, and finds it with the other
+      unknowns.
 
-    At which phase of its cycle the mass is at the first time is unknown: `identify` finds it with
-    the other unknowns, and `log_likelihood` takes the one that fits best.
+    At which phase of a limit cycle the mass is at the first time is unknown: `identify` finds it
+    with the other unknowns, and `log_likelihood` takes the one that fits best.
 
     **Raises:** `ValueError` for other shapes, numbers that are not finite, times that do not
     increase, or noise that is not positive.
@@ -174,8 +179,17 @@ class Signal(Printed, eqx.Module):
     values: Float[Array, " m"]
     noise: Float[Array, " m"]
     what: What = eqx.field(static=True)
+    start: tuple[Array, ...] | None
 
-    def __init__(self, times: Any, values: Any, noise: Any, what: What = "displacement"):
+    def __init__(
+        self,
+        times: Any,
+        values: Any,
+        noise: Any,
+        what: What = "displacement",
+        *,
+        start: Any = None,
+    ):
         require_x64()
         parts = {"times": times, "values": values, "noise": noise}
         parts = {name: to_float(value, name) for name, value in parts.items()}
@@ -198,7 +212,13 @@ class Signal(Printed, eqx.Module):
         self.times, self.values = parts["times"], parts["values"]
         self.noise = jnp.broadcast_to(parts["noise"], shape)
         check_one_of("what", what, get_args(What))
-        self.what = what
+        self.what, self.start = what, None
+        if start is not None:
+            pair = "the pair (displacement, velocity)"
+            check_kind("start", start, tuple | list, pair, "see `excited_state`.")
+            self.start = tuple(to_float(part, "start") for part in start)
+            for part in self.start:
+                check_finite("start", part, "guess what was not measured.")
 
     @property
     def count(self) -> int:
@@ -317,7 +337,8 @@ def predict(
     sticking and release, and works under `jit` and `vmap`.
 
     For a `Signal` they are those of the stable limit cycle of `find_limit_cycle(chain)`, at the
-    `phase` of the first time, in periods after the state of this cycle.
+    `phase` of the first time, in periods after the state of this cycle; or with a `start`, those
+    of the run from there.
 
     **Arguments:** `measurements`: only their belt speeds or times are used;
     `mass`, the index (from 0) of the mass, by default n // 2.
@@ -336,6 +357,8 @@ def predict(
     check_measurements(measurements)
     if isinstance(measurements, Signal):
         check_number("phase", phase)
+        if measurements.start is not None:
+            return _along(chain, measurements, mass)
         cycle = Waveform(chain, mass, measurements.what)
         times = measurements.times - measurements.times[0]
         return cycle(times / cycle.period + phase)
@@ -386,6 +409,55 @@ def predict(
     return jnp.concatenate(parts)
 
 
+def _along(chain: Chain, signal: Signal, mass: int) -> Float[Array, " m"]:
+    """The values of a signal that a run from its start predicts."""
+    times = signal.times - signal.times[0]
+    x, v = _run(
+        chain, as_state(chain, signal.start, "measurements.start"), times[-1], Trajectory(times)
+    )
+    free = jax.vmap(partial(_with_slope, chain, mass, signal.what, sticks=False))(x, v)[0]
+    if not chain.dry or signal.what != "friction_force":
+        return free
+    held = jax.vmap(partial(_with_slope, chain, mass, signal.what, sticks=True))(x, v)[0]
+    return jnp.where(jnp.abs(v[:, mass] - chain.belt_speed) < _HELD, held, free)
+
+
+def _run(chain: Chain, state: Any, time: Array, observe: Any) -> Any:
+    """What is observed of a run."""
+    solver = EventDriven(_ORDER) if chain.dry else None
+    how = {"observe": observe, "solver": solver, "rtol": _RTOL, "throw": False}
+    return simulate(chain, state, time, **how).observed
+
+
+def _with_slope(
+    chain: Chain,
+    mass: int,
+    what: What,
+    x: Float[Array, " n"],
+    v: Float[Array, " n"],
+    *,
+    sticks: bool,
+) -> tuple[Array, Array]:
+    """What is shown of a state, and its rate."""
+
+    def friction(x: Array, v: Array) -> Array:
+        if sticks:
+            return -chain.free_force(x, v)
+        if not chain.dry:
+            return chain.load * chain.friction.force(v - chain.belt_speed)
+        # Where it lands and leaves, too, the mass is slower than the belt.
+        mu = chain.law.coefficient(jnp.abs(v - chain.belt_speed))
+        return chain.belt_direction() * chain.load * mu
+
+    def shown(x: Array, v: Array) -> Array:
+        if what == "friction_force":
+            return friction(x, v)[mass]
+        return (x if what == "displacement" else v)[mass]
+
+    rate = v, chain.free_force(x, v) + friction(x, v)
+    return jax.jvp(shown, (x, v), rate)
+
+
 class Waveform:
     """What a signal shows of a cycle, over the time in periods after the state of the cycle.
 
@@ -394,9 +466,10 @@ class Waveform:
     times as long; a mass that sticks more often has no waveform (NaN).
     """
 
-    def __init__(self, chain: Chain, mass: int, what: str):
+    def __init__(self, chain: Chain, mass: int, what: What):
         self.cycle = find_limit_cycle(chain, mass=mass, throw=False)
-        self.chain, self.mass, self.what, self.period = chain, mass, what, self.cycle.period
+        self.what: What = what
+        self.chain, self.mass, self.period = chain, mass, self.cycle.period
         self.sound = self.cycle.result == SearchResult.successful
         if chain.dry:
             stick = self.stick()
@@ -408,8 +481,9 @@ class Waveform:
             k = _NODES[0]
             held = jnp.abs(v[k:, mass] - chain.belt_speed) < _HELD
             self.sound &= jnp.all(held) | (stick == 0.0)
-            slides = jax.vmap(partial(self._with_slope, sticks=False))(x[:k], v[:k])
-            sticks = jax.vmap(partial(self._with_slope, sticks=True))(x[k:], v[k:])
+            shown = partial(_with_slope, chain, mass, what)
+            slides = jax.vmap(partial(shown, sticks=False))(x[:k], v[:k])
+            sticks = jax.vmap(partial(shown, sticks=True))(x[k:], v[k:])
             self.slip, self.parts = slip / self.period, ((slides, slip), (sticks, stick))
 
     def stick(self) -> Float[Array, ""]:
@@ -417,15 +491,7 @@ class Waveform:
         return self._run(StickTime())[self.mass]
 
     def _run(self, observe: Any) -> Any:
-        return simulate(
-            self.chain,
-            self.cycle.state,
-            self.period,
-            observe=observe,
-            solver=EventDriven(_ORDER) if self.chain.dry else None,
-            rtol=_RTOL,
-            throw=False,
-        ).observed
+        return _run(self.chain, self.cycle.state, self.period, observe)
 
     def __call__(self, shares: Float[Array, " m"]) -> Float[Array, " m"]:
         within = jnp.mod(shares, 1.0)
@@ -440,32 +506,10 @@ class Waveform:
         else:
             order = jnp.argsort(within)
             x, v = self._run(Trajectory(within[order] * self.period))
-            found, _ = jax.vmap(partial(self._with_slope, sticks=False))(x, v)
+            shown = partial(_with_slope, self.chain, self.mass, self.what, sticks=False)
+            found, _ = jax.vmap(shown)(x, v)
             found = jnp.zeros_like(shares).at[order].set(found)
         return jnp.where(self.sound, found, jnp.nan)
-
-    def _with_slope(
-        self, x: Float[Array, " n"], v: Float[Array, " n"], sticks: bool
-    ) -> tuple[Array, Array]:
-        """What is shown of a state, and its rate."""
-        chain, one = self.chain, self.mass
-
-        def friction(x: Array, v: Array) -> Array:
-            if sticks:
-                return -chain.free_force(x, v)
-            if not chain.dry:
-                return chain.load * chain.friction.force(v - chain.belt_speed)
-            # Where it lands and leaves, too, the mass is slower than the belt.
-            mu = chain.law.coefficient(jnp.abs(v - chain.belt_speed))
-            return chain.belt_direction() * chain.load * mu
-
-        def shown(x: Array, v: Array) -> Array:
-            if self.what == "friction_force":
-                return friction(x, v)[one]
-            return (x if self.what == "displacement" else v)[one]
-
-        rate = v, chain.free_force(x, v) + friction(x, v)
-        return jax.jvp(shown, (x, v), rate)
 
     def phase(self, signal: Signal, clock: Array) -> Float[Array, ""]:
         """The phase at the first time that fits best, for a signal of the period `clock`."""
@@ -504,8 +548,8 @@ def log_likelihood(
 
     and the same with the full covariance where `measurements` have a `correlation`.
 
-    **Arguments:** as for `predict`; `phase` of a `Signal`, None for the one that fits best (a
-    profile likelihood).
+    **Arguments:** as for `predict`; `phase` of a `Signal` of a limit cycle, None for the one that
+    fits best (a profile likelihood).
 
     **Returns:** a number with derivatives in every number of the chain, forward; NaN where the
     chain predicts no vibration or fold.  It works under `jit` and `vmap`.
@@ -520,7 +564,7 @@ def log_likelihood(
     """
     mass = check_mass(chain, mass)
     check_measurements(measurements)
-    if isinstance(measurements, Signal) and phase is None:
+    if isinstance(measurements, Signal) and measurements.start is None and phase is None:
         phase = best_phase(lax.stop_gradient(chain), measurements, mass)
     if phase is None:
         phase = 0.0

@@ -84,6 +84,46 @@ def test_a_signal_determines_friction_and_damping_and_its_phase():
     np.testing.assert_allclose(slope, (along(0.0201) - along(0.0199)) / 2e-4, rtol=1e-4)
 
 
+@pytest.mark.parametrize(
+    "width", [None, pytest.param(1e-3, marks=pytest.mark.long)], ids=["dry", "smoothed"]
+)
+def test_a_decay_determines_friction_and_damping_and_its_start(width):
+    """Beyond the fold, where there is no limit cycle: sticks, slips, and comes to rest."""
+    chain, true = ONE.with_(belt_speed=1.9, width=width), (jnp.array([2.2]), jnp.array([0.2]))
+    times = jnp.asarray(TIMES + 3.0)
+    blank = Signal(times, jnp.zeros_like(times), 1.0, start=true)
+    exact = predict(change(chain, TRUE), blank)
+    run = simulate(change(chain, TRUE), true, TIMES[-1], observe=Trajectory(TIMES), rtol=1e-11)
+    np.testing.assert_allclose(exact, run.observed[0][:, 0], atol=3e-7)
+    draws = 0.01 * np.random.default_rng(0).standard_normal(TIMES.size)
+    near = true[0] + 0.1, true[1] - 0.1
+    signal = Signal(times, exact + draws, 0.01, start=near)
+
+    def law(chain, theta):
+        return change(chain, jnp.array([theta[0], 0.5, 0.55, theta[1]]))
+
+    found = identify(chain, law, jnp.array([0.97, 0.05]), signal)
+    assert found.successful and found.start is not None
+    assert jnp.isnan(found.phase)
+    low, high = found.interval(0.999)
+    assert np.all((low < TRUE[jnp.array([0, 3])]) & (TRUE[jnp.array([0, 3])] < high))
+    assert np.all(found.standard_errors < 0.02 * found.theta)
+    np.testing.assert_allclose(jnp.concatenate(found.start), [2.2, 0.2], atol=0.03)
+    assert abs(found.chi_squared - 396) < 4 * np.sqrt(2 * 396)
+    with pytest.raises(ValueError, match=r"measurements\.start"):
+        predict(paper_chain(2), blank)
+    # The likelihood of this start, and its slope.
+    best = Signal(times, signal.values, 0.01, start=found.start)
+    expected = np.sum(stats.norm.logpdf(found.residuals)) - TIMES.size * np.log(0.01)
+    assert log_likelihood(found.chain, best) == pytest.approx(expected, abs=1e-6)
+
+    def along(step):
+        return log_likelihood(law(chain, found.theta + step * found.standard_errors), best)
+
+    slope = jax.jvp(along, (0.3,), (1.0,))[1]
+    np.testing.assert_allclose(slope, (along(0.3001) - along(0.2999)) / 2e-4, rtol=1e-3)
+
+
 def test_the_period_of_a_signal_is_that_of_its_harmonics():
     times = np.sort(np.random.default_rng(0).uniform(0.0, 300.0, 500))
     angle = 2 * np.pi * times / 6.1

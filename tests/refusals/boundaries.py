@@ -185,6 +185,7 @@ def _inverse() -> Iterator[Row]:
         "times": (*values, Told([1.0, 0.5], "1 is followed by 0.5")),
         "values": (*values, Told([1.0], r"\(1,\) beside \(2,\)")),
         "noise": (0.0, -1.0, math.nan, "a"), "what": ("speed", 3),
+        "start": ("x", 3, {}, ("a", "b"), ([1.0], [math.nan])),
     }  # fmt: skip
     signal = {"times": [0.0, 1.0], "values": [1.0, 2.0], "noise": 0.1}
     yield Row("Signal", inverse.Signal, signal, bad)
