@@ -103,7 +103,8 @@ def test_a_decay_determines_friction_and_damping_and_its_start(width):
         return change(chain, jnp.array([theta[0], 0.5, 0.55, theta[1]]))
 
     found = identify(chain, law, jnp.array([0.97, 0.05]), signal)
-    assert found.successful and found.start is not None
+    assert found.successful
+    assert found.start is not None
     assert jnp.isnan(found.phase)
     low, high = found.interval(0.999)
     assert np.all((low < TRUE[jnp.array([0, 3])]) & (TRUE[jnp.array([0, 3])] < high))
