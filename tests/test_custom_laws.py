@@ -135,7 +135,9 @@ def test_one_program_for_all_numbers_of_the_law():
 
 
 # Numbers per mass are reduced to one mass, and equal ones to one number: weights are not.
-@pytest.mark.parametrize(("width", "biases"), [(None, BIASES), (1e-2, [0.0, 0.0])])
+@pytest.mark.parametrize(
+    ("width", "biases"), [(None, BIASES), pytest.param(1e-2, [0.0, 0.0], marks=pytest.mark.long)]
+)
 def test_a_neural_network_is_a_law(width, biases):
     paper = paper_chain(3, 1.5, width)
     own = paper.with_(friction=network(biases).with_(width=width))

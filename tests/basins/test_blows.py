@@ -52,7 +52,9 @@ def kicks_of_the_unstable_cycle(speed, xi=0.05):
     return max(last), -min(last)
 
 
-@pytest.mark.parametrize("speed", SPEEDS)
+@pytest.mark.parametrize(
+    "speed", [*(pytest.param(speed, marks=pytest.mark.long) for speed in SPEEDS[:-1]), SPEEDS[-1]]
+)
 def test_of_one_mass_it_is_the_distance_to_the_unstable_cycle(speed):
     up, down = kicks_of_the_unstable_cycle(speed)
     chain = ONE.with_(belt_speed=speed)

@@ -219,6 +219,7 @@ def check_same(found, known):
     assert max(np.max(np.min(gaps, axis=axis)) for axis in (0, 1)) < 1e-7
 
 
+@pytest.mark.long
 def test_a_rotating_wave_of_six_loses_half_of_its_shifts():
     # Of a disturbance (-1)^n: -2 c K (1 + 2 i), which has a zero eigenvalue at K = 1 / (1 + 4 c).
     cells = Ring(jnp.asarray(0.36))

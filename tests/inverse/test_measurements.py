@@ -40,7 +40,12 @@ def shown(chain, x, v, what):
 
 @pytest.mark.parametrize(
     ("n", "what"),
-    [(1, "displacement"), (1, "velocity"), (1, "friction_force"), (3, "displacement")],
+    [
+        (1, "displacement"),
+        pytest.param(1, "velocity", marks=pytest.mark.long),
+        (1, "friction_force"),
+        pytest.param(3, "displacement", marks=pytest.mark.long),
+    ],
 )
 def test_a_dry_signal_is_that_of_a_run_through_many_cycles(n, what: Any):
     chain = paper_chain(n, belt_speed=1.5, width=None)
