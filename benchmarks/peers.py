@@ -20,10 +20,11 @@ from jaxchain import equation_8
 
 HALF_BANDWIDTH = 5
 MOST_STEPS = 10**7
+MOST_UNROLLED = 100  # masses
 
 
 class CompiledRing:
-    """The right side and the Jacobian of a ring of at least three masses, compiled by numba.
+    """The right side and the Jacobian of a ring, or of one mass, compiled by numba.
 
     The masses are folded, 0 N-1 1 N-2 ..., and displacements and velocities interleaved: then
     neighbours are at most two places apart and the Jacobian is banded, which halves LSODA's time.
@@ -38,6 +39,7 @@ class CompiledRing:
         i = np.arange(n)
         self.order = np.where(i % 2 == 0, i // 2, n - 1 - i // 2)
         place = np.argsort(self.order)
+        band_width = self.half_bandwidth = min(HALF_BANDWIDTH, 2 * n - 1)
         before, after = 2 * place[(self.order - 1) % n], 2 * place[(self.order + 1) % n]
 
         # Without signatures: CVODE lends its own arrays as read-only ones, a type apart.
@@ -81,8 +83,8 @@ class CompiledRing:
 
         @njit("f8[:, ::1](f8, f8[::1], f8[::1])")
         def band_jacobian(t, y, p):
-            out = np.empty((2 * HALF_BANDWIDTH + 1, 2 * n))
-            jacobian_into(y, out, p, HALF_BANDWIDTH)
+            out = np.empty((2 * band_width + 1, 2 * n))
+            jacobian_into(y, out, p, band_width)
             return out
 
         @njit
@@ -96,7 +98,8 @@ class CompiledRing:
     def parameters(chain: Any) -> np.ndarray:
         """(v_d, width, xi, eta, k, mu_st, mu_d, v_0) of a chain."""
         law = chain.law
-        numbers = (chain.belt_speed, chain.width, chain.damping_ratio, chain.coupling)
+        eta = 0.0 if chain.n == 1 else chain.coupling
+        numbers = (chain.belt_speed, chain.width, chain.damping_ratio, eta)
         numbers += (chain.stiffness, law.mu_static, law.mu_dynamic, law.v_ref)
         return np.array([float(number) for number in numbers])
 
@@ -119,7 +122,8 @@ def lsoda(ring: CompiledRing, chain: Any, initial: Any, t1: float) -> Callable:
     from scipy.integrate import odeint
 
     y, p = ring.fold(initial), ring.parameters(chain)
-    banded: Any = {"Dfun": ring.band_jacobian, "ml": HALF_BANDWIDTH, "mu": HALF_BANDWIDTH}
+    width = ring.half_bandwidth
+    banded: Any = {"Dfun": ring.band_jacobian, "ml": width, "mu": width}
 
     def run(rtol: float) -> np.ndarray:
         tolerances = {"rtol": rtol, "atol": 0.1 * rtol, "mxstep": MOST_STEPS}
@@ -134,7 +138,8 @@ def cvode(ring: CompiledRing, chain: Any, initial: Any, t1: float) -> Callable:
     from sksundae.cvode import CVODE  # pyright: ignore[reportMissingImports]
 
     y, p = ring.fold(initial), tuple(ring.parameters(chain).tolist())
-    banded = {"linsolver": "band", "lband": HALF_BANDWIDTH, "uband": HALF_BANDWIDTH}
+    width = ring.half_bandwidth
+    banded = {"linsolver": "band", "lband": width, "uband": width}
 
     def run(rtol: float) -> np.ndarray:
         tolerances = {"rtol": rtol, "atol": 0.1 * rtol, "max_num_steps": MOST_STEPS}
@@ -155,7 +160,8 @@ class DryRing:
     - one event for each mass: |w| while it slides, the reserve of friction squared,
       (p mu_st)^2 - r^2, while it sticks; in one direction only, so that leaving w = 0 is none;
     - callbacks that read and write through memory views, a third faster than NumPy's indexing;
-    - `fast_math`, a fifth faster at the same error; all loops unrolled (no `compact_mode`);
+    - `fast_math`, a fifth faster at the same error; all loops unrolled, which for hundreds of
+      masses would compile for hours (`compact_mode`);
     - several `lanes`, which may differ in belt speed and start, as a batch of the SIMD width.
     """
 
@@ -197,6 +203,7 @@ class DryRing:
             t_events=events,
             tol=tolerance,
             fast_math=True,
+            compact_mode=n > MOST_UNROLLED,
         )
         # heyoka's own memory, with an axis of lanes, and a view of each lane.
         self.state = self.integrator.state.reshape(2 * n, lanes)
@@ -254,6 +261,8 @@ def heyoka(chain: Any, belt_speeds: Any, excited: int, t1: float, batch: int) ->
     speeds = jnp.atleast_1d(belt_speeds)
     start = jax.vmap(lambda speed: equation_8(chain.with_(belt_speed=speed), excited))(speeds)
     x, v = (np.ascontiguousarray(np.asarray(part).T) for part in start)
+    # Of events at one time, as of masses that move alike, it misses all but one.
+    x = x + 1e-9 * np.arange(chain.n)[:, None]
     ring = functools.cache(lambda tolerance: DryRing(chain, tolerance, batch))
     batches = [slice(i, i + batch) for i in range(0, speeds.size, batch)]
     host = np.asarray(speeds)

@@ -1,15 +1,16 @@
 """Error against run time: which approach, which width and which tolerance?
 
-Twenty masses in a ring, nine excited, for thirty time units, as one run and as 64 runs at once.
-The error is the greatest of any displacement or velocity at the end against true dry friction, so
-that of the width and that of the tolerance together: a user pays for both.  The solvers of
-jaxchain, the solvers of diffrax, and LSODA, Radau (SciPy) and CVODE with the compiled right side
-and Jacobian of the folder `benchmarks`, which need `pip install 'jaxchain[peers]'` and are left
-out without it.
+One mass, a ring of twenty and one of a thousand, half of them excited, for thirty time units, as
+one run and as 64 runs at once.  The error is the greatest of any displacement or velocity at the
+end against true dry friction, so that of the width and that of the tolerance together: a user pays
+for both.  The solvers of jaxchain, the solvers of diffrax, heyoka with events, and LSODA, Radau
+(SciPy) and CVODE with the compiled right side and Jacobian of the folder `benchmarks`; the last
+four need `pip install 'jaxchain[peers]'` and are left out without it, and so is what solves dense
+systems for a thousand masses.
 
 Prints the fastest setting for each error, and the fastest that smooths friction, with the time of
 one run in ms, and what `simulate(accuracy=...)` gives (its accuracy stands for the
-tolerance).  Some ten minutes, alone on two cores:
+tolerance).  Some half an hour, alone on two cores:
 
     python examples/studies/work_precision.py
 """
@@ -28,31 +29,36 @@ import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-from _common import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION, letters, options
+from _common import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, letters, options
 from scipy.integrate import solve_ivp
 
 from jaxchain import EventDriven, Rodas4, Rodas5P, equation_8, paper_chain, simulate
 from jaxchain.plotting import save_figure
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "benchmarks"))
-N, EXCITED, BELT_SPEED, DURATION = 20, 9, 1.3, 30.0
+BELT_SPEED, DURATION = 1.3, 30.0
+EXCITED = {1: 1, 20: 9, 1000: 450}  # by the number of masses
 LANES, SPREAD = (1, 64), 0.1  # several lanes have belt speeds within this of `BELT_SPEED`
 WIDTHS = [1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9]
 RTOLS = [10.0**-k for k in range(3, 13)]
 ACCURACIES = [10.0**-k for k in range(1, 7)]
 PATIENCE = 1.0  # seconds; what is slower is left out
+MOST_STEPS = 10**6  # of diffrax's solvers, whose steps may shrink to nothing
 SATURATED = 0.95  # a tolerance that lowers the error by less meets that of the width
-NAMES = "event-driven Rodas5P Rodas4 Tsit5 Dopri8 Kvaerno3 Kvaerno5 KenCarp4 LSODA CVODE Radau"
-COLOURS = ["black", BLUE, SKY, ORANGE, ORANGE, GREEN, GREEN, GREEN, PURPLE, PURPLE, VERMILION]
-LINES = ["-", "-", "-", "--", ":", "--", ":", "-.", "--", ":", "-."]
-LOOKS = dict(zip(NAMES.split(), zip(COLOURS, "osD^v^v<PXd", LINES)))
-OWN = [*LOOKS][:3]  # those of jaxchain
+NAMES = (
+    "event-driven Rodas5P Rodas4 heyoka Tsit5 Dopri8 LSODA CVODE Radau Kvaerno3 Kvaerno5 KenCarp4"
+)
+COLOURS = ["black", BLUE, SKY, GREY, ORANGE, ORANGE, PURPLE, PURPLE, VERMILION, *[GREEN] * 3]
+LINES = ["-", "-", "-", "--", "--", ":", "--", ":", "-.", "--", ":", "-."]
+LOOKS = dict(zip(NAMES.split(), zip(COLOURS, "osDh^vPXd^v<", LINES)))
+OWN, DRY = [*LOOKS][:3], ("event-driven", "heyoka", "accuracy")  # jaxchain's; without a width
+MOST = 100  # masses of those that solve dense systems, the last four
 
 
-def start(belt_speed, width):
+def start(n, belt_speed, width):
     """The chain of one run and its initial state."""
-    chain = paper_chain(N, belt_speed, width)
-    return chain, equation_8(chain, EXCITED)
+    chain = paper_chain(n, belt_speed, width)
+    return chain, equation_8(chain, EXCITED[n])
 
 
 def over_lanes(run, speeds):
@@ -61,15 +67,15 @@ def over_lanes(run, speeds):
     return lambda *numbers: jax.block_until_ready(program(jnp.asarray(speeds), *numbers))
 
 
-def by_jaxchain(solver, speeds):
+def by_jaxchain(solver, n, speeds):
     def run(speed, width, rtol):
         options = {"solver": solver, "rtol": rtol, "throw": False}
-        return jnp.stack(simulate(*start(speed, width), DURATION, **options).state)
+        return jnp.stack(simulate(*start(n, speed, width), DURATION, **options).state)
 
     return over_lanes(run, speeds)
 
 
-def by_diffrax(solver, speeds):
+def by_diffrax(solver, n, speeds):
     """By diffrax alone, as one would without jaxchain."""
     terms = dfx.ODETerm(lambda t, y, chain: chain(t, y))
     if isinstance(solver, dfx.KenCarp4):  # stiff friction implicitly, the rest explicitly
@@ -79,11 +85,11 @@ def by_diffrax(solver, speeds):
         )
 
     def run(speed, width, rtol):
-        chain, initial = start(speed, width)
+        chain, initial = start(n, speed, width)
         controller = dfx.PIDController(rtol=rtol, atol=0.1 * rtol)
         ends = dfx.diffeqsolve(
             terms, solver, 0.0, DURATION, None, initial, chain, stepsize_controller=controller,
-            adjoint=dfx.ForwardMode(), max_steps=None, throw=False,
+            adjoint=dfx.ForwardMode(), max_steps=MOST_STEPS, throw=False,
         ).ys  # fmt: skip
         return jnp.stack([y[0] for y in ends])
 
@@ -92,7 +98,7 @@ def by_diffrax(solver, speeds):
 
 def radau(ring, chain, initial, t1):
     """SciPy's Radau, whose loop is Python and whose linear algebra is dense."""
-    start, p, matrix = ring.fold(initial), ring.parameters(chain), np.empty((2 * N, 2 * N))
+    start, p, matrix = ring.fold(initial), ring.parameters(chain), np.empty(2 * (2 * chain.n,))
 
     def jacobian(t, y, p):
         ring.full_jacobian_into(t, y, y, matrix, p)
@@ -105,35 +111,41 @@ def radau(ring, chain, initial, t1):
     return run
 
 
-def by_peer(name, speeds):
-    """By LSODA, Radau or CVODE, one run after the other."""
+def by_peer(name, n, speeds):
+    """By heyoka in batches, or by LSODA, Radau or CVODE, one run after the other."""
     import peers  # of the folder `benchmarks`
 
-    ring = peers.CompiledRing(N)
+    if name == "heyoka":
+        import heyoka
+
+        chain, batch = start(n, BELT_SPEED, None)[0], heyoka.recommended_simd_size()
+        run = peers.heyoka(chain, speeds, EXCITED[n], DURATION, min(batch, len(speeds)))
+        return lambda width, rtol: run(rtol)
+    ring = peers.CompiledRing(n)
     peer = {"LSODA": peers.lsoda, "CVODE": peers.cvode, "Radau": radau}[name]
 
     @functools.cache
     def runs(width):
-        return [peer(ring, *start(speed, width), DURATION) for speed in speeds]
+        return [peer(ring, *start(n, speed, width), DURATION) for speed in speeds]
 
     runs(1e-3)  # raises at once if something is missing
     return lambda width, rtol: np.stack([run(rtol) for run in runs(width)], axis=1)
 
 
-def approach(name, speeds):
-    """A function (width, rtol) -> end states, shape (2, lanes, N)."""
+def approach(name, n, speeds):
+    """A function (width, rtol) -> end states, shape (2, lanes, n)."""
     if name == "event-driven":
-        series = {order: by_jaxchain(EventDriven(order), speeds) for order in (9, 15)}
+        series = {order: by_jaxchain(EventDriven(order), n, speeds) for order in (9, 15)}
         return lambda width, rtol: series[9 if rtol >= 1e-7 else 15](1e-3, rtol)
     if name in OWN:
-        return by_jaxchain({"Rodas4": Rodas4(1), "Rodas5P": Rodas5P(1)}[name], speeds)
-    if name in ("LSODA", "Radau", "CVODE"):
-        return by_peer(name, speeds)
+        return by_jaxchain({"Rodas4": Rodas4(1), "Rodas5P": Rodas5P(1)}[name], n, speeds)
+    if name in ("heyoka", "LSODA", "Radau", "CVODE"):
+        return by_peer(name, n, speeds)
     if name != "accuracy":
-        return by_diffrax(getattr(dfx, name)(), speeds)
+        return by_diffrax(getattr(dfx, name)(), n, speeds)
 
     def run(speed, _, accuracy):
-        chain, initial = start(speed, 1e-3)
+        chain, initial = start(n, speed, 1e-3)
         return jnp.stack(simulate(chain, initial, DURATION, accuracy=accuracy, throw=False).state)
 
     return over_lanes(run, speeds)
@@ -149,14 +161,14 @@ def timed(solve, *numbers):
     return result, statistics.median(seconds)
 
 
-def scan(name, speeds, exact, widths, rtols):
+def scan(name, n, speeds, exact, widths, rtols):
     """Rows of one approach, from loose to tight and from wide to narrow.
 
     What is slower than `PATIENCE`, or no better than the row before, ends a series.  Of
     `simulate(accuracy=...)` the tolerance is the accuracy.
     """
-    solve, slow = approach(name, speeds), 0.0
-    for width in [math.nan] if name in ("event-driven", "accuracy") else widths:
+    solve, slow = approach(name, n, speeds), 0.0
+    for width in [math.nan] if name in DRY else widths:
         before = math.inf
         for rtol in rtols:
             if rtol <= slow:  # at a greater width it was too slow
@@ -164,7 +176,7 @@ def scan(name, speeds, exact, widths, rtols):
             state, seconds = timed(solve, width, rtol)
             error = float(np.max(np.abs(state - exact)))
             if math.isfinite(error):
-                yield name, len(speeds), width, rtol, error, 1e3 * seconds / len(speeds)
+                yield name, n, len(speeds), width, rtol, error, 1e3 * seconds / len(speeds)
             slow = rtol if seconds > PATIENCE else slow
             if slow == rtol or SATURATED * before < error < 0.5:
                 break
@@ -172,11 +184,11 @@ def scan(name, speeds, exact, widths, rtols):
 
 
 def winners(data):
-    """For each number of lanes and each error the fastest setting, of all and of smoothed ones."""
-    rows = []
-    for lanes, error in itertools.product(data.lanes.unique(), 10.0 ** -np.arange(1, 9)):
-        row = {"lanes": lanes, "error": error}
-        fits = data[(data.lanes == lanes) & (data.error <= error) & data.approach.isin([*LOOKS])]
+    """For each case and error the fastest setting, of all and of those that smooth friction."""
+    rows, fitting = [], data[data.approach.isin([*LOOKS])]
+    every = fitting.groupby(["n", "lanes"]), 10.0 ** -np.arange(1, 9)
+    for ((n, lanes), own), error in itertools.product(*every):
+        row, fits = {"n": n, "lanes": lanes, "error": error}, own[own.error <= error]
         for kind, some in (("", fits), ("smoothed: ", fits[fits.width.notna()])):
             for best in some.nsmallest(1, "ms").itertuples():
                 friction = "" if math.isnan(best.width) else f", width {best.width:.0e}"
@@ -188,11 +200,13 @@ def winners(data):
 
 def draw(data):
     """Time of a run over the error: of each approach the settings that it does not beat itself."""
-    counts = data.lanes.unique()
-    page, panels = plt.subplots(1, len(counts), figsize=(7.0, 3.9), sharey=True, squeeze=False)
-    for axes, lanes in zip(panels[0], counts):
+    sizes, counts = data.n.unique(), data.lanes.unique()
+    size = (7.0, 1.3 + 2.1 * len(sizes))
+    page, panels = plt.subplots(len(sizes), len(counts), figsize=size, sharey="row", squeeze=False)
+    for axes, (n, lanes) in zip(panels.flat, itertools.product(sizes, counts)):
+        own = data[(data.n == n) & (data.lanes == lanes)]
         for name, (colour, marker, line) in LOOKS.items():
-            rows = data[(data.lanes == lanes) & (data.approach == name)].sort_values("ms")
+            rows = own[own.approach == name].sort_values("ms")
             rows = rows[rows.error < rows.error.cummin().shift(fill_value=math.inf)]
             bold = name in OWN
             axes.plot(
@@ -200,16 +214,18 @@ def draw(data):
                 markersize=4 if bold else 3, linewidth=1.4 if bold else 0.8, zorder=2 + bold,
                 markerfacecolor=colour if bold else "white", markeredgewidth=0.8,
             )  # fmt: skip
-        rows = data[(data.lanes == lanes) & (data.approach == "accuracy")]
+        rows = own[own.approach == "accuracy"]
         axes.plot(rows.error, rows.ms / 1e3, "*", color=VERMILION, markersize=8, zorder=4,
                   markeredgecolor="white", markeredgewidth=0.5, label="accuracy = …")  # fmt: skip
         least = 1e-12 if data.error.min() < 1e-9 else 1e-9
         axes.set(xscale="log", yscale="log", xlim=(2.0, least))
-        axes.set_xlabel(r"error at the end, $\max\,(|\delta\tilde x|, |\delta\tilde v|)$ (–)")
         axes.grid(alpha=0.25, linewidth=0.5)
-        axes.set_title("one run" if lanes == 1 else f"{lanes} runs at once")
+        axes.set_title(f"$N = {n}$, " + ("one run" if lanes == 1 else f"{lanes} runs at once"))
     letters(panels)
-    panels[0, 0].set_ylabel("time of a run (s)")
+    for axes in panels[-1]:
+        axes.set_xlabel(r"error at the end, $\max\,(|\delta\tilde x|, |\delta\tilde v|)$ (–)")
+    for axes in panels[:, 0]:
+        axes.set_ylabel("time of a run (s)")
     handles = panels[0, 0].get_legend_handles_labels()
     page.legend(*handles, loc="outside lower center", ncols=6, frameon=False)
     return page
@@ -220,16 +236,17 @@ def main():
     widths, rtols = ([1e-2, 1e-3], [1e-4, 1e-6]) if quick else (WIDTHS, RTOLS)
     names = ["event-driven", "Rodas4", "Tsit5", "LSODA"] if quick else [*LOOKS]
     rows = []
-    for lanes in LANES[:1] if quick else LANES:
+    for n, lanes in [(20, 1)] if quick else itertools.product(EXCITED, LANES):
         speeds = BELT_SPEED + (SPREAD * np.linspace(-1, 1, lanes) if lanes > 1 else np.zeros(1))
-        exact = by_jaxchain(EventDriven(18), speeds)(1e-3, 1e-13)
-        for name in names:
+        exact = by_jaxchain(EventDriven(18), n, speeds)(1e-3, 1e-13)
+        for name in names if n < MOST else names[:-4]:
+            print(f"n = {n}, {lanes} lanes: {name}", flush=True)
             try:
-                rows += scan(name, speeds, exact, widths, rtols)
+                rows += scan(name, n, speeds, exact, widths, rtols)
             except ImportError as missing:
                 print(f"{name} is left out, {missing}: pip install 'jaxchain[peers]'")
-        rows += scan("accuracy", speeds, exact, [], [1e-2, 1e-3] if quick else ACCURACIES)
-    data = pd.DataFrame(rows, columns=["approach", "lanes", "width", "rtol", "error", "ms"])
+        rows += scan("accuracy", n, speeds, exact, [], [1e-2, 1e-3] if quick else ACCURACIES)
+    data = pd.DataFrame(rows, columns=["approach", "n", "lanes", "width", "rtol", "error", "ms"])
     data.to_csv(folder / "work_precision.csv", index=False)
     pd.options.display.float_format = "{:.3g}".format
     print(winners(data).to_string(index=False, na_rep="none"))
