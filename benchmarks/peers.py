@@ -20,7 +20,6 @@ from jaxchain import equation_8
 
 HALF_BANDWIDTH = 5
 MOST_STEPS = 10**7
-MOST_UNROLLED = 100  # masses
 
 
 class CompiledRing:
@@ -160,8 +159,7 @@ class DryRing:
     - one event for each mass: |w| while it slides, the reserve of friction squared,
       (p mu_st)^2 - r^2, while it sticks; in one direction only, so that leaving w = 0 is none;
     - callbacks that read and write through memory views, a third faster than NumPy's indexing;
-    - `fast_math`, a fifth faster at the same error; all loops unrolled, which for hundreds of
-      masses would compile for hours (`compact_mode`);
+    - `fast_math`, a fifth faster at the same error; all loops unrolled (no `compact_mode`);
     - several `lanes`, which may differ in belt speed and start, as a batch of the SIMD width.
     """
 
@@ -203,7 +201,6 @@ class DryRing:
             t_events=events,
             tol=tolerance,
             fast_math=True,
-            compact_mode=n > MOST_UNROLLED,
         )
         # heyoka's own memory, with an axis of lanes, and a view of each lane.
         self.state = self.integrator.state.reshape(2 * n, lanes)
