@@ -326,7 +326,7 @@ def check_change(change: Any, chain: Chain, theta: Any) -> None:
 
 
 def predict(
-    chain: Chain, measurements: Measurements | Signal, mass: Any = None, phase: Any = 0.0
+    chain: Chain, measurements: Measurements | Signal, mass: Any = None, phase: Any = None
 ) -> Float[Array, " m"]:
     """The values that `chain` predicts for `measurements.values`.
 
@@ -337,8 +337,8 @@ def predict(
     sticking and release, and works under `jit` and `vmap`.
 
     For a `Signal` they are those of the stable limit cycle of `find_limit_cycle(chain)`, at the
-    `phase` of the first time, in periods after the state of this cycle; or with a `start`, those
-    of the run from there.
+    `phase` of the first time, by default 0, in periods after the state of this cycle; or with a
+    `start`, those of the run from there.
 
     **Arguments:** `measurements`: only their belt speeds or times are used;
     `mass`, the index (from 0) of the mass, by default n // 2.
@@ -356,9 +356,15 @@ def predict(
     mass = check_mass(chain, mass)
     check_measurements(measurements)
     if isinstance(measurements, Signal):
-        check_number("phase", phase)
         if measurements.start is not None:
+            if phase is not None:
+                raise ValueError(
+                    f"Argument `phase` is that of a limit cycle, but is {shown(phase)} beside a "
+                    "signal with a `start`: leave one of them out."
+                )
             return _along(chain, measurements, mass)
+        phase = 0.0 if phase is None else phase
+        check_number("phase", phase)
         cycle = Waveform(chain, mass, measurements.what)
         times = measurements.times - measurements.times[0]
         return cycle(times / cycle.period + phase)
@@ -412,14 +418,20 @@ def predict(
 def _along(chain: Chain, signal: Signal, mass: int) -> Float[Array, " m"]:
     """The values of a signal that a run from its start predicts."""
     times = signal.times - signal.times[0]
-    x, v = _run(
-        chain, as_state(chain, signal.start, "measurements.start"), times[-1], Trajectory(times)
-    )
-    free = jax.vmap(partial(_with_slope, chain, mass, signal.what, sticks=False))(x, v)[0]
-    if not chain.dry or signal.what != "friction_force":
-        return free
-    held = jax.vmap(partial(_with_slope, chain, mass, signal.what, sticks=True))(x, v)[0]
-    return jnp.where(jnp.abs(v[:, mass] - chain.belt_speed) < _HELD, held, free)
+    state = as_state(chain, signal.start, "measurements.start")
+    x, v = _run(chain, state, times[-1], Trajectory(times))
+    if signal.what != "friction_force":
+        return (x if signal.what == "displacement" else v)[:, mass]
+
+    def friction(x: Array, v: Array) -> Array:
+        w = v - chain.belt_speed
+        if not chain.dry:
+            return chain.load * chain.friction.force(w)
+        # Unlike in a cycle, it may be faster than the belt.
+        slides = -jnp.sign(w) * chain.load * chain.law.coefficient(jnp.abs(w))
+        return jnp.where(jnp.abs(w) < _HELD, -chain.free_force(x, v), slides)
+
+    return jax.vmap(friction)(x, v)[:, mass]
 
 
 def _run(chain: Chain, state: Any, time: Array, observe: Any) -> Any:
@@ -427,35 +439,6 @@ def _run(chain: Chain, state: Any, time: Array, observe: Any) -> Any:
     solver = EventDriven(_ORDER) if chain.dry else None
     how = {"observe": observe, "solver": solver, "rtol": _RTOL, "throw": False}
     return simulate(chain, state, time, **how).observed
-
-
-def _with_slope(
-    chain: Chain,
-    mass: int,
-    what: What,
-    x: Float[Array, " n"],
-    v: Float[Array, " n"],
-    *,
-    sticks: bool,
-) -> tuple[Array, Array]:
-    """What is shown of a state, and its rate."""
-
-    def friction(x: Array, v: Array) -> Array:
-        if sticks:
-            return -chain.free_force(x, v)
-        if not chain.dry:
-            return chain.load * chain.friction.force(v - chain.belt_speed)
-        # Where it lands and leaves, too, the mass is slower than the belt.
-        mu = chain.law.coefficient(jnp.abs(v - chain.belt_speed))
-        return chain.belt_direction() * chain.load * mu
-
-    def shown(x: Array, v: Array) -> Array:
-        if what == "friction_force":
-            return friction(x, v)[mass]
-        return (x if what == "displacement" else v)[mass]
-
-    rate = v, chain.free_force(x, v) + friction(x, v)
-    return jax.jvp(shown, (x, v), rate)
 
 
 class Waveform:
@@ -466,10 +449,9 @@ class Waveform:
     times as long; a mass that sticks more often has no waveform (NaN).
     """
 
-    def __init__(self, chain: Chain, mass: int, what: What):
+    def __init__(self, chain: Chain, mass: int, what: str):
         self.cycle = find_limit_cycle(chain, mass=mass, throw=False)
-        self.what: What = what
-        self.chain, self.mass, self.period = chain, mass, self.cycle.period
+        self.chain, self.mass, self.what, self.period = chain, mass, what, self.cycle.period
         self.sound = self.cycle.result == SearchResult.successful
         if chain.dry:
             stick = self.stick()
@@ -481,9 +463,8 @@ class Waveform:
             k = _NODES[0]
             held = jnp.abs(v[k:, mass] - chain.belt_speed) < _HELD
             self.sound &= jnp.all(held) | (stick == 0.0)
-            shown = partial(_with_slope, chain, mass, what)
-            slides = jax.vmap(partial(shown, sticks=False))(x[:k], v[:k])
-            sticks = jax.vmap(partial(shown, sticks=True))(x[k:], v[k:])
+            slides = jax.vmap(partial(self._with_slope, sticks=False))(x[:k], v[:k])
+            sticks = jax.vmap(partial(self._with_slope, sticks=True))(x[k:], v[k:])
             self.slip, self.parts = slip / self.period, ((slides, slip), (sticks, stick))
 
     def stick(self) -> Float[Array, ""]:
@@ -506,10 +487,32 @@ class Waveform:
         else:
             order = jnp.argsort(within)
             x, v = self._run(Trajectory(within[order] * self.period))
-            shown = partial(_with_slope, self.chain, self.mass, self.what, sticks=False)
-            found, _ = jax.vmap(shown)(x, v)
+            found, _ = jax.vmap(partial(self._with_slope, sticks=False))(x, v)
             found = jnp.zeros_like(shares).at[order].set(found)
         return jnp.where(self.sound, found, jnp.nan)
+
+    def _with_slope(
+        self, x: Float[Array, " n"], v: Float[Array, " n"], sticks: bool
+    ) -> tuple[Array, Array]:
+        """What is shown of a state, and its rate."""
+        chain, one = self.chain, self.mass
+
+        def friction(x: Array, v: Array) -> Array:
+            if sticks:
+                return -chain.free_force(x, v)
+            if not chain.dry:
+                return chain.load * chain.friction.force(v - chain.belt_speed)
+            # Where it lands and leaves, too, the mass is slower than the belt.
+            mu = chain.law.coefficient(jnp.abs(v - chain.belt_speed))
+            return chain.belt_direction() * chain.load * mu
+
+        def shown(x: Array, v: Array) -> Array:
+            if self.what == "friction_force":
+                return friction(x, v)[one]
+            return (x if self.what == "displacement" else v)[one]
+
+        rate = v, chain.free_force(x, v) + friction(x, v)
+        return jax.jvp(shown, (x, v), rate)
 
     def phase(self, signal: Signal, clock: Array) -> Float[Array, ""]:
         """The phase at the first time that fits best, for a signal of the period `clock`."""
@@ -566,8 +569,6 @@ def log_likelihood(
     check_measurements(measurements)
     if isinstance(measurements, Signal) and measurements.start is None and phase is None:
         phase = best_phase(lax.stop_gradient(chain), measurements, mass)
-    if phase is None:
-        phase = 0.0
     predicted = predict(chain, measurements, mass, phase)
     gaps, scale = in_noise(measurements, measurements.values - predicted)
     return -jnp.sum(gaps**2 / 2 + jnp.log(jnp.sqrt(2 * jnp.pi))) - scale

@@ -89,6 +89,23 @@ def test_a_signal_determines_friction_and_damping_and_its_phase():
     np.testing.assert_allclose(slope, (along(0.0201) - along(0.0199)) / 2e-4, rtol=1e-4)
 
 
+@pytest.mark.parametrize("width", [None, 1e-3], ids=["dry", "smoothed"])
+def test_friction_pulls_back_a_mass_that_starts_faster_than_the_belt(width):
+    chain, start = ONE.with_(width=width), (jnp.array([0.5]), jnp.array([2.0]))
+    times = jnp.linspace(0.0, 12.0, 41)
+    blank = Signal(times, jnp.zeros_like(times), 1.0, "friction_force", start=start)
+    found = predict(chain, blank)
+    assert found[0] < -0.5 < 0.5 < found[-1]
+    x, v = (np.asarray(part)[:, 0] for part in simulate(
+        chain, start, times[-1], observe=Trajectory(times), rtol=1e-11).observed)  # fmt: skip
+    expected = shown(chain, x, v, "friction_force")
+    if width is not None:
+        expected = np.asarray(chain.friction.force(jnp.asarray(v) - chain.belt_speed))
+    np.testing.assert_allclose(found, expected, atol=1e-4 if width else 3e-7)
+    with pytest.raises(ValueError, match=r"`phase` is that of a limit cycle, but is 0\.3"):
+        log_likelihood(chain, blank, phase=0.3)
+
+
 @pytest.mark.parametrize(
     "width", [None, pytest.param(1e-3, marks=pytest.mark.long)], ids=["dry", "smoothed"]
 )
