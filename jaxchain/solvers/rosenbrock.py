@@ -248,6 +248,15 @@ def _combine(weights: np.ndarray, arrays: _Arrays) -> Any:
     return total
 
 
+def _inverse(h: Array) -> Array:
+    """1 / h, or 1 for h = 0.
+
+    Under `vmap` a run that has ended takes steps of no length until the others end.  They are not
+    used, but in reverse mode 0 times an infinite slope would be NaN.
+    """
+    return 1.0 / jnp.where(h == 0, 1.0, h)
+
+
 def _growth(field: AbstractOscillators, h: Array, held: Any, slope: Array) -> Array:
     """The greatest h Re(lambda) of single masses, lambda^2 - slope lambda + held = 0.
 
@@ -396,7 +405,7 @@ class AbstractStructuredRosenbrock(dfx.AbstractAdaptiveSolver):
             return self._step_of_cells(field, t, h, y0)
         x, v = y0
         n = x.shape[0]
-        per_h = 1.0 / h
+        per_h = _inverse(h)
         hg = h * tab.gamma
         force, slopes = field.local_force_and_slopes(t, x, v)
         h_t, h_x = slopes.time, slopes.displacement
@@ -455,7 +464,7 @@ class AbstractStructuredRosenbrock(dfx.AbstractAdaptiveSolver):
     ) -> tuple[State, State, dict, None, dfx.RESULTS]:
         """The same with all m numbers of every stage: one block tridiagonal solve each."""
         tab, m = self.tableau, len(y0)
-        per_h = 1.0 / h
+        per_h = _inverse(h)
         here = field.linearised(t, y0)
         lu = factor(shifted(here.own, per_h / tab.gamma))
         solve, rho = cell_solver(lu, here.left, here.right, field.ends, self.sweeps)

@@ -86,3 +86,18 @@ def test_steps_that_are_taken_again_lead_to_the_same_end(recorded):
         jax.tree.leaves(again.memory), jax.tree.leaves(whole.memory), strict=True
     ):
         np.testing.assert_allclose(ours, theirs, rtol=1e-6)
+
+
+def test_gradients_of_lanes_that_end_after_different_numbers_of_steps():
+    """The lane that ends first then takes steps of no length, of which nothing may remain."""
+
+    def end(belt_speed):
+        chain = paper_chain(1, belt_speed, width=0.05)
+        run = simulate(chain, equation_8(chain, 1), 6.0, observe=Amplitude(3.0), solver=Rodas4())
+        return run.observed[0] + run.state[0][0], run.steps
+
+    lanes = jnp.array([1.0, 1.6])
+    forward, steps = jax.jit(jax.vmap(jax.jacfwd(end, has_aux=True)))(lanes)
+    reverse, _ = jax.jit(jax.vmap(jax.grad(end, has_aux=True)))(lanes)
+    assert steps[0] != steps[1]
+    np.testing.assert_allclose(reverse, forward, rtol=1e-9)
