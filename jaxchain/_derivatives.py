@@ -62,7 +62,7 @@ def both_ways(
             shape[:] = tree, rest
             return leaves_out
 
-        return jax.jit(run, inline=True)  # traced once
+        return _traced_once(run)
 
     first, second = flat(forward), flat(reverse)
     along = first if tangent is None else flat(tangent)
@@ -84,6 +84,24 @@ def both_ways(
     values = call(leaves)
     tree, rest = shape
     return eqx.combine(tree.unflatten(values), rest)
+
+
+def _traced_once(function: Flat) -> Flat:
+    """`jax.jit(function)`, which in lowering traces again what was traced for its shapes.
+
+    Here that is only the program that was traced, not the Python code, which takes as long as
+    compiling it.
+    """
+    programs: dict[tuple[jax.core.ShapedArray, ...], Flat] = {}
+
+    def run(*args: Any) -> list[Any]:
+        kinds = tuple(map(jax.typeof, args))
+        if kinds not in programs:
+            traced = jax.extend.core.jaxpr_as_fun(jax.make_jaxpr(function)(*kinds))
+            programs[kinds] = jax.jit(traced, inline=True)
+        return programs[kinds](*args)
+
+    return run
 
 
 class _Ways:
@@ -121,7 +139,7 @@ class _Forth:
             checkpoints, self.back = jtu.tree_flatten(pull)
             return [*out, *checkpoints]
 
-        self.run = jax.jit(run, inline=True)
+        self.run = _traced_once(run)
         self.shapes = _shapes(self.run, [jax.typeof(a) for a in arguments])
 
 
@@ -153,7 +171,7 @@ def _pair_of(function: Flat, moved: list[bool]) -> Flat:
         _, slopes, out = jax.jvp(_of(function, fixed, moved), at, list(tangents), has_aux=True)
         return [*out, *slopes]
 
-    return jax.jit(pair, inline=True)
+    return _traced_once(pair)
 
 
 def _run_values(*args: Any, first: Flat) -> list[Any]:
@@ -214,7 +232,7 @@ def _many_pairs(args: Any, dims: Any, *, ways: _Ways) -> tuple[list[Any], list[A
     at_one_point = all(axis is None for axis in axes)
     slopes = len(ways.shapes) - ways.values
     out_axes = [None if at_one_point else 0] * ways.values + [0] * slopes
-    pair = jax.jit(jax.vmap(ways.pair, [*axes, *of_tangents], out_axes), inline=True)
+    pair = _traced_once(jax.vmap(ways.pair, [*axes, *of_tangents], out_axes))
     inputs = [*arguments, *tangents]
     many = _Ways(second, ways.moved, pair, inputs)
     return _pair.bind(*inputs, ways=many), out_axes
