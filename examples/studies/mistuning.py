@@ -86,8 +86,8 @@ def ensemble(store, part, chains, disorder, factor=1.0):
     """Amplitudes over coupling, belt speed, disorder and seed, with PR."""
     start, speeds, couplings, transient = part
     over = {"coupling": couplings, "belt_speed": speeds, "disorder": disorder}
-    over, watch = over | {"seed": range(chains)}, jc.Amplitude(window=WINDOW, stop="quiet")
-    data = run(store, start, (factor * transient, WINDOW), over, watch)
+    times, watch = (factor * transient, WINDOW), jc.Amplitude(window=WINDOW, stop="quiet")
+    data = run(store, start, times, over | {"seed": range(chains)}, watch)
     ratio = jc.observers.participation_ratio(jnp.asarray(data.amplitude.values))
     # What is left of a vibration that has died says nothing.
     return data.assign(ratio=xr.where(data.active_count != 0, np.asarray(ratio), 0.0))
@@ -118,14 +118,13 @@ def analyse(start, data, longer):
     chains, masses = data.sizes["seed"], ("seed", "oscillator")
     of_modes, stay = modes(data)
     began = {"one": np.arange(N) == N // 2, "half": jax.vmap(random_half)(jnp.arange(chains))}
-    began = np.broadcast_to(began.get(start, start == "all"), (chains, N))
-    began = xr.DataArray(began, dims=masses)
+    began = began.get(start, np.asarray(start == "all"))
+    began = xr.DataArray(np.broadcast_to(began, (chains, N)), dims=masses)
     vibrates = (data.amplitude > data.belt_speed / 2).astype(float).where(data.disorder > 0)
-    reach = stats.norm.ppf(0.975) / np.sqrt(chains)
     data = data.assign(modes=of_modes, drift=longer.ratio - data.ratio)
     names = {"ratio": "PR", "active_count": "vibrating", "energy": "E", "modes": "PR of modes"}
     found = data[[*names, "drift"]].mean("seed").rename(names)
-    found["+-"] = reach * data.ratio.std("seed", ddof=1)
+    found["+-"] = stats.norm.ppf(0.975) * data.ratio.std("seed", ddof=1) / np.sqrt(chains)
     for word, who in (("joined", ~began), ("survived", began)):
         for name, linear in (("stiffness", stiffnesses(chains)), ("return", stay)):
             found[f"{word}, {name}"] = xr.corr(vibrates.where(who), linear, masses)
@@ -141,15 +140,14 @@ def captures(data):
     contrast = data.disorder * (u.isel(oscillator=sides) - u.isel(oscillator=N // 2))
     for speed in data.belt_speed.values:
         own = data.amplitude.sel(belt_speed=speed).isel(oscillator=sides).transpose(*contrast.dims)
-        rows = pd.DataFrame(index=(EDGES[1:] + EDGES[:-1]) / 2)
-        rows["hits"] = np.histogram(contrast.values[own.values > speed / 2], EDGES)[0]
-        rows["total"] = np.histogram(contrast.values, EDGES)[0]
+        drawn = contrast.values[own.values > speed / 2]
+        hits, total = (np.histogram(values, EDGES)[0] for values in (drawn, contrast.values))
+        rows = pd.DataFrame({"hits": hits, "total": total}, (EDGES[1:] + EDGES[:-1]) / 2)
         rows = rows[rows.total > 0].assign(share=rows.hits / rows.total)
-        pairs = zip(rows.hits.tolist(), rows.total.tolist())
-        bars = [stats.binomtest(*pair).proportion_ci(method="wilson") for pair in pairs]
+        bars = [stats.binomtest(*pair).proportion_ci(method="wilson")
+                for pair in zip(rows.hits.tolist(), rows.total.tolist())]  # fmt: skip
         rows["low"], rows["high"] = np.transpose(bars)
-        theory = capture_interval(jc.paper_chain(N, width=None), speed)
-        found[speed] = rows, np.asarray(theory)
+        found[speed] = rows, np.asarray(capture_interval(jc.paper_chain(N, width=None), speed))
     return found
 
 
@@ -157,11 +155,8 @@ def locking(store, chains, disorder):
     """Spread of the frequencies, and share of the neighbours that agree to half a period over the
     window: a row for each disorder."""
     peaks = jc.PeakTimes(int(LOCKING_TIMES[1] / PERIOD) + 1, start=LOCKING_TIMES[0])
-    over, watch = (
-        {"disorder": disorder, "seed": range(chains)},
-        jc.Amplitude(window=LOCKING_TIMES[1]),
-    )
-    data = run(store, "all", LOCKING_TIMES, over, [watch, peaks])
+    watch = [jc.Amplitude(window=LOCKING_TIMES[1]), peaks]
+    data = run(store, "all", LOCKING_TIMES, {"disorder": disorder, "seed": range(chains)}, watch)
     times, count = data.peak_time, data.peak_time.count("peak")
     length = times.max("peak") - times.min("peak")
     moves = (data.amplitude > LOCKING_SPEED / 2) & (count > 2)
@@ -181,12 +176,11 @@ def disorder_axis(axes, values):
     axes.set(xlabel=LABEL, xlim=(-0.1 * values[1], 1.12 * values[-1]))
 
 
-def draw_ratios(axes, groups, title, shared):
+def draw_ratios(axes, rows, by, label, title, shared):
     """PR over the disorder of groups of rows, and of the linear modes; `shared` by all of them."""
-    for (label, own), colour, marker in zip(groups, common.COLOURS, "osD^vP<>"):
-        x = 100 * own.disorder
-        look = {"color": colour, "marker": marker, "ms": 3.2, "lw": 1.1, "label": label}
-        axes.errorbar(x, own.PR, own["+-"], **look)
+    for (name, own), colour, marker in zip(rows.groupby(by), common.COLOURS, "osD^vP<>"):
+        x, look = 100 * own.disorder, {"color": colour, "marker": marker, "ms": 3.2, "lw": 1.1}
+        axes.errorbar(x, own.PR, own["+-"], label=label.format(*name), **look)
         axes.plot(x, own["PR of modes"], "--", color="black" if shared else colour, lw=1.0)
     axes.plot([], [], "--", color="black", lw=1.0, label="linear modes")
     disorder_axis(axes, x.to_numpy())
@@ -204,9 +198,8 @@ def draw_captures(axes, caught):
         axes.plot(theory, 2 * [1.06 + 0.07 * i], "|-", color=common.COLOURS[i], lw=1.8, ms=5)
     axes.plot([], [], "|-", color="black", lw=1.8, ms=5, label="theory")
     axes.axvline(0, color="black", lw=0.5, ls=":")
-    axes.set(xlim=(-0.12, 0.12), ylim=(-0.03, 1.52), yticks=np.linspace(0, 1, 5))
+    axes.set(xlim=(-0.12, 0.12), ylim=(-0.03, 1.52), yticks=[0, 0.5, 1], ylabel="share drawn in")
     axes.set_xlabel(r"detuning $k_\mathrm{neighbour} - k_\mathrm{driver}$ (–)")
-    axes.set_ylabel("share of neighbours drawn in")
     axes.legend(ncols=3, loc="upper center", title=common.SPEED)
 
 
@@ -219,8 +212,7 @@ def draw_counts(axes, rows):
         axes.text(j, i, f"{100 * share:.0f}", size=6, **look)
     axes.set_xticks(range(grid.shape[1]), [f"{100 * value:g}" for value in grid.columns])
     axes.set_yticks(range(len(grid)), [f"{speed:g}\n{start}" for speed, start in grid.index])
-    axes.set(xlabel=LABEL)
-    axes.set_title("vibrating masses (%)", fontsize=7.5)
+    axes.set(xlabel=LABEL, title="vibrating masses (%)")
 
 
 def draw_locking(axes, locked, rows):
@@ -235,26 +227,26 @@ def draw_locking(axes, locked, rows):
     axes.legend(loc="upper right", title="start: all", fontsize=6.2)
 
 
-def draw_states(axes, shown):
+def draw_states(axes, datasets, speeds):
     """Seed 0 at several disorders: size for amplitude, colour for stiffness."""
     places, look = np.arange(1, N + 1), {"cmap": "PuOr", "vmin": -1.8, "vmax": 1.8, "lw": 0.35}
     height, ticks = 0.0, {}
-    for label, data in shown.items():
-        axes.text(0.5, height, label, fontsize=6.5, va="center")
+    for name, speed in speeds.items():
+        data = datasets[name].isel(coupling=0).sel(belt_speed=speed)
+        axes.text(0.5, height, rf"$\tilde v_d = {speed:g}$, start: {name}", size=6.5, va="center")
         for j in np.unique(np.linspace(0, data.disorder.size - 1, 5).round().astype(int)):
             height -= 1.2
             size = np.nan_to_num(data.amplitude[j, 0] / data.amplitude.max()).clip(0.04)
             colour = stiffnesses(1)[0] * float(data.disorder[j] > 0)
-            heights = np.full(N, height)
+            heights, ticks[height] = np.full(N, height), f"{100 * float(data.disorder[j]):g}"
             image = axes.scatter(places, heights, 36 * size**2, colour, ec="black", **look)
-            ticks[height] = f"{100 * float(data.disorder[j]):g}"
         height -= 1.8
     axes.set(ylim=(height + 1, 1), xlabel="oscillator $n$", xticks=[1, N // 2, N])
     axes.set_yticks([*ticks], [*ticks.values()])
     axes.set_ylabel(r"$\sigma_k$ (%)", labelpad=1)
     axes.spines[:].set_visible(False)
-    bar = axes.figure.colorbar(image, ax=axes, pad=0.02, aspect=30, shrink=0.8, ticks=[-1, 0, 1])
-    bar.set_label(r"$(k_n - 1) / \sigma_k$", fontsize=7)
+    look = {"pad": 0.02, "aspect": 30, "shrink": 0.8, "ticks": [-1, 0, 1]}
+    axes.figure.colorbar(image, ax=axes, label=r"$(k_n - 1) / \sigma_k$", **look)
 
 
 def main():
@@ -271,28 +263,22 @@ def main():
         print(name, tables[-1].round(3).dropna(axis="columns", how="all").to_string(), sep="\n")
     rows, caught = pd.concat(tables), captures(datasets["one"])
     for speed, (shares, theory) in caught.items():
-        half = shares.index[shares.share >= 0.5]
-        ends = min(half), max(half), *theory
+        ends = shares.index[shares.share >= 0.5][[0, -1]]
         print(f"belt speed {speed:g}: half of the neighbours or more are drawn in at detunings of")
-        print("{:+.3f} ... {:+.3f}, in theory {:+.3f} ... {:+.3f}".format(*ends))
+        print("{:+.3f} ... {:+.3f}, in theory {:+.3f} ... {:+.3f}".format(*ends, *theory))
     agreeing = locking(folder / "locking.zarr", *locked)
     print(agreeing.round(5).to_string())
 
     page, panels = plt.subplots(2, 3, figsize=(7.0, 5.3), width_ratios=[1.15, 1.0, 1.0])
     usual, some = rows[rows.coupling == COUPLING], rows[rows.belt_speed == 1.3]
-    groups = usual.groupby(["belt_speed", "start"])
-    groups = [(f"{speed:g}, {start}", own) for (speed, start), own in groups]
-    draw_ratios(panels[0, 0], groups, r"belt speed $\tilde v_d$, start", shared=True)
-    groups = [(rf"$\eta_c = {coupling:g}$", own) for coupling, own in some.groupby("coupling")]
-    draw_ratios(panels[0, 1], groups, r"$\tilde v_d = 1.3$, start: one", shared=False)
+    groups = ["belt_speed", "start"], "{:g}, {}", r"belt speed $\tilde v_d$, start"
+    draw_ratios(panels[0, 0], usual, *groups, shared=True)
+    groups = ["coupling"], r"$\eta_c = {:g}$", r"$\tilde v_d = 1.3$, start: one"
+    draw_ratios(panels[0, 1], some, *groups, shared=False)
     draw_captures(panels[0, 2], caught)
     draw_counts(panels[1, 0], usual)
     draw_locking(panels[1, 1], agreeing, usual[usual.start == "all"])
-    shown = {}
-    for name, speed in (("one", 1.2), ("all", 1.75)):
-        own = datasets[name].isel(coupling=0).sel(belt_speed=speed)
-        shown[rf"$\tilde v_d = {speed:g}$, start: {name}"] = own
-    draw_states(panels[1, 2], shown)
+    draw_states(panels[1, 2], datasets, {"one": 1.2, "all": 1.75})
     common.letters(panels)
     jc.plotting.save_figure(page, folder / "mistuning")
 
