@@ -27,7 +27,7 @@ from scipy import stats
 import jaxchain as jc
 from jaxchain.localization.capture_theory import capture_interval
 
-N, COUPLING = 20, 0.01
+N, COUPLING, WINDOW, DISTURBANCE = 20, 0.01, 100.0, 0.1
 CHAINS, DISORDER = 200, [0.0, 0.005, 0.01, 0.02, 0.03, 0.05, 0.1]
 # By name: start, belt speeds, couplings, and the time before amplitudes are measured.
 ENSEMBLES = {
@@ -41,7 +41,6 @@ ENSEMBLES = {
     # Near the fold neighbours put each other to rest, unless they are locked in antiphase.
     "all": ("all", [1.65, 1.75], [COUPLING], 8000.0),
 }
-WINDOW, DISTURBANCE = 100.0, 0.1
 # Has anything still moved?  This number of chains again, with a longer transient.
 AGAIN, LONGER = 25, 2.0
 # Frequencies where all masses vibrate; no cycle is shorter than the period.
@@ -212,7 +211,8 @@ def draw_counts(axes, rows):
         axes.text(j, i, f"{100 * share:.0f}", size=6, **look)
     axes.set_xticks(range(grid.shape[1]), [f"{100 * value:g}" for value in grid.columns])
     axes.set_yticks(range(len(grid)), [f"{speed:g}\n{start}" for speed, start in grid.index])
-    axes.set(xlabel=LABEL, title="vibrating masses (%)")
+    axes.set_xlabel(LABEL)
+    axes.set_title("vibrating masses (%)", fontsize=7.5)
 
 
 def draw_locking(axes, locked, rows):
