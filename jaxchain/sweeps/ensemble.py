@@ -78,7 +78,7 @@ from .lanes import (
     known_again,
     start_of,
 )
-from .programs import shape_of
+from .programs import shape_of, shape_of_start
 from .store import digest
 
 if TYPE_CHECKING:
@@ -162,7 +162,7 @@ class Ensemble:
     @functools.cached_property
     def place(self) -> Any:
         """The shapes of a slot of a pool."""
-        start = eqx.filter_eval_shape(start_of, self.starts, self.first_job().first)
+        start = shape_of_start(self.starts, self.first_job().first)
         return shape_of(blank_slot, self.task, start)
 
     @property
@@ -395,7 +395,8 @@ def check_observers(
                 f"{shown(observer)}: see `jaxchain.observers`."
             )
         kind = f"`{type(observer).__name__}`"
-        for name, variable in _labels(observer, chain, size).items():
+        still = tuple(np.zeros(size))
+        for name, variable in shape_of(_labels, (observer, chain), still).items():
             if name in givers:
                 raise ValueError(
                     f"Argument `observe` holds {kind}, which names a variable {name!r} as "
@@ -424,15 +425,11 @@ def check_observers(
     return observers
 
 
-def _labels(observer: AbstractObserver, chain: Any, size: tuple[int, int]) -> dict[str, Variable]:
-    """The variables of an observer, with the shapes of their values."""
-
-    def labelled() -> OrderedDict[str, Variable]:
-        still = tuple(jnp.zeros(size))
-        value = observer.read(observer.init(chain, 0.0, 1.0, still))
-        return OrderedDict(observer.label(value, chain))
-
-    return eqx.filter_eval_shape(labelled)
+def _labels(observed: tuple[AbstractObserver, Any], state: State) -> OrderedDict[str, Variable]:
+    """The variables of an observer of a chain."""
+    observer, chain = observed
+    value = observer.read(observer.init(chain, 0.0, 1.0, state))
+    return OrderedDict(observer.label(value, chain))
 
 
 def describe(

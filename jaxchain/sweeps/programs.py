@@ -141,7 +141,7 @@ def ready(
 
 
 def shape_of(function: Callable, task: Any, *arguments: Any) -> Any:
-    """The shapes that `function(task, ...)` returns."""
+    """The shapes that `function(task, ...)` returns, traced once for arguments like these."""
     compiled, arrays = _program_of(program, function, (), task)
     return compiled.shape(arrays, *arguments)
 
@@ -165,6 +165,13 @@ def place(tree: Any, device: Any) -> Any:
 def starts_on(device: Any, starts: RunStarts, values: dict[str, Array]) -> RunStart:
     """The start of every lane; JAX releases the user's functions with their programs."""
     return ready(_starts_of, device, starts, values, programs=start_program)(values)
+
+
+def shape_of_start(starts: RunStarts, values: dict[str, Array]) -> RunStart:
+    """The shapes of the start of one lane."""
+    compiled, arrays = _program_of(start_program, _starts_of, (), starts)
+    every = compiled.shape(arrays, {name: value[None] for name, value in values.items()})
+    return jtu.tree_map(lambda s: jax.ShapeDtypeStruct(s.shape[1:], s.dtype), every)
 
 
 def _starts_of(starts: RunStarts, values: dict[str, Array]) -> RunStart:
