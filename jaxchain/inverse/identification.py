@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -369,8 +370,9 @@ def _best_fit(
         starts, length = jnp.concatenate([starts, given], axis=1), jnp.ptp(measured.times)
         clocks = jnp.append(jnp.geomspace(jnp.minimum(_BEGINNING, length), length, _PARTS), clocks)
     elif isinstance(measured, Signal):
-        clock = measured.period(_waveform(problem, starts[0]).period)
-        phases = jax.vmap(lambda z: _waveform(problem, z).phase(measured, clock))(starts)
+        cycles = jax.vmap(partial(_waveform, problem))(starts)
+        clock = measured.period(cycles.period[0])
+        phases = jax.vmap(lambda cycle: cycle.phase(measured, clock))(cycles)
         starts = jnp.concatenate([starts, phases[:, None]], axis=1)
         clocks = jnp.append(clock[None], clocks)  # first the shape of the cycle, then every value
 

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 from scipy.linalg import eigvalsh
 
 from .._checks import (
@@ -28,7 +28,7 @@ from .._checks import (
 from .._final import final
 from ..boundaries.fold import fold_belt_speed
 from ..boundaries.hopf import hopf_belt_speed
-from ..cycles.limit_cycle import find_limit_cycle
+from ..cycles.limit_cycle import LimitCycle, find_limit_cycle
 from ..model.arguments import as_state
 from ..model.chain import Chain, steady_sliding
 from ..model.initial_states import check_mass, on_the_belt
@@ -441,7 +441,7 @@ def _run(chain: Chain, state: Any, time: Array, observe: Any) -> Any:
     return simulate(chain, state, time, **how).observed
 
 
-class Waveform:
+class Waveform(eqx.Module):
     """What a signal shows of a cycle, over the time in periods after the state of the cycle.
 
     A dry cycle begins where the belt releases the mass.  If it sticks once, the cycle is
@@ -449,10 +449,20 @@ class Waveform:
     times as long; a mass that sticks more often has no waveform (NaN).
     """
 
+    chain: Chain
+    mass: int = eqx.field(static=True)
+    what: str = eqx.field(static=True)
+    cycle: LimitCycle
+    period: Float[Array, ""]
+    sound: Bool[Array, ""]
+    slip: Float[Array, ""]  # share of the period
+    parts: tuple  # of a dry cycle, slipping and sticking: (values, rates), and the length
+
     def __init__(self, chain: Chain, mass: int, what: str):
         self.cycle = find_limit_cycle(chain, mass=mass, throw=False)
         self.chain, self.mass, self.what, self.period = chain, mass, what, self.cycle.period
         self.sound = self.cycle.result == SearchResult.successful
+        self.slip, self.parts = jnp.ones(()), ()
         if chain.dry:
             stick = self.stick()
             slip = self.period - stick
@@ -480,8 +490,8 @@ class Waveform:
             slides = within < self.slip
             places = within / self.slip, (within - self.slip) / (1.0 - self.slip)
             parts = (
-                _cubic(jnp.clip(place, 0.0, 1.0), *values, length)
-                for place, (values, length) in zip(places, self.parts, strict=True)
+                _cubic(jnp.clip(place, 0.0, 1.0), value, rate, length)
+                for place, ((value, rate), length) in zip(places, self.parts, strict=True)
             )
             found = jnp.where(slides, *parts)
         else:
