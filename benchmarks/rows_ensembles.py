@@ -35,12 +35,13 @@ def sweep_row(repeats: int, quick: bool) -> list[dict]:
     """
     smoothed, span = paper_chain(N, 1.5, WIDTH), 3.0 if quick else 500.0
     # Runs of each device; of few runs a sweep is mostly preparation.
+    few, many = 64 if quick else 256, 5_000
     cases: dict[str, Any] = {
-        f"smoothed, width {WIDTH:g}": (smoothed, Rodas4(sweeps=1), None, 64 if quick else 256, 1.1)
+        f"smoothed, width {WIDTH:g}": (smoothed, Rodas4(sweeps=1), "never", few, 1.1)
     }
     if not quick:
         dry = smoothed.with_(width=None), EventDriven()
-        cases |= {"dry friction, 10^4 runs": (*dry, None, 10_000, 1.1)}
+        cases |= {f"dry friction, {many} runs of each device": (*dry, "never", many, 1.1)}
         cases |= {'dry friction, 32 runs, stop="quiet"': (*dry, "quiet", 32, 1.2)}
     # As many lanes as `sweep` takes by itself, with belt speeds so close that nearly all take the
     # same steps: what is compared is the machinery.
