@@ -28,10 +28,10 @@ N, WIDTH, RTOL, EXCITED = 20, 1e-3, 1e-6, 10
 
 
 def sweep_row(repeats: int, quick: bool) -> list[dict]:
-    """The cost of `sweep` with amplitudes over `vmap(simulate)` without: core time of a step.
+    """The cost of `sweep` with amplitudes over `vmap(simulate)` without observers.
 
-    Steps are those of one lane, with rejected ones. Two devices may take twice the core time of
-    one, for twice as many runs.
+    Compared is the core time of a step of one lane, rejected or not. Two devices may take twice
+    the core time of one, for twice as many runs.
     """
     smoothed, span = paper_chain(N, 1.5, WIDTH), 3.0 if quick else 500.0
     # Runs of each device; of few runs a sweep is mostly preparation.
@@ -42,7 +42,7 @@ def sweep_row(repeats: int, quick: bool) -> list[dict]:
     if not quick:
         dry = smoothed.with_(width=None), EventDriven()
         cases |= {f"dry friction, {many} runs of each device": (*dry, "never", many, 1.1)}
-        cases |= {'dry friction, 32 runs, stop="quiet"': (*dry, "quiet", 32, 1.2)}
+        cases |= {'dry friction, 32 runs of each device, stop="quiet"': (*dry, "quiet", 32, 1.2)}
     # As many lanes as `sweep` takes by itself, with belt speeds so close that nearly all take the
     # same steps: what is compared is the machinery.
     lanes, belt_speeds = 32, (1.5, 1.5 + 1e-6)

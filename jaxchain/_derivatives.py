@@ -87,10 +87,10 @@ def both_ways(
 
 
 def _traced_once(function: Flat) -> Flat:
-    """`jax.jit(function)`, which in lowering traces again what was traced for its shapes.
+    """`jax.jit(function)`, which runs the Python code once for arguments of the same kind.
 
-    Here that is only the program that was traced, not the Python code, which takes as long as
-    compiling it.
+    JAX traces a jitted function for its shapes and, in another context, again to lower it.  Here
+    the second time repeats the traced program, not the Python code, which takes much longer.
     """
     programs: dict[tuple[jax.core.ShapedArray, ...], Flat] = {}
 

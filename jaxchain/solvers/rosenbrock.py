@@ -251,8 +251,8 @@ def _combine(weights: np.ndarray, arrays: _Arrays) -> Any:
 def _inverse(h: Array) -> Array:
     """1 / h, or 1 for h = 0.
 
-    Under `vmap` a run that has ended takes steps of no length until the others end.  They are not
-    used, but in reverse mode 0 times an infinite slope would be NaN.
+    Under `vmap` a run that has ended takes steps of length 0 until the others end.  Their values
+    are discarded, but in reverse mode 0 times an infinite slope would be NaN.
     """
     return 1.0 / jnp.where(h == 0, 1.0, h)
 

@@ -89,7 +89,7 @@ def test_steps_that_are_taken_again_lead_to_the_same_end(recorded):
 
 
 def test_gradients_of_lanes_that_end_after_different_numbers_of_steps():
-    """The lane that ends first then takes steps of no length, of which nothing may remain."""
+    """A lane that has ended takes steps of length 0; they must not change its gradient."""
 
     def end(belt_speed):
         chain = paper_chain(1, belt_speed, width=0.05)
