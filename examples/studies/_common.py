@@ -50,7 +50,9 @@ def kept(file, settings, compute):
         if known == settings:
             return found
     found = compute()
-    file.write_bytes(pickle.dumps((settings, found)))
+    part = file.with_suffix(".part")  # whoever reads the file finds all of it or none
+    part.write_bytes(pickle.dumps((settings, found)))
+    part.replace(file)
     return found
 
 

@@ -1,22 +1,12 @@
-"""The branches behind the ladder of localized states: snakes, islands or a stack?
+"""What do the branches behind the ladder look like with true dry friction?
 
-The cycles in which k neighbours of the paper's ring vibrate with locked phases, stable and
-unstable, followed over the belt speed round all folds at four couplings: in phase, alternating,
-and in the calmest pattern, whose phases keep together best; at the paper's coupling also the
-branches that leave them where they lose their symmetry.  Beside each smoothed cycle the cycle of
-true dry friction, and beside each fold the grazing at which dry cycles fold; upon them runs of dry
-friction from eq. (8), as in Fig. 3(b) of the paper.
+Beside the smoothed cycles of `snaking.py` with up to three vibrating masses the cycles of true dry
+friction, and beside each fold the grazing at which dry cycles fold; upon the branches of all
+numbers of masses runs of dry friction from eq. (8), as in Fig. 3(b) of the paper.
 
-A branch ends where it closes, where it meets a branch of more symmetric cycles, beyond which it is
-its own mirror image, at a Hopf point, where it fills the ring, or at the end of the range.  It is
-named after Taylor and Dawes, Snaking and isolas of localised states in bistable discrete lattices
-(2010): an isola is closed; along a snake the number of vibrating masses changes at folds; in a
-stack each number has a branch of its own.
-
-Prints for each branch its name, its symmetry and belt speeds, how many masses vibrate, where it is
-stable, by how much its orbits fail to close when they are integrated ten times finer, how both
-ways end, branches with the same folds, the dry cycles, and its special points.  What has been
-followed is kept in the folder of the results.  Three to four hours on one core:
+Prints for each branch beside how many of its points there is a dry cycle, how far these are from
+closing, its folds, and the grazings beside them.  The branches are those in the folder of
+`snaking.py`; what is missing there is followed first, three to four hours on one core:
 
     python examples/studies/ladder.py
 """
@@ -26,151 +16,26 @@ from functools import partial
 from types import SimpleNamespace
 
 import jax
-import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-import xarray as xr
-from _common import BLUE, COUPLING, GREEN, GREY, SPEED, VERMILION, kept, letters, options
+import snaking
+from _common import BLUE, COUPLING, GREEN, GREY, SPEED, VERMILION, letters, options
+from snaking import branches_at, folds_of, in_blocks, name_of, points_of
 
 import jaxchain as jc
-from jaxchain import localization
 from jaxchain.boundaries import find_special_cycle
-from jaxchain.cycles import cycle_symmetry, switch_cycle
 from jaxchain.plotting import plot_branch, save_figure
 
-FULL = {
-    "n": 20, "width": 1e-3, "couplings": (1e-2, 3e-3, 2e-2, 1e-3), "counts": (1, 2, 3, 4, 5, 6),
-    "more": (20,), "switched": (1, 2),  # at the first coupling; the branches that leave these
-    "points": 8000,  # on each of the two ways of a branch
-    "speeds": np.arange(1.05, 1.86, 0.05), "transient": 1400.0,  # of the runs from eq. (8)
-}  # fmt: skip
-QUICK = FULL | {
-    "n": 4, "width": 0.05, "couplings": (0.01,), "counts": (1, 2), "more": (), "switched": (),
-    "points": 6, "speeds": (1.4, 1.5), "transient": 50.0,
-}  # fmt: skip
-START, WINDOW, RTOL, FINE_RTOL = 1.5, 100.0, 1e-12, 1e-13
-HOW = {"bounds": (1.1, 1.9), "tolerance": 1e-10, "min_step": 1e-11}  # branches are followed
-ROUGHLY = {"rtol": 10 * RTOL, "tolerance": 1e-9, "min_step": 1e-8}  # past bends too sharp for that
+# Runs from eq. (8).
+FULL = snaking.FULL | {"speeds": np.arange(1.05, 1.86, 0.05), "transient": 1400.0}
+QUICK = snaking.QUICK | {"speeds": (1.4, 1.5), "transient": 50.0}
+WINDOW = 100.0
 NEAR = 0.02  # amplitudes of a dry cycle and the smoothed one
 BESIDE = 8.0  # belt speeds of a fold and a grazing, in widths; smoothing moves it by some five
-FILLS = "fills the ring"
-DRY = (1, 2, 3)  # k of which dry cycles are found, too
-PATTERNS = {"in-phase": BLUE, "alternating": "black", "calmest": GREEN}
-NAMES = {"snake": "s", "isola": "o", "stack": "_", "not named": "x"}
-
-
-def locked(model, k):
-    """The locked patterns of k neighbours that have names, each once."""
-    n = model.chain.n
-    waves = (localization.rotating_wave(model, turns) for turns in range(n // 2 + 1))
-    every = (
-        localization.locked_patterns(model, k) if k < n else sorted(waves, key=lambda p: p.growth)
-    )
-    orders = [pattern.order for pattern in every]
-    index = {"in-phase": np.argmax(orders), "alternating": np.argmin(orders), "calmest": 0}
-    first = {index[name]: name for name in reversed(PATTERNS)}
-    return {"single" if k == 1 else first[i]: every[i] for i in sorted(first)}
-
-
-def cycle_near(model, pattern):
-    """The cycle of the whole ring near a locked pattern; it may not have converged."""
-    n, k = model.chain.n, pattern.phases.size
-    mass = int(localization.block_sites(n, k)[k // 2])
-    state, period = localization.pattern_guess(model, pattern.phases, first=mass)
-    how = {"images": pattern.images(n), "rtol": 1e-9, "throw": False}
-    return jc.find_limit_cycle(model.chain, state, period=period, mass=mass, **how)
-
-
-def own(branch):
-    """The branch up to where it meets one of more symmetric cycles, beyond which it is its own
-    mirror image or the other branch; `end` says how it ends."""
-    last, end = branch.parameter.size - 1, f"{branch.ended} at {branch.parameter[-1]:.6f}"
-    if FILLS in branch.message:
-        end = end.replace(branch.ended, FILLS)
-    if hopf := branch.of_kind("hopf"):
-        end = f"Hopf point at {hopf[-1].parameter:.6f}"
-
-    def more(parameter, state, period, **tolerance):
-        at = branch.shooting.at(parameter)
-        label = cycle_symmetry(at, tuple(state), period, **tolerance).label
-        return label if label != branch.symmetry else None
-
-    met = [(p.index, p.parameter, p.state, p.period) for p in branch.of_kind("branch point")]
-    if branch.ended == "step_too_small":  # the equations are singular where branches meet
-        met.append((last, branch.parameter[-1], [x[-1] for x in branch.state], branch.period[-1]))
-    for index, *cycle in met:
-        if label := more(*cycle, tolerance=1e-4):
-            last, end = index, f"meets {label} at {cycle[0]:.6f}"
-            break
-    low, high = 0, last + 1  # the first cycle with more symmetry is in (low, high]
-    while high - low > 1:
-        i = last if high > last else (low + high) // 2
-        if label := more(
-            branch.parameter[i], (part[i] for part in branch.state), branch.period[i]
-        ):
-            high, end = i, f"meets {label} near {branch.parameter[i]:.6f}"
-        else:
-            low = i
-    data = branch.to_dataset().isel(point=slice(high))
-    return data.isel(special=data.special_index.values < high).assign_attrs(end=end)
-
-
-def fills(speed, at):
-    """Ends a branch where all masses vibrate: from there on nothing is localized."""
-    return FILLS if np.all(jc.active(at.amplitude, speed)) else False
-
-
-def leaving(branch, points):
-    """By their names the branches that leave where the symmetry breaks."""
-    for point in branch.of_kind("symmetry breaking"):
-        for index, symmetry in enumerate(point.symmetries):
-            for side in (1,) if symmetry.mirrored else (1, -1):
-                name = f"{symmetry.label} from {point.parameter:.5f}" + " back" * (side < 0)
-                how = {"symmetry": index, "side": side, "max_points": points, **HOW}
-                try:
-                    yield name, [own(switch_cycle(branch, point, **how))]
-                except RuntimeError as error:
-                    print(f"{name}: {error}", flush=True)
-
-
-def follow(k, points, switched, **numbers):
-    """By pattern the branches of k neighbours: towards greater and towards smaller belt speeds;
-    and what leaves them, in one direction."""
-    model, found = localization.phase_model(jc.paper_chain(belt_speed=START, **numbers)), {}
-    for name, pattern in locked(model, k).items():
-        cycle = cycle_near(model, pattern)
-        print(f"k = {k}, {name}: {'' if cycle.successful else 'no '}cycle found", flush=True)
-        if cycle.successful:
-            more = {"images": cycle_symmetry(cycle), "rtol": RTOL, "max_points": points, **HOW}
-            more["stop"] = fills if k < model.chain.n else None
-            ways = [jc.continue_cycle(cycle, direction=way, **more) for way in (1, -1)]
-            found[name] = [own(way) for way in ways]
-            for i in (0, 1):
-                if "step_too_small" in found[name][i].attrs["end"]:
-                    more |= {"direction": (1, -1)[i], **ROUGHLY}
-                    ways[i] = jc.continue_cycle(cycle, **more)
-                    found[name][i] = own(ways[i])
-            for way in ways if switched else ():
-                found |= {f"{name}, {to}": branch for to, branch in leaving(way, points)}
-    return found
-
-
-def in_blocks(function, *arrays, size=64):
-    """A function of arrays, point by point; in blocks of one size it compiles once."""
-    count, pad = len(arrays[0]), -len(arrays[0]) % size
-    arrays = [np.concatenate([array, np.repeat(array[-1:], pad, axis=0)]) for array in arrays]
-    parts = [function(*(array[i : i + size] for array in arrays)) for i in range(0, count, size)]
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *parts)
-
-
-@jax.jit
-@partial(jax.vmap, in_axes=(None, 0, 0, 0, 0))
-def closing_error(chain, speed, x, v, period):
-    """By how much a cycle fails to close, in its greatest velocity, integrated ten times finer."""
-    chain = chain.with_(belt_speed=speed)
-    x1, v1 = jc.simulate(chain, (x, v), period, rtol=FINE_RTOL, throw=False).state
-    return jnp.maximum(abs(x1 - x), abs(v1 - v)).max() / v.max()
+MOST = 3  # masses that vibrate on branches beside which dry cycles are found
+COLOURS = dict(zip(snaking.PATTERNS, (BLUE, "black", GREEN)))
+MARKERS = {"snake": "s", "isola": "o", "stack": "_", "not named": "x"}
 
 
 @partial(jax.jit, static_argnums=1)
@@ -178,10 +43,6 @@ def closing_error(chain, speed, x, v, period):
 def dry_cycle(dry, mass, speed, x, v, period):
     dry = dry.with_(belt_speed=speed)
     return jc.find_limit_cycle(dry, (x, v), period=period, mass=mass, throw=False)
-
-
-def points_of(data):
-    return [data[name].values for name in ("belt_speed", "displacement", "velocity", "period")]
 
 
 def dry_cycles(chain, data):
@@ -219,68 +80,33 @@ def touching(found, i, mass, fold):
     return float(near.value) if near.successful and beside else np.nan
 
 
-def name_of(ways):
-    """(the name of a branch, the numbers of vibrating masses at its folds)."""
-    ends = " ".join(way.attrs["end"] for way in ways)
-    counts = np.concatenate([way.special_active_count[way.special_kind == "fold"] for way in ways])
-    counts = np.unique(counts[counts > 0].astype(int)).tolist()
-    if "closed" in ends:
-        return "isola", counts
-    if len(counts) > 1:
-        return "snake", counts
-    lost = any(word in ends for word in ("max_points", "step_too_small", "failed", "stopped"))
-    return ("not named" if lost else "stack"), counts
+def describe(dry):
+    """A row for each branch with dry cycles beside it."""
+    rows = []
+    for (k, pattern), ways in dry.items():
+        there = np.concatenate([there for *_, there in ways])
+        residuals = np.concatenate([found.residual[there] for _, found, there in ways])
+        edges = [speed for way in ways for speed in grazings(*way)]
+        rows.append({
+            "k": k, "pattern": pattern, "dry cycles": f"{there.sum()} of {there.size}",
+            "dry residual": np.max(residuals, initial=0.0),
+            "folds": ", ".join(f"{fold:.5f}" for fold in folds_of([way for way, *_ in ways])),
+            "grazings": ", ".join(f"{speed:.5f}" for speed in edges),
+        })  # fmt: skip
+    return pd.DataFrame(rows)
 
 
-def describe(numbers, branches, compared):
-    """A row for each branch, and by (k, pattern) its dry cycles and grazings."""
-    chain, dry, rows = jc.paper_chain(**numbers), {}, []
-    folds = {key: np.concatenate([way.special_parameter[way.special_kind == "fold"]
-                                  for way in ways]) for key, ways in branches.items()}  # fmt: skip
-    for (k, pattern), ways in branches.items():
-        data = xr.concat([way.drop_dims("special") for way in ways], "point")
-        errors = in_blocks(partial(closing_error, chain), *points_of(data))
-        name, counts = name_of(ways)
-        shared = [f"{other} {at}" for (other, at), found in folds.items()
-                  if (other, at) != (k, pattern) and np.isclose(
-                      found[:, None], folds[k, pattern], rtol=0, atol=1e-6).any()]  # fmt: skip
-        special = sorted(zip(*(np.concatenate([way[f"special_{part}"] for way in ways])
-                               for part in ("kind", "parameter"))))  # fmt: skip
-        stable = np.sort(data.belt_speed.values[data.stable.values])
-        row = {
-            "coupling": numbers["coupling"], "k": k, "pattern": pattern,
-            "name": "" if "," in pattern else name,  # what leaves a branch has none
-            "vibrate at folds": counts, "symmetry": ways[0].attrs["symmetry"],
-            "points": data.point.size, "from": data.belt_speed.values.min(),
-            "to": data.belt_speed.values.max(),
-            "stable": f"{stable[0]:.4f} ... {stable[-1]:.4f}" if stable.size else "nowhere",
-            "closing error": float(np.max(errors)),
-            "ends": ", ".join(way.attrs["end"] for way in ways), "shares folds": ", ".join(shared),
-        }  # fmt: skip
-        if k in compared:
-            dry[k, pattern] = [(way, *dry_cycles(chain, way)) for way in ways]
-            there = np.concatenate([there for *_, there in dry[k, pattern]])
-            residuals = [found.residual[there] for _, found, there in dry[k, pattern]]
-            edges = [speed for parts in dry[k, pattern] for speed in grazings(*parts)]
-            row |= {"dry cycles": f"{there.sum()} of {there.size}",
-                    "dry residual": float(np.max(np.concatenate(residuals), initial=0.0)),
-                    "grazings": ", ".join(f"{speed:.5f}" for speed in edges)}  # fmt: skip
-        row["special points"] = ", ".join(f"{kind} {speed:.5f}" for kind, speed in special)
-        rows.append(row)
-    return pd.DataFrame(rows), dry
-
-
-def draw(branches, dry, runs, table):
+def draw(branches, dry, runs, names):
     """(a) All branches and the runs, (b) the lowest with dry cycles, (c) names of all."""
     page, panels = plt.subplot_mosaic("AA;BC", figsize=(7.0, 6.2), height_ratios=(1.1, 1.0))
-    whole, zoom, names = panels.values()
-    low = {key: ways for key, ways in branches.items() if key[0] <= 3}
+    whole, zoom, kinds = panels.values()
+    low = {key: branches[key] for key in dry}
     for axes, some, size in ((whole, branches, 3.0), (zoom, low, 6.0)):
         for (_, name), ways in some.items():
             for data in ways:
                 if axes is whole:
                     data = data.isel(special=data.special_kind.values == "fold")
-                colour = PATTERNS.get(name.split(",")[0], "black")
+                colour = COLOURS.get(name.split(",")[0], "black")
                 plot_branch(data, "energy", ax=axes, color=colour)
         for line in axes.lines:
             line.set(markersize=0.8 * size, linewidth=0.9)
@@ -294,22 +120,22 @@ def draw(branches, dry, runs, table):
     for data, found, there in (part for parts in dry.values() for part in parts):
         look = {"color": VERMILION, "s": 2.0, "zorder": 4, "linewidths": 0}
         zoom.scatter(data.belt_speed[there], found.energy[there], **look)
-    couplings = sorted({*table.coupling})
-    places = {key: i for i, key in enumerate(sorted({*zip(table.k, table.pattern)}))}
-    for (name, pattern), rows in table.groupby(["name", "pattern"]):
+    couplings = sorted({*names.coupling})
+    places = {key: i for i, key in enumerate(sorted({*zip(names.k, names.pattern)}))}
+    for (name, pattern), rows in names.groupby(["name", "pattern"]):
         height = [places[key] for key in zip(rows.k, rows.pattern)]
-        names.scatter(
-            rows.coupling, height, marker=NAMES[name], s=24, color=PATTERNS.get(pattern, "black")
+        kinds.scatter(
+            rows.coupling, height, marker=MARKERS[name], s=24, color=COLOURS.get(pattern, "black")
         )
-    names.set(xscale="log", xlabel=COUPLING, xlim=(0.8 * couplings[0], 1.25 * couplings[-1]))
-    names.set_xticks(couplings, [f"{c:g}" for c in couplings])
-    names.minorticks_off()
-    names.set_yticks(range(len(places)), [f"{k} {pattern}" for k, pattern in places], fontsize=6)
+    kinds.set(xscale="log", xlabel=COUPLING, xlim=(0.8 * couplings[0], 1.25 * couplings[-1]))
+    kinds.set_xticks(couplings, [f"{c:g}" for c in couplings])
+    kinds.minorticks_off()
+    kinds.set_yticks(range(len(places)), [f"{k} {pattern}" for k, pattern in places], fontsize=6)
     letters([*panels.values()])
     handles = dict(zip(*zoom.get_legend_handles_labels()[::-1]))
-    handles |= {name: plt.Line2D([], [], color=colour) for name, colour in PATTERNS.items()}
+    handles |= {name: plt.Line2D([], [], color=colour) for name, colour in COLOURS.items()}
     dots = {"runs, dry friction": (GREY, "."), "dry cycles": (VERMILION, ".")}
-    dots |= {name: ("black", NAMES[name]) for name in NAMES if name in {*table.name}}
+    dots |= {name: ("black", MARKERS[name]) for name in MARKERS if name in {*names.name}}
     handles |= {name: plt.Line2D([], [], color=colour, marker=marker, linestyle="")
                 for name, (colour, marker) in dots.items()}  # fmt: skip
     page.legend(handles.values(), handles, loc="outside lower center", ncols=5, frameon=False)
@@ -317,36 +143,24 @@ def draw(branches, dry, runs, table):
 
 
 def main():
-    quick, folder = options(__file__, __doc__)
-    s = SimpleNamespace(**(QUICK if quick else FULL))
-    tables = []
-    for coupling in s.couplings:
-        first, branches = not tables, {}
-        numbers = {"n": s.n, "width": s.width, "coupling": coupling}
-        for k in (*s.counts, *(s.more if first else ())):
-            settings = {
-                "k": k,
-                "points": s.points,
-                "switched": first and k in s.switched,
-                **numbers,
-            }
-            file = folder / f"{coupling:g}_{k}.pickle"
-            found = kept(file, settings, partial(follow, **settings))
-            branches |= {(k, pattern): ways for pattern, ways in found.items()}
-        table, dry = describe(numbers, branches, DRY if first else ())
-        print(f"\n{table.to_string(index=False, float_format='%.6g')}", flush=True)
-        tables.append(table)
-        if first:
-            shown = branches, dry
-    table = pd.concat(tables)
-    table.to_csv(folder / "branches.csv", index=False)
+    """Computes, prints and draws."""
+    quick, folder = options(snaking.__file__, __doc__)  # where the branches are
+    size = SimpleNamespace(**(QUICK if quick else FULL))
+    every = {coupling: branches_at(coupling, size, folder) for coupling in size.couplings}
+    names = [(coupling, k, pattern, name_of(ways)[0])
+             for coupling, (_, branches) in every.items()
+             for (k, pattern), ways in branches.items() if "," not in pattern]  # fmt: skip
+    names = pd.DataFrame(names, columns=["coupling", "k", "pattern", "name"])
+    chain, branches = every[size.couplings[0]]
+    dry = {(k, pattern): [(way, *dry_cycles(chain, way)) for way in ways]
+           for (k, pattern), ways in branches.items() if k <= MOST}  # fmt: skip
+    print(describe(dry).to_string(index=False, float_format="%.6g"), flush=True)
     runs = jc.sweep(
-        jc.paper_chain(s.n, START, None), jc.equation_8, s.transient + WINDOW,
-        over={"belt_speed": s.speeds, "excited": np.arange(s.n + 1)},
+        jc.paper_chain(size.n, snaking.START, None), jc.equation_8, size.transient + WINDOW,
+        over={"belt_speed": size.speeds, "excited": np.arange(size.n + 1)},
         observe=jc.Amplitude(window=WINDOW), store=folder / "ensemble.zarr", progress=True,
     )  # fmt: skip
-    main_ones = table[~table.pattern.str.contains(",")]
-    save_figure(draw(*shown, runs, main_ones), folder / "ladder")
+    save_figure(draw(branches, dry, runs, names), folder / "ladder")
 
 
 if __name__ == "__main__":
