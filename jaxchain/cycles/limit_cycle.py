@@ -437,7 +437,7 @@ class _States(eqx.Module):
         """(field, state, period)."""
         return self.field, tuple(jnp.split(u[:-1], self.m)), u[-1]
 
-    def run(self, u: Array, observe: Any, turns: float = 1.0) -> Simulation:
+    def run(self, u: Array, observe: Any, turns: Any = 1.0) -> Simulation:
         """A run over one period, or a little more."""
         field, state, period = self.unpack(u)
         return simulate(
@@ -549,14 +549,19 @@ def dry_cycle(
     del limit
     chain, mass, of = equations.field, equations.mass, SearchResult
     orbit, evaluations = _close(equations, state, period)
-    # A little more than a period, for an orbit that begins there.
-    whole = equations.pack(orbit.state, orbit.period)
-    _, x, v = equations.run(whole, _Cuts(mass, 1, of="velocity"), 1.05).observed
-    state, _ = on_the_belt(chain, 0.0, (x[0], v[0]))
+
+    def once_round(state: State, turns: Array) -> tuple[State, tuple[State, State, Any]]:
+        observe = [_Cuts(mass, 1, of="velocity"), Along()]
+        run = equations.run(equations.pack(state, orbit.period), observe, turns)
+        (_, x, v), along = run.observed
+        return on_the_belt(chain, 0.0, (x[0], v[0]))[0], (state, run.state, along)
+
+    # To the cut, and from there: a run that is compiled once.  First a little more than a period,
+    # for an orbit that begins at the cut.
+    _, both = lax.scan(once_round, orbit.state, jnp.asarray([1.05, 1.0]))
+    state, end, (low, high, fastest, _) = jax.tree.map(lambda leaf: leaf[1], both)
     u = equations.pack(state, orbit.period)
-    run = equations.run(u, Along())
-    low, high, fastest, _ = run.observed
-    gap = jnp.concatenate(run.state) - jnp.concatenate(state)
+    gap = jnp.concatenate(end) - jnp.concatenate(state)
     residual = jnp.max(jnp.abs(gap)) / fastest[mass]
     cycle = _cycle(
         equations,
