@@ -134,7 +134,7 @@ def lsoda(ring: CompiledRing, chain: Any, initial: Any, t1: float) -> Callable:
 
 def cvode(ring: CompiledRing, chain: Any, initial: Any, t1: float) -> Callable:
     """As `lsoda`, by the BDF method of CVODE."""
-    from sksundae.cvode import CVODE  # pyright: ignore[reportMissingImports]
+    from sksundae.cvode import CVODE
 
     y, p = ring.fold(initial), tuple(ring.parameters(chain).tolist())
     width = ring.half_bandwidth

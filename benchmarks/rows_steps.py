@@ -34,7 +34,7 @@ def size_row(repeats: int, quick: bool) -> list[dict]:
 
         def solve(chain: Any, initial: Any, t1: Any) -> Any:
             return dfx.diffeqsolve(
-                dfx.ODETerm(chain),  # pyright: ignore[reportArgumentType]
+                dfx.ODETerm(chain),
                 Rodas4(sweeps=1),
                 t0=0.0,
                 t1=t1,

@@ -327,7 +327,7 @@ def check_pair(name: str, value: Any, remedy: str) -> tuple[float, float]:
 def check_number(name: str, value: object, remedy: str = "") -> None:
     """Raises `ValueError` unless `value` is one real number, finite if it is concrete."""
     numbers = numbers_of(name, value, remedy)
-    shape = jnp.shape(value) if numbers is None else numbers.shape  # pyright: ignore
+    shape = jnp.shape(value) if numbers is None else numbers.shape  # pyright: ignore[reportArgumentType]
     if shape != ():
         raise ValueError(
             f"Argument `{name}` must be one number, but has shape {shape}: use `jax.vmap` for "

@@ -31,7 +31,7 @@ class _Outcomes(type(eqx.Enumeration)):
 
 
 @final
-class Result(eqx.Enumeration, metaclass=_Outcomes):  # pyright: ignore
+class Result(eqx.Enumeration, metaclass=_Outcomes):
     """The outcome of one run.
 
     "successful" reached its end; "quiet" and "steady" stopped early because the answer could not
@@ -67,7 +67,7 @@ class Result(eqx.Enumeration, metaclass=_Outcomes):  # pyright: ignore
 
 
 @final
-class SearchResult(eqx.Enumeration, metaclass=_Outcomes):  # pyright: ignore
+class SearchResult(eqx.Enumeration, metaclass=_Outcomes):
     """The outcome of a search for a root, a cycle, a boundary or a fit.
 
     Every result of a search has it as `result`, with the property `successful`, and a `message`
@@ -215,7 +215,7 @@ class Printed:
     """
 
     def __repr__(self) -> str:
-        values = {field.name: getattr(self, field.name, None) for field in fields(self)}  # pyright: ignore
+        values = {field.name: getattr(self, field.name, None) for field in fields(self)}  # pyright: ignore[reportArgumentType]
         title = type(self).__name__
         lines = []
         if (result := values.pop("result", None)) is not None:
@@ -290,17 +290,19 @@ class Outcome(Printed, eqx.Module):
         return advice_of(self.result)
 
 
-# In the order of the enumeration's integer values, for labels and reports.
-NAMES = tuple(Result._name_to_item)  # pyright: ignore  # equinox offers no public way
+# In the order of the enumerations' integer values, for labels and reports.  equinox offers no
+# public way.
+NAMES = tuple(Result._name_to_item)
+SEARCH_NAMES = tuple(SearchResult._name_to_item)
 _STOPPED_WELL = [NAMES.index(name) for name in WELL]
 
 
 def code(result: Result | SearchResult) -> Any:
     """The integer behind a (possibly traced or batched) `Result`: an index into `NAMES`.
 
-    For a `SearchResult` it is an index into its names.
+    For a `SearchResult` it is an index into `SEARCH_NAMES`.
     """
-    return result._value  # pyright: ignore  # equinox offers no public accessor
+    return result._value  # equinox offers no public accessor
 
 
 def ended_well(result: Any) -> Any:
@@ -331,7 +333,7 @@ def message(name: str) -> str:
 
 def advice_of(item: Any) -> str:
     """The advice for an outcome, empty for success."""
-    return type(eqx.Enumeration).__getitem__(item._enumeration, item)  # pyright: ignore
+    return type(eqx.Enumeration).__getitem__(item._enumeration, item)  # pyright: ignore[reportCallIssue]
 
 
 def name_of(item: Any) -> str:

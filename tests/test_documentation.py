@@ -105,7 +105,7 @@ def test_the_page_on_failures_lists_every_outcome():
         [f" `{name}` ", f" {code} "] for code, name in enumerate(NAMES)
     ]
     searches = " ".join(line.split("|")[1] for line in tables[len(NAMES) :])
-    known = set(SearchResult._name_to_item)  # pyright: ignore  # equinox offers no public way
+    known = set(SearchResult._name_to_item)
     assert set(searches.replace("`", "").replace(",", "").split()) == known
 
 

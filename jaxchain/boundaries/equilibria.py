@@ -110,7 +110,7 @@ class Rates(eqx.Module):
 
     def at(self, p: Any = None) -> AbstractField:
         """The model, with the number set to p."""
-        return self.field if p is None else self.field.with_(**{str(self.parameter): p})  # pyright: ignore
+        return self.field if p is None else self.field.with_(**{str(self.parameter): p})
 
     def __call__(self, u: Float[Array, " mn"], p: Any = None) -> Float[Array, " mn"]:
         return jnp.concatenate(self.at(p)(0.0, tuple(jnp.split(u, self.m))))

@@ -52,7 +52,7 @@ from ..model.chain import Chain
 from ..model.initial_states import check_mass
 from ..model.parameters import parameter
 from ..model.sliding import damping_outweighs
-from ..result import Outcome, SearchResult
+from ..result import SEARCH_NAMES, Outcome, SearchResult, code
 from ..simulation.accuracy import fit_linear_solve
 from ..solvers.rosenbrock import Rodas5P
 from ..sweeps.axes import check_axes, jobs, sizes
@@ -689,7 +689,7 @@ def fold_belt_speeds(
     index = np.arange(-(-count // _AT_ONCE) * _AT_ONCE).reshape(-1, _AT_ONCE)
     columns = [np.minimum(np.sum(index < count, axis=1), _AT_ONCE)]
     columns += [column[np.minimum(index, count - 1)] for column in values.values()]
-    names = (*SearchResult._name_to_item, "interrupted")  # pyright: ignore  # as in `result`
+    names = (*SEARCH_NAMES, "interrupted")
     records = np.full((3, index.size), np.nan)
     records[2] = len(names) - 1
     task, rows, stopped = _FoldTask(chain, mass, tuple(values)), len(jax.local_devices()), False
@@ -758,7 +758,7 @@ def _folds(task: _FoldTask, count: Int[Array, ""], *values: Float[Array, " sets"
         numbers = {name: column[k] for name, column in zip(task.names, values, strict=True)}
         fold = find_fold(with_numbers(task.chain, numbers), task.mass)
         period = jnp.where(fold.successful, fold.period, jnp.nan)
-        code = fold.result._value  # pyright: ignore  # as in `result`
-        return folds.at[:, k].set(jnp.stack([fold.belt_speed, period, code.astype(float)]))
+        row = fold.belt_speed, period, code(fold.result).astype(float)
+        return folds.at[:, k].set(jnp.stack(row))
 
     return lax.fori_loop(0, count, one, jnp.full((3, _AT_ONCE), jnp.nan))

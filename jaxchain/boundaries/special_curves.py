@@ -206,7 +206,7 @@ class _CycleEquations(eqx.Module):
     @property
     def names(self) -> tuple[str, str]:
         """The first and the second number."""
-        return self.shooting.parameter  # pyright: ignore[reportReturnType]
+        return self.shooting.parameter
 
     def weights(self, U: np.ndarray) -> np.ndarray:
         """Of the norm of steps, see `cycle_weights`."""
@@ -960,7 +960,7 @@ def _side(
         more = _piece(equations, meeting, int(np.sign(meeting[-1] - before[-1])), ranges, options)
         shifted = [replace(p, index=p.index + len(side.unknowns) - 1) for p in more.special]
         rows = ([*a[:-1], *b] for a, b in zip(side[:4], more[:4], strict=True))
-        side = _Side(*rows, special=[*side.special, *shifted], ended=more.ended)  # pyright: ignore
+        side = _Side(*rows, special=[*side.special, *shifted], ended=more.ended)  # pyright: ignore[reportArgumentType]
     return side
 
 

@@ -789,14 +789,14 @@ def find_limit_cycle(
         )
     numbers = to_float(tolerance), jnp.asarray(np.asarray(limit, dtype=int))
     start = lax.stop_gradient((state, period))
-    cycle, u = solve(equations, *start, *numbers)  # pyright: ignore
+    cycle, u = solve(equations, *start, *numbers)  # pyright: ignore[reportArgumentType]
     while not is_traced(cycle) and cycle.turns and cycle.successful:
         turns, rest = divmod(cycle.turns, int(cycle.times_round))
         if turns == cycle.turns or rest:
             break
         # It has come back after a share of the given multiple of the force's period.
         equations = replace(equations, turns=turns)
-        cycle, u = solve(equations, cycle.state, cycle.period, *numbers)  # pyright: ignore
+        cycle, u = solve(equations, cycle.state, cycle.period, *numbers)  # pyright: ignore[reportArgumentType]
     if guess is None:
         cycle = keep_kind(cycle, branch)
         if failed(cycle) and isinstance(equations, Shooting):

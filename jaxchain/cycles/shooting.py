@@ -123,7 +123,7 @@ class Shooting(eqx.Module):
         if self.parameter == "belt_speed":  # the usual one, without the checks of a new chain
             return eqx.tree_at(lambda f: f.belt_speed, self.field, *parameter)
         names = [self.parameter] if isinstance(self.parameter, str) else self.parameter
-        return self.field.with_(**dict(zip(names, parameter, strict=True)))  # pyright: ignore
+        return self.field.with_(**dict(zip(names, parameter, strict=True)))
 
     def pack(self, state: State, period: Any, *parameter: Any) -> Float[Array, " m"]:
         """u of a state on the section (without x_j if it is explicit)."""

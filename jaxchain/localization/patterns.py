@@ -406,7 +406,7 @@ def rotating_wave(model: PhaseModel, turns: Any) -> LockedPattern:
 
 
 def _growth(model: PhaseModel, slope: Any) -> float:
-    speed = 2.0 * np.pi / float(model.period) * float(model.chain.coupling)  # pyright: ignore
+    speed = 2.0 * np.pi / float(model.period) * float(model.chain.coupling)  # pyright: ignore[reportArgumentType]
     return speed * float(np.max(np.linalg.eigvals(np.asarray(slope)).real))
 
 

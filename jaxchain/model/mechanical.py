@@ -193,13 +193,13 @@ class MechanicalCells(AbstractCells):
         return sizes[0] if sizes else 1
 
     @property
-    def components(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+    def components(self) -> tuple[str, ...]:
         """The names of the displacements, and of their velocities with a prime."""
         names = self.names or tuple(f"q{i + 1}" for i in range(self.d))
         return (*names, *(f"{name}'" for name in names))
 
     @property
-    def contact(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+    def contact(self) -> int:
         """The number of a state that is the sliding velocity."""
         return self.d + self.sliding
 

@@ -119,7 +119,7 @@ class AbstractOscillators(AbstractField):
         return force, LocalSlopes(by_time, by_place, by_velocity)
 
     @property
-    def ends(self) -> Ends:  # pyright: ignore[reportIncompatibleVariableOverride]
+    def ends(self) -> Ends:
         """ "cyclic" or "free"; irrelevant without springs."""
         return "cyclic" if self.springs is None else self.springs.ends
 

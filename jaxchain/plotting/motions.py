@@ -422,7 +422,7 @@ def animate(
     picked = _livelier(chain, states[0], masses)
     with matplotlib.rc_context(STYLE):
         page = Figure(figsize=(PAGE_WIDTH, 2.9), layout="constrained")
-        page.get_layout_engine().set(h_pad=0.02)  # pyright: ignore
+        page.get_layout_engine().set(h_pad=0.02)  # pyright: ignore[reportOptionalMemberAccess, reportCallIssue]
         parts: Any = page.subplot_mosaic("AAA;BBC", height_ratios=(0.9, 1.0))
         film = _Film(parts["A"], chain, times, states, picked)
         film.add_curves(parts["B"], parts["C"])

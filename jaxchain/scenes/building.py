@@ -193,7 +193,7 @@ def build_start(experiment: CellsExperiment, cells: AbstractCells) -> Callable[.
         for name in parameters
     ]
     first = inspect.Parameter("_", inspect.Parameter.POSITIONAL_ONLY)
-    start.__signature__ = inspect.Signature([first, *taken])  # pyright: ignore
+    start.__signature__ = inspect.Signature([first, *taken])
     return start
 
 

@@ -368,7 +368,7 @@ class AbstractStructuredRosenbrock(dfx.AbstractAdaptiveSolver):
     term_structure: ClassVar = dfx.ODETerm
 
     @property
-    def interpolation_cls(self) -> Callable[..., RosenbrockInterpolation]:  # pyright: ignore
+    def interpolation_cls(self) -> Callable[..., RosenbrockInterpolation]:  # pyright: ignore[reportIncompatibleMethodOverride]
         return ft.partial(RosenbrockInterpolation, tableau=self.tableau)
 
     @abc.abstractmethod

@@ -66,5 +66,5 @@ def test_one_mass_stands_for_its_place_in_the_chain():
     )  # fmt: skip
     alone = one_mass(chain, 1)
     numbers = alone.damping_ratio, alone.stiffness, alone.normal_load
-    np.testing.assert_allclose(jnp.stack(numbers), [0.06, 1.2, 1.1])  # pyright: ignore
-    np.testing.assert_allclose(alone.law.mu_dynamic, 0.5)  # pyright: ignore
+    np.testing.assert_allclose(jnp.stack(numbers), [0.06, 1.2, 1.1])  # pyright: ignore[reportArgumentType]
+    np.testing.assert_allclose(alone.law.mu_dynamic, 0.5)  # pyright: ignore[reportAttributeAccessIssue]

@@ -208,6 +208,6 @@ def test_dry_friction_may_differ_from_mass_to_mass():
     with pytest.raises(ValueError, match="`mu_static` must be one number"):
         Chain(2, law, 1.5)
     with pytest.raises(ValueError, match=r"law .dry friction. or a smoothed one"):
-        Chain(2, 0.5, 1.5)  # pyright: ignore[reportArgumentType]
+        Chain(2, 0.5, 1.5)
     with pytest.raises(ValueError, match=r"`width` must be positive.*dry friction"):
         paper_chain(width=0.0)

@@ -212,7 +212,7 @@ def _impossible() -> Iterator[Refusal]:
     )
     yield refused(
         "friction that is not a law", "TanhFriction",
-        partial(Chain, 3, 0.5, 1.0),  # pyright: ignore[reportArgumentType]
+        partial(Chain, 3, 0.5, 1.0),
     )  # fmt: skip
 
 
