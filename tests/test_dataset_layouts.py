@@ -27,7 +27,7 @@ from jaxchain.observers import (
     Section,
     StickTime,
 )
-from jaxchain.result import NAMES, SearchResult, advice_of, message
+from jaxchain.result import NAMES, SEARCH_NAMES, SearchResult, advice_of, message
 from jaxchain.scenes.running import circumstances, cycles, hopf_speed
 from jaxchain.sweeps.ensemble import RunSettings, prepare
 
@@ -110,10 +110,7 @@ def test_attributes_of_a_folder_and_of_branches():
         ("Codes of runs", [(name, message(name)) for name in NAMES]),
         (
             "Codes of searches",
-            [
-                (name, advice_of(getattr(SearchResult, name)))
-                for name in SearchResult._name_to_item
-            ],
+            [(name, advice_of(getattr(SearchResult, name))) for name in SEARCH_NAMES],
         ),
     ],
 )

@@ -13,7 +13,7 @@ import pytest
 from fences import anchors, fenced, headings, links
 
 from jaxchain.cli import _parser
-from jaxchain.result import NAMES, SearchResult
+from jaxchain.result import NAMES, SEARCH_NAMES
 from jaxchain.scenes import load_scene
 
 ROOT = Path(__file__).parents[1]
@@ -105,7 +105,7 @@ def test_the_page_on_failures_lists_every_outcome():
         [f" `{name}` ", f" {code} "] for code, name in enumerate(NAMES)
     ]
     searches = " ".join(line.split("|")[1] for line in tables[len(NAMES) :])
-    known = set(SearchResult._name_to_item)
+    known = set(SEARCH_NAMES)
     assert set(searches.replace("`", "").replace(",", "").split()) == known
 
 

@@ -50,7 +50,7 @@ def kept(file, settings, compute):
         if known == settings:
             return found
     found = compute()
-    part = file.with_suffix(".part")  # whoever reads the file finds all of it or none
+    part = file.with_suffix(".part")  # a program that reads it meanwhile never sees half a file
     part.write_bytes(pickle.dumps((settings, found)))
     part.replace(file)
     return found

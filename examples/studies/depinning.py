@@ -1,11 +1,11 @@
 """From which coupling on do fronts move, and how does their speed grow with it?
 
-A front between vibrating and quiet masses stands until the coupling is strong enough.  Here its
-speed is measured over the coupling, with true dry friction, together with the belt speeds at which
-fronts come unstuck, and compared with what linear spreading and averaging predict.  Shiroky,
-Papangelo, Hoffmann and Gendelman (2020) find a speed that is linear in the coupling above a
-critical one, in this chain and in one of van der Pol's oscillators; so such a chain is measured,
-too.
+Above the Hopf speed a front between vibrating and quiet masses stands until the coupling is strong
+enough.  Here its speed is measured over the coupling, with true dry friction, together with the
+belt speeds at which fronts come unstuck, and compared with what linear spreading and averaging
+predict.  Shiroky, Papangelo, Hoffmann and Gendelman (2020) find a speed that is linear in the
+coupling above a critical one, in this chain and in one of van der Pol's oscillators; so such a
+chain is measured, too.
 
 Prints between which belt speeds fronts come unstuck, beside the prediction; p of
 speed ~ coupling^p, and the line speed = slope (coupling - critical) with its coefficient of

@@ -6,7 +6,8 @@ numbers of masses runs of dry friction from eq. (8), as in Fig. 3(b) of the pape
 
 Prints for each branch beside how many of its points there is a dry cycle, how far these are from
 closing, its folds, and the grazings beside them.  The branches are those in the folder of
-`snaking.py`; what is missing there is followed first, three to four hours on one core:
+`snaking.py`, where the figure is put, too; what is missing there is followed first, three to four
+hours on one core:
 
     python examples/studies/ladder.py
 """

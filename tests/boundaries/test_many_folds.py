@@ -11,7 +11,7 @@ from wild_sets import WILD, wild_chain, wild_sets
 
 from jaxchain import fold_belt_speed, paper_chain
 from jaxchain.boundaries import fold_belt_speeds
-from jaxchain.result import SearchResult
+from jaxchain.result import SEARCH_NAMES
 
 ONE = paper_chain(1)
 # The paper's set, one that has no fold, one with friction that weakens fast, a wide one.
@@ -43,7 +43,7 @@ def test_the_folds_of_a_few_sets_and_why_one_has_none(found):
     ]  # fmt: skip
     np.testing.assert_array_equal(np.isnan(speeds), [False, True, False, False])
     np.testing.assert_array_equal(np.isnan(found.period), [False, True, False, False])
-    assert names[:-1] == list(SearchResult._name_to_item)
+    assert names[:-1] == list(SEARCH_NAMES)
 
 
 def test_no_set_knows_of_its_neighbours(found):
