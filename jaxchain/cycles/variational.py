@@ -88,13 +88,18 @@ def forward_sensitivity(
     The derivatives are those of the steps with fixed sizes, except the last one, which ends with
     the run.  Call it under `jit`.
 
-    **Arguments:** `make`: point -> (field, first state, time); `observers`, without derivatives.
+    **Arguments:** `make`: point -> (field, first state, time), a time < 0 for a run backward, of a
+    field without forcing; `observers`, without derivatives.
     """
     unit = jnp.eye(point.shape[0])
     field, start, length = make(point)
+    # Time is counted upward in both directions.
+    direction = jnp.where(length < 0, -1.0, 1.0)
+    length = jnp.abs(length)
 
     def begun_at(point: Array) -> tuple[State, Array]:
-        return make(point)[1:]
+        _, start, time = make(point)
+        return start, direction * time
 
     first, by_length = jax.vmap(lambda one: jax.jvp(begun_at, (point,), (one,))[1])(unit)
     plan = SmoothedPlan(
@@ -119,7 +124,8 @@ def forward_sensitivity(
 
         def step(point: Array, y: State, ahead: Array) -> tuple[State, Any]:
             terms: Any = dfx.ODETerm(make(point)[0])  # pyright: ignore[reportArgumentType]
-            y1, error, dense, _, result = solver.step(terms, now.t, ahead, y, None, None, False)
+            t0, t1 = direction * now.t, direction * ahead
+            y1, error, dense, _, result = solver.step(terms, t0, t1, y, None, None, False)
             return y1, (error, dense, result)
 
         def along(one: Array, slope: State, longer: Array) -> Any:
@@ -316,17 +322,18 @@ def flow(
 ) -> tuple[State, Bool[Array, ""], list]:
     """(the state after `period`, NaN if it was not reached; whether it was; what was observed).
 
-    Forward derivatives are those of the steps with fixed sizes.
+    Forward derivatives are those of the steps with fixed sizes.  A period < 0 runs backward.
     """
+    time = jnp.abs(period)
     plan = SmoothedPlan(
         solver=solver,
         observers=list(observers),
         rtol=rtol,
         atol=0.1 * rtol,
         max_step=MAX_STEP,
-        t1=period,
+        t1=time,
     )
-    progress = plan.begin(field, state, 0.0, period)
+    progress = plan.begin(field, state, 0.0, time)
     progress, _ = plan.advance(field, progress, period, max_steps=MOST_STEPS)
     good = progress.result == Result.successful
     end = tuple(jnp.where(good, part, jnp.nan) for part in progress.state)

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
-from wild_sets import wild_chain, wild_sets
+from wild_sets import steep_sets, wild_chain, wild_sets
 from witnesses.smoothed import OneMass
 
 from jaxchain import (
@@ -68,13 +68,12 @@ def vibrates(numbers, speeds, dry):
     return np.asarray(run(jnp.asarray(numbers), jnp.asarray(speeds)))
 
 
-def claims(seed, count, margin=0.01):
+def claims(numbers, margin=0.01):
     """(results, speeds, hopf, sets that a run contradicts, sets not found that vibrate).
 
     A fold found: runs from sticking vibrate `margin` below and die out `margin` above.  None: they
     die out at all speeds.  Not found: does one go on above the Hopf speed?
     """
-    numbers = wild_sets(seed, count)
     folds, hopf = jax.tree.map(np.asarray, wild_folds(numbers))
     found, none = np.asarray(folds.successful), np.asarray(folds.result == SearchResult.no_fold)
     top = np.where(np.isfinite(hopf), hopf, 1.0)
@@ -291,11 +290,34 @@ def test_a_search_that_fails_says_so_and_claims_nothing():
 
 
 @pytest.mark.long
-def test_no_claim_about_a_wild_set_is_contradicted_by_a_run():
-    folds, _, _, wrong, missed = claims(7, 30)
-    assert wrong.size == 0
-    assert missed.size <= 1
-    assert int(jnp.sum(folds.successful)) >= 25
+@pytest.mark.parametrize(
+    ("numbers", "least"), [(wild_sets(7, 30), 25), (steep_sets(8, 20), 20)], ids=["wild", "steep"]
+)
+def test_no_claim_about_a_wild_set_is_contradicted_by_a_run(numbers, least):
+    folds, _, _, wrong, missed = claims(numbers)
+    assert wrong.size == missed.size == 0
+    assert int(jnp.sum(folds.successful)) >= least
+
+
+@pytest.mark.long
+def test_folds_are_found_for_every_multiplier_of_the_slip_cycle():
+    """Their gap to the asymptotics, which come from dry friction alone, is C width^(3/2)."""
+    numbers = steep_sets(8, 60)
+    folds, _ = wild_folds(numbers)
+    dry = jax.vmap(lambda one: find_grazing(wild_chain(one)))(jnp.asarray(numbers))
+    np.testing.assert_array_equal(folds.successful, dry.successful)
+    multiplier = np.asarray(-dry.slope_plus / dry.slope_minus)
+    speeds = np.minimum(dry.belt_speed, 2.0 * numbers[:, 2])
+    shares = np.array([1e-4, 1e-5, 1e-6])
+    for least, most in ((1e2, 1e4), (1e4, 1e8), (1e8, 1e12), (1e12, 1e16)):
+        which = np.flatnonzero((multiplier > least) & (multiplier < most))[0]
+        some = np.repeat(numbers[which][None], 3, axis=0)
+        some[:, 3] = speeds[which] * shares
+        found = wild_folds(some)[0].belt_speed
+        expected = jax.tree.map(lambda part, k=which: part[k], dry).smoothed
+        gaps = (found - jax.vmap(expected)(jnp.asarray(some[:, 3]))) / speeds[which]
+        constants = gaps / shares**1.5
+        np.testing.assert_allclose(constants, constants[1], rtol=0.08)
 
 
 @pytest.mark.parametrize("speed", [-1.5, 0.3])
