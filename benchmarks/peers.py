@@ -159,7 +159,8 @@ class DryRing:
     - one event for each mass: |w| while it slides, the reserve of friction squared,
       (p mu_st)^2 - r^2, while it sticks; in one direction only, so that leaving w = 0 is none;
     - callbacks that read and write through memory views, a third faster than NumPy's indexing;
-    - `fast_math`, a fifth faster at the same error; all loops unrolled (no `compact_mode`);
+    - `fast_math`, a fifth faster at the same error; all loops unrolled (no `compact_mode`) for up
+      to a hundred masses, beyond which that compiles for minutes;
     - several `lanes`, which may differ in belt speed and start, as a batch of the SIMD width.
     """
 
@@ -201,6 +202,7 @@ class DryRing:
             t_events=events,
             tol=tolerance,
             fast_math=True,
+            compact_mode=n > 100,
         )
         # heyoka's own memory, with an axis of lanes, and a view of each lane.
         self.state = self.integrator.state.reshape(2 * n, lanes)

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 from jax import lax
-from step_in_c import compiled_steps
+from step_in_c import CompiledMethod
 from timing import compiled, in_turn, lines, runs
 
 from jaxchain import Rodas4, equation_8, paper_chain
@@ -110,8 +110,8 @@ def _profile(repeats: int, lanes: int, quick: bool) -> list[dict]:
     }
     chains = [chain.with_(belt_speed=speed) for speed in speeds.tolist()]
     for name, flags in (("step in C", ()), ("step in C, -ffast-math", ("-ffast-math",))):
-        in_c = compiled_steps(chains, solver, *flags)
-        parts[name] = lambda steps, in_c=in_c: in_c(steps, h, *states)
+        in_c = CompiledMethod(chains, solver, *flags)
+        parts[name] = lambda steps, in_c=in_c: in_c.steps(steps, h, *states)
         expected = np.reshape(jax.tree.leaves(parts["step alone"](50)[0]), (2, lanes, N))
         np.testing.assert_allclose(parts[name](50), expected, atol=1e-8)
     program = runs(chain, EXCITED, span, solver, lanes=lanes > 1)

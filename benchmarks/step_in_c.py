@@ -1,6 +1,7 @@
-"""One Rosenbrock step of a ring in C: the arithmetic of `Rodas4`, as a C compiler makes it.
+"""A structured Rosenbrock method for rings in C: what one would write by hand, for one chain.
 
-Shows how far the step is from what the machine can do.
+The arithmetic of a step of `Rodas4` or `Rodas5P` and the step-size control of `simulate`, as a C
+compiler makes them.  Shows how far jaxchain is from what the machine can do.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ import ctypes
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,12 @@ import numpy as np
 from peers import CompiledRing
 from timing import Skipped
 
+from jaxchain.simulation.accuracy import MAX_STEP
+from jaxchain.solvers.step_control import CROSSING, LANDING, NEAR
+
 SOURCE = """
 #include <math.h>
+#include <string.h>
 
 static double force(double v, const double *p) {{
     double w = v - p[0];
@@ -35,7 +40,8 @@ static double force_and_slope(double v, const double *p, double *slope) {{
 /* All arrays of a step have one ghost at each end. */
 static void ghosts(double *z) {{ z[0] = z[{n}]; z[{n} + 1] = z[1]; }}
 
-static double step(double h, double *x, double *v, const double *p) {{
+/* Advances x and v; returns the sum of the squared errors, each over its tolerance. */
+static double step(double h, double rtol, double *x, double *v, const double *p) {{
     double b[{stages}][{n} + 2], z[{n} + 2], u[{n} + 2], inverse[{n} + 2], start[{n} + 2];
     double g[{n} + 2], sum = 0, per_h = 1 / h, hg = h * {gamma!r}, k = p[4] + 2 * p[3];
 {body}
@@ -47,8 +53,44 @@ double run(long steps, long lanes, double h, double *x, double *v, const double 
     double sum = 0;
     for (long s = 0; s < steps; s++)
         for (long lane = 0; lane < lanes; lane++)
-            sum += step(h, x + {n} * lane, v + {n} * lane, p + 8 * lane);
+            sum += step(h, 1, x + {n} * lane, v + {n} * lane, p + 8 * lane);
     return sum;
+}}
+
+/* The longest next step, which neither misses nor leaps over a layer: see SwitchingController. */
+static double longest(double h, const double *before, const double *v, const double *p) {{
+    double bound = {max_step!r};
+    for (int i = 0; i < {n}; i++) {{
+        double w = v[i] - p[0], change = v[i] - before[i], size = fabs(w);
+        double way = size > {near!r} * p[1] ? size - {landing!r} * p[1] : {crossing!r} * p[1];
+        if (w * change < 0) bound = fmin(bound, way * h / fabs(change));
+    }}
+    return bound;
+}}
+
+/* Integrates `lanes` chains to t1, each with its own steps; returns the number of all steps. */
+long integrate(long lanes, double t1, double rtol, double *x, double *v, const double *p) {{
+    long count = 0;
+    for (long lane = 0; lane < lanes; lane++, x += {n}, v += {n}, p += 8) {{
+        double t = 0, h = 1e-3, before[2][{n}];
+        for (; t < t1; count++) {{
+            double last = t + h >= t1 * (1 - 1e-14);
+            if (last) h = t1 - t;
+            memcpy(before[0], x, sizeof before[0]);
+            memcpy(before[1], v, sizeof before[1]);
+            double error = sqrt(step(h, rtol, x, v, p) / (2 * {n}));
+            double factor = fmin(10, fmax(0.2, 0.9 * pow(error, -1.0 / {order})));
+            if (error <= 1) {{
+                t = last ? t1 : t + h;
+                h = fmin(h * factor, longest(h, before[1], v, p));
+            }} else {{ /* or not a number */
+                memcpy(x, before[0], sizeof before[0]);
+                memcpy(v, before[1], sizeof before[1]);
+                h *= error > 1 ? fmin(1, factor) : 0.2;
+            }}
+        }}
+    }}
+    return count;
 }}
 """
 
@@ -87,37 +129,53 @@ def source(n: int, solver: Any) -> str:
 {masses} {target}[i] = start[i] + hg * p[3] * inverse[i] * ({origin}[i - 1] + {origin}[i + 1]);""")
             origin, other = other, origin
     lines.append(f"""{masses} {{
-        double e = h * ({total(tab.beta[-1], tab.alpha[-1])});
-        sum += e * e + b[{stages - 1}][i] * b[{stages - 1}][i];
-        x[i - 1] += h * ({total(tab.end_b, tab.end_v)});
-        v[i - 1] += {total(tab.a[-1])} + b[{stages - 1}][i];
+        double ex = h * ({total(tab.beta[-1], tab.alpha[-1])}), ev = b[{stages - 1}][i];
+        double xn = x[i - 1] + h * ({total(tab.end_b, tab.end_v)});
+        double vn = v[i - 1] + {total(tab.a[-1])} + ev;
+        ex /= rtol * (0.1 + fmax(fabs(x[i - 1]), fabs(xn)));
+        ev /= rtol * (0.1 + fmax(fabs(v[i - 1]), fabs(vn)));
+        sum += ex * ex + ev * ev;
+        x[i - 1] = xn;
+        v[i - 1] = vn;
     }}""")
-    return SOURCE.format(n=n, stages=stages, gamma=tab.gamma, body="\n".join(lines))
+    numbers = {"near": NEAR, "landing": LANDING, "crossing": CROSSING, "max_step": MAX_STEP}
+    numbers |= {"n": n, "stages": stages, "gamma": tab.gamma, "order": solver.order(None)}
+    return SOURCE.format(body="\n".join(lines), **numbers)
 
 
-def compiled_steps(chains: Sequence[Any], solver: Any, *flags: str) -> Callable[..., np.ndarray]:
-    """A function (steps, h, x, v) -> (x, v), of shape (2, lanes, n), one homogeneous ring a lane.
+class CompiledMethod:
+    """The method for several homogeneous rings, a lane each; states have shape (2, lanes, n).
 
     The flag -ffast-math lets the compiler reorder sums and use vector exponentials.
     """
-    compiler = shutil.which("gcc") or shutil.which("cc")
-    if compiler is None:
-        raise Skipped("no C compiler found")
-    shape = len(chains), chains[0].n
-    parameters = np.concatenate([CompiledRing.parameters(chain) for chain in chains])
-    with tempfile.TemporaryDirectory() as folder:
-        file, library = Path(folder, "step.c"), Path(folder, "step.so")
-        file.write_text(source(chains[0].n, solver))
-        options = ["-O3", "-march=native", *flags, "-shared", "-fPIC", "-o", str(library)]
-        subprocess.run([compiler, str(file), *options, "-lm"], check=True)
-        function = ctypes.CDLL(str(library)).run
-    pointer = np.ctypeslib.ndpointer(float, flags="C_CONTIGUOUS")
-    function.argtypes = [ctypes.c_long, ctypes.c_long, ctypes.c_double, pointer, pointer, pointer]
-    function.restype = ctypes.c_double
 
-    def run(steps: int, h: float, x: Any, v: Any) -> np.ndarray:
-        state = np.array([np.broadcast_to(part, shape) for part in (x, v)], float)
-        function(steps, shape[0], h, state[0], state[1], parameters)
+    def __init__(self, chains: Sequence[Any], solver: Any, *flags: str):
+        compiler = shutil.which("gcc") or shutil.which("cc")
+        if compiler is None:
+            raise Skipped("no C compiler found")
+        self.shape = len(chains), chains[0].n
+        self.parameters = np.concatenate([CompiledRing.parameters(chain) for chain in chains])
+        with tempfile.TemporaryDirectory() as folder:
+            file, library = Path(folder, "step.c"), Path(folder, "step.so")
+            file.write_text(source(chains[0].n, solver))
+            options = ["-O3", "-march=native", *flags, "-shared", "-fPIC", "-o", str(library)]
+            subprocess.run([compiler, str(file), *options, "-lm"], check=True)
+            self.library = ctypes.CDLL(str(library))
+        pointer = np.ctypeslib.ndpointer(float, flags="C_CONTIGUOUS")
+        number, state = [ctypes.c_double], [pointer, pointer, pointer]
+        self.library.run.argtypes = [ctypes.c_long, ctypes.c_long, *number, *state]
+        self.library.run.restype = ctypes.c_double
+        self.library.integrate.argtypes = [ctypes.c_long, *number, *number, *state]
+        self.library.integrate.restype = ctypes.c_long
+
+    def steps(self, count: int, h: float, x: Any, v: Any) -> np.ndarray:
+        """(x, v) after `count` steps h."""
+        state = np.array([np.broadcast_to(part, self.shape) for part in (x, v)], float)
+        self.library.run(count, self.shape[0], h, state[0], state[1], self.parameters)
         return state
 
-    return run
+    def integrate(self, t1: float, rtol: float, x: Any, v: Any) -> np.ndarray:
+        """(x, v) at t1, with the step sizes that `simulate` would take."""
+        state = np.array([np.broadcast_to(part, self.shape) for part in (x, v)], float)
+        self.library.integrate(self.shape[0], t1, rtol, state[0], state[1], self.parameters)
+        return state

@@ -3,10 +3,11 @@
 One mass, a ring of twenty and one of a thousand, half of them excited, for thirty time units, as
 one run and as 64 runs at once.  The error is the greatest of any displacement or velocity at the
 end against true dry friction, so that of the width and that of the tolerance together: a user pays
-for both.  The solvers of jaxchain, the solvers of diffrax, heyoka with events, and LSODA, Radau
-(SciPy) and CVODE with the compiled right side and Jacobian of the folder `benchmarks`; the last
-four need `pip install 'jaxchain[peers]'` and are left out without it.  For a thousand masses those
-are left out that solve dense systems, and heyoka, which would compile for long.
+for both.  The solvers of jaxchain and of diffrax, heyoka with events, LSODA, Radau (SciPy) and
+CVODE with the compiled right side and Jacobian of the folder `benchmarks`, and Rodas4 written in C
+for this one chain.  Heyoka, LSODA, Radau and CVODE need `pip install 'jaxchain[peers]'`, C needs a
+compiler; what is missing is left out.  For a thousand masses those are left out that solve dense
+systems, and heyoka compiles its loops as loops, because it would unroll them for minutes.
 
 Prints the fastest setting for each error, and the fastest that smooths friction, with the time of
 one run in ms, and what `simulate(accuracy=...)` gives (its accuracy stands for the
@@ -45,15 +46,14 @@ ACCURACIES = [10.0**-k for k in range(1, 7)]
 PATIENCE = 1.0  # seconds; what is slower is left out
 MOST_STEPS = 10**6  # of diffrax's solvers, whose steps may shrink to nothing
 SATURATED = 0.95  # a tolerance that lowers the error by less meets that of the width
-NAMES = (
-    "event-driven Rodas5P Rodas4 heyoka Tsit5 Dopri8 LSODA CVODE Radau Kvaerno3 Kvaerno5 KenCarp4"
-)
-COLOURS = ["black", BLUE, SKY, GREY, ORANGE, ORANGE, PURPLE, PURPLE, VERMILION, *[GREEN] * 3]
-LINES = ["-", "-", "-", "--", "--", ":", "--", ":", "-.", "--", ":", "-."]
-LOOKS = dict(zip(NAMES.split(), zip(COLOURS, "osDh^vPXd^v<", LINES)))
+NAMES = "event-driven Rodas5P Rodas4 C heyoka Tsit5 Dopri8 LSODA CVODE Radau "
+NAMES += "Kvaerno3 Kvaerno5 KenCarp4"
+COLOURS = ["black", BLUE, SKY, SKY, GREY, ORANGE, ORANGE, PURPLE, PURPLE, VERMILION, *[GREEN] * 3]
+LINES = ["-", "-", "-", ":", "--", "--", ":", "--", ":", "-.", "--", ":", "-."]
+LOOKS = dict(zip(NAMES.split(), zip(COLOURS, "osDDh^vPXd^v<", LINES)))
 OWN, DRY = [*LOOKS][:3], ("event-driven", "heyoka", "accuracy")  # jaxchain's; without a width
-# Up to a hundred masses: those that solve dense systems, or unroll all loops to compile.
-MOST, FOR_FEW = 100, ("heyoka", "Radau", "Kvaerno3", "Kvaerno5", "KenCarp4")
+# Up to a hundred masses: those that solve dense systems.
+MOST, FOR_FEW = 100, ("Radau", "Kvaerno3", "Kvaerno5", "KenCarp4")
 
 
 def start(n, belt_speed, width):
@@ -113,7 +113,7 @@ def radau(ring, chain, initial, t1):
 
 
 def by_peer(name, n, speeds):
-    """By heyoka in batches, or by LSODA, Radau or CVODE, one run after the other."""
+    """By heyoka in batches, or by LSODA, Radau, CVODE or C, one run after the other."""
     import peers  # of the folder `benchmarks`
 
     if name == "heyoka":
@@ -122,6 +122,16 @@ def by_peer(name, n, speeds):
         chain, batch = start(n, BELT_SPEED, None)[0], heyoka.recommended_simd_size()
         run = peers.heyoka(chain, speeds, EXCITED[n], DURATION, min(batch, len(speeds)))
         return lambda width, rtol: run(rtol)
+    if name == "C":
+        from step_in_c import CompiledMethod
+
+        def method(width):
+            chains, states = zip(*[start(n, speed, width) for speed in speeds])
+            own = CompiledMethod(chains, Rodas4(1), "-ffast-math")
+            return lambda rtol: own.integrate(DURATION, rtol, *map(np.stack, zip(*states)))
+
+        method = functools.cache(method)
+        return lambda width, rtol: method(width)(rtol)
     ring = peers.CompiledRing(n)
     peer = {"LSODA": peers.lsoda, "CVODE": peers.cvode, "Radau": radau}[name]
 
@@ -140,7 +150,7 @@ def approach(name, n, speeds):
         return lambda width, rtol: series[9 if rtol >= 1e-7 else 15](1e-3, rtol)
     if name in OWN:
         return by_jaxchain({"Rodas4": Rodas4(1), "Rodas5P": Rodas5P(1)}[name], n, speeds)
-    if name in ("heyoka", "LSODA", "Radau", "CVODE"):
+    if name in ("C", "heyoka", "LSODA", "Radau", "CVODE"):
         return by_peer(name, n, speeds)
     if name != "accuracy":
         return by_diffrax(getattr(dfx, name)(), n, speeds)
@@ -233,6 +243,8 @@ def draw(data):
 
 
 def main():
+    from timing import Skipped  # of the folder `benchmarks`
+
     quick, folder = options(__file__, __doc__)
     widths, rtols = ([1e-2, 1e-3], [1e-4, 1e-6]) if quick else (WIDTHS, RTOLS)
     names = ["event-driven", "Rodas4", "Tsit5", "LSODA"] if quick else [*LOOKS]
@@ -244,7 +256,7 @@ def main():
             print(f"n = {n}, {lanes} lanes: {name}", flush=True)
             try:
                 rows += scan(name, n, speeds, exact, widths, rtols)
-            except ImportError as missing:
+            except (ImportError, Skipped) as missing:
                 print(f"{name} is left out, {missing}: pip install 'jaxchain[peers]'")
         rows += scan("accuracy", n, speeds, exact, [], [1e-2, 1e-3] if quick else ACCURACIES)
     data = pd.DataFrame(rows, columns=["approach", "n", "lanes", "width", "rtol", "error", "ms"])
