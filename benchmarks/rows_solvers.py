@@ -102,7 +102,7 @@ def stock_row(repeats: int, quick: bool) -> list[dict]:
     plain, _, jaxchain = sides
     times = in_turn(sides, repeats)
     return lines(
-        "fastest stock diffrax solver, error <= 1e-4", times, jaxchain, {plain: (">=", 100)}
+        "fastest stock diffrax solver, error <= 1e-4", times, jaxchain, {plain: (">=", 40)}
     )
 
 
@@ -149,11 +149,11 @@ def heyoka_row(repeats: int, quick: bool) -> list[dict]:
     import heyoka as hy
 
     batch, span = hy.recommended_simd_size(), 20.0 if quick else 1000.0
-    table = _against_heyoka(repeats, 1, 1.5, span, {"heyoka": 1}, 1.7)
+    table = _against_heyoka(repeats, 1, 1.5, span, {"heyoka": 1}, 1.0)
     if not quick:
         table += _against_heyoka(repeats, 20, 1.5, span, {"heyoka": 1}, 2.5)
         peers = {f"heyoka, batches of {batch}": batch, "heyoka in a loop": 1}
-        table += _against_heyoka(repeats, 20, jnp.linspace(1.4, 1.6, 64), span, peers, 3.5)
+        table += _against_heyoka(repeats, 20, jnp.linspace(1.4, 1.6, 64), span, peers, 2.0)
     return table
 
 

@@ -452,8 +452,9 @@ def _towards_fold(
     high = jnp.where(certain & (slope <= 0), s, before.high)
     # Two cycles whose s differ by less tell little about the curvature of V, but if a short step
     # did not halve V', the known curvature, perhaps that of a loose integration, is wrong.
-    apart = jnp.abs(s - before.s) > 0.01  # false for NaN
-    apart = apart | (certain & (jnp.abs(slope) > 0.5 * jnp.abs(before.slope)))
+    distance = jnp.abs(s - before.s)
+    wrong = certain & (distance > 1e-6) & (jnp.abs(slope) > 0.5 * jnp.abs(before.slope))
+    apart = wrong | (distance > 0.01)  # false for NaN
     gap = jnp.where(apart, ordinate(s) - ordinate(before.s), 1.0)
     curvature = jnp.where(apart, (slope - before.slope) / gap, before.curvature)
     # The distance between the first closed cycle and the second one.
