@@ -221,8 +221,9 @@ def draw(data):
             rows = rows[rows.error < rows.error.cummin().shift(fill_value=math.inf)]
             bold = name in OWN
             axes.plot(
-                rows.error, rows.ms / 1e3, line, color=colour, marker=marker, label=name,
-                markersize=4 if bold else 3, linewidth=1.4 if bold else 0.8, zorder=2 + bold,
+                rows.error, rows.ms / 1e3, line, color=colour, marker=marker,
+                label="Rodas4 in C" if name == "C" else name, zorder=2 + bold,
+                markersize=4 if bold else 3, linewidth=1.4 if bold else 0.8,
                 markerfacecolor=colour if bold else "white", markeredgewidth=0.8,
             )  # fmt: skip
         rows = own[own.approach == "accuracy"]
