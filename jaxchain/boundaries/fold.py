@@ -109,7 +109,7 @@ class FoldSettings:
     rtol: float = 5e-12
     closed: float = 1e-9
     nearly: tuple[float, float] = (0.1, 1e-3)
-    stationary: tuple[float, float] = (1e-7, 1e-10)
+    stationary: tuple[float, float] = (1e-7, 1e-11)
     level: float = 3e-10
     far: float = 0.1
     few_widths: float = 30.0
