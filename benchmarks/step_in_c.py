@@ -68,13 +68,12 @@ static double longest(double h, const double *before, const double *v, const dou
     return bound;
 }}
 
-/* Integrates `lanes` chains to t1, each with its own steps; returns the number of all steps. */
-long integrate(long lanes, double t1, double rtol, double *x, double *v, const double *p) {{
-    long count = 0;
+/* Integrates `lanes` chains to t1, each with its own steps. */
+void integrate(long lanes, double t1, double rtol, double *x, double *v, const double *p) {{
     for (long lane = 0; lane < lanes; lane++, x += {n}, v += {n}, p += 8) {{
         double t = 0, h = 1e-3, before[2][{n}];
-        for (; t < t1; count++) {{
-            double last = t + h >= t1 * (1 - 1e-14);
+        while (t < t1) {{
+            int last = t + h >= t1 * (1 - 1e-14);
             if (last) h = t1 - t;
             memcpy(before[0], x, sizeof before[0]);
             memcpy(before[1], v, sizeof before[1]);
@@ -90,7 +89,6 @@ long integrate(long lanes, double t1, double rtol, double *x, double *v, const d
             }}
         }}
     }}
-    return count;
 }}
 """
 
@@ -166,7 +164,7 @@ class CompiledMethod:
         self.library.run.argtypes = [ctypes.c_long, ctypes.c_long, *number, *state]
         self.library.run.restype = ctypes.c_double
         self.library.integrate.argtypes = [ctypes.c_long, *number, *number, *state]
-        self.library.integrate.restype = ctypes.c_long
+        self.library.integrate.restype = None
 
     def steps(self, count: int, h: float, x: Any, v: Any) -> np.ndarray:
         """(x, v) after `count` steps h."""

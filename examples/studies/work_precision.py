@@ -46,12 +46,12 @@ ACCURACIES = [10.0**-k for k in range(1, 7)]
 PATIENCE = 1.0  # seconds; what is slower is left out
 MOST_STEPS = 10**6  # of diffrax's solvers, whose steps may shrink to nothing
 SATURATED = 0.95  # a tolerance that lowers the error by less meets that of the width
-NAMES = "event-driven Rodas5P Rodas4 C heyoka Tsit5 Dopri8 LSODA CVODE Radau "
-NAMES += "Kvaerno3 Kvaerno5 KenCarp4"
+NAMES = ["event-driven", "Rodas5P", "Rodas4", "Rodas4 in C", "heyoka", "Tsit5", "Dopri8", "LSODA"]
+NAMES += ["CVODE", "Radau", "Kvaerno3", "Kvaerno5", "KenCarp4"]
 COLOURS = ["black", BLUE, SKY, SKY, GREY, ORANGE, ORANGE, PURPLE, PURPLE, VERMILION, *[GREEN] * 3]
 LINES = ["-", "-", "-", ":", "--", "--", ":", "--", ":", "-.", "--", ":", "-."]
-LOOKS = dict(zip(NAMES.split(), zip(COLOURS, "osDDh^vPXd^v<", LINES)))
-OWN, DRY = [*LOOKS][:3], ("event-driven", "heyoka", "accuracy")  # jaxchain's; without a width
+LOOKS = dict(zip(NAMES, zip(COLOURS, "osDDh^vPXd^v<", LINES)))
+OWN, DRY = NAMES[:3], ("event-driven", "heyoka", "accuracy")  # jaxchain's; without a width
 # Up to a hundred masses: those that solve dense systems.
 MOST, FOR_FEW = 100, ("Radau", "Kvaerno3", "Kvaerno5", "KenCarp4")
 
@@ -122,7 +122,7 @@ def by_peer(name, n, speeds):
         chain, batch = start(n, BELT_SPEED, None)[0], heyoka.recommended_simd_size()
         run = peers.heyoka(chain, speeds, EXCITED[n], DURATION, min(batch, len(speeds)))
         return lambda width, rtol: run(rtol)
-    if name == "C":
+    if name == "Rodas4 in C":
         from step_in_c import CompiledMethod
 
         def method(width):
@@ -150,7 +150,7 @@ def approach(name, n, speeds):
         return lambda width, rtol: series[9 if rtol >= 1e-7 else 15](1e-3, rtol)
     if name in OWN:
         return by_jaxchain({"Rodas4": Rodas4(1), "Rodas5P": Rodas5P(1)}[name], n, speeds)
-    if name in ("C", "heyoka", "LSODA", "Radau", "CVODE"):
+    if name in ("Rodas4 in C", "heyoka", "LSODA", "Radau", "CVODE"):
         return by_peer(name, n, speeds)
     if name != "accuracy":
         return by_diffrax(getattr(dfx, name)(), n, speeds)
@@ -221,9 +221,8 @@ def draw(data):
             rows = rows[rows.error < rows.error.cummin().shift(fill_value=math.inf)]
             bold = name in OWN
             axes.plot(
-                rows.error, rows.ms / 1e3, line, color=colour, marker=marker,
-                label="Rodas4 in C" if name == "C" else name, zorder=2 + bold,
-                markersize=4 if bold else 3, linewidth=1.4 if bold else 0.8,
+                rows.error, rows.ms / 1e3, line, color=colour, marker=marker, label=name,
+                markersize=4 if bold else 3, linewidth=1.4 if bold else 0.8, zorder=2 + bold,
                 markerfacecolor=colour if bold else "white", markeredgewidth=0.8,
             )  # fmt: skip
         rows = own[own.approach == "accuracy"]
@@ -248,7 +247,7 @@ def main():
 
     quick, folder = options(__file__, __doc__)
     widths, rtols = ([1e-2, 1e-3], [1e-4, 1e-6]) if quick else (WIDTHS, RTOLS)
-    names = ["event-driven", "Rodas4", "Tsit5", "LSODA"] if quick else [*LOOKS]
+    names = ["event-driven", "Rodas4", "Rodas4 in C", "Tsit5", "LSODA"] if quick else NAMES
     rows = []
     for n, lanes in [(20, 1)] if quick else itertools.product(EXCITED, LANES):
         speeds = BELT_SPEED + (SPREAD * np.linspace(-1, 1, lanes) if lanes > 1 else np.zeros(1))

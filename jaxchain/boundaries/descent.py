@@ -144,7 +144,7 @@ def fold_by_descent(
     maximum.  Each step integrates one period with its tangents.  This gives Newton's correction,
     which closes the cycle, and by the implicit function theorem the slope dV/ds for the optimiser.
 
-    Prefer `fold_belt_speed`: a secant method for dV/ds = 0 needs some 15 such integrations for
+    Prefer `fold_belt_speed`: a secant method for dV/ds = 0 needs some ten such integrations for
     nine digits; the ascent needs one per step, for eight digits.  It uses only values and slopes;
     use it as a part of a larger optimisation, or with constraints.
 

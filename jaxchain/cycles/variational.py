@@ -88,8 +88,8 @@ def forward_sensitivity(
     The derivatives are those of the steps with fixed sizes, except the last one, which ends with
     the run.  Call it under `jit`.
 
-    **Arguments:** `make`: point -> (field, first state, time), a time < 0 for a run backward, of a
-    field without forcing; `observers`, without derivatives.
+    **Arguments:** `make`: point -> (field, first state, time); `observers`, without derivatives.
+    A run backward has a time < 0, a field without forcing, and no observers.
     """
     unit = jnp.eye(point.shape[0])
     field, start, length = make(point)

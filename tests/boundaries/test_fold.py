@@ -19,6 +19,7 @@ from jaxchain import (
     simulate,
 )
 from jaxchain.boundaries import find_fold, find_grazing
+from jaxchain.boundaries.fold import first_guess, value_and_jacobian
 from jaxchain.model.initial_states import on_the_belt
 from jaxchain.result import SearchResult
 
@@ -318,6 +319,27 @@ def test_folds_are_found_for_every_multiplier_of_the_slip_cycle():
         gaps = (found - jax.vmap(expected)(jnp.asarray(some[:, 3]))) / speeds[which]
         constants = gaps / shares**1.5
         np.testing.assert_allclose(constants, constants[1], rtol=0.08)
+        assert abs(constants[1]) < 1600.0
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("numbers", [wild_sets(0, 300)[233], *wild_sets(7, 400)[[214, 372]]])
+def test_no_cycle_beside_a_fold_has_a_faster_belt(numbers):
+    """Sets whose V(s) is flat, with its maximum far from where the loose search ends."""
+    fold = jax.tree.map(lambda part: part[0], wild_folds(numbers[None])[0])
+    start = first_guess(wild_chain(numbers), 0)
+    shooting, place = start.shooting, start.shooting.place
+    slopes = jax.jit(functools.partial(value_and_jacobian, shooting))
+    closed = shooting.pack(fold.state, fold.period, fold.belt_speed).at[place].set(fold.belt_speed)
+    for way in (-1.0, 1.0):
+        q, r = closed, jnp.full(2, jnp.inf)
+        for k in range(1, 9):
+            s = fold.scaled_peak_velocity + way * 0.05 * k
+            for _ in range(4):
+                r, jacobian = slopes(jnp.append(q, jnp.arcsinh(s)))
+                q = q - jnp.linalg.solve(jacobian[:, :-1], r)
+            assert jnp.max(jnp.abs(r)) < 1e-9
+            assert q[place] < fold.belt_speed * (1.0 + 3e-9)
 
 
 @pytest.mark.parametrize("speed", [-1.5, 0.3])
