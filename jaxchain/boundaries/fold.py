@@ -382,7 +382,7 @@ def _entry(shooting: Shooting, now: FoldSearch, tight: Array, start: FoldGuess) 
     # A closed cycle: update the secant for V'(s) = 0.
     s, slope, speed = jnp.sinh(z), tangent[index] / jnp.cosh(z), jnp.abs(q[index])
     new_s, gain, secant = _towards_fold(
-        now.secant, s, q[index], slope, closed, s - shooting.rest(q[index]), start.weakly_unstable
+        now.secant, s, q[index], slope, s - shooting.rest(q[index]), start.weakly_unstable
     )
     apart, change = jnp.abs(s - now.secant.s), jnp.abs(q[index] - now.secant.speed)
     tiny = start.unstable | (change < _SET.level_widths * narrow)
@@ -435,25 +435,23 @@ def _towards_fold(
     s: Array,
     speed: Array,
     slope: Array,
-    certain: Array,
     distance_to_rest: Array,
     weakly_unstable: Array,
 ) -> tuple[Array, Array, _SlopeSecant]:
     """(the next s, mean V' on the way there over V' at s, updated secant); V rises up to the fold.
 
-    Only a slope that is `certain` bounds the maximum.  `distance_to_rest` is the distance in s to
-    the point of zero amplitude.
+    `distance_to_rest` is the distance in s to the point of zero amplitude.
     """
 
     def ordinate(s: Array) -> Array:
         return jnp.exp(2.0 * s) + _SET.tau * s
 
-    low = jnp.where(certain & (slope > 0), s, before.low)
-    high = jnp.where(certain & (slope <= 0), s, before.high)
+    low = jnp.where(slope > 0, s, before.low)
+    high = jnp.where(slope > 0, before.high, s)
     # Two cycles whose s differ by less tell little about the curvature of V, but if a short step
     # did not halve V', the known curvature, perhaps that of a loose integration, is wrong.
     distance = jnp.abs(s - before.s)
-    wrong = certain & (distance > 1e-6) & (jnp.abs(slope) > 0.5 * jnp.abs(before.slope))
+    wrong = (distance > 1e-6) & (jnp.abs(slope) > 0.5 * jnp.abs(before.slope))
     apart = wrong | (distance > 0.01)  # false for NaN
     gap = jnp.where(apart, ordinate(s) - ordinate(before.s), 1.0)
     curvature = jnp.where(apart, (slope - before.slope) / gap, before.curvature)
