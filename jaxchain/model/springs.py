@@ -7,6 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.extend.core import Primitive
+from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array, Float
 
 from .._checks import check_finite, check_one_of, named
@@ -61,16 +63,27 @@ def materialize(x: Float[Array, " n"]) -> Float[Array, " n"]:
     """x itself, computed once.
 
     XLA's CPU backend fuses an array into each of its consumers and computes it once for every one
-    of them, stage within stage; a convolution ends that (an optimization barrier does not).
+    of them, stage within stage; a convolution ends that (an optimization barrier does not).  It is
+    a primitive, because a step has dozens of them: `lax.platform_dependent` would trace and lower
+    ten operations for each, and again in every derivative.
     """
+    return _materialize.bind(x)
 
-    def convolve(x: Array) -> Array:
-        # Along an axis of length 1, padded at the other end, so that masses do not interact.
-        kernel = jnp.asarray([[[[1.0, 0.0]]]], x.dtype)
-        column = x.reshape(1, 1, -1, 1)
-        return lax.conv_general_dilated(column, kernel, (1, 1), ((0, 0), (0, 1))).reshape(x.shape)
 
-    return lax.platform_dependent(x, cpu=convolve, default=lambda x: x)
+def _convolved(x: Array) -> Array:
+    # Along an axis of length 1, padded at the other end, so that masses do not interact.
+    kernel = jnp.asarray([[[[1.0, 0.0]]]], x.dtype)
+    column = x.reshape(-1, 1, x.shape[-1], 1)
+    return lax.conv_general_dilated(column, kernel, (1, 1), ((0, 0), (0, 1))).reshape(x.shape)
+
+
+_materialize = Primitive("materialize")
+_materialize.def_impl(lambda x: x)
+_materialize.def_abstract_eval(lambda x: x)
+mlir.register_lowering(_materialize, lambda _, x: [x])
+mlir.register_lowering(_materialize, mlir.lower_fun(_convolved, False), platform="cpu")
+ad.deflinear(_materialize, lambda slope: [materialize(slope)])
+batching.defvectorized(_materialize)
 
 
 def neighbours(x: Float[Array, " n"], ends: str) -> tuple[Float[Array, " n"], Float[Array, " n"]]:

@@ -6,8 +6,10 @@ call serves all masses.
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Callable, Sequence
+import operator
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import equinox.internal as eqxi
@@ -219,13 +221,18 @@ def _once(a: Any) -> Any:
     return materialize(a) if jnp.ndim(a) == 1 else a
 
 
+def _sum(terms: Iterable[Any]) -> Any:
+    # Python's begins with 0, which JAX adds.
+    return functools.reduce(operator.add, terms)
+
+
 def _product(times: Callable[[Any, Any], Any], a: Any, b: Any) -> PowerSeries:
     """(a b)_k = sum_{j=0..k} a_j b_{k-j}."""
     if not isinstance(a, PowerSeries):
         return PowerSeries(lambda k: times(a, b[k]))
     if not isinstance(b, PowerSeries):
         return PowerSeries(lambda k: times(a[k], b))
-    return PowerSeries(lambda k: _once(sum(times(a[j], b[k - j]) for j in range(k + 1))))
+    return PowerSeries(lambda k: _once(_sum(times(a[j], b[k - j]) for j in range(k + 1))))
 
 
 def _times(a: Any, b: Any) -> PowerSeries:
@@ -247,7 +254,7 @@ def _quotient(a: Any, b: Any) -> PowerSeries:
     def rule(k: int) -> Any:
         if k == 0:
             return _at(a, 0) / b[0]
-        partial_sum = sum(b[j] * q[k - j] for j in range(1, k + 1))
+        partial_sum = _sum(b[j] * q[k - j] for j in range(1, k + 1))
         return _once(
             (_at(a, k) - partial_sum if isinstance(a, PowerSeries) else -partial_sum) * inverse
         )
@@ -266,7 +273,7 @@ def _solved(
     def rule(k: int) -> Any:
         if k == 0:
             return first
-        return _once(sum(rising[j] * g[k - j] for j in range(1, k + 1)) * (1.0 / k))
+        return _once(_sum(rising[j] * g[k - j] for j in range(1, k + 1)) * (1.0 / k))
 
     y = PowerSeries(rule)
     g = slope(y)
@@ -427,9 +434,9 @@ def value(coefficients: Sequence[Any], t: Any) -> Any:
 @jax.custom_jvp
 def value_and_slope(coefficients: Sequence[Any], t: Any) -> tuple[Any, Any]:
     """(q(t), q'(t)) in one pass."""
-    total: Any = coefficients[-1]
-    slope: Any = jnp.zeros_like(total)
-    for c in reversed(coefficients[:-1]):
+    *others, c, slope = coefficients
+    total = c + t * slope
+    for c in reversed(others):
         slope = total + t * slope
         total = c + t * total
     return total, slope
@@ -505,9 +512,12 @@ def first_exit(
     def search() -> tuple[Array, Array]:
         further = _time_inside(q, slope, lower, upper, curvature)
         sure = materialize(jnp.minimum(before + further, end))
-        ahead = jnp.where(slope > 0, upper - q, q - lower)
-        guess = before + ahead / jnp.maximum(jnp.abs(slope), 1e-300)
-        one = jnp.argmin(materialize(jnp.where(sure < end, guess, 1e300)))
+        one: Any = 0
+        if lower.size > 1:
+            ahead = jnp.where(slope > 0, upper - q, q - lower)
+            guess = before + ahead / jnp.maximum(jnp.abs(slope), 1e-300)
+            one = jnp.argmin(materialize(jnp.where(sure < end, guess, 1e300)))
+            one = one.astype(jnp.uint32)  # JAX looks whether any other index is negative
         t = _exit_of_one(coefficients, lower, upper, curvature, sure, end, one)
 
         there, rate = value_and_slope(coefficients, t)
