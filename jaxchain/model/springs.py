@@ -82,7 +82,7 @@ _materialize.def_impl(lambda x: x)
 _materialize.def_abstract_eval(lambda x: x)
 mlir.register_lowering(_materialize, lambda _, x: [x])
 mlir.register_lowering(_materialize, mlir.lower_fun(_convolved, False), platform="cpu")
-ad.deflinear(_materialize, lambda slope: [materialize(slope)])
+ad.deflinear(_materialize, lambda slope: [_materialize.bind(slope)])
 batching.defvectorized(_materialize)
 
 
