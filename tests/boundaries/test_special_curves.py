@@ -295,22 +295,15 @@ def test_a_dry_fold_curve_passes_from_grazing_to_smooth_folds():
     assert curves[0].to_dataset().point_kind.values.tolist() == list(curves[0].kinds)
 
 
-STRIBECK = paper_chain(1, width=None, friction=GaussianStribeck(1.0, 0.5, 1.2, 0.0))
-
-
-def test_a_dry_fold_ends_in_the_generalised_hopf_point():
-    chain, grazing = STRIBECK, find_grazing(STRIBECK)
+def test_a_dry_fold_has_its_slopes_and_ends_in_the_generalised_hopf_point():
+    chain = paper_chain(1, width=None, friction=GaussianStribeck(1.0, 0.5, 1.2, 0.0))
+    grazing = find_grazing(chain)
     curve = continue_special(grazing, "damping_ratio", bounds={"damping_ratio": (0.02, 0.5)})
     assert curve.ended == ("left_bounds", "generalised Hopf")
     known = generalised_hopf(chain, "damping_ratio", 0.1, 0.5)
     assert (curve.second[-1], curve.first[-1]) == pytest.approx(
         (float(known.value), float(known.belt_speed)), abs=1e-8
     )
-
-
-@pytest.mark.long
-def test_a_dry_fold_has_its_slopes_and_is_found_in_lanes():
-    chain, grazing = STRIBECK, find_grazing(STRIBECK)
 
     def value(chain):
         return find_special_cycle(grazing, chain).value
