@@ -447,7 +447,7 @@ def _towards_fold(
         return jnp.exp(2.0 * s) + _SET.tau * s
 
     low = jnp.where(slope > 0, s, before.low)
-    high = jnp.where(slope > 0, before.high, s)
+    high = jnp.where(slope <= 0, s, before.high)  # of a slope that is NaN none
     # Two cycles whose s differ by less tell little about the curvature of V, but if a short step
     # did not halve V', the known curvature, perhaps that of a loose integration, is wrong.
     distance = jnp.abs(s - before.s)
