@@ -45,8 +45,8 @@ _FIRST, _LESS, _MORE, _LEAST, _GREATEST = 1e-3, 0.2, 5.0, 1e-8, 1e8
 # A gain of chi^2 that changes no interval; that of a signal has errors of the integration.
 _GAIN, _SIGNAL_GAIN = 1e-9, 1e-4
 # Of the fit of a signal: the share of a step at which its curvature is measured, and the greatest
-# share of the bend.  Fits of `Measurements` take as few steps without, and would compile for
-# longer by a third, because the curvature needs all predictions once more.
+# share of the bend.  Fits of `Measurements` take as few steps without, and compile sooner, because
+# the curvature needs all predictions once more.
 _AHEAD, _BEND = 0.1, 0.75
 # Above this multiple of the number of values, chi^2 tells of a wrong fit.
 _BAD = 2.0

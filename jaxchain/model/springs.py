@@ -64,8 +64,8 @@ def materialize(x: Float[Array, " n"]) -> Float[Array, " n"]:
 
     XLA's CPU backend fuses an array into each of its consumers and computes it once for every one
     of them, stage within stage; a convolution ends that (an optimization barrier does not).  It is
-    a primitive, because a step has dozens of them: `lax.platform_dependent` would trace and lower
-    ten operations for each, and again in every derivative.
+    a primitive, because a step has dozens of them: `lax.platform_dependent` would trace both
+    programs for each, again in every derivative, and lower a choice between them.
     """
     return _materialize.bind(x)
 
