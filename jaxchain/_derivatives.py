@@ -34,8 +34,8 @@ _BACK_TWICE = (
     "derivatives forward on the outside, `jax.jacfwd(jax.grad(f))`, as `jax.hessian` does."
 )
 _FORWARD_TWICE = (
-    "The way back through this run, which is event-driven or was asked for a `Trajectory`, cannot "
-    "be differentiated: take second derivatives forward twice, `jax.jacfwd(jax.jacfwd(f))`."
+    "The way back through a run with smoothed friction and a `Trajectory` cannot be "
+    "differentiated: take second derivatives forward twice, `jax.jacfwd(jax.jacfwd(f))`."
 )
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from jaxchain import (
+    Trajectory,
     continue_cycle,
     find_limit_cycle,
     lyapunov_spectrum,
@@ -60,7 +61,12 @@ def test_what_runs_on_the_host_says_so(function, instead, transform):
     ("function", "transform", "error", "instead"),
     [
         (last(SMOOTHED), lambda f: jax.grad(jax.grad(f)), RuntimeError, "jacfwd(jax.grad(f))"),
-        (last(DRY), jax.hessian, NotImplementedError, "jacfwd(jax.jacfwd(f))"),
+        (
+            last(SMOOTHED, observe=Trajectory(jnp.ones(1))),
+            jax.hessian,
+            NotImplementedError,
+            "jacfwd(jax.jacfwd(f))",
+        ),
         (last(SMOOTHED, adjoint=dfx.ForwardMode()), jax.grad, RuntimeError, "leave out `adjoint`"),
     ],
 )
@@ -81,11 +87,11 @@ def test_checkpoints_of_ones_own_serve_both_kinds_of_derivative(chain):
 
 @pytest.mark.long
 def test_second_derivatives_of_runs_agree_with_differences():
-    for chain, second in ((SMOOTHED, jax.hessian), (DRY, lambda f: jax.jacfwd(jax.jacfwd(f)))):
+    for chain in (SMOOTHED, DRY):
         slope = jax.jacfwd(last(chain, rtol=1e-10))
         step = 1e-5
         difference = (slope(XI + step) - slope(XI - step)) / (2 * step)
-        np.testing.assert_allclose(second(last(chain, rtol=1e-10))(XI), difference, rtol=1e-4)
+        np.testing.assert_allclose(jax.hessian(last(chain, rtol=1e-10))(XI), difference, rtol=1e-4)
 
 
 @pytest.mark.long

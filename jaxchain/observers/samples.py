@@ -39,8 +39,7 @@ from .base import AbstractNotingObserver, Step, Variable, states_at_times
 class Trajectory(eqx.Module):
     """The state at given times: value (x, v), both of shape (len(times), n), or all m arrays.
 
-    **Arguments:** `times`, dimensionless, increasing, within the run; they are passed to diffrax's
-    `SaveAt`.
+    **Arguments:** `times`, dimensionless, increasing, within the run.
 
     !!! example
 

@@ -4,7 +4,7 @@
 - `event_driven`: dry friction, from event to event
 - `plan`: the interface of a run that can be continued
 - `run`: `simulate`, one run of a chain
-- `smoothed`: smoothed friction; the only place that calls `diffeqsolve`
+- `smoothed`: smoothed friction, by the steps of a diffrax solver
 """
 
 import lazy_loader

@@ -58,10 +58,15 @@ def check_tolerances(rtol: ArrayLike, atol: ArrayLike | None, max_step: ArrayLik
 
 def custom_solver(chain: Any, solver: Any) -> Any:
     """`solver`, or `EventDriven()` if none is given and friction is dry; otherwise None."""
-    if solver is not None and not isinstance(solver, EventDriven | dfx.AbstractAdaptiveSolver):
+    # Solvers that split the right-hand side into several terms have other term structures.
+    suits = isinstance(solver, dfx.AbstractAdaptiveSolver) and isinstance(
+        solver.term_structure, type
+    )
+    if solver is not None and not suits and not isinstance(solver, EventDriven):
         raise ValueError(
             "Argument `solver` must be None, `Rodas4()`, `Rodas5P()`, `EventDriven()` or another "
-            f"diffrax solver that estimates its errors, but is {shown(solver)}{_instead(solver)}"
+            "diffrax solver for one term that estimates its errors, but is "
+            f"{shown(solver)}{_instead(solver)}"
         )
     if not chain.dry or isinstance(solver, EventDriven):
         return solver

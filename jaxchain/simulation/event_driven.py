@@ -51,44 +51,15 @@ from ..solvers.dry_friction import (
     static_limit,
 )
 from ..solvers.taylor import value, value_and_slope
-from .plan import CHECKPOINTS, AbstractPlan, Progress, first_result, forward_only
-
-
-class StateRecord(eqx.Module):
-    """The states at given times, at which steps end exactly."""
-
-    times: Float[Array, " times"]
-    states: Any  # m arrays of shape (times, n): for equal times only the first row is used
-    count: Int[Array, ""]  # of the times that have passed
-
-    @classmethod
-    def blank(cls, times: Array, state: State) -> StateRecord:
-        """An empty record of states like this one at these times."""
-        nothing = tuple(jnp.full((*times.shape, *part.shape), jnp.nan) for part in state)
-        return cls(times, nothing, jnp.zeros((), int))
-
-    def next_time(self) -> Array:
-        """The first of the times that is not recorded yet; infinite after the last."""
-        last = self.times.shape[0] - 1
-        ahead = self.times[jnp.minimum(self.count, last)]
-        return jnp.where(self.count <= last, ahead, jnp.inf)
-
-    def keep(self, t: Array, state: State) -> StateRecord:
-        """The record with the state, if the time is a requested one."""
-        here: Any = self.next_time() <= t
-        place = jnp.minimum(self.count, self.times.shape[0] - 1)
-        # In reverse mode these are buffers, which must be written in this form.
-        states = tuple(
-            eqxi.buffer_at_set(kept, place, now, pred=here)
-            for kept, now in zip(self.states, state, strict=True)
-        )
-        passed = jnp.searchsorted(self.times, t, side="right")
-        return StateRecord(self.times, states, jnp.maximum(self.count, passed))
-
-    def read(self) -> tuple[Array, ...]:
-        first = jnp.searchsorted(self.times, self.times)
-        return tuple(part[first] for part in self.states)
-
+from .plan import (
+    AbstractPlan,
+    Progress,
+    StateRecord,
+    first_result,
+    forward_only,
+    loop,
+    most_steps,
+)
 
 # Steps between two calls of `gather`.
 ROUND = 64
@@ -281,10 +252,7 @@ class EventDrivenPlan(AbstractPlan):
     ) -> tuple[Progress, list[tuple[Array, Array]]]:
         del recorded  # steps end at events, to rounding
         dry = _dry(field)
-        # No step is rejected here.
-        most = progress.steps + (jnp.iinfo(int).max // 2 if max_steps is None else max_steps)
-        if allowed is not None:
-            most = jnp.minimum(most, progress.steps + allowed)
+        most = most_steps(progress, max_steps, allowed)
         state = progress.state
         records = [StateRecord.blank(ts, state).keep(progress.t, state) for ts in times]
 
@@ -306,36 +274,24 @@ class EventDrivenPlan(AbstractPlan):
             return step(carry)[0]
 
         carry: Any = progress, records
-        if isinstance(adjoint, dfx.RecursiveCheckpointAdjoint):
-            # Parts of a fixed number of steps.  The start of each part is kept, and every step of
-            # the part that reverse mode is passing.
-            most_kept: int = adjoint.checkpoints or CHECKPOINTS
-
-            def written_once(carry: Any) -> list:
-                return [record.states for record in carry[1]]
-
-            back: Any = functools.partial(
-                eqxi.while_loop,
-                goes_on,
-                kind="checkpointed",
-                checkpoints=most_kept,
-                buffers=written_once,
-            )
-            carry = back(lambda carry: back(body, carry, max_steps=most_kept), carry)
-        elif adjoint is None or isinstance(adjoint, dfx.ForwardMode):
-            if any(map(_notes, self.observers)):
-                carry = in_rounds(
-                    goes_on, functools.partial(step, noting=True), self._gather, carry
-                )
-            else:
-                carry = lax.while_loop(goes_on, body, carry)
-            carry = forward_only(carry)
-        else:
+        if isinstance(adjoint, dfx.DirectAdjoint):
             raise ValueError(
                 "Argument `adjoint` must be None, `diffrax.ForwardMode()` or "
                 "`diffrax.RecursiveCheckpointAdjoint()` for the event-driven solver, but is "
                 f"{adjoint!r}. None serves derivatives of both kinds."
             )
+        forward = not isinstance(adjoint, dfx.RecursiveCheckpointAdjoint)
+        if forward and any(map(_notes, self.observers)):
+            noting = functools.partial(step, noting=True)
+            carry = in_rounds(goes_on, noting, self._gather, carry)
+        else:
+
+            def written_once(carry: Any) -> list:
+                return [record.states for record in carry[1]]
+
+            carry = loop(goes_on, body, carry, adjoint, max_steps, written_once)
+        if forward:
+            carry = forward_only(carry)
         progress, records = carry
         progress = at_the_end(dry, progress, t1)
         unfinished = progress.running & (progress.t < t1)
@@ -400,7 +356,7 @@ class EventDrivenPlan(AbstractPlan):
             pairs = zip(self.observers, accumulators, strict=True)
             notes = [o.note(step) for o in self.observers if noting and _notes(o)]
             accumulators = [a if noting and _notes(o) else o.update(a, step) for o, a in pairs]
-            result = self._stop(accumulators, result)
+            result = self.settled(accumulators, result)
         # For a state this large, events are closer than the resolution of the time.
         large = greatest > _RAN_AWAY
         why = Result.where(large, Result.step_too_small, Result.events_accumulate)
@@ -417,17 +373,6 @@ class EventDrivenPlan(AbstractPlan):
             rejected=progress.rejected,
         )
         return progress, notes
-
-    def _stop(self, accumulators: list, result: Result) -> Result:
-        votes = [o.settled(a) for o, a in zip(self.observers, accumulators, strict=True)]
-        if any(vote is None for vote in votes):
-            return result
-        quiet = jnp.asarray(False)
-        for observer, accumulator in zip(self.observers, accumulators, strict=True):
-            quiet = quiet | observer.rests(accumulator)
-        settled = jnp.all(jnp.stack(votes))  # pyright: ignore[reportArgumentType]
-        how = Result.where(quiet, Result.quiet, Result.steady)
-        return Result.where(settled & (result == Result.successful), how, result)
 
 
 @final

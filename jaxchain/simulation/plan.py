@@ -4,13 +4,18 @@ A plan computes a run.  Its result can be advanced again, which cuts a long run 
 lets an ensemble refill its lanes.
 """
 
-import abc
-from collections.abc import Sequence
-from typing import Any
+from __future__ import annotations
 
+import abc
+from collections.abc import Callable, Sequence
+from typing import Any, Literal
+
+import diffrax as dfx
 import equinox as eqx
 import equinox.internal as eqxi
 import jax.numpy as jnp
+import jax.tree_util as jtu
+from jax import lax
 from jaxtyping import Array, Float, Int, PyTree
 
 from .._types import State
@@ -52,12 +57,86 @@ class Progress(eqx.Module):
         return self.result == Result.successful
 
 
+class StateRecord(eqx.Module):
+    """The states at given times, in increasing order."""
+
+    times: Float[Array, " times"]
+    following: Int[Array, " times"]  # the index of the next later time
+    states: Any  # m arrays of shape (times, n): for equal times only the first row is used
+    count: Int[Array, ""]  # of the times that have passed
+
+    @classmethod
+    def blank(cls, times: Array, state: State) -> StateRecord:
+        """An empty record of states like this one at these times."""
+        nothing = tuple(jnp.full((*times.shape, *part.shape), jnp.nan) for part in state)
+        following = jnp.searchsorted(times, times, side="right")
+        return cls(times, following, nothing, jnp.zeros((), int))
+
+    def next_time(self) -> Array:
+        """The first of the times that is not recorded yet; infinite after the last."""
+        last = self.times.shape[0] - 1
+        ahead = self.times[jnp.minimum(self.count, last)]
+        return jnp.where(self.count <= last, ahead, jnp.inf)
+
+    def keep(self, t: Array, state: State) -> StateRecord:
+        """The record with the state, if the next time has come at t."""
+        here: Any = self.next_time() <= t
+        place = jnp.minimum(self.count, self.times.shape[0] - 1)
+        # In reverse mode these are buffers, which must be written in this form.
+        states = tuple(
+            eqxi.buffer_at_set(kept, place, now, pred=here)
+            for kept, now in zip(self.states, state, strict=True)
+        )
+        count = jnp.where(here, self.following[place], self.count)
+        return StateRecord(self.times, self.following, states, count)
+
+    def read(self) -> tuple[Array, ...]:
+        first = jnp.searchsorted(self.times, self.times)
+        return tuple(part[first] for part in self.states)
+
+
 def first_result(state: State, t0: Any, t1: Any) -> Result:
     """The result of a run over [t0, t1] before its first step; not running for a bad span."""
     finite = jnp.all(jnp.isfinite(jnp.stack(state)))
     result = Result.where(finite, Result.successful, Result.nonfinite)
     forward = jnp.isfinite(t0) & jnp.isfinite(t1) & (t1 >= t0)  # false for NaN
     return Result.where(forward, result, Result.bad_span)
+
+
+def most_steps(progress: Progress, max_steps: int | None, allowed: Any = None) -> Array:
+    """The number of steps, accepted or rejected, at which a run is cut; None is no limit."""
+    most = jnp.asarray(jnp.iinfo(int).max // 2 if max_steps is None else max_steps)
+    most = most if allowed is None else jnp.minimum(most, allowed)
+    return progress.steps + progress.rejected + most
+
+
+def kind_of_loop(adjoint: Any) -> Literal["lax", "checkpointed", "bounded"]:
+    """The loop of equinox with the derivatives that a diffrax adjoint names."""
+    if isinstance(adjoint, dfx.RecursiveCheckpointAdjoint):
+        return "checkpointed"
+    return "bounded" if isinstance(adjoint, dfx.DirectAdjoint) else "lax"
+
+
+def loop(
+    goes_on: Callable[[Any], Any],
+    body: Callable[[Any], Any],
+    carry: Any,
+    adjoint: Any,
+    max_steps: int | None,
+    buffers: Callable[[Any], list],
+) -> Any:
+    """The loop of a run, with the derivatives that `adjoint` names.
+
+    **Arguments:** `buffers`: carry -> arrays whose entries are written only once.
+    """
+    kind = kind_of_loop(adjoint)
+    if kind == "lax" and not jtu.tree_leaves(buffers(carry)):
+        return lax.while_loop(goes_on, body, carry)
+    checkpoints = (adjoint.checkpoints or CHECKPOINTS) if kind == "checkpointed" else None
+    return eqxi.while_loop(
+        goes_on, body, carry, kind=kind, max_steps=max_steps, checkpoints=checkpoints,
+        buffers=buffers,
+    )  # fmt: skip
 
 
 class AbstractPlan(eqx.Module):
@@ -107,3 +186,15 @@ class AbstractPlan(eqx.Module):
         """The observed values."""
         pairs = zip(self.observers, progress.accumulators, strict=True)
         return [observer.read(accumulator) for observer, accumulator in pairs]
+
+    def settled(self, accumulators: list, result: Result) -> Result:
+        """The result of a run that goes on, or ends because all observers have settled."""
+        votes = [o.settled(a) for o, a in zip(self.observers, accumulators, strict=True)]
+        if not votes or any(vote is None for vote in votes):
+            return result
+        quiet = jnp.asarray(False)
+        for observer, accumulator in zip(self.observers, accumulators, strict=True):
+            quiet = quiet | observer.rests(accumulator)
+        settled = jnp.all(jnp.stack(votes))  # pyright: ignore[reportArgumentType]
+        how = Result.where(quiet, Result.quiet, Result.steady)
+        return Result.where(settled & (result == Result.successful), how, result)

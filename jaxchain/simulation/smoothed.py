@@ -1,6 +1,6 @@
-"""Runs of a chain with smoothed friction: the only place where `diffeqsolve` is called.
+"""Runs of a chain with smoothed friction, by the steps of a diffrax solver.
 
-begin -> advance (as often as one likes) -> diffeqsolve(ObservingSolver(solver))
+begin -> advance (as often as one likes): a loop of steps, with step-size control and observers
 """
 
 from __future__ import annotations
@@ -10,132 +10,118 @@ from typing import Any
 
 import diffrax as dfx
 import equinox as eqx
+import equinox.internal as eqxi
 import jax.numpy as jnp
 import jax.tree_util as jtu
+import optimistix as optx
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int, PyTree
-from optimistix import rms_norm
 
 from .._checks import to_float
 from .._types import State
 from ..model.cells import AbstractField
 from ..model.oscillators import AbstractOscillators
+from ..model.springs import materialize
 from ..observers.base import AbstractObserver, Step
 from ..result import Result
 from ..solvers.rosenbrock import AbstractStructuredRosenbrock, RosenbrockInterpolation
-from ..solvers.step_control import SwitchingController, WrappingController
-from .plan import AbstractPlan, Progress, first_result, forward_only
+from ..solvers.step_control import SwitchingController
+from .plan import (
+    AbstractPlan,
+    Progress,
+    StateRecord,
+    first_result,
+    forward_only,
+    kind_of_loop,
+    loop,
+    most_steps,
+)
 
-# The result by which observers end diffrax's loop: diffrax overwrites an event reported by a
-# solver, and only a step-size controller that is not used here returns this one.
-SETTLED: Any = dfx.RESULTS.max_steps_rejected
 
+class _Memory(eqx.Module):
+    """What a run keeps between two steps besides its state and its observers."""
 
-class ObservingState(eqx.Module):
-    """The state between steps: that of the solver, and the accumulators of the observers."""
-
-    inner: Any
-    accumulators: list
+    solver: Any
     acceleration: Float[Array, " n"] | None  # at the start of the step; stock solvers only
     step_size: Float[Array, ""]  # of the last accepted step, to resume with
+    controller: PyTree
 
 
-class ObservingSolver(dfx.AbstractWrappedSolver, dfx.AbstractAdaptiveSolver):
-    """A diffrax solver whose state also carries observers' accumulators.
+class _Repeated(eqx.Module):
+    """The steps of an earlier pass, which are taken again for any error.
 
-    diffeqsolve keeps a solver's state only for accepted steps, so observers see accepted steps
-    only.  When every observer has settled, the step reports it and the run ends.
+    So derivatives of both kinds use the same steps.  Two programs that choose steps separately get
+    different ones, because error estimates at a tight tolerance have few correct digits, and their
+    derivatives differ by much more than rounding.
     """
 
-    solver: dfx.AbstractSolver
-    observers: list[AbstractObserver]
-    repeated_to: Float[Array, ""] | None = None  # until then every step is successful
+    ends: Float[Array, " steps"]
+    begun: Int[Array, ""]  # steps of the run before these
+    last: Progress  # after these steps
+    complete: Bool[Array, ""]  # whether the run ends with them
 
-    @property
-    def term_structure(self):
-        return self.solver.term_structure
+    def contain(self, steps: Array) -> Array:
+        """Whether the step that follows these is one of them."""
+        return steps < self.last.steps
 
-    @property
-    def interpolation_cls(self):  # pyright: ignore[reportIncompatibleMethodOverride]
-        return self.solver.interpolation_cls
+    def end(self, steps: Array, decided: Array) -> Array:
+        """The end of that step."""
+        here = jnp.minimum(steps - self.begun, self.ends.size - 1)
+        return jnp.where(self.contain(steps), self.ends[here], decided)
 
-    @property
-    def term_compatible_contr_kwargs(self):
-        return self.solver.term_compatible_contr_kwargs
+    def result(self, steps: Array, result: Result) -> Result:
+        return Result.where(self.complete & ~self.contain(steps), self.last.result, result)
 
-    @property
-    def scan_kind(self):  # diffrax requires it of every Runge-Kutta solver, wrapped or not
-        return self.solver.scan_kind  # pyright: ignore[reportAttributeAccessIssue]
 
-    @property
-    def root_finder(self):  # and every implicit solver for these two
-        return self.solver.root_finder  # pyright: ignore[reportAttributeAccessIssue]
+class _Run(eqx.Module):
+    """A run between two steps, whose time is counted upward in both directions."""
 
-    @property
-    def root_find_max_steps(self):
-        return self.solver.root_find_max_steps  # pyright: ignore[reportAttributeAccessIssue]
+    now: Progress
+    ahead: Float[Array, ""]  # where the next step ends
+    outcome: Any  # of the steps so far, one of `diffrax.RESULTS`
+    records: list[StateRecord]
+    ends: list  # one array of those of accepted steps, or none
 
-    def order(self, terms):
-        return self.solver.order(terms)
+    def written_once(self) -> list:
+        return [self.ends, [record.states for record in self.records]]
 
-    def error_order(self, terms):
-        return self.solver.error_order(terms)
 
-    def func(self, terms, t0, y0, args):
-        return self.solver.func(terms, t0, y0, args)
+def _where(which: Any, one: Any, other: Any) -> Any:
+    return jtu.tree_map(lambda a, b: jnp.where(which, a, b), one, other)
 
-    def init(self, terms, t0, t1, y0, args):
-        raise NotImplementedError("`SmoothedPlan.advance` passes the solver's state explicitly.")
 
-    def start(self, field, terms, t0, t1, dt0, y0) -> ObservingState:
-        """The solver state at the start of a run over [t0, t1] with first step dt0."""
-        structured = isinstance(self.solver, AbstractStructuredRosenbrock)
-        watched = bool(self.observers) and not structured
-        watched = watched and isinstance(field, AbstractOscillators)
-        return ObservingState(
-            inner=jtu.tree_map(jnp.asarray, self.solver.init(terms, t0, t0 + dt0, y0, None)),
-            accumulators=[o.init(field, t0, t1, y0) for o in self.observers],
-            acceleration=field(t0, y0, None)[1] if watched else None,
-            step_size=jnp.asarray(dt0),
-        )
+def _record(
+    record: StateRecord, kept: Array, t1: Array, inside: Any, adjoint: dfx.AbstractAdjoint
+) -> StateRecord:
+    """The record with the states at those of its times that lie in a `kept` step to t1."""
 
-    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
-        y1, error, dense, inner, result = self.solver.step(
-            terms, t0, t1, y0, args, solver_state.inner, made_jump
-        )
-        accumulators = solver_state.accumulators
-        acceleration = solver_state.acceleration
-        if self.observers:
-            field: Any = terms.term.vector_field
-            interpolation = self.solver.interpolation_cls(t0=t0, t1=t1, **dense)
-            if isinstance(interpolation, RosenbrockInterpolation):
-                part = interpolation.at
-            elif isinstance(field, AbstractOscillators):
-                end = field(jnp.asarray(t1), y1, None)[1]
-                part = _quintic(t1 - t0, y0, y1, acceleration, end)
-                acceleration = end
-            else:
-                first, last = field(t0, y0, None), field(t1, y1, None)
-                part = _cubic(t1 - t0, y0, y1, first, last)
-            step = Step(field, t0, t1, y0, y1, part)
-            accumulators = [
-                o.update(a, step) for o, a in zip(self.observers, accumulators, strict=True)
-            ]
-            votes = [o.settled(a) for o, a in zip(self.observers, accumulators, strict=True)]
-            if all(v is not None for v in votes):
-                settled = jnp.all(jnp.stack([v for v in votes if v is not None]))
-                result = dfx.RESULTS.where(
-                    settled & (result == dfx.RESULTS.successful),
-                    SETTLED,
-                    result,
-                )
-        if self.repeated_to is not None:
-            repeated = t1 <= self.repeated_to
-            result = dfx.RESULTS.where(repeated, dfx.RESULTS.successful, result)
-        # A last step that was clipped to the end of the run does not predict the next one.
-        step_size = jnp.maximum(t1 - t0, 0.5 * solver_state.step_size)
-        state = ObservingState(inner, accumulators, acceleration, step_size)
-        return y1, error, dense, state, result
+    def keep(record: StateRecord) -> StateRecord:
+        t = record.next_time()
+        return record.keep(t, inside.evaluate(t))
+
+    return eqxi.while_loop(
+        lambda record: kept & (record.next_time() <= t1),
+        keep,
+        record,
+        kind=kind_of_loop(adjoint),
+        max_steps=record.times.size,
+        checkpoints=record.times.size,
+        buffers=lambda record: record.states,
+    )
+
+
+def _seen(
+    field: AbstractField, t0: Array, t1: Array, y0: State, y1: State, inside: Any,
+    acceleration: Array | None,
+) -> tuple[Step, Array | None]:  # fmt: skip
+    """(the step for observers, the acceleration at its end if it is given at its start)."""
+    if isinstance(inside, RosenbrockInterpolation):
+        return Step(field, t0, t1, y0, y1, inside.at), None
+    if isinstance(field, AbstractOscillators):
+        end = field(t1, y1, None)[1]
+        return Step(field, t0, t1, y0, y1, _quintic(t1 - t0, y0, y1, acceleration, end)), end
+    rates = field(t0, y0, None), field(t1, y1, None)
+    return Step(field, t0, t1, y0, y1, _cubic(t1 - t0, y0, y1, *rates)), None
 
 
 def _cubic(h: Any, y0: State, y1: State, f0: State, f1: State) -> Callable[[Any, int], Array]:
@@ -172,113 +158,8 @@ def _quintic(h: Any, y0: State, y1: State, a0: Any, a1: Array) -> Callable[[Any,
     return lambda theta, k: velocity(theta) if k else displacement(theta)
 
 
-class _Resumed(WrappingController):
-    """A controller that continues from the end of the previous call of `advance`.
-
-    diffeqsolve checks the sign of a given first step on the host, and a program that calls the
-    host cannot be kept in JAX's compilation cache.
-
-    It also ends a run after `allowed` steps (None: no limit), because diffrax's own `max_steps`
-    belongs to the program.  Its state is (that of the controller, steps still allowed, the length
-    of the next step).
-    """
-
-    controller: SwitchingController
-    step_size: Float[Array, ""]
-    state: PyTree
-    allowed: Int[Array, ""] | None
-
-    def __init__(
-        self,
-        controller: SwitchingController,
-        step_size: Array,
-        state: PyTree,
-        allowed: Array | None,
-    ):
-        self.controller, self.step_size, self.state = controller, step_size, state
-        self.allowed = allowed
-
-    def wrap(self, direction):
-        del direction
-        return self
-
-    def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
-        del terms, t1, y0, dt0, args, func, error_order
-        return t0 + self.step_size, (self.state, self.allowed, self.step_size)
-
-    def adapt_step_size(
-        self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
-    ):
-        inner, left, _ = controller_state
-        kept, start, end, jumped, inner, result = self.controller.adapt_step_size(
-            t0, t1, y0, y1_candidate, args, y_error, error_order, inner
-        )
-        if left is not None:
-            left = left - 1
-            spent = (left <= 0) & (result == dfx.RESULTS.successful)
-            result = dfx.RESULTS.where(spent, dfx.RESULTS.max_steps_reached, result)
-        return kept, start, end, jumped, (inner, left, end - start), result
-
-
-class _Repeating(WrappingController):
-    """Takes given steps for any error, and then continues with a controller.
-
-    So derivatives of both kinds use the same steps.  Two programs that choose steps separately get
-    different ones, because error estimates at a tight tolerance have few correct digits, and their
-    derivatives differ by much more than rounding.
-
-    Its state is (that of the controller after the given steps, the number of steps taken).
-    """
-
-    controller: _Resumed
-    ends: Float[Array, " steps"]  # of the given steps
-    count: Int[Array, ""]  # of them
-    complete: Bool[Array, ""]  # whether the run ends with the last of them
-    state: PyTree  # of `controller` after the last of them
-
-    def wrap(self, direction):
-        del direction
-        return self
-
-    def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
-        del terms, t1, y0, dt0, args, func, error_order
-        none = jnp.zeros((), int)
-        return self._end(none, t0, t0 + self.state[-1]), (self.state, none)
-
-    def adapt_step_size(
-        self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
-    ):
-        before, taken = controller_state
-        kept, _, end, jumped, after, result = self.controller.adapt_step_size(
-            *lax.stop_gradient((t0, t1, y0, y1_candidate, args, y_error)), error_order, before
-        )
-        given = taken < self.count
-        after = jtu.tree_map(lambda a, b: jnp.where(given, a, b), before, after)
-        kept = kept | given
-        taken = taken + kept
-        start = jnp.where(kept, t1, t0)
-        end = self._end(taken, start, jnp.where(given, t1 + self.state[-1], end))
-        result = dfx.RESULTS.where(given, dfx.RESULTS.successful, result)
-        over = self.complete & (taken >= self.count)
-        result = dfx.RESULTS.where(over, SETTLED, result)
-        return kept, start, end, jumped, (after, taken), result
-
-    def _end(self, taken: Array, start: Any, decided: Any) -> Array:
-        """The end of a step, which moves with its start: step sizes are held fixed."""
-        given = self.ends[jnp.minimum(taken, self.ends.size - 1)]
-        end, fixed = lax.stop_gradient((jnp.where(taken < self.count, given, decided), start))
-        return end + (start - fixed)
-
-
-class _StoredSteps(eqx.Module):
-    """The stored data of a run besides its state and its observers."""
-
-    solver: Any
-    acceleration: Float[Array, " n"] | None
-    step_size: Float[Array, ""]
-    controller: PyTree
-
-
+# A step that would end nearer to the end than this, in units in the last place, ends there.
+_ULPS = 100
 # The least number of steps in a period of the force.
 _STEPS_OF_FORCE = 32
 # A mean over masses reduces the error of one mass by sqrt(n); here at most as in a ring of twenty.
@@ -287,7 +168,7 @@ _MASSES = 20
 
 def _norm(error: PyTree) -> Array:
     """Root mean square; in a long chain at least the greatest entry over sqrt(2 `_MASSES`)."""
-    mean = rms_norm(error)
+    mean = optx.rms_norm(error)
     entries = [jnp.abs(part) for part in jtu.tree_leaves(error)]
     if sum(part.size for part in entries) <= 2 * _MASSES:
         return mean
@@ -296,7 +177,7 @@ def _norm(error: PyTree) -> Array:
 
 
 class SmoothedPlan(AbstractPlan):
-    """Integration of the smoothed chain by diffrax: solver, tolerances, observers."""
+    """An integration of the smoothed chain: solver, tolerances, observers."""
 
     solver: dfx.AbstractSolver
     observers: list[AbstractObserver]
@@ -330,20 +211,26 @@ class SmoothedPlan(AbstractPlan):
     def begin(self, field: AbstractField, initial: State, t0: Any, t1: Any) -> Progress:
         t0 = to_float(t0)
         terms: Any = dfx.ODETerm(field)  # pyright: ignore[reportArgumentType]
-        solver = ObservingSolver(self.solver, self.observers)
-        tnext, controller_state = self.controller(field).init(
-            terms, t0, t1, initial, None, None, solver.func, solver.error_order(terms)
+        order: Any = self.solver.error_order(terms)
+        ahead, controller = self.controller(field).init(
+            terms, t0, t1, initial, None, None, self.solver.func, order
         )
         # A NaN step would be repeated for ever: the controller cannot shrink it.
         result = first_result(initial, t0, t1)
-        stuck = (result == Result.successful) & ~jnp.isfinite(tnext)
-        state = solver.start(field, terms, t0, t1, tnext - t0, initial)
-        controller = jtu.tree_map(jnp.asarray, controller_state)
+        stuck = (result == Result.successful) & ~jnp.isfinite(ahead)
+        watched = bool(self.observers) and isinstance(field, AbstractOscillators)
+        watched = watched and not isinstance(self.solver, AbstractStructuredRosenbrock)
+        memory = _Memory(
+            solver=self.solver.init(terms, t0, ahead, initial, None),
+            acceleration=field(t0, initial, None)[1] if watched else None,
+            step_size=ahead - t0,
+            controller=controller,
+        )
         return Progress(
             t=t0,
             state=initial,
-            accumulators=state.accumulators,
-            memory=_StoredSteps(state.inner, state.acceleration, state.step_size, controller),
+            accumulators=[o.init(field, t0, t1, initial) for o in self.observers],
+            memory=jtu.tree_map(jnp.asarray, memory),
             result=Result.where(stuck, Result.nonfinite, result),
             steps=jnp.zeros((), int),
             rejected=jnp.zeros((), int),
@@ -362,119 +249,184 @@ class SmoothedPlan(AbstractPlan):
         recorded: int | None = None,
     ) -> tuple[Progress, list[tuple[Array, ...]]]:
         adjoint = dfx.ForwardMode() if adjoint is None else adjoint
-        if recorded is None:
-            solution = self._solve(field, progress, t1, allowed, max_steps, adjoint, times)
-            outcome, last_control, rejected = solution.result, solution.controller_state, 0
-        else:
-            if max_steps is not None and max_steps > recorded:
-                allowed = jnp.asarray(max_steps)
-            numbers, rest = eqx.partition((self, field, progress, t1, allowed), eqx.is_array)
+        most = most_steps(progress, max_steps, allowed)
+        repeated = None
+        if recorded is not None:
+            numbers, rest = eqx.partition((self, field, progress, t1), eqx.is_array)
             plan, *others = eqx.combine(lax.stop_gradient(numbers), rest)
-            first = plan._solve(*others, recorded, dfx.ForwardMode(), None)
-            cut = first.result == dfx.RESULTS.max_steps_reached
-            complete = ~cut | (recorded == max_steps)
-            solution = self._solve(
-                field, progress, t1, allowed, max_steps, adjoint, times, first, complete
-            )
-            outcome = dfx.RESULTS.where(complete, first.result, solution.result)
-            last_control, _ = solution.controller_state
-            rejected = first.stats["num_rejected_steps"]
-        ys, saved = solution.ys
-        state, last = jtu.tree_map(lambda y: y[-1], ys), solution.solver_state
-        cut = outcome == dfx.RESULTS.max_steps_reached
-        if allowed is not None:
-            # The last allowed step may have reached the end of the run.
-            complete = (outcome == dfx.RESULTS.max_steps_reached) & (solution.ts[0][-1] >= t1)
-            outcome = dfx.RESULTS.where(complete, dfx.RESULTS.successful, outcome)
-        stopped = outcome == SETTLED
-        quiet = jnp.asarray(False)
-        for observer, accumulator in zip(self.observers, last.accumulators, strict=True):
-            quiet = quiet | observer.rests(accumulator)
-        result = _translate(outcome, stopped & quiet, state)
-        controller, _, ahead = last_control
-        # A run that is cut between two steps continues as if it were not.
-        step_size = jnp.where(cut, ahead, last.step_size)
-        new = Progress(
-            t=solution.ts[0][-1],
-            state=state,
-            accumulators=last.accumulators,
-            memory=_StoredSteps(last.inner, last.acceleration, step_size, controller),
-            result=Result.where(progress.running, result, progress.result),
-            steps=progress.steps + solution.stats["num_accepted_steps"],
-            rejected=progress.rejected + solution.stats["num_rejected_steps"] + rejected,
+            enough = jnp.minimum(most, most_steps(progress, recorded))
+            last, _, (ends,) = plan._march(*others, enough, dfx.ForwardMode(), recorded=recorded)
+            complete = (last.result != Result.max_steps_reached) | (enough == most)
+            repeated = _Repeated(ends, progress.steps, last, complete)
+        new, records, _ = self._march(
+            field, progress, t1, most, adjoint, times=times, max_steps=max_steps, repeated=repeated
         )
+        saved = [record.read() for record in records]
         if isinstance(adjoint, dfx.ForwardMode):
             return forward_only((new, saved))
         return new, saved
 
-    def _solve(
+    def _march(
         self,
         field: AbstractField,
         progress: Progress,
         t1: Any,
-        allowed: Int[Array, ""] | None,
-        max_steps: int | None,
+        most: Array,
         adjoint: dfx.AbstractAdjoint,
-        times: Sequence[Array] | None,
-        first: Any = None,
-        complete: Any = None,
-    ) -> Any:
-        """diffeqsolve, along the steps of the solution `first` if there is one.
+        *,
+        times: Sequence[Array] = (),
+        max_steps: int | None = None,
+        repeated: _Repeated | None = None,
+        recorded: int | None = None,
+    ) -> tuple[Progress, list[StateRecord], list]:
+        """(the run at t1, or after `most` steps since it began; its records; the ends of steps).
 
-        `times` at which states are saved; None saves the ends of all steps.
+        The first steps are the `repeated` ones.  At most `recorded` ends are returned.
         """
-        solver, memory = self.solver, progress.memory
-        if isinstance(solver, dfx.AbstractRungeKutta) and isinstance(adjoint, dfx.ForwardMode):
-            # diffrax does this itself, but cannot reach into a wrapped solver.
-            solver = eqx.tree_at(
-                lambda s: s.scan_kind, solver, "lax", is_leaf=lambda leaf: leaf is None
-            )
+        of, frozen = dfx.RESULTS, lax.stop_gradient
+        direction = jnp.where(t1 < progress.t, -1.0, 1.0)
+        last = direction * t1
+        nearly = frozen(last)
+        nearly = nearly - _ULPS * (nearly - jnp.nextafter(nearly, -jnp.inf))
+        controller = self.controller(field).wrap(direction)
+        adapt: Any = controller.adapt_step_size
+        solver: Any = _fitted(self.solver, controller, adjoint)
         terms: Any = dfx.ODETerm(field)  # pyright: ignore[reportArgumentType]
-        controller: Any = _Resumed(
-            self.controller(field), memory.step_size, memory.controller, allowed
+        order = solver.error_order(terms)
+
+        def end_of_step(t: Array, end: Array, kept: Any = True) -> Array:
+            """It moves with the start t, because step sizes are held fixed, or with the run."""
+            end = frozen(end) + (t - frozen(t))
+            return jnp.where(end > nearly, jnp.where(kept, last, t + 0.5 * (last - t)), end)
+
+        def goes_on(run: _Run) -> Array:
+            now = run.now
+            unfinished = (now.t < last) & (now.steps + now.rejected < most)
+            return unfinished & now.running & (run.outcome == of.successful)
+
+        def body(run: _Run) -> _Run:
+            now, memory, end = run.now, run.now.memory, run.ahead
+            # Computed once, or LLVM does not vectorize what uses them.
+            t0, t1 = materialize(direction * jnp.stack([now.t, end]))
+            y, error, dense, inner, solved = solver.step(
+                terms, t0, t1, now.state, None, memory.solver, False
+            )
+            error = jtu.tree_map(lambda e: jnp.where(jnp.isnan(e), jnp.inf, e), error)
+            kept, _, ahead, _, control, controlled = adapt(
+                *frozen((now.t, end, now.state, y, None, error)), order, memory.controller
+            )
+            given = False
+            if repeated is not None:
+                given = repeated.contain(now.steps)
+                kept, control = kept | given, _where(given, memory.controller, control)
+                following = jnp.where(given, end + repeated.last.memory.step_size, ahead)
+                ahead = repeated.end(now.steps + kept, following)
+            outcome = of.where(kept & (solved != of.successful), solved, controlled)
+            outcome = of.where(given, of.successful, outcome)
+            inside = solver.interpolation_cls(t0=t0, t1=t1, **dense)
+            accumulators, result, acceleration = now.accumulators, now.result, None
+            if self.observers:
+                seen, acceleration = _seen(
+                    field, t0, t1, now.state, y, inside, memory.acceleration
+                )
+                pairs = zip(self.observers, accumulators, strict=True)
+                accumulators = [o.update(a, seen) for o, a in pairs]
+                settled = self.settled(accumulators, result)
+                result = Result.where(given | (outcome != of.successful), result, settled)
+            if repeated is not None:
+                result = repeated.result(now.steps + 1, result)
+            # A last step that was clipped to the end of the run does not predict the next one.
+            size = jnp.maximum(frozen(end - now.t), 0.5 * memory.step_size)
+            taken = Progress(
+                t=end,
+                state=y,
+                accumulators=accumulators,
+                memory=_Memory(inner, acceleration, size, control),
+                result=result,
+                steps=now.steps + 1,
+                rejected=now.rejected,
+            )
+            refused = eqx.tree_at(
+                lambda p: (p.memory.controller, p.rejected), now, (control, now.rejected + 1)
+            )
+            new = _where(kept, taken, refused)
+            place = now.steps - progress.steps
+            return _Run(
+                now=new,
+                ahead=end_of_step(new.t, ahead, kept),
+                outcome=outcome,
+                records=[_record(r, kept, t1, inside, adjoint) for r in run.records],
+                ends=[eqxi.buffer_at_set(ends, place, end, pred=kept) for ends in run.ends],
+            )
+
+        now = eqx.tree_at(lambda p: p.t, progress, direction * progress.t)
+        ahead = now.t + now.memory.step_size
+        if repeated is not None:
+            past = repeated.last
+            ahead = repeated.end(now.steps, now.t + past.memory.step_size)
+            now = eqx.tree_at(
+                lambda p: (p.result, p.rejected, p.memory.controller),
+                now,
+                (repeated.result(now.steps, now.result), past.rejected, past.memory.controller),
+            )
+        run = _Run(
+            now=now,
+            ahead=end_of_step(now.t, ahead),
+            outcome=of.successful,
+            records=[StateRecord.blank(ts, now.state).keep(now.t, now.state) for ts in times],
+            ends=[] if recorded is None else [jnp.zeros(recorded)],
         )
-        # A lane that has ended does not change.
-        runs, repeated_to = progress.running, None
-        if first is not None:
-            count = first.stats["num_accepted_steps"]
-            after = first.controller_state
-            controller = _Repeating(controller, first.ys[1], count, complete, after)  # pyright: ignore[reportCallIssue]
-            runs, repeated_to = runs & ~(complete & (count == 0)), first.ts[0][-1]
-        end = jnp.where(runs, t1, progress.t)
-        saved: Any = dfx.SubSaveAt(steps=True, fn=lambda t, y, args: t)
-        if times is not None:
-            saved = [dfx.SubSaveAt(ts=jnp.minimum(ts, end)) for ts in times]
-        return dfx.diffeqsolve(
-            terms,
-            ObservingSolver(solver, self.observers, repeated_to),
-            t0=progress.t,
-            t1=end,
-            dt0=None,
-            y0=progress.state,
-            saveat=dfx.SaveAt(
-                subs=(dfx.SubSaveAt(t1=True), saved), solver_state=True, controller_state=True
-            ),
-            stepsize_controller=controller,
-            adjoint=adjoint,
-            max_steps=max_steps,
-            solver_state=ObservingState(
-                memory.solver, progress.accumulators, memory.acceleration, memory.step_size
-            ),
-            throw=False,
+        run = loop(goes_on, body, run, adjoint, max_steps, _Run.written_once)
+        now = run.now
+        cut = now.running & (run.outcome == of.successful) & (now.t < last)
+        # A run that is cut between two steps continues as if it were not.
+        size = jnp.where(cut, frozen(run.ahead - now.t), now.memory.step_size)
+        if repeated is not None:
+            size = jnp.where(repeated.complete, repeated.last.memory.step_size, size)
+        result = Result.where(cut, Result.max_steps_reached, _translate(run.outcome, solver))
+        result = Result.where(now.running, result, now.result)
+        finite = jnp.all(jnp.isfinite(jnp.stack(now.state)))
+        result = Result.where(progress.running & ~finite, Result.nonfinite, result)
+        now = eqx.tree_at(
+            lambda p: (p.t, p.memory.step_size, p.result), now, (direction * now.t, size, result)
         )
+        return now, run.records, run.ends
 
 
-def _translate(outcome: Any, quiet: Any, state: State) -> Result:
-    finite = jnp.all(jnp.isfinite(jnp.stack(state)))
-    result = Result.solver_failed
-    pairs = {
-        "successful": Result.successful,
-        "max_steps_rejected": Result.steady,  # `SETTLED`
-        "max_steps_reached": Result.max_steps_reached,
-        "dt_min_reached": Result.step_too_small,
-        "nonlinear_divergence": Result.untrusted_linear_solve,
-    }
-    for name, ours in pairs.items():
-        result = Result.where(outcome == getattr(dfx.RESULTS, name), ours, result)
-    result = Result.where(quiet, Result.quiet, result)
-    return Result.where(finite, result, Result.nonfinite)
+# The mark of a root finder's tolerance that is that of the step-size control.
+_OF_CONTROLLER = dfx.with_stepsize_controller_tols(optx.Chord)().rtol
+
+
+def _fitted(solver: Any, controller: SwitchingController, adjoint: dfx.AbstractAdjoint) -> Any:
+    """The solver with what `diffrax.diffeqsolve` would set for a stock one.
+
+    Its stages are a loop of the kind that `adjoint` needs, and an implicit one solves its
+    equations to the tolerances of the step-size control.
+    """
+    if isinstance(solver, dfx.HalfSolver):
+        return dfx.HalfSolver(_fitted(solver.solver, controller, adjoint))
+    if isinstance(solver, dfx.AbstractRungeKutta):
+        kind = kind_of_loop(adjoint)
+        solver = eqx.tree_at(lambda s: s.scan_kind, solver, kind, is_leaf=lambda x: x is None)
+    if isinstance(solver, dfx.AbstractImplicitSolver):
+        finder: Any = solver.root_finder
+        names = [n for n in ("rtol", "atol", "norm") if getattr(finder, n) is _OF_CONTROLLER]
+        solver = eqx.tree_at(
+            lambda s: [getattr(s.root_finder, name) for name in names],
+            solver,
+            [getattr(controller, name) for name in names],
+        )
+    return solver
+
+
+def _translate(outcome: Any, solver: dfx.AbstractSolver) -> Result:
+    of, result = dfx.RESULTS, Result.solver_failed
+    pairs: list[Any] = [
+        (of.successful, Result.successful),
+        (of.dt_min_reached, Result.step_too_small),
+    ]
+    if isinstance(solver, AbstractStructuredRosenbrock):
+        pairs.append((of.nonlinear_divergence, Result.untrusted_linear_solve))
+    for theirs, ours in pairs:
+        result = Result.where(outcome == theirs, ours, result)
+    return result

@@ -34,26 +34,8 @@ LANDING = 5.4
 CROSSING = 3.0
 
 
-class WrappingController(dfx.AbstractAdaptiveStepSizeController):
-    """A controller around another one, with the tolerances and the norm of that one."""
-
-    controller: eqx.AbstractVar[dfx.AbstractAdaptiveStepSizeController]
-
-    @property
-    def rtol(self):
-        return self.controller.rtol
-
-    @property
-    def atol(self):
-        return self.controller.atol
-
-    @property
-    def norm(self):  # pyright: ignore[reportIncompatibleMethodOverride]
-        return self.controller.norm
-
-
 @final
-class SwitchingController(WrappingController):
+class SwitchingController(dfx.AbstractAdaptiveStepSizeController):
     """Shortens the steps of another controller before a mass reaches the belt speed.
 
     A controller that uses only past errors enters the layer |w| < 5 eps of smoothed friction with
@@ -131,6 +113,18 @@ class SwitchingController(WrappingController):
         self.near, self.landing = to_float(near), to_float(landing)
         self.crossing = to_float(crossing)
         self.direction = 1
+
+    @property
+    def rtol(self):
+        return self.controller.rtol
+
+    @property
+    def atol(self):
+        return self.controller.atol
+
+    @property
+    def norm(self):  # pyright: ignore[reportIncompatibleMethodOverride]
+        return self.controller.norm
 
     def wrap(self, direction: Any) -> SwitchingController:
         return eqx.tree_at(

@@ -36,7 +36,7 @@ from .table import (
 CHAIN, DRY = paper_chain(3, 1.2, 1e-2), paper_chain(3, 1.2, None)
 START = (jnp.full(3, 2.0), jnp.zeros(3))
 TOLERANCE = (*optional(POSITIVE), 2.0, 1e-300)
-SOLVERS = (*SOLVER, Rodas4, EventDriven, dfx.Tsit5, dfx.Euler(), math.nan)
+SOLVERS = (*SOLVER, Rodas4, EventDriven, dfx.Tsit5, dfx.Euler(), dfx.KenCarp4(), math.nan)
 OBSERVERS = ("Amplitude", Amplitude, 3, math.nan, Told([Amplitude], "class `Amplitude`"))
 # Of runs to t = 1: they would look at the transient, or at nothing.
 TOO_LONG = (
