@@ -32,14 +32,11 @@ from ..model.cells import AbstractField
 from ..observers.base import AbstractObserver, Step, gauss
 from ..result import Result
 from ..simulation.accuracy import MAX_STEP
-from ..simulation.plan import forward_only
 from ..simulation.smoothed import SmoothedPlan
 from ..solvers.rosenbrock import AbstractStructuredRosenbrock
 
 # A period takes some hundred steps; a diverging orbit must not delay the others.
 MOST_STEPS = 50_000
-# A step that would end nearer to the end than this, in units in the last place, ends there.
-_ULPS = 100
 
 Make = Callable[[Float[Array, " m"]], tuple[AbstractField, State, Float[Array, ""]]]
 # (motion, k) of orbits with x_motion[n](t + T / k) = x_n(t), motion an index array.
@@ -64,17 +61,6 @@ class Sensitivity(NamedTuple):
     complete: Bool[Array, ""]
 
 
-class _Run(NamedTuple):
-    t: Float[Array, ""]
-    ahead: Float[Array, ""]  # where the next step ends
-    y: State
-    slopes: State
-    memory: Any  # of the step-size control
-    accumulators: list
-    result: Any
-    steps: Int[Array, ""]
-
-
 def forward_sensitivity(
     make: Make,
     point: Float[Array, " m"],
@@ -92,81 +78,42 @@ def forward_sensitivity(
     A run backward has a time < 0, a field without forcing, and no observers.
     """
     unit = jnp.eye(point.shape[0])
-    field, start, length = make(point)
-    # Time is counted upward in both directions.
-    direction = jnp.where(length < 0, -1.0, 1.0)
-    length = jnp.abs(length)
-
-    def begun_at(point: Array) -> tuple[State, Array]:
-        _, start, time = make(point)
-        return start, direction * time
-
-    first, by_length = jax.vmap(lambda one: jax.jvp(begun_at, (point,), (one,))[1])(unit)
+    field, start, time = make(point)
+    first, by_time = jax.vmap(lambda one: jax.jvp(lambda p: make(p)[1:], (point,), (one,))[1])(
+        unit
+    )
     plan = SmoothedPlan(
         solver=solver,
         observers=list(observers),
         rtol=rtol,
         atol=0.1 * rtol,
         max_step=MAX_STEP,
-        t1=length,
+        t1=jnp.abs(time),
     )
-    controller = plan.controller(field)
-    order: Any = solver.error_order(None)
-    begun = plan.begin(field, start, 0.0, length)
-    clipped = length - _ULPS * (length - jnp.nextafter(length, -jnp.inf))
-    of = dfx.RESULTS
+    begun = plan.begin(field, start, 0.0, jnp.abs(time))
+    begun = eqx.tree_at(lambda p: p.memory.solver, begun, first, is_leaf=lambda x: x is None)
 
-    def goes_on(now: _Run) -> Array:
-        return (now.t < length) & (now.result == of.successful) & (now.steps < MOST_STEPS)
-
-    def body(now: _Run) -> _Run:
-        last = now.ahead == length
-
-        def step(point: Array, y: State, ahead: Array) -> tuple[State, Any]:
+    def step(t0: Array, t1: Array, y: State, slopes: Any) -> Any:
+        def end(point: Array, y: State, t1: Array) -> tuple[State, Any]:
             terms: Any = dfx.ODETerm(make(point)[0])  # pyright: ignore[reportArgumentType]
-            t0, t1 = direction * now.t, direction * ahead
-            y1, error, dense, _, result = solver.step(terms, t0, t1, y, None, None, False)
-            return y1, (error, dense, result)
+            y1, *rest = solver.step(terms, t0, t1, y, None, None, False)
+            return y1, rest
 
-        def along(one: Array, slope: State, longer: Array) -> Any:
-            moved = one, slope, jnp.where(last, longer, 0.0)
-            return jax.jvp(step, (point, now.y, now.ahead), moved, has_aux=True)
+        def along(one: Array, slope: Any, longer: Array) -> Any:
+            moved = one, slope, jnp.where(t1 == time, longer, 0.0)
+            return jax.jvp(end, (point, y, t1), moved, has_aux=True)
 
-        y, slopes, (error, dense, result) = jax.vmap(along, out_axes=(None, 0, None))(
-            unit, now.slopes, by_length
+        y1, slopes, (error, dense, _, result) = jax.vmap(along, out_axes=(None, 0, None))(
+            unit, slopes, by_time
         )
-        error = jax.tree.map(lambda e: jnp.where(jnp.isnan(e), jnp.inf, e), error)
-        kept, t, ahead, _, memory, control = controller.adapt_step_size(
-            now.t, now.ahead, now.y, y, None, error, order, now.memory
-        )
-        t = jnp.minimum(t, length)
-        end = jnp.where(kept, length, t + 0.5 * (length - t))
-        ahead = jnp.where(ahead > clipped, end, ahead)
-        inside = solver.interpolation_cls(t0=now.t, t1=now.ahead, **dense)
-        seen = Step(field, now.t, now.ahead, now.y, y, inside.at)
-        pairs = zip(observers, now.accumulators, strict=True)
-        accumulators = [o.update(accumulator, seen) for o, accumulator in pairs]
-        y, slopes, accumulators = jax.tree.map(
-            lambda new, old: jnp.where(kept, new, old),
-            (y, slopes, accumulators),
-            (now.y, now.slopes, now.accumulators),
-        )
-        result = of.where(kept, result, of.successful)
-        result = of.where(result == of.successful, control, result)
-        return _Run(t, ahead, y, slopes, memory, accumulators, result, now.steps + 1)
+        return y1, error, dense, slopes, result
 
-    memory = begun.memory
-    result = of.where(begun.running, of.successful, of.internal_error)
-    begin = _Run(
-        begun.t, jnp.minimum(begun.t + memory.step_size, length), start, first, memory.controller,
-        begun.accumulators, result, jnp.zeros((), int),
-    )  # fmt: skip
-    ended = lax.while_loop(goes_on, body, begin)
-    good = (ended.t >= length) & (ended.result == of.successful)
-    good = good & jnp.all(jnp.isfinite(jnp.stack(ended.y)))
-    y, slopes = jax.tree.map(lambda a: jnp.where(good, a, jnp.nan), (ended.y, ended.slopes))
-    observed = [o.read(a) for o, a in zip(observers, ended.accumulators, strict=True)]
-    return forward_only(Sensitivity(y, slopes, observed, good))
+    ended, _ = plan.advance(field, begun, time, max_steps=MOST_STEPS, step=step)
+    good = ended.result == Result.successful
+    y, slopes = jax.tree.map(
+        lambda a: jnp.where(good, a, jnp.nan), (ended.state, ended.memory.solver)
+    )
+    return Sensitivity(y, slopes, plan.read(ended), good)
 
 
 # Every multiple up to 16 of a period has one of these as a factor.

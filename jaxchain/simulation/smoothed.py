@@ -247,7 +247,13 @@ class SmoothedPlan(AbstractPlan):
         times: Sequence[Array] = (),
         adjoint: dfx.AbstractAdjoint | None = None,
         recorded: int | None = None,
+        step: Callable[[Array, Array, State, Any], Any] | None = None,
     ) -> tuple[Progress, list[tuple[Array, ...]]]:
+        """See `AbstractPlan`.
+
+        `step`: (start, end, state, memory of the solver) -> (state, error, interpolation's data,
+        memory, diffrax's result); by default it is that of the solver.
+        """
         adjoint = dfx.ForwardMode() if adjoint is None else adjoint
         most = most_steps(progress, max_steps, allowed)
         repeated = None
@@ -259,8 +265,9 @@ class SmoothedPlan(AbstractPlan):
             complete = (last.result != Result.max_steps_reached) | (enough == most)
             repeated = _Repeated(ends, progress.steps, last, complete)
         new, records, _ = self._march(
-            field, progress, t1, most, adjoint, times=times, max_steps=max_steps, repeated=repeated
-        )
+            field, progress, t1, most, adjoint, times=times, max_steps=max_steps,
+            repeated=repeated, step=step,
+        )  # fmt: skip
         saved = [record.read() for record in records]
         if isinstance(adjoint, dfx.ForwardMode):
             return forward_only((new, saved))
@@ -278,6 +285,7 @@ class SmoothedPlan(AbstractPlan):
         max_steps: int | None = None,
         repeated: _Repeated | None = None,
         recorded: int | None = None,
+        step: Any = None,
     ) -> tuple[Progress, list[StateRecord], list]:
         """(the run at t1, or after `most` steps since it began; its records; the ends of steps).
 
@@ -294,6 +302,9 @@ class SmoothedPlan(AbstractPlan):
         terms: Any = dfx.ODETerm(field)  # pyright: ignore[reportArgumentType]
         order = solver.error_order(terms)
 
+        def usual_step(t0: Array, t1: Array, y: State, memory: Any) -> Any:
+            return solver.step(terms, t0, t1, y, None, memory, False)
+
         def end_of_step(t: Array, end: Array, kept: Any = True) -> Array:
             """It moves with the start t, because step sizes are held fixed, or with the run."""
             end = frozen(end) + (t - frozen(t))
@@ -308,9 +319,7 @@ class SmoothedPlan(AbstractPlan):
             now, memory, end = run.now, run.now.memory, run.ahead
             # Computed once, or LLVM does not vectorize what uses them.
             t0, t1 = materialize(direction * jnp.stack([now.t, end]))
-            y, error, dense, inner, solved = solver.step(
-                terms, t0, t1, now.state, None, memory.solver, False
-            )
+            y, error, dense, inner, solved = (step or usual_step)(t0, t1, now.state, memory.solver)
             error = jtu.tree_map(lambda e: jnp.where(jnp.isnan(e), jnp.inf, e), error)
             kept, _, ahead, _, control, controlled = adapt(
                 *frozen((now.t, end, now.state, y, None, error)), order, memory.controller
