@@ -79,9 +79,8 @@ def forward_sensitivity(
     """
     unit = jnp.eye(point.shape[0])
     field, start, time = make(point)
-    first, by_time = jax.vmap(lambda one: jax.jvp(lambda p: make(p)[1:], (point,), (one,))[1])(
-        unit
-    )
+    _, pushed = jax.linearize(lambda point: make(point)[1:], point)
+    first, by_time = jax.vmap(pushed)(unit)
     plan = SmoothedPlan(
         solver=solver,
         observers=list(observers),

@@ -89,15 +89,13 @@ def _instead(solver: Any) -> str:
     return ": leave it out, and one that suits the chain is taken."
 
 
-def check_adjoint(adjoint: Any, max_steps: Any) -> None:
+def check_adjoint(adjoint: Any) -> None:
     """Raises `ValueError` for an unsupported `adjoint`."""
-    kinds = (dfx.ForwardMode, dfx.RecursiveCheckpointAdjoint, dfx.DirectAdjoint)
-    direct = isinstance(adjoint, dfx.DirectAdjoint)
-    if adjoint is not None and (not isinstance(adjoint, kinds) or (direct and not max_steps)):
-        end = ", which needs `max_steps`" if direct else ""
+    kinds = dfx.ForwardMode | dfx.RecursiveCheckpointAdjoint
+    if adjoint is not None and not isinstance(adjoint, kinds):
         raise ValueError(
             "Argument `adjoint` must be None, `diffrax.ForwardMode()` or "
-            f"`diffrax.RecursiveCheckpointAdjoint()`, but is {shown(adjoint)}{end}. None serves "
+            f"`diffrax.RecursiveCheckpointAdjoint()`, but is {shown(adjoint)}. None serves "
             "derivatives of both kinds."
         )
 

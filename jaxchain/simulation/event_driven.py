@@ -18,7 +18,6 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any, TypeGuard
 
-import diffrax as dfx
 import equinox as eqx
 import equinox.internal as eqxi
 import jax
@@ -57,6 +56,7 @@ from .plan import (
     StateRecord,
     first_result,
     forward_only,
+    kind_of_loop,
     loop,
     most_steps,
 )
@@ -274,22 +274,14 @@ class EventDrivenPlan(AbstractPlan):
             return step(carry)[0]
 
         carry: Any = progress, records
-        if isinstance(adjoint, dfx.DirectAdjoint):
-            raise ValueError(
-                "Argument `adjoint` must be None, `diffrax.ForwardMode()` or "
-                "`diffrax.RecursiveCheckpointAdjoint()` for the event-driven solver, but is "
-                f"{adjoint!r}. None serves derivatives of both kinds."
-            )
-        forward = not isinstance(adjoint, dfx.RecursiveCheckpointAdjoint)
+        forward = kind_of_loop(adjoint) == "lax"
         if forward and any(map(_notes, self.observers)):
             noting = functools.partial(step, noting=True)
             carry = in_rounds(goes_on, noting, self._gather, carry)
         else:
-
-            def written_once(carry: Any) -> list:
-                return [record.states for record in carry[1]]
-
-            carry = loop(goes_on, body, carry, adjoint, max_steps, written_once)
+            carry = loop(
+                goes_on, body, carry, adjoint, lambda carry: [record.states for record in carry[1]]
+            )
         if forward:
             carry = forward_only(carry)
         progress, records = carry

@@ -110,11 +110,9 @@ def most_steps(progress: Progress, max_steps: int | None, allowed: Any = None) -
     return progress.steps + progress.rejected + most
 
 
-def kind_of_loop(adjoint: Any) -> Literal["lax", "checkpointed", "bounded"]:
-    """The loop of equinox with the derivatives that a diffrax adjoint names."""
-    if isinstance(adjoint, dfx.RecursiveCheckpointAdjoint):
-        return "checkpointed"
-    return "bounded" if isinstance(adjoint, dfx.DirectAdjoint) else "lax"
+def kind_of_loop(adjoint: Any) -> Literal["lax", "checkpointed"]:
+    """The loop of equinox with the derivatives that a diffrax adjoint names; None is forward."""
+    return "checkpointed" if isinstance(adjoint, dfx.RecursiveCheckpointAdjoint) else "lax"
 
 
 def loop(
@@ -122,7 +120,6 @@ def loop(
     body: Callable[[Any], Any],
     carry: Any,
     adjoint: Any,
-    max_steps: int | None,
     buffers: Callable[[Any], list],
 ) -> Any:
     """The loop of a run, with the derivatives that `adjoint` names.
@@ -134,9 +131,8 @@ def loop(
         return lax.while_loop(goes_on, body, carry)
     checkpoints = (adjoint.checkpoints or CHECKPOINTS) if kind == "checkpointed" else None
     return eqxi.while_loop(
-        goes_on, body, carry, kind=kind, max_steps=max_steps, checkpoints=checkpoints,
-        buffers=buffers,
-    )  # fmt: skip
+        goes_on, body, carry, kind=kind, checkpoints=checkpoints, buffers=buffers
+    )
 
 
 class AbstractPlan(eqx.Module):

@@ -123,8 +123,8 @@ def simulate(
       their values are stacked along a first axis.
     - `adjoint`: the default works with `jvp`, `jacfwd`, `grad` and `jacrev`, in bounded memory for
       any length of run: some states are kept, and the steps between them are computed again.  A
-      gradient costs as much as seven to nine runs for any number of parameters; `jacfwd` costs
-      five or six runs for twenty parameters, so it is cheaper up to about thirty.
+      gradient costs as much as a few runs for any number of parameters; the cost of `jacfwd` grows
+      with their number, and is less for a few of them.
       `diffrax.RecursiveCheckpointAdjoint(checkpoints=...)` keeps that number of states;
       `diffrax.ForwardMode()` works with `jvp` and `jacfwd` only.  For second derivatives use
       `jax.hessian`, or `jacfwd` twice.  With smoothed friction, both kinds of derivatives use the
@@ -149,7 +149,7 @@ def simulate(
     """
     as_chain(chain, AbstractField)
     solver = custom_solver(chain, solver)
-    check_adjoint(adjoint, max_steps)
+    check_adjoint(adjoint)
     check_flag("throw", throw)
     smoothed = not isinstance(solver, EventDriven)
     numerics = None
@@ -331,8 +331,6 @@ def _advance(
         return run
 
     args = plan, chain, progress, t1, times
-    if isinstance(adjoint, dfx.DirectAdjoint):
-        return go(adjoint)(args)
     if adjoint is None or (
         isinstance(adjoint, dfx.RecursiveCheckpointAdjoint)
         and adjoint.checkpoints is None

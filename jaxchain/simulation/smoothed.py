@@ -261,19 +261,20 @@ class SmoothedPlan(AbstractPlan):
             numbers, rest = eqx.partition((self, field, progress, t1), eqx.is_array)
             plan, *others = eqx.combine(lax.stop_gradient(numbers), rest)
             enough = jnp.minimum(most, most_steps(progress, recorded))
-            last, _, (ends,) = plan._march(*others, enough, dfx.ForwardMode(), recorded=recorded)
+            last, _, (ends,) = plan._take_steps(
+                *others, enough, dfx.ForwardMode(), recorded=recorded
+            )
             complete = (last.result != Result.max_steps_reached) | (enough == most)
             repeated = _Repeated(ends, progress.steps, last, complete)
-        new, records, _ = self._march(
-            field, progress, t1, most, adjoint, times=times, max_steps=max_steps,
-            repeated=repeated, step=step,
-        )  # fmt: skip
+        new, records, _ = self._take_steps(
+            field, progress, t1, most, adjoint, times=times, repeated=repeated, step=step
+        )
         saved = [record.read() for record in records]
         if isinstance(adjoint, dfx.ForwardMode):
             return forward_only((new, saved))
         return new, saved
 
-    def _march(
+    def _take_steps(
         self,
         field: AbstractField,
         progress: Progress,
@@ -282,7 +283,6 @@ class SmoothedPlan(AbstractPlan):
         adjoint: dfx.AbstractAdjoint,
         *,
         times: Sequence[Array] = (),
-        max_steps: int | None = None,
         repeated: _Repeated | None = None,
         recorded: int | None = None,
         step: Any = None,
@@ -291,7 +291,8 @@ class SmoothedPlan(AbstractPlan):
 
         The first steps are the `repeated` ones.  At most `recorded` ends are returned.
         """
-        of, frozen = dfx.RESULTS, lax.stop_gradient
+        successful, choose = dfx.RESULTS.successful, dfx.RESULTS.where
+        frozen = lax.stop_gradient
         direction = jnp.where(t1 < progress.t, -1.0, 1.0)
         last = direction * t1
         nearly = frozen(last)
@@ -313,7 +314,7 @@ class SmoothedPlan(AbstractPlan):
         def goes_on(run: _Run) -> Array:
             now = run.now
             unfinished = (now.t < last) & (now.steps + now.rejected < most)
-            return unfinished & now.running & (run.outcome == of.successful)
+            return unfinished & now.running & (run.outcome == successful)
 
         def body(run: _Run) -> _Run:
             now, memory, end = run.now, run.now.memory, run.ahead
@@ -330,8 +331,8 @@ class SmoothedPlan(AbstractPlan):
                 kept, control = kept | given, _where(given, memory.controller, control)
                 following = jnp.where(given, end + repeated.last.memory.step_size, ahead)
                 ahead = repeated.end(now.steps + kept, following)
-            outcome = of.where(kept & (solved != of.successful), solved, controlled)
-            outcome = of.where(given, of.successful, outcome)
+            outcome = choose(kept & (solved != successful), solved, controlled)
+            outcome = choose(given, successful, outcome)
             inside = solver.interpolation_cls(t0=t0, t1=t1, **dense)
             accumulators, result, acceleration = now.accumulators, now.result, None
             if self.observers:
@@ -341,7 +342,7 @@ class SmoothedPlan(AbstractPlan):
                 pairs = zip(self.observers, accumulators, strict=True)
                 accumulators = [o.update(a, seen) for o, a in pairs]
                 settled = self.settled(accumulators, result)
-                result = Result.where(given | (outcome != of.successful), result, settled)
+                result = Result.where(given | (outcome != successful), result, settled)
             if repeated is not None:
                 result = repeated.result(now.steps + 1, result)
             # A last step that was clipped to the end of the run does not predict the next one.
@@ -381,13 +382,13 @@ class SmoothedPlan(AbstractPlan):
         run = _Run(
             now=now,
             ahead=end_of_step(now.t, ahead),
-            outcome=of.successful,
+            outcome=successful,
             records=[StateRecord.blank(ts, now.state).keep(now.t, now.state) for ts in times],
             ends=[] if recorded is None else [jnp.zeros(recorded)],
         )
-        run = loop(goes_on, body, run, adjoint, max_steps, _Run.written_once)
+        run = loop(goes_on, body, run, adjoint, _Run.written_once)
         now = run.now
-        cut = now.running & (run.outcome == of.successful) & (now.t < last)
+        cut = now.running & (run.outcome == successful) & (now.t < last)
         # A run that is cut between two steps continues as if it were not.
         size = jnp.where(cut, frozen(run.ahead - now.t), now.memory.step_size)
         if repeated is not None:
