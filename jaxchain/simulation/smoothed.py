@@ -306,10 +306,9 @@ class SmoothedPlan(AbstractPlan):
         def usual_step(t0: Array, t1: Array, y: State, memory: Any) -> Any:
             return solver.step(terms, t0, t1, y, None, memory, False)
 
-        def end_of_step(t: Array, end: Array, kept: Any = True) -> Array:
+        def end_of_step(t: Array, end: Array) -> Array:
             """It moves with the start t, because step sizes are held fixed, or with the run."""
-            end = frozen(end) + (t - frozen(t))
-            return jnp.where(end > nearly, jnp.where(kept, last, t + 0.5 * (last - t)), end)
+            return jnp.where(end > nearly, last, frozen(end) + (t - frozen(t)))
 
         def goes_on(run: _Run) -> Array:
             now = run.now
@@ -363,7 +362,7 @@ class SmoothedPlan(AbstractPlan):
             place = now.steps - progress.steps
             return _Run(
                 now=new,
-                ahead=end_of_step(new.t, ahead, kept),
+                ahead=end_of_step(new.t, ahead),
                 outcome=outcome,
                 records=[_record(r, kept, t1, inside, adjoint) for r in run.records],
                 ends=[eqxi.buffer_at_set(ends, place, end, pred=kept) for ends in run.ends],

@@ -14,7 +14,6 @@ from jaxchain.simulation.run import build_plan
 KEPT = 20  # states, of many more steps
 
 
-@pytest.mark.long
 def test_a_run_that_is_cut_takes_the_steps_of_one_that_is_not():
     chain = paper_chain(3, belt_speed=1.3)
     plan = build_plan(Rodas4(), [], 1e-6, 1e-7, 1.0, 20.0)
@@ -62,7 +61,6 @@ def test_a_gradient_holds_along_the_steps_of_the_forward_derivative():
     np.testing.assert_allclose(reverse, forward, rtol=1e-12)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("recorded", [20, 4096])
 def test_steps_that_are_taken_again_lead_to_the_same_end(recorded):
     """Also where only the first ones are recorded; here an observer ends the run."""
@@ -86,6 +84,22 @@ def test_steps_that_are_taken_again_lead_to_the_same_end(recorded):
         jax.tree.leaves(again.memory), jax.tree.leaves(whole.memory), strict=True
     ):
         np.testing.assert_allclose(ours, theirs, rtol=1e-6)
+
+
+def test_the_end_moves_with_both_times():
+    """Without forcing a later start has exactly the opposite effect: it moves the first steps."""
+    chain = paper_chain(1, belt_speed=1.5, width=0.05)
+    start = equation_8(chain, 1)
+
+    def end(times):
+        run = simulate(chain, start, times[1], t0=times[0], solver=Rodas4(), rtol=1e-9)
+        return run.state[0][0], run.state[1][0]
+
+    times = jnp.array([1.0, 7.0])
+    for derivative in (jax.jacfwd, jax.grad):
+        slopes, velocity = jax.jit(derivative(end, has_aux=True))(times)
+        np.testing.assert_allclose(slopes[1], velocity, rtol=1e-6)
+        np.testing.assert_allclose(slopes[0], -slopes[1], rtol=1e-13)
 
 
 def test_gradients_of_lanes_that_end_after_different_numbers_of_steps():
