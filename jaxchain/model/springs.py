@@ -86,6 +86,17 @@ ad.deflinear(_materialize, lambda slope: [_materialize.bind(slope)])
 batching.defvectorized(_materialize)
 
 
+@jax.custom_jvp
+def materialize_with_slopes(x: Float[Array, " n"]) -> Float[Array, " n"]:
+    """`materialize` where x is differentiated; else x, which its consumers compute as quickly."""
+    return x
+
+
+@materialize_with_slopes.defjvp
+def _(x: tuple[Array], slopes: tuple[Array]) -> tuple[Array, Array]:
+    return materialize(*x), materialize(*slopes)
+
+
 def neighbours(x: Float[Array, " n"], ends: str) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
     """(x_{n-1}, x_{n+1}), as in `neighbour_sum`; "mirrored": a copy of x_n beyond an end."""
 

@@ -21,7 +21,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from .._types import ScalarLike
-from .springs import Springs, materialize, neighbours
+from .springs import Springs, materialize, materialize_with_slopes, neighbours
 
 # m rows of m entries: arrays over the cells, None for zero.
 Entries = list[list[Any]]
@@ -76,6 +76,10 @@ def substitute(lu: Entries, right: Sequence[Any]) -> Vector:
     return x
 
 
+def _materialized(parts: Sequence[Any]) -> Vector:
+    return [None if part is None else materialize(part) for part in parts]
+
+
 def cell_solver(
     lu: Entries, left: Entries, right: Entries, ends: str, sweeps: int | None
 ) -> tuple[Callable[[Vector], Vector], Float[Array, ""] | None]:
@@ -84,14 +88,14 @@ def cell_solver(
     Sweeps contract by rho in the maximum norm of the seen numbers, so that they leave at most
     rho^(sweeps+1) / (1 - rho) of these; None where nothing is left.
     """
-    m = len(lu)
+    m, lu = len(lu), [_materialized(row) for row in lu]
     seen = [j for j in range(m) if any(left[i][j] is not None or right[i][j] is not None
                                        for i in range(m))]  # fmt: skip
     if not seen:
-        return lambda r: [materialize(part) for part in substitute(lu, r)], None
+        return lambda r: _materialized(substitute(lu, r)), None
     # Columns of P and Q, one for each seen number.
     before, after = (
-        [substitute(lu, [entries[i][j] for i in range(m)]) for j in seen]
+        [_materialized(substitute(lu, [entries[i][j] for i in range(m)])) for j in seen]
         for entries in (left, right)
     )
 
@@ -115,7 +119,7 @@ def cell_solver(
         def solve(r: Vector) -> Vector:
             base = substitute(lu, r)
             s = exact([base[i] for i in seen])
-            return [materialize(part) for part in spread(base, s, range(m))]
+            return _materialized(spread(base, s, range(m)))
 
         return solve, None
 
@@ -126,7 +130,7 @@ def cell_solver(
             for _ in range(sweeps - 1):
                 s = spread(base, s, seen)
             base = spread(base, s, range(m))
-        return [materialize(part) for part in base]
+        return _materialized(base)
 
     rows = [
         sum(jnp.abs(column[i]) for column in (*before, *after) if column[i] is not None)
@@ -215,7 +219,7 @@ def swept_solver(
 
     The solver returns b and the product C b of the last sweep, which lags one sweep behind.
     """
-    inverse = 1.0 / diagonal
+    inverse = materialize(1.0 / diagonal)
     weight = scale * inverse
 
     def solve(rhs: Float[Array, " n"]) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
@@ -224,7 +228,7 @@ def swept_solver(
         for _ in range(sweeps):
             product = springs.product(b)
             b = start + weight * product
-        return b, product
+        return materialize_with_slopes(b), materialize(product)
 
     return solve
 

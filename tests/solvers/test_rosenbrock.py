@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from systems.oscillators import Driven, LinearRing
+from systems.oscillators import Driven, DrivenInPlace, LinearRing
 
 from jaxchain import Rodas4, Rodas5P, equation_8, paper_chain
 from jaxchain.model.springs import Springs
@@ -113,6 +113,22 @@ def test_time_may_run_backward():
     field = driven(1.0)
     solution = solve(field, Rodas5P(), field.exact(3.0), 0.0, -0.02, t0=3.0)
     np.testing.assert_allclose(solution.ys[0][0], field.exact(0.0)[0], atol=1e-9)
+
+
+@pytest.mark.parametrize("springs", [SPRINGS, None])
+@pytest.mark.parametrize("solver", [Rodas4(), Rodas5P(2)])
+def test_a_step_with_its_stages_in_a_loop_is_the_same(solver, springs):
+    field = DrivenInPlace(*jnp.asarray([1.0, 0.4, 0.3]), jnp.linspace(0.0, 1.0, N), springs)
+    y0 = tuple(jnp.asarray(np.random.default_rng(1).normal(size=(2, N))))
+
+    @ft.partial(jax.jit, static_argnums=0)
+    def step(rolled, y0, t1):
+        terms: Any = dfx.ODETerm(field)
+        return solver.step(terms, 0.3, t1, y0, None, None, False, rolled=rolled)[:3]
+
+    one, other = (step(rolled, y0, 0.4) for rolled in (False, True))
+    for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
+        np.testing.assert_allclose(a, b, rtol=0, atol=1e-14)
 
 
 @pytest.mark.parametrize("coupling", [0.01, 1.0, 100.0])
