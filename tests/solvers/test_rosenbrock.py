@@ -118,8 +118,9 @@ def test_time_may_run_backward():
 @pytest.mark.parametrize("springs", [SPRINGS, None])
 @pytest.mark.parametrize("solver", [Rodas4(), Rodas5P(2)])
 def test_a_step_with_its_stages_in_a_loop_is_the_same(solver, springs):
-    field = DrivenInPlace(*jnp.asarray([1.0, 0.4, 0.3]), jnp.linspace(0.0, 1.0, N), springs)
-    y0 = tuple(jnp.asarray(np.random.default_rng(1).normal(size=(2, N))))
+    rate, cubic, mixed = jnp.asarray([1.0, 0.4, 0.3])
+    field: Any = DrivenInPlace(rate, cubic, mixed, jnp.linspace(0.0, 1.0, N), springs)
+    y0: Any = tuple(jnp.asarray(np.random.default_rng(1).normal(size=(2, N))))
 
     @ft.partial(jax.jit, static_argnums=0)
     def step(rolled, y0, t1):
