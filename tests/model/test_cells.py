@@ -105,7 +105,8 @@ def exact(cells, start, t1):
 
 @pytest.mark.parametrize("solver", [Rodas4(), Rodas5P(2)])
 def test_a_step_with_its_stages_in_a_loop_is_the_same(solver):
-    terms: Any = dfx.ODETerm(pairs())
+    field: Any = pairs()
+    terms: Any = dfx.ODETerm(field)
 
     @ft.partial(jax.jit, static_argnums=0)
     def step(rolled, y0):
