@@ -92,8 +92,8 @@ def forward_sensitivity(
     begun = plan.begin(field, start, 0.0, jnp.abs(time))
     begun = eqx.tree_at(lambda p: p.memory.solver, begun, first, is_leaf=lambda x: x is None)
 
-    # With derivatives a loop over the stages is nearly as quick, and compiles in half the time;
-    # for two numbers it is slower.
+    # With derivatives a loop over the stages is nearly as quick, and compiles faster; for two
+    # numbers it is slower.
     rolled = sum(part.size for part in start) > 2
 
     def step(t0: Array, t1: Array, y: State, slopes: Any) -> Any:

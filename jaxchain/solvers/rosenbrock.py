@@ -442,7 +442,7 @@ class AbstractStructuredRosenbrock(dfx.AbstractAdaptiveSolver):
         *,
         rolled: bool = False,
     ) -> tuple[State, State, dict, None, dfx.RESULTS]:
-        """One step.  With derivatives its stages in a loop (`rolled`) compile in half the time."""
+        """One step; `rolled`: with its stages in a loop; derivatives then compile faster."""
         del solver_state, made_jump, args
         tab = self.tableau
         field = _vector_field(terms)
