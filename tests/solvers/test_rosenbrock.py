@@ -117,7 +117,7 @@ def test_time_may_run_backward():
 
 @pytest.mark.parametrize("springs", [SPRINGS, None])
 @pytest.mark.parametrize("solver", [Rodas4(), Rodas5P(2)])
-def test_a_step_with_its_stages_in_a_loop_is_the_same(solver, springs):
+def test_a_step_with_its_stages_in_a_loop_is_the_same_with_its_derivatives(solver, springs):
     rate, cubic, mixed = jnp.asarray([1.0, 0.4, 0.3])
     field: Any = DrivenInPlace(rate, cubic, mixed, jnp.linspace(0.0, 1.0, N), springs)
     y0: Any = tuple(jnp.asarray(np.random.default_rng(1).normal(size=(2, N))))
@@ -130,6 +130,15 @@ def test_a_step_with_its_stages_in_a_loop_is_the_same(solver, springs):
     one, other = (step(rolled, y0, 0.4) for rolled in (False, True))
     for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
         np.testing.assert_allclose(a, b, rtol=0, atol=1e-14)
+
+    def along(rolled, share):
+        moved = y0[0] + share * y0[1], y0[1] - share * y0[0]
+        return jnp.stack(step(rolled, moved, 0.4)[0])
+
+    difference = (along(False, 1e-4) - along(False, -1e-4)) / 2e-4
+    for rolled in (False, True):
+        slope = jax.jvp(ft.partial(along, rolled), (0.0,), (1.0,))[1]
+        np.testing.assert_allclose(slope, difference, rtol=0, atol=1e-7)
 
 
 @pytest.mark.parametrize("coupling", [0.01, 1.0, 100.0])
