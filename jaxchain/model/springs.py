@@ -7,8 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jax.extend.core import Primitive
-from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array, Float
 
 from .._checks import check_finite, check_one_of, named
@@ -57,44 +55,6 @@ def neighbour_sum(x: Float[Array, " n"], ends: Ends) -> Float[Array, " n"]:
         return p[:-2] + p[2:]
 
     return lax.platform_dependent(x, cpu=convolve, default=shift)
-
-
-def materialize(x: Float[Array, " n"]) -> Float[Array, " n"]:
-    """x itself, computed once.
-
-    XLA's CPU backend fuses an array into each of its consumers and computes it once for every one
-    of them, stage within stage; a convolution ends that (an optimization barrier does not).  It is
-    a primitive, because a step has dozens of them: `lax.platform_dependent` would trace both
-    programs for each, again in every derivative, and lower a choice between them.
-    """
-    return _materialize.bind(x)
-
-
-def _convolved(x: Array) -> Array:
-    # Along an axis of length 1, padded at the other end, so that masses do not interact.
-    kernel = jnp.asarray([[[[1.0, 0.0]]]], x.dtype)
-    column = x.reshape(-1, 1, x.shape[-1], 1)
-    return lax.conv_general_dilated(column, kernel, (1, 1), ((0, 0), (0, 1))).reshape(x.shape)
-
-
-_materialize = Primitive("materialize")
-_materialize.def_impl(lambda x: x)
-_materialize.def_abstract_eval(lambda x: x)
-mlir.register_lowering(_materialize, lambda _, x: [x])
-mlir.register_lowering(_materialize, mlir.lower_fun(_convolved, False), platform="cpu")
-ad.deflinear(_materialize, lambda slope: [_materialize.bind(slope)])
-batching.defvectorized(_materialize)
-
-
-@jax.custom_jvp
-def materialize_with_slopes(x: Float[Array, " n"]) -> Float[Array, " n"]:
-    """`materialize` where x is differentiated; else x, which its consumers compute as quickly."""
-    return x
-
-
-@materialize_with_slopes.defjvp
-def _(x: tuple[Array], slopes: tuple[Array]) -> tuple[Array, Array]:
-    return materialize(*x), materialize(*slopes)
 
 
 def neighbours(x: Float[Array, " n"], ends: str) -> tuple[Float[Array, " n"], Float[Array, " n"]]:

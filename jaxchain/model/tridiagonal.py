@@ -20,8 +20,9 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+from .._computed_once import materialize
 from .._types import ScalarLike
-from .springs import Springs, materialize, materialize_with_slopes, neighbours
+from .springs import Springs, neighbours
 
 # m rows of m entries: arrays over the cells, None for zero.
 Entries = list[list[Any]]
@@ -228,7 +229,7 @@ def swept_solver(
         for _ in range(sweeps):
             product = springs.product(b)
             b = start + weight * product
-        return materialize_with_slopes(b), materialize(product)
+        return materialize(b), materialize(product)
 
     return solve
 

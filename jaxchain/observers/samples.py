@@ -27,11 +27,11 @@ from .._checks import (
     shown,
     to_float,
 )
+from .._computed_once import materialize
 from .._derivatives import both_ways
 from .._final import final
 from .._types import ScalarLike, State
 from ..model.cells import AbstractField
-from ..model.springs import materialize
 from .base import AbstractNotingObserver, Step, Variable, states_at_times
 
 

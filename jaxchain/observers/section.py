@@ -10,10 +10,10 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from .._checks import check_number, check_one_of, check_whole
+from .._computed_once import materialize
 from .._final import final
 from .._types import ScalarLike, State
 from ..model.cells import AbstractField
-from ..model.springs import materialize
 from .base import (
     AbstractNotingObserver,
     AbstractObserver,
@@ -24,7 +24,7 @@ from .base import (
     zeros,
 )
 
-# Before all times; finite, as `materialize` multiplies by 0.
+# Before all times.
 _NONE = -1e300
 
 

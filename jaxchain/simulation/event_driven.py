@@ -27,12 +27,12 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from .._checks import check_whole, to_float
+from .._computed_once import materialize
 from .._final import final
 from .._types import State
 from ..model.cells import AbstractField
 from ..model.chain import Chain
 from ..model.mechanical import MechanicalCells
-from ..model.springs import materialize
 from ..observers.base import AbstractNotingObserver, AbstractObserver, Step
 from ..result import Result
 from ..solvers.dry_friction import (

@@ -18,10 +18,10 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from .._checks import to_float
+from .._computed_once import materialize
 from .._types import State
 from ..model.cells import AbstractField
 from ..model.oscillators import AbstractOscillators
-from ..model.springs import materialize
 from ..observers.base import AbstractObserver, Step
 from ..result import Result
 from ..solvers.rosenbrock import AbstractStructuredRosenbrock, RosenbrockInterpolation

@@ -25,10 +25,10 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from .._computed_once import materialize
 from .._types import PerMass, State
 from ..model.chain import Chain
 from ..model.mechanical import MechanicalCells
-from ..model.springs import materialize
 from .taylor import CLEARANCE, PowerSeries, composed, first_exit
 
 Dry: TypeAlias = Chain | MechanicalCells

@@ -29,11 +29,11 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from .._checks import check_positive_number, check_whole, numbers_of, shown
+from .._computed_once import materialize
 from .._final import final, refuse_overrides
 from .._types import ScalarLike, State
 from ..model.cells import AbstractCells
 from ..model.oscillators import AbstractOscillators
-from ..model.springs import materialize
 from ..model.tridiagonal import (
     cell_solver,
     contraction,

@@ -22,7 +22,7 @@ from jax.experimental.jet import jet
 from jax.extend.core import ClosedJaxpr, Literal
 from jaxtyping import Array, Bool, Float
 
-from ..model.springs import materialize
+from .._computed_once import materialize
 
 
 class PowerSeries:

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxchain.model.springs import Springs, materialize, neighbour_sum, neighbours
+from jaxchain.model.springs import Springs, neighbour_sum, neighbours
 from jaxchain.model.tridiagonal import contraction, exact_solver, swept_solver
 
 
@@ -58,16 +58,6 @@ def test_neighbours_are_those_of_a_ring_or_of_a_chain():
     assert after.tolist() == [2, 3, 4, 0]
     assert neighbour_sum(x, "cyclic").tolist() == [6, 4, 6, 4]
     assert neighbour_sum(jnp.array([1.0, 5.0]), "cyclic").tolist() == [10, 2]
-
-
-@pytest.mark.parametrize("axis", [0, 1])
-def test_what_is_computed_once_is_itself_forward_and_back_along_either_axis(axis):
-    x, along = jnp.asarray(np.random.default_rng(0).normal(size=(2, 3, 4)))
-    once = jax.jit(jax.vmap(materialize, axis, axis))
-    value, slope = jax.jvp(once, (x,), (along,))
-    (back,) = jax.vjp(once, x)[1](along)
-    for found, expected in ((value, x), (slope, along), (back, along)):
-        np.testing.assert_array_equal(found, expected)
 
 
 def system(springs, n, scale):
