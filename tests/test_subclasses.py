@@ -238,10 +238,20 @@ class Told(Slow):
         return jnp.asarray(7.0)
 
 
+class Weighted(Slow):
+    acceleration: float = 1e9
+
+    def switching(self, t, v):
+        return v, jnp.asarray(0.5)
+
+    def release_acceleration(self):
+        return self.acceleration
+
+
 @pytest.mark.long
 @honours(
     AbstractOscillators, "switching", "stick_speed", "excess_force", "belt_direction",
-    "growth_time", "divergence",
+    "growth_time", "release_acceleration", "divergence",
 )  # fmt: skip
 def test_optional_methods_of_a_field_are_used():
     start = jnp.zeros(1), jnp.ones(1)  # x = sin t, v = cos t
@@ -254,6 +264,12 @@ def test_optional_methods_of_a_field_are_used():
     assert times[0] == pytest.approx(np.pi, abs=1e-4)  # the least velocity
     assert rate == pytest.approx(14.0 * np.pi)
     assert run.steps >= 600
+    # It leaves the belt at t = 1 or so: with a greater weight its error asks for more steps.
+    heavy = jc.simulate(Weighted(), start, 2 * np.pi, rtol=1e-8)
+    assert (
+        heavy.steps
+        > jc.simulate(Weighted(acceleration=0.0), start, 2 * np.pi, rtol=1e-8).steps + 10
+    )
     plain = jc.simulate(Slow(), start, 2 * np.pi, observe=(section, Divergence()), rtol=1e-8)
     assert plain.observed[1] == 0.0
     assert plain.steps < 300
@@ -312,9 +328,17 @@ class Switching(Mass):
         return -1.0
 
 
+class Released(Switching):
+    def switching(self, t, v):
+        return v - 0.1, jnp.asarray(0.1)
+
+    def release_acceleration(self):
+        return 1e9
+
+
 @honours(
     AbstractCells, "rate", "forcing_period", "ends", "components", "contact", "switching",
-    "belt_direction", "growth_time",
+    "belt_direction", "growth_time", "release_acceleration",
 )  # fmt: skip
 @honours(AbstractOscillators, "forcing_period")
 def test_what_cells_define_is_honoured():
@@ -329,6 +353,7 @@ def test_what_cells_define_is_honoured():
     assert switching.observed[0] == pytest.approx(np.pi, abs=1e-6)  # the belt runs backward
     assert hasty.steps >= 650 > 300 > plain.steps
     assert switching.steps > plain.steps
+    assert run(Released()).steps > plain.steps + 20  # its error counts more
     data = jc.sweep(
         Row(), start, 6.5, vary=lambda cells, k: cells, over={"k": [0]},
         observe=jc.Amplitude(component=1),

@@ -92,6 +92,10 @@ class AbstractField(eqx.Module):
         """The |w| (see `switching`) up to which a mass sticks; None if no mass can stick."""
         return None
 
+    def release_acceleration(self) -> PerMass | None:
+        """The acceleration by the greatest friction force; None if it is not known."""
+        return None
+
     def growth_time(self) -> ScalarLike | None:
         """The time in which velocities grow by e, which bounds the step; None if it is not known.
 

@@ -190,6 +190,10 @@ class Chain(AbstractOscillators):
         """p mu_st, the greatest friction force on a sticking mass."""
         return self.load * self.law.mu_static
 
+    def release_acceleration(self) -> PerMass:
+        """p mu_st: masses are 1."""
+        return self.static_limit()
+
     def excess_force(self, x: Float[Array, " n"], v: Float[Array, " n"]) -> Float[Array, " n"]:
         """|r| - p mu_st with r the `free_force`; with dry friction a mass with w = 0 sticks."""
         if self.dry:

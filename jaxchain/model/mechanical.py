@@ -240,6 +240,12 @@ class MechanicalCells(AbstractCells):
         """0 with dry friction; None otherwise, because the force that would hold is not local."""
         return to_float(0.0) if self.dry else None
 
+    def release_acceleration(self) -> PerMass | None:
+        """p mu_st times its share b_u of the contact; None without smoothed friction."""
+        if not isinstance(self.friction, TanhFriction):
+            return None
+        return self.static_limit() * self.compliance()[self.sliding]
+
     def forcing_period(self) -> ScalarLike | None:
         """2 pi / omega; None without forcing."""
         return None if self.frequency is None else 2.0 * jnp.pi / self.frequency

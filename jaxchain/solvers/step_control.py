@@ -1,4 +1,4 @@
-"""Step-size control that anticipates the switching of friction."""
+"""Step-size control that anticipates the switching of friction, and times its release."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import jax.tree_util as jtu
 from jax import lax
-from jaxtyping import Array, ArrayLike, Bool, Float
+from jaxtyping import Array, Float
 
 from .._checks import (
     check_at_least,
@@ -19,39 +19,60 @@ from .._checks import (
     check_positive_number,
     to_float,
 )
+from .._computed_once import materialize
 from .._final import final
 from .._types import ScalarLike, State
 from ..model.cells import AbstractField
 from ..model.chain import MAKE_CHAIN
+from ..model.mechanical import MechanicalCells
+from ..model.oscillators import AbstractOscillators
 
-# In units of the width, measured on the ring of twenty for widths 1e-2 to 1e-5 and tolerances 1e-4
-# to 1e-9.  The optimum is flat: 4 or 8 for 6 and 2 or 4 for 3 change the steps by less than 3 %.
-# At 6 widths tanh is 1 to 1e-5, so that beyond them the force is smooth; the landing lies a little
-# within, or a step that falls short by a rounding error would be followed by a tiny one.
-NEAR = 6.0
+# In units of the width, measured on the ring of twenty for widths 1e-2 to 1e-4 and errors of 1e-2
+# to 1e-6.  The optimum is flat.  At 6 widths tanh is 1 to 1e-5, so that beyond them the force is
+# smooth; the landing lies well within `NEAR`, or a step that falls a little short would be
+# followed by a tiny one.
+NEAR = 8.0
 LANDING = 5.4
 # The force falls within two widths on either side: three are the longest step that sees it.
 CROSSING = 3.0
+# While a held mass creeps outward between the first two |w|, in widths, a step changes w by a
+# quarter of a width at the rate of the step before; with half a width one run in a hundred errs by
+# a thousand times the tolerance at a width of 1e-6.  Between the last two an error of the velocity
+# is hardly damped any more, and the mass is still slow.
+_CREEPS, _RELEASED, _FREE = 0.1, 2.25, 8.0
+_CREEP = 0.25
+# A change by less than `_STILL` widths in a step is not a release.  `_SHARE` of the acceleration
+# by friction is that of a released mass; between 0.25 and 1 the steps at equal error change by
+# less than 3 %.
+_STILL, _SHARE = 0.05, 0.5
 
 
 @final
 class SwitchingController(dfx.AbstractAdaptiveStepSizeController):
-    """Shortens the steps of another controller before a mass reaches the belt speed.
+    """Shortens the steps of another controller where a mass reaches the belt speed or leaves it.
 
     A controller that uses only past errors enters the layer |w| < 5 eps of smoothed friction with
-    full steps, which are rejected: two thirds of all rejected steps.  This controller anticipates
-    the layer.  With w = v - v_d at the end of an accepted step and a = dw/dt over it, the next
-    step is at most
+    full steps, which are rejected.  This controller anticipates the layer.  With w = v - v_d at
+    the end of an accepted step and a = dw/dt over it, the next step is at most
 
         (|w| - landing eps) / |a|   if |w| > near eps:  it ends at the edge of the layer,
         crossing eps / |a|          otherwise:  it crosses a part of the layer,
 
-    for every mass that moves towards w = 0.  The other controller decides everything else:
-    acceptance, tolerances, and the step after a rejected one.  So the accuracy is that of the
-    tolerances, with fewer steps: in a ring of twenty by 21 to 46 % at rtol 1e-5 and by 7 to 32 %
-    at 1e-7 (widths 1e-3 to 1e-5; at 1e-2 by 10 and 3 %).  In a ring of thousands a single mass
-    hardly affects the norm of the error at a loose tolerance; there the number of steps grows, by
-    half at rtol 1e-5 and width 1e-2, and the error is smaller than requested.
+    for every mass that moves towards w = 0.  The way to the edge is corrected for the change of a,
+    which the displacements of a step reveal.
+
+    A mass is released when the force on it passes the greatest friction force.  A step over the
+    release can end in the layer, as if the mass still stuck, with a small error estimate.  So a
+    step that begins at |w| < 2.25 eps is at most 0.25 eps / |a| for a mass that moves away from
+    w = 0.  In the rest of the layer, |w| < 8 eps, an error dw of the velocity is an error dw / |a|
+    of the time of release; then the mass lags by A times that, with A half of the
+    `release_acceleration` of the field, by which it slides.  So dw counts A / |a| times.  Without
+    both, the error of a run is up to thousands of times the tolerance if the tolerance on
+    velocities is above a thirtieth of the width; with them it is a few times the tolerance.
+
+    The other controller decides everything else: acceptance, tolerances, and the step after a
+    rejected one.  In a ring of thousands a single mass hardly affects the norm of the error at a
+    loose tolerance.
 
     **Arguments:**
 
@@ -145,32 +166,65 @@ class SwitchingController(dfx.AbstractAdaptiveStepSizeController):
     def adapt_step_size(
         self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
     ):
+        before = self.field.layer(self.direction * t0, y0)
+        after = self.field.layer(self.direction * t1, y1_candidate)
+        switches = before is not None and after is not None
+        if switches:
+            y_error = self._weighted(y_error, before[0], *after, t1 - t0)
         kept, next_t0, next_t1, made_jump, state, result = self.controller.adapt_step_size(
             t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
         )
-        longest = self._longest_step(t0, t1, y0, y1_candidate, kept)
-        if longest is not None:
+        if switches:
+            h, bend = t1 - t0, self._curvature(t1 - t0, y0, y1_candidate)
+            longest = self._longest_step(t1, before[0], *after, h, bend, kept)
             next_t1 = jnp.minimum(next_t1, next_t0 + longest)
         return kept, next_t0, next_t1, made_jump, state, result
 
+    def _weighted(self, error: Any, start: Array, w: Array, width: Any, h: Any) -> Any:
+        """The error of a step from w = `start`, by its effect on the time of a release."""
+        acceleration = self.field.release_acceleration()
+        if acceleration is None or not isinstance(error, tuple):
+            return error
+        place = min(self.field.contact, len(error) - 1)
+        change = jnp.abs(w - start)
+        leaves = (w * (w - start) > 0.0) & (jnp.abs(start) < _FREE * width)
+        leaves = leaves & (jnp.abs(w) > _RELEASED * width)
+        slow = jnp.where(leaves, jnp.maximum(change, _STILL * width), 1.0)
+        weight = jnp.where(leaves, jnp.maximum(_SHARE * acceleration * h / slow, 1.0), 1.0)
+        weighted = lax.stop_gradient(weight) * error[place]
+        return (*error[:place], weighted, *error[place + 1 :])
+
+    def _curvature(self, h: Any, y0: State, y1: State) -> Any:
+        """c of v = (1 - s / h) v_0 + (s / h) v_1 + c s (s - h) with the mean (x_1 - x_0) / h."""
+        if not isinstance(self.field, AbstractOscillators | MechanicalCells):
+            return 0.0  # the integral of v need not be among its numbers
+        place = self.field.contact
+        x = place - len(y0) // 2
+        mean = (self.direction / h) * (y1[x] - y0[x])  # x' = -v while time runs backward
+        ends = 0.5 * (y0[place] + y1[place])
+        return (6.0 / h**2) * (ends - mean)
+
     def _longest_step(
-        self, t0: Any, t1: Any, y0: State, y1: State, kept: bool | Bool[ArrayLike, ""]
-    ) -> Float[Array, ""] | None:
-        """The least of the bounds over all masses; infinite where none is about to switch."""
-        before = self.field.layer(self.direction * t0, y0)
-        after = self.field.layer(self.direction * t1, y1)
-        if before is None or after is None:
-            return None
+        self, t1: Any, start: Array, w: Array, width: Any, h: Any, bend: Any, kept: Any
+    ) -> Float[Array, ""]:
+        """The least of the bounds over all masses; infinite where none applies."""
         # In backward runs w is also a function of the increasing time, so no sign changes.
-        w, width, change, h = lax.stop_gradient((*after, after[0] - before[0], t1 - t0))
-        approaching = kept & (w * change < 0.0)
-        way = jnp.where(
-            jnp.abs(w) > self.near * width,
-            jnp.abs(w) - self.landing * width,
-            self.crossing * width,
-        )
-        bound = way * h / jnp.where(approaching, jnp.abs(change), 1.0)
-        bound = jnp.min(jnp.where(approaching, bound, jnp.inf))
+        w, width, change, h, bend = lax.stop_gradient((w, width, w - start, h, bend))
+        size, moves = jnp.abs(w), w * change
+        approaching = kept & (moves < 0.0)
+        creeps = kept & (moves > 0.0) & (size > _CREEPS * width) & (size < _RELEASED * width)
+        rate = (1.0 / h) * jnp.abs(change)
+        # The edge is met where way = speed t + curve t^2, at a mean speed of half the root.
+        way, curve = size - self.landing * width, -jnp.sign(w) * bend
+        speed = rate + curve * h
+        root = speed + jnp.sqrt(jnp.maximum(speed**2 + 4.0 * curve * way, 0.0))
+        mean = jnp.where(speed > 0, jnp.clip(0.5 * root, 0.5 * rate, 2.0 * rate), rate)
+        far = size > self.near * width
+        way = jnp.where(far, way, jnp.where(creeps, _CREEP, self.crossing) * width)
+        bounded = approaching | creeps
+        time = way / jnp.where(bounded, jnp.where(far, mean, rate), 1.0)
+        # Computed before the reduction, which has no SIMD.
+        bound = jnp.min(materialize(jnp.where(bounded, time, jnp.inf)))
         return jnp.maximum(bound, self._shortest_step(lax.stop_gradient(t1)))
 
     def _shortest_step(self, t: Any) -> Float[Array, ""]:

@@ -190,14 +190,14 @@ def test_accuracy_and_tolerance_exclude_each_other():
 
 @pytest.mark.long
 def test_a_narrow_width_has_a_tolerance_that_fits_it_by_default():
-    """At 1e-6 a sticking mass would be torn off the belt; then the answer is far off."""
+    """At 2e-6 the tolerance on a velocity is above the width."""
     chain = paper_chain(1, 1.2).with_(width=1e-6)
     initial = (jnp.array([0.0]), jnp.array([1.2]))
     dry = simulate(chain, initial, 20.0, solver=EXACT, rtol=1e-10)
     run = simulate(chain, initial, 20.0)
     assert abs(float(run.state[0][0] - dry.state[0][0])) < 1e-4
     with pytest.raises(ValueError, match="too loose"):
-        simulate(chain, initial, 20.0, rtol=1e-6)
+        simulate(chain, initial, 20.0, rtol=2e-6)
 
 
 @pytest.mark.long
@@ -222,6 +222,6 @@ def test_what_the_page_on_trust_says_of_a_width_of_1e_3():
 
 
 def test_the_tolerance_follows_a_width_down_from_what_was_asked_for():
-    assert default_rtol(1, 1e-6, -0.9) == pytest.approx(1e-6 / 30)
+    assert default_rtol(1, 1e-6, -0.9) == pytest.approx(1e-6 / 3)
     assert default_rtol(1, 1e-2, [0.1, 0.9]) == 1e-6
-    assert default_rtol(4, [1e-2, 1e-6], 0.9) == pytest.approx(1e-6 / 60)
+    assert default_rtol(4, [1e-2, 1e-6], 0.9) == pytest.approx(1e-6 / 6)

@@ -13,6 +13,7 @@ from systems.oscillators import LinearRing
 
 from jaxchain import (
     Chain,
+    EventDriven,
     ExponentialDecay,
     Rodas4,
     Rodas5P,
@@ -63,25 +64,28 @@ def exact():
 @pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("solver", "saved"),
-    [
-        (Rodas4(1), {1e-5: 0.3, 1e-6: 0.2, 1e-7: 0.1}),
-        (Rodas5P(1), {1e-6: 0.25, 1e-7: 0.15, 1e-8: 0.1}),
-    ],
+    ("solver", "tolerances"), [(Rodas4(1), (1e-6, 1e-5)), (Rodas5P(1), (1e-6, 5e-6))]
 )
-def test_fewer_steps_at_no_greater_error_on_the_stiff_chain(solver, saved, exact):
-    plain, switching = stiff_run(solver, False), stiff_run(solver, True)
-    growth = []
-    for rtol, share in saved.items():
-        (y, steps, rejected), (own, own_steps, own_rejected) = (
-            run(SPEEDS, rtol) for run in (plain, switching)
-        )
-        assert own_steps.sum() <= (1 - share) * steps.sum()
-        assert own_rejected.sum() <= 0.8 * rejected.sum()
-        error, own_error = (np.max(np.abs(s - exact), axis=(1, 2)) for s in (y, own))
-        growth.append(np.log(own_error / error))
-    # A lane near a change of its motion errs by anything, so that a mean would say nothing.
-    assert np.exp(np.median(growth)) <= 1.2
+def test_fewer_steps_at_no_greater_error_on_the_stiff_chain(solver, tolerances, exact):
+    (y, steps, rejected), (own, own_steps, own_rejected) = (
+        stiff_run(solver, switching)(SPEEDS, rtol)
+        for switching, rtol in zip((False, True), tolerances, strict=True)
+    )
+    assert own_steps.sum() <= 0.85 * steps.sum()
+    assert own_rejected.sum() <= 0.7 * rejected.sum()
+    error, own_error = (np.max(np.abs(s - exact), axis=(1, 2)) for s in (y, own))
+    assert np.median(np.log(own_error / error)) <= np.log(1.2)
+
+
+@pytest.mark.parametrize("solver", [Rodas4(1), pytest.param(Rodas5P(1), marks=pytest.mark.long)])
+def test_the_error_is_that_of_the_tolerance_however_loose(solver, exact):
+    """Also where the tolerance on a velocity is a third of the width; sqrt(20) times for one."""
+    run = stiff_run(solver, True)
+    for rtol in (1e-4, 1e-5, 1e-6):
+        assert np.max(np.abs(run(SPEEDS, rtol)[0] - exact)) <= 4 * rtol
+    if solver == Rodas4(1):
+        without = np.max(np.abs(stiff_run(solver, False)(SPEEDS, 1e-4)[0] - exact), axis=(1, 2))
+        assert np.all(without > 0.1)
 
 
 @pytest.mark.long
@@ -103,12 +107,13 @@ def test_simulate_uses_it():
     chain = paper_chain(4, belt_speed=1.3, width=1e-4)
     y0 = equation_8(chain, 2)
     own = simulate(chain, y0, 30.0, solver=Rodas4(1))
+    inner = pid(dtmax=0.5, pcoeff=0.3, icoeff=0.7)
     plain, switching = (
-        int(solve(chain, Rodas4(1), controller, y0, 30.0).stats["num_steps"])
-        for controller in (pid(dtmax=0.5), SwitchingController(pid(dtmax=0.5), chain))
+        solve(chain, Rodas4(1), controller, y0, 30.0).stats
+        for controller in (inner, SwitchingController(inner, chain))
     )
-    assert int(own.steps + own.rejected) == pytest.approx(switching, rel=0.02)
-    assert switching < 0.85 * plain
+    assert int(own.steps + own.rejected) == pytest.approx(int(switching["num_steps"]), rel=0.02)
+    assert switching["num_rejected_steps"] < 0.85 * plain["num_rejected_steps"]
 
 
 @pytest.mark.long
@@ -195,18 +200,21 @@ def test_time_may_run_backward(acceleration):
     assert counts[1] < counts[0]
 
 
-def next_step(field, w0, w1, *, t=1.0, h=0.1, error=0.0, **constants: Any):
-    """The step after one of length h from w0 to w1; PID control alone would take ten times h."""
+def next_step(field, w0, w1, *, t=1.0, h=0.1, error=0.0, kept=True, bend=0.0, **constants: Any):
+    """The step after one of length h from w0 to w1; PID control alone would take ten times h.
+
+    In between w = w0 + (w1 - w0) s / h + bend s (s - h).
+    """
     controller = SwitchingController(pid(), field, **constants).wrap(1)
     speed = field.belt_speed
-    x = jnp.zeros(2)
-    y0, y1 = (x, speed + jnp.asarray(w0)), (x, speed + jnp.asarray(w1))
+    v0, v1 = speed + jnp.asarray(w0), speed + jnp.asarray(w1)
+    x0, x1 = jnp.zeros(2), h * (v0 + v1) / 2 - bend * h**3 / 6
     one = jnp.asarray(1.0)
-    kept, start, end, *_ = controller.adapt_step_size(
-        jnp.asarray(t), jnp.asarray(t + h), y0, y1, None, (x, x + error), 4.0,
+    was_kept, start, end, *_ = controller.adapt_step_size(
+        jnp.asarray(t), jnp.asarray(t + h), (x0, v0), (x1, v1), None, (x0, x0 + error), 4.0,
         (one, one, jnp.asarray(False)),
     )  # fmt: skip
-    assert bool(kept) == (error == 0.0)
+    assert bool(was_kept) == kept
     return float(end - start)
 
 
@@ -244,7 +252,31 @@ def test_all_other_motions_are_left_alone(w0, w1):
 
 def test_a_rejected_step_is_left_to_the_other_controller():
     chain = paper_chain(2, belt_speed=1.3, width=1e-2)
-    assert next_step(chain, [0.2, 0.2], [0.07, 0.1], error=1.0) == pytest.approx(0.02)
+    after = next_step(chain, [0.2, 0.2], [0.07, 0.1], error=1.0, kept=False)
+    assert after == pytest.approx(0.02)
+
+
+@pytest.mark.parametrize("bend", [0.4, -2.0])
+def test_the_way_to_the_layer_follows_the_curvature_of_the_velocity(bend):
+    # w = 0.6 - s + bend s (s - 0.1) after s = 0.1: |w| = 0.054 is a root.
+    chain, h = paper_chain(2, belt_speed=1.3, width=1e-2), 0.1
+    after = next_step(chain, [0.6, 9.0], [0.5, 9.0], h=h, bend=bend)
+    s = h + after
+    assert 0.6 - s + bend * s * (s - h) == pytest.approx(0.054)
+    assert abs(after - 0.446) > 0.05  # without it
+
+
+def test_the_error_of_a_mass_counts_more_while_it_leaves_the_belt():
+    chain = paper_chain(2, belt_speed=1.3, width=1e-2)
+    away, slow = [-0.025, -9.0], [-0.02, -9.0]
+    # A change by 0.005 in 0.1, where friction accelerates by 1: its error counts ten times.
+    next_step(chain, slow, away, error=1e-6, kept=False)
+    next_step(chain, away, slow, error=1e-6)
+    next_step(chain, slow, away, error=1e-7)
+    next_step(chain.with_(normal_load=0.2), slow, away, error=5e-7)
+    next_step(chain, [-0.001, -9.0], [-0.006, -9.0], error=1e-6)  # still held
+    next_step(chain, [-0.10, -9.0], [-0.105, -9.0], error=1e-6)  # released
+    next_step(chain, [-0.02, -9.0], [-0.07, -9.0], error=1e-6)  # fast
 
 
 @pytest.mark.parametrize("direction", [1, -1])
@@ -306,7 +338,12 @@ def test_a_sticking_mass_does_not_stall_the_run(belt_speed, width):
         solve(chain, Rodas4(), controller, y0, span, max_steps=100_000)
         for controller in (pid(dtmax=0.5), SwitchingController(pid(dtmax=0.5), chain))
     )
-    assert int(own.stats["num_steps"]) <= 1.05 * int(plain.stats["num_steps"])
+    assert int(own.stats["num_steps"]) <= 2.2 * int(plain.stats["num_steps"])
+    # Without the control the second error is 0.1 and 1.3 for a width of 1e-8.
+    if width < 1e-4 and belt_speed > 0.01:
+        dry = simulate(chain, y0, span, solver=EventDriven(order=8), rtol=1e-9)
+        end = np.stack(own.ys)[:, 0]
+        np.testing.assert_allclose(end, np.stack(dry.state), atol=5e-4)
 
 
 def test_wrong_input_is_named():
