@@ -528,6 +528,10 @@ class BurridgeKnopoff(_AbstractPulled):
         """(v, width): friction turns round as a block comes to rest."""
         return v, self.friction.width
 
+    def release_acceleration(self) -> PerMass:
+        """mu_st / m."""
+        return self.friction.law.mu_static / self.mass
+
     def rate(self, t: ScalarLike, left: State, own: State, right: State) -> Rates:
         u, v = own
         pull = self.stiffness * u - self.coupling * _bend(left, own, right)
