@@ -19,7 +19,7 @@ from peers import CompiledRing
 from timing import Skipped
 
 from jaxchain.simulation.accuracy import MAX_STEP
-from jaxchain.solvers.step_control import CROSSING, LANDING, NEAR
+from jaxchain.solvers import step_control
 
 SOURCE = """
 #include <math.h>
@@ -57,13 +57,26 @@ double run(long steps, long lanes, double h, double *x, double *v, const double 
     return sum;
 }}
 
-/* The longest next step, which neither misses nor leaps over a layer: see SwitchingController. */
-static double longest(double h, const double *before, const double *v, const double *p) {{
+/* The longest next step: see SwitchingController. `before` and `now` are (x, v). */
+static double longest(double h, const double (*before)[{n}], const double *x, const double *v,
+                      const double *p) {{
     double bound = {max_step!r};
     for (int i = 0; i < {n}; i++) {{
-        double w = v[i] - p[0], change = v[i] - before[i], size = fabs(w);
-        double way = size > {near!r} * p[1] ? size - {landing!r} * p[1] : {crossing!r} * p[1];
-        if (w * change < 0) bound = fmin(bound, way * h / fabs(change));
+        double w = v[i] - p[0], change = v[i] - before[1][i], size = fabs(w) / p[1];
+        double rate = fabs(change) / h, mean = rate;
+        if (w * change < 0 && size > {NEAR!r}) {{
+            double way = fabs(w) - {LANDING!r} * p[1];
+            double bend = 6 / (h * h)
+                * (0.5 * (v[i] + before[1][i]) - (x[i] - before[0][i]) / h);
+            double curve = w > 0 ? -bend : bend, speed = rate + curve * h;
+            double root = speed + sqrt(fmax(speed * speed + 4 * curve * way, 0));
+            if (speed > 0) mean = fmin(fmax(0.5 * root, 0.5 * rate), 2 * rate);
+            bound = fmin(bound, way / mean);
+        }} else if (w * change < 0) {{
+            bound = fmin(bound, {CROSSING!r} * p[1] / rate);
+        }} else if (w * change > 0 && size > {CREEPS!r} && size < {RELEASED!r}) {{
+            bound = fmin(bound, {CREEP!r} * p[1] / rate);
+        }}
     }}
     return bound;
 }}
@@ -71,21 +84,22 @@ static double longest(double h, const double *before, const double *v, const dou
 /* Integrates `lanes` chains to t1, each with its own steps. */
 void integrate(long lanes, double t1, double rtol, double *x, double *v, const double *p) {{
     for (long lane = 0; lane < lanes; lane++, x += {n}, v += {n}, p += 8) {{
-        double t = 0, h = 1e-3, before[2][{n}];
+        double t = 0, h = 1e-3, before[2][{n}], last_error = 1;
         while (t < t1) {{
             int last = t + h >= t1 * (1 - 1e-14);
             if (last) h = t1 - t;
             memcpy(before[0], x, sizeof before[0]);
             memcpy(before[1], v, sizeof before[1]);
             double error = sqrt(step(h, rtol, x, v, p) / (2 * {n}));
-            double factor = fmin(10, fmax(0.2, 0.9 * pow(error, -1.0 / {order})));
+            double factor = 0.9 * pow(error, -1.0 / {order}) * pow(last_error, {p} / {order});
             if (error <= 1) {{
                 t = last ? t1 : t + h;
-                h = fmin(h * factor, longest(h, before[1], v, p));
+                last_error = error;
+                h = fmin(h * fmin(10, fmax(1, factor)), longest(h, before, x, v, p));
             }} else {{ /* or not a number */
                 memcpy(x, before[0], sizeof before[0]);
                 memcpy(v, before[1], sizeof before[1]);
-                h *= error > 1 ? fmin(1, factor) : 0.2;
+                h *= error > 1 ? fmin(0.9, fmax(0.2, factor)) : 0.2;
             }}
         }}
     }}
@@ -130,13 +144,18 @@ def source(n: int, solver: Any) -> str:
         double ex = h * ({total(tab.beta[-1], tab.alpha[-1])}), ev = b[{stages - 1}][i];
         double xn = x[i - 1] + h * ({total(tab.end_b, tab.end_v)});
         double vn = v[i - 1] + {total(tab.a[-1])} + ev;
+        double w = v[i - 1] - p[0], after = vn - p[0], change = fabs(after - w);
+        if (fabs(w) < {step_control.FREE} * p[1] && fabs(after) > {step_control.RELEASED} * p[1]
+                && after * (after - w) > 0)
+            ev *= fmax(1, {step_control.SHARE} * p[5] * h
+                / fmax(change, {step_control.STILL} * p[1]));
         ex /= rtol * (0.1 + fmax(fabs(x[i - 1]), fabs(xn)));
         ev /= rtol * (0.1 + fmax(fabs(v[i - 1]), fabs(vn)));
         sum += ex * ex + ev * ev;
         x[i - 1] = xn;
         v[i - 1] = vn;
     }}""")
-    numbers = {"near": NEAR, "landing": LANDING, "crossing": CROSSING, "max_step": MAX_STEP}
+    numbers = vars(step_control) | {"max_step": MAX_STEP, "p": 0.3}
     numbers |= {"n": n, "stages": stages, "gamma": tab.gamma, "order": solver.order(None)}
     return SOURCE.format(body="\n".join(lines), **numbers)
 

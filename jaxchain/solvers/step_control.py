@@ -39,12 +39,12 @@ CROSSING = 3.0
 # quarter of a width at the rate of the step before; with half a width one run in a hundred errs by
 # a thousand times the tolerance at a width of 1e-6.  Between the last two an error of the velocity
 # is hardly damped any more, and the mass is still slow.
-_CREEPS, _RELEASED, _FREE = 0.1, 2.25, 8.0
-_CREEP = 0.25
-# A change by less than `_STILL` widths in a step is not a release.  `_SHARE` of the acceleration
+CREEPS, RELEASED, FREE = 0.1, 2.25, 8.0
+CREEP = 0.25
+# A change by less than `STILL` widths in a step is not a release.  `SHARE` of the acceleration
 # by friction is that of a released mass; between 0.25 and 1 the steps at equal error change by
 # less than 3 %.
-_STILL, _SHARE = 0.05, 0.5
+STILL, SHARE = 0.05, 0.5
 
 
 @final
@@ -187,10 +187,10 @@ class SwitchingController(dfx.AbstractAdaptiveStepSizeController):
             return error
         place = min(self.field.contact, len(error) - 1)
         change = jnp.abs(w - start)
-        leaves = (w * (w - start) > 0.0) & (jnp.abs(start) < _FREE * width)
-        leaves = leaves & (jnp.abs(w) > _RELEASED * width)
-        slow = jnp.where(leaves, jnp.maximum(change, _STILL * width), 1.0)
-        weight = jnp.where(leaves, jnp.maximum(_SHARE * acceleration * h / slow, 1.0), 1.0)
+        leaves = (w * (w - start) > 0.0) & (jnp.abs(start) < FREE * width)
+        leaves = leaves & (jnp.abs(w) > RELEASED * width)
+        slow = jnp.where(leaves, jnp.maximum(change, STILL * width), 1.0)
+        weight = jnp.where(leaves, jnp.maximum(SHARE * acceleration * h / slow, 1.0), 1.0)
         weighted = lax.stop_gradient(weight) * error[place]
         return (*error[:place], weighted, *error[place + 1 :])
 
@@ -212,7 +212,7 @@ class SwitchingController(dfx.AbstractAdaptiveStepSizeController):
         w, width, change, h, bend = lax.stop_gradient((w, width, w - start, h, bend))
         size, moves = jnp.abs(w), w * change
         approaching = kept & (moves < 0.0)
-        creeps = kept & (moves > 0.0) & (size > _CREEPS * width) & (size < _RELEASED * width)
+        creeps = kept & (moves > 0.0) & (size > CREEPS * width) & (size < RELEASED * width)
         rate = (1.0 / h) * jnp.abs(change)
         # The edge is met where way = speed t + curve t^2, at a mean speed of half the root.
         way, curve = size - self.landing * width, -jnp.sign(w) * bend
@@ -220,7 +220,7 @@ class SwitchingController(dfx.AbstractAdaptiveStepSizeController):
         root = speed + jnp.sqrt(jnp.maximum(speed**2 + 4.0 * curve * way, 0.0))
         mean = jnp.where(speed > 0, jnp.clip(0.5 * root, 0.5 * rate, 2.0 * rate), rate)
         far = size > self.near * width
-        way = jnp.where(far, way, jnp.where(creeps, _CREEP, self.crossing) * width)
+        way = jnp.where(far, way, jnp.where(creeps, CREEP, self.crossing) * width)
         bounded = approaching | creeps
         time = way / jnp.where(bounded, jnp.where(far, mean, rate), 1.0)
         # Computed before the reduction, which has no SIMD.
