@@ -280,10 +280,9 @@ def check_resolved(
     """Raises `ValueError` if the tolerance on velocities is too coarse for the width.
 
     A mass sticks with |w| < eps, about.  If the tolerance on its velocity, atol + rtol |v_d|, is
-    greater, it need not stick where it should.  At eps = atol + rtol |v_d| the error of 128 random
-    runs of one mass over 50 time units is at most 2 to 4 times the tolerance on velocities (at a
-    width of 1e-2 13 times).  The norm of the error is a mean over masses, so one of n masses may
-    have sqrt(n) times the tolerance; the norm limits n to 20.
+    greater, it need not stick where it should; up to there the error of a run is a few times its
+    tolerance (see `SwitchingController`).  The norm of the error is a mean over masses, so one of
+    n masses may have sqrt(n) times the tolerance; the norm limits n to 20.
     """
     if is_traced(width, belt_speed, rtol, atol):
         return
