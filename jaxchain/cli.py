@@ -76,10 +76,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         if signal.getsignal(number) is signal.SIG_DFL:
             signal.signal(number, signal.default_int_handler)
     try:
-        options = _parser().parse_args(arguments, argparse.Namespace(arguments=arguments))
-        status = options.command(options) or 0
-        sys.stdout.flush()
-        return status
+        try:
+            options = _parser().parse_args(arguments, argparse.Namespace(arguments=arguments))
+            return options.command(options) or 0
+        finally:  # also after --help, which exits
+            sys.stdout.flush()
     except BrokenPipeError:  # the output is closed: Python must not flush at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1

@@ -511,7 +511,8 @@ class LeftAndRight(Line):
 def test_classifiers_and_regions_are_honoured_by_shares():
     chain = jc.paper_chain(1, belt_speed=2.0, width=None)
     ask = {"t1": 3.0, "half_width": 0.2}
-    found = basin_shares(chain, LeftAndRight(), classify=Named(), **ask)
+    with pytest.warns(UserWarning, match="in another state at 4 t1"):
+        found = basin_shares(chain, LeftAndRight(), classify=Named(), **ask)
     assert sorted(found.state.values.tolist()) == ["code 5", "code 6", "undecided"]
     assert found.side.sel(state="code 6") == 6
     assert found.share.sel(state="code 5") == pytest.approx(0.5, abs=0.1)
