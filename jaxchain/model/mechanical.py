@@ -244,7 +244,8 @@ class MechanicalCells(AbstractCells):
         """p mu_st times its share b_u of the contact; None without smoothed friction."""
         if not isinstance(self.friction, TanhFriction):
             return None
-        return self.static_limit() * self.compliance()[self.sliding]
+        share: Any = self.compliance()[self.sliding]
+        return self.static_limit() * share
 
     def forcing_period(self) -> ScalarLike | None:
         """2 pi / omega; None without forcing."""

@@ -167,16 +167,15 @@ class SwitchingController(dfx.AbstractAdaptiveStepSizeController):
     ):
         before = self.field.layer(self.direction * t0, y0)
         after = self.field.layer(self.direction * t1, y1_candidate)
-        switches = before is not None and after is not None
-        if switches:
-            y_error = self._weighted(y_error, before[0], *after, t1 - t0)
+        moved = None if before is None or after is None else (before[0], *after, t1 - t0)
+        if moved is not None:
+            y_error = self._weighted(y_error, *moved)
         kept, next_t0, next_t1, made_jump, state, result = self.controller.adapt_step_size(
             t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
         )
-        if switches:
-            h, bend = t1 - t0, self._curvature(t1 - t0, y0, y1_candidate)
-            longest = self._longest_step(t1, before[0], *after, h, bend, kept)
-            next_t1 = jnp.minimum(next_t1, next_t0 + longest)
+        if moved is not None:
+            bend = self._curvature(t1 - t0, y0, y1_candidate)
+            next_t1 = jnp.minimum(next_t1, next_t0 + self._longest_step(t1, *moved, bend, kept))
         return kept, next_t0, next_t1, made_jump, state, result
 
     def _weighted(self, error: Any, start: Array, w: Array, width: Any, h: Any) -> Any:
