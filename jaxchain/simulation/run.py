@@ -174,9 +174,9 @@ def simulate(
     if rtol is None:
         tolerance = USUAL_RTOL
         if smoothed and isinstance(chain, Chain):
-            tolerance = default_rtol(chain.n, chain.width, chain.belt_speed)
+            tolerance = default_rtol(chain.n, chain.width, chain.belt_speed, solver)
     initial = _check_input(
-        chain, initial, t0, t1, tolerance, atol, max_step, max_steps, segments, smoothed
+        chain, initial, t0, t1, tolerance, atol, max_step, max_steps, segments, smoothed, solver
     )
     if solver is None:
         solver = choose_solver(
@@ -365,11 +365,12 @@ def _check_input(
     max_steps: int | None,
     segments: int | None,
     smoothed: bool,
+    solver: Any,
 ) -> State:
     check_span(t0, t1)
     check_tolerances(rtol, atol, max_step)
     if isinstance(chain, Chain) and smoothed:
-        check_resolved(chain.n, chain.width, chain.belt_speed, rtol, atol)
+        check_resolved(chain.n, chain.width, chain.belt_speed, rtol, atol, solver)
     check_count("max_steps", max_steps)
     check_segments(segments)
     return as_state(chain, initial, t0=t0)

@@ -262,10 +262,10 @@ def prepare(settings: RunSettings, over: Mapping[str, Any], most: int) -> Ensemb
     width: Any = columns.get("width", chain.width) if known else None
     speed: Any = columns.get("belt_speed", chain.belt_speed) if known else None
     if rtol is None:
-        rtol = default_rtol(n, width, speed) if smoothed and known else USUAL_RTOL
+        rtol = default_rtol(n, width, speed, solver) if smoothed and known else USUAL_RTOL
     check_tolerances(rtol, atol, max_step)
     if smoothed and known and accuracy is None:
-        check_resolved(n, width, speed, rtol, atol)
+        check_resolved(n, width, speed, rtol, atol, solver)
     check_segments(settings.segments)
     observers = check_observers(
         settings.observe, chain, (m, n), float(t0), float(t1), settings.segments, axes

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from diffrax import Tsit5
 
 from jaxchain import (
     Amplitude,
@@ -225,3 +226,12 @@ def test_the_tolerance_follows_a_width_down_from_what_was_asked_for():
     assert default_rtol(1, 1e-6, -0.9) == pytest.approx(1e-6 / 3)
     assert default_rtol(1, 1e-2, [0.1, 0.9]) == 1e-6
     assert default_rtol(4, [1e-2, 1e-6], 0.9) == pytest.approx(1e-6 / 6)
+
+
+def test_a_stock_solver_needs_a_tolerance_ten_times_as_tight():
+    chain = paper_chain(1, 1.2).with_(width=1e-3)
+    start = equation_8(chain, 1)
+    assert default_rtol(1, 1e-6, 0.9, Tsit5()) == pytest.approx(1e-6 / 30)
+    simulate(chain, start, 1.0, rtol=5e-4)
+    with pytest.raises(ValueError, match="too loose"):
+        simulate(chain, start, 1.0, rtol=5e-4, solver=Tsit5())
