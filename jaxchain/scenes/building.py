@@ -326,12 +326,13 @@ def _check(
         m = len(as_state(chain, initial(chain)))  # raises for a `rate` that does not fit
     size = m, experiment.n
     check_observers(observe, chain, size, 0.0, time.transient + time.window, None, axes)
+    solver = None
     if numerics.model != "dry":
-        build_solver(numerics.solver, chain, numerics.rtol, numerics.max_step)
+        solver = build_solver(numerics.solver, chain, numerics.rtol, numerics.max_step)
     if numerics.model != "dry" and isinstance(chain, Chain):
         swept: dict[str, Any] = {name: axis[name] for name, axis in axes.items()}
         width, speed = swept.get("width", chain.width), swept.get("belt_speed", chain.belt_speed)
-        check_resolved(chain.n, width, speed, numerics.rtol, numerics.atol)
+        check_resolved(chain.n, width, speed, numerics.rtol, numerics.atol, solver)
 
 
 def load_model(given: str, scene: str) -> type[AbstractCells]:
