@@ -198,13 +198,22 @@ def _step_length(plan: EventDrivenPlan, series: Series) -> Array:
 
 
 class _Motion(eqx.Module):
-    """A step's dense output: its Taylor series over theta in [0, 1]."""
+    """A step's dense output: its Taylor series over theta in [0, 1].
 
-    coefficients: list[list[Array]]
+    Displacements are computed from the coefficients of their velocities, where they are read: a
+    branch copies, and a note keeps, half as much.
+    """
+
+    start: list[Array]  # the displacements
+    v: list[list[Array]]
     length: Array
 
     def __call__(self, theta: Any, part: int) -> Array:
-        return value(self.coefficients[part], theta * self.length)
+        d, t = len(self.v), theta * self.length
+        if part >= d:
+            return value(self.v[part - d], t)
+        rates = self.v[part][:-1]
+        return value([self.start[part], *(a / (k + 1) for k, a in enumerate(rates))], t)
 
 
 class _StoredMotion(eqx.Module):
@@ -343,7 +352,7 @@ class EventDrivenPlan(AbstractPlan):
 
         accumulators, result, notes = progress.accumulators, progress.result, []
         if self.observers:
-            motion_of = _Motion([series.part(k) for k in range(2 * d)], length)
+            motion_of = _Motion([part[0] for part in series.x], series.v, length)
             step = Step(field, t0, t1, progress.state, state, motion_of)
             pairs = zip(self.observers, accumulators, strict=True)
             notes = [o.note(step) for o in self.observers if noting and _notes(o)]

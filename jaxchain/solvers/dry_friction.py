@@ -108,17 +108,6 @@ class Series(eqx.Module):
     w: list[Array]
     r: list[Array]
 
-    def part(self, k: int) -> list[Array]:
-        """Number k of the state.
-
-        A displacement is computed from its velocity: a branch that reads only the velocity copies
-        half as much.
-        """
-        d = len(self.x)
-        if k >= d:
-            return self.v[k - d]
-        return [self.x[k][0], *(a / (j + 1) for j, a in enumerate(self.v[k][:-1]))]
-
 
 def expand(chain: Dry, t: Any, state: State, modes: Modes, order: int) -> Series:
     """The motion as a Taylor series up to `order`, every mass in its mode.
