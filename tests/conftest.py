@@ -19,7 +19,7 @@ from pathlib import Path
 # see. A jaxlib that does not know a flag ends the process, so another one asks. Workers, and the
 # processes that tests start, take over what the first process has found.
 if "XLA_FLAGS" not in os.environ and "JAX_PLATFORMS" not in os.environ:
-    flags = "--xla_backend_optimization_level=1 --xla_cpu_use_fusion_emitters=false"
+    flags = "--xla_backend_optimization_level=1"
     asked = subprocess.run(
         [sys.executable, "-c", "from jaxlib import xla_client; xla_client.make_cpu_client()"],
         env=os.environ | {"XLA_FLAGS": flags}, capture_output=True,
