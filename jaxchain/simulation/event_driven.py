@@ -187,14 +187,16 @@ def _notes(observer: AbstractObserver) -> TypeGuard[AbstractNotingObserver]:
 
 def _step_length(plan: EventDrivenPlan, series: Series) -> Array:
     """The step whose last two terms stay within the tolerance (Jorba and Zou)."""
-    pairs = list(zip(series.x, series.v, strict=True))
-    scales = [plan.atol + plan.rtol * jnp.maximum(jnp.abs(x[0]), jnp.abs(v[0])) for x, v in pairs]
-    lengths = [plan.max_step]
+    per_scale = [
+        1.0 / (plan.atol + plan.rtol * jnp.maximum(jnp.abs(x[0]), jnp.abs(v[0])))
+        for x, v in zip(series.x, series.v, strict=True)
+    ]
+    logs = []
     for k in (plan.order - 1, plan.order):
-        terms = [jnp.max(jnp.abs(v[k]) / s) for (_, v), s in zip(pairs, scales, strict=True)]
+        terms = [jnp.max(jnp.abs(v[k]) * s) for v, s in zip(series.v, per_scale, strict=True)]
         term = functools.reduce(jnp.maximum, terms)
-        lengths.append(jnp.maximum(term, 1e-300) ** (-1.0 / k))
-    return jnp.minimum(jnp.minimum(lengths[0], lengths[1]), lengths[2])
+        logs.append(jnp.log(jnp.maximum(term, 1e-300)) / k)
+    return jnp.minimum(plan.max_step, jnp.exp(-jnp.maximum(*logs)))
 
 
 class _Motion(eqx.Module):
@@ -333,10 +335,11 @@ class EventDrivenPlan(AbstractPlan):
         moving = [value_and_slope(part, length) for part in series.v]
         v, rates = ([materialize(pair[i]) for pair in moving] for i in (0, 1))
         here = v[place - d], rates[place - d]
+        # Rounding, and so only its derivatives are computed.
         of_events, shift = shifts(field, series, modes, length, hits, *here)
-        x = [a + shift * b for a, b in zip(x, v, strict=True)]
-        v = [a + shift * b for a, b in zip(v, rates, strict=True)]
-        length = length + shift
+        x = [a + change_alone(shift * b) for a, b in zip(x, v, strict=True)]
+        v = [a + change_alone(shift * b) for a, b in zip(v, rates, strict=True)]
+        length = length + change_alone(shift)
         t1 = t0 + length
         state, new = after(field, t1, (*x, *v), modes, hits, length > 0)
         gains = head_start(field, t1, state, modes, new, hits, shift - of_events)
@@ -344,7 +347,7 @@ class EventDrivenPlan(AbstractPlan):
         state = (*state[:d], *gained)
         # NaN if any is NaN.
         sizes = [jnp.abs(part) for part in (*x, *v)]
-        greatest = jnp.max(materialize(functools.reduce(jnp.maximum, sizes)))
+        greatest = jnp.max(functools.reduce(jnp.maximum, sizes))
         finite = jnp.isfinite(greatest)
         meets = last & ~early & ~jnp.any(hits)
         t1 = jnp.where(finite, jnp.where(meets, end, t1), t0)

@@ -25,7 +25,6 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from .._computed_once import materialize
 from .._types import PerMass, State
 from ..model.chain import Chain
 from ..model.mechanical import MechanicalCells
@@ -143,7 +142,7 @@ def expand(chain: Dry, t: Any, state: State, modes: Modes, order: int) -> Series
                 holding = jnp.where(slides, force, r[k])
                 change = (a[i] if b[i] is None else a[i] - b[i] * holding) / (k + 1)
             x[i].append(v[i][k] / (k + 1))
-            v[i].append(materialize(change))
+            v[i].append(change)
         speed.append(direction * v[u][k + 1])
     return Series(x, v, [v[u][0] - chain.belt_speed, *v[u][1:]], r)
 
@@ -168,7 +167,6 @@ def _free_series(chain: Dry, t: Any, x: list, v: list) -> Callable[[int], tuple[
         return lambda k: tuple(part[k] for part in series)
     springs, n = chain.springs, x[0][0].shape[0]
     damping, stiffness = 2.0 * chain.damping_ratio, chain.stiffness_diagonal(n)
-    # The inputs of the next terms are computed once: see `materialize`.
     pull = PowerSeries(  # C x_k
         lambda k: (
             0.0 if springs is None
@@ -229,7 +227,7 @@ def next_event(chain: Dry, series: Series, modes: Modes, length: Array) -> tuple
         direction * jnp.where(contact == 0, a, jnp.where(contact == 1, b, c))
         for a, b, c in zip(w, padded[1:], padded[2:], strict=False)
     ]
-    watched = [materialize(jnp.where(slides, a, b)) for a, b in zip(left, series.r, strict=True)]
+    watched = [jnp.where(slides, a, b) for a, b in zip(left, series.r, strict=True)]
     hold = static_limit(chain)
     speed = 1.0 + jnp.abs(chain.belt_speed)
     return first_exit(

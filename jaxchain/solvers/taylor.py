@@ -268,7 +268,7 @@ def _solved(
 ) -> PowerSeries:
     """y with y_0 = first and y' = g a': k y_k = sum_{j=1..k} j a_j g_{k-j}, where g = slope(y)."""
 
-    rising = PowerSeries(lambda j: _once(j * a[j]))  # the coefficients of t a'
+    rising = PowerSeries(lambda j: j * a[j])  # the coefficients of t a'
 
     def rule(k: int) -> Any:
         if k == 0:
@@ -500,9 +500,9 @@ def first_exit(
     All are in their bands throughout [0, t]; if none exits, t < end only says that the search was
     not finished.
     """
-    # Each round is computed once: see `materialize`.
-    curvature = materialize(greatest_curvature(coefficients, end))
+    curvature = greatest_curvature(coefficients, end)
     first = _time_inside(coefficients[0], coefficients[1], lower, upper, curvature)
+    # Each round is computed once: see `materialize`.
     before = materialize(jnp.minimum(first, end))
     q, slope = value_and_slope(coefficients, before)
     # All terms beyond the first two are less than the bound of their second derivatives.
@@ -529,7 +529,6 @@ def first_exit(
         distance = jnp.where(rate > 0, up, down)
         # One array for both: not certain to stay, or leaves at t.
         kind = jnp.where((back <= 0) | inside, jnp.where(distance <= least, 1, 0), -1)
-        kind = materialize(kind.astype(t.dtype))
         until = jnp.min(jnp.where(kind < 0, sure, t))
         return until, (kind > 0) & (until >= t)
 
