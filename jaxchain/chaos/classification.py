@@ -199,7 +199,7 @@ class Criteria:
       orbit much farther away is a different one.
     - `sits`: spread of a run that stays on its orbit: above the solver's error of 1e-6, below that
       of a passage near an unstable orbit.
-    - `gap`: the residual of Newton's method, relative to the (least) amplitude.
+    - `gap`: the residual of Newton's method, relative to the amplitude of each number of a cell.
     - `zero`: exponents (per time unit) of neutral directions: a tenth of the weakest chaos and of
       the slowest relaxation seen in blocks of vibrating masses, 1e-3.  Give a smaller one for
       cells that are damped more weakly, or whose periods are much longer than 2 pi.
@@ -683,7 +683,6 @@ def judge_orbit(
         return evidence
     # The size of the orbit in each component; one that does not move is noise.
     scale = np.repeat(np.where(moves, size, np.inf), n) if len(moves) > 1 else size
-    least = float(np.min(scale))
     evidence.active = amplitude[-1] > 0.5 * max(size[0], criteria.rest)
     masses = np.flatnonzero(evidence.active)
     if masses.size:
@@ -720,9 +719,9 @@ def judge_orbit(
     if orbit is None:
         start = tuple(jnp.asarray(part) for part in np.split(point, len(trial.state)))
         orbit = refine_orbit(
-            task.chain, start, period, solver=task.solver, rtol=min(task.rtol, 1e-9)
+            task.chain, start, period, solver=task.solver, rtol=min(task.rtol, 1e-9), scale=scale
         )
-        if not (orbit.gap < criteria.gap * least and orbit.distance < 4 * criteria.near * least):
+        if not (orbit.gap < criteria.gap and orbit.distance < 4 * criteria.near):
             return evidence
         orbits.append((reference, point, orbit))
     _enter_orbit(evidence, orbit, evidence.spread < criteria.sits)

@@ -394,8 +394,9 @@ class RefinedOrbit(NamedTuple):
 
 
 def refine_orbit(
-    chain: Any, state: State, period: Any, *, solver: Any = None, rtol: Any = 1e-9
-) -> RefinedOrbit:
+    chain: Any, state: State, period: Any, *, solver: Any = None, rtol: Any = 1e-9,
+    scale: Any = 1.0,
+) -> RefinedOrbit:  # fmt: skip
     """The periodic orbit near a state that nearly returns after `period`, by Newton's method.
 
     Solves flow(y, T) = y with the correction at right angles to the orbit:
@@ -404,11 +405,12 @@ def refine_orbit(
 
     with at most 8 integrations.  A mass that sticks at the start also sticks in the result.  If
     the orbit already returns after 1/k of `period` (k up to 16), it is solved again with that
-    fraction. Check `gap` and `distance` first.  The period of a forced orbit, whose `state` is
+    fraction. Check `gap` and `distance` first; they are divided by `scale`, the size of each
+    number of the state or of all.  The period of a forced orbit, whose `state` is
     that at t = 0, is kept, dT = 0, or divided so that it is still a multiple of that of the force.
     """
     equations = _States(chain, rtol, custom_solver(chain, solver), m=len(state))
-    return _close(equations, state, to_float(period))[0]
+    return _close(equations, state, to_float(period), to_float(scale))[0]
 
 
 class _States(eqx.Module):
@@ -466,7 +468,9 @@ class _Seen(NamedTuple):
 
 
 @eqx.filter_jit
-def _close(equations: _States, state: State, period: Array) -> tuple[RefinedOrbit, Int[Array, ""]]:
+def _close(
+    equations: _States, state: State, period: Array, scale: Any = 1.0
+) -> tuple[RefinedOrbit, Int[Array, ""]]:
     """(the orbit, how many integrations it took)."""
     chain, start = equations.field, equations.pack(state, period)
     d, forced = start.shape[0] - 1, chain.forcing_period() is not None
@@ -516,8 +520,8 @@ def _close(equations: _States, state: State, period: Array) -> tuple[RefinedOrbi
     orbit = RefinedOrbit(
         state=found,
         period=u[-1],
-        gap=jnp.where(possible, greatest_gap(best), jnp.inf) + failed,
-        distance=jnp.max(jnp.abs(u - once)),
+        gap=jnp.where(possible, jnp.max(jnp.abs(best.value[:-1]) / scale), jnp.inf) + failed,
+        distance=jnp.max(jnp.abs(u - once) / jnp.append(scale + jnp.zeros(d), jnp.min(scale))),
         multipliers=multipliers,
         defect=floquet.defect,
         resolution=resolution,
