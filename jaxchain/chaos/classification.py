@@ -718,8 +718,10 @@ def judge_orbit(
     orbit = next(near, None)
     if orbit is None:
         start = tuple(jnp.asarray(part) for part in np.split(point, len(trial.state)))
+        # What does not move must close, too: as well as the smallest of what moves.
+        sizes = np.where(np.isfinite(scale), scale, np.min(scale))
         orbit = refine_orbit(
-            task.chain, start, period, solver=task.solver, rtol=min(task.rtol, 1e-9), scale=scale
+            task.chain, start, period, solver=task.solver, rtol=min(task.rtol, 1e-9), scale=sizes
         )
         if not (orbit.gap < criteria.gap and orbit.distance < 4 * criteria.near):
             return evidence
