@@ -552,3 +552,16 @@ def test_an_adjoint_of_another_kind_is_refused_with_a_way_out():
     chain = paper_chain(2, 1.3)
     with pytest.raises(ValueError, match=r"`adjoint`.*BacksolveAdjoint.*None serves"):
         run(chain, equation_8(chain, 1), 5.0, adjoint=dfx.BacksolveAdjoint())
+
+
+def test_an_event_of_one_mass_moves_the_velocities_of_others_by_their_rates():
+    def end(stiffness):
+        chain = paper_chain(3, 1.4, width=None).with_(
+            stiffness=stiffness * jnp.array([1.0, 1.1, 1.3])
+        )
+        state = jnp.array([1.4, -0.7, 1.1]), jnp.array([0.0, 0.5, -0.4])
+        return jnp.concatenate(simulate(chain, state, 20.0, rtol=1e-12, throw=False).state)
+
+    run, slope = jax.jit(end), jax.jit(jax.jacfwd(end))(1.0)
+    differences = (run(1.0 + 1e-6) - run(1.0 - 1e-6)) / 2e-6
+    np.testing.assert_allclose(slope, differences, rtol=1e-5, atol=1e-6)
