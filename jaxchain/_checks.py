@@ -80,6 +80,8 @@ def to_float(value: Any, name: str = "", remedy: str = "") -> Float[Array, "..."
     **Raises:** `ValueError` for anything but real numbers; a complex number would lose its
     imaginary part.
     """
+    if isinstance(value, jax.Array) and value.dtype == float and not value.weak_type:
+        return value
     try:
         if _is_real(value):
             # Converting a JAX array compiles a program; converting a NumPy array does not.

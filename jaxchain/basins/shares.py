@@ -40,7 +40,7 @@ from ..observers.base import component_name
 from ..result import ended_well
 from ..sweeps.axes import Axes, check_axes, jobs, sizes
 from ..sweeps.lanes import RunStarts, with_numbers
-from ..sweeps.programs import starts_on
+from ..sweeps.programs import starter
 from ..sweeps.scheduler import lane_count
 from ..sweeps.sweeping import SweepInterrupted, sweep
 from .classifiers import AbstractClassifier, VibratingMasses
@@ -263,7 +263,7 @@ class Runs:
         values = {**self.at(places), "point": points}
         columns = {name: jnp.asarray(column) for name, column in values.items()}
         starts = RunStarts(self.chain, self.initial, n=self.n)
-        made = starts_on(jax.local_devices()[0], starts, columns)
+        made = starter(jax.local_devices()[0], starts, columns)(columns)
         return tuple(np.asarray(part) for part in made.state)
 
 

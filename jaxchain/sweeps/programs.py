@@ -162,9 +162,12 @@ def place(tree: Any, device: Any) -> Any:
     return eqx.combine(jax.device_put(arrays, device), static)
 
 
-def starts_on(device: Any, starts: RunStarts, values: dict[str, Array]) -> RunStart:
-    """The start of every lane; JAX releases the user's functions with their programs."""
-    return ready(_starts_of, device, starts, values, programs=start_program)(values)
+def starter(device: Any, starts: RunStarts, values: dict[str, Array]) -> Callable[..., RunStart]:
+    """The start of every lane, as a function of values like these on the device.
+
+    JAX releases the user's functions with their programs.
+    """
+    return ready(_starts_of, device, starts, values, programs=start_program)
 
 
 def shape_of_start(starts: RunStarts, values: dict[str, Array]) -> RunStart:

@@ -11,6 +11,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,13 +26,14 @@ from .._progress import progress_bar
 from .axes import Block
 from .ensemble import Ensemble
 from .lanes import AS_IT_IS, NO_JOB, RunStart, RunStarts, Slot, SweepTask, advance_pool
-from .programs import place, ready, starts_on
+from .programs import place, ready, starter
 
 # Numbers per array of a device's lanes, so that the arrays of a step fit the cache of a core, or
 # many of them that of a GPU: with 2^20 numbers a sweep on an H200 took a fifth longer.
 _NUMBERS_PER_DEVICE = {"cpu": 640, "gpu": 640 * 1024}
-# Seconds that a device computes without the host, and the first number of rounds.
-_SECONDS, _FIRST_ROUNDS = 0.2, 8
+# Seconds that a device computes without the host, and the first rounds, as numbers per array: the
+# shortest ones of a full pool, of dry friction, take a fifth of this time.
+_SECONDS, _FIRST_NUMBERS = 0.2, 32 * 640
 # Remaining seconds of work that justify another compilation, for fewer lanes.
 _WORTH_COMPILING = 15.0
 # Share of the free memory that results and lanes may take.
@@ -43,7 +45,6 @@ class Pool:
 
     def __init__(self, device: Any, task: SweepTask, starts: RunStarts, width: int, blank: Slot):
         self.device, self.width = device, width
-        self.task, self.starts = place(task, device), place(starts, device)
 
         def zeros(shape: Any) -> Any:
             return np.zeros((width, *shape.shape), shape.dtype)
@@ -53,10 +54,12 @@ class Pool:
         for numbers in (empty.job, empty.next_job, empty.recorded):
             numbers[:] = NO_JOB
         empty.over[:] = True
-        self._places: Any = place(eqx.combine(empty, static), device)
+        placed: Any = place((task, starts, eqx.combine(empty, static)), device)
+        self.task, self.starts, self._places = placed
         self._fresh: Any = self._places.next_start
-        self._rounds = _FIRST_ROUNDS
+        self._rounds = max(1, _FIRST_NUMBERS // (width * task.n))
         self._program: Callable | None = None
+        self._starters: dict[int, Callable] = {}  # by the number of jobs
         self._asked: dict[str, Any] | None = None
         self._since = 0.0
         self.job = self.next_job = np.full(width, NO_JOB)
@@ -68,11 +71,10 @@ class Pool:
         """Whether rounds have been started whose outcome is not yet read."""
         return self._asked is not None
 
-    @property
-    def ready(self) -> bool:
-        """Whether the results can be read without waiting."""
-        # All results of a program become available together.
-        return self._asked is not None and self._asked["rounds"].is_ready()
+    def wait(self) -> Pool:
+        """The pool, as soon as its results can be read."""
+        jax.block_until_ready(self._asked)
+        return self
 
     @property
     def busy(self) -> np.ndarray:
@@ -81,7 +83,10 @@ class Pool:
 
     def starts_of(self, values: dict[str, np.ndarray]) -> RunStart:
         """The starts of jobs with these values, one for each lane; always by the same program."""
-        return starts_on(self.device, self.starts, jax.device_put(values, self.device))
+        placed, count = jax.device_put(values, self.device), len(next(iter(values.values())))
+        if count not in self._starters:
+            self._starters[count] = starter(self.device, self.starts, placed)
+        return self._starters[count](placed)
 
     def go_on(
         self, values_of: Callable[[np.ndarray], dict], numbers: np.ndarray, more: bool
@@ -209,19 +214,21 @@ class Scheduler:
             )
             self.idle_cores = 0  # once is enough
         self._blocks = iter(blocks)
+        computing: set[Future[Pool]] = set()
         try:
-            for pool in self.pools:
-                self._go_on(pool)
-            while any(pool.asked for pool in self.pools):
-                pool = self._next_ready()
-                count = self._collect(pool, ended)
-                for idle in self.pools:
-                    if not idle.asked:
-                        self._go_on(idle)
-                self.finished += count
-                if not bar.disable:
-                    bar.n = self.finished
-                    bar.refresh()
+            with ThreadPoolExecutor(len(self.pools), "device") as threads:
+                while True:
+                    idle = [pool for pool in self.pools if not pool.asked]
+                    for pool in idle:
+                        self._go_on(pool)
+                    computing |= {threads.submit(pool.wait) for pool in idle if pool.asked}
+                    if not computing:
+                        break
+                    ready, computing = wait(computing, return_when=FIRST_COMPLETED)
+                    self.finished += sum(self._collect(one.result(), ended) for one in ready)
+                    if not bar.disable:
+                        bar.n = self.finished
+                        bar.refresh()
         except KeyboardInterrupt:
             for pool in self.pools:
                 if pool.asked:
@@ -295,15 +302,6 @@ class Scheduler:
         lanes = lanes[: self.waiting.size]
         numbers[lanes] = self.waiting[: lanes.size]
         self.waiting = self.waiting[lanes.size :]
-
-    def _next_ready(self) -> Pool:
-        pause = 1e-4
-        while True:
-            for pool in self.pools:
-                if pool.ready:
-                    return pool
-            time.sleep(pause)
-            pause = min(1.2 * pause, 2e-3)
 
     def _collect(self, pool: Pool, ended: Callable[[Block], object]) -> int:
         """Stores the records of the lanes that have ended; returns their number."""

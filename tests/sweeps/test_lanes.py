@@ -15,7 +15,7 @@ import pytest
 from jaxchain import Amplitude, equation_8, paper_chain, sweep
 from jaxchain.localization import mistuned_chain
 from jaxchain.sweeps.lanes import RunStarts, chain_of_run
-from jaxchain.sweeps.programs import KEPT_STARTS, program, start_program, starts_on
+from jaxchain.sweeps.programs import KEPT_STARTS, program, start_program, starter
 
 CHAIN = paper_chain(2, belt_speed=1.4, width=0.1)
 
@@ -77,7 +77,9 @@ def test_the_programs_of_few_functions_are_kept():
 
         alive.append(weakref.ref(initial))
         values = {"k": jnp.arange(2.0)}
-        return starts_on(jax.devices()[0], RunStarts(CHAIN, initial, n=CHAIN.n), values).state[0]
+        return starter(jax.devices()[0], RunStarts(CHAIN, initial, n=CHAIN.n), values)(
+            values
+        ).state[0]
 
     for factor in range(1, KEPT_STARTS + 4):
         assert start(factor).tolist() == [[0.0] * 2, [factor] * 2]

@@ -250,7 +250,7 @@ def test_an_interrupted_sweep_hands_over_what_had_ended(monkeypatch):
     from jaxchain.sweeps.scheduler import Pool
 
     ended = []
-    original = Pool.outcome
+    original, waits = Pool.outcome, Pool.wait
 
     def interrupt(self):
         jobs, record = original(self)
@@ -260,10 +260,10 @@ def test_an_interrupted_sweep_hands_over_what_had_ended(monkeypatch):
     def wait(self):
         if sum(ended):
             raise KeyboardInterrupt
-        return self._places.job.block_until_ready().is_ready()
+        return waits(self)
 
     monkeypatch.setattr(Pool, "outcome", interrupt)
-    monkeypatch.setattr(Pool, "ready", property(wait))
+    monkeypatch.setattr(Pool, "wait", wait)
     with pytest.raises(SweepInterrupted) as caught:
         sweep(
             CHAIN, equation_8, 60.0, over={"excited": [0, 1, 2, 3, 4]},
