@@ -63,12 +63,12 @@ LONG = pytest.mark.long
 @pytest.mark.parametrize(
     ("make", "n", "width", "observe", "most"),
     [
-        pytest.param(_one, 1, 1e-3, None, 30, id="smoothed, one mass", marks=LONG),
-        pytest.param(_one, 20, 1e-3, None, 45, id="smoothed, one run", marks=LONG),
+        pytest.param(_one, 1, 1e-3, None, 35, id="smoothed, one mass", marks=LONG),
+        pytest.param(_one, 20, 1e-3, None, 50, id="smoothed, one run", marks=LONG),
         pytest.param(_one, 20, None, None, 90, id="dry, one run", marks=LONG),
-        pytest.param(_many, 20, 1e-3, None, 50, id="smoothed, an ensemble", marks=LONG),
+        pytest.param(_many, 20, 1e-3, None, 55, id="smoothed, an ensemble", marks=LONG),
         pytest.param(_many, 20, None, None, 90, id="dry, an ensemble", marks=LONG),
-        pytest.param(_many, 20, 1e-3, Amplitude(10.0), 60, id="smoothed, amplitudes"),
+        pytest.param(_many, 20, 1e-3, Amplitude(10.0), 65, id="smoothed, amplitudes"),
         pytest.param(_many, 20, None, Amplitude(10.0), 115, id="dry, amplitudes"),
         pytest.param(_many, 20, None, PeakTimes(), 115, id="dry, times of maxima", marks=LONG),
     ],

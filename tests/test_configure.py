@@ -14,7 +14,8 @@ from jaxchain._configure import cores
 
 THRESHOLD = "xla_cpu_small_while_loop_byte_threshold"
 OPTIONS = f"{THRESHOLD}=1000000000,xla_cpu_disable_new_fusion_emitters=true"
-WHOLE = f"--xla_backend_extra_options={OPTIONS}"
+WIDTH = "--xla_cpu_prefer_vector_width=512"
+WHOLE = f"--xla_backend_extra_options={OPTIONS} {WIDTH}"
 TELL = """
 import json, os, warnings
 with warnings.catch_warnings(record=True) as said:
@@ -64,7 +65,11 @@ def test_settings_of_the_user_stay(tmp_path):
     found = told(
         code, XLA_FLAGS=mine, JAX_NUM_CPU_DEVICES="3", JAX_COMPILATION_CACHE_DIR="/nowhere"
     )
-    assert found["flags"] == f"{mine},{OPTIONS}"
+    assert found["flags"] == f"{mine},{OPTIONS} {WIDTH}"
+    narrow = "--xla_cpu_prefer_vector_width=256"
+    assert (
+        told(code, XLA_FLAGS=narrow)["flags"] == f"{narrow} --xla_backend_extra_options={OPTIONS}"
+    )
     assert found["devices"] == 3
     assert found["cache"] == "/nowhere"
     mine = f"--xla_force_host_platform_device_count=4 --xla_backend_extra_options={THRESHOLD}=7"

@@ -14,6 +14,7 @@ from jax import lax
 from jaxtyping import Array, ArrayLike, Float
 
 from .._checks import check_kind, check_one_of, check_whole, is_traced, shown, to_float
+from .._computed_once import spread
 from .._final import final
 from .._types import PerMass, ScalarLike, State
 from .cells import AbstractField
@@ -24,6 +25,7 @@ from .friction import (
     TanhFriction,
     as_law,
     check_numbers,
+    spread_friction,
 )
 from .oscillators import AbstractOscillators
 from .parameters import CHAIN, parameter
@@ -234,7 +236,7 @@ class Chain(AbstractOscillators):
             "ends": self.ends,
             **self._chain_numbers(),
         }
-        friction = {**self.friction.numbers(), "width": self.width}
+        friction = [*self.friction.numbers(), "width"]
         unknown = [name for name in changes if name not in fields and name not in friction]
         if unknown:
             raise ValueError(
@@ -277,6 +279,21 @@ def map_numbers(change: Callable[[Any], Any], part: Any) -> Any:
         return isinstance(inner, eqx.Module) and not isinstance(inner, own)
 
     return jax.tree.map(lambda a: a if foreign(a) else change(a), part, is_leaf=foreign)
+
+
+def spread_numbers(chain: Chain, like: Float[Array, " n"]) -> Chain:
+    """The chain with one number for each mass in place of one for all: see `spread`.
+
+    Springs stay as they are.
+    """
+
+    def parts(c: Chain) -> tuple:
+        return c.friction, c.belt_speed, c.damping_ratio, c.stiffness, c.normal_load
+
+    friction, *numbers = parts(chain)
+    numbers = [a if a is None else spread(a, like) for a in numbers]
+    new = spread_friction(friction, like), *numbers
+    return eqx.tree_at(parts, chain, new, is_leaf=lambda a: a is None)
 
 
 def require_smoothed(chain: Any, instead: str) -> None:

@@ -29,6 +29,7 @@ from .._checks import (
     shown,
     to_float,
 )
+from .._computed_once import spread
 from .._final import final, refuse_overrides
 from .._types import PerMass
 from .parameters import CHAIN, parameter
@@ -479,6 +480,15 @@ class TanhFriction(AbstractFriction):
 
     def with_(self, **changes: Any) -> Any:
         return self.law.with_(**{"width": self.width, **changes})
+
+
+def spread_friction(friction: Any, like: Float[Array, " n"]) -> Any:
+    """`friction` with one number for each mass in place of one for all: see `spread`.
+
+    Laws of other modules, which may be written for single numbers, stay as they are.
+    """
+    known = type(friction.law).__module__ == __name__
+    return jax.tree.map(lambda a: spread(a, like), friction) if known else friction
 
 
 def check_numbers(numbers: Mapping[str, Any]) -> None:

@@ -20,8 +20,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from .._computed_once import materialize
-from .._types import ScalarLike
+from .._computed_once import flatten, materialize, spread
+from .._types import PerMass, ScalarLike
 from .springs import Springs, neighbours
 
 # m rows of m entries: arrays over the cells, None for zero.
@@ -203,7 +203,7 @@ def neighbour_solver(before: Entries, after: Entries, ends: str) -> Callable[[Ve
 
 
 def contraction(
-    diagonal: Float[Array, " n"], springs: Springs, scale: ScalarLike
+    diagonal: Float[Array, " n"], springs: Springs, scale: ScalarLike | PerMass
 ) -> Float[Array, ""]:
     """rho = max_n scale (|c_{n-1/2}| + |c_{n+1/2}|) / |diagonal_n|.
 
@@ -214,28 +214,28 @@ def contraction(
 
 
 def swept_solver(
-    diagonal: Float[Array, " n"], springs: Springs, scale: ScalarLike, sweeps: int
+    diagonal: Float[Array, " n"], springs: Springs, scale: ScalarLike | PerMass, sweeps: int
 ) -> Callable[[Float[Array, " n"]], tuple[Float[Array, " n"], Float[Array, " n"]]]:
     """Solves (diag(diagonal) - scale C) b = rhs by `sweeps` Jacobi sweeps (see `contraction`).
 
     The solver returns b and the product C b of the last sweep, which lags one sweep behind.
     """
     inverse = materialize(1.0 / diagonal)
-    weight = scale * inverse
+    weight = spread(scale * inverse, inverse)
 
     def solve(rhs: Float[Array, " n"]) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
-        start = b = inverse * rhs
+        start = b = flatten(inverse * rhs)
         product = jnp.zeros_like(b)
         for _ in range(sweeps):
-            product = springs.product(b)
+            product = spread(springs.product(b), b)
             b = start + weight * product
-        return materialize(b), materialize(product)
+        return materialize(b, flat=True), materialize(product, flat=True)
 
     return solve
 
 
 def exact_solver(
-    diagonal: Float[Array, " n"], springs: Springs, scale: ScalarLike
+    diagonal: Float[Array, " n"], springs: Springs, scale: ScalarLike | PerMass
 ) -> Callable[[Float[Array, " n"]], Float[Array, " n"]]:
     """Solves (diag(diagonal) - scale C) b = rhs in O(N), by elimination from one end to the other.
 

@@ -27,7 +27,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from .._checks import check_whole, to_float
-from .._computed_once import materialize
+from .._computed_once import materialize, spread
 from .._final import final
 from .._types import State
 from ..model.cells import AbstractField
@@ -331,9 +331,10 @@ class EventDrivenPlan(AbstractPlan):
 
         # Each is computed once: see `materialize`.
         d, place = len(series.x), field.contact
-        x = [materialize(value(part, length)) for part in series.x]
-        moving = [value_and_slope(part, length) for part in series.v]
-        v, rates = ([materialize(pair[i]) for pair in moving] for i in (0, 1))
+        lengths = spread(length, progress.state[0])
+        x = [materialize(value(part, lengths), flat=True) for part in series.x]
+        moving = [value_and_slope(part, lengths) for part in series.v]
+        v, rates = ([materialize(pair[i], flat=True) for pair in moving] for i in (0, 1))
         here = v[place - d], rates[place - d]
         # Rounding, and so only its derivatives are computed.
         of_events, shift = shifts(field, series, modes, length, hits, *here)

@@ -25,8 +25,10 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from .._computed_once import flatten, spread
 from .._types import PerMass, State
 from ..model.chain import Chain
+from ..model.friction import spread_friction
 from ..model.mechanical import MechanicalCells
 from .taylor import CLEARANCE, PowerSeries, composed, first_exit
 
@@ -115,36 +117,40 @@ def expand(chain: Dry, t: Any, state: State, modes: Modes, order: int) -> Series
 
     with m_k the coefficients of mu(direction (v - v_d)).
     """
-    law, load, direction = chain.law, chain.load, modes.direction
+    load, direction = chain.load, modes.direction
+    law = spread_friction(chain.law, direction)
     slides = direction != STICK
     d, b = len(state) // 2, shares(chain)
     u = chain.contact - d
     x, v = [[part] for part in state[:d]], [[part] for part in state[d:]]
-    speed = [direction * (v[u][0] - chain.belt_speed)]
+    w = flatten(v[u][0] - spread(chain.belt_speed, direction))
+    speed = [direction * w]
     friction = composed(law.coefficient, speed, piecewise=law.knots is not None)
     free = _free_series(chain, t, x, v)
+    # b direction p, so that a coefficient depends on arrays of the same shape alone.
+    push = [None if s is None else spread(s * direction * load, direction) for s in b]
     r: list[Array] = []
     for k in range(order + 1):
         a = free(k)
         r.append(a[u] / b[u])
         if k == order:
             break
-        force = direction * load * friction[k]
         for i in range(d):
             if i == u:
-                change = jnp.where(slides, (a[i] - b[i] * force) / (k + 1), 0.0)
+                change = jnp.where(slides, (a[i] - push[i] * friction[k]) / (k + 1), 0.0)
                 if k == 0:
                     # A mass that has just been released has no acceleration yet; a disturbance may
                     # release it earlier than others whose events coincide.
                     resting = jnp.where(modes.contact == 2, lax.stop_gradient(change), 0.0)
                     change = change - resting
             else:
+                force = direction * load * friction[k]
                 holding = jnp.where(slides, force, r[k])
                 change = (a[i] if b[i] is None else a[i] - b[i] * holding) / (k + 1)
             x[i].append(v[i][k] / (k + 1))
-            v[i].append(change)
+            v[i].append(flatten(change))
         speed.append(direction * v[u][k + 1])
-    return Series(x, v, [v[u][0] - chain.belt_speed, *v[u][1:]], r)
+    return Series(x, v, [w, *v[u][1:]], r)
 
 
 def _free_series(chain: Dry, t: Any, x: list, v: list) -> Callable[[int], tuple[Array, ...]]:
@@ -232,8 +238,8 @@ def next_event(chain: Dry, series: Series, modes: Modes, length: Array) -> tuple
     speed = 1.0 + jnp.abs(chain.belt_speed)
     return first_exit(
         watched,
-        jnp.where(slides, 0.0, -hold),
-        jnp.where(slides, _FAR, hold),
+        flatten(jnp.where(slides, 0.0, -hold)),
+        flatten(jnp.where(slides, _FAR, hold)),
         length,
         RESOLUTION * jnp.where(slides, speed, 1.0 + hold),
     )

@@ -29,10 +29,11 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from .._checks import check_positive_number, check_whole, numbers_of, shown
-from .._computed_once import materialize
+from .._computed_once import materialize, spread
 from .._final import final, refuse_overrides
 from .._types import ScalarLike, State
 from ..model.cells import AbstractCells
+from ..model.chain import Chain, spread_numbers
 from ..model.oscillators import AbstractOscillators
 from ..model.tridiagonal import (
     cell_solver,
@@ -453,44 +454,51 @@ class AbstractStructuredRosenbrock(dfx.AbstractAdaptiveSolver):
             return self._step_of_cells(field, t, h, y0, rolled)
         x, v = y0
         n = x.shape[0]
-        per_h = _inverse(h)
-        hg = h * tab.gamma
+        # In a batch the stages are computed `flat`, so from arrays of masses alone.
+        known = isinstance(field, Chain)
+        field = spread_numbers(field, x) if known else field
+
+        def local_force(*at: Any) -> Array:
+            return field.local_force(*at) if known else spread(field.local_force(*at), x)
+
+        hs, per_h = spread(h, x), spread(_inverse(h), x)
+        hg = hs * tab.gamma
         force, slopes = field.local_force_and_slopes(t, x, v)
         h_t, h_x = slopes.time, slopes.displacement
-        stiffness = field.stiffness_diagonal(n)
+        stiffness = spread(field.stiffness_diagonal(n), x)
         held = stiffness if h_x is None else stiffness - h_x
         diagonal = per_h / tab.gamma - slopes.velocity + hg * held
         solve, truncation = self._linear_solver(field, diagonal, hg)
         springs = field.springs
-        pulls = None if springs is None else (springs.product(x), springs.product(v))
+        pulls = None if springs is None else [spread(springs.product(p), x) for p in y0]
 
         def stage(row: _Row, before: list) -> tuple[Array, Array | None]:
             """(b, C b)"""
             b, pull = [one for one, _ in before], [one for _, one in before]
             # z: the stage's displacement plus h gamma times its first right-hand side.
-            z = x + h * (row.stage_v * v + _combine(row.stage_b, b))
+            z = x + hs * (row.stage_v * v + _combine(row.stage_b, b))
             position, here = x, force
             if before:
                 velocity = v + _combine(row.a, b)
                 if h_x is not None:
-                    position = x + h * (row.place_v * v + _combine(row.place_b, b))
+                    position = x + hs * (row.place_v * v + _combine(row.place_b, b))
                 time = t if h_t is None else t + row.c * h
-                here = field.local_force(time, position, velocity)
+                here = local_force(time, position, velocity)
             rhs = here - stiffness * z + per_h * _combine(row.C, b)
             if h_x is not None:
                 rhs = rhs + h_x * (z - position)
             if pulls is not None:  # C z, from the products of its parts
                 products = row.stage_v * pulls[1] + _combine(row.stage_b, pull)
-                rhs = rhs + pulls[0] + h * products
+                rhs = rhs + pulls[0] + hs * products
             if h_t is not None:
-                rhs = rhs + (row.d * h) * h_t
+                rhs = rhs + (row.d * hs) * h_t
             return solve(rhs)
 
         like = v, None if springs is None else v
         b = [one for one, _ in _stages(tab, stage, like, rolled)]
         velocity = v + _combine(tab.a[-1], b[:-1])
-        y1 = (x + h * (tab.end_v * v + _combine(tab.end_b, b)), velocity + b[-1])
-        error = (h * (tab.alpha[-1] * v + _combine(tab.beta[-1], b)), b[-1])
+        y1 = (x + hs * (tab.end_v * v + _combine(tab.end_b, b)), velocity + b[-1])
+        error = (hs * (tab.alpha[-1] * v + _combine(tab.beta[-1], b)), b[-1])
         result = dfx.RESULTS.successful
         trusted = None
         if truncation is not None:

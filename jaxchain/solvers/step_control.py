@@ -19,7 +19,7 @@ from .._checks import (
     check_positive_number,
     to_float,
 )
-from .._computed_once import materialize
+from .._computed_once import materialize, spread
 from .._final import final
 from .._types import ScalarLike, State
 from ..model.cells import AbstractField
@@ -167,15 +167,19 @@ class SwitchingController(dfx.AbstractAdaptiveStepSizeController):
     ):
         before = self.field.layer(self.direction * t0, y0)
         after = self.field.layer(self.direction * t1, y1_candidate)
-        moved = None if before is None or after is None else (before[0], *after, t1 - t0)
+        moved = None
+        if before is not None and after is not None:
+            moved = [spread(part, y0[0]) for part in (before[0], *after, t1 - t0)]
         if moved is not None:
             y_error = self._weighted(y_error, *moved)
         kept, next_t0, next_t1, made_jump, state, result = self.controller.adapt_step_size(
             t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
         )
         if moved is not None:
-            bend = self._curvature(t1 - t0, y0, y1_candidate)
-            next_t1 = jnp.minimum(next_t1, next_t0 + self._longest_step(t1, *moved, bend, kept))
+            bend = self._curvature(moved[-1], y0, y1_candidate)
+            longest = jnp.where(kept, self._longest_step(bend, *moved), jnp.inf)
+            longest = jnp.maximum(longest, self._shortest_step(lax.stop_gradient(t1)))
+            next_t1 = jnp.minimum(next_t1, next_t0 + longest)
         return kept, next_t0, next_t1, made_jump, state, result
 
     def _weighted(self, error: Any, start: Array, w: Array, width: Any, h: Any) -> Any:
@@ -203,14 +207,14 @@ class SwitchingController(dfx.AbstractAdaptiveStepSizeController):
         return (6.0 / h**2) * (ends - mean)
 
     def _longest_step(
-        self, t1: Any, start: Array, w: Array, width: Any, h: Any, bend: Any, kept: Any
+        self, bend: Any, start: Array, w: Array, width: Any, h: Any
     ) -> Float[Array, ""]:
-        """The least of the bounds over all masses; infinite where none applies."""
+        """The least of the bounds over all masses after a step; infinite where none applies."""
         # In backward runs w is also a function of the increasing time, so no sign changes.
         w, width, change, h, bend = lax.stop_gradient((w, width, w - start, h, bend))
         size, moves = jnp.abs(w), w * change
-        approaching = kept & (moves < 0.0)
-        creeps = kept & (moves > 0.0) & (size > CREEPS * width) & (size < RELEASED * width)
+        approaching = moves < 0.0
+        creeps = (moves > 0.0) & (size > CREEPS * width) & (size < RELEASED * width)
         rate = (1.0 / h) * jnp.abs(change)
         # The edge is met where way = speed t + curve t^2, at a mean speed of half the root.
         way, curve = size - self.landing * width, -jnp.sign(w) * bend
@@ -222,8 +226,7 @@ class SwitchingController(dfx.AbstractAdaptiveStepSizeController):
         bounded = approaching | creeps
         time = way / jnp.where(bounded, jnp.where(far, mean, rate), 1.0)
         # Computed before the reduction, which has no SIMD.
-        bound = jnp.min(materialize(jnp.where(bounded, time, jnp.inf)))
-        return jnp.maximum(bound, self._shortest_step(lax.stop_gradient(t1)))
+        return jnp.min(materialize(jnp.where(bounded, time, jnp.inf), flat=True))
 
     def _shortest_step(self, t: Any) -> Float[Array, ""]:
         """The lower limit of all bounds: a step that changes the time, or the controller's own."""

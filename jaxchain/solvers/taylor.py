@@ -22,7 +22,7 @@ from jax.experimental.jet import jet
 from jax.extend.core import ClosedJaxpr, Literal
 from jaxtyping import Array, Bool, Float
 
-from .._computed_once import materialize
+from .._computed_once import flatten, materialize, spread
 
 
 class PowerSeries:
@@ -218,7 +218,7 @@ def _broadcast(a: Any, like: Any) -> Any:
 
 def _once(a: Any) -> Any:
     """An array that is computed once, not again in each of the many sums that use it."""
-    return materialize(a) if jnp.ndim(a) == 1 else a
+    return materialize(a, flat=True) if jnp.ndim(a) == 1 else a
 
 
 def _sum(terms: Iterable[Any]) -> Any:
@@ -269,6 +269,7 @@ def _solved(
     """y with y_0 = first and y' = g a': k y_k = sum_{j=1..k} j a_j g_{k-j}, where g = slope(y)."""
 
     rising = PowerSeries(lambda j: j * a[j])  # the coefficients of t a'
+    first = flatten(first) if jnp.ndim(first) == 1 else first
 
     def rule(k: int) -> Any:
         if k == 0:
@@ -500,36 +501,38 @@ def first_exit(
     All are in their bands throughout [0, t]; if none exits, t < end only says that the search was
     not finished.
     """
-    curvature = greatest_curvature(coefficients, end)
+    ends = spread(end, coefficients[0])
+    curvature = flatten(greatest_curvature(coefficients, ends))
     first = _time_inside(coefficients[0], coefficients[1], lower, upper, curvature)
     # Each round is computed once: see `materialize`.
-    before = materialize(jnp.minimum(first, end))
-    q, slope = value_and_slope(coefficients, before)
+    before = materialize(jnp.minimum(first, ends), flat=True)
+    q, slope = map(flatten, value_and_slope(coefficients, before))
     # All terms beyond the first two are less than the bound of their second derivatives.
     tail = jnp.abs(coefficients[1]) + 0.5 * end * curvature
     least = resolution + _ROUNDING * (jnp.abs(coefficients[0]) + end * tail)
 
     def search() -> tuple[Array, Array]:
         further = _time_inside(q, slope, lower, upper, curvature)
-        sure = materialize(jnp.minimum(before + further, end))
+        sure = materialize(jnp.minimum(before + further, ends), flat=True)
         one: Any = 0
         if lower.size > 1:
             ahead = jnp.where(slope > 0, upper - q, q - lower)
             guess = before + ahead / jnp.maximum(jnp.abs(slope), 1e-300)
-            one = jnp.argmin(materialize(jnp.where(sure < end, guess, 1e300)))
+            one = jnp.argmin(materialize(jnp.where(sure < ends, guess, 1e300), flat=True))
             one = one.astype(jnp.uint32)  # JAX looks whether any other index is negative
         t = _exit_of_one(coefficients, lower, upper, curvature, sure, end, one)
 
-        there, rate = value_and_slope(coefficients, t)
+        ts = spread(t, q)
+        there, rate = value_and_slope(coefficients, ts)
         down, up = there - lower, upper - there
-        back = t - sure
+        back = ts - sure
         bend = 0.5 * curvature * back**2 - least
         inside = jnp.minimum(down, up) >= -least
         inside &= (down - rate * back >= bend) & (up + rate * back >= bend)
         distance = jnp.where(rate > 0, up, down)
         # One array for both: not certain to stay, or leaves at t.
-        kind = jnp.where((back <= 0) | inside, jnp.where(distance <= least, 1, 0), -1)
-        until = jnp.min(jnp.where(kind < 0, sure, t))
+        kind = flatten(jnp.where((back <= 0) | inside, jnp.where(distance <= least, 1, 0), -1))
+        until = jnp.min(flatten(jnp.where(kind < 0, sure, ts)))
         return until, (kind > 0) & (until >= t)
 
     def search_if_needed() -> tuple[Array, Array]:
