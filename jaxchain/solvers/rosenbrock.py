@@ -454,12 +454,14 @@ class AbstractStructuredRosenbrock(dfx.AbstractAdaptiveSolver):
             return self._step_of_cells(field, t, h, y0, rolled)
         x, v = y0
         n = x.shape[0]
-        # In a batch the stages are computed `flat`, so from arrays of masses alone.
+        # In a batch the stages are computed `flat`, so from arrays of masses alone; other forces
+        # than those of a chain may have single numbers.
         known = isinstance(field, Chain)
         field = spread_numbers(field, x) if known else field
 
         def local_force(*at: Any) -> Array:
-            return field.local_force(*at) if known else spread(field.local_force(*at), x)
+            h = field.local_force(*at)
+            return h if known or field.springs is None else spread(h, x)
 
         hs, per_h = spread(h, x), spread(_inverse(h), x)
         hg = hs * tab.gamma
@@ -568,8 +570,8 @@ class AbstractStructuredRosenbrock(dfx.AbstractAdaptiveSolver):
         """
         springs = field.springs
         if springs is None:
-            inverse = materialize(1.0 / diagonal)
-            return (lambda rhs: (materialize(inverse * rhs), None)), None
+            inverse, flat = materialize(1.0 / diagonal), isinstance(field, Chain)
+            return (lambda rhs: (materialize(inverse * rhs, flat), None)), None
         if self.sweeps is None:
             exact = exact_solver(diagonal, springs, hg)
 
