@@ -18,6 +18,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from .._computed_once import flatten
 from .._final import final
 from .._types import ScalarLike, State
 from ..model.cells import AbstractCells, AbstractField
@@ -150,11 +151,11 @@ def zeros(
 
     It uses the secant through both ends, then two Newton steps.
     """
-    theta = jnp.where(crosses, first / jnp.where(crosses, first - last, 1.0), elsewhere)
+    theta = flatten(jnp.where(crosses, first / jnp.where(crosses, first - last, 1.0), elsewhere))
     for _ in range(2):
         value, slope = jax.jvp(function, (theta,), (jnp.ones_like(theta),))
         slope = jnp.where(slope == 0, 1.0, slope)
-        theta = jnp.clip(theta - jnp.where(crosses, value / slope, 0.0), 0.0, 1.0)
+        theta = flatten(jnp.clip(theta - jnp.where(crosses, value / slope, 0.0), 0.0, 1.0))
     return theta
 
 

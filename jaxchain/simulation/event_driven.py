@@ -356,7 +356,7 @@ class EventDrivenPlan(AbstractPlan):
 
         accumulators, result, notes = progress.accumulators, progress.result, []
         if self.observers:
-            motion_of = _Motion([part[0] for part in series.x], series.v, length)
+            motion_of = _Motion([part[0] for part in series.x], series.v, lengths)
             step = Step(field, t0, t1, progress.state, state, motion_of)
             pairs = zip(self.observers, accumulators, strict=True)
             notes = [o.note(step) for o in self.observers if noting and _notes(o)]

@@ -460,8 +460,8 @@ class AbstractStructuredRosenbrock(dfx.AbstractAdaptiveSolver):
         field = spread_numbers(field, x) if known else field
 
         def local_force(*at: Any) -> Array:
-            h = field.local_force(*at)
-            return h if known or field.springs is None else spread(h, x)
+            forces = field.local_force(*at)
+            return forces if known or field.springs is None else spread(forces, x)
 
         hs, per_h = spread(h, x), spread(_inverse(h), x)
         hg = hs * tab.gamma
