@@ -99,7 +99,15 @@ LONG_NAMES = {
 # A count is written as an integer, and a missing one as this.
 _COUNT = {"dtype": "int64", "_FillValue": -1}
 # The parts of this package that affect numbers, and names of results.
-_CODE = ("model", "observers", "solvers", "simulation", "sweeps/lanes.py", "result.py")
+_CODE = (
+    "_computed_once.py",
+    "model",
+    "observers",
+    "solvers",
+    "simulation",
+    "sweeps/lanes.py",
+    "result.py",
+)
 DEVICES = "xla_force_host_platform_device_count"
 
 
