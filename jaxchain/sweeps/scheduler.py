@@ -31,8 +31,8 @@ from .programs import place, ready, starter
 # Numbers per array of a device's lanes, so that the arrays of a step fit the cache of a core, or
 # many of them that of a GPU: with 2^20 numbers a sweep on an H200 took a fifth longer.
 _NUMBERS_PER_DEVICE = {"cpu": 640, "gpu": 640 * 1024}
-# Seconds that a device computes without the host; rounds times numbers per array at first, when the
-# time of a round is unknown: some 30 ms of dry friction.
+# Seconds that a device computes without the host; rounds times numbers per array at first, while
+# the time of a round is unknown: some 30 ms of dry friction.
 _SECONDS, _FIRST_NUMBERS = 0.2, 32 * 640
 # Remaining seconds of work that justify another compilation, for fewer lanes.
 _WORTH_COMPILING = 15.0
