@@ -108,16 +108,17 @@ def test_only_a_step_that_is_kept_bounds_the_next_one(error):
     chain = paper_chain(3, belt_speed=1.5, width=1e-3)
     inner, still = pid(1e-6), jnp.zeros(3)
     own = SwitchingController(inner, chain)
-    # All masses approach the belt at an acceleration of 10 and would reach it after .1.
-    y0, y1 = (still, jnp.full(3, -0.5)), (0.01 * still, jnp.full(3, 0.5))
+    # All masses come near the belt, at an acceleration of 20: .01 is left, for 5e-4 time units.
+    y0, y1 = (still, jnp.full(3, -0.5)), (still, jnp.full(3, 1.49))
     errors = (jnp.full(3, 1e-9), jnp.full(3, error))
-    _, memory = inner.init(None, 0.0, 1.0, y0, 0.1, None, None, 4)
-    given = (0.0, 0.1, y0, y1, None, errors, 4, memory)
+    none: Any = None
+    _, memory = inner.init(none, 0.0, 1.0, y0, 0.1, none, none, 4)
+    given = (0.0, 0.1, y0, y1, none, errors, 4, memory)
     kept, start, plain, *_ = inner.adapt_step_size(*given)
     assert bool(kept) == (error < 1e-3)
     bounded = own.adapt_step_size(*given)[2]
     assert (bounded < plain) if kept else (bounded == plain)
-    assert not kept or 0.05 < bounded - start < 0.2
+    assert not kept or 1e-4 < bounded - start < 1e-3
 
 
 def test_simulate_uses_it():
