@@ -340,7 +340,7 @@ class EventDrivenPlan(AbstractPlan):
         of_events, shift = shifts(field, series, modes, length, hits, *here)
         x = [a + change_alone(shift * b) for a, b in zip(x, v, strict=True)]
         v = [a + change_alone(shift * b) for a, b in zip(v, rates, strict=True)]
-        length = length + change_alone(shift)
+        length, lengths = length + change_alone(shift), lengths + change_alone(shift)
         t1 = t0 + length
         state, new = after(field, t1, (*x, *v), modes, hits, length > 0)
         gains = head_start(field, t1, state, modes, new, hits, shift - of_events)
