@@ -122,11 +122,14 @@ class Amplitude(AbstractObserver):
         return window_fits(self.window, t0, t1)
 
     def update(self, accumulator: _AmplitudeState, step: Step) -> _AmplitudeState:
-        step = step.of(self.component)
+        return self.update_if(True, accumulator, step)
+
+    def update_if(self, counts: Any, accumulator: _AmplitudeState, step: Step) -> _AmplitudeState:
+        step, counts = step.of(self.component), jnp.asarray(counts)
         acc, end = accumulator, step.y1[self.component]
         # Peaks before the last window are located only if amplitudes are compared.
         always = acc.history is not None
-        watching = jnp.asarray(True) if always else step.t1 > acc.last_window
+        watching = counts if always else counts & (step.t1 > acc.last_window)
 
         def with_peaks() -> tuple[Array, Array]:
             turns, theta = step.turning_points()
@@ -140,17 +143,17 @@ class Amplitude(AbstractObserver):
                 low, high = jnp.where(opens, first, low), jnp.where(opens, first, high)
                 turns = turns & (theta >= start)
             extreme = jnp.where(turns, step.displacement(theta), end)
-            least, most = jnp.minimum(extreme, end), jnp.maximum(extreme, end)
-            return jnp.minimum(low, least), jnp.maximum(high, most)
+            low = jnp.minimum(low, jnp.minimum(extreme, end))
+            high = jnp.maximum(high, jnp.maximum(extreme, end))
+            return jnp.where(watching, low, acc.low), jnp.where(watching, high, acc.high)
 
-        # One branch for the whole batch, and nothing else before the first window: lanes outside
-        # the window keep NaN.
+        # One branch for the whole batch, and nothing else before the first window.
         nothing = lambda: (acc.low, acc.high)  # noqa: E731
         low, high = lax.cond(eqxi.unvmap_any(watching), with_peaks, nothing)
-        rest = None if acc.rest is None else self._rest(acc.rest, step)
+        rest = None if acc.rest is None else self._rest(counts, acc.rest, step)
         history = None
         if acc.rest is not None and acc.history is not None:
-            forget = step.t1 >= acc.rest.boundary
+            forget = counts & (step.t1 >= acc.rest.boundary)
             amplitude = (high - low) / 2
             same = jnp.max(jnp.abs(amplitude - acc.history.last)) <= self.tolerance
             repeats = jnp.where(same, acc.history.repeats + 1, 0)
@@ -161,9 +164,9 @@ class Amplitude(AbstractObserver):
             low, high = jnp.where(forget, end, low), jnp.where(forget, end, high)
         return _AmplitudeState(low, high, acc.last_window, rest, history)
 
-    def _rest(self, rest: _Rest, step: Step) -> _Rest:
+    def _rest(self, counts: Bool[Array, ""], rest: _Rest, step: Step) -> _Rest:
         """Checks once per window: a state whose velocity and acceleration vanish is at rest."""
-        over = step.t1 >= rest.boundary
+        over = counts & (step.t1 >= rest.boundary)
 
         def look() -> Array:
             rates = step.field(step.t1, step.y1)
@@ -175,7 +178,7 @@ class Amplitude(AbstractObserver):
         window = 0.0 if self.window is None else self.window
         return _Rest(
             boundary=jnp.where(over, rest.boundary + window, rest.boundary),
-            quiet=over & quiet,
+            quiet=jnp.where(counts, over & quiet, rest.quiet),
         )
 
     def settled(self, accumulator: _AmplitudeState) -> Bool[Array, ""] | None:

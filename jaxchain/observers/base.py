@@ -14,6 +14,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import jax.tree_util as jtu
 import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
@@ -291,6 +292,14 @@ class AbstractObserver(eqx.Module):
     @abc.abstractmethod
     def update(self, accumulator: Any, step: Step) -> Any:
         """The accumulator after one more accepted step."""
+
+    def update_if(self, counts: Any, accumulator: Any, step: Step) -> Any:
+        """`update` if the step counts: it was accepted, and its run of a batch goes on.
+
+        An observer that seldom changes an array of its accumulator may select there itself.
+        """
+        new = self.update(accumulator, step)
+        return jtu.tree_map(lambda a, b: jnp.where(counts, a, b), new, accumulator)
 
     def fits(self, t0: ScalarLike, t1: ScalarLike) -> Any:
         """Whether a run over [t0, t1] contains the observed part, such as a window."""

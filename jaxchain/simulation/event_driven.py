@@ -13,6 +13,7 @@ high-order Taylor methods, Experimental Mathematics 14, 99 (2005).
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import math
 from collections.abc import Callable, Sequence
@@ -56,9 +57,11 @@ from .plan import (
     StateRecord,
     first_result,
     forward_only,
+    in_loop,
     kind_of_loop,
     loop,
     most_steps,
+    where,
 )
 
 # Steps between two calls of `gather`.
@@ -67,18 +70,14 @@ ROUND = 64
 
 def in_rounds(
     goes_on: Callable[[Any], Bool[Array, ""]],
-    step: Callable[[Any], tuple[Any, Any]],
+    step: Callable[[Any, Any], tuple[Any, Any]],
     gather: Callable[[Any, Any, Int[Array, ""]], Any],
     first: Any,
 ) -> Any:
     """Takes steps while it `goes_on`, and gathers their notes after each round.
 
-    In a batch, JAX selects between old and new values at every step, for each array of the loop,
-    if some lanes are done.  Here all lanes take steps until the last one ends; arrays that `step`
-    does not change cost nothing.
-
-    **Arguments:** `step`: carry -> (carry, notes, any arrays); `gather`: carry, the notes stacked
-    along axis 0, how many of these count -> carry.
+    **Arguments:** `step`: carry, whether it counts -> (carry, notes, any arrays), as the body of
+    `loop`; `gather`: carry, the notes stacked along axis 0, how many of these count -> carry.
     """
 
     def any_goes_on(carry: Any) -> Bool[Array, ""]:
@@ -88,14 +87,13 @@ def in_rounds(
         return (inner[0] < ROUND) & any_goes_on(inner[1])
 
     def one(inner: Any) -> Any:
-        place, old, notes, count = inner
-        on = goes_on(old)
-        new, noted = step(old)
-        new = jtu.tree_map(lambda a, b: a if a is b else jnp.where(on, a, b), new, old)
+        place, carry, notes, count = inner
+        counts = in_loop(goes_on(carry))
+        carry, noted = step(carry, counts)
         notes = jtu.tree_map(
             lambda all, one: lax.dynamic_update_index_in_dim(all, one, place, 0), notes, noted
         )
-        return place + 1, new, notes, count + on
+        return place + 1, carry, notes, count + counts
 
     def one_round(outer: Any) -> Any:
         carry, notes = outer
@@ -103,7 +101,7 @@ def in_rounds(
         _, carry, notes, count = lax.while_loop(more, one, (none, carry, notes, none))
         return gather(carry, notes, count), notes
 
-    _, one_note = eqx.filter_eval_shape(step, first)
+    _, one_note = eqx.filter_eval_shape(step, first, True)
     blank = jtu.tree_map(lambda a: jnp.zeros((ROUND, *a.shape), a.dtype), one_note)
     begin = first, blank
     return lax.while_loop(lambda outer: any_goes_on(outer[0]), one_round, begin)[0]
@@ -272,17 +270,21 @@ class EventDrivenPlan(AbstractPlan):
             return now.running & (now.t < t1) & (now.steps < most)
 
         def step(
-            carry: tuple[Progress, list[StateRecord]], noting: bool = False
+            carry: tuple[Progress, list[StateRecord]], counts: Any, noting: bool = False
         ) -> tuple[tuple[Progress, list[StateRecord]], list]:
             now, records = carry
             end = t1
             for record in records:
                 end = jnp.minimum(end, record.next_time())
-            now, notes = self._step(dry, now, end, noting)
-            return (now, [record.keep(now.t, now.state) for record in records]), notes
+            new, notes = self._step(dry, now, end, counts, noting)
+            kept = [record.keep(new.t, new.state) for record in records]
+            same = dataclasses.replace(now, accumulators=new.accumulators)
+            return where(counts, (new, kept), (same, records)), notes
 
-        def body(carry: tuple[Progress, list[StateRecord]]) -> tuple[Progress, list[StateRecord]]:
-            return step(carry)[0]
+        def body(
+            carry: tuple[Progress, list[StateRecord]], counts: Any
+        ) -> tuple[Progress, list[StateRecord]]:
+            return step(carry, counts)[0]
 
         carry: Any = progress, records
         forward = kind_of_loop(adjoint) == "lax"
@@ -312,11 +314,12 @@ class EventDrivenPlan(AbstractPlan):
         return eqx.tree_at(lambda p: p.accumulators, now, accumulators), records
 
     def _step(
-        self, field: Dry, progress: Progress, end: Any, noting: bool
+        self, field: Dry, progress: Progress, end: Any, counts: Any, noting: bool
     ) -> tuple[Progress, list]:
         """One step: to the next event, to the length that the tolerance allows, or to `end`.
 
-        If `noting`, it also returns the notes of observers that take notes.
+        The accumulators change only if it `counts`.  If `noting`, it also returns the notes of
+        observers that take notes.
         """
         frozen = lax.stop_gradient
         modes, t0 = progress.memory.modes, progress.t
@@ -360,7 +363,9 @@ class EventDrivenPlan(AbstractPlan):
             step = Step(field, t0, t1, progress.state, state, motion_of)
             pairs = zip(self.observers, accumulators, strict=True)
             notes = [o.note(step) for o in self.observers if noting and _notes(o)]
-            accumulators = [a if noting and _notes(o) else o.update(a, step) for o, a in pairs]
+            accumulators = [
+                a if noting and _notes(o) else o.update_if(counts, a, step) for o, a in pairs
+            ]
             result = self.settled(accumulators, result)
         # For a state this large, events are closer than the resolution of the time.
         large = greatest > _RAN_AWAY

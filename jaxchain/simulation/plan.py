@@ -13,10 +13,11 @@ from typing import Any, Literal
 import diffrax as dfx
 import equinox as eqx
 import equinox.internal as eqxi
+import jax
 import jax.numpy as jnp
 import jax.tree_util as jtu
 from jax import lax
-from jaxtyping import Array, Float, Int, PyTree
+from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from .._types import State
 from ..model.cells import AbstractField
@@ -115,23 +116,55 @@ def kind_of_loop(adjoint: Any) -> Literal["lax", "checkpointed"]:
     return "checkpointed" if isinstance(adjoint, dfx.RecursiveCheckpointAdjoint) else "lax"
 
 
+def where(which: Any, new: Any, old: Any) -> Any:
+    """`new` or `old`, array by array; nothing is selected where they are the same array."""
+    if which is True:
+        return new
+    return jtu.tree_map(lambda a, b: a if a is b else jnp.where(which, a, b), new, old)
+
+
+@jax.custom_batching.custom_vmap
+def in_loop(goes_on: Bool[Array, ""]) -> Bool[Array, ""]:
+    """Whether this run takes the present step of its loop: known, except in a batch."""
+    return jnp.ones_like(goes_on)
+
+
+@in_loop.def_vmap
+def _(size: int, batched: list[bool], goes_on: Array) -> tuple[Array, bool]:
+    del size
+    return goes_on, batched[0]
+
+
 def loop(
     goes_on: Callable[[Any], Any],
-    body: Callable[[Any], Any],
+    body: Callable[[Any, Any], Any],
     carry: Any,
     adjoint: Any,
     buffers: Callable[[Any], list],
 ) -> Any:
     """The loop of a run, with the derivatives that `adjoint` names.
 
-    **Arguments:** `buffers`: carry -> arrays whose entries are written only once.
+    In a batch, all runs take steps until the last one ends, and JAX would select between old and
+    new values of each array at every step.  Here `body` does, which need not touch all of them.
+
+    **Arguments:** `body`: carry, whether it counts -> new carry, or the old one if it does not;
+    `buffers`: carry -> arrays whose entries are written only once.
     """
     kind = kind_of_loop(adjoint)
     if kind == "lax" and not jtu.tree_leaves(buffers(carry)):
-        return lax.while_loop(goes_on, body, carry)
+        return lax.while_loop(
+            lambda carry: eqxi.unvmap_any(goes_on(carry)),
+            lambda carry: body(carry, in_loop(goes_on(carry))),
+            carry,
+        )
     checkpoints = (adjoint.checkpoints or CHECKPOINTS) if kind == "checkpointed" else None
     return eqxi.while_loop(
-        goes_on, body, carry, kind=kind, checkpoints=checkpoints, buffers=buffers
+        goes_on,
+        lambda carry: body(carry, True),
+        carry,
+        kind=kind,
+        checkpoints=checkpoints,
+        buffers=buffers,
     )
 
 

@@ -5,6 +5,7 @@ begin -> advance (as often as one likes): a loop of steps, with step-size contro
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -35,6 +36,7 @@ from .plan import (
     kind_of_loop,
     loop,
     most_steps,
+    where,
 )
 
 
@@ -84,10 +86,6 @@ class _Run(eqx.Module):
 
     def written_once(self) -> list:
         return [self.ends, [record.states for record in self.records]]
-
-
-def _where(which: Any, one: Any, other: Any) -> Any:
-    return jtu.tree_map(lambda a, b: jnp.where(which, a, b), one, other)
 
 
 def _record(
@@ -319,7 +317,7 @@ class SmoothedPlan(AbstractPlan):
             unfinished = (now.t < last) & (now.steps + now.rejected < most)
             return unfinished & now.running & (run.outcome == successful)
 
-        def body(run: _Run) -> _Run:
+        def body(run: _Run, counts: Any) -> _Run:
             now, memory, end = run.now, run.now.memory, run.ahead
             # Computed once, or LLVM does not vectorize what uses them.
             t0, t1 = materialize(direction * jnp.stack([now.t, end]))
@@ -331,7 +329,7 @@ class SmoothedPlan(AbstractPlan):
             given = False
             if repeated is not None:
                 given = repeated.contain(now.steps)
-                kept, control = kept | given, _where(given, memory.controller, control)
+                kept, control = kept | given, where(given, memory.controller, control)
                 following = jnp.where(given, end + repeated.last.memory.step_size, ahead)
                 ahead = repeated.end(now.steps + kept, following)
             outcome = choose(kept & (solved != successful), solved, controlled)
@@ -343,7 +341,7 @@ class SmoothedPlan(AbstractPlan):
                     field, t0, t1, now.state, y, inside, memory.acceleration
                 )
                 pairs = zip(self.observers, accumulators, strict=True)
-                accumulators = [o.update(a, seen) for o, a in pairs]
+                accumulators = [o.update_if(kept & counts, a, seen) for o, a in pairs]
                 settled = self.settled(accumulators, result)
                 result = Result.where(given | (outcome != successful), result, settled)
             if repeated is not None:
@@ -359,18 +357,23 @@ class SmoothedPlan(AbstractPlan):
                 steps=now.steps + 1,
                 rejected=now.rejected,
             )
-            refused = eqx.tree_at(
-                lambda p: (p.memory.controller, p.rejected), now, (control, now.rejected + 1)
+            refused = dataclasses.replace(
+                now,
+                accumulators=accumulators,
+                memory=dataclasses.replace(memory, controller=control),
+                rejected=now.rejected + 1,
             )
-            new = _where(kept, taken, refused)
+            new = where(kept, taken, refused)
             place = now.steps - progress.steps
-            return _Run(
+            new_run = _Run(
                 now=new,
                 ahead=end_of_step(new.t, ahead),
                 outcome=outcome,
                 records=[_record(r, kept, t1, inside, adjoint) for r in run.records],
                 ends=[eqxi.buffer_at_set(ends, place, end, pred=kept) for ends in run.ends],
             )
+            same = dataclasses.replace(now, accumulators=accumulators)
+            return where(counts, new_run, dataclasses.replace(run, now=same))
 
         now = eqx.tree_at(lambda p: p.t, progress, direction * progress.t)
         ahead = now.t + now.memory.step_size

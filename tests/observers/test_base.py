@@ -22,7 +22,7 @@ from jaxchain import (
     paper_chain,
     simulate,
 )
-from jaxchain.observers import Step, delays
+from jaxchain.observers import AbstractObserver, Step, delays
 
 # Two undamped masses that know nothing of each other: x_n = X_n cos(omega_n t).
 OMEGA = np.array([1.0, 1.5])
@@ -154,6 +154,45 @@ def test_a_quiet_chain_stops_early_and_says_so():
     assert run.outcome == "quiet"
     assert float(run.t) < 5000
     assert float(run.observed.max()) < 1e-6
+
+
+class Count(AbstractObserver):
+    """The number of accepted steps; it never keeps a run from ending."""
+
+    def init(self, field, t0, t1, y0):
+        return jnp.zeros(())
+
+    def update(self, accumulator, step):
+        return accumulator + 1.0
+
+    def settled(self, accumulator):
+        return jnp.asarray(True)
+
+    def read(self, accumulator):
+        return accumulator
+
+
+@pytest.mark.parametrize("width", [None, 1e-2])
+def test_a_run_of_a_batch_observes_its_own_accepted_steps_only(width):
+    observe = Amplitude(window=10.0, stop="quiet"), Count()
+
+    @jax.jit
+    def run(belt_speed, push):  # 1.4 vibrates; at 1.9 less than 1e-6 counts as rest
+        chain = paper_chain(2, belt_speed, width)
+        x, v = equation_8(chain, 0)
+        return simulate(chain, (x + push, v), 40.0, observe=observe)
+
+    lanes = jnp.array([1.4, 1.9]), jnp.array([1.0, 5e-7])
+    together = jax.jit(jax.vmap(run))(*lanes)
+    amplitude, count = together.observed
+    assert together.t[1] < together.t[0] == 40.0
+    assert not np.any(amplitude[1])
+    np.testing.assert_array_equal(count, together.steps)
+    if width:
+        assert together.rejected[0] > 0
+    for i, alone in enumerate(map(run, *lanes)):
+        assert (alone.steps, alone.t) == (together.steps[i], pytest.approx(together.t[i]))
+        np.testing.assert_allclose(amplitude[i], alone.observed[0], rtol=1e-6)
 
 
 def test_rest_that_does_not_attract_is_no_reason_to_stop():

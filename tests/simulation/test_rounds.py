@@ -13,9 +13,9 @@ from jaxchain.simulation.event_driven import ROUND, in_rounds
 def total(start, last):
     """The sum of the squares of start, start + 1, ... below `last`, gathered from notes."""
 
-    def step(carry):
+    def step(carry, counts):
         now, seen = carry
-        return (now + 1.0, seen), [now**2]
+        return (jnp.where(counts, now + 1.0, now), seen), [now**2]
 
     def gather(carry, notes, count):
         now, seen = carry
