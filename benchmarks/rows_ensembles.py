@@ -45,7 +45,7 @@ def sweep_row(repeats: int, quick: bool) -> list[dict]:
         cases |= {'dry friction, 32 runs of each device, stop="quiet"': (*dry, "quiet", 32, 1.2)}
     # As many lanes as `sweep` takes by itself, with belt speeds so close that nearly all take the
     # same steps: what is compared is the machinery.
-    lanes, belt_speeds = 32, (1.5, 1.5 + 1e-6)
+    lanes, belt_speeds = 16, (1.5, 1.5 + 1e-6)
     cpus = jax.local_devices(backend="cpu")
 
     def swept(chain: Any, solver: Any, stop: Any, runs: int, devices: Any) -> int:

@@ -32,9 +32,18 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def runs(
-    chain: Any, excited: int, span: float, solver: Any, *, observe: Any = None, lanes: bool = True
+    chain: Any,
+    excited: int,
+    span: float,
+    solver: Any,
+    *,
+    observe: Any = None,
+    lanes: bool = True,
+    batch: int | None = None,
 ) -> Callable[[Any, Any], Any]:
     """Compiled runs of `simulate` from equation (8), of one belt speed or of an array of `lanes`.
+
+    All lanes are computed at the same time, or a `batch` after another.
 
     A function (belt speed, rtol) -> (end state, what was observed, steps with rejected ones).
     The tolerance is traced, except for dry friction, where it selects the order of the series.
@@ -53,7 +62,11 @@ def runs(
         )
         return run.state, run.observed, run.steps + run.rejected
 
-    many = jax.vmap(one, in_axes=(0, None)) if lanes else one
+    def in_batches(belt_speeds: Any, rtol: Any) -> Any:
+        return jax.lax.map(lambda speed: one(speed, rtol), belt_speeds, batch_size=batch)
+
+    at_once = jax.vmap(one, in_axes=(0, None)) if lanes else one
+    many = at_once if batch is None else in_batches
     program = jax.jit(many, static_argnums=1 if chain.dry else ())
     return lambda belt_speeds, rtol: jax.block_until_ready(program(belt_speeds, rtol))
 

@@ -30,7 +30,7 @@ from .programs import place, ready, starter
 
 # Numbers per array of a device's lanes, so that the arrays of a step fit the cache of a core, or
 # many of them that of a GPU: with 2^20 numbers a sweep on an H200 took a fifth longer.
-_NUMBERS_PER_DEVICE = {"cpu": 640, "gpu": 640 * 1024}
+_NUMBERS_PER_DEVICE = {"cpu": 320, "gpu": 640 * 1024}
 # Seconds that a device computes without the host; rounds times numbers per array at first, while
 # the time of a round is unknown: some 30 ms of dry friction.
 _SECONDS, _FIRST_NUMBERS = 0.2, 32 * 640
