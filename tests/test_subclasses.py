@@ -404,7 +404,12 @@ class Other(Count):
 
 
 @pytest.mark.long
-@honours(AbstractObserver, "init", "update", "settled", "rests", "read", "label")
+class Double(Count):
+    def update_if(self, counts, accumulator, step):
+        return accumulator + jnp.where(counts, 2.0, 0.0)
+
+
+@honours(AbstractObserver, "init", "update", "update_if", "settled", "rests", "read", "label")
 @pytest.mark.parametrize("width", [None, 1e-2])
 def test_an_observer_is_honoured_in_runs_and_sweeps(width):
     chain = jc.paper_chain(1, width=width)
@@ -415,6 +420,8 @@ def test_an_observer_is_honoured_in_runs_and_sweeps(width):
     assert data.steps.values.tolist() == [5]
     plain = jc.simulate(chain, jc.equation_8(chain, 1), 50.0, observe=Count())
     assert float(plain.observed) == int(plain.steps) > 5
+    data = jc.sweep(chain, jc.equation_8, 50.0, over={"excited": [1]}, observe=Double())
+    assert data.steps_seen.values == 2 * data.steps.values
 
 
 class Late(AbstractObserver):
