@@ -403,12 +403,12 @@ class Other(Count):
         return {"mine": Variable(value)}
 
 
-@pytest.mark.long
 class Double(Count):
     def update_if(self, counts, accumulator, step):
         return accumulator + jnp.where(counts, 2.0, 0.0)
 
 
+@pytest.mark.long
 @honours(AbstractObserver, "init", "update", "update_if", "settled", "rests", "read", "label")
 @pytest.mark.parametrize("width", [None, 1e-2])
 def test_an_observer_is_honoured_in_runs_and_sweeps(width):
