@@ -86,7 +86,7 @@ def to_float(value: Any, name: str = "", remedy: str = "") -> Float[Array, "..."
         if _is_real(value):
             # Converting a JAX array compiles a program; converting a NumPy array does not.
             if isinstance(value, int | float | np.ndarray | np.generic):
-                value = np.asarray(value, dtype=float)
+                return jnp.asarray(np.asarray(value, dtype=float))
             return jnp.asarray(value, dtype=float)
     except (TypeError, ValueError, OverflowError):  # rows of unequal length, 10**400
         pass

@@ -110,18 +110,19 @@ class Chain(AbstractOscillators):
             )
         self.n = check_whole("n", n)
         self.friction = as_law(friction) if isinstance(friction, AbstractFrictionLaw) else friction
-        self.belt_speed = _number("belt_speed", belt_speed)
-        self.damping_ratio = _number("damping_ratio", damping_ratio)
-        self.stiffness = _number("stiffness", stiffness)
-        self.normal_load = None if normal_load is None else _number("normal_load", normal_load)
+        self.belt_speed = chain_number("belt_speed", belt_speed)
+        self.damping_ratio = chain_number("damping_ratio", damping_ratio)
+        self.stiffness = chain_number("stiffness", stiffness)
+        self.normal_load = (
+            None if normal_load is None else chain_number("normal_load", normal_load)
+        )
         kind: Ends = "cyclic" if ends == "cyclic" else "free"
-        self.springs = None if coupling is None else Springs(_number("coupling", coupling), kind)
-        self._check_shapes(kind)
-
-    def _check_shapes(self, ends: Ends) -> None:
+        self.springs = (
+            None if coupling is None else Springs(chain_number("coupling", coupling), kind)
+        )
         springs = self.n if ends == "cyclic" else self.n - 1
         counts = {"chain": None, "mass": self.n, "spring": springs}
-        for name, value in {**self._chain_numbers(), **self.friction.numbers()}.items():
+        for name, value in {**_chain_numbers(self), **self.friction.numbers()}.items():
             per, shape = parameter(name).per, np.shape(value)  # () for None
             if shape not in ((), (counts[per],)):
                 several = "" if per == "chain" else f" or one per {per}, of shape ({counts[per]},)"
@@ -129,10 +130,6 @@ class Chain(AbstractOscillators):
                     f"Argument `{name}` must be one number{several}, but has shape {shape}: the "
                     f"chain has {self.n} masses and {ends} ends; `jax.vmap` or `sweep` run many."
                 )
-
-    def _chain_numbers(self) -> dict[str, Array | None]:
-        """The numbers of the chain without those of friction, by name."""
-        return {name: getattr(self, name) for name in CHAIN}
 
     @property
     def law(self) -> AbstractFrictionLaw:
@@ -234,7 +231,7 @@ class Chain(AbstractOscillators):
             "n": self.n,
             "friction": self.friction,
             "ends": self.ends,
-            **self._chain_numbers(),
+            **_chain_numbers(self),
         }
         friction = [*self.friction.numbers(), "width"]
         unknown = [name for name in changes if name not in fields and name not in friction]
@@ -253,7 +250,13 @@ class Chain(AbstractOscillators):
         return {**self.friction.numbers(), **super().numbers()}
 
 
-def _number(name: str, value: Any) -> Array:
+# No method: equinox makes a module for each call of one.
+def _chain_numbers(chain: Chain) -> dict[str, Array | None]:
+    """The numbers of the chain without those of friction, by name."""
+    return {name: getattr(chain, name) for name in CHAIN}
+
+
+def chain_number(name: str, value: Any) -> Array:
     """`value` as floats, checked for the parameter of this name."""
     array = to_float(value, name, parameter(name).remedy)
     check_numbers({name: array})

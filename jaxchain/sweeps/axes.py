@@ -21,7 +21,8 @@ from jaxtyping import Array
 from .._checks import check_finite, check_function, check_kind, check_whole
 from .._limits import MOST_LANES
 from ..model.cells import AbstractField
-from ..model.chain import require_smoothed
+from ..model.chain import Chain, chain_number, require_smoothed
+from ..model.parameters import CHAIN
 from .lanes import chain_names, initial_names
 
 # Dimension -> parameter -> its values along the dimension, of shape (size, ...).
@@ -89,8 +90,11 @@ def check_axes(
             f"Argument `over` asks for {total} lanes; at most {most} run in one sweep. "
             "Sweep over fewer values, split the sweep, or keep it in a `store`."
         )
-    for row in extremes(axes, numbers):
-        chain.with_(**row)  # raises for impossible numbers
+    own = CHAIN.keys() & set(numbers) if isinstance(chain, Chain) else set()
+    for name in own & set(names):
+        chain_number(name, columns_of(axes)[name])  # raises for impossible numbers
+    for row in extremes(axes, [name for name in numbers if name not in own]):
+        chain.with_(**row)  # also for those of a law that contradict each other
     return axes
 
 

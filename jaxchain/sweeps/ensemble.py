@@ -78,7 +78,7 @@ from .lanes import (
     known_again,
     start_of,
 )
-from .programs import shape_of, shape_of_start
+from .programs import shape_of, shape_of_start, start_program
 from .store import digest
 
 if TYPE_CHECKING:
@@ -330,12 +330,15 @@ def _check_initial(
     if callable(initial):
         varied = {name: v for name, v in columns.items() if name in initial_names(initial)}
         first = {name: jnp.asarray(values[0]) for name, values in varied.items()}
-        rows = [first]
+        rows = [first] if varied else []
         for name, values in varied.items():
             different = np.unique(values) if values.ndim == 1 else values[:0]
             kept = different if different.size <= 64 else different[[0, -1]]
             rows += [first | {name: jnp.asarray(value)} for value in kept]
         states = [eqx.filter_eval_shape(functools.partial(initial, chain, **row)) for row in rows]
+        if not varied:
+            given = known_again(initial), chain
+            states = [shape_of(_first_state, given, programs=start_program)]
     cells = isinstance(chain, AbstractCells)
     m = len(states[0]) if cells and isinstance(states[0], tuple | list) else 2
     n = chain.n if isinstance(chain, Chain) else 1
@@ -362,6 +365,11 @@ def _check_initial(
     if cells:
         chain.dependence((jnp.zeros(n),) * m)  # raises unless there is a rate for each number
     return m, n
+
+
+def _first_state(given: tuple[Callable[..., State], AbstractField]) -> State:
+    initial, chain = given
+    return initial(chain)
 
 
 def _check_vary(chain: AbstractField, vary: Callable[..., Any] | None, axes: Axes) -> None:
@@ -496,16 +504,17 @@ def to_dataset(
         coords["segment"] = np.arange(1, len(edges))
         coords["segment_end"] = ("segment", edges[1:])
     dataset = xr.Dataset(variables, coords=coords, attrs=dict(attrs))
-    for name in set(map(str, dataset.variables)) - set(records["observed"]):
+    attrs_of = {str(name): variable.attrs for name, variable in dataset.variables.items()}
+    for name in attrs_of.keys() - set(records["observed"]):
         if name in LONG_NAMES:
-            dataset[name].attrs["long_name"] = LONG_NAMES[name]
+            attrs_of[name]["long_name"] = LONG_NAMES[name]
         timed = name in ("end_time", "segment_end")
         known = isinstance(chain, AbstractOscillators)
-        dataset[name].attrs["units"] = "1 / omega_n" if timed and known else "1"
+        attrs_of[name]["units"] = "1 / omega_n" if timed and known else "1"
     for name in set(columns_of(axes)) & set(chain_names(chain)):
         row = parameter(name) if isinstance(chain, Chain) else Parameter(name, name)
-        dataset[name].attrs |= row.attrs
-    dataset["result"].attrs |= {
+        attrs_of[name] |= row.attrs
+    attrs_of["result"] |= {
         "flag_values": np.arange(len(NAMES), dtype=code.dtype),
         "flag_meanings": " ".join(NAMES),
     }

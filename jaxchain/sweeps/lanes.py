@@ -306,22 +306,26 @@ def blank_slot(task: SweepTask, start: RunStart) -> Slot:
 
 
 def advance_pool(
-    task: SweepTask,
-    pool: Slot,
+    task_and_structure: tuple[SweepTask, jtu.PyTreeDef],
+    slots: list[Array],
     fresh: RunStart,
     jobs: Int[Array, " lanes"],
     more: Bool[Array, ""],
     rounds: Int[Array, ""],
-) -> tuple[Slot, dict[str, Any]]:
+) -> tuple[list[Array], dict[str, Any]]:
     """All lanes after a number of rounds, or when one has to wait for the host.
 
-    When a lane ends, its record is kept and its next job begins, without the host.  `jobs`: the
-    next job of each slot, with its `fresh` start; NO_JOB cancels it.  `more`: whether the host has
-    other jobs, so that the loop returns as soon as a lane is idle.
+    When a lane ends, its record is kept and its next job begins, without the host.
 
-    **Returns:** the pool, and for each lane `job`, `next_job`, `recorded`, `record` and the time
-    `t`, and the number of `rounds`.
+    **Arguments:** the task, and the structure of a pool; `slots`: the arrays of the pool; `jobs`:
+    the next job of each slot, with its `fresh` start; NO_JOB cancels it.  `more`: whether the host
+    has other jobs, so that the loop returns as soon as a lane is idle.
+
+    **Returns:** the arrays of the pool, and for each lane `job`, `next_job`, `recorded`, `record`
+    and the time `t`, and the number of `rounds`.
     """
+    task, structure = task_and_structure
+    pool: Slot = jtu.tree_unflatten(structure, slots)
     given = jobs != AS_IT_IS
     begun = jtu.tree_map(lambda a, b: _where(given, a, b), fresh, pool.next_start)
     pool = eqx.tree_at(
@@ -347,7 +351,7 @@ def advance_pool(
         return lax.cond(jnp.any(over), turn, lambda pool: pool, pool), done + 1
 
     pool, done = lax.while_loop(goes_on, one_more, (pool, jnp.zeros_like(rounds)))
-    return pool, {
+    return jtu.tree_leaves(pool), {
         "job": pool.job,
         "next_job": pool.next_job,
         "recorded": pool.recorded,

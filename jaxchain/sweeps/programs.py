@@ -24,8 +24,8 @@ from jaxtyping import Array
 from .lanes import RunStart, RunStarts, start_of
 
 # How many of the latest programs are kept: of functions with the structure of their task, and of
-# pairs of `initial` and `vary`, which a user may define again for each sweep.
-KEPT, KEPT_STARTS = 64, 8
+# `initial` and `vary`, which a user may define again for each sweep (two programs for each).
+KEPT, KEPT_STARTS = 64, 16
 _hits: list[int] = []  # the thread, for each program that came from JAX's cache on disk
 
 
@@ -57,18 +57,19 @@ class Program:
         return self._shapes[key]
 
     def on(self, device: Any, *arguments: Any) -> Callable:
-        """The executable for arguments like these, which lie on the device."""
+        """The executable for arguments like these, which lie on the device or are NumPy arrays."""
         key = device.device_kind, _key(arguments)
         with self._lock:  # threads that need the same program wait for it
             loaded = self._loaded.setdefault(key, {})
             if device not in loaded:
                 moved = _moved(self._movable[key], device) if key in self._movable else None
-                loaded[device] = self._compile(key, arguments) if moved is None else moved
+                loaded[device] = self._compile(key, device, arguments) if moved is None else moved
             return loaded[device]
 
-    def _compile(self, key: Hashable, arguments: tuple) -> Any:
+    def _compile(self, key: Hashable, device: Any, arguments: tuple) -> Any:
         before = _hits.count(threading.get_ident())
-        executable = self._jitted.lower(*arguments).compile()
+        with jax.default_device(device):  # NumPy arrays lie on none
+            executable = self._jitted.lower(*arguments).compile()
         if _hits.count(threading.get_ident()) == before:  # a program from the disk cannot be moved
             self._movable[key] = executable
         return executable
@@ -112,11 +113,14 @@ def _program(
 
     JAX keeps a compiled program as long as its function exists; this function is released together
     with its program.
-    """
-    static = jtu.tree_unflatten(structure, leaves)
 
-    def given(arrays: Any, *arguments: Any) -> Any:
-        return function(eqx.combine(arrays, static), *arguments)
+    **Arguments:** `leaves` of the task, each of its arrays as `Array`.
+    """
+
+    def given(arrays: list, *arguments: Any) -> Any:
+        own = iter(arrays)
+        every = [next(own) if leaf is Array else leaf for leaf in leaves]
+        return function(jtu.tree_unflatten(structure, every), *arguments)
 
     return Program(given, donated)
 
@@ -135,35 +139,49 @@ def ready(
     donated: tuple[int, ...] = (),
     programs: Callable[..., Program] = program,
 ) -> Callable:
-    """`function(task, ...)` as a function of arguments like these, which lie on the device."""
+    """`function(task, ...)` as a function of arguments like these, on the device or of NumPy.
+
+    A call of a program takes less time for lists than for modules, and for NumPy arrays than to
+    place them first.
+    """
     program, arrays = _program_of(programs, function, donated, task)
     return functools.partial(program.on(device, arrays, *arguments), arrays)
 
 
-def shape_of(function: Callable, task: Any, *arguments: Any) -> Any:
+def shape_of(
+    function: Callable,
+    task: Any,
+    *arguments: Any,
+    programs: Callable[..., Program] = program,
+) -> Any:
     """The shapes that `function(task, ...)` returns, traced once for arguments like these."""
-    compiled, arrays = _program_of(program, function, (), task)
+    compiled, arrays = _program_of(programs, function, (), task)
     return compiled.shape(arrays, *arguments)
 
 
 def _program_of(
     programs: Callable[..., Program], function: Callable, donated: tuple[int, ...], task: Any
-) -> tuple[Program, Any]:
+) -> tuple[Program, list]:
     """The program of a task, and its arrays."""
-    arrays, static = eqx.partition(task, eqx.is_array)
-    leaves, structure = jtu.tree_flatten(static)
+    leaves, structure = jtu.tree_flatten(task)
+    arrays = [leaf for leaf in leaves if eqx.is_array(leaf)]
+    leaves = [Array if eqx.is_array(leaf) else leaf for leaf in leaves]
     with _asking:  # otherwise two threads would get different programs
         return programs(function, donated, structure, *leaves), arrays
 
 
 def place(tree: Any, device: Any) -> Any:
-    """A copy of its arrays on the device."""
-    arrays, static = eqx.partition(tree, eqx.is_array)
-    return eqx.combine(jax.device_put(arrays, device), static)
+    """The tree with its arrays on the device."""
+
+    def placed(leaf: Any) -> Any:  # most lie there already, and `device_put` would take long
+        there = not eqx.is_array(leaf) or leaf.devices() == {device}
+        return leaf if there else jax.device_put(leaf, device)
+
+    return jtu.tree_map(placed, tree)
 
 
-def starter(device: Any, starts: RunStarts, values: dict[str, Array]) -> Callable[..., RunStart]:
-    """The start of every lane, as a function of values like these on the device.
+def starter(device: Any, starts: RunStarts, values: dict[str, Any]) -> Callable[..., RunStart]:
+    """The start of every lane, as a function of values like these.
 
     JAX releases the user's functions with their programs.
     """
@@ -172,8 +190,8 @@ def starter(device: Any, starts: RunStarts, values: dict[str, Array]) -> Callabl
 
 def shape_of_start(starts: RunStarts, values: dict[str, Array]) -> RunStart:
     """The shapes of the start of one lane."""
-    compiled, arrays = _program_of(start_program, _starts_of, (), starts)
-    every = compiled.shape(arrays, {name: value[None] for name, value in values.items()})
+    one = {name: value[None] for name, value in values.items()}
+    every = shape_of(_starts_of, starts, one, programs=start_program)
     return jtu.tree_map(lambda s: jax.ShapeDtypeStruct(s.shape[1:], s.dtype), every)
 
 

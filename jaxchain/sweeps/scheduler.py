@@ -7,6 +7,7 @@ time for each device; while the last lanes of a block end, others start the next
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 import time
@@ -15,7 +16,6 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.tree_util as jtu
 import numpy as np
@@ -49,14 +49,13 @@ class Pool:
         def zeros(shape: Any) -> Any:
             return np.zeros((width, *shape.shape), shape.dtype)
 
-        shapes, static = eqx.partition(blank, _is_shape)
-        empty: Slot = jtu.tree_map(zeros, shapes)
+        empty: Slot = jtu.tree_map(zeros, blank)
         for numbers in (empty.job, empty.next_job, empty.recorded):
             numbers[:] = NO_JOB
         empty.over[:] = True
-        placed: Any = place((task, starts, eqx.combine(empty, static)), device)
-        self.task, self.starts, self._places = placed
-        self._fresh: Any = self._places.next_start
+        self.task, self.starts = place((task, starts), device)
+        self._slots, self._structure = jtu.tree_flatten(empty)
+        self._fresh: Any = empty.next_start
         self._rounds = max(1, _FIRST_NUMBERS // (width * task.n))
         self._program: Callable | None = None
         self._starters: dict[int, Callable] = {}  # by the number of jobs
@@ -83,10 +82,10 @@ class Pool:
 
     def starts_of(self, values: dict[str, np.ndarray]) -> RunStart:
         """The starts of jobs with these values, one for each lane; always by the same program."""
-        placed, count = jax.device_put(values, self.device), len(next(iter(values.values())))
+        count = len(next(iter(values.values())))
         if count not in self._starters:
-            self._starters[count] = starter(self.device, self.starts, placed)
-        return self._starters[count](placed)
+            self._starters[count] = starter(self.device, self.starts, values)
+        return self._starters[count](values)
 
     def go_on(
         self, values_of: Callable[[np.ndarray], dict], numbers: np.ndarray, more: bool
@@ -95,14 +94,12 @@ class Pool:
         new = numbers >= 0
         if new.any():
             self._fresh = self.starts_of(values_of(np.where(new, numbers, numbers[new][0])))
-        message = jax.device_put(
-            (numbers, np.asarray(more), np.asarray(self._rounds)), self.device
-        )
-        given = self._places, self._fresh, *message
+        given = self._slots, self._fresh, numbers, np.asarray(more), np.asarray(self._rounds)
         if self._program is None:
-            self._program = ready(advance_pool, self.device, self.task, *given, donated=(1,))
+            task = self.task, self._structure
+            self._program = ready(advance_pool, self.device, task, *given, donated=(1,))
         self._since = time.perf_counter()  # without the compilation
-        self._places, self._asked = self._program(*given)
+        self._slots, self._asked = self._program(*given)
 
     def outcome(self) -> tuple[np.ndarray, dict[str, Any]]:
         """The job that has ended in each lane since the last call (or NO_JOB), and its record."""
@@ -122,9 +119,8 @@ class Pool:
     def shrink(self, width: int) -> None:
         """Keeps the busy lanes, and as many idle ones as fit."""
         keep = np.argsort(~self.busy, kind="stable")[:width]
-        arrays, static = eqx.partition((self._places, self._fresh), eqx.is_array)
-        kept = jtu.tree_map(lambda a: np.array(a)[keep], arrays)
-        self._places, self._fresh = eqx.combine(jax.device_put(kept, self.device), static)
+        kept = jtu.tree_map(lambda a: np.array(a)[keep], (self._slots, self._fresh))
+        self._slots, self._fresh = kept
         self.job, self.next_job, self.t = self.job[keep], self.next_job[keep], self.t[keep]
         self.width, self.pace, self._program = width, None, None
 
@@ -354,11 +350,6 @@ def lane_count(n: int, total: int, devices: Sequence[Any], lanes: int | None) ->
     return min(max(1, _NUMBERS_PER_DEVICE[platform] // n), share)
 
 
-def _is_shape(leaf: Any) -> bool:
-    return isinstance(leaf, jax.ShapeDtypeStruct)
-
-
 def _bytes(shapes: Any) -> int:
     """The memory of arrays of these shapes."""
-    leaves = [s for s in jtu.tree_leaves(shapes) if _is_shape(s)]
-    return sum(int(np.prod(s.shape)) * s.dtype.itemsize for s in leaves)
+    return sum(math.prod(s.shape) * s.dtype.itemsize for s in jtu.tree_leaves(shapes))

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jaxchain.sweeps import programs
-from jaxchain.sweeps.programs import Program, map_lanes
+from jaxchain.sweeps.programs import Program, map_lanes, place, ready
 
 
 class Logistic(eqx.Module):
@@ -70,3 +70,18 @@ def test_what_was_compiled_for_one_device_is_loaded_on_the_next(movable, monkeyp
         jax.monitoring.unregister_event_duration_listener(listen)
     np.testing.assert_array_equal(*results)
     assert (len(compiled) == 1) == (movable == "moved")
+
+
+@pytest.mark.parametrize("number", [True, False])
+def test_a_program_runs_on_the_device_that_is_asked_for(number):
+    """Also if none of its arguments lies on a device, or one on another."""
+    devices, x = jax.local_devices()[:2], np.linspace(0.1, 0.4, 5)
+    task = 3.9 if number else Logistic(jax.device_put(3.9, devices[0]))
+
+    def kicked(task, x):
+        return x + getattr(task, "rate", task)
+
+    for device in devices:
+        found = ready(kicked, device, place(task, device), x)(x)
+        assert found.devices() == {device}
+        np.testing.assert_array_equal(found, x + 3.9)

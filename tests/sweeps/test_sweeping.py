@@ -126,6 +126,7 @@ def test_given_lanes_stay_so_many_however_long_the_last_ones_take(monkeypatch):
     from jaxchain.sweeps import scheduler as pool
 
     monkeypatch.setattr(pool, "_WORTH_COMPILING", 0.0)
+    monkeypatch.setattr(pool, "_FIRST_NUMBERS", 1)  # the host looks in between
 
     def ends(**more):
         # One lane in four goes on: the others rest, and stop.
@@ -141,9 +142,11 @@ def test_given_lanes_stay_so_many_however_long_the_last_ones_take(monkeypatch):
 
 @pytest.mark.long
 def test_what_waits_for_a_long_run_is_taken_back_by_an_idle_lane(monkeypatch):
+    from jaxchain.sweeps import scheduler
     from jaxchain.sweeps.lanes import NO_JOB
     from jaxchain.sweeps.scheduler import Pool
 
+    monkeypatch.setattr(scheduler, "_FIRST_NUMBERS", 1)  # the host looks in between
     taken, original = [], Pool.go_on
 
     def go_on(self, jobs, numbers, more):
