@@ -70,12 +70,13 @@ from ..simulation.run import build_plan, check_fit, check_segments
 from .axes import Axes, Block, Grid, Key, check_axes, chunks_of, columns_of, extremes, sizes
 from .lanes import (
     RunStarts,
+    Shapes,
     SweepTask,
-    blank_slot,
     chain_names,
     chain_of_run,
     initial_names,
     known_again,
+    lane_and_record,
     start_of,
 )
 from .programs import shape_of, shape_of_start, start_program
@@ -168,10 +169,10 @@ class Ensemble:
         return SweepTask(plan, settings.chain, t0, t1, steps, varied, settings.segments, self.n)
 
     @functools.cached_property
-    def place(self) -> Any:
-        """The shapes of a slot of a pool."""
+    def shapes(self) -> Shapes:
+        """The shapes of one lane."""
         start = shape_of_start(self.starts, self.first_job().first)
-        return shape_of(blank_slot, self.task, start)
+        return Shapes(start, *shape_of(lane_and_record, self.task, start))
 
     @property
     def total(self) -> int:
@@ -199,7 +200,7 @@ class Ensemble:
             fill = np.nan if np.issubdtype(s.dtype, np.floating) else 0
             return np.full((size, *s.shape), fill, s.dtype)
 
-        records = jtu.tree_map(nothing, self.place.record)
+        records = jtu.tree_map(nothing, self.shapes.record)
         records["result"][:] = NAMES.index("interrupted")
         return records
 
@@ -545,10 +546,10 @@ def fingerprint_of(ensemble: Ensemble, lanes: int) -> dict[str, Any]:
     task, starts, axes = ensemble.task, ensemble.starts, ensemble.axes
     chain, plan = starts.chain, task.plan
     swept = columns_of(axes)
-    at_rest = ensemble.place.next_start.state
+    at_rest = ensemble.shapes.start.state
     numbers = {**chain.numbers(), "n": ensemble.n, "ends": chain.ends}
     forces: Any = chain
-    force, at, kind = _rate, ensemble.place.next_start.state, type(chain)
+    force, at, kind = _rate, ensemble.shapes.start.state, type(chain)
     if isinstance(chain, Chain):
         forces, force, at, kind = chain.friction, _force, jnp.zeros(()), type(chain.friction)
     # For example of a table: arrays are data of a program, not part of its text.

@@ -1,8 +1,8 @@
 """The host's part of a sweep: a pool of lanes on every device, and the queue of jobs.
 
-The devices work independently: while the host reads the results of one and gives it new jobs, the
-others compute, and each of its lanes has a job in reserve.  Jobs come in blocks, at most one at a
-time for each device; while the last lanes of a block end, others start the next.
+The devices work independently, each with a queue of its own: while the host reads the results of
+one and gives it new jobs, the others compute.  Jobs come in blocks, at most one at a time for each
+device; while the last lanes of a block end, others start the next.
 """
 
 from __future__ import annotations
@@ -25,15 +25,18 @@ from .._configure import cores
 from .._progress import progress_bar
 from .axes import Block
 from .ensemble import Ensemble
-from .lanes import AS_IT_IS, NO_JOB, RunStart, RunStarts, Slot, SweepTask, advance_pool
+from .lanes import NO_JOB, RunStart, RunStarts, Shapes, SweepTask, advance_pool, initial_names
 from .programs import place, ready, starter
 
 # Numbers per array of a device's lanes, so that the arrays of a step fit the cache of a core, or
 # many of them that of a GPU: with 2^20 numbers a sweep on an H200 took a fifth longer.
 _NUMBERS_PER_DEVICE = {"cpu": 320, "gpu": 640 * 1024}
 # Seconds that a device computes without the host; rounds times numbers per array at first, while
-# the time of a round is unknown: some 30 ms of dry friction.
-_SECONDS, _FIRST_NUMBERS = 0.2, 32 * 640
+# the time of a round is unknown: some 60 ms of dry friction.
+_SECONDS, _FIRST_NUMBERS = 0.2, 64 * 640
+# Jobs that a device takes along, for each of its lanes, so that it seldom waits for the host; of
+# more than this number it takes one for each, because the results of all are copied at once.
+_QUEUE, _ENOUGH = 4, 4096
 # Remaining seconds of work that justify another compilation, for fewer lanes.
 _WORTH_COMPILING = 15.0
 # Share of the free memory that results and lanes may take.
@@ -43,25 +46,21 @@ _MEMORY_SHARE = 0.8
 class Pool:
     """The lanes of one device."""
 
-    def __init__(self, device: Any, task: SweepTask, starts: RunStarts, width: int, blank: Slot):
-        self.device, self.width = device, width
-
-        def zeros(shape: Any) -> Any:
-            return np.zeros((width, *shape.shape), shape.dtype)
-
-        empty: Slot = jtu.tree_map(zeros, blank)
-        for numbers in (empty.job, empty.next_job, empty.recorded):
-            numbers[:] = NO_JOB
-        empty.over[:] = True
+    def __init__(
+        self, device: Any, task: SweepTask, starts: RunStarts, width: int, shapes: Shapes
+    ):
+        self.device, self.width, self.queue = device, width, _queue(width)
         self.task, self.starts = place((task, starts), device)
-        self._slots, self._structure = jtu.tree_flatten(empty)
-        self._fresh: Any = empty.next_start
+        lanes = _blank(shapes.lane, width)
+        self._lanes, self._structure = jtu.tree_flatten(lanes)
+        self._begins: Any = _blank(shapes.start, self.queue)  # the starts of the jobs offered
+        self._offered = np.arange(0)
         self._rounds = max(1, _FIRST_NUMBERS // (width * task.n))
         self._program: Callable | None = None
-        self._starters: dict[int, Callable] = {}  # by the number of jobs
+        self._starter: Callable | None = None
         self._asked: dict[str, Any] | None = None
         self._since = 0.0
-        self.job = self.next_job = np.full(width, NO_JOB)
+        self.job = np.full(width, NO_JOB)
         self.t = np.zeros(width)
         self.pace: np.ndarray | None = None  # of each lane, in run time units per second
 
@@ -81,48 +80,53 @@ class Pool:
         return self.job >= 0
 
     def starts_of(self, values: dict[str, np.ndarray]) -> RunStart:
-        """The starts of jobs with these values, one for each lane; always by the same program."""
-        count = len(next(iter(values.values())))
-        if count not in self._starters:
-            self._starters[count] = starter(self.device, self.starts, values)
-        return self._starters[count](values)
+        """The starts of jobs with these values, as many as the queue holds."""
+        if self._starter is None:
+            self._starter = starter(self.device, self.starts, values)
+        return self._starter(values)
 
     def go_on(
-        self, values_of: Callable[[np.ndarray], dict], numbers: np.ndarray, more: bool
+        self, values_of: Callable[[np.ndarray], dict], offered: np.ndarray, more: bool
     ) -> None:
-        """Starts some more rounds, with the `numbers` of the next job of each lane."""
-        new = numbers >= 0
-        if new.any():
-            self._fresh = self.starts_of(values_of(np.where(new, numbers, numbers[new][0])))
-        given = self._slots, self._fresh, numbers, np.asarray(more), np.asarray(self._rounds)
+        """Starts some more rounds, with the numbers of the jobs offered as the queue."""
+        queue = np.concatenate([offered, np.full(self.queue - offered.size, NO_JOB)])
+        if offered.size:
+            self._begins = self.starts_of(values_of(np.where(queue >= 0, queue, offered[0])))
+        self._offered = offered
+        given = self.job, self._begins, queue, np.asarray(more), np.asarray(self._rounds)
         if self._program is None:
             task = self.task, self._structure
-            self._program = ready(advance_pool, self.device, task, *given, donated=(1,))
+            self._program = ready(
+                advance_pool, self.device, task, self._lanes, *given, donated=(1,)
+            )
         self._since = time.perf_counter()  # without the compilation
-        self._slots, self._asked = self._program(*given)
+        self._lanes, self._asked = self._program(self._lanes, *given)
 
-    def outcome(self) -> tuple[np.ndarray, dict[str, Any]]:
-        """The job that has ended in each lane since the last call (or NO_JOB), and its record."""
+    def outcome(self) -> tuple[np.ndarray, dict[str, Any], np.ndarray]:
+        """The jobs that have ended, their record, and those offered that have not begun."""
         # Copies, because the device overwrites its arrays.
         arrays: Any = jtu.tree_map(np.array, self._asked)
         self._asked = None
         seconds = max(time.perf_counter() - self._since, 1e-9)
         stays = (self.job == arrays["job"]) & self.busy
         self.pace = np.where(stays, (arrays["t"] - self.t) / seconds, np.nan)
-        self.job, self.next_job, self.t = arrays["job"], arrays["next_job"], arrays["t"]
+        self.job, self.t = arrays["job"], arrays["t"]
         if seconds > 2.0 * _SECONDS and self._rounds > 1:
             self._rounds //= 2
         elif seconds < 0.5 * _SECONDS and int(arrays["rounds"]) == self._rounds:
             self._rounds *= 2
-        return arrays["recorded"], arrays["record"]
+        ended = arrays["recorded"] >= 0
+        record = jtu.tree_map(lambda a: a[ended], arrays["record"])
+        return arrays["recorded"][ended], record, self._offered[arrays["taken"] :]
 
     def shrink(self, width: int) -> None:
         """Keeps the busy lanes, and as many idle ones as fit."""
         keep = np.argsort(~self.busy, kind="stable")[:width]
-        kept = jtu.tree_map(lambda a: np.array(a)[keep], (self._slots, self._fresh))
-        self._slots, self._fresh = kept
-        self.job, self.next_job, self.t = self.job[keep], self.next_job[keep], self.t[keep]
-        self.width, self.pace, self._program = width, None, None
+        self._lanes = [np.array(a)[keep] for a in self._lanes]
+        self.job, self.t = self.job[keep], self.t[keep]
+        self.width, self.queue, self.pace = width, _queue(width), None
+        self._begins = jtu.tree_map(lambda a: np.array(a)[: self.queue], self._begins)
+        self._program = self._starter = None
 
 
 @dataclass
@@ -164,9 +168,10 @@ class Scheduler:
         self.idle_cores *= total > len(self.devices)
         self.fixed = lanes is not None
         self.lanes = lane_count(task.n, total, self.devices, lanes)
-        blank = ensemble.place
-        self._check_memory(blank, largest)
-        self.pools = [Pool(device, task, starts, self.lanes, blank) for device in self.devices]
+        self._check_memory(ensemble.shapes, largest)
+        self.pools = [
+            Pool(device, task, starts, self.lanes, ensemble.shapes) for device in self.devices
+        ]
         self.waiting = np.arange(0)
         self._blocks: Iterator[Block] = iter(())
         self._open: list[_Open] = []
@@ -179,11 +184,13 @@ class Scheduler:
         """The number of lanes on each device at the end of the sweep."""
         return max(pool.width for pool in self.pools)
 
-    def _check_memory(self, blank: Slot, size: int) -> None:
+    def _check_memory(self, shapes: Shapes, size: int) -> None:
         """Raises before anything is compiled if blocks of this size cannot fit."""
         blocks = min(self.total, size * len(self.devices))
-        lanes = self.lanes * len(self.devices)
-        need = blocks * _bytes(blank.record) + lanes * _bytes(blank)
+        start, lane, record = map(_bytes, shapes)
+        lanes, queue = self.lanes, _queue(self.lanes)
+        each = lanes * lane + queue * start + (lanes + queue) * record
+        need = blocks * record + len(self.devices) * each
         free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
         if need > _MEMORY_SHARE * free:
             raise MemoryError(
@@ -258,10 +265,14 @@ class Scheduler:
 
         The first ones are distributed, so that every device gets some of them.
         """
-        far, width, total = [], self.lanes, len(next(iter(jobs.values())))
-        for begin in range(0, total, width):
-            index = np.minimum(np.arange(begin, begin + width), total - 1)
-            pool = self.pools[begin // width % len(self.pools)]
+        initial, total = self.ensemble.starts.initial, len(next(iter(jobs.values())))
+        own = initial_names(initial) if callable(initial) else []
+        if not jobs.keys() & {*own}:  # all start alike
+            return np.arange(total)
+        far, size, count = [], self.pools[0].queue, len(self.pools)
+        for begin in range(0, total, size):
+            index = np.minimum(np.arange(begin, begin + size), total - 1)
+            pool = self.pools[begin // size % count]
             start = pool.starts_of({name: values[index] for name, values in jobs.items()})
             x, *others = map(np.asarray, start.state)
             with np.errstate(invalid="ignore"):  # a start that is not finite fails in its own lane
@@ -269,39 +280,26 @@ class Scheduler:
                 parts = [x - rest, *others]
                 far.append(np.sum(sum(part**2 for part in parts), axis=1))
         order = np.argsort(-np.concatenate(far)[:total], kind="stable")
-        count = len(self.pools)
-        dealt = [order[: width * count][i::count] for i in range(count)]
-        return np.concatenate([*dealt, order[width * count :]])
+        dealt = [order[: size * count][i::count] for i in range(count)]
+        return np.concatenate([*dealt, order[size * count :]])
 
     def _go_on(self, pool: Pool) -> None:
-        """Gives idle lanes the first waiting jobs and, if they suffice, busy lanes the next."""
-        if self.waiting.size < sum(pool.width for pool in self.pools):
+        """Offers the pool the first waiting jobs: its share, or as many as it has idle lanes."""
+        if self.waiting.size < sum(pool.queue for pool in self.pools):
             self._next_block()
-        numbers = np.full(pool.width, AS_IT_IS)
-        free = np.flatnonzero(~pool.busy & (pool.next_job < 0))
-        if self.waiting.size < free.size:
-            # Jobs in reserve for a busy lane go to idle ones.
-            late = np.flatnonzero(pool.busy & (pool.next_job >= 0))
-            late = late[: free.size - self.waiting.size]
-            self.waiting = np.concatenate([self.waiting, pool.next_job[late]])
-            numbers[late] = NO_JOB
-        self._hand_out(numbers, free)
-        if self.waiting.size > sum(pool.width for pool in self.pools):
-            self._hand_out(numbers, np.flatnonzero(pool.busy & (pool.next_job < 0)))
-        if not pool.busy.any() and not np.any((numbers >= 0) | (pool.next_job >= 0)):
+        share = max(np.sum(~pool.busy), self.waiting.size // len(self.pools))
+        count = min(pool.queue, share)
+        offered, self.waiting = self.waiting[:count], self.waiting[count:]
+        if not pool.busy.any() and not offered.size:
             return
-        if not self.fixed and not self.waiting.size:
-            numbers = self._shrink(pool, numbers)
-        pool.go_on(self._values, numbers, more=self.waiting.size > 0)
-
-    def _hand_out(self, numbers: np.ndarray, lanes: np.ndarray) -> None:
-        lanes = lanes[: self.waiting.size]
-        numbers[lanes] = self.waiting[: lanes.size]
-        self.waiting = self.waiting[lanes.size :]
+        if not self.fixed and not offered.size:
+            self._shrink(pool)
+        pool.go_on(self._values, offered, more=self.waiting.size > 0)
 
     def _collect(self, pool: Pool, ended: Callable[[Block], object]) -> int:
         """Stores the records of the lanes that have ended; returns their number."""
-        jobs, record = pool.outcome()
+        jobs, record, left = pool.outcome()
+        self.waiting = np.concatenate([left, self.waiting]) if left.size else self.waiting
         for open_block in list(self._open):
             mine = open_block.mine(jobs)
             at = jobs[mine] - open_block.first
@@ -313,21 +311,19 @@ class Scheduler:
             if open_block.left == 0:
                 self._open.remove(open_block)
                 ended(open_block.block)
-        return int(np.sum(jobs >= 0))
+        return jobs.size
 
-    def _shrink(self, pool: Pool, numbers: np.ndarray) -> np.ndarray:
+    def _shrink(self, pool: Pool) -> None:
         """Once only a few long lanes are left, continues with a pool of a quarter of the width.
 
         A step of the whole pool costs nearly the same for any number of running lanes.
         """
         small, busy = pool.width // 4, pool.busy
-        settled = np.all(numbers == AS_IT_IS) and np.all(pool.next_job < 0)
-        if pool.pace is None or small == 0 or not settled or not 0 < busy.sum() <= small:
-            return numbers
+        if pool.pace is None or not 0 < busy.sum() <= small:
+            return
         pace = np.maximum(np.nan_to_num(pool.pace[busy]), 1e-300)
         if np.max((float(self.task.t1) - pool.t[busy]) / pace) >= _WORTH_COMPILING:
             pool.shrink(small)
-        return np.full(pool.width, AS_IT_IS)
 
 
 def lane_bar(total: int, show: bool, description: str) -> tqdm:
@@ -348,6 +344,16 @@ def lane_count(n: int, total: int, devices: Sequence[Any], lanes: int | None) ->
     platform = "cpu" if devices[0].platform == "cpu" else "gpu"
     share = -(-total // len(devices))
     return min(max(1, _NUMBERS_PER_DEVICE[platform] // n), share)
+
+
+def _queue(width: int) -> int:
+    """The number of jobs that a device with so many lanes takes along."""
+    return max(width, min(_QUEUE * width, _ENOUGH))
+
+
+def _blank(shapes: Any, count: int) -> Any:
+    """Zeros of these shapes, stacked."""
+    return jtu.tree_map(lambda s: np.zeros((count, *s.shape), s.dtype), shapes)
 
 
 def _bytes(shapes: Any) -> int:

@@ -223,7 +223,7 @@ def _unit_size(ensemble: Ensemble, lanes: int) -> int:
     # Seconds per mass and time unit of a lane, and at least; rough values for any friction.
     per_time = 3e-7 if isinstance(task.plan, EventDrivenPlan) else 2e-6
     seconds = 1e-5 + per_time * task.n * float(task.t1 - task.t0)
-    numbers = sum(math.prod(shape.shape) for shape in jtu.tree_leaves(ensemble.place.record))
+    numbers = sum(math.prod(shape.shape) for shape in jtu.tree_leaves(ensemble.shapes.record))
     wanted = max(4 * lanes, int(5.0 / seconds), -(-total // 20_000))
     return max(1, min(wanted, (1 << 24) // numbers, -(-total // 8)))
 

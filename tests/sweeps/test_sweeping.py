@@ -140,28 +140,32 @@ def test_given_lanes_stay_so_many_however_long_the_last_ones_take(monkeypatch):
     assert ends() == (4, 1)
 
 
-@pytest.mark.long
-def test_what_waits_for_a_long_run_is_taken_back_by_an_idle_lane(monkeypatch):
+def test_results_do_not_depend_on_how_often_the_host_looks(monkeypatch):
+    """Jobs that have not begun are offered again, and a lane whose records are full waits."""
     from jaxchain.sweeps import scheduler
-    from jaxchain.sweeps.lanes import NO_JOB
-    from jaxchain.sweeps.scheduler import Pool
 
-    monkeypatch.setattr(scheduler, "_FIRST_NUMBERS", 1)  # the host looks in between
-    taken, original = [], Pool.go_on
+    looks, original = [], scheduler.Pool.outcome
 
-    def go_on(self, jobs, numbers, more):
-        taken.extend(self.next_job[numbers == NO_JOB])
-        return original(self, jobs, numbers, more)
+    def outcome(self):
+        looks[-1] += 1
+        return original(self)
 
-    monkeypatch.setattr(Pool, "go_on", go_on)
-    # The first goes on to the end; the others rest, and stop.
-    found = sweep(
-        CHAIN, equation_8, 400.0, over={"excited": [1, 0, 0, 0, 0, 0]}, lanes=2,
-        observe=Amplitude(window=20.0, stop="quiet"), devices=jax.devices()[:1],
-    )  # fmt: skip
-    assert [NAMES[int(r)] for r in found.result] == ["successful", *["quiet"] * 5]
-    assert len(taken) == 1
-    assert found.result.shape == (6,)
+    def found(first, seconds):
+        looks.append(0)
+        monkeypatch.setattr(scheduler.Pool, "outcome", outcome)
+        monkeypatch.setattr(scheduler, "_FIRST_NUMBERS", first)
+        monkeypatch.setattr(scheduler, "_SECONDS", seconds)
+        # The first goes on to the end; the others rest, and stop: one lane takes them all.
+        return sweep(
+            CHAIN, equation_8, 400.0, over={"excited": [1, *13 * [0]]}, lanes=2,
+            observe=Amplitude(window=20.0, stop="quiet"), devices=jax.devices()[:1],
+        )  # fmt: skip
+
+    seldom, often = found(10**9, 0.2), found(1, 0.0)
+    assert 2 <= looks[0] <= 4 < looks[1]
+    assert [NAMES[int(r)] for r in seldom.result] == ["successful", *["quiet"] * 13]
+    for name in ("amplitude", "steps", "end_time", "result"):
+        np.testing.assert_array_equal(seldom[name], often[name])
 
 
 def test_lanes_that_no_memory_holds_are_refused():
@@ -250,15 +254,17 @@ def test_any_number_of_the_chain_and_of_the_start_can_be_swept():
 
 
 def test_an_interrupted_sweep_hands_over_what_had_ended(monkeypatch):
+    from jaxchain.sweeps import scheduler
     from jaxchain.sweeps.scheduler import Pool
 
     ended = []
     original, waits = Pool.outcome, Pool.wait
+    monkeypatch.setattr(scheduler, "_FIRST_NUMBERS", 1)  # the host looks in between
 
     def interrupt(self):
-        jobs, record = original(self)
-        ended.append(int(np.sum(jobs >= 0)))
-        return jobs, record
+        jobs, record, left = original(self)
+        ended.append(jobs.size)
+        return jobs, record, left
 
     def wait(self):
         if sum(ended):
@@ -269,14 +275,14 @@ def test_an_interrupted_sweep_hands_over_what_had_ended(monkeypatch):
     monkeypatch.setattr(Pool, "wait", wait)
     with pytest.raises(SweepInterrupted) as caught:
         sweep(
-            CHAIN, equation_8, 60.0, over={"excited": [0, 1, 2, 3, 4]},
+            CHAIN, equation_8, 60.0, over={"excited": 4 * [0, 1, 2, 3, 4]},
             observe=Amplitude(window=20.0), lanes=2, devices=jax.devices()[:1],
         )  # fmt: skip
     result = caught.value.dataset
     states = [NAMES[int(r)] for r in result.result]
     # Also those of the rounds that were under way.
-    assert 1 <= states.count("successful") == sum(ended) < 5
-    assert states.count("interrupted") == 5 - states.count("successful")
+    assert 1 <= states.count("successful") == sum(ended) < 20
+    assert states.count("interrupted") == 20 - states.count("successful")
     unknown = [state == "interrupted" for state in states]
     for name in ("active_count", "steps", "rejected", "end_time"):
         assert np.isnan(result[name].values).tolist() == unknown
