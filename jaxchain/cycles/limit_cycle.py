@@ -773,7 +773,7 @@ def find_limit_cycle(
     limit = check_tolerance(tolerance, max_steps)
     frozen = lax.stop_gradient(chain)
     if isinstance(chain, Chain):
-        as_symmetry(images, frozen, steady_sliding(frozen))
+        as_symmetry(images, frozen, (jnp.zeros(chain.n),) * 2)  # before anything long starts
     mass, state, period = resolve_guess(frozen, guess, period, mass, branch, throw)
     images, shift = as_symmetry(images, frozen, state, mass)
 
