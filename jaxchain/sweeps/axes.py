@@ -91,8 +91,9 @@ def check_axes(
             "Sweep over fewer values, split the sweep, or keep it in a `store`."
         )
     own = CHAIN.keys() & set(numbers) if isinstance(chain, Chain) else set()
-    for name in own & set(names):
-        chain_number(name, columns_of(axes)[name])  # raises for impossible numbers
+    for name, values in columns_of(axes).items():
+        if name in own:
+            chain_number(name, values)  # raises for impossible numbers
     for row in extremes(axes, [name for name in numbers if name not in own]):
         chain.with_(**row)  # also for those of a law that contradict each other
     return axes
