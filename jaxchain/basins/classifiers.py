@@ -251,7 +251,7 @@ class VibratingMasses(AbstractClassifier):
         high = jnp.maximum(now.high, jnp.maximum(extreme, end))
         now = eqx.tree_at(lambda a: (a.low, a.high), now, (low, high))
         if now.peaks is not None:
-            peak = turns & (step.at_ends()[0][1] > 0)
+            peak, theta = step.maxima()
             latest = jnp.where(peak, step.time(theta), now.peaks[0])
             before = jnp.where(peak, now.peaks[0], now.peaks[1])
             now = eqx.tree_at(lambda a: a.peaks, now, jnp.stack([latest, before]))

@@ -589,8 +589,8 @@ def dry_cycle(
 class _Cuts(AbstractSection):
     """States in which a mass is released by the belt, or is fastest while it slides behind it."""
 
-    def _slope(self, step: Step, t: Any, y: State) -> Array:
-        del t
+    def _slope(self, step: Step, theta: Any, y: State) -> Array:
+        del theta
         field: Any = step.field
         return field.belt_direction() * _slipping(field, *y)[self.oscillator]
 

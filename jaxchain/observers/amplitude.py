@@ -169,7 +169,7 @@ class Amplitude(AbstractObserver):
         over = counts & (step.t1 >= rest.boundary)
 
         def look() -> Array:
-            rates = step.field(step.t1, step.y1)
+            rates = [step.of(k).rate_after() for k in range(len(step.y1))]
             motion = jnp.max(functools.reduce(jnp.maximum, map(jnp.abs, rates)))
             attracts = step.field.attracts(step.t1, step.y1)
             return attracts & (motion < self.quiet_below)

@@ -8,6 +8,7 @@ no trajectory is stored.
 from __future__ import annotations
 
 import abc
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -27,6 +28,18 @@ from ..model.oscillators import AbstractOscillators
 
 
 @final
+class Rates(eqx.Module):
+    """The rates of an event-driven step, each of one side of the events at its ends.
+
+    `within(theta, k)`: the rate of velocity k during the step; `after`: the rates with which they
+    go on from its end, computed only if they are used.
+    """
+
+    within: Callable[[Any, int], Array]
+    after: list[Array]
+
+
+@final
 class Step(eqx.Module):
     """One accepted step, from (`t0`, `y0`) to (`t1`, `y1`).
 
@@ -34,6 +47,10 @@ class Step(eqx.Module):
     or other model.  `displacement(theta)` and `velocity(theta)` interpolate at theta in
     [0, 1], one number or one per mass; of cells that is the number `component` and its rate, see
     `of`, and `state(theta)` is all of them.
+
+    Rates of dry friction jump at an event, where a step ends.  So ask the step for them, not
+    `field(t1, y1)`, whose friction is of neither side: `at_ends` and `velocity` give the rates
+    within the step, and `rate_after` the rate with which the motion goes on.
 
     !!! example
 
@@ -61,6 +78,7 @@ class Step(eqx.Module):
     y1: State
     part: Callable[[Any, int], Array]  # number k of each cell at theta
     component: int = eqx.field(static=True, default=0)
+    rates: Rates | None = None  # of an event-driven step; None: the field gives them
 
     def displacement(self, theta: Any) -> Array:
         """The number `component` of each cell."""
@@ -74,6 +92,8 @@ class Step(eqx.Module):
         field, component = self.field, self.component
         if isinstance(field, AbstractOscillators) and component == 0:
             return self.part(theta, 1)
+        if (rates := self._velocity_rates()) is not None:
+            return rates.within(theta, component - len(rates.after))
         if _is_alone(field, self.y0, component):
             return field(self.t0, self.state(theta))[component]
         theta = jnp.asarray(theta, float)
@@ -86,15 +106,48 @@ class Step(eqx.Module):
 
     def of(self, component: int) -> Step:
         """The step as seen by an observer of another of the numbers of a cell."""
-        return Step(self.field, self.t0, self.t1, self.y0, self.y1, self.part, component)
+        return dataclasses.replace(self, component=component)
 
     def at_ends(self) -> tuple[State, State]:
-        """(displacement, velocity) at the start and at the end."""
+        """(displacement, velocity) at the start and at the end, within the step."""
         field, component = self.field, self.component
-        return (
-            field.value_and_rate(self.t0, self.y0, component),
-            field.value_and_rate(self.t1, self.y1, component),
-        )
+        start = field.value_and_rate(self.t0, self.y0, component)
+        end = field.value_and_rate(self.t1, self.y1, component)
+        if self._velocity_rates() is not None:
+            start, end = (start[0], self.velocity(0.0)), (end[0], self.velocity(1.0))
+        return start, end
+
+    def rate_after(self) -> Array:
+        """The velocity just after the end, which differs where friction jumps at an event."""
+        if (rates := self._velocity_rates()) is not None:
+            return rates.after[self.component - len(rates.after)]
+        return self.at_ends()[1][1]
+
+    def _velocity_rates(self) -> Rates | None:
+        """The rates of an event-driven step if `component` is a velocity; else None.
+
+        Rates of displacements do not jump.
+        """
+        rates = self.rates
+        return None if rates is None or self.component < len(rates.after) else rates
+
+    def second_rate(self, theta: Any, y: State) -> Array:
+        """The rate of the velocity at theta, where the state is `y`."""
+        if self.rates is not None and self._velocity_rates() is None:
+            return self.rates.within(theta, self.component)
+        return self.field.second_rate(self.time(theta), y, self.component)
+
+    def maxima(self) -> tuple[Bool[Array, " n"], Float[Array, " n"]]:
+        """(which masses have a maximum within the step or at its end, at which theta).
+
+        There the velocity changes from positive to negative; where it jumps at the end, the
+        maximum is a corner.  Where it jumps to zero, as the acceleration of a mass that starts to
+        stick, there is none.
+        """
+        (_, first), (_, last) = self.at_ends()
+        inside = (first > 0) & (last <= 0)
+        corner = (last > 0) & (self.rate_after() < 0)
+        return inside | corner, self._zero(inside, first, last)
 
     def turning_points(self) -> tuple[Bool[Array, " n"], Float[Array, " n"]]:
         """(which masses turn within the step, at which theta).
@@ -104,7 +157,13 @@ class Step(eqx.Module):
         """
         (_, v0), (_, v1) = self.at_ends()
         turns = (v0 > 0) & (v1 <= 0) | (v0 < 0) & (v1 >= 0)
-        return turns, lax.stop_gradient(zeros(self.velocity, turns, v0, v1, elsewhere=1.0))
+        return turns, self._zero(turns, v0, v1)
+
+    def _zero(self, turns: Array, first: Array, last: Array) -> Array:
+        """The theta at which the velocity is zero, for those that turn; 1 for the others."""
+        bends = self._velocity_rates() is not None  # the acceleration
+        theta = zeros(self.velocity, turns, first, last, elsewhere=1.0, certain=bends)
+        return lax.stop_gradient(theta)
 
     def time(self, theta: Any) -> Array:
         """The time t0 + theta (t1 - t0), of the shape of theta."""
@@ -119,11 +178,12 @@ class Step(eqx.Module):
 
     def frozen(self) -> Step:
         """The step without derivatives, which may cost more than the observed value."""
-        fixed = lax.stop_gradient((self.field, self.t0, self.t1, self.y0, self.y1))
+        names = ("field", "t0", "t1", "y0", "y1", "rates")
+        fixed = {name: lax.stop_gradient(getattr(self, name)) for name in names}
         part = self.part
-        return Step(
-            *fixed, lambda theta, k: lax.stop_gradient(part(theta, k)), self.component
-        )  # fmt: skip
+        return dataclasses.replace(
+            self, part=lambda theta, k: lax.stop_gradient(part(theta, k)), **fixed
+        )
 
 
 def _is_alone(field: AbstractField, y: State, component: int) -> bool:
@@ -147,16 +207,25 @@ def zeros(
     last: Float[Array, "*masses"],
     *,
     elsewhere: float,
+    certain: bool = False,
 ) -> Float[Array, "*masses"]:
     """The theta in [0, 1] at which function(theta) is zero where it `crosses`, mass by mass.
 
-    It uses the secant through both ends, then two Newton steps.
+    It uses the secant through both ends, then two Newton steps.  If `certain`, eight steps, each
+    of which stays between points of different signs: for functions that bend strongly.
     """
     theta = flatten(jnp.where(crosses, first / jnp.where(crosses, first - last, 1.0), elsewhere))
-    for _ in range(2):
+    low, high = 0.0, 1.0
+    for _ in range(8 if certain else 2):
         value, slope = jax.jvp(function, (theta,), (jnp.ones_like(theta),))
         slope = jnp.where(slope == 0, 1.0, slope)
-        theta = flatten(jnp.clip(theta - jnp.where(crosses, value / slope, 0.0), 0.0, 1.0))
+        new = theta - jnp.where(crosses, value / slope, 0.0)
+        if certain:
+            same = (value > 0) == (first > 0)
+            low, high = jnp.where(same, theta, low), jnp.where(same, high, theta)
+            outside = crosses & ((new < low) | (new > high))
+            new = jnp.where(outside, 0.5 * (low + high), new)
+        theta = flatten(jnp.clip(new, 0.0, 1.0))
     return theta
 
 

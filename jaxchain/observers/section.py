@@ -82,9 +82,9 @@ class PeakTimes(AbstractNotingObserver):
     def note(self, step: Step) -> Float[Array, " n"]:
         """The time of each mass's maximum in this step, of shape (n,)."""
         step = step.of(self.component)
-        turns, theta = step.turning_points()
+        peak, theta = step.maxima()
         time = step.time(theta)
-        peak = turns & (step.at_ends()[0][1] > 0) & (time >= self.start)
+        peak = peak & (time >= self.start)
         # Once, not once for every row.
         return materialize(jnp.where(peak, time, _NONE))
 
@@ -148,14 +148,15 @@ class AbstractSection(AbstractObserver):
 
     def update(self, accumulator: tuple[Array, ...], step: Step) -> tuple[Array, ...]:
         times, *kept, count = accumulator
-        first = self._slope(step, step.t0, step.y0)
-        last = self._slope(step, step.t1, step.y1)
+        first = self._slope(step, 0.0, step.y0)
+        last = self._slope(step, 1.0, step.y1)
         peaks = (first > 0) & (last <= 0)
         if self.of == "displacement":
             velocity = lambda theta: step.velocity(theta)[self.oscillator]  # noqa: E731
             theta = lax.stop_gradient(zeros(velocity, peaks, first, last, elsewhere=1.0))
         else:
             theta = self._fastest(step, peaks, first, last)
+            peaks = peaks | self._corner(step, last)
         hit = peaks & (step.time(theta) >= self.start)
         here = hit & (jnp.arange(self.capacity) == count)
         # Once, not once for every row.
@@ -169,12 +170,19 @@ class AbstractSection(AbstractObserver):
             count + hit,
         )
 
-    def _slope(self, step: Step, t: Any, y: State) -> Array:
-        """The rate of the quantity whose maximum is taken."""
+    def _slope(self, step: Step, theta: Any, y: State) -> Array:
+        """The rate of the quantity whose maximum is taken, at theta, where the state is `y`."""
         field = step.field
         if self.of == "displacement":
-            return field.value_and_rate(t, y)[1][self.oscillator]
-        return field.belt_direction() * field.second_rate(t, y)[self.oscillator]
+            return field.value_and_rate(step.time(theta), y)[1][self.oscillator]
+        return field.belt_direction() * step.second_rate(theta, y)[self.oscillator]
+
+    def _corner(self, step: Step, last: Array) -> Array:
+        """Whether the velocity has a maximum at the end of a step, where its rate jumps."""
+        if step.rates is None:
+            return jnp.asarray(False)
+        after = step.rates.after[step.component][self.oscillator]
+        return (last > 0) & (step.field.belt_direction() * after < 0)
 
     def _fastest(self, step: Step, peaks: Array, first: Array, last: Array) -> Array:
         """By the Illinois rule: the value at an end that stays twice is halved."""
@@ -182,7 +190,7 @@ class AbstractSection(AbstractObserver):
         def nearer(_: Any, bracket: tuple[Array, ...]) -> tuple[Array, ...]:
             a, fa, b, fb, side = bracket
             theta = a + (b - a) * fa / jnp.where(peaks, fa - fb, 1.0)
-            f = self._slope(step, step.time(theta), step.state(theta))
+            f = self._slope(step, theta, step.state(theta))
             rises = f > 0
             fa = jnp.where(rises, f, jnp.where(side < 0, 0.5 * fa, fa))
             fb = jnp.where(rises, jnp.where(side > 0, 0.5 * fb, fb), f)

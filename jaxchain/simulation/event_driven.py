@@ -34,7 +34,7 @@ from .._types import State
 from ..model.cells import AbstractField
 from ..model.chain import Chain
 from ..model.mechanical import MechanicalCells
-from ..observers.base import AbstractNotingObserver, AbstractObserver, Step
+from ..observers.base import AbstractNotingObserver, AbstractObserver, Rates, Step
 from ..result import Result
 from ..solvers.dry_friction import (
     STICK,
@@ -44,8 +44,10 @@ from ..solvers.dry_friction import (
     after,
     expand,
     friction_at_rest,
+    friction_coefficient,
     motion,
     next_event,
+    rates,
     shares,
     start,
     static_limit,
@@ -133,10 +135,10 @@ def at_the_end(field: Dry, progress: Progress, t1: Any) -> Progress:
 
     This occurs for a run over the period of a cycle that is cut at an event.
     """
-    rates = motion(field, progress.t, progress.state, progress.memory.modes.direction)
+    rate = motion(field, progress.t, progress.state, progress.memory.modes.direction)
     # Rounding only; 0 except for its derivative.
     rest = jnp.where(progress.running & (progress.t >= t1), t1 - progress.t, 0.0)
-    pairs = zip(progress.state, rates, strict=True)
+    pairs = zip(progress.state, rate, strict=True)
     return eqx.tree_at(lambda p: p.state, progress, tuple(a + rest * b for a, b in pairs))
 
 
@@ -152,8 +154,8 @@ def head_start(
     """
     d, place = len(state) // 2, field.contact
     through = hits & (modes.direction != STICK) & (new.direction != STICK)
-    rates = motion(field, t, state, new.direction)[d:]
-    gains = [jnp.where(through, since * rates[place - d], 0.0)] * d
+    rate = motion(field, t, state, new.direction)[d:]
+    gains = [jnp.where(through, since * rate[place - d], 0.0)] * d
     if d > 1:
         change = friction_at_rest(field, t, state, new.direction)
         change = since * (change - friction_at_rest(field, t, state, modes.direction))
@@ -177,24 +179,31 @@ def _(primals: Any, tangents: Any) -> tuple[Array, Array]:
 # The most successive steps that do not change the time: an event of every mass, and some more.
 _STALLED_PER_MASS, _STALLED = 8, 64
 _RAN_AWAY = 1e8
+# The longest step grows by this factor after each accepted one; it is halved with each rejected.
+_RECOVERY = 4.0
+# Share of the time below which a step is rounding.
+_RESOLUTION = 1e-15
+# The error of a step, in units of the tolerance, above which it is rejected.
+_BEARABLE = 1.0
 
 
 def _notes(observer: AbstractObserver) -> TypeGuard[AbstractNotingObserver]:
     return isinstance(observer, AbstractNotingObserver)
 
 
-def _step_length(plan: EventDrivenPlan, series: Series) -> Array:
+def _step_length(order: int, series: Series, per_scale: list[Array]) -> Array:
     """The step whose last two terms stay within the tolerance (Jorba and Zou)."""
-    per_scale = [
-        1.0 / (plan.atol + plan.rtol * jnp.maximum(jnp.abs(x[0]), jnp.abs(v[0])))
-        for x, v in zip(series.x, series.v, strict=True)
-    ]
     logs = []
-    for k in (plan.order - 1, plan.order):
-        terms = [jnp.max(jnp.abs(v[k]) * s) for v, s in zip(series.v, per_scale, strict=True)]
-        term = functools.reduce(jnp.maximum, terms)
+    for k in (order - 1, order):
+        term = _greatest([v[k] for v in series.v], per_scale)
         logs.append(jnp.log(jnp.maximum(term, 1e-300)) / k)
-    return jnp.minimum(plan.max_step, jnp.exp(-jnp.maximum(*logs)))
+    return jnp.exp(-jnp.maximum(*logs))
+
+
+def _greatest(parts: Sequence[Array], per_scale: list[Array]) -> Array:
+    """The greatest size of any part, in units of its tolerance; NaN if any is NaN."""
+    sizes = [jnp.max(jnp.abs(part) * s) for part, s in zip(parts, per_scale, strict=True)]
+    return functools.reduce(jnp.maximum, sizes)
 
 
 class _Motion(eqx.Module):
@@ -216,9 +225,23 @@ class _Motion(eqx.Module):
         return value([self.start[part], *(a / (k + 1) for k, a in enumerate(rates))], t)
 
 
+class _Rate(eqx.Module):
+    """The rates of the velocities of a motion."""
+
+    motion: _Motion
+
+    def __call__(self, theta: Any, velocity: int) -> Array:
+        coefficients = self.motion.v[velocity]
+        if isinstance(theta, float) and theta == 0.0:
+            return coefficients[1]
+        return value_and_slope(coefficients, theta * self.motion.length)[1]
+
+
 class _StoredMotion(eqx.Module):
     modes: Modes
     stalled: Int[Array, ""]  # successive steps that did not change the time
+    longest: Float[Array, ""]  # step after a rejected one; infinite otherwise
+    friction: list[Array]  # values at the present speeds, see `friction_coefficient`
 
 
 class EventDrivenPlan(AbstractPlan):
@@ -237,11 +260,13 @@ class EventDrivenPlan(AbstractPlan):
     def begin(self, field: AbstractField, initial: State, t0: Any, t1: Any) -> Progress:
         dry = _dry(field)
         state, modes = start(dry, t0, initial)
+        v = state[dry.contact]
+        _, known = friction_coefficient(dry, v, modes.direction, v - dry.belt_speed)
         return Progress(
             t=to_float(t0),
             state=state,
             accumulators=[o.init(dry, t0, t1, state) for o in self.observers],
-            memory=_StoredMotion(modes, jnp.zeros((), int)),
+            memory=_StoredMotion(modes, jnp.zeros((), int), jnp.asarray(jnp.inf), known),
             result=first_result(state, t0, t1),
             steps=jnp.zeros((), int),
             rejected=jnp.zeros((), int),
@@ -267,7 +292,7 @@ class EventDrivenPlan(AbstractPlan):
 
         def goes_on(carry: tuple[Progress, list[StateRecord]]) -> Array:
             now, _ = carry
-            return now.running & (now.t < t1) & (now.steps < most)
+            return now.running & (now.t < t1) & (now.steps + now.rejected < most)
 
         def step(
             carry: tuple[Progress, list[StateRecord]], counts: Any, noting: bool = False
@@ -322,10 +347,16 @@ class EventDrivenPlan(AbstractPlan):
         observers that take notes.
         """
         frozen = lax.stop_gradient
-        modes, t0 = progress.memory.modes, progress.t
-        series = expand(field, t0, progress.state, modes, self.order)
+        memory, t0, before = progress.memory, progress.t, progress.state
+        modes = memory.modes
+        series = expand(field, t0, before, modes, self.order, memory.friction)
         left = end - t0
-        bearable = frozen(_step_length(self, series))
+        per_scale = [
+            1.0 / (self.atol + self.rtol * jnp.maximum(jnp.abs(x[0]), jnp.abs(v[0])))
+            for x, v in frozen(list(zip(series.x, series.v, strict=True)))
+        ]
+        bearable = frozen(_step_length(self.order, series, per_scale))
+        bearable = jnp.minimum(jnp.minimum(bearable, self.max_step), memory.longest)
         last = left <= bearable
         length = jnp.where(last, left, bearable)
         until, hits = next_event(*frozen((field, series, modes, length)))
@@ -334,37 +365,55 @@ class EventDrivenPlan(AbstractPlan):
 
         # Each is computed once: see `materialize`.
         d, place = len(series.x), field.contact
-        lengths = spread(length, progress.state[0])
+        lengths = spread(length, before[0])
         x = [materialize(value(part, lengths), flat=True) for part in series.x]
         moving = [value_and_slope(part, lengths) for part in series.v]
-        v, rates = ([materialize(pair[i], flat=True) for pair in moving] for i in (0, 1))
-        here = v[place - d], rates[place - d]
+        v, slopes = ([materialize(pair[i], flat=True) for pair in moving] for i in (0, 1))
+        here = v[place - d], slopes[place - d]
         # Rounding, and so only its derivatives are computed.
         of_events, shift = shifts(field, series, modes, length, hits, *here)
         x = [a + change_alone(shift * b) for a, b in zip(x, v, strict=True)]
-        v = [a + change_alone(shift * b) for a, b in zip(v, rates, strict=True)]
+        v = [a + change_alone(shift * b) for a, b in zip(v, slopes, strict=True)]
         length, lengths = length + change_alone(shift), lengths + change_alone(shift)
         t1 = t0 + length
-        state, new = after(field, t1, (*x, *v), modes, hits, length > 0)
+        state, new, free = after(field, t1, (*x, *v), modes, hits, length > 0)
         gains = head_start(field, t1, state, modes, new, hits, shift - of_events)
         gained = [a + change_alone(b) for a, b in zip(state[d:], gains, strict=True)]
         state = (*state[:d], *gained)
+        # The truncated series errs by v_{p+1} h^{p+1}, its derivative by (p + 1) v_{p+1} h^p.  So
+        # h / (p + 1) times the difference from the rate at the end is the error of the step, and
+        # far greater if the series at its start does not know what follows.
+        mu, known = friction_coefficient(field, state[place], new.direction, series.w[0])
+        right = rates(field, free, mu, modes.direction)
+        defect = _greatest([a - b for a, b in zip(slopes, right, strict=True)], per_scale)
+        accepted = frozen(materialize(length * defect <= _BEARABLE * (self.order + 1)))
         # NaN if any is NaN.
         sizes = [jnp.abs(part) for part in (*x, *v)]
         greatest = jnp.max(functools.reduce(jnp.maximum, sizes))
         finite = jnp.isfinite(greatest)
         meets = last & ~early & ~jnp.any(hits)
-        t1 = jnp.where(finite, jnp.where(meets, end, t1), t0)
-        stalled = jnp.where(t1 > t0, 0, progress.memory.stalled + 1)
+        t1 = jnp.where(meets, end, t1)
+        # A rejected step is one of no length.
+        t1 = jnp.where(finite & accepted, t1, t0)
+        kept = state, new, known
+        state, new, known = where(accepted, kept, (before, modes, memory.friction))
+        stalled = jnp.where(accepted, jnp.where(t1 > t0, 0, memory.stalled + 1), memory.stalled)
+        longest = jnp.where(accepted, _RECOVERY * memory.longest, 0.5 * frozen(length))
 
         accumulators, result, notes = progress.accumulators, progress.result, []
         if self.observers:
-            motion_of = _Motion([part[0] for part in series.x], series.v, lengths)
-            step = Step(field, t0, t1, progress.state, state, motion_of)
+            taken = jnp.where(accepted, lengths, 0.0)
+            motion_of = _Motion([part[0] for part in series.x], series.v, taken)
+            after_it = rates(field, free, mu, new.direction)
+            starts = [v[1] for v in series.v]
+            after_it = where(accepted, after_it, starts)
+            sides = Rates(_Rate(motion_of), after_it)
+            step = Step(field, t0, t1, before, state, motion_of, rates=sides)
             pairs = zip(self.observers, accumulators, strict=True)
             notes = [o.note(step) for o in self.observers if noting and _notes(o)]
             accumulators = [
-                a if noting and _notes(o) else o.update_if(counts, a, step) for o, a in pairs
+                a if noting and _notes(o) else o.update_if(counts & accepted, a, step)
+                for o, a in pairs
             ]
             result = self.settled(accumulators, result)
         # For a state this large, events are closer than the resolution of the time.
@@ -372,15 +421,17 @@ class EventDrivenPlan(AbstractPlan):
         why = Result.where(large, Result.step_too_small, Result.events_accumulate)
         stuck = stalled > _STALLED_PER_MASS * x[0].shape[0] + _STALLED
         result = Result.where(stuck, why, result)
+        resolved = longest > _RESOLUTION * jnp.maximum(jnp.abs(t0), jnp.abs(end))
+        result = Result.where(resolved, result, Result.step_too_small)
         result = Result.where(finite, result, Result.nonfinite)
         progress = Progress(
             t=t1,
             state=state,
             accumulators=accumulators,
-            memory=_StoredMotion(new, stalled),
+            memory=_StoredMotion(new, stalled, longest, known),
             result=result,
-            steps=progress.steps + 1,
-            rejected=progress.rejected,
+            steps=progress.steps + accepted,
+            rejected=progress.rejected + ~accepted,
         )
         return progress, notes
 

@@ -17,7 +17,7 @@ v' = a - b p mu(|w|) sign(w) while it slides, v' = a - b r while it sticks.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias
 
 import equinox as eqx
@@ -30,7 +30,7 @@ from .._types import PerMass, State
 from ..model.chain import Chain
 from ..model.friction import spread_friction
 from ..model.mechanical import MechanicalCells
-from .taylor import CLEARANCE, PowerSeries, composed, first_exit
+from .taylor import CLEARANCE, PowerSeries, composed, evaluated, first_exit
 
 Dry: TypeAlias = Chain | MechanicalCells
 
@@ -76,15 +76,19 @@ def friction_at_rest(chain: Dry, t: Any, y: State, direction: Array) -> Array:
 
 def motion(chain: Dry, t: Any, y: State, direction: Array) -> State:
     """y' of masses in their modes."""
-    d, b = len(y) // 2, shares(chain)
-    u, v = chain.contact - d, y[d:]
-    free = accelerations(chain, t, y)
+    d = len(y) // 2
     # Beyond w = 0 the law is continued, so that a grazing is smooth.
-    mu = chain.law.coefficient(direction * (v[u] - chain.belt_speed))
+    mu = chain.law.coefficient(direction * (y[chain.contact] - chain.belt_speed))
+    return (*y[d:], *rates(chain, accelerations(chain, t, y), mu, direction))
+
+
+def rates(chain: Dry, free: Sequence[Array], mu: Array, direction: Array) -> list[Array]:
+    """v' of masses in their modes, from the accelerations without friction and mu(|w|)."""
+    b, u = shares(chain), chain.contact - len(free)
     friction = jnp.where(direction == STICK, free[u] / b[u], direction * chain.load * mu)
-    rates = [a if s is None else a - s * friction for a, s in zip(free, b, strict=True)]
-    rates[u] = jnp.where(direction == STICK, 0.0, rates[u])
-    return (*v, *rates)
+    parts = [a if s is None else a - s * friction for a, s in zip(free, b, strict=True)]
+    parts[u] = jnp.where(direction == STICK, 0.0, parts[u])
+    return parts
 
 
 class Modes(eqx.Module):
@@ -110,12 +114,32 @@ class Series(eqx.Module):
     r: list[Array]
 
 
-def expand(chain: Dry, t: Any, state: State, modes: Modes, order: int) -> Series:
+def friction_coefficient(
+    chain: Dry, v: Array, direction: Array, since: Array
+) -> tuple[Array, list[Array]]:
+    """(mu(|w|) of masses in their modes, values that `expand` need not compute again).
+
+    `v`: of the contacts.  A law with knots is evaluated in the piece where w was `since` the start
+    of the step, which ends just beyond a knot.
+    """
+    law = spread_friction(chain.law, direction)
+    speed = direction * flatten(v - spread(chain.belt_speed, direction))
+    if law.knots is None:
+        return evaluated(law.coefficient, speed)
+    if (piece := _piece(law, since)) is not None:
+        below, above, offset = piece
+        speed = jnp.clip(speed, below + offset, above - offset)
+    return law.coefficient(speed), []
+
+
+def expand(
+    chain: Dry, t: Any, state: State, modes: Modes, order: int, known: Sequence[Array] = ()
+) -> Series:
     """The motion as a Taylor series up to `order`, every mass in its mode.
 
     v_{k+1} = (a_k - b direction p m_k) / (k + 1),   x_{k+1} = v_k / (k + 1),
 
-    with m_k the coefficients of mu(direction (v - v_d)).
+    with m_k the coefficients of mu(direction (v - v_d)); `known`, see `friction_coefficient`.
     """
     load, direction = chain.load, modes.direction
     law = spread_friction(chain.law, direction)
@@ -125,7 +149,7 @@ def expand(chain: Dry, t: Any, state: State, modes: Modes, order: int) -> Series
     x, v = [[part] for part in state[:d]], [[part] for part in state[d:]]
     w = flatten(v[u][0] - spread(chain.belt_speed, direction))
     speed = [direction * w]
-    friction = composed(law.coefficient, speed, piecewise=law.knots is not None)
+    friction = composed(law.coefficient, speed, piecewise=law.knots is not None, known=known)
     free = _free_series(chain, t, x, v)
     # b direction p, so that a coefficient depends on arrays of the same shape alone.
     push = [None if s is None else spread(s * direction * load, direction) for s in b]
@@ -191,12 +215,14 @@ def start(chain: Dry, t: Any, state: State) -> tuple[State, Modes]:
     touching = jnp.abs(w) <= RESOLUTION * (1.0 + jnp.abs(speed))
     state = (*state[:place], jnp.where(touching, speed, v), *state[place + 1 :])
     resting = Modes(jnp.sign(w), jnp.zeros(v.shape, int))
-    return state, _met(chain, t, state, resting, touching, jnp.zeros_like(touching))
+    free = accelerations(chain, t, state)
+    return state, _met(chain, free, resting, touching, jnp.zeros_like(touching))
 
 
-def _met(chain: Dry, t: Any, state: State, modes: Modes, lands: Array, releases: Array) -> Modes:
+def _met(chain: Dry, free: Sequence[Array], modes: Modes, lands: Array, releases: Array) -> Modes:
     """The modes after some masses have come to w = 0 and others have been released from it."""
-    r = free_force(chain, t, state)
+    u = chain.contact - len(free)
+    r = free[u] / shares(chain)[u]
     sticks = lands & (jnp.abs(r) <= static_limit(chain))
     direction = jnp.where(lands | releases, jnp.sign(r), modes.direction)
     contact = jnp.where(lands, 1, jnp.where(releases, 2, modes.contact))
@@ -205,16 +231,18 @@ def _met(chain: Dry, t: Any, state: State, modes: Modes, lands: Array, releases:
 
 def after(
     chain: Dry, t: Any, state: State, modes: Modes, hits: Bool[Array, " n"], moved: Bool[Array, ""]
-) -> tuple[State, Modes]:
-    """State and modes after a step at whose end the masses in `hits` have their events.
+) -> tuple[State, Modes, Sequence[Array]]:
+    """(state, modes, accelerations without friction) after a step to `t`.
 
-    `moved`: whether time went on; if so, the others have left w = 0 behind.
+    At its end the masses in `hits` have their events.  `moved`: whether time went on; if so, the
+    others have left w = 0 behind.
     """
     lands, place = hits & (modes.direction != STICK), chain.contact
     v = jnp.where(lands, chain.belt_speed, state[place])
     state = (*state[:place], v, *state[place + 1 :])
     modes = Modes(modes.direction, jnp.where(moved, 0, modes.contact))
-    return state, _met(chain, t, state, modes, lands, hits & ~lands)
+    free = accelerations(chain, t, state)
+    return state, _met(chain, free, modes, lands, hits & ~lands), free
 
 
 def next_event(chain: Dry, series: Series, modes: Modes, length: Array) -> tuple[Array, Array]:
@@ -251,20 +279,26 @@ def _next_knot(chain: Dry, series: Series, modes: Modes, length: Array) -> Array
     The masses go beyond the knot by twice the offset of the friction series: the error is the
     square of that, and no mass stays between two pieces.
     """
-    given = chain.law.knots
-    knots = jnp.asarray(() if given is None else given, float)
-    if knots.size == 0:
+    if (piece := _piece(chain.law, series.w[0])) is None:
         return length
+    below, above, ahead = piece
     w = [jnp.abs(series.w[0]), *(modes.direction * v for v in series.w[1:])]
-    ahead = CLEARANCE * (1.0 + w[0])
-    n = w[0].size
-    knots = jnp.broadcast_to(knots if knots.ndim == 2 else knots[:, None], (len(knots), n))
-    far = jnp.full((1, n), _FAR)
-    edges = jnp.concatenate([-far, knots, far])
-    piece = jnp.sum((w[0] + ahead)[None] >= knots, axis=0, keepdims=True)
-    below, above = (jnp.take_along_axis(edges, piece + i, axis=0)[0] for i in (0, 1))
     slides = modes.direction != STICK
     lower = jnp.where(slides, below - 2.0 * ahead, -_FAR)
     upper = jnp.where(slides, above + 2.0 * ahead, _FAR)
     until, _ = first_exit(w, lower, upper, length, RESOLUTION * (1.0 + w[0]))
     return until
+
+
+def _piece(law: Any, w: Array) -> tuple[Array, Array, Array] | None:
+    """(knot below |w|, knot above, offset of the friction series); None for a law without knots."""
+    knots = jnp.asarray(() if law.knots is None else law.knots, float)
+    if knots.size == 0:
+        return None
+    ahead = CLEARANCE * (1.0 + jnp.abs(w))
+    knots = jnp.broadcast_to(knots if knots.ndim == 2 else knots[:, None], (len(knots), w.size))
+    far = jnp.full((1, w.size), _FAR)
+    edges = jnp.concatenate([-far, knots, far])
+    index = jnp.sum((jnp.abs(w) + ahead)[None] >= knots, axis=0, keepdims=True)
+    below, above = (jnp.take_along_axis(edges, index + i, axis=0)[0] for i in (0, 1))
+    return below, above, ahead

@@ -38,7 +38,10 @@ class PowerSeries:
 
 
 def composed(
-    function: Callable[..., Any], *arguments: Sequence[Any] | PowerSeries, piecewise: bool = False
+    function: Callable[..., Any],
+    *arguments: Sequence[Any] | PowerSeries,
+    piecewise: bool = False,
+    known: Sequence[Any] = (),
 ) -> Any:
     """The series of function(s(t)), or of function(s(t), ...) of several arguments.
 
@@ -47,6 +50,7 @@ def composed(
     s_0 ... s_k.  A single argument is a speed, which is not negative.  `piecewise`: whether the
     function may choose between cases by the size of s.  It then chooses by s_0 for all orders, or
     just above s_0 where the cases meet; the caller must limit the range in which this holds.
+    `known`: what `evaluated` found at s_0; it is computed if missing.
 
     **Returns:** a `PowerSeries`, or a tuple of them.  If the function uses an operation that is
     not known here, JAX's Taylor mode is used, which repeats all lower orders for every order.
@@ -65,7 +69,7 @@ def composed(
     traced, shape = jax.make_jaxpr(function, return_shape=True)(*first)
     above = [a + CLEARANCE * (1.0 + jnp.abs(a)) for a in first]
     try:
-        results = _Expansion(piecewise, series).of(traced, series, above)
+        results = _Expansion(piecewise, series, known).of(traced, series, above)
     except NotImplementedError:
         derivatives = PowerSeries(lambda k: jtu.tree_leaves(_by_jet(function, arguments, k)))
         results = [
@@ -73,6 +77,21 @@ def composed(
         ]
     results = [r if isinstance(r, PowerSeries) else _constant(r) for r in results]
     return tuple(results) if isinstance(shape, tuple) else results[0]
+
+
+def evaluated(function: Callable[[Array], Array], s: Array) -> tuple[Array, list[Array]]:
+    """(function(s), the costly values on the way, from which `composed` starts a series).
+
+    A step of a series ends with one, by which its error is known, and the next step begins there.
+    The list is empty for a function that chooses between cases, or is not known here.
+    """
+    series = PowerSeries(lambda k: s if k == 0 else jnp.zeros_like(s))
+    expansion = _Expansion(False, [series])
+    try:
+        (result,) = expansion.of(jax.make_jaxpr(function)(s), [series], [s])
+    except (NotImplementedError, ValueError):
+        return function(s), []
+    return _at(result, 0), expansion.costly
 
 
 # Cases are distinguished at this distance above s_0, relative to 1 + s_0.
@@ -105,8 +124,12 @@ class _Expansion:
     Every variable also has its value just above s_0, which selects the case.
     """
 
-    def __init__(self, piecewise: bool, arguments: Sequence[PowerSeries]):
+    def __init__(
+        self, piecewise: bool, arguments: Sequence[PowerSeries], known: Sequence[Any] = ()
+    ):
         self.piecewise, self.arguments = piecewise, arguments
+        self.known = iter(known)
+        self.costly: list[Any] = []  # values at s_0, in the order of the program
 
     def of(self, program: ClosedJaxpr, inputs: Sequence[Any], above: Sequence[Any]) -> list[Any]:
         return [series for series, _ in self._run(program, list(zip(inputs, above, strict=True)))]
@@ -159,7 +182,11 @@ class _Expansion:
         elif name in _BILINEAR:
             result = _product(lambda a, b: _values(step, [a, b])[0], *series)
         elif name in _RULES:
-            (first,) = _values(step, [_at(a, 0) for a in series])
+            first = next(self.known, None) if name in _COSTLY else None
+            if first is None:
+                (first,) = _values(step, [_at(a, 0) for a in series])
+            if name in _COSTLY:
+                self.costly.append(first)
             exponent = {"y": step.params["y"]} if name == "integer_pow" else {}
             result = _RULES[name](first, *series, **exponent)
         else:
@@ -411,6 +438,8 @@ _RULES: dict[str, Callable[..., PowerSeries]] = {
     "atan": _atan,
     "erf": _erf,
 }
+# Those whose value at s_0 costs as much as a few orders of their series, which begins with it.
+_COSTLY = {"sqrt", "exp", "exp2", "expm1", "log", "log1p", "tanh", "logistic"}
 
 
 # Rounds of the search of one polynomial, after two of all.  They never pass an exit and converge
