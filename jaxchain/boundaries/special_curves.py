@@ -103,6 +103,9 @@ _TOLERANCE = 1e-8
 _LEAST_STEP = 1e-3
 # Below it a number has no scale of its own.
 _TINY = 1e-6
+# Ends that may be those of a number that vanishes, and its share of the greatest on the curve.
+_VANISHING = ("small", "lost", "step_too_small", *_OTHER_EVENTS)
+_VANISHED = 1e-3
 
 
 class _CycleEquations(eqx.Module):
@@ -470,7 +473,8 @@ def find_special_cycle(
 
     - `point`: a "fold", "period doubling", "symmetry breaking" or "torus" of
       `continue_cycle(...).special`, of any model.  With dry friction a `Grazing` of
-      `find_grazing`; or a cycle close to a special one, a `LimitCycle` or (state, period).
+      `find_grazing`; or a cycle close to a special one, a `LimitCycle` or (state, period).  These
+      last three must not be traced.
     - `chain`: the model with other numbers, by default the same; its own value of the parameter is
       ignored.  If the search fails, it goes there in steps, unless `chain` is traced.
     - `kind`, `mass` (by default that of the cycle), `parameter`, for such a cycle: "grazing" (the
@@ -686,8 +690,9 @@ class SpecialCurve(Printed):
       fold.
     - `ended`: the reasons at the first and the last point: "generalised Hopf" (of folds, whose
       amplitude vanishes there), "Bogdanov-Takens", "1:1" or "1:2" (of a torus), "left_bounds",
-      "closed", "max_points", "small" (the amplitude vanishes
-      elsewhere), "lost", ...; with dry friction also
+      "closed", "max_points", "small" (the amplitude vanishes elsewhere), "lost", "belt_speed = 0"
+      (without a belt that moves there is no cycle), such as "mu_dynamic = 0" for any number that
+      must not be negative, ...; with dry friction also
       "another grazing", "another release", "another stick onset" and "two events", at one time;
       `message`: their texts.
     - `equations`, `unknowns` (k, ...): of each point what is solved, and its solution; NaN without
@@ -718,7 +723,9 @@ class SpecialCurve(Printed):
     def message(self) -> str:
         """The texts of both reasons."""
         return " ".join(
-            _ENDINGS.get(end) or ENDINGS.get(end, f"It ends in a point of kind {end}.")
+            f"It ends where {end}."
+            if end.endswith(" = 0")
+            else _ENDINGS.get(end) or ENDINGS.get(end, f"It ends in a point of kind {end}.")
             for end in self.ended
         )
 
@@ -854,7 +861,9 @@ def continue_special(
       `continue_cycle(...).special`; a `HopfPoint` of `find_hopf_point`; a `SpecialCycle`; or, with
       dry friction, a `Grazing` of `find_grazing`.  Its parameter is the first number.
     - `second`: the name of the second number, one for all cells.
-    - `bounds`: the ranges of both, name -> (low, high), in which the curve stays.
+    - `bounds`: the ranges of both, name -> (low, high), in which the curve stays; it also ends
+      where a number of a `Chain` that must not be negative is 0, and cycles without a force end
+      where the belt speed is.
     - `step`, `max_step`, `max_points` in each direction, `tolerance`: see `continue_branch`;
       lengths are those of `continue_cycle`, with the second number relative to its first value.
 
@@ -888,6 +897,11 @@ def continue_special(
                 f"Argument `bounds` must contain the start, {name} = {value:.6g}, but is "
                 f"{ranges[name]} for it."
             )
+    limits = _limits(equations, U)
+    ranges = {
+        name: (max(low, limits[name][0]), min(high, limits[name][1]))
+        for name, (low, high) in ranges.items()
+    }
     options = {
         "step": step,
         "max_step": max_step,
@@ -897,6 +911,7 @@ def continue_special(
     sides = [_side(equations, U, 1, ranges, options)]
     if sides[0].ended != "closed":
         sides.append(_side(equations, U, -1, ranges, options))
+    sides = [_named_zero(limits, side) for side in sides]
     return _joined(equations, sides)
 
 
@@ -932,6 +947,18 @@ def _ranges(bounds: Any, *names: str) -> dict[str, tuple[float, float]]:
     }
 
 
+def _limits(equations: Any, U: np.ndarray) -> dict[str, tuple[float, float]]:
+    """The ranges of both numbers that have such points, on the side of the start."""
+    limits = {}
+    driven = equations.kind != "hopf" and equations.shooting.turns is None
+    for name, value in zip(equations.names, U[-2:], strict=True):
+        signed = isinstance(equations.field, Chain) and parameter(name).sign != "any"
+        ends_at_0 = signed or (driven and name == "belt_speed" and value != 0)
+        low, high = (-np.inf, 0.0) if value < 0 else (0.0, np.inf)
+        limits[name] = (low, high) if ends_at_0 else (-np.inf, np.inf)
+    return limits
+
+
 class _Side(NamedTuple):
     """One half of a curve, from its start: its solutions and why it ends.
 
@@ -954,10 +981,17 @@ def _side(
     options: dict[str, Any],
 ) -> _Side:
     side = _piece(equations, U, direction, ranges, options)
+    if isinstance(side, str):
+        raise RuntimeError(
+            f"No curve was found: {side} The given point may not be one of its kind, or may not "
+            "depend on the second number."
+        )
     while equations.dry and (equations := equations.beyond(side.ended, side.unknowns[-1])):
         # Both pieces have one tangent there.
         before, meeting = side.unknowns[-2:]
         more = _piece(equations, meeting, int(np.sign(meeting[-1] - before[-1])), ranges, options)
+        if isinstance(more, str):
+            return side._replace(ended="step_too_small")
         shifted = [replace(p, index=p.index + len(side.unknowns) - 1) for p in more.special]
         rows = ([*a[:-1], *b] for a, b in zip(side[:4], more[:4], strict=True))
         side = _Side(*rows, special=[*side.special, *shifted], ended=more.ended)  # pyright: ignore[reportArgumentType]
@@ -970,7 +1004,8 @@ def _piece(
     direction: int,
     ranges: Mapping[str, tuple[float, float]],
     options: dict[str, Any],
-) -> _Side:
+) -> _Side | str:
+    """One piece, or the reason why it has no first point."""
     tests, ((low, high), second), first = equations.tests(), ranges.values(), []
     weights = equations.weights(U)
     # Each look at a method makes a new object, which takes longer than the test.
@@ -989,10 +1024,7 @@ def _piece(
         tests={**tests, "edge": edge}, stop=stop, value_and_jacobian=_linearise, **options,
     )  # fmt: skip
     if not branch.p.size:
-        raise RuntimeError(
-            f"No curve was found: {branch.message} The given point may not be one of its kind, or "
-            "may not depend on the second number."
-        )
+        return branch.message
     unknowns, residual = [*np.column_stack([branch.u, branch.p])], [*branch.residuals]
     ended, special = branch.reason or branch.ended, []
     for raw in branch.special:
@@ -1022,6 +1054,22 @@ def _piece(
             residual.append(residual[-1])
             cycles.append((state, 2 * np.pi / np.sqrt(kappa), np.zeros_like(state[0])))
     return _Side(unknowns, residual, cycles, [equations] * len(cycles), special, ended)
+
+
+def _named_zero(limits: Mapping[str, tuple[float, float]], side: _Side) -> _Side:
+    """The side; a number that vanishes at its end names the end, with its noise left out."""
+    numbers = np.abs(np.array(side.unknowns)[:, -2:])
+    small = {"left_bounds": _TINY, **dict.fromkeys(_VANISHING, _VANISHED)}.get(side.ended, -1.0)
+    vanish = numbers[-1] <= small * np.max(numbers, axis=0)
+    for name, vanishes in zip(limits, vanish, strict=True):
+        if 0.0 in limits[name] and vanishes:
+            last = len(side.unknowns) - 2
+            special = [p for p in side.special if p.kind not in _VANISHING or p.index < last]
+            end = side.unknowns[-1].copy()
+            end[-2:] = np.clip(end[-2:], *np.transpose([*limits.values()]))
+            unknowns = [*side.unknowns[:-1], end]
+            return side._replace(ended=f"{name} = 0", special=special, unknowns=unknowns)
+    return side
 
 
 def _end_of_folds(

@@ -311,9 +311,25 @@ def test_a_dry_fold_has_its_slopes_and_ends_in_the_generalised_hopf_point():
     slopes, expected = (jax.grad(f)(chain).numbers() for f in (value, dry_fold_belt_speed))
     for name, slope in expected.items():
         assert float(slopes[name]) == pytest.approx(float(slope), abs=1e-7)
-    many = jax.vmap(lambda q: value(chain.with_(damping_ratio=q)))(jnp.array([0.05, 0.055]))
+    other = lambda q: value(chain.with_(damping_ratio=q))  # noqa: E731
+    many = jax.vmap(other)(jnp.array([0.05, 0.055]))
     expected = [dry_fold_belt_speed(chain.with_(damping_ratio=q)) for q in (0.05, 0.055)]
     np.testing.assert_allclose(many, expected, atol=1e-9)
+    assert float(jax.jit(other)(0.055)) == pytest.approx(float(expected[1]), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("second", "first_end"), [("mu_dynamic", "mu_dynamic = 0"), ("v_ref", "step_too_small")]
+)
+def test_a_curve_ends_with_the_name_of_the_number_that_vanishes(second, first_end):
+    """The amplitude of a slip cycle is about the belt speed; v_ref -> 0 is no model at all."""
+    curve = continue_special(find_grazing(paper_chain(1, width=None)), second)
+    assert curve.ended == (first_end, "belt_speed = 0")
+    assert "It ends where belt_speed = 0." in curve.message
+    assert 0.0 <= curve.first[-1] < 1e-6
+    assert np.all(curve.first[:-1] > 0)
+    assert np.all(curve.second >= 0)
+    assert not curve.special  # what is seen at a belt speed of 1e-8 is rounding
 
 
 def settled(cells, period, turns, start=(1.0, 0.0)):
