@@ -299,7 +299,7 @@ def check_force(chain: AbstractField, state: State) -> None:
             )
 
 
-def turns_of(chain: AbstractField, period: Any, name: str = "period") -> int | None:
+def turns_of(chain: AbstractField, period: Any) -> int | None:
     """The period in periods of the force, or `ValueError`; None where nothing depends on time."""
     forced = chain.forcing_period()
     if forced is None:
@@ -312,7 +312,7 @@ def turns_of(chain: AbstractField, period: Any, name: str = "period") -> int | N
     turns = round(float(period) / float(forced))
     if turns < 1 or abs(turns * float(forced) / float(period) - 1.0) > 1e-6:
         raise ValueError(
-            f"Argument `{name}` is {float(period):.9g}, but the cells are forced with the period "
+            f"Argument `period` is {float(period):.9g}, but the cells are forced with the period "
             f"{float(forced):.9g}: give a multiple of it, or leave `period` out."
         )
     return turns

@@ -86,6 +86,7 @@ Guess = tuple[State, Array]
 _TRANSIENT = 200.0  # the transient of a simulation
 _PEAKS = 12  # the number of velocity maxima to examine
 _MOST_TURNS = 16  # the greatest period of a forced cycle, in periods of the force
+_ROUNDING = 1e-9  # of the number of periods in a run
 
 
 def watched(chain: Any, state: State, t1: Any, watch: Section | Trajectory) -> Any:
@@ -165,10 +166,7 @@ def _last_turn(times: Array, *parts: Array) -> Guess:
 
 
 def _forced_guess(chain: AbstractField, state: State, transient: float) -> Guess:
-    """The state at the end of so many periods of the force, and after how many it comes back.
-
-    A run that is given as a guess must have ended at a multiple of the period, where it goes on.
-    """
+    """The state at the end of so many periods of the force, and after how many it comes back."""
     forced = to_float(chain.forcing_period())
     turns = max(2 * _MOST_TURNS, math.ceil(transient / float(forced)))
     times = forced * jnp.arange(turns - _MOST_TURNS, turns + 1)
@@ -177,6 +175,16 @@ def _forced_guess(chain: AbstractField, state: State, transient: float) -> Guess
         chain, state, times[-1], observe=Trajectory(times), solver=solver, rtol=1e-8, throw=False
     )
     return _last_turn(times, *lax.stop_gradient(run.observed))
+
+
+def _at_phase_0(chain: AbstractField, run: Simulation) -> State:
+    """The state at the end of a run, or at the next multiple of the period of the force."""
+    forced = to_float(chain.forcing_period())
+    turns = jnp.ceil(run.t / forced - _ROUNDING)
+    t1 = jnp.maximum(turns * forced, run.t)
+    solver = choose_solver(chain, 1e-8, state=run.state)
+    more = simulate(chain, run.state, t1, t0=run.t, solver=solver, rtol=1e-8, throw=False)
+    return lax.stop_gradient(more.state)
 
 
 def guess_from_point(chain: AbstractField, state: State, period: Any, mass: int) -> State:
@@ -733,6 +741,7 @@ def find_limit_cycle(
     - `chain`: a `Chain`, or with a guess `AbstractOscillators` or `AbstractCells`.
     - `guess`: of forced cells (see `AbstractCells.forcing_period`) a state at t = 0; `period` is a
       multiple of that of the force, up to 16 times, and found by a simulation if it is not given.
+      A `Simulation` goes on to the next multiple.
       None for the vibration of one mass: its stable stick-slip cycle, or with `branch` =
       "unstable" its slip cycle, found from another belt speed if necessary.  Otherwise a state (x,
       v), from which a simulation starts; with `period` a point near the orbit; a pair (state,
@@ -841,9 +850,9 @@ def resolve_guess(
             period = guess.turns * to_float(chain.forcing_period())
     else:
         transient = 0.0 if isinstance(guess, Simulation) else _TRANSIENT
-        if isinstance(guess, Simulation) and chain.forcing_period() is not None:
-            turns_of(chain, guess.t, "guess.t")  # the state belongs to the phase 0 of the force
-        guess = guess.state if isinstance(guess, Simulation) else guess
+        if isinstance(guess, Simulation):
+            forced = chain.forcing_period() is not None
+            guess = _at_phase_0(chain, guess) if forced else guess.state
         pair = isinstance(guess, tuple | list) and len(guess) == 2
         if pair and isinstance(guess[0], tuple | list):
             guess, period = guess

@@ -293,7 +293,9 @@ def slip_phases(
     chain: Dry, state: State, period: Any, mass: int, grazes: bool
 ) -> tuple[Phases, Float[Array, " m"]]:
     """`phases_of` of a slip cycle, from the peak of a mass, which grazes or not."""
-    mode = (-float(np.sign(chain.belt_speed)),) * state[0].shape[0]  # `jnp` would trace it in `jit`
+    mode = (-float(np.sign(chain.belt_speed)),) * state[0].shape[
+        0
+    ]  # `jnp` would trace it in `jit`
     special = (0, "grazing", 0.0) if grazes else None
     phases = Phases(chain, (mode,), (("peak", mass, 0.0),), special, len(state))
     return phases, jnp.append(jnp.concatenate(state), period)

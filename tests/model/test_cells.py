@@ -23,6 +23,7 @@ from jaxchain import (
     simulate,
     sweep,
 )
+from jaxchain.cycles.limit_cycle import resolve_guess
 from jaxchain.model import AbstractCells
 from jaxchain.model.tridiagonal import cell_solver, factor
 from jaxchain.observers import Divergence, Samples, StickTime
@@ -372,9 +373,19 @@ def test_a_period_that_is_not_that_of_the_force_is_refused():
     wrong = WrongPeriod(jnp.asarray(0.5), jnp.asarray(1.3))
     with pytest.raises(ValueError, match=r"`forcing_period` of WrongPeriod returns 2\.41"):
         find_limit_cycle(wrong, state(2, 2))
-    run = simulate(driven(), state(2, 2), 10.0)
-    with pytest.raises(ValueError, match=r"`guess.t` is 10, but the cells are forced"):
-        find_limit_cycle(driven(), run)
+
+
+def test_a_run_that_is_a_guess_goes_on_to_a_multiple_of_the_period_of_the_force():
+    cells, start = driven(), state(2, 2)
+    period = float(cells.forcing_period())
+    for turns in (0.1, 2.2, 3.0):
+        run = simulate(cells, start, turns * period, rtol=1e-8)
+        _, (x, v), _ = resolve_guess(cells, run, period, 0, "stable", True)
+        begin = simulate(cells, start, np.ceil(turns) * period, rtol=1e-8).state
+        np.testing.assert_allclose((x, v), begin, atol=1e-6)
+    cycle = find_limit_cycle(cells, simulate(cells, start, 2.2 * period))
+    assert (cycle.turns, cycle.stable) == (1, True)
+    assert not np.allclose(begin, cycle.state, atol=1e-3)  # the run had not settled
 
 
 class Phases(AbstractCells):
