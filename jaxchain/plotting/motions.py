@@ -70,10 +70,10 @@ _BELT, _SPRING, _COUPLING, _CEILING = -0.55, 0.72, 0.25, 1.45
 def plot_time_series(
     times: Any,
     states: Any,
-    y: str | int = 0,
-    *,
-    masses: Any = None,
     chain: AbstractField | None = None,
+    *,
+    y: str | int = 0,
+    masses: Any = None,
     ax: Axes | None = None,
     color: Any = None,
     label: str | None = None,
@@ -86,10 +86,10 @@ def plot_time_series(
     - `times`: shape (times,), dimensionless, increasing.
     - `states`: (x, v), each of shape (times, n), or a `Simulation` that observed
       `Trajectory(times)`; of cells all m arrays.
-    - `y`: "displacement" or "velocity"; of cells the name of a component.  Or its number, from 0.
-    - `masses`: indices of the masses to draw; by default all.  More than seven have a colour bar.
     - `chain`: adds a broad band behind a line where its mass sticks, and the belt speed to
       velocities.  Of `AbstractCells` it gives the names of the components.
+    - `y`: "displacement" or "velocity"; of cells the name of a component.  Or its number, from 0.
+    - `masses`: indices of the masses to draw; by default all.  More than seven have a colour bar.
     - `ax`: matplotlib axes; None makes new ones of a column's width (85 mm).
     - `color`, `label`: of the lines, to distinguish several runs on the same axes.
     - `scales`: for axes in SI units.
@@ -117,12 +117,13 @@ def plot_time_series(
 
 
 def plot_phase_portrait(
+    times: Any,
     states: Any,
+    chain: AbstractField | None = None,
     *,
     x: str | int = 0,
     y: str | int = 1,
     masses: Any = None,
-    chain: AbstractField | None = None,
     ax: Axes | None = None,
     color: Any = None,
     label: str | None = None,
@@ -131,7 +132,7 @@ def plot_phase_portrait(
     """Draws velocity over displacement of masses, or two other components of cells.
 
     **Arguments:** as for `plot_time_series`; `x`, `y`, the components; `chain` adds the belt
-    speed, and a broad band where a mass sticks.
+    speed, and a broad band where a mass sticks.  `times` only say how many states there are.
 
     **Returns:** the axes.
 
@@ -143,11 +144,12 @@ def plot_phase_portrait(
         >>> from jaxchain.plotting import plot_phase_portrait
         >>> times = np.linspace(0.0, 6.3, 100)
         >>> states = np.cos(times)[:, None], -np.sin(times)[:, None]  # any run of one mass
-        >>> ax = plot_phase_portrait(states)
+        >>> ax = plot_phase_portrait(times, states)
         >>> ax.get_xlabel(), len(ax.get_lines())
         ('displacement $\\\\tilde x_n$ (–)', 1)
     """
-    states = _checked_states(states)
+    times = _checked_times(times)
+    states = _checked_states(states, len(times))
     (over, across, x_label), (part, up, y_label), _ = _named(states, chain, scales, x=x, y=y)
     picked, stuck = _checked(states, masses, chain)
     lines, belt = (across * over, up * part), _belt(chain, part is states[1], up)
@@ -157,9 +159,9 @@ def plot_phase_portrait(
 def plot_space_time(
     times: Any,
     states: Any,
-    y: str | int = 0,
-    *,
     chain: AbstractField | None = None,
+    *,
+    y: str | int = 0,
     ax: Axes | None = None,
     scales: Scales | None = None,
 ) -> Axes:
@@ -346,7 +348,7 @@ def loop(
     chain = paper_chain(n=6, belt_speed=1.5, width=None)
     last = simulate(chain, equation_8(chain, 1), 1000.0).state
     times, states = loop(chain, last)
-    save_gif(animate(chain, times, states), "chain.gif")
+    save_gif(animate(times, states, chain), "chain.gif")
     ```
     """
     as_chain(chain)
@@ -379,9 +381,9 @@ def loop(
 
 
 def animate(
-    chain: Any,
     times: Any,
     states: Any,
+    chain: Any,
     *,
     masses: Any = None,
     frames_per_second: Any = 20,
@@ -393,10 +395,10 @@ def animate(
 
     **Arguments:**
 
-    - `chain` whose run `times` and `states` are, see `sticking`.
     - `times`: shape (frames,), dimensionless, increasing; each is one frame.
     - `states`: (x, v), each of shape (frames, n), or a `Simulation` that observed
       `Trajectory(times)`; for films that close see `loop`.
+    - `chain` whose run `times` and `states` are, see `sticking`.
     - `masses`: indices of the masses to show; by default up to eight around the one with the
       largest amplitude.
 
@@ -412,12 +414,12 @@ def animate(
         >>> from jaxchain.plotting import animate, save_gif
         >>> times = np.linspace(0.0, 5.0, 4)[:, None]
         >>> states = np.cos(times), -np.sin(times)  # any film of one mass
-        >>> film = animate(paper_chain(n=1), times[:, 0], states)
+        >>> film = animate(times[:, 0], states, paper_chain(n=1))
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     print(save_gif(film, f"{folder}/film.gif", dpi=40).stat().st_size < 30_000)
         True
     """
-    times, states = _checked_film(chain, times, states)
+    times, states = _checked_film(times, states, chain)
     check_positive_number("frames_per_second", frames_per_second, "20 is usual.")
     picked = _livelier(chain, states[0], masses)
     with matplotlib.rc_context(STYLE):
@@ -450,7 +452,8 @@ def save_gif(animation: FuncAnimation, path: Any, dpi: Any = 100) -> Path:
         >>> from jaxchain import paper_chain
         >>> from jaxchain.plotting import animate, save_gif
         >>> times = np.linspace(0.0, 5.0, 4)[:, None]
-        >>> film = animate(paper_chain(n=1), times[:, 0], (np.cos(times), -np.sin(times)))
+        >>> states = np.cos(times), -np.sin(times)  # any film of one mass
+        >>> film = animate(times[:, 0], states, paper_chain(n=1))
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     print(save_gif(film, f"{folder}/film.gif", dpi=40).read_bytes()[:6])
         b'GIF89a'
@@ -470,7 +473,7 @@ def save_gif(animation: FuncAnimation, path: Any, dpi: Any = 100) -> Path:
 
 
 def film_strip(
-    chain: Any, times: Any, states: Any, *, stills: Any = 8, masses: Any = None
+    times: Any, states: Any, chain: Any, *, stills: Any = 8, masses: Any = None
 ) -> Figure:
     """Stills of `animate` below each other, at equal intervals from the first time.
 
@@ -488,11 +491,11 @@ def film_strip(
         >>> from jaxchain.plotting import film_strip
         >>> times = np.linspace(0.0, 5.0, 6)[:, None]
         >>> states = np.cos(times), -np.sin(times)  # any film of one mass
-        >>> page = film_strip(paper_chain(n=1), times[:, 0], states, stills=3)
+        >>> page = film_strip(times[:, 0], states, paper_chain(n=1), stills=3)
         >>> [axes.get_title(loc="right")[-4:] for axes in page.axes]  # the time of each
         ['0.00', '2.00', '4.00']
     """
-    times, states = _checked_film(chain, times, states)
+    times, states = _checked_film(times, states, chain)
     check_whole("stills", stills)
     picked = _livelier(chain, states[0], masses)
     if stills > len(times):
@@ -696,7 +699,7 @@ class _Film:
         return [*artists, self.cursor]
 
 
-def _checked_film(chain: Any, times: Any, states: Any) -> tuple[np.ndarray, Any]:
+def _checked_film(times: Any, states: Any, chain: Any) -> tuple[np.ndarray, Any]:
     """Times and (x, v) as arrays of fitting shapes, or `ValueError`."""
     as_chain(chain)
     times = _checked_times(times)

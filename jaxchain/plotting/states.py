@@ -320,8 +320,8 @@ def draw_time_series(part: Any, data: xr.Dataset, letters: Iterator[str]) -> Non
     for masses, look in looks:
         if masses:
             plot_time_series(times, states, masses=masses, ax=axes["x"], **look)
-            plot_time_series(times, states, "velocity", masses=masses, ax=axes["v"], **look)
-            plot_phase_portrait(states, masses=masses, ax=axes["phase"], **look)
+            plot_time_series(times, states, y="velocity", masses=masses, ax=axes["v"], **look)
+            plot_phase_portrait(times, states, masses=masses, ax=axes["phase"], **look)
     axes["x"].sharex(axes["v"])
     axes["x"].tick_params(labelbottom=False)
     axes["x"].set_xlabel("")

@@ -1,5 +1,6 @@
 """Runs over time, in the phase plane and as films: lines, who sticks, loops that close."""
 
+import inspect
 import itertools
 
 import jax.numpy as jnp
@@ -52,19 +53,28 @@ def legend(axes):
 
 @pytest.mark.parametrize(("y", "part"), [("displacement", 0), ("velocity", 1)])
 def test_a_line_over_time_for_each_mass(y, part):
-    axes = plot_time_series(TIMES, STATES, y)
+    axes = plot_time_series(TIMES, STATES, y=y)
     for k, line in enumerate(axes.get_lines()):
         np.testing.assert_array_equal(across(line), TIMES)
         np.testing.assert_array_equal(height(line), STATES[part][:, k])
     assert legend(axes) == ["oscillator 1", "oscillator 2", "oscillator 3"]
     assert axes.get_xlabel() == r"time $\tau$ (–)"
     assert y in axes.get_ylabel()
-    (line,) = plot_time_series(TIMES, STATES, y, masses=[2]).get_lines()
+    (line,) = plot_time_series(TIMES, STATES, y=y, masses=[2]).get_lines()
     np.testing.assert_array_equal(height(line), STATES[part][:, 2])
 
 
+def test_pictures_of_a_run_take_the_same_arguments_in_the_same_order():
+    for draw in (plot_time_series, plot_phase_portrait, plot_space_time, animate, film_strip):
+        order = inspect.signature(draw).parameters
+        positional = [name for name, p in order.items() if p.kind is not p.KEYWORD_ONLY]
+        assert positional == ["times", "states", "chain"]
+    with pytest.raises(ValueError, match="`chain` must be a `Chain`, but is a tuple"):
+        animate(paper_chain(3), TIMES, STATES)
+
+
 def test_the_phase_plane_has_velocity_over_displacement():
-    axes = plot_phase_portrait(STATES, masses=[1], scales=SCALES)
+    axes = plot_phase_portrait(TIMES, STATES, masses=[1], scales=SCALES)
     (line,) = axes.get_lines()
     np.testing.assert_allclose(across(line), 0.05 * STATES[0][:, 1], rtol=1e-14)
     np.testing.assert_allclose(height(line), 0.5 * STATES[1][:, 1], rtol=1e-14)
@@ -79,15 +89,15 @@ def test_a_chain_adds_its_belt_and_where_a_mass_sticks():
     held = sticking(chain, run.observed)[:, 0]
     assert 0 < held.sum() < held.size
     x, v = (np.asarray(part)[:, 0] for part in run.observed)
-    axes = plot_phase_portrait(run, chain=chain)
+    axes = plot_phase_portrait(times, run, chain)
     assert legend(axes) == ["sticks", "belt speed"]
     orbit, band, _, belt = axes.get_lines()
     np.testing.assert_array_equal(orbit.get_xydata(), np.stack([x, v], 1))
     np.testing.assert_array_equal(height(band), np.where(held, v, np.nan))
     assert np.unique(np.asarray(belt.get_ydata())) == 0.5
     # Over time the belt is a velocity, and nothing that a displacement can reach.
-    assert "belt speed" not in legend(plot_time_series(times, run, chain=chain))
-    assert "belt speed" in legend(plot_time_series(times, run, "velocity", chain=chain))
+    assert "belt speed" not in legend(plot_time_series(times, run, chain))
+    assert "belt speed" in legend(plot_time_series(times, run, chain, y="velocity"))
 
 
 def test_many_masses_have_a_colour_bar():
@@ -104,21 +114,21 @@ FOUR = tuple(np.sin(TIMES[:, None] + np.arange(3) + k) for k in range(4))
 
 @pytest.mark.parametrize("y", ["y", 1])
 def test_a_component_of_cells_is_drawn_by_its_name_or_number(y):
-    axes = plot_time_series(TIMES, FOUR, y, chain=MODES, masses=[2])
+    axes = plot_time_series(TIMES, FOUR, MODES, y=y, masses=[2])
     (line,) = axes.get_lines()
     np.testing.assert_array_equal(height(line), FOUR[1][:, 2])
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("time $t$ (–)", "y (–)")
-    (line,) = plot_time_series(TIMES, FOUR, chain=MODES, masses=[0]).get_lines()
+    (line,) = plot_time_series(TIMES, FOUR, MODES, masses=[0]).get_lines()
     np.testing.assert_array_equal(height(line), FOUR[0][:, 0])
-    axes = plot_phase_portrait(FOUR, x=y, y="x'", chain=MODES, masses=[1])
+    axes = plot_phase_portrait(TIMES, FOUR, MODES, x=y, y="x'", masses=[1])
     (line,) = axes.get_lines()
     np.testing.assert_array_equal(line.get_xydata(), np.stack([FOUR[1][:, 1], FOUR[2][:, 1]], 1))
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("y (–)", "x' (–)")
-    assert plot_time_series(TIMES, FOUR, 2).get_ylabel() == "component 2 (–)"
+    assert plot_time_series(TIMES, FOUR, y=2).get_ylabel() == "component 2 (–)"
 
 
 def test_space_and_time_show_one_component_of_all_cells():
-    axes = plot_space_time(TIMES, FOUR, "x'", chain=MODES)
+    axes = plot_space_time(TIMES, FOUR, MODES, y="x'")
     (mesh,) = axes.collections
     np.testing.assert_array_equal(np.asarray(mesh.get_array()), FOUR[2].T)
     low, high = axes.dataLim.intervaly
@@ -126,7 +136,7 @@ def test_space_and_time_show_one_component_of_all_cells():
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("time $t$ (–)", "oscillator $n$")
     (bar,) = [other for other in axes.figure.axes if other is not axes]
     assert bar.get_ylabel() == "x' (–)"
-    axes = plot_space_time(TIMES, STATES, "velocity", scales=SCALES)
+    axes = plot_space_time(TIMES, STATES, y="velocity", scales=SCALES)
     (mesh,) = axes.collections
     np.testing.assert_allclose(np.asarray(mesh.get_array()), 0.5 * STATES[1].T, rtol=1e-14)
     assert axes.get_xlabel() == "time $t$ (s)"
@@ -135,11 +145,11 @@ def test_space_and_time_show_one_component_of_all_cells():
 @pytest.mark.parametrize(
     ("draw", "problem"),
     [
-        (lambda: plot_time_series(TIMES, FOUR, "z", chain=MODES), "`y` must be one of x, y, x', "),
-        (lambda: plot_time_series(TIMES, FOUR, 4, chain=MODES), "its number from 0, but is 4"),
-        (lambda: plot_phase_portrait(FOUR[:3], chain=MODES), "has the 4 components x, y, x', y'"),
-        (lambda: plot_time_series(TIMES, FOUR, chain=MODES, scales=SCALES), "`scales` is for a"),
-        (lambda: animate(MODES, TIMES, STATES), "`chain` must be a `Chain`, but is a ModeC"),
+        (lambda: plot_time_series(TIMES, FOUR, MODES, y="z"), "`y` must be one of x, y, x', "),
+        (lambda: plot_time_series(TIMES, FOUR, MODES, y=4), "its number from 0, but is 4"),
+        (lambda: plot_phase_portrait(TIMES, FOUR[:3], MODES), "has the 4 components x, y, x', y'"),
+        (lambda: plot_time_series(TIMES, FOUR, MODES, scales=SCALES), "`scales` is for a"),
+        (lambda: animate(TIMES, STATES, MODES), "`chain` must be a `Chain`, but is a ModeC"),
         (lambda: loop(MODES, STATES), "`chain` must be a `Chain`, but is a ModeC"),
     ],
 )
@@ -251,7 +261,7 @@ def test_a_loop_of_what_rests_or_does_not_come_back_is_refused():
 
 def artists(width=None, n=3, frames=24, belt_speed=1.0):
     chain, times, states = made_up(n, frames, belt_speed, width)
-    page = film_strip(chain, times, states, stills=1)
+    page = film_strip(times, states, chain, stills=1)
     shown = list(range(n))
     scene = _Film(page.axes[0], chain, times, states, shown)
     return scene, (times, states)
@@ -326,7 +336,7 @@ def test_points_run_along_their_curves_and_a_loop_is_drawn_closed():
 
 def test_a_gif_opens_with_every_frame_and_is_small(tmp_path):
     chain, times, states = made_up(2, frames=8)
-    film = animate(chain, times, states, frames_per_second=10)
+    film = animate(times, states, chain, frames_per_second=10)
     path = save_gif(film, tmp_path / "film.gif", dpi=50)
     with Image.open(path) as picture:
         assert picture.n_frames == 8  # pyright: ignore[reportAttributeAccessIssue]
@@ -350,10 +360,10 @@ def test_stills_are_at_equal_distances_and_numbered_round_the_ring():
     times = np.linspace(0.0, 1.9, 20)
     x = np.zeros((20, 20))
     x[:, [0, 19]] = np.sin(times)[:, None]
-    page = film_strip(chain, times, (x, 0 * x), stills=4)
+    page = film_strip(times, (x, 0 * x), chain, stills=4)
     titles = [axes.get_title(loc="right") for axes in page.axes]
     assert titles == [rf"$\tau$ = {t:.2f}" for t in (0.0, 0.5, 1.0, 1.5)]
     numbers = [text.get_text() for text in page.axes[0].texts if text.get_text().isdigit()]
     assert numbers == ["17", "18", "19", "20", "1", "2", "3", "4"]
-    free = film_strip(chain.with_(ends="free"), times, (x, 0 * x), stills=1).axes[0]
+    free = film_strip(times, (x, 0 * x), chain.with_(ends="free"), stills=1).axes[0]
     assert next(t.get_text() for t in free.texts if t.get_text().isdigit()) in ("1", "13")

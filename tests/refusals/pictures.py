@@ -44,7 +44,7 @@ def rows() -> Iterator[Row]:
     yield Row("animate", plotting.animate, film, bad)
     strip = {**film, "stills": 2}
     yield Row("film_strip", plotting.film_strip, strip, {**frames, "stills": (*COUNT, 4)})
-    animation = plotting.animate(CHAIN, TIMES, FILM)
+    animation = plotting.animate(TIMES, FILM, CHAIN)
     # matplotlib warns of an animation that is never drawn.
     animation._draw_was_started = True  # pyright: ignore[reportAttributeAccessIssue]
     good = {"animation": animation, "path": "film.gif"}
@@ -90,7 +90,9 @@ def _plots() -> Iterator[Row]:
     motion = {**every, "states": films, "masses": masses, "chain": optional(A_CHAIN)}
     bad = {**motion, "times": times, "y": WORD}
     yield Row("plot_time_series", plotting.plot_time_series, film, bad)
-    yield Row("plot_phase_portrait", plotting.plot_phase_portrait, {"states": FILM}, motion)
+    yield Row(
+        "plot_phase_portrait", plotting.plot_phase_portrait, film, {**motion, "times": times}
+    )
     del bad["masses"]
     yield Row("plot_space_time", plotting.plot_space_time, film, bad)
     bad = {**every, "friction": (*A_CHAIN, None), "reach": optional(POSITIVE)}
